@@ -305,6 +305,9 @@ def test_unusable_forces_are_one_sentence_and_write_nothing(
         ("report no --out r.html", "no result"),
         ("report rft3d --out r.pdf", "r.html"),
         ("keys scenaro", "scenario"),
+        ("calibrate li2013:yuma/c --phi 35±1e308 --out c.toml", "36±2"),
+        (f"invert {'no' * 400}.csv", " … "),
+        ("invert no\x1b[31m\u202e.csv", "no\\x1b[31m\\u202e.csv"),
     ],
 )
 def test_a_mistake_is_one_sentence_that_names_the_remedy(
@@ -315,6 +318,31 @@ def test_a_mistake_is_one_sentence_that_names_the_remedy(
     assert word in err
     assert "Traceback" not in err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_numbers_and_depth_without_bound_are_one_sentence(
+    terraphi: Terraphi, tmp_path: Path
+) -> None:
+    terraphi("calibrate", MEASURED, *QUICK, "--phi", "36±2", "--out", "c.toml")
+    text = (tmp_path / "c.toml").read_text().replace("phi_sd_deg = 2.0", "phi_sd_deg = 1e308")
+    (tmp_path / "c.toml").write_text(text)
+    (tmp_path / "deep.toml").write_text(f"model = {'[' * 5000}{']' * 5000}")
+    for command in (
+        ("invert", MEASURED, *QUICK, "--calibration", "c.toml"),
+        ("forces", "c.toml", "--robot", "deep.toml"),
+    ):
+        status, out, err = terraphi(*command)
+        assert (status, out, err.count("\n")) == (2, "", 1)
+        assert len(err) <= 312
+
+
+def test_a_warning_of_numpy_stays_off_the_terminal() -> None:
+    code = (
+        "import warnings, sys, click; from terraphi.cli import main; "
+        "main.cli.main = lambda **_: warnings.warn('divide by zero', RuntimeWarning); main.main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr == ""
 
 
 def test_ctrl_c_ends_with_130_and_one_sentence(tmp_path: Path) -> None:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import errno
 import os
 import random
+from collections.abc import Callable
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 import xarray as xr
@@ -15,6 +17,7 @@ from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import (
     held,
+    json_object,
     number_with_sd,
     open_netcdf,
     plain_number,
@@ -154,6 +157,35 @@ def test_a_netcdf_of_another_kind_is_refused(
     write_netcdf(dataset(**attributes), tmp_path / "x.nc")
     with pytest.raises(InputError, match=words):
         open_netcdf(tmp_path / "x.nc", kind="thing", schema=3)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (
+            lambda file: file.create_dataset("b", (400_000_000,), chunks=(1000,), dtype="f8"),
+            "3.2 GB",
+        ),
+        (lambda file: file.create_group("g").__setitem__("loop", file["/"]), "'/g/loop' is a link"),
+        (lambda file: file.__setitem__("s", h5py.ExternalLink("other.nc", "/a")), "not a whole"),
+        (lambda file: file.attrs.__setitem__("terraphi_file", [1, 2]), "not a thing"),
+        (lambda file: file.attrs.__setitem__("terraphi_schema", [1, 2]), "schema version"),
+    ],
+)
+def test_what_would_fill_the_memory_or_never_end_is_refused(
+    tmp_path: Path, spoil: Callable[[h5py.File], object], words: str
+) -> None:
+    write_netcdf(dataset(), tmp_path / "x.nc")
+    with h5py.File(tmp_path / "x.nc", "r+") as file:
+        spoil(file)
+    with pytest.raises(InputError, match=words):
+        open_netcdf(tmp_path / "x.nc", kind="thing", schema=3)
+
+
+@pytest.mark.parametrize("text", ["[1]", "[" * 50_000, '{"a": ' * 5000, "", None])
+def test_json_that_is_no_object_is_a_value_error(text: str | None) -> None:
+    with pytest.raises(ValueError, match="no JSON object"):
+        json_object(text)
 
 
 def test_missing_files(tmp_path: Path) -> None:

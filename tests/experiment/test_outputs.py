@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import h5py
@@ -9,8 +10,16 @@ import numpy as np
 import pytest
 
 from terraphi.experiment.errors import InputError
+from terraphi.experiment.files import held
 from terraphi.experiment.history import ForceHistory
-from terraphi.experiment.outputs import MANIFEST, SIGNATURE, check_file, check_folder, filling
+from terraphi.experiment.outputs import (
+    MANIFEST,
+    SIGNATURE,
+    changed,
+    check_file,
+    check_folder,
+    filling,
+)
 
 
 def fill(place: Path, **content: str) -> None:
@@ -28,7 +37,7 @@ def test_results_replace_earlier_ones_and_nothing_else(tmp_path: Path) -> None:
     fill(place, a="1", z="2")
     (place / "mine.md").write_text("a note")
     fill(place, b="3", z="4")
-    assert contents(place) == {"b.txt": "3", "z.txt": "4", "mine.md": "a note"}
+    assert contents(place) == {"a.txt": "1", "b.txt": "3", "z.txt": "4", "mine.md": "a note"}
     (place / "c.txt").write_text("mine")
     with pytest.raises(InputError, match=r"holds 'c\.txt', not written by terraphi"):
         fill(place, a="5", c="6")
@@ -74,7 +83,35 @@ def test_a_change_that_is_cut_off_can_be_done_again(
             fill(place, a="4", c="5", z="6")
     assert "z.txt" not in contents(place)  # it goes first and comes last
     fill(place, a="7", z="8")
-    assert contents(place) == {"a.txt": "7", "z.txt": "8"}
+    assert contents(place) == {"a.txt": "7", "b.txt": "2", "z.txt": "8"}
+    manifest = json.loads((place / MANIFEST).read_text())
+    (place / MANIFEST).write_text(json.dumps(manifest | {"files": ["thesis.txt", "z.txt"]}))
+    (place / "thesis.txt").write_text("mine")
+    fill(place, z="9")
+    assert contents(place)["thesis.txt"] == "mine"
+
+
+def test_what_a_killed_run_left_is_removed_and_what_a_living_one_needs_is_not(
+    tmp_path: Path,
+) -> None:
+    for name in (".unfinished-o-dead", ".unfinished-o-alive", ".unfinished-other-x", "o-mine"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "a.txt").write_text("1")
+    with held(tmp_path / ".unfinished-o-alive"):
+        fill(tmp_path / "o", z="1")
+    left = {path.name for path in tmp_path.iterdir()}
+    assert left == {".unfinished-o-alive", ".unfinished-other-x", "o", "o-mine"}
+
+
+def test_files_that_were_changed_are_named(tmp_path: Path) -> None:
+    place = tmp_path / "o"
+    fill(place, a="1", z="2")
+    assert changed(place) == changed(place / "a.txt") == ""
+    (place / "a.txt").write_text("edited")
+    assert changed(place) == changed(place / "a.txt") == "a.txt was changed after terraphi wrote it"
+    assert changed(place / "z.txt") == ""
+    (place / MANIFEST).write_text('{"terraphi_file": "manifest", "files": 3}')
+    assert "is damaged" in changed(place)
 
 
 def test_files_of_ours_are_replaced_and_no_others(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -51,6 +52,15 @@ def test_a_file_is_read_back(small: Library, tmp_path: Path) -> None:
     np.testing.assert_allclose(
         kept.modes_at(20.0)["cells"], correction.modes["cells"][:, 0], rtol=1e-5
     )
+
+
+@pytest.mark.parametrize("value", ["[1]", "[" * 20_000])
+def test_an_origin_that_is_no_table_is_refused(small: Library, tmp_path: Path, value: str) -> None:
+    small.save(tmp_path / "library.nc")
+    with h5py.File(tmp_path / "library.nc", "r+") as file:
+        file.attrs["provenance"] = value
+    with pytest.raises(InputError, match="not a library as this version writes it"):
+        Library.load(tmp_path / "library.nc")
 
 
 def test_curves_are_sorted_means_of_the_histories(small: Library) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.ndimage import uniform_filter1d
 
 from terraphi.experiment.errors import InputError
 from terraphi.robot.joint_log import JointLog
@@ -42,6 +43,26 @@ def test_a_sound_log_is_not_doubted(name: str) -> None:
     found = foot_forces(WALKS[name].log()[0])
     assert found.notes == ()
     assert found.summary()["lift_over_weight"] == pytest.approx(1.0, abs=0.03)
+
+
+def late(log: JointLog, seconds: float) -> JointLog:
+    every = [np.interp(log.time - seconds, log.time, t) for t in log.torque.reshape(-1, 12).T]
+    return replace(log, torque=np.stack(every, axis=1).reshape(-1, 4, 3))
+
+
+def test_late_torques_are_found_in_swing_and_taken_back(log: JointLog) -> None:
+    """20 ms late torques move φ by 5°; a trailing mean of 50 ms is late by half of that."""
+    notes = " | ".join(foot_forces(late(log, 0.02)).notes)
+    found = re.search(r"torques are (\d+) ms late .* correct it with --lag (\d+)", notes)
+    assert found, notes
+    assert found[1] == found[2]
+    assert float(found[1]) == pytest.approx(20.0, abs=4.0)
+    assert "torques are" not in " ".join(foot_forces(late(log, 0.02), lag_s=0.02).notes)
+    mean = replace(log, torque=uniform_filter1d(log.torque, 25, axis=0, origin=12))
+    notes = " | ".join(foot_forces(mean).notes)
+    found = re.search(r"torques are (\d+) ms late", notes)
+    assert found, notes
+    assert float(found[1]) == pytest.approx(24.0, abs=8.0)
 
 
 @pytest.mark.parametrize(

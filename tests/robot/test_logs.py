@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import sqlite3
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +16,7 @@ from rosbags.rosbag2 import Writer
 
 from terraphi.experiment.errors import InputError
 from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, SHAPES, JointLog
-from terraphi.robot.logs import read_log
+from terraphi.robot.logs import bags, read_log
 from terraphi.robot.logs.bags import (
     IMU,
     JOINT_STATE,
@@ -301,6 +303,27 @@ def test_not_a_log_at_all(tmp_path: Path, name: str, content: bytes) -> None:
     refused(tmp_path / "absent.mcap", "no such file", "MCAP")
 
 
+def test_views_in_a_bag_are_refused(tmp_path: Path) -> None:
+    write_rosbag2(tmp_path / "bag", log)
+    file = next((tmp_path / "bag").glob("*.db3"))
+    with contextlib.closing(sqlite3.connect(file)) as database:
+        database.executescript(
+            "ALTER TABLE messages RENAME TO others; CREATE VIEW messages AS WITH RECURSIVE n(id) "
+            "AS (SELECT 1 UNION ALL SELECT id + 1 FROM n) SELECT id, 1 AS topic_id, "
+            "id AS timestamp, x'00' AS data FROM n;"
+        )
+    refused(tmp_path / "bag", "not a whole bag", "view")
+
+
+def test_a_database_that_takes_too_long_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bags, "MOST_SECONDS", 0.0)
+    monkeypatch.setattr(bags, "STEPS", 100)
+    write_rosbag2(tmp_path / "bag", log)
+    refused(tmp_path / "bag", "not a whole bag", "terrupt")
+
+
 @pytest.mark.parametrize("name", ["log.mcap", "flat.mcap", "sqlite"])
 def test_a_log_that_was_cut_off_is_refused(tmp_path: Path, name: str) -> None:
     WRITERS[name](tmp_path / name, log)
@@ -320,6 +343,8 @@ every_kind = pytest.mark.parametrize("name", ["log.csv", "log.mcap"])
     [
         (lambda: {"angle": np.degrees(log.angle) + 360.0}, "radians are expected"),
         (lambda: {"velocity": np.degrees(log.velocity)}, "57.3 times"),
+        (lambda: {"time": log.time[0] + 2.0 * (log.time - log.time[0])}, "2 times the rate"),
+        (lambda: {"time": log.time[0] + 0.5 * (log.time - log.time[0])}, "0.5 times the rate"),
         (lambda: {"quaternion": np.full_like(log.quaternion, 2.0)}, "(w, x, y, z)"),
         (lambda: {"torque": np.where(np.arange(200) < 101, np.nan, log.torque.T).T},
          "101 of 200 samples: not a finite number"),

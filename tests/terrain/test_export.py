@@ -123,8 +123,9 @@ def test_draws_are_converted_to_plane_strain() -> None:
     }.items():
         with np.errstate(invalid="ignore"):
             turned = np.degrees(np.arcsin(wanted))
-        plane = {"median": turned[1], "ci68": turned[:2].tolist(), "ci95": turned[:2].tolist()}
-        angle = {**SUMMARY, "median": 35.0, "yield": criterion}
+        ends = turned[[0, 2]].tolist()
+        plane = {"median": turned[1], "ci68": ends, "ci95": ends}
+        angle = {"median": 35.0, "ci68": [30.0, 44.0], "ci95": [30.0, 44.0], "yield": criterion}
         one = read(np.degrees(phi), phi_deg=angle, phi_plane_strain_deg=plane)
         assert in_plane_strain(one) == pytest.approx(turned, nan_ok=True)
         found = export(one, simulator("newton"), draws=9)
@@ -146,6 +147,9 @@ def test_export_of_a_folder(terraphi, tmp_path) -> None:
     assert module["DRAWS"] == printed["draws"]
     assert module["__doc__"].splitlines()[2] == f"CAUTION: {printed['caution']}"
     assert printed["caution"] == "the verdict is misfit: No angle fits."
+    (tmp_path / "answer" / "answer.json").write_text("edited")
+    caution = json.loads(terraphi(*base, "--anyway", "--json").out)["caution"]
+    assert caution.startswith("answer.json was changed after terraphi wrote it. the verdict")
     assert np.isin(printed["draws"], np.round(np.sin(np.radians(phi)), 6)).all()
     assert terraphi(*base, "--anyway", "--out", "soil.usda").status == 0
     assert "newton:mpm:internalFriction = 0." in (tmp_path / "soil.usda").read_text()
@@ -159,6 +163,12 @@ def test_export_reads_what_invert_writes(terraphi) -> None:
 
 
 MISFIT = {"verdict": "misfit", "reason": "No angle fits."}
+
+
+def edited(**changes: Any) -> dict[str, Any]:
+    return {"phi_plane_strain_deg": {**SUMMARY, **changes}}
+
+
 STRONG = {"phi_plane_strain_deg": None, "phi_plane_strain_reason": "too strong"}
 
 
@@ -167,7 +177,12 @@ STRONG = {"phi_plane_strain_deg": None, "phi_plane_strain_reason": "too strong"}
     [
         (MISFIT, "--to newton", "misfit: No angle fits."),
         (STRONG, "--to newton", "too strong"),
-        ({"phi_plane_strain_deg": {}}, "--to newton", "not as 'terraphi invert' writes"),
+        ({"phi_plane_strain_deg": {}}, "--to newton", "phi_plane_strain_deg.median' is missing"),
+        (edited(median=12.0), "--to newton", "do not lie within each other"),
+        (edited(ci95=[26.0]), "--to newton", "phi_plane_strain_deg.ci95"),
+        (edited(ci95=[26.0, 34.0, 35.0]), "--to newton", "phi_plane_strain_deg.ci95"),
+        (edited(median=31.0), "--to newton", "phi_deg 30.0 is 30.0 in plane strain, found 31.0"),
+        ({"density_kg_m3": None}, "--to newton", "not as 'terraphi invert' writes"),
         ({}, "--to mujoco", "mujoco has no soil"),
         ({}, "--to newton --dp-type Inscribed", "only geotaichi"),
         ({}, "--to newton --draws 3", "has no draws of the posterior"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import socket
 from typing import Any
 
 import numpy as np
@@ -238,12 +239,42 @@ def test_footfalls_are_placed_where_the_walk_began(hill, tmp_path) -> None:
         assert (cells == found[["row", "column"]].to_numpy().T).all()
 
 
+def test_nothing_is_fetched_from_the_network(terraphi, hill, points, tmp_path, monkeypatch) -> None:
+    """Neither what a points file calls its coordinate system nor a raster is an address."""
+    monkeypatch.setenv("GDAL_HTTP_TIMEOUT", "1")
+
+    def refusal(dem: str) -> str:
+        ran = terraphi("map", "points.csv", "--dem", dem, "--out", "maps")
+        assert ran.status == 2
+        return ran.err
+
+    hill()
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(0.1)
+        address = f"http://127.0.0.1:{server.getsockname()[1]}/dem.tif"
+        points(np.arange(4) * 10.0 + 5.0, 20.0, 30.0, first=f"# crs: {address}")
+        assert "its coordinate system is http" in refusal("dem.tif")
+        points(np.arange(4) * 10.0 + 5.0, 20.0, 30.0)
+        source = f"<SourceFilename>/vsicurl/{address}</SourceFilename>"
+        band = f'<VRTRasterBand dataType="Float32" band="1"><SimpleSource>{source}</SimpleSource>'
+        (tmp_path / "vrt.tif").write_text(
+            f'<VRTDataset rasterXSize="9" rasterYSize="9">{band}</VRTRasterBand></VRTDataset>'
+        )
+        (tmp_path / "wms.tif").write_text(
+            f'<GDAL_WMS><Service name="WMS"><ServerUrl>{address}</ServerUrl></Service></GDAL_WMS>'
+        )
+        for name in ("vrt.tif", "wms.tif"):
+            assert "cannot be read as a GeoTIFF" in refusal(name)
+        with pytest.raises(TimeoutError):
+            server.accept()
+
+
 def long_rows(path: Any) -> None:
     head, *rows = path.read_text().splitlines()
     path.write_text("\n".join([head, *(f"{row},9.0" for row in rows)]))
 
 
-HALF = np.where(np.arange(60) < 30, 1.0, -9999.0) * np.ones((60, 1))
+HALF = np.where(np.arange(60) < 30, np.arange(60), -9999.0) * np.ones((60, 1))
 
 
 @pytest.mark.parametrize(
@@ -253,6 +284,11 @@ HALF = np.where(np.arange(60) < 30, 1.0, -9999.0) * np.ones((60, 1))
         (lambda hill, _: hill(crs="EPSG:4326"), "", "coordinates are degrees (EPSG:4326)"),
         (lambda hill, _: hill(crs="EPSG:2229"), "", "to metres"),
         (lambda hill, _: hill(unit="ft"), "", "elevations are in ft"),
+        (lambda hill, _: hill(heights=np.zeros((60, 60))), "", "elevations from 0 to 0 m"),
+        (lambda hill, _: hill(heights=HALF + 1e6), "", "elevations from 990001 to 1.00003e+06 m"),
+        (lambda hill, _: hill(heights=HALF + 2e30), "", "has values beyond 1e+30"),
+        (lambda hill, _: hill(heights=1j + HALF), "", "values are complex64, expected real"),
+        (None, "--seed 99999999999", "99999999999 is not in the range"),
         (lambda hill, _: hill(left=1000.0), "", "is outside dem.tif"),
         (lambda hill, _: hill(heights=HALF), "", "dem.tif has no elevation there"),
         (lambda _, points: points([1.0] * 4, 2.0, 30.0, first="# crs: EPSG:32612"), "", "project"),
@@ -267,7 +303,7 @@ HALF = np.where(np.arange(60) < 30, 1.0, -9999.0) * np.ones((60, 1))
         (None, "--prior depth_m=2:1", "expected KEY=LOW:HIGH"),
         (lambda hill, _: hill(name="wet.tif"), "--wetness wet.tif", "expected 0 to 1"),
         (lambda hill, _: hill(n=50, name="b.tif"), "--covariate b.tif", "its grid is not that of"),
-        (None, "--covariate points.csv", "cannot be read as a raster"),
+        (None, "--covariate points.csv", "cannot be read as a GeoTIFF"),
         (lambda hill, _: hill(heights=HALF, name="b.tif"), "--covariate b.tif", "b.tif: has no"),
     ],
 )

@@ -107,6 +107,25 @@ def test_dropped_forces_become_an_answer_and_nothing_stays(
     assert list(places.iterdir()) == []
 
 
+def test_what_a_killed_app_left_is_removed_at_the_next_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    (tmp_path / "terraphi-app-dead").mkdir()
+    (tmp_path / "terraphi-app-dead" / "dropped.csv").write_text("somebody's forces")
+    found: list[str] = []
+
+    def ready(_: str) -> None:
+        found.extend(path.name for path in tmp_path.iterdir())
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        app.serve(0, ready=ready)
+    assert len(found) == 1
+    assert found[0] != "terraphi-app-dead"
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize(
     ("body", "name", "word"),
     [

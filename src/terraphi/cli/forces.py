@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from terraphi.cli.options import ESTIMATORS, FRAMES, PATH, Choice, json_option, shipped
+from terraphi.cli.options import ESTIMATORS, FRAMES, PATH, Choice, Float, json_option, shipped
 from terraphi.view.console import print_forces, print_json
 
 
@@ -38,6 +38,15 @@ def log_options(command: Callable[..., Any]) -> Callable[..., Any]:
             type=PATH,
             help="TOML that says which columns of a table are what; 'terraphi keys columns' prints "
             "its keys.",
+        ),
+        click.option(
+            "--lag",
+            "lag_s",
+            type=Float(),
+            default=0.0,
+            metavar="MS",
+            callback=lambda _context, _option, value: 1e-3 * value,
+            help="Time by which torques are late [ms].  [default: 0]",
         ),
     )
     for option in reversed(options):

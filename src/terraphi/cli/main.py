@@ -6,6 +6,7 @@ Commands import what they need when they run, so that ``--help`` answers at once
 from __future__ import annotations
 
 import sys
+import warnings
 
 import click
 
@@ -17,7 +18,7 @@ from terraphi.cli.paper import paper
 from terraphi.cli.simulate import simulate
 from terraphi.cli.terrain import convert, export, slope_map
 from terraphi.cli.tools import app, doctor, keys, report
-from terraphi.experiment.errors import InputError, SimulationError
+from terraphi.experiment.errors import InputError, SimulationError, printable
 
 UNUSABLE, INTERRUPTED = 2, 130
 """Exit status where the input cannot be used, and after Ctrl-C."""
@@ -55,6 +56,8 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):  # a terminal without φ shows another letter
             stream.reconfigure(errors="replace")
+    if not sys.warnoptions:  # they name our source, and mean nothing to a user
+        warnings.simplefilter("ignore", RuntimeWarning)
     try:
         cli.main(prog_name="terraphi", standalone_mode=False)
     except click.exceptions.NoArgsIsHelpError as error:
@@ -65,6 +68,8 @@ def main() -> None:
         _leave(str(error), UNUSABLE)
     except OSError as error:
         _leave(f"the operating system reports: {error}", UNUSABLE)
+    except (OverflowError, RecursionError) as error:
+        _leave(f"a number in the input is too large, or it is nested too deep: {error}", UNUSABLE)
     except (click.Abort, KeyboardInterrupt):
         _leave(
             "interrupted; a simulation or build with --out continues with the same command",
@@ -73,5 +78,5 @@ def main() -> None:
 
 
 def _leave(sentence: str, status: int) -> None:
-    click.echo(f"terraphi: {sentence}", err=True)
+    click.echo(f"terraphi: {printable(sentence)}", err=True)
     sys.exit(status)

@@ -27,7 +27,7 @@ dp_type_option = click.option(
     help="Cone of geotaichi.  [default: MiddleCircumscribed]",
 )
 seed_option = click.option(
-    "--seed", type=IntRange(min=0), default=0, show_default=True, help="Seed of draws."
+    "--seed", type=IntRange(0, 2**32 - 1), default=0, show_default=True, help="Seed of draws."
 )
 
 
@@ -59,7 +59,7 @@ def _check_cone(dp_type: str | None, *names: str | None) -> None:
 def export(
     answer: Path, to: str, dp_type: str | None, out: Path | None, as_json: bool, **options: Any
 ) -> None:
-    """Write an ANSWER as the friction of a simulator, in a Python module that sets it.
+    """Write a Python module that sets the friction of an ANSWER in a simulator.
 
     ANSWER is the folder of 'terraphi invert --out', its answer.nc, or the output of 'invert
     --json' (- for standard input). The module says which stress path is matched, and what was not

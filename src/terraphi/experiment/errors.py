@@ -11,11 +11,25 @@ if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError
 
 
+LONGEST = 300
+"""Letters of a message."""
+
+
+def printable(text: str) -> str:
+    """A text on one line, control characters escaped, its middle left out where it is too long."""
+    shown = " ".join(text.split())
+    shown = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in shown)
+    return shown if len(shown) <= LONGEST else f"{shown[:180]} … {shown[183 - LONGEST :]}"
+
+
 class InputError(ValueError):
     """An input is unusable; the message is one sentence that names the place and the remedy.
 
     The command line prints the message as it stands and exits with status 2.
     """
+
+    def __init__(self, sentence: str) -> None:
+        super().__init__(printable(sentence))
 
 
 class SimulationError(RuntimeError):

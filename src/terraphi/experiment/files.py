@@ -6,7 +6,9 @@ import fcntl
 import io
 import os
 import re
+import shutil
 import sys
+import tempfile
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -78,6 +80,16 @@ def number_with_sd(text: str) -> tuple[float, float | None]:
     return plain_number(mean), plain_number(sd) if sign else None
 
 
+def json_object(text: Any) -> dict[str, Any]:
+    """Parse a JSON object; raises ValueError if it is none, or nested more than 200 deep."""
+    from pydantic import TypeAdapter, ValidationError
+
+    try:
+        return TypeAdapter(dict[str, Any]).validate_json(text)
+    except ValidationError as error:
+        raise ValueError(f"no JSON object: {error.errors()[0]['msg']}") from None
+
+
 # -- writing -------------------------------------------------------------------------------------
 
 
@@ -145,8 +157,7 @@ def held(folder: Path) -> Iterator[None]:
 
     A process that is killed gives the lock up.
     """
-    handle = os.open(made_folder(folder), os.O_RDONLY)
-    try:
+    with closing_file(made_folder(folder)) as handle:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
@@ -154,11 +165,43 @@ def held(folder: Path) -> Iterator[None]:
         except OSError:  # a file system without locks
             pass
         yield
+
+
+@contextmanager
+def closing_file(path: Path) -> Iterator[int]:
+    """Open a file or folder for reading during the block, and give its descriptor."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        yield handle
     finally:
         os.close(handle)
 
 
+@contextmanager
+def scratch(parent: Path, prefix: str) -> Iterator[Path]:
+    """Give a temporary folder, and remove those of the same prefix whose process was killed.
+
+    Parameters
+    ----------
+    parent
+        Where it is made.
+    prefix
+        Start of its name. A process that is alive has a lock on its folder.
+    """
+    for old in parent.iterdir():
+        if old.name.startswith(prefix):
+            with suppress(OSError), closing_file(old) as handle:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                shutil.rmtree(old)
+    with tempfile.TemporaryDirectory(dir=parent, prefix=prefix) as name, held(Path(name)):
+        yield Path(name)
+
+
 # -- NetCDF --------------------------------------------------------------------------------------
+
+
+MOST_BYTES = 1 << 30
+"""Largest size of all variables of a file [byte]; an hour of foot forces takes 0.2 GB."""
 
 
 class Variable(NamedTuple):
@@ -211,17 +254,51 @@ def open_netcdf(path: Path, *, kind: str, schema: int) -> Contents:
     InputError
         If the file is missing, not a NetCDF, truncated, of another kind or schema.
     """
-    check_is_file(path)
+    if netcdf_kind(path) != kind:
+        raise InputError(f"{path}: a NetCDF file, but not a {kind} written by terraphi")
     try:
         contents = _read(path)
-    except (EOFError, LookupError, OSError, RuntimeError, ValueError) as error:
+    except _DAMAGE as error:
         raise InputError(f"{path}: not a whole NetCDF file; build or copy it again") from error
-    if contents.attrs.get("terraphi_file") != kind:
-        raise InputError(f"{path}: a NetCDF file, but not a {kind} written by terraphi")
-    version = contents.attrs.get("terraphi_schema")
-    if version != schema:
+    version = str(contents.attrs.get("terraphi_schema"))
+    if version != str(schema):
         raise InputError(f"{path}: schema version {version}, not {schema}; build the {kind} again")
     return contents
+
+
+_DAMAGE = (EOFError, LookupError, OSError, RuntimeError, ValueError)
+
+
+def netcdf_kind(path: Path) -> str:
+    """Kind of a NetCDF file of ours, found without reading its variables; empty if there is none.
+
+    Raises InputError if the file is missing or no NetCDF, holds more than :data:`MOST_BYTES`, or
+    has links between its groups, which readers would follow without end.
+    """
+    import h5py
+
+    check_is_file(path)
+    try:
+        with h5py.File(path) as file:
+            groups, seen, size = [file], {h5py.h5o.get_info(file.id).addr}, 0
+            while groups:
+                group = groups.pop()
+                for name in group:
+                    item, link = group[name], group.get(name, getlink=True)
+                    address = h5py.h5o.get_info(item.id).addr
+                    if address in seen or not isinstance(link, h5py.HardLink):
+                        raise InputError(f"{path}: '{item.name}' is a link; write it without links")
+                    seen.add(address)
+                    size += getattr(item, "nbytes", 0)
+                    groups += [item] if isinstance(item, h5py.Group) else []
+            kind = str(file.attrs.get("terraphi_file", ""))
+    except InputError:
+        raise
+    except _DAMAGE as error:
+        raise InputError(f"{path}: not a whole NetCDF file; build or copy it again") from error
+    if size > MOST_BYTES:
+        raise InputError(f"{path}: its variables take {size / 1e9:.3g} GB, expected at most 1 GB")
+    return kind
 
 
 def _read(path: Path) -> Contents:

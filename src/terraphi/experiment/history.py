@@ -18,7 +18,7 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import open_netcdf, positions, write_netcdf
+from terraphi.experiment.files import json_object, open_netcdf, positions, write_netcdf
 from terraphi.experiment.force_table import write_force_table
 
 WINDOW_DEG = 85.0
@@ -313,7 +313,7 @@ class ForceHistory:
                 np.array(list(found.values())).T,
                 str(contents.attrs["coordinate"]),
                 tuple(name.removeprefix("F") for name in found),
-                dict(json.loads(contents.attrs["provenance"])),
+                json_object(contents.attrs["provenance"]),
                 moment,
             )
         except (KeyError, TypeError, ValueError) as error:

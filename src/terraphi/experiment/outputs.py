@@ -6,18 +6,35 @@ contains a mark that names terraphi.
 
 from __future__ import annotations
 
-import json
-import tempfile
+import hashlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Literal
 
+from pydantic import Field
+
+from terraphi.experiment.documents import Strict
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import made_folder, makeable, replacing, writable
+from terraphi.experiment.files import made_folder, makeable, replacing, scratch, writable
 
 MANIFEST = "manifest.json"
 SIGNATURE = "made with terraphi"
 """Comment in pictures, tables and models of ours."""
+
+
+class Manifest(Strict):
+    """What a folder of results holds."""
+
+    terraphi_file: Literal["manifest"] = "manifest"
+    kind: str
+    """What wrote it."""
+    files: list[str]
+    """Names of the files that may be replaced by others of the same name."""
+    digests: dict[str, str] = Field(default_factory=dict)
+    """SHA-256 of the files of the last run, hexadecimal."""
+
+
 _MARKS = (b'<meta name="generator" content="terraphi ', SIGNATURE.encode())
 
 
@@ -74,7 +91,7 @@ def check_folder(path: Path, *, kind: str, names: Iterable[str] = ()) -> set[str
     Returns
     -------
     set of str
-        Files of earlier results in it.
+        Files of earlier results in it, and the manifest.
 
     Raises
     ------
@@ -83,15 +100,15 @@ def check_folder(path: Path, *, kind: str, names: Iterable[str] = ()) -> set[str
         or a file of other origin where one of ours would go.
     """
     makeable(path)
-    manifest = {"kind": "", "files": []}
+    manifest = Manifest(kind="", files=[])
     with suppress(OSError, ValueError):  # none, or none of ours
-        manifest |= json.loads(path.joinpath(MANIFEST).read_text(encoding="utf-8"))
-    ours = {Path(name).name for name in manifest["files"]}
-    if manifest["kind"] not in ("", kind):
-        raise InputError(f"{path}: holds results of '{manifest['kind']}'; name another folder")
+        manifest = Manifest.model_validate_json(path.joinpath(MANIFEST).read_bytes())
+    ours = {MANIFEST, *manifest.files}
+    if manifest.kind not in ("", kind):
+        raise InputError(f"{path}: holds results of '{manifest.kind}'; name another folder")
     there = {file.name for file in path.iterdir()} if path.is_dir() else set()
     # In a folder without a manifest everything is of other origin.
-    for name in sorted((there - ours) & {*names} if manifest["kind"] else there):
+    for name in sorted((there - ours) & {*names} if manifest.kind else there):
         raise InputError(f"{path}: holds '{name}', not written by terraphi; name an empty folder")
     return ours
 
@@ -115,24 +132,47 @@ def filling(path: Path, *, kind: str, last: str) -> Iterator[Path]:
         An empty folder; if the block raises, nothing of it is kept.
     """
     old = check_folder(path, kind=kind)
-    made_folder(path.parent)
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix=".unfinished-") as unfinished:
-        made = Path(unfinished)
+    with scratch(made_folder(path.parent), f".unfinished-{path.name}-") as made:
         yield made
         new = sorted((file.name for file in made.iterdir()), key=lambda name: name == last)
         check_folder(path, kind=kind, names=new)
         made_folder(path)
-        # If the process is killed from here on, the folder is still ours.
-        _write_manifest(path, kind, {*old, *new})
+        digests = {name: _digest(made / name) for name in new}
+        # If the process is killed from here on, the folder is still ours. Files of earlier results
+        # that have no successor stay: a name in a manifest is no reason to delete.
+        files = sorted({*old, *new} - {MANIFEST})
+        manifest = Manifest(kind=kind, files=files, digests=digests)
+        with replacing(path / MANIFEST) as temporary:
+            temporary.write_text(manifest.model_dump_json(indent=2), encoding="utf-8")
         path.joinpath(last).unlink(missing_ok=True)
         for name in new:
             made.joinpath(name).replace(path / name)
-        for name in old - {*new}:
-            path.joinpath(name).unlink(missing_ok=True)
-        _write_manifest(path, kind, new)
 
 
-def _write_manifest(path: Path, kind: str, files: Iterable[str]) -> None:
-    content = {"terraphi_file": "manifest", "kind": kind, "files": sorted(files)}
-    with replacing(path / MANIFEST) as temporary:
-        temporary.write_text(json.dumps(content, indent=2), encoding="utf-8")
+def _digest(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def changed(path: Path) -> str:
+    """Warn of results that are no longer as terraphi wrote them.
+
+    Parameters
+    ----------
+    path
+        A folder of results, or a file of one.
+
+    Returns
+    -------
+    str
+        A sentence; empty if manifest and files agree, or there is no manifest.
+    """
+    folder = path if path.is_dir() else path.parent
+    if not folder.joinpath(MANIFEST).is_file():
+        return ""
+    try:
+        digests = Manifest.model_validate_json(folder.joinpath(MANIFEST).read_bytes()).digests
+        names = digests if path.is_dir() else {path.name} & {*digests}
+        other = [name for name in names if _digest(folder / name) != digests[name]]
+    except (OSError, ValueError):
+        return f"{folder / MANIFEST} is damaged, or a file that it lists is missing"
+    return f"{', '.join(other)} was changed after terraphi wrote it" if other else ""

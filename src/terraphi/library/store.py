@@ -15,7 +15,13 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import shipped_file, shipped_names
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import is_there, open_netcdf, positions, write_netcdf
+from terraphi.experiment.files import (
+    is_there,
+    json_object,
+    open_netcdf,
+    positions,
+    write_netcdf,
+)
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.scenario import Scenario
 
@@ -326,7 +332,7 @@ class Library:
         again = data["replicate"].values if "replicate" in data else np.zeros(len(force))
         for i, failure in enumerate(map(str, data["failure"].values)):
             scenario = Scenario.model_validate_json(str(data["scenario"].values[i]))
-            known = json.loads(str(data["provenance"].values[i]))
+            known = json_object(str(data["provenance"].values[i]))
             history = None
             if not failure:
                 turned = None if moment is None or np.isnan(moment[i]).any() else moment[i]
@@ -352,8 +358,8 @@ class Library:
             str(attrs.get("caveat", "")),
             tuple(replicates),
             corrections,
-            json.loads(attrs.get("model_error", "{}")),
-            json.loads(attrs.get("provenance", "{}")),
+            json_object(attrs.get("model_error", "{}")),
+            json_object(attrs.get("provenance", "{}")),
         )
 
 

@@ -144,7 +144,8 @@ def footfalls(
     anchors
         Friction angles known on stretches of the path, such as ``"x=0:0.5,phi=34±1"``.
     **reading
-        ``topic``, ``joint_names`` and ``columns`` of :func:`~terraphi.robot.logs.read_log`.
+        ``lag_s`` of :func:`~terraphi.robot.results.foot_forces`; ``topic``, ``joint_names`` and
+        ``columns`` of :func:`~terraphi.robot.logs.read_log`.
 
     Raises
     ------

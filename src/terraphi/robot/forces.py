@@ -202,6 +202,7 @@ def estimate(
             "gain_per_s": OBSERVER_GAIN if moving else None,
             "priors": asdict(shared),
             "friction": None if overview.friction is None else overview.friction.summary(),
+            "torque_lag_s": overview.lag,
             "torque_resolution_Nm": overview.resolution.tolist(),
             "assumed": _assumed(log, robot, overview, broken),
         },

@@ -8,7 +8,7 @@ torque is not among them: a joint that swings mostly one way cannot separate it 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,6 +16,7 @@ import numpy as np
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.robot.estimators import (
     CHUNK,
+    OBSERVER_GAIN,
     STANDSTILL,
     Estimator,
     JointFriction,
@@ -23,6 +24,7 @@ from terraphi.robot.estimators import (
     chunks,
     contact_torque,
     friction_terms,
+    low_pass,
     signals,
     upward,
 )
@@ -58,6 +60,8 @@ ground; and by how much torques in the latter may spread more [-] if it is. Low 
 slower movements too, which separate Coulomb from viscous friction."""
 TOUCH_OVER_LEAVE = 1.6
 """A foot stands again above this many times as much [-]."""
+LAG_STEP_S, MOST_LAG_S = 0.004, 0.06
+"""Step of the lags of the torques that are tried, and the largest [s]."""
 _HUBER = 1.345
 """Residuals beyond this many standard deviations count less (95 % efficient if normal)."""
 _GAUSS = 1.4826
@@ -234,6 +238,61 @@ def spread(deviation: FloatArray) -> FloatArray:
     return np.asarray(_GAUSS * np.median(np.abs(deviation), axis=0))
 
 
+def torque_lag(
+    windows: Sequence[tuple[Signals, slice]],
+    torque: FloatArray,
+    terms: FloatArray,
+    chosen: BoolArray,
+    gap: float,
+) -> float:
+    """Time by which torques lag behind the motion [s]; 0 if swing does not determine it.
+
+    In swing the equations of motion, friction included, give the torque. The lag is that at which
+    they explain the logged torques best, by the residual of a regression on :func:`friction_terms`.
+
+    Parameters
+    ----------
+    windows
+        Parts of a log, each with the samples that count.
+    torque, terms
+        Contact torque without friction [N m], and factors of friction, of all samples that count.
+    chosen
+        Samples in swing in which a joint moves one way, shape [sample, foot, joint].
+    gap
+        Steps longer than this [s] are gaps.
+    """
+    enough = np.argwhere(chosen.sum(axis=0) >= LEAST_SWING)
+    if not len(enough):
+        return 0.0
+    usual = float(np.median(np.concatenate([np.diff(seen.time) for seen, _ in windows])))
+    # Whole steps: a torque between two samples is a mean, and seems to have less noise.
+    step = usual * max(1, round(LAG_STEP_S / usual))
+    most = round(MOST_LAG_S / step)
+    lags, cost = step * np.arange(-most, most + 1), np.zeros(2 * most + 1)
+    logged = [low_pass(s.time, OBSERVER_GAIN, s.torque, 0.0 * s.slopes, gap) for s, _ in windows]
+    for i, j in enough:
+        air = chosen[:, i, j]
+        axes = np.linalg.qr(terms[air, i, j])[0]
+
+        def shifted(lag: float, i: int = i, j: int = j) -> FloatArray:
+            each = [
+                np.interp(seen.time[inner] + lag, seen.time, values[:, i, j])
+                for (seen, inner), values in zip(windows, logged, strict=True)
+            ]
+            return np.concatenate(each)
+
+        model = torque[air, i, j] + shifted(0.0)[air]
+        for k, lag in enumerate(lags):
+            rest = model - shifted(lag)[air]
+            rest = np.abs(rest - axes @ (axes.T @ rest))
+            cost[k] += np.sum(np.minimum(rest, 3.0 * spread(rest)) ** 2)
+    k = int(cost.argmin())
+    if not 0 < k < len(lags) - 1:
+        return 0.0
+    before, least, after = cost[k - 1 : k + 2]
+    return float(lags[k] + 0.5 * step * (before - after) / (before - 2.0 * least + after))
+
+
 class Survey(NamedTuple):
     """Joint friction, resolution and noise of the torques of a log.
 
@@ -248,12 +307,15 @@ class Survey(NamedTuple):
         Smallest step of the torques [N m], shape [foot, joint].
     noise
         Standard deviation of torques from one sample to the next [N m], shape [foot, joint].
+    lag
+        Of the torques behind the motion [s], see :func:`torque_lag`.
     """
 
     friction: JointFriction | None
     residual: FloatArray
     resolution: FloatArray
     noise: FloatArray
+    lag: float
 
 
 def survey(
@@ -326,4 +388,5 @@ def survey(
     resolution = np.where(np.isfinite(smallest), smallest, 0.0)
     # Second differences, to which the motion hardly contributes.
     noise = np.nan_to_num(spread(np.diff(steps, axis=0)) / np.sqrt(6.0))
-    return Survey(kept, residual, resolution, noise)
+    lag = torque_lag(windows, torque, terms, swing[..., None] & sure, gap)
+    return Survey(kept, residual, resolution, noise, lag)

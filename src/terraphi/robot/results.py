@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.metadata
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,10 @@ STANDING_SHARE = 0.7
 """Part of the robot's weight above which it stands [-]."""
 ASKEW_DEG = 15.0
 """Heading from the world's x above which a note says what Fx means [deg]."""
+MOST_LAG_S = 0.2
+"""Largest lag that can be corrected [s]."""
+WORST_LAG_S = 0.005
+"""Lag of the torques above which a note says so [s]; what is found errs by 1 to 4 ms."""
 KIND = "foot forces"
 SCHEMA = 1
 
@@ -112,6 +116,7 @@ def foot_forces(
     robot: Quadruped | Path | str = "go2",
     estimator: Estimator = DEFAULT_ESTIMATOR,
     frame: Frame = "world",
+    lag_s: float = 0.0,
     **reading: Any,
 ) -> RobotForces:
     """Foot forces, stances and mean stances of a log.
@@ -124,6 +129,8 @@ def foot_forces(
         The robot, or its name, TOML, URDF or MJCF.
     estimator, frame
         See :func:`~terraphi.robot.forces.estimate`.
+    lag_s
+        Time by which the log's torques are late against the motion [s]; they are taken back by it.
     **reading
         ``topic``, ``joint_names`` and ``columns`` of :func:`~terraphi.robot.logs.read_log`.
 
@@ -136,6 +143,11 @@ def foot_forces(
     source = "" if isinstance(log, JointLog) else str(log)
     if not isinstance(log, JointLog):
         log = read_log(log, motors=body.joint_order, **reading)
+    if abs(lag_s) > MOST_LAG_S:
+        raise InputError(f"lag of {1e3 * lag_s:g} ms: expected at most {1e3 * MOST_LAG_S:g} ms")
+    if lag_s:
+        every = [np.interp(log.time + lag_s, log.time, t) for t in log.torque.reshape(-1, 12).T]
+        log = replace(log, torque=np.stack(every, axis=1).reshape(log.torque.shape))
     weight = body.mass * GRAVITY
     criteria = Criteria(rise_N=max(Criteria.rise_N, RISE_SHARE * weight))
     try:
@@ -145,7 +157,7 @@ def foot_forces(
         findings = check(log, body, forces, mean)
     except InputError as error:
         raise InputError(f"{source}: {error}" if source else str(error)) from error
-    report = {"dropped": {}, "source": source, **describe(log.time), **log.report}
+    report = {"dropped": {}, "source": source, **describe(log.time), **log.report, "lag_s": lag_s}
     return RobotForces(
         log=log,
         robot=body,
@@ -191,6 +203,11 @@ def _notes(
     uneven = report["jitter_s"] * (report["rate_hz"] or 0.0)
     if uneven > UNEVEN:
         notes.append(f"time stamps vary by {uneven:.0%} of a step: forces are noisier")
+    lag = forces.provenance["torque_lag_s"]
+    if abs(lag) > WORST_LAG_S:
+        late = f"{abs(1e3 * lag):.0f} ms {'late' if lag > 0.0 else 'early'}"
+        remedy = f"correct it with --lag {1e3 * (lag + report['lag_s']):.0f}"
+        notes.append(f"torques are {late} against the motion, by the swing of the legs: {remedy}")
     notes += forces.provenance["assumed"]
     counts = forces.saturated.sum(axis=0).tolist()
     limited = [f"{foot} ({n})" for foot, n in zip(FEET, counts, strict=True) if n]

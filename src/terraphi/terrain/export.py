@@ -5,18 +5,25 @@ from __future__ import annotations
 import importlib.metadata
 import json
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import BaseModel, ValidationError, model_validator
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.errors import InputError
-from terraphi.experiment.outputs import SIGNATURE
+from terraphi.experiment.errors import InputError, sentence_from_validation
+from terraphi.experiment.outputs import SIGNATURE, changed
 from terraphi.experiment.soil import cone_slope
 from terraphi.forward.foot import LAWS, Foot
 from terraphi.inference.answer import StoredAnswer
 from terraphi.terrain.simulators import Match, Simulator, in_words
 
+ANGLES = ("phi_deg", "phi_plane_strain_deg")
+EXACT = ("plane_strain", "rft3d")
+"""Conventions whose plane-strain angle follows from the angle alone."""
+AGREEMENT_DEG = 0.01
+"""Rounding of an answer's angles [deg]."""
 FORMATS = {".py": "python", ".json": "json", ".usda": "usda"}
 """Suffix of a file to what is written into it."""
 PLATE = Foot(0.05, "disc")
@@ -25,6 +32,28 @@ SINKAGE, DOWN = 0.02, 0.5 * np.pi
 """Of the plate [m], in which the law is linear; and its direction of motion [rad]."""
 JANOSI = (0.010, 0.025)
 """Janosi's K of sand, from firm to loose [m] (Wong, 2008, Theory of Ground Vehicles)."""
+
+
+class Angle(BaseModel):
+    """Median and intervals of a friction angle [deg] in an answer."""
+
+    median: float
+    ci68: tuple[float, float]
+    ci95: tuple[float, float]
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Angle:
+        (low68, high68), (low95, high95) = self.ci68, self.ci95
+        if not 0.0 < low95 <= low68 <= self.median <= high68 <= high95 < 90.0:
+            raise ValueError("ci95, ci68 and median do not lie within each other, in 0 to 90 deg")
+        return self
+
+
+class Angles(BaseModel):
+    """The friction angle in the convention of the library, and as in plane strain."""
+
+    phi_deg: Angle
+    phi_plane_strain_deg: Angle
 
 
 def export(
@@ -68,11 +97,13 @@ def export(
     if answer["phi_plane_strain_deg"] is None:
         reason = answer.get("phi_plane_strain_reason") or "it was not inferred"
         raise InputError(f"{read.source}: no friction angle in plane strain: {reason}")
+    _check(read)
     caution = " ".join(answer.get("questions", ()))
     if answer["verdict"] != "consistent":
         caution = f"the verdict is {answer['verdict'].replace('_', ' ')}: {answer['reason']}"
         if not anyway:
             raise InputError(f"{read.source}: {caution} To export it all the same, add --anyway")
+    caution = ". ".join(filter(None, [changed(Path(read.source)), caution]))
     chosen, lost = np.empty(0), 0.0
     if draws:
         every = in_plane_strain(read)
@@ -182,6 +213,33 @@ def _summary(
     return {"median": round(of(float(phi["median"])), 6), **ends, "draws": draws}
 
 
+def _check(read: StoredAnswer) -> None:
+    """Refuse medians and intervals that do not belong together, as of an answer edited by hand."""
+    try:
+        phi, plane = (getattr(Angles.model_validate(read.answer), name) for name in ANGLES)
+    except ValidationError as error:
+        raise InputError(sentence_from_validation(error, read.source, Angles)) from error
+    own = [phi.median, *phi.ci68, *phi.ci95]
+    expected = _to_plane_strain(read, np.array(own))
+    given = np.array([plane.median, *plane.ci68, *plane.ci95])
+    if read.answer["phi_deg"].get("yield") in EXACT and not np.allclose(
+        expected, given, rtol=0.0, atol=AGREEMENT_DEG
+    ):
+        pair = f"phi_deg {phi.median:.1f} is {expected[0]:.1f} in plane strain"
+        raise InputError(f"{read.source}: {pair}, found {given[0]:.1f}; invert again")
+
+
+def _to_plane_strain(read: StoredAnswer, phi_deg: FloatArray) -> FloatArray:
+    """Angles of an answer's convention as in plane strain [deg]; not a number if there is none."""
+    convention = read.answer["phi_deg"].get("yield")
+    if convention in ("paper", "plane_strain"):
+        sine = np.array([cone_slope(phi, convention) for phi in phi_deg])
+    else:  # resistive force theory: √J2 ≤ p tan φ
+        sine = np.tan(np.radians(phi_deg))
+    with np.errstate(invalid="ignore"):
+        return np.degrees(np.arcsin(sine))
+
+
 def in_plane_strain(read: StoredAnswer) -> FloatArray:
     """Draws of φ as plane-strain angles [deg], shape [draw]; not a number if there is none.
 
@@ -193,18 +251,11 @@ def in_plane_strain(read: StoredAnswer) -> FloatArray:
     if not read.draws_deg.size:
         where = "name the folder of 'terraphi invert --out', or its answer.nc"
         raise InputError(f"{read.source}: has no draws of the posterior; {where}")
-    angle, wanted = read.answer["phi_deg"], read.answer["phi_plane_strain_deg"]["median"]
-    every = [angle["median"], *read.draws_deg.tolist()]
-    if angle["yield"] in ("paper", "plane_strain"):
-        sine = np.array([cone_slope(phi, angle["yield"]) for phi in every])
-    else:  # resistive force theory: √J2 ≤ p tan φ
-        sine = np.tan(np.radians(every))
-    with np.errstate(invalid="ignore"):
-        median, *draws = np.degrees(np.arcsin(sine))
-    if not abs(median - wanted) < 1e-6:
-        why = f"draws of '{angle['yield']}' cannot be converted to plane strain"
+    median = _to_plane_strain(read, np.array([read.answer["phi_deg"]["median"]]))
+    if not abs(median[0] - read.answer["phi_plane_strain_deg"]["median"]) < 1e-6:
+        why = f"draws of '{read.answer['phi_deg']['yield']}' cannot be converted to plane strain"
         raise InputError(f"{read.source}: {why}; leave out --draws")
-    return np.array(draws)
+    return _to_plane_strain(read, read.draws_deg)
 
 
 def text(found: Mapping[str, Any], form: str) -> str:

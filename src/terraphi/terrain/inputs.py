@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import re
 import warnings
 from dataclasses import dataclass
@@ -23,6 +24,16 @@ Float32 = NDArray[np.float32]
 
 METRES = ("", "m", "metre", "metres", "meter", "meters")
 """Accepted names of the unit of elevations; without one, metres are assumed."""
+HEIGHTS = (-11_000.0, 9_000.0)
+"""Elevations of the earth's surface [m]."""
+LARGEST = 1e30
+"""Largest value of a raster."""
+OFFLINE = {
+    "PROJ_NETWORK": "OFF",
+    "GDAL_SKIP": "VRT WMS WCS WFS WMTS HTTP OGCAPI STACIT STACTA",
+    "CPL_VSIL_CURL_ALLOWED_EXTENSIONS": "none",
+}
+"""Settings of GDAL and PROJ for the whole process: nothing is fetched."""
 MOST_CELLS = 25_000_000
 """Largest elevation model; some ten arrays of its size are held in memory."""
 
@@ -66,13 +77,14 @@ def read_elevation(path: Path) -> Elevation:
     Parameters
     ----------
     path
-        A GeoTIFF, or another format of rasterio, in a projected coordinate system in metres.
+        A GeoTIFF in a projected coordinate system in metres.
 
     Raises
     ------
     InputError
         If it cannot be read, has no coordinate system or one not in metres, elevations in another
-        unit, or cells that are not upright squares; if it is too large, or has no elevations.
+        unit, or cells that are not upright squares; if it is too large, or has no elevations,
+        a single one, or some that no place on earth has.
     """
     height, crs, transform, unit = _read(path)
     if crs is None:
@@ -92,6 +104,10 @@ def read_elevation(path: Path) -> Elevation:
     rows, columns = height.shape
     if min(rows, columns) < 3 or not np.isfinite(height).any():
         raise InputError(f"{path}: has no elevations, or fewer than 3 by 3 cells")
+    low, high = float(np.nanmin(height)), float(np.nanmax(height))
+    if low == high or not HEIGHTS[0] <= low <= high <= HEIGHTS[1]:
+        expected = f"different ones within {HEIGHTS[0]:g} to {HEIGHTS[1]:g} m"
+        raise InputError(f"{path}: elevations from {low:g} to {high:g} m, expected {expected}")
     x, y = c + a * (np.arange(columns) + 0.5), f + e * (np.arange(rows) + 0.5)
     return Elevation(str(path), height, x, y, a, crs, transform)
 
@@ -116,22 +132,28 @@ def read_layer(path: Path, on: Elevation, points: pd.DataFrame) -> Float32:
 
 def _read(path: Path) -> tuple[Float32, Any, Any, str]:
     """First band with nodata as not a number; coordinate system, transform and unit."""
+    os.environ.update(OFFLINE)
     with needing("a map", "rasterio and scikit-learn", extra="terrain"):
         import rasterio
     check_is_file(path)
     try:
-        with warnings.catch_warnings():
+        # No other driver, and no files next to the raster: they may name others, or addresses.
+        with warnings.catch_warnings(), rasterio.Env(GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR"):
             warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
-            file = rasterio.open(path)
+            file = rasterio.open(path, driver="GTiff")
         with file:
             if file.width * file.height > MOST_CELLS:
                 size = f"{file.width} by {file.height} cells, at most {MOST_CELLS:g} in all"
                 raise InputError(f"{path}: {size}; cut a part, as with gdal_translate -projwin")
-            band = file.read(1, masked=True).astype(np.float32).filled(np.nan)
+            if np.dtype(file.dtypes[0]).kind not in "iuf":
+                raise InputError(f"{path}: its values are {file.dtypes[0]}, expected real numbers")
+            band = file.read(1, masked=True).astype(np.float64).filled(np.nan)
             band[~np.isfinite(band)] = np.nan
-            return band, file.crs, file.transform, file.units[0] or ""
+            if np.nanmax(np.abs(band), initial=0.0) > LARGEST:
+                raise InputError(f"{path}: has values beyond {LARGEST:g}; mark them as nodata")
+            return band.astype(np.float32), file.crs, file.transform, file.units[0] or ""
     except rasterio.errors.RasterioError as error:
-        raise InputError(f"{path}: cannot be read as a raster ({error})") from error
+        raise InputError(f"{path}: cannot be read as a GeoTIFF ({error})") from error
 
 
 STEEPEST_DEG = 60.0
@@ -256,7 +278,9 @@ def _csv(path: Path, dem: Elevation) -> pd.DataFrame:
             raise InputError(f"{path}: no column '{name}'; expected {','.join(COLUMNS)}")
     for crs in re.findall(r"^#\s*crs:\s*(.*)", text, re.MULTILINE)[:1]:
         try:
-            same = rasterio.crs.CRS.from_user_input(crs) == dem.crs
+            # Other notations may be addresses, which GDAL would open.
+            local = re.match(r"EPSG:\d+$|\+proj=|(PROJ|GEOG|GEOD|BOUND|COMPD)\w*\[", crs)
+            same = bool(local) and rasterio.crs.CRS.from_string(crs) == dem.crs
         except rasterio.errors.CRSError:
             same = False
         if not same:

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from terraphi.experiment.errors import InputError, needing
+from terraphi.experiment.files import scratch
 from terraphi.experiment.leg import LEG_SHAPES
 from terraphi.view.report import ASSETS, LOGS, digest, kind_of, load_template, render
 from terraphi.view.sections import Section, section_of
@@ -84,10 +85,13 @@ def serve(port: int, *, ready: Callable[[str], None]) -> None:
     InputError
         If a package is missing, or the port cannot be opened.
     """
-    served = application()
     with needing("the app", "Starlette and uvicorn", extra="app"):
         import uvicorn
-    with socket.socket() as ours:
+    with (
+        scratch(Path(tempfile.gettempdir()), "terraphi-app-") as place,
+        socket.socket() as ours,
+    ):
+        served = application(place=place)
         try:
             ours.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             ours.bind((HOST, port))
@@ -101,8 +105,11 @@ def serve(port: int, *, ready: Callable[[str], None]) -> None:
             uvicorn.Server(uvicorn.Config(served, **options)).run(sockets=[ours])
 
 
-def application(limits: Limits | None = None) -> Starlette:
-    """Make the Starlette application; raises InputError if a package is missing."""
+def application(limits: Limits | None = None, *, place: Path | None = None) -> Starlette:
+    """Make the Starlette application, with dropped files in a folder of this process.
+
+    Raises InputError if a package is missing.
+    """
     limits = limits or Limits()
     with needing("the app", "Starlette and uvicorn", extra="app"):
         from starlette.applications import Starlette
@@ -127,7 +134,7 @@ def application(limits: Limits | None = None) -> Starlette:
 
     async def answer(request: Request) -> Response:
         try:
-            html = await page_of(request, one_at_a_time, limits)
+            html = await page_of(request, one_at_a_time, limits, place)
         except RefusedError as refused:
             return JSONResponse({"refused": str(refused)}, refused.status, headers=HEADERS)
         name = secrets.token_urlsafe(16)
@@ -149,7 +156,9 @@ def application(limits: Limits | None = None) -> Starlette:
     return Starlette(routes=routes, middleware=[hosts])
 
 
-async def page_of(request: Request, one_at_a_time: asyncio.Lock, limits: Limits) -> str:
+async def page_of(
+    request: Request, one_at_a_time: asyncio.Lock, limits: Limits, place: Path | None = None
+) -> str:
     """The page that answers an upload; raises RefusedError."""
     if request.headers.get("x-terraphi") != "1":
         raise RefusedError(403, "only this app's own page may send files")
@@ -162,8 +171,8 @@ async def page_of(request: Request, one_at_a_time: asyncio.Lock, limits: Limits)
     if query.get("leg", "") not in LEGS:
         raise RefusedError(400, f"leg: expected one of {', '.join(LEGS[1:])}")
     given = {"leg": query.get("leg") or None, "density": query.get("density") or None}
-    with tempfile.TemporaryDirectory(prefix="terraphi-app-") as place:
-        folder = Path(place)
+    with tempfile.TemporaryDirectory(dir=place, prefix="dropped-") as made:
+        folder = Path(made)
         file = f"dropped{suffix}"
         job = {"file": file, "name": name, "options": given}
         (folder / "job.json").write_text(json.dumps(job), encoding="utf-8")

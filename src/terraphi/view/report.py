@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from terraphi.experiment.errors import InputError, needing
-from terraphi.experiment.files import replacing
+from terraphi.experiment.files import netcdf_kind, replacing
 from terraphi.view.sections import Plot, Section, section_of
 
 ASSETS = Path(__file__).with_name("assets")
@@ -52,17 +52,14 @@ def kind_of(source: str) -> str:
     if path.is_dir():
         names = {file.name for file in path.iterdir()}
         if "answer.nc" in names or "map.json" in names:
-            return "answer" if "answer.nc" in names else "map"
+            return kind_of(str(path / "answer.nc")) if "answer.nc" in names else "map"
         if any(Path(name).suffix in LOGS[:2] for name in names):
             return "log"
     elif path.suffix == ".nc" and path.is_file():
-        import h5py
-
-        try:
-            with h5py.File(path) as file:
-                return KINDS[file.attrs["terraphi_file"]]
-        except (KeyError, OSError) as error:
-            raise InputError(f"{path}: not a NetCDF of terraphi's results") from error
+        kind = netcdf_kind(path)
+        if kind not in KINDS:
+            raise InputError(f"{path}: not a NetCDF of terraphi's results")
+        return KINDS[kind]
     elif path.is_file() and path.suffix in LOGS:
         with path.open("rb") as stream:
             head = stream.read(4096)

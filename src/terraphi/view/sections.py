@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -14,6 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from terraphi.experiment.errors import InputError
+from terraphi.experiment.files import json_object
+from terraphi.experiment.outputs import changed
 from terraphi.view.answers import CONVENTIONS, LEGS, PHI, in_words, tables
 from terraphi.view.console import words
 from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE
@@ -82,7 +83,8 @@ def section_of(
     if kind == "answer":
         from terraphi.inference.answer import Answer
 
-        return of_answer(Answer.load(path))
+        found, warning = of_answer(Answer.load(path)), changed(path)
+        return found._replace(lines=[warning, *found.lines]) if warning else found
     if kind == "forces":
         from terraphi.experiment.measurements import open_forces
         from terraphi.inference.inversion import invert
@@ -256,7 +258,7 @@ def of_foot_forces(path: Path, robot: str) -> Section:
         data: Any = open_netcdf(path, kind=results.KIND, schema=results.SCHEMA)
     else:
         data = results.dataset_of(results.foot_forces(path, robot=robot))
-    summary = json.loads(data.attrs["summary"])
+    summary = json_object(data.attrs["summary"])
     time, force = data["time"].values, data["force"].values
     begins = data["stance_begin"].values
     start = max(float(begins.min()) - 0.1 if len(begins) else time[0], time[0])
@@ -293,7 +295,7 @@ def of_foot_forces(path: Path, robot: str) -> Section:
         headline += f", mean peak lift {pooled['mean_peak_Fz_N']:.0f} N"
     lines = [f"{summary['estimator'].replace('_', ' ')}, frame: {summary['frame']}"]
     lines += [f"{note[:1].upper()}{note[1:]}." for note in summary["notes"]]
-    origin = pairs(json.loads(data.attrs["provenance"]))
+    origin = pairs(json_object(data.attrs["provenance"]))
     return Section("foot forces", path.name, headline, lines, parts, origin)
 
 
@@ -344,8 +346,9 @@ def of_map(folder: Path) -> Section:
     from terraphi.terrain.map import in_words as sentences
 
     try:
-        summary = json.loads((folder / "map.json").read_text(encoding="utf-8"))
+        summary = json_object((folder / "map.json").read_bytes())
         first, headline, *lines = sentences(summary)
+        lines = [*filter(None, [changed(folder)]), *lines]
         image = base64.b64encode((folder / "map.png").read_bytes()).decode("ascii")
     except (KeyError, OSError, ValueError) as error:
         raise InputError(f"{folder}: not a whole folder of 'terraphi map'") from error

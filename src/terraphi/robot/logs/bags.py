@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
@@ -32,6 +33,10 @@ MALFORMED = "not a message of its type"
 OTHERS = "joints of something else"
 
 _KINDS = (LOW_STATE, JOINT_STATE)
+MOST_SECONDS = 600.0
+"""Longest time in which a database is read [s]."""
+STEPS = 100_000
+"""Steps of a database between two looks at the clock."""
 LONGEST_GAP = 0.1
 """Joint states further than this from the nearest message of the IMU [s] are left out."""
 
@@ -203,6 +208,7 @@ def read_bag(
 ) -> JointLog:
     """Read an MCAP file or the folder of a rosbag2; options of ``read_log``."""
     with needing(f"{path}: reading bags", "the package rosbags", extra="robot"):
+        import apsw
         from rosbags.rosbag2 import Reader
     dropped: Counter[str] = Counter()
     facts: dict[str, Any] = {"notes": [], "format": "rosbag2" if path.is_dir() else "mcap"}
@@ -211,6 +217,13 @@ def read_bag(
         found = bag.messages([c for c in bag.connections if c.topic == topic])
         return ((recorded, data) for _, recorded, data in found)
 
+    def guard(database: Any) -> None:
+        # A view may be recursive without end, and a column computed.
+        database.config(apsw.SQLITE_DBCONFIG_ENABLE_VIEW, 0)
+        end = time.monotonic() + MOST_SECONDS
+        database.set_progress_handler(lambda: time.monotonic() > end, STEPS)
+
+    apsw.connection_hooks.append(guard)
     try:
         with Reader(path) as bag:
             chosen = _choose(bag.connections, topic)
@@ -234,6 +247,8 @@ def read_bag(
     except Exception as error:  # damage raises errors of rosbags, of databases, of decompressors
         why = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{path}: not a whole bag ({why}); copy or record it again") from error
+    finally:
+        apsw.connection_hooks.remove(guard)
     return joint_log(path, values, "header stamp" if named else "tick", dropped, facts)
 
 

@@ -49,9 +49,15 @@ _REMEDIES = {
     BACKWARDS: "sort the samples by time, or cut the log where its clock was set back",
 }
 _IMU = ("quaternion", "angular_velocity", "acceleration", "foot_counts")
-_MOTION_SAMPLES = 20_000
-_UNLIKE = 30.0
-"""Factor between joint velocities and the rate of their angles that shows wrong units [-]."""
+_MOTION_SAMPLES = 200_000
+_SPAN_S = 0.04
+_MOVING = 0.1
+"""Mean rate of joint angles [rad/s] above which velocities are compared with them."""
+_PROPORTIONAL = 0.9
+"""Correlation of both from which on their ratio means something [-]."""
+_UNLIKE, _WHOLLY_UNLIKE = 1.25, 30.0
+"""Factors between joint velocities and the rate of their angles that show wrong units or a wrong
+clock [-]."""
 
 
 def joint_log(
@@ -139,15 +145,31 @@ def _refuse_if_hopeless(path: Path, dropped: Counter[str], kept: int) -> None:
 
 
 def _check_units(path: Path, time: FloatArray, angle: FloatArray, velocity: FloatArray) -> None:
-    """Refuse velocities that are not the rate at which the angles change."""
-    steps = np.diff(time[:_MOTION_SAMPLES])[:, None, None]
-    if not len(steps):
+    """Refuse velocities that are not the rate at which the angles change.
+
+    The ratio is the slope of a regression of the velocities' integral on the change of the angles,
+    over spans that are long against the noise of both and short against a stride.
+    """
+    time, angle, velocity = (v[:_MOTION_SAMPLES] for v in (time, angle, velocity))
+    if len(time) < 2:
         return
-    usual = steps <= 1.5 * np.median(steps)
-    moved = float(np.abs(np.diff(angle[:_MOTION_SAMPLES], axis=0) / steps).mean(where=usual))
-    logged = float(np.abs(velocity[1:_MOTION_SAMPLES]).mean(where=usual))
-    ratio = logged / max(moved, 1e-12)
-    if max(moved, logged) > 0.1 and not 1.0 / _UNLIKE < ratio < _UNLIKE:
+    step = np.diff(time)
+    usual = float(np.median(step))
+    every = max(1, min(round(_SPAN_S / usual), len(time) // 4))
+    way = np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * step[:, None, None], axis=0)
+    way = np.diff(np.concatenate([np.zeros((1, 4, 3)), way])[::every], axis=0)
+    moved, span = np.diff(angle[::every], axis=0), np.diff(time[::every])
+    whole = span < 1.5 * every * usual
+    way, moved = way[whole], moved[whole]
+    rate = float(np.maximum(np.abs(moved), np.abs(way)).sum() / max(span[whole].sum(), 1e-12)) / 12
+    products = [
+        max(float(np.sum(a * b)), 1e-12) for a, b in ((way, moved), (moved, moved), (way, way))
+    ]
+    ratio = products[0] / products[1]
+    # Samples that are far apart miss what happens between them.
+    proportional = products[0] > _PROPORTIONAL * np.sqrt(products[1] * products[2])
+    most = _UNLIKE if proportional else _WHOLLY_UNLIKE
+    if rate > _MOVING and not 1.0 / most < ratio < most:
         raise InputError(
             f"{path}: joint velocities are {ratio:.3g} times the rate at which the angles change; "
             "look at the units of times (s), angles (rad) and velocities (rad/s)"
