@@ -254,9 +254,9 @@ class Library:
             f"F{axis}": (("case", name), force[:, :, i], {"units": "N"})
             for i, axis in enumerate(whole.axes)
         }
-        moment = [c.history.moment if c.history else None for c in every]
-        if any(one is not None for one in moment):
-            moment = [nothing[:, 0] if one is None else one for one in moment]
+        known = [c.history.moment if c.history else None for c in every]
+        if any(one is not None for one in known):
+            moment = [nothing[:, 0] if one is None else one for one in known]
             data["M"] = (("case", name), np.stack(moment), {"units": "N m"})
         texts = {
             "scenario": [c.scenario.model_dump_json() for c in every],
