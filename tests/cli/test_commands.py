@@ -91,7 +91,7 @@ def test_invert_prints_angle_and_verdict_within_ten_lines(terraphi: Terraphi) ->
     assert first.startswith("12 records")
     assert first.endswith("library sand3d")
     assert phi.startswith("φ = ")
-    assert phi.endswith("plane strain")
+    assert "plane strain" in phi
     assert verdict.split(":")[0] in ("Consistent", "Misfit", "Out of range")
     assert len(rest) <= 7
     assert "model: soil" in terraphi("invert", "li2013:yuma/c", "-v").out
