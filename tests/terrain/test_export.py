@@ -11,6 +11,7 @@ import sys
 from types import SimpleNamespace
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 
@@ -160,6 +161,14 @@ def test_export_reads_what_invert_writes(terraphi) -> None:
     assert ran.status == 0, ran.err
     ran = terraphi("export", "answer", "--to", "newton", "--anyway")
     assert ran.status == 0 or "no friction angle in plane strain" in ran.err
+
+
+def test_an_answer_whose_groups_are_a_cycle_is_refused(terraphi, tmp_path) -> None:
+    with h5py.File(tmp_path / "cycle.nc", "w") as file:
+        file.create_group("g")["loop"] = file["/"]
+    ran = terraphi("export", "cycle.nc", "--to", "newton")
+    assert (ran.status, ran.err.count("\n")) == (2, 1)
+    assert "'/g/loop' is a link" in ran.err
 
 
 MISFIT = {"verdict": "misfit", "reason": "No angle fits."}

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from terraphi import InputError, invert
+from terraphi import Answer, InputError, invert
 from terraphi.view.report import kind_of, render, sections
 from terraphi.view.sections import Plot, Section, band, line, of_answer, points
 from terraphi.view.table import Table
@@ -38,6 +38,15 @@ def test_each_kind_of_result_is_recognised_and_drawn(results: dict[str, str]) ->
         assert len(plots) >= 2
         assert all(f'id="plot-{i}-{j}"' in page for j in plots)
         assert {f"plot-{i}-{j}" for j in plots} <= plots_of(page).keys()
+
+
+def test_an_answer_that_was_changed_is_shown_with_a_warning(answer: Answer, tmp_path: Path) -> None:
+    answer.save(tmp_path / "a")
+    (whole,) = sections([str(tmp_path / "a")])
+    (tmp_path / "a" / "manifest.json").write_text("{")
+    (broken,) = sections([str(tmp_path / "a")])
+    assert "manifest.json is damaged" in broken.lines[0]
+    assert broken.lines[1:] == whole.lines
 
 
 def test_the_fit_is_the_curve_with_the_mean_model_error() -> None:

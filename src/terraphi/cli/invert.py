@@ -147,7 +147,7 @@ def calibrate(forces: tuple[str, ...], phi: str, out: Path, as_json: bool, **opt
 
     check_file(out)
     mean, sd = number_with_sd(phi)
-    if sd is None or not 0.0 < sd < 90.0:
+    if sd is None or not 0.0 <= sd < 90.0:
         raise InputError(f"--phi {phi}: give mean and standard deviation, such as 36±2")
     found = run(list(forces), mean, sd, **options)
     found.save(out)
