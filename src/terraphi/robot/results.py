@@ -112,6 +112,7 @@ def foot_forces(
     robot: Quadruped | Path | str = "go2",
     estimator: Estimator = DEFAULT_ESTIMATOR,
     frame: Frame = "world",
+    contact_part: float = 1.0,
     **reading: Any,
 ) -> RobotForces:
     """Foot forces, stances and mean stances of a log.
@@ -122,7 +123,7 @@ def foot_forces(
         A file or folder that :func:`~terraphi.robot.logs.read_log` reads, or its result.
     robot
         The robot, or its name, TOML, URDF or MJCF.
-    estimator, frame
+    estimator, frame, contact_part
         See :func:`~terraphi.robot.forces.estimate`.
     **reading
         ``topic``, ``joint_names`` and ``columns`` of :func:`~terraphi.robot.logs.read_log`.
@@ -139,7 +140,9 @@ def foot_forces(
     weight = body.mass * GRAVITY
     criteria = Criteria(rise_N=max(Criteria.rise_N, RISE_SHARE * weight))
     try:
-        forces = estimate(log, robot=body, estimator=estimator, frame=frame)
+        forces = estimate(
+            log, robot=body, estimator=estimator, frame=frame, contact_part=contact_part
+        )
         stances = find_stances(forces.time, forces.force, criteria=criteria)
         mean = balance(forces, stances, weight)
         findings = check(log, body, forces, mean)
