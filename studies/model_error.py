@@ -67,7 +67,7 @@ SECOND = {
 SECOND_DEG = {"B-loose": (26.2, 29.0), "B-dense": (26.2, 38.7)}
 """Critical and peak angle in that engine's shear cell [deg]."""
 PRIOR_SOILS, PRIOR_SD_DEG, PRIOR_COMMON_DEG = 2, 1.0, 1.5
-LIMIT, MARGIN = 0.9, 1.1
+LIMIT, MARGIN = 0.95, 1.1
 SLOPE_SD = 0.3
 """Standard deviation of the offset's slope over φ before anything is known [-]."""
 REPOSE_SD_DEG = 3.0
@@ -264,7 +264,7 @@ def learn(every: Sequence[Reading]) -> dict[str, dict]:
     found = {}
     for leg in legs:
         own = [r for r in every if r.leg == leg]
-        left = sorted(remaining(r, own) for r in own if r.packing == "loose" or r.real)
+        left = sorted(remaining(r, own) for r in own)
         found[leg] = {
             "offset_deg": round(lines[leg][0], 2),
             "slope": round(lines[leg][1], 3),

@@ -127,6 +127,17 @@ def test_an_anchor_as_people_write_it(text: str) -> None:
     assert anchor_from(text) == (0.0, 0.5, 34.0, 1.0, "x")
 
 
+def test_a_known_angle_of_the_whole_path_is_its_mean() -> None:
+    """An anchor far surer than the footfalls fixes the mean over the path, and no more."""
+    log = Walk(duration=10.0, weak=0.1).log()[0]
+    free = footfalls(log)
+    held = footfalls(log, anchors=["phi=31±0.01"])
+    assert free.usable.any()
+    assert abs(held.path_phi.mean() - 31.0) < 0.1
+    assert held.path_absolute_sd.mean() < free.path_absolute_sd.mean()
+    np.testing.assert_array_equal(held.verdict, free.verdict)
+
+
 def test_options_and_logs_that_cannot_be() -> None:
     log = Walk(duration=0.2).log()[0]
     for options, words in (
@@ -155,7 +166,8 @@ def test_the_command_writes_its_files(terraphi: Any) -> None:
         "law", "counts", "footfalls", "path", "shared", "by_law_deg", "notes",
     }  # fmt: skip
     assert set(answer["footfalls"][0]) == {
-        "t_s", "foot", "x_m", "y_m", "surface_mm", "sinkage_mm", "phi_deg", "chi2", "verdict",
+        "t_s", "foot", "x_m", "y_m", "surface_mm", "sinkage_mm", "phi_deg", "phi_relative_deg",
+        "chi2", "verdict",
     }  # fmt: skip
     for suffix in (".nc", ".png", ".csv", ".geojson"):
         assert Path("soil.nc").with_suffix(suffix).exists()

@@ -23,8 +23,8 @@ from terraphi.view.console import print_footfalls, print_json
     "--anchor",
     "anchors",
     multiple=True,
-    metavar="x=A:B,phi=P±SD",
-    help="Friction angle of a shear test on a stretch of the path [m]; s=A:B counts along it.",
+    metavar="[x=A:B,]phi=P±SD",
+    help="Known friction angle on a stretch of the path [m], s=A:B along it; or of all of it.",
 )
 @click.option(
     "--law",

@@ -37,8 +37,9 @@ SECOND = "rft3d"
 """Library of the second opinion."""
 MODEL = ("model: apparatus", "model: soil", "model: leg")
 """Terms of the error of the model on real soils."""
-FAR_BETTER = 0.55
-"""Residual by another leg over that by the record's own at which the leg is taken for wrong [-]."""
+BETTER_LEG = 0.9
+"""Residual by another leg over that by the record's own at which the leg is taken for wrong [-]:
+at least 0.95 in all training records."""
 FAR = 4.0
 """Standard normal deviate of chi-square above which a simulated record is a misfit."""
 OUTSIDE = 0.3
@@ -415,12 +416,12 @@ def _misfit_of_soil(likelihood: Likelihood, fits: Sequence[RecordFit]) -> str:
 
 
 def _other_leg(likelihood: Likelihood) -> str:
-    """A sentence if another leg describes a record far better."""
+    """A sentence if another leg describes a record better."""
     for record in likelihood.records:
         sizes = {leg: residual(record.data, record, likelihood, leg)
                  for leg in likelihood.library.legs}  # fmt: skip
         leg = min(sizes, key=lambda one: sizes[one])
-        if sizes[leg] < FAR_BETTER * sizes[record.leg]:
+        if sizes[leg] < BETTER_LEG * sizes[record.leg]:
             return (
                 f"Misfit: leg {leg} describes the record with a residual of "
                 f"{_percent(sizes[leg])}, leg {record.leg} with {_percent(sizes[record.leg])}. "

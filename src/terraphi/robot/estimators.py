@@ -168,15 +168,28 @@ def contact_torque(
     """
     if estimator == "quasi_static":
         return -seen.torque
-    still, after, before = seen.legs.torque
-    # M q̈ between samples: the change of momentum M q̇ less the integral of (dM/dt) q̇ by the
-    # trapezoidal rule.
-    rate = 0.5 * ((after - still)[:-1] + (before - still)[1:])
-    values = still - seen.torque
+    values, rate = _needed(seen.legs.torque)
+    values -= seen.torque
     if friction is not None:
         rate += friction.inertia * seen.slopes
         values += friction.torque(seen.velocity)
     return low_pass(seen.time, OBSERVER_GAIN, values, rate, gap)
+
+
+def leg_inertia(seen: Signals, gap: float) -> FloatArray:
+    """Upward force that the legs' motion against the trunk needs [N], shape [sample]."""
+    force = low_pass(seen.time, OBSERVER_GAIN, *_needed(seen.legs.inertia), gap)
+    return np.asarray(np.einsum("si,si->s", seen.turn[:, 2], force))
+
+
+def _needed(motion: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """What motion needs without joint accelerations, and what these add between samples.
+
+    M q̈ between samples: the change of momentum M q̇ less the integral of (dM/dt) q̇ by the
+    trapezoidal rule.
+    """
+    still, after, before = motion
+    return still.copy(), 0.5 * ((after - still)[:-1] + (before - still)[1:])
 
 
 def friction_terms(seen: Signals, gap: float) -> FloatArray:

@@ -58,22 +58,28 @@ def _bands(phi: FloatArray, sds: dict[str, FloatArray]) -> dict[str, list[list[f
     }
 
 
+def _each(phi: FloatArray, sd: FloatArray) -> list[dict[str, Any] | None]:
+    """Median and intervals of each footfall; None where it was refused."""
+    bands = _bands(phi, {"": sd})
+    return [
+        None if median is None else {"median": median, **{k: v[i] for k, v in bands.items()}}
+        for i, median in enumerate(_numbers(phi))
+    ]
+
+
 def summary(found: FootfallMap) -> dict[str, Any]:
     """All numbers, JSON-able; null where there is none.
 
-    ``ci68`` and ``ci95`` of a footfall are its relative interval, independent of the others';
-    those ``_absolute`` include the uncertainty that it shares with them.
+    ``phi_deg`` of a footfall holds its absolute bands, ``phi_relative_deg`` the relative ones,
+    without the uncertainty of soil, foot and law that all footfalls share.
     """
     x, y, surface = found.place.T
-    bands = _bands(found.phi, {"": found.sd, "_absolute": np.hypot(found.sd, found.shared_sd)})
-    phi = [
-        None if median is None else {"median": median, **{k: v[i] for k, v in bands.items()}}
-        for i, median in enumerate(_numbers(found.phi))
-    ]
     footfalls = {
         "t_s": _numbers(found.time), "foot": found.foot, "x_m": _numbers(x), "y_m": _numbers(y),
         "surface_mm": _numbers(1e3 * surface, 2), "sinkage_mm": _numbers(1e3 * found.sinkage, 2),
-        "phi_deg": phi, "chi2": _numbers(found.misfit), "verdict": found.verdict,
+        "phi_deg": _each(found.phi, np.hypot(found.sd, found.shared_sd)),
+        "phi_relative_deg": _each(found.phi, found.sd),
+        "chi2": _numbers(found.misfit), "verdict": found.verdict,
     }  # fmt: skip
     sds = {"_relative": found.path_relative_sd, "_absolute": found.path_absolute_sd}
     path = dict(zip(("s_m", "x_m", "y_m"), map(_numbers, found.path.T), strict=True))
@@ -162,7 +168,8 @@ def read_footfalls(path: Path) -> FootfallMap:
 def _geojson(found: FootfallMap) -> dict[str, Any]:
     """Footfalls as points, metres east and north of (0°, 0°) as degrees: a map without a place."""
     degrees = found.place[:, :2] * 180.0 / (math.pi * EARTH_RADIUS)
-    keys = ("t_s", "foot", "x_m", "y_m", "sinkage_mm", "phi_deg", "verdict")
+    keys = ("t_s", "foot", "x_m", "y_m", "sinkage_mm", "phi_deg", "phi_relative_deg",
+            "verdict")  # fmt: skip
     features = [
         {
             "type": "Feature",

@@ -55,7 +55,7 @@ MASS_SD = 0.02
 """What the robot weighs is known to this part: battery, payload [-]."""
 LEAST_NOISE = 0.01
 """Of a weighing, as a part of the weight [-]."""
-MOST_NEWS = 100.0
+MOST_NEWS = 25.0
 """Weighings at most that count as independent: a gait repeats itself, and what the weight leaves
 out, such as the legs' own swinging, does so too. A longer log is not surer."""
 

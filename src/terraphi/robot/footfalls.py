@@ -41,6 +41,9 @@ NEAR_EDGE_DEG = 1.0
 """A friction angle this near to the end of the range of the laws is the end [deg]."""
 LEAST_SCALE = 0.2
 """The noise of a log is at least this part of what is assumed [-]."""
+CONTACT_PART = 0.4
+"""Of the radius below a sunk ball's centre, where soil pushes [-]: by resistive force theory 0.9 to
+0.5 at a third of the radius' depth, 0.3 at a radius, 0.2 at one and a half."""
 PATH_STEP = 0.05
 """Spacing of the map along the path, at least [m]."""
 MOST_POINTS = 1500
@@ -142,7 +145,8 @@ def footfalls(
     prior
         Distributions of soil, foot, sensors and law; the foot's radius is the robot's.
     anchors
-        Friction angles known on stretches of the path, such as ``"x=0:0.5,phi=34±1"``.
+        Friction angles known on stretches of the path, such as ``"x=0:0.5,phi=34±1"``, or the mean
+        over all of it, ``"phi=34±2"``.
     **reading
         ``lag_s`` of :func:`~terraphi.robot.results.foot_forces`; ``topic``, ``joint_names`` and
         ``columns`` of :func:`~terraphi.robot.logs.read_log`.
@@ -164,7 +168,7 @@ def footfalls(
         chosen = replace(chosen, density=mean, density_sd=sd)
     known = [anchor_from(a) if isinstance(a, str) else a for a in anchors]
     name = "the log" if isinstance(log, JointLog) else str(log)
-    analysis = foot_forces(log, robot=body, **reading)
+    analysis = foot_forces(log, robot=body, contact_part=CONTACT_PART, **reading)
     if not analysis.stances:
         raise InputError(f"{name}: {analysis.notes[-1]}")
     if analysis.grave:
@@ -174,7 +178,9 @@ def footfalls(
     motion = _from_the_start(track(log, body, forces.place, lift), log)
     per = sensitivity(log, forces)
     seen = touchdowns(log, forces, motion, analysis.stances, per, radius=body.foot_radius)
-    common = weigh(log.time, lift, motion.lift_acceleration, per, chosen, mass=body.mass)
+    # The centre of mass accelerates otherwise than the trunk: legs are half of the robot.
+    acceleration = motion.lift_acceleration + forces.leg_inertia / body.mass
+    common = weigh(log.time, lift, acceleration, per, chosen, mass=body.mass)
     fits = {each: fit(seen, each, chosen) for each in LAW_SETS[law]}
     # The mean of several laws' fits; the best of their misfits.
     found = Fit(*(np.mean(column, axis=0) for column in zip(*fits.values(), strict=True)))
@@ -311,6 +317,8 @@ def _shared_summary(pooled: Pooled, prior: Prior) -> dict[str, Any]:
     return {**found, "field": {**sizes, "scatter_deg": pooled.scatter}}
 
 
+LONGEST_PATH = 1e6
+"""End of an anchor that names no stretch [m]."""
 DENSITY_PART = 0.05
 """Standard deviation of a density that comes without one, as a part of it [-]."""
 DENSITIES = (500.0, 3000.0)
@@ -318,11 +326,12 @@ DENSITIES = (500.0, 3000.0)
 
 
 def anchor_from(text: str) -> Anchor:
-    """Parse an anchor such as ``x=0:0.5,phi=34±1`` (or ``34+-1``).
+    """Parse an anchor such as ``x=0:0.5,phi=34±1`` (or ``34+-1``), or ``phi=34±2``: the whole path.
 
     Raises InputError if it is written otherwise, or out of range.
     """
-    where, _, phi = text.replace(" ", "").partition(",phi=")
+    where, _, phi = text.replace(" ", "").rpartition("phi=")
+    where = where.removesuffix(",") or f"s=0:{LONGEST_PATH:g}"
     axis, _, ends = where.partition("=")
     low, high = PHI_RANGE
     try:
@@ -333,8 +342,8 @@ def anchor_from(text: str) -> Anchor:
     except ValueError:
         pass
     raise InputError(
-        f"anchor '{text}': expected one such as x=0:0.5,phi=34±1 (or phi=34+-1), with phi from "
-        f"{low:g} to {high:g} degrees and its uncertainty above 0 and at most 15"
+        f"anchor '{text}': expected one such as x=0:0.5,phi=34±1, or phi=34+-1 of the whole path, "
+        f"with phi from {low:g} to {high:g} degrees and its uncertainty above 0 and at most 15"
     )
 
 

@@ -20,6 +20,7 @@ from terraphi.robot.estimators import (
     JointFriction,
     chunks,
     contact_torque,
+    leg_inertia,
     signals,
     upward,
 )
@@ -89,6 +90,8 @@ class FootForces:
         Centres of the feet's balls in the frame of the trunk [m], shape [sample, foot, 3].
     lift_per_torque
         Upward force per torque of each joint [1/m], shape [sample, foot, joint].
+    leg_inertia
+        Upward force that the legs' motion against the trunk needs [N], shape [sample].
     estimator
         How the forces were found.
     frame
@@ -107,6 +110,7 @@ class FootForces:
     saturated: BoolArray
     place: FloatArray
     lift_per_torque: FloatArray
+    leg_inertia: FloatArray
     estimator: Estimator
     frame: Frame
     friction: JointFriction | None = None
@@ -120,6 +124,7 @@ def estimate(
     estimator: Estimator = DEFAULT_ESTIMATOR,
     frame: Frame = "world",
     friction: bool = True,
+    contact_part: float = 1.0,
     priors: Priors | None = None,
 ) -> FootForces:
     """Forces of the ground on the feet.
@@ -138,6 +143,9 @@ def estimate(
         ``world``, by the log's attitude, or ``body``.
     friction
         Find the joints' friction in swing and take it off; ``quasi_static`` never does.
+    contact_part
+        How far below the ball's centre the ground pushes, as a part of its radius [-]: 1 on a
+        floor, less in soil, which also pushes on the ball's sides.
     priors
         Errors of torques and attitude that sigma allows for; by default those of :class:`Priors`.
 
@@ -168,7 +176,7 @@ def estimate(
         if overview.friction is not None:
             own += overview.friction.doubt(velocity) ** 2
         common = _shared_variance(seen.torque[inner], velocity, overview, shared)
-        low = -robot.foot_radius * seen.turn[:, None, 2, :] if moving else None
+        low = -contact_part * robot.foot_radius * seen.turn[:, None, 2, :] if moving else None
         inverse, lever = (each[inner] for each in seen.legs.force_per_torque(low))
         near = lever < LEAST_LEVER * robot.leg_length
         lift_per_torque = upward(turn, inverse)
@@ -184,8 +192,10 @@ def estimate(
             both = np.asarray([force, np.sqrt(variance)], dtype=np.float32)
         both[:, near] = np.nan
         saturated = (np.abs(seen.torque[inner]) >= limit).any(axis=-1)
-        parts.append((*both, near, saturated, seen.legs.place[inner], lift_per_torque))
-    names = ("force", "sigma", "flagged", "saturated", "place", "lift_per_torque")
+        swing = leg_inertia(seen, gap)[inner] if moving else np.zeros(len(torque))
+        place = seen.legs.place[inner]
+        parts.append((*both, near, saturated, place, lift_per_torque, swing))
+    names = ("force", "sigma", "flagged", "saturated", "place", "lift_per_torque", "leg_inertia")
     columns = map(np.concatenate, zip(*parts, strict=True))
     return FootForces(
         time=np.asarray(log.time, dtype=np.float64),

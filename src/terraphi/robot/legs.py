@@ -69,6 +69,9 @@ class Legs:
     torque
         M(q) q̈ + h for each of the accelerations, the feet touching nothing [N m], shape
         [acceleration, sample, foot, joint].
+    inertia
+        Force that the whole robot's motion needs beyond that of a rigid one, mass times the
+        trunk's specific force [N], shape [acceleration, sample, 3].
     """
 
     def __init__(
@@ -119,6 +122,7 @@ class Legs:
         self._there = there
         self.torque = np.zeros((len(accelerations), count, 4, 3))
         self.torque[..., there] = needed[..., own]
+        self.inertia = needed[..., :3] - model.body_mass.sum() * qacc[..., :3]
 
     def jacobian(self, offset: FloatArray | None = None) -> FloatArray:
         """∂position/∂angle of the feet [m/rad], shape [sample, foot, 3, joint].

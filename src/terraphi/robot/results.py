@@ -117,6 +117,7 @@ def foot_forces(
     estimator: Estimator = DEFAULT_ESTIMATOR,
     frame: Frame = "world",
     lag_s: float = 0.0,
+    contact_part: float = 1.0,
     **reading: Any,
 ) -> RobotForces:
     """Foot forces, stances and mean stances of a log.
@@ -127,7 +128,7 @@ def foot_forces(
         A file or folder that :func:`~terraphi.robot.logs.read_log` reads, or its result.
     robot
         The robot, or its name, TOML, URDF or MJCF.
-    estimator, frame
+    estimator, frame, contact_part
         See :func:`~terraphi.robot.forces.estimate`.
     lag_s
         Time by which the log's torques are late against the motion [s]; they are taken back by it.
@@ -151,7 +152,9 @@ def foot_forces(
     weight = body.mass * GRAVITY
     criteria = Criteria(rise_N=max(Criteria.rise_N, RISE_SHARE * weight))
     try:
-        forces = estimate(log, robot=body, estimator=estimator, frame=frame)
+        forces = estimate(
+            log, robot=body, estimator=estimator, frame=frame, contact_part=contact_part
+        )
         stances = find_stances(forces.time, forces.force, criteria=criteria)
         mean = balance(forces, stances, weight)
         findings = check(log, body, forces, mean)

@@ -13,10 +13,11 @@ a tridiagonal system. The weight of a foot is its share of load, and falls as Ge
 where it does not stand still: a foot that sinks, slips or rises counts less than the
 others and the accelerometer.
 
-**Touch-downs.** Of each stance the short part is cut out in which the foot goes down into virgin
-soil: from the first force to the end of the loading, at most :data:`WINDOW_S` later. There a foot
-feels the soil's resistance; later it rests, is unloaded and loaded again, and the force is a part
-of the robot's weight. All touch-downs of a log lie in arrays of one shape, to be fitted together.
+**Touch-downs.** Of each stance the part is cut out in which the foot goes down into virgin soil:
+from the first force to the end of the loading, at most :data:`WINDOW_S` later. Only where it goes
+down, deeper and under more force than before, a foot feels the soil's resistance; where it rests or
+is unloaded, the force is a part of the robot's weight. All touch-downs of a log lie in arrays of
+one shape, to be fitted together.
 """
 
 from __future__ import annotations
@@ -47,16 +48,25 @@ ROUNDS = 8
 """Of reweighting."""
 BIAS_S = 6.0
 """Over this time the trunk does not accelerate on average: what remains is a bias [s]."""
-WINDOW_S = 0.12
-"""Longest loading that is used [s]; after it, sinking and drift cannot be told apart."""
+WINDOW_S = 0.4
+"""Longest loading that is used [s], rests in it included; after it, sinking and drift cannot be
+told apart."""
+LOADING_S = 0.12
+"""A log needs :data:`FEWEST` samples in this time [s]: few loadings last longer."""
+EARLIER_S = 0.5
+"""A foot may have come down this long before its stance [s]: it drops in and rests."""
+TOUCH_N, ALOFT = 2.5, 0.005
+"""A foot was in the air last where it bore less than this [N], this much above the place where its
+stance begins [m]."""
 BEFORE_S = 0.012
 """Begun this long before the stance: the surface is where the force begins [s]."""
 POINTS = 64
 """Most samples of a touch-down; longer ones are thinned."""
 FEWEST = 10
 """Samples that a touch-down needs while the foot goes down."""
-GOES_ON = 0.25
-"""A foot that goes down slower than this part of its fastest has come to rest [-]."""
+GOES_ON, SINKS, AROUND_S = 0.25, 0.03, 0.2
+"""A foot rests that goes down slower than this part [-] of its fastest in this time around [s], or
+than this [m/s]: after a rest, a slow loading counts again."""
 WIDEST_STEP = 4.0
 """A step between samples longer than this many usual ones breaks a touch-down [-]."""
 SMOOTH_S = 0.01
@@ -228,13 +238,22 @@ def _touchdown(
     log: JointLog, forces: FootForces, motion: Motion, stance: Stance, per: Sensitivity
 ) -> dict[str, Any]:
     """Fields of one touch-down; the places of samples that it lacks repeat its last."""
+    from scipy.ndimage import maximum_filter1d
+
     time, foot = log.time, FEET.index(stance.foot)
     lift, place = forces.force[:, foot, 2].astype(np.float64), motion.feet[:, foot]
     step = float(np.median(np.diff(time)))
     half = max(1, round(0.5 * SMOOTH_S / step))
     start = int(np.searchsorted(time, stance.begin))
-    first = max(int(np.searchsorted(time, stance.begin - BEFORE_S)), half)
-    last = int(np.searchsorted(time, min(stance.begin + WINDOW_S, stance.end)))
+    # The surface is where the foot first met force after it had been aloft.
+    early = np.arange(np.searchsorted(time, stance.begin - EARLIER_S), start)
+    aloft = early[(lift[early] < TOUCH_N) & (place[early, 2] > place[start, 2] + ALOFT)]
+    if len(aloft):
+        bears = np.append(lift[aloft[-1] : start] >= TOUCH_N, True)
+        start = int(aloft[-1] + np.argmax(bears))
+    begin = float(time[start])
+    first = max(int(np.searchsorted(time, begin - BEFORE_S)), half)
+    last = int(np.searchsorted(time, min(begin + WINDOW_S, stance.end)))
     rows = np.arange(first, max(min(last, len(time) - half - 1), first))
     short = len(rows) < 2
     rows = np.array([start]) if short else rows
@@ -242,24 +261,25 @@ def _touchdown(
     velocity = (place[after] - place[before]) / (time[after] - time[before])[:, None]
     down, force = -velocity[:, 2], lift[rows]
     drop = place[start, 2] - place[rows, 2]
-    good = np.isfinite(force) & (down > GOES_ON * max(float(down[rows >= start].max(initial=0)), 0))
+    fastest = maximum_filter1d(np.where(rows >= start, down, 0.0), max(1, round(AROUND_S / step)))
+    good = np.isfinite(force) & (down > np.maximum(GOES_ON * fastest, SINKS))
     # Soil that has been loaded further already does not count: neither force nor depth may be
     # behind what they have been.
     good &= drop > np.maximum.accumulate(drop) - 3e-4
     force = np.nan_to_num(force)
     good &= (force > 0.9 * np.maximum.accumulate(force) - 2.0) | (rows < start)
-    last = int(rows[good][-1] if good.any() else min(rows[-1] + 1, len(time) - 1))
+    last = int(rows[good][-1] if good.any() else rows[-1])
     chosen = np.flatnonzero(rows <= last)
     if len(chosen) > POINTS:
         chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, POINTS).round().astype(int))]
     part = slice(rows[0], last + 1)
-    late = np.diff(time[part]) > WIDEST_STEP * step
+    late = good[1 : last + 1 - rows[0]] & (np.diff(time[part]) > WIDEST_STEP * step)
     count, chosen = len(chosen), chosen[np.minimum(np.arange(POINTS), len(chosen) - 1)]
     return {
         "foot": foot,
-        "begin": stance.begin,
+        "begin": begin,
         "place": place[last],
-        "time": time[rows[chosen]] - stance.begin,
+        "time": time[rows[chosen]] - begin,
         "drop": drop[chosen],
         "descent": np.arctan2(down, np.hypot(velocity[:, 0], velocity[:, 1]))[chosen],
         "speed": np.linalg.norm(velocity, axis=1)[chosen],
@@ -267,6 +287,6 @@ def _touchdown(
         "per_gain": per.gain[rows[chosen], foot],
         "per_friction": per.friction[rows[chosen], foot],
         "used": good[chosen] & (np.arange(POINTS) < count) & (not short),
-        "torn": short or FEWEST * step > WINDOW_S or bool(late.any()),
+        "torn": short or FEWEST * step > LOADING_S or bool(late.any()),
         "saturated": bool(forces.saturated[part, foot].any()),
     }

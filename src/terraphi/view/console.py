@@ -88,7 +88,7 @@ def print_footfalls(summary: dict[str, Any]) -> None:
             )
         )  # fmt: skip
     more = len(rows) - MOST_FOOTFALLS
-    header = ("t [s]", "foot", "x [m]", "y [m]", "sinkage [mm]", "φ [deg]", "± relative", "verdict")
+    header = ("t [s]", "foot", "x [m]", "y [m]", "sinkage [mm]", "φ [deg]", "±", "verdict")
     note = f"{more} more: --json and --out have all." if more > 0 else ""
     print_table(Table(f"Footfalls, law {summary['law']}", header, rows[:MOST_FOOTFALLS], note))
     path = summary["path"]
