@@ -14,7 +14,7 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import read_bytes, replacing
+from terraphi.experiment.files import json_object, netcdf_kind, read_bytes, replacing
 from terraphi.experiment.outputs import filling
 from terraphi.library.store import PHI
 
@@ -387,8 +387,9 @@ class Answer:
                 f"{file}: no such file; give an answer.nc or the folder of invert --out"
             )
         try:
+            netcdf_kind(file)
             tree = xr.open_datatree(file, engine="h5netcdf")
-            known = json.loads(tree.attrs["answer"])
+            known = json_object(tree.attrs["answer"])
             return cls._of(known, tree)
         except (KeyError, TypeError, ValueError, OSError) as error:
             raise InputError(f"{file}: not an answer of this version; invert again") from error
@@ -483,8 +484,8 @@ def read_answer(path: Path | str) -> StoredAnswer:
         draws = found.phi_draws() if PHI in found.parameters else np.zeros(0)
         return StoredAnswer(str(path), found.as_dict(), draws)
     try:
-        known = json.loads(read_bytes(path))
-        if not isinstance(known, dict) or not {"phi_deg", "verdict", "library"} <= known.keys():
+        known = json_object(read_bytes(path))
+        if not {"phi_deg", "verdict", "library"} <= known.keys():
             raise ValueError("keys are missing")
     except (ValueError, RecursionError) as error:
         raise InputError(

@@ -94,13 +94,13 @@ class CalibrationSoil(Strict):
     """Shape of the leg."""
     phi_deg: float = Field(gt=0, lt=90)
     """Friction angle that was measured otherwise [deg], in the library's convention."""
-    phi_sd_deg: float = Field(ge=0)
+    phi_sd_deg: float = Field(ge=0, le=90)
     """Its standard deviation [deg]."""
     read_deg: float
     """Angle that the library reads off the record, without its offset [deg]."""
-    read_sd_deg: float = Field(ge=0)
+    read_sd_deg: float = Field(ge=0, le=90)
     """Standard deviation of that from noise, density and the library [deg]."""
-    rig_sd_deg: float = Field(0.0, ge=0)
+    rig_sd_deg: float = Field(0.0, ge=0, le=90)
     """The same from the height of the hip and the friction of the leg, which stay as they are."""
 
 
