@@ -179,7 +179,7 @@ def draw(rows: list[dict[str, Any]]) -> Figure:
     loose.plot([], [], "o", color="grey", mfc="w", label="real, repose")
     loose.legend(frameon=False, fontsize="small")
     loose.set(xlabel="critical φ of the shear cell [deg]", ylabel="inferred φ [deg]", title="loose")
-    packed.set_xticks(range(len(packs)), packs, fontsize="small")
+    packed.set_xticks(range(len(packs)), [p.replace(" ", "\n", 1) for p in packs], fontsize="small")
     packed.set(title="packed; grey: critical to peak", ylabel="φ [deg]")
     return figure
 
