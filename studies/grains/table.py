@@ -176,7 +176,7 @@ def draw(rows: list[dict[str, Any]]) -> Figure:
     loose.plot(ends, ends, color="grey", lw=0.8)
     for leg, colour in LEGS.items():
         loose.plot([], [], "o", color=colour, label=leg)
-    loose.plot([], [], "o", color="grey", mfc="w", label="real, repose")
+    loose.plot([], [], "o", color="grey", mfc="w", label="real sand, repose")
     loose.legend(frameon=False, fontsize="small")
     loose.set(xlabel="critical φ of the shear cell [deg]", ylabel="inferred φ [deg]", title="loose")
     packed.set_xticks(range(len(packs)), [p.replace(" ", "\n", 1) for p in packs], fontsize="small")
