@@ -154,7 +154,7 @@ def test_a_known_soil_narrows_most_where_its_leg_is_the_record_s(leg: str) -> No
     known = calibrate("li2013:glass03_loose/straight", 25.0, 1.0)
     record = f"li2013:poppy_loose/{leg}"
     ratio = invert(record, calibration=known).phi.sd / invert(record).phi.sd
-    assert ratio < (0.75 if leg == "straight" else 1.0)
+    assert ratio < (0.9 if leg == "straight" else 1.0)
 
 
 def test_calibration_is_the_posterior_of_its_normal_model() -> None:
