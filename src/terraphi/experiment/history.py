@@ -274,7 +274,9 @@ class ForceHistory:
         Raises InputError if the place cannot be written.
         """
         known = {
-            key: value for key, value in self.provenance.items() if key not in ("file", "reading")
+            key: value
+            for key, value in self.provenance.items()
+            if key not in ("file", "reading", "force_unit")
         }
         write_force_table(Path(path), np.stack([self.theta_deg, self.Fx, self.Fz], axis=1), known)
 

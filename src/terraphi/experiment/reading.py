@@ -199,6 +199,7 @@ def read_trials(
     if named == ForceColumns() and {*CSV_COLUMNS} == {*found.names.values()}:
         known = origin(Path(name), table.comments, table.frame[list(CSV_COLUMNS)].to_numpy())
     histories = []
+    unit, _ = found._unit("fz")
     for i, which in enumerate(strokes):
         position, values = _increasing(theta[which], np.column_stack([force, moment])[which])
         if i == 0 and len(position) < len(which):
@@ -211,7 +212,7 @@ def read_trials(
             ForceHistory(
                 np.radians(position),
                 values[:, :2].copy(),
-                provenance=known | {"file": file + trial} | (
+                provenance=known | {"file": file + trial, "force_unit": unit} | (
                     {"reading": found.notes} if found.notes and i == 0 else {}
                 ),
                 moment=values[:, 2].copy() if np.isfinite(values[:, 2]).all() else None,

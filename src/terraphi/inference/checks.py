@@ -65,8 +65,8 @@ NEARLY_ALL = 0.995
 UNUSUAL, VAGUE = 2.0, 0.5
 """Standard deviations of the size of forces that are unusual [-]; standard deviation of its
 logarithm between soils above which shapes determine it too vaguely [-]."""
-UNITS = ("lbf", "kgf", "gf", "kN", "mN")
-"""Units of force that a record may be in instead of newtons."""
+UNITS = ("N", "lbf", "kgf", "gf", "kN", "mN")
+"""Units of force that a record may be in."""
 
 
 def without_faults(record: Record) -> Record:
@@ -311,8 +311,10 @@ def _other_readings(likelihood: Likelihood, record: Record, library: Library) ->
         "theta_sign=-1,fz_sign=-1": (back, -turned * back.data),
         "theta_sign=-1,force_on=soil": (back, -back.data),
     }
+    read_in = record.history.provenance.get("force_unit", "N")
     for unit in UNITS:
-        options[f"unit={unit}"] = (record, FORCE[unit] * record.data)
+        if unit != read_in:
+            options[f"unit={unit}"] = (record, FORCE[unit] / FORCE[read_in] * record.data)
     for what, (other, data) in options.items():
         size = residual(data, other, likelihood, record.leg)
         if size < best:

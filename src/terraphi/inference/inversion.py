@@ -37,6 +37,8 @@ SECOND = "rft3d"
 """Library of the second opinion."""
 MODEL = ("model: apparatus", "model: soil", "model: leg")
 """Terms of the error of the model on real soils."""
+CONTRADICTS = 4.0
+"""Standard deviations by which a soil of known angle must not differ from what is read [-]."""
 BETTER_LEG = 0.9
 """Residual by another leg over that by the record's own at which the leg is taken for wrong [-]:
 at least 0.95 in all training records."""
@@ -178,11 +180,22 @@ def calibrate(
         read = float(phi + likelihood.offset(record.leg, phi))
         shares = likelihood.budget(_within(likelihood, best))
         sd = _sd_without(likelihood, (*MODEL, *OF_RIG))
+        rig = math.hypot(*(shares.get(name, 0.0) for name in OF_RIG))
+        error = likelihood.errors[record.leg]
+        apart = read - phi_deg - float(error.offset_at(phi_deg))
+        usual = math.hypot(error.common_sd_deg, error.soil_sd_deg, error.leg_sd_deg, rig,
+                           phi_sd_deg, sd)  # fmt: skip
+        if abs(apart) > CONTRADICTS * usual:
+            raise InputError(
+                f"{record.source}: forces and angle disagree by {apart:+.0f}°, at most "
+                f"{CONTRADICTS * usual:.0f}° are accepted; check phi = {phi_deg:g}° (in "
+                f"{found.cases[0].scenario.convention}), the density and the leg"
+            )
         soils.append(
             CalibrationSoil(
                 source=record.source, leg=record.leg, phi_deg=phi_deg, phi_sd_deg=phi_sd_deg,
                 read_deg=read, read_sd_deg=sd,
-                rig_sd_deg=math.hypot(*(shares.get(name, 0.0) for name in OF_RIG)),
+                rig_sd_deg=rig,
             )
         )  # fmt: skip
     assert found is not None

@@ -33,7 +33,6 @@ LEGS = {"straight": "straight leg", "c": "C leg", "reversed_c": "reversed C leg"
 ADVICE = {
     "model on real grains": "More readings will not narrow it; a soil of known angle will.",
     "density": "A measured density (--density) will narrow it.",
-    "hip height": "A measured height of the hip will narrow it.",
     "noise": "More readings will narrow it.",
     "missing angles": "A record of the whole stroke will narrow it.",
 }
