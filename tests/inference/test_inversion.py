@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from terraphi.experiment.errors import InputError
@@ -160,6 +161,22 @@ def test_calibrating_with_one_s_own_answer_centres_there(tmp_path) -> None:
     plain = invert(record)
     assert abs(answer.phi.median - 25.0) <= abs(plain.phi.median - 25.0)
     assert answer.phi.sd < plain.phi.sd
+
+
+@pytest.mark.parametrize("phi", [12.0, 50.0])
+def test_a_known_angle_that_the_forces_contradict_is_refused(phi: float) -> None:
+    with pytest.raises(InputError, match="disagree"):
+        calibrate("li2013:glass03_loose/straight", phi, 1.0)
+
+
+@pytest.mark.parametrize(("given", "right"), [("kN", "N"), ("N", "kN"), ("mN", "kN")])
+def test_the_unit_that_is_offered_counts_from_the_one_that_was_read(given: str, right: str) -> None:
+    known = measurement("li2013:yuma/straight")
+    newtons = {"N": 1.0, "kN": 1e3, "mN": 1e-3}[right]
+    columns = {"theta [deg]": known.history.theta_deg, f"Fx [{given}]": known.history.Fx / newtons,
+               f"Fz [{given}]": known.history.Fz / newtons}  # fmt: skip
+    answer = invert(pd.DataFrame(columns), leg="straight", density=1650)
+    assert any(f"unit={right}:" in question for question in answer.questions)
 
 
 def test_what_a_library_reads_too_high_is_taken_off(sand3d: Library) -> None:

@@ -93,6 +93,7 @@ def tabulate(
     rows: list[dict[str, Any]], table: Path | None, as_json: bool, options: dict[str, Any]
 ) -> None:
     """Invert records one by one and write a row for each; exit status 1 if one failed."""
+    from terraphi.inference.answer import Answer
     from terraphi.inference.manifest import invert_rows
     from terraphi.view.answers import check_table, table_of_answers, write_table
 
@@ -115,7 +116,12 @@ def tabulate(
         for sentence in failed:
             click.echo(f"Failed: {sentence}", err=True)
         verdicts = ", ".join(f"{count} {name}" for name, count in counts.items())
-        click.echo(f"{len(rows)} records: {verdicts}")
+        assumed = sum(isinstance(one, Answer) and one.density_assumed for one in found)
+        guess = f"; the density of {assumed} is assumed" if assumed else ""
+        click.echo(f"{len(rows)} records: {verdicts}{guess}")
+        copied = dict.fromkeys(name for note in notes for name in note)
+        if copied:
+            click.echo(f"Columns copied, and not used: {', '.join(copied)}")
         if table is not None:
             click.echo(f"Written: {table}")
     if failed:

@@ -429,7 +429,9 @@ def _misfit_of_soil(likelihood: Likelihood, fits: Sequence[RecordFit]) -> str:
 
 
 def _other_leg(likelihood: Likelihood) -> str:
-    """A sentence if another leg describes a record better."""
+    """A sentence if another leg describes a record better; of φ alone."""
+    if likelihood.keys != (PHI,):
+        return ""
     for record in likelihood.records:
         sizes = {leg: residual(record.data, record, likelihood, leg)
                  for leg in likelihood.library.legs}  # fmt: skip

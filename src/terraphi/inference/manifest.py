@@ -71,6 +71,8 @@ def _row(folder: Path, cells: dict[str, str]) -> dict[str, Any]:
         return str(folder / text) if (folder / text).is_file() else text
 
     given = {key: placed(cells[key]) for key in OPTIONS if cells.get(key)}
+    for key in {"density", "noise"} & given.keys():
+        given[key] = given[key].replace(",", ".")  # as in 638,5
     if "noise" in given:
         try:
             given["noise"] = float(given["noise"])  # type: ignore[assignment]
