@@ -2,13 +2,13 @@ r"""Learn how real soils differ from a library's model, and write that into the 
 
     python studies/model_error.py --library sand3d.nc
 
-Two kinds of soil teach it. Simulated grains (`grains/`) have friction angles that a shear cell
+Two kinds of soil are compared. Simulated grains (`grains/`) have friction angles that a shear cell
 measured, and an apparatus known exactly; the media of Li et al. (2013) are real, and three have an
 angle of repose.
 
 Grains of 4 to 9 mm on a leg of 25 mm raise its forces, and sand does not. So the **size of grains**
 is taken out of their records first: with F the force over density and over its root mean square in
-the finest grains of the soil,
+grains of 6 mm,
 
     F(θ, d) = F(θ, 0) + d D(θ),
 
@@ -50,8 +50,8 @@ import run
 GRAINS = Path(__file__).parent / "data" / "grains"
 ANGLES_DEG = np.arange(-84.0, 80.0)
 """Leg angles of grains' forces [deg]."""
-SMOOTH_DEG = 5.0
-"""Width over which the share of the size of grains is smoothed [deg]."""
+SMOOTH_DEG, COMMON_MM = 5.0, 6.0
+"""Width over which the effect of the size of grains is smoothed [deg]; size that all soils have."""
 THETA_DEG = np.linspace(-WINDOW_DEG, WINDOW_DEG, OBSERVATION_ANGLES)
 SIZES = ("coarse", "fine")
 """Last parts of the names of soils that are others in another size."""
@@ -68,6 +68,8 @@ SECOND_DEG = {"B-loose": (26.2, 29.0), "B-dense": (26.2, 38.7)}
 """Critical and peak angle in that engine's shear cell [deg]."""
 PRIOR_SOILS, PRIOR_SD_DEG, PRIOR_COMMON_DEG = 2, 1.0, 1.5
 LIMIT, MARGIN = 0.95, 1.1
+SIZE_SD_DEG = {"straight": 0.7, "c": 1.0, "reversed_c": 0.8}
+"""Standard error of a leg's offset from the size of grains: A, B and C left out in turn [deg]."""
 SLOPE_SD = 0.3
 """Standard deviation of the offset's slope over φ before anything is known [-]."""
 REPOSE_SD_DEG = 3.0
@@ -113,9 +115,12 @@ class Bed(NamedTuple):
     """[kg/m³]."""
 
 
-def of_grains(folder: Path) -> dict[tuple[str, str], list[Bed]]:
+Beds = dict[tuple[str, str], list[Bed]]
+
+
+def of_grains(folder: Path) -> Beds:
     """Mean forces over the beds of each simulated soil and leg, by size, the finest first."""
-    found: dict[tuple[str, str], list[Bed]] = {}
+    found: Beds = {}
     for name, soil in run.soils().items():
         base, packing, *variant = name.split("-", 2)
         if variant and variant[0] not in SIZES:
@@ -134,24 +139,30 @@ def of_grains(folder: Path) -> dict[tuple[str, str], list[Bed]]:
     return {key: sorted(beds) for key, beds in found.items()}
 
 
-def size_of(bed: Bed) -> np.ndarray:
-    """Root mean square of each force over the density, [2]."""
-    return np.sqrt(np.square(bed.force).mean(axis=0)) / bed.density
-
-
-def of_size(beds: dict[tuple[str, str], list[Bed]], leg: str) -> np.ndarray:
-    """D: force over density and size, per millimetre of grains [1/mm], shape [theta, 2]."""
-    rows, diameters = [], []
-    for (_, shape), own in beds.items():
-        if shape == leg and len(own) > 1:
-            forces = np.array([bed.force / bed.density / size_of(own[0]) for bed in own])
-            d = np.array([bed.diameter_mm for bed in own])
-            rows.append(forces - forces.mean(axis=0))
-            diameters.append(d - d.mean())
-    d, y = np.concatenate(diameters), np.concatenate(rows)
-    slope = np.tensordot(d, y, axes=1) / (d @ d)
+def without_size(beds: Beds) -> dict[tuple[str, str], np.ndarray]:
+    """Force over density of each soil and leg, extrapolated to no size of grains, [theta, 2]."""
     kernel = np.exp(-0.5 * np.square((ANGLES_DEG[:, None] - ANGLES_DEG) / SMOOTH_DEG))
-    return kernel @ slope / kernel.sum(axis=1)[:, None]
+    kernel /= kernel.sum(axis=1)[:, None]
+    size, effect = {}, {}
+    for key, own in beds.items():
+        bed = min(own, key=lambda one: abs(one.diameter_mm - COMMON_MM))
+        size[key] = np.sqrt(np.square(bed.force).mean(axis=0)) / bed.density
+    for leg in {leg for _, leg in beds}:
+        rows, diameters = [], []
+        for key, own in beds.items():
+            if key[1] == leg and len(own) > 1 and AGAIN not in key[0]:
+                forces = np.array([bed.force / bed.density / size[key] for bed in own])
+                d = np.array([bed.diameter_mm for bed in own])
+                rows.append(forces - forces.mean(axis=0))
+                diameters.append(d - d.mean())
+        d = np.concatenate(diameters)
+        effect[leg] = kernel @ np.tensordot(d, np.concatenate(rows), axes=1) / (d @ d)
+    return {
+        key: np.mean(
+            [b.force / b.density - b.diameter_mm * size[key] * effect[key[1]] for b in own], axis=0
+        )
+        for key, own in beds.items()
+    }
 
 
 def record_of(name: str, leg: str, force: np.ndarray, density: float) -> Record:
@@ -178,7 +189,6 @@ def readings(library: Library, folder: Path = GRAINS) -> list[Reading]:
     """All records of grains and of Li et al., read by a library."""
     found = []
     beds = of_grains(folder)
-    sizes = {leg: of_size(beds, leg) for leg in {leg for _, leg in beds}}
     angles = {}
     for name in {name for name, _ in beds}:
         # The critical state is one of the grains, whatever their packing.
@@ -190,11 +200,10 @@ def readings(library: Library, folder: Path = GRAINS) -> list[Reading]:
         key = f"{name} {AGAIN}", leg
         beds.setdefault(key, []).append(Bed(diameter, force, density))
         angles[key[0]] = SECOND_DEG[name]
+    fine = without_size(beds)
     for (name, leg), own in beds.items():
-        fine = [bed.force / bed.density - bed.diameter_mm * size_of(own[0]) * sizes[leg]
-                for bed in own]  # fmt: skip
         density = float(np.mean([bed.density for bed in own]))
-        record = record_of(name, leg, density * np.mean(fine, axis=0), density)
+        record = record_of(name, leg, density * fine[name, leg], density)
         with_size = record_of(name, leg, own[0].force, own[0].density)
         angle, *rest = read(library, record)
         packing = name.split()[0].split("-")[1]
@@ -253,14 +262,18 @@ def learn(every: Sequence[Reading]) -> dict[str, dict]:
     apart = of_soils(grains)
     several = [one for one in apart if one.size > 1]
     within = sum(float(np.square(one - one.mean()).sum()) for one in several)
-    leg_sd = sd(within, sum(one.size - 1 for one in several))
+    # Each leg has a line of its own, of which all but one take from what legs differ by.
+    leg_sd = sd(within, sum(one.size - 1 for one in several) - 2 * (len(legs) - 1))
     squares = [float(one.mean() ** 2) - leg_sd**2 / one.size for one in apart]
-    soil_sd = sd(sum(squares), len(apart) - 1)
-    of_media = [
-        float(one.mean() ** 2) - leg_sd**2 / one.size - soil_sd**2 - REPOSE_SD_DEG**2
-        for one in of_soils(media)
-    ]
-    common_sd = sd(sum(of_media), len(of_media), PRIOR_COMMON_DEG)
+    soil_sd = sd(sum(squares), len(apart) - 2)
+    # All media are in one apparatus: their mean is the only draw of b.
+    of_media = of_soils(media)
+    common = 0.0
+    if of_media:
+        errors = soil_sd**2 + REPOSE_SD_DEG**2
+        errors += leg_sd**2 * float(np.mean([1.0 / one.size for one in of_media]))
+        common = float(np.mean([one.mean() for one in of_media])) ** 2 - errors / len(of_media)
+    common_sd = sd(common, 1 if of_media else 0, PRIOR_COMMON_DEG)
     found = {}
     for leg in legs:
         own = [r for r in every if r.leg == leg]
@@ -270,7 +283,7 @@ def learn(every: Sequence[Reading]) -> dict[str, dict]:
             "slope": round(lines[leg][1], 3),
             "common_sd_deg": common_sd,
             "soil_sd_deg": soil_sd,
-            "leg_sd_deg": leg_sd,
+            "leg_sd_deg": round(float(np.hypot(leg_sd, SIZE_SD_DEG[leg])), 2),
             "shift_deg": round(float(np.mean([r.shift_deg for r in own])), 1),
             "strength": round(float(np.mean([r.strength for r in own])), 2),
             "strength_sd": round(float(np.std([r.strength for r in own], ddof=1)), 2),

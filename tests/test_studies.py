@@ -42,20 +42,25 @@ def test_one_angle_is_that_of_the_tests() -> None:
     )
 
 
-def test_size_of_grains_is_found_from_soils_in_two_sizes() -> None:
-    """Forces that grow by a known share of their peak-to-peak for each millimetre."""
+def test_size_of_grains_is_taken_out_of_soils_in_two_sizes_and_one() -> None:
+    """Forces that grow by a known share of those of fine grains for each millimetre."""
     theta = model_error.ANGLES_DEG
     share = np.stack([0.02 * np.cos(np.radians(theta)), 0.03 * np.exp(-np.square(theta / 40))], 1)
-    beds = {}
-    for soil, size in (("A-loose", 3.0), ("B-loose", 5.0)):
-        plain = size * np.stack([np.cos(np.radians(theta)), -np.sin(np.radians(theta))], axis=1)
-        size = np.sqrt(np.square(plain).mean(axis=0))
-        beds[soil, "straight"] = [
-            model_error.Bed(d, 1.4 * (plain + (d - 6.0) * size * share), 1400.0) for d in (6.0, 9.0)
+    beds, plain = {}, {}
+    for soil, strength, diameters in (
+        ("A-loose", 3.0, (6.0, 9.0)), ("B-loose", 5.0, (4.0, 6.0, 9.0)), ("C-loose", 4.0, (6.0,)),
+    ):  # fmt: skip
+        force = np.stack([np.cos(np.radians(theta)), -np.sin(np.radians(theta))], axis=1)
+        fine = plain[soil, "c"] = strength / 1400.0 * force
+        # Over the size of the forces in grains of 6 mm: share / |1 + 6 share|.
+        beds[soil, "c"] = [
+            model_error.Bed(d, 1400.0 * (fine + d * strength / 1400.0 * share), 1400.0)
+            for d in diameters
         ]
-    found = model_error.of_size(beds, "straight")
+    found = model_error.without_size(beds)
     inside = np.abs(theta) < 60.0
-    np.testing.assert_allclose(found[inside], share[inside], atol=0.03 * share.max())
+    for key, fine in plain.items():
+        np.testing.assert_allclose(found[key][inside], fine[inside], atol=0.02 * np.ptp(fine))
 
 
 def test_offset_and_spread_are_learnt_as_they_were_made() -> None:
@@ -79,7 +84,8 @@ def test_offset_and_spread_are_learnt_as_they_were_made() -> None:
         assert found[leg]["offset_deg"] == pytest.approx(offset, abs=1.2)
         assert found[leg]["slope"] == pytest.approx(slope, abs=0.2)
         assert found[leg]["soil_sd_deg"] == pytest.approx(2.0, rel=0.3)
-        assert found[leg]["leg_sd_deg"] == pytest.approx(1.0, rel=0.2)
+        of_leg = np.hypot(1.0, model_error.SIZE_SD_DEG[leg])
+        assert found[leg]["leg_sd_deg"] == pytest.approx(of_leg, rel=0.2)
 
 
 @pytest.mark.slow

@@ -180,7 +180,7 @@ def test_the_unit_that_is_offered_counts_from_the_one_that_was_read(given: str, 
 
 
 def test_what_a_library_reads_too_high_is_taken_off(sand3d: Library) -> None:
-    """Once from an answer, and never from what a calibration has read."""
+    """From an answer, and from what a calibration has read."""
     known = ModelError.model_validate(sand3d.model_error["straight"])
     more = known.offset_deg + 2.5
     error = {"straight": {**sand3d.model_error["straight"], "offset_deg": more}}
@@ -188,6 +188,4 @@ def test_what_a_library_reads_too_high_is_taken_off(sand3d: Library) -> None:
     plain, lower = (invert(record, library=one) for one in (sand3d, high))
     assert lower.phi.median == pytest.approx(plain.phi.median - 2.5 / (1.0 + known.slope), abs=0.05)
     reads = [calibrate(record, 25.0, 1.0, library=one).soils[0].read_deg for one in (sand3d, high)]
-    assert reads[1] == pytest.approx(reads[0], abs=0.05)
-    median = plain.phi.median
-    assert reads[0] == pytest.approx(median + known.offset_at(median), abs=0.2)
+    assert reads == pytest.approx([plain.phi.median, lower.phi.median], abs=0.2)

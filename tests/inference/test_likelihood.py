@@ -126,13 +126,11 @@ def test_records_of_one_soil_share_what_they_share(sand3d: Library) -> None:
 
 
 def test_known_soils_narrow_and_shift(sand3d: Library) -> None:
-    error = ModelError.model_validate(sand3d.model_error["straight"])
-
     def with_soils(count: int, apart: float) -> Calibration:
         soils = [
             CalibrationSoil(
                 source="x", leg="straight", phi_deg=phi, phi_sd_deg=1.0,
-                read_deg=phi + error.offset_at(phi) + apart, read_sd_deg=1.0,
+                read_deg=phi + apart, read_sd_deg=1.0,
             )
             for phi in 30.0 + 0.01 * np.arange(count)
         ]  # fmt: skip
@@ -143,9 +141,8 @@ def test_known_soils_narrow_and_shift(sand3d: Library) -> None:
     answers = [invert(record, calibration=with_soils(n, 3.0)) for n in (1, 4, 100)]
     widths = [plain.phi.sd, *(a.phi.sd for a in answers)]
     assert widths == sorted(widths, reverse=True)
-    # Many soils that read 3° too high: the reading is 3° lower.
-    lower = plain.phi.median - 3.0 / (1.0 + error.slope)
-    assert answers[-1].phi.median == pytest.approx(lower, abs=0.15)
+    # Many soils that read 3° too high: the answer is 3° lower.
+    assert answers[-1].phi.median == pytest.approx(plain.phi.median - 3.0, abs=0.15)
 
 
 @pytest.mark.parametrize("leg", ["straight", "c", "reversed_c"])
@@ -171,7 +168,7 @@ def test_calibration_is_the_posterior_of_its_normal_model() -> None:
     log_p = -0.5 * b**2 / 9.0
     for apart, legs in ((3.0, 1), (4.0, 2)):
         variance = 2.0**2 + 1.2**2 / legs + 1.5**2 + 0.5**2
-        log_p -= 0.5 * (apart - 1.0 - b) ** 2 / variance
+        log_p -= 0.5 * (apart - b) ** 2 / variance
     p = np.exp(log_p - log_p.max())
     p /= p.sum()
     assert mean == pytest.approx(float(p @ b), abs=1e-3)

@@ -212,7 +212,9 @@ def read_trials(
             ForceHistory(
                 np.radians(position),
                 values[:, :2].copy(),
-                provenance=known | {"file": file + trial, "force_unit": unit} | (
+                provenance=known | {"file": file + trial} | (
+                    {"force_unit": unit} if unit != "N" else {}
+                ) | (
                     {"reading": found.notes} if found.notes and i == 0 else {}
                 ),
                 moment=values[:, 2].copy() if np.isfinite(values[:, 2]).all() else None,

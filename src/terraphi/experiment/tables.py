@@ -31,7 +31,9 @@ _COMMENT = re.compile(r"\s*(#(?!n/?a|nv|value!|wert!|div/0!|ref!|num!|null!|name
 _ODD = frozenset(("", *"#%/ ,;\t"))
 """First letters of lines that may be comments or empty."""
 _NUMBER = {
-    ".": re.compile(r"[-+]?(\d+\.?\d*|\.\d+|\d{1,3}(,\d{3})+(\.\d+)?)(e[-+]?\d+)?", re.I | re.A),
+    ".": re.compile(
+        r"[-+]?(\d+\.?\d*|\.\d+|[1-9]\d{0,2}(,\d{3})+(\.\d+)?)(e[-+]?\d+)?", re.I | re.A
+    ),
     ",": re.compile(r"[-+]?(\d+(,\d+)?|,\d+|\d{1,3}(\.\d{3})+,\d+)(e[-+]?\d+)?", re.I | re.A),
 }
 """Numbers by decimal sign; those with groups of thousands have the other sign between them."""

@@ -81,7 +81,7 @@ class RecordFit:
     band
         Smallest and largest curve over the 95 % interval [N], shape [2, 2, m].
     nrmsd
-        Root mean square of data less curve over the data's peak-to-peak, by force [-].
+        Root mean square of data less curve over the peak-to-peak of a whole stroke, by force [-].
     shift_deg
         By how much the record's forces come later than the model's [deg]; the curves are shifted.
     """

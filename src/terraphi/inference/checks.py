@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.history import WINDOW_DEG, ForceHistory
+from terraphi.experiment.history import OBSERVATION_ANGLES, WINDOW_DEG, ForceHistory
 from terraphi.experiment.units import FORCE
 from terraphi.inference.emulator import emulator_of
 from terraphi.inference.likelihood import SHIFT_DEG, Likelihood, squared_residuals, window_means
@@ -60,8 +60,9 @@ LARGE_SHIFT_DEG = 4.0
 ONSET, LATE_DEG = 0.1, 11.0
 """Force over its largest at which contact has begun [-]; difference of that angle from the model's
 that another leg makes [deg]: at most 9° in the shipped records."""
-NEARLY_ALL = 0.995
-"""Share of a stroke's information that counts as all of it [-]."""
+NEARLY_ALL, WHOLE = 0.995, 0.9
+"""Share of a stroke's information that counts as all of it [-]; share of its windows with which its
+shape can be compared with those of whole strokes [-]."""
 UNUSUAL, VAGUE = 2.0, 0.5
 """Standard deviations of the size of forces that are unusual [-]; standard deviation of its
 logarithm between soils above which shapes determine it too vaguely [-]."""
@@ -284,7 +285,9 @@ def doubts(likelihood: Likelihood, library: Library, *, misfit: bool) -> Iterato
                     "angle may be off."
                 )
         elif PHI in likelihood.keys:
-            found = list(_other_readings(likelihood, record, library)) if misfit else []
+            found = []
+            if misfit and likelihood.keys == (PHI,):
+                found = list(_other_readings(likelihood, record, library))
             for sentence in found or [
                 *_other_size(likelihood, record),
                 *_other_strength(likelihood, record),
@@ -344,10 +347,17 @@ def _other_size(likelihood: Likelihood, record: Record) -> Iterator[str]:
         )
 
 
+def is_whole(record: Record) -> bool:
+    """Whether the shape of a record can be compared with those of whole strokes."""
+    return record.theta_deg.size >= WHOLE * OBSERVATION_ANGLES
+
+
 def _other_strength(likelihood: Likelihood, record: Record) -> Iterator[str]:
     """A sentence if the shape of the forces wants another size of them than soils usually do."""
     error = likelihood.errors[record.leg]
     if not likelihood.measured or likelihood.keys != (PHI,) or not 0 < error.strength_sd < VAGUE:
+        return
+    if not is_whole(record):
         return
     apart = log_strength(likelihood, record) - error.strength
     if abs(apart) > UNUSUAL * error.strength_sd:

@@ -21,6 +21,7 @@ from terraphi.inference.checks import (
     USUAL_DEG,
     doubts,
     in_air,
+    is_whole,
     residual,
     without_faults,
 )
@@ -176,13 +177,12 @@ def calibrate(
         verdict, why, _ = _verdict(likelihood, fits, best, found, damaged=bool(in_air(likelihood)))
         if verdict != "consistent":
             raise InputError(f"{record.source}: cannot calibrate with it. {why}")
-        phi = best[likelihood.keys.index(PHI)]
-        read = float(phi + likelihood.offset(record.leg, phi))
+        read = float(best[likelihood.keys.index(PHI)])
         shares = likelihood.budget(_within(likelihood, best))
         sd = _sd_without(likelihood, (*MODEL, *OF_RIG))
         rig = math.hypot(*(shares.get(name, 0.0) for name in OF_RIG))
         error = likelihood.errors[record.leg]
-        apart = read - phi_deg - float(error.offset_at(phi_deg))
+        apart = read - phi_deg
         usual = math.hypot(error.common_sd_deg, error.soil_sd_deg, error.leg_sd_deg, rig,
                            phi_sd_deg, sd)  # fmt: skip
         if abs(apart) > CONTRADICTS * usual:
@@ -341,8 +341,11 @@ def _fits(
         likelihood.records, likelihood.parts, likelihood.shift_deg, strict=True
     ):
         low, high, curve = (one.reshape(2, -1) for one in curves[:, part])
-        usual = likelihood.errors[record.leg].mean_residual(curve, record.theta_deg)
-        span = part_of(likelihood, record).span
+        whole = part_of(likelihood, record)
+        span, error = whole.span, likelihood.errors[record.leg]
+        usual = error.mean_residual(
+            np.ptp(curve, axis=1) if whole.model is None else whole.model, record.theta_deg
+        )
         size = _nrmsd(record.data, curve, span)
         expected = None if record.simulated or usual is None else curve + usual
         if expected is not None and _nrmsd(record.data, expected, span).max() > size.max():
@@ -361,7 +364,7 @@ def _fits(
 
 
 def _nrmsd(data: FloatArray, curve: FloatArray, span: FloatArray) -> FloatArray:
-    """Root mean square of the residual of Fx and Fz over their peak-to-peak [-], shape [2]."""
+    """Root mean square residual of Fx and Fz over the peak-to-peak of a whole stroke [-], [2]."""
     return np.asarray(np.sqrt(np.square(data - curve).mean(axis=1)) / span)
 
 
@@ -433,6 +436,8 @@ def _other_leg(likelihood: Likelihood) -> str:
     if likelihood.keys != (PHI,):
         return ""
     for record in likelihood.records:
+        if not is_whole(record):
+            continue
         sizes = {leg: residual(record.data, record, likelihood, leg)
                  for leg in likelihood.library.legs}  # fmt: skip
         leg = min(sizes, key=lambda one: sizes[one])

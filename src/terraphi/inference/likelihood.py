@@ -163,12 +163,12 @@ class Likelihood:
     # -- curves ----------------------------------------------------------------------------------
 
     def offset(self, leg: str, phi_deg: FloatArray) -> FloatArray:
-        """Mean of the read angle less the soil's, of measured forces [deg]."""
+        """Mean of the angle read off measured forces less the soil's [deg]."""
         if not self.measured:
             return np.zeros_like(phi_deg)
         error = self.errors[leg]
         common = self.calibration.common(error, leg)[0] if self.calibration else 0.0
-        return np.asarray(error.offset_at(phi_deg) + common)
+        return np.asarray(error.offset_at(phi_deg + common) + common)
 
     def curves(self, x: FloatArray) -> FloatArray:
         """Window means g(x) [N] of all records at their shifts, shape [k, key] -> [k, n]."""

@@ -20,6 +20,7 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.history import OBSERVATION_ANGLES, WINDOW_DEG, ForceHistory
 from terraphi.inference.records import Record
+from terraphi.library.store import PHI
 
 if TYPE_CHECKING:
     from terraphi.inference.likelihood import Likelihood
@@ -35,11 +36,13 @@ class Part(NamedTuple):
     """Share h of the information on φ [-]."""
     span: FloatArray
     """Peak-to-peak of Fx and Fz over a whole stroke, by the record or the model [N], shape [2]."""
+    model: FloatArray | None = None
+    """The same by the model; ``None`` of a record that is whole."""
 
 
 def part_of(likelihood: Likelihood, record: Record) -> Part:
     """What a record has of a whole stroke, at the best point."""
-    if record.theta_deg.size == OBSERVATION_ANGLES:
+    if record.theta_deg.size == OBSERVATION_ANGLES or PHI not in likelihood.keys:
         return Part(1.0, record.span)
     theta = np.radians(np.arange(-WINDOW_DEG - 3.0, WINDOW_DEG + 3.5))
     whole = replace(record, history=ForceHistory(theta, np.zeros((theta.size, 2))))
@@ -48,7 +51,8 @@ def part_of(likelihood: Likelihood, record: Record) -> Part:
     span = np.maximum(record.span, np.ptp(curve, axis=1))
     has = np.isin(whole.theta_deg.round(6), record.theta_deg.round(6))
     information = np.square(slope / span[:, None])
-    return Part(float(information[:, has].sum() / information.sum()), span)
+    share = float(information[:, has].sum() / information.sum())
+    return Part(share, span, np.ptp(curve, axis=1))
 
 
 def missing_angles(likelihood: Likelihood, slope: FloatArray) -> dict[str, FloatArray]:

@@ -2,15 +2,14 @@ r"""How real soils differ from a library's model, and soils of known angle in on
 
 The angle that a library reads off a record of measured forces is
 
-    φ_read = φ + offset(φ) + b + s + l,
+    φ_read = ψ + offset(ψ),    ψ = φ + b + s + l,
 
-the offset linear in φ, b common to all soils in one apparatus, s of the soil, l of the leg, each
-normal about zero. Forces show none of them: they look like another angle. They are learnt from
-soils whose angle was measured otherwise, and stand in the library's file.
+the offset of each leg linear in ψ, b common to all soils in one apparatus, s of the soil, l of the
+leg, each normal about zero. Forces show none of them: they look like another angle. They are learnt
+from soils whose angle was measured otherwise, and stand in the library's file.
 
-A calibration is such a soil in the user's own apparatus. With n of them, each with y_i = φ_read,i −
-φ_i − offset(φ_i) and variance v_i = s² + l²/legs + var(φ_i) + var(φ_read,i), where φ_read,i is the
-mean of the soil's records,
+A calibration is such a soil in the user's own apparatus. With n of them, each with y_i = ψ_i − φ_i
+and variance v_i = s² + l²/legs + var(φ_i) + var(ψ_i), where ψ_i is the mean of the soil's records,
 
     1/var(b) = 1/b² + Σ 1/v_i,    E(b) = var(b) Σ y_i / v_i,
 
@@ -43,9 +42,9 @@ class ModelError(Strict):
     """How real soils differ from a library's model of one leg."""
 
     offset_deg: float = 0.0
-    """Mean of φ_read − φ at CENTRE_DEG [deg]."""
+    """Mean of φ_read − ψ at ψ = CENTRE_DEG [deg]."""
     slope: float = Field(0.0, gt=-0.9)
-    """Change of that per degree of φ [-]."""
+    """Change of that per degree of ψ [-]."""
     common_sd_deg: float = Field(3.0, ge=0)
     """Standard deviation of b, common to all soils of one apparatus [deg]."""
     soil_sd_deg: float = Field(4.0, ge=0)
@@ -68,14 +67,13 @@ class ModelError(Strict):
     """Records that this was learnt from."""
 
     def offset_at(self, phi_deg: FloatArray | float) -> FloatArray | float:
-        """Mean of φ_read − φ at friction angles [deg]."""
+        """Mean of φ_read − ψ at angles ψ [deg]."""
         return self.offset_deg + self.slope * (phi_deg - CENTRE_DEG)
 
-    def mean_residual(self, curve: FloatArray, theta_deg: FloatArray) -> FloatArray | None:
-        """Expected residual of a record [N]; the curve and it have the shape [2, m]."""
+    def mean_residual(self, spans: FloatArray, theta_deg: FloatArray) -> FloatArray | None:
+        """Expected residual of a record [N], [2, m], from the model's peak-to-peak [N], [2]."""
         if not self.residual:
             return None
-        spans = np.ptp(curve, axis=1)
         rows = [np.interp(theta_deg, self.theta_deg, row) for row in self.residual]
         return np.asarray(spans[:, None] * np.array(rows))
 
@@ -97,7 +95,7 @@ class CalibrationSoil(Strict):
     phi_sd_deg: float = Field(ge=0, le=90)
     """Its standard deviation [deg]."""
     read_deg: float
-    """Angle that the library reads off the record, without its offset [deg]."""
+    """Angle that the library reads off the record, its offset taken off: ψ [deg]."""
     read_sd_deg: float = Field(ge=0, le=90)
     """Standard deviation of that from noise, density and the library [deg]."""
     rig_sd_deg: float = Field(0.0, ge=0, le=90)
@@ -150,7 +148,7 @@ class Calibration(Strict):
             variance = max(variance + (0.0 if shared else of_rig), 1e-6)
             read = float(np.mean([one.read_deg for one in every]))
             precision += 1.0 / variance
-            total += (read - phi - float(error.offset_at(phi))) / variance
+            total += (read - phi) / variance
         return total / precision, math.sqrt(1.0 / precision)
 
     def save(self, path: Path | str) -> None:
