@@ -3,8 +3,8 @@
 Flat discs that go down slowly are the nearest that public measurements come to a foot. Each test
 is fitted by each law, with φ and the first contact unknown, and again in windows of its depth. The
 material point method is one of the laws: discs of 60 and 100 mm that were pressed into sand of five
-φ (plan `plates`). And the soil of `sand3d` is asked what Li et al. (2013) measured: a plate of 38
-by 25 mm pressed down, and moved along.
+φ (plan `plates`). The soil of `sand3d` is compared with
+what Li et al. (2013) measured: a plate of 38 by 25 mm pressed down, and moved along.
 """
 
 from __future__ import annotations

@@ -172,7 +172,7 @@ def test(name: str, kind: str, seed: int, work: Path, out: Path) -> None:
 
 @dataclass(frozen=True)
 class Measured:
-    """What element tests of one soil say, means over beds."""
+    """Results of the element tests of one soil, means over beds."""
 
     phi_critical_deg: float
     """Friction angle in plane strain in the critical state [deg]."""

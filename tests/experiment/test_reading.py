@@ -402,3 +402,18 @@ def test_all_that_is_wrong_is_reported_at_once(tmp_path: Path) -> None:
         read_forces(tmp_path / "x.csv")
     for part in ("'angle_1' or 'angle_2'", "'foo'", "no column of Fz"):
         assert part in str(caught.value)
+
+
+@pytest.mark.parametrize("separator", ["\t", ";"])
+def test_decimal_commas_with_three_decimals_are_no_thousands(
+    tmp_path: Path, separator: str
+) -> None:
+    theta = np.arange(-75, 76)
+    fx, fz = 4.0 * np.cos(np.radians(theta)), -0.9 * np.sin(np.radians(theta))
+    rows = [separator.join([str(t), f"{x:.3f}".replace(".", ","), f"{z:.3f}".replace(".", ",")])
+            for t, x, z in zip(theta, fx, fz, strict=True)]  # fmt: skip
+    header = separator.join(["theta [deg]", "Fx [N]", "Fz [N]"])
+    (tmp_path / "f.txt").write_text("\n".join([header, *rows, ""]), encoding="utf-8")
+    [history] = read_trials(tmp_path / "f.txt")
+    np.testing.assert_allclose(history.Fx, fx, atol=6e-4)
+    np.testing.assert_allclose(history.Fz, fz, atol=6e-4)

@@ -154,6 +154,16 @@ def test_a_known_soil_narrows_most_where_its_leg_is_the_record_s(leg: str) -> No
     assert ratio < (0.9 if leg == "straight" else 1.0)
 
 
+@pytest.mark.parametrize("leg", ["straight", "c", "reversed_c"])
+def test_a_soil_that_the_model_reads_rightly_moves_no_leg(sand3d: Library, leg: str) -> None:
+    """Known as what the library reads off it, by another leg or the same."""
+    record = "li2013:glass03_loose/straight"
+    read = calibrate(record, 25.0, 1.0).soils[0].read_deg
+    known = calibrate(record, read, 1.0)
+    plain, moved = (invert(f"li2013:yuma/{leg}", calibration=one) for one in (None, known))
+    assert moved.phi.median == pytest.approx(plain.phi.median, abs=0.02)
+
+
 def test_calibration_is_the_posterior_of_its_normal_model() -> None:
     """Two soils; the second was read twice, by two legs, and shares all but their errors."""
     error = ModelError(offset_deg=1.0, common_sd_deg=3.0, soil_sd_deg=2.0, leg_sd_deg=1.2)

@@ -392,9 +392,9 @@ class Likelihood:
             modes = correction.modes_at(float(inside[leg][self._phi])) if correction else {}
             for cause, mode in modes.items():
                 if self.errors[leg].training and cause in NUMERICAL:
-                    continue  # part of the offset that soils of known angle taught
+                    continue  # included in the offset, which was learned from soils of known angle
                 if self.calibration and self.calibration.has(leg) and cause in OF_RIG:
-                    continue  # part of what soils of known angle show of the apparatus
+                    continue  # included in what the calibration determines of the apparatus
                 on = correction.theta_deg if correction else emulator.curves.theta_deg
                 at = np.searchsorted(on, emulator.curves.theta_deg)
                 factor = mode[:, :, at].reshape(len(mode), -1).T
