@@ -2,9 +2,9 @@
 
     python studies/grains/table.py [--json]
 
-The grains of a soil, in any packing, are left out of everything that is learned (`model_error.py`: offset, spread, residual, limit
-of a misfit; not the size of grains, of which too few soils have several) and then inverted. Without
---json it writes the page `docs/grains.md`.
+The grains of a soil, in any packing, are left out of everything that is learned (`model_error.py`:
+offset, spread, residual, limit of a misfit; not the size of grains, of which too few soils have
+several) and then inverted. Without --json it writes the page `docs/grains.md`.
 """
 
 from __future__ import annotations
