@@ -54,6 +54,17 @@ def test_a_turned_zero_of_the_angle_is_found_and_moves_nothing(sand3d: Library) 
     assert other.least_squares[0] == pytest.approx(one.least_squares[0], abs=0.3)
 
 
+def test_at_the_largest_shift_the_angle_is_the_best_with_it(sand3d: Library) -> None:
+    plain = open_record("li2013:yuma/c")
+    turned = replace(plain.history, position=plain.history.position + np.radians(8.0))
+    record = replace(plain, history=turned)
+    likelihood = Likelihood([record], sand3d)
+    assert likelihood.shift_deg[0] == pytest.approx(15.0)
+    x = np.linspace(20.0, 40.0, 2001)[:, None]
+    squares = np.square((likelihood.data - likelihood.curves(x)) / likelihood.span).sum(axis=1)
+    assert likelihood.least_squares[0] == pytest.approx(x[squares.argmin(), 0], abs=0.02)
+
+
 def test_squares_of_the_budget_are_the_variance(sand3d: Library) -> None:
     """And what looks like another angle is worth what the library says."""
     answer = invert("li2013:poppy_loose/straight")

@@ -272,8 +272,14 @@ class Likelihood:
         shift = shifts[[int(each[:, first].argmin()) for each in squares]]
         for _ in range(20):
             slope = np.hstack([self._slope_at(best, shift), self._shift_slope(best, shift)])
+            slope /= self.span[:, None]
             rest = (self.data - self._curves_at(best[None], shift)[0]) / self.span
-            step = np.linalg.lstsq(slope / self.span[:, None], rest, rcond=None)[0]
+            step = np.linalg.lstsq(slope, rest, rcond=None)[0]
+            if self.measured:
+                outward = step[best.size :] * np.sign(shift) > 0.0
+                at_end = np.append(np.zeros(best.size, bool), (abs(shift) >= SHIFT_DEG) & outward)
+                slope[:, at_end] = 0.0  # these shifts stay, and the rest is solved without them
+                step = np.linalg.lstsq(slope, rest, rcond=None)[0]
             # Half the spacing of the first search at most: the global minimum is near.
             limit = (self.high - self.low) / (256 if len(self.keys) == 1 else 8)
             own = np.clip(step[: best.size], -limit, limit)
