@@ -189,11 +189,12 @@ def readings(library: Library, folder: Path = GRAINS) -> list[Reading]:
     """All records of grains and of Li et al., read by a library."""
     found = []
     beds = of_grains(folder)
-    angles = {}
-    for name in {name for name, _ in beds}:
-        # The critical state is one of the grains, whatever their packing.
-        critical = elements.measured(folder, f"{name.split('-')[0]}-loose").phi_critical_deg
-        angles[name] = critical, elements.measured(folder, name).phi_peak_deg
+    known = {name: elements.measured(folder, name) for name in {name for name, _ in beds}}
+    # The critical state is one of the grains, whatever their packing.
+    angles = {
+        name: (known[f"{name.split('-')[0]}-loose"].phi_critical_deg, tests.phi_peak_deg)
+        for name, tests in known.items()
+    }
     for (name, leg, file), (diameter, density) in SECOND.items():
         theta, *force = np.loadtxt(folder / "second_engine" / file, delimiter=",", skiprows=1).T[:3]
         force = np.array([np.interp(ANGLES_DEG, theta, row) for row in force]).T
@@ -277,7 +278,7 @@ def learn(every: Sequence[Reading]) -> dict[str, dict]:
     found = {}
     for leg in legs:
         own = [r for r in every if r.leg == leg]
-        left = sorted(remaining(r, own) for r in own)
+        left = [remaining(r, own) for r in own]
         found[leg] = {
             "offset_deg": round(lines[leg][0], 2),
             "slope": round(lines[leg][1], 3),

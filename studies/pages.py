@@ -11,6 +11,8 @@ from matplotlib.figure import Figure
 ROOT = Path(__file__).parent
 LIBRARIES = ROOT / "data" / "libraries"
 DOCS = ROOT.parent / "docs"
+LEGS = {"straight": "#0072b2", "c": "#d55e00", "reversed_c": "#009e73"}
+"""Shapes of legs, and their colours in all pictures."""
 
 
 def out_from(description: str) -> Path:

@@ -17,7 +17,6 @@ import terraphi
 from terraphi.experiment.measurements import measurement, names
 
 LIBRARY = "sand3d"
-COLOURS = {"straight": "#0072b2", "c": "#d55e00", "reversed_c": "#009e73"}
 
 
 def infer(name: str) -> dict[str, Any]:
@@ -73,8 +72,8 @@ def draw(answers: list[dict[str, Any]]) -> Figure:
     axes = figure.subplots()
     media = list(dict.fromkeys(a["medium"] for a in answers))
     for a in answers:
-        colour = COLOURS[a["leg"]]
-        place = media.index(a["medium"]) + 0.2 * (list(COLOURS).index(a["leg"]) - 1)
+        colour = pages.LEGS[a["leg"]]
+        place = media.index(a["medium"]) + 0.2 * (list(pages.LEGS).index(a["leg"]) - 1)
         axes.plot([place, place], a["ci95"], color=colour, lw=1.0)
         axes.plot([place, place], a["ci68"], color=colour, lw=3.0)
         face = colour if a["verdict"] == "consistent" else "white"
@@ -82,7 +81,7 @@ def draw(answers: list[dict[str, Any]]) -> Figure:
         if a["repose"] is not None:
             middle = media.index(a["medium"])
             axes.plot([middle - 0.35, middle + 0.35], [a["repose"]] * 2, color="grey", lw=1.0)
-    for leg, colour in COLOURS.items():
+    for leg, colour in pages.LEGS.items():
         axes.plot([], [], "o", color=colour, label=leg)
     axes.plot([], [], color="grey", label="angle of repose")
     axes.set_xticks(range(len(media)), media)

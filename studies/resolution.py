@@ -31,7 +31,6 @@ VARIANTS = {
     "27 particles a cell": "sand3d-particles.nc",
 }
 WINDOW_DEG = 85.0
-COLOURS = {"straight": "#0072b2", "c": "#d55e00", "reversed_c": "#009e73"}
 SPACE = pages.ROOT / "data" / "space.csv"
 ANGLES = np.radians(np.arange(-WINDOW_DEG + 1.0, WINDOW_DEG))
 
@@ -143,7 +142,7 @@ def draw(found: list[Change]) -> Figure:
     for axes, name in zip(
         figure.subplots(1, len(names), sharex=True, sharey=True), names, strict=True
     ):
-        for leg, colour in COLOURS.items():
+        for leg, colour in pages.LEGS.items():
             own = [c for c in found if c.variant == name and c.leg == leg]
             for axis, marker in ((0, "x"), (1, "o")):
                 look = {"color": colour, "marker": marker, "ms": 5, "lw": 0.8, "mfc": "none"}

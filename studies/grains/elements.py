@@ -55,11 +55,6 @@ def box_of(soil: engine.Soil) -> tuple[float, ...]:
     return -length / 2, length / 2, -breadth / 2, breadth / 2, 3.0 * height
 
 
-def start(soil: engine.Soil) -> str:
-    """First lines of a deck, periodic along too."""
-    return engine.header(soil).replace("boundary f p f", "boundary p p f")
-
-
 def glued(top: float, soil: engine.Soil) -> str:
     """Groups of the lowest layer, of all above a height [m], and of what is between."""
     return f"""region low block INF INF INF INF INF {LAYER * soil.diameter:.5g} units box
@@ -76,7 +71,7 @@ def sheared(soil: engine.Soil, top: float, area: float) -> str:
     height = top - 2.0 * LAYER * soil.diameter
     speed = INERTIAL * height / (soil.diameter * math.sqrt(engine.DENSITY / PRESSURE))
     every = round(ROW * height / speed / soil.time_step)
-    return f"""{start(soil)}read_restart bed.restart
+    return f"""{engine.header(soil, walls=False)}read_restart bed.restart
 {engine.contacts(soil, soil.sliding)}
 {glued(top - LAYER * soil.diameter, soil)}neigh_modify exclude group high high
 velocity all set 0 0 0
@@ -115,7 +110,7 @@ jump SELF {name}
 label {name}_end
 """
 
-    return f"""{start(soil)}read_restart bed.restart
+    return f"""{engine.header(soil, walls=False)}read_restart bed.restart
 {engine.contacts(soil, soil.sliding)}
 {glued(0.5 * top, soil)}group free subtract all low
 fix integrate free nve/sphere
@@ -157,7 +152,7 @@ def test(name: str, kind: str, seed: int, work: Path, out: Path) -> None:
     folder = work / f"{name}_{seed}"
     x0, x1, y0, y1, _ = box = box_of(soil)
     area = (x1 - x0) * (y1 - y0)
-    engine.bed(soil, seed, box, CELL[2] * soil.diameter, folder, start(soil), walls=False)
+    engine.bed(soil, seed, box, CELL[2] * soil.diameter, folder, walls=False)
     top, fraction = engine.layering(engine.dump(folder / "bed.dump"), area)
     perform, columns, form = TESTS[kind]
     rows = perform(soil, folder, top, area)

@@ -74,12 +74,12 @@ timestep {soil.time_step:.4g}
 WALL = "wall/gran model hertz tangential history rolling_friction epsd2"
 
 
-def header(soil: Soil) -> str:
-    """First lines of a deck."""
+def header(soil: Soil, *, walls: bool = True) -> str:
+    """First lines of a deck, periodic along as well if it has no walls."""
     return f"""units si
 atom_style granular
 atom_modify map array
-boundary f p f
+boundary {"f" if walls else "p"} p f
 newton off
 soft_particles yes
 communicate single vel yes
@@ -132,12 +132,12 @@ def lattice(soil: Soil, seed: int, box: tuple[float, ...], thickness: float, pat
 
 def bed(
     soil: Soil, seed: int, box: tuple[float, ...], thickness: float, folder: Path,
-    start: str, *, walls: bool = True,
+    *, walls: bool = True,
 ) -> None:  # fmt: skip
     """Make a bed in a folder unless it is there: bed.restart, bed.dump.
 
     Grains settle with the friction of their packing; then it is switched to their own, and they
-    rest again. The deck begins with ``start``; without walls it must be periodic along.
+    rest again.
     """
     if (folder / "bed.dump").exists():
         return
@@ -148,7 +148,7 @@ def bed(
         ("fallen", soil.settled, "read_data grains.data", fall),
         ("bed", soil.sliding, "read_restart fallen.restart", 0.3),
     ):
-        deck = f"""{start}{source}
+        deck = f"""{header(soil, walls=walls)}{source}
 {contacts(soil, sliding)}
 {ground(box, walls=walls)}thermo 5000
 thermo_style custom step atoms ke cpu

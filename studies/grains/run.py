@@ -45,7 +45,7 @@ def record(soil: engine.Soil, shape: str, seed: int, work: Path, out: Path) -> P
     if path.exists():
         return path
     folder = work / f"{soil.name}_{seed}"
-    engine.bed(soil, seed, BOX, THICKNESS, folder, engine.header(soil))
+    engine.bed(soil, seed, BOX, THICKNESS, folder)
     west, east, south, north, _ = BOX
     surface, fraction = engine.layering(
         engine.dump(folder / "bed.dump"), (east - west) * (north - south)

@@ -26,8 +26,6 @@ import terraphi
 from terraphi.inference.records import Record
 from terraphi.library.store import Library
 
-LEGS = {"straight": "#0072b2", "c": "#d55e00", "reversed_c": "#009e73"}
-
 
 def inverted(record: Record, library: Library) -> terraphi.Answer:
     """The answer to a record."""
@@ -113,7 +111,7 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     widths = [0.5 * (r["ci68"][1] - r["ci68"][0]) for r in loose]
     media = [r for r in rows if r not in grains]
     return {
-        "rms_deg": {leg: rms(leg) for leg in LEGS},
+        "rms_deg": {leg: rms(leg) for leg in pages.LEGS},
         "half_width_deg": round(float(np.median(widths)), 2),
         "in_68": of(known, held[0]),
         "in_95": of(known, held[1]),
@@ -134,7 +132,7 @@ def wrong(library: Library, every: list[model_error.Reading]) -> dict[str, str]:
     for reading in every:
         record = reading.record
         history = record.history
-        others = [leg for leg in LEGS if leg != reading.leg]
+        others = [leg for leg in pages.LEGS if leg != reading.leg]
         kinds = {
             "nothing wrong": record,
             **{f"another leg, {i}": replace(record, leg=leg) for i, leg in enumerate(others)},
@@ -162,28 +160,29 @@ def draw(rows: list[dict[str, Any]]) -> Figure:
     for r in rows:
         if r["phi_critical_deg"] is None:
             continue
-        nudge = 0.25 * (list(LEGS).index(r["leg"]) - 1)
-        look = {"color": LEGS[r["leg"]], "mfc": LEGS[r["leg"]] if r["kind"] == "grains" else "w"}
+        nudge = 0.25 * (list(pages.LEGS).index(r["leg"]) - 1)
+        colour = pages.LEGS[r["leg"]]
+        face = colour if r["kind"] == "grains" else "w"
         if r["packing"] == "loose":
             at = r["phi_critical_deg"] + nudge
-            loose.plot([at, at], r["ci95"], color=look["color"], lw=0.8)
-            loose.plot([at, at], r["ci68"], color=look["color"], lw=2.5)
+            loose.plot([at, at], r["ci95"], color=colour, lw=0.8)
+            loose.plot([at, at], r["ci68"], color=colour, lw=2.5)
             mark = "o" if r["verdict"] == "consistent" else "x"
-            loose.plot(at, r["phi_deg"], mark, ms=5, **look)
+            loose.plot(at, r["phi_deg"], mark, ms=5, color=colour, mfc=face)
     packs = sorted({r["soil"] for r in rows if r["packing"] != "loose" and r["kind"] == "grains"})
     for i, soil in enumerate(packs):
         own = [r for r in rows if r["soil"] == soil]
         ends = own[0]["phi_critical_deg"], own[0]["phi_peak_deg"]
         packed.plot([i, i], ends, color="0.8", lw=12, solid_capstyle="butt")
         for r in own:
-            at = i + (0.15 * (list(LEGS).index(r["leg"]) - 1) if len(own) > 1 else 0.0)
+            at = i + (0.15 * (list(pages.LEGS).index(r["leg"]) - 1) if len(own) > 1 else 0.0)
             mark = "o" if r["verdict"] == "consistent" else "x"
-            packed.plot([at, at], r["ci95"], color=LEGS[r["leg"]], lw=0.8)
-            packed.plot([at, at], r["ci68"], color=LEGS[r["leg"]], lw=2.5)
-            packed.plot(at, r["phi_deg"], mark, ms=5, color=LEGS[r["leg"]])
+            packed.plot([at, at], r["ci95"], color=pages.LEGS[r["leg"]], lw=0.8)
+            packed.plot([at, at], r["ci68"], color=pages.LEGS[r["leg"]], lw=2.5)
+            packed.plot(at, r["phi_deg"], mark, ms=5, color=pages.LEGS[r["leg"]])
     ends = loose.get_xlim()
     loose.plot(ends, ends, color="grey", lw=0.8)
-    for leg, colour in LEGS.items():
+    for leg, colour in pages.LEGS.items():
         loose.plot([], [], "o", color=colour, label=leg)
     loose.plot([], [], "o", color="grey", mfc="w", label="real sand, repose")
     loose.legend(frameon=False, fontsize="small")

@@ -67,7 +67,7 @@ def export(
 
     Example: terraphi export answer --to genesis --draws 64 --out soil.py
     """
-    from terraphi.experiment.files import netcdf_kind, replacing
+    from terraphi.experiment.files import replacing
     from terraphi.experiment.outputs import check_file
     from terraphi.inference.answer import read_answer
     from terraphi.terrain import export as exports
@@ -79,9 +79,6 @@ def export(
     _check_cone(dp_type, to)
     if out is not None:
         check_file(out)
-    file = answer / "answer.nc" if answer.is_dir() else answer
-    if file.suffix == ".nc":
-        netcdf_kind(file)
     found = exports.export(read_answer(answer), simulator(to, dp_type=dp_type), **options)
     text = exports.text(found, form)
     if out is None:

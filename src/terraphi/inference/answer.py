@@ -386,8 +386,8 @@ class Answer:
             raise InputError(
                 f"{file}: no such file; give an answer.nc or the folder of invert --out"
             )
+        netcdf_kind(file)
         try:
-            netcdf_kind(file)
             tree = xr.open_datatree(file, engine="h5netcdf")
             known = json_object(tree.attrs["answer"])
             return cls._of(known, tree)

@@ -355,9 +355,8 @@ def is_whole(record: Record) -> bool:
 def _other_strength(likelihood: Likelihood, record: Record) -> Iterator[str]:
     """A sentence if the shape of the forces wants another size of them than soils usually do."""
     error = likelihood.errors[record.leg]
-    if not likelihood.measured or likelihood.keys != (PHI,) or not 0 < error.strength_sd < VAGUE:
-        return
-    if not is_whole(record):
+    comparable = likelihood.measured and likelihood.keys == (PHI,) and is_whole(record)
+    if not comparable or not 0 < error.strength_sd < VAGUE:
         return
     apart = log_strength(likelihood, record) - error.strength
     if abs(apart) > UNUSUAL * error.strength_sd:
@@ -372,10 +371,7 @@ def log_strength(likelihood: Likelihood, record: Record) -> float:
 
     It is known only as well as the shape of the curves depends on φ.
     """
-    emulator = likelihood.emulators[record.leg]
-    theta, x = emulator.curves.theta_deg, np.linspace(*emulator.bounds, 71)
-    own = emulator.curves.scenario.soil.density
-    force = (record.density_kg_m3 or own) / own * emulator(x)
+    theta, force = _over_phi(likelihood, record, record.leg)
     spans, data = np.repeat(record.span, record.theta_deg.size), record.data.ravel()
     best, found = np.inf, 0.0
     for shift in np.arange(-SHIFT_DEG, SHIFT_DEG + 1.0):
@@ -390,11 +386,15 @@ def log_strength(likelihood: Likelihood, record: Record) -> float:
 
 def residual(data: FloatArray, record: Record, likelihood: Likelihood, leg: str) -> float:
     """Smallest residual of data over the library's angles, of peak-to-peak [-]."""
+    theta, force = _over_phi(likelihood, record, leg)
+    shifts = np.arange(-SHIFT_DEG, SHIFT_DEG + 1.0, 3.0) if likelihood.measured else np.zeros(1)
+    squares = squared_residuals(record, data, force, theta, shifts)
+    return float(np.sqrt(squares.min() / data.size))
+
+
+def _over_phi(likelihood: Likelihood, record: Record, leg: str) -> tuple[FloatArray, FloatArray]:
+    """Leg angles [deg] and curves [N] of a leg over the library's φ, at a record's density."""
     emulator = emulator_of(likelihood.library, leg, corrected=likelihood.measured)
     own = emulator.curves.scenario.soil.density
     ratio = (record.density_kg_m3 or own) / own
-    x = np.linspace(*emulator.bounds, 71)
-    theta = emulator.curves.theta_deg
-    shifts = np.arange(-SHIFT_DEG, SHIFT_DEG + 1.0, 3.0) if likelihood.measured else np.zeros(1)
-    squares = squared_residuals(record, data, ratio * emulator(x), theta, shifts)
-    return float(np.sqrt(squares.min() / data.size))
+    return emulator.curves.theta_deg, ratio * emulator(np.linspace(*emulator.bounds, 71))

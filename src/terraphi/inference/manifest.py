@@ -70,12 +70,12 @@ def _row(folder: Path, cells: dict[str, str]) -> dict[str, Any]:
     def placed(text: str) -> str:
         return str(folder / text) if (folder / text).is_file() else text
 
-    given = {key: placed(cells[key]) for key in OPTIONS if cells.get(key)}
+    given: dict[str, Any] = {key: placed(cells[key]) for key in OPTIONS if cells.get(key)}
     for key in {"density", "noise"} & given.keys():
         given[key] = given[key].replace(",", ".")  # as in 638,5
     if "noise" in given:
         try:
-            given["noise"] = float(given["noise"])  # type: ignore[assignment]
+            given["noise"] = float(given["noise"])
         except ValueError:
             raise InputError(f"{cells['file']}: noise = {given['noise']!r} is no number") from None
     notes = {key: cell for key, cell in cells.items() if key not in ("file", *OPTIONS)}
