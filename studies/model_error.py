@@ -284,7 +284,8 @@ def learn(every: Sequence[Reading]) -> dict[str, dict]:
             "slope": round(lines[leg][1], 3),
             "common_sd_deg": common_sd,
             "soil_sd_deg": soil_sd,
-            "leg_sd_deg": round(float(np.hypot(leg_sd, SIZE_SD_DEG[leg])), 2),
+            "leg_sd_deg": leg_sd,
+            "offset_sd_deg": SIZE_SD_DEG[leg],
             "shift_deg": round(float(np.mean([r.shift_deg for r in own])), 1),
             "strength": round(float(np.mean([r.strength for r in own])), 2),
             "strength_sd": round(float(np.std([r.strength for r in own], ddof=1)), 2),
@@ -320,8 +321,11 @@ def main() -> None:
             f"  residual {residual.round(3)}"
         )
     error = learn(every)
+    for medium in dict.fromkeys(r.soil for r in every if r.real):
+        for leg, without in learn([r for r in every if r.soil != medium]).items():
+            error[leg].setdefault("without", {})[f"li2013:{medium}"] = without
     for leg, one in error.items():
-        print(leg, {key: value for key, value in one.items() if not isinstance(value, list)})
+        print(leg, {key: value for key, value in one.items() if isinstance(value, float)})
     replace(library, model_error=error).save(path)
 
 

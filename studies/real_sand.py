@@ -110,8 +110,8 @@ def main() -> None:
     header = ("medium", "leg", "repose", "φ", "68 %", "95 %", "NRMSD Fx / Fz", "verdict")
     parts = [
         (
-            f"`terraphi invert` on every record of Li et al. (2013), library `{LIBRARY}`. These "
-            "media are among the soils that its model error was learnt from."
+            f"`terraphi invert` on every record of Li et al. (2013), library `{LIBRARY}`. What was "
+            "learned of each medium from its own records is left out."
         ),
         "\n".join(f"- {line}" for line in summary(answers)),
         pages.table(header, rows),

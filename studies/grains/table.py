@@ -10,6 +10,7 @@ several) and then inverted. Without --json it writes the page `docs/grains.md`.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import sys
 from dataclasses import replace
@@ -147,10 +148,46 @@ def wrong(library: Library, every: list[model_error.Reading]) -> dict[str, str]:
             except terraphi.InputError:
                 verdict = "refused"
             else:
-                warned = any("unit of force" in question for question in answer.questions)
+                words = ("unit of force", "is unusual: dry sand")
+                warned = any(word in one for one in answer.questions for word in words)
                 verdict = "warned" if warned else answer.verdict
             found.setdefault(kind.partition(",")[0], []).append(verdict)
     return {k: f"{v.count('consistent')} of {len(v)}" for k, v in found.items()}
+
+
+def calibrated(library: Library, every: list[model_error.Reading]) -> tuple[str, str]:
+    """Half-width with one calibration soil over that without, and coverage, of loose grains.
+
+    Each soil is inverted with each other one, of the same leg, for a soil of known angle ± 1°;
+    neither is among what the model error was learned from.
+    """
+    loose = [r for r in every if r.packing == "loose" and not r.real]
+    loose = [r for r in loose if model_error.AGAIN not in r.soil]
+    ratios, off = [], []
+    for known, soil in itertools.permutations(loose, 2):
+        if known.leg != soil.leg:
+            continue
+        left_out = {grains_of(known.soil), grains_of(soil.soil)}
+        others = [r for r in every if grains_of(r.soil) not in left_out]
+        own = replace(library, model_error=model_error.learn(others))
+        options = {"leg": soil.leg, "library": own}
+        try:
+            calibration = terraphi.calibrate(
+                known.record.history, known.critical_deg, 1.0, **options,
+                density=f"{known.record.density_kg_m3}±{known.record.density_sd_kg_m3}",
+            )  # fmt: skip
+        except terraphi.InputError:
+            continue  # a misfit
+        options["density"] = f"{soil.record.density_kg_m3}±{soil.record.density_sd_kg_m3}"
+        without = terraphi.invert(soil.record.history, **options).phi
+        phi = terraphi.invert(soil.record.history, calibration=calibration, **options).phi
+        ratios.append(np.ptp(phi.ci68) / np.ptp(without.ci68))
+        off.append([share[0] <= soil.critical_deg <= share[1] for share in (phi.ci68, phi.ci95)])
+    inside, outside = np.mean(off, axis=0)
+    return (
+        f"{np.median(ratios):.0%} of that without",
+        f"{inside:.0%} and {outside:.0%} of {len(off)} pairs of soils",
+    )
 
 
 def draw(rows: list[dict[str, Any]]) -> Figure:
@@ -209,7 +246,7 @@ def main() -> None:
     if options.json:
         print(json.dumps(rows, indent=1))
         return
-    found = summary(rows)
+    found, calibration = summary(rows), calibrated(library, every)
     header = ("soil", "leg", "critical", "peak", "φ", "68 %", "95 %", "size of grains",
               "shift of θ", "NRMSD Fx / Fz", "verdict")  # fmt: skip
 
@@ -250,6 +287,8 @@ def main() -> None:
             ("consistent: media", found["consistent_media"]),
             ("residual, loose, straight and reversed C: median", f"{found['nrmsd_median']:.1%}"),
             ("residuals of at most 8 %", found["nrmsd_within_8_percent"]),
+            ("half-width with one other soil known within 1°", calibration[0]),
+            ("68 and 95 % intervals with it that hold the critical angle", calibration[1]),
             *((f"consistent and without a warning of its size, {kind} (nothing left out)", count)
               for kind, count in wrong(library, every).items()),
         ]),

@@ -344,9 +344,24 @@ def test_turns_of_a_rotating_leg_are_trials() -> None:
         assert one.between(*np.radians([-90.0, 90.0])).Fz == pytest.approx(FZ[42:-42], abs=1e-6)
 
 
+def test_a_moment_may_replace_forces() -> None:
+    """Where nothing else is in the table, or where it is named."""
+    alone = pd.DataFrame({"angle": THETA, "torque [N m]": FZ})
+    assert read_forces(alone).channels == ("M",)
+    assert read_forces(alone.assign(Fz=FZ)).channels == ("Fz", "M")
+    more = alone.assign(A=FX, B=FZ)
+    with pytest.raises(InputError, match="moment="):
+        read_forces(more)
+    found = read_forces(more, moment="torque")
+    assert found.channels == ("M",)
+    assert found.channel("M") == pytest.approx(-FZ)
+
+
 def test_the_moment_comes_along() -> None:
-    found = read_forces(frame().assign(**{"M [N mm]": 1e3 * FZ}))
-    assert found.moment == pytest.approx(FZ)
+    """As that of the soil, which resists, whether it was given so or as the motor's."""
+    for sign in (1.0, -1.0):
+        found = read_forces(frame().assign(**{"M [N mm]": sign * 1e3 * FZ}))
+        assert found.moment == pytest.approx(-FZ)
     for other in ("M [kg]", "torque [A]"):  # not a moment, and no reason to refuse the table
         assert read_forces(frame().assign(**{other: 1.0})).moment is None
 

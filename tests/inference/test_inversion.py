@@ -47,7 +47,7 @@ def test_intervals_hold_truths_drawn_from_the_library(sand3d: Library, leg: str)
         values, vectors = np.linalg.eigh(scatter)
         error = vectors @ (np.sqrt(values.clip(0.0)) * rng.standard_normal(len(values)))
         force = emulator(x[None])[0] + error.reshape(2, -1)
-        one = replace(record, leg=leg, simulated=True, noise_N=(0.0, 0.0),
+        one = replace(record, leg=leg, simulated=True, noise=(0.0, 0.0),
                       history=replace(record.history, force=force.T))  # fmt: skip
         likelihood = Likelihood([one], sand3d)
         best = likelihood.least_squares
@@ -146,6 +146,72 @@ def test_second_opinion_is_in_plane_strain() -> None:
     assert answer.second_opinion["median"] == pytest.approx(expected, abs=0.05)
 
 
+def test_another_opinion_far_away_widens_the_interval(sand3d: Library) -> None:
+    """By as much as makes both opinions likely; sure of its offset, the library is 17° too high."""
+    error = sand3d.model_error["straight"] | {"without": {}, "offset_deg": -17.0}
+    sure = {"common_sd_deg": 0.5, "soil_sd_deg": 0.5, "leg_sd_deg": 0.5}
+    record = "li2013:poppy_loose/straight"
+    answer = invert(record, library=replace(sand3d, model_error={"straight": error | sure}))
+    other = answer.second_opinion
+    both = np.hypot(answer.phi.sd, other["sd"])
+    assert abs(answer.phi.median - other["median"]) == pytest.approx(1.96 * both, rel=0.03)
+    assert "second opinion" in answer.budget_deg
+    assert "second opinion" not in invert(record).budget_deg
+
+
+@pytest.mark.parametrize("leg", ["straight", "c", "reversed_c"])
+@pytest.mark.parametrize("axes", ["", "x", "z"])
+def test_a_moment_replaces_forces(sand3d: Library, leg: str, axes: str) -> None:
+    """Simulations of the library, left out of it, with the moment that the solver counted."""
+    cases = [c for c in sand3d.cases if c.scenario.leg.shape == leg and c.history is not None]
+    for phi in (25.0, 35.0):
+        own = next(c for c in cases if c.scenario.soil.friction_angle_deg == phi)
+        others = tuple(c for c in sand3d.cases if c is not own)
+        plain = replace(sand3d, cases=others, replicates=(), corrections={}, model_error={})
+        columns = [own.history.axes.index(axis) for axis in axes]
+        history = replace(own.history, force=own.history.force[:, columns], axes=tuple(axes),
+                          provenance={})  # fmt: skip
+        answer = invert(history, leg=leg, density=1650, library=plain)
+        assert set(answer.nrmsd) == {*(f"F{axis}" for axis in axes), "M"}
+        assert answer.phi.median == pytest.approx(phi, abs=1.0)
+        assert max(answer.nrmsd.values()) < 0.05
+
+
+def test_a_moment_that_the_forces_do_not_have_is_noticed() -> None:
+    """A leg of another length has a moment out of proportion to its forces."""
+    base = Library.load("rft3d").cases[0].scenario
+    history = replace(simulate(base.replace(**{PHI: 30.0})), provenance={})
+    longer = replace(history, moment=1.5 * history.moment)
+    plain, other = (
+        invert(one, leg="straight", density=1650, library="rft3d").questions
+        for one in (history, longer)
+    )
+    assert any("moment" in one for one in other)
+    assert not any("moment" in one for one in plain)
+
+
+def test_shipped_media_are_judged_by_what_was_learned_without_them(sand3d: Library) -> None:
+    """Other forces of the same kind are judged by everything."""
+    name = "li2013:yuma/straight"
+    stricter = sand3d.model_error["straight"]
+    without = {"li2013:yuma": stricter | {"nrmsd_limit": 0.01, "without": {}}}
+    library = replace(sand3d, model_error={"straight": stricter | {"without": without}})
+    anonymous = replace(measurement(name).history, provenance={})
+    assert invert(name, library=library).verdict == "misfit"
+    assert invert(anonymous, leg="straight", density=1650, library=library).verdict == "consistent"
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_half_and_twice_the_density_of_sand_are_noticed(factor: float) -> None:
+    for name in names():
+        known = measurement(name)
+        if known.density_kg_m3 < 1000.0:
+            continue  # poppy seeds
+        history = replace(known.history, provenance={})
+        answer = invert(history, leg=known.leg, density=factor * known.density_kg_m3)
+        assert answer.verdict != "consistent" or any("density" in q for q in answer.questions)
+
+
 def test_many_keeps_the_order_and_the_errors() -> None:
     rows = [{"forces": "li2013:yuma/straight"}, {"forces": "nowhere.csv"}]
     answer, error = invert_many(rows)
@@ -182,10 +248,13 @@ def test_the_unit_that_is_offered_counts_from_the_one_that_was_read(given: str, 
 def test_what_a_library_reads_too_high_is_taken_off(sand3d: Library) -> None:
     """From an answer, and from what a calibration has read."""
     known = ModelError.model_validate(sand3d.model_error["straight"])
-    more = known.offset_deg + 2.5
-    error = {"straight": {**sand3d.model_error["straight"], "offset_deg": more}}
-    high, record = replace(sand3d, model_error=error), "li2013:glass03_loose/straight"
-    plain, lower = (invert(record, library=one) for one in (sand3d, high))
+    error = sand3d.model_error["straight"] | {"without": {}}
+    usual, high = (
+        replace(sand3d, model_error={"straight": error | {"offset_deg": known.offset_deg + more}})
+        for more in (0.0, 2.5)
+    )
+    record = "li2013:glass03_loose/straight"
+    plain, lower = (invert(record, library=one) for one in (usual, high))
     assert lower.phi.median == pytest.approx(plain.phi.median - 2.5 / (1.0 + known.slope), abs=0.05)
-    reads = [calibrate(record, 25.0, 1.0, library=one).soils[0].read_deg for one in (sand3d, high)]
+    reads = [calibrate(record, 25.0, 1.0, library=one).soils[0].read_deg for one in (usual, high)]
     assert reads == pytest.approx([plain.phi.median, lower.phi.median], abs=0.2)

@@ -17,7 +17,7 @@ from terraphi.inference.inversion import calibrate, invert
 from terraphi.inference.likelihood import Likelihood
 from terraphi.inference.records import open_record
 from terraphi.inference.sampling import quadrature, sample
-from terraphi.inference.soils import Calibration, CalibrationSoil, ModelError
+from terraphi.inference.soils import Calibration, CalibrationSoil, ModelError, model_error
 from terraphi.library.store import PHI, Case, Library
 
 RECORDS = [name for name in names() if name.startswith("li2013:")]
@@ -68,10 +68,12 @@ def test_at_the_largest_shift_the_angle_is_the_best_with_it(sand3d: Library) -> 
 def test_squares_of_the_budget_are_the_variance(sand3d: Library) -> None:
     """And what looks like another angle is worth what the library says."""
     answer = invert("li2013:poppy_loose/straight")
-    error = ModelError.model_validate(sand3d.model_error["straight"])
+    error = model_error(sand3d, "straight", ["li2013:poppy_loose"])
     for name, sd in (
-        ("apparatus", error.common_sd_deg), ("soil", error.soil_sd_deg), ("leg", error.leg_sd_deg),
-    ):  # fmt: skip
+        ("apparatus", error.common_sd_deg),
+        ("soil", error.soil_sd_deg),
+        ("leg", np.hypot(error.leg_sd_deg, error.offset_sd_deg)),
+    ):
         assert answer.budget_deg[f"model: {name}"] == pytest.approx(sd, rel=0.05)
     total = np.sqrt(np.square(list(answer.budget_deg.values())).sum())
     assert total == pytest.approx(answer.phi.sd, rel=0.01)

@@ -11,7 +11,7 @@ from scipy.integrate import quad
 
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
-from terraphi.inference.records import Record, _binned, _noise_N, open_record
+from terraphi.inference.records import Record, open_record
 
 
 def record(theta_deg: np.ndarray, force: np.ndarray, **more: object) -> Record:
@@ -43,7 +43,7 @@ def test_a_curve_is_read_as_the_record_was() -> None:
 
 def test_covariance_of_noise_is_that_of_noisy_readings() -> None:
     theta, rng = np.arange(-88.0, 88.1, 0.8), np.random.default_rng(2)
-    one = record(theta, np.zeros((len(theta), 2)) + 1.0, noise_N=(0.3, 0.1))
+    one = record(theta, np.zeros((len(theta), 2)) + 1.0, noise=(0.3, 0.1))
     seen = []
     for _ in range(4000):
         noise = rng.standard_normal((len(theta), 2)) * [0.3, 0.1]
@@ -58,18 +58,20 @@ def test_noise_is_estimated_from_roughness(sigma: float) -> None:
     theta, rng = np.arange(-90.0, 90.1, 0.25), np.random.default_rng(1)
     smooth = np.stack([5.0 * np.cos(np.radians(theta)), np.sin(np.radians(2.0 * theta))], axis=1)
     noisy = ForceHistory(np.radians(theta), smooth + sigma * rng.standard_normal(smooth.shape))
-    assert _noise_N(noisy) == pytest.approx((sigma, sigma), rel=0.15)
+    assert open_record(noisy).noise == pytest.approx((sigma, sigma), rel=0.15)
 
 
 def test_long_records_keep_their_means() -> None:
     theta, rng = np.linspace(-90.0, 90.0, 50_000), np.random.default_rng(4)
     force = np.stack([np.cos(np.radians(theta)), np.sin(np.radians(theta))], axis=1)
     force += 0.1 * rng.standard_normal(force.shape)
-    whole = ForceHistory(np.radians(theta), force)
-    short = _binned(whole)
-    assert len(short.position) <= 4000
-    one, other = (Record("x", h, "straight").data for h in (whole, short))
-    np.testing.assert_allclose(one, other, atol=2e-3)
+    whole = record(theta, force)
+    whole = replace(whole, history=replace(whole.history, moment=force[:, 0] ** 2))
+    short = whole.binned()
+    assert len(short.history.position) <= 4000
+    np.testing.assert_allclose(whole.data, short.data, atol=2e-3)
+    moments = [one.means(one.history.moment) for one in (whole, short)]
+    np.testing.assert_allclose(*moments, atol=2e-3)
 
 
 def test_partial_records_use_the_windows_that_they_cover() -> None:

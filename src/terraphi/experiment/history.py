@@ -79,7 +79,8 @@ class ForceHistory:
     coordinate
         What ``position`` is: ``theta``, ``displacement`` or ``time``.
     axes
-        Names of the force's axes; ``x``, forward, and ``z``, up, are always among them.
+        Names of the force's axes: ``x``, forward, and ``z``, up, unless the moment is known, and
+        others.
     provenance
         Where the history comes from: scenario, hash, versions, seed, timings; JSON-able.
     moment
@@ -97,7 +98,8 @@ class ForceHistory:
     def __post_init__(self) -> None:
         """Raise ValueError if axes, shapes or order are wrong."""
         size = len(self.position)
-        if len({*self.axes}) < len(self.axes) or not {"x", "z"} <= {*self.axes}:
+        lacking = not {"x", "z"} <= {*self.axes} and self.moment is None
+        if len({*self.axes}) < len(self.axes) or lacking:
             raise ValueError(f"axes {', '.join(self.axes) or 'none'}; x and z are expected")
         if self.coordinate not in _UNITS:
             raise ValueError(f"coordinate '{self.coordinate}' is not one of {sorted(_UNITS)}")
@@ -127,6 +129,18 @@ class ForceHistory:
     def Fz(self) -> FloatArray:
         """Vertical force, positive up [N], shape [sample]."""
         return self.force[:, self.axes.index("z")]
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """What there is for a comparison: Fx and Fz, or one of them and M, or M alone."""
+        forces = tuple(f"F{axis}" for axis in "xz" if axis in self.axes)
+        return forces if len(forces) == 2 else (*forces, "M")
+
+    def channel(self, name: str) -> FloatArray:
+        """Fx [N], Fz [N] or the moment M [N m], shape [sample]."""
+        if name == "M" and self.moment is not None:
+            return self.moment
+        return self.force[:, self.axes.index(name[1:])]
 
     # -- copies ----------------------------------------------------------------------------------
 
@@ -271,8 +285,10 @@ class ForceHistory:
     def to_csv(self, path: Path | str) -> None:
         """Write ``theta_deg,Fx_N,Fz_N``, and the provenance in a comment before it.
 
-        Raises InputError if the place cannot be written.
+        Raises InputError if the place cannot be written, or a force is missing.
         """
+        if self.channels != ("Fx", "Fz"):
+            raise InputError(f"{path}: Fx and Fz are needed; write NetCDF (to_netcdf) instead")
         known = {
             key: value
             for key, value in self.provenance.items()
@@ -312,7 +328,7 @@ class ForceHistory:
             moment = found.pop("M", None)
             return cls(
                 positions(contents),
-                np.array(list(found.values())).T,
+                np.array(list(found.values())).reshape(len(found), -1).T,
                 str(contents.attrs["coordinate"]),
                 tuple(name.removeprefix("F") for name in found),
                 json_object(contents.attrs["provenance"]),

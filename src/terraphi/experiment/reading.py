@@ -41,6 +41,8 @@ LEAST_DEG = 7.0
 HEAVIEST_DEG = (-60.0, 35.0)
 """Where half of the squared force has passed [deg]: -43 to 8 in the shipped measurements."""
 ROLES = ("theta", "fx", "fz")
+NO_FORCE = r"#|row|nr|no|index|sample|test|comment|temp\w*"
+"""Names of columns that are none of a force, where only a moment was found."""
 _NAMES = {
     "theta": r"theta|θ|angle|winkel|(leg|motor|hip|joint|bein|dreh|encoder)(angle|winkel|theta|pos)"
     r"|(angle|theta)(leg|motor|hip|joint)|rotation|ang|angular ?position",
@@ -66,7 +68,7 @@ class ForceColumns(Strict):
     fz: str | None = None
     """Column of the vertical force; if not given, it is guessed."""
     moment: str | None = None
-    """Column of the moment about the hip."""
+    """Column of the moment about the hip, which may stand in place of the forces."""
     time: str | None = None
     """Column of the time, for `rate_deg_s`."""
     rate_deg_s: float | None = Field(None, gt=0)
@@ -143,7 +145,8 @@ def read_forces(
         A text file (any separator, decimal sign and encoding), ``-`` for standard input, a
         ``pandas.DataFrame`` or an ``xarray.Dataset``.
     theta, fx, fz, moment, time
-        Names of the columns, with or without their unit; by default they are guessed.
+        Names of the columns, with or without their unit; by default they are guessed. A moment
+        about the hip, of the soil on the leg or of the motor, may replace one force or both.
     rate_deg_s
         Constant rate of the leg [deg/s], where there is a time instead of an angle.
     unit, theta_unit
@@ -193,31 +196,35 @@ def read_trials(
     found.refuse_if_wrong(name)
     theta, force, moment = found.values()
     found.refuse_if_wrong(name)
-    strokes = found.strokes(theta, force)
+    strokes = found.strokes(theta, force if len(found.axes) == 2 else moment[:, None])
     found.refuse_if_wrong(name)
     known: dict[str, Any] = {}
     if named == ForceColumns() and {*CSV_COLUMNS} == {*found.names.values()}:
         known = origin(Path(name), table.comments, table.frame[list(CSV_COLUMNS)].to_numpy())
     histories = []
-    unit, _ = found._unit("fz")
+    unit = found._unit(f"f{found.axes[-1]}")[0] if found.axes else "N"
     for i, which in enumerate(strokes):
         position, values = _increasing(theta[which], np.column_stack([force, moment])[which])
         if i == 0 and len(position) < len(which):
             found.notes.append(
                 f"Rows are averaged in bins of {BIN_DEG:g}°: {len(which)} become {len(position)}."
             )
+        turning = values[:, -1] if np.isfinite(values[:, -1]).all() else None
+        if turning is not None and np.trapezoid(turning, position) > 0.0:
+            turning = -turning  # soil resists the leg, so that this is the motor's
         trial = f" (stroke {i + 1})" if len(strokes) > 1 else ""
         file = "standard input" if name == "-" else Path(name).name
         histories.append(
             ForceHistory(
                 np.radians(position),
-                values[:, :2].copy(),
+                values[:, :-1].copy(),
+                axes=found.axes,
                 provenance=known | {"file": file + trial} | (
                     {"force_unit": unit} if unit != "N" else {}
                 ) | (
                     {"reading": found.notes} if found.notes and i == 0 else {}
                 ),
-                moment=values[:, 2].copy() if np.isfinite(values[:, 2]).all() else None,
+                moment=turning,
             )
         )  # fmt: skip
     found.refuse_other_zero(histories[0])
@@ -275,6 +282,13 @@ class _Reading:
                 )
             elif role != "moment":
                 lacking.append(role)
+        if "moment" in self.names and {"fx", "fz"} & {*lacking}:
+            rest = [n for n in self.parts if n not in self.names.values()]
+            rest = [n for n in rest if not re.fullmatch(f"{NO_FORCE}|{_NAMES['time']}", n.lower())]
+            if self.given.moment is not None or not rest:
+                without = [_WORDS[role] for role in lacking if role != "theta"]
+                self.notes.append(f"The moment is used in place of {' and '.join(without)}.")
+                lacking = [role for role in lacking if role == "theta"]
         if lacking:
             self._ask(lacking, timed)
         if guessed:
@@ -314,6 +328,8 @@ class _Reading:
         names = header if unnamed else ["NAME"] * len(lacking)
         pairs = ",".join(f"{role}={name}" for role, name in zip(lacking, names, strict=False))
         more = ", or rate_deg_s=RATE for a time" if "theta" in lacking and not timed else ""
+        if "moment" in self.names:
+            more += f", or 'moment={self.names['moment']}' to do without a force"
         self.wrong.append(
             f"no column of {', '.join(_WORDS[role] for role in lacking)} among {listed}; add "
             f"--columns '{pairs}'{more}"
@@ -351,20 +367,28 @@ class _Reading:
 
     # -- numbers ---------------------------------------------------------------------------------
 
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Axes of the forces that the table has."""
+        return tuple(axis for axis in "xz" if f"f{axis}" in self.names)
+
     def values(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """θ [deg], force [N] (row, 2) and moment [N m] of the rows that are whole."""
+        """θ [deg], force [N] (row, axis) and moment [N m] of the rows that are whole."""
         column = {role: self._column(role) for role in self.names}
         soil = -1.0 if self.given.force_on == "soil" else 1.0
-        force = soil * np.stack(
-            [self.given.fx_sign * column["fx"], self.given.fz_sign * column["fz"]], axis=1
-        )
+        signs = {"x": self.given.fx_sign, "z": self.given.fz_sign}
+        count = len(self.table.frame)
+        force = np.array([soil * signs[a] * column[f"f{a}"] for a in self.axes])
+        force = force.reshape(len(self.axes), count).T
         rate = self.given.rate_deg_s or 1.0
         along = column["theta"] if "theta" in column else rate * column["time"]
         theta = self.given.theta_sign * (along + self.given.theta_offset_deg)
         whole = np.isfinite(theta) & np.isfinite(force).all(axis=1)
-        moment = soil * self.given.theta_sign * column.get("moment", np.full(len(theta), np.nan))
+        moment = column.get("moment", np.full(count, np.nan))
+        if len(self.axes) < 2:
+            whole &= np.isfinite(moment)
         if not whole.any():
-            self.wrong.append("no row has an angle and both forces; check the columns")
+            self.wrong.append("no row has all that is needed; check the columns")
             return theta, force, moment
         if not whole.all():
             first = self.table.place(int(np.flatnonzero(~whole)[0]))
@@ -439,7 +463,10 @@ class _Reading:
         The soil bears most where the leg moves down into it, before θ = 0.
         """
         theta = history.theta_deg
-        size = np.linalg.norm(history.force, axis=1)
+        forces = np.stack([history.channel(name) for name in history.channels])
+        if "M" in history.channels:  # another unit
+            forces /= np.maximum(np.abs(forces).max(axis=1, keepdims=True), 1e-300)
+        size = np.linalg.norm(forces, axis=0)
         low, high = theta[[0, -1]]
         middle = 0.5 * (low + high)
         if high - low < 90.0 or abs(middle) < 30.0 or max(size[0], size[-1]) > 0.3 * size.max():

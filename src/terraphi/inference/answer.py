@@ -75,13 +75,14 @@ class RecordFit:
     theta_deg
         Leg angles of the window means [deg], shape [m].
     data, curve
-        (Fx, Fz) of the record and of the model [N], shape [2, m].
+        Channels of the record and of the model, shape [c, m]: Fx and Fz [N], or M [N m] in place
+        of one of them or of both, as ``nrmsd`` names them.
     expected
-        The curve with the mean residual of real soils [N], shape [2, m]; ``None`` where unknown.
+        The curve with the mean residual of real soils, shape [c, m]; ``None`` where unknown.
     band
-        Smallest and largest curve over the 95 % interval [N], shape [2, 2, m].
+        Smallest and largest curve over the 95 % interval, shape [2, c, m].
     nrmsd
-        Root mean square of data less curve over the peak-to-peak of a whole stroke, by force [-].
+        Root mean square of data less curve over the peak-to-peak of a whole stroke, by channel [-].
     shift_deg
         By how much the record's forces come later than the model's [deg]; the curves are shifted.
     """
@@ -105,6 +106,12 @@ class RecordFit:
         names = ("source", "leg", "leg_assumed", "simulated", "n_readings", "n_left_out",
                  "shift_deg")  # fmt: skip
         return {**{name: getattr(self, name) for name in names}, "nrmsd": dict(self.nrmsd)}
+
+
+def worst_nrmsd(fits: Sequence[RecordFit]) -> dict[str, float]:
+    """Largest residual of any record by channel [-]."""
+    names = dict.fromkeys(name for fit in fits for name in fit.nrmsd)
+    return {n: max(fit.nrmsd[n] for fit in fits if n in fit.nrmsd) for n in names}
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,8 +201,8 @@ class Answer:
 
     @property
     def nrmsd(self) -> dict[str, float]:
-        """Residual of the worst record by force, of peak-to-peak [-]."""
-        return {name: max(record.nrmsd[name] for record in self.records) for name in ("Fx", "Fz")}
+        """Residual of the worst record by channel, of peak-to-peak [-]."""
+        return worst_nrmsd(self.records)
 
     def phi_draws(self) -> FloatArray:
         """Equally probable values of φ [deg], shape [draw]."""
@@ -256,9 +263,10 @@ class Answer:
         lines = [
             f"{self.source}: leg {self.leg}, {self.density_kg_m3:g} kg/m³{assumed}, {self.library}"
         ]
-        if PHI in self.parameters:
+        inside = PHI in self.parameters and self.verdict != "out_of_range"
+        if inside:
             lines.append(f"φ = {self.phi} ({self.convention})")
-        if self.convention != "plane_strain" and self.phi_plane_strain is not None:
+        if inside and self.convention != "plane_strain" and self.phi_plane_strain is not None:
             lines.append(f"as plane strain: φ = {self.phi_plane_strain}")
         lines.append(self.reason)
         if self.questions:
@@ -280,19 +288,20 @@ class Answer:
         from matplotlib.figure import Figure as NewFigure
 
         figure = figure or NewFigure(figsize=(10.0, 3.4), layout="constrained")
-        fx, fz, of_phi = figure.subplots(1, 3)
-        for i, (axes, name) in enumerate(((fx, "$F_x$"), (fz, "$F_z$"))):
-            for record in self.records:
-                theta = record.theta_deg
+        *of_channels, of_phi = figure.subplots(1, 1 + len(self.nrmsd))
+        for axes, name in zip(of_channels, self.nrmsd, strict=True):
+            for record in (one for one in self.records if name in one.nrmsd):
+                i, theta = list(record.nrmsd).index(name), record.theta_deg
                 axes.fill_between(theta, *record.band[:, i], color="C0", alpha=0.2, lw=0)
                 fit = record.curve if record.expected is None else record.expected
                 axes.plot(theta, fit[i], color="C0", label="model")
                 if record.expected is not None:
                     axes.plot(theta, record.curve[i], "--", color="C0", lw=1, label="bare model")
                 axes.plot(theta, record.data[i], ".", color="black", ms=3, label="data")
-            axes.set(xlabel="leg angle θ [deg]", ylabel=f"{name} [N]")
+            shown = "$M$ [N m]" if name == "M" else f"$F_{name[1]}$ [N]"
+            axes.set(xlabel="leg angle θ [deg]", ylabel=shown)
             axes.axhline(0.0, color="0.7", lw=0.5, zorder=0)
-        fx.legend(*_first_of_each(fx), frameon=False, fontsize="small")
+        of_channels[0].legend(*_first_of_each(of_channels[0]), frameon=False, fontsize="small")
         grid, density = self.grid_deg, self.density
         if not grid.size:
             density, edges = np.histogram(self.phi_draws(), bins=60, density=True)

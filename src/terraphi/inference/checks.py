@@ -21,7 +21,7 @@ from terraphi.inference.emulator import emulator_of
 from terraphi.inference.likelihood import SHIFT_DEG, Likelihood, squared_residuals, window_means
 from terraphi.inference.partial import part_of
 from terraphi.inference.records import Record
-from terraphi.library.store import PHI, Library, differences
+from terraphi.library.store import PHI, Curves, Library, differences
 
 Mask = NDArray[np.bool_]
 
@@ -55,11 +55,15 @@ BETTER, FITS = 0.6, 2.0
 limit of a misfit [-]."""
 USUAL_DEG = (15.0, 50.0)
 """Friction angles of dry soils in plane strain [deg]."""
+USUAL_DENSITY = (1100.0, 2100.0)
+"""Bulk density of dry mineral soils [kg/m³]."""
 LARGE_SHIFT_DEG = 4.0
 """Distance of the leg angle's shift from the usual one above which an answer says so [deg]."""
 ONSET, LATE_DEG = 0.1, 11.0
 """Force over its largest at which contact has begun [-]; difference of that angle from the model's
 that another leg makes [deg]: at most 9° in the shipped records."""
+OTHER_ARM = 1.3
+"""Factor between a moment and that of the forces that another leg makes: 0.91 to 1.27 in grains."""
 NEARLY_ALL, WHOLE = 0.995, 0.9
 """Share of a stroke's information that counts as all of it [-]; share of its windows with which its
 shape can be compared with those of whole strokes [-]."""
@@ -81,13 +85,14 @@ def without_faults(record: Record) -> Record:
         If more than half of the readings are faulty.
     """
     theta, notes, damaged = record.history.theta_deg, [], False
-    forces = {"Fx": record.history.Fx, "Fz": record.history.Fz}
-    largest = max(float(np.abs(f).max()) for f in forces.values())
+    forces = {name: record.history.channel(name) for name in record.channels}
+    largest = {name: float(np.abs(force).max()) for name, force in forces.items()}
+    of_forces = max((size for name, size in largest.items() if name != "M"), default=0.0)
     bad = np.zeros(len(theta), dtype=bool)
-    both_zero = (forces["Fx"] == 0.0) & (forces["Fz"] == 0.0)
+    all_zero = np.all([force == 0.0 for force in forces.values()], axis=0)
     for name, force in forces.items():
         span = float(np.ptp(force))
-        zero = _dropouts(force, both_zero, largest)
+        zero = _dropouts(force, all_zero, largest["M"] if name == "M" else of_forces)
         faults = {
             "dropouts": zero,
             "held values": _held(force, span),
@@ -113,10 +118,10 @@ def without_faults(record: Record) -> Record:
     return record.without(bad, notes, damaged=damaged).binned().checked()
 
 
-def _dropouts(force: FloatArray, both_zero: Mask, largest: float) -> Mask:
-    """Exact zeros amid load: of this force, or of both."""
+def _dropouts(force: FloatArray, all_zero: Mask, largest: float) -> Mask:
+    """Exact zeros amid load: of this force, or of all."""
     rows = np.arange(len(force))
-    loaded = rows[(force != 0.0) & ~both_zero]
+    loaded = rows[(force != 0.0) & ~all_zero]
     if loaded.size < 3:
         return np.zeros(len(force), dtype=bool)
     around = np.minimum(
@@ -227,7 +232,8 @@ def in_air(likelihood: Likelihood) -> list[str]:
             ("before the leg meets the soil", theta < touching[0] - MARGIN_DEG, OFFSET),
             ("after it has left the soil", theta > touching[-1] + MARGIN_DEG, 2.0 * OFFSET),
         ):
-            for name, values in (("Fx", record.history.Fx), ("Fz", record.history.Fz)):
+            for name in record.channels:
+                values = record.history.channel(name)
                 if air.sum() < 3 or record.simulated:
                     continue
                 # Soil that is met early is met more and more; an offset is there all the way.
@@ -235,8 +241,8 @@ def in_air(likelihood: Likelihood) -> list[str]:
                 size *= float(np.sign(np.median(values[air])))
                 if abs(size) > limit * np.ptp(values):
                     found.append(
-                        f"{record.source}: {name} is {size:.2g} N {side}; tare the sensor, or "
-                        "check the leg."
+                        f"{record.source}: {name} is {size:.2g} {'N m' if name == 'M' else 'N'} "
+                        f"{side}; tare the sensor, or check the leg."
                     )
     return found
 
@@ -273,6 +279,12 @@ def doubts(likelihood: Likelihood, library: Library, *, misfit: bool) -> Iterato
             )
         if record.leg_assumed:
             yield f"{name}The leg is assumed to be straight; give --leg."
+        least, most = USUAL_DENSITY
+        if likelihood.measured and not record.medium and not least <= density <= most:
+            yield (
+                f"{name}The density {density:g} kg/m³ is unusual: dry sand and gravel have "
+                f"{least:g} to {most:g} kg/m³. Half or twice of it moves φ by 6 to 9°."
+            )
         if record.density_kg_m3 is None or record.density_assumed:
             yield f"{name}The density {density:g} kg/m³ is assumed; 10 % of it move φ by about 1°."
         if record.scenario is not None:
@@ -289,6 +301,7 @@ def doubts(likelihood: Likelihood, library: Library, *, misfit: bool) -> Iterato
             if misfit and likelihood.keys == (PHI,):
                 found = list(_other_readings(likelihood, record, library))
             for sentence in found or [
+                *_other_arm(likelihood, record),
                 *_other_size(likelihood, record),
                 *_other_strength(likelihood, record),
             ]:
@@ -299,6 +312,20 @@ def _other_readings(likelihood: Likelihood, record: Record, library: Library) ->
     """Another leg, sign, unit or order that would describe a misfit much better."""
     own = residual(record.data, record, likelihood, record.leg)
     best, proposal = min(BETTER * own, FITS * likelihood.errors[record.leg].nrmsd_limit), ""
+    options = _columns_otherwise(record) if record.channels == ("Fx", "Fz") else {}
+    for what, (other, data) in options.items():
+        size = residual(data, other, likelihood, record.leg)
+        if size < best:
+            best, proposal = size, f"The record would fit with --columns {what}: check the columns."
+    for leg in library.legs:
+        if leg != record.leg and (size := residual(record.data, record, likelihood, leg)) < best:
+            best, proposal = size, f"The record would fit with --leg {leg}: check the leg."
+    if proposal:
+        yield proposal
+
+
+def _columns_otherwise(record: Record) -> dict[str, tuple[Record, FloatArray]]:
+    """A record of both forces with other signs, axes or units, by the option that does it."""
     back = replace(
         record,
         history=ForceHistory(-record.history.position[::-1], record.history.force[::-1]),
@@ -318,25 +345,37 @@ def _other_readings(likelihood: Likelihood, record: Record, library: Library) ->
     for unit in UNITS:
         if unit != read_in:
             options[f"unit={unit}"] = (record, FORCE[unit] / FORCE[read_in] * record.data)
-    for what, (other, data) in options.items():
-        size = residual(data, other, likelihood, record.leg)
-        if size < best:
-            best, proposal = size, f"The record would fit with --columns {what}: check the columns."
-    for leg in library.legs:
-        if leg != record.leg and (size := residual(record.data, record, likelihood, leg)) < best:
-            best, proposal = size, f"The record would fit with --leg {leg}: check the leg."
-    if proposal:
-        yield proposal
+    return options
+
+
+def _other_arm(likelihood: Likelihood, record: Record) -> Iterator[str]:
+    """A sentence if the moment about the hip is not that of the forces, with the model's arms."""
+    i = likelihood.records.index(record)
+    factor = moment_factor(record, likelihood.emulators[record.leg].curves, likelihood.shift_deg[i])
+    if factor is not None and abs(np.log(max(factor, 1e-3))) > np.log(OTHER_ARM):
+        yield (
+            f"The moment is {factor:.2g} times that of the forces on this leg: check the length of "
+            "the leg and the units."
+        )
+
+
+def moment_factor(record: Record, curves: Curves, shift_deg: float) -> float | None:
+    """Moment of a record over that of its forces with the model's lever arms [-], if it has all."""
+    if curves.arm is None or record.channels != ("Fx", "Fz") or record.history.moment is None:
+        return None
+    arm = [np.interp(record.theta_deg, curves.theta_deg + shift_deg, row) for row in curves.arm]
+    of_forces = (np.array(arm) * record.data).sum(axis=0)
+    return float(of_forces @ record.means(record.history.moment) / (of_forces @ of_forces))
 
 
 def _other_size(likelihood: Likelihood, record: Record) -> Iterator[str]:
     """A sentence if contact begins elsewhere than in the model, as of a leg of another length."""
     best = np.clip(likelihood.least_squares, likelihood.low, likelihood.high)
     part = likelihood.parts[likelihood.records.index(record)]
-    curve = likelihood.curves(best[None])[0, part].reshape(2, -1)
+    curve = likelihood.curves(best[None])[0, part].reshape(len(record.channels), -1)
     begins = []
     for force in (record.data, curve):
-        size = np.linalg.norm(force, axis=0)
+        size = np.linalg.norm(force / np.ptp(force), axis=0)
         begins.append(int(np.argmax(size > ONSET * size.max())))
     theta = record.theta_deg[begins]
     theta[1] -= likelihood.shift_deg[likelihood.records.index(record)]
@@ -348,8 +387,12 @@ def _other_size(likelihood: Likelihood, record: Record) -> Iterator[str]:
 
 
 def is_whole(record: Record) -> bool:
-    """Whether the shape of a record can be compared with those of whole strokes."""
-    return record.theta_deg.size >= WHOLE * OBSERVATION_ANGLES
+    """Whether the shape of a record can be compared with those of whole strokes.
+
+    The moment alone has nearly the same shape on all legs.
+    """
+    forces = record.channels == ("Fx", "Fz")
+    return forces and record.theta_deg.size >= WHOLE * OBSERVATION_ANGLES
 
 
 def _other_strength(likelihood: Likelihood, record: Record) -> Iterator[str]:
@@ -371,11 +414,11 @@ def log_strength(likelihood: Likelihood, record: Record) -> float:
 
     It is known only as well as the shape of the curves depends on φ.
     """
-    theta, force = _over_phi(likelihood, record, record.leg)
+    on, force = _over_phi(likelihood, record, record.leg)
     spans, data = np.repeat(record.span, record.theta_deg.size), record.data.ravel()
     best, found = np.inf, 0.0
     for shift in np.arange(-SHIFT_DEG, SHIFT_DEG + 1.0):
-        curves = window_means(record, force, theta, shift) / spans
+        curves = window_means(record, force, on, shift) / spans
         factor = np.maximum(curves @ (data / spans) / np.square(curves).sum(axis=1), 1e-6)
         squares = np.square(data / spans - factor[:, None] * curves).sum(axis=1)
         i = int(squares.argmin())
@@ -384,17 +427,29 @@ def log_strength(likelihood: Likelihood, record: Record) -> float:
     return found
 
 
+def phi_of_size(likelihood: Likelihood) -> float:
+    """Angle at which the model's forces are as large as the data, whatever their shape [deg].
+
+    It ends at the library's ends.
+    """
+    low, high = likelihood.low[0], likelihood.high[0]
+    phi = np.linspace(low, high, 71)
+    size = np.square(likelihood.curves(phi[:, None]) / likelihood.span).sum(axis=1)
+    own = float(np.square(likelihood.data / likelihood.span).sum())
+    return float(np.interp(own, np.maximum.accumulate(size), phi))
+
+
 def residual(data: FloatArray, record: Record, likelihood: Likelihood, leg: str) -> float:
     """Smallest residual of data over the library's angles, of peak-to-peak [-]."""
-    theta, force = _over_phi(likelihood, record, leg)
+    on, force = _over_phi(likelihood, record, leg)
     shifts = np.arange(-SHIFT_DEG, SHIFT_DEG + 1.0, 3.0) if likelihood.measured else np.zeros(1)
-    squares = squared_residuals(record, data, force, theta, shifts)
+    squares = squared_residuals(record, data, force, on, shifts)
     return float(np.sqrt(squares.min() / data.size))
 
 
-def _over_phi(likelihood: Likelihood, record: Record, leg: str) -> tuple[FloatArray, FloatArray]:
-    """Leg angles [deg] and curves [N] of a leg over the library's φ, at a record's density."""
+def _over_phi(likelihood: Likelihood, record: Record, leg: str) -> tuple[Curves, FloatArray]:
+    """Curves of a leg, and its forces [N] over the library's φ, at a record's density."""
     emulator = emulator_of(likelihood.library, leg, corrected=likelihood.measured)
     own = emulator.curves.scenario.soil.density
     ratio = (record.density_kg_m3 or own) / own
-    return emulator.curves.theta_deg, ratio * emulator(np.linspace(*emulator.bounds, 71))
+    return emulator.curves, ratio * emulator(np.linspace(*emulator.bounds, 71))

@@ -15,21 +15,22 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.scenario import Scenario
 from terraphi.experiment.soil import plane_strain_friction_angle_deg
-from terraphi.inference.answer import Answer, Estimate, RecordFit
+from terraphi.inference.answer import Answer, Estimate, RecordFit, worst_nrmsd
 from terraphi.inference.checks import (
     LARGE_SHIFT_DEG,
     USUAL_DEG,
     doubts,
     in_air,
     is_whole,
+    phi_of_size,
     residual,
     without_faults,
 )
-from terraphi.inference.likelihood import OF_RIG, UNKNOWN_DENSITY, Likelihood
+from terraphi.inference.likelihood import OF_RIG, UNKNOWN_DENSITY, Likelihood, channels_of
 from terraphi.inference.partial import part_of
 from terraphi.inference.records import Record, open_records
 from terraphi.inference.sampling import Drawn, quadrature, sample
-from terraphi.inference.soils import Calibration, CalibrationSoil
+from terraphi.inference.soils import Calibration, CalibrationSoil, model_error
 from terraphi.library.store import PHI, Library, nearest_library, shipped_library
 
 DEFAULT = "sand3d"
@@ -49,6 +50,8 @@ OUTSIDE = 0.3
 """Probability that φ lies beyond the library's range above which the answer says so."""
 SEVERAL = 1.3
 """Limit of a residual of several records with one angle, over that of one [-]: legs differ."""
+DISAGREES = 1.96
+"""Distance of two opinions at which both are believed, in their common standard deviation [-]."""
 UNINFORMED = 0.9
 """Share of the prior's standard deviation above which the posterior counts as the prior [-]."""
 
@@ -183,8 +186,8 @@ def calibrate(
         rig = math.hypot(*(shares.get(name, 0.0) for name in OF_RIG))
         error = likelihood.errors[record.leg]
         apart = read - phi_deg
-        usual = math.hypot(error.common_sd_deg, error.soil_sd_deg, error.leg_sd_deg, rig,
-                           phi_sd_deg, sd)  # fmt: skip
+        usual = math.hypot(error.common_sd_deg, error.soil_sd_deg, error.leg_sd_deg,
+                           error.offset_sd_deg, rig, phi_sd_deg, sd)  # fmt: skip
         if abs(apart) > CONTRADICTS * usual:
             raise InputError(
                 f"{record.source}: forces and angle disagree by {apart:+.0f}°, at most "
@@ -247,6 +250,9 @@ def _answer(
 ) -> Answer:
     """Posterior, verdict and all that goes with them."""
     records, keys = likelihood.records, likelihood.keys
+    second, disagreement = _second_opinion(likelihood), ""
+    if second is not None:
+        likelihood, disagreement = _widened(likelihood, second)
     drawn = Drawn({}, {})
     grid = density = np.zeros(0)
     if keys == (PHI,):
@@ -264,6 +270,7 @@ def _answer(
           for record in records for note in record.notes),
         *air,
         *doubts(likelihood, library, misfit=verdict != "consistent"),
+        *([disagreement] if disagreement else []),
         *_about(likelihood, fits, parameters, verdict),
     ]  # fmt: skip
     if library.caveat:
@@ -292,7 +299,7 @@ def _answer(
         density_assumed=records[0].density_kg_m3 is None or records[0].density_assumed,
         library=library.name,
         library_reason=reason,
-        second_opinion=_second_opinion(likelihood) if library.name != SECOND else None,
+        second_opinion=second,
         questions=tuple(questions),
         records=tuple(fits),
         grid_deg=grid,
@@ -340,12 +347,18 @@ def _fits(
     for record, part, shift in zip(
         likelihood.records, likelihood.parts, likelihood.shift_deg, strict=True
     ):
-        low, high, curve = (one.reshape(2, -1) for one in curves[:, part])
+        low, high, curve = (one.reshape(len(record.channels), -1) for one in curves[:, part])
         whole = part_of(likelihood, record)
         span, error = whole.span, likelihood.errors[record.leg]
         usual = error.mean_residual(
             np.ptp(curve, axis=1) if whole.model is None else whole.model, record.theta_deg
         )
+        if usual is not None:
+            on = likelihood.emulators[record.leg].curves
+            arm = on.arm if on.arm is None else np.stack(
+                [np.interp(record.theta_deg, on.theta_deg + shift, row) for row in on.arm]
+            )  # fmt: skip
+            usual = channels_of(record, usual, arm)
         size = _nrmsd(record.data, curve, span)
         expected = None if record.simulated or usual is None else curve + usual
         if expected is not None and _nrmsd(record.data, expected, span).max() > size.max():
@@ -357,14 +370,15 @@ def _fits(
                 n_left_out=record.n_left_out, theta_deg=record.theta_deg, data=record.data,
                 curve=curve, expected=expected,
                 band=np.stack([np.minimum(low, high), np.maximum(low, high)]),
-                nrmsd={"Fx": float(size[0]), "Fz": float(size[1])}, shift_deg=float(shift),
+                nrmsd=dict(zip(record.channels, size.tolist(), strict=True)),
+                shift_deg=float(shift),
             )
         )  # fmt: skip
     return found
 
 
 def _nrmsd(data: FloatArray, curve: FloatArray, span: FloatArray) -> FloatArray:
-    """Root mean square residual of Fx and Fz over the peak-to-peak of a whole stroke [-], [2]."""
+    """Root mean square residual of each channel over its peak-to-peak in a whole stroke [-]."""
     return np.asarray(np.sqrt(np.square(data - curve).mean(axis=1)) / span)
 
 
@@ -403,12 +417,15 @@ def _verdict(
         return "misfit", misfit, None
     if not likelihood.measured:
         return "consistent", "Consistent: noise and scatter explain the residual.", None
-    worst = {name: max(fit.nrmsd[name] for fit in fits) for name in ("Fx", "Fz")}
-    why = (
-        f"Consistent: the model follows Fx within {_percent(worst['Fx'])} and Fz within "
-        f"{_percent(worst['Fz'])} of their range, usual for sand."
+    left_out = sorted({r.medium for r in likelihood.records
+                       if r.medium in model_error(library, r.leg).without})  # fmt: skip
+    without = f" (learned without {left_out[0]})" if left_out else ""
+    followed = " and ".join(f"{c} within {_percent(size)}" for c, size in worst_nrmsd(fits).items())
+    return (
+        "consistent",
+        f"Consistent: the model follows {followed} of the range, usual for sand{without}.",
+        None,
     )
-    return "consistent", why, None
 
 
 def _misfit_of_soil(likelihood: Likelihood, fits: Sequence[RecordFit]) -> str:
@@ -422,9 +439,11 @@ def _misfit_of_soil(likelihood: Likelihood, fits: Sequence[RecordFit]) -> str:
         if size > limit:
             apart = (fit.data - best) / span[:, None]
             i, j = np.unravel_index(np.abs(apart).argmax(), apart.shape)
+            far = apart[i, j]
+            shown = f"{100.0 * far:+.0f} % of" if abs(far) < 2.0 else f"{far:+.1f} times"
             return (
-                f"Misfit: {('Fx', 'Fz')[i]} differs from the model by "
-                f"{100.0 * apart[i, j]:+.0f} % of its range at {fit.theta_deg[j]:.0f}°. The "
+                f"Misfit: {record.channels[i]} differs from the model by "
+                f"{shown} its range at {fit.theta_deg[j]:.0f}°. The "
                 f"residual is {_percent(size, digits=1)}; the limit is "
                 f"{_percent(limit, digits=1)}, from training soils. Do not use the angle."
             )
@@ -500,7 +519,7 @@ def _about(
     """Warnings about the answer."""
     found = []
     phi = parameters.get(PHI)
-    if likelihood.measured and verdict != "misfit":
+    if likelihood.measured and verdict == "consistent":
         for fit in fits:
             usual = likelihood.errors[fit.leg].shift_deg
             if abs(fit.shift_deg - usual) > LARGE_SHIFT_DEG:
@@ -509,12 +528,6 @@ def _about(
                     f"{'later' if fit.shift_deg > 0 else 'earlier'} than the model's; check the "
                     "zero of theta and the height of the hip."
                 )
-    trained = {name for fit in fits for name in likelihood.errors[fit.leg].training}
-    shared = [r.measurement for r in likelihood.records if r.measurement in trained]
-    if shared and likelihood.measured:
-        found.append(
-            f"{shared[0]} is a training record of the model error; the verdict is optimistic."
-        )
     if phi is not None:
         span = float(likelihood.high[0] - likelihood.low[0]) + 24.0
         if likelihood.keys == (PHI,) and phi.sd > UNINFORMED * span / math.sqrt(12.0):
@@ -557,9 +570,13 @@ def _plane_strain(phi: Estimate, scenario: Scenario) -> tuple[Estimate | None, s
 
 def _second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:
     """Angle of measured forces by resistive force theory, as one of plane strain."""
-    if not likelihood.measured or SECOND not in Library.names():
+    names = (likelihood.library.name, SECOND)
+    if not likelihood.measured or names[0] == SECOND or SECOND not in Library.names():
         return None
-    other = Likelihood(likelihood.records, shipped_library(SECOND))
+    try:
+        other = Likelihood(likelihood.records, shipped_library(SECOND))
+    except InputError:
+        return None  # it does not cover the angles of the record
     read = float(other.least_squares[0])
     if not other.low[0] <= read <= other.high[0]:
         return None
@@ -569,4 +586,31 @@ def _second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:
         return None
     ratio = (plane.ci68[1] - plane.ci68[0]) / 2.0
     sd = float(other.sd(_within(other, other.least_squares))[0])
-    return {"library": SECOND, "median": plane.median, "sd": sd * ratio}
+    return {
+        "library": SECOND, "median": plane.median, "sd": sd * ratio,
+        "force_size_deg": phi_of_size(likelihood),
+    }  # fmt: skip
+
+
+def _widened(likelihood: Likelihood, second: dict[str, Any]) -> tuple[Likelihood, str]:
+    """The likelihood with a term that makes up for another opinion, if that is far away.
+
+    The term is as wide as makes the two differ by DISAGREES of their common standard deviation.
+    """
+    phi, scenario = likelihood.keys == (PHI,), likelihood.library.cases[0].scenario
+    if not phi or scenario.convention != "plane_strain" or likelihood.beyond is not None:
+        return likelihood, ""
+    own = _estimate(*quadrature(likelihood))
+    apart = second["median"] - own.median
+    excess = (apart / DISAGREES) ** 2 - own.sd**2 - second["sd"] ** 2
+    if excess <= 0.0:
+        return likelihood, ""
+    wider = Likelihood(
+        likelihood.records, likelihood.library, likelihood.calibration,
+        disagreement_deg=math.sqrt(excess),
+    )  # fmt: skip
+    sentence = (
+        f"Resistive force theory gives {second['median']:.0f}°, {abs(apart):.0f}° from "
+        f"{likelihood.library.name} and outside both intervals: the interval is wider by that."
+    )
+    return wider, sentence

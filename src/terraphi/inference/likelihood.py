@@ -23,6 +23,9 @@ density                   relative standard deviation times g, to which forces a
 model: apparatus, soil    what looks like another angle: b² and s² times (∂g/∂φ)(∂g/∂φ)' (``soils``)
 model: leg                the same of each leg by itself, l²
 missing angles            where a record has a part of the stroke (``partial``)
+missing forces            where it has the moment about the hip in place of a force: the angles
+                          read off both differ by that
+second opinion            where other physics gives an angle outside both intervals
 shape                     whatever does not look like a change of x
 ========================  ==========================================================================
 
@@ -56,7 +59,7 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.inference.emulator import emulator_of
-from terraphi.inference.partial import missing_angles
+from terraphi.inference.partial import missing_parts
 from terraphi.inference.records import Record
 from terraphi.inference.soils import Calibration, model_error
 from terraphi.library.store import PHI, Curves, Library
@@ -81,23 +84,40 @@ STEP = 1e-3
 """Step of numerical derivatives, of a parameter's range [-]."""
 
 
-def window_means(
-    record: Record, force: FloatArray, theta_deg: FloatArray, shift_deg: float
-) -> FloatArray:
-    """Curves [N] as a record reads them at shifted leg angles, [..., 2, theta] -> [..., 2 m]."""
-    means = force @ record.operator(theta_deg + shift_deg).T
+def channels_of(record: Record, force: FloatArray, arm: FloatArray | None) -> FloatArray:
+    """Channels of a record from (Fx, Fz) [N] and lever arms [m], [..., 2, m] -> [..., c, m].
+
+    Raises InputError if the record has a moment and there are no lever arms.
+    """
+    if record.channels == ("Fx", "Fz"):
+        return force
+    if arm is None:
+        raise InputError(
+            f"{record.source}: Fx and Fz are needed; the library has no moment about the hip"
+        )
+    rows = {"Fx": force[..., 0, :], "Fz": force[..., 1, :], "M": (force * arm).sum(axis=-2)}
+    return np.stack([rows[name] for name in record.channels], axis=-2)
+
+
+def window_means(record: Record, force: FloatArray, curves: Curves, shift_deg: float) -> FloatArray:
+    """Forces [N] over the angles of curves, as a record reads them at a shift.
+
+    Shape [..., 2, theta] -> [..., c m].
+    """
+    seen = channels_of(record, force, curves.arm)
+    means = seen @ record.operator(curves.theta_deg + shift_deg).T
     return np.asarray(means.reshape(*means.shape[:-2], -1))
 
 
 def squared_residuals(
-    record: Record, data: FloatArray, force: FloatArray, theta_deg: FloatArray, shifts: FloatArray
+    record: Record, data: FloatArray, force: FloatArray, curves: Curves, shifts: FloatArray
 ) -> FloatArray:
-    """Sum over a record of (d − g)²/p² for curves at shifts of the leg angle, [shift, k] [-].
+    """Sum over a record of (d − g)²/p² for forces at shifts of the leg angle, [shift, k] [-].
 
-    The data and their peak-to-peak p are given, [2, m], the curves have the shape [k, 2, theta].
+    The data and their peak-to-peak p are given, [c, m]; the forces have the shape [k, 2, theta].
     """
     spans, flat = np.repeat(np.ptp(data, axis=1), data.shape[1]), data.ravel()
-    apart = [flat - window_means(record, force, theta_deg, shift) for shift in shifts]
+    apart = [flat - window_means(record, force, curves, shift) for shift in shifts]
     return np.square(np.stack(apart) / spans).sum(axis=2)
 
 
@@ -112,6 +132,8 @@ class Likelihood:
         Has every leg of the records.
     calibration
         Soils of known angle in the same apparatus, or ``None``.
+    disagreement_deg
+        Standard deviation of φ because other physics gives another angle [deg].
 
     Attributes
     ----------
@@ -122,9 +144,15 @@ class Likelihood:
     """
 
     def __init__(
-        self, records: Sequence[Record], library: Library, calibration: Calibration | None = None
+        self,
+        records: Sequence[Record],
+        library: Library,
+        calibration: Calibration | None = None,
+        *,
+        disagreement_deg: float = 0.0,
     ) -> None:
         self.records, self.library, self.calibration = tuple(records), library, calibration
+        self.disagreement_deg = disagreement_deg
         self.measured = not all(record.simulated for record in records)
         legs = {record.leg for record in records}
         self.emulators = {
@@ -148,11 +176,12 @@ class Likelihood:
                     f"deg only, {record.source} {record.theta_deg[0]:.0f} to "
                     f"{record.theta_deg[-1]:.0f} deg; cut the record or build the library anew"
                 )
-        ends = np.cumsum([0, *(2 * r.theta_deg.size for r in records)])
+        ends = np.cumsum([0, *(r.data.size for r in records)])
         self.parts = [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
         self.data = np.concatenate([record.data.ravel() for record in records])
         self.span = np.concatenate([np.repeat(r.span, r.theta_deg.size) for r in records])
-        self.errors = {leg: model_error(library, leg) for leg in legs}
+        media = sorted({record.medium for record in records if record.medium})
+        self.errors = {leg: model_error(library, leg, media) for leg in legs}
         bounds = [emulator.bounds for emulator in self.emulators.values()]
         self.low = np.max([low for low, _ in bounds], axis=0)
         self.high = np.min([high for _, high in bounds], axis=0)
@@ -179,8 +208,8 @@ class Likelihood:
         of_legs = {leg: self._forces(leg, x) for leg in self.emulators}
         means = []
         for record, ratio, shift in zip(self.records, self._ratio, shift_deg, strict=True):
-            theta = self._curves_of(record).theta_deg
-            means.append(ratio * window_means(record, of_legs[record.leg], theta, shift))
+            curves = self._curves_of(record)
+            means.append(ratio * window_means(record, of_legs[record.leg], curves, shift))
         return np.hstack(means)
 
     def _forces(self, leg: str, x: FloatArray) -> FloatArray:
@@ -207,13 +236,13 @@ class Likelihood:
     def forces_of(self, record: Record, i: int) -> FloatArray:
         """Means as another record of leg and soil of the i-th has them, 1° below, at and above φ.
 
-        Shape [3, 2, m] [N].
+        Shape [3, c, m] [N].
         """
         x = np.repeat(np.clip(self.least_squares, self.low, self.high)[None], 3, axis=0)
         x[:, self._phi or 0] += [-1.0, 0.0, 1.0]
-        theta, force = self._curves_of(record).theta_deg, self._forces(record.leg, x)
-        means = window_means(record, force, theta, self.shift_deg[i])
-        return np.asarray(self._ratio[i] * means.reshape(3, 2, -1))
+        force = self._forces(record.leg, x)
+        means = window_means(record, force, self._curves_of(record), self.shift_deg[i])
+        return np.asarray(self._ratio[i] * means.reshape(3, len(record.channels), -1))
 
     def slope(self, x: FloatArray) -> FloatArray:
         """∂g/∂x at a point [N/unit], shape [key] -> [n, key]."""
@@ -264,7 +293,7 @@ class Likelihood:
         shifts = np.arange(-SHIFT_DEG, SHIFT_DEG + 1.0) if self.measured else np.zeros(1)
         squares = [
             squared_residuals(record, record.data, ratio * of_legs[record.leg],
-                              self._curves_of(record).theta_deg, shifts)
+                              self._curves_of(record), shifts)
             for record, ratio in zip(self.records, self._ratio, strict=True)
         ]  # fmt: skip
         first = int(sum(each.min(axis=0) for each in squares).argmin())
@@ -343,7 +372,10 @@ class Likelihood:
         found |= self._of_corrections(inside)
         if self._phi is not None:
             found |= self._model_offset(slope[:, self._phi])
-            found |= missing_angles(self, slope[:, self._phi])
+            found |= missing_parts(self, slope[:, self._phi])
+            if self.disagreement_deg:
+                other = self.disagreement_deg * slope[:, self._phi]
+                found["second opinion"] = np.outer(other, other)
         found["density"] = np.outer(*[self._density_error * curve] * 2)
         found["zero of θ"] = SHIFT_DEG**2 / 3.0 * of_shift @ of_shift.T
         return {**found, "shape": shape}
@@ -364,7 +396,7 @@ class Likelihood:
             UNKNOWN_DENSITY if r.density_kg_m3 is None else r.density_sd_kg_m3 / r.density_kg_m3
             for r in self.records
         ]
-        return np.repeat(of_records, [2 * r.theta_deg.size for r in self.records])
+        return np.repeat(of_records, [r.data.size for r in self.records])
 
     def _blocks(self, blocks: Sequence[FloatArray]) -> FloatArray:
         """Block-diagonal covariance of records whose errors are independent."""
@@ -379,12 +411,12 @@ class Likelihood:
         for leg, factor in factors.items():
             stacked = np.zeros((self.data.size, factor.shape[1]))
             curves = factor.T.reshape(factor.shape[1], 2, -1)
-            theta = self.emulators[leg].curves.theta_deg
             for record, part, ratio, shift in zip(
                 self.records, self.parts, self._ratio, self.shift_deg, strict=True
             ):
                 if record.leg == leg:
-                    stacked[part] = ratio * window_means(record, curves, theta, shift).T
+                    means = window_means(record, curves, self._curves_of(record), shift)
+                    stacked[part] = ratio * means.T
             found += stacked @ stacked.T
         return found
 
@@ -418,7 +450,9 @@ class Likelihood:
                 left = self.calibration.common(error, record.leg)[1]
             common[part] = slope[part] * left
             of_soil[part] = slope[part] * error.soil_sd_deg
-            of_legs[record.leg][part] = slope[part] * error.leg_sd_deg
+            calibrated = self.calibration is not None and self.calibration.has(record.leg)
+            own = math.hypot(error.leg_sd_deg, 0.0 if calibrated else error.offset_sd_deg)
+            of_legs[record.leg][part] = slope[part] * own
         return {
             "model: apparatus": np.outer(common, common),
             "model: soil": np.outer(of_soil, of_soil),

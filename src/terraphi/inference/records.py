@@ -1,6 +1,7 @@
 r"""Records: measured or simulated forces as window means, and how a library's curve becomes alike.
 
-A record is compared with the library through m window means of each force: 40 windows over |θ| ≤
+A record has c channels: Fx and Fz, or the moment M about the hip in place of one of them or of
+both. It is compared with the library through m window means of each: 40 windows over |θ| ≤
 85°, as Xu & Wang have it, or those of them that the record covers. With x the readings, taken to be
 linear in between, the means are W x; a curve y known as means over 1° is read at the angles of the
 readings, R y, so that
@@ -68,8 +69,8 @@ class Record:
         What is wrong with the readings, a sentence each.
     damaged
         Whether it is too damaged for any answer to be believed.
-    noise_N
-        Standard deviation of a reading of Fx and Fz [N].
+    noise
+        Standard deviation of a reading of each channel [N], of a moment [N m].
     """
 
     source: str
@@ -85,7 +86,17 @@ class Record:
     n_left_out: int = 0
     notes: tuple[str, ...] = ()
     damaged: bool = False
-    noise_N: tuple[float, float] = (0.0, 0.0)
+    noise: tuple[float, ...] = (0.0, 0.0)
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """``Fx``, ``Fz`` and ``M``: those that are compared."""
+        return self.history.channels
+
+    @property
+    def medium(self) -> str:
+        """Name of the shipped medium that it was measured in; empty for any other."""
+        return self.measurement.partition("/")[0]
 
     @cached_property
     def _windows(self) -> tuple[FloatArray, FloatArray]:
@@ -121,19 +132,23 @@ class Record:
 
     @cached_property
     def data(self) -> FloatArray:
-        """Window means of (Fx, Fz) [N], shape [2, m]."""
-        return np.stack([self._windows[1] @ self.history.Fx, self._windows[1] @ self.history.Fz])
+        """Window means of the channels [N], of a moment [N m], shape [c, m]."""
+        return np.stack([self.means(self.history.channel(name)) for name in self.channels])
+
+    def means(self, values: FloatArray) -> FloatArray:
+        """Window means of values at each reading, shape [reading] -> [m]."""
+        return np.asarray(self._windows[1] @ values)
 
     @property
     def span(self) -> FloatArray:
-        """Peak-to-peak of the data of Fx and Fz [N], shape [2]."""
+        """Peak-to-peak of the data of each channel, shape [c]."""
         return np.asarray(np.ptp(self.data, axis=1))
 
     @cached_property
     def noise_covariance(self) -> FloatArray:
-        """Covariance of the data from the noise of the readings [N²], shape [2 m, 2 m]."""
+        """Covariance of the data from the noise of the readings [N²], shape [c m, c m]."""
         weights = self._windows[1]
-        return np.kron(np.diag(np.square(self.noise_N)), weights @ weights.T)
+        return np.kron(np.diag(np.square(self.noise)), weights @ weights.T)
 
     def operator(self, theta_deg: FloatArray) -> FloatArray:
         """W R: turns a curve of means over 1° at leg angles [deg] into window means, [m, n]."""
@@ -141,7 +156,7 @@ class Record:
 
     def checked(self) -> Record:
         """The same record; raises InputError if a force is constant or nearly nothing was read."""
-        for axis, name in zip(self.data, ("Fx", "Fz"), strict=True):
+        for axis, name in zip(self.data, self.channels, strict=True):
             if np.ptp(axis) <= 1e-9 * max(float(np.abs(self.data).max()), 1e-300):
                 raise InputError(
                     f"{self.source}: {name} is the same at every angle; check the sensor"
@@ -152,8 +167,7 @@ class Record:
         """The same record, averaged in equal bins of the leg angle if it is long."""
         history = _binned(self.history)
         fewer = np.sqrt(len(history.position) / len(self.history.position))
-        noise = (self.noise_N[0] * fewer, self.noise_N[1] * fewer)
-        return replace(self, history=history, noise_N=noise)
+        return replace(self, history=history, noise=tuple(fewer * one for one in self.noise))
 
     def without(
         self, mask: NDArray[np.bool_], notes: Sequence[str], *, damaged: bool = False
@@ -162,8 +176,9 @@ class Record:
         history = self.history
         if mask.any():
             kept = ~mask
+            moment = None if history.moment is None else history.moment[kept]
             history = replace(
-                history, position=history.position[kept], force=history.force[kept], moment=None
+                history, position=history.position[kept], force=history.force[kept], moment=moment
             )
         return replace(
             self,
@@ -259,9 +274,6 @@ def record_of(
     if leg is not None and leg not in LEG_SHAPES:
         raise InputError(f"leg '{leg}' is not known; {nearest(leg, LEG_SHAPES)}")
     history = known.history
-    for axis in "xz":
-        if axis not in history.axes:
-            raise InputError(f"{known.name}: no force F{axis}; Fx and Fz are needed")
     made_by = scenario_of(history, name=known.name)
     mean, sd, assumed = known.density_kg_m3, None, known.density_assumed
     if density is not None:
@@ -278,14 +290,19 @@ def record_of(
         sd = 0.0
     if mean is not None and sd is None:
         sd = DENSITY_SD * mean
-    sensor = _noise_N(history)
+    sensor = _noise(history)
     if noise is not None:
-        sensor = noise if isinstance(noise, tuple) else (float(noise), float(noise))
-    if not all(0.0 <= one <= np.ptp(history.force) for one in sensor):
-        raise InputError(
-            f"noise = {max(sensor):g} N; 0 N to {np.ptp(history.force):.3g} N, the range of the "
-            "forces, is accepted"
-        )
+        given = noise if isinstance(noise, tuple) else (float(noise), float(noise))
+        if not all(0.0 <= one <= np.ptp(history.force) for one in given):
+            raise InputError(
+                f"noise = {max(given):g} N; 0 N to {np.ptp(history.force):.3g} N, the range of "
+                "the forces, is accepted"
+            )
+        of_forces = dict(zip(("Fx", "Fz"), given, strict=True))
+        pairs = zip(history.channels, sensor, strict=True)
+        sensor = tuple(of_forces.get(name, one) for name, one in pairs)
+    if (made_by is not None or simulated) and history.channels != ("Fx", "Fz"):
+        raise InputError(f"{known.name}: Fx and Fz of a simulation are needed")
     return Record(
         source=known.name,
         history=history,
@@ -298,7 +315,7 @@ def record_of(
         simulated=made_by is not None if simulated is None else simulated,
         measurement=str(history.provenance.get("measurement", "")),
         notes=tuple(history.provenance.get("reading", ())),
-        noise_N=sensor,
+        noise=sensor,
     )
 
 
@@ -328,16 +345,16 @@ def _binned(history: ForceHistory) -> ForceHistory:
     count = min(MOST_READINGS, int(np.ceil(np.degrees(high - low) / 0.05)))
     at = np.minimum(((history.position - low) / (high - low) * count).astype(int), count - 1)
     number = np.bincount(at, minlength=count)
-    sums = [np.bincount(at, c, count) for c in (history.position, *history.force.T)]
+    moment = [] if history.moment is None else [history.moment]
+    sums = [np.bincount(at, c, count) for c in (history.position, *history.force.T, *moment)]
     means = np.stack(sums)[:, number > 0] / number[number > 0]
-    return replace(history, position=means[0], force=means[1:].T, moment=None)
+    force = means[1 : 1 + history.force.shape[1]].T
+    return replace(history, position=means[0], force=force, moment=means[-1] if moment else None)
 
 
-def _noise_N(history: ForceHistory) -> tuple[float, float]:
-    """Noise of a reading of Fx and Fz [N]: from second differences, of which it leaves √6."""
-    second = np.diff(history.force, n=2, axis=0)
-    if len(second) < 10:
-        return 0.0, 0.0
-    sigma = 1.4826 * np.median(np.abs(second), axis=0) / np.sqrt(6.0)
-    x, z = history.axes.index("x"), history.axes.index("z")
-    return float(sigma[x]), float(sigma[z])
+def _noise(history: ForceHistory) -> tuple[float, ...]:
+    """Noise of a reading of each channel: from second differences, of which it leaves √6."""
+    second = [np.diff(history.channel(name), n=2) for name in history.channels]
+    if len(second[0]) < 10:
+        return (0.0,) * len(second)
+    return tuple(float(1.4826 * np.median(np.abs(one)) / np.sqrt(6.0)) for one in second)

@@ -5,23 +5,25 @@ The angle that a library reads off a record of measured forces is
     φ_read = ψ + offset(ψ),    ψ = φ + b + s + l,
 
 the offset of each leg linear in ψ, b common to all soils in one apparatus, s of the soil, l of the
-leg, each normal about zero. Forces show none of them: they look like another angle. They are learnt
-from soils whose angle was measured otherwise, and stand in the library's file.
+leg in it, each normal about zero. The offset itself has an error, the same for all soils. Forces
+show none of them: they look like another angle. They are learnt from soils whose angle was measured
+otherwise, and stand in the library's file.
 
 A calibration is such a soil in the user's own apparatus. With n of them, each with y_i = ψ_i − φ_i
 and variance v_i = s² + l²/legs + var(φ_i) + var(ψ_i), where ψ_i is the mean of the soil's records,
 
     1/var(b) = 1/b² + Σ 1/v_i,    E(b) = var(b) Σ y_i / v_i,
 
-so that an interval can only become narrower. The height of the hip and the friction of the leg stay
-as they are between records with one leg: b² includes their variance, and they are no terms of their
-own then.
+so that an interval can only become narrower. The error of a leg's offset, the height of the hip and
+the friction of the leg stay as they are between records with one leg: b² includes their variance,
+and they are no terms of their own then.
 """
 
 from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +53,8 @@ class ModelError(Strict):
     """Standard deviation of s, between soils [deg]."""
     leg_sd_deg: float = Field(2.0, ge=0)
     """Standard deviation of l, between legs in one soil [deg]."""
+    offset_sd_deg: float = Field(0.0, ge=0)
+    """Standard error of the offset [deg]."""
     shift_deg: float = 0.0
     """Mean shift of the leg angle of training records [deg]."""
     strength: float = 0.0
@@ -65,6 +69,8 @@ class ModelError(Strict):
     """Mean residual of Fx and Fz in real soils, over the model's peak-to-peak [-], [2, theta]."""
     training: tuple[str, ...] = ()
     """Records that this was learnt from."""
+    without: dict[str, ModelError] = Field(default_factory=dict)
+    """The same learnt without a medium that is shipped, such as ``li2013:yuma``."""
 
     def offset_at(self, phi_deg: FloatArray | float) -> FloatArray | float:
         """Mean of φ_read − ψ at angles ψ [deg]."""
@@ -78,9 +84,18 @@ class ModelError(Strict):
         return np.asarray(spans[:, None] * np.array(rows))
 
 
-def model_error(library: Library, leg: str) -> ModelError:
-    """Model error of a leg; wide defaults if the library has none."""
-    return ModelError.model_validate(library.model_error.get(leg, {}))
+def model_error(library: Library, leg: str, media: Iterable[str] = ()) -> ModelError:
+    """Model error of a leg; wide defaults if the library has none.
+
+    Parameters
+    ----------
+    library, leg
+        Where, and of which leg.
+    media
+        Shipped media that it must not be learnt from; the first of them counts.
+    """
+    found = ModelError.model_validate(library.model_error.get(leg, {}))
+    return next((found.without[medium] for medium in media if medium in found.without), found)
 
 
 class CalibrationSoil(Strict):
@@ -133,6 +148,7 @@ class Calibration(Strict):
     def common(self, error: ModelError, leg: str) -> tuple[float, float]:
         """Mean and standard deviation of b, given the calibration soils [deg]."""
         of_rig = float(np.mean([soil.rig_sd_deg**2 for soil in self.soils]))
+        of_rig += error.offset_sd_deg**2
         shared = self.has(leg)
         wide = error.common_sd_deg**2 + (of_rig if shared else 0.0)
         precision, total = 1.0 / max(wide, 1e-12), 0.0

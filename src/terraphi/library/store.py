@@ -31,6 +31,8 @@ PHI = "soil.friction_angle_deg"
 """Dotted scenario key of the friction angle."""
 ORDER = ("sand3d", "rft3d", "paper", "paper-code")
 """Shipped libraries, the most useful first."""
+ARM_DEG = 2.0
+"""Width over which lever arms are smoothed [deg]."""
 THETA_DEG = np.arange(-90.0, 91.0)
 """Leg angles [deg] of the curves that inference uses: means over 1° about whole degrees."""
 
@@ -59,6 +61,8 @@ class Curves(NamedTuple):
     """(Fx, Fz) [N], shape [case, 2, theta]."""
     scenario: Scenario
     """Scenario of the first case: density, yield criterion and all that is not varied."""
+    arm: FloatArray | None = None
+    """(a, b) [m] with M = a Fx + b Fz, the moment about the hip, shape [2, theta]; or ``None``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,11 +224,12 @@ class Library:
         assert span is not None
         low, high = np.degrees(span.position[[0, -1]])
         theta = THETA_DEG[(low - 1e-9 <= THETA_DEG) & (high + 1e-9 >= THETA_DEG)]
-        force = np.stack([_one_degree_means(chosen[i].history, theta) for i in order])
+        means = [_one_degree_means(chosen[i].history, theta) for i in order]
+        force, arm = np.stack([m[:2] for m in means]), _lever_arm([m for m in means if len(m) > 2])
         if corrected and leg in self.corrections and PHI in keys:
             angles = x[order, keys.index(PHI)]
             force = force + np.stack([self.corrections[leg].at(phi) for phi in angles])
-        return Curves(keys, x[order], theta, force, first)
+        return Curves(keys, x[order], theta, force, first, arm)
 
     # -- files -----------------------------------------------------------------------------------
 
@@ -376,10 +381,29 @@ def _alike(one: ForceHistory, other: ForceHistory) -> bool:
 
 
 def _one_degree_means(history: ForceHistory | None, theta_deg: FloatArray) -> FloatArray:
-    """Mean (Fx, Fz) over 1° about leg angles [N], shape [2, theta]."""
+    """Mean (Fx, Fz) over 1° about leg angles [N], and M [N m] if known, shape [2 or 3, theta]."""
     assert history is not None
-    columns = [history.axes.index("x"), history.axes.index("z")]
-    return history.means(np.radians(theta_deg), np.radians(0.5))[:, columns].T
+    values = np.stack([history.Fx, history.Fz], axis=1)
+    if history.moment is not None:
+        values = np.column_stack([values, history.moment])
+    return history.means(np.radians(theta_deg), np.radians(0.5), values=values).T
+
+
+def _lever_arm(curves: list[FloatArray]) -> FloatArray | None:
+    """(a, b) with M = a Fx + b Fz, from curves of (Fx, Fz, M) [3, theta], shape [2, theta].
+
+    Where on the leg the soil presses depends little on φ: the moment of `sand3d` is met within 1 %
+    of its range. Each angle has its own least squares, over the curves at neighbouring angles, all
+    of the same weight.
+    """
+    if not curves:
+        return None
+    each = np.stack([curve / np.sqrt(np.square(curve[:2]).mean()) for curve in curves])
+    steps = np.arange(each.shape[2])
+    near = np.exp(-0.5 * np.square((steps[:, None] - steps) / ARM_DEG))
+    normal = np.einsum("cit,cjt,st->sij", each[:, :2], each, near)
+    ridge = 1e-6 * np.trace(normal[:, :, :2], axis1=1, axis2=2).max() * np.eye(2)
+    return np.linalg.solve(normal[:, :, :2] + ridge, normal[:, :, 2:])[:, :, 0].T
 
 
 def _varied(cases: list[Case]) -> tuple[str, ...]:

@@ -30,17 +30,22 @@ CONVENTIONS = {
     "rft3d": "angle of 3-D resistive force theory",
 }
 LEGS = {"straight": "straight leg", "c": "C leg", "reversed_c": "reversed C leg"}
-ADVICE = {
-    "model on real grains": "More readings will not narrow it; a soil of known angle will.",
-    "density": "A measured density (--density) will narrow it.",
-    "noise": "More readings will narrow it.",
-    "missing angles": "A record of the whole stroke will narrow it.",
+ACTIONS = {
+    "soils of known angle in the same apparatus (terraphi calibrate)": (
+        *("model: apparatus", "hip height", "leg friction"),
+    ),
+    "a measured density (--density VALUE±SD)": ("density",),
+    "a record with another leg": ("model: leg",),
+    "a record of the whole stroke": ("missing angles",),
+    "both forces": ("missing forces",),
+    "more readings": ("noise", "zero of θ"),
+    "a library with more cases": ("emulator",),
 }
-"""What narrows the interval, by its largest term."""
+"""What narrows the interval, and which terms it removes."""
 COLUMNS = (
     *("source", "leg", "phi_deg", "sd_deg", "ci68_low_deg", "ci68_high_deg", "ci95_low_deg"),
     *("ci95_high_deg", "yield", "phi_plane_strain_deg", "verdict", "reason", "nrmsd_Fx"),
-    *("nrmsd_Fz", "density_kg_m3", "density_assumed", "library", "warnings"),
+    *("nrmsd_Fz", "nrmsd_M", "density_kg_m3", "density_assumed", "library", "warnings"),
 )
 
 
@@ -52,7 +57,7 @@ def headline(answer: Answer) -> str:
     lines = [
         f"{source} · {legs} · {answer.density_kg_m3:g} kg/m³{assumed} · library {answer.library}"
     ]
-    if PHI in answer.parameters:
+    if PHI in answer.parameters and answer.verdict != "out_of_range":
         which = CONVENTIONS.get(answer.convention, answer.convention)
         if answer.convention == "plane_strain" and not all(r.simulated for r in answer.records):
             which += ": critical of loose soil, between critical and peak of dense"
@@ -74,7 +79,8 @@ def in_words(answer: Answer) -> list[str]:
     other = answer.second_opinion
     if other is not None:
         where = "" if answer.convention == "plane_strain" else " in plane strain"
-        lines.append(f"  Second opinion: {other['library']} {other['median']:.0f}°{where}.")
+        size = f"; size of the forces alone {other['force_size_deg']:.0f}°"
+        lines.append(f"  Second opinion: {other['library']} {other['median']:.0f}°{where}{size}.")
     return lines + [f"  Warning: {sentence}" for sentence in answer.questions]
 
 
@@ -84,7 +90,7 @@ def print_answer(answer: Answer, *, verbose: bool = False) -> None:
     more = len(lines) - MOST_LINES
     if more > 0 and not verbose:
         lines = [*lines[: MOST_LINES - 1], f"  {more + 1} more warnings: -v prints them."]
-    bold = 1 if PHI in answer.parameters else 0
+    bold = 1 if len(headline(answer).splitlines()) > 1 else 0
     for i, line in enumerate(lines):
         click.secho(line, bold=i == bold)
     if verbose:
@@ -110,7 +116,8 @@ def tables(answer: Answer) -> list[Table]:
     records = [
         (
             one.source, one.leg, str(one.n_readings), str(one.n_left_out),
-            f"{one.nrmsd['Fx']:.1%}", f"{one.nrmsd['Fz']:.1%}", f"{one.shift_deg:+.1f}°",
+            ", ".join(f"{name} {size:.1%}" for name, size in one.nrmsd.items()),
+            f"{one.shift_deg:+.1f}°",
         )
         for one in answer.records
     ]  # fmt: skip
@@ -119,7 +126,7 @@ def tables(answer: Answer) -> list[Table]:
         Table("Standard deviation of φ by term", ("term", "[deg]"), terms),
         Table(
             "Records",
-            ("source", "leg", "readings", "left out", "residual Fx", "residual Fz", "shift of θ"),
+            ("source", "leg", "readings", "left out", "residuals", "shift of θ"),
             records,
             "Residuals: root mean square over the range of the force. A positive shift: the forces "
             "come later than the model's.",
@@ -134,9 +141,21 @@ def _terms(answer: Answer) -> str:
     for name, sd in answer.budget_deg.items():
         squares["model on real grains" if name.startswith("model") else name] += sd**2  # type: ignore[assignment]
     terms = {name: math.sqrt(square) for name, square in squares.most_common()}
-    (largest, most), digits = next(iter(terms.items())), 1 if max(terms.values()) > 0.3 else 3
+    most = max(terms.values())
+    digits = 1 if most > 0.3 else 3
     named = [f"{n} {sd:.{digits}f}°" for n, sd in terms.items() if sd >= LEAST_SHARE * most]
-    return f"{', '.join(named)}. {ADVICE.get(largest, '')}".rstrip()
+    return f"{', '.join(named)}. {_advice(answer, digits)}"
+
+
+def _advice(answer: Answer, digits: int) -> str:
+    """What narrows the interval most, and to what at best."""
+    budget = answer.budget_deg
+    left = {
+        action: math.sqrt(sum(sd**2 for name, sd in budget.items() if name not in removed))
+        for action, removed in ACTIONS.items()
+    }
+    action = min(left, key=lambda one: left[one])
+    return f"To ± {left[action]:.{digits}f}° at best: {action}."
 
 
 def _rounded(one: Estimate) -> tuple[str, str, str, str]:
@@ -231,8 +250,7 @@ def row(source: str, answer: Answer) -> dict[str, Any]:
         "phi_plane_strain_deg": "" if plane is None else f"{plane.median:.6g}",
         "verdict": answer.verdict,
         "reason": answer.reason,
-        "nrmsd_Fx": f"{answer.nrmsd['Fx']:.4f}",
-        "nrmsd_Fz": f"{answer.nrmsd['Fz']:.4f}",
+        **{f"nrmsd_{name}": f"{size:.4f}" for name, size in answer.nrmsd.items()},
         "density_kg_m3": f"{answer.density_kg_m3:g}",
         "density_assumed": answer.density_assumed,
         "library": answer.library,
