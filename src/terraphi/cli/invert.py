@@ -104,9 +104,7 @@ def tabulate(
     failed = [str(one) for one in found if isinstance(one, InputError)]
     if failed and len(failed) == len(rows):
         raise InputError(failed[0])
-    sources = [str(row["forces"]) for row in rows]
-    notes = [row.get("notes", {}) for row in rows]
-    cells, counts = write_table(sources, found, table, notes)
+    cells, counts = write_table(rows, found, table)
     if as_json:
         shown = {"rows": cells} if table is None else {"table": str(table)}
         print_json({**shown, "records": len(rows), "verdicts": counts})
@@ -119,7 +117,7 @@ def tabulate(
         assumed = sum(isinstance(one, Answer) and one.density_assumed for one in found)
         guess = f"; the density of {assumed} is assumed" if assumed else ""
         click.echo(f"{len(rows)} records: {verdicts}{guess}")
-        copied = dict.fromkeys(name for note in notes for name in note)
+        copied = dict.fromkeys(name for one in rows for name in one.get("notes", {}))
         if copied:
             click.echo(f"Columns copied, and not used: {', '.join(copied)}")
         if table is not None:

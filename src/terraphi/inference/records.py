@@ -280,12 +280,16 @@ def record_of(
         try:
             mean, sd = number_with_sd(str(density))
         except ValueError:
-            raise InputError(f"density = '{density}'; give kg/m³ as 1600 or 1600±80") from None
+            raise InputError(
+                f"{known.name}: density = '{density}'; give kg/m³ as 1600 or 1600±80"
+            ) from None
         assumed = False
     if mean is not None and not 100.0 <= mean <= 10_000.0:
-        raise InputError(f"density = {mean:g} kg/m³; 100 to 10000 kg/m³ are accepted")
+        raise InputError(f"{known.name}: density = {mean:g} kg/m³; 100 to 10000 kg/m³ are accepted")
     if mean is not None and sd is not None and not 0.0 <= sd < mean:
-        raise InputError(f"density = {density}: a standard deviation of 0 to {mean:g} is accepted")
+        raise InputError(
+            f"{known.name}: density = {density}; a standard deviation of 0 to {mean:g} is accepted"
+        )
     if made_by is not None and density is None:
         sd = 0.0
     if mean is not None and sd is None:

@@ -177,47 +177,47 @@ def check_table(path: Path) -> None:
 
 
 def write_table(
-    sources: Sequence[str],
-    found: Sequence[Answer | InputError],
-    path: Path | None,
-    notes: Sequence[dict[str, str]],
+    rows: Sequence[dict[str, Any]], found: Sequence[Answer | InputError], path: Path | None
 ) -> tuple[list[dict[str, Any]], dict[str, int]]:
     """Write a row for each record as CSV, if there is a path.
 
     Parameters
     ----------
-    sources, found
-        Of each record.
+    rows, found
+        Options of each record, with ``notes`` that are copied, and its answer.
     path
         The file.
-    notes
-        More columns for each record.
 
     Returns
     -------
     list of dict
-        The rows.
+        The rows that were written.
     dict
         Number of records by verdict.
     """
     from terraphi.experiment.files import replacing
 
-    rows = [
-        {"source": source, "verdict": "failed", "reason": str(one), **note}
-        if isinstance(one, InputError)
-        else row(source, one) | note
-        for source, one, note in zip(sources, found, notes, strict=True)
+    written = [
+        (_failed(given, one) if isinstance(one, InputError) else row(str(given["forces"]), one))
+        | given.get("notes", {})
+        for given, one in zip(rows, found, strict=True)
     ]
     if path is not None:
-        names = dict.fromkeys([*COLUMNS, *(name for note in notes for name in note)])
+        names = dict.fromkeys([*COLUMNS, *(name for one in written for name in one)])
         with (
             replacing(path) as temporary,
             temporary.open("w", newline="", encoding="utf-8") as stream,
         ):
             writer = csv.DictWriter(stream, list(names))
             writer.writeheader()
-            writer.writerows(rows)
-    return rows, dict(Counter(str(one["verdict"]).replace("_", " ") for one in rows))
+            writer.writerows(written)
+    return written, dict(Counter(str(one["verdict"]).replace("_", " ") for one in written))
+
+
+def _failed(given: dict[str, Any], error: InputError) -> dict[str, Any]:
+    """A record that could not be used, by column."""
+    known = {"leg": given.get("leg", ""), "density_kg_m3": given.get("density", "")}
+    return {"source": str(given["forces"]), "verdict": "failed", "reason": str(error), **known}
 
 
 def table_of_answers(rows: Sequence[dict[str, Any]]) -> Table:
