@@ -67,7 +67,7 @@ def answers(library: Library, every: list[model_error.Reading]) -> list[dict[str
     return rows
 
 
-EXACT = ("hip height", "leg friction", "density", "model: apparatus")
+EXACT = ("hip height", "leg friction", "density", "gain", "model: apparatus")
 """Terms of an interval that simulated grains do not have: their apparatus is known exactly."""
 
 

@@ -78,6 +78,18 @@ def test_units_density_and_thinning_leave_the_angle(name: str) -> None:
     assert sparse.phi.median == pytest.approx(plain.phi.median, abs=0.3)
 
 
+def test_the_gain_of_a_sensor_is_taken_off_and_counted() -> None:
+    """An error of it is worth what one of the density is."""
+    known = measurement("li2013:poppy_loose/straight")
+    options = {"leg": "straight", "density": "638±0"}
+    plain = invert(known.history, gain="1±0.05", **options)
+    louder = invert(known.history.scaled(1.2), gain="1.2±0.06", **options)
+    assert louder.phi.median == pytest.approx(plain.phi.median, abs=1e-9)
+    assert louder.phi.sd == pytest.approx(plain.phi.sd, rel=1e-9)
+    dense = invert(known.history, gain="1±0", leg="straight", density="638±31.9")
+    assert plain.budget_deg["gain"] == pytest.approx(dense.budget_deg["density"], rel=1e-9)
+
+
 def turned(history: ForceHistory, fx: float, fz: float) -> ForceHistory:
     return replace(history, force=history.force * np.array([fx, fz]), provenance={})
 

@@ -14,6 +14,7 @@ from terraphi.cli.options import (
     WithSd,
     columns_option,
     density_option,
+    gain_option,
     json_option,
     leg_option,
     library_option,
@@ -32,6 +33,7 @@ SOME_FAILED = 1
 @leg_option
 @density_option
 @columns_option
+@gain_option
 @library_option
 @click.option("--noise", type=Float(), help="Noise of a reading [N].  [default: estimated]")
 @click.option("--calibration", type=PATH, help="File of 'terraphi calibrate'.")
@@ -134,6 +136,7 @@ def tabulate(
 @leg_option
 @density_option
 @columns_option
+@gain_option
 @library_option
 @click.option("--out", type=PATH, required=True, help="TOML file for 'invert --calibration'.")
 @json_option

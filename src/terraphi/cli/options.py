@@ -102,6 +102,12 @@ columns_option = click.option(
     metavar="FILE|KEY=VALUE",
     help="Columns, units, signs of FORCES ('terraphi keys forces').  [default: guessed]",
 )
+gain_option = click.option(
+    "--gain",
+    type=WithSd(),
+    metavar="GAIN[±SD]",
+    help="Gain of the sensor.  [default: 1±0.02]",
+)
 library_option = click.option(
     "--library",
     metavar="NAME|FILE",

@@ -203,16 +203,24 @@ class ForceHistory:
         ValueError
             If a window lies wholly outside the record.
         """
-        from scipy.interpolate import make_interp_spline
-
         x = self.position
         low = np.maximum(centre - half_width, x[0])
         high = np.minimum(centre + half_width, x[-1])
         if np.any(high <= low):
             raise ValueError("a window lies outside the recorded range")
-        values = self.force if values is None else values
-        integral = make_interp_spline(x, values, k=1).antiderivative()
-        return np.asarray(((integral(high) - integral(low)).T / (high - low)).T)
+        values = (self.force if values is None else values).T
+        steps = np.diff(x)
+        passed = np.cumsum(0.5 * (values[..., 1:] + values[..., :-1]) * steps, axis=-1)
+        passed = np.concatenate([np.zeros_like(values[..., :1]), passed], axis=-1)
+
+        def integral(end: FloatArray) -> FloatArray:
+            """Integral of the piecewise linear values from the first position."""
+            i = np.clip(np.searchsorted(x, end, side="right") - 1, 0, len(x) - 2)
+            part = end - x[i]
+            slope = (values[..., i + 1] - values[..., i]) / steps[i]
+            return np.asarray(passed[..., i] + part * (values[..., i] + 0.5 * part * slope))
+
+        return np.asarray(((integral(high) - integral(low)) / (high - low)).T)
 
     def observation(self, *, angles: int = OBSERVATION_ANGLES) -> Observation:
         """Observation vector of the paper: M means over |θ| ≤ window.

@@ -64,6 +64,7 @@ def invert(
     columns: Any = None,
     library: Library | Path | str | None = None,
     noise: float | tuple[float, float] | None = None,
+    gain: float | str | None = None,
     calibration: Calibration | Path | str | None = None,
     simulated: bool | None = None,
     seed: int = 0,
@@ -89,6 +90,8 @@ def invert(
     noise
         Standard deviation of one reading [N], of both forces or of each; ``None``: from the
         readings' roughness.
+    gain
+        What the sensor reads over the true force [-], as ``"1.05±0.01"``; ``None``: 1 ± 2 %.
     calibration
         Soils of known friction angle in the same apparatus, or their file.
     simulated
@@ -118,7 +121,8 @@ def invert(
     with threadpool_limits(limits=1, user_api="blas"):
         return _invert(
             forces, library, calibration, seed, began,
-            leg=leg, density=density, columns=columns, noise=noise, simulated=simulated,
+            leg=leg, density=density, columns=columns, noise=noise, gain=gain,
+            simulated=simulated,
         )  # fmt: skip
 
 

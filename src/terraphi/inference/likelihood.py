@@ -19,7 +19,8 @@ cells, speed-up           of the correction to small cells and a slow motion, un
                           learnt from soils of known angle, which includes it
 leg friction, hip height  a standard deviation of each, times how the curves change with it
 zero of θ                 that of a shift: 15°/√3 times dg/dδ
-density                   relative standard deviation times g, to which forces are proportional
+density, gain             relative standard deviation of the density, and of the gain of the sensor,
+                          times g
 model: apparatus, soil    what looks like another angle: b² and s² times (∂g/∂φ)(∂g/∂φ)' (``soils``)
 model: leg                the same of each leg by itself, l²
 missing angles            where a record has a part of the stroke (``partial``)
@@ -78,7 +79,7 @@ FAR_OFF = 3.0
 """Factor between data and best curve at which no angle fits [-]."""
 NUMERICAL = ("cells", "speed-up")
 """Causes of corrections that a learnt offset includes."""
-OF_RIG = ("leg friction", "hip height")
+OF_RIG = ("leg friction", "hip height", "gain")
 """Causes that stay as they are in an apparatus."""
 STEP = 1e-3
 """Step of numerical derivatives, of a parameter's range [-]."""
@@ -377,6 +378,12 @@ class Likelihood:
                 other = self.disagreement_deg * slope[:, self._phi]
                 found["second opinion"] = np.outer(other, other)
         found["density"] = np.outer(*[self._density_error * curve] * 2)
+        gain = np.concatenate([
+            np.full(r.data.size, 0.0 if self._calibrated(r.leg) else r.gain_sd)
+            for r in self.records
+        ])  # fmt: skip
+        if gain.any():
+            found["gain"] = np.outer(*[gain * curve] * 2)
         found["zero of θ"] = SHIFT_DEG**2 / 3.0 * of_shift @ of_shift.T
         return {**found, "shape": shape}
 
@@ -397,6 +404,10 @@ class Likelihood:
             for r in self.records
         ]
         return np.repeat(of_records, [r.data.size for r in self.records])
+
+    def _calibrated(self, leg: str) -> bool:
+        """Whether a soil of known angle was read with this leg, whose rig is then known with b."""
+        return self.calibration is not None and self.calibration.has(leg)
 
     def _blocks(self, blocks: Sequence[FloatArray]) -> FloatArray:
         """Block-diagonal covariance of records whose errors are independent."""
@@ -431,7 +442,7 @@ class Likelihood:
             for cause, mode in modes.items():
                 if self.errors[leg].training and cause in NUMERICAL:
                     continue  # included in the offset, which was learned from soils of known angle
-                if self.calibration and self.calibration.has(leg) and cause in OF_RIG:
+                if self._calibrated(leg) and cause in OF_RIG:
                     continue  # included in what the calibration determines of the apparatus
                 on = correction.theta_deg if correction else emulator.curves.theta_deg
                 at = np.searchsorted(on, emulator.curves.theta_deg)
@@ -450,8 +461,8 @@ class Likelihood:
                 left = self.calibration.common(error, record.leg)[1]
             common[part] = slope[part] * left
             of_soil[part] = slope[part] * error.soil_sd_deg
-            calibrated = self.calibration is not None and self.calibration.has(record.leg)
-            own = math.hypot(error.leg_sd_deg, 0.0 if calibrated else error.offset_sd_deg)
+            offset_sd = 0.0 if self._calibrated(record.leg) else error.offset_sd_deg
+            own = math.hypot(error.leg_sd_deg, offset_sd)
             of_legs[record.leg][part] = slope[part] * own
         return {
             "model: apparatus": np.outer(common, common),

@@ -15,7 +15,7 @@ from terraphi.inference.answer import Answer
 from terraphi.inference.inversion import invert_many
 from terraphi.library.build import workers
 
-OPTIONS = ("leg", "density", "columns", "library", "noise", "calibration")
+OPTIONS = ("leg", "density", "columns", "library", "noise", "gain", "calibration")
 """Columns that are options of ``invert``, besides ``file``."""
 LEAST_ROWS = 8
 """Records from which several processes are worth their start."""
@@ -71,7 +71,7 @@ def _row(folder: Path, cells: dict[str, str]) -> dict[str, Any]:
         return str(folder / text) if (folder / text).is_file() else text
 
     given: dict[str, Any] = {key: placed(cells[key]) for key in OPTIONS if cells.get(key)}
-    for key in {"density", "noise"} & given.keys():
+    for key in {"density", "noise", "gain"} & given.keys():
         given[key] = given[key].replace(",", ".")  # as in 638,5
     if "noise" in given:
         try:

@@ -42,6 +42,8 @@ MOST_READINGS = 4000
 """Readings above which a record is averaged in bins of 0.05°, or wider."""
 DENSITY_SD = 0.05
 """Relative standard deviation of a density that comes without one."""
+GAIN_SD = 0.02
+"""Standard deviation of a sensor's gain of which nothing is said [-]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +73,8 @@ class Record:
         Whether it is too damaged for any answer to be believed.
     noise
         Standard deviation of a reading of each channel [N], of a moment [N m].
+    gain_sd
+        Relative standard deviation of the sensor's gain [-].
     """
 
     source: str
@@ -87,6 +91,7 @@ class Record:
     notes: tuple[str, ...] = ()
     damaged: bool = False
     noise: tuple[float, ...] = (0.0, 0.0)
+    gain_sd: float = 0.0
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -246,6 +251,7 @@ def record_of(
     leg: str | None = None,
     density: float | str | None = None,
     noise: float | tuple[float, float] | None = None,
+    gain: float | str | None = None,
     simulated: bool | None = None,
 ) -> Record:
     """The record of a measurement.
@@ -262,9 +268,10 @@ def record_of(
     noise
         Standard deviation of a reading [N], of both forces or of each; ``None``: from the readings'
         roughness.
+    gain
+        What the sensor reads over the true force [-], as ``"1.05±0.01"``; ``None``: 1 ± 2 %.
     simulated
-        Whether the forces are a simulation's; ``None``: from
-        their file.
+        Whether the forces are a simulation's; ``None``: from their file.
 
     Raises
     ------
@@ -294,6 +301,9 @@ def record_of(
         sd = 0.0
     if mean is not None and sd is None:
         sd = DENSITY_SD * mean
+    factor, gain_sd = _gain(gain, known.name)
+    if factor != 1.0:
+        history = history.scaled(1.0 / factor)
     sensor = _noise(history)
     if noise is not None:
         given = noise if isinstance(noise, tuple) else (float(noise), float(noise))
@@ -320,7 +330,22 @@ def record_of(
         measurement=str(history.provenance.get("measurement", "")),
         notes=tuple(history.provenance.get("reading", ())),
         noise=sensor,
+        gain_sd=gain_sd,
     )
+
+
+def _gain(gain: float | str | None, name: str) -> tuple[float, float]:
+    """Gain of a sensor and its relative standard deviation [-]."""
+    if gain is None:
+        return 1.0, GAIN_SD
+    try:
+        factor, sd = number_with_sd(str(gain))
+    except ValueError:
+        raise InputError(f"{name}: gain = '{gain}'; give it as 1.05 or 1.05±0.01") from None
+    sd = GAIN_SD * factor if sd is None else sd
+    if not (0.1 <= factor <= 10.0 and 0.0 <= sd < factor):
+        raise InputError(f"{name}: gain = {gain}; 0.1 to 10 with a smaller ± are accepted")
+    return factor, sd / factor
 
 
 def _measurements(forces: Any, columns: Any) -> list[Measurement]:

@@ -32,7 +32,7 @@ CONVENTIONS = {
 LEGS = {"straight": "straight leg", "c": "C leg", "reversed_c": "reversed C leg"}
 ACTIONS = {
     "soils of known angle in the same apparatus (terraphi calibrate)": (
-        *("model: apparatus", "hip height", "leg friction"),
+        *("model: apparatus", "hip height", "leg friction", "gain"),
     ),
     "a measured density (--density VALUE±SD)": ("density",),
     "a record with another leg": ("model: leg",),
