@@ -107,8 +107,13 @@ C4, C5, C6 = (_F(c) for c in (-0.0265382503, 0.0106230692, -0.00214345224))
 
 
 def laws_of(material: Material) -> Material:
-    """Constants of a material in single precision."""
-    return Material._make(np.float32(value) for value in material)
+    """Constants of a material in single precision.
+
+    The first of the yield surfaces is ``None``, another type, so that the compiler makes a kernel
+    for each: lanes cannot branch, and would compute both.
+    """
+    laws = Material._make(np.float32(value) for value in material)
+    return laws if material.surface else laws._replace(surface=None)
 
 
 class FastStrain:
@@ -447,16 +452,12 @@ def return_stress(trial: Six, strain: Any, laws: Material) -> tuple[Six, Any, An
     # Equal principal stresses have no gap: a tiny one keeps the quotients below finite.
     high, low = high if high > SMALL else SMALL, low if low > SMALL else SMALL
     sin_phi, sin_psi = softened(strain, laws)
-    # Lanes cannot branch: every surface is computed, and one is chosen.
     seen = Trial(mean, radius, cosine, high, low)
-    new, new_high, new_low, swelling = mohr_coulomb(seen, sin_phi, sin_psi, laws)
-    smooth_mean, smooth_high, smooth_low, smooth_swelling = matsuoka_nakai(
-        seen, sin_phi, sin_psi, laws
-    )
-    smooth = laws.surface > HALF
-    new, swelling = smooth_mean if smooth else new, smooth_swelling if smooth else swelling
-    slope_high = (smooth_high if smooth else new_high) / high
-    slope_low = (smooth_low if smooth else new_low) / low
+    if laws.surface is None:
+        new, new_high, new_low, swelling = mohr_coulomb(seen, sin_phi, sin_psi, laws)
+    else:
+        new, new_high, new_low, swelling = matsuoka_nakai(seen, sin_phi, sin_psi, laws)
+    slope_high, slope_low = new_high / high, new_low / low
     # New principal values as a polynomial of the old, as in plasticity.
     bend = (slope_high - slope_low) / (high + low)
     slope = slope_high + bend * last

@@ -93,8 +93,8 @@ class Material(NamedTuple):
     """Mean stress at the tip of the surface, c cot φ [Pa]."""
     per_slip: float
     """1 / (2 G) [1/Pa]."""
-    surface: int
-    """Which of :data:`SURFACES`."""
+    surface: Any
+    """Which of :data:`SURFACES`, as a number."""
 
     @property
     def swells(self) -> bool:
