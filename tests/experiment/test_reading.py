@@ -121,6 +121,12 @@ def header_with_line_breaks() -> Export:
 
 
 @export
+def angle_known_by_its_unit() -> Export:
+    table = pd.DataFrame({"t": np.arange(N), "Motor Position (rad)": np.radians(THETA)})
+    return text(table.assign(**{"Force horizontale (N)": FX, "fuerza_z": FZ})), {}
+
+
+@export
 def no_header() -> Export:
     columns = {"theta": "column 1", "fx": "column 2", "fz": "column 3"}
     return text(frame(), header=False, sep=" "), columns

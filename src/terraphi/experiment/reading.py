@@ -44,12 +44,12 @@ ROLES = ("theta", "fx", "fz")
 NO_FORCE = r"#|row|nr|no|index|sample|test|comment|temp\w*"
 """Names of columns that are none of a force, where only a moment was found."""
 _NAMES = {
-    "theta": r"theta|θ|angle|winkel|(leg|motor|hip|joint|bein|dreh|encoder)(angle|winkel|theta|pos)"
-    r"|(angle|theta)(leg|motor|hip|joint)|rotation|ang|angular ?position",
-    "fx": r"fx|(force|load|kraft)x|x(force|load|kraft)|(thrust|horizontal)(force)?|fhor\w*|"
-    r"(horizontalkraft|vortrieb)",
-    "fz": r"fz|(force|load|kraft)z|z(force|load|kraft)|(lift|vertical)(force)?|fver\w*|"
-    r"(vertikalkraft|auftrieb)",
+    "theta": r"theta|θ|angle|winkel|[aá]ngulo|"
+    r"(leg|motor|hip|joint|bein|dreh|encoder)(angle|winkel|theta|pos)|(angle|theta)(leg|motor|hip|joint)|rotation|ang|angular ?position",
+    "fx": r"fx|(force|load|kraft|fuerza)x|x(force|load|kraft)|(thrust|horizontal)(force)?|fhor\w*|"
+    r"horizontalkraft|vortrieb|f(orce|uerza)horizontale?",
+    "fz": r"fz|(force|load|kraft|fuerza)z|z(force|load|kraft)|(lift|vertical)(force)?|fver\w*|"
+    r"vertikalkraft|auftrieb|f(orce|uerza)verticale?",
     "time": r"t|time|zeit|timestamp|elapsed(time)?|(time|zeit)s?",
     "moment": r"m|my|moment|torque|(hip|joint|motor)(moment|torque)|drehmoment|ty|moment[yh]",
 }
@@ -318,7 +318,13 @@ class _Reading:
             return [n for n, text in plain.items() if match(pattern, text) and n not in taken]
 
         found = fitting(_NAMES[role], whole=True)
-        return found or (fitting(_LOOSE[role], whole=False) if role in _LOOSE else [])
+        found = found or (fitting(_LOOSE[role], whole=False) if role in _LOOSE else [])
+        if role == "theta" and not found:  # the one whose unit is that of an angle
+            units = {
+                n: unit_named(self.table.units.get(n) or self.parts[n][1] or "") for n in plain
+            }
+            found = [n for n, unit in units.items() if unit in KINDS["angle"] and n not in taken]
+        return found
 
     def _ask(self, lacking: list[str], timed: bool) -> None:
         """Complain about roles without a column."""
@@ -328,7 +334,7 @@ class _Reading:
         names = header if unnamed else ["NAME"] * len(lacking)
         pairs = ",".join(f"{role}={name}" for role, name in zip(lacking, names, strict=False))
         more = ", or rate_deg_s=RATE for a time" if "theta" in lacking and not timed else ""
-        if "moment" in self.names:
+        if "moment" in self.names and {"fx", "fz"} & {*lacking}:
             more += f", or 'moment={self.names['moment']}' to do without a force"
         self.wrong.append(
             f"no column of {', '.join(_WORDS[role] for role in lacking)} among {listed}; add "

@@ -354,8 +354,8 @@ def _other_arm(likelihood: Likelihood, record: Record) -> Iterator[str]:
     factor = moment_factor(record, likelihood.emulators[record.leg].curves, likelihood.shift_deg[i])
     if factor is not None and abs(np.log(max(factor, 1e-3))) > np.log(OTHER_ARM):
         yield (
-            f"The moment is {factor:.2g} times that of the forces on this leg: check the length of "
-            "the leg and the units."
+            f"The moment is {factor:.2g} times that of the forces about the hip: check the length "
+            "of the leg, the units, and about which axis the moment is."
         )
 
 
