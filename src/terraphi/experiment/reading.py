@@ -45,7 +45,8 @@ NO_FORCE = r"#|row|nr|no|index|sample|test|comment|temp\w*"
 """Names of columns that are none of a force, where only a moment was found."""
 _NAMES = {
     "theta": r"theta|θ|angle|winkel|[aá]ngulo|"
-    r"(leg|motor|hip|joint|bein|dreh|encoder)(angle|winkel|theta|pos)|(angle|theta)(leg|motor|hip|joint)|rotation|ang|angular ?position",
+    r"(leg|motor|hip|joint|bein|dreh|encoder)(angle|winkel|theta|pos)|"
+    r"(angle|theta)(leg|motor|hip|joint)|rotation|ang|angular ?position",
     "fx": r"fx|(force|load|kraft|fuerza)x|x(force|load|kraft)|(thrust|horizontal)(force)?|fhor\w*|"
     r"horizontalkraft|vortrieb|f(orce|uerza)horizontale?",
     "fz": r"fz|(force|load|kraft|fuerza)z|z(force|load|kraft)|(lift|vertical)(force)?|fver\w*|"
