@@ -178,6 +178,94 @@ def bearing_capacity(
     return np.stack([np.zeros_like(lift), lift], axis=-1)
 
 
+def wrench(
+    points: ArrayLike,
+    normals: ArrayLike,
+    areas: ArrayLike,
+    velocities: ArrayLike,
+    *,
+    friction_angle_deg: float,
+    density: float,
+    surface_friction: float,
+    surface: float = 0.0,
+    about: ArrayLike = (0.0, 0.0, 0.0),
+    rest_speed: float = 0.01,
+) -> tuple[FloatArray, FloatArray]:
+    """Force and moment of soil on many feet, by three-dimensional resistive force theory.
+
+    For simulators: the faces of a mesh that lead and are submerged feel a stress in proportion to
+    their depth, whatever the speed. Below ``rest_speed`` it falls with the speed to zero, since the
+    law says nothing of a foot at rest. So a resting foot creeps, and an explicit step of a mass m
+    under a force F is stable up to 2 m ``rest_speed`` / F.
+
+    Parameters
+    ----------
+    points
+        Centres of the faces [m], shape [..., face, 3]; z is up.
+    normals
+        Outward unit normals [-], shape [..., face, 3] or [face, 3].
+    areas
+        Of the faces [m²], shape [face].
+    velocities
+        Of the faces [m/s], shape [..., face, 3] or what broadcasts to it, as [..., 1, 3].
+    friction_angle_deg
+        φ of resistive force theory, as ``terraphi export --to rft3d`` prints it [deg].
+    density
+        Bulk density ρ [kg/m³].
+    surface_friction
+        Coulomb coefficient between foot and soil [-].
+    surface
+        Height of the level surface [m].
+    about
+        What the moment is about [m], shape [..., 3] or [3].
+    rest_speed
+        [m/s].
+
+    Returns
+    -------
+    tuple of ndarray
+        Force [N] and moment [N m], shape [..., 3].
+
+    Examples
+    --------
+    >>> down, up = [[0.0, 0.0, -0.02]], [[0.0, 0.0, -1.0]]
+    >>> soil = {"friction_angle_deg": 30.0, "density": 1600.0, "surface_friction": 0.4}
+    >>> force, moment = wrench(down, up, [1e-3], [[0.0, 0.0, -0.1]], **soil)
+    >>> bool(force[2] > 0.0)
+    True
+    """
+    points = np.asarray(points, dtype=np.float64)
+    shape = points.shape
+
+    def flat(values: ArrayLike) -> FloatArray:
+        """Vectors of all faces of all feet, [foot face, 3]."""
+        return np.broadcast_to(np.asarray(values, dtype=np.float64), shape).reshape(-1, 3)
+
+    depth = surface - points[..., 2].ravel()
+    below = np.flatnonzero(depth > 0.0)
+    normal, velocity = flat(normals)[below], flat(velocities)[below]
+    leading = np.einsum("fi,fi->f", normal, velocity) > 0.0
+    below, normal, velocity = below[leading], normal[leading], velocity[leading]
+    speed = np.sqrt(np.square(velocity).sum(axis=1))
+    size = depth[below] * np.minimum(speed / rest_speed, 1.0)
+    size *= np.broadcast_to(np.asarray(areas, dtype=np.float64), shape[:-1]).reshape(-1)[below]
+    stress = stress_per_depth_3d(
+        normal,
+        velocity / speed[:, None],
+        friction_angle_deg=friction_angle_deg,
+        density=density,
+        surface_friction=surface_friction,
+    )
+    force = size[:, None] * stress
+    arm = points.reshape(-1, 3)[below] - flat(np.asarray(about)[..., None, :])[below]
+    (fx, fy, fz), (x, y, z) = force.T, arm.T
+    # Sums over the faces of each foot.
+    feet, foot = math.prod(shape[:-2]), below // shape[-2]
+    rows = (fx, fy, fz, y * fz - z * fy, z * fx - x * fz, x * fy - y * fx)
+    sums: FloatArray = np.array([np.bincount(foot, row, feet) for row in rows]).T
+    return sums[:, :3].reshape(*shape[:-2], 3), sums[:, 3:].reshape(*shape[:-2], 3)
+
+
 LAWS: Mapping[str, FootLaw] = {
     "rft": FootLaw("rft", resistive_force),
     **{

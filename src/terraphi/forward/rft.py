@@ -43,6 +43,8 @@ BLOCK = 512
 GRAZING = 1e-9
 """Least n·v of a face that leads [-]. The law does not fade as n·v does, so that without this
 margin rounding would decide over a face that slides along itself."""
+AT_ONCE = 4096
+"""Faces whose stress is found at a time, so that they stay in the processor's cache."""
 
 
 PLANE_COEFFICIENTS = {
@@ -317,31 +319,38 @@ def stress_per_depth_3d(
         α [N/m³], shape [face, axis]; zero where the face does not lead (n·v not positive). The
         force on a face is α × depth × area.
     """
-    # A face that looks sideways counts as looking up, as it does in the paper (n_z >= 0).
-    downward = normal * np.where(normal[:, -1:] >= 0.0, -1.0, 1.0)
-    x1, x2, x3 = -direction[:, -1], -downward[:, -1], _dot(downward, direction)
-    f1, f2, f3 = SPACE_COEFFICIENTS @ _monomials(x1, x2, x3)
-    alpha = f1[:, None] * downward + f2[:, None] * direction
-    alpha[:, -1] -= f3
-    across = _dot(alpha, normal)[:, None] * normal
-    along = alpha - across
-    limit = surface_friction * np.linalg.norm(across, axis=-1)
-    size = np.linalg.norm(along, axis=-1)
-    cut = np.where(size > limit, limit / np.where(size > 0.0, size, 1.0), 1.0)
-    leading = _dot(normal, direction) > GRAZING
-    total = (across + cut[:, None] * along) * leading[:, None]
-    return np.asarray(total * stress_scale(friction_angle_deg, density), dtype=np.float64)
+    scale = float(stress_scale(friction_angle_deg, density))
+    stress = np.empty(np.broadcast_shapes(normal.shape, direction.shape))
+    normal, direction = (
+        np.broadcast_to(normal, stress.shape),
+        np.broadcast_to(direction, stress.shape),
+    )
+    for first in range(0, len(stress), AT_ONCE):
+        some = slice(first, first + AT_ONCE)
+        n, v = normal[some].T, direction[some].T
+        along = (n * v).sum(axis=0)
+        # A face that looks sideways counts as looking up, as it does in the paper (n_z >= 0).
+        turn = np.where(n[-1] >= 0.0, -1.0, 1.0)
+        f1, f2, f3 = SPACE_COEFFICIENTS @ _monomials(-v[-1], -turn * n[-1], turn * along)
+        alpha = f1 * turn * n + f2 * v
+        alpha[-1] -= f3
+        pressure = (alpha * n).sum(axis=0)
+        across = pressure * n
+        alpha -= across
+        size = np.sqrt((alpha * alpha).sum(axis=0))
+        cut = np.minimum(1.0, surface_friction * np.abs(pressure) / np.maximum(size, 1e-300))
+        stress[some] = ((across + cut * alpha) * (scale * (along > GRAZING))).T
+    return stress
 
 
 def _monomials(x1: FloatArray, x2: FloatArray, x3: FloatArray) -> FloatArray:
     """The twenty monomials of degree three and less, in the order of the paper; [20, face]."""
-    constant = np.ones_like(x1)
+    s1, s2, s3 = x1 * x1, x2 * x2, x3 * x3
     return np.stack(
         [
-            *(constant, x1, x2, x3),
-            *(x1**2, x2**2, x3**2, x1 * x2, x2 * x3, x3 * x1),
-            *(x1**3, x2**3, x3**3),
-            *(x1 * x2**2, x2 * x1**2, x2 * x3**2, x3 * x2**2, x3 * x1**2, x1 * x3**2),
+            *(np.ones_like(x1), x1, x2, x3, s1, s2, s3, x1 * x2, x2 * x3, x3 * x1),
+            *(x1 * s1, x2 * s2, x3 * s3),
+            *(x1 * s2, x2 * s1, x2 * s3, x3 * s2, x3 * s1, x1 * s3),
             x1 * x2 * x3,
         ]
     )
