@@ -25,9 +25,10 @@ extensions = [
     "sphinx.ext.napoleon",
     "sphinx_click",
     "sphinx_copybutton",
+    "sphinx_gallery.gen_gallery",
 ]
 root_doc = "index"
-exclude_patterns = ["_build", "reference/*-keys.md"]
+exclude_patterns = ["_build", "notebooks", "reference/*-keys.md"]
 nitpicky = False
 smartquotes = False  # it would make a dash of the -- of options
 
@@ -43,6 +44,22 @@ autosummary_generate = False
 napoleon_google_docstring = False
 napoleon_use_ivar = True
 napoleon_use_rtype = True
+
+# Scripts of notebooks/ are run, and become pages and .ipynb files in auto_notebooks/.
+sphinx_gallery_conf = {
+    "examples_dirs": "notebooks",
+    "gallery_dirs": "auto_notebooks",
+    "filename_pattern": "",  # all of them
+    "abort_on_example_error": True,
+    "download_all_examples": False,
+    "inspect_global_variables": False,
+    "image_scrapers": (),  # a figure shows itself
+    "min_reported_time": 1e9,
+    "remove_config_comments": True,
+    "show_signature": False,
+    "within_subsection_order": "FileNameSortKey",
+    "write_computation_times": False,
+}
 
 # A prompt is not a part of a command, and neither is what the command prints.
 copybutton_prompt_text = "$ "

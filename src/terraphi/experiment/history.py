@@ -300,7 +300,7 @@ class ForceHistory:
         figure
             Where to draw; ``None`` makes a figure. One that has panels gets another curve in each.
         """
-        from matplotlib.figure import Figure as NewFigure
+        from terraphi.experiment.figure import Figure as NewFigure
 
         figure = figure or NewFigure(figsize=(8.0, 3.0), layout="constrained")
         panels = figure.axes or figure.subplots(1, 2)

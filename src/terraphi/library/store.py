@@ -198,7 +198,8 @@ class Library:
         from matplotlib import colormaps
         from matplotlib.cm import ScalarMappable
         from matplotlib.colors import Normalize
-        from matplotlib.figure import Figure as NewFigure
+
+        from terraphi.experiment.figure import Figure as NewFigure
 
         figure = NewFigure(figsize=(9.0, 3.0 * len(self.legs)), layout="constrained")
         rows = figure.subfigures(len(self.legs), squeeze=False)[:, 0]

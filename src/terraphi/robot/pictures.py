@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.figure import Figure
 
+from terraphi.experiment.figure import Figure
 from terraphi.robot.joint_log import FEET
 
 if TYPE_CHECKING:
