@@ -81,6 +81,7 @@ def test_results_in_memory_make_a_page(results: list[Any], tmp_path: Path) -> No
         (lambda: terraphi.Scenario.load("quick").replace(densty=1.0), "unknown key 'densty'"),
         (lambda: terraphi.Library.load(5), "library of type int"),  # type: ignore[arg-type]
         (lambda: terraphi.measurement(5), "no shipped measurement '5'"),  # type: ignore[arg-type]
+        (lambda: terraphi.read_forces(5), "table of type int"),
         (lambda: terraphi.foot_forces(5), "log of type int"),  # type: ignore[arg-type]
         (lambda: terraphi.build("rft3", "x.nc"), "did you mean 'rft3d'"),
         (lambda: terraphi.export("x", to="newtom"), "did you mean 'newton'"),

@@ -160,7 +160,7 @@ class FootfallMap:
             low, high = self.path_phi.min(), self.path_phi.max()
             lines.append(f"φ = {mean:.1f}° ± {wide:.1f}°, {low:.1f} to {high:.1f}° along the path")
         if self.notes:
-            lines.append(f"{len(self.notes)} warnings in .notes")
+            lines.append(f"warnings in .notes: {len(self.notes)}")
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:

@@ -137,7 +137,7 @@ class RobotForces:
         if self.lift is not None:
             lines.append(f"mean load of the feet: {self.lift:.3f} of the weight")
         if self.notes:
-            lines.append(f"{len(self.notes)} warnings in .notes")
+            lines.append(f"warnings in .notes: {len(self.notes)}")
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
@@ -145,7 +145,7 @@ class RobotForces:
         import pandas as pd
 
         table = pd.DataFrame({foot: one.summary() for foot, one in self.feet.items()}).T
-        return f"<pre>{html.escape(repr(self))}</pre>{table.to_html()}"
+        return f"<pre>{html.escape(repr(self))}</pre>{table.to_html(float_format='{:.3g}'.format)}"
 
 
 def foot_forces(
