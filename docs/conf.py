@@ -90,6 +90,18 @@ def plain_bars(_app: Any, _what: str, _name: str, _object: Any, _options: Any, l
     lines[:] = [s if s.startswith("    |") else bars.sub(r"\\|", s) for s in text.split("\n")]
 
 
+def one_name_each(
+    _app: Any, _what: str, _name: str, _object: Any, _options: Any, lines: Any
+) -> None:
+    """Give each of several names with one description its own, as attributes need."""
+    several = re.compile(r"^(\w+(?:, \w+)+)\n((?:    .*(?:\n|$))+)", re.MULTILINE)
+    text = several.sub(
+        lambda found: "".join(f"{name}\n{found[2]}" for name in found[1].split(", ")),
+        "\n".join(lines),
+    )
+    lines[:] = text.split("\n")
+
+
 def examples_as_code(_app: Any, _context: Any, lines: list[str]) -> None:
     """Set the example of a command's help as code."""
     lines[:] = [re.sub(r"^(\s*Example: )(.+)$", r"\1``\2``", line) for line in lines]
@@ -97,6 +109,7 @@ def examples_as_code(_app: Any, _context: Any, lines: list[str]) -> None:
 
 def setup(app: Any) -> None:
     """Connect our own functions."""
+    app.connect("autodoc-process-docstring", one_name_each, priority=100)
     app.connect("autodoc-process-docstring", plain_bars, priority=900)
     app.connect("sphinx-click-process-description", examples_as_code)
     app.connect("builder-inited", building.write_keys)
