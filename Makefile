@@ -90,7 +90,8 @@ $(DEV): pyproject.toml constraints.txt | $(BIN)/python
 	@touch $(RUN) $@
 
 clean:
-	rm -rf build dist demo-output docs/_build docs/reference/*-keys.md .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf build dist demo-output docs/_build docs/auto_notebooks docs/reference/*-keys.md .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	find docs/notebooks -mindepth 1 ! -name '*.py' ! -name '*.rst' -delete
 	find src tests studies verification benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
 
 distclean: clean

@@ -25,9 +25,10 @@ extensions = [
     "sphinx.ext.napoleon",
     "sphinx_click",
     "sphinx_copybutton",
+    "sphinx_gallery.gen_gallery",
 ]
 root_doc = "index"
-exclude_patterns = ["_build", "reference/*-keys.md"]
+exclude_patterns = ["_build", "notebooks", "reference/*-keys.md"]
 nitpicky = False
 smartquotes = False  # it would make a dash of the -- of options
 
@@ -43,6 +44,22 @@ autosummary_generate = False
 napoleon_google_docstring = False
 napoleon_use_ivar = True
 napoleon_use_rtype = True
+
+# Scripts of notebooks/ are run, and become pages and .ipynb files in auto_notebooks/.
+sphinx_gallery_conf = {
+    "examples_dirs": "notebooks",
+    "gallery_dirs": "auto_notebooks",
+    "filename_pattern": "",  # all of them
+    "abort_on_example_error": True,
+    "download_all_examples": False,
+    "inspect_global_variables": False,
+    "image_scrapers": (),  # a figure shows itself
+    "min_reported_time": 1e9,
+    "remove_config_comments": True,
+    "show_signature": False,
+    "within_subsection_order": "FileNameSortKey",
+    "write_computation_times": False,
+}
 
 # A prompt is not a part of a command, and neither is what the command prints.
 copybutton_prompt_text = "$ "
@@ -73,6 +90,18 @@ def plain_bars(_app: Any, _what: str, _name: str, _object: Any, _options: Any, l
     lines[:] = [s if s.startswith("    |") else bars.sub(r"\\|", s) for s in text.split("\n")]
 
 
+def one_name_each(
+    _app: Any, _what: str, _name: str, _object: Any, _options: Any, lines: Any
+) -> None:
+    """Give each of several names with one description its own, as attributes need."""
+    several = re.compile(r"^(\w+(?:, \w+)+)\n((?:    .*(?:\n|$))+)", re.MULTILINE)
+    text = several.sub(
+        lambda found: "".join(f"{name}\n{found[2]}" for name in found[1].split(", ")),
+        "\n".join(lines),
+    )
+    lines[:] = text.split("\n")
+
+
 def examples_as_code(_app: Any, _context: Any, lines: list[str]) -> None:
     """Set the example of a command's help as code."""
     lines[:] = [re.sub(r"^(\s*Example: )(.+)$", r"\1``\2``", line) for line in lines]
@@ -80,6 +109,7 @@ def examples_as_code(_app: Any, _context: Any, lines: list[str]) -> None:
 
 def setup(app: Any) -> None:
     """Connect our own functions."""
+    app.connect("autodoc-process-docstring", one_name_each, priority=100)
     app.connect("autodoc-process-docstring", plain_bars, priority=900)
     app.connect("sphinx-click-process-description", examples_as_code)
     app.connect("builder-inited", building.write_keys)

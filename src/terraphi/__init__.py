@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from terraphi.library.store import Library as Library
     from terraphi.robot.footfalls import footfalls as footfalls
     from terraphi.robot.results import foot_forces as foot_forces
+    from terraphi.terrain.export import export as export
+    from terraphi.terrain.simulators import convert as convert
+    from terraphi.view.page import report as report
 
 _PLACES = {
     "Answer": "inference.answer",
@@ -44,15 +47,18 @@ _PLACES = {
     "Translation": "experiment.motion",
     "build": "library.build",
     "calibrate": "inference.inversion",
+    "convert": "terrain.simulators",
+    "export": "terrain.export",
     "foot_forces": "robot.results",
     "footfalls": "robot.footfalls",
     "invert": "inference.inversion",
     "invert_many": "inference.inversion",
     "measurement": "experiment.measurements",
     "read_forces": "experiment.reading",
+    "report": "view.page",
     "simulate": "forward",
 }
-"""Public name to its module, and to its name there where that differs."""
+"""Public name to its module."""
 
 __all__ = [*_PLACES]
 
@@ -65,8 +71,7 @@ def __getattr__(name: str) -> Any:
         return version("terraphi")
     if name not in _PLACES:
         raise AttributeError(f"module 'terraphi' has no attribute '{name}'")
-    module, _, other = _PLACES[name].partition(":")
-    return getattr(importlib.import_module(f"terraphi.{module}"), other or name)
+    return getattr(importlib.import_module(f"terraphi.{_PLACES[name]}"), name)
 
 
 def __dir__() -> list[str]:

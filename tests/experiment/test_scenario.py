@@ -87,7 +87,7 @@ def test_a_scenario_is_refused_in_one_sentence(tmp_path: Path, text: str, words:
 )
 def test_a_scenario_in_three_dimensions_is_checked(changes: dict[str, Any], words: str) -> None:
     preset = Scenario.load("sand3d")
-    with pytest.raises(ValidationError, match=words):
+    with pytest.raises(InputError, match=words):
         preset.replace(**changes)
 
 
@@ -112,7 +112,7 @@ def test_a_key_is_refused_in_the_dimensions_that_do_not_have_it(key: str) -> Non
     assert OTHER.keys() == ONLY_IN[2].keys() | ONLY_IN[3].keys()
     own, preset = (2, "sand3d") if key in ONLY_IN[2] else (3, "paper-1")
     base = Scenario.load(preset).replace(**{"soil.yield_criterion": "plane_strain"})
-    with pytest.raises(ValidationError, match=rf"{key} = .* is for dimensions = {own}"):
+    with pytest.raises(InputError, match=rf"{key} = .* is for dimensions = {own}"):
         base.replace(**{key: OTHER[key]})
 
 

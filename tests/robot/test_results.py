@@ -14,7 +14,7 @@ from go2.logs import write_csv
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.legs import Legs
 from terraphi.robot.model import Quadruped
-from terraphi.robot.results import RobotForces, foot_forces, write_forces
+from terraphi.robot.results import RobotForces, foot_forces
 
 STEP, PERIOD = 0.002, 0.4
 KEYS = {"samples", "duration_s", "rate_hz", "dropped", "feet", "pooled", "estimator", "frame"}
@@ -85,13 +85,13 @@ def test_no_stances_are_explained(load: float, word: str, tmp_path: Path) -> Non
     }  # fmt: skip
     assert any(word in note for note in summary["notes"])
     json.dumps(summary, allow_nan=False)
-    write_forces(found, tmp_path / "still.nc")
+    found.to_netcdf(tmp_path / "still.nc")
 
 
 def test_file_has_labelled_axes_and_knows_where_it_comes_from(
     found: RobotForces, tmp_path: Path
 ) -> None:
-    write_forces(found, tmp_path / "forces.nc")
+    found.to_netcdf(tmp_path / "forces.nc")
     with xr.open_dataset(tmp_path / "forces.nc", engine="h5netcdf") as opened:
         data = opened.load()
     assert data.force.dims == ("time", "foot", "axis")

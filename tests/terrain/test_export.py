@@ -44,7 +44,7 @@ def read(draws: Any = (), source: str = "answer", **changes: Any) -> Told:
 @pytest.mark.parametrize("name", [name for name in NAMES if name != "mujoco"])
 def test_the_module_sets_the_parameter_in_the_simulator(name, tmp_path, monkeypatch) -> None:
     to = simulator(name)
-    found = export(read([25.0, 30.0, 35.0]), to, draws=3)
+    found = export(read([25.0, 30.0, 35.0]), to=name, draws=3)
     path = tmp_path / "soil.py"
     path.write_text(text(found, "python"), encoding="utf-8")
     made = runpy.run_path(str(path))
@@ -107,8 +107,8 @@ def test_bekker_is_near_bearing_capacity_and_published_sand() -> None:
 def test_foreign_text_stays_text_in_the_module(name) -> None:
     changes = {"source": name, "library": name, "verdict": "misfit", "reason": name}
     one = Told(name, answer(**changes), np.empty(0))
-    tree = ast.parse(text(export(one, simulator("newton"), anyway=True), "python"))
-    clean = ast.parse(text(export(read(), simulator("newton")), "python"))
+    tree = ast.parse(text(export(one, to="newton", anyway=True), "python"))
+    clean = ast.parse(text(export(read(), to="newton"), "python"))
     kinds = [[type(node) for node in one.body] for one in (tree, clean)]
     assert kinds[0] == kinds[1]
     assert f"From {name}: {name}, library {name}." in (ast.get_docstring(tree, clean=False) or "")
@@ -129,7 +129,7 @@ def test_draws_are_converted_to_plane_strain() -> None:
         angle = {"median": 35.0, "ci68": [30.0, 44.0], "ci95": [30.0, 44.0], "yield": criterion}
         one = read(np.degrees(phi), phi_deg=angle, phi_plane_strain_deg=plane)
         assert in_plane_strain(one) == pytest.approx(turned, nan_ok=True)
-        found = export(one, simulator("newton"), draws=9)
+        found = export(one, to="newton", draws=9)
         assert found["draws_without_equivalent"] == (0.25 if criterion == "rft" else 0.0)
         plane["median"] = 20.0
         with pytest.raises(InputError, match="leave out --draws"):

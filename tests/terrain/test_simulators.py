@@ -19,7 +19,7 @@ from terraphi.terrain.simulators import (
     MATCHES,
     NAMES,
     angle_of_ratio,
-    converted,
+    convert,
     ratio_of_angle,
     simulator,
 )
@@ -153,11 +153,11 @@ def test_conversion_there_and_back() -> None:
     for match in MATCHES:
         assert angle_of_ratio(ratio_of_angle(33.3, match), match) == pytest.approx(33.3)
     # The guide of Chrono has 35 deg as tan φ.
-    tangent = converted(math.tan(math.radians(35.0)), "chrono-crm")
+    tangent = convert(math.tan(math.radians(35.0)), from_="chrono-crm")
     assert tangent["phi_plane_strain_deg"] == pytest.approx(44.4, abs=0.05)
     # A cone through triaxial compression above 42.2 deg has no equal in plane strain.
-    assert converted(42.3, "genesis")["phi_plane_strain_deg"] is None
-    assert converted(42.1, "genesis")["phi_plane_strain_deg"] > 80.0
+    assert convert(42.3, from_="genesis")["phi_plane_strain_deg"] is None
+    assert convert(42.1, from_="genesis")["phi_plane_strain_deg"] > 80.0
 
 
 def test_choices_of_the_command_line_are_those_of_the_table() -> None:
@@ -173,9 +173,9 @@ def test_choices_of_the_command_line_are_those_of_the_table() -> None:
         (lambda: simulator("newtom"), "did you mean 'newton'"),
         (lambda: simulator("geotaichi").from_angle(65.0), "another dpType"),
         (lambda: simulator("chrono-scm").from_angle(30.0, "triaxial"), "no triaxial compression"),
-        (lambda: converted(120.0, "genesis"), "expects 2 to 90 degrees"),
-        (lambda: converted(0.6, "genesis"), "not radians"),
-        (lambda: converted(0.95, "newton", "geotaichi"), "cannot be as strong"),
+        (lambda: convert(120.0, from_="genesis"), "expects 2 to 90 degrees"),
+        (lambda: convert(0.6, from_="genesis"), "not radians"),
+        (lambda: convert(0.95, from_="newton", to="geotaichi"), "cannot be as strong"),
     ],
 )
 def test_refused_conversions(call, words) -> None:

@@ -61,9 +61,8 @@ def robot_forces() -> Any:
     )
     stances = [SimpleNamespace(foot=foot, begin=0.5, end=1.0) for foot in FEET]
     forces = SimpleNamespace(time=time, force=force, estimator="quasi_static", frame="world")
-    return SimpleNamespace(
-        forces=forces, stances=stances, feet=dict.fromkeys(FEET, one), pooled=one
-    )
+    feet = dict.fromkeys(FEET, one)
+    return SimpleNamespace(forces=forces, stances=stances, feet=feet, pooled=one)
 
 
 @pytest.fixture(scope="session")

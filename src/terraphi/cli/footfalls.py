@@ -54,7 +54,7 @@ def footfalls(
     from terraphi.experiment.outputs import SIGNATURE, check_file
     from terraphi.robot import footfall_files as files
     from terraphi.robot.footfalls import footfalls as find
-    from terraphi.view import footfall_plots, plots
+    from terraphi.view import plots
 
     if out is not None:
         check_file(out, kind=files.KIND)
@@ -64,8 +64,7 @@ def footfalls(
     made: tuple[Path, ...] = ()
     if out is not None:
         picture = out.with_suffix(".png")
-        figure = footfall_plots.footfalls_figure(found)
-        plots.save(figure, picture, metadata={"Comment": SIGNATURE})
+        plots.save(found.plot(), picture, metadata={"Comment": SIGNATURE})
         made = (*files.write_footfalls(found, out), picture)
     if as_json:
         print_json(files.summary(found))

@@ -90,7 +90,7 @@ def forces(
     from terraphi.robot import results as results_file
     from terraphi.robot.results import foot_forces
     from terraphi.view import plots
-    from terraphi.view import robot_plots as pictures
+    from terraphi.view.robot_plots import stance_figure
 
     if out is not None:
         check_file(out, kind=results_file.KIND)
@@ -98,11 +98,11 @@ def forces(
         check_folder(figures, kind="forces", names=["forces.png", "stance.png"])
     found = foot_forces(log, estimator=estimator, frame=frame, **reading)
     if out is not None:
-        results_file.write_forces(found, out)
+        found.to_netcdf(out)
     if figures is not None:
         with filling(figures, kind="forces", last="stance.png") as made:
-            plots.save(pictures.forces_figure(found), made / "forces.png")
-            plots.save(pictures.stance_figure(found), made / "stance.png")
+            plots.save(found.plot(), made / "forces.png")
+            plots.save(stance_figure(found), made / "stance.png")
     if as_json:
         print_json(found.summary())
         return

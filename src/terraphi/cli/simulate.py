@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from terraphi.cli.options import PATH, json_option, shipped
-from terraphi.experiment.errors import InputError, sentence_from_validation
+from terraphi.experiment.errors import InputError
 from terraphi.view.console import print_json, print_pairs, progress_bar
 
 if TYPE_CHECKING:
@@ -91,8 +91,6 @@ def announce(scenarios: Sequence[Scenario], workers: int = 1) -> None:
 
 def changed(scenario: Scenario, changes: tuple[str, ...]) -> Scenario:
     """A scenario with the keys of ``--set`` replaced; raises InputError if one cannot be."""
-    from pydantic import ValidationError
-
     found: dict[str, Any] = {}
     for change in changes:
         key, given, text = change.partition("=")
@@ -102,7 +100,4 @@ def changed(scenario: Scenario, changes: tuple[str, ...]) -> Scenario:
             found[key] = tomllib.loads(f"value = {text}")["value"]
         except tomllib.TOMLDecodeError:  # a word without quotation marks
             found[key] = text
-    try:
-        return scenario.replace(**found)
-    except ValidationError as error:
-        raise InputError(sentence_from_validation(error, "--set", type(scenario))) from error
+    return scenario.replace("--set", **found)

@@ -17,7 +17,6 @@ from terraphi.cli.options import (
     IntRange,
     json_option,
 )
-from terraphi.experiment.errors import InputError
 from terraphi.view.console import print_json, progress_bar
 
 SIMULATOR = Choice(SIMULATORS, "simulator")
@@ -29,11 +28,6 @@ dp_type_option = click.option(
 seed_option = click.option(
     "--seed", type=IntRange(0, 2**32 - 1), default=0, show_default=True, help="Seed of draws."
 )
-
-
-def _check_cone(dp_type: str | None, *names: str | None) -> None:
-    if dp_type is not None and "geotaichi" not in names:
-        raise InputError(f"--dp-type {dp_type}: only geotaichi has this option; leave it out")
 
 
 @click.command()
@@ -56,9 +50,7 @@ def _check_cone(dp_type: str | None, *names: str | None) -> None:
 )
 @click.option("--out", type=PATH, help="A .py, .json or (newton, isaaclab) .usda file.")
 @json_option
-def export(
-    answer: Path, to: str, dp_type: str | None, out: Path | None, as_json: bool, **options: Any
-) -> None:
+def export(answer: Path, out: Path | None, as_json: bool, **options: Any) -> None:
     """Write a Python module that sets the friction of an ANSWER in a simulator.
 
     ANSWER is the folder of 'terraphi invert --out', its answer.nc, or the output of 'invert
@@ -67,25 +59,12 @@ def export(
 
     Example: terraphi export answer --to genesis --draws 64 --out soil.py
     """
-    from terraphi.experiment.files import replacing
-    from terraphi.experiment.outputs import check_file
-    from terraphi.inference.answer import read_answer
     from terraphi.terrain import export as exports
-    from terraphi.terrain.simulators import simulator
 
-    form = exports.FORMATS.get(out.suffix) if out else ("json" if as_json else "python")
-    if form is None:
-        raise InputError(f"{out}: name a .py, .json or .usda file")
-    _check_cone(dp_type, to)
-    if out is not None:
-        check_file(out)
-    found = exports.export(read_answer(answer), simulator(to, dp_type=dp_type), **options)
-    text = exports.text(found, form)
+    found = exports.export(answer, out=out, **options)
     if out is None:
-        click.echo(text, nl=False)
+        click.echo(exports.text(found, "json" if as_json else "python"), nl=False)
         return
-    with replacing(out) as temporary:
-        temporary.write_text(text, encoding="utf-8")
     if as_json:
         print_json(found)
         return
@@ -94,21 +73,19 @@ def export(
 
 @click.command()
 @click.argument("value", type=Float())
-@click.option("--from", "source", required=True, type=SIMULATOR, help="Simulator of VALUE.")
-@click.option("--to", "target", type=SIMULATOR, help="Another simulator, whose value is wanted.")
+@click.option("--from", "from_", required=True, type=SIMULATOR, help="Simulator of VALUE.")
+@click.option("--to", type=SIMULATOR, help="Another simulator, whose value is wanted.")
 @dp_type_option
 @json_option
-def convert(
-    value: float, source: str, target: str | None, dp_type: str | None, as_json: bool
-) -> None:
+def convert(value: float, as_json: bool, **options: Any) -> None:
     """Print the friction angle that acts where a simulator's friction is VALUE.
 
     Example: terraphi convert 0.68 --from newton --to genesis
     """
-    from terraphi.terrain.simulators import converted, converted_in_words
+    from terraphi.terrain.simulators import convert as converted
+    from terraphi.terrain.simulators import converted_in_words
 
-    _check_cone(dp_type, source, target)
-    found = converted(value, source, target, dp_type=dp_type)
+    found = converted(value, **options)
     if as_json:
         print_json(found)
         return

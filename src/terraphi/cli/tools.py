@@ -8,7 +8,6 @@ from pathlib import Path
 import click
 
 from terraphi.cli.options import PATH, Choice, IntRange, json_option
-from terraphi.experiment.errors import InputError
 from terraphi.view.console import print_json, print_table
 from terraphi.view.table import Table
 
@@ -26,20 +25,13 @@ def report(results: tuple[str, ...], out: Path, robot: str, as_json: bool) -> No
 
     Example: terraphi report answer --out report.html
     """
-    from terraphi.experiment.outputs import check_file
-    from terraphi.view.report import sections, write
+    from terraphi.view.page import report as written
 
-    if out.suffix.lower() not in (".html", ".htm"):
-        raise InputError(f"{out}: a report is written as HTML; name it {out.stem}.html")
-    check_file(out)
-    found = sections(results, robot=robot)
-    write(found, out)
+    found = written(results, out, robot=robot)
     if as_json:
-        print_json({"report": str(out), "results": [one.headline for one in found]})
+        print_json({"report": str(out), "results": [headline for _, headline in found]})
         return
-    for one in found:
-        click.echo(f"{one.title}: {one.headline}")
-    click.echo(f"Written: {out}")
+    click.echo("\n".join([*map(": ".join, found), f"Written: {out}"]))
 
 
 @click.command()

@@ -26,6 +26,17 @@ class Strict(BaseModel):
         frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
     )
 
+    def __init__(self, /, **values: Any) -> None:
+        """Check the values; raises InputError with the first thing wrong."""
+        try:
+            super().__init__(**values)
+        except ValidationError as error:
+            name = type(self).__name__
+            raise InputError(sentence_from_validation(error, name, type(self))) from error
+
+    # Without this mark pydantic would call it for tables within tables too, and lose their keys.
+    __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
+
 
 def refuse(sentences: Mapping[str, bool]) -> None:
     """Raise ValueError with the first sentence that is true."""

@@ -26,6 +26,12 @@ class InputError(ValueError):
     """An input is unusable; the message is one sentence that names the place and the remedy.
 
     The command line prints the message as it stands and exits with status 2.
+
+    Examples
+    --------
+    >>> terraphi.convert(0.68, from_="newtn")
+    Traceback (most recent call last):
+    terraphi.experiment.errors.InputError: unknown simulator 'newtn'; did you mean 'newton'?
     """
 
     def __init__(self, sentence: str) -> None:
@@ -48,13 +54,13 @@ def needing(what: str, packages: str, *, extra: str) -> Iterator[None]:
         raise InputError(f"{what} needs {packages}: pip install 'terraphi[{extra}]'") from error
 
 
-def nearest(word: str, choices: Iterable[str]) -> str:
+def nearest(word: object, choices: Iterable[str]) -> str:
     """Hint at the choice closest to a misspelt word, or at all of them.
 
     Such as ``"did you mean 'yuma'?"`` or ``"known: a, b, c"``.
     """
     by_case = {choice.lower(): choice for choice in sorted(choices)}
-    match = difflib.get_close_matches(word.lower(), by_case, n=1)
+    match = difflib.get_close_matches(str(word).lower(), by_case, n=1)
     if match:
         return f"did you mean '{by_case[match[0]]}'?"
     return "known: " + (", ".join(by_case.values()) or "none")

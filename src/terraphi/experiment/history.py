@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,9 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import json_object, open_netcdf, positions, write_netcdf
 from terraphi.experiment.force_table import write_force_table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 WINDOW_DEG = 85.0
 """Half width of the engaged window of the paper [deg]."""
@@ -35,6 +38,7 @@ _SHOWN = (
 )
 """What the summary shows of the provenance."""
 _UNITS = {"theta": "rad", "displacement": "m", "time": "s"}
+_SHOWN_IN = {"theta": (180.0 / math.pi, "deg"), "displacement": (1e3, "mm"), "time": (1.0, "s")}
 
 
 class Observation(NamedTuple):
@@ -86,6 +90,14 @@ class ForceHistory:
     moment
         Moment of the force about the hip [N m], positive in the direction of increasing θ, shape
         [sample]; ``None`` if it is not known.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> theta = np.radians(np.arange(-85.0, 86.0))
+    >>> force = np.stack([8.0 * np.cos(theta), 12.0 * np.cos(theta)], axis=1)
+    >>> terraphi.ForceHistory(theta, force)
+    ForceHistory(171 samples, theta -85 to 85 deg, Fx 0.697 to 8 N, Fz 1.05 to 12 N)
     """
 
     position: FloatArray
@@ -97,6 +109,9 @@ class ForceHistory:
 
     def __post_init__(self) -> None:
         """Raise ValueError if axes, shapes or order are wrong."""
+        for name in ("position", "force", "moment"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, np.asarray(getattr(self, name)))
         size = len(self.position)
         lacking = not {"x", "z"} <= {*self.axes} and self.moment is None
         if len({*self.axes}) < len(self.axes) or lacking:
@@ -287,6 +302,37 @@ class ForceHistory:
             for axis, values in (("x", self.Fx), ("z", self.Fz)):
                 shown[f"peak_F{axis}_N"] = float(values[np.abs(values).argmax()])
         return shown | {key: self.provenance[key] for key in _SHOWN if key in self.provenance}
+
+    def __repr__(self) -> str:
+        """One line, without the numbers."""
+        scale, unit = _SHOWN_IN[self.coordinate]
+        low, high = scale * self.position[[0, -1]]
+        forces = ", ".join(
+            f"F{axis} {values.min():.3g} to {values.max():.3g} N"
+            for axis, values in zip(self.axes, self.force.T, strict=True)
+        )
+        along = f"{self.coordinate} {low:.4g} to {high:.4g} {unit}"
+        return f"ForceHistory({len(self.position)} samples, {along}, {forces})"
+
+    def plot(self, figure: Figure | None = None) -> Figure:
+        """Forces along the path, as a Matplotlib figure.
+
+        Parameters
+        ----------
+        figure
+            Where to draw; ``None`` makes a figure. One that has panels gets another curve in each.
+        """
+        from terraphi.experiment.figure import Figure as NewFigure
+
+        figure = figure or NewFigure(figsize=(8.0, 3.0), layout="constrained")
+        panels = figure.axes or figure.subplots(1, 2)
+        scale, unit = _SHOWN_IN[self.coordinate]
+        names = {"theta": "leg angle θ"}
+        for axes, values, label in zip(panels, (self.Fx, self.Fz), ("$F_x$", "$F_z$"), strict=True):
+            axes.plot(scale * self.position, values)
+            axes.set_xlabel(f"{names.get(self.coordinate, self.coordinate)} [{unit}]")
+            axes.set_ylabel(f"{label} [N]")
+        return figure
 
     # -- files -----------------------------------------------------------------------------------
 

@@ -122,7 +122,14 @@ class Panels(NamedTuple):
 
 
 class Leg(Strict):
-    """A rigid leg, plate or foot; the defaults are those of Li et al. (2013)."""
+    """A rigid leg, plate or foot; the defaults are those of Li et al. (2013).
+
+    Examples
+    --------
+    >>> leg = terraphi.Leg(shape="c", chord=0.1, width=0.03)
+    >>> round(leg.length, 3)
+    0.157
+    """
 
     shape: BodyShape = "straight"
     """``straight``; ``c``, a semicircle that bulges where it moves; ``reversed_c``, away from

@@ -82,7 +82,7 @@ def measurement(name: str) -> Measurement:
 
     Examples
     --------
-    >>> measurement("li2013:poppy_loose/c").angle_of_repose_deg
+    >>> terraphi.measurement("li2013:poppy_loose/c").angle_of_repose_deg
     36.0
     """
     history = _shipped(name)

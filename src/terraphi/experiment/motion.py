@@ -36,7 +36,14 @@ class Poses(NamedTuple):
 
 
 class Rotation(Strict):
-    """Rotation about a fixed hip, at a constant rate or along a profile ω(θ)."""
+    """Rotation about a fixed hip, at a constant rate or along a profile ω(θ).
+
+    Examples
+    --------
+    >>> motion = terraphi.Rotation(hip=(0.15, 0.195), start_deg=-90.0, stop_deg=90.0, rate=0.2)
+    >>> round(motion.duration, 1)
+    15.7
+    """
 
     coordinate: ClassVar[str] = "theta"
     """What the history is a function of."""
@@ -129,7 +136,14 @@ class Rotation(Strict):
 
 
 class Translation(Strict):
-    """Straight motion at a constant velocity and orientation, for plates and penetration."""
+    """Straight motion at a constant velocity and orientation, for plates and penetration.
+
+    Examples
+    --------
+    >>> motion = terraphi.Translation(start=(0.15, 0.25), velocity=(0.0, -0.01), distance=0.05)
+    >>> motion.duration
+    5.0
+    """
 
     coordinate: ClassVar[str] = "displacement"
     """What the history is a function of."""

@@ -174,7 +174,10 @@ def read_forces(
 
     Examples
     --------
-    >>> terraphi.read_forces("leg.csv", theta="Winkel [°]", theta_offset_deg=-85, unit="kN")
+    >>> import pandas as pd
+    >>> table = {"angle [deg]": range(-85, 86), "Fx": [0.5] * 171, "lift": [1.0] * 171}
+    >>> terraphi.read_forces(pd.DataFrame(table), fz="lift", unit="kgf")
+    ForceHistory(171 samples, theta -85 to 85 deg, Fx 4.9 to 4.9 N, Fz 9.81 to 9.81 N)
     """
     given = {key: value for key, value in locals().items() if key != "source"}
     found = read_trials(source, ForceColumns.of(given))

@@ -15,9 +15,10 @@ from pathlib import Path
 from typing import Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from terraphi.experiment.documents import Strict, parse_toml, refuse, shipped_file, strictly
+from terraphi.experiment.errors import InputError, sentence_from_validation
 from terraphi.experiment.files import is_there
 from terraphi.experiment.leg import LEG_SHAPES, Leg
 from terraphi.experiment.motion import Motion, Rotation, bin_count
@@ -227,7 +228,14 @@ class Resistive(Strict):
 
 
 class Scenario(Strict):
-    """A soil, a leg, a motion and the numerics that bring them together."""
+    """A soil, a leg, a motion and the numerics that bring them together.
+
+    Examples
+    --------
+    >>> scenario = terraphi.Scenario.load("quick").replace(**{"soil.friction_angle_deg": 31.0})
+    >>> scenario.model, scenario.soil.friction_angle_deg
+    ('rft', 31.0)
+    """
 
     name: str = ""
     """Name of the scenario; not part of the hash."""
@@ -404,18 +412,20 @@ class Scenario(Strict):
         content = self.model_dump(mode="json", exclude={"name"}, exclude_defaults=True)
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
-    def replace(self, **changes: Any) -> Scenario:
+    def replace(self, source: str = "scenario", /, **changes: Any) -> Scenario:
         """Copy with some dotted keys replaced, checked anew.
 
         Parameters
         ----------
+        source
+            Where the changes come from, for messages.
         **changes
             Dotted key to value, as in ``replace(**{"soil.friction_angle_deg": 30.0})``; a number
             picks an entry of a list, as in ``motion.hip.1``, the height of the hip.
 
         Raises
         ------
-        pydantic.ValidationError
+        InputError
             If a key does not exist or a value cannot be.
         """
         content = self.model_dump(mode="json")
@@ -430,7 +440,10 @@ class Scenario(Strict):
                 place[int(last)] = value
             else:
                 content[key] = value  # unknown, for the check to refuse
-        return strictly(content, Scenario)
+        try:
+            return strictly(content, Scenario)
+        except ValidationError as error:
+            raise InputError(sentence_from_validation(error, source, Scenario)) from error
 
     @classmethod
     def load(cls, source: Path | str) -> Scenario:

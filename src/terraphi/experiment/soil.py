@@ -107,7 +107,13 @@ def plane_strain_friction_angle_deg(
 
 
 class Soil(Strict):
-    """Dry soil: hypoelastic, Drucker-Prager."""
+    """Dry soil: hypoelastic, Drucker-Prager.
+
+    Examples
+    --------
+    >>> terraphi.Soil(density=1600.0, friction_angle_deg=30.0).cohesion
+    0.0
+    """
 
     density: float = Field(1650.0, gt=0)
     """Bulk density ρ [kg/m³]."""

@@ -142,6 +142,10 @@ def table_of(frame: Any) -> Table:
         units = {str(n): str(v.attrs["units"]) for n, v in frame.variables.items() if
                  "units" in v.attrs}  # fmt: skip
         frame = frame.to_dataframe()
+    if not hasattr(frame, "columns"):
+        raise InputError(
+            f"table of type {type(frame).__name__}; give a path, a DataFrame or an xarray Dataset"
+        )
     units |= {str(n): str(frame[n].attrs["units"]) for n in frame if "units" in frame[n].attrs}
     if any(name is not None for name in frame.index.names):
         frame = frame.reset_index()

@@ -35,7 +35,7 @@ KEPT = "finished cases are kept; the same command continues from there"
 
 
 def build(
-    plan: Plan,
+    plan: Plan | Path | str,
     path: Path | str,
     *,
     executor: Executor | None = None,
@@ -46,7 +46,7 @@ def build(
     Parameters
     ----------
     plan
-        What to simulate.
+        What to simulate: a plan, its TOML file, or the name of a shipped one.
     path
         File of the library. Cases that it holds already, or that an interrupted build left in
         FILE.nc.cases, are not simulated again.
@@ -65,7 +65,19 @@ def build(
     InputError
         If the file cannot be written, another build of it is running, a worker died, or every case
         failed.
+
+    Examples
+    --------
+    >>> angles = [20.0, 30.0, 40.0, 50.0]
+    >>> plan = terraphi.Plan(
+    ...     name="mine",
+    ...     scenario=terraphi.Scenario.load("quick"),
+    ...     sweep={"soil.friction_angle_deg": angles},
+    ... )
+    >>> terraphi.build(plan, "mine.nc").phi_deg_by_leg
+    {'straight': (20.0, 50.0)}
     """
+    plan = plan if isinstance(plan, Plan) else Plan.load(plan)
     path, wanted = Path(path), plan.cases()
     if path.exists() and not path.is_file():
         raise InputError(f"{path}: is a folder or a device; name a file")

@@ -11,10 +11,10 @@ import math
 from pathlib import Path
 from typing import Any, Self
 
-from pydantic import Field, JsonValue, ValidationError, model_validator
+from pydantic import Field, JsonValue, model_validator
 
 from terraphi.experiment.documents import Strict, parse_toml, shipped_file
-from terraphi.experiment.errors import InputError, sentence_from_validation
+from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import is_there
 from terraphi.experiment.scenario import Scenario
 
@@ -62,7 +62,14 @@ class More(Strict):
 
 
 class Plan(Strict):
-    """What a library is to contain."""
+    """What a library is to contain.
+
+    Examples
+    --------
+    >>> plan = terraphi.Plan(name="mine", sweep={"soil.friction_angle_deg": [25.0, 30.0, 35.0]})
+    >>> [case.soil.friction_angle_deg for case in plan.cases()]
+    [25.0, 30.0, 35.0]
+    """
 
     name: str = Field(min_length=1)
     """Name of the library."""
@@ -131,13 +138,8 @@ class Plan(Strict):
             for i, (values, point) in enumerate(combinations):
                 change = {**dict(zip(sweep, values, strict=True)), **point}
                 changes.append({**change, "numerics.seed": seed + i} if self.vary_seed else change)
-        found = []
-        for change in changes:
-            try:
-                found.append(self.scenario.replace(**change))
-            except ValidationError as error:
-                sentence = sentence_from_validation(error, f"plan '{self.name}'", Scenario)
-                raise InputError(sentence) from error
+        source = f"plan '{self.name}'"
+        found = [self.scenario.replace(source, **change) for change in changes]
         if len({case.hash for case in found}) < len(found):
             raise InputError(
                 f"plan '{self.name}': a case comes twice; drop one, or set vary_seed = true"

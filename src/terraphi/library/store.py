@@ -8,7 +8,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from terraphi.experiment.files import (
 )
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.scenario import Scenario
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SCHEMA = 1
 """Version of the layout of a library file."""
@@ -65,7 +68,7 @@ class Curves(NamedTuple):
     """(a, b) [m] with M = a Fx + b Fz, the moment about the hip, shape [2, theta]; or ``None``."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Correction:
     """Correction of one leg's curves, from finer simulations.
 
@@ -183,6 +186,41 @@ class Library:
             "provenance": dict(self.provenance),
         }
 
+    def __repr__(self) -> str:
+        """A few lines for a prompt."""
+        first = self.cases[0].scenario
+        legs = [f"{leg} {low:g} to {high:g}°" for leg, (low, high) in self.phi_deg_by_leg.items()]
+        model = f"{first.model}, {first.dimensions}-D, {first.soil.density:g} kg/m³"
+        lines = [
+            f"{self.name}: {len(self.cases)} simulations ({model})",
+            f"φ ({first.convention}): {', '.join(legs)}",
+        ]
+        return "\n".join([*lines, *filter(None, [self.description, self.caveat])])
+
+    def plot(self) -> Figure:
+        """Force curves of each leg, coloured by φ, as a Matplotlib figure."""
+        from matplotlib import colormaps
+        from matplotlib.cm import ScalarMappable
+        from matplotlib.colors import Normalize
+
+        from terraphi.experiment.figure import Figure as NewFigure
+
+        figure = NewFigure(figsize=(9.0, 3.0 * len(self.legs)), layout="constrained")
+        rows = figure.subfigures(len(self.legs), squeeze=False)[:, 0]
+        ends = np.array([*self.phi_deg_by_leg.values()])
+        scale = Normalize(ends.min(), ends.max())
+        for row, leg in zip(rows, self.legs, strict=True):
+            panels = row.subplots(1, 2)
+            for case in self.cases:
+                if _moved(case, leg) and case.history is not None:
+                    case.history.plot(row)
+                    colour = colormaps["viridis"](scale(case.scenario.soil.friction_angle_deg))
+                    for axes in panels:
+                        axes.lines[-1].set(color=colour, lw=0.8)
+            row.suptitle(f"leg {leg}", fontsize=10)
+            row.colorbar(ScalarMappable(scale, "viridis"), ax=panels, label="φ [deg]")
+        return figure
+
     def curves(self, leg: str, *, corrected: bool = False) -> Curves:
         """Force curves of one leg over the parameters that vary, replicates included.
 
@@ -235,7 +273,13 @@ class Library:
 
     @staticmethod
     def names() -> tuple[str, ...]:
-        """Names of the shipped libraries, the most useful first."""
+        """Names of the shipped libraries, the most useful first.
+
+        Examples
+        --------
+        >>> terraphi.Library.names()
+        ('sand3d', 'rft3d', 'paper', 'paper-code')
+        """
         found = shipped_names("libraries", ".nc")
         return tuple(sorted(found, key=lambda n: (ORDER.index(n) if n in ORDER else 99, n)))
 
@@ -310,7 +354,16 @@ class Library:
         ------
         InputError
             If there is no such library, or the file is not a whole one of this schema.
+
+        Examples
+        --------
+        >>> terraphi.Library.load("rft3d").legs
+        ['c', 'reversed_c', 'straight']
         """
+        if not isinstance(source, str | Path):
+            raise InputError(
+                f"library of type {type(source).__name__}; give a Library, a shipped name or a file"
+            )
         path = Path(source)
         if path.suffix != ".nc" and not is_there(path):
             path = shipped_file("libraries", str(source), ".nc")

@@ -116,7 +116,6 @@ def write_footfalls(found: FootfallMap, path: Path) -> tuple[Path, ...]:
     InputError
         If the place cannot be written.
     """
-    import pandas as pd
     import xarray as xr
 
     variables: dict[str, Any] = {}
@@ -131,13 +130,9 @@ def write_footfalls(found: FootfallMap, path: Path) -> tuple[Path, ...]:
     attributes = {"terraphi_file": KIND, "terraphi_schema": SCHEMA, **texts}
     names = path, path.with_suffix(".geojson"), path.with_suffix(".csv")
     write_netcdf(xr.Dataset(variables, attrs=attributes).set_coords("s_m"), path)
-    columns = ("time_s", "foot", "x_m", "y_m", "surface_m", "sinkage_m", "phi_deg", "sd_deg",
-               "shared_sd_deg", "verdict")  # fmt: skip
-    table = pd.DataFrame({name: variables[name][1] for name in columns})
-    table = table.rename(columns={"time_s": "t_s"})
     with replacing(names[2]) as temporary, temporary.open("w", newline="") as stream:
         stream.write(f"# {SIGNATURE}: footfalls; x, y from the robot's first place and heading\n")
-        table.to_csv(stream, index=False, float_format="%.4f", lineterminator="\n")
+        found.summary().to_csv(stream, index=False, float_format="%.4f", lineterminator="\n")
     with replacing(names[1]) as temporary:
         temporary.write_text(json.dumps(_geojson(found), ensure_ascii=False), encoding="utf-8")
     return names

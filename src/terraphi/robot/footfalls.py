@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import html
 import importlib.metadata
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +21,14 @@ from terraphi.robot.footfall_map import ANCHOR_POINTS, Anchor, Observed, Pooled,
 from terraphi.robot.forces import without_broken_accelerometer
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.legs import rotation
+from terraphi.robot.logs.columns import Columns
 from terraphi.robot.model import Quadruped
 from terraphi.robot.results import foot_forces
 from terraphi.robot.touchdowns import FEWEST, Motion, Touchdowns, sensitivity, touchdowns, track
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
 
 USABLE = "usable"
 SHALLOW, TRODDEN, MISFIT = "too little sinkage", "not virgin ground", "the law does not fit"
@@ -117,6 +123,51 @@ class FootfallMap:
         """Footfalls by verdict, those that occur."""
         return {v: self.verdict.count(v) for v in VERDICTS if v in self.verdict}
 
+    def summary(self) -> pd.DataFrame:
+        """A row for each footfall, as in the CSV of ``terraphi footfalls --out``."""
+        import pandas as pd
+
+        x, y, surface = self.place.T
+        return pd.DataFrame(
+            {
+                "t_s": self.time, "foot": self.foot, "x_m": x, "y_m": y, "surface_m": surface,
+                "sinkage_m": self.sinkage, "phi_deg": self.phi, "sd_deg": self.sd,
+                "shared_sd_deg": self.shared_sd, "verdict": self.verdict,
+            }
+        )  # fmt: skip
+
+    def plot(self) -> Figure:
+        """Footfalls on the ground, and φ along the path, as a Matplotlib figure."""
+        from terraphi.robot.pictures import footfalls_figure
+
+        return footfalls_figure(self)
+
+    def to_netcdf(self, path: Path | str) -> None:
+        """Write NetCDF-4, and a GeoJSON and a CSV of the same name next to it.
+
+        Raises InputError if the place cannot be written.
+        """
+        from terraphi.robot.footfall_files import write_footfalls
+
+        write_footfalls(self, Path(path))
+
+    def __repr__(self) -> str:
+        """A few lines for a prompt."""
+        counts = ", ".join(f"{n} {verdict}" for verdict, n in self.counts().items())
+        lines = [f"{self.provenance.get('log', 'log')}: {len(self.verdict)} footfalls: {counts}"]
+        if self.usable.any():
+            mean, wide = self.path_phi.mean(), self.path_absolute_sd.mean()
+            low, high = self.path_phi.min(), self.path_phi.max()
+            lines.append(f"φ = {mean:.1f}° ± {wide:.1f}°, {low:.1f} to {high:.1f}° along the path")
+        if self.notes:
+            lines.append(f"warnings in .notes: {len(self.notes)}")
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        """The same for a notebook, with a table of footfalls."""
+        table = self.summary().to_html(max_rows=10, float_format="{:.3g}".format)
+        return f"<pre>{html.escape(repr(self))}</pre>{table}"
+
 
 def footfalls(
     log: Path | str | JointLog,
@@ -125,8 +176,11 @@ def footfalls(
     density: str | float | None = None,
     law: str = "rft",
     prior: Prior | None = None,
-    anchors: Sequence[Anchor | str] = (),
-    **reading: Any,
+    anchors: Sequence[Anchor | str] | str = (),
+    lag_s: float = 0.0,
+    topic: str | None = None,
+    joint_names: Sequence[str] | None = None,
+    columns: Columns | Path | str | None = None,
 ) -> FootfallMap:
     """φ under each footfall of a walk, and a map of it along the path.
 
@@ -147,15 +201,21 @@ def footfalls(
     anchors
         Friction angles known on stretches of the path, such as ``"x=0:0.5,phi=34±1"``, or the mean
         over all of it, ``"phi=34±2"``.
-    **reading
-        ``lag_s`` of :func:`~terraphi.robot.results.foot_forces`; ``topic``, ``joint_names`` and
-        ``columns`` of :func:`~terraphi.robot.logs.read_log`.
+    lag_s, topic, joint_names, columns
+        As in :func:`terraphi.foot_forces`.
 
     Raises
     ------
     InputError
         If the log cannot be used, has no attitude, or its forces are not those of this robot; if an
         option is unknown or an anchor lies off the path.
+
+    Examples
+    --------
+    >>> found = terraphi.footfalls("walk.csv", density="1550±80")
+    >>> found.counts()
+    {'usable': 31}
+    >>> found.to_netcdf("soil.nc")
     """
     body = robot if isinstance(robot, Quadruped) else Quadruped.load(robot)
     if law not in LAW_SETS:
@@ -166,9 +226,13 @@ def footfalls(
     if density is not None:
         mean, sd = _density(str(density))
         chosen = replace(chosen, density=mean, density_sd=sd)
-    known = [anchor_from(a) if isinstance(a, str) else a for a in anchors]
+    given = [anchors] if isinstance(anchors, str) else anchors
+    known = [anchor_from(a) if isinstance(a, str) else a for a in given]
     name = "the log" if isinstance(log, JointLog) else str(log)
-    analysis = foot_forces(log, robot=body, contact_part=CONTACT_PART, **reading)
+    analysis = foot_forces(
+        log, robot=body, contact_part=CONTACT_PART, lag_s=lag_s, topic=topic,
+        joint_names=joint_names, columns=columns,
+    )  # fmt: skip
     if not analysis.stances:
         raise InputError(f"{name}: {analysis.notes[-1]}")
     if analysis.grave:

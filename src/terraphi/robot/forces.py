@@ -66,7 +66,7 @@ class Priors:
     attitude_deg: float = 1.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class FootForces:
     """Forces of the ground on the feet, over time.
 

@@ -25,7 +25,7 @@ SHAPES: dict[str, tuple[int, ...]] = {
 """Columns of a JointLog besides its time, and the shape of a sample of each."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class JointLog:
     """Joint states of a quadruped over time.
 

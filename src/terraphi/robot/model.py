@@ -50,7 +50,7 @@ class RobotFile(Strict):
     """The joints, as FR_hip, in the order in which the motors are numbered."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Quadruped:
     """A quadruped whose legs have hip, thigh and calf, or thigh and calf.
 

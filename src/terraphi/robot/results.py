@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import html
 import importlib.metadata
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,9 +21,13 @@ from terraphi.robot.friction import HANGING_SHARE
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.legs import GRAVITY
 from terraphi.robot.logs import read_log
+from terraphi.robot.logs.columns import Columns
 from terraphi.robot.logs.samples import UNEVEN, describe
 from terraphi.robot.model import Quadruped
 from terraphi.robot.stance import AXES, Criteria, Ensemble, Stance, find_stances
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 RISE_SHARE = 0.1
 """Part of the robot's weight that a foot carries at least at the height of a stance [-]."""
@@ -109,6 +114,39 @@ class RobotForces:
         version = importlib.metadata.version("terraphi")
         return {**self.forces.provenance, "log": dict(self.report), "terraphi": version}
 
+    def plot(self) -> Figure:
+        """F_x and F_z of each foot over time, stances shaded, as a Matplotlib figure."""
+        from terraphi.robot.pictures import forces_figure
+
+        return forces_figure(self)
+
+    def to_netcdf(self, path: Path | str) -> None:
+        """Write forces, stances and mean stances as NetCDF-4; raises InputError if that fails."""
+        write_netcdf(dataset_of(self), Path(path))
+
+    def __repr__(self) -> str:
+        """A few lines for a prompt."""
+        peak = self.pooled.peak("z")
+        how = f"{self.forces.estimator}, {self.forces.frame} frame"
+        lines = [
+            f"{self.report['source'] or 'log'}: {self.report['duration_s']:.1f} s, {how}",
+            "no stances"
+            if peak is None
+            else f"{self.pooled.count} stances, peak of their mean Fz {peak:.0f} N",
+        ]
+        if self.lift is not None:
+            lines.append(f"mean load of the feet: {self.lift:.3f} of the weight")
+        if self.notes:
+            lines.append(f"warnings in .notes: {len(self.notes)}")
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        """The same for a notebook, with the mean stance of each foot."""
+        import pandas as pd
+
+        table = pd.DataFrame({foot: one.summary() for foot, one in self.feet.items()}).T
+        return f"<pre>{html.escape(repr(self))}</pre>{table.to_html(float_format='{:.3g}'.format)}"
+
 
 def foot_forces(
     log: Path | str | JointLog,
@@ -118,7 +156,9 @@ def foot_forces(
     frame: Frame = "world",
     lag_s: float = 0.0,
     contact_part: float = 1.0,
-    **reading: Any,
+    topic: str | None = None,
+    joint_names: Sequence[str] | None = None,
+    columns: Columns | Path | str | None = None,
 ) -> RobotForces:
     """Foot forces, stances and mean stances of a log.
 
@@ -132,18 +172,28 @@ def foot_forces(
         See :func:`~terraphi.robot.forces.estimate`.
     lag_s
         Time by which the log's torques are late against the motion [s]; they are taken back by it.
-    **reading
-        ``topic``, ``joint_names`` and ``columns`` of :func:`~terraphi.robot.logs.read_log`.
+    topic, joint_names, columns
+        Of :func:`~terraphi.robot.logs.read_log`: topic and joints of a bag, columns of a table.
 
     Raises
     ------
     InputError
         If the log or the model of the robot cannot be used, or an option is unknown.
+
+    Examples
+    --------
+    >>> forces = terraphi.foot_forces("walk.csv", robot="go2")
+    >>> forces.pooled.count, len(forces.summary()["feet"])
+    (31, 4)
     """
+    if not isinstance(log, JointLog | str | Path):
+        raise InputError(f"log of type {type(log).__name__}; give the path of a file or folder")
     body = robot if isinstance(robot, Quadruped) else Quadruped.load(robot)
     source = "" if isinstance(log, JointLog) else str(log)
     if not isinstance(log, JointLog):
-        log = read_log(log, motors=body.joint_order, **reading)
+        log = read_log(
+            log, topic=topic, joint_names=joint_names, motors=body.joint_order, columns=columns
+        )
     if abs(lag_s) > MOST_LAG_S:
         raise InputError(f"lag of {1e3 * lag_s:g} ms: expected at most {1e3 * MOST_LAG_S:g} ms")
     if lag_s:
@@ -229,11 +279,6 @@ def _notes(
     elif len(walked) < len(FEET):
         notes.append(f"no stances of {', '.join(foot for foot in FEET if foot not in walked)}")
     return notes
-
-
-def write_forces(result: RobotForces, path: Path | str) -> None:
-    """Write a result of :func:`foot_forces` as NetCDF-4; raises InputError if that fails."""
-    write_netcdf(dataset_of(result), Path(path))
 
 
 def dataset_of(result: RobotForces) -> Any:

@@ -66,7 +66,7 @@ class Criteria:
     smooth_s: float = 0.01
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Stance:
     """One foot's time on the ground.
 
@@ -105,7 +105,7 @@ class Stance:
         return np.stack([np.interp(at, self.time, column) for column in self.force.T], axis=1)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Ensemble:
     """All stances of one foot or of several, over normalised time, with their mean.
 

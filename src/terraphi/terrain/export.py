@@ -12,12 +12,21 @@ import numpy as np
 from pydantic import BaseModel, ValidationError, model_validator
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.errors import InputError, sentence_from_validation
-from terraphi.experiment.outputs import SIGNATURE, changed
+from terraphi.experiment.errors import InputError, nearest, sentence_from_validation
+from terraphi.experiment.files import replacing
+from terraphi.experiment.outputs import SIGNATURE, changed, check_file
 from terraphi.experiment.soil import cone_slope
 from terraphi.forward.foot import LAWS, Foot
-from terraphi.inference.answer import StoredAnswer
-from terraphi.terrain.simulators import Match, Simulator, in_words
+from terraphi.inference.answer import Answer, StoredAnswer, read_answer
+from terraphi.library.store import PHI
+from terraphi.terrain.simulators import (
+    MATCHES,
+    Match,
+    Simulator,
+    check_dp_type,
+    in_words,
+    simulator,
+)
 
 ANGLES = ("phi_deg", "phi_plane_strain_deg")
 EXACT = ("plane_strain", "rft3d")
@@ -26,6 +35,8 @@ AGREEMENT_DEG = 0.01
 """Rounding of an answer's angles [deg]."""
 FORMATS = {".py": "python", ".json": "json", ".usda": "usda"}
 """Suffix of a file to what is written into it."""
+MOST_DRAWS = 100_000
+"""Draws of an export at most."""
 PLATE = Foot(0.05, "disc")
 """Plate whose sinkage gives Bekker's parameters."""
 SINKAGE, DOWN = 0.02, 0.5 * np.pi
@@ -57,42 +68,96 @@ class Angles(BaseModel):
 
 
 def export(
-    read: StoredAnswer,
-    to: Simulator,
+    answer: Answer | StoredAnswer | Path | str,
     *,
+    to: str,
     match: Match = "plane-strain",
+    dp_type: str | None = None,
     draws: int = 0,
     seed: int = 0,
     anyway: bool = False,
+    out: Path | str | None = None,
 ) -> dict[str, Any]:
-    """A simulator's parameters from an answer.
+    """Write a simulator's parameters from an answer.
 
     Parameters
     ----------
-    read
-        The answer.
+    answer
+        An answer, the folder of ``terraphi invert --out``, its ``answer.nc``, or the output of
+        ``invert --json``.
     to
-        The simulator.
+        The simulator: ``genesis``, ``newton``, ``isaaclab``, ``chrono-crm``, ``chrono-scm`` or
+        ``geotaichi``.
     match
-        Stress path along which it is as strong as the soil.
+        Stress path along which it is as strong as the soil: ``plane-strain`` or ``triaxial``.
+    dp_type
+        Cone of GeoTaichi: ``Circumscribed``, ``MiddleCircumscribed`` (default) or ``Inscribed``.
     draws
         Number of draws of the posterior.
     seed
         Of the choice of draws.
     anyway
         Whether an answer whose verdict is not ``consistent`` is accepted.
+    out
+        A Python module (``.py``), ``.json`` or, of newton and isaaclab, ``.usda`` file to write.
 
     Returns
     -------
     dict
-        What ``--out FILE.json`` holds.
+        What a ``.json`` file holds: ``parameter``, ``value``, ``ci68``, ``ci95``, ``draws``,
+        ``density_kg_m3``, ``caution`` and more.
 
     Raises
     ------
     InputError
         If the answer has no φ, or none with an equivalent in plane strain; if its verdict is not
-        ``consistent``; if it has no draws and some are wanted; or if it lacks a key.
+        ``consistent``; if it has no draws and some are wanted; if it lacks a key; if an option is
+        unknown or the file cannot be written.
+
+    Examples
+    --------
+    >>> answer = terraphi.invert("li2013:poppy_loose/straight")
+    >>> found = terraphi.export(answer, to="genesis", draws=64, out="soil.py")
+    >>> found["parameter"], len(found["draws"])
+    ('friction_angle', 64)
     """
+    target = simulator(to, dp_type=dp_type)
+    check_dp_type(dp_type, to)
+    if match not in MATCHES:
+        raise InputError(f"unknown stress path '{match}'; {nearest(match, MATCHES)}")
+    if not (isinstance(draws, int) and 0 <= draws <= MOST_DRAWS):
+        raise InputError(f"draws = {draws!r}; 0 to {MOST_DRAWS} are accepted")
+    path = None if out is None else Path(out)
+    if path is not None:
+        if path.suffix not in FORMATS:
+            raise InputError(f"{path}: name a .py, .json or .usda file")
+        check_file(path)
+    found = _parameters(_stored(answer), target, match, draws, seed, anyway=anyway)
+    if path is not None:
+        content = text(found, FORMATS[path.suffix])
+        with replacing(path) as temporary:
+            temporary.write_text(content, encoding="utf-8")
+    return found
+
+
+def _stored(answer: Any) -> StoredAnswer:
+    """An answer with its draws, from memory or a file."""
+    if isinstance(answer, StoredAnswer):
+        return answer
+    if isinstance(answer, Answer):
+        draws = answer.phi_draws() if PHI in answer.parameters else np.empty(0)
+        return StoredAnswer(answer.source, answer.as_dict(), draws)
+    if isinstance(answer, str | Path):
+        return read_answer(answer)
+    raise InputError(
+        f"answer of type {type(answer).__name__}; give an Answer, or the folder or file of one"
+    )
+
+
+def _parameters(
+    read: StoredAnswer, to: Simulator, match: Match, draws: int, seed: int, *, anyway: bool
+) -> dict[str, Any]:
+    """What :func:`export` returns."""
     answer = read.answer
     if answer["phi_plane_strain_deg"] is None:
         reason = answer.get("phi_plane_strain_reason") or "it was not inferred"

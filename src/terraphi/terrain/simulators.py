@@ -219,60 +219,74 @@ def simulator(name: str, *, dp_type: str | None = None) -> Simulator:
     return replace(found, title=f"{found.title} with dpType {cone}", law=CONES[cone], dp_type=cone)
 
 
-def converted(
-    value: float, source: str, target: str | None = None, *, dp_type: str | None = None
+def check_dp_type(dp_type: str | None, *names: str | None) -> None:
+    """Raise InputError if there is a cone, and none of some simulators is GeoTaichi."""
+    if dp_type is not None and "geotaichi" not in names:
+        raise InputError(f"dp_type {dp_type}: only geotaichi has this option; leave it out")
+
+
+def convert(
+    value: float, *, from_: str, to: str | None = None, dp_type: str | None = None
 ) -> dict[str, Any]:
     """Friction angles that act where a simulator's friction has a value.
 
     Parameters
     ----------
     value
-        The parameter of ``source``, in its unit.
-    source, target
-        Names of simulators.
+        The parameter of ``from_``, in its unit.
+    from_, to
+        Names of simulators: ``genesis``, ``newton``, ``isaaclab``, ``chrono-crm``, ``chrono-scm``
+        or ``geotaichi``.
     dp_type
-        As in :func:`simulator`.
+        Cone of GeoTaichi: ``Circumscribed``, ``MiddleCircumscribed`` (default) or ``Inscribed``.
 
     Returns
     -------
     dict
         ``phi_plane_strain_deg`` and ``phi_triaxial_deg``: the Mohr-Coulomb angles as which it acts
         in plane strain without dilation and in triaxial compression, ``None`` where it is stronger
-        than any; ``value`` of the target with its parameter, equally strong in plane strain.
+        than any; ``value`` of ``to`` with its parameter, equally strong in plane strain.
 
     Raises
     ------
     InputError
-        If a name or the value cannot be used, or the target cannot be as strong.
+        If a name or the value cannot be used, or ``to`` cannot be as strong.
+
+    Examples
+    --------
+    >>> found = terraphi.convert(0.68, from_="newton", to="genesis")
+    >>> round(found["phi_plane_strain_deg"], 1), round(found["value"], 1)
+    (42.8, 29.5)
     """
-    given = simulator(source, dp_type=dp_type)
+    given = simulator(from_, dp_type=dp_type)
+    check_dp_type(dp_type, from_, to)
     least, most, unit = (LEAST_DEG, 90.0, " degrees, not radians") if given.unit else (0, 2, "")
-    if not least < value < most:
+    if not (isinstance(value, int | float) and least < value < most):
         expected = f"{given.title} expects {least:g} to {most:g}{unit}"
-        raise InputError(f"{given.parameter} = {value:g}: {expected}")
+        raise InputError(f"{given.parameter} = {value!r}: {expected}")
     ratio = given.law.ratio(value)
     found: dict[str, Any] = {
-        "from": source,
+        "from": from_,
         "parameter": given.parameter,
         "given": value,
         "meaning": given.law.meaning,
         "phi_plane_strain_deg": angle_of_ratio(ratio),
         # The shear strength of one plane does not determine that of other stress paths.
-        "phi_triaxial_deg": None if source == "chrono-scm" else angle_of_ratio(ratio, "triaxial"),
+        "phi_triaxial_deg": None if from_ == "chrono-scm" else angle_of_ratio(ratio, "triaxial"),
     }
-    if target is None:
+    if to is None:
         return found
-    wanted = simulator(target, dp_type=dp_type)
+    wanted = simulator(to, dp_type=dp_type)
     other = wanted.law.value(ratio)
     if math.isnan(other):
-        strength = f"{given.parameter} {in_words(value, given.unit)} of {source}"
+        strength = f"{given.parameter} {in_words(value, given.unit)} of {from_}"
         raise InputError(f"{wanted.title}: cannot be as strong as {strength}")
-    found |= {"to": target, "to_parameter": wanted.parameter, "to_unit": wanted.unit}
+    found |= {"to": to, "to_parameter": wanted.parameter, "to_unit": wanted.unit}
     return found | {"value": other}
 
 
 def converted_in_words(found: dict[str, Any]) -> list[str]:
-    """Result of :func:`converted`, a sentence each."""
+    """Result of :func:`convert`, a sentence each."""
     sentences = ["{from}: {parameter} {given:g} means {meaning}.".format_map(found)]
     for name, path in {"plane_strain": "plane strain", "triaxial": "triaxial compression"}.items():
         phi = found[f"phi_{name}_deg"]

@@ -1,11 +1,9 @@
-"""Foot forces: over time with the stances, and the mean stance with its spread."""
+"""Foot forces: the mean stance with its spread."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, panels_of
 from terraphi.view.table import Table
@@ -17,8 +15,6 @@ if TYPE_CHECKING:
 
 LOOKS = {"FR": (BLUE, "-"), "FL": (ORANGE, "--"), "RR": (GREEN, "-."), "RL": (PURPLE, ":")}
 FOOT_NAMES = {"FR": "front right", "FL": "front left", "RR": "rear right", "RL": "rear left"}
-SECONDS = 7.0
-"""Part of a log that a picture shows [s]."""
 SHOWN = {"x": (0, "$F_x$ [N]"), "z": (2, "$F_z$ [N], up")}
 """Axis to its column and label."""
 
@@ -37,33 +33,6 @@ def feet_table(summary: Mapping[str, Any], title: str) -> Table:
     ]
     header = ("foot", "stances", "duration [s]", "peak Fz [N]", "peak Fx [N]")
     return Table(title, header, rows, "Duration and signed peaks of the mean stance.")
-
-
-def forces_figure(result: RobotForces) -> Figure:
-    """F_x and F_z of each foot over time, its stances shaded."""
-    time, stances = result.forces.time, result.stances
-    first = stances[0].begin - 0.1 if stances else time[0]
-    start = max(min(first, time[-1] - SECONDS), time[0])
-    shown = slice(*np.searchsorted(time, [start, start + SECONDS]).tolist())
-    figure, grid = panels_of(4, 2, size=(12.0, 9.0), sharex=True, sharey="col")
-    for i, (foot, name) in enumerate(FOOT_NAMES.items()):
-        for axes, (column, label) in zip(grid[i], SHOWN.values(), strict=True):
-            force = result.forces.force[shown, i, column]
-            axes.plot(time[shown] - start, force, color=LOOKS[foot][0], lw=1.0)
-            for one in stances:
-                if one.foot == foot and start < one.end and one.begin < start + SECONDS:
-                    ends = one.begin - start, one.end - start
-                    axes.axvspan(*ends, color=GREY, alpha=0.15, lw=0)
-            axes.axhline(0.0, color=GREY, lw=0.6)
-            axes.set_ylabel(label)
-        grid[i, 0].set_title(f"{foot}, {name}", fontsize=10, loc="left")
-    for axes in grid[-1]:
-        axes.set_xlabel(f"time after {start:.2f} s [s]")
-    if time[-1] > start:
-        grid[0, 0].set_xlim(0.0, min(SECONDS, time[-1] - start))
-    how = f"{result.forces.estimator.replace('_', ' ')}, frame: {result.forces.frame}"
-    figure.suptitle(f"Force of the ground on each foot ({how}); stances shaded", fontsize=11)
-    return figure
 
 
 def stance_figure(result: RobotForces) -> Figure:
