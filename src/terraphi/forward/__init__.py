@@ -10,6 +10,7 @@ import importlib.metadata
 import platform
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from terraphi.experiment.errors import InputError
@@ -35,7 +36,7 @@ MODEL_VERSIONS = {"mpm": 1, "mpm3d": 1, "rft": 1}
 
 
 def simulate(
-    scenario: Scenario,
+    scenario: Scenario | Path | str,
     *,
     progress: Callable[[float], None] | None = None,
     checkpoint: Checkpoint | None = None,
@@ -46,7 +47,7 @@ def simulate(
     Parameters
     ----------
     scenario
-        Soil, leg, motion and numerics.
+        Soil, leg, motion and numerics; or its TOML file, or the name of a shipped preset.
     progress
         Called now and then with the fraction done, 0 to 1.
     checkpoint
@@ -72,7 +73,16 @@ def simulate(
         named does not fit, or this machine could not hold or finish the simulation.
     SimulationError
         If the solution breaks down; the message says between which steps, and the likely cause.
+
+    Examples
+    --------
+    >>> history = terraphi.simulate("quick")
+    >>> history.coordinate, len(history.position)
+    ('theta', 2700)
     """
+    if not isinstance(scenario, Scenario | Path | str):
+        raise InputError(f"scenario of type {type(scenario).__name__}; give a Scenario or its file")
+    scenario = scenario if isinstance(scenario, Scenario) else Scenario.load(scenario)
     refuse_what_cannot_fit(scenario)
     if scenario.model == "mpm":
         from terraphi.forward import driver

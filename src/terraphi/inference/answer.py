@@ -156,6 +156,16 @@ class Answer:
         Of the draws.
     provenance
         Versions, library hash, time; JSON-able.
+
+    Examples
+    --------
+    >>> answer = terraphi.invert("li2013:poppy_loose/straight")
+    >>> low, high = answer.phi.ci95
+    >>> low < answer.phi.median < high
+    True
+    >>> answer.save("answer")
+    >>> terraphi.Answer.load("answer").verdict
+    'consistent'
     """
 
     parameters: Mapping[str, Estimate]
@@ -275,7 +285,8 @@ class Answer:
 
     def _repr_html_(self) -> str:
         """The same for a notebook."""
-        return f"<pre>{html.escape(repr(self))}</pre>{self.summary().to_html()}"
+        table = self.summary().to_html(float_format="{:.4g}".format)
+        return f"<pre>{html.escape(repr(self))}</pre>{table}"
 
     def plot(self, figure: Figure | None = None) -> Figure:
         """Forces with the model's curve, and the posterior of φ; needs nothing but Matplotlib.
@@ -285,7 +296,7 @@ class Answer:
         figure
             Where to draw; ``None`` makes a figure.
         """
-        from matplotlib.figure import Figure as NewFigure
+        from terraphi.experiment.figure import Figure as NewFigure
 
         figure = figure or NewFigure(figsize=(10.0, 3.4), layout="constrained")
         *of_channels, of_phi = figure.subplots(1, 1 + len(self.nrmsd))

@@ -135,14 +135,25 @@ def _invert(
     **options: Any,
 ) -> Answer:
     """Records, library and likelihood of :func:`invert`, and the answer from them."""
-    every = list(forces) if isinstance(forces, list | tuple) else [forces]
-    records = [without_faults(r) for one in every for r in open_records(one, **options)]
+    records = _records(forces, options)
     library, reason = _library_for(records, library)
     known = Calibration.load(calibration) if isinstance(calibration, str | Path) else calibration
+    if not isinstance(known, Calibration | None):
+        raise InputError(
+            f"calibration of type {type(known).__name__}; give the result of calibrate, or a file"
+        )
     if known is not None:
         known.check(library)
     likelihood = Likelihood(records, library, known)
     return _answer(likelihood, library, reason, seed, began)
+
+
+def _records(forces: Any, options: dict[str, Any]) -> list[Record]:
+    """Records of one thing or a list, without faulty readings."""
+    every = list(forces) if isinstance(forces, list | tuple) else [forces]
+    if not every:
+        raise InputError("no forces: the list is empty")
+    return [without_faults(r) for one in every for r in open_records(one, **options)]
 
 
 def calibrate(
@@ -150,8 +161,12 @@ def calibrate(
     phi_deg: float,
     phi_sd_deg: float,
     *,
-    library: Library | str | None = None,
-    **options: Any,
+    library: Library | Path | str | None = None,
+    leg: str | None = None,
+    density: float | str | None = None,
+    columns: Any = None,
+    noise: float | tuple[float, float] | None = None,
+    gain: float | str | None = None,
 ) -> Calibration:
     """Compare a library with soils of known friction angle in one's own apparatus.
 
@@ -161,20 +176,29 @@ def calibrate(
         As of :func:`invert`; the records of a list are of one soil.
     phi_deg, phi_sd_deg
         Friction angle in the library's convention and its standard deviation [deg].
-    library, options
+    library, leg, density, columns, noise, gain
         As of :func:`invert`.
 
     Raises
     ------
     InputError
         As :func:`invert` does.
+
+    Examples
+    --------
+    >>> calibration = terraphi.calibrate("li2013:poppy_loose/straight", 36.0, 1.0)
+    >>> after = terraphi.invert("li2013:yuma/straight", calibration=calibration)
+    >>> after.phi.sd < terraphi.invert("li2013:yuma/straight").phi.sd
+    True
     """
+    if not all(isinstance(one, int | float) for one in (phi_deg, phi_sd_deg)):
+        raise InputError(f"phi = {phi_deg!r} ± {phi_sd_deg!r}; give two numbers of degrees")
     if not (0.0 < phi_deg < 90.0 and 0.0 <= phi_sd_deg < 90.0):
         raise InputError(f"phi = {phi_deg:g} ± {phi_sd_deg:g}°; 0 to 90° are accepted")
-    every = list(forces) if isinstance(forces, list | tuple) else [forces]
+    options = {"leg": leg, "density": density, "columns": columns, "noise": noise, "gain": gain}
     soils = []
     found: Library | None = None
-    for record in [without_faults(r) for one in every for r in open_records(one, **options)]:
+    for record in _records(forces, options):
         found, _ = _library_for([record], library)
         likelihood = Likelihood([record], found)
         if not likelihood.measured:
@@ -210,24 +234,30 @@ def calibrate(
 
 
 def invert_many(
-    rows: Sequence[dict[str, Any]], *, map_: Callable[..., Any] = map
+    rows: Sequence[Any], *, map_: Callable[..., Any] = map
 ) -> list[Answer | InputError]:
     """Invert many records, each by itself; what cannot be used gives its error, in the same order.
 
     Parameters
     ----------
     rows
-        Arguments of :func:`invert` by name, ``forces`` among them.
+        Forces, or arguments of :func:`invert` by name, ``forces`` among them.
     map_
         Applies a function to each row, such as that of an executor.
+
+    Examples
+    --------
+    >>> rows = ["li2013:yuma/straight", {"forces": "lost.csv", "leg": "c"}]
+    >>> [type(one).__name__ for one in terraphi.invert_many(rows)]
+    ['Answer', 'InputError']
     """
     return list(map_(_attempt, rows))
 
 
-def _attempt(row: dict[str, Any]) -> Answer | InputError:
+def _attempt(row: Any) -> Answer | InputError:
     """An answer, or why there is none."""
     try:
-        return invert(**row)
+        return invert(**row) if isinstance(row, dict) else invert(row)
     except InputError as error:
         return error
 

@@ -279,7 +279,8 @@ def record_of(
         If the forces, the leg or the density cannot be used.
     """
     if leg is not None and leg not in LEG_SHAPES:
-        raise InputError(f"leg '{leg}' is not known; {nearest(leg, LEG_SHAPES)}")
+        known_legs = [shape for shape in LEG_SHAPES if shape != "plate"]
+        raise InputError(f"unknown leg '{leg}'; {nearest(leg, known_legs)}")
     history = known.history
     made_by = scenario_of(history, name=known.name)
     mean, sd, assumed = known.density_kg_m3, None, known.density_assumed
@@ -306,7 +307,11 @@ def record_of(
         history = history.scaled(1.0 / factor)
     sensor = _noise(history)
     if noise is not None:
-        given = noise if isinstance(noise, tuple) else (float(noise), float(noise))
+        given = tuple(noise) if isinstance(noise, list | tuple) else (noise, noise)
+        if len(given) != 2 or not all(isinstance(one, int | float) for one in given):
+            raise InputError(
+                f"noise = {noise!r}; give one number of newtons, or one for each force"
+            )
         if not all(0.0 <= one <= np.ptp(history.force) for one in given):
             raise InputError(
                 f"noise = {max(given):g} N; 0 N to {np.ptp(history.force):.3g} N, the range of "
