@@ -16,6 +16,8 @@ import numpy as np
 import pytest
 
 from terraphi.experiment.errors import InputError
+from terraphi.forward.foot import LAWS, Foot, wrench
+from terraphi.forward.rft import stress_per_depth_3d, stress_scale
 from terraphi.inference.answer import StoredAnswer as Told
 from terraphi.inference.inversion import invert
 from terraphi.terrain.export import bekker, export, in_plane_strain, text
@@ -79,6 +81,17 @@ def set_by(name: str, made: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> 
         assert given[:4] == [made["BEKKER_KPHI"], 0.0, made["BEKKER_N"], 0.0]
         assert given[5:] == [made["JANOSI_SHEAR"], 1e8, 3e4]
         return given[4]
+    if name == "rft3d":
+        # The force that the module gives is that of the library of the same physics.
+        soil, mesh = made["soil"](surface_friction=0.4), ([[0.0, 0.0, -0.02]], [[0.0, 0.0, -1.0]])
+        force, _ = wrench(*mesh, [1e-3], [[0.0, 0.0, -1.0]], **soil)
+        pressed = LAWS["rft"].force(Foot(np.sqrt(1e-3 / np.pi), "disc"), 0.02, np.pi / 2, **soil)
+        assert force[2] == pytest.approx(pressed[1], rel=1e-6)
+        unit = stress_per_depth_3d(
+            np.array([[0.0, 0.0, -1.0]]), np.array([[0.0, 0.0, -1.0]]), **soil
+        )[0, 2] / stress_scale(soil["friction_angle_deg"], soil["density"])
+        assert force[2] == pytest.approx(unit * made["XI_N"] * 0.02 * 1e-3, rel=1e-6)
+        return soil["friction_angle_deg"]
     assert made["material"](1e7, 0.3)["dpType"] == "MiddleCircumscribed"
     return made["material"](1e7, 0.3)["Friction"]
 

@@ -17,7 +17,8 @@ LEGS = ("straight", "c", "reversed_c")
 ESTIMATORS = ("quasi_static", "momentum_observer")
 LAW_SETS = ("rft", "bearing", "all")
 FRAMES = ("world", "body")
-SIMULATORS = ("genesis", "newton", "isaaclab", "chrono-crm", "chrono-scm", "geotaichi", "mujoco")
+SIMULATORS = ("genesis", "newton", "isaaclab", "chrono-crm", "chrono-scm", "geotaichi", "rft3d",
+              "mujoco")  # fmt: skip
 MATCHES = ("plane-strain", "triaxial")
 DP_TYPES = ("Circumscribed", "MiddleCircumscribed", "Inscribed")
 

@@ -17,6 +17,7 @@ from terraphi.experiment.files import replacing
 from terraphi.experiment.outputs import SIGNATURE, changed, check_file
 from terraphi.experiment.soil import cone_slope
 from terraphi.forward.foot import LAWS, Foot
+from terraphi.forward.rft import stress_scale
 from terraphi.inference.answer import Answer, StoredAnswer, read_answer
 from terraphi.library.store import PHI
 from terraphi.terrain.simulators import (
@@ -86,8 +87,8 @@ def export(
         An answer, the folder of ``terraphi invert --out``, its ``answer.nc``, or the output of
         ``invert --json``.
     to
-        The simulator: ``genesis``, ``newton``, ``isaaclab``, ``chrono-crm``, ``chrono-scm`` or
-        ``geotaichi``.
+        The simulator: ``genesis``, ``newton``, ``isaaclab``, ``chrono-crm``, ``chrono-scm``,
+        ``geotaichi`` or ``rft3d``.
     match
         Stress path along which it is as strong as the soil: ``plane-strain`` or ``triaxial``.
     dp_type
@@ -217,6 +218,10 @@ def _parameters(
         }
         if to.name == "chrono-scm":
             found |= bekker(phi, chosen, float(density), seed=seed)
+        if to.name == "rft3d":
+            about = "[N/m³] ξ_n, which all stresses per depth are proportional to"
+            scale = _summary(lambda a: float(stress_scale(to.from_angle(a), density)), phi, chosen)
+            found["XI_N"] = {**scale, "about": about}
     except (AttributeError, KeyError, TypeError) as error:
         raise InputError(
             f"{read.source}: not as 'terraphi invert' writes it ({error!r}); make it again"
@@ -433,6 +438,12 @@ USES = {
     elastic = {"YoungModulus": young_modulus, "PoissonRatio": poisson_ratio}
     plastic = {"Friction": value, "dpType": DP_TYPE, "Dilation": 0.0, "Cohesion": 0.0}
     return {"MaterialID": 1, "Density": DENSITY, **elastic, **plastic, **others}
+''',
+    "rft3d": '''def soil(value=FRICTION_ANGLE_DEG, surface_friction=LEG_FRICTION):
+    """Keywords of terraphi.forward.foot.wrench: force and moment on the mesh of a foot."""
+    return {
+        "friction_angle_deg": value, "density": DENSITY, "surface_friction": surface_friction,
+    }
 ''',
 }
 """Functions of the exported module that hand the constants to the simulator."""

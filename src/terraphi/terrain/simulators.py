@@ -76,6 +76,12 @@ SHEARED_PLANE = Law(
     lambda q: math.degrees(math.atan(q)),
     lambda angle: math.tan(math.radians(angle)),
 )
+RESISTIVE = Law(
+    "√J2 ≤ p tan φ, without dilation: the soil that ξ was fitted to (Agarwal et al., 2023)",
+    "tan φ_rft = sin φ",
+    SHEARED_PLANE.value,
+    SHEARED_PLANE.ratio,
+)
 CONES = {"Circumscribed": COMPRESSION, "MiddleCircumscribed": EXTENSION, "Inscribed": INSCRIBED}
 """Cones of GeoTaichi, by its ``dpType``."""
 DP_TYPES = tuple(CONES)
@@ -182,6 +188,11 @@ _TABLE = (
         "YoungModulus, PoissonRatio, Tensile, softening; Dilation and Cohesion are 0",
         "a simulation each; in a random field, the fifth column of a particle",
     ),
+    Simulator(
+        "rft3d", "three-dimensional resistive force theory", "friction_angle_deg", "deg",
+        RESISTIVE, "the friction of your own foot on the soil, for LEG_FRICTION",
+        "a call each",
+    ),
 )
 # fmt: on
 SIMULATORS = {one.name: one for one in _TABLE}
@@ -235,8 +246,8 @@ def convert(
     value
         The parameter of ``from_``, in its unit.
     from_, to
-        Names of simulators: ``genesis``, ``newton``, ``isaaclab``, ``chrono-crm``, ``chrono-scm``
-        or ``geotaichi``.
+        Names of simulators: ``genesis``, ``newton``, ``isaaclab``, ``chrono-crm``,
+        ``chrono-scm``, ``geotaichi`` or ``rft3d``.
     dp_type
         Cone of GeoTaichi: ``Circumscribed``, ``MiddleCircumscribed`` (default) or ``Inscribed``.
 
