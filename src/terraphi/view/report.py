@@ -12,7 +12,8 @@ import gzip
 import hashlib
 import importlib.metadata
 import json
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -96,17 +97,28 @@ def write(found: Sequence[Section], out: Path) -> None:
 
 def render(found: Sequence[Section]) -> str:
     """HTML of a page with some sections; raises InputError if a package is missing."""
-    library, packed = _plotly()
-    script = ASSETS.joinpath("report.js").read_text(encoding="utf-8")
+    return page(", ".join(one.title for one in found), *drawn(found))
+
+
+def drawn(found: Sequence[Section]) -> tuple[str, dict[str, Any]]:
+    """HTML of some sections, and their plots by the element that they go to."""
     plots = {
         f"plot-{i}-{j}": {"data": part.traces, "layout": part.layout}
         for i, section in enumerate(found)
         for j, part in enumerate(section.parts)
         if isinstance(part, Plot)
     }
+    return load_template("sections.html").render(sections=found), plots
+
+
+def page(title: str, body: str, plots: Mapping[str, Any]) -> str:
+    """A whole page from what :func:`drawn` returns; raises InputError if a package is missing."""
+    library, packed = plotly()
+    script = asset("plots.js") + asset("report.js")
     return str(
         load_template("report.html").render(
-            sections=found,
+            title=title,
+            body=body,
             script=script,
             plots=embedded(plots),
             plotly=packed,
@@ -118,17 +130,28 @@ def render(found: Sequence[Section]) -> str:
     )
 
 
+def asset(name: str) -> str:
+    """Text of a script."""
+    return ASSETS.joinpath(name).read_text(encoding="utf-8")
+
+
 def load_template(name: str) -> Any:
     """A template that escapes all values; raises InputError if Jinja2 is missing."""
     with needing("a page", "Jinja2 and plotly", extra="report"):
         from jinja2 import Environment, FileSystemLoader, StrictUndefined
-    return Environment(
+        from markupsafe import Markup, escape
+    environment = Environment(
         loader=FileSystemLoader(ASSETS),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
-    ).get_template(name)
+    )
+    # Lines break after these signs rather than inside a word.
+    environment.filters["breakable"] = lambda text: Markup(
+        re.sub(r"[/_:](?=\w)|\.(?=[^\W\d])", r"\g<0><wbr>", str(escape(text)))
+    )
+    return environment.get_template(name)
 
 
 def digest(script: str) -> str:
@@ -145,7 +168,7 @@ def embedded(data: Any) -> str:
 
 
 @cache
-def _plotly() -> tuple[str, str]:
+def plotly() -> tuple[str, str]:
     """The script of Plotly, and the same compressed in base64."""
     with needing("a page", "Jinja2 and plotly", extra="report"):
         from plotly.offline import get_plotlyjs
