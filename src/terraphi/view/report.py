@@ -147,11 +147,15 @@ def load_template(name: str) -> Any:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    # Lines break after these signs rather than inside a word.
     environment.filters["breakable"] = lambda text: Markup(
-        re.sub(r"[/_:](?=\w)|\.(?=[^\W\d])", r"\g<0><wbr>", str(escape(text)))
+        re.sub(r"\S{16,}", _breakable, str(escape(text)))
     )
     return environment.get_template(name)
+
+
+def _breakable(word: re.Match[str]) -> str:
+    """A long name whose lines break after its separators rather than inside a part."""
+    return re.sub(r"[/_:.](?=\w)", r"\g<0><wbr>", word[0])
 
 
 def digest(script: str) -> str:

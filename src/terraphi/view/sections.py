@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -65,21 +64,15 @@ class Section(NamedTuple):
     status: str = ""
 
 
-def section_of(
-    source: str, kind: str, *, name: str = "", robot: str = "go2", **options: Any
-) -> Section:
+def section_of(source: str, kind: str, *, robot: str = "go2") -> Section:
     """The section of a result; raises InputError if it cannot be used.
 
     Parameters
     ----------
     source, kind
         As in :func:`terraphi.view.report.kind_of`.
-    name
-        Name of measured forces in the page; that of the file if not given.
     robot
         Of a log.
-    options
-        Of :func:`terraphi.invert`, for forces.
     """
     path = Path(source)
     if kind == "answer":
@@ -88,11 +81,9 @@ def section_of(
         found, warning = of_answer(Answer.load(path)), changed(path)
         return found._replace(lines=[warning, *found.lines]) if warning else found
     if kind == "forces":
-        from terraphi.experiment.measurements import open_forces
         from terraphi.inference.inversion import invert
 
-        measured = [replace(one, name=name or one.name) for one in open_forces(source)]
-        return of_answer(invert(measured, **options))
+        return of_answer(invert(source))
     if kind == "library":
         return of_library(source)
     if kind == "simulation":
@@ -318,14 +309,15 @@ def of_footfalls(found: Any, name: str) -> Section:
         x, y = place[:, :2].T
         path = points(found.path[:, 1], found.path[:, 2], "path, footfalls pooled", BLUE)
         each = points(x[usable], y[usable], "footfall", BLUE)
-        path["marker"] |= {"color": numbers(phi), "coloraxis": "coloraxis", "size": 5}
-        each["marker"] |= {"color": numbers(found.phi[usable]), "coloraxis": "coloraxis"}
-        each["marker"] |= {"size": 11, "line": {"color": "#1b1f24", "width": 1}}
+        every = np.concatenate([phi, found.phi[usable]])
+        scale = {"colorscale": "Viridis", "cmin": every.min(), "cmax": every.max()}
+        bar = {"showscale": True, "colorbar": {"title": {"text": "φ [deg]"}, "thickness": 14}}
+        path["marker"] |= {"color": numbers(phi), "size": 8, "symbol": "square", **scale}
+        each["marker"] |= {"color": numbers(found.phi[usable]), "size": 9, **scale, **bar}
+        each["marker"]["line"] = {"color": "#1b1f24", "width": 1}
         plan = [path, each, points(x[~usable], y[~usable], "refused", GREY, symbol="x")]
         layout = axes("x, along the first heading [m]", "y [m]")
         layout["yaxis"]["scaleanchor"] = "x"
-        bar = {"title": {"text": "φ [deg]"}, "thickness": 14}
-        layout["coloraxis"] = {"colorscale": "Viridis", "colorbar": bar}
         parts.append(Plot("Footfalls", plan[: 2 + (~usable).any()], layout, wide=True))
         course = [
             band(s, phi - wide, phi + wide, "68 %, absolute", PALE_GREY),
