@@ -31,19 +31,9 @@ from terraphi.experiment.errors import InputError, needing
 from terraphi.experiment.files import scratch
 from terraphi.experiment.leg import CURVES, Leg, frame_axes
 from terraphi.experiment.reading import ForceColumns
+from terraphi.view import report
 from terraphi.view.answers import LEGS
-from terraphi.view.report import (
-    LOGS,
-    asset,
-    digest,
-    drawn,
-    embedded,
-    kind_of,
-    load_template,
-    page,
-    plotly,
-)
-from terraphi.view.sections import Section, numbers, of_answer, section_of
+from terraphi.view.sections import Section, numbers, of_answer, of_footfalls, section_of
 
 if TYPE_CHECKING:
     from starlette.applications import Starlette
@@ -53,7 +43,7 @@ if TYPE_CHECKING:
     from terraphi.inference.answer import Answer
 
 HOST = "127.0.0.1"
-SUFFIXES = (".nc", *LOGS)
+SUFFIXES = (".nc", *report.LOGS)
 MOST_ANSWERS = 8
 """Answers whose files are kept, in memory."""
 FILES = ("fit.csv", "answer.nc", "footfalls.csv", "footfalls.geojson", "footfalls.nc")
@@ -130,15 +120,6 @@ def serve(port: int, *, ready: Callable[[str], None]) -> None:
             uvicorn.Server(uvicorn.Config(served, **options)).run(sockets=[ours])
 
 
-class Kept(NamedTuple):
-    """An answer whose files can be downloaded."""
-
-    title: str
-    html: str
-    plots: dict[str, Any]
-    files: dict[str, bytes]
-
-
 def application(limits: Limits | None = None, *, place: Path | None = None) -> Starlette:
     """Make the Starlette application, with dropped files in a folder of this process.
 
@@ -151,24 +132,24 @@ def application(limits: Limits | None = None, *, place: Path | None = None) -> S
         from starlette.middleware.trustedhost import TrustedHostMiddleware
         from starlette.responses import HTMLResponse, JSONResponse, Response
         from starlette.routing import Route
-    script = asset("plots.js") + asset("app.js")
-    library, packed = plotly()
+    script = report.asset("plots.js") + report.asset("app.js")
+    library, packed = report.plotly()
     units = ForceColumns.model_json_schema()["properties"]
-    front = load_template("app.html").render(
+    front = report.load_template("app.html").render(
         script=script,
         plotly=packed,
-        roles=embedded(ROLES),
+        roles=report.embedded(ROLES),
         units={name: units[name]["anyOf"][0]["enum"] for name in ("theta_unit", "unit")},
         legs={leg: (LEGS[leg], corners(leg)) for leg in CURVES},
         suffixes=",".join(SUFFIXES),
         megabytes=limits.bytes // 1_000_000,
     )
     policy = (
-        f"default-src 'none'; script-src {digest(script)} {digest(library)}; "
+        f"default-src 'none'; script-src {report.digest(script)} {report.digest(library)}; "
         "style-src 'unsafe-inline'; connect-src 'self'; img-src data: blob:; base-uri 'none'; "
         "form-action 'none'; frame-ancestors 'none'"
     )
-    kept: OrderedDict[str, Kept] = OrderedDict()
+    kept: OrderedDict[str, tuple[dict[str, Any], dict[str, bytes]]] = OrderedDict()
     readers = Readers()
 
     @contextlib.asynccontextmanager
@@ -187,21 +168,21 @@ def application(limits: Limits | None = None, *, place: Path | None = None) -> S
             return JSONResponse({"refused": str(refused)}, refused.status, headers=HEADERS)
         if "html" in reply:
             name = secrets.token_urlsafe(16)
-            kept[name] = Kept(reply.pop("title"), reply["html"], reply["plots"], files)
+            kept[name] = (dict(reply), files)
             while len(kept) > MOST_ANSWERS:
                 kept.popitem(last=False)
             reply["files"] = {file: f"/files/{name}/{file}" for file in ("report.html", *files)}
         return JSONResponse(reply, headers=HEADERS)
 
     async def file(request: Request) -> Response:
-        name, wanted = request.path_params["name"], request.path_params["file"]
-        found = kept.get(name)
-        if found is None or wanted not in ("report.html", *found.files):
+        wanted = request.path_params["file"]
+        reply, files = kept.get(request.path_params["name"], ({}, {}))
+        if reply:
+            files = {**files, "report.html": report.page(**reply).encode()}
+        if wanted not in files:
             return HTMLResponse("This file is no longer kept.", 404, headers=HEADERS)
-        title, html, plots, files = found
-        content = page(title, html, plots) if wanted == "report.html" else files[wanted]
         headers = {**HEADERS, "content-disposition": "attachment"}
-        return Response(content, media_type="application/octet-stream", headers=headers)
+        return Response(files[wanted], media_type="application/octet-stream", headers=headers)
 
     routes = [
         Route("/", home),
@@ -351,10 +332,9 @@ def prepare(leg: str) -> None:
     with contextlib.suppress(ImportError):
         import terraphi.robot.footfalls  # noqa: F401
     found = invert(f"li2013:yuma/{leg}")
-    drawn([of_answer(found)])
+    report.drawn([of_answer(found)])
     with tempfile.TemporaryDirectory() as place:
-        found.to_netcdf(Path(place) / "answer.nc")
-        write_fit(found, Path(place) / "fit.csv")
+        write_files(found, Path(place))
 
 
 def work(folder: Path) -> None:
@@ -372,9 +352,8 @@ def work(folder: Path) -> None:
             reply["wrong"] = named(reply.get("wrong", ""))
         else:
             found = answers(file, name, {**job["options"], "columns": columns})
-            html, plots = drawn(found)
-            reply = {"title": name, "html": html, "plots": plots}
-        (folder / "reply.json").write_text(embedded(reply), encoding="utf-8")
+            reply = {"title": name, **report.drawn(found)}
+        (folder / "reply.json").write_text(report.embedded(reply), encoding="utf-8")
     except InputError as error:
         sentence = named(str(error))
         sentence = sentence if name in sentence else f"{name}: {sentence}"
@@ -386,37 +365,27 @@ def look(file: str, columns: dict[str, Any]) -> dict[str, Any]:
     from terraphi.experiment.measurements import open_forces
     from terraphi.experiment.reading import preview
 
-    kind = kind_of(file)
-    if kind != "forces":
+    if (kind := report.kind_of(file)) != "forces":
         return {"kind": kind}
     shown = preview(file, columns)
     reply = {"kind": kind, **shown._asdict(), "rows": [numbers(row) for row in shown.rows]}
     try:
-        found = open_forces(file, columns)
+        found = open_forces(file, columns)[0]
     except InputError as error:
         return {**reply, "wrong": str(error)}
-    one, history = found[0], found[0].history
-    values = {"θ": ("°", history.theta_deg)}
-    for axis, force in zip(history.axes, history.force.T, strict=True):
-        values[f"F{axis}"] = ("N", force)
-    if history.moment is not None:
-        values["M"] = ("N m", history.moment)
-    ranges = ", ".join(
-        f"{name} {value.min():.3g} to {value.max():.3g} {unit}"
-        for name, (unit, value) in values.items()
-    )
-    notes = history.provenance.get("reading", [])
-    return {
-        **reply,
-        "read": [f"{len(history.position)} readings: {ranges}.", *notes],
-        "leg": "" if one.leg_assumed else one.leg,
-        "density": one.density_kg_m3,
-    }
+    history = found.history
+    names = ("θ [deg]", *(f"F{axis} [N]" for axis in history.axes))
+    columns_read = zip(names, (history.theta_deg, *history.force.T), strict=True)
+    ranges = ", ".join(f"{n} from {v.min():.3g} to {v.max():.3g}" for n, v in columns_read)
+    reply["read"] = [f"{len(history.position)} readings: {ranges}."]
+    reply["read"] += history.provenance.get("reading", [])
+    leg = "" if found.leg_assumed else found.leg
+    return {**reply, "leg": leg, "density": found.density_kg_m3}
 
 
 def answers(file: str, name: str, options: dict[str, Any]) -> list[Section]:
     """Sections for a dropped file, and files next to it: an inversion, or footfalls of a log."""
-    kind, folder = kind_of(file), Path(file).parent
+    kind, folder = report.kind_of(file), Path(file).parent
     if kind in ("forces", "simulation"):
         from terraphi.experiment.measurements import open_forces
         from terraphi.inference.inversion import invert
@@ -424,14 +393,12 @@ def answers(file: str, name: str, options: dict[str, Any]) -> list[Section]:
         measured = open_forces(file, options.pop("columns"))
         measured = [replace(one, name=one.name.replace(file, name)) for one in measured]
         answer = invert(measured, **options)
-        answer.to_netcdf(folder / "answer.nc")
-        write_fit(answer, folder / "fit.csv")
+        write_files(answer, folder)
         return [of_answer(answer)]
     found = [section_of(file, kind)._replace(title=name)]
     if kind == "log":
         from terraphi.robot.footfall_files import write_footfalls
         from terraphi.robot.footfalls import footfalls
-        from terraphi.view.sections import of_footfalls
 
         try:
             walked = footfalls(file, density=options["density"])
@@ -443,21 +410,22 @@ def answers(file: str, name: str, options: dict[str, Any]) -> list[Section]:
     return found
 
 
-def write_fit(answer: Answer, path: Path) -> None:
-    """Write what is compared of each record as CSV: forces, fit, bare model and 95 % band."""
+def write_files(answer: Answer, folder: Path) -> None:
+    """Write an answer, and what it compares: forces, fit, bare model and 95 % band."""
     import pandas as pd
 
     rows = []
     for one in answer.records:
         columns: dict[str, Any] = {"record": one.source, "theta_deg": one.theta_deg}
         fit = one.curve if one.expected is None else one.expected
+        curves = {"": one.data, "_fit": fit, "_model": one.curve}
+        curves |= {"_low": one.band[0], "_high": one.band[1]}
         for i, force in enumerate(one.nrmsd):
             unit = "N_m" if force == "M" else "N"
-            curves = (one.data, fit, one.curve, one.band[0], one.band[1])
-            for kind, curve in zip(("", "_fit", "_model", "_low", "_high"), curves, strict=True):
-                columns[f"{force}{kind}_{unit}"] = curve[i]
+            columns |= {f"{force}{kind}_{unit}": curve[i] for kind, curve in curves.items()}
         rows.append(pd.DataFrame(columns))
-    pd.concat(rows).to_csv(path, index=False, float_format="%.6g")
+    pd.concat(rows).to_csv(folder / "fit.csv", index=False, float_format="%.6g")
+    answer.to_netcdf(folder / "answer.nc")
 
 
 def limit_process() -> None:

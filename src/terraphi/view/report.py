@@ -97,28 +97,28 @@ def write(found: Sequence[Section], out: Path) -> None:
 
 def render(found: Sequence[Section]) -> str:
     """HTML of a page with some sections; raises InputError if a package is missing."""
-    return page(", ".join(one.title for one in found), *drawn(found))
+    return page(", ".join(one.title for one in found), **drawn(found))
 
 
-def drawn(found: Sequence[Section]) -> tuple[str, dict[str, Any]]:
-    """HTML of some sections, and their plots by the element that they go to."""
+def drawn(found: Sequence[Section]) -> dict[str, Any]:
+    """HTML of some sections (``html``), and their ``plots`` by the element that they go to."""
     plots = {
         f"plot-{i}-{j}": {"data": part.traces, "layout": part.layout}
         for i, section in enumerate(found)
         for j, part in enumerate(section.parts)
         if isinstance(part, Plot)
     }
-    return load_template("sections.html").render(sections=found), plots
+    return {"html": load_template("sections.html").render(sections=found), "plots": plots}
 
 
-def page(title: str, body: str, plots: Mapping[str, Any]) -> str:
+def page(title: str, html: str, plots: Mapping[str, Any]) -> str:
     """A whole page from what :func:`drawn` returns; raises InputError if a package is missing."""
     library, packed = plotly()
     script = asset("plots.js") + asset("report.js")
     return str(
         load_template("report.html").render(
             title=title,
-            body=body,
+            html=html,
             script=script,
             plots=embedded(plots),
             plotly=packed,
