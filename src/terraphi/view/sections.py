@@ -129,7 +129,8 @@ def of_answer(answer: Answer) -> Section:
         parts.append(
             Plot("Terms of the interval", traces, axes("standard deviation of φ [deg]", ""))
         )
-    parts += [one for one in tables(answer) if "term" not in one.header]
+    known = "Parameters" if len(answer.parameters) == 1 else ""  # in the headline, that is
+    parts += [one for one in tables(answer) if one.title != known and "term" not in one.header]
     status = "good" if answer.verdict == "consistent" else "bad"
     origin = pairs(answer.as_dict()["provenance"])
     return Section(
