@@ -139,7 +139,6 @@ def load_template(name: str) -> Any:
     """A template that escapes all values; raises InputError if Jinja2 is missing."""
     with needing("a page", "Jinja2 and plotly", extra="report"):
         from jinja2 import Environment, FileSystemLoader, StrictUndefined
-        from markupsafe import Markup, escape
     environment = Environment(
         loader=FileSystemLoader(ASSETS),
         autoescape=True,
@@ -147,15 +146,17 @@ def load_template(name: str) -> Any:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["breakable"] = lambda text: Markup(
-        re.sub(r"\S{16,}", _breakable, str(escape(text)))
-    )
+    environment.filters["breakable"] = _breakable
     return environment.get_template(name)
 
 
-def _breakable(word: re.Match[str]) -> str:
-    """A long name whose lines break after its separators rather than inside a part."""
-    return re.sub(r"[/_:.](?=\w)", r"\g<0><wbr>", word[0])
+def _breakable(text: str) -> Any:
+    """Text whose lines break after the separators of long names, not inside a part of one."""
+    from markupsafe import Markup, escape
+
+    whole = re.sub(r" (?=%)|(?<=±) ", "&nbsp;", str(escape(text))).replace("3-D", "3&#8209;D")
+    named = re.sub(r"[^\s&;]{16,}", lambda m: re.sub(r"[/:](?=\w)", r"\g<0><wbr>", m[0]), whole)
+    return Markup(re.sub(r"[^\s&;/:<>]{24,}", lambda m: m[0].replace("_", "_<wbr>"), named))
 
 
 def digest(script: str) -> str:
