@@ -22,7 +22,9 @@ function columns() {
 
 async function send(task) {
   const turn = ++busy, began = Date.now();
-  const tick = setInterval(() => { by("status").textContent = `${task === "look" ? "Reading" : "Working"}: ${Math.round((Date.now() - began) / 1000)} s`; }, 500);
+  const tell = () => { by("status").textContent = `${task === "look" ? "Reading" : "Working"}: ${Math.round((Date.now() - began) / 1000)} s`; };
+  const tick = setInterval(tell, 500);
+  tell();
   const { leg, density, sd } = Object.fromEntries(new FormData(form));
   const query = { name: file.name, columns: JSON.stringify(columns()), leg: leg || "", density: density && sd ? `${density}±${sd}` : density };
   let found = { refused: "The file did not arrive: it may be too large, or the app has been stopped." };
