@@ -132,6 +132,7 @@ async function open(dropped) {
   by("table").replaceChildren();
   by("answer").replaceChildren();
   by("name").textContent = file.name;
+  unpacked ??= unpack();
   const found = await send("look");
   if (!found) return;
   kind = found.kind;

@@ -2,16 +2,18 @@
 // A finger on a plot scrolls the page.
 const coarse = matchMedia("(pointer: coarse)").matches;
 
-const unpacked = (async () => {
+let unpacked;
+
+async function unpack() {
   const packed = Uint8Array.from(atob(document.getElementById("plotly").textContent), (c) => c.charCodeAt(0));
   const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"));
   const library = document.createElement("script");
   library.textContent = await new Response(stream).text();
   document.head.append(library);
-})();
+}
 
 async function draw(plots) {
-  await unpacked;
+  await (unpacked ??= unpack());
   const axis = { automargin: true, gridcolor: "#e3e6ea", zerolinecolor: "#9aa4af" };
   for (const [id, { data, layout }] of Object.entries(plots)) {
     await Plotly.newPlot(id, data, {
