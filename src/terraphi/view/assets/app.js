@@ -113,7 +113,7 @@ function show(found) {
   }
   for (const [role, name, usual] of [["theta", "theta_unit", "deg"], ["fz", "unit", "N"]]) {
     const unit = found.units[found.columns.indexOf(taken[role])];
-    form.elements[name].options[0].text = unit ? `${unit}, from the header` : usual;
+    form.elements[name].options[0].text = unit ? `${unit} (header)` : usual;
   }
   by("questions").replaceChildren(...questions);
   if (questions.length) alarm("");
