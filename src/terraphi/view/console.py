@@ -76,7 +76,7 @@ def print_forces(summary: dict[str, Any]) -> None:
 
 def print_footfalls(summary: dict[str, Any]) -> None:
     """φ under each footfall, then along the path with both bands."""
-    from terraphi.view.footfall_plots import footfalls_table
+    from terraphi.view.robot_plots import footfalls_table
 
     print_table(footfalls_table(summary, MOST_FOOTFALLS))
     path = summary["path"]

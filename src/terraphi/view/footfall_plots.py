@@ -2,39 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from terraphi.view.plots import BLUE, GREY, ORANGE, panels_of
-from terraphi.view.table import Table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from terraphi.robot.footfalls import FootfallMap
-
-
-def footfalls_table(summary: dict[str, Any], most: int) -> Table:
-    """Place, sinkage, φ and verdict of the first footfalls of a summary."""
-    rows = []
-    for one in summary["footfalls"][:most]:
-        phi = one["phi_deg"]
-        median, half = "-", "-"
-        if phi is not None:
-            median = f"{phi['median']:.1f}"
-            half = f"{0.5 * (phi['ci68'][1] - phi['ci68'][0]):.1f}"
-        rows.append(
-            (
-                median, half, one["verdict"], f"{one['t_s']:.2f}", one["foot"],
-                f"{one['x_m']:.2f}", f"{one['y_m']:.2f}", f"{one['sinkage_mm']:.1f}",
-            )
-        )  # fmt: skip
-    more = len(summary["footfalls"]) - len(rows)
-    header = ("φ [deg]", "±", "verdict", "t [s]", "foot", "x [m]", "y [m]", "sinkage [mm]")
-    note = "±: 68 %, absolute." + (f" {more} more are in the files." if more else "")
-    return Table(f"Footfalls, law {summary['law']}", header, rows, note)
 
 
 def footfalls_figure(found: FootfallMap) -> Figure:

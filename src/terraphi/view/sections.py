@@ -298,7 +298,7 @@ def of_foot_forces(path: Path, robot: str) -> Section:
 def of_footfalls(found: Any, name: str) -> Section:
     """Friction angles of footfalls on the ground and along the path."""
     from terraphi.robot.footfall_files import summary
-    from terraphi.view.footfall_plots import footfalls_table
+    from terraphi.view.robot_plots import footfalls_table
 
     usable, place = found.usable, found.place
     counts = ", ".join(f"{count} {verdict}" for verdict, count in found.counts().items())
