@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import http.client
+import io
 import json
 import os
 import socket
@@ -16,11 +17,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import urlencode
 
+import numpy as np
+import pandas as pd
 import pytest
 
-from terraphi import InputError, measurement
+from terraphi import InputError, invert, measurement, read_forces
 from terraphi.view import app
-from terraphi.view.app import Limits, application, work
+from terraphi.view.app import Limits, Readers, application, look, work
 
 uvicorn = pytest.importorskip("uvicorn")
 
@@ -52,9 +55,9 @@ class Served:
             known = {name.lower(): value for name, value in reply.getheaders()}
             return Reply(reply.status, known, reply.read().decode())
 
-    def drop(self, body: Any, **options: str) -> Reply:
+    def drop(self, body: Any, *, task: str = "answer", **options: str) -> Reply:
         query = urlencode({**USUAL, **options})
-        return self.ask("POST", f"/answer?{query}", body, **{"x-terraphi": "1"})
+        return self.ask("POST", f"/{task}?{query}", body, **{"x-terraphi": "1"})
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +72,7 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 def running(limits: Limits) -> Iterator[Served]:
     with socket.socket() as bound:
         bound.bind(("127.0.0.1", 0))
-        options: dict[str, Any] = {"log_level": "critical", "lifespan": "off"}
+        options: dict[str, Any] = {"log_level": "critical"}
         server = uvicorn.Server(uvicorn.Config(application(limits), **options))
         thread = threading.Thread(target=server.run, kwargs={"sockets": [bound]})
         thread.start()
@@ -99,12 +102,93 @@ def test_dropped_forces_become_an_answer_and_nothing_stays(
 ) -> None:
     found = served.drop(forces, name=f"../../etc/{HOSTILE}.csv", density="700±30")
     assert found.status == 200, found.text
-    page = served.ask("GET", json.loads(found.text)["page"])
-    assert "plane strain" in page.text
-    assert "700 kg/m³" in page.text
-    assert "<img" not in page.text
-    assert "etc/" not in page.text.split("<h1>")[1].split("</h1>")[0]
+    html = json.loads(found.text)["html"]
+    assert "Plane strain" in html
+    assert "700 kg/m³" in html
+    assert "<img" not in html
+    assert "etc/" not in html.split("<h1>")[1].split("</h1>")[0]
     assert list(places.iterdir()) == []
+
+
+def test_an_answer_can_be_downloaded_and_nothing_else(served: Served, forces: bytes) -> None:
+    files = json.loads(served.drop(forces, density="638±30").text)["files"]
+    found = served.ask("GET", files["fit.csv"])
+    assert found.headers["content-disposition"] == "attachment"
+    table = pd.read_csv(io.StringIO(found.text))
+    record = invert("li2013:poppy_loose/straight", density="638±30").records[0]
+    np.testing.assert_allclose(table["theta_deg"], record.theta_deg, rtol=1e-5)
+    np.testing.assert_allclose(table["Fz_N"], record.data[1], rtol=1e-4, atol=1e-4)
+    assert served.ask("GET", files["report.html"]).text.startswith("<!doctype html>")
+    assert {*files} == {"report.html", "fit.csv", "answer.nc"}
+    place = files["fit.csv"].rpartition("/")[0]
+    for path in (f"{place}/dropped.csv", f"{place}/..%2fapp.py", "/files/other/fit.csv"):
+        assert served.ask("GET", path).status == 404
+
+
+def exported(kind: str) -> bytes:
+    """A shipped measurement as somebody's program writes it."""
+    history = measurement("li2013:yuma/c").history
+    theta, (fx, fz) = history.theta_deg, history.force.T
+    time = (theta - theta[0]) / 40.0
+    names, columns, options = {
+        "own": ("theta_deg,Fx_N,Fz_N", (theta, fx, fz), {}),
+        "german": ("Zeit [s];Winkel [°];Kraft X [kN];Kraft Z [kN]",
+                   (time, theta, fx / 1e3, fz / 1e3), {"decimal": ","}),
+        "two": ("time s,motor angle,leg angle,Fx sensor,Fx model,Fz",
+                (time, 3.0 * theta, theta, fx, 2.0 * fx, fz), {}),
+        "radians": ("angle,force x,force z", (history.position, fx, fz), {}),
+        "timed": ("elapsed [s],thrust [lbf],lift [lbf]",
+                  (time, fx / 4.4482216152605, fz / 4.4482216152605), {}),
+    }[kind]  # fmt: skip
+    separator = ";" if ";" in names else ","
+    frame = pd.DataFrame(dict(zip(names.split(separator), columns, strict=True)))
+    text = frame.to_csv(index=False, sep=separator, **options)
+    return text.encode("utf-16" if kind == "german" else "utf-8")
+
+
+@pytest.mark.parametrize(
+    ("kind", "choices"),
+    [
+        ("own", {}),
+        ("german", {}),
+        ("two", {"theta": "leg angle", "fx": "Fx sensor"}),
+        ("radians", {"theta_unit": "rad"}),
+        ("timed", {"time": "elapsed [s]", "rate_deg_s": 40.0, "theta_offset_deg": -132.0}),
+    ],
+)
+def test_a_preview_and_the_choices_in_it_read_what_the_reader_reads(
+    kind: str, choices: dict[str, Any], tmp_path: Path
+) -> None:
+    file = tmp_path / "f.csv"
+    file.write_bytes(exported(kind))
+    first = look(str(file), {})
+    assert bool(first.get("wrong")) == bool(choices)
+    for role, name in choices.items():
+        assert name in first["candidates"].get(role, [name])
+    chosen = {**first["roles"], **choices}
+    assert not look(str(file), chosen).get("wrong")
+    read, true = read_forces(file, **chosen), measurement("li2013:yuma/c").history
+    np.testing.assert_allclose(read.position, true.position, atol=1e-6)
+    np.testing.assert_allclose(read.force, true.force, rtol=1e-9, atol=1e-9)
+
+
+def test_a_preview_of_what_cannot_be_guessed_has_the_cells(served: Served, places: Path) -> None:
+    body = f"{HOSTILE},b\n1,2\n3,x\n".encode()
+    found = served.drop(body, task="look")
+    assert found.status == 200, found.text
+    reply = json.loads(found.text)
+    assert reply["columns"] == [HOSTILE, "b"]
+    assert reply["rows"] == [[1.0, 2.0], [3.0, None]]
+    assert reply["roles"] == {}
+    assert found.headers["content-type"] == "application/json"
+    assert list(places.iterdir()) == []
+
+
+@pytest.mark.parametrize("columns", ['"/etc/passwd"', "[1]", "{", '{"theta": 1}', '{"nope": "a"}'])
+def test_choices_that_are_none_are_refused(columns: str, served: Served, forces: bytes) -> None:
+    found = served.drop(forces, columns=columns)
+    assert found.status == 422
+    assert "root:" not in found.text
 
 
 def test_what_a_killed_app_left_is_removed_at_the_next_start(
@@ -142,7 +226,8 @@ def test_what_cannot_be_read_ends_in_a_sentence_with_its_own_name(
 ) -> None:
     file = f"dropped{Path(name).suffix}"
     (tmp_path / file).write_bytes(body)
-    job = {"file": file, "name": name, "options": {"leg": None, "density": None}}
+    options = {"leg": None, "density": None, "columns": None}
+    job = {"file": file, "name": name, "task": "answer", "options": options}
     (tmp_path / "job.json").write_text(json.dumps(job), encoding="utf-8")
     work(tmp_path)
     sentence = (tmp_path / "refused.txt").read_text(encoding="utf-8")
@@ -180,7 +265,7 @@ def test_another_site_can_neither_send_nor_name_the_app(served: Served, forces: 
     preflight = served.ask("OPTIONS", "/answer", Origin="http://evil.example")
     assert preflight.status == 405
     assert "access-control-allow-origin" not in preflight.headers
-    assert served.ask("GET", "/page/..%2f..%2fetc%2fpasswd").status == 404
+    assert served.ask("GET", "/files/..%2f..%2fetc%2fpasswd").status == 404
 
 
 @pytest.mark.parametrize(
@@ -190,13 +275,23 @@ def test_wrong_options_are_refused(options: dict[str, str], served: Served) -> N
     assert served.drop(b"x", **options).status in (400, 415)
 
 
-def test_work_that_takes_too_long_is_ended(forces: bytes, tmp_path: Path) -> None:
-    job = {"file": "dropped.csv", "name": "a.csv", "options": {}}
+def test_work_that_takes_too_long_is_ended_and_the_next_file_is_read(
+    forces: bytes, tmp_path: Path
+) -> None:
+    job = {"file": "dropped.csv", "name": "a.csv", "task": "look", "options": {"columns": None}}
     (tmp_path / "job.json").write_text(json.dumps(job))
     (tmp_path / "dropped.csv").write_bytes(forces)
-    with pytest.raises(app.RefusedError, match=r"not done within 0\.05 s"):
-        asyncio.run(app._work(tmp_path, "a.csv", 0.05))
-    assert not (tmp_path / "page.html").exists()
+
+    async def twice() -> None:
+        readers = Readers()
+        with pytest.raises(TimeoutError):
+            await readers.read(tmp_path, 0.05)
+        assert not (tmp_path / "reply.json").exists()
+        await readers.read(tmp_path, 60.0)
+        await readers.end()
+
+    asyncio.run(twice())
+    assert json.loads((tmp_path / "reply.json").read_text())["kind"] == "forces"
 
 
 def test_a_port_in_use_is_refused() -> None:
@@ -218,8 +313,12 @@ def test_a_file_dropped_in_a_browser_ends_in_its_page(
     page.on("pageerror", lambda error: trouble.append(str(error)))
     page.goto(f"http://127.0.0.1:{served.port}/")
     page.set_input_files("#file", tmp_path / "bad.csv")
-    page.get_by_text("same at every angle").wait_for()
+    page.get_by_label("straight leg").check()
+    page.get_by_role("button", name="Find").click()
+    page.get_by_role("alert").get_by_text("same at every angle").wait_for()
     page.set_input_files("#file", tmp_path / "mine.csv")
+    page.get_by_label("straight leg").check()
+    page.keyboard.press("Enter")
     page.locator("html[data-drawn]").wait_for(state="attached")
     assert page.locator(".headline").inner_text().startswith("φ = ")
     assert trouble == []

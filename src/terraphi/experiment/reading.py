@@ -11,7 +11,7 @@ import re
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field, ValidationError, field_validator
@@ -40,6 +40,8 @@ LEAST_DEG = 7.0
 """Largest angle of a record below which its angles must be radians [deg]."""
 HEAVIEST_DEG = (-60.0, 35.0)
 """Where half of the squared force has passed [deg]: -43 to 8 in the shipped measurements."""
+PREVIEW_ROWS = 6
+"""Rows of a preview."""
 ROLES = ("theta", "fx", "fz")
 NO_FORCE = r"#|row|nr|no|index|sample|test|comment|temp\w*"
 """Names of columns that are none of a force, where only a moment was found."""
@@ -234,6 +236,45 @@ def read_trials(
     found.refuse_other_zero(histories[0])
     found.refuse_if_wrong(name)
     return histories
+
+
+class Preview(NamedTuple):
+    """First rows of a table, and what its columns are taken for."""
+
+    columns: list[str]
+    """Names of all columns."""
+    units: list[str | None]
+    """Unit of each in the table, by our name; ``None`` where there is none."""
+    rows: list[list[float]]
+    """Cells of the first rows; NaN where there is no number."""
+    roles: dict[str, str]
+    """Column of each role that is given or guessed: theta or time, fx, fz, moment."""
+    candidates: dict[str, list[str]]
+    """Columns that may have a role of which none was chosen."""
+
+
+def preview(
+    source: Any, columns: ForceColumns | Mapping[str, Any] | Path | str | None = None
+) -> Preview:
+    """First rows of a table and the guesses of :func:`read_forces`, whether it refuses it or not.
+
+    Raises
+    ------
+    InputError
+        If it holds no rows of numbers, or an option is wrong.
+    """
+    named = ForceColumns.of(columns)
+    table = read_table(Path(source)) if isinstance(source, str | Path) else table_of(source)
+    found = _Reading(table, named)
+    found.choose()
+    written = [table.units.get(name) or unit for name, (_, unit) in found.parts.items()]
+    return Preview(
+        list(found.parts),
+        [unit_named(unit or "") for unit in written],
+        table.frame.head(PREVIEW_ROWS).to_numpy().tolist(),
+        found.names,
+        {role: found._like(role) for role in KIND if role not in found.names},
+    )
 
 
 def _name_of(source: Any) -> str:

@@ -76,21 +76,9 @@ def print_forces(summary: dict[str, Any]) -> None:
 
 def print_footfalls(summary: dict[str, Any]) -> None:
     """φ under each footfall, then along the path with both bands."""
-    rows = []
-    for one in summary["footfalls"]:
-        phi = one["phi_deg"]
-        half = "-" if phi is None else f"{0.5 * (phi['ci68'][1] - phi['ci68'][0]):.1f}"
-        rows.append(
-            (
-                f"{one['t_s']:.2f}", one["foot"], f"{one['x_m']:.2f}", f"{one['y_m']:.2f}",
-                f"{one['sinkage_mm']:.1f}", "-" if phi is None else f"{phi['median']:.1f}", half,
-                one["verdict"],
-            )
-        )  # fmt: skip
-    more = len(rows) - MOST_FOOTFALLS
-    header = ("t [s]", "foot", "x [m]", "y [m]", "sinkage [mm]", "φ [deg]", "±", "verdict")
-    note = f"{more} more: --json and --out have all." if more > 0 else ""
-    print_table(Table(f"Footfalls, law {summary['law']}", header, rows[:MOST_FOOTFALLS], note))
+    from terraphi.view.robot_plots import footfalls_table
+
+    print_table(footfalls_table(summary, MOST_FOOTFALLS))
     path = summary["path"]
     if path["phi_deg"] and path["phi_deg"][0] is not None:
         bands = ("ci68_relative", "ci68_absolute")

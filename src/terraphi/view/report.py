@@ -12,7 +12,8 @@ import gzip
 import hashlib
 import importlib.metadata
 import json
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -96,17 +97,28 @@ def write(found: Sequence[Section], out: Path) -> None:
 
 def render(found: Sequence[Section]) -> str:
     """HTML of a page with some sections; raises InputError if a package is missing."""
-    library, packed = _plotly()
-    script = ASSETS.joinpath("report.js").read_text(encoding="utf-8")
+    return page(", ".join(one.title for one in found), **drawn(found))
+
+
+def drawn(found: Sequence[Section]) -> dict[str, Any]:
+    """HTML of some sections (``html``), and their ``plots`` by the element that they go to."""
     plots = {
         f"plot-{i}-{j}": {"data": part.traces, "layout": part.layout}
         for i, section in enumerate(found)
         for j, part in enumerate(section.parts)
         if isinstance(part, Plot)
     }
+    return {"html": load_template("sections.html").render(sections=found), "plots": plots}
+
+
+def page(title: str, html: str, plots: Mapping[str, Any]) -> str:
+    """A whole page from what :func:`drawn` returns; raises InputError if a package is missing."""
+    library, packed = plotly()
+    script = asset("plots.js") + asset("report.js")
     return str(
         load_template("report.html").render(
-            sections=found,
+            title=title,
+            html=html,
             script=script,
             plots=embedded(plots),
             plotly=packed,
@@ -118,17 +130,33 @@ def render(found: Sequence[Section]) -> str:
     )
 
 
+def asset(name: str) -> str:
+    """Text of a script."""
+    return ASSETS.joinpath(name).read_text(encoding="utf-8")
+
+
 def load_template(name: str) -> Any:
     """A template that escapes all values; raises InputError if Jinja2 is missing."""
     with needing("a page", "Jinja2 and plotly", extra="report"):
         from jinja2 import Environment, FileSystemLoader, StrictUndefined
-    return Environment(
+    environment = Environment(
         loader=FileSystemLoader(ASSETS),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
-    ).get_template(name)
+    )
+    environment.filters["breakable"] = _breakable
+    return environment.get_template(name)
+
+
+def _breakable(text: str) -> Any:
+    """Text whose lines break after the separators of long names, not inside a part of one."""
+    from markupsafe import Markup, escape
+
+    whole = re.sub(r" (?=%)|(?<=±) ", "&nbsp;", str(escape(text))).replace("3-D", "3&#8209;D")
+    named = re.sub(r"[^\s&;]{16,}", lambda m: re.sub(r"[/:](?=\w)", r"\g<0><wbr>", m[0]), whole)
+    return Markup(re.sub(r"[^\s&;/:<>]{24,}", lambda m: m[0].replace("_", "_<wbr>"), named))
 
 
 def digest(script: str) -> str:
@@ -145,7 +173,7 @@ def embedded(data: Any) -> str:
 
 
 @cache
-def _plotly() -> tuple[str, str]:
+def plotly() -> tuple[str, str]:
     """The script of Plotly, and the same compressed in base64."""
     with needing("a page", "Jinja2 and plotly", extra="report"):
         from plotly.offline import get_plotlyjs

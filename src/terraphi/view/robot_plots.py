@@ -19,6 +19,27 @@ SHOWN = {"x": (0, "$F_x$ [N]"), "z": (2, "$F_z$ [N], up")}
 """Axis to its column and label."""
 
 
+def footfalls_table(summary: dict[str, Any], most: int) -> Table:
+    """Place, sinkage, φ and verdict of the first footfalls of a summary."""
+    rows = []
+    for one in summary["footfalls"][:most]:
+        phi = one["phi_deg"]
+        median, half = "-", "-"
+        if phi is not None:
+            median = f"{phi['median']:.1f}"
+            half = f"{0.5 * (phi['ci68'][1] - phi['ci68'][0]):.1f}"
+        rows.append(
+            (
+                median, half, one["verdict"], f"{one['t_s']:.2f}", one["foot"],
+                f"{one['x_m']:.2f}", f"{one['y_m']:.2f}", f"{one['sinkage_mm']:.1f}",
+            )
+        )  # fmt: skip
+    more = len(summary["footfalls"]) - len(rows)
+    header = ("φ [deg]", "±", "verdict", "t [s]", "foot", "x [m]", "y [m]", "sinkage [mm]")
+    note = "±: 68 %, absolute." + (f" {more} more are in the files." if more else "")
+    return Table(f"Footfalls, law {summary['law']}", header, rows, note)
+
+
 def feet_table(summary: Mapping[str, Any], title: str) -> Table:
     """Stances of each foot and of all, with the duration and signed peaks of the mean one."""
     feet = {f"{name} ({foot})": summary["feet"][foot] for foot, name in FOOT_NAMES.items()}

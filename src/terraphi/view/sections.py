@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -26,6 +25,8 @@ if TYPE_CHECKING:
 
 SHOWN_S = 10.0
 """Part of a robot's log that is shown over time [s]."""
+MOST_ROWS = 300
+"""Footfalls of a table."""
 MOST_POINTS = 1500
 """Points of a curve."""
 THETA = "leg angle θ [deg]"
@@ -63,21 +64,15 @@ class Section(NamedTuple):
     status: str = ""
 
 
-def section_of(
-    source: str, kind: str, *, name: str = "", robot: str = "go2", **options: Any
-) -> Section:
+def section_of(source: str, kind: str, *, robot: str = "go2") -> Section:
     """The section of a result; raises InputError if it cannot be used.
 
     Parameters
     ----------
     source, kind
         As in :func:`terraphi.view.report.kind_of`.
-    name
-        Name of measured forces in the page; that of the file if not given.
     robot
         Of a log.
-    options
-        Of :func:`terraphi.invert`, for forces.
     """
     path = Path(source)
     if kind == "answer":
@@ -86,11 +81,9 @@ def section_of(
         found, warning = of_answer(Answer.load(path)), changed(path)
         return found._replace(lines=[warning, *found.lines]) if warning else found
     if kind == "forces":
-        from terraphi.experiment.measurements import open_forces
         from terraphi.inference.inversion import invert
 
-        measured = [replace(one, name=name or one.name) for one in open_forces(source)]
-        return of_answer(invert(measured, **options))
+        return of_answer(invert(source))
     if kind == "library":
         return of_library(source)
     if kind == "simulation":
@@ -109,13 +102,15 @@ def section_of(
 
 def of_answer(answer: Answer) -> Section:
     """φ and verdict, forces with the model's curves, posterior, terms of the interval."""
-    about, headline, *lines = in_words(answer)
+    about, angle, *lines = in_words(answer)
     source, _, about = about.partition(" · ")
+    angle, *more = angle.split("    ")
+    headline = ", ".join([angle, *more[:1], answer.verdict.replace("_", " ")])
     parts: list[Plot | Picture | Table] = []
     for record in answer.records:
         where = f", {record.source}" if len(answer.records) > 1 else ""
         fit = record.curve if record.expected is None else record.expected
-        for i, (force, label) in enumerate(FORCES.items()):
+        for i, (force, nrmsd) in enumerate(record.nrmsd.items()):
             theta, low, high = record.theta_deg, *record.band[:, i]
             traces = [band(theta, low, high, "model, 95 % of φ", PALE_BLUE)]
             if record.expected is not None:
@@ -124,8 +119,8 @@ def of_answer(answer: Answer) -> Section:
                 line(theta, fit[i], "model", BLUE),
                 points(theta, record.data[i], "data", ORANGE),
             ]
-            title = f"{force}{where}: residual {record.nrmsd[force]:.0%} of its range"
-            parts.append(Plot(title, traces, axes(THETA, label)))
+            title = f"{force}{where}: residual {nrmsd:.0%} of its range"
+            parts.append(Plot(title, traces, axes(THETA, FORCES.get(force, "M [N m]"))))
     parts += _posterior(answer)
     if answer.budget_deg:
         names, values = list(answer.budget_deg)[::-1], list(answer.budget_deg.values())[::-1]
@@ -134,14 +129,15 @@ def of_answer(answer: Answer) -> Section:
         parts.append(
             Plot("Terms of the interval", traces, axes("standard deviation of φ [deg]", ""))
         )
-    parts += [one for one in tables(answer) if "term" not in one.header]
+    known = "Parameters" if len(answer.parameters) == 1 else ""  # in the headline, that is
+    parts += [one for one in tables(answer) if one.title != known and "term" not in one.header]
     status = "good" if answer.verdict == "consistent" else "bad"
     origin = pairs(answer.as_dict()["provenance"])
     return Section(
         "answer",
         source,
-        f"{headline.replace('    ', ', ')}, {answer.verdict.replace('_', ' ')}",
-        [*lines, about],
+        headline,
+        [*map(capital, more[1:]), *lines, about],
         parts,
         origin,
         status,
@@ -294,49 +290,50 @@ def of_foot_forces(path: Path, robot: str) -> Section:
     if pooled["stances"]:
         headline += f", mean peak lift {pooled['mean_peak_Fz_N']:.0f} N"
     lines = [f"{summary['estimator'].replace('_', ' ')}, frame: {summary['frame']}"]
-    lines += [f"{note[:1].upper()}{note[1:]}." for note in summary["notes"]]
+    lines += [f"{capital(note)}." for note in summary["notes"]]
     origin = pairs(json_object(data.attrs["provenance"]))
     return Section("foot forces", path.name, headline, lines, parts, origin)
 
 
 def of_footfalls(found: Any, name: str) -> Section:
     """Friction angles of footfalls on the ground and along the path."""
+    from terraphi.robot.footfall_files import summary
+    from terraphi.view.robot_plots import footfalls_table
+
     usable, place = found.usable, found.place
-    rows = [(verdict, str(count)) for verdict, count in found.counts().items()]
+    counts = ", ".join(f"{count} {verdict}" for verdict, count in found.counts().items())
     parts: list[Plot | Picture | Table] = []
     headline = f"None of {len(usable)} footfalls determines φ"
     if usable.any():
-        phi, s = found.phi[usable], found.path[:, 0]
+        phi, s = found.path_phi, found.path[:, 0]
         wide, narrow = found.path_absolute_sd, found.path_relative_sd
         x, y = place[:, :2].T
-        coloured = points(x[usable], y[usable], "usable", BLUE)
-        scale = {
-            "colorscale": "Viridis",
-            "showscale": True,
-            "colorbar": {"title": {"text": "φ [deg]"}},
-        }
-        coloured["marker"] |= {"color": numbers(phi), **scale}
-        plan = [
-            line(found.path[:, 1], found.path[:, 2], "path", GREY, dash="dot"),
-            points(x[~usable], y[~usable], "refused", GREY, symbol="x"),
-            coloured,
-        ]
+        path = points(found.path[:, 1], found.path[:, 2], "path, footfalls pooled", BLUE)
+        each = points(x[usable], y[usable], "footfall", BLUE)
+        every = np.concatenate([phi, found.phi[usable]])
+        scale = {"colorscale": "Viridis", "cmin": every.min(), "cmax": every.max()}
+        bar = {"showscale": True, "colorbar": {"title": {"text": "φ [deg]"}, "thickness": 14}}
+        path["marker"] |= {"color": numbers(phi), "size": 8, "symbol": "square", **scale}
+        each["marker"] |= {"color": numbers(found.phi[usable]), "size": 9, **scale, **bar}
+        each["marker"]["line"] = {"color": "#1b1f24", "width": 1}
+        plan = [path, each, points(x[~usable], y[~usable], "refused", GREY, symbol="x")]
         layout = axes("x, along the first heading [m]", "y [m]")
         layout["yaxis"]["scaleanchor"] = "x"
-        parts.append(Plot("Footfalls", plan, layout, wide=True))
+        parts.append(Plot("Footfalls", plan[: 2 + (~usable).any()], layout, wide=True))
         course = [
-            band(s, found.path_phi - wide, found.path_phi + wide, "68 %, absolute", PALE_GREY),
-            band(s, found.path_phi - narrow, found.path_phi + narrow, "68 %, relative", PALE_BLUE),
-            line(s, found.path_phi, "footfalls pooled", BLUE),
+            band(s, phi - wide, phi + wide, "68 %, absolute", PALE_GREY),
+            band(s, phi - narrow, phi + narrow, "68 %, relative", PALE_BLUE),
+            line(s, phi, "footfalls pooled", BLUE),
         ]
         note = "Relative: between places. Absolute: with density, foot and force law uncertain."
         parts.append(Plot("Along the path", course, axes("s [m]", "φ [deg]"), note, wide=True))
+        ends = dict.fromkeys(f"{end:.0f}" for end in (phi.min(), phi.max()))
         headline = (
-            f"φ = {found.path_phi.min():.0f} to {found.path_phi.max():.0f}° along {s[-1]:.1f} m, "
-            f"± {np.median(narrow):.1f}° between places, ± {np.median(wide):.1f}° in all"
+            f"φ = {' to '.join(ends)}° ± {np.median(wide):.1f}° along {s[-1]:.1f} m; "
+            f"differences between places ± {np.median(narrow):.1f}°"
         )
-    parts.append(Table("Footfalls", ("verdict", "count"), rows))
-    lines = [f"{note[:1].upper()}{note[1:]}." for note in found.notes]
+    parts.append(footfalls_table(summary(found), MOST_ROWS))
+    lines = [f"Footfalls: {counts}.", *(f"{capital(note)}." for note in found.notes)]
     status = "" if usable.any() else "bad"
     return Section("footfalls", name, headline, lines, parts, pairs(found.provenance), status)
 
@@ -400,6 +397,11 @@ def band(x: ArrayLike, low: ArrayLike, high: ArrayLike, name: str, colour: str) 
 def axes(x: str, y: str) -> dict[str, Any]:
     """A layout with the labels of both axes."""
     return {"xaxis": {"title": {"text": x}}, "yaxis": {"title": {"text": y}}}
+
+
+def capital(text: str) -> str:
+    """A text that begins with a capital letter."""
+    return text[:1].upper() + text[1:]
 
 
 def escaped(text: str) -> str:

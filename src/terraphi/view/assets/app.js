@@ -1,21 +1,166 @@
-"use strict";
 const by = (id) => document.getElementById(id);
+const form = by("form");
+const roles = JSON.parse(by("roles").textContent);
+let file, kind, busy = 0;
 
-async function send(file) {
-  const began = Date.now();
-  const tick = setInterval(() => {
-    by("say").textContent = `Reading ${file.name}: ${Math.round((Date.now() - began) / 1000)} s`;
-  }, 250);
-  const query = new URLSearchParams({ name: file.name, leg: by("leg").value, density: by("density").value });
+function made(tag, properties, ...inside) {
+  const one = Object.assign(document.createElement(tag), properties);
+  one.append(...inside);
+  return one;
+}
+
+// -- talking to the server ---------------------------------------------------------------------
+
+function columns() {
+  const found = {};
+  for (const select of document.querySelectorAll("#table select")) if (select.value) found[select.value] = select.dataset.column;
+  for (const { name, value } of by("reading").querySelectorAll("[name]")) {
+    if (value) found[name] = Number.isNaN(Number(value)) ? value : Number(value);
+  }
+  return found;
+}
+
+async function send(task) {
+  const turn = ++busy, began = Date.now();
+  const tell = () => { by("status").textContent = `${task === "look" ? "Reading" : "Working"}: ${Math.round((Date.now() - began) / 1000)} s`; };
+  const tick = setInterval(tell, 500);
+  tell();
+  const { leg, density, sd } = Object.fromEntries(new FormData(form));
+  const query = { name: file.name, columns: JSON.stringify(columns()), leg: leg || "", density: density && sd ? `${density}±${sd}` : density };
   let found = { refused: "The file did not arrive: it may be too large, or the app has been stopped." };
   try {
-    const answer = await fetch(`/answer?${query}`, { method: "POST", body: file, headers: { "x-terraphi": "1" } });
+    const answer = await fetch(`/${task}?${new URLSearchParams(query)}`, { method: "POST", body: file, headers: { "x-terraphi": "1" } });
     found = await answer.json();
-  } finally {
+  } catch { /* as it is */ } finally {
     clearInterval(tick);
-    by("say").textContent = found.refused || "Done.";
   }
-  if (found.page) location.href = found.page;
+  if (turn !== busy) return null; // something newer was asked
+  by("status").textContent = "";
+  alarm(found.refused || found.wrong);
+  return found.refused ? null : found;
+}
+
+// -- what is wrong, and what would help ---------------------------------------------------------
+
+const OFFER = /[,;]?\s*(?:add|or)?\s*--(columns|leg) (?:'([^']*)'|([\w=.,-]*\w))/g;
+
+function offers(text) {
+  const values = [...text.matchAll(OFFER)].map(([, option, quoted, plain]) => [option, quoted ?? plain]);
+  return values.filter(([, value]) => !/=(NAME|UNIT)/.test(value)).map(([option, value]) => made("button", {
+    type: "button", textContent: `Use ${option === "leg" ? "leg " : ""}${value}`, onclick: () => apply(option, value),
+  }));
+}
+
+function alarm(text) {
+  by("alert").hidden = !text;
+  if (!text) return;
+  by("alert").replaceChildren(text.replace(OFFER, ""));
+  by("alert").append(made("div", {}, ...offers(text)));
+  by("alert").scrollIntoView({ block: "nearest" });
+}
+
+function take(role, column) {
+  for (const select of document.querySelectorAll("#table select")) {
+    if (select.dataset.column === column) select.value = role;
+    else if (select.value === role) select.value = "";
+  }
+}
+
+function apply(option, value) {
+  if (option === "leg") form.elements.leg.value = value;
+  else for (const pair of value.split(",")) {
+    const [key, text] = pair.split("=");
+    if (key in roles) take(key, text);
+    else if (form.elements[key]) form.elements[key].value = text;
+  }
+  if (option === "leg" || (by("answer").childElementCount && form.checkValidity())) answer();
+  else look();
+}
+
+// -- a preview -----------------------------------------------------------------------------------
+
+function tabulate({ columns, units, rows, roles: taken, candidates }) {
+  const head = columns.map((name, i) => {
+    const select = made("select", { ariaLabel: `What ${name} is` }, made("option", { value: "", textContent: "not used" }));
+    for (const [role, text] of Object.entries(roles)) select.append(made("option", { value: role, textContent: text }));
+    select.dataset.column = name;
+    select.value = Object.keys(taken).find((role) => taken[role] === name) || "";
+    if (!taken.theta && !candidates.theta?.length && candidates.time?.[0] === name) select.value = "time";
+    return made("th", { scope: "col" }, select, made("div", {}, name), made("div", { className: "note", textContent: units[i] || "no unit" }));
+  });
+  const body = rows.map((row) => made("tr", {}, ...row.map((cell) => made("td", { className: "short", textContent: cell ?? "" }))));
+  by("table").replaceChildren(made("thead", {}, made("tr", {}, ...head)), made("tbody", {}, ...body));
+}
+
+function ask(...inside) {
+  return made("div", { className: "question" }, ...inside);
+}
+
+function show(found) {
+  const taken = columns(), questions = [], lacking = [];
+  for (const [role, text] of Object.entries(roles)) {
+    const may = (found.candidates[role] || []).filter((name) => !Object.values(taken).includes(name));
+    if (taken[role] || role === "time" || (role === "theta" && taken.time)) continue;
+    const buttons = may.map((name) => made("button", { type: "button", textContent: name, onclick: () => { take(role, name); look(); } }));
+    if (may.length > 1) questions.push(ask(`Which column is the ${text}? `, ...buttons));
+    else if (role !== "moment") lacking.push(text);
+  }
+  if (lacking.length && found.wrong) {
+    questions.push(ask(`Which column is the ${lacking.join(", which the ")}? Choose above the table. `, ...offers(found.wrong)));
+  }
+  if (taken.time && !taken.theta && !taken.rate_deg_s) {
+    questions.push(ask("There is a time and no angle. Enter the rate of the leg, and the angle at time 0 as what is added to the angle."));
+  }
+  for (const [role, name, usual] of [["theta", "theta_unit", "deg"], ["fz", "unit", "N"]]) {
+    const unit = found.units[found.columns.indexOf(taken[role])];
+    form.elements[name].options[0].text = unit ? `${unit} (header)` : usual;
+  }
+  by("questions").replaceChildren(...questions);
+  if (questions.length) alarm("");
+  by("read").replaceChildren(...(found.read || []).map((text) => made("div", {}, text)));
+}
+
+async function look() {
+  const found = await send("look");
+  if (found?.kind === "forces") show(found);
+}
+
+async function open(dropped) {
+  file = dropped;
+  form.reset();
+  form.hidden = true;
+  by("table").replaceChildren();
+  by("answer").replaceChildren();
+  by("name").textContent = file.name;
+  unpacked ??= unpack();
+  const found = await send("look");
+  if (!found) return;
+  kind = found.kind;
+  form.hidden = !["forces", "log"].includes(kind);
+  by("forces").hidden = by("forces").inert = kind !== "forces";
+  for (const input of form.elements.leg) input.required = kind === "forces";
+  if (kind !== "forces") { answer(); return; }
+  tabulate(found);
+  if (found.leg) form.elements.leg.value = found.leg;
+  if (found.density) form.elements.density.value = found.density;
+  show(found);
+  by("table").querySelector("select").focus({ preventScroll: true });
+}
+
+// -- an answer -----------------------------------------------------------------------------------
+
+async function answer() {
+  const found = await send("answer");
+  if (!found) return;
+  const stem = file.name.replace(/\.[^.]*$/, "");
+  const links = Object.entries(found.files).map(([name, href]) => made("a", { href, download: `${stem}-${name}`, textContent: name }));
+  by("answer").innerHTML = found.html;
+  const box = by("answer").querySelector(".answer");
+  box.append(made("p", { className: "offers" }, ...offers(box.textContent)));
+  box.append(made("p", {}, "Download: ", ...links.flatMap((link, i) => (i ? [", ", link] : [link]))));
+  by("answer").focus({ preventScroll: true });
+  by("answer").scrollIntoView();
+  await draw(found.plots);
 }
 
 // A file that misses its place would otherwise replace the page.
@@ -24,7 +169,14 @@ by("drop").addEventListener("dragover", () => by("drop").classList.add("over"));
 by("drop").addEventListener("dragleave", () => by("drop").classList.remove("over"));
 by("drop").addEventListener("drop", (event) => {
   by("drop").classList.remove("over");
-  if (event.dataTransfer.files.length) send(event.dataTransfer.files[0]);
+  if (event.dataTransfer.files.length) open(event.dataTransfer.files[0]);
 });
 by("choose").addEventListener("click", () => by("file").click());
-by("file").addEventListener("change", () => { if (by("file").files.length) send(by("file").files[0]); });
+by("file").addEventListener("change", () => { if (by("file").files.length) open(by("file").files[0]); by("file").value = ""; });
+form.addEventListener("submit", (event) => { event.preventDefault(); answer(); });
+form.addEventListener("change", (event) => {
+  const { value, dataset } = event.target;
+  by("answer").replaceChildren(); // it was for other choices
+  if (dataset.column && value) take(value, dataset.column);
+  if (event.target.closest("#table, #reading")) look();
+});
