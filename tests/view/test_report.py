@@ -64,6 +64,18 @@ def test_the_fit_is_the_curve_with_the_mean_model_error() -> None:
     )
 
 
+def test_residuals_are_drawn_against_the_limit_that_decides_the_verdict() -> None:
+    for leg, verdict in (("c", "consistent"), ("straight", "misfit")):
+        answer = invert("li2013:yuma/c", leg=leg)
+        (plot,) = (p for p in of_answer(answer).parts if p.title == "Residual")
+        assert isinstance(plot, Plot)
+        limit, *lines = plot.traces
+        sizes = [np.sqrt(np.square(one["y"]).mean()) for one in lines]
+        assert answer.verdict == verdict
+        assert (max(sizes) > max(limit["y"])) == (verdict == "misfit")
+        assert f"{max(sizes):.1f} %" in answer.reason or verdict == "consistent"
+
+
 def test_names_from_files_stay_text_and_scripts_are_those_of_the_policy() -> None:
     plot = Plot(HOSTILE, [points([1.0], [2.0], HOSTILE, "black")], {"title": HOSTILE})
     part = Table(HOSTILE, (HOSTILE,), [(HOSTILE,)], HOSTILE)

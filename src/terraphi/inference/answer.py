@@ -83,6 +83,9 @@ class RecordFit:
         Smallest and largest curve over the 95 % interval, shape [2, c, m].
     nrmsd
         Root mean square of data less curve over the peak-to-peak of a whole stroke, by channel [-].
+    limit
+        Root mean square of data less ``expected``, or less ``curve`` where that is unknown, over
+        the peak-to-peak above which the record is a misfit [-]; ``None`` of simulated forces.
     shift_deg
         By how much the record's forces come later than the model's [deg]; the curves are shifted.
     """
@@ -100,11 +103,12 @@ class RecordFit:
     band: FloatArray = field(repr=False)
     nrmsd: Mapping[str, float]
     shift_deg: float = 0.0
+    limit: float | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and words, without the forces."""
         names = ("source", "leg", "leg_assumed", "simulated", "n_readings", "n_left_out",
-                 "shift_deg")  # fmt: skip
+                 "shift_deg", "limit")  # fmt: skip
         return {**{name: getattr(self, name) for name in names}, "nrmsd": dict(self.nrmsd)}
 
 

@@ -406,6 +406,9 @@ def _fits(
                 band=np.stack([np.minimum(low, high), np.maximum(low, high)]),
                 nrmsd=dict(zip(record.channels, size.tolist(), strict=True)),
                 shift_deg=float(shift),
+                limit=None if record.simulated else error.nrmsd_limit * (
+                    SEVERAL if len(likelihood.records) > 1 else 1.0
+                ),
             )
         )  # fmt: skip
     return found
@@ -466,11 +469,9 @@ def _misfit_of_soil(likelihood: Likelihood, fits: Sequence[RecordFit]) -> str:
     """A sentence if a record differs from the model by more than real soils do."""
     for fit, record in zip(fits, likelihood.records, strict=True):
         span = part_of(likelihood, record).span
-        error = likelihood.errors[fit.leg]
-        limit = error.nrmsd_limit * (SEVERAL if len(fits) > 1 else 1.0)
         best = fit.curve if fit.expected is None else fit.expected
         size = float(_nrmsd(fit.data, best, span).max())
-        if size > limit:
+        if fit.limit is not None and size > fit.limit:
             apart = (fit.data - best) / span[:, None]
             i, j = np.unravel_index(np.abs(apart).argmax(), apart.shape)
             far = apart[i, j]
@@ -479,7 +480,7 @@ def _misfit_of_soil(likelihood: Likelihood, fits: Sequence[RecordFit]) -> str:
                 f"Misfit: {record.channels[i]} differs from the model by "
                 f"{shown} its range at {fit.theta_deg[j]:.0f}°. The "
                 f"residual is {_percent(size, digits=1)}; the limit is "
-                f"{_percent(limit, digits=1)}, from training soils. Do not use the angle."
+                f"{_percent(fit.limit, digits=1)}, from training soils. Do not use the angle."
             )
     return ""
 

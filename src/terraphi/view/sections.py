@@ -110,6 +110,7 @@ def of_answer(answer: Answer) -> Section:
     for record in answer.records:
         where = f", {record.source}" if len(answer.records) > 1 else ""
         fit = record.curve if record.expected is None else record.expected
+        residuals: list[Trace] = []
         for i, (force, nrmsd) in enumerate(record.nrmsd.items()):
             theta, low, high = record.theta_deg, *record.band[:, i]
             traces = [band(theta, low, high, "model, 95 % of φ", PALE_BLUE)]
@@ -119,8 +120,18 @@ def of_answer(answer: Answer) -> Section:
                 line(theta, fit[i], "model", BLUE),
                 points(theta, record.data[i], "data", ORANGE),
             ]
-            title = f"{force}{where}: residual {nrmsd:.0%} of its range"
-            parts.append(Plot(title, traces, axes(THETA, FORCES.get(force, "M [N m]"))))
+            label = FORCES.get(force, "M [N m]")
+            parts.append(Plot(f"{force}{where}", traces, axes(THETA, label)))
+            apart = record.data[i] - record.curve[i]
+            span = math.sqrt(np.square(apart).mean()) / (nrmsd or math.inf)
+            share = 100.0 * (record.data[i] - fit[i]) / max(span, 1e-300)
+            residuals.append(line(theta, share, force, (BLUE, ORANGE, GREEN)[i]))
+        if record.limit is not None:
+            size = np.full(len(record.theta_deg), 100.0 * record.limit)
+            limit = band(record.theta_deg, -size, size, "± limit", PALE_GREY)
+            layout = axes(THETA, "data less model [% of range]")
+            note = "The limit is that of the root mean square, from training soils."
+            parts.append(Plot(f"Residual{where}", [limit, *residuals], layout, note, wide=True))
     parts += _posterior(answer)
     if answer.budget_deg:
         names, values = list(answer.budget_deg)[::-1], list(answer.budget_deg.values())[::-1]
