@@ -76,7 +76,7 @@ class ForceColumns(Strict):
     """Column of the time, for `rate_deg_s`."""
     rate_deg_s: float | None = Field(None, gt=0)
     """Constant rate of the leg [deg/s], where the table has a time instead of an angle."""
-    unit: Literal["N", "kN", "mN", "lbf", "ozf", "kgf", "gf", "dyn"] | None = None
+    unit: Literal["N", "kN", "mN", "MN", "lbf", "ozf", "kgf", "gf", "dyn"] | None = None
     """Unit of the forces; if not given, that of the header, else N."""
     theta_unit: Literal["deg", "rad", "mrad", "rev", "gon"] | None = None
     """Unit of the angle; if not given, that of the header, else deg."""
