@@ -449,7 +449,7 @@ def draw(
         axes.axhline(0.0, color="grey", lw=0.8)
     reduced.set(xlabel="depth / R", ylabel="lift / ρ g R³", title="in grains; dashed: disc, 60 mm")
     soils.set(xlabel="φ of the shear cell [deg]", ylabel="φ by law less that [deg]",
-              title="each soil; circles: ball, squares: disc, triangles: 45°")  # fmt: skip
+              title="circles: ball, squares: disc, triangles: 45°")  # fmt: skip
     depths.set(xlabel="depth / R", ylabel="φ by law less measured [deg]",
                title="by depth; dashed: disc, dotted: 45°")  # fmt: skip
     reduced.legend(frameon=False, fontsize="x-small")
