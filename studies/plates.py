@@ -543,8 +543,8 @@ def main() -> None:
         "## Feet pressed into simulated grains",
         (
             f"{sum(len(own) for own in grains.values())} balls and discs pressed 1.5 R deep into "
-            "spheres of 6 mm simulated one by one, whose critical φ in plane strain a shear cell "
-            "measured. The laws are fitted in the same way; φ of `rft` is taken to plane strain by "
+            "spheres simulated one by one, of 6 mm unless a row has another size. A shear cell "
+            "measured their critical φ in plane strain. The laws are fitted in the same way; φ of `rft` is taken to plane strain by "
             "sin φ' = tan φ. SD and RMS are over soils, and in rows of all feet over these too."
         ),
         by_law(grains, off, phi),
