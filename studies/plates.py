@@ -544,8 +544,9 @@ def main() -> None:
         (
             f"{sum(len(own) for own in grains.values())} balls and discs pressed 1.5 R deep into "
             "spheres simulated one by one, of 6 mm unless a row has another size. A shear cell "
-            "measured their critical φ in plane strain. The laws are fitted in the same way; φ of `rft` is taken to plane strain by "
-            "sin φ' = tan φ. SD and RMS are over soils, and in rows of all feet over these too."
+            "measured their critical φ in plane strain. The laws are fitted in the same way; φ of "
+            "`rft` is taken to plane strain by sin φ' = tan φ. SD and RMS are over soils, and in "
+            "rows of all feet over these too."
         ),
         by_law(grains, off, phi),
         "By soil: lift over ρ g R³, mean between R/2 and 3R/2, and φ by law less measured.",
