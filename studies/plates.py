@@ -551,7 +551,11 @@ def main() -> None:
         by_law(grains, off, phi),
         "By soil: lift over ρ g R³, mean between R/2 and 3R/2, and φ by law less measured.",
         by_soil(strength, off, phi),
-        "What else a record depends on: change of the lift, and of φ by each law.",
+        (
+            "What else a record depends on: change of the lift, and of φ by each law. One bed "
+            "scatters by the last row, which smaller changes do not pass. Walls and floor of the "
+            "standard bed raise the lift."
+        ),
         by_setting(grains, strength, off),
         "## A plate at all inclinations",
         (
