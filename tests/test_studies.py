@@ -9,37 +9,72 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull
 
 import model_error
 import plates
+from terraphi.forward.foot import Foot
 
 STUDIES = Path(plates.__file__).parent
+BALL, DISC = 4 / 3 * np.pi * 0.03**3, np.pi * 0.03**2 * 0.006
+"""Volumes of feet of 60 mm [m³]."""
+
+
+def made(diameter: float, law: plates.Law, phi: float, *, shape: str = "disc") -> plates.Test:
+    """A foot that is pressed in as a law has it, down to its radius."""
+    sinkage = np.linspace(1e-3, 0.75 * diameter, 60)
+    blank = plates.Test("made", Foot(0.5 * diameter, shape), sinkage, np.zeros((60, 2)))
+    return blank._replace(force=law(blank, phi, sinkage))
 
 
 @pytest.mark.parametrize(("phi", "short"), [(28.0, 0.0), (35.0, 3e-4)])
 def test_fit_of_a_plate_finds_angle_and_first_contact(phi: float, short: float) -> None:
-    law, sinkage = plates.law_of("rft"), np.linspace(2e-3, 0.02, 30)
-    test = plates.Test("made", 0.06, sinkage - short, law(0.06, phi, sinkage))
-    found, misfit = plates.fitted(test, law)
+    law = plates.law_of("rft")
+    test = made(0.06, law, phi)
+    found, misfit = plates.fitted(test._replace(sinkage=test.sinkage - short), law)
     assert found == pytest.approx(phi, abs=0.2)  # the first contact is held to its prior
     assert misfit < 0.02
 
 
 def test_simulated_discs_are_met_by_the_law_that_is_made_of_them() -> None:
     table = {key: np.array(v, float) for key, v in plates.columns("simulated.csv").items()}
-    law = plates.simulated()
     own = (table["diameter_mm"] == 100.0) & (table["phi_deg"] == 32.0) & (table["sinkage_mm"] > 1.0)
-    force = law(0.1, 32.0, table["sinkage_mm"][own] / 1e3)
-    assert force.mean() == pytest.approx(table["force_N"][own].mean(), rel=1e-3)
+    law = plates.simulated()
+    disc = made(0.1, law, 32.0)
+    lift = law(disc, 32.0, table["sinkage_mm"][own] / 1e3)[:, 1]
+    assert lift.mean() == pytest.approx(table["force_N"][own].mean(), rel=1e-3)
 
 
 def test_one_angle_is_that_of_the_tests() -> None:
-    law, sinkage = plates.law_of("vesic"), np.linspace(2e-3, 0.02, 30)
-    tests = [plates.Test("made", d, sinkage, law(d, 31.0, sinkage)) for d in (0.06, 0.1)]
+    law = plates.law_of("vesic")
+    tests = [made(diameter, law, 31.0) for diameter in (0.06, 0.1)]
     assert plates.one_angle(tests, law) == (
         pytest.approx(31.0, abs=0.05),
         pytest.approx(0, abs=1e-3),
     )
+
+
+@pytest.mark.parametrize("name", ["rft", "hansen"])
+def test_angle_of_a_ball_is_found_at_all_depths_and_in_windows(name: str) -> None:
+    """φ of resistive force theory yields at √J₂ = p tan φ: 30° is asin(tan 30°) = 35.26°."""
+    found = plates.angles(name, made(0.044, plates.law_of(name), 30.0, shape="ball"))
+    np.testing.assert_allclose(found, 35.26 if name == "rft" else 30.0, atol=0.05)
+
+
+@pytest.mark.parametrize(("shape", "volume"), [("ball", BALL), ("disc", DISC)])
+def test_mesh_of_a_foot_is_its_shape(shape: str, volume: float, tmp_path: Path) -> None:
+    plates.run.engine.foot_mesh(shape, 0.03, (0.01, 0.2), tmp_path / "body.stl")
+    lines = (tmp_path / "body.stl").read_text().splitlines()
+    corners = np.array([line.split()[1:] for line in lines if line.startswith("vertex")], float)
+    hull = ConvexHull(corners)
+    # A polyhedron within the shape: 1.2 % of a ball of 500 corners, 0.7 % of a rim of 32.
+    assert hull.volume == pytest.approx(volume, rel=0.015)
+    assert corners[:, 2].min() == pytest.approx(0.2, abs=1e-4)
+    ends = [corners[:, 0].min(), corners[:, 0].max()]
+    np.testing.assert_allclose(ends, [-0.02, 0.04], atol=3e-4)
+    sides = corners.reshape(-1, 3, 3)
+    area = np.linalg.norm(np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0]), axis=1)
+    assert area.sum() / 2 == pytest.approx(hull.area, rel=1e-6)  # closed
 
 
 def test_size_of_grains_is_taken_out_of_soils_in_two_sizes_and_one() -> None:

@@ -9,10 +9,12 @@ from __future__ import annotations
 import itertools
 import math
 import subprocess
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.leg import Leg, frame_axes
@@ -24,6 +26,8 @@ SPREAD = 0.15
 RAYLEIGH = 0.25
 """Time step over Rayleigh's time of the smallest grain [-]."""
 GRAVITY = 9.81
+POINTS, RIM, DISC = 500, 32, 0.006
+"""Corners of a ball's mesh and of a disc's rim, and a disc's thickness [m]."""
 
 
 @dataclass(frozen=True)
@@ -37,8 +41,10 @@ class Soil:
     diameter_mm: float
     leg_friction: float
     legs: tuple[str, ...]
+    feet: tuple[str, ...]
     seeds: tuple[int, ...]
     rate: float
+    bed_mm: tuple[float, float, float]
 
     @property
     def diameter(self) -> float:
@@ -218,7 +224,25 @@ def leg_mesh(leg: Leg, theta: float, hip: tuple[float, float], path: Path) -> No
         for face in faces:
             at = [(ring[i, 0], y, ring[i, 1]) for i in face]
             triangles += [(at[0], b, c) for b, c in itertools.pairwise(at[1:])]
-    lines = ["solid leg"]
+    write_mesh(triangles, path)
+
+
+def foot_mesh(shape: str, radius: float, low: tuple[float, float], path: Path) -> None:
+    """Write a ball, or a disc DISC thick, whose lowest point is at (x, z) [m], as STL."""
+    if shape == "ball":  # points spread evenly by the golden angle
+        up = 1.0 - (2.0 * np.arange(POINTS) + 1.0) / POINTS
+        turn = math.pi * (3.0 - math.sqrt(5.0)) * np.arange(POINTS)
+        level, height = radius * np.sqrt(1.0 - up**2), radius * (1.0 + up)
+    else:
+        turn = np.tile(np.linspace(0.0, 2.0 * math.pi, RIM, endpoint=False), 2)
+        level, height = np.full(2 * RIM, radius), np.repeat([0.0, DISC], RIM)
+    points = np.stack([low[0] + level * np.cos(turn), level * np.sin(turn), low[1] + height], -1)
+    write_mesh(points[ConvexHull(points).simplices], path)
+
+
+def write_mesh(triangles: Iterable[Sequence[Sequence[float]]], path: Path) -> None:
+    """Write triangles [m] as STL."""
+    lines = ["solid body"]
     for a, b, c in triangles:
         normal = np.cross(np.subtract(b, a), np.subtract(c, a))
         normal = normal / np.linalg.norm(normal)
@@ -226,28 +250,34 @@ def leg_mesh(leg: Leg, theta: float, hip: tuple[float, float], path: Path) -> No
         lines.append("outer loop")
         lines += ["vertex {:.9g} {:.9g} {:.9g}".format(*point) for point in (a, b, c)]
         lines += ["endloop", "endfacet"]
-    path.write_text("\n".join([*lines, "endsolid leg", ""]))
+    path.write_text("\n".join([*lines, "endsolid body", ""]))
 
 
-def stirring(
-    soil: Soil, box: tuple[float, ...], hip: tuple[float, float], *, start_deg: float,
-    stop_deg: float, rate: float, every_deg: float,
+def moved(
+    soil: Soil, box: tuple[float, ...], at: tuple[float, float], motion: str, *, steps: int,
+    every: int,
 ) -> str:  # fmt: skip
-    """A leg that turns through the bed; means of its force and torque about the hip."""
-    steps = round(math.radians(stop_deg - start_deg) / rate / soil.time_step)
-    every = round(math.radians(every_deg) / rate / soil.time_step)
+    """The body of body.stl moves through the bed; means of its force and torque about (x, z)."""
     return (
         header(soil)
         + "read_restart bed.restart\n"
         + contacts(soil, soil.sliding)
         + f"""
-{ground(box)}fix leg all mesh/surface/stress file leg.stl type 2 reference_point {hip[0]} 0 {hip[1]}
-fix touch all {WALL} mesh n_meshes 1 meshes leg
-fix turn all move/mesh mesh leg rotate origin {hip[0]} 0 {hip[1]} axis 0 1 0 &
-  period {2.0 * math.pi / rate:.8g}
-fix mean all ave/time 1 {every} {every} f_leg[1] f_leg[2] f_leg[3] f_leg[5] file leg.txt
+{ground(box)}fix body all mesh/surface/stress file body.stl type 2 reference_point {at[0]} 0 {at[1]}
+fix touch all {WALL} mesh n_meshes 1 meshes body
+fix move all move/mesh mesh body {motion}
+fix mean all ave/time 1 {every} {every} f_body[1] f_body[2] f_body[3] f_body[5] file body.txt
 thermo 5000
 thermo_style custom step atoms ke cpu
 run {steps}
 """
     )
+
+
+def means(soil: Soil, folder: Path) -> tuple[FloatArray, FloatArray]:
+    """Times since the body began to move [s], and its force (x, y, z) and torque [4, time]."""
+    step, *columns = np.loadtxt(folder / "body.txt").T
+    # Steps go on from the bed's; the first mean begins where its length next divides the step.
+    first = int((folder / "bed.dump").read_text().split(maxsplit=3)[2])
+    middle = step - first - 0.5 * (step[1] - step[0])
+    return soil.time_step * middle, np.array(columns)

@@ -1,11 +1,12 @@
-"""Stir simulated grains with the leg of Li et al. (2013), and write its forces.
+"""Stir simulated grains with the leg of Li et al. (2013), press feet in, and write their forces.
 
     python studies/grains/run.py B-loose --work FOLDER --out studies/data/grains
 
 A bed is poured once for each seed and size, 220 x 84 x 105 mm, periodic across. The hip stands
-20 mm above the mass-equivalent surface and the leg turns at 1 rad/s. What is in FOLDER already is
-not simulated again. A record has the forces [N] of soil on the leg, x forward and z up, and the
-moment about the hip [N m]; its first lines say of what.
+20 mm above the mass-equivalent surface and the leg turns at 1 rad/s. Feet are pressed into another
+bed, which is as new for each. What is in FOLDER already is not simulated again. A record has the
+forces [N] of soil on the leg or the foot, x forward and z up, and of a leg the moment about the hip
+[N m]; its first lines say of what.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import numpy as np
 
 from terraphi.experiment.files import replacing
 from terraphi.experiment.leg import Leg
+from terraphi.forward.foot import Foot
 
 HERE = Path(__file__).parent
 BOX, THICKNESS = (-0.110, 0.110, -0.042, 0.042, 0.26), 0.105
@@ -28,6 +30,9 @@ HIP = 0.020
 """Height of the hip above the surface [m]."""
 SWING_DEG, EVERY_DEG = (-85.0, 80.0), 1.0
 """Angles, and the width of the means [deg]."""
+SPEED, DEEPEST, EVERY = 0.03, 1.5, 5e-4
+"""Speed of a foot at a rate of 1 [m/s], its last depth over its radius, and the depth of the means
+[m]."""
 
 
 def soils() -> dict[str, engine.Soil]:
@@ -53,17 +58,64 @@ def record(soil: engine.Soil, shape: str, seed: int, work: Path, out: Path) -> P
     hip = (0.0, surface + HIP)
     # Centre line and half thickness end 76.2 mm from the hip.
     leg = Leg(shape=shape, chord=0.0730, friction=soil.leg_friction)
-    engine.leg_mesh(leg, math.radians(SWING_DEG[0]), hip, folder / "leg.stl")
-    deck = engine.stirring(
-        soil, BOX, hip, start_deg=SWING_DEG[0], stop_deg=SWING_DEG[1], rate=soil.rate,
-        every_deg=EVERY_DEG,
+    engine.leg_mesh(leg, math.radians(SWING_DEG[0]), hip, folder / "body.stl")
+    turn = math.radians(SWING_DEG[1] - SWING_DEG[0]) / soil.rate
+    deck = engine.moved(
+        soil, BOX, hip,
+        f"rotate origin {hip[0]} 0 {hip[1]} axis 0 1 0 period {2.0 * math.pi / soil.rate:.8g}",
+        steps=round(turn / soil.time_step),
+        every=round(math.radians(EVERY_DEG) / soil.rate / soil.time_step),
     )  # fmt: skip
     engine.run(deck, folder, shape)
-    step, fx, _, fz, moment = np.loadtxt(folder / "leg.txt").T
-    # Steps go on from the bed's; the first mean begins where its length next divides the step.
-    first = int((folder / "bed.dump").read_text().split(maxsplit=3)[2])
-    middle = step - first - 0.5 * (step[1] - step[0])
-    theta = SWING_DEG[0] + np.degrees(soil.rate * soil.time_step * middle)
+    time, (fx, _, fz, moment) = engine.means(soil, folder)
+    theta = SWING_DEG[0] + np.degrees(soil.rate * time)
+    rows = zip(theta, fx, fz, moment, strict=True)
+    lines = [f"{t:.2f},{x:.4f},{z:.4f},{m:.6f}" for t, x, z, m in rows]
+    write(path, soil, seed, fraction, f"{shape} leg", ["theta_deg,Fx_N,Fz_N,M_Nm", *lines])
+    return path
+
+
+def pressed(soil: engine.Soil, name: str, seed: int, work: Path, out: Path) -> Path:
+    """Pour the bed of feet unless it is there, press one in, and write the forces; the file.
+
+    A foot is named by its shape, its diameter [mm] and how far from the vertical it moves [deg].
+    """
+    path = out / f"{soil.name}_{name}_{seed}.csv"
+    if path.exists():
+        return path
+    foot, descent = foot_of(name)
+    folder = work / f"{soil.name}_{seed}_feet"
+    length, breadth, thickness = (1e-3 * each for each in soil.bed_mm)
+    box = (-0.5 * length, 0.5 * length, -0.5 * breadth, 0.5 * breadth)
+    engine.bed(soil, seed, (*box, 0.0), thickness, folder)
+    surface, fraction = engine.layering(engine.dump(folder / "bed.dump"), length * breadth)
+    start, stop = -soil.diameter, DEEPEST * foot.radius
+    vx, vz = soil.rate * SPEED * math.cos(descent), soil.rate * SPEED * math.sin(descent)
+    low = (-0.5 * (stop - start) * vx / vz, surface - start)
+    engine.foot_mesh(foot.shape, foot.radius, low, folder / "body.stl")
+    deck = engine.moved(
+        soil, (*box, 0.0), low, f"linear {vx:.8g} 0 {-vz:.8g}",
+        steps=round((stop - start) / vz / soil.time_step),
+        every=round(EVERY / vz / soil.time_step),
+    )  # fmt: skip
+    engine.run(deck, folder, name)
+    time, (fx, _, fz, _) = engine.means(soil, folder)
+    rows = zip(1e3 * (start + vz * time), fx, fz, strict=True)
+    lines = [f"{z:.2f},{x:.4f},{f:.4f}" for z, x, f in rows]
+    write(path, soil, seed, fraction, name.replace("_", " "), ["depth_mm,Fx_N,Fz_N", *lines])
+    return path
+
+
+def foot_of(name: str) -> tuple[Foot, float]:
+    """A foot, and the angle of its velocity below the horizontal [rad]."""
+    shape, diameter, *turned = name.split("_")
+    return Foot(5e-4 * float(diameter), shape), math.radians(90.0 - float((turned or [0])[0]))
+
+
+def write(
+    path: Path, soil: engine.Soil, seed: int, fraction: float, body: str, table: list[str]
+) -> None:
+    """Write a record: two lines that say of what, and a table."""
     lines = [
         (
             f"# grains {soil.name}, seed {seed}: sliding friction {soil.sliding}, rolling "
@@ -71,19 +123,15 @@ def record(soil: engine.Soil, shape: str, seed: int, work: Path, out: Path) -> P
         ),
         (
             f"# density {engine.DENSITY * fraction:.0f} kg/m3, volume fraction {fraction:.4f}, "
-            f"{shape} leg, friction {soil.leg_friction}"
+            f"{body}, friction {soil.leg_friction}"
         ),
-        "theta_deg,Fx_N,Fz_N,M_Nm",
     ]
-    rows = zip(theta, fx, fz, moment, strict=True)
-    lines += [f"{t:.2f},{x:.4f},{z:.4f},{m:.6f}" for t, x, z, m in rows]
     with replacing(path) as temporary:
-        temporary.write_text("\n".join(lines) + "\n")
-    return path
+        temporary.write_text("\n".join([*lines, *table]) + "\n")
 
 
 def load(path: Path) -> tuple[np.ndarray, np.ndarray, float]:
-    """Leg angles [deg], forces (Fx, Fz) [N], shape [2, angle], and density [kg/m³] of a record."""
+    """Leg angles [deg] or depths [mm], forces (Fx, Fz) [N], shape [2, row], and density [kg/m³]."""
     with path.open() as file:
         density = next(float(line.split()[2]) for line in file if line.startswith("# density"))
     theta, *forces = np.loadtxt(path, delimiter=",", skiprows=3, unpack=True)
@@ -91,7 +139,7 @@ def load(path: Path) -> tuple[np.ndarray, np.ndarray, float]:
 
 
 def main() -> None:
-    """Stir one soil with every leg that it lists."""
+    """Stir one soil with every leg that it lists, and press in every foot."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("soil", choices=sorted(soils()), metavar="SOIL")
     parser.add_argument("--work", type=Path, required=True, help="folder for the engine's files")
@@ -102,6 +150,8 @@ def main() -> None:
     for seed in soil.seeds:
         for shape in soil.legs:
             print(record(soil, shape, seed, options.work, options.out))
+        for foot in soil.feet:
+            print(pressed(soil, foot, seed, options.work, options.out))
 
 
 if __name__ == "__main__":
