@@ -68,13 +68,21 @@ class Case(NamedTuple):
 
 
 def smooth(shape: str, ratio: np.ndarray, force: np.ndarray) -> np.ndarray:
-    """Least squares of a polynomial times a power of the depth; below FIRST the power alone."""
+    """Least squares of a polynomial times a power of the depth, for a ball from FIRST on.
+
+    Shallower it is a footing of radius √(2Rz), the weight of the soil at its sides bearing as much
+    at FIRST as that below it: terms of powers 3/2 and 2.
+    """
     used, power, first = ratio > FIRST[shape], POWER[shape], FIRST[shape]
     scale = np.maximum(ratio[used], 0.3)[:, None]
     basis = ratio[used, None] ** power * np.vander(ratio[used], TERMS)
     found = np.linalg.lstsq(basis / scale, force[used] / scale, rcond=None)[0]
-    at = np.maximum(RATIO, first) if power else RATIO
-    return np.asarray(RATIO[:, None] ** power * (np.vander(at, TERMS) @ found))
+    curve = RATIO[:, None] ** power * (
+        np.vander(np.maximum(RATIO, first * (power > 0)), TERMS) @ found
+    )
+    if power:
+        curve *= 0.5 + 0.5 * np.sqrt(np.minimum(RATIO / first, 1.0))[:, None]
+    return np.asarray(curve)
 
 
 def read(name: str) -> list[Case]:
