@@ -107,23 +107,27 @@ def read(name: str) -> list[Case]:
     return found
 
 
-def change(cases: list[Case], shape: str, before: dict, after: dict) -> dict[float, float]:
-    """Mean ratio of the lift of cases that differ in their numerics, by φ."""
-    usual = {"cells": 3.0, "stiffness": 2e6, "breadth": 0.256, "friction": 0.5, "tilt": 0.0,
-             "shape": shape, "dilation": 0.0}  # fmt: skip
-    deep = (FIRST["sphere"] <= RATIO) & (RATIO <= 1.9)
+def change(cases: list[Case], shape: str, before: dict, after: dict) -> dict[float, np.ndarray]:
+    """Change of ln lift between cases that differ in their numerics, by φ, [ratio].
 
-    def lifts(wanted: dict) -> dict[float, np.ndarray]:
-        wanted = usual | wanted
-        return {
-            c.phi: c.force[deep, 1]
-            for c in cases
-            if all(math.isclose(getattr(c, k), v) if k != "shape" else c.shape == v
-                   for k, v in wanted.items())
-        }  # fmt: skip
+    A line over the depth, of least squares from FIRST of the ball on, and level before that.
+    """
+    usual = {"cells": 3.0, "stiffness": 2e6, "breadth": 0.256, "friction": 0.5, "tilt": 0.0,
+             "dilation": 0.0}  # fmt: skip
+    first, last = FIRST["sphere"], 1.9
+    used = (first <= RATIO) & (last >= RATIO)
+
+    def lifts(numerics: dict) -> dict[float, np.ndarray]:
+        wanted = usual | numerics
+        own = [c for c in cases if c.shape == shape]
+        alike = [c for c in own if all(math.isclose(getattr(c, k), v) for k, v in wanted.items())]
+        return {c.phi: np.log(c.force[used, 1]) for c in alike}
 
     low, high = lifts(before), lifts(after)
-    return {phi: float(np.mean(high[phi] / low[phi])) for phi in sorted(low.keys() & high.keys())}
+    return {
+        phi: np.polyval(np.polyfit(RATIO[used], high[phi] - low[phi], 1), RATIO.clip(first, last))
+        for phi in sorted(low.keys() & high.keys())
+    }
 
 
 class Step(NamedTuple):
@@ -150,12 +154,14 @@ def steps(shape: str) -> list[Step]:
 
 
 def correction(cases: list[Case], shape: str, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Ln of the factor on forces, and its standard deviation, over φ."""
-    total, variance = np.zeros(len(angles)), np.full(len(angles), SCATTER**2)
+    """Change of ln F by better numerics and its standard deviation, [phi, ratio]."""
+    total = np.zeros((len(angles), len(RATIO)))
+    variance = np.full_like(total, SCATTER**2)
     for step in steps(shape):
-        ratio = change(cases, shape, step.before, step.after)
-        if ratio:
-            log = step.share * np.interp(angles, list(ratio), np.log(list(ratio.values())))
+        found = change(cases, shape, step.before, step.after)
+        if found:
+            rows = np.array(list(found.values())).T
+            log = step.share * np.array([np.interp(angles, list(found), row) for row in rows]).T
             total, variance = total + log, variance + (0.5 * log) ** 2
         else:
             variance = variance + UNKNOWN**2
@@ -196,7 +202,7 @@ def write_table(
     """The file that law `foot` reads."""
     data = xr.Dataset(
         {"force": ((*axes, "ratio", "axis"), force.astype(np.float32)),
-         "relative_sd": ("phi_deg", sd)},
+         "relative_sd": (("phi_deg", "ratio"), sd.astype(np.float32))},
         {**axes, "ratio": RATIO, "axis": ["along", "up"]},
         {
             "terraphi_file": "foot law", "terraphi_schema": 1,
@@ -264,11 +270,11 @@ def main() -> None:
         if len(axes["phi_deg"]) < 4:
             continue
         log, sd = correction(cases, shape, axes["phi_deg"])
-        force *= np.exp(log)[:, None, None, None]
+        force *= np.exp(log)[:, None, :, None]
         write_table(shape, axes, force, sd, products)
         tables[shape] = axes, force
         rows = [
-            (step.name, *(f"{phi:g}°: {value - 1.0:+.0%}" for phi, value in ratio.items()))
+            (step.name, *(f"{phi:g}°: {np.expm1(ln[50]):+.0%}" for phi, ln in ratio.items()))
             for step in steps(shape)
             if (ratio := change(cases, shape, step.before, step.after))
         ]
@@ -280,9 +286,9 @@ def main() -> None:
             "and products of others: {} cases."
         ).format(NAMES[shape], *listed, len(products))
         parts += [told, pages.table(header, [(*r, *[""] * (widest - len(r))) for r in rows])]
-        factors = zip(axes["phi_deg"], np.exp(log), sd, strict=True)
+        factors = zip(axes["phi_deg"], np.exp(log[:, 50]), sd[:, 50], strict=True)
         text = ", ".join(f"{f:.2f} ± {100 * s:.0f} % at {phi:g}°" for phi, f, s in factors)
-        parts.append(f"Forces are corrected by {text}.")
+        parts.append(f"One radius deep forces are multiplied by {text}.")
 
     def law(radius: float, phi: float, depth: np.ndarray) -> np.ndarray:
         force = LAWS["foot"].force(Foot(radius, "disc"), depth, 0.5 * np.pi, density=1.0,

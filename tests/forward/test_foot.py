@@ -94,7 +94,7 @@ def test_nothing_is_felt_above_the_surface_and_all_scales_with_density(law: str)
     assert double[1] == pytest.approx(2.0 * lift(law, BALL, 0.02, 33.0))
 
 
-# Smooth round footings by slip lines (verification/exact.py): N of the weight below, p / γa, and N_q,
+# Smooth round footings by slip lines (verification/exact.py): N of the weight below, p/γa, and N_q,
 # at φ in triaxial compression, atan(√¾ tan φ) for Matsuoka and Nakai.
 @pytest.mark.parametrize(
     ("phi", "n", "n_q"), [(22, 1.15, 7.64), (29, 3.37, 16.53), (36, 10.71, 40.11)]
