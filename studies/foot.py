@@ -30,11 +30,11 @@ from terraphi.forward.foot import LAWS, Foot
 
 RATIO = np.linspace(0.0, 2.0, 101)
 """Depths over the radius of the table."""
-FIRST = {"sphere": 0.6, "cylinder": 0.15}
+FIRST = {"sphere": 0.6, "cylinder": 0.4}
 """Depth over the radius from which a simulation is used."""
 POWER = {"sphere": 1.5, "cylinder": 0.0}
 """Of the depth, by which forces grow before it."""
-TERMS = 4
+TERMS = {"sphere": 4, "cylinder": 3}
 """Of the polynomial over the depth that a force over that power is."""
 SCATTER, UNKNOWN = 0.02, 0.05
 """Of ln F: between particle seeds and in smoothing, and for a correction that was not simulated."""
@@ -75,11 +75,10 @@ def smooth(shape: str, ratio: np.ndarray, force: np.ndarray) -> np.ndarray:
     """
     used, power, first = ratio > FIRST[shape], POWER[shape], FIRST[shape]
     scale = np.maximum(ratio[used], 0.3)[:, None]
-    basis = ratio[used, None] ** power * np.vander(ratio[used], TERMS)
+    basis = ratio[used, None] ** power * np.vander(ratio[used], TERMS[shape])
     found = np.linalg.lstsq(basis / scale, force[used] / scale, rcond=None)[0]
-    curve = RATIO[:, None] ** power * (
-        np.vander(np.maximum(RATIO, first * (power > 0)), TERMS) @ found
-    )
+    at = np.maximum(RATIO, first * (power > 0.0))
+    curve = RATIO[:, None] ** power * (np.vander(at, TERMS[shape]) @ found)
     if power:
         curve *= 0.5 + 0.5 * np.sqrt(np.minimum(RATIO / first, 1.0))[:, None]
     return np.asarray(curve)
@@ -143,7 +142,7 @@ class Step(NamedTuple):
 def steps(shape: str) -> list[Step]:
     """What the table is corrected for: particles, cells and stiffness."""
     found = [Step("cells halved, 8 particles in each", {"particles": 2},
-                  {"particles": 2, "cells": 6.0}, 2.0)]  # fmt: skip
+                  {"particles": 2, "cells": 6.0}, 1.0)]  # fmt: skip
     if shape == "sphere":
         found += [
             Step("125 particles in a cell, not 64", {"particles": 4}, {"particles": 5}, 1.0),
