@@ -61,7 +61,7 @@ RINGS, SECTORS = 100, 24
 """Faces of half a ball, whose other half is its mirror image: rings of equal area, and faces in
 each; the lift is right within 0.2 %."""
 DEPTHS = np.linspace(0.0, 2.02, 203)
-"""Depths over the radius that are tabulated [-]; above the last but one all faces are submerged."""
+"""Depths over the radius that are tabulated [-]; at the last two all faces are submerged."""
 DESCENTS = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 61)
 """Directions of motion that are tabulated, from straight up to straight down [rad]."""
 SCHEMA = 1
