@@ -100,16 +100,16 @@ def test_nothing_is_felt_above_the_surface_and_all_scales_with_density(law: str)
     ("phi", "n", "n_q"), [(22, 1.15, 7.64), (29, 3.37, 16.53), (36, 10.71, 40.11)]
 )
 def test_smooth_ball_bears_what_a_smooth_footing_does(phi: float, n: float, n_q: float) -> None:
-    """The cap's circle at its mean depth; a fifth for ψ = 0, μ_s = 0.2 and the sum of loads."""
+    """The cap's circle at its mean depth; a quarter for ψ = 0, μ_s = 0.1 and summing loads."""
     for ratio in (0.6, 0.8, 1.0):
         area = 2.0 * ratio - ratio**2  # over π R²
         base = ratio * (3.0 - ratio) / (3.0 * (2.0 - ratio))
         expected = math.pi * area * (math.sqrt(area) * n + base * n_q)
         found = LAWS["foot"].force(
             Foot(1.0), ratio, math.pi / 2, friction_angle_deg=phi, density=1.0 / 9.81,
-            surface_friction=0.2,
+            surface_friction=0.1,
         )  # fmt: skip
-        assert found[1] == pytest.approx(expected, rel=0.2)
+        assert found[1] == pytest.approx(expected, rel=0.25)
 
 
 @pytest.mark.parametrize("shape", SIMULATED)
