@@ -75,7 +75,7 @@ def test_a_scenario_is_refused_in_one_sentence(tmp_path: Path, text: str, words:
         ({"soil.critical_friction_angle_deg": 36.0}, "= 36 exceeds friction_angle_deg = 35"),
         ({"numerics.remap_interval": 0.0}, "needs numerics.remap_interval"),
         ({"numerics.remap_interval": 0.02}, "lets the leg travel 0.61 cells, more than 0.5"),
-        ({"numerics.particles_per_cell_side": 4}, "particles_per_cell_side = 4 is more than 3"),
+        ({"numerics.particles_per_cell_side": 4}, "time_step = 9e-05 s is above the CFL limit"),
         ({"leg.shape": "sphere"}, "has no tip"),
         ({"leg.chord": 0.004, "leg.half_thickness": 0.001}, "is more than the leg's length"),
         ({"motion.hip.1": 0.12}, "needs the hip above the soil, not at z = 0.12 m"),

@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from terraphi.experiment.errors import InputError
 from terraphi.forward.foot import LAWS, Foot, bearing_factors, wrench
 from terraphi.forward.rft import stress_per_depth_3d
 
 BALL = Foot(0.022)
+SIMULATED = ("ball",)
 SAND = {"density": 1550.0, "surface_friction": 0.5}
 
 
@@ -154,3 +156,59 @@ def test_soil_takes_energy_and_gives_numbers_everywhere(
         assert np.isfinite([force, moment]).all()
         assert force @ velocity <= 0.0
         assert not force.any() or (speed > 0.0 and height < 0.02)
+
+
+# Smooth round footings by slip lines (verification/exact.py): N of the weight below, p/γa, and N_q,
+# at φ in triaxial compression, atan(√¾ tan φ) for Matsuoka and Nakai.
+@pytest.mark.parametrize(
+    ("phi", "n", "n_q"), [(22, 1.15, 7.64), (29, 3.37, 16.53), (36, 10.71, 40.11)]
+)
+def test_smooth_ball_bears_what_a_smooth_footing_does(phi: float, n: float, n_q: float) -> None:
+    """The cap's circle at its mean depth; a quarter for ψ = 0, μ_s = 0.1 and summing loads."""
+    for ratio in (0.6, 0.8, 1.0):
+        area = 2.0 * ratio - ratio**2  # over π R²
+        base = ratio * (3.0 - ratio) / (3.0 * (2.0 - ratio))
+        expected = math.pi * area * (math.sqrt(area) * n + base * n_q)
+        found = LAWS["foot"].force(
+            Foot(1.0), ratio, math.pi / 2, friction_angle_deg=phi, density=1.0 / 9.81,
+            surface_friction=0.1,
+        )  # fmt: skip
+        assert found[1] == pytest.approx(expected, rel=0.25)
+
+
+@pytest.mark.parametrize("shape", SIMULATED)
+def test_simulated_force_changes_smoothly_with_direction(shape: str) -> None:
+    """Straight down nothing pushes sideways; below 45° it goes on by resistive force theory."""
+    foot, options = Foot(0.02, shape), {"friction_angle_deg": 32.0, **SAND}
+    assert LAWS["foot"].force(foot, 0.02, math.pi / 2, **options)[0] == pytest.approx(0.0, abs=1e-9)
+    degrees = np.linspace(20.0, 90.0, 141)
+    force = LAWS["foot"].force(foot, 0.02, np.radians(degrees), **options)
+    assert np.abs(np.diff(force, axis=0)).max() < 0.03 * force[-1, 1]
+    assert (force[:-1, 0] < 0.0).all()
+    assert (np.diff(force[:, 1]) > 0.0).all()
+
+
+@pytest.mark.parametrize("shape", SIMULATED)
+def test_simulated_force_grows_with_angle_friction_and_depth(shape: str) -> None:
+    phi, depth = np.linspace(15.0, 50.0, 71), np.linspace(0.001, 0.06, 60)
+    force = [
+        LAWS["foot"].force(
+            Foot(0.02, shape), depth, math.pi / 2, friction_angle_deg=phi[:, None], density=1550.0,
+            surface_friction=mu,
+        )[..., 1]
+        for mu in (0.2, 0.35, 0.5)
+    ]  # fmt: skip
+    assert (np.diff(force, axis=0) > 0.0).all()
+    assert (np.diff(force, axis=1) > 0.0).all()
+    assert (np.diff(force, axis=2) > 0.0).all()
+
+
+def test_simulated_law_does_not_answer_outside_its_table() -> None:
+    outside = LAWS["foot"].force(
+        BALL, 0.02, math.pi / 2, friction_angle_deg=[13.0, 14.5, 50.5, 52.0], **SAND
+    )
+    assert np.isnan(outside[:, 1]).tolist() == [True, False, False, True]
+    with pytest.raises(InputError, match=r"surface_friction = 0\.7.*0\.2 to 0\.5"):
+        LAWS["foot"].force(
+            BALL, 0.02, math.pi / 2, friction_angle_deg=30.0, density=1.0, surface_friction=0.7
+        )

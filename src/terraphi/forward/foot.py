@@ -1,9 +1,14 @@
 r"""Force of soil on a robot's foot: a ball or a flat disc, pressed in from a level surface.
 
 A law takes the foot (:class:`Foot`), the depth of its lowest point, the direction of its motion
-and the soil, and gives the force; :class:`FootLaw` is that interface. Two kinds of law rest on
+and the soil, and gives the force; :class:`FootLaw` is that interface. Three kinds of law rest on
 different evidence, so that their difference shows how much the choice matters:
 
+``foot``
+    Simulated: the material point method in three dimensions, with the soil of library ``sand3d``
+    (φ of plane strain, no dilation), over the angle, the friction and the direction. Forces are
+    proportional to ρ g R³ and were extrapolated in cells, particles and stiffness
+    (``studies/foot.py``).
 ``rft``
     Resistive force theory in three dimensions (Agarwal, Goldman & Kamrin, 2023; see
     :mod:`~terraphi.forward.rft`), summed over the faces of the foot that lead and are submerged.
@@ -34,6 +39,7 @@ All are quasi-static, for dry soil without cohesion, and proportional to its wei
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -43,6 +49,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from terraphi.experiment.documents import shipped_file
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.files import open_netcdf
 from terraphi.experiment.scenario import GRAVITY
 from terraphi.forward.rft import stress_per_depth_3d, stress_scale
 
@@ -51,10 +60,14 @@ FloatArray = NDArray[np.float64]
 RINGS, SECTORS = 100, 24
 """Faces of half a ball, whose other half is its mirror image: rings of equal area, and faces in
 each; the lift is right within 0.2 %."""
-DEPTHS = np.linspace(0.0, 2.0, 201)
-"""Depths over the radius that are tabulated [-]; beyond the last all faces are submerged."""
-DESCENTS = 61
-"""Directions of motion that are tabulated, from straight up to straight down."""
+DEPTHS = np.linspace(0.0, 2.02, 203)
+"""Depths over the radius that are tabulated [-]; at the last two all faces are submerged."""
+DESCENTS = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 61)
+"""Directions of motion that are tabulated, from straight up to straight down [rad]."""
+SCHEMA = 1
+"""Of the files of simulated forces."""
+BEYOND_DEG, BEYOND_FRICTION = 1.0, 0.1
+"""How far outside the simulated angles [deg] and frictions the simulated law is continued."""
 
 
 @dataclass(frozen=True)
@@ -83,10 +96,13 @@ class FootLaw:
         Name of the law.
     formula
         What :meth:`force` returns, of the same arguments in their order.
+    convention
+        What its φ means: ``plane_strain``, or ``rft3d``, where tan φ is the sine of that angle.
     """
 
     name: str
     formula: Callable[..., FloatArray]
+    convention: str = "plane_strain"
 
     def force(
         self,
@@ -124,6 +140,26 @@ class FootLaw:
         return self.formula(foot, depth, descent, friction_angle_deg, density, surface_friction)
 
 
+def simulated_force(
+    foot: Foot, depth: ArrayLike, descent: ArrayLike, phi_deg: ArrayLike, density: float, mu: float
+) -> FloatArray:
+    """ρ g R³ T(φ, descent, depth/R, μ_s), with T from simulations.
+
+    T is cubic over φ (its logarithm), linear over depth and μ_s. Deeper than was simulated it goes
+    on with its last slope. Descents below those that were simulated have the forces of the lowest
+    one times the ratio that resistive force theory has between both. Angles more than
+    :data:`BEYOND_DEG` outside the simulated ones give NaN; a friction more than
+    :data:`BEYOND_FRICTION` outside raises InputError.
+    """
+    first, step, table = _simulated(foot.shape, float(mu))
+    ratio, turn, phi = np.broadcast_arrays(np.asarray(depth) / foot.radius, descent, phi_deg)
+    place = phi - first
+    unit = _interpolated(table, place, _row(turn), ratio / step)
+    known = (place >= -BEYOND_DEG) & (place <= len(table) - 1 + BEYOND_DEG)
+    met = np.where(known, ratio > 0.0, np.nan)
+    return np.asarray(density * GRAVITY * foot.radius**3 * met[..., None] * unit)
+
+
 def resistive_force(
     foot: Foot, depth: ArrayLike, descent: ArrayLike, phi_deg: ArrayLike, density: float, mu: float
 ) -> FloatArray:
@@ -131,18 +167,9 @@ def resistive_force(
 
     T is tabulated once for each μ_s and shape; between its nodes it is linear.
     """
-    force, slope = _table(foot.shape, float(mu))
     ratio, turn = np.broadcast_arrays(np.asarray(depth) / foot.radius, descent)
-    inside = np.clip(ratio, 0.0, DEPTHS[-1])
-    low, part = _between(inside / DEPTHS[1], len(DEPTHS))
-    below, share = _between((turn / np.pi + 0.5) * (DESCENTS - 1), DESCENTS)
-
-    def at(row: NDArray[np.int64]) -> FloatArray:
-        value = force[row, low] + part * (force[row, low + 1] - force[row, low])
-        return np.asarray(value + (ratio - inside).clip(0.0)[..., None] * slope[row])
-
-    first = at(below)
-    unit = first + share * (at(below + 1) - first)
+    table = _table(foot.shape, float(mu))
+    unit = _interpolated(table, _row(turn), np.maximum(ratio, 0.0) / DEPTHS[1])
     scale = stress_scale(phi_deg, density) * foot.radius**3
     return np.asarray(scale[..., None] * unit)
 
@@ -267,7 +294,8 @@ def wrench(
 
 
 LAWS: Mapping[str, FootLaw] = {
-    "rft": FootLaw("rft", resistive_force),
+    "foot": FootLaw("foot", simulated_force),
+    "rft": FootLaw("rft", resistive_force, "rft3d"),
     **{
         name: FootLaw(name, partial(bearing_capacity, name))
         for name in ("meyerhof", "vesic", "hansen")
@@ -323,17 +351,13 @@ def _faces(shape: str) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 @lru_cache(maxsize=64)
-def _table(shape: str, surface_friction: float) -> tuple[FloatArray, FloatArray]:
-    """Force over ξ R³ of a foot of unit radius, by descent and depth, and its slope beyond them.
-
-    Shapes [descent, depth, 2] and [descent, 2].
-    """
+def _table(shape: str, surface_friction: float) -> FloatArray:
+    """Force over ξ R³ of a foot of unit radius, shape [descent, depth, 2]."""
     height, normal, area = _faces(shape)
     levels, ring = np.unique(height, return_inverse=True)
-    force = np.empty((DESCENTS, len(DEPTHS), 2))
-    slope = np.empty((DESCENTS, 2))
+    force = np.empty((len(DESCENTS), len(DEPTHS), 2))
     submerged = np.maximum(DEPTHS[:, None] - levels, 0.0)  # of each ring's centre
-    for i, descent in enumerate(np.linspace(-0.5 * np.pi, 0.5 * np.pi, DESCENTS)):
+    for i, descent in enumerate(DESCENTS.tolist()):
         direction = np.array([math.cos(descent), 0.0, -math.sin(descent)])
         alpha = stress_per_depth_3d(
             normal,
@@ -344,12 +368,86 @@ def _table(shape: str, surface_friction: float) -> tuple[FloatArray, FloatArray]
         )
         pushed = alpha[:, (0, 2)] * area[:, None] / stress_scale(30.0, 1.0)
         rings = np.stack([np.bincount(ring, pushed[:, k]) for k in range(2)], axis=-1)
-        force[i], slope[i] = submerged @ rings, rings.sum(axis=0)
-    return force, slope
+        force[i] = submerged @ rings
+    return force
 
 
-def _between(place: FloatArray, count: int) -> tuple[NDArray[np.int64], FloatArray]:
-    """Index of the node below a place on a grid of ``count`` nodes, and how far beyond it."""
-    place = np.clip(place, 0.0, count - 1.0)
-    low = np.minimum(place.astype(np.int64), count - 2)
-    return low, (place - low)[..., None]
+@lru_cache(maxsize=8)
+def _simulated(shape: str, surface_friction: float) -> tuple[float, float, FloatArray]:
+    """First φ [deg], step of the depth over the radius, and force over ρ g R³.
+
+    The force has the shape [φ, descent, depth, 2], with a degree from one φ to the next.
+    """
+    from scipy.interpolate import CubicSpline
+
+    path = shipped_file("foot", shape, ".nc")
+    file = open_netcdf(path, kind="foot law", schema=SCHEMA)
+    friction, angles, tilt_deg, ratio = (
+        file[name].values.astype(np.float64)
+        for name in ("friction", "phi_deg", "tilt_deg", "ratio")
+    )
+    low, high = friction[0] - BEYOND_FRICTION, friction[-1] + BEYOND_FRICTION
+    if not low <= surface_friction <= high:
+        raise InputError(
+            f"surface_friction = {surface_friction:g}: law 'foot' was simulated for "
+            f"{friction[0]:g} to {friction[-1]:g}; give {low:.2g} to {high:.2g}, or take law 'rft'"
+        )
+    place = (surface_friction - friction[0]) / (friction[-1] - friction[0])
+    stored = file["force"].values.astype(np.float64)  # [friction, phi, tilt, ratio, 2]
+    by_angle = _interpolated(stored, np.asarray(place * (len(friction) - 1)))
+    # Over φ: the logarithm of the lift, and the horizontal force over it.
+    lift = np.maximum(by_angle[..., 1], 1e-12)
+    whole = np.arange(angles[0], angles[-1] + 0.5)
+    lift, along = (
+        CubicSpline(angles, values)(whole) for values in (np.log(lift), by_angle[..., 0] / lift)
+    )
+    force = np.stack([along * np.exp(lift), np.exp(lift)], axis=-1)  # [φ, tilt, ratio, 2]
+    # Over the angle from the vertical: the lift is even, the horizontal force odd.
+    turned = np.radians(tilt_deg)
+    tilt = np.minimum(0.5 * np.pi - DESCENTS, turned[-1])
+    powers = 2 * np.arange(len(turned))
+    odd = 1 + powers[: len(turned) - 1]
+    lift = np.einsum(
+        "dt,ptr->pdr", tilt[:, None] ** powers @ np.linalg.inv(turned[:, None] ** powers),
+        force[..., 1],
+    )  # fmt: skip
+    along = np.einsum(
+        "dt,ptr->pdr", tilt[:, None] ** odd @ np.linalg.inv(turned[1:, None] ** odd),
+        force[:, 1:, :, 0],
+    )  # fmt: skip
+    table = np.stack([along, lift], axis=-1)
+    # Nearer to the horizontal: as by resistive force theory.
+    last = 0.5 * np.pi - turned[-1]
+    rows, depths = np.flatnonzero(last - 1e-9 > DESCENTS), np.maximum(ratio, ratio[1]) / DEPTHS[1]
+    theory = _table(shape, surface_friction)
+    there, lowest = (
+        _interpolated(theory, *np.meshgrid(_row(turn), depths, indexing="ij"))
+        for turn in (DESCENTS[rows], np.array([last]))
+    )
+    table[:, rows] *= there / lowest
+    return float(angles[0]), float(ratio[1]), table
+
+
+def _row(descent: ArrayLike) -> FloatArray:
+    """Place of a direction of motion [rad] among :data:`DESCENTS` [node]."""
+    return (np.asarray(descent) - DESCENTS[0]) / (DESCENTS[1] - DESCENTS[0])
+
+
+def _interpolated(table: FloatArray, *places: FloatArray) -> FloatArray:
+    """Rows of a table at places on its first axes [node]; arrays of one shape.
+
+    Linear between nodes; beyond the first and the last as between the two that are next.
+    """
+    lows, parts = [], []
+    for place, count in zip(places, table.shape, strict=False):
+        lows.append(np.clip(place.astype(np.int64), 0, count - 2))
+        parts.append(place - lows[-1])
+    rest = (1,) * (table.ndim - len(places))
+    found = np.zeros(parts[0].shape + table.shape[len(places) :])
+    for corner in itertools.product((0, 1), repeat=len(places)):
+        share = math.prod(
+            part if up else 1.0 - part for part, up in zip(parts, corner, strict=True)
+        )
+        at = tuple(low + up for low, up in zip(lows, corner, strict=True))
+        found += np.reshape(share, np.shape(share) + rest) * table[at]
+    return found

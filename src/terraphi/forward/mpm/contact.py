@@ -30,8 +30,8 @@ OUTLINE, SPHERE, CYLINDER = 0, 1, 2
 STIFFNESS = 0.25
 """Force per overlap of a particle over the soil's M = λ + 2 G and the particle's side [-].
 
-Stable even for a lone particle up to the Courant limit with three particles along the side of a
-cell or fewer (more are refused); results do not depend on it."""
+Stable even for a lone particle up to the Courant limit, which is lower for more than three
+particles along the side of a cell; results do not depend on it."""
 DAMPING = 0.3
 """Share of critical damping of a lone particle on that spring [-]."""
 

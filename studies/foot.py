@@ -1,0 +1,312 @@
+r"""The simulated force law of a foot: from balls and discs pressed into sand to a table.
+
+Feet of radius R are pressed two radii deep into the soil of `sand3d`, on cells of R/3 with 64
+particles each (plans `foot`, `foot-22`, `foot-45`). Forces over ρ g R³ depend on φ, friction,
+direction and depth over R. A foot that moves at once first throws the soil below it, and shallow
+dents are a cell deep, so that they are not used: a shallow dent of a ball is a round footing
+of radius √(2Rz), whose load grows with the power 3/2 of the depth. Cases on other numerics (plan
+`foot-numerics`) give factors for more particles, smaller cells and stiffer soil, with their errors.
+
+The page has these factors, and what the law makes of slopes of the measured plates. `plates.py`
+compares the law with grains.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+import pages
+import terraphi
+from terraphi.experiment.files import write_netcdf
+from terraphi.experiment.scenario import GRAVITY, Scenario
+from terraphi.forward.foot import LAWS, Foot
+
+RATIO = np.linspace(0.0, 2.0, 101)
+"""Depths over the radius of the table."""
+FIRST = {"sphere": 0.6, "cylinder": 0.4}
+"""Depth over the radius from which a simulation is used."""
+POWER = {"sphere": 1.5, "cylinder": 0.0}
+"""Of the depth, by which forces grow before it."""
+TERMS = {"sphere": 4, "cylinder": 3}
+"""Of the polynomial over the depth that a force over that power is."""
+SCATTER, UNKNOWN = 0.02, 0.05
+"""Of ln F: between particle seeds and in smoothing, and for a correction that was not simulated."""
+NAMES = {"sphere": "ball", "cylinder": "disc"}
+LIBRARIES = ("foot", "foot-45", "foot-22", "foot-numerics")
+"""Those of the steps of numerics last."""
+PLATE_DENSITY = 1330.0
+"""Of the sand that plates were pressed into [kg/m³]."""
+SPANS = ((1e-3, 5e-3), (5e-3, 12e-3), (12e-3, 20e-3), (20e-3, 28e-3))
+"""Of their sinkage [m]."""
+DRIFT = (
+    "Measured plates: the pressure of soil of one φ has a surface load and then grows the more "
+    "slowly the deeper it is. Theirs begins at nothing, and its slope doubles."
+)
+TABLES = pages.ROOT.parent / "src" / "terraphi" / "data" / "foot"
+
+
+class Case(NamedTuple):
+    """What a simulation is of, and its smooth force over ρ g R³ at RATIO, [ratio, (x, z)]."""
+
+    shape: str
+    phi: float
+    friction: float
+    tilt: float
+    cells: float
+    particles: int
+    stiffness: float
+    breadth: float
+    dilation: float
+    force: np.ndarray
+
+
+def smooth(shape: str, ratio: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """Least squares of a polynomial times a power of the depth, from FIRST on.
+
+    Shallower than FIRST a ball is a footing of radius √(2Rz), the weight of the soil at its sides
+    bearing as much at FIRST as that below it: terms of powers 3/2 and 2. A disc is on the line
+    through its loads at FIRST and at one radius.
+    """
+    used, power, first = ratio > FIRST[shape], POWER[shape], FIRST[shape]
+    scale = np.maximum(ratio[used], 0.3)[:, None]
+    basis = ratio[used, None] ** power * np.vander(ratio[used], TERMS[shape])
+    found = np.linalg.lstsq(basis / scale, force[used] / scale, rcond=None)[0]
+    at = np.maximum(RATIO, first)
+    curve = RATIO[:, None] ** power * (np.vander(at, TERMS[shape]) @ found)
+    short = np.minimum(RATIO / first, 1.0)[:, None] - 1.0
+    if shape == "sphere":
+        return np.asarray(curve * (0.5 + 0.5 * np.sqrt(1.0 + short)))
+    begin, later = (curve[np.searchsorted(RATIO, depth)] for depth in (first, 1.0))
+    curve += short * first * (later - begin) / (1.0 - first)
+    return np.asarray(curve)
+
+
+def read(name: str) -> list[Case]:
+    """Finished cases of a library; none if there is no such file yet."""
+    path, found = pages.LIBRARIES / f"{name}.nc", []
+    for case in terraphi.Library.load(path).cases if path.is_file() else ():
+        if case.history is None:
+            continue
+        s: Scenario = case.scenario
+        radius, (x, z) = 0.5 * s.leg.width, s.motion.velocity
+        tilt = math.atan2(x, -z)
+        ratio = case.history.position * math.cos(tilt) / radius
+        force = case.history.force / (s.soil.density * GRAVITY * radius**3)
+        found.append(
+            Case(
+                s.leg.shape, s.soil.friction_angle_deg, s.leg.friction,
+                round(math.degrees(tilt), 1), radius / s.numerics.cell_size,
+                s.numerics.particles_per_cell_side, s.soil.youngs_modulus, s.bed.breadth or 0.0,
+                s.soil.dilation_angle_deg, smooth(s.leg.shape, ratio, force),
+            )
+        )  # fmt: skip
+    return found
+
+
+def change(cases: list[Case], shape: str, before: dict, after: dict) -> dict[float, np.ndarray]:
+    """Change of ln lift between cases that differ in their numerics, by φ, [ratio].
+
+    A line over the depth, of least squares from FIRST of the ball on, and level before that.
+    """
+    usual = {"cells": 3.0, "stiffness": 2e6, "breadth": 0.256, "friction": 0.5, "tilt": 0.0,
+             "dilation": 0.0}  # fmt: skip
+    first, last = FIRST["sphere"], 1.9
+    used = (first <= RATIO) & (last >= RATIO)
+
+    def lifts(numerics: dict) -> dict[float, np.ndarray]:
+        wanted = usual | numerics
+        own = [c for c in cases if c.shape == shape]
+        alike = [c for c in own if all(math.isclose(getattr(c, k), v) for k, v in wanted.items())]
+        return {c.phi: np.log(c.force[used, 1]) for c in alike}
+
+    low, high = lifts(before), lifts(after)
+    return {
+        phi: np.polyval(np.polyfit(RATIO[used], high[phi] - low[phi], 1), RATIO.clip(first, last))
+        for phi in sorted(low.keys() & high.keys())
+    }
+
+
+class Step(NamedTuple):
+    """From one numerics to better ones, and how much farther the limit is."""
+
+    name: str
+    before: dict
+    after: dict
+    share: float
+    """Of the change of ln F by which the table is corrected, as an error of this order has it."""
+
+
+def steps(shape: str) -> list[Step]:
+    """What the table is corrected for: particles, cells and stiffness."""
+    found = [Step("cells halved, 8 particles in each", {"particles": 2},
+                  {"particles": 2, "cells": 6.0}, 1.0)]  # fmt: skip
+    if shape == "sphere":
+        found += [
+            Step("125 particles in a cell, not 64", {"particles": 4}, {"particles": 5}, 1.0),
+            Step("soil of 8 MPa, not 2 MPa (27 particles)", {"particles": 3},
+                 {"particles": 3, "stiffness": 8e6}, 1.0),
+        ]  # fmt: skip
+    return found
+
+
+def correction(cases: list[Case], shape: str, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Change of ln F by better numerics and its standard deviation, [phi, ratio]."""
+    total = np.zeros((len(angles), len(RATIO)))
+    variance = np.full_like(total, SCATTER**2)
+    for step in steps(shape):
+        found = change(cases, shape, step.before, step.after)
+        if found:
+            rows = np.array(list(found.values())).T
+            log = step.share * np.array([np.interp(angles, list(found), row) for row in rows]).T
+            total, variance = total + log, variance + (0.5 * log) ** 2
+        else:
+            variance = variance + UNKNOWN**2
+    return total, np.sqrt(variance)
+
+
+def table_of(cases: list[Case], shape: str) -> tuple[dict[str, np.ndarray], np.ndarray, list[str]]:
+    """Axes, forces [friction, phi, tilt, ratio, 2], and the cases that products stand for."""
+    usual = {
+        (c.friction, c.phi, c.tilt): c.force
+        for c in cases
+        if c.shape == shape and c.particles == 4 and c.dilation == 0.0 and c.cells == 3.0
+    }
+    angles = sorted(p for f, p, t in usual if f == 0.5 and t == 0.0 and (f, p, 45.0) in usual)
+    # Soil too soft for its strength has no load at the surface: such an angle is left out.
+    soft = {p for (_, p, _), force in usual.items() if force[1:, 1].min() <= 0.0}
+    angles = [p for p in angles if (0.2, p, 0.0) in usual and p not in soft]
+    whole = [t for t in (0.0, 22.5, 45.0) if all((0.5, p, t) in usual for p in angles)]
+    axes = {
+        "friction": np.array([0.2, 0.5]), "phi_deg": np.array(angles), "tilt_deg": np.array(whole)
+    }  # fmt: skip
+    force = np.empty((2, len(angles), len(whole), len(RATIO), 2))
+    products = []
+    for i, friction in enumerate(axes["friction"].tolist()):
+        for k, phi in enumerate(angles):
+            for m, tilt in enumerate(whole):
+                if (friction, phi, tilt) in usual:
+                    force[i, k, m] = usual[friction, phi, tilt]
+                    continue
+                products.append(f"μ {friction:g}, φ {phi:g}°, {tilt:g}°")
+                share = usual[friction, phi, 0.0][1:, 1:] / usual[0.5, phi, 0.0][1:, 1:]
+                force[i, k, m] = usual[0.5, phi, tilt] * np.concatenate([share[:1], share])
+    force[:, :, 0, :, 0] = 0.0  # by symmetry
+    return axes, force, products
+
+
+def write_table(
+    shape: str, axes: dict[str, np.ndarray], force: np.ndarray, sd: np.ndarray, products: list[str]
+) -> None:
+    """The file that law `foot` reads."""
+    data = xr.Dataset(
+        {"force": ((*axes, "ratio", "axis"), force.astype(np.float32)),
+         "relative_sd": (("phi_deg", "ratio"), sd.astype(np.float32))},
+        {**axes, "ratio": RATIO, "axis": ["along", "up"]},
+        {
+            "terraphi_file": "foot law", "terraphi_schema": 1,
+            "description": f"force over ρ g R³ on a {NAMES[shape]} of radius R, along the "
+            "horizontal part of its motion and up; φ in plane strain, ψ = 0, Matsuoka and Nakai",
+            "products": "; ".join(products),
+        },
+    )  # fmt: skip
+    TABLES.mkdir(exist_ok=True)
+    write_netcdf(data, TABLES / f"{NAMES[shape]}.nc")
+
+
+def slopes(law: Callable[[float, float, np.ndarray], np.ndarray]) -> list[tuple[str, ...]]:
+    """Slopes of the pressure over ρ g of measured plates, shallow and deep, and φ of each."""
+    path = pages.ROOT / "data" / "plates" / "measured.csv"
+    with path.open(encoding="utf-8", newline="") as file:
+        table = list(csv.DictReader(file))
+    rows = []
+    for diameter in ("60", "100"):
+        own = [r for r in table if r["diameter_mm"] == diameter]
+        depth = np.array([float(r["sinkage_mm"]) for r in own]) / 1e3
+        radius = float(diameter) / 2e3
+        area = math.pi * radius**2
+        pressure = np.array([float(r["force_N"]) for r in own]) / (area * PLATE_DENSITY * GRAVITY)
+        for low, high in SPANS:
+            near = (depth >= low) & (depth < high)
+            if near.sum() < 6:
+                continue
+            slope, level = np.polyfit(depth[near], pressure[near], 1)
+            angles, middle = np.arange(20.0, 45.0, 0.1), np.array([low, high])
+            steep = [np.diff(law(radius, phi, middle))[0] / (high - low) for phi in angles]
+            size = [law(radius, phi, middle).mean() for phi in angles]
+            rows.append(
+                (
+                    f"{diameter} mm", f"{1e3 * low:g} to {1e3 * high:g} mm", f"{slope:.0f}",
+                    f"{level / radius:.1f} R", f"{np.interp(slope, steep, angles):.1f}°",
+                    f"{np.interp(pressure[near].mean(), size, angles):.1f}°",
+                )
+            )  # fmt: skip
+    return rows
+
+
+def draw(tables: dict[str, tuple[dict[str, np.ndarray], np.ndarray]]) -> Figure:
+    """Lift straight down over the depth, by φ, of both feet."""
+    figure = Figure(figsize=(10.0, 3.8), layout="constrained")
+    for axes, (shape, (nodes, force)) in zip(
+        figure.subplots(1, len(tables), squeeze=False)[0], tables.items(), strict=True
+    ):
+        for k, phi in enumerate(nodes["phi_deg"]):
+            for i, line in enumerate(("--", "-")):
+                label = f"{phi:g}°" if i else None
+                axes.plot(RATIO, force[i, k, 0, :, 1], line, color=f"C{k}", lw=1.0, label=label)
+        axes.set(xlabel="depth / R", ylabel="lift / ρ g R³", yscale="log", title=NAMES[shape],
+                 ylim=(1.0, None))  # fmt: skip
+        axes.legend(frameon=False, fontsize="x-small", title="dashed: μ 0.2")
+    return figure
+
+
+def main() -> None:
+    """Write the tables and the page."""
+    out = pages.out_from(str(__doc__))
+    cases, parts, tables = [case for name in LIBRARIES for case in read(name)], [], {}
+    for shape in NAMES:
+        axes, force, products = table_of(cases, shape)
+        if len(axes["phi_deg"]) < 4:
+            continue
+        log, sd = correction(cases, shape, axes["phi_deg"])
+        force *= np.exp(log)[:, None, :, None]
+        write_table(shape, axes, force, sd, products)
+        tables[shape] = axes, force
+        rows = [
+            (step.name, *(f"{phi:g}°: {np.expm1(ln[50]):+.0%}" for phi, ln in ratio.items()))
+            for step in steps(shape)
+            if (ratio := change(cases, shape, step.before, step.after))
+        ]
+        widest = max(map(len, rows), default=1)
+        header = ("change", *["lift"] * (widest - 1))
+        listed = (", ".join(f"{v:g}" for v in axes[key]) for key in ("phi_deg", "tilt_deg"))
+        told = (
+            "The {}: φ {}°, μ 0.2 and 0.5, {}° from the vertical, to two radii. Not simulated yet, "
+            "and products of others: {} cases."
+        ).format(NAMES[shape], *listed, len(products))
+        parts += [told, pages.table(header, [(*r, *[""] * (widest - len(r))) for r in rows])]
+        factors = zip(axes["phi_deg"], np.exp(log[:, 50]), sd[:, 50], strict=True)
+        text = ", ".join(f"{f:.2f} ± {100 * s:.0f} % at {phi:g}°" for phi, f, s in factors)
+        parts.append(f"One radius deep forces are multiplied by {text}.")
+
+    def law(radius: float, phi: float, depth: np.ndarray) -> np.ndarray:
+        force = LAWS["foot"].force(Foot(radius, "disc"), depth, 0.5 * np.pi, density=1.0,
+                                   friction_angle_deg=phi, surface_friction=0.5)[:, 1]  # fmt: skip
+        return np.asarray(force / (math.pi * radius**2 * GRAVITY))
+
+    header = ("plate", "sinkage", "slope of p/ρg", "p/ρg at no sinkage", "φ of the slope",
+              "φ of the pressure")  # fmt: skip
+    if "cylinder" in tables:
+        parts += [DRIFT, pages.table(header, slopes(law))]
+    alt = "lift on a ball and a disc over depth, by friction angle"
+    pages.write(out, "foot", "The simulated law of a foot", parts, draw(tables), alt)
+
+
+if __name__ == "__main__":
+    main()
