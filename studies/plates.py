@@ -215,7 +215,7 @@ def one_angle(tests: list[Test], law: Law) -> tuple[float, float]:
         )
         for phi in angles.tolist()
     ]
-    best = int(np.argmin(misfit))
+    best = int(np.nanargmin(misfit))
     return float(angles[best]), float(misfit[best])
 
 
@@ -243,7 +243,7 @@ def in_grains() -> dict[str, list[Test]]:
 
 def plane_strain(name: str, phi_deg: float) -> float:
     """A law's φ as that of Mohr-Coulomb soil in plane strain [deg]."""
-    if name != "rft":
+    if LAWS[name].convention != "rft3d":
         return phi_deg
     return float(np.degrees(np.arcsin(min(np.tan(np.radians(phi_deg)), 1.0))))
 
