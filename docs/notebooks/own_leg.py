@@ -70,11 +70,13 @@ terraphi.invert(record, **options)
 # a core a few minutes at 5 mm cells, and hours at the 2 mm to which ``sand3d`` was corrected.
 # Without such corrections expect an error of some degrees: see :doc:`/resolution`.
 
+# The bed of ``sand3d`` is made for a leg of 76 mm: one of 100 mm comes to 40 mm from its ends.
+
 base = terraphi.Plan.load("sand3d").scenario
 real = terraphi.Plan(
     name="my-leg-mpm",
     scenario=base.replace(
-        **{"leg.chord": 0.100, "leg.width": 0.030, "motion.hip.1": 0.195},
+        **{"leg.chord": 0.100, "leg.width": 0.030, "motion.hip.1": base.bed.surface + 0.025},
     ),
     sweep={"soil.friction_angle_deg": angles},
 )

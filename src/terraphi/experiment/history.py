@@ -279,8 +279,11 @@ class ForceHistory:
     def peaks(self) -> Peaks:
         """Peak thrust and lift on 1° means at whole degrees within |θ| ≤ window [deg].
 
-        On a plateau, its first angle. Raises ValueError if there is no whole degree in the window.
+        On a plateau, its first angle. Raises ValueError if there is no whole degree in the window,
+        or a force is missing.
         """
+        if self.channels != ("Fx", "Fz"):
+            raise ValueError("a force is missing")
         theta = np.arange(-WINDOW_DEG, WINDOW_DEG + 0.5)
         theta = theta[(theta >= self.theta_deg[0]) & (theta <= self.theta_deg[-1])]
         if theta.size == 0:
@@ -299,8 +302,9 @@ class ForceHistory:
             shown |= {"peak_Fx_N": peaks.Fx, "theta_peak_Fx_deg": peaks.theta_Fx_deg}
             shown |= {"peak_Fz_N": peaks.Fz, "theta_peak_Fz_deg": peaks.theta_Fz_deg}
         except ValueError:  # no function of θ, or none within the window
-            for axis, values in (("x", self.Fx), ("z", self.Fz)):
-                shown[f"peak_F{axis}_N"] = float(values[np.abs(values).argmax()])
+            for name in self.channels:
+                values, unit = self.channel(name), "Nm" if name == "M" else "N"
+                shown[f"peak_{name}_{unit}"] = float(values[np.abs(values).argmax()])
         return shown | {key: self.provenance[key] for key in _SHOWN if key in self.provenance}
 
     def __repr__(self) -> str:
@@ -308,8 +312,9 @@ class ForceHistory:
         scale, unit = _SHOWN_IN[self.coordinate]
         low, high = scale * self.position[[0, -1]]
         forces = ", ".join(
-            f"F{axis} {values.min():.3g} to {values.max():.3g} N"
-            for axis, values in zip(self.axes, self.force.T, strict=True)
+            f"{name} {self.channel(name).min():.3g} to {self.channel(name).max():.3g}"
+            f" {'N m' if name == 'M' else 'N'}"
+            for name in self.channels
         )
         along = f"{self.coordinate} {low:.4g} to {high:.4g} {unit}"
         return f"ForceHistory({len(self.position)} samples, {along}, {forces})"
@@ -325,13 +330,13 @@ class ForceHistory:
         from terraphi.experiment.figure import Figure as NewFigure
 
         figure = figure or NewFigure(figsize=(8.0, 3.0), layout="constrained")
-        panels = figure.axes or figure.subplots(1, 2)
+        panels = figure.axes or figure.subplots(1, len(self.channels), squeeze=False)[0]
         scale, unit = _SHOWN_IN[self.coordinate]
         names = {"theta": "leg angle θ"}
-        for axes, values, label in zip(panels, (self.Fx, self.Fz), ("$F_x$", "$F_z$"), strict=True):
-            axes.plot(scale * self.position, values)
+        for axes, name in zip(panels, self.channels, strict=True):
+            axes.plot(scale * self.position, self.channel(name))
             axes.set_xlabel(f"{names.get(self.coordinate, self.coordinate)} [{unit}]")
-            axes.set_ylabel(f"{label} [N]")
+            axes.set_ylabel("$M$ [N m]" if name == "M" else f"$F_{name[1]}$ [N]")
         return figure
 
     # -- files -----------------------------------------------------------------------------------
@@ -380,9 +385,10 @@ class ForceHistory:
         try:
             found = {name: contents[name].values.astype(np.float64) for name in contents.data_vars}
             moment = found.pop("M", None)
+            place = positions(contents)
             return cls(
-                positions(contents),
-                np.array(list(found.values())).reshape(len(found), -1).T,
+                place,
+                np.array(list(found.values())).reshape(len(found), len(place)).T,
                 str(contents.attrs["coordinate"]),
                 tuple(name.removeprefix("F") for name in found),
                 json_object(contents.attrs["provenance"]),

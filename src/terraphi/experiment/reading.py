@@ -45,6 +45,10 @@ PREVIEW_ROWS = 6
 ROLES = ("theta", "fx", "fz")
 NO_FORCE = r"#|row|nr|no|index|sample|test|comment|temp\w*"
 """Names of columns that are none of a force, where only a moment was found."""
+OTHER_ANGLE = (
+    r"temp|batt|heading|yaw|pitch|roll|tilt|incl|slope|azim|bearing|lat|lon|knee|ankle|phase|abad"
+)
+"""Names of columns in degrees that are no angle of a leg about its hip."""
 _NAMES = {
     "theta": r"theta|θ|angle|winkel|[aá]ngulo|"
     r"(leg|motor|hip|joint|bein|dreh|encoder)(angle|winkel|theta|pos)|"
@@ -216,6 +220,8 @@ def read_trials(
                 f"Rows are averaged in bins of {BIN_DEG:g}°: {len(which)} become {len(position)}."
             )
         turning = values[:, -1] if np.isfinite(values[:, -1]).all() else None
+        if turning is None and "moment" in found.names and i == 0:
+            found.notes.append("The moment lacks numbers, and is not used.")
         if turning is not None and np.trapezoid(turning, position) > 0.0:
             turning = -turning  # soil resists the leg, so that this is the motor's
         trial = f" (stroke {i + 1})" if len(strokes) > 1 else ""
@@ -369,6 +375,7 @@ class _Reading:
                 n: unit_named(self.table.units.get(n) or self.parts[n][1] or "") for n in plain
             }
             found = [n for n, unit in units.items() if unit in KINDS["angle"] and n not in taken]
+            found = [n for n in found if not re.search(OTHER_ANGLE, plain[n])]
         return found
 
     def _ask(self, lacking: list[str], timed: bool) -> None:

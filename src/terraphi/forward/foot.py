@@ -222,7 +222,7 @@ def wrench(
 
     For simulators: the faces of a mesh that lead and are submerged feel a stress in proportion to
     their depth, whatever the speed. Below ``rest_speed`` it falls with the speed to zero, since the
-    law says nothing of a foot at rest. So a resting foot creeps, and an explicit step of a mass m
+    law does not cover a foot at rest. So a resting foot creeps, and an explicit step of a mass m
     under a force F is stable up to 2 m ``rest_speed`` / F.
 
     Parameters
@@ -289,7 +289,7 @@ def wrench(
     # Sums over the faces of each foot.
     feet, foot = math.prod(shape[:-2]), below // shape[-2]
     rows = (fx, fy, fz, y * fz - z * fy, z * fx - x * fz, x * fy - y * fx)
-    sums: FloatArray = np.array([np.bincount(foot, row, feet) for row in rows]).T
+    sums = np.array([np.bincount(foot, row, feet) for row in rows], dtype=np.float64).T
     return sums[:, :3].reshape(*shape[:-2], 3), sums[:, 3:].reshape(*shape[:-2], 3)
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.history import OBSERVATION_ANGLES, WINDOW_DEG, ForceHistory
+from terraphi.experiment.history import OBSERVATION_ANGLES, WINDOW_DEG
 from terraphi.experiment.units import FORCE
 from terraphi.inference.emulator import emulator_of
 from terraphi.inference.likelihood import SHIFT_DEG, Likelihood, squared_residuals, window_means
@@ -326,10 +326,11 @@ def _other_readings(likelihood: Likelihood, record: Record, library: Library) ->
 
 def _columns_otherwise(record: Record) -> dict[str, tuple[Record, FloatArray]]:
     """A record of both forces with other signs, axes or units, by the option that does it."""
-    back = replace(
-        record,
-        history=ForceHistory(-record.history.position[::-1], record.history.force[::-1]),
+    given = record.history
+    turned_back = replace(
+        given, position=-given.position[::-1], force=given.force[::-1], moment=None
     )
+    back = replace(record, history=turned_back)
     turned = np.array([[-1.0], [1.0]])
     options: dict[str, tuple[Record, FloatArray]] = {
         "fx_sign=-1": (record, turned * record.data),

@@ -37,7 +37,7 @@ DEFAULT = "sand3d"
 """Library for measured forces."""
 SECOND = "rft3d"
 """Library of the second opinion."""
-MODEL = ("model: apparatus", "model: soil", "model: leg")
+MODEL = ("model: apparatus", "model: soil", "model: leg", "model: offset")
 """Terms of the error of the model on real soils."""
 CONTRADICTS = 4.0
 """Standard deviations by which a soil of known angle must not differ from what is read [-]."""
@@ -144,6 +144,7 @@ def _invert(
         )
     if known is not None:
         known.check(library)
+        known.check_gain({record.leg: record.gain for record in records})
     likelihood = Likelihood(records, library, known)
     return _answer(likelihood, library, reason, seed, began)
 
@@ -226,7 +227,7 @@ def calibrate(
             CalibrationSoil(
                 source=record.source, leg=record.leg, phi_deg=phi_deg, phi_sd_deg=phi_sd_deg,
                 read_deg=read, read_sd_deg=sd,
-                rig_sd_deg=rig,
+                rig_sd_deg=rig, gain=record.gain,
             )
         )  # fmt: skip
     assert found is not None
@@ -345,6 +346,8 @@ def _answer(
         provenance={
             "terraphi": importlib.metadata.version("terraphi"),
             "library_hash": library.hash,
+            "gain": [record.gain for record in records],
+            "noise": [list(record.noise) for record in records],
             "seconds": round(time.perf_counter() - began, 3),
             **({"calibration": likelihood.calibration.model_dump(mode="json")}
                if likelihood.calibration else {}),
@@ -530,7 +533,7 @@ def _edge(likelihood: Likelihood) -> str | None:
         )
     i = likelihood.keys.index(PHI)
     read = float(likelihood.least_squares[i])
-    sd = _sd_without(likelihood, (*MODEL, "density"))
+    sd = _sd_without(likelihood, (*MODEL, "density", "second opinion"))
     offset = [float(likelihood.offset(leg, np.array(read))) for leg in likelihood.emulators]
     low, high = likelihood.low[i] - min(offset), likelihood.high[i] - max(offset)
     for edge, beyond in (("low", low - read), ("high", read - high)):
@@ -563,6 +566,11 @@ def _about(
                     f"{'later' if fit.shift_deg > 0 else 'earlier'} than the model's; check the "
                     "zero of theta and the height of the hip."
                 )
+    if likelihood.measured and len(likelihood.keys) > 1:
+        found.append(
+            "The error of the model on real soil is part of the interval of φ alone; do not trust "
+            "those of the other parameters."
+        )
     if phi is not None:
         span = float(likelihood.high[0] - likelihood.low[0]) + 24.0
         if likelihood.keys == (PHI,) and phi.sd > UNINFORMED * span / math.sqrt(12.0):
@@ -623,7 +631,7 @@ def _second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:
     sd = float(other.sd(_within(other, other.least_squares))[0])
     return {
         "library": SECOND, "median": plane.median, "sd": sd * ratio,
-        "force_size_deg": phi_of_size(likelihood),
+        "force_size_deg": phi_of_size(likelihood) if likelihood.keys == (PHI,) else None,
     }  # fmt: skip
 
 

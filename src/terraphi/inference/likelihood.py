@@ -22,7 +22,7 @@ zero of θ                 that of a shift: 15°/√3 times dg/dδ
 density, gain             relative standard deviation of the density, and of the gain of the sensor,
                           times g
 model: apparatus, soil    what looks like another angle: b² and s² times (∂g/∂φ)(∂g/∂φ)' (``soils``)
-model: leg                the same of each leg by itself, l²
+model: leg, offset        the same of each leg by itself, l²; and the error of its offset
 missing angles            where a record has a part of the stroke (``partial``)
 missing forces            where it has the moment about the hip in place of a force: the angles
                           read off both differ by that
@@ -452,7 +452,7 @@ class Likelihood:
 
     def _model_offset(self, slope: FloatArray) -> dict[str, FloatArray]:
         """Covariance of what looks like another angle: of an apparatus, a soil, and each leg."""
-        of_legs = {leg: np.zeros_like(slope) for leg in self.errors}
+        of_legs, of_offset = ({leg: np.zeros_like(slope) for leg in self.errors} for _ in range(2))
         common, of_soil = np.zeros_like(slope), np.zeros_like(slope)
         for record, part in zip(self.records, self.parts, strict=True):
             error = self.errors[record.leg]
@@ -461,13 +461,14 @@ class Likelihood:
                 left = self.calibration.common(error, record.leg)[1]
             common[part] = slope[part] * left
             of_soil[part] = slope[part] * error.soil_sd_deg
-            offset_sd = 0.0 if self._calibrated(record.leg) else error.offset_sd_deg
-            own = math.hypot(error.leg_sd_deg, offset_sd)
-            of_legs[record.leg][part] = slope[part] * own
+            of_legs[record.leg][part] = slope[part] * error.leg_sd_deg
+            if not self._calibrated(record.leg):
+                of_offset[record.leg][part] = slope[part] * error.offset_sd_deg
         return {
             "model: apparatus": np.outer(common, common),
             "model: soil": np.outer(of_soil, of_soil),
             "model: leg": np.asarray(sum(np.outer(one, one) for one in of_legs.values())),
+            "model: offset": np.asarray(sum(np.outer(one, one) for one in of_offset.values())),
         }
 
     def _shape(self, slope: FloatArray) -> FloatArray:

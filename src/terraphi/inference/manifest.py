@@ -17,6 +17,12 @@ from terraphi.library.build import workers
 
 OPTIONS = ("leg", "density", "columns", "library", "noise", "gain", "calibration")
 """Columns that are options of ``invert``, besides ``file``."""
+COLUMNS = (
+    *("source", "leg", "phi_deg", "sd_deg", "ci68_low_deg", "ci68_high_deg", "ci95_low_deg"),
+    *("ci95_high_deg", "yield", "phi_plane_strain_deg", "verdict", "reason", "nrmsd_Fx"),
+    *("nrmsd_Fz", "nrmsd_M", "density_kg_m3", "density_assumed", "library", "warnings"),
+)
+"""Columns of a table of answers."""
 LEAST_ROWS = 8
 """Records from which several processes are worth their start."""
 
@@ -59,6 +65,8 @@ def read_manifest(path: Path) -> list[dict[str, Any]]:
     wrong += [f"row {i} names no file" for i, one in enumerate(rows, 1) if not one.get("file", "-")]
     if not rows:
         wrong.append("no rows")
+    wrong += [f"column '{name}' is one of the answers'; rename it" for name in table.columns
+              if name in COLUMNS and name not in known]  # fmt: skip
     if wrong:
         raise InputError(f"{path}: {'; '.join(wrong)}; expected {','.join(known)}")
     return [_row(path.parent, one) for one in rows]

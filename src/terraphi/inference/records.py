@@ -73,8 +73,8 @@ class Record:
         Whether it is too damaged for any answer to be believed.
     noise
         Standard deviation of a reading of each channel [N], of a moment [N m].
-    gain_sd
-        Relative standard deviation of the sensor's gain [-].
+    gain, gain_sd
+        What the forces were divided by, and its relative standard deviation [-].
     """
 
     source: str
@@ -91,6 +91,7 @@ class Record:
     notes: tuple[str, ...] = ()
     damaged: bool = False
     noise: tuple[float, ...] = (0.0, 0.0)
+    gain: float = 1.0
     gain_sd: float = 0.0
 
     @property
@@ -267,7 +268,7 @@ def record_of(
         Without a standard deviation 5 % are assumed.
     noise
         Standard deviation of a reading [N], of both forces or of each; ``None``: from the readings'
-        roughness.
+        roughness. That of a moment always is.
     gain
         What the sensor reads over the true force [-], as ``"1.05±0.01"``; ``None``: 1 ± 2 %.
     simulated
@@ -302,10 +303,14 @@ def record_of(
         sd = 0.0
     if mean is not None and sd is None:
         sd = DENSITY_SD * mean
+    if made_by is not None and gain is not None:
+        raise InputError(f"{known.name}: a simulation has no sensor; leave out the gain")
     factor, gain_sd = _gain(gain, known.name)
     if factor != 1.0:
         history = history.scaled(1.0 / factor)
     sensor = _noise(history)
+    if noise is not None and not history.axes:
+        raise InputError(f"{known.name}: noise is that of forces, and there is a moment alone")
     if noise is not None:
         given = tuple(noise) if isinstance(noise, list | tuple) else (noise, noise)
         if len(given) != 2 or not all(isinstance(one, int | float) for one in given):
@@ -335,6 +340,7 @@ def record_of(
         measurement=str(history.provenance.get("measurement", "")),
         notes=tuple(history.provenance.get("reading", ())),
         noise=sensor,
+        gain=factor,
         gain_sd=gain_sd,
     )
 

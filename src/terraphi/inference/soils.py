@@ -6,24 +6,24 @@ The angle that a library reads off a record of measured forces is
 
 the offset of each leg linear in ψ, b common to all soils in one apparatus, s of the soil, l of the
 leg in it, each normal about zero. The offset itself has an error, the same for all soils. Forces
-show none of them: they look like another angle. They are learnt from soils whose angle was measured
-otherwise, and stand in the library's file.
+show none of them: they look like another angle. They are learned from soils whose angle was
+measured otherwise, and stand in the library's file.
 
 A calibration is such a soil in the user's own apparatus. With n of them, each with y_i = ψ_i − φ_i
 and variance v_i = s² + l²/legs + var(φ_i) + var(ψ_i), where ψ_i is the mean of the soil's records,
 
     1/var(b) = 1/b² + Σ 1/v_i,    E(b) = var(b) Σ y_i / v_i,
 
-so that an interval can only become narrower. The error of a leg's offset, the height of the hip and
-the friction of the leg stay as they are between records with one leg: b² includes their variance,
-and they are no terms of their own then.
+so that an interval can only become narrower. The error of a leg's offset, the height of the hip,
+the friction of the leg and the gain of the sensor stay as they are between records with one leg: b²
+includes their variance, and they are no terms of their own then.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -68,9 +68,9 @@ class ModelError(Strict):
     residual: tuple[tuple[float, ...], ...] = ()
     """Mean residual of Fx and Fz in real soils, over the model's peak-to-peak [-], [2, theta]."""
     training: tuple[str, ...] = ()
-    """Records that this was learnt from."""
+    """Records that this was learned from."""
     without: dict[str, ModelError] = Field(default_factory=dict)
-    """The same learnt without a medium that is shipped, such as ``li2013:yuma``."""
+    """The same learned without a medium that is shipped, such as ``li2013:yuma``."""
 
     def offset_at(self, phi_deg: FloatArray | float) -> FloatArray | float:
         """Mean of φ_read − ψ at angles ψ [deg]."""
@@ -92,7 +92,7 @@ def model_error(library: Library, leg: str, media: Iterable[str] = ()) -> ModelE
     library, leg
         Where, and of which leg.
     media
-        Shipped media that it must not be learnt from; the first of them counts.
+        Shipped media that it must not be learned from; the first of them counts.
     """
     found = ModelError.model_validate(library.model_error.get(leg, {}))
     return next((found.without[medium] for medium in media if medium in found.without), found)
@@ -114,7 +114,9 @@ class CalibrationSoil(Strict):
     read_sd_deg: float = Field(ge=0, le=90)
     """Standard deviation of that from noise, density and the library [deg]."""
     rig_sd_deg: float = Field(0.0, ge=0, le=90)
-    """The same from the height of the hip and the friction of the leg, which stay as they are."""
+    """The same from the height of the hip, the friction of the leg and the gain, which stay."""
+    gain: float = Field(1.0, gt=0)
+    """Gain of the sensor that its forces were divided by [-]."""
 
 
 class Calibration(Strict):
@@ -140,6 +142,16 @@ class Calibration(Strict):
                 f"the calibration is for library '{self.library}' as it was then, and this is "
                 f"'{library.name}'; invert with that library, or calibrate again"
             )
+
+    def check_gain(self, gains: Mapping[str, float]) -> None:
+        """Raise InputError if a leg's sensor has another gain than in the calibration."""
+        for soil in self.soils:
+            given = gains.get(soil.leg, soil.gain)
+            if abs(given - soil.gain) > 1e-6 * soil.gain:
+                raise InputError(
+                    f"gain = {given:g}, and the calibration of leg {soil.leg} was made with "
+                    f"{soil.gain:g}; give the same --gain"
+                )
 
     def has(self, leg: str) -> bool:
         """Whether a soil was read with this leg, whose height and friction are then part of b."""

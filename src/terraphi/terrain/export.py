@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.metadata
 import json
 from collections.abc import Callable, Mapping
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -126,7 +127,9 @@ def export(
     check_dp_type(dp_type, to)
     if match not in MATCHES:
         raise InputError(f"unknown stress path '{match}'; {nearest(match, MATCHES)}")
-    if not (isinstance(draws, int) and 0 <= draws <= MOST_DRAWS):
+    if not (
+        isinstance(draws, Integral) and not isinstance(draws, bool) and 0 <= draws <= MOST_DRAWS
+    ):
         raise InputError(f"draws = {draws!r}; 0 to {MOST_DRAWS} are accepted")
     path = None if out is None else Path(out)
     if path is not None:

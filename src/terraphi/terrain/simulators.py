@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from numbers import Real
 from typing import Any, Literal, NamedTuple, get_args
 
 from terraphi.experiment.errors import InputError, nearest
@@ -140,8 +141,8 @@ class Simulator:
         InputError
             If the simulator cannot be that strong, or has no such stress path.
         """
-        if self.name == "chrono-scm" and match == "triaxial":
-            raise InputError("chrono-scm has no triaxial compression: leave out --match triaxial")
+        if self.name in ("chrono-scm", "rft3d") and match == "triaxial":
+            raise InputError(f"{self.name} has no triaxial compression: leave out --match triaxial")
         found = self.law.value(ratio_of_angle(phi_deg, match))
         if math.isnan(found):
             soil = f"{phi_deg:.1f} deg in {match.replace('-', ' ')}"
@@ -272,7 +273,7 @@ def convert(
     given = simulator(from_, dp_type=dp_type)
     check_dp_type(dp_type, from_, to)
     least, most, unit = (LEAST_DEG, 90.0, " degrees, not radians") if given.unit else (0, 2, "")
-    if not (isinstance(value, int | float) and least < value < most):
+    if not (isinstance(value, Real) and least < value < most):
         expected = f"{given.title} expects {least:g} to {most:g}{unit}"
         raise InputError(f"{given.parameter} = {value!r}: {expected}")
     ratio = given.law.ratio(value)

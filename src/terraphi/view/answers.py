@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from terraphi.experiment.errors import InputError
+from terraphi.inference.manifest import COLUMNS
 from terraphi.view.console import print_table
 from terraphi.view.table import Table
 
@@ -32,7 +33,7 @@ CONVENTIONS = {
 LEGS = {"straight": "straight leg", "c": "C leg", "reversed_c": "reversed C leg"}
 ACTIONS = {
     "soils of known angle in the same apparatus (terraphi calibrate)": (
-        *("model: apparatus", "hip height", "leg friction", "gain"),
+        *("model: apparatus", "model: offset", "hip height", "leg friction", "gain"),
     ),
     "a measured density (--density VALUE±SD)": ("density",),
     "a record with another leg": ("model: leg",),
@@ -42,11 +43,6 @@ ACTIONS = {
     "a library with more cases": ("emulator",),
 }
 """What narrows the interval, and which terms it removes."""
-COLUMNS = (
-    *("source", "leg", "phi_deg", "sd_deg", "ci68_low_deg", "ci68_high_deg", "ci95_low_deg"),
-    *("ci95_high_deg", "yield", "phi_plane_strain_deg", "verdict", "reason", "nrmsd_Fx"),
-    *("nrmsd_Fz", "nrmsd_M", "density_kg_m3", "density_assumed", "library", "warnings"),
-)
 
 
 def headline(answer: Answer) -> str:
@@ -79,7 +75,8 @@ def in_words(answer: Answer) -> list[str]:
     other = answer.second_opinion
     if other is not None:
         where = "" if answer.convention == "plane_strain" else " in plane strain"
-        size = f"; size of the forces alone {other['force_size_deg']:.0f}°"
+        size = other["force_size_deg"]
+        size = "" if size is None else f"; size of the forces alone {size:.0f}°"
         lines.append(f"  Second opinion: {other['library']} {other['median']:.0f}°{where}{size}.")
     return lines + [f"  Warning: {sentence}" for sentence in answer.questions]
 

@@ -374,9 +374,10 @@ def look(file: str, columns: dict[str, Any]) -> dict[str, Any]:
     except InputError as error:
         return {**reply, "wrong": str(error)}
     history = found.history
-    names = ("θ [deg]", *(f"F{axis} [N]" for axis in history.axes))
-    columns_read = zip(names, (history.theta_deg, *history.force.T), strict=True)
-    ranges = ", ".join(f"{n} from {v.min():.3g} to {v.max():.3g}" for n, v in columns_read)
+    read = {"θ [deg]": history.theta_deg}
+    for name in history.channels:
+        read[f"{name} [{'N m' if name == 'M' else 'N'}]"] = history.channel(name)
+    ranges = ", ".join(f"{n} from {v.min():.3g} to {v.max():.3g}" for n, v in read.items())
     reply["read"] = [f"{len(history.position)} readings: {ranges}."]
     reply["read"] += history.provenance.get("reading", [])
     leg = "" if found.leg_assumed else found.leg

@@ -223,10 +223,13 @@ def of_simulation(path: Path) -> Section:
         Plot(
             force, [line(*curve(history, force), force, BLUE)], axes(position_label(history), label)
         )
-        for force, label in FORCES.items()
+        for force, label in ((name, FORCES.get(name, "M [N m]")) for name in history.channels)
     ]
     summary = history.summary()
-    headline = f"Peak Fx {summary['peak_Fx_N']:.1f} N, peak Fz {summary['peak_Fz_N']:.1f} N"
+    peaks = {name: unit for name in ("Fx", "Fz", "M") for unit in ("N", "Nm")
+             if f"peak_{name}_{unit}" in summary}  # fmt: skip
+    headline = ", ".join(f"peak {n} {summary[f'peak_{n}_{u}']:.1f} {u}" for n, u in peaks.items())
+    headline = headline[0].upper() + headline[1:]
     if scenario:
         leg, phi = scenario["leg"]["shape"], scenario["soil"]["friction_angle_deg"]
         headline += f"; {LEGS.get(leg, leg)}, φ = {phi:g}°"
@@ -239,11 +242,11 @@ def curve(history: ForceHistory, force: str) -> tuple[Any, Any]:
     if history.coordinate != "theta":
         kept = np.linspace(0, len(history.position) - 1, 300).round().astype(int)
         scale = 1e3 if history.coordinate == "displacement" else 1.0
-        return scale * history.position[kept], getattr(history, force)[kept]
+        return scale * history.position[kept], history.channel(force)[kept]
     low, high = history.theta_deg[[0, -1]]
     theta = np.arange(math.ceil(low), math.floor(high) + 1.0)
-    means = history.means(np.radians(theta), math.radians(0.5))
-    return theta, means[:, history.axes.index(force[1])]
+    values = history.channel(force)
+    return theta, history.means(np.radians(theta), math.radians(0.5), values=values)
 
 
 def position_label(history: ForceHistory | None) -> str:
