@@ -18,6 +18,7 @@ from terraphi.experiment.errors import InputError
 from terraphi.robot.footfall_files import read_footfalls, summary, write_footfalls
 from terraphi.robot.footfalls import (
     EDGE,
+    PRINT,
     SHALLOW,
     TORN,
     TRODDEN,
@@ -85,14 +86,18 @@ def test_the_map_begins_along_the_first_heading() -> None:
 
 
 def test_of_two_feet_in_one_place_the_second_is_refused() -> None:
-    places = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.02, 0.01, 0.0], [2.0, 0.0, 0.0]])
-    fair = {"torn": np.zeros(4, bool), "saturated": np.zeros(4, bool), "place": places}
-    seen = SimpleNamespace(foot=np.arange(4), used=np.ones((4, 20), bool), **fair)
+    """A rear foot on a fore foot's print is called that, whatever trod there in between."""
+    x = [0.0, 1.0, 1.02, 1.03, 2.0, 2.03, 3.0]
+    feet = np.array([0, 1, 2, 3, 2, 0, 3])
+    places = np.column_stack([x, np.zeros((7, 2))])
+    fair = {"torn": np.zeros(7, bool), "saturated": np.zeros(7, bool), "place": places}
+    seen = SimpleNamespace(foot=feet, used=np.ones((7, 20), bool), **fair)
     found = SimpleNamespace(
-        phi=np.array([32.0, 33.0, 34.0, 49.9]), sinkage=np.full(4, 0.02), gained=np.full(4, 0.01),
-        misfit=np.ones(4),
+        phi=np.array([32.0] * 6 + [49.9]), sinkage=np.full(7, 0.02), gained=np.full(7, 0.01),
+        misfit=np.ones(7),
     )  # fmt: skip
-    assert verdicts(seen, found, 0.022).tolist() == [USABLE, USABLE, TRODDEN, EDGE]
+    expected = [USABLE, USABLE, PRINT, PRINT, USABLE, TRODDEN, EDGE]
+    assert verdicts(seen, found, 0.022).tolist() == expected
 
 
 def test_a_log_of_exchanged_legs_tells_no_footfall() -> None:

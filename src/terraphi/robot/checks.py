@@ -36,7 +36,7 @@ LEAST_SPEED = 0.01
 """Speed [m/s] below which feet that stand do not slide."""
 EXCHANGED = 0.6
 """Legs are exchanged if another order leaves less than this part of the product of sliding and
-moments [-]; all left legs for all right ones leave 0.65 or more of that of sound logs."""
+moments [-]."""
 MOST_OFF = 0.05
 """Roll moment of legs in the right order, over the weight and the leg's length, at most [-]."""
 MOMENT_SD, GAIN_SD = 0.004, 0.1
@@ -193,7 +193,7 @@ def _legs(log: JointLog, robot: Quadruped) -> list[Finding]:
     Feet that stand move as one rigid body, and their forces hardly turn the trunk about its roll
     and pitch axes, but for gains of the torques. Sinking hides the first on soil, not the second.
     The likeliest order has the least product of the three root mean squares. All left legs for all
-    right ones are a robot in a mirror, which only its rolling shows.
+    right ones are a robot in a mirror: only sliding counts between the two.
     """
     if log.angular_velocity is None:
         return []
@@ -244,20 +244,24 @@ def _legs(log: JointLog, robot: Quadruped) -> list[Finding]:
     # Where no order balances the moments, something else turns the robot: sliding alone counts.
     balanced = min(left[1] for left in orders.values()) < MOST_OFF * robot.leg_length[0]
     products = {o: float(np.prod(left if balanced else left[:1])) for o, left in orders.items()}
-    own, least = orders[0, 1, 2, 3], min(products.values())
-    if own[0] < LEAST_SPEED or least > EXCHANGED * products[0, 1, 2, 3]:
+    own, mirror = orders[0, 1, 2, 3], orders[1, 0, 3, 2]
+    least, sound = min(products.values()), min(products[0, 1, 2, 3], products[1, 0, 3, 2])
+    likely = [order for order in orders if EXCHANGED * products[order] <= least]
+    if least > EXCHANGED * sound:
+        likely = [(1, 0, 3, 2)] if mirror[0] < EXCHANGED * own[0] else []
+    if not likely or own[0] < LEAST_SPEED:
         return []
+    likely.sort(key=products.__getitem__)
+    other = orders[likely[0]]
     moved = [
         ", ".join(f"{FEET[j]} for {FEET[i]}" for i, j in enumerate(order) if i != j)
-        for order in sorted(products, key=products.__getitem__)
-        if EXCHANGED * products[order] <= least
+        for order in likely
     ]
-    other = orders[min(products, key=products.__getitem__)]
-    likely = " or ".join(words for words in moved if len(words) == len(moved[0]))
+    words = " or ".join(each for each in moved if len(each) == len(moved[0]))
     text = (
         f"feet that stand slide at {own[0]:.2g} m/s and bear the robot {1e3 * own[1]:.0f} mm off "
         f"its middle, and at {other[0]:.2g} m/s and {1e3 * other[1]:.0f} mm off if legs were "
-        f"exchanged: {likely}; check the order of the joints"
+        f"exchanged: {words}; check the order of the joints"
     )
     return [Finding(text, True)]
 

@@ -25,9 +25,10 @@ from terraphi.robot.results import foot_forces
 from terraphi.robot.touchdowns import FEWEST, Motion, Touchdowns, sensitivity, touchdowns, track
 
 USABLE = "usable"
-SHALLOW, TRODDEN, MISFIT = "too little sinkage", "not virgin ground", "the law does not fit"
+SHALLOW, MISFIT = "too little sinkage", "the law does not fit"
+TRODDEN, PRINT = "not virgin ground", "print of a fore foot"
 TORN, SATURATED, EDGE = "timing unreliable", "saturated", "at a prior's edge"
-VERDICTS = (USABLE, SHALLOW, TRODDEN, MISFIT, TORN, SATURATED, EDGE)
+VERDICTS = (USABLE, SHALLOW, PRINT, TRODDEN, MISFIT, TORN, SATURATED, EDGE)
 """Verdicts of footfalls."""
 
 LEAST_SINKAGE, LEAST_GAINED = 0.006, 0.003
@@ -243,15 +244,18 @@ def verdicts(seen: Touchdowns, found: Fit, radius: float) -> NDArray[np.str_]:
     """
     from scipy.spatial import cKDTree
 
-    trodden = np.zeros(len(seen.foot), dtype=bool)
-    near = cKDTree(seen.place[:, :2]).query_pairs(NEAR_RADII * radius)
-    trodden[[max(pair) for pair in near]] = True
+    trodden, printed = np.zeros((2, len(seen.foot)), dtype=bool)
+    near = cKDTree(seen.place[:, :2]).query_pairs(NEAR_RADII * radius, output_type="ndarray")
+    first, second = near.min(axis=1), near.max(axis=1)
+    trodden[second] = True
+    printed[second[(seen.foot[first] < 2) & (seen.foot[second] >= 2)]] = True
     rests = seen.used.sum(axis=1) < FEWEST
     low, high = PHI_RANGE[0] + NEAR_EDGE_DEG, PHI_RANGE[1] - NEAR_EDGE_DEG
     reasons = (
         (TORN, seen.torn),
         (SATURATED, seen.saturated),
         (SHALLOW, (found.sinkage < LEAST_SINKAGE) | (found.gained < LEAST_GAINED) | rests),
+        (PRINT, printed),
         (TRODDEN, trodden),
         (EDGE, (found.phi < low) | (found.phi > high)),
         (MISFIT, found.misfit > WORST_MISFIT),
