@@ -65,7 +65,8 @@ class Controller:
         self._base = model.body("base").id
         self._feet = [model.body(f"{foot}_foot").id for foot in FEET]
         hips = np.array([model.body(f"{foot}_hip").pos for foot in FEET])
-        self._spread = hips + STANCE_WIDTH * aim.height / HEIGHT * np.sign(hips) * np.array([0.0, 1.0, 0.0])
+        width = STANCE_WIDTH * aim.height / HEIGHT
+        self._spread = hips + width * np.sign(hips) * np.array([0.0, 1.0, 0.0])
         self._jacobian = np.zeros((3, model.nv))
         self._inertial = np.zeros(model.nv)
         self._lifted = np.zeros((4, 3))

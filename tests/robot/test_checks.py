@@ -83,7 +83,7 @@ def test_what_cannot_be_is_said(
 
 @pytest.fixture(scope="module", params=["walk", "trot"])
 def sandy(request: pytest.FixtureRequest) -> JointLog:
-    """Five seconds on sand, in which feet that stand sink and slide, each torque off by its gain."""
+    """Five seconds on sand, where standing feet sink and slide; each torque is off by its gain."""
     from sand_walk import sand_log, sand_walk
 
     recording = sand_walk(request.param, seed=3, duration=5.0).run()
