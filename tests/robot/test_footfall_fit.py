@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from terraphi.forward.foot import LAWS
-from terraphi.robot.footfall_fit import SHARED, Prior, fit, noise_covariance, predicted
+from terraphi.robot.footfall_fit import (
+    SHARED,
+    Prior,
+    fit,
+    noise_covariance,
+    predicted,
+    with_exponent,
+)
 from terraphi.robot.touchdowns import Touchdowns
 
 PRIOR = Prior()
@@ -84,6 +91,19 @@ def test_what_is_shared_moves_the_answer_as_told() -> None:
     louder = fit(seen._replace(force=1.02 * seen.force), "rft", PRIOR).phi[0] - found.phi[0]
     gains = sum(told[f"gain_{3 * 2 + joint}"] for joint in range(3))
     assert louder == pytest.approx(gains * 0.02 / 3.0, rel=0.1)
+
+
+def test_growth_with_depth_is_learnt_from_the_courses_of_force() -> None:
+    """Sand whose resistance grows slower with depth than the law's by a power of 0.3."""
+    each = [pressed(level=level, seed=i) for i, level in enumerate(np.linspace(0.0, 0.006, 30))]
+    seen = Touchdowns._make(map(np.concatenate, zip(*each, strict=True)))
+    depth = np.maximum(seen.drop + 0.003, 1e-4)
+    softer = seen._replace(force=seen.force * (depth / 0.02) ** -0.3)
+    assert with_exponent(seen, "rft", PRIOR).exponent == pytest.approx(0.0, abs=0.08)
+    found = with_exponent(softer, "rft", PRIOR)
+    assert found.exponent == pytest.approx(-0.3, abs=0.08)
+    assert fit(softer, "rft", found).phi.mean() == pytest.approx(34.0, abs=0.5)
+    assert replace(found, exponent=PRIOR.exponent) == PRIOR
 
 
 def test_noise_has_its_three_parts() -> None:

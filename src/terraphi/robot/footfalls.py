@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import number_with_sd, plain_number
-from terraphi.robot.footfall_fit import LAW_SETS, PHI_RANGE, SHARED, Fit, Prior, fit
+from terraphi.robot.footfall_fit import LAW_SETS, PHI_RANGE, SHARED, Fit, Prior, fit, with_exponent
 from terraphi.robot.footfall_map import ANCHOR_POINTS, Anchor, Observed, Pooled, pool, weigh
 from terraphi.robot.forces import without_broken_accelerometer
 from terraphi.robot.joint_log import FEET, JointLog
@@ -42,6 +42,8 @@ NEAR_EDGE_DEG = 1.0
 """A friction angle this near to the end of the range of the laws is the end [deg]."""
 LEAST_SCALE = 0.2
 """The noise of a log is at least this part of what is assumed [-]."""
+FEWEST_TEACHERS = 8
+"""Touch-downs that teach a law's growth with depth at least."""
 CONTACT_PART = 0.4
 """Of the radius below a sunk ball's centre, where soil pushes [-]: by resistive force theory 0.9 to
 0.5 at a third of the radius' depth, 0.3 at a radius, 0.2 at one and a half."""
@@ -182,7 +184,9 @@ def footfalls(
     # The centre of mass accelerates otherwise than the trunk: legs are half of the robot.
     acceleration = motion.lift_acceleration + forces.leg_inertia / body.mass
     common = weigh(log.time, lift, acceleration, per, chosen, mass=body.mass)
-    fits = {each: fit(seen, each, chosen) for each in LAW_SETS[law]}
+    priors = {each: _taught(seen, each, chosen) for each in LAW_SETS[law]}
+    fits = {each: fit(seen, each, own) for each, own in priors.items()}
+    chosen = replace(chosen, exponent=float(np.mean([p.exponent for p in priors.values()])))
     # The mean of several laws' fits; the best of their misfits.
     found = Fit(*(np.mean(column, axis=0) for column in zip(*fits.values(), strict=True)))
     found = found._replace(misfit=np.min([each.misfit for each in fits.values()], axis=0))
@@ -230,6 +234,15 @@ def footfalls(
             "terraphi": importlib.metadata.version("terraphi"), "forces": analysis.provenance(),
         },
     )  # fmt: skip
+
+
+def _taught(seen: Touchdowns, law: str, prior: Prior) -> Prior:
+    """The prior with the law's growth with depth, if there are enough deep touch-downs."""
+    first = verdicts(seen, fit(seen, law, prior), prior.radius)
+    deep = np.isin(first, (USABLE, MISFIT))
+    if deep.sum() < FEWEST_TEACHERS:
+        return prior
+    return with_exponent(Touchdowns._make(column[deep] for column in seen), law, prior)
 
 
 def verdicts(seen: Touchdowns, found: Fit, radius: float) -> NDArray[np.str_]:
@@ -312,6 +325,7 @@ def _shared_summary(pooled: Pooled, prior: Prior) -> dict[str, Any]:
         "surface_friction": ("surface_friction", prior.surface_friction, 1.0),
         "radius": ("foot_radius_mm", 1e3 * prior.radius, 1e3),
         "law_offset": ("law_offset_deg", 0.0, 1.0),
+        "law_exponent": ("law_exponent", prior.exponent, 1.0),
     }
     for i, key in enumerate(SHARED[24:], start=24):
         name, centre, scale = shown.get(key, (key, 0.0, 1.0))
