@@ -121,8 +121,9 @@ def _renamed(file: Path) -> mujoco.MjSpec:
     for i, foot in enumerate(FEET):
         calf = spec.body(old.body(robot.foot[i]).name)
         ball = calf.add_body(name=f"{foot}_foot", pos=robot.foot_offset[i])
+        # Without a mass of its own, forces on it would act on the calf's centre of mass.
         ball.add_geom(
-            name=foot, type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[robot.foot_radius, 0, 0], mass=0.0
+            name=foot, type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[robot.foot_radius, 0, 0], mass=1e-3
         )
         spec.body(old.body(old.jnt_bodyid[robot.joint[i, 0]]).name).name = f"{foot}_hip"
         for joint, name in zip(robot.joint[i], JOINTS, strict=True):

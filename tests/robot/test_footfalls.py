@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from terraphi.experiment.errors import InputError
 from terraphi.robot.footfall_files import read_footfalls, summary, write_footfalls
+from terraphi.robot.footfall_fit import Prior
 from terraphi.robot.footfalls import (
     EDGE,
     PRINT,
@@ -61,6 +62,47 @@ def test_a_walk_on_sand_tells_its_field(walked: Any, found: FootfallMap) -> None
     truth = walk.sand.phi(found.path[:, 1:] + recording.position[0, :2])
     assert np.sqrt(np.mean((found.path_phi - truth) ** 2)) < 0.6
     assert np.all(np.abs(found.path_phi - truth) < 2.0 * found.path_absolute_sd)
+
+
+def heavy_robot() -> str:
+    """MJCF of a robot of three times a Go2's mass, on longer legs and larger feet."""
+    legs = "".join(
+        f"""<body name="{name}_abad" pos="{0.3 * x} {0.06 * y} 0">
+        <inertial pos="0 {0.01 * y} 0" mass="1.6" diaginertia="0.002 0.002 0.002"/>
+        <joint name="{name}_hip_x" axis="1 0 0"/>
+        <body name="{name}_upper" pos="0 {0.11 * y} 0">
+          <inertial pos="0 0 -0.12" mass="2.2" diaginertia="0.026 0.026 0.003"/>
+          <joint name="{name}_hip_y" axis="0 1 0"/>
+          <body name="{name}_lower" pos="0 0 -0.32">
+            <inertial pos="0 0 -0.16" mass="0.4" diaginertia="0.004 0.004 0.0002"/>
+            <joint name="{name}_knee" axis="0 1 0"/>
+            <geom type="sphere" size="0.034" pos="0 0 -0.32"/>
+          </body></body></body>"""
+        for name, x, y in (
+            ("front_left", 1, 1), ("front_right", 1, -1), ("hind_left", -1, 1),
+            ("hind_right", -1, -1),
+        )
+    )  # fmt: skip
+    return f"""<mujoco model="heavy"><worldbody><body name="trunk" pos="0 0 0.6"><freejoint/>
+        <inertial pos="0 0 0" mass="32" diaginertia="0.3 1.2 1.3"/>{legs}</body></worldbody>
+        </mujoco>"""
+
+
+@pytest.mark.slow
+def test_another_robot_on_sand(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    from sand_check import world_walk
+    from sand_walk import sand_log
+
+    file = tmp_path / "heavy.xml"
+    file.write_text(heavy_robot())
+    friction = Prior.surface_friction
+    walk = world_walk("rft", "trot", friction=friction, seed=1, duration=4.0, robot=file)
+    recording = walk.run()
+    found = footfalls(sand_log(recording, seed=1, gain_sd=0.03), robot=file)
+    assert found.usable.sum() > 10
+    truth = walk.sand.phi(found.place[:, :2] + recording.position[0, :2])[found.usable]
+    assert np.sqrt(np.mean((found.phi[found.usable] - truth) ** 2)) < 0.8
 
 
 @pytest.mark.slow

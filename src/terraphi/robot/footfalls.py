@@ -73,8 +73,8 @@ class FootfallMap:
         Depth of the foot's lowest point at the end of the loading [m], shape [footfall]; where it
         was too little, how far the foot went down under load.
     phi, sd, shared_sd
-        φ of each footfall by itself, its own standard deviation and the one that it shares with
-        all others [deg], shape [footfall]; not a number where it was refused.
+        φ of each footfall by itself, its standard deviation against the other footfalls and the
+        one that it shares with them [deg], shape [footfall]; not a number where it was refused.
     misfit
         χ² over the degrees of freedom [-], shape [footfall].
     verdict
