@@ -41,8 +41,9 @@ CORRELATION_S = 0.008
 ROUNDS = 25
 REFERENCE_DEPTH = 0.02
 """A depth at which a wrong exponent of the law does nothing [m]."""
-EXPONENTS = (-0.7, 0.4)
-"""Range of what is added to a law's power of depth [-]."""
+EXPONENTS = (-0.7, 0.0)
+"""Range of what is added to a law's power of depth [-]: stress in soil grows in proportion to depth
+at most, as resistive force theory has it, and a force that is a millisecond late looks like 0.1."""
 TEACHERS = 60
 """Touch-downs that teach it at most, evenly chosen."""
 BLOCK = 512
