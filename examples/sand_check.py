@@ -130,13 +130,24 @@ def score(walk: Walk, recording: Recording, seed: int) -> dict[str, float]:
     }
 
 
-def summarized(rows: pd.DataFrame) -> pd.DataFrame:
-    """Mean of each world, gait, friction and robot over its seeds."""
-    keys = ["world", "robot", "gait", "friction"]
-    table = rows.drop(columns="seed").groupby(keys, sort=False).mean()
-    table.insert(0, "walks", rows.groupby(keys, sort=False).size())
-    table["usable"] = table["usable"] / table["footfalls"]
-    return table.reset_index()
+def page(rows: pd.DataFrame) -> str:
+    """Means over gaits and seeds of each world, robot and friction, as Markdown."""
+    head = ("world", "robot", "foot friction", "walks", "usable", "bias [°]", "RMSE [°]",
+            "in relative 68 / 95 %", "in absolute 68 / 95 %", "RMSE anchored [°]")  # fmt: skip
+    lines = [head, ("---",) * len(head)]
+    for keys, walks in rows.groupby(["world", "robot", "friction"], sort=False):
+        mean = walks.mean(numeric_only=True)
+        usable = f"{walks['usable'].sum() / walks['footfalls'].sum():.0%}"
+        cells = (*map(str, keys), str(len(walks)), usable)
+        if "bias" in mean and np.isfinite(mean["bias"]):
+            within = [
+                f"{mean[f'{band}68']:.0%} / {mean[f'{band}95']:.0%}"
+                for band in ("relative", "absolute")
+            ]
+            degrees = [f"{mean[name]:.1f}" for name in ("bias", "rmse", "anchored_rmse")]
+            cells += (*degrees[:2], *within, degrees[2])
+        lines.append(cells + ("–",) * (len(head) - len(cells)))
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
 
 @click.command()
@@ -149,7 +160,9 @@ def summarized(rows: pd.DataFrame) -> pd.DataFrame:
 @click.option("--keep", type=click.Path(path_type=Path), help="Folder for simulated walks.")
 @click.option("--kept-only", is_flag=True, help="Leave out walks that are not kept.")
 @click.option("--csv", type=click.Path(path_type=Path), help="A row a walk.")
-@click.option("--page", type=click.Path(path_type=Path), help="Means over seeds, as Markdown.")
+@click.option(
+    "--page", "out", type=click.Path(path_type=Path), help="Means over seeds, as Markdown."
+)
 def main(
     worlds: tuple[str, ...],
     gaits: tuple[str, ...],
@@ -160,7 +173,7 @@ def main(
     keep: Path | None,
     kept_only: bool,
     csv: Path | None,
-    page: Path | None,
+    out: Path | None,
 ) -> None:
     """Simulate walks on sand and write how accurate their footfalls are."""
     rows = []
@@ -184,14 +197,10 @@ def main(
                     click.echo(f"{file}: {found}", err=True)
                     if csv is not None:
                         pd.DataFrame(rows).to_csv(csv, index=False, float_format="%.4g")
-    means = summarized(pd.DataFrame(rows))
-    table = "\n".join(
-        "| " + " | ".join(f"{v:.2f}" if isinstance(v, float) else str(v) for v in row) + " |"
-        for row in (means.columns, ["---"] * len(means.columns), *means.itertuples(index=False))
-    )
+    table = page(pd.DataFrame(rows))
     click.echo(table)
-    if page is not None:
-        page.write_text(table + "\n", encoding="utf-8")
+    if out is not None:
+        out.write_text(table, encoding="utf-8")
 
 
 if __name__ == "__main__":

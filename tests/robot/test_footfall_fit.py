@@ -83,8 +83,8 @@ def test_what_is_shared_moves_the_answer_as_told() -> None:
     assert deeper == pytest.approx(0.02 * told["drop"], rel=0.15)
     state = np.array([[34.0, 0.003, 0.0]])
     force = predicted(LAWS["rft"], PRIOR, seen, state, exponent=0.05)
-    depth = seen.drop + 0.003  # an exponent does nothing at 20 mm
-    np.testing.assert_allclose(force, seen.force * (depth / 0.02) ** 0.05)
+    depth = seen.drop + 0.003  # an exponent does nothing at the radius
+    np.testing.assert_allclose(force, seen.force * (depth / PRIOR.radius) ** 0.05)
     steeper = fit(seen._replace(force=force), "rft", PRIOR).phi[0] - found.phi[0]
     assert steeper == pytest.approx(0.05 * told["law_exponent"], rel=0.15)
     assert told["law_slope"] == pytest.approx(34.0 - PRIOR.phi_deg, abs=0.1)
@@ -98,7 +98,7 @@ def test_growth_with_depth_is_learnt_from_the_courses_of_force() -> None:
     each = [pressed(level=level, seed=i) for i, level in enumerate(np.linspace(0.0, 0.006, 30))]
     seen = Touchdowns._make(map(np.concatenate, zip(*each, strict=True)))
     depth = np.maximum(seen.drop + 0.003, 1e-4)
-    softer = seen._replace(force=seen.force * (depth / 0.02) ** -0.3)
+    softer = seen._replace(force=seen.force * (depth / PRIOR.radius) ** -0.3)
     assert with_exponent(seen, "rft", PRIOR).exponent == pytest.approx(0.0, abs=0.08)
     found = with_exponent(softer, "rft", PRIOR)
     assert found.exponent == pytest.approx(-0.3, abs=0.08)

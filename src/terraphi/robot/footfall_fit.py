@@ -39,8 +39,6 @@ NOISE_N, NOISE_PART = 1.5, 0.04
 CORRELATION_S = 0.008
 """Correlation time of the noise [s]."""
 ROUNDS = 25
-REFERENCE_DEPTH = 0.02
-"""A depth at which a wrong exponent of the law does nothing [m]."""
 EXPONENTS = (-0.7, 0.0)
 """Range of what is added to a law's power of depth [-]: stress in soil grows in proportion to depth
 at most, as resistive force theory has it, and a force that is a millisecond late looks like 0.1."""
@@ -79,8 +77,8 @@ class Prior:
     law_sd_deg
         Of the law's offset [deg]: from measured plates.
     exponent, exponent_sd
-        Of an exponent by which the law's growth with depth is wrong [-]: of the depth over
-        :data:`REFERENCE_DEPTH`, a factor on the law.
+        Of an exponent by which the law's growth with depth is wrong [-]: of the depth over the
+        foot's radius, a factor on the law.
     slope_sd
         Of a relative error of the law's growth with φ [-], about ``phi_deg``.
     """
@@ -174,7 +172,7 @@ def predicted(
         surface_friction=prior.surface_friction,
     )[..., 1]
     if exponent + prior.exponent:
-        factor = np.maximum(depth, 1e-4) / REFERENCE_DEPTH
+        factor = np.maximum(depth, 1e-4) / prior.radius
         lift = lift * factor ** (exponent + prior.exponent)
     return np.asarray(lift, dtype=np.float64)
 
