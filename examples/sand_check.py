@@ -1,51 +1,88 @@
-"""How well footfalls tell φ: simulated walks on sand of known φ, in a table.
+"""How accurate footfalls are: simulated walks on sand of known φ, as a table.
 
-    python examples/sand_check.py --seeds 5 --keep walks
+    python examples/sand_check.py --keep walks --csv worlds.csv --page worlds.md
 
-Matched worlds (the law that is assumed), worlds of other laws with and without an anchor, and a
-hard floor. A walk takes about a minute to simulate; ``--keep`` keeps it for the next time.
+Worlds of the assumed law, of other laws and a hard floor; gaits; frictions between foot and sand;
+robots; seeds. A walk takes half a minute to simulate; ``--keep`` keeps it, so that an interrupted
+run goes on.
 """
 
 from __future__ import annotations
 
-from dataclasses import fields
+import time
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import NamedTuple
 
 import click
 import numpy as np
-from go2.walk import Recording
-from sand_walk import sand_log, sand_walk
+import pandas as pd
+from go2.control import HEIGHT
+from go2.model import GO2_MASS
+from go2.walk import Recording, Walk
+from sand_walk import GAITS, sand_log, sand_walk
 
 from terraphi.robot.footfall_map import Anchor
 from terraphi.robot.footfalls import FootfallMap, footfalls
-
-CASES = {"rft": 33.0, "floor": 0.0, "meyerhof": 38.5, "vesic": 38.5, "hansen": 38.5}
-"""Laws of the world, and the mean φ at which a Go2 does not sink too deep to walk [deg]."""
-ANCHOR_M, ANCHOR_SD = 0.5, 1.0
-"""A shear test speaks of the first half metre, right to a degree."""
+from terraphi.robot.model import Quadruped
 
 
-class Score(NamedTuple):
-    """How one walk was told."""
+class World(NamedTuple):
+    """What the feet feel: a law, what is added to its power of depth, and the mean φ [deg]."""
 
-    footfalls: int
-    usable: int
-    rmse: float
-    bias: float
-    held68: float
-    held95: float
-    absolute: float
-    anchored: float
+    law: str
+    exponent: float
+    mean: float
 
 
-def recorded(keep: Path | None, gait: str, law: str, seed: int, duration: float) -> Recording:
+WORLDS = {
+    "rft": World("rft", 0.0, 33.0),
+    "depth^0.7": World("rft", -0.3, 35.0),
+    "hansen": World("hansen", 0.0, 38.5),
+    "meyerhof": World("meyerhof", 0.0, 38.5),
+    "vesic": World("vesic", 0.0, 38.5),
+    "floor": World("floor", 0.0, 0.0),
+}
+"""At these angles a Go2 does not sink too deep to walk."""
+ANCHOR_M, ANCHOR_SD = 0.5, 1.0 / 3.0
+"""A shear test on the first half metre, right to a degree at most."""
+HEAVIER_DEG = 5.0
+"""A robot of three times a Go2's weight needs firmer sand by so much."""
+
+
+def world_walk(
+    world: str, gait: str, friction: float, seed: int, duration: float, robot: Path | None
+) -> Walk:
+    """The walk of one row of the table."""
+    law, exponent, mean = WORLDS[world]
+    body = None if robot is None else Quadruped.load(robot)
+    mean += 0.0 if body is None else HEAVIER_DEG
+    walk = sand_walk(gait, seed=seed, law=law, duration=duration, mean=mean)
+    if walk.sand is not None:
+        sand = replace(walk.sand, exponent=exponent, surface_friction=friction)
+        walk = replace(walk, sand=sand)
+    if body is None:
+        return walk
+    longer = float(body.leg_length.mean() / Quadruped.load("go2").leg_length.mean())
+    heavier = body.mass / GO2_MASS
+    physics = replace(
+        walk.physics, coulomb=walk.physics.coulomb * heavier, viscous=walk.physics.viscous * heavier
+    )
+    return replace(
+        walk,
+        robot=robot,
+        physics=physics,
+        gait=replace(walk.gait, clearance=walk.gait.clearance * longer),
+        aim=replace(walk.aim, height=HEIGHT * longer, speed=walk.aim.speed * longer),
+        sand=None if walk.sand is None else replace(walk.sand, radius=body.foot_radius),
+    )
+
+
+def recorded(walk: Walk, place: Path | None) -> Recording:
     """A simulated walk, or the one that was kept."""
-    place = None if keep is None else keep / f"{law}-{gait}-{seed}-{duration:g}.npz"
     if place is not None and place.exists():
         with np.load(place) as kept:
             return Recording(**{f.name: kept[f.name] for f in fields(Recording)})
-    walk = sand_walk(gait, seed=seed, law=law, duration=duration, mean=CASES[law])
     recording = walk.run()
     if place is not None:
         place.parent.mkdir(parents=True, exist_ok=True)
@@ -53,64 +90,117 @@ def recorded(keep: Path | None, gait: str, law: str, seed: int, duration: float)
     return recording
 
 
-def score(gait: str, law: str, seed: int, recording: Recording) -> Score:
-    """Compare what a walk's log tells with what was true."""
-    walk = sand_walk(gait, seed=seed, law=law, mean=CASES[law])
+def score(walk: Walk, recording: Recording, seed: int) -> dict[str, float]:
+    """Compare what a walk's log gives with what was true."""
     log = sand_log(recording, seed=100 + seed)
-    found = footfalls(log)
-    usable = int(found.usable.sum())
-    if walk.sand is None or not usable:
-        return Score(len(found.verdict), usable, *[np.nan] * 6)
+    robot: str | Path = walk.robot or "go2"
+    begun = time.perf_counter()
+    found = footfalls(log, robot=robot)
+    spent = time.perf_counter() - begun
+    usable = found.usable
+    numbers = {"footfalls": len(usable), "usable": int(usable.sum()), "s_per_min": spent}
+    numbers["s_per_min"] *= 60.0 / float(log.time[-1] - log.time[0])
+    if walk.sand is None or not usable.any():
+        return numbers
     start = recording.position[0, :2]
     truth = walk.sand.phi(found.path[:, 1:] + start)
-    off = found.path_phi - truth
-    each = (found.phi - walk.sand.phi(found.place[:, :2] + start))[found.usable]
-    own = found.sd[found.usable]
     near = found.path[:, 1] <= ANCHOR_M
     # The shear test errs as it says.
-    err = np.random.default_rng(seed).normal(0.0, ANCHOR_SD / 3.0)
-    anchor = Anchor(-1.0, ANCHOR_M, float(truth[near].mean() + err), ANCHOR_SD / 3.0)
-    held = footfalls(log, anchors=[anchor])
-    return Score(
-        len(found.verdict),
-        usable,
-        float(np.sqrt(np.mean(off**2))),
-        float(off.mean()),
-        float(np.mean(np.abs(each) < own)),
-        float(np.mean(np.abs(each) < 1.96 * own)),
-        _absolute(found, off),
-        float(np.sqrt(np.mean((held.path_phi - truth) ** 2))),
-    )
+    err = np.random.default_rng(seed).normal(0.0, ANCHOR_SD)
+    anchor = Anchor(-1.0, ANCHOR_M, float(truth[near].mean() + err), ANCHOR_SD)
+    held = footfalls(log, robot=robot, anchors=[anchor])
+
+    def off(one: FootfallMap) -> np.ndarray:
+        there = walk.sand.phi(one.place[:, :2] + start)  # type: ignore[union-attr]
+        return (one.phi - there)[one.usable]
+
+    each, whole = off(found), np.hypot(found.sd, found.shared_sd)[usable]
+    # What all footfalls share is no part of the relative band.
+    apart, own = each - each.mean(), found.sd[usable]
+    return {
+        **numbers,
+        "bias": each.mean(),
+        "rmse": np.sqrt(np.mean(each**2)),
+        "relative68": np.mean(np.abs(apart) < own),
+        "relative95": np.mean(np.abs(apart) < 1.96 * own),
+        "absolute68": np.mean(np.abs(each) < whole),
+        "absolute95": np.mean(np.abs(each) < 1.96 * whole),
+        "anchored_rmse": np.sqrt(np.mean(off(held) ** 2)),
+        "anchored95": np.mean(np.abs(held.path_phi - truth) < 1.96 * held.path_absolute_sd),
+    }
 
 
-def _absolute(found: FootfallMap, off: np.ndarray) -> float:
-    """Part of the path whose truth lies in the absolute 95 % band."""
-    return float(np.mean(np.abs(off) < 1.96 * found.path_absolute_sd))
+def page(rows: pd.DataFrame) -> str:
+    """Means over gaits and seeds of each world, robot and friction, as Markdown."""
+    head = ("world", "robot", "foot friction", "walks", "usable", "bias [°]", "RMSE [°]",
+            "in relative 68 / 95 %", "in absolute 68 / 95 %", "RMSE anchored [°]")  # fmt: skip
+    lines = [head, ("---",) * len(head)]
+    for keys, walks in rows.groupby(["world", "robot", "friction"], sort=False):
+        mean = walks.mean(numeric_only=True)
+        usable = f"{walks['usable'].sum() / walks['footfalls'].sum():.0%}"
+        cells = (*map(str, keys), str(len(walks)), usable)
+        if "bias" in mean and np.isfinite(mean["bias"]):
+            within = [
+                f"{mean[f'{band}68']:.0%} / {mean[f'{band}95']:.0%}"
+                for band in ("relative", "absolute")
+            ]
+            degrees = [f"{mean[name]:.1f}" for name in ("bias", "rmse", "anchored_rmse")]
+            cells += (*degrees[:2], *within, degrees[2])
+        lines.append(cells + ("–",) * (len(head) - len(cells)))
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
 
 @click.command()
+@click.option("--world", "worlds", type=click.Choice(list(WORLDS)), multiple=True, default=WORLDS)
+@click.option("--gait", "gaits", type=click.Choice(sorted(GAITS)), multiple=True, default=GAITS)
+@click.option("--friction", "frictions", type=float, multiple=True, default=(0.5, 0.3))
+@click.option("--robot", type=click.Path(path_type=Path), help="URDF or MJCF instead of the Go2.")
 @click.option("--seeds", type=int, default=5, show_default=True)
-@click.option("--duration", type=float, default=20.0, show_default=True, help="Of a walk [s].")
+@click.option("--duration", type=float, default=12.0, show_default=True, help="Of a walk [s].")
 @click.option("--keep", type=click.Path(path_type=Path), help="Folder for simulated walks.")
-@click.option("--law", "laws", type=click.Choice(sorted(CASES)), multiple=True, default=CASES)
-def main(seeds: int, duration: float, keep: Path | None, laws: tuple[str, ...]) -> None:
-    """Simulate walks on sand and print how well their footfalls tell φ, as Markdown."""
-    head = ("world", "gait", "seed", "footfalls", "usable", "map RMSE [deg]", "mean error [deg]",
-            "in 68 % relative", "in 95 % relative", "path in 95 % absolute",
-            "anchored RMSE [deg]")  # fmt: skip
-    click.echo("| " + " | ".join(head) + " |\n" + "|---" * len(head) + "|")
-    for law in laws:
-        for gait in ("walk", "trot"):
-            for seed in range(seeds):
-                try:
-                    recording = recorded(keep, gait, law, seed, duration)
-                except RuntimeError as fallen:
-                    click.echo(f"| {law} | {gait} | {seed} | {fallen} |")
-                    continue
-                found = score(gait, law, seed, recording)
-                numbers = ["–" if np.isnan(v) else f"{v:.2f}" for v in found[2:]]
-                cells = (law, gait, str(seed), str(found.footfalls), str(found.usable), *numbers)
-                click.echo("| " + " | ".join(cells) + " |")
+@click.option("--kept-only", is_flag=True, help="Leave out walks that are not kept.")
+@click.option("--csv", type=click.Path(path_type=Path), help="A row a walk.")
+@click.option(
+    "--page", "out", type=click.Path(path_type=Path), help="Means over seeds, as Markdown."
+)
+def main(
+    worlds: tuple[str, ...],
+    gaits: tuple[str, ...],
+    frictions: tuple[float, ...],
+    robot: Path | None,
+    seeds: int,
+    duration: float,
+    keep: Path | None,
+    kept_only: bool,
+    csv: Path | None,
+    out: Path | None,
+) -> None:
+    """Simulate walks on sand and write how accurate their footfalls are."""
+    rows = []
+    name = "go2" if robot is None else Quadruped.load(robot).name
+    for seed in range(seeds):
+        for world in worlds:
+            for friction in frictions if WORLDS[world].law == "rft" else frictions[:1]:
+                for gait in gaits:
+                    row = {"world": world, "robot": name, "gait": gait, "friction": friction}
+                    file = f"{name}-{world}-{gait}-{friction:g}-{seed}-{duration:g}.npz"
+                    place = None if keep is None else keep / file
+                    if kept_only and (place is None or not place.exists()):
+                        continue
+                    walk = world_walk(world, gait, friction, seed, duration, robot)
+                    try:
+                        found = score(walk, recorded(walk, place), seed)
+                    except RuntimeError as fallen:
+                        click.echo(f"{file}: {fallen}", err=True)
+                        continue
+                    rows.append({**row, "seed": seed, **found})
+                    click.echo(f"{file}: {found}", err=True)
+                    if csv is not None:
+                        pd.DataFrame(rows).to_csv(csv, index=False, float_format="%.4g")
+    table = page(pd.DataFrame(rows))
+    click.echo(table)
+    if out is not None:
+        out.write_text(table, encoding="utf-8")
 
 
 if __name__ == "__main__":

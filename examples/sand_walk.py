@@ -30,8 +30,9 @@ from terraphi.robot.joint_log import FEET, JointLog
 GAITS = {
     "walk": (Gait("walk", 1.2, ramp=0.15), Aim(speed=0.12, height=0.3)),
     "trot": (Gait("trot", 0.5, ramp=0.08), Aim(speed=0.25, height=0.3)),
+    "fast": (Gait("trot", 0.5, ramp=0.08), Aim(speed=0.5, height=0.3)),
 }
-"""A slow walk and a trot, both slow enough for sand."""
+"""A slow walk and two trots."""
 TILT = 0.005
 """Standard deviation of a constant error of the attitude [rad]."""
 

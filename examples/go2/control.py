@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from go2.gait import Gait, carried
-from go2.model import FOOT_RADIUS, TORQUE_LIMIT, joint_dofs
+from go2.model import GO2_MASS, TORQUE_LIMIT, joint_dofs
 from terraphi.robot.joint_log import FEET
 
 FloatArray = NDArray[np.float64]
@@ -27,6 +27,8 @@ TOUCH = 3.0
 """Least force with which a standing foot presses on the floor, so that it does not bounce [N]."""
 PRESS = 0.003
 """How far below the floor a swing aims, so that it does end on the floor [m]."""
+HEIGHT = 0.3
+"""Of a Go2, for which gains and limits of moments are meant [m]."""
 SOFTENING = np.array([2e-2, 2e-2, 1e-4, 5e-4, 5e-4, 5e-4])
 """Of the force [-] and moment [m²] equations; two feet keep a body level by pushing sideways."""
 
@@ -57,10 +59,14 @@ class Controller:
         self.gait, self.aim = gait, aim
         self.dofs = joint_dofs(model)
         self.mass = float(model.body_subtreemass[model.body("base").id])
+        # Of a heavier robot than the Go2, forces are larger in proportion.
+        self.heavier = self.mass / GO2_MASS
+        self._radius = float(model.geom(FEET[0]).size[0])
         self._base = model.body("base").id
         self._feet = [model.body(f"{foot}_foot").id for foot in FEET]
         hips = np.array([model.body(f"{foot}_hip").pos for foot in FEET])
-        self._spread = hips + STANCE_WIDTH * np.sign(hips) * np.array([0.0, 1.0, 0.0])
+        width = STANCE_WIDTH * aim.height / HEIGHT
+        self._spread = hips + width * np.sign(hips) * np.array([0.0, 1.0, 0.0])
         self._jacobian = np.zeros((3, model.nv))
         self._inertial = np.zeros(model.nv)
         self._lifted = np.zeros((4, 3))
@@ -99,17 +105,18 @@ class Controller:
                     self.gait.clearance,
                 )
                 lag, late = target.place - place[foot], target.velocity - speeds[foot]
-                force = 900.0 * lag + 25.0 * late
+                force = self.heavier * (900.0 * lag + 25.0 * late)
                 turns[self.dofs[foot]] = np.linalg.solve(jacobians[foot], target.acceleration)
             else:
-                force = -ground[foot] - 6.0 * speeds[foot]
-                force[2] -= TOUCH
+                force = -ground[foot] - 6.0 * self.heavier * speeds[foot]
+                force[2] -= TOUCH * self.heavier
             self._in_swing[foot] = parts[foot] > 0.0
             out[foot] = jacobians[foot].T @ force + bias[foot]
         # What the swinging legs' own inertia asks for, as if the body stood still.
         mujoco.mj_mulM(model, data, self._inertial, turns)
         out += self._inertial[self.dofs]
-        return np.clip(out, -TORQUE_LIMIT, TORQUE_LIMIT)
+        limit = TORQUE_LIMIT * self.heavier * self.aim.height / HEIGHT
+        return np.clip(out, -limit, limit)
 
     def _kinematics(
         self, model: mujoco.MjModel, data: mujoco.MjData
@@ -145,6 +152,7 @@ class Controller:
             ]
         )
         moment = -np.array([60.0, 80.0, 40.0]) * turn - np.array([4.0, 6.0, 4.0]) * spin
+        moment *= self.heavier * self.aim.height / HEIGHT
         return np.concatenate([force, moment])
 
     def _shared(self, data: mujoco.MjData, place: FloatArray, loads: FloatArray) -> FloatArray:
@@ -187,5 +195,5 @@ class Controller:
             + (left + 0.5 * self.gait.duty * self.gait.period) * velocity
         )
         place += 0.08 * (velocity - wanted)
-        place[2] = FOOT_RADIUS - PRESS
+        place[2] = self._radius - PRESS
         return place

@@ -1,8 +1,10 @@
-"""The Go2 that terraphi ships, on a floor, as MuJoCo simulates it."""
+"""The Go2 that terraphi ships, or a robot like it, on a floor, as MuJoCo simulates it."""
 
 from __future__ import annotations
 
+import tempfile
 from dataclasses import dataclass
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -10,6 +12,7 @@ from numpy.typing import NDArray
 
 from terraphi.experiment.documents import shipped_file
 from terraphi.robot.joint_log import FEET, JOINTS
+from terraphi.robot.model import Quadruped
 
 FloatArray = NDArray[np.float64]
 
@@ -17,6 +20,8 @@ FOOT_RADIUS = 0.022
 """Of the ball at the end of a calf [m]."""
 IMU_PLACE = (-0.02557, 0.0, 0.04232)
 """Of the accelerometer in the body [m], from the robot's model."""
+GO2_MASS = 16.085
+"""[kg]."""
 TORQUE_LIMIT = np.array([23.7, 23.7, 45.43])
 """Largest torques of hip, thigh and calf [N m], from the robot's model."""
 
@@ -50,20 +55,23 @@ class Physics:
     armature: float = 0.0
 
 
-def build(physics: Physics) -> mujoco.MjModel:
+def build(physics: Physics, robot: Path | None = None) -> mujoco.MjModel:
     """Compile the robot with spheres for feet on a flat floor.
 
     Parameters
     ----------
     physics
         Step, ground and joint friction.
+    robot
+        Model of another robot whose legs bend like the Go2's.
 
     Returns
     -------
     mujoco.MjModel
     """
-    spec = mujoco.MjSpec.from_file(str(shipped_file("robots", "go2", ".xml")))
-    spec.option.timestep = physics.step
+    shipped = shipped_file("robots", "go2", ".xml")
+    spec = mujoco.MjSpec.from_file(str(shipped)) if robot is None else _renamed(robot)
+    spec.option.gravity, spec.option.timestep = [0.0, 0.0, -9.81], physics.step
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = 10.0
     contact = {
@@ -95,6 +103,34 @@ def build(physics: Physics) -> mujoco.MjModel:
         # otherwise; a foot that comes to rest in sand does so in as long.
         model.dof_solref[dofs] = [2.0 * physics.step, 1.0]
     return model
+
+
+def _renamed(file: Path) -> mujoco.MjSpec:
+    """A robot with the Go2's names, a body for each foot's ball and no actuators."""
+    robot = Quadruped.load(file)
+    old = robot.model
+    with tempfile.TemporaryDirectory() as folder:
+        plain = str(Path(folder, "robot.xml"))
+        mujoco.mj_saveLastXML(plain, old)  # without meshes
+        spec = mujoco.MjSpec.from_file(plain)
+    for geom in spec.geoms:
+        geom.contype = geom.conaffinity = 0
+    for actuator in list(spec.actuators):
+        spec.delete(actuator)
+    trunk = spec.body(old.body(old.jnt_bodyid[0]).name)
+    for i, foot in enumerate(FEET):
+        calf = spec.body(old.body(robot.foot[i]).name)
+        ball = calf.add_body(name=f"{foot}_foot", pos=robot.foot_offset[i])
+        # Without a mass of its own, forces on it would act on the calf's centre of mass.
+        ball.add_geom(
+            name=foot, type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[robot.foot_radius, 0, 0], mass=1e-3
+        )
+        spec.body(old.body(old.jnt_bodyid[robot.joint[i, 0]]).name).name = f"{foot}_hip"
+        for joint, name in zip(robot.joint[i], JOINTS, strict=True):
+            spec.joint(old.joint(joint).name).name = f"{foot}_{name}_joint"
+    trunk.name = "base"
+    trunk.add_site(name="imu", pos=robot.imu)
+    return spec
 
 
 def joint_dofs(model: mujoco.MjModel) -> NDArray[np.int64]:

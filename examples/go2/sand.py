@@ -112,7 +112,7 @@ class Sand:
         )
         if not rft:
             force[..., 0] = -0.6 * force[..., 1] * np.cos(descent)
-        return force * (np.maximum(depth, 1e-4)[..., None] / FOOT_RADIUS) ** self.exponent
+        return force * (np.maximum(depth, 1e-4)[..., None] / self.radius) ** self.exponent
 
 
 class SandForces:
@@ -131,11 +131,11 @@ class SandForces:
         moved = place - np.where(np.isnan(self._last), place, self._last)
         self._last = place
         sand = self._sand
-        depth = sand.surface(place) - (place[:, 2] - FOOT_RADIUS)
+        depth = sand.surface(place) - (place[:, 2] - sand.radius)
         in_it = depth > 0.0
         self._follow(depth, moved, sand.phi(place), in_it)
         # Tangential stresses on the ball turn it; they matter while it is hardly submerged.
-        low = FOOT_RADIUS * np.exp(-np.maximum(depth, 0.0) / FOOT_RADIUS)
+        low = sand.radius * np.exp(-np.maximum(depth, 0.0) / sand.radius)
         for i, body in enumerate(self._feet):
             x, y, _ = data.xfrc_applied[body, :3] = self.force[i]
             data.xfrc_applied[body, 3:] = low[i] * np.array([y, -x, 0.0])

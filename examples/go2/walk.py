@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -78,6 +79,8 @@ class Walk:
         A constant forward force on its body [N], like that of a gentle slope: feet brake.
     sand
         What it walks on instead of the floor.
+    robot
+        Model of another robot whose legs bend like the Go2's.
     """
 
     duration: float = 10.0
@@ -89,6 +92,7 @@ class Walk:
     push: float = 1.0
     slope: float = 12.0
     sand: Sand | None = None
+    robot: Path | None = None
 
     def run(self) -> Recording:
         """Simulate.
@@ -103,7 +107,7 @@ class Walk:
             If the robot falls.
         """
         rng = np.random.default_rng(self.seed)
-        model = build(replace(self.physics, floor=self.sand is None))
+        model = build(replace(self.physics, floor=self.sand is None), self.robot)
         data = mujoco.MjData(model)
         controller = Controller(model, self.gait, self.aim)
         base = model.body("base").id
@@ -112,7 +116,7 @@ class Walk:
         substeps = round(1.0 / (RATE * self.physics.step))
         under = None if self.sand is None else self.sand.under(model, step=self.physics.step)
         rows = _Rows(model, controller, total - first)
-        slope = np.array([self.slope if self.gait.walks else 0.0, 0.0, 0.0])
+        slope = np.array([self.slope * controller.heavier if self.gait.walks else 0.0, 0.0, 0.0])
         push, memory = np.zeros(3), np.exp(-1.0 / (RATE * PUSH_MEMORY))
         for tick in range(total):
             # What a step computes belongs to the state before it: positions first, then forces.
@@ -142,11 +146,12 @@ class Walk:
 
     def _place(self, model: mujoco.MjModel, data: mujoco.MjData, controller: Controller) -> None:
         data.qpos[controller.dofs + 1] = POSTURE  # a quaternion has one number more than a spin
+        data.qpos[3:7] = (1.0, 0.0, 0.0, 0.0)
         data.qpos[2] = self.aim.height + (0.3 if self.gait.name == "hang" else 0.0)
         mujoco.mj_forward(model, data)
         if self.gait.name != "hang":
             lowest = data.xpos[model.body("FR_foot").id][2]
-            data.qpos[2] -= lowest - 0.022
+            data.qpos[2] -= lowest - model.geom("FR").size[0]
 
     def _torques(
         self, controller: Controller, model: mujoco.MjModel, data: mujoco.MjData

@@ -81,6 +81,29 @@ def test_what_cannot_be_is_said(
     assert re.search(words, notes), notes
 
 
+@pytest.fixture(scope="module", params=["walk", "trot"])
+def sandy(request: pytest.FixtureRequest) -> JointLog:
+    """Five seconds on sand, where standing feet sink and slide; each torque is off by its gain."""
+    from sand_walk import sand_log, sand_walk
+
+    recording = sand_walk(request.param, seed=3, duration=5.0).run()
+    return replace(sand_log(recording, seed=3, gain_sd=0.1), foot_counts=None)
+
+
+@pytest.mark.parametrize(
+    ("order", "words"),
+    [
+        ([1, 0, 2, 3], "FL for FR, FR for FL"),
+        ([0, 1, 3, 2], "RL for RR, RR for RL"),
+        ([2, 1, 0, 3], "RR for FR, FR for RR"),
+    ],
+)
+def test_one_pair_of_legs_exchanged_on_sand(sandy: JointLog, order: list[int], words: str) -> None:
+    assert not any("exchanged" in note for note in foot_forces(sandy).notes)
+    found = foot_forces(legs(sandy, order)).grave
+    assert any("exchanged" in note and words in note for note in found), found
+
+
 def turned(log: JointLog, heading: float) -> JointLog:
     """The same, its world turned about the vertical."""
     assert log.quaternion is not None

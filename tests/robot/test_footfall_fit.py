@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from terraphi.forward.foot import LAWS
-from terraphi.robot.footfall_fit import SHARED, Prior, fit, noise_covariance, predicted
+from terraphi.robot.footfall_fit import (
+    SHARED,
+    Prior,
+    fit,
+    noise_covariance,
+    predicted,
+    with_exponent,
+)
 from terraphi.robot.touchdowns import Touchdowns
 
 PRIOR = Prior()
@@ -69,21 +76,34 @@ def test_what_is_shared_moves_the_answer_as_told() -> None:
     told = dict(zip(SHARED, found.shared[0], strict=True))
     # If the truth is above what is assumed, φ̂ is off by S; to assume more takes it back.
     assert moved(density=1550.0 * 1.03) == pytest.approx(-0.03 * told["log_density"], rel=0.1)
-    assert moved(surface_friction=0.55) == pytest.approx(-0.05 * told["surface_friction"], rel=0.15)
+    assert moved(surface_friction=0.45) == pytest.approx(-0.05 * told["surface_friction"], rel=0.15)
     assert moved(radius=0.0222) == pytest.approx(-2e-4 * told["radius"], rel=0.15)
     # What reads the way down too large, and a law that grows otherwise with depth or with φ.
     deeper = fit(seen._replace(drop=1.02 * seen.drop), "rft", PRIOR).phi[0] - found.phi[0]
     assert deeper == pytest.approx(0.02 * told["drop"], rel=0.15)
     state = np.array([[34.0, 0.003, 0.0]])
     force = predicted(LAWS["rft"], PRIOR, seen, state, exponent=0.05)
-    depth = seen.drop + 0.003  # an exponent does nothing at 20 mm
-    np.testing.assert_allclose(force, seen.force * (depth / 0.02) ** 0.05)
+    depth = seen.drop + 0.003  # an exponent does nothing at the radius
+    np.testing.assert_allclose(force, seen.force * (depth / PRIOR.radius) ** 0.05)
     steeper = fit(seen._replace(force=force), "rft", PRIOR).phi[0] - found.phi[0]
     assert steeper == pytest.approx(0.05 * told["law_exponent"], rel=0.15)
     assert told["law_slope"] == pytest.approx(34.0 - PRIOR.phi_deg, abs=0.1)
     louder = fit(seen._replace(force=1.02 * seen.force), "rft", PRIOR).phi[0] - found.phi[0]
     gains = sum(told[f"gain_{3 * 2 + joint}"] for joint in range(3))
     assert louder == pytest.approx(gains * 0.02 / 3.0, rel=0.1)
+
+
+def test_growth_with_depth_is_learnt_from_the_courses_of_force() -> None:
+    """Sand whose resistance grows slower with depth than the law's by a power of 0.3."""
+    each = [pressed(level=level, seed=i) for i, level in enumerate(np.linspace(0.0, 0.006, 30))]
+    seen = Touchdowns._make(map(np.concatenate, zip(*each, strict=True)))
+    depth = np.maximum(seen.drop + 0.003, 1e-4)
+    softer = seen._replace(force=seen.force * (depth / PRIOR.radius) ** -0.3)
+    assert with_exponent(seen, "rft", PRIOR).exponent == pytest.approx(0.0, abs=0.08)
+    found = with_exponent(softer, "rft", PRIOR)
+    assert found.exponent == pytest.approx(-0.3, abs=0.08)
+    assert fit(softer, "rft", found).phi.mean() == pytest.approx(34.0, abs=0.5)
+    assert replace(found, exponent=PRIOR.exponent) == PRIOR
 
 
 def test_noise_has_its_three_parts() -> None:

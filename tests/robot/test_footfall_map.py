@@ -45,20 +45,21 @@ def test_bands_are_the_exact_posterior(monkeypatch: pytest.MonkeyPatch) -> None:
     mean = 32.0 + gain @ (seen.phi - seen.shared @ shared.mean - 32.0)
     moves = (gain @ seen.shared)[:p]
     left = (prior - gain @ rows @ prior)[:p, :p]
-    sensors = moves[:, :N] @ shared.covariance[:N, :N] @ moves[:, :N].T
+    # Of the sensors' errors, the relative band holds what differs from the mean of the path.
+    apart = (np.eye(p) - np.full((p, p), 1.0 / p)) @ moves[:, :N]
+    sensors = apart @ shared.covariance[:N, :N] @ apart.T
     everything = moves @ shared.covariance @ moves.T
     assert found.path_phi == pytest.approx(mean[:p])
     assert found.path_relative_sd == pytest.approx(np.sqrt(np.diag(left + sensors)))
     assert found.path_absolute_sd == pytest.approx(np.sqrt(np.diag(left + everything)))
     assert found.shared_mean == pytest.approx(shared.mean)
     assert np.all(found.path_absolute_sd > found.path_relative_sd)
-    of_sensors, of_soil = (
-        np.einsum("ni,ij,nj->n", seen.shared[:, part], shared.covariance[part, part],
-                  seen.shared[:, part])
-        for part in (slice(N), slice(N, M))
-    )  # fmt: skip
-    assert found.sd == pytest.approx(np.sqrt(seen.sd**2 + FIELD[2] ** 2 + of_sensors))
-    assert found.shared_sd == pytest.approx(np.sqrt(of_soil))
+    each = seen.shared[:, :N] - seen.shared[:, :N].mean(axis=0)
+    own = seen.sd**2 + FIELD[2] ** 2 + np.diag(each @ shared.covariance[:N, :N] @ each.T)
+    assert found.sd == pytest.approx(np.sqrt(own))
+    everything = np.diag(seen.shared @ shared.covariance @ seen.shared.T)
+    whole = np.maximum(own, seen.sd**2 + FIELD[2] ** 2 + everything)
+    assert np.hypot(found.sd, found.shared_sd) == pytest.approx(np.sqrt(whole))
 
 
 def test_an_anchor_of_some_doubt_is_weighed_by_its_variance() -> None:
@@ -100,7 +101,7 @@ def test_feet_teach_the_gains_that_differ_between_them() -> None:
     found = pool(seen, Shared(np.zeros(M), np.diag(sd**2)), place[:3], [], mean=32.0)
     assert found.shared_mean[2] - found.shared_mean[5] == pytest.approx(0.1, abs=0.01)
     assert np.ptp(found.phi) < 0.1
-    assert found.sd.min() > 0.2  # what both have in common is not known
+    assert found.shared_sd.min() > 0.2  # what both have in common is not known
 
 
 def test_a_gain_is_found_from_the_weight_while_the_trunk_bobs() -> None:

@@ -16,8 +16,10 @@ from scipy.spatial.transform import Rotation
 
 from terraphi.experiment.errors import InputError
 from terraphi.robot.footfall_files import read_footfalls, summary, write_footfalls
+from terraphi.robot.footfall_fit import Prior
 from terraphi.robot.footfalls import (
     EDGE,
+    PRINT,
     SHALLOW,
     TORN,
     TRODDEN,
@@ -62,6 +64,47 @@ def test_a_walk_on_sand_tells_its_field(walked: Any, found: FootfallMap) -> None
     assert np.all(np.abs(found.path_phi - truth) < 2.0 * found.path_absolute_sd)
 
 
+def heavy_robot() -> str:
+    """MJCF of a robot of three times a Go2's mass, on longer legs and larger feet."""
+    legs = "".join(
+        f"""<body name="{name}_abad" pos="{0.3 * x} {0.06 * y} 0">
+        <inertial pos="0 {0.01 * y} 0" mass="1.6" diaginertia="0.002 0.002 0.002"/>
+        <joint name="{name}_hip_x" axis="1 0 0"/>
+        <body name="{name}_upper" pos="0 {0.11 * y} 0">
+          <inertial pos="0 0 -0.12" mass="2.2" diaginertia="0.026 0.026 0.003"/>
+          <joint name="{name}_hip_y" axis="0 1 0"/>
+          <body name="{name}_lower" pos="0 0 -0.32">
+            <inertial pos="0 0 -0.16" mass="0.4" diaginertia="0.004 0.004 0.0002"/>
+            <joint name="{name}_knee" axis="0 1 0"/>
+            <geom type="sphere" size="0.034" pos="0 0 -0.32"/>
+          </body></body></body>"""
+        for name, x, y in (
+            ("front_left", 1, 1), ("front_right", 1, -1), ("hind_left", -1, 1),
+            ("hind_right", -1, -1),
+        )
+    )  # fmt: skip
+    return f"""<mujoco model="heavy"><worldbody><body name="trunk" pos="0 0 0.6"><freejoint/>
+        <inertial pos="0 0 0" mass="32" diaginertia="0.3 1.2 1.3"/>{legs}</body></worldbody>
+        </mujoco>"""
+
+
+@pytest.mark.slow
+def test_another_robot_on_sand(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    from sand_check import world_walk
+    from sand_walk import sand_log
+
+    file = tmp_path / "heavy.xml"
+    file.write_text(heavy_robot())
+    friction = Prior.surface_friction
+    walk = world_walk("rft", "trot", friction=friction, seed=1, duration=4.0, robot=file)
+    recording = walk.run()
+    found = footfalls(sand_log(recording, seed=1, gain_sd=0.03), robot=file)
+    assert found.usable.sum() > 10
+    truth = walk.sand.phi(found.place[:, :2] + recording.position[0, :2])[found.usable]
+    assert np.sqrt(np.mean((found.phi[found.usable] - truth) ** 2)) < 0.8
+
+
 @pytest.mark.slow
 def test_files_come_back(found: FootfallMap, tmp_path: Path) -> None:
     place = tmp_path / "soil.nc"
@@ -85,14 +128,18 @@ def test_the_map_begins_along_the_first_heading() -> None:
 
 
 def test_of_two_feet_in_one_place_the_second_is_refused() -> None:
-    places = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.02, 0.01, 0.0], [2.0, 0.0, 0.0]])
-    fair = {"torn": np.zeros(4, bool), "saturated": np.zeros(4, bool), "place": places}
-    seen = SimpleNamespace(foot=np.arange(4), used=np.ones((4, 20), bool), **fair)
+    """A rear foot on a fore foot's print is called that, whatever trod there in between."""
+    x = [0.0, 1.0, 1.02, 1.03, 2.0, 2.03, 3.0]
+    feet = np.array([0, 1, 2, 3, 2, 0, 3])
+    places = np.column_stack([x, np.zeros((7, 2))])
+    fair = {"torn": np.zeros(7, bool), "saturated": np.zeros(7, bool), "place": places}
+    seen = SimpleNamespace(foot=feet, used=np.ones((7, 20), bool), **fair)
     found = SimpleNamespace(
-        phi=np.array([32.0, 33.0, 34.0, 49.9]), sinkage=np.full(4, 0.02), gained=np.full(4, 0.01),
-        misfit=np.ones(4),
+        phi=np.array([32.0] * 6 + [49.9]), sinkage=np.full(7, 0.02), gained=np.full(7, 0.01),
+        misfit=np.ones(7),
     )  # fmt: skip
-    assert verdicts(seen, found, 0.022).tolist() == [USABLE, USABLE, TRODDEN, EDGE]
+    expected = [USABLE, USABLE, PRINT, PRINT, USABLE, TRODDEN, EDGE]
+    assert verdicts(seen, found, 0.022).tolist() == expected
 
 
 def test_a_log_of_exchanged_legs_tells_no_footfall() -> None:

@@ -9,6 +9,7 @@ not the others.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -33,8 +34,13 @@ BELIEVABLE_LIFT, BELIEVABLE_PUSH = (0.7, 1.4), 0.12
 """Beyond these, a finding is grave: no payload and no gain of the motors explains it [-]."""
 LEAST_SPEED = 0.01
 """Speed [m/s] below which feet that stand do not slide."""
-EXCHANGED = 0.75
-"""Legs are exchanged if another order leaves less than this part of the sliding [-]."""
+EXCHANGED = 0.6
+"""Legs are exchanged if another order leaves less than this part of the product of sliding and
+moments [-]."""
+MOST_OFF = 0.05
+"""Roll moment of legs in the right order, over the weight and the leg's length, at most [-]."""
+MOMENT_SD, GAIN_SD = 0.004, 0.1
+"""Moments over the weight that are no gain's [m], and gains of torques [-]."""
 TURN_S = 0.1
 """Attitude and gyroscope are compared over this time [s]: long enough to average noise, short
 against a stride."""
@@ -101,7 +107,7 @@ def check(
         raise InputError("; and ".join([*(f.text for f in attitude), str(error)])) from error
     if any(finding.grave for finding in attitude):
         return [*weight, *attitude]  # with a wrong attitude, feet that stand seem to slide
-    legs = _legs(log, robot, np.nan_to_num(forces.force[..., 2]))
+    legs = _legs(log, robot)
     if attitude and legs:
         both = f"{attitude[0].text}; or, if they are right, {legs[0].text}"
         attitude, legs = [], [Finding(both, True)]
@@ -181,42 +187,83 @@ def _attitude(log: JointLog) -> list[Finding]:
     return [Finding(text)] if off > UNLIKE else []
 
 
-def _legs(log: JointLog, robot: Quadruped, lift: FloatArray) -> list[Finding]:
-    """Legs in another order."""
+def _legs(log: JointLog, robot: Quadruped) -> list[Finding]:
+    """Legs in another order, by how feet that stand slide and by moments that nothing balances.
+
+    Feet that stand move as one rigid body, and their forces hardly turn the trunk about its roll
+    and pitch axes, but for gains of the torques. Sinking hides the first on soil, not the second.
+    The likeliest order has the least product of the three root mean squares. All left legs for all
+    right ones are a robot in a mirror: only sliding counts between the two.
+    """
     if log.angular_velocity is None:
         return []
     every = slice(None, None, max(1, len(log.time) // _SAMPLES))
-    angle, velocity, spin = (
-        np.asarray(v[every], float) for v in (log.angle, log.velocity, log.angular_velocity)
+    angle, velocity, spin, torque = (
+        np.asarray(v[every], float)
+        for v in (log.angle, log.velocity, log.angular_velocity, log.torque)
     )
-    turn = np.broadcast_to(np.eye(3), (len(angle), 3, 3))
+    count, feet, weight = len(angle), np.arange(len(FEET)), robot.mass * GRAVITY
+    turn = np.broadcast_to(np.eye(3), (count, 3, 3))
     if log.quaternion is not None:
         turn = rotation(log.quaternion[every])
     arm = -robot.foot_radius * turn[:, None, 2, :]
-    bears = lift[every] / (robot.mass * GRAVITY)
-    load = np.maximum(bears - _BEARING, 0.0)
-    if not np.any(np.count_nonzero(load, axis=1) > 1):
-        return []
-    # Velocities of the balls' lowest points, as seen from a world in which the body turns in its
-    # place, of each foot with the angles of each leg: shape [sample, foot, leg, 3].
-    feet, speeds = np.arange(len(FEET)), np.empty((len(angle), 4, 4, 3))
-    for shift in range(len(FEET) - 1, -1, -1):
+    # Of each foot with what each leg logs, shape [sample, foot, leg, …]: velocities of the balls'
+    # lowest points, as seen from a world in which the body turns in its place; upward forces over
+    # the robot's weight; moments about the trunk's origin over it, of weight and of each torque.
+    speeds, bears = np.empty((count, 4, 4, 3)), np.empty((count, 4, 4))
+    moments = np.empty((count, 4, 4, 4, 3))
+    for shift in feet:
         legs = np.roll(feet, shift)
-        found = Legs(robot, angle[:, legs])
+        found = Legs(robot, angle[:, legs], 0.0 * velocity, 0.0 * velocity)
         speed = np.einsum("sfij,sfj->sfi", found.jacobian(arm), velocity[:, legs])
         speeds[:, feet, legs] = speed + np.cross(spin[:, None], found.place + arm)
-    size = _sliding(speeds[:, feet, feet], load)
-    if size < LEAST_SPEED:
+        inverse = np.nan_to_num(found.force_per_torque()[0]) / weight
+        own = np.einsum("sfij,sfj->sfi", inverse, found.torque[0])
+        each = np.swapaxes(-inverse * torque[:, legs, None], -1, -2)
+        forces = np.concatenate([own[:, :, None], each], axis=2)
+        moments[:, feet, legs] = np.cross(found.place[:, :, None], forces)
+        bears[:, feet, legs] = np.einsum("sj,sfkj->sf", turn[:, 2], forces)
+    load = np.maximum(bears - _BEARING, 0.0)
+    if not np.any(np.count_nonzero(load[:, feet, feet], axis=1) > 1):
         return []
-    slide = f"feet that stand slide at {size:.2g} m/s"
-    orders = list(itertools.permutations(range(len(FEET))))
-    whole = {o: _sliding(speeds[:, feet, o], load[:, o]) for o in orders}
-    best = min(whole, key=whole.__getitem__)
-    if whole[best] < EXCHANGED * size:
-        moved = ", ".join(f"{FEET[j]} for {FEET[i]}" for i, j in enumerate(best) if i != j)
-        other = f"at {whole[best]:.2g} m/s if legs were exchanged: {moved}"
-        return [Finding(f"{slide}, and {other}; check the order of the joints", True)]
-    return []
+
+    def unlike(order: tuple[int, ...]) -> FloatArray:
+        left = [_sliding(speeds[:, feet, order], load[:, feet, order])]
+        chosen = moments[:, feet, order]
+        chosen = chosen - chosen.mean(axis=0)
+        for axis in range(2):
+            whole = chosen[..., axis].sum(axis=(1, 2))
+            per = chosen[:, :, 1:, axis].reshape(count, -1)
+            ridge = count * (MOMENT_SD / GAIN_SD) ** 2 * np.eye(per.shape[1])
+            lost = per.T @ whole
+            rest = whole @ whole - lost @ np.linalg.solve(per.T @ per + ridge, lost)
+            left.append(math.sqrt(max(float(rest), 0.0) / count))
+        return np.array(left)
+
+    orders = {order: unlike(order) for order in itertools.permutations(feet.tolist())}
+    # Where no order balances the moments, something else turns the robot: sliding alone counts.
+    balanced = min(left[1] for left in orders.values()) < MOST_OFF * robot.leg_length[0]
+    products = {o: float(np.prod(left if balanced else left[:1])) for o, left in orders.items()}
+    own, mirror = orders[0, 1, 2, 3], orders[1, 0, 3, 2]
+    least, sound = min(products.values()), min(products[0, 1, 2, 3], products[1, 0, 3, 2])
+    likely = [order for order in orders if EXCHANGED * products[order] <= least]
+    if least > EXCHANGED * sound:
+        likely = [(1, 0, 3, 2)] if mirror[0] < EXCHANGED * own[0] else []
+    if not likely or own[0] < LEAST_SPEED:
+        return []
+    likely.sort(key=products.__getitem__)
+    other = orders[likely[0]]
+    moved = [
+        ", ".join(f"{FEET[j]} for {FEET[i]}" for i, j in enumerate(order) if i != j)
+        for order in likely
+    ]
+    words = " or ".join(each for each in moved if len(each) == len(moved[0]))
+    text = (
+        f"feet that stand slide at {own[0]:.2g} m/s and bear the robot {1e3 * own[1]:.0f} mm off "
+        f"its middle, and at {other[0]:.2g} m/s and {1e3 * other[1]:.0f} mm off if legs were "
+        f"exchanged: {words}; check the order of the joints"
+    )
+    return [Finding(text, True)]
 
 
 def _sliding(speed: FloatArray, load: FloatArray) -> float:

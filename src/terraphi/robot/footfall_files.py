@@ -16,7 +16,7 @@ from terraphi.experiment.outputs import SIGNATURE
 from terraphi.robot.footfalls import VERDICTS, FootfallMap
 
 KIND = "footfalls"
-SCHEMA = 1
+SCHEMA = 2
 CI95 = 1.959964
 """Half-width of a normal 95 % interval over its standard deviation [-]; of a 68 % one it is 1."""
 EARTH_RADIUS = 6_371_000.0
@@ -28,7 +28,7 @@ COLUMNS = {
     "surface_m": ("place", 2, "m", "level of the surface"),
     "sinkage_m": ("sinkage", None, "m", "depth of the foot at the end of the loading"),
     "phi_deg": ("phi", None, "degree", "friction angle, by this footfall alone"),
-    "sd_deg": ("sd", None, "degree", "its own standard deviation (relative)"),
+    "relative_sd_deg": ("sd", None, "degree", "standard deviation against the walk's others"),
     "shared_sd_deg": ("shared_sd", None, "degree", "that it shares with all footfalls"),
     "chi2": ("misfit", None, "1", "chi squared over the degrees of freedom"),
     "s_m": ("path", 0, "m", "along the path"),
@@ -70,8 +70,8 @@ def _each(phi: FloatArray, sd: FloatArray) -> list[dict[str, Any] | None]:
 def summary(found: FootfallMap) -> dict[str, Any]:
     """All numbers, JSON-able; null where there is none.
 
-    ``phi_deg`` of a footfall holds its absolute bands, ``phi_relative_deg`` the relative ones,
-    without the uncertainty of soil, foot and law that all footfalls share.
+    ``phi_deg`` of a footfall holds its absolute bands, ``phi_relative_deg`` those against the other
+    footfalls of the walk, without what soil, foot, law and sensors add to all of them.
     """
     x, y, surface = found.place.T
     footfalls = {
@@ -124,6 +124,9 @@ def write_footfalls(found: FootfallMap, path: Path) -> tuple[Path, ...]:
         values = values if column is None else values[:, column]
         over = "point" if field.startswith("path") else "footfall"
         variables[name] = (over, values, {"units": units, "long_name": about})
+    absolute = np.hypot(found.sd, found.shared_sd)
+    about_it = {"units": "degree", "long_name": "standard deviation of phi_deg, absolute"}
+    variables["absolute_sd_deg"] = ("footfall", absolute, about_it)
     variables["foot"] = ("footfall", np.array(found.foot, dtype="U2"))
     variables["verdict"] = ("footfall", np.array(found.verdict, dtype="U24"))
     texts = {name: json.dumps(getattr(found, field)) for name, field in TEXTS.items()}

@@ -18,9 +18,9 @@ Gains of the motors and friction of the joints come from the robot's own weight 
 torques' gains and in friction that was not accounted for, so the times in which different legs
 carry different shares separate the errors by linear least squares with priors.
 
-Two bands come out. **Relative**: soil, foot and law taken as assumed (density, surface friction,
-radius, law at their most probable values), as when places of one walk are compared. **Absolute**:
-all that is shared is uncertain.
+Two bands come out. **Relative**: places of one walk compared with each other, for which soil, foot
+and law (density, surface friction, radius, law) are as assumed, and of the sensors' errors only
+what differs from foot to foot counts. **Absolute**: all that is shared is uncertain.
 """
 
 from __future__ import annotations
@@ -242,7 +242,8 @@ def pool(
     weights = half.T @ _solve(lower, np.column_stack([kept.phi - mean, kept.shared]))
     before = average @ covariance(places, places, amplitude, length) @ average.T
     found, spread, moves = mean + weights[:, 0], before - half.T @ half, weights[:, 1:]
-    relative = np.diag(spread) + _spread(moves[:, :n], shared.covariance[:n, :n])
+    apart = moves[:, :n] - moves[: len(path), :n].mean(axis=0)
+    relative = np.diag(spread) + _spread(apart, shared.covariance[:n, :n])
     # φ = found − moves (θ − θ₀): anchors are seen now, footfalls have been.
     theta = shared.covariance
     whole = np.block(
@@ -256,11 +257,13 @@ def pool(
     whole = whole - gain @ whole[rows]
     centre, left = state[len(found) :], whole[len(found) :, len(found) :]
     each = np.sqrt(np.diag(left).clip(0.0))
-    own = seen.sd**2 + scatter**2 + _spread(seen.shared[:, :n], left[:n, :n])
+    # Of a place compared with others of the walk: what sensors add to all alike is shared.
+    sensors = seen.shared[:, :n]
+    unlike = _spread(sensors - sensors.mean(axis=0), left[:n, :n])
     return Pooled(
         phi=seen.phi - seen.shared @ centre,
-        sd=np.sqrt(own),
-        shared_sd=np.sqrt(_spread(seen.shared[:, n:], left[n:, n:])),
+        sd=np.sqrt(seen.sd**2 + scatter**2 + unlike),
+        shared_sd=np.sqrt((_spread(seen.shared, left) - unlike).clip(0.0)),
         path_phi=state[: len(path)],
         path_relative_sd=np.sqrt(relative[: len(path)].clip(0.0)),
         path_absolute_sd=np.sqrt(np.diag(whole)[: len(path)].clip(0.0)),

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import number_with_sd, plain_number
-from terraphi.robot.footfall_fit import LAW_SETS, PHI_RANGE, SHARED, Fit, Prior, fit
+from terraphi.robot.footfall_fit import LAW_SETS, PHI_RANGE, SHARED, Fit, Prior, fit, with_exponent
 from terraphi.robot.footfall_map import ANCHOR_POINTS, Anchor, Observed, Pooled, pool, weigh
 from terraphi.robot.forces import without_broken_accelerometer
 from terraphi.robot.joint_log import FEET, JointLog
@@ -31,9 +31,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 USABLE = "usable"
-SHALLOW, TRODDEN, MISFIT = "too little sinkage", "not virgin ground", "the law does not fit"
+SHALLOW, MISFIT = "too little sinkage", "the law does not fit"
+TRODDEN, PRINT = "not virgin ground", "print of a fore foot"
 TORN, SATURATED, EDGE = "timing unreliable", "saturated", "at a prior's edge"
-VERDICTS = (USABLE, SHALLOW, TRODDEN, MISFIT, TORN, SATURATED, EDGE)
+VERDICTS = (USABLE, SHALLOW, PRINT, TRODDEN, MISFIT, TORN, SATURATED, EDGE)
 """Verdicts of footfalls."""
 
 LEAST_SINKAGE, LEAST_GAINED = 0.006, 0.003
@@ -47,6 +48,8 @@ NEAR_EDGE_DEG = 1.0
 """A friction angle this near to the end of the range of the laws is the end [deg]."""
 LEAST_SCALE = 0.2
 """The noise of a log is at least this part of what is assumed [-]."""
+FEWEST_TEACHERS = 8
+"""Touch-downs that teach a law's growth with depth at least."""
 CONTACT_PART = 0.4
 """Of the radius below a sunk ball's centre, where soil pushes [-]: by resistive force theory 0.9 to
 0.5 at a third of the radius' depth, 0.3 at a radius, 0.2 at one and a half."""
@@ -76,8 +79,8 @@ class FootfallMap:
         Depth of the foot's lowest point at the end of the loading [m], shape [footfall]; where it
         was too little, how far the foot went down under load.
     phi, sd, shared_sd
-        φ of each footfall by itself, its own standard deviation and the one that it shares with
-        all others [deg], shape [footfall]; not a number where it was refused.
+        φ of each footfall by itself, its standard deviation against the other footfalls and the
+        one that it shares with them [deg], shape [footfall]; not a number where it was refused.
     misfit
         χ² over the degrees of freedom [-], shape [footfall].
     verdict
@@ -131,8 +134,10 @@ class FootfallMap:
         return pd.DataFrame(
             {
                 "t_s": self.time, "foot": self.foot, "x_m": x, "y_m": y, "surface_m": surface,
-                "sinkage_m": self.sinkage, "phi_deg": self.phi, "sd_deg": self.sd,
-                "shared_sd_deg": self.shared_sd, "verdict": self.verdict,
+                "sinkage_m": self.sinkage, "phi_deg": self.phi,
+                "absolute_sd_deg": np.hypot(self.sd, self.shared_sd),
+                "relative_sd_deg": self.sd, "shared_sd_deg": self.shared_sd,
+                "verdict": self.verdict,
             }
         )  # fmt: skip
 
@@ -245,7 +250,9 @@ def footfalls(
     # The centre of mass accelerates otherwise than the trunk: legs are half of the robot.
     acceleration = motion.lift_acceleration + forces.leg_inertia / body.mass
     common = weigh(log.time, lift, acceleration, per, chosen, mass=body.mass)
-    fits = {each: fit(seen, each, chosen) for each in LAW_SETS[law]}
+    priors = {each: _taught(seen, each, chosen) for each in LAW_SETS[law]}
+    fits = {each: fit(seen, each, own) for each, own in priors.items()}
+    chosen = replace(chosen, exponent=float(np.mean([p.exponent for p in priors.values()])))
     # The mean of several laws' fits; the best of their misfits.
     found = Fit(*(np.mean(column, axis=0) for column in zip(*fits.values(), strict=True)))
     found = found._replace(misfit=np.min([each.misfit for each in fits.values()], axis=0))
@@ -295,6 +302,15 @@ def footfalls(
     )  # fmt: skip
 
 
+def _taught(seen: Touchdowns, law: str, prior: Prior) -> Prior:
+    """The prior with the law's growth with depth, if there are enough deep touch-downs."""
+    first = verdicts(seen, fit(seen, law, prior), prior.radius)
+    deep = np.isin(first, (USABLE, MISFIT))
+    if deep.sum() < FEWEST_TEACHERS:
+        return prior
+    return with_exponent(Touchdowns._make(column[deep] for column in seen), law, prior)
+
+
 def verdicts(seen: Touchdowns, found: Fit, radius: float) -> NDArray[np.str_]:
     """Verdict of each footfall: the first reason against it, else :data:`USABLE`.
 
@@ -307,15 +323,18 @@ def verdicts(seen: Touchdowns, found: Fit, radius: float) -> NDArray[np.str_]:
     """
     from scipy.spatial import cKDTree
 
-    trodden = np.zeros(len(seen.foot), dtype=bool)
-    near = cKDTree(seen.place[:, :2]).query_pairs(NEAR_RADII * radius)
-    trodden[[max(pair) for pair in near]] = True
+    trodden, printed = np.zeros((2, len(seen.foot)), dtype=bool)
+    near = cKDTree(seen.place[:, :2]).query_pairs(NEAR_RADII * radius, output_type="ndarray")
+    first, second = near.min(axis=1), near.max(axis=1)
+    trodden[second] = True
+    printed[second[(seen.foot[first] < 2) & (seen.foot[second] >= 2)]] = True
     rests = seen.used.sum(axis=1) < FEWEST
     low, high = PHI_RANGE[0] + NEAR_EDGE_DEG, PHI_RANGE[1] - NEAR_EDGE_DEG
     reasons = (
         (TORN, seen.torn),
         (SATURATED, seen.saturated),
         (SHALLOW, (found.sinkage < LEAST_SINKAGE) | (found.gained < LEAST_GAINED) | rests),
+        (PRINT, printed),
         (TRODDEN, trodden),
         (EDGE, (found.phi < low) | (found.phi > high)),
         (MISFIT, found.misfit > WORST_MISFIT),
@@ -372,6 +391,7 @@ def _shared_summary(pooled: Pooled, prior: Prior) -> dict[str, Any]:
         "surface_friction": ("surface_friction", prior.surface_friction, 1.0),
         "radius": ("foot_radius_mm", 1e3 * prior.radius, 1e3),
         "law_offset": ("law_offset_deg", 0.0, 1.0),
+        "law_exponent": ("law_exponent", prior.exponent, 1.0),
     }
     for i, key in enumerate(SHARED[24:], start=24):
         name, centre, scale = shown.get(key, (key, 0.0, 1.0))

@@ -228,21 +228,26 @@ def touchdowns(
     radius
         Of the feet [m].
     """
-    cut = [_touchdown(log, forces, motion, stance, per) for stance in stances]
+    step = float(np.median(np.diff(log.time)))
+    cut = [_touchdown(log, forces, motion, stance, per, step) for stance in stances]
     columns = {name: np.array([one[name] for one in cut]) for name in Touchdowns._fields}
     columns["place"][:, 2] -= radius
     return Touchdowns(**columns)
 
 
 def _touchdown(
-    log: JointLog, forces: FootForces, motion: Motion, stance: Stance, per: Sensitivity
+    log: JointLog,
+    forces: FootForces,
+    motion: Motion,
+    stance: Stance,
+    per: Sensitivity,
+    step: float,
 ) -> dict[str, Any]:
     """Fields of one touch-down; the places of samples that it lacks repeat its last."""
     from scipy.ndimage import maximum_filter1d
 
     time, foot = log.time, FEET.index(stance.foot)
     lift, place = forces.force[:, foot, 2].astype(np.float64), motion.feet[:, foot]
-    step = float(np.median(np.diff(time)))
     half = max(1, round(0.5 * SMOOTH_S / step))
     start = int(np.searchsorted(time, stance.begin))
     # The surface is where the foot first met force after it had been aloft.

@@ -127,9 +127,7 @@ def export(
     check_dp_type(dp_type, to)
     if match not in MATCHES:
         raise InputError(f"unknown stress path '{match}'; {nearest(match, MATCHES)}")
-    if not (
-        isinstance(draws, Integral) and not isinstance(draws, bool) and 0 <= draws <= MOST_DRAWS
-    ):
+    if isinstance(draws, bool) or not (isinstance(draws, Integral) and 0 <= draws <= MOST_DRAWS):
         raise InputError(f"draws = {draws!r}; 0 to {MOST_DRAWS} are accepted")
     path = None if out is None else Path(out)
     if path is not None:

@@ -267,6 +267,7 @@ def _csv(path: Path, dem: Elevation) -> pd.DataFrame:
             )
     except (ValueError, pd.errors.ParserWarning) as error:
         raise InputError(f"{path}: not a CSV of points ({error})") from error
+    table = table.rename(columns={"relative_sd_deg": "sd_deg"})  # of footfalls
     lines = text.splitlines()
     rows = [i + 1 for i, line in enumerate(lines) if line.strip() and not line.startswith("#")]
     table.index = pd.Index([f"line {row}" for row in rows[1:]])
