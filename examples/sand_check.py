@@ -95,7 +95,7 @@ def score(walk: Walk, recording: Recording, seed: int) -> dict[str, float]:
     log = sand_log(recording, seed=100 + seed)
     robot: str | Path = walk.robot or "go2"
     begun = time.perf_counter()
-    found = footfalls(log, robot=robot)
+    found = footfalls(log, robot=robot, law="rft")
     spent = time.perf_counter() - begun
     usable = found.usable
     numbers = {"footfalls": len(usable), "usable": int(usable.sum()), "s_per_min": spent}
@@ -108,7 +108,7 @@ def score(walk: Walk, recording: Recording, seed: int) -> dict[str, float]:
     # The shear test errs as it says.
     err = np.random.default_rng(seed).normal(0.0, ANCHOR_SD)
     anchor = Anchor(-1.0, ANCHOR_M, float(truth[near].mean() + err), ANCHOR_SD)
-    held = footfalls(log, robot=robot, anchors=[anchor])
+    held = footfalls(log, robot=robot, law="rft", anchors=[anchor])
 
     def off(one: FootfallMap) -> np.ndarray:
         there = walk.sand.phi(one.place[:, :2] + start)  # type: ignore[union-attr]

@@ -241,18 +241,11 @@ def in_grains() -> dict[str, list[Test]]:
     return tests
 
 
-def plane_strain(name: str, phi_deg: float) -> float:
-    """A law's φ as that of Mohr-Coulomb soil in plane strain [deg]."""
-    if LAWS[name].convention != "rft3d":
-        return phi_deg
-    return float(np.degrees(np.arcsin(min(np.tan(np.radians(phi_deg)), 1.0))))
-
-
 def angles(name: str, test: Test) -> list[float]:
     """φ by a law in plane strain [deg]: from all depths, and from each of WINDOWS_R."""
     law, radius = law_of(name), test.foot.radius
     parts = [test, *(test.between(a * radius, b * radius) for a, b in WINDOWS_R)]
-    return [plane_strain(name, fitted(part, law)[0]) for part in parts]
+    return [fitted(part, law)[0] for part in parts]
 
 
 def log_strength(test: Test) -> float:
@@ -386,9 +379,9 @@ def of_inclined_plates() -> list[tuple[str, ...]]:
         lift = plate[0.0, 90.0][1] * GRAVITY * area * depth
         force = np.stack([np.zeros_like(lift), lift], axis=-1)
         level = Test(medium, Foot(np.sqrt(area / np.pi), "disc"), depth, force, density=1.0)
-        by_law = (plane_strain(name, fitted(level, law_of(name))[0]) for name in known("disc"))
+        by_law = (fitted(level, law_of(name))[0] for name in known("disc"))
         rows.append((
-            *words, f"{plane_strain('rft', best):.1f}°", f"{share[1]:.0%}", f"{share[0]:.0%}",
+            *words, f"{np.degrees(np.arcsin(np.tan(np.radians(best)))):.1f}°", f"{share[1]:.0%}", f"{share[0]:.0%}",
             f"{flat:.2f}", f"{upright:.2f}", *(f"{angle:.1f}°" for angle in by_law),
         ))  # fmt: skip
     return rows

@@ -90,7 +90,7 @@ class Sand:
     surface: Field = field(default_factory=lambda: Field(0.0, 0.005, 0.4))
     density: float = 1550.0
     surface_friction: float = 0.5
-    law: str = "rft"
+    law: str = "foot"
     radius: float = FOOT_RADIUS
     exponent: float = 0.0
 
@@ -101,16 +101,16 @@ class Sand:
     def lift(self, depth: FloatArray, descent: FloatArray, phi: FloatArray) -> FloatArray:
         """Force of steady motion along the horizontal part of it, and up [N], shape [..., 2]."""
         # Bearing capacity speaks of feet that go down: of others it gets a drag, to stand on.
-        rft = self.law == "rft"
+        directed = self.law in ("rft", "foot")
         force = LAWS[self.law].force(
             Foot(self.radius),
             depth,
-            descent if rft else np.where(descent > -1e-3, 0.5 * np.pi, -0.5 * np.pi),
+            descent if directed else np.where(descent > -1e-3, 0.5 * np.pi, -0.5 * np.pi),
             friction_angle_deg=phi,
             density=self.density,
             surface_friction=self.surface_friction,
         )
-        if not rft:
+        if not directed:
             force[..., 0] = -0.6 * force[..., 1] * np.cos(descent)
         return force * (np.maximum(depth, 1e-4)[..., None] / self.radius) ** self.exponent
 

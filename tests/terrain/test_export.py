@@ -85,7 +85,8 @@ def set_by(name: str, made: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> 
         # The force that the module gives is that of the library of the same physics.
         soil, mesh = made["soil"](surface_friction=0.4), ([[0.0, 0.0, -0.02]], [[0.0, 0.0, -1.0]])
         force, _ = wrench(*mesh, [1e-3], [[0.0, 0.0, -1.0]], **soil)
-        pressed = LAWS["rft"].force(Foot(np.sqrt(1e-3 / np.pi), "disc"), 0.02, np.pi / 2, **soil)
+        plane = {**soil, "friction_angle_deg": 30.0}
+        pressed = LAWS["rft"].force(Foot(np.sqrt(1e-3 / np.pi), "disc"), 0.02, np.pi / 2, **plane)
         assert force[2] == pytest.approx(pressed[1], rel=1e-6)
         unit = stress_per_depth_3d(
             np.array([[0.0, 0.0, -1.0]]), np.array([[0.0, 0.0, -1.0]]), **soil

@@ -29,9 +29,9 @@ from terraphi.view.console import print_footfalls, print_json
 @click.option(
     "--law",
     type=Choice(LAW_SETS),
-    default="rft",
+    default="foot",
     show_default=True,
-    help="Force law: resistive force theory, bearing capacity, or the mean of all.",
+    help="Force law: simulated, resistive force theory, bearing capacity, or the mean of all.",
 )
 @click.option(
     "--out",

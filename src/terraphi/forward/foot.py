@@ -95,9 +95,9 @@ class FootLaw:
     name
         Name of the law.
     formula
-        What :meth:`force` returns, of the same arguments in their order.
+        What :meth:`force` returns, of the same arguments in their order, φ in the law's convention.
     convention
-        What its φ means: ``plane_strain``, or ``rft3d``, where tan φ is the sine of that angle.
+        What that is: ``plane_strain``, or ``rft3d``.
     """
 
     name: str
@@ -125,7 +125,7 @@ class FootLaw:
         descent
             Angle of its velocity below the horizontal [rad]: π/2 is straight down.
         friction_angle_deg
-            φ in the law's own meaning [deg].
+            φ in plane strain [deg]; that of resistive force theory is tan φ_rft = sin φ.
         density
             Bulk density ρ [kg/m³].
         surface_friction
@@ -137,7 +137,10 @@ class FootLaw:
             Along the horizontal part of the motion, and up [N]; shape [..., 2] over what the
             arrays broadcast to.
         """
-        return self.formula(foot, depth, descent, friction_angle_deg, density, surface_friction)
+        phi = np.asarray(friction_angle_deg, dtype=np.float64)
+        if self.convention == "rft3d":
+            phi = np.degrees(np.arctan(np.sin(np.radians(phi))))
+        return self.formula(foot, depth, descent, phi, density, surface_friction)
 
 
 def simulated_force(

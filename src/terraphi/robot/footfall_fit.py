@@ -27,13 +27,14 @@ from terraphi.forward.foot import LAWS, Foot, FootLaw
 from terraphi.robot.touchdowns import Touchdowns
 
 LAW_SETS: Mapping[str, tuple[str, ...]] = {
+    "foot": ("foot",),
     "rft": ("rft",),
     "bearing": ("meyerhof", "vesic", "hansen"),
-    "all": ("rft", "meyerhof", "vesic", "hansen"),
+    "all": ("foot", "rft", "meyerhof", "vesic", "hansen"),
 }
 """What ``--law`` may be, and the laws that it stands for."""
 PHI_RANGE = (15.0, 50.0)
-"""Friction angles for which laws are evaluated [deg]."""
+"""Friction angles in plane strain for which laws are evaluated [deg]."""
 NOISE_N, NOISE_PART = 1.5, 0.04
 """Standard deviation of a force: constant [N], and as a part of it [-]; odometry is in it."""
 CORRELATION_S = 0.008
@@ -55,7 +56,7 @@ class Prior:
     Attributes
     ----------
     phi_deg, phi_sd_deg
-        Of the friction angle [deg].
+        Of the friction angle in plane strain [deg].
     level_sd, drift_sd
         Of the depth at touch-down [m] and of the odometry's drift [m/s], about zero.
     density, density_sd

@@ -179,7 +179,7 @@ def footfalls(
     *,
     robot: Quadruped | Path | str = "go2",
     density: str | float | None = None,
-    law: str = "rft",
+    law: str = "foot",
     prior: Prior | None = None,
     anchors: Sequence[Anchor | str] | str = (),
     lag_s: float = 0.0,

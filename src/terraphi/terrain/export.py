@@ -258,9 +258,8 @@ def bekker(
     """
 
     def stiffness(phi_deg: float) -> float:
-        rft_deg = np.degrees(np.arctan(np.sin(np.radians(phi_deg))))
         force = LAWS["rft"].force(
-            PLATE, SINKAGE, DOWN, friction_angle_deg=rft_deg, density=density, surface_friction=0.5
+            PLATE, SINKAGE, DOWN, friction_angle_deg=phi_deg, density=density, surface_friction=0.5
         )
         return float(force[1] / (np.pi * PLATE.radius**2 * SINKAGE))
 
