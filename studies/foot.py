@@ -142,7 +142,11 @@ class Step(NamedTuple):
     before: dict
     after: dict
     share: float
-    """Of the change of ln F by which the table is corrected, as an error of this order has it."""
+    """Of the change of ln F, by which the table is corrected.
+
+    One, for balls on cells of R/4 and R/6 agree within 3 %. Half for particles: 27, 64 and 125 in a
+    cell differ by as much as seeds do.
+    """
 
 
 def steps(shape: str) -> list[Step]:
@@ -151,7 +155,7 @@ def steps(shape: str) -> list[Step]:
                   {"particles": 2, "cells": 6.0}, 1.0)]  # fmt: skip
     if shape == "sphere":
         found += [
-            Step("125 particles in a cell, not 64", {"particles": 4}, {"particles": 5}, 1.0),
+            Step("125 particles in a cell, not 64", {"particles": 4}, {"particles": 5}, 0.5),
             Step("soil of 8 MPa, not 2 MPa (27 particles)", {"particles": 3},
                  {"particles": 3, "stiffness": 8e6}, 1.0),
         ]  # fmt: skip
