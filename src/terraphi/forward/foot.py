@@ -66,7 +66,7 @@ DESCENTS = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 61)
 """Directions of motion that are tabulated, from straight up to straight down [rad]."""
 SCHEMA = 1
 """Of the files of simulated forces."""
-BEYOND_DEG, BEYOND_FRICTION = 1.0, 0.1
+BEYOND_DEG, BEYOND_FRICTION = 1.0, 0.15
 """How far outside the simulated angles [deg] and frictions the simulated law is continued."""
 
 
@@ -390,7 +390,7 @@ def _simulated(shape: str, surface_friction: float) -> tuple[float, float, Float
         for name in ("friction", "phi_deg", "tilt_deg", "ratio")
     )
     low, high = friction[0] - BEYOND_FRICTION, friction[-1] + BEYOND_FRICTION
-    if not low <= surface_friction <= high:
+    if not low - 1e-9 <= surface_friction <= high + 1e-9:
         raise InputError(
             f"surface_friction = {surface_friction:g}: law 'foot' was simulated for "
             f"{friction[0]:g} to {friction[-1]:g}; give {low:.2g} to {high:.2g}, or take law 'rft'"
