@@ -380,8 +380,9 @@ def of_inclined_plates() -> list[tuple[str, ...]]:
         force = np.stack([np.zeros_like(lift), lift], axis=-1)
         level = Test(medium, Foot(np.sqrt(area / np.pi), "disc"), depth, force, density=1.0)
         by_law = (fitted(level, law_of(name))[0] for name in known("disc"))
+        plane = np.degrees(np.arcsin(np.tan(np.radians(best))))
         rows.append((
-            *words, f"{np.degrees(np.arcsin(np.tan(np.radians(best)))):.1f}°", f"{share[1]:.0%}", f"{share[0]:.0%}",
+            *words, f"{plane:.1f}°", f"{share[1]:.0%}", f"{share[0]:.0%}",
             f"{flat:.2f}", f"{upright:.2f}", *(f"{angle:.1f}°" for angle in by_law),
         ))  # fmt: skip
     return rows

@@ -338,7 +338,12 @@ class _Reading:
             rest = [n for n in rest if not re.fullmatch(f"{NO_FORCE}|{_NAMES['time']}", n.lower())]
             if self.given.moment is not None or not rest:
                 without = [_WORDS[role] for role in lacking if role != "theta"]
-                self.notes.append(f"The moment is used in place of {' and '.join(without)}.")
+                beware = (
+                    "" if len(without) == 1 else " It cannot show a wrong leg or a wrong scale."
+                )
+                self.notes.append(
+                    f"The moment is used in place of {' and '.join(without)}.{beware}"
+                )
                 lacking = [role for role in lacking if role == "theta"]
         if lacking:
             self._ask(lacking, timed)
@@ -346,6 +351,9 @@ class _Reading:
             self.notes.append(f"Guessed {', '.join(guessed)}.")
         for role in self.names:
             self._check(role)
+        bare = [role for role in ("fx", "fz") if role in self.names and not self._written(role)]
+        if bare and self.given.unit is None:
+            self.notes.append("The forces have no unit, and are taken as N.")
 
     def _take(self, role: str, column: str) -> None:
         """The column of a name, which may lack its unit."""

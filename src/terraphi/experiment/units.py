@@ -12,6 +12,7 @@ FORCE = {
 ANGLE = {"deg": 1.0, "rad": 180.0 / pi, "mrad": 0.18 / pi, "rev": 360.0, "gon": 0.9}
 """Degrees."""
 MOMENT = {"N m": 1.0, "kN m": 1e3, "mN m": 1e-3, "N mm": 1e-3, "N cm": 1e-2}
+MOMENT |= {"kgf cm": 0.0980665, "kgf m": 9.80665}
 MOMENT |= {"lbf ft": 1.3558179483314, "lbf in": 0.1129848290276167, "ozf in": 7.061551814e-3}
 """Newton meters."""
 TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
@@ -23,7 +24,8 @@ _OTHER_NAMES = {
     "grad": "deg", "radian": "rad", "radians": "rad", "turn": "rev", "turns": "rev",
     "u": "rev", "sec": "s", "secs": "s", "second": "s", "seconds": "s", "sek": "s", "msec": "ms",
     "µs": "us", "μs": "us", "ft lb": "lbf ft", "ft lbf": "lbf ft", "in lb": "lbf in",
-    "in lbf": "lbf in", "oz": "ozf",
+    "in lbf": "lbf in", "oz": "ozf", "lb in": "lbf in", "lb ft": "lbf ft", "kg cm": "kgf cm",
+    "kg m": "kgf m",
 }  # fmt: skip
 """Other names, in lower case. *Grad* is German for degree; a grade is ``gon``."""
 _KNOWN = {name: name for units in KINDS.values() for name in units}

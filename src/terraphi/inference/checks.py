@@ -311,13 +311,19 @@ def doubts(likelihood: Likelihood, library: Library, *, misfit: bool) -> Iterato
 def _other_readings(likelihood: Likelihood, record: Record, library: Library) -> Iterator[str]:
     """Another leg, sign, unit or order that would describe a misfit much better."""
     own = residual(record.data, record, likelihood, record.leg)
-    best, proposal = min(BETTER * own, FITS * likelihood.errors[record.leg].nrmsd_limit), ""
+    most = FITS * likelihood.errors[record.leg].nrmsd_limit
+    best, proposal = min(BETTER * own, most), ""
     options = _columns_otherwise(record) if record.channels == ("Fx", "Fz") else {}
+    units = []
     for what, (other, data) in options.items():
         size = residual(data, other, likelihood, record.leg)
+        if what.startswith("unit") and size < min(BETTER * own, most):
+            units.append(what.partition("=")[2])
         if size < best:
             best, proposal = size, f"The record would fit with --columns {what}: check the columns."
-    for leg in library.legs:
+    if "columns unit=" in proposal and len(units) > 1:
+        proposal = f"{proposal[:-1]}; of all units {' and '.join(units)} would fit."
+    for leg in library.legs if options else ():
         if leg != record.leg and (size := residual(record.data, record, likelihood, leg)) < best:
             best, proposal = size, f"The record would fit with --leg {leg}: check the leg."
     if proposal:
