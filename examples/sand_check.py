@@ -36,8 +36,8 @@ class World(NamedTuple):
 
 
 WORLDS = {
-    "rft": World("rft", 0.0, 33.0),
-    "depth^0.7": World("rft", -0.3, 35.0),
+    "rft": World("rft", 0.0, 40.5),
+    "depth^0.7": World("rft", -0.3, 44.4),
     "hansen": World("hansen", 0.0, 38.5),
     "meyerhof": World("meyerhof", 0.0, 38.5),
     "vesic": World("vesic", 0.0, 38.5),

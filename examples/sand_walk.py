@@ -38,7 +38,7 @@ TILT = 0.005
 
 
 def sand_walk(
-    gait: str, *, seed: int, law: str = "foot", duration: float = 20.0, mean: float = 33.0
+    gait: str, *, seed: int, law: str = "foot", duration: float = 20.0, mean: float = 40.0
 ) -> Walk:
     """A walk on sand whose φ and surface are drawn by a seed; a floor for law ``floor``."""
     rng = np.random.default_rng(1000 + seed)
@@ -75,7 +75,7 @@ def sand_log(recording: Recording, *, seed: int, gain_sd: float = Prior.gain_sd)
 @click.option("--out", type=click.Path(path_type=Path), default=Path("sand"), show_default=True)
 @click.option("--gait", type=click.Choice(sorted(GAITS)), default="walk", show_default=True)
 @click.option("--law", type=click.Choice([*LAWS, "floor"]), default="foot", show_default=True)
-@click.option("--mean", type=float, default=33.0, show_default=True, help="Mean φ [deg].")
+@click.option("--mean", type=float, default=40.0, show_default=True, help="Mean φ [deg].")
 @click.option("--duration", type=float, default=20.0, show_default=True, help="[s].")
 @click.option("--gain-sd", type=float, default=Prior.gain_sd, show_default=True, help="[-].")
 @click.option("--seed", type=int, default=0, show_default=True)
