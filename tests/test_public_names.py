@@ -19,7 +19,7 @@ Walk = runpy.run_path(str(Path(__file__).parent / "robot" / "walker.py"))["Walk"
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The log of a walk on sand."""
     path = tmp_path_factory.mktemp("log") / "walk.csv"
-    write_csv(path, Walk().log()[0])
+    write_csv(path, Walk(sinkage=0.03).log()[0])
     return path
 
 

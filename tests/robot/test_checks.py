@@ -86,7 +86,7 @@ def sandy(request: pytest.FixtureRequest) -> JointLog:
     """Five seconds on sand, where standing feet sink and slide; each torque is off by its gain."""
     from sand_walk import sand_log, sand_walk
 
-    recording = sand_walk(request.param, seed=3, duration=5.0).run()
+    recording = sand_walk(request.param, seed=3, law="rft", mean=40.5, duration=5.0).run()
     return replace(sand_log(recording, seed=3, gain_sd=0.1), foot_counts=None)
 
 

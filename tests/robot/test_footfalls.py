@@ -116,7 +116,7 @@ def test_files_come_back(found: FootfallMap, tmp_path: Path) -> None:
 
 def test_the_map_begins_along_the_first_heading() -> None:
     """Whichever way the compass says the robot went."""
-    log = Walk(duration=4.0).log()[0]
+    log = Walk(duration=4.0, sinkage=0.03).log()[0]
     heading = Rotation.from_euler("z", 70.0, degrees=True)
     turned = (heading * Rotation.from_quat(np.roll(log.quaternion, -1, axis=1))).as_quat()
     other = replace(log, quaternion=np.roll(turned, 1, axis=1))
@@ -143,7 +143,7 @@ def test_of_two_feet_in_one_place_the_second_is_refused() -> None:
 
 
 def test_a_log_of_exchanged_legs_tells_no_footfall() -> None:
-    log = Walk(duration=5.0).log()[0]
+    log = Walk(duration=5.0, sinkage=0.03).log()[0]
     names = ("angle", "velocity", "torque")
     other = {name: getattr(log, name)[:, [2, 3, 0, 1]] for name in names}
     with pytest.raises(InputError, match="no footfall can be read: feet that stand slide"):
@@ -151,7 +151,7 @@ def test_a_log_of_exchanged_legs_tells_no_footfall() -> None:
 
 
 def test_an_accelerometer_that_is_ignored_does_not_matter() -> None:
-    log = Walk(duration=4.0).log()[0]
+    log = Walk(duration=4.0, sinkage=0.03).log()[0]
     assert log.acceleration is not None
     broken = replace(log, acceleration=-log.acceleration)
     found, without = (footfalls(each) for each in (broken, replace(log, acceleration=None)))
@@ -164,7 +164,7 @@ def test_an_accelerometer_that_is_ignored_does_not_matter() -> None:
 def test_a_foot_that_hardly_goes_down_is_shallow_and_in_time() -> None:
     found = footfalls(Walk(duration=5.0, sinkage=0.0).log()[0])
     assert set(found.verdict) == {SHALLOW}
-    slow = Walk(duration=5.0).log()[0]
+    slow = Walk(duration=5.0, sinkage=0.03).log()[0]
     thin = JointLog(**{name: getattr(slow, name)[::10] for name in COLUMNS})
     assert set(footfalls(thin).verdict) == {TORN}
 
@@ -176,7 +176,7 @@ def test_an_anchor_as_people_write_it(text: str) -> None:
 
 def test_a_known_angle_of_the_whole_path_is_its_mean() -> None:
     """An anchor far surer than the footfalls fixes the mean over the path, and no more."""
-    log = Walk(duration=10.0, weak=0.1).log()[0]
+    log = Walk(duration=10.0, weak=0.1, sinkage=0.03).log()[0]
     free = footfalls(log)
     held = footfalls(log, anchors=["phi=31±0.01"])
     assert free.usable.any()
@@ -186,7 +186,7 @@ def test_a_known_angle_of_the_whole_path_is_its_mean() -> None:
 
 
 def test_options_and_logs_that_cannot_be() -> None:
-    log = Walk(duration=0.2).log()[0]
+    log = Walk(duration=0.2, sinkage=0.03).log()[0]
     for options, words in (
         ({"law": "rtf"}, "law 'rtf' is unknown"),
         ({"anchors": ["phi=34"]}, "anchor 'phi=34'"),
@@ -205,7 +205,7 @@ def test_options_and_logs_that_cannot_be() -> None:
 
 
 def test_the_command_writes_its_files(terraphi: Any) -> None:
-    write_csv("log.csv", Walk(duration=5.0).log()[0])
+    write_csv("log.csv", Walk(duration=5.0, sinkage=0.03).log()[0])
     ran = terraphi("footfalls", "log.csv", "--density", "1550±80", "--out", "soil.nc", "--json")
     assert ran.status == 0, ran.err
     answer = json.loads(ran.out)

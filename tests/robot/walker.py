@@ -31,7 +31,7 @@ class Walk:
     period: float = 1.2
     speed: float = 0.1
     clearance: float = 0.06
-    sinkage: float = 0.03
+    sinkage: float = 0.012
     weak: float = 0.35
     """Part of a stance, at each end, in which the foot only scratches the soil."""
     duration: float = 10.0

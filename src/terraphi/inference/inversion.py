@@ -347,7 +347,7 @@ def _answer(
             "terraphi": importlib.metadata.version("terraphi"),
             "library_hash": library.hash,
             "gain": [record.gain for record in records],
-            "noise": [list(record.noise) for record in records],
+            "noise": [[float(one) for one in record.noise] for record in records],
             "seconds": round(time.perf_counter() - began, 3),
             **({"calibration": likelihood.calibration.model_dump(mode="json")}
                if likelihood.calibration else {}),
