@@ -27,7 +27,7 @@ from scipy.optimize import least_squares
 import pages
 import terraphi
 from terraphi.forward.foot import LAWS, Foot
-from terraphi.forward.rft import stress_per_depth_3d
+from terraphi.forward.rft import stress_per_depth_3d, to_plane_strain
 
 sys.path.insert(0, str(Path(__file__).parent / "grains"))
 import elements
@@ -380,9 +380,8 @@ def of_inclined_plates() -> list[tuple[str, ...]]:
         force = np.stack([np.zeros_like(lift), lift], axis=-1)
         level = Test(medium, Foot(np.sqrt(area / np.pi), "disc"), depth, force, density=1.0)
         by_law = (fitted(level, law_of(name))[0] for name in known("disc"))
-        plane = np.degrees(np.arcsin(np.tan(np.radians(best))))
         rows.append((
-            *words, f"{plane:.1f}°", f"{share[1]:.0%}", f"{share[0]:.0%}",
+            *words, f"{to_plane_strain(best):.1f}°", f"{share[1]:.0%}", f"{share[0]:.0%}",
             f"{flat:.2f}", f"{upright:.2f}", *(f"{angle:.1f}°" for angle in by_law),
         ))  # fmt: skip
     return rows

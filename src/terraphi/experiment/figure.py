@@ -7,6 +7,14 @@ import io
 
 from matplotlib import figure
 
+from terraphi.experiment.history import CHANNEL_UNITS
+
+
+def force_label(channel: str) -> str:
+    """Label of an axis that shows a channel of a force history."""
+    symbol = "$M$" if channel == "M" else f"$F_{channel[1]}$"
+    return f"{symbol} [{CHANNEL_UNITS[channel]}]"
+
 
 class Figure(figure.Figure):
     """A Matplotlib figure that shows itself in a notebook without ``pyplot``."""

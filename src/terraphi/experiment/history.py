@@ -37,6 +37,10 @@ _SHOWN = (
     *("counted_impulse_kg_m_s", "applied_impulse_kg_m_s", "seconds"),
 )
 """What the summary shows of the provenance."""
+FORCES = ("Fx", "Fz")
+"""Channels of a history that has both forces."""
+CHANNEL_UNITS = {"Fx": "N", "Fz": "N", "M": "N m"}
+"""Unit of each channel."""
 _UNITS = {"theta": "rad", "displacement": "m", "time": "s"}
 _SHOWN_IN = {"theta": (180.0 / math.pi, "deg"), "displacement": (1e3, "mm"), "time": (1.0, "s")}
 
@@ -282,7 +286,7 @@ class ForceHistory:
         On a plateau, its first angle. Raises ValueError if there is no whole degree in the window,
         or a force is missing.
         """
-        if self.channels != ("Fx", "Fz"):
+        if self.channels != FORCES:
             raise ValueError("a force is missing")
         theta = np.arange(-WINDOW_DEG, WINDOW_DEG + 0.5)
         theta = theta[(theta >= self.theta_deg[0]) & (theta <= self.theta_deg[-1])]
@@ -303,7 +307,7 @@ class ForceHistory:
             shown |= {"peak_Fz_N": peaks.Fz, "theta_peak_Fz_deg": peaks.theta_Fz_deg}
         except ValueError:  # no function of θ, or none within the window
             for name in self.channels:
-                values, unit = self.channel(name), "Nm" if name == "M" else "N"
+                values, unit = self.channel(name), CHANNEL_UNITS[name].replace(" ", "")
                 shown[f"peak_{name}_{unit}"] = float(values[np.abs(values).argmax()])
         return shown | {key: self.provenance[key] for key in _SHOWN if key in self.provenance}
 
@@ -313,7 +317,7 @@ class ForceHistory:
         low, high = scale * self.position[[0, -1]]
         forces = ", ".join(
             f"{name} {self.channel(name).min():.3g} to {self.channel(name).max():.3g}"
-            f" {'N m' if name == 'M' else 'N'}"
+            f" {CHANNEL_UNITS[name]}"
             for name in self.channels
         )
         along = f"{self.coordinate} {low:.4g} to {high:.4g} {unit}"
@@ -328,6 +332,7 @@ class ForceHistory:
             Where to draw; ``None`` makes a figure. One that has panels gets another curve in each.
         """
         from terraphi.experiment.figure import Figure as NewFigure
+        from terraphi.experiment.figure import force_label
 
         figure = figure or NewFigure(figsize=(8.0, 3.0), layout="constrained")
         panels = figure.axes or figure.subplots(1, len(self.channels), squeeze=False)[0]
@@ -336,7 +341,7 @@ class ForceHistory:
         for axes, name in zip(panels, self.channels, strict=True):
             axes.plot(scale * self.position, self.channel(name))
             axes.set_xlabel(f"{names.get(self.coordinate, self.coordinate)} [{unit}]")
-            axes.set_ylabel("$M$ [N m]" if name == "M" else f"$F_{name[1]}$ [N]")
+            axes.set_ylabel(force_label(name))
         return figure
 
     # -- files -----------------------------------------------------------------------------------
@@ -346,7 +351,7 @@ class ForceHistory:
 
         Raises InputError if the place cannot be written, or a force is missing.
         """
-        if self.channels != ("Fx", "Fz"):
+        if self.channels != FORCES:
             raise InputError(f"{path}: Fx and Fz are needed; write NetCDF (to_netcdf) instead")
         known = {
             key: value

@@ -53,7 +53,7 @@ from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import open_netcdf
 from terraphi.experiment.scenario import GRAVITY
-from terraphi.forward.rft import stress_per_depth_3d, stress_scale
+from terraphi.forward.rft import from_plane_strain, stress_per_depth_3d, stress_scale
 
 FloatArray = NDArray[np.float64]
 
@@ -139,7 +139,7 @@ class FootLaw:
         """
         phi = np.asarray(friction_angle_deg, dtype=np.float64)
         if self.convention == "rft3d":
-            phi = np.degrees(np.arctan(np.sin(np.radians(phi))))
+            phi = from_plane_strain(phi)
         return self.formula(foot, depth, descent, phi, density, surface_friction)
 
 

@@ -276,6 +276,20 @@ def stress_scale(friction_angle_deg: ArrayLike, density: float) -> FloatArray:
     return np.asarray(density * GRAVITY * mu * (linear + mu * (square + mu * cubic)))
 
 
+def to_plane_strain(friction_angle_deg: ArrayLike) -> FloatArray:
+    """φ in plane strain of soil of an angle of this theory [deg]; not a number from 45° on.
+
+    The theory is of soil that yields at √J₂ = p tan φ and does not dilate.
+    """
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.degrees(np.arcsin(np.tan(np.radians(friction_angle_deg)))))
+
+
+def from_plane_strain(friction_angle_deg: ArrayLike) -> FloatArray:
+    """Angle of this theory for soil of φ in plane strain [deg]."""
+    return np.asarray(np.degrees(np.arctan(np.sin(np.radians(friction_angle_deg)))))
+
+
 def stress_per_depth_3d(
     normal: FloatArray,
     direction: FloatArray,

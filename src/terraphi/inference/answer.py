@@ -301,6 +301,7 @@ class Answer:
             Where to draw; ``None`` makes a figure.
         """
         from terraphi.experiment.figure import Figure as NewFigure
+        from terraphi.experiment.figure import force_label
 
         figure = figure or NewFigure(figsize=(10.0, 3.4), layout="constrained")
         *of_channels, of_phi = figure.subplots(1, 1 + len(self.nrmsd))
@@ -313,8 +314,7 @@ class Answer:
                 if record.expected is not None:
                     axes.plot(theta, record.curve[i], "--", color="C0", lw=1, label="bare model")
                 axes.plot(theta, record.data[i], ".", color="black", ms=3, label="data")
-            shown = "$M$ [N m]" if name == "M" else f"$F_{name[1]}$ [N]"
-            axes.set(xlabel="leg angle θ [deg]", ylabel=shown)
+            axes.set(xlabel="leg angle θ [deg]", ylabel=force_label(name))
             axes.axhline(0.0, color="0.7", lw=0.5, zorder=0)
         of_channels[0].legend(*_first_of_each(of_channels[0]), frameon=False, fontsize="small")
         grid, density = self.grid_deg, self.density

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.history import OBSERVATION_ANGLES, WINDOW_DEG
+from terraphi.experiment.history import CHANNEL_UNITS, FORCES, OBSERVATION_ANGLES, WINDOW_DEG
 from terraphi.experiment.units import FORCE
 from terraphi.inference.emulator import emulator_of
 from terraphi.inference.likelihood import SHIFT_DEG, Likelihood, squared_residuals, window_means
@@ -241,7 +241,7 @@ def in_air(likelihood: Likelihood) -> list[str]:
                 size *= float(np.sign(np.median(values[air])))
                 if abs(size) > limit * np.ptp(values):
                     found.append(
-                        f"{record.source}: {name} is {size:.2g} {'N m' if name == 'M' else 'N'} "
+                        f"{record.source}: {name} is {size:.2g} {CHANNEL_UNITS[name]} "
                         f"{side}; tare the sensor, or check the leg."
                     )
     return found
@@ -313,7 +313,7 @@ def _other_readings(likelihood: Likelihood, record: Record, library: Library) ->
     own = residual(record.data, record, likelihood, record.leg)
     most = FITS * likelihood.errors[record.leg].nrmsd_limit
     best, proposal = min(BETTER * own, most), ""
-    options = _columns_otherwise(record) if record.channels == ("Fx", "Fz") else {}
+    options = _columns_otherwise(record) if record.channels == FORCES else {}
     units = []
     for what, (other, data) in options.items():
         size = residual(data, other, likelihood, record.leg)
@@ -368,7 +368,7 @@ def _other_arm(likelihood: Likelihood, record: Record) -> Iterator[str]:
 
 def moment_factor(record: Record, curves: Curves, shift_deg: float) -> float | None:
     """Moment of a record over that of its forces with the model's lever arms [-], if it has all."""
-    if curves.arm is None or record.channels != ("Fx", "Fz") or record.history.moment is None:
+    if curves.arm is None or record.channels != FORCES or record.history.moment is None:
         return None
     arm = [np.interp(record.theta_deg, curves.theta_deg + shift_deg, row) for row in curves.arm]
     of_forces = (np.array(arm) * record.data).sum(axis=0)
@@ -398,7 +398,7 @@ def is_whole(record: Record) -> bool:
 
     The moment alone has nearly the same shape on all legs.
     """
-    forces = record.channels == ("Fx", "Fz")
+    forces = record.channels == FORCES
     return forces and record.theta_deg.size >= WHOLE * OBSERVATION_ANGLES
 
 

@@ -15,6 +15,7 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.scenario import Scenario
 from terraphi.experiment.soil import plane_strain_friction_angle_deg
+from terraphi.forward.rft import to_plane_strain
 from terraphi.inference.answer import Answer, Estimate, RecordFit, worst_nrmsd
 from terraphi.inference.checks import (
     LARGE_SHIFT_DEG,
@@ -286,13 +287,23 @@ def _answer(
     """Posterior, verdict and all that goes with them."""
     records, keys = likelihood.records, likelihood.keys
     second, disagreement = _second_opinion(likelihood), ""
-    if second is not None:
-        likelihood, disagreement = _widened(likelihood, second)
     drawn = Drawn({}, {})
     grid = density = np.zeros(0)
     if keys == (PHI,):
         grid, density = quadrature(likelihood)
-        parameters = {PHI: _estimate(grid, density)}
+        phi = _estimate(grid, density)
+        if second is not None and (wider := _disagreement_deg(likelihood, phi, second)):
+            disagreement = (
+                f"Resistive force theory gives {second['median']:.0f}°, "
+                f"{abs(second['median'] - phi.median):.0f}° from {library.name} and outside both "
+                "intervals: the interval is wider by that."
+            )
+            likelihood = Likelihood(
+                records, library, likelihood.calibration, disagreement_deg=wider
+            )
+            grid, density = quadrature(likelihood)
+            phi = _estimate(grid, density)
+        parameters = {PHI: phi}
     else:
         drawn = sample(likelihood, seed=seed)
         parameters = {key: Estimate.of(values) for key, values in drawn.draws.items()}
@@ -310,8 +321,10 @@ def _answer(
     ]  # fmt: skip
     if library.caveat:
         questions.append(f"Library {library.name}: {library.caveat}")
-    phi, scenario = parameters.get(PHI), library.cases[0].scenario
-    plane, no_plane = _plane_strain(phi, scenario) if phi else (None, "φ was not inferred")
+    inferred, scenario = parameters.get(PHI), library.cases[0].scenario
+    plane, no_plane = (
+        _plane_strain(inferred, scenario) if inferred else (None, "φ was not inferred")
+    )
     sd = [
         UNKNOWN_DENSITY * density if r.density_kg_m3 is None else r.density_sd_kg_m3
         for r, density in zip(records, likelihood.density, strict=True)
@@ -597,7 +610,7 @@ def _plane_strain(phi: Estimate, scenario: Scenario) -> tuple[Estimate | None, s
                     "resistive force theory yields at √J₂ = p tan φ, which has no plane-strain "
                     "equivalent from φ = 45°"
                 )
-            return math.degrees(math.asin(math.tan(math.radians(angle))))
+            return float(to_plane_strain(angle))
         dilation = angle if soil.flow == "associated" else soil.dilation_angle_deg
         return plane_strain_friction_angle_deg(
             angle, soil.yield_criterion, dilation_angle_deg=dilation
@@ -635,25 +648,13 @@ def _second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:
     }  # fmt: skip
 
 
-def _widened(likelihood: Likelihood, second: dict[str, Any]) -> tuple[Likelihood, str]:
-    """The likelihood with a term that makes up for another opinion, if that is far away.
+def _disagreement_deg(likelihood: Likelihood, own: Estimate, second: dict[str, Any]) -> float:
+    """Standard deviation that makes up for another opinion [deg]; 0 if that is not far away.
 
-    The term is as wide as makes the two differ by DISAGREES of their common standard deviation.
+    With it the two differ by DISAGREES of their common standard deviation.
     """
-    phi, scenario = likelihood.keys == (PHI,), likelihood.library.cases[0].scenario
-    if not phi or scenario.convention != "plane_strain" or likelihood.beyond is not None:
-        return likelihood, ""
-    own = _estimate(*quadrature(likelihood))
+    convention = likelihood.library.cases[0].scenario.convention
+    if convention != "plane_strain" or likelihood.beyond is not None:
+        return 0.0
     apart = second["median"] - own.median
-    excess = (apart / DISAGREES) ** 2 - own.sd**2 - second["sd"] ** 2
-    if excess <= 0.0:
-        return likelihood, ""
-    wider = Likelihood(
-        likelihood.records, likelihood.library, likelihood.calibration,
-        disagreement_deg=math.sqrt(excess),
-    )  # fmt: skip
-    sentence = (
-        f"Resistive force theory gives {second['median']:.0f}°, {abs(apart):.0f}° from "
-        f"{likelihood.library.name} and outside both intervals: the interval is wider by that."
-    )
-    return wider, sentence
+    return math.sqrt(max((apart / DISAGREES) ** 2 - own.sd**2 - second["sd"] ** 2, 0.0))

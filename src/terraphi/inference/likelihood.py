@@ -59,6 +59,7 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
+from terraphi.experiment.history import FORCES
 from terraphi.inference.emulator import emulator_of
 from terraphi.inference.partial import missing_parts
 from terraphi.inference.records import Record
@@ -90,7 +91,7 @@ def channels_of(record: Record, force: FloatArray, arm: FloatArray | None) -> Fl
 
     Raises InputError if the record has a moment and there are no lever arms.
     """
-    if record.channels == ("Fx", "Fz"):
+    if record.channels == FORCES:
         return force
     if arm is None:
         raise InputError(

@@ -11,18 +11,13 @@ from typing import Any
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import read_bytes
 from terraphi.experiment.tables import decoded
+from terraphi.inference import COLUMNS
 from terraphi.inference.answer import Answer
 from terraphi.inference.inversion import invert_many
 from terraphi.library.build import workers
 
 OPTIONS = ("leg", "density", "columns", "library", "noise", "gain", "calibration")
 """Columns that are options of ``invert``, besides ``file``."""
-COLUMNS = (
-    *("source", "leg", "phi_deg", "sd_deg", "ci68_low_deg", "ci68_high_deg", "ci95_low_deg"),
-    *("ci95_high_deg", "yield", "phi_plane_strain_deg", "verdict", "reason", "nrmsd_Fx"),
-    *("nrmsd_Fz", "nrmsd_M", "density_kg_m3", "density_assumed", "library", "warnings"),
-)
-"""Columns of a table of answers."""
 LEAST_ROWS = 8
 """Records from which several processes are worth their start."""
 

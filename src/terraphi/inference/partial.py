@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.history import OBSERVATION_ANGLES, WINDOW_DEG, ForceHistory
+from terraphi.experiment.history import FORCES, OBSERVATION_ANGLES, WINDOW_DEG, ForceHistory
 from terraphi.inference.records import Record
 from terraphi.library.store import PHI
 
@@ -47,7 +47,7 @@ class Part(NamedTuple):
 
 def part_of(likelihood: Likelihood, record: Record) -> Part:
     """What a record has of a whole stroke, at the best point."""
-    forces = record.channels == ("Fx", "Fz")
+    forces = record.channels == FORCES
     every = record.theta_deg.size == OBSERVATION_ANGLES
     if PHI not in likelihood.keys or (forces and every):
         return Part(1.0, record.span)
@@ -84,7 +84,7 @@ def missing_parts(likelihood: Likelihood, slope: FloatArray) -> dict[str, FloatA
         share = max(part_of(likelihood, record).share, 1e-3)
         square = np.outer(slope[part], slope[part])
         angles[part, part] = PART_DEG**2 * (1.0 / share - 1.0) * square
-        if record.channels != ("Fx", "Fz"):
+        if record.channels != FORCES:
             forces[part, part] = MOMENT_DEG**2 * square
     named = {"missing angles": angles, "missing forces": forces}
     return {name: each for name, each in named.items() if each.any()}

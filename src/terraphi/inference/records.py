@@ -26,6 +26,7 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import number_with_sd
 from terraphi.experiment.history import (
+    FORCES,
     OBSERVATION_ANGLES,
     WIDEST_GAP_DEG,
     WINDOW_DEG,
@@ -322,10 +323,10 @@ def record_of(
                 f"noise = {max(given):g} N; 0 N to {np.ptp(history.force):.3g} N, the range of "
                 "the forces, is accepted"
             )
-        of_forces = dict(zip(("Fx", "Fz"), given, strict=True))
+        of_forces = dict(zip(FORCES, given, strict=True))
         pairs = zip(history.channels, sensor, strict=True)
         sensor = tuple(of_forces.get(name, one) for name, one in pairs)
-    if (made_by is not None or simulated) and history.channels != ("Fx", "Fz"):
+    if (made_by is not None or simulated) and history.channels != FORCES:
         raise InputError(f"{known.name}: Fx and Fz of a simulation are needed")
     return Record(
         source=known.name,

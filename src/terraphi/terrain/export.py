@@ -18,7 +18,7 @@ from terraphi.experiment.files import replacing
 from terraphi.experiment.outputs import SIGNATURE, changed, check_file
 from terraphi.experiment.soil import cone_slope
 from terraphi.forward.foot import LAWS, Foot
-from terraphi.forward.rft import stress_scale
+from terraphi.forward.rft import stress_scale, to_plane_strain
 from terraphi.inference.answer import Answer, StoredAnswer, read_answer
 from terraphi.library.store import PHI
 from terraphi.terrain.simulators import (
@@ -303,11 +303,9 @@ def _to_plane_strain(read: StoredAnswer, phi_deg: FloatArray) -> FloatArray:
     """Angles of an answer's convention as in plane strain [deg]; not a number if there is none."""
     convention = read.answer["phi_deg"].get("yield")
     if convention in ("paper", "plane_strain"):
-        sine = np.array([cone_slope(phi, convention) for phi in phi_deg])
-    else:  # resistive force theory: √J2 ≤ p tan φ
-        sine = np.tan(np.radians(phi_deg))
-    with np.errstate(invalid="ignore"):
-        return np.degrees(np.arcsin(sine))
+        sine = [cone_slope(phi, convention) for phi in phi_deg]
+        return np.asarray(np.degrees(np.arcsin(sine)))
+    return to_plane_strain(phi_deg)
 
 
 def in_plane_strain(read: StoredAnswer) -> FloatArray:

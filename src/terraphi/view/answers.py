@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from terraphi.experiment.errors import InputError
+from terraphi.inference import COLUMNS
 from terraphi.view.console import print_table
 from terraphi.view.table import Table
 
@@ -166,8 +167,6 @@ def _rounded(one: Estimate) -> tuple[str, str, str, str]:
 
 def check_table(path: Path) -> None:
     """Raise InputError if a file is there that is no table of answers."""
-    from terraphi.inference.manifest import COLUMNS
-
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a CSV file")
     if path.is_file() and not path.read_bytes().startswith(f"{COLUMNS[0]},{COLUMNS[1]},".encode()):
@@ -194,7 +193,6 @@ def write_table(
         Number of records by verdict.
     """
     from terraphi.experiment.files import replacing
-    from terraphi.inference.manifest import COLUMNS
 
     written = [
         (_failed(given, one) if isinstance(one, InputError) else row(str(given["forces"]), one))
@@ -238,8 +236,6 @@ def table_of_answers(rows: Sequence[dict[str, Any]]) -> Table:
 
 def row(source: str, answer: Answer) -> dict[str, Any]:
     """An answer by column."""
-    from terraphi.inference.manifest import COLUMNS
-
     phi, plane = answer.parameters.get(PHI), answer.phi_plane_strain
     ends = [] if phi is None else [phi.median, phi.sd, *phi.ci68, *phi.ci95]
     rounded = [f"{value:.6g}" for value in ends] or [""] * 6

@@ -29,6 +29,7 @@ import numpy as np
 
 from terraphi.experiment.errors import InputError, needing
 from terraphi.experiment.files import scratch
+from terraphi.experiment.history import CHANNEL_UNITS
 from terraphi.experiment.leg import CURVES, Leg, frame_axes
 from terraphi.experiment.reading import ForceColumns
 from terraphi.view import report
@@ -376,7 +377,7 @@ def look(file: str, columns: dict[str, Any]) -> dict[str, Any]:
     history = found.history
     read = {"θ [deg]": history.theta_deg}
     for name in history.channels:
-        read[f"{name} [{'N m' if name == 'M' else 'N'}]"] = history.channel(name)
+        read[f"{name} [{CHANNEL_UNITS[name]}]"] = history.channel(name)
     ranges = ", ".join(f"{n} from {v.min():.3g} to {v.max():.3g}" for n, v in read.items())
     reply["read"] = [f"{len(history.position)} readings: {ranges}."]
     reply["read"] += history.provenance.get("reading", [])

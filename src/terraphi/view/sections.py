@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import json_object
+from terraphi.experiment.history import CHANNEL_UNITS, ForceHistory
 from terraphi.experiment.outputs import changed
 from terraphi.view.answers import CONVENTIONS, LEGS, PHI, in_words, tables
 from terraphi.view.console import words
@@ -20,7 +21,6 @@ from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE
 from terraphi.view.table import Table
 
 if TYPE_CHECKING:
-    from terraphi.experiment.history import ForceHistory
     from terraphi.inference.answer import Answer
 
 SHOWN_S = 10.0
@@ -31,6 +31,7 @@ MOST_POINTS = 1500
 """Points of a curve."""
 THETA = "leg angle θ [deg]"
 FORCES = {"Fx": "F<sub>x</sub> [N], forward", "Fz": "F<sub>z</sub> [N], up"}
+CHANNELS = {**FORCES, "M": "M [N m]"}
 PALE_BLUE, PALE_GREY = "rgba(0,114,178,0.22)", "rgba(102,102,102,0.25)"
 Trace = dict[str, Any]
 
@@ -120,7 +121,7 @@ def of_answer(answer: Answer) -> Section:
                 line(theta, fit[i], "model", BLUE),
                 points(theta, record.data[i], "data", ORANGE),
             ]
-            label = FORCES.get(force, "M [N m]")
+            label = CHANNELS[force]
             parts.append(Plot(f"{force}{where}", traces, axes(THETA, label)))
             apart = record.data[i] - record.curve[i]
             span = math.sqrt(np.square(apart).mean()) / (nrmsd or math.inf)
@@ -215,21 +216,20 @@ def of_library(source: str) -> Section:
 
 def of_simulation(path: Path) -> Section:
     """Both forces of a simulation along its path."""
-    from terraphi.experiment.history import ForceHistory
-
     history = ForceHistory.from_netcdf(path)
     scenario = history.provenance.get("scenario", {})
     plots = [
         Plot(
-            force, [line(*curve(history, force), force, BLUE)], axes(position_label(history), label)
+            name,
+            [line(*curve(history, name), name, BLUE)],
+            axes(position_label(history), CHANNELS[name]),
         )
-        for force, label in ((name, FORCES.get(name, "M [N m]")) for name in history.channels)
+        for name in history.channels
     ]
     summary = history.summary()
-    peaks = {name: unit for name in ("Fx", "Fz", "M") for unit in ("N", "Nm")
-             if f"peak_{name}_{unit}" in summary}  # fmt: skip
-    headline = ", ".join(f"peak {n} {summary[f'peak_{n}_{u}']:.1f} {u}" for n, u in peaks.items())
-    headline = headline[0].upper() + headline[1:]
+    units = {name: CHANNEL_UNITS[name].replace(" ", "") for name in history.channels}
+    peaks = {name: summary[f"peak_{name}_{unit}"] for name, unit in units.items()}
+    headline = capital(", ".join(f"peak {n} {p:.1f} {CHANNEL_UNITS[n]}" for n, p in peaks.items()))
     if scenario:
         leg, phi = scenario["leg"]["shape"], scenario["soil"]["friction_angle_deg"]
         headline += f"; {LEGS.get(leg, leg)}, φ = {phi:g}°"
