@@ -75,7 +75,7 @@ def in_words(answer: Answer) -> list[str]:
     other = answer.second_opinion
     if other is not None:
         where = "" if answer.convention == "plane_strain" else " in plane strain"
-        size = other["force_size_deg"]
+        size = other.get("force_size_deg")
         size = "" if size is None else f"; size of the forces alone {size:.0f}°"
         lines.append(f"  Second opinion: {other['library']} {other['median']:.0f}°{where}{size}.")
     return lines + [f"  Warning: {sentence}" for sentence in answer.questions]
