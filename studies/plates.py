@@ -1,10 +1,9 @@
 """Plates and balls pressed in: force laws of a foot against measurements and simulated grains.
 
 Flat discs that go down slowly are the nearest that public measurements come to a foot. Each test
-is fitted by each law, with φ and the first contact unknown, and again in windows of its depth. The
-material point method is one of the laws: discs of 60 and 100 mm that were pressed into sand of five
-φ (plan `plates`). Balls and discs pressed into simulated grains (`grains/`) are fitted likewise;
-there a shear cell measured φ. Li et al. (2013) measured a plate of 38 by 25 mm, inclined and moved
+is fitted by each law, with φ and the first contact unknown, and again in windows of its depth. Balls
+and discs pressed into simulated grains (`grains/`) are fitted likewise; there a shear cell measured
+φ. Li et al. (2013) measured a plate of 38 by 25 mm, inclined and moved
 down, along or between. It is fitted with one φ for each medium, and compared with the soil of
 `sand3d`.
 """
@@ -14,14 +13,12 @@ from __future__ import annotations
 import csv
 import sys
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.figure import Figure
-from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 
 import pages
@@ -38,10 +35,8 @@ DENSITY = 1330.0
 REPOSE_DEG = 29.0
 FRICTION = 0.5
 """Of the plates, assumed."""
-SIMULATED_DENSITY = 1330.0
-"""Of the simulated discs [kg/m³]."""
 FIRST = 1e-3
-"""Sinkage at which a simulated disc has met all particles beneath it [m]."""
+"""Sinkage from which tests are used [m]."""
 WINDOWS_MM = ((2.0, 8.0), (8.0, 16.0), (16.0, 26.0))
 CONTACT_SD = 5e-4
 """Of the first contact, which the measurement has found already [m]."""
@@ -69,8 +64,8 @@ WINDOWS_R = ((0.25, 0.5), (0.5, 1.0), (1.0, 1.5))
 CHECKS = (
     ("grains of 8.8 mm, not 6 mm", "-coarse ", " "),
     ("grains of 4.4 mm, not 6 mm", "-fine ", " "),
-    ("15 mm/s, not 30 mm/s (8.8 mm)", "-slow ", "-coarse "),
-    ("bed of 270 × 270 × 150 mm, not 180 × 180 × 105 mm (8.8 mm)", "-wide ", "-coarse "),
+    ("bed of 180 × 180 × 105 mm, not 270 × 270 × 150 mm (8.8 mm)", "-narrow ", "-coarse "),
+    ("15 mm/s, not 30 mm/s (8.8 mm, in that bed)", "-slow ", "-narrow "),
     ("ball of 60 mm, not 44 mm", "loose ball_60", "loose ball_44"),
     ("disc of 60 mm, not 38 mm", "loose disc_60", "loose disc_38"),
 )
@@ -134,35 +129,6 @@ def measured() -> list[Test]:
     return tests
 
 
-def simulated() -> Law:
-    """The simulated discs as a law.
-
-    Forces swing as particles pass through cells of 6 mm, so each curve is taken as the parabola
-    over sinkage that fits it best. Between curves ln F is a cubic over φ and linear in ln diameter.
-    """
-    table = {key: np.array(values, float) for key, values in columns("simulated.csv").items()}
-    diameters, angles = np.unique(table["diameter_mm"]) / 1e3, np.unique(table["phi_deg"])
-    depths = np.linspace(FIRST, 0.0285, 56)
-    logs = np.zeros((len(angles), len(diameters), len(depths)))
-    for i, phi in enumerate(angles):
-        for k, diameter in enumerate(diameters):
-            own = (table["phi_deg"] == phi) & (table["diameter_mm"] == 1e3 * diameter)
-            own &= table["sinkage_mm"] > 1e3 * FIRST
-            sinkage, force = table["sinkage_mm"][own] / 1e3, table["force_N"][own]
-            logs[i, k] = np.log(np.polyval(np.polyfit(sinkage, force, 2), depths))
-    over_phi = CubicSpline(angles, logs)
-
-    def law(test: Test, phi_deg: float, sinkage: np.ndarray) -> np.ndarray:
-        share = np.log(test.diameter / diameters[0]) / np.log(diameters[1] / diameters[0])
-        low, high = over_phi(np.clip(phi_deg, angles[0], angles[-1]))
-        inside = np.interp(sinkage, depths, (1.0 - share) * low + share * high)
-        met = np.clip(sinkage / FIRST, 0.0, 1.0)
-        lift = test.density / SIMULATED_DENSITY * np.exp(inside) * met
-        return np.stack([np.zeros_like(lift), lift], axis=-1)
-
-    return law
-
-
 def law_of(name: str) -> Law:
     """A force law of the package."""
 
@@ -173,17 +139,6 @@ def law_of(name: str) -> Law:
         )  # fmt: skip
 
     return law
-
-
-def known(shape: str) -> list[str]:
-    """Names of the laws that know feet of a shape."""
-    names = []
-    for name in LAWS:
-        foot = Foot(0.02, shape)
-        with suppress(terraphi.InputError):
-            law_of(name)(Test("", foot, np.zeros(0), np.zeros((0, 2))), 30.0, np.array([0.01]))
-            names.append(name)
-    return names
 
 
 def fitted(test: Test, law: Law) -> tuple[float, float]:
@@ -261,52 +216,79 @@ def difference(values: Mapping[str, float], one: str, other: str) -> float:
     return float(np.mean([values[a] - values[b] for a, b in pairs if b in values] or [np.nan]))
 
 
-def no_size(values: Mapping[str, float], foot: str) -> float:
-    """Change of a foot's values from grains of SIZE_MM to none: a line over size, soils aside."""
-    sizes: dict[str, list[tuple[float, float]]] = {}
+def base(soil: str) -> str:
+    """Name of a soil without the size of its grains, its rate and its bed."""
+    return "-".join(soil.split("-")[:2])
+
+
+class Sizeless(NamedTuple):
+    """Values in grains of no size, by soil, their change by a mm, and what it leaves open."""
+
+    values: dict[str, float]
+    slope: float
+    error: float
+
+
+def sizeless(values: Mapping[str, float], foot: str) -> Sizeless:
+    """Values of a foot by a line over the size of grains, as steep in all loose soils."""
+    found: dict[str, list[tuple[float, float]]] = {}
     for key, value in values.items():
         soil, own = key.split()
-        if own == foot and soil.endswith(SIZES):
-            diameter = run.soils()[soil].diameter_mm
-            sizes.setdefault("-".join(soil.split("-")[:2]), []).append((diameter, value))
-    if not sizes:
-        return np.nan
-    apart = np.concatenate([np.subtract(own, np.mean(own, axis=0)) for own in sizes.values()])
-    return float(-SIZE_MM * (apart[:, 0] @ apart[:, 1]) / (apart[:, 0] @ apart[:, 0]))
+        if own == foot and soil.split("-")[1] == "loose" and soil.endswith(SIZES):
+            found.setdefault(base(soil), []).append((run.soils()[soil].diameter_mm, value))
+    means = {soil: np.mean(own, axis=0) for soil, own in found.items()}
+    size, value = np.concatenate([own - means[soil] for soil, own in found.items()]).T
+    slope = float(size @ value / (size @ size))
+    scatter = np.square(value - slope * size).sum() / (len(size) - len(found) - 1)
+    middle = np.mean([size for size, _ in means.values()])
+    return Sizeless(
+        {soil: float(value - slope * size) for soil, (size, value) in means.items()},
+        slope, float(middle * np.sqrt(scatter / (size @ size))),
+    )  # fmt: skip
 
 
-def by_law(tests: dict[str, list[Test]], off: Mapping[str, Mapping[str, np.ndarray]],
-           phi: Mapping[str, float]) -> str:  # fmt: skip
-    """Table of each law's φ less the true one, over soils.
+def by_law(tests: dict[str, list[Test]], off: Mapping[str, Mapping[str, np.ndarray]]) -> str:
+    """Table of each law's φ less the true one, over loose soils, in grains of no size.
 
-    ``off`` has that by law and test [deg], ``phi`` the true ones by soil.
+    ``off`` has that by law and test [deg], for all depths and for each of WINDOWS_R.
     """
     rows = []
     for name, own in off.items():
-        law = law_of(name)
-        for words, feet in (*((words, (foot,)) for foot, words in FEET.items()), ("all", FEET)):
-            keys = [f"{soil} {foot}" for soil in phi for foot in feet]
-            values = np.array([own[key] for key in keys if key in own])
-            if not values.size:
-                continue
-            whole = {key: float(v[0]) for key, v in own.items()}
-            size = np.nanmean([no_size(whole, foot) for foot in feet])
+        law, means, spreads, errors = law_of(name), [], [], []
+        for foot, words in FEET.items():
+            whole, *windows = (
+                sizeless({key: float(values[k]) for key, values in own.items()}, foot)
+                for k in range(1 + len(WINDOWS_R))
+            )
+            values = np.array(list(whole.values.values()))
+            depths = [np.mean(list(window.values.values())) for window in windows]
             drag = ""
-            if tuple(feet) == (TURNED,):
-                turned = [test for soil in phi for test in tests[f"{soil} {TURNED}"]]
+            if foot == TURNED:
+                turned = [t for key, each in tests.items() if key.endswith(foot) for t in each]
                 lean = [force.sum(axis=0) for t in turned
                         for force in (law(t, 30.0, t.sinkage), t.force)]  # fmt: skip
                 of_law, of_soil = (np.mean([-x / z for x, z in lean[i::2]]) for i in (0, 1))
                 drag = f"{of_law:.2f} / {of_soil:.2f}"
+            means.append([values.mean(), *depths])
+            spreads.append([values.var(ddof=1), np.var(depths, ddof=1)])
+            errors.append(whole.error)
             rows.append((
-                name, words,
-                *(f"{value:+.1f}°" for value in (*values.mean(axis=0), values[:, 0].mean() + size)),
-                f"{values[:, 0].std(ddof=1):.1f}°", f"{values[:, 1:].std(ddof=1):.1f}°",
-                f"{np.sqrt(np.square(values[:, 0]).mean()):.1f}°", drag,
+                name, words, f"{values.mean():+.1f}°", f"{whole.slope:+.2f}°",
+                *(f"{depth:+.1f}°" for depth in depths), f"{values.std(ddof=1):.1f}°",
+                f"{whole.error:.1f}°", drag,
             ))  # fmt: skip
+        overall = np.mean(means, axis=0)
+        parts = np.sqrt([*np.mean(spreads, axis=0), np.var([m[0] for m in means], ddof=1),
+                         np.mean(errors) ** 2])  # fmt: skip
+        rows.append((
+            name, "all", f"{overall[0]:+.1f}°", "", *(f"{depth:+.1f}°" for depth in overall[1:]),
+            f"{parts[0]:.1f}°", f"{parts[3]:.1f}°",
+            f"± {np.sqrt(np.square(parts).sum()):.1f}°: soils {parts[0]:.1f}°, depths "
+            f"{parts[1]:.1f}°, feet {parts[2]:.1f}°, size {parts[3]:.1f}°",
+        ))  # fmt: skip
     windows = [f"{a:g} to {b:g} R" for a, b in WINDOWS_R]
-    header = ("law", "foot", "φ less measured", *windows, "for grains of no size", "SD of soils",
-              "SD of soils and depths", "RMS", "drag over lift: law / grains")  # fmt: skip
+    header = ("law", "foot", "φ less measured", "each mm of grains adds", *windows, "SD of soils",
+              "error of the size", "drag over lift: law / grains; SD of all")  # fmt: skip
     return pages.table(header, rows)
 
 
@@ -331,9 +313,9 @@ def by_setting(tests: dict[str, list[Test]], strength: Mapping[str, float],
     """Table of what the size of grains and foot, speed and bed do to the lift and to φ."""
     values = [strength, *({key: float(v[0]) for key, v in own.items()} for own in off.values())]
     found = [(words, [difference(own, *parts) for own in values]) for words, *parts in CHECKS]
-    for foot in FEET:
-        words = f"grains of no size, not {SIZE_MM:g} mm: {FEET[foot]}"
-        found.append((words, [no_size(own, foot) for own in values]))
+    for foot, words in FEET.items():
+        change = [-SIZE_MM * sizeless(own, foot).slope for own in values]
+        found.append((f"grains of no size, not {SIZE_MM:g} mm: {words}", change))
     rows = [
         (words, f"{np.expm1(lift):+.0%}",
          *("" if np.isnan(change) else f"{change:+.1f}°" for change in changes))
@@ -379,7 +361,7 @@ def of_inclined_plates() -> list[tuple[str, ...]]:
         lift = plate[0.0, 90.0][1] * GRAVITY * area * depth
         force = np.stack([np.zeros_like(lift), lift], axis=-1)
         level = Test(medium, Foot(np.sqrt(area / np.pi), "disc"), depth, force, density=1.0)
-        by_law = (fitted(level, law_of(name))[0] for name in known("disc"))
+        by_law = (fitted(level, law_of(name))[0] for name in LAWS)
         rows.append((
             *words, f"{to_plane_strain(best):.1f}°", f"{share[1]:.0%}", f"{share[0]:.0%}",
             f"{flat:.2f}", f"{upright:.2f}", *(f"{angle:.1f}°" for angle in by_law),
@@ -432,7 +414,7 @@ def draw(
     for test in tests:
         forces.plot(1e3 * test.sinkage, test.force[:, 1], ".", ms=3, color="grey")
     middles = [0.5 * (a + b) for a, b in WINDOWS_MM]
-    colours = dict(zip([*LAWS, "mpm3d"], COLOURS, strict=False))
+    colours = dict(zip(LAWS, COLOURS, strict=False))
     for name, law in laws.items():
         one, _ = one_angle(tests, law)
         for i, diameter in enumerate(sorted({test.diameter for test in tests})):
@@ -478,8 +460,7 @@ def draw(
 def main() -> None:
     """Fit, and write the page."""
     out, tests = pages.out_from(str(__doc__)), measured()
-    of_discs, of_balls = known("disc"), known("ball")
-    laws = {**{name: law_of(name) for name in of_discs}, "mpm3d": simulated()}
+    laws = {name: law_of(name) for name in LAWS}
     rows, fits, by_window = [], {}, {}
     for name, law in laws.items():
         found = [fitted(test, law) for test in tests]
@@ -502,28 +483,30 @@ def main() -> None:
                 f"{angle:.1f}° ({misfit:.0%})",
             )
         )
-    spread = law_spread({name: by_window[name] for name in of_discs})
+    spread = law_spread(by_window)
     windows = [f"{a:g} to {b:g} mm" for a, b in WINDOWS_MM]
     header = ("law", "φ, mean of tests", "between repeats", *windows, "misfit", "one φ for all")
     compared = ("plate of 38 × 25 mm in", "angle", "pressed down", "moved along")
     of_motions = ("medium", "angle", "φ, all motions", "residual, vertical", "residual, along",
                   "model over measured, level plate down", "the same, upright plate along",
-                  *(f"level plate down, {name}" for name in of_discs))  # fmt: skip
+                  *(f"level plate down, {name}" for name in LAWS))  # fmt: skip
     grains = in_grains()
     true = {
-        soil: elements.measured(GRAINS, "-".join(soil.split("-")[:2])).phi_critical_deg
+        soil: elements.measured(GRAINS, base(soil)).phi_critical_deg
         for soil in dict.fromkeys(key.split()[0] for key in grains)
     }
     off = {
         name: {
             key: np.mean([angles(name, test) for test in own], axis=0) - true[key.split()[0]]
             for key, own in grains.items()
-            if name in (of_discs if own[0].foot.shape == "disc" else of_balls)
         }
         for name in LAWS
     }
     full = [soil for soil in true if all(f"{soil} {foot}" in grains for foot in FEET)]
-    phi = {soil: true[soil] for soil in sorted(full, key=true.__getitem__) if soil.count("-") == 1}
+    others = ("slow", "narrow")
+    phi = {soil: true[soil] for soil in sorted(full, key=true.__getitem__)
+           if not soil.endswith(others)}  # fmt: skip
+    one_size = {soil: angle for soil, angle in phi.items() if soil.endswith("loose-coarse")}
     strength = {key: float(np.mean([log_strength(t) for t in own])) for key, own in grains.items()}
     parts = [
         (
@@ -541,7 +524,7 @@ def main() -> None:
             "`rft` is taken to plane strain by sin φ' = tan φ. SD and RMS are over soils, and in "
             "rows of all feet over these too."
         ),
-        by_law(grains, off, phi),
+        by_law(grains, off),
         "By soil: lift over ρ g R³, mean between R/2 and 3R/2, and φ by law less measured.",
         by_soil(strength, off, phi),
         (
@@ -567,7 +550,7 @@ def main() -> None:
         pages.table(compared, of_small_plates()),
     ]
     alt = "forces on plates and on feet in grains, and φ by each law over tests, soils and depths"
-    figure = draw(tests, laws, fits, by_window, grains, off, phi)
+    figure = draw(tests, laws, fits, by_window, grains, off, one_size)
     pages.write(out, "plates", "Plates and feet pressed in", parts, figure, alt)
 
 
