@@ -45,19 +45,21 @@ napoleon_google_docstring = False
 napoleon_use_ivar = True
 napoleon_use_rtype = True
 
-# Scripts of notebooks/ are run, and become pages and .ipynb files in auto_notebooks/.
+# Scripts of notebooks/ are run in the order of building.EXAMPLES, and become pages and .ipynb files in auto_notebooks/.
 sphinx_gallery_conf = {
     "examples_dirs": "notebooks",
     "gallery_dirs": "auto_notebooks",
     "filename_pattern": "",  # all of them
     "abort_on_example_error": True,
+    "backreferences_dir": "auto_notebooks/backreferences",  # minigallery wants one
     "download_all_examples": False,
     "inspect_global_variables": False,
-    "image_scrapers": (),  # a figure shows itself
+    "ignore_repr_types": "Figure",  # the scraper saves them
+    "image_scrapers": ("building.figures",),
     "min_reported_time": 1e9,
     "remove_config_comments": True,
     "show_signature": False,
-    "within_subsection_order": "FileNameSortKey",
+    "within_subsection_order": "building.Order",
     "write_computation_times": False,
 }
 
