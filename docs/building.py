@@ -48,15 +48,9 @@ def write_keys(_app: Any) -> None:
                 temporary.write_text(text, encoding="utf-8")
 
 
-class Order:
-    """Key that sorts the examples of the gallery."""
-
-    def __init__(self, _folder: str) -> None:
-        """Ignore the folder, of which there is one."""
-
-    def __call__(self, name: str) -> int:
-        """Place of a script."""
-        return EXAMPLES.index(Path(name).stem)
+def place(script: str) -> int:
+    """Place of an example in the gallery."""
+    return EXAMPLES.index(Path(script).stem)
 
 
 def figures(_block: Any, script: dict[str, Any], settings: Any) -> str:

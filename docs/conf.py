@@ -45,7 +45,7 @@ napoleon_google_docstring = False
 napoleon_use_ivar = True
 napoleon_use_rtype = True
 
-# Scripts of notebooks/ are run in the order of building.EXAMPLES, and become pages and .ipynb files in auto_notebooks/.
+# Scripts of notebooks/ are run, and become pages and .ipynb files in auto_notebooks/.
 sphinx_gallery_conf = {
     "examples_dirs": "notebooks",
     "gallery_dirs": "auto_notebooks",
@@ -57,9 +57,11 @@ sphinx_gallery_conf = {
     "ignore_repr_types": "Figure",  # the scraper saves them
     "image_scrapers": ("building.figures",),
     "min_reported_time": 1e9,
+    "minigallery_sort_order": "building.place",
     "remove_config_comments": True,
     "show_signature": False,
-    "within_subsection_order": "building.Order",
+    "thumbnail_size": (720, 300),
+    "within_subsection_order": "building.place",
     "write_computation_times": False,
 }
 

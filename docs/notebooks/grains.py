@@ -35,7 +35,7 @@ answers = {}
 for name, (diameter, density) in sizes.items():
     record = f"{grains}{name}_straight_1.csv"
     answers[diameter] = terraphi.invert(record, leg="straight", density=f"{density}±7")
-pd.DataFrame({f"{d} mm": [a.phi, a.verdict] for d, a in answers.items()}).T
+pd.DataFrame({f"{d} mm": {"φ": a.phi.median, "sd": a.phi.sd} for d, a in answers.items()}).round(1)
 
 # %%
 # Without size

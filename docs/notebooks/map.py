@@ -53,9 +53,8 @@ print(done.stdout.decode())
 layers = ("phi_median", "p_unstable", "extrapolated")
 phi, p, far = (rasterio.open(folder / "slopes" / f"{name}.tif").read(1) for name in layers)
 figure, axes = plt.subplots(1, 2, figsize=(9, 3.9), layout="constrained", sharey=True)
-for one, layer, title, colors in zip(
-    axes, (phi, p), ("φ [deg]", "probability of sliding"), ("viridis", "magma_r")
-):
+shown = ((phi, "φ [deg]", "viridis"), (p, "probability of sliding", "magma_r"))
+for one, (layer, title, colors) in zip(axes, shown, strict=True):
     image = one.imshow(layer, extent=(0, 200, 0, 200), cmap=colors)
     one.contour(x, y, hill, 10, colors="black", linewidths=0.4)
     one.contourf(x, y, far, [0.5, 1.5], colors="white", alpha=0.5)

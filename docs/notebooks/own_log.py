@@ -1,8 +1,8 @@
 """
-My robot's log → map
-====================
+My robot's log → φ under each footfall
+======================================
 
-φ under each footfall of a walk, and along its path.
+Foot forces from joint torques, and φ along the path of a walk.
 :doc:`/how-to/footfalls` says what the numbers mean.
 """
 
