@@ -2,7 +2,7 @@
 A soil of known φ → a narrower interval
 =======================================
 
-One soil whose friction angle you measured removes most of the error of model and apparatus.
+A soil whose friction angle you measured takes off a part of the error of model and apparatus.
 :doc:`/how-to/calibrate` says what counts.
 """
 
@@ -13,7 +13,6 @@ One soil whose friction angle you measured removes most of the error of model an
 # 25.7 and 31.4°. The first is the known soil. The angle of the second is kept for the comparison.
 
 import matplotlib.pyplot as plt
-import numpy as np
 
 import terraphi
 
@@ -38,7 +37,7 @@ after
 
 # %%
 # The calibration takes off a part of the difference that the known soil shows. The rest may be of
-# that soil alone: two more known soils take off more.
+# that soil alone: more known soils take off more.
 
 figure, axes = plt.subplots(figsize=(7, 3.4), layout="constrained")
 for name, answer, color in (("before", before, "0.5"), ("calibrated", after, "C0")):
@@ -54,7 +53,9 @@ axes.legend(frameon=False)
 figure
 
 # %%
-# What each source of error leaves [deg]:
+# The sources of error, before and after [deg]. The height of the hip, the friction of the leg and
+# the gain of the sensor stay in an apparatus: with the same leg they are part of what was
+# calibrated.
 
 for name, before_deg in before.budget_deg.items():
-    print(f"{name:25} {before_deg:4.1f} → {after.budget_deg.get(name, np.nan):.1f}")
+    print(f"{name:25} {before_deg:4.1f} → {after.budget_deg.get(name, 0.0):.1f}")

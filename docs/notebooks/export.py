@@ -19,7 +19,8 @@ import terraphi
 
 answer = terraphi.invert("li2013:yuma/straight")
 soil = terraphi.export(answer, to="newton", draws=2000)
-print(soil["title"], soil["parameter"], round(soil["value"], 3), "95 %:", soil["ci95"])
+low, high = soil["ci95"]
+print(f"{soil['title']}: {soil['parameter']} {soil['value']:.3f}, 95 %: {low:.3f} to {high:.3f}")
 print("Not inferred:", soil["not_inferred"])
 
 # %%
@@ -48,4 +49,4 @@ figure
 
 names = ("genesis", "newton", "isaaclab", "chrono-crm", "chrono-scm", "geotaichi")
 found = [terraphi.export(answer, to=name) for name in names]
-pd.DataFrame(found, index=names)[["parameter", "value", "unit", "formula"]].round(2)
+pd.DataFrame(found, index=names)[["parameter", "value", "unit"]].round(2)

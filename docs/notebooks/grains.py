@@ -28,7 +28,7 @@ print(f"{critical:.1f}°")
 # The leg
 # -------
 # The same soil in grains of three sizes: diameter [mm] and density [kg/m³] by file. The larger
-# the grains, the larger the angle that the leg of 25 mm width seems to have.
+# the grains, the larger the angle, because the leg is only 25 mm wide.
 
 sizes = {"-fine": (4.4, 1431), "": (6.0, 1418), "-coarse": (8.8, 1406)}
 answers = {}

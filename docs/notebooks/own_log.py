@@ -9,7 +9,7 @@ Foot forces from joint torques, and φ along the path of a walk.
 # %%
 # A log
 # -----
-# Yours is a CSV, Parquet, MCAP or rosbag2: skip this step. Here a Go2 walks on sand in MuJoCo, by
+# Yours is a CSV, Parquet, MCAP or rosbag2: skip this step. Here a Go2 trots on sand in MuJoCo, by
 # an example of the repository that writes ``walk.csv`` and ``truth.csv``, φ where its feet stood.
 
 # sphinx_gallery_thumbnail_number = 3
@@ -23,7 +23,7 @@ import pandas as pd
 import terraphi
 
 walk = f"{tempfile.mkdtemp()}/walk"
-options = ["--out", walk, "--seed", "4", "--duration", "12"]
+options = ["--out", walk, "--gait", "trot", "--duration", "4", "--seed", "4"]
 script = [sys.executable, "../../examples/sand_walk.py", *options]
 print(subprocess.run(script, check=True, capture_output=True, text=True).stdout)
 

@@ -42,7 +42,8 @@ cases = recovery("paper", draws=False).data["cases"]
 true = np.array([case["phi_true_deg"] for case in cases])
 median = np.array([case["phi_median_deg"] for case in cases])
 low, high = np.transpose([case["ci68"] for case in cases])
-print(f"largest error {np.abs(median - true).max():.2f}°", sum((low <= true) & (true <= high)))
+inside = np.sum((low <= true) & (true <= high))
+print(f"largest error {np.abs(median - true).max():.2f}°, {inside} of {true.size} inside 68 %")
 
 # %%
 
