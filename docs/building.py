@@ -1,4 +1,4 @@
-"""Formulas as MathML and tables of keys, for Sphinx."""
+"""Formulas as MathML, tables of keys, and the gallery of examples, for Sphinx."""
 
 from __future__ import annotations
 
@@ -7,11 +7,15 @@ from pathlib import Path
 from typing import Any
 
 from docutils.utils.math import latex2mathml
+from matplotlib.figure import Figure
+from sphinx_gallery.scrapers import figure_rst
 
 from terraphi.experiment.files import replacing
 from terraphi.view.keys import DOCUMENTS, markdown
 
 HERE = Path(__file__).parent
+EXAMPLES = ("own_forces", "calibration", "own_leg", "own_log", "map", "export", "grains", "paper")
+"""Scripts of notebooks/ in the order of the gallery."""
 
 
 def inline_math(translator: Any, node: Any) -> None:
@@ -42,3 +46,19 @@ def write_keys(_app: Any) -> None:
         if not path.is_file() or path.read_text(encoding="utf-8") != text:
             with replacing(path) as temporary:
                 temporary.write_text(text, encoding="utf-8")
+
+
+def place(script: str) -> int:
+    """Place of an example in the gallery."""
+    return EXAMPLES.index(Path(script).stem)
+
+
+def figures(_block: Any, script: dict[str, Any], settings: Any) -> str:
+    """Save the figure that a block of an example ends with, and return how to show it."""
+    last = script["example_globals"].get("___")
+    if not isinstance(last, Figure) or last is script.get("shown"):
+        return ""
+    script["shown"] = last
+    path = next(script["image_path_iterator"])
+    last.savefig(path, dpi=150)
+    return str(figure_rst([path], settings["src_dir"]))

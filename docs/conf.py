@@ -51,13 +51,17 @@ sphinx_gallery_conf = {
     "gallery_dirs": "auto_notebooks",
     "filename_pattern": "",  # all of them
     "abort_on_example_error": True,
+    "backreferences_dir": "auto_notebooks/backreferences",  # minigallery wants one
     "download_all_examples": False,
     "inspect_global_variables": False,
-    "image_scrapers": (),  # a figure shows itself
+    "ignore_repr_types": "Figure",  # the scraper saves them
+    "image_scrapers": ("building.figures",),
     "min_reported_time": 1e9,
+    "minigallery_sort_order": "building.place",
     "remove_config_comments": True,
     "show_signature": False,
-    "within_subsection_order": "FileNameSortKey",
+    "thumbnail_size": (720, 300),
+    "within_subsection_order": "building.place",
     "write_computation_times": False,
 }
 

@@ -1,12 +1,17 @@
-"""Draw docs/demo.png and docs/how-to/leg.png: ``python docs/pictures.py``."""
+"""Draw docs/front.png, docs/demo.png and docs/how-to/leg.png: ``python docs/pictures.py``."""
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Polygon, Rectangle
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "studies" / "grains"))
+import table
 
 import terraphi
 from terraphi.experiment.leg import Leg, LegShape, frame_axes
@@ -17,7 +22,14 @@ HIP_MM, REACH_MM = 20.0, 105.0
 """Height of the hip above the surface, and half the width of the picture [mm]."""
 THETA_DEG = -50.0
 SAND = "li2013:yuma/straight"
-LEGS: tuple[LegShape, ...] = ("straight", "c", "reversed_c")
+LEGS: dict[LegShape, str] = {"straight": BLUE, "c": ORANGE, "reversed_c": GREEN}
+MEDIA = {
+    "glass03_loose": "glass beads,\nloose",
+    "glass03_close": "glass beads,\nclose",
+    "yuma": "Yuma\nsand",
+    "poppy_loose": "poppy seeds,\nloose",
+}
+"""Measured media, and what the picture calls them."""
 
 
 def outline_mm(leg: Leg, theta_deg: float) -> np.ndarray:
@@ -88,19 +100,69 @@ def legs() -> Figure:
     return figure
 
 
+def interval(axes: object, place: float, row: dict[str, Any]) -> None:
+    """Draw an answer: its median, a cross if it is a misfit, and both intervals."""
+    at = place + 0.22 * (list(LEGS).index(row["leg"]) - 1)
+    colour, mark = LEGS[row["leg"]], "o" if row["verdict"] == "consistent" else "x"
+    axes.plot([at, at], row["ci95"], color=colour, lw=0.8)
+    axes.plot([at, at], row["ci68"], color=colour, lw=3)
+    axes.plot(at, row["phi_deg"], mark, color=colour, ms=5)
+
+
+def accuracy(figure: Any) -> None:
+    """Draw answers for grains over their measured angle, and for measured media by leg."""
+    library = terraphi.Library.load("sand3d")
+    rows = table.answers(library, table.model_error.readings(library))
+    grains, media = figure.subplots(1, 2, sharey=True)
+    for row in rows:
+        if row["kind"] == "grains" and row["packing"] == "loose":
+            interval(grains, row["phi_critical_deg"], row)
+        elif row["kind"] == "medium":
+            place = list(MEDIA).index(row["soil"])
+            interval(media, place, row)
+            if row["phi_peak_deg"] is not None:
+                repose = [row["phi_peak_deg"]] * 2
+                media.plot([place - 0.4, place + 0.4], repose, color=GREY, lw=1)
+    grains.plot([18, 35], [18, 35], color=GREY, lw=1, label="φ of the shear cell")
+    media.plot([], [], color=GREY, lw=1, label="angle of repose, a guide")
+    for leg, colour in LEGS.items():
+        grains.plot([], [], "o", color=colour, label=leg.replace("_", " "))
+    for axes in (grains, media):
+        axes.legend(frameon=False, fontsize="small", loc="upper left")
+    grains.set(title="simulated grains, φ known", xlabel="φ by a shear cell [deg]")
+    grains.set(ylabel="φ by terraphi [deg]")
+    media.set(title="measured media, three legs in each")
+    media.set_xticks(range(len(MEDIA)), MEDIA.values())
+
+
+def front() -> Figure:
+    """The apparatus, the answer for a measured sand, and how accurate answers are."""
+    figure = Figure(figsize=(12.0, 7.0), layout="constrained")
+    top, bottom = figure.subfigures(2, 1, height_ratios=(3.2, 3.8))
+    answer(top)
+    accuracy(bottom)
+    return figure
+
+
 def demo() -> Figure:
     """The apparatus, and the answer for a measured sand."""
     figure = Figure(figsize=(12.0, 3.2), layout="constrained")
+    answer(figure)
+    return figure
+
+
+def answer(figure: Any) -> None:
+    """Draw the apparatus, and the answer for a measured sand."""
     left, right = figure.subfigures(1, 2, width_ratios=(1.0, 2.8))
     axes = left.subplots()
     apparatus(axes)
     axes.set(xlim=(-60, 90), ylim=(-95, 25))
     terraphi.invert(SAND).plot(right)
-    return figure
 
 
 def main() -> None:
-    """Write both pictures."""
+    """Write the pictures."""
+    save(front(), DOCS / "front.png")
     save(legs(), DOCS / "how-to" / "leg.png")
     save(demo(), DOCS / "demo.png")
 

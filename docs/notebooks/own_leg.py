@@ -12,7 +12,8 @@ Simulations of one leg over a range of φ, checked with a soil of known φ.
 # 100 mm long, 30 mm wide, hip 25 mm above the surface. Resistive force theory (``rft``) takes a
 # second a case.
 
-# sphinx_gallery_thumbnail_path = 'how-to/leg.png'
+import tempfile
+
 import numpy as np
 
 import terraphi
@@ -25,18 +26,15 @@ scenario = terraphi.Scenario(
     bed={"floor": 0.005, "height": 0.165},
 )
 angles = [15.0, 20.0, 25.0, 30.0, 35.0, 40.0, 45.0, 50.0]
-plan = terraphi.Plan(
-    name="my-leg",
-    scenario=scenario,
-    sweep={"soil.friction_angle_deg": angles},
-)
+sweep = {"soil.friction_angle_deg": angles}
+plan = terraphi.Plan(name="my-leg", scenario=scenario, sweep=sweep)
 
 # %%
 # Build it
 # --------
 # An interrupted build continues where it stopped.
 
-library = terraphi.build(plan, "my-leg.nc")
+library = terraphi.build(plan, f"{tempfile.mkdtemp()}/my-leg.nc")
 library
 
 # %%
@@ -73,13 +71,8 @@ terraphi.invert(record, **options)
 # The bed of ``sand3d`` is made for a leg of 76 mm: one of 100 mm comes to 40 mm from its ends.
 
 base = terraphi.Plan.load("sand3d").scenario
-real = terraphi.Plan(
-    name="my-leg-mpm",
-    scenario=base.replace(
-        **{"leg.chord": 0.100, "leg.width": 0.030, "motion.hip.1": base.bed.surface + 0.025},
-    ),
-    sweep={"soil.friction_angle_deg": angles},
-)
+mine = {"leg.chord": 0.100, "leg.width": 0.030, "motion.hip.1": base.bed.surface + 0.025}
+real = terraphi.Plan(name="my-leg-mpm", scenario=base.replace(**mine), sweep=sweep)
 print(real.count, "cases of", real.scenario.model, real.scenario.dimensions, "D")
 
 # %%
