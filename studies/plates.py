@@ -1,9 +1,9 @@
 """Plates and balls pressed in: force laws of a foot against measurements and simulated grains.
 
 Flat discs that go down slowly are the nearest that public measurements come to a foot. Each test
-is fitted by each law, with φ and the first contact unknown, and again in windows of its depth. Balls
-and discs pressed into simulated grains (`grains/`) are fitted likewise; there a shear cell measured
-φ. Li et al. (2013) measured a plate of 38 by 25 mm, inclined and moved
+is fitted by each law, with φ and the first contact unknown, and again in windows of its depth.
+Balls and discs pressed into simulated grains (`grains/`) are fitted likewise; there a shear cell
+measured φ. Li et al. (2013) measured a plate of 38 by 25 mm, inclined and moved
 down, along or between. It is fitted with one φ for each medium, and compared with the soil of
 `sand3d`.
 """
@@ -64,7 +64,8 @@ WINDOWS_R = ((0.25, 0.5), (0.5, 1.0), (1.0, 1.5))
 CHECKS = (
     ("grains of 8.8 mm, not 6 mm", "-coarse ", " "),
     ("grains of 4.4 mm, not 6 mm", "-fine ", " "),
-    ("bed of 180 × 180 × 105 mm, not 270 × 270 × 150 mm (8.8 mm)", "-narrow ", "-coarse "),
+    ("bed 20 diameters wide, not 30 (8.8 mm)", "-narrow ", "-coarse "),
+    ("bed 45 diameters wide, not 30", "-wide ", " "),
     ("15 mm/s, not 30 mm/s (8.8 mm, in that bed)", "-slow ", "-narrow "),
     ("ball of 60 mm, not 44 mm", "loose ball_60", "loose ball_44"),
     ("disc of 60 mm, not 38 mm", "loose disc_60", "loose disc_38"),
@@ -174,12 +175,6 @@ def one_angle(tests: list[Test], law: Law) -> tuple[float, float]:
     return float(angles[best]), float(misfit[best])
 
 
-def law_spread(by_window: dict[str, np.ndarray]) -> float:
-    """Standard deviation of a test's φ over laws and depths [deg], shape [test, window] each."""
-    every = np.stack(list(by_window.values()), axis=1)  # [test, law, window]
-    return float(np.sqrt(every.reshape(len(every), -1).var(axis=1, ddof=1).mean()))
-
-
 def in_grains() -> dict[str, list[Test]]:
     """Feet pressed into simulated grains, a test for each seed, by soil and foot."""
     tests: dict[str, list[Test]] = {}
@@ -256,12 +251,10 @@ def by_law(tests: dict[str, list[Test]], off: Mapping[str, Mapping[str, np.ndarr
     for name, own in off.items():
         law, means, spreads, errors = law_of(name), [], [], []
         for foot, words in FEET.items():
-            whole, *windows = (
-                sizeless({key: float(values[k]) for key, values in own.items()}, foot)
-                for k in range(1 + len(WINDOWS_R))
-            )
+            whole = sizeless({key: float(value[0]) for key, value in own.items()}, foot)
             values = np.array(list(whole.values.values()))
-            depths = [np.mean(list(window.values.values())) for window in windows]
+            usual = [f"{soil}{size} {foot}" for soil in whole.values for size in ("", "-coarse")]
+            depths = np.mean([own[key] for key in usual if key in own], axis=0)[1:]
             drag = ""
             if foot == TURNED:
                 turned = [t for key, each in tests.items() if key.endswith(foot) for t in each]
@@ -283,11 +276,12 @@ def by_law(tests: dict[str, list[Test]], off: Mapping[str, Mapping[str, np.ndarr
         rows.append((
             name, "all", f"{overall[0]:+.1f}°", "", *(f"{depth:+.1f}°" for depth in overall[1:]),
             f"{parts[0]:.1f}°", f"{parts[3]:.1f}°",
-            f"± {np.sqrt(np.square(parts).sum()):.1f}°: soils {parts[0]:.1f}°, depths "
-            f"{parts[1]:.1f}°, feet {parts[2]:.1f}°, size {parts[3]:.1f}°",
+            (f"± {np.sqrt(np.square(parts).sum()):.1f}°: soils {parts[0]:.1f}°, depths "
+            f"{parts[1]:.1f}°, feet {parts[2]:.1f}°, size {parts[3]:.1f}°"),
         ))  # fmt: skip
     windows = [f"{a:g} to {b:g} R" for a, b in WINDOWS_R]
-    header = ("law", "foot", "φ less measured", "each mm of grains adds", *windows, "SD of soils",
+    header = ("law", "foot", "φ less measured", "each mm of grains adds",
+              *(f"{window}, as it is" for window in windows), "SD of soils",
               "error of the size", "drag over lift: law / grains; SD of all")  # fmt: skip
     return pages.table(header, rows)
 
@@ -365,8 +359,9 @@ def of_inclined_plates() -> list[tuple[str, ...]]:
                    for leg in pages.LEGS]  # fmt: skip
         by_law = (fitted(level, law_of(name))[0] for name in LAWS)
         rows.append((
-            *words, f"{np.mean(stirred):.1f}°", f"{to_plane_strain(best):.1f}°", f"{share[1]:.0%}", f"{share[0]:.0%}",
-            f"{flat:.2f}", f"{upright:.2f}", *(f"{angle:.1f}°" for angle in by_law),
+            *words, f"{np.mean(stirred):.1f}°", f"{to_plane_strain(best):.1f}°",
+            f"{share[1]:.0%}", f"{share[0]:.0%}", f"{flat:.2f}", f"{upright:.2f}",
+            *(f"{angle:.1f}°" for angle in by_law),
         ))  # fmt: skip
     return rows
 
@@ -485,11 +480,11 @@ def main() -> None:
                 f"{angle:.1f}° ({misfit:.0%})",
             )
         )
-    spread = law_spread(by_window)
     windows = [f"{a:g} to {b:g} mm" for a, b in WINDOWS_MM]
     header = ("law", "φ, mean of tests", "between repeats", *windows, "misfit", "one φ for all")
     compared = ("plate of 38 × 25 mm in", "angle", "pressed down", "moved along")
-    of_motions = ("medium", "angle", "φ by the three legs", "φ, all motions", "residual, vertical", "residual, along",
+    of_motions = ("medium", "angle", "φ by the three legs", "φ, all motions",
+                  "residual, vertical", "residual, along",
                   "model over measured, level plate down", "the same, upright plate along",
                   *(f"level plate down, {name}" for name in LAWS))  # fmt: skip
     grains = in_grains()
@@ -505,7 +500,7 @@ def main() -> None:
         for name in LAWS
     }
     full = [soil for soil in true if all(f"{soil} {foot}" in grains for foot in FEET)]
-    others = ("slow", "narrow")
+    others = ("slow", "narrow", "wide")
     phi = {soil: true[soil] for soil in sorted(full, key=true.__getitem__)
            if not soil.endswith(others)}  # fmt: skip
     one_size = {soil: angle for soil, angle in phi.items() if soil.endswith("loose-coarse")}
@@ -517,22 +512,21 @@ def main() -> None:
             "unknown, to whole tests and in windows of sinkage; misfits are over peak-to-peak."
         ),
         pages.table(header, rows),
-        f"Over laws and depths φ of one test scatters by {spread:.1f}°: the error of a law.",
         "## Feet pressed into simulated grains",
         (
             f"{sum(len(own) for own in grains.values())} balls and discs pressed 1.5 R deep into "
-            "spheres simulated one by one, of 6 mm unless a row has another size. A shear cell "
-            "measured their critical φ in plane strain. The laws are fitted in the same way; φ of "
-            "`rft` is taken to plane strain by sin φ' = tan φ. SD and RMS are over soils, and in "
-            "rows of all feet over these too."
+            "loose spheres simulated one by one, of 6 and 8.8 mm (-coarse), in beds 30 diameters "
+            "wide. A shear cell measured their critical φ in plane strain. The laws are fitted in "
+            "the same way; φ of `rft` is taken to plane strain by sin φ' = tan φ. φ less measured "
+            "is that in grains of no size, by a line over the size, as steep in all soils."
         ),
         by_law(grains, off),
         "By soil: lift over ρ g R³, mean between R/2 and 3R/2, and φ by law less measured.",
         by_soil(strength, off, phi),
         (
             "What else a record depends on: change of the lift, and of φ by each law. One bed "
-            "scatters by the last row, which smaller changes do not pass. Walls and floor of the "
-            "standard bed raise the lift."
+            "scatters by the last row, which smaller changes do not pass. Grains are 6 mm unless "
+            "a row has another size."
         ),
         by_setting(grains, strength, off),
         "## A plate at all inclinations",

@@ -44,7 +44,7 @@ class Soil:
     feet: tuple[str, ...]
     seeds: tuple[int, ...]
     rate: float
-    bed_mm: tuple[float, float, float]
+    bed: tuple[float, float, float]
 
     @property
     def diameter(self) -> float:

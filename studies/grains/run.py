@@ -85,7 +85,7 @@ def pressed(soil: engine.Soil, name: str, seed: int, work: Path, out: Path) -> P
         return path
     foot, descent = foot_of(name)
     folder = work / f"{soil.name}_{seed}_feet"
-    length, breadth, thickness = (1e-3 * each for each in soil.bed_mm)
+    length, breadth, thickness = (soil.diameter * each for each in soil.bed)
     box = (-0.5 * length, 0.5 * length, -0.5 * breadth, 0.5 * breadth)
     engine.bed(soil, seed, (*box, 0.0), thickness, folder)
     surface, fraction = engine.layering(engine.dump(folder / "bed.dump"), length * breadth)
