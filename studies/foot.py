@@ -36,6 +36,9 @@ POWER = {"sphere": 1.5, "cylinder": 0.0}
 """Of the depth, by which forces grow before it."""
 TERMS = {"sphere": 4, "cylinder": 3}
 """Of the polynomial over the depth that a force over that power is."""
+WEAKER_DEG = 2.0
+"""By how much feet in loose grains of no size find less φ than a shear cell (`plates.py`) [deg]: soil
+that a foot compacts is weaker. At φ the law has the force of the simulation at φ less this."""
 SCATTER, UNKNOWN = 0.02, 0.05
 """Of ln F: between particle seeds and in smoothing, and for a correction that was not simulated."""
 NAMES = {"sphere": "ball", "cylinder": "disc"}
@@ -214,11 +217,12 @@ def write_table(
     data = xr.Dataset(
         {"force": ((*axes, "ratio", "axis"), force.astype(np.float32)),
          "relative_sd": (("phi_deg", "ratio"), sd.astype(np.float32))},
-        {**axes, "ratio": RATIO, "axis": ["along", "up"]},
+        {**axes, "phi_deg": axes["phi_deg"] + WEAKER_DEG, "ratio": RATIO, "axis": ["along", "up"]},
         {
             "terraphi_file": "foot law", "terraphi_schema": 1,
             "description": f"force over ρ g R³ on a {NAMES[shape]} of radius R, along the "
-            "horizontal part of its motion and up; φ in plane strain, ψ = 0, Matsuoka and Nakai",
+            "horizontal part of its motion and up; φ in plane strain, ψ = 0, Matsuoka and Nakai; "
+            f"φ is {WEAKER_DEG:g}° above the simulated one, as grains have it",
             "products": "; ".join(products),
         },
     )  # fmt: skip
@@ -325,7 +329,12 @@ def main() -> None:
         parts += [DRIFT, pages.table(header, slopes(law))]
         header = ("disc, φ = 36°", *(f"p/ρgz at {depth:g} R" for depth in COMPACTED_AT))
         parts.append(pages.table(header, compacted(cases)))
-    alt = "lift on a ball and a disc over depth, by friction angle"
+    parts.append(
+        f"Feet in loose grains whose φ a shear cell measured find {WEAKER_DEG:g}° less by this law "
+        "([plates](plates.md)). So at φ the files have the force that was simulated at "
+        f"φ − {WEAKER_DEG:g}°; the numbers above are of simulated φ, those of plates of the law."
+    )
+    alt = "lift on a ball and a disc over depth, by simulated friction angle"
     pages.write(out, "foot", "The simulated law of a foot", parts, draw(tables), alt)
 
 

@@ -173,13 +173,16 @@ def test_soil_takes_energy_and_gives_numbers_everywhere(
     ("phi", "n", "n_q"), [(22, 1.15, 7.64), (29, 3.37, 16.53), (36, 10.71, 40.11)]
 )
 def test_smooth_ball_bears_what_a_smooth_footing_does(phi: float, n: float, n_q: float) -> None:
-    """The cap's circle at its mean depth; a quarter for ψ = 0, μ_s = 0.1 and summing loads."""
+    """The cap's circle at its mean depth; a quarter for ψ = 0, μ_s = 0.1 and summing loads.
+
+    What was simulated at φ is the law's at φ + 2°, since soil that a foot compacts is weaker.
+    """
     for ratio in (0.6, 0.8, 1.0):
         area = 2.0 * ratio - ratio**2  # over π R²
         base = ratio * (3.0 - ratio) / (3.0 * (2.0 - ratio))
         expected = math.pi * area * (math.sqrt(area) * n + base * n_q)
         found = LAWS["foot"].force(
-            Foot(1.0), ratio, math.pi / 2, friction_angle_deg=phi, density=1.0 / 9.81,
+            Foot(1.0), ratio, math.pi / 2, friction_angle_deg=phi + 2.0, density=1.0 / 9.81,
             surface_friction=0.1,
         )  # fmt: skip
         assert found[1] == pytest.approx(expected, rel=0.25)
@@ -215,7 +218,7 @@ def test_simulated_force_grows_with_angle_friction_and_depth(shape: str) -> None
 
 def test_simulated_law_does_not_answer_outside_its_table() -> None:
     outside = LAWS["foot"].force(
-        BALL, 0.02, math.pi / 2, friction_angle_deg=[13.0, 14.5, 50.5, 52.0], **SAND
+        BALL, 0.02, math.pi / 2, friction_angle_deg=[13.5, 14.5, 54.5, 55.5], **SAND
     )
     assert np.isnan(outside[:, 1]).tolist() == [True, False, False, True]
     with pytest.raises(InputError, match=r"surface_friction = 0\.7.*0\.2 to 0\.5"):

@@ -7,8 +7,8 @@ different evidence, so that their difference shows how much the choice matters:
 ``foot``
     Simulated: the material point method in three dimensions, with the soil of library ``sand3d``
     (φ of plane strain, no dilation), over the angle, the friction and the direction. Forces are
-    proportional to ρ g R³ and were extrapolated in cells, particles and stiffness
-    (``studies/foot.py``).
+    proportional to ρ g R³ and were extrapolated in cells, particles and stiffness, and φ was
+    corrected by what feet in grains of known φ read (``studies/foot.py``).
 ``rft``
     Resistive force theory in three dimensions (Agarwal, Goldman & Kamrin, 2023; see
     :mod:`~terraphi.forward.rft`), summed over the faces of the foot that lead and are submerged.
@@ -66,7 +66,7 @@ DESCENTS = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 61)
 """Directions of motion that are tabulated, from straight up to straight down [rad]."""
 SCHEMA = 1
 """Of the files of simulated forces."""
-BEYOND_DEG, BEYOND_FRICTION = 1.0, 0.15
+BEYOND_DEG, BEYOND_FRICTION = 3.0, 0.15
 """How far outside the simulated angles [deg] and frictions the simulated law is continued."""
 
 
