@@ -440,7 +440,9 @@ def test_decimal_commas_with_three_decimals_are_no_thousands(
     np.testing.assert_allclose(history.Fz, fz, atol=6e-4)
 
 
-@pytest.mark.parametrize("word", ["#N/A", "#N/D", "#NV", "#NAME?", "#BEZUG!", "#¡VALOR!", "#DIV/0!"])
+@pytest.mark.parametrize(
+    "word", ["#N/A", "#N/D", "#NV", "#NAME?", "#BEZUG!", "#¡VALOR!", "#DIV/0!"]
+)
 def test_errors_of_spreadsheets_are_missing_values_and_no_comments(
     tmp_path: Path, word: str
 ) -> None:
