@@ -344,6 +344,7 @@ every_kind = pytest.mark.parametrize("name", ["log.csv", "log.mcap"])
         (lambda: {"velocity": np.degrees(log.velocity)}, "57.3 times"),
         (lambda: {"time": log.time[0] + 2.0 * (log.time - log.time[0])}, "2 times the rate"),
         (lambda: {"time": log.time[0] + 0.5 * (log.time - log.time[0])}, "0.5 times the rate"),
+        (lambda: {"velocity": -log.velocity}, "-1 times the rate"),
         (lambda: {"quaternion": np.full_like(log.quaternion, 2.0)}, "(w, x, y, z)"),
         (lambda: {"torque": np.where(np.arange(200) < 101, np.nan, log.torque.T).T},
          "101 of 200 samples: not a finite number"),
