@@ -210,7 +210,7 @@ STRONG = {"phi_plane_strain_deg": None, "phi_plane_strain_reason": "too strong"}
         ({"questions": 5}, "--to newton", "questions = 5: should be a valid array"),
         ({"density_kg_m3": -5.0}, "--to newton", "density_kg_m3 = -5.0: should be greater than 0"),
         ({"leg_friction": "x"}, "--to newton", "leg_friction = 'x'"),
-        ({"density_kg_m3": None}, "--to newton", "not as 'terraphi invert' writes"),
+        ({"density_kg_m3": None}, "--to newton", "density_kg_m3 = None: should be a valid number"),
         ({}, "--to mujoco", "mujoco has no soil"),
         ({}, "--to newton --dp-type Inscribed", "only geotaichi"),
         ({}, "--to newton --draws 3", "has no draws of the posterior"),

@@ -515,7 +515,7 @@ class Stored(BaseModel):
     edge: Literal["low", "high"] | None = None
     library: str
     library_reason: str = ""
-    density_kg_m3: float | None = Field(None, gt=0.0, lt=1e5)
+    density_kg_m3: float = Field(gt=0.0, lt=1e5)
     density_sd_kg_m3: float | None = Field(None, ge=0.0, lt=1e5)
     density_assumed: bool | None = None
     leg_friction: float | None = Field(None, ge=0.0, lt=10.0)
