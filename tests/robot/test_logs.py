@@ -314,6 +314,18 @@ def test_views_in_a_bag_are_refused(tmp_path: Path) -> None:
     refused(tmp_path / "bag", "not a whole bag")
 
 
+def test_values_that_fill_the_memory_are_refused(tmp_path: Path) -> None:
+    write_rosbag2(tmp_path / "bag", log)
+    file = next((tmp_path / "bag").glob("*.db3"))
+    with contextlib.closing(sqlite3.connect(file)) as database:
+        database.executescript(
+            "CREATE TABLE own AS SELECT id, topic_id, timestamp FROM messages; DROP TABLE messages;"
+            "ALTER TABLE own RENAME TO messages; ALTER TABLE messages ADD COLUMN data BLOB "
+            "GENERATED ALWAYS AS (zeroblob(900000000)) VIRTUAL;"
+        )
+    refused(tmp_path / "bag", "not a whole bag", "too big")
+
+
 def test_a_database_that_takes_too_long_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
