@@ -314,6 +314,14 @@ def test_views_in_a_bag_are_refused(tmp_path: Path) -> None:
     refused(tmp_path / "bag", "not a whole bag")
 
 
+def test_a_bag_whose_messages_are_all_damaged_is_refused(tmp_path: Path) -> None:
+    write_rosbag2(tmp_path / "bag", log)
+    file = next((tmp_path / "bag").glob("*.db3"))
+    with contextlib.closing(sqlite3.connect(file)) as database:
+        database.executescript("UPDATE messages SET data = x'00';")
+    refused(tmp_path / "bag", "not a message of its type")
+
+
 def test_values_that_fill_the_memory_are_refused(tmp_path: Path) -> None:
     write_rosbag2(tmp_path / "bag", log)
     file = next((tmp_path / "bag").glob("*.db3"))

@@ -91,6 +91,7 @@ def joint_log(
     InputError
         If no sample is sound, if over half are not for one reason, or if the units are wrong.
     """
+    _refuse_if_hopeless(path, dropped, len(values["stamp"]))
     values = _sound(values, dropped)
     _refuse_if_hopeless(path, dropped, len(values["stamp"]))
     time, facts_of_time = seconds(values.pop("stamp"), values.pop("recorded", None), clock)
