@@ -320,6 +320,13 @@ def test_a_mistake_is_one_sentence_that_names_the_remedy(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_codes_in_names_do_not_reach_the_terminal(terraphi: Terraphi, tmp_path: Path) -> None:
+    name = "a\x1b]0;title\x07b.csv"
+    assert terraphi("simulate", "quick", "--out", f"{name}.nc").status == 0
+    out = terraphi("report", f"{name}.nc", "--out", "r.html").out
+    assert out.startswith("a\\x1b]0;title\\x07b.csv")
+
+
 def test_numbers_and_depth_without_bound_are_one_sentence(
     terraphi: Terraphi, tmp_path: Path
 ) -> None:

@@ -21,6 +21,7 @@ from terraphi.experiment.files import (
     number_with_sd,
     open_netcdf,
     plain_number,
+    read_bytes,
     replacing,
     write_netcdf,
 )
@@ -193,3 +194,5 @@ def test_missing_files(tmp_path: Path) -> None:
         open_netcdf(tmp_path / "absent.nc", kind="thing", schema=3)
     with pytest.raises(InputError, match="is a folder; expected a file"):
         open_netcdf(tmp_path, kind="thing", schema=3)
+    with pytest.raises(InputError, match="null byte"):
+        read_bytes(Path("a\0b"))

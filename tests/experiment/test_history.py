@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -223,6 +224,16 @@ def test_a_netcdf_that_lacks_something(tmp_path: Path, gone: list[str]) -> None:
     content.to_netcdf(tmp_path / "y.nc", engine="h5netcdf")
     with pytest.raises(InputError, match=r"y\.nc: not a whole force history"):
         ForceHistory.from_netcdf(tmp_path / "y.nc")
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("file", 5), ("reading", 5), ("force_unit", "zz"), ("measurement", []), ("scenario", [])],
+)
+def test_a_netcdf_whose_provenance_has_other_types(tmp_path: Path, key: str, value: object) -> None:
+    replace(random_history(), provenance={key: value}).to_netcdf(tmp_path / "x.nc")
+    with pytest.raises(InputError, match=rf"x\.nc, provenance: {key}.* should be"):
+        ForceHistory.from_netcdf(tmp_path / "x.nc")
 
 
 def test_csv_there_and_back(tmp_path: Path) -> None:

@@ -438,3 +438,16 @@ def test_decimal_commas_with_three_decimals_are_no_thousands(
     [history] = read_trials(tmp_path / "f.txt")
     np.testing.assert_allclose(history.Fx, fx, atol=6e-4)
     np.testing.assert_allclose(history.Fz, fz, atol=6e-4)
+
+
+@pytest.mark.parametrize(
+    "word", ["#N/A", "#N/D", "#NV", "#NAME?", "#BEZUG!", "#¡VALOR!", "#DIV/0!"]
+)
+def test_errors_of_spreadsheets_are_missing_values_and_no_comments(
+    tmp_path: Path, word: str
+) -> None:
+    rows = [f"{word if t == 0 else t},{t},{t + 1}" for t in range(-80, 81, 4)]
+    (tmp_path / "x.csv").write_text("\n".join(["# N/A is missing", "theta_deg,Fx_N,Fz_N", *rows]))
+    found = read_forces(tmp_path / "x.csv")
+    assert len(found.position) == len(rows) - 1
+    assert any("1 of 41 rows" in note for note in found.provenance["reading"])

@@ -158,6 +158,12 @@ def test_second_opinion_is_in_plane_strain() -> None:
     assert answer.second_opinion["median"] == pytest.approx(expected, abs=0.05)
 
 
+def test_a_model_error_of_another_type_is_refused(sand3d: Library) -> None:
+    spoilt = replace(sand3d, model_error={"straight": 5})
+    with pytest.raises(InputError, match=r"library sand3d, model_error\.straight"):
+        invert("li2013:yuma/straight", library=spoilt)
+
+
 def test_another_opinion_far_away_widens_the_interval(sand3d: Library) -> None:
     """By as much as makes both opinions likely; sure of its offset, the library is 17° too high."""
     error = sand3d.model_error["straight"] | {"without": {}, "offset_deg": -17.0}

@@ -314,6 +314,26 @@ def test_views_in_a_bag_are_refused(tmp_path: Path) -> None:
     refused(tmp_path / "bag", "not a whole bag")
 
 
+def test_a_bag_whose_messages_are_all_damaged_is_refused(tmp_path: Path) -> None:
+    write_rosbag2(tmp_path / "bag", log)
+    file = next((tmp_path / "bag").glob("*.db3"))
+    with contextlib.closing(sqlite3.connect(file)) as database:
+        database.executescript("UPDATE messages SET data = x'00';")
+    refused(tmp_path / "bag", "not a message of its type")
+
+
+def test_values_that_fill_the_memory_are_refused(tmp_path: Path) -> None:
+    write_rosbag2(tmp_path / "bag", log)
+    file = next((tmp_path / "bag").glob("*.db3"))
+    with contextlib.closing(sqlite3.connect(file)) as database:
+        database.executescript(
+            "CREATE TABLE own AS SELECT id, topic_id, timestamp FROM messages; DROP TABLE messages;"
+            "ALTER TABLE own RENAME TO messages; ALTER TABLE messages ADD COLUMN data BLOB "
+            "GENERATED ALWAYS AS (zeroblob(900000000)) VIRTUAL;"
+        )
+    refused(tmp_path / "bag", "not a whole bag", "too big")
+
+
 def test_a_database_that_takes_too_long_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -344,6 +364,7 @@ every_kind = pytest.mark.parametrize("name", ["log.csv", "log.mcap"])
         (lambda: {"velocity": np.degrees(log.velocity)}, "57.3 times"),
         (lambda: {"time": log.time[0] + 2.0 * (log.time - log.time[0])}, "2 times the rate"),
         (lambda: {"time": log.time[0] + 0.5 * (log.time - log.time[0])}, "0.5 times the rate"),
+        (lambda: {"velocity": -log.velocity}, "-1 times the rate"),
         (lambda: {"quaternion": np.full_like(log.quaternion, 2.0)}, "(w, x, y, z)"),
         (lambda: {"torque": np.where(np.arange(200) < 101, np.nan, log.torque.T).T},
          "101 of 200 samples: not a finite number"),

@@ -23,19 +23,21 @@ def hill(tmp_path) -> Callable[..., Path]:
         crs: str | None = "EPSG:32611",
         heights: Any = None,
         left: float = 0.0,
+        bottom: float = 0.0,
         unit: str = "",
+        bands: int = 1,
     ) -> Path:
         if heights is None:
             rise = np.tan(np.radians(slope_deg)) * (n - np.arange(n) - 0.5)
             heights = np.repeat(rise[:, None], n, axis=1)
         shape, dtype = heights.shape, "complex64" if np.iscomplexobj(heights) else "float32"
-        place = rasterio.Affine(1.0, 0.0, left, 0.0, -1.0, shape[0])
+        place = rasterio.Affine(1.0, 0.0, left, 0.0, -1.0, bottom + shape[0])
         with rasterio.open(
-            tmp_path / name, "w", driver="GTiff", height=shape[0], width=shape[1], count=1,
+            tmp_path / name, "w", driver="GTiff", height=shape[0], width=shape[1], count=bands,
             dtype=dtype, crs=crs, transform=place, nodata=-9999.0,
         ) as file:  # fmt: skip
             file.write(heights.astype(dtype), 1)
-            file.units = (unit,)
+            file.units = (unit,) * bands
         return tmp_path / name
 
     return write

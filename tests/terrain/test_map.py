@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm, truncnorm
 
+from terraphi.experiment.errors import InputError
 from terraphi.robot.footfall_files import write_footfalls
 from terraphi.robot.footfalls import FootfallMap
 from terraphi.terrain import slopes
@@ -269,6 +270,13 @@ def test_nothing_is_fetched_from_the_network(terraphi, hill, points, tmp_path, m
             server.accept()
 
 
+def test_the_only_message_is_ours(hill, points, capfd) -> None:
+    path = points([1.0] * 4, 2.0, 30.0, first='# crs: geogcs["x"]')
+    with pytest.raises(InputError, match="coordinate system is geogcs"):
+        read_points(path, read_elevation(hill()))
+    assert capfd.readouterr().err == ""
+
+
 def long_rows(path: Any) -> None:
     head, *rows = path.read_text().splitlines()
     path.write_text("\n".join([head, *(f"{row},9.0" for row in rows)]))
@@ -288,6 +296,10 @@ HALF = np.where(np.arange(60) < 30, np.arange(60), -9999.0) * np.ones((60, 1))
         (lambda hill, _: hill(heights=HALF + 1e6), "", "elevations from 990001 to 1.00003e+06 m"),
         (lambda hill, _: hill(heights=HALF + 2e30), "", "has values beyond 1e+30"),
         (lambda hill, _: hill(heights=1j + HALF), "", "values are complex64, expected real"),
+        # A code for no data that is not marked as one; a picture; Mercator at 60° north.
+        (lambda hill, _: hill(heights=np.maximum(HALF, -999.0)), "", "elevations from -999 to"),
+        (lambda hill, _: hill(bands=3), "", "has 3 bands, expected one"),
+        (lambda hill, _: hill(crs="EPSG:3857", bottom=8.4e6), "", "are 2 by 2 m for 1 m on the"),
         (None, "--seed 99999999999", "99999999999 is not in the range"),
         (lambda hill, _: hill(left=1000.0), "", "is outside dem.tif"),
         (lambda hill, _: hill(heights=HALF), "", "dem.tif has no elevation there"),

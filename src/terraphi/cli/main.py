@@ -5,6 +5,7 @@ Commands import what they need when they run, so that ``--help`` answers at once
 
 from __future__ import annotations
 
+import re
 import sys
 import warnings
 
@@ -20,6 +21,8 @@ from terraphi.cli.terrain import convert, export, slope_map
 from terraphi.cli.tools import app, doctor, keys, report
 from terraphi.experiment.errors import InputError, SimulationError, printable
 
+CONTROL = re.compile(r"\x1b(?!\[(0|1|2|3|22)m)|[\x00-\x08\x0b-\x1a\x1c-\x1f\x7f-\x9f]")
+"""Control characters but those of lines and of our own styles."""
 UNUSABLE, INTERRUPTED = 2, 130
 """Exit status where the input cannot be used, and after Ctrl-C."""
 
@@ -56,6 +59,13 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):  # a terminal without φ shows another letter
             stream.reconfigure(errors="replace")
+    write = sys.stdout.write
+    # A name in a file may hold codes that rewrite a terminal.
+    sys.stdout.write = (
+        lambda text: write(  # type: ignore[method-assign]
+            CONTROL.sub(lambda m: ascii(m[0])[1:-1], text)
+        )
+    )
     if not sys.warnoptions:  # they name our source, and mean nothing to a user
         warnings.simplefilter("ignore", RuntimeWarning)
     try:

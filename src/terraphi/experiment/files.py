@@ -33,8 +33,9 @@ def read_bytes(path: Path) -> bytes:
     """All bytes of a file, a pipe, or standard input (``-``); raises InputError."""
     try:
         return sys.stdin.buffer.read() if str(path) == "-" else path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: {(error.strerror or str(error)).lower()}") from error
+    except (OSError, ValueError) as error:  # a name with a null byte is a ValueError
+        why = getattr(error, "strerror", "") or str(error)
+        raise InputError(f"{path}: {why.lower()}") from error
 
 
 def read_text(path: Path) -> str:

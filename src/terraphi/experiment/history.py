@@ -12,14 +12,16 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
+from pydantic import BaseModel, ValidationError
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.errors import InputError
+from terraphi.experiment.errors import InputError, sentence_from_validation
 from terraphi.experiment.files import json_object, open_netcdf, positions, write_netcdf
 from terraphi.experiment.force_table import write_force_table
+from terraphi.experiment.units import FORCE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -43,6 +45,16 @@ CHANNEL_UNITS = {"Fx": "N", "Fz": "N", "M": "N m"}
 """Unit of each channel."""
 _UNITS = {"theta": "rad", "displacement": "m", "time": "s"}
 _SHOWN_IN = {"theta": (180.0 / math.pi, "deg"), "displacement": (1e3, "mm"), "time": (1.0, "s")}
+
+
+class Origin(BaseModel):
+    """Types of those entries of a history's provenance that are read back."""
+
+    file: str = ""
+    measurement: str = ""
+    reading: list[str] = []
+    force_unit: Literal[*FORCE] = "N"  # type: ignore[valid-type]
+    scenario: dict[str, Any] | None = None
 
 
 class Observation(NamedTuple):
@@ -390,6 +402,7 @@ class ForceHistory:
         try:
             found = {name: contents[name].values.astype(np.float64) for name in contents.data_vars}
             moment = found.pop("M", None)
+            Origin.model_validate_json(contents.attrs["provenance"], strict=True)
             place = positions(contents)
             return cls(
                 place,
@@ -399,5 +412,8 @@ class ForceHistory:
                 json_object(contents.attrs["provenance"]),
                 moment,
             )
+        except ValidationError as error:
+            sentence = sentence_from_validation(error, f"{path}, provenance", Origin)
+            raise InputError(sentence) from error
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"{path}: not a whole force history ({error})") from error

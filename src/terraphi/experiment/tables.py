@@ -22,12 +22,11 @@ from terraphi.experiment.units import is_unit
 
 _DIALECTS = [(sep, decimal) for sep in ("\t", ";", ",", "|", None) for decimal in ".,"]
 """Separator (``None``: spaces) and decimal sign, the more usual first."""
-_MISSING = {
-    *("", "-", "--", "?", "nan", "na", "n/a", "n.a.", "null", "none", "inf", "-inf", "+inf"),
-    *("#n/a", "#na", "#nv", "#value!", "#wert!", "#div/0!", "#ref!", "#num!", "#null!", "#name?"),
-}
-"""Cells that hold no number, in lower case."""
-_COMMENT = re.compile(r"\s*(#(?!n/?a|nv|value!|wert!|div/0!|ref!|num!|null!|name\?)|%|//)", re.I)
+_ERROR = r"#(\w/\w|n[av]|[¡¿]?\w[\w/]*[!?])(?![^\s,;|])"
+"""Cell that a spreadsheet writes where it found no value, such as ``#N/A`` or ``#BEZUG!``."""
+_MISSING = re.compile(rf"-{{0,2}}|\?|nan|n/?a|n\.a\.|null|none|[-+]?inf|{_ERROR}", re.I)
+"""Cells that hold no number."""
+_COMMENT = re.compile(rf"\s*((?!{_ERROR})#|%|//)", re.I)
 _ODD = frozenset(("", *"#%/ ,;\t"))
 """First letters of lines that may be comments or empty."""
 _NUMBER = {
@@ -199,7 +198,7 @@ def _dialect(lines: list[str]) -> tuple[str | None, str]:
     def score(dialect: tuple[str | None, str]) -> float:
         rows = [_cells(line, dialect[0]) for line in lines]
         found = [_numbers(row, dialect[1]) for row in rows]
-        cells = sum(len([cell for cell in row if cell.lower() not in _MISSING]) for row in rows)
+        cells = sum(len([cell for cell in row if not _MISSING.fullmatch(cell)]) for row in rows)
         return float(sum(found)) * sum(found) / max(cells, 1)
 
     return max(_DIALECTS, key=score)  # of equals the first
@@ -209,7 +208,7 @@ def _header(
     rows: list[list[str]], width: int, comments: tuple[str, ...], separator: str | None
 ) -> tuple[list[str], dict[str, str], int]:
     """Names of the columns, units from a row of their own, and how many cells the header has."""
-    rows = [row for row in rows if any(cell.lower() not in _MISSING for cell in row)]
+    rows = [row for row in rows if not all(_MISSING.fullmatch(cell) for cell in row)]
     units: list[str] = []
     last = [cell for cell in rows[-1] if cell not in ("", "-")] if len(rows) > 1 else []
     if last and 2 * sum(is_unit(cell) for cell in last) >= len(last):
@@ -242,7 +241,7 @@ def _numeric(
         for sign in (decimal, "."):
             if _NUMBER[sign].fullmatch(text):
                 return float(text.replace("." if sign == "," else ",", "").replace(",", "."))
-        if text.lower() not in _MISSING:
+        if not _MISSING.fullmatch(text):
             words.setdefault(name, []).append((f"{kind} {lines[i]}", text))
         return float("nan")
 

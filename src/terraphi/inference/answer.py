@@ -8,12 +8,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
+from pydantic import BaseModel, Field, ValidationError
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.errors import InputError
+from terraphi.experiment.errors import InputError, sentence_from_validation
 from terraphi.experiment.files import json_object, netcdf_kind, read_bytes, replacing
 from terraphi.experiment.outputs import filling
 from terraphi.library.store import PHI
@@ -413,8 +414,9 @@ class Answer:
         netcdf_kind(file)
         try:
             tree = xr.open_datatree(file, engine="h5netcdf")
-            known = json_object(tree.attrs["answer"])
-            return cls._of(known, tree)
+            return cls._of(_known(tree.attrs["answer"], str(file)), tree)
+        except InputError:
+            raise
         except (KeyError, TypeError, ValueError, OSError) as error:
             raise InputError(f"{file}: not an answer of this version; invert again") from error
 
@@ -477,6 +479,71 @@ class Answer:
             (place / "answer.json").write_text(text + "\n", encoding="utf-8")
 
 
+class StoredEstimate(BaseModel):
+    """An :class:`Estimate` in a file."""
+
+    median: float
+    sd: float = Field(0.0, ge=0.0)
+    ci68: tuple[float, float]
+    ci95: tuple[float, float]
+
+
+class StoredAngle(StoredEstimate):
+    """The friction angle in the convention of its library."""
+
+    convention: str = Field("", alias="yield")
+
+
+class StoredFit(BaseModel):
+    """What :meth:`RecordFit.as_dict` wrote."""
+
+    source: str
+    leg: str = ""
+    nrmsd: dict[str, float] = {}
+    shift_deg: float = 0.0
+    limit: float | None = None
+
+
+class Stored(BaseModel):
+    """Types of what :meth:`Answer.as_dict` wrote, as far as it is read back."""
+
+    phi_deg: StoredAngle | None
+    phi_plane_strain_deg: StoredEstimate | None
+    phi_plane_strain_reason: str = ""
+    verdict: Literal["consistent", "misfit", "out_of_range"]
+    reason: str
+    edge: Literal["low", "high"] | None = None
+    library: str
+    library_reason: str = ""
+    density_kg_m3: float = Field(gt=0.0, lt=1e5)
+    density_sd_kg_m3: float | None = Field(None, ge=0.0, lt=1e5)
+    density_assumed: bool | None = None
+    leg_friction: float | None = Field(None, ge=0.0, lt=10.0)
+    seed: int | None = None
+    budget_deg: dict[str, float] = {}
+    second_opinion: dict[str, Any] | None = None
+    questions: list[str] = []
+    records: list[StoredFit] = []
+    parameters: dict[str, StoredEstimate] = {}
+    diagnostics: dict[str, dict[str, float]] = {}
+    provenance: dict[str, Any] = {}
+
+
+def _known(text: Any, source: str) -> dict[str, Any]:
+    """Parse the JSON of an answer; raises InputError if it is none, or of other types."""
+    try:
+        known = json_object(text)
+        Stored.model_validate_json(text, strict=True)
+    except ValidationError as error:
+        what = sentence_from_validation(error, source, Stored)
+        raise InputError(f"{what}; invert again") from error
+    except ValueError as error:
+        raise InputError(
+            f"{source}: not an answer of 'terraphi invert --out' or --json; invert again"
+        ) from error
+    return known
+
+
 class StoredAnswer(NamedTuple):
     """What a file or folder says about an inversion."""
 
@@ -507,15 +574,7 @@ def read_answer(path: Path | str) -> StoredAnswer:
         found = Answer.load(path)
         draws = found.phi_draws() if PHI in found.parameters else np.zeros(0)
         return StoredAnswer(str(path), found.as_dict(), draws)
-    try:
-        known = json_object(read_bytes(path))
-        if not {"phi_deg", "verdict", "library"} <= known.keys():
-            raise ValueError("keys are missing")
-    except (ValueError, RecursionError) as error:
-        raise InputError(
-            f"{path}: not an answer of 'terraphi invert --out' or --json; invert again"
-        ) from error
-    return StoredAnswer(str(path), known, np.zeros(0))
+    return StoredAnswer(str(path), _known(read_bytes(path), str(path)), np.zeros(0))
 
 
 def _first_of_each(axes: Any) -> tuple[list[Any], list[str]]:

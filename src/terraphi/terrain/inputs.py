@@ -24,8 +24,12 @@ Float32 = NDArray[np.float32]
 
 METRES = ("", "m", "metre", "metres", "meter", "meters")
 """Accepted names of the unit of elevations; without one, metres are assumed."""
-HEIGHTS = (-11_000.0, 9_000.0)
-"""Elevations of the earth's surface [m]."""
+HEIGHTS = (-500.0, 9_000.0)
+"""Elevations of the earth's land [m]; codes for no data, such as -9999, lie outside."""
+MOST_STRETCHED = 0.02
+"""Part by which a metre of the coordinates may differ from one on the ground [-]."""
+EARTH = 6_371_008.8
+"""Mean radius [m]."""
 LARGEST = 1e30
 """Largest value of a raster."""
 OFFLINE = {
@@ -109,7 +113,22 @@ def read_elevation(path: Path) -> Elevation:
         expected = f"different ones within {HEIGHTS[0]:g} to {HEIGHTS[1]:g} m"
         raise InputError(f"{path}: elevations from {low:g} to {high:g} m, expected {expected}")
     x, y = c + a * (np.arange(columns) + 0.5), f + e * (np.arange(rows) + 0.5)
+    stretch = _stretch(crs, x[columns // 2], y[rows // 2])
+    if not (np.abs(stretch - 1.0) <= MOST_STRETCHED).all():
+        much = " by ".join(f"{part:.3g}" for part in stretch)
+        utm = "project it to its UTM zone, as with gdalwarp -t_srs"
+        raise InputError(f"{path}: its coordinates are {much} m for 1 m on the ground; {utm}")
     return Elevation(str(path), height, x, y, a, crs, transform)
+
+
+def _stretch(crs: Any, x: float, y: float) -> FloatArray:
+    """Metres of a coordinate system for one on the ground, along x and y at a place [-]."""
+    from rasterio.warp import transform
+
+    across, up = np.array([-500.0, 500.0, 0.0, 0.0]), np.array([0.0, 0.0, -500.0, 500.0])
+    lon, lat = np.radians(transform(crs, "EPSG:4326", x + across, y + up))
+    place = EARTH * np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+    return np.asarray(1000.0 / np.linalg.norm(place[:, 1::2] - place[:, ::2], axis=0))
 
 
 def read_layer(path: Path, on: Elevation, points: pd.DataFrame) -> Float32:
@@ -145,6 +164,8 @@ def _read(path: Path) -> tuple[Float32, Any, Any, str]:
             if file.width * file.height > MOST_CELLS:
                 size = f"{file.width} by {file.height} cells, at most {MOST_CELLS:g} in all"
                 raise InputError(f"{path}: {size}; cut a part, as with gdal_translate -projwin")
+            if file.count > 1:
+                raise InputError(f"{path}: has {file.count} bands, expected one; extract it")
             if np.dtype(file.dtypes[0]).kind not in "iuf":
                 raise InputError(f"{path}: its values are {file.dtypes[0]}, expected real numbers")
             band = file.read(1, masked=True).astype(np.float64).filled(np.nan)
@@ -280,8 +301,9 @@ def _csv(path: Path, dem: Elevation) -> pd.DataFrame:
     for crs in re.findall(r"^#\s*crs:\s*(.*)", text, re.MULTILINE)[:1]:
         try:
             # Other notations may be addresses, which GDAL would open.
-            local = re.match(r"EPSG:\d+$|\+proj=|(PROJ|GEOG|GEOD|BOUND|COMPD)\w*\[", crs)
-            same = bool(local) and rasterio.crs.CRS.from_string(crs) == dem.crs
+            local = re.match(r"EPSG:\d+$|\+proj=|(PROJ|GEOG|GEOD|BOUND|COMPD)\w*\[", crs, re.I)
+            with rasterio.Env():  # without it, GDAL prints its errors
+                same = bool(local) and rasterio.crs.CRS.from_string(crs) == dem.crs
         except rasterio.errors.CRSError:
             same = False
         if not same:

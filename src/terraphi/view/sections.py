@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import json_object
 from terraphi.experiment.history import CHANNEL_UNITS, ForceHistory
+from terraphi.experiment.measurements import scenario_of
 from terraphi.experiment.outputs import changed
 from terraphi.view.answers import CONVENTIONS, LEGS, PHI, in_words, tables
 from terraphi.view.console import words
@@ -217,7 +218,7 @@ def of_library(source: str) -> Section:
 def of_simulation(path: Path) -> Section:
     """Both forces of a simulation along its path."""
     history = ForceHistory.from_netcdf(path)
-    scenario = history.provenance.get("scenario", {})
+    scenario = scenario_of(history, name=str(path))
     plots = [
         Plot(
             name,
@@ -230,8 +231,8 @@ def of_simulation(path: Path) -> Section:
     units = {name: CHANNEL_UNITS[name].replace(" ", "") for name in history.channels}
     peaks = {name: summary[f"peak_{name}_{unit}"] for name, unit in units.items()}
     headline = capital(", ".join(f"peak {n} {p:.1f} {CHANNEL_UNITS[n]}" for n, p in peaks.items()))
-    if scenario:
-        leg, phi = scenario["leg"]["shape"], scenario["soil"]["friction_angle_deg"]
+    if scenario is not None:
+        leg, phi = scenario.leg.shape, scenario.soil.friction_angle_deg
         headline += f"; {LEGS.get(leg, leg)}, φ = {phi:g}°"
     parts: list[Plot | Picture | Table] = [*plots, Table("In numbers", ("", ""), pairs(summary))]
     return Section("simulation", path.name, headline, [], parts, pairs(history.provenance))

@@ -35,6 +35,8 @@ OTHERS = "joints of something else"
 _KINDS = (LOW_STATE, JOINT_STATE)
 MOST_SECONDS = 600.0
 """Longest time in which a database is read [s]."""
+MOST_BYTES = 1 << 26
+"""Largest value in a database [byte]; a message of joints takes a few thousand."""
 STEPS = 100_000
 """Steps of a database between two looks at the clock."""
 LONGEST_GAP = 0.1
@@ -220,6 +222,7 @@ def read_bag(
     def guard(database: Any) -> None:
         # A view may be recursive without end, and a column computed.
         database.config(apsw.SQLITE_DBCONFIG_ENABLE_VIEW, 0)
+        database.limit(apsw.SQLITE_LIMIT_LENGTH, MOST_BYTES)
         end = time.monotonic() + MOST_SECONDS
         database.set_progress_handler(lambda: time.monotonic() > end, STEPS)
 

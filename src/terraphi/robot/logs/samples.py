@@ -91,6 +91,7 @@ def joint_log(
     InputError
         If no sample is sound, if over half are not for one reason, or if the units are wrong.
     """
+    _refuse_if_hopeless(path, dropped, len(values["stamp"]))
     values = _sound(values, dropped)
     _refuse_if_hopeless(path, dropped, len(values["stamp"]))
     time, facts_of_time = seconds(values.pop("stamp"), values.pop("recorded", None), clock)
@@ -162,12 +163,10 @@ def _check_units(path: Path, time: FloatArray, angle: FloatArray, velocity: Floa
     whole = span < 1.5 * every * usual
     way, moved = way[whole], moved[whole]
     rate = float(np.maximum(np.abs(moved), np.abs(way)).sum() / max(span[whole].sum(), 1e-12)) / 12
-    products = [
-        max(float(np.sum(a * b)), 1e-12) for a, b in ((way, moved), (moved, moved), (way, way))
-    ]
-    ratio = products[0] / products[1]
+    both, squares = float(np.sum(way * moved)), float(np.sum(moved**2))
+    ratio = both / max(squares, 1e-12)
     # Samples that are far apart miss what happens between them.
-    proportional = products[0] > _PROPORTIONAL * np.sqrt(products[1] * products[2])
+    proportional = both > _PROPORTIONAL * np.sqrt(squares * np.sum(way**2))
     most = _UNLIKE if proportional else _WHOLLY_UNLIKE
     if rate > _MOVING and not 1.0 / most < ratio < most:
         raise InputError(
