@@ -9,7 +9,6 @@ from scipy.optimize import curve_fit
 from terraphi.experiment.leg import Leg
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import driver, simulate
-from terraphi.forward.compiled import register_use
 from terraphi.forward.driver import path_of_steps
 from terraphi.forward.ledger import empty_audit, empty_reaction
 from terraphi.forward.mpm import contact, lanes, packing, plain, plasticity
@@ -298,7 +297,7 @@ def test_distance_is_that_of_the_nearest_of_many_points(space, shape):
 
 
 @pytest.mark.parametrize("kernel", ["strain_packet", "swell_packet", "return_packet"])
-def test_the_lanes_are_vectors(space, kernel):
+def test_the_lanes_are_vectors(space, register_use, kernel):
     scenario = space.scenario()
     soil, lattice = geostatic_bed(scenario, np.float32), lattice_of(scenario)
     state, work = packing.pack(soil, lattice).state, packing.aligned(int(lanes.WORK))
