@@ -18,7 +18,7 @@ from terraphi.experiment.scenario import Scenario
 from terraphi.forward.driver import Kernel, path_of_steps
 from terraphi.forward.ledger import empty_audit, empty_reaction
 from terraphi.forward.mpm.solver import MpmSolver
-from terraphi.forward.plane.packing import LANES
+from terraphi.forward.plane.bed import LANES
 from terraphi.forward.plane.solver import PlaneSolver
 
 PLANE = Scenario().replace(**{"motion.start_deg": -30.0, "motion.stop_deg": 60.0})

@@ -22,6 +22,8 @@ from typing import Any, TypeVar, cast
 
 import numba
 import numba.extending
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
 
 from terraphi.experiment import leg
 
@@ -94,6 +96,14 @@ def _wide_vectors(_context: Any) -> tuple[Any, Callable[..., Any]]:
 
 
 wide_vectors = cast(Callable[[], None], numba.extending.intrinsic(_wide_vectors))
+
+
+def aligned_zeros(count: int, dtype: DTypeLike = np.float64) -> NDArray[Any]:
+    """Zeros that begin where a cache line does; vectors across two lines cost twice."""
+    size = np.dtype(dtype).itemsize
+    room = np.zeros(count + 64 // size, dtype)
+    skip = -room.ctypes.data % 64 // size
+    return room[skip : skip + count]
 
 
 def _digest(sources: Iterable[Path]) -> str:

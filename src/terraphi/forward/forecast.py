@@ -16,6 +16,7 @@ from typing import NamedTuple
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.motion import bin_count
 from terraphi.experiment.scenario import Scenario
+from terraphi.forward.bed import sub_cells
 
 RATE = {2: 6e7, 3: 2.5e7}
 """Particles times steps that one core with vectors of 512 bits does in a second, by dimensions
@@ -117,11 +118,7 @@ def lasting(seconds: float) -> str:
 
 def particle_count(scenario: Scenario) -> float:
     """Particles of the bed, those where the leg starts included, which will be left out."""
-    bed, numerics = scenario.bed, scenario.numerics
-    side = numerics.cell_size / numerics.particles_per_cell_side
-    left, right = bed.soil_span
-    across = scenario.cells_across * numerics.particles_per_cell_side or 1
-    return float(round((right - left) / side)) * float(round(bed.height / side)) * float(across)
+    return float(math.prod(sub_cells(scenario)[0]))
 
 
 def step_count(scenario: Scenario) -> float:

@@ -171,7 +171,7 @@ def leg_force(scenario: Scenario, poses: Poses) -> tuple[FloatArray, FloatArray]
     else:
         normal = np.stack([tangent[:, 1], -tangent[:, 0]], axis=-1)
         # A sheet has two faces; the one that leads is the one whose normal goes with the motion.
-        normal *= np.where(_dot(normal, direction) >= 0.0, 1.0, -1.0)[:, None]
+        normal *= np.where(np.vecdot(normal, direction) >= 0.0, 1.0, -1.0)[:, None]
         per_depth[submerged] = stress_per_depth_3d(
             normal,
             direction,
@@ -368,8 +368,3 @@ def _monomials(x1: FloatArray, x2: FloatArray, x3: FloatArray) -> FloatArray:
             x1 * x2 * x3,
         ]
     )
-
-
-def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Scalar products of rows."""
-    return np.asarray(np.einsum("...i,...i->...", a, b), dtype=np.float64)

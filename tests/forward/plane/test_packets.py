@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from terraphi.experiment.errors import InputError
+from terraphi.forward.compiled import aligned_zeros
 from terraphi.forward.driver import simulate
 from terraphi.forward.plane import lanes, packets, scalar
-from terraphi.forward.plane.bed import LANES, aligned_zeros, geostatic_bed
+from terraphi.forward.plane.bed import LANES, geostatic_bed
 from terraphi.forward.plane.model import model_of
 from terraphi.forward.plane.packing import ZERO, pack, unpack
 

@@ -17,10 +17,10 @@ from typing import NamedTuple
 import numpy as np
 
 from terraphi.forward.body import pose_of
-from terraphi.forward.compiled import entry, kernel, wide_vectors
+from terraphi.forward.compiled import aligned_zeros, entry, kernel, wide_vectors
 from terraphi.forward.driver import Path
 from terraphi.forward.ledger import Audit, close_books, enter_reaction, write_books
-from terraphi.forward.plane.bed import Grid, Particles, aligned_zeros
+from terraphi.forward.plane.bed import LANES, Grid, Particles
 from terraphi.forward.plane.contact import against_leg, against_walls
 from terraphi.forward.plane.lanes import (
     CXX,
@@ -44,7 +44,6 @@ from terraphi.forward.plane.lanes import (
 from terraphi.forward.plane.model import Model
 from terraphi.forward.plane.packing import (
     FIELDS,
-    LANES,
     MASS,
     OFFSET_X,
     OFFSET_Z,
@@ -179,7 +178,7 @@ def march(
     step
         The step to begin with.
     lanes
-        :data:`~terraphi.forward.plane.packing.LANES`, in a form that the compiler cannot foresee.
+        :data:`~terraphi.forward.plane.bed.LANES`, in a form that the compiler cannot foresee.
 
     Returns
     -------

@@ -27,8 +27,8 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.forward.compiled import entry, kernel
-from terraphi.forward.plane.bed import LANES, Particles, aligned_zeros
+from terraphi.forward.compiled import aligned_zeros, entry, kernel
+from terraphi.forward.plane.bed import LANES, Particles
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.uint64]
