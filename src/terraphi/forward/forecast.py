@@ -67,23 +67,9 @@ def forecast(scenarios: Iterable[Scenario]) -> Forecast:
     )
 
 
-def refuse_what_cannot_fit(scenario: Scenario, *, memory: float | None = None) -> None:
-    """Refuse a simulation that needs more memory than there is, or more than a year.
-
-    Parameters
-    ----------
-    scenario
-        What would be simulated.
-    memory
-        Of the machine that simulates [byte]; ``None``: this one's.
-
-    Raises
-    ------
-    InputError
-        Says how much it would take, and what to change.
-    """
-    one = _of_one(scenario)
-    memory = machine_bytes() if memory is None else memory
+def refuse_what_cannot_fit(scenario: Scenario) -> None:
+    """Raise InputError for a simulation of more than a year, or that needs more memory than is."""
+    one, memory = _of_one(scenario), machine_bytes()
     size = f"{one.particles:.2g} particles and {bin_count(scenario.motion):.2g} bins of the history"
     if one.bytes > memory:
         raise InputError(

@@ -8,9 +8,7 @@ import platform
 import numpy as np
 import pytest
 
-from terraphi.experiment.errors import InputError
 from terraphi.forward.compiled import aligned_zeros
-from terraphi.forward.driver import simulate
 from terraphi.forward.plane import lanes, packets, scalar
 from terraphi.forward.plane.bed import LANES, geostatic_bed
 from terraphi.forward.plane.model import model_of
@@ -141,11 +139,6 @@ def test_number_that_is_none_is_found(compare, coarse, steps):
     soil.stress[700, 0] = math.nan
     for kernel in (packets, scalar):
         assert steps(scenario, 10, soil=compare.copy_of(soil), kernel=kernel).lost >= 0
-
-
-def test_unknown_kernel(coarse):
-    with pytest.raises(InputError, match="kernel = 'vector': there are packets and scalar"):
-        simulate(coarse(), kernel="vector")
 
 
 def lane_calls(scenario):

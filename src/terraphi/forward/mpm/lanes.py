@@ -561,11 +561,8 @@ def share(work: Work, lanes: Index, laws: Material) -> None:
     """Take a Newton step towards the change of mean stress that a cell's particles share."""
     wide_vectors()
     for i in range(lanes):
-        number, swelling, slope = (
-            work[SWELL + i],
-            work[SWELL + ROW + i],
-            work[SWELL + TWO * ROW + i],
-        )
+        number, swelling = work[SWELL + i], work[SWELL + ROW + i]
+        slope = work[SWELL + TWO * ROW + i]
         slope = slope if number > ZERO else UNIT
         work[SHARE + i] -= (number * work[SHARE + i] + laws.bulk_modulus * swelling) / slope
 

@@ -61,7 +61,7 @@ from terraphi.forward.plane.packing import (
     remove,
     unpack,
 )
-from terraphi.forward.plane.scalar import update_grid, update_particles
+from terraphi.forward.plane.scalar import second_half
 from terraphi.forward.plane.transfer import particle_to_grid, particles_to_grid
 
 
@@ -95,7 +95,7 @@ def advance(
     grids = (other, grid) if last % 2 else (grid, other)
     impulses = audit.impulses.copy()
     books = (impulse, audit, impulses)
-    momentum = first_half(soil, grids[0], model)
+    momentum = particles_to_grid(soil, grids[0], model.cell_size, model.time_step)
     step, lost = 0, -1
     while step < last and lost < 0:
         # Packed anew whenever a block has no room for a particle that enters it.
@@ -111,34 +111,8 @@ def advance(
             packets, soil, grids, memory, model, path, *books, momentum, step, LANES
         )
         unpack(packets, soil, model.cell_size)
-    return lost if lost >= 0 else last_half(soil, grid, model, path, *books, momentum)
-
-
-@entry
-def first_half(soil: Particles, now: Grid, model: Model) -> tuple[float, float]:
-    """Particles to grid, as the plain kernel does it; the soil's momentum [kg/s]."""
-    return particles_to_grid(soil, now, model.cell_size, model.time_step)
-
-
-@entry
-def last_half(
-    soil: Particles,
-    now: Grid,
-    model: Model,
-    path: Path,
-    impulse: FloatArray,
-    audit: Audit,
-    impulses: FloatArray,
-    momentum: tuple[float, float],
-) -> int:
-    """Grid update and grid to particles of the last step, as the plain kernel does them."""
-    close_books(audit, impulses, momentum)
-    impulses[:] = 0.0
-    counted = update_grid(now, model, path.poses[-1], impulses)
-    enter_reaction(impulse, path.bins[-1], counted, (impulses[1, 0], impulses[1, 1]))
-    lost = update_particles(soil, now, model, path.turned[-1], impulses)
     if lost < 0:
-        write_books(audit, impulses, momentum)
+        lost = second_half(soil, grid, model, path, last, *books, momentum)
     return lost
 
 
