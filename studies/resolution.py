@@ -1,7 +1,7 @@
 """Resolution: what cells, speed-up and particles make of the forces of library `sand3d`.
 
-None of these is a property of the soil, so forces should stay where they change. Cases of the library
-are compared with the same on other cells, speed-up or particles, for each leg and several φ.
+None of these is a property of the soil, so forces should stay where they change. Cases of the
+library are compared with the same on other cells, speed-up or particles.
 """
 
 from __future__ import annotations
