@@ -34,7 +34,7 @@ def simulated(library: Path | str) -> list[Case]:
 
 
 def inverted(paths: Iterable[Path]) -> pd.DataFrame:
-    """Each truth of some libraries, with noise several times: a row an answer, angles in degrees."""
+    """Answers to each truth of some libraries, with noise to several; angles in degrees."""
     rng, rows = np.random.default_rng(0), []
     truths = [case for path in paths for case in simulated(path)]
     for noise in NOISES:

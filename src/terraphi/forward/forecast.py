@@ -18,7 +18,7 @@ from terraphi.experiment.motion import bin_count
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward.bed import sub_cells
 
-RATE = {2: 6e7, 3: 2.5e7}
+RATE = {2: 6e7, 3: 4e7}
 """Particles times steps that one core with vectors of 512 bits does in a second, by dimensions
 [1/s]; with narrower vectors 1.5 (256 bits) to 2.9 times (128 bits) fewer."""
 PANEL_RATE = 5e6

@@ -61,7 +61,7 @@ from terraphi.forward.plane.packing import (
     remove,
     unpack,
 )
-from terraphi.forward.plane.scalar import second_half
+from terraphi.forward.plane.scalar import update_grid, update_particles
 from terraphi.forward.plane.transfer import particle_to_grid, particles_to_grid
 
 
@@ -112,7 +112,29 @@ def advance(
         )
         unpack(packets, soil, model.cell_size)
     if lost < 0:
-        lost = second_half(soil, grid, model, path, last, *books, momentum)
+        lost = last_half(soil, grid, model, path, *books, momentum)
+    return lost
+
+
+@entry
+def last_half(
+    soil: Particles,
+    now: Grid,
+    model: Model,
+    path: Path,
+    impulse: FloatArray,
+    audit: Audit,
+    impulses: FloatArray,
+    momentum: tuple[float, float],
+) -> int:
+    """Grid update and grid to particles of the last step, as the plain kernel does them."""
+    close_books(audit, impulses, momentum)
+    impulses[:] = 0.0
+    counted = update_grid(now, model, path.poses[-1], impulses)
+    enter_reaction(impulse, path.bins[-1], counted, (impulses[1, 0], impulses[1, 1]))
+    lost = update_particles(soil, now, model, path.turned[-1], impulses)
+    if lost < 0:
+        write_books(audit, impulses, momentum)
     return lost
 
 

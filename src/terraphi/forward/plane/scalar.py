@@ -59,38 +59,16 @@ def advance(
     impulses = audit.impulses.copy()
     for step in range(path.turned.size):
         momentum = particles_to_grid(soil, grid, model.cell_size, model.time_step)
-        lost = second_half(soil, grid, model, path, step, impulse, audit, impulses, momentum)
+        # The momentum now must be that of a step ago and the impulses since then.
+        close_books(audit, impulses, momentum)
+        impulses[:] = 0.0
+        counted = update_grid(grid, model, path.poses[step], impulses)
+        enter_reaction(impulse, path.bins[step], counted, (impulses[1, 0], impulses[1, 1]))
+        lost = update_particles(soil, grid, model, path.turned[step], impulses)
         if lost >= 0:
             return lost
-    return -1
-
-
-@kernel
-def second_half(
-    soil: Particles,
-    grid: Grid,
-    model: Model,
-    path: Path,
-    step: int,
-    impulse: FloatArray,
-    audit: Audit,
-    impulses: FloatArray,
-    momentum: tuple[float, float],
-) -> int:
-    """Update the grid and bring it to the particles; the first particle to leave the grid, or -1.
-
-    ``impulses`` are those of the step before [kg/s], changed; ``momentum`` (x, z) is that of the
-    soil [kg/s]. Others as for :func:`advance`.
-    """
-    # The momentum now must be that of a step ago and the impulses since then.
-    close_books(audit, impulses, momentum)
-    impulses[:] = 0.0
-    counted = update_grid(grid, model, path.poses[step], impulses)
-    enter_reaction(impulse, path.bins[step], counted, (impulses[1, 0], impulses[1, 1]))
-    lost = update_particles(soil, grid, model, path.turned[step], impulses)
-    if lost < 0:
         write_books(audit, impulses, momentum)
-    return lost
+    return -1
 
 
 @kernel
