@@ -1,7 +1,8 @@
 """Time and memory that simulations will need, estimated before they start.
 
-The number of particles follows from bed and grid, that of steps from the motion; the time is good
-to a factor of about two. Simulations that need more memory than there is, or more than a year, are
+The number of particles follows from bed and grid, that of steps from the motion. The time is good
+to 30 % where each simulation has a core with vectors of 512 bits to itself, and to a factor of two
+or three elsewhere. Simulations that need more memory than there is, or more than a year, are
 refused.
 """
 
