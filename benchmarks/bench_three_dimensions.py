@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
+from bench_kernels import seconds
 from terraphi.experiment.scenario import Scenario
-from terraphi.forward.driver import path_of_steps
-from terraphi.forward.ledger import empty_audit, empty_reaction
-from terraphi.forward.mpm.lattice import lattice_of, sub_cells
+from terraphi.forward.bed import sub_cells
+from terraphi.forward.mpm.lattice import lattice_of
 from terraphi.forward.mpm.plasticity import material_of
 from terraphi.forward.mpm.solver import MpmSolver
 from terraphi.library.plan import Plan
@@ -43,8 +43,8 @@ def main() -> None:
     steps = scenario.numerics.steps_per_phase
     rates: dict[str, list[float]] = {}
     runs: dict[str, Any] = {
-        "packets": (lambda n: seconds("packets", scenario, n), steps),
-        "plain": (lambda n: seconds("scalar", scenario, n), 4),
+        "packets": (lambda n: seconds(scenario, "packets", n)[1], steps),
+        "plain": (lambda n: seconds(scenario, "scalar", n)[1], 4),
     }
     if wp is not None:
         peer = Peer(scenario)
@@ -56,19 +56,11 @@ def main() -> None:
         for name, (take, count) in runs.items():
             rates.setdefault(name, []).append(count / take(count))
     best = {name: max(values) for name, values in rates.items()}
+    particles, _ = seconds(scenario, "packets", 1)
+    print(f"packets_particle_steps_per_second {particles * best['packets']:.4g}")
     print(f"packets_per_plain {best['packets'] / best['plain']:.3f}")
     if wp is not None:
         print(f"packets_per_warp {best['packets'] / best['warp']:.3f}")
-
-
-def seconds(kernel: Any, scenario: Scenario, steps: int) -> float:
-    """Processor time of some steps of the solver [s]."""
-    solver = MpmSolver(scenario, kernel)
-    soil, path = solver.bed(), path_of_steps(scenario, np.arange(steps), 1)
-    impulse, audit = empty_reaction(1), empty_audit()
-    began = time.process_time()
-    solver.advance(soil, path, impulse, audit)
-    return time.process_time() - began
 
 
 class Peer:

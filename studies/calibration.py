@@ -8,16 +8,17 @@ inverted too: legs passed off as others, and forces by another model.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 from matplotlib.figure import Figure
 
 import pages
 import terraphi
+from terraphi.library.store import Case
 
 LIBRARY = "sand3d"
 TRUTHS = ("sand3d-truths.nc",)
@@ -27,122 +28,91 @@ DRAWS = 4
 """Draws of the noise for each truth."""
 
 
-class Truth(NamedTuple):
-    """A simulated record whose friction angle is known."""
-
-    leg: str
-    phi_deg: float
-    history: terraphi.ForceHistory
+def simulated(library: Path | str) -> list[Case]:
+    """Cases of a library that were simulated."""
+    return [case for case in terraphi.Library.load(library).cases if case.history is not None]
 
 
-class Outcome(NamedTuple):
-    """What an inversion made of a truth."""
-
-    truth: Truth
-    noise: float
-    phi: Any
-    verdict: str
-
-    @property
-    def error(self) -> float:
-        """Median less truth [deg]."""
-        return float(self.phi.median - self.truth.phi_deg)
-
-    def holds(self, interval: Sequence[float]) -> bool:
-        """Whether an interval holds the truth."""
-        return bool(interval[0] <= self.truth.phi_deg <= interval[1])
-
-
-def truths_of(paths: Iterable[Path]) -> list[Truth]:
-    """Simulations of libraries, by leg and friction angle."""
-    return [
-        Truth(case.scenario.leg.shape, case.scenario.soil.friction_angle_deg, case.history)
-        for path in paths
-        for case in terraphi.Library.load(path).cases
-        if case.history is not None
-    ]
-
-
-def inverted(truths: Sequence[Truth], noise: float, rng: np.random.Generator) -> list[Outcome]:
-    """Each truth, with noise several times."""
-    found = []
-    for truth in truths:
-        for _ in range(DRAWS if noise else 1):
-            peak = np.abs(truth.history.force).max(axis=0)
-            errors = noise * peak * rng.standard_normal(truth.history.force.shape)
-            history = replace(truth.history, force=truth.history.force + errors)
-            answer = terraphi.invert(history, library=LIBRARY)
-            found.append(Outcome(truth, noise, answer.phi, answer.verdict))
-    return found
+def inverted(paths: Iterable[Path]) -> pd.DataFrame:
+    """Answers to each truth of some libraries, with noise to several; angles in degrees."""
+    rng, rows = np.random.default_rng(0), []
+    truths = [case for path in paths for case in simulated(path)]
+    for noise in NOISES:
+        for case in truths:
+            for _ in range(DRAWS if noise else 1):
+                force, phi = case.history.force, case.scenario.soil.friction_angle_deg
+                errors = noise * np.abs(force).max(axis=0) * rng.standard_normal(force.shape)
+                answer = terraphi.invert(
+                    replace(case.history, force=force + errors), library=LIBRARY
+                )
+                found = answer.phi
+                rows.append({
+                    "leg": case.scenario.leg.shape,
+                    "noise": noise,
+                    "phi": phi,
+                    "error": found.median - phi,
+                    "half": 0.5 * (found.ci68[1] - found.ci68[0]),
+                    "ci68": found.ci68,
+                    "ci95": found.ci95,
+                    "in68": found.ci68[0] <= phi <= found.ci68[1],
+                    "in95": found.ci95[0] <= phi <= found.ci95[1],
+                    "consistent": answer.verdict == "consistent",
+                })  # fmt: skip
+    return pd.DataFrame(rows)
 
 
-def row_of(leg: str, noise: float, found: Sequence[Outcome]) -> tuple[str, ...]:
+def row_of(leg: str, noise: float, found: pd.DataFrame) -> tuple[object, ...]:
     """A row of the table."""
-    error = np.array([abs(one.error) for one in found])
-    half = [0.5 * (one.phi.ci68[1] - one.phi.ci68[0]) for one in found]
-    inside = [sum(one.holds(one.phi.ci68) for one in found),
-              sum(one.holds(one.phi.ci95) for one in found)]  # fmt: skip
+    error, count = found["error"].abs(), len(found)
     return (
         leg,
         f"{noise:.0%}",
-        str(len(found)),
-        f"{np.median(error):.2f}°",
-        f"{error.max():.2f}°",
-        f"{np.median(half):.2f}°",
-        *(f"{n} ({n / len(found):.0%})" for n in inside),
-        str(sum(one.verdict != "consistent" for one in found)),
+        count,
+        *(f"{angle:.2f}°" for angle in (error.median(), error.max(), found["half"].median())),
+        *(f"{held.sum()} ({held.mean():.0%})" for held in (found["in68"], found["in95"])),
+        (~found["consistent"]).sum(),
     )
 
 
-def strangers() -> dict[str, list[str]]:
-    """Verdicts on records that the model must not explain, by kind."""
-    legs = ("straight", "c", "reversed_c")
-    cases = [c for c in terraphi.Library.load(LIBRARY).cases if c.history is not None]
-    found: dict[str, list[str]] = {}
-    for case in cases[::2]:
+def strangers() -> Iterator[tuple[str, Case, str]]:
+    """Records that the model must not explain: their kind, and the leg they are passed off as."""
+    legs = tuple(pages.LEGS)
+    for case in simulated(LIBRARY)[::2]:
         own = case.scenario.leg.shape
         other = legs[(legs.index(own) + 1) % 3]
-        answer = terraphi.invert(
-            replace(case.history, provenance={}), library=LIBRARY, leg=other,
-            density=case.scenario.soil.density,
-        )  # fmt: skip
-        found.setdefault(f"{own} leg passed off as {other}", []).append(answer.verdict)
+        yield f"{own} leg passed off as {other}", case, other
     for case in terraphi.Library.load("rft3d").cases[::3]:
-        if case.history is not None and case.scenario.leg.shape in legs:
-            answer = terraphi.invert(
-                replace(case.history, provenance={}), library=LIBRARY,
-                leg=case.scenario.leg.shape, density=case.scenario.soil.density,
-            )  # fmt: skip
-            kind = f"resistive force theory, {case.scenario.leg.shape}"
-            found.setdefault(kind, []).append(answer.verdict)
-    return found
+        leg = case.scenario.leg.shape
+        if case.history is not None and leg in legs:
+            yield f"resistive force theory, {leg}", case, leg
 
 
-def draw(found: Sequence[Outcome]) -> Figure:
+def believed() -> list[tuple[str, str]]:
+    """How many of these were called consistent, by kind."""
+    verdicts: dict[str, list[str]] = {}
+    for kind, case, leg in strangers():
+        history, density = replace(case.history, provenance={}), case.scenario.soil.density
+        answer = terraphi.invert(history, library=LIBRARY, leg=leg, density=density)
+        verdicts.setdefault(kind, []).append(answer.verdict)
+    return [(kind, f"{v.count('consistent')} of {len(v)}") for kind, v in verdicts.items()]
+
+
+def draw(found: pd.DataFrame) -> Figure:
     """Errors over φ with their intervals, and coverage over what it should be."""
     figure = Figure(figsize=(9.0, 3.6), layout="constrained")
     errors, coverage = figure.subplots(1, 2)
-    clean = [one for one in found if one.noise == 0.0]
-    for one in clean:
-        phi, held = one.truth.phi_deg, one.holds(one.phi.ci95)
-        low, high = (end - phi for end in one.phi.ci68)
-        colour = "#0072b2" if held else "#d55e00"
-        errors.plot([phi, phi], [low, high], color=colour, lw=3.0)
-        errors.plot([phi, phi], [end - phi for end in one.phi.ci95], color=colour, lw=1.0)
-        errors.plot(phi, one.error, "o", color=colour, ms=4)
+    for one in found[found["noise"] == 0.0].itertuples():
+        look = {"color": "#0072b2" if one.in95 else "#d55e00"}
+        for interval, width in ((one.ci68, 3.0), (one.ci95, 1.0)):
+            errors.plot([one.phi] * 2, [end - one.phi for end in interval], lw=width, **look)
+        errors.plot(one.phi, one.error, "o", ms=4, **look)
     errors.axhline(0.0, color="grey", lw=0.8)
     errors.set(xlabel="true friction angle [deg]", ylabel="inferred less true [deg]")
     # A normal distribution through the 68 % interval: the score of each truth.
-    for noise in sorted({one.noise for one in found}):
-        scores = np.array(
-            [
-                abs(one.error) / (0.5 * (one.phi.ci68[1] - one.phi.ci68[0]))
-                for one in found
-                if one.noise == noise
-            ]
-        )
+    for noise, own in found.groupby("noise"):
+        scores = np.sort(own["error"].abs() / own["half"])
         share = np.arange(1, len(scores) + 1) / len(scores)
-        coverage.step(np.sort(scores), share, where="post", label=f"noise {noise:.0%}")
+        coverage.step(scores, share, where="post", label=f"noise {noise:.0%}")
     coverage.plot([1.0, 2.0], [0.68, 0.95], "k+", ms=10, label="should be")
     coverage.set(xlabel="|error| over the 68 % half-width", ylabel="share of truths", xlim=(0, 4))
     coverage.legend(frameon=False, fontsize="small")
@@ -156,21 +126,10 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=pages.DOCS)
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
-    truths = truths_of(arguments.truths or [pages.LIBRARIES / name for name in TRUTHS])
-    rng = np.random.default_rng(0)
-    found = [one for noise in NOISES for one in inverted(truths, noise, rng)]
-    legs = dict.fromkeys(truth.leg for truth in truths)
-    rows = [
-        row_of(leg, noise, [o for o in found if o.truth.leg == leg and o.noise == noise])
-        for leg in legs
-        for noise in NOISES
-    ]
+    found = inverted(arguments.truths or [pages.LIBRARIES / name for name in TRUTHS])
+    rows = [row_of(leg, noise, own) for (leg, noise), own in found.groupby(["leg", "noise"])]
     header = ("leg", "noise", "records", "median error", "largest", "68 % half-width", "in 68 %",
               "in 95 %", "not consistent")  # fmt: skip
-    believed = [
-        (kind, f"{verdicts.count('consistent')} of {len(verdicts)}")
-        for kind, verdicts in strangers().items()
-    ]
     parts = [
         (
             f"Simulations off the grid of library `{LIBRARY}`, inverted with it: how far medians "
@@ -179,7 +138,7 @@ def main() -> None:
         ),
         pages.table(header, rows),
         "Records that the model must not explain, and how many were called consistent:",
-        pages.table(("record", "consistent"), believed),
+        pages.table(("record", "consistent"), believed()),
     ]
     alt = "errors of inferred angles with their intervals, and how often intervals hold the truth"
     pages.write(arguments.out, "calibration", "Are the intervals right?", parts, draw(found), alt)

@@ -1,17 +1,12 @@
 """Resolution: what cells, speed-up and particles make of the forces of library `sand3d`.
 
-None of these is a property of the soil, so forces should stay where they change. Two comparisons:
-cases of the library again with other cells, speed-up or particles, of each leg and several φ; and
-the straight leg at 35° with everything else that is numerical changed too (`plans/space.toml`; its
-cases are simulated again by `--simulate`, in three hours).
+None of these is a property of the soil, so forces should stay where they change. Cases of the
+library are compared with the same on other cells, speed-up or particles.
 """
 
 from __future__ import annotations
 
-import argparse
-import csv
 import math
-import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -31,7 +26,6 @@ VARIANTS = {
     "27 particles a cell": "sand3d-particles.nc",
 }
 WINDOW_DEG = 85.0
-SPACE = pages.ROOT / "data" / "space.csv"
 ANGLES = np.radians(np.arange(-WINDOW_DEG + 1.0, WINDOW_DEG))
 
 
@@ -88,53 +82,6 @@ def pair(values: np.ndarray, digits: str = "+.1f", unit: str = "") -> str:
     return " / ".join(f"{value:{digits}}" for value in values) + unit
 
 
-def simulate_numerics() -> None:
-    """Simulate the cases of `plans/space.toml`, and write their mean and peak forces.
-
-    Each step changes the base, the step before it, or one that it names.
-    """
-    with (pages.ROOT / "plans" / "space.toml").open("rb") as file:
-        plan = tomllib.load(file)
-    base = terraphi.Scenario.model_validate(plan["scenario"])
-    cases, rows = {base.name: (base, "")}, []
-    for step in plan["steps"]:
-        before = {None: list(cases)[-1], "base": base.name}.get(
-            step.get("after"), step.get("after")
-        )
-        cases[step["name"]] = (cases[before][0].replace(**step["changes"]), before)
-    for name, (scenario, before) in cases.items():
-        history = terraphi.simulate(scenario)
-        peaks, numerics = history.peaks(), scenario.numerics
-        forces = history.Fx.mean(), history.Fz.mean(), peaks.Fx, peaks.Fz
-        rows.append([name, before, numerics.cells, numerics.seed, *(f"{f:.4f}" for f in forces)])
-        print(*rows[-1])
-    with SPACE.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["case", "changes", "cells", "seed", "mean_Fx_N", "mean_Fz_N",
-                         "peak_Fx_N", "peak_Fz_N"])  # fmt: skip
-        writer.writerows(rows)
-
-
-def numerics() -> list[tuple[str, ...]]:
-    """Rows of `plans/space.toml`: what each change does to the mean and the peak of the forces."""
-    with SPACE.open(encoding="utf-8", newline="") as file:
-        cases = list(csv.DictReader(file))
-    means, peaks = (
-        {c["case"]: np.array([float(c[f"{what}_{axis}_N"]) for axis in ("Fx", "Fz")])
-         for c in cases}
-        for what in ("mean", "peak")
-    )  # fmt: skip
-    rows = []
-    for case in cases:
-        name, before = case["case"], case["changes"]
-        if not before:
-            rows.append((name, "", pair(means[name], ".2f", " N"), pair(peaks[name], ".2f", " N")))
-            continue
-        moved = [100.0 * (each[name] / each[before] - 1.0) for each in (means, peaks)]
-        rows.append((name, before, *(pair(one, "+.1f", " %") for one in moved)))
-    return rows
-
-
 def draw(found: list[Change]) -> Figure:
     """Changes in degrees over φ, by leg, a panel a variant."""
     figure = Figure(figsize=(11.0, 3.4), layout="constrained")
@@ -158,13 +105,7 @@ def draw(found: list[Change]) -> Figure:
 
 def main() -> None:
     """Compare, and write the page."""
-    parser = argparse.ArgumentParser(description=str(__doc__))
-    parser.add_argument("--out", type=Path, default=pages.DOCS, help="folder of the page")
-    parser.add_argument("--simulate", action="store_true", help="simulate plans/space.toml again")
-    arguments = parser.parse_args()
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    if arguments.simulate:
-        simulate_numerics()
+    out = pages.out_from(str(__doc__))
     found = list(changes())
     rows = [
         (
@@ -187,14 +128,14 @@ def main() -> None:
         ),
         pages.table(header, rows),
         (
-            "The straight leg at φ = 35°, -80° to 15°, on cells of 7 mm and less, with one thing "
-            "changed at a time. Particle seeds alone move means by 2 % and peaks by 7 %."
+            "Seeds, tip, phases, time step, box and stiffness were changed one at a time for the "
+            "straight leg at 35°: `studies/data/space.csv` has the forces. Particle seeds alone "
+            "move means by 2 % and peaks by 7 %."
         ),
-        pages.table(("case", "compared with", "mean Fx / Fz", "peak Fx / Fz"), numerics()),
     ]
     alt = "change of the mean force in degrees of φ, by leg and force, for each change of numerics"
     title = "Cells, speed-up and particles of sand3d"
-    pages.write(arguments.out, "resolution", title, parts, draw(found), alt)
+    pages.write(out, "resolution", title, parts, draw(found), alt)
 
 
 if __name__ == "__main__":

@@ -27,6 +27,7 @@ each, from simulations with another friction and another height.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -42,6 +43,8 @@ FINER = {
     "speed-up": ("sand3d-speed-up",),
 }
 """Libraries of finer simulations by cause."""
+STEP = {"cells": lambda n: n.cell_size, "speed-up": lambda n: n.speed_up - 1.0}
+"""What an error is a power of, by cause, from the numerics of a scenario."""
 POWERS, WEIGHTS, ALIKE = np.array([0.5, 1.0, 2.0]), np.array([0.5, 0.25, 0.25]), 0.4
 """Powers, their shares of the variance, and the share that they have in common [-]."""
 CONSTANT, LEVEL_LENGTH_DEG = 0.3, 20.0
@@ -95,34 +98,23 @@ def onto(theta_deg: np.ndarray, force: np.ndarray, grid_deg: np.ndarray) -> np.n
     )
 
 
-class Rows:
-    """Finer simulations of one leg for one cause, less the library's curves."""
-
-    def __init__(self, emulator: Emulator, leg: str, cause: str) -> None:
-        base = emulator.curves.scenario.numerics
-        self.phi, self.ratio, fine = [], [], []
-        for name in FINER[cause]:
-            for case in Library.load(DATA / f"{name}.nc").cases:
-                if case.scenario.leg.shape != leg or case.history is None:
-                    continue
-                n = case.scenario.numerics
-                r = (
-                    n.cell_size / base.cell_size
-                    if cause == "cells"
-                    else (n.speed_up - 1.0) / (base.speed_up - 1.0)
-                )
-                self.phi.append(case.scenario.soil.friction_angle_deg)
-                self.ratio.append(round(r, 4))
-                fine.append(case.history.means(np.radians(GRID_DEG), HALF).T)
-        self.phi, self.ratio = np.array(self.phi), np.array(self.ratio)
-        self.force = at_grid(emulator, self.phi)
-        self.difference = np.array(fine) - self.force
+def simulated(name: str, leg: str) -> Iterator[tuple[terraphi.Scenario, np.ndarray]]:
+    """Cases of a leg in a library of `DATA`, and their forces at GRID_DEG [N], shape [2, theta]."""
+    for case in Library.load(DATA / f"{name}.nc").cases:
+        if case.scenario.leg.shape == leg and case.history is not None:
+            yield case.scenario, case.history.means(np.radians(GRID_DEG), HALF).T
 
 
 def correction(emulator: Emulator, leg: str, cause: str, phi_deg: np.ndarray) -> tuple:
     """Mean [N] and modes [N] of the correction at friction angles, [k, 2, theta], [mode, …]."""
-    rows, hyper = Rows(emulator, leg, cause), HYPER[leg, cause]
-    at = at_grid(emulator, phi_deg)
+    hyper, base = HYPER[leg, cause], STEP[cause](emulator.curves.scenario.numerics)
+    rows = [
+        (s.soil.friction_angle_deg, round(STEP[cause](s.numerics) / base, 4), force)
+        for name in FINER[cause]
+        for s, force in simulated(name, leg)
+    ]
+    phi, ratio, fine = (np.array(column) for column in zip(*rows, strict=True))
+    coarse_force, at = at_grid(emulator, phi), at_grid(emulator, phi_deg)
     relative = at_grid(emulator, emulator.curves.x[:, 0])
     relative = relative / np.ptp(relative, axis=2, keepdims=True)
     profile = np.sqrt(np.square(relative).mean(axis=(0, 1)))
@@ -152,28 +144,28 @@ def correction(emulator: Emulator, leg: str, cause: str, phi_deg: np.ndarray) ->
         k, n, a, b = blocks.shape
         return blocks.transpose(0, 2, 1, 3).reshape(k * a, n * b)
 
-    powers, ripple = prior(rows.phi, rows.force, rows.phi, rows.force)
-    of_rows = shared(rows.ratio, rows.ratio)[:, :, None, None] * powers
-    of_rows += (1.0 + (rows.ratio[:, None] == rows.ratio))[:, :, None, None] * ripple
+    powers, ripple = prior(phi, coarse_force, phi, coarse_force)
+    of_rows = shared(ratio, ratio)[:, :, None, None] * powers
+    of_rows += (1.0 + (ratio[:, None] == ratio))[:, :, None, None] * ripple
     coarse = onto(emulator.curves.theta_deg, np.eye(emulator.curves.theta_deg.size), GRID_DEG)
     both = np.kron(np.eye(2), coarse.T)
-    for i, phi in enumerate(rows.phi):
-        of_rows[i, i] += SCATTER**2 * both @ emulator.scatter(np.array([phi])) @ both.T
-        own = both @ emulator.interpolation(np.array([phi]))
-        of_rows[i, rows.phi == phi] += own @ own.T
+    for i, angle in enumerate(phi):
+        of_rows[i, i] += SCATTER**2 * both @ emulator.scatter(np.array([angle])) @ both.T
+        own = both @ emulator.interpolation(np.array([angle]))
+        of_rows[i, phi == angle] += own @ own.T
     limit = np.zeros(len(phi_deg))
-    powers, ripple = prior(phi_deg, at, rows.phi, rows.force)
-    across = matrix(shared(limit, rows.ratio)[:, :, None, None] * powers + ripple)
+    powers, ripple = prior(phi_deg, at, phi, coarse_force)
+    across = matrix(shared(limit, ratio)[:, :, None, None] * powers + ripple)
     powers, ripple = prior(phi_deg, at, phi_deg, at)
     own = matrix(shared(limit, limit)[:, :, None, None] * powers + ripple)
     total = matrix(of_rows)
     total += 1e-8 * np.trace(total) / len(total) * np.eye(len(total))
     solved = np.linalg.solve(total, across.T)
-    mean = (solved.T @ rows.difference.ravel()).reshape(at.shape)
+    mean = (solved.T @ (fine - coarse_force).ravel()).reshape(at.shape)
     values, vectors = np.linalg.eigh(FEW**2 * (own - across @ solved))
     kept = vectors[:, -MODES:] * np.sqrt(np.maximum(values[-MODES:], 0.0))
     print(
-        f"{leg}, {cause}: {len(rows.phi)} finer curves; modes have "
+        f"{leg}, {cause}: {len(phi)} finer curves; modes have "
         f"{values[-MODES:].sum() / values.clip(0).sum():.0%} of the variance"
     )
     return mean, kept.T.reshape(MODES, *at.shape)
@@ -187,21 +179,16 @@ def sensitivity(
     The change over the forces' size is linear in the value of the key, and over φ between the
     simulated angles; beyond them it is that of the last.
     """
-    scale: dict[float, list] = {}
-    for case in Library.load(DATA / f"{name}.nc").cases:
-        if case.scenario.leg.shape != leg or case.history is None:
-            continue
-        phi = case.scenario.soil.friction_angle_deg
-        force = case.history.means(np.radians(GRID_DEG), HALF).T
-        base = emulator.curves.scenario
+    base, scale = emulator.curves.scenario, {}
+    for scenario, force in simulated(name, leg):
+        phi = scenario.soil.friction_angle_deg
         step = (
-            case.scenario.leg.friction - base.leg.friction
+            scenario.leg.friction - base.leg.friction
             if key == "leg.friction"
-            else 1e3 * (case.scenario.hip_height - base.hip_height)
+            else 1e3 * (scenario.hip_height - base.hip_height)
         )
         change = (force - at_grid(emulator, np.array([phi]))[0]) / step
-        size = emulator.size(np.array([[phi]]))[0]
-        scale.setdefault(phi, []).append(change / size)
+        scale.setdefault(phi, []).append(change / emulator.size(np.array([[phi]]))[0])
     angles = np.array(sorted(scale))
     relative = np.array([np.mean(scale[phi], axis=0) for phi in angles])
     kernel = np.exp(-0.5 * np.square((GRID_DEG[:, None] - GRID_DEG) / 4.0))
@@ -223,10 +210,10 @@ def main() -> None:
     low, high = FOUND_DEG[0], FOUND_DEG[-1]
     coarse = replace(
         library,
-        cases=tuple(c for c in library.cases if c.scenario.soil.friction_angle_deg in FOUND_DEG),
-        replicates=tuple(
-            c for c in library.replicates if c.scenario.soil.friction_angle_deg in FOUND_DEG
-        ),
+        **{
+            kind: tuple(c for c in cases if c.scenario.soil.friction_angle_deg in FOUND_DEG)
+            for kind, cases in (("cases", library.cases), ("replicates", library.replicates))
+        },
     )
     found = {}
     for leg in library.legs:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from collections import Counter
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -57,3 +60,29 @@ def run(scenario: Scenario, kernel: str, steps: int, *, prepare: Any = None) -> 
 @pytest.fixture(name="space", scope="session")
 def _space():
     return SimpleNamespace(scenario=in_space, run=run, solver=solver_of, away=AWAY)
+
+
+def register_use(function: Callable[..., object], *arguments: object) -> Counter[str]:
+    """Count the arithmetic instructions on real numbers in a kernel, compiled anew for x86.
+
+    By register: ``zmm`` (512 bits), ``ymm`` (256), ``xmm`` (128), ``single`` (one number). The
+    arguments are what the kernel is called with; it may change them.
+    """
+    import numba
+
+    from terraphi.forward.compiled import OPTIONS
+
+    fresh = numba.njit(**OPTIONS)(getattr(function, "py_func", function))
+    fresh(*arguments)
+    (code,) = fresh.inspect_asm().values()
+    used: Counter[str] = Counter()
+    arithmetic = r"^\s+v?(?:fn?m(?:add|sub)\d*|mul|add|sub|div|sqrt)([ps])[ds]\s(.*)$"
+    for kind, operands in re.findall(arithmetic, code, re.M):
+        register = next((name for name in ("zmm", "ymm") if name in operands), "xmm")
+        used[register if kind == "p" else "single"] += 1
+    return used
+
+
+@pytest.fixture(name="register_use", scope="session")
+def _register_use():
+    return register_use

@@ -26,7 +26,6 @@ __all__ = [
     "MODEL_VERSIONS",
     "Checkpoint",
     "model_version",
-    "package_version",
     "simulate",
     "software",
 ]
@@ -123,15 +122,7 @@ def software(scenario: Scenario) -> dict[str, Any]:
     packages = ("terraphi", "numpy", *(("numba",) if scenario.model == "mpm" else ()))
     return {
         "model_version": model_version(scenario),
-        **{name: package_version(name) for name in packages},
+        **{name: importlib.metadata.version(name) for name in packages},
         "python": platform.python_version(),
         "machine": platform.machine(),
     }
-
-
-def package_version(package: str) -> str:
-    """Version of an installed package, or ``"unknown"`` (a source tree on the path)."""
-    try:
-        return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
-        return "unknown"

@@ -126,33 +126,34 @@ class Keeper:
             # Opened here, because NumPy leaves a file open that it finds to be broken.
             with path.open("rb") as stream, np.load(stream) as file:
                 head = json.loads(str(file["head"]))
-                for name, here in self._fitting.items():
-                    if (there := head["fitting"].get(name)) != here:
-                        raise _MisfitError(
-                            f"the checkpoint has {name.replace('_', ' ')} {str(there)[:12]} where "
-                            f"this run has {str(here)[:12]}"
-                        )
-                soil, audit = (
-                    type(part)(*(file[f"{name}.{field}"] for field in part._fields))
-                    for name, part in (("soil", first.soil), ("audit", first.audit))
-                )
-                state = State(soil, audit, file["impulse"], file["held"], int(head["step"]))
-        except (OSError, EOFError, KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
+                there = head["fitting"]
+                other = [k for k, here in self._fitting.items() if there.get(k) != here]
+                if not other:
+                    soil, audit = (
+                        type(part)(*(file[f"{name}.{field}"] for field in part._fields))
+                        for name, part in (("soil", first.soil), ("audit", first.audit))
+                    )
+                    state = State(soil, audit, file["impulse"], file["held"], int(head["step"]))
+                    self.resumed_at, self.seconds = (
+                        [*head["resumed_at"], state.step],
+                        head["seconds"],
+                    )
+                    log.info("%s: going on from step %d", path, state.step)
+                    return state
+            name, was, now = other[0], there.get(other[0]), self._fitting[other[0]]
             why = (
-                error
-                if isinstance(error, _MisfitError)
-                else "not a whole checkpoint (truncated, or another file)"
+                f"the checkpoint has {name.replace('_', ' ')} {str(was)[:12]} where this run has "
+                f"{str(now)[:12]}"
             )
-            # A checkpoint that was cut off still begins as one: another's file is left alone.
-            with path.open("rb") as stream:
-                ours = stream.read(4) in (b"", b"PK\x03\x04")
-            if self._where.named or not ours:
-                raise InputError(f"{path}: {why}; remove it, or name another file") from error
-            log.warning("%s: %s; it is ignored, and the simulation starts anew", path, why)
-            return first
-        self.resumed_at, self.seconds = [*head["resumed_at"], state.step], head["seconds"]
-        log.info("%s: going on from step %d", path, state.step)
-        return state
+        except (OSError, EOFError, KeyError, TypeError, ValueError, zipfile.BadZipFile):
+            why = "not a whole checkpoint (truncated, or another file)"
+        # A checkpoint that was cut off still begins as one: another's file is left alone.
+        with path.open("rb") as stream:
+            ours = stream.read(4) in (b"", b"PK\x03\x04")
+        if self._where.named or not ours:
+            raise InputError(f"{path}: {why}; remove it, or name another file")
+        log.warning("%s: %s; it is ignored, and the simulation starts anew", path, why)
+        return first
 
     def offer(self, state: State) -> None:
         """Write a state if the last one was written long enough ago; on a full disk, warn."""
@@ -179,10 +180,6 @@ class Keeper:
         self._last = time.perf_counter()
         if self._where.every > 0.0:
             self._pause = max(self._where.every, (self._last - began) / DEAREST)
-
-
-class _MisfitError(ValueError):
-    """A file is no checkpoint of this run; the message says why."""
 
 
 def fitting(scenario: Scenario, kernel: str) -> dict[str, Any]:

@@ -11,11 +11,9 @@ from __future__ import annotations
 import hashlib
 import inspect
 import os
-import re
 import shutil
 import tempfile
 import time
-from collections import Counter
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
@@ -24,15 +22,18 @@ from typing import Any, TypeVar, cast
 
 import numba
 import numba.extending
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
 
 from terraphi.experiment import leg
 
 Kernel = TypeVar("Kernel", bound=Callable[..., object])
 
-_OPTIONS: dict[str, Any] = {
+OPTIONS: dict[str, Any] = {
     "error_model": "numpy",
     "fastmath": {"contract", "nsz", "reassoc"},
 }
+"""Numba's options for all kernels."""
 _FOLDER = Path(__file__).parent
 _EXPERIMENT = _FOLDER.parent / "experiment"
 _SOURCES = [*sorted(_FOLDER.rglob("*.py")), _EXPERIMENT / "leg.py"]
@@ -73,7 +74,7 @@ def _compiled(function: Kernel, **options: Any) -> Kernel:
     numba.config.CACHE_DIR = str(place or "")  # type: ignore[attr-defined]
     try:
         # Numba asks here, and not later, where the code is to be kept.
-        made = numba.njit(**_OPTIONS, **options, cache=place is not None)(function)
+        made = numba.njit(**OPTIONS, **options, cache=place is not None)(function)
     finally:
         numba.config.CACHE_DIR = before  # type: ignore[attr-defined]
     return cast(Kernel, made)
@@ -97,21 +98,12 @@ def _wide_vectors(_context: Any) -> tuple[Any, Callable[..., Any]]:
 wide_vectors = cast(Callable[[], None], numba.extending.intrinsic(_wide_vectors))
 
 
-def register_use(function: Callable[..., object], *arguments: object) -> Counter[str]:
-    """Count the arithmetic instructions on real numbers in a kernel, compiled anew for x86.
-
-    By register: ``zmm`` (512 bits), ``ymm`` (256), ``xmm`` (128), ``single`` (one number). The
-    arguments are what the kernel is called with; it may change them.
-    """
-    fresh = numba.njit(**_OPTIONS)(getattr(function, "py_func", function))
-    fresh(*arguments)
-    (code,) = fresh.inspect_asm().values()
-    used: Counter[str] = Counter()
-    arithmetic = r"^\s+v?(?:fn?m(?:add|sub)\d*|mul|add|sub|div|sqrt)([ps])[ds]\s(.*)$"
-    for kind, operands in re.findall(arithmetic, code, re.M):
-        register = next((name for name in ("zmm", "ymm") if name in operands), "xmm")
-        used[register if kind == "p" else "single"] += 1
-    return used
+def aligned_zeros(count: int, dtype: DTypeLike = np.float64) -> NDArray[Any]:
+    """Zeros that begin where a cache line does; vectors across two lines cost twice."""
+    size = np.dtype(dtype).itemsize
+    room = np.zeros(count + 64 // size, dtype)
+    skip = -room.ctypes.data % 64 // size
+    return room[skip : skip + count]
 
 
 def _digest(sources: Iterable[Path]) -> str:

@@ -6,12 +6,12 @@ import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.experiment.errors import InputError, SimulationError
+from terraphi.experiment.errors import SimulationError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.motion import Poses, bin_centres
 from terraphi.experiment.scenario import Scenario
@@ -117,21 +117,15 @@ def simulate(
     Raises
     ------
     InputError
-        If there is no such kernel, or a checkpoint that a person named does not fit.
+        If a checkpoint that a person named does not fit.
     SimulationError
         If the solution breaks down; the message says between which steps, and the likely cause.
     """
-    if kernel not in get_args(Kernel):
-        raise InputError(f"kernel = '{kernel}': there are {' and '.join(get_args(Kernel))}")
     began = time.perf_counter()
     solver = _solver_of(scenario, kernel)
     keeper = Keeper(checkpoint, scenario, kernel)
-    centres, steps, length = (
-        bin_centres(scenario.motion),
-        step_count(scenario),
-        block_length(scenario),
-    )
-    bins = len(centres)
+    centres, steps = bin_centres(scenario.motion), step_count(scenario)
+    bins, length = len(centres), block_length(scenario)
     first = State(solver.bed(), empty_audit(), empty_reaction(bins), np.zeros(bins), 0)
     state = keeper.resumed(first)
     if observe is not None:

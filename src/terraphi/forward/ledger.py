@@ -20,8 +20,8 @@ class Audit(NamedTuple):
 
     ledger: FloatArray
     """Impulses so far (x, z), one row for each of :data:`LEDGER_ROWS`."""
-    last: FloatArray
-    """Momentum before the last step, and what it should be after it, shape [2, 2]."""
+    expected: FloatArray
+    """Momentum (x, z) that the soil should have after the last step."""
     impulses: FloatArray
     """Impulses of the last step, rows as in the ledger."""
     worst: FloatArray
@@ -31,7 +31,7 @@ class Audit(NamedTuple):
 def empty_audit() -> Audit:
     """Audit before the first step."""
     rows = (len(LEDGER_ROWS), 2)
-    return Audit(np.zeros(rows), np.zeros((2, 2)), np.zeros(rows), np.zeros(1))
+    return Audit(np.zeros(rows), np.zeros(2), np.zeros(rows), np.zeros(1))
 
 
 @kernel
@@ -39,7 +39,7 @@ def close_books(audit: Audit, impulses: FloatArray, momentum: tuple[float, float
     """Compare the momentum with that before the last step plus its impulses."""
     scale = np.abs(impulses).sum()
     if scale > 0.0:
-        miss = abs(momentum[0] - audit.last[1, 0]) + abs(momentum[1] - audit.last[1, 1])
+        miss = abs(momentum[0] - audit.expected[0]) + abs(momentum[1] - audit.expected[1])
         audit.worst[0] = max(audit.worst[0], miss / scale)
 
 
@@ -47,8 +47,7 @@ def close_books(audit: Audit, impulses: FloatArray, momentum: tuple[float, float
 def write_books(audit: Audit, impulses: FloatArray, momentum: tuple[float, float]) -> None:
     """Add a step's impulses to the ledger; ``momentum`` is that of the soil before the step."""
     for axis in range(2):
-        audit.last[0, axis] = momentum[axis]
-        audit.last[1, axis] = momentum[axis] + impulses[:, axis].sum()
+        audit.expected[axis] = momentum[axis] + impulses[:, axis].sum()
         for row in range(impulses.shape[0]):
             audit.ledger[row, axis] += impulses[row, axis]
             audit.impulses[row, axis] = impulses[row, axis]

@@ -25,14 +25,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
-from terraphi.experiment.leg import Leg, frame_axes
+from terraphi.experiment.leg import frame_axes
 from terraphi.experiment.motion import Poses, bin_centres
 from terraphi.experiment.scenario import GRAVITY, Scenario
 
@@ -79,21 +78,6 @@ _F3 = (
 )
 SPACE_COEFFICIENTS: FloatArray = np.array([_F1, _F2, _F3])
 """Coefficients of the response functions f1, f2, f3 in three dimensions [-], shape [3, 20]."""
-
-
-class Elements(NamedTuple):
-    """Elements of the leg at some poses, (x, z)."""
-
-    depth: FloatArray
-    """Of the midpoints below the free surface, negative above [m], shape [pose, panel]."""
-    arm: FloatArray
-    """Midpoints from the hip [m], shape [pose, panel, 2]."""
-    tangent: FloatArray
-    """Unit tangents from hip to tip [-], shape [pose, panel, 2]."""
-    direction: FloatArray
-    """Unit vectors of the velocity [-], shape [pose, panel, 2]."""
-    length: FloatArray
-    """Arc lengths [m], shape [panel]."""
 
 
 def simulate(
@@ -160,9 +144,23 @@ def leg_force(scenario: Scenario, poses: Poses) -> tuple[FloatArray, FloatArray]
     ndarray
         Moment [N m], positive in the direction of increasing θ, shape [pose].
     """
-    parts = elements(scenario.leg, poses, surface=scenario.bed.surface, panels=scenario.rft.panels)
-    submerged = parts.depth > 0.0
-    tangent, direction = parts.tangent[submerged], parts.direction[submerged]
+    line = scenario.leg.centre_line(scenario.rft.panels)
+    along, motion = (axis[:, None, :] for axis in frame_axes(poses.theta))
+
+    def turned(vectors: FloatArray) -> FloatArray:
+        """Vectors of the leg's frame as (x, z), shape [pose, panel, 2]."""
+        return np.asarray(vectors[None, :, :1] * along + vectors[None, :, 1:] * motion)
+
+    arm = turned(line.centre)  # from the hip
+    # When θ grows, a vector (s, m) of the leg's frame moves along (-m, s) of that frame.
+    sweep = turned(np.stack([-line.centre[:, 1], line.centre[:, 0]], axis=1))
+    velocity = poses.velocity[:, None, :] + poses.rate[:, None, None] * sweep
+    speed = np.linalg.norm(velocity, axis=-1, keepdims=True)
+    # An element that happens to stand still has no direction, and feels nothing here.
+    direction = np.divide(velocity, speed, out=np.zeros_like(velocity), where=speed > 0.0)
+    depth = scenario.bed.surface - (poses.hip[:, None, 1] + arm[..., 1])
+    submerged = depth > 0.0
+    tangent, direction = turned(line.tangent)[submerged], direction[submerged]
     per_depth = np.zeros((*submerged.shape, 2))
     if scenario.dimensions == 2:
         per_depth[submerged] = stress_per_depth_2d(
@@ -171,7 +169,7 @@ def leg_force(scenario: Scenario, poses: Poses) -> tuple[FloatArray, FloatArray]
     else:
         normal = np.stack([tangent[:, 1], -tangent[:, 0]], axis=-1)
         # A sheet has two faces; the one that leads is the one whose normal goes with the motion.
-        normal *= np.where(_dot(normal, direction) >= 0.0, 1.0, -1.0)[:, None]
+        normal *= np.where(np.vecdot(normal, direction) >= 0.0, 1.0, -1.0)[:, None]
         per_depth[submerged] = stress_per_depth_3d(
             normal,
             direction,
@@ -179,34 +177,12 @@ def leg_force(scenario: Scenario, poses: Poses) -> tuple[FloatArray, FloatArray]
             density=scenario.soil.density,
             surface_friction=scenario.leg.friction,
         )
-    area_depth = np.where(submerged, parts.depth, 0.0) * parts.length * scenario.leg.width
+    area_depth = np.where(submerged, depth, 0.0) * line.length * scenario.leg.width
     # Both laws are proportional to the soil's weight.
     area_depth *= scenario.bed.gravity / GRAVITY
     pushed = area_depth[..., None] * per_depth
-    moment = parts.arm[..., 1] * pushed[..., 0] - parts.arm[..., 0] * pushed[..., 1]
+    moment = arm[..., 1] * pushed[..., 0] - arm[..., 0] * pushed[..., 1]
     return pushed.sum(axis=1), moment.sum(axis=1)
-
-
-def elements(leg: Leg, poses: Poses, *, surface: float, panels: int) -> Elements:
-    """Elements of the centre line, where they are and how they move.
-
-    ``surface`` is the height of the free surface z [m], ``panels`` the number of elements.
-    """
-    line = leg.centre_line(panels)
-    along, motion = (axis[:, None, :] for axis in frame_axes(poses.theta))
-
-    def turned(vectors: FloatArray) -> FloatArray:
-        return np.asarray(vectors[None, :, :1] * along + vectors[None, :, 1:] * motion)
-
-    arm = turned(line.centre)
-    # When θ grows, a vector (s, m) of the leg's frame moves along (-m, s) of that frame.
-    sweep = turned(np.stack([-line.centre[:, 1], line.centre[:, 0]], axis=1))
-    velocity = poses.velocity[:, None, :] + poses.rate[:, None, None] * sweep
-    speed = np.linalg.norm(velocity, axis=-1, keepdims=True)
-    # An element that happens to stand still has no direction, and feels nothing here.
-    direction = np.divide(velocity, speed, out=np.zeros_like(velocity), where=speed > 0.0)
-    depth = surface - (poses.hip[:, None, 1] + arm[..., 1])
-    return Elements(depth, arm, turned(line.tangent), direction, line.length)
 
 
 def stress_per_depth_2d(
@@ -335,10 +311,8 @@ def stress_per_depth_3d(
     """
     scale = float(stress_scale(friction_angle_deg, density))
     stress = np.empty(np.broadcast_shapes(normal.shape, direction.shape))
-    normal, direction = (
-        np.broadcast_to(normal, stress.shape),
-        np.broadcast_to(direction, stress.shape),
-    )
+    normal = np.broadcast_to(normal, stress.shape)
+    direction = np.broadcast_to(direction, stress.shape)
     for first in range(0, len(stress), AT_ONCE):
         some = slice(first, first + AT_ONCE)
         n, v = normal[some].T, direction[some].T
@@ -368,8 +342,3 @@ def _monomials(x1: FloatArray, x2: FloatArray, x3: FloatArray) -> FloatArray:
             x1 * x2 * x3,
         ]
     )
-
-
-def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Scalar products of rows."""
-    return np.asarray(np.einsum("...i,...i->...", a, b), dtype=np.float64)

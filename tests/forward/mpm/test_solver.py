@@ -9,7 +9,7 @@ from scipy.optimize import curve_fit
 from terraphi.experiment.leg import Leg
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import driver, simulate
-from terraphi.forward.compiled import register_use
+from terraphi.forward.compiled import aligned_zeros
 from terraphi.forward.driver import path_of_steps
 from terraphi.forward.ledger import empty_audit, empty_reaction
 from terraphi.forward.mpm import contact, lanes, packing, plain, plasticity
@@ -298,10 +298,10 @@ def test_distance_is_that_of_the_nearest_of_many_points(space, shape):
 
 
 @pytest.mark.parametrize("kernel", ["strain_packet", "swell_packet", "return_packet"])
-def test_the_lanes_are_vectors(space, kernel):
+def test_the_lanes_are_vectors(space, register_use, kernel):
     scenario = space.scenario()
     soil, lattice = geostatic_bed(scenario, np.float32), lattice_of(scenario)
-    state, work = packing.pack(soil, lattice).state, packing.aligned(int(lanes.WORK))
+    state, work = packing.pack(soil, lattice).state, aligned_zeros(int(lanes.WORK), np.float32)
     laws = lanes.laws_of(material_of(scenario.soil))
     both = (laws, laws) if kernel == "swell_packet" else (laws,)
     used = register_use(getattr(lanes, kernel), state, work, np.uint64(0), LANES, *both)

@@ -60,7 +60,7 @@ def take_steps(
     lost, first = -1, 0
     for count in blocks:
         path = path_of_steps(scenario, np.arange(first, first + count), 3)
-        lost = kernel.advance(soil, grid, model, *path, impulse, audit)
+        lost = kernel.advance(soil, grid, model, path, impulse, audit)
         first += count
         if lost >= 0:
             break

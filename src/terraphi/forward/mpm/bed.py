@@ -9,8 +9,9 @@ from numpy.typing import DTypeLike, NDArray
 
 from terraphi.experiment.leg import frame_axes
 from terraphi.experiment.scenario import Scenario
+from terraphi.forward.bed import jittered, weight
 from terraphi.forward.mpm.contact import contact_of, distance_to_body
-from terraphi.forward.mpm.lattice import Lattice, lattice_of, sub_cells
+from terraphi.forward.mpm.lattice import Lattice, lattice_of
 
 FloatArray = NDArray[np.float64]
 
@@ -43,8 +44,7 @@ class Soil(NamedTuple):
 def geostatic_bed(scenario: Scenario, dtype: DTypeLike = np.float64) -> Soil:
     """Fill the box with one particle a sub-cell, at rest under its own weight.
 
-    σ_zz = -q - ρ g depth, σ_xx = σ_yy = K0 σ_zz; the surcharge q is dead weight of the uppermost
-    particles. Particles inside the leg's first position are left out.
+    Particles inside the leg's first position are left out. σ_xx = σ_yy = K0 σ_zz.
 
     Parameters
     ----------
@@ -58,28 +58,16 @@ def geostatic_bed(scenario: Scenario, dtype: DTypeLike = np.float64) -> Soil:
     Soil
         The grid has no masses yet, and rests.
     """
-    bed, numerics, soil = scenario.bed, scenario.numerics, scenario.soil
     lattice = lattice_of(scenario)
-    counts, size = sub_cells(scenario)
-    rng = np.random.default_rng(numerics.seed)
-    axes = np.meshgrid(*(np.arange(n) for n in counts[::-1]), indexing="ij")
-    corner = np.stack([axis.ravel() for axis in axes[::-1]], axis=1).astype(np.int32)
-    place = rng.random((len(corner), 3))
-    place = 0.5 + numerics.particle_jitter * (place - 0.5)
-    position = np.array([bed.soil_span[0], 0.0, bed.floor]) + (corner + place) * size
-    uppermost = corner[:, 2] == counts[2] - 1
-    del corner, place
+    position, uppermost = jittered(scenario)
     kept = _outside_leg(scenario, position)
     position, uppermost = position[kept], uppermost[kept]
 
     count = len(position)
+    vertical, mass = weight(scenario, position[:, 2], uppermost)
     stress = np.zeros((count, 6), dtype)
-    vertical = -bed.surcharge - soil.density * bed.gravity * (bed.surface - position[:, 2])
     stress[:, 2] = vertical
-    stress[:, 0] = stress[:, 1] = soil.k0_at_rest * vertical
-    mass = np.full(count, soil.density * np.prod(size), dtype)
-    if bed.surcharge > 0.0:
-        mass[uppermost] += bed.surcharge / bed.gravity * size[0] * size[1]
+    stress[:, 0] = stress[:, 1] = scenario.soil.k0_at_rest * vertical
     cell, offset = cells_of(lattice, position)
     return Soil(
         cell,
@@ -87,7 +75,7 @@ def geostatic_bed(scenario: Scenario, dtype: DTypeLike = np.float64) -> Soil:
         stress,
         np.zeros(count, dtype),
         np.zeros((count, 3), dtype),
-        mass,
+        mass.astype(dtype),
         np.zeros(lattice.nodes, dtype),
         np.zeros((3, lattice.nodes), dtype),
     )

@@ -21,9 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.experiment.scenario import Scenario
+from terraphi.forward.bed import sub_cells
 from terraphi.forward.body import Intruder, Pose, distance_to_leg, intruder_of, out_of_leg_frame
 from terraphi.forward.compiled import kernel
-from terraphi.forward.mpm.lattice import Lattice, Three, place_of, sub_cells
+from terraphi.forward.mpm.lattice import Lattice, Three, place_of
 
 OUTLINE, SPHERE, CYLINDER = 0, 1, 2
 """Kinds of bodies."""

@@ -34,11 +34,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.experiment.scenario import Scenario
-from terraphi.forward.compiled import entry, kernel, wide_vectors
+from terraphi.forward.bed import sub_cells
+from terraphi.forward.compiled import aligned_zeros, entry, kernel, wide_vectors
 from terraphi.forward.mpm import packing
 from terraphi.forward.mpm.bed import Soil
-from terraphi.forward.mpm.lattice import LANES, MARGIN, Lattice, lattice_of, sub_cells
-from terraphi.forward.mpm.packing import Packets, aligned, pack, unpack
+from terraphi.forward.mpm.lattice import LANES, MARGIN, Lattice, lattice_of
+from terraphi.forward.mpm.packing import Packets, pack, unpack
 from terraphi.forward.mpm.plain import SHARING_ROUNDS
 from terraphi.forward.mpm.plasticity import (
     SHORT_OF_TIP,
@@ -47,6 +48,7 @@ from terraphi.forward.mpm.plasticity import (
     held_mean,
     jaumann_predictor,
     material_of,
+    softened,
     with_gaps,
 )
 from terraphi.forward.mpm.transfer import Nodes
@@ -123,7 +125,7 @@ class FastStrain:
         material, self._lattice = material_of(scenario.soil), lattice_of(scenario)
         self._laws = (laws_of(material), laws_of(held_mean(material)), material.swells)
         self._area = np.float32(-float(np.prod(sub_cells(scenario)[1])) / self._lattice.cell_size)
-        self._work = aligned(int(WORK))
+        self._work = aligned_zeros(int(WORK), np.float32)
         self._packets: Any = None
 
     def begin(self, soil: Soil) -> None:
@@ -362,15 +364,6 @@ def cosine_of_two_thirds(s: Any) -> Any:
 
 
 @kernel
-def softened(strain: Any, laws: Material) -> tuple[Any, Any]:
-    """Mobilised sin φ and sin ψ at a plastic shear strain [-]."""
-    left = UNIT - laws.per_softening * strain
-    left = left if left > ZERO else ZERO
-    excess = laws.sin_friction - laws.sin_critical
-    return laws.sin_critical + left * excess, left * laws.sin_dilation
-
-
-@kernel
 def mohr_coulomb(trial: Trial, sin_phi: Any, sin_psi: Any, laws: Material) -> Four:
     """As ``plasticity.mohr_coulomb``: face and edge at once, then one is chosen."""
     mean, high, low = trial.mean, trial.high, trial.low
@@ -451,7 +444,7 @@ def return_stress(trial: Six, strain: Any, laws: Material) -> tuple[Six, Any, An
     high, low = size * (DOUBLE * up - down), size * (DOUBLE * down - up)
     # Equal principal stresses have no gap: a tiny one keeps the quotients below finite.
     high, low = high if high > SMALL else SMALL, low if low > SMALL else SMALL
-    sin_phi, sin_psi = softened(strain, laws)
+    sin_phi, sin_psi = softened(strain, laws, UNIT)
     seen = Trial(mean, radius, cosine, high, low)
     if laws.surface is None:
         new, new_high, new_low, swelling = mohr_coulomb(seen, sin_phi, sin_psi, laws)
@@ -568,11 +561,8 @@ def share(work: Work, lanes: Index, laws: Material) -> None:
     """Take a Newton step towards the change of mean stress that a cell's particles share."""
     wide_vectors()
     for i in range(lanes):
-        number, swelling, slope = (
-            work[SWELL + i],
-            work[SWELL + ROW + i],
-            work[SWELL + TWO * ROW + i],
-        )
+        number, swelling = work[SWELL + i], work[SWELL + ROW + i]
+        slope = work[SWELL + TWO * ROW + i]
         slope = slope if number > ZERO else UNIT
         work[SHARE + i] -= (number * work[SHARE + i] + laws.bulk_modulus * swelling) / slope
 

@@ -62,21 +62,6 @@ def lattice_of(scenario: Scenario) -> Lattice:
     return Lattice(row, layer, layer * count, count, count_y, blocks, size)
 
 
-def sub_cells(scenario: Scenario) -> tuple[tuple[int, int, int], NDArray[np.float64]]:
-    """Numbers of sub-cells along x, y, z, one a particle, and the sides of one [m].
-
-    As near to Δx / ``particles_per_cell_side`` as an integer number of them allows, so that mass
-    and volume are exact on any grid.
-    """
-    bed, numerics = scenario.bed, scenario.numerics
-    side = numerics.particles_per_cell_side
-    target = numerics.cell_size / side
-    left, right = bed.soil_span
-    columns, rows = round((right - left) / target), round(bed.height / target)
-    size = np.array([(right - left) / columns, target, bed.height / rows])
-    return (columns, scenario.cells_across * side, rows), size
-
-
 def positions(
     lattice: Lattice, cell: NDArray[np.int32], offset: NDArray[Any]
 ) -> NDArray[np.float64]:

@@ -108,16 +108,8 @@ def take_over(soil: Soil, lattice: Lattice, grid: FloatArray) -> None:
     ``grid`` is as :func:`~terraphi.forward.mpm.transfer.renew` leaves it; changed.
     """
     # What the splines gave to images belongs to the nodes that they mirror.
-    for k in range(lattice.side):
-        for i in range(lattice.row):
-            low = k * lattice.layer + i
-            high = low + (lattice.count_y - 1) * lattice.row
-            for axis in range(4):
-                sign = -1.0 if axis == 2 else 1.0
-                grid[axis, low + lattice.row] += sign * grid[axis, low]
-                grid[axis, high - lattice.row] += sign * grid[axis, high]
-                grid[axis, low] = 0.0
-                grid[axis, high] = 0.0
+    fold(grid[:1], lattice, lattice.nodes)
+    fold(grid[1:], lattice, lattice.nodes)
     for q in range(lattice.nodes):
         mass = grid[0, q]
         inverse = 1.0 / mass if mass > 0.0 else 0.0
@@ -141,14 +133,15 @@ def mirror(nodes: Nodes, lattice: Lattice, used: int) -> None:
 
 @kernel
 def fold(nodes: Nodes, lattice: Lattice, used: int) -> None:
-    """Add the forces on images to the nodes that they mirror."""
+    """Take a scalar or a vector from the images, and add it to the nodes that they mirror."""
     row, last = lattice.row, (lattice.count_y - 1) * lattice.row
-    for axis in range(3):
+    for axis in range(nodes.shape[0]):
         sign = nodes.dtype.type(-1.0 if axis == 1 else 1.0)
         for low in range(0, used, lattice.layer):
             for i in range(low, low + row):
                 nodes[axis, i + row] += sign * nodes[axis, i]
                 nodes[axis, i + last - row] += sign * nodes[axis, i + last]
+                nodes[axis, i] = nodes[axis, i + last] = 0
 
 
 @kernel

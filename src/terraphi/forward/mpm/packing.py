@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.forward.compiled import entry
+from terraphi.forward.compiled import aligned_zeros, entry
 from terraphi.forward.mpm.bed import Soil
 from terraphi.forward.mpm.lattice import LANES, Lattice
 
@@ -63,19 +63,12 @@ def pack(soil: Soil, lattice: Lattice) -> Packets:
     depth = cells.reshape(-1, _WIDTH).max(axis=1)
     first = np.concatenate([[0], np.cumsum(depth)])
     packets = int(first[-1])
-    state = aligned(packets * FIELDS * _WIDTH)
+    state = aligned_zeros(packets * FIELDS * _WIDTH, np.float32)
     owner = np.full(packets * _WIDTH, -1, np.int32)
-    centre = aligned(len(depth) * 3 * _WIDTH)
+    centre = aligned_zeros(len(depth) * 3 * _WIDTH, np.float32)
     made = Packets(state, first, centre, owner)
     _fill(soil, lattice, count, count.copy(), made)
     return made
-
-
-def aligned(length: int) -> NDArray[np.float32]:
-    """Zeros that begin where a vector register may be loaded from without crossing a cache line."""
-    whole = np.zeros(length + _WIDTH, np.float32)
-    start = -whole.ctypes.data % 64 // 4
-    return whole[start : start + length]
 
 
 @entry

@@ -36,9 +36,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.experiment.scenario import Scenario
+from terraphi.forward.bed import sub_cells
 from terraphi.forward.compiled import entry, kernel
 from terraphi.forward.mpm.bed import Soil
-from terraphi.forward.mpm.lattice import Lattice, Three, lattice_of, sub_cells
+from terraphi.forward.mpm.lattice import Lattice, Three, lattice_of
 from terraphi.forward.mpm.plasticity import (
     SHORT_OF_TIP,
     Material,

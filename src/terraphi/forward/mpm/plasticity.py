@@ -201,9 +201,10 @@ def with_gaps(deviator: Six, even: Any, slope: Any, bend: Any) -> Six:
 
 
 @kernel
-def softened(strain: float, material: Material) -> tuple[float, float]:
-    """Mobilised sin φ and sin ψ at a plastic shear strain [-]."""
-    left = max(1.0 - material.per_softening * strain, 0.0)
+def softened(strain: Any, material: Material, one: Any) -> tuple[Any, Any]:
+    """Mobilised sin φ and sin ψ at a plastic shear strain [-]; ``one`` in its precision."""
+    left = one - material.per_softening * strain
+    left = left if left > one - one else one - one
     return (
         material.sin_critical + left * (material.sin_friction - material.sin_critical),
         left * material.sin_dilation,
@@ -320,7 +321,7 @@ def return_mapping(trial: Six, strain: float, material: Material) -> tuple[Six, 
     size = 2.0 / math.sqrt(3.0) * radius
     first, last = size * math.cos(lode), -size * math.cos(math.pi / 3.0 - lode)
     high, low = 2.0 * first + last, -first - 2.0 * last
-    sin_phi, sin_psi = softened(strain, material)
+    sin_phi, sin_psi = softened(strain, material, 1.0)
     seen = Trial(mean, radius, cosine, high, low)
     if material.surface == 0:
         found = mohr_coulomb(seen, sin_phi, sin_psi, material)

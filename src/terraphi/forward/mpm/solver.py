@@ -82,7 +82,7 @@ class MpmSolver:
             # The last strain was of half a step, for the stress alone; the next phase begins anew.
             phase.force[:] = 0.0
             strainer.end(soil)
-            end_phase(audit, impulses, momentum)
+            write_books(audit, HALVES * impulses, momentum)
             lost = int(settle(soil, phase.lattice, phase.shift, self._grid))
             if lost >= 0:
                 return lost
@@ -185,12 +185,6 @@ def step(
     nodes.step(soil, phase, impulses)
     for axis in range(3):
         nodes.carry(shift[axis], soil.velocity[axis], real(time_step), used)
-
-
-@entry
-def end_phase(audit: Audit, impulses: FloatArray, momentum: tuple[float, float]) -> None:
-    """Enter a phase's impulses [N s] into the books of the whole soil."""
-    write_books(audit, HALVES * impulses, momentum)
 
 
 @entry

@@ -9,8 +9,14 @@ from numpy.typing import NDArray
 
 from terraphi.experiment.leg import frame_axes
 from terraphi.experiment.scenario import Scenario
+from terraphi.forward.bed import jittered, sub_cells, weight
+from terraphi.forward.compiled import aligned_zeros
 
 FloatArray = NDArray[np.float64]
+
+LANES = np.uint64(8)
+"""Adjacent cells that the fast kernel takes at a time, one a double of a 512-bit register; a
+narrower one takes them in turns."""
 
 
 class Particles(NamedTuple):
@@ -46,18 +52,19 @@ class Grid(NamedTuple):
 
 
 def empty_grid(scenario: Scenario) -> Grid:
-    """Empty grid of a scenario, with one more node than cells need, for splines at its edge."""
-    shape = (scenario.numerics.cells + 2, scenario.numerics.cells + 2)
-    return Grid(np.zeros(shape), np.zeros(shape), np.zeros(shape))
+    """Empty grid of a scenario, with one more node than cells need, for splines at its edge.
+
+    Its rows end in a block of lanes to spare, so that registers need no rest of a row.
+    """
+    rows = scenario.numerics.cells + 2
+    columns = (-(-rows // int(LANES)) + 1) * int(LANES)
+    return Grid(*(aligned_zeros(rows * columns).reshape(rows, columns) for _ in Grid._fields))
 
 
 def geostatic_bed(scenario: Scenario) -> Particles:
     """Fill the box, or a part of it, with one particle a sub-cell, at rest under its own weight.
 
-    Sub-cells are those of the soil, as near to Δx / ``particles_per_cell_side`` as a whole number
-    of them allows, so that mass and volume are exact on any grid. Particles inside the leg's first
-    position are left out. σ_zz = -q - ρ g depth, σ_xx = σ_yy = K0 σ_zz. The surcharge q is dead
-    weight: it adds to the mass of the uppermost row of particles, not to their volume.
+    Particles inside the leg's first position are left out. σ_xx = σ_yy = K0 σ_zz.
 
     That state is admissible under ``plane_strain`` and ``triaxial``. Under ``paper`` it is not,
     because K0 = 1 - sin φ takes the nominal φ and the yield surface does not: the first step
@@ -69,30 +76,17 @@ def geostatic_bed(scenario: Scenario) -> Particles:
     scenario
         The scenario; its seed places the particles.
     """
-    bed, numerics, soil = scenario.bed, scenario.numerics, scenario.soil
-    target = numerics.cell_size / numerics.particles_per_cell_side
-    left, right = bed.soil_span
-    columns, rows = round((right - left) / target), round(bed.height / target)
-    size = np.array([(right - left) / columns, bed.height / rows])
-    rng = np.random.default_rng(numerics.seed)
-    place = 0.5 + numerics.particle_jitter * (rng.random((rows * columns, 2)) - 0.5)
-    column, row = np.meshgrid(np.arange(columns), np.arange(rows))
-    corner = np.stack([column.ravel(), row.ravel()], axis=1)
-    position = np.array([left, bed.floor]) + (corner + place) * size
-
+    position, uppermost = jittered(scenario)
     pose = scenario.motion.poses(np.zeros(1))
     axes = np.array(frame_axes(pose.theta[0]))
     kept = scenario.leg.signed_distance((position - pose.hip[0]) @ axes.T)[0] >= 0.0
-    position, uppermost = position[kept], corner[kept, 1] == rows - 1
+    position, uppermost = position[kept], uppermost[kept]
 
     count = len(position)
+    vertical, mass = weight(scenario, position[:, 1], uppermost)
     stress = np.zeros((count, 4))
-    stress[:, 1] = -bed.surcharge - soil.density * bed.gravity * (bed.surface - position[:, 1])
-    stress[:, 0] = stress[:, 3] = soil.k0_at_rest * stress[:, 1]
-    volume = np.full(count, size[0] * size[1])
-    mass = soil.density * volume
-    if bed.surcharge > 0.0:
-        mass[uppermost] += bed.surcharge / bed.gravity * size[0]
+    stress[:, 1] = vertical
+    stress[:, 0] = stress[:, 3] = scenario.soil.k0_at_rest * vertical
     return Particles(
         position=position,
         start=position.copy(),
@@ -100,6 +94,6 @@ def geostatic_bed(scenario: Scenario) -> Particles:
         gradient=np.zeros((count, 4)),
         stress=stress,
         mass=mass,
-        volume=volume,
+        volume=np.full(count, np.prod(sub_cells(scenario)[1])),
         weight=np.ones(count),
     )

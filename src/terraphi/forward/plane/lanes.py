@@ -20,7 +20,7 @@ The loops over lanes are what the compiler turns into vector instructions. It do
 length is not known to it (a known one is unrolled, and then nothing comes of the vectors), if all
 indices are unsigned and all arrays flat, and if the distances between what is read and written in
 one array are known to be a register or more. Hence the argument ``lanes``, always
-:data:`~terraphi.forward.plane.packing.LANES`, and one array ``work`` for all that passes between
+:data:`~terraphi.forward.plane.bed.LANES`, and one array ``work`` for all that passes between
 the stages; ``tests/forward/plane/test_packets.py`` looks at the instructions that come of it.
 """
 
@@ -31,11 +31,10 @@ import math
 import numpy as np
 
 from terraphi.forward.compiled import kernel, wide_vectors
-from terraphi.forward.plane.bed import Grid
+from terraphi.forward.plane.bed import LANES, Grid
 from terraphi.forward.plane.model import Model
 from terraphi.forward.plane.packing import (
     FIELDS,
-    LANES,
     MASS,
     OFFSET_X,
     OFFSET_Z,
@@ -101,7 +100,7 @@ def load_window(
     stride
         Nodes in a row of the grid.
     lanes
-        :data:`~terraphi.forward.plane.packing.LANES`.
+        :data:`~terraphi.forward.plane.bed.LANES`.
     """
     wide_vectors()
     for row in range(THREE):
@@ -177,7 +176,7 @@ def follow_grid(
     first, layers
         First packet of the block, and how many there are.
     lanes
-        :data:`~terraphi.forward.plane.packing.LANES`.
+        :data:`~terraphi.forward.plane.bed.LANES`.
     model
         Constants.
 

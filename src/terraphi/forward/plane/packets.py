@@ -15,12 +15,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from terraphi.forward.body import pose_of
-from terraphi.forward.compiled import entry, kernel, wide_vectors
+from terraphi.forward.compiled import aligned_zeros, entry, kernel, wide_vectors
+from terraphi.forward.driver import Path
 from terraphi.forward.ledger import Audit, close_books, enter_reaction, write_books
-from terraphi.forward.plane.bed import Grid, Particles
+from terraphi.forward.plane.bed import LANES, Grid, Particles
 from terraphi.forward.plane.contact import against_leg, against_walls
 from terraphi.forward.plane.lanes import (
     CXX,
@@ -44,7 +44,6 @@ from terraphi.forward.plane.lanes import (
 from terraphi.forward.plane.model import Model
 from terraphi.forward.plane.packing import (
     FIELDS,
-    LANES,
     MASS,
     OFFSET_X,
     OFFSET_Z,
@@ -55,7 +54,6 @@ from terraphi.forward.plane.packing import (
     Index,
     IndexArray,
     Packets,
-    aligned_zeros,
     clear_lane,
     copy_out,
     insert,
@@ -65,8 +63,6 @@ from terraphi.forward.plane.packing import (
 )
 from terraphi.forward.plane.scalar import update_grid, update_particles
 from terraphi.forward.plane.transfer import particle_to_grid, particles_to_grid
-
-IntArray = NDArray[np.int64]
 
 
 class Memory(NamedTuple):
@@ -88,18 +84,18 @@ def advance(
     soil: Particles,
     grid: Grid,
     model: Model,
-    poses: FloatArray,
-    turned: FloatArray,
-    bins: IntArray,
+    path: Path,
     impulse: FloatArray,
     audit: Audit,
 ) -> int:
     """Run the kernel over a block of steps; as :func:`terraphi.forward.plane.scalar.advance`."""
-    rows, last = grid.mass.shape[0], len(poses) - 1
-    grids = (padded_grid(rows), padded_grid(rows))
+    rows, last = grid.mass.shape[0], len(path.turned) - 1
+    other = Grid(*(aligned_zeros(nodes.size).reshape(nodes.shape) for nodes in grid))
+    # The last step ends on the grid that was given.
+    grids = (other, grid) if last % 2 else (grid, other)
     impulses = audit.impulses.copy()
-    momentum = first_half(soil, grids[0], model)
-    path = (poses, turned, bins, impulse, audit, impulses)
+    books = (impulse, audit, impulses)
+    momentum = particles_to_grid(soil, grids[0], model.cell_size, model.time_step)
     step, lost = 0, -1
     while step < last and lost < 0:
         # Packed anew whenever a block has no room for a particle that enters it.
@@ -112,28 +108,12 @@ def advance(
             np.zeros(1, np.uint64),
         )
         step, momentum, lost = march(
-            packets, soil, grids, memory, model, *path, momentum, step, LANES
+            packets, soil, grids, memory, model, path, *books, momentum, step, LANES
         )
         unpack(packets, soil, model.cell_size)
     if lost < 0:
-        lost = last_half(soil, grids[last % 2], model, *path, momentum)
-        for nodes, padded in zip(grid, grids[last % 2], strict=True):
-            nodes[:] = padded[:, : nodes.shape[1]]
+        lost = last_half(soil, grid, model, path, *books, momentum)
     return lost
-
-
-def padded_grid(rows: int) -> Grid:
-    """Empty grid whose rows end in a block to spare, so that registers need no rest of a row."""
-    lanes = int(LANES)
-    columns = ((rows + lanes - 1) // lanes + 1) * lanes
-    mass, vx, vz = (aligned_zeros(rows * columns).reshape(rows, columns) for _ in range(3))
-    return Grid(mass, vx, vz)
-
-
-@entry
-def first_half(soil: Particles, now: Grid, model: Model) -> tuple[float, float]:
-    """Particles to grid, as the plain kernel does it; the soil's momentum [kg/s]."""
-    return particles_to_grid(soil, now, model.cell_size, model.time_step)
 
 
 @entry
@@ -141,9 +121,7 @@ def last_half(
     soil: Particles,
     now: Grid,
     model: Model,
-    poses: FloatArray,
-    turned: FloatArray,
-    bins: IntArray,
+    path: Path,
     impulse: FloatArray,
     audit: Audit,
     impulses: FloatArray,
@@ -152,9 +130,9 @@ def last_half(
     """Grid update and grid to particles of the last step, as the plain kernel does them."""
     close_books(audit, impulses, momentum)
     impulses[:] = 0.0
-    counted = update_grid(now, model, poses[-1], impulses)
-    enter_reaction(impulse, bins[-1], counted, (impulses[1, 0], impulses[1, 1]))
-    lost = update_particles(soil, now, model, turned[-1], impulses)
+    counted = update_grid(now, model, path.poses[-1], impulses)
+    enter_reaction(impulse, path.bins[-1], counted, (impulses[1, 0], impulses[1, 1]))
+    lost = update_particles(soil, now, model, path.turned[-1], impulses)
     if lost < 0:
         write_books(audit, impulses, momentum)
     return lost
@@ -167,9 +145,7 @@ def march(
     grids: tuple[Grid, Grid],
     memory: Memory,
     model: Model,
-    poses: FloatArray,
-    turned: FloatArray,
-    bins: IntArray,
+    path: Path,
     impulse: FloatArray,
     audit: Audit,
     impulses: FloatArray,
@@ -186,10 +162,10 @@ def march(
     packets, soil
         The soil; a particle that no packet had room for is in ``soil`` alone.
     grids
-        Padded; the one of the step's parity holds momenta.
+        The one of the step's parity holds momenta.
     memory, model
         Working memory and constants.
-    poses, turned, bins, impulse, audit
+    path, impulse, audit
         As in :func:`advance`.
     impulses
         Impulses of the step before [kg/s], changed.
@@ -198,7 +174,7 @@ def march(
     step
         The step to begin with.
     lanes
-        :data:`~terraphi.forward.plane.packing.LANES`, in a form that the compiler cannot foresee.
+        :data:`~terraphi.forward.plane.bed.LANES`, in a form that the compiler cannot foresee.
 
     Returns
     -------
@@ -211,16 +187,18 @@ def march(
     used = packets.top[0] + THREE
     clear_rows(grids[(step + 1) % 2], np.uint64(grids[0].mass.shape[0]))
     room = True
-    while step < poses.shape[0] - 1 and room:
+    while step < path.turned.size - 1 and room:
         now, then = grids[step % 2], grids[(step + 1) % 2]
         # The grid: momenta become velocities, and forces act.
         close_books(audit, impulses, momentum)
         impulses[:] = 0.0
-        counted = update_rows(now, used, model, poses[step], impulses)
-        enter_reaction(impulse, bins[step], counted, (impulses[1, 0], impulses[1, 1]))
+        counted = update_rows(now, used, model, path.poses[step], impulses)
+        enter_reaction(impulse, path.bins[step], counted, (impulses[1, 0], impulses[1, 1]))
         # The particles: velocities of one grid become momenta of the other.
         clear_rows(then, used)
-        lost, swept = sweep(packets, soil, now, then, memory, model, turned[step], impulses, lanes)
+        lost, swept = sweep(
+            packets, soil, now, then, memory, model, path.turned[step], impulses, lanes
+        )
         if lost >= 0:
             return step, momentum, lost
         write_books(audit, impulses, momentum)
@@ -233,7 +211,7 @@ def march(
 
 @kernel
 def clear_rows(grid: Grid, used: Index) -> None:
-    """Set masses and momenta of the first ``used`` rows of a padded grid to zero."""
+    """Set masses and momenta of the first ``used`` rows of a grid to zero."""
     wide_vectors()
     mass, vx, vz = flat(grid.mass), flat(grid.vx), flat(grid.vz)
     for i in range(ZERO, used * np.uint64(grid.mass.shape[1]), ONE):
@@ -264,7 +242,7 @@ def update_rows(
     Parameters
     ----------
     grid
-        Padded; holds momenta; holds velocities afterwards.
+        Holds momenta; holds velocities afterwards.
     used
         Rows that may hold mass.
     model, pose, impulses
@@ -381,7 +359,7 @@ def sweep(
     packets, soil, memory, model, lanes
         As for :func:`march`.
     now, then
-        Padded grids: velocities of this step; momenta of the next, empty at first. What
+        Grids: velocities of this step; momenta of the next, empty at first. What
         :func:`set_aside` has taken out is not in the momenta.
     turned
         |Δθ| of this step once θ > 0 [rad].

@@ -24,13 +24,11 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple, TypeAlias
 
-import llvmlite.binding
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.forward.compiled import entry, kernel
-from terraphi.forward.plane.bed import Particles
+from terraphi.forward.compiled import aligned_zeros, entry, kernel
+from terraphi.forward.plane.bed import LANES, Particles
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.uint64]
@@ -41,35 +39,7 @@ Index: TypeAlias = Any
 # vector registers; so all indices are unsigned.
 ZERO, ONE = np.uint64(0), np.uint64(1)
 
-
-def register_bits() -> int:
-    """Width of a vector register of this machine, or rather of what the compiler may use of it.
-
-    Returns
-    -------
-    int
-        512 with AVX-512, 256 with AVX, else 128 [bit].
-    """
-    features = getattr(numba.config, "CPU_FEATURES", None)
-    if features is None:
-        features = llvmlite.binding.get_host_cpu_features().flatten()
-    # A processor that was chosen by name, NUMBA_CPU_NAME, brings features that are not listed.
-    name = getattr(numba.config, "CPU_NAME", None) or ""
-    if "+avx512f" in features or name == "x86-64-v4":
-        return 512
-    return 256 if "+avx" in features or name == "x86-64-v3" else 128
-
-
-def lane_count() -> int:
-    """Doubles in a packet [-]: those of a register, and at least 4.
-
-    A machine with narrower registers works off a packet in two halves.
-    """
-    return max(register_bits() // 64, 4)
-
-
 # Where a field of lane 0 stands in a packet, for the compiler a constant.
-LANES = np.uint64(lane_count())
 OFFSET_X, OFFSET_Z = 0 * LANES, 1 * LANES  # from the base node [cell], 0.5 to 1.5
 SXX, SZZ, SXZ, SYY = 2 * LANES, 3 * LANES, 4 * LANES, 5 * LANES  # stress [Pa]
 MASS = 6 * LANES  # times weight [kg/m]
@@ -104,14 +74,6 @@ class Packets(NamedTuple):
     """Uppermost row of blocks that has been in use, shape [1]."""
     blocks: np.uint64
     """Blocks in a row."""
-
-
-def aligned_zeros(count: int) -> FloatArray:
-    """Zeros that begin where a cache line does; vectors across two lines cost twice."""
-    line = 64 // np.dtype(np.float64).itemsize
-    room = np.zeros(count + line)
-    skip = -(room.ctypes.data // room.itemsize) % line
-    return room[skip : skip + count]
 
 
 def pack(soil: Particles, rows: int, cell_size: float) -> Packets:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from terraphi.forward.body import pose_of
 from terraphi.forward.compiled import kernel
+from terraphi.forward.driver import Path
 from terraphi.forward.ledger import Audit, close_books, enter_reaction, write_books
 from terraphi.forward.plane.bed import Grid, Particles
 from terraphi.forward.plane.contact import against_leg, against_walls
@@ -29,9 +30,7 @@ def advance(
     soil: Particles,
     grid: Grid,
     model: Model,
-    poses: FloatArray,
-    turned: FloatArray,
-    bins: NDArray[np.int64],
+    path: Path,
     impulse: FloatArray,
     audit: Audit,
 ) -> int:
@@ -45,12 +44,8 @@ def advance(
         :class:`~terraphi.forward.plane.bed.Grid`, working memory.
     model
         :class:`~terraphi.forward.plane.model.Model`.
-    poses
-        Hip x, z [m], θ [rad], hip velocity x, z [m/s], angular rate [rad/s]; shape [step, 6].
-    turned
-        |Δθ| of each step once θ > 0, zero before [rad], shape [step].
-    bins
-        History bin of each step, shape [step].
+    path
+        Where the leg is, :class:`~terraphi.forward.driver.Path`.
     impulse
         As :func:`terraphi.forward.ledger.empty_reaction` makes it, added to.
     audit
@@ -62,14 +57,14 @@ def advance(
         Index of the first particle to leave the grid, or -1 if none did.
     """
     impulses = audit.impulses.copy()
-    for step in range(poses.shape[0]):
+    for step in range(path.turned.size):
         momentum = particles_to_grid(soil, grid, model.cell_size, model.time_step)
         # The momentum now must be that of a step ago and the impulses since then.
         close_books(audit, impulses, momentum)
         impulses[:] = 0.0
-        counted = update_grid(grid, model, poses[step], impulses)
-        enter_reaction(impulse, bins[step], counted, (impulses[1, 0], impulses[1, 1]))
-        lost = update_particles(soil, grid, model, turned[step], impulses)
+        counted = update_grid(grid, model, path.poses[step], impulses)
+        enter_reaction(impulse, path.bins[step], counted, (impulses[1, 0], impulses[1, 1]))
+        lost = update_particles(soil, grid, model, path.turned[step], impulses)
         if lost >= 0:
             return lost
         write_books(audit, impulses, momentum)

@@ -39,9 +39,7 @@ class PlaneSolver:
     def advance(self, soil: Particles, path: Path, impulse: FloatArray, audit: Audit) -> int:
         """Take some steps; index of the first particle to leave the grid, or -1."""
         grid, model = self._constants
-        return int(
-            self._advance(soil, grid, model, path.poses, path.turned, path.bins, impulse, audit)
-        )
+        return int(self._advance(soil, grid, model, path, impulse, audit))
 
     def fields(self, soil: Particles) -> tuple[FloatArray, dict[str, NDArray[Any]]]:
         """Places (x, 0, z) [m] of the particles; velocities [m/s], stresses [Pa], weight [-]."""
