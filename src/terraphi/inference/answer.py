@@ -373,7 +373,7 @@ class Answer:
             import arviz
         except ImportError:
             return xr.DataTree.from_dict(self._groups())
-        if hasattr(arviz, "InferenceData"):
+        if "InferenceData" in vars(arviz):
             return arviz.InferenceData(**self._groups())
         return xr.DataTree.from_dict(self._groups())
 
