@@ -49,9 +49,7 @@ class Estimate:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and lists."""
-        return {
-            "median": self.median, "sd": self.sd, "ci68": list(self.ci68), "ci95": list(self.ci95),
-        }  # fmt: skip
+        return {**vars(self), "ci68": list(self.ci68), "ci95": list(self.ci95)}
 
     def __str__(self) -> str:
         """Median ± half the 68 % interval, and the 95 % interval [deg]."""
@@ -257,13 +255,11 @@ class Answer:
         import pandas as pd
 
         rows = {}
+        ends = ("ci68_low", "ci68_high", "ci95_low", "ci95_high")
         for key, one in self.parameters.items():
-            rows[key] = {
-                "median": one.median, "sd": one.sd,
-                "ci68_low": one.ci68[0], "ci68_high": one.ci68[1],
-                "ci95_low": one.ci95[0], "ci95_high": one.ci95[1],
-                **self.diagnostics.get(key, {}),
-            }  # fmt: skip
+            interval = dict(zip(ends, (*one.ci68, *one.ci95), strict=True))
+            known = self.diagnostics.get(key, {})
+            rows[key] = {"median": one.median, "sd": one.sd, **interval, **known}
         table = pd.DataFrame.from_dict(rows, orient="index")
         if len(self.draws) > 1:
             correlation = np.corrcoef([self.draws[key].ravel() for key in self.parameters])
@@ -316,7 +312,9 @@ class Answer:
                 axes.plot(theta, record.data[i], ".", color="black", ms=3, label="data")
             axes.set(xlabel="leg angle θ [deg]", ylabel=force_label(name))
             axes.axhline(0.0, color="0.7", lw=0.5, zorder=0)
-        of_channels[0].legend(*_first_of_each(of_channels[0]), frameon=False, fontsize="small")
+        handles, labels = of_channels[0].get_legend_handles_labels()
+        each = dict(zip(labels, handles, strict=True))
+        of_channels[0].legend(each.values(), each.keys(), frameon=False, fontsize="small")
         grid, density = self.grid_deg, self.density
         if not grid.size:
             density, edges = np.histogram(self.phi_draws(), bins=60, density=True)
@@ -420,9 +418,7 @@ class Answer:
 
     @classmethod
     def _of(cls, known: dict[str, Any], tree: Any) -> Answer:
-        def estimate(one: dict[str, Any] | None) -> Estimate | None:
-            if one is None:
-                return None
+        def estimate(one: dict[str, Any]) -> Estimate:
             return Estimate(one["median"], one["sd"], tuple(one["ci68"]), tuple(one["ci95"]))
 
         constant, observed = tree["constant_data"], tree["observed_data"]
@@ -431,13 +427,12 @@ class Answer:
             expected = constant[f"expected_{i}"].values if f"expected_{i}" in constant else None
             records.append(
                 RecordFit(
-                    **{key: value for key, value in one.items() if key != "nrmsd"},
+                    **one,
                     theta_deg=constant[f"theta_deg_{i}"].values,
                     data=observed[f"force_{i}"].values,
                     curve=constant[f"curve_{i}"].values,
                     expected=expected,
                     band=constant[f"band_{i}"].values,
-                    nrmsd=one["nrmsd"],
                 )
             )
         parameters = {key: estimate(one) for key, one in known["parameters"].items()}
@@ -449,11 +444,11 @@ class Answer:
             "diagnostics",
             "provenance", "budget_deg", "phi_plane_strain_reason",
         )  # fmt: skip
-        phi = known["phi_deg"]
+        phi, plane = known["phi_deg"], known["phi_plane_strain_deg"]
         return cls(
-            parameters={key: one for key, one in parameters.items() if one is not None},
+            parameters=parameters,
             convention=phi["yield"] if phi else "",
-            phi_plane_strain=estimate(known["phi_plane_strain_deg"]),
+            phi_plane_strain=estimate(plane) if plane else None,
             questions=tuple(known["questions"]),
             records=tuple(records),
             grid_deg=constant["grid_deg"].values,
@@ -516,10 +511,3 @@ def read_answer(path: Path | str) -> StoredAnswer:
             f"{path}: not an answer of 'terraphi invert --out' or --json; invert again"
         ) from error
     return StoredAnswer(str(path), known, np.zeros(0))
-
-
-def _first_of_each(axes: Any) -> tuple[list[Any], list[str]]:
-    """Handles and labels of a legend, each label once."""
-    handles, labels = axes.get_legend_handles_labels()
-    found = dict(zip(labels[::-1], handles[::-1], strict=True))
-    return list(found.values())[::-1], list(found)[::-1]

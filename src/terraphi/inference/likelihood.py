@@ -61,7 +61,7 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import FORCES
 from terraphi.inference.emulator import emulator_of
-from terraphi.inference.partial import missing_parts
+from terraphi.inference.partial import Part, missing_parts, part_of
 from terraphi.inference.records import Record
 from terraphi.inference.soils import Calibration, model_error
 from terraphi.library.store import PHI, Curves, Library
@@ -201,12 +201,9 @@ class Likelihood:
         common = self.calibration.common(error, leg)[0] if self.calibration else 0.0
         return np.asarray(error.offset_at(phi_deg + common) + common)
 
-    def curves(self, x: FloatArray) -> FloatArray:
-        """Window means g(x) [N] of all records at their shifts, shape [k, key] -> [k, n]."""
-        return self._curves_at(x, self.shift_deg)
-
-    def _curves_at(self, x: FloatArray, shift_deg: FloatArray) -> FloatArray:
-        """Window means [N] of all records at given shifts, shape [k, key] -> [k, n]."""
+    def curves(self, x: FloatArray, shift_deg: FloatArray | None = None) -> FloatArray:
+        """Window means g(x) [N] of all records at their shifts, or others, [k, key] -> [k, n]."""
+        shift_deg = self.shift_deg if shift_deg is None else shift_deg
         of_legs = {leg: self._forces(leg, x) for leg in self.emulators}
         means = []
         for record, ratio, shift in zip(self.records, self._ratio, shift_deg, strict=True):
@@ -221,7 +218,7 @@ class Likelihood:
             return emulator(x)
         x = x.copy()
         x[:, self._phi] += self.offset(leg, x[:, self._phi])
-        low, high = emulator.phi_bounds_deg
+        low, high = (float(ends[self._phi]) for ends in emulator.bounds)
         inside = np.clip(x[:, self._phi], low, high)
         beyond = x[:, self._phi] - inside
         x[:, self._phi] = inside
@@ -240,27 +237,23 @@ class Likelihood:
 
         Shape [3, c, m] [N].
         """
-        x = np.repeat(np.clip(self.least_squares, self.low, self.high)[None], 3, axis=0)
+        x = np.repeat(self.inside[None], 3, axis=0)
         x[:, self._phi or 0] += [-1.0, 0.0, 1.0]
         force = self._forces(record.leg, x)
         means = window_means(record, force, self._curves_of(record), self.shift_deg[i])
         return np.asarray(self._ratio[i] * means.reshape(3, len(record.channels), -1))
 
-    def slope(self, x: FloatArray) -> FloatArray:
-        """∂g/∂x at a point [N/unit], shape [key] -> [n, key]."""
-        return self._slope_at(x, self.shift_deg)
-
-    def _slope_at(self, x: FloatArray, shift_deg: FloatArray) -> FloatArray:
-        """∂g/∂x at a point and given shifts [N/unit], shape [n, key]."""
+    def slope(self, x: FloatArray, shift_deg: FloatArray | None = None) -> FloatArray:
+        """∂g/∂x at a point [N/unit], at the records' shifts or others, shape [key] -> [n, key]."""
         steps = np.diag(STEP * (self.high - self.low))
-        ahead, behind = (self._curves_at(x + h, shift_deg) for h in (steps, -steps))
+        ahead, behind = (self.curves(x + h, shift_deg) for h in (steps, -steps))
         return np.asarray((ahead - behind).T / (2.0 * np.diag(steps)))
 
     def _shift_slope(self, x: FloatArray, shift_deg: FloatArray) -> FloatArray:
         """∂g/∂δ of each record [N/deg], shape [n, record]; of simulated records none, [n, 0]."""
         if not self.measured:
             return np.zeros((self.data.size, 0))
-        ahead, behind = (self._curves_at(x[None], shift_deg + h)[0] for h in (0.5, -0.5))
+        ahead, behind = (self.curves(x[None], shift_deg + h)[0] for h in (0.5, -0.5))
         found = np.zeros((self.data.size, len(self.records)))
         for i, part in enumerate(self.parts):
             found[part, i] = (ahead - behind)[part]
@@ -281,12 +274,21 @@ class Likelihood:
         """Shift of each record with them [deg], shape [record]: its forces come so much later."""
         return self._best[1]
 
+    @property
+    def inside(self) -> FloatArray:
+        """The best point within the library, where slopes are those of simulations, [key]."""
+        return np.clip(self.least_squares, self.low, self.high)
+
+    @cached_property
+    def strokes(self) -> list[Part]:
+        """What each record has of a whole stroke."""
+        return [part_of(self, i) for i in range(len(self.records))]
+
     @cached_property
     def _best(self) -> tuple[FloatArray, FloatArray]:
         """Parameters and shifts of the smallest squared residual."""
         if len(self.keys) == 1:
-            reach = BEYOND_DEG if self._phi == 0 else 0.0
-            x = np.linspace(self.low - reach, self.high + reach, 257)
+            x = np.linspace(*self._ends, 257)
         else:
             x = self.low + (self.high - self.low) * np.random.default_rng(0).random(
                 (512, len(self.keys))
@@ -302,9 +304,9 @@ class Likelihood:
         best = x[first]
         shift = shifts[[int(each[:, first].argmin()) for each in squares]]
         for _ in range(20):
-            slope = np.hstack([self._slope_at(best, shift), self._shift_slope(best, shift)])
+            slope = np.hstack([self.slope(best, shift), self._shift_slope(best, shift)])
             slope /= self.span[:, None]
-            rest = (self.data - self._curves_at(best[None], shift)[0]) / self.span
+            rest = (self.data - self.curves(best[None], shift)[0]) / self.span
             step = np.linalg.lstsq(slope, rest, rcond=None)[0]
             if self.measured:
                 outward = step[best.size :] * np.sign(shift) > 0.0
@@ -314,7 +316,7 @@ class Likelihood:
             # Half the spacing of the first search at most: the global minimum is near.
             limit = (self.high - self.low) / (256 if len(self.keys) == 1 else 8)
             own = np.clip(step[: best.size], -limit, limit)
-            best = self._held(best + own)
+            best = np.clip(best + own, *self._ends)
             turn = np.clip(step[best.size :], -0.5, 0.5)
             if self.measured:
                 shift = np.clip(shift + turn, -SHIFT_DEG, SHIFT_DEG)
@@ -323,12 +325,11 @@ class Likelihood:
                 break
         return best, shift
 
-    def _held(self, x: FloatArray) -> FloatArray:
-        """Parameters within the library, the friction angle up to 12° beyond."""
-        reach = np.zeros(len(self.keys))
-        if self._phi is not None:
-            reach[self._phi] = BEYOND_DEG
-        return np.clip(x, self.low - reach, self.high + reach)
+    @property
+    def _ends(self) -> tuple[FloatArray, FloatArray]:
+        """Least and largest parameters that are looked at: of φ up to 12° beyond the library."""
+        reach = np.where(np.array(self.keys) == PHI, BEYOND_DEG, 0.0)
+        return self.low - reach, self.high + reach
 
     @cached_property
     def beyond(self) -> tuple[float, float] | None:
@@ -518,9 +519,10 @@ class Likelihood:
         """Share of each term in the standard deviation of a parameter, in its unit.
 
         With c the weights of the estimate, c'C_t c; the squares add up to the variance. The
-        largest comes first, and what is below a hundredth of it is left out.
+        largest comes first, and what is below a hundredth of it is left out. Slopes are taken
+        within the library.
         """
-        white = self._whitening @ self.slope(x)
+        white = self._whitening @ self.slope(np.clip(x, self.low, self.high))
         c = self._whitening.T @ white @ np.linalg.pinv(white.T @ white)
         c = c[:, self.keys.index(key)]
         shares = {n: math.sqrt(max(float(c @ term @ c), 0.0)) for n, term in self.terms.items()}
