@@ -127,23 +127,7 @@ def _value(text: str) -> Any:
     return text.strip("'\"")
 
 
-def read_forces(
-    source: Any,
-    *,
-    theta: str | None = None,
-    fx: str | None = None,
-    fz: str | None = None,
-    moment: str | None = None,
-    time: str | None = None,
-    rate_deg_s: float | None = None,
-    unit: str | None = None,
-    theta_unit: str | None = None,
-    theta_offset_deg: float = 0.0,
-    theta_sign: int = 1,
-    fx_sign: int = 1,
-    fz_sign: int = 1,
-    force_on: str = "leg",
-) -> ForceHistory:
+def read_forces(source: Any, **columns: Any) -> ForceHistory:
     """Read the forces on a leg over its angle from a table.
 
     Parameters
@@ -151,20 +135,21 @@ def read_forces(
     source
         A text file (any separator, decimal sign and encoding), ``-`` for standard input, a
         ``pandas.DataFrame`` or an ``xarray.Dataset``.
-    theta, fx, fz, moment, time
-        Names of the columns, with or without their unit; by default they are guessed. A moment
-        about the hip, of the soil on the leg or of the motor, may replace one force or both.
-    rate_deg_s
-        Constant rate of the leg [deg/s], where there is a time instead of an angle.
-    unit, theta_unit
-        Of forces (``N``, ``kN``, ``mN``, ``lbf``, ``kgf``, ``gf`` …) and angle (``deg``, ``rad``,
-        ``rev`` …); by default those of the header, else N and degrees.
-    theta_offset_deg, theta_sign
-        θ is ``theta_sign`` times the sum of the angle in the table and the offset [deg].
-    fx_sign, fz_sign
-        -1 where an axis of the table points backward or down.
-    force_on
-        ``leg`` or ``soil``: what the forces act on.
+    **columns
+        Options of :class:`ForceColumns` by name:
+
+        - ``theta``, ``fx``, ``fz``, ``moment``, ``time``: names of the columns, with or without
+          their unit; by default they are guessed. A moment about the hip, of the soil on the leg or
+          of the motor, may replace one force or both.
+        - ``rate_deg_s``: constant rate of the leg [deg/s], where there is a time instead of an
+          angle.
+        - ``unit``, ``theta_unit``: of forces (``N``, ``kN``, ``mN``, ``lbf``, ``kgf``, ``gf`` …)
+          and angle (``deg``, ``rad``, ``rev`` …); by default those of the header, else N and
+          degrees.
+        - ``theta_offset_deg``, ``theta_sign``: θ is ``theta_sign`` times the sum of the angle in
+          the table and the offset [deg].
+        - ``fx_sign``, ``fz_sign``: -1 where an axis of the table points backward or down.
+        - ``force_on``: ``leg`` or ``soil``, what the forces act on.
 
     Returns
     -------
@@ -185,8 +170,7 @@ def read_forces(
     >>> terraphi.read_forces(pd.DataFrame(table), fz="lift", unit="kgf")
     ForceHistory(171 samples, theta -85 to 85 deg, Fx 4.9 to 4.9 N, Fz 9.81 to 9.81 N)
     """
-    given = {key: value for key, value in locals().items() if key != "source"}
-    found = read_trials(source, ForceColumns.of(given))
+    found = read_trials(source, columns)
     if len(found) > 1:
         raise InputError(
             f"{_name_of(source)}: {len(found)} strokes; give the table to invert, which takes them "

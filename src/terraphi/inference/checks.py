@@ -11,9 +11,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import CHANNEL_UNITS, FORCES, OBSERVATION_ANGLES, WINDOW_DEG
 from terraphi.experiment.units import FORCE
@@ -21,8 +20,6 @@ from terraphi.inference.emulator import emulator_of
 from terraphi.inference.likelihood import SHIFT_DEG, Likelihood, squared_residuals, window_means
 from terraphi.inference.records import Record
 from terraphi.library.store import PHI, Curves, differences
-
-Mask = NDArray[np.bool_]
 
 LOADED = 0.05
 """Force over the largest above which an exact zero is a dropout [-]."""
@@ -117,7 +114,7 @@ def without_faults(record: Record) -> Record:
     return record.without(bad, notes, damaged=damaged).binned().checked()
 
 
-def _dropouts(force: FloatArray, all_zero: Mask, largest: float) -> Mask:
+def _dropouts(force: FloatArray, all_zero: BoolArray, largest: float) -> BoolArray:
     """Exact zeros amid load: of this force, or of all."""
     rows = np.arange(len(force))
     loaded = rows[(force != 0.0) & ~all_zero]
@@ -130,7 +127,7 @@ def _dropouts(force: FloatArray, all_zero: Mask, largest: float) -> Mask:
     return np.asarray((force == 0.0) & (around > LOADED * largest))
 
 
-def _held(force: FloatArray, span: float) -> Mask:
+def _held(force: FloatArray, span: float) -> BoolArray:
     """Runs of equal readings under load that end with a jump, as of a value that was held."""
     changes = np.abs(np.diff(force))
     found = np.zeros(len(force), dtype=bool)
@@ -145,7 +142,7 @@ def _held(force: FloatArray, span: float) -> Mask:
     return found
 
 
-def _spikes(force: FloatArray, span: float) -> Mask:
+def _spikes(force: FloatArray, span: float) -> BoolArray:
     """Readings far from the median of their neighbours."""
     padded = np.pad(force, 3, mode="reflect")
     windows = np.lib.stride_tricks.sliding_window_view(padded, 7)
@@ -204,12 +201,12 @@ def _step(name: str, force: FloatArray, theta: FloatArray) -> str:
     return ""
 
 
-def _count(mask: Mask) -> str:
+def _count(mask: BoolArray) -> str:
     count = int(mask.sum())
     return "1 reading" if count == 1 else f"{count} readings"
 
 
-def _where(theta: FloatArray, mask: Mask) -> str:
+def _where(theta: FloatArray, mask: BoolArray) -> str:
     low, high = theta[mask][[0, -1]]
     return f"between {low:.1f} and {high:.1f}°" if high > low else f"at {low:.1f}°"
 
