@@ -11,7 +11,7 @@ import re
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, NoReturn
 
 import numpy as np
 from pydantic import Field, ValidationError, field_validator
@@ -21,7 +21,7 @@ from terraphi.experiment.documents import Strict, parse_toml, strictly
 from terraphi.experiment.errors import InputError, nearest, sentence_from_validation
 from terraphi.experiment.force_table import CSV_COLUMNS, origin
 from terraphi.experiment.history import ForceHistory
-from terraphi.experiment.tables import Table, read_table, table_of
+from terraphi.experiment.tables import read_table, table_of
 from terraphi.experiment.units import KINDS, unit_named
 
 TURN_DEG = 10.0
@@ -183,17 +183,14 @@ def read_trials(
     source: Any, columns: ForceColumns | Mapping[str, Any] | Path | str | None = None
 ) -> list[ForceHistory]:
     """Forces of each stroke in which θ grows; source and errors as of :func:`read_forces`."""
-    named, name = ForceColumns.of(columns), _name_of(source)
-    table = read_table(Path(source)) if isinstance(source, str | Path) else table_of(source)
-    found = _Reading(table, named)
-    found.choose()
-    found.refuse_if_wrong(name)
+    found = _Reading(source, columns)
+    name, table = found.source, found.table
+    if found.wrong:
+        found.refuse("; ".join(found.wrong))
     theta, force, moment = found.values()
-    found.refuse_if_wrong(name)
     strokes = found.strokes(theta, force if len(found.axes) == 2 else moment[:, None])
-    found.refuse_if_wrong(name)
     known: dict[str, Any] = {}
-    if named == ForceColumns() and {*CSV_COLUMNS} == {*found.names.values()}:
+    if found.given == ForceColumns() and {*CSV_COLUMNS} == {*found.names.values()}:
         known = origin(Path(name), table.comments, table.frame[list(CSV_COLUMNS)].to_numpy())
     histories = []
     unit = found._unit(f"f{found.axes[-1]}")[0] if found.axes else "N"
@@ -224,7 +221,6 @@ def read_trials(
             )
         )  # fmt: skip
     found.refuse_other_zero(histories[0])
-    found.refuse_if_wrong(name)
     return histories
 
 
@@ -253,10 +249,8 @@ def preview(
     InputError
         If it holds no rows of numbers, or an option is wrong.
     """
-    named = ForceColumns.of(columns)
-    table = read_table(Path(source)) if isinstance(source, str | Path) else table_of(source)
-    found = _Reading(table, named)
-    found.choose()
+    found = _Reading(source, columns)
+    table = found.table
     written = [table.units.get(name) or unit for name, (_, unit) in found.parts.items()]
     return Preview(
         list(found.parts),
@@ -274,21 +268,23 @@ def _name_of(source: Any) -> str:
 class _Reading:
     """One table on its way to forces, with what was guessed and what is wrong."""
 
-    def __init__(self, table: Table, given: ForceColumns) -> None:
-        self.table, self.given = table, given
+    def __init__(self, source: Any, columns: Any) -> None:
+        self.given, self.source = ForceColumns.of(columns), _name_of(source)
+        is_text = isinstance(source, str | Path)
+        self.table = read_table(Path(source)) if is_text else table_of(source)
         self.names: dict[str, str] = {}
         self.wrong: list[str] = []
         self.notes: list[str] = []
-        self.parts = {name: _split(str(name)) for name in table.frame.columns}
+        self.parts = {name: _split(str(name)) for name in self.table.frame.columns}
+        self._choose()
 
-    def refuse_if_wrong(self, name: str) -> None:
-        """Raise InputError with all that is wrong."""
-        if self.wrong:
-            raise InputError(f"{name}: {'; '.join(self.wrong)}")
+    def refuse(self, sentence: str) -> NoReturn:
+        """Raise InputError that names the table."""
+        raise InputError(f"{self.source}: {sentence}")
 
     # -- columns ---------------------------------------------------------------------------------
 
-    def choose(self) -> None:
+    def _choose(self) -> None:
         """Find the column of each role: as given, by our own names, or by a guess."""
         guessed, lacking = [], []
         timed = self.given.rate_deg_s is not None
@@ -438,8 +434,7 @@ class _Reading:
         if len(self.axes) < 2:
             whole &= np.isfinite(moment)
         if not whole.any():
-            self.wrong.append("no row has all that is needed; check the columns")
-            return theta, force, moment
+            self.refuse("no row has all that is needed; check the columns")
         if not whole.all():
             first = self.table.place(int(np.flatnonzero(~whole)[0]))
             self.notes.append(
@@ -453,7 +448,7 @@ class _Reading:
         theta, force, moment = self._without_glitches(theta, force, moment)
         largest = float(np.abs(theta).max())
         if "theta" in self.names and self._unit("theta")[0] == "deg" and largest < LEAST_DEG:
-            self.wrong.append(
+            self.refuse(
                 f"the angle runs from {theta.min():.2f} to {theta.max():.2f}, which must be "
                 "radians; add --columns theta_unit=rad"
             )
@@ -497,7 +492,7 @@ class _Reading:
             return float(np.median([np.sqrt(np.square(force[p]).mean()) for p in of]))
 
         if down and size(down) > HEAVIER * size(up):
-            self.wrong.append(
+            self.refuse(
                 "the forces are larger while the angle falls, so the leg goes that way; add "
                 f"--columns theta_sign={-self.given.theta_sign}"
             )
@@ -529,7 +524,7 @@ class _Reading:
         sign = self.given.theta_sign
         offset = self.given.theta_offset_deg - sign * round(middle)
         turned = f",theta_sign={-sign}" if heaviest > middle + 10.0 else ""
-        self.wrong.append(
+        self.refuse(
             f"the angle runs from {low:.0f} to {high:.0f}° and the forces from {begins:.0f} to "
             f"{ends:.0f}°, but it is zero where the leg hangs down; add --columns "
             f"theta_offset_deg={offset:g}{turned}"

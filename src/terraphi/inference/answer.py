@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import html
 import json
 import math
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
@@ -24,12 +26,25 @@ if TYPE_CHECKING:
 
 QUANTILES = 4000
 """Equally probable values that stand for a posterior by quadrature where draws are wanted."""
+_STATED = (
+    *("verdict", "reason", "edge", "library", "library_reason", "density_kg_m3"),
+    *("density_sd_kg_m3", "density_assumed", "phi_plane_strain_reason", "leg_friction", "seed"),
+    *("budget_deg", "second_opinion", "diagnostics", "provenance"),
+)
+"""Attributes of an answer that its JSON has as they are."""
 
 
 def decimals(ci68: Sequence[float]) -> int:
     """Decimals that an angle [deg] deserves by its interval, as in 34 ± 4 and in 34.1 ± 0.4."""
     half = max(0.5 * (ci68[1] - ci68[0]), 1e-3)
     return min(max(math.ceil(-math.log10(half)), 0), 3)
+
+
+def quantiles(grid: FloatArray, density: FloatArray, share: ArrayLike) -> FloatArray:
+    """Quantiles of a density on a grid, at probabilities."""
+    steps = 0.5 * (density[1:] + density[:-1]) * np.diff(grid)
+    cumulated = np.concatenate([[0.0], np.cumsum(steps)])
+    return np.interp(share, cumulated / cumulated[-1], grid)
 
 
 @dataclass(frozen=True)
@@ -40,6 +55,14 @@ class Estimate:
     sd: float
     ci68: tuple[float, float]
     ci95: tuple[float, float]
+
+    @classmethod
+    def of_density(cls, grid: FloatArray, density: FloatArray) -> Estimate:
+        """From a density on a grid."""
+        q = quantiles(grid, density, [0.5, 0.16, 0.84, 0.025, 0.975]).tolist()
+        mean = float(np.trapezoid(grid * density, grid))
+        sd = math.sqrt(float(np.trapezoid((grid - mean) ** 2 * density, grid)))
+        return cls(q[0], sd, (q[1], q[2]), (q[3], q[4]))
 
     @classmethod
     def of(cls, draws: FloatArray) -> Estimate:
@@ -220,34 +243,25 @@ class Answer:
         """Equally probable values of φ [deg], shape [draw]."""
         if self.draws:
             return self.draws[PHI].ravel()
-        steps = 0.5 * (self.density[1:] + self.density[:-1]) * np.diff(self.grid_deg)
-        cumulated = np.concatenate([[0.0], np.cumsum(steps)])
         share = (np.arange(QUANTILES) + 0.5) / QUANTILES
-        return np.interp(share, cumulated / cumulated[-1], self.grid_deg)
+        return quantiles(self.grid_deg, self.density, share)
 
     # -- showing ---------------------------------------------------------------------------------
 
     def as_dict(self) -> dict[str, Any]:
         """What ``terraphi invert --json`` prints."""
         phi, plane = self.parameters.get(PHI), self.phi_plane_strain
-        names = (
-            "verdict", "reason", "edge", "source", "leg", "library", "library_reason",
-            "density_kg_m3", "density_sd_kg_m3", "density_assumed", "leg_friction", "seed",
-        )  # fmt: skip
         return {
             "phi_deg": {**phi.as_dict(), "yield": self.convention} if phi else None,
             "phi_plane_strain_deg": plane.as_dict() if plane else None,
-            "phi_plane_strain_reason": self.phi_plane_strain_reason,
-            **{name: getattr(self, name) for name in names},
+            "source": self.source,
+            "leg": self.leg,
+            **copy.deepcopy({name: getattr(self, name) for name in _STATED}),
             "nrmsd": self.nrmsd,
-            "budget_deg": dict(self.budget_deg),
             "n_angles": self.records[0].theta_deg.size,
-            "second_opinion": dict(self.second_opinion) if self.second_opinion else None,
             "questions": list(self.questions),
             "records": [record.as_dict() for record in self.records],
             "parameters": {key: one.as_dict() for key, one in self.parameters.items()},
-            "diagnostics": {key: dict(one) for key, one in self.diagnostics.items()},
-            "provenance": dict(self.provenance),
         }
 
     def summary(self) -> pd.DataFrame:
@@ -438,12 +452,6 @@ class Answer:
         parameters = {key: estimate(one) for key, one in known["parameters"].items()}
         drawn = known["diagnostics"] or len(parameters) > 1
         draws = {key: tree["posterior"][key].values for key in parameters} if drawn else {}
-        same = (
-            "verdict", "reason", "edge", "library", "library_reason", "density_kg_m3",
-            "density_sd_kg_m3", "density_assumed", "second_opinion", "leg_friction", "seed",
-            "diagnostics",
-            "provenance", "budget_deg", "phi_plane_strain_reason",
-        )  # fmt: skip
         phi, plane = known["phi_deg"], known["phi_plane_strain_deg"]
         return cls(
             parameters=parameters,
@@ -454,7 +462,7 @@ class Answer:
             grid_deg=constant["grid_deg"].values,
             density=constant["density"].values,
             draws=draws,
-            **{name: known[name] for name in same},
+            **{name: known[name] for name in _STATED},
         )
 
     def save(self, folder: Path | str) -> None:

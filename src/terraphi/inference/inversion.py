@@ -185,11 +185,9 @@ def calibrate(
     if not (0.0 < phi_deg < 90.0 and 0.0 <= phi_sd_deg < 90.0):
         raise InputError(f"phi = {phi_deg:g} ± {phi_sd_deg:g}°; 0 to 90° are accepted")
     soils = []
-    found: Library | None = None
-    for record in _records(
-        forces, leg=leg, density=density, columns=columns, noise=noise, gain=gain
-    ):
-        found, _ = _library_for([record], library)
+    records = _records(forces, leg=leg, density=density, columns=columns, noise=noise, gain=gain)
+    found, _ = _library_for(records, library)
+    for record in records:
         likelihood = Likelihood([record], found)
         if not likelihood.measured:
             raise InputError(f"{record.source}: simulated forces calibrate nothing")
@@ -219,7 +217,6 @@ def calibrate(
                 rig_sd_deg=rig, gain=record.gain,
             )
         )  # fmt: skip
-    assert found is not None
     return Calibration(library=found.name, library_hash=found.hash, soils=soils)
 
 
@@ -277,7 +274,7 @@ def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Ans
     grid = density = np.zeros(0)
     if keys == (PHI,):
         grid, density = quadrature(likelihood)
-        phi = _estimate(grid, density)
+        phi = Estimate.of_density(grid, density)
         if second is not None and (wider := _disagreement_deg(likelihood, phi, second)):
             disagreement = (
                 f"Resistive force theory gives {second['median']:.0f}°, "
@@ -288,7 +285,7 @@ def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Ans
                 records, library, likelihood.calibration, disagreement_deg=wider
             )
             grid, density = quadrature(likelihood)
-            phi = _estimate(grid, density)
+            phi = Estimate.of_density(grid, density)
         parameters = {PHI: phi}
     else:
         drawn = sample(likelihood, seed=seed)
@@ -346,17 +343,6 @@ def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Ans
                if likelihood.calibration else {}),
         },
     )  # fmt: skip
-
-
-def _estimate(grid: FloatArray, density: FloatArray) -> Estimate:
-    """Quantiles and standard deviation of a density on a grid."""
-    cumulated = np.concatenate(
-        [[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(grid))]
-    )
-    q = np.interp([0.5, 0.16, 0.84, 0.025, 0.975], cumulated / cumulated[-1], grid).tolist()
-    mean = float(np.trapezoid(grid * density, grid))
-    sd = math.sqrt(float(np.trapezoid((grid - mean) ** 2 * density, grid)))
-    return Estimate(q[0], sd, (q[1], q[2]), (q[3], q[4]))
 
 
 def _fits(

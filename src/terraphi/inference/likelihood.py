@@ -123,6 +123,11 @@ def squared_residuals(
     return np.square(np.stack(apart) / spans).sum(axis=2)
 
 
+def _square(error: FloatArray) -> FloatArray:
+    """Covariance of one error, by its size at each window mean, shape [n] -> [n, n]."""
+    return np.outer(error, error)
+
+
 class Likelihood:
     """Log-likelihood of one record or several through a library.
 
@@ -182,6 +187,8 @@ class Likelihood:
         self.parts = [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
         self.data = np.concatenate([record.data.ravel() for record in records])
         self.span = np.concatenate([np.repeat(r.span, r.theta_deg.size) for r in records])
+        # The record of each window mean.
+        self._of = np.repeat(np.arange(len(records)), [r.data.size for r in records])
         media = sorted({record.medium for record in records if record.medium})
         self.errors = {leg: model_error(library, leg, media) for leg in legs}
         bounds = [emulator.bounds for emulator in self.emulators.values()]
@@ -377,15 +384,11 @@ class Likelihood:
             found |= self._model_offset(slope[:, self._phi])
             found |= missing_parts(self, slope[:, self._phi])
             if self.disagreement_deg:
-                other = self.disagreement_deg * slope[:, self._phi]
-                found["second opinion"] = np.outer(other, other)
-        found["density"] = np.outer(*[self._density_error * curve] * 2)
-        gain = np.concatenate([
-            np.full(r.data.size, 0.0 if self._calibrated(r.leg) else r.gain_sd)
-            for r in self.records
-        ])  # fmt: skip
+                found["second opinion"] = _square(self.disagreement_deg * slope[:, self._phi])
+        found["density"] = _square(self._density_error[self._of] * curve)
+        gain = np.array([0.0 if self._calibrated(r.leg) else r.gain_sd for r in self.records])
         if gain.any():
-            found["gain"] = np.outer(*[gain * curve] * 2)
+            found["gain"] = _square(gain[self._of] * curve)
         found["zero of θ"] = SHIFT_DEG**2 / 3.0 * of_shift @ of_shift.T
         return {**found, "shape": shape}
 
@@ -398,14 +401,12 @@ class Likelihood:
 
     @property
     def _density_error(self) -> FloatArray:
-        """Relative standard deviation of the density at each window mean [-], shape [n]."""
-        if not self._scaled:
-            return np.zeros(self.data.size)
+        """Relative standard deviation of the density of each record [-], shape [record]."""
         of_records = [
             UNKNOWN_DENSITY if r.density_kg_m3 is None else r.density_sd_kg_m3 / r.density_kg_m3
             for r in self.records
         ]
-        return np.repeat(of_records, [r.data.size for r in self.records])
+        return self._scaled * np.array(of_records)
 
     def _calibrated(self, leg: str) -> bool:
         """Whether a soil of known angle was read with this leg, whose rig is then known with b."""
@@ -454,23 +455,24 @@ class Likelihood:
 
     def _model_offset(self, slope: FloatArray) -> dict[str, FloatArray]:
         """Covariance of what looks like another angle: of an apparatus, a soil, and each leg."""
-        of_legs, of_offset = ({leg: np.zeros_like(slope) for leg in self.errors} for _ in range(2))
-        common, of_soil = np.zeros_like(slope), np.zeros_like(slope)
-        for record, part in zip(self.records, self.parts, strict=True):
-            error = self.errors[record.leg]
-            left = error.common_sd_deg
-            if self.calibration:
-                left = self.calibration.common(error, record.leg)[1]
-            common[part] = slope[part] * left
-            of_soil[part] = slope[part] * error.soil_sd_deg
-            of_legs[record.leg][part] = slope[part] * error.leg_sd_deg
-            if not self._calibrated(record.leg):
-                of_offset[record.leg][part] = slope[part] * error.offset_sd_deg
+        known, legs = self.calibration, np.array([record.leg for record in self.records])
+        sd = {
+            leg: (
+                known.common(error, leg)[1] if known else error.common_sd_deg,
+                error.soil_sd_deg,
+                error.leg_sd_deg,
+                0.0 if self._calibrated(leg) else error.offset_sd_deg,
+            )
+            for leg, error in self.errors.items()
+        }
+        each = np.array([sd[leg] for leg in legs])[self._of].T
+        apparatus, soil, leg, offset = map(_square, slope * each)
+        same_leg = np.equal.outer(legs, legs)[self._of][:, self._of]
         return {
-            "model: apparatus": np.outer(common, common),
-            "model: soil": np.outer(of_soil, of_soil),
-            "model: leg": np.asarray(sum(np.outer(one, one) for one in of_legs.values())),
-            "model: offset": np.asarray(sum(np.outer(one, one) for one in of_offset.values())),
+            "model: apparatus": apparatus,
+            "model: soil": soil,
+            "model: leg": leg * same_leg,
+            "model: offset": offset * same_leg,
         }
 
     def _shape(self, slope: FloatArray) -> FloatArray:
