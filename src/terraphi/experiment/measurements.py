@@ -11,10 +11,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
-from terraphi.experiment.documents import shipped_file, shipped_names
-from terraphi.experiment.errors import InputError, nearest, sentence_from_validation
+from terraphi.experiment.documents import shipped_file, shipped_names, strictly
+from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import is_there
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.reading import read_forces, read_trials
@@ -189,10 +187,9 @@ def measurement_of(history: ForceHistory, name: str = "") -> Measurement:
     if known is None:
         return Measurement(name=name, history=history, leg="straight", leg_assumed=True)
     try:
-        scenario = Scenario.model_validate(known)
-    except ValidationError as error:
-        what = sentence_from_validation(error, f"{name}, scenario", Scenario)
-        raise InputError(f"{what}; simulate it again, or give its forces alone") from error
+        scenario = strictly(known, Scenario, f"{name}, scenario")
+    except InputError as error:
+        raise InputError(f"{error}; simulate it again, or give its forces alone") from error
     return Measurement(
         name=name,
         history=history,

@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple, NoReturn
 
 import numpy as np
-from pydantic import Field, ValidationError, field_validator
+from pydantic import Field, field_validator
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import Strict, parse_toml, strictly
-from terraphi.experiment.errors import InputError, nearest, sentence_from_validation
+from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.force_table import CSV_COLUMNS, origin
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.tables import read_table, table_of
@@ -111,10 +111,8 @@ class ForceColumns(Strict):
         if isinstance(given, str):
             pairs = [pair.partition("=") for pair in re.split("[,;]", given)]
             given = {key.strip(): _value(text.strip()) for key, _, text in pairs}
-        try:
-            return strictly({k: v for k, v in (given or {}).items() if v is not None}, cls)
-        except ValidationError as error:
-            raise InputError(sentence_from_validation(error, "columns", cls)) from error
+        known = {key: value for key, value in (given or {}).items() if value is not None}
+        return strictly(known, cls, "columns")
 
 
 def _value(text: str) -> Any:

@@ -13,15 +13,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.documents import shipped_file, shipped_names
+from terraphi.experiment.documents import located, shipped_names
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import (
-    is_there,
-    json_object,
-    open_netcdf,
-    positions,
-    write_netcdf,
-)
+from terraphi.experiment.files import json_object, open_netcdf, positions, write_netcdf
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.scenario import Scenario
 
@@ -365,9 +359,7 @@ class Library:
             raise InputError(
                 f"library of type {type(source).__name__}; give a Library, a shipped name or a file"
             )
-        path = Path(source)
-        if path.suffix != ".nc" and not is_there(path):
-            path = shipped_file("libraries", str(source), ".nc")
+        path = located(source, "libraries", ".nc")
         data = open_netcdf(path, kind="library", schema=SCHEMA)
         try:
             return cls._of(data)
