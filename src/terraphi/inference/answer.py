@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
@@ -40,7 +39,9 @@ def decimals(ci68: Sequence[float]) -> int:
     return min(max(math.ceil(-math.log10(half)), 0), 3)
 
 
-def quantiles(grid: FloatArray, density: FloatArray, share: ArrayLike) -> FloatArray:
+def quantiles(
+    grid: FloatArray, density: FloatArray, share: Sequence[float] | FloatArray
+) -> FloatArray:
     """Quantiles of a density on a grid, at probabilities."""
     steps = 0.5 * (density[1:] + density[:-1]) * np.diff(grid)
     cumulated = np.concatenate([[0.0], np.cumsum(steps)])

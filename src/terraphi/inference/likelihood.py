@@ -385,7 +385,11 @@ class Likelihood:
             found |= missing_parts(self, slope[:, self._phi])
             if self.disagreement_deg:
                 found["second opinion"] = _square(self.disagreement_deg * slope[:, self._phi])
-        found["density"] = _square(self._density_error[self._of] * curve)
+        density = np.array([
+            UNKNOWN_DENSITY if r.density_kg_m3 is None else r.density_sd_kg_m3 / r.density_kg_m3
+            for r in self.records
+        ])  # fmt: skip
+        found["density"] = _square(self._scaled * density[self._of] * curve)
         gain = np.array([0.0 if self._calibrated(r.leg) else r.gain_sd for r in self.records])
         if gain.any():
             found["gain"] = _square(gain[self._of] * curve)
@@ -398,15 +402,6 @@ class Likelihood:
         if self._phi is not None:
             x[self._phi] += self.offset(leg, x[self._phi])
         return np.clip(x, *self.emulators[leg].bounds)
-
-    @property
-    def _density_error(self) -> FloatArray:
-        """Relative standard deviation of the density of each record [-], shape [record]."""
-        of_records = [
-            UNKNOWN_DENSITY if r.density_kg_m3 is None else r.density_sd_kg_m3 / r.density_kg_m3
-            for r in self.records
-        ]
-        return self._scaled * np.array(of_records)
 
     def _calibrated(self, leg: str) -> bool:
         """Whether a soil of known angle was read with this leg, whose rig is then known with b."""
