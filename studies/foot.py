@@ -37,8 +37,8 @@ POWER = {"sphere": 1.5, "cylinder": 0.0}
 TERMS = {"sphere": 4, "cylinder": 3}
 """Of the polynomial over the depth that a force over that power is."""
 WEAKER_DEG = 2.0
-"""By how much feet in loose grains of no size find less φ than a shear cell (`plates.py`) [deg]: soil
-that a foot compacts is weaker. At φ the law has the force of the simulation at φ less this."""
+"""By how much feet in loose grains of no size find less φ than a shear cell (`plates.py`) [deg]:
+soil that a foot compacts is weaker. At φ the law has what was simulated at φ less this."""
 SCATTER, UNKNOWN = 0.02, 0.05
 """Of ln F: between particle seeds and in smoothing, and for a correction that was not simulated."""
 NAMES = {"sphere": "ball", "cylinder": "disc"}

@@ -71,44 +71,25 @@ def test_scatter_is_that_of_all_pairs_of_seeds() -> None:
     assert found["peak"] == pytest.approx([math.sqrt(2.0)] * 2, rel=1e-3)
 
 
-def test_limits_of_peaks_on_a_line_over_the_cell_size() -> None:
-    # Peaks of 3 N (1 + 128/192 n) for cells of 0.3/n.
-    sizes = [0.3 / n for n in (64, 96, 128, 192)]
-    tops = np.array([[3.0 * (1.0 + 2.0 / 3.0 * 128.0 / n)] * 2 for n in (64, 96, 128, 192)])
-    tolerance = np.array([2.0, 2.0])
-    assert numbers.limits_N(sizes, tops, tolerance) == pytest.approx([3.0, 3.0])
-    tops[0, 1] = 1.0
-    assert numbers.limits_N(sizes, tops, tolerance) == [pytest.approx(3.0, rel=0.2), None]
-    assert numbers.limits_N(sizes[:2], tops[:2], tolerance) == [None, None]
-
-
-def test_a_force_that_grows_with_the_speed_is_separated_from_one_that_does_not() -> None:
-    group = []
-    for k in (1.0, 2.0, 4.0):
-        counted, about = bumps(4.0 + 3.0 * k, 5.0 + 2.0 * k), {"phi_deg": 25.0, "speed_up": k}
-        applied = ForceHistory(THETA, 0.5 * counted.force)
-        about |= {"name": "", "model": "its code"}
-        group.append(numbers.counted_and_applied(numbers.Case(about, counted, applied)))
-    assert group[0]["share_of_peaks"] == pytest.approx({"Fz": 0.5, "Fx": 0.5}, rel=1e-3)
-    assert group[0]["share_of_path"] == pytest.approx({"Fz": 0.5, "Fx": 0.5}, rel=1e-3)
-    for line in numbers.lines_over_speed(group):
-        left, share = {"Fz": (4.0, 4.0 / 7.0), "Fx": (5.0, 5.0 / 7.0)}[line["force"]]
-        factor = 1.0 if line["kind"] == "counted" else 0.5
-        assert line["peak_N"] == pytest.approx(factor * left, rel=1e-3)
-        assert line["share"] == pytest.approx(share, rel=1e-3)
-        assert line["line_off_percent"] < 0.1
+def test_applied_forces_are_a_share_of_those_counted() -> None:
+    counted = bumps(7.0, 5.0)
+    about = {"name": "", "model": "its code", "phi_deg": 25.0, "speed_up": 1.0}
+    case = numbers.Case(about, counted, ForceHistory(THETA, 0.5 * counted.force))
+    found = numbers.counted_and_applied(case)
+    assert found["share_of_peaks"] == pytest.approx({"Fz": 0.5, "Fx": 0.5}, rel=1e-3)
+    assert found["share_of_path"] == pytest.approx({"Fz": 0.5, "Fx": 0.5}, rel=1e-3)
 
 
 # -- results ---------------------------------------------------------------------------------------
 
 KEYS = {
     "recovery": "abs_error_deg cases ci68_half_width_deg inside68 inside95 library yield",
-    "benchmark": "library missing nrmsd_percent peaks phi_deg yield",
-    "sensitivity": "base groups missing plan scatter_percent tolerance_percent",
+    "benchmark": "library nrmsd_percent peaks phi_deg yield",
+    "sensitivity": "base groups plan scatter_percent tolerance_percent",
     "phi_sensitivity": "library peak_Fx_N peak_Fz_N peaks_increase phi_deg theta_engages_deg yield "
     "share_of_angles_monotone theta_peak_Fx_deg theta_peak_Fz_deg",
     "k0": "cases library max_relative_change yield",
-    "prototype": "cases missing nrmsd_percent off_by_percent without_speed",
+    "prototype": "cases",
     "surrogate": "correlation_length_deg held_out library nrmsd_percent parameters yield",
     "intervals": "condition_number models probability_14_of_14",
 }

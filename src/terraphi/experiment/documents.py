@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from terraphi.experiment.errors import InputError, nearest, sentence_from_validation
-from terraphi.experiment.files import read_text
+from terraphi.experiment.files import is_there, read_text
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -68,13 +68,24 @@ def shipped_file(folder: str, name: str, suffix: str) -> Path:
     return DATA / folder / (name + suffix)
 
 
-def strictly(content: dict[str, Any], model: type[Model]) -> Model:
+def located(source: Path | str, folder: str, suffix: str) -> Path:
+    """Path of a file, or of a shipped one by its name; errors as of :func:`shipped_file`."""
+    path = Path(source)
+    if path.suffix == suffix or is_there(path):
+        return path
+    return shipped_file(folder, str(source), suffix)
+
+
+def strictly(content: Any, model: type[Model], source: str) -> Model:
     """Check a document by its types as written: ``true`` and ``"1650"`` are no numbers.
 
-    Raises pydantic.ValidationError if it does not fill the model.
+    Raises InputError, with the name of its source, if it does not fill the model.
     """
-    # In strict mode only JSON lets an array become a tuple.
-    return model.model_validate_json(json.dumps(content, default=str), strict=True)
+    try:
+        # In strict mode only JSON lets an array become a tuple.
+        return model.model_validate_json(json.dumps(content, default=str), strict=True)
+    except ValidationError as error:
+        raise InputError(sentence_from_validation(error, source, model)) from error
 
 
 def parse_toml(path: Path, model: type[Model]) -> Model:
@@ -94,8 +105,7 @@ def parse_toml(path: Path, model: type[Model]) -> Model:
     """
     text = read_text(path)
     try:
-        return strictly(tomllib.loads(text), model)
-    except ValidationError as error:
-        raise InputError(sentence_from_validation(error, str(path), model)) from error
+        content = tomllib.loads(text)
     except (RecursionError, ValueError) as error:
         raise InputError(f"{path}: not valid TOML: {error}") from error
+    return strictly(content, model, str(path))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
-from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError, sentence_from_validation
 from terraphi.experiment.files import json_object, open_netcdf, positions, write_netcdf
 from terraphi.experiment.force_table import write_force_table
@@ -175,15 +175,16 @@ class ForceHistory:
 
     # -- copies ----------------------------------------------------------------------------------
 
-    def _changed(self, change: Callable[[FloatArray], FloatArray]) -> dict[str, Any]:
-        """Force and moment, each changed in the same way."""
-        moment = None if self.moment is None else change(self.moment)
-        return {"force": change(self.force), "moment": moment}
-
     def scaled(self, factor: float) -> ForceHistory:
         """Copy of this history with all forces and moments multiplied by a factor [-]."""
         known = {key: value for key, value in self.provenance.items() if key != "applied_force"}
-        return replace(self, provenance=known, **self._changed(lambda values: factor * values))
+        moment = None if self.moment is None else factor * self.moment
+        return replace(self, provenance=known, force=factor * self.force, moment=moment)
+
+    def chosen(self, mask: BoolArray) -> ForceHistory:
+        """Samples that a mask chooses, shape [sample]."""
+        moment = None if self.moment is None else self.moment[mask]
+        return replace(self, position=self.position[mask], force=self.force[mask], moment=moment)
 
     def applied(self) -> ForceHistory | None:
         """Forces that the leg applied to the soil, where its contact counts others.
@@ -200,9 +201,7 @@ class ForceHistory:
         """Samples at positions from low to high, both included, in the unit of ``position``."""
         # Degrees turned to radians and back may be off by a rounding error.
         slack = 1e-9 * (1.0 + np.abs(self.position))
-        inside = (self.position >= low - slack) & (self.position <= high + slack)
-        kept = self._changed(lambda values: values[inside])
-        return replace(self, position=self.position[inside], **kept)
+        return self.chosen((self.position >= low - slack) & (self.position <= high + slack))
 
     # -- means -----------------------------------------------------------------------------------
 

@@ -7,14 +7,12 @@ Shipped are the rotating-leg experiments of Li, Zhang & Goldman, *Science* 339:1
 from __future__ import annotations
 
 import tomllib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
-from terraphi.experiment.documents import shipped_file, shipped_names
-from terraphi.experiment.errors import InputError, nearest, sentence_from_validation
+from terraphi.experiment.documents import shipped_file, shipped_names, strictly
+from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import is_there
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.reading import read_forces, read_trials
@@ -48,6 +46,8 @@ class Measurement:
         [deg]; ``None`` if it is not reported. A guide to the friction angle, not its truth.
     source
         What to cite; empty if unknown.
+    scenario
+        Of a simulation, if its history carries one.
     """
 
     name: str
@@ -59,6 +59,7 @@ class Measurement:
     angle_of_repose_deg: float | None = None
     source: str = ""
     leg_assumed: bool = False
+    scenario: Scenario | None = field(default=None, repr=False)
 
 
 def names() -> tuple[str, ...]:
@@ -154,8 +155,6 @@ def open_forces(source: str | Path, columns: Any = None) -> list[Measurement]:
         histories = [ForceHistory.from_netcdf(path)]
     else:
         histories = read_trials(path, columns)
-    if histories[0].coordinate != "theta":
-        raise InputError(f"{path}: forces over {histories[0].coordinate}, expected over theta")
     name = "standard input" if text == "-" else text
     return [
         measurement_of(one, name if len(histories) == 1 else f"{name}, stroke {i}")
@@ -176,32 +175,26 @@ def measurement_of(history: ForceHistory, name: str = "") -> Measurement:
     Raises
     ------
     InputError
-        If it has a scenario that cannot be read.
+        If it is not a function of θ, or has a scenario that cannot be read.
     """
-    name = name or str(history.provenance.get("file", ""))
+    name = name or str(history.provenance.get("file", "forces"))
+    if history.coordinate != "theta":
+        raise InputError(f"{name}: forces over {history.coordinate}, expected over theta")
     shipped = history.provenance.get("measurement")
     if shipped in names():
-        return replace(measurement(str(shipped)), name=name or str(shipped), history=history)
-    scenario = scenario_of(history, name=name)
-    if scenario is None:
+        return replace(measurement(str(shipped)), name=name, history=history)
+    known = history.provenance.get("scenario")
+    if known is None:
         return Measurement(name=name, history=history, leg="straight", leg_assumed=True)
+    try:
+        scenario = strictly(known, Scenario, f"{name}, scenario")
+    except InputError as error:
+        raise InputError(f"{error}; simulate it again, or give its forces alone") from error
     return Measurement(
         name=name,
         history=history,
         leg=scenario.leg.shape,
         medium=f"simulated ({scenario.model})",
         density_kg_m3=scenario.soil.density,
+        scenario=scenario,
     )
-
-
-def scenario_of(history: ForceHistory, *, name: str = "") -> Scenario | None:
-    """The scenario of a simulated history; ``None`` of a measured one.
-
-    Raises InputError if it cannot be read.
-    """
-    scenario = history.provenance.get("scenario")
-    try:
-        return None if scenario is None else Scenario.model_validate(scenario)
-    except ValidationError as error:
-        what = sentence_from_validation(error, f"{name or 'the history'}, scenario", Scenario)
-        raise InputError(f"{what}; simulate it again, or give its forces alone") from error

@@ -48,18 +48,12 @@ def check_file(path: Path, *, kind: str = "") -> None:
     kind
         Of a NetCDF, the attribute ``terraphi_file`` of those that may be replaced.
     """
-    if kind:
-        check_netcdf_name(path)
+    if kind and path.suffix != ".nc" and not path.is_dir():
+        raise InputError(f"{path}: is written as NetCDF; name it {path.stem}.nc")
     writable(path)
     if path.exists() and not _is_ours(path, kind):
         what = f"{kind or 'file'} written by terraphi"
         raise InputError(f"{path}: is there, and not a {what}; name another, or move it away")
-
-
-def check_netcdf_name(path: Path) -> None:
-    """Raise InputError if the name of a NetCDF does not end in ``.nc``."""
-    if path.suffix != ".nc" and not path.is_dir():
-        raise InputError(f"{path}: is written as NetCDF; name it {path.stem}.nc")
 
 
 def _is_ours(path: Path, kind: str) -> bool:

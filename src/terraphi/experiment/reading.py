@@ -11,17 +11,17 @@ import re
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, NoReturn
 
 import numpy as np
-from pydantic import Field, ValidationError, field_validator
+from pydantic import Field, field_validator
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import Strict, parse_toml, strictly
-from terraphi.experiment.errors import InputError, nearest, sentence_from_validation
+from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.force_table import CSV_COLUMNS, origin
 from terraphi.experiment.history import ForceHistory
-from terraphi.experiment.tables import Table, read_table, table_of
+from terraphi.experiment.tables import read_table, table_of
 from terraphi.experiment.units import KINDS, unit_named
 
 TURN_DEG = 10.0
@@ -111,10 +111,8 @@ class ForceColumns(Strict):
         if isinstance(given, str):
             pairs = [pair.partition("=") for pair in re.split("[,;]", given)]
             given = {key.strip(): _value(text.strip()) for key, _, text in pairs}
-        try:
-            return strictly({k: v for k, v in (given or {}).items() if v is not None}, cls)
-        except ValidationError as error:
-            raise InputError(sentence_from_validation(error, "columns", cls)) from error
+        known = {key: value for key, value in (given or {}).items() if value is not None}
+        return strictly(known, cls, "columns")
 
 
 def _value(text: str) -> Any:
@@ -127,23 +125,7 @@ def _value(text: str) -> Any:
     return text.strip("'\"")
 
 
-def read_forces(
-    source: Any,
-    *,
-    theta: str | None = None,
-    fx: str | None = None,
-    fz: str | None = None,
-    moment: str | None = None,
-    time: str | None = None,
-    rate_deg_s: float | None = None,
-    unit: str | None = None,
-    theta_unit: str | None = None,
-    theta_offset_deg: float = 0.0,
-    theta_sign: int = 1,
-    fx_sign: int = 1,
-    fz_sign: int = 1,
-    force_on: str = "leg",
-) -> ForceHistory:
+def read_forces(source: Any, **columns: Any) -> ForceHistory:
     """Read the forces on a leg over its angle from a table.
 
     Parameters
@@ -151,20 +133,21 @@ def read_forces(
     source
         A text file (any separator, decimal sign and encoding), ``-`` for standard input, a
         ``pandas.DataFrame`` or an ``xarray.Dataset``.
-    theta, fx, fz, moment, time
-        Names of the columns, with or without their unit; by default they are guessed. A moment
-        about the hip, of the soil on the leg or of the motor, may replace one force or both.
-    rate_deg_s
-        Constant rate of the leg [deg/s], where there is a time instead of an angle.
-    unit, theta_unit
-        Of forces (``N``, ``kN``, ``mN``, ``lbf``, ``kgf``, ``gf`` …) and angle (``deg``, ``rad``,
-        ``rev`` …); by default those of the header, else N and degrees.
-    theta_offset_deg, theta_sign
-        θ is ``theta_sign`` times the sum of the angle in the table and the offset [deg].
-    fx_sign, fz_sign
-        -1 where an axis of the table points backward or down.
-    force_on
-        ``leg`` or ``soil``: what the forces act on.
+    **columns
+        Options of :class:`ForceColumns` by name:
+
+        - ``theta``, ``fx``, ``fz``, ``moment``, ``time``: names of the columns, with or without
+          their unit; by default they are guessed. A moment about the hip, of the soil on the leg or
+          of the motor, may replace one force or both.
+        - ``rate_deg_s``: constant rate of the leg [deg/s], where there is a time instead of an
+          angle.
+        - ``unit``, ``theta_unit``: of forces (``N``, ``kN``, ``mN``, ``lbf``, ``kgf``, ``gf`` …)
+          and angle (``deg``, ``rad``, ``rev`` …); by default those of the header, else N and
+          degrees.
+        - ``theta_offset_deg``, ``theta_sign``: θ is ``theta_sign`` times the sum of the angle in
+          the table and the offset [deg].
+        - ``fx_sign``, ``fz_sign``: -1 where an axis of the table points backward or down.
+        - ``force_on``: ``leg`` or ``soil``, what the forces act on.
 
     Returns
     -------
@@ -185,8 +168,7 @@ def read_forces(
     >>> terraphi.read_forces(pd.DataFrame(table), fz="lift", unit="kgf")
     ForceHistory(171 samples, theta -85 to 85 deg, Fx 4.9 to 4.9 N, Fz 9.81 to 9.81 N)
     """
-    given = {key: value for key, value in locals().items() if key != "source"}
-    found = read_trials(source, ForceColumns.of(given))
+    found = read_trials(source, columns)
     if len(found) > 1:
         raise InputError(
             f"{_name_of(source)}: {len(found)} strokes; give the table to invert, which takes them "
@@ -199,17 +181,14 @@ def read_trials(
     source: Any, columns: ForceColumns | Mapping[str, Any] | Path | str | None = None
 ) -> list[ForceHistory]:
     """Forces of each stroke in which θ grows; source and errors as of :func:`read_forces`."""
-    named, name = ForceColumns.of(columns), _name_of(source)
-    table = read_table(Path(source)) if isinstance(source, str | Path) else table_of(source)
-    found = _Reading(table, named)
-    found.choose()
-    found.refuse_if_wrong(name)
+    found = _Reading(source, columns)
+    name, table = found.source, found.table
+    if found.wrong:
+        found.refuse("; ".join(found.wrong))
     theta, force, moment = found.values()
-    found.refuse_if_wrong(name)
     strokes = found.strokes(theta, force if len(found.axes) == 2 else moment[:, None])
-    found.refuse_if_wrong(name)
     known: dict[str, Any] = {}
-    if named == ForceColumns() and {*CSV_COLUMNS} == {*found.names.values()}:
+    if found.given == ForceColumns() and {*CSV_COLUMNS} == {*found.names.values()}:
         known = origin(Path(name), table.comments, table.frame[list(CSV_COLUMNS)].to_numpy())
     histories = []
     unit = found._unit(f"f{found.axes[-1]}")[0] if found.axes else "N"
@@ -240,7 +219,6 @@ def read_trials(
             )
         )  # fmt: skip
     found.refuse_other_zero(histories[0])
-    found.refuse_if_wrong(name)
     return histories
 
 
@@ -269,10 +247,8 @@ def preview(
     InputError
         If it holds no rows of numbers, or an option is wrong.
     """
-    named = ForceColumns.of(columns)
-    table = read_table(Path(source)) if isinstance(source, str | Path) else table_of(source)
-    found = _Reading(table, named)
-    found.choose()
+    found = _Reading(source, columns)
+    table = found.table
     written = [table.units.get(name) or unit for name, (_, unit) in found.parts.items()]
     return Preview(
         list(found.parts),
@@ -290,21 +266,23 @@ def _name_of(source: Any) -> str:
 class _Reading:
     """One table on its way to forces, with what was guessed and what is wrong."""
 
-    def __init__(self, table: Table, given: ForceColumns) -> None:
-        self.table, self.given = table, given
+    def __init__(self, source: Any, columns: Any) -> None:
+        self.given, self.source = ForceColumns.of(columns), _name_of(source)
+        is_text = isinstance(source, str | Path)
+        self.table = read_table(Path(source)) if is_text else table_of(source)
         self.names: dict[str, str] = {}
         self.wrong: list[str] = []
         self.notes: list[str] = []
-        self.parts = {name: _split(str(name)) for name in table.frame.columns}
+        self.parts = {name: _split(str(name)) for name in self.table.frame.columns}
+        self._choose()
 
-    def refuse_if_wrong(self, name: str) -> None:
-        """Raise InputError with all that is wrong."""
-        if self.wrong:
-            raise InputError(f"{name}: {'; '.join(self.wrong)}")
+    def refuse(self, sentence: str) -> NoReturn:
+        """Raise InputError that names the table."""
+        raise InputError(f"{self.source}: {sentence}")
 
     # -- columns ---------------------------------------------------------------------------------
 
-    def choose(self) -> None:
+    def _choose(self) -> None:
         """Find the column of each role: as given, by our own names, or by a guess."""
         guessed, lacking = [], []
         timed = self.given.rate_deg_s is not None
@@ -454,8 +432,7 @@ class _Reading:
         if len(self.axes) < 2:
             whole &= np.isfinite(moment)
         if not whole.any():
-            self.wrong.append("no row has all that is needed; check the columns")
-            return theta, force, moment
+            self.refuse("no row has all that is needed; check the columns")
         if not whole.all():
             first = self.table.place(int(np.flatnonzero(~whole)[0]))
             self.notes.append(
@@ -469,7 +446,7 @@ class _Reading:
         theta, force, moment = self._without_glitches(theta, force, moment)
         largest = float(np.abs(theta).max())
         if "theta" in self.names and self._unit("theta")[0] == "deg" and largest < LEAST_DEG:
-            self.wrong.append(
+            self.refuse(
                 f"the angle runs from {theta.min():.2f} to {theta.max():.2f}, which must be "
                 "radians; add --columns theta_unit=rad"
             )
@@ -513,7 +490,7 @@ class _Reading:
             return float(np.median([np.sqrt(np.square(force[p]).mean()) for p in of]))
 
         if down and size(down) > HEAVIER * size(up):
-            self.wrong.append(
+            self.refuse(
                 "the forces are larger while the angle falls, so the leg goes that way; add "
                 f"--columns theta_sign={-self.given.theta_sign}"
             )
@@ -545,7 +522,7 @@ class _Reading:
         sign = self.given.theta_sign
         offset = self.given.theta_offset_deg - sign * round(middle)
         turned = f",theta_sign={-sign}" if heaviest > middle + 10.0 else ""
-        self.wrong.append(
+        self.refuse(
             f"the angle runs from {low:.0f} to {high:.0f}° and the forces from {begins:.0f} to "
             f"{ends:.0f}°, but it is zero where the leg hangs down; add --columns "
             f"theta_offset_deg={offset:g}{turned}"

@@ -15,11 +15,9 @@ from pathlib import Path
 from typing import Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
-from terraphi.experiment.documents import Strict, parse_toml, refuse, shipped_file, strictly
-from terraphi.experiment.errors import InputError, sentence_from_validation
-from terraphi.experiment.files import is_there
+from terraphi.experiment.documents import Strict, located, parse_toml, refuse, strictly
 from terraphi.experiment.leg import LEG_SHAPES, Leg
 from terraphi.experiment.motion import Motion, Rotation, bin_count
 from terraphi.experiment.soil import Soil
@@ -444,10 +442,7 @@ class Scenario(Strict):
                 place[int(last)] = value
             else:
                 content[key] = value  # unknown, for the check to refuse
-        try:
-            return strictly(content, Scenario)
-        except ValidationError as error:
-            raise InputError(sentence_from_validation(error, source, Scenario)) from error
+        return strictly(content, Scenario, source)
 
     @classmethod
     def load(cls, source: Path | str) -> Scenario:
@@ -463,9 +458,7 @@ class Scenario(Strict):
         InputError
             If the file is missing, not TOML, has an unknown key or a value that cannot be.
         """
-        if Path(source).suffix != ".toml" and not is_there(Path(source)):
-            source = shipped_file("scenarios", str(source), ".toml")
-        return parse_toml(Path(source), cls)
+        return parse_toml(located(source, "scenarios", ".toml"), cls)
 
 
 @functools.lru_cache(maxsize=64)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import html
 import json
 import math
@@ -25,12 +26,27 @@ if TYPE_CHECKING:
 
 QUANTILES = 4000
 """Equally probable values that stand for a posterior by quadrature where draws are wanted."""
+_STATED = (
+    *("verdict", "reason", "edge", "library", "library_reason", "density_kg_m3"),
+    *("density_sd_kg_m3", "density_assumed", "phi_plane_strain_reason", "leg_friction", "seed"),
+    *("budget_deg", "second_opinion", "diagnostics", "provenance"),
+)
+"""Attributes of an answer that its JSON has as they are."""
 
 
 def decimals(ci68: Sequence[float]) -> int:
     """Decimals that an angle [deg] deserves by its interval, as in 34 ± 4 and in 34.1 ± 0.4."""
     half = max(0.5 * (ci68[1] - ci68[0]), 1e-3)
     return min(max(math.ceil(-math.log10(half)), 0), 3)
+
+
+def quantiles(
+    grid: FloatArray, density: FloatArray, share: Sequence[float] | FloatArray
+) -> FloatArray:
+    """Quantiles of a density on a grid, at probabilities."""
+    steps = 0.5 * (density[1:] + density[:-1]) * np.diff(grid)
+    cumulated = np.concatenate([[0.0], np.cumsum(steps)])
+    return np.interp(share, cumulated / cumulated[-1], grid)
 
 
 @dataclass(frozen=True)
@@ -43,6 +59,14 @@ class Estimate:
     ci95: tuple[float, float]
 
     @classmethod
+    def of_density(cls, grid: FloatArray, density: FloatArray) -> Estimate:
+        """From a density on a grid."""
+        q = quantiles(grid, density, [0.5, 0.16, 0.84, 0.025, 0.975]).tolist()
+        mean = float(np.trapezoid(grid * density, grid))
+        sd = math.sqrt(float(np.trapezoid((grid - mean) ** 2 * density, grid)))
+        return cls(q[0], sd, (q[1], q[2]), (q[3], q[4]))
+
+    @classmethod
     def of(cls, draws: FloatArray) -> Estimate:
         """From equally probable values of any shape."""
         q = np.quantile(draws, [0.5, 0.16, 0.84, 0.025, 0.975]).tolist()
@@ -50,9 +74,7 @@ class Estimate:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and lists."""
-        return {
-            "median": self.median, "sd": self.sd, "ci68": list(self.ci68), "ci95": list(self.ci95),
-        }  # fmt: skip
+        return {**vars(self), "ci68": list(self.ci68), "ci95": list(self.ci95)}
 
     def __str__(self) -> str:
         """Median ± half the 68 % interval, and the 95 % interval [deg]."""
@@ -223,34 +245,25 @@ class Answer:
         """Equally probable values of φ [deg], shape [draw]."""
         if self.draws:
             return self.draws[PHI].ravel()
-        steps = 0.5 * (self.density[1:] + self.density[:-1]) * np.diff(self.grid_deg)
-        cumulated = np.concatenate([[0.0], np.cumsum(steps)])
         share = (np.arange(QUANTILES) + 0.5) / QUANTILES
-        return np.interp(share, cumulated / cumulated[-1], self.grid_deg)
+        return quantiles(self.grid_deg, self.density, share)
 
     # -- showing ---------------------------------------------------------------------------------
 
     def as_dict(self) -> dict[str, Any]:
         """What ``terraphi invert --json`` prints."""
         phi, plane = self.parameters.get(PHI), self.phi_plane_strain
-        names = (
-            "verdict", "reason", "edge", "source", "leg", "library", "library_reason",
-            "density_kg_m3", "density_sd_kg_m3", "density_assumed", "leg_friction", "seed",
-        )  # fmt: skip
         return {
             "phi_deg": {**phi.as_dict(), "yield": self.convention} if phi else None,
             "phi_plane_strain_deg": plane.as_dict() if plane else None,
-            "phi_plane_strain_reason": self.phi_plane_strain_reason,
-            **{name: getattr(self, name) for name in names},
+            "source": self.source,
+            "leg": self.leg,
+            **copy.deepcopy({name: getattr(self, name) for name in _STATED}),
             "nrmsd": self.nrmsd,
-            "budget_deg": dict(self.budget_deg),
             "n_angles": self.records[0].theta_deg.size,
-            "second_opinion": dict(self.second_opinion) if self.second_opinion else None,
             "questions": list(self.questions),
             "records": [record.as_dict() for record in self.records],
             "parameters": {key: one.as_dict() for key, one in self.parameters.items()},
-            "diagnostics": {key: dict(one) for key, one in self.diagnostics.items()},
-            "provenance": dict(self.provenance),
         }
 
     def summary(self) -> pd.DataFrame:
@@ -258,13 +271,11 @@ class Answer:
         import pandas as pd
 
         rows = {}
+        ends = ("ci68_low", "ci68_high", "ci95_low", "ci95_high")
         for key, one in self.parameters.items():
-            rows[key] = {
-                "median": one.median, "sd": one.sd,
-                "ci68_low": one.ci68[0], "ci68_high": one.ci68[1],
-                "ci95_low": one.ci95[0], "ci95_high": one.ci95[1],
-                **self.diagnostics.get(key, {}),
-            }  # fmt: skip
+            interval = dict(zip(ends, (*one.ci68, *one.ci95), strict=True))
+            known = self.diagnostics.get(key, {})
+            rows[key] = {"median": one.median, "sd": one.sd, **interval, **known}
         table = pd.DataFrame.from_dict(rows, orient="index")
         if len(self.draws) > 1:
             correlation = np.corrcoef([self.draws[key].ravel() for key in self.parameters])
@@ -317,7 +328,9 @@ class Answer:
                 axes.plot(theta, record.data[i], ".", color="black", ms=3, label="data")
             axes.set(xlabel="leg angle θ [deg]", ylabel=force_label(name))
             axes.axhline(0.0, color="0.7", lw=0.5, zorder=0)
-        of_channels[0].legend(*_first_of_each(of_channels[0]), frameon=False, fontsize="small")
+        handles, labels = of_channels[0].get_legend_handles_labels()
+        each = dict(zip(labels, handles, strict=True))
+        of_channels[0].legend(each.values(), each.keys(), frameon=False, fontsize="small")
         grid, density = self.grid_deg, self.density
         if not grid.size:
             density, edges = np.histogram(self.phi_draws(), bins=60, density=True)
@@ -422,9 +435,7 @@ class Answer:
 
     @classmethod
     def _of(cls, known: dict[str, Any], tree: Any) -> Answer:
-        def estimate(one: dict[str, Any] | None) -> Estimate | None:
-            if one is None:
-                return None
+        def estimate(one: dict[str, Any]) -> Estimate:
             return Estimate(one["median"], one["sd"], tuple(one["ci68"]), tuple(one["ci95"]))
 
         constant, observed = tree["constant_data"], tree["observed_data"]
@@ -433,35 +444,28 @@ class Answer:
             expected = constant[f"expected_{i}"].values if f"expected_{i}" in constant else None
             records.append(
                 RecordFit(
-                    **{key: value for key, value in one.items() if key != "nrmsd"},
+                    **one,
                     theta_deg=constant[f"theta_deg_{i}"].values,
                     data=observed[f"force_{i}"].values,
                     curve=constant[f"curve_{i}"].values,
                     expected=expected,
                     band=constant[f"band_{i}"].values,
-                    nrmsd=one["nrmsd"],
                 )
             )
         parameters = {key: estimate(one) for key, one in known["parameters"].items()}
         drawn = known["diagnostics"] or len(parameters) > 1
         draws = {key: tree["posterior"][key].values for key in parameters} if drawn else {}
-        same = (
-            "verdict", "reason", "edge", "library", "library_reason", "density_kg_m3",
-            "density_sd_kg_m3", "density_assumed", "second_opinion", "leg_friction", "seed",
-            "diagnostics",
-            "provenance", "budget_deg", "phi_plane_strain_reason",
-        )  # fmt: skip
-        phi = known["phi_deg"]
+        phi, plane = known["phi_deg"], known["phi_plane_strain_deg"]
         return cls(
-            parameters={key: one for key, one in parameters.items() if one is not None},
+            parameters=parameters,
             convention=phi["yield"] if phi else "",
-            phi_plane_strain=estimate(known["phi_plane_strain_deg"]),
+            phi_plane_strain=estimate(plane) if plane else None,
             questions=tuple(known["questions"]),
             records=tuple(records),
             grid_deg=constant["grid_deg"].values,
             density=constant["density"].values,
             draws=draws,
-            **{name: known[name] for name in same},
+            **{name: known[name] for name in _STATED},
         )
 
     def save(self, folder: Path | str) -> None:
@@ -575,10 +579,3 @@ def read_answer(path: Path | str) -> StoredAnswer:
         draws = found.phi_draws() if PHI in found.parameters else np.zeros(0)
         return StoredAnswer(str(path), found.as_dict(), draws)
     return StoredAnswer(str(path), _known(read_bytes(path), str(path)), np.zeros(0))
-
-
-def _first_of_each(axes: Any) -> tuple[list[Any], list[str]]:
-    """Handles and labels of a legend, each label once."""
-    handles, labels = axes.get_legend_handles_labels()
-    found = dict(zip(labels[::-1], handles[::-1], strict=True))
-    return list(found.values())[::-1], list(found)[::-1]

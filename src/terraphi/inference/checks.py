@@ -11,19 +11,15 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import CHANNEL_UNITS, FORCES, OBSERVATION_ANGLES, WINDOW_DEG
 from terraphi.experiment.units import FORCE
 from terraphi.inference.emulator import emulator_of
 from terraphi.inference.likelihood import SHIFT_DEG, Likelihood, squared_residuals, window_means
-from terraphi.inference.partial import part_of
 from terraphi.inference.records import Record
-from terraphi.library.store import PHI, Curves, Library, differences
-
-Mask = NDArray[np.bool_]
+from terraphi.library.store import PHI, Curves, differences
 
 LOADED = 0.05
 """Force over the largest above which an exact zero is a dropout [-]."""
@@ -118,7 +114,7 @@ def without_faults(record: Record) -> Record:
     return record.without(bad, notes, damaged=damaged).binned().checked()
 
 
-def _dropouts(force: FloatArray, all_zero: Mask, largest: float) -> Mask:
+def _dropouts(force: FloatArray, all_zero: BoolArray, largest: float) -> BoolArray:
     """Exact zeros amid load: of this force, or of all."""
     rows = np.arange(len(force))
     loaded = rows[(force != 0.0) & ~all_zero]
@@ -131,7 +127,7 @@ def _dropouts(force: FloatArray, all_zero: Mask, largest: float) -> Mask:
     return np.asarray((force == 0.0) & (around > LOADED * largest))
 
 
-def _held(force: FloatArray, span: float) -> Mask:
+def _held(force: FloatArray, span: float) -> BoolArray:
     """Runs of equal readings under load that end with a jump, as of a value that was held."""
     changes = np.abs(np.diff(force))
     found = np.zeros(len(force), dtype=bool)
@@ -146,7 +142,7 @@ def _held(force: FloatArray, span: float) -> Mask:
     return found
 
 
-def _spikes(force: FloatArray, span: float) -> Mask:
+def _spikes(force: FloatArray, span: float) -> BoolArray:
     """Readings far from the median of their neighbours."""
     padded = np.pad(force, 3, mode="reflect")
     windows = np.lib.stride_tricks.sliding_window_view(padded, 7)
@@ -205,12 +201,12 @@ def _step(name: str, force: FloatArray, theta: FloatArray) -> str:
     return ""
 
 
-def _count(mask: Mask) -> str:
+def _count(mask: BoolArray) -> str:
     count = int(mask.sum())
     return "1 reading" if count == 1 else f"{count} readings"
 
 
-def _where(theta: FloatArray, mask: Mask) -> str:
+def _where(theta: FloatArray, mask: BoolArray) -> str:
     low, high = theta[mask][[0, -1]]
     return f"between {low:.1f} and {high:.1f}°" if high > low else f"at {low:.1f}°"
 
@@ -221,10 +217,9 @@ def _where(theta: FloatArray, mask: Mask) -> str:
 def in_air(likelihood: Likelihood) -> list[str]:
     """A sentence for each measured force that is not zero where the leg is in the air."""
     found = []
-    inside = np.clip(likelihood.least_squares, likelihood.low, likelihood.high)
     for record, shift in zip(likelihood.records, likelihood.shift_deg, strict=True):
         emulator = likelihood.emulators[record.leg]
-        force = np.abs(emulator(inside[None])[0])
+        force = np.abs(emulator(likelihood.inside[None])[0])
         touching = emulator.curves.theta_deg[np.any(force > IN_AIR * force.max(), axis=0)] + shift
         theta = record.history.theta_deg
         # Soil that the leg carries along may press on it a little where the model has none left.
@@ -247,15 +242,13 @@ def in_air(likelihood: Likelihood) -> list[str]:
     return found
 
 
-def doubts(likelihood: Likelihood, library: Library, *, misfit: bool) -> Iterator[str]:
+def doubts(likelihood: Likelihood, *, misfit: bool) -> Iterator[str]:
     """Warnings about records after the fit, a sentence each.
 
     Parameters
     ----------
     likelihood
         Of the records.
-    library
-        That they were inverted with.
     misfit
         Whether the model describes them badly; only then other readings of them are proposed.
     """
@@ -265,12 +258,12 @@ def doubts(likelihood: Likelihood, library: Library, *, misfit: bool) -> Iterato
             f"The records have densities from {min(likelihood.density):g} to "
             f"{max(likelihood.density):g} kg/m³, and are inverted as one soil: check that they are."
         )
-    for record, density in zip(likelihood.records, likelihood.density, strict=True):
+    for i, record in enumerate(likelihood.records):
+        density, part = likelihood.density[i], likelihood.strokes[i]
         name = f"{record.source}: " if several else ""
         spacing = float(np.median(np.diff(record.history.theta_deg)))
         if spacing > COARSE_DEG:
             yield f"{name}The readings are {spacing:.0f}° apart; peaks between them are missed."
-        part = part_of(likelihood, record)
         if part.share < NEARLY_ALL and likelihood.measured and PHI in likelihood.keys:
             low, high = np.clip(record.history.theta_deg[[0, -1]], -WINDOW_DEG, WINDOW_DEG)
             yield (
@@ -288,27 +281,27 @@ def doubts(likelihood: Likelihood, library: Library, *, misfit: bool) -> Iterato
         if record.density_kg_m3 is None or record.density_assumed:
             yield f"{name}The density {density:g} kg/m³ is assumed; 10 % of it move φ by about 1°."
         if record.scenario is not None:
-            apart = differences(record.scenario, library.cases[0].scenario)
+            apart = differences(record.scenario, likelihood.library.cases[0].scenario)
             apart = [key for key in apart if key not in likelihood.keys]
             if apart:
                 listed = ", ".join(apart[:3]) + (", …" if len(apart) > 3 else "")
                 yield (
-                    f"{name}The simulation differs from library {library.name} in {listed}: the "
-                    "angle may be off."
+                    f"{name}The simulation differs from library {likelihood.library.name} in "
+                    f"{listed}: the angle may be off."
                 )
         elif PHI in likelihood.keys:
             found = []
             if misfit and likelihood.keys == (PHI,):
-                found = list(_other_readings(likelihood, record, library))
+                found = list(_other_readings(likelihood, record))
             for sentence in found or [
-                *_other_arm(likelihood, record),
-                *_other_size(likelihood, record),
+                *_other_arm(likelihood, i),
+                *_other_size(likelihood, i),
                 *_other_strength(likelihood, record),
             ]:
                 yield f"{name}{sentence}"
 
 
-def _other_readings(likelihood: Likelihood, record: Record, library: Library) -> Iterator[str]:
+def _other_readings(likelihood: Likelihood, record: Record) -> Iterator[str]:
     """Another leg, sign, unit or order that would describe a misfit much better."""
     own = residual(record.data, record, likelihood, record.leg)
     most = FITS * likelihood.errors[record.leg].nrmsd_limit
@@ -323,7 +316,7 @@ def _other_readings(likelihood: Likelihood, record: Record, library: Library) ->
             best, proposal = size, f"The record would fit with --columns {what}: check the columns."
     if "columns unit=" in proposal and len(units) > 1:
         proposal = f"{proposal[:-1]}; of all units {' and '.join(units)} would fit."
-    for leg in library.legs if options else ():
+    for leg in likelihood.library.legs if options else ():
         if leg != record.leg and (size := residual(record.data, record, likelihood, leg)) < best:
             best, proposal = size, f"The record would fit with --leg {leg}: check the leg."
     if proposal:
@@ -355,9 +348,9 @@ def _columns_otherwise(record: Record) -> dict[str, tuple[Record, FloatArray]]:
     return options
 
 
-def _other_arm(likelihood: Likelihood, record: Record) -> Iterator[str]:
+def _other_arm(likelihood: Likelihood, i: int) -> Iterator[str]:
     """A sentence if the moment about the hip is not that of the forces, with the model's arms."""
-    i = likelihood.records.index(record)
+    record = likelihood.records[i]
     factor = moment_factor(record, likelihood.emulators[record.leg].curves, likelihood.shift_deg[i])
     if factor is not None and abs(np.log(max(factor, 1e-3))) > np.log(OTHER_ARM):
         yield (
@@ -375,17 +368,16 @@ def moment_factor(record: Record, curves: Curves, shift_deg: float) -> float | N
     return float(of_forces @ record.means(record.history.moment) / (of_forces @ of_forces))
 
 
-def _other_size(likelihood: Likelihood, record: Record) -> Iterator[str]:
+def _other_size(likelihood: Likelihood, i: int) -> Iterator[str]:
     """A sentence if contact begins elsewhere than in the model, as of a leg of another length."""
-    best = np.clip(likelihood.least_squares, likelihood.low, likelihood.high)
-    part = likelihood.parts[likelihood.records.index(record)]
-    curve = likelihood.curves(best[None])[0, part].reshape(len(record.channels), -1)
+    record, part = likelihood.records[i], likelihood.parts[i]
+    curve = likelihood.curves(likelihood.inside[None])[0, part].reshape(len(record.channels), -1)
     begins = []
     for force in (record.data, curve):
         size = np.linalg.norm(force / np.ptp(force), axis=0)
         begins.append(int(np.argmax(size > ONSET * size.max())))
     theta = record.theta_deg[begins]
-    theta[1] -= likelihood.shift_deg[likelihood.records.index(record)]
+    theta[1] -= likelihood.shift_deg[i]
     if min(begins) > 0 and abs(theta[0] - theta[1]) > LATE_DEG:
         yield (
             f"Contact begins at {theta[0]:.0f}°, in the model at {theta[1]:.0f}°: check the length "

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.library.store import PHI, Curves, Library
+from terraphi.library.store import Curves, Library
 
 LENGTHS = np.geomspace(0.15, 8.0, 16)
 """Correlation lengths that are tried, in units of the half range of a parameter [-]."""
@@ -59,12 +59,6 @@ class Emulator:
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Smallest and largest value of each parameter."""
         return self.curves.x.min(axis=0), self.curves.x.max(axis=0)
-
-    @property
-    def phi_bounds_deg(self) -> tuple[float, float]:
-        """Smallest and largest friction angle [deg]."""
-        column = self.curves.x[:, self.curves.keys.index(PHI)]
-        return float(column.min()), float(column.max())
 
     def _basis(self, x: FloatArray) -> FloatArray:
         """Polynomials of the mean: constant, linear and, with cases enough, quadratic, [k, q]."""

@@ -28,7 +28,6 @@ from terraphi.inference.checks import (
     without_faults,
 )
 from terraphi.inference.likelihood import OF_RIG, UNKNOWN_DENSITY, Likelihood, channels_of
-from terraphi.inference.partial import part_of
 from terraphi.inference.records import Record, open_records
 from terraphi.inference.sampling import Drawn, quadrature, sample
 from terraphi.inference.soils import Calibration, CalibrationSoil, model_error
@@ -120,37 +119,25 @@ def invert(
     began = time.perf_counter()
     # The matrices are small: threads would only wait for each other.
     with threadpool_limits(limits=1, user_api="blas"):
-        return _invert(
-            forces, library, calibration, seed, began,
-            leg=leg, density=density, columns=columns, noise=noise, gain=gain,
+        records = _records(
+            forces, leg=leg, density=density, columns=columns, noise=noise, gain=gain,
             simulated=simulated,
         )  # fmt: skip
+        library, reason = _library_for(records, library)
+        if isinstance(calibration, str | Path):
+            calibration = Calibration.load(calibration)
+        if not isinstance(calibration, Calibration | None):
+            raise InputError(
+                f"calibration of type {type(calibration).__name__}; give the result of calibrate, "
+                "or a file"
+            )
+        if calibration is not None:
+            calibration.check(library)
+            calibration.check_gain({record.leg: record.gain for record in records})
+        return _answer(Likelihood(records, library, calibration), reason, seed, began)
 
 
-def _invert(
-    forces: Any,
-    library: Library | Path | str | None,
-    calibration: Calibration | Path | str | None,
-    seed: int,
-    began: float,
-    **options: Any,
-) -> Answer:
-    """Records, library and likelihood of :func:`invert`, and the answer from them."""
-    records = _records(forces, options)
-    library, reason = _library_for(records, library)
-    known = Calibration.load(calibration) if isinstance(calibration, str | Path) else calibration
-    if not isinstance(known, Calibration | None):
-        raise InputError(
-            f"calibration of type {type(known).__name__}; give the result of calibrate, or a file"
-        )
-    if known is not None:
-        known.check(library)
-        known.check_gain({record.leg: record.gain for record in records})
-    likelihood = Likelihood(records, library, known)
-    return _answer(likelihood, library, reason, seed, began)
-
-
-def _records(forces: Any, options: dict[str, Any]) -> list[Record]:
+def _records(forces: Any, **options: Any) -> list[Record]:
     """Records of one thing or a list, without faulty readings."""
     every = list(forces) if isinstance(forces, list | tuple) else [forces]
     if not every:
@@ -197,21 +184,20 @@ def calibrate(
         raise InputError(f"phi = {phi_deg!r} ± {phi_sd_deg!r}; give two numbers of degrees")
     if not (0.0 < phi_deg < 90.0 and 0.0 <= phi_sd_deg < 90.0):
         raise InputError(f"phi = {phi_deg:g} ± {phi_sd_deg:g}°; 0 to 90° are accepted")
-    options = {"leg": leg, "density": density, "columns": columns, "noise": noise, "gain": gain}
     soils = []
-    found: Library | None = None
-    for record in _records(forces, options):
-        found, _ = _library_for([record], library)
+    records = _records(forces, leg=leg, density=density, columns=columns, noise=noise, gain=gain)
+    found, _ = _library_for(records, library)
+    for record in records:
         likelihood = Likelihood([record], found)
         if not likelihood.measured:
             raise InputError(f"{record.source}: simulated forces calibrate nothing")
         best = likelihood.least_squares
         fits = _fits(likelihood, best, {})
-        verdict, why, _ = _verdict(likelihood, fits, best, found, damaged=bool(in_air(likelihood)))
+        verdict, why, _ = _verdict(likelihood, fits, best, damaged=bool(in_air(likelihood)))
         if verdict != "consistent":
             raise InputError(f"{record.source}: cannot calibrate with it. {why}")
         read = float(best[likelihood.keys.index(PHI)])
-        shares = likelihood.budget(_within(likelihood, best))
+        shares = likelihood.budget(best)
         sd = _sd_without(likelihood, (*MODEL, *OF_RIG))
         rig = math.hypot(*(shares.get(name, 0.0) for name in OF_RIG))
         error = likelihood.errors[record.leg]
@@ -231,7 +217,6 @@ def calibrate(
                 rig_sd_deg=rig, gain=record.gain,
             )
         )  # fmt: skip
-    assert found is not None
     return Calibration(library=found.name, library_hash=found.hash, soils=soils)
 
 
@@ -281,17 +266,15 @@ def _library_for(
     return shipped_library(DEFAULT), "the default for measured forces"
 
 
-def _answer(
-    likelihood: Likelihood, library: Library, reason: str, seed: int, began: float
-) -> Answer:
+def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Answer:
     """Posterior, verdict and all that goes with them."""
-    records, keys = likelihood.records, likelihood.keys
+    records, keys, library = likelihood.records, likelihood.keys, likelihood.library
     second, disagreement = _second_opinion(likelihood), ""
     drawn = Drawn({}, {})
     grid = density = np.zeros(0)
     if keys == (PHI,):
         grid, density = quadrature(likelihood)
-        phi = _estimate(grid, density)
+        phi = Estimate.of_density(grid, density)
         if second is not None and (wider := _disagreement_deg(likelihood, phi, second)):
             disagreement = (
                 f"Resistive force theory gives {second['median']:.0f}°, "
@@ -302,7 +285,7 @@ def _answer(
                 records, library, likelihood.calibration, disagreement_deg=wider
             )
             grid, density = quadrature(likelihood)
-            phi = _estimate(grid, density)
+            phi = Estimate.of_density(grid, density)
         parameters = {PHI: phi}
     else:
         drawn = sample(likelihood, seed=seed)
@@ -310,12 +293,12 @@ def _answer(
     middle = np.array([parameters[key].median for key in keys])
     fits = _fits(likelihood, middle, parameters)
     air = in_air(likelihood)
-    verdict, why, edge = _verdict(likelihood, fits, middle, library, damaged=bool(air))
+    verdict, why, edge = _verdict(likelihood, fits, middle, damaged=bool(air))
     questions = [
         *(note if len(records) == 1 else f"{record.source}: {note}"
           for record in records for note in record.notes),
         *air,
-        *doubts(likelihood, library, misfit=verdict != "consistent"),
+        *doubts(likelihood, misfit=verdict != "consistent"),
         *([disagreement] if disagreement else []),
         *_about(likelihood, fits, parameters, verdict),
     ]  # fmt: skip
@@ -325,10 +308,8 @@ def _answer(
     plane, no_plane = (
         _plane_strain(inferred, scenario) if inferred else (None, "φ was not inferred")
     )
-    sd = [
-        UNKNOWN_DENSITY * density if r.density_kg_m3 is None else r.density_sd_kg_m3
-        for r, density in zip(records, likelihood.density, strict=True)
-    ]
+    first, density_kg_m3 = records[0], likelihood.density[0]
+    unknown = first.density_kg_m3 is None
     return Answer(
         parameters=parameters,
         convention=scenario.convention,
@@ -337,14 +318,10 @@ def _answer(
         verdict=verdict,
         reason=why,
         edge=edge,
-        budget_deg=(
-            likelihood.budget(_within(likelihood, middle))
-            if PHI in keys and likelihood.beyond is None
-            else {}
-        ),
-        density_kg_m3=likelihood.density[0],
-        density_sd_kg_m3=sd[0],
-        density_assumed=records[0].density_kg_m3 is None or records[0].density_assumed,
+        budget_deg=likelihood.budget(middle) if PHI in keys and likelihood.beyond is None else {},
+        density_kg_m3=density_kg_m3,
+        density_sd_kg_m3=UNKNOWN_DENSITY * density_kg_m3 if unknown else first.density_sd_kg_m3,
+        density_assumed=unknown or first.density_assumed,
         library=library.name,
         library_reason=reason,
         second_opinion=second,
@@ -368,22 +345,6 @@ def _answer(
     )  # fmt: skip
 
 
-def _within(likelihood: Likelihood, x: FloatArray) -> FloatArray:
-    """A point within the library, where slopes are those of simulations."""
-    return np.clip(x, likelihood.low, likelihood.high)
-
-
-def _estimate(grid: FloatArray, density: FloatArray) -> Estimate:
-    """Quantiles and standard deviation of a density on a grid."""
-    cumulated = np.concatenate(
-        [[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(grid))]
-    )
-    q = np.interp([0.5, 0.16, 0.84, 0.025, 0.975], cumulated / cumulated[-1], grid).tolist()
-    mean = float(np.trapezoid(grid * density, grid))
-    sd = math.sqrt(float(np.trapezoid((grid - mean) ** 2 * density, grid)))
-    return Estimate(q[0], sd, (q[1], q[2]), (q[3], q[4]))
-
-
 def _fits(
     likelihood: Likelihood, middle: FloatArray, parameters: dict[str, Estimate]
 ) -> list[RecordFit]:
@@ -394,11 +355,10 @@ def _fits(
     points[:2] = np.clip(points[:2], likelihood.low, likelihood.high)
     curves = likelihood.curves(points)
     found = []
-    for record, part, shift in zip(
-        likelihood.records, likelihood.parts, likelihood.shift_deg, strict=True
+    for record, part, whole, shift in zip(
+        likelihood.records, likelihood.parts, likelihood.strokes, likelihood.shift_deg, strict=True
     ):
         low, high, curve = (one.reshape(len(record.channels), -1) for one in curves[:, part])
-        whole = part_of(likelihood, record)
         span, error = whole.span, likelihood.errors[record.leg]
         usual = error.mean_residual(
             np.ptp(curve, axis=1) if whole.model is None else whole.model, record.theta_deg
@@ -444,7 +404,6 @@ def _verdict(
     likelihood: Likelihood,
     fits: Sequence[RecordFit],
     middle: FloatArray,
-    library: Library,
     *,
     damaged: bool,
 ) -> tuple[str, str, str | None]:
@@ -463,7 +422,7 @@ def _verdict(
         end, word = (low, "below") if edge == "low" else (high, "above")
         why = (
             f"Out of range: φ lies {word} {end:g}°, the "
-            f"{'lower' if edge == 'low' else 'upper'} end of library {library.name}."
+            f"{'lower' if edge == 'low' else 'upper'} end of library {likelihood.library.name}."
         )
         return "out_of_range", f"{why} {misfit}".rstrip(), edge
     if misfit:
@@ -471,7 +430,7 @@ def _verdict(
     if not likelihood.measured:
         return "consistent", "Consistent: noise and scatter explain the residual.", None
     left_out = sorted({r.medium for r in likelihood.records
-                       if r.medium in model_error(library, r.leg).without})  # fmt: skip
+                       if r.medium in model_error(likelihood.library, r.leg).without})  # fmt: skip
     without = f" (learned without {left_out[0]})" if left_out else ""
     followed = " and ".join(f"{c} within {_percent(size)}" for c, size in worst_nrmsd(fits).items())
     return (
@@ -483,8 +442,7 @@ def _verdict(
 
 def _misfit_of_soil(likelihood: Likelihood, fits: Sequence[RecordFit]) -> str:
     """A sentence if a record differs from the model by more than real soils do."""
-    for fit, record in zip(fits, likelihood.records, strict=True):
-        span = part_of(likelihood, record).span
+    for fit, record, (_, span, _) in zip(fits, likelihood.records, likelihood.strokes, strict=True):
         best = fit.curve if fit.expected is None else fit.expected
         size = float(_nrmsd(fit.data, best, span).max())
         if fit.limit is not None and size > fit.limit:
@@ -557,7 +515,7 @@ def _edge(likelihood: Likelihood) -> str | None:
 
 def _sd_without(likelihood: Likelihood, names: Sequence[str]) -> float:
     """Standard deviation of φ from all terms but some [deg]."""
-    shares = likelihood.budget(_within(likelihood, likelihood.least_squares))
+    shares = likelihood.budget(likelihood.least_squares)
     return math.sqrt(sum(share**2 for name, share in shares.items() if name not in names))
 
 
@@ -634,16 +592,12 @@ def _second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:
     except InputError:
         return None  # it does not cover the angles of the record
     read = float(other.least_squares[0])
-    if not other.low[0] <= read <= other.high[0]:
-        return None
-    estimate = Estimate(read, 0.0, (read - 1.0, read + 1.0), (read - 2.0, read + 2.0))
-    plane, _ = _plane_strain(estimate, shipped_library(SECOND).cases[0].scenario)
-    if plane is None:
-        return None
-    ratio = (plane.ci68[1] - plane.ci68[0]) / 2.0
-    sd = float(other.sd(_within(other, other.least_squares))[0])
+    if not other.low[0] <= read <= min(other.high[0], 43.0):
+        return None  # beyond its library, or nearly without an equivalent in plane strain
+    below, median, above = to_plane_strain(read + np.array([-1.0, 0.0, 1.0])).tolist()
+    sd = float(other.sd(other.inside)[0])
     return {
-        "library": SECOND, "median": plane.median, "sd": sd * ratio,
+        "library": SECOND, "median": median, "sd": sd * (above - below) / 2.0,
         "force_size_deg": phi_of_size(likelihood) if likelihood.keys == (PHI,) else None,
     }  # fmt: skip
 

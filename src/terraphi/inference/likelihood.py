@@ -61,7 +61,7 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import FORCES
 from terraphi.inference.emulator import emulator_of
-from terraphi.inference.partial import missing_parts
+from terraphi.inference.partial import Part, missing_parts, part_of
 from terraphi.inference.records import Record
 from terraphi.inference.soils import Calibration, model_error
 from terraphi.library.store import PHI, Curves, Library
@@ -123,6 +123,11 @@ def squared_residuals(
     return np.square(np.stack(apart) / spans).sum(axis=2)
 
 
+def _square(error: FloatArray) -> FloatArray:
+    """Covariance of one error, by its size at each window mean, shape [n] -> [n, n]."""
+    return np.outer(error, error)
+
+
 class Likelihood:
     """Log-likelihood of one record or several through a library.
 
@@ -182,6 +187,8 @@ class Likelihood:
         self.parts = [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
         self.data = np.concatenate([record.data.ravel() for record in records])
         self.span = np.concatenate([np.repeat(r.span, r.theta_deg.size) for r in records])
+        # The record of each window mean.
+        self._of = np.repeat(np.arange(len(records)), [r.data.size for r in records])
         media = sorted({record.medium for record in records if record.medium})
         self.errors = {leg: model_error(library, leg, media) for leg in legs}
         bounds = [emulator.bounds for emulator in self.emulators.values()]
@@ -201,12 +208,9 @@ class Likelihood:
         common = self.calibration.common(error, leg)[0] if self.calibration else 0.0
         return np.asarray(error.offset_at(phi_deg + common) + common)
 
-    def curves(self, x: FloatArray) -> FloatArray:
-        """Window means g(x) [N] of all records at their shifts, shape [k, key] -> [k, n]."""
-        return self._curves_at(x, self.shift_deg)
-
-    def _curves_at(self, x: FloatArray, shift_deg: FloatArray) -> FloatArray:
-        """Window means [N] of all records at given shifts, shape [k, key] -> [k, n]."""
+    def curves(self, x: FloatArray, shift_deg: FloatArray | None = None) -> FloatArray:
+        """Window means g(x) [N] of all records at their shifts, or others, [k, key] -> [k, n]."""
+        shift_deg = self.shift_deg if shift_deg is None else shift_deg
         of_legs = {leg: self._forces(leg, x) for leg in self.emulators}
         means = []
         for record, ratio, shift in zip(self.records, self._ratio, shift_deg, strict=True):
@@ -221,7 +225,7 @@ class Likelihood:
             return emulator(x)
         x = x.copy()
         x[:, self._phi] += self.offset(leg, x[:, self._phi])
-        low, high = emulator.phi_bounds_deg
+        low, high = (float(ends[self._phi]) for ends in emulator.bounds)
         inside = np.clip(x[:, self._phi], low, high)
         beyond = x[:, self._phi] - inside
         x[:, self._phi] = inside
@@ -240,27 +244,23 @@ class Likelihood:
 
         Shape [3, c, m] [N].
         """
-        x = np.repeat(np.clip(self.least_squares, self.low, self.high)[None], 3, axis=0)
+        x = np.repeat(self.inside[None], 3, axis=0)
         x[:, self._phi or 0] += [-1.0, 0.0, 1.0]
         force = self._forces(record.leg, x)
         means = window_means(record, force, self._curves_of(record), self.shift_deg[i])
         return np.asarray(self._ratio[i] * means.reshape(3, len(record.channels), -1))
 
-    def slope(self, x: FloatArray) -> FloatArray:
-        """∂g/∂x at a point [N/unit], shape [key] -> [n, key]."""
-        return self._slope_at(x, self.shift_deg)
-
-    def _slope_at(self, x: FloatArray, shift_deg: FloatArray) -> FloatArray:
-        """∂g/∂x at a point and given shifts [N/unit], shape [n, key]."""
+    def slope(self, x: FloatArray, shift_deg: FloatArray | None = None) -> FloatArray:
+        """∂g/∂x at a point [N/unit], at the records' shifts or others, shape [key] -> [n, key]."""
         steps = np.diag(STEP * (self.high - self.low))
-        ahead, behind = (self._curves_at(x + h, shift_deg) for h in (steps, -steps))
+        ahead, behind = (self.curves(x + h, shift_deg) for h in (steps, -steps))
         return np.asarray((ahead - behind).T / (2.0 * np.diag(steps)))
 
     def _shift_slope(self, x: FloatArray, shift_deg: FloatArray) -> FloatArray:
         """∂g/∂δ of each record [N/deg], shape [n, record]; of simulated records none, [n, 0]."""
         if not self.measured:
             return np.zeros((self.data.size, 0))
-        ahead, behind = (self._curves_at(x[None], shift_deg + h)[0] for h in (0.5, -0.5))
+        ahead, behind = (self.curves(x[None], shift_deg + h)[0] for h in (0.5, -0.5))
         found = np.zeros((self.data.size, len(self.records)))
         for i, part in enumerate(self.parts):
             found[part, i] = (ahead - behind)[part]
@@ -281,12 +281,21 @@ class Likelihood:
         """Shift of each record with them [deg], shape [record]: its forces come so much later."""
         return self._best[1]
 
+    @property
+    def inside(self) -> FloatArray:
+        """The best point within the library, where slopes are those of simulations, [key]."""
+        return np.clip(self.least_squares, self.low, self.high)
+
+    @cached_property
+    def strokes(self) -> list[Part]:
+        """What each record has of a whole stroke."""
+        return [part_of(self, i) for i in range(len(self.records))]
+
     @cached_property
     def _best(self) -> tuple[FloatArray, FloatArray]:
         """Parameters and shifts of the smallest squared residual."""
         if len(self.keys) == 1:
-            reach = BEYOND_DEG if self._phi == 0 else 0.0
-            x = np.linspace(self.low - reach, self.high + reach, 257)
+            x = np.linspace(*self._ends, 257)
         else:
             x = self.low + (self.high - self.low) * np.random.default_rng(0).random(
                 (512, len(self.keys))
@@ -302,9 +311,9 @@ class Likelihood:
         best = x[first]
         shift = shifts[[int(each[:, first].argmin()) for each in squares]]
         for _ in range(20):
-            slope = np.hstack([self._slope_at(best, shift), self._shift_slope(best, shift)])
+            slope = np.hstack([self.slope(best, shift), self._shift_slope(best, shift)])
             slope /= self.span[:, None]
-            rest = (self.data - self._curves_at(best[None], shift)[0]) / self.span
+            rest = (self.data - self.curves(best[None], shift)[0]) / self.span
             step = np.linalg.lstsq(slope, rest, rcond=None)[0]
             if self.measured:
                 outward = step[best.size :] * np.sign(shift) > 0.0
@@ -314,7 +323,7 @@ class Likelihood:
             # Half the spacing of the first search at most: the global minimum is near.
             limit = (self.high - self.low) / (256 if len(self.keys) == 1 else 8)
             own = np.clip(step[: best.size], -limit, limit)
-            best = self._held(best + own)
+            best = np.clip(best + own, *self._ends)
             turn = np.clip(step[best.size :], -0.5, 0.5)
             if self.measured:
                 shift = np.clip(shift + turn, -SHIFT_DEG, SHIFT_DEG)
@@ -323,12 +332,11 @@ class Likelihood:
                 break
         return best, shift
 
-    def _held(self, x: FloatArray) -> FloatArray:
-        """Parameters within the library, the friction angle up to 12° beyond."""
-        reach = np.zeros(len(self.keys))
-        if self._phi is not None:
-            reach[self._phi] = BEYOND_DEG
-        return np.clip(x, self.low - reach, self.high + reach)
+    @property
+    def _ends(self) -> tuple[FloatArray, FloatArray]:
+        """Least and largest parameters that are looked at: of φ up to 12° beyond the library."""
+        reach = np.where(np.array(self.keys) == PHI, BEYOND_DEG, 0.0)
+        return self.low - reach, self.high + reach
 
     @cached_property
     def beyond(self) -> tuple[float, float] | None:
@@ -376,15 +384,15 @@ class Likelihood:
             found |= self._model_offset(slope[:, self._phi])
             found |= missing_parts(self, slope[:, self._phi])
             if self.disagreement_deg:
-                other = self.disagreement_deg * slope[:, self._phi]
-                found["second opinion"] = np.outer(other, other)
-        found["density"] = np.outer(*[self._density_error * curve] * 2)
-        gain = np.concatenate([
-            np.full(r.data.size, 0.0 if self._calibrated(r.leg) else r.gain_sd)
+                found["second opinion"] = _square(self.disagreement_deg * slope[:, self._phi])
+        density = np.array([
+            UNKNOWN_DENSITY if r.density_kg_m3 is None else r.density_sd_kg_m3 / r.density_kg_m3
             for r in self.records
         ])  # fmt: skip
+        found["density"] = _square(self._scaled * density[self._of] * curve)
+        gain = np.array([0.0 if self._calibrated(r.leg) else r.gain_sd for r in self.records])
         if gain.any():
-            found["gain"] = np.outer(*[gain * curve] * 2)
+            found["gain"] = _square(gain[self._of] * curve)
         found["zero of θ"] = SHIFT_DEG**2 / 3.0 * of_shift @ of_shift.T
         return {**found, "shape": shape}
 
@@ -394,17 +402,6 @@ class Likelihood:
         if self._phi is not None:
             x[self._phi] += self.offset(leg, x[self._phi])
         return np.clip(x, *self.emulators[leg].bounds)
-
-    @property
-    def _density_error(self) -> FloatArray:
-        """Relative standard deviation of the density at each window mean [-], shape [n]."""
-        if not self._scaled:
-            return np.zeros(self.data.size)
-        of_records = [
-            UNKNOWN_DENSITY if r.density_kg_m3 is None else r.density_sd_kg_m3 / r.density_kg_m3
-            for r in self.records
-        ]
-        return np.repeat(of_records, [r.data.size for r in self.records])
 
     def _calibrated(self, leg: str) -> bool:
         """Whether a soil of known angle was read with this leg, whose rig is then known with b."""
@@ -453,23 +450,24 @@ class Likelihood:
 
     def _model_offset(self, slope: FloatArray) -> dict[str, FloatArray]:
         """Covariance of what looks like another angle: of an apparatus, a soil, and each leg."""
-        of_legs, of_offset = ({leg: np.zeros_like(slope) for leg in self.errors} for _ in range(2))
-        common, of_soil = np.zeros_like(slope), np.zeros_like(slope)
-        for record, part in zip(self.records, self.parts, strict=True):
-            error = self.errors[record.leg]
-            left = error.common_sd_deg
-            if self.calibration:
-                left = self.calibration.common(error, record.leg)[1]
-            common[part] = slope[part] * left
-            of_soil[part] = slope[part] * error.soil_sd_deg
-            of_legs[record.leg][part] = slope[part] * error.leg_sd_deg
-            if not self._calibrated(record.leg):
-                of_offset[record.leg][part] = slope[part] * error.offset_sd_deg
+        known, legs = self.calibration, np.array([record.leg for record in self.records])
+        sd = {
+            leg: (
+                known.common(error, leg)[1] if known else error.common_sd_deg,
+                error.soil_sd_deg,
+                error.leg_sd_deg,
+                0.0 if self._calibrated(leg) else error.offset_sd_deg,
+            )
+            for leg, error in self.errors.items()
+        }
+        each = np.array([sd[leg] for leg in legs])[self._of].T
+        apparatus, soil, leg, offset = map(_square, slope * each)
+        same_leg = np.equal.outer(legs, legs)[self._of][:, self._of]
         return {
-            "model: apparatus": np.outer(common, common),
-            "model: soil": np.outer(of_soil, of_soil),
-            "model: leg": np.asarray(sum(np.outer(one, one) for one in of_legs.values())),
-            "model: offset": np.asarray(sum(np.outer(one, one) for one in of_offset.values())),
+            "model: apparatus": apparatus,
+            "model: soil": soil,
+            "model: leg": leg * same_leg,
+            "model: offset": offset * same_leg,
         }
 
     def _shape(self, slope: FloatArray) -> FloatArray:
@@ -518,9 +516,10 @@ class Likelihood:
         """Share of each term in the standard deviation of a parameter, in its unit.
 
         With c the weights of the estimate, c'C_t c; the squares add up to the variance. The
-        largest comes first, and what is below a hundredth of it is left out.
+        largest comes first, and what is below a hundredth of it is left out. Slopes are taken
+        within the library.
         """
-        white = self._whitening @ self.slope(x)
+        white = self._whitening @ self.slope(np.clip(x, self.low, self.high))
         c = self._whitening.T @ white @ np.linalg.pinv(white.T @ white)
         c = c[:, self.keys.index(key)]
         shares = {n: math.sqrt(max(float(c @ term @ c), 0.0)) for n, term in self.terms.items()}

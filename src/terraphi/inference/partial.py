@@ -45,8 +45,9 @@ class Part(NamedTuple):
     """That of Fx and Fz by the model [N], shape [2]; ``None`` of a record that is whole."""
 
 
-def part_of(likelihood: Likelihood, record: Record) -> Part:
-    """What a record has of a whole stroke, at the best point."""
+def part_of(likelihood: Likelihood, i: int) -> Part:
+    """What the i-th record has of a whole stroke, at the best point."""
+    record = likelihood.records[i]
     forces = record.channels == FORCES
     every = record.theta_deg.size == OBSERVATION_ANGLES
     if PHI not in likelihood.keys or (forces and every):
@@ -59,7 +60,7 @@ def part_of(likelihood: Likelihood, record: Record) -> Part:
             theta, np.zeros((theta.size, len(axes))), axes=axes, moment=0 * theta
         )
         whole = replace(record, history=nothing)
-        return whole, likelihood.forces_of(whole, likelihood.records.index(record))
+        return whole, likelihood.forces_of(whole, i)
 
     whole, (below, curve, above) = of_model(record.history.axes)
     model = np.ptp(curve if forces else of_model(("x", "z"))[1][1], axis=1)
@@ -80,8 +81,10 @@ def missing_parts(likelihood: Likelihood, slope: FloatArray) -> dict[str, FloatA
         ∂g/∂φ [N/deg], shape [n].
     """
     angles, forces = np.zeros((2, slope.size, slope.size))
-    for record, part in zip(likelihood.records, likelihood.parts, strict=True):
-        share = max(part_of(likelihood, record).share, 1e-3)
+    for record, part, stroke in zip(
+        likelihood.records, likelihood.parts, likelihood.strokes, strict=True
+    ):
+        share = max(stroke.share, 1e-3)
         square = np.outer(slope[part], slope[part])
         angles[part, part] = PART_DEG**2 * (1.0 / share - 1.0) * square
         if record.channels != FORCES:

@@ -20,9 +20,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import number_with_sd
 from terraphi.experiment.history import (
@@ -33,7 +32,7 @@ from terraphi.experiment.history import (
     ForceHistory,
 )
 from terraphi.experiment.leg import LEG_SHAPES
-from terraphi.experiment.measurements import Measurement, measurement_of, open_forces, scenario_of
+from terraphi.experiment.measurements import Measurement, measurement_of, open_forces
 from terraphi.experiment.reading import read_trials
 from terraphi.experiment.scenario import Scenario
 
@@ -172,24 +171,30 @@ class Record:
 
     def binned(self) -> Record:
         """The same record, averaged in equal bins of the leg angle if it is long."""
-        history = _binned(self.history)
-        fewer = np.sqrt(len(history.position) / len(self.history.position))
-        return replace(self, history=history, noise=tuple(fewer * one for one in self.noise))
+        history, count = self.history, len(self.history.position)
+        if count <= MOST_READINGS:
+            return self
+        low, high = history.position[[0, -1]]
+        bins = min(MOST_READINGS, int(np.ceil(np.degrees(high - low) / 0.05)))
+        at = np.minimum(((history.position - low) / (high - low) * bins).astype(int), bins - 1)
+        number = np.bincount(at, minlength=bins)
+        moment = [] if history.moment is None else [history.moment]
+        sums = [np.bincount(at, c, bins) for c in (history.position, *history.force.T, *moment)]
+        means = np.stack(sums)[:, number > 0] / number[number > 0]
+        fewer = replace(
+            history,
+            position=means[0],
+            force=means[1 : 1 + len(history.axes)].T,
+            moment=means[-1] if moment else None,
+        )
+        factor = np.sqrt(means.shape[1] / count)
+        return replace(self, history=fewer, noise=tuple(factor * one for one in self.noise))
 
-    def without(
-        self, mask: NDArray[np.bool_], notes: Sequence[str], *, damaged: bool = False
-    ) -> Record:
+    def without(self, mask: BoolArray, notes: Sequence[str], *, damaged: bool = False) -> Record:
         """The same record without some readings (a mask of those to drop), with notes on why."""
-        history = self.history
-        if mask.any():
-            kept = ~mask
-            moment = None if history.moment is None else history.moment[kept]
-            history = replace(
-                history, position=history.position[kept], force=history.force[kept], moment=moment
-            )
         return replace(
             self,
-            history=history,
+            history=self.history.chosen(~mask),
             n_left_out=int(mask.sum()),
             notes=(*self.notes, *notes),
             damaged=self.damaged or damaged,
@@ -284,7 +289,7 @@ def record_of(
         known_legs = [shape for shape in LEG_SHAPES if shape != "plate"]
         raise InputError(f"unknown leg '{leg}'; {nearest(leg, known_legs)}")
     history = known.history
-    made_by = scenario_of(history, name=known.name)
+    made_by = known.scenario
     mean, sd, assumed = known.density_kg_m3, None, known.density_assumed
     if density is not None:
         try:
@@ -365,9 +370,7 @@ def _measurements(forces: Any, columns: Any) -> list[Measurement]:
     if isinstance(forces, Measurement):
         return [forces]
     if isinstance(forces, ForceHistory):
-        if forces.coordinate != "theta":
-            raise InputError(f"forces over {forces.coordinate}; forces over theta are needed")
-        return [measurement_of(forces, "forces" if "file" not in forces.provenance else "")]
+        return [measurement_of(forces)]
     if isinstance(forces, str | Path):
         return open_forces(forces, columns)
     if hasattr(forces, "to_dataframe") or hasattr(forces, "columns"):
@@ -376,21 +379,6 @@ def _measurements(forces: Any, columns: Any) -> list[Measurement]:
         f"forces of type {type(forces).__name__}; give a path, a shipped name, a ForceHistory, a "
         "DataFrame or an xarray Dataset"
     )
-
-
-def _binned(history: ForceHistory) -> ForceHistory:
-    """A long record averaged in equal bins of the leg angle."""
-    if len(history.position) <= MOST_READINGS:
-        return history
-    low, high = history.position[[0, -1]]
-    count = min(MOST_READINGS, int(np.ceil(np.degrees(high - low) / 0.05)))
-    at = np.minimum(((history.position - low) / (high - low) * count).astype(int), count - 1)
-    number = np.bincount(at, minlength=count)
-    moment = [] if history.moment is None else [history.moment]
-    sums = [np.bincount(at, c, count) for c in (history.position, *history.force.T, *moment)]
-    means = np.stack(sums)[:, number > 0] / number[number > 0]
-    force = means[1 : 1 + history.force.shape[1]].T
-    return replace(history, position=means[0], force=force, moment=means[-1] if moment else None)
 
 
 def _noise(history: ForceHistory) -> tuple[float, ...]:

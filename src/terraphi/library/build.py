@@ -17,8 +17,6 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
 from terraphi.experiment.errors import InputError, needing
 from terraphi.experiment.files import held, made_folder
 from terraphi.experiment.history import ForceHistory
@@ -84,7 +82,7 @@ def build(
     folder = path.with_name(path.name + ".cases")
     with held(folder):
         made_folder(folder)
-        finished = _finished(path, folder)
+        finished = _finished(path, folder, wanted)
         missing = [scenario for scenario in wanted if scenario.hash not in finished]
         failures: dict[str, str] = {}
         done = len(wanted) - len(missing)
@@ -167,8 +165,8 @@ def _outcomes(
             future.cancel()
 
 
-def _finished(path: Path, folder: Path) -> dict[str, ForceHistory]:
-    """Histories of the present model version in a library file and a folder, by scenario hash."""
+def _finished(path: Path, folder: Path, wanted: list[Scenario]) -> dict[str, ForceHistory]:
+    """Histories by the present version of the model in a library and a folder, by scenario hash."""
     found = {}
     if path.exists():
         found = {c.scenario.hash: c.history for c in Library.load(path).cases if c.history}
@@ -177,20 +175,13 @@ def _finished(path: Path, folder: Path) -> dict[str, ForceHistory]:
             found[file.stem] = ForceHistory.from_netcdf(file)
         except InputError as error:
             log.warning("%s; it will be simulated again", error)
-    return {key: history for key, history in found.items() if _is_current(key, history)}
-
-
-def _is_current(key: str, history: ForceHistory) -> bool:
-    """Whether the present version of the model made a history, of the scenario of that hash."""
-    known = history.provenance.get("scenario")
-    if known is None:
-        return False
-    try:
-        scenario = Scenario.model_validate(known)
-    except ValidationError:  # of a version with other keys
-        return False
-    current = model_version(scenario)
-    return scenario.hash == key and history.provenance.get("model_version") == current
+    return {
+        s.hash: found[s.hash]
+        for s in wanted
+        if s.hash in found
+        and found[s.hash].provenance.get("scenario_hash") == s.hash
+        and found[s.hash].provenance.get("model_version") == model_version(s)
+    }
 
 
 @contextmanager

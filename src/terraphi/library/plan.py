@@ -13,9 +13,8 @@ from typing import Any, Self
 
 from pydantic import Field, JsonValue, model_validator
 
-from terraphi.experiment.documents import Strict, parse_toml, shipped_file
+from terraphi.experiment.documents import Strict, located, parse_toml
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import is_there
 from terraphi.experiment.scenario import Scenario
 
 MOST_CASES = 10_000
@@ -155,8 +154,6 @@ class Plan(Strict):
         InputError
             If the file is missing, not TOML, has an unknown key or a value that is not accepted.
         """
-        if Path(source).suffix != ".toml" and not is_there(Path(source)):
-            source = shipped_file("plans", str(source), ".toml")
-        plan = parse_toml(Path(source), cls)
+        plan = parse_toml(located(source, "plans", ".toml"), cls)
         plan.cases()
         return plan

@@ -13,15 +13,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.documents import shipped_file, shipped_names
+from terraphi.experiment.documents import located, shipped_names
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import (
-    is_there,
-    json_object,
-    open_netcdf,
-    positions,
-    write_netcdf,
-)
+from terraphi.experiment.files import json_object, open_netcdf, positions, write_netcdf
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.scenario import Scenario
 
@@ -256,7 +250,8 @@ class Library:
                 f"interpolate over {', '.join(keys)}"
             )
         chosen += [case for case in self.replicates if _moved(case, leg)]
-        x = np.array([[value_of(case.scenario, key) for key in keys] for case in chosen], float)
+        leaves = [_flat(case.scenario) for case in chosen]
+        x = np.array([[one[key] for key in keys] for one in leaves], float)
         order = np.lexsort(x.T[::-1])
         span = chosen[0].history
         assert span is not None
@@ -264,7 +259,7 @@ class Library:
         theta = THETA_DEG[(low - 1e-9 <= THETA_DEG) & (high + 1e-9 >= THETA_DEG)]
         means = [_one_degree_means(chosen[i].history, theta) for i in order]
         force, arm = np.stack([m[:2] for m in means]), _lever_arm([m for m in means if len(m) > 2])
-        if corrected and leg in self.corrections and PHI in keys:
+        if corrected and leg in self.corrections:
             angles = x[order, keys.index(PHI)]
             force = force + np.stack([self.corrections[leg].at(phi) for phi in angles])
         return Curves(keys, x[order], theta, force, first, arm)
@@ -364,9 +359,7 @@ class Library:
             raise InputError(
                 f"library of type {type(source).__name__}; give a Library, a shipped name or a file"
             )
-        path = Path(source)
-        if path.suffix != ".nc" and not is_there(path):
-            path = shipped_file("libraries", str(source), ".nc")
+        path = located(source, "libraries", ".nc")
         data = open_netcdf(path, kind="library", schema=SCHEMA)
         try:
             return cls._of(data)
@@ -461,7 +454,7 @@ def _lever_arm(curves: list[FloatArray]) -> FloatArray | None:
 
 def _varied(cases: list[Case]) -> tuple[str, ...]:
     """Dotted keys of numbers in which cases differ, but for the particle seed."""
-    flat = [_flat(case.scenario.model_dump(mode="json")) for case in cases]
+    flat = [_flat(case.scenario) for case in cases]
     return tuple(
         key
         for key, value in flat[0].items()
@@ -472,26 +465,22 @@ def _varied(cases: list[Case]) -> tuple[str, ...]:
 
 
 def _flat(value: Any, name: str = "") -> dict[str, Any]:
-    """Leaves of nested dictionaries and lists by dotted key."""
-    items: Any = value.items() if isinstance(value, dict) else None
-    if items is None and isinstance(value, list):
-        items = [(str(i), one) for i, one in enumerate(value)]
-    if items is None:
+    """Leaves of a scenario, and of nested dictionaries and lists in it, by dotted key."""
+    if isinstance(value, Scenario):
+        value = value.model_dump(mode="json")
+    if isinstance(value, list):
+        value = dict(enumerate(value))
+    if not isinstance(value, dict):
         return {name: value}
     found: dict[str, Any] = {}
-    for key, one in items:
+    for key, one in value.items():
         found |= _flat(one, f"{name}.{key}" if name else key)
     return found
 
 
-def value_of(scenario: Scenario, key: str) -> Any:
-    """Value of a dotted key of a scenario; raises KeyError if there is no such key."""
-    return _flat(scenario.model_dump(mode="json"))[key]
-
-
 def differences(one: Scenario, other: Scenario) -> list[str]:
     """Dotted keys in which two scenarios differ, apart from φ, density, leg shape and seed."""
-    ours, theirs = (_flat(scenario.model_dump(mode="json")) for scenario in (one, other))
+    ours, theirs = _flat(one), _flat(other)
     ignored = {PHI, "soil.density", "leg.shape", "numerics.seed", "name"}
     return [
         k
@@ -510,14 +499,10 @@ def shipped_library(name: str) -> Library:
 
 def nearest_library(scenario: Scenario) -> Library:
     """The shipped library whose scenario differs least from a simulation's."""
-    loaded = [shipped_library(name) for name in Library.names()]
-    same_model = [
-        one
-        for one in loaded
-        if (one.cases[0].scenario.model, one.cases[0].scenario.dimensions)
-        == (scenario.model, scenario.dimensions)
-        and one.cases[0].scenario.convention == scenario.convention
-    ]
-    return min(
-        same_model or loaded, key=lambda one: len(differences(scenario, one.cases[0].scenario))
-    )
+
+    def apart(library: Library) -> tuple[bool, int]:
+        own = library.cases[0].scenario
+        kinds = [(one.model, one.dimensions, one.convention) for one in (scenario, own)]
+        return kinds[0] != kinds[1], len(differences(scenario, own))
+
+    return min((shipped_library(name) for name in Library.names()), key=apart)

@@ -462,7 +462,7 @@ def forces_in_yuma(leg: str) -> dict[str, ForceHistory]:
 def benchmark() -> Result:
     """Three legs at 35°: our models, and two resistive force theories, against Yuma sand."""
     found = {leg: forces_in_yuma(leg) for leg in NRMSD_MPM}
-    data: Json = {"library": TEXT, "phi_deg": PHI_DEG, "yield": "paper", "missing": {}}
+    data: Json = {"library": TEXT, "phi_deg": PHI_DEG, "yield": "paper"}
     data |= {"nrmsd_percent": {leg: {} for leg in found}, "peaks": {leg: {} for leg in found}}
     records = []
     for leg, models in found.items():
@@ -524,20 +524,6 @@ def scatter_percent(runs: Sequence[ForceHistory], base_N: FloatArray) -> dict[st
     return {"nrmsd": rms([nrmsd_percent(*pair) for pair in pairs], 0), "peak": rms(tops, 0)}
 
 
-def limits_N(sizes: ArrayLike, tops: FloatArray, tolerance: FloatArray) -> list[float | None]:
-    """Where lines through peaks [N], shape [case, 2], over a step size end, at size zero.
-
-    None with fewer than three cases, or with one farther from the line than the tolerance [%].
-    """
-    x = np.asarray(sizes) / np.max(sizes)
-    if len(x) < 3:
-        return [None, None]
-    slope, limit = np.polyfit(x, tops, 1)
-    off = 100.0 * np.abs(tops - limit - x[:, None] * slope) / tops
-    fits = (off.max(axis=0) <= tolerance) & (limit > 0.0)
-    return [float(end) if fit else None for end, fit in zip(limit, fits, strict=True)]
-
-
 def sensitivity() -> Result:
     """What moves the simulated forces: preset paper-1 at k = 4, one setting changed at a time.
 
@@ -555,7 +541,6 @@ def sensitivity() -> Result:
         "scatter_percent": {"seeds": len(runs), **{k: by_force(v) for k, v in scatter.items()}},
         "tolerance_percent": {k: by_force(v) for k, v in tolerance.items()},
         "groups": {},
-        "missing": [],
     }
     rows, moved = [], []
     for group in groups:
@@ -575,8 +560,6 @@ def sensitivity() -> Result:
             moved += [f"{group['setting']} {value}"] if moves else []
             rows.append({**line, "setting": group["setting"], "nrmsd": by_force(apart)})
         about = {"setting": group["setting"], "reference": group["values"][group["reference"]]}
-        if group["sizes"]:
-            about["limit_N"] = by_force(limits_N(group["sizes"], tops, tolerance["peak"]))
         data["groups"][group["key"]] = {**about, "cases": lines}
     nrmsd, peak = both(tolerance["nrmsd"], " %"), both(tolerance["peak"], " %")
     return Result(
@@ -593,8 +576,7 @@ def prototype() -> Result:
     """What the contact of the paper's code counts, and what it applies to the soil.
 
     It counts momentum that it gives back along the tangent: the counted force is not the applied
-    one, and grows with the speed k. What a line through the peaks over k leaves at k = 0 is
-    strength of the soil, which does not depend on speed.
+    one, and grows with the speed k.
     """
     order = ["its text", "its code", ""]
     text = {case.phi_deg: case for case in library_cases(TEXT)}
@@ -603,39 +585,18 @@ def prototype() -> Result:
         about = {**text[phi].about, "name": f"{phi:g}°, its text", "model": "its text"}
         cases.append(counted_and_applied(text[phi]._replace(about=about)))
     cases.sort(key=lambda c: (c["phi_deg"], order.index(c["model"]), c["speed_up"]))
-    lines: list[Json] = []
-    for (_, model), group in itertools.groupby(cases, lambda c: (c["phi_deg"], c["model"])):
-        lines += lines_over_speed(list(group)) if model else []
-    tops: dict[str, dict[float, list[float]]] = {"its text": {}, "its code": {}}
-    for case in cases:
-        if case["model"] and case["speed_up"] == 1.0:
-            tops[case["model"]][case["phi_deg"]] = [*case["counted_peaks_N"].values()]
-    off = {
-        model: 100.0 * float(rms([np.divide(top, PEAKS_N[phi]) - 1.0 for phi, top in some.items()]))
-        for model, some in tops.items()
-    }
-    sand = measurement("li2013:yuma/straight").history
-    deviations = []
-    for code in library_cases(CODE):
-        kinds = {"counted": code.history, "applied": code.applied}
-        kinds["text"] = text[code.phi_deg].history
-        found = {kind: by_force(nrmsd_percent(sand, h)) for kind, h in kinds.items() if h}
-        deviations.append({"phi_deg": code.phi_deg, **found})
-    engages = [c["engagement_deg"] for c in cases if (c["model"], c["speed_up"]) == ("its code", 1)]
-    data = {"cases": cases, "off_by_percent": off, "without_speed": lines, "missing": []}
-    shares = [100.0 * line["share"] for line in lines if line["model"] == "its code"]
+    code = [case for case in cases if (case["model"], case["speed_up"]) == ("its code", 1.0)]
+    tops = {case["phi_deg"]: case["counted_peaks_N"].values() for case in code}
     return Result(
-        {**data, "nrmsd_percent": deviations},
+        {"cases": cases},
         (cases, "name counted_peaks_N.Fz counted_peaks_N.Fx share_of_peaks.Fz share_of_peaks.Fx"),
-        [f"Of its peaks at k = 1, {min(shares):.0f} to {max(shares):.0f} % are left at k = 0."],
-        compared_forces(tops["its code"], engages),
+        compared=compared_forces(tops, [case["engagement_deg"] for case in code]),
     )
 
 
 def counted_and_applied(case: Case) -> Json:
     """Peaks that a case counted and applied: the same, unless its contact kept what it applied."""
-    history, top = case.history, case.history.peaks()
-    counted = peaks_N(history)
+    history, counted = case.history, peaks_N(case.history)
     applied = counted if case.applied is None else case.applied.force.max(axis=0)[::-1]
     ends = history.position[[0, -1]]
     path = history.means(ends.mean(keepdims=True), float(np.ptp(ends)) / 2.0)[0]
@@ -646,25 +607,8 @@ def counted_and_applied(case: Case) -> Json:
         "applied_peaks_N": by_force(applied),
         "share_of_peaks": by_force(applied / counted),
         "share_of_path": by_force(share[::-1]),
-        "angles_deg": by_force([top.theta_Fz_deg, top.theta_Fx_deg]),
         "engagement_deg": engagement_deg(history),
     }
-
-
-def lines_over_speed(group: Sequence[Json]) -> list[Json]:
-    """Lines through the peaks of cases that differ in speed, of each kind and force."""
-    about = {key: group[0][key] for key in ("model", "phi_deg")}
-    speeds = np.array([case["speed_up"] for case in group])
-    kinds = ("counted", "applied") if about["model"] == "its code" else ("counted",)
-    lines = []
-    for kind, force in itertools.product(kinds, FORCES):
-        tops = np.array([case[f"{kind}_peaks_N"][force] for case in group])
-        slope, left = np.polyfit(speeds, tops, 1)
-        off = 100.0 * np.max(np.abs(left + slope * speeds - tops) / tops)
-        line = {**about, "kind": kind, "force": force, "speeds": speeds.tolist()}
-        line |= {"peak_N": float(left), "slope_N": float(slope), "share": float(left / tops[0])}
-        lines.append({**line, "line_off_percent": float(off)})
-    return lines
 
 
 # -- all of them -----------------------------------------------------------------------------------
