@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import click
-from click.shell_completion import CompletionItem
 
 from terraphi.experiment.errors import nearest
 
@@ -76,18 +75,6 @@ class Choice(click.Choice[str]):
         raise click.UsageError(f"unknown {name} '{value}'; {nearest(value, self.choices)}", ctx)
 
 
-def shipped(folder: str, suffix: str) -> Callable[[Any, Any, str], list[CompletionItem]]:
-    """Shell completion with the names of shipped files, and with files."""
-
-    def complete(_context: Any, _parameter: Any, begun: str) -> list[CompletionItem]:
-        from terraphi.experiment.documents import shipped_names
-
-        names = [name for name in shipped_names(folder, suffix) if name.startswith(begun)]
-        return [CompletionItem(name) for name in names] or [CompletionItem(begun, type="file")]
-
-    return complete
-
-
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 leg_option = click.option(
     "--leg", type=Choice(LEGS), help="Shape of the leg.  [default: as in FORCES]"
@@ -113,5 +100,4 @@ library_option = click.option(
     "--library",
     metavar="NAME|FILE",
     help="Shipped library or .nc file.  [default: sand3d; for simulations the nearest]",
-    shell_complete=shipped("libraries", ".nc"),
 )

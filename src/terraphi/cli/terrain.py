@@ -17,7 +17,7 @@ from terraphi.cli.options import (
     IntRange,
     json_option,
 )
-from terraphi.view.console import print_json, progress_bar
+from terraphi.view.console import present, progress_bar
 
 SIMULATOR = Choice(SIMULATORS, "simulator")
 dp_type_option = click.option(
@@ -65,10 +65,7 @@ def export(answer: Path, out: Path | None, as_json: bool, **options: Any) -> Non
     if out is None:
         click.echo(exports.text(found, "json" if as_json else "python"), nl=False)
         return
-    if as_json:
-        print_json(found)
-        return
-    click.echo(f"{exports.headline(found)}\nWritten: {out}")
+    present(found, exports.headline(found), f"Written: {out}", as_json=as_json)
 
 
 @click.command()
@@ -86,10 +83,7 @@ def convert(value: float, as_json: bool, **options: Any) -> None:
     from terraphi.terrain.simulators import converted_in_words
 
     found = converted(value, **options)
-    if as_json:
-        print_json(found)
-        return
-    click.echo("\n".join(converted_in_words(found)))
+    present(found, *converted_in_words(found), as_json=as_json)
 
 
 @click.command("map")
@@ -143,7 +137,5 @@ def slope_map(
     with filling(out, kind=KIND, last=SUMMARY) as made:
         found.write(made)
         plots.save(map_figure(found), made.joinpath(picture))
-    if as_json:
-        print_json(found.summary)
-        return
-    click.echo("\n".join([*in_words(found.summary), f"Written: {out}/{', '.join(names)}"]))
+    written = f"Written: {out}/{', '.join(names)}"
+    present(found.summary, *in_words(found.summary), written, as_json=as_json)

@@ -15,11 +15,16 @@ if TYPE_CHECKING:
 
 LOOKS = {"FR": (BLUE, "-"), "FL": (ORANGE, "--"), "RR": (GREEN, "-."), "RL": (PURPLE, ":")}
 FOOT_NAMES = {"FR": "front right", "FL": "front left", "RR": "rear right", "RL": "rear left"}
+MOST_FOOTFALLS = 40
+"""Footfalls that a terminal shows; all are in the files."""
+MOST_PLACES = 10
+"""Places along a path that a terminal shows."""
+BANDS = ("relative", "absolute")
 SHOWN = {"x": (0, "$F_x$ [N]"), "z": (2, "$F_z$ [N], up")}
 """Axis to its column and label."""
 
 
-def footfalls_table(summary: dict[str, Any], most: int) -> Table:
+def footfalls_table(summary: dict[str, Any], most: int = MOST_FOOTFALLS) -> Table:
     """Place, sinkage, φ and verdict of the first footfalls of a summary."""
     rows = []
     for one in summary["footfalls"][:most]:
@@ -38,6 +43,19 @@ def footfalls_table(summary: dict[str, Any], most: int) -> Table:
     header = ("φ [deg]", "±", "verdict", "t [s]", "foot", "x [m]", "y [m]", "sinkage [mm]")
     note = "±: 68 %, absolute." + (f" {more} more are in the files." if more else "")
     return Table(f"Footfalls, law {summary['law']}", header, rows, note)
+
+
+def path_table(path: Mapping[str, Any]) -> Table:
+    """φ at some places along the path of a summary with a usable footfall, with both bands."""
+    rows = [
+        (
+            f"{path['s_m'][i]:.2f}", f"{path['phi_deg'][i]:.1f}",
+            *("{:.1f} to {:.1f}".format(*path[f"ci68_{band}"][i]) for band in BANDS),
+        )
+        for i in range(0, len(path["s_m"]), max(1, len(path["s_m"]) // MOST_PLACES))
+    ]  # fmt: skip
+    header = ("s [m]", "φ [deg]", *(f"68 %, {band}" for band in BANDS))
+    return Table("Along the path, footfalls pooled", header, rows)
 
 
 def feet_table(summary: Mapping[str, Any], title: str) -> Table:
