@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from terraphi.cli.forces import log_options
-from terraphi.cli.options import LAW_SETS, PATH, Choice, json_option
+from terraphi.cli.options import LAW_SETS, PATH, json_option
 from terraphi.view.console import present
 
 
@@ -28,7 +28,7 @@ from terraphi.view.console import present
 )
 @click.option(
     "--law",
-    type=Choice(LAW_SETS),
+    type=click.Choice(LAW_SETS),
     default="foot",
     show_default=True,
     help="Force law: simulated, resistive force theory, bearing capacity, or the mean of all.",

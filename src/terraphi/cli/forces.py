@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from terraphi.cli.options import ESTIMATORS, FRAMES, PATH, Choice, Float, json_option
+from terraphi.cli.options import ESTIMATORS, FRAMES, PATH, Float, json_option
 from terraphi.view.console import present
 
 
@@ -57,14 +57,14 @@ def log_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @log_options
 @click.option(
     "--estimator",
-    type=Choice(ESTIMATORS),
+    type=click.Choice(ESTIMATORS),
     default="momentum_observer",
     show_default=True,
     help="How forces follow from torques; quasi_static is the paper's way.",
 )
 @click.option(
     "--frame",
-    type=Choice(FRAMES),
+    type=click.Choice(FRAMES),
     default="world",
     show_default=True,
     help="Axes of the forces: the world's or the body's.",

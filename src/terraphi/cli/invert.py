@@ -11,7 +11,6 @@ import click
 from terraphi.cli.options import (
     PATH,
     Float,
-    WithSd,
     columns_option,
     density_option,
     gain_option,
@@ -125,9 +124,7 @@ def tabulate(
 
 @click.command()
 @click.argument("forces", nargs=-1, required=True, metavar="FORCES...")
-@click.option(
-    "--phi", type=WithSd(), required=True, metavar="MEAN±SD", help="Known friction angle [deg]."
-)
+@click.option("--phi", required=True, metavar="MEAN±SD", help="Known friction angle [deg].")
 @leg_option
 @density_option
 @columns_option
@@ -148,7 +145,10 @@ def calibrate(forces: tuple[str, ...], phi: str, out: Path, as_json: bool, **opt
     from terraphi.inference.inversion import calibrate as run
 
     check_file(out)
-    mean, sd = number_with_sd(phi)
+    try:
+        mean, sd = number_with_sd(phi)
+    except ValueError:
+        mean, sd = 0.0, None
     if sd is None or not 0.0 <= sd < 90.0:
         raise InputError(f"--phi {phi}: give mean and standard deviation, such as 36±2")
     found = run(list(forces), mean, sd, **options)

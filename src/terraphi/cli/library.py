@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from terraphi.cli.options import PATH, IntRange, json_option
+from terraphi.cli.options import PATH, json_option
 from terraphi.cli.simulate import announce
 from terraphi.view.console import present, progress_bar
 from terraphi.view.table import Table
@@ -28,7 +28,7 @@ def library() -> None:
 @library.command("build")
 @click.argument("plan")
 @click.option("--out", type=PATH, required=True, help="NetCDF file to make.")
-@click.option("--workers", type=IntRange(min=1), help="Processes.  [default: all cores]")
+@click.option("--workers", type=click.IntRange(min=1), help="Processes.  [default: all cores]")
 @click.option(
     "--cluster",
     metavar="ADDRESS",

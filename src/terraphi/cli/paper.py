@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from terraphi.cli.options import PATH, Choice, json_option
+from terraphi.cli.options import PATH, json_option
 from terraphi.view.console import as_text, present, progress_bar
 from terraphi.view.table import Table
 
@@ -18,10 +18,10 @@ NAMES = (
 
 
 @click.command()
-@click.argument("name", required=False, metavar="[NAME]", type=Choice(NAMES, "result"))
+@click.argument("name", required=False, metavar="[NAME]", type=click.Choice(NAMES))
 @click.option(
     "--library",
-    type=Choice(("paper", "paper-code")),
+    type=click.Choice(("paper", "paper-code")),
     default="paper",
     show_default=True,
     help="Model: the paper's text, or its public code (recovery, phi_sensitivity, k0, surrogate).",

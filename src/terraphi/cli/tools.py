@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from terraphi.cli.options import PATH, Choice, IntRange, json_option
+from terraphi.cli.options import PATH, json_option
 from terraphi.view.console import present
 from terraphi.view.table import Table
 
@@ -34,7 +34,11 @@ def report(results: tuple[str, ...], out: Path, robot: str, as_json: bool) -> No
 
 @click.command()
 @click.option(
-    "--port", type=IntRange(0, 65535), default=8321, show_default=True, help="Port on 127.0.0.1."
+    "--port",
+    type=click.IntRange(0, 65535),
+    default=8321,
+    show_default=True,
+    help="Port on 127.0.0.1.",
 )
 def app(port: int) -> None:
     """Serve a local page that answers whatever is dropped on it.
@@ -71,7 +75,7 @@ def doctor(as_json: bool) -> None:
 @click.command()
 @click.argument(
     "document",
-    type=Choice(("scenario", "plan", "robot", "forces", "columns")),
+    type=click.Choice(("scenario", "plan", "robot", "forces", "columns")),
     default="scenario",
     metavar="[DOCUMENT]",
 )
