@@ -9,7 +9,7 @@ from typing import Any
 from docutils.utils.math import latex2mathml
 
 from terraphi.experiment.files import replacing
-from terraphi.view.keys import DOCUMENTS, markdown
+from terraphi.view.keys import DOCUMENTS, HEADER, tables
 
 HERE = Path(__file__).parent
 
@@ -42,3 +42,18 @@ def write_keys(_app: Any) -> None:
         if not path.is_file() or path.read_text(encoding="utf-8") != text:
             with replacing(path) as temporary:
                 temporary.write_text(text, encoding="utf-8")
+
+
+def markdown(document: str) -> str:
+    """Tables of a document as a page, from the second level of headings down."""
+    parts = []
+    for one in tables(document):
+        title, _, about = one.title.partition(": ")
+        rows = [
+            (f"`{row[0]}`", *(cell.replace("<", "&lt;") for cell in row[1:])) for row in one.rows
+        ]
+        lines = [HEADER, ["---"] * len(HEADER), *rows]
+        cells = [[re.sub(r"(?<!\\)\|", r"\\|", cell) for cell in line] for line in lines]
+        table = "\n".join(f"| {' | '.join(line)} |" for line in cells)
+        parts += [f"## `{title}`", about, table]
+    return "\n\n".join(parts) + "\n"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections import Counter
 from collections.abc import Sequence
@@ -194,6 +193,8 @@ def write_table(
     dict
         Number of records by verdict.
     """
+    import pandas as pd
+
     from terraphi.experiment.files import replacing
 
     written = [
@@ -203,13 +204,8 @@ def write_table(
     ]
     if path is not None:
         names = dict.fromkeys([*COLUMNS, *(name for one in written for name in one)])
-        with (
-            replacing(path) as temporary,
-            temporary.open("w", newline="", encoding="utf-8") as stream,
-        ):
-            writer = csv.DictWriter(stream, list(names))
-            writer.writeheader()
-            writer.writerows(written)
+        with replacing(path) as temporary:
+            pd.DataFrame(written, columns=[*names]).to_csv(temporary, index=False)
     return written, dict(Counter(str(one["verdict"]).replace("_", " ") for one in written))
 
 

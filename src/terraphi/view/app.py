@@ -14,7 +14,6 @@ import base64
 import contextlib
 import json
 import os
-import select
 import signal
 import socket
 import sys
@@ -282,43 +281,32 @@ class Readers:
 
 def read_files() -> None:
     """Do the jobs that standard input names, a line each, in copies of this process."""
-    found, complete = prepared(), False
-    while True:
-        if not complete and not select.select([sys.stdin], [], [], 0.0)[0]:
-            prepare_more(found)
-            complete = True
-        elif not (line := sys.stdin.readline()):
-            return
-        elif child := os.fork():
+    prepare()
+    while line := sys.stdin.readline():
+        if child := os.fork():
             os.waitpid(child, 0)
             sys.stdout.write("done\n")
             sys.stdout.flush()
-        else:
-            try:
-                null = os.open(os.devnull, os.O_RDWR)
-                for stream in range(3):
-                    os.dup2(null, stream)
-                job = json.loads(line)
-                os.environ["TMPDIR"] = tempfile.tempdir = job["folder"]
-                limit_process()
-                work(job)
-            finally:
-                os._exit(0)
+            continue
+        try:
+            null = os.open(os.devnull, os.O_RDWR)
+            for stream in range(3):
+                os.dup2(null, stream)
+            job = json.loads(line)
+            os.environ["TMPDIR"] = tempfile.tempdir = job["folder"]
+            limit_process()
+            work(job)
+        finally:
+            os._exit(0)
 
 
-def prepared() -> Answer:
+def prepare() -> None:
     """Load what an answer needs, so that the copies of this process have it."""
     from terraphi.inference.inversion import invert
 
+    sys.modules["dask"] = None  # type: ignore[assignment]  # xarray loads all of it to write a file
     found = invert("li2013:yuma/straight")
     page.render([of_answer(found)])
-    return found
-
-
-def prepare_more(found: Answer) -> None:
-    """Load what writes files and reads logs."""
-    with contextlib.suppress(ImportError):
-        import terraphi.robot.footfalls  # noqa: F401
     with tempfile.TemporaryDirectory() as place:
         write_files(found, Path(place))
 

@@ -169,5 +169,5 @@ def plotly() -> tuple[str, str]:
     with needing("a page", "Jinja2 and plotly", extra="report"):
         from plotly.offline import get_plotlyjs
     library: str = get_plotlyjs()
-    packed = gzip.compress(library.encode(), mtime=0)
+    packed = gzip.compress(library.encode(), compresslevel=6, mtime=0)
     return digest(library), base64.b64encode(packed).decode("ascii")

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, panels_of
+from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE
 from terraphi.view.table import Table
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
+    from terraphi.experiment.figure import Figure
     from terraphi.robot.results import RobotForces
 
 LOOKS = {"FR": (BLUE, "-"), "FL": (ORANGE, "--"), "RR": (GREEN, "-."), "RL": (PURPLE, ":")}
@@ -76,7 +75,10 @@ def feet_table(summary: Mapping[str, Any], title: str) -> Table:
 
 def stance_figure(result: RobotForces) -> Figure:
     """Mean stance over normalised time: all feet with the spread, and foot by foot."""
-    figure, (panels,) = panels_of(1, 2, size=(10.0, 4.4))
+    from terraphi.experiment.figure import Figure
+
+    figure = Figure(figsize=(10.0, 4.4), layout="constrained")
+    panels = figure.subplots(1, 2)
     pooled = result.pooled
     for axes, (name, (column, label)) in zip(panels, SHOWN.items(), strict=True):
         if result.stances:
