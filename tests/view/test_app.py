@@ -87,7 +87,7 @@ def running(limits: Limits) -> Iterator[Served]:
 @pytest.fixture(scope="module")
 def served(places: Path) -> Iterator[Served]:
     assert places.is_dir()
-    with running(Limits(bytes=MOST_BYTES, idle_seconds=1.0)) as one:
+    with running(Limits(bytes=MOST_BYTES, upload_seconds=3.0)) as one:
         yield one
 
 

@@ -198,9 +198,8 @@ def read_forces(
 def read_trials(
     source: Any, columns: ForceColumns | Mapping[str, Any] | Path | str | None = None
 ) -> list[ForceHistory]:
-    """Forces of each stroke in which θ grows; source and errors as of :func:`read_forces`."""
-    named, name = ForceColumns.of(columns), _name_of(source)
-    table = read_table(Path(source)) if isinstance(source, str | Path) else table_of(source)
+    """Forces of each stroke in which θ grows, of a ``Table`` or what :func:`read_forces` takes."""
+    named, name, table = ForceColumns.of(columns), _name_of(source), _table(source)
     found = _Reading(table, named)
     found.choose()
     found.refuse_if_wrong(name)
@@ -269,8 +268,7 @@ def preview(
     InputError
         If it holds no rows of numbers, or an option is wrong.
     """
-    named = ForceColumns.of(columns)
-    table = read_table(Path(source)) if isinstance(source, str | Path) else table_of(source)
+    named, table = ForceColumns.of(columns), _table(source)
     found = _Reading(table, named)
     found.choose()
     written = [table.units.get(name) or unit for name, (_, unit) in found.parts.items()]
@@ -285,6 +283,12 @@ def preview(
 
 def _name_of(source: Any) -> str:
     return str(source) if isinstance(source, str | Path) else type(source).__name__
+
+
+def _table(source: Any) -> Table:
+    if isinstance(source, str | Path):
+        return read_table(Path(source))
+    return source if isinstance(source, Table) else table_of(source)
 
 
 class _Reading:

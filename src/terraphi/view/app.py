@@ -77,8 +77,8 @@ class Limits(NamedTuple):
     """Largest: an hour of a robot's log."""
     seconds: float = 180.0
     """For all work on it [s]."""
-    idle_seconds: float = 30.0
-    """Between two parts of it as it comes in [s]."""
+    upload_seconds: float = 60.0
+    """Until it has come in [s]."""
 
 
 class RefusedError(Exception):
@@ -214,22 +214,19 @@ async def reply_to(
 
 
 async def _receive(request: Request, path: Path, name: str, limits: Limits) -> None:
-    """Write an upload to a file; stop when it is too large or nothing more comes."""
+    """Write an upload to a file; stop when it is too large or does not come."""
     from starlette.requests import ClientDisconnect
 
-    size, parts = 0, request.stream()
-    with path.open("wb") as stream:
-        try:
-            while True:
-                async with asyncio.timeout(limits.idle_seconds):
-                    part = await anext(parts, b"")
-                if not part:
-                    return
-                size += stream.write(part)
-                if size > limits.bytes:
-                    raise RefusedError(413, f"{name}: larger than {limits.bytes / 1e6:g} MB")
-        except (TimeoutError, ClientDisconnect):
-            raise RefusedError(408, f"{name}: the upload stopped; drop it again") from None
+    size = 0
+    try:
+        async with asyncio.timeout(limits.upload_seconds):
+            with path.open("wb") as stream:
+                async for part in request.stream():
+                    size += stream.write(part)
+                    if size > limits.bytes:
+                        raise RefusedError(413, f"{name}: larger than {limits.bytes / 1e6:g} MB")
+    except (TimeoutError, ClientDisconnect):
+        raise RefusedError(408, f"{name}: the upload stopped; drop it again") from None
 
 
 class Readers:
@@ -330,7 +327,6 @@ def work(job: dict[str, Any]) -> None:
         columns = {**json.loads(job["columns"] or "{}")}
         if job["task"] == "look":
             reply = look(file, columns)
-            reply["wrong"] = named(reply.get("wrong", ""))
         else:
             (folder / "files").mkdir()
             found = answers(file, name, columns, leg=job["leg"], density=job["density"])
@@ -347,18 +343,20 @@ def work(job: dict[str, Any]) -> None:
 
 def look(file: str, columns: dict[str, Any]) -> dict[str, Any]:
     """Kind of a file; of a table of forces, its columns, their guesses, and what is read so."""
-    from terraphi.experiment.measurements import open_forces
-    from terraphi.experiment.reading import preview
+    from terraphi.experiment.measurements import measurement_of
+    from terraphi.experiment.reading import preview, read_trials
+    from terraphi.experiment.tables import read_table
 
     if (kind := kind_of(file)) != "forces":
         return {"kind": kind}
-    shown = preview(file, columns)
+    table = read_table(Path(file))
+    shown = preview(table, columns)
     reply = {"kind": kind, **shown._asdict(), "rows": [numbers(row) for row in shown.rows]}
     try:
-        found = open_forces(file, columns)[0]
+        history = read_trials(table, columns)[0]
     except InputError as error:
-        return {**reply, "wrong": str(error)}
-    history = found.history
+        return {**reply, "wrong": str(error).removeprefix("Table: ")}
+    found = measurement_of(history)
     read = {"θ [deg]": history.theta_deg}
     for name in history.channels:
         read[f"{name} [{CHANNEL_UNITS[name]}]"] = history.channel(name)

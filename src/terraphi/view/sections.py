@@ -254,18 +254,20 @@ def of_library(library: Library) -> Section:
     low, high = summary["phi_deg"]
     parts: list[Plot | Picture | Table] = []
     for leg in library.legs:
-        cases = [c for c in library.cases if c.history and c.scenario.leg.shape == leg]
-        cases.sort(key=lambda case: case.scenario.soil.friction_angle_deg)
+        curves = [
+            (case.scenario.soil.friction_angle_deg, case.history)
+            for case in library.cases
+            if case.history and case.scenario.leg.shape == leg
+        ]
+        curves.sort(key=lambda one: one[0])
         for force, label in FORCES.items():
             traces = []
-            for case in cases:
-                assert case.history is not None
-                phi = case.scenario.soil.friction_angle_deg
+            for phi, history in curves:
                 colour = to_hex(colormaps["viridis"](0.9 * (phi - low) / max(high - low, 1e-9)))
-                x, y = curve(case.history, force)
+                x, y = curve(history, force)
                 traces.append(line(x, y, f"φ = {phi:g}°", colour) | {"showlegend": False})
             note = f"Dark to light: φ = {low:g} to {high:g}°."
-            where = position_label(cases[0].history)
+            where = position_label(curves[0][1])
             parts.append(Plot(f"{force}, {LEGS.get(leg, leg)}", traces, axes(where, label), note))
     known = summary.pop("provenance")
     contents = {key: value for key, value in summary.items() if value not in ("", [], {}, None)}
@@ -313,10 +315,11 @@ def curve(history: ForceHistory, force: str) -> tuple[Any, Any]:
     return theta, history.means(np.radians(theta), math.radians(0.5), values=values)
 
 
-def position_label(history: ForceHistory | None) -> str:
+def position_label(history: ForceHistory) -> str:
     """Label of the axis of positions."""
-    names = {"theta": THETA, "displacement": "displacement [mm]", "time": "time [s]"}
-    return names[history.coordinate] if history is not None else ""
+    return {"theta": THETA, "displacement": "displacement [mm]", "time": "time [s]"}[
+        history.coordinate
+    ]
 
 
 # -- robots and slopes ---------------------------------------------------------------------------
