@@ -78,7 +78,7 @@ SHEARED_PLANE = Law(
     lambda angle: math.tan(math.radians(angle)),
 )
 RESISTIVE = SHEARED_PLANE._replace(
-    meaning="√J2 ≤ p tan φ, without dilation: the soil ξ was fitted to (Agarwal et al., 2023)",
+    meaning="√J2 ≤ p tan φ, without dilation: the soil that ξ was fitted to (Agarwal et al., 2023)",
     formula="tan φ_rft = sin φ",
 )
 CONES = {"Circumscribed": COMPRESSION, "MiddleCircumscribed": EXTENSION, "Inscribed": INSCRIBED}
