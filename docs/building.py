@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from sphinx_gallery.scrapers import figure_rst
 
 from terraphi.experiment.files import replacing
-from terraphi.view.keys import DOCUMENTS, markdown
+from terraphi.view.keys import DOCUMENTS, HEADER, tables
 
 HERE = Path(__file__).parent
 EXAMPLES = ("own_forces", "calibration", "own_leg", "own_log", "map", "export", "grains", "paper")
@@ -62,3 +62,18 @@ def figures(_block: Any, script: dict[str, Any], settings: Any) -> str:
     path = next(script["image_path_iterator"])
     last.savefig(path, dpi=150)
     return str(figure_rst([path], settings["src_dir"]))
+
+
+def markdown(document: str) -> str:
+    """Tables of a document as a page, from the second level of headings down."""
+    parts = []
+    for one in tables(document):
+        title, _, about = one.title.partition(": ")
+        rows = [
+            (f"`{row[0]}`", *(cell.replace("<", "&lt;") for cell in row[1:])) for row in one.rows
+        ]
+        lines = [HEADER, ["---"] * len(HEADER), *rows]
+        cells = [[re.sub(r"(?<!\\)\|", r"\\|", cell) for cell in line] for line in lines]
+        table = "\n".join(f"| {' | '.join(line)} |" for line in cells)
+        parts += [f"## `{title}`", about, table]
+    return "\n\n".join(parts) + "\n"

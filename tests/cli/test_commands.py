@@ -305,6 +305,7 @@ def test_unusable_forces_are_one_sentence_and_write_nothing(
         ("report no --out r.html", "no result"),
         ("report rft3d --out r.pdf", "r.html"),
         ("keys scenaro", "scenario"),
+        ("calibrate li2013:yuma/c --phi heavy --out c.toml", "36±2"),
         ("calibrate li2013:yuma/c --phi 35±1e308 --out c.toml", "36±2"),
         (f"invert {'no' * 400}.csv", " … "),
         ("invert no\x1b[31m\u202e.csv", "no\\x1b[31m\\u202e.csv"),

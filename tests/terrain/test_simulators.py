@@ -15,7 +15,7 @@ import pytest
 from terraphi.cli import options
 from terraphi.experiment.errors import InputError
 from terraphi.terrain.simulators import (
-    DP_TYPES,
+    CONES,
     MATCHES,
     NAMES,
     angle_of_ratio,
@@ -87,7 +87,7 @@ MAPPINGS: dict[str, Callable[[float], Mapping]] = {
     "newton": radial_return,
     "isaaclab": radial_return,
     "chrono-crm": radial_return,
-    **{f"geotaichi {kind}": lambda v, k=kind: geotaichi(v, k) for kind in DP_TYPES},
+    **{f"geotaichi {kind}": lambda v, k=kind: geotaichi(v, k) for kind in CONES},
 }
 
 
@@ -163,7 +163,7 @@ def test_conversion_there_and_back() -> None:
 def test_choices_of_the_command_line_are_those_of_the_table() -> None:
     assert options.SIMULATORS == NAMES
     assert options.MATCHES == MATCHES
-    assert options.DP_TYPES == DP_TYPES
+    assert tuple(CONES) == options.DP_TYPES
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,8 @@ from typing import Any
 import click
 
 from terraphi.cli.forces import log_options
-from terraphi.cli.options import LAW_SETS, PATH, Choice, json_option
-from terraphi.view.console import print_footfalls, print_json
+from terraphi.cli.options import LAW_SETS, PATH, json_option
+from terraphi.view.console import present
 
 
 @click.command()
@@ -28,7 +28,7 @@ from terraphi.view.console import print_footfalls, print_json
 )
 @click.option(
     "--law",
-    type=Choice(LAW_SETS),
+    type=click.Choice(LAW_SETS),
     default="foot",
     show_default=True,
     help="Force law: simulated, resistive force theory, bearing capacity, or the mean of all.",
@@ -55,20 +55,19 @@ def footfalls(
     from terraphi.robot import footfall_files as files
     from terraphi.robot.footfalls import footfalls as find
     from terraphi.view import plots
+    from terraphi.view.robot_plots import footfalls_table, path_table
 
     if out is not None:
         check_file(out, kind=files.KIND)
         for suffix in (".csv", ".geojson", ".png"):
             check_file(out.with_suffix(suffix))
     found = find(log, density=density, anchors=anchors, **options)
-    made: tuple[Path, ...] = ()
+    summary, written = files.summary(found), []
     if out is not None:
         picture = out.with_suffix(".png")
         plots.save(found.plot(), picture, metadata={"Comment": SIGNATURE})
         made = (*files.write_footfalls(found, out), picture)
-    if as_json:
-        print_json(files.summary(found))
-        return
-    print_footfalls(files.summary(found))
-    if made:
-        click.echo(f"Written: {', '.join(map(str, made))}")
+        written.append(f"Written: {', '.join(map(str, made))}")
+    path = [path_table(summary["path"])] if found.usable.any() else []
+    rest = {name: summary[name] for name in ("counts", "by_law_deg", "notes")}
+    present(summary, footfalls_table(summary), *path, rest, *written, as_json=as_json)

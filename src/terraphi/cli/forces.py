@@ -8,8 +8,8 @@ from typing import Any
 
 import click
 
-from terraphi.cli.options import ESTIMATORS, FRAMES, PATH, Choice, Float, json_option, shipped
-from terraphi.view.console import print_forces, print_json
+from terraphi.cli.options import ESTIMATORS, FRAMES, PATH, Float, json_option
+from terraphi.view.console import present
 
 
 def log_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -21,7 +21,6 @@ def log_options(command: Callable[..., Any]) -> Callable[..., Any]:
             default="go2",
             show_default=True,
             help="Name, URDF, MJCF or TOML of the robot.",
-            shell_complete=shipped("robots", ".toml"),
         ),
         click.option("--topic", help="Topic of a bag; if not given, the one with joint states."),
         click.option(
@@ -58,14 +57,14 @@ def log_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @log_options
 @click.option(
     "--estimator",
-    type=Choice(ESTIMATORS),
+    type=click.Choice(ESTIMATORS),
     default="momentum_observer",
     show_default=True,
     help="How forces follow from torques; quasi_static is the paper's way.",
 )
 @click.option(
     "--frame",
-    type=Choice(FRAMES),
+    type=click.Choice(FRAMES),
     default="world",
     show_default=True,
     help="Axes of the forces: the world's or the body's.",
@@ -90,7 +89,7 @@ def forces(
     from terraphi.robot import results as results_file
     from terraphi.robot.results import foot_forces
     from terraphi.view import plots
-    from terraphi.view.robot_plots import stance_figure
+    from terraphi.view.robot_plots import feet_table, stance_figure
 
     if out is not None:
         check_file(out, kind=results_file.KIND)
@@ -103,7 +102,8 @@ def forces(
         with filling(figures, kind="forces", last="stance.png") as made:
             plots.save(found.plot(), made / "forces.png")
             plots.save(stance_figure(found), made / "stance.png")
-    if as_json:
-        print_json(found.summary())
-        return
-    print_forces(found.summary())
+    summary = found.summary()
+    table = feet_table(summary, f"Force of the ground on the feet, {estimator}, {frame} frame")
+    shown = {"feet", "pooled", "estimator", "frame"}
+    rest = {name: value for name, value in summary.items() if name not in shown}
+    present(summary, table, rest, as_json=as_json)

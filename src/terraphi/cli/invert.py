@@ -11,7 +11,6 @@ import click
 from terraphi.cli.options import (
     PATH,
     Float,
-    WithSd,
     columns_option,
     density_option,
     gain_option,
@@ -20,8 +19,8 @@ from terraphi.cli.options import (
     library_option,
 )
 from terraphi.experiment.errors import InputError
-from terraphi.view.answers import headline, print_answer
-from terraphi.view.console import print_json, print_table, progress_bar
+from terraphi.view.answers import headline, parts_of
+from terraphi.view.console import present, progress_bar
 from terraphi.view.table import Table
 
 SOME_FAILED = 1
@@ -83,12 +82,9 @@ def invert(
     answer = inversion.invert(list(forces), **options)
     if out is not None:
         answer.save(out)
-    if as_json:
-        print_json(answer.as_dict())
-        return
-    print_answer(answer, verbose=verbose)
-    if out is not None:
-        click.echo(f"Written: {out}/answer.json, answer.nc, answer.png")
+    written = [] if out is None else [f"Written: {out}/answer.json, answer.nc, answer.png"]
+    parts = parts_of(answer, verbose=verbose)
+    present(answer.as_dict(), *parts, *written, as_json=as_json)
 
 
 def tabulate(
@@ -107,32 +103,28 @@ def tabulate(
     if failed and len(failed) == len(rows):
         raise InputError(failed[0])
     cells, counts = write_table(rows, found, table)
-    if as_json:
-        shown = {"rows": cells} if table is None else {"table": str(table)}
-        print_json({**shown, "records": len(rows), "verdicts": counts})
-    else:
-        if table is None:
-            print_table(table_of_answers(cells))
-        for sentence in failed:
-            click.echo(f"Failed: {sentence}", err=True)
-        verdicts = ", ".join(f"{count} {name}" for name, count in counts.items())
-        assumed = sum(isinstance(one, Answer) and one.density_assumed for one in found)
-        guess = f"; the density of {assumed} is assumed" if assumed else ""
-        click.echo(f"{len(rows)} records: {verdicts}{guess}")
-        copied = dict.fromkeys(name for one in rows for name in one.get("notes", {}))
-        if copied:
-            click.echo(f"Columns copied, and not used: {', '.join(copied)}")
-        if table is not None:
-            click.echo(f"Written: {table}")
+    for sentence in failed:
+        click.echo(f"Failed: {sentence}", err=True)
+    verdicts = ", ".join(f"{count} {name}" for name, count in counts.items())
+    assumed = sum(isinstance(one, Answer) and one.density_assumed for one in found)
+    guess = f"; the density of {assumed} is assumed" if assumed else ""
+    copied = dict.fromkeys(name for one in rows for name in one.get("notes", {}))
+    data = {"rows": cells} if table is None else {"table": str(table)}
+    present(
+        {**data, "records": len(rows), "verdicts": counts},
+        *([table_of_answers(cells)] if table is None else []),
+        f"{len(rows)} records: {verdicts}{guess}",
+        *([f"Columns copied, and not used: {', '.join(copied)}"] if copied else []),
+        *([f"Written: {table}"] if table is not None else []),
+        as_json=as_json,
+    )
     if failed:
         sys.exit(SOME_FAILED)
 
 
 @click.command()
 @click.argument("forces", nargs=-1, required=True, metavar="FORCES...")
-@click.option(
-    "--phi", type=WithSd(), required=True, metavar="MEAN±SD", help="Known friction angle [deg]."
-)
+@click.option("--phi", required=True, metavar="MEAN±SD", help="Known friction angle [deg].")
 @leg_option
 @density_option
 @columns_option
@@ -153,21 +145,21 @@ def calibrate(forces: tuple[str, ...], phi: str, out: Path, as_json: bool, **opt
     from terraphi.inference.inversion import calibrate as run
 
     check_file(out)
-    mean, sd = number_with_sd(phi)
+    try:
+        mean, sd = number_with_sd(phi)
+    except ValueError:
+        mean, sd = 0.0, None
     if sd is None or not 0.0 <= sd < 90.0:
         raise InputError(f"--phi {phi}: give mean and standard deviation, such as 36±2")
     found = run(list(forces), mean, sd, **options)
     found.save(out)
-    if as_json:
-        print_json({"file": str(out), **found.model_dump(mode="json")})
-        return
     rows = [
         (one.source, one.leg, f"{one.phi_deg:g} ± {one.phi_sd_deg:g}", f"{one.read_deg:.1f}")
         for one in found.soils
     ]
     header = ("soil", "leg", "known φ [deg]", f"by {found.library} [deg]")
-    print_table(Table("", header, rows))
-    click.echo(f"Written: {out}")
+    data = {"file": str(out), **found.model_dump(mode="json")}
+    present(data, Table("", header, rows), f"Written: {out}", as_json=as_json)
 
 
 @click.command()
@@ -183,12 +175,10 @@ def demo(out: Path, as_json: bool) -> None:
     from terraphi.view.demo import TRUTH_DEG, run
 
     answers, picture = run(out)
-    if as_json:
-        print_json({"answers": [one.as_dict() for one in answers], "picture": str(picture)})
-        return
-    click.echo(f"Simulated with φ = {TRUTH_DEG:g}°, then inverted; and two measured soils.\n")
-    for answer in answers:
-        click.echo(f"{headline(answer)}\n{answer.reason}\n")
-    click.echo(
-        f"Picture: {picture}\nYour own: terraphi invert FORCES.csv --leg LEG --density KG_M3"
+    present(
+        {"answers": [one.as_dict() for one in answers], "picture": str(picture)},
+        f"Simulated with φ = {TRUTH_DEG:g}°, then inverted; and two measured soils.\n",
+        *(f"{headline(answer)}\n{answer.reason}\n" for answer in answers),
+        f"Picture: {picture}\nYour own: terraphi invert FORCES.csv --leg LEG --density KG_M3",
+        as_json=as_json,
     )

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from terraphi.cli.options import PATH, IntRange, json_option, shipped
+from terraphi.cli.options import PATH, json_option
 from terraphi.cli.simulate import announce
-from terraphi.view.console import print_json, print_pairs, print_table, progress_bar
+from terraphi.view.console import present, progress_bar
 from terraphi.view.table import Table
 
 if TYPE_CHECKING:
@@ -26,9 +26,9 @@ def library() -> None:
 
 
 @library.command("build")
-@click.argument("plan", shell_complete=shipped("plans", ".toml"))
+@click.argument("plan")
 @click.option("--out", type=PATH, required=True, help="NetCDF file to make.")
-@click.option("--workers", type=IntRange(min=1), help="Processes.  [default: all cores]")
+@click.option("--workers", type=click.IntRange(min=1), help="Processes.  [default: all cores]")
 @click.option(
     "--cluster",
     metavar="ADDRESS",
@@ -55,10 +55,7 @@ def library_build(
     pool = builder.cluster(cluster) if cluster else builder.workers(count)
     with pool as executor, progress_bar("simulating") as report:
         made = builder.build(chosen, out, executor=executor, progress=report)
-    if as_json:
-        print_json(made.summary())
-        return
-    print_library(made)
+    print_library(made, as_json)
 
 
 @library.command("list")
@@ -71,9 +68,6 @@ def library_list(as_json: bool) -> None:
     from terraphi.library.store import Library
 
     found = [Library.load(name).summary() for name in Library.names()]
-    if as_json:
-        print_json({"libraries": found})
-        return
     rows = [
         (
             one["name"],
@@ -86,11 +80,11 @@ def library_list(as_json: bool) -> None:
         for one in found
     ]
     header = ("library", "model", "φ [deg]", "φ means", "legs", "cases")
-    print_table(Table("", header, rows))
+    present({"libraries": found}, Table("", header, rows), as_json=as_json)
 
 
 @library.command("show")
-@click.argument("name", shell_complete=shipped("libraries", ".nc"))
+@click.argument("name")
 @json_option
 def library_show(name: str, as_json: bool) -> None:
     """Show the contents and the origin of library NAME, or of a .nc file.
@@ -99,16 +93,12 @@ def library_show(name: str, as_json: bool) -> None:
     """
     from terraphi.library.store import Library
 
-    found = Library.load(name)
-    if as_json:
-        print_json(found.summary())
-        return
-    print_library(found)
+    print_library(Library.load(name), as_json)
 
 
-def print_library(found: Library) -> None:
-    """Print the summary of a library, without its plan."""
+def print_library(found: Library, as_json: bool) -> None:
+    """Print the summary of a library, for people without its plan."""
     summary = found.summary()
-    known = summary.pop("provenance")
-    versions = {key: value for key, value in known.items() if key != "plan"}
-    print_pairs({key: value for key, value in {**summary, **versions}.items() if value is not None})
+    every = {**summary, **summary["provenance"]}
+    shown = {k: v for k, v in every.items() if v is not None and k not in ("provenance", "plan")}
+    present(summary, shown, as_json=as_json)

@@ -60,12 +60,11 @@ def main() -> None:
         if hasattr(stream, "reconfigure"):  # a terminal without φ shows another letter
             stream.reconfigure(errors="replace")
     write = sys.stdout.write
-    # A name in a file may hold codes that rewrite a terminal.
-    sys.stdout.write = (
-        lambda text: write(  # type: ignore[method-assign]
-            CONTROL.sub(lambda m: ascii(m[0])[1:-1], text)
-        )
-    )
+
+    def escaped(text: str) -> int:  # a name in a file may hold codes that rewrite a terminal
+        return write(CONTROL.sub(lambda m: ascii(m[0])[1:-1], text))
+
+    sys.stdout.write = escaped  # type: ignore[method-assign]
     if not sys.warnoptions:  # they name our source, and mean nothing to a user
         warnings.simplefilter("ignore", RuntimeWarning)
     try:

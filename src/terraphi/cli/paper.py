@@ -7,8 +7,8 @@ from typing import Any
 
 import click
 
-from terraphi.cli.options import PATH, Choice, json_option
-from terraphi.view.console import as_text, print_json, print_table, progress_bar
+from terraphi.cli.options import PATH, json_option
+from terraphi.view.console import as_text, present, progress_bar
 from terraphi.view.table import Table
 
 NAMES = (
@@ -18,10 +18,10 @@ NAMES = (
 
 
 @click.command()
-@click.argument("name", required=False, metavar="[NAME]", type=Choice(NAMES, "result"))
+@click.argument("name", required=False, metavar="[NAME]", type=click.Choice(NAMES))
 @click.option(
     "--library",
-    type=Choice(("paper", "paper-code")),
+    type=click.Choice(("paper", "paper-code")),
     default="paper",
     show_default=True,
     help="Model: the paper's text, or its public code (recovery, phi_sensitivity, k0, surrogate).",
@@ -66,16 +66,12 @@ def paper(name: str | None, library: str, out: Path | None, as_json: bool) -> No
             for one in found.values():
                 for figure, drawn in one.figures.items():
                     drawn().savefig(made.joinpath(f"{figure}.png"), dpi=300)
-    if as_json:
-        print_json(data)
-        return
+    parts: list[str | Table] = []
     for one in found.values():
-        print_table(Table(**one.data["table"]))
+        parts.append(Table(**one.data["table"]))
         if one.compared and last is None:
-            print_table(Table("", ("quantity", "ours", "Xu & Wang"), one.compared))
-        for note in one.notes:
-            click.echo(f"{note}\n")
-    if last is not None:
-        print_table(Table(**last))
-    if out is not None:
-        click.echo(f"Written: {out}")
+            parts.append(Table("", ("quantity", "ours", "Xu & Wang"), one.compared))
+        parts += [f"{note}\n" for note in one.notes]
+    parts += [] if last is None else [Table(**last)]
+    parts += [] if out is None else [f"Written: {out}"]
+    present(data, *parts, as_json=as_json)

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from terraphi.cli.options import PATH, json_option, shipped
+from terraphi.cli.options import PATH, json_option
 from terraphi.experiment.errors import InputError
-from terraphi.view.console import print_json, print_pairs, progress_bar
+from terraphi.view.console import present, progress_bar
 
 if TYPE_CHECKING:
     from terraphi.experiment.scenario import Scenario
@@ -22,7 +22,7 @@ FRAMES = 100
 
 
 @click.command()
-@click.argument("scenario", shell_complete=shipped("scenarios", ".toml"))
+@click.argument("scenario")
 @click.option(
     "--set",
     "changes",
@@ -72,10 +72,7 @@ def simulate(
         history.to_netcdf(out)
         kept.remove()
     summary = {**history.summary(), **({"out": str(out)} if out else {})}
-    if as_json:
-        print_json(summary)
-        return
-    print_pairs(summary)
+    present(summary, summary, as_json=as_json)
 
 
 def announce(scenarios: Sequence[Scenario], workers: int = 1) -> None:

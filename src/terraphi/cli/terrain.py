@@ -12,21 +12,19 @@ from terraphi.cli.options import (
     MATCHES,
     PATH,
     SIMULATORS,
-    Choice,
     Float,
-    IntRange,
     json_option,
 )
-from terraphi.view.console import print_json, progress_bar
+from terraphi.view.console import present, progress_bar
 
-SIMULATOR = Choice(SIMULATORS, "simulator")
+SIMULATOR = click.Choice(SIMULATORS)
 dp_type_option = click.option(
     "--dp-type",
-    type=Choice(DP_TYPES, "cone"),
+    type=click.Choice(DP_TYPES),
     help="Cone of geotaichi.  [default: MiddleCircumscribed]",
 )
 seed_option = click.option(
-    "--seed", type=IntRange(0, 2**32 - 1), default=0, show_default=True, help="Seed of draws."
+    "--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True, help="Seed of draws."
 )
 
 
@@ -35,14 +33,17 @@ seed_option = click.option(
 @click.option("--to", required=True, type=SIMULATOR, help="The simulator.")
 @click.option(
     "--match",
-    type=Choice(MATCHES, "stress path"),
+    type=click.Choice(MATCHES),
     default="plane-strain",
     show_default=True,
     help="Stress path in which the simulator is as strong as the soil.",
 )
 @dp_type_option
 @click.option(
-    "--draws", type=IntRange(0, 100_000), default=0, help="Draws of the posterior.  [default: 0]"
+    "--draws",
+    type=click.IntRange(0, 100_000),
+    default=0,
+    help="Draws of the posterior.  [default: 0]",
 )
 @seed_option
 @click.option(
@@ -65,10 +66,7 @@ def export(answer: Path, out: Path | None, as_json: bool, **options: Any) -> Non
     if out is None:
         click.echo(exports.text(found, "json" if as_json else "python"), nl=False)
         return
-    if as_json:
-        print_json(found)
-        return
-    click.echo(f"{exports.headline(found)}\nWritten: {out}")
+    present(found, exports.headline(found), f"Written: {out}", as_json=as_json)
 
 
 @click.command()
@@ -86,10 +84,7 @@ def convert(value: float, as_json: bool, **options: Any) -> None:
     from terraphi.terrain.simulators import converted_in_words
 
     found = converted(value, **options)
-    if as_json:
-        print_json(found)
-        return
-    click.echo("\n".join(converted_in_words(found)))
+    present(found, *converted_in_words(found), as_json=as_json)
 
 
 @click.command("map")
@@ -112,7 +107,7 @@ def convert(value: float, as_json: bool, **options: Any) -> None:
 @click.option("--wetness", type=PATH, help="Raster of the saturated share, 0 to 1.")
 @click.option("--covariate", type=PATH, help="Raster on which φ may depend, as burn severity.")
 @click.option(
-    "--draws", type=IntRange(16, 4096), default=128, show_default=True, help="Joint draws."
+    "--draws", type=click.IntRange(16, 4096), default=128, show_default=True, help="Joint draws."
 )
 @seed_option
 @json_option
@@ -143,7 +138,5 @@ def slope_map(
     with filling(out, kind=KIND, last=SUMMARY) as made:
         found.write(made)
         plots.save(map_figure(found), made.joinpath(picture))
-    if as_json:
-        print_json(found.summary)
-        return
-    click.echo("\n".join([*in_words(found.summary), f"Written: {out}/{', '.join(names)}"]))
+    written = f"Written: {out}/{', '.join(names)}"
+    present(found.summary, *in_words(found.summary), written, as_json=as_json)

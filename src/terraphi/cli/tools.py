@@ -7,8 +7,8 @@ from pathlib import Path
 
 import click
 
-from terraphi.cli.options import PATH, Choice, IntRange, json_option
-from terraphi.view.console import print_json, print_table
+from terraphi.cli.options import PATH, json_option
+from terraphi.view.console import present
 from terraphi.view.table import Table
 
 
@@ -28,15 +28,17 @@ def report(results: tuple[str, ...], out: Path, robot: str, as_json: bool) -> No
     from terraphi.view.page import report as written
 
     found = written(results, out, robot=robot)
-    if as_json:
-        print_json({"report": str(out), "results": [headline for _, headline in found]})
-        return
-    click.echo("\n".join([*map(": ".join, found), f"Written: {out}"]))
+    data = {"report": str(out), "results": [headline for _, headline in found]}
+    present(data, *map(": ".join, found), f"Written: {out}", as_json=as_json)
 
 
 @click.command()
 @click.option(
-    "--port", type=IntRange(0, 65535), default=8321, show_default=True, help="Port on 127.0.0.1."
+    "--port",
+    type=click.IntRange(0, 65535),
+    default=8321,
+    show_default=True,
+    help="Port on 127.0.0.1.",
 )
 def app(port: int) -> None:
     """Serve a local page that answers whatever is dropped on it.
@@ -63,11 +65,9 @@ def doctor(as_json: bool) -> None:
 
     checks = examine()
     sound = all(check.sound for check in checks)
-    if as_json:
-        print_json({"sound": sound, "checks": [check._asdict() for check in checks]})
-    else:
-        rows = [(one.name, "ok" if one.sound else "problem", one.found) for one in checks]
-        print_table(Table("", ("check", "state", "found"), rows))
+    rows = [(one.name, "ok" if one.sound else "problem", one.found) for one in checks]
+    data = {"sound": sound, "checks": [check._asdict() for check in checks]}
+    present(data, Table("", ("check", "state", "found"), rows), as_json=as_json)
     if not sound:
         sys.exit(1)
 
@@ -75,7 +75,7 @@ def doctor(as_json: bool) -> None:
 @click.command()
 @click.argument(
     "document",
-    type=Choice(("scenario", "plan", "robot", "forces", "columns")),
+    type=click.Choice(("scenario", "plan", "robot", "forces", "columns")),
     default="scenario",
     metavar="[DOCUMENT]",
 )
@@ -90,8 +90,4 @@ def keys(document: str, as_json: bool) -> None:
     """
     from terraphi.view.keys import as_dict, tables
 
-    if as_json:
-        print_json(as_dict(document))
-        return
-    for table in tables(document):
-        print_table(table)
+    present(as_dict(document), *tables(document), as_json=as_json)

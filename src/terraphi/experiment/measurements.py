@@ -183,13 +183,9 @@ def measurement_of(history: ForceHistory, name: str = "") -> Measurement:
     shipped = history.provenance.get("measurement")
     if shipped in names():
         return replace(measurement(str(shipped)), name=name, history=history)
-    known = history.provenance.get("scenario")
-    if known is None:
+    scenario = scenario_of(history, name)
+    if scenario is None:
         return Measurement(name=name, history=history, leg="straight", leg_assumed=True)
-    try:
-        scenario = strictly(known, Scenario, f"{name}, scenario")
-    except InputError as error:
-        raise InputError(f"{error}; simulate it again, or give its forces alone") from error
     return Measurement(
         name=name,
         history=history,
@@ -198,3 +194,15 @@ def measurement_of(history: ForceHistory, name: str = "") -> Measurement:
         density_kg_m3=scenario.soil.density,
         scenario=scenario,
     )
+
+
+def scenario_of(history: ForceHistory, name: str) -> Scenario | None:
+    """The scenario of a simulation; ``None`` of a measurement.
+
+    Raises InputError if it cannot be read.
+    """
+    known = history.provenance.get("scenario")
+    try:
+        return None if known is None else strictly(known, Scenario, f"{name}, scenario")
+    except InputError as error:
+        raise InputError(f"{error}; simulate it again, or give its forces alone") from error

@@ -21,7 +21,7 @@ from terraphi.experiment.documents import Strict, parse_toml, strictly
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.force_table import CSV_COLUMNS, origin
 from terraphi.experiment.history import ForceHistory
-from terraphi.experiment.tables import read_table, table_of
+from terraphi.experiment.tables import Table, read_table, table_of
 from terraphi.experiment.units import KINDS, unit_named
 
 TURN_DEG = 10.0
@@ -180,7 +180,7 @@ def read_forces(source: Any, **columns: Any) -> ForceHistory:
 def read_trials(
     source: Any, columns: ForceColumns | Mapping[str, Any] | Path | str | None = None
 ) -> list[ForceHistory]:
-    """Forces of each stroke in which θ grows; source and errors as of :func:`read_forces`."""
+    """Forces of each stroke in which θ grows, of a ``Table`` or what :func:`read_forces` takes."""
     found = _Reading(source, columns)
     name, table = found.source, found.table
     if found.wrong:
@@ -263,13 +263,18 @@ def _name_of(source: Any) -> str:
     return str(source) if isinstance(source, str | Path) else type(source).__name__
 
 
+def _table(source: Any) -> Table:
+    if isinstance(source, str | Path):
+        return read_table(Path(source))
+    return source if isinstance(source, Table) else table_of(source)
+
+
 class _Reading:
     """One table on its way to forces, with what was guessed and what is wrong."""
 
     def __init__(self, source: Any, columns: Any) -> None:
         self.given, self.source = ForceColumns.of(columns), _name_of(source)
-        is_text = isinstance(source, str | Path)
-        self.table = read_table(Path(source)) if is_text else table_of(source)
+        self.table = _table(source)
         self.names: dict[str, str] = {}
         self.wrong: list[str] = []
         self.notes: list[str] = []

@@ -77,15 +77,12 @@ SHEARED_PLANE = Law(
     lambda q: math.degrees(math.atan(q)),
     lambda angle: math.tan(math.radians(angle)),
 )
-RESISTIVE = Law(
-    "√J2 ≤ p tan φ, without dilation: the soil that ξ was fitted to (Agarwal et al., 2023)",
-    "tan φ_rft = sin φ",
-    SHEARED_PLANE.value,
-    SHEARED_PLANE.ratio,
+RESISTIVE = SHEARED_PLANE._replace(
+    meaning="√J2 ≤ p tan φ, without dilation: the soil that ξ was fitted to (Agarwal et al., 2023)",
+    formula="tan φ_rft = sin φ",
 )
 CONES = {"Circumscribed": COMPRESSION, "MiddleCircumscribed": EXTENSION, "Inscribed": INSCRIBED}
 """Cones of GeoTaichi, by its ``dpType``."""
-DP_TYPES = tuple(CONES)
 
 
 def ratio_of_angle(phi_deg: float, match: Match = "plane-strain") -> float:
@@ -208,7 +205,7 @@ def simulator(name: str, *, dp_type: str | None = None) -> Simulator:
     name
         One of :data:`NAMES`.
     dp_type
-        Cone of GeoTaichi, one of :data:`DP_TYPES`; by default its own default.
+        Cone of GeoTaichi, one of :data:`CONES`; by default its own default.
 
     Raises
     ------
@@ -227,7 +224,7 @@ def simulator(name: str, *, dp_type: str | None = None) -> Simulator:
         return found
     cone = dp_type or "MiddleCircumscribed"
     if cone not in CONES:
-        raise InputError(f"unknown dpType '{cone}'; {nearest(cone, DP_TYPES)}")
+        raise InputError(f"unknown dpType '{cone}'; {nearest(cone, CONES)}")
     return replace(found, title=f"{found.title} with dpType {cone}", law=CONES[cone], dp_type=cone)
 
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.special import logit, ndtr, ndtri
@@ -35,24 +35,16 @@ SAMPLES = 256
 """Points of a Sobol sequence over φ and all priors."""
 
 
-class Quantity(NamedTuple):
-    """A quantity that the forces on a foot do not determine."""
-
-    low: float
-    high: float
-    usual: str
-    """Prior where none is given: wide, and a guess."""
-    about: str
-
-
 QUANTITIES = {
-    "cohesion_Pa": Quantity(0.0, 1e6, "0:1000", "cohesion of the soil"),
-    "root_cohesion_Pa": Quantity(0.0, 1e5, "0:4000", "cohesion that roots add"),
-    "root_loss": Quantity(0.0, 1.0, "0:1", "share of the roots' cohesion that is lost"),
-    "depth_m": Quantity(0.05, 20.0, "0.5:1.5", "thickness of the layer, normal to the slope"),
-    "wetness": Quantity(0.0, 1.0, "0:1", "share of the thickness that is saturated"),
-    "density_kg_m3": Quantity(1000.0, 2600.0, "1600:2000", "bulk density of the layer"),
+    "cohesion_Pa": (0.0, 1e6, "0:1000"),  # of the soil
+    "root_cohesion_Pa": (0.0, 1e5, "0:4000"),  # that roots add
+    "root_loss": (0.0, 1.0, "0:1"),  # share of the roots' cohesion
+    "depth_m": (0.05, 20.0, "0.5:1.5"),  # thickness of the layer, normal to the slope
+    "wetness": (0.0, 1.0, "0:1"),  # share of the thickness that is saturated
+    "density_kg_m3": (1000.0, 2600.0, "1600:2000"),  # bulk, of the layer
 }
+"""What the forces on a foot do not determine: bounds, and the prior where none is given, which is
+wide and a guess."""
 
 
 def priors_of(given: Sequence[str]) -> dict[str, dict[str, Any]]:
@@ -75,7 +67,7 @@ def priors_of(given: Sequence[str]) -> dict[str, dict[str, Any]]:
     InputError
         If a key is unknown, or a number cannot be read or is outside the bounds of the quantity.
     """
-    found = {key: _prior(one.usual) for key, one in QUANTITIES.items()}
+    found = {key: _prior(usual) for key, (_, _, usual) in QUANTITIES.items()}
     for text in given:
         key, _, value = text.partition("=")
         if key not in QUANTITIES:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections import Counter
 from collections.abc import Sequence
@@ -13,7 +12,6 @@ import click
 
 from terraphi.experiment.errors import InputError
 from terraphi.inference import COLUMNS
-from terraphi.view.console import print_table
 from terraphi.view.table import Table
 
 if TYPE_CHECKING:
@@ -78,22 +76,23 @@ def in_words(answer: Answer) -> list[str]:
         size = other.get("force_size_deg")
         size = "" if size is None else f"; size of the forces alone {size:.0f}°"
         lines.append(f"  Second opinion: {other['library']} {other['median']:.0f}°{where}{size}.")
-    return lines + [f"  Warning: {sentence}" for sentence in answer.questions]
+    guesses = [sentence for sentence in answer.questions if "Guessed " in sentence]
+    warnings = [sentence for sentence in answer.questions if sentence not in guesses]
+    lines += [f"  Warning: {sentence}" for sentence in warnings]
+    return lines + [f"  Note: {sentence}" for sentence in guesses]
 
 
-def print_answer(answer: Answer, *, verbose: bool = False) -> None:
-    """Print an answer in at most ten lines; ``verbose`` adds the other warnings and tables."""
+def parts_of(answer: Answer, *, verbose: bool = False) -> list[str | Table]:
+    """An answer for a terminal: ten lines; or, ``verbose``, all warnings and the tables."""
     lines = in_words(answer)
-    more = len(lines) - MOST_LINES
-    if more > 0 and not verbose:
-        lines = [*lines[: MOST_LINES - 1], f"  {more + 1} more warnings: -v prints them."]
     bold = 1 if len(headline(answer).splitlines()) > 1 else 0
-    for i, line in enumerate(lines):
-        click.secho(line, bold=i == bold)
+    lines[bold] = click.style(lines[bold], bold=True)
     if verbose:
-        click.echo()
-        for table in tables(answer):
-            print_table(table)
+        return [*lines, "", *tables(answer)]
+    more = len(lines) - MOST_LINES
+    return (
+        [*lines[: MOST_LINES - 1], f"  {more + 1} more: -v prints them."] if more > 0 else [*lines]
+    )
 
 
 def tables(answer: Answer) -> list[Table]:
@@ -141,7 +140,9 @@ def _terms(answer: Answer) -> str:
     most = max(terms.values())
     digits = 1 if most > 0.3 else 3
     named = [f"{n} {sd:.{digits}f}°" for n, sd in terms.items() if sd >= LEAST_SHARE * most]
-    return f"{', '.join(named)}. {_advice(answer, digits)}"
+    # Simulated forces need no better measurement.
+    advice = "" if all(r.simulated for r in answer.records) else f" {_advice(answer, digits)}"
+    return f"{', '.join(named)}.{advice}"
 
 
 def _advice(answer: Answer, digits: int) -> str:
@@ -192,6 +193,8 @@ def write_table(
     dict
         Number of records by verdict.
     """
+    import pandas as pd
+
     from terraphi.experiment.files import replacing
 
     written = [
@@ -201,13 +204,8 @@ def write_table(
     ]
     if path is not None:
         names = dict.fromkeys([*COLUMNS, *(name for one in written for name in one)])
-        with (
-            replacing(path) as temporary,
-            temporary.open("w", newline="", encoding="utf-8") as stream,
-        ):
-            writer = csv.DictWriter(stream, list(names))
-            writer.writeheader()
-            writer.writerows(written)
+        with replacing(path) as temporary:
+            pd.DataFrame(written, columns=[*names]).to_csv(temporary, index=False)
     return written, dict(Counter(str(one["verdict"]).replace("_", " ") for one in written))
 
 

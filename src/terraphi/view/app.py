@@ -10,16 +10,14 @@ library, ``python -m terraphi.view.app``, so that no file meets what another lef
 from __future__ import annotations
 
 import asyncio
+import base64
 import contextlib
 import json
 import os
-import secrets
-import select
 import signal
 import socket
 import sys
 import tempfile
-from collections import OrderedDict
 from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
 from pathlib import Path
@@ -32,9 +30,18 @@ from terraphi.experiment.files import scratch
 from terraphi.experiment.history import CHANNEL_UNITS
 from terraphi.experiment.leg import CURVES, Leg, frame_axes
 from terraphi.experiment.reading import ForceColumns
-from terraphi.view import report
+from terraphi.view import page
 from terraphi.view.answers import LEGS
-from terraphi.view.sections import Section, numbers, of_answer, of_footfalls, section_of
+from terraphi.view.sections import (
+    LOGS,
+    Section,
+    kind_of,
+    numbers,
+    of_answer,
+    of_foot_forces,
+    of_footfalls,
+    section_of,
+)
 
 if TYPE_CHECKING:
     from starlette.applications import Starlette
@@ -44,11 +51,7 @@ if TYPE_CHECKING:
     from terraphi.inference.answer import Answer
 
 HOST = "127.0.0.1"
-SUFFIXES = (".nc", *report.LOGS)
-MOST_ANSWERS = 8
-"""Answers whose files are kept, in memory."""
-FILES = ("fit.csv", "answer.nc", "footfalls.csv", "footfalls.geojson", "footfalls.nc")
-"""Files that go with an answer."""
+SUFFIXES = (".nc", *LOGS)
 ROLES = {
     "theta": "leg angle θ", "fx": "force Fx", "fz": "force Fz", "moment": "moment at the hip",
     "time": "time",
@@ -74,8 +77,8 @@ class Limits(NamedTuple):
     """Largest: an hour of a robot's log."""
     seconds: float = 180.0
     """For all work on it [s]."""
-    idle_seconds: float = 30.0
-    """Between two parts of it as it comes in [s]."""
+    upload_seconds: float = 60.0
+    """Until it has come in [s]."""
 
 
 class RefusedError(Exception):
@@ -133,24 +136,23 @@ def application(limits: Limits | None = None, *, place: Path | None = None) -> S
         from starlette.middleware.trustedhost import TrustedHostMiddleware
         from starlette.responses import HTMLResponse, JSONResponse, Response
         from starlette.routing import Route
-    script = report.asset("plots.js") + report.asset("app.js")
-    library, packed = report.plotly()
+    script = page.asset("plots.js") + page.asset("app.js")
+    library, packed = page.plotly()
     units = ForceColumns.model_json_schema()["properties"]
-    front = report.load_template("app.html").render(
+    front = page.load_template("app.html").render(
         script=script,
         plotly=packed,
-        roles=report.embedded(ROLES),
+        roles=page.embedded(ROLES),
         units={name: units[name]["anyOf"][0]["enum"] for name in ("theta_unit", "unit")},
         legs={leg: (LEGS[leg], corners(leg)) for leg in CURVES},
         suffixes=",".join(SUFFIXES),
         megabytes=limits.bytes // 1_000_000,
     )
     policy = (
-        f"default-src 'none'; script-src {report.digest(script)} {report.digest(library)}; "
+        f"default-src 'none'; script-src {page.digest(script)} {library}; "
         "style-src 'unsafe-inline'; connect-src 'self'; img-src data: blob:; base-uri 'none'; "
         "form-action 'none'; frame-ancestors 'none'"
     )
-    kept: OrderedDict[str, tuple[dict[str, Any], dict[str, bytes]]] = OrderedDict()
     readers = Readers()
 
     @contextlib.asynccontextmanager
@@ -164,34 +166,14 @@ def application(limits: Limits | None = None, *, place: Path | None = None) -> S
 
     async def dropped(request: Request) -> Response:
         try:
-            reply, files = await reply_to(request, readers, limits, place)
+            reply = await reply_to(request, readers, limits, place)
+            return Response(reply, media_type="application/json", headers=HEADERS)
         except RefusedError as refused:
             return JSONResponse({"refused": str(refused)}, refused.status, headers=HEADERS)
-        if "html" in reply:
-            name = secrets.token_urlsafe(16)
-            kept[name] = (dict(reply), files)
-            while len(kept) > MOST_ANSWERS:
-                kept.popitem(last=False)
-            reply["files"] = {file: f"/files/{name}/{file}" for file in ("report.html", *files)}
-        return JSONResponse(reply, headers=HEADERS)
 
-    async def file(request: Request) -> Response:
-        wanted = request.path_params["file"]
-        reply, files = kept.get(request.path_params["name"], ({}, {}))
-        if reply:
-            files = {**files, "report.html": report.page(**reply).encode()}
-        if wanted not in files:
-            return HTMLResponse("This file is no longer kept.", 404, headers=HEADERS)
-        headers = {**HEADERS, "content-disposition": "attachment"}
-        return Response(files[wanted], media_type="application/octet-stream", headers=headers)
-
-    routes = [
-        Route("/", home),
-        *(Route(f"/{task}", dropped, methods=["POST"]) for task in ("look", "answer")),
-        Route("/files/{name}/{file}", file),
-    ]
+    tasks = [Route(f"/{task}", dropped, methods=["POST"]) for task in ("look", "answer")]
     hosts = Middleware(TrustedHostMiddleware, allowed_hosts=[HOST, "localhost"])
-    return Starlette(routes=routes, middleware=[hosts], lifespan=running)
+    return Starlette(routes=[Route("/", home), *tasks], middleware=[hosts], lifespan=running)
 
 
 def corners(leg: str) -> str:
@@ -202,8 +184,8 @@ def corners(leg: str) -> str:
 
 async def reply_to(
     request: Request, readers: Readers, limits: Limits, place: Path | None = None
-) -> tuple[dict[str, Any], dict[str, bytes]]:
-    """What an upload holds or its answer, and files to download; raises RefusedError."""
+) -> bytes:
+    """What an upload holds or its answer, as JSON; raises RefusedError."""
     if request.headers.get("x-terraphi") != "1":
         raise RefusedError(403, "only this app's own page may send files")
     query = request.query_params
@@ -212,47 +194,39 @@ async def reply_to(
     suffix = Path(name).suffix.lower()
     if suffix not in SUFFIXES:
         raise RefusedError(415, f"{name}: expected a file of {', '.join(SUFFIXES)}")
-    if query.get("leg", "") not in ("", *CURVES):
-        raise RefusedError(400, f"leg: expected one of {', '.join(CURVES)}")
     options = {key: query.get(key) or None for key in ("leg", "density", "columns")}
     with tempfile.TemporaryDirectory(dir=place, prefix="dropped-") as made:
         folder = Path(made)
-        job = {"file": f"dropped{suffix}", "name": name, "options": options}
-        job["task"] = request.url.path.strip("/")
-        (folder / "job.json").write_text(json.dumps(job), encoding="utf-8")
         await _receive(request, folder / f"dropped{suffix}", name, limits)
+        task = request.url.path.strip("/")
+        job = {"folder": made, "file": f"dropped{suffix}", "name": name, "task": task, **options}
         try:
-            await readers.read(folder, limits.seconds)
+            await readers.read(job, limits.seconds)
         except TimeoutError:
             late = f"{name}: not done within {limits.seconds:g} s; use the command line"
             raise RefusedError(422, late) from None
-        if (folder / "refused.txt").is_file():
-            raise RefusedError(422, (folder / "refused.txt").read_text(encoding="utf-8"))
-        if (folder / "reply.json").is_file():
-            files = {file: folder / file for file in FILES if (folder / file).is_file()}
-            reply: dict[str, Any] = json.loads((folder / "reply.json").read_text(encoding="utf-8"))
-            return reply, {file: path.read_bytes() for file, path in files.items()}
-    raise RefusedError(422, f"{name}: cannot be read, or needs too much memory")
+        refused, reply = folder / "refused.txt", folder / "reply.json"
+        if refused.is_file():
+            raise RefusedError(422, refused.read_text(encoding="utf-8"))
+        if not reply.is_file():
+            raise RefusedError(422, f"{name}: cannot be read, or needs too much memory")
+        return reply.read_bytes()
 
 
 async def _receive(request: Request, path: Path, name: str, limits: Limits) -> None:
-    """Write an upload to a file; stop when it is too large or nothing more comes."""
+    """Write an upload to a file; stop when it is too large or does not come."""
     from starlette.requests import ClientDisconnect
 
-    size, parts = 0, request.stream()
-    with path.open("wb") as stream:
-        try:
-            while True:
-                async with asyncio.timeout(limits.idle_seconds):
-                    part = await anext(parts, b"")
-                if not part:
-                    return
-                size += len(part)
-                if size > limits.bytes:
-                    raise RefusedError(413, f"{name}: larger than {limits.bytes / 1e6:g} MB")
-                stream.write(part)
-        except (TimeoutError, ClientDisconnect):
-            raise RefusedError(408, f"{name}: the upload stopped; drop it again") from None
+    size = 0
+    try:
+        async with asyncio.timeout(limits.upload_seconds):
+            with path.open("wb") as stream:
+                async for part in request.stream():
+                    size += stream.write(part)
+                    if size > limits.bytes:
+                        raise RefusedError(413, f"{name}: larger than {limits.bytes / 1e6:g} MB")
+    except (TimeoutError, ClientDisconnect):
+        raise RefusedError(408, f"{name}: the upload stopped; drop it again") from None
 
 
 class Readers:
@@ -275,15 +249,15 @@ class Readers:
             )
         return self._process
 
-    async def read(self, folder: Path, most_seconds: float) -> None:
-        """Do the job in a folder; raises TimeoutError if it takes too long."""
+    async def read(self, job: dict[str, Any], most_seconds: float) -> None:
+        """Do a job of :func:`work`; raises TimeoutError if it takes too long."""
         async with self._one_at_a_time:
             process = await self.start()
             assert process.stdin is not None
             assert process.stdout is not None
             done = b""
             try:
-                process.stdin.write(f"{folder}\n".encode())
+                process.stdin.write(f"{json.dumps(job)}\n".encode())
                 async with asyncio.timeout(most_seconds):
                     done = await process.stdout.readline()
             finally:
@@ -303,58 +277,64 @@ class Readers:
 
 
 def read_files() -> None:
-    """Do the job in each folder that standard input names, in a copy of this process."""
-    legs = list(CURVES)
-    while True:
-        if legs and not select.select([sys.stdin], [], [], 0.0)[0]:
-            prepare(legs.pop())
-        elif not (line := sys.stdin.readline()):
-            return
-        elif child := os.fork():
+    """Do the jobs that standard input names, a line each, in copies of this process."""
+    prepare()
+    while line := sys.stdin.readline():
+        if child := os.fork():
             os.waitpid(child, 0)
             sys.stdout.write("done\n")
             sys.stdout.flush()
-        else:
-            try:
-                null = os.open(os.devnull, os.O_RDWR)
-                for stream in range(3):
-                    os.dup2(null, stream)
-                os.environ["TMPDIR"] = tempfile.tempdir = line.rstrip("\n")
-                limit_process()
-                work(Path(tempfile.tempdir))
-            finally:
-                os._exit(0)
+            continue
+        try:
+            null = os.open(os.devnull, os.O_RDWR)
+            for stream in range(3):
+                os.dup2(null, stream)
+            job = json.loads(line)
+            os.environ["TMPDIR"] = tempfile.tempdir = job["folder"]
+            limit_process()
+            work(job)
+        finally:
+            os._exit(0)
 
 
-def prepare(leg: str) -> None:
+def prepare() -> None:
     """Load what an answer needs, so that the copies of this process have it."""
     from terraphi.inference.inversion import invert
 
-    with contextlib.suppress(ImportError):
-        import terraphi.robot.footfalls  # noqa: F401
-    found = invert(f"li2013:yuma/{leg}")
-    report.drawn([of_answer(found)])
+    sys.modules["dask"] = None  # type: ignore[assignment]  # xarray loads all of it to write a file
+    found = invert("li2013:yuma/straight")
+    page.render([of_answer(found)])
     with tempfile.TemporaryDirectory() as place:
         write_files(found, Path(place))
 
 
-def work(folder: Path) -> None:
-    """Read the dropped file of a job; write ``reply.json``, or the reason in ``refused.txt``."""
-    job = json.loads((folder / "job.json").read_text(encoding="utf-8"))
-    file, name = str(folder / job["file"]), job["name"]
+def work(job: dict[str, Any]) -> None:
+    """Read a dropped file; write ``reply.json``, or the reason against it in ``refused.txt``.
+
+    Parameters
+    ----------
+    job
+        ``folder`` and ``file`` in it, the ``name`` that was dropped, the ``task`` (look, answer);
+        ``leg``, ``density`` and, as JSON, ``columns``.
+    """
+    folder, name = Path(job["folder"]), job["name"]
+    file = str(folder / job["file"])
 
     def named(text: str) -> str:
         return text.replace(file, name).replace(job["file"], name)
 
     try:
-        columns = {**json.loads(job["options"]["columns"] or "{}")}
+        columns = {**json.loads(job["columns"] or "{}")}
         if job["task"] == "look":
             reply = look(file, columns)
-            reply["wrong"] = named(reply.get("wrong", ""))
         else:
-            found = answers(file, name, {**job["options"], "columns": columns})
-            reply = {"title": name, **report.drawn(found)}
-        (folder / "reply.json").write_text(report.embedded(reply), encoding="utf-8")
+            (folder / "files").mkdir()
+            found = answers(file, name, columns, leg=job["leg"], density=job["density"])
+            reply = page.drawn(found)
+            files = {path.name: path.read_bytes() for path in folder.glob("files/*")}
+            files = {"report.html": page.document(name, **reply).encode(), **files}
+            reply["files"] = {key: base64.b64encode(f).decode() for key, f in files.items()}
+        (folder / "reply.json").write_text(page.embedded(reply), encoding="utf-8")
     except InputError as error:
         sentence = named(str(error))
         sentence = sentence if name in sentence else f"{name}: {sentence}"
@@ -363,18 +343,20 @@ def work(folder: Path) -> None:
 
 def look(file: str, columns: dict[str, Any]) -> dict[str, Any]:
     """Kind of a file; of a table of forces, its columns, their guesses, and what is read so."""
-    from terraphi.experiment.measurements import open_forces
-    from terraphi.experiment.reading import preview
+    from terraphi.experiment.measurements import measurement_of
+    from terraphi.experiment.reading import preview, read_trials
+    from terraphi.experiment.tables import read_table
 
-    if (kind := report.kind_of(file)) != "forces":
+    if (kind := kind_of(file)) != "forces":
         return {"kind": kind}
-    shown = preview(file, columns)
+    table = read_table(Path(file))
+    shown = preview(table, columns)
     reply = {"kind": kind, **shown._asdict(), "rows": [numbers(row) for row in shown.rows]}
     try:
-        found = open_forces(file, columns)[0]
+        history = read_trials(table, columns)[0]
     except InputError as error:
-        return {**reply, "wrong": str(error)}
-    history = found.history
+        return {**reply, "wrong": str(error).removeprefix("Table: ")}
+    found = measurement_of(history)
     read = {"θ [deg]": history.theta_deg}
     for name in history.channels:
         read[f"{name} [{CHANNEL_UNITS[name]}]"] = history.channel(name)
@@ -385,31 +367,40 @@ def look(file: str, columns: dict[str, Any]) -> dict[str, Any]:
     return {**reply, "leg": leg, "density": found.density_kg_m3}
 
 
-def answers(file: str, name: str, options: dict[str, Any]) -> list[Section]:
-    """Sections for a dropped file, and files next to it: an inversion, or footfalls of a log."""
-    kind, folder = report.kind_of(file), Path(file).parent
+def answers(
+    file: str, name: str, columns: dict[str, Any], *, leg: str | None, density: str | None
+) -> list[Section]:
+    """Sections for a dropped file: an inversion, footfalls and foot forces of a log, or a result.
+
+    What can be downloaded goes to the folder ``files`` next to it.
+    """
+    kind, folder = kind_of(file), Path(file).parent / "files"
     if kind in ("forces", "simulation"):
         from terraphi.experiment.measurements import open_forces
         from terraphi.inference.inversion import invert
 
-        measured = open_forces(file, options.pop("columns"))
+        measured = open_forces(file, columns)
         measured = [replace(one, name=one.name.replace(file, name)) for one in measured]
-        answer = invert(measured, **options)
+        answer = invert(measured, leg=leg, density=density)
         write_files(answer, folder)
         return [of_answer(answer)]
-    found = [section_of(file, kind)._replace(title=name)]
-    if kind == "log":
-        from terraphi.robot.footfall_files import write_footfalls
-        from terraphi.robot.footfalls import footfalls
+    if kind != "log":
+        return [section_of(file)._replace(title=name)]
+    from terraphi.robot.footfalls import footfalls
+    from terraphi.robot.logs import read_log
+    from terraphi.robot.model import Quadruped
+    from terraphi.robot.results import foot_forces
 
-        try:
-            walked = footfalls(file, density=options["density"])
-            write_footfalls(walked, folder / "footfalls.nc")
-            found.insert(0, of_footfalls(walked, name))
-        except InputError as error:
-            why = f"No footfalls: {str(error).replace(file, name)}."
-            found[0] = found[0]._replace(lines=[*found[0].lines, why])
-    return found
+    robot = Quadruped.load("go2")
+    log = read_log(file, motors=robot.joint_order)
+    forces = of_foot_forces(foot_forces(log, robot=robot), name)
+    try:
+        walked = footfalls(log, robot=robot, density=density)
+    except InputError as error:
+        why = f"No footfalls: {str(error).removeprefix('the log: ')}."
+        return [forces._replace(lines=[*forces.lines, why])]
+    walked.to_netcdf(folder / "footfalls.nc")
+    return [of_footfalls(walked, name), forces]
 
 
 def write_files(answer: Answer, folder: Path) -> None:

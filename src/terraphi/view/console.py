@@ -12,20 +12,24 @@ import click
 
 from terraphi.view.table import Table
 
-MOST_FOOTFALLS = 40
-"""Footfalls that a terminal shows; all are in the files."""
-MOST_PLACES = 10
-"""Places along a path that a terminal shows."""
-
 
 def as_text(data: Any) -> str:
     """JSON, indented."""
     return json.dumps(data, indent=2, ensure_ascii=False)
 
 
-def print_json(data: Any) -> None:
-    """One JSON object on standard output."""
-    click.echo(as_text(data))
+def present(data: Any, *parts: str | Table | Mapping[str, Any], as_json: bool) -> None:
+    """Print data as JSON, or else what people read: text, tables, names with their values."""
+    if as_json:
+        click.echo(as_text(data))
+        return
+    for part in parts:
+        if isinstance(part, str):
+            click.echo(part)
+        elif isinstance(part, Table):
+            print_table(part)
+        else:
+            print_pairs(part)
 
 
 def print_table(table: Table) -> None:
@@ -64,36 +68,6 @@ def words(value: Any) -> str:
     return str(value)
 
 
-def print_forces(summary: dict[str, Any]) -> None:
-    """Foot forces of a log: a row a foot, then the rest of the summary."""
-    from terraphi.view.robot_plots import feet_table
-
-    title = f"Force of the ground on the feet, {summary['estimator']}, {summary['frame']} frame"
-    print_table(feet_table(summary, title))
-    shown = {"feet", "pooled", "estimator", "frame"}
-    print_pairs({name: value for name, value in summary.items() if name not in shown})
-
-
-def print_footfalls(summary: dict[str, Any]) -> None:
-    """φ under each footfall, then along the path with both bands."""
-    from terraphi.view.robot_plots import footfalls_table
-
-    print_table(footfalls_table(summary, MOST_FOOTFALLS))
-    path = summary["path"]
-    if path["phi_deg"] and path["phi_deg"][0] is not None:
-        bands = ("ci68_relative", "ci68_absolute")
-        cells = [
-            (
-                f"{path['s_m'][i]:.2f}", f"{path['phi_deg'][i]:.1f}",
-                *("{:.1f} to {:.1f}".format(*path[band][i]) for band in bands),
-            )
-            for i in range(0, len(path["s_m"]), max(1, len(path["s_m"]) // MOST_PLACES))
-        ]  # fmt: skip
-        columns = ("s [m]", "φ [deg]", "68 %, relative", "68 %, absolute")
-        print_table(Table("Along the path, footfalls pooled", columns, cells))
-    print_pairs({name: summary[name] for name in ("counts", "by_law_deg", "notes")})
-
-
 @contextmanager
 def progress_bar(description: str) -> Iterator[Callable[[float, float], None]]:
     """Time left, on a terminal only.
@@ -107,19 +81,8 @@ def progress_bar(description: str) -> Iterator[Callable[[float, float], None]]:
         yield lambda _done, _total: None
         return
     from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        Progress,
-        TaskProgressColumn,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
+    from rich.progress import Progress
 
-    columns = (
-        TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn(),
-        TextColumn("left,"), TimeElapsedColumn(), TextColumn("spent"),
-    )  # fmt: skip
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(description, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)

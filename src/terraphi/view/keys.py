@@ -72,18 +72,6 @@ def as_dict(document: str) -> dict[str, Any]:
     return {"document": document, "tables": found}
 
 
-def markdown(document: str) -> str:
-    """Tables of a document as a page, from the second level of headings down."""
-    parts = []
-    for one in tables(document):
-        title, _, about = one.title.partition(": ")
-        rows = [
-            (f"`{row[0]}`", *(cell.replace("<", "&lt;") for cell in row[1:])) for row in one.rows
-        ]
-        parts += [f"## `{title}`", about, Table("", HEADER, rows).markdown()]
-    return "\n\n".join(parts) + "\n"
-
-
 def _walk(
     schema: Schema, model: str, place: str, models: dict[str, Schema]
 ) -> Iterator[tuple[str, str]]:

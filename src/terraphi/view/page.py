@@ -1,25 +1,30 @@
-"""The public function that makes a page of results, from memory or files."""
+"""Results in one HTML file that works offline and on a phone.
+
+The file contains Plotly, compressed, and unpacks it in the browser. A content security policy
+allows the scripts of the page alone, each by its hash, so that a name in a file stays text.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import base64
+import datetime as dt
+import gzip
+import hashlib
+import importlib.metadata
+import json
+import re
+from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
-from terraphi.experiment.errors import InputError
-from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.errors import InputError, needing
+from terraphi.experiment.files import replacing
 from terraphi.experiment.outputs import check_file
-from terraphi.inference.answer import Answer
-from terraphi.library.store import Library
-from terraphi.robot.footfalls import FootfallMap
-from terraphi.robot.results import RobotForces
-from terraphi.view.report import sections, write
+from terraphi.view.sections import Plot, Section, section_of
 
-NAMES = {
-    "ForceHistory": "forces.nc", "RobotForces": "foot forces.nc", "FootfallMap": "footfalls.nc",
-}  # fmt: skip
-"""Title of a result in memory that has no name of its own."""
+ASSETS = Path(__file__).with_name("assets")
+"""Templates and scripts of the pages."""
 
 
 def report(results: Any, path: Path | str, *, robot: str = "go2") -> list[tuple[str, str]]:
@@ -55,27 +60,114 @@ def report(results: Any, path: Path | str, *, robot: str = "go2") -> list[tuple[
     if out.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"{out}: a report is written as HTML; name it {out.stem}.html")
     check_file(out)
-    every: Sequence[Any] = results if isinstance(results, list | tuple) else [results]
-    if not every:
+    found = sections(results if isinstance(results, list | tuple) else [results], robot=robot)
+    if not found:
         raise InputError("no results to report")
-    with TemporaryDirectory() as folder:
-        sources = [_file_of(one, Path(folder, str(i))) for i, one in enumerate(every)]
-        found = sections(sources, robot=robot)
-        write(found, out)
+    content = render(found)
+    with replacing(out) as temporary:
+        temporary.write_text(content, encoding="utf-8")
     return [(one.title, one.headline) for one in found]
 
 
-def _file_of(result: Any, folder: Path) -> str:
-    """Where a result lies; one in memory is first written into a new folder."""
-    if isinstance(result, str | Path):
-        return str(result)
-    kind = type(result)
-    if not isinstance(result, Answer | ForceHistory | Library | RobotForces | FootfallMap):
-        raise InputError(
-            f"result of type {kind.__name__}; give an Answer, ForceHistory, Library, foot forces, "
-            "footfalls or a path"
+def sections(results: Sequence[Any], *, robot: str = "go2") -> list[Section]:
+    """A section for each result; a folder of several answers stands for each of them.
+
+    Raises
+    ------
+    InputError
+        If one of them cannot be used.
+    """
+    every: list[Any] = []
+    for one in results:
+        folder = Path(one) if isinstance(one, str | Path) else Path()
+        inside = sorted(file.parent for file in folder.glob("*/answer.nc")) if folder.name else []
+        every += inside or [one]
+    return [section_of(one, robot=robot) for one in every]
+
+
+def render(found: Sequence[Section]) -> str:
+    """HTML of a page with some sections; raises InputError if a package is missing."""
+    return document(", ".join(one.title for one in found), **drawn(found))
+
+
+def drawn(found: Sequence[Section]) -> dict[str, Any]:
+    """HTML of some sections (``html``), and their ``plots`` by the element that they go to."""
+    plots = {
+        f"plot-{i}-{j}": {"data": part.traces, "layout": part.layout}
+        for i, section in enumerate(found)
+        for j, part in enumerate(section.parts)
+        if isinstance(part, Plot)
+    }
+    return {"html": load_template("sections.html").render(sections=found), "plots": plots}
+
+
+def document(title: str, html: str, plots: Mapping[str, Any]) -> str:
+    """A whole page from what :func:`drawn` returns; raises InputError if a package is missing."""
+    library, packed = plotly()
+    script = asset("plots.js") + asset("report.js")
+    return str(
+        load_template("report.html").render(
+            title=title,
+            html=html,
+            script=script,
+            plots=embedded(plots),
+            plotly=packed,
+            policy=f"default-src 'none'; script-src {digest(script)} {library}; "
+            "style-src 'unsafe-inline'; img-src data: blob:; base-uri 'none'; form-action 'none'",
+            version=importlib.metadata.version("terraphi"),
+            made=f"{dt.datetime.now().astimezone():%Y-%m-%d %H:%M %Z}",
         )
-    folder.mkdir()
-    place = folder / NAMES.get(kind.__name__, "result.nc")
-    result.save(place) if isinstance(result, Library) else result.to_netcdf(place)
-    return str(place)
+    )
+
+
+def asset(name: str) -> str:
+    """Text of a script."""
+    return ASSETS.joinpath(name).read_text(encoding="utf-8")
+
+
+@cache
+def load_template(name: str) -> Any:
+    """A template that escapes all values; raises InputError if Jinja2 is missing."""
+    with needing("a page", "Jinja2 and plotly", extra="report"):
+        from jinja2 import Environment, FileSystemLoader, StrictUndefined
+    environment = Environment(
+        loader=FileSystemLoader(ASSETS),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["breakable"] = _breakable
+    return environment.get_template(name)
+
+
+def _breakable(text: str) -> Any:
+    """Text whose lines break after the separators of long names, not inside a part of one."""
+    from markupsafe import Markup, escape
+
+    whole = re.sub(r" (?=%)|(?<=±) ", "&nbsp;", str(escape(text))).replace("3-D", "3&#8209;D")
+    named = re.sub(r"[^\s&;]{16,}", lambda m: re.sub(r"[/:](?=\w)", r"\g<0><wbr>", m[0]), whole)
+    return Markup(re.sub(r"[^\s&;/:<>]{24,}", lambda m: m[0].replace("_", "_<wbr>"), named))
+
+
+def digest(script: str) -> str:
+    """A script's hash, as a content security policy names it."""
+    return f"'sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}'"
+
+
+def embedded(data: Any) -> str:
+    """JSON that can stand inside a script element."""
+    text = json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    for character in "<>&\u2028\u2029":
+        text = text.replace(character, f"\\u{ord(character):04x}")
+    return text
+
+
+@cache
+def plotly() -> tuple[str, str]:
+    """Hash of the script of Plotly, and the script compressed in base64."""
+    with needing("a page", "Jinja2 and plotly", extra="report"):
+        from plotly.offline import get_plotlyjs
+    library: str = get_plotlyjs()
+    packed = gzip.compress(library.encode(), compresslevel=6, mtime=0)
+    return digest(library), base64.b64encode(packed).decode("ascii")

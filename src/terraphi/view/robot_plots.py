@@ -5,21 +5,25 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, panels_of
+from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE
 from terraphi.view.table import Table
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
+    from terraphi.experiment.figure import Figure
     from terraphi.robot.results import RobotForces
 
 LOOKS = {"FR": (BLUE, "-"), "FL": (ORANGE, "--"), "RR": (GREEN, "-."), "RL": (PURPLE, ":")}
 FOOT_NAMES = {"FR": "front right", "FL": "front left", "RR": "rear right", "RL": "rear left"}
+MOST_FOOTFALLS = 40
+"""Footfalls that a terminal shows; all are in the files."""
+MOST_PLACES = 10
+"""Places along a path that a terminal shows."""
+BANDS = ("relative", "absolute")
 SHOWN = {"x": (0, "$F_x$ [N]"), "z": (2, "$F_z$ [N], up")}
 """Axis to its column and label."""
 
 
-def footfalls_table(summary: dict[str, Any], most: int) -> Table:
+def footfalls_table(summary: dict[str, Any], most: int = MOST_FOOTFALLS) -> Table:
     """Place, sinkage, φ and verdict of the first footfalls of a summary."""
     rows = []
     for one in summary["footfalls"][:most]:
@@ -40,6 +44,19 @@ def footfalls_table(summary: dict[str, Any], most: int) -> Table:
     return Table(f"Footfalls, law {summary['law']}", header, rows, note)
 
 
+def path_table(path: Mapping[str, Any]) -> Table:
+    """φ at some places along the path of a summary with a usable footfall, with both bands."""
+    rows = [
+        (
+            f"{path['s_m'][i]:.2f}", f"{path['phi_deg'][i]:.1f}",
+            *("{:.1f} to {:.1f}".format(*path[f"ci68_{band}"][i]) for band in BANDS),
+        )
+        for i in range(0, len(path["s_m"]), max(1, len(path["s_m"]) // MOST_PLACES))
+    ]  # fmt: skip
+    header = ("s [m]", "φ [deg]", *(f"68 %, {band}" for band in BANDS))
+    return Table("Along the path, footfalls pooled", header, rows)
+
+
 def feet_table(summary: Mapping[str, Any], title: str) -> Table:
     """Stances of each foot and of all, with the duration and signed peaks of the mean one."""
     feet = {f"{name} ({foot})": summary["feet"][foot] for foot, name in FOOT_NAMES.items()}
@@ -58,7 +75,10 @@ def feet_table(summary: Mapping[str, Any], title: str) -> Table:
 
 def stance_figure(result: RobotForces) -> Figure:
     """Mean stance over normalised time: all feet with the spread, and foot by foot."""
-    figure, (panels,) = panels_of(1, 2, size=(10.0, 4.4))
+    from terraphi.experiment.figure import Figure
+
+    figure = Figure(figsize=(10.0, 4.4), layout="constrained")
+    panels = figure.subplots(1, 2)
     pooled = result.pooled
     for axes, (name, (column, label)) in zip(panels, SHOWN.items(), strict=True):
         if result.stances:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import json_object
+from terraphi.experiment.files import json_object, netcdf_kind, open_netcdf
 from terraphi.experiment.history import CHANNEL_UNITS, ForceHistory
 from terraphi.experiment.measurements import scenario_of
 from terraphi.experiment.outputs import changed
@@ -23,6 +23,8 @@ from terraphi.view.table import Table
 
 if TYPE_CHECKING:
     from terraphi.inference.answer import Answer
+    from terraphi.library.store import Library
+    from terraphi.robot.footfalls import FootfallMap
 
 SHOWN_S = 10.0
 """Part of a robot's log that is shown over time [s]."""
@@ -34,6 +36,10 @@ THETA = "leg angle θ [deg]"
 FORCES = {"Fx": "F<sub>x</sub> [N], forward", "Fz": "F<sub>z</sub> [N], up"}
 CHANNELS = {**FORCES, "M": "M [N m]"}
 PALE_BLUE, PALE_GREY = "rgba(0,114,178,0.22)", "rgba(102,102,102,0.25)"
+TABLES = (".csv", ".txt", ".tsv", ".dat", ".lvm")
+LOGS = (".mcap", ".db3", ".parquet", *TABLES)
+KINDS = ("answer", "library", "force history", "foot forces", "footfalls")
+"""Marks in the NetCDF of results."""
 Trace = dict[str, Any]
 
 
@@ -66,16 +72,71 @@ class Section(NamedTuple):
     status: str = ""
 
 
-def section_of(source: str, kind: str, *, robot: str = "go2") -> Section:
-    """The section of a result; raises InputError if it cannot be used.
+def kind_of(source: Path | str) -> str:
+    """What a file, a folder or the name of a shipped library is.
+
+    Returns
+    -------
+    str
+        ``answer``, ``library``, ``simulation``, ``foot forces``, ``footfalls``, ``map``, ``log``
+        or ``forces`` (a table of forces on a leg).
+
+    Raises
+    ------
+    InputError
+        If it is not there, or nothing that a report can show.
+    """
+    from terraphi.library.store import Library
+
+    path = Path(source)
+    names = {file.name for file in path.iterdir()} if path.is_dir() else set()
+    for name, kind in {"answer.nc": "answer", "map.json": "map"}.items():
+        if name in names:
+            return kind
+    if path.suffix == ".nc" and path.is_file():
+        if (kind := netcdf_kind(path)) not in KINDS:
+            raise InputError(f"{path}: not a NetCDF of terraphi's results")
+        return kind.replace("force history", "simulation")
+    if path.is_file() and path.suffix in TABLES:
+        with path.open("rb") as stream:
+            return "log" if b"_angle_rad" in stream.read(4096) else "forces"
+    if (path.is_file() and path.suffix in LOGS) or any(Path(n).suffix in LOGS[:2] for n in names):
+        return "log"
+    if not path.exists() and str(source) in Library.names():
+        return "library"
+    raise InputError(
+        f"{source}: no result; give a folder of invert, demo or map, a NetCDF of another command, "
+        "a shipped library or a robot's log"
+    )
+
+
+def section_of(result: Any, *, robot: str = "go2") -> Section:
+    """The section of a result, in memory or a file; raises InputError if it cannot be used.
 
     Parameters
     ----------
-    source, kind
-        As in :func:`terraphi.view.report.kind_of`.
+    result
+        As of :func:`terraphi.report`.
     robot
         Of a log.
     """
+    if isinstance(result, str | Path):
+        return _of_file(result, kind_of(result), robot)
+    # By name, so that no package is loaded whose result this is not.
+    kinds: dict[str, Callable[[Any], Section]] = {
+        "Answer": of_answer, "ForceHistory": of_simulation, "Library": of_library,
+        "RobotForces": of_foot_forces, "FootfallMap": of_footfalls,
+    }  # fmt: skip
+    name = type(result).__name__
+    if name not in kinds:
+        raise InputError(
+            f"result of type {name}; give an Answer, ForceHistory, Library, foot forces, "
+            "footfalls or a path"
+        )
+    return kinds[name](result)
+
+
+def _of_file(source: Path | str, kind: str, robot: str) -> Section:
     path = Path(source)
     if kind == "answer":
         from terraphi.inference.answer import Answer
@@ -87,16 +148,23 @@ def section_of(source: str, kind: str, *, robot: str = "go2") -> Section:
 
         return of_answer(invert(source))
     if kind == "library":
-        return of_library(source)
+        from terraphi.library.store import Library
+
+        return of_library(Library.load(source))
     if kind == "simulation":
-        return of_simulation(path)
+        return of_simulation(ForceHistory.from_netcdf(path), path.name)
     if kind == "map":
         return of_map(path)
     if kind == "footfalls":
         from terraphi.robot.footfall_files import read_footfalls
 
         return of_footfalls(read_footfalls(path), path.name)
-    return of_foot_forces(path, robot)
+    from terraphi.robot import results
+
+    if kind == "foot forces":
+        data = open_netcdf(path, kind=results.KIND, schema=results.SCHEMA)
+        return of_foot_forces(data, path.name)
+    return of_foot_forces(results.foot_forces(path, robot=robot), path.name)
 
 
 # -- answers -------------------------------------------------------------------------------------
@@ -178,30 +246,29 @@ def _posterior(answer: Answer) -> list[Plot]:
 # -- simulations ---------------------------------------------------------------------------------
 
 
-def of_library(source: str) -> Section:
+def of_library(library: Library) -> Section:
     """Force curves and peaks of each leg over the friction angle."""
     from matplotlib import colormaps
     from matplotlib.colors import to_hex
 
-    from terraphi.library.store import Library
-
-    library = Library.load(source)
     summary = library.summary()
     low, high = summary["phi_deg"]
     parts: list[Plot | Picture | Table] = []
     for leg in library.legs:
-        cases = [c for c in library.cases if c.history and c.scenario.leg.shape == leg]
-        cases.sort(key=lambda case: case.scenario.soil.friction_angle_deg)
+        curves = [
+            (case.scenario.soil.friction_angle_deg, case.history)
+            for case in library.cases
+            if case.history and case.scenario.leg.shape == leg
+        ]
+        curves.sort(key=lambda one: one[0])
         for force, label in FORCES.items():
             traces = []
-            for case in cases:
-                assert case.history is not None
-                phi = case.scenario.soil.friction_angle_deg
+            for phi, history in curves:
                 colour = to_hex(colormaps["viridis"](0.9 * (phi - low) / max(high - low, 1e-9)))
-                x, y = curve(case.history, force)
+                x, y = curve(history, force)
                 traces.append(line(x, y, f"φ = {phi:g}°", colour) | {"showlegend": False})
             note = f"Dark to light: φ = {low:g} to {high:g}°."
-            where = position_label(cases[0].history)
+            where = position_label(curves[0][1])
             parts.append(Plot(f"{force}, {LEGS.get(leg, leg)}", traces, axes(where, label), note))
     known = summary.pop("provenance")
     contents = {key: value for key, value in summary.items() if value not in ("", [], {}, None)}
@@ -215,17 +282,16 @@ def of_library(source: str) -> Section:
     return Section("library", library.name, headline, lines, parts, pairs(known), status)
 
 
-def of_simulation(path: Path) -> Section:
+def of_simulation(history: ForceHistory, name: str = "forces") -> Section:
     """Both forces of a simulation along its path."""
-    history = ForceHistory.from_netcdf(path)
-    scenario = scenario_of(history, name=str(path))
+    scenario = scenario_of(history, name)
     plots = [
         Plot(
-            name,
-            [line(*curve(history, name), name, BLUE)],
-            axes(position_label(history), CHANNELS[name]),
+            force,
+            [line(*curve(history, force), force, BLUE)],
+            axes(position_label(history), CHANNELS[force]),
         )
-        for name in history.channels
+        for force in history.channels
     ]
     summary = history.summary()
     units = {name: CHANNEL_UNITS[name].replace(" ", "") for name in history.channels}
@@ -235,7 +301,7 @@ def of_simulation(path: Path) -> Section:
         leg, phi = scenario.leg.shape, scenario.soil.friction_angle_deg
         headline += f"; {LEGS.get(leg, leg)}, φ = {phi:g}°"
     parts: list[Plot | Picture | Table] = [*plots, Table("In numbers", ("", ""), pairs(summary))]
-    return Section("simulation", path.name, headline, [], parts, pairs(history.provenance))
+    return Section("simulation", name, headline, [], parts, pairs(history.provenance))
 
 
 def curve(history: ForceHistory, force: str) -> tuple[Any, Any]:
@@ -250,25 +316,22 @@ def curve(history: ForceHistory, force: str) -> tuple[Any, Any]:
     return theta, history.means(np.radians(theta), math.radians(0.5), values=values)
 
 
-def position_label(history: ForceHistory | None) -> str:
+def position_label(history: ForceHistory) -> str:
     """Label of the axis of positions."""
-    names = {"theta": THETA, "displacement": "displacement [mm]", "time": "time [s]"}
-    return names[history.coordinate] if history is not None else ""
+    return {"theta": THETA, "displacement": "displacement [mm]", "time": "time [s]"}[
+        history.coordinate
+    ]
 
 
 # -- robots and slopes ---------------------------------------------------------------------------
 
 
-def of_foot_forces(path: Path, robot: str) -> Section:
-    """Foot forces over time with the stances, and the mean stance, of a file or a log."""
-    from terraphi.experiment.files import open_netcdf
-    from terraphi.robot import results
+def of_foot_forces(found: Any, name: str = "foot forces") -> Section:
+    """Foot forces over time with the stances, and the mean stance, from memory or a file."""
+    from terraphi.robot.results import RobotForces, dataset_of
     from terraphi.view.robot_plots import FOOT_NAMES, feet_table
 
-    if path.suffix == ".nc":
-        data: Any = open_netcdf(path, kind=results.KIND, schema=results.SCHEMA)
-    else:
-        data = results.dataset_of(results.foot_forces(path, robot=robot))
+    data = dataset_of(found) if isinstance(found, RobotForces) else found
     summary = json_object(data.attrs["summary"])
     time, force = data["time"].values, data["force"].values
     begins = data["stance_begin"].values
@@ -278,15 +341,15 @@ def of_foot_forces(path: Path, robot: str) -> Section:
     feet = list(map(str, data["foot"].values))
     for i, foot in enumerate(feet):
         traces = [
-            line(time[shown], force[shown, i, k], name, colour)
-            for name, k, colour in (("Fz", 2, BLUE), ("Fx", 0, ORANGE))
+            line(time[shown], force[shown, i, k], axis, colour)
+            for axis, k, colour in (("Fz", 2, BLUE), ("Fx", 0, ORANGE))
         ]
         title = f"{FOOT_NAMES[foot].capitalize()} foot, {SHOWN_S:g} s from the first stance"
         parts.append(Plot(title, traces, axes("time [s]", "force [N]")))
     if len(begins):
         part, mean = data["part"].values, data["pooled_mean"].values
         spread, each = data["pooled_spread"].values, data["stance_mean"].values
-        for name, k in (("Fz", 2), ("Fx", 0)):
+        for axis, k in (("Fz", 2), ("Fx", 0)):
             low, high = mean[:, k] - spread[:, k], mean[:, k] + spread[:, k]
             traces = [
                 band(part, low, high, "± one standard deviation", PALE_GREY),
@@ -298,8 +361,8 @@ def of_foot_forces(path: Path, robot: str) -> Section:
                 for foot, one, colour in zip(feet, each, colours, strict=True)
                 if np.isfinite(one).any()
             ]
-            layout = axes("part of the stance [-]", FORCES[name])
-            parts.append(Plot(f"Mean stance, {name}", traces, layout))
+            layout = axes("part of the stance [-]", FORCES[axis])
+            parts.append(Plot(f"Mean stance, {axis}", traces, layout))
     pooled = summary["pooled"]
     headline = f"{pooled['stances']} stances in {summary['duration_s']:.0f} s"
     if pooled["stances"]:
@@ -307,10 +370,10 @@ def of_foot_forces(path: Path, robot: str) -> Section:
     lines = [f"{summary['estimator'].replace('_', ' ')}, frame: {summary['frame']}"]
     lines += [f"{capital(note)}." for note in summary["notes"]]
     origin = pairs(json_object(data.attrs["provenance"]))
-    return Section("foot forces", path.name, headline, lines, parts, origin)
+    return Section("foot forces", name, headline, lines, parts, origin)
 
 
-def of_footfalls(found: Any, name: str) -> Section:
+def of_footfalls(found: FootfallMap, name: str = "footfalls") -> Section:
     """Friction angles of footfalls on the ground and along the path."""
     from terraphi.robot.footfall_files import summary
     from terraphi.view.robot_plots import footfalls_table

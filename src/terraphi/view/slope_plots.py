@@ -6,11 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from terraphi.view.plots import panels_of
-
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
+    from terraphi.experiment.figure import Figure
     from terraphi.terrain.map import SlopeMap
 
 MOST_PIXELS = 800
@@ -25,6 +22,8 @@ PANELS = (
 
 def map_figure(found: SlopeMap) -> Figure:
     """Four maps with the points, hatched where the field extrapolates."""
+    from terraphi.experiment.figure import Figure
+
     every = max(1, -(-max(found.dem.height.shape) // MOST_PIXELS))
     thin = (slice(None, None, every), slice(None, None, every))
     x, y, half = found.dem.x, found.dem.y, 0.5 * found.dem.cell
@@ -33,7 +32,8 @@ def map_figure(found: SlopeMap) -> Figure:
     height = np.ma.masked_invalid(found.dem.height[thin])
     beyond = (found.layers["extrapolated"][thin] == 1).astype(float)
     size = 5.2 * min(max((extent[3] - extent[2]) / (extent[1] - extent[0]), 0.4), 2.0)
-    figure, grid = panels_of(2, 2, size=(11.0, 1.7 * size + 0.6), sharex=True, sharey=True)
+    figure = Figure(figsize=(11.0, 1.7 * size + 0.6), layout="constrained")
+    grid = figure.subplots(2, 2, sharex=True, sharey=True)
     for axes, (name, title, colours, (low, high)) in zip(grid.flat, PANELS, strict=True):
         values = np.ma.masked_invalid(found.layers[name][thin])
         shown = axes.imshow(values, cmap=colours, vmin=low, vmax=high, **on_map)

@@ -1,4 +1,4 @@
-"""A table, for a terminal and for a page in Markdown."""
+"""A table of words and numbers, for a terminal and for pages."""
 
 from __future__ import annotations
 
@@ -53,9 +53,3 @@ class Table:
         for row in self.rows:
             made.add_row(*row)
         return made
-
-    def markdown(self) -> str:
-        """The columns in Markdown, without title and note; cells may hold Markdown."""
-        lines = [self.header, ["---"] * len(self.header), *self.rows]
-        cells = [[re.sub(r"(?<!\\)\|", r"\\|", cell) for cell in line] for line in lines]
-        return "\n".join(f"| {' | '.join(line)} |" for line in cells)

@@ -153,7 +153,10 @@ async function answer() {
   const found = await send("answer");
   if (!found) return;
   const stem = file.name.replace(/\.[^.]*$/, "");
-  const links = Object.entries(found.files).map(([name, href]) => made("a", { href, download: `${stem}-${name}`, textContent: name }));
+  const links = Object.entries(found.files).map(([name, content]) => {
+    const blob = new Blob([Uint8Array.from(atob(content), (c) => c.charCodeAt(0))]);
+    return made("a", { href: URL.createObjectURL(blob), download: `${stem}-${name}`, textContent: name });
+  });
   by("answer").innerHTML = found.html;
   const box = by("answer").querySelector(".answer");
   box.append(made("p", { className: "offers" }, ...offers(box.textContent)));
