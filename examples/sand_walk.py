@@ -31,8 +31,10 @@ GAITS = {
     "walk": (Gait("walk", 1.2, ramp=0.15), Aim(speed=0.12, height=0.3)),
     "trot": (Gait("trot", 0.5, ramp=0.08), Aim(speed=0.25, height=0.3)),
     "fast": (Gait("trot", 0.5, ramp=0.08), Aim(speed=0.5, height=0.3)),
+    "slow": (Gait("walk", 1.6, ramp=0.2), Aim(speed=0.08, height=0.3)),
+    "limp": (Gait("walk", 1.2, ramp=0.15, spared=0.6), Aim(speed=0.12, height=0.3)),
 }
-"""A slow walk and two trots."""
+"""A walk, two trots, a slow walk, and one that spares a leg."""
 TILT = 0.005
 """Standard deviation of a constant error of the attitude [rad]."""
 

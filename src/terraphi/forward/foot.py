@@ -98,11 +98,16 @@ class FootLaw:
         What :meth:`force` returns, of the same arguments in their order, φ in the law's convention.
     convention
         What that is: ``plane_strain``, or ``rft3d``.
+    offset_deg, sd_deg
+        How far φ by this law lies above the true one [deg]: mean and standard deviation, from
+        grains of measured φ and plates.
     """
 
     name: str
     formula: Callable[..., FloatArray]
     convention: str = "plane_strain"
+    offset_deg: float = 0.0
+    sd_deg: float = 3.7
 
     def force(
         self,
@@ -297,7 +302,7 @@ def wrench(
 
 
 LAWS: Mapping[str, FootLaw] = {
-    "foot": FootLaw("foot", simulated_force),
+    "foot": FootLaw("foot", simulated_force, sd_deg=2.5),
     "rft": FootLaw("rft", resistive_force, "rft3d"),
     **{
         name: FootLaw(name, partial(bearing_capacity, name))

@@ -40,9 +40,15 @@ NOISE_N, NOISE_PART = 1.5, 0.04
 CORRELATION_S = 0.008
 """Correlation time of the noise [s]."""
 ROUNDS = 25
-EXPONENTS = (-0.7, 0.0)
-"""Range of what is added to a law's power of depth [-]: stress in soil grows in proportion to depth
-at most, as resistive force theory has it, and a force that is a millisecond late looks like 0.1."""
+EXPONENTS = (-0.7, 0.4)
+"""Range of what is added to a law's power of depth [-]; the upper end makes law ``foot`` grow like
+resistive force theory, whose stress is proportional to the depth."""
+TAUGHT_SD = 0.03
+"""Standard deviation of an exponent that touch-downs have taught [-]."""
+SLOPE_PER_EXPONENT = 1.2
+"""Standard deviation of the error of a law's growth with φ, per exponent that its growth with depth
+lacks [-]: of forces by the package's other laws, law ``foot`` lacks 0.4 for resistive force theory,
+which changes with φ 0.4 times as much, -0.3 for Meyerhof's (1.15 times), 0 for Hansen's (1.0)."""
 TEACHERS = 60
 """Touch-downs that teach it at most, evenly chosen."""
 BLOCK = 512
@@ -76,12 +82,13 @@ class Prior:
         Of the way that feet go down, as the odometry has it, relative [-]: standing feet give
         way a little while the load moves over, and the attitude errs.
     law_sd_deg
-        Of the law's offset [deg]: from measured plates.
+        Of the law's offset [deg]; not given: the law's own.
     exponent, exponent_sd
         Of an exponent by which the law's growth with depth is wrong [-]: of the depth over the
         foot's radius, a factor on the law.
     slope_sd
-        Of a relative error of the law's growth with φ [-], about ``phi_deg``.
+        Of a relative error of differences of φ between places [-], for the law grows with φ
+        otherwise than the soil.
     """
 
     phi_deg: float = 32.0
@@ -98,10 +105,10 @@ class Prior:
     gain_sd: float = 0.1
     friction_sd: float = 0.1
     drop_sd: float = 0.02
-    law_sd_deg: float = 3.7
+    law_sd_deg: float | None = None
     exponent: float = 0.0
     exponent_sd: float = 0.2
-    slope_sd: float = 0.15
+    slope_sd: float = 0.05
 
 
 TORQUES = tuple(f"gain_{i}" for i in range(12)) + tuple(f"friction_{i}" for i in range(12))
@@ -115,7 +122,7 @@ def shared_sd(prior: Prior) -> FloatArray:
     """Standard deviations of :data:`SHARED`, in their units."""
     p = prior
     soil = [p.density_sd / p.density, p.surface_friction_sd, p.radius_sd]
-    law = [p.law_sd_deg, p.exponent_sd, p.slope_sd]
+    law = [LAWS["foot"].sd_deg if p.law_sd_deg is None else p.law_sd_deg, p.exponent_sd, p.slope_sd]
     return np.array([p.gain_sd] * 12 + [p.friction_sd] * 12 + [p.drop_sd, *soil, *law])
 
 
@@ -136,7 +143,8 @@ class Fit(NamedTuple):
     misfit
         χ² over the degrees of freedom [-].
     shared
-        S for :data:`SHARED`: how far φ̂ is off per unit of θ − θ₀, shape [touchdown, shared].
+        S for :data:`SHARED`: how far φ̂ is off per unit of θ − θ₀, shape [touchdown, shared]; zero
+        for ``law_slope``, which compares touch-downs.
     """
 
     phi: FloatArray
@@ -223,7 +231,8 @@ def with_exponent(seen: Touchdowns, law: str, prior: Prior) -> Prior:
     """The prior with the growth with depth that the touch-downs' courses of force have.
 
     The exponent within :data:`EXPONENTS` with the least median misfit. Footfalls do not teach the
-    level or the slope in φ of a law: there, another law and another field of φ are the same.
+    level or the slope in φ of a law: there, another law and another field of φ are the same. But
+    the further the law's growth with depth is off, the less sure is its growth with φ.
 
     Parameters
     ----------
@@ -242,7 +251,8 @@ def with_exponent(seen: Touchdowns, law: str, prior: Prior) -> Prior:
         return float(np.median(fit(part, law, replace(prior, exponent=exponent)).misfit))
 
     best = minimize_scalar(misfit, bounds=EXPONENTS, method="bounded", options={"xatol": 0.02}).x
-    return replace(prior, exponent=float(best))
+    slope_sd = float(np.hypot(prior.slope_sd, SLOPE_PER_EXPONENT * best))
+    return replace(prior, exponent=float(best), exponent_sd=TAUGHT_SD, slope_sd=slope_sd)
 
 
 def _fit(seen: Touchdowns, law: FootLaw, prior: Prior) -> Fit:
@@ -304,7 +314,6 @@ def _fit(seen: Touchdowns, law: FootLaw, prior: Prior) -> Fit:
     for name, rise in rises.items():
         shared[:, SHARED.index(name)] = np.einsum("nl,nl->n", gain, rise)
     shared[:, SHARED.index("law_offset")] = 1.0
-    shared[:, SHARED.index("law_slope")] = state[:, 0] - prior.phi_deg
     chi = np.einsum("nk,nkl,nl->n", left, weight, left)
     misfit = chi / np.maximum(seen.used.sum(axis=1) - 2.0, 1.0)
     depth = seen.drop + state[:, 1:2] + state[:, 2:3] * seen.time

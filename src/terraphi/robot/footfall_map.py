@@ -18,9 +18,9 @@ Gains of the motors and friction of the joints come from the robot's own weight 
 torques' gains and in friction that was not accounted for, so the times in which different legs
 carry different shares separate the errors by linear least squares with priors.
 
-Two bands come out. **Relative**: places of one walk compared with each other, for which soil, foot
-and law (density, surface friction, radius, law) are as assumed, and of the sensors' errors only
-what differs from foot to foot counts. **Absolute**: all that is shared is uncertain.
+Two bands come out. **Relative**: places of one walk compared with each other. What θ adds to all
+alike cancels; what differs from foot to foot, with the sinkage or with φ itself counts.
+**Absolute**: all that is shared is uncertain.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from typing import NamedTuple
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.robot.footfall_fit import SENSORS, TORQUES, Prior, shared_sd
+from terraphi.robot.footfall_fit import TORQUES, Prior, shared_sd
 from terraphi.robot.legs import GRAVITY
 from terraphi.robot.touchdowns import Sensitivity
 
@@ -228,7 +228,6 @@ def pool(
     from scipy.linalg import block_diag
 
     kept = _some(seen, MOST)
-    n = len(SENSORS)
     amplitude, length, scatter = _learnt(kept, shared, mean)
     shared = _taught(kept, shared, amplitude, length, scatter, mean)
     stretches = [points for _, points in anchors]
@@ -242,8 +241,8 @@ def pool(
     weights = half.T @ _solve(lower, np.column_stack([kept.phi - mean, kept.shared]))
     before = average @ covariance(places, places, amplitude, length) @ average.T
     found, spread, moves = mean + weights[:, 0], before - half.T @ half, weights[:, 1:]
-    apart = moves[:, :n] - moves[: len(path), :n].mean(axis=0)
-    relative = np.diag(spread) + _spread(apart, shared.covariance[:n, :n])
+    apart = moves - moves[: len(path)].mean(axis=0)
+    relative = np.diag(spread) + _spread(apart, shared.covariance)
     # φ = found − moves (θ − θ₀): anchors are seen now, footfalls have been.
     theta = shared.covariance
     whole = np.block(
@@ -257,9 +256,8 @@ def pool(
     whole = whole - gain @ whole[rows]
     centre, left = state[len(found) :], whole[len(found) :, len(found) :]
     each = np.sqrt(np.diag(left).clip(0.0))
-    # Of a place compared with others of the walk: what sensors add to all alike is shared.
-    sensors = seen.shared[:, :n]
-    unlike = _spread(sensors - sensors.mean(axis=0), left[:n, :n])
+    # Of a place compared with others of the walk: what is added to all alike is shared.
+    unlike = _spread(seen.shared - seen.shared.mean(axis=0), left)
     return Pooled(
         phi=seen.phi - seen.shared @ centre,
         sd=np.sqrt(seen.sd**2 + scatter**2 + unlike),

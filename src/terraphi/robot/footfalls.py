@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import number_with_sd, plain_number
+from terraphi.forward.foot import LAWS
 from terraphi.robot.footfall_fit import LAW_SETS, PHI_RANGE, SHARED, Fit, Prior, fit, with_exponent
 from terraphi.robot.footfall_map import ANCHOR_POINTS, Anchor, Observed, Pooled, pool, weigh
 from terraphi.robot.forces import without_broken_accelerometer
@@ -92,7 +93,8 @@ class FootfallMap:
     shared
         What all footfalls share, by name: mean, standard deviation and its share of φ's.
     by_law
-        Mean φ of the usable footfalls by each law [deg].
+        Mean φ of the usable footfalls by each law [deg]; next to ``foot`` stands ``rft``, a second
+        opinion.
     notes
         Warnings.
     provenance
@@ -249,14 +251,20 @@ def footfalls(
     seen = touchdowns(log, forces, motion, analysis.stances, per, radius=body.foot_radius)
     # The centre of mass accelerates otherwise than the trunk: legs are half of the robot.
     acceleration = motion.lift_acceleration + forces.leg_inertia / body.mass
-    common = weigh(log.time, lift, acceleration, per, chosen, mass=body.mass)
     priors = {each: _taught(seen, each, chosen) for each in LAW_SETS[law]}
     fits = {each: fit(seen, each, own) for each, own in priors.items()}
-    chosen = replace(chosen, exponent=float(np.mean([p.exponent for p in priors.values()])))
-    # The mean of several laws' fits; the best of their misfits.
+    # The mean of several laws' priors and fits; the best of their misfits.
     found = Fit(*(np.mean(column, axis=0) for column in zip(*fits.values(), strict=True)))
     found = found._replace(misfit=np.min([each.misfit for each in fits.values()], axis=0))
     verdict = verdicts(seen, found, chosen.radius)
+    if law == "foot":  # a second opinion
+        fits["rft"] = fit(seen, "rft", chosen)
+    of_law = ("exponent", "exponent_sd", "slope_sd", "law_sd_deg")
+    means = {k: float(np.mean([getattr(p, k) for p in priors.values()])) for k in of_law}
+    chosen = replace(chosen, **means)  # type: ignore[arg-type]
+    common = weigh(log.time, lift, acceleration, per, chosen, mass=body.mass)
+    by_law = {each: own.phi - LAWS[each].offset_deg for each, own in fits.items()}
+    found = found._replace(phi=np.mean([by_law[each] for each in priors], axis=0))
     usable = verdict == USABLE
     path = _path(motion, log.time)
     stretches = [(anchor, _stretch(anchor, path)) for anchor in known]
@@ -269,7 +277,9 @@ def footfalls(
         misfit = found.misfit[usable]
         scale = max(LEAST_SCALE, math.sqrt(float(np.median(np.minimum(misfit, 1.0)))))
         own = found.sd[usable] * scale * np.maximum(1.0, np.sqrt(misfit) / scale) ** 0.5
-        observed = Observed(found.phi[usable], own, found.shared[usable], seen.place[usable, :2])
+        phi, moves = found.phi[usable], found.shared[usable]
+        moves[:, SHARED.index("law_slope")] = phi - phi.mean()
+        observed = Observed(phi, own, moves, seen.place[usable, :2])
         pooled = pool(observed, common, path[:, 1:], stretches, mean=chosen.phi_deg)
         for key, values in fields.items():
             values[usable if key not in of_path else slice(None)] = getattr(pooled, key)
@@ -292,10 +302,10 @@ def footfalls(
         verdict=tuple(verdict.tolist()),
         path=path,
         shared=shared,
-        by_law={k: float(f.phi[usable].mean()) for k, f in fits.items()} if usable.any() else {},
+        by_law={k: float(v[usable].mean()) for k, v in by_law.items()} if usable.any() else {},
         notes=tuple(notes),
         provenance={
-            "log": name, "robot": body.name, "law": law, "laws": list(fits),
+            "log": name, "robot": body.name, "law": law, "laws": list(priors),
             "prior": asdict(chosen), "anchors": [anchor._asdict() for anchor in known],
             "terraphi": importlib.metadata.version("terraphi"), "forces": analysis.provenance(),
         },
@@ -303,7 +313,9 @@ def footfalls(
 
 
 def _taught(seen: Touchdowns, law: str, prior: Prior) -> Prior:
-    """The prior with the law's growth with depth, if there are enough deep touch-downs."""
+    """The prior with the law's error, and its growth with depth if enough touch-downs are deep."""
+    if prior.law_sd_deg is None:
+        prior = replace(prior, law_sd_deg=LAWS[law].sd_deg)
     first = verdicts(seen, fit(seen, law, prior), prior.radius)
     deep = np.isin(first, (USABLE, MISFIT))
     if deep.sum() < FEWEST_TEACHERS:
