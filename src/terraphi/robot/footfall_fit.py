@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -39,7 +39,8 @@ NOISE_N, NOISE_PART = 1.5, 0.04
 """Standard deviation of a force: constant [N], and as a part of it [-]; odometry is in it."""
 CORRELATION_S = 0.008
 """Correlation time of the noise [s]."""
-ROUNDS = 25
+ROUNDS, SETTLED = 25, 1e-3
+"""Of the fit at most, until a step is this part of the prior's standard deviation [-]."""
 EXPONENTS = (-0.7, 0.4)
 """Range of what is added to a law's power of depth [-]; the upper end makes law ``foot`` grow like
 resistive force theory, whose stress is proportional to the depth."""
@@ -53,6 +54,8 @@ TEACHERS = 60
 """Touch-downs that teach it at most, evenly chosen."""
 BLOCK = 512
 """Touch-downs that are fitted together; bounds the memory."""
+
+Rows = TypeVar("Rows", bound=NamedTuple)
 
 
 @dataclass(frozen=True)
@@ -227,6 +230,13 @@ def fit(seen: Touchdowns, law: str | FootLaw, prior: Prior) -> Fit:
     return Fit(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
+def evenly(rows: Rows, most: int) -> Rows:
+    """Rows of a tuple of arrays, at most so many, evenly chosen."""
+    count = len(rows[0])
+    every = np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
+    return rows._make(column[every] for column in rows)
+
+
 def with_exponent(seen: Touchdowns, law: str, prior: Prior) -> Prior:
     """The prior with the growth with depth that the touch-downs' courses of force have.
 
@@ -243,9 +253,7 @@ def with_exponent(seen: Touchdowns, law: str, prior: Prior) -> Prior:
     """
     from scipy.optimize import minimize_scalar
 
-    count = len(seen.foot)
-    every = np.unique(np.linspace(0, count - 1, min(count, TEACHERS)).astype(int))
-    part = Touchdowns._make(column[every] for column in seen)
+    part = evenly(seen, TEACHERS)
 
     def misfit(exponent: float) -> float:
         return float(np.median(fit(part, law, replace(prior, exponent=exponent)).misfit))
@@ -258,32 +266,37 @@ def with_exponent(seen: Touchdowns, law: str, prior: Prior) -> Prior:
 def _fit(seen: Touchdowns, law: FootLaw, prior: Prior) -> Fit:
     weight = np.asarray(np.linalg.inv(noise_covariance(seen, prior)))
     mean = np.array([prior.phi_deg, 0.0, 0.0])
-    precision = np.diag(np.array([prior.phi_sd_deg, prior.level_sd, prior.drift_sd]) ** -2)
+    sd = np.array([prior.phi_sd_deg, prior.level_sd, prior.drift_sd])
+    precision = np.diag(sd**-2)
 
-    def cost(state: FloatArray) -> tuple[FloatArray, FloatArray]:
-        left = np.where(seen.used, seen.force - predicted(law, prior, seen, state), 0.0)
-        off = state - mean
+    def cost(
+        part: Touchdowns, weight: FloatArray, state: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        left = np.where(part.used, part.force - predicted(law, prior, part, state), 0.0)
         both = np.einsum("nk,nkl,nl->n", left, weight, left)
-        return left, both + np.einsum("ni,ij,nj->n", off, precision, off)
+        return left, both + np.square((state - mean) / sd).sum(axis=1)
 
     state = np.tile(mean, (len(seen.foot), 1))
     damping = np.full(len(state), 1e-2)
-    left, now = cost(state)
+    left, now = cost(seen, weight, state)
+    rows = np.arange(len(state))  # that still move
     for _ in range(ROUNDS):
-        slope = _slopes(law, prior, seen, state)
-        weighted = np.einsum("nki,nkl->nil", slope, weight)
+        part, own = Touchdowns._make(column[rows] for column in seen), weight[rows]
+        slope = _slopes(law, prior, part, state[rows])
+        weighted = slope.swapaxes(1, 2) @ own
         normal = weighted @ slope + precision
-        pull = np.einsum("nil,nl->ni", weighted, left) - (state - mean) @ precision
-        damped = normal + damping[:, None, None] * normal * np.eye(3)
-        tried = state + np.linalg.solve(damped, pull[..., None])[..., 0]
+        pull = (weighted @ left[rows, :, None])[..., 0] - (state[rows] - mean) @ precision
+        damped = normal + damping[rows, None, None] * normal * np.eye(3)
+        tried = state[rows] + np.linalg.solve(damped, pull[..., None])[..., 0]
         tried[:, 0] = np.clip(tried[:, 0], *PHI_RANGE)
-        new_left, new = cost(tried)
-        better = new <= now
-        moved = np.abs(tried - state)[better].max(initial=0.0)
-        state = np.where(better[:, None], tried, state)
-        left, now = np.where(better[:, None], new_left, left), np.where(better, new, now)
-        damping = np.clip(np.where(better, damping * 0.2, damping * 8.0), 1e-9, 1e6)
-        if better.all() and moved < 1e-4:
+        moves = np.abs((tried - state[rows]) / sd).max(axis=1) > SETTLED
+        new_left, new = cost(part, own, tried)
+        better = new <= now[rows]
+        good = rows[better]
+        state[good], left[good], now[good] = tried[better], new_left[better], new[better]
+        damping[rows] = np.clip(damping[rows] * np.where(better, 0.2, 8.0), 1e-9, 1e6)
+        rows = rows[moves]
+        if not len(rows):
             break
     slope = _slopes(law, prior, seen, state)
     weighted = np.einsum("nki,nkl->nil", slope, weight)

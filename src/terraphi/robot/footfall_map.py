@@ -31,7 +31,7 @@ from typing import NamedTuple
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.robot.footfall_fit import TORQUES, Prior, shared_sd
+from terraphi.robot.footfall_fit import TORQUES, Prior, evenly, shared_sd
 from terraphi.robot.legs import GRAVITY
 from terraphi.robot.touchdowns import Sensitivity
 
@@ -227,7 +227,7 @@ def pool(
     """
     from scipy.linalg import block_diag
 
-    kept = _some(seen, MOST)
+    kept = evenly(seen, MOST)
     amplitude, length, scatter = _learnt(kept, shared, mean)
     shared = _taught(kept, shared, amplitude, length, scatter, mean)
     stretches = [points for _, points in anchors]
@@ -292,18 +292,11 @@ def _solve(lower: FloatArray, right: FloatArray) -> FloatArray:
     return np.asarray(solve_triangular(lower, right, lower=True, check_finite=False))
 
 
-def _some(seen: Observed, most: int) -> Observed:
-    """Footfalls, evenly chosen."""
-    count = len(seen.phi)
-    every = np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
-    return Observed(*(column[every] for column in seen))
-
-
 def _taught(
     seen: Observed, shared: Shared, amplitude: float, length: float, scatter: float, mean: float
 ) -> Shared:
     """What is shared, after footfalls have taught the errors of the torques."""
-    part, n = _some(seen, TEACHERS), len(TORQUES)
+    part, n = evenly(seen, TEACHERS), len(TORQUES)
     each, torques = part.shared[:, :n], shared.covariance[:n, :n]
     matrix = _observed(part, amplitude, length, scatter) + each @ torques @ each.T
     gain = np.linalg.solve(matrix, each @ torques).T
@@ -317,7 +310,7 @@ def _learnt(seen: Observed, shared: Shared, mean: float) -> tuple[float, float, 
     """Amplitude, length and scatter at the maximum of their marginal posterior."""
     from scipy.optimize import minimize
 
-    part, n = _some(seen, LEARN_FROM), len(TORQUES)
+    part, n = evenly(seen, LEARN_FROM), len(TORQUES)
     each = part.shared[:, :n]
     centre = np.log([AMPLITUDE[0], LENGTH[0], SCATTER[0]])
     width = np.array([AMPLITUDE[1], LENGTH[1], SCATTER[1]])

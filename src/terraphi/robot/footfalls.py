@@ -17,7 +17,16 @@ from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import number_with_sd, plain_number
 from terraphi.forward.foot import LAWS
-from terraphi.robot.footfall_fit import LAW_SETS, PHI_RANGE, SHARED, Fit, Prior, fit, with_exponent
+from terraphi.robot.footfall_fit import (
+    LAW_SETS,
+    PHI_RANGE,
+    SHARED,
+    Fit,
+    Prior,
+    evenly,
+    fit,
+    with_exponent,
+)
 from terraphi.robot.footfall_map import ANCHOR_POINTS, Anchor, Observed, Pooled, pool, weigh
 from terraphi.robot.forces import without_broken_accelerometer
 from terraphi.robot.joint_log import FEET, JointLog
@@ -49,8 +58,8 @@ NEAR_EDGE_DEG = 1.0
 """A friction angle this near to the end of the range of the laws is the end [deg]."""
 LEAST_SCALE = 0.2
 """The noise of a log is at least this part of what is assumed [-]."""
-FEWEST_TEACHERS = 8
-"""Touch-downs that teach a law's growth with depth at least."""
+FEWEST_TEACHERS, MOST_TEACHERS = 8, 120
+"""Touch-downs that teach a law's growth with depth at least, and from which they are taken."""
 CONTACT_PART = 0.4
 """Of the radius below a sunk ball's centre, where soil pushes [-]: by resistive force theory 0.9 to
 0.5 at a third of the radius' depth, 0.3 at a radius, 0.2 at one and a half."""
@@ -257,22 +266,25 @@ def footfalls(
     found = Fit(*(np.mean(column, axis=0) for column in zip(*fits.values(), strict=True)))
     found = found._replace(misfit=np.min([each.misfit for each in fits.values()], axis=0))
     verdict = verdicts(seen, found, chosen.radius)
-    if law == "foot":  # a second opinion
-        fits["rft"] = fit(seen, "rft", chosen)
     of_law = ("exponent", "exponent_sd", "slope_sd", "law_sd_deg")
     means = {k: float(np.mean([getattr(p, k) for p in priors.values()])) for k in of_law}
     chosen = replace(chosen, **means)  # type: ignore[arg-type]
     common = weigh(log.time, lift, acceleration, per, chosen, mass=body.mass)
-    by_law = {each: own.phi - LAWS[each].offset_deg for each, own in fits.items()}
-    found = found._replace(phi=np.mean([by_law[each] for each in priors], axis=0))
     usable = verdict == USABLE
+    found = found._replace(phi=found.phi - np.mean([LAWS[each].offset_deg for each in fits]))
     path = _path(motion, log.time)
     stretches = [(anchor, _stretch(anchor, path)) for anchor in known]
     fields = {key: np.full(len(verdict), np.nan) for key in ("phi", "sd", "shared_sd")}
     of_path = ("path_phi", "path_relative_sd", "path_absolute_sd")
     fields |= {key: np.full(len(path), np.nan) for key in of_path}
     shared: dict[str, Any] = {}
+    by_law: dict[str, float] = {}
     if usable.any():
+        by_law = {k: float(f.phi[usable].mean()) - LAWS[k].offset_deg for k, f in fits.items()}
+        if law == "foot":  # a second opinion
+            some = evenly(Touchdowns._make(column[usable] for column in seen), MOST_TEACHERS)
+            second = fit(some, "rft", replace(chosen, exponent=0.0)).phi
+            by_law["rft"] = float(second.mean()) - LAWS["rft"].offset_deg
         # The noise is scaled to the median misfit of the log.
         misfit = found.misfit[usable]
         scale = max(LEAST_SCALE, math.sqrt(float(np.median(np.minimum(misfit, 1.0)))))
@@ -302,7 +314,7 @@ def footfalls(
         verdict=tuple(verdict.tolist()),
         path=path,
         shared=shared,
-        by_law={k: float(v[usable].mean()) for k, v in by_law.items()} if usable.any() else {},
+        by_law=by_law,
         notes=tuple(notes),
         provenance={
             "log": name, "robot": body.name, "law": law, "laws": list(priors),
@@ -316,6 +328,7 @@ def _taught(seen: Touchdowns, law: str, prior: Prior) -> Prior:
     """The prior with the law's error, and its growth with depth if enough touch-downs are deep."""
     if prior.law_sd_deg is None:
         prior = replace(prior, law_sd_deg=LAWS[law].sd_deg)
+    seen = evenly(seen, MOST_TEACHERS)
     first = verdicts(seen, fit(seen, law, prior), prior.radius)
     deep = np.isin(first, (USABLE, MISFIT))
     if deep.sum() < FEWEST_TEACHERS:
