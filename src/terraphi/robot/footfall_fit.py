@@ -16,7 +16,6 @@ This is the one module of the folder that uses force laws.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeVar
 
@@ -26,13 +25,6 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.forward.foot import LAWS, Foot, FootLaw
 from terraphi.robot.touchdowns import Touchdowns
 
-LAW_SETS: Mapping[str, tuple[str, ...]] = {
-    "foot": ("foot",),
-    "rft": ("rft",),
-    "bearing": ("meyerhof", "vesic", "hansen"),
-    "all": ("foot", "rft", "meyerhof", "vesic", "hansen"),
-}
-"""What ``--law`` may be, and the laws that it stands for."""
 PHI_RANGE = (15.0, 50.0)
 """Friction angles in plane strain for which laws are evaluated [deg]."""
 NOISE_N, NOISE_PART = 1.5, 0.04

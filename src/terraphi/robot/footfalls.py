@@ -18,7 +18,6 @@ from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import number_with_sd, plain_number
 from terraphi.forward.foot import LAWS
 from terraphi.robot.footfall_fit import (
-    LAW_SETS,
     PHI_RANGE,
     SHARED,
     Fit,
@@ -60,6 +59,8 @@ LEAST_SCALE = 0.2
 """The noise of a log is at least this part of what is assumed [-]."""
 FEWEST_TEACHERS, MOST_TEACHERS = 8, 120
 """Touch-downs that teach a law's growth with depth at least, and from which they are taken."""
+SECOND = "rft"
+"""Law of a second opinion on the mean φ: of few terms, and fast."""
 CONTACT_PART = 0.4
 """Of the radius below a sunk ball's centre, where soil pushes [-]: by resistive force theory 0.9 to
 0.5 at a third of the radius' depth, 0.3 at a radius, 0.2 at one and a half."""
@@ -102,8 +103,7 @@ class FootfallMap:
     shared
         What all footfalls share, by name: mean, standard deviation and its share of φ's.
     by_law
-        Mean φ of the usable footfalls by each law [deg]; next to ``foot`` stands ``rft``, a second
-        opinion.
+        Mean φ of the usable footfalls by the law, and by :data:`SECOND` [deg].
     notes
         Warnings.
     provenance
@@ -210,8 +210,7 @@ def footfalls(
         Bulk density of the soil [kg/m³], such as ``1550`` (5 % uncertain) or ``"1550±80"``.
         ``None``: that of the prior, with a note.
     law
-        One of :data:`~terraphi.robot.footfall_fit.LAW_SETS`: the results of several laws are
-        averaged.
+        One of :data:`~terraphi.forward.foot.LAWS`.
     prior
         Distributions of soil, foot, sensors and law; the foot's radius is the robot's.
     anchors
@@ -234,8 +233,8 @@ def footfalls(
     >>> found.to_netcdf("soil.nc")
     """
     body = robot if isinstance(robot, Quadruped) else Quadruped.load(robot)
-    if law not in LAW_SETS:
-        raise InputError(f"law '{law}' is unknown; {nearest(law, LAW_SETS)}")
+    if law not in LAWS:
+        raise InputError(f"law '{law}' is unknown; {nearest(law, LAWS)}")
     if body.foot_radius <= 0.0:
         raise InputError(f"robot '{body.name}' lacks its foot_radius, which footfalls need")
     chosen = replace(prior or Prior(), radius=body.foot_radius)
@@ -260,18 +259,12 @@ def footfalls(
     seen = touchdowns(log, forces, motion, analysis.stances, per, radius=body.foot_radius)
     # The centre of mass accelerates otherwise than the trunk: legs are half of the robot.
     acceleration = motion.lift_acceleration + forces.leg_inertia / body.mass
-    priors = {each: _taught(seen, each, chosen) for each in LAW_SETS[law]}
-    fits = {each: fit(seen, each, own) for each, own in priors.items()}
-    # The mean of several laws' priors and fits; the best of their misfits.
-    found = Fit(*(np.mean(column, axis=0) for column in zip(*fits.values(), strict=True)))
-    found = found._replace(misfit=np.min([each.misfit for each in fits.values()], axis=0))
+    chosen = _taught(seen, law, chosen)
+    found = fit(seen, law, chosen)
     verdict = verdicts(seen, found, chosen.radius)
-    of_law = ("exponent", "exponent_sd", "slope_sd", "law_sd_deg")
-    means = {k: float(np.mean([getattr(p, k) for p in priors.values()])) for k in of_law}
-    chosen = replace(chosen, **means)  # type: ignore[arg-type]
-    common = weigh(log.time, lift, acceleration, per, chosen, mass=body.mass)
     usable = verdict == USABLE
-    found = found._replace(phi=found.phi - np.mean([LAWS[each].offset_deg for each in fits]))
+    found = found._replace(phi=found.phi - LAWS[law].offset_deg)
+    common = weigh(log.time, lift, acceleration, per, chosen, mass=body.mass)
     path = _path(motion, log.time)
     stretches = [(anchor, _stretch(anchor, path)) for anchor in known]
     fields = {key: np.full(len(verdict), np.nan) for key in ("phi", "sd", "shared_sd")}
@@ -280,16 +273,15 @@ def footfalls(
     shared: dict[str, Any] = {}
     by_law: dict[str, float] = {}
     if usable.any():
-        by_law = {k: float(f.phi[usable].mean()) - LAWS[k].offset_deg for k, f in fits.items()}
-        if law == "foot":  # a second opinion
+        phi, misfit, moves = found.phi[usable], found.misfit[usable], found.shared[usable]
+        by_law[law] = float(phi.mean())
+        if law != SECOND:
             some = evenly(Touchdowns._make(column[usable] for column in seen), MOST_TEACHERS)
-            second = fit(some, "rft", replace(chosen, exponent=0.0)).phi
-            by_law["rft"] = float(second.mean()) - LAWS["rft"].offset_deg
+            second = fit(some, SECOND, replace(chosen, exponent=0.0)).phi
+            by_law[SECOND] = float(second.mean()) - LAWS[SECOND].offset_deg
         # The noise is scaled to the median misfit of the log.
-        misfit = found.misfit[usable]
         scale = max(LEAST_SCALE, math.sqrt(float(np.median(np.minimum(misfit, 1.0)))))
         own = found.sd[usable] * scale * np.maximum(1.0, np.sqrt(misfit) / scale) ** 0.5
-        phi, moves = found.phi[usable], found.shared[usable]
         moves[:, SHARED.index("law_slope")] = phi - phi.mean()
         observed = Observed(phi, own, moves, seen.place[usable, :2])
         pooled = pool(observed, common, path[:, 1:], stretches, mean=chosen.phi_deg)
@@ -317,8 +309,8 @@ def footfalls(
         by_law=by_law,
         notes=tuple(notes),
         provenance={
-            "log": name, "robot": body.name, "law": law, "laws": list(priors),
-            "prior": asdict(chosen), "anchors": [anchor._asdict() for anchor in known],
+            "log": name, "robot": body.name, "law": law, "prior": asdict(chosen),
+            "anchors": [anchor._asdict() for anchor in known],
             "terraphi": importlib.metadata.version("terraphi"), "forces": analysis.provenance(),
         },
     )  # fmt: skip
