@@ -29,11 +29,11 @@ def pressed(phi: float = 34.0, *, level: float = 0.003, seed: int | None = 0) ->
     seen = Touchdowns(
         foot=np.array([2]), begin=np.zeros(1), place=np.zeros((1, 3)), time=time, drop=drop,
         descent=np.full_like(time, 1.4), speed=still, force=still,
-        per_gain=np.zeros((*time.shape, 3)), per_friction=np.zeros((*time.shape, 3)),
+        per_error=np.zeros((*time.shape, 6)),
         used=np.ones_like(time, dtype=bool), torn=np.zeros(1, bool), saturated=np.zeros(1, bool),
     )  # fmt: skip
     force = predicted(LAWS["rft"], PRIOR, seen, np.array([[phi, level, 0.0]]))
-    seen = seen._replace(force=force, per_gain=np.repeat(force[..., None], 3, axis=-1))
+    seen = seen._replace(force=force, per_error=force[..., None] * [1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
     if seed is not None:
         lower = np.linalg.cholesky(noise_covariance(seen, PRIOR)[0])
         noise = lower @ np.random.default_rng(seed).normal(size=force.shape[1])

@@ -8,7 +8,6 @@ import pytest
 from terraphi.robot import footfall_map
 from terraphi.robot.footfall_fit import SENSORS, SHARED, Prior
 from terraphi.robot.footfall_map import Anchor, Observed, Shared, covariance, pool, weigh
-from terraphi.robot.touchdowns import Sensitivity
 
 N, M = len(SENSORS), len(SHARED)
 FIELD = (1.2, 0.8, 0.1)
@@ -110,12 +109,9 @@ def test_a_gain_is_found_from_the_weight_while_the_trunk_bobs() -> None:
     wave = np.sin(2.0 * np.pi * time / 0.8)
     share = np.column_stack([0.5 + 0.4 * wave, 0.5 - 0.4 * wave, 0.0 * wave, 0.0 * wave])
     true = share * (mass * (9.81 + 2.5 * wave))[:, None]
-    gain = np.zeros((len(time), 4, 3))
+    gain = np.zeros((len(time), 4, 6))
     gain[:, :, 2] = true
-    found = weigh(
-        time, true * [1.1, 1.0, 1.0, 1.0], 2.5 * wave, Sensitivity(gain, 0.0 * gain), Prior(),
-        mass=mass,
-    )  # fmt: skip
+    found = weigh(time, true * [1.1, 1.0, 1.0, 1.0], 2.5 * wave, gain, Prior(), mass=mass)
     assert found.mean[2] - found.mean[5] == pytest.approx(0.1, abs=0.01)
     assert found.mean[2] == pytest.approx(0.1, abs=0.03)  # less what the mass may be off by
     assert found.covariance[2, 2] < Prior().gain_sd ** 2

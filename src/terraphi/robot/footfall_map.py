@@ -33,7 +33,6 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray
 from terraphi.robot.footfall_fit import TORQUES, Prior, evenly, shared_sd
 from terraphi.robot.legs import GRAVITY
-from terraphi.robot.touchdowns import Sensitivity
 
 FIELD_MEAN_SD = 8.0
 """Of the process's mean about the prior's [deg]."""
@@ -132,7 +131,7 @@ def weigh(
     time: FloatArray,
     lift: FloatArray,
     lift_acceleration: FloatArray,
-    per: Sensitivity,
+    per: FloatArray,
     prior: Prior,
     *,
     mass: float,
@@ -148,7 +147,8 @@ def weigh(
     lift_acceleration
         Of the trunk [m/s²], shape [sample].
     per
-        What errors of the torques add to the forces.
+        What errors of the torques add to the forces
+        (:func:`~terraphi.robot.touchdowns.sensitivity`).
     prior
         Of all that footfalls share.
     mass
@@ -166,7 +166,7 @@ def weigh(
     known = np.isfinite(lift).all(axis=1)
     if known.sum() < 2:
         return shared
-    errors = np.concatenate([per.gain.reshape(-1, 12), per.friction.reshape(-1, 12)], axis=1)
+    errors = np.hstack([part.reshape(-1, 12) for part in np.split(per, 2, axis=-1)])
     # The last column is the relative error of the mass itself.
     expected = mass * (GRAVITY + lift_acceleration)
     rows = np.column_stack([lift.sum(axis=1) - expected, errors, expected])[known]
