@@ -196,6 +196,8 @@ def find_stances(
 
 def _bounds(time: FloatArray, lift: Forces, criteria: Criteria) -> list[tuple[int, int]]:
     """First and last sample of each stance of one foot."""
+    from scipy.integrate import cumulative_trapezoid
+
     if len(time) < 3:
         return []
     rise = max(criteria.rise_N, criteria.rise_part * float(np.quantile(lift, 0.95)))
@@ -224,8 +226,7 @@ def _bounds(time: FloatArray, lift: Forces, criteria: Criteria) -> list[tuple[in
     good &= breaks[first] == breaks[last]
     first, last = first[good], last[good]
     if len(first):
-        panels = 0.5 * (lift[1:] + lift[:-1]) * np.diff(time)
-        total = np.concatenate([[0.0], np.cumsum(panels, dtype=np.float64)])
+        total = cumulative_trapezoid(lift.astype(np.float64), time, initial=0.0)
         impulse = total[last] - total[first]
         great = impulse >= criteria.impulse_part * np.quantile(impulse, 0.9)
         first, last = first[great], last[great]
