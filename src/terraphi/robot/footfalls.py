@@ -33,7 +33,6 @@ from terraphi.robot.legs import rotation
 from terraphi.robot.logs.columns import Columns
 from terraphi.robot.model import Quadruped
 from terraphi.robot.results import foot_forces
-from terraphi.robot.stance import running_mean
 from terraphi.robot.touchdowns import FEWEST, Motion, Touchdowns, sensitivity, touchdowns, track
 
 if TYPE_CHECKING:
@@ -373,8 +372,10 @@ def _from_the_start(motion: Motion, log: JointLog) -> Motion:
 
 def _path(motion: Motion, time: FloatArray) -> FloatArray:
     """Points s, x, y of the trunk's way at even steps [m], shape [point, 3]."""
+    from scipy.ndimage import uniform_filter1d
+
     width = max(1, round(SMOOTH_PATH_S / float(np.median(np.diff(time)))))
-    smooth = running_mean(motion.trunk[:, :2], width)
+    smooth = uniform_filter1d(motion.trunk[:, :2], 2 * width, axis=0, mode="nearest")
     gone = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(smooth, axis=0).T))])
     count = int(np.clip(gone[-1] / PATH_STEP + 1, 1, MOST_POINTS))
     s = np.linspace(0.0, gone[-1], count)
