@@ -296,7 +296,7 @@ def _fit(seen: Touchdowns, law: FootLaw, prior: Prior) -> Fit:
     # A prediction that rises by D lets the mode move by −(covariance Jᵀ W D).
     gain = np.einsum("ni,nil->nl", covariance[:, 0], weighted)
     shared = np.zeros((len(state), len(SHARED)))
-    torques = 3 * seen.foot[:, None] + [0, 1, 2, 12, 13, 14]
+    torques = 3 * seen.foot[:, None] + np.array([0, 1, 2, 12, 13, 14])
     np.put_along_axis(shared, torques, np.einsum("nl,nlk->nk", gain, seen.per_error), axis=1)
     # How far φ̂ is off where the truth is above what is assumed: forces are higher than expected
     # by so much, and a drop that reads too large makes the expected ones too high.

@@ -216,7 +216,7 @@ def _robust(x: FloatArray, y: FloatArray) -> FloatArray:
     """Huber's regression by reweighting, with no coefficient below zero."""
     from scipy.optimize import nnls
 
-    weight = np.ones(len(y))
+    weight, solution = np.ones(len(y)), np.zeros(x.shape[1])
     for _ in range(12):
         root = np.sqrt(weight)
         solution = np.asarray(nnls(x * root[:, None], y * root)[0])
