@@ -31,14 +31,16 @@ GAITS = {
     "walk": (Gait("walk", 1.2, ramp=0.15), Aim(speed=0.12, height=0.3)),
     "trot": (Gait("trot", 0.5, ramp=0.08), Aim(speed=0.25, height=0.3)),
     "fast": (Gait("trot", 0.5, ramp=0.08), Aim(speed=0.5, height=0.3)),
+    "slow": (Gait("walk", 1.6, ramp=0.2), Aim(speed=0.08, height=0.3)),
+    "limp": (Gait("walk", 1.2, ramp=0.15, spared=0.6), Aim(speed=0.12, height=0.3)),
 }
-"""A slow walk and two trots."""
+"""A walk, two trots, a slow walk, and one that spares a leg."""
 TILT = 0.005
 """Standard deviation of a constant error of the attitude [rad]."""
 
 
 def sand_walk(
-    gait: str, *, seed: int, law: str = "foot", duration: float = 20.0, mean: float = 40.0
+    gait: str, *, seed: int, law: str = "foot", duration: float = 20.0, mean: float = 42.0
 ) -> Walk:
     """A walk on sand whose φ and surface are drawn by a seed; a floor for law ``floor``."""
     rng = np.random.default_rng(1000 + seed)
@@ -75,7 +77,7 @@ def sand_log(recording: Recording, *, seed: int, gain_sd: float = Prior.gain_sd)
 @click.option("--out", type=click.Path(path_type=Path), default=Path("sand"), show_default=True)
 @click.option("--gait", type=click.Choice(sorted(GAITS)), default="walk", show_default=True)
 @click.option("--law", type=click.Choice([*LAWS, "floor"]), default="foot", show_default=True)
-@click.option("--mean", type=float, default=40.0, show_default=True, help="Mean φ [deg].")
+@click.option("--mean", type=float, default=42.0, show_default=True, help="Mean φ [deg].")
 @click.option("--duration", type=float, default=20.0, show_default=True, help="[s].")
 @click.option("--gain-sd", type=float, default=Prior.gain_sd, show_default=True, help="[-].")
 @click.option("--seed", type=int, default=0, show_default=True)

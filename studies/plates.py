@@ -291,7 +291,7 @@ def by_soil(strength: Mapping[str, float], off: Mapping[str, Mapping[str, np.nda
     """Table of lifts, and of each law's φ less the true one, in each soil."""
     rows = [
         (
-            soil, f"{angle:.1f}°",
+            soil, f"{angle:.1f}°", f"{elements.measured(GRAINS, base(soil)).phi_peak_deg:.1f}°",
             *(f"{np.exp(strength[f'{soil} {foot}']):.0f}" for foot in FEET),
             *(f"{np.mean([own[key][0] for key in keys if key in own]):+.1f}°"
               for own in off.values()),
@@ -299,7 +299,7 @@ def by_soil(strength: Mapping[str, float], off: Mapping[str, Mapping[str, np.nda
         for soil, angle in phi.items()
         for keys in [[f"{soil} {foot}" for foot in FEET]]
     ]  # fmt: skip
-    return pages.table(("soil", "measured φ", *FEET.values(), *off), rows)
+    return pages.table(("soil", "critical φ", "peak", *FEET.values(), *off), rows)
 
 
 def by_setting(tests: dict[str, list[Test]], strength: Mapping[str, float],
@@ -521,7 +521,7 @@ def main() -> None:
             "is that in grains of no size, by a line over the size, as steep in all soils."
         ),
         by_law(grains, off),
-        "By soil: lift over ρ g R³, mean between R/2 and 3R/2, and φ by law less measured.",
+        "By soil: lift over ρ g R³, mean between R/2 and 3R/2, and φ by law less critical φ.",
         by_soil(strength, off, phi),
         (
             "What else a record depends on: change of the lift, and of φ by each law. One bed "

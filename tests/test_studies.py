@@ -36,15 +36,6 @@ def test_fit_of_a_plate_finds_angle_and_first_contact(phi: float, short: float) 
     assert misfit < 0.02
 
 
-def test_simulated_discs_are_met_by_the_law_that_is_made_of_them() -> None:
-    table = {key: np.array(v, float) for key, v in plates.columns("simulated.csv").items()}
-    own = (table["diameter_mm"] == 100.0) & (table["phi_deg"] == 32.0) & (table["sinkage_mm"] > 1.0)
-    law = plates.simulated()
-    disc = made(0.1, law, 32.0)
-    lift = law(disc, 32.0, table["sinkage_mm"][own] / 1e3)[:, 1]
-    assert lift.mean() == pytest.approx(table["force_N"][own].mean(), rel=1e-3)
-
-
 def test_one_angle_is_that_of_the_tests() -> None:
     law = plates.law_of("vesic")
     tests = [made(diameter, law, 31.0) for diameter in (0.06, 0.1)]

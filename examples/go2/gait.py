@@ -35,12 +35,15 @@ class Gait:
         Time in which a standing foot's share of the load grows, and as long falls [s].
     clearance
         Height to which a foot is lifted [m].
+    spared
+        Part of its load that the right fore leg leaves to the others [-]: a limp.
     """
 
     name: str = "trot"
     period: float = 0.42
     ramp: float = 0.06
     clearance: float = 0.06
+    spared: float = 0.0
 
     @property
     def duty(self) -> float:
@@ -64,7 +67,7 @@ class Gait:
             return np.ones(4)
         from_edge = np.minimum(phases, self.duty - phases) * self.period
         near = np.clip(from_edge / self.ramp, 0.0, 1.0)
-        return near * near * (3.0 - 2.0 * near)
+        return near * near * (3.0 - 2.0 * near) * [1.0 - self.spared, 1.0, 1.0, 1.0]
 
     def swing(self, phases: FloatArray) -> FloatArray:
         """Part of its swing that each foot has done, 0 in stance, shape [foot]."""

@@ -86,7 +86,7 @@ class Sand:
         Added to the power with which the law grows with depth [-].
     """
 
-    phi: Field = field(default_factory=lambda: Field(40.0, 1.5, 1.0))
+    phi: Field = field(default_factory=lambda: Field(42.0, 1.5, 1.0))
     surface: Field = field(default_factory=lambda: Field(0.0, 0.005, 0.4))
     density: float = 1550.0
     surface_friction: float = 0.5

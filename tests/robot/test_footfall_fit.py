@@ -29,11 +29,11 @@ def pressed(phi: float = 34.0, *, level: float = 0.003, seed: int | None = 0) ->
     seen = Touchdowns(
         foot=np.array([2]), begin=np.zeros(1), place=np.zeros((1, 3)), time=time, drop=drop,
         descent=np.full_like(time, 1.4), speed=still, force=still,
-        per_gain=np.zeros((*time.shape, 3)), per_friction=np.zeros((*time.shape, 3)),
+        per_error=np.zeros((*time.shape, 6)),
         used=np.ones_like(time, dtype=bool), torn=np.zeros(1, bool), saturated=np.zeros(1, bool),
     )  # fmt: skip
     force = predicted(LAWS["rft"], PRIOR, seen, np.array([[phi, level, 0.0]]))
-    seen = seen._replace(force=force, per_gain=np.repeat(force[..., None], 3, axis=-1))
+    seen = seen._replace(force=force, per_error=force[..., None] * [1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
     if seed is not None:
         lower = np.linalg.cholesky(noise_covariance(seen, PRIOR)[0])
         noise = lower @ np.random.default_rng(seed).normal(size=force.shape[1])
@@ -78,7 +78,7 @@ def test_what_is_shared_moves_the_answer_as_told() -> None:
     assert moved(density=1550.0 * 1.03) == pytest.approx(-0.03 * told["log_density"], rel=0.1)
     assert moved(surface_friction=0.45) == pytest.approx(-0.05 * told["surface_friction"], rel=0.15)
     assert moved(radius=0.0222) == pytest.approx(-2e-4 * told["radius"], rel=0.15)
-    # What reads the way down too large, and a law that grows otherwise with depth or with φ.
+    # What reads the way down too large, and a law that grows otherwise with depth.
     deeper = fit(seen._replace(drop=1.02 * seen.drop), "rft", PRIOR).phi[0] - found.phi[0]
     assert deeper == pytest.approx(0.02 * told["drop"], rel=0.15)
     state = np.array([[34.0, 0.003, 0.0]])
@@ -87,7 +87,6 @@ def test_what_is_shared_moves_the_answer_as_told() -> None:
     np.testing.assert_allclose(force, seen.force * (depth / PRIOR.radius) ** 0.05)
     steeper = fit(seen._replace(force=force), "rft", PRIOR).phi[0] - found.phi[0]
     assert steeper == pytest.approx(0.05 * told["law_exponent"], rel=0.15)
-    assert told["law_slope"] == pytest.approx(34.0 - PRIOR.phi_deg, abs=0.1)
     louder = fit(seen._replace(force=1.02 * seen.force), "rft", PRIOR).phi[0] - found.phi[0]
     gains = sum(told[f"gain_{3 * 2 + joint}"] for joint in range(3))
     assert louder == pytest.approx(gains * 0.02 / 3.0, rel=0.1)
@@ -104,7 +103,8 @@ def test_growth_with_depth_is_learnt_from_the_courses_of_force() -> None:
     found = with_exponent(softer, "rft", PRIOR)
     assert found.exponent == pytest.approx(-0.3, abs=0.08)
     assert fit(softer, "rft", found).phi.mean() == pytest.approx(40.4, abs=0.8)
-    assert replace(found, exponent=PRIOR.exponent) == PRIOR
+    # A law that lacks growth with depth is less sure of differences of φ.
+    assert found.slope_sd > 5.0 * PRIOR.slope_sd
 
 
 def test_noise_has_its_three_parts() -> None:

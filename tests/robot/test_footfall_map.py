@@ -8,7 +8,6 @@ import pytest
 from terraphi.robot import footfall_map
 from terraphi.robot.footfall_fit import SENSORS, SHARED, Prior
 from terraphi.robot.footfall_map import Anchor, Observed, Shared, covariance, pool, weigh
-from terraphi.robot.touchdowns import Sensitivity
 
 N, M = len(SENSORS), len(SHARED)
 FIELD = (1.2, 0.8, 0.1)
@@ -45,17 +44,17 @@ def test_bands_are_the_exact_posterior(monkeypatch: pytest.MonkeyPatch) -> None:
     mean = 32.0 + gain @ (seen.phi - seen.shared @ shared.mean - 32.0)
     moves = (gain @ seen.shared)[:p]
     left = (prior - gain @ rows @ prior)[:p, :p]
-    # Of the sensors' errors, the relative band holds what differs from the mean of the path.
-    apart = (np.eye(p) - np.full((p, p), 1.0 / p)) @ moves[:, :N]
-    sensors = apart @ shared.covariance[:N, :N] @ apart.T
+    # Of what is shared, the relative band holds what differs from the mean of the path.
+    apart = (np.eye(p) - np.full((p, p), 1.0 / p)) @ moves
+    unlike = apart @ shared.covariance @ apart.T
     everything = moves @ shared.covariance @ moves.T
     assert found.path_phi == pytest.approx(mean[:p])
-    assert found.path_relative_sd == pytest.approx(np.sqrt(np.diag(left + sensors)))
+    assert found.path_relative_sd == pytest.approx(np.sqrt(np.diag(left + unlike)))
     assert found.path_absolute_sd == pytest.approx(np.sqrt(np.diag(left + everything)))
     assert found.shared_mean == pytest.approx(shared.mean)
     assert np.all(found.path_absolute_sd > found.path_relative_sd)
-    each = seen.shared[:, :N] - seen.shared[:, :N].mean(axis=0)
-    own = seen.sd**2 + FIELD[2] ** 2 + np.diag(each @ shared.covariance[:N, :N] @ each.T)
+    each = seen.shared - seen.shared.mean(axis=0)
+    own = seen.sd**2 + FIELD[2] ** 2 + np.diag(each @ shared.covariance @ each.T)
     assert found.sd == pytest.approx(np.sqrt(own))
     everything = np.diag(seen.shared @ shared.covariance @ seen.shared.T)
     whole = np.maximum(own, seen.sd**2 + FIELD[2] ** 2 + everything)
@@ -110,12 +109,31 @@ def test_a_gain_is_found_from_the_weight_while_the_trunk_bobs() -> None:
     wave = np.sin(2.0 * np.pi * time / 0.8)
     share = np.column_stack([0.5 + 0.4 * wave, 0.5 - 0.4 * wave, 0.0 * wave, 0.0 * wave])
     true = share * (mass * (9.81 + 2.5 * wave))[:, None]
-    gain = np.zeros((len(time), 4, 3))
+    gain = np.zeros((len(time), 4, 6))
     gain[:, :, 2] = true
-    found = weigh(
-        time, true * [1.1, 1.0, 1.0, 1.0], 2.5 * wave, Sensitivity(gain, 0.0 * gain), Prior(),
-        mass=mass,
-    )  # fmt: skip
+    found = weigh(time, true * [1.1, 1.0, 1.0, 1.0], 2.5 * wave, gain, Prior(), mass=mass)
     assert found.mean[2] - found.mean[5] == pytest.approx(0.1, abs=0.01)
     assert found.mean[2] == pytest.approx(0.1, abs=0.03)  # less what the mass may be off by
     assert found.covariance[2, 2] < Prior().gain_sd ** 2
+
+
+def test_two_anchors_find_the_scale_of_differences() -> None:
+    """The law reads differences of φ half as large as they are: two known places mend that."""
+    x = np.linspace(0.0, 3.0, 60)
+    place, true = np.column_stack([x, 0.0 * x]), 34.0 + 2.0 * np.sin(x)
+    phi = true.mean() + 0.5 * (true - true.mean())
+    column, sd = SHARED.index("law_slope"), np.zeros(M)
+    sd[column] = 1.0
+    shared = np.zeros((60, M))
+    shared[:, column] = phi - phi.mean()
+    seen = Observed(phi, np.full(60, 0.05), shared, place)
+    path = place[::6]
+    anchors = [(Anchor(a, a, float(true[i]), 0.05), place[[i]]) for a, i in ((0.0, 0), (1.5, 30))]
+    free, held = (
+        pool(seen, Shared(np.zeros(M), np.diag(sd**2)), path, known, mean=32.0)
+        for known in ([], anchors)
+    )
+    assert np.abs(free.path_phi - true[::6]).max() > 0.5
+    assert held.path_phi == pytest.approx(true[::6], abs=0.1)
+    far = np.abs(free.path_phi - free.path_phi.mean())
+    assert free.path_relative_sd[far.argmax()] > 0.8 * far.max()

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from terraphi.cli.forces import log_options
-from terraphi.cli.options import LAW_SETS, PATH, json_option
+from terraphi.cli.options import LAWS, PATH, json_option
 from terraphi.view.console import present
 
 
@@ -28,10 +28,10 @@ from terraphi.view.console import present
 )
 @click.option(
     "--law",
-    type=click.Choice(LAW_SETS),
+    type=click.Choice(LAWS),
     default="foot",
     show_default=True,
-    help="Force law: simulated, resistive force theory, bearing capacity, or the mean of all.",
+    help="Force law: simulated, resistive force theory, or a formula of bearing capacity.",
 )
 @click.option(
     "--out",

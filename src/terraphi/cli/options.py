@@ -11,7 +11,7 @@ import click
 # The same words stand in the modules that take them, which are too slow to import for --help.
 LEGS = ("straight", "c", "reversed_c")
 ESTIMATORS = ("quasi_static", "momentum_observer")
-LAW_SETS = ("foot", "rft", "bearing", "all")
+LAWS = ("foot", "rft", "meyerhof", "vesic", "hansen")
 FRAMES = ("world", "body")
 SIMULATORS = ("genesis", "newton", "isaaclab", "chrono-crm", "chrono-scm", "geotaichi", "rft3d",
               "mujoco")  # fmt: skip

@@ -98,11 +98,14 @@ class FootLaw:
         What :meth:`force` returns, of the same arguments in their order, φ in the law's convention.
     convention
         What that is: ``plane_strain``, or ``rft3d``.
+    sd_deg
+        Error of φ by this law in grains of measured φ, root mean square [deg] (``docs/plates.md``).
     """
 
     name: str
     formula: Callable[..., FloatArray]
     convention: str = "plane_strain"
+    sd_deg: float = 6.0
 
     def force(
         self,
@@ -297,8 +300,8 @@ def wrench(
 
 
 LAWS: Mapping[str, FootLaw] = {
-    "foot": FootLaw("foot", simulated_force),
-    "rft": FootLaw("rft", resistive_force, "rft3d"),
+    "foot": FootLaw("foot", simulated_force, sd_deg=2.5),
+    "rft": FootLaw("rft", resistive_force, "rft3d", sd_deg=8.0),
     **{
         name: FootLaw(name, partial(bearing_capacity, name))
         for name in ("meyerhof", "vesic", "hansen")

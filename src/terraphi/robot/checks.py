@@ -141,6 +141,8 @@ def _attitude(log: JointLog) -> list[Finding]:
     A constant difference, as of a gyroscope's bias, is none, nor are a few large ones, as where a
     filter corrects its heading.
     """
+    from scipy.integrate import cumulative_trapezoid
+
     if log.quaternion is None or log.angular_velocity is None or len(log.time) < 3:
         return []
     every = max(1, round(TURN_S / float(np.median(np.diff(log.time)))))
@@ -150,8 +152,7 @@ def _attitude(log: JointLog) -> list[Finding]:
         return []
     # Mean of the gyroscope's readings from one of these samples to the next.
     rate = np.asarray(log.angular_velocity, float)
-    angle = np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(log.time)[:, None], axis=0)
-    angle = np.concatenate([np.zeros((1, 3)), angle])[::every]
+    angle = cumulative_trapezoid(rate, log.time, axis=0, initial=0.0)[::every]
     felt = np.diff(angle, axis=0) / step[:, None]
     whole = step < 2.0 * float(np.median(step))
 

@@ -16,9 +16,8 @@ This is the one module of the folder that uses force laws.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -26,27 +25,29 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.forward.foot import LAWS, Foot, FootLaw
 from terraphi.robot.touchdowns import Touchdowns
 
-LAW_SETS: Mapping[str, tuple[str, ...]] = {
-    "foot": ("foot",),
-    "rft": ("rft",),
-    "bearing": ("meyerhof", "vesic", "hansen"),
-    "all": ("foot", "rft", "meyerhof", "vesic", "hansen"),
-}
-"""What ``--law`` may be, and the laws that it stands for."""
 PHI_RANGE = (15.0, 50.0)
 """Friction angles in plane strain for which laws are evaluated [deg]."""
 NOISE_N, NOISE_PART = 1.5, 0.04
 """Standard deviation of a force: constant [N], and as a part of it [-]; odometry is in it."""
 CORRELATION_S = 0.008
 """Correlation time of the noise [s]."""
-ROUNDS = 25
-EXPONENTS = (-0.7, 0.0)
-"""Range of what is added to a law's power of depth [-]: stress in soil grows in proportion to depth
-at most, as resistive force theory has it, and a force that is a millisecond late looks like 0.1."""
+ROUNDS, SETTLED = 25, 1e-3
+"""Of the fit at most, until a step is this part of the prior's standard deviation [-]."""
+EXPONENTS = (-0.7, 0.4)
+"""Range of what is added to a law's power of depth [-]; the upper end makes law ``foot`` grow like
+resistive force theory, whose stress is proportional to the depth."""
+TAUGHT_SD = 0.03
+"""Standard deviation of an exponent that touch-downs have taught [-]."""
+SLOPE_PER_EXPONENT = 1.2
+"""Standard deviation of the error of a law's growth with φ, per exponent that its growth with depth
+lacks [-]: of forces by the package's other laws, law ``foot`` lacks 0.4 for resistive force theory,
+which changes with φ 0.4 times as much, -0.3 for Meyerhof's (1.15 times), 0 for Hansen's (1.0)."""
 TEACHERS = 60
 """Touch-downs that teach it at most, evenly chosen."""
 BLOCK = 512
 """Touch-downs that are fitted together; bounds the memory."""
+
+Rows = TypeVar("Rows", bound=NamedTuple)
 
 
 @dataclass(frozen=True)
@@ -76,12 +77,13 @@ class Prior:
         Of the way that feet go down, as the odometry has it, relative [-]: standing feet give
         way a little while the load moves over, and the attitude errs.
     law_sd_deg
-        Of the law's offset [deg]: from measured plates.
+        Of the law's offset [deg]; not given: the law's own.
     exponent, exponent_sd
         Of an exponent by which the law's growth with depth is wrong [-]: of the depth over the
         foot's radius, a factor on the law.
     slope_sd
-        Of a relative error of the law's growth with φ [-], about ``phi_deg``.
+        Of a relative error of differences of φ between places [-], for the law grows with φ
+        otherwise than the soil.
     """
 
     phi_deg: float = 32.0
@@ -98,10 +100,10 @@ class Prior:
     gain_sd: float = 0.1
     friction_sd: float = 0.1
     drop_sd: float = 0.02
-    law_sd_deg: float = 3.7
+    law_sd_deg: float | None = None
     exponent: float = 0.0
     exponent_sd: float = 0.2
-    slope_sd: float = 0.15
+    slope_sd: float = 0.05
 
 
 TORQUES = tuple(f"gain_{i}" for i in range(12)) + tuple(f"friction_{i}" for i in range(12))
@@ -115,7 +117,7 @@ def shared_sd(prior: Prior) -> FloatArray:
     """Standard deviations of :data:`SHARED`, in their units."""
     p = prior
     soil = [p.density_sd / p.density, p.surface_friction_sd, p.radius_sd]
-    law = [p.law_sd_deg, p.exponent_sd, p.slope_sd]
+    law = [LAWS["foot"].sd_deg if p.law_sd_deg is None else p.law_sd_deg, p.exponent_sd, p.slope_sd]
     return np.array([p.gain_sd] * 12 + [p.friction_sd] * 12 + [p.drop_sd, *soil, *law])
 
 
@@ -136,7 +138,8 @@ class Fit(NamedTuple):
     misfit
         χ² over the degrees of freedom [-].
     shared
-        S for :data:`SHARED`: how far φ̂ is off per unit of θ − θ₀, shape [touchdown, shared].
+        S for :data:`SHARED`: how far φ̂ is off per unit of θ − θ₀, shape [touchdown, shared]; zero
+        for ``law_slope``, which compares touch-downs.
     """
 
     phi: FloatArray
@@ -219,11 +222,19 @@ def fit(seen: Touchdowns, law: str | FootLaw, prior: Prior) -> Fit:
     return Fit(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
+def evenly(rows: Rows, most: int) -> Rows:
+    """Rows of a tuple of arrays, at most so many, evenly chosen."""
+    count = len(rows[0])
+    every = np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
+    return rows._make(column[every] for column in rows)
+
+
 def with_exponent(seen: Touchdowns, law: str, prior: Prior) -> Prior:
     """The prior with the growth with depth that the touch-downs' courses of force have.
 
     The exponent within :data:`EXPONENTS` with the least median misfit. Footfalls do not teach the
-    level or the slope in φ of a law: there, another law and another field of φ are the same.
+    level or the slope in φ of a law: there, another law and another field of φ are the same. But
+    the further the law's growth with depth is off, the less sure is its growth with φ.
 
     Parameters
     ----------
@@ -234,46 +245,50 @@ def with_exponent(seen: Touchdowns, law: str, prior: Prior) -> Prior:
     """
     from scipy.optimize import minimize_scalar
 
-    count = len(seen.foot)
-    every = np.unique(np.linspace(0, count - 1, min(count, TEACHERS)).astype(int))
-    part = Touchdowns._make(column[every] for column in seen)
+    part = evenly(seen, TEACHERS)
 
     def misfit(exponent: float) -> float:
         return float(np.median(fit(part, law, replace(prior, exponent=exponent)).misfit))
 
     best = minimize_scalar(misfit, bounds=EXPONENTS, method="bounded", options={"xatol": 0.02}).x
-    return replace(prior, exponent=float(best))
+    slope_sd = float(np.hypot(prior.slope_sd, SLOPE_PER_EXPONENT * best))
+    return replace(prior, exponent=float(best), exponent_sd=TAUGHT_SD, slope_sd=slope_sd)
 
 
 def _fit(seen: Touchdowns, law: FootLaw, prior: Prior) -> Fit:
     weight = np.asarray(np.linalg.inv(noise_covariance(seen, prior)))
     mean = np.array([prior.phi_deg, 0.0, 0.0])
-    precision = np.diag(np.array([prior.phi_sd_deg, prior.level_sd, prior.drift_sd]) ** -2)
+    sd = np.array([prior.phi_sd_deg, prior.level_sd, prior.drift_sd])
+    precision = np.diag(sd**-2)
 
-    def cost(state: FloatArray) -> tuple[FloatArray, FloatArray]:
-        left = np.where(seen.used, seen.force - predicted(law, prior, seen, state), 0.0)
-        off = state - mean
+    def cost(
+        part: Touchdowns, weight: FloatArray, state: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        left = np.where(part.used, part.force - predicted(law, prior, part, state), 0.0)
         both = np.einsum("nk,nkl,nl->n", left, weight, left)
-        return left, both + np.einsum("ni,ij,nj->n", off, precision, off)
+        return left, both + np.square((state - mean) / sd).sum(axis=1)
 
     state = np.tile(mean, (len(seen.foot), 1))
     damping = np.full(len(state), 1e-2)
-    left, now = cost(state)
+    left, now = cost(seen, weight, state)
+    rows = np.arange(len(state))  # that still move
     for _ in range(ROUNDS):
-        slope = _slopes(law, prior, seen, state)
-        weighted = np.einsum("nki,nkl->nil", slope, weight)
+        part, own = Touchdowns._make(column[rows] for column in seen), weight[rows]
+        slope = _slopes(law, prior, part, state[rows])
+        weighted = slope.swapaxes(1, 2) @ own
         normal = weighted @ slope + precision
-        pull = np.einsum("nil,nl->ni", weighted, left) - (state - mean) @ precision
-        damped = normal + damping[:, None, None] * normal * np.eye(3)
-        tried = state + np.linalg.solve(damped, pull[..., None])[..., 0]
+        pull = (weighted @ left[rows, :, None])[..., 0] - (state[rows] - mean) @ precision
+        damped = normal + damping[rows, None, None] * normal * np.eye(3)
+        tried = state[rows] + np.linalg.solve(damped, pull[..., None])[..., 0]
         tried[:, 0] = np.clip(tried[:, 0], *PHI_RANGE)
-        new_left, new = cost(tried)
-        better = new <= now
-        moved = np.abs(tried - state)[better].max(initial=0.0)
-        state = np.where(better[:, None], tried, state)
-        left, now = np.where(better[:, None], new_left, left), np.where(better, new, now)
-        damping = np.clip(np.where(better, damping * 0.2, damping * 8.0), 1e-9, 1e6)
-        if better.all() and moved < 1e-4:
+        moves = np.abs((tried - state[rows]) / sd).max(axis=1) > SETTLED
+        new_left, new = cost(part, own, tried)
+        better = new <= now[rows]
+        good = rows[better]
+        state[good], left[good], now[good] = tried[better], new_left[better], new[better]
+        damping[rows] = np.clip(damping[rows] * np.where(better, 0.2, 8.0), 1e-9, 1e6)
+        rows = rows[moves]
+        if not len(rows):
             break
     slope = _slopes(law, prior, seen, state)
     weighted = np.einsum("nki,nkl->nil", slope, weight)
@@ -281,11 +296,8 @@ def _fit(seen: Touchdowns, law: FootLaw, prior: Prior) -> Fit:
     # A prediction that rises by D lets the mode move by −(covariance Jᵀ W D).
     gain = np.einsum("ni,nil->nl", covariance[:, 0], weighted)
     shared = np.zeros((len(state), len(SHARED)))
-    rows = np.arange(len(state))
-    for joint in range(3):
-        column = 3 * seen.foot + joint
-        shared[rows, column] = np.einsum("nl,nl->n", gain, seen.per_gain[..., joint])
-        shared[rows, 12 + column] = np.einsum("nl,nl->n", gain, seen.per_friction[..., joint])
+    torques = 3 * seen.foot[:, None] + np.array([0, 1, 2, 12, 13, 14])
+    np.put_along_axis(shared, torques, np.einsum("nl,nlk->nk", gain, seen.per_error), axis=1)
     # How far φ̂ is off where the truth is above what is assumed: forces are higher than expected
     # by so much, and a drop that reads too large makes the expected ones too high.
     rises = {"drop": -slope[..., 1] * seen.drop}
@@ -304,7 +316,6 @@ def _fit(seen: Touchdowns, law: FootLaw, prior: Prior) -> Fit:
     for name, rise in rises.items():
         shared[:, SHARED.index(name)] = np.einsum("nl,nl->n", gain, rise)
     shared[:, SHARED.index("law_offset")] = 1.0
-    shared[:, SHARED.index("law_slope")] = state[:, 0] - prior.phi_deg
     chi = np.einsum("nk,nkl,nl->n", left, weight, left)
     misfit = chi / np.maximum(seen.used.sum(axis=1) - 2.0, 1.0)
     depth = seen.drop + state[:, 1:2] + state[:, 2:3] * seen.time

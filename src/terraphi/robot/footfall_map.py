@@ -18,9 +18,9 @@ Gains of the motors and friction of the joints come from the robot's own weight 
 torques' gains and in friction that was not accounted for, so the times in which different legs
 carry different shares separate the errors by linear least squares with priors.
 
-Two bands come out. **Relative**: places of one walk compared with each other, for which soil, foot
-and law (density, surface friction, radius, law) are as assumed, and of the sensors' errors only
-what differs from foot to foot counts. **Absolute**: all that is shared is uncertain.
+Two bands come out. **Relative**: places of one walk compared with each other. What θ adds to all
+alike cancels; what differs from foot to foot, with the sinkage or with φ itself counts.
+**Absolute**: all that is shared is uncertain.
 """
 
 from __future__ import annotations
@@ -31,9 +31,8 @@ from typing import NamedTuple
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.robot.footfall_fit import SENSORS, TORQUES, Prior, shared_sd
+from terraphi.robot.footfall_fit import TORQUES, Prior, evenly, shared_sd
 from terraphi.robot.legs import GRAVITY
-from terraphi.robot.touchdowns import Sensitivity
 
 FIELD_MEAN_SD = 8.0
 """Of the process's mean about the prior's [deg]."""
@@ -132,7 +131,7 @@ def weigh(
     time: FloatArray,
     lift: FloatArray,
     lift_acceleration: FloatArray,
-    per: Sensitivity,
+    per: FloatArray,
     prior: Prior,
     *,
     mass: float,
@@ -148,7 +147,8 @@ def weigh(
     lift_acceleration
         Of the trunk [m/s²], shape [sample].
     per
-        What errors of the torques add to the forces.
+        What errors of the torques add to the forces
+        (:func:`~terraphi.robot.touchdowns.sensitivity`).
     prior
         Of all that footfalls share.
     mass
@@ -166,7 +166,7 @@ def weigh(
     known = np.isfinite(lift).all(axis=1)
     if known.sum() < 2:
         return shared
-    errors = np.concatenate([per.gain.reshape(-1, 12), per.friction.reshape(-1, 12)], axis=1)
+    errors = np.hstack([part.reshape(-1, 12) for part in np.split(per, 2, axis=-1)])
     # The last column is the relative error of the mass itself.
     expected = mass * (GRAVITY + lift_acceleration)
     rows = np.column_stack([lift.sum(axis=1) - expected, errors, expected])[known]
@@ -227,8 +227,7 @@ def pool(
     """
     from scipy.linalg import block_diag
 
-    kept = _some(seen, MOST)
-    n = len(SENSORS)
+    kept = evenly(seen, MOST)
     amplitude, length, scatter = _learnt(kept, shared, mean)
     shared = _taught(kept, shared, amplitude, length, scatter, mean)
     stretches = [points for _, points in anchors]
@@ -242,8 +241,8 @@ def pool(
     weights = half.T @ _solve(lower, np.column_stack([kept.phi - mean, kept.shared]))
     before = average @ covariance(places, places, amplitude, length) @ average.T
     found, spread, moves = mean + weights[:, 0], before - half.T @ half, weights[:, 1:]
-    apart = moves[:, :n] - moves[: len(path), :n].mean(axis=0)
-    relative = np.diag(spread) + _spread(apart, shared.covariance[:n, :n])
+    apart = moves - moves[: len(path)].mean(axis=0)
+    relative = np.diag(spread) + _spread(apart, shared.covariance)
     # φ = found − moves (θ − θ₀): anchors are seen now, footfalls have been.
     theta = shared.covariance
     whole = np.block(
@@ -257,9 +256,8 @@ def pool(
     whole = whole - gain @ whole[rows]
     centre, left = state[len(found) :], whole[len(found) :, len(found) :]
     each = np.sqrt(np.diag(left).clip(0.0))
-    # Of a place compared with others of the walk: what sensors add to all alike is shared.
-    sensors = seen.shared[:, :n]
-    unlike = _spread(sensors - sensors.mean(axis=0), left[:n, :n])
+    # Of a place compared with others of the walk: what is added to all alike is shared.
+    unlike = _spread(seen.shared - seen.shared.mean(axis=0), left)
     return Pooled(
         phi=seen.phi - seen.shared @ centre,
         sd=np.sqrt(seen.sd**2 + scatter**2 + unlike),
@@ -294,18 +292,11 @@ def _solve(lower: FloatArray, right: FloatArray) -> FloatArray:
     return np.asarray(solve_triangular(lower, right, lower=True, check_finite=False))
 
 
-def _some(seen: Observed, most: int) -> Observed:
-    """Footfalls, evenly chosen."""
-    count = len(seen.phi)
-    every = np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
-    return Observed(*(column[every] for column in seen))
-
-
 def _taught(
     seen: Observed, shared: Shared, amplitude: float, length: float, scatter: float, mean: float
 ) -> Shared:
     """What is shared, after footfalls have taught the errors of the torques."""
-    part, n = _some(seen, TEACHERS), len(TORQUES)
+    part, n = evenly(seen, TEACHERS), len(TORQUES)
     each, torques = part.shared[:, :n], shared.covariance[:n, :n]
     matrix = _observed(part, amplitude, length, scatter) + each @ torques @ each.T
     gain = np.linalg.solve(matrix, each @ torques).T
@@ -319,7 +310,7 @@ def _learnt(seen: Observed, shared: Shared, mean: float) -> tuple[float, float, 
     """Amplitude, length and scatter at the maximum of their marginal posterior."""
     from scipy.optimize import minimize
 
-    part, n = _some(seen, LEARN_FROM), len(TORQUES)
+    part, n = evenly(seen, LEARN_FROM), len(TORQUES)
     each = part.shared[:, :n]
     centre = np.log([AMPLITUDE[0], LENGTH[0], SCATTER[0]])
     width = np.array([AMPLITUDE[1], LENGTH[1], SCATTER[1]])

@@ -16,7 +16,16 @@ from numpy.typing import NDArray
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import number_with_sd, plain_number
-from terraphi.robot.footfall_fit import LAW_SETS, PHI_RANGE, SHARED, Fit, Prior, fit, with_exponent
+from terraphi.forward.foot import LAWS
+from terraphi.robot.footfall_fit import (
+    PHI_RANGE,
+    SHARED,
+    Fit,
+    Prior,
+    evenly,
+    fit,
+    with_exponent,
+)
 from terraphi.robot.footfall_map import ANCHOR_POINTS, Anchor, Observed, Pooled, pool, weigh
 from terraphi.robot.forces import without_broken_accelerometer
 from terraphi.robot.joint_log import FEET, JointLog
@@ -48,8 +57,10 @@ NEAR_EDGE_DEG = 1.0
 """A friction angle this near to the end of the range of the laws is the end [deg]."""
 LEAST_SCALE = 0.2
 """The noise of a log is at least this part of what is assumed [-]."""
-FEWEST_TEACHERS = 8
-"""Touch-downs that teach a law's growth with depth at least."""
+FEWEST_TEACHERS, MOST_TEACHERS = 8, 120
+"""Touch-downs that teach a law's growth with depth at least, and from which they are taken."""
+SECOND = "rft"
+"""Law of a second opinion on the mean φ: of few terms, and fast."""
 CONTACT_PART = 0.4
 """Of the radius below a sunk ball's centre, where soil pushes [-]: by resistive force theory 0.9 to
 0.5 at a third of the radius' depth, 0.3 at a radius, 0.2 at one and a half."""
@@ -92,7 +103,7 @@ class FootfallMap:
     shared
         What all footfalls share, by name: mean, standard deviation and its share of φ's.
     by_law
-        Mean φ of the usable footfalls by each law [deg].
+        Mean φ of the usable footfalls by the law, and by :data:`SECOND` [deg].
     notes
         Warnings.
     provenance
@@ -199,8 +210,7 @@ def footfalls(
         Bulk density of the soil [kg/m³], such as ``1550`` (5 % uncertain) or ``"1550±80"``.
         ``None``: that of the prior, with a note.
     law
-        One of :data:`~terraphi.robot.footfall_fit.LAW_SETS`: the results of several laws are
-        averaged.
+        One of :data:`~terraphi.forward.foot.LAWS`.
     prior
         Distributions of soil, foot, sensors and law; the foot's radius is the robot's.
     anchors
@@ -223,8 +233,8 @@ def footfalls(
     >>> found.to_netcdf("soil.nc")
     """
     body = robot if isinstance(robot, Quadruped) else Quadruped.load(robot)
-    if law not in LAW_SETS:
-        raise InputError(f"law '{law}' is unknown; {nearest(law, LAW_SETS)}")
+    if law not in LAWS:
+        raise InputError(f"law '{law}' is unknown; {nearest(law, LAWS)}")
     if body.foot_radius <= 0.0:
         raise InputError(f"robot '{body.name}' lacks its foot_radius, which footfalls need")
     chosen = replace(prior or Prior(), radius=body.foot_radius)
@@ -249,27 +259,30 @@ def footfalls(
     seen = touchdowns(log, forces, motion, analysis.stances, per, radius=body.foot_radius)
     # The centre of mass accelerates otherwise than the trunk: legs are half of the robot.
     acceleration = motion.lift_acceleration + forces.leg_inertia / body.mass
-    common = weigh(log.time, lift, acceleration, per, chosen, mass=body.mass)
-    priors = {each: _taught(seen, each, chosen) for each in LAW_SETS[law]}
-    fits = {each: fit(seen, each, own) for each, own in priors.items()}
-    chosen = replace(chosen, exponent=float(np.mean([p.exponent for p in priors.values()])))
-    # The mean of several laws' fits; the best of their misfits.
-    found = Fit(*(np.mean(column, axis=0) for column in zip(*fits.values(), strict=True)))
-    found = found._replace(misfit=np.min([each.misfit for each in fits.values()], axis=0))
+    chosen = _taught(seen, law, chosen)
+    found = fit(seen, law, chosen)
     verdict = verdicts(seen, found, chosen.radius)
     usable = verdict == USABLE
+    common = weigh(log.time, lift, acceleration, per, chosen, mass=body.mass)
     path = _path(motion, log.time)
     stretches = [(anchor, _stretch(anchor, path)) for anchor in known]
     fields = {key: np.full(len(verdict), np.nan) for key in ("phi", "sd", "shared_sd")}
     of_path = ("path_phi", "path_relative_sd", "path_absolute_sd")
     fields |= {key: np.full(len(path), np.nan) for key in of_path}
     shared: dict[str, Any] = {}
+    by_law: dict[str, float] = {}
     if usable.any():
+        phi, misfit, moves = found.phi[usable], found.misfit[usable], found.shared[usable]
+        by_law[law] = float(phi.mean())
+        if law != SECOND:
+            some = evenly(Touchdowns._make(column[usable] for column in seen), MOST_TEACHERS)
+            second = fit(some, SECOND, replace(chosen, exponent=0.0)).phi
+            by_law[SECOND] = float(second.mean())
         # The noise is scaled to the median misfit of the log.
-        misfit = found.misfit[usable]
         scale = max(LEAST_SCALE, math.sqrt(float(np.median(np.minimum(misfit, 1.0)))))
         own = found.sd[usable] * scale * np.maximum(1.0, np.sqrt(misfit) / scale) ** 0.5
-        observed = Observed(found.phi[usable], own, found.shared[usable], seen.place[usable, :2])
+        moves[:, SHARED.index("law_slope")] = phi - phi.mean()
+        observed = Observed(phi, own, moves, seen.place[usable, :2])
         pooled = pool(observed, common, path[:, 1:], stretches, mean=chosen.phi_deg)
         for key, values in fields.items():
             values[usable if key not in of_path else slice(None)] = getattr(pooled, key)
@@ -292,18 +305,21 @@ def footfalls(
         verdict=tuple(verdict.tolist()),
         path=path,
         shared=shared,
-        by_law={k: float(f.phi[usable].mean()) for k, f in fits.items()} if usable.any() else {},
+        by_law=by_law,
         notes=tuple(notes),
         provenance={
-            "log": name, "robot": body.name, "law": law, "laws": list(fits),
-            "prior": asdict(chosen), "anchors": [anchor._asdict() for anchor in known],
+            "log": name, "robot": body.name, "law": law, "prior": asdict(chosen),
+            "anchors": [anchor._asdict() for anchor in known],
             "terraphi": importlib.metadata.version("terraphi"), "forces": analysis.provenance(),
         },
     )  # fmt: skip
 
 
 def _taught(seen: Touchdowns, law: str, prior: Prior) -> Prior:
-    """The prior with the law's growth with depth, if there are enough deep touch-downs."""
+    """The prior with the law's error, and its growth with depth if enough touch-downs are deep."""
+    if prior.law_sd_deg is None:
+        prior = replace(prior, law_sd_deg=LAWS[law].sd_deg)
+    seen = evenly(seen, MOST_TEACHERS)
     first = verdicts(seen, fit(seen, law, prior), prior.radius)
     deep = np.isin(first, (USABLE, MISFIT))
     if deep.sum() < FEWEST_TEACHERS:
@@ -355,10 +371,10 @@ def _from_the_start(motion: Motion, log: JointLog) -> Motion:
 
 def _path(motion: Motion, time: FloatArray) -> FloatArray:
     """Points s, x, y of the trunk's way at even steps [m], shape [point, 3]."""
+    from scipy.ndimage import uniform_filter1d
+
     width = max(1, round(SMOOTH_PATH_S / float(np.median(np.diff(time)))))
-    padded = np.pad(motion.trunk[:, :2], ((width, width), (0, 0)), mode="edge")
-    total = np.cumsum(padded, axis=0)
-    smooth = (total[2 * width :] - total[: -2 * width]) / (2 * width)
+    smooth = uniform_filter1d(motion.trunk[:, :2], 2 * width, axis=0, mode="nearest")
     gone = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(smooth, axis=0).T))])
     count = int(np.clip(gone[-1] / PATH_STEP + 1, 1, MOST_POINTS))
     s = np.linspace(0.0, gone[-1], count)

@@ -214,21 +214,16 @@ def fit(
 
 def _robust(x: FloatArray, y: FloatArray) -> FloatArray:
     """Huber's regression by reweighting, with no coefficient below zero."""
-    free = np.ones(x.shape[1], dtype=bool)
-    while True:
-        solution = np.zeros(x.shape[1])
-        weight = np.ones(len(y))
-        for _ in range(12):
-            weighted = x[:, free].T * weight
-            solution[free] = np.linalg.lstsq(weighted @ x[:, free], weighted @ y, rcond=1e-10)[0]
-            error = np.abs(y - x @ solution)
-            scale = max(float(spread(error)), 1e-9)
-            weight = np.minimum(1.0, _HUBER * scale / np.maximum(error, 1e-12))
-        # The one that is furthest below zero, by the torque that it stands for.
-        torque = solution * np.sqrt(np.mean(x**2, axis=0))
-        if torque.min() >= 0.0:
-            return solution
-        free[np.argmin(torque)] = False
+    from scipy.optimize import nnls
+
+    weight, solution = np.ones(len(y)), np.zeros(x.shape[1])
+    for _ in range(12):
+        root = np.sqrt(weight)
+        solution = np.asarray(nnls(x * root[:, None], y * root)[0])
+        error = np.abs(y - x @ solution)
+        scale = max(float(spread(error)), 1e-9)
+        weight = np.minimum(1.0, _HUBER * scale / np.maximum(error, 1e-12))
+    return solution
 
 
 def spread(deviation: FloatArray) -> FloatArray:

@@ -24,7 +24,7 @@ from terraphi.robot.logs import read_log
 from terraphi.robot.logs.columns import Columns
 from terraphi.robot.logs.samples import UNEVEN, describe
 from terraphi.robot.model import Quadruped
-from terraphi.robot.stance import AXES, Criteria, Ensemble, Stance, find_stances
+from terraphi.robot.stance import AXES, LEAST_RISE_N, Ensemble, Stance, find_stances
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -200,12 +200,13 @@ def foot_forces(
         every = [np.interp(log.time + lag_s, log.time, t) for t in log.torque.reshape(-1, 12).T]
         log = replace(log, torque=np.stack(every, axis=1).reshape(log.torque.shape))
     weight = body.mass * GRAVITY
-    criteria = Criteria(rise_N=max(Criteria.rise_N, RISE_SHARE * weight))
     try:
         forces = estimate(
             log, robot=body, estimator=estimator, frame=frame, contact_part=contact_part
         )
-        stances = find_stances(forces.time, forces.force, criteria=criteria)
+        stances = find_stances(
+            forces.time, forces.force, rise_N=max(LEAST_RISE_N, RISE_SHARE * weight)
+        )
         mean = balance(forces, stances, weight)
         findings = check(log, body, forces, mean)
     except InputError as error:

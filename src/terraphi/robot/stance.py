@@ -26,44 +26,24 @@ POINTS = 101
 """Points of normalised time at which stances are averaged."""
 
 
-@dataclass(frozen=True)
-class Criteria:
-    """Thresholds that decide what counts as a stance.
-
-    Attributes
-    ----------
-    rise_N
-        Vertical force that a stance reaches at least [N].
-    rise_part
-        The same as a part of the foot's high loads (95 % quantile) [-]; the larger one counts.
-    fall_part
-        Part of the rise above which a foot keeps standing [-].
-    touch_part
-        A foot touches down where its force last was below this part of the rise [-]: filters give
-        a sudden force a foot of some milliseconds before it begins.
-    impulse_part
-        Least ∫ Fz dt as a part of that of the foot's long stances (90 % quantile) [-]: the inertia
-        of a swinging leg looks like a short force to an estimate that leaves it out.
-    shortest_s, longest_s
-        Durations of a stance [s]; who stands longer stands still.
-    lift_s
-        A foot lifted for less than this has not been lifted [s].
-    gap_s
-        Longest interval without samples that a stance may contain [s].
-    smooth_s
-        Width of the moving mean on which thresholds are tried [s].
-    """
-
-    rise_N: float = 12.0
-    rise_part: float = 0.35
-    fall_part: float = 0.25
-    touch_part: float = 0.1
-    impulse_part: float = 0.25
-    shortest_s: float = 0.06
-    longest_s: float = 2.0
-    lift_s: float = 0.03
-    gap_s: float = 0.04
-    smooth_s: float = 0.01
+LEAST_RISE_N, RISE_PART = 12.0, 0.35
+"""Vertical force that a stance reaches at least [N], or this part of the foot's high loads (95 %
+quantile) [-] if that is larger."""
+FALL_PART = 0.25
+"""Part of the rise above which a foot keeps standing [-]."""
+TOUCH_PART = 0.1
+"""A foot touches down where its force last was below this part of the rise [-]: filters give a
+sudden force a foot of some milliseconds before it begins."""
+IMPULSE_PART = 0.25
+"""Least ∫ Fz dt as a part of that of the foot's long stances (90 % quantile) [-]: the inertia of a
+swinging leg looks like a short force to an estimate that leaves it out."""
+SHORTEST_S, LONGEST_S = 0.06, 2.0
+"""Durations of a stance [s]; who stands longer stands still."""
+LIFT_S, GAP_S = 0.03, 0.04
+"""A foot lifted for less than this has not been lifted; longest interval without samples that a
+stance may contain [s]."""
+SMOOTH_S = 0.01
+"""Width of the moving mean on which thresholds are tried [s]."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -158,7 +138,7 @@ class Ensemble:
 
 
 def find_stances(
-    time: FloatArray, force: Forces, *, criteria: Criteria | None = None
+    time: FloatArray, force: Forces, *, rise_N: float = LEAST_RISE_N
 ) -> tuple[Stance, ...]:
     """Find the stances that lie wholly inside a record.
 
@@ -169,8 +149,8 @@ def find_stances(
     force
         Of the ground on the robot, z up [N], shape [sample, foot, axis]; samples that are not
         numbers are left out, and what is lost by that is a gap like any other.
-    criteria
-        What makes a stance.
+    rise_N
+        Vertical force that a stance reaches at least [N].
 
     Returns
     -------
@@ -183,25 +163,26 @@ def find_stances(
     that ends a stance is therefore the lower quartile of the foot's low forces where that is
     positive.
     """
-    chosen = criteria or Criteria()
     found: list[Stance] = []
     for column, foot in enumerate(FEET):
         known = np.isfinite(force[:, column]).all(axis=1)
         own_time, own = time[known], force[known, column]
-        for first, last in _bounds(own_time, own[:, 2], chosen):
+        for first, last in _bounds(own_time, own[:, 2], rise_N):
             part = slice(first, last + 1)
             found.append(Stance(foot, own_time[part], own[part]))
     return tuple(sorted(found, key=lambda stance: stance.begin))
 
 
-def _bounds(time: FloatArray, lift: Forces, criteria: Criteria) -> list[tuple[int, int]]:
+def _bounds(time: FloatArray, lift: Forces, rise_N: float) -> list[tuple[int, int]]:
     """First and last sample of each stance of one foot."""
+    from scipy.integrate import cumulative_trapezoid
+
     if len(time) < 3:
         return []
-    rise = max(criteria.rise_N, criteria.rise_part * float(np.quantile(lift, 0.95)))
-    width = round(criteria.smooth_s / float(np.median(np.diff(time))))
+    rise = max(rise_N, RISE_PART * float(np.quantile(lift, 0.95)))
+    width = round(SMOOTH_S / float(np.median(np.diff(time))))
     smooth = running_mean(lift[:, None], min(width // 2, (len(lift) - 1) // 2))[:, 0]
-    high, low = smooth >= rise, smooth >= criteria.fall_part * rise
+    high, low = smooth >= rise, smooth >= FALL_PART * rise
     in_air = lift[~low]
     level = max(0.0, float(np.quantile(in_air, 0.25))) if len(in_air) else 0.0
     edges = np.diff(np.concatenate([[0], low.astype(np.int8), [0]]))
@@ -212,22 +193,21 @@ def _bounds(time: FloatArray, lift: Forces, criteria: Criteria) -> list[tuple[in
     holds = np.logical_or.reduceat(high, starts)
     starts, ends = starts[holds], ends[holds]
     # Runs that are separated by less than the shortest lift of a foot are one.
-    apart = time[starts[1:]] - time[ends[:-1]] >= criteria.lift_s
+    apart = time[starts[1:]] - time[ends[:-1]] >= LIFT_S
     starts, ends = starts[np.append(True, apart)], ends[np.append(apart, True)]
-    first, last = _crossings(lift, starts, ends, max(level, criteria.touch_part * rise), level)
+    first, last = _crossings(lift, starts, ends, max(level, TOUCH_PART * rise), level)
     # Outside the record: the foot stood when it began, or when it ended.
     good = (first >= 0) & (last < len(lift))
     first, last = first[good], last[good]
-    breaks = np.concatenate([[0], np.cumsum(np.diff(time) > criteria.gap_s)])
+    breaks = np.concatenate([[0], np.cumsum(np.diff(time) > GAP_S)])
     duration = time[last] - time[first]
-    good = (duration >= criteria.shortest_s) & (duration <= criteria.longest_s)
+    good = (duration >= SHORTEST_S) & (duration <= LONGEST_S)
     good &= breaks[first] == breaks[last]
     first, last = first[good], last[good]
     if len(first):
-        panels = 0.5 * (lift[1:] + lift[:-1]) * np.diff(time)
-        total = np.concatenate([[0.0], np.cumsum(panels, dtype=np.float64)])
+        total = cumulative_trapezoid(lift.astype(np.float64), time, initial=0.0)
         impulse = total[last] - total[first]
-        great = impulse >= criteria.impulse_part * np.quantile(impulse, 0.9)
+        great = impulse >= IMPULSE_PART * np.quantile(impulse, 0.9)
         first, last = first[great], last[great]
     return list(zip(first.tolist(), last.tolist(), strict=True))
 

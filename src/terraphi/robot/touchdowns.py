@@ -163,10 +163,9 @@ class Touchdowns(NamedTuple):
         [m/s].
     force
         Upward force on the foot [N].
-    per_gain
-        What an error of one of the leg's torque gains adds to it [N], shape [..., joint].
-    per_friction
-        What an unknown Coulomb torque of 1 N m adds to it [N], shape [..., joint].
+    per_error
+        What errors of the leg's torques add to it [N], as :func:`sensitivity` orders them; shape
+        [touchdown, sample, 6].
     used
         Whether the sample is there, and the foot is going down in it.
     torn
@@ -183,28 +182,23 @@ class Touchdowns(NamedTuple):
     descent: FloatArray
     speed: FloatArray
     force: FloatArray
-    per_gain: FloatArray
-    per_friction: FloatArray
+    per_error: FloatArray
     used: BoolArray
     torn: BoolArray
     saturated: BoolArray
 
 
-class Sensitivity(NamedTuple):
-    """What errors of a joint's torque add to the upward forces [N], shape [sample, foot, joint]."""
+def sensitivity(log: JointLog, forces: FootForces) -> FloatArray:
+    """What errors of the torques add to the upward forces [N], shape [sample, foot, 6].
 
-    gain: FloatArray
-    friction: FloatArray
-
-
-def sensitivity(log: JointLog, forces: FootForces) -> Sensitivity:
-    """How upward forces depend on the torques' gains and on friction.
+    Those of the gains of hip, thigh and calf, and unknown Coulomb torques of 1 N m in them.
 
     With f = J⁻ᵀ(h − τ): a gain error g of a joint adds −J⁻ᵀτ g, and friction c left in it
     −J⁻ᵀ sign(q̇) c.
     """
     row = np.nan_to_num(forces.lift_per_torque)
-    return Sensitivity(-row * log.torque, -row * smooth_sign(np.asarray(log.velocity)))
+    sign = smooth_sign(np.asarray(log.velocity))
+    return np.concatenate([-row * log.torque, -row * sign], axis=-1)
 
 
 def touchdowns(
@@ -212,7 +206,7 @@ def touchdowns(
     forces: FootForces,
     motion: Motion,
     stances: Sequence[Stance],
-    per: Sensitivity,
+    per: FloatArray,
     *,
     radius: float,
 ) -> Touchdowns:
@@ -240,7 +234,7 @@ def _touchdown(
     forces: FootForces,
     motion: Motion,
     stance: Stance,
-    per: Sensitivity,
+    per: FloatArray,
     step: float,
 ) -> dict[str, Any]:
     """Fields of one touch-down; the places of samples that it lacks repeat its last."""
@@ -289,8 +283,7 @@ def _touchdown(
         "descent": np.arctan2(down, np.hypot(velocity[:, 0], velocity[:, 1]))[chosen],
         "speed": np.linalg.norm(velocity, axis=1)[chosen],
         "force": force[chosen],
-        "per_gain": per.gain[rows[chosen], foot],
-        "per_friction": per.friction[rows[chosen], foot],
+        "per_error": per[rows[chosen], foot],
         "used": good[chosen] & (np.arange(POINTS) < count) & (not short),
         "torn": short or FEWEST * step > LOADING_S or bool(late.any()),
         "saturated": bool(forces.saturated[part, foot].any()),

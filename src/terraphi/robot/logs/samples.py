@@ -151,14 +151,14 @@ def _check_units(path: Path, time: FloatArray, angle: FloatArray, velocity: Floa
     The ratio is the slope of a regression of the velocities' integral on the change of the angles,
     over spans that are long against the noise of both and short against a stride.
     """
+    from scipy.integrate import cumulative_trapezoid
+
     time, angle, velocity = (v[:_MOTION_SAMPLES] for v in (time, angle, velocity))
     if len(time) < 2:
         return
-    step = np.diff(time)
-    usual = float(np.median(step))
+    usual = float(np.median(np.diff(time)))
     every = max(1, min(round(_SPAN_S / usual), len(time) // 4))
-    way = np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * step[:, None, None], axis=0)
-    way = np.diff(np.concatenate([np.zeros((1, 4, 3)), way])[::every], axis=0)
+    way = np.diff(cumulative_trapezoid(velocity, time, axis=0, initial=0.0)[::every], axis=0)
     moved, span = np.diff(angle[::every], axis=0), np.diff(time[::every])
     whole = span < 1.5 * every * usual
     way, moved = way[whole], moved[whole]
