@@ -325,7 +325,10 @@ def test_codes_in_names_do_not_reach_the_terminal(terraphi: Terraphi, tmp_path: 
     name = "a\x1b]0;title\x07b.csv"
     assert terraphi("simulate", "quick", "--out", f"{name}.nc").status == 0
     out = terraphi("report", f"{name}.nc", "--out", "r.html").out
-    assert out.startswith("a\\x1b]0;title\\x07b.csv")
+    assert out.startswith("a\\u001b]0;title\\u0007b.csv")
+    assert terraphi("simulate", "quick", "--out", "a\x7f\x9bb.nc").status == 0
+    out = terraphi("invert", "a\x7f\x9bb.nc", "--json").out
+    assert json.loads(out)["source"] == "a\x7f\x9bb.nc"
 
 
 def test_numbers_and_depth_without_bound_are_one_sentence(
