@@ -23,6 +23,7 @@ from terraphi.cli import options
 from terraphi.cli.main import cli
 from terraphi.experiment.leg import LEG_SHAPES
 from terraphi.experiment.measurements import names
+from terraphi.forward.foot import LAWS
 
 Terraphi = Callable[..., Any]
 QUICK = ("--library", "rft3d")
@@ -69,8 +70,9 @@ def test_help_loads_neither_numpy_nor_rich() -> None:
     assert done.stdout.splitlines()[-1] == "[]"
 
 
-def test_legs_are_those_of_scenarios() -> None:
+def test_choices_are_those_of_the_modules() -> None:
     assert set(options.LEGS) == {leg for leg in LEG_SHAPES if leg != "plate"}
+    assert tuple(LAWS) == options.LAWS
 
 
 # -- answers -------------------------------------------------------------------------------------
