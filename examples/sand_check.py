@@ -179,7 +179,8 @@ def main(
     name = "go2" if robot is None else Quadruped.load(robot).name
     for seed in range(seeds):
         for world in worlds:
-            # Bearing capacity knows no friction; slow and limping walks are of the first world.
+            # Formulas of bearing capacity have no friction; slow and limping walks are of the first
+            # world.
             law = WORLDS[world].law
             for friction in frictions if law in ("foot", "rft") else frictions[:1]:
                 for gait in gaits if world == "foot" else [g for g in gaits if g not in HELD_BACK]:

@@ -10,7 +10,7 @@ A soil whose friction angle you measured takes off a part of the error of model 
 # Two soils in one apparatus
 # --------------------------
 # Both are simulated spheres of 6 mm, stirred by the straight leg. A shear cell measured both:
-# 25.7 and 31.4°. The first is the known soil. The angle of the second is kept for the comparison.
+# 25.7 and 31.4°. The first calibrates. The angle of the second is kept for the comparison.
 
 import matplotlib.pyplot as plt
 
@@ -29,15 +29,15 @@ before
 #
 # Calibrate
 # ---------
-# The known soil has the same error.
+# The calibration soil has the same error.
 
 calibration = terraphi.calibrate(known, 25.7, 1.0, **leg, density="1418±7")
 after = terraphi.invert(other, **leg, density="1335±7", calibration=calibration)
 after
 
 # %%
-# The calibration takes off a part of the difference that the known soil shows. The rest may be of
-# that soil alone: more known soils take off more.
+# The calibration takes off a part of the difference that its soil shows. The rest may be of that
+# soil alone: more calibration soils take off more.
 
 figure, axes = plt.subplots(figsize=(7, 3.4), layout="constrained")
 for name, answer, color in (("before", before, "0.5"), ("calibrated", after, "C0")):

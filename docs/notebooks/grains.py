@@ -38,8 +38,8 @@ for name, (diameter, density) in sizes.items():
 pd.DataFrame({f"{d} mm": {"φ": a.phi.median, "sd": a.phi.sd} for d, a in answers.items()}).round(1)
 
 # %%
-# Without size
-# ------------
+# Zero grain size
+# ---------------
 # Sand is much finer than the leg is wide. So the line through the three is read at zero size.
 
 slope, at_zero = np.polyfit([*answers], [a.phi.median for a in answers.values()], 1)

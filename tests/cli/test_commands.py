@@ -23,6 +23,7 @@ from terraphi.cli import options
 from terraphi.cli.main import cli
 from terraphi.experiment.leg import LEG_SHAPES
 from terraphi.experiment.measurements import names
+from terraphi.forward.foot import LAWS
 
 Terraphi = Callable[..., Any]
 QUICK = ("--library", "rft3d")
@@ -69,8 +70,9 @@ def test_help_loads_neither_numpy_nor_rich() -> None:
     assert done.stdout.splitlines()[-1] == "[]"
 
 
-def test_legs_are_those_of_scenarios() -> None:
+def test_choices_are_those_of_the_modules() -> None:
     assert set(options.LEGS) == {leg for leg in LEG_SHAPES if leg != "plate"}
+    assert tuple(LAWS) == options.LAWS
 
 
 # -- answers -------------------------------------------------------------------------------------
@@ -325,7 +327,10 @@ def test_codes_in_names_do_not_reach_the_terminal(terraphi: Terraphi, tmp_path: 
     name = "a\x1b]0;title\x07b.csv"
     assert terraphi("simulate", "quick", "--out", f"{name}.nc").status == 0
     out = terraphi("report", f"{name}.nc", "--out", "r.html").out
-    assert out.startswith("a\\x1b]0;title\\x07b.csv")
+    assert out.startswith("a\\u001b]0;title\\u0007b.csv")
+    assert terraphi("simulate", "quick", "--out", "a\x7f\x9bb.nc").status == 0
+    out = terraphi("invert", "a\x7f\x9bb.nc", "--json").out
+    assert json.loads(out)["source"] == "a\x7f\x9bb.nc"
 
 
 def test_numbers_and_depth_without_bound_are_one_sentence(

@@ -300,6 +300,7 @@ HALF = np.where(np.arange(60) < 30, np.arange(60), -9999.0) * np.ones((60, 1))
         (lambda hill, _: hill(heights=np.maximum(HALF, -999.0)), "", "elevations from -999 to"),
         (lambda hill, _: hill(bands=3), "", "has 3 bands, expected one"),
         (lambda hill, _: hill(crs="EPSG:3857", bottom=8.4e6), "", "are 2 by 2 m for 1 m on the"),
+        (lambda hill, _: hill(crs="+proj=eqc +R=3396190 +units=m"), "", "not of a place on the"),
         (None, "--seed 99999999999", "99999999999 is not in the range"),
         (lambda hill, _: hill(left=1000.0), "", "is outside dem.tif"),
         (lambda hill, _: hill(heights=HALF), "", "dem.tif has no elevation there"),

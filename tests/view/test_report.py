@@ -49,6 +49,15 @@ def test_an_answer_that_was_changed_is_shown_with_a_warning(answer: Answer, tmp_
     assert broken.lines[1:] == whole.lines
 
 
+def test_a_folder_of_answers_stands_for_each(
+    answer: Answer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("a", "b"):
+        answer.save(tmp_path / name)
+    monkeypatch.chdir(tmp_path)
+    assert [one.kind for one in sections(["."])] == ["answer"] * 2
+
+
 def test_the_fit_is_the_curve_with_the_mean_model_error() -> None:
     answer = invert("li2013:yuma/c")
     fx = of_answer(answer).parts[0]

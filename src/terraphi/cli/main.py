@@ -62,7 +62,7 @@ def main() -> None:
     write = sys.stdout.write
 
     def escaped(text: str) -> int:  # a name in a file may hold codes that rewrite a terminal
-        return write(CONTROL.sub(lambda m: ascii(m[0])[1:-1], text))
+        return write(CONTROL.sub(lambda m: f"\\u{ord(m[0]):04x}", text))  # as JSON has them
 
     sys.stdout.write = escaped  # type: ignore[method-assign]
     if not sys.warnoptions:  # they name our source, and mean nothing to a user

@@ -7,8 +7,8 @@ different evidence, so that their difference shows how much the choice matters:
 ``foot``
     Simulated: the material point method in three dimensions, with the soil of library ``sand3d``
     (φ of plane strain, no dilation), over the angle, the friction and the direction. Forces are
-    proportional to ρ g R³ and were extrapolated in cells, particles and stiffness, and φ was
-    corrected by what feet in grains of known φ read (``studies/foot.py``).
+    proportional to ρ g R³ and were extrapolated in cells, particles and stiffness. φ is 2° above
+    the simulated one, so that feet in loose grains of measured φ agree (``studies/foot.py``).
 ``rft``
     Resistive force theory in three dimensions (Agarwal, Goldman & Kamrin, 2023; see
     :mod:`~terraphi.forward.rft`), summed over the faces of the foot that lead and are submerged.
@@ -67,7 +67,7 @@ DESCENTS = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 61)
 SCHEMA = 1
 """Of the files of simulated forces."""
 BEYOND_DEG, BEYOND_FRICTION = 3.0, 0.15
-"""How far outside the simulated angles [deg] and frictions the simulated law is continued."""
+"""How far outside its table of angles [deg] and frictions the simulated law is continued."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,8 @@ class FootLaw:
     convention
         What that is: ``plane_strain``, or ``rft3d``.
     sd_deg
-        Error of φ by this law in grains of measured φ, root mean square [deg] (``docs/plates.md``).
+        Error of φ by this law in loose grains of measured φ, offset and scatter together, root
+        mean square [deg] (``docs/plates.md``).
     """
 
     name: str
@@ -154,7 +155,7 @@ def simulated_force(
     T is cubic over φ (its logarithm), linear over depth and μ_s. Deeper than was simulated it goes
     on with its last slope. Descents below those that were simulated have the forces of the lowest
     one times the ratio that resistive force theory has between both. Angles more than
-    :data:`BEYOND_DEG` outside the simulated ones give NaN; a friction more than
+    :data:`BEYOND_DEG` outside the table give NaN; a friction more than
     :data:`BEYOND_FRICTION` outside raises InputError.
     """
     first, step, table = _simulated(foot.shape, float(mu))

@@ -69,7 +69,7 @@ def forecast(scenarios: Iterable[Scenario]) -> Forecast:
 
 
 def refuse_what_cannot_fit(scenario: Scenario) -> None:
-    """Raise InputError for a simulation of more than a year, or that needs more memory than is."""
+    """Raise InputError for a simulation of over a year, or of more memory than there is."""
     one, memory = _of_one(scenario), machine_bytes()
     size = f"{one.particles:.2g} particles and {bin_count(scenario.motion):.2g} bins of the history"
     if one.bytes > memory:

@@ -172,15 +172,16 @@ def _finished(path: Path, folder: Path, wanted: list[Scenario]) -> dict[str, For
         found = {c.scenario.hash: c.history for c in Library.load(path).cases if c.history}
     for file in sorted(folder.glob("*.nc")):
         try:
-            found[file.stem] = ForceHistory.from_netcdf(file)
+            history = ForceHistory.from_netcdf(file)
         except InputError as error:
             log.warning("%s; it will be simulated again", error)
+        else:
+            if history.provenance.get("scenario_hash") == file.stem:
+                found[file.stem] = history
     return {
         s.hash: found[s.hash]
         for s in wanted
-        if s.hash in found
-        and found[s.hash].provenance.get("scenario_hash") == s.hash
-        and found[s.hash].provenance.get("model_version") == model_version(s)
+        if s.hash in found and found[s.hash].provenance.get("model_version") == model_version(s)
     }
 
 

@@ -114,7 +114,9 @@ def read_elevation(path: Path) -> Elevation:
         raise InputError(f"{path}: elevations from {low:g} to {high:g} m, expected {expected}")
     x, y = c + a * (np.arange(columns) + 0.5), f + e * (np.arange(rows) + 0.5)
     stretch = _stretch(crs, x[columns // 2], y[rows // 2])
-    if not (np.abs(stretch - 1.0) <= MOST_STRETCHED).all():
+    if not np.isfinite(stretch).all():
+        raise InputError(f"{path}: its coordinates are not of a place on the earth")
+    if (np.abs(stretch - 1.0) > MOST_STRETCHED).any():
         much = " by ".join(f"{part:.3g}" for part in stretch)
         utm = "project it to its UTM zone, as with gdalwarp -t_srs"
         raise InputError(f"{path}: its coordinates are {much} m for 1 m on the ground; {utm}")
@@ -122,11 +124,18 @@ def read_elevation(path: Path) -> Elevation:
 
 
 def _stretch(crs: Any, x: float, y: float) -> FloatArray:
-    """Metres of a coordinate system for one on the ground, along x and y at a place [-]."""
+    """Metres of a coordinate system for one on the ground, along x and y at a place [-].
+
+    NaN if it is not of the earth.
+    """
+    from rasterio._err import CPLE_BaseError
     from rasterio.warp import transform
 
     across, up = np.array([-500.0, 500.0, 0.0, 0.0]), np.array([0.0, 0.0, -500.0, 500.0])
-    lon, lat = np.radians(transform(crs, "EPSG:4326", x + across, y + up))
+    try:
+        lon, lat = np.radians(transform(crs, "EPSG:4326", x + across, y + up))
+    except CPLE_BaseError:
+        return np.full(2, np.nan)
     place = EARTH * np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
     return np.asarray(1000.0 / np.linalg.norm(place[:, 1::2] - place[:, ::2], axis=0))
 

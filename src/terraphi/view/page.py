@@ -79,9 +79,8 @@ def sections(results: Sequence[Any], *, robot: str = "go2") -> list[Section]:
     """
     every: list[Any] = []
     for one in results:
-        folder = Path(one) if isinstance(one, str | Path) else Path()
-        inside = sorted(file.parent for file in folder.glob("*/answer.nc")) if folder.name else []
-        every += inside or [one]
+        files = Path(one).glob("*/answer.nc") if isinstance(one, str | Path) else ()
+        every += sorted(file.parent for file in files) or [one]
     return [section_of(one, robot=robot) for one in every]
 
 
