@@ -140,7 +140,7 @@ def of_grains(folder: Path) -> Beds:
 
 
 def without_size(beds: Beds) -> dict[tuple[str, str], np.ndarray]:
-    """Force over density of each soil and leg, extrapolated to no size of grains, [theta, 2]."""
+    """Force over density of each soil and leg, extrapolated to zero grain size, [theta, 2]."""
     kernel = np.exp(-0.5 * np.square((ANGLES_DEG[:, None] - ANGLES_DEG) / SMOOTH_DEG))
     kernel /= kernel.sum(axis=1)[:, None]
     size, effect = {}, {}

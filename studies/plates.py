@@ -217,7 +217,7 @@ def base(soil: str) -> str:
 
 
 class Sizeless(NamedTuple):
-    """Values in grains of no size, by soil, their change by a mm, and what it leaves open."""
+    """Values at zero grain size, by soil, their change by a mm, and what it leaves open."""
 
     values: dict[str, float]
     slope: float
@@ -243,7 +243,7 @@ def sizeless(values: Mapping[str, float], foot: str) -> Sizeless:
 
 
 def by_law(tests: dict[str, list[Test]], off: Mapping[str, Mapping[str, np.ndarray]]) -> str:
-    """Table of each law's φ less the true one, over loose soils, in grains of no size.
+    """Table of each law's φ less the true one, over loose soils, at zero grain size.
 
     ``off`` has that by law and test [deg], for all depths and for each of WINDOWS_R.
     """
@@ -309,7 +309,7 @@ def by_setting(tests: dict[str, list[Test]], strength: Mapping[str, float],
     found = [(words, [difference(own, *parts) for own in values]) for words, *parts in CHECKS]
     for foot, words in FEET.items():
         change = [-SIZE_MM * sizeless(own, foot).slope for own in values]
-        found.append((f"grains of no size, not {SIZE_MM:g} mm: {words}", change))
+        found.append((f"zero grain size, not {SIZE_MM:g} mm: {words}", change))
     rows = [
         (words, f"{np.expm1(lift):+.0%}",
          *("" if np.isnan(change) else f"{change:+.1f}°" for change in changes))
@@ -518,7 +518,7 @@ def main() -> None:
             "loose spheres simulated one by one, of 6 and 8.8 mm (-coarse), in beds 30 diameters "
             "wide. A shear cell measured their critical φ in plane strain. The laws are fitted in "
             "the same way; φ of `rft` is taken to plane strain by sin φ' = tan φ. φ less measured "
-            "is that in grains of no size, by a line over the size, as steep in all soils."
+            "is extrapolated to zero grain size, by a line over the size, as steep in all soils."
         ),
         by_law(grains, off),
         "By soil: lift over ρ g R³, mean between R/2 and 3R/2, and φ by law less critical φ.",

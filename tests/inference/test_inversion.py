@@ -276,3 +276,21 @@ def test_what_a_library_reads_too_high_is_taken_off(sand3d: Library) -> None:
     assert lower.phi.median == pytest.approx(plain.phi.median - 2.5 / (1.0 + known.slope), abs=0.05)
     reads = [calibrate(record, 25.0, 1.0, library=one).soils[0].read_deg for one in (usual, high)]
     assert reads == pytest.approx([plain.phi.median, lower.phi.median], abs=0.2)
+
+
+def test_a_stroke_that_begins_in_the_soil_is_not_taken_for_untared() -> None:
+    """A C dips in before −90°: its record may begin there with a force."""
+    known = measurement("li2013:yuma/c")
+    history = known.history.between(-85.0, 90.0)
+    answer = invert(replace(history, provenance={}), leg="c", density=known.density_kg_m3)
+    assert answer.verdict == "consistent"
+    assert answer.phi.median == pytest.approx(invert("li2013:yuma/c").phi.median, abs=0.3)
+
+
+def test_a_wrong_leg_that_fits_is_doubted_by_the_second_opinion() -> None:
+    known = measurement("li2013:yuma/straight")
+    record = replace(known.history, provenance={})
+    right, wrong = (invert(record, leg=leg, density=1650.0) for leg in ("straight", "reversed_c"))
+    assert right.phi.median < 35.0 < 40.0 < wrong.phi.median
+    assert any("the leg" in question for question in wrong.questions)
+    assert not any("the leg and" in question for question in right.questions)

@@ -220,12 +220,15 @@ def in_air(likelihood: Likelihood) -> list[str]:
     for record, shift in zip(likelihood.records, likelihood.shift_deg, strict=True):
         emulator = likelihood.emulators[record.leg]
         force = np.abs(emulator(likelihood.inside[None])[0])
-        touching = emulator.curves.theta_deg[np.any(force > IN_AIR * force.max(), axis=0)] + shift
+        touched = np.any(force > IN_AIR * force.max(), axis=0)
+        # A bent leg may be in the soil where the model begins: then nothing is known of the air.
+        first, last = emulator.curves.theta_deg[touched][[0, -1]] + shift
+        first, last = -np.inf if touched[0] else first, np.inf if touched[-1] else last
         theta = record.history.theta_deg
         # Soil that the leg carries along may press on it a little where the model has none left.
         for side, air, limit in (
-            ("before the leg meets the soil", theta < touching[0] - MARGIN_DEG, OFFSET),
-            ("after it has left the soil", theta > touching[-1] + MARGIN_DEG, 2.0 * OFFSET),
+            ("before the leg meets the soil", theta < first - MARGIN_DEG, OFFSET),
+            ("after it has left the soil", theta > last + MARGIN_DEG, 2.0 * OFFSET),
         ):
             for name in record.channels:
                 values = record.history.channel(name)
