@@ -331,8 +331,9 @@ def main() -> None:
         parts.append(pages.table(header, compacted(cases)))
     parts.append(
         f"Feet in loose grains whose φ a shear cell measured find {WEAKER_DEG:g}° less by the "
-        "simulated forces ([plates](plates.md)). So at φ the files have the force that was simulated "
-        f"at φ − {WEAKER_DEG:g}°; the numbers above are of simulated φ, those of plates of the law."
+        "simulated forces ([plates](plates.md)). So at φ the files have the force that was "
+        f"simulated at φ − {WEAKER_DEG:g}°; the numbers above are of simulated φ, those of plates "
+        "of the law."
     )
     alt = "lift on a ball and a disc over depth, by simulated friction angle"
     pages.write(out, "foot", "The simulated law of a foot", parts, draw(tables), alt)
