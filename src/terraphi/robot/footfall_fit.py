@@ -40,11 +40,11 @@ LEAST_COST = 0.1
 """Costs below this are as good as each other [-]."""
 TAUGHT_SD = 0.03
 """Standard deviation of an exponent that touch-downs have taught [-]."""
-SLOPE_PER_SQUARE = 10.0
+SLOPE_PER_SQUARE = 6.0
 """Standard deviation of the error of a law's growth with φ, per square of the exponent that its
-growth with depth lacks [-]: law ``foot`` lacks 0.39 for resistive force theory, which changes with
-φ 0.4 times as much (an error of 1.5), 0.2 to 0.39 for Hansen's (0.8 to 1.2 times), −0.3 for
-itself with a resistance that grows slower (1.0)."""
+growth with depth lacks [-]. Law ``foot`` lacks 0.4 for resistive force theory, which changes with φ
+0.4 times as much (an error of 1.5), and 0.2 to 0.4 for Hansen's (errors up to 0.3): root mean
+square 1 at 0.4. It lacks -0.3 for itself with a resistance that grows slower (no error)."""
 TEACHERS = 60
 """Touch-downs that teach it at most, evenly chosen."""
 BLOCK = 512
