@@ -159,6 +159,19 @@ def test_an_imu_that_no_known_slip_explains_is_a_note(
     assert not any(re.search(r"and by \d+% if", note) for note in found.notes)
 
 
+@pytest.mark.parametrize("stretch", [2.0, 0.5])
+def test_times_of_another_unit_are_found_without_velocities(
+    sandy: JointLog, stretch: float
+) -> None:
+    """Attitude and gyroscope disagree by the factor by which the clock is off."""
+    time = stretch * sandy.time
+    wrong = replace(sandy, time=time, velocity=np.gradient(sandy.angle, time, axis=0))
+    found = " | ".join(foot_forces(wrong).grave)
+    factor = re.search(r"times, or .* multiplied by (\S+)[;,]", found)
+    assert factor, found
+    assert float(factor[1]) == pytest.approx(1.0 / stretch, rel=0.1)
+
+
 def test_noise_bias_delay_and_a_corrected_heading_are_no_finding(log: JointLog) -> None:
     assert log.quaternion is not None
     assert log.angular_velocity is not None

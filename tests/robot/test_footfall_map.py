@@ -10,11 +10,13 @@ from terraphi.robot.footfall_fit import SENSORS, SHARED, Prior
 from terraphi.robot.footfall_map import Anchor, Observed, Shared, covariance, pool, weigh
 
 N, M = len(SENSORS), len(SHARED)
-FIELD = (1.2, 0.8, 0.1)
+FIELD = (1.2, 0.8, 1.5)
 
 
 @pytest.fixture(autouse=True)
-def known_field(monkeypatch: pytest.MonkeyPatch) -> None:
+def known_field(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
+    if "learnt" in request.node.name:
+        return
     monkeypatch.setattr(footfall_map, "_learnt", lambda *_: FIELD)
 
 
@@ -39,7 +41,7 @@ def test_bands_are_the_exact_posterior(monkeypatch: pytest.MonkeyPatch) -> None:
     prior = covariance(every, every, *FIELD[:2])
     p = len(path)
     rows = np.hstack([np.zeros((24, p)), np.eye(24)])
-    noise = (seen.sd**2 + FIELD[2] ** 2) * np.eye(24)
+    noise = (FIELD[2] * seen.sd) ** 2 * np.eye(24)
     gain = prior @ rows.T @ np.linalg.inv(rows @ prior @ rows.T + noise)
     mean = 32.0 + gain @ (seen.phi - seen.shared @ shared.mean - 32.0)
     moves = (gain @ seen.shared)[:p]
@@ -54,10 +56,10 @@ def test_bands_are_the_exact_posterior(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found.shared_mean == pytest.approx(shared.mean)
     assert np.all(found.path_absolute_sd > found.path_relative_sd)
     each = seen.shared - seen.shared.mean(axis=0)
-    own = seen.sd**2 + FIELD[2] ** 2 + np.diag(each @ shared.covariance @ each.T)
+    own = (FIELD[2] * seen.sd) ** 2 + np.diag(each @ shared.covariance @ each.T)
     assert found.sd == pytest.approx(np.sqrt(own))
     everything = np.diag(seen.shared @ shared.covariance @ seen.shared.T)
-    whole = np.maximum(own, seen.sd**2 + FIELD[2] ** 2 + everything)
+    whole = np.maximum(own, (FIELD[2] * seen.sd) ** 2 + everything)
     assert np.hypot(found.sd, found.shared_sd) == pytest.approx(np.sqrt(whole))
 
 
@@ -137,3 +139,17 @@ def test_two_anchors_find_the_scale_of_differences() -> None:
     assert held.path_phi == pytest.approx(true[::6], abs=0.1)
     far = np.abs(free.path_phi - free.path_phi.mean())
     assert free.path_relative_sd[far.argmax()] > 0.8 * far.max()
+
+
+def test_what_is_learnt_of_the_field_is_what_it_was_drawn_from() -> None:
+    """Amplitude, length and noise of a long walk, within what 240 places can settle."""
+    rng = np.random.default_rng(0)
+    place = np.column_stack([np.linspace(0.0, 40.0, 240), np.zeros(240)])
+    field = covariance(place, place, 2.0, 2.5) + 0.3**2 * np.eye(240)
+    phi = 35.0 + np.linalg.cholesky(field - footfall_map.FIELD_MEAN_SD**2) @ rng.normal(size=240)
+    seen = Observed(phi, np.full(240, 0.6), np.zeros((240, M)), place)
+    found = pool(seen, Shared(np.zeros(M), np.eye(M)), place[:2], [], mean=32.0)
+    assert found.length == pytest.approx(2.5, rel=0.3)
+    assert found.amplitude == pytest.approx(2.0, rel=0.3)
+    assert found.scatter == pytest.approx(0.3, rel=0.15)
+    assert found.sd == pytest.approx(found.scatter)

@@ -171,12 +171,18 @@ def _attitude(log: JointLog) -> list[Finding]:
     if turning < LEAST_TURNING or off < SOMEWHAT_UNLIKE:
         return []
     conjugate, last = quaternion * np.array([1.0, -1.0, -1.0, -1.0]), quaternion[:, [3, 0, 1, 2]]
-    others = (
+    both = body_rate(quaternion, step), felt
+    sizes = [float(np.median(np.abs(v - np.median(v, axis=0)))) for v in both]
+    factor = sizes[0] / max(sizes[1], 1e-12)
+    others = [
         ("the quaternion is that of the world in the body's frame (conjugate)", conjugate, felt),
         ("the quaternion comes as x, y, z, w (w first is expected)", last, felt),
         ("the gyroscope is in degrees per second, not rad/s", quaternion, np.radians(felt)),
         ("the gyroscope's signs are reversed", quaternion, -felt),
-    )
+    ]
+    if 0.1 < factor < 10.0:
+        words = f"times, or the gyroscope's readings, are multiplied by {factor:.2g}"
+        others.append((words, quaternion, factor * felt))
     left = {words: unlike(*other)[0] for words, *other in others}
     best = min(left.values())
     disagree = f"attitude and gyroscope disagree by {off:.0%} of how the robot turns"

@@ -36,12 +36,15 @@ ROUNDS, SETTLED = 25, 1e-3
 EXPONENTS = (-0.7, 0.4)
 """Range of what is added to a law's power of depth [-]; the upper end makes law ``foot`` grow like
 resistive force theory, whose stress is proportional to the depth."""
+LEAST_COST = 0.1
+"""Costs below this are as good as each other [-]."""
 TAUGHT_SD = 0.03
 """Standard deviation of an exponent that touch-downs have taught [-]."""
-SLOPE_PER_EXPONENT = 1.2
-"""Standard deviation of the error of a law's growth with φ, per exponent that its growth with depth
-lacks [-]: of forces by the package's other laws, law ``foot`` lacks 0.4 for resistive force theory,
-which changes with φ 0.4 times as much, -0.3 for Meyerhof's (1.15 times), 0 for Hansen's (1.0)."""
+SLOPE_PER_SQUARE = 6.0
+"""Standard deviation of the error of a law's growth with φ, per square of the exponent that its
+growth with depth lacks [-]. Law ``foot`` lacks 0.4 for resistive force theory, which changes with φ
+0.4 times as much (an error of 1.5), and 0.2 to 0.4 for Hansen's (errors up to 0.3): root mean
+square 1 at 0.4. It lacks -0.3 for itself with a resistance that grows slower (no error)."""
 TEACHERS = 60
 """Touch-downs that teach it at most, evenly chosen."""
 BLOCK = 512
@@ -137,6 +140,8 @@ class Fit(NamedTuple):
         by the odometry alone [m].
     misfit
         χ² over the degrees of freedom [-].
+    cost
+        χ² and what z₀ and w are off their prior, over the number of samples [-].
     shared
         S for :data:`SHARED`: how far φ̂ is off per unit of θ − θ₀, shape [touchdown, shared]; zero
         for ``law_slope``, which compares touch-downs.
@@ -147,6 +152,7 @@ class Fit(NamedTuple):
     sinkage: FloatArray
     gained: FloatArray
     misfit: FloatArray
+    cost: FloatArray
     shared: FloatArray
 
 
@@ -232,9 +238,11 @@ def evenly(rows: Rows, most: int) -> Rows:
 def with_exponent(seen: Touchdowns, law: str, prior: Prior) -> Prior:
     """The prior with the growth with depth that the touch-downs' courses of force have.
 
-    The exponent within :data:`EXPONENTS` with the least median misfit. Footfalls do not teach the
-    level or the slope in φ of a law: there, another law and another field of φ are the same. But
-    the further the law's growth with depth is off, the less sure is its growth with φ.
+    The exponent within :data:`EXPONENTS` with the least mean logarithm of the cost: touch-downs
+    have noise of their own, and an unlikely level or drift counts against a course. Footfalls do
+    not teach the level or the slope in φ of a law: there, another law and another field of φ are
+    the same. But the further the law's growth with depth is off, the less sure is its growth with
+    φ.
 
     Parameters
     ----------
@@ -247,11 +255,12 @@ def with_exponent(seen: Touchdowns, law: str, prior: Prior) -> Prior:
 
     part = evenly(seen, TEACHERS)
 
-    def misfit(exponent: float) -> float:
-        return float(np.median(fit(part, law, replace(prior, exponent=exponent)).misfit))
+    def cost(exponent: float) -> float:
+        found = fit(part, law, replace(prior, exponent=exponent))
+        return float(np.log(LEAST_COST + found.cost).mean())
 
-    best = minimize_scalar(misfit, bounds=EXPONENTS, method="bounded", options={"xatol": 0.02}).x
-    slope_sd = float(np.hypot(prior.slope_sd, SLOPE_PER_EXPONENT * best))
+    best = minimize_scalar(cost, bounds=EXPONENTS, method="bounded", options={"xatol": 0.02}).x
+    slope_sd = float(np.hypot(prior.slope_sd, SLOPE_PER_SQUARE * best**2))
     return replace(prior, exponent=float(best), exponent_sd=TAUGHT_SD, slope_sd=slope_sd)
 
 
@@ -317,7 +326,9 @@ def _fit(seen: Touchdowns, law: FootLaw, prior: Prior) -> Fit:
         shared[:, SHARED.index(name)] = np.einsum("nl,nl->n", gain, rise)
     shared[:, SHARED.index("law_offset")] = 1.0
     chi = np.einsum("nk,nkl,nl->n", left, weight, left)
-    misfit = chi / np.maximum(seen.used.sum(axis=1) - 2.0, 1.0)
+    count = seen.used.sum(axis=1)
+    misfit = chi / np.maximum(count - 2.0, 1.0)
+    cost_each = (chi + np.square(state[:, 1:] / sd[1:]).sum(axis=1)) / np.maximum(count, 1)
     depth = seen.drop + state[:, 1:2] + state[:, 2:3] * seen.time
     sinkage = np.where(seen.used, depth, -np.inf).max(axis=1, initial=-np.inf)
     force = np.where(seen.used, seen.force, 0.0)
@@ -329,7 +340,7 @@ def _fit(seen: Touchdowns, law: FootLaw, prior: Prior) -> Fit:
     sd = np.sqrt(covariance[:, 0, 0] * np.maximum(misfit, 1.0))
     sinkage = np.where(np.isfinite(sinkage), sinkage, 0.0)
     gained = np.where(rising.any(axis=1), bottom - top, 0.0)
-    return Fit(state[:, 0], sd, sinkage, gained, misfit, shared)
+    return Fit(state[:, 0], sd, sinkage, gained, misfit, cost_each, shared)
 
 
 def _slopes(law: FootLaw, prior: Prior, seen: Touchdowns, state: FloatArray) -> FloatArray:

@@ -2,10 +2,10 @@ r"""Footfalls together: a map of φ along the path, with what is shared by all o
 
 Each footfall gives φ̂_i = φ(x_i) + S_i (θ − θ₀) + e_i, with the sensitivities S_i of its fit to what
 all share, θ: errors of the sensors, density, surface friction, radius, law. φ is a Gaussian
-process over the ground with an unknown mean; e has the fit's standard deviation and a scatter τ
-that the data set. Everything is linear and normal, so the posterior of φ and θ is exact given
-τ and the process's amplitude and length, which maximise their marginal posterior. An anchor, φ as
-a shear test found it on a stretch of the path, is one more observation, with S = 0.
+process over the ground with an unknown mean; e has the fit's standard deviation times a factor
+that the data set. Everything is linear and normal, so the posterior of φ and θ is exact given that
+factor and the process's amplitude and length, which maximise their marginal posterior. An anchor,
+φ as a shear test found it on a stretch of the path, is one more observation, with S = 0.
 
 What footfalls share is taught by them in one thing: gains and friction that differ from leg to leg
 while the soil does not, by :data:`TEACHERS` footfalls at most, so that what no model has right does
@@ -36,9 +36,9 @@ from terraphi.robot.legs import GRAVITY
 
 FIELD_MEAN_SD = 8.0
 """Of the process's mean about the prior's [deg]."""
-AMPLITUDE, LENGTH, SCATTER = (1.5, 0.7), (1.0, 0.7), (0.15, 0.7)
-"""Median and standard deviation of the logarithm of the process's amplitude [deg] and length [m],
-and of the footfalls' own scatter [deg]."""
+MEDIANS, LOG_SD = (1.5, 1.0, 1.0), 0.7
+"""Of the process's amplitude [deg] and length [m], and of the factor on the footfalls' own standard
+deviations [-]: medians, and the standard deviation of the logarithm of each."""
 LEARN_FROM = 400
 """Footfalls from which these are learnt at most, evenly chosen."""
 TEACHERS = 120
@@ -94,7 +94,7 @@ class Pooled(NamedTuple):
     terms
         What each of θ adds to the mean φ's uncertainty [deg], shape [shared].
     amplitude, length, scatter
-        Of the process [deg], [m], and of e [deg].
+        Of the process [deg], [m], and of e, root mean square [deg].
     """
 
     phi: FloatArray
@@ -227,16 +227,17 @@ def pool(
     """
     from scipy.linalg import block_diag
 
+    amplitude, length, factor = _learnt(seen, shared, mean)
+    seen = seen._replace(sd=factor * seen.sd)
     kept = evenly(seen, MOST)
-    amplitude, length, scatter = _learnt(kept, shared, mean)
-    shared = _taught(kept, shared, amplitude, length, scatter, mean)
+    shared = _taught(kept, shared, amplitude, length, mean)
     stretches = [points for _, points in anchors]
     # Rows: the path's points, then each anchor's stretch as the mean of its points.
     means = [np.full((1, len(points)), 1.0 / len(points)) for points in stretches]
     average = block_diag(np.eye(len(path)), *means)
     # Posterior mean and covariance of these averages of φ, and their S, θ known.
     places = np.concatenate([path, *stretches])
-    lower = np.asarray(np.linalg.cholesky(_observed(kept, amplitude, length, scatter)))
+    lower = np.asarray(np.linalg.cholesky(_observed(kept, amplitude, length)))
     half = _solve(lower, (average @ covariance(places, kept.place, amplitude, length)).T)
     weights = half.T @ _solve(lower, np.column_stack([kept.phi - mean, kept.shared]))
     before = average @ covariance(places, places, amplitude, length) @ average.T
@@ -260,7 +261,7 @@ def pool(
     unlike = _spread(seen.shared - seen.shared.mean(axis=0), left)
     return Pooled(
         phi=seen.phi - seen.shared @ centre,
-        sd=np.sqrt(seen.sd**2 + scatter**2 + unlike),
+        sd=np.sqrt(seen.sd**2 + unlike),
         shared_sd=np.sqrt((_spread(seen.shared, left) - unlike).clip(0.0)),
         path_phi=state[: len(path)],
         path_relative_sd=np.sqrt(relative[: len(path)].clip(0.0)),
@@ -270,7 +271,7 @@ def pool(
         terms=np.abs(seen.shared.mean(axis=0)) * each,
         amplitude=amplitude,
         length=length,
-        scatter=scatter,
+        scatter=float(np.sqrt(np.mean(seen.sd**2))),
     )
 
 
@@ -279,10 +280,10 @@ def _spread(rows: FloatArray, matrix: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("ni,ij,nj->n", rows, matrix, rows).clip(0.0))
 
 
-def _observed(seen: Observed, amplitude: float, length: float, scatter: float) -> FloatArray:
+def _observed(seen: Observed, amplitude: float, length: float) -> FloatArray:
     """Covariance of footfalls, the quantities that they share known [deg²]."""
     matrix = covariance(seen.place, seen.place, amplitude, length)
-    matrix[np.diag_indices(len(matrix))] += seen.sd**2 + scatter**2
+    matrix[np.diag_indices(len(matrix))] += seen.sd**2
     return matrix
 
 
@@ -292,13 +293,11 @@ def _solve(lower: FloatArray, right: FloatArray) -> FloatArray:
     return np.asarray(solve_triangular(lower, right, lower=True, check_finite=False))
 
 
-def _taught(
-    seen: Observed, shared: Shared, amplitude: float, length: float, scatter: float, mean: float
-) -> Shared:
+def _taught(seen: Observed, shared: Shared, amplitude: float, length: float, mean: float) -> Shared:
     """What is shared, after footfalls have taught the errors of the torques."""
     part, n = evenly(seen, TEACHERS), len(TORQUES)
     each, torques = part.shared[:, :n], shared.covariance[:n, :n]
-    matrix = _observed(part, amplitude, length, scatter) + each @ torques @ each.T
+    matrix = _observed(part, amplitude, length) + each @ torques @ each.T
     gain = np.linalg.solve(matrix, each @ torques).T
     centre, spread = shared.mean.copy(), shared.covariance.copy()
     centre[:n] += gain @ (part.phi - mean - part.shared @ shared.mean)
@@ -307,27 +306,26 @@ def _taught(
 
 
 def _learnt(seen: Observed, shared: Shared, mean: float) -> tuple[float, float, float]:
-    """Amplitude, length and scatter at the maximum of their marginal posterior."""
+    """Amplitude, length and the factor at the maximum of their marginal posterior."""
     from scipy.optimize import minimize
 
     part, n = evenly(seen, LEARN_FROM), len(TORQUES)
     each = part.shared[:, :n]
-    centre = np.log([AMPLITUDE[0], LENGTH[0], SCATTER[0]])
-    width = np.array([AMPLITUDE[1], LENGTH[1], SCATTER[1]])
     left = part.phi - mean - part.shared @ shared.mean
     common = each @ shared.covariance[:n, :n] @ each.T
 
     def surprise(logs: FloatArray) -> float:
-        amplitude, length, scatter = np.exp(logs)
-        matrix = _observed(part, amplitude, length, scatter) + common
+        amplitude, length, factor = np.exp(logs) * MEDIANS
+        matrix = _observed(part._replace(sd=factor * part.sd), amplitude, length) + common
         lower = np.asarray(np.linalg.cholesky(matrix))
         half = _solve(lower, left)
-        prior = (((logs - centre) / width) ** 2).sum()
+        prior = ((logs / LOG_SD) ** 2).sum()
         return float(0.5 * (half @ half + prior) + np.log(np.diag(lower)).sum())
 
+    corners = LOG_SD * np.eye(4, 3)
     best = minimize(
-        surprise, centre, method="Nelder-Mead",
-        options={"xatol": 0.02, "fatol": 0.01, "maxiter": 150},
+        surprise, corners[3], method="Nelder-Mead",
+        options={"xatol": 0.02, "fatol": 0.01, "maxiter": 150, "initial_simplex": corners},
     )  # fmt: skip
-    amplitude, length, scatter = np.exp(best.x).tolist()
-    return amplitude, length, scatter
+    amplitude, length, factor = (np.exp(best.x) * MEDIANS).tolist()
+    return amplitude, length, factor
