@@ -153,3 +153,17 @@ def test_what_is_learnt_of_the_field_is_what_it_was_drawn_from() -> None:
     assert found.amplitude == pytest.approx(2.0, rel=0.3)
     assert found.scatter == pytest.approx(0.3, rel=0.15)
     assert found.sd == pytest.approx(found.scatter)
+
+
+def test_an_anchor_that_contradicts_is_told_from_one_that_agrees() -> None:
+    seen, shared, path = problem()
+    free = pool(seen, shared, path, [], mean=32.0)
+    there, sd = free.path_phi[0], free.path_absolute_sd[0]
+
+    def surprise(*known: float) -> np.ndarray:
+        anchors = [(Anchor(0.0, 0.5, phi, 0.2), path[i : i + 1]) for i, phi in enumerate(known)]
+        return pool(seen, shared, path, anchors, mean=32.0).surprise
+
+    assert surprise(there).max() < 1e-6
+    assert surprise(there + 3.0 * np.hypot(sd, 0.2)) == pytest.approx([3.0])
+    assert surprise(there, there + 3.0).max() > 2.0  # neighbours

@@ -93,6 +93,9 @@ class Pooled(NamedTuple):
         Posterior of θ − θ₀, shape [shared].
     terms
         What each of θ adds to the mean φ's uncertainty [deg], shape [shared].
+    surprise
+        How far each anchor is from what footfalls and law give without it, or from the result if
+        that is more, in standard deviations [-].
     amplitude, length, scatter
         Of the process [deg], [m], and of e, root mean square [deg].
     """
@@ -106,6 +109,7 @@ class Pooled(NamedTuple):
     shared_mean: FloatArray
     shared_sd_each: FloatArray
     terms: FloatArray
+    surprise: FloatArray
     amplitude: float
     length: float
     scatter: float
@@ -253,7 +257,12 @@ def pool(
     rows = slice(len(path), len(found))
     seen_there = whole[rows, rows] + np.diag([a.sd_deg**2 for a, _ in anchors])
     gain = np.linalg.solve(seen_there, whole[rows]).T
-    state = state + gain @ (np.array([a.phi_deg for a, _ in anchors]) - state[rows])
+    known, sure = np.array([(a.phi_deg, a.sd_deg) for a, _ in anchors]).reshape(-1, 2).T
+    off = known - state[rows]
+    state = state + gain @ off
+    surprise = np.maximum(
+        np.abs(off) / np.sqrt(np.diag(seen_there)), np.abs(known - state[rows]) / sure
+    )
     whole = whole - gain @ whole[rows]
     centre, left = state[len(found) :], whole[len(found) :, len(found) :]
     each = np.sqrt(np.diag(left).clip(0.0))
@@ -269,6 +278,7 @@ def pool(
         shared_mean=centre,
         shared_sd_each=each,
         terms=np.abs(seen.shared.mean(axis=0)) * each,
+        surprise=surprise,
         amplitude=amplitude,
         length=length,
         scatter=float(np.sqrt(np.mean(seen.sd**2))),

@@ -55,6 +55,8 @@ WORST_MISFIT = 2.0
 """χ² over the degrees of freedom above which a law does not fit [-]."""
 NEAR_EDGE_DEG = 1.0
 """A friction angle this near to the end of the range of the laws is the end [deg]."""
+CONTRADICTED = 2.0
+"""Standard deviations above which an anchor is doubted [-]."""
 LEAST_SCALE = 0.2
 """The noise of a log is at least this part of what is assumed [-]."""
 FEWEST_TEACHERS, MOST_TEACHERS = 8, 120
@@ -271,13 +273,9 @@ def footfalls(
     fields |= {key: np.full(len(path), np.nan) for key in of_path}
     shared: dict[str, Any] = {}
     by_law: dict[str, float] = {}
+    contradicted: list[str] = []
     if usable.any():
         phi, misfit, moves = found.phi[usable], found.misfit[usable], found.shared[usable]
-        by_law[law] = float(phi.mean())
-        if law != SECOND:
-            some = evenly(Touchdowns._make(column[usable] for column in seen), MOST_TEACHERS)
-            second = fit(some, SECOND, replace(chosen, exponent=0.0)).phi
-            by_law[SECOND] = float(second.mean())
         # The noise is scaled to the median misfit of the log.
         scale = max(LEAST_SCALE, math.sqrt(float(np.median(np.minimum(misfit, 1.0)))))
         own = found.sd[usable] * scale * np.maximum(1.0, np.sqrt(misfit) / scale) ** 0.5
@@ -287,8 +285,19 @@ def footfalls(
         for key, values in fields.items():
             values[usable if key not in of_path else slice(None)] = getattr(pooled, key)
         shared = _shared_summary(pooled, chosen)
+        by_law[law] = float(pooled.phi.mean())
+        if law != SECOND:  # with what was learned of sensors and anchors
+            some = evenly(Touchdowns._make(column[usable] for column in seen), MOST_TEACHERS)
+            own_prior = with_exponent(some, SECOND, replace(chosen, exponent=0.0))
+            second = fit(some, SECOND, own_prior).phi
+            by_law[SECOND] = float(second.mean() + (pooled.phi - phi).mean())
+        contradicted = [
+            f"the anchor of {anchor.phi_deg:g} ± {anchor.sd_deg:g}° is {off:.1f} standard "
+            "deviations from what footfalls, law and other anchors give: check it"
+            for anchor, off in zip(known, pooled.surprise, strict=True) if off > CONTRADICTED
+        ]  # fmt: skip
     sinkage = np.where(verdict == SHALLOW, found.gained, found.sinkage)
-    notes = [note for note in analysis.notes if "the axis of Fx" not in note]
+    notes = [*contradicted, *(n for n in analysis.notes if "the axis of Fx" not in n)]
     if density is None and prior is None:
         notes.insert(0, f"density {chosen.density:g} ± {chosen.density_sd:g} kg/m³, assumed")
     if not usable.any():
@@ -319,7 +328,8 @@ def _taught(seen: Touchdowns, law: str, prior: Prior) -> Prior:
     """The prior with the law's error, and its growth with depth if enough touch-downs are deep."""
     if prior.law_sd_deg is None:
         prior = replace(prior, law_sd_deg=LAWS[law].sd_deg)
-    seen = evenly(seen, MOST_TEACHERS)
+    fresh = ~_trodden(seen, prior.radius)[0]
+    seen = evenly(Touchdowns._make(column[fresh] for column in seen), MOST_TEACHERS)
     first = verdicts(seen, fit(seen, law, prior), prior.radius)
     deep = np.isin(first, (USABLE, MISFIT))
     if deep.sum() < FEWEST_TEACHERS:
@@ -337,13 +347,7 @@ def verdicts(seen: Touchdowns, found: Fit, radius: float) -> NDArray[np.str_]:
     radius
         Of the foot [m].
     """
-    from scipy.spatial import cKDTree
-
-    trodden, printed = np.zeros((2, len(seen.foot)), dtype=bool)
-    near = cKDTree(seen.place[:, :2]).query_pairs(NEAR_RADII * radius, output_type="ndarray")
-    first, second = near.min(axis=1), near.max(axis=1)
-    trodden[second] = True
-    printed[second[(seen.foot[first] < 2) & (seen.foot[second] >= 2)]] = True
+    trodden, printed = _trodden(seen, radius)
     rests = seen.used.sum(axis=1) < FEWEST
     low, high = PHI_RANGE[0] + NEAR_EDGE_DEG, PHI_RANGE[1] - NEAR_EDGE_DEG
     reasons = (
@@ -357,6 +361,18 @@ def verdicts(seen: Touchdowns, found: Fit, radius: float) -> NDArray[np.str_]:
     )
     words = [word for word, _ in reasons]
     return np.select([holds for _, holds in reasons], words, USABLE)
+
+
+def _trodden(seen: Touchdowns, radius: float) -> tuple[BoolArray, BoolArray]:
+    """Whether a foot had stood there before, and whether a fore foot had where a rear one steps."""
+    from scipy.spatial import cKDTree
+
+    trodden, printed = np.zeros((2, len(seen.foot)), dtype=bool)
+    near = cKDTree(seen.place[:, :2]).query_pairs(NEAR_RADII * radius, output_type="ndarray")
+    first, second = near.min(axis=1), near.max(axis=1)
+    trodden[second] = True
+    printed[second[(seen.foot[first] < 2) & (seen.foot[second] >= 2)]] = True
+    return trodden, printed
 
 
 def _from_the_start(motion: Motion, log: JointLog) -> Motion:

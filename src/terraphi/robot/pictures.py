@@ -63,6 +63,7 @@ def footfalls_figure(found: FootfallMap) -> Figure:
     plan.set_aspect("equal", adjustable="datalim")
     plan.legend(fontsize="small", frameon=False)
     _draw_course(course, found)
+    figure.draw_without_rendering()  # the labels of a plot whose limits follow its aspect
     return figure
 
 
