@@ -165,7 +165,7 @@ def _parameters(
         reason = answer.get("phi_plane_strain_reason") or "it was not inferred"
         raise InputError(f"{read.source}: no friction angle in plane strain: {reason}")
     _check(read)
-    caution = " ".join(answer.get("questions", ()))
+    caution = " ".join(q for q in answer.get("questions", ()) if "Guessed " not in q)
     if answer["verdict"] != "consistent":
         caution = f"the verdict is {answer['verdict'].replace('_', ' ')}: {answer['reason']}"
         if not anyway:
