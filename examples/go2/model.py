@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -44,6 +45,8 @@ class Physics:
         Friction in each joint, which its motor has to overcome [N m] and [N m s/rad].
     armature
         Inertia of a rotor seen from its joint [kg m²]; zero is what the URDF says.
+    slope
+        By which x goes uphill [rad]: gravity is turned, and z is normal to the ground.
     """
 
     step: float = 0.0005
@@ -53,6 +56,7 @@ class Physics:
     coulomb: float = 0.0
     viscous: float = 0.0
     armature: float = 0.0
+    slope: float = 0.0
 
 
 def build(physics: Physics, robot: Path | None = None) -> mujoco.MjModel:
@@ -71,7 +75,8 @@ def build(physics: Physics, robot: Path | None = None) -> mujoco.MjModel:
     """
     shipped = shipped_file("robots", "go2", ".xml")
     spec = mujoco.MjSpec.from_file(str(shipped)) if robot is None else _renamed(robot)
-    spec.option.gravity, spec.option.timestep = [0.0, 0.0, -9.81], physics.step
+    down = [-math.sin(physics.slope), 0.0, -math.cos(physics.slope)]
+    spec.option.gravity, spec.option.timestep = [9.81 * g for g in down], physics.step
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = 10.0
     contact = {

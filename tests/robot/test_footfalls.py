@@ -91,6 +91,23 @@ def heavy_robot() -> str:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("slope_deg", [0.0, 8.0])
+def test_a_slope_is_noted(slope_deg: float) -> None:
+    pytest.importorskip("mujoco")
+    from sand_walk import sand_log, sand_walk
+
+    walk = sand_walk("walk", seed=1, duration=5.0)
+    walk = replace(walk, physics=replace(walk.physics, slope=np.radians(slope_deg)))
+    log = sand_log(walk.run(), seed=1)
+    assert log.quaternion is not None
+    level = Rotation.from_quat(log.quaternion, scalar_first=True)
+    uphill = Rotation.from_euler("y", -slope_deg, degrees=True) * level
+    found = footfalls(replace(log, quaternion=uphill.as_quat(scalar_first=True)))
+    assert found.usable.any()
+    assert any("inclined" in note for note in found.notes) == (slope_deg > 0.0)
+
+
+@pytest.mark.slow
 def test_another_robot_on_sand(tmp_path: Path) -> None:
     pytest.importorskip("mujoco")
     from sand_check import world_walk

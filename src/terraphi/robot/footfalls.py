@@ -55,6 +55,8 @@ WORST_MISFIT = 2.0
 """χ² over the degrees of freedom above which a law does not fit [-]."""
 NEAR_EDGE_DEG = 1.0
 """A friction angle this near to the end of the range of the laws is the end [deg]."""
+LEVEL_DEG = 5.0
+"""Inclination of the ground that is worth a note [deg]: 1.4° at most on simulated level sand."""
 CONTRADICTED = 2.0
 """Standard deviations above which an anchor is doubted [-]."""
 LEAST_SCALE = 0.2
@@ -298,6 +300,11 @@ def footfalls(
         ]  # fmt: skip
     sinkage = np.where(verdict == SHALLOW, found.gained, found.sinkage)
     notes = [*contradicted, *(n for n in analysis.notes if "the axis of Fx" not in n)]
+    if (slope := _slope_deg(seen.place)) > LEVEL_DEG:
+        notes.append(
+            f"the ground is inclined by {slope:.0f}°: the law is of level ground, and soil on a "
+            "slope bears less"
+        )
     if density is None and prior is None:
         notes.insert(0, f"density {chosen.density:g} ± {chosen.density_sd:g} kg/m³, assumed")
     if not usable.any():
@@ -373,6 +380,13 @@ def _trodden(seen: Touchdowns, radius: float) -> tuple[BoolArray, BoolArray]:
     trodden[second] = True
     printed[second[(seen.foot[first] < 2) & (seen.foot[second] >= 2)]] = True
     return trodden, printed
+
+
+def _slope_deg(place: FloatArray) -> float:
+    """Inclination of the plane through places where feet met the ground [deg]."""
+    x, y, z = place.T
+    rise = np.linalg.lstsq(np.stack([x, y, np.ones_like(x)], axis=-1), z)[0][:2]
+    return math.degrees(math.atan(float(np.linalg.norm(rise))))
 
 
 def _from_the_start(motion: Motion, log: JointLog) -> Motion:
