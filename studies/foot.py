@@ -37,8 +37,9 @@ POWER = {"sphere": 1.5, "cylinder": 0.0}
 TERMS = {"sphere": 4, "cylinder": 3}
 """Of the polynomial over the depth that a force over that power is."""
 WEAKER_DEG = 2.0
-"""By how much feet in loose grains of no size find less φ than a shear cell (`plates.py`) [deg]:
-soil that a foot compacts is weaker. At φ the law has what was simulated at φ less this."""
+"""By how much feet in loose grains find less φ than a shear cell, extrapolated to zero grain size
+(`plates.py`) [deg]: soil that a foot compacts is weaker. At φ the law has what was simulated at φ
+less this."""
 SCATTER, UNKNOWN = 0.02, 0.05
 """Of ln F: between particle seeds and in smoothing, and for a correction that was not simulated."""
 NAMES = {"sphere": "ball", "cylinder": "disc"}
@@ -180,8 +181,8 @@ def correction(cases: list[Case], shape: str, angles: np.ndarray) -> tuple[np.nd
     return total, np.sqrt(variance)
 
 
-def table_of(cases: list[Case], shape: str) -> tuple[dict[str, np.ndarray], np.ndarray, list[str]]:
-    """Axes, forces [friction, phi, tilt, ratio, 2], and the cases that products stand for."""
+def table_of(cases: list[Case], shape: str) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Axes, and forces [friction, phi, tilt, ratio, 2]."""
     usual = {
         (c.friction, c.phi, c.tilt): c.force
         for c in cases
@@ -192,27 +193,13 @@ def table_of(cases: list[Case], shape: str) -> tuple[dict[str, np.ndarray], np.n
     soft = {p for (_, p, _), force in usual.items() if force[1:, 1].min() <= 0.0}
     angles = [p for p in angles if (0.2, p, 0.0) in usual and p not in soft]
     whole = [t for t in (0.0, 22.5, 45.0) if all((0.5, p, t) in usual for p in angles)]
-    axes = {
-        "friction": np.array([0.2, 0.5]), "phi_deg": np.array(angles), "tilt_deg": np.array(whole)
-    }  # fmt: skip
-    force = np.empty((2, len(angles), len(whole), len(RATIO), 2))
-    products = []
-    for i, friction in enumerate(axes["friction"].tolist()):
-        for k, phi in enumerate(angles):
-            for m, tilt in enumerate(whole):
-                if (friction, phi, tilt) in usual:
-                    force[i, k, m] = usual[friction, phi, tilt]
-                    continue
-                products.append(f"μ {friction:g}, φ {phi:g}°, {tilt:g}°")
-                share = usual[friction, phi, 0.0][1:, 1:] / usual[0.5, phi, 0.0][1:, 1:]
-                force[i, k, m] = usual[0.5, phi, tilt] * np.concatenate([share[:1], share])
+    axes = {"friction": [0.2, 0.5], "phi_deg": angles, "tilt_deg": whole}
+    force = np.array([[[usual[f, p, t] for t in whole] for p in angles] for f in axes["friction"]])
     force[:, :, 0, :, 0] = 0.0  # by symmetry
-    return axes, force, products
+    return {name: np.array(nodes) for name, nodes in axes.items()}, force
 
 
-def write_table(
-    shape: str, axes: dict[str, np.ndarray], force: np.ndarray, sd: np.ndarray, products: list[str]
-) -> None:
+def write_table(shape: str, axes: dict[str, np.ndarray], force: np.ndarray, sd: np.ndarray) -> None:
     """The file that law `foot` reads."""
     data = xr.Dataset(
         {"force": ((*axes, "ratio", "axis"), force.astype(np.float32)),
@@ -223,7 +210,6 @@ def write_table(
             "description": f"force over ρ g R³ on a {NAMES[shape]} of radius R, along the "
             "horizontal part of its motion and up; φ in plane strain, ψ = 0, Matsuoka and Nakai; "
             f"φ is {WEAKER_DEG:g}° above the simulated one, as grains have it",
-            "products": "; ".join(products),
         },
     )  # fmt: skip
     TABLES.mkdir(exist_ok=True)
@@ -294,12 +280,10 @@ def main() -> None:
     out = pages.out_from(str(__doc__))
     cases, parts, tables = [case for name in LIBRARIES for case in read(name)], [], {}
     for shape in NAMES:
-        axes, force, products = table_of(cases, shape)
-        if len(axes["phi_deg"]) < 4:
-            continue
+        axes, force = table_of(cases, shape)
         log, sd = correction(cases, shape, axes["phi_deg"])
         force *= np.exp(log)[:, None, :, None]
-        write_table(shape, axes, force, sd, products)
+        write_table(shape, axes, force, sd)
         tables[shape] = axes, force
         rows = [
             (step.name, *(f"{phi:g}°: {np.expm1(ln[50]):+.0%}" for phi, ln in ratio.items()))
@@ -309,10 +293,9 @@ def main() -> None:
         widest = max(map(len, rows), default=1)
         header = ("change", *["lift"] * (widest - 1))
         listed = (", ".join(f"{v:g}" for v in axes[key]) for key in ("phi_deg", "tilt_deg"))
-        told = (
-            "The {}: φ {}°, μ 0.2 and 0.5, {}° from the vertical, to two radii. Not simulated yet, "
-            "and products of others: {} cases."
-        ).format(NAMES[shape], *listed, len(products))
+        told = "The {}: φ {}°, μ 0.2 and 0.5, {}° from the vertical, to two radii.".format(
+            NAMES[shape], *listed
+        )
         parts += [told, pages.table(header, [(*r, *[""] * (widest - len(r))) for r in rows])]
         factors = zip(axes["phi_deg"], np.exp(log[:, 50]), sd[:, 50], strict=True)
         text = ", ".join(f"{f:.2f} ± {100 * s:.0f} % at {phi:g}°" for phi, f, s in factors)
@@ -325,10 +308,9 @@ def main() -> None:
 
     header = ("plate", "sinkage", "slope of p/ρg", "p/ρg at no sinkage", "φ of the slope",
               "φ of the pressure")  # fmt: skip
-    if "cylinder" in tables:
-        parts += [DRIFT, pages.table(header, slopes(law))]
-        header = ("disc, φ = 36°", *(f"p/ρgz at {depth:g} R" for depth in COMPACTED_AT))
-        parts.append(pages.table(header, compacted(cases)))
+    parts += [DRIFT, pages.table(header, slopes(law))]
+    header = ("disc, φ = 36°", *(f"p/ρgz at {depth:g} R" for depth in COMPACTED_AT))
+    parts.append(pages.table(header, compacted(cases)))
     parts.append(
         f"Feet in loose grains whose φ a shear cell measured find {WEAKER_DEG:g}° less by the "
         "simulated forces ([plates](plates.md)). So at φ the files have the force that was "

@@ -3,9 +3,8 @@
 Flat discs that go down slowly are the nearest that public measurements come to a foot. Each test
 is fitted by each law, with φ and the first contact unknown, and again in windows of its depth.
 Balls and discs pressed into simulated grains (`grains/`) are fitted likewise; there a shear cell
-measured φ. Li et al. (2013) measured a plate of 38 by 25 mm, inclined and moved
-down, along or between. It is fitted with one φ for each medium, and compared with the soil of
-`sand3d`.
+measured φ. Li et al. (2013) measured a plate of 38 by 25 mm, inclined and moved down, along or
+between. It is fitted with one φ for each medium, and compared with the soil of `sand3d`.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ FIRST = 1e-3
 WINDOWS_MM = ((2.0, 8.0), (8.0, 16.0), (16.0, 26.0))
 CONTACT_SD = 5e-4
 """Of the first contact, which the measurement has found already [m]."""
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "black", "#e69f00")
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "black")
 PLATE, GRAVITY = (0.0381, 0.0254), 9.81
 MEDIA = {
     "glass03_loose": ("glass beads 0.3 mm, loose", "repose 25°"),
@@ -411,7 +410,7 @@ def draw(
     for test in tests:
         forces.plot(1e3 * test.sinkage, test.force[:, 1], ".", ms=3, color="grey")
     middles = [0.5 * (a + b) for a, b in WINDOWS_MM]
-    colours = dict(zip(LAWS, COLOURS, strict=False))
+    colours = dict(zip(LAWS, COLOURS, strict=True))
     for name, law in laws.items():
         one, _ = one_angle(tests, law)
         for i, diameter in enumerate(sorted({test.diameter for test in tests})):
@@ -515,9 +514,10 @@ def main() -> None:
         "## Feet pressed into simulated grains",
         (
             f"{sum(len(own) for own in grains.values())} balls and discs pressed 1.5 R deep into "
-            "loose spheres simulated one by one, of 6 and 8.8 mm (-coarse), in beds 30 diameters "
-            "wide. A shear cell measured their critical φ in plane strain. The laws are fitted in "
-            "the same way; φ of `rft` is taken to plane strain by sin φ' = tan φ. φ less measured "
+            "spheres simulated one by one, loose unless a row names another packing, of 6 and 8.8 "
+            "mm (-coarse), in beds 30 diameters wide. A shear cell measured their critical φ in "
+            "plane strain. The laws are fitted in the same way; φ of `rft` is taken to plane "
+            "strain by sin φ' = tan φ. φ less measured "
             "is extrapolated to zero grain size, by a line over the size, as steep in all soils."
         ),
         by_law(grains, off),

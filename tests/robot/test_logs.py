@@ -303,35 +303,36 @@ def test_not_a_log_at_all(tmp_path: Path, name: str, content: bytes) -> None:
     refused(tmp_path / "absent.mcap", "no such file", "MCAP")
 
 
+def tampered(bag: Path, script: str) -> Path:
+    """A bag whose database has run a script."""
+    write_rosbag2(bag, log)
+    with contextlib.closing(sqlite3.connect(next(bag.glob("*.db3")))) as database:
+        database.executescript(script)
+    return bag
+
+
 def test_views_in_a_bag_are_refused(tmp_path: Path) -> None:
-    write_rosbag2(tmp_path / "bag", log)
-    file = next((tmp_path / "bag").glob("*.db3"))
-    with contextlib.closing(sqlite3.connect(file)) as database:
-        database.executescript(
-            "DROP TABLE IF EXISTS schema; CREATE VIEW schema AS WITH RECURSIVE n(id) AS "
-            "(SELECT 1 UNION ALL SELECT id + 1 FROM n) SELECT count(*) AS schema_version FROM n;"
-        )
-    refused(tmp_path / "bag", "not a whole bag")
+    bag = tampered(
+        tmp_path / "bag",
+        "DROP TABLE IF EXISTS schema; CREATE VIEW schema AS WITH RECURSIVE n(id) AS "
+        "(SELECT 1 UNION ALL SELECT id + 1 FROM n) SELECT count(*) AS schema_version FROM n;",
+    )
+    refused(bag, "not a whole bag")
 
 
 def test_a_bag_whose_messages_are_all_damaged_is_refused(tmp_path: Path) -> None:
-    write_rosbag2(tmp_path / "bag", log)
-    file = next((tmp_path / "bag").glob("*.db3"))
-    with contextlib.closing(sqlite3.connect(file)) as database:
-        database.executescript("UPDATE messages SET data = x'00';")
-    refused(tmp_path / "bag", "not a message of its type")
+    bag = tampered(tmp_path / "bag", "UPDATE messages SET data = x'00';")
+    refused(bag, "not a message of its type")
 
 
 def test_values_that_fill_the_memory_are_refused(tmp_path: Path) -> None:
-    write_rosbag2(tmp_path / "bag", log)
-    file = next((tmp_path / "bag").glob("*.db3"))
-    with contextlib.closing(sqlite3.connect(file)) as database:
-        database.executescript(
-            "CREATE TABLE own AS SELECT id, topic_id, timestamp FROM messages; DROP TABLE messages;"
-            "ALTER TABLE own RENAME TO messages; ALTER TABLE messages ADD COLUMN data BLOB "
-            "GENERATED ALWAYS AS (zeroblob(900000000)) VIRTUAL;"
-        )
-    refused(tmp_path / "bag", "not a whole bag", "too big")
+    bag = tampered(
+        tmp_path / "bag",
+        "CREATE TABLE own AS SELECT id, topic_id, timestamp FROM messages; DROP TABLE messages;"
+        "ALTER TABLE own RENAME TO messages; ALTER TABLE messages ADD COLUMN data BLOB "
+        "GENERATED ALWAYS AS (zeroblob(900000000)) VIRTUAL;",
+    )
+    refused(bag, "not a whole bag", "too big")
 
 
 def test_a_database_that_takes_too_long_is_refused(

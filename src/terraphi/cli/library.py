@@ -97,7 +97,7 @@ def library_show(name: str, as_json: bool) -> None:
 
 
 def print_library(found: Library, as_json: bool) -> None:
-    """Print the summary of a library, for people without its plan."""
+    """Print the summary of a library, with its plan as JSON alone."""
     summary = found.summary()
     every = {**summary, **summary["provenance"]}
     shown = {k: v for k, v in every.items() if v is not None and k not in ("provenance", "plan")}

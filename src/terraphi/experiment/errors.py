@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 
 LONGEST = 300
 """Letters of a message."""
+GUESSED = "Guessed "
+"""Beginning of the sentence that names what was guessed of a table; it is no warning."""
 
 
 def printable(text: str) -> str:

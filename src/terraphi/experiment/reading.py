@@ -18,7 +18,7 @@ from pydantic import Field, field_validator
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import Strict, parse_toml, strictly
-from terraphi.experiment.errors import InputError, nearest
+from terraphi.experiment.errors import GUESSED, InputError, nearest
 from terraphi.experiment.force_table import CSV_COLUMNS, origin
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.tables import Table, read_table, table_of
@@ -331,7 +331,7 @@ class _Reading:
         if lacking:
             self._ask(lacking, timed)
         if guessed:
-            self.notes.append(f"Guessed {', '.join(guessed)}.")
+            self.notes.append(f"{GUESSED}{', '.join(guessed)}.")
         for role in self.names:
             self._check(role)
         bare = [role for role in ("fx", "fz") if role in self.names and not self._written(role)]

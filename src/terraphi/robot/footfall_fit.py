@@ -17,7 +17,7 @@ This is the one module of the folder that uses force laws.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -222,17 +222,21 @@ def fit(seen: Touchdowns, law: str | FootLaw, prior: Prior) -> Fit:
     """
     known = LAWS[law] if isinstance(law, str) else law
     parts = [
-        _fit(Touchdowns._make(column[i : i + BLOCK] for column in seen), known, prior)
+        _fit(picked(seen, slice(i, i + BLOCK)), known, prior)
         for i in range(0, len(seen.foot), BLOCK)
     ]
     return Fit(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
+def picked(rows: Rows, which: Any) -> Rows:
+    """Rows of a tuple of arrays, by a mask, numbers or a slice."""
+    return rows._make(column[which] for column in rows)
+
+
 def evenly(rows: Rows, most: int) -> Rows:
     """Rows of a tuple of arrays, at most so many, evenly chosen."""
     count = len(rows[0])
-    every = np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
-    return rows._make(column[every] for column in rows)
+    return picked(rows, np.unique(np.linspace(0, count - 1, min(count, most)).astype(int)))
 
 
 def with_exponent(seen: Touchdowns, law: str, prior: Prior) -> Prior:
@@ -282,7 +286,7 @@ def _fit(seen: Touchdowns, law: FootLaw, prior: Prior) -> Fit:
     left, now = cost(seen, weight, state)
     rows = np.arange(len(state))  # that still move
     for _ in range(ROUNDS):
-        part, own = Touchdowns._make(column[rows] for column in seen), weight[rows]
+        part, own = picked(seen, rows), weight[rows]
         slope = _slopes(law, prior, part, state[rows])
         weighted = slope.swapaxes(1, 2) @ own
         normal = weighted @ slope + precision

@@ -24,6 +24,7 @@ from terraphi.robot.footfall_fit import (
     Prior,
     evenly,
     fit,
+    picked,
     with_exponent,
 )
 from terraphi.robot.footfall_map import ANCHOR_POINTS, Anchor, Observed, Pooled, pool, weigh
@@ -289,7 +290,7 @@ def footfalls(
         shared = _shared_summary(pooled, chosen)
         by_law[law] = float(pooled.phi.mean())
         if law != SECOND:  # with what was learned of sensors and anchors
-            some = evenly(Touchdowns._make(column[usable] for column in seen), MOST_TEACHERS)
+            some = evenly(picked(seen, usable), MOST_TEACHERS)
             own_prior = with_exponent(some, SECOND, replace(chosen, exponent=0.0))
             second = fit(some, SECOND, own_prior).phi
             by_law[SECOND] = float(second.mean() + (pooled.phi - phi).mean())
@@ -335,13 +336,12 @@ def _taught(seen: Touchdowns, law: str, prior: Prior) -> Prior:
     """The prior with the law's error, and its growth with depth if enough touch-downs are deep."""
     if prior.law_sd_deg is None:
         prior = replace(prior, law_sd_deg=LAWS[law].sd_deg)
-    fresh = ~_trodden(seen, prior.radius)[0]
-    seen = evenly(Touchdowns._make(column[fresh] for column in seen), MOST_TEACHERS)
+    seen = evenly(picked(seen, ~_trodden(seen, prior.radius)[0]), MOST_TEACHERS)
     first = verdicts(seen, fit(seen, law, prior), prior.radius)
     deep = np.isin(first, (USABLE, MISFIT))
     if deep.sum() < FEWEST_TEACHERS:
         return prior
-    return with_exponent(Touchdowns._make(column[deep] for column in seen), law, prior)
+    return with_exponent(picked(seen, deep), law, prior)
 
 
 def verdicts(seen: Touchdowns, found: Fit, radius: float) -> NDArray[np.str_]:

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import BaseModel, ValidationError, model_validator
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.errors import InputError, nearest, sentence_from_validation
+from terraphi.experiment.errors import GUESSED, InputError, nearest, sentence_from_validation
 from terraphi.experiment.files import replacing
 from terraphi.experiment.outputs import SIGNATURE, changed, check_file
 from terraphi.experiment.soil import cone_slope
@@ -165,7 +165,7 @@ def _parameters(
         reason = answer.get("phi_plane_strain_reason") or "it was not inferred"
         raise InputError(f"{read.source}: no friction angle in plane strain: {reason}")
     _check(read)
-    caution = " ".join(q for q in answer.get("questions", ()) if "Guessed " not in q)
+    caution = " ".join(q for q in answer.get("questions", ()) if GUESSED not in q)
     if answer["verdict"] != "consistent":
         caution = f"the verdict is {answer['verdict'].replace('_', ' ')}: {answer['reason']}"
         if not anyway:
@@ -180,8 +180,6 @@ def _parameters(
     try:
         phi = dict(answer["phi_plane_strain_deg"])
         density, assumed = answer["density_kg_m3"], answer.get("density_assumed", True)
-        if density is None:
-            density, assumed = answer["parameters"]["soil.density"]["median"], None
         records = [one["source"] for one in answer.get("records", ())]
         inferred = answer.get("parameters", {}).get("leg.friction")
         friction = inferred["median"] if inferred else answer.get("leg_friction")
@@ -375,7 +373,7 @@ def _about(found: Mapping[str, Any]) -> str:
     matched = f"Matched in plane strain: {found['formula']}."
     if found["matched"] == "triaxial":
         matched = "Matched in triaxial compression: stronger than φ in plane strain."
-    density = {True: "assumed", False: "given", None: "inferred"}[found["density_assumed"]]
+    density = "given" if found["density_assumed"] is False else "assumed"
     lines = [
         f"Soil for {found['title']}; {found['made']}.\n",
         f"CAUTION: {found['caution']}" if found["caution"] else "",

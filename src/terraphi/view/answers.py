@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from terraphi.experiment.errors import InputError
+from terraphi.experiment.errors import GUESSED, InputError
 from terraphi.inference import COLUMNS
 from terraphi.view.table import Table
 
@@ -76,7 +76,7 @@ def in_words(answer: Answer) -> list[str]:
         size = other.get("force_size_deg")
         size = "" if size is None else f"; size of the forces alone {size:.0f}°"
         lines.append(f"  Second opinion: {other['library']} {other['median']:.0f}°{where}{size}.")
-    guesses = [sentence for sentence in answer.questions if "Guessed " in sentence]
+    guesses = [sentence for sentence in answer.questions if GUESSED in sentence]
     warnings = [sentence for sentence in answer.questions if sentence not in guesses]
     lines += [f"  Warning: {sentence}" for sentence in warnings]
     return lines + [f"  Note: {sentence}" for sentence in guesses]
