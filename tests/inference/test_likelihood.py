@@ -135,8 +135,17 @@ def test_records_of_one_soil_share_what_they_share(sand3d: Library) -> None:
     legs = invert(["li2013:poppy_loose/straight", "li2013:poppy_loose/c"])
     assert twice.phi.sd == pytest.approx(one.phi.sd, rel=0.02)
     assert legs.phi.sd < one.phi.sd
-    error = ModelError.model_validate(sand3d.model_error["straight"])
-    assert legs.phi.sd > np.hypot(error.common_sd_deg, error.soil_sd_deg)
+    errors = [model_error(sand3d, leg, ["li2013:poppy_loose"]) for leg in ("straight", "c")]
+    both = {
+        name: [getattr(error, f"{field}_sd_deg") for error in errors]
+        for name, field in (("apparatus", "common"), ("soil", "soil"), ("leg", "leg"))
+    }
+    # With weights that add up to 1 what is shared stays between both, and what is not is less.
+    for name in ("apparatus", "soil"):
+        share = legs.budget_deg[f"model: {name}"]
+        assert 0.98 * min(both[name]) < share < 1.02 * max(both[name])
+    assert legs.budget_deg["model: leg"] < 0.95 * min(both["leg"])
+    assert twice.budget_deg["model: leg"] == pytest.approx(both["leg"][0], rel=0.02)
 
 
 def test_known_soils_narrow_and_shift(sand3d: Library) -> None:

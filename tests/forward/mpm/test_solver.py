@@ -336,19 +336,6 @@ def test_both_kernels_of_the_driver_differ_by_rounding_alone(space):
     assert np.abs(fast - slow).max() < 1e-3 * np.abs(slow).max()
 
 
-@pytest.mark.parametrize("shape", ["straight", "c"])
-def test_work_on_the_leg_is_the_moment_times_the_angle(space, shape):
-    """About a fixed hip, from the places and forces of particles that the leg pushes."""
-    scenario = space.scenario(**{"leg.shape": shape, "motion.stop_deg": -49.0})
-    history = simulate(scenario)
-    # A force f at an arm r from the hip has the moment r_z f_x - r_x f_z: the lever arm of the
-    # resultant is no longer than the leg.
-    lever = np.abs(history.moment) / np.linalg.norm(history.force, axis=1)
-    assert (history.moment < 0.0).all()  # soil resists
-    assert (lever < scenario.leg.reach()).all()
-    assert (lever > 0.3 * scenario.leg.reach()).all()
-
-
 def test_moment_of_a_ball_is_that_of_its_centre(space):
     """Without friction all forces pass through the centre, wherever the hip is."""
     motion = {"kind": "translation", "start": [0.1, 0.12], "orientation_deg": 30.0,
