@@ -33,6 +33,11 @@ def test_the_benchmark_takes_23_56_seconds() -> None:
     assert poses.rate == pytest.approx(0.2)
     assert not poses.velocity.any()
     assert (poses.hip == [0.150, 0.190]).all()
+    # Of a point 30 mm down the leg and 10 mm ahead: hanging it moves backward, level upward.
+    points = np.array([[0.03, 0.01]])
+    for angle, place in ((0.0, [0.140, 0.160]), (90.0, [0.120, 0.200])):
+        at = motion.poses_at(np.radians([angle])).placed(points)
+        assert at[0, 0] == pytest.approx(place)
 
 
 def omega(motion: Rotation, theta: float) -> float:

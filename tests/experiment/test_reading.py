@@ -183,8 +183,13 @@ def force_on_the_soil() -> Export:
 
 
 @export
-def z_down_and_x_backward() -> Export:
-    return text(frame(fx=-FX, fz=-FZ)), {"fx_sign": -1, "fz_sign": -1}
+def z_down() -> Export:
+    return text(frame(fz=-FZ)), {"fz_sign": -1}
+
+
+@export
+def x_backward() -> Export:
+    return text(frame(fx=-FX)), {"fx_sign": -1}
 
 
 @export
@@ -377,6 +382,7 @@ def test_units_are_those_of_scipy() -> None:
     ours = {**FORCE, **MOMENT, **{name: np.radians(value) for name, value in ANGLE.items()}}
     known = {
         "lbf": pound, "ozf": pound / 16, "kgf": constants.kgf, "dyn": constants.dyn,
+        "N mm": 1e-3, "N cm": 1e-2, "kgf cm": constants.kgf / 100, "kgf m": constants.kgf,
         "lbf ft": pound * foot, "lbf in": pound * inch, "ozf in": pound / 16 * inch,
         "deg": constants.degree, "rad": 1.0, "rev": 2 * np.pi, "gon": np.pi / 200, "mrad": 1e-3,
     }  # fmt: skip

@@ -84,12 +84,25 @@ def test_bearing_factors(
         assert wide == pytest.approx(n_gamma * shapes[name][1], rel=2e-3)
 
 
-def test_bearing_capacity_of_a_disc_by_hand() -> None:
-    """Hansen, φ 30°, disc of 60 mm at 20 mm: s_q 1.5, s_γ 0.6, d_q 1 + 0.5/√3 · D/B."""
-    foot, gamma = Foot(0.03, "disc"), 1550.0 * 9.81
-    d_q = 1.0 + 0.5 / math.sqrt(3.0) * (0.02 / 0.06)
-    pressure = gamma * (0.02 * 18.401 * 1.5 * d_q + 0.5 * 0.06 * 15.070 * 0.6)
-    assert lift("hansen", foot, 0.02, 30.0) == pytest.approx(pressure * math.pi * 0.03**2, rel=1e-3)
+@pytest.mark.parametrize(("depth", "k"), [(0.02, 1.0 / 3.0), (0.12, math.atan(2.0))])
+def test_bearing_capacity_of_a_disc_by_hand(depth: float, k: float) -> None:
+    """φ 30°, K_p 3, disc of 60 mm. Hansen: s_q 1.5, s_γ 0.6, d_q 1 + 0.5/√3 · k; Meyerhof: all 1.3
+    times 1 + 0.1 √3 · D/B."""
+    foot, gamma, root = Foot(0.03, "disc"), 1550.0 * 9.81, math.sqrt(3.0)
+    hansen = depth * 18.401 * 1.5 * (1.0 + 0.5 / root * k) + 0.5 * 0.06 * 15.070 * 0.6
+    meyerhof = depth * 18.401 + 0.5 * 0.06 * 15.668
+    meyerhof *= 1.3 * (1.0 + 0.1 * root * depth / 0.06)
+    for name, pressure in {"hansen": hansen, "meyerhof": meyerhof}.items():
+        expected = gamma * pressure * math.pi * 0.03**2
+        assert lift(name, foot, depth, 30.0) == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize("law", ["meyerhof", "vesic", "hansen"])
+def test_ball_deeper_than_its_radius_bears_as_a_disc_at_its_mean_depth(law: str) -> None:
+    """The lower half of a ball reaches two thirds of its radius below its middle on average."""
+    radius = BALL.radius
+    disc = lift(law, Foot(radius, "disc"), (1.5 + 2.0 / 3.0) * radius, 33.0)
+    assert lift(law, BALL, 2.5 * radius, 33.0) == pytest.approx(disc, rel=1e-9)
 
 
 @pytest.mark.parametrize("law", LAWS)

@@ -194,6 +194,12 @@ def test_force_follows_density_in_three_dimensions(factor: float, shape: str) ->
     assert more.force == pytest.approx(factor * once.force, rel=1e-9, abs=1e-12)
 
 
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_force_follows_gravity(dimensions: int) -> None:
+    earth, moon = (history(dimensions, motion=SHORT, bed={"gravity": g}) for g in (9.81, 1.635))
+    assert moon.force == pytest.approx(earth.force / 6.0, rel=1e-9, abs=1e-12)
+
+
 @pytest.mark.parametrize(("dimensions", "shape"), [(2, "c"), (3, "reversed_c"), (3, "plate")])
 def test_nothing_happens_above_the_surface(dimensions: int, shape: str) -> None:
     # A point of a semicircle lies at most one chord from its end, as the tip of a straight leg.

@@ -18,6 +18,7 @@ from terraphi.inference.answer import Answer
 from terraphi.inference.emulator import Emulator
 from terraphi.inference.inversion import calibrate, invert, invert_many
 from terraphi.inference.likelihood import Likelihood
+from terraphi.inference.partial import MOMENT_DEG
 from terraphi.inference.records import open_record
 from terraphi.inference.soils import ModelError
 from terraphi.library.store import PHI, Library
@@ -156,6 +157,8 @@ def test_second_opinion_is_in_plane_strain() -> None:
     expected = np.degrees(np.arcsin(np.tan(np.radians(other.phi.median))))
     assert other.phi_plane_strain.median == pytest.approx(expected)
     assert answer.second_opinion["median"] == pytest.approx(expected, abs=0.05)
+    assert answer.second_opinion["sd"] == pytest.approx(other.phi_plane_strain.sd, rel=0.05)
+    assert other.phi_plane_strain.sd > 1.1 * other.phi.sd  # 1/√(1 - tan² φ) cos² φ is above 1
 
 
 def test_a_model_error_of_another_type_is_refused(sand3d: Library) -> None:
@@ -192,6 +195,7 @@ def test_a_moment_replaces_forces(sand3d: Library, leg: str, axes: str) -> None:
         answer = invert(history, leg=leg, density=1650, library=plain)
         assert set(answer.nrmsd) == {*(f"F{axis}" for axis in axes), "M"}
         assert answer.phi.median == pytest.approx(phi, abs=1.0)
+        assert answer.budget_deg["missing forces"] == pytest.approx(MOMENT_DEG, rel=0.05)
         assert max(answer.nrmsd.values()) < 0.05
 
 

@@ -135,8 +135,17 @@ def test_records_of_one_soil_share_what_they_share(sand3d: Library) -> None:
     legs = invert(["li2013:poppy_loose/straight", "li2013:poppy_loose/c"])
     assert twice.phi.sd == pytest.approx(one.phi.sd, rel=0.02)
     assert legs.phi.sd < one.phi.sd
-    error = ModelError.model_validate(sand3d.model_error["straight"])
-    assert legs.phi.sd > np.hypot(error.common_sd_deg, error.soil_sd_deg)
+    errors = [model_error(sand3d, leg, ["li2013:poppy_loose"]) for leg in ("straight", "c")]
+    both = {
+        name: [getattr(error, f"{field}_sd_deg") for error in errors]
+        for name, field in (("apparatus", "common"), ("soil", "soil"), ("leg", "leg"))
+    }
+    # With weights that add up to 1 what is shared stays between both, and what is not is less.
+    for name in ("apparatus", "soil"):
+        share = legs.budget_deg[f"model: {name}"]
+        assert 0.98 * min(both[name]) < share < 1.02 * max(both[name])
+    assert legs.budget_deg["model: leg"] < 0.95 * min(both["leg"])
+    assert twice.budget_deg["model: leg"] == pytest.approx(both["leg"][0], rel=0.02)
 
 
 def test_known_soils_narrow_and_shift(sand3d: Library) -> None:
@@ -178,20 +187,28 @@ def test_a_soil_that_the_model_reads_rightly_moves_no_leg(sand3d: Library, leg: 
     assert moved.phi.median == pytest.approx(plain.phi.median, abs=0.02)
 
 
-def test_calibration_is_the_posterior_of_its_normal_model() -> None:
-    """Two soils; the second was read twice, by two legs, and shares all but their errors."""
-    error = ModelError(offset_deg=1.0, common_sd_deg=3.0, soil_sd_deg=2.0, leg_sd_deg=1.2)
-    soil = {"source": "x", "phi_sd_deg": 1.5, "read_sd_deg": 0.5}
+@pytest.mark.parametrize("leg", ["c", "reversed_c"])
+def test_calibration_is_the_posterior_of_its_normal_model(leg: str) -> None:
+    """Two soils; the second was read twice, by two legs, and shares all but their errors.
+
+    The error of the rig and of the leg's offset belong to b where the leg is one of theirs; they
+    are errors of what was read for another leg.
+    """
+    error = ModelError(
+        offset_deg=1.0, common_sd_deg=3.0, soil_sd_deg=2.0, leg_sd_deg=1.2, offset_sd_deg=1.1
+    )
+    soil = {"source": "x", "phi_sd_deg": 1.5, "read_sd_deg": 0.5, "rig_sd_deg": 0.9}
     soils = [
         CalibrationSoil(leg="c", phi_deg=30.0, read_deg=33.0, **soil),
         CalibrationSoil(leg="c", phi_deg=25.0, read_deg=29.5, **soil),
         CalibrationSoil(leg="straight", phi_deg=25.0, read_deg=28.5, **soil),
     ]
-    mean, sd = Calibration(library="x", library_hash="", soils=soils).common(error, "c")
+    mean, sd = Calibration(library="x", library_hash="", soils=soils).common(error, leg)
     b = np.linspace(-20.0, 20.0, 40_001)
-    log_p = -0.5 * b**2 / 9.0
+    stays = 1.1**2 + 0.9**2
+    log_p = -0.5 * b**2 / (9.0 + stays * (leg == "c"))
     for apart, legs in ((3.0, 1), (4.0, 2)):
-        variance = 2.0**2 + 1.2**2 / legs + 1.5**2 + 0.5**2
+        variance = 2.0**2 + 1.2**2 / legs + 1.5**2 + 0.5**2 + stays * (leg != "c")
         log_p -= 0.5 * (apart - b) ** 2 / variance
     p = np.exp(log_p - log_p.max())
     p /= p.sum()
@@ -267,3 +284,4 @@ def test_draws_of_two_parameters_agree_with_a_grid(rft3d: Library) -> None:
         assert draws.mean() == pytest.approx(mean, abs=0.15 * sd)
         assert draws.std() == pytest.approx(sd, rel=0.1)
         assert drawn.diagnostics[key]["rhat"] < 1.05
+        assert 100.0 < drawn.diagnostics[key]["ess"] < 0.5 * 5 * draws.size  # every fifth is kept

@@ -11,6 +11,7 @@ from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import measurement, names
 from terraphi.inference.inversion import invert
 from terraphi.inference.likelihood import Likelihood
+from terraphi.inference.partial import PART_DEG
 from terraphi.inference.records import open_record
 from terraphi.library.store import Library
 
@@ -25,7 +26,11 @@ def test_information_of_the_parts_adds_up_to_that_of_the_whole(sand3d: Library) 
     # Cut between windows, whose width is 170/39°.
     for low, high in ((-90.0, -170.0 / 78.0 * 20), (-170.0 / 78.0 * 20, 0.0), (0.0, 90.0)):
         record = open_record(cut("li2013:yuma/straight", low, high), leg="straight", density=1650)
-        shares.append(Likelihood([record], sand3d).strokes[0].share)
+        likelihood = Likelihood([record], sand3d)
+        share = likelihood.strokes[0].share
+        missing = likelihood.budget(likelihood.least_squares)["missing angles"]
+        assert missing == pytest.approx(PART_DEG * np.sqrt(1.0 / share - 1.0), rel=0.05)
+        shares.append(share)
     # Each is taken at the best angle of its part.
     assert sum(shares) == pytest.approx(1.0, abs=0.1)
     whole = open_record("li2013:yuma/straight")

@@ -61,15 +61,17 @@ def test_noise_is_estimated_from_roughness(sigma: float) -> None:
     assert open_record(noisy).noise == pytest.approx((sigma, sigma), rel=0.15)
 
 
-def test_long_records_keep_their_means() -> None:
+def test_long_records_keep_their_means_and_noise() -> None:
     theta, rng = np.linspace(-90.0, 90.0, 50_000), np.random.default_rng(4)
     force = np.stack([np.cos(np.radians(theta)), np.sin(np.radians(theta))], axis=1)
     force += 0.1 * rng.standard_normal(force.shape)
-    whole = record(theta, force)
+    whole = record(theta, force, noise=(0.1, 0.1))
     whole = replace(whole, history=replace(whole.history, moment=force[:, 0] ** 2))
     short = whole.binned()
     assert len(short.history.position) <= 4000
     np.testing.assert_allclose(whole.data, short.data, atol=2e-3)
+    noise = np.diag(whole.noise_covariance)
+    np.testing.assert_allclose(np.diag(short.noise_covariance), noise, rtol=0.05)
     moments = [one.means(one.history.moment) for one in (whole, short)]
     np.testing.assert_allclose(*moments, atol=2e-3)
 

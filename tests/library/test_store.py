@@ -73,11 +73,13 @@ def test_curves_are_sorted_means_of_the_histories(small: Library) -> None:
 
 
 def test_corrections_are_added_where_asked(small: Library) -> None:
-    theta = small.curves("straight").theta_deg
-    one = Correction(np.array([20.0, 40.0]), theta, np.ones((2, 2, theta.size)), {})
-    library = replace(small, corrections={"straight": one})
+    """To each case that of its own angle, here a newton a degree and more to the right."""
+    theta, phi = small.curves("straight").theta_deg, np.array([20.0, 40.0])
+    force = phi[:, None, None] + 0.1 * theta + np.zeros((1, 2, 1))
+    library = replace(small, corrections={"straight": Correction(phi, theta, force, {})})
     plain, corrected = (library.curves("straight", corrected=c) for c in (False, True))
-    np.testing.assert_allclose(corrected.force - plain.force, 1.0)
+    expected = plain.x[:, :, None] + 0.1 * theta + np.zeros((1, 2, 1))
+    np.testing.assert_allclose(corrected.force - plain.force, expected)
 
 
 def test_what_cannot_be_inferred_is_refused(small: Library, tmp_path: Path) -> None:

@@ -217,22 +217,24 @@ def test_the_command_writes_maps_that_open(terraphi, hill, points, tmp_path) -> 
         assert set(np.unique(file.read(1))) == {0, 1, 255}
 
 
-def test_footfalls_are_placed_where_the_walk_began(hill, tmp_path) -> None:
+@pytest.mark.parametrize("bearing", [0.0, 90.0])
+def test_footfalls_are_placed_where_the_walk_began(hill, tmp_path, bearing) -> None:
     x, y = walked(0, count=8)
     phi = np.full(8, 30.0)
     phi[1] = np.nan
     n, one = np.full(8, 1.0), np.zeros(1)
     verdict = ("usable", "too little sinkage", "saturated", *["usable"] * 5)
-    # Northward is ahead, and west is left.
+    # Northward is ahead, and west is left; or eastward is, and north.
+    ahead, left = (y, -x) if bearing == 0.0 else (x, y)
     walk = FootfallMap(
-        time=n, foot=("FR",) * 8, place=np.column_stack([y, -x, n]), sinkage=n, phi=phi, sd=n,
+        time=n, foot=("FR",) * 8, place=np.column_stack([ahead, left, n]), sinkage=n, phi=phi, sd=n,
         shared_sd=n, misfit=n, verdict=verdict, path=np.zeros((1, 3)), path_phi=one,
         path_relative_sd=one, path_absolute_sd=one, shared={}, by_law={},
     )  # fmt: skip
     write_footfalls(walk, tmp_path / "walk.nc")
     ground = read_elevation(hill(left=5e5))
     for name in ("walk.nc", "walk.csv"):
-        found, left_out = read_points(tmp_path / name, ground, Start(5e5, 0.0, 0.0))
+        found, left_out = read_points(tmp_path / name, ground, Start(5e5, 0.0, bearing))
         assert left_out == 2
         assert found["x_m"].to_numpy() == pytest.approx(5e5 + np.delete(x, [1, 2]), abs=1e-4)
         assert found["y_m"].to_numpy() == pytest.approx(np.delete(y, [1, 2]), abs=1e-4)

@@ -10,8 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from terraphi.experiment.leg import frame_axes
 from terraphi.forward.body import Pose
 from terraphi.forward.mpm.contact import contact_of, distance_to_body, touch
+from terraphi.forward.mpm.lattice import lattice_of, positions
 
 MASS = 1e-3
 LEG = {"shape": "plate", "chord": 0.06, "half_thickness": 0.004, "width": 0.03, "friction": 0.4}
@@ -32,11 +34,15 @@ def met(body, theta: float, overlap: float, *, rate: float = 3.0) -> SimpleNames
     # The tip moves along `out` when θ grows: a turn by +y × r.
     own = speed + rate * np.cross([0.0, 1.0, 0.0], place - hip)
 
-    def force(past, slip=(0.0, 0.0, 0.0)) -> np.ndarray:
-        """Of the plate on soil that moves past it."""
-        return np.array(touch(tuple(place), tuple(own + past), slip, MASS, body, pose)[0])
+    def touched(past, slip=(0.0, 0.0, 0.0)) -> tuple[np.ndarray, ...]:
+        """Force of the plate on soil that moves past it, arm and slip."""
+        found = touch(tuple(place), tuple(own + past), tuple(slip), MASS, body, pose)
+        return tuple(map(np.array, found))
 
-    return SimpleNamespace(out=out, along=along, force=force)
+    def force(past, slip=(0.0, 0.0, 0.0)) -> np.ndarray:
+        return touched(past, slip)[0]
+
+    return SimpleNamespace(out=out, along=along, touched=touched, force=force)
 
 
 ANGLES = st.floats(-3.1, 3.1)
@@ -48,7 +54,10 @@ def test_soil_that_moves_with_the_plate_feels_the_spring_alone(body, theta, over
     seen = met(body, theta, overlap, rate=rate)
     expected = body.stiffness * overlap * seen.out
     size = np.linalg.norm(expected)
-    np.testing.assert_allclose(seen.force(np.zeros(3)), expected, atol=1e-6 * size)
+    force, arm, _ = seen.touched(np.zeros(3))
+    np.testing.assert_allclose(force, expected, atol=1e-6 * size)
+    # It acts on the surface, not at the particle's centre.
+    np.testing.assert_allclose(arm, (overlap - body.radius) * seen.out, atol=1e-9)
     assert not met(body, theta, -1e-6).force(np.zeros(3)).any()
 
 
@@ -70,6 +79,23 @@ def test_soil_that_slides_is_held_back_by_friction(body, theta, turn, speed) -> 
     np.testing.assert_allclose(rub, -0.4 * press * past / speed, atol=1e-6 * press)
 
 
+@settings(max_examples=50)
+@given(theta=ANGLES, turn=ANGLES, before=st.tuples(*[st.floats(-1e-6, 1e-6)] * 3))
+def test_a_spring_that_sticks_pulls_along_the_plate_alone(body, theta, turn, before) -> None:
+    """Also after the plate has turned, so that the slip until then points out of it."""
+    seen = met(body, theta, 1e-5)
+    past = 1e-3 * (math.cos(turn) * seen.along + math.sin(turn) * np.array([0.0, 1.0, 0.0]))
+    force, _, slip = seen.touched(past, before)
+    in_plate = np.eye(3) - np.outer(seen.out, seen.out)
+    expected = in_plate @ before + body.time_step * past
+    np.testing.assert_allclose(slip, expected, atol=1e-12)
+    # 0.3 of the critical damping of a mass on that spring, 2 √(k m).
+    damping = 0.6 * math.sqrt(body.stiffness * MASS)
+    rub = -body.stiffness * expected - damping * past
+    press = body.stiffness * 1e-5
+    np.testing.assert_allclose(force, press * seen.out + rub, atol=1e-6 * press)
+
+
 def test_the_dashpot_takes_energy_and_never_pulls(body) -> None:
     seen = met(body, 0.4, 1e-5)
     spring = body.stiffness * 1e-5
@@ -84,6 +110,14 @@ def test_body_and_particle_have_their_sizes(space, body) -> None:
     scenario = space.scenario(leg=LEG)
     soil = space.solver(scenario, "scalar").bed()
     assert body.radius == pytest.approx(0.5 * (soil.mass[0] / scenario.soil.density) ** (1 / 3))
+    # No particle of the bed overlaps the leg where it starts; some just touch a flank of it.
+    hip, theta = np.array(scenario.motion.hip), math.radians(scenario.motion.start_deg)
+    place = positions(lattice_of(scenario), soil.cell, soil.offset)
+    flat = (place[:, [0, 2]] - hip) @ np.array(frame_axes(theta)).T
+    found = [distance_to_body(body, s, m, y) for (s, m), y in zip(flat, place[:, 1], strict=True)]
+    distance, normal = np.array([one[0] for one in found]), np.array([one[1] for one in found])
+    assert distance.min() == pytest.approx(body.radius, rel=1e-6)
+    assert (np.abs(normal[distance < 1.001 * body.radius, 2]) > 0.5).any()
     for y in (-0.02, 0.02):
         distance, normal = distance_to_body(body, 0.03, 0.0, y)
         assert distance == pytest.approx(0.02 - 0.5 * LEG["width"])

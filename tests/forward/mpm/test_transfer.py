@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from terraphi.forward.mpm.bed import geostatic_bed
-from terraphi.forward.mpm.lattice import lattice_of, positions
+from terraphi.forward.mpm.bed import cells_of, geostatic_bed
+from terraphi.forward.mpm.lattice import lattice_of, place_of, positions
 from terraphi.forward.mpm.solver import settle
 from terraphi.forward.mpm.transfer import push, renew
 
@@ -24,6 +24,20 @@ def _bed(space):
     )  # fmt: skip
     nodes = np.arange(lattice.nodes, dtype=np.int32)
     return soil, lattice, positions(lattice, nodes, np.zeros((lattice.nodes, 3))).T
+
+
+def test_places_are_those_of_cells_and_offsets(bed) -> None:
+    """For NumPy and the kernels alike; a quarter of a cell from the plane of symmetry lies y."""
+    _, lattice, _ = bed
+    size = lattice.cell_size
+    places = size * np.random.default_rng(6).uniform([5.0, 0.0, 5.0], [8.0, 3.0, 8.0], (20, 3))
+    places[0, 1] = 0.25 * size
+    cell, offset = cells_of(lattice, places)
+    assert np.abs(offset).max() <= 0.5
+    assert cell[0] % lattice.layer // lattice.row == 1  # the first row is an image
+    np.testing.assert_allclose(positions(lattice, cell, offset), places, rtol=1e-12)
+    found = [place_of(lattice, c, *at) for c, at in zip(cell, offset, strict=True)]
+    np.testing.assert_allclose(found, places, rtol=1e-12)
 
 
 def test_affine_fields_survive_and_carry_particles(bed) -> None:
@@ -44,18 +58,20 @@ def test_affine_fields_survive_and_carry_particles(bed) -> None:
     assert np.ptp(after - before, axis=0).min() > 1e-4
 
 
-def test_a_field_that_its_mirror_image_continues_survives_at_the_plane(space) -> None:
-    """Soil that spreads from the plane of symmetry, and flows along it."""
+@pytest.mark.parametrize("side", [0, 1])
+def test_a_field_that_its_mirror_image_continues_survives_at_the_plane(space, side) -> None:
+    """Soil that spreads from the plane of symmetry or the one at the side, and flows along it."""
     scenario = space.scenario(**space.away)
     soil, lattice = geostatic_bed(scenario), lattice_of(scenario)
     nodes = np.arange(lattice.nodes, dtype=np.int32)
     x, y, z = positions(lattice, nodes, np.zeros((lattice.nodes, 3))).T
-    field = np.stack([1.0 + 2.0 * x - 3.0 * z, 7.0 * y, 5.0 * x + z])
+    plane, first = side * 4 * lattice.cell_size, (1, lattice.count_y - 3)[side]
+    field = np.stack([1.0 + 2.0 * x - 3.0 * z, 7.0 * (y - plane), 5.0 * x + z])
     soil.velocity[:] = field
     assert settle(soil, lattice, np.zeros_like(field), np.zeros((4, lattice.nodes))) == -1
     row = nodes % lattice.layer // lattice.row
     heavy = soil.node_mass > 1e-3 * soil.node_mass.max()
-    near = heavy & ((row == 1) | (row == 2))
+    near = heavy & ((row == first) | (row == first + 1))
     assert near.sum() > 100
     np.testing.assert_allclose(soil.velocity[:, near], field[:, near], atol=1e-9)
 

@@ -144,6 +144,9 @@ def test_path_moves_as_its_velocities_say(coarse):
     assert not turned.any()
     assert (np.diff(bins) >= 0).all()
     assert set(bins) == set(range(100))
+    # The middle of each step lies in its bin of 0.1°.
+    past = np.degrees(0.5 * (theta[1:] + theta[:-1])) + 60.0 - 0.1 * bins[:-1]
+    assert ((past > -1e-4) & (past < 0.1 + 1e-4)).all()
 
 
 @pytest.mark.parametrize("kernel", ["packets", "scalar"])
