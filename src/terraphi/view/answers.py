@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from terraphi.experiment.errors import GUESSED, InputError
+from terraphi.experiment.files import read_bytes
+from terraphi.experiment.tables import write_csv
 from terraphi.inference import COLUMNS
 from terraphi.view.table import Table
 
@@ -170,7 +172,7 @@ def check_table(path: Path) -> None:
     """Raise InputError if a file is there that is no table of answers."""
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a CSV file")
-    if path.is_file() and not path.read_bytes().startswith(f"{COLUMNS[0]},{COLUMNS[1]},".encode()):
+    if path.is_file() and not read_bytes(path).startswith(f"{COLUMNS[0]},{COLUMNS[1]},".encode()):
         raise InputError(f"{path}: is there, and no table of answers; name another file")
 
 
@@ -195,8 +197,6 @@ def write_table(
     """
     import pandas as pd
 
-    from terraphi.experiment.files import replacing
-
     written = [
         (_failed(given, one) if isinstance(one, InputError) else row(str(given["forces"]), one))
         | given.get("notes", {})
@@ -204,8 +204,7 @@ def write_table(
     ]
     if path is not None:
         names = dict.fromkeys([*COLUMNS, *(name for one in written for name in one)])
-        with replacing(path) as temporary:
-            pd.DataFrame(written, columns=[*names]).to_csv(temporary, index=False)
+        write_csv(path, pd.DataFrame(written, columns=[*names]))
     return written, dict(Counter(str(one["verdict"]).replace("_", " ") for one in written))
 
 
