@@ -251,7 +251,7 @@ def test_a_netcdf_of_many_or_nested_items_is_refused_before_it_is_read(
     file = tmp_path / "x.nc"
     with h5py.File(file, "w") as made:
         if many:
-            for i in range(3000):
+            for i in range(5000):
                 made.create_group(f"v{i}")
         else:
             made.create_group("g/" * 200)

@@ -28,31 +28,17 @@ POINTS = 500
 cube. More are merged in cells: 1,000 points merged move φ by at most 0.34 of its error."""
 PARTS = 10_000
 """Elements of a robot's model, copies counted; the Go2 has some 200."""
-ITEMS, NESTING = 2_000, 3
+ITEMS, NESTING = 4_000, 3
 """Variables and groups of a NetCDF, and groups within each other; an answer has 8 variables for
 each record, in groups within none."""
-
-
 _one_at_a_time = threading.RLock()
 
 
 @contextmanager
 def unpacking(what: str, files: list[Path]) -> Iterator[None]:
-    """Limit the memory and the disk that a library takes in the block to what its input deserves.
+    """Limit memory and disk that a block takes to unpack files; InputError, with ``what`` needs it.
 
-    The limits are those of the process, by POSIX; macOS does not keep that on memory.
-
-    Parameters
-    ----------
-    what
-        Name of the input, for messages.
-    files
-        The input.
-
-    Raises
-    ------
-    InputError
-        If the block needs more.
+    They are limits of the whole process, by POSIX; that on memory holds on Linux alone.
     """
     most = LEAST_UNPACKED + UNPACKED * sum(file.stat().st_size for file in files)
     limits = {resource.RLIMIT_FSIZE: most}

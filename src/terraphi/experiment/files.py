@@ -36,11 +36,7 @@ def is_there(path: Path) -> bool:
 def read_bytes(path: Path) -> bytes:
     """All bytes of a file, a pipe, or standard input (``-``).
 
-    Raises
-    ------
-    InputError
-        If it is something else, larger than :data:`~terraphi.experiment.budget.BYTES`, or a pipe
-        that nothing comes from.
+    Raises InputError if it is something else, too large, or a pipe that nothing comes from.
     """
     try:
         if str(path) == "-":
@@ -91,15 +87,7 @@ def read_text(path: Path) -> str:
 
 
 def check_is_file(path: Path, expected: str = "a file") -> None:
-    """Raise InputError if there is no file on disk, such as NetCDF needs.
-
-    Parameters
-    ----------
-    path
-        The file.
-    expected
-        What should be there, for the message.
-    """
+    """Raise InputError, which says what is expected, if there is no regular file on disk."""
     if not path.is_file():
         found = "is a folder" if path.is_dir() else "no such file"
         found = "is a pipe or device; save it to a file first" if is_there(path) else found
@@ -332,8 +320,8 @@ def netcdf_kind(path: Path) -> str:
                         raise InputError(f"{path}: '{item.name}' is a link; write it without links")
                     seen.add(address)
                     if len(seen) > ITEMS or item.name.count("/") > NESTING:
-                        limits = f"more than {ITEMS} variables or {NESTING} groups within another"
-                        raise InputError(f"{path}: has {limits}; it is no file of terraphi")
+                        more = f"more than {ITEMS} variables or {NESTING} groups within another"
+                        raise InputError(f"{path}: has {more}; name a file of terraphi")
                     size += getattr(item, "nbytes", 0)
                     groups += [item] if isinstance(item, h5py.Group) else []
             kind = str(file.attrs.get("terraphi_file", ""))

@@ -213,20 +213,14 @@ def fit(points: pd.DataFrame, covariates: FloatArray, ground: Elevation, *, seed
 def _merged(
     inputs: FloatArray, z: FloatArray, variance: FloatArray, step: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Points as they are, or their means in square cells where there are more than ``POINTS``.
+    """Inputs, z and own variance of points, of ``POINTS`` at most: their means in square cells.
 
-    Parameters
-    ----------
-    inputs
-        Places [m] and covariates, shape [point, 2 + covariate].
-    z, variance
-        Of each point, with the variance of its own error.
-    step
-        Side of the smallest cells [m].
+    The side of the cells is ``step`` [m] or more; a mean of few points has the same η as of many.
     """
     if len(z) <= POINTS:
         return inputs, z, variance
-    cell, count = np.empty(0), len(z)
+    cell: Any = None
+    count = len(z)
     while count > POINTS:
         first, cell = np.unique(np.floor(inputs[:, :2] / step), axis=0, return_inverse=True)
         count, step = len(first), 1.1 * step

@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from terraphi.experiment.errors import GUESSED, InputError
-from terraphi.experiment.files import read_bytes
-from terraphi.experiment.tables import write_csv
 from terraphi.inference import COLUMNS
 from terraphi.view.table import Table
 
@@ -170,6 +168,8 @@ def _rounded(one: Estimate) -> tuple[str, str, str, str]:
 
 def check_table(path: Path) -> None:
     """Raise InputError if a file is there that is no table of answers."""
+    from terraphi.experiment.files import read_bytes
+
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a CSV file")
     if path.is_file() and not read_bytes(path).startswith(f"{COLUMNS[0]},{COLUMNS[1]},".encode()):
@@ -196,6 +196,8 @@ def write_table(
         Number of records by verdict.
     """
     import pandas as pd
+
+    from terraphi.experiment.tables import write_csv
 
     written = [
         (_failed(given, one) if isinstance(one, InputError) else row(str(given["forces"]), one))
