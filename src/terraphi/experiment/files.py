@@ -42,8 +42,11 @@ def read_bytes(path: Path) -> bytes:
         if str(path) == "-":
             content = sys.stdin.buffer.read(BYTES + 1)
         else:
-            with closing_file(path) as handle:
+            handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+            try:
                 content = _content(handle, path)
+            finally:
+                os.close(handle)
     except InputError:
         raise
     except (OSError, ValueError) as error:  # a name with a null byte is a ValueError
@@ -203,7 +206,7 @@ def held(folder: Path) -> Iterator[None]:
 @contextmanager
 def closing_file(path: Path) -> Iterator[int]:
     """Open a file or folder for reading during the block, and give its descriptor."""
-    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    handle = os.open(path, os.O_RDONLY)
     try:
         yield handle
     finally:
