@@ -24,6 +24,7 @@ from terraphi.cli.main import cli
 from terraphi.experiment.leg import LEG_SHAPES
 from terraphi.experiment.measurements import names
 from terraphi.forward.foot import LAWS
+from terraphi.inference.manifest import read_manifest
 
 Terraphi = Callable[..., Any]
 QUICK = ("--library", "rft3d")
@@ -159,6 +160,32 @@ def test_a_table_of_records_is_inverted_as_each_alone(
     expected = [phi.median, phi.median, shipped.median] * copies
     assert rows["phi_deg"].dropna().tolist() == pytest.approx(expected, abs=2e-3)
     assert rows["remark"][0] == "dry"
+
+
+def test_no_cell_of_answers_is_a_formula(terraphi: Terraphi, tmp_path: Path) -> None:
+    shown = {"=1+1": "=cmd|'/C calc'!A0", "@b": "-3.5", "+c": "+1", "d": "-2+3", "e": "\u202e=x"}
+    package.measurement("li2013:yuma/c").history.to_csv(tmp_path / "=f\n.csv")
+    with (tmp_path / "day.csv").open("w", newline="", encoding="utf-8") as stream:
+        csv.writer(stream).writerows(
+            [["file", *shown], ["=f\n.csv", *shown.values()], ["no.csv", *["\t=y"] * 5]]
+        )
+    ran = terraphi("invert", "--table", "day.csv", *QUICK, "--out", "answers.csv")
+    assert ran.status == 1, ran.err
+    with (tmp_path / "answers.csv").open(newline="", encoding="utf-8") as stream:
+        header, first, second = csv.reader(stream)
+    for cell in (*header, *first, *second):
+        assert "\u202e" not in cell
+        assert cell.lstrip()[:1] not in {*"=+-@"} or float(cell) < 2.0
+    assert first[0] == r"'=f\n.csv"
+    kept = dict(zip(header, first, strict=True))
+    assert (kept["'@b"], kept["'+c"], kept["d"]) == ("-3.5", "+1", "'-2+3")
+    # Read back, the names and cells are those that were there.
+    copied = [header.index(name) for name in ("'=1+1", "'@b", "'+c", "d")]
+    with (tmp_path / "day.csv").open("w", newline="", encoding="utf-8") as stream:
+        rows = [["file", *(row[i] for i in copied)] for row in (header, first)]
+        csv.writer(stream).writerows([rows[0], [MEASURED, *rows[1][1:]]])
+    (read,) = read_manifest(tmp_path / "day.csv")
+    assert read["notes"] == {name: shown[name] for name in ("=1+1", "@b", "+c", "d")}
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,8 @@ from __future__ import annotations
 import errno
 import os
 import random
+import stat
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,6 +15,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from terraphi.experiment import files
 from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import (
@@ -196,3 +199,62 @@ def test_missing_files(tmp_path: Path) -> None:
         open_netcdf(tmp_path, kind="thing", schema=3)
     with pytest.raises(InputError, match="null byte"):
         read_bytes(Path("a\0b"))
+
+
+def test_a_pipe_is_read_until_its_writer_ends_and_nothing_else_that_is_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    content = bytes(range(256)) * 1000  # more than a pipe holds
+    monkeypatch.setattr(files, "SILENCE", 0.1)
+    with pytest.raises(InputError, match="nothing writes to"):
+        read_bytes(pipe)
+    began = threading.Event()
+
+    def write() -> None:
+        with pipe.open("wb") as stream:
+            began.set()
+            stream.write(content)
+            stream.flush()
+            threading.Event().wait(0.3)  # longer than the silence of a pipe without a writer
+            stream.write(b"end")
+
+    monkeypatch.setattr(files, "SILENCE", 2.0)
+    writer = threading.Thread(target=write)
+    writer.start()
+    found = read_bytes(pipe)
+    writer.join()
+    assert found == content + b"end"
+    for device in ("/dev/zero", "/dev/urandom"):
+        assert stat.S_ISCHR(Path(device).stat().st_mode)
+        with pytest.raises(InputError, match="is a device"):
+            read_bytes(Path(device))
+
+
+def test_what_is_larger_than_its_budget_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(files, "BYTES", 100)
+    file = tmp_path / "x.csv"
+    file.write_bytes(bytes(100))
+    assert len(read_bytes(file)) == 100
+    file.write_bytes(bytes(101))
+    with pytest.raises(InputError, match="larger than"):
+        read_bytes(file)
+
+
+@pytest.mark.parametrize("many", [True, False])
+def test_a_netcdf_of_many_or_nested_items_is_refused_before_it_is_read(
+    tmp_path: Path, many: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "x.nc"
+    with h5py.File(file, "w") as made:
+        if many:
+            for i in range(5000):
+                made.create_group(f"v{i}")
+        else:
+            made.create_group("g/" * 200)
+    monkeypatch.setattr(files, "_read", lambda _path: pytest.fail("it was read"))
+    with pytest.raises(InputError, match="variables"):
+        open_netcdf(file, kind="", schema=1)

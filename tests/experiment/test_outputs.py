@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import h5py
@@ -135,3 +136,20 @@ def test_files_of_ours_are_replaced_and_no_others(tmp_path: Path) -> None:
     (tmp_path / "o" / MANIFEST).write_text('{"name": "an extension of a browser"}')
     with pytest.raises(InputError, match=r"holds 'manifest\.json', not written by"):
         fill(tmp_path / "o", a="1")
+
+
+@pytest.mark.parametrize("name", ["/dev/zero", "pipe", "link", "../outside.txt"])
+def test_a_manifest_opens_nothing_but_files_of_its_folder(tmp_path: Path, name: str) -> None:
+    place = tmp_path / "o"
+    fill(place, z="1")
+    os.mkfifo(place / "pipe")
+    (place / "link").symlink_to("/dev/zero")
+    (tmp_path / "outside.txt").write_text("1")
+    manifest = json.loads((place / MANIFEST).read_text())
+    manifest["digests"][name] = manifest["digests"]["z.txt"]  # that of outside.txt too
+    (place / MANIFEST).write_text(json.dumps(manifest))
+    assert "damaged" in changed(place)
+    (place / MANIFEST).unlink()
+    os.mkfifo(place / MANIFEST)
+    with pytest.raises(InputError, match="not written by terraphi"):
+        check_folder(place, kind="test")

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import os
+import re
+import resource
 import sqlite3
+import struct
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -11,9 +15,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+import zstandard
 from go2.logs import EPOCH_NS, write_csv, write_mcap, write_parquet, write_rosbag2
 from rosbags.rosbag2 import Writer
 
+from terraphi.experiment import budget
 from terraphi.experiment.errors import InputError
 from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, SHAPES, JointLog
 from terraphi.robot.logs import bags, read_log
@@ -325,6 +331,72 @@ def test_a_bag_whose_messages_are_all_damaged_is_refused(tmp_path: Path) -> None
     refused(bag, "not a message of its type")
 
 
+def zeros_packed(count: int, first: bytes = b"") -> bytes:
+    """A stream of zeros, compressed in frames by Zstandard."""
+    part = zstandard.ZstdCompressor(write_content_size=True).compress(first)
+    million = zstandard.ZstdCompressor().compress(bytes(10**6))
+    return part + million * (count // 10**6)
+
+
+def bomb(path: Path, size: int) -> None:
+    """An MCAP of one chunk, a message of zeros."""
+
+    def text(content: bytes) -> bytes:
+        return struct.pack("<I", len(content)) + content
+
+    def record(kind: int, content: bytes) -> bytes:
+        return struct.pack("<BQ", kind, len(content)) + content
+
+    packed = zeros_packed(size, struct.pack("<BQHIQQ", 5, size + 22, 1, 0, 1, 1))
+    chunk = struct.pack("<QQQI", 1, 1, size + 31, 0) + text(b"zstd")
+    chunk += struct.pack("<Q", len(packed)) + packed
+    whole = record(1, text(b"ros2") + text(b"")) + record(6, chunk)
+    magic = b"\x89MCAP0\r\n"
+    path.write_bytes(magic + whole + record(2, struct.pack("<QQI", 0, 0, 0)) + magic)
+
+
+on_linux = pytest.mark.skipif(
+    not Path("/proc/self/statm").exists(), reason="memory is limited on Linux alone"
+)
+
+
+@pytest.mark.parametrize("kind", ["chunk", "file", "length"])
+@on_linux
+def test_what_unpacks_without_end_is_refused(
+    tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(budget, "LEAST_UNPACKED", 50_000_000)
+    before = [resource.getrlimit(one) for one in (resource.RLIMIT_AS, resource.RLIMIT_FSIZE)]
+    path = tmp_path / "log.mcap"
+    if kind == "chunk":
+        bomb(path, 400_000_000)
+    elif kind == "length":  # of a record of the summary
+        write_mcap(path, log)
+        content = bytearray(path.read_bytes())
+        (summary,) = struct.unpack("<Q", content[-28:-20])
+        content[summary + 7] = 0x40
+        path.write_bytes(content)
+    else:
+        path = tmp_path / "bag"
+        write_rosbag2(path, log)
+        (path / "bag.db3").write_bytes(zeros_packed(400_000_000))
+        about = (path / "metadata.yaml").read_text()
+        about = re.sub("compression_format: .*", "compression_format: zstd", about)
+        about = re.sub("compression_mode: .*", "compression_mode: FILE", about)
+        (path / "metadata.yaml").write_text(about)
+    refused(path, "GB when it is unpacked")
+    after = [resource.getrlimit(one) for one in (resource.RLIMIT_AS, resource.RLIMIT_FSIZE)]
+    assert after == before
+
+
+def test_a_bag_with_a_pipe_in_it_is_refused(tmp_path: Path) -> None:
+    write_rosbag2(tmp_path / "bag", log)
+    (tmp_path / "bag" / "bag.db3").unlink()
+    os.mkfifo(tmp_path / "bag" / "bag.db3")
+    refused(tmp_path / "bag", "is a pipe")
+
+
+@on_linux
 def test_values_that_fill_the_memory_are_refused(tmp_path: Path) -> None:
     bag = tampered(
         tmp_path / "bag",
@@ -332,13 +404,13 @@ def test_values_that_fill_the_memory_are_refused(tmp_path: Path) -> None:
         "ALTER TABLE own RENAME TO messages; ALTER TABLE messages ADD COLUMN data BLOB "
         "GENERATED ALWAYS AS (zeroblob(900000000)) VIRTUAL;",
     )
-    refused(bag, "not a whole bag", "too big")
+    refused(bag, "not a whole bag", "memory")
 
 
 def test_a_database_that_takes_too_long_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(bags, "MOST_SECONDS", 0.0)
+    monkeypatch.setattr(bags, "SECONDS", 0.0)
     monkeypatch.setattr(bags, "STEPS", 100)
     write_rosbag2(tmp_path / "bag", log)
     refused(tmp_path / "bag", "not a whole bag", "terrupt")

@@ -147,3 +147,17 @@ def test_unknown_robot_and_missing_files(tmp_path: Path) -> None:
         Quadruped.load("go3")
     with pytest.raises(InputError, match="no such file"):
         Quadruped.load(tmp_path / "absent.urdf")
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        '<replicate count="300"><replicate count="300"><body/></replicate></replicate>',
+        '<flexcomp name="f" type="grid" count="99 99 99" mass="1"/>',
+        '<replicate count="nan"><body/></replicate>',
+    ],
+)
+def test_a_model_that_copies_its_parts_without_end_is_refused(tmp_path: Path, parts: str) -> None:
+    text = f'<mujoco><worldbody><body name="trunk"><freejoint/>{parts}</body></worldbody></mujoco>'
+    with pytest.raises(InputError, match="copies counted"):
+        Quadruped.load(written(tmp_path, text, "robot.xml"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import socket
+import tracemalloc
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from scipy.stats import norm, truncnorm
 from terraphi.experiment.errors import InputError
 from terraphi.robot.footfall_files import write_footfalls
 from terraphi.robot.footfalls import FootfallMap
-from terraphi.terrain import slopes
+from terraphi.terrain import field, slopes
 from terraphi.terrain.slopes import Sample, priors_of
 
 rasterio = pytest.importorskip("rasterio")
@@ -106,6 +107,35 @@ def test_lattice_and_draws_are_those_of_scikit_learn(hill, points, monkeypatch) 
                    for i in (a, b)])  # fmt: skip
     wanted = process.predict(at, return_cov=True)[1] - short * np.eye(2)
     assert np.cov(drawn[:, a], drawn[:, b]) == pytest.approx(wanted, rel=0.1)
+
+
+@pytest.mark.slow
+def test_merged_points_give_the_field_of_all_of_them(hill, points, monkeypatch) -> None:
+    x, y = walked(2, count=300)
+    phi = 30.0 + 3.0 * np.sin(x / 12.0) + np.random.default_rng(4).normal(0.0, 1.5, x.size)
+    known = points(x, y, phi, np.random.default_rng(5).uniform(0.5, 2.0, x.size))
+    whole = map_slopes(known, hill(), draws=8).layers
+    monkeypatch.setattr(field, "POINTS", 150)
+    merged = map_slopes(known, hill(), draws=8).layers
+    shift = (merged["phi_median"] - whole["phi_median"]) / whole["phi_sd"]
+    assert np.nanmax(np.abs(shift)) < 1.0
+    assert np.sqrt(np.nanmean(shift**2)) < 0.25
+    assert np.nanmean(merged["phi_sd"] / whole["phi_sd"]) == pytest.approx(1.0, abs=0.1)
+
+
+def test_many_points_do_not_take_the_square_of_memory(hill, points, monkeypatch) -> None:
+    monkeypatch.setattr(field, "POINTS", 40)
+    x, y = walked(3, count=3000)
+    ground = read_elevation(hill())
+    known, _ = read_points(points(x, y, 30.0 + np.sin(x / 9.0)), ground)
+    tracemalloc.start()
+    found = field.fit(known, np.zeros((len(known), 1)), ground)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 200e6  # a matrix of all pairs takes 72 MB, and the search a dozen
+    nodes = found.mean[: found.x.size * found.y.size].reshape(found.y.size, -1)
+    expected = to_logit(30.0 + np.sin(found.x / 9.0))
+    assert nodes[10] == pytest.approx(expected, abs=0.1)  # 1.6 degrees
 
 
 def test_slope_of_an_inclined_plane(hill) -> None:

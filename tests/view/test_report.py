@@ -100,6 +100,17 @@ def test_names_from_files_stay_text_and_scripts_are_those_of_the_policy() -> Non
     assert digest in policy[1].replace("&#43;", "+").replace("&#x2b;", "+")
 
 
+def test_what_turns_the_direction_of_writing_is_escaped_in_a_page() -> None:
+    name = "a\u202egpj.exe\u2028b\u2066"
+    plot = Plot(name, [points([1.0], [2.0], name, "black")], {"title": name})
+    section = Section("answer", name, name, [name], [plot, Table(name, (name,), [(name,)], name)], [
+        (name, name)
+    ])  # fmt: skip
+    page = render([section])
+    assert not set("\u202e\u2028\u2066") & {*page}
+    assert plots_of(page)["plot-0-0"]["data"][0]["name"] == r"a\u202egpj.exe\u2028b\u2066"
+
+
 def test_a_page_loads_nothing_and_is_small(results: dict[str, str]) -> None:
     page = render(sections([results["answer"]]))
     outside = page.split('id="plotly"')[0]

@@ -19,10 +19,10 @@ from terraphi.cli.paper import paper
 from terraphi.cli.simulate import simulate
 from terraphi.cli.terrain import convert, export, slope_map
 from terraphi.cli.tools import app, doctor, keys, report
-from terraphi.experiment.errors import InputError, SimulationError, printable
+from terraphi.experiment.errors import HIDDEN, InputError, SimulationError, printable
 
-CONTROL = re.compile(r"\x1b(?!\[(0|1|2|3|22)m)|[\x00-\x08\x0b-\x1a\x1c-\x1f\x7f-\x9f]")
-"""Control characters but those of lines and of our own styles."""
+CONTROL = re.compile(rf"\x1b(?!\[(0|1|2|3|22)m)|(?![\t\n\x1b]){HIDDEN.pattern}")
+"""Hidden characters but those of lines and of our own styles."""
 UNUSABLE, INTERRUPTED = 2, 130
 """Exit status where the input cannot be used, and after Ctrl-C."""
 

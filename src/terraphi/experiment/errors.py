@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, get_args
@@ -17,10 +18,21 @@ GUESSED = "Guessed "
 """Beginning of the sentence that names what was guessed of a table; it is no warning."""
 
 
+HIDDEN = re.compile(
+    "[\x00-\x1f\x7f-\x9f\xad\u061c\u200b\u200e\u200f\u2028-\u202e\u2060-\u206f\ufeff\ud800-\udfff]"
+)
+"""Characters that are not seen: controls, line breaks, what turns the direction of writing, halves
+of surrogate pairs."""
+
+
+def visible(text: str) -> str:
+    """A text whose hidden characters are escaped as ``ascii`` escapes them."""
+    return HIDDEN.sub(lambda found: ascii(found[0])[1:-1], text)
+
+
 def printable(text: str) -> str:
-    """A text on one line, control characters escaped, its middle left out where it is too long."""
-    shown = " ".join(text.split())
-    shown = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in shown)
+    """A text on one line, hidden characters escaped, its middle left out where it is too long."""
+    shown = visible(" ".join(text.split()))
     return shown if len(shown) <= LONGEST else f"{shown[:180]} … {shown[183 - LONGEST :]}"
 
 

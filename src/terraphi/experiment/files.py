@@ -6,9 +6,12 @@ import fcntl
 import io
 import os
 import re
+import select
 import shutil
+import stat
 import sys
 import tempfile
+import time
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -19,6 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.budget import BYTES, ITEMS, NESTING, SECONDS, SILENCE
 from terraphi.experiment.errors import InputError
 
 # -- reading -------------------------------------------------------------------------------------
@@ -30,12 +34,51 @@ def is_there(path: Path) -> bool:
 
 
 def read_bytes(path: Path) -> bytes:
-    """All bytes of a file, a pipe, or standard input (``-``); raises InputError."""
+    """All bytes of a file, a pipe, or standard input (``-``).
+
+    Raises InputError if it is something else, too large, or a pipe that nothing comes from.
+    """
     try:
-        return sys.stdin.buffer.read() if str(path) == "-" else path.read_bytes()
+        if str(path) == "-":
+            content = sys.stdin.buffer.read(BYTES + 1)
+        else:
+            handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+            try:
+                content = _content(handle, path)
+            finally:
+                os.close(handle)
+    except InputError:
+        raise
     except (OSError, ValueError) as error:  # a name with a null byte is a ValueError
         why = getattr(error, "strerror", "") or str(error)
         raise InputError(f"{path}: {why.lower()}") from error
+    if len(content) > BYTES:
+        raise InputError(f"{path}: larger than {BYTES / 1e9:.2g} GB; cut it into parts")
+    return content
+
+
+def _content(handle: int, path: Path) -> bytes:
+    """All bytes of a descriptor that does not block, or one more than there may be."""
+    about = os.fstat(handle)
+    if stat.S_ISREG(about.st_mode):
+        with os.fdopen(handle, "rb", closefd=False) as stream:
+            return stream.read() if about.st_size <= BYTES else bytes(BYTES + 1)
+    if not stat.S_ISFIFO(about.st_mode):
+        what = "folder" if stat.S_ISDIR(about.st_mode) else "device"
+        raise InputError(f"{path}: is a {what}; name a file")
+    content, end = bytearray(), time.monotonic() + SECONDS
+    while len(content) <= BYTES and time.monotonic() < end:
+        silent = not select.select([handle], [], [], SILENCE)[0]
+        try:
+            part = os.read(handle, 1 << 16)
+        except BlockingIOError:  # a process writes to it, slowly
+            continue
+        if silent and not part:
+            raise InputError(f"{path}: is a pipe that nothing writes to; name a file")
+        if not part:
+            return bytes(content)
+        content += part
+    return bytes(BYTES + 1)
 
 
 def read_text(path: Path) -> str:
@@ -47,18 +90,10 @@ def read_text(path: Path) -> str:
 
 
 def check_is_file(path: Path, expected: str = "a file") -> None:
-    """Raise InputError if there is no file on disk, such as NetCDF needs.
-
-    Parameters
-    ----------
-    path
-        The file.
-    expected
-        What should be there, for the message.
-    """
+    """Raise InputError, which says what is expected, if there is no regular file on disk."""
     if not path.is_file():
         found = "is a folder" if path.is_dir() else "no such file"
-        found = "is a pipe; save it to a file first" if is_there(path) else found
+        found = "is a pipe or device; save it to a file first" if is_there(path) else found
         raise InputError(f"{path}: {found}; expected {expected}")
 
 
@@ -201,10 +236,6 @@ def scratch(parent: Path, prefix: str) -> Iterator[Path]:
 # -- NetCDF --------------------------------------------------------------------------------------
 
 
-MOST_BYTES = 1 << 30
-"""Largest size of all variables of a file [byte]; an hour of foot forces takes 0.2 GB."""
-
-
 class Variable(NamedTuple):
     """A variable of a file."""
 
@@ -273,8 +304,9 @@ _DAMAGE = (EOFError, LookupError, OSError, RuntimeError, ValueError)
 def netcdf_kind(path: Path) -> str:
     """Kind of a NetCDF file of ours, found without reading its variables; empty if there is none.
 
-    Raises InputError if the file is missing or no NetCDF, holds more than :data:`MOST_BYTES`, or
-    has links between its groups, which readers would follow without end.
+    Raises InputError if the file is missing or no NetCDF, exceeds a limit of
+    :mod:`terraphi.experiment.budget`, or has links between its groups, which readers would follow
+    without end.
     """
     import h5py
 
@@ -290,6 +322,9 @@ def netcdf_kind(path: Path) -> str:
                     if address in seen or not isinstance(link, h5py.HardLink):
                         raise InputError(f"{path}: '{item.name}' is a link; write it without links")
                     seen.add(address)
+                    if len(seen) > ITEMS or item.name.count("/") > NESTING:
+                        more = f"more than {ITEMS} variables or {NESTING} groups within another"
+                        raise InputError(f"{path}: has {more}; name a file of terraphi")
                     size += getattr(item, "nbytes", 0)
                     groups += [item] if isinstance(item, h5py.Group) else []
             kind = str(file.attrs.get("terraphi_file", ""))
@@ -297,7 +332,7 @@ def netcdf_kind(path: Path) -> str:
         raise
     except _DAMAGE as error:
         raise InputError(f"{path}: not a whole NetCDF file; build or copy it again") from error
-    if size > MOST_BYTES:
+    if size > BYTES:
         raise InputError(f"{path}: its variables take {size / 1e9:.3g} GB, expected at most 1 GB")
     return kind
 

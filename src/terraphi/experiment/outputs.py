@@ -15,8 +15,16 @@ from typing import Literal
 from pydantic import Field
 
 from terraphi.experiment.documents import Strict
-from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import made_folder, makeable, replacing, scratch, writable
+from terraphi.experiment.errors import InputError, printable
+from terraphi.experiment.files import (
+    check_is_file,
+    made_folder,
+    makeable,
+    read_bytes,
+    replacing,
+    scratch,
+    writable,
+)
 
 MANIFEST = "manifest.json"
 SIGNATURE = "made with terraphi"
@@ -61,7 +69,7 @@ def _is_ours(path: Path, kind: str) -> bool:
     if not path.is_file() or not path.stat().st_size:
         return path.is_file()
     if not kind:
-        content = path.read_bytes()
+        content = read_bytes(path)
         return any(mark in content for mark in _MARKS)
     import h5py
 
@@ -96,7 +104,7 @@ def check_folder(path: Path, *, kind: str, names: Iterable[str] = ()) -> set[str
     makeable(path)
     manifest = Manifest(kind="", files=[])
     with suppress(OSError, ValueError):  # none, or none of ours
-        manifest = Manifest.model_validate_json(path.joinpath(MANIFEST).read_bytes())
+        manifest = Manifest.model_validate_json(_content(path, MANIFEST))
     ours = {MANIFEST, *manifest.files}
     if manifest.kind not in ("", kind):
         raise InputError(f"{path}: holds results of '{manifest.kind}'; name another folder")
@@ -131,7 +139,7 @@ def filling(path: Path, *, kind: str, last: str) -> Iterator[Path]:
         new = sorted((file.name for file in made.iterdir()), key=lambda name: name == last)
         check_folder(path, kind=kind, names=new)
         made_folder(path)
-        digests = {name: _digest(made / name) for name in new}
+        digests = {name: _digest(made, name) for name in new}
         # If the process is killed from here on, the folder is still ours. Files of earlier results
         # that have no successor stay: a name in a manifest is no reason to delete.
         files = sorted({*old, *new} - {MANIFEST})
@@ -143,8 +151,17 @@ def filling(path: Path, *, kind: str, last: str) -> Iterator[Path]:
             made.joinpath(name).replace(path / name)
 
 
-def _digest(file: Path) -> str:
-    return hashlib.sha256(file.read_bytes()).hexdigest()
+def _content(folder: Path, name: str) -> bytes:
+    """Content of a file in a folder; raises InputError if it is no file, or elsewhere."""
+    file = folder / name
+    if file.is_symlink() or file.name != name:
+        raise InputError(f"{file}: is not in the folder; name a file in it")
+    check_is_file(file)
+    return read_bytes(file)
+
+
+def _digest(folder: Path, name: str) -> str:
+    return hashlib.sha256(_content(folder, name)).hexdigest()
 
 
 def changed(path: Path) -> str:
@@ -164,9 +181,10 @@ def changed(path: Path) -> str:
     if not folder.joinpath(MANIFEST).is_file():
         return ""
     try:
-        digests = Manifest.model_validate_json(folder.joinpath(MANIFEST).read_bytes()).digests
+        digests = Manifest.model_validate_json(_content(folder, MANIFEST)).digests
         names = digests if path.is_dir() else {path.name} & {*digests}
-        other = [name for name in names if _digest(folder / name) != digests[name]]
+        other = [name for name in names if _digest(folder, name) != digests[name]]
     except (OSError, ValueError):
         return f"{folder / MANIFEST} is damaged, or a file that it lists is missing"
-    return f"{', '.join(other)} was changed after terraphi wrote it" if other else ""
+    named = printable(", ".join(other))
+    return f"{named} was changed after terraphi wrote it" if other else ""

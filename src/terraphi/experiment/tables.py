@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from packaging.version import Version
 
-from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import read_bytes
+from terraphi.experiment.errors import InputError, visible
+from terraphi.experiment.files import read_bytes, replacing
 from terraphi.experiment.units import is_unit
 
 _DIALECTS = [(sep, decimal) for sep in ("\t", ";", ",", "|", None) for decimal in ".,"]
@@ -36,6 +36,8 @@ _NUMBER = {
     ",": re.compile(r"[-+]?(\d+(,\d+)?|,\d+|\d{1,3}(\.\d{3})+,\d+)(e[-+]?\d+)?", re.I | re.A),
 }
 """Numbers by decimal sign; those with groups of thousands have the other sign between them."""
+_FORMULA = re.compile(r"\s*[=+\-@\uff1d\uff0b\uff0d\uff20]")
+"""Beginning of a cell that a spreadsheet runs as a formula."""
 LARGEST = 1e30
 """Numbers beyond this are no measurement, and count as missing."""
 _SAMPLE = 100
@@ -150,6 +152,45 @@ def table_of(frame: Any) -> Table:
         frame = frame.reset_index()
     frame = frame.set_axis([str(name).strip() for name in frame.columns], axis=1)
     return _numeric(frame, units, np.arange(len(frame)), "row", (), ".")
+
+
+def write_csv(path: Path, frame: Any, *, first: str = "", float_format: str | None = None) -> None:
+    """Write a table as CSV in which no cell is a formula, though users' files may hold some.
+
+    Text that a spreadsheet would run has an apostrophe before it, which :func:`unquoted` takes
+    away; hidden characters are escaped.
+
+    Parameters
+    ----------
+    path
+        The file to make or replace.
+    frame
+        A ``pandas.DataFrame``.
+    first
+        Lines before the header.
+    float_format
+        As in ``pandas.DataFrame.to_csv``.
+
+    Raises
+    ------
+    InputError
+        If the place cannot be written.
+    """
+
+    def cell(value: Any) -> Any:
+        text = visible(value) if isinstance(value, str) else ""
+        number = any(one.fullmatch(text) for one in (*_NUMBER.values(), _MISSING))
+        return f"'{text}" if _FORMULA.match(text) and not number else text or value
+
+    safe = frame.rename(columns=cell).apply(lambda column: column.map(cell))
+    with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
+        stream.write(first)
+        safe.to_csv(stream, index=False, float_format=float_format, lineterminator="\n")
+
+
+def unquoted(cell: str) -> str:
+    """A cell without the apostrophe of :func:`write_csv`."""
+    return cell[1:] if cell[:1] == "'" and _FORMULA.match(cell, 1) else cell
 
 
 def decoded(path: Path, content: bytes) -> str:

@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import replacing
+from terraphi.experiment.files import check_is_file, replacing
 from terraphi.experiment.scenario import Scenario
 
 log = logging.getLogger(__name__)
@@ -122,6 +122,7 @@ class Keeper:
         if self._where is None or not self._where.path.exists():
             return first
         path = self._where.path
+        check_is_file(path)
         try:
             # Opened here, because NumPy leaves a file open that it finds to be broken.
             with path.open("rb") as stream, np.load(stream) as file:

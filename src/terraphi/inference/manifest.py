@@ -10,7 +10,7 @@ from typing import Any
 
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import read_bytes
-from terraphi.experiment.tables import decoded
+from terraphi.experiment.tables import decoded, unquoted
 from terraphi.inference import COLUMNS
 from terraphi.inference.answer import Answer
 from terraphi.inference.inversion import invert_many
@@ -47,7 +47,7 @@ def read_manifest(path: Path) -> list[dict[str, Any]]:
         ).fillna("")  # fmt: skip
     except ValueError as error:
         raise InputError(f"{path}: not a table ({' '.join(str(error).split())})") from error
-    table.columns = [str(name).strip() for name in table.columns]
+    table.columns = [unquoted(str(name).strip()) for name in table.columns]
     known = ("file", *OPTIONS)
     wrong = [] if "file" in table else ["no column 'file'"]
     for name in [str(name) for name in table.columns if name not in known]:
@@ -55,7 +55,8 @@ def read_manifest(path: Path) -> list[dict[str, Any]]:
         if hint.startswith("did"):
             wrong.append(f"unknown column '{name}'; {hint}")
     rows = [
-        {key: str(cell).strip() for key, cell in one.items()} for one in table.to_dict("records")
+        {key: unquoted(str(cell).strip()) for key, cell in one.items()}
+        for one in table.to_dict("records")
     ]
     wrong += [f"row {i} names no file" for i, one in enumerate(rows, 1) if not one.get("file", "-")]
     if not rows:

@@ -6,6 +6,7 @@ A robot of one's own needs its URDF or MJCF and nothing of ours. A small TOML ne
 
 from __future__ import annotations
 
+import math
 import re
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
@@ -17,14 +18,17 @@ from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
+from terraphi.experiment.budget import PARTS, unpacking
 from terraphi.experiment.documents import Strict, parse_toml, shipped_file
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import is_there, read_bytes
+from terraphi.experiment.files import check_is_file, is_there, read_bytes
 from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, joint_place
 
 if TYPE_CHECKING:
     import mujoco
 
+UNUSED = {"asset", "keyframe", "size", "visual"}
+"""Elements of an MJCF that neither kinematics nor masses need."""
 Positive = Annotated[float, Field(gt=0)]
 Vector = tuple[float, float, float]
 
@@ -128,13 +132,15 @@ class Quadruped:
 def _loaded(path: Path, own: RobotFile, toml: str = "") -> Quadruped:
     import mujoco
 
-    model, title = _compiled(read_bytes(path), str(path))
+    check_is_file(path)
+    with unpacking(f"{path}: it", [path]):
+        model, title = _compiled(read_bytes(path), str(path))
+        data = mujoco.MjData(model)
     joint = _leg_joints(model, str(path))
     names = [name for name, there in zip(JOINT_NAMES, (joint >= 0).ravel(), strict=True) if there]
     order = own.joint_order or tuple(names)
     if sorted(order) != sorted(names):
         raise InputError(f"{toml}: joint_order: {', '.join(names)} are expected, each once")
-    data = mujoco.MjData(model)
     data.qpos[:7] = (0, 0, 0, 1, 0, 0, 0)
     mujoco.mj_kinematics(model, data)
     feet = [_foot(model, data, int(model.jnt_bodyid[j]), str(path)) for j in joint[:, 2]]
@@ -240,11 +246,21 @@ def _prepare_urdf(root: ET.Element) -> dict[str, FloatArray]:
 
 
 def _prepare_mjcf(root: ET.Element) -> dict[str, FloatArray]:
-    """Strip an MJCF of meshes and looks, and free its trunk."""
+    """Strip an MJCF of meshes and looks, and free its trunk.
+
+    Raises ValueError if it makes more copies of its parts than a robot has.
+    """
+    copies = {root: 1.0}
+    for parent in root.iter():
+        for element in parent:
+            count = (float(number) for number in element.get("count", "1").split())
+            copies[element] = copies[parent] * math.prod(count)
+    if not sum(copies.values()) <= PARTS:
+        raise ValueError(f"it has more than {PARTS} parts, copies counted; a robot is expected")
     for parent in list(root.iter()):
         for element in list(parent):
             mesh = element.get("mesh") or element.get("hfield") or element.get("type") == "mesh"
-            if element.tag in {"asset", "keyframe", "visual"} or (element.tag == "geom" and mesh):
+            if element.tag in UNUSED or (element.tag == "geom" and mesh):
                 parent.remove(element)
             element.attrib.pop("material", None)
     trunk = root.find("worldbody/body")

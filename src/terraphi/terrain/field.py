@@ -27,6 +27,7 @@ from scipy.sparse import csr_array
 from scipy.special import expit, logit
 
 from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.budget import POINTS
 from terraphi.terrain.inputs import STEEPEST_DEG, Elevation
 
 STEEPEST = np.tan(np.radians(STEEPEST_DEG))
@@ -40,6 +41,8 @@ PROCESS = (0.01, 1.0)
 """Bounds of the variance of s; the lower one is about 1.6° of φ."""
 SHORT = (1e-4, 0.25)
 """Bounds of the variance of η."""
+SHORT_START = 0.01
+"""Variance of η that its search begins with, and by which merged points are weighted."""
 NODES = 48
 """Intervals of the lattice along the longer side of the map."""
 INTERVALS_PER_LENGTH = 3.0
@@ -167,18 +170,20 @@ def fit(points: pd.DataFrame, covariates: FloatArray, ground: Elevation, *, seed
     bounds = (INTERVALS_PER_LENGTH * step, 10.0 * side)
     # k1 is the process, so that its parameters are found by name below.
     kernel = ConstantKernel(0.1, PROCESS) * OfPlace(min(0.2 * side, bounds[1]), bounds, nu=1.5) + (
-        WhiteKernel(0.01, SHORT)
+        WhiteKernel(SHORT_START, SHORT)
         + ConstantKernel(LEVEL_SD**2, "fixed")
         + ConstantKernel(EFFECT_SD**2, "fixed") * OfCovariates(0.0, "fixed")
     )
     phi_deg = points["phi_deg"].to_numpy()
     own = (points["sd_deg"].to_numpy() / degrees_per_z(phi_deg)) ** 2
-    process = GaussianProcessRegressor(kernel, alpha=own, n_restarts_optimizer=2, random_state=seed)
     inputs = np.column_stack([points["x_m"] - x0, points["y_m"] - y0, covariates])
+    z = to_logit(phi_deg) - to_logit(CENTRE_DEG)
+    inputs, z, own = _merged(inputs, z, own, step)
+    process = GaussianProcessRegressor(kernel, alpha=own, n_restarts_optimizer=2, random_state=seed)
     with warnings.catch_warnings():
         # A value at its bound is a result here.
         warnings.simplefilter("ignore", ConvergenceWarning)
-        process.fit(inputs, to_logit(phi_deg) - to_logit(CENTRE_DEG))
+        process.fit(inputs, z)
     found = process.kernel_.get_params()
     short = found["k2__k1__k1__noise_level"]
     # At least two nodes a side, on a map of one strip too.
@@ -203,3 +208,23 @@ def fit(points: pd.DataFrame, covariates: FloatArray, ground: Elevation, *, seed
     length, process_sd = found["k1__k2__length_scale"], np.sqrt(found["k1__k1__constant_value"])
     learnt = {"length_m": length, "process_sd": process_sd, "short_sd": np.sqrt(short)}
     return Field(x0 + x, y0 + y, mean, covariance, {name: float(v) for name, v in learnt.items()})
+
+
+def _merged(
+    inputs: FloatArray, z: FloatArray, variance: FloatArray, step: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Inputs, z and own variance of points, of ``POINTS`` at most: their means in square cells.
+
+    The side of the cells is ``step`` [m] or more; a mean of few points has the same η as of many.
+    """
+    if len(z) <= POINTS:
+        return inputs, z, variance
+    cell: Any = None
+    count = len(z)
+    while count > POINTS:
+        first, cell = np.unique(np.floor(inputs[:, :2] / step), axis=0, return_inverse=True)
+        count, step = len(first), 1.1 * step
+    weight = 1.0 / (variance + SHORT_START)
+    share = csr_array((weight, (cell.ravel(), np.arange(len(z)))))
+    share = share / share.sum(axis=1)[:, None]
+    return share @ inputs, share @ z, share.power(2) @ variance

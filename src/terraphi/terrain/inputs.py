@@ -16,6 +16,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.budget import CELLS
 from terraphi.experiment.errors import InputError, nearest, needing
 from terraphi.experiment.files import check_is_file, plain_number, read_bytes
 from terraphi.terrain.simulators import LEAST_DEG
@@ -38,8 +39,6 @@ OFFLINE = {
     "CPL_VSIL_CURL_ALLOWED_EXTENSIONS": "none",
 }
 """Settings of GDAL and PROJ for the whole process: nothing is fetched."""
-MOST_CELLS = 25_000_000
-"""Largest elevation model; some ten arrays of its size are held in memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,8 +169,8 @@ def _read(path: Path) -> tuple[Float32, Any, Any, str]:
             warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
             file = rasterio.open(path, driver="GTiff")
         with file:
-            if file.width * file.height > MOST_CELLS:
-                size = f"{file.width} by {file.height} cells, at most {MOST_CELLS:g} in all"
+            if file.width * file.height > CELLS:
+                size = f"{file.width} by {file.height} cells, at most {CELLS:g} in all"
                 raise InputError(f"{path}: {size}; cut a part, as with gdal_translate -projwin")
             if file.count > 1:
                 raise InputError(f"{path}: has {file.count} bands, expected one; extract it")

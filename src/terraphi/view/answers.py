@@ -168,9 +168,11 @@ def _rounded(one: Estimate) -> tuple[str, str, str, str]:
 
 def check_table(path: Path) -> None:
     """Raise InputError if a file is there that is no table of answers."""
+    from terraphi.experiment.files import read_bytes
+
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a CSV file")
-    if path.is_file() and not path.read_bytes().startswith(f"{COLUMNS[0]},{COLUMNS[1]},".encode()):
+    if path.is_file() and not read_bytes(path).startswith(f"{COLUMNS[0]},{COLUMNS[1]},".encode()):
         raise InputError(f"{path}: is there, and no table of answers; name another file")
 
 
@@ -195,7 +197,7 @@ def write_table(
     """
     import pandas as pd
 
-    from terraphi.experiment.files import replacing
+    from terraphi.experiment.tables import write_csv
 
     written = [
         (_failed(given, one) if isinstance(one, InputError) else row(str(given["forces"]), one))
@@ -204,8 +206,7 @@ def write_table(
     ]
     if path is not None:
         names = dict.fromkeys([*COLUMNS, *(name for one in written for name in one)])
-        with replacing(path) as temporary:
-            pd.DataFrame(written, columns=[*names]).to_csv(temporary, index=False)
+        write_csv(path, pd.DataFrame(written, columns=[*names]))
     return written, dict(Counter(str(one["verdict"]).replace("_", " ") for one in written))
 
 

@@ -30,6 +30,7 @@ from terraphi.experiment.files import scratch
 from terraphi.experiment.history import CHANNEL_UNITS
 from terraphi.experiment.leg import CURVES, Leg, frame_axes
 from terraphi.experiment.reading import ForceColumns
+from terraphi.experiment.tables import write_csv
 from terraphi.view import page
 from terraphi.view.answers import LEGS
 from terraphi.view.sections import (
@@ -417,7 +418,7 @@ def write_files(answer: Answer, folder: Path) -> None:
             unit = "N_m" if force == "M" else "N"
             columns |= {f"{force}{kind}_{unit}": curve[i] for kind, curve in curves.items()}
         rows.append(pd.DataFrame(columns))
-    pd.concat(rows).to_csv(folder / "fit.csv", index=False, float_format="%.6g")
+    write_csv(folder / "fit.csv", pd.concat(rows), float_format="%.6g")
     answer.to_netcdf(folder / "answer.nc")
 
 

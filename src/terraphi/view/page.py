@@ -18,7 +18,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from terraphi.experiment.errors import InputError, needing
+from terraphi.experiment.errors import HIDDEN, InputError, needing, visible
 from terraphi.experiment.files import replacing
 from terraphi.experiment.outputs import check_file
 from terraphi.view.sections import Plot, Section, section_of
@@ -135,6 +135,7 @@ def load_template(name: str) -> Any:
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
+        finalize=lambda value: visible(value) if type(value) is str else value,
     )
     environment.filters["breakable"] = _breakable
     return environment.get_template(name)
@@ -144,7 +145,8 @@ def _breakable(text: str) -> Any:
     """Text whose lines break after the separators of long names, not inside a part of one."""
     from markupsafe import Markup, escape
 
-    whole = re.sub(r" (?=%)|(?<=±) ", "&nbsp;", str(escape(text))).replace("3-D", "3&#8209;D")
+    whole = re.sub(r" (?=%)|(?<=±) ", "&nbsp;", str(escape(visible(text))))
+    whole = whole.replace("3-D", "3&#8209;D")
     named = re.sub(r"[^\s&;]{16,}", lambda m: re.sub(r"[/:](?=\w)", r"\g<0><wbr>", m[0]), whole)
     return Markup(re.sub(r"[^\s&;/:<>]{24,}", lambda m: m[0].replace("_", "_<wbr>"), named))
 
@@ -157,7 +159,8 @@ def digest(script: str) -> str:
 def embedded(data: Any) -> str:
     """JSON that can stand inside a script element."""
     text = json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
-    for character in "<>&\u2028\u2029":
+    text = HIDDEN.sub(lambda found: f"\\\\u{ord(found[0]):04x}", text)
+    for character in "<>&":
         text = text.replace(character, f"\\u{ord(character):04x}")
     return text
 

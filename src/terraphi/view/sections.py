@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import json_object, netcdf_kind, open_netcdf
+from terraphi.experiment.files import json_object, netcdf_kind, open_netcdf, read_bytes
 from terraphi.experiment.history import CHANNEL_UNITS, ForceHistory
 from terraphi.experiment.measurements import scenario_of
 from terraphi.experiment.outputs import changed
@@ -421,10 +421,10 @@ def of_map(folder: Path) -> Section:
     from terraphi.terrain.map import in_words as sentences
 
     try:
-        summary = json_object((folder / "map.json").read_bytes())
+        summary = json_object(read_bytes(folder / "map.json"))
         first, headline, *lines = sentences(summary)
         lines = [*filter(None, [changed(folder)]), *lines]
-        image = base64.b64encode((folder / "map.png").read_bytes()).decode("ascii")
+        image = base64.b64encode(read_bytes(folder / "map.png")).decode("ascii")
     except (KeyError, OSError, ValueError) as error:
         raise InputError(f"{folder}: not a whole folder of 'terraphi map'") from error
     picture = Picture("Maps", f"data:image/png;base64,{image}")

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from terraphi.experiment.errors import visible
+
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
@@ -51,5 +53,5 @@ class Table:
         for name, numeric in zip(self.header, self.numeric, strict=True):
             made.add_column(name, justify="right" if numeric else "left")
         for row in self.rows:
-            made.add_row(*row)
+            made.add_row(*map(visible, row))
         return made

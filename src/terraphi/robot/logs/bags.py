@@ -16,8 +16,10 @@ from typing import Any
 
 import numpy as np
 
+from terraphi.experiment.budget import SECONDS, unpacking
 from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError, nearest, needing
+from terraphi.experiment.files import check_is_file
 from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, SHAPES, JointLog, joint_place
 from terraphi.robot.logs.samples import joint_log
 
@@ -33,10 +35,6 @@ MALFORMED = "not a message of its type"
 OTHERS = "joints of something else"
 
 _KINDS = (LOW_STATE, JOINT_STATE)
-MOST_SECONDS = 600.0
-"""Longest time in which a database is read [s]."""
-MOST_BYTES = 1 << 26
-"""Largest value in a database [byte]; a message of joints takes a few thousand."""
 STEPS = 100_000
 """Steps of a database between two looks at the clock."""
 LONGEST_GAP = 0.1
@@ -214,21 +212,25 @@ def read_bag(
         from rosbags.rosbag2 import Reader
     dropped: Counter[str] = Counter()
     facts: dict[str, Any] = {"notes": [], "format": "rosbag2" if path.is_dir() else "mcap"}
+    files = [one for one in path.iterdir() if not one.is_dir()] if path.is_dir() else [path]
+    for one in files:
+        check_is_file(one)
+    end = time.monotonic() + SECONDS
 
     def raw(topic: str) -> Raw:
-        found = bag.messages([c for c in bag.connections if c.topic == topic])
-        return ((recorded, data) for _, recorded, data in found)
+        for _, recorded, data in bag.messages([c for c in bag.connections if c.topic == topic]):
+            if time.monotonic() > end:
+                raise InputError(f"not read within {SECONDS:g} s; cut it into parts")
+            yield recorded, data
 
     def guard(database: Any) -> None:
         # A view may be recursive without end, and a column computed.
         database.config(apsw.SQLITE_DBCONFIG_ENABLE_VIEW, 0)
-        database.limit(apsw.SQLITE_LIMIT_LENGTH, MOST_BYTES)
-        end = time.monotonic() + MOST_SECONDS
         database.set_progress_handler(lambda: time.monotonic() > end, STEPS)
 
     apsw.connection_hooks.append(guard)
     try:
-        with Reader(path) as bag:
+        with unpacking("it", files), Reader(path) as bag:
             chosen = _choose(bag.connections, topic)
             name, named = chosen.topic, _plain(chosen.msgtype) == JOINT_STATE
             facts |= {"topic": name, "message": chosen.msgtype}
