@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import held
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.outputs import (
     MANIFEST,
@@ -89,18 +88,6 @@ def test_a_change_that_is_cut_off_can_be_done_again(
     (place / "thesis.txt").write_text("mine")
     fill(place, z="9")
     assert contents(place)["thesis.txt"] == "mine"
-
-
-def test_what_a_killed_run_left_is_removed_and_what_a_living_one_needs_is_not(
-    tmp_path: Path,
-) -> None:
-    for name in (".unfinished-o-dead", ".unfinished-o-alive", ".unfinished-other-x", "o-mine"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "a.txt").write_text("1")
-    with held(tmp_path / ".unfinished-o-alive"):
-        fill(tmp_path / "o", z="1")
-    left = {path.name for path in tmp_path.iterdir()}
-    assert left == {".unfinished-o-alive", ".unfinished-other-x", "o", "o-mine"}
 
 
 def test_files_that_were_changed_are_named(tmp_path: Path) -> None:

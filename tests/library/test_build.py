@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from terraphi.experiment.errors import InputError
+from terraphi.experiment.workers import workers
 from terraphi.library import build as module
-from terraphi.library.build import build, cluster, workers
+from terraphi.library.build import build, cluster
 from terraphi.library.plan import Plan
 from terraphi.library.store import Library
 

@@ -9,7 +9,7 @@ import re
 import shutil
 import sys
 import tempfile
-import uuid
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -93,10 +93,15 @@ def json_object(text: Any) -> dict[str, Any]:
 
 # -- writing -------------------------------------------------------------------------------------
 
+MARK = ".terraphi-"
+"""What is between the target and eight random characters in the name of a temporary folder."""
+LEAST_AGE = 1.0
+"""Age at which a temporary folder must be locked, or it is one of a killed process [s]; chosen."""
+
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a temporary name in the same folder, and rename the file when it is whole.
+    """Give a place for a file in a temporary folder, and move the file when it is whole.
 
     Parameters
     ----------
@@ -106,23 +111,20 @@ def replacing(path: Path) -> Iterator[Path]:
     Yields
     ------
     Path
-        The temporary name; its file is removed if the block raises.
+        A file of the same name; it is removed if the block raises.
 
     Raises
     ------
     InputError
         If the folder cannot be written to or the disk is full.
     """
-    temporary = path.with_name(f".{uuid.uuid4().hex}{path.suffix}")
     try:
-        yield temporary
-        temporary.replace(path)
+        with scratch(path) as folder:
+            yield folder / path.name
+            folder.joinpath(path.name).replace(path)
     except OSError as error:
         reason = error.strerror or error
         raise InputError(f"{path}: cannot be written ({reason}); try another place") from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink()
 
 
 def writable(path: Path) -> None:
@@ -158,7 +160,7 @@ def held(folder: Path) -> Iterator[None]:
 
     A process that is killed gives the lock up.
     """
-    with closing_file(made_folder(folder)) as handle:
+    with opened_folder(made_folder(folder)) as handle:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
@@ -169,9 +171,9 @@ def held(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def closing_file(path: Path) -> Iterator[int]:
-    """Open a file or folder for reading during the block, and give its descriptor."""
-    handle = os.open(path, os.O_RDONLY)
+def opened_folder(folder: Path) -> Iterator[int]:
+    """Open a folder during the block, and give its descriptor; raises OSError if it is none."""
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         yield handle
     finally:
@@ -179,22 +181,27 @@ def closing_file(path: Path) -> Iterator[int]:
 
 
 @contextmanager
-def scratch(parent: Path, prefix: str) -> Iterator[Path]:
-    """Give a temporary folder, and remove those of the same prefix whose process was killed.
+def scratch(target: Path) -> Iterator[Path]:
+    """Give a temporary folder next to a target, and remove those there of killed processes.
 
     Parameters
     ----------
-    parent
-        Where it is made.
-    prefix
-        Start of its name. A process that is alive has a lock on its folder.
+    target
+        The file or folder that is made in it. A process that is alive has a lock on its folder.
     """
-    for old in parent.iterdir():
-        if old.name.startswith(prefix):
-            with suppress(OSError), closing_file(old) as handle:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    for old in target.parent.glob(f".*{MARK}????????"):
+        with suppress(OSError), opened_folder(old) as handle:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            there = os.fstat(handle)
+            if there.st_uid == os.geteuid() and time.time() - there.st_mtime > LEAST_AGE:
                 shutil.rmtree(old)
-    with tempfile.TemporaryDirectory(dir=parent, prefix=prefix) as name, held(Path(name)):
+    prefix = f".{target.name[:40]}{MARK}"
+    with (
+        tempfile.TemporaryDirectory(
+            dir=target.parent, prefix=prefix, ignore_cleanup_errors=True
+        ) as name,
+        held(Path(name)),
+    ):
         yield Path(name)
 
 

@@ -16,7 +16,7 @@ from pydantic import Field
 
 from terraphi.experiment.documents import Strict
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import made_folder, makeable, replacing, scratch, writable
+from terraphi.experiment.files import made_folder, makeable, scratch, writable
 
 MANIFEST = "manifest.json"
 SIGNATURE = "made with terraphi"
@@ -126,7 +126,8 @@ def filling(path: Path, *, kind: str, last: str) -> Iterator[Path]:
         An empty folder; if the block raises, nothing of it is kept.
     """
     old = check_folder(path, kind=kind)
-    with scratch(made_folder(path.parent), f".unfinished-{path.name}-") as made:
+    made_folder(path.parent)
+    with scratch(path) as made:
         yield made
         new = sorted((file.name for file in made.iterdir()), key=lambda name: name == last)
         check_folder(path, kind=kind, names=new)
@@ -136,10 +137,9 @@ def filling(path: Path, *, kind: str, last: str) -> Iterator[Path]:
         # that have no successor stay: a name in a manifest is no reason to delete.
         files = sorted({*old, *new} - {MANIFEST})
         manifest = Manifest(kind=kind, files=files, digests=digests)
-        with replacing(path / MANIFEST) as temporary:
-            temporary.write_text(manifest.model_dump_json(indent=2), encoding="utf-8")
+        made.joinpath(MANIFEST).write_text(manifest.model_dump_json(indent=2), encoding="utf-8")
         path.joinpath(last).unlink(missing_ok=True)
-        for name in new:
+        for name in (MANIFEST, *new):
             made.joinpath(name).replace(path / name)
 
 

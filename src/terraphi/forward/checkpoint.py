@@ -8,7 +8,6 @@ at all, so that a run may be killed at any time. With the state it names all tha
 
 from __future__ import annotations
 
-import glob
 import hashlib
 import importlib.metadata
 import json
@@ -58,14 +57,6 @@ class Checkpoint:
     path: Path
     every: float = EVERY
     named: bool = False
-
-    def remove(self) -> None:
-        """Remove the file, and what a killed process may have left of the next one."""
-        self.path.unlink(missing_ok=True)
-        # As files.replacing names them, and not what an editor keeps next to the file.
-        name, end = glob.escape(self.path.name), glob.escape(self.path.suffix)
-        for file in self.path.parent.glob(f".{name}.{'[a-z0-9_]' * 8}{end}"):
-            file.unlink(missing_ok=True)
 
 
 class State(NamedTuple):
