@@ -19,13 +19,13 @@ import xarray as xr
 from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import (
-    held,
+    atomic_write,
+    folder_lock,
     json_object,
     number_with_sd,
     open_netcdf,
     plain_number,
     read_bytes,
-    replacing,
     write_netcdf,
 )
 
@@ -37,7 +37,7 @@ def names(folder: Path) -> list[str]:
 def test_a_file_is_replaced_when_it_is_whole(tmp_path: Path) -> None:
     file = tmp_path / "x.csv"
     file.write_text("old")
-    with replacing(file) as temporary:
+    with atomic_write(file) as temporary:
         temporary.write_text("new")
         assert file.read_text() == "old"
     assert file.read_text() == "new"
@@ -53,7 +53,7 @@ def test_any_interruption_leaves_what_was_there(tmp_path: Path, error: BaseExcep
     expected = InputError if isinstance(error, OSError) else type(error)
 
     def write() -> None:
-        with replacing(file) as temporary:
+        with atomic_write(file) as temporary:
             temporary.write_text("ha")
             raise error
 
@@ -69,7 +69,7 @@ def test_unwritable_places(tmp_path: Path, place: str) -> None:
     (tmp_path / "file").touch()
     with (
         pytest.raises(InputError, match=f"{place}: cannot be written"),
-        replacing(tmp_path / place) as temporary,
+        atomic_write(tmp_path / place) as temporary,
     ):
         temporary.write_text("ha")
     assert names(tmp_path) == ["file", "folder"]
@@ -78,8 +78,8 @@ def test_unwritable_places(tmp_path: Path, place: str) -> None:
 WRITE = """
 import sys, time
 from pathlib import Path
-from terraphi.experiment.files import replacing
-with replacing(Path("x.csv")) as temporary:
+from terraphi.experiment.files import atomic_write
+with atomic_write(Path("x.csv")) as temporary:
     temporary.write_text("ha")
     print(temporary, flush=True)
     time.sleep(600.0)
@@ -107,7 +107,7 @@ def test_what_a_killed_process_left_is_removed_and_nothing_else(
     before = names(tmp_path)
 
     def write() -> list[str]:
-        with replacing(tmp_path / "y.csv") as temporary:
+        with atomic_write(tmp_path / "y.csv") as temporary:
             temporary.write_text("whole")
         return sorted({*names(tmp_path)} - {"y.csv"})
 
@@ -132,10 +132,10 @@ def test_what_a_killed_process_left_is_removed_and_nothing_else(
 
 def test_a_folder_is_held_by_one_at_a_time(tmp_path: Path) -> None:
     def enter() -> None:
-        with held(tmp_path / "o"):
+        with folder_lock(tmp_path / "o"):
             pass
 
-    with held(tmp_path / "o"), pytest.raises(InputError, match="another process works here"):
+    with folder_lock(tmp_path / "o"), pytest.raises(InputError, match="another process works here"):
         enter()
     enter()
 

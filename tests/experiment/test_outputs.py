@@ -17,12 +17,12 @@ from terraphi.experiment.outputs import (
     changed,
     check_file,
     check_folder,
-    filling,
+    output_folder,
 )
 
 
 def fill(place: Path, **content: str) -> None:
-    with filling(place, kind="test", last="z.txt") as made:
+    with output_folder(place, kind="test", last="z.txt") as made:
         for name, text in content.items():
             (made / f"{name}.txt").write_text(text)
 
@@ -53,7 +53,7 @@ def test_what_fails_leaves_things_as_they_were(tmp_path: Path, before: dict[str,
         fill(place, **before)
 
     def write() -> None:
-        with filling(place, kind="test", last="z.txt") as made:
+        with output_folder(place, kind="test", last="z.txt") as made:
             (made / "a.txt").write_text("3")
             raise KeyboardInterrupt
 

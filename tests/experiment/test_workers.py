@@ -11,13 +11,13 @@ from pathlib import Path
 import pytest
 
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import held
+from terraphi.experiment.files import folder_lock
 from terraphi.experiment.workers import workers
 
 COUNT = """
 from pathlib import Path
 import numba
-from terraphi.experiment.files import held
+from terraphi.experiment.files import folder_lock
 from terraphi.experiment.workers import workers
 from terraphi.forward.compiled import OPTIONS
 
@@ -32,7 +32,7 @@ def count(steps):
 
 def work(place):
     count(1)
-    with held(Path(place)):
+    with folder_lock(Path(place)):
         count(100_000_000_000)
 
 if __name__ == "__main__":
@@ -45,7 +45,7 @@ if __name__ == "__main__":
 def is_held(folder: Path) -> bool:
     """Whether a process that is alive has locked a folder."""
     try:
-        with held(folder):
+        with folder_lock(folder):
             return False
     except InputError:
         return True

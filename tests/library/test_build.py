@@ -136,10 +136,10 @@ def test_places_that_cannot_be_used_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="folder"):
         build(PLAN, tmp_path)
     if os.name == "posix":
-        from terraphi.experiment.files import held
+        from terraphi.experiment.files import folder_lock
 
         with (
-            held(tmp_path / "library.nc.cases"),
+            folder_lock(tmp_path / "library.nc.cases"),
             pytest.raises(InputError, match="another process"),
         ):
             build(PLAN, tmp_path / "library.nc")

@@ -100,7 +100,7 @@ LEAST_AGE = 1.0
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
+def atomic_write(path: Path) -> Iterator[Path]:
     """Give a place for a file in a temporary folder, and move the file when it is whole.
 
     Parameters
@@ -119,7 +119,7 @@ def replacing(path: Path) -> Iterator[Path]:
         If the folder cannot be written to or the disk is full.
     """
     try:
-        with scratch(path) as folder:
+        with temporary_folder(path) as folder:
             yield folder / path.name
             folder.joinpath(path.name).replace(path)
     except OSError as error:
@@ -155,7 +155,7 @@ def made_folder(path: Path) -> Path:
 
 
 @contextmanager
-def held(folder: Path) -> Iterator[None]:
+def folder_lock(folder: Path) -> Iterator[None]:
     """Lock a folder, made if needed, during the block; raises InputError if another process has it.
 
     A process that is killed gives the lock up.
@@ -181,7 +181,7 @@ def opened_folder(folder: Path) -> Iterator[int]:
 
 
 @contextmanager
-def scratch(target: Path) -> Iterator[Path]:
+def temporary_folder(target: Path) -> Iterator[Path]:
     """Give a temporary folder next to a target, and remove those there of killed processes.
 
     Parameters
@@ -200,7 +200,7 @@ def scratch(target: Path) -> Iterator[Path]:
         tempfile.TemporaryDirectory(
             dir=target.parent, prefix=prefix, ignore_cleanup_errors=True
         ) as name,
-        held(Path(name)),
+        folder_lock(Path(name)),
     ):
         yield Path(name)
 
@@ -343,7 +343,7 @@ def write_netcdf(dataset: Any, path: Path, *, encoding: Any = None) -> None:
     # it tries again to close the file.
     buffer = io.BytesIO()
     dataset.to_netcdf(buffer, engine="h5netcdf", encoding=encoding)
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_bytes(buffer.getvalue())
 
 

@@ -16,7 +16,7 @@ from pydantic import Field
 
 from terraphi.experiment.documents import Strict
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import made_folder, makeable, scratch, writable
+from terraphi.experiment.files import made_folder, makeable, temporary_folder, writable
 
 MANIFEST = "manifest.json"
 SIGNATURE = "made with terraphi"
@@ -108,7 +108,7 @@ def check_folder(path: Path, *, kind: str, names: Iterable[str] = ()) -> set[str
 
 
 @contextmanager
-def filling(path: Path, *, kind: str, last: str) -> Iterator[Path]:
+def output_folder(path: Path, *, kind: str, last: str) -> Iterator[Path]:
     """Give a temporary folder to write results into, which then replace earlier ones.
 
     Parameters
@@ -127,7 +127,7 @@ def filling(path: Path, *, kind: str, last: str) -> Iterator[Path]:
     """
     old = check_folder(path, kind=kind)
     made_folder(path.parent)
-    with scratch(path) as made:
+    with temporary_folder(path) as made:
         yield made
         new = sorted((file.name for file in made.iterdir()), key=lambda name: name == last)
         check_folder(path, kind=kind, names=new)

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import replacing
+from terraphi.experiment.files import atomic_write
 from terraphi.experiment.scenario import Scenario
 
 log = logging.getLogger(__name__)
@@ -161,7 +161,7 @@ class Keeper:
         arrays |= {f"audit.{name}": field for name, field in state.audit._asdict().items()}
         arrays |= {"impulse": state.impulse, "held": state.held}
         try:
-            with replacing(self._where.path) as temporary, temporary.open("wb") as stream:
+            with atomic_write(self._where.path) as temporary, temporary.open("wb") as stream:
                 np.savez(stream, head=np.array(json.dumps(head)), **arrays)
                 # On the disk before it takes the place of the one before.
                 stream.flush()

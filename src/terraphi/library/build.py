@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from terraphi.experiment.errors import InputError, needing
-from terraphi.experiment.files import held, made_folder
+from terraphi.experiment.files import folder_lock, made_folder
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import Checkpoint, model_version, simulate, software
@@ -77,7 +77,7 @@ def build(
     if path.exists() and not path.is_file():
         raise InputError(f"{path}: is a folder or a device; name a file")
     folder = path.with_name(path.name + ".cases")
-    with held(folder):
+    with folder_lock(folder):
         made_folder(folder)
         finished = _finished(path, folder, wanted)
         missing = [scenario for scenario in wanted if scenario.hash not in finished]

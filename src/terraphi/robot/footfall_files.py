@@ -11,7 +11,7 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import open_netcdf, replacing, write_netcdf
+from terraphi.experiment.files import atomic_write, open_netcdf, write_netcdf
 from terraphi.experiment.outputs import SIGNATURE
 from terraphi.robot.footfalls import VERDICTS, FootfallMap
 
@@ -133,10 +133,10 @@ def write_footfalls(found: FootfallMap, path: Path) -> tuple[Path, ...]:
     attributes = {"terraphi_file": KIND, "terraphi_schema": SCHEMA, **texts}
     names = path, path.with_suffix(".geojson"), path.with_suffix(".csv")
     write_netcdf(xr.Dataset(variables, attrs=attributes).set_coords("s_m"), path)
-    with replacing(names[2]) as temporary, temporary.open("w", newline="") as stream:
+    with atomic_write(names[2]) as temporary, temporary.open("w", newline="") as stream:
         stream.write(f"# {SIGNATURE}: footfalls; x, y from the robot's first place and heading\n")
         found.summary().to_csv(stream, index=False, float_format="%.4f", lineterminator="\n")
-    with replacing(names[1]) as temporary:
+    with atomic_write(names[1]) as temporary:
         temporary.write_text(json.dumps(_geojson(found), ensure_ascii=False), encoding="utf-8")
     return names
 

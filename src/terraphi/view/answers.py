@@ -195,7 +195,7 @@ def write_table(
     """
     import pandas as pd
 
-    from terraphi.experiment.files import replacing
+    from terraphi.experiment.files import atomic_write
 
     written = [
         (_failed(given, one) if isinstance(one, InputError) else row(str(given["forces"]), one))
@@ -204,7 +204,7 @@ def write_table(
     ]
     if path is not None:
         names = dict.fromkeys([*COLUMNS, *(name for one in written for name in one)])
-        with replacing(path) as temporary:
+        with atomic_write(path) as temporary:
             pd.DataFrame(written, columns=[*names]).to_csv(temporary, index=False)
     return written, dict(Counter(str(one["verdict"]).replace("_", " ") for one in written))
 

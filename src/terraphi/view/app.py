@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from terraphi.experiment.errors import InputError, needing
-from terraphi.experiment.files import scratch
+from terraphi.experiment.files import temporary_folder
 from terraphi.experiment.history import CHANNEL_UNITS
 from terraphi.experiment.leg import CURVES, Leg, frame_axes
 from terraphi.experiment.reading import ForceColumns
@@ -109,7 +109,7 @@ def serve(port: int, *, ready: Callable[[str], None]) -> None:
     with needing("the app", "Starlette and uvicorn", extra="app"):
         import uvicorn
     with (
-        scratch(Path(tempfile.gettempdir()) / "terraphi-app") as place,
+        temporary_folder(Path(tempfile.gettempdir()) / "terraphi-app") as place,
         socket.socket() as ours,
     ):
         served = application(place=place)
