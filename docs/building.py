@@ -10,7 +10,7 @@ from docutils.utils.math import latex2mathml
 from matplotlib.figure import Figure
 from sphinx_gallery.scrapers import figure_rst
 
-from terraphi.experiment.files import replacing
+from terraphi.experiment.files import atomic_write
 from terraphi.view.keys import DOCUMENTS, HEADER, tables
 
 HERE = Path(__file__).parent
@@ -44,7 +44,7 @@ def write_keys(_app: Any) -> None:
         path = HERE / "reference" / f"{name}-keys.md"
         text = markdown(name)
         if not path.is_file() or path.read_text(encoding="utf-8") != text:
-            with replacing(path) as temporary:
+            with atomic_write(path) as temporary:
                 temporary.write_text(text, encoding="utf-8")
 
 

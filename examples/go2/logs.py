@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
-from terraphi.experiment.files import replacing
+from terraphi.experiment.files import atomic_write
 from terraphi.robot.joint_log import JOINT_NAMES, SHAPES, JointLog
 from terraphi.robot.logs.bags import JOINT_STATE, LOW_STATE, MOTORS, URDF_NAMES, typestore
 from terraphi.robot.logs.columns import OWN
@@ -41,13 +41,13 @@ def table(log: JointLog) -> pd.DataFrame:
 
 def write_csv(path: Path | str, log: JointLog) -> None:
     """Write a CSV, its numbers in twelve digits."""
-    with replacing(Path(path)) as temporary:
+    with atomic_write(Path(path)) as temporary:
         table(log).to_csv(temporary, index=False, float_format="%.12g")
 
 
 def write_parquet(path: Path | str, log: JointLog) -> None:
     """Write a Parquet file, every number as it is."""
-    with replacing(Path(path)) as temporary:
+    with atomic_write(Path(path)) as temporary:
         table(log).to_parquet(temporary)
 
 
@@ -78,7 +78,7 @@ def write_mcap(
     from mcap.writer import CompressionType, Writer
 
     kind = TYPES[message]
-    with replacing(Path(path)) as temporary, temporary.open("wb") as stream:
+    with atomic_write(Path(path)) as temporary, temporary.open("wb") as stream:
         writer = Writer(
             stream, compression=CompressionType[compression.upper()], use_chunking=chunked
         )

@@ -29,7 +29,7 @@ import numpy as np
 import run
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.files import replacing
+from terraphi.experiment.files import atomic_write
 
 DIAMETER_MM = 6.0
 """Of all grains: a test without a length does not see it."""
@@ -156,7 +156,7 @@ def test(name: str, kind: str, seed: int, work: Path, out: Path) -> None:
     top, fraction = engine.layering(engine.dump(folder / "bed.dump"), area)
     perform, columns, form = TESTS[kind]
     rows = perform(soil, folder, top, area)
-    with replacing(path) as temporary, temporary.open("w") as file:
+    with atomic_write(path) as temporary, temporary.open("w") as file:
         file.write(
             f"# grains {name}, seed {seed}: sliding friction {soil.sliding}, rolling "
             f"{soil.rolling}, settled with {soil.settled}, {soil.diameter_mm} mm\n# density "

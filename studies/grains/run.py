@@ -19,7 +19,7 @@ from pathlib import Path
 import engine
 import numpy as np
 
-from terraphi.experiment.files import replacing
+from terraphi.experiment.files import atomic_write
 from terraphi.experiment.leg import Leg
 from terraphi.forward.foot import Foot
 
@@ -126,7 +126,7 @@ def write(
             f"{body}, friction {soil.leg_friction}"
         ),
     ]
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_text("\n".join([*lines, *table]) + "\n")
 
 

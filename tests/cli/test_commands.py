@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
-import os
-import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -383,21 +380,3 @@ def test_a_warning_of_numpy_stays_off_the_terminal() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stderr == ""
-
-
-def test_ctrl_c_ends_with_130_and_one_sentence(tmp_path: Path) -> None:
-    (tmp_path / "p.toml").write_text(PLAN.replace("[20.0, 30.0, 40.0]", str(list(range(10, 60)))))
-    command = ["library", "build", "p.toml", "--out", "l.nc", "--workers", "1"]
-    running = subprocess.Popen(
-        [sys.executable, "-m", "terraphi.cli", *command],
-        cwd=tmp_path, env=dict(os.environ), stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    while not list(tmp_path.glob("l.nc.cases/*.nc")):
-        time.sleep(0.05)
-        assert running.poll() is None
-    running.send_signal(signal.SIGINT)
-    _, err = running.communicate(timeout=60)
-    assert running.returncode == 130
-    assert "continues with the same command" in err
-    assert "Traceback" not in err
-    assert not (tmp_path / "l.nc").exists()

@@ -6,7 +6,10 @@ import errno
 import os
 import random
 import stat
+import subprocess
+import sys
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -19,13 +22,13 @@ from terraphi.experiment import files
 from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import (
-    held,
+    atomic_write,
+    folder_lock,
     json_object,
     number_with_sd,
     open_netcdf,
     plain_number,
     read_bytes,
-    replacing,
     write_netcdf,
 )
 
@@ -37,7 +40,7 @@ def names(folder: Path) -> list[str]:
 def test_a_file_is_replaced_when_it_is_whole(tmp_path: Path) -> None:
     file = tmp_path / "x.csv"
     file.write_text("old")
-    with replacing(file) as temporary:
+    with atomic_write(file) as temporary:
         temporary.write_text("new")
         assert file.read_text() == "old"
     assert file.read_text() == "new"
@@ -53,7 +56,7 @@ def test_any_interruption_leaves_what_was_there(tmp_path: Path, error: BaseExcep
     expected = InputError if isinstance(error, OSError) else type(error)
 
     def write() -> None:
-        with replacing(file) as temporary:
+        with atomic_write(file) as temporary:
             temporary.write_text("ha")
             raise error
 
@@ -69,18 +72,73 @@ def test_unwritable_places(tmp_path: Path, place: str) -> None:
     (tmp_path / "file").touch()
     with (
         pytest.raises(InputError, match=f"{place}: cannot be written"),
-        replacing(tmp_path / place) as temporary,
+        atomic_write(tmp_path / place) as temporary,
     ):
         temporary.write_text("ha")
     assert names(tmp_path) == ["file", "folder"]
 
 
+WRITE = """
+import sys, time
+from pathlib import Path
+from terraphi.experiment.files import atomic_write
+with atomic_write(Path("x.csv")) as temporary:
+    temporary.write_text("ha")
+    print(temporary, flush=True)
+    time.sleep(600.0)
+"""
+
+
+def aged(path: Path, seconds: float = 3600.0) -> Path:
+    os.utime(path, (time.time() - seconds,) * 2)
+    return path
+
+
+def test_what_a_killed_process_left_is_removed_and_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever is written next in a folder clears it, and does not stop at what lies there."""
+    folder, thesis = ".o.terraphi-0a1b2c3d", tmp_path / "mine" / "thesis.md"
+    thesis.parent.mkdir()
+    thesis.write_text("a thesis")
+    os.mkfifo(tmp_path / ".fifo.terraphi-0a1b2c3d")
+    (tmp_path / ".file.terraphi-0a1b2c3d").touch()
+    (tmp_path / ".link.terraphi-0a1b2c3d").symlink_to("mine")
+    (tmp_path / ".young.terraphi-0a1b2c3d").mkdir()
+    aged(tmp_path / ".young.terraphi-0a1b2c3d", -3600.0)  # its process may yet lock it
+    aged(thesis.parent)
+    before = names(tmp_path)
+
+    def write() -> list[str]:
+        with atomic_write(tmp_path / "y.csv") as temporary:
+            temporary.write_text("whole")
+        return sorted({*names(tmp_path)} - {"y.csv"})
+
+    running = subprocess.Popen(
+        [sys.executable, "-c", WRITE], cwd=tmp_path, stdout=subprocess.PIPE, text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+    )  # fmt: skip
+    assert running.stdout is not None
+    made = aged((tmp_path / running.stdout.readline().strip()).parent)
+    assert write() == sorted([*before, made.name])
+    running.kill()
+    running.communicate()
+    with monkeypatch.context() as other:
+        other.setattr(os, "geteuid", lambda: os.getuid() + 1)
+        assert write() == sorted([*before, made.name])
+    (tmp_path / folder).mkdir()
+    (tmp_path / folder / "a.png").touch()
+    aged(tmp_path / folder)
+    assert write() == before
+    assert thesis.read_text() == "a thesis"
+
+
 def test_a_folder_is_held_by_one_at_a_time(tmp_path: Path) -> None:
     def enter() -> None:
-        with held(tmp_path / "o"):
+        with folder_lock(tmp_path / "o"):
             pass
 
-    with held(tmp_path / "o"), pytest.raises(InputError, match="another process works here"):
+    with folder_lock(tmp_path / "o"), pytest.raises(InputError, match="another process works here"):
         enter()
     enter()
 

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import held
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.outputs import (
     MANIFEST,
@@ -19,12 +18,12 @@ from terraphi.experiment.outputs import (
     changed,
     check_file,
     check_folder,
-    filling,
+    output_folder,
 )
 
 
 def fill(place: Path, **content: str) -> None:
-    with filling(place, kind="test", last="z.txt") as made:
+    with output_folder(place, kind="test", last="z.txt") as made:
         for name, text in content.items():
             (made / f"{name}.txt").write_text(text)
 
@@ -55,7 +54,7 @@ def test_what_fails_leaves_things_as_they_were(tmp_path: Path, before: dict[str,
         fill(place, **before)
 
     def write() -> None:
-        with filling(place, kind="test", last="z.txt") as made:
+        with output_folder(place, kind="test", last="z.txt") as made:
             (made / "a.txt").write_text("3")
             raise KeyboardInterrupt
 
@@ -90,18 +89,6 @@ def test_a_change_that_is_cut_off_can_be_done_again(
     (place / "thesis.txt").write_text("mine")
     fill(place, z="9")
     assert contents(place)["thesis.txt"] == "mine"
-
-
-def test_what_a_killed_run_left_is_removed_and_what_a_living_one_needs_is_not(
-    tmp_path: Path,
-) -> None:
-    for name in (".unfinished-o-dead", ".unfinished-o-alive", ".unfinished-other-x", "o-mine"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "a.txt").write_text("1")
-    with held(tmp_path / ".unfinished-o-alive"):
-        fill(tmp_path / "o", z="1")
-    left = {path.name for path in tmp_path.iterdir()}
-    assert left == {".unfinished-o-alive", ".unfinished-other-x", "o", "o-mine"}
 
 
 def test_files_that_were_changed_are_named(tmp_path: Path) -> None:

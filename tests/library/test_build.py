@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from terraphi.experiment.errors import InputError
+from terraphi.experiment.workers import workers
 from terraphi.library import build as module
-from terraphi.library.build import build, cluster, workers
+from terraphi.library.build import build, cluster
 from terraphi.library.plan import Plan
 from terraphi.library.store import Library
 
@@ -135,10 +136,10 @@ def test_places_that_cannot_be_used_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="folder"):
         build(PLAN, tmp_path)
     if os.name == "posix":
-        from terraphi.experiment.files import held
+        from terraphi.experiment.files import folder_lock
 
         with (
-            held(tmp_path / "library.nc.cases"),
+            folder_lock(tmp_path / "library.nc.cases"),
             pytest.raises(InputError, match="another process"),
         ):
             build(PLAN, tmp_path / "library.nc")

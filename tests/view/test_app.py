@@ -9,7 +9,10 @@ import http.client
 import io
 import json
 import os
+import select
 import socket
+import subprocess
+import sys
 import tempfile
 import threading
 import time
@@ -191,18 +194,19 @@ def test_what_a_killed_app_left_is_removed_at_the_next_start(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    (tmp_path / "terraphi-app-dead").mkdir()
-    (tmp_path / "terraphi-app-dead" / "dropped.csv").write_text("somebody's forces")
+    dead = tmp_path / ".terraphi-app.terraphi-0a1b2c3d"
+    dead.mkdir()
+    (dead / "dropped.csv").write_text("somebody's forces")
+    os.utime(dead, (0.0, 0.0))
     found: list[str] = []
 
     def ready(_: str) -> None:
         found.extend(path.name for path in tmp_path.iterdir())
         raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt):
-        app.serve(0, ready=ready)
+    app.serve(0, ready=ready)
     assert len(found) == 1
-    assert found[0] != "terraphi-app-dead"
+    assert found[0] != dead.name
     assert list(tmp_path.iterdir()) == []
 
 
@@ -286,6 +290,41 @@ def test_work_that_takes_too_long_is_ended_and_the_next_file_is_read(
 
     asyncio.run(twice())
     assert json.loads((tmp_path / "reply.json").read_text())["kind"] == "forces"
+
+
+READ = """
+import os, time
+from pathlib import Path
+from terraphi.view import app
+app.prepare = lambda: None
+app.work = lambda job: (Path(job["folder"], "began").touch(), time.sleep(600.0))
+app.read_files(os.getppid())
+"""
+APP = """
+import subprocess, sys, time
+command, pipe, job = sys.argv[1:]
+options = {"stdin": subprocess.PIPE, "pass_fds": [int(pipe)], "start_new_session": True}
+reader = subprocess.Popen([sys.executable, "-c", command], text=True, **options)
+print(job, file=reader.stdin, flush=True)
+time.sleep(600.0)
+"""
+
+
+def test_what_reads_a_file_ends_with_an_app_that_is_killed(tmp_path: Path) -> None:
+    ended, inherited = os.pipe()
+    job = json.dumps({"folder": str(tmp_path)})
+    app = subprocess.Popen(
+        [sys.executable, "-c", APP, READ, str(inherited), job], pass_fds=[inherited],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+    )  # fmt: skip
+    os.close(inherited)
+    while not (tmp_path / "began").exists():
+        assert app.poll() is None
+        time.sleep(0.05)
+    app.kill()
+    app.wait()
+    assert select.select([ended], [], [], 10.0)[0]  # the reader and its copy are gone
+    os.close(ended)
 
 
 def test_a_port_in_use_is_refused() -> None:

@@ -85,7 +85,7 @@ def forces(
 
     Example: terraphi forces walk.mcap --out forces.nc
     """
-    from terraphi.experiment.outputs import check_file, check_folder, filling
+    from terraphi.experiment.outputs import check_file, check_folder, output_folder
     from terraphi.robot import results as results_file
     from terraphi.robot.results import foot_forces
     from terraphi.view import plots
@@ -99,7 +99,7 @@ def forces(
     if out is not None:
         found.to_netcdf(out)
     if figures is not None:
-        with filling(figures, kind="forces", last="stance.png") as made:
+        with output_folder(figures, kind="forces", last="stance.png") as made:
             plots.save(found.plot(), made / "forces.png")
             plots.save(stance_figure(found), made / "stance.png")
     summary = found.summary()

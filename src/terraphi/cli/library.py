@@ -45,6 +45,7 @@ def library_build(
     Example: terraphi library build rft3d --out mine.nc --workers 4
     """
     from terraphi.experiment.outputs import check_file
+    from terraphi.experiment.workers import workers as processes
     from terraphi.library import build as builder
     from terraphi.library.plan import Plan
 
@@ -52,7 +53,7 @@ def library_build(
     chosen = Plan.load(plan)
     count = min(workers or os.cpu_count() or 1, chosen.count)
     announce(chosen.cases(), count)
-    pool = builder.cluster(cluster) if cluster else builder.workers(count)
+    pool = builder.cluster(cluster) if cluster else processes(count)
     with pool as executor, progress_bar("simulating") as report:
         made = builder.build(chosen, out, executor=executor, progress=report)
     print_library(made, as_json)

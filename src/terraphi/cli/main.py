@@ -6,6 +6,7 @@ Commands import what they need when they run, so that ``--help`` answers at once
 from __future__ import annotations
 
 import re
+import signal
 import sys
 import warnings
 
@@ -23,8 +24,9 @@ from terraphi.experiment.errors import HIDDEN, InputError, SimulationError, prin
 
 CONTROL = re.compile(rf"\x1b(?!\[(0|1|2|3|22)m)|(?![\t\n\x1b]){HIDDEN.pattern}")
 """Hidden characters but those of lines and of our own styles."""
-UNUSABLE, INTERRUPTED = 2, 130
-"""Exit status where the input cannot be used, and after Ctrl-C."""
+UNUSABLE, SIGNALLED = 2, 128
+"""Exit status where the input cannot be used; and, plus its number, after a signal, as in shells:
+130 after Ctrl-C, 143 after ``kill``."""
 
 
 class Commands(click.Group):
@@ -67,6 +69,19 @@ def main() -> None:
     sys.stdout.write = escaped  # type: ignore[method-assign]
     if not sys.warnoptions:  # they name our source, and mean nothing to a user
         warnings.simplefilter("ignore", RuntimeWarning)
+    received: list[int] = []
+
+    def interrupt(number: int, _frame: object) -> None:
+        received.append(number)
+        raise KeyboardInterrupt
+
+    def hang_up(_number: int, _frame: object) -> None:  # which the app's server does not know
+        signal.raise_signal(signal.SIGTERM)
+
+    handlers = {signal.SIGHUP: hang_up, signal.SIGINT: interrupt, signal.SIGTERM: interrupt}
+    for number, handler in handlers.items():
+        if signal.getsignal(number) != signal.SIG_IGN:  # as with nohup
+            signal.signal(number, handler)
     try:
         cli.main(prog_name="terraphi", standalone_mode=False)
     except click.exceptions.NoArgsIsHelpError as error:
@@ -82,7 +97,7 @@ def main() -> None:
     except (click.Abort, KeyboardInterrupt):
         _leave(
             "interrupted; a simulation or build with --out continues with the same command",
-            INTERRUPTED,
+            SIGNALLED + (received or [signal.SIGINT])[0],
         )
 
 

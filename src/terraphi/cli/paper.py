@@ -46,7 +46,7 @@ def paper(name: str | None, library: str, out: Path | None, as_json: bool) -> No
 
     Example: terraphi paper recovery --out recovery
     """
-    from terraphi.experiment.outputs import check_folder, filling
+    from terraphi.experiment.outputs import check_folder, output_folder
     from terraphi.paper import numbers
 
     if out is not None:
@@ -61,7 +61,7 @@ def paper(name: str | None, library: str, out: Path | None, as_json: bool) -> No
     data: dict[str, Any] = {name: one.data for name, one in found.items()}
     data = data[name] if name is not None else data
     if out is not None:
-        with filling(out, kind="paper", last="data.json") as made:
+        with output_folder(out, kind="paper", last="data.json") as made:
             made.joinpath("data.json").write_text(as_text(data), encoding="utf-8")
             for one in found.values():
                 for figure, drawn in one.figures.items():

@@ -70,7 +70,7 @@ def simulate(
         )
     if out is not None and kept is not None:
         history.to_netcdf(out)
-        kept.remove()
+        kept.path.unlink(missing_ok=True)
     summary = {**history.summary(), **({"out": str(out)} if out else {})}
     present(summary, summary, as_json=as_json)
 

@@ -123,7 +123,7 @@ def slope_map(
 
     Example: terraphi map points.csv --dem dem.tif --out slopes
     """
-    from terraphi.experiment.outputs import check_folder, filling
+    from terraphi.experiment.outputs import check_folder, output_folder
     from terraphi.terrain.inputs import start_from
     from terraphi.terrain.map import KIND, LAYERS, SUMMARY, in_words, map_slopes
     from terraphi.view import plots
@@ -135,7 +135,7 @@ def slope_map(
     begun = None if start is None else start_from(start)
     with progress_bar("mapping") as report:
         found = map_slopes(points, dem, start=begun, progress=report, **options)
-    with filling(out, kind=KIND, last=SUMMARY) as made:
+    with output_folder(out, kind=KIND, last=SUMMARY) as made:
         found.write(made)
         plots.save(map_figure(found), made.joinpath(picture))
     written = f"Written: {out}/{', '.join(names)}"

@@ -12,7 +12,6 @@ import stat
 import sys
 import tempfile
 import time
-import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -128,10 +127,15 @@ def json_object(text: Any) -> dict[str, Any]:
 
 # -- writing -------------------------------------------------------------------------------------
 
+MARK = ".terraphi-"
+"""What is between the target and eight random characters in the name of a temporary folder."""
+LEAST_AGE = 1.0
+"""Age at which a temporary folder must be locked, or it is one of a killed process [s]; chosen."""
+
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """Give a temporary name in the same folder, and rename the file when it is whole.
+def atomic_write(path: Path) -> Iterator[Path]:
+    """Give a place for a file in a temporary folder, and move the file when it is whole.
 
     Parameters
     ----------
@@ -141,23 +145,20 @@ def replacing(path: Path) -> Iterator[Path]:
     Yields
     ------
     Path
-        The temporary name; its file is removed if the block raises.
+        A file of the same name; it is removed if the block raises.
 
     Raises
     ------
     InputError
         If the folder cannot be written to or the disk is full.
     """
-    temporary = path.with_name(f".{uuid.uuid4().hex}{path.suffix}")
     try:
-        yield temporary
-        temporary.replace(path)
+        with temporary_folder(path) as folder:
+            yield folder / path.name
+            folder.joinpath(path.name).replace(path)
     except OSError as error:
         reason = error.strerror or error
         raise InputError(f"{path}: cannot be written ({reason}); try another place") from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink()
 
 
 def writable(path: Path) -> None:
@@ -188,12 +189,12 @@ def made_folder(path: Path) -> Path:
 
 
 @contextmanager
-def held(folder: Path) -> Iterator[None]:
+def folder_lock(folder: Path) -> Iterator[None]:
     """Lock a folder, made if needed, during the block; raises InputError if another process has it.
 
     A process that is killed gives the lock up.
     """
-    with closing_file(made_folder(folder)) as handle:
+    with opened_folder(made_folder(folder)) as handle:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
@@ -204,9 +205,9 @@ def held(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def closing_file(path: Path) -> Iterator[int]:
-    """Open a file or folder for reading during the block, and give its descriptor."""
-    handle = os.open(path, os.O_RDONLY)
+def opened_folder(folder: Path) -> Iterator[int]:
+    """Open a folder during the block, and give its descriptor; raises OSError if it is none."""
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         yield handle
     finally:
@@ -214,22 +215,27 @@ def closing_file(path: Path) -> Iterator[int]:
 
 
 @contextmanager
-def scratch(parent: Path, prefix: str) -> Iterator[Path]:
-    """Give a temporary folder, and remove those of the same prefix whose process was killed.
+def temporary_folder(target: Path) -> Iterator[Path]:
+    """Give a temporary folder next to a target, and remove those there of killed processes.
 
     Parameters
     ----------
-    parent
-        Where it is made.
-    prefix
-        Start of its name. A process that is alive has a lock on its folder.
+    target
+        The file or folder that is made in it. A process that is alive has a lock on its folder.
     """
-    for old in parent.iterdir():
-        if old.name.startswith(prefix):
-            with suppress(OSError), closing_file(old) as handle:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    for old in target.parent.glob(f".*{MARK}????????"):
+        with suppress(OSError), opened_folder(old) as handle:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            there = os.fstat(handle)
+            if there.st_uid == os.geteuid() and time.time() - there.st_mtime > LEAST_AGE:
                 shutil.rmtree(old)
-    with tempfile.TemporaryDirectory(dir=parent, prefix=prefix) as name, held(Path(name)):
+    prefix = f".{target.name[:40]}{MARK}"
+    with (
+        tempfile.TemporaryDirectory(
+            dir=target.parent, prefix=prefix, ignore_cleanup_errors=True
+        ) as name,
+        folder_lock(Path(name)),
+    ):
         yield Path(name)
 
 
@@ -371,7 +377,7 @@ def write_netcdf(dataset: Any, path: Path, *, encoding: Any = None) -> None:
     # it tries again to close the file.
     buffer = io.BytesIO()
     dataset.to_netcdf(buffer, engine="h5netcdf", encoding=encoding)
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_bytes(buffer.getvalue())
 
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.files import replacing
+from terraphi.experiment.files import atomic_write
 
 log = logging.getLogger(__name__)
 
@@ -49,7 +49,10 @@ def write_force_table(path: Path, values: FloatArray, provenance: Mapping[str, A
     provenance = json.loads(json.dumps(dict(provenance)))  # as it will be read
     # Twelve digits keep neighboring angles apart and hide the round-off of radians.
     rows = [(f"{t:.12g}", f"{x:.6g}", f"{z:.6g}") for t, x, z in values.tolist()]
-    with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
+    with (
+        atomic_write(path) as temporary,
+        temporary.open("w", newline="", encoding="utf-8") as stream,
+    ):
         if provenance:
             digest = _digest(np.array(rows, dtype=np.float64), provenance)
             content = {"schema": SCHEMA, "digest": digest, "provenance": provenance}

@@ -21,8 +21,7 @@ from terraphi.experiment.files import (
     made_folder,
     makeable,
     read_bytes,
-    replacing,
-    scratch,
+    temporary_folder,
     writable,
 )
 
@@ -116,7 +115,7 @@ def check_folder(path: Path, *, kind: str, names: Iterable[str] = ()) -> set[str
 
 
 @contextmanager
-def filling(path: Path, *, kind: str, last: str) -> Iterator[Path]:
+def output_folder(path: Path, *, kind: str, last: str) -> Iterator[Path]:
     """Give a temporary folder to write results into, which then replace earlier ones.
 
     Parameters
@@ -134,7 +133,8 @@ def filling(path: Path, *, kind: str, last: str) -> Iterator[Path]:
         An empty folder; if the block raises, nothing of it is kept.
     """
     old = check_folder(path, kind=kind)
-    with scratch(made_folder(path.parent), f".unfinished-{path.name}-") as made:
+    made_folder(path.parent)
+    with temporary_folder(path) as made:
         yield made
         new = sorted((file.name for file in made.iterdir()), key=lambda name: name == last)
         check_folder(path, kind=kind, names=new)
@@ -144,10 +144,9 @@ def filling(path: Path, *, kind: str, last: str) -> Iterator[Path]:
         # that have no successor stay: a name in a manifest is no reason to delete.
         files = sorted({*old, *new} - {MANIFEST})
         manifest = Manifest(kind=kind, files=files, digests=digests)
-        with replacing(path / MANIFEST) as temporary:
-            temporary.write_text(manifest.model_dump_json(indent=2), encoding="utf-8")
+        made.joinpath(MANIFEST).write_text(manifest.model_dump_json(indent=2), encoding="utf-8")
         path.joinpath(last).unlink(missing_ok=True)
-        for name in new:
+        for name in (MANIFEST, *new):
             made.joinpath(name).replace(path / name)
 
 

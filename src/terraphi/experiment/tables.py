@@ -17,7 +17,7 @@ import numpy as np
 from packaging.version import Version
 
 from terraphi.experiment.errors import InputError, visible
-from terraphi.experiment.files import read_bytes, replacing
+from terraphi.experiment.files import atomic_write, read_bytes
 from terraphi.experiment.units import is_unit
 
 _DIALECTS = [(sep, decimal) for sep in ("\t", ";", ",", "|", None) for decimal in ".,"]
@@ -183,7 +183,10 @@ def write_csv(path: Path, frame: Any, *, first: str = "", float_format: str | No
         return f"'{text}" if _FORMULA.match(text) and not number else text or value
 
     safe = frame.rename(columns=cell).apply(lambda column: column.map(cell))
-    with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
+    with (
+        atomic_write(path) as temporary,
+        temporary.open("w", newline="", encoding="utf-8") as stream,
+    ):
         stream.write(first)
         safe.to_csv(stream, index=False, float_format=float_format, lineterminator="\n")
 

@@ -8,7 +8,6 @@ at all, so that a run may be killed at any time. With the state it names all tha
 
 from __future__ import annotations
 
-import glob
 import hashlib
 import importlib.metadata
 import json
@@ -24,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import check_is_file, replacing
+from terraphi.experiment.files import atomic_write, check_is_file
 from terraphi.experiment.scenario import Scenario
 
 log = logging.getLogger(__name__)
@@ -58,14 +57,6 @@ class Checkpoint:
     path: Path
     every: float = EVERY
     named: bool = False
-
-    def remove(self) -> None:
-        """Remove the file, and what a killed process may have left of the next one."""
-        self.path.unlink(missing_ok=True)
-        # As files.replacing names them, and not what an editor keeps next to the file.
-        name, end = glob.escape(self.path.name), glob.escape(self.path.suffix)
-        for file in self.path.parent.glob(f".{name}.{'[a-z0-9_]' * 8}{end}"):
-            file.unlink(missing_ok=True)
 
 
 class State(NamedTuple):
@@ -171,7 +162,7 @@ class Keeper:
         arrays |= {f"audit.{name}": field for name, field in state.audit._asdict().items()}
         arrays |= {"impulse": state.impulse, "held": state.held}
         try:
-            with replacing(self._where.path) as temporary, temporary.open("wb") as stream:
+            with atomic_write(self._where.path) as temporary, temporary.open("wb") as stream:
                 np.savez(stream, head=np.array(json.dumps(head)), **arrays)
                 # On the disk before it takes the place of the one before.
                 stream.flush()

@@ -32,6 +32,7 @@ Kernel = TypeVar("Kernel", bound=Callable[..., object])
 OPTIONS: dict[str, Any] = {
     "error_model": "numpy",
     "fastmath": {"contract", "nsz", "reassoc"},
+    "nogil": True,
 }
 """Numba's options for all kernels."""
 _FOLDER = Path(__file__).parent

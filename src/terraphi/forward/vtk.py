@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.experiment.files import made_folder, replacing
+from terraphi.experiment.files import atomic_write, made_folder
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward.driver import Snapshot, block_length, step_count
 
@@ -123,7 +123,7 @@ def _array(name: str, values: Array, more: str = "") -> str:
 
 def _write(path: Path, kind: str, content: str) -> None:
     order = f"{sys.byteorder.capitalize()}Endian"
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_text(
             f'<?xml version="1.0"?>\n<VTKFile type="{kind}" version="1.0" byte_order="{order}" '
             f'header_type="UInt64"><{kind}>{content}</{kind}></VTKFile>\n'

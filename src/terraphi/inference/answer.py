@@ -16,8 +16,8 @@ from pydantic import BaseModel, Field, ValidationError
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError, sentence_from_validation
-from terraphi.experiment.files import json_object, netcdf_kind, read_bytes, replacing
-from terraphi.experiment.outputs import filling
+from terraphi.experiment.files import atomic_write, json_object, netcdf_kind, read_bytes
+from terraphi.experiment.outputs import output_folder
 from terraphi.library.store import PHI
 
 if TYPE_CHECKING:
@@ -404,7 +404,7 @@ class Answer:
             attrs={"terraphi_file": "answer", "answer": json.dumps(self.as_dict(), default=str)}
         )
         tree = xr.DataTree.from_dict({"/": root, **self._groups()})
-        with replacing(Path(path)) as temporary:
+        with atomic_write(Path(path)) as temporary:
             tree.to_netcdf(temporary, engine="h5netcdf")
 
     @classmethod
@@ -476,7 +476,7 @@ class Answer:
         InputError
             If the folder cannot be written, or holds other things.
         """
-        with filling(Path(folder), kind="answer", last="answer.json") as place:
+        with output_folder(Path(folder), kind="answer", last="answer.json") as place:
             self.to_netcdf(place / "answer.nc")
             self.plot().savefig(place / "answer.png", dpi=150)
             text = json.dumps(self.as_dict(), indent=1, ensure_ascii=False, default=str)

@@ -11,10 +11,10 @@ from typing import Any
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import read_bytes
 from terraphi.experiment.tables import decoded, unquoted
+from terraphi.experiment.workers import workers
 from terraphi.inference import COLUMNS
 from terraphi.inference.answer import Answer
 from terraphi.inference.inversion import invert_many
-from terraphi.library.build import workers
 
 OPTIONS = ("leg", "density", "columns", "library", "noise", "gain", "calibration")
 """Columns that are options of ``invert``, besides ``file``."""

@@ -32,7 +32,7 @@ from pydantic import Field, ValidationError
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import Strict, parse_toml
 from terraphi.experiment.errors import InputError, sentence_from_validation
-from terraphi.experiment.files import replacing
+from terraphi.experiment.files import atomic_write
 from terraphi.experiment.outputs import SIGNATURE
 from terraphi.library.store import Library
 
@@ -194,7 +194,7 @@ class Calibration(Strict):
             lines += ["", "[[soils]]"]
             for key, value in soil.model_dump().items():
                 lines.append(f"{key} = {json.dumps(value, ensure_ascii=False)}")
-        with replacing(Path(path)) as temporary:
+        with atomic_write(Path(path)) as temporary:
             temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
     @classmethod

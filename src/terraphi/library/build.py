@@ -10,15 +10,14 @@ from __future__ import annotations
 import logging
 import shutil
 from collections.abc import Callable, Iterator
-from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor, Future, as_completed
 from contextlib import contextmanager
 from dataclasses import replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 from terraphi.experiment.errors import InputError, needing
-from terraphi.experiment.files import held, made_folder
+from terraphi.experiment.files import folder_lock, made_folder
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import Checkpoint, model_version, simulate, software
@@ -29,7 +28,6 @@ log = logging.getLogger(__name__)
 
 CONNECT_SECONDS = 10.0
 """Longest wait for a Dask scheduler [s]."""
-KEPT = "finished cases are kept; the same command continues from there"
 
 
 def build(
@@ -61,8 +59,7 @@ def build(
     Raises
     ------
     InputError
-        If the file cannot be written, another build of it is running, a worker died, or every case
-        failed.
+        If the file cannot be written, another build of it is running, or every case failed.
 
     Examples
     --------
@@ -80,7 +77,7 @@ def build(
     if path.exists() and not path.is_file():
         raise InputError(f"{path}: is a folder or a device; name a file")
     folder = path.with_name(path.name + ".cases")
-    with held(folder):
+    with folder_lock(folder):
         made_folder(folder)
         finished = _finished(path, folder, wanted)
         missing = [scenario for scenario in wanted if scenario.hash not in finished]
@@ -94,7 +91,7 @@ def build(
                 log.warning("φ = %g°: %s", scenario.soil.friction_angle_deg, outcome)
             else:
                 outcome.to_netcdf(folder / f"{scenario.hash}.nc")
-                Checkpoint(folder / f"{scenario.hash}.checkpoint").remove()
+                (folder / f"{scenario.hash}.checkpoint").unlink(missing_ok=True)
                 finished[scenario.hash] = outcome
             done += 1
             if progress is not None:
@@ -158,8 +155,6 @@ def _outcomes(
     try:
         for future in as_completed(running):
             yield running[future], future.result()
-    except BrokenExecutor as error:
-        raise InputError(f"a worker died, perhaps for lack of memory; {KEPT}") from error
     finally:
         for future in running:
             future.cancel()
@@ -183,17 +178,6 @@ def _finished(path: Path, folder: Path, wanted: list[Scenario]) -> dict[str, For
         for s in wanted
         if s.hash in found and found[s.hash].provenance.get("model_version") == model_version(s)
     }
-
-
-@contextmanager
-def workers(count: int) -> Iterator[Executor | None]:
-    """Processes of this machine that simulate one case each; ``None`` for one worker."""
-    if count == 1:
-        yield None
-        return
-    # Numba's threads do not survive a fork.
-    with ProcessPoolExecutor(count, mp_context=get_context("spawn")) as pool:
-        yield pool
 
 
 @contextmanager

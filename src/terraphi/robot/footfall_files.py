@@ -11,7 +11,7 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import open_netcdf, replacing, write_netcdf
+from terraphi.experiment.files import atomic_write, open_netcdf, write_netcdf
 from terraphi.experiment.outputs import SIGNATURE
 from terraphi.experiment.tables import write_csv
 from terraphi.robot.footfalls import VERDICTS, FootfallMap
@@ -136,7 +136,7 @@ def write_footfalls(found: FootfallMap, path: Path) -> tuple[Path, ...]:
     write_netcdf(xr.Dataset(variables, attrs=attributes).set_coords("s_m"), path)
     first = f"# {SIGNATURE}: footfalls; x, y from the robot's first place and heading\n"
     write_csv(names[2], found.summary(), first=first, float_format="%.4f")
-    with replacing(names[1]) as temporary:
+    with atomic_write(names[1]) as temporary:
         temporary.write_text(json.dumps(_geojson(found), ensure_ascii=False), encoding="utf-8")
     return names
 

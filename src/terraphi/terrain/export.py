@@ -14,7 +14,7 @@ from pydantic import BaseModel, ValidationError, model_validator
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import GUESSED, InputError, nearest, sentence_from_validation
-from terraphi.experiment.files import replacing
+from terraphi.experiment.files import atomic_write
 from terraphi.experiment.outputs import SIGNATURE, changed, check_file
 from terraphi.experiment.soil import cone_slope
 from terraphi.forward.foot import LAWS, Foot
@@ -137,7 +137,7 @@ def export(
     found = _parameters(_stored(answer), target, match, draws, seed, anyway=anyway)
     if path is not None:
         content = text(found, FORMATS[path.suffix])
-        with replacing(path) as temporary:
+        with atomic_write(path) as temporary:
             temporary.write_text(content, encoding="utf-8")
     return found
 

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from terraphi.experiment.errors import InputError, needing
-from terraphi.experiment.files import scratch
+from terraphi.experiment.files import temporary_folder
 from terraphi.experiment.history import CHANNEL_UNITS
 from terraphi.experiment.leg import CURVES, Leg, frame_axes
 from terraphi.experiment.reading import ForceColumns
@@ -61,6 +61,8 @@ LONGEST_NAME = 80
 """Letters of a file's name that are shown."""
 MOST_MEMORY, MOST_FILE, MOST_CPU_S = 6 << 30, 500 << 20, 600
 """Address space [byte], largest file [byte] and processor time [s] of the process that reads."""
+LOOK_SECONDS = 0.5
+"""How often that process looks whether the app is still there [s]; chosen."""
 HEADERS = {
     "x-content-type-options": "nosniff",
     "x-frame-options": "DENY",
@@ -108,7 +110,7 @@ def serve(port: int, *, ready: Callable[[str], None]) -> None:
     with needing("the app", "Starlette and uvicorn", extra="app"):
         import uvicorn
     with (
-        scratch(Path(tempfile.gettempdir()), "terraphi-app-") as place,
+        temporary_folder(Path(tempfile.gettempdir()) / "terraphi-app") as place,
         socket.socket() as ours,
     ):
         served = application(place=place)
@@ -119,9 +121,9 @@ def serve(port: int, *, ready: Callable[[str], None]) -> None:
             raise InputError(
                 f"port {port} on {HOST} cannot be opened ({error.strerror}); name another by --port"
             ) from error
-        ready(f"http://{HOST}:{ours.getsockname()[1]}")
         options: dict[str, Any] = {"log_level": "warning", "server_header": False}
         with contextlib.suppress(KeyboardInterrupt):
+            ready(f"http://{HOST}:{ours.getsockname()[1]}")
             uvicorn.Server(uvicorn.Config(served, **options)).run(sockets=[ours])
 
 
@@ -154,13 +156,15 @@ def application(limits: Limits | None = None, *, place: Path | None = None) -> S
         "style-src 'unsafe-inline'; connect-src 'self'; img-src data: blob:; base-uri 'none'; "
         "form-action 'none'; frame-ancestors 'none'"
     )
-    readers = Readers()
+    readers = Readers(place)
 
     @contextlib.asynccontextmanager
     async def running(_: Starlette) -> AsyncIterator[None]:
         await readers.start()
-        yield
-        await readers.end()
+        try:
+            yield
+        finally:
+            await readers.end()
 
     async def home(_: Request) -> Response:
         return HTMLResponse(front, headers={**HEADERS, "content-security-policy": policy})
@@ -233,7 +237,8 @@ async def _receive(request: Request, path: Path, name: str, limits: Limits) -> N
 class Readers:
     """A process that has loaded what reading needs, and makes a copy of itself for each file."""
 
-    def __init__(self) -> None:
+    def __init__(self, place: Path | None = None) -> None:
+        self._place = place or tempfile.gettempdir()
         self._process: asyncio.subprocess.Process | None = None
         self._one_at_a_time = asyncio.Lock()
 
@@ -241,12 +246,17 @@ class Readers:
         """Start the process, unless it runs."""
         if self._process is None or self._process.returncode is not None:
             self._process = await asyncio.create_subprocess_exec(
-                *(sys.executable, "-m", "terraphi.view.app"),
+                *(sys.executable, "-m", "terraphi.view.app", str(os.getpid())),
                 stdin=asyncio.subprocess.PIPE,
                 stdout=asyncio.subprocess.PIPE,
                 stderr=asyncio.subprocess.DEVNULL,
                 start_new_session=True,  # so that its copies end with it
-                env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+                env={
+                    **os.environ,
+                    "TMPDIR": str(self._place),
+                    "OPENBLAS_NUM_THREADS": "1",
+                    "OMP_NUM_THREADS": "1",
+                },
             )
         return self._process
 
@@ -277,8 +287,18 @@ class Readers:
 # -- the process that reads files ----------------------------------------------------------------
 
 
-def read_files() -> None:
-    """Do the jobs that standard input names, a line each, in copies of this process."""
+def read_files(app: int) -> None:
+    """Do the jobs that standard input names, a line each, in copies of this process.
+
+    It and its copies end with the app, the process of that number, even if that is killed.
+    """
+
+    def look_for_app(_number: int, _frame: object) -> None:
+        if os.getppid() != app:
+            os.killpg(0, signal.SIGKILL)
+
+    signal.signal(signal.SIGALRM, look_for_app)
+    signal.setitimer(signal.ITIMER_REAL, LOOK_SECONDS, LOOK_SECONDS)
     prepare()
     while line := sys.stdin.readline():
         if child := os.fork():
@@ -436,4 +456,4 @@ def limit_process() -> None:
 
 
 if __name__ == "__main__":
-    read_files()
+    read_files(int(sys.argv[1]))

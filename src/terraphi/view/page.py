@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from terraphi.experiment.errors import HIDDEN, InputError, needing, visible
-from terraphi.experiment.files import replacing
+from terraphi.experiment.files import atomic_write
 from terraphi.experiment.outputs import check_file
 from terraphi.view.sections import Plot, Section, section_of
 
@@ -64,7 +64,7 @@ def report(results: Any, path: Path | str, *, robot: str = "go2") -> list[tuple[
     if not found:
         raise InputError("no results to report")
     content = render(found)
-    with replacing(out) as temporary:
+    with atomic_write(out) as temporary:
         temporary.write_text(content, encoding="utf-8")
     return [(one.title, one.headline) for one in found]
 

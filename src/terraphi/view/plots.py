@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from terraphi.experiment.files import replacing
+from terraphi.experiment.files import atomic_write
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -19,5 +19,5 @@ def save(
     figure: Figure, path: Path | str, *, dpi: int = 150, metadata: Mapping[str, str] | None = None
 ) -> None:
     """Write a figure in the format of its suffix; raises InputError if that cannot be done."""
-    with replacing(Path(path)) as temporary:
+    with atomic_write(Path(path)) as temporary:
         figure.savefig(temporary, dpi=dpi, metadata=metadata)
