@@ -310,7 +310,7 @@ HALF = np.where(np.arange(60) < 30, np.arange(60), -9999.0) * np.ones((60, 1))
         (lambda _, points: points([1.0, np.nan] * 2, 2.0, 30.0), "", "line 3: x_m = nan"),
         (lambda _, points: points([1.0] * 2, 2.0, 30.0), "", "2 of 2 points usable"),
         (lambda _, points: long_rows(points([1.0] * 4, 2.0, 31.0)), "", "line 2: 5 cells"),
-        (lambda _, points: points([1.0] * 4, 2.0, 31.0, first='"#\n'), "", "'#"),
+        (lambda _, points: points([1.0] * 4, 2.0, 31.0, first='"#\n'), "", "line 3: 4 cells"),
         (None, "--start 5e5,0", "expected X,Y,BEARING"),
         (None, "--prior cohesion=3", "did you mean 'cohesion_Pa'"),
         (None, "--prior wetness=0:2", "wetness lies between 0 and 1"),

@@ -84,16 +84,6 @@ def number_with_sd(text: str) -> tuple[float, float | None]:
     return plain_number(mean), plain_number(sd) if sign else None
 
 
-def json_object(text: Any) -> dict[str, Any]:
-    """Parse a JSON object; raises ValueError if it is none, or nested more than 200 deep."""
-    from pydantic import TypeAdapter, ValidationError
-
-    try:
-        return TypeAdapter(dict[str, Any]).validate_json(text)
-    except ValidationError as error:
-        raise ValueError(f"no JSON object: {error.errors()[0]['msg']}") from None
-
-
 # -- writing -------------------------------------------------------------------------------------
 
 

@@ -380,6 +380,10 @@ def _table(shape: str, surface_friction: float) -> FloatArray:
     return force
 
 
+class LawAttributes(BaseModel):
+    """Attributes of a law's file, of which none is read."""
+
+
 @lru_cache(maxsize=8)
 def _simulated(shape: str, surface_friction: float) -> tuple[float, float, FloatArray]:
     """First φ [deg], step of the depth over the radius, and force over ρ g R³.
@@ -390,7 +394,7 @@ def _simulated(shape: str, surface_friction: float) -> tuple[float, float, Float
 
     path = shipped_file("foot", shape, ".nc")
     axes = ("friction", "phi_deg", "tilt_deg", "ratio")
-    with open_netcdf(path, BaseModel, kind="foot law", schema=SCHEMA) as file:
+    with open_netcdf(path, LawAttributes, kind="foot law", schema=SCHEMA) as file:
         friction, angles, tilt_deg, ratio = (file.numbers(name, name) for name in axes)
         stored = file.numbers("force", *axes, 2)
     low, high = friction[0] - BEYOND_FRICTION, friction[-1] + BEYOND_FRICTION

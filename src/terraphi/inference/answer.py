@@ -17,7 +17,7 @@ from pydantic import BaseModel, Field, Json, model_validator
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import parse_json
-from terraphi.experiment.files import json_object, open_netcdf, read_bytes, write_netcdf
+from terraphi.experiment.files import open_netcdf, read_bytes, write_netcdf
 from terraphi.experiment.outputs import filling
 from terraphi.library.store import PHI
 
@@ -431,17 +431,18 @@ class Answer:
                     band=file.numbers(f"{at}band_{i}", 2, *dims),
                 )
                 records.append(fit)
-            parameters = {key: one.estimate() for key, one in known.parameters.items()}
-            drawn = parameters if known.diagnostics or len(parameters) > 1 else ()
+            drawn = known.parameters if known.diagnostics or len(known.parameters) > 1 else ()
             draws = {key: file.numbers(f"posterior/{key}", "chain", "draw") for key in drawn}
             grid, density = (file.numbers(at + name, "grid") for name in ("grid_deg", "density"))
             if not (records and records[0].theta_deg.size and (draws or density.sum() > 0.0)):
                 raise ValueError("no records, or no posterior")
             phi, plane = known.phi_deg, known.phi_plane_strain_deg
             return cls(
-                parameters=parameters,
+                parameters=known.parameters,
                 convention=phi.convention if phi else "",
-                phi_plane_strain=plane.estimate() if plane else None,
+                phi_plane_strain=Estimate(**plane.model_dump(exclude={"convention"}))
+                if plane
+                else None,
                 questions=tuple(known.questions),
                 records=tuple(records),
                 grid_deg=grid,
@@ -465,22 +466,13 @@ class Answer:
             (place / "answer.json").write_text(text + "\n", encoding="utf-8")
 
 
-class StoredEstimate(BaseModel, strict=True):
-    """An :class:`Estimate` in a file."""
+class StoredAngle(BaseModel, strict=True):
+    """A friction angle [deg] in some convention."""
 
     median: float
     sd: float = Field(0.0, ge=0.0)
     ci68: tuple[float, float]
     ci95: tuple[float, float]
-
-    def estimate(self) -> Estimate:
-        """The estimate."""
-        return Estimate(self.median, self.sd, self.ci68, self.ci95)
-
-
-class StoredAngle(StoredEstimate):
-    """A friction angle [deg] in some convention."""
-
     convention: str = Field("", alias="yield")
 
     @model_validator(mode="after")
@@ -534,7 +526,7 @@ class Stored(BaseModel, strict=True):
     second_opinion: StoredOpinion | None = None
     questions: list[str] = []
     records: list[StoredFit] = []
-    parameters: dict[str, StoredEstimate] = {}
+    parameters: dict[str, Estimate] = {}
     diagnostics: dict[str, dict[str, float]] = {}
     provenance: dict[str, Any] = {}
 
@@ -577,4 +569,4 @@ def read_answer(path: Path | str) -> StoredAnswer:
         return StoredAnswer(str(path), found.as_dict(), draws)
     text = read_bytes(path)
     parse_json(text, Stored, str(path))
-    return StoredAnswer(str(path), json_object(text), np.zeros(0))
+    return StoredAnswer(str(path), json.loads(text), np.zeros(0))

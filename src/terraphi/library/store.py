@@ -16,7 +16,7 @@ from pydantic import BaseModel, Json
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import located, shipped_names
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import json_object, open_netcdf, positions, write_netcdf
+from terraphi.experiment.files import open_netcdf, positions, write_netcdf
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.scenario import Scenario
 
@@ -389,11 +389,12 @@ class Library:
         again = file.numbers("replicate", "case")
         texts = (file.texts(name, "case") for name in ("failure", "scenario", "provenance"))
         for i, (failure, scenario_json, provenance) in enumerate(zip(*texts, strict=True)):
-            scenario, known = Scenario.model_validate_json(scenario_json), json_object(provenance)
+            scenario, known = Scenario.model_validate_json(scenario_json), json.loads(provenance)
             history = None
             if not failure:
                 turned = None if moment is None or np.isnan(moment[i]).any() else moment[i]
-                history = ForceHistory(where, force[i], attrs.coordinate, axes, known, turned)
+                of = (where, force[i], attrs.coordinate, axes, {**known}, turned)
+                history = ForceHistory(*of)
             case = Case(scenario, history, failure)
             (replicates if again[i] else cases).append(case)
         if not any(case.history for case in cases):

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, Json
+from pydantic import BaseModel, Field, Json
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.files import open_netcdf, replacing, write_netcdf
@@ -39,15 +39,13 @@ COLUMNS = {
     "path_absolute_sd_deg": ("path_absolute_sd", None, "degree", "standard deviation, absolute"),
 }
 """Variable of a file to the field of a map that it holds, the column in it, unit and meaning."""
-TEXTS = {"shared": "shared", "by_law_deg": "by_law", "notes": "notes", "provenance": "provenance"}
-"""Attribute of a file to the field that it holds as JSON."""
 
 
 class FootfallAttributes(BaseModel):
-    """Attributes of a file of footfalls."""
+    """Attributes of a file of footfalls: fields of a map, as JSON."""
 
     shared: Json[dict[str, Any]]
-    by_law_deg: Json[dict[str, float]]
+    by_law: Json[dict[str, float]] = Field(alias="by_law_deg")
     notes: Json[tuple[str, ...]]
     provenance: Json[dict[str, Any]]
 
@@ -138,7 +136,10 @@ def write_footfalls(found: FootfallMap, path: Path) -> tuple[Path, ...]:
     variables["absolute_sd_deg"] = ("footfall", absolute, about_it)
     variables["foot"] = ("footfall", np.array(found.foot, dtype="U2"))
     variables["verdict"] = ("footfall", np.array(found.verdict, dtype="U24"))
-    texts = {name: json.dumps(getattr(found, field)) for name, field in TEXTS.items()}
+    texts = {
+        known.alias or field: json.dumps(getattr(found, field))
+        for field, known in FootfallAttributes.model_fields.items()
+    }
     attributes = {"terraphi_file": KIND, "terraphi_schema": SCHEMA, **texts}
     names = path, path.with_suffix(".geojson"), path.with_suffix(".csv")
     write_netcdf(xr.Dataset(variables, attrs=attributes).set_coords("s_m"), path)
@@ -162,7 +163,7 @@ def read_footfalls(path: Path) -> FootfallMap:
             field: np.column_stack(each) if len(each) > 1 else each[0]
             for field, each in columns.items()
         }
-        fields |= {field: getattr(file.attrs, name) for name, field in TEXTS.items()}
+        fields |= dict(file.attrs)
         fields |= {name: file.texts(name, "footfall") for name in ("foot", "verdict")}
         walk = FootfallMap(**fields)
         if unknown := set(walk.verdict) - set(VERDICTS):
