@@ -7,6 +7,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
@@ -71,6 +72,39 @@ def test_help_loads_neither_numpy_nor_rich() -> None:
 def test_choices_are_those_of_the_modules() -> None:
     assert set(options.LEGS) == {leg for leg in LEG_SHAPES if leg != "plate"}
     assert tuple(LAWS) == options.LAWS
+
+
+# -- ends -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "error", [KeyError("a"), MemoryError(), OSError(28, "no space"), RecursionError(),
+              BrokenProcessPool("a child died"), TypeError("two\nlines")],
+)  # fmt: skip
+def test_any_error_is_one_sentence_and_its_stack_is_there_if_wanted(
+    error: Exception, terraphi: Terraphi, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(**_: object) -> None:
+        raise error
+
+    monkeypatch.setattr(cli.commands["doctor"], "callback", fail)
+    status, out, err = terraphi("doctor")
+    assert (status, out, err.count("\n")) == (2, "", 1)
+    assert err.startswith("terraphi: ")
+    status, _, err = terraphi("-v", "doctor")
+    assert status == 2
+    assert "Traceback" in err
+
+
+@pytest.mark.parametrize(
+    "line", ["keys >&-", "keys 2>&-", "keys | head -c 1", "keys > /dev/full", "invert - <&-",
+             "keys >&- 2>&- <&-", "invert - <&- 2> /dev/full"],
+)  # fmt: skip
+def test_closed_and_full_streams_end_without_a_stack(line: str) -> None:
+    command = f"{sys.executable} -m terraphi.cli {line}"
+    done = subprocess.run(command, shell=True, capture_output=True, text=True)
+    assert len(done.stderr.splitlines()) <= 1
+    assert done.stderr[:10] in ("", "terraphi: ")
 
 
 # -- answers -------------------------------------------------------------------------------------
@@ -193,7 +227,7 @@ def test_no_cell_of_answers_is_a_formula(terraphi: Terraphi, tmp_path: Path) -> 
         ("fil,leg\na,c\n", "did you mean 'file'"),
         ("file,dens\nli2013:yuma/c,3\n,3\n", "row 2 names no file"),
         ("file,leg\n", "no rows"),
-        ("", "not a table"),
+        ("", "no rows"),
     ],
 )
 def test_a_table_of_records_is_read_or_refused(

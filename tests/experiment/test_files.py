@@ -12,19 +12,21 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 import pytest
 import xarray as xr
+from pydantic import BaseModel
 
 from terraphi.experiment import files
 from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import (
+    NetcdfFile,
     atomic_write,
     folder_lock,
-    json_object,
     number_with_sd,
     open_netcdf,
     plain_number,
@@ -161,15 +163,24 @@ def dataset(**attributes: object) -> xr.Dataset:
     return xr.Dataset({"a": ("i", values)}, attrs=attributes)
 
 
+class Anything(BaseModel, extra="allow"):
+    """Attributes of any kind."""
+
+
+def opened(file: Path, *, kind: str = "thing", schema: int = 3) -> NetcdfFile[Anything]:
+    with open_netcdf(file, Anything, kind=kind, schema=schema) as found:
+        return found
+
+
 def same_as_xarray(file: Path) -> None:
     """Compare names and their order, values to the last bit, and attributes."""
     with xr.open_dataset(file, engine="h5netcdf") as known:
         kind, schema = known.attrs["terraphi_file"], known.attrs["terraphi_schema"]
-        found = open_netcdf(file, kind=kind, schema=schema)
+        found = opened(file, kind=kind, schema=schema)
         assert found.data_vars == list(known.data_vars)
-        assert found.attrs == known.attrs
+        assert found.attrs.model_dump() == known.attrs
         for name in map(str, known.variables):
-            ours, theirs = found[name].values, known[name].values
+            ours, theirs = found.variables[name], known[name].values
             assert ours.shape == theirs.shape
             assert np.array_equal(ours, theirs, equal_nan=theirs.dtype.kind == "f")
 
@@ -199,10 +210,10 @@ def damaged(content: bytes) -> bytes:
 def test_a_damaged_netcdf_is_refused(tmp_path: Path, spoil: object) -> None:
     file = tmp_path / "x.nc"
     write_netcdf(dataset(), file, encoding={"a": {"zlib": True}})
-    assert open_netcdf(file, kind="thing", schema=3)["a"].values[0] == dataset()["a"].values[0]
+    assert opened(file).variables["a"][0] == dataset()["a"].values[0]
     file.write_bytes(spoil(file.read_bytes()))  # type: ignore[operator]
     with pytest.raises(InputError, match=r"x\.nc: not a whole NetCDF file"):
-        open_netcdf(file, kind="thing", schema=3)
+        opened(file)
 
 
 @pytest.mark.parametrize(
@@ -218,7 +229,7 @@ def test_a_netcdf_of_another_kind_is_refused(
 ) -> None:
     write_netcdf(dataset(**attributes), tmp_path / "x.nc")
     with pytest.raises(InputError, match=words):
-        open_netcdf(tmp_path / "x.nc", kind="thing", schema=3)
+        opened(tmp_path / "x.nc")
 
 
 @pytest.mark.parametrize(
@@ -241,20 +252,39 @@ def test_what_would_fill_the_memory_or_never_end_is_refused(
     with h5py.File(tmp_path / "x.nc", "r+") as file:
         spoil(file)
     with pytest.raises(InputError, match=words):
-        open_netcdf(tmp_path / "x.nc", kind="thing", schema=3)
+        opened(tmp_path / "x.nc")
 
 
-@pytest.mark.parametrize("text", ["[1]", "[" * 50_000, '{"a": ' * 5000, "", None])
-def test_json_that_is_no_object_is_a_value_error(text: str | None) -> None:
-    with pytest.raises(ValueError, match="no JSON object"):
-        json_object(text)
+@pytest.mark.parametrize(
+    "content",
+    [
+        None, np.ones((3, 2)), np.ones(4), np.float64(1.0), h5py.Empty("f8"), np.dtype("f8"),
+        np.ones(3, "c16"), np.array(["x"] * 3, dtype=object), np.array([1.0, np.nan, 2.0]),
+    ],
+)  # fmt: skip
+def test_a_variable_that_is_not_as_expected_is_refused(tmp_path: Path, content: Any) -> None:
+    file = tmp_path / "x.nc"
+    write_netcdf(dataset().isel(i=slice(3)).assign_coords(i=[0, 1, 2]), file)
+    if content is not None:
+        with h5py.File(file, "r+") as raw:
+            raw["b"] = content
+            if np.shape(content) in ((3,), (3, 2)):
+                raw["b"].dims[0].attach_scale(raw["i"])
+
+    def read() -> None:
+        with open_netcdf(file, Anything, kind="thing", schema=3) as found:
+            assert found.numbers("a", "i").shape == (3,)
+            found.numbers("b", "i")
+
+    with pytest.raises(InputError, match=r"x\.nc: not a (whole NetCDF|thing as this .*'b')"):
+        read()
 
 
 def test_missing_files(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"absent\.nc: no such file"):
-        open_netcdf(tmp_path / "absent.nc", kind="thing", schema=3)
+        opened(tmp_path / "absent.nc")
     with pytest.raises(InputError, match="is a folder; expected a file"):
-        open_netcdf(tmp_path, kind="thing", schema=3)
+        opened(tmp_path)
     with pytest.raises(InputError, match="null byte"):
         read_bytes(Path("a\0b"))
 
@@ -315,4 +345,4 @@ def test_a_netcdf_of_many_or_nested_items_is_refused_before_it_is_read(
             made.create_group("g/" * 200)
     monkeypatch.setattr(files, "_read", lambda _path: pytest.fail("it was read"))
     with pytest.raises(InputError, match="variables"):
-        open_netcdf(file, kind="", schema=1)
+        opened(file)

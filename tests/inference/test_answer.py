@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import resource
 import warnings
 from pathlib import Path
 
@@ -35,6 +36,18 @@ def test_what_is_written_is_read_back(answer: Answer, tmp_path: Path) -> None:
     }  # fmt: skip
     with pytest.raises(InputError):
         Answer.load(tmp_path / "answer" / "answer.json")
+
+
+@pytest.mark.parametrize("most", [10_000, 40_000, 60_000])
+def test_on_a_full_disk_nothing_is_written(answer: Answer, tmp_path: Path, most: int) -> None:
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (most, limits[1]))
+    try:
+        with pytest.raises(InputError, match="cannot be written"):
+            answer.save(tmp_path / "answer")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert list(tmp_path.glob("**/*.nc")) == []
 
 
 def test_arviz_summarises_the_same_posterior(answer: Answer) -> None:

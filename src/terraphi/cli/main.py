@@ -5,10 +5,13 @@ Commands import what they need when they run, so that ``--help`` answers at once
 
 from __future__ import annotations
 
+import os
 import re
 import signal
 import sys
+import traceback
 import warnings
+from contextlib import suppress
 
 import click
 
@@ -24,6 +27,13 @@ from terraphi.experiment.errors import HIDDEN, InputError, SimulationError, prin
 
 CONTROL = re.compile(rf"\x1b(?!\[(0|1|2|3|22)m)|(?![\t\n\x1b]){HIDDEN.pattern}")
 """Hidden characters but those of lines and of our own styles."""
+SENTENCES: dict[type[Exception], str] = {
+    MemoryError: "there is not enough memory for this; give a smaller input",
+    OSError: "the operating system reports: {}",
+    OverflowError: "a number in the input is too large: {}",
+    RecursionError: "the input is nested too deep: {}",
+}
+"""Errors that may come from any place."""
 UNUSABLE, SIGNALLED = 2, 128
 """Exit status where the input cannot be used; and, plus its number, after a signal, as in shells:
 130 after Ctrl-C, 143 after ``kill``."""
@@ -42,6 +52,10 @@ class Commands(click.Group):
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
 @click.version_option(package_name="terraphi")
+@click.option(
+    "-v", "--verbose", is_flag=True, expose_value=False,
+    help="Print the Python stack of an unexpected error, too.",
+)  # fmt: skip
 def cli() -> None:
     """Friction angle of soil, with its uncertainty, from the forces on a leg that moved through it.
 
@@ -57,7 +71,10 @@ for command in (
 
 
 def main() -> None:
-    """Run the command line; what cannot be used is one sentence on standard error."""
+    """Run the command line; whatever goes wrong is one sentence on standard error."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:  # closed by who started us
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), mode))
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):  # a terminal without φ shows another letter
             stream.reconfigure(errors="replace")
@@ -84,23 +101,33 @@ def main() -> None:
             signal.signal(number, handler)
     try:
         cli.main(prog_name="terraphi", standalone_mode=False)
+        sys.stdout.flush()
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.format_message())
     except click.ClickException as error:
         _leave(error.format_message(), UNUSABLE)
     except (InputError, SimulationError) as error:
         _leave(str(error), UNUSABLE)
-    except OSError as error:
-        _leave(f"the operating system reports: {error}", UNUSABLE)
-    except (OverflowError, RecursionError) as error:
-        _leave(f"a number in the input is too large, or it is nested too deep: {error}", UNUSABLE)
     except (click.Abort, KeyboardInterrupt):
         _leave(
             "interrupted; a simulation or build with --out continues with the same command",
             SIGNALLED + (received or [signal.SIGINT])[0],
         )
+    except Exception as error:
+        if {"-v", "--verbose"} & {*sys.argv}:
+            traceback.print_exc()
+        unknown = f"unexpected {type(error).__name__}: {{}}; 'terraphi -v' prints the stack"
+        sentences = (text for kind, text in SENTENCES.items() if isinstance(error, kind))
+        _leave(next(sentences, unknown).replace("{}", str(error)), UNUSABLE)
 
 
 def _leave(sentence: str, status: int) -> None:
-    click.echo(f"terraphi: {printable(sentence)}", err=True)
+    """End with a sentence and an exit status, also where a standard stream cannot be written to."""
+    with suppress(OSError):
+        click.echo(f"terraphi: {printable(sentence)}", err=True)
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:  # Python would try again when it ends, and print its stack
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
     sys.exit(status)

@@ -81,9 +81,14 @@ def strictly(content: Any, model: type[Model], source: str) -> Model:
 
     Raises InputError, with the name of its source, if it does not fill the model.
     """
+    # In strict mode only JSON lets an array become a tuple.
+    return parse_json(json.dumps(content, default=str), model, source)
+
+
+def parse_json(text: str | bytes, model: type[Model], source: str) -> Model:
+    """Read a strict document from JSON; raises InputError, with the name of its source."""
     try:
-        # In strict mode only JSON lets an array become a tuple.
-        return model.model_validate_json(json.dumps(content, default=str), strict=True)
+        return model.model_validate_json(text, strict=True)
     except ValidationError as error:
         raise InputError(sentence_from_validation(error, source, model)) from error
 

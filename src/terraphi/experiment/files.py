@@ -14,15 +14,18 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.budget import BYTES, ITEMS, NESTING, SECONDS, SILENCE
-from terraphi.experiment.errors import InputError
+from terraphi.experiment.errors import InputError, sentence_from_validation
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
 
 # -- reading -------------------------------------------------------------------------------------
 
@@ -113,16 +116,6 @@ def number_with_sd(text: str) -> tuple[float, float | None]:
     """
     mean, sign, sd = re.sub(r"\+/?-", "±", text.strip()).partition("±")
     return plain_number(mean), plain_number(sd) if sign else None
-
-
-def json_object(text: Any) -> dict[str, Any]:
-    """Parse a JSON object; raises ValueError if it is none, or nested more than 200 deep."""
-    from pydantic import TypeAdapter, ValidationError
-
-    try:
-        return TypeAdapter(dict[str, Any]).validate_json(text)
-    except ValidationError as error:
-        raise ValueError(f"no JSON object: {error.errors()[0]['msg']}") from None
 
 
 # -- writing -------------------------------------------------------------------------------------
@@ -242,46 +235,89 @@ def temporary_folder(target: Path) -> Iterator[Path]:
 # -- NetCDF --------------------------------------------------------------------------------------
 
 
-class Variable(NamedTuple):
-    """A variable of a file."""
-
-    values: Any
-    """An array of any shape; text as ``str``."""
+Attributes = TypeVar("Attributes", bound="BaseModel")
 
 
 @dataclass(frozen=True)
-class Contents:
-    """What a NetCDF file holds; reads like an ``xarray.Dataset``, whose import takes 0.5 s.
+class NetcdfFile(Generic[Attributes]):
+    """What a NetCDF file holds; without ``xarray``, whose import takes 0.5 s.
 
     Attributes
     ----------
     attrs
-        Attributes of the file.
+        Attributes of the file, checked.
     variables
-        All variables, in the order of the file.
+        Arrays of all variables, in the order of the file; text as ``str``. Names of those in groups
+        begin with the group, as in ``posterior/phi``.
     data_vars
         Names of those that are no coordinates, which are variables named as a dimension or by a
         ``coordinates`` attribute (CF conventions 1.11, chapter 5).
+    sizes
+        Length of each dimension that was asked for so far.
     """
 
-    attrs: dict[str, Any]
-    variables: dict[str, Variable]
+    attrs: Attributes
+    variables: dict[str, Any]
     data_vars: list[str]
+    sizes: dict[str, int] = field(default_factory=dict)
 
-    def __getitem__(self, name: str) -> Variable:
-        return self.variables[name]
+    def _array(self, name: str, dims: tuple[str | int, ...]) -> Any:
+        """A variable of the shape expected; raises ValueError if there is none."""
+        values = self.variables.get(name)
+        if values is None:
+            raise ValueError(f"no variable '{name}'")
+        for dim, size in zip(dims, values.shape, strict=False):
+            self.sizes.setdefault(str(dim), dim if isinstance(dim, int) else size)
+        if values.shape != tuple(self.sizes.get(str(dim)) for dim in dims):
+            axes = ", ".join(f"{dim} = {self.sizes.get(str(dim))}" for dim in dims)
+            raise ValueError(f"'{name}' has shape {values.shape}, expected {axes}")
+        return values
 
-    def __contains__(self, name: object) -> bool:
-        return name in self.variables
+    def numbers(self, name: str, *dims: str | int, finite: bool = True) -> FloatArray:
+        """A variable of real numbers.
+
+        Parameters
+        ----------
+        name
+            The variable.
+        dims
+            Its dimensions: lengths, or names, each with the same length in the whole file.
+        finite
+            Whether infinite values and those that are not a number are refused.
+
+        Raises
+        ------
+        ValueError
+            If it is missing, of another type or shape, or not finite.
+        """
+        values = self._array(name, dims)
+        if values.dtype.kind not in "biuf":
+            raise ValueError(f"'{name}' holds {values.dtype}, expected numbers")
+        values = values.astype(np.float64)
+        if finite and not np.isfinite(values).all():
+            raise ValueError(f"'{name}' holds values that are not finite")
+        return values
+
+    def texts(self, name: str, dim: str) -> tuple[str, ...]:
+        """A variable of text along a dimension; raises ValueError as :meth:`numbers` does."""
+        values = tuple(self._array(name, (dim,)).tolist())
+        if not all(isinstance(value, str) for value in values):
+            raise ValueError(f"'{name}' holds no text")
+        return values
 
 
-def open_netcdf(path: Path, *, kind: str, schema: int) -> Contents:
-    """Load a NetCDF file that terraphi wrote.
+@contextmanager
+def open_netcdf(
+    path: Path, attributes: type[Attributes], *, kind: str, schema: int | None
+) -> Iterator[NetcdfFile[Attributes]]:
+    """Load a NetCDF file that terraphi wrote, for the time of a block that makes a result of it.
 
     Parameters
     ----------
     path
         The file.
+    attributes
+        Model that the attributes of the file must fill.
     kind
         Value of the attribute ``terraphi_file`` expected.
     schema
@@ -290,21 +326,28 @@ def open_netcdf(path: Path, *, kind: str, schema: int) -> Contents:
     Raises
     ------
     InputError
-        If the file is missing, not a NetCDF, truncated, of another kind or schema.
+        If the file is missing, not a NetCDF, truncated, of another kind or schema; or if the block
+        raises LookupError, TypeError or ValueError, as for a variable that is missing.
     """
+    from pydantic import ValidationError
+
     if netcdf_kind(path) != kind:
         raise InputError(f"{path}: a NetCDF file, but not a {kind} written by terraphi")
     try:
-        contents = _read(path)
-    except _DAMAGE as error:
+        attrs, variables, data_vars = _read(path)
+    except Exception as error:  # damage raises anything in the libraries that read it
         raise InputError(f"{path}: not a whole NetCDF file; build or copy it again") from error
-    version = str(contents.attrs.get("terraphi_schema"))
+    version = str(attrs.get("terraphi_schema"))
     if version != str(schema):
         raise InputError(f"{path}: schema version {version}, not {schema}; build the {kind} again")
-    return contents
-
-
-_DAMAGE = (EOFError, LookupError, OSError, RuntimeError, ValueError)
+    try:
+        yield NetcdfFile(attributes.model_validate(attrs), variables, data_vars)
+    except ValidationError as error:
+        sentence = sentence_from_validation(error, str(path), attributes)
+        raise InputError(f"{sentence}; make the {kind} again") from error
+    except (LookupError, TypeError, ValueError) as error:
+        why = f"{path}: not a {kind} as this version writes it ({error}); make it again"
+        raise InputError(why) from error
 
 
 def netcdf_kind(path: Path) -> str:
@@ -336,24 +379,32 @@ def netcdf_kind(path: Path) -> str:
             kind = str(file.attrs.get("terraphi_file", ""))
     except InputError:
         raise
-    except _DAMAGE as error:
+    except Exception as error:  # damage raises anything in HDF5
         raise InputError(f"{path}: not a whole NetCDF file; build or copy it again") from error
     if size > BYTES:
         raise InputError(f"{path}: its variables take {size / 1e9:.3g} GB, expected at most 1 GB")
     return kind
 
 
-def _read(path: Path) -> Contents:
-    """Load a NetCDF-4 file; scale, offset and calendar attributes are not applied."""
+def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any], list[str]]:
+    """Attributes, variables and names of data variables of a NetCDF-4 file.
+
+    Scale, offset and calendar attributes are not applied.
+    """
     import h5netcdf
 
     with h5netcdf.File(path, "r", decode_vlen_strings=True) as file:
-        variables = {name: Variable(np.asarray(v[...])) for name, v in file.variables.items()}
+        groups = {"": file, **{f"{name}/": group for name, group in file.groups.items()}}
+        variables = {
+            f"{at}{n}": np.asarray(v[...])
+            for at, group in groups.items()
+            for n, v in group.variables.items()
+        }
         attributes = dict(file.attrs)
         named = [attributes.pop("coordinates", "")]
         named += [str(v.attrs.get("coordinates", "")) for v in file.variables.values()]
         coordinates = {*file.dimensions, *" ".join(named).split()}
-    return Contents(attributes, variables, [n for n in variables if n not in coordinates])
+    return attributes, variables, [n for n in variables if n not in coordinates]
 
 
 def write_netcdf(dataset: Any, path: Path, *, encoding: Any = None) -> None:
@@ -381,12 +432,11 @@ def write_netcdf(dataset: Any, path: Path, *, encoding: Any = None) -> None:
         temporary.write_bytes(buffer.getvalue())
 
 
-def positions(contents: Contents) -> FloatArray:
+def positions(file: NetcdfFile[Any], coordinate: str) -> FloatArray:
     """Positions [rad or m or s] of the samples in a file; of θ degrees alone will do.
 
-    Raises KeyError if there are none.
+    Raises ValueError if there are none.
     """
-    coordinate = str(contents.attrs["coordinate"])
-    if coordinate == "theta" and "theta" not in contents:
-        return np.radians(contents["theta_deg"].values.astype(np.float64))
-    return np.asarray(contents[coordinate].values, dtype=np.float64)
+    if coordinate == "theta" and "theta" not in file.variables:
+        return np.radians(file.numbers("theta_deg", "position"))
+    return file.numbers(coordinate, "position")

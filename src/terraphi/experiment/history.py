@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, Json
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
-from terraphi.experiment.errors import InputError, sentence_from_validation
-from terraphi.experiment.files import json_object, open_netcdf, positions, write_netcdf
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.files import open_netcdf, positions, write_netcdf
 from terraphi.experiment.force_table import write_force_table
 from terraphi.experiment.units import FORCE
 
@@ -47,7 +47,7 @@ _UNITS = {"theta": "rad", "displacement": "m", "time": "s"}
 _SHOWN_IN = {"theta": (180.0 / math.pi, "deg"), "displacement": (1e3, "mm"), "time": (1.0, "s")}
 
 
-class Origin(BaseModel):
+class Origin(BaseModel, strict=True, extra="allow"):
     """Types of those entries of a history's provenance that are read back."""
 
     file: str = ""
@@ -55,6 +55,13 @@ class Origin(BaseModel):
     reading: list[str] = []
     force_unit: Literal[*FORCE] = "N"  # type: ignore[valid-type]
     scenario: dict[str, Any] | None = None
+
+
+class HistoryAttributes(BaseModel):
+    """Attributes of a file of ours with a history."""
+
+    coordinate: Literal["theta", "displacement", "time"]
+    provenance: Json[Origin]
 
 
 class Observation(NamedTuple):
@@ -397,22 +404,16 @@ class ForceHistory:
 
         Raises InputError if the file is not a whole NetCDF of this kind and schema.
         """
-        contents = open_netcdf(Path(path), kind=KIND, schema=SCHEMA)
-        try:
-            found = {name: contents[name].values.astype(np.float64) for name in contents.data_vars}
-            moment = found.pop("M", None)
-            Origin.model_validate_json(contents.attrs["provenance"], strict=True)
-            place = positions(contents)
+        with open_netcdf(Path(path), HistoryAttributes, kind=KIND, schema=SCHEMA) as file:
+            coordinate, known = file.attrs.coordinate, file.attrs.provenance
+            place = positions(file, coordinate)
+            channels = {name: file.numbers(name, "position") for name in file.data_vars}
+            moment = channels.pop("M", None)
             return cls(
                 place,
-                np.array(list(found.values())).reshape(len(found), len(place)).T,
-                str(contents.attrs["coordinate"]),
-                tuple(name.removeprefix("F") for name in found),
-                json_object(contents.attrs["provenance"]),
+                np.array(list(channels.values())).reshape(len(channels), len(place)).T,
+                coordinate,
+                tuple(name.removeprefix("F") for name in channels),
+                known.model_dump(exclude_unset=True),
                 moment,
             )
-        except ValidationError as error:
-            sentence = sentence_from_validation(error, f"{path}, provenance", Origin)
-            raise InputError(sentence) from error
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"{path}: not a whole force history ({error})") from error

@@ -72,7 +72,7 @@ def _is_ours(path: Path, kind: str) -> bool:
         return any(mark in content for mark in _MARKS)
     import h5py
 
-    with suppress(OSError, RuntimeError), h5py.File(path) as file:
+    with suppress(Exception), h5py.File(path) as file:
         return bool(file.attrs.get("terraphi_file") == kind)
     return False  # damaged, or of another format
 
@@ -135,7 +135,11 @@ def output_folder(path: Path, *, kind: str, last: str) -> Iterator[Path]:
     old = check_folder(path, kind=kind)
     made_folder(path.parent)
     with temporary_folder(path) as made:
-        yield made
+        try:
+            yield made
+        except OSError as error:
+            reason = error.strerror or error
+            raise InputError(f"{path}: cannot be written ({reason}); try another place") from error
         new = sorted((file.name for file in made.iterdir()), key=lambda name: name == last)
         check_folder(path, kind=kind, names=new)
         made_folder(path)

@@ -40,6 +40,8 @@ _FORMULA = re.compile(r"\s*[=+\-@\uff1d\uff0b\uff0d\uff20]")
 """Beginning of a cell that a spreadsheet runs as a formula."""
 LARGEST = 1e30
 """Numbers beyond this are no measurement, and count as missing."""
+LONGEST_LINE = csv.field_size_limit() // 4
+"""Letters of a line; four may be one cell, in which the package csv accepts four times as many."""
 _SAMPLE = 100
 """Lines that the separator is judged by, from the end of the file."""
 _HEAD = 100_000
@@ -87,7 +89,7 @@ def read_table(path: Path) -> Table:
     """
     import pandas as pd
 
-    lines = _without_breaks(decoded(path, read_bytes(path)).splitlines())
+    lines = _without_breaks(_lines(path))
     odd = [line[:1] in _ODD for line in lines]  # most lines of a long log are not
     kept = [
         i for i, line in enumerate(lines)
@@ -134,6 +136,37 @@ def read_table(path: Path) -> Table:
     frame.columns = names
     places = np.array(kept[first:]) + 1
     return _numeric(frame, units, places, "line", comments, decimal)
+
+
+def read_cells(path: Path) -> tuple[dict[str, dict[str, str]], list[str]]:
+    """Rows of a text file as words: ``line 3`` to its cells, by the names in the first row.
+
+    What a short row lacks is empty.
+
+    Returns
+    -------
+    tuple
+        The rows; and lines of comment, which begin with ``#``.
+
+    Raises
+    ------
+    InputError
+        If it is not text, a row has more cells than the first, or two columns have one name.
+    """
+    lines = {f"line {i}": line for i, line in enumerate(_lines(path), 1) if line.strip()}
+    comments = [line for line in lines.values() if line[0] == "#"]
+    kept = {place: line for place, line in lines.items() if line[0] != "#"}
+    separator = next((sign for sign in "\t;" if sign in next(iter(kept.values()), "")), ",")
+    rows: dict[str, dict[str, str]] = {}
+    names: list[str] = []
+    for place, line in kept.items():
+        cells = [unquoted(cell) for cell in _cells(line, separator)]
+        names = names or cells
+        if any(cells[len(names) :]) or len({*names}) < len(names):
+            expected = f"expected one for each of {','.join(names)}"
+            raise InputError(f"{path}, {place}: {len(cells)} cells, {expected}")
+        rows[place] = dict.fromkeys(names, "") | dict(zip(names, cells, strict=False))
+    return dict([*rows.items()][1:]), comments
 
 
 def table_of(frame: Any) -> Table:
@@ -194,6 +227,15 @@ def write_csv(path: Path, frame: Any, *, first: str = "", float_format: str | No
 def unquoted(cell: str) -> str:
     """A cell without the apostrophe of :func:`write_csv`."""
     return cell[1:] if cell[:1] == "'" and _FORMULA.match(cell, 1) else cell
+
+
+def _lines(path: Path) -> list[str]:
+    """Lines of a text file; raises InputError if it is none, or one is too long for a row."""
+    lines = decoded(path, read_bytes(path)).splitlines()
+    if (most := max(map(len, lines), default=0)) > LONGEST_LINE:
+        where = f"{path}, line {[*map(len, lines)].index(most) + 1}"
+        raise InputError(f"{where}: {most} letters, expected a row of a table")
+    return lines
 
 
 def decoded(path: Path, content: bytes) -> str:

@@ -48,6 +48,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import BaseModel
 
 from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError
@@ -379,6 +380,10 @@ def _table(shape: str, surface_friction: float) -> FloatArray:
     return force
 
 
+class LawAttributes(BaseModel):
+    """Attributes of a law's file, of which none is read."""
+
+
 @lru_cache(maxsize=8)
 def _simulated(shape: str, surface_friction: float) -> tuple[float, float, FloatArray]:
     """First φ [deg], step of the depth over the radius, and force over ρ g R³.
@@ -388,11 +393,10 @@ def _simulated(shape: str, surface_friction: float) -> tuple[float, float, Float
     from scipy.interpolate import CubicSpline
 
     path = shipped_file("foot", shape, ".nc")
-    file = open_netcdf(path, kind="foot law", schema=SCHEMA)
-    friction, angles, tilt_deg, ratio = (
-        file[name].values.astype(np.float64)
-        for name in ("friction", "phi_deg", "tilt_deg", "ratio")
-    )
+    axes = ("friction", "phi_deg", "tilt_deg", "ratio")
+    with open_netcdf(path, LawAttributes, kind="foot law", schema=SCHEMA) as file:
+        friction, angles, tilt_deg, ratio = (file.numbers(name, name) for name in axes)
+        stored = file.numbers("force", *axes, 2)
     low, high = friction[0] - BEYOND_FRICTION, friction[-1] + BEYOND_FRICTION
     if not low - 1e-9 <= surface_friction <= high + 1e-9:
         raise InputError(
@@ -400,7 +404,6 @@ def _simulated(shape: str, surface_friction: float) -> tuple[float, float, Float
             f"{friction[0]:g} to {friction[-1]:g}; give {low:.2g} to {high:.2g}, or take law 'rft'"
         )
     place = (surface_friction - friction[0]) / (friction[-1] - friction[0])
-    stored = file["force"].values.astype(np.float64)  # [friction, phi, tilt, ratio, 2]
     by_angle = _interpolated(stored, np.asarray(place * (len(friction) - 1)))
     # Over φ: the logarithm of the lift, and the horizontal force over it.
     lift = np.maximum(by_angle[..., 1], 1e-12)

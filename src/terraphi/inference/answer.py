@@ -7,16 +7,17 @@ import html
 import json
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import BaseModel, Field, Json, model_validator
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.errors import InputError, sentence_from_validation
-from terraphi.experiment.files import atomic_write, json_object, netcdf_kind, read_bytes
+from terraphi.experiment.documents import parse_json
+from terraphi.experiment.files import open_netcdf, read_bytes, write_netcdf
 from terraphi.experiment.outputs import output_folder
 from terraphi.library.store import PHI
 
@@ -382,12 +383,11 @@ class Answer:
         """Draws and data for ArviZ: an ``InferenceData`` (ArviZ 0.x) or a ``DataTree`` (1.x)."""
         import xarray as xr
 
-        try:
+        with suppress(ImportError):
             import arviz
-        except ImportError:
-            return xr.DataTree.from_dict(self._groups())
-        if "InferenceData" in vars(arviz):
-            return arviz.InferenceData(**self._groups())
+
+            if "InferenceData" in vars(arviz):
+                return arviz.InferenceData(**self._groups())
         return xr.DataTree.from_dict(self._groups())
 
     def to_netcdf(self, path: Path | str) -> None:
@@ -403,9 +403,7 @@ class Answer:
         root = xr.Dataset(
             attrs={"terraphi_file": "answer", "answer": json.dumps(self.as_dict(), default=str)}
         )
-        tree = xr.DataTree.from_dict({"/": root, **self._groups()})
-        with atomic_write(Path(path)) as temporary:
-            tree.to_netcdf(temporary, engine="h5netcdf")
+        write_netcdf(xr.DataTree.from_dict({"/": root, **self._groups()}), Path(path))
 
     @classmethod
     def load(cls, path: Path | str) -> Answer:
@@ -416,57 +414,42 @@ class Answer:
         InputError
             If there is none, or it is not one of this version.
         """
-        import xarray as xr
-
         path = Path(path)
-        file = path / "answer.nc" if path.is_dir() else path
-        if not file.is_file():
-            raise InputError(
-                f"{file}: no such file; give an answer.nc or the folder of invert --out"
-            )
-        netcdf_kind(file)
-        try:
-            tree = xr.open_datatree(file, engine="h5netcdf")
-            return cls._of(_known(tree.attrs["answer"], str(file)), tree)
-        except InputError:
-            raise
-        except (KeyError, TypeError, ValueError, OSError) as error:
-            raise InputError(f"{file}: not an answer of this version; invert again") from error
-
-    @classmethod
-    def _of(cls, known: dict[str, Any], tree: Any) -> Answer:
-        def estimate(one: dict[str, Any]) -> Estimate:
-            return Estimate(one["median"], one["sd"], tuple(one["ci68"]), tuple(one["ci95"]))
-
-        constant, observed = tree["constant_data"], tree["observed_data"]
-        records = []
-        for i, one in enumerate(known["records"]):
-            expected = constant[f"expected_{i}"].values if f"expected_{i}" in constant else None
-            records.append(
-                RecordFit(
-                    **one,
-                    theta_deg=constant[f"theta_deg_{i}"].values,
-                    data=observed[f"force_{i}"].values,
-                    curve=constant[f"curve_{i}"].values,
+        path = path / "answer.nc" if path.is_dir() else path
+        with open_netcdf(path, AnswerAttributes, kind="answer", schema=None) as file:
+            known, at, records = file.attrs.answer, "constant_data/", []
+            for i, one in enumerate(known.records):
+                dims, expected = (len(one.nrmsd), f"theta_{i}"), None
+                if f"{at}expected_{i}" in file.variables:
+                    expected = file.numbers(f"{at}expected_{i}", *dims)
+                fit = RecordFit(
+                    **one.model_dump(),
+                    theta_deg=file.numbers(f"{at}theta_deg_{i}", dims[1]),
+                    data=file.numbers(f"observed_data/force_{i}", *dims),
+                    curve=file.numbers(f"{at}curve_{i}", *dims),
                     expected=expected,
-                    band=constant[f"band_{i}"].values,
+                    band=file.numbers(f"{at}band_{i}", 2, *dims),
                 )
+                records.append(fit)
+            drawn = known.parameters if known.diagnostics or len(known.parameters) > 1 else ()
+            draws = {key: file.numbers(f"posterior/{key}", "chain", "draw") for key in drawn}
+            grid, density = (file.numbers(at + name, "grid") for name in ("grid_deg", "density"))
+            if not (records and records[0].theta_deg.size and (draws or density.sum() > 0.0)):
+                raise ValueError("no records, or no posterior")
+            phi, plane = known.phi_deg, known.phi_plane_strain_deg
+            return cls(
+                parameters=known.parameters,
+                convention=phi.convention if phi else "",
+                phi_plane_strain=Estimate(**plane.model_dump(exclude={"convention"}))
+                if plane
+                else None,
+                questions=tuple(known.questions),
+                records=tuple(records),
+                grid_deg=grid,
+                density=density,
+                draws=draws,
+                **known.model_dump(include={*_STATED}),
             )
-        parameters = {key: estimate(one) for key, one in known["parameters"].items()}
-        drawn = known["diagnostics"] or len(parameters) > 1
-        draws = {key: tree["posterior"][key].values for key in parameters} if drawn else {}
-        phi, plane = known["phi_deg"], known["phi_plane_strain_deg"]
-        return cls(
-            parameters=parameters,
-            convention=phi["yield"] if phi else "",
-            phi_plane_strain=estimate(plane) if plane else None,
-            questions=tuple(known["questions"]),
-            records=tuple(records),
-            grid_deg=constant["grid_deg"].values,
-            density=constant["density"].values,
-            draws=draws,
-            **{name: known[name] for name in _STATED},
-        )
 
     def save(self, folder: Path | str) -> None:
         """Write ``answer.json``, ``answer.nc`` and ``answer.png`` into a folder, all or none.
@@ -483,36 +466,51 @@ class Answer:
             (place / "answer.json").write_text(text + "\n", encoding="utf-8")
 
 
-class StoredEstimate(BaseModel):
-    """An :class:`Estimate` in a file."""
+class StoredAngle(BaseModel, strict=True):
+    """A friction angle [deg] in some convention."""
 
     median: float
     sd: float = Field(0.0, ge=0.0)
     ci68: tuple[float, float]
     ci95: tuple[float, float]
-
-
-class StoredAngle(StoredEstimate):
-    """The friction angle in the convention of its library."""
-
     convention: str = Field("", alias="yield")
 
+    @model_validator(mode="after")
+    def _ordered(self) -> StoredAngle:
+        (low68, high68), (low95, high95) = self.ci68, self.ci95
+        if not 0.0 < low95 <= low68 <= self.median <= high68 <= high95 < 90.0:
+            raise ValueError("ci95, ci68 and median do not lie within each other, in 0 to 90 deg")
+        return self
 
-class StoredFit(BaseModel):
+
+class StoredFit(BaseModel, strict=True):
     """What :meth:`RecordFit.as_dict` wrote."""
 
     source: str
     leg: str = ""
-    nrmsd: dict[str, float] = {}
+    leg_assumed: bool = False
+    simulated: bool = False
+    n_readings: int = 0
+    n_left_out: int = 0
+    nrmsd: dict[Literal["Fx", "Fz", "M"], float] = {}
     shift_deg: float = 0.0
     limit: float | None = None
 
 
-class Stored(BaseModel):
+class StoredOpinion(BaseModel, strict=True):
+    """What a second library says of φ [deg]."""
+
+    library: str
+    median: float
+    sd: float
+    force_size_deg: float | None = None
+
+
+class Stored(BaseModel, strict=True):
     """Types of what :meth:`Answer.as_dict` wrote, as far as it is read back."""
 
     phi_deg: StoredAngle | None
-    phi_plane_strain_deg: StoredEstimate | None
+    phi_plane_strain_deg: StoredAngle | None
     phi_plane_strain_reason: str = ""
     verdict: Literal["consistent", "misfit", "out_of_range"]
     reason: str
@@ -525,27 +523,18 @@ class Stored(BaseModel):
     leg_friction: float | None = Field(None, ge=0.0, lt=10.0)
     seed: int | None = None
     budget_deg: dict[str, float] = {}
-    second_opinion: dict[str, Any] | None = None
+    second_opinion: StoredOpinion | None = None
     questions: list[str] = []
     records: list[StoredFit] = []
-    parameters: dict[str, StoredEstimate] = {}
+    parameters: dict[str, Estimate] = {}
     diagnostics: dict[str, dict[str, float]] = {}
     provenance: dict[str, Any] = {}
 
 
-def _known(text: Any, source: str) -> dict[str, Any]:
-    """Parse the JSON of an answer; raises InputError if it is none, or of other types."""
-    try:
-        known = json_object(text)
-        Stored.model_validate_json(text, strict=True)
-    except ValidationError as error:
-        what = sentence_from_validation(error, source, Stored)
-        raise InputError(f"{what}; invert again") from error
-    except ValueError as error:
-        raise InputError(
-            f"{source}: not an answer of 'terraphi invert --out' or --json; invert again"
-        ) from error
-    return known
+class AnswerAttributes(BaseModel):
+    """Attributes of an answer's file."""
+
+    answer: Json[Stored]
 
 
 class StoredAnswer(NamedTuple):
@@ -578,4 +567,6 @@ def read_answer(path: Path | str) -> StoredAnswer:
         found = Answer.load(path)
         draws = found.phi_draws() if PHI in found.parameters else np.zeros(0)
         return StoredAnswer(str(path), found.as_dict(), draws)
-    return StoredAnswer(str(path), _known(read_bytes(path), str(path)), np.zeros(0))
+    text = read_bytes(path)
+    parse_json(text, Stored, str(path))
+    return StoredAnswer(str(path), json.loads(text), np.zeros(0))

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import io
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from terraphi.experiment.errors import InputError, nearest
-from terraphi.experiment.files import read_bytes
-from terraphi.experiment.tables import decoded, unquoted
+from terraphi.experiment.tables import read_cells
 from terraphi.experiment.workers import workers
 from terraphi.inference import COLUMNS
 from terraphi.inference.answer import Answer
@@ -36,32 +34,19 @@ def read_manifest(path: Path) -> list[dict[str, Any]]:
     InputError
         With everything that is wrong with it.
     """
-    import pandas as pd
-
-    text = decoded(path, read_bytes(path))
-    separator = next((sign for sign in "\t;" if sign in text.partition("\n")[0]), ",")
-    try:
-        table = pd.read_csv(
-            io.StringIO(text), sep=separator, dtype=str, keep_default_na=False,
-            skipinitialspace=True, index_col=False,
-        ).fillna("")  # fmt: skip
-    except ValueError as error:
-        raise InputError(f"{path}: not a table ({' '.join(str(error).split())})") from error
-    table.columns = [unquoted(str(name).strip()) for name in table.columns]
+    table, _ = read_cells(path)
+    rows = [*table.values()]
+    names = [*rows[0]] if rows else ["file"]
     known = ("file", *OPTIONS)
-    wrong = [] if "file" in table else ["no column 'file'"]
-    for name in [str(name) for name in table.columns if name not in known]:
+    wrong = [] if "file" in names else ["no column 'file'"]
+    for name in (name for name in names if name not in known):
         hint = nearest(name, known)
         if hint.startswith("did"):
             wrong.append(f"unknown column '{name}'; {hint}")
-    rows = [
-        {key: unquoted(str(cell).strip()) for key, cell in one.items()}
-        for one in table.to_dict("records")
-    ]
     wrong += [f"row {i} names no file" for i, one in enumerate(rows, 1) if not one.get("file", "-")]
     if not rows:
         wrong.append("no rows")
-    wrong += [f"column '{name}' is one of the answers'; rename it" for name in table.columns
+    wrong += [f"column '{name}' is one of the answers'; rename it" for name in names
               if name in COLUMNS and name not in known]  # fmt: skip
     if wrong:
         raise InputError(f"{path}: {'; '.join(wrong)}; expected {','.join(known)}")

@@ -27,11 +27,11 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.documents import Strict, parse_toml
-from terraphi.experiment.errors import InputError, sentence_from_validation
+from terraphi.experiment.documents import Strict, parse_toml, strictly
+from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import atomic_write
 from terraphi.experiment.outputs import SIGNATURE
 from terraphi.library.store import Library
@@ -94,11 +94,8 @@ def model_error(library: Library, leg: str, media: Iterable[str] = ()) -> ModelE
     media
         Shipped media that it must not be learned from; the first of them counts.
     """
-    try:
-        found = ModelError.model_validate(library.model_error.get(leg, {}))
-    except ValidationError as error:
-        where = f"library {library.name}, model_error.{leg}"
-        raise InputError(sentence_from_validation(error, where, ModelError)) from error
+    where = f"library {library.name}, model_error.{leg}"
+    found = strictly(library.model_error.get(leg, {}), ModelError, where)
     return next((found.without[medium] for medium in media if medium in found.without), found)
 
 

@@ -8,14 +8,15 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
+from pydantic import BaseModel, Json
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import located, shipped_names
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import json_object, open_netcdf, positions, write_netcdf
+from terraphi.experiment.files import open_netcdf, positions, write_netcdf
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.scenario import Scenario
 
@@ -32,6 +33,17 @@ ARM_DEG = 2.0
 """Width over which lever arms are smoothed [deg]."""
 THETA_DEG = np.arange(-90.0, 91.0)
 """Leg angles [deg] of the curves that inference uses: means over 1° about whole degrees."""
+
+
+class LibraryAttributes(BaseModel):
+    """Attributes of a library's file."""
+
+    name: str
+    description: str = ""
+    caveat: str = ""
+    coordinate: Literal["theta", "displacement", "time"]
+    model_error: Json[dict[str, dict[str, Any]]] = {}
+    provenance: Json[dict[str, Any]] = {}
 
 
 class Case(NamedTuple):
@@ -360,58 +372,48 @@ class Library:
                 f"library of type {type(source).__name__}; give a Library, a shipped name or a file"
             )
         path = located(source, "libraries", ".nc")
-        data = open_netcdf(path, kind="library", schema=SCHEMA)
-        try:
-            return cls._of(data)
-        except (KeyError, TypeError, ValueError) as error:
-            reason = str(error).splitlines()[0]
-            raise InputError(
-                f"{path}: not a library as this version writes it ({reason}); build it again"
-            ) from error
+        with open_netcdf(path, LibraryAttributes, kind="library", schema=SCHEMA) as file:
+            return cls._of(file)
 
     @classmethod
-    def _of(cls, data: Any) -> Library:
-        """A library from an open file."""
-        attrs, coordinate = data.attrs, str(data.attrs["coordinate"])
-        names = set(data.data_vars)
-        axes = tuple(axis for axis in "xyz" if f"F{axis}" in names)
-        force = np.stack([data[f"F{a}"].values.astype(np.float64) for a in axes], axis=2)
-        moment = data["M"].values.astype(np.float64) if "M" in names else None
-        where = positions(data)
+    def _of(cls, file: Any) -> Library:
+        """A library from an open file; raises ValueError if it is not whole."""
+        attrs, names = file.attrs, file.data_vars
+        axes = ("x", "y", "z") if "Fy" in names else ("x", "z")
+        where = positions(file, attrs.coordinate)
+        values = {n: file.numbers(n, "case", "position", finite=False) for n in names
+                  if n in ("Fx", "Fy", "Fz", "M")}  # fmt: skip
+        force, moment = np.stack([values[f"F{a}"] for a in axes], axis=2), values.get("M")
         cases: list[Case] = []
         replicates: list[Case] = []
-        again = data["replicate"].values if "replicate" in data else np.zeros(len(force))
-        for i, failure in enumerate(map(str, data["failure"].values)):
-            scenario = Scenario.model_validate_json(str(data["scenario"].values[i]))
-            known = json_object(str(data["provenance"].values[i]))
+        again = file.numbers("replicate", "case")
+        texts = (file.texts(name, "case") for name in ("failure", "scenario", "provenance"))
+        for i, (failure, scenario_json, provenance) in enumerate(zip(*texts, strict=True)):
+            scenario, known = Scenario.model_validate_json(scenario_json), json.loads(provenance)
             history = None
             if not failure:
                 turned = None if moment is None or np.isnan(moment[i]).any() else moment[i]
-                history = ForceHistory(where, force[i], coordinate, axes, known, moment=turned)
+                of = (where, force[i], attrs.coordinate, axes, {**known}, turned)
+                history = ForceHistory(*of)
             case = Case(scenario, history, failure)
             (replicates if again[i] else cases).append(case)
+        if not any(case.history for case in cases):
+            raise ValueError("no simulation in it succeeded")
         corrections = {}
-        for leg in sorted(
-            n.removeprefix("correction_") for n in names if n.startswith("correction_")
-        ):
-            start = f"modes_{leg}_"
-            modes = {n[len(start) :]: data[n].values for n in sorted(names) if n.startswith(start)}
+        for name in sorted(n for n in names if n.startswith("correction_")):
+            leg = name.removeprefix("correction_")
+            dims, start = (f"{leg}_phi_deg", 2, "correction_theta_deg"), f"modes_{leg}_"
             corrections[leg] = Correction(
-                data[f"{leg}_phi_deg"].values,
-                data["correction_theta_deg"].values,
-                data[f"correction_{leg}"].values.astype(np.float64),
-                {cause: mode.astype(np.float64) for cause, mode in modes.items()},
-            )
+                file.numbers(f"{leg}_phi_deg", dims[0]),
+                file.numbers("correction_theta_deg", dims[2]),
+                file.numbers(name, *dims),
+                {n[len(start) :]: file.numbers(n, n, *dims) for n in sorted(names)
+                 if n.startswith(start)},
+            )  # fmt: skip
         return cls(
-            str(attrs["name"]),
-            tuple(cases),
-            str(attrs.get("description", "")),
-            str(attrs.get("caveat", "")),
-            tuple(replicates),
-            corrections,
-            json_object(attrs.get("model_error", "{}")),
-            json_object(attrs.get("provenance", "{}")),
-        )
+            attrs.name, tuple(cases), attrs.description, attrs.caveat, tuple(replicates),
+            corrections, attrs.model_error, attrs.provenance,
+        )  # fmt: skip
 
 
 def _moved(case: Case, leg: str) -> bool:

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import BaseModel, Field, Json
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import atomic_write, open_netcdf, write_netcdf
 from terraphi.experiment.outputs import SIGNATURE
 from terraphi.experiment.tables import write_csv
@@ -40,8 +40,15 @@ COLUMNS = {
     "path_absolute_sd_deg": ("path_absolute_sd", None, "degree", "standard deviation, absolute"),
 }
 """Variable of a file to the field of a map that it holds, the column in it, unit and meaning."""
-TEXTS = {"shared": "shared", "by_law_deg": "by_law", "notes": "notes", "provenance": "provenance"}
-"""Attribute of a file to the field that it holds as JSON."""
+
+
+class FootfallAttributes(BaseModel):
+    """Attributes of a file of footfalls: fields of a map, as JSON."""
+
+    shared: Json[dict[str, Any]]
+    by_law: Json[dict[str, float]] = Field(alias="by_law_deg")
+    notes: Json[tuple[str, ...]]
+    provenance: Json[dict[str, Any]]
 
 
 def _numbers(values: Any, digits: int = 4) -> list[float | None]:
@@ -130,7 +137,10 @@ def write_footfalls(found: FootfallMap, path: Path) -> tuple[Path, ...]:
     variables["absolute_sd_deg"] = ("footfall", absolute, about_it)
     variables["foot"] = ("footfall", np.array(found.foot, dtype="U2"))
     variables["verdict"] = ("footfall", np.array(found.verdict, dtype="U24"))
-    texts = {name: json.dumps(getattr(found, field)) for name, field in TEXTS.items()}
+    texts = {
+        known.alias or field: json.dumps(getattr(found, field))
+        for field, known in FootfallAttributes.model_fields.items()
+    }
     attributes = {"terraphi_file": KIND, "terraphi_schema": SCHEMA, **texts}
     names = path, path.with_suffix(".geojson"), path.with_suffix(".csv")
     write_netcdf(xr.Dataset(variables, attrs=attributes).set_coords("s_m"), path)
@@ -143,24 +153,25 @@ def write_footfalls(found: FootfallMap, path: Path) -> tuple[Path, ...]:
 
 def read_footfalls(path: Path) -> FootfallMap:
     """Read a file of :func:`write_footfalls`; raises InputError if it is not whole."""
-    data = open_netcdf(path, kind=KIND, schema=SCHEMA)
-    try:
+    with open_netcdf(path, FootfallAttributes, kind=KIND, schema=SCHEMA) as file:
         columns: dict[str, list[FloatArray]] = {}
         for name, (field, *_) in COLUMNS.items():
-            columns.setdefault(field, []).append(data[name].values)
+            over = "point" if field.startswith("path") else "footfall"
+            values = file.numbers(name, over, finite=field in ("time", "place", "path"))
+            columns.setdefault(field, []).append(values)
         fields: dict[str, Any] = {
             field: np.column_stack(each) if len(each) > 1 else each[0]
             for field, each in columns.items()
         }
-        fields |= {f: json.loads(data.attrs[name]) for name, f in TEXTS.items()}
-        fields |= {name: tuple(map(str, data[name].values)) for name in ("foot", "verdict")}
-        fields["notes"] = tuple(fields["notes"])
-        if unknown := set(fields["verdict"]) - set(VERDICTS):
+        fields |= dict(file.attrs)
+        fields |= {name: file.texts(name, "footfall") for name in ("foot", "verdict")}
+        walk = FootfallMap(**fields)
+        if unknown := set(walk.verdict) - set(VERDICTS):
             raise ValueError(f"verdict {unknown.pop()!r}")
-    except (KeyError, TypeError, ValueError) as error:
-        why = f"{path}: not as terraphi writes footfalls ({error}); make it again"
-        raise InputError(why) from error
-    return FootfallMap(**fields)
+        known = np.stack([walk.phi, walk.sd, walk.shared_sd], axis=1)[walk.usable]
+        if not np.isfinite(known).all() or (known.size and not np.isfinite(walk.path_phi).all()):
+            raise ValueError("a usable footfall has no phi_deg")
+        return walk
 
 
 def _geojson(found: FootfallMap) -> dict[str, Any]:

@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from pydantic import BaseModel, Json
 
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import write_netcdf
+from terraphi.experiment.files import NetcdfFile, write_netcdf
 from terraphi.robot.checks import balance, check
 from terraphi.robot.estimators import Estimator
 from terraphi.robot.forces import DEFAULT_ESTIMATOR, FootForces, Frame, estimate
@@ -148,6 +149,28 @@ class RobotForces:
         return f"<pre>{html.escape(repr(self))}</pre>{table.to_html(float_format='{:.3g}'.format)}"
 
 
+Figures = dict[str, float | None]
+"""Main numbers of a mean stance in a summary."""
+
+
+class ForcesSummary(BaseModel, strict=True):
+    """Those entries of :meth:`RobotForces.summary` that a report shows."""
+
+    feet: dict[str, Figures]
+    pooled: Figures
+    duration_s: float
+    estimator: str
+    frame: str
+    notes: list[str]
+
+
+class ForcesAttributes(BaseModel):
+    """Attributes of a file of foot forces."""
+
+    summary: Json[ForcesSummary]
+    provenance: Json[dict[str, Any]]
+
+
 def foot_forces(
     log: Path | str | JointLog,
     *,
@@ -280,6 +303,13 @@ def _notes(
     elif len(walked) < len(FEET):
         notes.append(f"no stances of {', '.join(foot for foot in FEET if foot not in walked)}")
     return notes
+
+
+def as_file(result: RobotForces) -> NetcdfFile[ForcesAttributes]:
+    """Forces as a file of them holds them, without writing one."""
+    data = dataset_of(result)
+    variables = {str(name): one.values for name, one in data.variables.items()}
+    return NetcdfFile(ForcesAttributes.model_validate(data.attrs), variables, [])
 
 
 def dataset_of(result: RobotForces) -> Any:

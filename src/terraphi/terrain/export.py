@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ValidationError, model_validator
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.errors import GUESSED, InputError, nearest, sentence_from_validation
+from terraphi.experiment.errors import GUESSED, InputError, nearest
 from terraphi.experiment.files import atomic_write
 from terraphi.experiment.outputs import SIGNATURE, changed, check_file
 from terraphi.experiment.soil import cone_slope
@@ -45,28 +44,6 @@ SINKAGE, DOWN = 0.02, 0.5 * np.pi
 """Of the plate [m], in which the law is linear; and its direction of motion [rad]."""
 JANOSI = (0.010, 0.025)
 """Janosi's K of sand, from firm to loose [m] (Wong, 2008, Theory of Ground Vehicles)."""
-
-
-class Angle(BaseModel):
-    """Median and intervals of a friction angle [deg] in an answer."""
-
-    median: float
-    ci68: tuple[float, float]
-    ci95: tuple[float, float]
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Angle:
-        (low68, high68), (low95, high95) = self.ci68, self.ci95
-        if not 0.0 < low95 <= low68 <= self.median <= high68 <= high95 < 90.0:
-            raise ValueError("ci95, ci68 and median do not lie within each other, in 0 to 90 deg")
-        return self
-
-
-class Angles(BaseModel):
-    """The friction angle in the convention of the library, and as in plane strain."""
-
-    phi_deg: Angle
-    phi_plane_strain_deg: Angle
 
 
 def export(
@@ -161,7 +138,7 @@ def _parameters(
 ) -> dict[str, Any]:
     """What :func:`export` returns."""
     answer = read.answer
-    if answer["phi_plane_strain_deg"] is None:
+    if None in (answer[name] for name in ANGLES):
         reason = answer.get("phi_plane_strain_reason") or "it was not inferred"
         raise InputError(f"{read.source}: no friction angle in plane strain: {reason}")
     _check(read)
@@ -177,54 +154,49 @@ def _parameters(
         there = every[np.isfinite(every)]
         lost = 1.0 - there.size / every.size
         chosen = np.random.default_rng(seed).choice(there, draws, replace=draws > there.size)
-    try:
-        phi = dict(answer["phi_plane_strain_deg"])
-        density, assumed = answer["density_kg_m3"], answer.get("density_assumed", True)
-        records = [one["source"] for one in answer.get("records", ())]
-        inferred = answer.get("parameters", {}).get("leg.friction")
-        friction = inferred["median"] if inferred else answer.get("leg_friction")
-        values = _summary(lambda angle: to.from_angle(angle, match), phi, chosen)
-        found = {
-            "made": f"{SIGNATURE} {importlib.metadata.version('terraphi')}",
-            "caution": caution,
-            "to": to.name,
-            "title": to.title,
-            "parameter": to.parameter,
-            "unit": to.unit,
-            "meaning": to.law.meaning,
-            "formula": to.law.formula,
-            "dp_type": to.dp_type,
-            "matched": match,
-            "value": values.pop("median"),
-            **values,
-            "draws_go_to": to.draws_go_to,
-            "draws_without_equivalent": lost,
-            "phi_plane_strain_deg": phi,
-            "density_kg_m3": float(density),
-            "density_assumed": assumed,
-            "leg_friction_assumed": friction,
-            "dilation_deg": 0.0,
-            "cohesion_Pa": 0.0,
-            "not_inferred": to.not_inferred,
-            "source": {
-                "answer": read.source,
-                "record": answer.get("source") or ", ".join(records),
-                "library": answer["library"],
-                "verdict": answer["verdict"],
-                "draws_seed": seed,
-                "provenance": answer.get("provenance", {}),
-            },
-        }
-        if to.name == "chrono-scm":
-            found |= bekker(phi, chosen, float(density), seed=seed)
-        if to.name == "rft3d":
-            about = "[N/m³] ξ_n, which all stresses per depth are proportional to"
-            scale = _summary(lambda a: float(stress_scale(to.from_angle(a), density)), phi, chosen)
-            found["XI_N"] = {**scale, "about": about}
-    except (AttributeError, KeyError, TypeError) as error:
-        raise InputError(
-            f"{read.source}: not as 'terraphi invert' writes it ({error!r}); make it again"
-        ) from error
+    phi = dict(answer["phi_plane_strain_deg"])
+    density, assumed = answer["density_kg_m3"], answer.get("density_assumed", True)
+    records = [one["source"] for one in answer.get("records", ())]
+    inferred = answer.get("parameters", {}).get("leg.friction")
+    friction = inferred["median"] if inferred else answer.get("leg_friction")
+    values = _summary(lambda angle: to.from_angle(angle, match), phi, chosen)
+    found = {
+        "made": f"{SIGNATURE} {importlib.metadata.version('terraphi')}",
+        "caution": caution,
+        "to": to.name,
+        "title": to.title,
+        "parameter": to.parameter,
+        "unit": to.unit,
+        "meaning": to.law.meaning,
+        "formula": to.law.formula,
+        "dp_type": to.dp_type,
+        "matched": match,
+        "value": values.pop("median"),
+        **values,
+        "draws_go_to": to.draws_go_to,
+        "draws_without_equivalent": lost,
+        "phi_plane_strain_deg": phi,
+        "density_kg_m3": float(density),
+        "density_assumed": assumed,
+        "leg_friction_assumed": friction,
+        "dilation_deg": 0.0,
+        "cohesion_Pa": 0.0,
+        "not_inferred": to.not_inferred,
+        "source": {
+            "answer": read.source,
+            "record": answer.get("source") or ", ".join(records),
+            "library": answer["library"],
+            "verdict": answer["verdict"],
+            "draws_seed": seed,
+            "provenance": answer.get("provenance", {}),
+        },
+    }
+    if to.name == "chrono-scm":
+        found |= bekker(phi, chosen, float(density), seed=seed)
+    if to.name == "rft3d":
+        about = "[N/m³] ξ_n, which all stresses per depth are proportional to"
+        scale = _summary(lambda a: float(stress_scale(to.from_angle(a), density)), phi, chosen)
+        found["XI_N"] = {**scale, "about": about}
     return found
 
 
@@ -283,17 +255,13 @@ def _summary(
 
 def _check(read: StoredAnswer) -> None:
     """Refuse medians and intervals that do not belong together, as of an answer edited by hand."""
-    try:
-        phi, plane = (getattr(Angles.model_validate(read.answer), name) for name in ANGLES)
-    except ValidationError as error:
-        raise InputError(sentence_from_validation(error, read.source, Angles)) from error
-    own = [phi.median, *phi.ci68, *phi.ci95]
-    expected = _to_plane_strain(read, np.array(own))
-    given = np.array([plane.median, *plane.ci68, *plane.ci95])
+    angles = (read.answer[name] for name in ANGLES)
+    own, given = (np.array([one["median"], *one["ci68"], *one["ci95"]]) for one in angles)
+    expected = _to_plane_strain(read, own)
     if read.answer["phi_deg"].get("yield") in EXACT and not np.allclose(
         expected, given, rtol=0.0, atol=AGREEMENT_DEG
     ):
-        pair = f"phi_deg {phi.median:.1f} is {expected[0]:.1f} in plane strain"
+        pair = f"phi_deg {own[0]:.1f} is {expected[0]:.1f} in plane strain"
         raise InputError(f"{read.source}: {pair}, found {given[0]:.1f}; invert again")
 
 

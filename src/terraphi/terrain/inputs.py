@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import os
 import re
 import warnings
@@ -18,7 +17,8 @@ from numpy.typing import NDArray
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.budget import CELLS
 from terraphi.experiment.errors import InputError, nearest, needing
-from terraphi.experiment.files import check_is_file, plain_number, read_bytes
+from terraphi.experiment.files import check_is_file, plain_number
+from terraphi.experiment.tables import read_cells
 from terraphi.terrain.simulators import LEAST_DEG
 
 Float32 = NDArray[np.float32]
@@ -285,28 +285,16 @@ def _csv(path: Path, dem: Elevation) -> pd.DataFrame:
     """Table of a CSV, its rows named by their lines."""
     import rasterio
 
-    content = read_bytes(path)
-    try:
-        text = content.decode("utf-8-sig")
-        with warnings.catch_warnings():
-            # Pandas would silently drop the end of a row that is too long.
-            warnings.simplefilter("error", pd.errors.ParserWarning)
-            table = pd.read_csv(
-                io.StringIO(text), comment="#", skipinitialspace=True, index_col=False
-            )
-    except (ValueError, pd.errors.ParserWarning) as error:
-        raise InputError(f"{path}: not a CSV of points ({error})") from error
+    rows, comments = read_cells(path)
+    table = pd.DataFrame.from_dict(rows, orient="index")
     table = table.rename(columns={"relative_sd_deg": "sd_deg"})  # of footfalls
-    lines = text.splitlines()
-    rows = [i + 1 for i, line in enumerate(lines) if line.strip() and not line.startswith("#")]
-    table.index = pd.Index([f"line {row}" for row in rows[1:]])
     for name in table:
         if name not in COLUMNS and "verdict" not in table:
             raise InputError(f"{path}: unknown column '{name}'; {nearest(str(name), COLUMNS)}")
     for name in COLUMNS:
         if name not in table and name != SHARED:
             raise InputError(f"{path}: no column '{name}'; expected {','.join(COLUMNS)}")
-    for crs in re.findall(r"^#\s*crs:\s*(.*)", text, re.MULTILINE)[:1]:
+    for crs in re.findall(r"^#\s*crs:\s*(.*)", "\n".join(comments), re.MULTILINE)[:1]:
         try:
             # Other notations may be addresses, which GDAL would open.
             local = re.match(r"EPSG:\d+$|\+proj=|(PROJ|GEOG|GEOD|BOUND|COMPD)\w*\[", crs, re.I)

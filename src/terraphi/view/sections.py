@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from terraphi.experiment.documents import parse_json
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import json_object, netcdf_kind, open_netcdf, read_bytes
+from terraphi.experiment.files import netcdf_kind, open_netcdf, read_bytes
 from terraphi.experiment.history import CHANNEL_UNITS, ForceHistory
 from terraphi.experiment.measurements import scenario_of
 from terraphi.experiment.outputs import changed
@@ -162,8 +163,9 @@ def _of_file(source: Path | str, kind: str, robot: str) -> Section:
     from terraphi.robot import results
 
     if kind == "foot forces":
-        data = open_netcdf(path, kind=results.KIND, schema=results.SCHEMA)
-        return of_foot_forces(data, path.name)
+        attributes, schema = results.ForcesAttributes, results.SCHEMA
+        with open_netcdf(path, attributes, kind=results.KIND, schema=schema) as file:
+            return of_foot_forces(file, path.name)
     return of_foot_forces(results.foot_forces(path, robot=robot), path.name)
 
 
@@ -328,18 +330,18 @@ def position_label(history: ForceHistory) -> str:
 
 def of_foot_forces(found: Any, name: str = "foot forces") -> Section:
     """Foot forces over time with the stances, and the mean stance, from memory or a file."""
-    from terraphi.robot.results import RobotForces, dataset_of
+    from terraphi.robot.joint_log import FEET
+    from terraphi.robot.results import RobotForces, as_file
     from terraphi.view.robot_plots import FOOT_NAMES, feet_table
 
-    data = dataset_of(found) if isinstance(found, RobotForces) else found
-    summary = json_object(data.attrs["summary"])
-    time, force = data["time"].values, data["force"].values
-    begins = data["stance_begin"].values
+    file = as_file(found) if isinstance(found, RobotForces) else found
+    summary = file.attrs.summary
+    time, force = file.numbers("time", "time"), file.numbers("force", "time", 4, 3, finite=False)
+    begins = file.numbers("stance_begin", "stance")
     start = max(float(begins.min()) - 0.1 if len(begins) else time[0], time[0])
     shown = (time >= start) & (time <= start + SHOWN_S)
-    parts: list[Plot | Picture | Table] = [feet_table(summary, "Mean stances")]
-    feet = list(map(str, data["foot"].values))
-    for i, foot in enumerate(feet):
+    parts: list[Plot | Picture | Table] = [feet_table(summary.model_dump(), "Mean stances")]
+    for i, foot in enumerate(FEET):
         traces = [
             line(time[shown], force[shown, i, k], axis, colour)
             for axis, k, colour in (("Fz", 2, BLUE), ("Fx", 0, ORANGE))
@@ -347,8 +349,9 @@ def of_foot_forces(found: Any, name: str = "foot forces") -> Section:
         title = f"{FOOT_NAMES[foot].capitalize()} foot, {SHOWN_S:g} s from the first stance"
         parts.append(Plot(title, traces, axes("time [s]", "force [N]")))
     if len(begins):
-        part, mean = data["part"].values, data["pooled_mean"].values
-        spread, each = data["pooled_spread"].values, data["stance_mean"].values
+        part, mean = file.numbers("part", "part"), file.numbers("pooled_mean", "part", 3)
+        spread = file.numbers("pooled_spread", "part", 3)
+        each = file.numbers("stance_mean", 4, "part", 3, finite=False)
         for axis, k in (("Fz", 2), ("Fx", 0)):
             low, high = mean[:, k] - spread[:, k], mean[:, k] + spread[:, k]
             traces = [
@@ -358,18 +361,18 @@ def of_foot_forces(found: Any, name: str = "foot forces") -> Section:
             colours = (BLUE, ORANGE, GREEN, PURPLE)
             traces += [
                 line(part, one[:, k], foot, colour)
-                for foot, one, colour in zip(feet, each, colours, strict=True)
+                for foot, one, colour in zip(FEET, each, colours, strict=True)
                 if np.isfinite(one).any()
             ]
             layout = axes("part of the stance [-]", FORCES[axis])
             parts.append(Plot(f"Mean stance, {axis}", traces, layout))
-    pooled = summary["pooled"]
-    headline = f"{pooled['stances']} stances in {summary['duration_s']:.0f} s"
+    pooled = summary.pooled
+    headline = f"{pooled['stances']:.0f} stances in {summary.duration_s:.0f} s"
     if pooled["stances"]:
         headline += f", mean peak lift {pooled['mean_peak_Fz_N']:.0f} N"
-    lines = [f"{summary['estimator'].replace('_', ' ')}, frame: {summary['frame']}"]
-    lines += [f"{capital(note)}." for note in summary["notes"]]
-    origin = pairs(json_object(data.attrs["provenance"]))
+    lines = [f"{summary.estimator.replace('_', ' ')}, frame: {summary.frame}"]
+    lines += [f"{capital(note)}." for note in summary.notes]
+    origin = pairs(file.attrs.provenance)
     return Section("foot forces", name, headline, lines, parts, origin)
 
 
@@ -418,15 +421,13 @@ def of_footfalls(found: FootfallMap, name: str = "footfalls") -> Section:
 
 def of_map(folder: Path) -> Section:
     """Sentences and picture of a slope map."""
+    from terraphi.terrain.map import SUMMARY, Summary
     from terraphi.terrain.map import in_words as sentences
 
-    try:
-        summary = json_object(read_bytes(folder / "map.json"))
-        first, headline, *lines = sentences(summary)
-        lines = [*filter(None, [changed(folder)]), *lines]
-        image = base64.b64encode(read_bytes(folder / "map.png")).decode("ascii")
-    except (KeyError, OSError, ValueError) as error:
-        raise InputError(f"{folder}: not a whole folder of 'terraphi map'") from error
+    summary = parse_json(read_bytes(folder / SUMMARY), Summary, str(folder / SUMMARY)).model_dump()
+    first, headline, *lines = sentences(summary)
+    lines = [*filter(None, [changed(folder)]), *lines]
+    image = base64.b64encode(read_bytes(folder / "map.png")).decode("ascii")
     picture = Picture("Maps", f"data:image/png;base64,{image}")
     name = folder.resolve().name
     return Section("slope map", name, headline, [first, *lines], [picture], pairs(summary))

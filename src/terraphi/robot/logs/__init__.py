@@ -78,12 +78,9 @@ def read_log(
     for name, value in useless.items():
         if value is not None:
             raise InputError(f"{path}: has no use for {name}; leave the {name} out")
-    try:
-        if bag:
-            return read_bag(path, topic, joint_names, motors)
-        values = read_columns(path, named, motors)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+    if bag:
+        return read_bag(path, topic, joint_names, motors)
+    values = read_columns(path, named, motors)
     kind = "parquet" if path.suffix == ".parquet" else "csv"
     facts: dict[str, Any] = {"notes": [], "format": kind, "topic": None}
     return joint_log(path, values, "time_s", Counter(), facts)

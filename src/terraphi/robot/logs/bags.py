@@ -247,9 +247,7 @@ def read_bag(
                 values = low_states(raw(name), motors, dropped)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    except (OSError, MemoryError):
-        raise
-    except Exception as error:  # damage raises errors of rosbags, of databases, of decompressors
+    except Exception as error:  # of rosbags, databases, decompressors; MemoryError by a length
         why = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{path}: not a whole bag ({why}); copy or record it again") from error
     finally:

@@ -144,7 +144,7 @@ def _table(path: Path) -> Any:
     try:
         with needing(f"{path}: reading Parquet", "the package pyarrow", extra="parquet"):
             table = pd.read_parquet(path)
-    except ValueError as error:  # pandas' own errors are among them
+    except (OSError, ValueError) as error:  # pandas' own errors are among them
         why = " ".join(str(error).split())
         raise InputError(f"{path}: cannot be read as a table ({why}); copy it again") from error
     return table_of(table).frame
