@@ -195,10 +195,10 @@ def test_a_table_of_records_is_inverted_as_each_alone(
 
 def test_no_cell_of_answers_is_a_formula(terraphi: Terraphi, tmp_path: Path) -> None:
     shown = {"=1+1": "=cmd|'/C calc'!A0", "@b": "-3.5", "+c": "+1", "d": "-2+3", "e": "\u202e=x"}
-    package.measurement("li2013:yuma/c").history.to_csv(tmp_path / "=f\n.csv")
+    package.measurement("li2013:yuma/c").history.to_csv(tmp_path / "=f\u202e.csv")
     with (tmp_path / "day.csv").open("w", newline="", encoding="utf-8") as stream:
         csv.writer(stream).writerows(
-            [["file", *shown], ["=f\n.csv", *shown.values()], ["no.csv", *["\t=y"] * 5]]
+            [["file", *shown], ["=f\u202e.csv", *shown.values()], ["no.csv", *["\t=y"] * 5]]
         )
     ran = terraphi("invert", "--table", "day.csv", *QUICK, "--out", "answers.csv")
     assert ran.status == 1, ran.err
@@ -207,7 +207,7 @@ def test_no_cell_of_answers_is_a_formula(terraphi: Terraphi, tmp_path: Path) -> 
     for cell in (*header, *first, *second):
         assert "\u202e" not in cell
         assert cell.lstrip()[:1] not in {*"=+-@"} or float(cell) < 2.0
-    assert first[0] == r"'=f\n.csv"
+    assert first[0] == r"'=f\u202e.csv"
     kept = dict(zip(header, first, strict=True))
     assert (kept["'@b"], kept["'+c"], kept["d"]) == ("-3.5", "+1", "'-2+3")
     # Read back, the names and cells are those that were there.

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from terraphi.experiment.documents import shipped_file, shipped_names, strictly
-from terraphi.experiment.errors import InputError, nearest, printable
+from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import is_there
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.reading import read_forces, read_trials
@@ -155,7 +155,7 @@ def open_forces(source: str | Path, columns: Any = None) -> list[Measurement]:
         histories = [ForceHistory.from_netcdf(path)]
     else:
         histories = read_trials(path, columns)
-    name = "standard input" if text == "-" else printable(text)
+    name = "standard input" if text == "-" else text
     return [
         measurement_of(one, name if len(histories) == 1 else f"{name}, stroke {i}")
         for i, one in enumerate(histories, start=1)
