@@ -78,7 +78,7 @@ def baseline(
     group = np.where(still, 1e3, 0.0) + np.floor(theta_deg / STRETCH_DEG)
     first = np.flatnonzero(np.append(True, (np.diff(group) != 0.0) | np.diff(air)))
     size = np.diff([*first, count])
-    in_air, span = air[first], np.ptp(values, axis=0)
+    in_air, span = air[first], np.maximum(np.ptp(values, axis=0), 1e-12)
     time, theta = np.linspace(0.0, 1.0, count), np.radians(theta_deg)
     design = np.stack([time**0, time, np.sin(theta), np.cos(theta)], axis=1)
     known = (np.add.reduceat(design, first) / size[:, None])[in_air]
