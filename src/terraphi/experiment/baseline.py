@@ -25,6 +25,9 @@ REST_DEG, FEWEST_ROWS, LONGER = 0.5, 10, 5.0
 that moving takes [-]."""
 STRETCH_DEG = 5.0
 """Path in air that counts as one reading [deg]."""
+FEWEST_STRETCHES = 3
+"""Stretches in air that tare a record without a rest: in fewer a slow rise of the forces of another
+leg, or of a wrong angle, passes for a zero."""
 UNEXPLAINED, SCATTER = 0.015, 0.005
 """Force of good records in air, and its standard deviation there, of peak-to-peak [-]: up to 0.016
 and 0.008 in the shipped ones of straight legs."""
@@ -102,7 +105,9 @@ def baseline(
             best, least, solved = terms, criterion, weights @ read * span
     found = design[:, best] @ solved
     size = np.sqrt(np.square(known[:, best] @ solved / span).mean(axis=0))
-    if not (np.isfinite(least) and (rests or size.max() > OFFSET)):
+    if not (
+        np.isfinite(least) and (rests or (len(read) >= FEWEST_STRETCHES and size.max() > OFFSET))
+    ):
         return Baseline(np.zeros_like(values), [])
     every = np.zeros((design.shape[1], len(span)))
     every[best] = solved
