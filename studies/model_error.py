@@ -180,7 +180,7 @@ def read(library: Library, record: Record) -> tuple[float, float, float, np.ndar
     share = (record.data - curve) / np.ptp(curve, axis=1)[:, None]
     rows = np.stack([np.interp(THETA_DEG, record.theta_deg, row) for row in share])
     return (
-        float(best[0]), float(likelihood.shift_deg[0]), log_strength(likelihood, record), rows,
+        float(best[0]), float(likelihood.shift_deg[0]), log_strength(likelihood, record)[0], rows,
         np.ptp(curve, axis=1) / record.span,
     )  # fmt: skip
 

@@ -47,12 +47,33 @@ _UNITS = {"theta": "rad", "displacement": "m", "time": "s"}
 _SHOWN_IN = {"theta": (180.0 / math.pi, "deg"), "displacement": (1e3, "mm"), "time": (1.0, "s")}
 
 
+COARSE = 0.01
+"""Step of readings from which on it counts, of peak-to-peak [-]."""
+
+
+def resolution(values: FloatArray) -> float:
+    """Step of which all differences of readings are multiples; 0 if there is none, or a fine one.
+
+    Parameters
+    ----------
+    values
+        Of one channel, shape [sample].
+    """
+    steps = np.abs(np.diff(values))
+    least = COARSE * float(np.ptp(values))
+    found = float(min(steps[steps > 1e-3 * least], default=0.0))
+    multiples = steps / max(found, 1e-300)
+    return found if found > least and np.allclose(multiples, multiples.round(), atol=0.02) else 0.0
+
+
 class Origin(BaseModel, strict=True, extra="allow"):
     """Types of those entries of a history's provenance that are read back."""
 
     file: str = ""
     measurement: str = ""
     reading: list[str] = []
+    resolution: dict[str, float] = {}
+    columns: dict[str, int | str] = {}
     force_unit: Literal[*FORCE] = "N"  # type: ignore[valid-type]
     scenario: dict[str, Any] | None = None
 

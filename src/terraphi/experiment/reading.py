@@ -17,10 +17,11 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.baseline import at_rest, baseline
 from terraphi.experiment.documents import Strict, parse_toml, strictly
 from terraphi.experiment.errors import GUESSED, InputError, nearest
 from terraphi.experiment.force_table import CSV_COLUMNS, origin
-from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.history import CHANNEL_UNITS, ForceHistory, resolution
 from terraphi.experiment.tables import Table, read_table, table_of
 from terraphi.experiment.units import KINDS, unit_named
 
@@ -42,6 +43,8 @@ HEAVIEST_DEG = (-60.0, 35.0)
 """Where half of the squared force has passed [deg]: -43 to 8 in the shipped measurements."""
 PREVIEW_ROWS = 6
 """Rows of a preview."""
+TURNED = ("theta_sign", "fx_sign", "fz_sign", "force_on")
+"""Options that turn a sign."""
 ROLES = ("theta", "fx", "fz")
 NO_FORCE = r"#|row|nr|no|index|sample|test|comment|temp\w*"
 """Names of columns that are none of a force, where only a moment was found."""
@@ -94,6 +97,11 @@ class ForceColumns(Strict):
     """-1 where the z axis of the table points down."""
     force_on: Literal["leg", "soil"] = "leg"
     """Whether the forces act on the leg or on the soil."""
+    air_before_deg: float | None = None
+    """Below this leg angle the leg is in air, and the forces are tared; -180 for not at all. If not
+    given, `invert` takes that of the library's leg."""
+    air_after_deg: float | None = None
+    """The same, above which it is in air again."""
 
     @field_validator("unit", "theta_unit", mode="before")
     @classmethod
@@ -148,6 +156,8 @@ def read_forces(source: Any, **columns: Any) -> ForceHistory:
           the table and the offset [deg].
         - ``fx_sign``, ``fz_sign``: -1 where an axis of the table points backward or down.
         - ``force_on``: ``leg`` or ``soil``, what the forces act on.
+        - ``air_before_deg``, ``air_after_deg``: leg angles below and above which the leg is in air
+          [deg], where the forces are tared; by default they are not.
 
     Returns
     -------
@@ -186,10 +196,17 @@ def read_trials(
     if found.wrong:
         found.refuse("; ".join(found.wrong))
     theta, force, moment = found.values()
-    strokes = found.strokes(theta, force if len(found.axes) == 2 else moment[:, None])
+    steps = {f"F{axis}": resolution(row) for axis, row in zip(found.axes, force.T, strict=True)}
+    steps["M"] = resolution(moment)
+    turned = found.given.model_dump(exclude_defaults=True, include={*TURNED})
     known: dict[str, Any] = {}
-    if found.given == ForceColumns() and {*CSV_COLUMNS} == {*found.names.values()}:
+    if found.given.model_fields_set <= {"air_before_deg", "air_after_deg"} and (
+        {*CSV_COLUMNS} == {*found.names.values()}
+    ):
         known = origin(Path(name), table.comments, table.frame[list(CSV_COLUMNS)].to_numpy())
+    if not known:
+        force, moment = found.tared(theta, force, moment)
+    strokes = found.strokes(theta, force if len(found.axes) == 2 else moment[:, None])
     histories = []
     unit = found._unit(f"f{found.axes[-1]}")[0] if found.axes else "N"
     for i, which in enumerate(strokes):
@@ -212,6 +229,8 @@ def read_trials(
                 axes=found.axes,
                 provenance=known | {"file": file + trial} | (
                     {"force_unit": unit} if unit != "N" else {}
+                ) | ({"resolution": steps} if any(steps.values()) else {}) | (
+                    {"columns": turned} if turned else {}
                 ) | (
                     {"reading": found.notes} if found.notes and i == 0 else {}
                 ),
@@ -475,6 +494,22 @@ class _Reading:
         _, factor = self._unit(role)
         return np.asarray(factor * self.table.frame[self.names[role]].to_numpy(np.float64))
 
+    def tared(
+        self, theta: FloatArray, force: FloatArray, moment: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Forces and moment less what they read while the leg is in air; noted."""
+        low, high = self.given.air_before_deg, self.given.air_after_deg
+        air = (theta < (-np.inf if low is None else low)) | (theta > (high or np.inf))
+        if _scattered(theta) or not air.any():
+            return force, moment
+        whole = np.isfinite(moment).all()
+        values = np.column_stack([force, moment]) if whole else force
+        names = [(name, CHANNEL_UNITS[name]) for name in (*(f"F{a}" for a in self.axes), "M")]
+        found = baseline(theta, values, air, names[: values.shape[1]])
+        self.notes += found.notes
+        values = values - found.values
+        return values[:, : len(self.axes)], values[:, -1] if whole else moment
+
     # -- strokes ---------------------------------------------------------------------------------
 
     def strokes(self, theta: FloatArray, force: FloatArray) -> list[Any]:
@@ -482,6 +517,8 @@ class _Reading:
         every = np.arange(len(theta))
         if _scattered(theta):
             return [every]
+        moving = ~at_rest(theta)
+        every, theta, force = every[moving], theta[moving], force[moving]
         turns = _turns(theta)
         pieces = [slice(a, b + 1) for a, b in pairwise(turns)]
         pieces = [p for p in pieces if p.stop - p.start > FEWEST_ROWS]  # not where it jumps back

@@ -7,14 +7,17 @@ identified, and make any answer a misfit. A doubt is a sentence with one remedy.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
+from terraphi.experiment.baseline import OFFSET
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import CHANNEL_UNITS, FORCES, OBSERVATION_ANGLES, WINDOW_DEG
+from terraphi.experiment.plausibility import air_deg
 from terraphi.experiment.units import FORCE
 from terraphi.inference.emulator import emulator_of
 from terraphi.inference.likelihood import SHIFT_DEG, Likelihood, squared_residuals, window_means
@@ -30,16 +33,13 @@ SPIKE = 8.0
 """Distance from the running median of a spike, over the usual one [-]."""
 LARGE_SPIKE = 0.15
 """The same over the force's peak-to-peak [-]."""
-CLIPPED, SLOPE_DEG, HIDDEN = 3, 5.0, 0.02
+CLIPPED, SLOPE_DEG, HIDDEN, ROUND = 3, 5.0, 0.02, 4.0
 """Equal largest readings in a row that may be a clipped top; path on either side of it [deg]; rise
-that it must hide, of peak-to-peak [-]."""
+that it must hide, of peak-to-peak and more of steps of rounding: a round top hides up to three."""
 STEP = 0.2
 """Jump between neighbouring readings that is a step, of peak-to-peak [-]."""
 STEP_SPACING_DEG = 1.5
 """Spacing of readings above which no steps are looked for [deg]."""
-IN_AIR, MARGIN_DEG, OFFSET = 0.005, 5.0, 0.04
-"""Force of the model, over its largest, below which the leg is in the air [-]; distance from the
-soil that is sure to be air [deg]; force there that is an offset, of peak-to-peak [-]."""
 MOST_LEFT_OUT = 0.5
 """Share of the readings that may be left out [-]."""
 COARSE_DEG = 4.5
@@ -66,6 +66,11 @@ shape can be compared with those of whole strokes [-]."""
 UNUSUAL, VAGUE = 2.0, 0.5
 """Standard deviations of the size of forces that are unusual [-]; standard deviation of its
 logarithm between soils above which shapes determine it too vaguely [-]."""
+SURE = 1.4
+"""Error of a factor on the forces up to which it is named [-]."""
+FAR_APART_DEG = 10.0
+"""Distance of two opinions above which answers doubt the record [deg]: at most 8.5° with the right
+leg in simulated grains and shipped media, 14° where a wrong leg is consistent."""
 UNITS = ("N", "lbf", "kgf", "gf", "kN", "mN")
 """Units of force that a record may be in."""
 
@@ -80,19 +85,20 @@ def without_faults(record: Record) -> Record:
     InputError
         If more than half of the readings are faulty.
     """
-    theta, notes, damaged = record.history.theta_deg, [], False
+    theta, notes = record.history.theta_deg, []
+    damage: list[str] = []
     forces = {name: record.history.channel(name) for name in record.channels}
     largest = {name: float(np.abs(force).max()) for name, force in forces.items()}
     of_forces = max((size for name, size in largest.items() if name != "M"), default=0.0)
     bad = np.zeros(len(theta), dtype=bool)
     all_zero = np.all([force == 0.0 for force in forces.values()], axis=0)
+    steps = dict(zip(record.channels, record.resolution, strict=True))
     for name, force in forces.items():
-        span = float(np.ptp(force))
-        zero = _dropouts(force, all_zero, largest["M"] if name == "M" else of_forces)
+        span, load = float(np.ptp(force)), LOADED * (largest["M"] if name == "M" else of_forces)
         faults = {
-            "dropouts": zero,
+            "dropouts": _dropouts(force, all_zero, max(load, 1.01 * steps[name])),
             "held values": _held(force, span),
-            "spikes": _spikes(force, span),
+            "spikes": _spikes(force, span, steps[name]),
         }
         for what, found in faults.items():
             if found.any():
@@ -107,14 +113,12 @@ def without_faults(record: Record) -> Record:
         )
     for name, force in forces.items():
         kept, where = force[~bad], theta[~bad]
-        for sentence in (_clipped(name, kept, where), _step(name, kept, where)):
-            if sentence:
-                notes.append(sentence)
-                damaged = True
-    return record.without(bad, notes, damaged=damaged).binned().checked()
+        q = steps[name]
+        damage += filter(None, (_clipped(name, kept, where, q), _step(name, kept, where, q)))
+    return record.without(bad, notes, damage).binned().checked()
 
 
-def _dropouts(force: FloatArray, all_zero: BoolArray, largest: float) -> BoolArray:
+def _dropouts(force: FloatArray, all_zero: BoolArray, load: float) -> BoolArray:
     """Exact zeros amid load: of this force, or of all."""
     rows = np.arange(len(force))
     loaded = rows[(force != 0.0) & ~all_zero]
@@ -124,7 +128,7 @@ def _dropouts(force: FloatArray, all_zero: BoolArray, largest: float) -> BoolArr
         np.abs(force[loaded[np.clip(np.searchsorted(loaded, rows) - 1, 0, None)]]),
         np.abs(force[loaded[np.clip(np.searchsorted(loaded, rows), None, loaded.size - 1)]]),
     )
-    return np.asarray((force == 0.0) & (around > LOADED * largest))
+    return np.asarray((force == 0.0) & (around > load))
 
 
 def _held(force: FloatArray, span: float) -> BoolArray:
@@ -142,17 +146,17 @@ def _held(force: FloatArray, span: float) -> BoolArray:
     return found
 
 
-def _spikes(force: FloatArray, span: float) -> BoolArray:
+def _spikes(force: FloatArray, span: float, resolution: float) -> BoolArray:
     """Readings far from the median of their neighbours."""
     padded = np.pad(force, 3, mode="reflect")
     windows = np.lib.stride_tricks.sliding_window_view(padded, 7)
     apart = np.abs(force - np.median(windows, axis=1))
-    usual = max(float(1.4826 * np.median(apart)), 1e-9 * span)
+    usual = max(float(1.4826 * np.median(apart)), 1e-9 * span, resolution / np.sqrt(12.0))
     scale = np.maximum(usual, 0.5 * np.median(np.abs(np.diff(windows, axis=1)), axis=1))
     return np.asarray((apart > SPIKE * scale) & (apart > LARGE_SPIKE * span))
 
 
-def _clipped(name: str, force: FloatArray, theta: FloatArray) -> str:
+def _clipped(name: str, force: FloatArray, theta: FloatArray, resolution: float) -> str:
     """A sentence if the record is cut off flat at its largest readings.
 
     A round top has equal readings too, if the sensor is coarse. The slopes on either side of a
@@ -170,7 +174,7 @@ def _clipped(name: str, force: FloatArray, theta: FloatArray) -> str:
         up = abs(np.polyfit(theta[rise], force[rise], 1)[0])
         down = abs(np.polyfit(theta[fall], force[fall], 1)[0])
         hidden = (last - first) * up * down / max(up + down, 1e-12)
-        if hidden > HIDDEN * np.ptp(force):
+        if hidden > HIDDEN * np.ptp(force) + ROUND * resolution:
             return (
                 f"{name} is cut off at {end:.3g} N between {first:.0f} and {last:.0f}°: check "
                 "whether the sensor saturated."
@@ -178,7 +182,7 @@ def _clipped(name: str, force: FloatArray, theta: FloatArray) -> str:
     return ""
 
 
-def _step(name: str, force: FloatArray, theta: FloatArray) -> str:
+def _step(name: str, force: FloatArray, theta: FloatArray, resolution: float) -> str:
     """A sentence if the force jumps and stays there."""
     if len(force) < 20 or np.median(np.diff(theta)) > STEP_SPACING_DEG:
         return ""
@@ -194,7 +198,7 @@ def _step(name: str, force: FloatArray, theta: FloatArray) -> str:
     if (
         abs(size) > STEP * np.ptp(force)
         and abs(jumps[at]) > 0.7 * abs(size)
-        and abs(size) > 20 * usual
+        and abs(size) > max(20 * usual, 2.0 * resolution)
     ):
         place = theta[width - 1 + at]
         return f"{name} jumps by {size:.2g} N at {place:.0f}°: repair the record or use another."
@@ -218,17 +222,12 @@ def in_air(likelihood: Likelihood) -> list[str]:
     """A sentence for each measured force that is not zero where the leg is in the air."""
     found = []
     for record, shift in zip(likelihood.records, likelihood.shift_deg, strict=True):
-        emulator = likelihood.emulators[record.leg]
-        force = np.abs(emulator(likelihood.inside[None])[0])
-        touched = np.any(force > IN_AIR * force.max(), axis=0)
-        # A bent leg may be in the soil where the model begins: then nothing is known of the air.
-        first, last = emulator.curves.theta_deg[touched][[0, -1]] + shift
-        first, last = -np.inf if touched[0] else first, np.inf if touched[-1] else last
+        first, last = shift + np.array(air_deg(likelihood.emulators[record.leg].curves.scenario))
         theta = record.history.theta_deg
         # Soil that the leg carries along may press on it a little where the model has none left.
         for side, air, limit in (
-            ("before the leg meets the soil", theta < first - MARGIN_DEG, OFFSET),
-            ("after it has left the soil", theta > last + MARGIN_DEG, 2.0 * OFFSET),
+            ("before the leg meets the soil", theta < first, OFFSET),
+            ("after it has left the soil", theta > last, 2.0 * OFFSET),
         ):
             for name in record.channels:
                 values = record.history.channel(name)
@@ -245,22 +244,9 @@ def in_air(likelihood: Likelihood) -> list[str]:
     return found
 
 
-def doubts(likelihood: Likelihood, *, misfit: bool) -> Iterator[str]:
-    """Warnings about records after the fit, a sentence each.
-
-    Parameters
-    ----------
-    likelihood
-        Of the records.
-    misfit
-        Whether the model describes them badly; only then other readings of them are proposed.
-    """
+def guesses(likelihood: Likelihood) -> Iterator[str]:
+    """Sentences on what an answer takes for granted of its records."""
     several = len(likelihood.records) > 1
-    if max(likelihood.density) > ALIKE * min(likelihood.density):
-        yield (
-            f"The records have densities from {min(likelihood.density):g} to "
-            f"{max(likelihood.density):g} kg/m³, and are inverted as one soil: check that they are."
-        )
     for i, record in enumerate(likelihood.records):
         density, part = likelihood.density[i], likelihood.strokes[i]
         name = f"{record.source}: " if several else ""
@@ -283,6 +269,33 @@ def doubts(likelihood: Likelihood, *, misfit: bool) -> Iterator[str]:
             )
         if record.density_kg_m3 is None or record.density_assumed:
             yield f"{name}The density {density:g} kg/m³ is assumed; 10 % of it move φ by about 1°."
+
+
+def others(
+    likelihood: Likelihood,
+    *,
+    misfit: bool,
+    second: Callable[[Likelihood], dict[str, Any] | None],
+) -> Iterator[str]:
+    """Sentences on legs, columns, sizes and units that may be others than stated.
+
+    Parameters
+    ----------
+    likelihood
+        Of the records.
+    misfit
+        Whether the model describes them badly; only then other readings of them are proposed.
+    second
+        Gives another angle of records by other physics, or ``None``.
+    """
+    several = len(likelihood.records) > 1
+    if max(likelihood.density) > ALIKE * min(likelihood.density):
+        yield (
+            f"The records have densities from {min(likelihood.density):g} to "
+            f"{max(likelihood.density):g} kg/m³, and are inverted as one soil: check that they are."
+        )
+    for i, record in enumerate(likelihood.records):
+        name = f"{record.source}: " if several else ""
         if record.scenario is not None:
             apart = differences(record.scenario, likelihood.library.cases[0].scenario)
             apart = [key for key in apart if key not in likelihood.keys]
@@ -295,7 +308,7 @@ def doubts(likelihood: Likelihood, *, misfit: bool) -> Iterator[str]:
         elif PHI in likelihood.keys:
             found = []
             if misfit and likelihood.keys == (PHI,):
-                found = list(_other_readings(likelihood, record))
+                found = list(_other_readings(likelihood, record, second))
             for sentence in found or [
                 *_other_arm(likelihood, i),
                 *_other_size(likelihood, i),
@@ -304,7 +317,9 @@ def doubts(likelihood: Likelihood, *, misfit: bool) -> Iterator[str]:
                 yield f"{name}{sentence}"
 
 
-def _other_readings(likelihood: Likelihood, record: Record) -> Iterator[str]:
+def _other_readings(
+    likelihood: Likelihood, record: Record, second: Callable[[Likelihood], dict[str, Any] | None]
+) -> Iterator[str]:
     """Another leg, sign, unit or order that would describe a misfit much better."""
     own = residual(record.data, record, likelihood, record.leg)
     most = FITS * likelihood.errors[record.leg].nrmsd_limit
@@ -319,11 +334,32 @@ def _other_readings(likelihood: Likelihood, record: Record) -> Iterator[str]:
             best, proposal = size, f"The record would fit with --columns {what}: check the columns."
     if "columns unit=" in proposal and len(units) > 1:
         proposal = f"{proposal[:-1]}; of all units {' and '.join(units)} would fit."
-    for leg in likelihood.library.legs if options else ():
-        if leg != record.leg and (size := residual(record.data, record, likelihood, leg)) < best:
-            best, proposal = size, f"The record would fit with --leg {leg}: check the leg."
+    others = [leg for leg in likelihood.library.legs if options and leg != record.leg]
+    sizes = {leg: residual(record.data, record, likelihood, leg) for leg in others}
+    if min(sizes.values(), default=np.inf) < best:
+        fitting = [leg for leg in others if sizes[leg] < min(BETTER * own, most)]
+        agreeing = [leg for leg in fitting if _opinions_agree(likelihood, record, leg, second)]
+        legs = agreeing if len(agreeing) == 1 else fitting
+        proposal = (
+            f"The record would fit with --leg {legs[0]}: check the leg."
+            if len(legs) == 1
+            else f"The record fits the legs {' and '.join(legs)} alike: check which leg it is."
+        )
     if proposal:
         yield proposal
+
+
+def _opinions_agree(
+    likelihood: Likelihood,
+    record: Record,
+    leg: str,
+    second: Callable[[Likelihood], dict[str, Any] | None],
+) -> bool:
+    """Whether other physics gives much the same angle of a record by another leg."""
+    other = Likelihood([replace(record, leg=leg)], likelihood.library)
+    opinion = second(other)
+    apart = np.inf if opinion is None else opinion["median"] - other.least_squares[0]
+    return bool(abs(apart) <= FAR_APART_DEG)
 
 
 def _columns_otherwise(record: Record) -> dict[str, tuple[Record, FloatArray]]:
@@ -334,15 +370,18 @@ def _columns_otherwise(record: Record) -> dict[str, tuple[Record, FloatArray]]:
     )
     back = replace(record, history=turned_back)
     turned = np.array([[-1.0], [1.0]])
+    read_as = given.provenance.get("columns", {})  # an option that was given is turned back
+    on = "force_on=" + ("leg" if read_as.get("force_on") == "soil" else "soil")
+    theta, fx, fz = (f"{n}_sign={-read_as.get(f'{n}_sign', 1)}" for n in ("theta", "fx", "fz"))
     options: dict[str, tuple[Record, FloatArray]] = {
-        "fx_sign=-1": (record, turned * record.data),
-        "fz_sign=-1": (record, -turned * record.data),
-        "force_on=soil": (record, -record.data),
+        fx: (record, turned * record.data),
+        fz: (record, -turned * record.data),
+        on: (record, -record.data),
         "fx=FZ_COLUMN,fz=FX_COLUMN": (record, record.data[::-1]),
-        "theta_sign=-1": (back, back.data),
-        "theta_sign=-1,fx_sign=-1": (back, turned * back.data),
-        "theta_sign=-1,fz_sign=-1": (back, -turned * back.data),
-        "theta_sign=-1,force_on=soil": (back, -back.data),
+        theta: (back, back.data),
+        f"{theta},{fx}": (back, turned * back.data),
+        f"{theta},{fz}": (back, -turned * back.data),
+        f"{theta},{on}": (back, -back.data),
     }
     read_in = record.history.provenance.get("force_unit", "N")
     for unit in UNITS:
@@ -403,30 +442,39 @@ def _other_strength(likelihood: Likelihood, record: Record) -> Iterator[str]:
     comparable = likelihood.measured and likelihood.keys == (PHI,) and is_whole(record)
     if not comparable or not 0 < error.strength_sd < VAGUE:
         return
-    apart = log_strength(likelihood, record) - error.strength
-    if abs(apart) > UNUSUAL * error.strength_sd:
+    factor, sd = log_strength(likelihood, record)
+    apart = factor - error.strength
+    if abs(apart) > UNUSUAL * error.strength_sd and sd < np.log(SURE):
         yield (
             f"By their shape the forces are {np.exp(apart):.1g} times as large as they should be: "
             "check the density and the unit of force."
         )
 
 
-def log_strength(likelihood: Likelihood, record: Record) -> float:
+def log_strength(likelihood: Likelihood, record: Record) -> tuple[float, float]:
     """Logarithm of the factor on the curves with which, and some φ, a record fits best [-].
 
-    It is known only as well as the shape of the curves depends on φ.
+    With its standard deviation, as if the whole residual were of its direction, φ and shift free:
+    it is known only as well as the shape of the curves depends on φ. At an end of φ or of the shift
+    nothing is known.
     """
     on, force = _over_phi(likelihood, record, record.leg)
-    spans, data = np.repeat(record.span, record.theta_deg.size), record.data.ravel()
-    best, found = np.inf, 0.0
-    for shift in np.arange(-SHIFT_DEG, SHIFT_DEG + 1.0):
-        curves = window_means(record, force, on, shift) / spans
-        factor = np.maximum(curves @ (data / spans) / np.square(curves).sum(axis=1), 1e-6)
-        squares = np.square(data / spans - factor[:, None] * curves).sum(axis=1)
-        i = int(squares.argmin())
-        if squares[i] < best:
-            best, found = float(squares[i]), float(np.log(factor[i]))
-    return found
+    spans = np.repeat(record.span, record.theta_deg.size)
+    data, shifts = record.data.ravel() / spans, np.arange(-SHIFT_DEG, SHIFT_DEG + 1.0)
+    curves = np.stack([window_means(record, force, on, shift) / spans for shift in shifts])
+    factor = np.maximum(curves @ data / np.square(curves).sum(axis=2), 1e-6)
+    squares = np.square(data - factor[..., None] * curves).sum(axis=2)
+    k, i = np.unravel_index(squares.argmin(), squares.shape)
+    found = float(np.log(factor[k, i]))
+    if k in (0, len(shifts) - 1) or i in (0, len(force) - 1):
+        return found, np.inf
+    slopes = [
+        curves[k, i],
+        curves[k, i + 1] - curves[k, i - 1],
+        curves[k + 1, i] - curves[k - 1, i],
+    ]
+    unexplained = np.linalg.pinv(factor[k, i] * np.stack(slopes, axis=1))[0]
+    return found, float(np.linalg.norm(unexplained) * np.sqrt(squares[k, i]))
 
 
 def phi_of_size(likelihood: Likelihood) -> float:

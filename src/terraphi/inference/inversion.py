@@ -13,16 +13,20 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
+from terraphi.experiment.plausibility import air_deg
+from terraphi.experiment.reading import ForceColumns
 from terraphi.experiment.scenario import Scenario
 from terraphi.experiment.soil import plane_strain_friction_angle_deg
 from terraphi.forward.rft import to_plane_strain
 from terraphi.inference.answer import Answer, Estimate, RecordFit, worst_nrmsd
 from terraphi.inference.checks import (
+    FAR_APART_DEG,
     LARGE_SHIFT_DEG,
     USUAL_DEG,
-    doubts,
+    guesses,
     in_air,
     is_whole,
+    others,
     phi_of_size,
     residual,
     without_faults,
@@ -33,6 +37,8 @@ from terraphi.inference.sampling import Drawn, quadrature, sample
 from terraphi.inference.soils import Calibration, CalibrationSoil, model_error
 from terraphi.library.store import PHI, Library, nearest_library, shipped_library
 
+TARED_AT = ("air_before_deg", "air_after_deg")
+"""Options of a table that say where the leg is in air."""
 DEFAULT = "sand3d"
 """Library for measured forces."""
 SECOND = "rft3d"
@@ -52,9 +58,6 @@ SEVERAL = 1.3
 """Limit of a residual of several records with one angle, over that of one [-]: legs differ."""
 DISAGREES = 1.96
 """Distance of two opinions at which both are believed, in their common standard deviation [-]."""
-FAR_APART_DEG = 10.0
-"""Distance of two opinions above which answers doubt the record [deg]: at most 8.5° with the right
-leg in simulated grains and shipped media, 14° where a wrong leg is consistent."""
 UNINFORMED = 0.9
 """Share of the prior's standard deviation above which the posterior counts as the prior [-]."""
 
@@ -122,11 +125,12 @@ def invert(
     began = time.perf_counter()
     # The matrices are small: threads would only wait for each other.
     with threadpool_limits(limits=1, user_api="blas"):
+        known = _named(library)
         records = _records(
-            forces, leg=leg, density=density, columns=columns, noise=noise, gain=gain,
+            forces, known, leg=leg, density=density, columns=columns, noise=noise, gain=gain,
             simulated=simulated,
         )  # fmt: skip
-        library, reason = _library_for(records, library)
+        found, reason = _library_for(records, known)
         if isinstance(calibration, str | Path):
             calibration = Calibration.load(calibration)
         if not isinstance(calibration, Calibration | None):
@@ -135,17 +139,31 @@ def invert(
                 "or a file"
             )
         if calibration is not None:
-            calibration.check(library)
+            calibration.check(found)
             calibration.check_gain({record.leg: record.gain for record in records})
-        return _answer(Likelihood(records, library, calibration), reason, seed, began)
+        return _answer(Likelihood(records, found, calibration), reason, seed, began)
 
 
-def _records(forces: Any, **options: Any) -> list[Record]:
-    """Records of one thing or a list, without faulty readings."""
+def _records(
+    forces: Any, library: Library | None, columns: Any, leg: str | None, **options: Any
+) -> list[Record]:
+    """Records of one thing or a list, tared in air, without faulty readings."""
     every = list(forces) if isinstance(forces, list | tuple) else [forces]
     if not every:
         raise InputError("no forces: the list is empty")
-    return [without_faults(r) for one in every for r in open_records(one, **options)]
+    columns = tared(columns, leg, library)
+    records = (r for f in every for r in open_records(f, columns=columns, leg=leg, **options))
+    return [without_faults(record) for record in records]
+
+
+def tared(columns: Any, leg: str | None, library: Library | None = None) -> ForceColumns:
+    """Options of a table, with the angles at which the leg of a library is in air."""
+    given = ForceColumns.of(columns)
+    cases, shape = (library or shipped_library(DEFAULT)).cases, leg or "straight"
+    made = next((case.scenario for case in cases if case.scenario.leg.shape == shape), None)
+    if made is None or {*TARED_AT} & given.model_fields_set:
+        return given
+    return given.model_copy(update=dict(zip(TARED_AT, air_deg(made), strict=True)))
 
 
 def calibrate(
@@ -188,8 +206,11 @@ def calibrate(
     if not (0.0 < phi_deg < 90.0 and 0.0 <= phi_sd_deg < 90.0):
         raise InputError(f"phi = {phi_deg:g} ± {phi_sd_deg:g}°; 0 to 90° are accepted")
     soils = []
-    records = _records(forces, leg=leg, density=density, columns=columns, noise=noise, gain=gain)
-    found, _ = _library_for(records, library)
+    given = _named(library)
+    records = _records(
+        forces, given, leg=leg, density=density, columns=columns, noise=noise, gain=gain
+    )
+    found, _ = _library_for(records, given)
     for record in records:
         likelihood = Likelihood([record], found)
         if not likelihood.measured:
@@ -252,15 +273,18 @@ def _attempt(row: Any) -> Answer | InputError:
         return error
 
 
-def _library_for(
-    records: Sequence[Record], library: Library | Path | str | None
-) -> tuple[Library, str]:
+def _named(library: Library | Path | str | None) -> Library | None:
+    """A library by its shipped name or file."""
+    if library is None or isinstance(library, Library):
+        return library
+    name = str(library)
+    return shipped_library(name) if name in Library.names() else Library.load(library)
+
+
+def _library_for(records: Sequence[Record], library: Library | None) -> tuple[Library, str]:
     """The library to take, and why, if none was named."""
-    if isinstance(library, Library):
-        return library, ""
     if library is not None:
-        named = str(library)
-        return (shipped_library(named) if named in Library.names() else Library.load(library)), ""
+        return library, ""
     scenarios = [record.scenario for record in records]
     if all(scenario is not None for scenario in scenarios):
         assert scenarios[0] is not None
@@ -297,23 +321,37 @@ def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Ans
     fits = _fits(likelihood, middle, parameters)
     air = in_air(likelihood)
     verdict, why, edge = _verdict(likelihood, fits, middle, damaged=bool(air))
-    questions = [
-        *(note if len(records) == 1 else f"{record.source}: {note}"
-          for record in records for note in record.notes),
-        *air,
-        *doubts(likelihood, misfit=verdict != "consistent"),
-        *([disagreement] if disagreement else []),
-        *_about(likelihood, fits, parameters, verdict),
-    ]  # fmt: skip
-    if library.caveat:
-        questions.append(f"Library {library.name}: {library.caveat}")
     inferred, scenario = parameters.get(PHI), library.cases[0].scenario
     other = second["median"] if second and scenario.convention == "plane_strain" else None
+    far = ""
     if inferred and other is not None and abs(other - inferred.median) > FAR_APART_DEG:
-        questions.append(
+        far = (
             f"Resistive force theory gives {other:.0f}°, farther than for any record whose leg "
             "is known: check the leg and the columns."
         )
+
+    def of_records(sentences: Callable[[Record], Sequence[str]]) -> list[str]:
+        """Sentences on each record, with its name if there are several."""
+        return [one if len(records) == 1 else f"{record.source}: {one}"
+                for record in records for one in sentences(record)]  # fmt: skip
+
+    # In the order of their consequence, the gravest first.
+    questions = [
+        # The forces are wrong, whatever the soil.
+        *of_records(lambda record: record.damage),
+        *air,
+        # Leg, columns, sizes or units may be others than stated.
+        *(others(likelihood, misfit=verdict != "consistent", second=_second_opinion)
+          if not air else ()),
+        *([far] if far else []),
+        *_about(likelihood, fits, parameters, verdict),
+        # The angle or its interval rests on what was not measured.
+        *([disagreement] if disagreement else []),
+        *guesses(likelihood),
+        *([f"Library {library.name}: {library.caveat}"] if library.caveat else []),
+        # What was done with the readings.
+        *of_records(lambda record: record.notes),
+    ]  # fmt: skip
     plane, no_plane = (
         _plane_strain(inferred, scenario) if inferred else (None, "φ was not inferred")
     )
@@ -379,6 +417,7 @@ def _fits(
             )  # fmt: skip
             usual = channels_of(record, usual, arm)
         size = _nrmsd(record.data, curve, span)
+        noise = record.noise_covariance.diagonal().reshape(size.size, -1).mean(axis=1) / span**2
         expected = None if record.simulated or usual is None else curve + usual
         if expected is not None and _nrmsd(record.data, expected, span).max() > size.max():
             expected = None  # this soil does not differ as others do
@@ -391,8 +430,9 @@ def _fits(
                 band=np.stack([np.minimum(low, high), np.maximum(low, high)]),
                 nrmsd=dict(zip(record.channels, size.tolist(), strict=True)),
                 shift_deg=float(shift),
-                limit=None if record.simulated else error.nrmsd_limit * (
-                    SEVERAL if len(likelihood.records) > 1 else 1.0
+                limit=None if record.simulated else math.hypot(
+                    error.nrmsd_limit * (SEVERAL if len(likelihood.records) > 1 else 1.0),
+                    math.sqrt(noise.max()),
                 ),
             )
         )  # fmt: skip
@@ -417,7 +457,7 @@ def _verdict(
     damaged: bool,
 ) -> tuple[str, str, str | None]:
     """Verdict, reason, and the end of the library beyond which φ lies."""
-    if damaged or any(record.damaged for record in likelihood.records):
+    if damaged or any(record.damage for record in likelihood.records):
         return "misfit", "Misfit: the record is damaged. Do not use the angle.", None
     misfit = (
         _misfit_of_soil(likelihood, fits) or _other_leg(likelihood)

@@ -25,11 +25,13 @@ from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import number_with_sd
 from terraphi.experiment.history import (
+    CHANNEL_UNITS,
     FORCES,
     OBSERVATION_ANGLES,
     WIDEST_GAP_DEG,
     WINDOW_DEG,
     ForceHistory,
+    resolution,
 )
 from terraphi.experiment.leg import LEG_SHAPES
 from terraphi.experiment.measurements import Measurement, measurement_of, open_forces
@@ -68,11 +70,13 @@ class Record:
     n_left_out
         Readings that were left out as damaged.
     notes
-        What is wrong with the readings, a sentence each.
-    damaged
-        Whether it is too damaged for any answer to be believed.
+        What was done with the readings, a sentence each.
+    damage
+        What makes any answer unbelievable, a sentence each.
     noise
         Standard deviation of a reading of each channel [N], of a moment [N m].
+    resolution
+        Step that the readings of each channel are rounded to [N], of a moment [N m]; 0 if fine.
     gain, gain_sd
         What the forces were divided by, and its relative standard deviation [-].
     """
@@ -89,8 +93,9 @@ class Record:
     measurement: str = ""
     n_left_out: int = 0
     notes: tuple[str, ...] = ()
-    damaged: bool = False
+    damage: tuple[str, ...] = ()
     noise: tuple[float, ...] = (0.0, 0.0)
+    resolution: tuple[float, ...] = (0.0, 0.0)
     gain: float = 1.0
     gain_sd: float = 0.0
 
@@ -152,9 +157,19 @@ class Record:
 
     @cached_property
     def noise_covariance(self) -> FloatArray:
-        """Covariance of the data from the noise of the readings [N²], shape [c m, c m]."""
+        """Covariance of the data from noise and rounding of readings [N²], shape [c m, c m].
+
+        Rounding to steps of q has the variance q²/12, one error for equal readings in a row.
+        """
         weights = self._windows[1]
-        return np.kron(np.diag(np.square(self.noise)), weights @ weights.T)
+        found = np.kron(np.diag(np.square(self.noise)), weights @ weights.T)
+        m = len(weights)
+        for i, (name, step) in enumerate(zip(self.channels, self.resolution, strict=True)):
+            if step:
+                changes = np.abs(np.diff(self.history.channel(name))) > step / 2.0
+                runs = np.add.reduceat(weights, np.flatnonzero(np.append(True, changes)), axis=1)
+                found[i * m : (i + 1) * m, i * m : (i + 1) * m] += step**2 / 12.0 * runs @ runs.T
+        return found
 
     def operator(self, theta_deg: FloatArray) -> FloatArray:
         """W R: turns a curve of means over 1° at leg angles [deg] into window means, [m, n]."""
@@ -190,14 +205,14 @@ class Record:
         factor = np.sqrt(means.shape[1] / count)
         return replace(self, history=fewer, noise=tuple(factor * one for one in self.noise))
 
-    def without(self, mask: BoolArray, notes: Sequence[str], *, damaged: bool = False) -> Record:
-        """The same record without some readings (a mask of those to drop), with notes on why."""
+    def without(self, mask: BoolArray, notes: Sequence[str], damage: Sequence[str]) -> Record:
+        """The same record without some readings (a mask of those to drop), with what is noted."""
         return replace(
             self,
             history=self.history.chosen(~mask),
             n_left_out=int(mask.sum()),
             notes=(*self.notes, *notes),
-            damaged=self.damaged or damaged,
+            damage=(*self.damage, *damage),
         )
 
 
@@ -314,7 +329,7 @@ def record_of(
     factor, gain_sd = _gain(gain, known.name)
     if factor != 1.0:
         history = history.scaled(1.0 / factor)
-    sensor = _noise(history)
+    sensor, steps = _noise(history), _resolution(known.history) / factor
     if noise is not None and not history.axes:
         raise InputError(f"{known.name}: noise is that of forces, and there is a moment alone")
     if noise is not None:
@@ -344,8 +359,9 @@ def record_of(
         scenario=made_by,
         simulated=made_by is not None if simulated is None else simulated,
         measurement=str(history.provenance.get("measurement", "")),
-        notes=tuple(history.provenance.get("reading", ())),
+        notes=(*history.provenance.get("reading", ()), *_rounded(history, steps)),
         noise=sensor,
+        resolution=tuple(steps.tolist()),
         gain=factor,
         gain_sd=gain_sd,
     )
@@ -387,3 +403,17 @@ def _noise(history: ForceHistory) -> tuple[float, ...]:
     if len(second[0]) < 10:
         return (0.0,) * len(second)
     return tuple(float(1.4826 * np.median(np.abs(one)) / np.sqrt(6.0)) for one in second)
+
+
+def _resolution(history: ForceHistory) -> FloatArray:
+    """Step that each channel is rounded to, if that is coarse."""
+    known = history.provenance.get("resolution", {})
+    return np.array([known.get(n, resolution(history.channel(n))) for n in history.channels])
+
+
+def _rounded(history: ForceHistory, steps: FloatArray) -> list[str]:
+    """A sentence if channels are rounded."""
+    pairs = zip(history.channels, steps, strict=True)
+    coarse = [f"{name} to {step:.2g} {CHANNEL_UNITS[name]}" for name, step in pairs if step]
+    listed = " and ".join(coarse)
+    return [f"Readings are rounded, {listed}: the interval includes that."] if coarse else []

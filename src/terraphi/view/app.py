@@ -398,9 +398,9 @@ def answers(
     kind, folder = kind_of(file), Path(file).parent / "files"
     if kind in ("forces", "simulation"):
         from terraphi.experiment.measurements import open_forces
-        from terraphi.inference.inversion import invert
+        from terraphi.inference.inversion import invert, tared
 
-        measured = open_forces(file, columns)
+        measured = open_forces(file, tared(columns, leg))
         measured = [replace(one, name=one.name.replace(file, name)) for one in measured]
         answer = invert(measured, leg=leg, density=density)
         write_files(answer, folder)
