@@ -10,6 +10,7 @@ import click
 
 from terraphi.cli.options import PATH, json_option
 from terraphi.cli.simulate import announce
+from terraphi.experiment.errors import InputError
 from terraphi.view.console import present, progress_bar
 from terraphi.view.table import Table
 
@@ -26,7 +27,8 @@ def library() -> None:
 
 
 @library.command("build")
-@click.argument("plan")
+@click.argument("plan", required=False)
+@click.option("--rig", type=PATH, help="TOML file of a leg's sizes, in place of PLAN.")
 @click.option("--out", type=PATH, required=True, help="NetCDF file to make.")
 @click.option("--workers", type=click.IntRange(min=1), help="Processes.  [default: all cores]")
 @click.option(
@@ -36,20 +38,32 @@ def library() -> None:
 )
 @json_option
 def library_build(
-    plan: str, out: Path, workers: int | None, cluster: str | None, as_json: bool
+    plan: str | None,
+    rig: Path | None,
+    out: Path,
+    workers: int | None,
+    cluster: str | None,
+    as_json: bool,
 ) -> None:
-    """Simulate all cases of PLAN, a TOML file or the name of a shipped plan.
+    """Simulate all cases of PLAN, a TOML file or the name of a shipped plan, or of a rig of yours.
+
+    A rig has the keys leg, length_mm, width_mm, thickness_mm and hip_height_mm.
 
     After an interruption the same command continues. 'terraphi keys plan' lists the keys of a plan.
 
     Example: terraphi library build rft3d --out mine.nc --workers 4
+
+    Example: terraphi library build --rig rig.toml --out mine.nc
     """
     from terraphi.experiment.outputs import check_file
+    from terraphi.experiment.rig import Rig
     from terraphi.library import build as builder
     from terraphi.library.plan import Plan
 
     check_file(out, kind="library")
-    chosen = Plan.load(plan)
+    if (plan is None) == (rig is None):
+        raise InputError("give a PLAN, or a rig by --rig FILE")
+    chosen = Plan.load(plan) if plan is not None else Plan.of_rig(Rig.load(rig or ""))
     count = min(workers or os.cpu_count() or 1, chosen.count)
     announce(chosen.cases(), count)
     pool = builder.cluster(cluster) if cluster else builder.workers(count)

@@ -1,0 +1,274 @@
+"""The apparatus: a rigid leg that rotates about a hip at a constant height above level soil.
+
+Slow, dry soil under gravity has no length of its own, so that
+
+    F = ρ g L³ f(θ; φ, μ, w/L, h/L, t/L, curvature)
+
+with L from the hip to the outermost tip, the width w, the thickness t and the height of the hip h.
+Legs of one shape and one set of ratios are therefore simulated once, at one length.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any, NamedTuple, Self, get_args
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.documents import Strict, parse_toml
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.files import number_with_sd
+from terraphi.experiment.leg import Leg, RotatingShape, frame_axes
+from terraphi.experiment.scenario import GRAVITY, Scenario
+
+SIMULATED_LENGTH = 0.0762
+"""Length of the leg in simulations [m]: that of Li et al. (2013)."""
+HIP_HEIGHT_SD_MM = 2.0
+"""Standard deviation of the height of a hip of which nothing is said [mm]; chosen."""
+CELLS_ACROSS, CELLS_DEEP = 5.08, 11.24
+"""Cells in the width and in the depth of the leg [-]: those of ``sand3d`` with Li's leg."""
+COARSEST, FINEST = 1.0 / 12.0, 1.0 / 20.0
+"""Bounds of the cell over the length [-]; finer ones take hours."""
+BESIDE, BELOW, ASIDE = 1.2, 1.15, 1.6
+"""Soil before and behind, below, and to each side of what the leg reaches, in depths [-]: that of
+``sand3d``, whose bed is the smallest that leaves the forces alone."""
+THETA_DEG = np.arange(-175.0, 91.0)
+"""Angles at which a leg may be near the soil [deg]."""
+BEFORE_DEG, AFTER_DEG = 20.0, 10.0
+"""Angles simulated before the first contact and after the last [deg]."""
+
+
+class Ratios(NamedTuple):
+    """What the forces on a leg depend on besides the soil and its friction."""
+
+    width: float
+    """w / L [-]."""
+    hip_height: float
+    """h / L [-]."""
+    thickness: float
+    """t / L [-]."""
+
+
+class Rig(Strict):
+    """A leg and the height of its hip, in millimeters as people measure them.
+
+    Examples
+    --------
+    >>> rig = terraphi.Rig(
+    ...     leg="straight", length_mm=110, width_mm=40, thickness_mm=8, hip_height_mm="35±1"
+    ... )
+    >>> print(rig)
+    straight leg 110 × 40 × 8 mm, hip 35 mm above the soil
+    """
+
+    leg: RotatingShape
+    """``straight``; ``c``, a semicircle that bulges where it moves; ``reversed_c``, its mirror."""
+    length_mm: float = Field(gt=0, le=10_000)
+    """From the hip to the outermost tip [mm]."""
+    width_mm: float = Field(gt=0, le=10_000)
+    """Extent across the plane of motion [mm]."""
+    thickness_mm: float = Field(gt=0, le=1000)
+    """Thickness of the leg [mm]."""
+    hip_height_mm: float = Field(ge=0, le=10_000)
+    """Height of the hip above the level soil [mm]; with its standard deviation as ``"35±1"``."""
+    hip_height_sd_mm: float = Field(HIP_HEIGHT_SD_MM, ge=0, le=1000)
+    """Standard deviation of that height [mm]."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _parse_sd(cls, content: Any) -> Any:
+        height = content.get("hip_height_mm") if isinstance(content, dict) else None
+        if not isinstance(height, str):
+            return content
+        try:
+            mean, sd = number_with_sd(height)
+        except ValueError:
+            raise ValueError(f"hip_height_mm = '{height}'; give it as 35 or 35±1") from None
+        given = {} if sd is None else {"hip_height_sd_mm": sd}
+        return {**content, "hip_height_mm": mean, **given}
+
+    @model_validator(mode="after")
+    def _reaches_soil(self) -> Self:
+        if self.thickness_mm >= self.length_mm:
+            raise ValueError(
+                f"thickness_mm = {self.thickness_mm:g} is not below length_mm = {self.length_mm:g}"
+            )
+        if self.hip_height_mm >= self.length_mm:
+            raise ValueError(
+                f"hip_height_mm = {self.hip_height_mm:g}: a leg of {self.length_mm:g} mm does not "
+                "reach the soil"
+            )
+        return self
+
+    @property
+    def length(self) -> float:
+        """From the hip to the outermost tip [m]."""
+        return 1e-3 * self.length_mm
+
+    @property
+    def ratios(self) -> Ratios:
+        """Lengths over that of the leg [-]."""
+        length = self.length_mm
+        return Ratios(
+            self.width_mm / length, self.hip_height_mm / length, self.thickness_mm / length
+        )
+
+    def __str__(self) -> str:
+        """Sizes in one line, such as ``straight leg 110 × 40 × 8 mm, hip 35 mm above the soil``."""
+        sizes = " × ".join(f"{v:.3g}" for v in (self.length_mm, self.width_mm, self.thickness_mm))
+        name = {"c": "C leg", "reversed_c": "reversed C leg"}.get(self.leg, f"{self.leg} leg")
+        return f"{name} {sizes} mm, hip {self.hip_height_mm:.3g} mm above the soil"
+
+    @classmethod
+    def of_scenario(cls, scenario: Scenario) -> Rig:
+        """The rig of a simulation; raises ValueError if that has no rotating leg."""
+        leg, motion = scenario.leg, scenario.motion
+        if motion.kind != "rotation" or leg.shape not in get_args(RotatingShape):
+            raise ValueError(f"a {leg.shape} in {motion.kind} is no rig")
+        return cls.model_validate({
+            "leg": leg.shape,
+            "length_mm": 1e3 * leg.reach(),
+            "width_mm": 1e3 * leg.width,
+            "thickness_mm": 2e3 * leg.half_thickness,
+            "hip_height_mm": max(0.0, 1e3 * scenario.hip_height),
+            "hip_height_sd_mm": 0.0,
+        })  # fmt: skip
+
+    @classmethod
+    def load(cls, source: Path | str, leg: str | None = None) -> Self:
+        """Read a rig from a TOML file, or take that of Li et al. (2013), ``li2013``.
+
+        Parameters
+        ----------
+        source
+            A file of the keys above, or ``li2013``.
+        leg
+            Shape of the leg; of a file, in place of the file's.
+
+        Raises
+        ------
+        InputError
+            If the file is missing, not TOML, or a value cannot be.
+        """
+        if str(source) != "li2013":
+            rig = parse_toml(Path(source), cls)
+            return rig if leg is None else cls.model_validate(rig.model_dump() | {"leg": leg})
+        if leg is None:
+            raise InputError("rig li2013 has three legs; give --leg straight, c or reversed_c")
+        return cls.model_validate({"leg": leg, **LI2013})
+
+
+LI2013 = {"length_mm": 76.2, "width_mm": 25.4, "thickness_mm": 6.4, "hip_height_mm": 20.0}
+"""Sizes of the rig of Li et al. (2013), supplement [mm]."""
+
+
+def swept(leg: Leg, hip_height: float) -> FloatArray:
+    """Outline (x, z) [m] of a leg at :data:`THETA_DEG`, the soil's surface at z = 0 below the hip.
+
+    Shape [theta, corner, 2].
+    """
+    along, motion = frame_axes(np.radians(THETA_DEG)[:, None])
+    outline = leg.outline()
+    return np.asarray(
+        outline[:, :1] * along + outline[:, 1:] * motion + np.array([0.0, hip_height])
+    )
+
+
+def contact_deg(leg: Leg, hip_height: float) -> tuple[float, float]:
+    """First and last angle at which a leg reaches into level soil [deg], to a degree."""
+    touching = THETA_DEG[(swept(leg, hip_height)[..., 1] < 0.0).any(axis=1)]
+    return float(touching[0]), float(touching[-1])
+
+
+def similar_scenario(
+    leg: RotatingShape,
+    ratios: Ratios,
+    *,
+    friction_angle_deg: float,
+    leg_friction: float,
+    cohesion: float = 0.0,
+    cells: float = 1.0,
+    bed: float = 1.0,
+    seed: int = 0,
+) -> Scenario:
+    """A simulation of a rig with a leg of :data:`SIMULATED_LENGTH`.
+
+    Numerics are those of ``sand3d`` in proportion to the cell, which is a fifth of the width or an
+    eleventh of the depth, whichever is less. Only the angles at which the leg is near the soil are
+    simulated.
+
+    Parameters
+    ----------
+    leg, ratios
+        The rig.
+    friction_angle_deg
+        φ in plane strain [deg].
+    leg_friction
+        μ between leg and soil [-].
+    cohesion
+        c / (ρ g L) [-].
+    cells, bed
+        Size of the cell, and soil around the leg, over those of the rule [-].
+    seed
+        Of the particles.
+
+    Raises
+    ------
+    InputError
+        If a number is outside what can be simulated.
+    """
+
+    def rounded(length: float) -> float:
+        """A length to the micrometer [m], so that every processor makes the same scenario."""
+        return round(float(length), 6)
+
+    base, length = Scenario.load("sand3d"), SIMULATED_LENGTH
+    thickness, height = ratios.thickness * length, ratios.hip_height * length
+    body = Leg(
+        shape=leg,
+        chord=rounded(length - 0.5 * thickness),
+        half_thickness=rounded(0.5 * thickness),
+        width=rounded(ratios.width * length),
+        friction=leg_friction,
+    )
+    corners = swept(body, height)
+    inside = corners[..., 1] < 0.0
+    depth, highest = -corners[..., 1].min(), corners[..., 1].max()
+    reach = abs(corners[..., 0][inside]).max()
+    first, last = contact_deg(body, height)
+    start = max(-175.0, 5.0 * math.floor((first - BEFORE_DEG) / 5.0))
+    stop = min(90.0, 5.0 * math.ceil((last + AFTER_DEG) / 5.0))
+
+    rule = min(body.width / CELLS_ACROSS, depth / CELLS_DEEP)
+    cell = rounded(cells * min(max(rule, FINEST * length), COARSEST * length))
+    scale = cell / base.numerics.cell_size
+    soil, below = 2.0 * (reach + bed * BESIDE * depth), (1.0 + bed * BELOW) * depth
+    wall = 2.0 * cell
+    # The box holds the bed, and the leg that stands up before it enters.
+    top = below + height + highest + 2.0 * cell
+    count = math.ceil((max(soil, top) + 2.0 * wall) / cell)
+    return base.replace(
+        f"leg {leg}",
+        **{
+            "name": f"{leg}-{friction_angle_deg:g}",
+            "soil.friction_angle_deg": friction_angle_deg,
+            "soil.cohesion": round(cohesion * base.soil.density * GRAVITY * length, 3),
+            "leg": body.model_dump(),
+            "motion.hip": [rounded(wall + 0.5 * soil), rounded(wall + below + height)],
+            "motion.start_deg": start,
+            "motion.stop_deg": stop,
+            "bed.left": rounded(wall),
+            "bed.floor": rounded(wall),
+            "bed.width": rounded(soil),
+            "bed.height": rounded(below),
+            "bed.breadth": rounded(body.width + 2.0 * bed * ASIDE * depth),
+            "numerics.domain": rounded(count * cell),
+            "numerics.cells": count,
+            "numerics.time_step": float(f"{base.numerics.time_step * scale:.4g}"),
+            "numerics.remap_interval": float(f"{base.numerics.remap_interval * scale:.4g}"),
+            "numerics.seed": seed,
+        },
+    )
