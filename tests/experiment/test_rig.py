@@ -39,7 +39,7 @@ def test_forces_on_similar_rigs_go_with_the_cube_of_their_length(leg: str) -> No
 
 
 def test_li_rig_is_simulated_as_in_sand3d() -> None:
-    rig = Rig.load("li2013", "c")
+    rig = Rig.of("li2013", "c")
     ours = similar_scenario(rig.leg, rig.ratios, friction_angle_deg=35.0, leg_friction=0.30)
     preset = terraphi.Scenario.load("sand3d")
     assert ours.leg.reach() == pytest.approx(preset.leg.reach())
@@ -60,9 +60,9 @@ def test_file_and_options_make_the_same_rig(tmp_path: Path) -> None:
     lines = ["leg = 'c'", *(f"{key} = {value}" for key, value in SIZES.items())]
     lines[-1] = "hip_height_mm = '35±1'"
     (tmp_path / "rig.toml").write_text("\n".join(lines), encoding="utf-8")
-    rig = Rig.load(tmp_path / "rig.toml")
+    rig = Rig.of(tmp_path / "rig.toml")
     assert rig == Rig(leg="c", **SIZES, hip_height_sd_mm=1.0)
-    assert Rig.load(tmp_path / "rig.toml", "straight").leg == "straight"
+    assert Rig.of(tmp_path / "rig.toml", "straight").leg == "straight"
 
 
 @pytest.mark.parametrize(

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from terraphi.cli.options import PATH, json_option
+from terraphi.cli.options import PATH, json_option, rig_options
 from terraphi.cli.simulate import announce
 from terraphi.experiment.errors import InputError
 from terraphi.view.console import present, progress_bar
@@ -28,7 +28,7 @@ def library() -> None:
 
 @library.command("build")
 @click.argument("plan", required=False)
-@click.option("--rig", type=PATH, help="TOML file of a leg's sizes, in place of PLAN.")
+@rig_options
 @click.option("--out", type=PATH, required=True, help="NetCDF file to make.")
 @click.option("--workers", type=click.IntRange(min=1), help="Processes.  [default: all cores]")
 @click.option(
@@ -39,15 +39,15 @@ def library() -> None:
 @json_option
 def library_build(
     plan: str | None,
-    rig: Path | None,
     out: Path,
     workers: int | None,
     cluster: str | None,
     as_json: bool,
+    **options: Any,
 ) -> None:
     """Simulate all cases of PLAN, a TOML file or the name of a shipped plan, or of a rig of yours.
 
-    A rig has the keys leg, length_mm, width_mm, thickness_mm and hip_height_mm.
+    Of a rig bed, cells and steps follow from its sizes.
 
     After an interruption the same command continues. 'terraphi keys plan' lists the keys of a plan.
 
@@ -56,14 +56,15 @@ def library_build(
     Example: terraphi library build --rig rig.toml --out mine.nc
     """
     from terraphi.experiment.outputs import check_file
-    from terraphi.experiment.rig import Rig
+    from terraphi.experiment.rig import Rig, with_rig
     from terraphi.library import build as builder
     from terraphi.library.plan import Plan
 
     check_file(out, kind="library")
-    if (plan is None) == (rig is None):
-        raise InputError("give a PLAN, or a rig by --rig FILE")
-    chosen = Plan.load(plan) if plan is not None else Plan.of_rig(Rig.load(rig or ""))
+    given = with_rig(options)
+    if (plan is None) == (given["rig"] is None):
+        raise InputError("give a PLAN, or a rig by its sizes or --rig FILE")
+    chosen = Plan.load(plan) if plan is not None else Plan.of_rig(Rig.of(**given))
     count = min(workers or os.cpu_count() or 1, chosen.count)
     announce(chosen.cases(), count)
     pool = builder.cluster(cluster) if cluster else builder.workers(count)

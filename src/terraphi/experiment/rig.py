@@ -11,6 +11,7 @@ Legs of one shape and one set of ratios are therefore simulated once, at one len
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, Self, get_args
 
@@ -20,7 +21,7 @@ from pydantic import Field, model_validator
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import Strict, parse_toml
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import number_with_sd
+from terraphi.experiment.files import number_with_sd, plain_number
 from terraphi.experiment.leg import Leg, RotatingShape, frame_axes
 from terraphi.experiment.scenario import GRAVITY, Scenario
 
@@ -39,6 +40,10 @@ THETA_DEG = np.arange(-175.0, 91.0)
 """Angles at which a leg may be near the soil [deg]."""
 BEFORE_DEG, AFTER_DEG = 20.0, 10.0
 """Angles simulated before the first contact and after the last [deg]."""
+
+
+LEG_NAMES = {"straight": "straight leg", "c": "C leg", "reversed_c": "reversed C leg"}
+"""Shapes of legs in words."""
 
 
 class Ratios(NamedTuple):
@@ -119,50 +124,100 @@ class Rig(Strict):
     def __str__(self) -> str:
         """Sizes in one line, such as ``straight leg 110 × 40 × 8 mm, hip 35 mm above the soil``."""
         sizes = " × ".join(f"{v:.3g}" for v in (self.length_mm, self.width_mm, self.thickness_mm))
-        name = {"c": "C leg", "reversed_c": "reversed C leg"}.get(self.leg, f"{self.leg} leg")
-        return f"{name} {sizes} mm, hip {self.hip_height_mm:.3g} mm above the soil"
+        return f"{LEG_NAMES[self.leg]} {sizes} mm, hip {self.hip_height_mm:.3g} mm above the soil"
 
     @classmethod
-    def of_scenario(cls, scenario: Scenario) -> Rig:
-        """The rig of a simulation; raises ValueError if that has no rotating leg."""
+    def of_scenario(cls, scenario: Scenario) -> Self | None:
+        """The rig of a simulation; ``None`` if that has no leg that rotates.
+
+        Legs of two dimensions and of resistive force theory end at their chord; in three dimensions
+        the material point method adds their round end.
+        """
         leg, motion = scenario.leg, scenario.motion
         if motion.kind != "rotation" or leg.shape not in get_args(RotatingShape):
-            raise ValueError(f"a {leg.shape} in {motion.kind} is no rig")
+            return None
+        ends_round = scenario.model == "mpm" and scenario.dimensions == 3
+        length = leg.reach() if ends_round else leg.chord
         return cls.model_validate({
             "leg": leg.shape,
-            "length_mm": 1e3 * leg.reach(),
+            "length_mm": 1e3 * length,
             "width_mm": 1e3 * leg.width,
             "thickness_mm": 2e3 * leg.half_thickness,
-            "hip_height_mm": max(0.0, 1e3 * scenario.hip_height),
+            "hip_height_mm": min(max(0.0, 1e3 * scenario.hip_height), 999.0 * length),
             "hip_height_sd_mm": 0.0,
         })  # fmt: skip
 
     @classmethod
-    def load(cls, source: Path | str, leg: str | None = None) -> Self:
-        """Read a rig from a TOML file, or take that of Li et al. (2013), ``li2013``.
+    def of(cls, rig: Any, leg: str | None = None) -> Self:
+        """A rig from whatever people give: a rig, its keys, a TOML file, or ``li2013``.
 
         Parameters
         ----------
-        source
-            A file of the keys above, or ``li2013``.
+        rig
+            ``li2013`` is that of Li et al. (2013).
         leg
-            Shape of the leg; of a file, in place of the file's.
+            Shape of the leg, in place of that of the rig.
 
         Raises
         ------
         InputError
             If the file is missing, not TOML, or a value cannot be.
         """
-        if str(source) != "li2013":
-            rig = parse_toml(Path(source), cls)
-            return rig if leg is None else cls.model_validate(rig.model_dump() | {"leg": leg})
+        if not isinstance(rig, Rig | Mapping | str | Path):
+            raise InputError(f"rig of type {type(rig).__name__}; give a Rig, its keys or a file")
+        if isinstance(rig, str | Path) and str(rig) != "li2013":
+            rig = parse_toml(Path(rig), cls)
+        if isinstance(rig, Rig):
+            rig = rig.model_dump()
+        if isinstance(rig, Mapping):
+            return cls(**{**rig, **({} if leg is None else {"leg": leg})})
         if leg is None:
             raise InputError("rig li2013 has three legs; give --leg straight, c or reversed_c")
-        return cls.model_validate({"leg": leg, **LI2013})
+        return cls(leg=leg, **LI2013)
 
 
-LI2013 = {"length_mm": 76.2, "width_mm": 25.4, "thickness_mm": 6.4, "hip_height_mm": 20.0}
+LI2013: dict[str, Any] = {
+    "length_mm": 76.2,
+    "width_mm": 25.4,
+    "thickness_mm": 6.4,
+    "hip_height_mm": 20.0,
+}
 """Sizes of the rig of Li et al. (2013), supplement [mm]."""
+SIZES = ("length", "width", "thickness", "hip_height")
+"""Options that together with the leg make a rig [mm]."""
+
+
+def with_rig(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options with a rig in place of the sizes that are given one by one, if any are.
+
+    Parameters
+    ----------
+    options
+        By name; those of :data:`SIZES` as text or numbers [mm].
+
+    Raises
+    ------
+    InputError
+        If some of the sizes or the leg are missing, or there is a rig as well.
+    """
+    others = {key: value for key, value in options.items() if key not in SIZES}
+    sizes = {key: options[key] for key in SIZES if options.get(key) is not None}
+    if not sizes:
+        return others
+    flags = {key: f"--{key.replace('_', '-')}" for key in ("leg", *SIZES)}
+    lacking = [flag for key, flag in flags.items() if options.get(key) is None]
+    if others.get("rig") is not None:
+        raise InputError(f"--rig has all sizes; leave out {flags[next(iter(sizes))]}")
+    if lacking:
+        raise InputError(f"the sizes of a rig go together; add {', '.join(lacking)}")
+    try:
+        numbers = {
+            f"{key}_mm": value if key == "hip_height" else plain_number(str(value))
+            for key, value in sizes.items()
+        }
+    except ValueError as error:
+        raise InputError(f"sizes of the rig: {error}; give millimeters") from None
+    return {**others, "rig": Rig(leg=options["leg"], **numbers)}
 
 
 def swept(leg: Leg, hip_height: float) -> FloatArray:

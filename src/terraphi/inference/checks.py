@@ -17,7 +17,13 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import CHANNEL_UNITS, FORCES, OBSERVATION_ANGLES, WINDOW_DEG
 from terraphi.experiment.units import FORCE
 from terraphi.inference.emulator import emulator_of
-from terraphi.inference.likelihood import SHIFT_DEG, Likelihood, squared_residuals, window_means
+from terraphi.inference.likelihood import (
+    SHIFT_DEG,
+    Likelihood,
+    scaled,
+    squared_residuals,
+    window_means,
+)
 from terraphi.inference.records import Record
 from terraphi.library.store import PHI, Curves, differences
 
@@ -273,8 +279,6 @@ def doubts(likelihood: Likelihood, *, misfit: bool) -> Iterator[str]:
                 f"{name}The record covers {low:.0f} to {high:.0f}° of ±{WINDOW_DEG:g}°, with "
                 f"{part.share:.0%} of the information on φ of a whole stroke."
             )
-        if record.leg_assumed:
-            yield f"{name}The leg is assumed to be straight; give --leg."
         least, most = USUAL_DENSITY
         if likelihood.measured and not record.medium and not least <= density <= most:
             yield (
@@ -354,7 +358,7 @@ def _columns_otherwise(record: Record) -> dict[str, tuple[Record, FloatArray]]:
 def _other_arm(likelihood: Likelihood, i: int) -> Iterator[str]:
     """A sentence if the moment about the hip is not that of the forces, with the model's arms."""
     record = likelihood.records[i]
-    factor = moment_factor(record, likelihood.emulators[record.leg].curves, likelihood.shift_deg[i])
+    factor = moment_factor(record, likelihood.curves_of(record), likelihood.shift_deg[i])
     if factor is not None and abs(np.log(max(factor, 1e-3))) > np.log(OTHER_ARM):
         yield (
             f"The moment is {factor:.2g} times that of the forces about the hip: check the length "
@@ -452,6 +456,5 @@ def residual(data: FloatArray, record: Record, likelihood: Likelihood, leg: str)
 def _over_phi(likelihood: Likelihood, record: Record, leg: str) -> tuple[Curves, FloatArray]:
     """Curves of a leg, and its forces [N] over the library's φ, at a record's density."""
     emulator = emulator_of(likelihood.library, leg, corrected=likelihood.measured)
-    own = emulator.curves.scenario.soil.density
-    ratio = (record.density_kg_m3 or own) / own
-    return emulator.curves, ratio * emulator(np.linspace(*emulator.bounds, 71))
+    factor, curves = scaled(record, emulator.curves)
+    return curves, factor * emulator(np.linspace(*emulator.bounds, 71))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.metadata
 import math
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +15,11 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
+from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.rig import Rig, with_rig
 from terraphi.experiment.scenario import Scenario
 from terraphi.experiment.soil import plane_strain_friction_angle_deg
-from terraphi.forward.rft import to_plane_strain
+from terraphi.forward.rft import leg_force, to_plane_strain
 from terraphi.inference.answer import Answer, Estimate, RecordFit, worst_nrmsd
 from terraphi.inference.checks import (
     LARGE_SHIFT_DEG,
@@ -27,11 +31,17 @@ from terraphi.inference.checks import (
     residual,
     without_faults,
 )
-from terraphi.inference.likelihood import OF_RIG, UNKNOWN_DENSITY, Likelihood, channels_of
+from terraphi.inference.likelihood import (
+    OF_RIG,
+    UNKNOWN_DENSITY,
+    Likelihood,
+    channels_of,
+    check_rig,
+)
 from terraphi.inference.records import Record, open_records
 from terraphi.inference.sampling import Drawn, quadrature, sample
 from terraphi.inference.soils import Calibration, CalibrationSoil, model_error
-from terraphi.library.store import PHI, Library, nearest_library, shipped_library
+from terraphi.library.store import PHI, Case, Library, nearest_library, shipped_library
 
 DEFAULT = "sand3d"
 """Library for measured forces."""
@@ -63,6 +73,7 @@ def invert(
     forces: Any,
     *,
     leg: str | None = None,
+    rig: Any = None,
     density: float | str | None = None,
     columns: Any = None,
     library: Library | Path | str | None = None,
@@ -80,7 +91,10 @@ def invert(
         A table of text or a NetCDF file, a shipped measurement such as ``"li2013:yuma/c"``, a force
         history, a DataFrame, an xarray Dataset; or a list of these, of one soil.
     leg
-        Shape of the leg: ``straight``, ``c`` or ``reversed_c``; ``None``: from the forces' file.
+        Shape of the leg: ``straight``, ``c`` or ``reversed_c``; ``None``: that of the rig.
+    rig
+        The apparatus: a :class:`Rig`, a mapping of its keys, a TOML file, or ``"li2013"`` for that
+        of Li et al. (2013); ``None``: from the forces' file, which tables of text do not have.
     density
         Bulk density [kg/m³], as a number (± 5 %) or ``"1600±80"``; ``None``: from the forces' file,
         else the library's.
@@ -110,7 +124,7 @@ def invert(
     Raises
     ------
     InputError
-        If forces, leg, density, library or calibration cannot be used.
+        If the rig is not known, or forces, rig, density, library or calibration cannot be used.
 
     Examples
     --------
@@ -123,7 +137,7 @@ def invert(
     # The matrices are small: threads would only wait for each other.
     with threadpool_limits(limits=1, user_api="blas"):
         records = _records(
-            forces, leg=leg, density=density, columns=columns, noise=noise, gain=gain,
+            forces, leg=leg, rig=rig, density=density, columns=columns, noise=noise, gain=gain,
             simulated=simulated,
         )  # fmt: skip
         library, reason = _library_for(records, library)
@@ -155,6 +169,7 @@ def calibrate(
     *,
     library: Library | Path | str | None = None,
     leg: str | None = None,
+    rig: Any = None,
     density: float | str | None = None,
     columns: Any = None,
     noise: float | tuple[float, float] | None = None,
@@ -168,7 +183,7 @@ def calibrate(
         As of :func:`invert`; the records of a list are of one soil.
     phi_deg, phi_sd_deg
         Friction angle in the library's convention and its standard deviation [deg].
-    library, leg, density, columns, noise, gain
+    library, leg, rig, density, columns, noise, gain
         As of :func:`invert`.
 
     Raises
@@ -188,7 +203,9 @@ def calibrate(
     if not (0.0 < phi_deg < 90.0 and 0.0 <= phi_sd_deg < 90.0):
         raise InputError(f"phi = {phi_deg:g} ± {phi_sd_deg:g}°; 0 to 90° are accepted")
     soils = []
-    records = _records(forces, leg=leg, density=density, columns=columns, noise=noise, gain=gain)
+    records = _records(
+        forces, leg=leg, rig=rig, density=density, columns=columns, noise=noise, gain=gain
+    )
     found, _ = _library_for(records, library)
     for record in records:
         likelihood = Likelihood([record], found)
@@ -247,7 +264,7 @@ def invert_many(
 def _attempt(row: Any) -> Answer | InputError:
     """An answer, or why there is none."""
     try:
-        return invert(**row) if isinstance(row, dict) else invert(row)
+        return invert(**with_rig(row)) if isinstance(row, dict) else invert(row)
     except InputError as error:
         return error
 
@@ -373,7 +390,7 @@ def _fits(
             np.ptp(curve, axis=1) if whole.model is None else whole.model, record.theta_deg
         )
         if usual is not None:
-            on = likelihood.emulators[record.leg].curves
+            on = likelihood.curves_of(record)
             arm = on.arm if on.arm is None else np.stack(
                 [np.interp(record.theta_deg, on.theta_deg + shift, row) for row in on.arm]
             )  # fmt: skip
@@ -384,7 +401,7 @@ def _fits(
             expected = None  # this soil does not differ as others do
         found.append(
             RecordFit(
-                source=record.source, leg=record.leg, leg_assumed=record.leg_assumed,
+                source=record.source, rig=record.rig,
                 simulated=record.simulated, n_readings=len(record.history.position),
                 n_left_out=record.n_left_out, theta_deg=record.theta_deg, data=record.data,
                 curve=curve, expected=expected,
@@ -539,7 +556,7 @@ def _about(
     phi = parameters.get(PHI)
     if likelihood.measured and verdict == "consistent":
         for fit in fits:
-            usual = likelihood.errors[fit.leg].shift_deg
+            usual = likelihood.errors[fit.rig.leg].shift_deg
             if abs(fit.shift_deg - usual) > LARGE_SHIFT_DEG:
                 found.append(
                     f"{fit.source}: the forces come {abs(fit.shift_deg):.0f}° "
@@ -597,7 +614,7 @@ def _second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:
     if not likelihood.measured or names[0] == SECOND or SECOND not in Library.names():
         return None
     try:
-        other = Likelihood(likelihood.records, shipped_library(SECOND))
+        other = Likelihood(likelihood.records, _library_of_theory(likelihood.records))
     except InputError:
         return None  # it does not cover the angles of the record
     read = float(other.least_squares[0])
@@ -609,6 +626,41 @@ def _second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:
         "library": SECOND, "median": median, "sd": sd * (above - below) / 2.0,
         "force_size_deg": phi_of_size(likelihood) if likelihood.keys == (PHI,) else None,
     }  # fmt: skip
+
+
+def _library_of_theory(records: Sequence[Record]) -> Library:
+    """Library of resistive force theory for the rigs of records: the shipped one, or one made now.
+
+    Of one rig a leg: that of the first record with it.
+    """
+    shipped = shipped_library(SECOND)
+    try:
+        for record in records:
+            check_rig(record, shipped, shipped.curves(record.leg))
+        return shipped
+    except InputError:
+        rigs = {record.leg: record.rig for record in records}
+        return _theory(tuple(rigs.values()))
+
+
+@functools.lru_cache(maxsize=16)
+def _theory(rigs: tuple[Rig, ...]) -> Library:
+    """Forces on some rigs by resistive force theory, over the angles of the shipped library."""
+    base = shipped_library(SECOND)
+    theta = np.radians(np.arange(-135.0, 135.5, 0.5))
+    cases = []
+    for rig in rigs:
+        own = [case.scenario for case in base.cases if case.scenario.leg.shape == rig.leg]
+        sizes = {
+            "leg.chord": rig.length,
+            "leg.width": 1e-3 * rig.width_mm,
+            "leg.half_thickness": 5e-4 * rig.thickness_mm,
+            "motion.hip.1": own[0].bed.surface + 1e-3 * rig.hip_height_mm,
+        }
+        for scenario in (one.replace(**sizes) for one in own):
+            force, moment = leg_force(scenario, scenario.motion.poses_at(theta))
+            cases.append(Case(scenario, ForceHistory(theta, force, moment=moment)))
+    return replace(base, cases=tuple(cases))
 
 
 def _disagreement_deg(likelihood: Likelihood, own: Estimate, second: dict[str, Any]) -> float:

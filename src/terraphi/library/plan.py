@@ -167,7 +167,7 @@ class Plan(Strict):
 
         Examples
         --------
-        >>> plan = terraphi.Plan.of_rig(terraphi.Rig.load("li2013", "c"))
+        >>> plan = terraphi.Plan.of_rig(terraphi.Rig.of("li2013", "c"))
         >>> plan.count, plan.scenario.leg.shape
         (15, 'c')
         """
