@@ -233,9 +233,12 @@ def swept(leg: Leg, hip_height: float) -> FloatArray:
 
 
 def contact_deg(leg: Leg, hip_height: float) -> tuple[float, float]:
-    """First and last angle at which a leg reaches into level soil [deg], to a degree."""
+    """First and last angle at which a leg reaches into level soil [deg], to a degree.
+
+    Of a leg that never does, no angle: inf and -inf.
+    """
     touching = THETA_DEG[(swept(leg, hip_height)[..., 1] < 0.0).any(axis=1)]
-    return float(touching[0]), float(touching[-1])
+    return float(touching.min(initial=np.inf)), float(touching.max(initial=-np.inf))
 
 
 def similar_scenario(

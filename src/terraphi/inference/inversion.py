@@ -277,7 +277,8 @@ def _library_for(
         return library, ""
     if library is not None:
         named = str(library)
-        return (shipped_library(named) if named in Library.names() else Library.load(library)), ""
+        found = shipped_library(named) if named in Library.names() else Library.load(library)
+        return (_library_of_theory(records) if named == SECOND else found), ""
     scenarios = [record.scenario for record in records]
     if all(scenario is not None for scenario in scenarios):
         assert scenarios[0] is not None

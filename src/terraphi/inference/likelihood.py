@@ -160,9 +160,9 @@ def check_rig(record: Record, library: Library, curves: Curves) -> None:
         sizes["hip-height"] = own.hip_height_mm
         options = " ".join(f"--{name} {size:g}" for name, size in sizes.items())
         raise InputError(
-            f"{record.source}: library {library.name} is not of a {own}, nor of one with its "
-            f"ratios; build it: terraphi library build --leg {own.leg} {options} --out mine.nc, "
-            "then add --library mine.nc"
+            f"{record.source}: library {library.name} is not of a {own}; build one: terraphi "
+            f"library build --leg {own.leg} {options} --out mine.nc, and add --library mine.nc, "
+            "or rft3d for a rough angle at once"
         )
 
 
