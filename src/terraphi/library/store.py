@@ -31,6 +31,8 @@ ORDER = ("sand3d", "rft3d", "paper", "paper-code")
 """Shipped libraries, the most useful first."""
 ARM_DEG = 2.0
 """Width over which lever arms are smoothed [deg]."""
+REACH_DEG = 88.0
+"""Angle [deg] that the windows of records, which end at 87.2°, do not reach."""
 THETA_DEG = np.arange(-90.0, 91.0)
 """Leg angles [deg] of the curves that inference uses: means over 1° about whole degrees."""
 
@@ -258,9 +260,10 @@ class Library:
         assert span is not None
         low, high = np.degrees(span.position[[0, -1]])
         inside = (low - 1e-9 <= THETA_DEG) & (high + 1e-9 >= THETA_DEG)
-        # A leg that leaves the soil within its path is in the air before and after.
+        # A path that ends in the air, short of what records have, is followed by air.
         begins, ends = contact_deg(first.leg, first.hip_height)
-        air = (low > THETA_DEG) & (low < begins) | (high < THETA_DEG) & (high > ends)
+        air = (THETA_DEG < low) & (-REACH_DEG < low < begins)
+        air |= (THETA_DEG > high) & (REACH_DEG > high > ends)
         theta = THETA_DEG[inside | air]
         means = [_one_degree_means(chosen[i].history, theta, air[inside | air]) for i in order]
         force, arm = np.stack([m[:2] for m in means]), _lever_arm([m for m in means if len(m) > 2])
