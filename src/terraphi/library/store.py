@@ -262,8 +262,8 @@ class Library:
         inside = (low - 1e-9 <= THETA_DEG) & (high + 1e-9 >= THETA_DEG)
         # A path that ends in the air, short of what records have, is followed by air.
         begins, ends = contact_deg(first.leg, first.hip_height)
-        air = (THETA_DEG < low) & (-REACH_DEG < low < begins)
-        air |= (THETA_DEG > high) & (REACH_DEG > high > ends)
+        air = (low > THETA_DEG) & (-REACH_DEG < low < begins)
+        air |= (high < THETA_DEG) & (REACH_DEG > high > ends)
         theta = THETA_DEG[inside | air]
         means = [_one_degree_means(chosen[i].history, theta, air[inside | air]) for i in order]
         force, arm = np.stack([m[:2] for m in means]), _lever_arm([m for m in means if len(m) > 2])
