@@ -92,7 +92,7 @@ def believed() -> list[tuple[str, str]]:
     verdicts: dict[str, list[str]] = {}
     for kind, case, leg in strangers():
         history, density = replace(case.history, provenance={}), case.scenario.soil.density
-        answer = terraphi.invert(history, library=LIBRARY, leg=leg, density=density)
+        answer = terraphi.invert(history, library=LIBRARY, rig="li2013", leg=leg, density=density)
         verdicts.setdefault(kind, []).append(answer.verdict)
     return [(kind, f"{v.count('consistent')} of {len(v)}") for kind, v in verdicts.items()]
 

@@ -29,13 +29,13 @@ import numpy as np
 from scipy.stats import qmc
 
 import terraphi
-from terraphi.experiment.leg import LegShape, frame_axes
+from terraphi.experiment.leg import RotatingShape
+from terraphi.experiment.rig import SIMULATED_LENGTH as LENGTH
+from terraphi.experiment.rig import Ratios, similar_scenario
 from terraphi.forward import Checkpoint, model_version
 from terraphi.forward.forecast import forecast
 
 FOLDER = Path(__file__).parent / "data" / "legs"
-LENGTH, DENSITY, GRAVITY = 0.0762, 1650.0, 9.81
-"""Hip to tip [m], bulk density [kg/m³] and gravity [m/s²] of all cases."""
 BOX = {
     "phi_deg": (10.0, 55.0),
     "mu": (0.1, 0.6),
@@ -45,19 +45,13 @@ BOX = {
     "cohesion": (0.0, 1.0),
 }
 """Bounds of what the sequence draws; of cohesion its square root over the largest."""
-SHAPES: tuple[LegShape, ...] = ("straight", "c", "reversed_c")
+SHAPES: tuple[RotatingShape, ...] = ("straight", "c", "reversed_c")
 COHESION = 0.5
 """Largest c / (ρ g L) [-]."""
 COUNT, FINER, LARGER, LI = 252, 8, 21, 24
 """Cases; each how many-th is simulated in finer cells; the one in a larger bed; with Li's legs."""
 LI_LEG = (0.0254 / LENGTH, 0.020 / LENGTH, 0.0064 / LENGTH)
 """Width, hip height and thickness over the length of Li's legs."""
-CELLS_ACROSS, CELLS_DEEP, COARSEST, FINEST = 5.08, 11.24, LENGTH / 12.0, LENGTH / 20.0
-"""Cells in the width and in the depth, and bounds of the cell [m]."""
-BESIDE, BELOW, ASIDE = 1.2, 1.15, 1.6
-"""Soil before and behind, below, and to each side of what the leg reaches, in depths."""
-BEFORE, AFTER = 20.0, 10.0
-"""Angles simulated before the first contact and after the last [deg]."""
 ANGLES = np.arange(-130.0, 90.0) + 0.5
 """Middles of the means that are kept, over 1° [deg]."""
 
@@ -68,7 +62,7 @@ class Case:
 
     number: int
     """Place in the sequence; Li's legs follow from 1000 on."""
-    shape: LegShape
+    shape: RotatingShape
     phi_deg: float
     mu: float
     """Friction of the leg [-]."""
@@ -127,57 +121,17 @@ def _named(case: Case) -> dict[str, object]:
 
 
 def scenario(case: Case) -> terraphi.Scenario:
-    """The scenario of a case: numerics of `sand3d`, in proportion to the cell."""
-    base = terraphi.Scenario.load("sand3d")
-    thickness, height = case.thickness * LENGTH, case.height * LENGTH
-    leg = terraphi.Leg(
-        shape=case.shape,
-        chord=LENGTH - 0.5 * thickness,
-        half_thickness=0.5 * thickness,
-        width=case.width * LENGTH,
-        friction=case.mu,
+    """The scenario of a case."""
+    return similar_scenario(
+        case.shape,
+        Ratios(case.width, case.height, case.thickness),
+        friction_angle_deg=case.phi_deg,
+        leg_friction=case.mu,
+        cohesion=case.cohesion,
+        cells=case.cells,
+        bed=case.bed,
+        seed=9000 + case.number,
     )
-    # Lowest point and extent of what is in the soil, over the angles.
-    theta = np.radians(np.arange(-175.0, 91.0))
-    along, motion = frame_axes(theta[:, None])
-    outline = leg.outline()
-    corners = outline[:, :1] * along + outline[:, 1:] * motion + np.array([0.0, height])
-    inside = corners[..., 1] < 0.0
-    depth = -corners[..., 1].min()
-    reach = abs(corners[..., 0][inside]).max()
-    touching = np.degrees(theta[inside.any(axis=1)])
-    start = max(-175.0, 5.0 * math.floor((touching[0] - BEFORE) / 5.0))
-    stop = min(90.0, 5.0 * math.ceil((touching[-1] + AFTER) / 5.0))
-
-    rule = min(leg.width / CELLS_ACROSS, depth / CELLS_DEEP)
-    cell = case.cells * min(max(rule, FINEST), COARSEST)
-    scale = cell / base.numerics.cell_size
-    soil, below = 2.0 * (reach + case.bed * BESIDE * depth), (1.0 + case.bed * BELOW) * depth
-    wall = 2.0 * cell
-    # The box holds the bed and the leg that stands up before it enters.
-    top = below + height + corners[..., 1].max() + 2.0 * cell
-    cells = math.ceil((max(soil, top) + 2.0 * wall) / cell)
-    changes = {
-        "name": f"legs-{case.number}",
-        "soil.friction_angle_deg": case.phi_deg,
-        "soil.density": DENSITY,
-        "soil.cohesion": round(case.cohesion * DENSITY * GRAVITY * LENGTH, 3),
-        "leg": leg.model_dump(),
-        "motion.hip": [wall + 0.5 * soil, wall + below + height],
-        "motion.start_deg": start,
-        "motion.stop_deg": stop,
-        "bed.left": wall,
-        "bed.floor": wall,
-        "bed.width": soil,
-        "bed.height": below,
-        "bed.breadth": leg.width + 2.0 * case.bed * ASIDE * depth,
-        "numerics.domain": cells * cell,
-        "numerics.cells": cells,
-        "numerics.time_step": base.numerics.time_step * scale,
-        "numerics.remap_interval": base.numerics.remap_interval * scale,
-        "numerics.seed": 9000 + case.number,
-    }
-    return base.replace(changes["name"], **changes)
 
 
 def columns() -> list[str]:
@@ -232,14 +186,13 @@ def main() -> None:
         return
     FOLDER.mkdir(exist_ok=True)
     head = columns()
-    place = head.index("hash")
     rows = [row for file in FOLDER.glob("cases-*.csv") for row in file.read_text().splitlines()]
-    done = {row.split(",", place + 1)[place] for row in rows}
+    done = {",".join(row.split(",")[: head.index("hash")]) for row in rows}
     file = FOLDER / f"cases-{options.part}.csv"
     if not file.exists():
         file.write_text(",".join(head) + "\n")
     for k, case in enumerate(cases()):
-        if k % options.parts == options.part and scenario(case).hash[:16] not in done:
+        if k % options.parts == options.part and ",".join(map(str, astuple(case))) not in done:
             row = line(case)
             with file.open("a") as out:
                 out.write(row)

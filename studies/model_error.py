@@ -168,7 +168,9 @@ def without_size(beds: Beds) -> dict[tuple[str, str], np.ndarray]:
 def record_of(name: str, leg: str, force: np.ndarray, density: float) -> Record:
     """A record of simulated grains."""
     history = ForceHistory(np.radians(ANGLES_DEG), force)
-    record = open_record(history, leg=leg, density=f"{density:.1f}±{0.005 * density:.1f}")
+    record = open_record(
+        history, rig="li2013", leg=leg, density=f"{density:.1f}±{0.005 * density:.1f}"
+    )
     return replace(record, source=f"grains {name}, {leg}")
 
 

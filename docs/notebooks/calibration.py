@@ -18,7 +18,7 @@ import terraphi
 
 grains = "../../studies/data/grains"
 known, other = f"{grains}/B-loose_straight_1.csv", f"{grains}/C-loose_straight_1.csv"
-leg = {"leg": "straight"}
+leg = {"rig": "li2013", "leg": "straight"}
 
 before = terraphi.invert(other, **leg, density="1335±7")
 before

@@ -34,7 +34,9 @@ sizes = {"-fine": (4.4, 1431), "": (6.0, 1418), "-coarse": (8.8, 1406)}
 answers = {}
 for name, (diameter, density) in sizes.items():
     record = f"{grains}{name}_straight_1.csv"
-    answers[diameter] = terraphi.invert(record, leg="straight", density=f"{density}±7")
+    answers[diameter] = terraphi.invert(
+        record, rig="li2013", leg="straight", density=f"{density}±7"
+    )
 pd.DataFrame({f"{d} mm": {"φ": a.phi.median, "sd": a.phi.sd} for d, a in answers.items()}).round(1)
 
 # %%

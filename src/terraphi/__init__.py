@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from terraphi.experiment.motion import Rotation as Rotation
     from terraphi.experiment.motion import Translation as Translation
     from terraphi.experiment.reading import read_forces as read_forces
+    from terraphi.experiment.rig import Rig as Rig
     from terraphi.experiment.scenario import Scenario as Scenario
     from terraphi.experiment.soil import Soil as Soil
     from terraphi.forward import simulate as simulate
@@ -40,6 +41,7 @@ _PLACES = {
     "Leg": "experiment.leg",
     "Library": "library.store",
     "Plan": "library.plan",
+    "Rig": "experiment.rig",
     "Rotation": "experiment.motion",
     "Scenario": "experiment.scenario",
     "SimulationError": "experiment.errors",

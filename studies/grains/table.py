@@ -31,7 +31,7 @@ from terraphi.library.store import Library
 def inverted(record: Record, library: Library) -> terraphi.Answer:
     """The answer to a record."""
     density = f"{record.density_kg_m3}±{record.density_sd_kg_m3}"
-    return terraphi.invert(record.history, leg=record.leg, density=density, library=library)
+    return terraphi.invert(record.history, rig=record.rig, density=density, library=library)
 
 
 def grains_of(soil: str) -> str:
@@ -136,7 +136,10 @@ def wrong(library: Library, every: list[model_error.Reading]) -> dict[str, str]:
         others = [leg for leg in pages.LEGS if leg != reading.leg]
         kinds = {
             "nothing wrong": record,
-            **{f"another leg, {i}": replace(record, leg=leg) for i, leg in enumerate(others)},
+            **{
+                f"another leg, {i}": replace(record, rig=terraphi.Rig.of(record.rig, leg))
+                for i, leg in enumerate(others)
+            },
             "Fx turned": replace(record, history=replace(history, force=history.force * [-1, 1])),
             "Fz turned": replace(record, history=replace(history, force=history.force * [1, -1])),
             "half the density": replace(record, density_kg_m3=0.5 * record.density_kg_m3),
@@ -170,7 +173,7 @@ def calibrated(library: Library, every: list[model_error.Reading]) -> tuple[str,
         left_out = {grains_of(known.soil), grains_of(soil.soil)}
         others = [r for r in every if grains_of(r.soil) not in left_out]
         own = replace(library, model_error=model_error.learn(others))
-        options = {"leg": soil.leg, "library": own}
+        options = {"rig": soil.record.rig, "library": own}
         try:
             calibration = terraphi.calibrate(
                 known.record.history, known.critical_deg, 1.0, **options,

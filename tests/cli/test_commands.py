@@ -115,7 +115,7 @@ def test_invert_prints_the_answer_of_python(terraphi: Terraphi) -> None:
     same = package.invert(MEASURED, library="rft3d")
     assert answer["phi_deg"]["median"] == pytest.approx(same.phi.median, abs=1e-9)
     assert (answer["density_kg_m3"], answer["density_assumed"]) == (638.0, False)
-    assert (answer["library"], answer["leg"]) == ("rft3d", "straight")
+    assert (answer["library"], answer["rig"]["leg"]) == ("rft3d", "straight")
 
 
 def test_invert_prints_angle_and_verdict_within_ten_lines(terraphi: Terraphi) -> None:
@@ -173,12 +173,12 @@ def test_a_table_of_records_is_inverted_as_each_alone(
     )
     (day / "c.toml").write_text('fx = "a"\nfz = "b"\nunit = "kN"\n')
     lines = [
-        "plain.csv,c,1500±50,,dry",
-        "other.csv,c,1500±50,c.toml,",
-        f"{MEASURED},,,,",
-        "no.csv,,,,",
+        "plain.csv,c,li2013,1500±50,,dry",
+        "other.csv,c,li2013,1500±50,c.toml,",
+        f"{MEASURED},,,,,",
+        "no.csv,,,,,",
     ]
-    table = ["file,leg,density,columns,remark", *lines * copies]
+    table = ["file,leg,rig,density,columns,remark", *lines * copies]
     (day / "day.csv").write_text("\n".join(table) + "\n", encoding="utf-8")
     ran = terraphi("invert", "--table", "day/day.csv", *QUICK, "--out", "answers.csv")
     assert ran.status == 1, ran.err
@@ -186,7 +186,7 @@ def test_a_table_of_records_is_inverted_as_each_alone(
     rows = pd.read_csv(tmp_path / "answers.csv")
     assert len(rows) == 4 * copies
     assert rows["verdict"].tolist()[3::4] == ["failed"] * copies
-    phi = package.invert(plain, leg="c", density="1500±50", library="rft3d").phi
+    phi = package.invert(plain, rig="li2013", leg="c", density="1500±50", library="rft3d").phi
     shipped = package.invert(MEASURED, library="rft3d").phi
     expected = [phi.median, phi.median, shipped.median] * copies
     assert rows["phi_deg"].dropna().tolist() == pytest.approx(expected, abs=2e-3)
@@ -255,7 +255,7 @@ def test_columns_stand_in_a_file_or_on_the_command_line(terraphi: Terraphi, tmp_
             for key, value in (pair.split("=") for pair in pairs.split(","))
         )
     )
-    density = ("--leg", "c", "--density", "1650", *QUICK, "--json")
+    density = ("--rig", "li2013", "--leg", "c", "--density", "1650", *QUICK, "--json")
     phi = package.invert("li2013:yuma/c", density=1650, library="rft3d").phi.median
     for columns in (pairs, "c.toml"):
         ran = terraphi("invert", "x.csv", "--columns", columns, *density)
@@ -278,7 +278,7 @@ def test_a_simulation_inverts_to_its_own_angle(leg: str, terraphi: Terraphi) -> 
     summary = json.loads(terraphi("simulate", "quick", *changes, "--out", "h.nc", "--json").out)
     assert summary["peak_Fz_N"] > 0.0
     answer = json.loads(terraphi("invert", "h.nc", "--json").out)
-    assert (answer["leg"], answer["library"]) == (leg, "rft3d")
+    assert (answer["rig"]["leg"], answer["library"]) == (leg, "rft3d")
     assert answer["phi_deg"]["median"] == pytest.approx(33.0, abs=0.1)
 
 

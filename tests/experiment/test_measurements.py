@@ -47,7 +47,7 @@ def test_every_measurement_is_whole() -> None:
     for name in names():
         found = measurement(name)
         assert (found.name, found.history.provenance["measurement"]) == (name, name)
-        assert name.endswith(f"/{found.leg}")
+        assert name.endswith(f"/{found.rig.leg}")
         assert found.medium
         assert "10.1126/science.1229163" in found.source
         for history in (found.history, reference_rft(name)):
@@ -86,15 +86,15 @@ def test_names_that_are_wrong_are_answered_by_the_nearest() -> None:
 
 def test_forces_open_with_what_is_known_of_them(tmp_path: Path) -> None:
     [shipped] = open_forces("li2013:yuma/c")
-    assert (shipped.leg, shipped.density_assumed) == ("c", True)
+    assert (shipped.rig.leg, shipped.density_assumed) == ("c", True)
     (tmp_path / "own.csv").write_text("theta_deg,Fx_N,Fz_N\n-90,0,0\n0,1,2\n90,0,0\n")
     [own] = open_forces(tmp_path / "own.csv")
     assert own.history.Fz.tolist() == [0.0, 2.0, 0.0]
-    assert (own.leg, own.leg_assumed, own.density_kg_m3) == ("straight", True, None)
+    assert (own.rig, own.density_kg_m3) == (None, None)
     scenario = {"model": "rft", "dimensions": 3, "leg": {"shape": "c"}, "soil": {"density": 1400.0}}
     simulate(Scenario.model_validate(scenario)).to_netcdf(tmp_path / "c.nc")
     [made] = open_forces(tmp_path / "c.nc")
-    assert (made.leg, made.leg_assumed, made.density_kg_m3) == ("c", False, 1400.0)
+    assert (made.rig.leg, made.rig.length_mm, made.density_kg_m3) == ("c", 76.2, 1400.0)
     ForceHistory(np.array([0.0, 0.1]), np.ones((2, 2)), "displacement").to_netcdf(tmp_path / "p.nc")
     with pytest.raises(InputError, match="forces over displacement, expected over theta"):
         open_forces(tmp_path / "p.nc")

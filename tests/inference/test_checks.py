@@ -31,7 +31,7 @@ def damaged(change) -> ForceHistory:
 
 
 def answer_to(change):
-    return invert(damaged(change), density=638.0)
+    return invert(damaged(change), rig="li2013", leg="straight", density=638.0)
 
 
 @pytest.mark.parametrize("name", names())
@@ -70,7 +70,7 @@ def test_held_values_are_left_out() -> None:
     inside = (theta > -58) & (theta < -50)
     force[inside, 1] = force[np.flatnonzero(inside)[0], 1]
     record = open_record(
-        replace(known.history, force=force, provenance={}), leg="c", density=1550.0
+        replace(known.history, force=force, provenance={}), rig="li2013", leg="c", density=1550.0
     )
     assert without_faults(record).n_left_out >= inside.sum() - 2
 
@@ -98,7 +98,9 @@ def test_faults_that_shift_readings_are_misfits(change) -> None:
     ("change", "words"), [(clipped, "Fz is cut off at"), (step, "Fx jumps by 2.5 N at -1")]
 )
 def test_what_shifts_readings_is_named(change, words: str) -> None:
-    record = without_faults(open_record(damaged(change), density=638.0))
+    record = without_faults(
+        open_record(damaged(change), rig="li2013", leg="straight", density=638.0)
+    )
     assert record.damage
     assert any(words in note for note in record.damage)
 
@@ -120,7 +122,7 @@ def test_the_option_that_is_offered_mends_the_record(
     name: str, theta: float, fx: float, fz: float
 ) -> None:
     known = measurement(name)
-    history, options = known.history, {"leg": known.leg, "density": known.density_kg_m3}
+    history, options = known.history, {"rig": known.rig, "density": known.density_kg_m3}
     columns = {"theta": theta * history.theta_deg, "Fx": fx * history.Fx, "Fz": fz * history.Fz}
     answer = invert(pd.DataFrame(columns), **options)
     assert answer.verdict != "consistent"
@@ -157,7 +159,7 @@ def test_forces_of_another_size_are_measured_by_their_shape(leg: str, factor: fl
     emulator = Emulator(library.curves(leg, corrected=True))
     force = factor * emulator(np.array([[30.0]]))[0].T
     history = ForceHistory(np.radians(emulator.curves.theta_deg), force)
-    record = open_record(history, leg=leg, density=1650.0)
+    record = open_record(history, rig="li2013", leg=leg, density=1650.0)
     found, _ = log_strength(Likelihood([record], library), record)
     assert found == pytest.approx(np.log(factor), abs=0.15)
 
@@ -166,7 +168,9 @@ def test_forces_of_another_size_are_measured_by_their_shape(leg: str, factor: fl
 def test_a_short_leg_is_noticed(chord: float, begins: bool) -> None:
     scenario = {"model": "rft", "dimensions": 3, "leg": {"chord": chord}}
     made = simulate(Scenario.model_validate(scenario))
-    answer = invert(ForceHistory(made.position, made.force), leg="straight", density=1650)
+    answer = invert(
+        ForceHistory(made.position, made.force), rig="li2013", leg="straight", density=1650
+    )
     assert any("Contact begins" in one for one in answer.questions) == begins
 
 
@@ -197,7 +201,7 @@ CHANGES = {
 @pytest.mark.parametrize("name", ["li2013:yuma/straight", "li2013:poppy_loose/c"])
 def test_a_record_is_put_right_by_what_the_sensor_reads_in_air(name: str, change: str) -> None:
     known = measurement(name)
-    options = {"leg": known.leg, "density": known.density_kg_m3}
+    options = {"rig": known.rig, "density": known.density_kg_m3}
     plain = invert(known.history, **options)
     answer = invert(logged(name, CHANGES[change]), **options)
     assert answer.verdict == "consistent"
@@ -209,7 +213,7 @@ def test_a_record_is_put_right_by_what_the_sensor_reads_in_air(name: str, change
 @pytest.mark.parametrize("name", [*names()[::3], "li2013:poppy_loose/reversed_c"])
 def test_a_good_record_is_left_as_it_is(name: str) -> None:
     known = measurement(name)
-    history, options = known.history, {"leg": known.leg, "density": known.density_kg_m3}
+    history, options = known.history, {"rig": known.rig, "density": known.density_kg_m3}
     table = {"theta_deg": history.theta_deg, "Fx_N": history.Fx, "Fz_N": history.Fz}
     answer = invert(pd.DataFrame(table), **options)
     plain = invert(replace(history, provenance={}), **options)
@@ -218,13 +222,13 @@ def test_a_good_record_is_left_as_it_is(name: str) -> None:
 
 def test_forces_of_another_leg_in_soil_are_not_taken_for_air() -> None:
     frame = logged("li2013:glass03_close/reversed_c", CHANGES["zero"])
-    assert invert(frame, leg="straight", density=1550.0).verdict != "consistent"
+    assert invert(frame, rig="li2013", leg="straight", density=1550.0).verdict != "consistent"
 
 
 @pytest.mark.parametrize("name", names()[::2])
 def test_a_coarse_sensor_widens_the_interval(name: str) -> None:
     known = measurement(name)
-    history, options = known.history, {"leg": known.leg, "density": known.density_kg_m3}
+    history, options = known.history, {"rig": known.rig, "density": known.density_kg_m3}
     plain = invert(replace(history, provenance={}), **options)
     rounded = replace(history, force=0.5 * np.round(history.force / 0.5), provenance={})
     answer = invert(rounded, **options)

@@ -12,6 +12,7 @@ import pytest
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import measurement, names
+from terraphi.experiment.rig import Rig
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
 from terraphi.inference.answer import Answer
@@ -40,7 +41,8 @@ def test_intervals_hold_truths_drawn_from_the_library(sand3d: Library, leg: str)
     """Of 200 records with particle scatter, 68 and 95 % intervals hold as many."""
     emulator, rng = Emulator(sand3d.curves(leg)), np.random.default_rng(7)
     theta = emulator.curves.theta_deg
-    record = open_record(ForceHistory(np.radians(theta), np.ones((len(theta), 2))))
+    rig = Rig.of("li2013", leg)
+    record = open_record(ForceHistory(np.radians(theta), np.ones((len(theta), 2))), rig=rig)
     inside = []
     for _ in range(200):
         x = np.array([rng.uniform(18.0, 47.0)])
@@ -48,7 +50,7 @@ def test_intervals_hold_truths_drawn_from_the_library(sand3d: Library, leg: str)
         values, vectors = np.linalg.eigh(scatter)
         error = vectors @ (np.sqrt(values.clip(0.0)) * rng.standard_normal(len(values)))
         force = emulator(x[None])[0] + error.reshape(2, -1)
-        one = replace(record, leg=leg, simulated=True, noise=(0.0, 0.0),
+        one = replace(record, simulated=True, noise=(0.0, 0.0),
                       history=replace(record.history, force=force.T))  # fmt: skip
         likelihood = Likelihood([one], sand3d)
         best = likelihood.least_squares
@@ -70,24 +72,24 @@ def test_units_density_and_thinning_leave_the_angle(name: str) -> None:
     """Forces over density decide φ; so does neither the number of readings."""
     plain, known = invert(name), measurement(name)
     density = 1.3 * known.density_kg_m3
-    heavier = invert(known.history.scaled(1.3), leg=known.leg, density=density)
+    heavier = invert(known.history.scaled(1.3), rig=known.rig, density=density)
     assert heavier.phi.median == pytest.approx(plain.phi.median, abs=1e-6)
     thinned = replace(
         known.history, position=known.history.position[::2], force=known.history.force[::2]
     )
-    sparse = invert(thinned, leg=known.leg, density=known.density_kg_m3)
+    sparse = invert(thinned, rig=known.rig, density=known.density_kg_m3)
     assert sparse.phi.median == pytest.approx(plain.phi.median, abs=0.3)
 
 
 def test_the_gain_of_a_sensor_is_taken_off_and_counted() -> None:
     """An error of it is worth what one of the density is."""
     known = measurement("li2013:poppy_loose/straight")
-    options = {"leg": "straight", "density": "638±0"}
+    options = {"rig": "li2013", "leg": "straight", "density": "638±0"}
     plain = invert(known.history, gain="1±0.05", **options)
     louder = invert(known.history.scaled(1.2), gain="1.2±0.06", **options)
     assert louder.phi.median == pytest.approx(plain.phi.median, abs=1e-9)
     assert louder.phi.sd == pytest.approx(plain.phi.sd, rel=1e-9)
-    dense = invert(known.history, gain="1±0", leg="straight", density="638±31.9")
+    dense = invert(known.history, gain="1±0", rig="li2013", leg="straight", density="638±31.9")
     assert plain.budget_deg["gain"] == pytest.approx(dense.budget_deg["density"], rel=1e-9)
 
 
@@ -99,7 +101,7 @@ def turned(history: ForceHistory, fx: float, fz: float) -> ForceHistory:
 @pytest.mark.parametrize("leg", ["straight", "c", "reversed_c"])
 def test_wrong_records_are_misfits_with_a_remedy(medium: str, leg: str) -> None:
     known = measurement(f"li2013:{medium}/{leg}")
-    options = {"leg": leg, "density": known.density_kg_m3}
+    options = {"rig": "li2013", "leg": leg, "density": known.density_kg_m3}
     assert invert(known.history, **options).verdict == "consistent"
     for fx, fz, word in (
         (-1.0, 1.0, "fx_sign=-1"),
@@ -116,9 +118,12 @@ def test_a_wrong_leg_is_a_misfit_in_nearly_all_records() -> None:
     passed = []
     for name in names():
         known = measurement(name)
-        for other in {"straight", "c", "reversed_c"} - {known.leg}:
+        for other in {"straight", "c", "reversed_c"} - {known.rig.leg}:
             answer = invert(
-                replace(known.history, provenance={}), leg=other, density=known.density_kg_m3
+                replace(known.history, provenance={}),
+                rig="li2013",
+                leg=other,
+                density=known.density_kg_m3,
             )
             if answer.verdict == "consistent":
                 passed.append((name, other))
@@ -130,7 +135,9 @@ def test_simulated_forces_that_noise_does_not_explain_are_a_misfit(
     history_at: Callable[..., ForceHistory], factor: float, verdict: str
 ) -> None:
     history = turned(history_at(33.0, noise=0.05), 1.0, factor)
-    answer = invert(history, library="rft3d", simulated=True, noise=0.05)
+    answer = invert(
+        history, rig="li2013", leg="straight", library="rft3d", simulated=True, noise=0.05
+    )
     assert answer.verdict == verdict
 
 
@@ -192,7 +199,7 @@ def test_a_moment_replaces_forces(sand3d: Library, leg: str, axes: str) -> None:
         columns = [own.history.axes.index(axis) for axis in axes]
         history = replace(own.history, force=own.history.force[:, columns], axes=tuple(axes),
                           provenance={})  # fmt: skip
-        answer = invert(history, leg=leg, density=1650, library=plain)
+        answer = invert(history, rig="li2013", leg=leg, density=1650, library=plain)
         assert set(answer.nrmsd) == {*(f"F{axis}" for axis in axes), "M"}
         assert answer.phi.median == pytest.approx(phi, abs=1.0)
         assert answer.budget_deg["missing forces"] == pytest.approx(MOMENT_DEG, rel=0.05)
@@ -205,7 +212,7 @@ def test_a_moment_that_the_forces_do_not_have_is_noticed() -> None:
     history = replace(simulate(base.replace(**{PHI: 30.0})), provenance={})
     longer = replace(history, moment=1.5 * history.moment)
     plain, other = (
-        invert(one, leg="straight", density=1650, library="rft3d").questions
+        invert(one, rig="li2013", leg="straight", density=1650, library="rft3d").questions
         for one in (history, longer)
     )
     assert any("moment" in one for one in other)
@@ -220,7 +227,10 @@ def test_shipped_media_are_judged_by_what_was_learned_without_them(sand3d: Libra
     library = replace(sand3d, model_error={"straight": stricter | {"without": without}})
     anonymous = replace(measurement(name).history, provenance={})
     assert invert(name, library=library).verdict == "misfit"
-    assert invert(anonymous, leg="straight", density=1650, library=library).verdict == "consistent"
+    assert (
+        invert(anonymous, rig="li2013", leg="straight", density=1650, library=library).verdict
+        == "consistent"
+    )
 
 
 @pytest.mark.parametrize("factor", [0.5, 2.0])
@@ -230,7 +240,7 @@ def test_half_and_twice_the_density_of_sand_are_noticed(factor: float) -> None:
         if known.density_kg_m3 < 1000.0:
             continue  # poppy seeds
         history = replace(known.history, provenance={})
-        answer = invert(history, leg=known.leg, density=factor * known.density_kg_m3)
+        answer = invert(history, rig=known.rig, density=factor * known.density_kg_m3)
         assert answer.verdict != "consistent" or any("density" in q for q in answer.questions)
 
 
@@ -263,7 +273,7 @@ def test_the_unit_that_is_offered_counts_from_the_one_that_was_read(given: str, 
     newtons = {"N": 1.0, "kN": 1e3, "mN": 1e-3}[right]
     columns = {"theta [deg]": known.history.theta_deg, f"Fx [{given}]": known.history.Fx / newtons,
                f"Fz [{given}]": known.history.Fz / newtons}  # fmt: skip
-    answer = invert(pd.DataFrame(columns), leg="straight", density=1650)
+    answer = invert(pd.DataFrame(columns), rig="li2013", leg="straight", density=1650)
     assert any(f"unit={right}:" in question for question in answer.questions)
 
 
@@ -286,7 +296,9 @@ def test_a_stroke_that_begins_in_the_soil_is_not_taken_for_untared() -> None:
     """A C dips in before −90°: its record may begin there with a force."""
     known = measurement("li2013:yuma/c")
     history = known.history.between(-85.0, 90.0)
-    answer = invert(replace(history, provenance={}), leg="c", density=known.density_kg_m3)
+    answer = invert(
+        replace(history, provenance={}), rig="li2013", leg="c", density=known.density_kg_m3
+    )
     assert answer.verdict == "consistent"
     assert answer.phi.median == pytest.approx(invert("li2013:yuma/c").phi.median, abs=0.3)
 
@@ -294,7 +306,9 @@ def test_a_stroke_that_begins_in_the_soil_is_not_taken_for_untared() -> None:
 def test_a_wrong_leg_that_fits_is_doubted_by_the_second_opinion() -> None:
     known = measurement("li2013:yuma/straight")
     record = replace(known.history, provenance={})
-    right, wrong = (invert(record, leg=leg, density=1650.0) for leg in ("straight", "reversed_c"))
+    right, wrong = (
+        invert(record, rig="li2013", leg=leg, density=1650.0) for leg in ("straight", "reversed_c")
+    )
     assert right.phi.median < 35.0 < 40.0 < wrong.phi.median
     assert any("the leg" in question for question in wrong.questions)
     assert not any("the leg and" in question for question in right.questions)

@@ -120,7 +120,14 @@ def test_noise_is_worth_what_it_does(history_at: Callable[..., ForceHistory]) ->
     """The standard deviation from noise is the scatter of angles over noisy copies of a record."""
     library = Library.load("rft3d")
     found = [
-        invert(history_at(33.0, noise=0.3, seed=s), library=library, simulated=True, noise=0.3)
+        invert(
+            history_at(33.0, noise=0.3, seed=s),
+            rig="li2013",
+            leg="straight",
+            library=library,
+            simulated=True,
+            noise=0.3,
+        )
         for s in range(40)
     ]
     spread = np.std([one.phi.median for one in found])
@@ -218,7 +225,9 @@ def test_calibration_is_the_posterior_of_its_normal_model(leg: str) -> None:
 
 def test_quadrature_resolves_a_narrow_peak(history_at: Callable[..., ForceHistory]) -> None:
     library = Library.load("rft3d")
-    record = open_record(history_at(31.234), simulated=True, noise=1e-3)
+    record = open_record(
+        history_at(31.234), rig="li2013", leg="straight", simulated=True, noise=1e-3
+    )
     likelihood = Likelihood([record], library)
     grid, density = quadrature(likelihood)
     best = grid[density.argmax()]
@@ -251,7 +260,9 @@ def test_twice_the_density_and_twice_the_forces_are_as_sure(sand3d: Library) -> 
     sds = []
     for factor in (1.0, 2.0):
         history = ForceHistory(np.radians(theta), factor * force)
-        record = open_record(history, leg="c", density=f"{factor * 1650.0}±0", simulated=True)
+        record = open_record(
+            history, rig="li2013", leg="c", density=f"{factor * 1650.0}±0", simulated=True
+        )
         sds.append(Likelihood([record], sand3d).sd(np.array([30.0]))[0])
     assert sds[1] == pytest.approx(sds[0], rel=1e-6)
 
@@ -267,7 +278,7 @@ def test_draws_of_two_parameters_agree_with_a_grid(rft3d: Library) -> None:
     points = np.column_stack([rng.uniform(20.0, 45.0, 30), rng.uniform(0.2, 0.6, 30)])
     library = Library("two", tuple(case(*point) for point in points))
     truth = case(33.0, 0.4)
-    record = replace(open_record(truth.history, noise=0.5), simulated=True)
+    record = replace(open_record(truth.history, rig=truth.rig, noise=0.5), simulated=True)
     likelihood = Likelihood([record], library)
     drawn = sample(likelihood, seed=1, steps=500)
     best, reach = likelihood.least_squares, 6.0 * likelihood.sd(likelihood.least_squares)

@@ -25,7 +25,9 @@ def test_information_of_the_parts_adds_up_to_that_of_the_whole(sand3d: Library) 
     shares = []
     # Cut between windows, whose width is 170/39°.
     for low, high in ((-90.0, -170.0 / 78.0 * 20), (-170.0 / 78.0 * 20, 0.0), (0.0, 90.0)):
-        record = open_record(cut("li2013:yuma/straight", low, high), leg="straight", density=1650)
+        record = open_record(
+            cut("li2013:yuma/straight", low, high), rig="li2013", leg="straight", density=1650
+        )
         likelihood = Likelihood([record], sand3d)
         share = likelihood.strokes[0].share
         missing = likelihood.budget(likelihood.least_squares)["missing angles"]
@@ -43,7 +45,7 @@ def test_a_part_gives_the_angle_of_the_whole_within_its_own_share(window: tuple[
     for name in names():
         known = measurement(name)
         whole = invert(known)
-        part = invert(cut(name, *window), leg=known.leg, density=known.density_kg_m3)
+        part = invert(cut(name, *window), rig=known.rig, density=known.density_kg_m3)
         missing = part.budget_deg.get("missing angles", 0.0)
         assert part.phi.sd > 0.95 * whole.phi.sd  # other terms change a little too
         apart.append(abs(part.phi.median - whole.phi.median) / max(missing, 0.3))

@@ -11,11 +11,14 @@ from scipy.integrate import quad
 
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.rig import Rig
 from terraphi.inference.records import Record, open_record
+
+RIG = Rig.of("li2013", "straight")
 
 
 def record(theta_deg: np.ndarray, force: np.ndarray, **more: object) -> Record:
-    return Record("test", ForceHistory(np.radians(theta_deg), force), "straight", **more)
+    return Record("test", ForceHistory(np.radians(theta_deg), force), RIG, **more)
 
 
 def test_means_are_integrals_of_the_line_between_readings() -> None:
@@ -58,7 +61,9 @@ def test_noise_is_estimated_from_roughness(sigma: float) -> None:
     theta, rng = np.arange(-90.0, 90.1, 0.25), np.random.default_rng(1)
     smooth = np.stack([5.0 * np.cos(np.radians(theta)), np.sin(np.radians(2.0 * theta))], axis=1)
     noisy = ForceHistory(np.radians(theta), smooth + sigma * rng.standard_normal(smooth.shape))
-    assert open_record(noisy).noise == pytest.approx((sigma, sigma), rel=0.15)
+    assert open_record(noisy, rig="li2013", leg="straight").noise == pytest.approx(
+        (sigma, sigma), rel=0.15
+    )
 
 
 def test_long_records_keep_their_means_and_noise() -> None:
@@ -91,10 +96,10 @@ def test_partial_records_use_the_windows_that_they_cover() -> None:
 def test_a_table_is_a_record_and_rows_need_no_order() -> None:
     theta = np.arange(-90.0, 90.1, 1.0)
     table = pd.DataFrame({"theta_deg": theta, "Fx_N": np.cos(np.radians(theta)), "Fz_N": 1.0})
-    one, other = open_record(table), open_record(table.iloc[::-1])
+    one, other = (open_record(t, rig="li2013", leg="straight") for t in (table, table.iloc[::-1]))
     np.testing.assert_allclose(one.data, other.data)
     with pytest.raises(InputError, match="no column of Fz"):
-        open_record(table.drop(columns="Fz_N"))
+        open_record(table.drop(columns="Fz_N"), rig="li2013", leg="straight")
 
 
 @pytest.mark.parametrize(

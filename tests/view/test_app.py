@@ -31,7 +31,8 @@ from terraphi.view.app import Limits, Readers, application, look, work
 
 uvicorn = pytest.importorskip("uvicorn")
 
-USUAL = {"leg": "straight", "density": "", "name": "mine.csv"}
+SIZES = {"length": "76.2", "width": "25.4", "thickness": "6.4", "hip_height": "20"}
+USUAL = {"leg": "straight", **SIZES, "density": "", "name": "mine.csv"}
 HOSTILE = "</script><img src=x onerror=alert(1)>"
 MOST_BYTES = 300_000
 FLAT = (
@@ -226,7 +227,7 @@ def test_what_cannot_be_read_ends_in_a_sentence_with_its_own_name(
 ) -> None:
     file = f"dropped{Path(name).suffix}"
     (tmp_path / file).write_bytes(body)
-    options = {"leg": None, "density": None, "columns": None}
+    options = {**dict.fromkeys(("leg", *SIZES)), "density": None, "columns": None}
     work({"folder": str(tmp_path), "file": file, "name": name, "task": "answer", **options})
     sentence = (tmp_path / "refused.txt").read_text(encoding="utf-8")
     assert word in sentence
@@ -347,10 +348,12 @@ def test_a_file_dropped_in_a_browser_ends_in_its_page(
     page.goto(f"http://127.0.0.1:{served.port}/")
     page.set_input_files("#file", tmp_path / "bad.csv")
     page.get_by_label("straight leg").check()
+    page.get_by_role("button", name="Sizes of Li").click()
     page.get_by_role("button", name="Find").click()
     page.get_by_role("alert").get_by_text("same at every angle").wait_for()
     page.set_input_files("#file", tmp_path / "mine.csv")
     page.get_by_label("straight leg").check()
+    page.get_by_role("button", name="Sizes of Li").click()
     page.keyboard.press("Enter")
     page.locator("html[data-drawn]").wait_for(state="attached")
     assert page.locator(".headline").inner_text().startswith("φ = ")

@@ -15,8 +15,8 @@ from terraphi.cli.options import (
     density_option,
     gain_option,
     json_option,
-    leg_option,
     library_option,
+    rig_options,
 )
 from terraphi.experiment.errors import InputError
 from terraphi.view.answers import headline, parts_of
@@ -29,7 +29,7 @@ SOME_FAILED = 1
 
 @click.command()
 @click.argument("forces", nargs=-1, metavar="[FORCES...]")
-@leg_option
+@rig_options
 @density_option
 @columns_option
 @gain_option
@@ -62,12 +62,14 @@ def invert(
 
     FORCES is a table of the leg angle (from the downward vertical) and the forces of the soil on
     the leg (x forward, z up), a NetCDF of terraphi, or li2013:MEDIUM/LEG. Several FORCES are
-    records of one soil.
+    records of one soil. The sizes of the leg are asked for: by four options or in a file of the
+    keys leg, length_mm, width_mm, thickness_mm and hip_height_mm.
 
-    Example: terraphi invert forces.csv --leg c --density 1600±80 --out answer
+    Example: terraphi invert forces.csv --rig rig.toml --density 1600±80 --out answer
 
     Example: terraphi invert --table day.csv --out angles.csv
     """
+    from terraphi.experiment.rig import with_rig
     from terraphi.inference import inversion
     from terraphi.inference.manifest import read_manifest
 
@@ -79,7 +81,7 @@ def invert(
         return
     if not forces:
         raise InputError("no forces; give FORCES, or a CSV of records by --table")
-    answer = inversion.invert(list(forces), **options)
+    answer = inversion.invert(list(forces), **with_rig(options))
     if out is not None:
         answer.save(out)
     written = [] if out is None else [f"Written: {out}/answer.json, answer.nc, answer.png"]
@@ -125,7 +127,7 @@ def tabulate(
 @click.command()
 @click.argument("forces", nargs=-1, required=True, metavar="FORCES...")
 @click.option("--phi", required=True, metavar="MEAN±SD", help="Known friction angle [deg].")
-@leg_option
+@rig_options
 @density_option
 @columns_option
 @gain_option
@@ -142,6 +144,7 @@ def calibrate(forces: tuple[str, ...], phi: str, out: Path, as_json: bool, **opt
     """
     from terraphi.experiment.files import number_with_sd
     from terraphi.experiment.outputs import check_file
+    from terraphi.experiment.rig import with_rig
     from terraphi.inference.inversion import calibrate as run
 
     check_file(out)
@@ -151,7 +154,7 @@ def calibrate(forces: tuple[str, ...], phi: str, out: Path, as_json: bool, **opt
         mean, sd = 0.0, None
     if sd is None or not 0.0 <= sd < 90.0:
         raise InputError(f"--phi {phi}: give mean and standard deviation, such as 36±2")
-    found = run(list(forces), mean, sd, **options)
+    found = run(list(forces), mean, sd, **with_rig(options))
     found.save(out)
     rows = [
         (one.source, one.leg, f"{one.phi_deg:g} ± {one.phi_sd_deg:g}", f"{one.read_deg:.1f}")
@@ -179,6 +182,6 @@ def demo(out: Path, as_json: bool) -> None:
         {"answers": [one.as_dict() for one in answers], "picture": str(picture)},
         f"Simulated with φ = {TRUTH_DEG:g}°, then inverted; and two measured soils.\n",
         *(f"{headline(answer)}\n{answer.reason}\n" for answer in answers),
-        f"Picture: {picture}\nYour own: terraphi invert FORCES.csv --leg LEG --density KG_M3",
+        f"Picture: {picture}\nYour own: terraphi invert FORCES.csv --rig RIG.toml --density KG_M3",
         as_json=as_json,
     )

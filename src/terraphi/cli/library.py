@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from terraphi.cli.options import PATH, json_option
+from terraphi.cli.options import PATH, json_option, rig_options
 from terraphi.cli.simulate import announce
+from terraphi.experiment.errors import InputError
 from terraphi.view.console import present, progress_bar
 from terraphi.view.table import Table
 
@@ -26,7 +27,8 @@ def library() -> None:
 
 
 @library.command("build")
-@click.argument("plan")
+@click.argument("plan", required=False)
+@rig_options
 @click.option("--out", type=PATH, required=True, help="NetCDF file to make.")
 @click.option("--workers", type=click.IntRange(min=1), help="Processes.  [default: all cores]")
 @click.option(
@@ -36,21 +38,34 @@ def library() -> None:
 )
 @json_option
 def library_build(
-    plan: str, out: Path, workers: int | None, cluster: str | None, as_json: bool
+    plan: str | None,
+    out: Path,
+    workers: int | None,
+    cluster: str | None,
+    as_json: bool,
+    **options: Any,
 ) -> None:
-    """Simulate all cases of PLAN, a TOML file or the name of a shipped plan.
+    """Simulate all cases of PLAN, a TOML file or the name of a shipped plan, or of a rig of yours.
+
+    Of a rig bed, cells and steps follow from its sizes.
 
     After an interruption the same command continues. 'terraphi keys plan' lists the keys of a plan.
 
     Example: terraphi library build rft3d --out mine.nc --workers 4
+
+    Example: terraphi library build --rig rig.toml --out mine.nc
     """
     from terraphi.experiment.outputs import check_file
+    from terraphi.experiment.rig import Rig, with_rig
     from terraphi.experiment.workers import workers as processes
     from terraphi.library import build as builder
     from terraphi.library.plan import Plan
 
     check_file(out, kind="library")
-    chosen = Plan.load(plan)
+    given = with_rig(options)
+    if (plan is None) == (given["rig"] is None):
+        raise InputError("give a PLAN, or a rig by its sizes or --rig FILE")
+    chosen = Plan.load(plan) if plan is not None else Plan.of_rig(Rig.of(**given))
     count = min(workers or os.cpu_count() or 1, chosen.count)
     announce(chosen.cases(), count)
     pool = builder.cluster(cluster) if cluster else processes(count)

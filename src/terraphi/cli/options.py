@@ -33,9 +33,27 @@ class Float(click.types.FloatParamType):
 
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-leg_option = click.option(
-    "--leg", type=click.Choice(LEGS), help="Shape of the leg.  [default: as in FORCES]"
-)
+
+
+def rig_options(command: Any) -> Any:
+    """Options of a rig: its leg and four sizes, or a file."""
+    options = (
+        click.option("--leg", type=click.Choice(LEGS), help="Shape of the leg."),
+        click.option("--length", metavar="MM", help="From the hip to the outermost tip."),
+        click.option("--width", metavar="MM", help="Of the leg, across the plane of motion."),
+        click.option("--thickness", metavar="MM", help="Of the leg."),
+        click.option("--hip-height", metavar="MM[±SD]", help="Above the soil.  [default SD: 2]"),
+        click.option(
+            "--rig",
+            metavar="FILE|li2013",
+            help="All of these: a TOML file, or the apparatus of Li et al. (2013).",
+        ),
+    )
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
 density_option = click.option(
     "--density",
     metavar="KG_M3[±SD]",

@@ -20,6 +20,8 @@ from pydantic import Field, model_validator
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import Strict
 
+RotatingShape = Literal["straight", "c", "reversed_c"]
+"""Legs that rotate about a hip."""
 LegShape = Literal["straight", "c", "reversed_c", "plate"]
 LEG_SHAPES: tuple[LegShape, ...] = get_args(LegShape)
 """Outlines, drawn out across the plane of motion; the other bodies are for 3-D only."""

@@ -16,6 +16,7 @@ from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import is_there
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.reading import read_forces, read_trials
+from terraphi.experiment.rig import Rig
 from terraphi.experiment.scenario import Scenario
 
 COLLECTION = "li2013"
@@ -24,7 +25,7 @@ COLLECTION = "li2013"
 
 @dataclass(frozen=True)
 class Measurement:
-    """A force history and what is known of the leg and the soil that made it.
+    """A force history and what is known of the rig and the soil that made it.
 
     Attributes
     ----------
@@ -32,10 +33,8 @@ class Measurement:
         Shipped name, or the file that it was read from.
     history
         Fx, Fz [N] over θ.
-    leg
-        Shape of the leg, as scenarios name it.
-    leg_assumed
-        Whether the leg is a guess.
+    rig
+        The apparatus; ``None`` if it is unknown.
     medium
         Description of the soil; empty if unknown.
     density_kg_m3
@@ -52,13 +51,12 @@ class Measurement:
 
     name: str
     history: ForceHistory
-    leg: str
+    rig: Rig | None = None
     medium: str = ""
     density_kg_m3: float | None = None
     density_assumed: bool = False
     angle_of_repose_deg: float | None = None
     source: str = ""
-    leg_assumed: bool = False
     scenario: Scenario | None = field(default=None, repr=False)
 
 
@@ -96,7 +94,7 @@ def measurement(name: str) -> Measurement:
     return Measurement(
         name=name,
         history=replace(history, provenance=provenance),
-        leg=leg,
+        rig=Rig.of(COLLECTION, leg),
         medium=known["label"],
         density_kg_m3=known.get("density", known.get("assumed_density")),
         density_assumed="density" not in known,
@@ -135,9 +133,8 @@ def open_forces(source: str | Path, columns: Any = None) -> list[Measurement]:
     -------
     list of Measurement
         One for each stroke in the file.
-        With the leg and the density of the scenario, of a simulation; those of the measurement, of
-        a shipped one in a CSV. Of any other file nothing is known, and the leg is assumed to be
-        straight.
+        With the rig and the density of the scenario, of a simulation; those of the measurement, of
+        a shipped one in a CSV. Of any other file nothing is known.
 
     Raises
     ------
@@ -163,7 +160,7 @@ def open_forces(source: str | Path, columns: Any = None) -> list[Measurement]:
 
 
 def measurement_of(history: ForceHistory, name: str = "") -> Measurement:
-    """A history with what its provenance says of its leg and its soil.
+    """A history with what its provenance says of its rig and its soil.
 
     Parameters
     ----------
@@ -185,11 +182,11 @@ def measurement_of(history: ForceHistory, name: str = "") -> Measurement:
         return replace(measurement(str(shipped)), name=name, history=history)
     scenario = scenario_of(history, name)
     if scenario is None:
-        return Measurement(name=name, history=history, leg="straight", leg_assumed=True)
+        return Measurement(name=name, history=history)
     return Measurement(
         name=name,
         history=history,
-        leg=scenario.leg.shape,
+        rig=Rig.of_scenario(scenario),
         medium=f"simulated ({scenario.model})",
         density_kg_m3=scenario.soil.density,
         scenario=scenario,

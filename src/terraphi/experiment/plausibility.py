@@ -6,8 +6,6 @@ from operator import attrgetter
 
 import numpy as np
 
-from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.motion import Poses
 from terraphi.experiment.scenario import Scenario
 
 LIMITS = {
@@ -33,24 +31,6 @@ ENOUGH = 0.1
 """Least `stiffness_damping` that was seen to stop it [-]."""
 
 
-AIR_MARGIN_DEG = 5.0
-"""Angle beyond the last touch of the soil from which on a leg is taken to be in air [deg]."""
-
-
-def air_deg(scenario: Scenario) -> tuple[float, float]:
-    """Leg angles below and above which the leg of a rotation is clear of the soil [deg]."""
-    theta = np.arange(-180.0, 181.0)
-    in_soil = theta[_height(scenario, scenario.motion.poses_at(np.radians(theta))) <= 0.0]
-    if not in_soil.size:
-        return -180.0, 180.0
-    return float(in_soil[0]) - AIR_MARGIN_DEG, float(in_soil[-1]) + AIR_MARGIN_DEG
-
-
-def _height(scenario: Scenario, poses: Poses) -> FloatArray:
-    """Height of the leg's lowest point above the soil [m], shape [pose]."""
-    return np.asarray(poses.placed(scenario.leg.outline())[..., 1].min(1) - scenario.bed.surface)
-
-
 def doubts(scenario: Scenario) -> list[str]:
     """Warnings about values that can be simulated and are probably a mistake, a sentence each."""
     found = []
@@ -69,12 +49,12 @@ def doubts(scenario: Scenario) -> list[str]:
             f"undamped soil of {soil.friction_angle_deg:g}° shakes and carries less than its "
             "strength; set numerics.stiffness_damping = 0.25"
         )
-    time = np.linspace(0.0, scenario.motion.duration, 361)
-    height = _height(scenario, scenario.motion.poses(time))
+    poses = scenario.motion.poses(np.linspace(0.0, scenario.motion.duration, 361))
+    height = poses.placed(scenario.leg.outline())[..., 1] - scenario.bed.surface
     if height.min() > 0.0:
         gap = 1e3 * height.min()
         found.append(f"the leg stays {gap:.3g} mm above the soil; lower motion.hip")
-    elif height[0] < 0.0:
-        depth = -1e3 * height[0]
+    elif height[0].min() < 0.0:
+        depth = -1e3 * height[0].min()
         found.append(f"the leg starts {depth:.3g} mm deep in the soil, so its first forces are off")
     return found

@@ -19,6 +19,7 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import parse_json
 from terraphi.experiment.files import open_netcdf, read_bytes, write_netcdf
 from terraphi.experiment.outputs import output_folder
+from terraphi.experiment.rig import Rig
 from terraphi.library.store import PHI
 
 if TYPE_CHECKING:
@@ -92,8 +93,8 @@ class RecordFit:
 
     Attributes
     ----------
-    source, leg, leg_assumed, simulated
-        Where it comes from, and the leg.
+    source, rig, simulated
+        Where it comes from, and the apparatus.
     n_readings, n_left_out
         Readings that were used, and left out as faulty.
     theta_deg
@@ -115,8 +116,7 @@ class RecordFit:
     """
 
     source: str
-    leg: str
-    leg_assumed: bool
+    rig: Rig
     simulated: bool
     n_readings: int
     n_left_out: int
@@ -131,9 +131,12 @@ class RecordFit:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and words, without the forces."""
-        names = ("source", "leg", "leg_assumed", "simulated", "n_readings", "n_left_out",
-                 "shift_deg", "limit")  # fmt: skip
-        return {**{name: getattr(self, name) for name in names}, "nrmsd": dict(self.nrmsd)}
+        names = ("source", "simulated", "n_readings", "n_left_out", "shift_deg", "limit")
+        return {
+            **{name: getattr(self, name) for name in names},
+            "rig": self.rig.model_dump(),
+            "nrmsd": dict(self.nrmsd),
+        }
 
 
 def worst_nrmsd(fits: Sequence[RecordFit]) -> dict[str, float]:
@@ -233,9 +236,9 @@ class Answer:
         return ", ".join(record.source for record in self.records)
 
     @property
-    def leg(self) -> str:
-        """Shape of the leg, or of each."""
-        return ", ".join(dict.fromkeys(record.leg for record in self.records))
+    def rigs(self) -> list[Rig]:
+        """The different rigs of the records."""
+        return list(dict.fromkeys(record.rig for record in self.records))
 
     @property
     def nrmsd(self) -> dict[str, float]:
@@ -258,7 +261,7 @@ class Answer:
             "phi_deg": {**phi.as_dict(), "yield": self.convention} if phi else None,
             "phi_plane_strain_deg": plane.as_dict() if plane else None,
             "source": self.source,
-            "leg": self.leg,
+            "rig": self.rigs[0].model_dump(),
             **copy.deepcopy({name: getattr(self, name) for name in _STATED}),
             "nrmsd": self.nrmsd,
             "n_angles": self.records[0].theta_deg.size,
@@ -287,9 +290,8 @@ class Answer:
     def __repr__(self) -> str:
         """Five lines for a prompt."""
         assumed = " (assumed)" if self.density_assumed else ""
-        lines = [
-            f"{self.source}: leg {self.leg}, {self.density_kg_m3:g} kg/m³{assumed}, {self.library}"
-        ]
+        rigs = "; ".join(map(str, self.rigs))
+        lines = [f"{self.source}: {rigs}, {self.density_kg_m3:g} kg/m³{assumed}, {self.library}"]
         inside = PHI in self.parameters and self.verdict != "out_of_range"
         if inside:
             lines.append(f"φ = {self.phi} ({self.convention})")
@@ -423,7 +425,7 @@ class Answer:
                 if f"{at}expected_{i}" in file.variables:
                     expected = file.numbers(f"{at}expected_{i}", *dims)
                 fit = RecordFit(
-                    **one.model_dump(),
+                    **{**one.model_dump(), "rig": one.rig},
                     theta_deg=file.numbers(f"{at}theta_deg_{i}", dims[1]),
                     data=file.numbers(f"observed_data/force_{i}", *dims),
                     curve=file.numbers(f"{at}curve_{i}", *dims),
@@ -487,8 +489,7 @@ class StoredFit(BaseModel, strict=True):
     """What :meth:`RecordFit.as_dict` wrote."""
 
     source: str
-    leg: str = ""
-    leg_assumed: bool = False
+    rig: Rig
     simulated: bool = False
     n_readings: int = 0
     n_left_out: int = 0

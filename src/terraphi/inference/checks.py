@@ -17,10 +17,16 @@ from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.baseline import OFFSET
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import CHANNEL_UNITS, FORCES, OBSERVATION_ANGLES, WINDOW_DEG
-from terraphi.experiment.plausibility import air_deg
+from terraphi.experiment.rig import Rig
 from terraphi.experiment.units import FORCE
 from terraphi.inference.emulator import emulator_of
-from terraphi.inference.likelihood import SHIFT_DEG, Likelihood, squared_residuals, window_means
+from terraphi.inference.likelihood import (
+    SHIFT_DEG,
+    Likelihood,
+    scaled,
+    squared_residuals,
+    window_means,
+)
 from terraphi.inference.records import Record
 from terraphi.library.store import PHI, Curves, differences
 
@@ -222,7 +228,7 @@ def in_air(likelihood: Likelihood) -> list[str]:
     """A sentence for each measured force that is not zero where the leg is in the air."""
     found = []
     for record, shift in zip(likelihood.records, likelihood.shift_deg, strict=True):
-        first, last = shift + np.array(air_deg(likelihood.emulators[record.leg].curves.scenario))
+        first, last = shift + np.array(record.rig.air_deg())
         theta = record.history.theta_deg
         # Soil that the leg carries along may press on it a little where the model has none left.
         for side, air, limit in (
@@ -259,8 +265,6 @@ def guesses(likelihood: Likelihood) -> Iterator[str]:
                 f"{name}The record covers {low:.0f} to {high:.0f}° of ±{WINDOW_DEG:g}°, with "
                 f"{part.share:.0%} of the information on φ of a whole stroke."
             )
-        if record.leg_assumed:
-            yield f"{name}The leg is assumed to be straight; give --leg."
         least, most = USUAL_DENSITY
         if likelihood.measured and not record.medium and not least <= density <= most:
             yield (
@@ -356,7 +360,7 @@ def _opinions_agree(
     second: Callable[[Likelihood], dict[str, Any] | None],
 ) -> bool:
     """Whether other physics gives much the same angle of a record by another leg."""
-    other = Likelihood([replace(record, leg=leg)], likelihood.library)
+    other = Likelihood([replace(record, rig=Rig.of(record.rig, leg))], likelihood.library)
     opinion = second(other)
     apart = np.inf if opinion is None else opinion["median"] - other.least_squares[0]
     return bool(abs(apart) <= FAR_APART_DEG)
@@ -393,7 +397,7 @@ def _columns_otherwise(record: Record) -> dict[str, tuple[Record, FloatArray]]:
 def _other_arm(likelihood: Likelihood, i: int) -> Iterator[str]:
     """A sentence if the moment about the hip is not that of the forces, with the model's arms."""
     record = likelihood.records[i]
-    factor = moment_factor(record, likelihood.emulators[record.leg].curves, likelihood.shift_deg[i])
+    factor = moment_factor(record, likelihood.curves_of(record), likelihood.shift_deg[i])
     if factor is not None and abs(np.log(max(factor, 1e-3))) > np.log(OTHER_ARM):
         yield (
             f"The moment is {factor:.2g} times that of the forces about the hip: check the length "
@@ -500,6 +504,5 @@ def residual(data: FloatArray, record: Record, likelihood: Likelihood, leg: str)
 def _over_phi(likelihood: Likelihood, record: Record, leg: str) -> tuple[Curves, FloatArray]:
     """Curves of a leg, and its forces [N] over the library's φ, at a record's density."""
     emulator = emulator_of(likelihood.library, leg, corrected=likelihood.measured)
-    own = emulator.curves.scenario.soil.density
-    ratio = (record.density_kg_m3 or own) / own
-    return emulator.curves, ratio * emulator(np.linspace(*emulator.bounds, 71))
+    factor, curves = scaled(record, emulator.curves)
+    return curves, factor * emulator(np.linspace(*emulator.bounds, 71))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.metadata
 import math
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +15,11 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.plausibility import air_deg
-from terraphi.experiment.reading import ForceColumns
+from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.rig import Rig, with_rig
 from terraphi.experiment.scenario import Scenario
 from terraphi.experiment.soil import plane_strain_friction_angle_deg
-from terraphi.forward.rft import to_plane_strain
+from terraphi.forward.rft import leg_force, to_plane_strain
 from terraphi.inference.answer import Answer, Estimate, RecordFit, worst_nrmsd
 from terraphi.inference.checks import (
     FAR_APART_DEG,
@@ -31,14 +33,18 @@ from terraphi.inference.checks import (
     residual,
     without_faults,
 )
-from terraphi.inference.likelihood import OF_RIG, UNKNOWN_DENSITY, Likelihood, channels_of
+from terraphi.inference.likelihood import (
+    OF_RIG,
+    UNKNOWN_DENSITY,
+    Likelihood,
+    channels_of,
+    check_rig,
+)
 from terraphi.inference.records import Record, open_records
 from terraphi.inference.sampling import Drawn, quadrature, sample
 from terraphi.inference.soils import Calibration, CalibrationSoil, model_error
-from terraphi.library.store import PHI, Library, nearest_library, shipped_library
+from terraphi.library.store import PHI, Case, Library, nearest_library, shipped_library
 
-TARED_AT = ("air_before_deg", "air_after_deg")
-"""Options of a table that say where the leg is in air."""
 DEFAULT = "sand3d"
 """Library for measured forces."""
 SECOND = "rft3d"
@@ -66,6 +72,7 @@ def invert(
     forces: Any,
     *,
     leg: str | None = None,
+    rig: Any = None,
     density: float | str | None = None,
     columns: Any = None,
     library: Library | Path | str | None = None,
@@ -83,7 +90,10 @@ def invert(
         A table of text or a NetCDF file, a shipped measurement such as ``"li2013:yuma/c"``, a force
         history, a DataFrame, an xarray Dataset; or a list of these, of one soil.
     leg
-        Shape of the leg: ``straight``, ``c`` or ``reversed_c``; ``None``: from the forces' file.
+        Shape of the leg: ``straight``, ``c`` or ``reversed_c``; ``None``: that of the rig.
+    rig
+        The apparatus: a :class:`Rig`, a mapping of its keys, a TOML file, or ``"li2013"`` for that
+        of Li et al. (2013); ``None``: from the forces' file, which tables of text do not have.
     density
         Bulk density [kg/m³], as a number (± 5 %) or ``"1600±80"``; ``None``: from the forces' file,
         else the library's.
@@ -113,7 +123,7 @@ def invert(
     Raises
     ------
     InputError
-        If forces, leg, density, library or calibration cannot be used.
+        If the rig is not known, or forces, rig, density, library or calibration cannot be used.
 
     Examples
     --------
@@ -125,12 +135,11 @@ def invert(
     began = time.perf_counter()
     # The matrices are small: threads would only wait for each other.
     with threadpool_limits(limits=1, user_api="blas"):
-        known = _named(library)
         records = _records(
-            forces, known, leg=leg, density=density, columns=columns, noise=noise, gain=gain,
+            forces, leg=leg, rig=rig, density=density, columns=columns, noise=noise, gain=gain,
             simulated=simulated,
         )  # fmt: skip
-        found, reason = _library_for(records, known)
+        found, reason = _library_for(records, library)
         if isinstance(calibration, str | Path):
             calibration = Calibration.load(calibration)
         if not isinstance(calibration, Calibration | None):
@@ -144,26 +153,12 @@ def invert(
         return _answer(Likelihood(records, found, calibration), reason, seed, began)
 
 
-def _records(
-    forces: Any, library: Library | None, columns: Any, leg: str | None, **options: Any
-) -> list[Record]:
-    """Records of one thing or a list, tared in air, without faulty readings."""
+def _records(forces: Any, **options: Any) -> list[Record]:
+    """Records of one thing or a list, without faulty readings."""
     every = list(forces) if isinstance(forces, list | tuple) else [forces]
     if not every:
         raise InputError("no forces: the list is empty")
-    columns = tared(columns, leg, library)
-    records = (r for f in every for r in open_records(f, columns=columns, leg=leg, **options))
-    return [without_faults(record) for record in records]
-
-
-def tared(columns: Any, leg: str | None, library: Library | None = None) -> ForceColumns:
-    """Options of a table, with the angles at which the leg of a library is in air."""
-    given = ForceColumns.of(columns)
-    cases, shape = (library or shipped_library(DEFAULT)).cases, leg or "straight"
-    made = next((case.scenario for case in cases if case.scenario.leg.shape == shape), None)
-    if made is None or {*TARED_AT} & given.model_fields_set:
-        return given
-    return given.model_copy(update=dict(zip(TARED_AT, air_deg(made), strict=True)))
+    return [without_faults(r) for one in every for r in open_records(one, **options)]
 
 
 def calibrate(
@@ -173,6 +168,7 @@ def calibrate(
     *,
     library: Library | Path | str | None = None,
     leg: str | None = None,
+    rig: Any = None,
     density: float | str | None = None,
     columns: Any = None,
     noise: float | tuple[float, float] | None = None,
@@ -186,7 +182,7 @@ def calibrate(
         As of :func:`invert`; the records of a list are of one soil.
     phi_deg, phi_sd_deg
         Friction angle in the library's convention and its standard deviation [deg].
-    library, leg, density, columns, noise, gain
+    library, leg, rig, density, columns, noise, gain
         As of :func:`invert`.
 
     Raises
@@ -206,11 +202,10 @@ def calibrate(
     if not (0.0 < phi_deg < 90.0 and 0.0 <= phi_sd_deg < 90.0):
         raise InputError(f"phi = {phi_deg:g} ± {phi_sd_deg:g}°; 0 to 90° are accepted")
     soils = []
-    given = _named(library)
     records = _records(
-        forces, given, leg=leg, density=density, columns=columns, noise=noise, gain=gain
+        forces, leg=leg, rig=rig, density=density, columns=columns, noise=noise, gain=gain
     )
-    found, _ = _library_for(records, given)
+    found, _ = _library_for(records, library)
     for record in records:
         likelihood = Likelihood([record], found)
         if not likelihood.measured:
@@ -268,23 +263,22 @@ def invert_many(
 def _attempt(row: Any) -> Answer | InputError:
     """An answer, or why there is none."""
     try:
-        return invert(**row) if isinstance(row, dict) else invert(row)
+        return invert(**with_rig(row)) if isinstance(row, dict) else invert(row)
     except InputError as error:
         return error
 
 
-def _named(library: Library | Path | str | None) -> Library | None:
-    """A library by its shipped name or file."""
-    if library is None or isinstance(library, Library):
-        return library
-    name = str(library)
-    return shipped_library(name) if name in Library.names() else Library.load(library)
-
-
-def _library_for(records: Sequence[Record], library: Library | None) -> tuple[Library, str]:
+def _library_for(
+    records: Sequence[Record], library: Library | Path | str | None
+) -> tuple[Library, str]:
     """The library to take, and why, if none was named."""
-    if library is not None:
+    if isinstance(library, Library):
         return library, ""
+    if library is not None and str(library) == SECOND:
+        return _library_of_theory(records), ""
+    if library is not None:
+        named = str(library)
+        return (shipped_library(named) if named in Library.names() else Library.load(library)), ""
     scenarios = [record.scenario for record in records]
     if all(scenario is not None for scenario in scenarios):
         assert scenarios[0] is not None
@@ -411,7 +405,7 @@ def _fits(
             np.ptp(curve, axis=1) if whole.model is None else whole.model, record.theta_deg
         )
         if usual is not None:
-            on = likelihood.emulators[record.leg].curves
+            on = likelihood.curves_of(record)
             arm = on.arm if on.arm is None else np.stack(
                 [np.interp(record.theta_deg, on.theta_deg + shift, row) for row in on.arm]
             )  # fmt: skip
@@ -423,7 +417,7 @@ def _fits(
             expected = None  # this soil does not differ as others do
         found.append(
             RecordFit(
-                source=record.source, leg=record.leg, leg_assumed=record.leg_assumed,
+                source=record.source, rig=record.rig,
                 simulated=record.simulated, n_readings=len(record.history.position),
                 n_left_out=record.n_left_out, theta_deg=record.theta_deg, data=record.data,
                 curve=curve, expected=expected,
@@ -579,7 +573,7 @@ def _about(
     phi = parameters.get(PHI)
     if likelihood.measured and verdict == "consistent":
         for fit in fits:
-            usual = likelihood.errors[fit.leg].shift_deg
+            usual = likelihood.errors[fit.rig.leg].shift_deg
             if abs(fit.shift_deg - usual) > LARGE_SHIFT_DEG:
                 found.append(
                     f"{fit.source}: the forces come {abs(fit.shift_deg):.0f}° "
@@ -637,7 +631,7 @@ def _second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:
     if not likelihood.measured or names[0] == SECOND or SECOND not in Library.names():
         return None
     try:
-        other = Likelihood(likelihood.records, shipped_library(SECOND))
+        other = Likelihood(likelihood.records, _library_of_theory(likelihood.records))
     except InputError:
         return None  # it does not cover the angles of the record
     read = float(other.least_squares[0])
@@ -649,6 +643,41 @@ def _second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:
         "library": SECOND, "median": median, "sd": sd * (above - below) / 2.0,
         "force_size_deg": phi_of_size(likelihood) if likelihood.keys == (PHI,) else None,
     }  # fmt: skip
+
+
+def _library_of_theory(records: Sequence[Record]) -> Library:
+    """Library of resistive force theory for the rigs of records: the shipped one, or one made now.
+
+    Of one rig a leg: that of the first record with it.
+    """
+    shipped = shipped_library(SECOND)
+    try:
+        for record in records:
+            check_rig(record, shipped, shipped.curves(record.leg))
+        return shipped
+    except InputError:
+        rigs = {record.leg: record.rig for record in records}
+        return _theory(tuple(rigs.values()))
+
+
+@functools.lru_cache(maxsize=16)
+def _theory(rigs: tuple[Rig, ...]) -> Library:
+    """Forces on some rigs by resistive force theory, over the angles of the shipped library."""
+    base = shipped_library(SECOND)
+    theta = np.radians(np.arange(-135.0, 135.5, 0.5))
+    cases = []
+    for rig in rigs:
+        own = [case.scenario for case in base.cases if case.scenario.leg.shape == rig.leg]
+        sizes = {
+            "leg.chord": rig.length,
+            "leg.width": 1e-3 * rig.width_mm,
+            "leg.half_thickness": 5e-4 * rig.thickness_mm,
+            "motion.hip.1": own[0].bed.surface + 1e-3 * rig.hip_height_mm,
+        }
+        for scenario in (one.replace(**sizes) for one in own):
+            force, moment = leg_force(scenario, scenario.motion.poses_at(theta))
+            cases.append(Case(scenario, ForceHistory(theta, force, moment=moment)))
+    return replace(base, cases=tuple(cases))
 
 
 def _disagreement_deg(likelihood: Likelihood, own: Estimate, second: dict[str, Any]) -> float:

@@ -60,6 +60,7 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import FORCES
+from terraphi.experiment.rig import Rig
 from terraphi.inference.emulator import emulator_of
 from terraphi.inference.partial import Part, missing_parts, part_of
 from terraphi.inference.records import Record
@@ -78,6 +79,10 @@ BEYOND_DEG = 12.0
 """How far beyond the library's ends angles are looked for, with forces that continue linearly."""
 FAR_OFF = 3.0
 """Factor between data and best curve at which no angle fits [-]."""
+SIMILAR = {"leg.width": 0.02, "motion.hip.1": 0.015, "leg.half_thickness": 0.015}
+"""How far a rig may be from the library's: in the width over it, in the height of the hip and in
+the thickness over the length. Each moves φ by at most 0.5° (2 mm of Li's hip by 1°, 10 % of force
+by 1.6 to 2°), which is less than what is assumed of sizes that were not measured."""
 NUMERICAL = ("cells", "speed-up")
 """Causes of corrections that a learnt offset includes."""
 OF_RIG = ("leg friction", "hip height", "gain")
@@ -128,6 +133,39 @@ def _square(error: FloatArray) -> FloatArray:
     return np.outer(error, error)
 
 
+def scaled(record: Record, curves: Curves) -> tuple[float, Curves]:
+    """Factor on a library's forces for a record's density and size [-], and arms of that size.
+
+    F = ρ g L³ f with the same f for all rigs of the same ratios.
+    """
+    own, rig = curves.scenario.soil.density, Rig.of_scenario(curves.scenario)
+    length = 1.0 if rig is None else record.rig.length / rig.length
+    density = 1.0 if "soil.density" in curves.keys else (record.density_kg_m3 or own) / own
+    arm = None if curves.arm is None else length * curves.arm
+    return density * length**3, curves._replace(arm=arm)
+
+
+def check_rig(record: Record, library: Library, curves: Curves) -> None:
+    """Raise InputError if a measured record's rig has other ratios than the library's."""
+    own, rig = record.rig, Rig.of_scenario(curves.scenario)
+    if record.scenario is not None or rig is None:
+        return
+    apart = {
+        "leg.width": abs(own.ratios.width / rig.ratios.width - 1.0),
+        "motion.hip.1": abs(own.ratios.hip_height - rig.ratios.hip_height),
+        "leg.half_thickness": abs(own.ratios.thickness - rig.ratios.thickness),
+    }
+    if any(apart[key] > SIMILAR[key] for key in apart if key not in curves.keys):
+        sizes = {"length": own.length_mm, "width": own.width_mm, "thickness": own.thickness_mm}
+        sizes["hip-height"] = own.hip_height_mm
+        options = " ".join(f"--{name} {size:g}" for name, size in sizes.items())
+        raise InputError(
+            f"{record.source}: library {library.name} is not of a {own}; build one: terraphi "
+            f"library build --leg {own.leg} {options} --out mine.nc, and add --library mine.nc, "
+            "or rft3d for a rough angle at once"
+        )
+
+
 class Likelihood:
     """Log-likelihood of one record or several through a library.
 
@@ -161,7 +199,7 @@ class Likelihood:
         self.records, self.library, self.calibration = tuple(records), library, calibration
         self.disagreement_deg = disagreement_deg
         self.measured = not all(record.simulated for record in records)
-        legs = {record.leg for record in records}
+        legs: set[str] = {record.leg for record in records}
         self.emulators = {
             leg: emulator_of(library, leg, corrected=self.measured) for leg in sorted(legs)
         }
@@ -174,9 +212,11 @@ class Likelihood:
         self.density = [
             (record.density_kg_m3 or own) if self._scaled else own for record in records
         ]
-        self._ratio = np.array(self.density) / own
         for record in records:
-            theta = self._curves_of(record).theta_deg
+            check_rig(record, library, self.emulators[record.leg].curves)
+        self._ratio = np.array([scaled(r, self.emulators[r.leg].curves)[0] for r in records])
+        for record in records:
+            theta = self.curves_of(record).theta_deg
             if record.theta_deg[0] < theta[0] - 4.4 or record.theta_deg[-1] > theta[-1] + 4.4:
                 raise InputError(
                     f"library '{library.name}' covers theta from {theta[0]:.0f} to {theta[-1]:.0f} "
@@ -195,8 +235,9 @@ class Likelihood:
         self.low = np.max([low for low, _ in bounds], axis=0)
         self.high = np.min([high for _, high in bounds], axis=0)
 
-    def _curves_of(self, record: Record) -> Curves:
-        return self.emulators[record.leg].curves
+    def curves_of(self, record: Record) -> Curves:
+        """Curves of a record's leg in the library, with lever arms of the record's size."""
+        return scaled(record, self.emulators[record.leg].curves)[1]
 
     # -- curves ----------------------------------------------------------------------------------
 
@@ -214,7 +255,7 @@ class Likelihood:
         of_legs = {leg: self._forces(leg, x) for leg in self.emulators}
         means = []
         for record, ratio, shift in zip(self.records, self._ratio, shift_deg, strict=True):
-            curves = self._curves_of(record)
+            curves = self.curves_of(record)
             means.append(ratio * window_means(record, of_legs[record.leg], curves, shift))
         return np.hstack(means)
 
@@ -247,7 +288,7 @@ class Likelihood:
         x = np.repeat(self.inside[None], 3, axis=0)
         x[:, self._phi or 0] += [-1.0, 0.0, 1.0]
         force = self._forces(record.leg, x)
-        means = window_means(record, force, self._curves_of(record), self.shift_deg[i])
+        means = window_means(record, force, self.curves_of(record), self.shift_deg[i])
         return np.asarray(self._ratio[i] * means.reshape(3, len(record.channels), -1))
 
     def slope(self, x: FloatArray, shift_deg: FloatArray | None = None) -> FloatArray:
@@ -304,7 +345,7 @@ class Likelihood:
         shifts = np.arange(-SHIFT_DEG, SHIFT_DEG + 1.0) if self.measured else np.zeros(1)
         squares = [
             squared_residuals(record, record.data, ratio * of_legs[record.leg],
-                              self._curves_of(record), shifts)
+                              self.curves_of(record), shifts)
             for record, ratio in zip(self.records, self._ratio, strict=True)
         ]  # fmt: skip
         first = int(sum(each.min(axis=0) for each in squares).argmin())
@@ -374,7 +415,7 @@ class Likelihood:
             scatter = {leg: e.scatter(inside[leg]) for leg, e in self.emulators.items()}
             blocks = []
             for record, ratio in zip(self.records, self._ratio, strict=True):
-                operator = record.operator(self._curves_of(record).theta_deg)
+                operator = record.operator(self.curves_of(record).theta_deg)
                 both = ratio * np.kron(np.eye(2), operator)
                 blocks.append(both @ scatter[record.leg] @ both.T)
             found["particle scatter"] = self._blocks(blocks)
@@ -424,7 +465,7 @@ class Likelihood:
                 self.records, self.parts, self._ratio, self.shift_deg, strict=True
             ):
                 if record.leg == leg:
-                    means = window_means(record, curves, self._curves_of(record), shift)
+                    means = window_means(record, curves, self.curves_of(record), shift)
                     stacked[part] = ratio * means.T
             found += stacked @ stacked.T
         return found
@@ -445,8 +486,17 @@ class Likelihood:
                 on = correction.theta_deg if correction else emulator.curves.theta_deg
                 at = np.searchsorted(on, emulator.curves.theta_deg)
                 factor = mode[:, :, at].reshape(len(mode), -1).T
+                if cause == "hip height":
+                    factor = factor * self._height_sd(leg)
                 of_causes.setdefault(cause, {})[leg] = factor
         return {cause: self._shared_by_leg(factors) for cause, factors in of_causes.items()}
+
+    def _height_sd(self, leg: str) -> float:
+        """Standard deviation of the hip's height over that of the correction's mode [-]."""
+        rigs = [record.rig for record in self.records if record.leg == leg]
+        known = Rig.of("li2013", leg)
+        each = [rig.hip_height_sd_mm / rig.length_mm for rig in rigs]
+        return float(np.mean(each)) / (known.hip_height_sd_mm / known.length_mm)
 
     def _model_offset(self, slope: FloatArray) -> dict[str, FloatArray]:
         """Covariance of what looks like another angle: of an apparatus, a soil, and each leg."""

@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from terraphi.experiment.errors import InputError, nearest
+from terraphi.experiment.rig import SIZES
 from terraphi.experiment.tables import read_cells
 from terraphi.experiment.workers import workers
 from terraphi.inference import COLUMNS
 from terraphi.inference.answer import Answer
 from terraphi.inference.inversion import invert_many
 
-OPTIONS = ("leg", "density", "columns", "library", "noise", "gain", "calibration")
+OPTIONS = ("leg", "rig", *SIZES, "density", "columns", "library", "noise", "gain", "calibration")
 """Columns that are options of ``invert``, besides ``file``."""
 LEAST_ROWS = 8
 """Records from which several processes are worth their start."""
@@ -60,7 +61,7 @@ def _row(folder: Path, cells: dict[str, str]) -> dict[str, Any]:
         return str(folder / text) if (folder / text).is_file() else text
 
     given: dict[str, Any] = {key: placed(cells[key]) for key in OPTIONS if cells.get(key)}
-    for key in {"density", "noise", "gain"} & given.keys():
+    for key in {"density", "noise", "gain", *SIZES} & given.keys():
         given[key] = given[key].replace(",", ".")  # as in 638,5
     if "noise" in given:
         try:
@@ -87,7 +88,12 @@ def invert_rows(
     progress
         Called with the number of finished records and of all.
     """
-    whole = [{**options, **{k: v for k, v in row.items() if k != "notes"}} for row in rows]
+    whole = []
+    for row in rows:
+        own = {key: value for key, value in row.items() if key != "notes"}
+        # A row with sizes of its own has the whole rig.
+        several = ("rig", *SIZES) if own.keys() & {"rig", *SIZES} else ()
+        whole.append({k: v for k, v in options.items() if k not in several} | own)
     count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     with workers(min(count or 1, len(rows)) if len(rows) >= LEAST_ROWS else 1) as pool:
 

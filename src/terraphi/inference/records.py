@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -33,9 +33,10 @@ from terraphi.experiment.history import (
     ForceHistory,
     resolution,
 )
-from terraphi.experiment.leg import LEG_SHAPES
+from terraphi.experiment.leg import RotatingShape
 from terraphi.experiment.measurements import Measurement, measurement_of, open_forces
-from terraphi.experiment.reading import read_trials
+from terraphi.experiment.reading import ForceColumns, read_trials
+from terraphi.experiment.rig import Rig
 from terraphi.experiment.scenario import Scenario
 
 FEWEST_WINDOWS = 9
@@ -58,8 +59,8 @@ class Record:
         File, or name of a shipped measurement.
     history
         Readings that can be used.
-    leg, leg_assumed
-        Shape of the leg, and whether it is a guess.
+    rig
+        The apparatus.
     density_kg_m3, density_sd_kg_m3, density_assumed
         Bulk density of the soil [kg/m³], its standard deviation, and whether it is a guess; the
         density is ``None`` if nothing is known.
@@ -83,8 +84,7 @@ class Record:
 
     source: str
     history: ForceHistory
-    leg: str
-    leg_assumed: bool = False
+    rig: Rig
     density_kg_m3: float | None = None
     density_sd_kg_m3: float = 0.0
     density_assumed: bool = False
@@ -98,6 +98,11 @@ class Record:
     resolution: tuple[float, ...] = (0.0, 0.0)
     gain: float = 1.0
     gain_sd: float = 0.0
+
+    @property
+    def leg(self) -> RotatingShape:
+        """Shape of the leg."""
+        return self.rig.leg
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -245,8 +250,10 @@ def open_record(forces: Any, **options: Any) -> Record:
     return found[0]
 
 
-def open_records(forces: Any, *, columns: Any = None, **options: Any) -> list[Record]:
-    """Records from whatever forces come in, one for each stroke.
+def open_records(
+    forces: Any, *, columns: Any = None, leg: str | None = None, rig: Any = None, **options: Any
+) -> list[Record]:
+    """Records from whatever forces come in, one for each stroke; tables are tared in air.
 
     Parameters
     ----------
@@ -256,21 +263,31 @@ def open_records(forces: Any, *, columns: Any = None, **options: Any) -> list[Re
     columns
         Which columns of a table are what: a
         :class:`~terraphi.experiment.reading.ForceColumns`, a mapping, or a TOML file.
-    options
+    leg, rig, options
         As of :func:`record_of`.
 
     Raises
     ------
     InputError
-        If the forces, the leg or the density cannot be used.
+        If the forces, the rig or the density cannot be used.
     """
-    return [record_of(one, **options) for one in _measurements(forces, columns)]
+    known = _measurements(forces, tared(columns, rig, leg))
+    return [record_of(one, leg=leg, rig=rig, **options) for one in known]
+
+
+def tared(columns: Any, rig: Any = None, leg: str | None = None) -> ForceColumns:
+    """Options of a table, with the angles at which the leg of a rig is in air."""
+    given, ends = ForceColumns.of(columns), ("air_before_deg", "air_after_deg")
+    if rig is None or {*ends} & given.model_fields_set:
+        return given
+    return given.model_copy(update=dict(zip(ends, Rig.of(rig, leg).air_deg(), strict=True)))
 
 
 def record_of(
     known: Measurement,
     *,
     leg: str | None = None,
+    rig: Any = None,
     density: float | str | None = None,
     noise: float | tuple[float, float] | None = None,
     gain: float | str | None = None,
@@ -283,7 +300,9 @@ def record_of(
     known
         Forces, with what is known of leg and soil.
     leg
-        Shape of the leg; ``None``: from the forces' file, else straight.
+        Shape of the leg; ``None``: that of the rig.
+    rig
+        The apparatus, as :meth:`Rig.of` takes it; ``None``: from the forces' file.
     density
         Bulk density [kg/m³], as a number or as ``"1600±80"``; ``None``: from the forces' file.
         Without a standard deviation 5 % are assumed.
@@ -298,11 +317,18 @@ def record_of(
     Raises
     ------
     InputError
-        If the forces, the leg or the density cannot be used.
+        If the rig is not known, or forces, rig or density cannot be used.
     """
-    if leg is not None and leg not in LEG_SHAPES:
-        known_legs = [shape for shape in LEG_SHAPES if shape != "plate"]
-        raise InputError(f"unknown leg '{leg}'; {nearest(leg, known_legs)}")
+    legs = get_args(RotatingShape)
+    if leg is not None and leg not in legs:
+        raise InputError(f"unknown leg '{leg}'; {nearest(leg, legs)}")
+    source = known.rig if rig is None else rig
+    if source is None:
+        raise InputError(
+            f"{known.name}: of which apparatus are these forces? Add its sizes in mm, as --leg "
+            f"{leg or 'straight'} --length 110 --width 40 --thickness 8 --hip-height 35±1, or "
+            f"--rig li2013 --leg {leg or 'straight'} for that of Li et al. (2013)"
+        )
     history = known.history
     made_by = known.scenario
     mean, sd, assumed = known.density_kg_m3, None, known.density_assumed
@@ -351,8 +377,7 @@ def record_of(
     return Record(
         source=known.name,
         history=history,
-        leg=leg or known.leg,
-        leg_assumed=known.leg_assumed and leg is None,
+        rig=Rig.of(source, leg),
         density_kg_m3=mean,
         density_sd_kg_m3=sd or 0.0,
         density_assumed=assumed,

@@ -15,10 +15,18 @@ from pydantic import Field, JsonValue, model_validator
 
 from terraphi.experiment.documents import Strict, located, parse_toml
 from terraphi.experiment.errors import InputError
+from terraphi.experiment.rig import Rig, similar_scenario
 from terraphi.experiment.scenario import Scenario
 
 MOST_CASES = 10_000
 """Cases of a plan at most."""
+RIG_ANGLES_DEG = (
+    *(35.0, 30.0, 40.0, 25.0, 45.0, 20.0, 15.0, 50.0),
+    *(27.5, 32.5, 22.5, 37.5, 42.5, 10.0, 55.0),
+)
+"""Friction angles of a rig's library [deg]: those of ``sand3d``, a coarse sweep first."""
+LEG_FRICTION = 0.3
+"""Friction between leg and soil in a rig's library [-]: that of ``sand3d``."""
 
 
 class Sample(Strict):
@@ -144,6 +152,36 @@ class Plan(Strict):
                 f"plan '{self.name}': a case comes twice; drop one, or set vary_seed = true"
             )
         return found
+
+    @classmethod
+    def of_rig(cls, rig: Rig) -> Plan:
+        """The plan of a library for a rig: material point method in three dimensions, dry soil.
+
+        Bed, cells and steps follow from the rig's ratios (:func:`similar_scenario`); the leg has
+        the length of Li's, and inversion scales the forces.
+
+        Raises
+        ------
+        InputError
+            If a ratio is outside what can be simulated.
+
+        Examples
+        --------
+        >>> plan = terraphi.Plan.of_rig(terraphi.Rig.of("li2013", "c"))
+        >>> plan.count, plan.scenario.leg.shape
+        (15, 'c')
+        """
+        first, *others = RIG_ANGLES_DEG
+        scenario = similar_scenario(
+            rig.leg, rig.ratios, friction_angle_deg=first, leg_friction=LEG_FRICTION
+        )
+        return cls(
+            name=f"{rig.leg}-{rig.length_mm:g}",
+            description=str(rig),
+            scenario=scenario,
+            sweep={"soil.friction_angle_deg": [first, *others]},
+            vary_seed=True,
+        )
 
     @classmethod
     def load(cls, source: Path | str) -> Plan:

@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from pydantic import BaseModel, Json
 
-from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.documents import located, shipped_names
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import open_netcdf, positions, write_netcdf
 from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.rig import contact_deg
 from terraphi.experiment.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -31,6 +32,8 @@ ORDER = ("sand3d", "rft3d", "paper", "paper-code")
 """Shipped libraries, the most useful first."""
 ARM_DEG = 2.0
 """Width over which lever arms are smoothed [deg]."""
+REACH_DEG = 88.0
+"""Angle [deg] that the windows of records, which end at 87.2°, do not reach."""
 THETA_DEG = np.arange(-90.0, 91.0)
 """Leg angles [deg] of the curves that inference uses: means over 1° about whole degrees."""
 
@@ -268,8 +271,13 @@ class Library:
         span = chosen[0].history
         assert span is not None
         low, high = np.degrees(span.position[[0, -1]])
-        theta = THETA_DEG[(low - 1e-9 <= THETA_DEG) & (high + 1e-9 >= THETA_DEG)]
-        means = [_one_degree_means(chosen[i].history, theta) for i in order]
+        inside = (low - 1e-9 <= THETA_DEG) & (high + 1e-9 >= THETA_DEG)
+        # A path that ends in the air, short of what records have, is followed by air.
+        begins, ends = contact_deg(first.leg, first.hip_height)
+        air = (low > THETA_DEG) & (-REACH_DEG < low < begins)
+        air |= (high < THETA_DEG) & (REACH_DEG > high > ends)
+        theta = THETA_DEG[inside | air]
+        means = [_one_degree_means(chosen[i].history, theta, air[inside | air]) for i in order]
         force, arm = np.stack([m[:2] for m in means]), _lever_arm([m for m in means if len(m) > 2])
         if corrected and leg in self.corrections:
             angles = x[order, keys.index(PHI)]
@@ -428,13 +436,21 @@ def _alike(one: ForceHistory, other: ForceHistory) -> bool:
     )
 
 
-def _one_degree_means(history: ForceHistory | None, theta_deg: FloatArray) -> FloatArray:
-    """Mean (Fx, Fz) over 1° about leg angles [N], and M [N m] if known, shape [2 or 3, theta]."""
+def _one_degree_means(
+    history: ForceHistory | None, theta_deg: FloatArray, air: BoolArray
+) -> FloatArray:
+    """Mean (Fx, Fz) over 1° about leg angles [N], and M [N m] if known, shape [2 or 3, theta].
+
+    Angles in the air, outside the history, have zeros.
+    """
     assert history is not None
     values = np.stack([history.Fx, history.Fz], axis=1)
     if history.moment is not None:
         values = np.column_stack([values, history.moment])
-    return history.means(np.radians(theta_deg), np.radians(0.5), values=values).T
+    found = np.zeros((values.shape[1], theta_deg.size))
+    centre = np.radians(theta_deg[~air])
+    found[:, ~air] = history.means(centre, np.radians(0.5), values=values).T
+    return found
 
 
 def _lever_arm(curves: list[FloatArray]) -> FloatArray | None:

@@ -28,7 +28,6 @@ CONVENTIONS = {
     "paper": "yield criterion of the paper",
     "rft3d": "angle of 3-D resistive force theory",
 }
-LEGS = {"straight": "straight leg", "c": "C leg", "reversed_c": "reversed C leg"}
 ACTIONS = {
     "soils of known angle in the same apparatus (terraphi calibrate)": (
         *("model: apparatus", "model: offset", "hip height", "leg friction", "gain"),
@@ -45,11 +44,11 @@ ACTIONS = {
 
 def headline(answer: Answer) -> str:
     """What was inverted, and φ: two lines."""
-    legs = ", ".join(LEGS.get(leg, leg) for leg in answer.leg.split(", "))
+    rigs = "; ".join(map(str, answer.rigs))
     source = answer.source if len(answer.records) < 3 else f"{len(answer.records)} records"
     assumed = " (assumed)" if answer.density_assumed else ""
     lines = [
-        f"{source} · {legs} · {answer.density_kg_m3:g} kg/m³{assumed} · library {answer.library}"
+        f"{source} · {rigs} · {answer.density_kg_m3:g} kg/m³{assumed} · library {answer.library}"
     ]
     if PHI in answer.parameters and answer.verdict != "out_of_range":
         which = CONVENTIONS.get(answer.convention, answer.convention)
@@ -111,7 +110,7 @@ def tables(answer: Answer) -> list[Table]:
     terms = [(name, f"{sd:.2f}") for name, sd in answer.budget_deg.items()]
     records = [
         (
-            one.source, one.leg, str(one.n_readings), str(one.n_left_out),
+            one.source, str(one.rig), str(one.n_readings), str(one.n_left_out),
             ", ".join(f"{name} {size:.1%}" for name, size in one.nrmsd.items()),
             f"{one.shift_deg:+.1f}°",
         )
@@ -122,7 +121,7 @@ def tables(answer: Answer) -> list[Table]:
         Table("Standard deviation of φ by term", ("term", "[deg]"), terms),
         Table(
             "Records",
-            ("source", "leg", "readings", "left out", "residuals", "shift of θ"),
+            ("source", "rig", "readings", "left out", "residuals", "shift of θ"),
             records,
             "Residuals: root mean square over the range of the force. A positive shift: the forces "
             "come later than the model's.",
@@ -240,13 +239,14 @@ def row(source: str, answer: Answer) -> dict[str, Any]:
     rounded = [f"{value:.6g}" for value in ends] or [""] * 6
     return {
         "source": source,
-        "leg": answer.leg,
+        "leg": ", ".join(dict.fromkeys(rig.leg for rig in answer.rigs)),
         **dict(zip(COLUMNS[2:8], rounded, strict=True)),
         "yield": answer.convention,
         "phi_plane_strain_deg": "" if plane is None else f"{plane.median:.6g}",
         "verdict": answer.verdict,
         "reason": answer.reason,
         **{f"nrmsd_{name}": f"{size:.4f}" for name, size in answer.nrmsd.items()},
+        **{key: f"{size:g}" for key, size in answer.as_dict()["rig"].items() if key in COLUMNS},
         "density_kg_m3": f"{answer.density_kg_m3:g}",
         "density_assumed": answer.density_assumed,
         "library": answer.library,

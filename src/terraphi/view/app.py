@@ -30,9 +30,9 @@ from terraphi.experiment.files import temporary_folder
 from terraphi.experiment.history import CHANNEL_UNITS
 from terraphi.experiment.leg import CURVES, Leg, frame_axes
 from terraphi.experiment.reading import ForceColumns
+from terraphi.experiment.rig import LEG_NAMES, LI2013, SIZES, with_rig
 from terraphi.experiment.tables import write_csv
 from terraphi.view import page
-from terraphi.view.answers import LEGS
 from terraphi.view.sections import (
     LOGS,
     Section,
@@ -147,7 +147,8 @@ def application(limits: Limits | None = None, *, place: Path | None = None) -> S
         plotly=packed,
         roles=page.embedded(ROLES),
         units={name: units[name]["anyOf"][0]["enum"] for name in ("theta_unit", "unit")},
-        legs={leg: (LEGS[leg], corners(leg)) for leg in CURVES},
+        legs={leg: (LEG_NAMES[leg], corners(leg)) for leg in CURVES},
+        li2013=LI2013,
         suffixes=",".join(SUFFIXES),
         megabytes=limits.bytes // 1_000_000,
     )
@@ -199,7 +200,7 @@ async def reply_to(
     suffix = Path(name).suffix.lower()
     if suffix not in SUFFIXES:
         raise RefusedError(415, f"{name}: expected a file of {', '.join(SUFFIXES)}")
-    options = {key: query.get(key) or None for key in ("leg", "density", "columns")}
+    options = {key: query.get(key) or None for key in ("leg", *SIZES, "density", "columns")}
     with tempfile.TemporaryDirectory(dir=place, prefix="dropped-") as made:
         folder = Path(made)
         await _receive(request, folder / f"dropped{suffix}", name, limits)
@@ -336,7 +337,7 @@ def work(job: dict[str, Any]) -> None:
     ----------
     job
         ``folder`` and ``file`` in it, the ``name`` that was dropped, the ``task`` (look, answer);
-        ``leg``, ``density`` and, as JSON, ``columns``.
+        ``leg``, its sizes [mm], ``density`` and, as JSON, ``columns``.
     """
     folder, name = Path(job["folder"]), job["name"]
     file = str(folder / job["file"])
@@ -350,7 +351,8 @@ def work(job: dict[str, Any]) -> None:
             reply = look(file, columns)
         else:
             (folder / "files").mkdir()
-            found = answers(file, name, columns, leg=job["leg"], density=job["density"])
+            sizes = {key: job[key] for key in ("leg", *SIZES)}
+            found = answers(file, name, columns, density=job["density"], **sizes)
             reply = page.drawn(found)
             files = {path.name: path.read_bytes() for path in folder.glob("files/*")}
             files = {"report.html": page.document(name, **reply).encode(), **files}
@@ -384,12 +386,12 @@ def look(file: str, columns: dict[str, Any]) -> dict[str, Any]:
     ranges = ", ".join(f"{n} from {v.min():.3g} to {v.max():.3g}" for n, v in read.items())
     reply["read"] = [f"{len(history.position)} readings: {ranges}."]
     reply["read"] += history.provenance.get("reading", [])
-    leg = "" if found.leg_assumed else found.leg
-    return {**reply, "leg": leg, "density": found.density_kg_m3}
+    rig = None if found.rig is None else found.rig.model_dump()
+    return {**reply, "rig": rig, "density": found.density_kg_m3}
 
 
 def answers(
-    file: str, name: str, columns: dict[str, Any], *, leg: str | None, density: str | None
+    file: str, name: str, columns: dict[str, Any], *, density: str | None, **sizes: str | None
 ) -> list[Section]:
     """Sections for a dropped file: an inversion, footfalls and foot forces of a log, or a result.
 
@@ -398,11 +400,13 @@ def answers(
     kind, folder = kind_of(file), Path(file).parent / "files"
     if kind in ("forces", "simulation"):
         from terraphi.experiment.measurements import open_forces
-        from terraphi.inference.inversion import invert, tared
+        from terraphi.inference.inversion import invert
+        from terraphi.inference.records import tared
 
-        measured = open_forces(file, tared(columns, leg))
+        options = with_rig(sizes)
+        measured = open_forces(file, tared(columns, options.get("rig")))
         measured = [replace(one, name=one.name.replace(file, name)) for one in measured]
-        answer = invert(measured, leg=leg, density=density)
+        answer = invert(measured, density=density, **options)
         write_files(answer, folder)
         return [of_answer(answer)]
     if kind != "log":

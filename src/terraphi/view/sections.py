@@ -17,7 +17,8 @@ from terraphi.experiment.files import netcdf_kind, open_netcdf, read_bytes
 from terraphi.experiment.history import CHANNEL_UNITS, ForceHistory
 from terraphi.experiment.measurements import scenario_of
 from terraphi.experiment.outputs import changed
-from terraphi.view.answers import CONVENTIONS, LEGS, PHI, in_words, tables
+from terraphi.experiment.rig import LEG_NAMES
+from terraphi.view.answers import CONVENTIONS, PHI, in_words, tables
 from terraphi.view.console import words
 from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE
 from terraphi.view.table import Table
@@ -271,7 +272,9 @@ def of_library(library: Library) -> Section:
                 traces.append(line(x, y, f"φ = {phi:g}°", colour) | {"showlegend": False})
             note = f"Dark to light: φ = {low:g} to {high:g}°."
             where = position_label(curves[0][1])
-            parts.append(Plot(f"{force}, {LEGS.get(leg, leg)}", traces, axes(where, label), note))
+            parts.append(
+                Plot(f"{force}, {LEG_NAMES.get(leg, leg)}", traces, axes(where, label), note)
+            )
     known = summary.pop("provenance")
     contents = {key: value for key, value in summary.items() if value not in ("", [], {}, None)}
     parts.append(Table("Contents", ("", ""), pairs(contents)))
@@ -301,7 +304,7 @@ def of_simulation(history: ForceHistory, name: str = "forces") -> Section:
     headline = capital(", ".join(f"peak {n} {p:.1f} {CHANNEL_UNITS[n]}" for n, p in peaks.items()))
     if scenario is not None:
         leg, phi = scenario.leg.shape, scenario.soil.friction_angle_deg
-        headline += f"; {LEGS.get(leg, leg)}, φ = {phi:g}°"
+        headline += f"; {LEG_NAMES.get(leg, leg)}, φ = {phi:g}°"
     parts: list[Plot | Picture | Table] = [*plots, Table("In numbers", ("", ""), pairs(summary))]
     return Section("simulation", name, headline, [], parts, pairs(history.provenance))
 

@@ -25,8 +25,11 @@ async function send(task) {
   const tell = () => { by("status").textContent = `${task === "look" ? "Reading" : "Working"}: ${Math.round((Date.now() - began) / 1000)} s`; };
   const tick = setInterval(tell, 500);
   tell();
-  const { leg, density, sd } = Object.fromEntries(new FormData(form));
-  const query = { name: file.name, columns: JSON.stringify(columns()), leg: leg || "", density: density && sd ? `${density}±${sd}` : density };
+  const { leg, length, width, thickness, hip_height, hip_sd, density, sd } = Object.fromEntries(new FormData(form));
+  const query = {
+    name: file.name, columns: JSON.stringify(columns()), leg: leg || "", length, width, thickness,
+    hip_height: hip_height && hip_sd ? `${hip_height}±${hip_sd}` : hip_height, density: density && sd ? `${density}±${sd}` : density,
+  };
   let found = { refused: "The file did not arrive: it may be too large, or the app has been stopped." };
   try {
     const answer = await fetch(`/${task}?${new URLSearchParams(query)}`, { method: "POST", body: file, headers: { "x-terraphi": "1" } });
@@ -42,7 +45,7 @@ async function send(task) {
 
 // -- what is wrong, and what would help ---------------------------------------------------------
 
-const OFFER = /[,;]?\s*(?:add|or)?\s*--(columns|leg) (?:'([^']*)'|([\w=.,-]*\w))/g;
+const OFFER = /[,;]?\s*(?:add|or)?\s*--(columns|leg) (?:'([^']*)'|([\w=.,-]*\w))(?! --)/g;
 
 function offers(text) {
   const values = [...text.matchAll(OFFER)].map(([, option, quoted, plain]) => [option, quoted ?? plain]);
@@ -138,14 +141,47 @@ async function open(dropped) {
   kind = found.kind;
   form.hidden = !["forces", "log"].includes(kind);
   by("forces").hidden = by("forces").inert = kind !== "forces";
-  for (const input of form.elements.leg) input.required = kind === "forces";
   if (kind !== "forces") { answer(); return; }
   tabulate(found);
-  if (found.leg) form.elements.leg.value = found.leg;
+  form.elements.leg.value = found.rig?.leg ?? "";
+  for (const { name } of sizes()) form.elements[name].value = found.rig?.[`${name}_mm`] ?? "";
+  sketch();
   if (found.density) form.elements.density.value = found.density;
   show(found);
   by("table").querySelector("select").focus({ preventScroll: true });
 }
+
+// -- the leg, to scale ---------------------------------------------------------------------------
+
+const sizes = () => by("rig").querySelectorAll("[data-li]");
+
+// From the side as it hangs, with its end faces round; from the front beside it.
+function sketch() {
+  const [length, width, thick, height] = [...sizes()].map(({ value }) => Number(value));
+  const chord = length - thick / 2, sweep = { c: 0, reversed_c: 1 }[form.elements.leg.value];
+  by("drawing").replaceChildren();
+  if (!(length > 0 && width > 0 && thick > 0 && chord > 0 && height < length)) return;
+  const from = -0.6 * length, far = 0.7 * length + width, top = -0.15 * length;
+  const middle = sweep === undefined ? `L0 ${chord}` : `A${chord / 2} ${chord / 2} 0 0 ${1 - sweep} 0 ${chord}`;
+  const shapes = [
+    ["rect", { x: from, y: height, width: far - from, height: 1.2 * length - height, fill: "#e8dcc5" }],
+    ["path", { d: `M0 0${middle}`, fill: "none", stroke: "#0072B2", "stroke-width": thick, "stroke-linecap": "round" }],
+    ["rect", { x: 0.6 * length, y: -thick / 2, width, height: length + thick / 2, fill: "#0072B2" }],
+    ["circle", { r: 0.03 * length }],
+  ];
+  for (const [tag, attributes] of shapes) {
+    const one = document.createElementNS("http://www.w3.org/2000/svg", tag);
+    for (const [key, value] of Object.entries(attributes)) one.setAttribute(key, value);
+    by("drawing").append(one);
+  }
+  by("drawing").setAttribute("viewBox", `${from} ${top} ${far - from} ${1.2 * length - top}`);
+}
+
+by("rig").addEventListener("input", sketch);
+by("li2013").addEventListener("click", () => {
+  for (const input of sizes()) input.value = input.dataset.li;
+  sketch();
+});
 
 // -- an answer -----------------------------------------------------------------------------------
 
