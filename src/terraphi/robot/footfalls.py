@@ -25,6 +25,7 @@ from terraphi.robot.footfall_fit import (
     evenly,
     fit,
     picked,
+    shared_sd,
     with_exponent,
 )
 from terraphi.robot.footfall_map import ANCHOR_POINTS, Anchor, Observed, Pooled, pool, weigh
@@ -60,8 +61,6 @@ LEVEL_DEG = 5.0
 """Inclination of the ground that is worth a note [deg]: 1.4° at most on simulated level sand."""
 CONTRADICTED = 2.0
 """Standard deviations above which an anchor is doubted [-]."""
-LEAST_SCALE = 0.2
-"""The noise of a log is at least this part of what is assumed [-]."""
 FEWEST_TEACHERS, MOST_TEACHERS = 8, 120
 """Touch-downs that teach a law's growth with depth at least, and from which they are taken."""
 SECOND = "rft"
@@ -268,7 +267,8 @@ def footfalls(
     found = fit(seen, law, chosen)
     verdict = verdicts(seen, found, chosen.radius)
     usable = verdict == USABLE
-    common = weigh(log.time, lift, acceleration, per, chosen, mass=body.mass)
+    sd = shared_sd(chosen, forces.friction)
+    common = weigh(log.time, lift, acceleration, per, sd, mass=body.mass)
     path = _path(motion, log.time)
     stretches = [(anchor, _stretch(anchor, path)) for anchor in known]
     fields = {key: np.full(len(verdict), np.nan) for key in ("phi", "sd", "shared_sd")}
@@ -278,13 +278,12 @@ def footfalls(
     by_law: dict[str, float] = {}
     contradicted: list[str] = []
     if usable.any():
-        phi, misfit, moves = found.phi[usable], found.misfit[usable], found.shared[usable]
-        # The noise is scaled to the median misfit of the log.
-        scale = max(LEAST_SCALE, math.sqrt(float(np.median(np.minimum(misfit, 1.0)))))
-        own = found.sd[usable] * scale * np.maximum(1.0, np.sqrt(misfit) / scale) ** 0.5
+        phi, moves = found.phi[usable], found.shared[usable]
         moves[:, SHARED.index("law_slope")] = phi - phi.mean()
-        observed = Observed(phi, own, moves, seen.place[usable, :2])
-        pooled = pool(observed, common, path[:, 1:], stretches, mean=chosen.phi_deg)
+        observed = Observed(phi, found.sd[usable], moves, seen.place[usable, :2])
+        pooled = pool(
+            observed, common, path[:, 1:], stretches, mean=chosen.phi_deg, mean_sd=chosen.phi_sd_deg
+        )
         for key, values in fields.items():
             values[usable if key not in of_path else slice(None)] = getattr(pooled, key)
         shared = _shared_summary(pooled, chosen)
