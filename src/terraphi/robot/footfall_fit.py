@@ -40,8 +40,6 @@ ROUNDS, SETTLED = 25, 1e-3
 EXPONENTS = (-0.7, 0.4)
 """Range of what is added to a law's power of depth [-]; the upper end makes law ``foot`` grow like
 resistive force theory, whose stress is proportional to the depth."""
-LEAST_COST = 0.1
-"""Costs below this are as good as each other [-]."""
 TAUGHT_SD = 0.03
 """Standard deviation of an exponent that touch-downs have taught [-]."""
 SLOPE_PER_SQUARE = 6.0
@@ -49,8 +47,9 @@ SLOPE_PER_SQUARE = 6.0
 growth with depth lacks [-]. Law ``foot`` lacks 0.4 for resistive force theory, which changes with φ
 0.4 times as much (an error of 1.5), and 0.2 to 0.4 for Hansen's (errors up to 0.3): root mean
 square 1 at 0.4. It lacks -0.3 for itself with a resistance that grows slower (no error)."""
-TEACHERS = 60
-"""Touch-downs that teach it at most, evenly chosen."""
+MOST_FITTED = 120
+"""Footfalls from which what they share is learned at most, evenly chosen, so that what no model has
+right does not grow into certainty with the length of a log (chosen)."""
 BLOCK = 512
 """Touch-downs that are fitted together; bounds the memory."""
 
@@ -260,11 +259,9 @@ def with_exponent(seen: Touchdowns, law: str, prior: Prior) -> Prior:
     """
     from scipy.optimize import minimize_scalar
 
-    part = evenly(seen, TEACHERS)
-
     def cost(exponent: float) -> float:
-        found = fit(part, law, replace(prior, exponent=exponent))
-        return float(np.log(LEAST_COST + found.cost).mean())
+        found = fit(seen, law, replace(prior, exponent=exponent))
+        return float(np.log(found.cost).mean())
 
     best = minimize_scalar(cost, bounds=EXPONENTS, method="bounded", options={"xatol": 0.02}).x
     slope_sd = float(np.hypot(prior.slope_sd, SLOPE_PER_SQUARE * best**2))

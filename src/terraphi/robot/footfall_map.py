@@ -8,10 +8,10 @@ which maximise their marginal posterior. An anchor, φ as a shear test found it 
 path, is one more observation, with S = 0.
 
 What footfalls share is taught by them in one thing: gains and friction that differ from leg to leg
-while the soil does not, by :data:`TEACHERS` footfalls at most, so that what no model has right does
-not grow into certainty with the length of a log. They do not teach soil, foot and law: a wrong
-slope of the law differs from another field in nothing but the field's prior. So θ otherwise keeps
-its prior and moves the map as a whole, until there is an anchor: a cut posterior.
+while the soil does not, by :data:`~terraphi.robot.footfall_fit.MOST_FITTED` footfalls at most. They
+do not teach soil, foot and law: a wrong slope of the law differs from another field in nothing but
+the field's prior. So θ otherwise keeps its prior and moves the map as a whole, until there is an
+anchor: a cut posterior.
 
 Gains of the motors and friction of the joints come from the robot's own weight first
 (:func:`weigh`): at every moment Σ F_z = m (g + a_z). The upward forces are linear in errors of the
@@ -31,16 +31,12 @@ from typing import NamedTuple
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.robot.footfall_fit import TORQUES, evenly
+from terraphi.robot.footfall_fit import MOST_FITTED, TORQUES, evenly
 from terraphi.robot.legs import GRAVITY
 
 MEDIANS, LOG_SD = (1.5, 1.0), 0.7
 """Of the process's amplitude [deg] and length [m]: medians, and the standard deviation of the
 logarithm of each."""
-LEARN_FROM = 400
-"""Footfalls from which these are learnt at most, evenly chosen."""
-TEACHERS = 120
-"""Footfalls that teach the torques' errors at most, evenly chosen."""
 ANCHOR_POINTS = 9
 """Points that stand for an anchor's stretch."""
 MOST = 6000
@@ -308,7 +304,7 @@ def _taught(
     seen: Observed, shared: Shared, field: tuple[float, float, float], mean: float
 ) -> Shared:
     """What is shared, after footfalls have taught the errors of the torques."""
-    part, n = evenly(seen, TEACHERS), len(TORQUES)
+    part, n = evenly(seen, MOST_FITTED), len(TORQUES)
     each, torques = part.shared[:, :n], shared.covariance[:n, :n]
     matrix = _observed(part, field) + each @ torques @ each.T
     gain = np.linalg.solve(matrix, each @ torques).T
@@ -322,7 +318,7 @@ def _learnt(seen: Observed, shared: Shared, mean: float, mean_sd: float) -> tupl
     """Amplitude and length at the maximum of their marginal posterior."""
     from scipy.optimize import minimize
 
-    part, n = evenly(seen, LEARN_FROM), len(TORQUES)
+    part, n = evenly(seen, MOST_FITTED), len(TORQUES)
     each = part.shared[:, :n]
     left = part.phi - mean - part.shared @ shared.mean
     common = each @ shared.covariance[:n, :n] @ each.T

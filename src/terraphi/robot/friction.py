@@ -34,17 +34,16 @@ from terraphi.robot.model import Quadruped
 
 LEAST_SWING = 50
 """Samples in swing that a foot needs for its friction to be found."""
-LEAST_RATE = 0.1
-"""Root mean square velocity that a joint needs [rad/s]."""
-GUARD_S, SHORTEST_S = 0.025, 0.04
+GUARD_S, SHORTEST_S = 0.02, 0.04
 """Time cut off at both ends of a swing, where the detection may err; swings that are shorter after
 that are dropped [s]."""
-REVERSAL_RATE, REVERSAL_S = 2.0 * STANDSTILL, 0.02
-"""A joint slower than this [rad/s] is about to turn round, or has; for this long [s] before and
+REVERSAL_RATE = 2.0 * STANDSTILL
+"""A joint slower than this [rad/s] is about to turn round, or has; for :data:`GUARD_S` before and
 after, friction changes its sense in a way of its own, and a regression would take the change for
-less Coulomb friction."""
-BEARING_SHARE = 0.1
-"""A foot that carries more than this share of the robot's weight [-] shows where the ground is."""
+less Coulomb friction. A joint needs this root mean square velocity."""
+BEARING_SHARE = 0.15
+"""A foot that carries more than this share of the robot's weight [-] shows where the ground is, and
+stands: feet bear a quarter on average (chosen)."""
 HANGING_SHARE = 0.3
 """A robot whose feet carry less than this share of its weight [-] hangs or lies."""
 LEAST_CLEARANCE = 0.01
@@ -170,7 +169,7 @@ def one_way(time: FloatArray, velocity: FloatArray) -> BoolArray:
     when = time[:, None, None]
     since = when - np.maximum.accumulate(np.where(slow, when, -np.inf), axis=0)
     until = np.minimum.accumulate(np.where(slow, when, np.inf)[::-1], axis=0)[::-1] - when
-    return np.asarray(np.minimum(since, until) > REVERSAL_S)
+    return np.asarray(np.minimum(since, until) > GUARD_S)
 
 
 def fit(
@@ -205,7 +204,7 @@ def fit(
             if chosen.sum() < LEAST_SWING:
                 chosen = air
             x, y = terms[chosen, i, j], -residual[chosen, i, j]
-            if np.sqrt(np.mean(x[:, 1] ** 2)) >= LEAST_RATE:
+            if np.sqrt(np.mean(x[:, 1] ** 2)) >= REVERSAL_RATE:
                 numbers[i, j] = _robust(x, y)
                 found[i, j] = True
     coulomb, viscous, inertia = np.moveaxis(numbers, -1, 0)
