@@ -76,7 +76,7 @@ PATH_STEP = 0.05
 MOST_POINTS = 1500
 SMOOTH_PATH_S = 0.6
 """The trunk's sway is averaged over this time before the path, and its first heading, the x of the
-map, are measured [s]: half a stride of a slow walk."""
+map, are measured [s]: half a stride of a walk."""
 
 
 @dataclass(frozen=True)
@@ -269,8 +269,9 @@ def footfalls(
     found = fit(seen, law, chosen)
     verdict = verdicts(seen, found, chosen.radius)
     usable = verdict == USABLE
-    sd = shared_sd(chosen, forces.friction)
-    common = weigh(log.time, lift, acceleration, per, sd, mass=body.mass)
+    common = weigh(
+        log.time, lift, acceleration, per, shared_sd(chosen, forces.friction), mass=body.mass
+    )
     path = _path(motion, log.time)
     stretches = [(anchor, _stretch(anchor, path)) for anchor in known]
     fields = {key: np.full(len(verdict), np.nan) for key in ("phi", "sd", "shared_sd")}

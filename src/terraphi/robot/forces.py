@@ -37,7 +37,7 @@ DEFAULT_ESTIMATOR: Estimator = "momentum_observer"
 LEAST_LEVER = 0.05
 """A knee is near-singular below this lever of J over the leg's length [-]; about 11° of bend."""
 SATURATED = 0.99
-"""Torques above this share of the motor's limit are taken to be cut off [-]."""
+"""Torques above this share of the motor's limit are taken to be cut off [-]: rounding (chosen)."""
 WORST_ACCELEROMETER = 3.0
 """Mean specific force may differ by this much from gravity's [m/s²], or it is not one."""
 UNFELT_PART = 0.3

@@ -56,7 +56,8 @@ found each from the other, and before friction is known it looks like force."""
 HIGH_PART, LOW_PART, MOST_SCRATCHED = 0.6, 0.3, 1.25
 """Parts of the height of its swing [-] above which a foot is surely, and perhaps, clear of the
 ground; and by how much torques in the latter may spread more [-] if it is. Low down a swing has
-slower movements too, which separate Coulomb from viscous friction."""
+slower movements too, which separate Coulomb from viscous friction: from the high part alone Coulomb
+torques err by a third (``tests/robot/test_friction.py``)."""
 TOUCH_OVER_LEAVE = 1.6
 """A foot stands again above this many times as much [-]."""
 LAG_STEP_S, MOST_LAG_S = 0.004, 0.06

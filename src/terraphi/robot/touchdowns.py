@@ -38,11 +38,13 @@ from terraphi.robot.model import Quadruped
 from terraphi.robot.stance import SMOOTH_S, Stance, running_mean
 
 ACCELERATION_SD = 0.3
-"""Of the accelerometer's readings, with what the trunk shakes between samples [m/s²]."""
+"""Of the accelerometer's readings, with what the trunk shakes between samples [m/s²] (chosen; in
+``tests/robot/test_footfall_truth.py`` places come back within 0.3 mm)."""
 UNKNOWN_ACCELERATION_SD = 3.0
-"""Of the trunk's acceleration without an accelerometer [m/s²]."""
+"""Of the trunk's acceleration without an accelerometer [m/s²]: a trot's (chosen)."""
 STANCE_SD = 0.01
-"""Of the velocity of a foot that stands, and the scale beyond which it does not stand [m/s]."""
+"""Of the velocity of a foot that stands, and the scale beyond which it does not stand [m/s]: a foot
+that sinks passes it at once (chosen; test as above)."""
 ROUNDS = 8
 """Of reweighting."""
 BIAS_S = 6.0
@@ -56,9 +58,9 @@ TOUCH_N, ALOFT = 2.5, 0.005
 """A foot was in the air last where it bore less than this [N], this much above the place where its
 stance begins [m]."""
 POINTS = 64
-"""Most samples of a touch-down; longer ones are thinned."""
+"""Most samples of a touch-down; longer ones are thinned (memory)."""
 FEWEST = 10
-"""Samples that a touch-down needs while the foot goes down."""
+"""Samples that a touch-down needs while the foot goes down, to fit three quantities (chosen)."""
 GOES_ON, SINKS = 0.25, 0.03
 """A foot rests that goes down slower than this part [-] of its fastest within half of
 :data:`WINDOW_S`, or than this [m/s]: after a rest, a slow loading counts again (chosen)."""
