@@ -154,7 +154,7 @@ def test_of_two_feet_in_one_place_the_second_is_refused() -> None:
     fair = {"torn": np.zeros(7, bool), "saturated": np.zeros(7, bool), "place": places}
     seen = SimpleNamespace(foot=feet, used=np.ones((7, 20), bool), **fair)
     found = SimpleNamespace(
-        phi=np.array([32.0] * 6 + [49.9]), sinkage=np.full(7, 0.02), gained=np.full(7, 0.01),
+        phi=np.array([32.0] * 6 + [50.0]), sinkage=np.full(7, 0.02), gained=np.full(7, 0.01),
         misfit=np.ones(7),
     )  # fmt: skip
     expected = [USABLE, USABLE, PRINT, PRINT, USABLE, TRODDEN, EDGE]

@@ -131,7 +131,7 @@ def clear_of_ground(
     ndarray
         Shape [sample, foot]; all true if the feet bear next to nothing all the time.
     """
-    if np.quantile(lift.sum(axis=1), 0.9) < HANGING_SHARE * weight:
+    if np.quantile(lift.max(axis=1), 0.9) <= BEARING_SHARE * weight:
         return np.ones(lift.shape, dtype=bool)
     load = np.maximum(lift / weight - BEARING_SHARE, 0.0)
     total = load.sum(axis=1, keepdims=True)
