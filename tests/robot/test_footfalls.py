@@ -202,6 +202,8 @@ def test_a_known_angle_of_the_whole_path_is_its_mean() -> None:
     assert abs(held.path_phi.mean() - 31.0) < 0.1
     assert held.path_absolute_sd.mean() < free.path_absolute_sd.mean()
     np.testing.assert_array_equal(held.verdict, free.verdict)
+    moved = [held.by_law[law] - free.by_law[law] for law in ("foot", "rft")]
+    assert moved == pytest.approx([-9.3, -9.3], abs=0.1)
 
 
 def test_options_and_logs_that_cannot_be() -> None:

@@ -32,8 +32,8 @@ PHI_RANGE = (15.0, 50.0)
 """Friction angles in plane strain for which laws are evaluated [deg]: law ``foot`` has a table from
 17 to 52° and is continued by 3°."""
 NOISE_N, NOISE_PART = 1.5, 0.04
-"""Standard deviation of a force: constant [N], and as a part of it [-]; odometry is in it. Twice or
-three times what simulated walks show: their ratio counts, for residuals scale the result."""
+"""Standard deviation of a force: constant [N], and as a part of it [-]; odometry is in it. Residuals
+scale the result, so that the ratio of both counts (chosen)."""
 CORRELATION_S = 0.008
 """Correlation time of the noise [s]: a few samples of a log of 500 Hz (chosen)."""
 ROUNDS, SETTLED = 25, 1e-3
@@ -274,8 +274,7 @@ def _fit(seen: Touchdowns, law: FootLaw, prior: Prior) -> Fit:
     weight = np.asarray(np.linalg.inv(noise_covariance(seen, prior)))
     mean = np.array([prior.phi_deg, 0.0, 0.0])
     sd = np.array([prior.phi_sd_deg, prior.level_sd, prior.drift_sd])
-    # A trace of φ's prior, so that touch-downs without samples have a solution.
-    precision = np.diag(sd**-2 * [1e-6, 1.0, 1.0])
+    precision = np.diag(sd**-2 * [1e-6, 1.0, 1.0])  # a trace for touch-downs without samples
 
     def cost(
         part: Touchdowns, weight: FloatArray, state: FloatArray

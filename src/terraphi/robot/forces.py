@@ -57,8 +57,8 @@ class SensorErrors:
         Of the Coulomb friction of a joint that is not seen in swing [N m]: the ``frictionloss`` of
         the Go2's joints in MuJoCo Menagerie.
     friction_part
-        Of a friction that is known, against that under load [-]: what swing finds errs by so much
-        on walks of known friction (``tests/robot/test_friction.py``).
+        Of a friction that is known, or of the usual one, if that is more [-]: the error on walks of
+        known friction (``tests/robot/test_friction.py``).
     attitude_deg
         Of roll and of pitch [deg]: chosen.
     """
@@ -72,7 +72,6 @@ class SensorErrors:
         """Coulomb torque left in the forces when that was taken off [N m], shape [foot, joint]."""
         if friction is None:
             return np.full((len(FEET), len(JOINTS)), self.coulomb_Nm)
-        # One that was not felt is as uncertain as the usual one.
         known = self.friction_part * np.maximum(friction.coulomb, self.coulomb_Nm)
         return np.where(friction.found, known, self.coulomb_Nm)
 

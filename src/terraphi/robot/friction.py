@@ -42,8 +42,7 @@ REVERSAL_RATE = 2.0 * STANDSTILL
 after, friction changes its sense in a way of its own, and a regression would take the change for
 less Coulomb friction. A joint needs this root mean square velocity."""
 BEARING_SHARE = 0.15
-"""A foot that carries more than this share of the robot's weight [-] shows where the ground is, and
-stands: feet bear a quarter on average (chosen)."""
+"""A foot that stands, and shows the ground, bears this share of the robot's weight [-] (chosen)."""
 HANGING_SHARE = 0.3
 """A robot whose feet carry less than this share of its weight [-] hangs or lies."""
 LEAST_CLEARANCE = 0.01
