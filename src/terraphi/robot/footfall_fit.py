@@ -32,8 +32,8 @@ PHI_RANGE = (15.0, 50.0)
 """Friction angles in plane strain for which laws are evaluated [deg]: law ``foot`` has a table from
 17 to 52° and is continued by 3°."""
 NOISE_N, NOISE_PART = 1.5, 0.04
-"""Standard deviation of a force: constant [N], and as a part of it [-]; odometry is in it. Residuals
-scale the result, so that the ratio of both counts (chosen)."""
+"""Standard deviation of a force: constant [N], and as a part of it [-]; odometry is in it.
+Residuals scale the result, so that the ratio of both counts (chosen)."""
 CORRELATION_S = 0.008
 """Correlation time of the noise [s]: a few samples of a log of 500 Hz (chosen)."""
 ROUNDS, SETTLED = 25, 1e-3
