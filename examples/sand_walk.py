@@ -24,7 +24,7 @@ from go2.sensors import Sensors, realistic_log
 from go2.walk import Recording, Walk
 
 from terraphi.forward.foot import LAWS
-from terraphi.robot.footfall_fit import Prior
+from terraphi.robot.forces import SensorErrors
 from terraphi.robot.joint_log import FEET, JointLog
 
 GAITS = {
@@ -53,7 +53,7 @@ def sand_walk(
     return Walk(duration=duration, gait=how, aim=aim, physics=physics, sand=sand, seed=seed)
 
 
-def sand_log(recording: Recording, *, seed: int, gain_sd: float = Prior.gain_sd) -> JointLog:
+def sand_log(recording: Recording, *, seed: int, gain_sd: float = SensorErrors.gain) -> JointLog:
     """What the robot logs of a recording, with errors drawn by a seed."""
     rng = np.random.default_rng(seed)
     # A current is measured over the time since the last message, not at an instant.
@@ -79,7 +79,7 @@ def sand_log(recording: Recording, *, seed: int, gain_sd: float = Prior.gain_sd)
 @click.option("--law", type=click.Choice([*LAWS, "floor"]), default="foot", show_default=True)
 @click.option("--mean", type=float, default=42.0, show_default=True, help="Mean φ [deg].")
 @click.option("--duration", type=float, default=20.0, show_default=True, help="[s].")
-@click.option("--gain-sd", type=float, default=Prior.gain_sd, show_default=True, help="[-].")
+@click.option("--gain-sd", type=float, default=SensorErrors.gain, show_default=True, help="[-].")
 @click.option("--seed", type=int, default=0, show_default=True)
 def main(
     out: Path, gait: str, law: str, mean: float, duration: float, gain_sd: float, seed: int

@@ -45,7 +45,7 @@ def test_laplace_agrees_with_quadrature() -> None:
     seen = pressed()
     found = fit(seen, "rft", PRIOR)
     weight = np.linalg.inv(noise_covariance(seen, PRIOR)[0])
-    half = 4.0 * found.sd[0]
+    half = 4.0 * found.sd[0] / np.sqrt(found.misfit[0])
     axes = [
         found.phi[0] + np.linspace(-half, half, 41),
         0.003 + np.linspace(-0.012, 0.012, 61),
@@ -54,15 +54,27 @@ def test_laplace_agrees_with_quadrature() -> None:
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     repeated = Touchdowns(*(np.repeat(column, len(grid), axis=0) for column in seen))
     left = seen.force - predicted(LAWS["rft"], PRIOR, repeated, grid)
-    scale = [PRIOR.phi_sd_deg, PRIOR.level_sd, PRIOR.drift_sd]
-    off = (grid - [PRIOR.phi_deg, 0.0, 0.0]) / scale
+    # φ's prior is the pooling's: here only level and drift have one.
+    off = grid[:, 1:] / [PRIOR.level_sd, PRIOR.drift_sd]
     log = -0.5 * (np.einsum("nk,kl,nl->n", left, weight, left) + (off**2).sum(axis=1))
     mass = np.exp(log - log.max())
     mass /= mass.sum()
     mean = mass @ grid[:, 0]
     sd = np.sqrt(mass @ (grid[:, 0] - mean) ** 2)
     assert found.phi[0] == pytest.approx(mean, abs=0.15 * sd)
-    assert found.sd[0] == pytest.approx(sd, rel=0.1)
+    assert found.sd[0] == pytest.approx(sd * np.sqrt(found.misfit[0]), rel=0.1)
+
+
+def test_a_misfit_counts_once_and_the_prior_of_phi_not_at_all() -> None:
+    """Noise twice as large doubles the standard deviation, by Birge's ratio."""
+    quiet, exact = pressed(seed=1), pressed(seed=None)
+    loud = quiet._replace(force=exact.force + 2.0 * (quiet.force - exact.force))
+    one, two = (fit(each, "rft", PRIOR) for each in (quiet, loud))
+    assert two.misfit[0] / one.misfit[0] == pytest.approx(4.0, rel=0.2)
+    assert two.sd[0] / one.sd[0] == pytest.approx(2.0, rel=0.15)
+    sure = fit(loud, "rft", replace(PRIOR, phi_deg=40.0, phi_sd_deg=0.5))
+    assert sure.phi[0] == pytest.approx(two.phi[0], abs=0.01)
+    assert sure.sd[0] == pytest.approx(two.sd[0], rel=0.01)
 
 
 def test_what_is_shared_moves_the_answer_as_told() -> None:

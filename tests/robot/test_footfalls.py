@@ -154,7 +154,7 @@ def test_of_two_feet_in_one_place_the_second_is_refused() -> None:
     fair = {"torn": np.zeros(7, bool), "saturated": np.zeros(7, bool), "place": places}
     seen = SimpleNamespace(foot=feet, used=np.ones((7, 20), bool), **fair)
     found = SimpleNamespace(
-        phi=np.array([32.0] * 6 + [49.9]), sinkage=np.full(7, 0.02), gained=np.full(7, 0.01),
+        phi=np.array([32.0] * 6 + [50.0]), sinkage=np.full(7, 0.02), gained=np.full(7, 0.01),
         misfit=np.ones(7),
     )  # fmt: skip
     expected = [USABLE, USABLE, PRINT, PRINT, USABLE, TRODDEN, EDGE]
@@ -202,6 +202,8 @@ def test_a_known_angle_of_the_whole_path_is_its_mean() -> None:
     assert abs(held.path_phi.mean() - 31.0) < 0.1
     assert held.path_absolute_sd.mean() < free.path_absolute_sd.mean()
     np.testing.assert_array_equal(held.verdict, free.verdict)
+    moved = [held.by_law[law] - free.by_law[law] for law in ("foot", "rft")]
+    assert moved == pytest.approx([-9.3, -9.3], abs=0.1)
 
 
 def test_options_and_logs_that_cannot_be() -> None:

@@ -14,7 +14,7 @@ import pytest
 from terraphi.experiment.errors import InputError
 from terraphi.robot import estimators as residual
 from terraphi.robot import forces
-from terraphi.robot.forces import estimate
+from terraphi.robot.forces import SensorErrors, estimate
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.legs import Legs, rotation
 from terraphi.robot.model import Quadruped
@@ -126,7 +126,8 @@ def test_finds_joint_friction_and_takes_it_off() -> None:
 
 def test_uncertainty_covers_the_noise_of_torques() -> None:
     noisy = walked(torque_noise=0.2)
-    found = estimate(noisy.log, robot=GO2)
+    exact = SensorErrors(gain=0.0, coulomb_Nm=0.0, attitude_deg=0.0)
+    found = estimate(noisy.log, robot=GO2, priors=exact)
     score = ((found.force - noisy.force) / found.sigma)[10:-10]
     # 68 and 95 % of a normal distribution; what neighbours differ by widens sigma a little.
     assert 0.65 < np.mean(np.abs(score) < 1.0) < 0.9

@@ -43,7 +43,7 @@ def run(simulation: Any, **options: Any) -> Run:
         truth,
         sensors.exact_log(truth),
         sensors.realistic_log(truth, sensors.Sensors(), seed=11),
-        find_stances(truth.time, truth.force),
+        find_stances(truth.time, truth.force, rise_N=12.0),
     )
 
 

@@ -36,7 +36,7 @@ WHOLE = [25, 24, 24, 25]
 
 
 def test_bounds_and_numbers_are_those_of_the_walk() -> None:
-    stances = find_stances(*walk())
+    stances = find_stances(*walk(), rise_N=12.0)
     assert counts(stances) == WHOLE
     for foot, first in (("FR", 0.1), ("FL", 0.3)):
         own = [stance for stance in stances if stance.foot == foot]
@@ -50,10 +50,10 @@ def test_bounds_and_numbers_are_those_of_the_walk() -> None:
 def test_noise_makes_and_breaks_no_stance(sigma: float) -> None:
     time, force = walk()
     noisy = force + np.random.default_rng(1).normal(0.0, sigma, force.shape)
-    stances = find_stances(time, noisy)
+    stances = find_stances(time, noisy, rise_N=12.0)
     assert counts(stances) == WHOLE
     # Noise crosses zero a little inside a slow rise: 80 N sin(π t/0.2 s) reaches 2σ at t = 8 ms.
-    truth = Ensemble.of(find_stances(time, force))
+    truth = Ensemble.of(find_stances(time, force, rise_N=12.0))
     found = Ensemble.of(stances)
     assert found.peak("z") == pytest.approx(PEAK, rel=0.03)
     assert found.peak("x") == pytest.approx(-0.2 * PEAK, rel=0.05)
@@ -66,7 +66,7 @@ def test_a_swing_that_never_comes_down_to_the_level_parts_stances_all_the_same()
     # One swing of FR carries 3.2 N, above the level at which a stance ends, below that of touch.
     force[(phase > 4.45) & (phase < 5.05), 0, 2] += 3.2
     noisy = force + np.random.default_rng(4).normal(0.0, 0.5, force.shape)
-    stances = find_stances(time, noisy)
+    stances = find_stances(time, noisy, rise_N=12.0)
     assert counts(stances) == WHOLE
     for foot in FEET:
         own = [stance for stance in stances if stance.foot == foot]
@@ -81,7 +81,7 @@ def test_stances_that_touch_are_parted_where_the_force_is_least() -> None:
     # A swing of FR that never comes down to the level, with its least force at 4.6 periods.
     dip = 3.2 + 20.0 * np.abs(time - (0.1 + 4.6 * PERIOD))
     force[swing, 0, 2] = np.maximum(force[swing, 0, 2], dip[swing])
-    own = [stance for stance in find_stances(time, force) if stance.foot == "FR"]
+    own = [stance for stance in find_stances(time, force, rise_N=12.0) if stance.foot == "FR"]
     meeting = [(one.end, other.begin) for one, other in pairwise(own) if one.end == other.begin]
     assert meeting == [pytest.approx((0.1 + 4.6 * PERIOD,) * 2, abs=STEP)]
 
@@ -90,7 +90,7 @@ def test_bounce_and_dip_do_not_split_a_stance() -> None:
     time, force = walk()
     phase = ((time - 0.1) / PERIOD) % 1.0
     force[np.abs(phase - 0.25) < 0.02, 0, 2] = -0.5  # 16 ms off the ground in the middle
-    assert counts(find_stances(time, force)) == WHOLE
+    assert counts(find_stances(time, force, rise_N=12.0)) == WHOLE
 
 
 def test_standing_and_hanging_make_none() -> None:
@@ -99,23 +99,23 @@ def test_standing_and_hanging_make_none() -> None:
     for load in (40.0, 0.0, -5.0):
         force = rng.normal(0.0, 3.0, (len(time), 4, 3))
         force[:, :, 2] += load
-        assert find_stances(time, force) == ()
+        assert find_stances(time, force, rise_N=12.0) == ()
 
 
 def test_single_lost_samples_do_not_matter_and_gaps_do() -> None:
     time, force = walk()
     kept = np.random.default_rng(4).random(len(time)) > 0.02
-    assert counts(find_stances(time[kept], force[kept])) == WHOLE
+    assert counts(find_stances(time[kept], force[kept], rise_N=12.0)) == WHOLE
     # 100 ms in the middle of FR's and RL's third stance, 0.9 to 1.1 s: FL and RR swing.
     kept = (time < 0.95) | (time > 1.05)
-    assert counts(find_stances(time[kept], force[kept])) == [24, 24, 24, 24]
+    assert counts(find_stances(time[kept], force[kept], rise_N=12.0)) == [24, 24, 24, 24]
 
 
 def test_samples_without_a_force_are_gaps() -> None:
     time, force = walk()
     force[np.abs(time - 1.0) < 0.05, 0] = np.nan
     force[np.abs(time - 1.0) < 0.005, 3] = np.nan
-    stances = find_stances(time, force)
+    stances = find_stances(time, force, rise_N=12.0)
     assert counts(stances) == [24, 24, 24, 25]
     assert all(np.isfinite(stance.force).all() for stance in stances)
 

@@ -11,7 +11,7 @@ import pytest
 from scipy.stats import norm
 from scipy.stats.qmc import LatinHypercube
 
-from terraphi.robot.forces import Priors, estimate
+from terraphi.robot.forces import SensorErrors, estimate
 from terraphi.robot.model import Quadruped
 
 GO2 = Quadruped.load("go2")
@@ -20,7 +20,7 @@ Walk, tilted = _WALKER["Walk"], _WALKER["tilted"]
 DRAWS = 10
 
 
-def covered(priors: Priors) -> float:
+def covered(priors: SensorErrors) -> float:
     """Part of the forces in stance within sigma, over walks with errors from priors."""
     walk = Walk(
         gait="trot", period=0.42, speed=0.3, duration=0.84, coulomb=0.0, viscous=0.0,
@@ -45,4 +45,4 @@ def covered(priors: Priors) -> float:
 
 @pytest.mark.parametrize("known", [{}, {"gain": 0.0, "coulomb_Nm": 0.0}], ids=["all", "attitude"])
 def test_sigma_covers_what_all_samples_share(known: dict[str, float]) -> None:
-    assert 0.58 < covered(replace(Priors(), **known)) < 0.78
+    assert 0.58 < covered(replace(SensorErrors(), **known)) < 0.78

@@ -10,15 +10,19 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
+from terraphi.forward.foot import LAWS, Foot
 from terraphi.robot.joint_log import JointLog
 from terraphi.robot.legs import Legs, TrunkMotion
 from terraphi.robot.model import Quadruped
 
 GO2 = Quadruped.load("go2")
 LINK, MASS, GRAVITY = 0.213, GO2.mass, 9.81
-PHASES = {"walk": (0.5, 0.0, 0.75, 0.25), "trot": (0.0, 0.5, 0.5, 0.0)}
-DUTY = {"walk": 0.8, "trot": 0.6}
+PHASES = {
+    "walk": (0.5, 0.0, 0.75, 0.25), "trot": (0.0, 0.5, 0.5, 0.0), "three": (0.5, 0.0, 0.75, 0.25)
+}  # fmt: skip
+DUTY = {"walk": 0.8, "trot": 0.6, "three": 0.85}
 HIP = np.array([[x, y, 0.0] for x in (0.1934, -0.1934) for y in (-0.0465, 0.0465)])
 THIGH = np.array([[0.0, y, 0.0] for y in (-0.0955, 0.0955)] * 2)
 
@@ -34,6 +38,8 @@ class Walk:
     sinkage: float = 0.012
     weak: float = 0.35
     """Part of a stance, at each end, in which the foot only scratches the soil."""
+    contact: float = 1.0
+    """How far below the ball's centre the ground pushes, as a part of its radius."""
     duration: float = 10.0
     coulomb: float = 0.2
     viscous: float = 0.05
@@ -75,9 +81,18 @@ class Walk:
         x = HIP[:, 0] + self.speed * begin + ahead + smooth * self.speed * self.period
         y = np.broadcast_to(HIP[:, 1] + 1.05 * THIGH[:, 1], x.shape)
         stand = np.clip(part / duty, 0.0, 1.0)
-        depth = self.sinkage * np.where(stand < 1.0, _rise(stand / self.weak), 1.0 - _rise(swing))
+        depth = np.where(stand < 1.0, self._loaded(stand), 1.0 - _rise(swing))
+        depth = depth * self._deepest(np.stack([x, y], axis=-1))
         up = 64.0 * (swing * (1.0 - swing)) ** 3
         return np.stack([x, y, 0.022 - depth + self.clearance * up], axis=-1)
+
+    def _loaded(self, stand: np.ndarray) -> np.ndarray:
+        """Part of the sinkage that is reached at a part of the stance."""
+        return _rise(stand / self.weak)
+
+    def _deepest(self, place: np.ndarray) -> np.ndarray | float:
+        """Sinkage at places [m]."""
+        return self.sinkage
 
     def _angles(self, time: np.ndarray) -> np.ndarray:
         place, turn = self._pose(time)
@@ -120,7 +135,7 @@ class Walk:
         felt = np.einsum("sji,sj->si", turn, felt)
         legs = Legs(GO2, angle, rate, second, trunk=TrunkMotion(felt, spin, faster))
         force = self.force(time)
-        arm = -GO2.foot_radius * turn[:, None, 2, :]
+        arm = -self.contact * GO2.foot_radius * turn[:, None, 2, :]
         pushed = np.einsum("sji,sfj->sfi", turn, force)
         torque = legs.torque[0] - np.einsum("sfij,sfi->sfj", legs.jacobian(arm), pushed)
         torque += self.coulomb * np.tanh(rate / 0.01) + self.viscous * rate + self.inertia * second
@@ -129,6 +144,63 @@ class Walk:
         noisy = torque + rng.normal(0.0, self.torque_noise, torque.shape)
         seen = rate + rng.normal(0.0, self.velocity_noise, rate.shape)
         return JointLog(time, angle, seen, noisy, _quaternion(turn), spin, at_imu), force
+
+
+@dataclass(frozen=True)
+class LawWalk(Walk):
+    """A walk whose feet load soil by law ``foot``: three feet bear a third of the weight each.
+
+    One comes down, straight, while another lifts off and bears what the first one does not.
+    """
+
+    gait: str = "three"
+    density: float = 1550.0
+    surface_friction: float = 0.4
+    exponent: float = 0.0
+    """Added to the law's power of depth."""
+    contact: float = 0.4
+
+    @property
+    def ramp(self) -> float:
+        """Part of a stance in which a foot comes down, and of another one in which it lifts off."""
+        return 1.0 - 0.75 / DUTY[self.gait]
+
+    def phi(self, place: np.ndarray) -> np.ndarray:
+        """φ at places [deg]."""
+        return np.asarray(40.0 + 2.0 * np.sin(4.0 * place[..., 0] + place[..., 1]))
+
+    def _law(self, depth: np.ndarray, phi: np.ndarray) -> np.ndarray:
+        lift = LAWS["foot"].force(
+            Foot(GO2.foot_radius), depth, 0.5 * np.pi, friction_angle_deg=phi,
+            density=self.density, surface_friction=self.surface_friction,
+        )[..., 1]  # fmt: skip
+        return np.asarray(lift * (np.maximum(depth, 1e-9) / GO2.foot_radius) ** self.exponent)
+
+    def _loaded(self, stand: np.ndarray) -> np.ndarray:
+        return _rise(stand / self.ramp)
+
+    def _deepest(self, place: np.ndarray) -> np.ndarray:
+        """Depth at which the law bears a third of the weight [m]."""
+        angle, depth = np.arange(37.0, 43.01, 0.1), np.linspace(0.0, 0.06, 601)
+        force = self._law(depth, angle[:, None])
+        each = [np.interp(MASS * GRAVITY / 3.0, row, depth) for row in force]
+        return np.asarray(CubicSpline(angle, each)(self.phi(place)))
+
+    def _pose(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        turn = super()._pose(time)[1]
+        return np.column_stack([self.speed * time, 0.0 * time, 0.27 + 0.0 * time]), turn
+
+    def force(self, time: np.ndarray) -> np.ndarray:
+        stand = (self._phase(time) % 1.0) / DUTY[self.gait]
+        feet = self._feet(time)
+        depth = GO2.foot_radius - feet[..., 2]
+        third = MASS * GRAVITY / 3.0
+        comes = stand < self.ramp
+        load = np.where(comes, self._law(depth, self.phi(feet)), third * (stand < 1.0))
+        goes = (stand > 1.0 - self.ramp) & (stand < 1.0)
+        load = np.where(goes, third - np.where(comes, load, 0.0).sum(axis=1, keepdims=True), load)
+        # Fore and rear feet push against each other.
+        return np.stack([load * [0.2, 0.2, -0.2, -0.2], 0.0 * load, load], axis=-1)
 
 
 def tilted(log: JointLog, roll: float, pitch: float) -> JointLog:

@@ -17,30 +17,29 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
-from terraphi.robot.forces import FootForces
-from terraphi.robot.friction import HANGING_SHARE
+from terraphi.robot.forces import FootForces, SensorErrors
+from terraphi.robot.friction import BEARING_SHARE, HANGING_SHARE
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.legs import GRAVITY, Legs, body_rate, rotation
 from terraphi.robot.model import Quadruped
 from terraphi.robot.stance import Stance
+from terraphi.robot.touchdowns import STANCE_SD
 
 WEIGHT_AGREEMENT = 0.15
 """Part of the weight by which what the feet bear may differ from it [-]."""
 MOST_WEIGHTS = 3.0
 """Number of weights beyond which forces are those of another unit."""
-MOST_PUSH = 0.085
+MOST_PUSH = 0.12
 """Part of the weight with which the feet may push sideways on average [-]."""
-BELIEVABLE_LIFT, BELIEVABLE_PUSH = (0.7, 1.4), 0.12
+BELIEVABLE_LIFT = 0.7, 1.4
 """Beyond these, a finding is grave: no payload and no gain of the motors explains it [-]."""
-LEAST_SPEED = 0.01
-"""Speed [m/s] below which feet that stand do not slide."""
 EXCHANGED = 0.6
 """Legs are exchanged if another order leaves less than this part of the product of sliding and
 moments [-]."""
 MOST_OFF = 0.05
 """Roll moment of legs in the right order, over the weight and the leg's length, at most [-]."""
-MOMENT_SD, GAIN_SD = 0.004, 0.1
-"""Moments over the weight that are no gain's [m], and gains of torques [-]."""
+MOMENT_SD = 0.004
+"""Moments over the weight that are no gain's [m]."""
 TURN_S = 0.1
 """Attitude and gyroscope are compared over this time [s]: long enough to average noise, short
 against a stride."""
@@ -53,7 +52,6 @@ UNLIKE, SOMEWHAT_UNLIKE = 0.7, 0.3
 """Parts of the turning by which attitude and gyroscope disagree if one of them is wrong [-]:
 surely, and if another reading of them leaves less than half of that. Sound ones disagree by 0.5 at
 most, even with an attitude that is 20 ms late in a trot."""
-_BEARING = 0.15
 _SAMPLES = 2500
 
 
@@ -116,7 +114,7 @@ def check(
     if mean[1] > MOST_PUSH:
         push = f"the feet push the robot sideways with {mean[1]:.0%} of its weight on average"
         text = f"{push}: are the angles' zeros and the attitude right?"
-        legs = [Finding(text, mean[1] > BELIEVABLE_PUSH)]
+        legs = [Finding(text, True)]
     return [*weight, *attitude, *legs]
 
 
@@ -230,7 +228,7 @@ def _legs(log: JointLog, robot: Quadruped) -> list[Finding]:
         forces = np.concatenate([own[:, :, None], each], axis=2)
         moments[:, feet, legs] = np.cross(found.place[:, :, None], forces)
         bears[:, feet, legs] = np.einsum("sj,sfkj->sf", turn[:, 2], forces)
-    load = np.maximum(bears - _BEARING, 0.0)
+    load = np.maximum(bears - BEARING_SHARE, 0.0)
     if not np.any(np.count_nonzero(load[:, feet, feet], axis=1) > 1):
         return []
 
@@ -241,7 +239,7 @@ def _legs(log: JointLog, robot: Quadruped) -> list[Finding]:
         for axis in range(2):
             whole = chosen[..., axis].sum(axis=(1, 2))
             per = chosen[:, :, 1:, axis].reshape(count, -1)
-            ridge = count * (MOMENT_SD / GAIN_SD) ** 2 * np.eye(per.shape[1])
+            ridge = count * (MOMENT_SD / SensorErrors.gain) ** 2 * np.eye(per.shape[1])
             lost = per.T @ whole
             rest = whole @ whole - lost @ np.linalg.solve(per.T @ per + ridge, lost)
             left.append(math.sqrt(max(float(rest), 0.0) / count))
@@ -256,7 +254,7 @@ def _legs(log: JointLog, robot: Quadruped) -> list[Finding]:
     likely = [order for order in orders if EXCHANGED * products[order] <= least]
     if least > EXCHANGED * sound:
         likely = [(1, 0, 3, 2)] if mirror[0] < EXCHANGED * own[0] else []
-    if not likely or own[0] < LEAST_SPEED:
+    if not likely or own[0] < STANCE_SD:
         return []
     likely.sort(key=products.__getitem__)
     other = orders[likely[0]]

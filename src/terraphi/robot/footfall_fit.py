@@ -7,8 +7,9 @@ For the upward force F of a touch-down, its ball's descent d since the first for
 
 with the friction angle φ, the depth z₀ at which the foot's lowest point lies at touch-down (the
 surface is not known), a vertical drift w of the odometry, and noise e that is correlated over
-:data:`CORRELATION_S`. The posterior of (φ, z₀, w) is taken as normal about its mode (Laplace).
-What all footfalls share, θ, is held at its prior's mean θ₀ here; how far that puts the mode off
+:data:`CORRELATION_S`. The likelihood of φ, with z₀ and w under their priors, is taken as normal
+about its mode (Laplace): φ's own prior is the pooling's, and counts once. What all
+footfalls share, θ, is held at its prior's mean θ₀ here; how far that puts the mode off
 follows from the same linearisation, φ̂ = φ + S (θ − θ₀) + e, and is left to the pooling.
 
 This is the one module of the folder that uses force laws.
@@ -16,37 +17,41 @@ This is the one module of the folder that uses force laws.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.forward.foot import LAWS, Foot, FootLaw
+from terraphi.robot.estimators import JointFriction
+from terraphi.robot.forces import SensorErrors
 from terraphi.robot.touchdowns import Touchdowns
 
 PHI_RANGE = (15.0, 50.0)
-"""Friction angles in plane strain for which laws are evaluated [deg]."""
+"""Friction angles in plane strain for which laws are evaluated [deg]: law ``foot`` has a table from
+17 to 52° and is continued by 3°."""
 NOISE_N, NOISE_PART = 1.5, 0.04
-"""Standard deviation of a force: constant [N], and as a part of it [-]; odometry is in it."""
+"""Standard deviation of a force: constant [N], and as a part of it [-]; odometry is in it.
+Residuals scale the result, so that the ratio of both counts (chosen)."""
 CORRELATION_S = 0.008
-"""Correlation time of the noise [s]."""
+"""Correlation time of the noise [s]: a few samples of a log of 500 Hz (chosen)."""
 ROUNDS, SETTLED = 25, 1e-3
 """Of the fit at most, until a step is this part of the prior's standard deviation [-]."""
 EXPONENTS = (-0.7, 0.4)
 """Range of what is added to a law's power of depth [-]; the upper end makes law ``foot`` grow like
 resistive force theory, whose stress is proportional to the depth."""
-LEAST_COST = 0.1
-"""Costs below this are as good as each other [-]."""
 TAUGHT_SD = 0.03
-"""Standard deviation of an exponent that touch-downs have taught [-]."""
+"""Standard deviation of an exponent that touch-downs have taught [-]; on walks made from the law it
+errs by 0.01 (``tests/robot/test_footfall_truth.py``), on simulated ones by 0.05."""
 SLOPE_PER_SQUARE = 6.0
 """Standard deviation of the error of a law's growth with φ, per square of the exponent that its
 growth with depth lacks [-]. Law ``foot`` lacks 0.4 for resistive force theory, which changes with φ
 0.4 times as much (an error of 1.5), and 0.2 to 0.4 for Hansen's (errors up to 0.3): root mean
 square 1 at 0.4. It lacks -0.3 for itself with a resistance that grows slower (no error)."""
-TEACHERS = 60
-"""Touch-downs that teach it at most, evenly chosen."""
+MOST_FITTED = 120
+"""Footfalls from which what they share is learned at most, evenly chosen, so that what no model has
+right does not grow into certainty with the length of a log (chosen)."""
 BLOCK = 512
 """Touch-downs that are fitted together; bounds the memory."""
 
@@ -72,10 +77,8 @@ class Prior:
         Of the foot [m].
     shape
         Of the foot.
-    gain_sd
-        Of each joint's torque gain, relative [-].
-    friction_sd
-        Of each joint's Coulomb friction that is left in the forces [N m].
+    errors
+        Of torques.
     drop_sd
         Of the way that feet go down, as the odometry has it, relative [-]: standing feet give
         way a little while the load moves over, and the attitude errs.
@@ -100,8 +103,7 @@ class Prior:
     radius: float = 0.022
     radius_sd: float = 0.0005
     shape: str = "ball"
-    gain_sd: float = 0.1
-    friction_sd: float = 0.1
+    errors: SensorErrors = field(default_factory=SensorErrors)
     drop_sd: float = 0.02
     law_sd_deg: float | None = None
     exponent: float = 0.0
@@ -116,23 +118,25 @@ SHARED = (*SENSORS, *SOIL)
 """What footfalls share, in the order of the last axis of sensitivities."""
 
 
-def shared_sd(prior: Prior) -> FloatArray:
-    """Standard deviations of :data:`SHARED`, in their units."""
-    p = prior
+def shared_sd(prior: Prior, friction: JointFriction | None = None) -> FloatArray:
+    """Standard deviations of :data:`SHARED`, in their units, after a friction was taken off."""
+    p, left = prior, prior.errors.friction_sd(friction).ravel()
     soil = [p.density_sd / p.density, p.surface_friction_sd, p.radius_sd]
     law = [LAWS["foot"].sd_deg if p.law_sd_deg is None else p.law_sd_deg, p.exponent_sd, p.slope_sd]
-    return np.array([p.gain_sd] * 12 + [p.friction_sd] * 12 + [p.drop_sd, *soil, *law])
+    return np.array([p.errors.gain] * 12 + [*left, p.drop_sd, *soil, *law])
 
 
 class Fit(NamedTuple):
-    """Posterior of each touch-down; arrays of shape [touchdown] unless noted.
+    """Likelihood of φ of each touch-down; arrays of shape [touchdown] unless noted.
 
     Attributes
     ----------
     phi
         Mode of φ [deg].
     sd
-        Its standard deviation, with what is shared known [deg].
+        Its standard deviation with what is shared known, scaled to the residuals by Birge's ratio
+        √(χ² over the degrees of freedom), which the Particle Data Group uses (S. Navas et al.,
+        Phys. Rev. D 110 (2024) 030001, sect. 5.2) where it is above 1 [deg].
     sinkage
         Depth of the lowest point at the end of the loading [m].
     gained
@@ -257,11 +261,9 @@ def with_exponent(seen: Touchdowns, law: str, prior: Prior) -> Prior:
     """
     from scipy.optimize import minimize_scalar
 
-    part = evenly(seen, TEACHERS)
-
     def cost(exponent: float) -> float:
-        found = fit(part, law, replace(prior, exponent=exponent))
-        return float(np.log(LEAST_COST + found.cost).mean())
+        found = fit(seen, law, replace(prior, exponent=exponent))
+        return float(np.log(found.cost).mean())
 
     best = minimize_scalar(cost, bounds=EXPONENTS, method="bounded", options={"xatol": 0.02}).x
     slope_sd = float(np.hypot(prior.slope_sd, SLOPE_PER_SQUARE * best**2))
@@ -272,14 +274,14 @@ def _fit(seen: Touchdowns, law: FootLaw, prior: Prior) -> Fit:
     weight = np.asarray(np.linalg.inv(noise_covariance(seen, prior)))
     mean = np.array([prior.phi_deg, 0.0, 0.0])
     sd = np.array([prior.phi_sd_deg, prior.level_sd, prior.drift_sd])
-    precision = np.diag(sd**-2)
+    precision = np.diag(sd**-2 * [1e-6, 1.0, 1.0])  # a trace for touch-downs without samples
 
     def cost(
         part: Touchdowns, weight: FloatArray, state: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         left = np.where(part.used, part.force - predicted(law, prior, part, state), 0.0)
         both = np.einsum("nk,nkl,nl->n", left, weight, left)
-        return left, both + np.square((state - mean) / sd).sum(axis=1)
+        return left, both + np.square(state - mean) @ np.diag(precision)
 
     state = np.tile(mean, (len(seen.foot), 1))
     damping = np.full(len(state), 1e-2)
@@ -341,7 +343,7 @@ def _fit(seen: Touchdowns, law: FootLaw, prior: Prior) -> Fit:
     rising &= np.minimum.accumulate(force < 5.0 / 6.0 * end, axis=1)
     bottom = np.where(rising, seen.drop, -np.inf).max(axis=1, initial=-np.inf)
     top = np.where(rising, seen.drop, np.inf).min(axis=1, initial=np.inf)
-    sd = np.sqrt(covariance[:, 0, 0] * np.maximum(misfit, 1.0))
+    sd = np.sqrt(covariance[:, 0, 0] * misfit)
     sinkage = np.where(np.isfinite(sinkage), sinkage, 0.0)
     gained = np.where(rising.any(axis=1), bottom - top, 0.0)
     return Fit(state[:, 0], sd, sinkage, gained, misfit, cost_each, shared)

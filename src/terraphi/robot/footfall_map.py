@@ -2,16 +2,16 @@ r"""Footfalls together: a map of φ along the path, with what is shared by all o
 
 Each footfall gives φ̂_i = φ(x_i) + S_i (θ − θ₀) + e_i, with the sensitivities S_i of its fit to what
 all share, θ: errors of the sensors, density, surface friction, radius, law. φ is a Gaussian
-process over the ground with an unknown mean; e has the fit's standard deviation times a factor
-that the data set. Everything is linear and normal, so the posterior of φ and θ is exact given that
-factor and the process's amplitude and length, which maximise their marginal posterior. An anchor,
-φ as a shear test found it on a stretch of the path, is one more observation, with S = 0.
+process over the ground with an unknown mean; e has the fit's standard deviation. Everything is
+linear and normal, so the posterior of φ and θ is exact given the process's amplitude and length,
+which maximise their marginal posterior. An anchor, φ as a shear test found it on a stretch of the
+path, is one more observation, with S = 0.
 
 What footfalls share is taught by them in one thing: gains and friction that differ from leg to leg
-while the soil does not, by :data:`TEACHERS` footfalls at most, so that what no model has right does
-not grow into certainty with the length of a log. They do not teach soil, foot and law: a wrong
-slope of the law differs from another field in nothing but the field's prior. So θ otherwise keeps
-its prior and moves the map as a whole, until there is an anchor: a cut posterior.
+while the soil does not, by :data:`~terraphi.robot.footfall_fit.MOST_FITTED` footfalls at most. They
+do not teach soil, foot and law: a wrong slope of the law differs from another field in nothing but
+the field's prior. So θ otherwise keeps its prior and moves the map as a whole, until there is an
+anchor: a cut posterior.
 
 Gains of the motors and friction of the joints come from the robot's own weight first
 (:func:`weigh`): at every moment Σ F_z = m (g + a_z). The upward forces are linear in errors of the
@@ -31,32 +31,27 @@ from typing import NamedTuple
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.robot.footfall_fit import TORQUES, Prior, evenly, shared_sd
+from terraphi.robot.footfall_fit import MOST_FITTED, TORQUES, evenly
+from terraphi.robot.friction import spread
 from terraphi.robot.legs import GRAVITY
 
-FIELD_MEAN_SD = 8.0
-"""Of the process's mean about the prior's [deg]."""
-MEDIANS, LOG_SD = (1.5, 1.0, 1.0), 0.7
-"""Of the process's amplitude [deg] and length [m], and of the factor on the footfalls' own standard
-deviations [-]: medians, and the standard deviation of the logarithm of each."""
-LEARN_FROM = 400
-"""Footfalls from which these are learnt at most, evenly chosen."""
-TEACHERS = 120
-"""Footfalls that teach the torques' errors at most, evenly chosen."""
+MEDIANS, LOG_SD = (1.5, 1.0), 0.7
+"""Of the process's amplitude [deg] and length [m]: medians, and the standard deviation of the
+logarithm of each: a factor of 2 either way (chosen)."""
 ANCHOR_POINTS = 9
 """Points that stand for an anchor's stretch."""
 MOST = 6000
 """Footfalls that are pooled at most, evenly chosen: memory grows with the square."""
 
 AVERAGED_S = 0.05
-"""Forces are averaged over this time, which counts as one weighing [s]."""
+"""Forces are averaged over this time, which counts as one weighing [s]: a tenth of a stride
+(chosen)."""
 MASS_SD = 0.02
-"""What the robot weighs is known to this part: battery, payload [-]."""
-LEAST_NOISE = 0.01
-"""Of a weighing, as a part of the weight [-]."""
+"""What the robot weighs is known to this part [-]: a payload of 0.3 kg on a Go2 (chosen)."""
 MOST_NEWS = 25.0
 """Weighings at most that count as independent: a gait repeats itself, and what the weight leaves
-out, such as the legs' own swinging, does so too. A longer log is not surer."""
+out, such as the legs' own swinging, does so too. A longer log is not surer (chosen; in
+``tests/robot/test_footfall_truth.py`` gains come back within two standard deviations)."""
 
 
 class Anchor(NamedTuple):
@@ -136,7 +131,7 @@ def weigh(
     lift: FloatArray,
     lift_acceleration: FloatArray,
     per: FloatArray,
-    prior: Prior,
+    sd: FloatArray,
     *,
     mass: float,
 ) -> Shared:
@@ -153,8 +148,9 @@ def weigh(
     per
         What errors of the torques add to the forces
         (:func:`~terraphi.robot.touchdowns.sensitivity`).
-    prior
-        Of all that footfalls share.
+    sd
+        Prior standard deviations of what footfalls share
+        (:func:`~terraphi.robot.footfall_fit.shared_sd`).
     mass
         Of the robot [kg].
 
@@ -164,8 +160,7 @@ def weigh(
         The prior with gains and friction of the torques as the weight has them; as it was, where
         no sample is known or the robot does not stand on its feet.
     """
-    each, n = shared_sd(prior), len(TORQUES)
-    shared, sd = Shared(np.zeros(len(each)), np.diag(each**2)), each[:n]
+    shared, n = Shared(np.zeros(len(sd)), np.diag(sd**2)), len(TORQUES)
     weight = mass * GRAVITY
     known = np.isfinite(lift).all(axis=1)
     if known.sum() < 2:
@@ -182,24 +177,26 @@ def weigh(
     if bears.sum() < 20 or bears.mean() < 0.5:
         return shared
     rows = rows[bears]
-    precision = np.diag(np.append(sd, MASS_SD) ** -2.0)
+    precision = np.diag(np.append(sd[:n], MASS_SD) ** -2.0)
     noise = 0.1 * weight
-    covariance, mean = np.linalg.inv(precision), np.zeros(len(sd) + 1)
+    covariance, mean = np.linalg.inv(precision), np.zeros(n + 1)
     for _ in range(3):
         share = min(1.0, MOST_NEWS / len(rows)) / noise**2
         covariance = np.linalg.inv(share * rows[:, 1:].T @ rows[:, 1:] + precision)
         mean = share * covariance @ rows[:, 1:].T @ rows[:, 0]
         left = rows[:, 0] - rows[:, 1:] @ mean
-        noise = max(LEAST_NOISE * weight, 1.4826 * float(np.median(np.abs(left))))
+        noise = float(spread(left))
     shared.mean[:n], shared.covariance[:n, :n] = mean[:-1], covariance[:-1, :-1]
     return shared
 
 
-def covariance(a: FloatArray, b: FloatArray, amplitude: float, length: float) -> FloatArray:
+def covariance(
+    a: FloatArray, b: FloatArray, amplitude: float, length: float, mean_sd: float
+) -> FloatArray:
     """Matérn covariance of smoothness 5/2 between places [m], with the unknown mean's [deg²]."""
     apart = np.sqrt(((a[:, None] - b[None]) ** 2).sum(axis=-1)) * (math.sqrt(5.0) / length)
     shape = (1.0 + apart + apart**2 / 3.0) * np.exp(-apart)
-    return np.asarray(amplitude**2 * shape + FIELD_MEAN_SD**2)
+    return np.asarray(amplitude**2 * shape + mean_sd**2)
 
 
 def pool(
@@ -209,6 +206,7 @@ def pool(
     anchors: list[tuple[Anchor, FloatArray]],
     *,
     mean: float,
+    mean_sd: float,
 ) -> Pooled:
     """Pool footfalls.
 
@@ -222,8 +220,8 @@ def pool(
         Points of the map [m], shape [point, 2].
     anchors
         Each with the points that stand for its stretch [m], shape [any, 2].
-    mean
-        Of φ before anything is seen [deg].
+    mean, mean_sd
+        Of φ before anything is seen, and its standard deviation [deg].
 
     Returns
     -------
@@ -231,20 +229,20 @@ def pool(
     """
     from scipy.linalg import block_diag
 
-    amplitude, length, factor = _learnt(seen, shared, mean)
-    seen = seen._replace(sd=factor * seen.sd)
+    amplitude, length = _learnt(seen, shared, mean, mean_sd)
+    field = amplitude, length, mean_sd
     kept = evenly(seen, MOST)
-    shared = _taught(kept, shared, amplitude, length, mean)
+    shared = _taught(kept, shared, field, mean)
     stretches = [points for _, points in anchors]
     # Rows: the path's points, then each anchor's stretch as the mean of its points.
     means = [np.full((1, len(points)), 1.0 / len(points)) for points in stretches]
     average = block_diag(np.eye(len(path)), *means)
     # Posterior mean and covariance of these averages of φ, and their S, θ known.
     places = np.concatenate([path, *stretches])
-    lower = np.asarray(np.linalg.cholesky(_observed(kept, amplitude, length)))
-    half = _solve(lower, (average @ covariance(places, kept.place, amplitude, length)).T)
+    lower = np.asarray(np.linalg.cholesky(_observed(kept, field)))
+    half = _solve(lower, (average @ covariance(places, kept.place, *field)).T)
     weights = half.T @ _solve(lower, np.column_stack([kept.phi - mean, kept.shared]))
-    before = average @ covariance(places, places, amplitude, length) @ average.T
+    before = average @ covariance(places, places, *field) @ average.T
     found, spread, moves = mean + weights[:, 0], before - half.T @ half, weights[:, 1:]
     apart = moves - moves[: len(path)].mean(axis=0)
     relative = np.diag(spread) + _spread(apart, shared.covariance)
@@ -290,9 +288,9 @@ def _spread(rows: FloatArray, matrix: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("ni,ij,nj->n", rows, matrix, rows).clip(0.0))
 
 
-def _observed(seen: Observed, amplitude: float, length: float) -> FloatArray:
+def _observed(seen: Observed, field: tuple[float, float, float]) -> FloatArray:
     """Covariance of footfalls, the quantities that they share known [deg²]."""
-    matrix = covariance(seen.place, seen.place, amplitude, length)
+    matrix = covariance(seen.place, seen.place, *field)
     matrix[np.diag_indices(len(matrix))] += seen.sd**2
     return matrix
 
@@ -303,11 +301,13 @@ def _solve(lower: FloatArray, right: FloatArray) -> FloatArray:
     return np.asarray(solve_triangular(lower, right, lower=True, check_finite=False))
 
 
-def _taught(seen: Observed, shared: Shared, amplitude: float, length: float, mean: float) -> Shared:
+def _taught(
+    seen: Observed, shared: Shared, field: tuple[float, float, float], mean: float
+) -> Shared:
     """What is shared, after footfalls have taught the errors of the torques."""
-    part, n = evenly(seen, TEACHERS), len(TORQUES)
+    part, n = evenly(seen, MOST_FITTED), len(TORQUES)
     each, torques = part.shared[:, :n], shared.covariance[:n, :n]
-    matrix = _observed(part, amplitude, length) + each @ torques @ each.T
+    matrix = _observed(part, field) + each @ torques @ each.T
     gain = np.linalg.solve(matrix, each @ torques).T
     centre, spread = shared.mean.copy(), shared.covariance.copy()
     centre[:n] += gain @ (part.phi - mean - part.shared @ shared.mean)
@@ -315,27 +315,27 @@ def _taught(seen: Observed, shared: Shared, amplitude: float, length: float, mea
     return Shared(centre, spread)
 
 
-def _learnt(seen: Observed, shared: Shared, mean: float) -> tuple[float, float, float]:
-    """Amplitude, length and the factor at the maximum of their marginal posterior."""
+def _learnt(seen: Observed, shared: Shared, mean: float, mean_sd: float) -> tuple[float, float]:
+    """Amplitude and length at the maximum of their marginal posterior."""
     from scipy.optimize import minimize
 
-    part, n = evenly(seen, LEARN_FROM), len(TORQUES)
+    part, n = evenly(seen, MOST_FITTED), len(TORQUES)
     each = part.shared[:, :n]
     left = part.phi - mean - part.shared @ shared.mean
     common = each @ shared.covariance[:n, :n] @ each.T
 
     def surprise(logs: FloatArray) -> float:
-        amplitude, length, factor = np.exp(logs) * MEDIANS
-        matrix = _observed(part._replace(sd=factor * part.sd), amplitude, length) + common
+        amplitude, length = np.exp(logs) * MEDIANS
+        matrix = _observed(part, (amplitude, length, mean_sd)) + common
         lower = np.asarray(np.linalg.cholesky(matrix))
         half = _solve(lower, left)
         prior = ((logs / LOG_SD) ** 2).sum()
         return float(0.5 * (half @ half + prior) + np.log(np.diag(lower)).sum())
 
-    corners = LOG_SD * np.eye(4, 3)
+    corners = LOG_SD * np.eye(3, 2)
     best = minimize(
-        surprise, corners[3], method="Nelder-Mead",
+        surprise, corners[2], method="Nelder-Mead",
         options={"xatol": 0.02, "fatol": 0.01, "maxiter": 150, "initial_simplex": corners},
     )  # fmt: skip
-    amplitude, length, factor = (np.exp(best.x) * MEDIANS).tolist()
-    return amplitude, length, factor
+    amplitude, length = (np.exp(best.x) * MEDIANS).tolist()
+    return amplitude, length

@@ -18,6 +18,7 @@ from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import number_with_sd, plain_number
 from terraphi.forward.foot import LAWS
 from terraphi.robot.footfall_fit import (
+    MOST_FITTED,
     PHI_RANGE,
     SHARED,
     Fit,
@@ -25,6 +26,7 @@ from terraphi.robot.footfall_fit import (
     evenly,
     fit,
     picked,
+    shared_sd,
     with_exponent,
 )
 from terraphi.robot.footfall_map import ANCHOR_POINTS, Anchor, Observed, Pooled, pool, weigh
@@ -47,23 +49,23 @@ TORN, SATURATED, EDGE = "timing unreliable", "saturated", "at a prior's edge"
 VERDICTS = (USABLE, SHALLOW, PRINT, TRODDEN, MISFIT, TORN, SATURATED, EDGE)
 """Verdicts of footfalls."""
 
-LEAST_SINKAGE, LEAST_GAINED = 0.006, 0.003
-"""Sinkage that a footfall needs, and what of it must come while the force rises [m]: on hard
-ground a force comes without, and what creeps under a full load is no loading."""
+LEAST_GAINED = 0.003
+"""Way down that a footfall needs while the force rises from a sixth to five sixths [m]: on hard
+ground a force comes without, and what creeps under a full load is no loading. Where the force grows
+with the depth to the power of 1.7, it is half of a sinkage of 6 mm (chosen; hard ground in
+``examples/sand_check.py`` has no usable footfall)."""
 NEAR_RADII = 2.0
-"""Ground nearer than this many radii to an earlier footfall has been trodden [-]."""
+"""Ground nearer than this many radii to an earlier footfall has been trodden [-]: feet side by side
+(chosen)."""
 WORST_MISFIT = 2.0
-"""χ² over the degrees of freedom above which a law does not fit [-]."""
-NEAR_EDGE_DEG = 1.0
-"""A friction angle this near to the end of the range of the laws is the end [deg]."""
+"""χ² over the degrees of freedom above which a law does not fit [-]: with noise of twice the usual
+size and more it is 0.1 to 0.4 on simulated walks (chosen)."""
 LEVEL_DEG = 5.0
 """Inclination of the ground that is worth a note [deg]: 1.4° at most on simulated level sand."""
 CONTRADICTED = 2.0
-"""Standard deviations above which an anchor is doubted [-]."""
-LEAST_SCALE = 0.2
-"""The noise of a log is at least this part of what is assumed [-]."""
-FEWEST_TEACHERS, MOST_TEACHERS = 8, 120
-"""Touch-downs that teach a law's growth with depth at least, and from which they are taken."""
+"""Standard deviations above which an anchor is doubted [-]: one sound anchor in twenty."""
+FEWEST_FITTED = 8
+"""Touch-downs from which a law's growth with depth is learned at least (chosen)."""
 SECOND = "rft"
 """Law of a second opinion on the mean φ: of few terms, and fast."""
 CONTACT_PART = 0.4
@@ -73,9 +75,8 @@ PATH_STEP = 0.05
 """Spacing of the map along the path, at least [m]."""
 MOST_POINTS = 1500
 SMOOTH_PATH_S = 0.6
-"""The trunk's sway is averaged over this time before the path is measured [s]."""
-HEADING_S = 0.5
-"""The robot's heading over this time at the beginning is the x of the map [s]."""
+"""The trunk's sway is averaged over this time before the path, and its first heading, the x of the
+map, are measured [s]: half a stride of a walk."""
 
 
 @dataclass(frozen=True)
@@ -268,7 +269,9 @@ def footfalls(
     found = fit(seen, law, chosen)
     verdict = verdicts(seen, found, chosen.radius)
     usable = verdict == USABLE
-    common = weigh(log.time, lift, acceleration, per, chosen, mass=body.mass)
+    common = weigh(
+        log.time, lift, acceleration, per, shared_sd(chosen, forces.friction), mass=body.mass
+    )
     path = _path(motion, log.time)
     stretches = [(anchor, _stretch(anchor, path)) for anchor in known]
     fields = {key: np.full(len(verdict), np.nan) for key in ("phi", "sd", "shared_sd")}
@@ -278,19 +281,18 @@ def footfalls(
     by_law: dict[str, float] = {}
     contradicted: list[str] = []
     if usable.any():
-        phi, misfit, moves = found.phi[usable], found.misfit[usable], found.shared[usable]
-        # The noise is scaled to the median misfit of the log.
-        scale = max(LEAST_SCALE, math.sqrt(float(np.median(np.minimum(misfit, 1.0)))))
-        own = found.sd[usable] * scale * np.maximum(1.0, np.sqrt(misfit) / scale) ** 0.5
+        phi, moves = found.phi[usable], found.shared[usable]
         moves[:, SHARED.index("law_slope")] = phi - phi.mean()
-        observed = Observed(phi, own, moves, seen.place[usable, :2])
-        pooled = pool(observed, common, path[:, 1:], stretches, mean=chosen.phi_deg)
+        observed = Observed(phi, found.sd[usable], moves, seen.place[usable, :2])
+        pooled = pool(
+            observed, common, path[:, 1:], stretches, mean=chosen.phi_deg, mean_sd=chosen.phi_sd_deg
+        )
         for key, values in fields.items():
             values[usable if key not in of_path else slice(None)] = getattr(pooled, key)
         shared = _shared_summary(pooled, chosen)
         by_law[law] = float(pooled.phi.mean())
         if law != SECOND:  # with what was learned of sensors and anchors
-            some = evenly(picked(seen, usable), MOST_TEACHERS)
+            some = evenly(picked(seen, usable), MOST_FITTED)
             own_prior = with_exponent(some, SECOND, replace(chosen, exponent=0.0))
             second = fit(some, SECOND, own_prior).phi
             by_law[SECOND] = float(second.mean() + (pooled.phi - phi).mean())
@@ -336,10 +338,10 @@ def _taught(seen: Touchdowns, law: str, prior: Prior) -> Prior:
     """The prior with the law's error, and its growth with depth if enough touch-downs are deep."""
     if prior.law_sd_deg is None:
         prior = replace(prior, law_sd_deg=LAWS[law].sd_deg)
-    seen = evenly(picked(seen, ~_trodden(seen, prior.radius)[0]), MOST_TEACHERS)
+    seen = evenly(picked(seen, ~_trodden(seen, prior.radius)[0]), MOST_FITTED)
     first = verdicts(seen, fit(seen, law, prior), prior.radius)
     deep = np.isin(first, (USABLE, MISFIT))
-    if deep.sum() < FEWEST_TEACHERS:
+    if deep.sum() < FEWEST_FITTED:
         return prior
     return with_exponent(picked(seen, deep), law, prior)
 
@@ -356,14 +358,13 @@ def verdicts(seen: Touchdowns, found: Fit, radius: float) -> NDArray[np.str_]:
     """
     trodden, printed = _trodden(seen, radius)
     rests = seen.used.sum(axis=1) < FEWEST
-    low, high = PHI_RANGE[0] + NEAR_EDGE_DEG, PHI_RANGE[1] - NEAR_EDGE_DEG
     reasons = (
         (TORN, seen.torn),
         (SATURATED, seen.saturated),
-        (SHALLOW, (found.sinkage < LEAST_SINKAGE) | (found.gained < LEAST_GAINED) | rests),
+        (SHALLOW, (found.gained < LEAST_GAINED) | rests),
         (PRINT, printed),
         (TRODDEN, trodden),
-        (EDGE, (found.phi < low) | (found.phi > high)),
+        (EDGE, np.isin(found.phi, PHI_RANGE)),
         (MISFIT, found.misfit > WORST_MISFIT),
     )
     words = [word for word, _ in reasons]
@@ -392,7 +393,7 @@ def _slope_deg(place: FloatArray) -> float:
 def _from_the_start(motion: Motion, log: JointLog) -> Motion:
     """Turn the motion so that x is the robot's first heading."""
     assert log.quaternion is not None, "checked when the log was read"
-    early = log.time <= log.time[0] + HEADING_S
+    early = log.time <= log.time[0] + SMOOTH_PATH_S
     x, y = rotation(log.quaternion[early])[:, :2, 0].mean(axis=0)
     size = math.hypot(x, y)
     back = np.array([[x, y, 0.0], [-y, x, 0.0], [0.0, 0.0, size]]) / size
@@ -449,8 +450,6 @@ def _shared_summary(pooled: Pooled, prior: Prior) -> dict[str, Any]:
 
 LONGEST_PATH = 1e6
 """End of an anchor that names no stretch [m]."""
-DENSITY_PART = 0.05
-"""Standard deviation of a density that comes without one, as a part of it [-]."""
 DENSITIES = (500.0, 3000.0)
 """Bulk densities of soils [kg/m³]."""
 
@@ -482,7 +481,7 @@ def _density(text: str) -> tuple[float, float]:
     low, high = DENSITIES
     try:
         mean, sd = number_with_sd(text)
-        sd = DENSITY_PART * mean if sd is None else sd
+        sd = mean * Prior.density_sd / Prior.density if sd is None else sd
         if low <= mean <= high and 0.0 < sd <= 0.3 * mean:
             return mean, sd
     except ValueError:

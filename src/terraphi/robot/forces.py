@@ -37,7 +37,7 @@ DEFAULT_ESTIMATOR: Estimator = "momentum_observer"
 LEAST_LEVER = 0.05
 """A knee is near-singular below this lever of J over the leg's length [-]; about 11° of bend."""
 SATURATED = 0.99
-"""Torques above this share of the motor's limit are taken to be cut off [-]."""
+"""Torques above this share of the motor's limit are taken to be cut off [-]: rounding (chosen)."""
 WORST_ACCELEROMETER = 3.0
 """Mean specific force may differ by this much from gravity's [m/s²], or it is not one."""
 UNFELT_PART = 0.3
@@ -45,25 +45,35 @@ UNFELT_PART = 0.3
 
 
 @dataclass(frozen=True)
-class Priors:
-    """Errors that all samples of a log share, as standard deviations.
+class SensorErrors:
+    """Errors that all samples of a log share, as standard deviations; the one set of the package.
 
     Attributes
     ----------
     gain
-        Of each joint's torque, independently [-].
+        Of each joint's torque, independently [-]. Walking controllers are trained for motors that
+        differ by ± 10 % (Margolis & Agrawal, CoRL 2022).
     coulomb_Nm
-        Of the Coulomb friction of a joint that is not seen in swing [N m].
+        Of the Coulomb friction of a joint that is not seen in swing [N m]: the ``frictionloss`` of
+        the Go2's joints in MuJoCo Menagerie.
     friction_part
-        Of a friction that is known, against that under load [-].
+        Of a friction that is known, or of the usual one, if that is more [-]: the error on walks of
+        known friction (``tests/robot/test_friction.py``).
     attitude_deg
-        Of roll and of pitch [deg].
+        Of roll and of pitch [deg]: chosen.
     """
 
-    gain: float = 0.05
+    gain: float = 0.1
     coulomb_Nm: float = 0.2
     friction_part: float = 0.2
     attitude_deg: float = 1.0
+
+    def friction_sd(self, friction: JointFriction | None) -> FloatArray:
+        """Coulomb torque left in the forces when that was taken off [N m], shape [foot, joint]."""
+        if friction is None:
+            return np.full((len(FEET), len(JOINTS)), self.coulomb_Nm)
+        known = self.friction_part * np.maximum(friction.coulomb, self.coulomb_Nm)
+        return np.where(friction.found, known, self.coulomb_Nm)
 
 
 @dataclass(frozen=True, repr=False)
@@ -81,7 +91,7 @@ class FootForces:
         :data:`~terraphi.robot.joint_log.FEET`; NaN where flagged.
     sigma
         Standard uncertainty of each component [N], same shape: noise, and what all samples share
-        by :class:`Priors`.
+        by :class:`SensorErrors`.
     flagged
         The knee is near-singular: torques do not determine the force; shape [sample, foot].
     saturated
@@ -125,7 +135,7 @@ def estimate(
     frame: Frame = "world",
     friction: bool = True,
     contact_part: float = 1.0,
-    priors: Priors | None = None,
+    priors: SensorErrors | None = None,
 ) -> FootForces:
     """Forces of the ground on the feet.
 
@@ -147,7 +157,8 @@ def estimate(
         How far below the ball's centre the ground pushes, as a part of its radius [-]: 1 on a
         floor, less in soil, which also pushes on the ball's sides.
     priors
-        Errors of torques and attitude that sigma allows for; by default those of :class:`Priors`.
+        Errors of torques and attitude that sigma allows for; by default those of
+        :class:`SensorErrors`.
 
     Raises
     ------
@@ -167,7 +178,7 @@ def estimate(
     overview = survey(log, robot, estimator, gap, friction=moving and friction)
     noise = _torque_sigma(overview)
     limit = SATURATED * np.array(robot.torque_limit or (np.inf,) * 3)
-    shared, parts = priors or Priors(), []
+    shared, parts = priors or SensorErrors(), []
     for wide, inner in chunks(log.time):
         seen = signals(log, robot, wide, moving=moving)
         torque = contact_torque(seen, estimator, gap, overview.friction)
@@ -242,7 +253,7 @@ def _torque_sigma(overview: Survey) -> FloatArray:
 
 
 def _shared_variance(
-    torque: FloatArray, velocity: FloatArray, overview: Survey, priors: Priors
+    torque: FloatArray, velocity: FloatArray, overview: Survey, priors: SensorErrors
 ) -> FloatArray:
     """Variance of contact torques by gains and friction that are not known exactly [N² m²].
 
@@ -275,7 +286,7 @@ def _unfelt_variance(robot: Quadruped, inverse: FloatArray, force: FloatArray) -
     return np.where(robot.there[:, :1], 0.0, np.square(across * size))
 
 
-def _tilt_variance(force: FloatArray, priors: Priors) -> FloatArray:
+def _tilt_variance(force: FloatArray, priors: SensorErrors) -> FloatArray:
     """Variance of forces in level axes by an attitude that is not known exactly [N²].
 
     A small turn ε about level axes moves a force by ε × f = (ε_y f_z, −ε_x f_z, ε_x f_y − ε_y f_x).

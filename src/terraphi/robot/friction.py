@@ -34,17 +34,15 @@ from terraphi.robot.model import Quadruped
 
 LEAST_SWING = 50
 """Samples in swing that a foot needs for its friction to be found."""
-LEAST_RATE = 0.1
-"""Root mean square velocity that a joint needs [rad/s]."""
-GUARD_S, SHORTEST_S = 0.025, 0.04
+GUARD_S, SHORTEST_S = 0.02, 0.04
 """Time cut off at both ends of a swing, where the detection may err; swings that are shorter after
 that are dropped [s]."""
-REVERSAL_RATE, REVERSAL_S = 2.0 * STANDSTILL, 0.02
-"""A joint slower than this [rad/s] is about to turn round, or has; for this long [s] before and
+REVERSAL_RATE = 2.0 * STANDSTILL
+"""A joint slower than this [rad/s] is about to turn round, or has; for :data:`GUARD_S` before and
 after, friction changes its sense in a way of its own, and a regression would take the change for
-less Coulomb friction."""
-BEARING_SHARE = 0.1
-"""A foot that carries more than this share of the robot's weight [-] shows where the ground is."""
+less Coulomb friction. A joint needs this root mean square velocity."""
+BEARING_SHARE = 0.15
+"""A foot that stands, and shows the ground, bears this share of the robot's weight [-] (chosen)."""
 HANGING_SHARE = 0.3
 """A robot whose feet carry less than this share of its weight [-] hangs or lies."""
 LEAST_CLEARANCE = 0.01
@@ -57,7 +55,8 @@ found each from the other, and before friction is known it looks like force."""
 HIGH_PART, LOW_PART, MOST_SCRATCHED = 0.6, 0.3, 1.25
 """Parts of the height of its swing [-] above which a foot is surely, and perhaps, clear of the
 ground; and by how much torques in the latter may spread more [-] if it is. Low down a swing has
-slower movements too, which separate Coulomb from viscous friction."""
+slower movements too, which separate Coulomb from viscous friction: from the high part alone Coulomb
+torques err by a third (``tests/robot/test_friction.py``)."""
 TOUCH_OVER_LEAVE = 1.6
 """A foot stands again above this many times as much [-]."""
 LAG_STEP_S, MOST_LAG_S = 0.004, 0.06
@@ -131,7 +130,7 @@ def clear_of_ground(
     ndarray
         Shape [sample, foot]; all true if the feet bear next to nothing all the time.
     """
-    if np.quantile(lift.sum(axis=1), 0.9) < HANGING_SHARE * weight:
+    if np.quantile(lift.max(axis=1), 0.9) <= BEARING_SHARE * weight:
         return np.ones(lift.shape, dtype=bool)
     load = np.maximum(lift / weight - BEARING_SHARE, 0.0)
     total = load.sum(axis=1, keepdims=True)
@@ -170,7 +169,7 @@ def one_way(time: FloatArray, velocity: FloatArray) -> BoolArray:
     when = time[:, None, None]
     since = when - np.maximum.accumulate(np.where(slow, when, -np.inf), axis=0)
     until = np.minimum.accumulate(np.where(slow, when, np.inf)[::-1], axis=0)[::-1] - when
-    return np.asarray(np.minimum(since, until) > REVERSAL_S)
+    return np.asarray(np.minimum(since, until) > GUARD_S)
 
 
 def fit(
@@ -205,7 +204,7 @@ def fit(
             if chosen.sum() < LEAST_SWING:
                 chosen = air
             x, y = terms[chosen, i, j], -residual[chosen, i, j]
-            if np.sqrt(np.mean(x[:, 1] ** 2)) >= LEAST_RATE:
+            if np.sqrt(np.mean(x[:, 1] ** 2)) >= REVERSAL_RATE:
                 numbers[i, j] = _robust(x, y)
                 found[i, j] = True
     coulomb, viscous, inertia = np.moveaxis(numbers, -1, 0)

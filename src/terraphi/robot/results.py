@@ -25,15 +25,13 @@ from terraphi.robot.logs import read_log
 from terraphi.robot.logs.columns import Columns
 from terraphi.robot.logs.samples import UNEVEN, describe
 from terraphi.robot.model import Quadruped
-from terraphi.robot.stance import AXES, LEAST_RISE_N, Ensemble, Stance, find_stances
+from terraphi.robot.stance import AXES, Ensemble, Stance, find_stances
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 RISE_SHARE = 0.1
 """Part of the robot's weight that a foot carries at least at the height of a stance [-]."""
-STANDING_SHARE = 0.7
-"""Part of the robot's weight above which it stands [-]."""
 ASKEW_DEG = 15.0
 """Heading from the world's x above which a note says what Fx means [deg]."""
 MOST_LAG_S = 0.2
@@ -227,9 +225,7 @@ def foot_forces(
         forces = estimate(
             log, robot=body, estimator=estimator, frame=frame, contact_part=contact_part
         )
-        stances = find_stances(
-            forces.time, forces.force, rise_N=max(LEAST_RISE_N, RISE_SHARE * weight)
-        )
+        stances = find_stances(forces.time, forces.force, rise_N=RISE_SHARE * weight)
         mean = balance(forces, stances, weight)
         findings = check(log, body, forces, mean)
     except InputError as error:
@@ -295,7 +291,7 @@ def _notes(
         known = np.isfinite(forces.force[:, :, 2]).all(axis=1)
         lift = np.median(forces.force[known, :, 2], axis=0) if known.any() else np.zeros(4)
         did = "no foot was set down and lifted again"
-        if lift.sum() > STANDING_SHARE * weight:
+        if lift.sum() > (1.0 - HANGING_SHARE) * weight:
             did = "the robot stands still"
         elif lift.sum() < HANGING_SHARE * weight:
             did = "the robot hangs or lies"

@@ -26,9 +26,8 @@ POINTS = 101
 """Points of normalised time at which stances are averaged."""
 
 
-LEAST_RISE_N, RISE_PART = 12.0, 0.35
-"""Vertical force that a stance reaches at least [N], or this part of the foot's high loads (95 %
-quantile) [-] if that is larger."""
+RISE_PART = 0.35
+"""Part of the foot's high loads (95 % quantile) that the vertical force of a stance reaches [-]."""
 FALL_PART = 0.25
 """Part of the rise above which a foot keeps standing [-]."""
 TOUCH_PART = 0.1
@@ -39,11 +38,10 @@ IMPULSE_PART = 0.25
 swinging leg looks like a short force to an estimate that leaves it out."""
 SHORTEST_S, LONGEST_S = 0.06, 2.0
 """Durations of a stance [s]; who stands longer stands still."""
-LIFT_S, GAP_S = 0.03, 0.04
-"""A foot lifted for less than this has not been lifted; longest interval without samples that a
-stance may contain [s]."""
+LIFT_S = 0.04
+"""A foot lifted, or not seen, for less than this has not been lifted [s]."""
 SMOOTH_S = 0.01
-"""Width of the moving mean on which thresholds are tried [s]."""
+"""Width of the moving mean on which thresholds are tried, and of velocities [s]."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -137,9 +135,7 @@ class Ensemble:
         }
 
 
-def find_stances(
-    time: FloatArray, force: Forces, *, rise_N: float = LEAST_RISE_N
-) -> tuple[Stance, ...]:
+def find_stances(time: FloatArray, force: Forces, *, rise_N: float) -> tuple[Stance, ...]:
     """Find the stances that lie wholly inside a record.
 
     Parameters
@@ -199,7 +195,7 @@ def _bounds(time: FloatArray, lift: Forces, rise_N: float) -> list[tuple[int, in
     # Outside the record: the foot stood when it began, or when it ended.
     good = (first >= 0) & (last < len(lift))
     first, last = first[good], last[good]
-    breaks = np.concatenate([[0], np.cumsum(np.diff(time) > GAP_S)])
+    breaks = np.concatenate([[0], np.cumsum(np.diff(time) > LIFT_S)])
     duration = time[last] - time[first]
     good = (duration >= SHORTEST_S) & (duration <= LONGEST_S)
     good &= breaks[first] == breaks[last]

@@ -29,48 +29,41 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
-from terraphi.robot.estimators import smooth_sign, trunk_motion
+from terraphi.robot.estimators import GAP_STEPS, smooth_sign, trunk_motion
 from terraphi.robot.forces import FootForces
+from terraphi.robot.friction import BEARING_SHARE
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.legs import GRAVITY
 from terraphi.robot.model import Quadruped
-from terraphi.robot.stance import Stance, running_mean
+from terraphi.robot.stance import SMOOTH_S, Stance, running_mean
 
 ACCELERATION_SD = 0.3
-"""Of the accelerometer's readings, with what the trunk shakes between samples [m/s²]."""
+"""Of the accelerometer's readings, with what the trunk shakes between samples [m/s²] (chosen; in
+``tests/robot/test_footfall_truth.py`` places come back within 0.3 mm)."""
 UNKNOWN_ACCELERATION_SD = 3.0
-"""Of the trunk's acceleration without an accelerometer [m/s²]."""
+"""Of the trunk's acceleration without an accelerometer [m/s²]: a trot's (chosen)."""
 STANCE_SD = 0.01
-"""Of the velocity of a foot that stands, and the scale beyond which it does not stand [m/s]."""
-BEARING_SHARE = 0.15
-"""Part of the robot's weight with which a foot counts as fully loaded [-]."""
+"""Of the velocity of a foot that stands, and the scale beyond which it does not stand [m/s]: a foot
+that sinks passes it at once (chosen; test as above)."""
 ROUNDS = 8
 """Of reweighting."""
 BIAS_S = 6.0
 """Over this time the trunk does not accelerate on average: what remains is a bias [s]."""
 WINDOW_S = 0.4
-"""Longest loading that is used [s], rests in it included; after it, sinking and drift cannot be
-told apart."""
+"""Longest loading that is used [s], rests in it included, and how long before its stance a foot may
+have come down; after it, sinking and drift cannot be told apart."""
 LOADING_S = 0.12
 """A log needs :data:`FEWEST` samples in this time [s]: few loadings last longer."""
-EARLIER_S = 0.5
-"""A foot may have come down this long before its stance [s]: it drops in and rests."""
 TOUCH_N, ALOFT = 2.5, 0.005
 """A foot was in the air last where it bore less than this [N], this much above the place where its
 stance begins [m]."""
-BEFORE_S = 0.012
-"""Begun this long before the stance: the surface is where the force begins [s]."""
 POINTS = 64
-"""Most samples of a touch-down; longer ones are thinned."""
+"""Most samples of a touch-down; longer ones are thinned (memory)."""
 FEWEST = 10
-"""Samples that a touch-down needs while the foot goes down."""
-GOES_ON, SINKS, AROUND_S = 0.25, 0.03, 0.2
-"""A foot rests that goes down slower than this part [-] of its fastest in this time around [s], or
-than this [m/s]: after a rest, a slow loading counts again."""
-WIDEST_STEP = 4.0
-"""A step between samples longer than this many usual ones breaks a touch-down [-]."""
-SMOOTH_S = 0.01
-"""Velocities are differences over this time [s]."""
+"""Samples that a touch-down needs while the foot goes down, to fit three quantities (chosen)."""
+GOES_ON, SINKS = 0.25, 0.03
+"""A foot rests that goes down slower than this part [-] of its fastest within half of
+:data:`WINDOW_S`, or than this [m/s]: after a rest, a slow loading counts again (chosen)."""
 
 
 class Motion(NamedTuple):
@@ -245,13 +238,13 @@ def _touchdown(
     half = max(1, round(0.5 * SMOOTH_S / step))
     start = int(np.searchsorted(time, stance.begin))
     # The surface is where the foot first met force after it had been aloft.
-    early = np.arange(np.searchsorted(time, stance.begin - EARLIER_S), start)
+    early = np.arange(np.searchsorted(time, stance.begin - WINDOW_S), start)
     aloft = early[(lift[early] < TOUCH_N) & (place[early, 2] > place[start, 2] + ALOFT)]
     if len(aloft):
         bears = np.append(lift[aloft[-1] : start] >= TOUCH_N, True)
         start = int(aloft[-1] + np.argmax(bears))
     begin = float(time[start])
-    first = max(int(np.searchsorted(time, begin - BEFORE_S)), half)
+    first = max(int(np.searchsorted(time, begin - SMOOTH_S)), half)
     last = int(np.searchsorted(time, min(begin + WINDOW_S, stance.end)))
     rows = np.arange(first, max(min(last, len(time) - half - 1), first))
     short = len(rows) < 2
@@ -260,7 +253,9 @@ def _touchdown(
     velocity = (place[after] - place[before]) / (time[after] - time[before])[:, None]
     down, force = -velocity[:, 2], lift[rows]
     drop = place[start, 2] - place[rows, 2]
-    fastest = maximum_filter1d(np.where(rows >= start, down, 0.0), max(1, round(AROUND_S / step)))
+    fastest = maximum_filter1d(
+        np.where(rows >= start, down, 0.0), max(1, round(0.5 * WINDOW_S / step))
+    )
     good = np.isfinite(force) & (down > np.maximum(GOES_ON * fastest, SINKS))
     # Soil that has been loaded further already does not count: neither force nor depth may be
     # behind what they have been.
@@ -272,7 +267,7 @@ def _touchdown(
     if len(chosen) > POINTS:
         chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, POINTS).round().astype(int))]
     part = slice(rows[0], last + 1)
-    late = good[1 : last + 1 - rows[0]] & (np.diff(time[part]) > WIDEST_STEP * step)
+    late = good[1 : last + 1 - rows[0]] & (np.diff(time[part]) > GAP_STEPS * step)
     count, chosen = len(chosen), chosen[np.minimum(np.arange(POINTS), len(chosen) - 1)]
     return {
         "foot": foot,

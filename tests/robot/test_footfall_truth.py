@@ -1,0 +1,153 @@
+"""Footfalls of walks whose forces follow the law at a known φ: everything must come back."""
+
+from __future__ import annotations
+
+import runpy
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from terraphi.robot.footfall_fit import Prior
+from terraphi.robot.footfalls import FootfallMap, footfalls
+from terraphi.robot.forces import estimate
+from terraphi.robot.joint_log import FEET, JointLog
+from terraphi.robot.model import Quadruped
+from terraphi.robot.touchdowns import sensitivity
+
+GO2 = Quadruped.load("go2")
+_WALKER = runpy.run_path(str(Path(__file__).with_name("walker.py")))
+LawWalk, PHASES, DUTY = (_WALKER[name] for name in ("LawWalk", "PHASES", "DUTY"))
+CALF = 2
+GAINS = {("FL", CALF): 0.1, ("RR", CALF): -0.08}
+"""Errors of torque gains in the worn log [-]."""
+
+
+class Truth(NamedTuple):
+    """Footfalls inside a log by time: foot, time [s], place and depth [m], φ [deg]."""
+
+    foot: tuple[str, ...]
+    time: np.ndarray
+    place: np.ndarray
+    sinkage: np.ndarray
+    phi: np.ndarray
+
+
+def truth_of(walk: Any) -> Truth:
+    """The footfalls by the gait's formulas, in the frame of the trunk's first place."""
+    touch = walk.period * (np.arange(20)[:, None] - np.array(PHASES[walk.gait]))
+    inside = (touch >= 0.0) & (touch + DUTY[walk.gait] * walk.period < walk.duration)
+    rows, feet = np.nonzero(inside)
+    order = np.argsort(touch[rows, feet])
+    rows, feet = rows[order], feet[order]
+    time = touch[rows, feet]
+    deep = walk._feet(time + 0.5 * DUTY[walk.gait] * walk.period)[np.arange(len(feet)), feet]
+    sinkage = GO2.foot_radius - deep[:, 2]
+    surface = deep + np.outer(sinkage - GO2.foot_radius, [0.0, 0.0, 1.0])
+    start = walk._pose(np.zeros(1))[0][0]
+    return Truth(tuple(FEET[i] for i in feet), time, surface - start, sinkage, walk.phi(deep))
+
+
+@pytest.fixture(scope="module")
+def clean() -> tuple[Truth, FootfallMap]:
+    """Sensors as good as the estimator takes them to be."""
+    walk = LawWalk(duration=8.0)
+    return truth_of(walk), footfalls(walk.log()[0], density="1550±80")
+
+
+def worn(log: JointLog) -> JointLog:
+    """The same log with the torques of two motors off by :data:`GAINS`."""
+    factor = np.ones((4, 3))
+    for (foot, joint), gain in GAINS.items():
+        factor[FEET.index(foot), joint] += gain
+    return replace(log, torque=log.torque * factor)
+
+
+def test_a_walk_by_the_law_gives_its_footfalls_back(clean: tuple[Truth, FootfallMap]) -> None:
+    """Each foot, time, place, depth and φ; the law is exact, so φ errs by noise alone."""
+    true, found = clean
+    assert found.usable.all()
+    assert found.foot == true.foot
+    assert found.time == pytest.approx(true.time, abs=0.04)
+    assert found.place == pytest.approx(true.place, abs=2e-3)
+    # The loading that is used ends a little before the foot comes to rest.
+    assert found.sinkage == pytest.approx(0.975 * true.sinkage, rel=0.02)
+    assert found.phi == pytest.approx(true.phi, abs=0.3)
+    apart = found.phi - true.phi
+    assert np.std(apart) < 0.1
+    assert np.all(np.abs(apart - apart.mean()) < 2.0 * found.sd)
+    assert found.by_law["foot"] == pytest.approx(found.phi.mean())
+    # No motor is off, and soil pushes where it is taken to: another place looks like gains of 0.02.
+    gains = np.reshape(found.shared["torque_gain"]["mean"], (4, 3))
+    assert np.all(np.abs(gains[:, CALF]) < 0.015)
+    # Of the map: at the path's points, φ as the field has it.
+    x, y = found.path[:, 1:].T
+    field = LawWalk().phi(np.column_stack([x, y]))
+    assert np.all(np.abs(found.path_phi - field) < 2.0 * found.path_absolute_sd)
+
+
+def test_what_is_shared_is_as_large_as_its_parts(clean: tuple[Truth, FootfallMap]) -> None:
+    """The absolute interval holds every prior that nothing in the log can narrow."""
+    found, prior = clean[1], Prior()
+    sd = {name: found.shared[name]["sd"] for name in ("density_kg_m3", "surface_friction")}
+    assert sd == pytest.approx({"density_kg_m3": 80.0, "surface_friction": 0.12})
+    assert found.shared["foot_radius_mm"]["sd"] == pytest.approx(1e3 * prior.radius_sd)
+    assert found.shared["law_offset_deg"]["worth_deg"] == pytest.approx(2.5)  # docs/plates.md
+    parts = [found.shared[name]["worth_deg"] for name in found.shared if name != "field"]
+    assert found.shared_sd.mean() == pytest.approx(np.sqrt(np.sum(np.square(parts))), rel=0.05)
+
+
+def test_gains_that_are_off_are_found_and_taken_off() -> None:
+    walk = LawWalk(duration=8.0)
+    true, log = truth_of(walk), worn(walk.log()[0])
+    found = footfalls(log, density="1550±80")
+    gains = found.shared["torque_gain"]
+    for (foot, joint), gain in GAINS.items():
+        i = 3 * FEET.index(foot) + joint
+        assert gains["mean"][i] == pytest.approx(gain, abs=2.0 * gains["sd"][i])
+        assert np.sign(gains["mean"][i]) == np.sign(gain)
+        assert abs(gains["mean"][i]) > 0.5 * abs(gain)
+    apart = found.phi - true.phi
+    assert np.all(np.abs(apart - apart.mean()) < 2.5 * found.sd)
+    assert np.std(apart) < 0.3
+
+
+def test_a_law_that_grows_slower_with_depth_is_learned() -> None:
+    """Its exponent is found, φ stays right, and differences of φ become less sure."""
+    walk = LawWalk(duration=6.0, exponent=-0.3)
+    true, found = truth_of(walk), footfalls(walk.log()[0], density="1550±80")
+    exponent = found.shared["law_exponent"]
+    assert exponent["mean"] == pytest.approx(-0.3, abs=2.0 * exponent["sd"])
+    assert found.phi == pytest.approx(true.phi, abs=0.3)
+    apart = np.abs(found.phi - found.phi.mean())
+    far = apart > 1.0  # there a slope that is unsure by 6 · 0.3² = 0.54 is most of the error
+    assert found.sd[far] == pytest.approx(0.54 * apart[far], rel=0.2)
+
+
+def test_a_denser_soil_has_a_smaller_angle_by_the_law(clean: tuple[Truth, FootfallMap]) -> None:
+    """The law is in proportion to the density: φ falls until a tenth of the force is gone."""
+    walk = LawWalk(duration=8.0)
+    found = footfalls(walk.log()[0], density="1705±80")
+    for phi, sinkage, before in zip(found.phi, clean[0].sinkage, clean[1].phi, strict=True):
+        force = walk._law(0.8 * sinkage, np.array([phi, before]))
+        assert force[1] / force[0] == pytest.approx(1.1, abs=0.02)
+
+
+def test_errors_of_torques_move_the_forces_as_stated() -> None:
+    """Gains and friction, each by the difference of two estimates."""
+    log = LawWalk(duration=3.0).log()[0]
+    one = estimate(log, robot=GO2, friction=False)
+    per = sensitivity(log, one)
+    for joint in range(3):
+        gain, lost = np.ones(3), np.zeros(3)
+        gain[joint], lost[joint] = 1.05, 0.1
+        friction = lost * np.tanh(log.velocity / 0.05)
+        for torque, column, size in (
+            (log.torque * gain, joint, 0.05), (log.torque + friction, 3 + joint, 0.1)
+        ):  # fmt: skip
+            two = estimate(replace(log, torque=torque), robot=GO2, friction=False)
+            moved = (two.force - one.force)[..., 2].astype(float)
+            stated = size * per[..., column]
+            assert np.std(moved - stated) < 0.15 * np.std(moved) + 1e-3
