@@ -332,7 +332,9 @@ def test_unusable_forces_are_one_sentence_and_write_nothing(
     content: str, word: str, terraphi: Terraphi, tmp_path: Path
 ) -> None:
     (tmp_path / "bad.csv").write_text(content)
-    status, out, err = terraphi("invert", "bad.csv", *QUICK, "--out", "o")
+    status, out, err = terraphi(
+        "invert", "bad.csv", "--rig", "li2013", "--leg", "c", *QUICK, "--out", "o"
+    )
     assert (status, out) == (2, "")
     assert len(err.splitlines()) == 1
     assert "bad.csv" in err

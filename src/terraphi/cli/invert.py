@@ -39,14 +39,13 @@ SOME_FAILED = 1
 @click.option(
     "--simulated/--measured",
     default=None,
-    help="Whether the forces are simulated.  [default: as in FORCES]",
+    help="Of what FORCES are.  [default: as in FORCES]",
 )
 @click.option("--out", type=PATH, help="Folder for answer.json, .nc (ArviZ) and .png.")
 @click.option(
     "--table",
     type=PATH,
-    help="CSV to write, a row for each of FORCES. Without FORCES: to read (columns file, leg, "
-    "density, columns); --out is the CSV to write.",
+    help="CSV to write, a row for each of FORCES; without FORCES, to read, with --out to write.",
 )
 @click.option("-v", "--verbose", is_flag=True, help="Print all warnings, and tables.")
 @json_option
@@ -62,10 +61,9 @@ def invert(
 
     FORCES is a table of the leg angle (from the downward vertical) and the forces of the soil on
     the leg (x forward, z up), a NetCDF of terraphi, or li2013:MEDIUM/LEG. Several FORCES are
-    records of one soil. The sizes of the leg are asked for: by four options or in a file of the
-    keys leg, length_mm, width_mm, thickness_mm and hip_height_mm.
+    records of one soil.
 
-    Example: terraphi invert forces.csv --rig rig.toml --density 1600±80 --out answer
+    Example: terraphi invert forces.csv --rig rig.toml --density 1600±80
 
     Example: terraphi invert --table day.csv --out angles.csv
     """

@@ -46,7 +46,7 @@ def rig_options(command: Any) -> Any:
         click.option(
             "--rig",
             metavar="FILE|li2013",
-            help="All of these: a TOML file, or the apparatus of Li et al. (2013).",
+            help="All of these in TOML, or Li et al. (2013).",
         ),
     )
     for option in reversed(options):
@@ -57,12 +57,12 @@ def rig_options(command: Any) -> Any:
 density_option = click.option(
     "--density",
     metavar="KG_M3[±SD]",
-    help="Bulk density of the soil, as 1600 (± 5 %) or 1600±80.  [default: as in FORCES]",
+    help="Bulk density, as 1600 (± 5 %) or 1600±80.",
 )
 columns_option = click.option(
     "--columns",
     metavar="FILE|KEY=VALUE",
-    help="Columns, units, signs of FORCES ('terraphi keys forces').  [default: guessed]",
+    help="As in 'terraphi keys forces', or guessed.",
 )
 gain_option = click.option(
     "--gain",
@@ -72,5 +72,5 @@ gain_option = click.option(
 library_option = click.option(
     "--library",
     metavar="NAME|FILE",
-    help="Shipped library or .nc file.  [default: sand3d; for simulations the nearest]",
+    help="Name or .nc file.  [default: sand3d]",
 )

@@ -116,6 +116,11 @@ class Rig(Strict):
         return 1e-3 * self.length_mm
 
     @property
+    def sizes_mm(self) -> dict[str, float]:
+        """Length, width, thickness and height of the hip by their keys [mm]."""
+        return {f"{name}_mm": getattr(self, f"{name}_mm") for name in SIZES}
+
+    @property
     def ratios(self) -> Ratios:
         """Lengths over that of the leg [-]."""
         length = self.length_mm

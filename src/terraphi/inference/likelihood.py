@@ -156,9 +156,8 @@ def check_rig(record: Record, library: Library, curves: Curves) -> None:
         "leg.half_thickness": abs(own.ratios.thickness - rig.ratios.thickness),
     }
     if any(apart[key] > SIMILAR[key] for key in apart if key not in curves.keys):
-        sizes = {"length": own.length_mm, "width": own.width_mm, "thickness": own.thickness_mm}
-        sizes["hip-height"] = own.hip_height_mm
-        options = " ".join(f"--{name} {size:g}" for name, size in sizes.items())
+        sizes = own.sizes_mm.items()
+        options = " ".join(f"--{key[:-3].replace('_', '-')} {size:g}" for key, size in sizes)
         raise InputError(
             f"{record.source}: library {library.name} is not of a {own}; build one: terraphi "
             f"library build --leg {own.leg} {options} --out mine.nc, and add --library mine.nc, "

@@ -246,7 +246,7 @@ def row(source: str, answer: Answer) -> dict[str, Any]:
         "verdict": answer.verdict,
         "reason": answer.reason,
         **{f"nrmsd_{name}": f"{size:.4f}" for name, size in answer.nrmsd.items()},
-        **{key: f"{size:g}" for key, size in answer.as_dict()["rig"].items() if key in COLUMNS},
+        **{key: f"{size:g}" for key, size in answer.rigs[0].sizes_mm.items()},
         "density_kg_m3": f"{answer.density_kg_m3:g}",
         "density_assumed": answer.density_assumed,
         "library": answer.library,
