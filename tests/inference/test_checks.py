@@ -138,7 +138,9 @@ def test_an_option_that_was_given_wrongly_is_turned_back(given: dict) -> None:
     known = measurement("li2013:yuma/straight")
     history = known.history
     columns = {"theta": history.theta_deg, "Fx": history.Fx, "Fz": history.Fz}
-    answer = invert(pd.DataFrame(columns), density=known.density_kg_m3, columns=given)
+    answer = invert(
+        pd.DataFrame(columns), rig=known.rig, density=known.density_kg_m3, columns=given
+    )
     [offer] = [one for one in answer.questions if "--columns" in one]
     key, _, value = offer.partition("--columns ")[2].partition(":")[0].partition("=")
     assert {key: value} == {one: {"soil": "leg", -1: "1"}[old] for one, old in given.items()}

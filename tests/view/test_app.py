@@ -227,7 +227,7 @@ def test_what_cannot_be_read_ends_in_a_sentence_with_its_own_name(
 ) -> None:
     file = f"dropped{Path(name).suffix}"
     (tmp_path / file).write_bytes(body)
-    options = {**dict.fromkeys(("leg", *SIZES)), "density": None, "columns": None}
+    options = {"leg": "c", **SIZES, "density": None, "columns": None}
     work({"folder": str(tmp_path), "file": file, "name": name, "task": "answer", **options})
     sentence = (tmp_path / "refused.txt").read_text(encoding="utf-8")
     assert word in sentence
