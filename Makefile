@@ -2,12 +2,13 @@
 # module; everything else is installed into .venv, at the versions named in constraints.txt.
 
 # The first of these that is at least 3.11; name another with `make test PYTHON=...`.
-PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
+PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11; do \
 	"$$p" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && { echo "$$p"; break; }; done)
 WORKERS ?= 2
 
 VENV := .venv
 BIN := $(VENV)/bin
+OLDEST := $(VENV)-oldest
 RUN := $(VENV)/installed-run
 DEV := $(VENV)/installed-dev
 # pip reads these for what it installs and for what it needs to build the package itself.
@@ -16,12 +17,13 @@ PIP := PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt \
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test test-processors test-slow verify docs bench lint format install clean distclean
+.PHONY: help demo test test-processors test-oldest test-slow verify docs bench lint format install clean distclean
 
 help:
 	@echo 'make demo       friction angle from a measured force history, and a picture in demo-output/'
 	@echo 'make test       lint, type-check and test (minutes)'
 	@echo 'make test-processors  the numerical tests as on lesser processors (x86 alone)'
+	@echo 'make test-oldest  the tests with the oldest versions that pyproject.toml allows'
 	@echo 'make test-slow  the checks that take longer'
 	@echo 'make verify     problems with known answers, and docs/verification.md (an hour)'
 	@echo 'make docs       the documentation, in docs/_build/html/index.html'
@@ -44,6 +46,14 @@ test-processors: $(DEV)
 		$(BIN)/pytest -n $(WORKERS) $(NUMERICAL) tests/inference/test_emulator.py
 	NUMBA_CPU_NAME=x86-64 NUMBA_CPU_FEATURES= OPENBLAS_CORETYPE=Nehalem \
 		$(BIN)/pytest -n $(WORKERS) $(NUMERICAL)
+
+# uv picks the oldest versions; what we do not name ourselves is new, and warns of what is old.
+test-oldest:
+	"$(PYTHON)" -m venv $(OLDEST)
+	$(OLDEST)/bin/python -m pip --disable-pip-version-check install --quiet --constraint constraints.txt uv
+	$(OLDEST)/bin/uv pip install --quiet --python $(OLDEST)/bin/python --resolution lowest-direct \
+		--editable '.[parquet,test]'
+	$(OLDEST)/bin/pytest -n $(WORKERS) -W default --disable-warnings
 
 test-slow: $(DEV)
 	$(BIN)/pytest -n $(WORKERS) -m slow
@@ -95,4 +105,4 @@ clean:
 	find src tests studies verification benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
 
 distclean: clean
-	rm -rf $(VENV)
+	rm -rf $(VENV) $(OLDEST)

@@ -1,12 +1,12 @@
-"""Stir simulated grains with the leg of Li et al. (2013), press feet in, and write their forces.
+"""Stir simulated grains with legs, press feet in, and write their forces.
 
     python studies/grains/run.py B-loose --work FOLDER --out studies/data/grains
 
-A bed is poured once for each seed and size, 220 x 84 x 105 mm, periodic across. The hip stands
-20 mm above the mass-equivalent surface and the leg turns at 1 rad/s. Feet are pressed into another
-bed, which is as new for each. What is in FOLDER already is not simulated again. A record has the
-forces [N] of soil on the leg or the foot, x forward and z up, and of a leg the moment about the hip
-[N m]; its first lines say of what.
+A bed is poured once for each seed and rig, periodic across; that of the legs of Li et al. (2013)
+has 220 x 84 x 105 mm. The hip stands above the mass-equivalent surface and the leg turns at
+1 rad/s. Feet are pressed into another bed, which is as new for each. What is in FOLDER already is
+not simulated again. A record has the forces [N] of soil on the leg or the foot, x forward and z up,
+and of a leg the moment about the hip [N m]; its first lines say of what.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import math
 import tomllib
+from dataclasses import dataclass
 from pathlib import Path
 
 import engine
@@ -24,15 +25,65 @@ from terraphi.experiment.leg import Leg
 from terraphi.forward.foot import Foot
 
 HERE = Path(__file__).parent
-BOX, THICKNESS = (-0.110, 0.110, -0.042, 0.042, 0.26), 0.105
-"""West, east, south, north and top of the box, and about how thick the bed is [m]."""
-HIP = 0.020
-"""Height of the hip above the surface [m]."""
-SWING_DEG, EVERY_DEG = (-85.0, 80.0), 1.0
-"""Angles, and the width of the means [deg]."""
+ENDS, SIDES, FLOOR = 0.65, 0.522, 1.868
+"""From where the leg enters the soil to the end of the bed, from its edge to the bed's side, and
+thickness of the bed, over the depth of the leg [-]: of Li's leg 220 x 84 x 105 mm."""
+SWING_DEG, CLEAR_DEG, EVERY_DEG = (-85.0, 80.0), (10.0, 5.0), 1.0
+"""Angles, least distance of the first and the last from the soil, width of the means [deg]."""
 SPEED, DEEPEST, EVERY = 0.03, 1.5, 5e-4
 """Speed of a foot at a rate of 1 [m/s], its last depth over its radius, and the depth of the means
 [m]."""
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A leg and its height above the soil; of Li et al. unless it says otherwise."""
+
+    leg: str
+    """``straight``, ``c`` or ``reversed_c``."""
+    name: str = ""
+    """Of a rig of ``soils.toml``."""
+    length_mm: float = 76.2
+    """From the hip to the outermost point."""
+    width_mm: float = 25.4
+    thickness_mm: float = 6.4
+    hip_height_mm: float = 20.0
+    soils: tuple[str, ...] = ()
+    """Names of the soils that it stirs."""
+
+    @property
+    def half_angle(self) -> float:
+        """Angle from the vertical at which the tip touches the soil [rad]."""
+        return math.acos(self.hip_height_mm / self.length_mm)
+
+    @property
+    def bed(self) -> tuple[float, float, float]:
+        """Length, breadth and thickness of its bed [m], in whole millimeters."""
+        depth = self.length_mm - self.hip_height_mm
+        half_length = self.length_mm * math.sin(self.half_angle) + ENDS * depth
+        sizes = 2.0 * half_length, self.width_mm + 2.0 * SIDES * depth, FLOOR * depth
+        return tuple(1e-3 * round(size) for size in sizes)
+
+    @property
+    def swing_deg(self) -> tuple[float, float]:
+        """First and last angle [deg]."""
+        entry = self.half_angle
+        if self.leg == "c":
+            # Its arc, of radius R about the middle of the chord, is lowest R (1 + cos θ) under the
+            # hip, and enters before the tip.
+            height = self.hip_height_mm - 0.5 * self.thickness_mm
+            entry = math.acos(2.0 * height / (self.length_mm - 0.5 * self.thickness_mm) - 1.0)
+        before, behind = (
+            math.ceil(math.degrees(angle) + clear)
+            for angle, clear in zip((entry, self.half_angle), CLEAR_DEG, strict=True)
+        )
+        return min(SWING_DEG[0], -before), max(SWING_DEG[1], behind)
+
+
+def rigs() -> list[Rig]:
+    """All rigs of ``soils.toml``."""
+    table = tomllib.loads((HERE / "soils.toml").read_text())
+    return [Rig(name=name, **rig) for name, rig in table["rigs"].items()]
 
 
 def soils() -> dict[str, engine.Soil]:
@@ -44,34 +95,41 @@ def soils() -> dict[str, engine.Soil]:
     }
 
 
-def record(soil: engine.Soil, shape: str, seed: int, work: Path, out: Path) -> Path:
+def record(soil: engine.Soil, rig: Rig, seed: int, work: Path, out: Path) -> Path:
     """Pour the bed unless it is there, stir it, and write the forces; the file."""
-    path = out / f"{soil.name}_{shape}_{seed}.csv"
+    body = f"rig-{rig.name}" if rig.name else rig.leg
+    path = out / f"{soil.name}_{body}_{seed}.csv"
     if path.exists():
         return path
-    folder = work / f"{soil.name}_{seed}"
-    engine.bed(soil, seed, BOX, THICKNESS, folder)
-    west, east, south, north, _ = BOX
-    surface, fraction = engine.layering(
-        engine.dump(folder / "bed.dump"), (east - west) * (north - south)
-    )
-    hip = (0.0, surface + HIP)
-    # Centre line and half thickness end 76.2 mm from the hip.
-    leg = Leg(shape=shape, chord=0.0730, friction=soil.leg_friction)
-    engine.leg_mesh(leg, math.radians(SWING_DEG[0]), hip, folder / "body.stl")
-    turn = math.radians(SWING_DEG[1] - SWING_DEG[0]) / soil.rate
+    folder = work / f"{soil.name}_{rig.name and f'{rig.name}_'}{seed}"
+    length, breadth, thickness = rig.bed
+    box = (-0.5 * length, 0.5 * length, -0.5 * breadth, 0.5 * breadth, 0.0)
+    engine.bed(soil, seed, box, thickness, folder)
+    surface, fraction = engine.layering(engine.dump(folder / "bed.dump"), length * breadth)
+    hip = (0.0, surface + 1e-3 * rig.hip_height_mm)
+    # Center line and half thickness together have the leg's length.
+    leg = Leg(
+        shape=rig.leg, chord=1e-3 * (rig.length_mm - 0.5 * rig.thickness_mm),
+        half_thickness=5e-4 * rig.thickness_mm, width=1e-3 * rig.width_mm,
+        friction=soil.leg_friction,
+    )  # fmt: skip
+    first, last = rig.swing_deg
+    engine.leg_mesh(leg, math.radians(first), hip, folder / "body.stl")
+    turn = math.radians(last - first) / soil.rate
     deck = engine.moved(
-        soil, BOX, hip,
+        soil, box, hip,
         f"rotate origin {hip[0]} 0 {hip[1]} axis 0 1 0 period {2.0 * math.pi / soil.rate:.8g}",
         steps=round(turn / soil.time_step),
         every=round(math.radians(EVERY_DEG) / soil.rate / soil.time_step),
     )  # fmt: skip
-    engine.run(deck, folder, shape)
+    engine.run(deck, folder, body)
     time, (fx, _, fz, moment) = engine.means(soil, folder)
-    theta = SWING_DEG[0] + np.degrees(soil.rate * time)
+    theta = first + np.degrees(soil.rate * time)
     rows = zip(theta, fx, fz, moment, strict=True)
     lines = [f"{t:.2f},{x:.4f},{z:.4f},{m:.6f}" for t, x, z, m in rows]
-    write(path, soil, seed, fraction, f"{shape} leg", ["theta_deg,Fx_N,Fz_N,M_Nm", *lines])
+    sizes = f"{rig.length_mm:g} x {rig.width_mm:g} x {rig.thickness_mm:g} mm"
+    words = f"{rig.leg} leg of {sizes}, hip {rig.hip_height_mm:g} mm above the soil"
+    write(path, soil, seed, fraction, words, ["theta_deg,Fx_N,Fz_N,M_Nm", *lines])
     return path
 
 
@@ -139,7 +197,7 @@ def load(path: Path) -> tuple[np.ndarray, np.ndarray, float]:
 
 
 def main() -> None:
-    """Stir one soil with every leg that it lists, and press in every foot."""
+    """Stir one soil with every leg and rig that it has, and press in every foot."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("soil", choices=sorted(soils()), metavar="SOIL")
     parser.add_argument("--work", type=Path, required=True, help="folder for the engine's files")
@@ -149,9 +207,12 @@ def main() -> None:
     soil = soils()[options.soil]
     for seed in soil.seeds:
         for shape in soil.legs:
-            print(record(soil, shape, seed, options.work, options.out))
+            print(record(soil, Rig(shape), seed, options.work, options.out))
         for foot in soil.feet:
             print(pressed(soil, foot, seed, options.work, options.out))
+    for rig in rigs():
+        if soil.name in rig.soils:
+            print(record(soil, rig, soil.seeds[0], options.work, options.out))
 
 
 if __name__ == "__main__":
