@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.optimize import differential_evolution
 
+from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import names
 from terraphi.forward import simulate
@@ -176,6 +177,15 @@ def test_a_soil_that_the_model_reads_rightly_moves_no_leg(sand3d: Library, leg: 
     known = calibrate(record, read, 1.0)
     plain, moved = (invert(f"li2013:yuma/{leg}", calibration=one) for one in (None, known))
     assert moved.phi.median == pytest.approx(plain.phi.median, abs=0.02)
+
+
+def test_a_calibration_is_refused_by_a_library_of_other_forces(sand3d: Library) -> None:
+    """With all forces half as large again φ would be read 4° lower."""
+    known = calibrate("li2013:glass03_loose/straight", 25.0, 1.0, library=sand3d)
+    cases = tuple(c._replace(history=c.history and c.history.scaled(1.5)) for c in sand3d.cases)
+    scaled = replace(sand3d, cases=cases)
+    with pytest.raises(InputError, match="calibration is for library 'sand3d'"):
+        invert("li2013:yuma/straight", library=scaled, calibration=known)
 
 
 def test_calibration_is_the_posterior_of_its_normal_model() -> None:
