@@ -16,7 +16,9 @@ D of each leg and force by least squares over soils stirred in several sizes, ea
 F(θ, 0), and smooth over θ. What a library reads off the records, by least squares with a shift of
 θ, then gives for a leg
 
-- the **offset**: over loose grains, the angle read less the critical angle, a line over φ;
+- the **offset**: over loose grains, the angle read less the critical angle, a line over φ, with the
+  covariance of its coefficients: that of least squares, and that from the size of grains, by the
+  jackknife over soils stirred in several sizes;
 - what **soils** and **legs** differ by, from a soil's mean over legs and from each leg's distance
   to that. What media of known repose differ by more is common to an apparatus. A prior worth
   PRIOR_SOILS of PRIOR_SD_DEG (PRIOR_COMMON_DEG) keeps each from vanishing;
@@ -68,8 +70,6 @@ SECOND_DEG = {"B-loose": (26.2, 29.0), "B-dense": (26.2, 38.7)}
 """Critical and peak angle in that engine's shear cell [deg]."""
 PRIOR_SOILS, PRIOR_SD_DEG, PRIOR_COMMON_DEG = 2, 1.0, 1.5
 LIMIT, MARGIN = 0.95, 1.1
-SIZE_SD_DEG = {"straight": 0.7, "c": 1.0, "reversed_c": 0.8}
-"""Standard error of a leg's offset from the size of grains: A, B and C left out in turn [deg]."""
 SLOPE_SD = 0.3
 """Standard deviation of the offset's slope over φ before anything is known [-]."""
 REPOSE_SD_DEG = 3.0
@@ -103,6 +103,8 @@ class Reading(NamedTuple):
     """Data less curve over the model's peak-to-peak [-], shape [2, theta]."""
     share: np.ndarray
     """Peak-to-peak of the model over that of the data [-], shape [2]."""
+    jackknife_deg: tuple[float, ...] = ()
+    """Angles read with each soil in several sizes left out of the effect of size [deg]."""
 
 
 class Bed(NamedTuple):
@@ -139,8 +141,11 @@ def of_grains(folder: Path) -> Beds:
     return {key: sorted(beds) for key, beds in found.items()}
 
 
-def without_size(beds: Beds) -> dict[tuple[str, str], np.ndarray]:
-    """Force over density of each soil and leg, extrapolated to zero grain size, [theta, 2]."""
+def without_size(beds: Beds, left_out: str = "") -> dict[tuple[str, str], np.ndarray]:
+    """Force over density of each soil and leg, extrapolated to zero grain size, [theta, 2].
+
+    The effect of size may be learned without one soil, ``A-loose``.
+    """
     kernel = np.exp(-0.5 * np.square((ANGLES_DEG[:, None] - ANGLES_DEG) / SMOOTH_DEG))
     kernel /= kernel.sum(axis=1)[:, None]
     size, effect = {}, {}
@@ -150,7 +155,7 @@ def without_size(beds: Beds) -> dict[tuple[str, str], np.ndarray]:
     for leg in {leg for _, leg in beds}:
         rows, diameters = [], []
         for key, own in beds.items():
-            if key[1] == leg and len(own) > 1 and AGAIN not in key[0]:
+            if key[1] == leg and key[0] != left_out and len(own) > 1 and AGAIN not in key[0]:
                 forces = np.array([bed.force / bed.density / size[key] for bed in own])
                 d = np.array([bed.diameter_mm for bed in own])
                 rows.append(forces - forces.mean(axis=0))
@@ -204,6 +209,8 @@ def readings(library: Library, folder: Path = GRAINS) -> list[Reading]:
         beds.setdefault(key, []).append(Bed(diameter, force, density))
         angles[key[0]] = SECOND_DEG[name]
     fine = without_size(beds)
+    sized = sorted({name for (name, _), own in beds.items() if len(own) > 1 and AGAIN not in name})
+    jackknife = [without_size(beds, name) for name in sized]
     for (name, leg), own in beds.items():
         density = float(np.mean([bed.density for bed in own]))
         record = record_of(name, leg, density * fine[name, leg], density)
@@ -211,8 +218,13 @@ def readings(library: Library, folder: Path = GRAINS) -> list[Reading]:
         angle, *rest = read(library, record)
         packing = name.split()[0].split("-")[1]
         found.append(
-            Reading(name, leg, packing, False, record, *angles[name], angle,
-                    read(library, with_size)[0], *rest)
+            Reading(
+                name, leg, packing, False, record, *angles[name], angle,
+                read(library, with_size)[0], *rest, tuple(
+                    read(library, record_of(name, leg, density * one[name, leg], density))[0]
+                    for one in jackknife
+                ),
+            )
         )  # fmt: skip
     for name in names():
         medium, leg = name.removeprefix("li2013:").split("/")
@@ -228,16 +240,26 @@ def readings(library: Library, folder: Path = GRAINS) -> list[Reading]:
     return found
 
 
-def line(some: Sequence[Reading]) -> tuple[float, float]:
+def line(some: Sequence[Reading], read_deg: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
     """Angle read less the critical one at CENTRE_DEG [deg], and its slope over φ [-].
 
-    The slope has a prior of 0 ± SLOPE_SD, against a scatter of 1° about the line.
+    The slope has a prior of 0 ± SLOPE_SD, against a scatter of 1° about the line. The second array
+    is the covariance of both at that scatter, [2, 2].
     """
     phi = np.array([r.critical_deg for r in some]) - CENTRE_DEG
     design = np.vstack([np.column_stack([np.ones_like(phi), phi]), [0.0, 1.0 / SLOPE_SD]])
-    excess = np.append([r.read_deg - r.critical_deg for r in some], 0.0)
-    offset, slope = np.linalg.lstsq(design, excess, rcond=None)[0]
-    return float(offset), float(slope)
+    excess = np.append(np.subtract(read_deg, [r.critical_deg for r in some]), 0.0)
+    return np.linalg.lstsq(design, excess, rcond=None)[0], np.linalg.inv(design.T @ design)
+
+
+def size_covariance(some: Sequence[Reading]) -> np.ndarray:
+    """Covariance of a line from the effect of the size of grains, by the jackknife, [2, 2]."""
+    reads = np.array([r.jackknife_deg for r in some]).T
+    if len(reads) < 2:
+        return np.zeros((2, 2))
+    apart = np.array([line(some, read)[0] for read in reads])
+    apart -= apart.mean(axis=0)
+    return (len(reads) - 1) / len(reads) * apart.T @ apart
 
 
 def learn(every: Sequence[Reading]) -> dict[str, dict]:
@@ -246,13 +268,14 @@ def learn(every: Sequence[Reading]) -> dict[str, dict]:
     loose = [r for r in every if r.packing == "loose" and not np.isnan(r.critical_deg)]
     grains, media = ([r for r in loose if r.real == real] for real in (False, True))
     legs = sorted({r.leg for r in every})
-    lines = {leg: line([r for r in grains if r.leg == leg]) for leg in legs}
+    of_leg = {leg: [r for r in grains if r.leg == leg] for leg in legs}
+    lines = {leg: line(some, [r.read_deg for r in some]) for leg, some in of_leg.items()}
 
     def of_soils(some: Sequence[Reading]) -> list[np.ndarray]:
         """Angles read less those of the leg's line, as angles of the soil, by soil [deg]."""
         apart: dict[str, list[float]] = {}
         for r in some:
-            offset, slope = lines[r.leg]
+            offset, slope = lines[r.leg][0]
             excess = r.read_deg - r.critical_deg - offset - slope * (r.critical_deg - CENTRE_DEG)
             apart.setdefault(r.soil, []).append(excess / (1.0 + slope))
         return [np.array(values) for _, values in sorted(apart.items())]
@@ -281,13 +304,17 @@ def learn(every: Sequence[Reading]) -> dict[str, dict]:
     for leg in legs:
         own = [r for r in every if r.leg == leg]
         left = [remaining(r, own) for r in own]
+        (offset, slope), of_fit = lines[leg]
+        of_fit = (soil_sd**2 + leg_sd**2) * (1.0 + slope) ** 2 * of_fit
+        critical = [r.critical_deg for r in of_leg[leg]]
         found[leg] = {
-            "offset_deg": round(lines[leg][0], 2),
-            "slope": round(lines[leg][1], 3),
+            "offset_deg": round(float(offset), 2),
+            "slope": round(float(slope), 3),
+            "covariance": (of_fit + size_covariance(of_leg[leg])).round(5).tolist(),
+            "phi_deg": [round(min(critical), 1), round(max(critical), 1)],
             "common_sd_deg": common_sd,
             "soil_sd_deg": soil_sd,
             "leg_sd_deg": leg_sd,
-            "offset_sd_deg": SIZE_SD_DEG[leg],
             "shift_deg": round(float(np.mean([r.shift_deg for r in own])), 1),
             "strength": round(float(np.mean([r.strength for r in own])), 2),
             "strength_sd": round(float(np.std([r.strength for r in own], ddof=1)), 2),

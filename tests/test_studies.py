@@ -14,6 +14,7 @@ from scipy.spatial import ConvexHull
 import model_error
 import plates
 from terraphi.forward.foot import Foot
+from terraphi.inference.soils import ModelError
 
 STUDIES = Path(plates.__file__).parent
 BALL, DISC = 4 / 3 * np.pi * 0.03**3, np.pi * 0.03**2 * 0.006
@@ -110,6 +111,43 @@ def test_offset_and_spread_are_learnt_as_they_were_made() -> None:
         assert found[leg]["slope"] == pytest.approx(slope, abs=0.2)
         assert found[leg]["soil_sd_deg"] == pytest.approx(2.0, rel=0.3)
         assert found[leg]["leg_sd_deg"] == pytest.approx(1.0, rel=0.2)
+
+
+def test_error_of_an_offset_is_the_scatter_of_lines_over_other_soils() -> None:
+    """Within the angles it is learned from and far beyond them; soils differ by 1.5°."""
+    rng, phi, lines, stated = np.random.default_rng(4), np.linspace(20.0, 33.0, 8), [], []
+    for _ in range(200):
+        every = [
+            model_error.Reading(
+                f"{i}", "c", "loose", False, SimpleNamespace(source=f"{i}"), soil, soil,
+                soil + 1.5 * rng.standard_normal(), soil, 0.0, 0.0, np.full((2, 40), 0.1 * i),
+                np.ones(2),
+            )
+            for i, soil in enumerate(phi)
+        ]  # fmt: skip
+        found = ModelError.model_validate(model_error.learn(every)["c"])
+        lines.append([found.offset_at(angle) for angle in (27.0, 42.0)])
+        stated.append([found.offset_sd_at(angle) * (1 + found.slope) for angle in (27.0, 42.0)])
+    assert found.phi_deg == (20.0, 33.0)
+    # A prior on the slope, and one on how much soils differ, make lines of few soils differ less.
+    np.testing.assert_allclose(np.sqrt(np.mean(np.square(stated), 0)), np.std(lines, 0), rtol=0.25)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3])
+def test_error_of_the_size_of_grains_is_that_of_a_mean_over_soils(share: float) -> None:
+    """The jackknife of a mean is the standard error of that mean."""
+    effects = share * np.array([1.0, 2.0, 6.0])
+    left_out = [float(np.delete(effects, i).mean()) for i in range(3)]
+    every = [
+        model_error.Reading(
+            "A", "c", "loose", False, SimpleNamespace(source="A"), phi, phi, phi, phi, 0.0, 0.0,
+            np.zeros((2, 40)), np.ones(2), tuple(phi + np.array(left_out)),
+        )
+        for phi in np.linspace(20.0, 34.0, 8)
+    ]  # fmt: skip
+    found = model_error.size_covariance(every)
+    assert found[0, 0] == pytest.approx(effects.var(ddof=1) / 3.0, abs=1e-9)
+    np.testing.assert_allclose(found[1], 0.0, atol=1e-9)
 
 
 @pytest.mark.slow

@@ -312,3 +312,17 @@ def test_a_wrong_leg_that_fits_is_doubted_by_the_second_opinion() -> None:
     assert right.phi.median < 35.0 < 40.0 < wrong.phi.median
     assert any("the leg" in question for question in wrong.questions)
     assert not any("the leg and" in question for question in right.questions)
+
+
+def test_an_angle_beyond_the_soils_that_were_learned_from_is_said(sand3d: Library) -> None:
+    """And its interval is wider: forces of the library itself, as of measured ones."""
+    answers = []
+    for phi in (27.0, 42.0):
+        emulator = Emulator(sand3d.curves("straight", corrected=True))
+        force = emulator(np.array([[phi]]))[0].T
+        history = ForceHistory(np.radians(emulator.curves.theta_deg), force)
+        answers.append(invert(history, leg="straight", density=1650.0))
+    inside, outside = answers
+    assert any("lies outside" in question for question in outside.questions)
+    assert not any("lies outside" in question for question in inside.questions)
+    assert outside.budget_deg["model: offset"] > 1.5 * inside.budget_deg["model: offset"]

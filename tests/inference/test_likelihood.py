@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.optimize import differential_evolution
 
+from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import names
 from terraphi.forward import simulate
@@ -73,7 +74,7 @@ def test_squares_of_the_budget_are_the_variance(sand3d: Library) -> None:
         ("apparatus", error.common_sd_deg),
         ("soil", error.soil_sd_deg),
         ("leg", error.leg_sd_deg),
-        ("offset", error.offset_sd_deg),
+        ("offset", error.offset_sd_at(answer.phi.median)),
     ):
         assert answer.budget_deg[f"model: {name}"] == pytest.approx(sd, rel=0.05)
     total = np.sqrt(np.square(list(answer.budget_deg.values())).sum())
@@ -108,7 +109,7 @@ def test_terms_are_what_their_causes_do_to_the_forces(sand3d: Library) -> None:
         "density": [20.0 / 638.0 * curve],
         **{cause: ratio * np.array(mode) for cause, mode in modes.items()},
     }
-    assert len(modes) == 4
+    assert len(modes) == 2
     for name, parts in expected.items():
         means = np.array([(part @ operator.T).ravel() for part in parts])
         sd = np.sqrt(np.square(means).sum(axis=0))
@@ -162,7 +163,7 @@ def test_known_soils_narrow_and_shift(sand3d: Library) -> None:
                 source="x", leg="straight", phi_deg=phi, phi_sd_deg=1.0,
                 read_deg=phi + apart, read_sd_deg=1.0,
             )
-            for phi in 30.0 + 0.01 * np.arange(count)
+            for phi in 21.5 + 0.01 * np.arange(count)
         ]  # fmt: skip
         return Calibration(library="sand3d", library_hash=sand3d.hash, soils=soils)
 
@@ -194,33 +195,57 @@ def test_a_soil_that_the_model_reads_rightly_moves_no_leg(sand3d: Library, leg: 
     assert moved.phi.median == pytest.approx(plain.phi.median, abs=0.02)
 
 
-@pytest.mark.parametrize("leg", ["c", "reversed_c"])
-def test_calibration_is_the_posterior_of_its_normal_model(leg: str) -> None:
-    """Two soils; the second was read twice, by two legs, and shares all but their errors.
+def test_a_calibration_is_refused_by_a_library_of_other_forces(sand3d: Library) -> None:
+    """With all forces half as large again φ would be read 4° lower."""
+    known = calibrate("li2013:glass03_loose/straight", 25.0, 1.0, library=sand3d)
+    cases = tuple(c._replace(history=c.history and c.history.scaled(1.5)) for c in sand3d.cases)
+    scaled = replace(sand3d, cases=cases)
+    with pytest.raises(InputError, match="calibration is for library 'sand3d'"):
+        invert("li2013:yuma/straight", library=scaled, calibration=known)
 
-    The error of the rig and of the leg's offset belong to b where the leg is one of theirs; they
-    are errors of what was read for another leg.
-    """
-    error = ModelError(
-        offset_deg=1.0, common_sd_deg=3.0, soil_sd_deg=2.0, leg_sd_deg=1.2, offset_sd_deg=1.1
-    )
-    soil = {"source": "x", "phi_sd_deg": 1.5, "read_sd_deg": 0.5, "rig_sd_deg": 0.9}
+
+def test_calibration_is_the_posterior_of_its_normal_model() -> None:
+    """Two soils; the second was read twice, by two legs, and shares all but their errors."""
+    error = ModelError(offset_deg=1.0, common_sd_deg=3.0, soil_sd_deg=2.0, leg_sd_deg=1.2)
+    soil = {"source": "x", "phi_sd_deg": 1.5, "read_sd_deg": 0.5}
     soils = [
         CalibrationSoil(leg="c", phi_deg=30.0, read_deg=33.0, **soil),
         CalibrationSoil(leg="c", phi_deg=25.0, read_deg=29.5, **soil),
         CalibrationSoil(leg="straight", phi_deg=25.0, read_deg=28.5, **soil),
     ]
-    mean, sd = Calibration(library="x", library_hash="", soils=soils).common(error, leg)
+    known = Calibration(library="x", library_hash="", soils=soils)
+    mean, sd = known.common(error, "c", np.array(30.0))
     b = np.linspace(-20.0, 20.0, 40_001)
-    stays = 1.1**2 + 0.9**2
-    log_p = -0.5 * b**2 / (9.0 + stays * (leg == "c"))
+    log_p = -0.5 * b**2 / 9.0
     for apart, legs in ((3.0, 1), (4.0, 2)):
-        variance = 2.0**2 + 1.2**2 / legs + 1.5**2 + 0.5**2 + stays * (leg != "c")
+        variance = 2.0**2 + 1.2**2 / legs + 1.5**2 + 0.5**2
         log_p -= 0.5 * (apart - b) ** 2 / variance
     p = np.exp(log_p - log_p.max())
     p /= p.sum()
     assert mean == pytest.approx(float(p @ b), abs=1e-3)
     assert sd == pytest.approx(float(np.sqrt(p @ (b - p @ b) ** 2)), abs=1e-3)
+
+
+def test_a_calibration_determines_the_offset_at_its_own_angle() -> None:
+    """Of the draws of b and of the line's error that agree with a soil of 25°, at 25 and at 40°."""
+    error = ModelError(
+        slope=0.25, common_sd_deg=1.5, soil_sd_deg=0.6, leg_sd_deg=0.3,
+        covariance=((0.64, 0.02), (0.02, 0.01)),
+    )  # fmt: skip
+    soil = CalibrationSoil(
+        source="x", leg="c", phi_deg=25.0, phi_sd_deg=0.5, read_deg=26.5, read_sd_deg=0.2,
+        rig_sd_deg=0.4,
+    )  # fmt: skip
+    phi = np.array([25.0, 40.0])
+    mean, sd = Calibration(library="x", library_hash="", soils=[soil]).common(error, "c", phi)
+    rng = np.random.default_rng(3)
+    line = rng.multivariate_normal([0.0, 0.0], error.covariance, 400_000) / 1.25
+    shared = rng.normal(0.0, np.hypot(1.5, 0.4), len(line))
+    at = shared + line[:, :1].T + line[:, 1:].T * (np.array([26.5, *phi])[:, None] - 27.0)
+    weight = np.exp(-0.5 * (1.5 - at[0]) ** 2 / (0.6**2 + 0.3**2 + 0.5**2 + 0.2**2))
+    weight /= weight.sum()
+    np.testing.assert_allclose(mean, at[1:] @ weight, atol=0.02)
+    np.testing.assert_allclose(sd**2, np.square(at[1:] - mean[:, None]) @ weight, rtol=0.02)
 
 
 def test_quadrature_resolves_a_narrow_peak(history_at: Callable[..., ForceHistory]) -> None:

@@ -54,6 +54,32 @@ def test_a_file_is_read_back(small: Library, tmp_path: Path) -> None:
     )
 
 
+def test_whatever_changes_an_answer_changes_the_hash(small: Library) -> None:
+    theta = np.arange(-90.0, 91.0)
+    ones = np.ones((1, 2, 2, theta.size))
+    correction = Correction(np.array([20.0, 40.0]), theta, ones[0], {"cells": ones})
+    library = replace(small, replicates=small.cases[:1], corrections={"straight": correction})
+
+    def scaled(case: Case) -> Case:
+        return case._replace(history=case.history.scaled(1.5))
+
+    def corrected(**changes) -> Library:
+        return replace(library, corrections={"straight": replace(correction, **changes)})
+
+    others = [
+        replace(library, cases=(*small.cases[:-1], scaled(small.cases[-1]))),
+        replace(library, replicates=(scaled(small.cases[0]),)),
+        replace(library, replicates=()),
+        replace(library, model_error={"straight": {"soil_sd_deg": 2.0}}),
+        corrected(force=2.0 * ones[0]),
+        corrected(modes={"cells": 2.0 * ones}),
+        corrected(modes={"speed-up": ones}),
+        corrected(phi_deg=np.array([20.0, 41.0])),
+    ]
+    assert len({library.hash, *(other.hash for other in others)}) == 1 + len(others)
+    assert replace(library, description="in other words").hash == library.hash
+
+
 @pytest.mark.parametrize("value", ["[1]", "[" * 20_000])
 def test_an_origin_that_is_no_table_is_refused(small: Library, tmp_path: Path, value: str) -> None:
     small.save(tmp_path / "library.nc")

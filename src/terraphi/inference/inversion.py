@@ -222,7 +222,7 @@ def calibrate(
         error = likelihood.errors[record.leg]
         apart = read - phi_deg
         usual = math.hypot(error.common_sd_deg, error.soil_sd_deg, error.leg_sd_deg,
-                           error.offset_sd_deg, rig, phi_sd_deg, sd)  # fmt: skip
+                           error.offset_sd_at(read), rig, phi_sd_deg, sd)  # fmt: skip
         if abs(apart) > CONTRADICTS * usual:
             raise InputError(
                 f"{record.source}: forces and angle disagree by {apart:+.0f}°, at most "
@@ -591,6 +591,14 @@ def _about(
             found.append(
                 "The forces carry almost no information on φ: the posterior equals the prior."
             )
+        for leg, error in likelihood.errors.items() if verdict == "consistent" else ():
+            ends = error.phi_deg if likelihood.measured else None
+            if ends and not ends[0] <= phi.median <= ends[1]:
+                found.append(
+                    f"φ = {phi.median:.1f}° lies outside {ends[0]:.1f} to {ends[1]:.1f}°, where "
+                    f"the offset of leg {leg} was learned: its error there is "
+                    f"{error.offset_sd_at(phi.median):.1f}°."
+                )
         low, high = USUAL_DEG
         if likelihood.measured and not low <= phi.median <= high:
             found.append(

@@ -15,14 +15,13 @@ term                      covariance
 noise                     of the readings, through the windows
 emulator                  of the curves between the library's cases
 particle scatter          between seeds: of a simulated record
-cells, speed-up           of the correction to small cells and a slow motion, unless the offset was
-                          learnt from soils of known angle, which includes it
 leg friction, hip height  a standard deviation of each, times how the curves change with it
 zero of θ                 that of a shift: 15°/√3 times dg/dδ
 density, gain             relative standard deviation of the density, and of the gain of the sensor,
                           times g
 model: apparatus, soil    what looks like another angle: b² and s² times (∂g/∂φ)(∂g/∂φ)' (``soils``)
-model: leg, offset        the same of each leg by itself, l²; and the error of its offset
+model: leg, offset        the same of each leg by itself, l²; and the error of its offset over φ,
+                          which includes that of the correction to small cells and a slow motion
 missing angles            where a record has a part of the stroke (``partial``)
 missing forces            where it has the moment about the hip in place of a force: the angles
                           read off both differ by that
@@ -83,8 +82,6 @@ SIMILAR = {"leg.width": 0.02, "motion.hip.1": 0.015, "leg.half_thickness": 0.015
 """How far a rig may be from the library's: in the width over it, in the height of the hip and in
 the thickness over the length. Each moves φ by at most 0.5° (2 mm of Li's hip by 1°, 10 % of force
 by 1.6 to 2°), which is less than what is assumed of sizes that were not measured."""
-NUMERICAL = ("cells", "speed-up")
-"""Causes of corrections that a learnt offset includes."""
 OF_RIG = ("leg friction", "hip height", "gain")
 """Causes that stay as they are in an apparatus."""
 STEP = 1e-3
@@ -245,7 +242,7 @@ class Likelihood:
         if not self.measured:
             return np.zeros_like(phi_deg)
         error = self.errors[leg]
-        common = self.calibration.common(error, leg)[0] if self.calibration else 0.0
+        common = self.calibration.common(error, leg, phi_deg)[0] if self.calibration else 0.0
         return np.asarray(error.offset_at(phi_deg + common) + common)
 
     def curves(self, x: FloatArray, shift_deg: FloatArray | None = None) -> FloatArray:
@@ -300,10 +297,10 @@ class Likelihood:
         """∂g/∂δ of each record [N/deg], shape [n, record]; of simulated records none, [n, 0]."""
         if not self.measured:
             return np.zeros((self.data.size, 0))
-        ahead, behind = (self.curves(x[None], shift_deg + h)[0] for h in (0.5, -0.5))
+        ahead, behind = (self.curves(x[None], shift_deg + h)[0] for h in (0.1, -0.1))
         found = np.zeros((self.data.size, len(self.records)))
         for i, part in enumerate(self.parts):
-            found[part, i] = (ahead - behind)[part]
+            found[part, i] = (ahead - behind)[part] / 0.2
         return found
 
     # -- best point ------------------------------------------------------------------------------
@@ -478,8 +475,6 @@ class Likelihood:
             correction = self.library.corrections.get(leg)
             modes = correction.modes_at(float(inside[leg][self._phi])) if correction else {}
             for cause, mode in modes.items():
-                if self.errors[leg].training and cause in NUMERICAL:
-                    continue  # included in the offset, which was learned from soils of known angle
                 if self._calibrated(leg) and cause in OF_RIG:
                     continue  # included in what the calibration determines of the apparatus
                 on = correction.theta_deg if correction else emulator.curves.theta_deg
@@ -500,12 +495,13 @@ class Likelihood:
     def _model_offset(self, slope: FloatArray) -> dict[str, FloatArray]:
         """Covariance of what looks like another angle: of an apparatus, a soil, and each leg."""
         known, legs = self.calibration, np.array([record.leg for record in self.records])
+        phi = self.least_squares[self.keys.index(PHI)]
         sd = {
             leg: (
-                known.common(error, leg)[1] if known else error.common_sd_deg,
+                float(known.common(error, leg, phi)[1]) if known else error.common_sd_deg,
                 error.soil_sd_deg,
                 error.leg_sd_deg,
-                0.0 if self._calibrated(leg) else error.offset_sd_deg,
+                0.0 if self._calibrated(leg) else error.offset_sd_at(phi),
             )
             for leg, error in self.errors.items()
         }

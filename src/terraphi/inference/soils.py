@@ -5,18 +5,21 @@ The angle that a library reads off a record of measured forces is
     φ_read = ψ + offset(ψ),    ψ = φ + b + s + l,
 
 the offset of each leg linear in ψ, b common to all soils in one apparatus, s of the soil, l of the
-leg in it, each normal about zero. The offset itself has an error, the same for all soils. Forces
-show none of them: they look like another angle. They are learned from soils whose angle was
-measured otherwise, and stand in the library's file.
+leg in it, each normal about zero. The coefficients of the line have a covariance, so that the error
+of the offset, the same for all soils, grows away from those it was learned from. Forces show none
+of them: they look like another angle. They are learned from soils whose angle was measured
+otherwise, and stand in the library's file.
 
-A calibration is such a soil in the user's own apparatus. With n of them, each with y_i = ψ_i − φ_i
-and variance v_i = s² + l²/legs + var(φ_i) + var(ψ_i), where ψ_i is the mean of the soil's records,
+A calibration is such a soil in the user's own apparatus, in which the height of the hip, the
+friction of the leg and the gain of the sensor stay as they are. Its y_i = ψ_i − φ_i is a draw of a
+normal distribution, of which
 
-    1/var(b) = 1/b² + Σ 1/v_i,    E(b) = var(b) Σ y_i / v_i,
+    k_ij = b² + [same leg] (rig_i rig_j + o(ψ_i, ψ_j))
 
-so that an interval can only become narrower. The error of a leg's offset, the height of the hip,
-the friction of the leg and the gain of the sensor stay as they are between records with one leg: b²
-includes their variance, and they are no terms of their own then.
+is what a record shares with it, o the covariance of the offset's error, and s², var(φ), var(ψ) and
+of each leg l² come on top where i and j are one soil. The mean and variance of b, or of b, rig and
+offset of a leg that was calibrated, follow by conditioning on y (Rasmussen & Williams 2006, section
+2.2), so that an interval can only become narrower.
 """
 
 from __future__ import annotations
@@ -53,8 +56,10 @@ class ModelError(Strict):
     """Standard deviation of s, between soils [deg]."""
     leg_sd_deg: float = Field(2.0, ge=0)
     """Standard deviation of l, between legs in one soil [deg]."""
-    offset_sd_deg: float = Field(0.0, ge=0)
-    """Standard error of the offset [deg]."""
+    covariance: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0))
+    """Of the errors of offset_deg [deg] and slope [-]."""
+    phi_deg: tuple[float, float] | None = None
+    """Smallest and largest angle of the soils that the offset was learned from [deg]."""
     shift_deg: float = 0.0
     """Mean shift of the leg angle of training records [deg]."""
     strength: float = 0.0
@@ -75,6 +80,16 @@ class ModelError(Strict):
     def offset_at(self, phi_deg: FloatArray | float) -> FloatArray | float:
         """Mean of φ_read − ψ at angles ψ [deg]."""
         return self.offset_deg + self.slope * (phi_deg - CENTRE_DEG)
+
+    def offset_covariance(self, one: FloatArray, other: FloatArray) -> FloatArray:
+        """Covariance of the offset's error between angles ψ, as angles of the soil [deg²]."""
+        first, second = (np.stack([np.ones_like(x), x - CENTRE_DEG], -1) for x in (one, other))
+        return np.asarray(first @ np.array(self.covariance) @ second.T) / (1.0 + self.slope) ** 2
+
+    def offset_sd_at(self, phi_deg: float) -> float:
+        """Standard deviation of the offset at an angle ψ, as an angle of the soil [deg]."""
+        at = np.array([phi_deg])
+        return math.sqrt(max(float(self.offset_covariance(at, at)[0, 0]), 0.0))
 
     def mean_residual(self, spans: FloatArray, theta_deg: FloatArray) -> FloatArray | None:
         """Expected residual of a record [N], [2, m], from the model's peak-to-peak [N], [2]."""
@@ -158,27 +173,36 @@ class Calibration(Strict):
         """Whether a soil was read with this leg, whose height and friction are then part of b."""
         return any(soil.leg == leg for soil in self.soils)
 
-    def common(self, error: ModelError, leg: str) -> tuple[float, float]:
-        """Mean and standard deviation of b, given the calibration soils [deg]."""
-        of_rig = float(np.mean([soil.rig_sd_deg**2 for soil in self.soils]))
-        of_rig += error.offset_sd_deg**2
-        shared = self.has(leg)
-        wide = error.common_sd_deg**2 + (of_rig if shared else 0.0)
-        precision, total = 1.0 / max(wide, 1e-12), 0.0
+    def common(
+        self, error: ModelError, leg: str, phi_deg: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Mean and standard deviation of b at angles ψ, given the calibration soils [deg].
+
+        Where the leg was calibrated they are those of b, its rig and its offset's error together.
+        """
+        legs, phi, phi_sd, read, read_sd, rig = (
+            np.array([getattr(soil, name) for soil in self.soils])
+            for name in ("leg", "phi_deg", "phi_sd_deg", "read_deg", "read_sd_deg", "rig_sd_deg")
+        )
+        own = legs == leg
+        own_rig = math.sqrt(float(np.square(rig[own]).mean())) if own.any() else 0.0
+        same_leg = legs[:, None] == legs
         # Records of one soil share s, φ and most of what makes φ_read uncertain.
-        of_soils: dict[tuple[float, float], list[CalibrationSoil]] = {}
-        for soil in self.soils:
-            of_soils.setdefault((soil.phi_deg, soil.phi_sd_deg), []).append(soil)
-        for (phi, phi_sd), every in of_soils.items():
-            legs = len({one.leg for one in every})
-            of_leg = error.leg_sd_deg**2 / legs
-            of_read = float(np.mean([one.read_sd_deg**2 for one in every]))
-            variance = error.soil_sd_deg**2 + of_leg + phi_sd**2 + of_read
-            variance = max(variance + (0.0 if shared else of_rig), 1e-6)
-            read = float(np.mean([one.read_deg for one in every]))
-            precision += 1.0 / variance
-            total += (read - phi) / variance
-        return total / precision, math.sqrt(1.0 / precision)
+        same_soil = (phi[:, None] == phi) & (phi_sd[:, None] == phi_sd)
+        of_soil = error.soil_sd_deg**2 + phi_sd**2 + np.outer(read_sd, read_sd)
+        total = same_leg * (np.outer(rig, rig) + error.offset_covariance(read, read))
+        total += error.common_sd_deg**2 + same_soil * (of_soil + same_leg * error.leg_sd_deg**2)
+        flat = phi_deg.ravel()
+        across = error.common_sd_deg**2 + own * (
+            own_rig * rig + error.offset_covariance(flat, read)
+        )
+        solved = np.linalg.solve(total + 1e-6 * np.eye(len(read)), across.T)
+        prior = error.common_sd_deg**2 + own.any() * (
+            own_rig**2 + np.diag(error.offset_covariance(flat, flat))
+        )
+        variance = np.maximum(prior - (across.T * solved).sum(axis=0), 0.0)
+        mean = ((read - phi) @ solved).reshape(phi_deg.shape)
+        return mean, np.sqrt(variance).reshape(phi_deg.shape)
 
     def save(self, path: Path | str) -> None:
         """Write it as TOML; raises InputError if the place cannot be written."""

@@ -7,6 +7,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -152,13 +153,30 @@ class Library:
         """Shapes of its legs, sorted."""
         return sorted({case.scenario.leg.shape for case in self.cases if case.history})
 
-    @property
+    @cached_property
     def hash(self) -> str:
-        """SHA-256 of the scenarios of all cases, corrections and model error, hexadecimal."""
-        digest = hashlib.sha256("".join(case.scenario.hash for case in self.cases).encode())
-        for leg in sorted(self.corrections):
-            digest.update(np.float32(self.corrections[leg].force).tobytes())
-        digest.update(json.dumps(dict(self.model_error), sort_keys=True).encode())
+        """SHA-256 of all that changes an answer, hexadecimal: as precise as a file keeps it.
+
+        Scenarios, forces and moments of cases and replicates, corrections with their modes, and
+        the model error; not what only describes the library.
+        """
+        every = (*self.cases, *self.replicates)
+        words = {
+            "cases": [case.scenario.hash for case in self.cases],
+            "replicates": [case.scenario.hash for case in self.replicates],
+            "modes": {leg: sorted(one.modes) for leg, one in self.corrections.items()},
+            "model_error": dict(self.model_error),
+        }
+        digest = hashlib.sha256(json.dumps(words, sort_keys=True).encode())
+        arrays: list[FloatArray] = []
+        for history in filter(None, (case.history for case in every)):
+            moment = [] if history.moment is None else [history.moment]
+            arrays += [history.position, history.force, *moment]
+        for _, one in sorted(self.corrections.items()):
+            arrays += [one.phi_deg, one.theta_deg, one.force]
+            arrays += [mode for _, mode in sorted(one.modes.items())]
+        for array in arrays:
+            digest.update(np.asarray(array, np.float32).tobytes())
         return digest.hexdigest()
 
     @property
