@@ -200,7 +200,7 @@ def calibrate(
         if verdict != "consistent":
             raise InputError(f"{record.source}: cannot calibrate with it. {why}")
         read = float(best[likelihood.keys.index(PHI)])
-        shares = likelihood.budget(best)
+        shares = likelihood.budget()
         sd = _sd_without(likelihood, (*MODEL, *OF_RIG))
         rig = math.hypot(*(shares.get(name, 0.0) for name in OF_RIG))
         error = likelihood.errors[record.leg]
@@ -327,7 +327,7 @@ def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Ans
         verdict=verdict,
         reason=why,
         edge=edge,
-        budget_deg=likelihood.budget(middle) if PHI in keys and likelihood.beyond is None else {},
+        budget_deg=likelihood.budget() if PHI in keys and likelihood.beyond is None else {},
         density_kg_m3=density_kg_m3,
         density_sd_kg_m3=UNKNOWN_DENSITY * density_kg_m3 if unknown else first.density_sd_kg_m3,
         density_assumed=unknown or first.density_assumed,
@@ -524,7 +524,7 @@ def _edge(likelihood: Likelihood) -> str | None:
 
 def _sd_without(likelihood: Likelihood, names: Sequence[str]) -> float:
     """Standard deviation of φ from all terms but some [deg]."""
-    shares = likelihood.budget(likelihood.least_squares)
+    shares = likelihood.budget()
     return math.sqrt(sum(share**2 for name, share in shares.items() if name not in names))
 
 
@@ -612,7 +612,7 @@ def _second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:
     if not other.low[0] <= read <= min(other.high[0], 43.0):
         return None  # beyond its library, or nearly without an equivalent in plane strain
     below, median, above = to_plane_strain(read + np.array([-1.0, 0.0, 1.0])).tolist()
-    sd = float(other.sd(other.inside)[0])
+    sd = float(other.sd[0])
     return {
         "library": SECOND, "median": median, "sd": sd * (above - below) / 2.0,
         "force_size_deg": phi_of_size(likelihood) if likelihood.keys == (PHI,) else None,
