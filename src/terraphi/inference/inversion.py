@@ -39,24 +39,26 @@ SECOND = "rft3d"
 """Library of the second opinion."""
 MODEL = ("model: apparatus", "model: soil", "model: leg", "model: offset")
 """Terms of the error of the model on real soils."""
-CONTRADICTS = 4.0
-"""Standard deviations by which a soil of known angle must not differ from what is read [-]."""
 BETTER_LEG = 0.9
 """Residual by another leg over that by the record's own at which the leg is taken for wrong [-]:
 at least 0.95 in all training records."""
 FAR = 4.0
-"""Standard normal deviate of chi-square above which a simulated record is a misfit."""
+"""Standard deviations above which chance explains nothing (1 in 16,000) [-]: of chi-square of a
+simulated record, and of a calibration soil's known angle."""
 OUTSIDE = 0.3
-"""Probability that φ lies beyond the library's range above which the answer says so."""
+"""Probability that φ lies beyond the library's range above which the answer says so: chosen."""
 SEVERAL = 1.3
-"""Limit of a residual of several records with one angle, over that of one [-]: legs differ."""
+"""Limit of a residual of several records with one angle, over that of one [-]: chosen, for legs
+differ."""
 DISAGREES = 1.96
-"""Distance of two opinions at which both are believed, in their common standard deviation [-]."""
+"""Distance of two opinions at which both are believed, in their common standard deviation [-]: the
+end of a 95 % interval."""
 FAR_APART_DEG = 10.0
 """Distance of two opinions above which answers doubt the record [deg]: at most 8.5° with the right
 leg in simulated grains and shipped media, 14° where a wrong leg is consistent."""
 UNINFORMED = 0.9
-"""Share of the prior's standard deviation above which the posterior counts as the prior [-]."""
+"""Share of the prior's standard deviation above which the posterior counts as the prior [-];
+chosen."""
 
 
 def invert(
@@ -207,10 +209,10 @@ def calibrate(
         apart = read - phi_deg
         usual = math.hypot(error.common_sd_deg, error.soil_sd_deg, error.leg_sd_deg,
                            error.offset_sd_at(read), rig, phi_sd_deg, sd)  # fmt: skip
-        if abs(apart) > CONTRADICTS * usual:
+        if abs(apart) > FAR * usual:
             raise InputError(
                 f"{record.source}: forces and angle disagree by {apart:+.0f}°, at most "
-                f"{CONTRADICTS * usual:.0f}° are accepted; check phi = {phi_deg:g}° (in "
+                f"{FAR * usual:.0f}° are accepted; check phi = {phi_deg:g}° (in "
                 f"{found.cases[0].scenario.convention}), the density and the leg"
             )
         soils.append(

@@ -65,16 +65,18 @@ from terraphi.inference.soils import Calibration, model_error
 from terraphi.library.store import PHI, Curves, Library
 
 SHIFT_DEG = 15.0
-"""Largest shift of the leg angle of measured records [deg]."""
+"""Largest shift of the leg angle of measured records [deg]: chosen, above the 13° of the shipped
+and simulated records."""
 RIDGE = 2e-3
-"""Standard deviation added to each window mean, of peak-to-peak [-]."""
+"""Standard deviation added to each window mean, of peak-to-peak [-]: the emulator's largest error
+in unseen simulations of an exact model (tests/inference/test_emulator.py)."""
 UNKNOWN_DENSITY = 0.10
-"""Relative standard deviation of a density of which nothing is known [-]."""
+"""Relative standard deviation of a density of which nothing is known [-]: chosen."""
 BEYOND_DEG, LIMITS_DEG = 12.0, (0.5, 80.0)
 """How far beyond the library's ends angles are looked for, with forces that continue linearly; and
-angles that can be answered [deg]."""
+angles that can be answered [deg]; chosen."""
 FAR_OFF = 3.0
-"""Factor between data and best curve at which no angle fits [-]."""
+"""Factor between data and best curve at which no angle fits [-]: chosen."""
 OF_RIG = ("leg friction", "hip height", "gain")
 """Causes that stay as they are in an apparatus."""
 STEP = 1e-3
