@@ -51,21 +51,23 @@ SECOND = "rft3d"
 """Library of the second opinion."""
 MODEL = ("model: apparatus", "model: soil", "model: leg", "model: offset")
 """Terms of the error of the model on real soils."""
-CONTRADICTS = 4.0
-"""Standard deviations by which a soil of known angle must not differ from what is read [-]."""
 BETTER_LEG = 0.9
 """Residual by another leg over that by the record's own at which the leg is taken for wrong [-]:
 at least 0.95 in all training records."""
 FAR = 4.0
-"""Standard normal deviate of chi-square above which a simulated record is a misfit."""
+"""Standard deviations above which chance explains nothing (1 in 16,000) [-]: of chi-square of a
+simulated record, and of a calibration soil's known angle."""
 OUTSIDE = 0.3
-"""Probability that φ lies beyond the library's range above which the answer says so."""
+"""Probability that φ lies beyond the library's range above which the answer says so: chosen."""
 SEVERAL = 1.3
-"""Limit of a residual of several records with one angle, over that of one [-]: legs differ."""
+"""Limit of a residual of several records with one angle, over that of one [-]: chosen, for legs
+differ."""
 DISAGREES = 1.96
-"""Distance of two opinions at which both are believed, in their common standard deviation [-]."""
+"""Distance of two opinions at which both are believed, in their common standard deviation [-]: the
+end of a 95 % interval."""
 UNINFORMED = 0.9
-"""Share of the prior's standard deviation above which the posterior counts as the prior [-]."""
+"""Share of the prior's standard deviation above which the posterior counts as the prior [-];
+chosen."""
 
 
 def invert(
@@ -216,17 +218,17 @@ def calibrate(
         if verdict != "consistent":
             raise InputError(f"{record.source}: cannot calibrate with it. {why}")
         read = float(best[likelihood.keys.index(PHI)])
-        shares = likelihood.budget(best)
+        shares = likelihood.budget()
         sd = _sd_without(likelihood, (*MODEL, *OF_RIG))
         rig = math.hypot(*(shares.get(name, 0.0) for name in OF_RIG))
         error = likelihood.errors[record.leg]
         apart = read - phi_deg
         usual = math.hypot(error.common_sd_deg, error.soil_sd_deg, error.leg_sd_deg,
                            error.offset_sd_at(read), rig, phi_sd_deg, sd)  # fmt: skip
-        if abs(apart) > CONTRADICTS * usual:
+        if abs(apart) > FAR * usual:
             raise InputError(
                 f"{record.source}: forces and angle disagree by {apart:+.0f}°, at most "
-                f"{CONTRADICTS * usual:.0f}° are accepted; check phi = {phi_deg:g}° (in "
+                f"{FAR * usual:.0f}° are accepted; check phi = {phi_deg:g}° (in "
                 f"{found.cases[0].scenario.convention}), the density and the leg"
             )
         soils.append(
@@ -359,7 +361,7 @@ def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Ans
         verdict=verdict,
         reason=why,
         edge=edge,
-        budget_deg=likelihood.budget(middle) if PHI in keys and likelihood.beyond is None else {},
+        budget_deg=likelihood.budget() if PHI in keys and likelihood.beyond is None else {},
         density_kg_m3=density_kg_m3,
         density_sd_kg_m3=UNKNOWN_DENSITY * density_kg_m3 if unknown else first.density_sd_kg_m3,
         density_assumed=unknown or first.density_assumed,
@@ -558,7 +560,7 @@ def _edge(likelihood: Likelihood) -> str | None:
 
 def _sd_without(likelihood: Likelihood, names: Sequence[str]) -> float:
     """Standard deviation of φ from all terms but some [deg]."""
-    shares = likelihood.budget(likelihood.least_squares)
+    shares = likelihood.budget()
     return math.sqrt(sum(share**2 for name, share in shares.items() if name not in names))
 
 
@@ -646,7 +648,7 @@ def _second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:
     if not other.low[0] <= read <= min(other.high[0], 43.0):
         return None  # beyond its library, or nearly without an equivalent in plane strain
     below, median, above = to_plane_strain(read + np.array([-1.0, 0.0, 1.0])).tolist()
-    sd = float(other.sd(other.inside)[0])
+    sd = float(other.sd[0])
     return {
         "library": SECOND, "median": median, "sd": sd * (above - below) / 2.0,
         "force_size_deg": phi_of_size(likelihood) if likelihood.keys == (PHI,) else None,

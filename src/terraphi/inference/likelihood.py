@@ -16,7 +16,6 @@ noise                     of the readings, through the windows
 emulator                  of the curves between the library's cases
 particle scatter          between seeds: of a simulated record
 leg friction, hip height  a standard deviation of each, times how the curves change with it
-zero of θ                 that of a shift: 15°/√3 times dg/dδ
 density, gain             relative standard deviation of the density, and of the gain of the sensor,
                           times g
 model: apparatus, soil    what looks like another angle: b² and s² times (∂g/∂φ)(∂g/∂φ)' (``soils``)
@@ -26,25 +25,25 @@ missing angles            where a record has a part of the stroke (``partial``)
 missing forces            where it has the moment about the hip in place of a force: the angles
                           read off both differ by that
 second opinion            where other physics gives an angle outside both intervals
-shape                     whatever does not look like a change of x
 ========================  ==========================================================================
 
-Corrections and what follows, but for the shape, are of measured records; particle scatter is of
-simulated ones. All
-terms are taken at the best point, so that their size is no evidence of x. For measured records g is
-linear about that point: several of the terms are degrees wide and known to first order only, and
-the curvature of g would move the median by what is not known.
+Corrections and what follows are of measured records; particle scatter is of simulated ones.
 
-**Shape.** Let S = ∂g/∂(x, δ), A = diag(1/p²), p the peak-to-peak of each force, and c = (S'AS)⁻¹S'A
-the least-squares estimator. How the residual of a real soil varies with θ is unknown, and that of
-particle scatter is known from few simulations. So the residual has the covariance P (κp)² P' with P
-= I − Sc and κ large, which is nothing along S. Then the estimate is that of least squares whatever
-the other terms are, and its variance is the sum of c C_t c' over these (a large covariance in
-directions that c does not see can neither move nor narrow an estimate). A model error that is
-allowed to look like a change of φ would take its place (Brynjarsdottir & O'Hagan 2014, doi
-10.1088/0266-5611/30/11/114007). Curves left out of `sand3d` in turn are read with errors as large
-as stated so, and up to 1.7 times larger if scatter is taken at its word (generalised least
-squares).
+**Estimate.** With S = ∂g/∂(x, δ) at the best point, A = diag(1/p²), p the peak-to-peak of each
+force, and c = (S'AS)⁻¹S'A, the parameters are those of least squares, and c (d − g(x)) is normal
+with the variance V = Σ_t c C_t c': the sandwich (White 1980, Econometrica 48:817). How the residual
+of a real soil varies with θ is unknown, and that of particle scatter is known from few simulations,
+so the terms neither move the estimate nor narrow it: in what c does not see a residual may be
+anything. A model error that is allowed to look like a change of φ would take its place
+(Brynjarsdottir & O'Hagan 2014, doi 10.1088/0266-5611/30/11/114007). Curves left out of `sand3d` in
+turn are read with errors as large as stated so, and up to 1.7 times larger if scatter is taken at
+its word (generalised least squares). Several records give the angle of their common least squares,
+between those of each; with their shared errors as weights it could lie outside (Peelle's puzzle). A
+shift has no term of its own: c does not see it.
+
+All terms are taken at the best point, so that their size is no evidence of x. For measured records
+g is linear about that point: several of the terms are degrees wide and known to first order only,
+and the curvature of g would move the median by what is not known.
 """
 
 from __future__ import annotations
@@ -66,18 +65,19 @@ from terraphi.inference.records import Record
 from terraphi.inference.soils import Calibration, model_error
 from terraphi.library.store import PHI, Curves, Library
 
-DIFFUSE = 30.0
-"""κ: standard deviation of an unknown shape, of peak-to-peak [-]."""
 SHIFT_DEG = 15.0
-"""Largest shift of the leg angle of measured records [deg]."""
+"""Largest shift of the leg angle of measured records [deg]: chosen, above the 13° of the shipped
+and simulated records."""
 RIDGE = 2e-3
-"""Standard deviation added to each window mean, of peak-to-peak [-]."""
+"""Standard deviation added to each window mean, of peak-to-peak [-]: the emulator's largest error
+in unseen simulations of an exact model (tests/inference/test_emulator.py)."""
 UNKNOWN_DENSITY = 0.10
-"""Relative standard deviation of a density of which nothing is known [-]."""
-BEYOND_DEG = 12.0
-"""How far beyond the library's ends angles are looked for, with forces that continue linearly."""
+"""Relative standard deviation of a density of which nothing is known [-]: chosen."""
+BEYOND_DEG, LIMITS_DEG = 12.0, (0.5, 80.0)
+"""How far beyond the library's ends angles are looked for, with forces that continue linearly; and
+angles that can be answered [deg]; chosen."""
 FAR_OFF = 3.0
-"""Factor between data and best curve at which no angle fits [-]."""
+"""Factor between data and best curve at which no angle fits [-]: chosen."""
 SIMILAR = {"leg.width": 0.02, "motion.hip.1": 0.015, "leg.half_thickness": 0.015}
 """How far a rig may be from the library's: in the width over it, in the height of the hip and in
 the thickness over the length. Each moves φ by at most 0.5° (2 mm of Li's hip by 1°, 10 % of force
@@ -332,7 +332,7 @@ class Likelihood:
     def _best(self) -> tuple[FloatArray, FloatArray]:
         """Parameters and shifts of the smallest squared residual."""
         if len(self.keys) == 1:
-            x = np.linspace(*self._ends, 257)
+            x = np.linspace(*self.ends, 257)
         else:
             x = self.low + (self.high - self.low) * np.random.default_rng(0).random(
                 (512, len(self.keys))
@@ -360,7 +360,7 @@ class Likelihood:
             # Half the spacing of the first search at most: the global minimum is near.
             limit = (self.high - self.low) / (256 if len(self.keys) == 1 else 8)
             own = np.clip(step[: best.size], -limit, limit)
-            best = np.clip(best + own, *self._ends)
+            best = np.clip(best + own, *self.ends)
             turn = np.clip(step[best.size :], -0.5, 0.5)
             if self.measured:
                 shift = np.clip(shift + turn, -SHIFT_DEG, SHIFT_DEG)
@@ -370,10 +370,11 @@ class Likelihood:
         return best, shift
 
     @property
-    def _ends(self) -> tuple[FloatArray, FloatArray]:
+    def ends(self) -> tuple[FloatArray, FloatArray]:
         """Least and largest parameters that are looked at: of φ up to 12° beyond the library."""
-        reach = np.where(np.array(self.keys) == PHI, BEYOND_DEG, 0.0)
-        return self.low - reach, self.high + reach
+        of_phi = np.array(self.keys) == PHI
+        low = np.where(of_phi, np.maximum(self.low - BEYOND_DEG, LIMITS_DEG[0]), self.low)
+        return low, np.where(of_phi, np.minimum(self.high + BEYOND_DEG, LIMITS_DEG[1]), self.high)
 
     @cached_property
     def beyond(self) -> tuple[float, float] | None:
@@ -385,12 +386,13 @@ class Likelihood:
             return None
         best, i = float(self.least_squares[self._phi]), self._phi
         low, high = float(self.low[i]), float(self.high[i])
+        least, most = (float(end[i]) for end in self.ends)
         curve, data = self.curves(self.least_squares[None])[0] / self.span, self.data / self.span
         scale = float(curve @ data) / max(float(curve @ curve), 1e-12)
-        if best >= high + 0.999 * BEYOND_DEG or scale > FAR_OFF:
-            return high, high + BEYOND_DEG
-        if best <= low - 0.999 * BEYOND_DEG or abs(scale) < 1.0 / FAR_OFF:
-            return low - BEYOND_DEG, low
+        if best >= most - 0.01 or scale > FAR_OFF:
+            return high, most
+        if best <= least + 0.01 or abs(scale) < 1.0 / FAR_OFF:
+            return least, low
         return None
 
     # -- covariance ------------------------------------------------------------------------------
@@ -405,8 +407,6 @@ class Likelihood:
         inside = {leg: self._within(leg, x) for leg in self.emulators}
         of_legs = {leg: e.interpolation(inside[leg]) for leg, e in self.emulators.items()}
         found["emulator"] = self._shared_by_leg(of_legs)
-        of_shift = self._shift_slope(x, self.shift_deg)
-        shape = self._shape(np.hstack([slope, of_shift]))
         if not self.measured:
             scatter = {leg: e.scatter(inside[leg]) for leg, e in self.emulators.items()}
             blocks = []
@@ -415,7 +415,7 @@ class Likelihood:
                 both = ratio * np.kron(np.eye(2), operator)
                 blocks.append(both @ scatter[record.leg] @ both.T)
             found["particle scatter"] = self._blocks(blocks)
-            return {**found, "shape": shape}
+            return found
         found |= self._of_corrections(inside)
         if self._phi is not None:
             found |= self._model_offset(slope[:, self._phi])
@@ -430,8 +430,7 @@ class Likelihood:
         gain = np.array([0.0 if self._calibrated(r.leg) else r.gain_sd for r in self.records])
         if gain.any():
             found["gain"] = _square(gain[self._of] * curve)
-        found["zero of θ"] = SHIFT_DEG**2 / 3.0 * of_shift @ of_shift.T
-        return {**found, "shape": shape}
+        return found
 
     def _within(self, leg: str, x: FloatArray) -> FloatArray:
         """Where a leg's curves are taken from, within the library, [key]."""
@@ -515,58 +514,50 @@ class Likelihood:
             "model: offset": offset * same_leg,
         }
 
-    def _shape(self, slope: FloatArray) -> FloatArray:
-        """P (κp)² P' of all records together.
-
-        So several records give the angle of their common least squares, between those of each. With
-        their shared errors as weights it could lie outside (Peelle's puzzle).
-        """
-        s, p = slope, self.span
-        weighted = s / p[:, None] ** 2
-        projector = np.eye(len(p)) - s @ np.linalg.pinv(s.T @ weighted) @ weighted.T
-        factor = projector * (DIFFUSE * p)
-        return np.asarray(factor @ factor.T)
-
     @cached_property
     def covariance(self) -> FloatArray:
         """Sum of all terms [N²], shape [n, n]."""
         return np.asarray(sum(self.terms.values()))
 
     @cached_property
-    def _whitening(self) -> FloatArray:
-        """Inverse of the covariance's Cholesky factor."""
-        return np.linalg.inv(np.linalg.cholesky(self.covariance))
+    def _weights(self) -> FloatArray:
+        """Weights c of each parameter at the best point, shape [key, n] [unit/N]."""
+        of_shift = self._shift_slope(self.least_squares, self.shift_deg)
+        if self.measured:
+            of_shift[:, np.abs(self.shift_deg) >= SHIFT_DEG] = 0.0  # these shifts are not fitted
+        s = np.hstack([self.slope(self.least_squares), of_shift]) / self.span[:, None]
+        return np.asarray(np.linalg.pinv(s)[: len(self.keys)] / self.span)
+
+    @cached_property
+    def _variance(self) -> FloatArray:
+        """Covariance V of the parameters, shape [key, key]."""
+        return np.asarray(self._weights @ self.covariance @ self._weights.T)
 
     def __call__(self, x: FloatArray) -> FloatArray:
         """Log-likelihood up to a constant, shape [k, key] -> [k]."""
-        if self.measured:
-            best = self.least_squares
-            curves = self.curves(best[None]) + (x - best) @ self.slope(best).T
-        else:
-            curves = self.curves(x)
-        return np.asarray(-0.5 * np.square((self.data - curves) @ self._whitening.T).sum(axis=1))
+        apart = (
+            x - self.least_squares if self.measured
+            else (self.curves(x) - self.data) @ self._weights.T
+        )  # fmt: skip
+        return np.asarray(-0.5 * ((apart @ np.linalg.pinv(self._variance)) * apart).sum(axis=1))
 
     def chi2(self, x: FloatArray) -> float:
-        """Squared residual at a point, over all terms but the shape [-]."""
-        known = self.covariance - self.terms["shape"]
+        """Squared residual at a point, over all terms [-]."""
         residual = self.data - self.curves(x[None])[0]
-        return float(residual @ np.linalg.solve(known, residual))
+        return float(residual @ np.linalg.solve(self.covariance, residual))
 
-    def sd(self, x: FloatArray) -> FloatArray:
-        """Standard deviation of each parameter from all terms, linear about a point, [key]."""
-        white = self._whitening @ self.slope(x)
-        return np.sqrt(np.diag(np.linalg.pinv(white.T @ white)))
+    @property
+    def sd(self) -> FloatArray:
+        """Standard deviation of each parameter from all terms, [key]."""
+        return np.sqrt(np.diag(self._variance))
 
-    def budget(self, x: FloatArray, key: str = PHI) -> dict[str, float]:
+    def budget(self, key: str = PHI) -> dict[str, float]:
         """Share of each term in the standard deviation of a parameter, in its unit.
 
         With c the weights of the estimate, c'C_t c; the squares add up to the variance. The
-        largest comes first, and what is below a hundredth of it is left out. Slopes are taken
-        within the library.
+        largest comes first, and what is below a hundredth of it is left out.
         """
-        white = self._whitening @ self.slope(np.clip(x, self.low, self.high))
-        c = self._whitening.T @ white @ np.linalg.pinv(white.T @ white)
-        c = c[:, self.keys.index(key)]
+        c = self._weights[self.keys.index(key)]
         shares = {n: math.sqrt(max(float(c @ term @ c), 0.0)) for n, term in self.terms.items()}
         most = max(shares.values())
         ordered = sorted(shares.items(), key=lambda item: -item[1])

@@ -44,9 +44,9 @@ FEWEST_WINDOWS = 9
 MOST_READINGS = 4000
 """Readings above which a record is averaged in bins of 0.05°, or wider."""
 DENSITY_SD = 0.05
-"""Relative standard deviation of a density that comes without one."""
+"""Relative standard deviation of a density that comes without one: chosen."""
 GAIN_SD = 0.02
-"""Standard deviation of a sensor's gain of which nothing is said [-]."""
+"""Standard deviation of a sensor's gain of which nothing is said [-]: chosen."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,12 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.inference.likelihood import BEYOND_DEG, Likelihood
+from terraphi.inference.likelihood import Likelihood
 
-NODES = 1601
+NODES = 801
 """Nodes of the quadrature, over eight standard deviations to either side."""
-LIMITS_DEG = (0.5, 80.0)
-"""Friction angles that can be answered [deg]."""
 ENSEMBLES, WALKERS, STEPS = 4, 24, 1200
 """Independent ensembles, their walkers (at least twice the parameters), and steps of each."""
 
@@ -42,19 +40,12 @@ def quadrature(likelihood: Likelihood) -> tuple[FloatArray, FloatArray]:
     grid, density
         [deg] and [1/deg], shape [node] each.
     """
-    low = max(float(likelihood.low[0]) - BEYOND_DEG, LIMITS_DEG[0])
-    high = min(float(likelihood.high[0]) + BEYOND_DEG, LIMITS_DEG[1])
     if likelihood.beyond is not None:
-        grid = np.linspace(*likelihood.beyond, NODES)
-        return grid, np.full(NODES, 1.0 / BEYOND_DEG)
-    # A coarse grid can miss a narrow peak by hundreds of log units; least squares is close to it.
-    grid = np.union1d(np.linspace(low, high, 257), likelihood.least_squares)
-    for _ in range(3):
-        value = likelihood(grid[:, None])
-        best = float(grid[value.argmax()])
-        sd = float(likelihood.sd(np.array([best]))[0])
-        fine = np.linspace(max(low, best - 8.0 * sd), min(high, best + 8.0 * sd), NODES)
-        grid = np.union1d(np.linspace(low, high, 257), fine)
+        low, high = likelihood.beyond
+        return np.linspace(low, high, NODES), np.full(NODES, 1.0 / (high - low))
+    best, reach = likelihood.least_squares, 8.0 * likelihood.sd
+    low, high = (float(np.clip(best + way, *likelihood.ends)[0]) for way in (-reach, reach))
+    grid = np.linspace(low, high, NODES)
     value = likelihood(grid[:, None])
     density = np.exp(value - value.max())
     return grid, density / np.trapezoid(density, grid)
@@ -78,7 +69,7 @@ def sample(likelihood: Likelihood, *, seed: int = 0, steps: int = STEPS) -> Draw
         return found
 
     chains, taus = [], []
-    spread = np.minimum(likelihood.sd(start), 0.3 * (high - low))
+    spread = np.minimum(likelihood.sd, 0.3 * (high - low))
     for child in np.random.SeedSequence(seed).spawn(ENSEMBLES):
         rng = np.random.default_rng(child)
         first = np.clip(start + spread * rng.standard_normal((walkers, count)), low, high)

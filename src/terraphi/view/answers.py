@@ -36,7 +36,7 @@ ACTIONS = {
     "a record with another leg": ("model: leg",),
     "a record of the whole stroke": ("missing angles",),
     "both forces": ("missing forces",),
-    "more readings": ("noise", "zero of θ"),
+    "more readings": ("noise",),
     "a library with more cases": ("emulator",),
 }
 """What narrows the interval, and which terms it removes."""
