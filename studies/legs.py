@@ -165,7 +165,7 @@ def line(case: Case) -> str:
         np.bincount(bins[inside], history.channel(name)[inside], ANGLES.size) / count
         for name in ("Fx", "Fz", "M")
     ]
-    checkpoint.remove()
+    checkpoint.path.unlink(missing_ok=True)
     return ",".join([*map(str, known), *(f"{v:.5g}" for v in np.concatenate(means))]) + "\n"
 
 

@@ -94,7 +94,7 @@ def test_a_simulation_keeps_its_origin_through_a_csv(made: ForceHistory, tmp_pat
     made.to_csv(file)
     [found] = open_forces(file)
     assert found.history.provenance == {**made.provenance, "file": "s.csv"}
-    assert (found.leg, found.density_kg_m3, found.medium) == ("c", 1500.0, "simulated (rft)")
+    assert (found.rig.leg, found.density_kg_m3, found.medium) == ("c", 1500.0, "simulated (rft)")
     found.history.to_csv(tmp_path / "t.csv")
     assert (tmp_path / "t.csv").read_bytes() == file.read_bytes()
     table = pd.read_csv(file, comment="#")
@@ -105,7 +105,7 @@ def test_a_shipped_record_keeps_its_leg_and_density_through_a_csv(tmp_path: Path
     shipped = measurement("li2013:poppy_loose/c")
     shipped.history.to_csv(tmp_path / "p.csv")
     [found] = open_forces(tmp_path / "p.csv")
-    assert (found.leg, found.density_kg_m3, found.source) == ("c", 638.0, shipped.source)
+    assert (found.rig.leg, found.density_kg_m3, found.source) == ("c", 638.0, shipped.source)
 
 
 @pytest.mark.parametrize(
@@ -120,7 +120,7 @@ def test_what_was_changed_by_hand_counts_as_measured(
     with caplog.at_level(logging.WARNING):
         [found] = open_forces(file)
     assert found.history.provenance == {"file": "s.csv"}
-    assert (found.leg, found.density_kg_m3) == ("straight", None)
+    assert (found.rig, found.density_kg_m3) == (None, None)
     assert "s.csv: the comment on the origin of these forces does not fit" in caplog.text
 
 

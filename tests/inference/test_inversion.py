@@ -315,7 +315,7 @@ def test_an_angle_beyond_the_soils_that_were_learned_from_is_said(sand3d: Librar
         emulator = Emulator(sand3d.curves("straight", corrected=True))
         force = emulator(np.array([[phi]]))[0].T
         history = ForceHistory(np.radians(emulator.curves.theta_deg), force)
-        answers.append(invert(history, leg="straight", density=1650.0))
+        answers.append(invert(history, rig="li2013", leg="straight", density=1650.0))
     inside, outside = answers
     assert any("lies outside" in question for question in outside.questions)
     assert not any("lies outside" in question for question in inside.questions)

@@ -298,7 +298,7 @@ def test_draws_of_two_parameters_agree_with_a_grid(rft3d: Library) -> None:
     points = np.column_stack([rng.uniform(20.0, 45.0, 30), rng.uniform(0.2, 0.6, 30)])
     library = Library("two", tuple(case(*point) for point in points))
     truth = case(33.0, 0.4)
-    record = replace(open_record(truth.history, rig=truth.rig, noise=0.5), simulated=True)
+    record = replace(open_record(truth.history, noise=0.5), simulated=True)
     likelihood = Likelihood([record], library)
     drawn = sample(likelihood, seed=1, steps=500)
     best, reach = likelihood.least_squares, 6.0 * likelihood.sd

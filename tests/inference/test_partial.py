@@ -30,7 +30,7 @@ def test_information_of_the_parts_adds_up_to_that_of_the_whole(sand3d: Library) 
         )
         likelihood = Likelihood([record], sand3d)
         share = likelihood.strokes[0].share
-        missing = likelihood.budget(likelihood.least_squares)["missing angles"]
+        missing = likelihood.budget()["missing angles"]
         assert missing == pytest.approx(PART_DEG * np.sqrt(1.0 / share - 1.0), rel=0.05)
         shares.append(share)
     # Each is taken at the best angle of its part.

@@ -39,7 +39,7 @@ SOME_FAILED = 1
 @click.option(
     "--simulated/--measured",
     default=None,
-    help="Of what FORCES are.  [default: as in FORCES]",
+    help="What FORCES are.  [default: as in FORCES]",
 )
 @click.option("--out", type=PATH, help="Folder for answer.json, .nc (ArviZ) and .png.")
 @click.option(

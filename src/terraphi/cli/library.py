@@ -63,8 +63,8 @@ def library_build(
 
     check_file(out, kind="library")
     given = with_rig(options)
-    if (plan is None) == (given["rig"] is None):
-        raise InputError("give a PLAN, or a rig by its sizes or --rig FILE")
+    if (plan is None) == (given["rig"] is None) or (plan and given["leg"]):
+        raise InputError("give a PLAN, or a rig by --leg with its four sizes, or by --rig FILE")
     chosen = Plan.load(plan) if plan is not None else Plan.of_rig(Rig.of(**given))
     count = min(workers or os.cpu_count() or 1, chosen.count)
     announce(chosen.cases(), count)

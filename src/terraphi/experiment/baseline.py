@@ -95,7 +95,8 @@ def baseline(
         weights = np.linalg.pinv(known[:, terms])
         apart = np.square(read - known[:, terms] @ weights @ read).sum(axis=0)
         sd = np.sqrt(max(apart.max() / max(len(read) - len(terms), 1), SCATTER**2))
-        error = sd * np.linalg.norm(design[:, terms] @ weights, axis=1).max()
+        spread = np.einsum("nk,kl,nl->n", design[:, terms], weights @ weights.T, design[:, terms])
+        error = sd * np.sqrt(spread.max())
         if np.linalg.matrix_rank(known[:, terms]) < len(terms) or error > OFFSET / 2.0:
             weighed &= terms is not WEIGHT
             continue
@@ -123,5 +124,5 @@ def baseline(
         amplitude = np.hypot(*every[2:])
         notes.append(f"The leg's own weight is taken off, a sine of θ in air: {sizes(amplitude)}.")
     elif not weighed:
-        notes.append("The leg's own weight is taken to be off: too few angles in air to fit it.")
+        notes.append("The leg's own weight is taken to be subtracted: too few angles in air.")
     return Baseline(found, notes)

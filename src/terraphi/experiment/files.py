@@ -80,7 +80,9 @@ def _content(handle: int, path: Path) -> bytes:
         if not part:
             return bytes(content)
         content += part
-    return bytes(BYTES + 1)
+    if len(content) <= BYTES:
+        raise InputError(f"{path}: not read within {SECONDS:g} s; save it to a file first")
+    return bytes(content)
 
 
 def read_text(path: Path) -> str:
@@ -218,9 +220,9 @@ def temporary_folder(target: Path) -> Iterator[Path]:
     """
     for old in target.parent.glob(f".*{MARK}????????"):
         with suppress(OSError), opened_folder(old) as handle:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             there = os.fstat(handle)
             if there.st_uid == os.geteuid() and time.time() - there.st_mtime > LEAST_AGE:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 shutil.rmtree(old)
     prefix = f".{target.name[:40]}{MARK}"
     with (
@@ -345,8 +347,10 @@ def open_netcdf(
     except ValidationError as error:
         sentence = sentence_from_validation(error, str(path), attributes)
         raise InputError(f"{sentence}; make the {kind} again") from error
+    except InputError:
+        raise
     except (LookupError, TypeError, ValueError) as error:
-        why = f"{path}: not a {kind} as this version writes it ({error}); make it again"
+        why = f"{path}: not as this version writes {kind} ({error}); make it again"
         raise InputError(why) from error
 
 

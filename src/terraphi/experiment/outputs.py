@@ -134,24 +134,24 @@ def output_folder(path: Path, *, kind: str, last: str) -> Iterator[Path]:
     """
     old = check_folder(path, kind=kind)
     made_folder(path.parent)
-    with temporary_folder(path) as made:
-        try:
+    try:
+        with temporary_folder(path) as made:
             yield made
-        except OSError as error:
-            reason = error.strerror or error
-            raise InputError(f"{path}: cannot be written ({reason}); try another place") from error
-        new = sorted((file.name for file in made.iterdir()), key=lambda name: name == last)
-        check_folder(path, kind=kind, names=new)
-        made_folder(path)
-        digests = {name: _digest(made, name) for name in new}
-        # If the process is killed from here on, the folder is still ours. Files of earlier results
-        # that have no successor stay: a name in a manifest is no reason to delete.
-        files = sorted({*old, *new} - {MANIFEST})
-        manifest = Manifest(kind=kind, files=files, digests=digests)
-        made.joinpath(MANIFEST).write_text(manifest.model_dump_json(indent=2), encoding="utf-8")
-        path.joinpath(last).unlink(missing_ok=True)
-        for name in (MANIFEST, *new):
-            made.joinpath(name).replace(path / name)
+            new = sorted((file.name for file in made.iterdir()), key=lambda name: name == last)
+            check_folder(path, kind=kind, names=new)
+            made_folder(path)
+            digests = {name: _digest(made, name) for name in new}
+            # If the process is killed from here on, the folder is still ours. Files of earlier
+            # results that have no successor stay: a name in a manifest is no reason to delete.
+            files = sorted({*old, *new} - {MANIFEST})
+            manifest = Manifest(kind=kind, files=files, digests=digests)
+            made.joinpath(MANIFEST).write_text(manifest.model_dump_json(indent=2), encoding="utf-8")
+            path.joinpath(last).unlink(missing_ok=True)
+            for name in (MANIFEST, *new):
+                made.joinpath(name).replace(path / name)
+    except OSError as error:
+        reason = error.strerror or error
+        raise InputError(f"{path}: cannot be written ({reason}); try another place") from error
 
 
 def _content(folder: Path, name: str) -> bytes:

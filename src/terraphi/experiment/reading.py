@@ -98,10 +98,10 @@ class ForceColumns(Strict):
     force_on: Literal["leg", "soil"] = "leg"
     """Whether the forces act on the leg or on the soil."""
     air_before_deg: float | None = None
-    """Below this leg angle the leg is in air, and the forces are tared; -180 for not at all. If not
-    given, `invert` takes that of the library's leg."""
+    """Below this leg angle [deg] the leg is in air, and the forces are tared; -180 for not at all.
+    If not given, `invert` takes that of the rig."""
     air_after_deg: float | None = None
-    """The same, above which it is in air again."""
+    """Leg angle [deg] above which it is in air again; 180 for not at all."""
 
     @field_validator("unit", "theta_unit", mode="before")
     @classmethod
@@ -499,7 +499,9 @@ class _Reading:
     ) -> tuple[FloatArray, FloatArray]:
         """Forces and moment less what they read while the leg is in air; noted."""
         low, high = self.given.air_before_deg, self.given.air_after_deg
-        air = (theta < (-np.inf if low is None else low)) | (theta > (high or np.inf))
+        air = (theta < (-np.inf if low is None else low)) | (
+            theta > (np.inf if high is None else high)
+        )
         if _scattered(theta) or not air.any():
             return force, moment
         whole = np.isfinite(moment).all()

@@ -137,8 +137,11 @@ class Rig(Strict):
 
     def __str__(self) -> str:
         """Sizes in one line, such as ``straight leg 110 × 40 × 8 mm, hip 35 mm above the soil``."""
-        sizes = " × ".join(f"{v:.3g}" for v in (self.length_mm, self.width_mm, self.thickness_mm))
-        return f"{LEG_NAMES[self.leg]} {sizes} mm, hip {self.hip_height_mm:.3g} mm above the soil"
+        sizes = " × ".join(
+            f"{round(v, 1):g}" for v in (self.length_mm, self.width_mm, self.thickness_mm)
+        )
+        height = f"hip {round(self.hip_height_mm, 1):g} mm above the soil"
+        return f"{LEG_NAMES[self.leg]} {sizes} mm, {height}"
 
     @classmethod
     def of_scenario(cls, scenario: Scenario) -> Self | None:
@@ -152,14 +155,14 @@ class Rig(Strict):
             return None
         ends_round = scenario.model == "mpm" and scenario.dimensions == 3
         length = leg.reach() if ends_round else leg.chord
-        return cls.model_validate({
-            "leg": leg.shape,
-            "length_mm": 1e3 * length,
-            "width_mm": 1e3 * leg.width,
-            "thickness_mm": 2e3 * leg.half_thickness,
-            "hip_height_mm": min(max(0.0, 1e3 * scenario.hip_height), 999.0 * length),
-            "hip_height_sd_mm": 0.0,
-        })  # fmt: skip
+        return cls(
+            leg=leg.shape,
+            length_mm=1e3 * length,
+            width_mm=1e3 * leg.width,
+            thickness_mm=2e3 * leg.half_thickness,
+            hip_height_mm=min(max(0.0, 1e3 * scenario.hip_height), 999.0 * length),
+            hip_height_sd_mm=0.0,
+        )
 
     @classmethod
     def of(cls, rig: Any, leg: str | None = None) -> Self:

@@ -153,7 +153,9 @@ def read_cells(path: Path) -> tuple[dict[str, dict[str, str]], list[str]]:
     InputError
         If it is not text, a row has more cells than the first, or two columns have one name.
     """
-    lines = {f"line {i}": line for i, line in enumerate(_lines(path), 1) if line.strip()}
+    lines = {
+        f"line {i}": line for i, line in enumerate(_without_breaks(_lines(path)), 1) if line.strip()
+    }
     comments = [line for line in lines.values() if line[0] == "#"]
     kept = {place: line for place, line in lines.items() if line[0] != "#"}
     separator = next((sign for sign in "\t;" if sign in next(iter(kept.values()), "")), ",")

@@ -259,6 +259,16 @@ def guesses(likelihood: Likelihood) -> Iterator[str]:
         spacing = float(np.median(np.diff(record.history.theta_deg)))
         if spacing > COARSE_DEG:
             yield f"{name}The readings are {spacing:.0f}° apart; peaks between them are missed."
+        correction = likelihood.library.corrections.get(record.leg)
+        if (
+            likelihood.measured
+            and record.rig.hip_height_sd_mm > 0.0
+            and (correction is None or "hip height" not in correction.modes)
+        ):
+            yield (
+                f"{name}The ± {record.rig.hip_height_sd_mm:g} mm of the hip's height are not in "
+                f"this interval: library {likelihood.library.name} does not have their effect."
+            )
         if part.share < NEARLY_ALL and likelihood.measured and PHI in likelihood.keys:
             low, high = np.clip(record.history.theta_deg[[0, -1]], -WINDOW_DEG, WINDOW_DEG)
             yield (

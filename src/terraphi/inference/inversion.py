@@ -38,7 +38,7 @@ from terraphi.inference.likelihood import (
     UNKNOWN_DENSITY,
     Likelihood,
     channels_of,
-    check_rig,
+    is_similar,
 )
 from terraphi.inference.records import Record, open_records
 from terraphi.inference.sampling import Drawn, quadrature, sample
@@ -220,11 +220,11 @@ def calibrate(
         read = float(best[likelihood.keys.index(PHI)])
         shares = likelihood.budget()
         sd = _sd_without(likelihood, (*MODEL, *OF_RIG))
-        rig = math.hypot(*(shares.get(name, 0.0) for name in OF_RIG))
+        rig_sd = math.hypot(*(shares.get(name, 0.0) for name in OF_RIG))
         error = likelihood.errors[record.leg]
         apart = read - phi_deg
         usual = math.hypot(error.common_sd_deg, error.soil_sd_deg, error.leg_sd_deg,
-                           error.offset_sd_at(read), rig, phi_sd_deg, sd)  # fmt: skip
+                           error.offset_sd_at(read), rig_sd, phi_sd_deg, sd)  # fmt: skip
         if abs(apart) > FAR * usual:
             raise InputError(
                 f"{record.source}: forces and angle disagree by {apart:+.0f}°, at most "
@@ -235,7 +235,7 @@ def calibrate(
             CalibrationSoil(
                 source=record.source, leg=record.leg, phi_deg=phi_deg, phi_sd_deg=phi_sd_deg,
                 read_deg=read, read_sd_deg=sd,
-                rig_sd_deg=rig, gain=record.gain,
+                rig_sd_deg=rig_sd, gain=record.gain,
             )
         )  # fmt: skip
     return Calibration(library=found.name, library_hash=found.hash, soils=soils)
@@ -661,13 +661,9 @@ def _library_of_theory(records: Sequence[Record]) -> Library:
     Of one rig a leg: that of the first record with it.
     """
     shipped = shipped_library(SECOND)
-    try:
-        for record in records:
-            check_rig(record, shipped, shipped.curves(record.leg))
+    if all(is_similar(record, shipped.curves(record.leg)) for record in records):
         return shipped
-    except InputError:
-        rigs = {record.leg: record.rig for record in records}
-        return _theory(tuple(rigs.values()))
+    return _theory(tuple({record.leg: record.rig for record in reversed(records)}.values()))
 
 
 @functools.lru_cache(maxsize=16)

@@ -142,24 +142,32 @@ def scaled(record: Record, curves: Curves) -> tuple[float, Curves]:
     return density * length**3, curves._replace(arm=arm)
 
 
-def check_rig(record: Record, library: Library, curves: Curves) -> None:
-    """Raise InputError if a measured record's rig has other ratios than the library's."""
-    own, rig = record.rig, Rig.of_scenario(curves.scenario)
-    if record.scenario is not None or rig is None:
-        return
+def is_similar(record: Record, curves: Curves) -> bool:
+    """Whether a record's rig has the proportions of a library's, but for what that varies."""
+    rig = Rig.of_scenario(curves.scenario)
+    if rig is None:
+        return True
+    own, theirs = record.rig.ratios, rig.ratios
     apart = {
-        "leg.width": abs(own.ratios.width / rig.ratios.width - 1.0),
-        "motion.hip.1": abs(own.ratios.hip_height - rig.ratios.hip_height),
-        "leg.half_thickness": abs(own.ratios.thickness - rig.ratios.thickness),
+        "leg.width": abs(own.width / theirs.width - 1.0),
+        "motion.hip.1": abs(own.hip_height - theirs.hip_height),
+        "leg.half_thickness": abs(own.thickness - theirs.thickness),
     }
-    if any(apart[key] > SIMILAR[key] for key in apart if key not in curves.keys):
-        sizes = own.sizes_mm.items()
-        options = " ".join(f"--{key[:-3].replace('_', '-')} {size:g}" for key, size in sizes)
-        raise InputError(
-            f"{record.source}: library {library.name} is not of a {own}; build one: terraphi "
-            f"library build --leg {own.leg} {options} --out mine.nc, and add --library mine.nc, "
-            "or rft3d for a rough angle at once"
-        )
+    return all(apart[key] <= SIMILAR[key] for key in apart if key not in curves.keys)
+
+
+def check_rig(record: Record, library: Library, curves: Curves) -> None:
+    """Raise InputError if a measured record's rig has other proportions than the library's."""
+    if record.scenario is not None or is_similar(record, curves):
+        return
+    own, rig = record.rig, Rig.of_scenario(curves.scenario)
+    sizes = own.sizes_mm.items()
+    options = " ".join(f"--{key[:-3].replace('_', '-')} {size:g}" for key, size in sizes)
+    raise InputError(
+        f"{record.source}: library {library.name} is of a {rig}, and this leg has other "
+        f"proportions; build one: terraphi library build --leg {own.leg} {options} --out mine.nc, "
+        "and add --library mine.nc, or rft3d for a rough angle at once"
+    )
 
 
 class Likelihood:

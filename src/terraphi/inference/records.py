@@ -325,7 +325,7 @@ def record_of(
     source = known.rig if rig is None else rig
     if source is None:
         raise InputError(
-            f"{known.name}: of which apparatus are these forces? Add its sizes in mm, as --leg "
+            f"{known.name}: the size of the leg is not known; add it in mm, as --leg "
             f"{leg or 'straight'} --length 110 --width 40 --thickness 8 --hip-height 35±1, or "
             f"--rig li2013 --leg {leg or 'straight'} for that of Li et al. (2013)"
         )
@@ -350,6 +350,8 @@ def record_of(
         sd = 0.0
     if mean is not None and sd is None:
         sd = DENSITY_SD * mean
+    if made_by is not None and rig is not None:
+        raise InputError(f"{known.name}: a simulation knows its rig; leave out the sizes")
     if made_by is not None and gain is not None:
         raise InputError(f"{known.name}: a simulation has no sensor; leave out the gain")
     factor, gain_sd = _gain(gain, known.name)

@@ -25,6 +25,8 @@ RIG_ANGLES_DEG = (
     *(27.5, 32.5, 22.5, 37.5, 42.5, 10.0, 55.0),
 )
 """Friction angles of a rig's library [deg]: those of ``sand3d``, a coarse sweep first."""
+HIGHEST = 0.7
+"""Largest height of the hip over the length of the leg [-]; above it the leg barely scratches."""
 LEG_FRICTION = 0.3
 """Friction between leg and soil in a rig's library [-]: that of ``sand3d``."""
 
@@ -171,6 +173,11 @@ class Plan(Strict):
         >>> plan.count, plan.scenario.leg.shape
         (15, 'c')
         """
+        if rig.ratios.hip_height > HIGHEST:
+            raise InputError(
+                f"hip_height_mm = {rig.hip_height_mm:g} is {rig.ratios.hip_height:.2f} of the "
+                f"length; at most {HIGHEST:g} can be simulated"
+            )
         first, *others = RIG_ANGLES_DEG
         scenario = similar_scenario(
             rig.leg, rig.ratios, friction_angle_deg=first, leg_friction=LEG_FRICTION

@@ -263,7 +263,7 @@ def with_exponent(seen: Touchdowns, law: str, prior: Prior) -> Prior:
 
     def cost(exponent: float) -> float:
         found = fit(seen, law, replace(prior, exponent=exponent))
-        return float(np.log(found.cost).mean())
+        return float(np.log(np.maximum(found.cost, 1e-6)).mean())
 
     best = minimize_scalar(cost, bounds=EXPONENTS, method="bounded", options={"xatol": 0.02}).x
     slope_sd = float(np.hypot(prior.slope_sd, SLOPE_PER_SQUARE * best**2))
@@ -343,7 +343,9 @@ def _fit(seen: Touchdowns, law: FootLaw, prior: Prior) -> Fit:
     rising &= np.minimum.accumulate(force < 5.0 / 6.0 * end, axis=1)
     bottom = np.where(rising, seen.drop, -np.inf).max(axis=1, initial=-np.inf)
     top = np.where(rising, seen.drop, np.inf).min(axis=1, initial=np.inf)
-    sd = np.sqrt(covariance[:, 0, 0] * misfit)
+    # Birge's ratio is of the noise: what is known of the drop and its drift beforehand stays.
+    scaled = weighted @ slope / np.maximum(misfit, 1e-6)[:, None, None] + precision
+    sd = np.sqrt(np.linalg.inv(scaled)[:, 0, 0])
     sinkage = np.where(np.isfinite(sinkage), sinkage, 0.0)
     gained = np.where(rising.any(axis=1), bottom - top, 0.0)
     return Fit(state[:, 0], sd, sinkage, gained, misfit, cost_each, shared)

@@ -45,7 +45,7 @@ async function send(task) {
 
 // -- what is wrong, and what would help ---------------------------------------------------------
 
-const OFFER = /[,;]?\s*(?:add|or)?\s*--(columns|leg) (?:'([^']*)'|([\w=.,-]*\w))(?! --)/g;
+const OFFER = /[,;]?\s*(?:add|or)?\s*--(columns|leg) (?:'([^']*)'|([\w=.,-]*\w\b))(?! --)/g;
 
 function offers(text) {
   const values = [...text.matchAll(OFFER)].map(([, option, quoted, plain]) => [option, quoted ?? plain]);
@@ -141,6 +141,7 @@ async function open(dropped) {
   kind = found.kind;
   form.hidden = !["forces", "log"].includes(kind);
   by("forces").hidden = by("forces").inert = kind !== "forces";
+  form.noValidate = kind !== "forces"; // what is hidden is required of forces alone
   if (kind !== "forces") { answer(); return; }
   tabulate(found);
   form.elements.leg.value = found.rig?.leg ?? "";
@@ -162,7 +163,7 @@ function sketch() {
   by("drawing").replaceChildren();
   if (!(length > 0 && width > 0 && thick > 0 && chord > 0 && height < length)) return;
   const from = -0.6 * length, far = 0.7 * length + width, top = -0.15 * length;
-  const middle = sweep === undefined ? `L0 ${chord}` : `A${chord / 2} ${chord / 2} 0 0 ${1 - sweep} 0 ${chord}`;
+  const middle = sweep === undefined ? `L0 ${chord}` : `A${chord / 2} ${chord / 2} 0 0 ${sweep} 0 ${chord}`;
   const shapes = [
     ["rect", { x: from, y: height, width: far - from, height: 1.2 * length - height, fill: "#e8dcc5" }],
     ["path", { d: `M0 0${middle}`, fill: "none", stroke: "#0072B2", "stroke-width": thick, "stroke-linecap": "round" }],
