@@ -145,7 +145,7 @@ async function open(dropped) {
   if (kind !== "forces") { answer(); return; }
   tabulate(found);
   form.elements.leg.value = found.rig?.leg ?? "";
-  for (const { name } of sizes()) form.elements[name].value = found.rig?.[`${name}_mm`] ?? "";
+  for (const input of sizes()) input.value = found.rig?.[`${input.name}_mm`] ?? "";
   sketch();
   if (found.density) form.elements.density.value = found.density;
   show(found);
