@@ -136,7 +136,10 @@ def output_folder(path: Path, *, kind: str, last: str) -> Iterator[Path]:
     made_folder(path.parent)
     try:
         with temporary_folder(path) as made:
-            yield made
+            try:
+                yield made
+            except InputError as error:  # named as it will be
+                raise InputError(str(error).replace(str(made), str(path))) from error
             new = sorted((file.name for file in made.iterdir()), key=lambda name: name == last)
             check_folder(path, kind=kind, names=new)
             made_folder(path)
