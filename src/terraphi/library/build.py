@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from terraphi.experiment.errors import InputError, needing
-from terraphi.experiment.files import folder_lock, made_folder
+from terraphi.experiment.files import folder_lock
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import Checkpoint, model_version, simulate, software
@@ -78,7 +78,6 @@ def build(
         raise InputError(f"{path}: is a folder or a device; name a file")
     folder = path.with_name(path.name + ".cases")
     with folder_lock(folder):
-        made_folder(folder)
         finished = _finished(path, folder, wanted)
         missing = [scenario for scenario in wanted if scenario.hash not in finished]
         failures: dict[str, str] = {}
