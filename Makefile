@@ -43,7 +43,7 @@ test: lint
 NUMERICAL := tests/forward/plane/test_packets.py tests/forward/mpm
 test-processors: $(DEV)
 	NUMBA_CPU_NAME=x86-64-v3 NUMBA_CPU_FEATURES= OPENBLAS_CORETYPE=Haswell \
-		$(BIN)/pytest -n $(WORKERS) $(NUMERICAL) tests/inference/test_emulator.py
+		$(BIN)/pytest -n $(WORKERS) $(NUMERICAL) tests/laws/test_emulator.py
 	NUMBA_CPU_NAME=x86-64 NUMBA_CPU_FEATURES= OPENBLAS_CORETYPE=Nehalem \
 		$(BIN)/pytest -n $(WORKERS) $(NUMERICAL)
 

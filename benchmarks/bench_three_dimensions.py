@@ -23,7 +23,7 @@ from terraphi.forward.bed import sub_cells
 from terraphi.forward.mpm.lattice import lattice_of
 from terraphi.forward.mpm.plasticity import material_of
 from terraphi.forward.mpm.solver import MpmSolver
-from terraphi.library.plan import Plan
+from terraphi.laws.plan import Plan
 
 try:
     import warp as wp

@@ -23,7 +23,7 @@ from go2.sand import Field, Sand
 from go2.sensors import Sensors, realistic_log
 from go2.walk import Recording, Walk
 
-from terraphi.forward.foot import LAWS
+from terraphi.laws.foot import LAWS
 from terraphi.robot.forces import SensorErrors
 from terraphi.robot.joint_log import FEET, JointLog
 

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 
 import pages
 import terraphi
-from terraphi.library.store import Case
+from terraphi.laws.store import Case
 
 LIBRARY = "sand3d"
 TRUTHS = ("sand3d-truths.nc",)

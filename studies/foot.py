@@ -26,7 +26,7 @@ import pages
 import terraphi
 from terraphi.experiment.files import write_netcdf
 from terraphi.experiment.scenario import GRAVITY, Scenario
-from terraphi.forward.foot import LAWS, Foot
+from terraphi.laws.foot import LAWS, Foot
 
 RATIO = np.linspace(0.0, 2.0, 101)
 """Depths over the radius of the table."""

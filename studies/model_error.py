@@ -42,8 +42,8 @@ from terraphi.experiment.measurements import measurement, names
 from terraphi.inference.checks import log_strength, without_faults
 from terraphi.inference.likelihood import Likelihood
 from terraphi.inference.records import Record, open_record
-from terraphi.inference.soils import CENTRE_DEG
-from terraphi.library.store import Library
+from terraphi.laws.law import CENTRE_DEG
+from terraphi.laws.store import Library
 
 sys.path.insert(0, str(Path(__file__).parent / "grains"))
 import elements
@@ -263,7 +263,7 @@ def size_covariance(some: Sequence[Reading]) -> np.ndarray:
 
 
 def learn(every: Sequence[Reading]) -> dict[str, dict]:
-    """Model error by leg, as `terraphi.inference.soils.ModelError` has it."""
+    """Model error by leg, as `terraphi.laws.law.ModelError` has it."""
     every = [r for r in every if AGAIN not in r.soil]
     loose = [r for r in every if r.packing == "loose" and not np.isnan(r.critical_deg)]
     grains, media = ([r for r in loose if r.real == real] for real in (False, True))

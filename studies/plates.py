@@ -22,8 +22,8 @@ from scipy.optimize import least_squares
 
 import pages
 import terraphi
-from terraphi.forward.foot import LAWS, Foot
 from terraphi.forward.rft import stress_per_depth_3d, to_plane_strain
+from terraphi.laws.foot import LAWS, Foot
 
 sys.path.insert(0, str(Path(__file__).parent / "grains"))
 import elements

@@ -38,8 +38,8 @@ import numpy as np
 from scipy.optimize import minimize
 
 import terraphi
-from terraphi.inference.emulator import Emulator
-from terraphi.library.store import THETA_DEG, Correction, Library
+from terraphi.laws.emulator import Emulator
+from terraphi.laws.store import THETA_DEG, Correction, Library
 
 DATA = Path(__file__).parent / "data" / "libraries"
 FINER = {

@@ -13,6 +13,10 @@ import pytest
 from hypothesis import settings
 from threadpoolctl import threadpool_limits
 
+from terraphi.experiment.history import ForceHistory
+from terraphi.laws.emulator import Emulator
+from terraphi.laws.store import Library
+
 # Tests run side by side, and their small matrices gain nothing from threads.
 assert np.ones(1) @ np.ones(1) == 1.0  # loads the library that is limited
 threadpool_limits(limits=1, user_api="blas")
@@ -58,3 +62,31 @@ def terraphi(
         return Ran(status, *capsys.readouterr())
 
     return run
+
+
+@pytest.fixture(scope="session")
+def sand3d() -> Library:
+    return Library.load("sand3d")
+
+
+@pytest.fixture(scope="session")
+def rft3d() -> Library:
+    return Library.load("rft3d")
+
+
+@pytest.fixture(scope="session")
+def history_at(rft3d: Library) -> Callable[..., ForceHistory]:
+    """A record as resistive force theory has it, read every so many degrees, with noise."""
+
+    def make(
+        phi_deg: float, leg: str = "straight", *, every: float = 0.5, noise: float = 0.0,
+        seed: int = 0, span: tuple[float, float] = (-90.0, 90.0), density: float = 1650.0,
+    ) -> ForceHistory:  # fmt: skip
+        emulator = Emulator(rft3d.curves(leg))
+        theta = np.arange(span[0], span[1] + 1e-9, every)
+        curve = emulator(np.array([[phi_deg]]))[0] * density / 1650.0
+        force = np.stack([np.interp(theta, emulator.curves.theta_deg, row) for row in curve], 1)
+        force += noise * np.random.default_rng(seed).standard_normal(force.shape)
+        return ForceHistory(np.radians(theta), force)
+
+    return make

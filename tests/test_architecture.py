@@ -11,7 +11,7 @@ import pytest
 
 SOURCE = Path(__file__).parents[1] / "src" / "terraphi"
 FOLDERS = (
-    "experiment", "forward", "library", "inference", "paper", "robot", "terrain",
+    "experiment", "forward", "laws", "inference", "paper", "robot", "terrain",
     "view", "cli",
 )  # fmt: skip
 HEAVY = {"distributed", "emcee", "h5py", "matplotlib", "numba", "pandas", "scipy", "xarray"}

@@ -13,8 +13,8 @@ from scipy.spatial import ConvexHull
 
 import model_error
 import plates
-from terraphi.forward.foot import Foot
-from terraphi.inference.soils import ModelError
+from terraphi.inference.calibration import ModelError
+from terraphi.laws.foot import Foot
 
 STUDIES = Path(plates.__file__).parent
 BALL, DISC = 4 / 3 * np.pi * 0.03**3, np.pi * 0.03**2 * 0.006

@@ -18,7 +18,7 @@ from terraphi.forward.mpm.lattice import lattice_of
 from terraphi.forward.mpm.solver import MpmSolver, settle
 from terraphi.forward.plane.bed import Particles
 from terraphi.forward.plane.solver import PlaneSolver
-from terraphi.library.plan import Plan
+from terraphi.laws.plan import Plan
 
 BLOCK = 1000
 """Steps that a solver is asked for at a time; in three dimensions whole phases near it."""

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from go2.model import FOOT_RADIUS
-from terraphi.forward.foot import LAWS, Foot
+from terraphi.laws.foot import LAWS, Foot
 from terraphi.robot.joint_log import FEET
 
 FloatArray = NDArray[np.float64]
@@ -79,7 +79,7 @@ class Sand:
     surface_friction
         Coefficient between foot and sand [-].
     law
-        One of :data:`~terraphi.forward.foot.LAWS`.
+        One of :data:`~terraphi.laws.foot.LAWS`.
     radius
         Of the feet [m].
     exponent

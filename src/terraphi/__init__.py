@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from terraphi.inference.inversion import calibrate as calibrate
     from terraphi.inference.inversion import invert as invert
     from terraphi.inference.inversion import invert_many as invert_many
-    from terraphi.library.build import build as build
-    from terraphi.library.plan import Plan as Plan
-    from terraphi.library.store import Library as Library
+    from terraphi.laws.build import build as build
+    from terraphi.laws.plan import Plan as Plan
+    from terraphi.laws.store import Library as Library
     from terraphi.robot.footfalls import footfalls as footfalls
     from terraphi.robot.results import foot_forces as foot_forces
     from terraphi.terrain.export import export as export
@@ -39,15 +39,15 @@ _PLACES = {
     "ForceHistory": "experiment.history",
     "InputError": "experiment.errors",
     "Leg": "experiment.leg",
-    "Library": "library.store",
-    "Plan": "library.plan",
+    "Library": "laws.store",
+    "Plan": "laws.plan",
     "Rig": "experiment.rig",
     "Rotation": "experiment.motion",
     "Scenario": "experiment.scenario",
     "SimulationError": "experiment.errors",
     "Soil": "experiment.soil",
     "Translation": "experiment.motion",
-    "build": "library.build",
+    "build": "laws.build",
     "calibrate": "inference.inversion",
     "convert": "terrain.simulators",
     "export": "terrain.export",

@@ -22,7 +22,7 @@ import numpy as np
 
 from terraphi.experiment.files import atomic_write
 from terraphi.experiment.leg import Leg
-from terraphi.forward.foot import Foot
+from terraphi.laws.foot import Foot
 
 HERE = Path(__file__).parent
 ENDS, SIDES, FLOOR = 0.65, 0.522, 1.868

@@ -25,7 +25,7 @@ import model_error
 import pages
 import terraphi
 from terraphi.inference.records import Record
-from terraphi.library.store import Library
+from terraphi.laws.store import Library
 
 
 def inverted(record: Record, library: Library) -> terraphi.Answer:

@@ -21,8 +21,8 @@ from terraphi.cli import options
 from terraphi.cli.main import cli
 from terraphi.experiment.leg import LEG_SHAPES
 from terraphi.experiment.measurements import names
-from terraphi.forward.foot import LAWS
 from terraphi.inference.manifest import read_manifest
+from terraphi.laws.foot import LAWS
 
 Terraphi = Callable[..., Any]
 QUICK = ("--library", "rft3d")

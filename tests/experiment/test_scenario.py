@@ -14,8 +14,8 @@ from terraphi.experiment.documents import shipped_names
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.plausibility import doubts
 from terraphi.experiment.scenario import ONLY_IN, Scenario
-from terraphi.library.plan import Plan
-from terraphi.library.store import Library
+from terraphi.laws.plan import Plan
+from terraphi.laws.store import Library
 
 SPHERE = {"leg.shape": "sphere", "numerics.tip_inset_cells": 0.0}
 

@@ -14,11 +14,11 @@ from terraphi.experiment.measurements import measurement, names
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
 from terraphi.inference.checks import log_strength, without_faults
-from terraphi.inference.emulator import Emulator
 from terraphi.inference.inversion import invert
 from terraphi.inference.likelihood import Likelihood
 from terraphi.inference.records import open_record
-from terraphi.library.store import Library
+from terraphi.laws.emulator import Emulator
+from terraphi.laws.store import Library
 
 NAME = "li2013:poppy_loose/straight"
 

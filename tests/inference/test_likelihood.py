@@ -13,13 +13,14 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import names
 from terraphi.forward import simulate
-from terraphi.inference.emulator import Emulator
+from terraphi.inference.calibration import Calibration, CalibrationSoil
 from terraphi.inference.inversion import calibrate, invert
 from terraphi.inference.likelihood import Likelihood
 from terraphi.inference.records import open_record
 from terraphi.inference.sampling import quadrature, sample
-from terraphi.inference.soils import Calibration, CalibrationSoil, ModelError, model_error
-from terraphi.library.store import PHI, Case, Library
+from terraphi.laws.emulator import Emulator
+from terraphi.laws.law import ModelError, model_error
+from terraphi.laws.store import PHI, Case, Library
 
 RECORDS = [name for name in names() if name.startswith("li2013:")]
 
@@ -94,7 +95,7 @@ def test_terms_are_what_their_causes_do_to_the_forces(sand3d: Library) -> None:
     """Its own part of the density, and each mode of the correction."""
     record = open_record("li2013:poppy_loose/straight", density="638±20")
     likelihood = Likelihood([record], replace(sand3d, model_error={}))
-    emulator = likelihood.emulators["straight"]
+    emulator = likelihood.laws[0].emulator
     theta, x = emulator.curves.theta_deg, likelihood.least_squares
     x = x + likelihood.offset("straight", x)
     ratio = 638.0 / 1650.0

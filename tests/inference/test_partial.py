@@ -13,7 +13,7 @@ from terraphi.inference.inversion import invert
 from terraphi.inference.likelihood import Likelihood
 from terraphi.inference.partial import PART_DEG
 from terraphi.inference.records import open_record
-from terraphi.library.store import Library
+from terraphi.laws.store import Library
 
 
 def cut(name: str, low: float, high: float) -> ForceHistory:

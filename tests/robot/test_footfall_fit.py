@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from terraphi.forward.foot import LAWS
+from terraphi.laws.foot import LAWS
 from terraphi.robot.footfall_fit import (
     SHARED,
     Prior,

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from terraphi.forward.foot import LAWS, Foot
+from terraphi.laws.foot import LAWS, Foot
 from terraphi.robot.joint_log import JointLog
 from terraphi.robot.legs import Legs, TrunkMotion
 from terraphi.robot.model import Quadruped

@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 
 from terraphi.experiment.errors import InputError
-from terraphi.forward.foot import LAWS, Foot, wrench
 from terraphi.forward.rft import stress_per_depth_3d, stress_scale
 from terraphi.inference.answer import StoredAnswer as Told
 from terraphi.inference.inversion import invert
+from terraphi.laws.foot import LAWS, Foot, wrench
 from terraphi.terrain.export import bekker, export, in_plane_strain, text
 from terraphi.terrain.simulators import NAMES, simulator
 

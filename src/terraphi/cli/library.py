@@ -15,7 +15,7 @@ from terraphi.view.console import present, progress_bar
 from terraphi.view.table import Table
 
 if TYPE_CHECKING:
-    from terraphi.library.store import Library
+    from terraphi.laws.store import Library
 
 
 @click.group()
@@ -58,8 +58,8 @@ def library_build(
     from terraphi.experiment.outputs import check_file
     from terraphi.experiment.rig import Rig, with_rig
     from terraphi.experiment.workers import workers as processes
-    from terraphi.library import build as builder
-    from terraphi.library.plan import Plan
+    from terraphi.laws import build as builder
+    from terraphi.laws.plan import Plan
 
     check_file(out, kind="library")
     given = with_rig(options)
@@ -81,7 +81,7 @@ def library_list(as_json: bool) -> None:
 
     Example: terraphi library list
     """
-    from terraphi.library.store import Library
+    from terraphi.laws.store import Library
 
     found = [Library.load(name).summary() for name in Library.names()]
     rows = [
@@ -107,7 +107,7 @@ def library_show(name: str, as_json: bool) -> None:
 
     Example: terraphi library show sand3d
     """
-    from terraphi.library.store import Library
+    from terraphi.laws.store import Library
 
     print_library(Library.load(name), as_json)
 

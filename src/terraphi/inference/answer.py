@@ -20,7 +20,7 @@ from terraphi.experiment.documents import parse_json
 from terraphi.experiment.files import open_netcdf, read_bytes, write_netcdf
 from terraphi.experiment.outputs import output_folder
 from terraphi.experiment.rig import Rig
-from terraphi.library.store import PHI
+from terraphi.laws.store import PHI
 
 if TYPE_CHECKING:
     import pandas as pd

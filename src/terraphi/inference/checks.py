@@ -7,7 +7,7 @@ identified, and make any answer a misfit. A doubt is a sentence with one remedy.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -19,16 +19,16 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import CHANNEL_UNITS, FORCES, OBSERVATION_ANGLES, WINDOW_DEG
 from terraphi.experiment.rig import Rig
 from terraphi.experiment.units import FORCE
-from terraphi.inference.emulator import emulator_of
+from terraphi.forward.rft import to_plane_strain
 from terraphi.inference.likelihood import (
     SHIFT_DEG,
     Likelihood,
-    scaled,
     squared_residuals,
     window_means,
 )
 from terraphi.inference.records import Record
-from terraphi.library.store import PHI, Curves, differences
+from terraphi.laws.law import THEORY, LegLaw, leg_law, library_of_theory
+from terraphi.laws.store import PHI, differences
 
 LOADED = 0.05
 """Force over the largest above which an exact zero is a dropout [-]."""
@@ -48,10 +48,6 @@ STEP_SPACING_DEG = 1.5
 """Spacing of readings above which no steps are looked for [deg]."""
 MOST_LEFT_OUT = 0.5
 """Share of the readings that may be left out [-]."""
-COARSE_DEG = 4.5
-"""Usual spacing of readings above which peaks are missed [deg]."""
-ALIKE = 1.1
-"""Ratio of densities up to which records may be of one soil [-]."""
 BETTER, FITS = 0.6, 2.0
 """Residual of a record read differently at which that is proposed, over that as given, and over the
 limit of a misfit [-]."""
@@ -69,9 +65,11 @@ OTHER_ARM = 1.3
 NEARLY_ALL, WHOLE = 0.995, 0.9
 """Share of a stroke's information that counts as all of it [-]; share of its windows with which its
 shape can be compared with those of whole strokes [-]."""
-UNUSUAL, VAGUE = 2.0, 0.5
-"""Standard deviations of the size of forces that are unusual [-]; standard deviation of its
-logarithm between soils above which shapes determine it too vaguely [-]."""
+UNUSUAL = 2.0
+"""Standard deviations that are unusual [-]: one in twenty."""
+VAGUE = 0.5
+"""Standard deviation of the logarithm of the forces' size between soils above which shapes
+determine it too vaguely [-]."""
 SURE = 1.4
 """Error of a factor on the forces up to which it is named [-]."""
 FAR_APART_DEG = 10.0
@@ -257,7 +255,7 @@ def guesses(likelihood: Likelihood) -> Iterator[str]:
         density, part = likelihood.density[i], likelihood.strokes[i]
         name = f"{record.source}: " if several else ""
         spacing = float(np.median(np.diff(record.history.theta_deg)))
-        if spacing > COARSE_DEG:
+        if spacing > 2.0 * WINDOW_DEG / (OBSERVATION_ANGLES - 1):
             yield f"{name}The readings are {spacing:.0f}° apart; peaks between them are missed."
         correction = likelihood.library.corrections.get(record.leg)
         if (
@@ -289,7 +287,6 @@ def others(
     likelihood: Likelihood,
     *,
     misfit: bool,
-    second: Callable[[Likelihood], dict[str, Any] | None],
 ) -> Iterator[str]:
     """Sentences on legs, columns, sizes and units that may be others than stated.
 
@@ -299,14 +296,13 @@ def others(
         Of the records.
     misfit
         Whether the model describes them badly; only then other readings of them are proposed.
-    second
-        Gives another angle of records by other physics, or ``None``.
     """
     several = len(likelihood.records) > 1
-    if max(likelihood.density) > ALIKE * min(likelihood.density):
+    density = np.array(likelihood.density)
+    if np.ptp(density) > UNUSUAL * np.max(likelihood.density_sd * density):
         yield (
-            f"The records have densities from {min(likelihood.density):g} to "
-            f"{max(likelihood.density):g} kg/m³, and are inverted as one soil: check that they are."
+            f"The records have densities from {density.min():g} to {density.max():g} kg/m³, and "
+            "are inverted as one soil: check that they are."
         )
     for i, record in enumerate(likelihood.records):
         name = f"{record.source}: " if several else ""
@@ -322,7 +318,7 @@ def others(
         elif PHI in likelihood.keys:
             found = []
             if misfit and likelihood.keys == (PHI,):
-                found = list(_other_readings(likelihood, record, second))
+                found = list(_other_readings(likelihood, record))
             for sentence in found or [
                 *_other_arm(likelihood, i),
                 *_other_size(likelihood, i),
@@ -331,9 +327,7 @@ def others(
                 yield f"{name}{sentence}"
 
 
-def _other_readings(
-    likelihood: Likelihood, record: Record, second: Callable[[Likelihood], dict[str, Any] | None]
-) -> Iterator[str]:
+def _other_readings(likelihood: Likelihood, record: Record) -> Iterator[str]:
     """Another leg, sign, unit or order that would describe a misfit much better."""
     own = residual(record.data, record, likelihood, record.leg)
     most = FITS * likelihood.errors[record.leg].nrmsd_limit
@@ -352,7 +346,7 @@ def _other_readings(
     sizes = {leg: residual(record.data, record, likelihood, leg) for leg in others}
     if min(sizes.values(), default=np.inf) < best:
         fitting = [leg for leg in others if sizes[leg] < min(BETTER * own, most)]
-        agreeing = [leg for leg in fitting if _opinions_agree(likelihood, record, leg, second)]
+        agreeing = [leg for leg in fitting if _opinions_agree(likelihood, record, leg)]
         legs = agreeing if len(agreeing) == 1 else fitting
         proposal = (
             f"The record would fit with --leg {legs[0]}: check the leg."
@@ -363,15 +357,10 @@ def _other_readings(
         yield proposal
 
 
-def _opinions_agree(
-    likelihood: Likelihood,
-    record: Record,
-    leg: str,
-    second: Callable[[Likelihood], dict[str, Any] | None],
-) -> bool:
+def _opinions_agree(likelihood: Likelihood, record: Record, leg: str) -> bool:
     """Whether other physics gives much the same angle of a record by another leg."""
     other = Likelihood([replace(record, rig=Rig.of(record.rig, leg))], likelihood.library)
-    opinion = second(other)
+    opinion = second_opinion(other)
     apart = np.inf if opinion is None else opinion["median"] - other.least_squares[0]
     return bool(abs(apart) <= FAR_APART_DEG)
 
@@ -407,7 +396,7 @@ def _columns_otherwise(record: Record) -> dict[str, tuple[Record, FloatArray]]:
 def _other_arm(likelihood: Likelihood, i: int) -> Iterator[str]:
     """A sentence if the moment about the hip is not that of the forces, with the model's arms."""
     record = likelihood.records[i]
-    factor = moment_factor(record, likelihood.curves_of(record), likelihood.shift_deg[i])
+    factor = moment_factor(record, likelihood.laws[i], likelihood.shift_deg[i])
     if factor is not None and abs(np.log(max(factor, 1e-3))) > np.log(OTHER_ARM):
         yield (
             f"The moment is {factor:.2g} times that of the forces about the hip: check the length "
@@ -415,11 +404,11 @@ def _other_arm(likelihood: Likelihood, i: int) -> Iterator[str]:
         )
 
 
-def moment_factor(record: Record, curves: Curves, shift_deg: float) -> float | None:
+def moment_factor(record: Record, law: LegLaw, shift_deg: float) -> float | None:
     """Moment of a record over that of its forces with the model's lever arms [-], if it has all."""
-    if curves.arm is None or record.channels != FORCES or record.history.moment is None:
+    if law.arm is None or record.channels != FORCES or record.history.moment is None:
         return None
-    arm = [np.interp(record.theta_deg, curves.theta_deg + shift_deg, row) for row in curves.arm]
+    arm = [np.interp(record.theta_deg, law.theta_deg + shift_deg, row) for row in law.arm]
     of_forces = (np.array(arm) * record.data).sum(axis=0)
     return float(of_forces @ record.means(record.history.moment) / (of_forces @ of_forces))
 
@@ -491,6 +480,26 @@ def log_strength(likelihood: Likelihood, record: Record) -> tuple[float, float]:
     return found, float(np.linalg.norm(unexplained) * np.sqrt(squares[k, i]))
 
 
+def second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:
+    """Angle of measured forces by resistive force theory, as one of plane strain."""
+    if not likelihood.measured or likelihood.library.name == THEORY:
+        return None
+    try:
+        rigs = [record.rig for record in likelihood.records]
+        other = Likelihood(likelihood.records, library_of_theory(rigs))
+    except InputError:
+        return None  # it does not cover the angles of the record
+    read = float(other.least_squares[0])
+    if not other.low[0] <= read <= min(other.high[0], 43.0):
+        return None  # beyond its library, or nearly without an equivalent in plane strain
+    below, median, above = to_plane_strain(read + np.array([-1.0, 0.0, 1.0])).tolist()
+    sd = float(other.sd[0])
+    return {
+        "library": THEORY, "median": median, "sd": sd * (above - below) / 2.0,
+        "force_size_deg": phi_of_size(likelihood) if likelihood.keys == (PHI,) else None,
+    }  # fmt: skip
+
+
 def phi_of_size(likelihood: Likelihood) -> float:
     """Angle at which the model's forces are as large as the data, whatever their shape [deg].
 
@@ -511,8 +520,9 @@ def residual(data: FloatArray, record: Record, likelihood: Likelihood, leg: str)
     return float(np.sqrt(squares.min() / data.size))
 
 
-def _over_phi(likelihood: Likelihood, record: Record, leg: str) -> tuple[Curves, FloatArray]:
-    """Curves of a leg, and its forces [N] over the library's φ, at a record's density."""
-    emulator = emulator_of(likelihood.library, leg, corrected=likelihood.measured)
-    factor, curves = scaled(record, emulator.curves)
-    return curves, factor * emulator(np.linspace(*emulator.bounds, 71))
+def _over_phi(likelihood: Likelihood, record: Record, leg: str) -> tuple[LegLaw, FloatArray]:
+    """Law of a leg, and its forces [N] over the law's φ, at a record's density."""
+    rig = Rig.of(record.rig, leg)
+    law = leg_law(likelihood.library, rig, corrected=likelihood.measured, strict=False)
+    density = record.density_kg_m3 or law.density
+    return law, density / law.density * law(np.linspace(*law.bounds, 71))

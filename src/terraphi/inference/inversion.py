@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import functools
 import importlib.metadata
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,22 +13,23 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.history import ForceHistory
-from terraphi.experiment.rig import Rig, with_rig
+from terraphi.experiment.rig import with_rig
 from terraphi.experiment.scenario import Scenario
 from terraphi.experiment.soil import plane_strain_friction_angle_deg
-from terraphi.forward.rft import leg_force, to_plane_strain
+from terraphi.forward.rft import to_plane_strain
 from terraphi.inference.answer import Answer, Estimate, RecordFit, worst_nrmsd
+from terraphi.inference.calibration import Calibration, CalibrationSoil
 from terraphi.inference.checks import (
     FAR_APART_DEG,
     LARGE_SHIFT_DEG,
+    UNUSUAL,
     USUAL_DEG,
     guesses,
     in_air,
     is_whole,
     others,
-    phi_of_size,
     residual,
+    second_opinion,
     without_faults,
 )
 from terraphi.inference.likelihood import (
@@ -38,17 +37,14 @@ from terraphi.inference.likelihood import (
     UNKNOWN_DENSITY,
     Likelihood,
     channels_of,
-    is_similar,
 )
 from terraphi.inference.records import Record, open_records
 from terraphi.inference.sampling import Drawn, quadrature, sample
-from terraphi.inference.soils import Calibration, CalibrationSoil, model_error
-from terraphi.library.store import PHI, Case, Library, nearest_library, shipped_library
+from terraphi.laws.law import THEORY, library_of_theory, model_error
+from terraphi.laws.store import PHI, Library, nearest_library, shipped_library
 
 DEFAULT = "sand3d"
 """Library for measured forces."""
-SECOND = "rft3d"
-"""Library of the second opinion."""
 MODEL = ("model: apparatus", "model: soil", "model: leg", "model: offset")
 """Terms of the error of the model on real soils."""
 BETTER_LEG = 0.9
@@ -57,17 +53,9 @@ at least 0.95 in all training records."""
 FAR = 4.0
 """Standard deviations above which chance explains nothing (1 in 16,000) [-]: of chi-square of a
 simulated record, and of a calibration soil's known angle."""
-OUTSIDE = 0.3
-"""Probability that φ lies beyond the library's range above which the answer says so: chosen."""
 SEVERAL = 1.3
 """Limit of a residual of several records with one angle, over that of one [-]: chosen, for legs
 differ."""
-DISAGREES = 1.96
-"""Distance of two opinions at which both are believed, in their common standard deviation [-]: the
-end of a 95 % interval."""
-UNINFORMED = 0.9
-"""Share of the prior's standard deviation above which the posterior counts as the prior [-];
-chosen."""
 
 
 def invert(
@@ -276,8 +264,8 @@ def _library_for(
     """The library to take, and why, if none was named."""
     if isinstance(library, Library):
         return library, ""
-    if library is not None and str(library) == SECOND:
-        return _library_of_theory(records), ""
+    if library is not None and str(library) == THEORY:
+        return library_of_theory(record.rig for record in records), ""
     if library is not None:
         named = str(library)
         return (shipped_library(named) if named in Library.names() else Library.load(library)), ""
@@ -292,7 +280,7 @@ def _library_for(
 def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Answer:
     """Posterior, verdict and all that goes with them."""
     records, keys, library = likelihood.records, likelihood.keys, likelihood.library
-    second, disagreement = _second_opinion(likelihood), ""
+    second, disagreement = second_opinion(likelihood), ""
     drawn = Drawn({}, {})
     grid = density = np.zeros(0)
     if keys == (PHI,):
@@ -337,8 +325,7 @@ def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Ans
         *of_records(lambda record: record.damage),
         *air,
         # Leg, columns, sizes or units may be others than stated.
-        *(others(likelihood, misfit=verdict != "consistent", second=_second_opinion)
-          if not air else ()),
+        *(others(likelihood, misfit=verdict != "consistent") if not air else ()),
         *([far] if far else []),
         *_about(likelihood, fits, parameters, verdict),
         # The angle or its interval rests on what was not measured.
@@ -398,18 +385,18 @@ def _fits(
     points[:2] = np.clip(points[:2], likelihood.low, likelihood.high)
     curves = likelihood.curves(points)
     found = []
-    for record, part, whole, shift in zip(
-        likelihood.records, likelihood.parts, likelihood.strokes, likelihood.shift_deg, strict=True
-    ):
+    for record, law, part, whole, shift in zip(
+        likelihood.records, likelihood.laws, likelihood.parts, likelihood.strokes,
+        likelihood.shift_deg, strict=True,
+    ):  # fmt: skip
         low, high, curve = (one.reshape(len(record.channels), -1) for one in curves[:, part])
         span, error = whole.span, likelihood.errors[record.leg]
         usual = error.mean_residual(
             np.ptp(curve, axis=1) if whole.model is None else whole.model, record.theta_deg
         )
         if usual is not None:
-            on = likelihood.curves_of(record)
-            arm = on.arm if on.arm is None else np.stack(
-                [np.interp(record.theta_deg, on.theta_deg + shift, row) for row in on.arm]
+            arm = law.arm if law.arm is None else np.stack(
+                [np.interp(record.theta_deg, law.theta_deg + shift, row) for row in law.arm]
             )  # fmt: skip
             usual = channels_of(record, usual, arm)
         size = _nrmsd(record.data, curve, span)
@@ -549,13 +536,10 @@ def _edge(likelihood: Likelihood) -> str | None:
         )
     i = likelihood.keys.index(PHI)
     read = float(likelihood.least_squares[i])
-    sd = _sd_without(likelihood, (*MODEL, "density", "second opinion"))
-    offset = [float(likelihood.offset(leg, np.array(read))) for leg in likelihood.emulators]
-    low, high = likelihood.low[i] - min(offset), likelihood.high[i] - max(offset)
-    for edge, beyond in (("low", low - read), ("high", read - high)):
-        if 0.5 * math.erfc(-beyond / (math.sqrt(2.0) * max(sd, 1e-6))) > OUTSIDE:
-            return edge
-    return None
+    offsets = [float(likelihood.offset(leg, np.array(read))) for leg in likelihood.errors]
+    if read < likelihood.low[i] - min(offsets):
+        return "low"
+    return "high" if read > likelihood.high[i] - max(offsets) else None
 
 
 def _sd_without(likelihood: Likelihood, names: Sequence[str]) -> float:
@@ -588,8 +572,8 @@ def _about(
             "those of the other parameters."
         )
     if phi is not None:
-        span = float(likelihood.high[0] - likelihood.low[0]) + 24.0
-        if likelihood.keys == (PHI,) and phi.sd > UNINFORMED * span / math.sqrt(12.0):
+        prior = np.ptp(likelihood.ends) / math.sqrt(12.0) if likelihood.keys == (PHI,) else np.inf
+        if likelihood.sd[0] > prior:
             found.append(
                 "The forces carry almost no information on φ: the posterior equals the prior."
             )
@@ -635,64 +619,13 @@ def _plane_strain(phi: Estimate, scenario: Scenario) -> tuple[Estimate | None, s
         return None, str(error)
 
 
-def _second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:
-    """Angle of measured forces by resistive force theory, as one of plane strain."""
-    names = (likelihood.library.name, SECOND)
-    if not likelihood.measured or names[0] == SECOND or SECOND not in Library.names():
-        return None
-    try:
-        other = Likelihood(likelihood.records, _library_of_theory(likelihood.records))
-    except InputError:
-        return None  # it does not cover the angles of the record
-    read = float(other.least_squares[0])
-    if not other.low[0] <= read <= min(other.high[0], 43.0):
-        return None  # beyond its library, or nearly without an equivalent in plane strain
-    below, median, above = to_plane_strain(read + np.array([-1.0, 0.0, 1.0])).tolist()
-    sd = float(other.sd[0])
-    return {
-        "library": SECOND, "median": median, "sd": sd * (above - below) / 2.0,
-        "force_size_deg": phi_of_size(likelihood) if likelihood.keys == (PHI,) else None,
-    }  # fmt: skip
-
-
-def _library_of_theory(records: Sequence[Record]) -> Library:
-    """Library of resistive force theory for the rigs of records: the shipped one, or one made now.
-
-    Of one rig a leg: that of the first record with it.
-    """
-    shipped = shipped_library(SECOND)
-    if all(is_similar(record, shipped.curves(record.leg)) for record in records):
-        return shipped
-    return _theory(tuple({record.leg: record.rig for record in reversed(records)}.values()))
-
-
-@functools.lru_cache(maxsize=16)
-def _theory(rigs: tuple[Rig, ...]) -> Library:
-    """Forces on some rigs by resistive force theory, over the angles of the shipped library."""
-    base = shipped_library(SECOND)
-    theta = np.radians(np.arange(-135.0, 135.5, 0.5))
-    cases = []
-    for rig in rigs:
-        own = [case.scenario for case in base.cases if case.scenario.leg.shape == rig.leg]
-        sizes = {
-            "leg.chord": rig.length,
-            "leg.width": 1e-3 * rig.width_mm,
-            "leg.half_thickness": 5e-4 * rig.thickness_mm,
-            "motion.hip.1": own[0].bed.surface + 1e-3 * rig.hip_height_mm,
-        }
-        for scenario in (one.replace(**sizes) for one in own):
-            force, moment = leg_force(scenario, scenario.motion.poses_at(theta))
-            cases.append(Case(scenario, ForceHistory(theta, force, moment=moment)))
-    return replace(base, cases=tuple(cases))
-
-
 def _disagreement_deg(likelihood: Likelihood, own: Estimate, second: dict[str, Any]) -> float:
     """Standard deviation that makes up for another opinion [deg]; 0 if that is not far away.
 
-    With it the two differ by DISAGREES of their common standard deviation.
+    With it the two differ by :data:`UNUSUAL` of their common standard deviation.
     """
     convention = likelihood.library.cases[0].scenario.convention
     if convention != "plane_strain" or likelihood.beyond is not None:
         return 0.0
     apart = second["median"] - own.median
-    return math.sqrt(max((apart / DISAGREES) ** 2 - own.sd**2 - second["sd"] ** 2, 0.0))
+    return math.sqrt(max((apart / UNUSUAL) ** 2 - own.sd**2 - second["sd"] ** 2, 0.0))

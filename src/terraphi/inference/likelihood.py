@@ -58,19 +58,19 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import FORCES
-from terraphi.experiment.rig import Rig
-from terraphi.inference.emulator import emulator_of
+from terraphi.inference.calibration import Calibration
+from terraphi.inference.estimator import Best, least_squares, weights
 from terraphi.inference.partial import Part, missing_parts, part_of
 from terraphi.inference.records import Record
-from terraphi.inference.soils import Calibration, model_error
-from terraphi.library.store import PHI, Curves, Library
+from terraphi.laws.law import STEP, LegLaw, ModelError, leg_law, model_error
+from terraphi.laws.store import PHI, Library
 
 SHIFT_DEG = 15.0
 """Largest shift of the leg angle of measured records [deg]: chosen, above the 13° of the shipped
 and simulated records."""
 RIDGE = 2e-3
 """Standard deviation added to each window mean, of peak-to-peak [-]: the emulator's largest error
-in unseen simulations of an exact model (tests/inference/test_emulator.py)."""
+in unseen simulations of an exact model (tests/laws/test_emulator.py)."""
 UNKNOWN_DENSITY = 0.10
 """Relative standard deviation of a density of which nothing is known [-]: chosen."""
 BEYOND_DEG, LIMITS_DEG = 12.0, (0.5, 80.0)
@@ -78,14 +78,8 @@ BEYOND_DEG, LIMITS_DEG = 12.0, (0.5, 80.0)
 angles that can be answered [deg]; chosen."""
 FAR_OFF = 3.0
 """Factor between data and best curve at which no angle fits [-]: chosen."""
-SIMILAR = {"leg.width": 0.02, "motion.hip.1": 0.015, "leg.half_thickness": 0.015}
-"""How far a rig may be from the library's: in the width over it, in the height of the hip and in
-the thickness over the length. Each moves φ by at most 0.5° (2 mm of Li's hip by 1°, 10 % of force
-by 1.6 to 2°), which is less than what is assumed of sizes that were not measured."""
 OF_RIG = ("leg friction", "hip height", "gain")
 """Causes that stay as they are in an apparatus."""
-STEP = 1e-3
-"""Step of numerical derivatives, of a parameter's range [-]."""
 
 
 def channels_of(record: Record, force: FloatArray, arm: FloatArray | None) -> FloatArray:
@@ -103,71 +97,31 @@ def channels_of(record: Record, force: FloatArray, arm: FloatArray | None) -> Fl
     return np.stack([rows[name] for name in record.channels], axis=-2)
 
 
-def window_means(record: Record, force: FloatArray, curves: Curves, shift_deg: float) -> FloatArray:
-    """Forces [N] over the angles of curves, as a record reads them at a shift.
+def window_means(record: Record, force: FloatArray, law: LegLaw, shift_deg: float) -> FloatArray:
+    """Forces [N] over the angles of a law, as a record reads them at a shift.
 
     Shape [..., 2, theta] -> [..., c m].
     """
-    seen = channels_of(record, force, curves.arm)
-    means = seen @ record.operator(curves.theta_deg + shift_deg).T
+    channels = channels_of(record, force, law.arm)
+    means = channels @ record.operator(law.theta_deg + shift_deg).T
     return np.asarray(means.reshape(*means.shape[:-2], -1))
 
 
 def squared_residuals(
-    record: Record, data: FloatArray, force: FloatArray, curves: Curves, shifts: FloatArray
+    record: Record, data: FloatArray, force: FloatArray, law: LegLaw, shifts: FloatArray
 ) -> FloatArray:
     """Sum over a record of (d − g)²/p² for forces at shifts of the leg angle, [shift, k] [-].
 
     The data and their peak-to-peak p are given, [c, m]; the forces have the shape [k, 2, theta].
     """
     spans, flat = np.repeat(np.ptp(data, axis=1), data.shape[1]), data.ravel()
-    apart = [flat - window_means(record, force, curves, shift) for shift in shifts]
+    apart = [flat - window_means(record, force, law, shift) for shift in shifts]
     return np.square(np.stack(apart) / spans).sum(axis=2)
 
 
 def _square(error: FloatArray) -> FloatArray:
     """Covariance of one error, by its size at each window mean, shape [n] -> [n, n]."""
     return np.outer(error, error)
-
-
-def scaled(record: Record, curves: Curves) -> tuple[float, Curves]:
-    """Factor on a library's forces for a record's density and size [-], and arms of that size.
-
-    F = ρ g L³ f with the same f for all rigs of the same ratios.
-    """
-    own, rig = curves.scenario.soil.density, Rig.of_scenario(curves.scenario)
-    length = 1.0 if rig is None else record.rig.length / rig.length
-    density = 1.0 if "soil.density" in curves.keys else (record.density_kg_m3 or own) / own
-    arm = None if curves.arm is None else length * curves.arm
-    return density * length**3, curves._replace(arm=arm)
-
-
-def is_similar(record: Record, curves: Curves) -> bool:
-    """Whether a record's rig has the proportions of a library's, but for what that varies."""
-    rig = Rig.of_scenario(curves.scenario)
-    if rig is None:
-        return True
-    own, theirs = record.rig.ratios, rig.ratios
-    apart = {
-        "leg.width": abs(own.width / theirs.width - 1.0),
-        "motion.hip.1": abs(own.hip_height - theirs.hip_height),
-        "leg.half_thickness": abs(own.thickness - theirs.thickness),
-    }
-    return all(apart[key] <= SIMILAR[key] for key in apart if key not in curves.keys)
-
-
-def check_rig(record: Record, library: Library, curves: Curves) -> None:
-    """Raise InputError if a measured record's rig has other proportions than the library's."""
-    if record.scenario is not None or is_similar(record, curves):
-        return
-    own, rig = record.rig, Rig.of_scenario(curves.scenario)
-    sizes = own.sizes_mm.items()
-    options = " ".join(f"--{key[:-3].replace('_', '-')} {size:g}" for key, size in sizes)
-    raise InputError(
-        f"{record.source}: library {library.name} is of a {rig}, and this leg has other "
-        f"proportions; build one: terraphi library build --leg {own.leg} {options} --out mine.nc, "
-        "and add --library mine.nc, or rft3d for a rough angle at once"
-    )
 
 
 class Likelihood:
@@ -203,30 +157,14 @@ class Likelihood:
         self.records, self.library, self.calibration = tuple(records), library, calibration
         self.disagreement_deg = disagreement_deg
         self.measured = not all(record.simulated for record in records)
-        legs: set[str] = {record.leg for record in records}
-        self.emulators = {
-            leg: emulator_of(library, leg, corrected=self.measured) for leg in sorted(legs)
-        }
-        first = next(iter(self.emulators.values()))
-        self.keys = first.curves.keys
+        self.laws = [self._law(record, library) for record in records]
+        self.keys = self.laws[0].keys
         self._phi = self.keys.index(PHI) if PHI in self.keys else None
-        own = first.curves.scenario.soil.density
-        # A library that varies the density needs no scaling.
-        self._scaled = "soil.density" not in self.keys
-        self.density = [
-            (record.density_kg_m3 or own) if self._scaled else own for record in records
-        ]
-        for record in records:
-            check_rig(record, library, self.emulators[record.leg].curves)
-        self._ratio = np.array([scaled(r, self.emulators[r.leg].curves)[0] for r in records])
-        for record in records:
-            theta = self.curves_of(record).theta_deg
-            if record.theta_deg[0] < theta[0] - 4.4 or record.theta_deg[-1] > theta[-1] + 4.4:
-                raise InputError(
-                    f"library '{library.name}' covers theta from {theta[0]:.0f} to {theta[-1]:.0f} "
-                    f"deg only, {record.source} {record.theta_deg[0]:.0f} to "
-                    f"{record.theta_deg[-1]:.0f} deg; cut the record or build the library anew"
-                )
+        # A law that varies the density needs no scaling.
+        own = self.laws[0].density
+        varied = "soil.density" in self.keys
+        self.density = [own if varied else (r.density_kg_m3 or own) for r in records]
+        self._ratio = np.array(self.density) / [law.density for law in self.laws]
         ends = np.cumsum([0, *(r.data.size for r in records)])
         self.parts = [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
         self.data = np.concatenate([record.data.ravel() for record in records])
@@ -234,14 +172,36 @@ class Likelihood:
         # The record of each window mean.
         self._of = np.repeat(np.arange(len(records)), [r.data.size for r in records])
         media = sorted({record.medium for record in records if record.medium})
-        self.errors = {leg: model_error(library, leg, media) for leg in legs}
-        bounds = [emulator.bounds for emulator in self.emulators.values()]
-        self.low = np.max([low for low, _ in bounds], axis=0)
-        self.high = np.min([high for _, high in bounds], axis=0)
+        self.errors: dict[str, ModelError] = {
+            r.leg: model_error(library, r.leg, media) for r in records
+        }
+        self.low = np.max([law.bounds[0] for law in self.laws], axis=0)
+        self.high = np.min([law.bounds[1] for law in self.laws], axis=0)
 
-    def curves_of(self, record: Record) -> Curves:
-        """Curves of a record's leg in the library, with lever arms of the record's size."""
-        return scaled(record, self.emulators[record.leg].curves)[1]
+    @property
+    def density_sd(self) -> FloatArray:
+        """Relative standard deviation of each record's density [-], shape [record]."""
+        return np.array([
+            UNKNOWN_DENSITY if r.density_kg_m3 is None else r.density_sd_kg_m3 / r.density_kg_m3
+            for r in self.records
+        ])  # fmt: skip
+
+    def _law(self, record: Record, library: Library) -> LegLaw:
+        """The law of a record's rig; raises InputError if it does not cover the record."""
+        try:
+            law = leg_law(
+                library, record.rig, corrected=self.measured, strict=record.scenario is None
+            )
+        except InputError as error:
+            raise InputError(f"{record.source}: {error}") from None
+        theta, known = record.theta_deg, law.theta_deg
+        if theta[0] < known[0] - 4.4 or theta[-1] > known[-1] + 4.4:
+            raise InputError(
+                f"library '{library.name}' covers theta from {known[0]:.0f} to {known[-1]:.0f} deg "
+                f"only, {record.source} {theta[0]:.0f} to {theta[-1]:.0f} deg; cut the record or "
+                "build the library anew"
+            )
+        return law
 
     # -- curves ----------------------------------------------------------------------------------
 
@@ -256,33 +216,30 @@ class Likelihood:
     def curves(self, x: FloatArray, shift_deg: FloatArray | None = None) -> FloatArray:
         """Window means g(x) [N] of all records at their shifts, or others, [k, key] -> [k, n]."""
         shift_deg = self.shift_deg if shift_deg is None else shift_deg
-        of_legs = {leg: self._forces(leg, x) for leg in self.emulators}
-        means = []
-        for record, ratio, shift in zip(self.records, self._ratio, shift_deg, strict=True):
-            curves = self.curves_of(record)
-            means.append(ratio * window_means(record, of_legs[record.leg], curves, shift))
-        return np.hstack(means)
+        forces = self._forces(x)
+        return np.hstack([
+            window_means(record, force, law, shift)
+            for record, force, law, shift in zip(
+                self.records, forces, self.laws, shift_deg, strict=True
+            )
+        ])  # fmt: skip
 
-    def _forces(self, leg: str, x: FloatArray) -> FloatArray:
-        """Curves [N] of a leg, [k, 2, theta]; beyond the library's ends of φ they are linear."""
-        emulator = self.emulators[leg]
-        if self._phi is None:
-            return emulator(x)
+    def _forces(self, x: FloatArray) -> list[FloatArray]:
+        """Forces [N] on the leg of each record in soil of its density, [k, 2, theta]."""
+        of_rigs = {
+            record.rig: law(self._read(record.leg, x))
+            for record, law in zip(self.records, self.laws, strict=True)
+        }
+        return [
+            r * of_rigs[record.rig] for record, r in zip(self.records, self._ratio, strict=True)
+        ]
+
+    def _read(self, leg: str, x: FloatArray) -> FloatArray:
+        """Parameters with the angle that the law reads off a leg's measured forces, [..., key]."""
         x = x.copy()
-        x[:, self._phi] += self.offset(leg, x[:, self._phi])
-        low, high = (float(ends[self._phi]) for ends in emulator.bounds)
-        inside = np.clip(x[:, self._phi], low, high)
-        beyond = x[:, self._phi] - inside
-        x[:, self._phi] = inside
-        force = emulator(x)
-        out = np.flatnonzero(beyond)
-        if out.size:
-            step = STEP * (high - low)
-            inner = x[out].copy()
-            inner[:, self._phi] -= np.sign(beyond[out]) * step
-            slope = (force[out] - emulator(inner)) / step
-            force[out] += np.abs(beyond[out])[:, None, None] * slope
-        return force
+        if self._phi is not None:
+            x[..., self._phi] += self.offset(leg, x[..., self._phi])
+        return x
 
     def forces_of(self, record: Record, i: int) -> FloatArray:
         """Means as another record of leg and soil of the i-th has them, 1° below, at and above φ.
@@ -291,9 +248,8 @@ class Likelihood:
         """
         x = np.repeat(self.inside[None], 3, axis=0)
         x[:, self._phi or 0] += [-1.0, 0.0, 1.0]
-        force = self._forces(record.leg, x)
-        means = window_means(record, force, self.curves_of(record), self.shift_deg[i])
-        return np.asarray(self._ratio[i] * means.reshape(3, len(record.channels), -1))
+        means = window_means(record, self._forces(x)[i], self.laws[i], self.shift_deg[i])
+        return means.reshape(3, len(record.channels), -1)
 
     def slope(self, x: FloatArray, shift_deg: FloatArray | None = None) -> FloatArray:
         """∂g/∂x at a point [N/unit], at the records' shifts or others, shape [key] -> [n, key]."""
@@ -301,15 +257,12 @@ class Likelihood:
         ahead, behind = (self.curves(x + h, shift_deg) for h in (steps, -steps))
         return np.asarray((ahead - behind).T / (2.0 * np.diag(steps)))
 
-    def _shift_slope(self, x: FloatArray, shift_deg: FloatArray) -> FloatArray:
-        """∂g/∂δ of each record [N/deg], shape [n, record]; of simulated records none, [n, 0]."""
-        if not self.measured:
-            return np.zeros((self.data.size, 0))
-        ahead, behind = (self.curves(x[None], shift_deg + h)[0] for h in (0.1, -0.1))
-        found = np.zeros((self.data.size, len(self.records)))
-        for i, part in enumerate(self.parts):
-            found[part, i] = (ahead - behind)[part] / 0.2
-        return found
+    def _slopes(self, point: FloatArray) -> FloatArray:
+        """∂g/∂x, and ∂g/∂δ of each record [N/deg], at x and δ, shape [n, key + record]."""
+        x, shift = np.split(point, [len(self.keys)])
+        ahead, behind = (self.curves(x[None], shift + h)[0] for h in (0.1, -0.1))
+        of_shift = np.where(self._of[:, None] == np.arange(len(shift)), 1.0, 0.0)
+        return np.hstack([self.slope(x, shift), of_shift * (ahead - behind)[:, None] / 0.2])
 
     # -- best point ------------------------------------------------------------------------------
 
@@ -319,12 +272,12 @@ class Likelihood:
 
         The friction angle may lie beyond the library's ends.
         """
-        return self._best[0]
+        return self._best.x[0, : len(self.keys)]
 
     @property
     def shift_deg(self) -> FloatArray:
         """Shift of each record with them [deg], shape [record]: its forces come so much later."""
-        return self._best[1]
+        return self._best.x[0, len(self.keys) :]
 
     @property
     def inside(self) -> FloatArray:
@@ -337,7 +290,7 @@ class Likelihood:
         return [part_of(self, i) for i in range(len(self.records))]
 
     @cached_property
-    def _best(self) -> tuple[FloatArray, FloatArray]:
+    def _best(self) -> Best:
         """Parameters and shifts of the smallest squared residual."""
         if len(self.keys) == 1:
             x = np.linspace(*self.ends, 257)
@@ -345,37 +298,24 @@ class Likelihood:
             x = self.low + (self.high - self.low) * np.random.default_rng(0).random(
                 (512, len(self.keys))
             )
-        of_legs = {leg: self._forces(leg, x) for leg in self.emulators}
-        shifts = np.arange(-SHIFT_DEG, SHIFT_DEG + 1.0) if self.measured else np.zeros(1)
+        shifts = np.arange(-self._largest_shift, self._largest_shift + 1.0)
         squares = [
-            squared_residuals(record, record.data, ratio * of_legs[record.leg],
-                              self.curves_of(record), shifts)
-            for record, ratio in zip(self.records, self._ratio, strict=True)
-        ]  # fmt: skip
+            squared_residuals(record, record.data, force, law, shifts)
+            for record, force, law in zip(self.records, self._forces(x), self.laws, strict=True)
+        ]
         first = int(sum(each.min(axis=0) for each in squares).argmin())
-        best = x[first]
         shift = shifts[[int(each[:, first].argmin()) for each in squares]]
-        for _ in range(20):
-            slope = np.hstack([self.slope(best, shift), self._shift_slope(best, shift)])
-            slope /= self.span[:, None]
-            rest = (self.data - self.curves(best[None], shift)[0]) / self.span
-            step = np.linalg.lstsq(slope, rest, rcond=None)[0]
-            if self.measured:
-                outward = step[best.size :] * np.sign(shift) > 0.0
-                at_end = np.append(np.zeros(best.size, bool), (abs(shift) >= SHIFT_DEG) & outward)
-                slope[:, at_end] = 0.0  # these shifts stay, and the rest is solved without them
-                step = np.linalg.lstsq(slope, rest, rcond=None)[0]
-            # Half the spacing of the first search at most: the global minimum is near.
-            limit = (self.high - self.low) / (256 if len(self.keys) == 1 else 8)
-            own = np.clip(step[: best.size], -limit, limit)
-            best = np.clip(best + own, *self.ends)
-            turn = np.clip(step[best.size :], -0.5, 0.5)
-            if self.measured:
-                shift = np.clip(shift + turn, -SHIFT_DEG, SHIFT_DEG)
-            still = np.abs(turn) < 1e-3
-            if np.all(np.abs(own) < 1e-6 * (self.high - self.low)) and np.all(still):
-                break
-        return best, shift
+        largest, n = np.full(len(shift), self._largest_shift), len(self.keys)
+        low, high = self.ends
+        return least_squares(
+            lambda p, _: self.data - self.curves(p[:, :n], p[0, n:]),
+            lambda p, _: self._slopes(p[0])[None],
+            self._weight[None],
+            np.append(x[first], shift)[None],
+            bounds=(np.append(low, -largest), np.append(high, largest)),
+            scale=np.append(self.high - self.low, np.ones(len(shift))),
+            settled=1e-8,
+        )
 
     @property
     def ends(self) -> tuple[FloatArray, FloatArray]:
@@ -412,40 +352,36 @@ class Likelihood:
         curve, slope = self.curves(x[None])[0], self.slope(x)
         found = {"noise": self._blocks([r.noise_covariance for r in self.records])}
         found["noise"] += np.diag(np.square(RIDGE * self.span))
-        inside = {leg: self._within(leg, x) for leg in self.emulators}
-        of_legs = {leg: e.interpolation(inside[leg]) for leg, e in self.emulators.items()}
-        found["emulator"] = self._shared_by_leg(of_legs)
+        at = [self._read(record.leg, x) for record in self.records]
+        laws = list(zip(self.laws, at, strict=True))
+        found["emulator"] = self._shared_by_leg([law.interpolation(p) for law, p in laws])
         if not self.measured:
-            scatter = {leg: e.scatter(inside[leg]) for leg, e in self.emulators.items()}
             blocks = []
-            for record, ratio in zip(self.records, self._ratio, strict=True):
-                operator = record.operator(self.curves_of(record).theta_deg)
-                both = ratio * np.kron(np.eye(2), operator)
-                blocks.append(both @ scatter[record.leg] @ both.T)
+            for record, ratio, (law, p) in zip(self.records, self._ratio, laws, strict=True):
+                both = ratio * np.kron(np.eye(2), record.operator(law.theta_deg))
+                blocks.append(both @ law.scatter(p) @ both.T)
             found["particle scatter"] = self._blocks(blocks)
             return found
-        found |= self._of_corrections(inside)
+        modes = [law.modes(p) for law, p in laws]
+        for cause in sorted({cause for each in modes for cause in each}):
+            # What a calibration determines of the apparatus includes that of its rig.
+            known = [cause in OF_RIG and self._calibrated(r.leg) for r in self.records]
+            factors = [
+                np.zeros((2 * law.theta_deg.size, 1)) if calibrated else each[cause]
+                for law, each, calibrated in zip(self.laws, modes, known, strict=True)
+            ]
+            found[cause] = self._shared_by_leg(factors)
         if self._phi is not None:
             found |= self._model_offset(slope[:, self._phi])
             found |= missing_parts(self, slope[:, self._phi])
             if self.disagreement_deg:
                 found["second opinion"] = _square(self.disagreement_deg * slope[:, self._phi])
-        density = np.array([
-            UNKNOWN_DENSITY if r.density_kg_m3 is None else r.density_sd_kg_m3 / r.density_kg_m3
-            for r in self.records
-        ])  # fmt: skip
-        found["density"] = _square(self._scaled * density[self._of] * curve)
+        if "soil.density" not in self.keys:
+            found["density"] = _square(self.density_sd[self._of] * curve)
         gain = np.array([0.0 if self._calibrated(r.leg) else r.gain_sd for r in self.records])
         if gain.any():
             found["gain"] = _square(gain[self._of] * curve)
         return found
-
-    def _within(self, leg: str, x: FloatArray) -> FloatArray:
-        """Where a leg's curves are taken from, within the library, [key]."""
-        x = x.copy()
-        if self._phi is not None:
-            x[self._phi] += self.offset(leg, x[self._phi])
-        return np.clip(x, *self.emulators[leg].bounds)
 
     def _calibrated(self, leg: str) -> bool:
         """Whether a soil of known angle was read with this leg, whose rig is then known with b."""
@@ -458,46 +394,18 @@ class Likelihood:
             found[part, part] = block
         return found
 
-    def _shared_by_leg(self, factors: dict[str, FloatArray]) -> FloatArray:
-        """Covariance of errors that all records of a leg share, by factors [2 theta, k] a leg."""
+    def _shared_by_leg(self, factors: Sequence[FloatArray]) -> FloatArray:
+        """Covariance of errors that records of a leg share, by a factor [2 theta, k] a record."""
         found = np.zeros((self.data.size, self.data.size))
-        for leg, factor in factors.items():
-            stacked = np.zeros((self.data.size, factor.shape[1]))
-            curves = factor.T.reshape(factor.shape[1], 2, -1)
-            for record, part, ratio, shift in zip(
-                self.records, self.parts, self._ratio, self.shift_deg, strict=True
-            ):
+        for leg in self.errors:
+            stacked = np.zeros((self.data.size, max(f.shape[1] for f in factors)))
+            for i, (record, factor) in enumerate(zip(self.records, factors, strict=True)):
                 if record.leg == leg:
-                    means = window_means(record, curves, self.curves_of(record), shift)
-                    stacked[part] = ratio * means.T
+                    force = self._ratio[i] * factor.T.reshape(factor.shape[1], 2, -1)
+                    means = window_means(record, force, self.laws[i], self.shift_deg[i])
+                    stacked[self.parts[i], : factor.shape[1]] = means.T
             found += stacked @ stacked.T
         return found
-
-    def _of_corrections(self, inside: dict[str, FloatArray]) -> dict[str, FloatArray]:
-        """Terms of the correction's modes, by cause."""
-        if self._phi is None:
-            return {}
-        of_causes: dict[str, dict[str, FloatArray]] = {}
-        for leg, emulator in self.emulators.items():
-            correction = self.library.corrections.get(leg)
-            modes = correction.modes_at(float(inside[leg][self._phi])) if correction else {}
-            for cause, mode in modes.items():
-                if self._calibrated(leg) and cause in OF_RIG:
-                    continue  # included in what the calibration determines of the apparatus
-                on = correction.theta_deg if correction else emulator.curves.theta_deg
-                at = np.searchsorted(on, emulator.curves.theta_deg)
-                factor = mode[:, :, at].reshape(len(mode), -1).T
-                if cause == "hip height":
-                    factor = factor * self._height_sd(leg)
-                of_causes.setdefault(cause, {})[leg] = factor
-        return {cause: self._shared_by_leg(factors) for cause, factors in of_causes.items()}
-
-    def _height_sd(self, leg: str) -> float:
-        """Standard deviation of the hip's height over that of the correction's mode [-]."""
-        rigs = [record.rig for record in self.records if record.leg == leg]
-        known = Rig.of("li2013", leg)
-        each = [rig.hip_height_sd_mm / rig.length_mm for rig in rigs]
-        return float(np.mean(each)) / (known.hip_height_sd_mm / known.length_mm)
 
     def _model_offset(self, slope: FloatArray) -> dict[str, FloatArray]:
         """Covariance of what looks like another angle: of an apparatus, a soil, and each leg."""
@@ -530,11 +438,20 @@ class Likelihood:
     @cached_property
     def _weights(self) -> FloatArray:
         """Weights c of each parameter at the best point, shape [key, n] [unit/N]."""
-        of_shift = self._shift_slope(self.least_squares, self.shift_deg)
-        if self.measured:
-            of_shift[:, np.abs(self.shift_deg) >= SHIFT_DEG] = 0.0  # these shifts are not fitted
-        s = np.hstack([self.slope(self.least_squares), of_shift]) / self.span[:, None]
-        return np.asarray(np.linalg.pinv(s)[: len(self.keys)] / self.span)
+        slope = self._best.slope.copy()
+        # Shifts at their bound are not fitted.
+        slope[:, :, len(self.keys) :][:, :, np.abs(self.shift_deg) >= self._largest_shift] = 0.0
+        return weights(slope, self._weight[None])[0][0, : len(self.keys)]
+
+    @property
+    def _weight(self) -> FloatArray:
+        """A = diag(1/p²), p the peak-to-peak of each force, shape [n, n]."""
+        return np.diag(self.span**-2)
+
+    @property
+    def _largest_shift(self) -> float:
+        """Largest shift of the leg angle [deg]: simulated records have none."""
+        return SHIFT_DEG if self.measured else 0.0
 
     @cached_property
     def _variance(self) -> FloatArray:

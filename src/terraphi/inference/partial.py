@@ -23,7 +23,7 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.history import FORCES, OBSERVATION_ANGLES, WINDOW_DEG, ForceHistory
 from terraphi.inference.records import Record
-from terraphi.library.store import PHI
+from terraphi.laws.store import PHI
 
 if TYPE_CHECKING:
     from terraphi.inference.likelihood import Likelihood

@@ -30,7 +30,7 @@ from terraphi.experiment.scenario import Scenario
 from terraphi.experiment.soil import Soil
 from terraphi.forward import simulate
 from terraphi.inference.sampling import split_rhat
-from terraphi.library.store import Library
+from terraphi.laws.store import Library
 from terraphi.paper import figures as draw
 from terraphi.paper import likelihood as paper
 from terraphi.paper.gaussian_process import Surrogate

@@ -22,8 +22,9 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from terraphi.experiment.arrays import FloatArray
-from terraphi.forward.foot import LAWS, Foot, FootLaw
+from terraphi.experiment.arrays import FloatArray, IntArray
+from terraphi.inference.estimator import least_squares, weights
+from terraphi.laws.foot import LAWS, Foot, FootLaw
 from terraphi.robot.estimators import JointFriction
 from terraphi.robot.forces import SensorErrors
 from terraphi.robot.touchdowns import Touchdowns
@@ -36,8 +37,6 @@ NOISE_N, NOISE_PART = 1.5, 0.04
 Residuals scale the result, so that the ratio of both counts (chosen)."""
 CORRELATION_S = 0.008
 """Correlation time of the noise [s]: a few samples of a log of 500 Hz (chosen)."""
-ROUNDS, SETTLED = 25, 1e-3
-"""Of the fit at most, until a step is this part of the prior's standard deviation [-]."""
 EXPONENTS = (-0.7, 0.4)
 """Range of what is added to a law's power of depth [-]; the upper end makes law ``foot`` grow like
 resistive force theory, whose stress is proportional to the depth."""
@@ -216,7 +215,7 @@ def fit(seen: Touchdowns, law: str | FootLaw, prior: Prior) -> Fit:
     seen
         The touch-downs, one or more; those without used samples come out at the prior.
     law
-        One of :data:`~terraphi.forward.foot.LAWS`, by its name, or another.
+        One of :data:`~terraphi.laws.foot.LAWS`, by its name, or another.
     prior
         What is known before.
 
@@ -276,40 +275,23 @@ def _fit(seen: Touchdowns, law: FootLaw, prior: Prior) -> Fit:
     sd = np.array([prior.phi_sd_deg, prior.level_sd, prior.drift_sd])
     precision = np.diag(sd**-2 * [1e-6, 1.0, 1.0])  # a trace for touch-downs without samples
 
-    def cost(
-        part: Touchdowns, weight: FloatArray, state: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        left = np.where(part.used, part.force - predicted(law, prior, part, state), 0.0)
-        both = np.einsum("nk,nkl,nl->n", left, weight, left)
-        return left, both + np.square(state - mean) @ np.diag(precision)
+    def residual(state: FloatArray, rows: IntArray) -> FloatArray:
+        part = picked(seen, rows)
+        return np.where(part.used, part.force - predicted(law, prior, part, state), 0.0)
 
-    state = np.tile(mean, (len(seen.foot), 1))
-    damping = np.full(len(state), 1e-2)
-    left, now = cost(seen, weight, state)
-    rows = np.arange(len(state))  # that still move
-    for _ in range(ROUNDS):
-        part, own = picked(seen, rows), weight[rows]
-        slope = _slopes(law, prior, part, state[rows])
-        weighted = slope.swapaxes(1, 2) @ own
-        normal = weighted @ slope + precision
-        pull = (weighted @ left[rows, :, None])[..., 0] - (state[rows] - mean) @ precision
-        damped = normal + damping[rows, None, None] * normal * np.eye(3)
-        tried = state[rows] + np.linalg.solve(damped, pull[..., None])[..., 0]
-        tried[:, 0] = np.clip(tried[:, 0], *PHI_RANGE)
-        moves = np.abs((tried - state[rows]) / sd).max(axis=1) > SETTLED
-        new_left, new = cost(part, own, tried)
-        better = new <= now[rows]
-        good = rows[better]
-        state[good], left[good], now[good] = tried[better], new_left[better], new[better]
-        damping[rows] = np.clip(damping[rows] * np.where(better, 0.2, 8.0), 1e-9, 1e6)
-        rows = rows[moves]
-        if not len(rows):
-            break
-    slope = _slopes(law, prior, seen, state)
-    weighted = np.einsum("nki,nkl->nil", slope, weight)
-    covariance = np.linalg.inv(weighted @ slope + precision)
-    # A prediction that rises by D lets the mode move by −(covariance Jᵀ W D).
-    gain = np.einsum("ni,nil->nl", covariance[:, 0], weighted)
+    free = np.full(2, np.inf)
+    state, left, slope = least_squares(
+        residual,
+        lambda state, rows: _slopes(law, prior, picked(seen, rows), state),
+        weight,
+        np.tile(mean, (len(seen.foot), 1)),
+        bounds=(np.append(PHI_RANGE[0], -free), np.append(PHI_RANGE[1], free)),
+        scale=sd,
+        mean=mean,
+        precision=precision,
+    )
+    # A prediction that rises by D lets the mode move by −c D.
+    gain = weights(slope, weight, precision)[0][:, 0]
     shared = np.zeros((len(state), len(SHARED)))
     torques = 3 * seen.foot[:, None] + np.array([0, 1, 2, 12, 13, 14])
     np.put_along_axis(shared, torques, np.einsum("nl,nlk->nk", gain, seen.per_error), axis=1)
@@ -344,8 +326,8 @@ def _fit(seen: Touchdowns, law: FootLaw, prior: Prior) -> Fit:
     bottom = np.where(rising, seen.drop, -np.inf).max(axis=1, initial=-np.inf)
     top = np.where(rising, seen.drop, np.inf).min(axis=1, initial=np.inf)
     # Birge's ratio is of the noise: what is known of the drop and its drift beforehand stays.
-    scaled = weighted @ slope / np.maximum(misfit, 1e-6)[:, None, None] + precision
-    sd = np.sqrt(np.linalg.inv(scaled)[:, 0, 0])
+    scaled = weight / np.maximum(misfit, 1e-6)[:, None, None]
+    sd = np.sqrt(weights(slope, scaled, precision)[1][:, 0, 0])
     sinkage = np.where(np.isfinite(sinkage), sinkage, 0.0)
     gained = np.where(rising.any(axis=1), bottom - top, 0.0)
     return Fit(state[:, 0], sd, sinkage, gained, misfit, cost_each, shared)

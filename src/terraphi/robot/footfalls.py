@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import number_with_sd, plain_number
-from terraphi.forward.foot import LAWS
+from terraphi.laws.foot import LAWS
 from terraphi.robot.footfall_fit import (
     MOST_FITTED,
     PHI_RANGE,
@@ -216,7 +216,7 @@ def footfalls(
         Bulk density of the soil [kg/m³], such as ``1550`` (5 % uncertain) or ``"1550±80"``.
         ``None``: that of the prior, with a note.
     law
-        One of :data:`~terraphi.forward.foot.LAWS`.
+        One of :data:`~terraphi.laws.foot.LAWS`.
     prior
         Distributions of soil, foot, sensors and law; the foot's radius is the robot's.
     anchors

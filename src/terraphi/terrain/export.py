@@ -16,10 +16,10 @@ from terraphi.experiment.errors import GUESSED, InputError, nearest
 from terraphi.experiment.files import atomic_write
 from terraphi.experiment.outputs import SIGNATURE, changed, check_file
 from terraphi.experiment.soil import cone_slope
-from terraphi.forward.foot import LAWS, Foot
 from terraphi.forward.rft import stress_scale, to_plane_strain
 from terraphi.inference.answer import Answer, StoredAnswer, read_answer
-from terraphi.library.store import PHI
+from terraphi.laws.foot import LAWS, Foot
+from terraphi.laws.store import PHI
 from terraphi.terrain.simulators import (
     MATCHES,
     Match,
@@ -404,7 +404,7 @@ USES = {
     return {"MaterialID": 1, "Density": DENSITY, **elastic, **plastic, **others}
 ''',
     "rft3d": '''def soil(value=FRICTION_ANGLE_DEG, surface_friction=LEG_FRICTION):
-    """Keywords of terraphi.forward.foot.wrench: force and moment on the mesh of a foot."""
+    """Keywords of terraphi.laws.foot.wrench: force and moment on the mesh of a foot."""
     return {
         "friction_angle_deg": value, "density": DENSITY, "surface_friction": surface_friction,
     }

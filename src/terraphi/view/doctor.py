@@ -74,6 +74,6 @@ def _kernels() -> str:
 
 
 def _libraries() -> str:
-    from terraphi.library.store import Library
+    from terraphi.laws.store import Library
 
     return ", ".join(f"{name} ({len(Library.load(name).cases)})" for name in Library.names())

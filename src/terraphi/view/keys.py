@@ -16,7 +16,7 @@ from terraphi.view.table import Table
 
 DOCUMENTS = {
     "scenario": ("terraphi.experiment.scenario", "Scenario"),
-    "plan": ("terraphi.library.plan", "Plan"),
+    "plan": ("terraphi.laws.plan", "Plan"),
     "robot": ("terraphi.robot.model", "RobotFile"),
     "forces": ("terraphi.experiment.reading", "ForceColumns"),
     "columns": ("terraphi.robot.logs.columns", "Columns"),

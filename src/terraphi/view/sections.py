@@ -25,7 +25,7 @@ from terraphi.view.table import Table
 
 if TYPE_CHECKING:
     from terraphi.inference.answer import Answer
-    from terraphi.library.store import Library
+    from terraphi.laws.store import Library
     from terraphi.robot.footfalls import FootfallMap
 
 SHOWN_S = 10.0
@@ -88,7 +88,7 @@ def kind_of(source: Path | str) -> str:
     InputError
         If it is not there, or nothing that a report can show.
     """
-    from terraphi.library.store import Library
+    from terraphi.laws.store import Library
 
     path = Path(source)
     names = {file.name for file in path.iterdir()} if path.is_dir() else set()
@@ -150,7 +150,7 @@ def _of_file(source: Path | str, kind: str, robot: str) -> Section:
 
         return of_answer(invert(source))
     if kind == "library":
-        from terraphi.library.store import Library
+        from terraphi.laws.store import Library
 
         return of_library(Library.load(source))
     if kind == "simulation":

@@ -26,92 +26,19 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from pydantic import Field
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.documents import Strict, parse_toml, strictly
+from terraphi.experiment.documents import Strict, parse_toml
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import atomic_write
 from terraphi.experiment.outputs import SIGNATURE
-from terraphi.library.store import Library
-
-CENTRE_DEG = 27.0
-"""Friction angle at which an offset is given [deg]."""
-
-
-class ModelError(Strict):
-    """How real soils differ from a library's model of one leg."""
-
-    offset_deg: float = 0.0
-    """Mean of φ_read − ψ at ψ = CENTRE_DEG [deg]."""
-    slope: float = Field(0.0, gt=-0.9)
-    """Change of that per degree of ψ [-]."""
-    common_sd_deg: float = Field(3.0, ge=0)
-    """Standard deviation of b, common to all soils of one apparatus [deg]."""
-    soil_sd_deg: float = Field(4.0, ge=0)
-    """Standard deviation of s, between soils [deg]."""
-    leg_sd_deg: float = Field(2.0, ge=0)
-    """Standard deviation of l, between legs in one soil [deg]."""
-    covariance: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0))
-    """Of the errors of offset_deg [deg] and slope [-]."""
-    phi_deg: tuple[float, float] | None = None
-    """Smallest and largest angle of the soils that the offset was learned from [deg]."""
-    shift_deg: float = 0.0
-    """Mean shift of the leg angle of training records [deg]."""
-    strength: float = 0.0
-    """Mean of ln of the factor on the curves with which a record fits best [-]."""
-    strength_sd: float = Field(0.0, ge=0)
-    """Its standard deviation between soils; 0 if it is not known."""
-    nrmsd_limit: float = Field(0.25, gt=0)
-    """Residual above which a record is a misfit [-]."""
-    theta_deg: tuple[float, ...] = ()
-    """Leg angles of the mean residual [deg]."""
-    residual: tuple[tuple[float, ...], ...] = ()
-    """Mean residual of Fx and Fz in real soils, over the model's peak-to-peak [-], [2, theta]."""
-    training: tuple[str, ...] = ()
-    """Records that this was learned from."""
-    without: dict[str, ModelError] = Field(default_factory=dict)
-    """The same learned without a medium that is shipped, such as ``li2013:yuma``."""
-
-    def offset_at(self, phi_deg: FloatArray | float) -> FloatArray | float:
-        """Mean of φ_read − ψ at angles ψ [deg]."""
-        return self.offset_deg + self.slope * (phi_deg - CENTRE_DEG)
-
-    def offset_covariance(self, one: FloatArray, other: FloatArray) -> FloatArray:
-        """Covariance of the offset's error between angles ψ, as angles of the soil [deg²]."""
-        first, second = (np.stack([np.ones_like(x), x - CENTRE_DEG], -1) for x in (one, other))
-        return np.asarray(first @ np.array(self.covariance) @ second.T) / (1.0 + self.slope) ** 2
-
-    def offset_sd_at(self, phi_deg: float) -> float:
-        """Standard deviation of the offset at an angle ψ, as an angle of the soil [deg]."""
-        at = np.array([phi_deg])
-        return math.sqrt(max(float(self.offset_covariance(at, at)[0, 0]), 0.0))
-
-    def mean_residual(self, spans: FloatArray, theta_deg: FloatArray) -> FloatArray | None:
-        """Expected residual of a record [N], [2, m], from the model's peak-to-peak [N], [2]."""
-        if not self.residual:
-            return None
-        rows = [np.interp(theta_deg, self.theta_deg, row) for row in self.residual]
-        return np.asarray(spans[:, None] * np.array(rows))
-
-
-def model_error(library: Library, leg: str, media: Iterable[str] = ()) -> ModelError:
-    """Model error of a leg; wide defaults if the library has none.
-
-    Parameters
-    ----------
-    library, leg
-        Where, and of which leg.
-    media
-        Shipped media that it must not be learned from; the first of them counts.
-    """
-    where = f"library {library.name}, model_error.{leg}"
-    found = strictly(library.model_error.get(leg, {}), ModelError, where)
-    return next((found.without[medium] for medium in media if medium in found.without), found)
+from terraphi.laws.law import ModelError
+from terraphi.laws.store import Library
 
 
 class CalibrationSoil(Strict):

@@ -11,8 +11,8 @@ from scipy.stats import qmc
 
 from terraphi.experiment.documents import shipped_names
 from terraphi.experiment.errors import InputError
-from terraphi.library.plan import Plan
-from terraphi.library.store import Library
+from terraphi.laws.plan import Plan
+from terraphi.laws.store import Library
 
 BASE: dict[str, Any] = {
     "name": "plan",

@@ -11,10 +11,10 @@ import pytest
 
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.workers import workers
-from terraphi.library import build as module
-from terraphi.library.build import build, cluster
-from terraphi.library.plan import Plan
-from terraphi.library.store import Library
+from terraphi.laws import build as module
+from terraphi.laws.build import build, cluster
+from terraphi.laws.plan import Plan
+from terraphi.laws.store import Library
 
 PLAN = Plan.model_validate(
     {

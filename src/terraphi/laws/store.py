@@ -134,7 +134,7 @@ class Library:
     corrections
         By leg, how the curves change with smaller cells and a slower motion; empty if unknown.
     model_error
-        By leg, how real soils differ from the library's model (`inference.soils`); JSON-able.
+        By leg, how real soils differ from the library's model (`laws.law.ModelError`); JSON-able.
     provenance
         Plan and versions; JSON-able.
     """

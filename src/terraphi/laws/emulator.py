@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.library.store import Curves, Library
+from terraphi.laws.store import Curves, Library
 
 LENGTHS = np.geomspace(0.15, 8.0, 16)
 """Correlation lengths that are tried, in units of the half range of a parameter [-]."""

@@ -12,7 +12,7 @@ import pytest
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
-from terraphi.library.store import PHI, Case, Correction, Library, differences, nearest_library
+from terraphi.laws.store import PHI, Case, Correction, Library, differences, nearest_library
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,8 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 
 from terraphi.forward import simulate
-from terraphi.inference.emulator import Emulator, _fitted, _kernel
-from terraphi.library.store import Case, Curves, Library
+from terraphi.laws.emulator import Emulator, _fitted, _kernel
+from terraphi.laws.store import Case, Curves, Library
 
 
 @pytest.mark.parametrize("leg", ["straight", "c", "reversed_c"])

@@ -21,8 +21,8 @@ from terraphi.experiment.files import folder_lock
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import Checkpoint, model_version, simulate, software
-from terraphi.library.plan import Plan
-from terraphi.library.store import Case, Library
+from terraphi.laws.plan import Plan
+from terraphi.laws.store import Case, Library
 
 log = logging.getLogger(__name__)
 

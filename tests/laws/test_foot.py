@@ -9,8 +9,8 @@ import pytest
 from scipy.optimize import brentq
 
 from terraphi.experiment.errors import InputError
-from terraphi.forward.foot import LAWS, Foot, bearing_factors, wrench
 from terraphi.forward.rft import stress_per_depth_3d
+from terraphi.laws.foot import LAWS, Foot, bearing_factors, wrench
 
 BALL = Foot(0.022)
 SIMULATED = ("ball", "disc")

@@ -1,0 +1,116 @@
+r"""Least squares, many problems at a time, and what an error of the data does to the estimate.
+
+For data d, predictions g(x), weights W and, where something is known beforehand, a prior of mean m
+and precision P, the estimate is
+
+    x̂ = argmin (d − g(x))'W(d − g(x)) + (x − m)'P(x − m),    low ≤ x ≤ high,
+
+by the method of Levenberg and Marquardt. With S = ∂g/∂x there, an error e of the data moves it by
+c e, c = (S'WS + P)⁻¹S'W, so that a covariance C of such errors gives it the covariance c C c'.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from terraphi.experiment.arrays import FloatArray, IntArray
+
+ROUNDS, SETTLED = 40, 1e-3
+"""Steps at most, until one is this part of the parameters' scale [-]."""
+DAMPING, LESS, MORE = 1e-2, 0.2, 8.0
+"""First damping, over the diagonal of the normal matrix, and its factors after a step that lowered
+the cost and after one that did not [-]."""
+
+
+class Best(NamedTuple):
+    """Estimates of several problems."""
+
+    x: FloatArray
+    """Parameters, shape [problem, key]."""
+    residual: FloatArray
+    """d − g(x), shape [problem, datum]."""
+    slope: FloatArray
+    """S, shape [problem, datum, key]."""
+
+
+def least_squares(
+    residual: Callable[[FloatArray, IntArray], FloatArray],
+    slope: Callable[[FloatArray, IntArray], FloatArray],
+    weight: FloatArray,
+    start: FloatArray,
+    *,
+    bounds: tuple[FloatArray, FloatArray],
+    scale: FloatArray,
+    mean: FloatArray | float = 0.0,
+    precision: FloatArray | float = 0.0,
+    settled: float = SETTLED,
+) -> Best:
+    """Fit several problems of one form, each for itself.
+
+    Parameters
+    ----------
+    residual, slope
+        Give d − g(x), shape [k, datum], and S, [k, datum, key], from x, [k, key], for the problems
+        whose numbers are given, [k].
+    weight
+        W, shape [problem, datum, datum].
+    start
+        First x, shape [problem, key].
+    bounds
+        Smallest and largest x, shape [key].
+    scale
+        Size of a change of x that counts, shape [key].
+    mean, precision
+        m, shape [key], and P, shape [key, key].
+    settled
+        Step at which a problem is solved, over the scale [-].
+    """
+    x, rows = start.copy(), np.arange(len(start))
+    low, high = bounds
+
+    def cost(at: FloatArray, left: FloatArray, rows: IntArray) -> FloatArray:
+        of_prior = ((at - mean) @ (precision * np.eye(len(scale))) * (at - mean)).sum(axis=1)
+        return np.asarray(np.einsum("nk,nkl,nl->n", left, weight[rows], left) + of_prior)
+
+    left = residual(x, rows)
+    now, damping = cost(x, left, rows), np.full(len(x), DAMPING)
+    for _ in range(ROUNDS):
+        at, s = x[rows], slope(x[rows], rows)
+        weighted = s.swapaxes(1, 2) @ weight[rows]
+        normal = weighted @ s + precision
+        gradient = (weighted @ left[rows, :, None])[..., 0]
+        gradient -= (at - mean) @ (precision * np.eye(len(scale)))
+        # What presses against its bound stays there, and the rest is solved without it.
+        fixed = ((at <= low) & (gradient < 0.0)) | ((at >= high) & (gradient > 0.0))
+        normal[fixed[:, :, None] | fixed[:, None, :]] = 0.0
+        normal += np.where(fixed, 1.0, 0.0)[:, :, None] * np.eye(len(scale))
+        damped = normal * (1.0 + damping[rows, None, None] * np.eye(len(scale)))
+        step = np.linalg.solve(damped, np.where(fixed, 0.0, gradient)[..., None])[..., 0]
+        tried = np.clip(at + step, low, high)
+        moves = np.abs((tried - at) / scale).max(axis=1) > settled
+        new_left = residual(tried, rows)
+        new = cost(tried, new_left, rows)
+        better = new <= now[rows]
+        good = rows[better]
+        x[good], left[good], now[good] = tried[better], new_left[better], new[better]
+        damping[rows] = np.clip(damping[rows] * np.where(better, LESS, MORE), 1e-9, 1e6)
+        rows = rows[moves]
+        if not len(rows):
+            break
+    return Best(x, left, slope(x, np.arange(len(x))))
+
+
+def weights(
+    slope: FloatArray, weight: FloatArray, precision: FloatArray | float = 0.0
+) -> tuple[FloatArray, FloatArray]:
+    """Weights c and (S'WS + P)⁻¹, shape [problem, key, datum] and [problem, key, key]."""
+    weighted = slope.swapaxes(1, 2) @ weight
+    normal = weighted @ slope + precision
+    size = np.sqrt(np.maximum(normal.diagonal(axis1=1, axis2=2), 1e-300))
+    unit = 1.0 / (size[:, :, None] * size[:, None, :])
+    # A parameter that nothing depends on has no weights.
+    covariance = unit * np.linalg.pinv(unit * normal, hermitian=True)
+    return np.asarray(covariance @ weighted), np.asarray(covariance)

@@ -1,0 +1,277 @@
+r"""The law of a leg: forces over the friction angle, what is uncertain of them, and where it holds.
+
+Slow dry soil under gravity gives F = ρ g L³ f(θ; φ, μ, ratios of the rig), so that a library of one
+rig is the law of all rigs with its proportions, and a law may have these ratios as further axes.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from pydantic import Field
+
+from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.documents import Strict, strictly
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.rig import Rig
+from terraphi.forward.rft import leg_force
+from terraphi.laws.emulator import Emulator, emulator_of
+from terraphi.laws.store import PHI, Case, Correction, Library, shipped_library
+
+THEORY = "rft3d"
+"""Library of resistive force theory in three dimensions, which needs no simulations."""
+SIMILAR = {"leg.width": 0.02, "motion.hip.1": 0.015, "leg.half_thickness": 0.015}
+"""How far a rig may be from the library's: in the width over it, in the height of the hip and in
+the thickness over the length. Each moves φ by at most 0.5° (2 mm of Li's hip by 1°, 10 % of force
+by 1.6 to 2°), which is less than what is assumed of sizes that were not measured."""
+CENTRE_DEG = 27.0
+"""Friction angle at which an offset is given [deg]."""
+STEP = 1e-3
+"""Step of numerical derivatives, of a parameter's range [-]."""
+
+
+class ModelError(Strict):
+    """How real soils differ from the law of one leg."""
+
+    offset_deg: float = 0.0
+    """Mean of φ_read − ψ at ψ = CENTRE_DEG [deg]."""
+    slope: float = Field(0.0, gt=-0.9)
+    """Change of that per degree of ψ [-]."""
+    common_sd_deg: float = Field(3.0, ge=0)
+    """Standard deviation of b, common to all soils of one apparatus [deg]."""
+    soil_sd_deg: float = Field(4.0, ge=0)
+    """Standard deviation of s, between soils [deg]."""
+    leg_sd_deg: float = Field(2.0, ge=0)
+    """Standard deviation of l, between legs in one soil [deg]."""
+    covariance: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0))
+    """Of the errors of offset_deg [deg] and slope [-]."""
+    phi_deg: tuple[float, float] | None = None
+    """Smallest and largest angle of the soils that the offset was learned from [deg]."""
+    shift_deg: float = 0.0
+    """Mean shift of the leg angle of training records [deg]."""
+    strength: float = 0.0
+    """Mean of ln of the factor on the curves with which a record fits best [-]."""
+    strength_sd: float = Field(0.0, ge=0)
+    """Its standard deviation between soils; 0 if it is not known."""
+    nrmsd_limit: float = Field(0.25, gt=0)
+    """Residual above which a record is a misfit [-]."""
+    theta_deg: tuple[float, ...] = ()
+    """Leg angles of the mean residual [deg]."""
+    residual: tuple[tuple[float, ...], ...] = ()
+    """Mean residual of Fx and Fz in real soils, over the model's peak-to-peak [-], [2, theta]."""
+    training: tuple[str, ...] = ()
+    """Records that this was learned from."""
+    without: dict[str, ModelError] = Field(default_factory=dict)
+    """The same learned without a medium that is shipped, such as ``li2013:yuma``."""
+
+    def offset_at(self, phi_deg: FloatArray | float) -> FloatArray | float:
+        """Mean of φ_read − ψ at angles ψ [deg]."""
+        return self.offset_deg + self.slope * (phi_deg - CENTRE_DEG)
+
+    def offset_covariance(self, one: FloatArray, other: FloatArray) -> FloatArray:
+        """Covariance of the offset's error between angles ψ, as angles of the soil [deg²]."""
+        first, second = (np.stack([np.ones_like(x), x - CENTRE_DEG], -1) for x in (one, other))
+        return np.asarray(first @ np.array(self.covariance) @ second.T) / (1.0 + self.slope) ** 2
+
+    def offset_sd_at(self, phi_deg: float) -> float:
+        """Standard deviation of the offset at an angle ψ, as an angle of the soil [deg]."""
+        at = np.array([phi_deg])
+        return math.sqrt(max(float(self.offset_covariance(at, at)[0, 0]), 0.0))
+
+    def mean_residual(self, spans: FloatArray, theta_deg: FloatArray) -> FloatArray | None:
+        """Expected residual of a record [N], [2, m], from the model's peak-to-peak [N], [2]."""
+        if not self.residual:
+            return None
+        rows = [np.interp(theta_deg, self.theta_deg, row) for row in self.residual]
+        return np.asarray(spans[:, None] * np.array(rows))
+
+
+def model_error(library: Library, leg: str, media: Iterable[str] = ()) -> ModelError:
+    """Model error of a leg; wide defaults if the library has none.
+
+    Parameters
+    ----------
+    library, leg
+        Where, and of which leg.
+    media
+        Shipped media that it must not be learned from; the first of them counts.
+    """
+    where = f"library {library.name}, model_error.{leg}"
+    error = strictly(library.model_error.get(leg, {}), ModelError, where)
+    return next((error.without[medium] for medium in media if medium in error.without), error)
+
+
+@dataclass(frozen=True, eq=False)
+class LegLaw:
+    """Forces on the leg of a rig, over the friction angle and whatever else a law varies.
+
+    Attributes
+    ----------
+    emulator
+        Forces on the simulated leg.
+    scale
+        Cube of the rig's length over that of the simulated leg [-].
+    arm
+        (a, b) [m] with M = a Fx + b Fz, the moment about the hip, shape [2, theta]; or ``None``.
+    correction
+        What is uncertain of smaller cells and of the rig; ``None`` if unknown.
+    height_sd
+        Standard deviation of the hip's height over that of the correction's mode [-].
+    """
+
+    emulator: Emulator
+    scale: float
+    arm: FloatArray | None
+    correction: Correction | None
+    height_sd: float
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Dotted scenario keys of the parameters x."""
+        return self.emulator.curves.keys
+
+    @property
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Smallest and largest value of each parameter."""
+        return self.emulator.bounds
+
+    @property
+    def theta_deg(self) -> FloatArray:
+        """Leg angles of the forces [deg], shape [theta]."""
+        return self.emulator.curves.theta_deg
+
+    @property
+    def density(self) -> float:
+        """Bulk density that the forces are for [kg/m³]; they are in proportion to it."""
+        return self.emulator.curves.scenario.soil.density
+
+    def __call__(self, x: FloatArray) -> FloatArray:
+        """Forces (Fx, Fz) [N], [k, key] -> [k, 2, theta]; linear in φ beyond its ends."""
+        if PHI not in self.keys:
+            return self.scale * self.emulator(x)
+        i = self.keys.index(PHI)
+        low, high = (float(ends[i]) for ends in self.bounds)
+        x = x.copy()
+        beyond = x[:, i] - np.clip(x[:, i], low, high)
+        x[:, i] -= beyond
+        force = self.emulator(x)
+        out = np.flatnonzero(beyond)
+        if out.size:
+            step = STEP * (high - low)
+            inner = x[out]
+            inner[:, i] -= np.sign(beyond[out]) * step
+            slope = (force[out] - self.emulator(inner)) / step
+            force[out] += np.abs(beyond[out])[:, None, None] * slope
+        return self.scale * force
+
+    def interpolation(self, x: FloatArray) -> FloatArray:
+        """Factor F of the covariance F F' of the interpolation at a point [N], [2 theta, k]."""
+        return self.scale * self.emulator.interpolation(np.clip(x, *self.bounds))
+
+    def scatter(self, x: FloatArray) -> FloatArray:
+        """Covariance between particle seeds at a point [N²], [2 theta, 2 theta]."""
+        return self.scale**2 * self.emulator.scatter(np.clip(x, *self.bounds))
+
+    def modes(self, x: FloatArray) -> dict[str, FloatArray]:
+        """What the correction leaves uncertain at a point [N], by cause: factors [2 theta, k]."""
+        if self.correction is None or PHI not in self.keys:
+            return {}
+        i = self.keys.index(PHI)
+        at = np.searchsorted(self.correction.theta_deg, self.theta_deg)
+        modes = self.correction.modes_at(float(np.clip(x, *self.bounds)[i]))
+        sd = {"hip height": self.height_sd}
+        return {
+            cause: self.scale * sd.get(cause, 1.0) * mode[:, :, at].reshape(len(mode), -1).T
+            for cause, mode in modes.items()
+        }
+
+
+def is_similar(rig: Rig, leg: Rig | None, varied: Iterable[str] = ()) -> bool:
+    """Whether a rig has the proportions of a simulated leg, apart from scenario keys that vary."""
+    if leg is None:
+        return True
+    own, simulated = rig.ratios, leg.ratios
+    apart = {
+        "leg.width": abs(own.width / simulated.width - 1.0),
+        "motion.hip.1": abs(own.hip_height - simulated.hip_height),
+        "leg.half_thickness": abs(own.thickness - simulated.thickness),
+    }
+    return all(apart[key] <= SIMILAR[key] for key in apart if key not in varied)
+
+
+def leg_law(library: Library, rig: Rig, *, corrected: bool, strict: bool = True) -> LegLaw:
+    """The law of a rig by a library of legs.
+
+    Parameters
+    ----------
+    library
+        Has the rig's leg.
+    rig
+        The apparatus.
+    corrected
+        Whether to add the correction for cells and speed-up, if there is one.
+    strict
+        Whether the rig must have the proportions of the library's leg.
+
+    Raises
+    ------
+    InputError
+        If the library lacks the leg, or its leg has other proportions.
+    """
+    emulator = emulator_of(library, rig.leg, corrected=corrected)
+    simulated = Rig.of_scenario(emulator.curves.scenario)
+    if strict and not is_similar(rig, simulated, emulator.curves.keys):
+        sizes = rig.sizes_mm.items()
+        options = " ".join(f"--{key[:-3].replace('_', '-')} {size:g}" for key, size in sizes)
+        raise InputError(
+            f"library {library.name} is of a {simulated}, and this leg has other proportions; "
+            f"build one: terraphi library build --leg {rig.leg} {options} --out mine.nc, and add "
+            "--library mine.nc, or rft3d for a rough angle at once"
+        )
+    longer = 1.0 if simulated is None else rig.length / simulated.length
+    arm, known = emulator.curves.arm, Rig.of("li2013", rig.leg)
+    return LegLaw(
+        emulator,
+        longer**3,
+        None if arm is None else longer * arm,
+        library.corrections.get(rig.leg) if corrected else None,
+        rig.hip_height_sd_mm / rig.length_mm / (known.hip_height_sd_mm / known.length_mm),
+    )
+
+
+def library_of_theory(rigs: Iterable[Rig]) -> Library:
+    """Library of resistive force theory for some rigs: the shipped one, or one made now.
+
+    Of several rigs with one leg the first counts.
+    """
+    shipped = shipped_library(THEORY)
+    first = {rig.leg: rig for rig in reversed(list(rigs))}
+    legs = {leg: Rig.of_scenario(shipped.curves(leg).scenario) for leg in first}
+    if all(is_similar(rig, legs[leg]) for leg, rig in first.items()):
+        return shipped
+    return _theory(tuple(first.values()))
+
+
+@functools.lru_cache(maxsize=16)
+def _theory(rigs: tuple[Rig, ...]) -> Library:
+    """Forces on some rigs by resistive force theory, over the angles of the shipped library."""
+    base = shipped_library(THEORY)
+    theta = np.radians(np.arange(-135.0, 135.5, 0.5))
+    cases = []
+    for rig in rigs:
+        own = [case.scenario for case in base.cases if case.scenario.leg.shape == rig.leg]
+        sizes = {
+            "leg.chord": rig.length,
+            "leg.width": 1e-3 * rig.width_mm,
+            "leg.half_thickness": 5e-4 * rig.thickness_mm,
+            "motion.hip.1": own[0].bed.surface + 1e-3 * rig.hip_height_mm,
+        }
+        for scenario in (one.replace(**sizes) for one in own):
+            force, moment = leg_force(scenario, scenario.motion.poses_at(theta))
+            cases.append(Case(scenario, ForceHistory(theta, force, moment=moment)))
+    return replace(base, cases=tuple(cases))
