@@ -1,6 +1,8 @@
 """Simulate legs of any shape in any dry or damp soil: the cases that law `legs` is fitted to.
 
     python studies/legs.py [--part K --parts N] [--forecast]
+    python studies/legs.py --fit
+    python studies/legs.py --errors
 
 Slow soil under gravity has no length of its own: F = ρ g L³ f(θ, φ, μ, c/(ρ g L), w/L, h/L, t/L,
 curvature), with L from the hip to the outermost tip. So one length and one density do, and the
@@ -14,28 +16,63 @@ random φ, μ and c.
 
 A case is a line of `studies/data/legs/cases-K.csv`, appended when it is finished; the same command
 goes on. `--parts 2` lets two processes share the work. Two to five minutes of one core a case.
+
+`--fit` makes `src/terraphi/data/laws/legs.nc` of the shapes with cases enough: of these, of Li's
+legs in `sand3d`, and of `coarse.csv`, an earlier design of straight legs in cells of 6.25 mm (means
+over 4°, μ = 0.3). It prints how well each case is predicted by the others.
+
+`--errors` reads the loose grains of `grains/` by that law, on Li's and on other rigs, in grains of
+4 to 9 mm: the cohesion that it fits stands for their size. The angle read less that of the shear
+cell gives the model error: a mean, what soils differ by, and what rigs, sizes and beds of a soil
+differ by. It goes into the law's file.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
+import itertools
 import math
 import os
+import sys
 from collections.abc import Iterator
-from dataclasses import astuple, dataclass, fields
+from dataclasses import astuple, dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
 from scipy.stats import qmc
 
 import terraphi
+from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.leg import RotatingShape
+from terraphi.experiment.rig import LI2013, Ratios, Rig, similar_scenario
 from terraphi.experiment.rig import SIMULATED_LENGTH as LENGTH
-from terraphi.experiment.rig import Ratios, similar_scenario
+from terraphi.experiment.scenario import GRAVITY
 from terraphi.forward import Checkpoint, model_version
 from terraphi.forward.forecast import forecast
+from terraphi.inference.checks import without_faults
+from terraphi.inference.likelihood import Likelihood
+from terraphi.inference.records import open_record
+from terraphi.laws import legs
+
+sys.path.insert(0, str(Path(__file__).parent / "grains"))
+import elements
+import run
 
 FOLDER = Path(__file__).parent / "data" / "legs"
+LAW = Path(__file__).parents[1] / "src" / "terraphi" / "data" / "laws" / "legs.nc"
+GRAINS = Path(__file__).parent / "data" / "grains"
+OTHERS = ("slow", "rough-leg", "smooth-leg", "narrow", "wide")
+"""Ends of the names of soils that are stirred otherwise."""
+SHEAR_CELL_SD = 0.6
+"""Standard deviation of the friction angle by one shear cell [deg]: between seeds."""
+SLOPE_SD = 0.1
+"""Standard deviation of the slope of the offset over φ [-]: the readings show none (chosen)."""
+COMMON_SD = 1.47
+"""What all soils in one apparatus may differ by [deg]: that of `sand3d` (``model_error.py``)."""
+FEWEST = 60
+"""Cases that a law of a shape needs, with those of Li's leg: ten an axis and a few (chosen)."""
+NAMES = ("phi_deg", "mu", "width", "height", "thickness", "cohesion")
 BOX = {
     "phi_deg": (10.0, 55.0),
     "mu": (0.1, 0.6),
@@ -169,13 +206,141 @@ def line(case: Case) -> str:
     return ",".join([*map(str, known), *(f"{v:.5g}" for v in np.concatenate(means))]) + "\n"
 
 
+def fresh() -> Iterator[tuple[str, list[float], np.ndarray, np.ndarray]]:
+    """Shape, parameters over `AXES`, leg angles [deg] and (Fx, Fz) [N] of the design's cases."""
+    for file in sorted(FOLDER.glob("cases-*.csv")):
+        for row in csv.DictReader(file.open()):
+            if row.get(f"Fx_{ANGLES[0]:g}") and float(row["bed"]) == 1.0:
+                x = [float(row[key]) for key in NAMES]
+                force = [[float(row[f"{axis}_{a:g}"]) for a in ANGLES] for axis in ("Fx", "Fz")]
+                cell = float(row["cell_mm"]) * 1e-3 / LENGTH
+                yield row["shape"], [*x, cell], ANGLES, np.array(force)
+
+
+def coarse() -> Iterator[tuple[str, list[float], np.ndarray, np.ndarray]]:
+    """The same of the earlier design."""
+    table = np.genfromtxt(FOLDER / "coarse.csv", delimiter=",", comments="#", skip_header=2)
+    theta = np.arange(-84.0, 81.0, 4.0)
+    for phi, width, height, cohesion, *force in table.tolist():
+        c = cohesion / (1650.0 * GRAVITY * LENGTH)
+        x = [phi, 0.3, width / LENGTH, height / LENGTH, LI_LEG[2], c, 6.25e-3 / LENGTH]
+        yield "straight", x, theta, np.reshape(force, (2, -1))
+
+
+def of_li() -> Iterator[tuple[str, list[float], np.ndarray, np.ndarray]]:
+    """The same of library `sand3d`."""
+    library = terraphi.Library.load("sand3d")
+    theta = np.arange(-90.0, 91.0)
+    for case in (*library.cases, *library.replicates):
+        if case.history is not None:
+            one = case.scenario
+            cell = one.numerics.cell_size / LENGTH
+            x = [one.soil.friction_angle_deg, one.leg.friction, *LI_LEG, 0.0, cell]
+            force = case.history.means(np.radians(theta), np.radians(0.5)).T
+            yield one.leg.shape, x, theta, force
+
+
+def fit() -> None:
+    """Fit the law, print how well cases are predicted by the others, and write it."""
+    found: dict[str, list[tuple[list[float], float, np.ndarray]]] = {}
+    for shape, (*x, cell), theta, force in itertools.chain(fresh(), coarse(), of_li()):
+        ratios = Ratios(*x[2:5])
+        first, last, depth = legs.reach(shape, ratios)
+        at = 0.5 * (first + last + (last - first) * legs.PLACES)
+        size = 1650.0 * GRAVITY * LENGTH**3 * ratios.width * depth**2
+        curve = np.array([np.interp(at, theta, row) for row in force]) / size
+        found.setdefault(shape, []).append(
+            ([*x, cell / legs.cells_of(ratios, depth)], depth, curve)
+        )
+    shapes = {}
+    for shape, cases in found.items():
+        columns = [np.array(column) for column in zip(*cases, strict=True)]
+        law = legs.ShapeLaw(columns[0], columns[1], columns[2].astype(np.float32).astype(float))
+        print(f"{shape}: {len(cases)} cases", end="")
+        if len(cases) < FEWEST:
+            print(f", of {FEWEST} that a law needs")
+            continue
+        shapes[shape] = law
+        apart, sd = law.left_out()
+        size, z = apart[:, 0], apart / sd
+        within = np.mean(np.abs(z) < 1.0)
+        middle, most = (100.0 * float(f(np.abs(size))) for f in (np.median, np.max))
+        print(
+            f"; left out, the size of the forces is met within {100 * np.std(size):.1f} % (SD; "
+            f"median {middle:.1f} %, largest {most:.0f} %), and {within:.0%} of sizes "
+            "and weights within the law's own standard deviation"
+        )
+    path = LAW
+    known = legs.Legs.load(path).model_error if path.exists() else {}
+    counts = {shape: len(law.x) for shape, law in shapes.items()}
+    path.parent.mkdir(exist_ok=True)
+    legs.Legs(shapes, known, {"cases": counts, "terraphi": terraphi.__version__}).save(path)
+
+
+def read_grains(law: legs.Legs) -> Iterator[tuple[str, str, float, float, float]]:
+    """Soil, record, angle read less the critical one [deg], shift [deg] and residual [-]."""
+    rigs = {f"rig-{rig.name}": rig for rig in run.rigs()}
+    rigs |= {leg: run.Rig(leg) for leg in law.shapes}
+    for path in sorted(GRAINS.glob("*-loose*.csv")):
+        soil, body, *_ = path.stem.split("_")
+        if body not in rigs or rigs[body].leg not in law.shapes or soil.endswith(OTHERS):
+            continue
+        sizes = {key: getattr(rigs[body], key) for key in LI2013}
+        rig = Rig(leg=rigs[body].leg, hip_height_sd_mm=0.0, **sizes)
+        theta, force, density = run.load(path)
+        history = ForceHistory(np.radians(theta), np.asarray(force).T)
+        record = without_faults(open_record(history, rig=rig, density=f"{density:.1f}±0"))
+        likelihood = Likelihood([record], law)
+        base = f"{soil.split('-')[0]}-loose"
+        read = float(likelihood.least_squares[0])
+        residual = (likelihood.data - likelihood.curves(np.array([[read]]))[0]) / likelihood.span
+        worst = float(np.sqrt(np.square(residual).reshape(2, -1).mean(axis=1)).max())
+        excess = read - elements.measured(GRAINS, base).phi_critical_deg
+        yield base, path.stem, excess, float(likelihood.shift_deg[0]), worst
+
+
+def errors() -> None:
+    """Learn the model error, print the readings, and write it into the law's file."""
+    law = legs.Legs.load(LAW)
+    rows = list(read_grains(replace(law, model_error={})))
+    for row in rows:
+        print("{:10} {:34} {:+5.1f}°  shift {:+5.1f}°  residual {:.3f}".format(*row))
+    soils = [np.array([r[2] for r in rows if r[0] == soil]) for soil in {r[0] for r in rows}]
+    excess = np.concatenate(soils)
+    within = sum(float(np.square(one - one.mean()).sum()) for one in soils)
+    leg_sd = np.sqrt(within / (excess.size - len(soils)))
+    means = np.array([one.mean() for one in soils])
+    scatter = np.mean([leg_sd**2 / one.size for one in soils])
+    soil_sd = np.sqrt(max(float(means.var(ddof=1)) - scatter, SHEAR_CELL_SD**2))
+    known = {row[0]: elements.measured(GRAINS, row[0]).phi_critical_deg for row in rows}
+    error = {
+        "offset_deg": round(float(means.mean()), 2),
+        "covariance": [[round((soil_sd**2 + scatter) / len(soils), 3), 0.0], [0.0, SLOPE_SD**2]],
+        "common_sd_deg": COMMON_SD,
+        "soil_sd_deg": round(float(soil_sd), 2),
+        "leg_sd_deg": round(float(leg_sd), 2),
+        "phi_deg": [round(min(known.values()), 1), round(max(known.values()), 1)],
+        "shift_deg": round(float(np.mean([row[3] for row in rows])), 1),
+        "nrmsd_limit": round(1.1 * float(np.quantile([row[4] for row in rows], 0.95)), 3),
+        "training": sorted(row[1] for row in rows),
+    }
+    print({key: value for key, value in error.items() if key != "training"})
+    print(f"without the mean taken off: {np.sqrt(np.mean(excess**2)):.1f}°, root mean square")
+    replace(law, model_error=dict.fromkeys(law.shapes, error)).save(LAW)
+
+
 def main() -> None:
-    """Simulate what is missing."""
+    """Simulate what is missing, or fit the law."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--part", type=int, default=0, help="which of the parts, from 0 on")
     parser.add_argument("--parts", type=int, default=1, help="processes that share the work")
     parser.add_argument("--forecast", action="store_true", help="print the time and end")
+    parser.add_argument("--fit", action="store_true", help="make the law of what there is")
+    parser.add_argument("--errors", action="store_true", help="learn its error from grains")
     options = parser.parse_args()
+    if options.fit or options.errors:
+        (fit if options.fit else errors)()
+        return
     if options.forecast:
         times = []
         for case in cases():

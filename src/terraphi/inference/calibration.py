@@ -38,6 +38,7 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import atomic_write
 from terraphi.experiment.outputs import SIGNATURE
 from terraphi.laws.law import ModelError
+from terraphi.laws.legs import Legs
 from terraphi.laws.store import Library
 
 
@@ -72,7 +73,7 @@ class Calibration(Strict):
     soils: list[CalibrationSoil] = Field(min_length=1)
     """The records."""
 
-    def check(self, library: Library) -> None:
+    def check(self, library: Library | Legs) -> None:
         """Refuse another library than that of the calibration.
 
         Raises

@@ -18,16 +18,18 @@ from terraphi.experiment.baseline import OFFSET
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import CHANNEL_UNITS, FORCES, OBSERVATION_ANGLES, WINDOW_DEG
 from terraphi.experiment.rig import Rig
+from terraphi.experiment.scenario import GRAVITY
 from terraphi.experiment.units import FORCE
 from terraphi.forward.rft import to_plane_strain
 from terraphi.inference.likelihood import (
     SHIFT_DEG,
     Likelihood,
+    law_of,
     squared_residuals,
     window_means,
 )
 from terraphi.inference.records import Record
-from terraphi.laws.law import THEORY, LegLaw, leg_law, library_of_theory
+from terraphi.laws.law import THEORY, LegLaw, library_of_theory
 from terraphi.laws.store import PHI, differences
 
 LOADED = 0.05
@@ -257,12 +259,8 @@ def guesses(likelihood: Likelihood) -> Iterator[str]:
         spacing = float(np.median(np.diff(record.history.theta_deg)))
         if spacing > 2.0 * WINDOW_DEG / (OBSERVATION_ANGLES - 1):
             yield f"{name}The readings are {spacing:.0f}° apart; peaks between them are missed."
-        correction = likelihood.library.corrections.get(record.leg)
-        if (
-            likelihood.measured
-            and record.rig.hip_height_sd_mm > 0.0
-            and (correction is None or "hip height" not in correction.modes)
-        ):
+        known = "hip height" in likelihood.terms
+        if likelihood.measured and record.rig.hip_height_sd_mm > 0.0 and not known:
             yield (
                 f"{name}The ± {record.rig.hip_height_sd_mm:g} mm of the hip's height are not in "
                 f"this interval: library {likelihood.library.name} does not have their effect."
@@ -307,7 +305,7 @@ def others(
     for i, record in enumerate(likelihood.records):
         name = f"{record.source}: " if several else ""
         if record.scenario is not None:
-            apart = differences(record.scenario, likelihood.library.cases[0].scenario)
+            apart = differences(record.scenario, likelihood.library.scenario)
             apart = [key for key in apart if key not in likelihood.keys]
             if apart:
                 listed = ", ".join(apart[:3]) + (", …" if len(apart) > 3 else "")
@@ -523,6 +521,7 @@ def residual(data: FloatArray, record: Record, likelihood: Likelihood, leg: str)
 def _over_phi(likelihood: Likelihood, record: Record, leg: str) -> tuple[LegLaw, FloatArray]:
     """Law of a leg, and its forces [N] over the law's φ, at a record's density."""
     rig = Rig.of(record.rig, leg)
-    law = leg_law(likelihood.library, rig, corrected=likelihood.measured, strict=False)
+    law = law_of(likelihood.library, rig, measured=likelihood.measured, strict=False)
     density = record.density_kg_m3 or law.density
-    return law, density / law.density * law(np.linspace(*law.bounds, 71))
+    number = likelihood.cohesion / (density * GRAVITY * rig.length)
+    return law, density / law.density * law(np.linspace(*law.bounds, 71), number)

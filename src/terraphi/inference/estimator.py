@@ -83,8 +83,9 @@ def least_squares(
         normal = weighted @ s + precision
         gradient = (weighted @ left[rows, :, None])[..., 0]
         gradient -= (at - mean) @ (precision * np.eye(len(scale)))
-        # What presses against its bound stays there, and the rest is solved without it.
+        # What presses against its bound, or changes nothing, stays, and the rest is solved without.
         fixed = ((at <= low) & (gradient < 0.0)) | ((at >= high) & (gradient > 0.0))
+        fixed |= normal.diagonal(axis1=1, axis2=2) == 0.0
         normal[fixed[:, :, None] | fixed[:, None, :]] = 0.0
         normal += np.where(fixed, 1.0, 0.0)[:, :, None] * np.eye(len(scale))
         damped = normal * (1.0 + damping[rows, None, None] * np.eye(len(scale)))

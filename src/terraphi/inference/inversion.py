@@ -40,11 +40,13 @@ from terraphi.inference.likelihood import (
 )
 from terraphi.inference.records import Record, open_records
 from terraphi.inference.sampling import Drawn, quadrature, sample
-from terraphi.laws.law import THEORY, library_of_theory, model_error
+from terraphi.laws.law import THEORY, is_similar, library_of_theory, model_error, rig_of
+from terraphi.laws.legs import NAME as LEGS
+from terraphi.laws.legs import Legs, shipped_legs
 from terraphi.laws.store import PHI, Library, nearest_library, shipped_library
 
 DEFAULT = "sand3d"
-"""Library for measured forces."""
+"""Library for measured forces on legs of the proportions of Li et al. (2013)."""
 MODEL = ("model: apparatus", "model: soil", "model: leg", "model: offset")
 """Terms of the error of the model on real soils."""
 BETTER_LEG = 0.9
@@ -91,8 +93,9 @@ def invert(
         Which columns of a table are what, as a mapping of the options of
         :func:`terraphi.read_forces`, or a TOML file of them; ``None``: guessed.
     library
-        Library, file or shipped name; ``None``: ``sand3d`` for measured forces, for simulated ones
-        the library whose scenario is nearest.
+        Library, file or shipped name; ``None``: ``sand3d`` for measured forces on legs of the
+        proportions of Li et al. (2013), ``legs`` for others, and for simulated forces the library
+        whose scenario is nearest.
     noise
         Standard deviation of one reading [N], of both forces or of each; ``None``: from the
         readings' roughness.
@@ -217,7 +220,7 @@ def calibrate(
             raise InputError(
                 f"{record.source}: forces and angle disagree by {apart:+.0f}°, at most "
                 f"{FAR * usual:.0f}° are accepted; check phi = {phi_deg:g}° (in "
-                f"{found.cases[0].scenario.convention}), the density and the leg"
+                f"{found.scenario.convention}), the density and the leg"
             )
         soils.append(
             CalibrationSoil(
@@ -260,21 +263,26 @@ def _attempt(row: Any) -> Answer | InputError:
 
 def _library_for(
     records: Sequence[Record], library: Library | Path | str | None
-) -> tuple[Library, str]:
+) -> tuple[Library | Legs, str]:
     """The library to take, and why, if none was named."""
     if isinstance(library, Library):
         return library, ""
+    rigs = tuple(record.rig for record in records)
     if library is not None and str(library) == THEORY:
-        return library_of_theory(record.rig for record in records), ""
+        return library_of_theory(rigs), ""
+    if library is not None and str(library) == LEGS:
+        return shipped_legs(), ""
     if library is not None:
         named = str(library)
         return (shipped_library(named) if named in Library.names() else Library.load(library)), ""
     scenarios = [record.scenario for record in records]
     if all(scenario is not None for scenario in scenarios):
         assert scenarios[0] is not None
-        found = nearest_library(scenarios[0])
-        return found, "the nearest to the simulation"
-    return shipped_library(DEFAULT), "the default for measured forces"
+        return nearest_library(scenarios[0]), "the nearest to the simulation"
+    default = shipped_library(DEFAULT)
+    if all(is_similar(rig, rig_of(default, rig.leg)) for rig in rigs):
+        return default, "the default for measured forces"
+    return shipped_legs(), "the law for legs of any proportions"
 
 
 def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Answer:
@@ -305,7 +313,7 @@ def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Ans
     fits = _fits(likelihood, middle, parameters)
     air = in_air(likelihood)
     verdict, why, edge = _verdict(likelihood, fits, middle, damaged=bool(air))
-    inferred, scenario = parameters.get(PHI), library.cases[0].scenario
+    inferred, scenario = parameters.get(PHI), library.scenario
     other = second["median"] if second and scenario.convention == "plane_strain" else None
     far = ""
     if inferred and other is not None and abs(other - inferred.median) > FAR_APART_DEG:
@@ -624,7 +632,7 @@ def _disagreement_deg(likelihood: Likelihood, own: Estimate, second: dict[str, A
 
     With it the two differ by :data:`UNUSUAL` of their common standard deviation.
     """
-    convention = likelihood.library.cases[0].scenario.convention
+    convention = likelihood.library.scenario.convention
     if convention != "plane_strain" or likelihood.beyond is not None:
         return 0.0
     apart = second["median"] - own.median

@@ -58,11 +58,14 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import FORCES
+from terraphi.experiment.rig import Rig
+from terraphi.experiment.scenario import GRAVITY
 from terraphi.inference.calibration import Calibration
 from terraphi.inference.estimator import Best, least_squares, weights
 from terraphi.inference.partial import Part, missing_parts, part_of
 from terraphi.inference.records import Record
 from terraphi.laws.law import STEP, LegLaw, ModelError, leg_law, model_error
+from terraphi.laws.legs import Legs
 from terraphi.laws.store import PHI, Library
 
 SHIFT_DEG = 15.0
@@ -78,6 +81,9 @@ BEYOND_DEG, LIMITS_DEG = 12.0, (0.5, 80.0)
 angles that can be answered [deg]; chosen."""
 FAR_OFF = 3.0
 """Factor between data and best curve at which no angle fits [-]: chosen."""
+COHESION_WEIGHT = 3.0
+"""Weight of (c / (ρ g L))² beside the squared residual [-]: that with which the law ``legs`` reads
+the friction angles of simulated grains of 4 to 9 mm best (``studies/legs.py --errors``)."""
 OF_RIG = ("leg friction", "hip height", "gain")
 """Causes that stay as they are in an apparatus."""
 
@@ -95,6 +101,13 @@ def channels_of(record: Record, force: FloatArray, arm: FloatArray | None) -> Fl
         )
     rows = {"Fx": force[..., 0, :], "Fz": force[..., 1, :], "M": (force * arm).sum(axis=-2)}
     return np.stack([rows[name] for name in record.channels], axis=-2)
+
+
+def law_of(library: Library | Legs, rig: Rig, *, measured: bool, strict: bool = True) -> LegLaw:
+    """The law of a rig; errors as of :func:`~terraphi.laws.law.leg_law`."""
+    if isinstance(library, Legs):
+        return library.law(rig)
+    return leg_law(library, rig, corrected=measured, strict=strict)
 
 
 def window_means(record: Record, force: FloatArray, law: LegLaw, shift_deg: float) -> FloatArray:
@@ -149,7 +162,7 @@ class Likelihood:
     def __init__(
         self,
         records: Sequence[Record],
-        library: Library,
+        library: Library | Legs,
         calibration: Calibration | None = None,
         *,
         disagreement_deg: float = 0.0,
@@ -175,6 +188,9 @@ class Likelihood:
         self.errors: dict[str, ModelError] = {
             r.leg: model_error(library, r.leg, media) for r in records
         }
+        # c / (ρ g L) of each record for a cohesion of 1 Pa.
+        lengths = np.array([record.rig.length for record in records])
+        self._per_pascal = 1.0 / (np.array(self.density) * GRAVITY * lengths)
         self.low = np.max([law.bounds[0] for law in self.laws], axis=0)
         self.high = np.min([law.bounds[1] for law in self.laws], axis=0)
 
@@ -186,12 +202,11 @@ class Likelihood:
             for r in self.records
         ])  # fmt: skip
 
-    def _law(self, record: Record, library: Library) -> LegLaw:
+    def _law(self, record: Record, library: Library | Legs) -> LegLaw:
         """The law of a record's rig; raises InputError if it does not cover the record."""
         try:
-            law = leg_law(
-                library, record.rig, corrected=self.measured, strict=record.scenario is None
-            )
+            strict = record.scenario is None
+            law = law_of(library, record.rig, measured=self.measured, strict=strict)
         except InputError as error:
             raise InputError(f"{record.source}: {error}") from None
         theta, known = record.theta_deg, law.theta_deg
@@ -213,10 +228,10 @@ class Likelihood:
         common = self.calibration.common(error, leg, phi_deg)[0] if self.calibration else 0.0
         return np.asarray(error.offset_at(phi_deg + common) + common)
 
-    def curves(self, x: FloatArray, shift_deg: FloatArray | None = None) -> FloatArray:
-        """Window means g(x) [N] of all records at their shifts, or others, [k, key] -> [k, n]."""
-        shift_deg = self.shift_deg if shift_deg is None else shift_deg
-        forces = self._forces(x)
+    def curves(self, x: FloatArray, nuisance: FloatArray | None = None) -> FloatArray:
+        """Window means g(x) [N] at the best δ and c, or others, [k, key] -> [k, n]."""
+        *shift_deg, cohesion = self.nuisance if nuisance is None else nuisance
+        forces = self._forces(x, cohesion)
         return np.hstack([
             window_means(record, force, law, shift)
             for record, force, law, shift in zip(
@@ -224,15 +239,17 @@ class Likelihood:
             )
         ])  # fmt: skip
 
-    def _forces(self, x: FloatArray) -> list[FloatArray]:
-        """Forces [N] on the leg of each record in soil of its density, [k, 2, theta]."""
-        of_rigs = {
-            record.rig: law(self._read(record.leg, x))
-            for record, law in zip(self.records, self.laws, strict=True)
-        }
-        return [
-            r * of_rigs[record.rig] for record, r in zip(self.records, self._ratio, strict=True)
-        ]
+    def _forces(self, x: FloatArray, cohesion: float) -> list[FloatArray]:
+        """Forces [N] on the leg of each record in soil of its density, [k, 2, theta].
+
+        The cohesion of the soil is in pascals.
+        """
+        forces: dict[tuple[Rig, float], FloatArray] = {}
+        keys = [(r.rig, n * cohesion) for r, n in zip(self.records, self._per_pascal, strict=True)]
+        for record, law, key in zip(self.records, self.laws, keys, strict=True):
+            if key not in forces:
+                forces[key] = law(self._read(record.leg, x), key[1])
+        return [ratio * forces[key] for key, ratio in zip(keys, self._ratio, strict=True)]
 
     def _read(self, leg: str, x: FloatArray) -> FloatArray:
         """Parameters with the angle that the law reads off a leg's measured forces, [..., key]."""
@@ -248,21 +265,38 @@ class Likelihood:
         """
         x = np.repeat(self.inside[None], 3, axis=0)
         x[:, self._phi or 0] += [-1.0, 0.0, 1.0]
-        means = window_means(record, self._forces(x)[i], self.laws[i], self.shift_deg[i])
+        force = self._forces(x, self.cohesion)[i]
+        means = window_means(record, force, self.laws[i], self.shift_deg[i])
         return means.reshape(3, len(record.channels), -1)
 
-    def slope(self, x: FloatArray, shift_deg: FloatArray | None = None) -> FloatArray:
-        """∂g/∂x at a point [N/unit], at the records' shifts or others, shape [key] -> [n, key]."""
+    def slope(self, x: FloatArray, nuisance: FloatArray | None = None) -> FloatArray:
+        """∂g/∂x at a point [N/unit], at the best δ and c or others, shape [key] -> [n, key]."""
         steps = np.diag(STEP * (self.high - self.low))
-        ahead, behind = (self.curves(x + h, shift_deg) for h in (steps, -steps))
+        ahead, behind = (self.curves(x + h, nuisance) for h in (steps, -steps))
         return np.asarray((ahead - behind).T / (2.0 * np.diag(steps)))
 
     def _slopes(self, point: FloatArray) -> FloatArray:
-        """∂g/∂x, and ∂g/∂δ of each record [N/deg], at x and δ, shape [n, key + record]."""
-        x, shift = np.split(point, [len(self.keys)])
-        ahead, behind = (self.curves(x[None], shift + h)[0] for h in (0.1, -0.1))
-        of_shift = np.where(self._of[:, None] == np.arange(len(shift)), 1.0, 0.0)
-        return np.hstack([self.slope(x, shift), of_shift * (ahead - behind)[:, None] / 0.2])
+        """∂g/∂x, ∂g/∂δ of each record [N/deg] and ∂g/∂c [N/Pa], [n, key + record + 1]."""
+        x, nuisance = np.split(point, [len(self.keys)])
+        turn = np.append(np.full(len(self.records), 0.1), 0.0)
+        ahead, behind = (self.curves(x[None], nuisance + h)[0] for h in (turn, -turn))
+        of_shift = np.where(self._of[:, None] == np.arange(len(self.records)), 1.0, 0.0)
+        slopes = [self.slope(x, nuisance), of_shift * (ahead - behind)[:, None] / 0.2]
+        step = STEP * self._bounds[1][-1]
+        of_cohesion = np.zeros(self.data.size)
+        if step:
+            ends = [np.append(nuisance[:-1], max(nuisance[-1] + h, 0.0)) for h in (step, -step)]
+            ahead, behind = (self.curves(x[None], end)[0] for end in ends)
+            of_cohesion = (ahead - behind) / (ends[0][-1] - ends[1][-1])
+        return np.hstack([*slopes, of_cohesion[:, None]])
+
+    @property
+    def _bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Least and largest δ [deg] and c [Pa]: of simulated records, nothing but 0."""
+        shift = np.full(len(self.records), SHIFT_DEG if self.measured else 0.0)
+        most = [law.most_cohesion / number for law, number in zip(self.laws, self._per_pascal,
+                                                                  strict=True)]  # fmt: skip
+        return np.append(-shift, 0.0), np.append(shift, min(most) if self.measured else 0.0)
 
     # -- best point ------------------------------------------------------------------------------
 
@@ -277,6 +311,16 @@ class Likelihood:
     @property
     def shift_deg(self) -> FloatArray:
         """Shift of each record with them [deg], shape [record]: its forces come so much later."""
+        return self.nuisance[:-1]
+
+    @property
+    def cohesion(self) -> float:
+        """Cohesion of the soil with them [Pa]; 0 by laws of dry soil."""
+        return float(self.nuisance[-1])
+
+    @property
+    def nuisance(self) -> FloatArray:
+        """Shift of each record [deg], and the cohesion [Pa], shape [record + 1]."""
         return self._best.x[0, len(self.keys) :]
 
     @property
@@ -298,22 +342,25 @@ class Likelihood:
             x = self.low + (self.high - self.low) * np.random.default_rng(0).random(
                 (512, len(self.keys))
             )
-        shifts = np.arange(-self._largest_shift, self._largest_shift + 1.0)
+        (least, most), n = self._bounds, len(self.keys)
+        shifts = np.arange(least[0], most[0] + 1.0)
         squares = [
             squared_residuals(record, record.data, force, law, shifts)
-            for record, force, law in zip(self.records, self._forces(x), self.laws, strict=True)
+            for record, force, law in zip(
+                self.records, self._forces(x, 0.0), self.laws, strict=True
+            )
         ]
         first = int(sum(each.min(axis=0) for each in squares).argmin())
         shift = shifts[[int(each[:, first].argmin()) for each in squares]]
-        largest, n = np.full(len(shift), self._largest_shift), len(self.keys)
         low, high = self.ends
         return least_squares(
             lambda p, _: self.data - self.curves(p[:, :n], p[0, n:]),
             lambda p, _: self._slopes(p[0])[None],
             self._weight[None],
-            np.append(x[first], shift)[None],
-            bounds=(np.append(low, -largest), np.append(high, largest)),
-            scale=np.append(self.high - self.low, np.ones(len(shift))),
+            np.concatenate([x[first], shift, [0.0]])[None],
+            bounds=(np.append(low, least), np.append(high, most)),
+            scale=np.concatenate([self.high - self.low, np.ones(len(shift)), [max(most[-1], 1.0)]]),
+            precision=self._precision,
             settled=1e-8,
         )
 
@@ -354,7 +401,10 @@ class Likelihood:
         found["noise"] += np.diag(np.square(RIDGE * self.span))
         at = [self._read(record.leg, x) for record in self.records]
         laws = list(zip(self.laws, at, strict=True))
-        found["emulator"] = self._shared_by_leg([law.interpolation(p) for law, p in laws])
+        numbers = (self.cohesion * self._per_pascal).tolist()
+        found["emulator"] = self._shared_by_leg(
+            [law.interpolation(p, c) for (law, p), c in zip(laws, numbers, strict=True)]
+        )
         if not self.measured:
             blocks = []
             for record, ratio, (law, p) in zip(self.records, self._ratio, laws, strict=True):
@@ -362,7 +412,7 @@ class Likelihood:
                 blocks.append(both @ law.scatter(p) @ both.T)
             found["particle scatter"] = self._blocks(blocks)
             return found
-        modes = [law.modes(p) for law, p in laws]
+        modes = [law.modes(p, c) for (law, p), c in zip(laws, numbers, strict=True)]
         for cause in sorted({cause for each in modes for cause in each}):
             # What a calibration determines of the apparatus includes that of its rig.
             known = [cause in OF_RIG and self._calibrated(r.leg) for r in self.records]
@@ -439,19 +489,20 @@ class Likelihood:
     def _weights(self) -> FloatArray:
         """Weights c of each parameter at the best point, shape [key, n] [unit/N]."""
         slope = self._best.slope.copy()
-        # Shifts at their bound are not fitted.
-        slope[:, :, len(self.keys) :][:, :, np.abs(self.shift_deg) >= self._largest_shift] = 0.0
-        return weights(slope, self._weight[None])[0][0, : len(self.keys)]
+        # What is at a bound is not fitted.
+        slope[0, :, len(self.keys) :] *= ~np.isin(self.nuisance, self._bounds)
+        return weights(slope, self._weight[None], self._precision)[0][0, : len(self.keys)]
+
+    @property
+    def _precision(self) -> FloatArray:
+        """Precision of x, δ and c before the forces: of the cohesion alone."""
+        free = np.zeros(len(self.keys) + len(self.records))
+        return np.diag(np.append(free, COHESION_WEIGHT * np.square(self._per_pascal).sum()))
 
     @property
     def _weight(self) -> FloatArray:
         """A = diag(1/p²), p the peak-to-peak of each force, shape [n, n]."""
         return np.diag(self.span**-2)
-
-    @property
-    def _largest_shift(self) -> float:
-        """Largest shift of the leg angle [deg]: simulated records have none."""
-        return SHIFT_DEG if self.measured else 0.0
 
     @cached_property
     def _variance(self) -> FloatArray:

@@ -92,12 +92,12 @@ class Emulator:
         return mean, u[kept], (left * values)[:, kept]
 
     @cached_property
-    def _processes(self) -> list[_Process]:
+    def _processes(self) -> list[Process]:
         """A fitted process for each component."""
         weights = self._components[2]
         t = (self.curves.x - self._scale[0]) / self._scale[1]
         rough = self.roughness(self.curves.x) if self._scatters else np.ones(len(t))
-        return _fitted(t, self._basis(self.curves.x), weights, rough)
+        return fitted(t, self._basis(self.curves.x), weights, rough)
 
     @cached_property
     def _stacked(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -192,7 +192,7 @@ def emulator_of(library: Library, leg: str, *, corrected: bool) -> Emulator:
 
 
 @dataclass(frozen=True, eq=False)
-class _Process:
+class Process:
     """A Gaussian process with a polynomial mean, fitted to one weight.
 
     With A = K + λ diag(b²), K of unit variance, F the polynomials at the cases with coefficients β,
@@ -208,6 +208,24 @@ class _Process:
     spread: FloatArray
     sigma2: float
     noise: float
+
+    @classmethod
+    def of(
+        cls, t: FloatArray, basis: FloatArray, weight: FloatArray, lengths: FloatArray,
+        noise: float, rough: FloatArray | float = 1.0,
+    ) -> Process:  # fmt: skip
+        """The process of known lengths [key] and λ, for a weight of each case [case]."""
+        nugget = noise * np.square(rough) * np.ones(len(t))
+        inverse = np.linalg.inv(_kernel(t, t, lengths) + np.diag(nugget)).astype(np.float64)
+        spread = np.linalg.inv(basis.T @ inverse @ basis).astype(np.float64)
+        beta = spread @ basis.T @ inverse @ weight
+        rest = weight - basis @ beta
+        sigma2 = float(rest @ inverse @ rest) / max(len(t) - basis.shape[1], 1)
+        return cls(t, lengths, beta, inverse @ rest, inverse, basis, spread, sigma2, noise)
+
+    def mean(self, t: FloatArray, basis: FloatArray) -> FloatArray:
+        """Weight at other parameters, shape [k, key] -> [k]."""
+        return np.asarray(basis @ self.beta + _kernel(t, self.t, self.lengths) @ self.solved)
 
     @property
     def nugget(self) -> float:
@@ -230,9 +248,9 @@ def _kernel(one: FloatArray, other: FloatArray, lengths: FloatArray) -> FloatArr
     return (1.0 + lag + 5.0 / 3.0 * squared) * np.exp(-lag)
 
 
-def _fitted(
+def fitted(
     t: FloatArray, basis: FloatArray, weights: FloatArray, rough: FloatArray
-) -> list[_Process]:
+) -> list[Process]:
     """A process for each column of weights: restricted likelihood over a grid, then refined.
 
     The nugget of a case goes with the square of its roughness b; dividing everything by b makes it
@@ -249,22 +267,14 @@ def _fitted(
             better = value > best
             best = np.where(better, value, best)
             chosen[better] = np.log([*[length] * t.shape[1], noise])
-    found = []
-    for column, start in enumerate(chosen):
-        own = w[:, column : column + 1]
-        end = start if t.shape[1] == 1 else _refined(t, f, own, scale, start)
-        lengths, noise = np.exp(end[:-1]), float(np.exp(end[-1]))
-        inverse = np.linalg.inv(_kernel(t, t, lengths) + noise * np.diag(rough**2)).astype(
-            np.float64
-        )
-        spread = np.linalg.inv(basis.T @ inverse @ basis).astype(np.float64)
-        beta = spread @ basis.T @ inverse @ weights[:, column]
-        rest = weights[:, column] - basis @ beta
-        sigma2 = float(rest @ inverse @ rest) / max(len(t) - basis.shape[1], 1)
-        found.append(
-            _Process(t, lengths, beta, inverse @ rest, inverse, basis, spread, sigma2, noise)
-        )
-    return found
+    if t.shape[1] > 1:
+        chosen = np.array([
+            _refined(t, f, w[:, [k]], scale, start) for k, start in enumerate(chosen)
+        ])  # fmt: skip
+    return [
+        Process.of(t, basis, weights[:, k], np.exp(one[:-1]), float(np.exp(one[-1])), rough)
+        for k, one in enumerate(chosen)
+    ]
 
 
 def _restricted(

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Any, Protocol
 
 import numpy as np
 from pydantic import Field
@@ -91,7 +93,19 @@ class ModelError(Strict):
         return np.asarray(spans[:, None] * np.array(rows))
 
 
-def model_error(library: Library, leg: str, media: Iterable[str] = ()) -> ModelError:
+class HasModelError(Protocol):
+    """A library, or a law over ratios."""
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+
+    @property
+    def model_error(self) -> Mapping[str, Any]:
+        """By leg, JSON-able."""
+
+
+def model_error(library: HasModelError, leg: str, media: Iterable[str] = ()) -> ModelError:
     """Model error of a leg; wide defaults if the library has none.
 
     Parameters
@@ -106,87 +120,107 @@ def model_error(library: Library, leg: str, media: Iterable[str] = ()) -> ModelE
     return next((error.without[medium] for medium in media if medium in error.without), error)
 
 
-@dataclass(frozen=True, eq=False)
-class LegLaw:
-    """Forces on the leg of a rig, over the friction angle and whatever else a law varies.
+class LegLaw(ABC):
+    """Forces on the leg of a rig, over the friction angle and whatever else a law varies."""
 
-    Attributes
+    keys: tuple[str, ...]
+    """Dotted scenario keys of the parameters x."""
+    bounds: tuple[FloatArray, FloatArray]
+    """Smallest and largest value of each parameter."""
+    theta_deg: FloatArray
+    """Leg angles of the forces [deg], shape [theta]."""
+    density: float
+    """Bulk density that the forces are for [kg/m³]; they are in proportion to it."""
+    arm: FloatArray | None
+    """(a, b) [m] with M = a Fx + b Fz, the moment about the hip, shape [2, theta]; or ``None``."""
+    most_cohesion: float = 0.0
+    """Largest cohesion c / (ρ g L) that the law knows [-]; 0: it is of dry soil."""
+
+    @abstractmethod
+    def within(self, x: FloatArray, cohesion: float) -> FloatArray:
+        """Forces (Fx, Fz) [N] at parameters within the bounds, [k, key] -> [k, 2, theta]."""
+
+    @abstractmethod
+    def interpolation(self, x: FloatArray, cohesion: float) -> FloatArray:
+        """Factor F of the covariance F F' of the interpolation at a point [N], [2 theta, k]."""
+
+    @abstractmethod
+    def scatter(self, x: FloatArray) -> FloatArray:
+        """Covariance between particle seeds at a point [N²], [2 theta, 2 theta]."""
+
+    @abstractmethod
+    def modes(self, x: FloatArray, cohesion: float) -> dict[str, FloatArray]:
+        """What else is uncertain at a point [N], by cause: factors [2 theta, k]."""
+
+    def __call__(self, x: FloatArray, cohesion: float = 0.0) -> FloatArray:
+        """Forces (Fx, Fz) [N], [k, key] -> [k, 2, theta]; linear in φ beyond its ends.
+
+        The cohesion is c / (ρ g L) [-].
+        """
+        if PHI not in self.keys:
+            return self.within(x, cohesion)
+        i = self.keys.index(PHI)
+        low, high = (float(ends[i]) for ends in self.bounds)
+        x = x.copy()
+        beyond = x[:, i] - np.clip(x[:, i], low, high)
+        x[:, i] -= beyond
+        force = self.within(x, cohesion)
+        out = np.flatnonzero(beyond)
+        if out.size:
+            step = STEP * (high - low)
+            inner = x[out]
+            inner[:, i] -= np.sign(beyond[out]) * step
+            slope = (force[out] - self.within(inner, cohesion)) / step
+            force[out] += np.abs(beyond[out])[:, None, None] * slope
+        return force
+
+
+class LibraryLaw(LegLaw):
+    """The law of a library for a rig of its proportions.
+
+    Parameters
     ----------
     emulator
         Forces on the simulated leg.
-    scale
-        Cube of the rig's length over that of the simulated leg [-].
-    arm
-        (a, b) [m] with M = a Fx + b Fz, the moment about the hip, shape [2, theta]; or ``None``.
+    longer
+        Length of the rig's leg over that of the simulated one [-].
     correction
         What is uncertain of smaller cells and of the rig; ``None`` if unknown.
     height_sd
         Standard deviation of the hip's height over that of the correction's mode [-].
     """
 
-    emulator: Emulator
-    scale: float
-    arm: FloatArray | None
-    correction: Correction | None
-    height_sd: float
+    def __init__(
+        self, emulator: Emulator, longer: float, correction: Correction | None, height_sd: float
+    ) -> None:
+        curves = emulator.curves
+        self.emulator, self.correction, self._scale = emulator, correction, longer**3
+        self._sd = {"hip height": height_sd}
+        self.keys, self.bounds, self.theta_deg = curves.keys, emulator.bounds, curves.theta_deg
+        self.density = curves.scenario.soil.density
+        self.arm = None if curves.arm is None else longer * curves.arm
 
-    @property
-    def keys(self) -> tuple[str, ...]:
-        """Dotted scenario keys of the parameters x."""
-        return self.emulator.curves.keys
+    def within(self, x: FloatArray, _cohesion: float) -> FloatArray:
+        """Forces within the bounds."""
+        return self._scale * self.emulator(x)
 
-    @property
-    def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Smallest and largest value of each parameter."""
-        return self.emulator.bounds
-
-    @property
-    def theta_deg(self) -> FloatArray:
-        """Leg angles of the forces [deg], shape [theta]."""
-        return self.emulator.curves.theta_deg
-
-    @property
-    def density(self) -> float:
-        """Bulk density that the forces are for [kg/m³]; they are in proportion to it."""
-        return self.emulator.curves.scenario.soil.density
-
-    def __call__(self, x: FloatArray) -> FloatArray:
-        """Forces (Fx, Fz) [N], [k, key] -> [k, 2, theta]; linear in φ beyond its ends."""
-        if PHI not in self.keys:
-            return self.scale * self.emulator(x)
-        i = self.keys.index(PHI)
-        low, high = (float(ends[i]) for ends in self.bounds)
-        x = x.copy()
-        beyond = x[:, i] - np.clip(x[:, i], low, high)
-        x[:, i] -= beyond
-        force = self.emulator(x)
-        out = np.flatnonzero(beyond)
-        if out.size:
-            step = STEP * (high - low)
-            inner = x[out]
-            inner[:, i] -= np.sign(beyond[out]) * step
-            slope = (force[out] - self.emulator(inner)) / step
-            force[out] += np.abs(beyond[out])[:, None, None] * slope
-        return self.scale * force
-
-    def interpolation(self, x: FloatArray) -> FloatArray:
-        """Factor F of the covariance F F' of the interpolation at a point [N], [2 theta, k]."""
-        return self.scale * self.emulator.interpolation(np.clip(x, *self.bounds))
+    def interpolation(self, x: FloatArray, _cohesion: float) -> FloatArray:
+        """Factor of the emulator's covariance."""
+        return self._scale * self.emulator.interpolation(np.clip(x, *self.bounds))
 
     def scatter(self, x: FloatArray) -> FloatArray:
-        """Covariance between particle seeds at a point [N²], [2 theta, 2 theta]."""
-        return self.scale**2 * self.emulator.scatter(np.clip(x, *self.bounds))
+        """Covariance of the emulator's scatter."""
+        return self._scale**2 * self.emulator.scatter(np.clip(x, *self.bounds))
 
-    def modes(self, x: FloatArray) -> dict[str, FloatArray]:
-        """What the correction leaves uncertain at a point [N], by cause: factors [2 theta, k]."""
+    def modes(self, x: FloatArray, _cohesion: float) -> dict[str, FloatArray]:
+        """What the correction leaves uncertain."""
         if self.correction is None or PHI not in self.keys:
             return {}
         i = self.keys.index(PHI)
         at = np.searchsorted(self.correction.theta_deg, self.theta_deg)
         modes = self.correction.modes_at(float(np.clip(x, *self.bounds)[i]))
-        sd = {"hip height": self.height_sd}
         return {
-            cause: self.scale * sd.get(cause, 1.0) * mode[:, :, at].reshape(len(mode), -1).T
+            cause: self._scale * self._sd.get(cause, 1.0) * mode[:, :, at].reshape(len(mode), -1).T
             for cause, mode in modes.items()
         }
 
@@ -202,6 +236,16 @@ def is_similar(rig: Rig, leg: Rig | None, varied: Iterable[str] = ()) -> bool:
         "leg.half_thickness": abs(own.thickness - simulated.thickness),
     }
     return all(apart[key] <= SIMILAR[key] for key in apart if key not in varied)
+
+
+def remedy(rig: Rig) -> str:
+    """What to do for a rig that no shipped law covers."""
+    sizes = rig.sizes_mm.items()
+    options = " ".join(f"--{key[:-3].replace('_', '-')} {size:g}" for key, size in sizes)
+    return (
+        f"build one: terraphi library build --leg {rig.leg} {options} --out mine.nc, and add "
+        "--library mine.nc, or rft3d for a rough angle at once"
+    )
 
 
 def leg_law(library: Library, rig: Rig, *, corrected: bool, strict: bool = True) -> LegLaw:
@@ -226,22 +270,22 @@ def leg_law(library: Library, rig: Rig, *, corrected: bool, strict: bool = True)
     emulator = emulator_of(library, rig.leg, corrected=corrected)
     simulated = Rig.of_scenario(emulator.curves.scenario)
     if strict and not is_similar(rig, simulated, emulator.curves.keys):
-        sizes = rig.sizes_mm.items()
-        options = " ".join(f"--{key[:-3].replace('_', '-')} {size:g}" for key, size in sizes)
         raise InputError(
             f"library {library.name} is of a {simulated}, and this leg has other proportions; "
-            f"build one: terraphi library build --leg {rig.leg} {options} --out mine.nc, and add "
-            "--library mine.nc, or rft3d for a rough angle at once"
+            f"{remedy(rig)}"
         )
-    longer = 1.0 if simulated is None else rig.length / simulated.length
-    arm, known = emulator.curves.arm, Rig.of("li2013", rig.leg)
-    return LegLaw(
+    known = Rig.of("li2013", rig.leg)
+    return LibraryLaw(
         emulator,
-        longer**3,
-        None if arm is None else longer * arm,
+        1.0 if simulated is None else rig.length / simulated.length,
         library.corrections.get(rig.leg) if corrected else None,
         rig.hip_height_sd_mm / rig.length_mm / (known.hip_height_sd_mm / known.length_mm),
     )
+
+
+def rig_of(library: Library, leg: str) -> Rig | None:
+    """The rig that a leg of a library was simulated on; ``None`` if it does not rotate."""
+    return Rig.of_scenario(next(c.scenario for c in library.cases if c.scenario.leg.shape == leg))
 
 
 def library_of_theory(rigs: Iterable[Rig]) -> Library:
@@ -251,8 +295,7 @@ def library_of_theory(rigs: Iterable[Rig]) -> Library:
     """
     shipped = shipped_library(THEORY)
     first = {rig.leg: rig for rig in reversed(list(rigs))}
-    legs = {leg: Rig.of_scenario(shipped.curves(leg).scenario) for leg in first}
-    if all(is_similar(rig, legs[leg]) for leg, rig in first.items()):
+    if all(is_similar(rig, rig_of(shipped, leg)) for leg, rig in first.items()):
         return shipped
     return _theory(tuple(first.values()))
 

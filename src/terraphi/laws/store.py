@@ -149,6 +149,11 @@ class Library:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     @property
+    def scenario(self) -> Scenario:
+        """Scenario of the first case: density, yield criterion and all that is not varied."""
+        return self.cases[0].scenario
+
+    @property
     def legs(self) -> list[str]:
         """Shapes of its legs, sorted."""
         return sorted({case.scenario.leg.shape for case in self.cases if case.history})

@@ -1,0 +1,364 @@
+r"""Law ``legs``: forces on a leg of any proportions, from simulations at random ratios.
+
+With D the depth that a leg reaches below its hip's level of the soil, F is compared with
+ρ g w D²: for the cases of one shape of leg
+
+    F(θ) = ρ g w D² exp(y_0) [z_0(s) + Σ_k y_k u_k(s)],    s = (2θ − θ_1 − θ_2) / (θ_2 − θ_1),
+
+θ_1 and θ_2 the first and last angle at which the leg reaches into level soil, z_0 and u_k mean and
+principal components of the curves over their root mean square. The size y_0 and the weights y_k
+are Gaussian processes (:mod:`~terraphi.laws.emulator`) over
+
+    ln tan(45° + φ/2),  ln μ,  ln w/L,  h/L,  ln t/L,  ln(1 + 20 c/(ρ g D)),  Δx over the rule's,
+
+each with a mean that is linear in these and quadratic in the first. The rule is that of
+:func:`~terraphi.experiment.rig.similar_scenario`, in whose cells the law is read.
+
+``studies/legs.py`` simulates the cases and finds correlation lengths and nuggets.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, Json
+
+from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.documents import shipped_file
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.files import open_netcdf, write_netcdf
+from terraphi.experiment.rig import (
+    CELLS_ACROSS,
+    CELLS_DEEP,
+    LEG_NAMES,
+    SIMULATED_LENGTH,
+    Ratios,
+    Rig,
+    leg_of,
+    swept,
+)
+from terraphi.experiment.scenario import GRAVITY, Scenario
+from terraphi.laws.emulator import Process, fitted
+from terraphi.laws.law import LegLaw, library_of_theory, remedy
+from terraphi.laws.store import PHI, THETA_DEG, shipped_library
+
+NAME, SCHEMA = "legs", 1
+DENSITY = 1650.0
+"""Bulk density of the simulated soil [kg/m³]; forces are in proportion to it."""
+AXES = ("phi_deg", "mu", "width", "hip_height", "thickness", "cohesion", "cells")
+"""Parameters of a case: φ [deg], friction of the leg [-], ratios to its length [-], c/(ρ g L) [-],
+and the size of the cell over that of the rule [-]."""
+PLACES = np.linspace(-1.12, 1.12, 113)
+"""Places s of the curves; beyond them there is no force."""
+MODES = 8
+"""Principal components that are kept: the next adds less than a tenth of the first (chosen)."""
+FRICTION, FRICTION_SD = 0.3, 0.1
+"""Friction of a leg of which nothing is said, and its standard deviation [-]: metal or plastic in
+dry sand (uniform on 0.15 to 0.45)."""
+PHI_DEG = (10.0, 55.0)
+"""Smallest and largest friction angle of the design [deg]."""
+MOST_COHESION = 0.4
+"""Largest c / (ρ g L) of the cases [-]."""
+
+
+def reach(leg: str, ratios: Ratios) -> tuple[float, float, float]:
+    """First and last angle in level soil [deg], and the greatest depth over the length [-].
+
+    In soil is what reaches half a thickness deep, which the end at a low hip does not.
+    """
+    theta = np.arange(-260.0, 201.0)
+    body = leg_of(leg, ratios, SIMULATED_LENGTH)  # type: ignore[arg-type]
+    low = swept(body, ratios.hip_height * SIMULATED_LENGTH, theta)[..., 1].min(axis=1)
+    low += body.half_thickness + 1e-9
+    deepest, air = int(low.argmin()), np.flatnonzero(low >= 0.0)
+    before, after = air[air < deepest][-1], air[air > deepest][0]
+    begins = np.interp(0.0, -low[before : before + 2], theta[before : before + 2])
+    ends = np.interp(0.0, low[after - 1 : after + 1], theta[after - 1 : after + 1])
+    depth = body.half_thickness - low[deepest]
+    return float(begins), float(ends), float(depth / SIMULATED_LENGTH)
+
+
+def cells_of(ratios: Ratios, depth: float) -> float:
+    """Size of the rule's cell over the length of the leg [-], at a depth over it [-]."""
+    return min(ratios.width / CELLS_ACROSS, depth / CELLS_DEEP)
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeLaw:
+    """The law of one shape of leg.
+
+    Attributes
+    ----------
+    x
+        Cases over :data:`AXES`, shape [case, axis].
+    depth
+        D / L of each, shape [case].
+    force
+        Fx and Fz over ρ g w D² at :data:`PLACES` [-], shape [case, 2, place].
+    hyper
+        Correlation lengths, over the standard deviation of each axis, and nugget of each process,
+        shape [1 + MODES, axis + 1]; ``None``: found now.
+    """
+
+    x: FloatArray
+    depth: FloatArray
+    force: FloatArray
+    hyper: FloatArray | None = None
+
+    def _coordinates(self, x: FloatArray, depth: FloatArray) -> FloatArray:
+        """What the processes are smooth in, shape [k, axis]."""
+        phi, mu, width, height, thickness, cohesion, cells = x.T
+        return np.stack([
+            np.log(np.tan(np.radians(45.0 + 0.5 * phi))), np.log(mu), np.log(width), height,
+            np.log(thickness), np.log1p(20.0 * cohesion / depth), cells,
+        ], axis=1)  # fmt: skip
+
+    @cached_property
+    def _scale(self) -> tuple[FloatArray, FloatArray]:
+        """Mean and standard deviation of the coordinates of the cases, shape [axis] each."""
+        t = self._coordinates(self.x, self.depth)
+        return t.mean(axis=0), np.maximum(t.std(axis=0), 1e-9)
+
+    def _standard(self, x: FloatArray, depth: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Standardized coordinates [k, axis], and polynomials of the mean [k, q]."""
+        t = (self._coordinates(x, depth) - self._scale[0]) / self._scale[1]
+        varied = np.ptp(self.x, axis=0) > 0.0
+        return t, np.hstack([np.ones((len(t), 1)), t[:, varied], t[:, :1] ** 2])
+
+    @cached_property
+    def _components(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """z_0 [2 place], u [k, 2 place] and y of the cases [case, 1 + k]."""
+        flat = self.force.reshape(len(self.x), -1)
+        size = np.sqrt(np.square(flat).mean(axis=1))
+        z = flat / size[:, None]
+        u = np.linalg.svd(z - z.mean(axis=0), full_matrices=False)[2][:MODES]
+        return z.mean(axis=0), u, np.column_stack([np.log(size), (z - z.mean(axis=0)) @ u.T])
+
+    @cached_property
+    def processes(self) -> list[Process]:
+        """Those of the size and of each weight."""
+        t, basis = self._standard(self.x, self.depth)
+        y = self._components[2]
+        if self.hyper is None:
+            return fitted(t, basis, y, np.ones(len(t)))
+        return [
+            Process.of(t, basis, y[:, k], one[:-1], float(one[-1]))
+            for k, one in enumerate(self.hyper)
+        ]
+
+    def __call__(self, x: FloatArray, depth: FloatArray) -> FloatArray:
+        """Forces over ρ g w D² [-], shape [k, axis], [k] -> [k, 2, place]."""
+        mean, u, _ = self._components
+        at = self._standard(x, depth)
+        y = np.stack([process.mean(*at) for process in self.processes], axis=1)
+        return (np.exp(y[:, :1]) * (mean + y[:, 1:] @ u)).reshape(len(x), 2, -1)
+
+    def errors(self, x: FloatArray, depth: FloatArray) -> FloatArray:
+        """Forces of one standard deviation of each process [-], [mode, k, 2, place]."""
+        at = self._standard(x, depth)
+        sd = np.sqrt([process.variance(*at) for process in self.processes])
+        force, u = self(x, depth), self._components[1].reshape(MODES, 2, -1)
+        y_0 = np.exp(self.processes[0].mean(*at))
+        return np.stack([
+            sd[0][:, None, None] * force,
+            *((y_0 * one)[:, None, None] * mode for one, mode in zip(sd[1:], u, strict=True)),
+        ])  # fmt: skip
+
+    def left_out(self) -> tuple[FloatArray, FloatArray]:
+        """Each case by the others, their correlation known: y less the prediction, and its SD.
+
+        Shape [case, process] each (Rasmussen & Williams 2006, section 5.4.2).
+        """
+        basis = self._standard(self.x, self.depth)[1]
+        apart, sd = np.zeros((2, *self._components[2].shape))
+        for k, process in enumerate(self.processes):
+            inverse = process.inverse
+            trend = inverse @ basis
+            precision = inverse - trend @ process.spread @ trend.T
+            diagonal = np.diag(precision)
+            apart[:, k] = precision @ self._components[2][:, k] / diagonal
+            sd[:, k] = np.sqrt(process.sigma2 / diagonal)
+        return apart, sd
+
+
+class LegsAttributes(BaseModel):
+    """Attributes of the law's file."""
+
+    model_error: Json[dict[str, dict[str, Any]]] = {}
+    provenance: Json[dict[str, Any]] = {}
+
+
+@dataclass(frozen=True, eq=False)
+class Legs:
+    """The law of all shapes that there are cases of."""
+
+    shapes: dict[str, ShapeLaw]
+    """By shape."""
+    model_error: dict[str, Any]
+    """By shape, as of :class:`~terraphi.laws.store.Library`."""
+    provenance: dict[str, Any]
+    """Versions and cases."""
+    name: str = NAME
+    caveat: str = ""
+
+    @property
+    def legs(self) -> list[str]:
+        """Shapes of its legs, sorted."""
+        return sorted(self.shapes)
+
+    @property
+    def scenario(self) -> Scenario:
+        """A scenario of its soil."""
+        return shipped_library("sand3d").scenario
+
+    def save(self, path: Path) -> None:
+        """Write one NetCDF-4 file; raises InputError if the place cannot be written."""
+        import xarray as xr
+
+        data: dict[str, Any] = {}
+        for leg, law in self.shapes.items():
+            hyper = np.array([[*one.lengths, one.noise] for one in law.processes])
+            data[f"x_{leg}"] = ((f"case_{leg}", "axis"), law.x)
+            data[f"depth_{leg}"] = (f"case_{leg}", law.depth)
+            data[f"force_{leg}"] = ((f"case_{leg}", "channel", "place"), law.force)
+            data[f"hyper_{leg}"] = (("process", "hyper"), hyper)
+        attrs = {"terraphi_file": "law", "terraphi_schema": SCHEMA,
+                 "model_error": json.dumps(self.model_error),
+                 "provenance": json.dumps(self.provenance)}  # fmt: skip
+        packed = {k: {"zlib": True, "dtype": "float32"} for k in data if k.startswith("force")}
+        write_netcdf(xr.Dataset(data, attrs=attrs), path, encoding=packed)
+
+    @classmethod
+    def load(cls, path: Path) -> Legs:
+        """Read what :meth:`save` wrote; raises InputError if it is not whole."""
+        with open_netcdf(path, LegsAttributes, kind="law", schema=SCHEMA) as file:
+            shapes = {}
+            for leg in (leg for leg in LEG_NAMES if f"x_{leg}" in file.variables):
+                shapes[leg] = ShapeLaw(
+                    file.numbers(f"x_{leg}", f"case_{leg}", len(AXES)),
+                    file.numbers(f"depth_{leg}", f"case_{leg}"),
+                    file.numbers(f"force_{leg}", f"case_{leg}", 2, PLACES.size),
+                    file.numbers(f"hyper_{leg}", MODES + 1, len(AXES) + 1),
+                )
+            return cls(shapes, file.attrs.model_error, file.attrs.provenance)
+
+    @cached_property
+    def hash(self) -> str:
+        """SHA-256 of all that changes an answer, hexadecimal."""
+        digest = hashlib.sha256(json.dumps(self.model_error, sort_keys=True).encode())
+        for leg, law in sorted(self.shapes.items()):
+            digest.update(leg.encode())
+            for array in (law.x, law.depth, law.force):
+                digest.update(np.asarray(array, np.float32).tobytes())
+        return digest.hexdigest()
+
+    def law(self, rig: Rig) -> LegLaw:
+        """The law of a rig.
+
+        Raises
+        ------
+        InputError
+            If there is no such leg, or a ratio of the rig lies outside the cases.
+        """
+        self._check(rig)
+        return RatioLaw(self.shapes[rig.leg], rig)
+
+    def _check(self, rig: Rig) -> None:
+        """Raise InputError if a rig is outside the law's cases."""
+        why = f"law {NAME} has no {LEG_NAMES[rig.leg]} yet"
+        if rig.leg in self.shapes:
+            x = self.shapes[rig.leg].x
+            for name, value in rig.ratios._asdict().items():
+                column = x[:, AXES.index(name)]
+                low, high = float(column.min()), float(column.max())
+                if not low <= value <= high:
+                    why = (
+                        f"law {NAME} is for {name.replace('_', ' ')} over length from {low:.2g} to "
+                        f"{high:.2g}, and this leg has {value:.2g}"
+                    )
+                    break
+            else:
+                return
+        raise InputError(f"{why}; {remedy(rig)}")
+
+
+class RatioLaw(LegLaw):
+    """The law of a rig by that of its shape."""
+
+    keys = (PHI,)
+    density = DENSITY
+    most_cohesion = MOST_COHESION
+
+    def __init__(self, law: ShapeLaw, rig: Rig) -> None:
+        self._law, self._rig, self.theta_deg = law, rig, THETA_DEG
+        self.bounds = np.array(PHI_DEG[:1]), np.array(PHI_DEG[1:])
+        # Where on the leg the soil presses is that of resistive force theory.
+        self.arm = library_of_theory([rig]).curves(rig.leg).arm
+
+    def _at(self, phi_deg: FloatArray, cohesion: float, mu: float, height: float) -> Any:
+        """Parameters [k, axis], depths [k], and what turns curves over places into forces [N]."""
+        ratios = self._rig.ratios._replace(hip_height=max(height, 0.0))
+        first, last, depth = reach(self._rig.leg, ratios)
+        row = [0.0, mu, ratios.width, ratios.hip_height, ratios.thickness, cohesion, 1.0]
+        x = np.tile(row, (len(phi_deg), 1))
+        x[:, 0] = phi_deg
+        s = (2.0 * THETA_DEG - first - last) / (last - first)
+        i = np.clip(np.searchsorted(PLACES, s) - 1, 0, PLACES.size - 2)
+        share = (s - PLACES[i]) / (PLACES[i + 1] - PLACES[i])
+        size = DENSITY * GRAVITY * self._rig.length**3 * ratios.width * depth**2
+        weights = np.where(np.abs(s) <= PLACES[-1], size, 0.0)
+
+        def forces(curves: FloatArray) -> FloatArray:
+            between = (1.0 - share) * curves[..., i] + share * curves[..., i + 1]
+            return np.asarray(weights * between)
+
+        return x, np.full(len(x), depth), forces
+
+    def _forces(
+        self, phi_deg: FloatArray, cohesion: float, *, mu: float = FRICTION, higher: float = 0.0
+    ) -> FloatArray:
+        """Forces with a friction and a hip that is higher [of the length], [k, 2, theta]."""
+        x, depth, forces = self._at(phi_deg, cohesion, mu, self._rig.ratios.hip_height + higher)
+        return np.asarray(forces(self._law(x, depth)))
+
+    def within(self, x: FloatArray, cohesion: float) -> FloatArray:
+        """Forces within the bounds."""
+        return self._forces(x[:, 0], cohesion)
+
+    def interpolation(self, x: FloatArray, cohesion: float) -> FloatArray:
+        """Factor of the covariance of the Gaussian processes."""
+        phi = np.clip(x, *self.bounds)
+        at, depth, forces = self._at(phi, cohesion, FRICTION, self._rig.ratios.hip_height)
+        errors = forces(self._law.errors(at, depth))[:, 0]
+        return np.asarray(errors.reshape(len(errors), -1).T)
+
+    def scatter(self, _x: FloatArray) -> FloatArray:
+        """Nothing: it is part of the processes' nuggets."""
+        return np.zeros((2 * THETA_DEG.size,) * 2)
+
+    def modes(self, x: FloatArray, cohesion: float) -> dict[str, FloatArray]:
+        """One standard deviation of the leg's friction, and of the hip's height."""
+        phi = np.clip(x, *self.bounds)
+        height = self._rig.hip_height_sd_mm / self._rig.length_mm
+        ends = {
+            "leg friction": [{"mu": FRICTION + way * FRICTION_SD} for way in (1.0, -1.0)],
+            "hip height": [{"higher": way * height} for way in (1.0, -1.0)],
+        }
+        forces = {
+            cause: [self._forces(phi, cohesion, **end) for end in both]
+            for cause, both in ends.items()
+        }
+        return {cause: 0.5 * (a - b).reshape(-1, 1) for cause, (a, b) in forces.items()}
+
+
+@functools.cache
+def shipped_legs() -> Legs:
+    """The shipped law, kept for the next record."""
+    return Legs.load(shipped_file("laws", NAME, ".nc"))

@@ -1,0 +1,168 @@
+"""Law ``legs`` against a law that is known exactly, simulations, and similarity."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import qmc
+
+from terraphi import Rig, invert
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.scenario import GRAVITY, Scenario
+from terraphi.forward.rft import from_plane_strain, leg_force
+from terraphi.inference.likelihood import Likelihood
+from terraphi.inference.records import open_record
+from terraphi.laws.law import LegLaw, leg_law
+from terraphi.laws.legs import PLACES, Legs, ShapeLaw, reach, shipped_legs
+from terraphi.laws.store import Library
+
+STUDY = Path(__file__).parents[2] / "studies" / "data" / "legs"
+THETA = np.arange(-130.0, 131.0)
+SIZES = {"leg": "straight", "thickness_mm": 8.0}
+
+
+def theory(rig: Rig, phi_deg: float, mu: float = 0.3) -> np.ndarray:
+    """Forces by resistive force theory over ρ g L³ [-], at THETA, shape [2, theta]."""
+    base = Scenario.load("rft-generic")
+    scenario = base.replace(**{
+        "dimensions": 3, "soil.friction_angle_deg": float(from_plane_strain(phi_deg)),
+        "soil.density": 1000.0, "leg.friction": mu, "leg.chord": rig.length,
+        "leg.width": 1e-3 * rig.width_mm, "leg.half_thickness": 5e-4 * rig.thickness_mm,
+        "motion.hip.1": base.bed.surface + 1e-3 * rig.hip_height_mm,
+    })  # fmt: skip
+    force, _ = leg_force(scenario, scenario.motion.poses_at(np.radians(THETA)))
+    return force.T / (1000.0 * GRAVITY * rig.length**3)
+
+
+def rig_of(x: np.ndarray, length_mm: float = 80.0) -> Rig:
+    """Rig of a width, height of the hip and thickness over the length."""
+    width, height, thickness = (float(length_mm * one) for one in x)
+    return Rig(leg="straight", length_mm=length_mm, width_mm=width, thickness_mm=thickness,
+               hip_height_mm=height, hip_height_sd_mm=0.0)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def exact() -> ShapeLaw:
+    """A law fitted to resistive force theory at 70 points of the box."""
+    unit = qmc.Sobol(5, seed=2).random(70)
+    points = qmc.scale(unit, [12.0, 0.1, np.log(0.15), 0.0, 0.03], [44.0, 0.6, 0.0, 0.6, 0.15])
+    x, depth, force = [], [], []
+    for phi, mu, width, height, thickness in points:
+        rig = rig_of(np.array([np.exp(width), height, thickness]))
+        first, last, deep = reach("straight", rig.ratios)
+        at = 0.5 * (first + last + (last - first) * PLACES)
+        curves = theory(rig, phi, mu) / (rig.ratios.width * deep**2)
+        x.append([phi, mu, *rig.ratios, 0.0, 1.0])
+        depth.append(deep)
+        force.append([np.interp(at, THETA, row) for row in curves])
+    return ShapeLaw(np.array(x), np.array(depth), np.array(force))
+
+
+def test_a_known_law_is_met_between_its_cases(exact: ShapeLaw, monkeypatch) -> None:
+    """Size and shape of the forces on rigs that it has not seen, within its own error."""
+    legs = Legs({"straight": exact}, {}, {})
+    rng = np.random.default_rng(5)
+    apart, stated = [], []
+    for _ in range(25):
+        rig = rig_of(rng.uniform([0.2, 0.05, 0.04], [0.9, 0.55, 0.13]), float(rng.uniform(40, 200)))
+        phi, mu = rng.uniform(16.0, 40.0), 0.3
+        law = legs.law(rig)
+        found = law(np.array([[phi]]))[0] / (law.density * GRAVITY * rig.length**3)
+        truth = np.array([np.interp(law.theta_deg, THETA, row) for row in theory(rig, phi, mu)])
+        size = np.sqrt(np.square(truth).mean())
+        apart.append(np.sqrt(np.square(found - truth).mean()) / size)
+        factor = law.interpolation(np.array([phi]), 0.0)
+        own = np.sqrt(np.square(factor).sum(axis=1).mean())
+        stated.append(own / (law.density * GRAVITY * rig.length**3 * size))
+    assert np.median(apart) < 0.04
+    assert np.max(apart) < 0.15
+    # The stated error is that of the smooth part; jumps of this law where a face turns are not.
+    assert np.median(stated) < 2.0 * np.median(apart)
+
+
+def test_forces_grow_with_the_cube_of_the_length() -> None:
+    """The same record on a leg of twice the size, forces eight times as large."""
+    small = {"length_mm": 90.0, "width_mm": 40.0, "hip_height_mm": "30±1", **SIZES}
+    large = {**{k: 2.0 * v for k, v in small.items() if isinstance(v, float)},
+             "leg": "straight", "hip_height_mm": "60±2"}  # fmt: skip
+    law = shipped_legs().law(Rig(**small))
+    theta = np.radians(law.theta_deg)
+    force = law(np.array([[31.0]]))[0].T
+    one = invert(ForceHistory(theta, force), rig=small, density="1650±0", noise=0.02)
+    other = invert(ForceHistory(theta, 8.0 * force), rig=large, density="1650±0", noise=0.16)
+    assert one.library == other.library == "legs"
+    assert other.phi.median == pytest.approx(one.phi.median, abs=1e-3)
+    assert other.phi.sd == pytest.approx(one.phi.sd, rel=1e-3)
+
+
+def test_it_is_the_law_of_li_s_leg_there(sand3d: Library) -> None:
+    """As large as the simulations of that leg in the same cells, at angles between them."""
+    rig = Rig.of("li2013", "straight")
+    own = leg_law(sand3d, rig, corrected=False)
+    for phi in (18.0, 27.0, 36.0, 45.0):
+        expected, found = own(np.array([[phi]]))[0], shipped_legs().law(rig)(np.array([[phi]]))[0]
+        i = np.searchsorted(shipped_legs().law(rig).theta_deg, own.theta_deg)
+        error = np.sqrt(np.square(found[:, i] - expected).mean())
+        assert error < 0.06 * np.ptp(expected, axis=1).max()
+
+
+def test_cases_are_predicted_by_the_others_as_well_as_it_says() -> None:
+    apart, sd = shipped_legs().shapes["straight"].left_out()
+    assert np.median(np.abs(apart[:, 0])) < 0.03
+    assert 0.6 < np.mean(np.abs(apart) < sd) < 0.76
+    assert 0.9 < np.mean(np.abs(apart) < 1.96 * sd) < 0.99
+
+
+def damp_cases() -> list[list[float]]:
+    """φ [deg], width and height [m], cohesion [Pa] and forces [N] of simulations."""
+    with (STUDY / "coarse.csv").open() as file:
+        rows = list(csv.reader(line for line in file if line[0] not in "#p"))
+    table = np.array([[float(v) for v in row] for row in rows])
+    return table[(table[:, 3] > 30.0) & (table[:, 0] < 40.0)].tolist()
+
+
+def test_soil_with_cohesion_is_not_soil_of_a_larger_angle() -> None:
+    """Simulations with a cohesion, read as dry and with it."""
+    errors, dry = [], []
+    for phi, width, height, _, *values in damp_cases():
+        rig = Rig(leg="straight", length_mm=76.2, width_mm=1e3 * width, thickness_mm=6.4,
+                  hip_height_mm=1e3 * height, hip_height_sd_mm=0.0)  # fmt: skip
+        force = np.reshape(values, (2, -1)).T
+        history = ForceHistory(np.radians(np.arange(-84.0, 81.0, 4.0)), force)
+        record = open_record(history, rig=rig, density="1650±0")
+        likelihood = Likelihood([record], shipped_legs())
+        errors.append(likelihood.least_squares[0] - phi)
+        x = np.linspace(10.0, 55.0, 226)[:, None]
+        without = np.append(likelihood.shift_deg, 0.0)
+        squares = np.square((likelihood.data - likelihood.curves(x, without)) / likelihood.span)
+        dry.append(x[squares.sum(axis=1).argmin(), 0] - phi)
+    assert len(errors) > 5
+    assert np.sqrt(np.mean(np.square(errors))) < 0.5 * np.sqrt(np.mean(np.square(dry)))
+
+
+@pytest.mark.parametrize(
+    ("rig", "why"),
+    [
+        ({**SIZES, "leg": "c", "length_mm": 90, "width_mm": 40, "hip_height_mm": 30}, "no C leg"),
+        ({**SIZES, "length_mm": 90, "width_mm": 150, "hip_height_mm": 30}, "width over length"),
+        ({**SIZES, "length_mm": 90, "width_mm": 40, "hip_height_mm": 80}, "hip height over"),
+    ],
+)
+def test_other_rigs_are_refused_with_the_line_to_type(rig: dict, why: str) -> None:
+    with pytest.raises(InputError, match=f"{why}.*terraphi library build --leg"):
+        shipped_legs().law(Rig(**rig))
+
+
+def test_a_written_law_is_the_same(tmp_path: Path) -> None:
+    law = shipped_legs()
+    law.save(tmp_path / "law.nc")
+    again = Legs.load(tmp_path / "law.nc")
+    assert again.hash == law.hash
+    rig = Rig(leg="straight", length_mm=90, width_mm=40, thickness_mm=8, hip_height_mm=30)
+    x = np.array([[20.0], [40.0]])
+    laws: list[LegLaw] = [law.law(rig), again.law(rig)]
+    np.testing.assert_allclose(laws[1](x, 0.1), laws[0](x, 0.1), rtol=1e-6)
