@@ -62,7 +62,7 @@ import run
 FOLDER = Path(__file__).parent / "data" / "legs"
 LAW = Path(__file__).parents[1] / "src" / "terraphi" / "data" / "laws" / "legs.nc"
 GRAINS = Path(__file__).parent / "data" / "grains"
-OTHERS = ("slow", "rough-leg", "smooth-leg", "narrow", "wide")
+OTHERS = ("slow", "narrow", "wide")
 """Ends of the names of soils that are stirred otherwise."""
 SHEAR_CELL_SD = 0.6
 """Standard deviation of the friction angle by one shear cell [deg]: between seeds."""
@@ -286,7 +286,8 @@ def read_grains(law: legs.Legs) -> Iterator[tuple[str, str, float, float, float]
         if body not in rigs or rigs[body].leg not in law.shapes or soil.endswith(OTHERS):
             continue
         sizes = {key: getattr(rigs[body], key) for key in LI2013}
-        rig = Rig(leg=rigs[body].leg, hip_height_sd_mm=0.0, **sizes)
+        rig = Rig(leg=rigs[body].leg, hip_height_sd_mm=0.0,
+                  leg_friction=run.soils()[soil].leg_friction, **sizes)  # fmt: skip
         theta, force, density = run.load(path)
         history = ForceHistory(np.radians(theta), np.asarray(force).T)
         record = without_faults(open_record(history, rig=rig, density=f"{density:.1f}±0"))
@@ -356,7 +357,8 @@ def main() -> None:
     file = FOLDER / f"cases-{options.part}.csv"
     if not file.exists():
         file.write_text(",".join(head) + "\n")
-    for k, case in enumerate(cases()):
+    # Straight legs have cases of an earlier design, and come last.
+    for k, case in enumerate(sorted(cases(), key=lambda one: one.shape == "straight")):
         if k % options.parts == options.part and ",".join(map(str, astuple(case))) not in done:
             row = line(case)
             with file.open("a") as out:

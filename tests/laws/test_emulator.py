@@ -8,7 +8,7 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 
 from terraphi.forward import simulate
-from terraphi.laws.emulator import Emulator, _fitted, _kernel
+from terraphi.laws.emulator import Emulator, _kernel, fitted
 from terraphi.laws.store import Case, Curves, Library
 
 
@@ -57,7 +57,7 @@ def test_process_is_that_of_scikit_learn() -> None:
     rough = np.linspace(0.3, 2.0, len(t))
     w = np.sin(2.0 * t) + 0.05 * rough[:, None] * rng.standard_normal(t.shape)
     basis = np.hstack([np.ones_like(t), t])
-    (process,) = _fitted(t, basis, w, rough)
+    (process,) = fitted(t, basis, w, rough)
     scatter = process.sigma2 * process.noise * rough**2
     new = np.array([[-0.77], [0.03], [0.61]])
     f = np.hstack([np.ones_like(new), new])

@@ -15,6 +15,7 @@ from terraphi.view.console import present, progress_bar
 from terraphi.view.table import Table
 
 if TYPE_CHECKING:
+    from terraphi.laws.legs import Legs
     from terraphi.laws.store import Library
 
 
@@ -81,9 +82,11 @@ def library_list(as_json: bool) -> None:
 
     Example: terraphi library list
     """
+    from terraphi.laws.legs import shipped_legs
     from terraphi.laws.store import Library
 
-    found = [Library.load(name).summary() for name in Library.names()]
+    laws: list[Legs | Library] = [shipped_legs(), *map(Library.load, Library.names())]
+    found = [one.summary() for one in laws]
     rows = [
         (
             one["name"],
@@ -107,12 +110,13 @@ def library_show(name: str, as_json: bool) -> None:
 
     Example: terraphi library show sand3d
     """
+    from terraphi.laws.legs import NAME, shipped_legs
     from terraphi.laws.store import Library
 
-    print_library(Library.load(name), as_json)
+    print_library(shipped_legs() if name == NAME else Library.load(name), as_json)
 
 
-def print_library(found: Library, as_json: bool) -> None:
+def print_library(found: Library | Legs, as_json: bool) -> None:
     """Print the summary of a library, with its plan as JSON alone."""
     summary = found.summary()
     every = {**summary, **summary["provenance"]}

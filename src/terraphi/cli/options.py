@@ -43,6 +43,7 @@ def rig_options(command: Any) -> Any:
         click.option("--width", metavar="MM", help="Of the leg, across the plane of motion."),
         click.option("--thickness", metavar="MM", help="Of the leg."),
         click.option("--hip-height", metavar="MM[±SD]", help="Above the soil.  [default SD: 2]"),
+        click.option("--leg-friction", metavar="MU[±SD]", help="On soil.  [default: 0.3±0.09]"),
         click.option(
             "--rig",
             metavar="FILE|li2013",
@@ -72,5 +73,5 @@ gain_option = click.option(
 library_option = click.option(
     "--library",
     metavar="NAME|FILE",
-    help="Name or .nc file.  [default: sand3d]",
+    help="Name or .nc file.  [default: sand3d for legs of Li's proportions, else legs]",
 )

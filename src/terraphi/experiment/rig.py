@@ -29,6 +29,9 @@ SIMULATED_LENGTH = 0.0762
 """Length of the leg in simulations [m]: that of Li et al. (2013)."""
 HIP_HEIGHT_SD_MM = 2.0
 """Standard deviation of the height of a hip of which nothing is said [mm]; chosen."""
+LEG_FRICTION, LEG_FRICTION_SD = 0.30, 0.0866
+"""Friction between leg and soil of which nothing is said, and its standard deviation [-]: metal or
+plastic on dry sand (uniform on 0.15 to 0.45)."""
 CELLS_ACROSS, CELLS_DEEP = 5.08, 11.24
 """Cells in the width and in the depth of the leg [-]: those of ``sand3d`` with Li's leg."""
 COARSEST, FINEST = 1.0 / 12.0, 1.0 / 20.0
@@ -83,19 +86,25 @@ class Rig(Strict):
     """Height of the hip above the level soil [mm]; with its standard deviation as ``"35±1"``."""
     hip_height_sd_mm: float = Field(HIP_HEIGHT_SD_MM, ge=0, le=1000)
     """Standard deviation of that height [mm]."""
+    leg_friction: float = Field(LEG_FRICTION, ge=0, le=2)
+    """Coulomb friction between leg and soil [-]; with its standard deviation as ``"0.35±0.1"``."""
+    leg_friction_sd: float = Field(LEG_FRICTION_SD, ge=0, le=1)
+    """Standard deviation of that friction [-]."""
 
     @model_validator(mode="before")
     @classmethod
     def _parse_sd(cls, content: Any) -> Any:
-        height = content.get("hip_height_mm") if isinstance(content, dict) else None
-        if not isinstance(height, str):
-            return content
-        try:
-            mean, sd = number_with_sd(height)
-        except ValueError:
-            raise ValueError(f"hip_height_mm = '{height}'; give it as 35 or 35±1") from None
-        given = {} if sd is None else {"hip_height_sd_mm": sd}
-        return {**content, "hip_height_mm": mean, **given}
+        pairs = (("hip_height_mm", "hip_height_sd_mm", "35±1"),
+                 ("leg_friction", "leg_friction_sd", "0.35±0.05"))  # fmt: skip
+        for key, sd_key, example in pairs if isinstance(content, dict) else ():
+            text = content.get(key)
+            if isinstance(text, str):
+                try:
+                    mean, sd = number_with_sd(text)
+                except ValueError:
+                    raise ValueError(f"{key} = '{text}'; give it as {example}") from None
+                content = {**content, key: mean, **({} if sd is None else {sd_key: sd})}
+        return content
 
     @model_validator(mode="after")
     def _reaches_soil(self) -> Self:
@@ -162,6 +171,8 @@ class Rig(Strict):
             thickness_mm=2e3 * leg.half_thickness,
             hip_height_mm=min(max(0.0, 1e3 * scenario.hip_height), 999.0 * length),
             hip_height_sd_mm=0.0,
+            leg_friction=leg.friction,
+            leg_friction_sd=0.0,
         )
 
     @classmethod
@@ -210,17 +221,23 @@ def with_rig(options: Mapping[str, Any]) -> dict[str, Any]:
     Parameters
     ----------
     options
-        By name; those of :data:`SIZES` as text or numbers [mm].
+        By name; those of :data:`SIZES` as text or numbers [mm], ``leg_friction`` as both.
 
     Raises
     ------
     InputError
         If some of the sizes or the leg are missing, or there is a rig as well.
     """
-    others = {key: value for key, value in options.items() if key not in SIZES}
+    others = {key: v for key, v in options.items() if key not in (*SIZES, "leg_friction")}
+    rubs = {"leg_friction": f} if (f := options.get("leg_friction")) is not None else {}
     sizes = {key: options[key] for key in SIZES if options.get(key) is not None}
     if not sizes:
-        return others
+        if not rubs:
+            return others
+        if others.get("rig") is None:
+            raise InputError("--leg-friction goes with a rig; add its sizes, or --rig li2013")
+        rig = Rig.of(others["rig"], others.get("leg")).model_dump(exclude={"leg_friction_sd"})
+        return {**others, "rig": Rig(**{**rig, **rubs})}
     flags = {key: f"--{key.replace('_', '-')}" for key in ("leg", *SIZES)}
     lacking = [flag for key, flag in flags.items() if options.get(key) is None]
     if others.get("rig") is not None:
@@ -234,7 +251,7 @@ def with_rig(options: Mapping[str, Any]) -> dict[str, Any]:
         }
     except ValueError as error:
         raise InputError(f"sizes of the rig: {error}; give millimeters") from None
-    return {**others, "rig": Rig(leg=options["leg"], **numbers)}
+    return {**others, "rig": Rig(leg=options["leg"], **numbers, **rubs)}
 
 
 def rounded(length: float) -> float:

@@ -271,6 +271,11 @@ def guesses(likelihood: Likelihood) -> Iterator[str]:
                 f"{name}The record covers {low:.0f} to {high:.0f}° of ±{WINDOW_DEG:g}°, with "
                 f"{part.share:.0%} of the information on φ of a whole stroke."
             )
+        if likelihood.cohesion > 0.0 and i == 0:
+            yield (
+                f"A cohesion of {likelihood.cohesion:.0f} Pa is fitted beside φ: damp soil has "
+                "one, and grains that are large compared with the leg act like one."
+            )
         least, most = USUAL_DENSITY
         if likelihood.measured and not record.medium and not least <= density <= most:
             yield (

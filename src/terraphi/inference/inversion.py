@@ -369,7 +369,8 @@ def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Ans
         density=density,
         draws=drawn.draws,
         diagnostics=drawn.diagnostics,
-        leg_friction=None if "leg.friction" in keys else scenario.leg.friction,
+        leg_friction=None if "leg.friction" in keys else first.rig.leg_friction
+        if "leg friction" in likelihood.terms else scenario.leg.friction,
         seed=seed if drawn.draws else None,
         provenance={
             "terraphi": importlib.metadata.version("terraphi"),

@@ -15,7 +15,8 @@ from terraphi.inference import COLUMNS
 from terraphi.inference.answer import Answer
 from terraphi.inference.inversion import invert_many
 
-OPTIONS = ("leg", "rig", *SIZES, "density", "columns", "library", "noise", "gain", "calibration")
+OPTIONS = ("leg", "rig", *SIZES, "leg_friction", "density", "columns", "library", "noise", "gain",
+           "calibration")  # fmt: skip
 """Columns that are options of ``invert``, besides ``file``."""
 LEAST_ROWS = 8
 """Records from which several processes are worth their start."""
@@ -61,7 +62,7 @@ def _row(folder: Path, cells: dict[str, str]) -> dict[str, Any]:
         return str(folder / text) if (folder / text).is_file() else text
 
     given: dict[str, Any] = {key: placed(cells[key]) for key in OPTIONS if cells.get(key)}
-    for key in {"density", "noise", "gain", *SIZES} & given.keys():
+    for key in {"density", "noise", "gain", "leg_friction", *SIZES} & given.keys():
         given[key] = given[key].replace(",", ".")  # as in 638,5
     if "noise" in given:
         try:

@@ -20,8 +20,14 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import Strict, strictly
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
-from terraphi.experiment.rig import Rig
-from terraphi.forward.rft import leg_force
+from terraphi.experiment.rig import (
+    HIP_HEIGHT_SD_MM,
+    LEG_FRICTION,
+    LEG_FRICTION_SD,
+    LI2013,
+    Rig,
+)
+from terraphi.forward.rft import leg_force, stress_scale
 from terraphi.laws.emulator import Emulator, emulator_of
 from terraphi.laws.store import PHI, Case, Correction, Library, shipped_library
 
@@ -186,23 +192,36 @@ class LibraryLaw(LegLaw):
         Length of the rig's leg over that of the simulated one [-].
     correction
         What is uncertain of smaller cells and of the rig; ``None`` if unknown.
-    height_sd
-        Standard deviation of the hip's height over that of the correction's mode [-].
+    rig
+        The apparatus, with the uncertainties of its height and friction.
     """
 
     def __init__(
-        self, emulator: Emulator, longer: float, correction: Correction | None, height_sd: float
+        self, emulator: Emulator, longer: float, correction: Correction | None, rig: Rig
     ) -> None:
         curves = emulator.curves
         self.emulator, self.correction, self._scale = emulator, correction, longer**3
-        self._sd = {"hip height": height_sd}
+        # Over what the correction's modes are of.
+        height = HIP_HEIGHT_SD_MM / LI2013["length_mm"]
+        self._sd = {
+            "hip height": rig.hip_height_sd_mm / rig.length_mm / height,
+            "leg friction": rig.leg_friction_sd / LEG_FRICTION_SD,
+        }
+        self._rougher = (rig.leg_friction - LEG_FRICTION) / LEG_FRICTION_SD
         self.keys, self.bounds, self.theta_deg = curves.keys, emulator.bounds, curves.theta_deg
         self.density = curves.scenario.soil.density
         self.arm = None if curves.arm is None else longer * curves.arm
+        if correction is not None:
+            self._places = np.searchsorted(correction.theta_deg, self.theta_deg)
 
     def within(self, x: FloatArray, _cohesion: float) -> FloatArray:
-        """Forces within the bounds."""
-        return self._scale * self.emulator(x)
+        """Forces within the bounds, with the leg's friction to first order."""
+        force = self.emulator(x)
+        if self._rougher and self.correction is not None:
+            i, at = self.keys.index(PHI), self._places
+            modes = [self.correction.modes_at(phi)["leg friction"] for phi in x[:, i].tolist()]
+            force = force + self._rougher * np.stack(modes)[:, 0, :, at].transpose(1, 2, 0)
+        return self._scale * force
 
     def interpolation(self, x: FloatArray, _cohesion: float) -> FloatArray:
         """Factor of the emulator's covariance."""
@@ -217,7 +236,7 @@ class LibraryLaw(LegLaw):
         if self.correction is None or PHI not in self.keys:
             return {}
         i = self.keys.index(PHI)
-        at = np.searchsorted(self.correction.theta_deg, self.theta_deg)
+        at = self._places
         modes = self.correction.modes_at(float(np.clip(x, *self.bounds)[i]))
         return {
             cause: self._scale * self._sd.get(cause, 1.0) * mode[:, :, at].reshape(len(mode), -1).T
@@ -274,12 +293,11 @@ def leg_law(library: Library, rig: Rig, *, corrected: bool, strict: bool = True)
             f"library {library.name} is of a {simulated}, and this leg has other proportions; "
             f"{remedy(rig)}"
         )
-    known = Rig.of("li2013", rig.leg)
     return LibraryLaw(
         emulator,
         1.0 if simulated is None else rig.length / simulated.length,
         library.corrections.get(rig.leg) if corrected else None,
-        rig.hip_height_sd_mm / rig.length_mm / (known.hip_height_sd_mm / known.length_mm),
+        rig,
     )
 
 
@@ -314,7 +332,11 @@ def _theory(rigs: tuple[Rig, ...]) -> Library:
             "leg.half_thickness": 5e-4 * rig.thickness_mm,
             "motion.hip.1": own[0].bed.surface + 1e-3 * rig.hip_height_mm,
         }
-        for scenario in (one.replace(**sizes) for one in own):
-            force, moment = leg_force(scenario, scenario.motion.poses_at(theta))
-            cases.append(Case(scenario, ForceHistory(theta, force, moment=moment)))
+        scenarios = [one.replace(**sizes) for one in own]
+        force, moment = leg_force(scenarios[0], scenarios[0].motion.poses_at(theta))
+        # The angle of the soil scales all stresses.
+        scales = stress_scale([s.soil.friction_angle_deg for s in scenarios], 1.0)
+        for scenario, scale in zip(scenarios, (scales / scales[0]).tolist(), strict=True):
+            history = ForceHistory(theta, scale * force, moment=scale * moment)
+            cases.append(Case(scenario, history))
     return replace(base, cases=tuple(cases))

@@ -37,6 +37,7 @@ from terraphi.experiment.files import open_netcdf, write_netcdf
 from terraphi.experiment.rig import (
     CELLS_ACROSS,
     CELLS_DEEP,
+    LEG_FRICTION,
     LEG_NAMES,
     SIMULATED_LENGTH,
     Ratios,
@@ -59,15 +60,15 @@ PLACES = np.linspace(-1.12, 1.12, 113)
 """Places s of the curves; beyond them there is no force."""
 MODES = 8
 """Principal components that are kept: the next adds less than a tenth of the first (chosen)."""
-FRICTION, FRICTION_SD = 0.3, 0.1
-"""Friction of a leg of which nothing is said, and its standard deviation [-]: metal or plastic in
-dry sand (uniform on 0.15 to 0.45)."""
+LEAST_FRICTION = 0.05
+"""Least friction of a leg that is asked of the processes [-]: they have its logarithm."""
 PHI_DEG = (10.0, 55.0)
 """Smallest and largest friction angle of the design [deg]."""
 MOST_COHESION = 0.4
 """Largest c / (ρ g L) of the cases [-]."""
 
 
+@functools.lru_cache(maxsize=256)
 def reach(leg: str, ratios: Ratios) -> tuple[float, float, float]:
     """First and last angle in level soil [deg], and the greatest depth over the length [-].
 
@@ -218,6 +219,24 @@ class Legs:
         """A scenario of its soil."""
         return shipped_library("sand3d").scenario
 
+    def summary(self) -> dict[str, Any]:
+        """Contents and origin, JSON-able."""
+        ranges = {
+            leg: {
+                axis: [float(column.min()), float(column.max())]
+                for axis, column in zip(AXES, law.x.T, strict=True)
+            }
+            for leg, law in self.shapes.items()
+        }
+        return {
+            "name": self.name, "model": self.scenario.model,
+            "dimensions": self.scenario.dimensions, "convention": self.scenario.convention,
+            "phi_deg": list(PHI_DEG), "legs": self.legs,
+            "cases": sum(len(law.x) for law in self.shapes.values()),
+            "ranges": ranges, "density_kg_m3": DENSITY, "leg_friction": LEG_FRICTION,
+            "provenance": dict(self.provenance),
+        }  # fmt: skip
+
     def save(self, path: Path) -> None:
         """Write one NetCDF-4 file; raises InputError if the place cannot be written."""
         import xarray as xr
@@ -322,10 +341,11 @@ class RatioLaw(LegLaw):
         return x, np.full(len(x), depth), forces
 
     def _forces(
-        self, phi_deg: FloatArray, cohesion: float, *, mu: float = FRICTION, higher: float = 0.0
+        self, phi_deg: FloatArray, cohesion: float, *, rougher: float = 0.0, higher: float = 0.0
     ) -> FloatArray:
-        """Forces with a friction and a hip that is higher [of the length], [k, 2, theta]."""
-        x, depth, forces = self._at(phi_deg, cohesion, mu, self._rig.ratios.hip_height + higher)
+        """Forces on a leg of more friction and with a higher hip [of the length], [k, 2, theta]."""
+        mu, height = self._rig.leg_friction + rougher, self._rig.ratios.hip_height + higher
+        x, depth, forces = self._at(phi_deg, cohesion, max(mu, LEAST_FRICTION), height)
         return np.asarray(forces(self._law(x, depth)))
 
     def within(self, x: FloatArray, cohesion: float) -> FloatArray:
@@ -335,7 +355,9 @@ class RatioLaw(LegLaw):
     def interpolation(self, x: FloatArray, cohesion: float) -> FloatArray:
         """Factor of the covariance of the Gaussian processes."""
         phi = np.clip(x, *self.bounds)
-        at, depth, forces = self._at(phi, cohesion, FRICTION, self._rig.ratios.hip_height)
+        at, depth, forces = self._at(
+            phi, cohesion, self._rig.leg_friction, self._rig.ratios.hip_height
+        )
         errors = forces(self._law.errors(at, depth))[:, 0]
         return np.asarray(errors.reshape(len(errors), -1).T)
 
@@ -348,7 +370,7 @@ class RatioLaw(LegLaw):
         phi = np.clip(x, *self.bounds)
         height = self._rig.hip_height_sd_mm / self._rig.length_mm
         ends = {
-            "leg friction": [{"mu": FRICTION + way * FRICTION_SD} for way in (1.0, -1.0)],
+            "leg friction": [{"rougher": way * self._rig.leg_friction_sd} for way in (1.0, -1.0)],
             "hip height": [{"higher": way * height} for way in (1.0, -1.0)],
         }
         forces = {

@@ -27,8 +27,6 @@ RIG_ANGLES_DEG = (
 """Friction angles of a rig's library [deg]: those of ``sand3d``, a coarse sweep first."""
 HIGHEST = 0.7
 """Largest height of the hip over the length of the leg [-]; above it the leg barely scratches."""
-LEG_FRICTION = 0.3
-"""Friction between leg and soil in a rig's library [-]: that of ``sand3d``."""
 
 
 class Sample(Strict):
@@ -180,7 +178,7 @@ class Plan(Strict):
             )
         first, *others = RIG_ANGLES_DEG
         scenario = similar_scenario(
-            rig.leg, rig.ratios, friction_angle_deg=first, leg_friction=LEG_FRICTION
+            rig.leg, rig.ratios, friction_angle_deg=first, leg_friction=rig.leg_friction
         )
         return cls(
             name=f"{rig.leg}-{rig.length_mm:g}",
