@@ -40,7 +40,7 @@ test: lint
 
 # The numerical tests as on processors with AVX2 at most, and with neither: Numba and OpenBLAS are
 # held to those. Nothing else than x86 knows these names.
-NUMERICAL := tests/forward/plane/test_packets.py tests/forward/mpm
+NUMERICAL := tests/forward/mpm
 test-processors: $(DEV)
 	NUMBA_CPU_NAME=x86-64-v3 NUMBA_CPU_FEATURES= OPENBLAS_CORETYPE=Haswell \
 		$(BIN)/pytest -n $(WORKERS) $(NUMERICAL) tests/laws/test_emulator.py
@@ -70,7 +70,6 @@ docs: $(DEV)
 # Results depend on what else the machine does: the ratios are what to look at.
 bench: $(DEV)
 	$(BIN)/python benchmarks/bench_kernels.py
-	$(BIN)/python benchmarks/bench_three_dimensions.py
 	$(BIN)/python benchmarks/bench_inference.py
 
 lint: $(DEV)

@@ -99,13 +99,11 @@ class Run:
         Gives soil, leg and numerics.
     soil
         The solver's bed if it is not given.
-    kernel
-        `packets` or `scalar`.
     """
 
-    def __init__(self, scenario, soil=None, kernel="packets"):
+    def __init__(self, scenario, soil=None):
         kind = PlaneSolver if scenario.dimensions == 2 else MpmSolver
-        self.scenario, self._solver = scenario, kind(scenario, kernel)
+        self.scenario, self._solver = scenario, kind(scenario)
         self.soil = self._solver.bed() if soil is None else soil
         self.audit = empty_audit()
         phase = max(1, scenario.numerics.steps_per_phase)

@@ -143,7 +143,7 @@ def vortex_errors(cells, per_side, amplitude, courant=0.3):
     steps = math.ceil(end * speed / (courant * scenario.numerics.cell_size))
     time_step = end / steps
     soil.velocity[:] = exact.at(-0.5 * time_step)[1]
-    run = Run(unchecked(floating(scenario), "numerics", time_step=time_step), soil, "scalar")
+    run = Run(unchecked(floating(scenario), "numerics", time_step=time_step), soil)
     run.advance(steps, body_force=lambda t: exact.at(t)[3])
     position, _, shear, _ = exact.at(end)
     return errors_of(

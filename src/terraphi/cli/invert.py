@@ -45,7 +45,7 @@ SOME_FAILED = 1
 @click.option(
     "--table",
     type=PATH,
-    help="CSV to write, a row for each of FORCES; without FORCES, to read, with --out to write.",
+    help="CSV to write; without FORCES, to read.",
 )
 @click.option("-v", "--verbose", is_flag=True, help="Print all warnings, and tables.")
 @json_option

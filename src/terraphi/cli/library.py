@@ -85,7 +85,7 @@ def library_list(as_json: bool) -> None:
     from terraphi.laws.legs import shipped_legs
     from terraphi.laws.store import Library
 
-    laws: list[Legs | Library] = [shipped_legs(), *map(Library.load, Library.names())]
+    laws: list[Legs | Library] = [*map(Library.load, Library.names()), shipped_legs()]
     found = [one.summary() for one in laws]
     rows = [
         (

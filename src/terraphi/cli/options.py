@@ -73,5 +73,5 @@ gain_option = click.option(
 library_option = click.option(
     "--library",
     metavar="NAME|FILE",
-    help="Name or .nc file.  [default: sand3d for legs of Li's proportions, else legs]",
+    help="Name or .nc file.  [default: sand3d or legs]",
 )

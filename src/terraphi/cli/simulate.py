@@ -38,7 +38,7 @@ def simulate(
 ) -> None:
     """Simulate SCENARIO, a TOML file or the name of a preset.
 
-    Presets: quick (seconds), sand3d (hours), paper-1 and paper-code-1 (half an hour).
+    Presets: quick (seconds), sand3d, paper-1 and paper-code-1 (hours).
 
     With --out an interrupted simulation continues by the same command, with the same result to the
     last bit. 'terraphi keys' lists the keys of a scenario.

@@ -27,8 +27,8 @@ FloatArray = NDArray[np.float64]
 log = logging.getLogger(__name__)
 
 Kernel = Literal["packets", "scalar"]
-"""``scalar`` is the plain kernel, to be read; ``packets`` is fast and gives the same but for
-rounding, which in three dimensions is that of single precision."""
+"""``scalar`` is the plain kernel, to be read; ``packets``, in three dimensions, is fast and gives
+the same but for roundings of single precision."""
 
 BLOCK = {2: 2000, 3: 400}
 """Steps in a block, by dimensions: what is done between two reports of progress.
@@ -103,7 +103,7 @@ def simulate(
     scenario
         A scenario of ``model = "mpm"``.
     kernel
-        ``packets``, or ``scalar``: the plain one, several times slower.
+        In three dimensions ``packets``, or ``scalar``: the plain one, many times slower.
     progress, checkpoint, observe
         As in :func:`terraphi.forward.simulate`.
 
@@ -122,6 +122,7 @@ def simulate(
         If the solution breaks down; the message says between which steps, and the likely cause.
     """
     began = time.perf_counter()
+    kernel = "scalar" if scenario.dimensions == 2 else kernel
     solver = _solver_of(scenario, kernel)
     keeper = Keeper(checkpoint, scenario, kernel)
     centres, steps = bin_centres(scenario.motion), step_count(scenario)
@@ -179,7 +180,7 @@ def _solver_of(scenario: Scenario, kernel: Kernel) -> PlaneSolver | MpmSolver:
     if scenario.dimensions == 2:
         from terraphi.forward.plane.solver import PlaneSolver
 
-        return PlaneSolver(scenario, kernel)
+        return PlaneSolver(scenario)
     from terraphi.forward.mpm.solver import MpmSolver
 
     return MpmSolver(scenario, kernel)

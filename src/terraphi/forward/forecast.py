@@ -19,9 +19,9 @@ from terraphi.experiment.motion import bin_count
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward.bed import sub_cells
 
-RATE = {2: 6e7, 3: 4e7}
-"""Particles times steps that one core with vectors of 512 bits does in a second, by dimensions
-[1/s]; with narrower vectors 1.5 (256 bits) to 2.9 times (128 bits) fewer."""
+RATE = {2: 1.9e7, 3: 4e7}
+"""Particles times steps that one core does in a second, by dimensions [1/s]; in three with vectors
+of 512 bits, with narrower ones 1.5 (256 bits) to 2.9 times (128 bits) fewer."""
 PANEL_RATE = 5e6
 """Elements of the leg times poses that resistive force theory does in a second [1/s]."""
 BYTES = {2: {"particle": 600.0, "node": 200.0}, 3: {"particle": 190.0, "node": 100.0}}

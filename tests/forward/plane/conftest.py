@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,9 +10,9 @@ import pytest
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward.driver import path_of_steps
 from terraphi.forward.ledger import Audit, empty_audit, empty_reaction
-from terraphi.forward.plane import packets, scalar
 from terraphi.forward.plane.bed import Grid, Particles, empty_grid, geostatic_bed
 from terraphi.forward.plane.model import Model, model_of
+from terraphi.forward.plane.scalar import advance
 
 
 class Stepped(NamedTuple):
@@ -51,7 +50,6 @@ def take_steps(
     *blocks: int,
     soil: Particles | None = None,
     model: Model | None = None,
-    kernel: Any = scalar,
 ) -> Stepped:
     """Advance a bed by some steps of its scenario, in one or several blocks."""
     soil = geostatic_bed(scenario) if soil is None else soil
@@ -60,37 +58,11 @@ def take_steps(
     lost, first = -1, 0
     for count in blocks:
         path = path_of_steps(scenario, np.arange(first, first + count), 3)
-        lost = kernel.advance(soil, grid, model, path, impulse, audit)
+        lost = advance(soil, grid, model, path, impulse, audit)
         first += count
         if lost >= 0:
             break
     return Stepped(soil, grid, impulse, audit, lost)
-
-
-def copy_of(soil: Particles) -> Particles:
-    return Particles(*(values.copy() for values in soil))
-
-
-def largest_difference(ours, theirs) -> float:
-    """Relative to the largest entry."""
-    scale = np.abs(theirs).max()
-    return float(np.abs(ours - theirs).max() / scale) if scale > 0 else float(np.abs(ours).max())
-
-
-def assert_agree(scenario, blocks, *, soil=None, tolerance=1e-10):
-    """Both kernels leave the same soil, grid, forces and books; those of the fast one."""
-    soil = geostatic_bed(scenario) if soil is None else soil
-    ours = take_steps(scenario, *blocks, soil=copy_of(soil), kernel=packets)
-    theirs = take_steps(scenario, sum(blocks), soil=copy_of(soil))
-    assert ours.lost == theirs.lost == -1
-    for name, one, other in zip(Particles._fields, ours.soil, theirs.soil, strict=True):
-        assert largest_difference(one, other) < tolerance, name
-    for one, other in zip(ours.grid, theirs.grid, strict=True):
-        assert largest_difference(one, other) < tolerance
-    assert largest_difference(ours.impulse, theirs.impulse) < tolerance
-    assert largest_difference(ours.audit.ledger, theirs.audit.ledger) < tolerance
-    assert ours.audit.worst[0] < 1e-10
-    return ours
 
 
 FAR_AWAY = {
@@ -114,8 +86,3 @@ def _steps():
 @pytest.fixture(name="far_away")
 def _far_away():
     return dict(FAR_AWAY)
-
-
-@pytest.fixture(name="compare", scope="session")
-def _compare():
-    return SimpleNamespace(assert_agree=assert_agree, copy_of=copy_of)

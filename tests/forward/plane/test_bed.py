@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from terraphi.experiment.scenario import Scenario
-from terraphi.forward.plane import packets
 from terraphi.forward.plane.bed import geostatic_bed
 
 
@@ -113,7 +112,7 @@ def settled(coarse, far_away, steps, **bed):
     scenario = coarse(**{**far_away, **ELASTIC, **bed, "numerics.damping_rate": 8000.0})
     soil = geostatic_bed(scenario)
     soil.stress[:] = 0.0
-    soil, *_, lost = steps(scenario, 4000, soil=soil, kernel=packets)
+    soil, *_, lost = steps(scenario, 4000, soil=soil)
     assert lost == -1
     return scenario, soil
 

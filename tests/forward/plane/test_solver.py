@@ -149,8 +149,7 @@ def test_path_moves_as_its_velocities_say(coarse):
     assert ((past > -1e-4) & (past < 0.1 + 1e-4)).all()
 
 
-@pytest.mark.parametrize("kernel", ["packets", "scalar"])
-def test_too_long_a_step_breaks_down_and_says_why(coarse, kernel):
+def test_too_long_a_step_breaks_down_and_says_why(coarse):
     scenario = coarse()
     numerics = scenario.numerics.model_copy(update={"time_step": 2e-4})
     words = (
@@ -158,7 +157,7 @@ def test_too_long_a_step_breaks_down_and_says_why(coarse, kernel):
         r"numerics\.time_step.* above the limit of stability"
     )
     with pytest.raises(SimulationError, match=words):
-        simulate(scenario.model_copy(update={"numerics": numerics}), kernel=kernel)
+        simulate(scenario.model_copy(update={"numerics": numerics}))
 
 
 def test_soil_that_dilates_without_end_rises_to_the_top_of_the_grid(coarse):

@@ -1,7 +1,5 @@
 """Xu & Wang's model: MLS-MPM in plane strain, APIC transfers at every step, a rigid leg.
 
 Read in this order: ``bed`` (what there is), ``transfer``, ``plasticity``, ``contact`` (one piece of
-physics each), ``model`` (the constants), ``scalar`` (a step). Then the same step made fast:
-``packing`` (how particles lie in memory), ``lanes`` (what happens to a block of them), ``packets``
-(the whole step).
+physics each), ``model`` (the constants), ``scalar`` (a step).
 """

@@ -10,13 +10,8 @@ from numpy.typing import NDArray
 from terraphi.experiment.leg import frame_axes
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward.bed import jittered, sub_cells, weight
-from terraphi.forward.compiled import aligned_zeros
 
 FloatArray = NDArray[np.float64]
-
-LANES = np.uint64(8)
-"""Adjacent cells that the fast kernel takes at a time, one a double of a 512-bit register; a
-narrower one takes them in turns."""
 
 
 class Particles(NamedTuple):
@@ -52,13 +47,9 @@ class Grid(NamedTuple):
 
 
 def empty_grid(scenario: Scenario) -> Grid:
-    """Empty grid of a scenario, with one more node than cells need, for splines at its edge.
-
-    Its rows end in a block of lanes to spare, so that registers need no rest of a row.
-    """
-    rows = scenario.numerics.cells + 2
-    columns = (-(-rows // int(LANES)) + 1) * int(LANES)
-    return Grid(*(aligned_zeros(rows * columns).reshape(rows, columns) for _ in Grid._fields))
+    """Empty grid of a scenario, with one more node than cells need, for splines at its edge."""
+    nodes = scenario.numerics.cells + 2
+    return Grid(*(np.zeros((nodes, nodes)) for _ in Grid._fields))
 
 
 def geostatic_bed(scenario: Scenario) -> Particles:

@@ -1,8 +1,7 @@
 """The plain kernel: one particle after another, one node after another, nothing clever.
 
 A step, in the order of the paper: particles to grid, gravity, leg, walls, damping, grid to
-particles, stress, relief. The fast kernel (:mod:`~terraphi.forward.plane.packets`) is tested
-against this one.
+particles, stress, relief.
 """
 
 from __future__ import annotations

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from terraphi.experiment.motion import bin_centres
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward.checkpoint import State
-from terraphi.forward.driver import Kernel, Path
+from terraphi.forward.driver import Path
 from terraphi.forward.ledger import LEDGER_ROWS, Audit
-from terraphi.forward.plane import packets, scalar
 from terraphi.forward.plane.bed import Particles, empty_grid, geostatic_bed
 from terraphi.forward.plane.model import model_of
+from terraphi.forward.plane.scalar import advance
 
 FloatArray = NDArray[np.float64]
 
@@ -23,13 +23,12 @@ APPLIED_BINS = 10
 
 
 class PlaneSolver:
-    """A kernel with its constants and working memory, for the driver."""
+    """The kernel with its constants and working memory, for the driver."""
 
     ledger_rows = LEDGER_ROWS
 
-    def __init__(self, scenario: Scenario, kernel: Kernel) -> None:
+    def __init__(self, scenario: Scenario) -> None:
         self._scenario, self.width = scenario, scenario.leg.width
-        self._advance = packets.advance if kernel == "packets" else scalar.advance
         self._constants = (empty_grid(scenario), model_of(scenario))
 
     def bed(self) -> Particles:
@@ -39,7 +38,7 @@ class PlaneSolver:
     def advance(self, soil: Particles, path: Path, impulse: FloatArray, audit: Audit) -> int:
         """Take some steps; index of the first particle to leave the grid, or -1."""
         grid, model = self._constants
-        return int(self._advance(soil, grid, model, path, impulse, audit))
+        return int(advance(soil, grid, model, path, impulse, audit))
 
     def fields(self, soil: Particles) -> tuple[FloatArray, dict[str, NDArray[Any]]]:
         """Places (x, 0, z) [m] of the particles; velocities [m/s], stresses [Pa], weight [-]."""
