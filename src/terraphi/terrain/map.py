@@ -42,7 +42,7 @@ BLOCK = 4096
 """Cells computed together; bounds the memory."""
 
 
-class Middle(BaseModel, strict=True, extra="allow"):
+class Middle(BaseModel, strict=True):
     """A median."""
 
     median: float
@@ -54,14 +54,14 @@ class Share(Middle):
     ci95: tuple[float, float]
 
 
-class MapAngles(BaseModel, strict=True, extra="allow"):
+class MapAngles(BaseModel, strict=True):
     """Medians of the friction angle [deg]."""
 
     median_of_points: float
     median_of_map: float
 
 
-class Summary(BaseModel, strict=True, extra="allow"):
+class Summary(BaseModel, strict=True):
     """Those entries of a map's summary that a report shows."""
 
     points_used: int

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -427,7 +428,9 @@ def of_map(folder: Path) -> Section:
     from terraphi.terrain.map import SUMMARY, Summary
     from terraphi.terrain.map import in_words as sentences
 
-    summary = parse_json(read_bytes(folder / SUMMARY), Summary, str(folder / SUMMARY)).model_dump()
+    text = read_bytes(folder / SUMMARY)
+    parse_json(text, Summary, str(folder / SUMMARY))
+    summary = json.loads(text)
     first, headline, *lines = sentences(summary)
     lines = [*filter(None, [changed(folder)]), *lines]
     image = base64.b64encode(read_bytes(folder / "map.png")).decode("ascii")
