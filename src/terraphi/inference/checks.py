@@ -53,8 +53,13 @@ MOST_LEFT_OUT = 0.5
 BETTER, FITS = 0.6, 2.0
 """Residual of a record read differently at which that is proposed, over that as given, and over the
 limit of a misfit [-]."""
-USUAL_DEG = (15.0, 50.0)
-"""Friction angles of dry soils in plane strain [deg]."""
+USUAL_DEG = (18.0, 50.0)
+"""Friction angles of dry soils in plane strain [deg]: from glass beads, 21 to 24° (Jop, Forterre &
+Pouliquen 2006, Nature 441:727), to dense quartz sand at its peak, 48° (Bolton 1986, Géotechnique
+36:65, table 1, whose critical angles are about 30 to 37°)."""
+COHESIVE_PA = 100.0
+"""Cohesion above which dry soil must be coarse [Pa]: 4 mm grains want 30 to 50 Pa on a leg of 25 mm
+(``studies/legs.py --errors``)."""
 USUAL_DENSITY = (1100.0, 2100.0)
 """Bulk density of dry mineral soils [kg/m³]."""
 LARGE_SHIFT_DEG = 4.0
@@ -272,9 +277,11 @@ def guesses(likelihood: Likelihood) -> Iterator[str]:
                 f"{part.share:.0%} of the information on φ of a whole stroke."
             )
         if likelihood.cohesion > 0.0 and i == 0:
+            check = likelihood.cohesion > COHESIVE_PA
             yield (
                 f"A cohesion of {likelihood.cohesion:.0f} Pa is fitted beside φ: damp soil has "
-                "one, and grains that are large compared with the leg act like one."
+                "one, and grains that are large compared with the leg act like one"
+                f"{'; else check the density and the unit of force' if check else ''}."
             )
         least, most = USUAL_DENSITY
         if likelihood.measured and not record.medium and not least <= density <= most:
