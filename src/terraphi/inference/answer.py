@@ -31,6 +31,7 @@ QUANTILES = 4000
 _STATED = (
     *("verdict", "reason", "edge", "library", "library_reason", "density_kg_m3"),
     *("density_sd_kg_m3", "density_assumed", "phi_plane_strain_reason", "leg_friction", "seed"),
+    "cohesion_pa",
     *("budget_deg", "second_opinion", "diagnostics", "provenance"),
 )
 """Attributes of an answer that its JSON has as they are."""
@@ -183,6 +184,8 @@ class Answer:
         Split-R̂, effective sample size and autocorrelation time of each parameter, if drawn.
     leg_friction
         Friction of the leg in the library's model [-], where it was not inferred.
+    cohesion_pa
+        Cohesion that was fitted beside φ [Pa]; ``None`` by libraries, which are of dry soil.
     seed
         Of the draws.
     provenance
@@ -220,6 +223,7 @@ class Answer:
     draws: Mapping[str, FloatArray] = field(default_factory=dict)
     diagnostics: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     leg_friction: float | None = None
+    cohesion_pa: float | None = None
     seed: int | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
@@ -522,6 +526,7 @@ class Stored(BaseModel, strict=True):
     density_sd_kg_m3: float | None = Field(None, ge=0.0, lt=1e5)
     density_assumed: bool | None = None
     leg_friction: float | None = Field(None, ge=0.0, lt=10.0)
+    cohesion_pa: float | None = Field(None, ge=0.0, lt=1e9)
     seed: int | None = None
     budget_deg: dict[str, float] = {}
     second_opinion: StoredOpinion | None = None

@@ -371,6 +371,7 @@ def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Ans
         diagnostics=drawn.diagnostics,
         leg_friction=None if "leg.friction" in keys else first.rig.leg_friction
         if "leg friction" in likelihood.terms else scenario.leg.friction,
+        cohesion_pa=likelihood.cohesion if isinstance(library, Legs) else None,
         seed=seed if drawn.draws else None,
         provenance={
             "terraphi": importlib.metadata.version("terraphi"),
