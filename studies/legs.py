@@ -40,12 +40,14 @@ from dataclasses import astuple, dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 from scipy.stats import qmc
 
+import pages
 import terraphi
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.leg import RotatingShape
-from terraphi.experiment.rig import LI2013, Ratios, Rig, similar_scenario
+from terraphi.experiment.rig import LEG_NAMES, LI2013, Ratios, Rig, similar_scenario
 from terraphi.experiment.rig import SIMULATED_LENGTH as LENGTH
 from terraphi.experiment.scenario import GRAVITY
 from terraphi.forward import Checkpoint, model_version
@@ -54,6 +56,7 @@ from terraphi.inference.checks import without_faults
 from terraphi.inference.likelihood import Likelihood
 from terraphi.inference.records import open_record
 from terraphi.laws import legs
+from terraphi.laws.legs import AXES
 
 sys.path.insert(0, str(Path(__file__).parent / "grains"))
 import elements
@@ -256,25 +259,49 @@ def fit() -> None:
     for shape, cases in found.items():
         columns = [np.array(column) for column in zip(*cases, strict=True)]
         law = legs.ShapeLaw(columns[0], columns[1], columns[2].astype(np.float32).astype(float))
-        print(f"{shape}: {len(cases)} cases", end="")
         if len(cases) < FEWEST:
-            print(f", of {FEWEST} that a law needs")
+            print(f"{shape}: {len(cases)} cases, of {FEWEST} that a law needs")
             continue
         shapes[shape] = law
-        apart, sd = law.left_out()
-        size, z = apart[:, 0], apart / sd
-        within = np.mean(np.abs(z) < 1.0)
-        middle, most = (100.0 * float(f(np.abs(size))) for f in (np.median, np.max))
-        print(
-            f"; left out, the size of the forces is met within {100 * np.std(size):.1f} % (SD; "
-            f"median {middle:.1f} %, largest {most:.0f} %), and {within:.0%} of sizes "
-            "and weights within the law's own standard deviation"
-        )
+        print(accuracy(shape, law))
     path = LAW
     known = legs.Legs.load(path).model_error if path.exists() else {}
     counts = {shape: len(law.x) for shape, law in shapes.items()}
     path.parent.mkdir(exist_ok=True)
     legs.Legs(shapes, known, {"cases": counts, "terraphi": terraphi.__version__}).save(path)
+
+
+def accuracy(shape: str, law: legs.ShapeLaw) -> str:
+    """A sentence on how well cases are predicted by the others."""
+    apart, sd = law.left_out()
+    size = 100.0 * np.abs(apart[:, 0])
+    within = np.mean(np.abs(apart / sd) < 1.0)
+    return (
+        f"{LEG_NAMES[shape].capitalize()}: {len(law.x)} cases. Left out in turn, the size of the "
+        f"forces is predicted within {np.median(size):.1f} % (median; root mean square "
+        f"{np.sqrt(np.mean(size**2)):.1f} %, largest {size.max():.0f} %), and {within:.0%} of "
+        "sizes and shapes are within the law's own standard deviation."
+    )
+
+
+def draw(law: legs.Legs, grains: list[tuple[float, str, float]]) -> Figure:
+    """Cases over width and height with their errors, and angles read off grains."""
+    figure = Figure(figsize=(9.0, 3.8), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    for shape, one in law.shapes.items():
+        width, height = one.x[:, AXES.index("width")], one.x[:, AXES.index("hip_height")]
+        size = 100.0 * np.abs(one.left_out()[0][:, 0])
+        dots = left.scatter(width, height, 12.0 + 8.0 * size, one.x[:, 0], label=LEG_NAMES[shape])
+    figure.colorbar(dots, ax=left, label="φ [deg]")
+    left.set(xlabel="width / length", ylabel="hip height / length")
+    left.set_title("cases; area: error of the size, left out", fontsize=10)
+    for body in sorted({name.split("_")[1] for _, name, _ in grains}):
+        some = [(phi, phi + apart) for phi, name, apart in grains if name.split("_")[1] == body]
+        right.plot(*zip(*some, strict=True), "o", ms=5, alpha=0.7, label=body)
+    right.axline((25.0, 25.0), slope=1.0, color="0.5", lw=0.8)
+    right.set(xlabel="φ of the shear cell [deg]", ylabel="φ read [deg]")
+    right.legend(frameon=False, fontsize="small")
+    return figure
 
 
 def read_grains(law: legs.Legs) -> Iterator[tuple[str, str, float, float, float]]:
@@ -301,22 +328,22 @@ def read_grains(law: legs.Legs) -> Iterator[tuple[str, str, float, float, float]
 
 
 def errors() -> None:
-    """Learn the model error, print the readings, and write it into the law's file."""
+    """Learn the model error, write it into the law's file, and write the page."""
     law = legs.Legs.load(LAW)
     rows = list(read_grains(replace(law, model_error={})))
-    for row in rows:
-        print("{:10} {:34} {:+5.1f}°  shift {:+5.1f}°  residual {:.3f}".format(*row))
-    soils = [np.array([r[2] for r in rows if r[0] == soil]) for soil in {r[0] for r in rows}]
-    excess = np.concatenate(soils)
-    within = sum(float(np.square(one - one.mean()).sum()) for one in soils)
+    soils = {row[0]: np.array([r[2] for r in rows if r[0] == row[0]]) for row in rows}
+    excess = np.concatenate(list(soils.values()))
+    within = sum(float(np.square(one - one.mean()).sum()) for one in soils.values())
     leg_sd = np.sqrt(within / (excess.size - len(soils)))
-    means = np.array([one.mean() for one in soils])
-    scatter = np.mean([leg_sd**2 / one.size for one in soils])
+    means = np.array([one.mean() for one in soils.values()])
+    scatter = np.mean([leg_sd**2 / one.size for one in soils.values()])
     soil_sd = np.sqrt(max(float(means.var(ddof=1)) - scatter, SHEAR_CELL_SD**2))
-    known = {row[0]: elements.measured(GRAINS, row[0]).phi_critical_deg for row in rows}
+    known = {soil: elements.measured(GRAINS, soil).phi_critical_deg for soil in soils}
     error = {
         "offset_deg": round(float(means.mean()), 2),
-        "covariance": [[round((soil_sd**2 + scatter) / len(soils), 3), 0.0], [0.0, SLOPE_SD**2]],
+        "covariance": [
+            [round(float(soil_sd**2 + scatter) / len(soils), 3), 0.0], [0.0, round(SLOPE_SD**2, 3)]
+        ],
         "common_sd_deg": COMMON_SD,
         "soil_sd_deg": round(float(soil_sd), 2),
         "leg_sd_deg": round(float(leg_sd), 2),
@@ -324,10 +351,25 @@ def errors() -> None:
         "shift_deg": round(float(np.mean([row[3] for row in rows])), 1),
         "nrmsd_limit": round(1.1 * float(np.quantile([row[4] for row in rows], 0.95)), 3),
         "training": sorted(row[1] for row in rows),
-    }
-    print({key: value for key, value in error.items() if key != "training"})
-    print(f"without the mean taken off: {np.sqrt(np.mean(excess**2)):.1f}°, root mean square")
+    }  # fmt: skip
     replace(law, model_error=dict.fromkeys(law.shapes, error)).save(LAW)
+    table = [
+        (record, f"{known[soil]:.1f}°", f"{apart:+.1f}°", f"{shift:+.1f}°", f"{100 * left:.0f} %")
+        for soil, record, apart, shift, left in rows
+    ]
+    header = ("record", "φ of the shear cell", "read, less that", "shift", "residual")
+    numbers = {key: value for key, value in error.items() if key.endswith(("_deg", "_limit"))}
+    parts = [
+        *(accuracy(shape, one) for shape, one in law.shapes.items()),
+        "Loose simulated grains (4.4 mm *fine*, 6 mm, 8.8 mm *coarse*) on the leg of Li et al. and "
+         "on other rigs, with the cohesion fitted:",
+        pages.table(header, table),
+        f"Root mean square {np.sqrt(np.mean(excess**2)):.1f}°. Model error from them: "
+        + ", ".join(f"{key} {value}" for key, value in numbers.items()) + ".",
+    ]  # fmt: skip
+    alt = "left: the cases over width and height; right: angles read over those of shear cells"
+    figure = draw(law, [(known[row[0]], row[1], row[2]) for row in rows])
+    pages.write(pages.DOCS, "legs", "Law legs", parts, figure, alt, script="legs.py --errors")
 
 
 def main() -> None:
