@@ -361,8 +361,7 @@ def errors() -> None:
     numbers = {key: value for key, value in error.items() if key.endswith(("_deg", "_limit"))}
     parts = [
         *(accuracy(shape, one) for shape, one in law.shapes.items()),
-        "Loose simulated grains (4.4 mm *fine*, 6 mm, 8.8 mm *coarse*) on the leg of Li et al. and "
-         "on other rigs, with the cohesion fitted:",
+        "Loose grains (*fine* 4.4 mm, 6 mm, *coarse* 8.8 mm), with the cohesion fitted:",
         pages.table(header, table),
         f"Root mean square {np.sqrt(np.mean(excess**2)):.1f}°. Model error from them: "
         + ", ".join(f"{key} {value}" for key, value in numbers.items()) + ".",
