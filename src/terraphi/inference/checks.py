@@ -276,7 +276,7 @@ def guesses(likelihood: Likelihood) -> Iterator[str]:
                 f"{name}The record covers {low:.0f} to {high:.0f}° of ±{WINDOW_DEG:g}°, with "
                 f"{part.share:.0%} of the information on φ of a whole stroke."
             )
-        if likelihood.cohesion > 0.0 and i == 0:
+        if likelihood.cohesion > 0.5 and i == 0:
             check = likelihood.cohesion > COHESIVE_PA
             yield (
                 f"A cohesion of {likelihood.cohesion:.0f} Pa is fitted beside φ: damp soil has "

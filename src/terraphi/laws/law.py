@@ -39,6 +39,8 @@ the thickness over the length. Each moves φ by at most 0.5° (2 mm of Li's hip 
 by 1.6 to 2°), which is less than what is assumed of sizes that were not measured."""
 CENTRE_DEG = 27.0
 """Friction angle at which an offset is given [deg]."""
+FRICTION = (0.1, 0.6)
+"""Frictions of a leg that laws know [-]: those that were simulated."""
 STEP = 1e-3
 """Step of numerical derivatives, of a parameter's range [-]."""
 
@@ -167,7 +169,7 @@ class LegLaw(ABC):
             return self.within(x, cohesion)
         i = self.keys.index(PHI)
         low, high = (float(ends[i]) for ends in self.bounds)
-        x = x.copy()
+        x = x.astype(np.float64)
         beyond = x[:, i] - np.clip(x[:, i], low, high)
         x[:, i] -= beyond
         force = self.within(x, cohesion)
@@ -267,6 +269,14 @@ def remedy(rig: Rig) -> str:
     )
 
 
+def check_friction(rig: Rig) -> None:
+    """Raise InputError if the leg's friction is outside what was simulated."""
+    if not FRICTION[0] <= rig.leg_friction <= FRICTION[1]:
+        raise InputError(
+            f"leg_friction = {rig.leg_friction:g}; {FRICTION[0]:g} to {FRICTION[1]:g} are known"
+        )
+
+
 def leg_law(library: Library, rig: Rig, *, corrected: bool, strict: bool = True) -> LegLaw:
     """The law of a rig by a library of legs.
 
@@ -293,10 +303,13 @@ def leg_law(library: Library, rig: Rig, *, corrected: bool, strict: bool = True)
             f"library {library.name} is of a {simulated}, and this leg has other proportions; "
             f"{remedy(rig)}"
         )
+    correction = library.corrections.get(rig.leg) if corrected else None
+    if correction is not None:
+        check_friction(rig)
     return LibraryLaw(
         emulator,
         1.0 if simulated is None else rig.length / simulated.length,
-        library.corrections.get(rig.leg) if corrected else None,
+        correction,
         rig,
     )
 

@@ -47,7 +47,7 @@ from terraphi.experiment.rig import (
 )
 from terraphi.experiment.scenario import GRAVITY, Scenario
 from terraphi.laws.emulator import Process, fitted
-from terraphi.laws.law import LegLaw, library_of_theory, remedy
+from terraphi.laws.law import LegLaw, check_friction, library_of_theory, remedy
 from terraphi.laws.store import PHI, THETA_DEG, shipped_library
 
 NAME, SCHEMA = "legs", 1
@@ -291,6 +291,7 @@ class Legs:
 
     def _check(self, rig: Rig) -> None:
         """Raise InputError if a rig is outside the law's cases."""
+        check_friction(rig)
         why = f"law {NAME} has no {LEG_NAMES[rig.leg]} yet"
         if rig.leg in self.shapes:
             x = self.shapes[rig.leg].x
