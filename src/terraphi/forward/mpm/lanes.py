@@ -27,7 +27,6 @@ at the instructions that come of it.
 
 from __future__ import annotations
 
-import math
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -44,20 +43,18 @@ from terraphi.forward.mpm.plain import SHARING_ROUNDS
 from terraphi.forward.mpm.plasticity import (
     SHORT_OF_TIP,
     Material,
-    Trial,
+    Precision,
+    Six,
     held_mean,
     jaumann_predictor,
     material_of,
-    softened,
-    with_gaps,
+    return_to_surface,
 )
 from terraphi.forward.mpm.transfer import Nodes
 
 Work = NDArray[np.float32]
 Index: TypeAlias = Any
 """An unsigned integer of 64 bits."""
-Six = tuple[Any, Any, Any, Any, Any, Any]
-Four = tuple[Any, Any, Any, Any]
 
 # Numba makes a float of an unsigned and a signed integer, so indices take unsigned ones alone.
 ONE, TWO, THREE, FOUR, FIVE, SIX, SEVEN, EIGHT, NINE = (np.uint64(n) for n in range(1, 10))
@@ -92,16 +89,12 @@ XX, YY, ZZ, XY, XZ, YZ = (np.uint64(n) for n in range(6))
 """Order of the stresses among the sums."""
 
 _F = np.float32
-ZERO, HALF, UNIT, DOUBLE, TRIPLE = (_F(n) for n in (0.0, 0.5, 1.0, 2.0, 3.0))
-THIRD, TWO_THIRDS, FOURFOLD = _F(1.0 / 3.0), _F(2.0 / 3.0), _F(4.0)
+ZERO, HALF, UNIT, DOUBLE = (_F(n) for n in (0.0, 0.5, 1.0, 2.0))
+THIRD = _F(1.0 / 3.0)
 SIDE, CENTRE = _F(0.125), _F(0.75)
 """Spline weights in the middle of a cell."""
 SPLINES = ((SIDE, -HALF, UNIT), (CENTRE, ZERO, -DOUBLE), (SIDE, HALF, UNIT))
 """Value, slope and second slope in the middle of a cell, of the nodes at -1, 0 and 1."""
-ROOT = _F(0.5 * math.sqrt(3.0))
-LODE, SIZE = _F(1.5 * math.sqrt(3.0)), _F(2.0 / math.sqrt(3.0))
-TINY, SMALL = _F(1e-18), _F(1e-9)
-"""Keep quotients of vanishing stresses from being no numbers [Pa²], [Pa]."""
 SHORT = _F(SHORT_OF_TIP)
 C0, C1, C2, C3 = (_F(c) for c in (0.500000163, 0.577333461, -0.110823049, 0.0515479343))
 C4, C5, C6 = (_F(c) for c in (-0.0265382503, 0.0106230692, -0.00214345224))
@@ -109,13 +102,8 @@ C4, C5, C6 = (_F(c) for c in (-0.0265382503, 0.0106230692, -0.00214345224))
 
 
 def laws_of(material: Material) -> Material:
-    """Constants of a material in single precision.
-
-    The first of the yield surfaces is ``None``, another type, so that the compiler makes a kernel
-    for each: lanes cannot branch, and would compute both.
-    """
-    laws = Material._make(np.float32(value) for value in material)
-    return laws if material.surface else laws._replace(surface=None)
+    """Constants of a material in single precision."""
+    return Material._make([*map(np.float32, material[:-1]), material.surface])
 
 
 class FastStrain:
@@ -363,101 +351,7 @@ def cosine_of_two_thirds(s: Any) -> Any:
     return C0 + s * (C1 + s * (C2 + s * (C3 + s * (C4 + s * (C5 + s * C6)))))
 
 
-@kernel
-def mohr_coulomb(trial: Trial, sin_phi: Any, sin_psi: Any, laws: Material) -> Four:
-    """As ``plasticity.mohr_coulomb``: face and edge at once, then one is chosen."""
-    mean, high, low = trial.mean, trial.high, trial.low
-    plus, minus = UNIT + sin_phi, UNIT - sin_phi
-    gain, loss = UNIT + sin_psi, UNIT - sin_psi
-    double = DOUBLE * laws.shear_modulus
-    # f of the face; an elastic state has no excess, and all that follows leaves it as it is.
-    first = mean + THIRD * (DOUBLE * high + low)
-    excess = plus * first - minus * (first - high - low) - laws.strength
-    excess = excess if excess > ZERO else ZERO
-    common = FOURFOLD * laws.lame_lambda * sin_phi * sin_psi
-    face = common + double * (plus * gain + minus * loss)
-    multiplier = excess / face
-    high_face, low_face = high - double * gain * multiplier, low - double * loss * multiplier
-    # A gap that turned negative: to the edge, where both faces flow.
-    on_high, on_low = high_face < ZERO, low_face < ZERO
-    second = plus * high if on_high else minus * low
-    other = common + (double * minus * loss if on_high else double * plus * gain)
-    both = (DOUBLE * excess - second) / (face + other)
-    flow = both if (on_high or on_low) else multiplier
-    swelling = DOUBLE * sin_psi * flow
-    new = mean - laws.bulk_modulus * swelling
-    # On an edge one gap is zero and f = 0 gives the other; on the face both are those above.
-    gap = TRIPLE * (laws.strength - DOUBLE * sin_phi * new)
-    gap = gap / (TRIPLE - sin_phi if on_high else TRIPLE + sin_phi)
-    new_high = ZERO if on_high else (gap if on_low else high_face)
-    new_low = gap if on_high else (ZERO if on_low else low_face)
-    beyond = new > laws.tip  # the soil comes apart
-    new = laws.tip if beyond else new
-    new_high, new_low = ZERO if beyond else new_high, ZERO if beyond else new_low
-    return new, new_high, new_low, ZERO if beyond else swelling
-
-
-@kernel
-def matsuoka_nakai(trial: Trial, sin_phi: Any, sin_psi: Any, laws: Material) -> Four:
-    """As ``plasticity.matsuoka_nakai``."""
-    mean, radius = trial.mean, trial.radius
-    # cos(⅓ arccos c) through the half angle: √(½(1 + c)) = cos(½ arccos c).
-    cosine = HALF * sin_phi * (TRIPLE - sin_phi * sin_phi) * trial.cosine
-    half: Any = math.sqrt(HALF * (UNIT + cosine))
-    slope = ROOT * sin_phi / cosine_of_two_thirds(half)
-    excess = radius - slope * (laws.tip - mean)
-    excess = excess if excess > ZERO else ZERO
-    shear = DOUBLE * laws.shear_modulus / (trial.high + trial.low)
-    # What is left of √J₂ after a slip, and how far m falls meanwhile, meet on the surface.
-    slip = excess / (shear * radius + slope * laws.bulk_modulus * sin_psi)
-    swelling, left = sin_psi * slip, UNIT - shear * slip
-    new = mean - laws.bulk_modulus * swelling
-    apart = new > laws.tip
-    beyond = left < ZERO or apart
-    new, left = laws.tip if beyond else new, ZERO if beyond else left
-    return new, left * trial.high, left * trial.low, ZERO if apart else swelling
-
-
-@kernel
-def return_stress(trial: Six, strain: Any, laws: Material) -> tuple[Six, Any, Any]:
-    """Bring a trial stress [Pa] back to the yield surface.
-
-    And the increment of κ and the plastic change of volume [-], all as
-    :func:`terraphi.forward.mpm.plasticity.return_mapping`.
-    """
-    xx, yy, zz, xy, xz, yz = trial
-    mean = THIRD * (xx + yy + zz)
-    xx, yy, zz = xx - mean, yy - mean, zz - mean
-    # Invariants J₂, J₃ and cos 3θ.
-    second = HALF * (xx * xx + yy * yy + zz * zz) + (xy * xy + xz * xz + yz * yz) + TINY
-    third = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
-    radius = math.sqrt(second)
-    cosine = LODE * third / (second * radius)
-    cosine = cosine if cosine < UNIT else UNIT
-    cosine = cosine if cosine > -UNIT else -UNIT
-    # With cos 3θ known, half-angle formulas give cos θ and cos(60° - θ) through one polynomial.
-    up: Any = math.sqrt(HALF * (UNIT + cosine))
-    down: Any = math.sqrt(HALF * (UNIT - cosine))
-    up, down = cosine_of_two_thirds(up), cosine_of_two_thirds(down)
-    size = SIZE * radius
-    last = -size * down
-    high, low = size * (DOUBLE * up - down), size * (DOUBLE * down - up)
-    # Equal principal stresses have no gap: a tiny one keeps the quotients below finite.
-    high, low = high if high > SMALL else SMALL, low if low > SMALL else SMALL
-    sin_phi, sin_psi = softened(strain, laws, UNIT)
-    seen = Trial(mean, radius, cosine, high, low)
-    if laws.surface is None:
-        new, new_high, new_low, swelling = mohr_coulomb(seen, sin_phi, sin_psi, laws)
-    else:
-        new, new_high, new_low, swelling = matsuoka_nakai(seen, sin_phi, sin_psi, laws)
-    slope_high, slope_low = new_high / high, new_low / low
-    # New principal values as a polynomial of the old, as in plasticity.
-    bend = (slope_high - slope_low) / (high + low)
-    slope = slope_high + bend * last
-    even = new - bend * TWO_THIRDS * second
-    made = with_gaps((xx, yy, zz, xy, xz, yz), even, slope, bend)
-    slip = laws.per_slip * (high * (UNIT - slope_high) + low * (UNIT - slope_low))
-    return made, slip if slip > ZERO else ZERO, swelling
+SINGLE_PRECISION = Precision(UNIT, _F(1e-9), cosine_of_two_thirds)
 
 
 @kernel
@@ -490,7 +384,7 @@ def predicted(state: Work, work: Work, at: Index, i: Index, laws: Material) -> S
 @kernel
 def settle(state: Work, work: Work, at: Index, i: Index, trial: Six, laws: Material) -> None:
     """Return a trial stress [Pa] of a particle, keep it, and add it to the sums of its cell."""
-    made, slip, _ = return_stress(trial, state[at + STRAIN], laws)
+    made, slip, _ = return_to_surface(trial, state[at + STRAIN], laws, SINGLE_PRECISION)
     xx, yy, zz, xy, xz, yz = made
     keep(state, at, made)
     state[at + STRAIN] += slip
@@ -543,12 +437,12 @@ def swell_packet(
         trial = stress_of(state, at, work[SHARE + i])
         strain, full = state[at + STRAIN], state[at + VOLUME]
         # Change of volume alone, ẽ, and at a mean stress that is held, e, short of the tip.
-        _, _, alone = return_stress(trial, strain, laws)
+        _, _, alone = return_to_surface(trial, strain, laws, SINGLE_PRECISION)
         size = abs(trial[0]) + abs(trial[1]) + abs(trial[2])
         over = THIRD * (trial[0] + trial[1] + trial[2]) - laws.tip + SHORT * size
         over = over if over > ZERO else ZERO
         clamped = (trial[0] - over, trial[1] - over, trial[2] - over, trial[3], trial[4], trial[5])
-        _, _, most = return_stress(clamped, strain, held)
+        _, _, most = return_to_surface(clamped, strain, held, SINGLE_PRECISION)
         # 1 + b = e / ẽ where both yield, else 1; the inner choice keeps 0 / 0 from being computed.
         both = alone * most > ZERO
         work[SWELL + i] += full

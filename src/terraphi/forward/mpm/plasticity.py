@@ -3,16 +3,39 @@ r"""Stress update of one material point: Jaumann rate, then return to the yield 
 Stress is (σ_xx, σ_yy, σ_zz, σ_xy, σ_xz, σ_yz) [Pa], tension positive, with principal stresses
 :math:`\sigma_1 \ge \sigma_2 \ge \sigma_3`.
 
+Trial stresses enter by their mean m, √J₂, the Lode angle θ (cos 3θ = 1 in extension) and the gaps
+between principal stresses, all from
+
+.. math:: \sigma_1 = m + \tfrac{2}{\sqrt 3} \sqrt{J_2} \cos\theta, \quad
+          \sigma_3 = m - \tfrac{2}{\sqrt 3} \sqrt{J_2} \cos(60^\circ - \theta), \quad
+          \cos 3\theta = \tfrac{3 \sqrt 3}{2} J_3 J_2^{-3/2}. \qquad (1)
+
+Both cosines are one function, cos(⅔ arccos s), of √(½(1 ± cos 3θ)).
+
 Mohr-Coulomb (``yield_surface = "mohr_coulomb"``, whatever the intermediate stress): six planes
 
 .. math:: f = (1 + \sin\varphi)\,\sigma_i - (1 - \sin\varphi)\,\sigma_j - 2c\cos\varphi \le 0,
+          \qquad (2)
 
-each with the potential of the same form in ψ. The return (de Souza Neto, Peric, Owen, 2008,
+each with the potential g of the same form in ψ. The return (de Souza Neto, Peric, Owen, 2008,
 *Computational Methods for Plasticity*, ch. 8.2) goes along :math:`D\,\partial g` to the face of
-(σ₁, σ₃); where that would change the order of the principal stresses, to the edge σ₁ = σ₂
-or σ₂ = σ₃, on which two faces flow; beyond the tip, to the tip. In the mean stress m and the
-gaps between principal stresses a return is short, for on an edge one gap is zero, the other
-follows from m by f = 0, and m falls by 2 K sin ψ times the sum of both multipliers.
+(σ₁, σ₃), by the multiplier
+
+.. math:: f / (\partial f \, D \, \partial g), \quad \partial f \, D \, \partial g
+          = 4\lambda \sin\varphi \sin\psi + 4 G (1 + \sin\varphi \sin\psi), \qquad (3)
+
+which takes 2 G (1 ± sin ψ) times itself from the gaps; where that would change the order of the
+principal stresses, to the edge σ₁ = σ₂ or σ₂ = σ₃, on which two faces flow; beyond the tip, to the
+tip. An edge needs only the sum of both multipliers, the sum of both f over
+
+.. math:: \partial f \, D \, \partial g + 4\lambda \sin\varphi \sin\psi
+          + 2 G (1 \mp \sin\varphi)(1 \mp \sin\psi), \qquad (4)
+
+for one gap is zero there, m falls by 2 K sin ψ times that sum, and f = 0 gives the other gap,
+
+.. math:: 3\,(2c\cos\varphi - 2 m \sin\varphi) / (3 \mp \sin\varphi), \qquad (5)
+
+with the upper sign on σ₁ = σ₂.
 
 Why the faces' own flow, and no radial return, which shrinks the deviatoric stress without turning
 it and has the same strength: so φ and ψ mean what they mean in limit analysis, and a point strained
@@ -24,27 +47,40 @@ Matsuoka and Nakai (1974, Proc. JSCE 232, 59), ``yield_surface = "matsuoka_nakai
 
 smooth, through Mohr-Coulomb of one angle in triaxial compression and extension and of larger ones
 between them. φ is that in plane strain without dilation, where the intermediate deviatoric stress
-vanishes. At the Lode angle θ (cos 3θ = 1 in extension) the surface has
+vanishes. With t the mean stress at the tip the surface is
 
 .. math:: \sqrt{J_2} = x\,(t - m), \quad x^2 + q x^3 = s^2, \quad
-          q = (3 - s^2) \cos 3\theta / \sqrt{27},
+          q = (3 - s^2) \cos 3\theta / \sqrt{27}, \qquad (6)
 
-t the mean stress at the tip. The return is radial: the deviatoric stress shrinks without turning,
-and m falls by K sin ψ times the increment of κ. It is the plainest of smooth flow rules; tests of
-sand with three different stresses fit another one (Lade and Duncan, 1975, J. Geotech. Eng. Div.
-ASCE 101, 1037). Which of the two surfaces is taken is worth 1 to 2° of φ on a leg: docs, *Three
-dimensions*.
+.. math:: x = \tfrac{\sqrt 3}{2} s / \cos(\tfrac{1}{3} \arccos c), \quad
+          c = \tfrac{1}{2} s\,(3 - s^2) \cos 3\theta, \qquad (7)
+
+1/x being the largest root of s² u³ - u - q = 0. The return is radial: the deviatoric stress shrinks
+without turning, and m falls by K sin ψ times the increment of κ. It is the plainest of smooth flow
+rules; tests of sand with three different stresses fit another one (Lade and Duncan, 1975, J.
+Geotech. Eng. Div. ASCE 101, 1037). Which of the two surfaces is taken is worth 1 to 2° of φ on a
+leg: docs, *Three dimensions*.
 
 The new tensor has the old directions. With new principal values a quadratic polynomial of the
 old ones, that is a polynomial of the old tensor (Newton's divided differences), so that no
-directions need be found, and equal principal stresses do no harm.
+directions need be found, and equal principal stresses do no harm: for a deviator s
+
+.. math:: m' + b\,(s^2 - \tfrac{2}{3} J_2) + (r_1 - b\,|s_3|)\,s, \quad
+          b = (r_1 - r_2) / (\sigma_1 - \sigma_3), \qquad (8)
+
+where r are the ratios of new to old gaps, σ₁ - σ₂ first.
 
 Softening: with the plastic shear strain κ = ∫(dε₁ᵖ - dε₃ᵖ) sin φ falls and sin ψ
 goes linearly to the critical state, where ψ = 0. Of either sign: soil with ψ < 0 is compacted.
 
+All is written once, without branches, for both kernels. Vectors of numbers cannot branch, and
+Python's own numbers would make doubles of single precision: a :class:`Precision` says what one is,
+and every other number follows from it, at compile time.
+
 A yield surface is a function from a :class:`Trial` and the mobilised sines to the mean stress and
-the gaps after the return, and the plastic change of volume. To add one, write it here, its twin
-without branches in ``lanes``, and name it in :data:`SURFACES` and in ``experiment/soil.py``.
+the gaps after the return, and the plastic change of volume. To add one, write it here as
+:func:`mohr_coulomb` is, with its name in :data:`SURFACES` and a line in :func:`return_to_surface`,
+and name it in ``experiment/soil.py``.
 """
 
 from __future__ import annotations
@@ -55,16 +91,12 @@ from typing import Any, NamedTuple
 from terraphi.experiment.soil import Soil
 from terraphi.forward.compiled import kernel
 
-Six = tuple[float, float, float, float, float, float]
+Six = tuple[Any, Any, Any, Any, Any, Any]
 Nine = tuple[float, float, float, float, float, float, float, float, float]
-Four = tuple[float, float, float, float]
+Four = tuple[Any, Any, Any, Any]
 
 SURFACES = ("mohr_coulomb", "matsuoka_nakai")
-"""Names of the yield surfaces, in the order of ``Material.surface``."""
-SMALLEST = 1e-12
-"""Keeps a quotient of vanishing stresses from being no number [Pa]."""
-SMALLEST_CUBE = 1e-36
-"""The same for cubes of stresses [Pa³]."""
+"""Names of the yield surfaces."""
 SHORT_OF_TIP = 1e-5
 """How far short of the tip a mean stress beyond it is put, lest rounding put it beyond, as a share
 of the stress [-]."""
@@ -93,8 +125,10 @@ class Material(NamedTuple):
     """Mean stress at the tip of the surface, c cot φ [Pa]."""
     per_slip: float
     """1 / (2 G) [1/Pa]."""
-    surface: Any
-    """Which of :data:`SURFACES`, as a number."""
+    surface: tuple[int, ...]
+    """As many numbers as :data:`SURFACES` has names before that of the surface. The length is part
+    of the type, so that the compiler makes a kernel for each surface: the fast one cannot branch,
+    and would compute all."""
 
     @property
     def swells(self) -> bool:
@@ -117,6 +151,17 @@ class Trial(NamedTuple):
     """σ₂ - σ₃ [Pa]."""
 
 
+class Precision(NamedTuple):
+    """How a kernel computes: Python's own numbers in one of single precision would be doubles."""
+
+    one: Any
+    """1 [-]."""
+    smallest: Any
+    """Keeps quotients of vanishing stresses from being no numbers [Pa]."""
+    cosine: Any
+    """A function to cos(⅔ arccos s), 0 ≤ s ≤ 1."""
+
+
 def material_of(soil: Soil) -> Material:
     """Constants of a soil."""
     phi = math.radians(soil.friction_angle_deg)
@@ -132,7 +177,7 @@ def material_of(soil: Soil) -> Material:
         2.0 * soil.cohesion * math.cos(phi),
         soil.cohesion / math.tan(phi),
         0.5 / soil.shear_modulus,
-        SURFACES.index(soil.yield_surface),
+        (0,) * SURFACES.index(soil.yield_surface),
     )
 
 
@@ -212,7 +257,19 @@ def softened(strain: Any, material: Material, one: Any) -> tuple[Any, Any]:
 
 
 @kernel
-def mohr_coulomb(trial: Trial, sin_phi: float, sin_psi: float, material: Material) -> Four:
+def cosine_of_two_thirds(s: float) -> float:
+    """cos(⅔ arccos s), 0 ≤ s ≤ 1."""
+    return math.cos(2.0 / 3.0 * math.acos(min(s, 1.0)))
+
+
+DOUBLE_PRECISION = Precision(1.0, 1e-12, cosine_of_two_thirds)
+"""Of the plain kernel."""
+
+
+@kernel
+def mohr_coulomb(
+    trial: Trial, sin_phi: Any, sin_psi: Any, material: Material, precision: Precision
+) -> Four:
     """Return to the surface of Mohr and Coulomb.
 
     Parameters
@@ -223,6 +280,8 @@ def mohr_coulomb(trial: Trial, sin_phi: float, sin_psi: float, material: Materia
         Mobilised [-].
     material
         Constants.
+    precision
+        Of all these.
 
     Returns
     -------
@@ -230,64 +289,71 @@ def mohr_coulomb(trial: Trial, sin_phi: float, sin_psi: float, material: Materia
         Mean stress and both gaps after the return [Pa], and the plastic change of volume [-], 0
         beyond the tip.
     """
-    lame, shear, k = material.lame_lambda, material.shear_modulus, material.strength
+    one = precision.one
+    zero, two, three = one - one, one + one, one + one + one
     mean, high, low = trial.mean, trial.high, trial.low
-    bulk = material.bulk_modulus
-    first = mean + (2.0 * high + low) / 3.0
-    third = first - high - low
-    excess = (1.0 + sin_phi) * first - (1.0 - sin_phi) * third - k
-    if excess <= 0.0:
-        return mean, high, low, 0.0
-    # To the face of (σ₁, σ₃): its multiplier is f over ∂f D ∂g.
-    common = 4.0 * lame * sin_phi * sin_psi
-    face = common + 4.0 * shear * (1.0 + sin_phi * sin_psi)
+    plus, minus, gain, loss = one + sin_phi, one - sin_phi, one + sin_psi, one - sin_psi
+    double = two * material.shear_modulus
+    # f of the face of (σ₁, σ₃), eq. 2. An elastic state has no excess: what follows leaves it.
+    first = mean + one / three * (two * high + low)
+    excess = plus * first - minus * (first - high - low) - material.strength
+    excess = excess if excess > zero else zero
+    # Along D ∂g to it, by the multiplier of eq. 3, which narrows both gaps.
+    common = (two + two) * material.lame_lambda * sin_phi * sin_psi
+    face = common + double * (plus * gain + minus * loss)
     multiplier = excess / face
-    new_high = high - 2.0 * shear * (1.0 + sin_psi) * multiplier
-    new_low = low - 2.0 * shear * (1.0 - sin_psi) * multiplier
-    # A gap that turned negative has changed the order: two faces flow alike, to their edge.
-    if new_high < 0.0:  # the edge σ₁ = σ₂
-        both = 2.0 * excess - (1.0 + sin_phi) * high
-        multiplier = both / (face + common + 2.0 * shear * (1.0 - sin_phi) * (1.0 - sin_psi))
-        mean -= 2.0 * bulk * sin_psi * multiplier
-        new_high, new_low = 0.0, 3.0 * (k - 2.0 * sin_phi * mean) / (3.0 - sin_phi)
-    elif new_low < 0.0:  # the edge σ₂ = σ₃
-        both = 2.0 * excess - (1.0 - sin_phi) * low
-        multiplier = both / (face + common + 2.0 * shear * (1.0 + sin_phi) * (1.0 + sin_psi))
-        mean -= 2.0 * bulk * sin_psi * multiplier
-        new_high, new_low = 3.0 * (k - 2.0 * sin_phi * mean) / (3.0 + sin_phi), 0.0
-    else:
-        mean -= 2.0 * bulk * sin_psi * multiplier
-    if mean > material.tip:
-        return material.tip, 0.0, 0.0, 0.0
-    return mean, new_high, new_low, 2.0 * sin_psi * multiplier
+    high_face, low_face = high - double * gain * multiplier, low - double * loss * multiplier
+    # A gap that turned negative has changed the order: two faces flow, to their edge (eq. 4).
+    on_high, on_low = high_face < zero, low_face < zero
+    second = plus * high if on_high else minus * low
+    other = common + (double * minus * loss if on_high else double * plus * gain)
+    both = (two * excess - second) / (face + other)
+    swelling = two * sin_psi * (both if (on_high or on_low) else multiplier)
+    new = mean - material.bulk_modulus * swelling
+    # On an edge one gap is zero and f = 0 gives the other (eq. 5); on the face both are as above.
+    gap = three * (material.strength - two * sin_phi * new)
+    gap = gap / (three - sin_phi if on_high else three + sin_phi)
+    new_high = zero if on_high else (gap if on_low else high_face)
+    new_low = gap if on_high else (zero if on_low else low_face)
+    beyond = new > material.tip  # the soil comes apart
+    new_high, new_low = zero if beyond else new_high, zero if beyond else new_low
+    return material.tip if beyond else new, new_high, new_low, zero if beyond else swelling
 
 
 @kernel
-def matsuoka_nakai(trial: Trial, sin_phi: float, sin_psi: float, material: Material) -> Four:
+def matsuoka_nakai(
+    trial: Trial, sin_phi: Any, sin_psi: Any, material: Material, precision: Precision
+) -> Four:
     """Return to the surface of Matsuoka and Nakai, as :func:`mohr_coulomb`."""
-    mean, radius, span = trial.mean, trial.radius, trial.high + trial.low
-    # With u = 1/x the surface is s² u³ - u - q = 0, whose largest root this is.
-    shape = 0.5 * sin_phi * (3.0 - sin_phi * sin_phi) * trial.cosine
-    slope = 0.5 * math.sqrt(3.0) * sin_phi / math.cos(math.acos(min(shape, 1.0)) / 3.0)
+    one = precision.one
+    zero, two, three = one - one, one + one, one + one + one
+    half, mean, radius = one / two, trial.mean, trial.radius
+    # The slope x, eq. 7; cos(⅓ arccos c) is that of ⅔ of the half angle, of which √(½(1 + c)) is
+    # the cosine.
+    cosine = half * sin_phi * (three - sin_phi * sin_phi) * trial.cosine
+    cosine = precision.cosine(math.sqrt(half * (one + cosine)))
+    slope = half * math.sqrt(three) * sin_phi / cosine
     excess = radius - slope * (material.tip - mean)
-    if excess <= 0.0:
-        return mean, trial.high, trial.low, 0.0
-    # Along the radius κ grows by the loss of σ₁ - σ₃ over 2 G, and m falls by K sin ψ times that.
-    bulk = material.bulk_modulus
-    shear = 2.0 * material.shear_modulus * max(radius, SMALLEST) / max(span, SMALLEST)
-    slip = excess / (shear + slope * bulk * sin_psi)
-    mean -= bulk * sin_psi * slip
-    if mean > material.tip:
-        return material.tip, 0.0, 0.0, 0.0
-    left = (radius - shear * slip) / max(radius, SMALLEST)
-    if left < 0.0:
-        return material.tip, 0.0, 0.0, sin_psi * slip
-    return mean, left * trial.high, left * trial.low, sin_psi * slip
+    excess = excess if excess > zero else zero
+    # A slip takes its share of √J₂, and K sin ψ times itself of m, until both meet eq. 6.
+    shear = two * material.shear_modulus / (trial.high + trial.low)
+    slip = excess / (shear * radius + slope * material.bulk_modulus * sin_psi)
+    swelling, left = sin_psi * slip, one - shear * slip
+    new = mean - material.bulk_modulus * swelling
+    # No deviatoric stress is left at the tip; beyond it the soil comes apart.
+    apart = new > material.tip
+    beyond = left < zero or apart
+    new, left = material.tip if beyond else new, zero if beyond else left
+    return new, left * trial.high, left * trial.low, zero if apart else swelling
 
 
 @kernel
-def return_mapping(trial: Six, strain: float, material: Material) -> tuple[Six, float, float]:
+def return_to_surface(
+    trial: Six, strain: Any, material: Material, precision: Precision
+) -> tuple[Six, Any, Any]:
     """Bring a trial stress back to the yield surface.
+
+    Without branches, and in the precision of its arguments; both kernels call it.
 
     Parameters
     ----------
@@ -297,6 +363,8 @@ def return_mapping(trial: Six, strain: float, material: Material) -> tuple[Six, 
         Plastic shear strain κ so far [-].
     material
         Constants.
+    precision
+        Of all these.
 
     Returns
     -------
@@ -307,32 +375,44 @@ def return_mapping(trial: Six, strain: float, material: Material) -> tuple[Six, 
     float
         Plastic change of volume [-]; 0 where the soil comes apart, its mean stress beyond the tip.
     """
+    one, smallest = precision.one, precision.smallest
+    zero, two, three = one - one, one + one, one + one + one
+    half, third = one / two, one / three
     xx, yy, zz, xy, xz, yz = trial
-    mean = (xx + yy + zz) / 3.0
+    mean = third * (xx + yy + zz)
     xx, yy, zz = xx - mean, yy - mean, zz - mean
-    # Invariants J₂ and J₃ of the deviator, the Lode angle θ, and from it the principal values:
-    # the first is (2/√3) √J₂ cos θ, the last the same of 60° - θ with a minus.
-    second = 0.5 * (xx * xx + yy * yy + zz * zz) + xy * xy + xz * xz + yz * yz
-    third = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
-    radius = math.sqrt(second)
-    cosine = 1.5 * math.sqrt(3.0) * third / max(second * radius, SMALLEST_CUBE)
-    cosine = min(max(cosine, -1.0), 1.0)
-    lode = math.acos(cosine) / 3.0
-    size = 2.0 / math.sqrt(3.0) * radius
-    first, last = size * math.cos(lode), -size * math.cos(math.pi / 3.0 - lode)
-    high, low = 2.0 * first + last, -first - 2.0 * last
-    sin_phi, sin_psi = softened(strain, material, 1.0)
-    seen = Trial(mean, radius, cosine, high, low)
-    if material.surface == 0:
-        found = mohr_coulomb(seen, sin_phi, sin_psi, material)
+    # Invariants J₂ and J₃ of the deviator, and cos 3θ (eq. 1).
+    j2 = half * (xx * xx + yy * yy + zz * zz) + (xy * xy + xz * xz + yz * yz) + smallest * smallest
+    j3 = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+    radius = math.sqrt(j2)
+    cosine = three * half * math.sqrt(three) * j3 / (j2 * radius)
+    cosine = cosine if cosine < one else one
+    cosine = cosine if cosine > -one else -one
+    # Gaps between principal values, eq. 1: cos θ is ``up``, cos(60° - θ) is ``down``.
+    up = precision.cosine(math.sqrt(half * (one + cosine)))
+    down = precision.cosine(math.sqrt(half * (one - cosine)))
+    size = two * third * math.sqrt(three) * radius
+    high, low = size * (two * up - down), size * (two * down - up)
+    # Equal principal stresses have no gap: a tiny one keeps the quotients below finite.
+    high, low = high if high > smallest else smallest, low if low > smallest else smallest
+    sin_phi, sin_psi = softened(strain, material, one)
+    state = Trial(mean, radius, cosine, high, low)
+    if len(material.surface) == 0:
+        made = mohr_coulomb(state, sin_phi, sin_psi, material, precision)
     else:
-        found = matsuoka_nakai(seen, sin_phi, sin_psi, material)
-    new_mean, new_high, new_low, swelling = found
-    # New principal values as a polynomial of the old: slopes over both gaps, and their difference.
-    slope_high, slope_low = new_high / max(high, SMALLEST), new_low / max(low, SMALLEST)
-    bend = (slope_high - slope_low) / max(high + low, SMALLEST)
-    slope = slope_high + bend * last
-    even = new_mean - bend * 2.0 / 3.0 * second
-    made = with_gaps((xx, yy, zz, xy, xz, yz), even, slope, bend)
-    slip = material.per_slip * (high + low - new_high - new_low)
-    return made, max(slip, 0.0), swelling
+        made = matsuoka_nakai(state, sin_phi, sin_psi, material, precision)
+    new_mean, new_high, new_low, swelling = made
+    # New principal values as a polynomial of the old, eq. 8.
+    slope_high, slope_low = new_high / high, new_low / low
+    bend = (slope_high - slope_low) / (high + low)
+    slope, even = slope_high - bend * (size * down), new_mean - bend * (two * third) * j2
+    stress = with_gaps((xx, yy, zz, xy, xz, yz), even, slope, bend)
+    # κ grows by the loss of σ₁ - σ₃ over 2 G.
+    slip = material.per_slip * (high * (one - slope_high) + low * (one - slope_low))
+    return stress, slip if slip > zero else zero, swelling
+
+
+@kernel
+def return_mapping(trial: Six, strain: float, material: Material) -> tuple[Six, float, float]:
+    """Bring a trial stress back to the yield surface, as :func:`return_to_surface` in double."""
+    return return_to_surface(trial, strain, material, DOUBLE_PRECISION)
