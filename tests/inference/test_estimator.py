@@ -11,7 +11,7 @@ from terraphi.inference.estimator import Best, least_squares, weights
 
 T = np.linspace(0.0, 2.0, 30)
 BOUNDS = np.array([0.5, 0.1, -1.0]), np.array([3.0, 2.0, 1.0])
-PRIOR = np.array([1.0, 1.0, 0.0]), np.diag([0.0, 4.0, 100.0])
+PRIOR = np.array([1.0, 1.0, 0.0]), np.array([0.0, 4.0, 100.0])
 
 
 def curve(x: FloatArray) -> FloatArray:
@@ -51,7 +51,7 @@ def test_each_problem_is_solved_as_scipy_solves_it_alone() -> None:
         root, trust = np.linalg.cholesky(w).T, np.sqrt(PRIOR[1])
 
         def residual(p, d=d, root=root, trust=trust):
-            return np.concatenate([root @ (d - curve(p[None])[0]), trust @ (p - PRIOR[0])])
+            return np.concatenate([root @ (d - curve(p[None])[0]), trust * (p - PRIOR[0])])
 
         expected = optimize.least_squares(
             residual, [1.0, 1.0, 0.0], bounds=BOUNDS, method="dogbox", xtol=1e-14, ftol=1e-14

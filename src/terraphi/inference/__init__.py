@@ -1,7 +1,7 @@
 """From records and a library to the friction angle, its interval and a verdict.
 
-Read in this order: ``emulator`` (curves between the library's cases), ``records`` (what was
-measured), ``soils`` (how real soils differ from the model), ``likelihood`` (named terms),
+Read in this order: ``records`` (what was measured), ``calibration`` (how real soils differ from the
+model), ``estimator`` (least squares), ``likelihood`` (named terms),
 ``sampling`` (the posterior), ``checks`` (what looks wrong), ``answer``, ``inversion`` (all of it in
 one call).
 """

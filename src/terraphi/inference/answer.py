@@ -185,7 +185,7 @@ class Answer:
     leg_friction
         Friction of the leg in the library's model [-], where it was not inferred.
     cohesion_pa
-        Cohesion that was fitted beside φ [Pa]; ``None`` by libraries, which are of dry soil.
+        Cohesion that was fitted with φ [Pa]; ``None`` by libraries, which are of dry soil.
     seed
         Of the draws.
     provenance

@@ -29,8 +29,8 @@ from terraphi.inference.likelihood import (
     window_means,
 )
 from terraphi.inference.records import Record
-from terraphi.laws.law import THEORY, LegLaw, library_of_theory
-from terraphi.laws.store import PHI, differences
+from terraphi.laws.law import THEORY, LegLaw
+from terraphi.laws.store import PHI, differences, shipped_library
 
 LOADED = 0.05
 """Force over the largest above which an exact zero is a dropout [-]."""
@@ -58,8 +58,8 @@ USUAL_DEG = (18.0, 50.0)
 Pouliquen 2006, Nature 441:727), to dense quartz sand at its peak, 48° (Bolton 1986, Géotechnique
 36:65, table 1, whose critical angles are about 30 to 37°)."""
 COHESIVE_PA = 100.0
-"""Cohesion above which dry soil must be coarse [Pa]: 4 mm grains want 30 to 50 Pa on a leg of 25 mm
-(``studies/legs.py --errors``)."""
+"""Cohesion above which dry soil must be coarse [Pa]: chosen; grains of 4 mm act like 30 to 50 Pa on
+a leg of 25 mm, measured sands like 0 to 20."""
 USUAL_DENSITY = (1100.0, 2100.0)
 """Bulk density of dry mineral soils [kg/m³]."""
 LARGE_SHIFT_DEG = 4.0
@@ -279,7 +279,7 @@ def guesses(likelihood: Likelihood) -> Iterator[str]:
         if likelihood.cohesion > 0.5 and i == 0:
             check = likelihood.cohesion > COHESIVE_PA
             yield (
-                f"A cohesion of {likelihood.cohesion:.0f} Pa is fitted beside φ: damp soil has "
+                f"A cohesion of {likelihood.cohesion:.0f} Pa is fitted with φ: damp soil has "
                 "one, and grains that are large compared with the leg act like one"
                 f"{'; else check the density and the unit of force' if check else ''}."
             )
@@ -495,8 +495,7 @@ def second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:
     if not likelihood.measured or likelihood.library.name == THEORY:
         return None
     try:
-        rigs = [record.rig for record in likelihood.records]
-        other = Likelihood(likelihood.records, library_of_theory(rigs))
+        other = Likelihood(likelihood.records, shipped_library(THEORY))
     except InputError:
         return None  # it does not cover the angles of the record
     read = float(other.least_squares[0])

@@ -1,7 +1,7 @@
 r"""Least squares, many problems at a time, and what an error of the data does to the estimate.
 
 For data d, predictions g(x), weights W and, where something is known beforehand, a prior of mean m
-and precision P, the estimate is
+and diagonal precision P, the estimate is
 
     x̂ = argmin (d − g(x))'W(d − g(x)) + (x − m)'P(x − m),    low ≤ x ≤ high,
 
@@ -64,7 +64,7 @@ def least_squares(
     scale
         Size of a change of x that counts, shape [key].
     mean, precision
-        m, shape [key], and P, shape [key, key].
+        m and the diagonal of P, shape [key] each.
     settled
         Step at which a problem is solved, over the scale [-].
     """
@@ -72,7 +72,7 @@ def least_squares(
     low, high = bounds
 
     def cost(at: FloatArray, left: FloatArray, rows: IntArray) -> FloatArray:
-        of_prior = ((at - mean) @ (precision * np.eye(len(scale))) * (at - mean)).sum(axis=1)
+        of_prior = (precision * np.square(at - mean)).sum(axis=1)
         return np.asarray(np.einsum("nk,nkl,nl->n", left, weight[rows], left) + of_prior)
 
     left = residual(x, rows)
@@ -80,9 +80,9 @@ def least_squares(
     for _ in range(ROUNDS):
         at, s = x[rows], slope(x[rows], rows)
         weighted = s.swapaxes(1, 2) @ weight[rows]
-        normal = weighted @ s + precision
+        normal = weighted @ s + precision * np.eye(len(scale))
         gradient = (weighted @ left[rows, :, None])[..., 0]
-        gradient -= (at - mean) @ (precision * np.eye(len(scale)))
+        gradient -= precision * (at - mean)
         # What presses against its bound, or changes nothing, stays, and the rest is solved without.
         fixed = ((at <= low) & (gradient < 0.0)) | ((at >= high) & (gradient > 0.0))
         fixed |= normal.diagonal(axis1=1, axis2=2) == 0.0
@@ -109,7 +109,7 @@ def weights(
 ) -> tuple[FloatArray, FloatArray]:
     """Weights c and (S'WS + P)⁻¹, shape [problem, key, datum] and [problem, key, key]."""
     weighted = slope.swapaxes(1, 2) @ weight
-    normal = weighted @ slope + precision
+    normal = weighted @ slope + precision * np.eye(slope.shape[2])
     size = np.sqrt(np.maximum(normal.diagonal(axis1=1, axis2=2), 1e-300))
     unit = 1.0 / (size[:, :, None] * size[:, None, :])
     # A parameter that nothing depends on has no weights.

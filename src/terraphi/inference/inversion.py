@@ -40,7 +40,7 @@ from terraphi.inference.likelihood import (
 )
 from terraphi.inference.records import Record, open_records
 from terraphi.inference.sampling import Drawn, quadrature, sample
-from terraphi.laws.law import THEORY, is_similar, library_of_theory, model_error, rig_of
+from terraphi.laws.law import is_similar, model_error, rig_of
 from terraphi.laws.legs import NAME as LEGS
 from terraphi.laws.legs import Legs, shipped_legs
 from terraphi.laws.store import PHI, Library, nearest_library, shipped_library
@@ -67,7 +67,7 @@ def invert(
     rig: Any = None,
     density: float | str | None = None,
     columns: Any = None,
-    library: Library | Path | str | None = None,
+    library: Library | Legs | Path | str | None = None,
     noise: float | tuple[float, float] | None = None,
     gain: float | str | None = None,
     calibration: Calibration | Path | str | None = None,
@@ -159,7 +159,7 @@ def calibrate(
     phi_deg: float,
     phi_sd_deg: float,
     *,
-    library: Library | Path | str | None = None,
+    library: Library | Legs | Path | str | None = None,
     leg: str | None = None,
     rig: Any = None,
     density: float | str | None = None,
@@ -262,18 +262,16 @@ def _attempt(row: Any) -> Answer | InputError:
 
 
 def _library_for(
-    records: Sequence[Record], library: Library | Path | str | None
+    records: Sequence[Record], library: Library | Legs | Path | str | None
 ) -> tuple[Library | Legs, str]:
     """The library to take, and why, if none was named."""
-    if isinstance(library, Library):
+    if isinstance(library, Library | Legs):
         return library, ""
     rigs = tuple(record.rig for record in records)
-    if library is not None and str(library) == THEORY:
-        return library_of_theory(rigs), ""
-    if library is not None and str(library) == LEGS:
-        return shipped_legs(), ""
     if library is not None:
         named = str(library)
+        if named == LEGS:
+            return shipped_legs(), ""
         return (shipped_library(named) if named in Library.names() else Library.load(library)), ""
     scenarios = [record.scenario for record in records]
     if all(scenario is not None for scenario in scenarios):

@@ -273,7 +273,7 @@ def check_friction(rig: Rig) -> None:
     """Raise InputError if the leg's friction is outside what was simulated."""
     if not FRICTION[0] <= rig.leg_friction <= FRICTION[1]:
         raise InputError(
-            f"leg_friction = {rig.leg_friction:g}; {FRICTION[0]:g} to {FRICTION[1]:g} are known"
+            f"leg_friction = {rig.leg_friction:g}; {FRICTION[0]:g} to {FRICTION[1]:g} are accepted"
         )
 
 
@@ -319,37 +319,31 @@ def rig_of(library: Library, leg: str) -> Rig | None:
     return Rig.of_scenario(next(c.scenario for c in library.cases if c.scenario.leg.shape == leg))
 
 
-def library_of_theory(rigs: Iterable[Rig]) -> Library:
-    """Library of resistive force theory for some rigs: the shipped one, or one made now.
+@functools.lru_cache(maxsize=32)
+def library_of_theory(rig: Rig) -> Library:
+    """Library of resistive force theory for a rig: the shipped one, or one made now.
 
-    Of several rigs with one leg the first counts.
+    The leg's friction is that of the shipped library unless another is known.
     """
-    shipped = shipped_library(THEORY)
-    first = {rig.leg: rig for rig in reversed(list(rigs))}
-    if all(is_similar(rig, rig_of(shipped, leg)) for leg, rig in first.items()):
-        return shipped
-    return _theory(tuple(first.values()))
-
-
-@functools.lru_cache(maxsize=16)
-def _theory(rigs: tuple[Rig, ...]) -> Library:
-    """Forces on some rigs by resistive force theory, over the angles of the shipped library."""
     base = shipped_library(THEORY)
+    if is_similar(rig, rig_of(base, rig.leg)) and rig.leg_friction == LEG_FRICTION:
+        return base
+    own = [case.scenario for case in base.cases if case.scenario.leg.shape == rig.leg]
+    sizes = {
+        "leg.chord": rig.length,
+        "leg.width": 1e-3 * rig.width_mm,
+        "leg.half_thickness": 5e-4 * rig.thickness_mm,
+        "motion.hip.1": own[0].bed.surface + 1e-3 * rig.hip_height_mm,
+    }
+    if rig.leg_friction != LEG_FRICTION:
+        sizes["leg.friction"] = rig.leg_friction
+    scenarios = [one.replace(**sizes) for one in own]
     theta = np.radians(np.arange(-135.0, 135.5, 0.5))
-    cases = []
-    for rig in rigs:
-        own = [case.scenario for case in base.cases if case.scenario.leg.shape == rig.leg]
-        sizes = {
-            "leg.chord": rig.length,
-            "leg.width": 1e-3 * rig.width_mm,
-            "leg.half_thickness": 5e-4 * rig.thickness_mm,
-            "motion.hip.1": own[0].bed.surface + 1e-3 * rig.hip_height_mm,
-        }
-        scenarios = [one.replace(**sizes) for one in own]
-        force, moment = leg_force(scenarios[0], scenarios[0].motion.poses_at(theta))
-        # The angle of the soil scales all stresses.
-        scales = stress_scale([s.soil.friction_angle_deg for s in scenarios], 1.0)
-        for scenario, scale in zip(scenarios, (scales / scales[0]).tolist(), strict=True):
-            history = ForceHistory(theta, scale * force, moment=scale * moment)
-            cases.append(Case(scenario, history))
+    force, moment = leg_force(scenarios[0], scenarios[0].motion.poses_at(theta))
+    # The angle of the soil scales all stresses.
+    scales = stress_scale([s.soil.friction_angle_deg for s in scenarios], 1.0)
+    cases = [
+        Case(scenario, ForceHistory(theta, scale * force, moment=scale * moment))
+        for scenario, scale in zip(scenarios, (scales / scales[0]).tolist(), strict=True)
+    ]
     return replace(base, cases=tuple(cases))

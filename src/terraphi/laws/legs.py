@@ -1,7 +1,7 @@
 r"""Law ``legs``: forces on a leg of any proportions, from simulations at random ratios.
 
-With D the depth that a leg reaches below its hip's level of the soil, F is compared with
-ρ g w D²: for the cases of one shape of leg
+With D the depth that a leg reaches in level soil, F is compared with ρ g w D²: for the cases of one
+shape of leg
 
     F(θ) = ρ g w D² exp(y_0) [z_0(s) + Σ_k y_k u_k(s)],    s = (2θ − θ_1 − θ_2) / (θ_2 − θ_1),
 
@@ -11,8 +11,8 @@ are Gaussian processes (:mod:`~terraphi.laws.emulator`) over
 
     ln tan(45° + φ/2),  ln μ,  ln w/L,  h/L,  ln t/L,  ln(1 + 20 c/(ρ g D)),  Δx over the rule's,
 
-each with a mean that is linear in these and quadratic in the first. The rule is that of
-:func:`~terraphi.experiment.rig.similar_scenario`, in whose cells the law is read.
+each with a mean that is linear in these and quadratic in the first. The law is read in cells of a
+fifth of the width or an eleventh of the depth (:func:`cells_of`).
 
 ``studies/legs.py`` simulates the cases and finds correlation lengths and nuggets.
 """
@@ -22,6 +22,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -47,7 +48,7 @@ from terraphi.experiment.rig import (
 )
 from terraphi.experiment.scenario import GRAVITY, Scenario
 from terraphi.laws.emulator import Process, fitted
-from terraphi.laws.law import LegLaw, check_friction, library_of_theory, remedy
+from terraphi.laws.law import LegLaw, check_friction, library_of_theory, remedy, rig_of
 from terraphi.laws.store import PHI, THETA_DEG, shipped_library
 
 NAME, SCHEMA = "legs", 1
@@ -60,6 +61,9 @@ PLACES = np.linspace(-1.12, 1.12, 113)
 """Places s of the curves; beyond them there is no force."""
 MODES = 8
 """Principal components that are kept: the next adds less than a tenth of the first (chosen)."""
+ERROR_SCALE = 1.45
+"""Errors of cases that are left out over the processes' own standard deviation, root mean square,
+where friction or thickness is not that of most cases [-] (``docs/legs.md``)."""
 LEAST_FRICTION = 0.05
 """Least friction of a leg that is asked of the processes [-]: they have its logarithm."""
 PHI_DEG = (10.0, 55.0)
@@ -105,7 +109,7 @@ class ShapeLaw:
         Fx and Fz over ρ g w D² at :data:`PLACES` [-], shape [case, 2, place].
     hyper
         Correlation lengths, over the standard deviation of each axis, and nugget of each process,
-        shape [1 + MODES, axis + 1]; ``None``: found now.
+        shape [1 + MODES, axis + 1]; ``None``: fitted at first use.
     """
 
     x: FloatArray
@@ -164,16 +168,16 @@ class ShapeLaw:
     def errors(self, x: FloatArray, depth: FloatArray) -> FloatArray:
         """Forces of one standard deviation of each process [-], [mode, k, 2, place]."""
         at = self._standard(x, depth)
-        sd = np.sqrt([process.variance(*at) for process in self.processes])
+        sd = ERROR_SCALE * np.sqrt([process.variance(*at) for process in self.processes])
         force, u = self(x, depth), self._components[1].reshape(MODES, 2, -1)
-        y_0 = np.exp(self.processes[0].mean(*at))
+        size = np.exp(self.processes[0].mean(*at))
         return np.stack([
             sd[0][:, None, None] * force,
-            *((y_0 * one)[:, None, None] * mode for one, mode in zip(sd[1:], u, strict=True)),
+            *((size * one)[:, None, None] * mode for one, mode in zip(sd[1:], u, strict=True)),
         ])  # fmt: skip
 
     def left_out(self) -> tuple[FloatArray, FloatArray]:
-        """Each case by the others, their correlation known: y less the prediction, and its SD.
+        """Each case by the others, hyperparameters kept: y less the prediction, and its SD.
 
         Shape [case, process] each (Rasmussen & Williams 2006, section 5.4.2).
         """
@@ -274,7 +278,8 @@ class Legs:
         digest = hashlib.sha256(json.dumps(self.model_error, sort_keys=True).encode())
         for leg, law in sorted(self.shapes.items()):
             digest.update(leg.encode())
-            for array in (law.x, law.depth, law.force):
+            hyper = np.array([[*one.lengths, one.noise] for one in law.processes])
+            for array in (law.x, law.depth, law.force, hyper):
                 digest.update(np.asarray(array, np.float32).tobytes())
         return digest.hexdigest()
 
@@ -300,8 +305,8 @@ class Legs:
                 low, high = float(column.min()), float(column.max())
                 if not low <= value <= high:
                     why = (
-                        f"law {NAME} is for {name.replace('_', ' ')} over length from {low:.2g} to "
-                        f"{high:.2g}, and this leg has {value:.2g}"
+                        f"law {NAME} is for {name.replace('_', ' ')} over length from {low:.3g} to "
+                        f"{high:.3g}, and this leg has {value:.3g}"
                     )
                     break
             else:
@@ -320,19 +325,30 @@ class RatioLaw(LegLaw):
         self._law, self._rig, self.theta_deg = law, rig, THETA_DEG
         self.bounds = np.array(PHI_DEG[:1]), np.array(PHI_DEG[1:])
         # Where on the leg the soil presses is that of resistive force theory.
-        self.arm = library_of_theory([rig]).curves(rig.leg).arm
+        theory = library_of_theory(rig)
+        simulated, arm = rig_of(theory, rig.leg), theory.curves(rig.leg).arm
+        assert simulated is not None
+        assert arm is not None
+        self.arm = rig.length / simulated.length * arm
 
-    def _at(self, phi_deg: FloatArray, cohesion: float, mu: float, height: float) -> Any:
-        """Parameters [k, axis], depths [k], and what turns curves over places into forces [N]."""
-        ratios = self._rig.ratios._replace(hip_height=max(height, 0.0))
-        first, last, depth = reach(self._rig.leg, ratios)
+    def _at(
+        self, phi_deg: FloatArray, cohesion: float, rougher: float = 0.0, higher: float = 0.0
+    ) -> tuple[FloatArray, FloatArray, Callable[[FloatArray], FloatArray]]:
+        """Parameters [k, axis], depths [k], and what turns curves over places into forces [N].
+
+        With more friction of the leg, and with the hip higher by a part of the length.
+        """
+        rig, ratios = self._rig, self._rig.ratios
+        ratios = ratios._replace(hip_height=ratios.hip_height + higher)
+        first, last, depth = reach(rig.leg, ratios)
+        mu = max(rig.leg_friction + rougher, LEAST_FRICTION)
         row = [0.0, mu, ratios.width, ratios.hip_height, ratios.thickness, cohesion, 1.0]
         x = np.tile(row, (len(phi_deg), 1))
         x[:, 0] = phi_deg
         s = (2.0 * THETA_DEG - first - last) / (last - first)
         i = np.clip(np.searchsorted(PLACES, s) - 1, 0, PLACES.size - 2)
         share = (s - PLACES[i]) / (PLACES[i + 1] - PLACES[i])
-        size = DENSITY * GRAVITY * self._rig.length**3 * ratios.width * depth**2
+        size = DENSITY * GRAVITY * rig.length**3 * ratios.width * depth**2
         weights = np.where(np.abs(s) <= PLACES[-1], size, 0.0)
 
         def forces(curves: FloatArray) -> FloatArray:
@@ -341,13 +357,10 @@ class RatioLaw(LegLaw):
 
         return x, np.full(len(x), depth), forces
 
-    def _forces(
-        self, phi_deg: FloatArray, cohesion: float, *, rougher: float = 0.0, higher: float = 0.0
-    ) -> FloatArray:
-        """Forces on a leg of more friction and with a higher hip [of the length], [k, 2, theta]."""
-        mu, height = self._rig.leg_friction + rougher, self._rig.ratios.hip_height + higher
-        x, depth, forces = self._at(phi_deg, cohesion, max(mu, LEAST_FRICTION), height)
-        return np.asarray(forces(self._law(x, depth)))
+    def _forces(self, phi_deg: FloatArray, cohesion: float, **changed: float) -> FloatArray:
+        """Forces [N], shape [k, 2, theta]; of a changed rig as in :meth:`_at`."""
+        x, depth, forces = self._at(phi_deg, cohesion, **changed)
+        return forces(self._law(x, depth))
 
     def within(self, x: FloatArray, cohesion: float) -> FloatArray:
         """Forces within the bounds."""
@@ -355,30 +368,24 @@ class RatioLaw(LegLaw):
 
     def interpolation(self, x: FloatArray, cohesion: float) -> FloatArray:
         """Factor of the covariance of the Gaussian processes."""
-        phi = np.clip(x, *self.bounds)
-        at, depth, forces = self._at(
-            phi, cohesion, self._rig.leg_friction, self._rig.ratios.hip_height
-        )
-        errors = forces(self._law.errors(at, depth))[:, 0]
+        x, depth, forces = self._at(np.clip(x, *self.bounds), cohesion)
+        errors = forces(self._law.errors(x, depth))[:, 0]
         return np.asarray(errors.reshape(len(errors), -1).T)
 
     def scatter(self, _x: FloatArray) -> FloatArray:
-        """Nothing: it is part of the processes' nuggets."""
+        """None: the law is of measured forces."""
         return np.zeros((2 * THETA_DEG.size,) * 2)
 
     def modes(self, x: FloatArray, cohesion: float) -> dict[str, FloatArray]:
         """One standard deviation of the leg's friction, and of the hip's height."""
-        phi = np.clip(x, *self.bounds)
-        height = self._rig.hip_height_sd_mm / self._rig.length_mm
-        ends = {
-            "leg friction": [{"rougher": way * self._rig.leg_friction_sd} for way in (1.0, -1.0)],
-            "hip height": [{"higher": way * height} for way in (1.0, -1.0)],
-        }
-        forces = {
-            cause: [self._forces(phi, cohesion, **end) for end in both]
-            for cause, both in ends.items()
-        }
-        return {cause: 0.5 * (a - b).reshape(-1, 1) for cause, (a, b) in forces.items()}
+        rig, phi = self._rig, np.clip(x, *self.bounds)
+        sd = {"rougher": rig.leg_friction_sd, "higher": rig.hip_height_sd_mm / rig.length_mm}
+        steps = {"rougher": (-0.05, 0.05), "higher": (-min(0.02, rig.ratios.hip_height), 0.02)}
+        modes = {}
+        for key, (below, above) in steps.items():
+            ends = [self._forces(phi, cohesion, **{key: step}) for step in (below, above)]
+            modes[key] = sd[key] / (above - below) * (ends[1] - ends[0]).reshape(-1, 1)
+        return {"leg friction": modes["rougher"], "hip height": modes["higher"]}
 
 
 @functools.cache

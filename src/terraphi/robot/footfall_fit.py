@@ -273,7 +273,7 @@ def _fit(seen: Touchdowns, law: FootLaw, prior: Prior) -> Fit:
     weight = np.asarray(np.linalg.inv(noise_covariance(seen, prior)))
     mean = np.array([prior.phi_deg, 0.0, 0.0])
     sd = np.array([prior.phi_sd_deg, prior.level_sd, prior.drift_sd])
-    precision = np.diag(sd**-2 * [1e-6, 1.0, 1.0])  # a trace for touch-downs without samples
+    precision = sd**-2 * [1e-6, 1.0, 1.0]  # a trace for touch-downs without samples
 
     def residual(state: FloatArray, rows: IntArray) -> FloatArray:
         part = picked(seen, rows)
