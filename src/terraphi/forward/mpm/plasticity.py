@@ -145,6 +145,8 @@ class Trial(NamedTuple):
     """√J₂ [Pa]."""
     cosine: Any
     """cos 3θ, 1 in triaxial extension [-]."""
+    first: Any
+    """σ₁ [Pa]."""
     high: Any
     """σ₁ - σ₂ [Pa]."""
     low: Any
@@ -295,8 +297,7 @@ def mohr_coulomb(
     plus, minus, gain, loss = one + sin_phi, one - sin_phi, one + sin_psi, one - sin_psi
     double = two * material.shear_modulus
     # f of the face of (σ₁, σ₃), eq. 2. An elastic state has no excess: what follows leaves it.
-    first = mean + one / three * (two * high + low)
-    excess = plus * first - minus * (first - high - low) - material.strength
+    excess = plus * trial.first - minus * (trial.first - high - low) - material.strength
     excess = excess if excess > zero else zero
     # Along D ∂g to it, by the multiplier of eq. 3, which narrows both gaps.
     common = (two + two) * material.lame_lambda * sin_phi * sin_psi
@@ -396,7 +397,7 @@ def return_to_surface(
     # Equal principal stresses have no gap: a tiny one keeps the quotients below finite.
     high, low = high if high > smallest else smallest, low if low > smallest else smallest
     sin_phi, sin_psi = softened(strain, material, one)
-    state = Trial(mean, radius, cosine, high, low)
+    state = Trial(mean, radius, cosine, mean + size * up, high, low)
     if len(material.surface) == 0:
         made = mohr_coulomb(state, sin_phi, sin_psi, material, precision)
     else:
