@@ -306,10 +306,11 @@ def mohr_coulomb(
     high_face, low_face = high - double * gain * multiplier, low - double * loss * multiplier
     # A gap that turned negative has changed the order: two faces flow, to their edge (eq. 4).
     on_high, on_low = high_face < zero, low_face < zero
-    second = plus * high if on_high else minus * low
-    other = common + (double * minus * loss if on_high else double * plus * gain)
-    both = (two * excess - second) / (face + other)
-    swelling = two * sin_psi * (both if (on_high or on_low) else multiplier)
+    # Both edges are computed: a division more, but none that waits for which one it is.
+    both_high = (two * excess - plus * high) / (face + common + double * minus * loss)
+    both_low = (two * excess - minus * low) / (face + common + double * plus * gain)
+    flow = both_high if on_high else (both_low if on_low else multiplier)
+    swelling = two * sin_psi * flow
     new = mean - material.bulk_modulus * swelling
     # On an edge one gap is zero and f = 0 gives the other (eq. 5); on the face both are as above.
     gap = three * (material.strength - two * sin_phi * new)
