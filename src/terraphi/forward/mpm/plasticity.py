@@ -145,6 +145,8 @@ class Trial(NamedTuple):
     """√J₂ [Pa]."""
     cosine: Any
     """cos 3θ, 1 in triaxial extension [-]."""
+    first: Any
+    """σ₁ [Pa]."""
     high: Any
     """σ₁ - σ₂ [Pa]."""
     low: Any
@@ -295,8 +297,7 @@ def mohr_coulomb(
     plus, minus, gain, loss = one + sin_phi, one - sin_phi, one + sin_psi, one - sin_psi
     double = two * material.shear_modulus
     # f of the face of (σ₁, σ₃), eq. 2. An elastic state has no excess: what follows leaves it.
-    first = mean + one / three * (two * high + low)
-    excess = plus * first - minus * (first - high - low) - material.strength
+    excess = plus * trial.first - minus * (trial.first - high - low) - material.strength
     excess = excess if excess > zero else zero
     # Along D ∂g to it, by the multiplier of eq. 3, which narrows both gaps.
     common = (two + two) * material.lame_lambda * sin_phi * sin_psi
@@ -305,10 +306,11 @@ def mohr_coulomb(
     high_face, low_face = high - double * gain * multiplier, low - double * loss * multiplier
     # A gap that turned negative has changed the order: two faces flow, to their edge (eq. 4).
     on_high, on_low = high_face < zero, low_face < zero
-    second = plus * high if on_high else minus * low
-    other = common + (double * minus * loss if on_high else double * plus * gain)
-    both = (two * excess - second) / (face + other)
-    swelling = two * sin_psi * (both if (on_high or on_low) else multiplier)
+    # Both edges are computed: a division more, but none that waits for which one it is.
+    both_high = (two * excess - plus * high) / (face + common + double * minus * loss)
+    both_low = (two * excess - minus * low) / (face + common + double * plus * gain)
+    flow = both_high if on_high else (both_low if on_low else multiplier)
+    swelling = two * sin_psi * flow
     new = mean - material.bulk_modulus * swelling
     # On an edge one gap is zero and f = 0 gives the other (eq. 5); on the face both are as above.
     gap = three * (material.strength - two * sin_phi * new)
@@ -396,7 +398,7 @@ def return_to_surface(
     # Equal principal stresses have no gap: a tiny one keeps the quotients below finite.
     high, low = high if high > smallest else smallest, low if low > smallest else smallest
     sin_phi, sin_psi = softened(strain, material, one)
-    state = Trial(mean, radius, cosine, high, low)
+    state = Trial(mean, radius, cosine, mean + size * up, high, low)
     if len(material.surface) == 0:
         made = mohr_coulomb(state, sin_phi, sin_psi, material, precision)
     else:
