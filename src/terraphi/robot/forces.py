@@ -14,7 +14,6 @@ from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.robot.estimators import (
     ESTIMATORS,
-    GAP_STEPS,
     OBSERVER_GAIN,
     Estimator,
     JointFriction,
@@ -25,7 +24,7 @@ from terraphi.robot.estimators import (
     upward,
 )
 from terraphi.robot.friction import Survey, survey
-from terraphi.robot.joint_log import FEET, JOINTS, SHAPES, JointLog
+from terraphi.robot.joint_log import FEET, GAP_STEPS, JOINTS, SHAPES, JointLog
 from terraphi.robot.legs import GRAVITY, rotation
 from terraphi.robot.model import Quadruped
 

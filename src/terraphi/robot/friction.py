@@ -17,7 +17,6 @@ from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.robot.estimators import (
     CHUNK,
     OBSERVER_GAIN,
-    STANDSTILL,
     Estimator,
     JointFriction,
     Signals,
@@ -28,78 +27,35 @@ from terraphi.robot.estimators import (
     signals,
     upward,
 )
-from terraphi.robot.joint_log import JointLog
+from terraphi.robot.joint_log import STANDSTILL, JointLog
 from terraphi.robot.legs import GRAVITY
 from terraphi.robot.model import Quadruped
 
 LEAST_SWING = 50
 """Samples in swing that a foot needs for its friction to be found."""
-GUARD_S, SHORTEST_S = 0.02, 0.04
-"""Time cut off at both ends of a swing, where the detection may err; swings that are shorter after
-that are dropped [s]."""
+GUARD_S = 0.02
+"""Time cut off at both ends of a swing, where the detection may err [s]."""
 REVERSAL_RATE = 2.0 * STANDSTILL
 """A joint slower than this [rad/s] is about to turn round, or has; for :data:`GUARD_S` before and
 after, friction changes its sense in a way of its own, and a regression would take the change for
 less Coulomb friction. A joint needs this root mean square velocity."""
 BEARING_SHARE = 0.15
-"""A foot that stands, and shows the ground, bears this share of the robot's weight [-] (chosen)."""
-HANGING_SHARE = 0.3
-"""A robot whose feet carry less than this share of its weight [-] hangs or lies."""
-LEAST_CLEARANCE = 0.01
-"""A foot is clear of the ground at least this high above the soles of the standing feet [m]."""
+"""A foot that stands, and shows the ground, bears this share of the robot's weight [-]; a robot
+whose feet bear less all together hangs or lies."""
 SURVEY = 60_000
 """Samples, from all over the log, that are looked at."""
-LEAVE_SHARES = (0.2, 0.1, 0.05, 0.05)
-"""A foot swings below this share of the robot's weight [-], round by round: swing and friction are
-found each from the other, and before friction is known it looks like force."""
 HIGH_PART, LOW_PART, MOST_SCRATCHED = 0.6, 0.3, 1.25
 """Parts of the height of its swing [-] above which a foot is surely, and perhaps, clear of the
 ground; and by how much torques in the latter may spread more [-] if it is. Low down a swing has
 slower movements too, which separate Coulomb from viscous friction: from the high part alone Coulomb
 torques err by a third (``tests/robot/test_friction.py``)."""
-TOUCH_OVER_LEAVE = 1.6
-"""A foot stands again above this many times as much [-]."""
-LAG_STEP_S, MOST_LAG_S = 0.004, 0.06
-"""Step of the lags of the torques that are tried, and the largest [s]."""
+LAG_STEP_S, MOST_LAG_S = 0.005, 0.1
+"""Step of the lags of the torques that are tried, and the largest [s]; a lag is found to within a
+step (``tests/robot/test_checks.py``)."""
 _HUBER = 1.345
 """Residuals beyond this many standard deviations count less (95 % efficient if normal)."""
 _GAUSS = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
-
-
-def in_swing(time: FloatArray, lift: FloatArray, *, leave: float) -> BoolArray:
-    """When feet are in the air, from the forces on them.
-
-    Parameters
-    ----------
-    time
-        [s], shape [sample].
-    lift
-        Upward force of the ground on the feet [N], shape [sample, foot].
-    leave
-        A foot swings once it is below this force, and stands once it is above
-        :data:`TOUCH_OVER_LEAVE` times as much [N].
-
-    Returns
-    -------
-    ndarray
-        Shape [sample, foot].
-    """
-    event = np.where(lift > TOUCH_OVER_LEAVE * leave, 1, np.where(lift < leave, -1, 0))
-    event[0] = np.where(event[0] == 0, 1, event[0])
-    rows = np.arange(len(time))[:, None]
-    latest = np.maximum.accumulate(np.where(event != 0, rows, 0), axis=0)
-    air = np.take_along_axis(event, latest, axis=0) < 0
-    swing = np.zeros_like(air)
-    for foot in range(air.shape[1]):
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], air[:, foot].astype(np.int8), [0]])))
-        for start, stop in edges.reshape(-1, 2):
-            low = time[start] + (GUARD_S if start > 0 else 0.0)
-            high = time[stop - 1] - (GUARD_S if stop < len(time) else 0.0)
-            if high - low >= SHORTEST_S:
-                first, last = np.searchsorted(time, [low, high])
-                swing[first : last + 1, foot] = True
-    return swing
 
 
 def clear_of_ground(
@@ -144,7 +100,7 @@ def clear_of_ground(
     slope = np.linalg.solve(normal, np.einsum("sf,sfi,sf->i", share, across, height))
     height -= across @ slope
     lifted = np.quantile(height[known], 0.95, axis=0)
-    return np.asarray(known[:, None] & (height > np.maximum(part * lifted, LEAST_CLEARANCE)))
+    return np.asarray(known[:, None] & (height > part * lifted))
 
 
 def one_way(time: FloatArray, velocity: FloatArray) -> BoolArray:
@@ -166,9 +122,14 @@ def one_way(time: FloatArray, velocity: FloatArray) -> BoolArray:
     turned = velocity[1:] * velocity[:-1] < 0.0
     slow[1:] |= turned
     slow[:-1] |= turned
-    when = time[:, None, None]
-    since = when - np.maximum.accumulate(np.where(slow, when, -np.inf), axis=0)
-    until = np.minimum.accumulate(np.where(slow, when, np.inf)[::-1], axis=0)[::-1] - when
+    return away_from(slow, time)
+
+
+def away_from(event: BoolArray, time: FloatArray) -> BoolArray:
+    """Samples that are further than :data:`GUARD_S` from an event; shape [sample, ...]."""
+    when = time.reshape(-1, *(1,) * (event.ndim - 1))
+    since = when - np.maximum.accumulate(np.where(event, when, -np.inf), axis=0)
+    until = np.minimum.accumulate(np.where(event, when, np.inf)[::-1], axis=0)[::-1] - when
     return np.asarray(np.minimum(since, until) > GUARD_S)
 
 
@@ -350,7 +311,7 @@ def survey(
         lifts = np.split(np.nansum(per * rest, axis=-1), ends)
         air = np.concatenate(
             [
-                in_swing(seen.time[inner], lift, leave=share * weight)
+                away_from(lift >= share * weight, seen.time[inner])
                 & clear_of_ground(
                     seen.legs.place[inner], seen.turn[inner][:, 2], lift, weight=weight, part=part
                 )
@@ -361,10 +322,10 @@ def survey(
         numbers = np.stack([lost.coulomb, lost.viscous, lost.inertia], axis=-1)
         return lost, air, torque + np.sum(numbers * terms, axis=-1)
 
-    high = found(torque, HIGH_PART, LEAVE_SHARES[0])
-    for share in LEAVE_SHARES[1:]:
-        high = found(high[2], HIGH_PART, share)
-    low = found(high[2], LOW_PART, LEAVE_SHARES[-1])
+    # Before friction is known it looks like force, so that twice the load may be swing.
+    first = found(torque, HIGH_PART, 2.0 * BEARING_SHARE)
+    high = found(first[2], HIGH_PART, BEARING_SHARE)
+    low = found(high[2], LOW_PART, BEARING_SHARE)
     scales = [[spread(r[a[:, i], i].ravel()) for i in range(4)] for _, a, r in (low, high)]
     # Soil that a foot scratches there would show as torques that no friction explains.
     scratched = np.any(np.array(scales[0]) > MOST_SCRATCHED * np.array(scales[1]))

@@ -29,10 +29,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
-from terraphi.robot.estimators import GAP_STEPS, smooth_sign, trunk_motion
+from terraphi.robot.estimators import smooth_sign, trunk_motion
 from terraphi.robot.forces import FootForces
 from terraphi.robot.friction import BEARING_SHARE
-from terraphi.robot.joint_log import FEET, JointLog
+from terraphi.robot.joint_log import FEET, GAP_STEPS, JointLog
 from terraphi.robot.legs import GRAVITY
 from terraphi.robot.model import Quadruped
 from terraphi.robot.stance import SMOOTH_S, Stance, running_mean

@@ -20,7 +20,15 @@ from terraphi.experiment.budget import SECONDS, unpacking
 from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError, nearest, needing
 from terraphi.experiment.files import check_is_file
-from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, SHAPES, JointLog, joint_place
+from terraphi.robot.joint_log import (
+    FEET,
+    GAP_STEPS,
+    JOINT_NAMES,
+    JOINTS,
+    SHAPES,
+    JointLog,
+    joint_place,
+)
 from terraphi.robot.logs.samples import joint_log
 
 LOW_STATE = "unitree_go/msg/LowState"
@@ -37,8 +45,6 @@ OTHERS = "joints of something else"
 _KINDS = (LOW_STATE, JOINT_STATE)
 STEPS = 100_000
 """Steps of a database between two looks at the clock."""
-LONGEST_GAP = 0.1
-"""Joint states further than this from the nearest message of the IMU [s] are left out."""
 
 
 @cache
@@ -298,8 +304,9 @@ def _add_imu(
         time, column = every[known], imu[name][order][known]
         if len(time) < 2:
             continue
+        reach = GAP_STEPS * float(np.median(np.diff(time)))
         after = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
-        near = np.minimum(np.abs(at - time[after]), np.abs(at - time[after - 1])) <= LONGEST_GAP
+        near = np.minimum(np.abs(at - time[after]), np.abs(at - time[after - 1])) <= reach
         if near.mean() < 0.5:
             notes.append(f"{name} of {topics[0]}: stamps do not overlap with those of the joints")
             continue
