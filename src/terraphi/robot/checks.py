@@ -25,9 +25,6 @@ from terraphi.robot.model import Quadruped
 from terraphi.robot.stance import Stance
 from terraphi.robot.touchdowns import STANCE_SD
 
-WEIGHT_AGREEMENT = 0.15
-"""Part of the weight by which what the feet bear may differ from it, and with which they may push
-sideways, on average [-]: one and a half standard deviations of a torque's gain."""
 MOST_WEIGHTS = 3.0
 """Number of weights beyond which forces are those of another unit: the geometric mean of 1 and of
 the 10 of kgf cm, the nearest one."""
@@ -41,14 +38,14 @@ MOST_OFF = 0.05
 """Roll moment of legs in the right order, over the weight and the leg's length, at most [-] (a walk
 of which fore and rear legs are exchanged, ``tests/robot/test_checks.py``)."""
 MOMENT_SD = 0.004
-"""Moments over the weight that are no gain's [m]."""
+"""Moments over the weight that are no gain's [m]: a hundredth of a leg (test as above)."""
 LEAST_TURNING = 0.08
-"""A trunk that turns less than this [rad/s] (root mean square) does not show whether they agree: a
+"""A trunk that turns less than this [rad/s] (median) does not show whether they agree: a
 gyroscope's bias, and the attitude's noise, are a few hundredths."""
-UNLIKE, SOMEWHAT_UNLIKE = 0.7, 0.3
-"""Parts of the turning by which attitude and gyroscope disagree if one of them is wrong [-]:
-surely, and if another reading explains it. Sound ones disagree by 0.5 at most, even if the attitude
-is 20 ms late in a trot (``tests/robot/test_checks.py``)."""
+SOMEWHAT_UNLIKE = 0.3
+"""Part of the turning by which attitude and gyroscope disagree [-] if another reading explains it;
+above :data:`EXPLAINED` one of them is wrong. Sound ones disagree by 0.5 at most, even if the
+attitude is 20 ms late in a trot (``tests/robot/test_checks.py``)."""
 _SAMPLES = 2500
 
 
@@ -108,7 +105,7 @@ def check(
         attitude, legs = [], [Finding(both, True)]
     if legs or weight or mean is None or forces.frame == "body":
         return [*weight, *attitude, *legs]
-    if mean[1] > WEIGHT_AGREEMENT:
+    if mean[1] > BEARING_SHARE:
         push = f"the feet push the robot sideways with {mean[1]:.0%} of its weight on average"
         text = f"{push}: are the angles' zeros and the attitude right?"
         legs = [Finding(text, True)]
@@ -123,7 +120,7 @@ def _weight(lift: float, robot: Quadruped) -> list[Finding]:
         raise InputError(f"{bears}; torques that motors exert on joints are expected, not theirs")
     if lift > MOST_WEIGHTS:
         raise InputError(f"{bears}; torques in N m are expected, not N mm or kgf cm")
-    if abs(lift - 1.0) <= WEIGHT_AGREEMENT or lift < BEARING_SHARE:
+    if abs(lift - 1.0) <= BEARING_SHARE or lift < BEARING_SHARE:
         return []
     text = f"{bears}: are torques about {1.0 / lift:.2g} times as large, or its mass "
     grave = not 1.0 / BELIEVABLE_LIFT < lift < BELIEVABLE_LIFT
@@ -178,12 +175,12 @@ def _attitude(log: JointLog) -> list[Finding]:
     left = {words: unlike(*other)[0] for words, *other in others}
     best = min(left.values())
     disagree = f"attitude and gyroscope disagree by {off:.0%} of how the robot turns"
-    if best < EXPLAINED * off and best < UNLIKE:
+    if best < EXPLAINED * min(off, 1.0):
         # At small tilts, a conjugate and reversed signs are hard to tell apart.
         causes = ", or ".join(words for words, value in left.items() if value < best + 0.1)
         return [Finding(f"{disagree}, and by {best:.0%} if {causes}; check the IMU", True)]
     text = f"{disagree}: check the IMU's axes, units and clock"
-    return [Finding(text)] if off > UNLIKE else []
+    return [Finding(text)] if off > EXPLAINED else []
 
 
 def _legs(log: JointLog, robot: Quadruped) -> list[Finding]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import number_with_sd, plain_number
+from terraphi.experiment.plausibility import LIMITS
 from terraphi.forward.foot import LAWS
 from terraphi.robot.footfall_fit import (
     MOST_FITTED,
@@ -64,8 +65,6 @@ LEVEL_DEG = 5.0
 """Inclination of the ground that is worth a note [deg]: 1.4° at most on simulated level sand."""
 CONTRADICTED = 2.0
 """Standard deviations above which an anchor is doubted [-]: one sound anchor in twenty."""
-FEWEST_FITTED = 8
-"""Touch-downs from which a law's growth with depth is learned at least (chosen)."""
 SECOND = "rft"
 """Law of a second opinion on the mean φ: of few terms, and fast."""
 CONTACT_PART = 0.4
@@ -341,7 +340,7 @@ def _taught(seen: Touchdowns, law: str, prior: Prior) -> Prior:
     seen = evenly(picked(seen, ~_trodden(seen, prior.radius)[0]), MOST_FITTED)
     first = verdicts(seen, fit(seen, law, prior), prior.radius)
     deep = np.isin(first, (USABLE, MISFIT))
-    if deep.sum() < FEWEST_FITTED:
+    if deep.sum() < FEWEST:
         return prior
     return with_exponent(picked(seen, deep), law, prior)
 
@@ -450,8 +449,6 @@ def _shared_summary(pooled: Pooled, prior: Prior) -> dict[str, Any]:
 
 LONGEST_PATH = 1e6
 """End of an anchor that names no stretch [m]."""
-DENSITIES = (500.0, 3000.0)
-"""Bulk densities of soils [kg/m³]."""
 
 
 def anchor_from(text: str) -> Anchor:
@@ -478,7 +475,7 @@ def anchor_from(text: str) -> Anchor:
 
 def _density(text: str) -> tuple[float, float]:
     """Mean and standard deviation of a density such as ``1550±80``, ``1550+-80`` or ``1550``."""
-    low, high = DENSITIES
+    low, high, _ = LIMITS["soil.density"]
     try:
         mean, sd = number_with_sd(text)
         sd = mean * Prior.density_sd / Prior.density if sd is None else sd

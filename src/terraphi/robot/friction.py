@@ -8,6 +8,7 @@ torque is not among them: a joint that swings mostly one way cannot separate it 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -32,7 +33,8 @@ from terraphi.robot.legs import GRAVITY
 from terraphi.robot.model import Quadruped
 
 LEAST_SWING = 50
-"""Samples in swing that a foot needs for its friction to be found."""
+"""Samples in swing that a foot needs for its friction to be found: over ten for each of the three
+numbers of a joint."""
 GUARD_S = 0.02
 """Time cut off at both ends of a swing, where the detection may err [s]."""
 REVERSAL_RATE = 2.0 * STANDSTILL
@@ -40,15 +42,15 @@ REVERSAL_RATE = 2.0 * STANDSTILL
 after, friction changes its sense in a way of its own, and a regression would take the change for
 less Coulomb friction. A joint needs this root mean square velocity."""
 BEARING_SHARE = 0.15
-"""A foot that stands, and shows the ground, bears this share of the robot's weight [-]; a robot
-whose feet bear less all together hangs or lies."""
+"""A foot that stands, and shows the ground, bears this share of the robot's weight [-]. A robot
+whose feet bear less all together hangs or lies; what they bear and how they push sideways, on
+average, may be off by as much, which is 1.5 standard deviations of a torque's gain."""
 SURVEY = 60_000
 """Samples, from all over the log, that are looked at."""
-HIGH_PART, LOW_PART, MOST_SCRATCHED = 0.6, 0.3, 1.25
-"""Parts of the height of its swing [-] above which a foot is surely, and perhaps, clear of the
-ground; and by how much torques in the latter may spread more [-] if it is. Low down a swing has
-slower movements too, which separate Coulomb from viscous friction: from the high part alone Coulomb
-torques err by a third (``tests/robot/test_friction.py``)."""
+CLEAR_PART = 0.5
+"""Part of the height of its swing [-] above which a foot is clear of the ground. Above 0.4 it still
+scratches the soil on the walks of ``tests/robot/test_friction.py``; above 0.6 the slow movements
+lack that separate Coulomb from viscous friction."""
 LAG_STEP_S, MOST_LAG_S = 0.005, 0.1
 """Step of the lags of the torques that are tried, and the largest [s]; a lag is found to within a
 step (``tests/robot/test_checks.py``)."""
@@ -59,12 +61,13 @@ _GAUSS = 1.4826
 
 
 def clear_of_ground(
-    place: FloatArray, up: FloatArray, lift: FloatArray, *, weight: float, part: float
+    place: FloatArray, up: FloatArray, lift: FloatArray, *, weight: float
 ) -> BoolArray:
     """When feet are above the ground, from where the legs hold them.
 
     The ground is a plane through the feet that bear load; its height changes from sample to sample
-    as the body moves, its slope does not.
+    as the body moves, its slope does not. On soft ground the soles of standing feet lie below the
+    surface, and a foot that is about to leave it or has come to it may be pressed by a few newtons.
 
     Parameters
     ----------
@@ -76,10 +79,6 @@ def clear_of_ground(
         Upward force of the ground on the feet [N], shape [sample, foot].
     weight
         Of the robot [N].
-    part
-        How high is clear, as a part of the height to which a foot is lifted [-]. On soft ground
-        the soles of standing feet lie below the surface, and a foot that is about to leave it or
-        has come to it may be pressed by a few newtons.
 
     Returns
     -------
@@ -100,29 +99,7 @@ def clear_of_ground(
     slope = np.linalg.solve(normal, np.einsum("sf,sfi,sf->i", share, across, height))
     height -= across @ slope
     lifted = np.quantile(height[known], 0.95, axis=0)
-    return np.asarray(known[:, None] & (height > part * lifted))
-
-
-def one_way(time: FloatArray, velocity: FloatArray) -> BoolArray:
-    """Samples at which a joint keeps moving one way, so that the sign of its friction is sure.
-
-    Parameters
-    ----------
-    time
-        [s], shape [sample].
-    velocity
-        Of the joints [rad/s], shape [sample, foot, joint].
-
-    Returns
-    -------
-    ndarray
-        Shape [sample, foot, joint].
-    """
-    slow = np.abs(velocity) < REVERSAL_RATE
-    turned = velocity[1:] * velocity[:-1] < 0.0
-    slow[1:] |= turned
-    slow[:-1] |= turned
-    return away_from(slow, time)
+    return np.asarray(known[:, None] & (height > CLEAR_PART * lifted))
 
 
 def away_from(event: BoolArray, time: FloatArray) -> BoolArray:
@@ -147,8 +124,8 @@ def fit(
     swing
         Shape [sample, foot].
     sure
-        Samples to prefer, see :func:`one_way`, shape [sample, foot, joint]; a joint that has too
-        few of them is given all of its swing.
+        Samples to prefer, in which the joint keeps moving one way, shape [sample, foot, joint]; a
+        joint that has too few of them is given all of its swing.
 
     Returns
     -------
@@ -197,7 +174,7 @@ def torque_lag(
     windows: Sequence[tuple[Signals, slice]],
     torque: FloatArray,
     terms: FloatArray,
-    chosen: BoolArray,
+    swing: BoolArray,
     gap: float,
 ) -> float:
     """Time by which torques lag behind the motion [s]; 0 if swing does not determine it.
@@ -211,13 +188,13 @@ def torque_lag(
         Parts of a log, each with the samples that count.
     torque, terms
         Contact torque without friction [N m], and factors of friction, of all samples that count.
-    chosen
-        Samples in swing in which a joint moves one way, shape [sample, foot, joint].
+    swing
+        Shape [sample, foot].
     gap
         Steps longer than this [s] are gaps.
     """
-    enough = np.argwhere(chosen.sum(axis=0) >= LEAST_SWING)
-    if not len(enough):
+    feet = np.flatnonzero(swing.sum(axis=0) >= LEAST_SWING)
+    if not len(feet):
         return 0.0
     usual = float(np.median(np.concatenate([np.diff(seen.time) for seen, _ in windows])))
     # Whole steps: a torque between two samples is a mean, and seems to have less noise.
@@ -225,20 +202,19 @@ def torque_lag(
     most = round(MOST_LAG_S / step)
     lags, cost = step * np.arange(-most, most + 1), np.zeros(2 * most + 1)
     logged = [low_pass(s.time, OBSERVER_GAIN, s.torque, 0.0 * s.slopes, gap) for s, _ in windows]
-    for i, j in enough:
-        air = chosen[:, i, j]
-        axes = np.linalg.qr(terms[air, i, j])[0]
 
-        def shifted(lag: float, i: int = i, j: int = j) -> FloatArray:
-            each = [
-                np.interp(seen.time[inner] + lag, seen.time, values[:, i, j])
-                for (seen, inner), values in zip(windows, logged, strict=True)
-            ]
-            return np.concatenate(each)
+    def shifted(lag: float, foot: int, joint: int) -> FloatArray:
+        each = [
+            np.interp(seen.time[inner] + lag, seen.time, values[:, foot, joint])
+            for (seen, inner), values in zip(windows, logged, strict=True)
+        ]
+        return np.concatenate(each)[swing[:, foot]]
 
-        model = torque[air, i, j] + shifted(0.0)[air]
+    for i, j in itertools.product(feet.tolist(), range(3)):
+        axes = np.linalg.qr(terms[swing[:, i], i, j])[0]
+        model = torque[swing[:, i], i, j] + shifted(0.0, i, j)
         for k, lag in enumerate(lags):
-            rest = model - shifted(lag)[air]
+            rest = model - shifted(lag, i, j)
             rest = np.abs(rest - axes @ (axes.T @ rest))
             cost[k] += np.sum(np.minimum(rest, 3.0 * spread(rest)) ** 2)
     k = int(cost.argmin())
@@ -302,34 +278,26 @@ def survey(
     # Swing phases follow from the forces and friction from the swing phases, alternately.
     torque = joined(lambda seen: contact_torque(seen, "momentum_observer", gap))
     terms = joined(lambda seen: friction_terms(seen, gap))
-    sure = joined(lambda seen: one_way(seen.time, seen.velocity))
+    sure = joined(lambda seen: away_from(np.abs(seen.velocity) < REVERSAL_RATE, seen.time))
     per = joined(lambda seen: upward(seen.turn, seen.legs.force_per_torque()[0]))
     ends = np.cumsum([inner.stop - inner.start for _, inner in windows])[:-1]
     weight = robot.mass * GRAVITY
 
-    def found(rest: FloatArray, part: float, share: float) -> tuple[JointFriction, Any, FloatArray]:
+    def found(rest: FloatArray, share: float) -> tuple[JointFriction, BoolArray, FloatArray]:
         lifts = np.split(np.nansum(per * rest, axis=-1), ends)
-        air = np.concatenate(
-            [
-                away_from(lift >= share * weight, seen.time[inner])
-                & clear_of_ground(
-                    seen.legs.place[inner], seen.turn[inner][:, 2], lift, weight=weight, part=part
-                )
-                for (seen, inner), lift in zip(windows, lifts, strict=True)
-            ]
-        )
+        clear = [
+            away_from(lift >= share * weight, seen.time[inner])
+            & clear_of_ground(seen.legs.place[inner], seen.turn[inner][:, 2], lift, weight=weight)
+            for (seen, inner), lift in zip(windows, lifts, strict=True)
+        ]
+        air = np.concatenate(clear)
         lost = fit(torque, terms, air, sure)
         numbers = np.stack([lost.coulomb, lost.viscous, lost.inertia], axis=-1)
         return lost, air, torque + np.sum(numbers * terms, axis=-1)
 
     # Before friction is known it looks like force, so that twice the load may be swing.
-    first = found(torque, HIGH_PART, 2.0 * BEARING_SHARE)
-    high = found(first[2], HIGH_PART, BEARING_SHARE)
-    low = found(high[2], LOW_PART, BEARING_SHARE)
-    scales = [[spread(r[a[:, i], i].ravel()) for i in range(4)] for _, a, r in (low, high)]
-    # Soil that a foot scratches there would show as torques that no friction explains.
-    scratched = np.any(np.array(scales[0]) > MOST_SCRATCHED * np.array(scales[1]))
-    lost, swing, _ = high if scratched else low
+    rest = found(found(torque, 2.0 * BEARING_SHARE)[2], BEARING_SHARE)[2]
+    lost, swing, _ = found(rest, BEARING_SHARE)
     kept = lost if friction else None
     residual = np.full((4, 3), np.nan)
     deviation = joined(lambda seen: contact_torque(seen, estimator, gap, kept))
@@ -340,8 +308,8 @@ def survey(
     steps = np.concatenate([np.diff(seen.torque, axis=0) for seen, _ in windows])
     sizes = np.abs(steps)
     smallest = np.where(sizes > 1e-6, sizes, np.inf).min(axis=0, initial=np.inf)
-    resolution = np.where(np.isfinite(smallest), smallest, 0.0)
+    resolution = np.nan_to_num(smallest, posinf=0.0)
     # Second differences, to which the motion hardly contributes.
     noise = np.nan_to_num(spread(np.diff(steps, axis=0)) / np.sqrt(6.0))
-    lag = torque_lag(windows, torque, terms, swing[..., None] & sure, gap)
+    lag = torque_lag(windows, torque, terms, swing, gap)
     return Survey(kept, residual, resolution, noise, lag)

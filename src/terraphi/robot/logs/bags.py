@@ -305,8 +305,8 @@ def _add_imu(
         if len(time) < 2:
             continue
         reach = GAP_STEPS * float(np.median(np.diff(time)))
-        after = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
-        near = np.minimum(np.abs(at - time[after]), np.abs(at - time[after - 1])) <= reach
+        nearest = np.rint(np.interp(at, time, np.arange(len(time)))).astype(int)
+        near = np.abs(at - time[nearest]) <= reach
         if near.mean() < 0.5:
             notes.append(f"{name} of {topics[0]}: stamps do not overlap with those of the joints")
             continue
