@@ -65,8 +65,7 @@ def balance(
     1 and 0 are expected; ``None`` if no sample has the forces of all feet.
     """
     feet = [stance.foot for stance in stances]
-    often = max(FEET, key=feet.count)
-    begins = [stance.begin for stance in stances if stance.foot == often]
+    begins = [s.begin for s in stances if s.foot == max(FEET, key=feet.count)]
     known = np.isfinite(forces.force).all(axis=(1, 2))
     if len(begins) > 1:
         known &= (forces.time >= begins[0]) & (forces.time < begins[-1])
@@ -152,9 +151,9 @@ def _attitude(log: JointLog) -> list[Finding]:
         turned, own = body_rate(quaternion, step)[whole], felt[whole]
         own = own + np.median(turned - own, axis=0)
         # Medians, for a filter may correct its heading in a jump.
-        sizes = (np.linalg.norm(v, axis=1) for v in (turned - own, turned, own))
-        off, *both = (float(np.median(size)) for size in sizes)
-        return off / max(*both, 1e-12), max(both)
+        sizes = [np.linalg.norm(v, axis=1) for v in (turned - own, turned, own)]
+        off, turning, spinning = np.median(sizes, axis=1).tolist()
+        return off / max(turning, spinning, 1e-12), max(turning, spinning)
 
     off, turning = unlike(quaternion, felt)
     if turning < LEAST_TURNING or off < SOMEWHAT_UNLIKE:
@@ -224,7 +223,13 @@ def _legs(log: JointLog, robot: Quadruped) -> list[Finding]:
         return []
 
     def unlike(order: tuple[int, ...]) -> FloatArray:
-        left = [_sliding(speeds[:, feet, order], load[:, feet, order])]
+        # Root mean square speed of loaded feet against their mean, weighted by load.
+        share = load[:, feet, order]
+        several = np.count_nonzero(share, axis=1) > 1
+        share = share[several] / share[several].sum(axis=1, keepdims=True)
+        speed = speeds[:, feet, order][several]
+        speed -= np.sum(share[..., None] * speed, axis=1, keepdims=True)
+        left = [float(np.sqrt(np.sum(share[..., None] * speed**2) / len(speed)))]
         chosen = moments[:, feet, order]
         chosen = chosen - chosen.mean(axis=0)
         for axis in range(2):
@@ -260,11 +265,3 @@ def _legs(log: JointLog, robot: Quadruped) -> list[Finding]:
         f"exchanged: {words}; check the order of the joints"
     )
     return [Finding(text, True)]
-
-
-def _sliding(speed: FloatArray, load: FloatArray) -> float:
-    """Root mean square speed of loaded feet against their mean, weighted by load [m/s]."""
-    several = np.count_nonzero(load, axis=1) > 1
-    share = load[several] / load[several].sum(axis=1, keepdims=True)
-    speed = speed[several] - np.sum(share[..., None] * speed[several], axis=1, keepdims=True)
-    return float(np.sqrt(np.sum(share[..., None] * speed**2) / len(speed)))

@@ -183,7 +183,7 @@ def estimate(
     # A foot that never swings is given what the others show, or else the torques' noise.
     swung = np.isfinite(overview.residual)
     others = np.median(overview.residual[swung[:, 0]], axis=0) if swung.any() else overview.noise
-    noise = np.hypot(np.where(swung, overview.residual, others), overview.resolution / 12.0**0.5)
+    noise = np.where(swung, overview.residual, others)
     limit = SATURATED * np.array(robot.torque_limit or (np.inf,) * 3)
     shared, parts = priors or SensorErrors(), []
     # Friction that is not known shows in the torques of a foot that swings, and is in their spread.
@@ -221,6 +221,10 @@ def estimate(
         swing = leg_inertia(seen, gap)[inner] if moving else np.zeros(len(torque))
         place = seen.legs.place[inner]
         parts.append((*both, near, saturated, place, lift_per_torque, swing))
+    heading = None
+    if log.quaternion is not None:  # mean direction of the trunk's x in the world
+        x, y = rotation(log.quaternion[:: max(1, len(log.time) // 10_000)])[:, :2, 0].mean(axis=0)
+        heading = math.degrees(math.atan2(y, x))
     names = ("force", "sigma", "flagged", "saturated", "place", "lift_per_torque", "leg_inertia")
     columns = map(np.concatenate, zip(*parts, strict=True))
     return FootForces(
@@ -234,24 +238,14 @@ def estimate(
             "robot_source": robot.source,
             "estimator": estimator,
             "frame": frame,
-            "heading_deg": _heading(log),
+            "heading_deg": heading,
             "gain_per_s": OBSERVER_GAIN if moving else None,
             "priors": asdict(shared),
             "friction": None if overview.friction is None else overview.friction.summary(),
             "torque_lag_s": overview.lag,
-            "torque_resolution_Nm": overview.resolution.tolist(),
             "assumed": _assumed(log, robot, overview, broken),
         },
     )
-
-
-def _heading(log: JointLog) -> float | None:
-    """Mean direction of the trunk's x in the world [deg]; ``None`` without attitude."""
-    if log.quaternion is None:
-        return None
-    every = slice(None, None, max(1, len(log.time) // 10_000))
-    x, y = rotation(log.quaternion[every])[:, :2, 0].mean(axis=0)
-    return math.degrees(math.atan2(y, x))
 
 
 def _timing_variance(time: FloatArray, torque: FloatArray, gap: float) -> FloatArray:

@@ -133,18 +133,13 @@ def fit(
     """
     numbers = np.zeros((4, 3, 3))
     found = np.zeros((4, 3), dtype=bool)
-    for i in range(4):
-        air = swing[:, i]
-        if air.sum() < LEAST_SWING:
-            continue
-        for j in range(3):
-            chosen = air & sure[:, i, j]
-            if chosen.sum() < LEAST_SWING:
-                chosen = air
-            x, y = terms[chosen, i, j], -residual[chosen, i, j]
-            if np.sqrt(np.mean(x[:, 1] ** 2)) >= REVERSAL_RATE:
-                numbers[i, j] = _robust(x, y)
-                found[i, j] = True
+    for i, j in itertools.product(range(4), range(3)):
+        chosen = swing[:, i] & sure[:, i, j]
+        if chosen.sum() < LEAST_SWING:
+            chosen = swing[:, i]
+        x, y = terms[chosen, i, j], -residual[chosen, i, j]
+        if len(y) >= LEAST_SWING and np.sqrt(np.mean(x[:, 1] ** 2)) >= REVERSAL_RATE:
+            numbers[i, j], found[i, j] = _robust(x, y), True
     coulomb, viscous, inertia = np.moveaxis(numbers, -1, 0)
     return JointFriction(coulomb, viscous, inertia, found)
 
@@ -225,7 +220,7 @@ def torque_lag(
 
 
 class Survey(NamedTuple):
-    """Joint friction, resolution and noise of the torques of a log.
+    """Joint friction and noise of the torques of a log.
 
     Attributes
     ----------
@@ -234,8 +229,6 @@ class Survey(NamedTuple):
     residual
         Spread of contact torques in swing, where the truth is zero [N m], shape [foot, joint];
         NaN for feet that were not seen to swing.
-    resolution
-        Smallest step of the torques [N m], shape [foot, joint].
     noise
         Standard deviation of torques from one sample to the next [N m], shape [foot, joint].
     lag
@@ -244,7 +237,6 @@ class Survey(NamedTuple):
 
     friction: JointFriction | None
     residual: FloatArray
-    resolution: FloatArray
     noise: FloatArray
     lag: float
 
@@ -257,7 +249,7 @@ def survey(
     *,
     friction: bool,
 ) -> Survey:
-    """Find friction, resolution and noise from windows spread over a log.
+    """Find friction and noise from windows spread over a log.
 
     Parameters
     ----------
@@ -285,31 +277,26 @@ def survey(
 
     def found(rest: FloatArray, share: float) -> tuple[JointFriction, BoolArray, FloatArray]:
         lifts = np.split(np.nansum(per * rest, axis=-1), ends)
-        clear = [
+        each = [
             away_from(lift >= share * weight, seen.time[inner])
             & clear_of_ground(seen.legs.place[inner], seen.turn[inner][:, 2], lift, weight=weight)
             for (seen, inner), lift in zip(windows, lifts, strict=True)
         ]
-        air = np.concatenate(clear)
-        lost = fit(torque, terms, air, sure)
+        lost = fit(torque, terms, air := np.concatenate(each), sure)
         numbers = np.stack([lost.coulomb, lost.viscous, lost.inertia], axis=-1)
         return lost, air, torque + np.sum(numbers * terms, axis=-1)
 
     # Before friction is known it looks like force, so that twice the load may be swing.
     rest = found(found(torque, 2.0 * BEARING_SHARE)[2], BEARING_SHARE)[2]
     lost, swing, _ = found(rest, BEARING_SHARE)
-    kept = lost if friction else None
-    residual = np.full((4, 3), np.nan)
+    kept, residual = lost if friction else None, np.full((4, 3), np.nan)
     deviation = joined(lambda seen: contact_torque(seen, estimator, gap, kept))
     for foot in np.flatnonzero(swing.any(axis=0)):
         own = np.abs(deviation[swing[:, foot], foot])
         # Root mean square, errors that are far out cut short; right for ±c as for a bell.
         residual[foot] = np.sqrt(np.mean(np.minimum(own, 3.0 * spread(own)) ** 2, axis=0))
     steps = np.concatenate([np.diff(seen.torque, axis=0) for seen, _ in windows])
-    sizes = np.abs(steps)
-    smallest = np.where(sizes > 1e-6, sizes, np.inf).min(axis=0, initial=np.inf)
-    resolution = np.nan_to_num(smallest, posinf=0.0)
     # Second differences, to which the motion hardly contributes.
     noise = np.nan_to_num(spread(np.diff(steps, axis=0)) / np.sqrt(6.0))
     lag = torque_lag(windows, torque, terms, swing, gap)
-    return Survey(kept, residual, resolution, noise, lag)
+    return Survey(kept, residual, noise, lag)

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ASKEW_DEG = 15.0
-"""Heading from the world's x above which a note says what Fx means [deg]."""
+"""Heading from the world's x above which a note says what Fx means [deg]: its cosine is 0.97."""
 KIND = "foot forces"
 SCHEMA = 1
 
@@ -141,15 +141,11 @@ class RobotForces:
         return f"<pre>{html.escape(repr(self))}</pre>{table.to_html(float_format='{:.3g}'.format)}"
 
 
-Figures = dict[str, float | None]
-"""Main numbers of a mean stance in a summary."""
-
-
 class ForcesSummary(BaseModel, strict=True):
     """Those entries of :meth:`RobotForces.summary` that a report shows."""
 
-    feet: dict[str, Figures]
-    pooled: Figures
+    feet: dict[str, dict[str, float | None]]
+    pooled: dict[str, float | None]
     duration_s: float
     estimator: str
     frame: str

@@ -30,17 +30,19 @@ RISE_PART = 0.35
 """Part of the foot's high loads, and of its high impulses ∫ Fz dt (95 % quantiles), that a stance
 reaches [-]: the inertia of a swinging leg looks like a short force to an estimate that leaves it
 out (noise and simulated walks in ``tests/robot``)."""
-FALL_PART = 0.25
-"""Part of the rise above which a foot keeps standing [-]."""
-TOUCH_PART = 0.1
-"""A foot touches down where its force last was below this part of the rise [-]: filters give a
-sudden force a foot of some milliseconds before it begins."""
+FALL_PART, TOUCH_PART = 0.25, 0.1
+"""Parts of the rise [-] above which a foot keeps standing in noise, and below which its force last
+was where it touches down: filters give a sudden force a foot of some milliseconds before it begins
+(``tests/robot/test_stance.py``)."""
 LONGEST_S = 2.0
-"""Duration of a stance [s]; who stands longer stands still."""
+"""Duration of a stance [s]; who stands longer stands still: the slow walk of
+``tests/robot/test_checks.py`` has 1.6 s."""
 LIFT_S = 0.04
-"""A foot lifted, or not seen, for less than this has not been lifted [s]."""
+"""A foot lifted, or not seen, for less than this has not been lifted [s] (a bounce of 16 ms in
+``tests/robot/test_stance.py``)."""
 SMOOTH_S = 0.01
-"""Width of the moving mean on which thresholds are tried, and of velocities [s]."""
+"""Width of the moving mean on which thresholds are tried, and of velocities [s]: a few samples of a
+log of 500 Hz (noise in ``tests/robot/test_stance.py``)."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -76,11 +78,6 @@ class Stance:
         """Time on the ground [s]."""
         return self.end - self.begin
 
-    def normalised(self, points: int = POINTS) -> FloatArray:
-        """Forces at equal steps of normalised time [N], shape [point, axis]."""
-        at = np.linspace(self.begin, self.end, points)
-        return np.stack([np.interp(at, self.time, column) for column in self.force.T], axis=1)
-
 
 @dataclass(frozen=True, repr=False)
 class Ensemble:
@@ -112,7 +109,10 @@ class Ensemble:
         if not stances:
             empty = np.full((points, len(AXES)), np.nan)
             return cls(part, empty, empty, 0, float("nan"))
-        courses = np.stack([stance.normalised(points) for stance in stances])
+        each = [
+            [np.interp(s.begin + part * s.duration, s.time, f) for f in s.force.T] for s in stances
+        ]
+        courses = np.swapaxes(each, 1, 2)
         spread = courses.std(axis=0, ddof=1) if len(stances) > 1 else np.zeros(courses.shape[1:])
         duration = float(np.mean([stance.duration for stance in stances]))
         return cls(part, courses.mean(axis=0), spread, len(stances), duration)

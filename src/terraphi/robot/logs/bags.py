@@ -20,15 +20,7 @@ from terraphi.experiment.budget import SECONDS, unpacking
 from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError, nearest, needing
 from terraphi.experiment.files import check_is_file
-from terraphi.robot.joint_log import (
-    FEET,
-    GAP_STEPS,
-    JOINT_NAMES,
-    JOINTS,
-    SHAPES,
-    JointLog,
-    joint_place,
-)
+from terraphi.robot.joint_log import GAP_STEPS, JOINT_NAMES, SHAPES, JointLog, joint_place
 from terraphi.robot.logs.samples import joint_log
 
 LOW_STATE = "unitree_go/msg/LowState"
@@ -195,7 +187,7 @@ def joint_order(
         legs = [joint for joint in JOINT_NAMES if joint in joints]
         found = dict(zip(legs, map(list(names).index, wanted), strict=True))
     for i, place in enumerate(map(joint_place, names if wanted is None else ())):
-        joint = place and f"{FEET[place[0]]}_{JOINTS[place[1]]}"
+        joint = place and JOINT_NAMES[3 * place[0] + place[1]]
         if joint and found.setdefault(joint, i) != i:
             both = f"joints '{names[found[joint]][:60]}' and '{names[i][:60]}'"
             raise InputError(f"{both} both look like the {joint.replace('_', ' ')}; {hint}")
