@@ -255,10 +255,8 @@ def _timing_variance(time: FloatArray, torque: FloatArray, gap: float) -> FloatA
     """
     change = np.diff(torque, axis=0)
     change[np.diff(time) > gap] = 0.0
-    variance = np.zeros_like(torque)
-    variance[1:] += change**2 / 24.0
-    variance[:-1] += change**2 / 24.0
-    return variance
+    variance = np.pad(change**2 / 24.0, ((1, 1), (0, 0), (0, 0)))
+    return variance[1:] + variance[:-1]
 
 
 def _check_log(log: JointLog, frame: Frame) -> None:

@@ -242,12 +242,7 @@ class Survey(NamedTuple):
 
 
 def survey(
-    log: JointLog,
-    robot: Quadruped,
-    estimator: Estimator,
-    gap: float,
-    *,
-    friction: bool,
+    log: JointLog, robot: Quadruped, estimator: Estimator, gap: float, *, friction: bool
 ) -> Survey:
     """Find friction and noise from windows spread over a log.
 

@@ -253,10 +253,7 @@ def _sensor_correlation(log: JointLog, forces: FootForces) -> dict[str, float]:
 
 
 def _notes(
-    forces: FootForces,
-    stances: Sequence[Stance],
-    report: Mapping[str, Any],
-    weight: float,
+    forces: FootForces, stances: Sequence[Stance], report: Mapping[str, Any], weight: float
 ) -> list[str]:
     notes = []
     heading = forces.provenance["heading_deg"]
@@ -303,10 +300,7 @@ def dataset_of(result: RobotForces) -> Any:
     import xarray as xr
 
     forces, pooled, stances = result.forces, result.pooled, result.stances
-    each = {
-        name: np.stack([getattr(ensemble, name) for ensemble in result.feet.values()])
-        for name in ("count", "duration", "mean", "spread")
-    }
+    feet = result.feet.values()
     over_time, over_part = ("time", "foot", "axis"), ("foot", "part", "axis")
     mean, spread = "mean stance", "standard deviation among stances"
     straight = "1 where the knee is near-singular and there is no force"
@@ -319,10 +313,10 @@ def dataset_of(result: RobotForces) -> Any:
         ("stance_foot", "stance", np.array([s.foot for s in stances], dtype="U2"), "1", "foot"),
         ("stance_begin", "stance", np.array([s.begin for s in stances], float), "s", "touch-down"),
         ("stance_end", "stance", np.array([s.end for s in stances], float), "s", "lift-off"),
-        ("stance_count", "foot", each["count"], "1", "stances averaged"),
-        ("stance_duration", "foot", each["duration"], "s", "mean"),
-        ("stance_mean", over_part, each["mean"], "N", mean),
-        ("stance_spread", over_part, each["spread"], "N", spread),
+        ("stance_count", "foot", [foot.count for foot in feet], "1", "stances averaged"),
+        ("stance_duration", "foot", [foot.duration for foot in feet], "s", "mean"),
+        ("stance_mean", over_part, np.stack([foot.mean for foot in feet]), "N", mean),
+        ("stance_spread", over_part, np.stack([foot.spread for foot in feet]), "N", spread),
         ("pooled_mean", over_part[1:], pooled.mean, "N", mean),
         ("pooled_spread", over_part[1:], pooled.spread, "N", spread),
     ]  # fmt: skip

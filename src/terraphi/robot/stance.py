@@ -163,8 +163,7 @@ def find_stances(time: FloatArray, force: Forces, *, rise_N: float) -> tuple[Sta
         known = np.isfinite(force[:, column]).all(axis=1)
         own_time, own = time[known], force[known, column]
         for first, last in _bounds(own_time, own[:, 2], rise_N):
-            part = slice(first, last + 1)
-            found.append(Stance(foot, own_time[part], own[part]))
+            found.append(Stance(foot, own_time[first : last + 1], own[first : last + 1]))
     return tuple(sorted(found, key=lambda stance: stance.begin))
 
 

@@ -221,12 +221,7 @@ def touchdowns(
 
 
 def _touchdown(
-    log: JointLog,
-    forces: FootForces,
-    motion: Motion,
-    stance: Stance,
-    per: FloatArray,
-    step: float,
+    log: JointLog, forces: FootForces, motion: Motion, stance: Stance, per: FloatArray, step: float
 ) -> dict[str, Any]:
     """Fields of one touch-down; the places of samples that it lacks repeat its last."""
     from scipy.ndimage import maximum_filter1d

@@ -98,10 +98,7 @@ _FIELDS = {"angle": "position", "velocity": "velocity", "torque": "effort"}
 
 
 def joint_states(
-    messages: Raw,
-    joint_names: Sequence[str] | None,
-    joints: Sequence[str],
-    dropped: Counter[str],
+    messages: Raw, joint_names: Sequence[str] | None, joints: Sequence[str], dropped: Counter[str]
 ) -> dict[str, Any]:
     """Columns of a JointLog from JointState messages, ``stamp`` (header) and ``recorded`` [ns].
 
@@ -271,13 +268,10 @@ def _choose(connections: Sequence[Any], wanted: str | None) -> Any:
         kinds = f"expected {' or '.join(_KINDS)}; present: {listed or 'nothing'}"
         raise InputError(f"no joint states {where}; {kinds}")
 
-    def rank(connection: Any) -> tuple[bool, bool, int, str]:
-        # Robots repeat their state on lf/lowstate at a low frequency.
-        topic = connection.topic
-        named = _plain(connection.msgtype) == JOINT_STATE
-        return named, "lf" in topic.split("/"), len(topic), topic
-
-    return min(usable, key=rank)
+    # Robots repeat their state on lf/lowstate at a low frequency.
+    named = [(_plain(c.msgtype) == JOINT_STATE, "lf" in c.topic.split("/")) for c in usable]
+    ranks = [(*kind, len(c.topic), c.topic) for kind, c in zip(named, usable, strict=True)]
+    return usable[ranks.index(min(ranks))]
 
 
 def _add_imu(

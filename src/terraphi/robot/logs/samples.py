@@ -55,11 +55,7 @@ something, and the ratio that shows wrong units or a wrong clock [-]: for noise 
 
 
 def joint_log(
-    path: Path,
-    values: dict[str, Any],
-    clock: Clock,
-    dropped: Counter[str],
-    facts: dict[str, Any],
+    path: Path, values: dict[str, Any], clock: Clock, dropped: Counter[str], facts: dict[str, Any]
 ) -> JointLog:
     """Make the log.
 
