@@ -28,7 +28,7 @@ CHUNK = 4096
 """Samples that are worked on at a time."""
 OBSERVER_GAIN = 900.0
 """K of the momentum observer [1/s]; its bandwidth is K/2π, 140 Hz, above what a stride of 0.4 s
-moves (chosen; ``tests/robot/test_ground_truth.py``)."""
+moves (``tests/robot/test_ground_truth.py``)."""
 MARGIN_S = 30.0 / OBSERVER_GAIN
 """The observer has forgotten, to e⁻³⁰, what is this long ago [s]."""
 _NEGLIGIBLE = 1e-17

@@ -36,7 +36,8 @@ LEAST_SWING = 50
 """Samples in swing that a foot needs for its friction to be found: over ten for each of the three
 numbers of a joint."""
 GUARD_S = 0.02
-"""Time cut off at both ends of a swing, where the detection may err [s]."""
+"""Time cut off at both ends of a swing, where the detection may err [s]: ten samples of a log of
+500 Hz (Coulomb torques in ``tests/robot/test_friction.py``)."""
 REVERSAL_RATE = 2.0 * STANDSTILL
 """A joint slower than this [rad/s] is about to turn round, or has; for :data:`GUARD_S` before and
 after, friction changes its sense in a way of its own, and a regression would take the change for

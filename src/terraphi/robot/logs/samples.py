@@ -20,9 +20,11 @@ Clock = Literal["time_s", "tick", "header stamp"]
 """Column of a table [s], tick of a LowState [ms], header of a JointState [ns]."""
 
 REORDERED = 0.01
-"""Fraction of samples that may arrive out of order without the log having been restarted."""
+"""Fraction of samples that may arrive out of order without the log having been restarted: 0.005 and
+0.35 in ``tests/robot/test_logs.py``."""
 STALLED = 0.9
-"""Fraction of steps without advance beyond which a clock stands still."""
+"""Fraction of steps without advance beyond which a clock stands still; up to a half, repeats are
+dropped one by one (``tests/robot/test_logs.py``)."""
 UNEVEN = 0.15
 """Steps that vary by more than this part of the usual one [-] make forces noisier."""
 
