@@ -18,40 +18,34 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.robot.forces import FootForces, SensorErrors
-from terraphi.robot.friction import BEARING_SHARE, HANGING_SHARE
-from terraphi.robot.joint_log import FEET, JointLog
+from terraphi.robot.friction import BEARING_SHARE
+from terraphi.robot.joint_log import AVERAGE_S, FEET, JointLog
 from terraphi.robot.legs import GRAVITY, Legs, body_rate, rotation
 from terraphi.robot.model import Quadruped
 from terraphi.robot.stance import Stance
 from terraphi.robot.touchdowns import STANCE_SD
 
-WEIGHT_AGREEMENT = 0.15
-"""Part of the weight by which what the feet bear may differ from it [-]."""
 MOST_WEIGHTS = 3.0
-"""Number of weights beyond which forces are those of another unit."""
-MOST_PUSH = 0.12
-"""Part of the weight with which the feet may push sideways on average [-]."""
-BELIEVABLE_LIFT = 0.7, 1.4
-"""Beyond these, a finding is grave: no payload and no gain of the motors explains it [-]."""
-EXCHANGED = 0.6
-"""Legs are exchanged if another order leaves less than this part of the product of sliding and
-moments [-]."""
+"""Number of weights beyond which forces are those of another unit: the geometric mean of 1 and of
+the 10 of kgf cm, the nearest one."""
+BELIEVABLE_LIFT = 1.4
+"""Factor by which what the feet bear may differ from the weight, either way, before the finding is
+grave [-]: no payload and no gain of the motors explains more."""
+EXPLAINED = 0.6
+"""Another order of the legs, or another reading of the attitude, explains what contradicts if it
+leaves less than this part of it [-] (sound and wrong logs in ``tests/robot/test_checks.py``)."""
 MOST_OFF = 0.05
-"""Roll moment of legs in the right order, over the weight and the leg's length, at most [-]."""
+"""Roll moment of legs in the right order, over the weight and the leg's length, at most [-] (a walk
+of which fore and rear legs are exchanged, ``tests/robot/test_checks.py``)."""
 MOMENT_SD = 0.004
-"""Moments over the weight that are no gain's [m]."""
-TURN_S = 0.1
-"""Attitude and gyroscope are compared over this time [s]: long enough to average noise, short
-against a stride."""
+"""Moments over the weight that are no gain's [m]: a hundredth of a leg (test as above)."""
 LEAST_TURNING = 0.08
-"""A trunk that turns less than this [rad/s] (root mean square) does not show whether they agree: a
+"""A trunk that turns less than this [rad/s] (median) does not show whether they agree: a
 gyroscope's bias, and the attitude's noise, are a few hundredths."""
-JUMPS = 0.05
-"""Part of the time in which an attitude may jump, as where a filter corrects its heading [-]."""
-UNLIKE, SOMEWHAT_UNLIKE = 0.7, 0.3
-"""Parts of the turning by which attitude and gyroscope disagree if one of them is wrong [-]:
-surely, and if another reading of them leaves less than half of that. Sound ones disagree by 0.5 at
-most, even with an attitude that is 20 ms late in a trot."""
+SOMEWHAT_UNLIKE = 0.3
+"""Part of the turning by which attitude and gyroscope disagree [-] if another reading explains it;
+above :data:`EXPLAINED` one of them is wrong. Sound ones disagree by 0.5 at most, even if the
+attitude is 20 ms late in a trot (``tests/robot/test_checks.py``)."""
 _SAMPLES = 2500
 
 
@@ -71,8 +65,7 @@ def balance(
     1 and 0 are expected; ``None`` if no sample has the forces of all feet.
     """
     feet = [stance.foot for stance in stances]
-    often = max(FEET, key=feet.count)
-    begins = [stance.begin for stance in stances if stance.foot == often]
+    begins = [s.begin for s in stances if s.foot == max(FEET, key=feet.count)]
     known = np.isfinite(forces.force).all(axis=(1, 2))
     if len(begins) > 1:
         known &= (forces.time >= begins[0]) & (forces.time < begins[-1])
@@ -111,25 +104,24 @@ def check(
         attitude, legs = [], [Finding(both, True)]
     if legs or weight or mean is None or forces.frame == "body":
         return [*weight, *attitude, *legs]
-    if mean[1] > MOST_PUSH:
-        push = f"the feet push the robot sideways with {mean[1]:.0%} of its weight on average"
-        text = f"{push}: are the angles' zeros and the attitude right?"
-        legs = [Finding(text, True)]
-    return [*weight, *attitude, *legs]
+    if mean[1] <= BEARING_SHARE:
+        return attitude
+    push = f"the feet push the robot sideways with {mean[1]:.0%} of its weight on average"
+    return [*attitude, Finding(f"{push}: are the angles' zeros and the attitude right?", True)]
 
 
 def _weight(lift: float, robot: Quadruped) -> list[Finding]:
     """Torques in another unit or with another sign, or a robot of another mass."""
     weight = robot.mass * GRAVITY
     bears = f"the feet bear {lift:.3g} times the robot's weight of {weight:.0f} N on average"
-    if lift < -HANGING_SHARE:
+    if lift < -BEARING_SHARE:
         raise InputError(f"{bears}; torques that motors exert on joints are expected, not theirs")
     if lift > MOST_WEIGHTS:
         raise InputError(f"{bears}; torques in N m are expected, not N mm or kgf cm")
-    if abs(lift - 1.0) <= WEIGHT_AGREEMENT or lift < HANGING_SHARE:
+    if abs(lift - 1.0) <= BEARING_SHARE or lift < BEARING_SHARE:
         return []
     text = f"{bears}: are torques about {1.0 / lift:.2g} times as large, or its mass "
-    grave = not BELIEVABLE_LIFT[0] < lift < BELIEVABLE_LIFT[1]
+    grave = not 1.0 / BELIEVABLE_LIFT < lift < BELIEVABLE_LIFT
     return [Finding(f"{text}{lift * robot.mass:.3g} kg?", grave)]
 
 
@@ -143,7 +135,7 @@ def _attitude(log: JointLog) -> list[Finding]:
 
     if log.quaternion is None or log.angular_velocity is None or len(log.time) < 3:
         return []
-    every = max(1, round(TURN_S / float(np.median(np.diff(log.time)))))
+    every = max(1, round(AVERAGE_S / float(np.median(np.diff(log.time)))))
     quaternion = np.asarray(log.quaternion[::every], float)
     step = np.diff(log.time[::every])
     if not len(step):
@@ -157,13 +149,10 @@ def _attitude(log: JointLog) -> list[Finding]:
     def unlike(quaternion: FloatArray, felt: FloatArray) -> tuple[float, float]:
         turned, own = body_rate(quaternion, step)[whole], felt[whole]
         own = own + np.median(turned - own, axis=0)
-        size = np.linalg.norm(turned - own, axis=1)
-        usual = size <= np.quantile(size, 1.0 - JUMPS)
-        off, *both = (
-            float(np.sqrt(np.mean(np.sum(v[usual] ** 2, axis=-1))))
-            for v in (turned - own, turned, own)
-        )
-        return off / max(*both, 1e-12), max(both)
+        # Medians, for a filter may correct its heading in a jump.
+        sizes = [np.linalg.norm(v, axis=1) for v in (turned - own, turned, own)]
+        off, turning, spinning = np.median(sizes, axis=1).tolist()
+        return off / max(turning, spinning, 1e-12), max(turning, spinning)
 
     off, turning = unlike(quaternion, felt)
     if turning < LEAST_TURNING or off < SOMEWHAT_UNLIKE:
@@ -184,12 +173,12 @@ def _attitude(log: JointLog) -> list[Finding]:
     left = {words: unlike(*other)[0] for words, *other in others}
     best = min(left.values())
     disagree = f"attitude and gyroscope disagree by {off:.0%} of how the robot turns"
-    if best < 0.5 * off and best < UNLIKE:
+    if best < EXPLAINED * min(off, 1.0):
         # At small tilts, a conjugate and reversed signs are hard to tell apart.
         causes = ", or ".join(words for words, value in left.items() if value < best + 0.1)
         return [Finding(f"{disagree}, and by {best:.0%} if {causes}; check the IMU", True)]
     text = f"{disagree}: check the IMU's axes, units and clock"
-    return [Finding(text)] if off > UNLIKE else []
+    return [Finding(text)] if off > EXPLAINED else []
 
 
 def _legs(log: JointLog, robot: Quadruped) -> list[Finding]:
@@ -233,7 +222,13 @@ def _legs(log: JointLog, robot: Quadruped) -> list[Finding]:
         return []
 
     def unlike(order: tuple[int, ...]) -> FloatArray:
-        left = [_sliding(speeds[:, feet, order], load[:, feet, order])]
+        # Root mean square speed of loaded feet against their mean, weighted by load.
+        share = load[:, feet, order]
+        several = np.count_nonzero(share, axis=1) > 1
+        share = share[several] / share[several].sum(axis=1, keepdims=True)
+        speed = speeds[:, feet, order][several]
+        speed -= np.sum(share[..., None] * speed, axis=1, keepdims=True)
+        left = [float(np.sqrt(np.sum(share[..., None] * speed**2) / len(speed)))]
         chosen = moments[:, feet, order]
         chosen = chosen - chosen.mean(axis=0)
         for axis in range(2):
@@ -251,9 +246,9 @@ def _legs(log: JointLog, robot: Quadruped) -> list[Finding]:
     products = {o: float(np.prod(left if balanced else left[:1])) for o, left in orders.items()}
     own, mirror = orders[0, 1, 2, 3], orders[1, 0, 3, 2]
     least, sound = min(products.values()), min(products[0, 1, 2, 3], products[1, 0, 3, 2])
-    likely = [order for order in orders if EXCHANGED * products[order] <= least]
-    if least > EXCHANGED * sound:
-        likely = [(1, 0, 3, 2)] if mirror[0] < EXCHANGED * own[0] else []
+    likely = [order for order in orders if EXPLAINED * products[order] <= least]
+    if least > EXPLAINED * sound:
+        likely = [(1, 0, 3, 2)] if mirror[0] < EXPLAINED * own[0] else []
     if not likely or own[0] < STANCE_SD:
         return []
     likely.sort(key=products.__getitem__)
@@ -269,11 +264,3 @@ def _legs(log: JointLog, robot: Quadruped) -> list[Finding]:
         f"exchanged: {words}; check the order of the joints"
     )
     return [Finding(text, True)]
-
-
-def _sliding(speed: FloatArray, load: FloatArray) -> float:
-    """Root mean square speed of loaded feet against their mean, weighted by load [m/s]."""
-    several = np.count_nonzero(load, axis=1) > 1
-    share = load[several] / load[several].sum(axis=1, keepdims=True)
-    speed = speed[several] - np.sum(share[..., None] * speed[several], axis=1, keepdims=True)
-    return float(np.sqrt(np.sum(share[..., None] * speed**2) / len(speed)))

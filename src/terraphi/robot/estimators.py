@@ -17,7 +17,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
-from terraphi.robot.joint_log import JointLog
+from terraphi.robot.joint_log import STANDSTILL, JointLog
 from terraphi.robot.legs import GRAVITY, Legs, TrunkMotion, rotation
 from terraphi.robot.model import Quadruped
 
@@ -26,18 +26,12 @@ ESTIMATORS: tuple[Estimator, ...] = get_args(Estimator)
 
 CHUNK = 4096
 """Samples that are worked on at a time."""
-GAP_STEPS = 3.5
-"""Steps longer than this many median steps are gaps, over which no filter remembers, and which
-break a touch-down [-] (chosen)."""
 OBSERVER_GAIN = 900.0
 """K of the momentum observer [1/s]; its bandwidth is K/2π, 140 Hz, above what a stride of 0.4 s
-moves (chosen; ``tests/robot/test_ground_truth.py``)."""
+moves (``tests/robot/test_ground_truth.py``)."""
 MARGIN_S = 30.0 / OBSERVER_GAIN
 """The observer has forgotten, to e⁻³⁰, what is this long ago [s]."""
 _NEGLIGIBLE = 1e-17
-STANDSTILL = 0.05
-"""Velocity below which the sense of Coulomb friction fades [rad/s]: five times the noise of a
-joint's velocity (chosen)."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +70,7 @@ class JointFriction:
 
 
 def smooth_sign(velocity: FloatArray) -> FloatArray:
-    """Smooth sign of a velocity, tanh(velocity / :data:`STANDSTILL`)."""
+    """Smooth sign of a velocity, tanh(velocity / :data:`~terraphi.robot.joint_log.STANDSTILL`)."""
     return np.tanh(velocity / STANDSTILL)
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import number_with_sd, plain_number
+from terraphi.experiment.plausibility import LIMITS
 from terraphi.laws.foot import LAWS
 from terraphi.robot.footfall_fit import (
     MOST_FITTED,
@@ -52,27 +53,25 @@ VERDICTS = (USABLE, SHALLOW, PRINT, TRODDEN, MISFIT, TORN, SATURATED, EDGE)
 LEAST_GAINED = 0.003
 """Way down that a footfall needs while the force rises from a sixth to five sixths [m]: on hard
 ground a force comes without, and what creeps under a full load is no loading. Where the force grows
-with the depth to the power of 1.7, it is half of a sinkage of 6 mm (chosen; hard ground in
+with the depth to the power of 1.7, it is half of a sinkage of 6 mm (hard ground in
 ``examples/sand_check.py`` has no usable footfall)."""
 NEAR_RADII = 2.0
-"""Ground nearer than this many radii to an earlier footfall has been trodden [-]: feet side by side
-(chosen)."""
+"""Ground nearer than this many radii to an earlier footfall has been trodden [-]: feet side by
+side."""
 WORST_MISFIT = 2.0
 """χ² over the degrees of freedom above which a law does not fit [-]: with noise of twice the usual
-size and more it is 0.1 to 0.4 on simulated walks (chosen)."""
+size and more it is 0.1 to 0.4 on simulated walks."""
 LEVEL_DEG = 5.0
 """Inclination of the ground that is worth a note [deg]: 1.4° at most on simulated level sand."""
 CONTRADICTED = 2.0
 """Standard deviations above which an anchor is doubted [-]: one sound anchor in twenty."""
-FEWEST_FITTED = 8
-"""Touch-downs from which a law's growth with depth is learned at least (chosen)."""
 SECOND = "rft"
 """Law of a second opinion on the mean φ: of few terms, and fast."""
 CONTACT_PART = 0.4
 """Of the radius below a sunk ball's centre, where soil pushes [-]: by resistive force theory 0.9 to
 0.5 at a third of the radius' depth, 0.3 at a radius, 0.2 at one and a half."""
 PATH_STEP = 0.05
-"""Spacing of the map along the path, at least [m]."""
+"""Spacing of the map along the path, at least [m]: about two radii of a foot."""
 MOST_POINTS = 1500
 SMOOTH_PATH_S = 0.6
 """The trunk's sway is averaged over this time before the path, and its first heading, the x of the
@@ -303,7 +302,10 @@ def footfalls(
         ]  # fmt: skip
     sinkage = np.where(verdict == SHALLOW, found.gained, found.sinkage)
     notes = [*contradicted, *(n for n in analysis.notes if "the axis of Fx" not in n)]
-    if (slope := _slope_deg(seen.place)) > LEVEL_DEG:
+    # Inclination of the plane through places where feet met the ground.
+    x, y, z = seen.place.T
+    rise = np.linalg.lstsq(np.stack([x, y, np.ones_like(x)], axis=-1), z)[0][:2]
+    if (slope := math.degrees(math.atan(float(np.linalg.norm(rise))))) > LEVEL_DEG:
         notes.append(
             f"the ground is inclined by {slope:.0f}°: the law is of level ground, and soil on a "
             "slope bears less"
@@ -341,7 +343,7 @@ def _taught(seen: Touchdowns, law: str, prior: Prior) -> Prior:
     seen = evenly(picked(seen, ~_trodden(seen, prior.radius)[0]), MOST_FITTED)
     first = verdicts(seen, fit(seen, law, prior), prior.radius)
     deep = np.isin(first, (USABLE, MISFIT))
-    if deep.sum() < FEWEST_FITTED:
+    if deep.sum() < FEWEST:
         return prior
     return with_exponent(picked(seen, deep), law, prior)
 
@@ -381,13 +383,6 @@ def _trodden(seen: Touchdowns, radius: float) -> tuple[BoolArray, BoolArray]:
     trodden[second] = True
     printed[second[(seen.foot[first] < 2) & (seen.foot[second] >= 2)]] = True
     return trodden, printed
-
-
-def _slope_deg(place: FloatArray) -> float:
-    """Inclination of the plane through places where feet met the ground [deg]."""
-    x, y, z = place.T
-    rise = np.linalg.lstsq(np.stack([x, y, np.ones_like(x)], axis=-1), z)[0][:2]
-    return math.degrees(math.atan(float(np.linalg.norm(rise))))
 
 
 def _from_the_start(motion: Motion, log: JointLog) -> Motion:
@@ -450,8 +445,6 @@ def _shared_summary(pooled: Pooled, prior: Prior) -> dict[str, Any]:
 
 LONGEST_PATH = 1e6
 """End of an anchor that names no stretch [m]."""
-DENSITIES = (500.0, 3000.0)
-"""Bulk densities of soils [kg/m³]."""
 
 
 def anchor_from(text: str) -> Anchor:
@@ -478,7 +471,7 @@ def anchor_from(text: str) -> Anchor:
 
 def _density(text: str) -> tuple[float, float]:
     """Mean and standard deviation of a density such as ``1550±80``, ``1550+-80`` or ``1550``."""
-    low, high = DENSITIES
+    low, high, _ = LIMITS["soil.density"]
     try:
         mean, sd = number_with_sd(text)
         sd = mean * Prior.density_sd / Prior.density if sd is None else sd

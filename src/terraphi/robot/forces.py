@@ -14,7 +14,6 @@ from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.robot.estimators import (
     ESTIMATORS,
-    GAP_STEPS,
     OBSERVER_GAIN,
     Estimator,
     JointFriction,
@@ -25,7 +24,7 @@ from terraphi.robot.estimators import (
     upward,
 )
 from terraphi.robot.friction import Survey, survey
-from terraphi.robot.joint_log import FEET, JOINTS, SHAPES, JointLog
+from terraphi.robot.joint_log import FEET, GAP_STEPS, JOINTS, SHAPES, JointLog
 from terraphi.robot.legs import GRAVITY, rotation
 from terraphi.robot.model import Quadruped
 
@@ -35,13 +34,17 @@ FRAMES: tuple[Frame, ...] = get_args(Frame)
 
 DEFAULT_ESTIMATOR: Estimator = "momentum_observer"
 LEAST_LEVER = 0.05
-"""A knee is near-singular below this lever of J over the leg's length [-]; about 11° of bend."""
+"""A knee is near-singular below this lever of J over the leg's length [-], about 11° of bend: there
+:attr:`SensorErrors.coulomb_Nm` is 9 N on a Go2, a quarter of what a standing foot bears."""
 SATURATED = 0.99
-"""Torques above this share of the motor's limit are taken to be cut off [-]: rounding (chosen)."""
-WORST_ACCELEROMETER = 3.0
-"""Mean specific force may differ by this much from gravity's [m/s²], or it is not one."""
+"""Torques above this share of the motor's limit are cut off [-]: logs round them to 0.1 N m and
+more, and limits are 20 N m and more (``tests/robot/test_forces.py``)."""
+TRUNK_ACCELERATION_SD = 3.0
+"""Of the trunk's acceleration in a trot [m/s²], where none was measured; an accelerometer whose
+mean is further from gravity is worse than none (``tests/robot/test_footfalls.py``)."""
 UNFELT_PART = 0.3
-"""Force that a leg cannot feel, as a part of the one it does, as a standard deviation [-]."""
+"""Force that a leg cannot feel, as a part of the one it does, as a standard deviation [-]: of a
+uniform distribution within a friction coefficient of 0.5."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +63,8 @@ class SensorErrors:
         Of a friction that is known, or of the usual one, if that is more [-]: the error on walks of
         known friction (``tests/robot/test_friction.py``).
     attitude_deg
-        Of roll and of pitch [deg]: chosen.
+        Of roll and of pitch [deg]: an error of g/57 in the mean reading of an accelerometer that
+        shakes with the trunk.
     """
 
     gain: float = 0.1
@@ -176,9 +180,15 @@ def estimate(
     gap = GAP_STEPS * float(np.median(np.diff(log.time))) if len(log.time) > 1 else math.inf
     moving = estimator != "quasi_static"
     overview = survey(log, robot, estimator, gap, friction=moving and friction)
-    noise = _torque_sigma(overview)
+    # A foot that never swings is given what the others show, or else the torques' noise.
+    swung = np.isfinite(overview.residual)
+    others = np.median(overview.residual[swung[:, 0]], axis=0) if swung.any() else overview.noise
+    noise = np.where(swung, overview.residual, others)
     limit = SATURATED * np.array(robot.torque_limit or (np.inf,) * 3)
     shared, parts = priors or SensorErrors(), []
+    # Friction that is not known shows in the torques of a foot that swings, and is in their spread.
+    found = False if overview.friction is None else overview.friction.found
+    lost = np.where(swung & ~np.asarray(found), 0.0, shared.friction_sd(overview.friction))
     for wide, inner in chunks(log.time):
         seen = signals(log, robot, wide, moving=moving)
         torque = contact_torque(seen, estimator, gap, overview.friction)
@@ -186,7 +196,7 @@ def estimate(
         torque, velocity, turn = torque[inner], seen.velocity[inner], seen.turn[inner]
         if overview.friction is not None:
             own += overview.friction.doubt(velocity) ** 2
-        common = _shared_variance(seen.torque[inner], velocity, overview, shared)
+        common = np.square(shared.gain * seen.torque[inner]) + np.square(lost)
         low = -contact_part * robot.foot_radius * seen.turn[:, None, 2, :] if moving else None
         inverse, lever = (each[inner] for each in seen.legs.force_per_torque(low))
         near = lever < LEAST_LEVER * robot.leg_length
@@ -196,16 +206,25 @@ def estimate(
         with np.errstate(over="ignore", invalid="ignore"):  # where a knee is singular
             force = np.einsum("sfij,sfj->sfi", inverse, torque)
             variance = np.einsum("sfij,sfj->sfi", inverse**2, own + common)
-            if not robot.there.all():
-                variance += _unfelt_variance(robot, inverse, force)
+            if not robot.there.all():  # legs of two joints feel no force across their plane
+                across = inverse[..., 0] / np.linalg.norm(inverse[..., 0], axis=-1, keepdims=True)
+                size = UNFELT_PART * np.linalg.norm(force, axis=-1, keepdims=True)
+                variance += np.where(robot.there[:, :1], 0.0, np.square(across * size))
             if frame == "world":
-                variance += _tilt_variance(force, shared)
+                # A small turn ε about level axes moves a force by
+                # ε × f = (ε_y f_z, −ε_x f_z, ε_x f_y − ε_y f_x).
+                x, y, z = np.moveaxis(np.square(math.radians(shared.attitude_deg) * force), -1, 0)
+                variance += np.stack([z, z, x + y], axis=-1)
             both = np.asarray([force, np.sqrt(variance)], dtype=np.float32)
         both[:, near] = np.nan
         saturated = (np.abs(seen.torque[inner]) >= limit).any(axis=-1)
         swing = leg_inertia(seen, gap)[inner] if moving else np.zeros(len(torque))
         place = seen.legs.place[inner]
         parts.append((*both, near, saturated, place, lift_per_torque, swing))
+    heading = None
+    if log.quaternion is not None:  # mean direction of the trunk's x in the world
+        x, y = rotation(log.quaternion[:: max(1, len(log.time) // 10_000)])[:, :2, 0].mean(axis=0)
+        heading = math.degrees(math.atan2(y, x))
     names = ("force", "sigma", "flagged", "saturated", "place", "lift_per_torque", "leg_inertia")
     columns = map(np.concatenate, zip(*parts, strict=True))
     return FootForces(
@@ -219,51 +238,14 @@ def estimate(
             "robot_source": robot.source,
             "estimator": estimator,
             "frame": frame,
-            "heading_deg": _heading(log),
+            "heading_deg": heading,
             "gain_per_s": OBSERVER_GAIN if moving else None,
             "priors": asdict(shared),
             "friction": None if overview.friction is None else overview.friction.summary(),
             "torque_lag_s": overview.lag,
-            "torque_resolution_Nm": overview.resolution.tolist(),
             "assumed": _assumed(log, robot, overview, broken),
         },
     )
-
-
-def _heading(log: JointLog) -> float | None:
-    """Mean direction of the trunk's x in the world [deg]; ``None`` without attitude."""
-    if log.quaternion is None:
-        return None
-    every = slice(None, None, max(1, len(log.time) // 10_000))
-    x, y = rotation(log.quaternion[every])[:, :2, 0].mean(axis=0)
-    return math.degrees(math.atan2(y, x))
-
-
-def _torque_sigma(overview: Survey) -> FloatArray:
-    """Standard uncertainty of contact torques [N m], shape [foot, joint].
-
-    A foot that never swings is given what the others show, or else the torques' noise.
-    """
-    residual, known = overview.residual, np.isfinite(overview.residual[:, 0])
-    if not known.any():
-        residual = overview.noise
-    others = np.median(residual[known], axis=0) if known.any() else 0.0
-    residual = np.where(known[:, None] | ~known.any(), residual, others)
-    return np.asarray(np.sqrt(residual**2 + overview.resolution**2 / 12.0))
-
-
-def _shared_variance(
-    torque: FloatArray, velocity: FloatArray, overview: Survey, priors: SensorErrors
-) -> FloatArray:
-    """Variance of contact torques by gains and friction that are not known exactly [N² m²].
-
-    Friction that is not known shows in the torques of a foot that swings, and is in their spread.
-    """
-    lost = np.where(np.isnan(overview.residual), priors.coulomb_Nm, 0.0)
-    if overview.friction is not None:
-        known = priors.friction_part * overview.friction.torque(velocity)
-        lost = np.where(overview.friction.found, known, lost)
-    return np.asarray(np.square(priors.gain * torque) + np.square(lost))
 
 
 def _timing_variance(time: FloatArray, torque: FloatArray, gap: float) -> FloatArray:
@@ -273,26 +255,8 @@ def _timing_variance(time: FloatArray, torque: FloatArray, gap: float) -> FloatA
     """
     change = np.diff(torque, axis=0)
     change[np.diff(time) > gap] = 0.0
-    variance = np.zeros_like(torque)
-    variance[1:] += change**2 / 24.0
-    variance[:-1] += change**2 / 24.0
-    return variance
-
-
-def _unfelt_variance(robot: Quadruped, inverse: FloatArray, force: FloatArray) -> FloatArray:
-    """Variance of forces across the plane of legs that have two joints and feel none there [N²]."""
-    across = inverse[..., 0] / np.linalg.norm(inverse[..., 0], axis=-1, keepdims=True)
-    size = UNFELT_PART * np.linalg.norm(force, axis=-1, keepdims=True)
-    return np.where(robot.there[:, :1], 0.0, np.square(across * size))
-
-
-def _tilt_variance(force: FloatArray, priors: SensorErrors) -> FloatArray:
-    """Variance of forces in level axes by an attitude that is not known exactly [N²].
-
-    A small turn ε about level axes moves a force by ε × f = (ε_y f_z, −ε_x f_z, ε_x f_y − ε_y f_x).
-    """
-    squares = np.square(math.radians(priors.attitude_deg) * force)
-    return np.stack([squares[..., 2], squares[..., 2], squares[..., :2].sum(axis=-1)], axis=-1)
+    variance = np.pad(change**2 / 24.0, ((1, 1), (0, 0), (0, 0)))
+    return variance[1:] + variance[:-1]
 
 
 def _check_log(log: JointLog, frame: Frame) -> None:
@@ -330,7 +294,7 @@ def without_broken_accelerometer(log: JointLog) -> tuple[JointLog, list[str]]:
         felt = np.einsum("sij,sj->si", rotation(log.quaternion[every]), felt)
     mean = felt.mean(axis=0)
     up = mean / np.linalg.norm(mean) if log.quaternion is None else [0.0, 0.0, 1.0]
-    if np.linalg.norm(mean - GRAVITY * np.asarray(up)) <= WORST_ACCELEROMETER:
+    if np.linalg.norm(mean - GRAVITY * np.asarray(up)) <= TRUNK_ACCELERATION_SD:
         return log, []
     text = ", ".join(f"{value:.1f}" for value in mean)
     return replace(log, acceleration=None), [

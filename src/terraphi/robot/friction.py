@@ -8,6 +8,7 @@ torque is not among them: a joint that swings mostly one way cannot separate it 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -17,7 +18,6 @@ from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.robot.estimators import (
     CHUNK,
     OBSERVER_GAIN,
-    STANDSTILL,
     Estimator,
     JointFriction,
     Signals,
@@ -28,87 +28,47 @@ from terraphi.robot.estimators import (
     signals,
     upward,
 )
-from terraphi.robot.joint_log import JointLog
+from terraphi.robot.joint_log import STANDSTILL, JointLog
 from terraphi.robot.legs import GRAVITY
 from terraphi.robot.model import Quadruped
 
 LEAST_SWING = 50
-"""Samples in swing that a foot needs for its friction to be found."""
-GUARD_S, SHORTEST_S = 0.02, 0.04
-"""Time cut off at both ends of a swing, where the detection may err; swings that are shorter after
-that are dropped [s]."""
+"""Samples in swing that a foot needs for its friction to be found: over ten for each of the three
+numbers of a joint."""
+GUARD_S = 0.02
+"""Time cut off at both ends of a swing, where the detection may err [s]: ten samples of a log of
+500 Hz (Coulomb torques in ``tests/robot/test_friction.py``)."""
 REVERSAL_RATE = 2.0 * STANDSTILL
 """A joint slower than this [rad/s] is about to turn round, or has; for :data:`GUARD_S` before and
 after, friction changes its sense in a way of its own, and a regression would take the change for
 less Coulomb friction. A joint needs this root mean square velocity."""
 BEARING_SHARE = 0.15
-"""A foot that stands, and shows the ground, bears this share of the robot's weight [-] (chosen)."""
-HANGING_SHARE = 0.3
-"""A robot whose feet carry less than this share of its weight [-] hangs or lies."""
-LEAST_CLEARANCE = 0.01
-"""A foot is clear of the ground at least this high above the soles of the standing feet [m]."""
+"""A foot that stands, and shows the ground, bears this share of the robot's weight [-]. A robot
+whose feet bear less all together hangs or lies; what they bear and how they push sideways, on
+average, may be off by as much, which is 1.5 standard deviations of a torque's gain."""
 SURVEY = 60_000
 """Samples, from all over the log, that are looked at."""
-LEAVE_SHARES = (0.2, 0.1, 0.05, 0.05)
-"""A foot swings below this share of the robot's weight [-], round by round: swing and friction are
-found each from the other, and before friction is known it looks like force."""
-HIGH_PART, LOW_PART, MOST_SCRATCHED = 0.6, 0.3, 1.25
-"""Parts of the height of its swing [-] above which a foot is surely, and perhaps, clear of the
-ground; and by how much torques in the latter may spread more [-] if it is. Low down a swing has
-slower movements too, which separate Coulomb from viscous friction: from the high part alone Coulomb
-torques err by a third (``tests/robot/test_friction.py``)."""
-TOUCH_OVER_LEAVE = 1.6
-"""A foot stands again above this many times as much [-]."""
-LAG_STEP_S, MOST_LAG_S = 0.004, 0.06
-"""Step of the lags of the torques that are tried, and the largest [s]."""
+CLEAR_PART = 0.5
+"""Part of the height of its swing [-] above which a foot is clear of the ground. Above 0.4 it still
+scratches the soil on the walks of ``tests/robot/test_friction.py``; above 0.6 the slow movements
+lack that separate Coulomb from viscous friction."""
+LAG_STEP_S, MOST_LAG_S = 0.005, 0.1
+"""Step of the lags of the torques that are tried, and the largest [s]; a lag is found to within a
+step (``tests/robot/test_checks.py``)."""
 _HUBER = 1.345
 """Residuals beyond this many standard deviations count less (95 % efficient if normal)."""
 _GAUSS = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 
 
-def in_swing(time: FloatArray, lift: FloatArray, *, leave: float) -> BoolArray:
-    """When feet are in the air, from the forces on them.
-
-    Parameters
-    ----------
-    time
-        [s], shape [sample].
-    lift
-        Upward force of the ground on the feet [N], shape [sample, foot].
-    leave
-        A foot swings once it is below this force, and stands once it is above
-        :data:`TOUCH_OVER_LEAVE` times as much [N].
-
-    Returns
-    -------
-    ndarray
-        Shape [sample, foot].
-    """
-    event = np.where(lift > TOUCH_OVER_LEAVE * leave, 1, np.where(lift < leave, -1, 0))
-    event[0] = np.where(event[0] == 0, 1, event[0])
-    rows = np.arange(len(time))[:, None]
-    latest = np.maximum.accumulate(np.where(event != 0, rows, 0), axis=0)
-    air = np.take_along_axis(event, latest, axis=0) < 0
-    swing = np.zeros_like(air)
-    for foot in range(air.shape[1]):
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], air[:, foot].astype(np.int8), [0]])))
-        for start, stop in edges.reshape(-1, 2):
-            low = time[start] + (GUARD_S if start > 0 else 0.0)
-            high = time[stop - 1] - (GUARD_S if stop < len(time) else 0.0)
-            if high - low >= SHORTEST_S:
-                first, last = np.searchsorted(time, [low, high])
-                swing[first : last + 1, foot] = True
-    return swing
-
-
 def clear_of_ground(
-    place: FloatArray, up: FloatArray, lift: FloatArray, *, weight: float, part: float
+    place: FloatArray, up: FloatArray, lift: FloatArray, *, weight: float
 ) -> BoolArray:
     """When feet are above the ground, from where the legs hold them.
 
     The ground is a plane through the feet that bear load; its height changes from sample to sample
-    as the body moves, its slope does not.
+    as the body moves, its slope does not. On soft ground the soles of standing feet lie below the
+    surface, and a foot that is about to leave it or has come to it may be pressed by a few newtons.
 
     Parameters
     ----------
@@ -120,10 +80,6 @@ def clear_of_ground(
         Upward force of the ground on the feet [N], shape [sample, foot].
     weight
         Of the robot [N].
-    part
-        How high is clear, as a part of the height to which a foot is lifted [-]. On soft ground
-        the soles of standing feet lie below the surface, and a foot that is about to leave it or
-        has come to it may be pressed by a few newtons.
 
     Returns
     -------
@@ -144,31 +100,14 @@ def clear_of_ground(
     slope = np.linalg.solve(normal, np.einsum("sf,sfi,sf->i", share, across, height))
     height -= across @ slope
     lifted = np.quantile(height[known], 0.95, axis=0)
-    return np.asarray(known[:, None] & (height > np.maximum(part * lifted, LEAST_CLEARANCE)))
+    return np.asarray(known[:, None] & (height > CLEAR_PART * lifted))
 
 
-def one_way(time: FloatArray, velocity: FloatArray) -> BoolArray:
-    """Samples at which a joint keeps moving one way, so that the sign of its friction is sure.
-
-    Parameters
-    ----------
-    time
-        [s], shape [sample].
-    velocity
-        Of the joints [rad/s], shape [sample, foot, joint].
-
-    Returns
-    -------
-    ndarray
-        Shape [sample, foot, joint].
-    """
-    slow = np.abs(velocity) < REVERSAL_RATE
-    turned = velocity[1:] * velocity[:-1] < 0.0
-    slow[1:] |= turned
-    slow[:-1] |= turned
-    when = time[:, None, None]
-    since = when - np.maximum.accumulate(np.where(slow, when, -np.inf), axis=0)
-    until = np.minimum.accumulate(np.where(slow, when, np.inf)[::-1], axis=0)[::-1] - when
+def away_from(event: BoolArray, time: FloatArray) -> BoolArray:
+    """Samples that are further than :data:`GUARD_S` from an event; shape [sample, ...]."""
+    when = time.reshape(-1, *(1,) * (event.ndim - 1))
+    since = when - np.maximum.accumulate(np.where(event, when, -np.inf), axis=0)
+    until = np.minimum.accumulate(np.where(event, when, np.inf)[::-1], axis=0)[::-1] - when
     return np.asarray(np.minimum(since, until) > GUARD_S)
 
 
@@ -186,8 +125,8 @@ def fit(
     swing
         Shape [sample, foot].
     sure
-        Samples to prefer, see :func:`one_way`, shape [sample, foot, joint]; a joint that has too
-        few of them is given all of its swing.
+        Samples to prefer, in which the joint keeps moving one way, shape [sample, foot, joint]; a
+        joint that has too few of them is given all of its swing.
 
     Returns
     -------
@@ -195,18 +134,13 @@ def fit(
     """
     numbers = np.zeros((4, 3, 3))
     found = np.zeros((4, 3), dtype=bool)
-    for i in range(4):
-        air = swing[:, i]
-        if air.sum() < LEAST_SWING:
-            continue
-        for j in range(3):
-            chosen = air & sure[:, i, j]
-            if chosen.sum() < LEAST_SWING:
-                chosen = air
-            x, y = terms[chosen, i, j], -residual[chosen, i, j]
-            if np.sqrt(np.mean(x[:, 1] ** 2)) >= REVERSAL_RATE:
-                numbers[i, j] = _robust(x, y)
-                found[i, j] = True
+    for i, j in itertools.product(range(4), range(3)):
+        chosen = swing[:, i] & sure[:, i, j]
+        if chosen.sum() < LEAST_SWING:
+            chosen = swing[:, i]
+        x, y = terms[chosen, i, j], -residual[chosen, i, j]
+        if len(y) >= LEAST_SWING and np.sqrt(np.mean(x[:, 1] ** 2)) >= REVERSAL_RATE:
+            numbers[i, j], found[i, j] = _robust(x, y), True
     coulomb, viscous, inertia = np.moveaxis(numbers, -1, 0)
     return JointFriction(coulomb, viscous, inertia, found)
 
@@ -236,7 +170,7 @@ def torque_lag(
     windows: Sequence[tuple[Signals, slice]],
     torque: FloatArray,
     terms: FloatArray,
-    chosen: BoolArray,
+    swing: BoolArray,
     gap: float,
 ) -> float:
     """Time by which torques lag behind the motion [s]; 0 if swing does not determine it.
@@ -250,13 +184,13 @@ def torque_lag(
         Parts of a log, each with the samples that count.
     torque, terms
         Contact torque without friction [N m], and factors of friction, of all samples that count.
-    chosen
-        Samples in swing in which a joint moves one way, shape [sample, foot, joint].
+    swing
+        Shape [sample, foot].
     gap
         Steps longer than this [s] are gaps.
     """
-    enough = np.argwhere(chosen.sum(axis=0) >= LEAST_SWING)
-    if not len(enough):
+    feet = np.flatnonzero(swing.sum(axis=0) >= LEAST_SWING)
+    if not len(feet):
         return 0.0
     usual = float(np.median(np.concatenate([np.diff(seen.time) for seen, _ in windows])))
     # Whole steps: a torque between two samples is a mean, and seems to have less noise.
@@ -264,20 +198,19 @@ def torque_lag(
     most = round(MOST_LAG_S / step)
     lags, cost = step * np.arange(-most, most + 1), np.zeros(2 * most + 1)
     logged = [low_pass(s.time, OBSERVER_GAIN, s.torque, 0.0 * s.slopes, gap) for s, _ in windows]
-    for i, j in enough:
-        air = chosen[:, i, j]
-        axes = np.linalg.qr(terms[air, i, j])[0]
 
-        def shifted(lag: float, i: int = i, j: int = j) -> FloatArray:
-            each = [
-                np.interp(seen.time[inner] + lag, seen.time, values[:, i, j])
-                for (seen, inner), values in zip(windows, logged, strict=True)
-            ]
-            return np.concatenate(each)
+    def shifted(lag: float, foot: int, joint: int) -> FloatArray:
+        each = [
+            np.interp(seen.time[inner] + lag, seen.time, values[:, foot, joint])
+            for (seen, inner), values in zip(windows, logged, strict=True)
+        ]
+        return np.concatenate(each)[swing[:, foot]]
 
-        model = torque[air, i, j] + shifted(0.0)[air]
+    for i, j in itertools.product(feet.tolist(), range(3)):
+        axes = np.linalg.qr(terms[swing[:, i], i, j])[0]
+        model = torque[swing[:, i], i, j] + shifted(0.0, i, j)
         for k, lag in enumerate(lags):
-            rest = model - shifted(lag)[air]
+            rest = model - shifted(lag, i, j)
             rest = np.abs(rest - axes @ (axes.T @ rest))
             cost[k] += np.sum(np.minimum(rest, 3.0 * spread(rest)) ** 2)
     k = int(cost.argmin())
@@ -288,7 +221,7 @@ def torque_lag(
 
 
 class Survey(NamedTuple):
-    """Joint friction, resolution and noise of the torques of a log.
+    """Joint friction and noise of the torques of a log.
 
     Attributes
     ----------
@@ -297,8 +230,6 @@ class Survey(NamedTuple):
     residual
         Spread of contact torques in swing, where the truth is zero [N m], shape [foot, joint];
         NaN for feet that were not seen to swing.
-    resolution
-        Smallest step of the torques [N m], shape [foot, joint].
     noise
         Standard deviation of torques from one sample to the next [N m], shape [foot, joint].
     lag
@@ -307,20 +238,14 @@ class Survey(NamedTuple):
 
     friction: JointFriction | None
     residual: FloatArray
-    resolution: FloatArray
     noise: FloatArray
     lag: float
 
 
 def survey(
-    log: JointLog,
-    robot: Quadruped,
-    estimator: Estimator,
-    gap: float,
-    *,
-    friction: bool,
+    log: JointLog, robot: Quadruped, estimator: Estimator, gap: float, *, friction: bool
 ) -> Survey:
-    """Find friction, resolution and noise from windows spread over a log.
+    """Find friction and noise from windows spread over a log.
 
     Parameters
     ----------
@@ -341,46 +266,33 @@ def survey(
     # Swing phases follow from the forces and friction from the swing phases, alternately.
     torque = joined(lambda seen: contact_torque(seen, "momentum_observer", gap))
     terms = joined(lambda seen: friction_terms(seen, gap))
-    sure = joined(lambda seen: one_way(seen.time, seen.velocity))
+    sure = joined(lambda seen: away_from(np.abs(seen.velocity) < REVERSAL_RATE, seen.time))
     per = joined(lambda seen: upward(seen.turn, seen.legs.force_per_torque()[0]))
     ends = np.cumsum([inner.stop - inner.start for _, inner in windows])[:-1]
     weight = robot.mass * GRAVITY
 
-    def found(rest: FloatArray, part: float, share: float) -> tuple[JointFriction, Any, FloatArray]:
+    def found(rest: FloatArray, share: float) -> tuple[JointFriction, BoolArray, FloatArray]:
         lifts = np.split(np.nansum(per * rest, axis=-1), ends)
-        air = np.concatenate(
-            [
-                in_swing(seen.time[inner], lift, leave=share * weight)
-                & clear_of_ground(
-                    seen.legs.place[inner], seen.turn[inner][:, 2], lift, weight=weight, part=part
-                )
-                for (seen, inner), lift in zip(windows, lifts, strict=True)
-            ]
-        )
-        lost = fit(torque, terms, air, sure)
+        each = [
+            away_from(lift >= share * weight, seen.time[inner])
+            & clear_of_ground(seen.legs.place[inner], seen.turn[inner][:, 2], lift, weight=weight)
+            for (seen, inner), lift in zip(windows, lifts, strict=True)
+        ]
+        lost = fit(torque, terms, air := np.concatenate(each), sure)
         numbers = np.stack([lost.coulomb, lost.viscous, lost.inertia], axis=-1)
         return lost, air, torque + np.sum(numbers * terms, axis=-1)
 
-    high = found(torque, HIGH_PART, LEAVE_SHARES[0])
-    for share in LEAVE_SHARES[1:]:
-        high = found(high[2], HIGH_PART, share)
-    low = found(high[2], LOW_PART, LEAVE_SHARES[-1])
-    scales = [[spread(r[a[:, i], i].ravel()) for i in range(4)] for _, a, r in (low, high)]
-    # Soil that a foot scratches there would show as torques that no friction explains.
-    scratched = np.any(np.array(scales[0]) > MOST_SCRATCHED * np.array(scales[1]))
-    lost, swing, _ = high if scratched else low
-    kept = lost if friction else None
-    residual = np.full((4, 3), np.nan)
+    # Before friction is known it looks like force, so that twice the load may be swing.
+    rest = found(found(torque, 2.0 * BEARING_SHARE)[2], BEARING_SHARE)[2]
+    lost, swing, _ = found(rest, BEARING_SHARE)
+    kept, residual = lost if friction else None, np.full((4, 3), np.nan)
     deviation = joined(lambda seen: contact_torque(seen, estimator, gap, kept))
     for foot in np.flatnonzero(swing.any(axis=0)):
         own = np.abs(deviation[swing[:, foot], foot])
         # Root mean square, errors that are far out cut short; right for ±c as for a bell.
         residual[foot] = np.sqrt(np.mean(np.minimum(own, 3.0 * spread(own)) ** 2, axis=0))
     steps = np.concatenate([np.diff(seen.torque, axis=0) for seen, _ in windows])
-    sizes = np.abs(steps)
-    smallest = np.where(sizes > 1e-6, sizes, np.inf).min(axis=0, initial=np.inf)
-    resolution = np.where(np.isfinite(smallest), smallest, 0.0)
     # Second differences, to which the motion hardly contributes.
     noise = np.nan_to_num(spread(np.diff(steps, axis=0)) / np.sqrt(6.0))
-    lag = torque_lag(windows, torque, terms, swing[..., None] & sure, gap)
-    return Survey(kept, residual, resolution, noise, lag)
+    lag = torque_lag(windows, torque, terms, swing, gap)
+    return Survey(kept, residual, noise, lag)

@@ -23,6 +23,15 @@ SHAPES: dict[str, tuple[int, ...]] = {
     "foot_counts": (len(FEET),),
 }
 """Columns of a JointLog besides its time, and the shape of a sample of each."""
+GAP_STEPS = 3.5
+"""Steps longer than this many median steps are gaps [-], over which no filter remembers and no
+reading is interpolated: single lost samples are none (``tests/robot/test_forces.py``)."""
+AVERAGE_S = 0.1
+"""Time over which a rate and what it integrates to are compared [s]: long enough to average noise,
+short against a stride (``tests/robot/test_checks.py``, ``test_logs.py``)."""
+STANDSTILL = 0.05
+"""Velocity below which a joint may stand still, and the sense of Coulomb friction fades [rad/s]:
+five times the noise of a joint's velocity in ``tests/robot/walker.py``."""
 
 
 @dataclass(frozen=True, repr=False)

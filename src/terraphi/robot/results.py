@@ -18,7 +18,7 @@ from terraphi.experiment.files import NetcdfFile, write_netcdf
 from terraphi.robot.checks import balance, check
 from terraphi.robot.estimators import Estimator
 from terraphi.robot.forces import DEFAULT_ESTIMATOR, FootForces, Frame, estimate
-from terraphi.robot.friction import HANGING_SHARE
+from terraphi.robot.friction import BEARING_SHARE, LAG_STEP_S, MOST_LAG_S
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.legs import GRAVITY
 from terraphi.robot.logs import read_log
@@ -30,14 +30,8 @@ from terraphi.robot.stance import AXES, Ensemble, Stance, find_stances
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-RISE_SHARE = 0.1
-"""Part of the robot's weight that a foot carries at least at the height of a stance [-]."""
 ASKEW_DEG = 15.0
-"""Heading from the world's x above which a note says what Fx means [deg]."""
-MOST_LAG_S = 0.2
-"""Largest lag that can be corrected [s]."""
-WORST_LAG_S = 0.005
-"""Lag of the torques above which a note says so [s]; what is found errs by 1 to 4 ms."""
+"""Heading from the world's x above which a note says what Fx means [deg]: its cosine is 0.97."""
 KIND = "foot forces"
 SCHEMA = 1
 
@@ -147,15 +141,11 @@ class RobotForces:
         return f"<pre>{html.escape(repr(self))}</pre>{table.to_html(float_format='{:.3g}'.format)}"
 
 
-Figures = dict[str, float | None]
-"""Main numbers of a mean stance in a summary."""
-
-
 class ForcesSummary(BaseModel, strict=True):
     """Those entries of :meth:`RobotForces.summary` that a report shows."""
 
-    feet: dict[str, Figures]
-    pooled: Figures
+    feet: dict[str, dict[str, float | None]]
+    pooled: dict[str, float | None]
     duration_s: float
     estimator: str
     frame: str
@@ -225,7 +215,7 @@ def foot_forces(
         forces = estimate(
             log, robot=body, estimator=estimator, frame=frame, contact_part=contact_part
         )
-        stances = find_stances(forces.time, forces.force, rise_N=RISE_SHARE * weight)
+        stances = find_stances(forces.time, forces.force, rise_N=BEARING_SHARE * weight)
         mean = balance(forces, stances, weight)
         findings = check(log, body, forces, mean)
     except InputError as error:
@@ -263,10 +253,7 @@ def _sensor_correlation(log: JointLog, forces: FootForces) -> dict[str, float]:
 
 
 def _notes(
-    forces: FootForces,
-    stances: Sequence[Stance],
-    report: Mapping[str, Any],
-    weight: float,
+    forces: FootForces, stances: Sequence[Stance], report: Mapping[str, Any], weight: float
 ) -> list[str]:
     notes = []
     heading = forces.provenance["heading_deg"]
@@ -277,7 +264,7 @@ def _notes(
     if uneven > UNEVEN:
         notes.append(f"time stamps vary by {uneven:.0%} of a step: forces are noisier")
     lag = forces.provenance["torque_lag_s"]
-    if abs(lag) > WORST_LAG_S:
+    if abs(lag) > LAG_STEP_S:
         late = f"{abs(1e3 * lag):.0f} ms {'late' if lag > 0.0 else 'early'}"
         remedy = f"correct it with --lag {1e3 * (lag + report['lag_s']):.0f}"
         notes.append(f"torques are {late} against the motion, by the swing of the legs: {remedy}")
@@ -291,9 +278,9 @@ def _notes(
         known = np.isfinite(forces.force[:, :, 2]).all(axis=1)
         lift = np.median(forces.force[known, :, 2], axis=0) if known.any() else np.zeros(4)
         did = "no foot was set down and lifted again"
-        if lift.sum() > (1.0 - HANGING_SHARE) * weight:
+        if lift.sum() > (1.0 - BEARING_SHARE) * weight:
             did = "the robot stands still"
-        elif lift.sum() < HANGING_SHARE * weight:
+        elif lift.sum() < BEARING_SHARE * weight:
             did = "the robot hangs or lies"
         notes.append(f"no stances: {did}, its feet carry {lift.sum():.0f} N of {weight:.0f} N")
     elif len(walked) < len(FEET):
@@ -313,10 +300,7 @@ def dataset_of(result: RobotForces) -> Any:
     import xarray as xr
 
     forces, pooled, stances = result.forces, result.pooled, result.stances
-    each = {
-        name: np.stack([getattr(ensemble, name) for ensemble in result.feet.values()])
-        for name in ("count", "duration", "mean", "spread")
-    }
+    feet = result.feet.values()
     over_time, over_part = ("time", "foot", "axis"), ("foot", "part", "axis")
     mean, spread = "mean stance", "standard deviation among stances"
     straight = "1 where the knee is near-singular and there is no force"
@@ -329,10 +313,10 @@ def dataset_of(result: RobotForces) -> Any:
         ("stance_foot", "stance", np.array([s.foot for s in stances], dtype="U2"), "1", "foot"),
         ("stance_begin", "stance", np.array([s.begin for s in stances], float), "s", "touch-down"),
         ("stance_end", "stance", np.array([s.end for s in stances], float), "s", "lift-off"),
-        ("stance_count", "foot", each["count"], "1", "stances averaged"),
-        ("stance_duration", "foot", each["duration"], "s", "mean"),
-        ("stance_mean", over_part, each["mean"], "N", mean),
-        ("stance_spread", over_part, each["spread"], "N", spread),
+        ("stance_count", "foot", [foot.count for foot in feet], "1", "stances averaged"),
+        ("stance_duration", "foot", [foot.duration for foot in feet], "s", "mean"),
+        ("stance_mean", over_part, np.stack([foot.mean for foot in feet]), "N", mean),
+        ("stance_spread", over_part, np.stack([foot.spread for foot in feet]), "N", spread),
         ("pooled_mean", over_part[1:], pooled.mean, "N", mean),
         ("pooled_spread", over_part[1:], pooled.spread, "N", spread),
     ]  # fmt: skip

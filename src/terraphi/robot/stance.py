@@ -27,21 +27,22 @@ POINTS = 101
 
 
 RISE_PART = 0.35
-"""Part of the foot's high loads (95 % quantile) that the vertical force of a stance reaches [-]."""
-FALL_PART = 0.25
-"""Part of the rise above which a foot keeps standing [-]."""
-TOUCH_PART = 0.1
-"""A foot touches down where its force last was below this part of the rise [-]: filters give a
-sudden force a foot of some milliseconds before it begins."""
-IMPULSE_PART = 0.25
-"""Least ∫ Fz dt as a part of that of the foot's long stances (90 % quantile) [-]: the inertia of a
-swinging leg looks like a short force to an estimate that leaves it out."""
-SHORTEST_S, LONGEST_S = 0.06, 2.0
-"""Durations of a stance [s]; who stands longer stands still."""
+"""Part of the foot's high loads, and of its high impulses ∫ Fz dt (95 % quantiles), that a stance
+reaches [-]: the inertia of a swinging leg looks like a short force to an estimate that leaves it
+out (noise and simulated walks in ``tests/robot``)."""
+FALL_PART, TOUCH_PART = 0.25, 0.1
+"""Parts of the rise [-] above which a foot keeps standing in noise, and below which its force last
+was where it touches down: filters give a sudden force a foot of some milliseconds before it begins
+(``tests/robot/test_stance.py``)."""
+LONGEST_S = 2.0
+"""Duration of a stance [s]; who stands longer stands still: the slow walk of
+``tests/robot/test_checks.py`` has 1.6 s."""
 LIFT_S = 0.04
-"""A foot lifted, or not seen, for less than this has not been lifted [s]."""
+"""A foot lifted, or not seen, for less than this has not been lifted [s] (a bounce of 16 ms in
+``tests/robot/test_stance.py``)."""
 SMOOTH_S = 0.01
-"""Width of the moving mean on which thresholds are tried, and of velocities [s]."""
+"""Width of the moving mean on which thresholds are tried, and of velocities [s]: a few samples of a
+log of 500 Hz (noise in ``tests/robot/test_stance.py``)."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -77,11 +78,6 @@ class Stance:
         """Time on the ground [s]."""
         return self.end - self.begin
 
-    def normalised(self, points: int = POINTS) -> FloatArray:
-        """Forces at equal steps of normalised time [N], shape [point, axis]."""
-        at = np.linspace(self.begin, self.end, points)
-        return np.stack([np.interp(at, self.time, column) for column in self.force.T], axis=1)
-
 
 @dataclass(frozen=True, repr=False)
 class Ensemble:
@@ -113,7 +109,10 @@ class Ensemble:
         if not stances:
             empty = np.full((points, len(AXES)), np.nan)
             return cls(part, empty, empty, 0, float("nan"))
-        courses = np.stack([stance.normalised(points) for stance in stances])
+        each = [
+            [np.interp(s.begin + part * s.duration, s.time, f) for f in s.force.T] for s in stances
+        ]
+        courses = np.swapaxes(each, 1, 2)
         spread = courses.std(axis=0, ddof=1) if len(stances) > 1 else np.zeros(courses.shape[1:])
         duration = float(np.mean([stance.duration for stance in stances]))
         return cls(part, courses.mean(axis=0), spread, len(stances), duration)
@@ -164,8 +163,7 @@ def find_stances(time: FloatArray, force: Forces, *, rise_N: float) -> tuple[Sta
         known = np.isfinite(force[:, column]).all(axis=1)
         own_time, own = time[known], force[known, column]
         for first, last in _bounds(own_time, own[:, 2], rise_N):
-            part = slice(first, last + 1)
-            found.append(Stance(foot, own_time[part], own[part]))
+            found.append(Stance(foot, own_time[first : last + 1], own[first : last + 1]))
     return tuple(sorted(found, key=lambda stance: stance.begin))
 
 
@@ -197,13 +195,12 @@ def _bounds(time: FloatArray, lift: Forces, rise_N: float) -> list[tuple[int, in
     first, last = first[good], last[good]
     breaks = np.concatenate([[0], np.cumsum(np.diff(time) > LIFT_S)])
     duration = time[last] - time[first]
-    good = (duration >= SHORTEST_S) & (duration <= LONGEST_S)
-    good &= breaks[first] == breaks[last]
+    good = (duration <= LONGEST_S) & (breaks[first] == breaks[last])
     first, last = first[good], last[good]
     if len(first):
         total = cumulative_trapezoid(lift.astype(np.float64), time, initial=0.0)
         impulse = total[last] - total[first]
-        great = impulse >= IMPULSE_PART * np.quantile(impulse, 0.9)
+        great = impulse >= RISE_PART * np.quantile(impulse, 0.95)
         first, last = first[great], last[great]
     return list(zip(first.tolist(), last.tolist(), strict=True))
 

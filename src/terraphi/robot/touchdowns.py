@@ -29,41 +29,39 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
-from terraphi.robot.estimators import GAP_STEPS, smooth_sign, trunk_motion
-from terraphi.robot.forces import FootForces
+from terraphi.robot.estimators import smooth_sign, trunk_motion
+from terraphi.robot.forces import TRUNK_ACCELERATION_SD, FootForces
 from terraphi.robot.friction import BEARING_SHARE
-from terraphi.robot.joint_log import FEET, JointLog
+from terraphi.robot.joint_log import FEET, GAP_STEPS, JointLog
 from terraphi.robot.legs import GRAVITY
 from terraphi.robot.model import Quadruped
 from terraphi.robot.stance import SMOOTH_S, Stance, running_mean
 
 ACCELERATION_SD = 0.3
-"""Of the accelerometer's readings, with what the trunk shakes between samples [m/s²] (chosen; in
+"""Of the accelerometer's readings, with what the trunk shakes between samples [m/s²] (in
 ``tests/robot/test_footfall_truth.py`` places come back within 0.3 mm)."""
-UNKNOWN_ACCELERATION_SD = 3.0
-"""Of the trunk's acceleration without an accelerometer [m/s²]: a trot's (chosen)."""
 STANCE_SD = 0.01
 """Of the velocity of a foot that stands, and the scale beyond which it does not stand [m/s]: a foot
-that sinks passes it at once (chosen; test as above)."""
+that sinks passes it at once (test as above)."""
 ROUNDS = 8
 """Of reweighting."""
 BIAS_S = 6.0
-"""Over this time the trunk does not accelerate on average: what remains is a bias [s]."""
+"""Over this time the trunk does not accelerate on average: what remains is a bias [s]. A few
+strides: at 1 m/s a change of speed by a third leaves a sixth of :data:`ACCELERATION_SD`."""
 WINDOW_S = 0.4
 """Longest loading that is used [s], rests in it included, and how long before its stance a foot may
 have come down; after it, sinking and drift cannot be told apart."""
-LOADING_S = 0.12
-"""A log needs :data:`FEWEST` samples in this time [s]: few loadings last longer."""
-TOUCH_N, ALOFT = 2.5, 0.005
-"""A foot was in the air last where it bore less than this [N], this much above the place where its
-stance begins [m]."""
+TOUCH_N = 2.5
+"""A foot that bears less is in the air [N]: a few standard deviations of forces in swing
+(``tests/robot/test_touchdowns.py``)."""
 POINTS = 64
 """Most samples of a touch-down; longer ones are thinned (memory)."""
 FEWEST = 10
-"""Samples that a touch-down needs while the foot goes down, to fit three quantities (chosen)."""
-GOES_ON, SINKS = 0.25, 0.03
+"""Samples that a touch-down needs while the foot goes down, and a log in half of :data:`WINDOW_S`,
+to fit three quantities; touch-downs that teach how a law grows with depth."""
+GOES_ON = 0.25
 """A foot rests that goes down slower than this part [-] of its fastest within half of
-:data:`WINDOW_S`, or than this [m/s]: after a rest, a slow loading counts again (chosen)."""
+:data:`WINDOW_S`: after a rest, a slow loading counts again (``tests/robot/test_touchdowns.py``)."""
 
 
 class Motion(NamedTuple):
@@ -109,7 +107,7 @@ def track(log: JointLog, robot: Quadruped, place: FloatArray, load: FloatArray) 
         felt = np.einsum("sij,sj->si", turn, trunk_own.specific_force)
         felt[:, 2] -= GRAVITY
         felt -= running_mean(felt, max(1, round(BIAS_S / float(np.median(step))) // 2))
-    sd = UNKNOWN_ACCELERATION_SD if log.acceleration is None else ACCELERATION_SD
+    sd = TRUNK_ACCELERATION_SD if log.acceleration is None else ACCELERATION_SD
     # v_k belongs to the middle of step k: the readings between two middles are a sample's.
     between = 0.5 * (step[1:] + step[:-1])
     stiff = 1.0 / (sd * between) ** 2
@@ -223,12 +221,7 @@ def touchdowns(
 
 
 def _touchdown(
-    log: JointLog,
-    forces: FootForces,
-    motion: Motion,
-    stance: Stance,
-    per: FloatArray,
-    step: float,
+    log: JointLog, forces: FootForces, motion: Motion, stance: Stance, per: FloatArray, step: float
 ) -> dict[str, Any]:
     """Fields of one touch-down; the places of samples that it lacks repeat its last."""
     from scipy.ndimage import maximum_filter1d
@@ -239,7 +232,7 @@ def _touchdown(
     start = int(np.searchsorted(time, stance.begin))
     # The surface is where the foot first met force after it had been aloft.
     early = np.arange(np.searchsorted(time, stance.begin - WINDOW_S), start)
-    aloft = early[(lift[early] < TOUCH_N) & (place[early, 2] > place[start, 2] + ALOFT)]
+    aloft = early[(lift[early] < TOUCH_N) & (place[early, 2] > place[start, 2])]
     if len(aloft):
         bears = np.append(lift[aloft[-1] : start] >= TOUCH_N, True)
         start = int(aloft[-1] + np.argmax(bears))
@@ -256,12 +249,12 @@ def _touchdown(
     fastest = maximum_filter1d(
         np.where(rows >= start, down, 0.0), max(1, round(0.5 * WINDOW_S / step))
     )
-    good = np.isfinite(force) & (down > np.maximum(GOES_ON * fastest, SINKS))
+    good = np.isfinite(force) & (down > np.maximum(GOES_ON * fastest, 3.0 * STANCE_SD))
     # Soil that has been loaded further already does not count: neither force nor depth may be
     # behind what they have been.
     good &= drop > np.maximum.accumulate(drop) - 3e-4
     force = np.nan_to_num(force)
-    good &= (force > 0.9 * np.maximum.accumulate(force) - 2.0) | (rows < start)
+    good &= (force > 0.9 * np.maximum.accumulate(force) - TOUCH_N) | (rows < start)
     last = int(rows[good][-1] if good.any() else rows[-1])
     chosen = np.flatnonzero(rows <= last)
     if len(chosen) > POINTS:
@@ -280,6 +273,6 @@ def _touchdown(
         "force": force[chosen],
         "per_error": per[rows[chosen], foot],
         "used": good[chosen] & (np.arange(POINTS) < count) & (not short),
-        "torn": short or FEWEST * step > LOADING_S or bool(late.any()),
+        "torn": short or 2.0 * FEWEST * step > WINDOW_S or bool(late.any()),
         "saturated": bool(forces.saturated[part, foot].any()),
     }

@@ -20,7 +20,7 @@ from terraphi.experiment.budget import SECONDS, unpacking
 from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError, nearest, needing
 from terraphi.experiment.files import check_is_file
-from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, SHAPES, JointLog, joint_place
+from terraphi.robot.joint_log import GAP_STEPS, JOINT_NAMES, SHAPES, JointLog, joint_place
 from terraphi.robot.logs.samples import joint_log
 
 LOW_STATE = "unitree_go/msg/LowState"
@@ -37,8 +37,6 @@ OTHERS = "joints of something else"
 _KINDS = (LOW_STATE, JOINT_STATE)
 STEPS = 100_000
 """Steps of a database between two looks at the clock."""
-LONGEST_GAP = 0.1
-"""Joint states further than this from the nearest message of the IMU [s] are left out."""
 
 
 @cache
@@ -100,10 +98,7 @@ _FIELDS = {"angle": "position", "velocity": "velocity", "torque": "effort"}
 
 
 def joint_states(
-    messages: Raw,
-    joint_names: Sequence[str] | None,
-    joints: Sequence[str],
-    dropped: Counter[str],
+    messages: Raw, joint_names: Sequence[str] | None, joints: Sequence[str], dropped: Counter[str]
 ) -> dict[str, Any]:
     """Columns of a JointLog from JointState messages, ``stamp`` (header) and ``recorded`` [ns].
 
@@ -189,7 +184,7 @@ def joint_order(
         legs = [joint for joint in JOINT_NAMES if joint in joints]
         found = dict(zip(legs, map(list(names).index, wanted), strict=True))
     for i, place in enumerate(map(joint_place, names if wanted is None else ())):
-        joint = place and f"{FEET[place[0]]}_{JOINTS[place[1]]}"
+        joint = place and JOINT_NAMES[3 * place[0] + place[1]]
         if joint and found.setdefault(joint, i) != i:
             both = f"joints '{names[found[joint]][:60]}' and '{names[i][:60]}'"
             raise InputError(f"{both} both look like the {joint.replace('_', ' ')}; {hint}")
@@ -273,13 +268,10 @@ def _choose(connections: Sequence[Any], wanted: str | None) -> Any:
         kinds = f"expected {' or '.join(_KINDS)}; present: {listed or 'nothing'}"
         raise InputError(f"no joint states {where}; {kinds}")
 
-    def rank(connection: Any) -> tuple[bool, bool, int, str]:
-        # Robots repeat their state on lf/lowstate at a low frequency.
-        topic = connection.topic
-        named = _plain(connection.msgtype) == JOINT_STATE
-        return named, "lf" in topic.split("/"), len(topic), topic
-
-    return min(usable, key=rank)
+    # Robots repeat their state on lf/lowstate at a low frequency.
+    named = [(_plain(c.msgtype) == JOINT_STATE, "lf" in c.topic.split("/")) for c in usable]
+    ranks = [(*kind, len(c.topic), c.topic) for kind, c in zip(named, usable, strict=True)]
+    return usable[ranks.index(min(ranks))]
 
 
 def _add_imu(
@@ -298,8 +290,9 @@ def _add_imu(
         time, column = every[known], imu[name][order][known]
         if len(time) < 2:
             continue
-        after = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
-        near = np.minimum(np.abs(at - time[after]), np.abs(at - time[after - 1])) <= LONGEST_GAP
+        reach = GAP_STEPS * float(np.median(np.diff(time)))
+        nearest = np.rint(np.interp(at, time, np.arange(len(time)))).astype(int)
+        near = np.abs(at - time[nearest]) <= reach
         if near.mean() < 0.5:
             notes.append(f"{name} of {topics[0]}: stamps do not overlap with those of the joints")
             continue

@@ -14,17 +14,17 @@ from numpy.typing import NDArray
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError
-from terraphi.robot.joint_log import JointLog
+from terraphi.robot.joint_log import AVERAGE_S, GAP_STEPS, STANDSTILL, JointLog
 
 Clock = Literal["time_s", "tick", "header stamp"]
 """Column of a table [s], tick of a LowState [ms], header of a JointState [ns]."""
 
-GAP_STEPS, GAP_S = 5.0, 0.02
-"""A pause is a gap if longer than this many usual steps, and than this many seconds [s]."""
 REORDERED = 0.01
-"""Fraction of samples that may arrive out of order without the log having been restarted."""
+"""Fraction of samples that may arrive out of order without the log having been restarted: 0.005 and
+0.35 in ``tests/robot/test_logs.py``."""
 STALLED = 0.9
-"""Fraction of steps without advance beyond which a clock stands still."""
+"""Fraction of steps without advance beyond which a clock stands still; up to a half, repeats are
+dropped one by one (``tests/robot/test_logs.py``)."""
 UNEVEN = 0.15
 """Steps that vary by more than this part of the usual one [-] make forces noisier."""
 
@@ -50,22 +50,14 @@ _REMEDIES = {
 }
 _IMU = ("quaternion", "angular_velocity", "acceleration", "foot_counts")
 _MOTION_SAMPLES = 200_000
-_SPAN_S = 0.04
-_MOVING = 0.1
-"""Mean rate of joint angles [rad/s] above which velocities are compared with them."""
-_PROPORTIONAL = 0.9
-"""Correlation of both from which on their ratio means something [-]."""
-_UNLIKE, _WHOLLY_UNLIKE = 1.25, 30.0
-"""Factors between joint velocities and the rate of their angles that show wrong units or a wrong
-clock [-]."""
+_PROPORTIONAL, _UNLIKE = 0.9, 1.25
+"""Correlation of joint velocities with the rate of their angles from which on their ratio means
+something, and the ratio that shows wrong units or a wrong clock [-]: for noise and for factors of
+0.5 and 2 in ``tests/robot/test_logs.py``."""
 
 
 def joint_log(
-    path: Path,
-    values: dict[str, Any],
-    clock: Clock,
-    dropped: Counter[str],
-    facts: dict[str, Any],
+    path: Path, values: dict[str, Any], clock: Clock, dropped: Counter[str], facts: dict[str, Any]
 ) -> JointLog:
     """Make the log.
 
@@ -120,7 +112,7 @@ def joint_log(
 def _sound(values: dict[str, Any], dropped: Counter[str]) -> dict[str, Any]:
     """Samples whose numbers are those of sensors; the others are counted."""
     columns = {name: c.reshape(len(c), -1) for name, c in values.items() if name != "recorded"}
-    finite = np.abs(columns["stamp"].astype(np.float64))[:, 0] < 1e30
+    finite = np.isfinite(columns["stamp"].astype(np.float64))[:, 0]
     for name in columns.keys() - {"stamp"}:
         finite &= (np.abs(columns[name]) < LARGEST).all(axis=1)
     within = (np.abs(columns["angle"]) <= FULL_TURN).all(axis=1)
@@ -157,7 +149,7 @@ def _check_units(path: Path, time: FloatArray, angle: FloatArray, velocity: Floa
     if len(time) < 2:
         return
     usual = float(np.median(np.diff(time)))
-    every = max(1, min(round(_SPAN_S / usual), len(time) // 4))
+    every = max(1, min(round(AVERAGE_S / usual), len(time) // 4))
     way = np.diff(cumulative_trapezoid(velocity, time, axis=0, initial=0.0)[::every], axis=0)
     moved, span = np.diff(angle[::every], axis=0), np.diff(time[::every])
     whole = span < 1.5 * every * usual
@@ -166,9 +158,8 @@ def _check_units(path: Path, time: FloatArray, angle: FloatArray, velocity: Floa
     both, squares = float(np.sum(way * moved)), float(np.sum(moved**2))
     ratio = both / max(squares, 1e-12)
     # Samples that are far apart miss what happens between them.
-    proportional = both > _PROPORTIONAL * np.sqrt(squares * np.sum(way**2))
-    most = _UNLIKE if proportional else _WHOLLY_UNLIKE
-    if rate > _MOVING and not 1.0 / most < ratio < most:
+    proportional = abs(both) > _PROPORTIONAL * np.sqrt(squares * np.sum(way**2))
+    if rate > STANDSTILL and proportional and not 1.0 / _UNLIKE < ratio < _UNLIKE:
         raise InputError(
             f"{path}: joint velocities are {ratio:.3g} times the rate at which the angles change; "
             "look at the units of times (s), angles (rad) and velocities (rad/s)"
@@ -257,7 +248,7 @@ def describe(time: FloatArray) -> dict[str, Any]:
     ordinary = steps[steps <= 1.5 * float(np.median(steps))]
     # Clocks of whole milliseconds make 400 Hz out of steps of 2 and 3 ms: the mean is right.
     usual = float(ordinary.mean())
-    wide = np.flatnonzero(steps > max(GAP_STEPS * usual, GAP_S))
+    wide = np.flatnonzero(steps > GAP_STEPS * float(np.median(steps)))
     return {
         "duration_s": float(time[-1] - time[0]),
         "rate_hz": 1.0 / usual,
