@@ -100,6 +100,16 @@ def test_forces_grow_with_the_cube_of_the_length() -> None:
     assert other.phi.sd == pytest.approx(one.phi.sd, rel=1e-3)
 
 
+def test_resistive_force_theory_is_of_the_record_s_own_rig() -> None:
+    """Whether its model is taken as exact or not."""
+    rig = Rig(hip_height_mm="35±1", **{**SIZES, "length_mm": 110, "width_mm": 40})
+    law = leg_law(library_of_theory(rig), rig, corrected=False)
+    history = ForceHistory(np.radians(law.theta_deg), law(np.array([[30.0]]))[0].T)
+    for simulated in (True, False):
+        options = {"rig": rig, "density": "1650±1", "library": "rft3d", "simulated": simulated}
+        assert invert(history, **options).phi.median == pytest.approx(30.0, abs=0.3)
+
+
 def test_uncertain_sizes_are_what_a_change_of_them_does() -> None:
     """One standard deviation of the hip's height and of the leg's friction, either way."""
     sizes = {"length_mm": 110, "width_mm": 45, **SIZES}

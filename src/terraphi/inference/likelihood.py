@@ -119,7 +119,7 @@ def law_of(library: Library | Legs, rig: Rig, *, measured: bool, strict: bool = 
         if not measured:
             raise InputError(f"law {library.name} is for measured forces; take another library")
         return library.law(rig)
-    if measured and library is shipped_library(THEORY):
+    if (measured or strict) and library is shipped_library(THEORY):
         library = library_of_theory(rig)
     return leg_law(library, rig, corrected=measured, strict=strict)
 
