@@ -159,12 +159,11 @@ def test_a_cohesion_is_found_in_pascals(length: float, density: float) -> None:
 def test_the_hash_changes_with_all_that_changes_an_answer() -> None:
     law = shipped_legs()
     one = law.shapes["straight"]
-    hyper = np.array([[*p.lengths, p.noise] for p in one.processes])
     others = [
         replace(law, model_error={"straight": {"offset_deg": 1.0}}),
         *(
             replace(law, shapes={"straight": replace(one, **change)})
-            for change in ({"force": 1.1 * one.force}, {"hyper": 0.5 * hyper})
+            for change in ({"force": 1.1 * one.force}, {"hyper": 0.5 * one.hyperparameters})
         ),
     ]
     assert len({law.hash, *(other.hash for other in others)}) == 1 + len(others)

@@ -229,15 +229,15 @@ def with_rig(options: Mapping[str, Any]) -> dict[str, Any]:
         If some of the sizes or the leg are missing, or there is a rig as well.
     """
     others = {key: v for key, v in options.items() if key not in (*SIZES, "leg_friction")}
-    rubs = {"leg_friction": f} if (f := options.get("leg_friction")) is not None else {}
+    friction = {"leg_friction": f} if (f := options.get("leg_friction")) is not None else {}
     sizes = {key: options[key] for key in SIZES if options.get(key) is not None}
     if not sizes:
-        if not rubs:
+        if not friction:
             return others
         if others.get("rig") is None:
             raise InputError("--leg-friction goes with a rig; add its sizes, or --rig li2013")
         rig = Rig.of(others["rig"], others.get("leg")).model_dump(exclude={"leg_friction_sd"})
-        return {**others, "rig": Rig(**{**rig, **rubs})}
+        return {**others, "rig": Rig(**{**rig, **friction})}
     flags = {key: f"--{key.replace('_', '-')}" for key in ("leg", *SIZES)}
     lacking = [flag for key, flag in flags.items() if options.get(key) is None]
     if others.get("rig") is not None:
@@ -251,7 +251,7 @@ def with_rig(options: Mapping[str, Any]) -> dict[str, Any]:
         }
     except ValueError as error:
         raise InputError(f"sizes of the rig: {error}; give millimeters") from None
-    return {**others, "rig": Rig(leg=options["leg"], **numbers, **rubs)}
+    return {**others, "rig": Rig(leg=options["leg"], **numbers, **friction)}
 
 
 def rounded(length: float) -> float:

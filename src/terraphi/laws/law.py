@@ -238,10 +238,11 @@ class LibraryLaw(LegLaw):
         if self.correction is None or PHI not in self.keys:
             return {}
         i = self.keys.index(PHI)
-        at = self._places
         modes = self.correction.modes_at(float(np.clip(x, *self.bounds)[i]))
         return {
-            cause: self._scale * self._sd.get(cause, 1.0) * mode[:, :, at].reshape(len(mode), -1).T
+            cause: self._scale
+            * self._sd.get(cause, 1.0)
+            * mode[:, :, self._places].reshape(len(mode), -1).T
             for cause, mode in modes.items()
         }
 

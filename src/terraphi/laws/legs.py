@@ -158,6 +158,11 @@ class ShapeLaw:
             for k, one in enumerate(self.hyper)
         ]
 
+    @property
+    def hyperparameters(self) -> FloatArray:
+        """Those of the processes, as ``hyper``."""
+        return np.array([[*one.lengths, one.noise] for one in self.processes])
+
     def __call__(self, x: FloatArray, depth: FloatArray) -> FloatArray:
         """Forces over ρ g w D² [-], shape [k, axis], [k] -> [k, 2, place]."""
         mean, u, _ = self._components
@@ -247,11 +252,10 @@ class Legs:
 
         data: dict[str, Any] = {}
         for leg, law in self.shapes.items():
-            hyper = np.array([[*one.lengths, one.noise] for one in law.processes])
             data[f"x_{leg}"] = ((f"case_{leg}", "axis"), law.x)
             data[f"depth_{leg}"] = (f"case_{leg}", law.depth)
             data[f"force_{leg}"] = ((f"case_{leg}", "channel", "place"), law.force)
-            data[f"hyper_{leg}"] = (("process", "hyper"), hyper)
+            data[f"hyper_{leg}"] = (("process", "hyper"), law.hyperparameters)
         attrs = {"terraphi_file": "law", "terraphi_schema": SCHEMA,
                  "model_error": json.dumps(self.model_error),
                  "provenance": json.dumps(self.provenance)}  # fmt: skip
@@ -278,8 +282,7 @@ class Legs:
         digest = hashlib.sha256(json.dumps(self.model_error, sort_keys=True).encode())
         for leg, law in sorted(self.shapes.items()):
             digest.update(leg.encode())
-            hyper = np.array([[*one.lengths, one.noise] for one in law.processes])
-            for array in (law.x, law.depth, law.force, hyper):
+            for array in (law.x, law.depth, law.force, law.hyperparameters):
                 digest.update(np.asarray(array, np.float32).tobytes())
         return digest.hexdigest()
 
