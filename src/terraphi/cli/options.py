@@ -71,7 +71,9 @@ gain_option = click.option(
     help="Gain of the sensor.  [default: 1±0.02]",
 )
 library_option = click.option(
+    "--law",
     "--library",
+    "library",
     metavar="NAME|FILE",
     help="Name or .nc file.  [default: sand3d or legs]",
 )

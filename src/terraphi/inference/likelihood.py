@@ -80,6 +80,8 @@ from terraphi.laws.store import PHI, Library, shipped_library
 SHIFT_DEG = 15.0
 """Largest shift of the leg angle of measured records [deg]: chosen, above the 13° of the shipped
 and simulated records."""
+COHESIONS = np.array([0.0, 0.1, 0.35, 1.0])
+"""Cohesions from which the best is looked for, over the largest that a law knows [-]; chosen."""
 RIDGE = 2e-3
 """Standard deviation added to each window mean, of peak-to-peak [-]: the emulator's largest error
 in unseen simulations of an exact model (tests/laws/test_emulator.py)."""
@@ -90,10 +92,6 @@ BEYOND_DEG, LIMITS_DEG = 12.0, (0.5, 80.0)
 angles that can be answered [deg]; chosen."""
 FAR_OFF = 3.0
 """Factor between data and best curve at which no angle fits [-]: chosen."""
-COHESION_WEIGHT = 3.0
-"""Weight of (c / (ρ g L))² in the squared residual [-]: chosen of 0, 1, 3, 10, 30 and 100 by loose
-simulated grains of 4 to 9 mm on three rigs, which law ``legs`` then reads + 0.6 ± 1.5° too high
-(with 0: - 0.7 ± 2.0°, with 10: + 1.8 ± 1.5°)."""
 OF_RIG = ("leg friction", "hip height", "gain")
 """Causes that stay as they are in an apparatus."""
 
@@ -349,31 +347,38 @@ class Likelihood:
 
     @cached_property
     def _best(self) -> Best:
-        """Parameters and shifts of the smallest squared residual."""
-        if len(self.keys) == 1:
-            x = np.linspace(*self.ends, 257)
-        else:
-            x = self.low + (self.high - self.low) * np.random.default_rng(0).random(
-                (512, len(self.keys))
-            )
+        """Parameters, shifts and cohesion of the smallest squared residual."""
         (least, most), n = self._bounds, len(self.keys)
         shifts = np.arange(least[0], most[0] + 1.0)
-        squares = [
-            squared_residuals(record, record.data, force, law, shifts)
-            for record, force, law in zip(
-                self.records, self._forces(x, 0.0), self.laws, strict=True
-            )
-        ]
-        first = int(sum(each.min(axis=0) for each in squares).argmin())
-        shift = shifts[[int(each[:, first].argmin()) for each in squares]]
+        # With a cohesion the squared residual has several minima.
+        cohesions = most[-1] * (COHESIONS if most[-1] else COHESIONS[:1])
+        if n == 1:
+            x = np.linspace(*self.ends, 257 if len(cohesions) == 1 else 65)
+        else:
+            x = self.low + (self.high - self.low) * np.random.default_rng(0).random((512, n))
+        costs, starts = [], []
+        for cohesion in cohesions.tolist():
+            squares = [
+                squared_residuals(record, record.data, force, law, shifts)
+                for record, force, law in zip(
+                    self.records, self._forces(x, cohesion), self.laws, strict=True
+                )
+            ]
+            cost = sum(each.min(axis=0) for each in squares)
+            first = int(cost.argmin())
+            shift = shifts[[int(each[:, first].argmin()) for each in squares]]
+            costs.append(cost[first] + self._precision[-1] * cohesion**2)
+            starts.append(np.concatenate([x[first], shift, [cohesion]]))
         low, high = self.ends
         return least_squares(
             lambda p, _: self.data - self.curves(p[:, :n], p[0, n:]),
             lambda p, _: self._slopes(p[0])[None],
             self._weight[None],
-            np.concatenate([x[first], shift, [0.0]])[None],
+            starts[int(np.argmin(costs))][None],
             bounds=(np.append(low, least), np.append(high, most)),
-            scale=np.concatenate([self.high - self.low, np.ones(len(shift)), [max(most[-1], 1.0)]]),
+            scale=np.concatenate(
+                [self.high - self.low, np.ones(len(self.records)), [max(most[-1], 1.0)]]
+            ),
             precision=self._precision,
             settled=1e-8,
         )
@@ -519,7 +524,8 @@ class Likelihood:
     def _precision(self) -> FloatArray:
         """Precision of x, δ and c before the forces, of the cohesion alone, [key + record + 1]."""
         free = np.zeros(len(self.keys) + len(self.records))
-        return np.append(free, COHESION_WEIGHT * np.square(self._per_pascal).sum())
+        weight = np.array([self.errors[r.leg].cohesion_weight * r.data.size for r in self.records])
+        return np.append(free, weight @ np.square(self._per_pascal))
 
     @property
     def _weight(self) -> FloatArray:

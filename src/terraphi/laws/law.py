@@ -68,6 +68,8 @@ class ModelError(Strict):
     """Mean of ln of the factor on the curves with which a record fits best [-]."""
     strength_sd: float = Field(0.0, ge=0)
     """Its standard deviation between soils; 0 if it is not known."""
+    cohesion_weight: float = Field(0.01, ge=0)
+    """Weight of (c / (ρ g L))² in the mean squared residual, where the law knows cohesion [-]."""
     nrmsd_limit: float = Field(0.25, gt=0)
     """Residual above which a record is a misfit [-]."""
     theta_deg: tuple[float, ...] = ()

@@ -1,7 +1,6 @@
 r"""Law ``legs``: forces on a leg of any proportions, from simulations at random ratios.
 
-With D the depth that a leg reaches in level soil, F is compared with ρ g w D²: for the cases of one
-shape of leg
+With D the depth that a leg reaches in level soil, F is compared with ρ g w D²:
 
     F(θ) = ρ g w D² exp(y_0) [z_0(s) + Σ_k y_k u_k(s)],    s = (2θ − θ_1 − θ_2) / (θ_2 − θ_1),
 
@@ -9,10 +8,12 @@ shape of leg
 principal components of the curves over their root mean square. The size y_0 and the weights y_k
 are Gaussian processes (:mod:`~terraphi.laws.emulator`) over
 
-    ln tan(45° + φ/2),  ln μ,  ln w/L,  h/L,  ln t/L,  ln(1 + 20 c/(ρ g D)),  Δx over the rule's,
+    ln tan(45° + φ/2),  ln μ,  ln w/L,  h/L,  ln t/L,  ln(1 + 20 c/(ρ g D)),  Δx over the rule's
 
-each with a mean that is linear in these and quadratic in the first. The law is read in cells of a
-fifth of the width or an eleventh of the depth (:func:`cells_of`).
+and the curvature, which is 1 of a C, 0 of a straight and −1 of a reversed C leg, so that each shape
+learns from the others what friction, cohesion and cells do. Their means are linear in these and
+quadratic in the first. The law is read in cells of a fifth of the width or an eleventh of the depth
+(:func:`cells_of`).
 
 ``studies/legs.py`` simulates the cases and finds correlation lengths and nuggets.
 """
@@ -23,13 +24,14 @@ import functools
 import hashlib
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
-from pydantic import BaseModel, Json
+from numpy.typing import NDArray
+from pydantic import BaseModel, Field, Json
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import shipped_file
@@ -51,19 +53,20 @@ from terraphi.laws.emulator import Process, fitted
 from terraphi.laws.law import LegLaw, check_friction, library_of_theory, remedy, rig_of
 from terraphi.laws.store import PHI, THETA_DEG, shipped_library
 
-NAME, SCHEMA = "legs", 1
+NAME, SCHEMA = "legs", 2
 DENSITY = 1650.0
 """Bulk density of the simulated soil [kg/m³]; forces are in proportion to it."""
-AXES = ("phi_deg", "mu", "width", "hip_height", "thickness", "cohesion", "cells")
+AXES = ("phi_deg", "mu", "width", "hip_height", "thickness", "cohesion", "cells", "curvature")
 """Parameters of a case: φ [deg], friction of the leg [-], ratios to its length [-], c/(ρ g L) [-],
-and the size of the cell over that of the rule [-]."""
+the size of the cell over that of the rule [-], and the curvature of the leg."""
+CURVATURES = {"straight": 0.0, "c": 1.0, "reversed_c": -1.0}
+"""By shape of leg [-]."""
 PLACES = np.linspace(-1.12, 1.12, 113)
 """Places s of the curves; beyond them there is no force."""
+FADES = 0.06
+"""Part of the places over which forces fade out at either end [-]; chosen."""
 MODES = 8
 """Principal components that are kept: the next adds less than a tenth of the first (chosen)."""
-ERROR_SCALE = 1.45
-"""Errors of cases that are left out over the processes' own standard deviation, root mean square,
-where friction or thickness is not that of most cases [-] (``docs/legs.md``)."""
 LEAST_FRICTION = 0.05
 """Least friction of a leg that is asked of the processes [-]: they have its logarithm."""
 PHI_DEG = (10.0, 55.0)
@@ -96,8 +99,8 @@ def cells_of(ratios: Ratios, depth: float) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class ShapeLaw:
-    """The law of one shape of leg.
+class Legs:
+    """The law of all legs that there are cases of.
 
     Attributes
     ----------
@@ -110,19 +113,33 @@ class ShapeLaw:
     hyper
         Correlation lengths, over the standard deviation of each axis, and nugget of each process,
         shape [1 + MODES, axis + 1]; ``None``: fitted at first use.
+    error_scale
+        Errors of cases that are left out over the processes' own standard deviation, root mean
+        square [-]: standard deviations are so much larger.
+    model_error
+        By shape of leg, as of :class:`~terraphi.laws.store.Library`.
+    provenance
+        Versions and cases.
     """
 
     x: FloatArray
     depth: FloatArray
     force: FloatArray
     hyper: FloatArray | None = None
+    error_scale: float = 1.0
+    model_error: dict[str, Any] = field(default_factory=dict)
+    provenance: dict[str, Any] = field(default_factory=dict)
+    name: ClassVar[str] = NAME
+    caveat: ClassVar[str] = ""
+
+    # -- the processes ---------------------------------------------------------------------------
 
     def _coordinates(self, x: FloatArray, depth: FloatArray) -> FloatArray:
         """What the processes are smooth in, shape [k, axis]."""
-        phi, mu, width, height, thickness, cohesion, cells = x.T
+        phi, mu, width, height, thickness, cohesion, cells, curvature = x.T
         return np.stack([
             np.log(np.tan(np.radians(45.0 + 0.5 * phi))), np.log(mu), np.log(width), height,
-            np.log(thickness), np.log1p(20.0 * cohesion / depth), cells,
+            np.log(thickness), np.log1p(20.0 * cohesion / depth), cells, curvature,
         ], axis=1)  # fmt: skip
 
     @cached_property
@@ -173,7 +190,7 @@ class ShapeLaw:
     def errors(self, x: FloatArray, depth: FloatArray) -> FloatArray:
         """Forces of one standard deviation of each process [-], [mode, k, 2, place]."""
         at = self._standard(x, depth)
-        sd = ERROR_SCALE * np.sqrt([process.variance(*at) for process in self.processes])
+        sd = self.error_scale * np.sqrt([process.variance(*at) for process in self.processes])
         force, u = self(x, depth), self._components[1].reshape(MODES, 2, -1)
         size = np.exp(self.processes[0].mean(*at))
         return np.stack([
@@ -184,65 +201,54 @@ class ShapeLaw:
     def left_out(self) -> tuple[FloatArray, FloatArray]:
         """Each case by the others, hyperparameters kept: y less the prediction, and its SD.
 
-        Shape [case, process] each (Rasmussen & Williams 2006, section 5.4.2).
+        With it is left out what differs by the size of its cell only. Shape [case, process] each
+        (Rasmussen & Williams 2006, section 5.4.2, for the blocks of a partition).
         """
         basis = self._standard(self.x, self.depth)[1]
         apart, sd = np.zeros((2, *self._components[2].shape))
+        group = np.unique(np.delete(self.x, AXES.index("cells"), axis=1).round(5),
+                          axis=0, return_inverse=True)[1].ravel()  # fmt: skip
+        blocks = [np.flatnonzero(group == one) for one in range(group.max() + 1)]
         for k, process in enumerate(self.processes):
-            inverse = process.inverse
-            trend = inverse @ basis
-            precision = inverse - trend @ process.spread @ trend.T
-            diagonal = np.diag(precision)
-            apart[:, k] = precision @ self._components[2][:, k] / diagonal
-            sd[:, k] = np.sqrt(process.sigma2 / diagonal)
+            trend = process.inverse @ basis
+            precision = process.inverse - trend @ process.spread @ trend.T
+            rest = precision @ self._components[2][:, k]
+            for block in blocks:
+                covariance = np.linalg.inv(precision[np.ix_(block, block)])
+                apart[block, k] = covariance @ rest[block]
+                sd[block, k] = np.sqrt(process.sigma2 * np.diag(covariance))
         return apart, sd
 
+    # -- contents and file -----------------------------------------------------------------------
 
-class LegsAttributes(BaseModel):
-    """Attributes of the law's file."""
-
-    model_error: Json[dict[str, dict[str, Any]]] = {}
-    provenance: Json[dict[str, Any]] = {}
-
-
-@dataclass(frozen=True, eq=False)
-class Legs:
-    """The law of all shapes that there are cases of."""
-
-    shapes: dict[str, ShapeLaw]
-    """By shape."""
-    model_error: dict[str, Any]
-    """By shape, as of :class:`~terraphi.laws.store.Library`."""
-    provenance: dict[str, Any]
-    """Versions and cases."""
-    name: str = NAME
-    caveat: str = ""
+    def of(self, leg: str) -> NDArray[np.bool_]:
+        """Which cases are of a shape of leg, shape [case]."""
+        return np.asarray(self.x[:, AXES.index("curvature")] == CURVATURES[leg])
 
     @property
     def legs(self) -> list[str]:
         """Shapes of its legs, sorted."""
-        return sorted(self.shapes)
+        return sorted(leg for leg in CURVATURES if self.of(leg).any())
 
     @property
     def scenario(self) -> Scenario:
         """A scenario of its soil."""
         return shipped_library("sand3d").scenario
 
+    def ranges(self, leg: str) -> dict[str, tuple[float, float]]:
+        """Smallest and largest value of each axis among the cases of a shape."""
+        x = self.x[self.of(leg)]
+        return dict(zip(AXES, zip(*map(np.ndarray.tolist, (x.min(0), x.max(0))), strict=True),
+                        strict=True))  # fmt: skip
+
     def summary(self) -> dict[str, Any]:
         """Contents and origin, JSON-able."""
-        ranges = {
-            leg: {
-                axis: [float(column.min()), float(column.max())]
-                for axis, column in zip(AXES, law.x.T, strict=True)
-            }
-            for leg, law in self.shapes.items()
-        }
         return {
             "name": self.name, "model": self.scenario.model,
             "dimensions": self.scenario.dimensions, "convention": self.scenario.convention,
-            "phi_deg": list(PHI_DEG), "legs": self.legs,
-            "cases": sum(len(law.x) for law in self.shapes.values()),
-            "ranges": ranges, "density_kg_m3": DENSITY, "leg_friction": LEG_FRICTION,
+            "phi_deg": list(PHI_DEG), "legs": self.legs, "cases": len(self.x),
+            "ranges": {leg: self.ranges(leg) for leg in self.legs},
+            "density_kg_m3": DENSITY, "leg_friction": LEG_FRICTION,
             "provenance": dict(self.provenance),
         }  # fmt: skip
 
@@ -250,40 +256,40 @@ class Legs:
         """Write one NetCDF-4 file; raises InputError if the place cannot be written."""
         import xarray as xr
 
-        data: dict[str, Any] = {}
-        for leg, law in self.shapes.items():
-            data[f"x_{leg}"] = ((f"case_{leg}", "axis"), law.x)
-            data[f"depth_{leg}"] = (f"case_{leg}", law.depth)
-            data[f"force_{leg}"] = ((f"case_{leg}", "channel", "place"), law.force)
-            data[f"hyper_{leg}"] = (("process", "hyper"), law.hyperparameters)
+        data: dict[str, Any] = {
+            "x": (("case", "axis"), self.x),
+            "depth": ("case", self.depth),
+            "force": (("case", "channel", "place"), self.force),
+            "hyper": (("process", "hyper"), self.hyperparameters),
+        }
         attrs = {"terraphi_file": "law", "terraphi_schema": SCHEMA,
+                 "error_scale": self.error_scale,
                  "model_error": json.dumps(self.model_error),
                  "provenance": json.dumps(self.provenance)}  # fmt: skip
-        packed = {k: {"zlib": True, "dtype": "float32"} for k in data if k.startswith("force")}
+        packed = {"force": {"zlib": True, "dtype": "float32"}}
         write_netcdf(xr.Dataset(data, attrs=attrs), path, encoding=packed)
 
     @classmethod
     def load(cls, path: Path) -> Legs:
         """Read what :meth:`save` wrote; raises InputError if it is not whole."""
         with open_netcdf(path, LegsAttributes, kind="law", schema=SCHEMA) as file:
-            shapes = {}
-            for leg in (leg for leg in LEG_NAMES if f"x_{leg}" in file.variables):
-                shapes[leg] = ShapeLaw(
-                    file.numbers(f"x_{leg}", f"case_{leg}", len(AXES)),
-                    file.numbers(f"depth_{leg}", f"case_{leg}"),
-                    file.numbers(f"force_{leg}", f"case_{leg}", 2, PLACES.size),
-                    file.numbers(f"hyper_{leg}", MODES + 1, len(AXES) + 1),
-                )
-            return cls(shapes, file.attrs.model_error, file.attrs.provenance)
+            return cls(
+                file.numbers("x", "case", len(AXES)),
+                file.numbers("depth", "case"),
+                file.numbers("force", "case", 2, PLACES.size),
+                file.numbers("hyper", MODES + 1, len(AXES) + 1),
+                file.attrs.error_scale,
+                file.attrs.model_error,
+                file.attrs.provenance,
+            )
 
     @cached_property
     def hash(self) -> str:
         """SHA-256 of all that changes an answer, hexadecimal."""
+        numbers = (self.x, self.depth, self.force, self.hyperparameters, self.error_scale)
         digest = hashlib.sha256(json.dumps(self.model_error, sort_keys=True).encode())
-        for leg, law in sorted(self.shapes.items()):
-            digest.update(leg.encode())
-            for array in (law.x, law.depth, law.force, law.hyperparameters):
-                digest.update(np.asarray(array, np.float32).tobytes())
+        for array in numbers:
+            digest.update(np.asarray(array, np.float32).tobytes())
         return digest.hexdigest()
 
     def law(self, rig: Rig) -> LegLaw:
@@ -294,18 +300,12 @@ class Legs:
         InputError
             If there is no such leg, or a ratio of the rig lies outside the cases.
         """
-        self._check(rig)
-        return RatioLaw(self.shapes[rig.leg], rig)
-
-    def _check(self, rig: Rig) -> None:
-        """Raise InputError if a rig is outside the law's cases."""
         check_friction(rig)
         why = f"law {NAME} has no {LEG_NAMES[rig.leg]} yet"
-        if rig.leg in self.shapes:
-            x = self.shapes[rig.leg].x
+        if rig.leg in self.legs:
+            ranges = self.ranges(rig.leg)
             for name, value in rig.ratios._asdict().items():
-                column = x[:, AXES.index(name)]
-                low, high = float(column.min()), float(column.max())
+                low, high = ranges[name]
                 if not low <= value <= high:
                     why = (
                         f"law {NAME} is for {name.replace('_', ' ')} over length from {low:.3g} to "
@@ -313,18 +313,26 @@ class Legs:
                     )
                     break
             else:
-                return
+                return RatioLaw(self, rig)
         raise InputError(f"{why}; {remedy(rig)}")
 
 
+class LegsAttributes(BaseModel):
+    """Attributes of the law's file."""
+
+    error_scale: float = Field(1.0, ge=1.0)
+    model_error: Json[dict[str, dict[str, Any]]] = {}
+    provenance: Json[dict[str, Any]] = {}
+
+
 class RatioLaw(LegLaw):
-    """The law of a rig by that of its shape."""
+    """The law of a rig."""
 
     keys = (PHI,)
     density = DENSITY
     most_cohesion = MOST_COHESION
 
-    def __init__(self, law: ShapeLaw, rig: Rig) -> None:
+    def __init__(self, law: Legs, rig: Rig) -> None:
         self._law, self._rig, self.theta_deg = law, rig, THETA_DEG
         self.bounds = np.array(PHI_DEG[:1]), np.array(PHI_DEG[1:])
         # Where on the leg the soil presses is that of resistive force theory.
@@ -345,14 +353,16 @@ class RatioLaw(LegLaw):
         ratios = ratios._replace(hip_height=ratios.hip_height + higher)
         first, last, depth = reach(rig.leg, ratios)
         mu = max(rig.leg_friction + rougher, LEAST_FRICTION)
-        row = [0.0, mu, ratios.width, ratios.hip_height, ratios.thickness, cohesion, 1.0]
+        row = [0.0, mu, ratios.width, ratios.hip_height, ratios.thickness, cohesion, 1.0,
+               CURVATURES[rig.leg]]  # fmt: skip
         x = np.tile(row, (len(phi_deg), 1))
         x[:, 0] = phi_deg
         s = (2.0 * THETA_DEG - first - last) / (last - first)
         i = np.clip(np.searchsorted(PLACES, s) - 1, 0, PLACES.size - 2)
         share = (s - PLACES[i]) / (PLACES[i + 1] - PLACES[i])
         size = DENSITY * GRAVITY * rig.length**3 * ratios.width * depth**2
-        weights = np.where(np.abs(s) <= PLACES[-1], size, 0.0)
+        # What little force there is at the last place fades out there.
+        weights = size * np.clip((PLACES[-1] - np.abs(s)) / FADES, 0.0, 1.0)
 
         def forces(curves: FloatArray) -> FloatArray:
             between = (1.0 - share) * curves[..., i] + share * curves[..., i + 1]
