@@ -38,6 +38,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import astuple, dataclass, fields, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -75,6 +76,8 @@ COMMON_SD = 1.47
 """What all soils in one apparatus may differ by [deg]: that of `sand3d` (``model_error.py``)."""
 COHESION_WEIGHTS = (0.01, 0.03, 0.1, 0.3)
 """Weights of (c / (ρ g L))² in the mean squared residual that are tried [-]."""
+AS_GOOD = 1.1
+"""Standard deviation over the least that is as good [-]; chosen."""
 NAMES = ("phi_deg", "mu", "width", "height", "thickness", "cohesion")
 BOX = {
     "phi_deg": (10.0, 55.0),
@@ -321,17 +324,32 @@ def draw(law: legs.Legs, grains: list[tuple[float, str, float]]) -> Figure:
     return figure
 
 
-def read_grains(law: legs.Legs, leg: str) -> Iterator[tuple[str, str, float, float, float]]:
-    """Soil, record, angle read less the critical one [deg], shift [deg] and residual [-]."""
+class Reading(NamedTuple):
+    """An angle read off grains."""
+
+    leg: str
+    soil: str
+    """In which a shear cell measured φ."""
+    record: str
+    size_mm: float
+    """Diameter of the grains, on a leg as wide as that of Li et al. [mm]."""
+    excess_deg: float
+    """Angle read less that of the shear cell [deg]."""
+    shift_deg: float
+    nrmsd: float
+    """Residual of the force that is met worse [-]."""
+
+
+def read_grains(law: legs.Legs, leg: str) -> Iterator[Reading]:
+    """What the law reads off loose grains that a leg stirred, on all rigs."""
     rigs = {f"rig-{rig.name}": rig for rig in run.rigs()}
     rigs |= {leg: run.Rig(leg)}
     for path in sorted(GRAINS.glob("*-loose*.csv")):
         soil, body = path.stem.rsplit("_", 1)[0].split("_", 1)
         if body not in rigs or rigs[body].leg != leg or soil.endswith(OTHERS):
             continue
-        sizes = {key: getattr(rigs[body], key) for key in LI2013}
-        rig = Rig(leg=rigs[body].leg, hip_height_sd_mm=0.0,
-                  leg_friction=run.soils()[soil].leg_friction, **sizes)  # fmt: skip
+        own, sizes = run.soils()[soil], {key: getattr(rigs[body], key) for key in LI2013}
+        rig = Rig(leg=leg, hip_height_sd_mm=0.0, leg_friction=own.leg_friction, **sizes)
         theta, force, density = run.load(path)
         history = ForceHistory(np.radians(theta), np.asarray(force).T)
         record = without_faults(open_record(history, rig=rig, density=f"{density:.1f}±0"))
@@ -339,94 +357,146 @@ def read_grains(law: legs.Legs, leg: str) -> Iterator[tuple[str, str, float, flo
         base = f"{soil.split('-')[0]}-loose"
         read = float(likelihood.least_squares[0])
         residual = (likelihood.data - likelihood.curves(np.array([[read]]))[0]) / likelihood.span
-        worst = float(np.sqrt(np.square(residual).reshape(2, -1).mean(axis=1)).max())
-        excess = read - elements.measured(GRAINS, base).phi_critical_deg
-        yield base, path.stem, excess, float(likelihood.shift_deg[0]), worst
+        yield Reading(
+            leg, base, path.stem, own.diameter_mm * LI2013["width_mm"] / rig.width_mm,
+            read - elements.measured(GRAINS, base).phi_critical_deg,
+            float(likelihood.shift_deg[0]),
+            float(np.sqrt(np.square(residual).reshape(2, -1).mean(axis=1)).max()),
+        )  # fmt: skip
+
+
+class Line(NamedTuple):
+    """Excess of the angle read, at zero grain size and for each millimeter of grains."""
+
+    offset_deg: float
+    of_size: float
+    spread: float
+    """Variance of the offset over that of a reading [-]."""
+
+    @classmethod
+    def of(cls, readings: list[Reading]) -> Line:
+        """By least squares; without what grows with the size, if that is below twice its error."""
+        y = np.array([one.excess_deg for one in readings])
+        x = np.column_stack([np.ones(len(y)), [one.size_mm for one in readings]])
+        inverse = np.linalg.inv(x.T @ x)
+        offset, slope = (inverse @ x.T @ y).tolist()
+        rest = y - x @ [offset, slope]
+        if abs(slope) < 2.0 * np.sqrt(rest @ rest / (len(y) - 2) * inverse[1, 1]):
+            return cls(float(y.mean()), 0.0, 1.0 / len(y))
+        return cls(offset, slope, float(inverse[0, 0]))
+
+    def rest(self, one: Reading) -> float:
+        """What it leaves of a reading [deg]."""
+        return one.excess_deg - self.offset_deg - self.of_size * one.size_mm
 
 
 def errors() -> None:
     """Learn the model error, write it into the law's file, and write the page.
 
-    Each leg has a weight on the cohesion and an offset; what is left of all legs together gives
-    what soils differ by, and what rigs, sizes and beds of a soil differ by.
+    Each leg has a weight on the cohesion, an offset, and what grows with the size of grains beside
+    the cohesion; what is left of all legs together gives what soils differ by, and what rigs, sizes
+    and beds of a soil differ by.
     """
     law = legs.Legs.load(LAW)
-    rows, chosen, tried = [], {}, []
+    readings: list[Reading] = []
+    chosen, lines, tried = {}, {}, []
     for leg in law.legs:
         found = {}
         for weight in COHESION_WEIGHTS:
             error = {"cohesion_weight": weight}
-            found[weight] = list(read_grains(replace(law, model_error={leg: error}), leg))
-            excess = np.array([row[2] for row in found[weight]])
-            tried.append((LEG_NAMES[leg], f"{weight:g}", f"{excess.size}",
-                          f"{excess.mean():+.1f}°", f"{excess.std():.1f}°"))  # fmt: skip
-        chosen[leg] = min(found, key=lambda w: np.mean(np.square([row[2] for row in found[w]])))
-        rows += [(leg, *row) for row in found[chosen[leg]]]
-    known = {row[1]: elements.measured(GRAINS, row[1]).phi_critical_deg for row in rows}
-    offsets, terms = {}, {}
-    for leg in law.legs:
-        soils: dict[str, list[float]] = {}
-        for one, soil, _, apart, *_ in rows:
-            if one == leg:
-                soils.setdefault(soil, []).append(apart)
-        offsets[leg] = float(np.mean([np.mean(some) for some in soils.values()]))
-        terms[leg] = len(soils)
-    rest = {soil: np.array([row[3] - offsets[row[0]] for row in rows if row[1] == soil])
+            own = list(read_grains(replace(law, model_error={leg: error}), leg))
+            line = Line.of(own)
+            sd = float(np.std([line.rest(one) for one in own]))
+            found[weight] = sd, line, own
+            numbers = (
+                f"{np.mean([one.excess_deg for one in own]):+.1f}°", f"{line.offset_deg:+.1f}°",
+                f"{line.of_size:+.2f}°", f"{sd:.1f}°",
+            )  # fmt: skip
+            tried.append((LEG_NAMES[leg], f"{weight:g}", f"{len(own)}", *numbers))
+        # The smallest weight that is as good as the best, so that a cohesion is found.
+        least = min(sd for sd, *_ in found.values())
+        chosen[leg] = min(weight for weight, (sd, *_) in found.items() if sd < AS_GOOD * least)
+        _, lines[leg], own = found[chosen[leg]]
+        readings += own
+    known = {one.soil: elements.measured(GRAINS, one.soil).phi_critical_deg for one in readings}
+    rest = {soil: np.array([lines[one.leg].rest(one) for one in readings if one.soil == soil])
             for soil in known}  # fmt: skip
     within = sum(float(np.square(one - one.mean()).sum()) for one in rest.values())
-    leg_sd = np.sqrt(within / (len(rows) - len(rest)))
-    means = np.array([one.mean() for one in rest.values()])
+    leg_sd = np.sqrt(within / (len(readings) - len(rest)))
     scatter = np.mean([leg_sd**2 / one.size for one in rest.values()])
-    soil_sd = np.sqrt(max(float(means.var(ddof=1)) - scatter, SHEAR_CELL_SD**2))
+    between = float(np.var([one.mean() for one in rest.values()], ddof=1))
+    soil_sd = np.sqrt(max(between - scatter, SHEAR_CELL_SD**2))
     error = {}
     for leg in law.legs:
-        own = [row for row in rows if row[0] == leg]
-        variance = float(soil_sd**2 + leg_sd**2 * terms[leg] / len(own)) / terms[leg]
+        own = [one for one in readings if one.leg == leg]
+        variance = soil_sd**2 / len({one.soil for one in own}) + leg_sd**2 * lines[leg].spread
         error[leg] = {
-            "offset_deg": round(offsets[leg], 2),
-            "covariance": [[round(variance, 3), 0.0], [0.0, round(SLOPE_SD**2, 3)]],
+            "offset_deg": round(lines[leg].offset_deg, 2),
+            "covariance": [[round(float(variance), 3), 0.0], [0.0, round(SLOPE_SD**2, 3)]],
             "common_sd_deg": COMMON_SD,
             "soil_sd_deg": round(float(soil_sd), 2),
             "leg_sd_deg": round(float(leg_sd), 2),
             "cohesion_weight": chosen[leg],
             "phi_deg": [round(min(known.values()), 1), round(max(known.values()), 1)],
-            "shift_deg": round(float(np.mean([row[4] for row in own])), 1),
-            "nrmsd_limit": round(1.1 * float(np.quantile([row[5] for row in own], 0.95)), 3),
-            "training": sorted(row[2] for row in own),
+            "shift_deg": round(float(np.mean([one.shift_deg for one in own])), 1),
+            "nrmsd_limit": round(1.1 * float(np.quantile([one.nrmsd for one in own], 0.95)), 3),
+            "training": sorted(one.record for one in own),
         }
     replace(law, model_error=error).save(LAW)
     table = [
-        (record, f"{known[soil]:.1f}°", f"{apart:+.1f}°", f"{apart - offsets[leg]:+.1f}°",
-         f"{shift:+.1f}°", f"{100 * left:.0f} %")
-        for leg, soil, record, apart, shift, left in rows
+        (one.record, f"{known[one.soil]:.1f}°", f"{one.excess_deg:+.1f}°",
+         f"{lines[one.leg].rest(one):+.1f}°", f"{one.shift_deg:+.1f}°", f"{100 * one.nrmsd:.0f} %")
+        for one in readings
     ]  # fmt: skip
-    header = ("record", "φ of the shear cell", "read, less that", "less the offset", "shift",
+    header = ("record", "φ of the shear cell", "read, less that", "left by the line", "shift",
               "residual")  # fmt: skip
-    excess = np.concatenate(list(rest.values()))
+    every = np.concatenate(list(rest.values()))
     numbers = ("offset_deg", "cohesion_weight", "shift_deg", "nrmsd_limit")
     parts = [
         accuracy(law),
         (
             "Loose grains (*fine* 4.4 mm, 6 mm, *coarse* 8.8 mm) are read with a cohesion, which "
-            "takes up the size of the grains. Its weight is the one of these with which a leg's "
-            "readings are nearest to the shear cell's (mean and standard deviation of what they "
-            "are too high):"
+            "takes up a part of what their size does. What is left of it is a line over the size, "
+            "where that is more than twice its error, for soils of fine grains are inferred with "
+            "the line's beginning. The weight of the cohesion is the smallest of these with which "
+            f"the standard deviation about the line is within {AS_GOOD:g} of the least:"
         ),
-        pages.table(("leg", "weight", "records", "mean", "SD"), tried),
+        pages.table(("leg", "weight", "records", "mean", "at zero size", "for 1 mm", "SD"), tried),
         pages.table(header, table),
         (
-            "With an offset for each shape the root mean square is "
-            f"{np.sqrt(np.mean(excess**2)):.1f}° over {excess.size} records. Standard deviations: "
+            "About these lines the root mean square is "
+            f"{np.sqrt(np.mean(every**2)):.1f}° over {every.size} records. Standard deviations: "
             f"soils {soil_sd:.1f}°, legs, rigs and beds of a soil {leg_sd:.1f}°, apparatus "
             f"{COMMON_SD:.1f}°."
         ),
         pages.table(("leg", *numbers), [
             (LEG_NAMES[leg], *(f"{one[key]:g}" for key in numbers)) for leg, one in error.items()
         ]),
+        *other_rigs(readings),
     ]  # fmt: skip
     alt = "left: the cases over width and height; right: angles read over those of shear cells"
-    figure = draw(law, [(known[row[1]], row[2], row[3]) for row in rows])
+    figure = draw(law, [
+        (known[one.soil], one.record, one.excess_deg - lines[one.leg].of_size * one.size_mm
+         - lines[one.leg].offset_deg) for one in readings
+    ])  # fmt: skip
     pages.write(pages.DOCS, "legs", "Law legs", parts, figure, alt, script="legs.py --errors")
+
+
+def other_rigs(readings: list[Reading]) -> tuple[str, str]:
+    """How rigs that are not Li's are read by what the others teach: a sentence and a table."""
+    rows = []
+    for rig in run.rigs():
+        own = [one for one in readings if f"_rig-{rig.name}_" in one.record]
+        if own:
+            others = [one for one in readings if one.leg == rig.leg and one not in own]
+            apart = [Line.of(others).rest(one) for one in own]
+            rows.append((f"{rig.name}: {LEG_NAMES[rig.leg]}", f"{len(own)}",
+                         ", ".join(f"{one:+.1f}°" for one in apart)))  # fmt: skip
+    words = "Rigs other than that of Li et al., with the line of the other records of their shape:"
+    return (
+        words,
+        pages.table(("rig", "records", "read, less the shear cell and the line"), rows),
+    )
 
 
 def main() -> None:

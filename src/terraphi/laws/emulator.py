@@ -293,15 +293,36 @@ def _restricted(
 def _refined(
     t: FloatArray, basis: FloatArray, w: FloatArray, scale: FloatArray, start: FloatArray
 ) -> FloatArray:
-    """Log lengths and log nugget of the largest restricted likelihood, from a start."""
+    """Log lengths and log nugget of the largest restricted likelihood, from a start.
+
+    With P = A⁻¹ − A⁻¹F(F'A⁻¹F)⁻¹F'A⁻¹ and σ² = w'Pw / (n − q), its derivative by a parameter is
+    [(Pw)' ∂A (Pw) / σ² − tr(P ∂A)] / 2.
+    """
     from scipy.optimize import minimize
 
-    def loss(p: FloatArray) -> float:
-        roots, vectors = np.linalg.eigh(_kernel(t, t, np.exp(p[:-1])) / scale)
-        return -float(_restricted(np.maximum(roots, 0.0) + np.exp(p[-1]), vectors, basis, w)[0])
+    free = len(w) - basis.shape[1]
+    apart = np.square(t[:, None] - t)
+
+    def loss(p: FloatArray) -> tuple[float, FloatArray]:
+        squared = apart / np.exp(2.0 * p[:-1])
+        lag = np.sqrt(5.0 * squared.sum(axis=-1))
+        decay = np.exp(-lag) / scale
+        a = (1.0 + lag + lag**2 / 3.0) * decay + np.exp(p[-1]) * np.eye(len(w))
+        inverse = np.linalg.inv(a)
+        trend = inverse @ basis
+        normal = basis.T @ trend
+        projected = inverse - trend @ np.linalg.solve(normal, trend.T)
+        rest = projected @ w[:, 0]
+        sigma2 = float(w[:, 0] @ rest) / free + 1e-300
+        value = free * np.log(sigma2) + np.linalg.slogdet(a)[1] + np.linalg.slogdet(normal)[1]
+        # By the elements of A, and these by the logarithm of each length and of the nugget.
+        by_a = projected - np.outer(rest, rest) / sigma2
+        by_length = np.einsum("ij,ijk->k", by_a * 5.0 / 3.0 * (1.0 + lag) * decay, squared)
+        return 0.5 * value, 0.5 * np.append(by_length, np.exp(p[-1]) * np.trace(by_a))
 
     low = np.full_like(start, np.log(LENGTHS[0]))
     high = np.full_like(start, np.log(20.0 * LENGTHS[-1]))
     low[-1], high[-1] = start[-1] - 10.0, start[-1] + 10.0
-    found = minimize(loss, start, method="L-BFGS-B", bounds=list(zip(low, high, strict=True)))
+    bounds = list(zip(low, high, strict=True))
+    found = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds)
     return np.asarray(found.x)
