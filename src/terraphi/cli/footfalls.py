@@ -52,21 +52,21 @@ def footfalls(
     Example: terraphi footfalls walk.mcap --density 1550±80 --out soil.nc
     """
     from terraphi.experiment.outputs import SIGNATURE, check_file
-    from terraphi.robot import footfall_files as files
+    from terraphi.inference.footfalls import KIND
     from terraphi.robot.footfalls import footfalls as find
     from terraphi.view import plots
     from terraphi.view.robot_plots import footfalls_table, path_table
 
     if out is not None:
-        check_file(out, kind=files.KIND)
+        check_file(out, kind=KIND)
         for suffix in (".csv", ".geojson", ".png"):
             check_file(out.with_suffix(suffix))
     found = find(log, density=density, anchors=anchors, **options)
-    summary, written = files.summary(found), []
+    summary, written = found.as_dict(), []
     if out is not None:
         picture = out.with_suffix(".png")
         plots.save(found.plot(), picture, metadata={"Comment": SIGNATURE})
-        made = (*files.write_footfalls(found, out), picture)
+        made = (*found.to_netcdf(out), picture)
         written.append(f"Written: {', '.join(map(str, made))}")
     path = [path_table(summary["path"])] if found.usable.any() else []
     rest = {name: summary[name] for name in ("counts", "by_law_deg", "notes")}

@@ -309,9 +309,9 @@ def _csv(path: Path, dem: Elevation) -> pd.DataFrame:
 
 def _footfalls(path: Path) -> pd.DataFrame:
     """Table of the NetCDF of a walk's footfalls."""
-    from terraphi.robot.footfall_files import read_footfalls
+    from terraphi.inference.footfalls import FootfallMap
 
-    walk = read_footfalls(path)
+    walk = FootfallMap.load(path)
     columns = (walk.place[:, 0], walk.place[:, 1], walk.phi, walk.sd, walk.shared_sd, walk.verdict)
     table = pd.DataFrame(dict(zip((*COLUMNS, "verdict"), columns, strict=True)))
     return table.rename(index=lambda row: f"footfall {row}")

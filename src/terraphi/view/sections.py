@@ -26,8 +26,8 @@ from terraphi.view.table import Table
 
 if TYPE_CHECKING:
     from terraphi.inference.answer import Answer
+    from terraphi.inference.footfalls import FootfallMap
     from terraphi.laws.store import Library
-    from terraphi.robot.footfalls import FootfallMap
 
 SHOWN_S = 10.0
 """Part of a robot's log that is shown over time [s]."""
@@ -159,9 +159,9 @@ def _of_file(source: Path | str, kind: str, robot: str) -> Section:
     if kind == "map":
         return of_map(path)
     if kind == "footfalls":
-        from terraphi.robot.footfall_files import read_footfalls
+        from terraphi.inference.footfalls import FootfallMap
 
-        return of_footfalls(read_footfalls(path), path.name)
+        return of_footfalls(FootfallMap.load(path), path.name)
     from terraphi.robot import results
 
     if kind == "foot forces":
@@ -382,7 +382,6 @@ def of_foot_forces(found: Any, name: str = "foot forces") -> Section:
 
 def of_footfalls(found: FootfallMap, name: str = "footfalls") -> Section:
     """Friction angles of footfalls on the ground and along the path."""
-    from terraphi.robot.footfall_files import summary
     from terraphi.view.robot_plots import footfalls_table
 
     usable, place = found.usable, found.place
@@ -417,7 +416,7 @@ def of_footfalls(found: FootfallMap, name: str = "footfalls") -> Section:
             f"φ = {' to '.join(ends)}° ± {np.median(wide):.1f}° along {s[-1]:.1f} m; "
             f"differences between places ± {np.median(narrow):.1f}°"
         )
-    parts.append(footfalls_table(summary(found), MOST_ROWS))
+    parts.append(footfalls_table(found.as_dict(), MOST_ROWS))
     lines = [f"Footfalls: {counts}.", *(f"{capital(note)}." for note in found.notes)]
     status = "" if usable.any() else "bad"
     return Section("footfalls", name, headline, lines, parts, pairs(found.provenance), status)
