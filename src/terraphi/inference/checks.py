@@ -112,10 +112,11 @@ def without_faults(record: Record) -> Record:
             "spikes": _spikes(force, span, steps[name]),
         }
         for what, found in faults.items():
-            if found.any():
-                notes.append(
-                    f"{_count(found)} of {name} left out as {what} {_where(theta, found)}."
-                )
+            if count := int(found.sum()):
+                low, high = theta[found][[0, -1]]
+                readings = "1 reading" if count == 1 else f"{count} readings"
+                place = f"between {low:.1f} and {high:.1f}°" if high > low else f"at {low:.1f}°"
+                notes.append(f"{readings} of {name} left out as {what} {place}.")
                 bad |= found
     if bad.mean() > MOST_LEFT_OUT:
         raise InputError(
@@ -214,16 +215,6 @@ def _step(name: str, force: FloatArray, theta: FloatArray, resolution: float) ->
         place = theta[width - 1 + at]
         return f"{name} jumps by {size:.2g} N at {place:.0f}°: repair the record or use another."
     return ""
-
-
-def _count(mask: BoolArray) -> str:
-    count = int(mask.sum())
-    return "1 reading" if count == 1 else f"{count} readings"
-
-
-def _where(theta: FloatArray, mask: BoolArray) -> str:
-    low, high = theta[mask][[0, -1]]
-    return f"between {low:.1f} and {high:.1f}°" if high > low else f"at {low:.1f}°"
 
 
 # -- after the fit -------------------------------------------------------------------------------
@@ -405,22 +396,18 @@ def _columns_otherwise(record: Record) -> dict[str, tuple[Record, FloatArray]]:
 
 def _other_arm(likelihood: Likelihood, i: int) -> Iterator[str]:
     """A sentence if the moment about the hip is not that of the forces, with the model's arms."""
-    record = likelihood.records[i]
-    factor = moment_factor(record, likelihood.laws[i], likelihood.shift_deg[i])
-    if factor is not None and abs(np.log(max(factor, 1e-3))) > np.log(OTHER_ARM):
+    record, law = likelihood.records[i], likelihood.laws[i]
+    if law.arm is None or record.channels != FORCES or record.history.moment is None:
+        return
+    theta_deg = law.theta_deg + likelihood.shift_deg[i]
+    arm = np.stack([np.interp(record.theta_deg, theta_deg, row) for row in law.arm])
+    of_forces = (arm * record.data).sum(axis=0)
+    factor = float(of_forces @ record.means(record.history.moment) / (of_forces @ of_forces))
+    if abs(np.log(max(factor, 1e-3))) > np.log(OTHER_ARM):
         yield (
             f"The moment is {factor:.2g} times that of the forces about the hip: check the length "
             "of the leg, the units, and about which axis the moment is."
         )
-
-
-def moment_factor(record: Record, law: LegLaw, shift_deg: float) -> float | None:
-    """Moment of a record over that of its forces with the model's lever arms [-], if it has all."""
-    if law.arm is None or record.channels != FORCES or record.history.moment is None:
-        return None
-    arm = [np.interp(record.theta_deg, law.theta_deg + shift_deg, row) for row in law.arm]
-    of_forces = (np.array(arm) * record.data).sum(axis=0)
-    return float(of_forces @ record.means(record.history.moment) / (of_forces @ of_forces))
 
 
 def _other_size(likelihood: Likelihood, i: int) -> Iterator[str]:

@@ -151,6 +151,11 @@ class FootfallMap:
         """Which footfalls determine φ, shape [footfall]."""
         return np.array([verdict == USABLE for verdict in self.verdict], dtype=bool)
 
+    @property
+    def absolute_sd(self) -> FloatArray:
+        """Standard deviation of φ of each footfall, with all that is shared [deg]."""
+        return np.hypot(self.sd, self.shared_sd)
+
     def counts(self) -> dict[str, int]:
         """Footfalls by verdict, those that occur."""
         return {v: self.verdict.count(v) for v in VERDICTS if v in self.verdict}
@@ -164,7 +169,7 @@ class FootfallMap:
             {
                 "t_s": self.time, "foot": self.foot, "x_m": x, "y_m": y, "surface_m": surface,
                 "sinkage_m": self.sinkage, "phi_deg": self.phi,
-                "absolute_sd_deg": np.hypot(self.sd, self.shared_sd),
+                "absolute_sd_deg": self.absolute_sd,
                 "relative_sd_deg": self.sd, "shared_sd_deg": self.shared_sd,
                 "verdict": self.verdict,
             }
@@ -177,23 +182,23 @@ class FootfallMap:
         other footfalls of the walk, without what soil, foot, law and sensors add to all of them.
         """
         x, y, surface = self.place.T
-        of_footfalls = {
+        columns = {
             "t_s": _numbers(self.time), "foot": self.foot, "x_m": _numbers(x), "y_m": _numbers(y),
             "surface_mm": _numbers(1e3 * surface, 2), "sinkage_mm": _numbers(1e3 * self.sinkage, 2),
-            "phi_deg": _each(self.phi, np.hypot(self.sd, self.shared_sd)),
+            "phi_deg": _each(self.phi, self.absolute_sd),
             "phi_relative_deg": _each(self.phi, self.sd),
             "chi2": _numbers(self.misfit), "verdict": self.verdict,
         }  # fmt: skip
-        sds = {"_relative": self.path_relative_sd, "_absolute": self.path_absolute_sd}
         path = dict(zip(("s_m", "x_m", "y_m"), map(_numbers, self.path.T), strict=True))
+        bands = _bands(self.path_phi, self.path_relative_sd, "_relative")
+        bands |= _bands(self.path_phi, self.path_absolute_sd, "_absolute")
         return {
             "law": self.provenance.get("law"),
             "counts": self.counts(),
             "footfalls": [
-                dict(zip(of_footfalls, row, strict=True))
-                for row in zip(*of_footfalls.values(), strict=True)
+                dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)
             ],
-            "path": {**path, "phi_deg": _numbers(self.path_phi), **_bands(self.path_phi, sds)},
+            "path": {**path, "phi_deg": _numbers(self.path_phi), **bands},
             "shared": self.shared,
             "by_law_deg": dict(zip(self.by_law, _numbers(self.by_law.values()), strict=True)),
             "notes": list(self.notes),
@@ -213,9 +218,8 @@ class FootfallMap:
             values = values if column is None else values[:, column]
             over = "point" if source.startswith("path") else "footfall"
             variables[name] = (over, values, {"units": units, "long_name": about})
-        absolute = np.hypot(self.sd, self.shared_sd)
         about_it = {"units": "degree", "long_name": "standard deviation of phi_deg, absolute"}
-        variables["absolute_sd_deg"] = ("footfall", absolute, about_it)
+        variables["absolute_sd_deg"] = ("footfall", self.absolute_sd, about_it)
         variables["foot"] = ("footfall", np.array(self.foot, dtype="U2"))
         variables["verdict"] = ("footfall", np.array(self.verdict, dtype="U24"))
         texts = {
@@ -347,23 +351,19 @@ def _numbers(values: Any, digits: int = 4) -> list[float | None]:
     return [round(float(v), digits) if math.isfinite(v) else None for v in values]
 
 
-def _bands(phi: FloatArray, sds: dict[str, FloatArray]) -> dict[str, list[list[float | None]]]:
+def _bands(phi: FloatArray, sd: FloatArray, kind: str = "") -> dict[str, list[Any]]:
     """Intervals of 68 and 95 %, by name."""
     return {
-        f"ci{percent}{kind}": list(
-            map(list, zip(_numbers(phi - factor * sd), _numbers(phi + factor * sd), strict=True))
-        )
-        for kind, sd in sds.items()
-        for percent, factor in ((68, 1.0), (95, CI95))
+        f"{name}{kind}": [_numbers(ends) for ends in np.stack([phi - half, phi + half], axis=1)]
+        for name, half in (("ci68", sd), ("ci95", CI95 * sd))
     }
 
 
 def _each(phi: FloatArray, sd: FloatArray) -> list[dict[str, Any] | None]:
     """Median and intervals of each footfall; None where it was refused."""
-    bands = _bands(phi, {"": sd})
     return [
-        None if median is None else {"median": median, **{k: v[i] for k, v in bands.items()}}
-        for i, median in enumerate(_numbers(phi))
+        None if median is None else {"median": median, "ci68": inner, "ci95": outer}
+        for median, inner, outer in zip(_numbers(phi), *_bands(phi, sd).values(), strict=True)
     ]
 
 
