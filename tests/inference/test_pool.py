@@ -62,7 +62,7 @@ def test_bands_are_the_exact_posterior() -> None:
     assert found.path_phi == pytest.approx(mean[:p])
     assert found.path_relative_sd == pytest.approx(np.sqrt(np.diag(left + unlike)))
     assert found.path_absolute_sd == pytest.approx(np.sqrt(np.diag(left + everything)))
-    assert found.shared_mean == pytest.approx(shared.mean)
+    assert found.shared[0] == pytest.approx(shared.mean)
     assert np.all(found.path_absolute_sd > found.path_relative_sd)
     each = seen.shared - seen.shared.mean(axis=0)
     own = seen.sd**2 + np.diag(each @ shared.covariance @ each.T)
@@ -111,7 +111,7 @@ def test_feet_teach_the_gains_that_differ_between_them() -> None:
     sd[[2, 5]] = 0.1
     seen = Observed(phi, np.full(40, 0.1), shared, place)
     found = pool(seen, Normal(np.zeros(M), np.diag(sd**2)), place[:3], [], mean=32.0, mean_sd=8.0)
-    assert found.shared_mean[2] - found.shared_mean[5] == pytest.approx(0.1, abs=0.01)
+    assert found.shared[0][2] - found.shared[0][5] == pytest.approx(0.1, abs=0.01)
     assert np.ptp(found.phi) < 0.1
     assert found.shared_sd.min() > 0.2  # what both have in common is not known
 
@@ -146,10 +146,10 @@ def test_what_is_learned_of_the_field_is_what_it_was_drawn_from() -> None:
     phi = 35.0 + np.linalg.cholesky(field - 8.0**2) @ rng.normal(size=240)
     seen = Observed(phi, np.full(240, 0.3), np.zeros((240, M)), place)
     found = pool(seen, Normal(np.zeros(M), np.eye(M)), place[:2], [], mean=32.0, mean_sd=8.0)
-    assert found.length == pytest.approx(2.5, rel=0.3)
-    assert found.amplitude == pytest.approx(2.0, rel=0.3)
-    assert found.scatter == pytest.approx(0.3)
-    assert found.sd == pytest.approx(found.scatter)
+    assert found.field["length_m"] == pytest.approx(2.5, rel=0.3)
+    assert found.field["amplitude_deg"] == pytest.approx(2.0, rel=0.3)
+    assert found.field["scatter_deg"] == pytest.approx(0.3)
+    assert found.sd == pytest.approx(found.field["scatter_deg"])
 
 
 def test_an_anchor_that_contradicts_is_told_from_one_that_agrees() -> None:

@@ -8,12 +8,12 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import BaseModel, Field, Json, model_validator
+from pydantic import BaseModel, ConfigDict, Field, Json, model_validator
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import parse_json
@@ -88,9 +88,9 @@ class Estimate:
         return f"{shown}    95 %: {low:.{digits}f} to {high:.{digits}f}°"
 
 
-@dataclass(frozen=True, eq=False)
-class RecordFit:
-    """One record and the library's curve at the median.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RecordSummary:
+    """One record, without its forces.
 
     Attributes
     ----------
@@ -98,6 +98,35 @@ class RecordFit:
         Where it comes from, and the apparatus.
     n_readings, n_left_out
         Readings that were used, and left out as faulty.
+    nrmsd
+        Root mean square of data less curve over the peak-to-peak of a whole stroke, by channel [-].
+    shift_deg
+        By how much the record's forces come later than the model's [deg]; the curves are shifted.
+    limit
+        Root mean square of data less the best curve over the peak-to-peak above which the record is
+        a misfit [-]; ``None`` of simulated forces.
+    """
+
+    __pydantic_config__ = ConfigDict(strict=True)
+
+    source: str
+    rig: Rig
+    simulated: bool = False
+    n_readings: int = 0
+    n_left_out: int = 0
+    nrmsd: Mapping[Annotated[str, Field(pattern="^(Fx|Fz|M)$")], float] = field(
+        default_factory=dict
+    )
+    shift_deg: float = 0.0
+    limit: float | None = None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RecordFit(RecordSummary):
+    """One record and the library's curve at the median.
+
+    Attributes
+    ----------
     theta_deg
         Leg angles of the window means [deg], shape [m].
     data, curve
@@ -107,37 +136,23 @@ class RecordFit:
         The curve with the mean residual of real soils, shape [c, m]; ``None`` where unknown.
     band
         Smallest and largest curve over the 95 % interval, shape [2, c, m].
-    nrmsd
-        Root mean square of data less curve over the peak-to-peak of a whole stroke, by channel [-].
-    limit
-        Root mean square of data less ``expected``, or less ``curve`` where that is unknown, over
-        the peak-to-peak above which the record is a misfit [-]; ``None`` of simulated forces.
-    shift_deg
-        By how much the record's forces come later than the model's [deg]; the curves are shifted.
     """
 
-    source: str
-    rig: Rig
-    simulated: bool
-    n_readings: int
-    n_left_out: int
     theta_deg: FloatArray = field(repr=False)
     data: FloatArray = field(repr=False)
     curve: FloatArray = field(repr=False)
     expected: FloatArray | None = field(repr=False)
     band: FloatArray = field(repr=False)
-    nrmsd: Mapping[str, float]
-    shift_deg: float = 0.0
-    limit: float | None = None
+
+    @property
+    def best(self) -> FloatArray:
+        """``expected``, or ``curve`` where that is unknown, shape [c, m]."""
+        return self.curve if self.expected is None else self.expected
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and words, without the forces."""
-        names = ("source", "simulated", "n_readings", "n_left_out", "shift_deg", "limit")
-        return {
-            **{name: getattr(self, name) for name in names},
-            "rig": self.rig.model_dump(),
-            "nrmsd": dict(self.nrmsd),
-        }
+        stated = {one.name: getattr(self, one.name) for one in fields(RecordSummary)}
+        return {**stated, "rig": self.rig.model_dump(), "nrmsd": dict(self.nrmsd)}
 
 
 def worst_nrmsd(fits: Sequence[RecordFit]) -> dict[str, float]:
@@ -249,6 +264,14 @@ class Answer:
         """Residual of the worst record by channel, of peak-to-peak [-]."""
         return worst_nrmsd(self.records)
 
+    @property
+    def posterior(self) -> tuple[FloatArray, FloatArray]:
+        """Angles [deg] and the density of φ there [1/deg], of draws by a histogram; shape [k]."""
+        if self.grid_deg.size:
+            return self.grid_deg, self.density
+        density, edges = np.histogram(self.phi_draws(), bins=60, density=True)
+        return 0.5 * (edges[1:] + edges[:-1]), density
+
     def phi_draws(self) -> FloatArray:
         """Equally probable values of φ [deg], shape [draw]."""
         if self.draws:
@@ -328,8 +351,7 @@ class Answer:
             for record in (one for one in self.records if name in one.nrmsd):
                 i, theta = list(record.nrmsd).index(name), record.theta_deg
                 axes.fill_between(theta, *record.band[:, i], color="C0", alpha=0.2, lw=0)
-                fit = record.curve if record.expected is None else record.expected
-                axes.plot(theta, fit[i], color="C0", label="model")
+                axes.plot(theta, record.best[i], color="C0", label="model")
                 if record.expected is not None:
                     axes.plot(theta, record.curve[i], "--", color="C0", lw=1, label="bare model")
                 axes.plot(theta, record.data[i], ".", color="black", ms=3, label="data")
@@ -338,10 +360,7 @@ class Answer:
         handles, labels = of_channels[0].get_legend_handles_labels()
         each = dict(zip(labels, handles, strict=True))
         of_channels[0].legend(each.values(), each.keys(), frameon=False, fontsize="small")
-        grid, density = self.grid_deg, self.density
-        if not grid.size:
-            density, edges = np.histogram(self.phi_draws(), bins=60, density=True)
-            grid = 0.5 * (edges[1:] + edges[:-1])
+        grid, density = self.posterior
         of_phi.plot(grid, density, color="C0")
         low, high = self.phi.ci68
         inside = (grid >= low) & (grid <= high)
@@ -429,7 +448,7 @@ class Answer:
                 if f"{at}expected_{i}" in file.variables:
                     expected = file.numbers(f"{at}expected_{i}", *dims)
                 fit = RecordFit(
-                    **{**one.model_dump(), "rig": one.rig},
+                    **vars(one),
                     theta_deg=file.numbers(f"{at}theta_deg_{i}", dims[1]),
                     data=file.numbers(f"observed_data/force_{i}", *dims),
                     curve=file.numbers(f"{at}curve_{i}", *dims),
@@ -489,19 +508,6 @@ class StoredAngle(BaseModel, strict=True):
         return self
 
 
-class StoredFit(BaseModel, strict=True):
-    """What :meth:`RecordFit.as_dict` wrote."""
-
-    source: str
-    rig: Rig
-    simulated: bool = False
-    n_readings: int = 0
-    n_left_out: int = 0
-    nrmsd: dict[Literal["Fx", "Fz", "M"], float] = {}
-    shift_deg: float = 0.0
-    limit: float | None = None
-
-
 class StoredOpinion(BaseModel, strict=True):
     """What a second library says of φ [deg]."""
 
@@ -531,7 +537,7 @@ class Stored(BaseModel, strict=True):
     budget_deg: dict[str, float] = {}
     second_opinion: StoredOpinion | None = None
     questions: list[str] = []
-    records: list[StoredFit] = []
+    records: list[RecordSummary] = []
     parameters: dict[str, Estimate] = {}
     diagnostics: dict[str, dict[str, float]] = {}
     provenance: dict[str, Any] = {}

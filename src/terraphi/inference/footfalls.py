@@ -402,9 +402,7 @@ def infer(
     found = fit(seen, law, prior)
     verdict = verdicts(seen, found, prior.radius)
     usable = verdict == USABLE
-    fields = {key: np.full(len(verdict), np.nan) for key in ("phi", "sd", "shared_sd")}
-    of_path = ("path_phi", "path_relative_sd", "path_absolute_sd")
-    fields |= {key: np.full(len(path), np.nan) for key in of_path}
+    of_each, of_path = np.full((3, len(verdict)), np.nan), np.full((3, len(path)), np.nan)
     shared: dict[str, Any] = {}
     by_law: dict[str, float] = {}
     contradicted: list[str] = []
@@ -420,18 +418,16 @@ def infer(
         pooled = pool(
             observed, common, path[:, 1:], stretches, mean=prior.phi_deg, mean_sd=prior.phi_sd_deg
         )
-        for key, values in fields.items():
-            values[usable if key not in of_path else slice(None)] = getattr(pooled, key)
-        each = np.stack([pooled.shared_mean, pooled.shared_sd_each, pooled.terms])
+        of_each[:, usable] = pooled.phi, pooled.sd, pooled.shared_sd
+        of_path[:] = pooled.path_phi, pooled.path_relative_sd, pooled.path_absolute_sd
         for name, part in (("torque_gain", slice(12)), ("joint_friction_Nm", slice(12, TORQUES))):
-            mean, sd, terms = each[:, part]
+            mean, sd, terms = pooled.shared[:, part]
             worth = float(np.sqrt((terms**2).sum()))
             shared[name] = {"mean": mean.tolist(), "sd": sd.tolist(), "worth_deg": worth}
-        for name, centre, row in zip(prior.shared(), known[:, 0], each[:, TORQUES:].T, strict=True):
-            off, sd, worth = row.tolist()
-            shared[name] = {"mean": float(centre + off), "sd": sd, "worth_deg": worth}
-        sizes = {"amplitude_deg": pooled.amplitude, "length_m": pooled.length}
-        shared["field"] = {**sizes, "scatter_deg": pooled.scatter}
+        rows = pooled.shared[:, TORQUES:].T.tolist()
+        for (name, (centre, _)), (off, sd, worth) in zip(prior.shared().items(), rows, strict=True):
+            shared[name] = {"mean": centre + off, "sd": sd, "worth_deg": worth}
+        shared["field"] = pooled.field
         by_law[law] = float(pooled.phi.mean())
         if law != SECOND:  # with what was learned of sensors and anchors
             some = evenly(picked(seen, usable), MOST_FITTED)
@@ -462,7 +458,8 @@ def infer(
         foot=tuple(feet[i] for i in seen.foot),
         place=seen.place + np.outer(sinkage, [0.0, 0.0, 1.0]),
         sinkage=sinkage,
-        **fields,
+        **dict(zip(("phi", "sd", "shared_sd"), of_each, strict=True)),
+        **dict(zip(("path_phi", "path_relative_sd", "path_absolute_sd"), of_path, strict=True)),
         misfit=found.misfit,
         verdict=tuple(verdict.tolist()),
         path=path,

@@ -483,10 +483,9 @@ def _verdict(
 def _misfit_of_soil(likelihood: Likelihood, fits: Sequence[RecordFit]) -> str:
     """A sentence if a record differs from the model by more than real soils do."""
     for fit, record, (_, span, _) in zip(fits, likelihood.records, likelihood.strokes, strict=True):
-        best = fit.curve if fit.expected is None else fit.expected
-        size = float(_nrmsd(fit.data, best, span).max())
+        size = float(_nrmsd(fit.data, fit.best, span).max())
         if fit.limit is not None and size > fit.limit:
-            apart = (fit.data - best) / span[:, None]
+            apart = (fit.data - fit.best) / span[:, None]
             i, j = np.unravel_index(np.abs(apart).argmax(), apart.shape)
             far = apart[i, j]
             shown = f"{100.0 * far:+.0f} % of" if abs(far) < 2.0 else f"{far:+.1f} times"

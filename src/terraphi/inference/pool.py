@@ -111,15 +111,14 @@ class Pooled(NamedTuple):
         and shared standard deviation; shape [footfall].
     path_phi, path_relative_sd, path_absolute_sd
         On the path's points [deg], shape [point].
-    shared_mean, shared_sd_each
-        Posterior of θ − θ₀, shape [shared].
-    terms
-        What each of θ adds to the mean φ's uncertainty [deg], shape [shared].
+    shared
+        Mean and standard deviation of each of θ − θ₀, and what it adds to the mean φ's uncertainty
+        [deg], shape [3, shared].
     surprise
         How far each anchor is from what footfalls and law give without it, or from the result if
         that is more, in standard deviations [-].
-    amplitude, length, scatter
-        Of the process [deg], [m], and of e, root mean square [deg].
+    field
+        Amplitude and length of the process [deg], [m], and e, root mean square [deg].
     """
 
     phi: FloatArray
@@ -128,13 +127,9 @@ class Pooled(NamedTuple):
     path_phi: FloatArray
     path_relative_sd: FloatArray
     path_absolute_sd: FloatArray
-    shared_mean: FloatArray
-    shared_sd_each: FloatArray
-    terms: FloatArray
+    shared: FloatArray
     surprise: FloatArray
-    amplitude: float
-    length: float
-    scatter: float
+    field: dict[str, float]
 
 
 class Observed(NamedTuple):
@@ -239,14 +234,13 @@ def pool(
         path_phi=held.mean[: len(path)],
         path_relative_sd=np.sqrt(relative.clip(0.0)),
         path_absolute_sd=np.sqrt(np.diag(held.covariance)[: len(path)].clip(0.0)),
-        shared_mean=centre,
-        shared_sd_each=each,
-        terms=np.abs(seen.shared.mean(axis=0)) * each,
+        shared=np.stack([centre, each, np.abs(seen.shared.mean(axis=0)) * each]),
         surprise=surprise,
-        amplitude=amplitude,
-        length=length,
-        scatter=float(np.sqrt(np.mean(seen.sd**2))),
-    )
+        field={
+            "amplitude_deg": amplitude, "length_m": length,
+            "scatter_deg": float(np.sqrt(np.mean(seen.sd**2))),
+        },
+    )  # fmt: skip
 
 
 def _spread(rows: FloatArray, matrix: FloatArray) -> FloatArray:

@@ -21,7 +21,16 @@ from terraphi.experiment.outputs import changed
 from terraphi.experiment.rig import LEG_NAMES
 from terraphi.view.answers import CONVENTIONS, PHI, in_words, tables
 from terraphi.view.console import words
-from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE
+from terraphi.view.plots import (
+    BLUE,
+    FOOT_NAMES,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    feet_table,
+    footfalls_table,
+)
 from terraphi.view.table import Table
 
 if TYPE_CHECKING:
@@ -183,7 +192,6 @@ def of_answer(answer: Answer) -> Section:
     parts: list[Plot | Picture | Table] = []
     for record in answer.records:
         where = f", {record.source}" if len(answer.records) > 1 else ""
-        fit = record.curve if record.expected is None else record.expected
         residuals: list[Trace] = []
         for i, (force, nrmsd) in enumerate(record.nrmsd.items()):
             theta, low, high = record.theta_deg, *record.band[:, i]
@@ -191,14 +199,14 @@ def of_answer(answer: Answer) -> Section:
             if record.expected is not None:
                 traces.append(line(theta, record.curve[i], "bare model", BLUE, dash="dash"))
             traces += [
-                line(theta, fit[i], "model", BLUE),
+                line(theta, record.best[i], "model", BLUE),
                 points(theta, record.data[i], "data", ORANGE),
             ]
             label = CHANNELS[force]
             parts.append(Plot(f"{force}{where}", traces, axes(THETA, label)))
             apart = record.data[i] - record.curve[i]
             span = math.sqrt(np.square(apart).mean()) / (nrmsd or math.inf)
-            share = 100.0 * (record.data[i] - fit[i]) / max(span, 1e-300)
+            share = 100.0 * (record.data[i] - record.best[i]) / max(span, 1e-300)
             residuals.append(line(theta, share, force, (BLUE, ORANGE, GREEN)[i]))
         if record.limit is not None:
             size = np.full(len(record.theta_deg), 100.0 * record.limit)
@@ -233,10 +241,7 @@ def _posterior(answer: Answer) -> list[Plot]:
     """Posterior density of φ, the 68 % interval shaded."""
     if PHI not in answer.parameters:
         return []
-    grid, density = answer.grid_deg, answer.density
-    if not grid.size:
-        density, edges = np.histogram(answer.phi_draws(), bins=60, density=True)
-        grid = 0.5 * (edges[1:] + edges[:-1])
+    grid, density = answer.posterior
     seen = density > 1e-4 * density.max()
     inside = (grid >= answer.phi.ci68[0]) & (grid <= answer.phi.ci68[1])
     traces = [
@@ -336,7 +341,6 @@ def of_foot_forces(found: Any, name: str = "foot forces") -> Section:
     """Foot forces over time with the stances, and the mean stance, from memory or a file."""
     from terraphi.robot.joint_log import FEET
     from terraphi.robot.results import RobotForces, as_file
-    from terraphi.view.robot_plots import FOOT_NAMES, feet_table
 
     file = as_file(found) if isinstance(found, RobotForces) else found
     summary = file.attrs.summary
@@ -382,8 +386,6 @@ def of_foot_forces(found: Any, name: str = "foot forces") -> Section:
 
 def of_footfalls(found: FootfallMap, name: str = "footfalls") -> Section:
     """Friction angles of footfalls on the ground and along the path."""
-    from terraphi.view.robot_plots import footfalls_table
-
     usable, place = found.usable, found.place
     counts = ", ".join(f"{count} {verdict}" for verdict, count in found.counts().items())
     parts: list[Plot | Picture | Table] = []

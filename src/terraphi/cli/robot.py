@@ -1,4 +1,4 @@
-"""The command ``terraphi forces``, which takes a robot's log."""
+"""The commands ``terraphi forces`` and ``terraphi footfalls``, which take a robot's log."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from terraphi.cli.options import ESTIMATORS, FRAMES, PATH, Float, json_option
+from terraphi.cli.options import ESTIMATORS, FRAMES, LAWS, PATH, Float, json_option
 from terraphi.view.console import present
 
 
@@ -89,7 +89,6 @@ def forces(
     from terraphi.robot import results as results_file
     from terraphi.robot.results import foot_forces
     from terraphi.view import plots
-    from terraphi.view.robot_plots import feet_table, stance_figure
 
     if out is not None:
         check_file(out, kind=results_file.KIND)
@@ -101,9 +100,71 @@ def forces(
     if figures is not None:
         with output_folder(figures, kind="forces", last="stance.png") as made:
             plots.save(found.plot(), made / "forces.png")
-            plots.save(stance_figure(found), made / "stance.png")
+            plots.save(plots.stance_figure(found), made / "stance.png")
     summary = found.summary()
-    table = feet_table(summary, f"Force of the ground on the feet, {estimator}, {frame} frame")
+    table = plots.feet_table(
+        summary, f"Force of the ground on the feet, {estimator}, {frame} frame"
+    )
     shown = {"feet", "pooled", "estimator", "frame"}
     rest = {name: value for name, value in summary.items() if name not in shown}
     present(summary, table, rest, as_json=as_json)
+
+
+@click.command()
+@log_options
+@click.option(
+    "--density",
+    metavar="KG_M3[±SD]",
+    help="Bulk density of the soil, such as 1550±80 (or 1550+-80).  [default: 1550±80]",
+)
+@click.option(
+    "--anchor",
+    "anchors",
+    multiple=True,
+    metavar="[x=A:B,]phi=P±SD",
+    help="Known friction angle on a stretch of the path [m], s=A:B along it; or of all of it.",
+)
+@click.option(
+    "--law",
+    type=click.Choice(LAWS),
+    default="foot",
+    show_default=True,
+    help="Force law: simulated, resistive force theory, or a formula of bearing capacity.",
+)
+@click.option(
+    "--out",
+    type=PATH,
+    help="NetCDF file; .png, .csv and .geojson of the same name go with it.",
+)
+@json_option
+def footfalls(
+    log: str,
+    density: str | None,
+    anchors: tuple[str, ...],
+    out: Path | None,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Friction angle under every footfall of a robot's LOG, and along its path.
+
+    Example: terraphi footfalls walk.mcap --density 1550±80 --out soil.nc
+    """
+    from terraphi.experiment.outputs import SIGNATURE, check_file
+    from terraphi.inference.footfalls import KIND
+    from terraphi.robot.footfalls import footfalls as find
+    from terraphi.view import plots
+
+    if out is not None:
+        check_file(out, kind=KIND)
+        for suffix in (".csv", ".geojson", ".png"):
+            check_file(out.with_suffix(suffix))
+    found = find(log, density=density, anchors=anchors, **options)
+    summary, written = found.as_dict(), []
+    if out is not None:
+        picture = out.with_suffix(".png")
+        plots.save(found.plot(), picture, metadata={"Comment": SIGNATURE})
+        made = (*found.to_netcdf(out), picture)
+        written.append(f"Written: {', '.join(map(str, made))}")
+    path = [plots.path_table(summary["path"])] if found.usable.any() else []
+    rest = {name: summary[name] for name in ("counts", "by_law_deg", "notes")}
+    present(summary, plots.footfalls_table(summary), *path, rest, *written, as_json=as_json)
