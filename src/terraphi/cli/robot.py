@@ -2,55 +2,47 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import click
 
-from terraphi.cli.options import ESTIMATORS, FRAMES, LAWS, PATH, Float, json_option
+from terraphi.cli.options import ESTIMATORS, FRAMES, LAWS, PATH, Float, json_option, option_group
 from terraphi.view.console import present
 
-
-def log_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Argument and options of every command that reads a robot's log."""
-    options = (
-        click.argument("log"),
-        click.option(
-            "--robot",
-            default="go2",
-            show_default=True,
-            help="Name, URDF, MJCF or TOML of the robot.",
-        ),
-        click.option("--topic", help="Topic of a bag; if not given, the one with joint states."),
-        click.option(
-            "--joint-names",
-            callback=lambda _context, _option, names: (
-                names and [n.strip() for n in names.split(",")]
-            ),
-            metavar="NAME,...",
-            help="Names of the twelve joints in a bag's JointState messages, if they are not "
-            "recognised; in the order FR, FL, RR, RL, each hip, thigh, calf.",
-        ),
-        click.option(
-            "--columns",
-            type=PATH,
-            help="TOML that says which columns of a table are what; 'terraphi keys columns' prints "
-            "its keys.",
-        ),
-        click.option(
-            "--lag",
-            "lag_s",
-            type=Float(),
-            default=0.0,
-            metavar="MS",
-            callback=lambda _context, _option, value: 1e-3 * value,
-            help="Time by which torques are late [ms].  [default: 0]",
-        ),
-    )
-    for option in reversed(options):
-        command = option(command)
-    return command
+log_options = option_group(
+    click.argument("log"),
+    click.option(
+        "--robot",
+        default="go2",
+        show_default=True,
+        help="Name, URDF, MJCF or TOML of the robot.",
+    ),
+    click.option("--topic", help="Topic of a bag; if not given, the one with joint states."),
+    click.option(
+        "--joint-names",
+        callback=lambda _context, _option, names: names and [n.strip() for n in names.split(",")],
+        metavar="NAME,...",
+        help="Names of the twelve joints in a bag's JointState messages, if they are not "
+        "recognised; in the order FR, FL, RR, RL, each hip, thigh, calf.",
+    ),
+    click.option(
+        "--columns",
+        type=PATH,
+        help="TOML that says which columns of a table are what; 'terraphi keys columns' prints "
+        "its keys.",
+    ),
+    click.option(
+        "--lag",
+        "lag_s",
+        type=Float(),
+        default=0.0,
+        metavar="MS",
+        callback=lambda _context, _option, value: 1e-3 * value,
+        help="Time by which torques are late [ms].  [default: 0]",
+    ),
+)
+"""Argument and options of every command that reads a robot's log."""
 
 
 @click.command()

@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, Json, model_validator
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import parse_json
+from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import open_netcdf, read_bytes, write_netcdf
 from terraphi.experiment.outputs import output_folder
 from terraphi.experiment.rig import Rig
@@ -88,6 +89,9 @@ class Estimate:
         return f"{shown}    95 %: {low:.{digits}f} to {high:.{digits}f}°"
 
 
+Channel = Annotated[str, Field(pattern="^(Fx|Fz|M)$")]
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RecordSummary:
     """One record, without its forces.
@@ -110,15 +114,15 @@ class RecordSummary:
     __pydantic_config__ = ConfigDict(strict=True)
 
     source: str
-    rig: Rig
     simulated: bool = False
     n_readings: int = 0
     n_left_out: int = 0
+    shift_deg: float = 0.0
+    limit: float | None = None
+    rig: Rig
     nrmsd: Mapping[Annotated[str, Field(pattern="^(Fx|Fz|M)$")], float] = field(
         default_factory=dict
     )
-    shift_deg: float = 0.0
-    limit: float | None = None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -559,26 +563,35 @@ class StoredAnswer(NamedTuple):
     draws_deg: FloatArray
     """Draws of φ in the answer's convention [deg], shape [draw]; empty if the file has none."""
 
+    @classmethod
+    def of(cls, answer: Any) -> StoredAnswer:
+        """An answer without its curves, from memory or from a file.
 
-def read_answer(path: Path | str) -> StoredAnswer:
-    """Read what ``terraphi invert`` wrote or printed, without its curves.
+        Parameters
+        ----------
+        answer
+            An answer; the folder of ``terraphi invert --out``, its ``answer.nc``, or the output of
+            ``--json`` (``-``: standard input), which has no draws.
 
-    Parameters
-    ----------
-    path
-        Folder of ``--out``, its ``answer.nc``, or the output of ``--json`` (``-``: standard input),
-        which has no draws.
-
-    Raises
-    ------
-    InputError
-        If it is missing, damaged or no answer.
-    """
-    path = Path(path)
-    if path.is_dir() or path.suffix == ".nc":
-        found = Answer.load(path)
-        draws = found.phi_draws() if PHI in found.parameters else np.zeros(0)
-        return StoredAnswer(str(path), found.as_dict(), draws)
-    text = read_bytes(path)
-    parse_json(text, Stored, str(path))
-    return StoredAnswer(str(path), json.loads(text), np.zeros(0))
+        Raises
+        ------
+        InputError
+            If it is missing, damaged or no answer.
+        """
+        if isinstance(answer, StoredAnswer):
+            return answer
+        source = ""
+        if isinstance(answer, str | Path):
+            source = str(answer)
+            if not (Path(answer).is_dir() or source.endswith(".nc")):
+                text = read_bytes(Path(answer))
+                parse_json(text, Stored, source)
+                return cls(source, json.loads(text), np.zeros(0))
+            answer = Answer.load(answer)
+        if not isinstance(answer, Answer):
+            raise InputError(
+                f"answer of type {type(answer).__name__}; give an Answer, or the folder or file of "
+                "one"
+            )
+        draws = answer.phi_draws() if PHI in answer.parameters else np.zeros(0)
+        return cls(source or answer.source, answer.as_dict(), draws)

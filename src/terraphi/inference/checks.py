@@ -248,10 +248,9 @@ def in_air(likelihood: Likelihood) -> list[str]:
 
 def guesses(likelihood: Likelihood) -> Iterator[str]:
     """Sentences on what an answer takes for granted of its records."""
-    several = len(likelihood.records) > 1
     for i, record in enumerate(likelihood.records):
         density, part = likelihood.density[i], likelihood.strokes[i]
-        name = f"{record.source}: " if several else ""
+        name = likelihood.prefix(record)
         spacing = float(np.median(np.diff(record.history.theta_deg)))
         if spacing > 2.0 * WINDOW_DEG / (OBSERVATION_ANGLES - 1):
             yield f"{name}The readings are {spacing:.0f}° apart; peaks between them are missed."
@@ -298,7 +297,6 @@ def others(
     misfit
         Whether the model describes them badly; only then other readings of them are proposed.
     """
-    several = len(likelihood.records) > 1
     density = np.array(likelihood.density)
     if np.ptp(density) > UNUSUAL * np.max(likelihood.density_sd * density):
         yield (
@@ -306,7 +304,7 @@ def others(
             "are inverted as one soil: check that they are."
         )
     for i, record in enumerate(likelihood.records):
-        name = f"{record.source}: " if several else ""
+        name = likelihood.prefix(record)
         if record.scenario is not None:
             apart = differences(record.scenario, likelihood.library.scenario)
             apart = [key for key in apart if key not in likelihood.keys]
@@ -490,22 +488,14 @@ def second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:
         return None  # beyond its library, or nearly without an equivalent in plane strain
     below, median, above = to_plane_strain(read + np.array([-1.0, 0.0, 1.0])).tolist()
     sd = float(other.sd[0])
-    return {
-        "library": THEORY, "median": median, "sd": sd * (above - below) / 2.0,
-        "force_size_deg": phi_of_size(likelihood) if likelihood.keys == (PHI,) else None,
-    }  # fmt: skip
-
-
-def phi_of_size(likelihood: Likelihood) -> float:
-    """Angle at which the model's forces are as large as the data, whatever their shape [deg].
-
-    It ends at the library's ends.
-    """
-    low, high = likelihood.low[0], likelihood.high[0]
-    phi = np.linspace(low, high, 71)
-    size = np.square(likelihood.curves(phi[:, None]) / likelihood.span).sum(axis=1)
-    own = float(np.square(likelihood.data / likelihood.span).sum())
-    return float(np.interp(own, np.maximum.accumulate(size), phi))
+    of_size = None
+    if likelihood.keys == (PHI,):  # φ at which forces are as large, whatever their shape
+        phi = np.linspace(likelihood.low[0], likelihood.high[0], 71)
+        size = np.square(likelihood.curves(phi[:, None]) / likelihood.span).sum(axis=1)
+        own = float(np.square(likelihood.data / likelihood.span).sum())
+        of_size = float(np.interp(own, np.maximum.accumulate(size), phi))
+    sd *= (above - below) / 2.0
+    return {"library": THEORY, "median": median, "sd": sd, "force_size_deg": of_size}
 
 
 def residual(data: FloatArray, record: Record, likelihood: Likelihood, leg: str) -> float:

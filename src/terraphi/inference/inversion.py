@@ -210,7 +210,8 @@ def calibrate(
             raise InputError(f"{record.source}: cannot calibrate with it. {why}")
         read = float(best[likelihood.keys.index(PHI)])
         shares = likelihood.budget()
-        sd = _sd_without(likelihood, (*MODEL, *OF_RIG))
+        others = [share for name, share in shares.items() if name not in (*MODEL, *OF_RIG)]
+        sd = math.hypot(*others)
         rig_sd = math.hypot(*(shares.get(name, 0.0) for name in OF_RIG))
         error = likelihood.errors[record.leg]
         apart = read - phi_deg
@@ -313,33 +314,29 @@ def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Ans
     verdict, why, edge = _verdict(likelihood, fits, middle, damaged=bool(air))
     inferred, scenario = parameters.get(PHI), library.scenario
     other = second["median"] if second and scenario.convention == "plane_strain" else None
-    far = ""
+    far = []
     if inferred and other is not None and abs(other - inferred.median) > FAR_APART_DEG:
-        far = (
+        far.append(
             f"Resistive force theory gives {other:.0f}°, farther than for any record whose leg "
             "is known: check the leg and the columns."
         )
-
-    def of_records(sentences: Callable[[Record], Sequence[str]]) -> list[str]:
-        """Sentences on each record, with its name if there are several."""
-        return [one if len(records) == 1 else f"{record.source}: {one}"
-                for record in records for one in sentences(record)]  # fmt: skip
-
+    damage = [f"{likelihood.prefix(one)}{text}" for one in records for text in one.damage]
+    notes = [f"{likelihood.prefix(one)}{text}" for one in records for text in one.notes]
     # In the order of their consequence, the gravest first.
     questions = [
         # The forces are wrong, whatever the soil.
-        *of_records(lambda record: record.damage),
+        *damage,
         *air,
         # Leg, columns, sizes or units may be others than stated.
         *(others(likelihood, misfit=verdict != "consistent") if not air else ()),
-        *([far] if far else []),
+        *far,
         *_about(likelihood, fits, parameters, verdict),
         # The angle or its interval rests on what was not measured.
         *([disagreement] if disagreement else []),
         *guesses(likelihood),
         *([f"Library {library.name}: {library.caveat}"] if library.caveat else []),
         # What was done with the readings.
-        *of_records(lambda record: record.notes),
+        *notes,
     ]  # fmt: skip
     plane, no_plane = (
         _plane_strain(inferred, scenario) if inferred else (None, "φ was not inferred")
@@ -547,12 +544,6 @@ def _edge(likelihood: Likelihood) -> str | None:
     if read < likelihood.low[i] - min(offsets):
         return "low"
     return "high" if read > likelihood.high[i] - max(offsets) else None
-
-
-def _sd_without(likelihood: Likelihood, names: Sequence[str]) -> float:
-    """Standard deviation of φ from all terms but some [deg]."""
-    shares = likelihood.budget()
-    return math.sqrt(sum(share**2 for name, share in shares.items() if name not in names))
 
 
 def _about(

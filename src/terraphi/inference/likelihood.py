@@ -246,6 +246,10 @@ class Likelihood:
             for r in self.records
         ])  # fmt: skip
 
+    def prefix(self, record: Record) -> str:
+        """Name of a record before a sentence on it, if there are several."""
+        return f"{record.source}: " if len(self.records) > 1 else ""
+
     def _law(self, record: Record, library: Library | Legs) -> LegLaw:
         """The law of a record's rig; raises InputError if it does not cover the record."""
         try:

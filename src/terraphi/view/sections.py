@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from terraphi.experiment.documents import parse_json
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import netcdf_kind, open_netcdf, read_bytes
+from terraphi.experiment.files import as_written, netcdf_kind, open_netcdf, read_bytes
 from terraphi.experiment.history import CHANNEL_UNITS, ForceHistory
 from terraphi.experiment.measurements import scenario_of
 from terraphi.experiment.outputs import changed
@@ -348,7 +347,7 @@ def of_foot_forces(found: Any, name: str = "foot forces") -> Section:
     begins = file.numbers("stance_begin", "stance")
     start = max(float(begins.min()) - 0.1 if len(begins) else time[0], time[0])
     shown = (time >= start) & (time <= start + SHOWN_S)
-    parts: list[Plot | Picture | Table] = [feet_table(summary.model_dump(), "Mean stances")]
+    parts: list[Plot | Picture | Table] = [feet_table(summary, "Mean stances")]
     for i, foot in enumerate(FEET):
         traces = [
             line(time[shown], force[shown, i, k], axis, colour)
@@ -374,12 +373,12 @@ def of_foot_forces(found: Any, name: str = "foot forces") -> Section:
             ]
             layout = axes("part of the stance [-]", FORCES[axis])
             parts.append(Plot(f"Mean stance, {axis}", traces, layout))
-    pooled = summary.pooled
-    headline = f"{pooled['stances']:.0f} stances in {summary.duration_s:.0f} s"
+    pooled = summary["pooled"]
+    headline = f"{pooled['stances']:.0f} stances in {summary['duration_s']:.0f} s"
     if pooled["stances"]:
         headline += f", mean peak lift {pooled['mean_peak_Fz_N']:.0f} N"
-    lines = [f"{summary.estimator.replace('_', ' ')}, frame: {summary.frame}"]
-    lines += [f"{capital(note)}." for note in summary.notes]
+    lines = [f"{summary['estimator'].replace('_', ' ')}, frame: {summary['frame']}"]
+    lines += [f"{capital(note)}." for note in summary["notes"]]
     origin = pairs(file.attrs.provenance)
     return Section("foot forces", name, headline, lines, parts, origin)
 
@@ -426,13 +425,12 @@ def of_footfalls(found: FootfallMap, name: str = "footfalls") -> Section:
 
 def of_map(folder: Path) -> Section:
     """Sentences and picture of a slope map."""
-    from terraphi.terrain.map import SUMMARY, Summary
+    from terraphi.terrain.map import KIND, SUMMARY
     from terraphi.terrain.map import in_words as sentences
 
-    text = read_bytes(folder / SUMMARY)
-    parse_json(text, Summary, str(folder / SUMMARY))
-    summary = json.loads(text)
-    first, headline, *lines = sentences(summary)
+    with as_written(folder / SUMMARY, KIND):
+        summary = json.loads(read_bytes(folder / SUMMARY))
+        first, headline, *lines = sentences(summary)
     lines = [*filter(None, [changed(folder)]), *lines]
     image = base64.b64encode(read_bytes(folder / "map.png")).decode("ascii")
     picture = Picture("Maps", f"data:image/png;base64,{image}")
