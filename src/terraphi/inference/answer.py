@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, Json, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Json, model_validator
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import parse_json
@@ -29,13 +29,6 @@ if TYPE_CHECKING:
 
 QUANTILES = 4000
 """Equally probable values that stand for a posterior by quadrature where draws are wanted."""
-_STATED = (
-    *("verdict", "reason", "edge", "library", "library_reason", "density_kg_m3"),
-    *("density_sd_kg_m3", "density_assumed", "phi_plane_strain_reason", "leg_friction", "seed"),
-    "cohesion_pa",
-    *("budget_deg", "second_opinion", "diagnostics", "provenance"),
-)
-"""Attributes of an answer that its JSON has as they are."""
 
 
 def decimals(ci68: Sequence[float]) -> int:
@@ -89,6 +82,8 @@ class Estimate:
         return f"{shown}    95 %: {low:.{digits}f} to {high:.{digits}f}°"
 
 
+Verdict = Literal["consistent", "misfit", "out_of_range"]
+Edge = Literal["low", "high"]
 Channel = Annotated[str, Field(pattern="^(Fx|Fz|M)$")]
 
 
@@ -165,50 +160,95 @@ def worst_nrmsd(fits: Sequence[RecordFit]) -> dict[str, float]:
     return {n: max(fit.nrmsd[n] for fit in fits if n in fit.nrmsd) for n in names}
 
 
-@dataclass(frozen=True, eq=False)
-class Answer:
-    """What an inversion found.
+class Opinion(BaseModel, strict=True):
+    """What a second library says of φ [deg]."""
+
+    library: str
+    median: float
+    sd: float
+    force_size_deg: float | None = None
+
+
+def _opinion(given: Mapping[str, Any]) -> dict[str, Any]:
+    return Opinion.model_validate(given).model_dump()
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class AnswerSummary:
+    """What an inversion found, as its JSON has it.
 
     Attributes
     ----------
-    parameters
-        Estimate of each parameter that was inferred, by its dotted scenario key.
-    convention
-        What φ means in the library: a yield criterion, or ``rft3d``.
-    phi_plane_strain, phi_plane_strain_reason
-        φ as that of Mohr-Coulomb soil in plane strain [deg], or ``None`` and the reason.
+    phi_plane_strain_reason
+        Why φ has no equivalent in plane strain, if so.
     verdict
         ``consistent``, ``misfit`` or ``out_of_range``.
     reason
         Why, in one or two sentences.
     edge
         End of the library's range beyond which φ lies: ``low``, ``high`` or ``None``.
-    budget_deg
-        Standard deviation of φ by term of the likelihood, the largest first [deg].
-    density_kg_m3, density_sd_kg_m3, density_assumed
-        Bulk density that the curves were scaled to.
     library, library_reason
         Its name, and why it was taken if none was named.
-    second_opinion
-        Library, median and standard deviation of the answer by other physics, or ``None``.
-    questions
-        Warnings, a sentence each.
-    records
-        The records and how the model fits them.
-    grid_deg, density
-        Posterior density of φ [1/deg] on a grid, shape [k]; empty if it was sampled.
-    draws
-        Draws by parameter, shape [chain, draw]; empty if the posterior is by quadrature.
-    diagnostics
-        Split-R̂, effective sample size and autocorrelation time of each parameter, if drawn.
+    density_kg_m3, density_sd_kg_m3, density_assumed
+        Bulk density that the curves were scaled to.
     leg_friction
         Friction of the leg in the library's model [-], where it was not inferred.
     cohesion_pa
         Cohesion that was fitted with φ [Pa]; ``None`` by libraries, which are of dry soil.
     seed
         Of the draws.
+    budget_deg
+        Standard deviation of φ by term of the likelihood, the largest first [deg].
+    second_opinion
+        Library, median and standard deviation of the answer by other physics, or ``None``.
+    parameters
+        Estimate of each parameter that was inferred, by its dotted scenario key.
+    diagnostics
+        Split-R̂, effective sample size and autocorrelation time of each parameter, if drawn.
+    questions
+        Warnings, a sentence each.
     provenance
         Versions, library hash, time; JSON-able.
+    """
+
+    __pydantic_config__ = ConfigDict(strict=True)
+
+    verdict: Verdict
+    reason: str
+    edge: Edge | None = None
+    library: str
+    library_reason: str = ""
+    density_kg_m3: Annotated[float, Field(gt=0.0, lt=1e5)]
+    density_sd_kg_m3: Annotated[float, Field(ge=0.0, lt=1e5)] | None = None
+    density_assumed: bool = True
+    phi_plane_strain_reason: str = ""
+    leg_friction: Annotated[float, Field(ge=0.0, lt=10.0)] | None = None
+    seed: int | None = None
+    cohesion_pa: Annotated[float, Field(ge=0.0, lt=1e9)] | None = None
+    budget_deg: Mapping[str, float] = field(default_factory=dict)
+    second_opinion: Annotated[Mapping[str, Any], AfterValidator(_opinion)] | None = None
+    diagnostics: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    questions: tuple[str, ...] = ()
+    parameters: Mapping[str, Estimate] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Answer(AnswerSummary):
+    """What an inversion found.
+
+    Attributes
+    ----------
+    convention
+        What φ means in the library: a yield criterion, or ``rft3d``.
+    phi_plane_strain
+        φ as that of Mohr-Coulomb soil in plane strain [deg], or ``None``.
+    records
+        The records and how the model fits them.
+    grid_deg, density
+        Posterior density of φ [1/deg] on a grid, shape [k]; empty if it was sampled.
+    draws
+        Draws by parameter, shape [chain, draw]; empty if the posterior is by quadrature.
 
     Examples
     --------
@@ -221,30 +261,12 @@ class Answer:
     'consistent'
     """
 
-    parameters: Mapping[str, Estimate]
     convention: str
     phi_plane_strain: Estimate | None
-    phi_plane_strain_reason: str
-    verdict: str
-    reason: str
-    edge: str | None
-    budget_deg: Mapping[str, float]
-    density_kg_m3: float
-    density_sd_kg_m3: float
-    density_assumed: bool
-    library: str
-    library_reason: str
-    second_opinion: Mapping[str, Any] | None
-    questions: tuple[str, ...]
     records: tuple[RecordFit, ...]
     grid_deg: FloatArray
     density: FloatArray
     draws: Mapping[str, FloatArray] = field(default_factory=dict)
-    diagnostics: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    leg_friction: float | None = None
-    cohesion_pa: float | None = None
-    seed: int | None = None
-    provenance: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def phi(self) -> Estimate:
@@ -293,7 +315,7 @@ class Answer:
             "phi_plane_strain_deg": plane.as_dict() if plane else None,
             "source": self.source,
             "rig": self.rigs[0].model_dump(),
-            **copy.deepcopy({name: getattr(self, name) for name in _STATED}),
+            **copy.deepcopy({one.name: getattr(self, one.name) for one in fields(AnswerSummary)}),
             "nrmsd": self.nrmsd,
             "n_angles": self.records[0].theta_deg.size,
             "questions": list(self.questions),
@@ -467,17 +489,15 @@ class Answer:
                 raise ValueError("no records, or no posterior")
             phi, plane = known.phi_deg, known.phi_plane_strain_deg
             return cls(
-                parameters=known.parameters,
                 convention=phi.convention if phi else "",
                 phi_plane_strain=Estimate(**plane.model_dump(exclude={"convention"}))
                 if plane
                 else None,
-                questions=tuple(known.questions),
                 records=tuple(records),
                 grid_deg=grid,
                 density=density,
                 draws=draws,
-                **known.model_dump(include={*_STATED}),
+                **{one.name: getattr(known, one.name) for one in fields(AnswerSummary)},
             )
 
     def save(self, folder: Path | str) -> None:
@@ -512,39 +532,13 @@ class StoredAngle(BaseModel, strict=True):
         return self
 
 
-class StoredOpinion(BaseModel, strict=True):
-    """What a second library says of φ [deg]."""
-
-    library: str
-    median: float
-    sd: float
-    force_size_deg: float | None = None
-
-
-class Stored(BaseModel, strict=True):
-    """Types of what :meth:`Answer.as_dict` wrote, as far as it is read back."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Stored(AnswerSummary):
+    """What :meth:`Answer.as_dict` wrote, as far as it is read back."""
 
     phi_deg: StoredAngle | None
     phi_plane_strain_deg: StoredAngle | None
-    phi_plane_strain_reason: str = ""
-    verdict: Literal["consistent", "misfit", "out_of_range"]
-    reason: str
-    edge: Literal["low", "high"] | None = None
-    library: str
-    library_reason: str = ""
-    density_kg_m3: float = Field(gt=0.0, lt=1e5)
-    density_sd_kg_m3: float | None = Field(None, ge=0.0, lt=1e5)
-    density_assumed: bool | None = None
-    leg_friction: float | None = Field(None, ge=0.0, lt=10.0)
-    cohesion_pa: float | None = Field(None, ge=0.0, lt=1e9)
-    seed: int | None = None
-    budget_deg: dict[str, float] = {}
-    second_opinion: StoredOpinion | None = None
-    questions: list[str] = []
-    records: list[RecordSummary] = []
-    parameters: dict[str, Estimate] = {}
-    diagnostics: dict[str, dict[str, float]] = {}
-    provenance: dict[str, Any] = {}
+    records: list[RecordSummary] = field(default_factory=list)
 
 
 class AnswerAttributes(BaseModel):

@@ -17,7 +17,14 @@ from terraphi.experiment.rig import with_rig
 from terraphi.experiment.scenario import Scenario
 from terraphi.experiment.soil import plane_strain_friction_angle_deg
 from terraphi.forward.rft import to_plane_strain
-from terraphi.inference.answer import Answer, Estimate, RecordFit, worst_nrmsd
+from terraphi.inference.answer import (
+    Answer,
+    Edge,
+    Estimate,
+    RecordFit,
+    Verdict,
+    worst_nrmsd,
+)
 from terraphi.inference.calibration import Calibration, CalibrationSoil
 from terraphi.inference.checks import (
     FAR_APART_DEG,
@@ -443,7 +450,7 @@ def _verdict(
     middle: FloatArray,
     *,
     damaged: bool,
-) -> tuple[str, str, str | None]:
+) -> tuple[Verdict, str, Edge | None]:
     """Verdict, reason, and the end of the library beyond which φ lies."""
     if damaged or any(record.damage for record in likelihood.records):
         return "misfit", "Misfit: the record is damaged. Do not use the angle.", None
@@ -528,7 +535,7 @@ def _misfit(likelihood: Likelihood, middle: FloatArray) -> str:
     )
 
 
-def _edge(likelihood: Likelihood) -> str | None:
+def _edge(likelihood: Likelihood) -> Edge | None:
     """End of the library's range beyond which φ lies, by the forces alone."""
     if PHI not in likelihood.keys:
         return None
