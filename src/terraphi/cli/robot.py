@@ -155,7 +155,8 @@ def footfalls(
     if out is not None:
         picture = out.with_suffix(".png")
         plots.save(found.plot(), picture, metadata={"Comment": SIGNATURE})
-        made = (*found.to_netcdf(out), picture)
+        found.to_netcdf(out)
+        made = (out, out.with_suffix(".geojson"), out.with_suffix(".csv"), picture)
         written.append(f"Written: {', '.join(map(str, made))}")
     path = [plots.path_table(summary["path"])] if found.usable.any() else []
     rest = {name: summary[name] for name in ("counts", "by_law_deg", "notes")}

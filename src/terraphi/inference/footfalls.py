@@ -204,8 +204,8 @@ class FootfallMap:
             "notes": list(self.notes),
         }
 
-    def to_netcdf(self, path: Path | str) -> tuple[Path, ...]:
-        """Write NetCDF-4, and a GeoJSON and a CSV of the same name next to it; give their names.
+    def to_netcdf(self, path: Path | str) -> None:
+        """Write NetCDF-4, and a GeoJSON and a CSV of the same name next to it.
 
         Raises InputError if the place cannot be written.
         """
@@ -228,12 +228,10 @@ class FootfallMap:
         }
         attributes = {"terraphi_file": KIND, "terraphi_schema": SCHEMA, **texts}
         write_netcdf(xr.Dataset(variables, attrs=attributes).set_coords("s_m"), path)
-        names = path, path.with_suffix(".geojson"), path.with_suffix(".csv")
-        with atomic_write(names[1]) as temporary:
+        with atomic_write(path.with_suffix(".geojson")) as temporary:
             temporary.write_text(json.dumps(self._geojson(), ensure_ascii=False), encoding="utf-8")
         first = f"# {SIGNATURE}: footfalls; x, y from the robot's first place and heading\n"
-        write_csv(names[2], self.summary(), first=first, float_format="%.4f")
-        return names
+        write_csv(path.with_suffix(".csv"), self.summary(), first=first, float_format="%.4f")
 
     def _geojson(self) -> dict[str, Any]:
         """Footfalls as points, metres east and north of (0°, 0°) as degrees."""
