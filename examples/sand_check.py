@@ -22,8 +22,9 @@ from go2.model import GO2_MASS
 from go2.walk import Recording, Walk
 from sand_walk import GAITS, sand_log, sand_walk
 
-from terraphi.robot.footfall_map import Anchor
-from terraphi.robot.footfalls import FootfallMap, footfalls
+from terraphi.inference.footfalls import FootfallMap
+from terraphi.inference.pool import Anchor
+from terraphi.robot.footfalls import footfalls
 from terraphi.robot.model import Quadruped
 
 

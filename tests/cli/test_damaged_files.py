@@ -75,8 +75,7 @@ def make_files(folder: Path) -> None:
 
     import terraphi
     from terraphi.cli.main import cli
-    from terraphi.robot.footfall_files import write_footfalls
-    from terraphi.robot.footfalls import FootfallMap
+    from terraphi.inference.footfalls import FootfallMap
     from terraphi.robot.joint_log import JointLog
 
     terraphi.invert(MEASURED, library="rft3d").save(folder / "answer")
@@ -93,7 +92,7 @@ def make_files(folder: Path) -> None:
         path_relative_sd=one, path_absolute_sd=3.0 * one, shared={"density": 1.0},
         by_law={"rft": 31.0}, notes=("a note",), provenance={"law": "foot"},
     )  # fmt: skip
-    write_footfalls(walk, folder / "footfalls.nc")
+    walk.to_netcdf(folder / "footfalls.nc")
     time = np.arange(0.0, 2.0, 0.01)
     angle = np.tile([0.0, 0.7, -1.4], (len(time), 4, 1)) + 0.1 * np.sin(time)[:, None, None]
     torque = np.tile([0.1, -0.3, 4.0], (len(time), 4, 1)) * (1.0 + np.sin(9 * time)[:, None, None])

@@ -17,8 +17,7 @@ from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
 from terraphi.inference.answer import Answer
 from terraphi.inference.inversion import calibrate, invert, invert_many
-from terraphi.inference.likelihood import Likelihood
-from terraphi.inference.partial import MOMENT_DEG
+from terraphi.inference.likelihood import MOMENT_DEG, Likelihood
 from terraphi.inference.records import open_record
 from terraphi.laws.emulator import Emulator
 from terraphi.laws.law import ModelError

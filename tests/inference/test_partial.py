@@ -10,8 +10,7 @@ import pytest
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import measurement, names
 from terraphi.inference.inversion import invert
-from terraphi.inference.likelihood import Likelihood
-from terraphi.inference.partial import PART_DEG
+from terraphi.inference.likelihood import PART_DEG, Likelihood
 from terraphi.inference.records import open_record
 from terraphi.laws.store import Library
 

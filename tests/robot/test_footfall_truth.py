@@ -10,9 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from terraphi.robot.footfall_fit import Prior
-from terraphi.robot.footfalls import FootfallMap, footfalls
-from terraphi.robot.forces import estimate
+from terraphi.inference.footfalls import FootfallMap
+from terraphi.inference.touchdowns import Prior
+from terraphi.robot.footfalls import calibrate_on_weight, footfalls
+from terraphi.robot.forces import SensorErrors, estimate
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.model import Quadruped
 from terraphi.robot.touchdowns import sensitivity
@@ -151,3 +152,18 @@ def test_errors_of_torques_move_the_forces_as_stated() -> None:
             moved = (two.force - one.force)[..., 2].astype(float)
             stated = size * per[..., column]
             assert np.std(moved - stated) < 0.15 * np.std(moved) + 1e-3
+
+
+def test_a_gain_is_found_from_the_weight_while_the_trunk_bobs() -> None:
+    """The motors of one foot read 10 % too much; it bears most when the trunk accelerates up."""
+    time, mass = np.arange(0.0, 30.0, 0.01), 15.0
+    wave = np.sin(2.0 * np.pi * time / 0.8)
+    share = np.column_stack([0.5 + 0.4 * wave, 0.5 - 0.4 * wave, 0.0 * wave, 0.0 * wave])
+    true = share * (mass * (9.81 + 2.5 * wave))[:, None]
+    gain = np.zeros((len(time), 4, 6))
+    gain[:, :, 2] = true
+    sd = np.repeat([SensorErrors.gain, SensorErrors.coulomb_Nm], 12)
+    found = calibrate_on_weight(time, true * [1.1, 1.0, 1.0, 1.0], 2.5 * wave, gain, sd, mass=mass)
+    assert found.mean[2] - found.mean[5] == pytest.approx(0.1, abs=0.01)
+    assert found.mean[2] == pytest.approx(0.1, abs=0.03)  # less what the mass may be off by
+    assert found.covariance[2, 2] < SensorErrors.gain**2

@@ -15,9 +15,7 @@ from go2.logs import write_csv
 from scipy.spatial.transform import Rotation
 
 from terraphi.experiment.errors import InputError
-from terraphi.robot.footfall_files import read_footfalls, summary, write_footfalls
-from terraphi.robot.footfall_fit import Prior
-from terraphi.robot.footfalls import (
+from terraphi.inference.footfalls import (
     EDGE,
     PRINT,
     SHALLOW,
@@ -25,10 +23,10 @@ from terraphi.robot.footfalls import (
     TRODDEN,
     USABLE,
     FootfallMap,
-    anchor_from,
-    footfalls,
     verdicts,
 )
+from terraphi.inference.touchdowns import Prior
+from terraphi.robot.footfalls import footfalls
 from terraphi.robot.joint_log import JointLog
 from terraphi.robot.model import Quadruped
 
@@ -127,10 +125,14 @@ def test_another_robot_on_sand(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_files_come_back(found: FootfallMap, tmp_path: Path) -> None:
     place = tmp_path / "soil.nc"
-    names = write_footfalls(found, place)
-    assert summary(read_footfalls(place)) == json.loads(json.dumps(summary(found)))
-    features = json.loads(names[1].read_text())["features"]
-    assert len(features) == len(found.verdict) == len(names[2].read_text().splitlines()) - 2
+    found.to_netcdf(place)
+    assert FootfallMap.load(place).as_dict() == json.loads(json.dumps(found.as_dict()))
+    features = json.loads(place.with_suffix(".geojson").read_text())["features"]
+    assert (
+        len(features)
+        == len(found.verdict)
+        == len(place.with_suffix(".csv").read_text().splitlines()) - 2
+    )
 
 
 def test_the_map_begins_along_the_first_heading() -> None:
@@ -186,11 +188,6 @@ def test_a_foot_that_hardly_goes_down_is_shallow_and_in_time() -> None:
     slow = Walk(duration=5.0, sinkage=0.03).log()[0]
     thin = JointLog(**{name: getattr(slow, name)[::10] for name in COLUMNS})
     assert set(footfalls(thin).verdict) == {TORN}
-
-
-@pytest.mark.parametrize("text", ["x=0:0.5,phi=34±1", "x = 0.5 : 0, phi = 34 +- 1"])
-def test_an_anchor_as_people_write_it(text: str) -> None:
-    assert anchor_from(text) == (0.0, 0.5, 34.0, 1.0, "x")
 
 
 def test_a_known_angle_of_the_whole_path_is_its_mean() -> None:

@@ -12,8 +12,7 @@ import pytest
 from scipy.stats import norm, truncnorm
 
 from terraphi.experiment.errors import InputError
-from terraphi.robot.footfall_files import write_footfalls
-from terraphi.robot.footfalls import FootfallMap
+from terraphi.inference.footfalls import FootfallMap
 from terraphi.terrain import field, slopes
 from terraphi.terrain.slopes import Sample, priors_of
 
@@ -261,7 +260,7 @@ def test_footfalls_are_placed_where_the_walk_began(hill, tmp_path, bearing) -> N
         shared_sd=n, misfit=n, verdict=verdict, path=np.zeros((1, 3)), path_phi=one,
         path_relative_sd=one, path_absolute_sd=one, shared={}, by_law={},
     )  # fmt: skip
-    write_footfalls(walk, tmp_path / "walk.nc")
+    walk.to_netcdf(tmp_path / "walk.nc")
     ground = read_elevation(hill(left=5e5))
     for name in ("walk.nc", "walk.csv"):
         found, left_out = read_points(tmp_path / name, ground, Start(5e5, 0.0, bearing))

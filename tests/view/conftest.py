@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from terraphi import Answer, Scenario, invert, simulate
-from terraphi.robot.footfalls import FootfallMap
+from terraphi.inference.footfalls import FootfallMap
 from terraphi.robot.joint_log import FEET
 
 
@@ -105,12 +105,11 @@ def results(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> dict[str, str]:
     """A source of each kind that a report shows."""
-    from terraphi.robot.footfall_files import write_footfalls
 
     place = tmp_path_factory.mktemp("results")
     answer.save(place / "answer")
     simulate(Scenario.load("quick")).to_netcdf(place / "simulation.nc")
-    write_footfalls(footfalls, place / "footfalls.nc")
+    footfalls.to_netcdf(place / "footfalls.nc")
     return {
         "answer": str(place / "answer"),
         "library": "rft3d",

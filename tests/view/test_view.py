@@ -12,11 +12,10 @@ from pydantic import ValidationError
 from rich.console import Console
 
 from terraphi import Scenario
-from terraphi.robot.pictures import forces_figure
+from terraphi.robot.results import RobotForces
 from terraphi.view import doctor
 from terraphi.view.keys import DOCUMENTS, tables
-from terraphi.view.plots import save
-from terraphi.view.robot_plots import stance_figure
+from terraphi.view.plots import save, stance_figure
 from terraphi.view.table import Table
 
 TABLE = Table(
@@ -93,7 +92,7 @@ def test_doctor_finds_a_missing_package_and_a_broken_library(
 
 
 def test_pictures_of_robots_are_drawn(robot_forces: Any, footfalls: Any, tmp_path: Any) -> None:
-    figures = [forces_figure(robot_forces), stance_figure(robot_forces), footfalls.plot()]
+    figures = [RobotForces.plot(robot_forces), stance_figure(robot_forces), footfalls.plot()]
     assert [len(figure.axes) for figure in figures] == [8, 2, 3]
     for figure in figures:
         save(figure, tmp_path / "f.png", dpi=50)

@@ -15,11 +15,10 @@ from contextlib import suppress
 
 import click
 
-from terraphi.cli.footfalls import footfalls
-from terraphi.cli.forces import forces
 from terraphi.cli.invert import calibrate, demo, invert
 from terraphi.cli.library import library
 from terraphi.cli.paper import paper
+from terraphi.cli.robot import footfalls, forces
 from terraphi.cli.simulate import simulate
 from terraphi.cli.terrain import convert, export, slope_map
 from terraphi.cli.tools import app, doctor, keys, report

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -35,26 +36,31 @@ class Float(click.types.FloatParamType):
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 
 
-def rig_options(command: Any) -> Any:
-    """Options of a rig: its leg and four sizes, or a file."""
-    options = (
-        click.option("--leg", type=click.Choice(LEGS), help="Shape of the leg."),
-        click.option("--length", metavar="MM", help="From the hip to the outermost tip."),
-        click.option("--width", metavar="MM", help="Of the leg, across the plane of motion."),
-        click.option("--thickness", metavar="MM", help="Of the leg."),
-        click.option("--hip-height", metavar="MM[±SD]", help="Above the soil.  [default SD: 2]"),
-        click.option("--leg-friction", metavar="MU[±SD]", help="On soil.  [default: 0.3±0.09]"),
-        click.option(
-            "--rig",
-            metavar="FILE|li2013",
-            help="All of these in TOML, or Li et al. (2013).",
-        ),
-    )
-    for option in reversed(options):
-        command = option(command)
-    return command
+def option_group(*each: Callable[..., Any]) -> Callable[..., Any]:
+    """One decorator of several, in their order."""
+
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        for option in reversed(each):
+            command = option(command)
+        return command
+
+    return decorate
 
 
+rig_options = option_group(
+    click.option("--leg", type=click.Choice(LEGS), help="Shape of the leg."),
+    click.option("--length", metavar="MM", help="From the hip to the outermost tip."),
+    click.option("--width", metavar="MM", help="Of the leg, across the plane of motion."),
+    click.option("--thickness", metavar="MM", help="Of the leg."),
+    click.option("--hip-height", metavar="MM[±SD]", help="Above the soil.  [default SD: 2]"),
+    click.option("--leg-friction", metavar="MU[±SD]", help="On soil.  [default: 0.3±0.09]"),
+    click.option(
+        "--rig",
+        metavar="FILE|li2013",
+        help="All of these in TOML, or Li et al. (2013).",
+    ),
+)
+"""A rig: its leg and four sizes, or a file."""
 density_option = click.option(
     "--density",
     metavar="KG_M3[±SD]",

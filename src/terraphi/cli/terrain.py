@@ -127,7 +127,6 @@ def slope_map(
     from terraphi.terrain.inputs import start_from
     from terraphi.terrain.map import KIND, LAYERS, SUMMARY, in_words, map_slopes
     from terraphi.view import plots
-    from terraphi.view.slope_plots import map_figure
 
     picture = "map.png"
     names = [*(f"{name}.tif" for name in LAYERS), SUMMARY, picture]
@@ -137,6 +136,6 @@ def slope_map(
         found = map_slopes(points, dem, start=begun, progress=report, **options)
     with output_folder(out, kind=KIND, last=SUMMARY) as made:
         found.write(made)
-        plots.save(map_figure(found), made.joinpath(picture))
+        plots.save(plots.map_figure(found), made.joinpath(picture))
     written = f"Written: {out}/{', '.join(names)}"
     present(found.summary, *in_words(found.summary), written, as_json=as_json)

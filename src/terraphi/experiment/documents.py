@@ -8,12 +8,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from terraphi.experiment.errors import InputError, nearest, sentence_from_validation
 from terraphi.experiment.files import is_there, read_text
 
-Model = TypeVar("Model", bound=BaseModel)
+Model = TypeVar("Model")
 
 DATA = Path(__file__).parents[1] / "data"
 """Folder of the shipped files."""
@@ -88,7 +88,7 @@ def strictly(content: Any, model: type[Model], source: str) -> Model:
 def parse_json(text: str | bytes, model: type[Model], source: str) -> Model:
     """Read a strict document from JSON; raises InputError, with the name of its source."""
     try:
-        return model.model_validate_json(text, strict=True)
+        return TypeAdapter(model).validate_json(text, strict=True)
     except ValidationError as error:
         raise InputError(sentence_from_validation(error, source, model)) from error
 

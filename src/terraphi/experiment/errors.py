@@ -80,7 +80,7 @@ def nearest(word: object, choices: Iterable[str]) -> str:
     return "known: " + (", ".join(by_case.values()) or "none")
 
 
-def sentence_from_validation(error: ValidationError, source: str, model: type[BaseModel]) -> str:
+def sentence_from_validation(error: ValidationError, source: str, model: type[Any]) -> str:
     """Describe the first thing wrong in a document: file, dotted key, value and what is expected.
 
     Parameters
@@ -118,7 +118,7 @@ def sentence_from_validation(error: ValidationError, source: str, model: type[Ba
     return f"{source}: {key} = {value!r:.60}: {message.replace('an object', 'a table')}{hint}"
 
 
-def _keys_at(model: type[BaseModel], path: tuple[Any, ...]) -> list[str]:
+def _keys_at(model: type[Any], path: tuple[Any, ...]) -> list[str]:
     """Keys that may stand at a place of a document, given the keys that lead there."""
     models = [model]
     for part in path:

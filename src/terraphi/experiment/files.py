@@ -342,14 +342,23 @@ def open_netcdf(
     version = str(attrs.get("terraphi_schema"))
     if version != str(schema):
         raise InputError(f"{path}: schema version {version}, not {schema}; build the {kind} again")
+    with as_written(path, kind):
+        try:
+            checked = attributes.model_validate(attrs)
+        except ValidationError as error:
+            sentence = sentence_from_validation(error, str(path), attributes)
+            raise InputError(f"{sentence}; make the {kind} again") from error
+        yield NetcdfFile(checked, variables, data_vars)
+
+
+@contextmanager
+def as_written(path: Path, kind: str) -> Iterator[None]:
+    """Raise InputError if a block does not find in a file of ours what this version writes."""
     try:
-        yield NetcdfFile(attributes.model_validate(attrs), variables, data_vars)
-    except ValidationError as error:
-        sentence = sentence_from_validation(error, str(path), attributes)
-        raise InputError(f"{sentence}; make the {kind} again") from error
+        yield
     except InputError:
         raise
-    except (LookupError, TypeError, ValueError) as error:
+    except (AttributeError, LookupError, TypeError, ValueError) as error:
         why = f"{path}: not as this version writes {kind} ({error}); make it again"
         raise InputError(why) from error
 

@@ -8,15 +8,16 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import BaseModel, Field, Json, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Json, model_validator
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import parse_json
+from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import open_netcdf, read_bytes, write_netcdf
 from terraphi.experiment.outputs import output_folder
 from terraphi.experiment.rig import Rig
@@ -28,13 +29,6 @@ if TYPE_CHECKING:
 
 QUANTILES = 4000
 """Equally probable values that stand for a posterior by quadrature where draws are wanted."""
-_STATED = (
-    *("verdict", "reason", "edge", "library", "library_reason", "density_kg_m3"),
-    *("density_sd_kg_m3", "density_assumed", "phi_plane_strain_reason", "leg_friction", "seed"),
-    "cohesion_pa",
-    *("budget_deg", "second_opinion", "diagnostics", "provenance"),
-)
-"""Attributes of an answer that its JSON has as they are."""
 
 
 def decimals(ci68: Sequence[float]) -> int:
@@ -88,9 +82,14 @@ class Estimate:
         return f"{shown}    95 %: {low:.{digits}f} to {high:.{digits}f}°"
 
 
-@dataclass(frozen=True, eq=False)
-class RecordFit:
-    """One record and the library's curve at the median.
+Verdict = Literal["consistent", "misfit", "out_of_range"]
+Edge = Literal["low", "high"]
+Channel = Annotated[str, Field(pattern="^(Fx|Fz|M)$")]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RecordSummary:
+    """One record, without its forces.
 
     Attributes
     ----------
@@ -98,6 +97,35 @@ class RecordFit:
         Where it comes from, and the apparatus.
     n_readings, n_left_out
         Readings that were used, and left out as faulty.
+    nrmsd
+        Root mean square of data less curve over the peak-to-peak of a whole stroke, by channel [-].
+    shift_deg
+        By how much the record's forces come later than the model's [deg]; the curves are shifted.
+    limit
+        Root mean square of data less the best curve over the peak-to-peak above which the record is
+        a misfit [-]; ``None`` of simulated forces.
+    """
+
+    __pydantic_config__ = ConfigDict(strict=True)
+
+    source: str
+    simulated: bool = False
+    n_readings: int = 0
+    n_left_out: int = 0
+    shift_deg: float = 0.0
+    limit: float | None = None
+    rig: Rig
+    nrmsd: Mapping[Annotated[str, Field(pattern="^(Fx|Fz|M)$")], float] = field(
+        default_factory=dict
+    )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RecordFit(RecordSummary):
+    """One record and the library's curve at the median.
+
+    Attributes
+    ----------
     theta_deg
         Leg angles of the window means [deg], shape [m].
     data, curve
@@ -107,37 +135,23 @@ class RecordFit:
         The curve with the mean residual of real soils, shape [c, m]; ``None`` where unknown.
     band
         Smallest and largest curve over the 95 % interval, shape [2, c, m].
-    nrmsd
-        Root mean square of data less curve over the peak-to-peak of a whole stroke, by channel [-].
-    limit
-        Root mean square of data less ``expected``, or less ``curve`` where that is unknown, over
-        the peak-to-peak above which the record is a misfit [-]; ``None`` of simulated forces.
-    shift_deg
-        By how much the record's forces come later than the model's [deg]; the curves are shifted.
     """
 
-    source: str
-    rig: Rig
-    simulated: bool
-    n_readings: int
-    n_left_out: int
     theta_deg: FloatArray = field(repr=False)
     data: FloatArray = field(repr=False)
     curve: FloatArray = field(repr=False)
     expected: FloatArray | None = field(repr=False)
     band: FloatArray = field(repr=False)
-    nrmsd: Mapping[str, float]
-    shift_deg: float = 0.0
-    limit: float | None = None
+
+    @property
+    def best(self) -> FloatArray:
+        """``expected``, or ``curve`` where that is unknown, shape [c, m]."""
+        return self.curve if self.expected is None else self.expected
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and words, without the forces."""
-        names = ("source", "simulated", "n_readings", "n_left_out", "shift_deg", "limit")
-        return {
-            **{name: getattr(self, name) for name in names},
-            "rig": self.rig.model_dump(),
-            "nrmsd": dict(self.nrmsd),
-        }
+        stated = {one.name: getattr(self, one.name) for one in fields(RecordSummary)}
+        return {**stated, "rig": self.rig.model_dump(), "nrmsd": dict(self.nrmsd)}
 
 
 def worst_nrmsd(fits: Sequence[RecordFit]) -> dict[str, float]:
@@ -146,50 +160,95 @@ def worst_nrmsd(fits: Sequence[RecordFit]) -> dict[str, float]:
     return {n: max(fit.nrmsd[n] for fit in fits if n in fit.nrmsd) for n in names}
 
 
-@dataclass(frozen=True, eq=False)
-class Answer:
-    """What an inversion found.
+class Opinion(BaseModel, strict=True):
+    """What a second library says of φ [deg]."""
+
+    library: str
+    median: float
+    sd: float
+    force_size_deg: float | None = None
+
+
+def _opinion(given: Mapping[str, Any]) -> dict[str, Any]:
+    return Opinion.model_validate(given).model_dump()
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class AnswerSummary:
+    """What an inversion found, as its JSON has it.
 
     Attributes
     ----------
-    parameters
-        Estimate of each parameter that was inferred, by its dotted scenario key.
-    convention
-        What φ means in the library: a yield criterion, or ``rft3d``.
-    phi_plane_strain, phi_plane_strain_reason
-        φ as that of Mohr-Coulomb soil in plane strain [deg], or ``None`` and the reason.
+    phi_plane_strain_reason
+        Why φ has no equivalent in plane strain, if so.
     verdict
         ``consistent``, ``misfit`` or ``out_of_range``.
     reason
         Why, in one or two sentences.
     edge
         End of the library's range beyond which φ lies: ``low``, ``high`` or ``None``.
-    budget_deg
-        Standard deviation of φ by term of the likelihood, the largest first [deg].
-    density_kg_m3, density_sd_kg_m3, density_assumed
-        Bulk density that the curves were scaled to.
     library, library_reason
         Its name, and why it was taken if none was named.
-    second_opinion
-        Library, median and standard deviation of the answer by other physics, or ``None``.
-    questions
-        Warnings, a sentence each.
-    records
-        The records and how the model fits them.
-    grid_deg, density
-        Posterior density of φ [1/deg] on a grid, shape [k]; empty if it was sampled.
-    draws
-        Draws by parameter, shape [chain, draw]; empty if the posterior is by quadrature.
-    diagnostics
-        Split-R̂, effective sample size and autocorrelation time of each parameter, if drawn.
+    density_kg_m3, density_sd_kg_m3, density_assumed
+        Bulk density that the curves were scaled to.
     leg_friction
         Friction of the leg in the library's model [-], where it was not inferred.
     cohesion_pa
         Cohesion that was fitted with φ [Pa]; ``None`` by libraries, which are of dry soil.
     seed
         Of the draws.
+    budget_deg
+        Standard deviation of φ by term of the likelihood, the largest first [deg].
+    second_opinion
+        Library, median and standard deviation of the answer by other physics, or ``None``.
+    parameters
+        Estimate of each parameter that was inferred, by its dotted scenario key.
+    diagnostics
+        Split-R̂, effective sample size and autocorrelation time of each parameter, if drawn.
+    questions
+        Warnings, a sentence each.
     provenance
         Versions, library hash, time; JSON-able.
+    """
+
+    __pydantic_config__ = ConfigDict(strict=True)
+
+    verdict: Verdict
+    reason: str
+    edge: Edge | None = None
+    library: str
+    library_reason: str = ""
+    density_kg_m3: Annotated[float, Field(gt=0.0, lt=1e5)]
+    density_sd_kg_m3: Annotated[float, Field(ge=0.0, lt=1e5)] | None = None
+    density_assumed: bool = True
+    phi_plane_strain_reason: str = ""
+    leg_friction: Annotated[float, Field(ge=0.0, lt=10.0)] | None = None
+    seed: int | None = None
+    cohesion_pa: Annotated[float, Field(ge=0.0, lt=1e9)] | None = None
+    budget_deg: Mapping[str, float] = field(default_factory=dict)
+    second_opinion: Annotated[Mapping[str, Any], AfterValidator(_opinion)] | None = None
+    diagnostics: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    questions: tuple[str, ...] = ()
+    parameters: Mapping[str, Estimate] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Answer(AnswerSummary):
+    """What an inversion found.
+
+    Attributes
+    ----------
+    convention
+        What φ means in the library: a yield criterion, or ``rft3d``.
+    phi_plane_strain
+        φ as that of Mohr-Coulomb soil in plane strain [deg], or ``None``.
+    records
+        The records and how the model fits them.
+    grid_deg, density
+        Posterior density of φ [1/deg] on a grid, shape [k]; empty if it was sampled.
+    draws
+        Draws by parameter, shape [chain, draw]; empty if the posterior is by quadrature.
 
     Examples
     --------
@@ -202,30 +261,12 @@ class Answer:
     'consistent'
     """
 
-    parameters: Mapping[str, Estimate]
     convention: str
     phi_plane_strain: Estimate | None
-    phi_plane_strain_reason: str
-    verdict: str
-    reason: str
-    edge: str | None
-    budget_deg: Mapping[str, float]
-    density_kg_m3: float
-    density_sd_kg_m3: float
-    density_assumed: bool
-    library: str
-    library_reason: str
-    second_opinion: Mapping[str, Any] | None
-    questions: tuple[str, ...]
     records: tuple[RecordFit, ...]
     grid_deg: FloatArray
     density: FloatArray
     draws: Mapping[str, FloatArray] = field(default_factory=dict)
-    diagnostics: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    leg_friction: float | None = None
-    cohesion_pa: float | None = None
-    seed: int | None = None
-    provenance: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def phi(self) -> Estimate:
@@ -249,6 +290,14 @@ class Answer:
         """Residual of the worst record by channel, of peak-to-peak [-]."""
         return worst_nrmsd(self.records)
 
+    @property
+    def posterior(self) -> tuple[FloatArray, FloatArray]:
+        """Angles [deg] and the density of φ there [1/deg], of draws by a histogram; shape [k]."""
+        if self.grid_deg.size:
+            return self.grid_deg, self.density
+        density, edges = np.histogram(self.phi_draws(), bins=60, density=True)
+        return 0.5 * (edges[1:] + edges[:-1]), density
+
     def phi_draws(self) -> FloatArray:
         """Equally probable values of φ [deg], shape [draw]."""
         if self.draws:
@@ -266,7 +315,7 @@ class Answer:
             "phi_plane_strain_deg": plane.as_dict() if plane else None,
             "source": self.source,
             "rig": self.rigs[0].model_dump(),
-            **copy.deepcopy({name: getattr(self, name) for name in _STATED}),
+            **copy.deepcopy({one.name: getattr(self, one.name) for one in fields(AnswerSummary)}),
             "nrmsd": self.nrmsd,
             "n_angles": self.records[0].theta_deg.size,
             "questions": list(self.questions),
@@ -328,8 +377,7 @@ class Answer:
             for record in (one for one in self.records if name in one.nrmsd):
                 i, theta = list(record.nrmsd).index(name), record.theta_deg
                 axes.fill_between(theta, *record.band[:, i], color="C0", alpha=0.2, lw=0)
-                fit = record.curve if record.expected is None else record.expected
-                axes.plot(theta, fit[i], color="C0", label="model")
+                axes.plot(theta, record.best[i], color="C0", label="model")
                 if record.expected is not None:
                     axes.plot(theta, record.curve[i], "--", color="C0", lw=1, label="bare model")
                 axes.plot(theta, record.data[i], ".", color="black", ms=3, label="data")
@@ -338,10 +386,7 @@ class Answer:
         handles, labels = of_channels[0].get_legend_handles_labels()
         each = dict(zip(labels, handles, strict=True))
         of_channels[0].legend(each.values(), each.keys(), frameon=False, fontsize="small")
-        grid, density = self.grid_deg, self.density
-        if not grid.size:
-            density, edges = np.histogram(self.phi_draws(), bins=60, density=True)
-            grid = 0.5 * (edges[1:] + edges[:-1])
+        grid, density = self.posterior
         of_phi.plot(grid, density, color="C0")
         low, high = self.phi.ci68
         inside = (grid >= low) & (grid <= high)
@@ -429,7 +474,7 @@ class Answer:
                 if f"{at}expected_{i}" in file.variables:
                     expected = file.numbers(f"{at}expected_{i}", *dims)
                 fit = RecordFit(
-                    **{**one.model_dump(), "rig": one.rig},
+                    **vars(one),
                     theta_deg=file.numbers(f"{at}theta_deg_{i}", dims[1]),
                     data=file.numbers(f"observed_data/force_{i}", *dims),
                     curve=file.numbers(f"{at}curve_{i}", *dims),
@@ -444,17 +489,15 @@ class Answer:
                 raise ValueError("no records, or no posterior")
             phi, plane = known.phi_deg, known.phi_plane_strain_deg
             return cls(
-                parameters=known.parameters,
                 convention=phi.convention if phi else "",
                 phi_plane_strain=Estimate(**plane.model_dump(exclude={"convention"}))
                 if plane
                 else None,
-                questions=tuple(known.questions),
                 records=tuple(records),
                 grid_deg=grid,
                 density=density,
                 draws=draws,
-                **known.model_dump(include={*_STATED}),
+                **{one.name: getattr(known, one.name) for one in fields(AnswerSummary)},
             )
 
     def save(self, folder: Path | str) -> None:
@@ -489,52 +532,13 @@ class StoredAngle(BaseModel, strict=True):
         return self
 
 
-class StoredFit(BaseModel, strict=True):
-    """What :meth:`RecordFit.as_dict` wrote."""
-
-    source: str
-    rig: Rig
-    simulated: bool = False
-    n_readings: int = 0
-    n_left_out: int = 0
-    nrmsd: dict[Literal["Fx", "Fz", "M"], float] = {}
-    shift_deg: float = 0.0
-    limit: float | None = None
-
-
-class StoredOpinion(BaseModel, strict=True):
-    """What a second library says of φ [deg]."""
-
-    library: str
-    median: float
-    sd: float
-    force_size_deg: float | None = None
-
-
-class Stored(BaseModel, strict=True):
-    """Types of what :meth:`Answer.as_dict` wrote, as far as it is read back."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Stored(AnswerSummary):
+    """What :meth:`Answer.as_dict` wrote, as far as it is read back."""
 
     phi_deg: StoredAngle | None
     phi_plane_strain_deg: StoredAngle | None
-    phi_plane_strain_reason: str = ""
-    verdict: Literal["consistent", "misfit", "out_of_range"]
-    reason: str
-    edge: Literal["low", "high"] | None = None
-    library: str
-    library_reason: str = ""
-    density_kg_m3: float = Field(gt=0.0, lt=1e5)
-    density_sd_kg_m3: float | None = Field(None, ge=0.0, lt=1e5)
-    density_assumed: bool | None = None
-    leg_friction: float | None = Field(None, ge=0.0, lt=10.0)
-    cohesion_pa: float | None = Field(None, ge=0.0, lt=1e9)
-    seed: int | None = None
-    budget_deg: dict[str, float] = {}
-    second_opinion: StoredOpinion | None = None
-    questions: list[str] = []
-    records: list[StoredFit] = []
-    parameters: dict[str, Estimate] = {}
-    diagnostics: dict[str, dict[str, float]] = {}
-    provenance: dict[str, Any] = {}
+    records: list[RecordSummary] = field(default_factory=list)
 
 
 class AnswerAttributes(BaseModel):
@@ -553,26 +557,35 @@ class StoredAnswer(NamedTuple):
     draws_deg: FloatArray
     """Draws of φ in the answer's convention [deg], shape [draw]; empty if the file has none."""
 
+    @classmethod
+    def of(cls, answer: Any) -> StoredAnswer:
+        """An answer without its curves, from memory or from a file.
 
-def read_answer(path: Path | str) -> StoredAnswer:
-    """Read what ``terraphi invert`` wrote or printed, without its curves.
+        Parameters
+        ----------
+        answer
+            An answer; the folder of ``terraphi invert --out``, its ``answer.nc``, or the output of
+            ``--json`` (``-``: standard input), which has no draws.
 
-    Parameters
-    ----------
-    path
-        Folder of ``--out``, its ``answer.nc``, or the output of ``--json`` (``-``: standard input),
-        which has no draws.
-
-    Raises
-    ------
-    InputError
-        If it is missing, damaged or no answer.
-    """
-    path = Path(path)
-    if path.is_dir() or path.suffix == ".nc":
-        found = Answer.load(path)
-        draws = found.phi_draws() if PHI in found.parameters else np.zeros(0)
-        return StoredAnswer(str(path), found.as_dict(), draws)
-    text = read_bytes(path)
-    parse_json(text, Stored, str(path))
-    return StoredAnswer(str(path), json.loads(text), np.zeros(0))
+        Raises
+        ------
+        InputError
+            If it is missing, damaged or no answer.
+        """
+        if isinstance(answer, StoredAnswer):
+            return answer
+        source = ""
+        if isinstance(answer, str | Path):
+            source = str(answer)
+            if not (Path(answer).is_dir() or source.endswith(".nc")):
+                text = read_bytes(Path(answer))
+                parse_json(text, Stored, source)
+                return cls(source, json.loads(text), np.zeros(0))
+            answer = Answer.load(answer)
+        if not isinstance(answer, Answer):
+            raise InputError(
+                f"answer of type {type(answer).__name__}; give an Answer, or the folder or file of "
+                "one"
+            )
+        draws = answer.phi_draws() if PHI in answer.parameters else np.zeros(0)
+        return cls(source or answer.source, answer.as_dict(), draws)

@@ -112,10 +112,11 @@ def without_faults(record: Record) -> Record:
             "spikes": _spikes(force, span, steps[name]),
         }
         for what, found in faults.items():
-            if found.any():
-                notes.append(
-                    f"{_count(found)} of {name} left out as {what} {_where(theta, found)}."
-                )
+            if count := int(found.sum()):
+                low, high = theta[found][[0, -1]]
+                readings = "1 reading" if count == 1 else f"{count} readings"
+                place = f"between {low:.1f} and {high:.1f}°" if high > low else f"at {low:.1f}°"
+                notes.append(f"{readings} of {name} left out as {what} {place}.")
                 bad |= found
     if bad.mean() > MOST_LEFT_OUT:
         raise InputError(
@@ -216,16 +217,6 @@ def _step(name: str, force: FloatArray, theta: FloatArray, resolution: float) ->
     return ""
 
 
-def _count(mask: BoolArray) -> str:
-    count = int(mask.sum())
-    return "1 reading" if count == 1 else f"{count} readings"
-
-
-def _where(theta: FloatArray, mask: BoolArray) -> str:
-    low, high = theta[mask][[0, -1]]
-    return f"between {low:.1f} and {high:.1f}°" if high > low else f"at {low:.1f}°"
-
-
 # -- after the fit -------------------------------------------------------------------------------
 
 
@@ -257,10 +248,9 @@ def in_air(likelihood: Likelihood) -> list[str]:
 
 def guesses(likelihood: Likelihood) -> Iterator[str]:
     """Sentences on what an answer takes for granted of its records."""
-    several = len(likelihood.records) > 1
     for i, record in enumerate(likelihood.records):
         density, part = likelihood.density[i], likelihood.strokes[i]
-        name = f"{record.source}: " if several else ""
+        name = likelihood.prefix(record)
         spacing = float(np.median(np.diff(record.history.theta_deg)))
         if spacing > 2.0 * WINDOW_DEG / (OBSERVATION_ANGLES - 1):
             yield f"{name}The readings are {spacing:.0f}° apart; peaks between them are missed."
@@ -307,7 +297,6 @@ def others(
     misfit
         Whether the model describes them badly; only then other readings of them are proposed.
     """
-    several = len(likelihood.records) > 1
     density = np.array(likelihood.density)
     if np.ptp(density) > UNUSUAL * np.max(likelihood.density_sd * density):
         yield (
@@ -315,7 +304,7 @@ def others(
             "are inverted as one soil: check that they are."
         )
     for i, record in enumerate(likelihood.records):
-        name = f"{record.source}: " if several else ""
+        name = likelihood.prefix(record)
         if record.scenario is not None:
             apart = differences(record.scenario, likelihood.library.scenario)
             apart = [key for key in apart if key not in likelihood.keys]
@@ -405,22 +394,18 @@ def _columns_otherwise(record: Record) -> dict[str, tuple[Record, FloatArray]]:
 
 def _other_arm(likelihood: Likelihood, i: int) -> Iterator[str]:
     """A sentence if the moment about the hip is not that of the forces, with the model's arms."""
-    record = likelihood.records[i]
-    factor = moment_factor(record, likelihood.laws[i], likelihood.shift_deg[i])
-    if factor is not None and abs(np.log(max(factor, 1e-3))) > np.log(OTHER_ARM):
+    record, law = likelihood.records[i], likelihood.laws[i]
+    if law.arm is None or record.channels != FORCES or record.history.moment is None:
+        return
+    theta_deg = law.theta_deg + likelihood.shift_deg[i]
+    arm = np.stack([np.interp(record.theta_deg, theta_deg, row) for row in law.arm])
+    of_forces = (arm * record.data).sum(axis=0)
+    factor = float(of_forces @ record.means(record.history.moment) / (of_forces @ of_forces))
+    if abs(np.log(max(factor, 1e-3))) > np.log(OTHER_ARM):
         yield (
             f"The moment is {factor:.2g} times that of the forces about the hip: check the length "
             "of the leg, the units, and about which axis the moment is."
         )
-
-
-def moment_factor(record: Record, law: LegLaw, shift_deg: float) -> float | None:
-    """Moment of a record over that of its forces with the model's lever arms [-], if it has all."""
-    if law.arm is None or record.channels != FORCES or record.history.moment is None:
-        return None
-    arm = [np.interp(record.theta_deg, law.theta_deg + shift_deg, row) for row in law.arm]
-    of_forces = (np.array(arm) * record.data).sum(axis=0)
-    return float(of_forces @ record.means(record.history.moment) / (of_forces @ of_forces))
 
 
 def _other_size(likelihood: Likelihood, i: int) -> Iterator[str]:
@@ -503,22 +488,14 @@ def second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:
         return None  # beyond its library, or nearly without an equivalent in plane strain
     below, median, above = to_plane_strain(read + np.array([-1.0, 0.0, 1.0])).tolist()
     sd = float(other.sd[0])
-    return {
-        "library": THEORY, "median": median, "sd": sd * (above - below) / 2.0,
-        "force_size_deg": phi_of_size(likelihood) if likelihood.keys == (PHI,) else None,
-    }  # fmt: skip
-
-
-def phi_of_size(likelihood: Likelihood) -> float:
-    """Angle at which the model's forces are as large as the data, whatever their shape [deg].
-
-    It ends at the library's ends.
-    """
-    low, high = likelihood.low[0], likelihood.high[0]
-    phi = np.linspace(low, high, 71)
-    size = np.square(likelihood.curves(phi[:, None]) / likelihood.span).sum(axis=1)
-    own = float(np.square(likelihood.data / likelihood.span).sum())
-    return float(np.interp(own, np.maximum.accumulate(size), phi))
+    of_size = None
+    if likelihood.keys == (PHI,):  # φ at which forces are as large, whatever their shape
+        phi = np.linspace(likelihood.low[0], likelihood.high[0], 71)
+        size = np.square(likelihood.curves(phi[:, None]) / likelihood.span).sum(axis=1)
+        own = float(np.square(likelihood.data / likelihood.span).sum())
+        of_size = float(np.interp(own, np.maximum.accumulate(size), phi))
+    sd *= (above - below) / 2.0
+    return {"library": THEORY, "median": median, "sd": sd, "force_size_deg": of_size}
 
 
 def residual(data: FloatArray, record: Record, likelihood: Likelihood, leg: str) -> float:

@@ -17,7 +17,14 @@ from terraphi.experiment.rig import with_rig
 from terraphi.experiment.scenario import Scenario
 from terraphi.experiment.soil import plane_strain_friction_angle_deg
 from terraphi.forward.rft import to_plane_strain
-from terraphi.inference.answer import Answer, Estimate, RecordFit, worst_nrmsd
+from terraphi.inference.answer import (
+    Answer,
+    Edge,
+    Estimate,
+    RecordFit,
+    Verdict,
+    worst_nrmsd,
+)
 from terraphi.inference.calibration import Calibration, CalibrationSoil
 from terraphi.inference.checks import (
     FAR_APART_DEG,
@@ -210,7 +217,8 @@ def calibrate(
             raise InputError(f"{record.source}: cannot calibrate with it. {why}")
         read = float(best[likelihood.keys.index(PHI)])
         shares = likelihood.budget()
-        sd = _sd_without(likelihood, (*MODEL, *OF_RIG))
+        others = [share for name, share in shares.items() if name not in (*MODEL, *OF_RIG)]
+        sd = math.hypot(*others)
         rig_sd = math.hypot(*(shares.get(name, 0.0) for name in OF_RIG))
         error = likelihood.errors[record.leg]
         apart = read - phi_deg
@@ -313,33 +321,29 @@ def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Ans
     verdict, why, edge = _verdict(likelihood, fits, middle, damaged=bool(air))
     inferred, scenario = parameters.get(PHI), library.scenario
     other = second["median"] if second and scenario.convention == "plane_strain" else None
-    far = ""
+    far = []
     if inferred and other is not None and abs(other - inferred.median) > FAR_APART_DEG:
-        far = (
+        far.append(
             f"Resistive force theory gives {other:.0f}°, farther than for any record whose leg "
             "is known: check the leg and the columns."
         )
-
-    def of_records(sentences: Callable[[Record], Sequence[str]]) -> list[str]:
-        """Sentences on each record, with its name if there are several."""
-        return [one if len(records) == 1 else f"{record.source}: {one}"
-                for record in records for one in sentences(record)]  # fmt: skip
-
+    damage = [f"{likelihood.prefix(one)}{text}" for one in records for text in one.damage]
+    notes = [f"{likelihood.prefix(one)}{text}" for one in records for text in one.notes]
     # In the order of their consequence, the gravest first.
     questions = [
         # The forces are wrong, whatever the soil.
-        *of_records(lambda record: record.damage),
+        *damage,
         *air,
         # Leg, columns, sizes or units may be others than stated.
         *(others(likelihood, misfit=verdict != "consistent") if not air else ()),
-        *([far] if far else []),
+        *far,
         *_about(likelihood, fits, parameters, verdict),
         # The angle or its interval rests on what was not measured.
         *([disagreement] if disagreement else []),
         *guesses(likelihood),
         *([f"Library {library.name}: {library.caveat}"] if library.caveat else []),
         # What was done with the readings.
-        *of_records(lambda record: record.notes),
+        *notes,
     ]  # fmt: skip
     plane, no_plane = (
         _plane_strain(inferred, scenario) if inferred else (None, "φ was not inferred")
@@ -446,7 +450,7 @@ def _verdict(
     middle: FloatArray,
     *,
     damaged: bool,
-) -> tuple[str, str, str | None]:
+) -> tuple[Verdict, str, Edge | None]:
     """Verdict, reason, and the end of the library beyond which φ lies."""
     if damaged or any(record.damage for record in likelihood.records):
         return "misfit", "Misfit: the record is damaged. Do not use the angle.", None
@@ -483,10 +487,9 @@ def _verdict(
 def _misfit_of_soil(likelihood: Likelihood, fits: Sequence[RecordFit]) -> str:
     """A sentence if a record differs from the model by more than real soils do."""
     for fit, record, (_, span, _) in zip(fits, likelihood.records, likelihood.strokes, strict=True):
-        best = fit.curve if fit.expected is None else fit.expected
-        size = float(_nrmsd(fit.data, best, span).max())
+        size = float(_nrmsd(fit.data, fit.best, span).max())
         if fit.limit is not None and size > fit.limit:
-            apart = (fit.data - best) / span[:, None]
+            apart = (fit.data - fit.best) / span[:, None]
             i, j = np.unravel_index(np.abs(apart).argmax(), apart.shape)
             far = apart[i, j]
             shown = f"{100.0 * far:+.0f} % of" if abs(far) < 2.0 else f"{far:+.1f} times"
@@ -532,7 +535,7 @@ def _misfit(likelihood: Likelihood, middle: FloatArray) -> str:
     )
 
 
-def _edge(likelihood: Likelihood) -> str | None:
+def _edge(likelihood: Likelihood) -> Edge | None:
     """End of the library's range beyond which φ lies, by the forces alone."""
     if PHI not in likelihood.keys:
         return None
@@ -548,12 +551,6 @@ def _edge(likelihood: Likelihood) -> str | None:
     if read < likelihood.low[i] - min(offsets):
         return "low"
     return "high" if read > likelihood.high[i] - max(offsets) else None
-
-
-def _sd_without(likelihood: Likelihood, names: Sequence[str]) -> float:
-    """Standard deviation of φ from all terms but some [deg]."""
-    shares = likelihood.budget()
-    return math.sqrt(sum(share**2 for name, share in shares.items() if name not in names))
 
 
 def _about(

@@ -1,1 +1,1 @@
-"""From a robot's log to foot forces, stances and footfalls."""
+"""From a robot's log to foot forces, stances and touch-downs."""

@@ -192,7 +192,12 @@ def estimate(
     for wide, inner in chunks(log.time):
         seen = signals(log, robot, wide, moving=moving)
         torque = contact_torque(seen, estimator, gap, overview.friction)
-        own = noise**2 + _timing_variance(seen.time, torque, gap)[inner]
+        # The time of a sample is not known exactly: a torque that changes at a rate r is uncertain
+        # by r Δt/√12, much where a foot strikes.
+        change = np.diff(torque, axis=0)
+        change[np.diff(seen.time) > gap] = 0.0
+        timing = np.pad(change**2 / 24.0, ((1, 1), (0, 0), (0, 0)))
+        own = noise**2 + (timing[1:] + timing[:-1])[inner]
         torque, velocity, turn = torque[inner], seen.velocity[inner], seen.turn[inner]
         if overview.friction is not None:
             own += overview.friction.doubt(velocity) ** 2
@@ -246,17 +251,6 @@ def estimate(
             "assumed": _assumed(log, robot, overview, broken),
         },
     )
-
-
-def _timing_variance(time: FloatArray, torque: FloatArray, gap: float) -> FloatArray:
-    """Variance of contact torques [N² m²] because the time of a sample is not known exactly.
-
-    A torque that changes at a rate r is uncertain by r Δt/√12: much where a foot strikes.
-    """
-    change = np.diff(torque, axis=0)
-    change[np.diff(time) > gap] = 0.0
-    variance = np.pad(change**2 / 24.0, ((1, 1), (0, 0), (0, 0)))
-    return variance[1:] + variance[:-1]
 
 
 def _check_log(log: JointLog, frame: Frame) -> None:

@@ -32,6 +32,9 @@ if TYPE_CHECKING:
 
 ASKEW_DEG = 15.0
 """Heading from the world's x above which a note says what Fx means [deg]: its cosine is 0.97."""
+GREY = "0.4"
+PLOTTED_S = 7.0
+"""Part of a log that a picture shows [s]."""
 KIND = "foot forces"
 SCHEMA = 1
 
@@ -109,9 +112,31 @@ class RobotForces:
 
     def plot(self) -> Figure:
         """F_x and F_z of each foot over time, stances shaded, as a Matplotlib figure."""
-        from terraphi.robot.pictures import forces_figure
+        from terraphi.experiment.figure import Figure as NewFigure
 
-        return forces_figure(self)
+        time, stances = self.forces.time, self.stances
+        first = stances[0].begin - 0.1 if stances else time[0]
+        start = max(min(first, time[-1] - PLOTTED_S), time[0])
+        shown = slice(*np.searchsorted(time, [start, start + PLOTTED_S]).tolist())
+        figure = NewFigure(figsize=(12.0, 9.0), layout="constrained")
+        grid = figure.subplots(4, 2, sharex=True, sharey="col")
+        for i, foot in enumerate(FEET):
+            for axes, column, label in zip(grid[i], (0, 2), ("$F_x$", "$F_z$"), strict=True):
+                force = self.forces.force[shown, i, column]
+                axes.plot(time[shown] - start, force, color="C0", lw=1.0)
+                for one in stances:
+                    if one.foot == foot and start < one.end and one.begin < start + PLOTTED_S:
+                        ends = one.begin - start, one.end - start
+                        axes.axvspan(*ends, color=GREY, alpha=0.15, lw=0)
+                axes.axhline(0.0, color=GREY, lw=0.6)
+                axes.set_ylabel(f"{label} of {foot} [N]")
+        for axes in grid[-1]:
+            axes.set_xlabel(f"time after {start:.2f} s [s]")
+        if time[-1] > start:
+            grid[0, 0].set_xlim(0.0, min(PLOTTED_S, time[-1] - start))
+        how = f"{self.forces.estimator.replace('_', ' ')}, frame: {self.forces.frame}"
+        figure.suptitle(f"Force of the ground on each foot ({how}); stances shaded", fontsize=11)
+        return figure
 
     def to_netcdf(self, path: Path | str) -> None:
         """Write forces, stances and mean stances as NetCDF-4; raises InputError if that fails."""
@@ -141,21 +166,10 @@ class RobotForces:
         return f"<pre>{html.escape(repr(self))}</pre>{table.to_html(float_format='{:.3g}'.format)}"
 
 
-class ForcesSummary(BaseModel, strict=True):
-    """Those entries of :meth:`RobotForces.summary` that a report shows."""
-
-    feet: dict[str, dict[str, float | None]]
-    pooled: dict[str, float | None]
-    duration_s: float
-    estimator: str
-    frame: str
-    notes: list[str]
-
-
 class ForcesAttributes(BaseModel):
     """Attributes of a file of foot forces."""
 
-    summary: Json[ForcesSummary]
+    summary: Json[dict[str, Any]]
     provenance: Json[dict[str, Any]]
 
 

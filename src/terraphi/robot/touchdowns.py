@@ -26,9 +26,9 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from terraphi.experiment.arrays import BoolArray, FloatArray
+from terraphi.experiment.arrays import FloatArray
+from terraphi.inference.touchdowns import FEWEST, Touchdowns
 from terraphi.robot.estimators import smooth_sign, trunk_motion
 from terraphi.robot.forces import TRUNK_ACCELERATION_SD, FootForces
 from terraphi.robot.friction import BEARING_SHARE
@@ -56,9 +56,6 @@ TOUCH_N = 2.5
 (``tests/robot/test_touchdowns.py``)."""
 POINTS = 64
 """Most samples of a touch-down; longer ones are thinned (memory)."""
-FEWEST = 10
-"""Samples that a touch-down needs while the foot goes down, and a log in half of :data:`WINDOW_S`,
-to fit three quantities; touch-downs that teach how a law grows with depth."""
 GOES_ON = 0.25
 """A foot rests that goes down slower than this part [-] of its fastest within half of
 :data:`WINDOW_S`: after a rest, a slow loading counts again (``tests/robot/test_touchdowns.py``)."""
@@ -131,52 +128,6 @@ def track(log: JointLog, robot: Quadruped, place: FloatArray, load: FloatArray) 
         weight = bearing / (1.0 + (off / STANCE_SD) ** 2) ** 2
     trunk = np.concatenate([np.zeros((1, 3)), np.cumsum(velocity * step[:, None], axis=0)])
     return Motion(trunk, trunk[:, None] + place, felt[:, 2])
-
-
-class Touchdowns(NamedTuple):
-    """Touch-downs of a log, feet that load soil; arrays of shape [touchdown, sample] or as noted.
-
-    Attributes
-    ----------
-    foot
-        Index into :data:`~terraphi.robot.joint_log.FEET`, shape [touchdown].
-    begin
-        Touch-down of the stance on the log's clock [s], shape [touchdown].
-    place
-        Of the foot in the world when its loading ends [m], shape [touchdown, 3].
-    time
-        Since touch-down [s].
-    drop
-        How far the ball has gone down since touch-down [m].
-    descent
-        Angle of its velocity below the horizontal [rad].
-    speed
-        [m/s].
-    force
-        Upward force on the foot [N].
-    per_error
-        What errors of the leg's torques add to it [N], as :func:`sensitivity` orders them; shape
-        [touchdown, sample, 6].
-    used
-        Whether the sample is there, and the foot is going down in it.
-    torn
-        Samples are missing, or come too slowly for a touch-down; shape [touchdown].
-    saturated
-        A motor of the leg is at its limit in it; shape [touchdown].
-    """
-
-    foot: NDArray[np.int64]
-    begin: FloatArray
-    place: FloatArray
-    time: FloatArray
-    drop: FloatArray
-    descent: FloatArray
-    speed: FloatArray
-    force: FloatArray
-    per_error: FloatArray
-    used: BoolArray
-    torn: BoolArray
-    saturated: BoolArray
 
 
 def sensitivity(log: JointLog, forces: FootForces) -> FloatArray:

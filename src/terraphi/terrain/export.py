@@ -17,9 +17,8 @@ from terraphi.experiment.files import atomic_write
 from terraphi.experiment.outputs import SIGNATURE, changed, check_file
 from terraphi.experiment.soil import cone_slope
 from terraphi.forward.rft import stress_scale, to_plane_strain
-from terraphi.inference.answer import Answer, StoredAnswer, read_answer
+from terraphi.inference.answer import Answer, StoredAnswer
 from terraphi.laws.foot import LAWS, Foot
-from terraphi.laws.store import PHI
 from terraphi.terrain.simulators import (
     MATCHES,
     Match,
@@ -111,26 +110,12 @@ def export(
         if path.suffix not in FORMATS:
             raise InputError(f"{path}: name a .py, .json or .usda file")
         check_file(path)
-    found = _parameters(_stored(answer), target, match, draws, seed, anyway=anyway)
+    found = _parameters(StoredAnswer.of(answer), target, match, draws, seed, anyway=anyway)
     if path is not None:
         content = text(found, FORMATS[path.suffix])
         with atomic_write(path) as temporary:
             temporary.write_text(content, encoding="utf-8")
     return found
-
-
-def _stored(answer: Any) -> StoredAnswer:
-    """An answer with its draws, from memory or a file."""
-    if isinstance(answer, StoredAnswer):
-        return answer
-    if isinstance(answer, Answer):
-        draws = answer.phi_draws() if PHI in answer.parameters else np.empty(0)
-        return StoredAnswer(answer.source, answer.as_dict(), draws)
-    if isinstance(answer, str | Path):
-        return read_answer(answer)
-    raise InputError(
-        f"answer of type {type(answer).__name__}; give an Answer, or the folder or file of one"
-    )
 
 
 def _parameters(

@@ -19,6 +19,7 @@ from terraphi.experiment.budget import CELLS
 from terraphi.experiment.errors import InputError, nearest, needing
 from terraphi.experiment.files import check_is_file, plain_number
 from terraphi.experiment.tables import read_cells
+from terraphi.inference.footfalls import FootfallMap
 from terraphi.terrain.simulators import LEAST_DEG
 
 Float32 = NDArray[np.float32]
@@ -246,8 +247,19 @@ def read_points(path: Path, dem: Elevation, start: Start | None = None) -> tuple
     """
     import rasterio
 
-    table = _footfalls(path) if path.suffix == ".nc" else _csv(path, dem)
+    if path.suffix == ".nc":
+        table = FootfallMap.load(path).summary().rename(index=lambda row: f"footfall {row}")
+    else:
+        table = _csv(path, dem)
+    table = table.rename(columns={"relative_sd_deg": "sd_deg"})  # of footfalls
     walk = "verdict" in table
+    for name in table:
+        if name not in COLUMNS and not walk:
+            raise InputError(f"{path}: unknown column '{name}'; {nearest(str(name), COLUMNS)}")
+    for name in COLUMNS:
+        if name not in table and name != SHARED:
+            raise InputError(f"{path}: no column '{name}'; expected {','.join(COLUMNS)}")
+    table = table if SHARED in table else table.assign(**{SHARED: 0.0})
     usable = table[table["verdict"] == "usable"] if walk else table
     if len(usable) < FEWEST:
         raise InputError(f"{path}: {len(usable)} of {len(table)} points usable; needed: {FEWEST}")
@@ -287,13 +299,6 @@ def _csv(path: Path, dem: Elevation) -> pd.DataFrame:
 
     rows, comments = read_cells(path)
     table = pd.DataFrame.from_dict(rows, orient="index")
-    table = table.rename(columns={"relative_sd_deg": "sd_deg"})  # of footfalls
-    for name in table:
-        if name not in COLUMNS and "verdict" not in table:
-            raise InputError(f"{path}: unknown column '{name}'; {nearest(str(name), COLUMNS)}")
-    for name in COLUMNS:
-        if name not in table and name != SHARED:
-            raise InputError(f"{path}: no column '{name}'; expected {','.join(COLUMNS)}")
     for crs in re.findall(r"^#\s*crs:\s*(.*)", "\n".join(comments), re.MULTILINE)[:1]:
         try:
             # Other notations may be addresses, which GDAL would open.
@@ -304,14 +309,4 @@ def _csv(path: Path, dem: Elevation) -> pd.DataFrame:
             same = False
         if not same:
             raise InputError(f"{path}: its coordinate system is {crs}; project it to {dem.crs}")
-    return table if SHARED in table else table.assign(**{SHARED: 0.0})
-
-
-def _footfalls(path: Path) -> pd.DataFrame:
-    """Table of the NetCDF of a walk's footfalls."""
-    from terraphi.robot.footfall_files import read_footfalls
-
-    walk = read_footfalls(path)
-    columns = (walk.place[:, 0], walk.place[:, 1], walk.phi, walk.sd, walk.shared_sd, walk.verdict)
-    table = pd.DataFrame(dict(zip((*COLUMNS, "verdict"), columns, strict=True)))
-    return table.rename(index=lambda row: f"footfall {row}")
+    return table

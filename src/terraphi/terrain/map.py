@@ -8,11 +8,10 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pandas as pd
-from pydantic import BaseModel
 from scipy.spatial import cKDTree
 
 from terraphi.experiment.errors import InputError
@@ -40,39 +39,6 @@ BEYOND = 0.1
 """Share of the points' range of a covariate by which a cell may lie outside."""
 BLOCK = 4096
 """Cells computed together; bounds the memory."""
-
-
-class Middle(BaseModel, strict=True):
-    """A median."""
-
-    median: float
-
-
-class Share(Middle):
-    """Median and 95 % interval of a share [-]."""
-
-    ci95: tuple[float, float]
-
-
-class MapAngles(BaseModel, strict=True):
-    """Medians of the friction angle [deg]."""
-
-    median_of_points: float
-    median_of_map: float
-
-
-class Summary(BaseModel, strict=True):
-    """Those entries of a map's summary that a report shows."""
-
-    points_used: int
-    points_left_out: int
-    cells: int
-    slope_deg: Middle
-    phi_deg: MapAngles
-    priors: dict[Literal[*slopes.QUANTITIES], Any]  # type: ignore[valid-type]
-    unstable_area_share: Share
-    mean_phi_share: float
-    extrapolated_share: float
 
 
 @dataclass(frozen=True, eq=False)

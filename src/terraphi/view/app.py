@@ -435,8 +435,7 @@ def write_files(answer: Answer, folder: Path) -> None:
     rows = []
     for one in answer.records:
         columns: dict[str, Any] = {"record": one.source, "theta_deg": one.theta_deg}
-        fit = one.curve if one.expected is None else one.expected
-        curves = {"": one.data, "_fit": fit, "_model": one.curve}
+        curves = {"": one.data, "_fit": one.best, "_model": one.curve}
         curves |= {"_low": one.band[0], "_high": one.band[1]}
         for i, force in enumerate(one.nrmsd):
             unit = "N_m" if force == "M" else "N"

@@ -1,18 +1,41 @@
-"""What pictures share: colours that colour-blind readers tell apart, saving."""
+"""Pictures and tables of robots and slopes, in colours that colour-blind readers tell apart."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from terraphi.experiment.files import atomic_write
+from terraphi.view.table import Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from terraphi.robot.results import RobotForces
+    from terraphi.terrain.map import SlopeMap
+
 BLUE, ORANGE, GREEN, PURPLE, GREY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#666666"
 """Of Okabe & Ito."""
+LOOKS = {"FR": (BLUE, "-"), "FL": (ORANGE, "--"), "RR": (GREEN, "-."), "RL": (PURPLE, ":")}
+FOOT_NAMES = {"FR": "front right", "FL": "front left", "RR": "rear right", "RL": "rear left"}
+MOST_FOOTFALLS = 40
+"""Footfalls that a terminal shows; all are in the files."""
+MOST_PLACES = 10
+"""Places along a path that a terminal shows."""
+BANDS = ("relative", "absolute")
+SHOWN = {"x": (0, "$F_x$ [N]"), "z": (2, "$F_z$ [N], up")}
+"""Axis to its column and label."""
+MOST_PIXELS = 800
+"""Along the longer side of a picture; larger maps are thinned."""
+PANELS = (
+    ("p_unstable", "probability of a factor of safety below 1", "YlOrRd", (0.0, 1.0)),
+    ("phi_median", "φ in plane strain, median [deg]", "viridis", (None, None)),
+    ("phi_sd", "φ, standard deviation [deg]", "Purples", (None, None)),
+    ("phi_share", "share of the variance that is due to φ", "Blues", (0.0, None)),
+)
 
 
 def save(
@@ -21,3 +44,115 @@ def save(
     """Write a figure in the format of its suffix; raises InputError if that cannot be done."""
     with atomic_write(Path(path)) as temporary:
         figure.savefig(temporary, dpi=dpi, metadata=metadata)
+
+
+def footfalls_table(summary: dict[str, Any], most: int = MOST_FOOTFALLS) -> Table:
+    """Place, sinkage, φ and verdict of the first footfalls of a summary."""
+    rows = []
+    for one in summary["footfalls"][:most]:
+        phi = one["phi_deg"]
+        median, half = "-", "-"
+        if phi is not None:
+            median = f"{phi['median']:.1f}"
+            half = f"{0.5 * (phi['ci68'][1] - phi['ci68'][0]):.1f}"
+        rows.append(
+            (
+                median, half, one["verdict"], f"{one['t_s']:.2f}", one["foot"],
+                f"{one['x_m']:.2f}", f"{one['y_m']:.2f}", f"{one['sinkage_mm']:.1f}",
+            )
+        )  # fmt: skip
+    more = len(summary["footfalls"]) - len(rows)
+    header = ("φ [deg]", "±", "verdict", "t [s]", "foot", "x [m]", "y [m]", "sinkage [mm]")
+    note = "±: 68 %, absolute." + (f" {more} more are in the files." if more else "")
+    return Table(f"Footfalls, law {summary['law']}", header, rows, note)
+
+
+def path_table(path: Mapping[str, Any]) -> Table:
+    """φ at some places along the path of a summary with a usable footfall, with both bands."""
+    rows = [
+        (
+            f"{path['s_m'][i]:.2f}", f"{path['phi_deg'][i]:.1f}",
+            *("{:.1f} to {:.1f}".format(*path[f"ci68_{band}"][i]) for band in BANDS),
+        )
+        for i in range(0, len(path["s_m"]), max(1, len(path["s_m"]) // MOST_PLACES))
+    ]  # fmt: skip
+    header = ("s [m]", "φ [deg]", *(f"68 %, {band}" for band in BANDS))
+    return Table("Along the path, footfalls pooled", header, rows)
+
+
+def feet_table(summary: Mapping[str, Any], title: str) -> Table:
+    """Stances of each foot and of all, with the duration and signed peaks of the mean one."""
+    feet = {f"{name} ({foot})": summary["feet"][foot] for foot, name in FOOT_NAMES.items()}
+    digits = {"mean_duration_s": ".3f", "mean_peak_Fz_N": ".1f", "mean_peak_Fx_N": ".1f"}
+    rows = [
+        (
+            name,
+            str(one["stances"]),
+            *("–" if one[key] is None else f"{one[key]:{form}}" for key, form in digits.items()),
+        )
+        for name, one in {**feet, "all feet": summary["pooled"]}.items()
+    ]
+    header = ("foot", "stances", "duration [s]", "peak Fz [N]", "peak Fx [N]")
+    return Table(title, header, rows, "Duration and signed peaks of the mean stance.")
+
+
+def stance_figure(result: RobotForces) -> Figure:
+    """Mean stance over normalised time: all feet with the spread, and foot by foot."""
+    from terraphi.experiment.figure import Figure as NewFigure
+
+    figure = NewFigure(figsize=(10.0, 4.4), layout="constrained")
+    panels = figure.subplots(1, 2)
+    pooled = result.pooled
+    for axes, (name, (column, label)) in zip(panels, SHOWN.items(), strict=True):
+        if result.stances:
+            mean, spread = pooled.mean[:, column], pooled.spread[:, column]
+            band = {"color": GREY, "alpha": 0.3, "lw": 0, "label": "± one standard deviation"}
+            axes.fill_between(pooled.part, mean - spread, mean + spread, **band)
+            axes.plot(pooled.part, mean, color="black", lw=2, label=f"all, {pooled.count} stances")
+        for foot, (colour, style) in LOOKS.items():
+            one = result.feet[foot]
+            if one.count:
+                look = {"color": colour, "lw": 1.0, "label": f"{foot}, {one.count} stances"}
+                axes.plot(one.part, one.mean[:, column], style, **look)
+        axes.axhline(0.0, color=GREY, lw=0.6)
+        peak = pooled.peak(name)
+        title = "no stances" if peak is None else f"peak of the mean {peak:.1f} N"
+        axes.set(xlim=(0.0, 1.0), xlabel="part of the stance [-]", ylabel=label)
+        axes.set_title(title, fontsize=10)
+    if result.stances:
+        entries = panels[1].get_legend_handles_labels()
+        figure.legend(*entries, loc="outside lower center", ncols=3, frameon=False)
+    return figure
+
+
+def map_figure(found: SlopeMap) -> Figure:
+    """Four maps with the points, hatched where the field extrapolates."""
+    from terraphi.experiment.figure import Figure as NewFigure
+
+    every = max(1, -(-max(found.dem.height.shape) // MOST_PIXELS))
+    thin = (slice(None, None, every), slice(None, None, every))
+    x, y, half = found.dem.x, found.dem.y, 0.5 * found.dem.cell
+    extent = (x[0] - half, x[-1] + half, y[-1] - half, y[0] + half)
+    on_map: dict[str, Any] = {"extent": extent, "origin": "upper"}
+    height = np.ma.masked_invalid(found.dem.height[thin])
+    beyond = (found.layers["extrapolated"][thin] == 1).astype(float)
+    size = 5.2 * min(max((extent[3] - extent[2]) / (extent[1] - extent[0]), 0.4), 2.0)
+    figure = NewFigure(figsize=(11.0, 1.7 * size + 0.6), layout="constrained")
+    grid = figure.subplots(2, 2, sharex=True, sharey=True)
+    for axes, (name, title, colours, (low, high)) in zip(grid.flat, PANELS, strict=True):
+        values = np.ma.masked_invalid(found.layers[name][thin])
+        shown = axes.imshow(values, cmap=colours, vmin=low, vmax=high, **on_map)
+        figure.colorbar(shown, ax=axes, shrink=0.8)
+        if min(height.shape) > 1 and height.min() < height.max():
+            axes.contour(height, 10, colors="black", linewidths=0.4, alpha=0.6, **on_map)
+        if beyond.any():
+            axes.contourf(beyond, levels=[0.5, 1.5], colors="none", hatches=["////"], **on_map)
+        axes.plot(found.points.x_m, found.points.y_m, "k.", ms=2.5)
+        axes.set_title(title, fontsize=10)
+        axes.ticklabel_format(useOffset=False, style="plain")
+        axes.tick_params(labelsize=7)
+    figure.supxlabel("x [m]", fontsize=9)
+    figure.supylabel("y [m]", fontsize=9)
+    legend = "Points: measured φ. Hatched: extrapolated. Thin lines: elevation."
+    figure.suptitle(legend, fontsize=10)
+    return figure

@@ -12,22 +12,30 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from terraphi.experiment.documents import parse_json
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import netcdf_kind, open_netcdf, read_bytes
+from terraphi.experiment.files import as_written, netcdf_kind, open_netcdf, read_bytes
 from terraphi.experiment.history import CHANNEL_UNITS, ForceHistory
 from terraphi.experiment.measurements import scenario_of
 from terraphi.experiment.outputs import changed
 from terraphi.experiment.rig import LEG_NAMES
 from terraphi.view.answers import CONVENTIONS, PHI, in_words, tables
 from terraphi.view.console import words
-from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE
+from terraphi.view.plots import (
+    BLUE,
+    FOOT_NAMES,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    feet_table,
+    footfalls_table,
+)
 from terraphi.view.table import Table
 
 if TYPE_CHECKING:
     from terraphi.inference.answer import Answer
+    from terraphi.inference.footfalls import FootfallMap
     from terraphi.laws.store import Library
-    from terraphi.robot.footfalls import FootfallMap
 
 SHOWN_S = 10.0
 """Part of a robot's log that is shown over time [s]."""
@@ -159,9 +167,9 @@ def _of_file(source: Path | str, kind: str, robot: str) -> Section:
     if kind == "map":
         return of_map(path)
     if kind == "footfalls":
-        from terraphi.robot.footfall_files import read_footfalls
+        from terraphi.inference.footfalls import FootfallMap
 
-        return of_footfalls(read_footfalls(path), path.name)
+        return of_footfalls(FootfallMap.load(path), path.name)
     from terraphi.robot import results
 
     if kind == "foot forces":
@@ -183,7 +191,6 @@ def of_answer(answer: Answer) -> Section:
     parts: list[Plot | Picture | Table] = []
     for record in answer.records:
         where = f", {record.source}" if len(answer.records) > 1 else ""
-        fit = record.curve if record.expected is None else record.expected
         residuals: list[Trace] = []
         for i, (force, nrmsd) in enumerate(record.nrmsd.items()):
             theta, low, high = record.theta_deg, *record.band[:, i]
@@ -191,14 +198,14 @@ def of_answer(answer: Answer) -> Section:
             if record.expected is not None:
                 traces.append(line(theta, record.curve[i], "bare model", BLUE, dash="dash"))
             traces += [
-                line(theta, fit[i], "model", BLUE),
+                line(theta, record.best[i], "model", BLUE),
                 points(theta, record.data[i], "data", ORANGE),
             ]
             label = CHANNELS[force]
             parts.append(Plot(f"{force}{where}", traces, axes(THETA, label)))
             apart = record.data[i] - record.curve[i]
             span = math.sqrt(np.square(apart).mean()) / (nrmsd or math.inf)
-            share = 100.0 * (record.data[i] - fit[i]) / max(span, 1e-300)
+            share = 100.0 * (record.data[i] - record.best[i]) / max(span, 1e-300)
             residuals.append(line(theta, share, force, (BLUE, ORANGE, GREEN)[i]))
         if record.limit is not None:
             size = np.full(len(record.theta_deg), 100.0 * record.limit)
@@ -233,10 +240,7 @@ def _posterior(answer: Answer) -> list[Plot]:
     """Posterior density of φ, the 68 % interval shaded."""
     if PHI not in answer.parameters:
         return []
-    grid, density = answer.grid_deg, answer.density
-    if not grid.size:
-        density, edges = np.histogram(answer.phi_draws(), bins=60, density=True)
-        grid = 0.5 * (edges[1:] + edges[:-1])
+    grid, density = answer.posterior
     seen = density > 1e-4 * density.max()
     inside = (grid >= answer.phi.ci68[0]) & (grid <= answer.phi.ci68[1])
     traces = [
@@ -336,7 +340,6 @@ def of_foot_forces(found: Any, name: str = "foot forces") -> Section:
     """Foot forces over time with the stances, and the mean stance, from memory or a file."""
     from terraphi.robot.joint_log import FEET
     from terraphi.robot.results import RobotForces, as_file
-    from terraphi.view.robot_plots import FOOT_NAMES, feet_table
 
     file = as_file(found) if isinstance(found, RobotForces) else found
     summary = file.attrs.summary
@@ -344,7 +347,7 @@ def of_foot_forces(found: Any, name: str = "foot forces") -> Section:
     begins = file.numbers("stance_begin", "stance")
     start = max(float(begins.min()) - 0.1 if len(begins) else time[0], time[0])
     shown = (time >= start) & (time <= start + SHOWN_S)
-    parts: list[Plot | Picture | Table] = [feet_table(summary.model_dump(), "Mean stances")]
+    parts: list[Plot | Picture | Table] = [feet_table(summary, "Mean stances")]
     for i, foot in enumerate(FEET):
         traces = [
             line(time[shown], force[shown, i, k], axis, colour)
@@ -370,21 +373,18 @@ def of_foot_forces(found: Any, name: str = "foot forces") -> Section:
             ]
             layout = axes("part of the stance [-]", FORCES[axis])
             parts.append(Plot(f"Mean stance, {axis}", traces, layout))
-    pooled = summary.pooled
-    headline = f"{pooled['stances']:.0f} stances in {summary.duration_s:.0f} s"
+    pooled = summary["pooled"]
+    headline = f"{pooled['stances']:.0f} stances in {summary['duration_s']:.0f} s"
     if pooled["stances"]:
         headline += f", mean peak lift {pooled['mean_peak_Fz_N']:.0f} N"
-    lines = [f"{summary.estimator.replace('_', ' ')}, frame: {summary.frame}"]
-    lines += [f"{capital(note)}." for note in summary.notes]
+    lines = [f"{summary['estimator'].replace('_', ' ')}, frame: {summary['frame']}"]
+    lines += [f"{capital(note)}." for note in summary["notes"]]
     origin = pairs(file.attrs.provenance)
     return Section("foot forces", name, headline, lines, parts, origin)
 
 
 def of_footfalls(found: FootfallMap, name: str = "footfalls") -> Section:
     """Friction angles of footfalls on the ground and along the path."""
-    from terraphi.robot.footfall_files import summary
-    from terraphi.view.robot_plots import footfalls_table
-
     usable, place = found.usable, found.place
     counts = ", ".join(f"{count} {verdict}" for verdict, count in found.counts().items())
     parts: list[Plot | Picture | Table] = []
@@ -417,7 +417,7 @@ def of_footfalls(found: FootfallMap, name: str = "footfalls") -> Section:
             f"φ = {' to '.join(ends)}° ± {np.median(wide):.1f}° along {s[-1]:.1f} m; "
             f"differences between places ± {np.median(narrow):.1f}°"
         )
-    parts.append(footfalls_table(summary(found), MOST_ROWS))
+    parts.append(footfalls_table(found.as_dict(), MOST_ROWS))
     lines = [f"Footfalls: {counts}.", *(f"{capital(note)}." for note in found.notes)]
     status = "" if usable.any() else "bad"
     return Section("footfalls", name, headline, lines, parts, pairs(found.provenance), status)
@@ -425,13 +425,12 @@ def of_footfalls(found: FootfallMap, name: str = "footfalls") -> Section:
 
 def of_map(folder: Path) -> Section:
     """Sentences and picture of a slope map."""
-    from terraphi.terrain.map import SUMMARY, Summary
+    from terraphi.terrain.map import KIND, SUMMARY
     from terraphi.terrain.map import in_words as sentences
 
-    text = read_bytes(folder / SUMMARY)
-    parse_json(text, Summary, str(folder / SUMMARY))
-    summary = json.loads(text)
-    first, headline, *lines = sentences(summary)
+    with as_written(folder / SUMMARY, KIND):
+        summary = json.loads(read_bytes(folder / SUMMARY))
+        first, headline, *lines = sentences(summary)
     lines = [*filter(None, [changed(folder)]), *lines]
     image = base64.b64encode(read_bytes(folder / "map.png")).decode("ascii")
     picture = Picture("Maps", f"data:image/png;base64,{image}")

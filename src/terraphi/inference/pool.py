@@ -8,15 +8,10 @@ which maximise their marginal posterior. An anchor, φ as a shear test found it 
 path, is one more observation, with S = 0.
 
 What footfalls share is taught by them in one thing: gains and friction that differ from leg to leg
-while the soil does not, by :data:`~terraphi.robot.footfall_fit.MOST_FITTED` footfalls at most. They
-do not teach soil, foot and law: a wrong slope of the law differs from another field in nothing but
-the field's prior. So θ otherwise keeps its prior and moves the map as a whole, until there is an
-anchor: a cut posterior.
-
-Gains of the motors and friction of the joints come from the robot's own weight first
-(:func:`weigh`): at every moment Σ F_z = m (g + a_z). The upward forces are linear in errors of the
-torques' gains and in friction that was not accounted for, so the times in which different legs
-carry different shares separate the errors by linear least squares with priors.
+while the soil does not, by :data:`~terraphi.inference.touchdowns.MOST_FITTED` footfalls at most.
+They do not teach soil, foot and law: a wrong slope of the law differs from another field in nothing
+but the field's prior. So θ otherwise keeps its prior and moves the map as a whole, until there is
+an anchor: a cut posterior.
 
 Two bands come out. **Relative**: places of one walk compared with each other. What θ adds to all
 alike cancels; what differs from foot to foot, with the sinkage or with φ itself counts.
@@ -26,14 +21,15 @@ alike cancels; what differs from foot to foot, with the sinkage or with φ itsel
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.robot.footfall_fit import MOST_FITTED, TORQUES, evenly
-from terraphi.robot.friction import spread
-from terraphi.robot.legs import GRAVITY
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.files import number_with_sd, plain_number
+from terraphi.inference.touchdowns import MOST_FITTED, PHI_RANGE, TORQUES, evenly
 
 MEDIANS, LOG_SD = (1.5, 1.0), 0.7
 """Of the process's amplitude [deg] and length [m]: medians, and the standard deviation of the
@@ -43,15 +39,8 @@ ANCHOR_POINTS = 9
 MOST = 6000
 """Footfalls that are pooled at most, evenly chosen: memory grows with the square."""
 
-AVERAGED_S = 0.05
-"""Forces are averaged over this time, which counts as one weighing [s]: a tenth of a stride
-(chosen)."""
-MASS_SD = 0.02
-"""What the robot weighs is known to this part [-]: a payload of 0.3 kg on a Go2 (chosen)."""
-MOST_NEWS = 25.0
-"""Weighings at most that count as independent: a gait repeats itself, and what the weight leaves
-out, such as the legs' own swinging, does so too. A longer log is not surer (chosen; in
-``tests/robot/test_footfall_truth.py`` gains come back within two standard deviations)."""
+LONGEST_PATH = 1e6
+"""End of an anchor that names no stretch [m]."""
 
 
 class Anchor(NamedTuple):
@@ -73,6 +62,44 @@ class Anchor(NamedTuple):
     sd_deg: float
     axis: str = "x"
 
+    @classmethod
+    def of(cls, text: str) -> Anchor:
+        """Parse ``x=0:0.5,phi=34±1`` (or ``34+-1``), or ``phi=34±2``: the whole path.
+
+        Raises InputError if it is written otherwise, or out of range.
+        """
+        where, _, phi = text.replace(" ", "").rpartition("phi=")
+        where = where.removesuffix(",") or f"s=0:{LONGEST_PATH:g}"
+        axis, _, ends = where.partition("=")
+        low, high = PHI_RANGE
+        try:
+            begin, end = sorted(map(plain_number, ends.split(":")))
+            mean, sd = number_with_sd(phi)
+            if axis in {"x", "y", "s"} and low <= mean <= high and sd is not None and 0 < sd <= 15:
+                return cls(begin, end, mean, sd, axis)
+        except ValueError:
+            pass
+        raise InputError(
+            f"anchor '{text}': expected one such as x=0:0.5,phi=34±1, or phi=34+-1 of the whole "
+            f"path, with phi from {low:g} to {high:g} degrees and its uncertainty above 0 and at "
+            "most 15"
+        )
+
+    def stretch(self, path: FloatArray) -> FloatArray:
+        """Points of a path (s, x, y) that stand for its stretch [m], shape [point, 2].
+
+        Raises InputError if it lies off the path.
+        """
+        along = path[:, "sxy".index(self.axis)]
+        inside = np.flatnonzero((along >= self.begin - 1e-9) & (along <= self.end + 1e-9))
+        if not len(inside):
+            raise InputError(
+                f"anchor {self.axis}={self.begin:g}:{self.end:g}: the path has {self.axis} "
+                f"from {along.min():.2f} to {along.max():.2f} m; name a stretch of it"
+            )
+        some = np.unique(np.linspace(0, len(inside) - 1, ANCHOR_POINTS).round().astype(int))
+        return path[inside[some], 1:]
+
 
 class Pooled(NamedTuple):
     """Posterior of footfalls and path.
@@ -84,15 +111,14 @@ class Pooled(NamedTuple):
         and shared standard deviation; shape [footfall].
     path_phi, path_relative_sd, path_absolute_sd
         On the path's points [deg], shape [point].
-    shared_mean, shared_sd_each
-        Posterior of θ − θ₀, shape [shared].
-    terms
-        What each of θ adds to the mean φ's uncertainty [deg], shape [shared].
+    shared
+        Mean and standard deviation of each of θ − θ₀, and what it adds to the mean φ's uncertainty
+        [deg], shape [3, shared].
     surprise
         How far each anchor is from what footfalls and law give without it, or from the result if
         that is more, in standard deviations [-].
-    amplitude, length, scatter
-        Of the process [deg], [m], and of e, root mean square [deg].
+    field
+        Amplitude and length of the process [deg], [m], and e, root mean square [deg].
     """
 
     phi: FloatArray
@@ -101,13 +127,9 @@ class Pooled(NamedTuple):
     path_phi: FloatArray
     path_relative_sd: FloatArray
     path_absolute_sd: FloatArray
-    shared_mean: FloatArray
-    shared_sd_each: FloatArray
-    terms: FloatArray
+    shared: FloatArray
     surprise: FloatArray
-    amplitude: float
-    length: float
-    scatter: float
+    field: dict[str, float]
 
 
 class Observed(NamedTuple):
@@ -119,75 +141,18 @@ class Observed(NamedTuple):
     place: FloatArray
 
 
-class Shared(NamedTuple):
-    """Prior of θ − θ₀: mean, shape [shared], and covariance, shape [shared, shared]."""
+class Normal(NamedTuple):
+    """A normal distribution: mean, shape [key], and covariance, shape [key, key]."""
 
     mean: FloatArray
     covariance: FloatArray
 
-
-def weigh(
-    time: FloatArray,
-    lift: FloatArray,
-    lift_acceleration: FloatArray,
-    per: FloatArray,
-    sd: FloatArray,
-    *,
-    mass: float,
-) -> Shared:
-    """Compare the feet's forces with the weight.
-
-    Parameters
-    ----------
-    time
-        [s], shape [sample].
-    lift
-        Upward forces on the feet [N], shape [sample, foot]; not a number where unknown.
-    lift_acceleration
-        Of the trunk [m/s²], shape [sample].
-    per
-        What errors of the torques add to the forces
-        (:func:`~terraphi.robot.touchdowns.sensitivity`).
-    sd
-        Prior standard deviations of what footfalls share
-        (:func:`~terraphi.robot.footfall_fit.shared_sd`).
-    mass
-        Of the robot [kg].
-
-    Returns
-    -------
-    Shared
-        The prior with gains and friction of the torques as the weight has them; as it was, where
-        no sample is known or the robot does not stand on its feet.
-    """
-    shared, n = Shared(np.zeros(len(sd)), np.diag(sd**2)), len(TORQUES)
-    weight = mass * GRAVITY
-    known = np.isfinite(lift).all(axis=1)
-    if known.sum() < 2:
-        return shared
-    errors = np.hstack([part.reshape(-1, 12) for part in np.split(per, 2, axis=-1)])
-    # The last column is the relative error of the mass itself.
-    expected = mass * (GRAVITY + lift_acceleration)
-    rows = np.column_stack([lift.sum(axis=1) - expected, errors, expected])[known]
-    number = np.floor((time[known] - time[known][0]) / AVERAGED_S).astype(np.int64)
-    starts = np.flatnonzero(np.diff(number, prepend=-1))
-    counts = np.diff(np.append(starts, len(rows)))
-    rows = np.add.reduceat(rows, starts) / counts[:, None]
-    bears = np.abs(rows[:, 0]) < 0.4 * weight
-    if bears.sum() < 20 or bears.mean() < 0.5:
-        return shared
-    rows = rows[bears]
-    precision = np.diag(np.append(sd[:n], MASS_SD) ** -2.0)
-    noise = 0.1 * weight
-    covariance, mean = np.linalg.inv(precision), np.zeros(n + 1)
-    for _ in range(3):
-        share = min(1.0, MOST_NEWS / len(rows)) / noise**2
-        covariance = np.linalg.inv(share * rows[:, 1:].T @ rows[:, 1:] + precision)
-        mean = share * covariance @ rows[:, 1:].T @ rows[:, 0]
-        left = rows[:, 0] - rows[:, 1:] @ mean
-        noise = float(spread(left))
-    shared.mean[:n], shared.covariance[:n, :n] = mean[:-1], covariance[:-1, :-1]
-    return shared
+    def given(self, data: FloatArray, rows: FloatArray, noise: FloatArray) -> Normal:
+        """The distribution of x after data = rows x + e, e normal of covariance ``noise``."""
+        across = rows @ self.covariance
+        gain = np.linalg.solve(across @ rows.T + noise, across).T
+        mean = self.mean + gain @ (data - rows @ self.mean)
+        return Normal(mean, self.covariance - gain @ across)
 
 
 def covariance(
@@ -201,9 +166,9 @@ def covariance(
 
 def pool(
     seen: Observed,
-    shared: Shared,
+    shared: Normal,
     path: FloatArray,
-    anchors: list[tuple[Anchor, FloatArray]],
+    anchors: Sequence[tuple[Anchor, FloatArray]],
     *,
     mean: float,
     mean_sd: float,
@@ -215,25 +180,23 @@ def pool(
     seen
         The usable footfalls, one or more.
     shared
-        Prior of what they share.
+        Prior of θ − θ₀, of what they share.
     path
         Points of the map [m], shape [point, 2].
     anchors
         Each with the points that stand for its stretch [m], shape [any, 2].
     mean, mean_sd
         Of φ before anything is seen, and its standard deviation [deg].
-
-    Returns
-    -------
-    Pooled
     """
     from scipy.linalg import block_diag
 
-    amplitude, length = _learnt(seen, shared, mean, mean_sd)
+    part = evenly(seen, MOST_FITTED)
+    torques = part.shared * (np.arange(part.shared.shape[1]) < TORQUES)
+    amplitude, length = _learned(part, torques, shared, mean, mean_sd)
     field = amplitude, length, mean_sd
-    kept = evenly(seen, MOST)
-    shared = _taught(kept, shared, field, mean)
-    stretches = [points for _, points in anchors]
+    off = part.phi - mean - (part.shared - torques) @ shared.mean
+    shared = shared.given(off, torques, _observed(part, field))
+    kept, stretches = evenly(seen, MOST), [points for _, points in anchors]
     # Rows: the path's points, then each anchor's stretch as the mean of its points.
     means = [np.full((1, len(points)), 1.0 / len(points)) for points in stretches]
     average = block_diag(np.eye(len(path)), *means)
@@ -244,25 +207,23 @@ def pool(
     weights = half.T @ _solve(lower, np.column_stack([kept.phi - mean, kept.shared]))
     before = average @ covariance(places, places, *field) @ average.T
     found, spread, moves = mean + weights[:, 0], before - half.T @ half, weights[:, 1:]
-    apart = moves - moves[: len(path)].mean(axis=0)
-    relative = np.diag(spread) + _spread(apart, shared.covariance)
+    apart = (moves - moves[: len(path)].mean(axis=0))[: len(path)]
+    relative = np.diag(spread)[: len(path)] + _spread(apart, shared.covariance)
     # φ = found − moves (θ − θ₀): anchors are seen now, footfalls have been.
     theta = shared.covariance
     whole = np.block(
         [[spread + moves @ theta @ moves.T, -moves @ theta], [-theta @ moves.T, theta]]
     )
-    state = np.concatenate([found - moves @ shared.mean, shared.mean])
-    rows = slice(len(path), len(found))
-    seen_there = whole[rows, rows] + np.diag([a.sd_deg**2 for a, _ in anchors])
-    gain = np.linalg.solve(seen_there, whole[rows]).T
+    free = Normal(np.concatenate([found - moves @ shared.mean, shared.mean]), whole)
     known, sure = np.array([(a.phi_deg, a.sd_deg) for a, _ in anchors]).reshape(-1, 2).T
-    off = known - state[rows]
-    state = state + gain @ off
+    rows = np.eye(len(found), len(whole))[len(path) :]
+    held = free.given(known, rows, np.diag(sure**2))
+    before_sd = np.sqrt(np.diag(rows @ free.covariance @ rows.T) + sure**2)
     surprise = np.maximum(
-        np.abs(off) / np.sqrt(np.diag(seen_there)), np.abs(known - state[rows]) / sure
+        np.abs(known - rows @ free.mean) / before_sd, np.abs(known - rows @ held.mean) / sure
     )
-    whole = whole - gain @ whole[rows]
-    centre, left = state[len(found) :], whole[len(found) :, len(found) :]
+    centre = held.mean[len(found) :]
+    left = held.covariance[len(found) :, len(found) :]
     each = np.sqrt(np.diag(left).clip(0.0))
     # Of a place compared with others of the walk: what is added to all alike is shared.
     unlike = _spread(seen.shared - seen.shared.mean(axis=0), left)
@@ -270,17 +231,16 @@ def pool(
         phi=seen.phi - seen.shared @ centre,
         sd=np.sqrt(seen.sd**2 + unlike),
         shared_sd=np.sqrt((_spread(seen.shared, left) - unlike).clip(0.0)),
-        path_phi=state[: len(path)],
-        path_relative_sd=np.sqrt(relative[: len(path)].clip(0.0)),
-        path_absolute_sd=np.sqrt(np.diag(whole)[: len(path)].clip(0.0)),
-        shared_mean=centre,
-        shared_sd_each=each,
-        terms=np.abs(seen.shared.mean(axis=0)) * each,
+        path_phi=held.mean[: len(path)],
+        path_relative_sd=np.sqrt(relative.clip(0.0)),
+        path_absolute_sd=np.sqrt(np.diag(held.covariance)[: len(path)].clip(0.0)),
+        shared=np.stack([centre, each, np.abs(seen.shared.mean(axis=0)) * each]),
         surprise=surprise,
-        amplitude=amplitude,
-        length=length,
-        scatter=float(np.sqrt(np.mean(seen.sd**2))),
-    )
+        field={
+            "amplitude_deg": amplitude, "length_m": length,
+            "scatter_deg": float(np.sqrt(np.mean(seen.sd**2))),
+        },
+    )  # fmt: skip
 
 
 def _spread(rows: FloatArray, matrix: FloatArray) -> FloatArray:
@@ -301,33 +261,20 @@ def _solve(lower: FloatArray, right: FloatArray) -> FloatArray:
     return np.asarray(solve_triangular(lower, right, lower=True, check_finite=False))
 
 
-def _taught(
-    seen: Observed, shared: Shared, field: tuple[float, float, float], mean: float
-) -> Shared:
-    """What is shared, after footfalls have taught the errors of the torques."""
-    part, n = evenly(seen, MOST_FITTED), len(TORQUES)
-    each, torques = part.shared[:, :n], shared.covariance[:n, :n]
-    matrix = _observed(part, field) + each @ torques @ each.T
-    gain = np.linalg.solve(matrix, each @ torques).T
-    centre, spread = shared.mean.copy(), shared.covariance.copy()
-    centre[:n] += gain @ (part.phi - mean - part.shared @ shared.mean)
-    spread[:n, :n] -= gain @ each @ torques
-    return Shared(centre, spread)
-
-
-def _learnt(seen: Observed, shared: Shared, mean: float, mean_sd: float) -> tuple[float, float]:
+def _learned(
+    seen: Observed, torques: FloatArray, shared: Normal, mean: float, mean_sd: float
+) -> tuple[float, float]:
     """Amplitude and length at the maximum of their marginal posterior."""
     from scipy.optimize import minimize
 
-    part, n = evenly(seen, MOST_FITTED), len(TORQUES)
-    each = part.shared[:, :n]
-    left = part.phi - mean - part.shared @ shared.mean
-    common = each @ shared.covariance[:n, :n] @ each.T
+    left = seen.phi - mean - seen.shared @ shared.mean
+    common = torques @ shared.covariance @ torques.T
 
     def surprise(logs: FloatArray) -> float:
         amplitude, length = np.exp(logs) * MEDIANS
-        matrix = _observed(part, (amplitude, length, mean_sd)) + common
-        lower = np.asarray(np.linalg.cholesky(matrix))
+        lower = np.asarray(
+            np.linalg.cholesky(_observed(seen, (amplitude, length, mean_sd)) + common)
+        )
         half = _solve(lower, left)
         prior = ((logs / LOG_SD) ** 2).sum()
         return float(0.5 * (half @ half + prior) + np.log(np.diag(lower)).sum())

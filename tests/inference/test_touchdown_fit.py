@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from terraphi.laws.foot import LAWS
-from terraphi.robot.footfall_fit import (
-    SHARED,
+from terraphi.inference.touchdowns import (
+    TORQUES,
     Prior,
+    Touchdowns,
     fit,
     noise_covariance,
     predicted,
     with_exponent,
 )
-from terraphi.robot.touchdowns import Touchdowns
+from terraphi.laws.foot import LAWS
 
 PRIOR = Prior()
 
@@ -92,22 +92,22 @@ def test_what_is_shared_moves_the_answer_as_told() -> None:
     def moved(**changed: float) -> float:
         return float(fit(seen, "rft", replace(PRIOR, **changed)).phi[0] - found.phi[0])
 
-    told = dict(zip(SHARED, found.shared[0], strict=True))
+    told = dict(zip(PRIOR.shared(), found.shared[0, TORQUES:], strict=True))
     # If the truth is above what is assumed, φ̂ is off by S; to assume more takes it back.
-    assert moved(density=1550.0 * 1.03) == pytest.approx(-0.03 * told["log_density"], rel=0.1)
+    assert moved(density=1550.0 * 1.03) == pytest.approx(-46.5 * told["density_kg_m3"], rel=0.1)
     assert moved(surface_friction=0.45) == pytest.approx(-0.05 * told["surface_friction"], rel=0.15)
-    assert moved(radius=0.0222) == pytest.approx(-2e-4 * told["radius"], rel=0.15)
+    assert moved(radius=0.0222) == pytest.approx(-0.2 * told["foot_radius_mm"], rel=0.15)
     # What reads the way down too large, and a law that grows otherwise with depth.
     deeper = fit(seen._replace(drop=1.02 * seen.drop), "rft", PRIOR).phi[0] - found.phi[0]
-    assert deeper == pytest.approx(0.02 * told["drop"], rel=0.15)
+    assert deeper == pytest.approx(0.02 * told["odometry_drop"], rel=0.15)
     state = np.array([[34.0, 0.003, 0.0]])
-    force = predicted(LAWS["rft"], PRIOR, seen, state, exponent=0.05)
+    force = predicted(LAWS["rft"], replace(PRIOR, exponent=0.05), seen, state)
     depth = seen.drop + 0.003  # an exponent does nothing at the radius
     np.testing.assert_allclose(force, seen.force * (depth / PRIOR.radius) ** 0.05)
     steeper = fit(seen._replace(force=force), "rft", PRIOR).phi[0] - found.phi[0]
     assert steeper == pytest.approx(0.05 * told["law_exponent"], rel=0.15)
     louder = fit(seen._replace(force=1.02 * seen.force), "rft", PRIOR).phi[0] - found.phi[0]
-    gains = sum(told[f"gain_{3 * 2 + joint}"] for joint in range(3))
+    gains = found.shared[0, 6:9].sum()
     assert louder == pytest.approx(gains * 0.02 / 3.0, rel=0.1)
 
 

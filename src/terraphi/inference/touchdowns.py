@@ -1,4 +1,4 @@
-r"""The friction angle under one touch-down, by a force law and Gauss & Newton; many at a time.
+r"""The friction angle under one touch-down, by a force law and least squares; many at a time.
 
 For the upward force F of a touch-down, its ball's descent d since the first force and time t,
 
@@ -11,23 +11,18 @@ surface is not known), a vertical drift w of the odometry, and noise e that is c
 about its mode (Laplace): φ's own prior is the pooling's, and counts once. What all
 footfalls share, θ, is held at its prior's mean θ₀ here; how far that puts the mode off
 follows from the same linearisation, φ̂ = φ + S (θ − θ₀) + e, and is left to the pooling.
-
-This is the one module of the folder that uses force laws.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from terraphi.experiment.arrays import FloatArray, IntArray
+from terraphi.experiment.arrays import BoolArray, FloatArray, IntArray
 from terraphi.inference.estimator import least_squares, weights
 from terraphi.laws.foot import LAWS, Foot, FootLaw
-from terraphi.robot.estimators import JointFriction
-from terraphi.robot.forces import SensorErrors
-from terraphi.robot.touchdowns import Touchdowns
 
 PHI_RANGE = (15.0, 50.0)
 """Friction angles in plane strain for which laws are evaluated [deg]: law ``foot`` has a table from
@@ -51,10 +46,59 @@ square 1 at 0.4. It lacks -0.3 for itself with a resistance that grows slower (n
 MOST_FITTED = 120
 """Footfalls from which what they share is learned at most, evenly chosen, so that what no model has
 right does not grow into certainty with the length of a log (chosen)."""
+FEWEST = 10
+"""Samples that a touch-down needs while the foot goes down, to fit three quantities; touch-downs
+that teach how a law grows with depth."""
 BLOCK = 512
 """Touch-downs that are fitted together; bounds the memory."""
 
 Rows = TypeVar("Rows", bound=NamedTuple)
+
+
+class Touchdowns(NamedTuple):
+    """Touch-downs of a log, feet that load soil; arrays of shape [touchdown, sample] or as noted.
+
+    Attributes
+    ----------
+    foot
+        Number of the foot, fore feet first, shape [touchdown].
+    begin
+        Touch-down of the stance on the log's clock [s], shape [touchdown].
+    place
+        Of the foot in the world when its loading ends [m], shape [touchdown, 3].
+    time
+        Since touch-down [s].
+    drop
+        How far the ball has gone down since touch-down [m].
+    descent
+        Angle of its velocity below the horizontal [rad].
+    speed
+        [m/s].
+    force
+        Upward force on the foot [N].
+    per_error
+        What errors of the leg's torques add to it [N]: of the gains of its three joints, and
+        friction of 1 N m in them; shape [touchdown, sample, 6].
+    used
+        Whether the sample is there, and the foot is going down in it.
+    torn
+        Samples are missing, or come too slowly for a touch-down; shape [touchdown].
+    saturated
+        A motor of the leg is at its limit in it; shape [touchdown].
+    """
+
+    foot: IntArray
+    begin: FloatArray
+    place: FloatArray
+    time: FloatArray
+    drop: FloatArray
+    descent: FloatArray
+    speed: FloatArray
+    force: FloatArray
+    per_error: FloatArray
+    used: BoolArray
+    torn: BoolArray
+    saturated: BoolArray
 
 
 @dataclass(frozen=True)
@@ -76,8 +120,6 @@ class Prior:
         Of the foot [m].
     shape
         Of the foot.
-    errors
-        Of torques.
     drop_sd
         Of the way that feet go down, as the odometry has it, relative [-]: standing feet give
         way a little while the load moves over, and the attitude errs.
@@ -102,27 +144,35 @@ class Prior:
     radius: float = 0.022
     radius_sd: float = 0.0005
     shape: str = "ball"
-    errors: SensorErrors = field(default_factory=SensorErrors)
     drop_sd: float = 0.02
     law_sd_deg: float | None = None
     exponent: float = 0.0
     exponent_sd: float = 0.2
     slope_sd: float = 0.05
 
+    def shared(self) -> dict[str, tuple[float, float]]:
+        """Mean and standard deviation of what all footfalls share, but errors of torques."""
+        law_sd = LAWS["foot"].sd_deg if self.law_sd_deg is None else self.law_sd_deg
+        return {
+            "odometry_drop": (0.0, self.drop_sd),
+            "density_kg_m3": (self.density, self.density_sd),
+            "surface_friction": (self.surface_friction, self.surface_friction_sd),
+            "foot_radius_mm": (1e3 * self.radius, 1e3 * self.radius_sd),
+            "law_offset_deg": (0.0, law_sd),
+            "law_exponent": (self.exponent, self.exponent_sd),
+            "law_slope": (0.0, self.slope_sd),
+        }
 
-TORQUES = tuple(f"gain_{i}" for i in range(12)) + tuple(f"friction_{i}" for i in range(12))
-SENSORS = (*TORQUES, "drop")
-SOIL = ("log_density", "surface_friction", "radius", "law_offset", "law_exponent", "law_slope")
-SHARED = (*SENSORS, *SOIL)
-"""What footfalls share, in the order of the last axis of sensitivities."""
 
-
-def shared_sd(prior: Prior, friction: JointFriction | None = None) -> FloatArray:
-    """Standard deviations of :data:`SHARED`, in their units, after a friction was taken off."""
-    p, left = prior, prior.errors.friction_sd(friction).ravel()
-    soil = [p.density_sd / p.density, p.surface_friction_sd, p.radius_sd]
-    law = [LAWS["foot"].sd_deg if p.law_sd_deg is None else p.law_sd_deg, p.exponent_sd, p.slope_sd]
-    return np.array([p.errors.gain] * 12 + [*left, p.drop_sd, *soil, *law])
+TORQUES = 24
+"""Errors of the torques of twelve joints: gains [-], then Coulomb friction [N m]."""
+CHANGES = {
+    "density_kg_m3": ("density", 15.0, 1.0),
+    "surface_friction": ("surface_friction", 0.05, 1.0),
+    "foot_radius_mm": ("radius", 2e-4, 1e3),
+    "law_exponent": ("exponent", 0.05, 1.0),
+}
+"""Of quantities that footfalls share: field of the prior, step of its differences, and unit."""
 
 
 class Fit(NamedTuple):
@@ -146,8 +196,8 @@ class Fit(NamedTuple):
     cost
         χ² and what z₀ and w are off their prior, over the number of samples [-].
     shared
-        S for :data:`SHARED`: how far φ̂ is off per unit of θ − θ₀, shape [touchdown, shared]; zero
-        for ``law_slope``, which compares touch-downs.
+        S: how far φ̂ is off per unit of θ − θ₀, shape [touchdown, shared], by :data:`TORQUES` and
+        :meth:`Prior.shared`; zero for ``law_slope``, which compares touch-downs.
     """
 
     phi: FloatArray
@@ -159,9 +209,7 @@ class Fit(NamedTuple):
     shared: FloatArray
 
 
-def predicted(
-    law: FootLaw, prior: Prior, seen: Touchdowns, state: FloatArray, exponent: float = 0.0
-) -> FloatArray:
+def predicted(law: FootLaw, prior: Prior, seen: Touchdowns, state: FloatArray) -> FloatArray:
     """Upward force of the law [N], shape [touchdown, sample].
 
     Parameters
@@ -172,8 +220,6 @@ def predicted(
         The touch-downs.
     state
         φ [deg], z₀ [m] and w [m/s], shape [touchdown, 3].
-    exponent
-        Added to the prior's [-].
     """
     depth = seen.drop + state[:, 1:2] + state[:, 2:3] * seen.time
     lift = law.force(
@@ -184,9 +230,8 @@ def predicted(
         density=prior.density,
         surface_friction=prior.surface_friction,
     )[..., 1]
-    if exponent + prior.exponent:
-        factor = np.maximum(depth, 1e-4) / prior.radius
-        lift = lift * factor ** (exponent + prior.exponent)
+    if prior.exponent:
+        lift = lift * (np.maximum(depth, 1e-4) / prior.radius) ** prior.exponent
     return np.asarray(lift, dtype=np.float64)
 
 
@@ -292,27 +337,21 @@ def _fit(seen: Touchdowns, law: FootLaw, prior: Prior) -> Fit:
     )
     # A prediction that rises by D lets the mode move by −c D.
     gain = weights(slope, weight, precision)[0][:, 0]
-    shared = np.zeros((len(state), len(SHARED)))
-    torques = 3 * seen.foot[:, None] + np.array([0, 1, 2, 12, 13, 14])
-    np.put_along_axis(shared, torques, np.einsum("nl,nlk->nk", gain, seen.per_error), axis=1)
+    torques = np.zeros((len(state), TORQUES))
+    own = 3 * seen.foot[:, None] + np.array([0, 1, 2, 12, 13, 14])
+    np.put_along_axis(torques, own, np.einsum("nl,nlk->nk", gain, seen.per_error), axis=1)
     # How far φ̂ is off where the truth is above what is assumed: forces are higher than expected
     # by so much, and a drop that reads too large makes the expected ones too high.
-    rises = {"drop": -slope[..., 1] * seen.drop}
-    for name, key, step, scale in (
-        ("log_density", "density", 0.01 * prior.density, prior.density),
-        ("surface_friction", "surface_friction", 0.05, 1.0),
-        ("radius", "radius", 2e-4, 1.0),
-    ):
+    rises = {"odometry_drop": -slope[..., 1] * seen.drop}
+    for name, (key, step, unit) in CHANGES.items():
         after, before = (
             predicted(law, replace(prior, **{key: getattr(prior, key) + s}), seen, state)
             for s in (step, -step)
         )
-        rises[name] = (after - before) * scale / (2.0 * step)
-    after, before = (predicted(law, prior, seen, state, exponent) for exponent in (0.05, -0.05))
-    rises["law_exponent"] = (after - before) / 0.1
-    for name, rise in rises.items():
-        shared[:, SHARED.index(name)] = np.einsum("nl,nl->n", gain, rise)
-    shared[:, SHARED.index("law_offset")] = 1.0
+        rises[name] = (after - before) / (2.0 * step * unit)
+    off = {name: np.einsum("nl,nl->n", gain, rise) for name, rise in rises.items()}
+    off |= {"law_offset_deg": np.ones(len(state)), "law_slope": np.zeros(len(state))}
+    shared = np.column_stack([torques, *(off[name] for name in prior.shared())])
     chi = np.einsum("nk,nkl,nl->n", left, weight, left)
     count = seen.used.sum(axis=1)
     misfit = chi / np.maximum(count - 2.0, 1.0)

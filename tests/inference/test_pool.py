@@ -5,38 +5,47 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from terraphi.robot import footfall_map
-from terraphi.robot.footfall_fit import SENSORS, SHARED, Prior, shared_sd
-from terraphi.robot.footfall_map import Anchor, Observed, Shared, covariance, pool, weigh
+from terraphi.inference import pool as module
+from terraphi.inference.pool import Anchor, Normal, Observed, covariance, pool
+from terraphi.inference.touchdowns import TORQUES as N
+from terraphi.inference.touchdowns import Prior
 
-N, M = len(SENSORS), len(SHARED)
+SHARED = [*map(str, range(N)), *Prior().shared()]
+M = len(SHARED)
 FIELD = (1.2, 0.8)
 
 
 @pytest.fixture(autouse=True)
 def known_field(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
-    if "learnt" in request.node.name:
+    if "learned" in request.node.name:
         return
-    monkeypatch.setattr(footfall_map, "_learnt", lambda *_: FIELD)
+    monkeypatch.setattr(module, "_learned", lambda *_: FIELD)
 
 
-def problem() -> tuple[Observed, Shared, np.ndarray]:
+def problem() -> tuple[Observed, Normal, np.ndarray]:
     rng = np.random.default_rng(3)
     place = np.column_stack([np.linspace(0.0, 3.0, 24), rng.normal(0.0, 0.1, 24)])
     shared = rng.normal(0.0, 1.0, (24, M))
-    shared[:, SHARED.index("law_offset")] = 1.0
+    shared[:, SHARED.index("law_offset_deg")] = 1.0
     root = rng.normal(0.0, 0.05, (M, M))
     full = root @ root.T + 0.01 * np.eye(M)
     full[:N, N:] = full[N:, :N] = 0.0
     mean = np.concatenate([rng.normal(0.0, 0.1, N), np.zeros(M - N)])
     phi = 33.0 + np.sin(place[:, 0]) + rng.normal(0.0, 0.2, 24)
-    return Observed(phi, np.full(24, 0.2), shared, place), Shared(mean, full), place[::6] + 0.05
+    return Observed(phi, np.full(24, 0.2), shared, place), Normal(mean, full), place[::6] + 0.05
 
 
-def test_bands_are_the_exact_posterior(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bands_are_the_exact_posterior() -> None:
     seen, shared, path = problem()
-    monkeypatch.setattr(footfall_map, "_taught", lambda _, shared, *__: shared)
     found = pool(seen, shared, path, [], mean=32.0, mean_sd=8.0)
+    # Footfalls first determine the errors of the torques, by the normal equations.
+    each, before = seen.shared[:, :N], np.linalg.inv(shared.covariance[:N, :N])
+    field = covariance(seen.place, seen.place, *FIELD, 8.0) + seen.sd**2 * np.eye(24)
+    weighted = each.T @ np.linalg.inv(field)
+    off = seen.phi - 32.0 - seen.shared[:, N:] @ shared.mean[N:]
+    torques = np.linalg.inv(before + weighted @ each)
+    shared.mean[:N] = torques @ (before @ shared.mean[:N] + weighted @ off)
+    shared.covariance[:N, :N] = torques
     every = np.concatenate([path, seen.place])
     prior = covariance(every, every, *FIELD, 8.0)
     p = len(path)
@@ -53,7 +62,7 @@ def test_bands_are_the_exact_posterior(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found.path_phi == pytest.approx(mean[:p])
     assert found.path_relative_sd == pytest.approx(np.sqrt(np.diag(left + unlike)))
     assert found.path_absolute_sd == pytest.approx(np.sqrt(np.diag(left + everything)))
-    assert found.shared_mean == pytest.approx(shared.mean)
+    assert found.shared[0] == pytest.approx(shared.mean)
     assert np.all(found.path_absolute_sd > found.path_relative_sd)
     each = seen.shared - seen.shared.mean(axis=0)
     own = seen.sd**2 + np.diag(each @ shared.covariance @ each.T)
@@ -79,9 +88,9 @@ def test_an_anchor_takes_what_is_shared_away() -> None:
     """All are high by the law's offset: a sure anchor tells by how much, and the map follows."""
     seen, _, path = problem()
     only = np.zeros((M, M))
-    only[SHARED.index("law_offset"), SHARED.index("law_offset")] = 9.0
-    seen = seen._replace(shared=np.tile(np.eye(M)[SHARED.index("law_offset")], (24, 1)))
-    shared = Shared(np.zeros(M), only)
+    only[SHARED.index("law_offset_deg"), SHARED.index("law_offset_deg")] = 9.0
+    seen = seen._replace(shared=np.tile(np.eye(M)[SHARED.index("law_offset_deg")], (24, 1)))
+    shared = Normal(np.zeros(M), only)
     free = pool(seen, shared, path, [], mean=32.0, mean_sd=8.0)
     anchor = Anchor(0.0, 0.5, float(free.path_phi[0]) - 4.0, 0.01)
     held = pool(seen, shared, path, [(anchor, path[:1])], mean=32.0, mean_sd=8.0)
@@ -101,26 +110,10 @@ def test_feet_teach_the_gains_that_differ_between_them() -> None:
     sd = np.zeros(M)
     sd[[2, 5]] = 0.1
     seen = Observed(phi, np.full(40, 0.1), shared, place)
-    found = pool(seen, Shared(np.zeros(M), np.diag(sd**2)), place[:3], [], mean=32.0, mean_sd=8.0)
-    assert found.shared_mean[2] - found.shared_mean[5] == pytest.approx(0.1, abs=0.01)
+    found = pool(seen, Normal(np.zeros(M), np.diag(sd**2)), place[:3], [], mean=32.0, mean_sd=8.0)
+    assert found.shared[0][2] - found.shared[0][5] == pytest.approx(0.1, abs=0.01)
     assert np.ptp(found.phi) < 0.1
     assert found.shared_sd.min() > 0.2  # what both have in common is not known
-
-
-def test_a_gain_is_found_from_the_weight_while_the_trunk_bobs() -> None:
-    """The motors of one foot read 10 % too much; it bears most when the trunk accelerates up."""
-    time, mass = np.arange(0.0, 30.0, 0.01), 15.0
-    wave = np.sin(2.0 * np.pi * time / 0.8)
-    share = np.column_stack([0.5 + 0.4 * wave, 0.5 - 0.4 * wave, 0.0 * wave, 0.0 * wave])
-    true = share * (mass * (9.81 + 2.5 * wave))[:, None]
-    gain = np.zeros((len(time), 4, 6))
-    gain[:, :, 2] = true
-    found = weigh(
-        time, true * [1.1, 1.0, 1.0, 1.0], 2.5 * wave, gain, shared_sd(Prior()), mass=mass
-    )
-    assert found.mean[2] - found.mean[5] == pytest.approx(0.1, abs=0.01)
-    assert found.mean[2] == pytest.approx(0.1, abs=0.03)  # less what the mass may be off by
-    assert found.covariance[2, 2] < Prior().errors.gain ** 2
 
 
 def test_two_anchors_find_the_scale_of_differences() -> None:
@@ -136,7 +129,7 @@ def test_two_anchors_find_the_scale_of_differences() -> None:
     path = place[::6]
     anchors = [(Anchor(a, a, float(true[i]), 0.05), place[[i]]) for a, i in ((0.0, 0), (1.5, 30))]
     free, held = (
-        pool(seen, Shared(np.zeros(M), np.diag(sd**2)), path, known, mean=32.0, mean_sd=8.0)
+        pool(seen, Normal(np.zeros(M), np.diag(sd**2)), path, known, mean=32.0, mean_sd=8.0)
         for known in ([], anchors)
     )
     assert np.abs(free.path_phi - true[::6]).max() > 0.5
@@ -145,18 +138,18 @@ def test_two_anchors_find_the_scale_of_differences() -> None:
     assert free.path_relative_sd[far.argmax()] > 0.8 * far.max()
 
 
-def test_what_is_learnt_of_the_field_is_what_it_was_drawn_from() -> None:
+def test_what_is_learned_of_the_field_is_what_it_was_drawn_from() -> None:
     """Amplitude and length of a long walk, within what 240 places can settle."""
     rng = np.random.default_rng(0)
     place = np.column_stack([np.linspace(0.0, 40.0, 240), np.zeros(240)])
     field = covariance(place, place, 2.0, 2.5, 8.0) + 0.3**2 * np.eye(240)
     phi = 35.0 + np.linalg.cholesky(field - 8.0**2) @ rng.normal(size=240)
     seen = Observed(phi, np.full(240, 0.3), np.zeros((240, M)), place)
-    found = pool(seen, Shared(np.zeros(M), np.eye(M)), place[:2], [], mean=32.0, mean_sd=8.0)
-    assert found.length == pytest.approx(2.5, rel=0.3)
-    assert found.amplitude == pytest.approx(2.0, rel=0.3)
-    assert found.scatter == pytest.approx(0.3)
-    assert found.sd == pytest.approx(found.scatter)
+    found = pool(seen, Normal(np.zeros(M), np.eye(M)), place[:2], [], mean=32.0, mean_sd=8.0)
+    assert found.field["length_m"] == pytest.approx(2.5, rel=0.3)
+    assert found.field["amplitude_deg"] == pytest.approx(2.0, rel=0.3)
+    assert found.field["scatter_deg"] == pytest.approx(0.3)
+    assert found.sd == pytest.approx(found.field["scatter_deg"])
 
 
 def test_an_anchor_that_contradicts_is_told_from_one_that_agrees() -> None:
@@ -171,3 +164,8 @@ def test_an_anchor_that_contradicts_is_told_from_one_that_agrees() -> None:
     assert surprise(there).max() < 1e-6
     assert surprise(there + 3.0 * np.hypot(sd, 0.2)) == pytest.approx([3.0])
     assert surprise(there, there + 3.0).max() > 2.0  # neighbours
+
+
+@pytest.mark.parametrize("text", ["x=0:0.5,phi=34±1", "x = 0.5 : 0, phi = 34 +- 1"])
+def test_an_anchor_as_people_write_it(text: str) -> None:
+    assert Anchor.of(text) == (0.0, 0.5, 34.0, 1.0, "x")

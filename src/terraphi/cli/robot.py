@@ -1,0 +1,163 @@
+"""The commands ``terraphi forces`` and ``terraphi footfalls``, which take a robot's log."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from terraphi.cli.options import ESTIMATORS, FRAMES, LAWS, PATH, Float, json_option, option_group
+from terraphi.view.console import present
+
+log_options = option_group(
+    click.argument("log"),
+    click.option(
+        "--robot",
+        default="go2",
+        show_default=True,
+        help="Name, URDF, MJCF or TOML of the robot.",
+    ),
+    click.option("--topic", help="Topic of a bag; if not given, the one with joint states."),
+    click.option(
+        "--joint-names",
+        callback=lambda _context, _option, names: names and [n.strip() for n in names.split(",")],
+        metavar="NAME,...",
+        help="Names of the twelve joints in a bag's JointState messages, if they are not "
+        "recognised; in the order FR, FL, RR, RL, each hip, thigh, calf.",
+    ),
+    click.option(
+        "--columns",
+        type=PATH,
+        help="TOML that says which columns of a table are what; 'terraphi keys columns' prints "
+        "its keys.",
+    ),
+    click.option(
+        "--lag",
+        "lag_s",
+        type=Float(),
+        default=0.0,
+        metavar="MS",
+        callback=lambda _context, _option, value: 1e-3 * value,
+        help="Time by which torques are late [ms].  [default: 0]",
+    ),
+)
+"""Argument and options of every command that reads a robot's log."""
+
+
+@click.command()
+@log_options
+@click.option(
+    "--estimator",
+    type=click.Choice(ESTIMATORS),
+    default="momentum_observer",
+    show_default=True,
+    help="How forces follow from torques; quasi_static is the paper's way.",
+)
+@click.option(
+    "--frame",
+    type=click.Choice(FRAMES),
+    default="world",
+    show_default=True,
+    help="Axes of the forces: the world's or the body's.",
+)
+@click.option("--out", type=PATH, help="NetCDF file for forces and stances.")
+@click.option("--figures", type=PATH, help="Folder for forces.png and stance.png.")
+@json_option
+def forces(
+    log: str,
+    estimator: Any,
+    frame: Any,
+    out: Path | None,
+    figures: Path | None,
+    as_json: bool,
+    **reading: Any,
+) -> None:
+    """Foot forces and stances from a robot's LOG: CSV, Parquet, MCAP or rosbag2.
+
+    Example: terraphi forces walk.mcap --out forces.nc
+    """
+    from terraphi.experiment.outputs import check_file, check_folder, output_folder
+    from terraphi.robot import results as results_file
+    from terraphi.robot.results import foot_forces
+    from terraphi.view import plots
+
+    if out is not None:
+        check_file(out, kind=results_file.KIND)
+    if figures is not None:
+        check_folder(figures, kind="forces", names=["forces.png", "stance.png"])
+    found = foot_forces(log, estimator=estimator, frame=frame, **reading)
+    if out is not None:
+        found.to_netcdf(out)
+    if figures is not None:
+        with output_folder(figures, kind="forces", last="stance.png") as made:
+            plots.save(found.plot(), made / "forces.png")
+            plots.save(plots.stance_figure(found), made / "stance.png")
+    summary = found.summary()
+    table = plots.feet_table(
+        summary, f"Force of the ground on the feet, {estimator}, {frame} frame"
+    )
+    shown = {"feet", "pooled", "estimator", "frame"}
+    rest = {name: value for name, value in summary.items() if name not in shown}
+    present(summary, table, rest, as_json=as_json)
+
+
+@click.command()
+@log_options
+@click.option(
+    "--density",
+    metavar="KG_M3[±SD]",
+    help="Bulk density of the soil, such as 1550±80 (or 1550+-80).  [default: 1550±80]",
+)
+@click.option(
+    "--anchor",
+    "anchors",
+    multiple=True,
+    metavar="[x=A:B,]phi=P±SD",
+    help="Known friction angle on a stretch of the path [m], s=A:B along it; or of all of it.",
+)
+@click.option(
+    "--law",
+    type=click.Choice(LAWS),
+    default="foot",
+    show_default=True,
+    help="Force law: simulated, resistive force theory, or a formula of bearing capacity.",
+)
+@click.option(
+    "--out",
+    type=PATH,
+    help="NetCDF file; .png, .csv and .geojson of the same name go with it.",
+)
+@json_option
+def footfalls(
+    log: str,
+    density: str | None,
+    anchors: tuple[str, ...],
+    out: Path | None,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Friction angle under every footfall of a robot's LOG, and along its path.
+
+    Example: terraphi footfalls walk.mcap --density 1550±80 --out soil.nc
+    """
+    from terraphi.experiment.outputs import SIGNATURE, check_file
+    from terraphi.inference.footfalls import KIND
+    from terraphi.robot.footfalls import footfalls as find
+    from terraphi.view import plots
+
+    if out is not None:
+        check_file(out, kind=KIND)
+        for suffix in (".csv", ".geojson", ".png"):
+            check_file(out.with_suffix(suffix))
+    found = find(log, density=density, anchors=anchors, **options)
+    summary, written = found.as_dict(), []
+    if out is not None:
+        picture = out.with_suffix(".png")
+        plots.save(found.plot(), picture, metadata={"Comment": SIGNATURE})
+        found.to_netcdf(out)
+        made = (out, out.with_suffix(".geojson"), out.with_suffix(".csv"), picture)
+        written.append(f"Written: {', '.join(map(str, made))}")
+    path = [plots.path_table(summary["path"])] if found.usable.any() else []
+    rest = {name: summary[name] for name in ("counts", "by_law_deg", "notes")}
+    present(summary, plots.footfalls_table(summary), *path, rest, *written, as_json=as_json)

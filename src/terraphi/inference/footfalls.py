@@ -1,0 +1,518 @@
+"""φ under every footfall of a walk, and along its path: the answer, and its files."""
+
+from __future__ import annotations
+
+import html
+import importlib.metadata
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, Field, Json
+
+from terraphi.experiment.arrays import BoolArray, FloatArray
+from terraphi.experiment.files import atomic_write, open_netcdf, write_netcdf
+from terraphi.experiment.outputs import SIGNATURE
+from terraphi.experiment.tables import write_csv
+from terraphi.inference.pool import Anchor, Normal, Observed, pool
+from terraphi.inference.touchdowns import (
+    FEWEST,
+    MOST_FITTED,
+    PHI_RANGE,
+    TORQUES,
+    Fit,
+    Prior,
+    Touchdowns,
+    evenly,
+    fit,
+    picked,
+    with_exponent,
+)
+from terraphi.laws.foot import LAWS
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+USABLE = "usable"
+SHALLOW, MISFIT = "too little sinkage", "the law does not fit"
+TRODDEN, PRINT = "not virgin ground", "print of a fore foot"
+TORN, SATURATED, EDGE = "timing unreliable", "saturated", "at a prior's edge"
+VERDICTS = (USABLE, SHALLOW, PRINT, TRODDEN, MISFIT, TORN, SATURATED, EDGE)
+"""Verdicts of footfalls."""
+
+LEAST_GAINED = 0.003
+"""Way down that a footfall needs while the force rises from a sixth to five sixths [m]: on hard
+ground a force comes without, and what creeps under a full load is no loading. Where the force grows
+with the depth to the power of 1.7, it is half of a sinkage of 6 mm (hard ground in
+``examples/sand_check.py`` has no usable footfall)."""
+NEAR_RADII = 2.0
+"""Ground nearer than this many radii to an earlier footfall has been trodden [-]: feet side by
+side."""
+WORST_MISFIT = 2.0
+"""χ² over the degrees of freedom above which a law does not fit [-]: with noise of twice the usual
+size and more it is 0.1 to 0.4 on simulated walks."""
+LEVEL_DEG = 5.0
+"""Inclination of the ground that is worth a note [deg]: 1.4° at most on simulated level sand."""
+CONTRADICTED = 2.0
+"""Standard deviations above which an anchor is doubted [-]: one sound anchor in twenty."""
+SECOND = "rft"
+"""Law of a second opinion on the mean φ: of few terms, and fast."""
+KIND = "footfalls"
+SCHEMA = 2
+GREY = "0.4"
+CI95 = 1.959964
+"""Half-width of a normal 95 % interval over its standard deviation [-]; of a 68 % one it is 1."""
+EARTH_RADIUS = 6_371_000.0
+"""[m]."""
+COLUMNS = {
+    "time_s": ("time", None, "s", "touch-down"),
+    "x_m": ("place", 0, "m", "along the first heading"),
+    "y_m": ("place", 1, "m", "to its left"),
+    "surface_m": ("place", 2, "m", "level of the surface"),
+    "sinkage_m": ("sinkage", None, "m", "depth of the foot at the end of the loading"),
+    "phi_deg": ("phi", None, "degree", "friction angle, by this footfall alone"),
+    "relative_sd_deg": ("sd", None, "degree", "standard deviation against the walk's others"),
+    "shared_sd_deg": ("shared_sd", None, "degree", "that it shares with all footfalls"),
+    "chi2": ("misfit", None, "1", "chi squared over the degrees of freedom"),
+    "s_m": ("path", 0, "m", "along the path"),
+    "path_x_m": ("path", 1, "m", "along the first heading"),
+    "path_y_m": ("path", 2, "m", "to its left"),
+    "path_phi_deg": ("path_phi", None, "degree", "friction angle, footfalls pooled"),
+    "path_relative_sd_deg": ("path_relative_sd", None, "degree", "standard deviation, relative"),
+    "path_absolute_sd_deg": ("path_absolute_sd", None, "degree", "standard deviation, absolute"),
+}
+"""Variable of a file to the field of a map that it holds, the column in it, unit and meaning."""
+
+
+@dataclass(frozen=True)
+class FootfallMap:
+    """φ under footfalls and along the path.
+
+    Attributes
+    ----------
+    time
+        Touch-downs on the log's clock [s], shape [footfall].
+    foot
+        ``FR``, ``FL``, ``RR`` or ``RL``, shape [footfall].
+    place
+        Where the foot ended its loading, from the trunk's first place: x along the robot's first
+        heading, y to its left, z of the soil's surface [m], shape [footfall, 3].
+    sinkage
+        Depth of the foot's lowest point at the end of the loading [m], shape [footfall]; where it
+        was too little, how far the foot went down under load.
+    phi, sd, shared_sd
+        φ of each footfall by itself, its standard deviation against the other footfalls and the
+        one that it shares with them [deg], shape [footfall]; not a number where it was refused.
+    misfit
+        χ² over the degrees of freedom [-], shape [footfall].
+    verdict
+        One of :data:`VERDICTS`, shape [footfall].
+    path
+        Points of the path: s along it, x, y [m], shape [point, 3].
+    path_phi, path_relative_sd, path_absolute_sd
+        Map of φ on the path [deg], shape [point]; not a number if no footfall is usable.
+    shared
+        What all footfalls share, by name: mean, standard deviation and its share of φ's.
+    by_law
+        Mean φ of the usable footfalls by the law, and by :data:`SECOND` [deg].
+    notes
+        Warnings.
+    provenance
+        Log, robot, priors and versions.
+    """
+
+    time: FloatArray
+    foot: tuple[str, ...]
+    place: FloatArray
+    sinkage: FloatArray
+    phi: FloatArray
+    sd: FloatArray
+    shared_sd: FloatArray
+    misfit: FloatArray
+    verdict: tuple[str, ...]
+    path: FloatArray
+    path_phi: FloatArray
+    path_relative_sd: FloatArray
+    path_absolute_sd: FloatArray
+    shared: Mapping[str, Any]
+    by_law: Mapping[str, float]
+    notes: tuple[str, ...] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def usable(self) -> BoolArray:
+        """Which footfalls determine φ, shape [footfall]."""
+        return np.array([verdict == USABLE for verdict in self.verdict], dtype=bool)
+
+    @property
+    def absolute_sd(self) -> FloatArray:
+        """Standard deviation of φ of each footfall, with all that is shared [deg]."""
+        return np.hypot(self.sd, self.shared_sd)
+
+    def counts(self) -> dict[str, int]:
+        """Footfalls by verdict, those that occur."""
+        return {v: self.verdict.count(v) for v in VERDICTS if v in self.verdict}
+
+    def summary(self) -> pd.DataFrame:
+        """A row for each footfall, as in the CSV of ``terraphi footfalls --out``."""
+        import pandas as pd
+
+        x, y, surface = self.place.T
+        return pd.DataFrame(
+            {
+                "t_s": self.time, "foot": self.foot, "x_m": x, "y_m": y, "surface_m": surface,
+                "sinkage_m": self.sinkage, "phi_deg": self.phi,
+                "absolute_sd_deg": self.absolute_sd,
+                "relative_sd_deg": self.sd, "shared_sd_deg": self.shared_sd,
+                "verdict": self.verdict,
+            }
+        )  # fmt: skip
+
+    def as_dict(self) -> dict[str, Any]:
+        """What ``terraphi footfalls --json`` prints; null where there is no number.
+
+        ``phi_deg`` of a footfall holds its absolute bands, ``phi_relative_deg`` those against the
+        other footfalls of the walk, without what soil, foot, law and sensors add to all of them.
+        """
+        x, y, surface = self.place.T
+        columns = {
+            "t_s": _numbers(self.time), "foot": self.foot, "x_m": _numbers(x), "y_m": _numbers(y),
+            "surface_mm": _numbers(1e3 * surface, 2), "sinkage_mm": _numbers(1e3 * self.sinkage, 2),
+            "phi_deg": _each(self.phi, self.absolute_sd),
+            "phi_relative_deg": _each(self.phi, self.sd),
+            "chi2": _numbers(self.misfit), "verdict": self.verdict,
+        }  # fmt: skip
+        path = dict(zip(("s_m", "x_m", "y_m"), map(_numbers, self.path.T), strict=True))
+        bands = _bands(self.path_phi, self.path_relative_sd, "_relative")
+        bands |= _bands(self.path_phi, self.path_absolute_sd, "_absolute")
+        return {
+            "law": self.provenance.get("law"),
+            "counts": self.counts(),
+            "footfalls": [
+                dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)
+            ],
+            "path": {**path, "phi_deg": _numbers(self.path_phi), **bands},
+            "shared": self.shared,
+            "by_law_deg": dict(zip(self.by_law, _numbers(self.by_law.values()), strict=True)),
+            "notes": list(self.notes),
+        }
+
+    def to_netcdf(self, path: Path | str) -> None:
+        """Write NetCDF-4, and a GeoJSON and a CSV of the same name next to it.
+
+        Raises InputError if the place cannot be written.
+        """
+        import xarray as xr
+
+        path = Path(path)
+        variables: dict[str, Any] = {}
+        for name, (source, column, units, about) in COLUMNS.items():
+            values = getattr(self, source)
+            values = values if column is None else values[:, column]
+            over = "point" if source.startswith("path") else "footfall"
+            variables[name] = (over, values, {"units": units, "long_name": about})
+        about_it = {"units": "degree", "long_name": "standard deviation of phi_deg, absolute"}
+        variables["absolute_sd_deg"] = ("footfall", self.absolute_sd, about_it)
+        variables["foot"] = ("footfall", np.array(self.foot, dtype="U2"))
+        variables["verdict"] = ("footfall", np.array(self.verdict, dtype="U24"))
+        texts = {
+            known.alias or name: json.dumps(getattr(self, name))
+            for name, known in FootfallAttributes.model_fields.items()
+        }
+        attributes = {"terraphi_file": KIND, "terraphi_schema": SCHEMA, **texts}
+        write_netcdf(xr.Dataset(variables, attrs=attributes).set_coords("s_m"), path)
+        with atomic_write(path.with_suffix(".geojson")) as temporary:
+            temporary.write_text(json.dumps(self._geojson(), ensure_ascii=False), encoding="utf-8")
+        first = f"# {SIGNATURE}: footfalls; x, y from the robot's first place and heading\n"
+        write_csv(path.with_suffix(".csv"), self.summary(), first=first, float_format="%.4f")
+
+    def _geojson(self) -> dict[str, Any]:
+        """Footfalls as points, metres east and north of (0°, 0°) as degrees."""
+        degrees = self.place[:, :2] * 180.0 / (math.pi * EARTH_RADIUS)
+        keys = ("t_s", "foot", "x_m", "y_m", "sinkage_mm", "phi_deg", "phi_relative_deg",
+                "verdict")  # fmt: skip
+        features = [
+            {
+                "type": "Feature",
+                "geometry": {"type": "Point", "coordinates": _numbers(place, 9)},
+                "properties": {key: entry[key] for key in keys},
+            }
+            for place, entry in zip(degrees, self.as_dict()["footfalls"], strict=True)
+        ]
+        about = (
+            f"{SIGNATURE}; a log has no place on earth: x_m and y_m are metres from the robot's "
+            "first place, and the coordinates the same as if that were longitude 0, latitude 0, "
+            "heading east"
+        )
+        return {"type": "FeatureCollection", "about": about, "features": features}
+
+    @classmethod
+    def load(cls, path: Path | str) -> FootfallMap:
+        """Read a NetCDF of :meth:`to_netcdf`; raises InputError if it is not whole."""
+        with open_netcdf(Path(path), FootfallAttributes, kind=KIND, schema=SCHEMA) as file:
+            columns: dict[str, list[FloatArray]] = {}
+            for name, (source, *_) in COLUMNS.items():
+                over = "point" if source.startswith("path") else "footfall"
+                values = file.numbers(name, over, finite=source in ("time", "place", "path"))
+                columns.setdefault(source, []).append(values)
+            fields: dict[str, Any] = {
+                source: np.column_stack(each) if len(each) > 1 else each[0]
+                for source, each in columns.items()
+            }
+            fields |= dict(file.attrs)
+            fields |= {name: file.texts(name, "footfall") for name in ("foot", "verdict")}
+            walk = cls(**fields)
+            if unknown := set(walk.verdict) - set(VERDICTS):
+                raise ValueError(f"verdict {unknown.pop()!r}")
+            pooled = walk.path_phi if walk.usable.any() else 0.0
+            each = np.stack([walk.phi, walk.sd, walk.shared_sd])[:, walk.usable]
+            if not (np.isfinite(each).all() and np.isfinite(pooled).all()):
+                raise ValueError("a usable footfall has no phi_deg")
+            return walk
+
+    def plot(self) -> Figure:
+        """Footfalls on the ground, and φ along the path with both bands, by Matplotlib."""
+        from terraphi.experiment.figure import Figure as NewFigure
+
+        figure = NewFigure(figsize=(11.0, 4.6), layout="constrained")
+        plan, course = figure.subplots(1, 2, width_ratios=(1.0, 1.35))
+        usable, (x, y) = self.usable, self.place[:, :2].T
+        plan.plot(self.path[:, 1], self.path[:, 2], color=GREY, lw=0.8, zorder=0)
+        refused = {"marker": "x", "s": 14, "color": GREY, "lw": 0.8}
+        plan.scatter(x[~usable], y[~usable], label=f"refused ({int((~usable).sum())})", **refused)
+        if usable.any():
+            label = f"usable ({int(usable.sum())})"
+            shown = plan.scatter(x[usable], y[usable], c=self.phi[usable], s=22, label=label)
+            figure.colorbar(shown, ax=plan, label="φ [deg]", location="bottom", shrink=0.8)
+        plan.set(xlabel="x, along the first heading [m]", ylabel="y [m]", title="Footfalls")
+        plan.set_aspect("equal", adjustable="datalim")
+        plan.legend(fontsize="small", frameon=False)
+        self._draw_course(course)
+        figure.draw_without_rendering()  # the labels of a plot whose limits follow its aspect
+        return figure
+
+    def _draw_course(self, axes: Axes) -> None:
+        s, phi, usable = self.path[:, 0], self.path_phi, self.usable
+        title = "φ along the path, 68 % bands"
+        axes.set(xlabel="s, along the path [m]", ylabel="φ [deg]", title=title)
+        if not usable.any():
+            axes.text(0.5, 0.5, "no footfall is usable", transform=axes.transAxes, ha="center")
+            return
+        for sd, colour, alpha, label in (
+            (self.path_absolute_sd, GREY, 0.2, "absolute: soil, foot and law uncertain"),
+            (self.path_relative_sd, "C0", 0.35, "relative: between places"),
+        ):
+            axes.fill_between(s, phi - sd, phi + sd, color=colour, alpha=alpha, lw=0, label=label)
+        axes.plot(s, phi, color="C0", lw=1.5)
+        apart = np.square(self.place[usable, None, :2] - self.path[None, :, 1:]).sum(axis=2)
+        axes.errorbar(
+            s[apart.argmin(axis=1)], self.phi[usable], self.sd[usable], fmt="o", ms=3, lw=0.6,
+            color="C1", label="footfalls, usable", zorder=1, alpha=0.7,
+        )  # fmt: skip
+        axes.legend(fontsize="small", frameon=False)
+
+    def __repr__(self) -> str:
+        """A few lines for a prompt."""
+        counts = ", ".join(f"{n} {verdict}" for verdict, n in self.counts().items())
+        lines = [f"{self.provenance.get('log', 'log')}: {len(self.verdict)} footfalls: {counts}"]
+        if self.usable.any():
+            mean, wide = self.path_phi.mean(), self.path_absolute_sd.mean()
+            low, high = self.path_phi.min(), self.path_phi.max()
+            lines.append(f"φ = {mean:.1f}° ± {wide:.1f}°, {low:.1f} to {high:.1f}° along the path")
+        if self.notes:
+            lines.append(f"warnings in .notes: {len(self.notes)}")
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        """The same for a notebook, with a table of footfalls."""
+        table = self.summary().to_html(max_rows=10, float_format="{:.3g}".format)
+        return f"<pre>{html.escape(repr(self))}</pre>{table}"
+
+
+class FootfallAttributes(BaseModel):
+    """Attributes of a file of footfalls: fields of a map, as JSON."""
+
+    shared: Json[dict[str, Any]]
+    by_law: Json[dict[str, float]] = Field(alias="by_law_deg")
+    notes: Json[tuple[str, ...]]
+    provenance: Json[dict[str, Any]]
+
+
+def _numbers(values: Any, digits: int = 4) -> list[float | None]:
+    return [round(float(v), digits) if math.isfinite(v) else None for v in values]
+
+
+def _bands(phi: FloatArray, sd: FloatArray, kind: str = "") -> dict[str, list[Any]]:
+    """Intervals of 68 and 95 %, by name."""
+    return {
+        f"{name}{kind}": [_numbers(ends) for ends in np.stack([phi - half, phi + half], axis=1)]
+        for name, half in (("ci68", sd), ("ci95", CI95 * sd))
+    }
+
+
+def _each(phi: FloatArray, sd: FloatArray) -> list[dict[str, Any] | None]:
+    """Median and intervals of each footfall; None where it was refused."""
+    return [
+        None if median is None else {"median": median, "ci68": inner, "ci95": outer}
+        for median, inner, outer in zip(_numbers(phi), *_bands(phi, sd).values(), strict=True)
+    ]
+
+
+def infer(
+    seen: Touchdowns,
+    torques: Normal,
+    path: FloatArray,
+    *,
+    prior: Prior,
+    law: str,
+    anchors: Sequence[Anchor],
+    feet: Sequence[str],
+    notes: Sequence[str],
+    provenance: Mapping[str, Any],
+) -> FootfallMap:
+    """φ of the touch-downs of a walk and along its path.
+
+    Parameters
+    ----------
+    seen
+        The touch-downs, in the order of time.
+    torques
+        What is known of errors of the joints' torques, in the order of
+        :data:`~terraphi.inference.touchdowns.TORQUES`.
+    path
+        Points of the path: s along it, x, y [m], shape [point, 3].
+    prior, law, anchors
+        As of :func:`terraphi.footfalls`.
+    feet
+        Names of the feet.
+    notes, provenance
+        Of the log.
+    """
+    stretches = [(anchor, anchor.stretch(path)) for anchor in anchors]
+    prior = _with_growth(seen, law, prior)
+    found = fit(seen, law, prior)
+    verdict = verdicts(seen, found, prior.radius)
+    usable = verdict == USABLE
+    of_each, of_path = np.full((3, len(verdict)), np.nan), np.full((3, len(path)), np.nan)
+    shared: dict[str, Any] = {}
+    by_law: dict[str, float] = {}
+    contradicted: list[str] = []
+    if usable.any():
+        phi, moves = found.phi[usable], found.shared[usable]
+        moves[:, TORQUES + list(prior.shared()).index("law_slope")] = phi - phi.mean()
+        known = np.array(list(prior.shared().values()))
+        theta = np.zeros((len(known) + TORQUES,) * 2)
+        theta[:TORQUES, :TORQUES] = torques.covariance
+        theta[TORQUES:, TORQUES:] = np.diag(known[:, 1] ** 2)
+        common = Normal(np.append(torques.mean, 0.0 * known[:, 0]), theta)
+        observed = Observed(phi, found.sd[usable], moves, seen.place[usable, :2])
+        pooled = pool(
+            observed, common, path[:, 1:], stretches, mean=prior.phi_deg, mean_sd=prior.phi_sd_deg
+        )
+        of_each[:, usable] = pooled.phi, pooled.sd, pooled.shared_sd
+        of_path[:] = pooled.path_phi, pooled.path_relative_sd, pooled.path_absolute_sd
+        for name, part in (("torque_gain", slice(12)), ("joint_friction_Nm", slice(12, TORQUES))):
+            mean, sd, terms = pooled.shared[:, part]
+            worth = float(np.sqrt((terms**2).sum()))
+            shared[name] = {"mean": mean.tolist(), "sd": sd.tolist(), "worth_deg": worth}
+        rows = pooled.shared[:, TORQUES:].T.tolist()
+        for (name, (centre, _)), (off, sd, worth) in zip(prior.shared().items(), rows, strict=True):
+            shared[name] = {"mean": centre + off, "sd": sd, "worth_deg": worth}
+        shared["field"] = pooled.field
+        by_law[law] = float(pooled.phi.mean())
+        if law != SECOND:  # with what was learned of sensors and anchors
+            some = evenly(picked(seen, usable), MOST_FITTED)
+            own_prior = with_exponent(some, SECOND, replace(prior, exponent=0.0))
+            second = fit(some, SECOND, own_prior).phi
+            by_law[SECOND] = float(second.mean() + (pooled.phi - phi).mean())
+        contradicted = [
+            f"the anchor of {anchor.phi_deg:g} ± {anchor.sd_deg:g}° is {off:.1f} standard "
+            "deviations from what footfalls, law and other anchors give: check it"
+            for anchor, off in zip(anchors, pooled.surprise, strict=True) if off > CONTRADICTED
+        ]  # fmt: skip
+    sinkage = np.where(verdict == SHALLOW, found.gained, found.sinkage)
+    notes = [*contradicted, *notes]
+    # Inclination of the plane through places where feet met the ground.
+    x, y, z = seen.place.T
+    rise = np.linalg.lstsq(np.stack([x, y, np.ones_like(x)], axis=-1), z)[0][:2]
+    if (slope := math.degrees(math.atan(float(np.linalg.norm(rise))))) > LEVEL_DEG:
+        notes.append(
+            f"the ground is inclined by {slope:.0f}°: the law is of level ground, and soil on a "
+            "slope bears less"
+        )
+    if not usable.any():
+        notes.append("no footfall is usable: the map is empty")
+    elif not anchors:
+        notes.append("no anchor: only differences along the path are as sure as the relative band")
+    return FootfallMap(
+        time=seen.begin,
+        foot=tuple(feet[i] for i in seen.foot),
+        place=seen.place + np.outer(sinkage, [0.0, 0.0, 1.0]),
+        sinkage=sinkage,
+        **dict(zip(("phi", "sd", "shared_sd"), of_each, strict=True)),
+        **dict(zip(("path_phi", "path_relative_sd", "path_absolute_sd"), of_path, strict=True)),
+        misfit=found.misfit,
+        verdict=tuple(verdict.tolist()),
+        path=path,
+        shared=shared,
+        by_law=by_law,
+        notes=tuple(notes),
+        provenance={
+            **provenance, "law": law, "prior": asdict(prior),
+            "anchors": [anchor._asdict() for anchor in anchors],
+            "terraphi": importlib.metadata.version("terraphi"),
+        },
+    )  # fmt: skip
+
+
+def _with_growth(seen: Touchdowns, law: str, prior: Prior) -> Prior:
+    """The prior with the law's error, and its growth with depth if enough touch-downs are deep."""
+    if prior.law_sd_deg is None:
+        prior = replace(prior, law_sd_deg=LAWS[law].sd_deg)
+    seen = evenly(picked(seen, ~_trodden(seen, prior.radius)[0]), MOST_FITTED)
+    deep = np.isin(verdicts(seen, fit(seen, law, prior), prior.radius), (USABLE, MISFIT))
+    return with_exponent(picked(seen, deep), law, prior) if deep.sum() >= FEWEST else prior
+
+
+def verdicts(seen: Touchdowns, found: Fit, radius: float) -> NDArray[np.str_]:
+    """Verdict of each footfall: the first reason against it, else :data:`USABLE`.
+
+    Parameters
+    ----------
+    seen, found
+        The touch-downs of a log, in the order of time, and their fit.
+    radius
+        Of the foot [m].
+    """
+    trodden, printed = _trodden(seen, radius)
+    rests = seen.used.sum(axis=1) < FEWEST
+    reasons = (
+        (TORN, seen.torn),
+        (SATURATED, seen.saturated),
+        (SHALLOW, (found.gained < LEAST_GAINED) | rests),
+        (PRINT, printed),
+        (TRODDEN, trodden),
+        (EDGE, np.isin(found.phi, PHI_RANGE)),
+        (MISFIT, found.misfit > WORST_MISFIT),
+    )
+    words = [word for word, _ in reasons]
+    return np.select([holds for _, holds in reasons], words, USABLE)
+
+
+def _trodden(seen: Touchdowns, radius: float) -> tuple[BoolArray, BoolArray]:
+    """Whether a foot had stood there before, and whether a fore foot had where a rear one steps."""
+    from scipy.spatial import cKDTree
+
+    trodden, printed = np.zeros((2, len(seen.foot)), dtype=bool)
+    near = cKDTree(seen.place[:, :2]).query_pairs(NEAR_RADII * radius, output_type="ndarray")
+    first, second = near.min(axis=1), near.max(axis=1)
+    trodden[second] = True
+    printed[second[(seen.foot[first] < 2) & (seen.foot[second] >= 2)]] = True
+    return trodden, printed
