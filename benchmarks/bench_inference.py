@@ -16,7 +16,7 @@ RECORDS = ("li2013:yuma/straight", "li2013:poppy_loose/straight", "li2013:glass0
 def seconds(record: str) -> float:
     """Processor time of an inversion [s]."""
     began = time.process_time()
-    terraphi.invert(record, library="sand3d")
+    terraphi.invert(record, law="sand3d")
     return time.process_time() - began
 
 

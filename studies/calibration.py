@@ -42,9 +42,7 @@ def inverted(paths: Iterable[Path]) -> pd.DataFrame:
             for _ in range(DRAWS if noise else 1):
                 force, phi = case.history.force, case.scenario.soil.friction_angle_deg
                 errors = noise * np.abs(force).max(axis=0) * rng.standard_normal(force.shape)
-                answer = terraphi.invert(
-                    replace(case.history, force=force + errors), library=LIBRARY
-                )
+                answer = terraphi.invert(replace(case.history, force=force + errors), law=LIBRARY)
                 found = answer.phi
                 rows.append({
                     "leg": case.scenario.leg.shape,
@@ -92,7 +90,7 @@ def believed() -> list[tuple[str, str]]:
     verdicts: dict[str, list[str]] = {}
     for kind, case, leg in strangers():
         history, density = replace(case.history, provenance={}), case.scenario.soil.density
-        answer = terraphi.invert(history, library=LIBRARY, rig="li2013", leg=leg, density=density)
+        answer = terraphi.invert(history, law=LIBRARY, rig="li2013", leg=leg, density=density)
         verdicts.setdefault(kind, []).append(answer.verdict)
     return [(kind, f"{v.count('consistent')} of {len(v)}") for kind, v in verdicts.items()]
 

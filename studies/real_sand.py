@@ -21,7 +21,7 @@ LIBRARY = "sand3d"
 
 def infer(name: str) -> dict[str, Any]:
     """Answer for one record, next to its angle of repose."""
-    answer, record = terraphi.invert(name, library=LIBRARY), measurement(name)
+    answer, record = terraphi.invert(name, law=LIBRARY), measurement(name)
     return {
         "medium": name.partition(":")[2].partition("/")[0],
         "leg": record.leg,

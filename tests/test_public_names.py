@@ -49,7 +49,7 @@ def results(log: Path) -> list[Any]:
     measured = terraphi.measurement("li2013:yuma/c")
     forces = terraphi.foot_forces(log)
     return [
-        measured, measured.history, terraphi.invert(measured, library="rft3d"),
+        measured, measured.history, terraphi.invert(measured, law="rft3d"),
         terraphi.Library.load("sand3d"), forces, forces.forces, forces.pooled, forces.log,
         forces.stances[0], forces.robot, terraphi.footfalls(log),
     ]  # fmt: skip

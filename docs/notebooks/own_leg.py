@@ -36,7 +36,7 @@ record = terraphi.ForceHistory(truth.position, truth.force + noise)
 # Resistive force theory needs no simulations: library ``rft3d`` is made for any rig in a fraction
 # of a second. ``simulated=True`` says that the model is exact.
 
-options = {"rig": rig, "density": "1650±1", "library": "rft3d"}
+options = {"rig": rig, "density": "1650±1", "law": "rft3d"}
 answer = terraphi.invert(record, **options, simulated=True)
 answer
 

@@ -31,7 +31,7 @@ from terraphi.laws.store import Library
 def inverted(record: Record, library: Library) -> terraphi.Answer:
     """The answer to a record."""
     density = f"{record.density_kg_m3}±{record.density_sd_kg_m3}"
-    return terraphi.invert(record.history, rig=record.rig, density=density, library=library)
+    return terraphi.invert(record.history, rig=record.rig, density=density, law=library)
 
 
 def grains_of(soil: str) -> str:

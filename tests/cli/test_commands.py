@@ -25,7 +25,7 @@ from terraphi.inference.manifest import read_manifest
 from terraphi.laws.foot import LAWS
 
 Terraphi = Callable[..., Any]
-QUICK = ("--library", "rft3d")
+QUICK = ("--law", "rft3d")
 LINES = 30
 """Lines of a help."""
 MEASURED = "li2013:poppy_loose/straight"
@@ -112,10 +112,10 @@ def test_closed_and_full_streams_end_without_a_stack(line: str) -> None:
 
 def test_invert_prints_the_answer_of_python(terraphi: Terraphi) -> None:
     answer = json.loads(terraphi("invert", MEASURED, *QUICK, "--json").out)
-    same = package.invert(MEASURED, library="rft3d")
+    same = package.invert(MEASURED, law="rft3d")
     assert answer["phi_deg"]["median"] == pytest.approx(same.phi.median, abs=1e-9)
     assert (answer["density_kg_m3"], answer["density_assumed"]) == (638.0, False)
-    assert (answer["library"], answer["rig"]["leg"]) == ("rft3d", "straight")
+    assert (answer["law"], answer["rig"]["leg"]) == ("rft3d", "straight")
 
 
 def test_invert_prints_angle_and_verdict_within_ten_lines(terraphi: Terraphi) -> None:
@@ -123,7 +123,7 @@ def test_invert_prints_angle_and_verdict_within_ten_lines(terraphi: Terraphi) ->
     first, phi, verdict, *rest = ran.out.splitlines()
     assert ran.status == 0
     assert first.startswith("12 records")
-    assert first.endswith("library sand3d")
+    assert first.endswith("law sand3d")
     assert phi.startswith("φ = ")
     assert "plane strain" in phi
     assert verdict.split(":")[0] in ("Consistent", "Misfit", "Out of range")
@@ -186,8 +186,8 @@ def test_a_table_of_records_is_inverted_as_each_alone(
     rows = pd.read_csv(tmp_path / "answers.csv")
     assert len(rows) == 4 * copies
     assert rows["verdict"].tolist()[3::4] == ["failed"] * copies
-    phi = package.invert(plain, rig="li2013", leg="c", density="1500±50", library="rft3d").phi
-    shipped = package.invert(MEASURED, library="rft3d").phi
+    phi = package.invert(plain, rig="li2013", leg="c", density="1500±50", law="rft3d").phi
+    shipped = package.invert(MEASURED, law="rft3d").phi
     expected = [phi.median, phi.median, shipped.median] * copies
     assert rows["phi_deg"].dropna().tolist() == pytest.approx(expected, abs=2e-3)
     assert rows["remark"][0] == "dry"
@@ -256,7 +256,7 @@ def test_columns_stand_in_a_file_or_on_the_command_line(terraphi: Terraphi, tmp_
         )
     )
     density = ("--rig", "li2013", "--leg", "c", "--density", "1650", *QUICK, "--json")
-    phi = package.invert("li2013:yuma/c", density=1650, library="rft3d").phi.median
+    phi = package.invert("li2013:yuma/c", density=1650, law="rft3d").phi.median
     for columns in (pairs, "c.toml"):
         ran = terraphi("invert", "x.csv", "--columns", columns, *density)
         assert json.loads(ran.out)["phi_deg"]["median"] == pytest.approx(phi, abs=1e-3)
@@ -278,7 +278,7 @@ def test_a_simulation_inverts_to_its_own_angle(leg: str, terraphi: Terraphi) -> 
     summary = json.loads(terraphi("simulate", "quick", *changes, "--out", "h.nc", "--json").out)
     assert summary["peak_Fz_N"] > 0.0
     answer = json.loads(terraphi("invert", "h.nc", "--json").out)
-    assert (answer["rig"]["leg"], answer["library"]) == (leg, "rft3d")
+    assert (answer["rig"]["leg"], answer["law"]) == (leg, "rft3d")
     assert answer["phi_deg"]["median"] == pytest.approx(33.0, abs=0.1)
 
 
@@ -288,8 +288,8 @@ def test_a_library_is_built_listed_shown_and_used(terraphi: Terraphi, tmp_path: 
     assert json.loads(ran.out)["cases"] == 3
     assert sorted(path.name for path in tmp_path.iterdir()) == ["l.nc", "p.toml"]
     assert "small" in terraphi("library", "show", "l.nc").out
-    answer = json.loads(terraphi("invert", MEASURED, "--library", "l.nc", "--json").out)
-    assert answer["library"] == "small"
+    answer = json.loads(terraphi("invert", MEASURED, "--law", "l.nc", "--json").out)
+    assert answer["law"] == "small"
     listed = json.loads(terraphi("library", "list", "--json").out)["libraries"]
     assert [one["name"] for one in listed][:2] == ["sand3d", "rft3d"]
 
@@ -300,7 +300,7 @@ def test_the_demo_recovers_the_angle(terraphi: Terraphi, tmp_path: Path) -> None
     low, high = known["phi_deg"]["ci95"]
     assert low <= 33.0 <= high
     assert known["verdict"] == "consistent"
-    assert [one["library"] for one in sands] == ["sand3d", "sand3d"]
+    assert [one["law"] for one in sands] == ["sand3d", "sand3d"]
     assert (tmp_path / "d" / "demo.png").stat().st_size > 20_000
     ran = terraphi("report", "d", "--out", "r.html", "--json")
     assert len(json.loads(ran.out)["results"]) == 3
@@ -348,7 +348,7 @@ def test_unusable_forces_are_one_sentence_and_write_nothing(
         ("invrt x.csv", "invert"),
         ("invert no.csv", "no such file"),
         ("invert li2013:yuma/strait", "li2013:yuma/straight"),
-        ("invert li2013:yuma/c --library rtf3d", "rft3d"),
+        ("invert li2013:yuma/c --law rtf3d", "rft3d"),
         ("invert li2013:yuma/c --leg strait", "straight"),
         ("invert li2013:yuma/c --density heavy", "heavy"),
         ("invert li2013:yuma/c --noise nan", "nan"),

@@ -28,24 +28,24 @@ import pytest
 MOST_SECONDS, MOST_BYTES = 10, 1 << 30
 LETTERS = 200_000
 MEASURED = "li2013:yuma/c"
-INVERT = f"invert {MEASURED} --library"
+INVERT = f"invert {MEASURED} --law"
 POINTS = "map points.csv --dem dem.tif --draws 16 --out made"
 WALKED = "map FILE --dem dem.tif --start 5,5,60 --draws 16 --out made"
 COMMANDS = {
     "answer/answer.nc": ("report FILE --out r.html", "export FILE --to newton --draws 3 --anyway"),
     "answer/answer.json": ("export FILE --to chrono-scm --anyway",),
     "answer/manifest.json": ("report answer --out r.html",),
-    "simulation.nc": ("report FILE --out r.html", "invert FILE --library rft3d"),
+    "simulation.nc": ("report FILE --out r.html", "invert FILE --law rft3d"),
     "library.nc": ("library show FILE", f"{INVERT} FILE", "report FILE --out r.html"),
     "footfalls.nc": ("report FILE --out r.html", WALKED),
     "forces.nc": ("report FILE --out r.html",),
     "calibration.toml": (f"{INVERT} rft3d --calibration FILE",),
     "scenario.toml": ("simulate FILE",),
     "plan.toml": ("library build FILE --out built.nc",),
-    "columns.toml": ("invert forces.csv --rig li2013 --leg c --library rft3d --columns FILE",),
+    "columns.toml": ("invert forces.csv --rig li2013 --leg c --law rft3d --columns FILE",),
     "robot.toml": ("forces log.csv --robot FILE",),
-    "forces.csv": ("invert FILE --rig li2013 --leg c --library rft3d",),
-    "day.csv": ("invert --table FILE --rig li2013 --leg c --library rft3d",),
+    "forces.csv": ("invert FILE --rig li2013 --leg c --law rft3d",),
+    "day.csv": ("invert --table FILE --rig li2013 --leg c --law rft3d",),
     "points.csv": (POINTS,),
     "map/map.json": ("report map --out r.html",),
     "dem.tif": (POINTS,),
@@ -78,7 +78,7 @@ def make_files(folder: Path) -> None:
     from terraphi.inference.footfalls import FootfallMap
     from terraphi.robot.joint_log import JointLog
 
-    terraphi.invert(MEASURED, library="rft3d").save(folder / "answer")
+    terraphi.invert(MEASURED, law="rft3d").save(folder / "answer")
     quick = Path(terraphi.__file__).with_name("data") / "scenarios" / "quick.toml"
     shutil.copy(quick, folder / "scenario.toml")
     scenario = terraphi.Scenario.load(folder / "scenario.toml")
@@ -120,7 +120,7 @@ def make_files(folder: Path) -> None:
         file.write(heights.astype("float32"), 1)
     with contextlib.chdir(folder):
         for line in (
-            "calibrate forces.csv --leg c --library rft3d --phi 30±2 --out calibration.toml",
+            "calibrate forces.csv --leg c --law rft3d --phi 30±2 --out calibration.toml",
             POINTS.replace("made", "map"),
         ):
             cli.main(line.split(), standalone_mode=False)

@@ -21,7 +21,7 @@ dimensions = 3
 """
 BUILD = ["library", "build", "p.toml", "--out", "l.nc", "--workers", "2"]
 APP = ["app", "--port", "0"]
-INVERT = ["invert", "li2013:yuma/c", "--out", "a", "--library", "rft3d"]
+INVERT = ["invert", "li2013:yuma/c", "--out", "a", "--law", "rft3d"]
 BEGUN = {"library": "l.nc.cases/*.nc", "app": "tmp/.*", "invert": ".a.*"}
 """What shows that a command is in the midst of its work."""
 RUN = """

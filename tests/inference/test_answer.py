@@ -70,7 +70,7 @@ def test_json_holds_plain_values_and_the_keys_that_programs_rely_on(answer: Answ
     assert set(known["phi_deg"]) == {"median", "sd", "ci68", "ci95", "yield"}
     assert {
         "phi_plane_strain_deg", "verdict", "reason", "edge", "nrmsd", "budget_deg", "density_kg_m3",
-        "n_angles", "library", "second_opinion", "questions", "provenance",
+        "n_angles", "law", "second_opinion", "questions", "provenance",
     } <= set(known)  # fmt: skip
     assert known["nrmsd"].keys() == {"Fx", "Fz"}
 

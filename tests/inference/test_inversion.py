@@ -30,7 +30,7 @@ def test_simulated_angles_are_recovered(phi: float, leg: str) -> None:
     base = Library.load("rft3d").cases[0].scenario
     scenario = base.replace(**{PHI: phi, "leg.shape": leg, "soil.density": 1400.0})
     answer = invert(simulate(scenario))
-    assert answer.library == "rft3d"
+    assert answer.law == "rft3d"
     assert answer.verdict == "consistent"
     assert answer.phi.median == pytest.approx(phi, abs=0.05)
 
@@ -128,9 +128,7 @@ def test_simulated_forces_that_noise_does_not_explain_are_a_misfit(
     history_at: Callable[..., ForceHistory], factor: float, verdict: str
 ) -> None:
     history = turned(history_at(33.0, noise=0.05), 1.0, factor)
-    answer = invert(
-        history, rig="li2013", leg="straight", library="rft3d", simulated=True, noise=0.05
-    )
+    answer = invert(history, rig="li2013", leg="straight", law="rft3d", simulated=True, noise=0.05)
     assert answer.verdict == verdict
 
 
@@ -152,8 +150,8 @@ def test_every_preset_is_recovered_after_a_simulation() -> None:
 
 def test_second_opinion_is_in_plane_strain() -> None:
     answer = invert("li2013:poppy_loose/straight")
-    other = invert("li2013:poppy_loose/straight", library="rft3d")
-    assert answer.second_opinion["library"] == "rft3d"
+    other = invert("li2013:poppy_loose/straight", law="rft3d")
+    assert answer.second_opinion["law"] == "rft3d"
     expected = np.degrees(np.arcsin(np.tan(np.radians(other.phi.median))))
     assert other.phi_plane_strain.median == pytest.approx(expected)
     assert answer.second_opinion["median"] == pytest.approx(expected, abs=0.05)
@@ -164,7 +162,7 @@ def test_second_opinion_is_in_plane_strain() -> None:
 def test_a_model_error_of_another_type_is_refused(sand3d: Library) -> None:
     spoilt = replace(sand3d, model_error={"straight": 5})
     with pytest.raises(InputError, match=r"library sand3d, model_error\.straight"):
-        invert("li2013:yuma/straight", library=spoilt)
+        invert("li2013:yuma/straight", law=spoilt)
 
 
 def test_another_opinion_far_away_widens_the_interval(sand3d: Library) -> None:
@@ -172,7 +170,7 @@ def test_another_opinion_far_away_widens_the_interval(sand3d: Library) -> None:
     error = sand3d.model_error["straight"] | {"without": {}, "offset_deg": -17.0}
     sure = {"common_sd_deg": 0.5, "soil_sd_deg": 0.5, "leg_sd_deg": 0.5}
     record = "li2013:poppy_loose/straight"
-    answer = invert(record, library=replace(sand3d, model_error={"straight": error | sure}))
+    answer = invert(record, law=replace(sand3d, model_error={"straight": error | sure}))
     other = answer.second_opinion
     both = np.hypot(answer.phi.sd, other["sd"])
     assert abs(answer.phi.median - other["median"]) == pytest.approx(1.96 * both, rel=0.03)
@@ -192,7 +190,7 @@ def test_a_moment_replaces_forces(sand3d: Library, leg: str, axes: str) -> None:
         columns = [own.history.axes.index(axis) for axis in axes]
         history = replace(own.history, force=own.history.force[:, columns], axes=tuple(axes),
                           provenance={})  # fmt: skip
-        answer = invert(history, rig="li2013", leg=leg, density=1650, library=plain)
+        answer = invert(history, rig="li2013", leg=leg, density=1650, law=plain)
         assert set(answer.nrmsd) == {*(f"F{axis}" for axis in axes), "M"}
         assert answer.phi.median == pytest.approx(phi, abs=1.0)
         assert answer.budget_deg["missing forces"] == pytest.approx(MOMENT_DEG, rel=0.05)
@@ -205,7 +203,7 @@ def test_a_moment_that_the_forces_do_not_have_is_noticed() -> None:
     history = replace(simulate(base.replace(**{PHI: 30.0})), provenance={})
     longer = replace(history, moment=1.5 * history.moment)
     plain, other = (
-        invert(one, rig="li2013", leg="straight", density=1650, library="rft3d").questions
+        invert(one, rig="li2013", leg="straight", density=1650, law="rft3d").questions
         for one in (history, longer)
     )
     assert any("moment" in one for one in other)
@@ -219,9 +217,9 @@ def test_shipped_media_are_judged_by_what_was_learned_without_them(sand3d: Libra
     without = {"li2013:yuma": stricter | {"nrmsd_limit": 0.01, "without": {}}}
     library = replace(sand3d, model_error={"straight": stricter | {"without": without}})
     anonymous = replace(measurement(name).history, provenance={})
-    assert invert(name, library=library).verdict == "misfit"
+    assert invert(name, law=library).verdict == "misfit"
     assert (
-        invert(anonymous, rig="li2013", leg="straight", density=1650, library=library).verdict
+        invert(anonymous, rig="li2013", leg="straight", density=1650, law=library).verdict
         == "consistent"
     )
 
@@ -279,9 +277,9 @@ def test_what_a_library_reads_too_high_is_taken_off(sand3d: Library) -> None:
         for more in (0.0, 2.5)
     )
     record = "li2013:glass03_loose/straight"
-    plain, lower = (invert(record, library=one) for one in (usual, high))
+    plain, lower = (invert(record, law=one) for one in (usual, high))
     assert lower.phi.median == pytest.approx(plain.phi.median - 2.5 / (1.0 + known.slope), abs=0.05)
-    reads = [calibrate(record, 25.0, 1.0, library=one).soils[0].read_deg for one in (usual, high)]
+    reads = [calibrate(record, 25.0, 1.0, law=one).soils[0].read_deg for one in (usual, high)]
     assert reads == pytest.approx([plain.phi.median, lower.phi.median], abs=0.2)
 
 

@@ -43,7 +43,7 @@ def test_best_angle_and_shift_are_those_of_least_squares(sand3d: Library, name: 
     best = differential_evolution(loss, bounds, seed=0, tol=1e-8)
     found = np.array([likelihood.least_squares[0], likelihood.shift_deg[0]])
     assert loss(found) <= best.fun * 1.001
-    assert invert(name, library=library).phi.median == pytest.approx(best.x[0], abs=0.02)
+    assert invert(name, law=library).phi.median == pytest.approx(best.x[0], abs=0.02)
 
 
 def test_a_turned_zero_of_the_angle_is_found_and_moves_nothing(sand3d: Library) -> None:
@@ -122,7 +122,7 @@ def test_noise_is_worth_what_it_does(history_at: Callable[..., ForceHistory]) ->
             history_at(33.0, noise=0.3, seed=s),
             rig="li2013",
             leg="straight",
-            library=library,
+            law=library,
             simulated=True,
             noise=0.3,
         )
@@ -194,11 +194,11 @@ def test_a_soil_that_the_model_reads_rightly_moves_no_leg(sand3d: Library, leg: 
 
 def test_a_calibration_is_refused_by_a_library_of_other_forces(sand3d: Library) -> None:
     """With all forces half as large again φ would be read 4° lower."""
-    known = calibrate("li2013:glass03_loose/straight", 25.0, 1.0, library=sand3d)
+    known = calibrate("li2013:glass03_loose/straight", 25.0, 1.0, law=sand3d)
     cases = tuple(c._replace(history=c.history and c.history.scaled(1.5)) for c in sand3d.cases)
     scaled = replace(sand3d, cases=cases)
     with pytest.raises(InputError, match="calibration is for library 'sand3d'"):
-        invert("li2013:yuma/straight", library=scaled, calibration=known)
+        invert("li2013:yuma/straight", law=scaled, calibration=known)
 
 
 def test_calibration_is_the_posterior_of_its_normal_model() -> None:

@@ -94,7 +94,7 @@ def test_forces_grow_with_the_cube_of_the_length() -> None:
     force = law(np.array([[31.0]]))[0].T
     one = invert(ForceHistory(theta, force), rig=small, density="1650±0", noise=0.02)
     other = invert(ForceHistory(theta, 8.0 * force), rig=large, density="1650±0", noise=0.16)
-    assert one.library == other.library == "legs"
+    assert one.law == other.library == "legs"
     assert other.phi.median == pytest.approx(one.phi.median, abs=1e-3)
     assert other.phi.sd == pytest.approx(one.phi.sd, rel=1e-3)
 
@@ -105,7 +105,7 @@ def test_resistive_force_theory_is_of_the_record_s_own_rig() -> None:
     law = leg_law(library_of_theory(rig), rig, corrected=False)
     history = ForceHistory(np.radians(law.theta_deg), law(np.array([[30.0]]))[0].T)
     for simulated in (True, False):
-        options = {"rig": rig, "density": "1650±1", "library": "rft3d", "simulated": simulated}
+        options = {"rig": rig, "density": "1650±1", "law": "rft3d", "simulated": simulated}
         assert invert(history, **options).phi.median == pytest.approx(30.0, abs=0.3)
 
 
@@ -133,7 +133,7 @@ def test_the_moment_alone_is_read_in_any_size(length: float) -> None:
     own = leg_law(library_of_theory(rig), rig, corrected=False)
     force = own(np.array([[25.0]]))[0]
     theta, arm = np.radians(own.theta_deg), own.arm
-    options = {"rig": rig, "density": "1650±1", "library": "legs"}
+    options = {"rig": rig, "density": "1650±1", "law": "legs"}
     both = invert(ForceHistory(theta, force.T), **options)
     moment = ForceHistory(theta, np.zeros((theta.size, 0)), axes=(), moment=(arm * force).sum(0))
     alone = invert(moment, **options)

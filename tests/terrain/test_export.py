@@ -171,7 +171,7 @@ def test_export_of_a_folder(terraphi, tmp_path) -> None:
 
 
 def test_export_reads_what_invert_writes(terraphi) -> None:
-    ran = terraphi("invert", "li2013:yuma/straight", "--library", "rft3d", "--out", "answer")
+    ran = terraphi("invert", "li2013:yuma/straight", "--law", "rft3d", "--out", "answer")
     assert ran.status == 0, ran.err
     ran = terraphi("export", "answer", "--to", "newton", "--anyway")
     assert ran.status == 0 or "no friction angle in plane strain" in ran.err

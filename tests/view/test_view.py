@@ -84,7 +84,7 @@ def test_doctor_finds_a_missing_package_and_a_broken_library(
     def broken() -> str:
         raise OSError("cut short")
 
-    monkeypatch.setattr(doctor, "_libraries", broken)
+    monkeypatch.setattr(doctor, "_laws", broken)
     ran = terraphi("doctor", "--json")
     assert ran.status == 1
     assert "pip install 'nosuchpackage>=2'" in ran.out

@@ -15,7 +15,7 @@ from terraphi.cli.options import (
     density_option,
     gain_option,
     json_option,
-    library_option,
+    law_option,
     rig_options,
 )
 from terraphi.experiment.errors import InputError
@@ -33,7 +33,7 @@ SOME_FAILED = 1
 @density_option
 @columns_option
 @gain_option
-@library_option
+@law_option
 @click.option("--noise", type=Float(), help="Noise of a reading [N].  [default: estimated]")
 @click.option("--calibration", type=PATH, help="File of 'terraphi calibrate'.")
 @click.option(
@@ -129,7 +129,7 @@ def tabulate(
 @density_option
 @columns_option
 @gain_option
-@library_option
+@law_option
 @click.option("--out", type=PATH, required=True, help="TOML file for 'invert --calibration'.")
 @json_option
 def calibrate(forces: tuple[str, ...], phi: str, out: Path, as_json: bool, **options: Any) -> None:

@@ -76,10 +76,10 @@ gain_option = click.option(
     metavar="GAIN[±SD]",
     help="Gain of the sensor.  [default: 1±0.02]",
 )
-library_option = click.option(
+law_option = click.option(
     "--law",
     "--library",
-    "library",
+    "law",
     metavar="NAME|FILE",
     help="Name or .nc file.  [default: sand3d or legs]",
 )

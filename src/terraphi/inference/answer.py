@@ -161,9 +161,9 @@ def worst_nrmsd(fits: Sequence[RecordFit]) -> dict[str, float]:
 
 
 class Opinion(BaseModel, strict=True):
-    """What a second library says of φ [deg]."""
+    """What another law says of φ [deg]."""
 
-    library: str
+    law: str
     median: float
     sd: float
     force_size_deg: float | None = None
@@ -187,7 +187,7 @@ class AnswerSummary:
         Why, in one or two sentences.
     edge
         End of the library's range beyond which φ lies: ``low``, ``high`` or ``None``.
-    library, library_reason
+    law, law_reason
         Its name, and why it was taken if none was named.
     density_kg_m3, density_sd_kg_m3, density_assumed
         Bulk density that the curves were scaled to.
@@ -208,7 +208,7 @@ class AnswerSummary:
     questions
         Warnings, a sentence each.
     provenance
-        Versions, library hash, time; JSON-able.
+        Versions, hash of the law, time; JSON-able.
     """
 
     __pydantic_config__ = ConfigDict(strict=True)
@@ -216,8 +216,8 @@ class AnswerSummary:
     verdict: Verdict
     reason: str
     edge: Edge | None = None
-    library: str
-    library_reason: str = ""
+    law: str
+    law_reason: str = ""
     density_kg_m3: Annotated[float, Field(gt=0.0, lt=1e5)]
     density_sd_kg_m3: Annotated[float, Field(ge=0.0, lt=1e5)] | None = None
     density_assumed: bool = True
@@ -344,7 +344,7 @@ class Answer(AnswerSummary):
         """Five lines for a prompt."""
         assumed = " (assumed)" if self.density_assumed else ""
         rigs = "; ".join(map(str, self.rigs))
-        lines = [f"{self.source}: {rigs}, {self.density_kg_m3:g} kg/m³{assumed}, {self.library}"]
+        lines = [f"{self.source}: {rigs}, {self.density_kg_m3:g} kg/m³{assumed}, {self.law}"]
         inside = PHI in self.parameters and self.verdict != "out_of_range"
         if inside:
             lines.append(f"φ = {self.phi} ({self.convention})")

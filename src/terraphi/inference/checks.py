@@ -30,6 +30,7 @@ from terraphi.inference.likelihood import (
 )
 from terraphi.inference.records import Record
 from terraphi.laws.law import THEORY, LegLaw
+from terraphi.laws.legs import shipped_legs
 from terraphi.laws.store import PHI, differences, shipped_library
 
 LOADED = 0.05
@@ -60,6 +61,9 @@ Pouliquen 2006, Nature 441:727), to dense quartz sand at its peak, 48° (Bolton 
 COHESIVE_PA = 100.0
 """Cohesion above which dry soil must be coarse [Pa]: chosen; grains of 4 mm act like 30 to 50 Pa on
 a leg of 25 mm, measured sands like 0 to 20."""
+DAMP_PA, DAMP_DEG = 60.0, 2.0
+"""Cohesion by law ``legs`` [Pa], and how much lower φ is with it [deg], from which dry soil is
+doubted: chosen, above what the shipped media and grains of 4 mm have."""
 USUAL_DENSITY = (1100.0, 2100.0)
 """Bulk density of dry mineral soils [kg/m³]."""
 LARGE_SHIFT_DEG = 4.0
@@ -495,7 +499,27 @@ def second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:
         own = float(np.square(likelihood.data / likelihood.span).sum())
         of_size = float(np.interp(own, np.maximum.accumulate(size), phi))
     sd *= (above - below) / 2.0
-    return {"library": THEORY, "median": median, "sd": sd, "force_size_deg": of_size}
+    return {"law": THEORY, "median": median, "sd": sd, "force_size_deg": of_size}
+
+
+def damp(likelihood: Likelihood) -> list[str]:
+    """Whether what a law of dry soil read may be damp soil, by the straight legs."""
+    records = [record for record in likelihood.records if record.leg == "straight"]
+    cohesive = any(law.most_cohesion for law in likelihood.laws)
+    if not records or not likelihood.measured or cohesive or likelihood.keys != (PHI,):
+        return []
+    try:
+        other = Likelihood(records, shipped_legs())
+    except InputError:
+        return []  # another rig than law legs knows
+    phi = float(other.least_squares[0])
+    if other.cohesion < DAMP_PA or phi > float(likelihood.least_squares[0]) - DAMP_DEG:
+        return []
+    words = (
+        f"Soil with φ = {phi:.0f}° and a cohesion of {other.cohesion:.0f} Pa gives such forces as "
+        "well: if it may be damp, or its grains are large for the leg, use --law legs."
+    )
+    return [words]
 
 
 def residual(data: FloatArray, record: Record, likelihood: Likelihood, leg: str) -> float:

@@ -31,6 +31,7 @@ from terraphi.inference.checks import (
     LARGE_SHIFT_DEG,
     UNUSUAL,
     USUAL_DEG,
+    damp,
     guesses,
     in_air,
     is_whole,
@@ -74,7 +75,7 @@ def invert(
     rig: Any = None,
     density: float | str | None = None,
     columns: Any = None,
-    library: Library | Legs | Path | str | None = None,
+    law: Library | Legs | Path | str | None = None,
     noise: float | tuple[float, float] | None = None,
     gain: float | str | None = None,
     calibration: Calibration | Path | str | None = None,
@@ -99,7 +100,7 @@ def invert(
     columns
         Which columns of a table are what, as a mapping of the options of
         :func:`terraphi.read_forces`, or a TOML file of them; ``None``: guessed.
-    library
+    law
         Library, file or shipped name; ``None``: ``sand3d`` for measured forces on legs of the
         proportions of Li et al. (2013), ``legs`` for others, and for simulated forces the library
         whose scenario is nearest.
@@ -139,7 +140,7 @@ def invert(
             forces, leg=leg, rig=rig, density=density, columns=columns, noise=noise, gain=gain,
             simulated=simulated,
         )  # fmt: skip
-        found, reason = _library_for(records, library)
+        found, reason = _law_for(records, law)
         if isinstance(calibration, str | Path):
             calibration = Calibration.load(calibration)
         if not isinstance(calibration, Calibration | None):
@@ -166,7 +167,7 @@ def calibrate(
     phi_deg: float,
     phi_sd_deg: float,
     *,
-    library: Library | Legs | Path | str | None = None,
+    law: Library | Legs | Path | str | None = None,
     leg: str | None = None,
     rig: Any = None,
     density: float | str | None = None,
@@ -182,7 +183,7 @@ def calibrate(
         As of :func:`invert`; the records of a list are of one soil.
     phi_deg, phi_sd_deg
         Friction angle in the library's convention and its standard deviation [deg].
-    library, leg, rig, density, columns, noise, gain
+    law, leg, rig, density, columns, noise, gain
         As of :func:`invert`.
 
     Raises
@@ -205,7 +206,7 @@ def calibrate(
     records = _records(
         forces, leg=leg, rig=rig, density=density, columns=columns, noise=noise, gain=gain
     )
-    found, _ = _library_for(records, library)
+    found, _ = _law_for(records, law)
     for record in records:
         likelihood = Likelihood([record], found)
         if not likelihood.measured:
@@ -269,18 +270,18 @@ def _attempt(row: Any) -> Answer | InputError:
         return error
 
 
-def _library_for(
-    records: Sequence[Record], library: Library | Legs | Path | str | None
+def _law_for(
+    records: Sequence[Record], law: Library | Legs | Path | str | None
 ) -> tuple[Library | Legs, str]:
-    """The library to take, and why, if none was named."""
-    if isinstance(library, Library | Legs):
-        return library, ""
+    """The law to take, and why, if none was named."""
+    if isinstance(law, Library | Legs):
+        return law, ""
     rigs = tuple(record.rig for record in records)
-    if library is not None:
-        named = str(library)
+    if law is not None:
+        named = str(law)
         if named == LEGS:
             return shipped_legs(), ""
-        return (shipped_library(named) if named in Library.names() else Library.load(library)), ""
+        return (shipped_library(named) if named in Library.names() else Library.load(law)), ""
     scenarios = [record.scenario for record in records]
     if all(scenario is not None for scenario in scenarios):
         assert scenarios[0] is not None
@@ -337,6 +338,7 @@ def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Ans
         # Leg, columns, sizes or units may be others than stated.
         *(others(likelihood, misfit=verdict != "consistent") if not air else ()),
         *far,
+        *damp(likelihood),
         *_about(likelihood, fits, parameters, verdict),
         # The angle or its interval rests on what was not measured.
         *([disagreement] if disagreement else []),
@@ -362,8 +364,8 @@ def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Ans
         density_kg_m3=density_kg_m3,
         density_sd_kg_m3=UNKNOWN_DENSITY * density_kg_m3 if unknown else first.density_sd_kg_m3,
         density_assumed=unknown or first.density_assumed,
-        library=library.name,
-        library_reason=reason,
+        law=library.name,
+        law_reason=reason,
         second_opinion=second,
         questions=tuple(questions),
         records=tuple(fits),
@@ -377,7 +379,7 @@ def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Ans
         seed=seed if drawn.draws else None,
         provenance={
             "terraphi": importlib.metadata.version("terraphi"),
-            "library_hash": library.hash,
+            "law_hash": library.hash,
             "gain": [record.gain for record in records],
             "noise": [[float(one) for one in record.noise] for record in records],
             "seconds": round(time.perf_counter() - began, 3),

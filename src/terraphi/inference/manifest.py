@@ -15,7 +15,7 @@ from terraphi.inference import COLUMNS
 from terraphi.inference.answer import Answer
 from terraphi.inference.inversion import invert_many
 
-OPTIONS = ("leg", "rig", *SIZES, "leg_friction", "density", "columns", "library", "noise", "gain",
+OPTIONS = ("leg", "rig", *SIZES, "leg_friction", "density", "columns", "law", "noise", "gain",
            "calibration")  # fmt: skip
 """Columns that are options of ``invert``, besides ``file``."""
 LEAST_ROWS = 8

@@ -268,7 +268,7 @@ def remedy(rig: Rig) -> str:
     options = " ".join(f"--{key[:-3].replace('_', '-')} {size:g}" for key, size in sizes)
     return (
         f"build one: terraphi library build --leg {rig.leg} {options} --out mine.nc, and add "
-        "--library mine.nc, or rft3d for a rough angle at once"
+        "--law mine.nc, or rft3d for a rough angle at once"
     )
 
 

@@ -170,7 +170,7 @@ def _parameters(
         "source": {
             "answer": read.source,
             "record": answer.get("source") or ", ".join(records),
-            "library": answer["library"],
+            "law": answer["law"],
             "verdict": answer["verdict"],
             "draws_seed": seed,
             "provenance": answer.get("provenance", {}),
@@ -330,7 +330,7 @@ def _about(found: Mapping[str, Any]) -> str:
     lines = [
         f"Soil for {found['title']}; {found['made']}.\n",
         f"CAUTION: {found['caution']}" if found["caution"] else "",
-        "From {answer}: {record}, library {library}.".format_map(found["source"]),
+        "From {answer}: {record}, law {law}.".format_map(found["source"]),
         f"φ {phi['median']:.1f} deg in plane strain, 95 %: {low:.1f} to {high:.1f}.",
         f"{_value(found)}; it means: {found['meaning']}.",
         matched,

@@ -47,9 +47,7 @@ def headline(answer: Answer) -> str:
     rigs = "; ".join(map(str, answer.rigs))
     source = answer.source if len(answer.records) < 3 else f"{len(answer.records)} records"
     assumed = " (assumed)" if answer.density_assumed else ""
-    lines = [
-        f"{source} · {rigs} · {answer.density_kg_m3:g} kg/m³{assumed} · library {answer.library}"
-    ]
+    lines = [f"{source} · {rigs} · {answer.density_kg_m3:g} kg/m³{assumed} · law {answer.law}"]
     if PHI in answer.parameters and answer.verdict != "out_of_range":
         which = CONVENTIONS.get(answer.convention, answer.convention)
         if answer.convention == "plane_strain" and not all(r.simulated for r in answer.records):
@@ -74,7 +72,7 @@ def in_words(answer: Answer) -> list[str]:
         where = "" if answer.convention == "plane_strain" else " in plane strain"
         size = other.get("force_size_deg")
         size = "" if size is None else f"; size of the forces alone {size:.0f}°"
-        lines.append(f"  Second opinion: {other['library']} {other['median']:.0f}°{where}{size}.")
+        lines.append(f"  Second opinion: {other['law']} {other['median']:.0f}°{where}{size}.")
     guesses = [sentence for sentence in answer.questions if GUESSED in sentence]
     warnings = [sentence for sentence in answer.questions if sentence not in guesses]
     lines += [f"  Warning: {sentence}" for sentence in warnings]
@@ -249,6 +247,6 @@ def row(source: str, answer: Answer) -> dict[str, Any]:
         **{key: f"{size:g}" for key, size in answer.rigs[0].sizes_mm.items()},
         "density_kg_m3": f"{answer.density_kg_m3:g}",
         "density_assumed": answer.density_assumed,
-        "library": answer.library,
+        "law": answer.law,
         "warnings": " ".join(answer.questions),
     }

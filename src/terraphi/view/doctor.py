@@ -33,7 +33,7 @@ def examine() -> list[Check]:
         Check("processor", True, f"{platform.machine()}, {os.cpu_count()} cores"),
         _packages(),
         _tried("kernels", _kernels),
-        _tried("libraries", _libraries),
+        _tried("laws", _laws),
     ]
 
 
@@ -73,7 +73,10 @@ def _kernels() -> str:
     return f"compiled; a small simulation took {time.perf_counter() - began:.1f} s"
 
 
-def _libraries() -> str:
+def _laws() -> str:
+    from terraphi.laws.legs import NAME, shipped_legs
     from terraphi.laws.store import Library
 
-    return ", ".join(f"{name} ({len(Library.load(name).cases)})" for name in Library.names())
+    counts = {name: len(Library.load(name).cases) for name in Library.names()}
+    counts[NAME] = len(shipped_legs().x)
+    return ", ".join(f"{name} ({count})" for name, count in counts.items())
