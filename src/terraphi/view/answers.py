@@ -47,8 +47,9 @@ def headline(answer: Answer) -> str:
     rigs = "; ".join(map(str, answer.rigs))
     source = answer.source if len(answer.records) < 3 else f"{len(answer.records)} records"
     assumed = " (assumed)" if answer.density_assumed else ""
+    kind = "library" if all(rig.sizes_mm for rig in answer.rigs) else "law"
     lines = [
-        f"{source} · {rigs} · {answer.density_kg_m3:g} kg/m³{assumed} · library {answer.library}"
+        f"{source} · {rigs} · {answer.density_kg_m3:g} kg/m³{assumed} · {kind} {answer.library}"
     ]
     if PHI in answer.parameters and answer.verdict != "out_of_range":
         which = CONVENTIONS.get(answer.convention, answer.convention)
