@@ -72,6 +72,12 @@ def test_forces_beyond_the_law_are_out_of_range() -> None:
     assert (answer.verdict, answer.edge) == ("out_of_range", "high")
 
 
+def test_two_layers_are_a_misfit() -> None:
+    table, weak = pressed(38.0), pressed(30.0)
+    table["force_N"] = np.where(table.sinkage_mm < 20.0, table.force_N, weak.force_N)
+    assert terraphi.invert(table, tool="plate:151", density=1500).verdict == "misfit"
+
+
 @pytest.mark.parametrize(
     ("tool", "options", "match"),
     [("plate:", {}, "tool 'plate:'"), ("ball:0", {}, "tool 'ball:0'"),

@@ -621,9 +621,11 @@ def read_pressed(source: Any, area: float) -> Pressed:
     if force[np.abs(force).argmax()] < 0.0:  # the soil presses up
         force = -force
         found.notes.append("The force is negative in the soil: its sign is turned.")
-    if np.corrcoef(sinkage, force)[0, 1] < 0.0:
+    course = float(np.corrcoef(sinkage, force)[0, 1])
+    # A force that falls with depth, as of a hard layer, decides nothing: the larger end is below.
+    if course < -0.5 or (course < 0.5 and -sinkage.min() > sinkage.max()):
         sinkage = -sinkage
-        found.notes.append("The sinkage falls as the force grows: its sign is turned.")
+        found.notes.append("The sinkage is negative in the soil: its sign is turned.")
     return Pressed(sinkage, force, found.notes)
 
 

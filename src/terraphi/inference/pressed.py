@@ -42,6 +42,9 @@ CONTRACTIONS, PRIOR, EXPONENTS = np.linspace(0.0, 0.98, 15), 0.25, np.array([1.3
 """Nodes of A, the mean of its prior, and nodes of b [-]."""
 SIGNIFICANT = 0.3
 """A from which an answer names it, with a chance below 5 % that it is a tenth of this [-]."""
+APART, BOUND = 3.0, 0.9
+"""Difference of φ between both halves of the depth over its standard deviation above which a record
+is a misfit, and A above which an answer doubts the model [-]: chosen."""
 LIMIT = 0.15
 """Residual above which a record is a misfit, over the range of the force [-]."""
 RANGE_DEG = np.arange(10.0, 55.5, 0.5)
@@ -150,7 +153,29 @@ def invert_pressed(
                 f"{100.0 * LIMIT:.0f} %; check tool and columns. Do not use the angle."
             ),
         )
+    # φ of the shallow and of the deep half, with contact and contraction as they are.
+    angles = np.arange(low, high, 0.1)
+    every = borne[top] * curve(np.stack([angles, 0 * angles + best.x[top, 1]], -1))
+    far = z > 0.5 * z[-1]
+    shallow, deeper = (
+        float(angles[np.square((every - force)[:, half]).sum(axis=1).argmin()])
+        for half in (~far, far)
+    )
+    if verdict == "consistent" and abs(deeper - shallow) > APART * sd:
+        verdict, reason = (
+            "misfit",
+            (
+                f"Misfit: the upper half of the depth gives φ = {shallow:.0f}°, the lower half "
+                f"{deeper:.0f}°; check tool, surface and layers. Do not use the angle."
+            ),
+        )
     contraction = float(chance @ nodes[:, 0])
+    if contraction > BOUND:
+        notes.insert(
+            0,
+            "The compaction is at the limit of the model, and φ may lie outside the interval: the "
+            "force grows faster with depth than that of loose soil of one density.",
+        )
     if contraction > SIGNIFICANT and chance[nodes[:, 0] < 0.1 * SIGNIFICANT].sum() < 0.05:
         notes.insert(0, f"The force begins {100.0 * contraction:.0f} % lower than the law's: loose "
                      "soil that compacts as it is pressed.")  # fmt: skip
