@@ -30,6 +30,11 @@ SOME_FAILED = 1
 @click.command()
 @click.argument("forces", nargs=-1, metavar="[FORCES...]")
 @rig_options
+@click.option(
+    "--tool",
+    metavar="plate:MM|plate:MMxMM|ball:MM",
+    help="In place of a leg, a body pressed down: sinkage and force or pressure.",
+)
 @density_option
 @columns_option
 @gain_option

@@ -62,10 +62,17 @@ _NAMES = {
     r"vertikalkraft|auftrieb|f(orce|uerza)verticale?",
     "time": r"t|time|zeit|timestamp|elapsed(time)?|(time|zeit)s?",
     "moment": r"m|my|moment|torque|(hip|joint|motor)(moment|torque)|drehmoment|ty|moment[yh]",
+    "sinkage": r"sinkage|depth|penetration(depth)?|displacement|travel|position|z|s|tiefe"
+    r"|einsinkung|weg|settlement|einsinktiefe|indentation",
+    "load": r"f|fz|force|load|(normal|vertical|plate|contact)(force|load)|(force|load)z|kraft|last",
+    "pressure": r"p|q|pressure|(normal|contact|ground|plate|vertical)(pressure|stress)|stress|druck"
+    r"|spannung|bearingpressure",
 }
 """Names of columns, without units, signs and case."""
 _LOOSE = {"theta": "theta|angle|winkel|θ", "fx": "fx|forcex|xforce", "fz": "fz|forcez|zforce"}
 KIND = {"theta": "angle", "fx": "force", "fz": "force", "time": "time", "moment": "moment"}
+PRESSED = {"sinkage": "length", "load": "force", "pressure": "pressure"}
+"""Kinds of the columns of a leg, and of a body that is pressed in."""
 
 
 class ForceColumns(Strict):
@@ -291,6 +298,8 @@ def _table(source: Any) -> Table:
 class _Reading:
     """One table on its way to forces, with what was guessed and what is wrong."""
 
+    kinds = KIND
+
     def __init__(self, source: Any, columns: Any) -> None:
         self.given, self.source = ForceColumns.of(columns), _name_of(source)
         self.table = _table(source)
@@ -405,7 +414,7 @@ class _Reading:
 
     def _unit(self, role: str) -> tuple[str, float]:
         """Unit of a column and what it is in N, degrees, seconds or N m; NaN if it is unknown."""
-        kind = KIND[role]
+        kind = self.kinds[role]
         given = {"angle": self.given.theta_unit, "force": self.given.unit}.get(kind)
         unit = given or unit_named(self._written(role) or next(iter(KINDS[kind])))
         return (unit, KINDS[kind][unit]) if unit in KINDS[kind] else ("?", math.nan)
@@ -417,7 +426,7 @@ class _Reading:
 
     def _check(self, role: str) -> None:
         """Complain about words among the numbers of a column, and about its unit."""
-        column, kind = self.names[role][:40], KIND[role]
+        column, kind = self.names[role][:40], self.kinds[role]
         words = self.table.words.get(self.names[role], [])
         if words:
             (place, cell), more = words[0], f" and {len(words) - 1} more" if len(words) > 1 else ""
@@ -574,6 +583,82 @@ class _Reading:
 
 
 _WORDS = {"theta": "theta", "fx": "Fx", "fz": "Fz", "moment": "the moment", "time": "the time"}
+_WORDS |= {"sinkage": "the sinkage", "load": "the force", "pressure": "the pressure"}
+
+
+class Pressed(NamedTuple):
+    """A body pressed in, in the order of time."""
+
+    sinkage: FloatArray
+    """Positive into the soil, from the zero of the table [m]."""
+    force: FloatArray
+    """Up on the body [N]."""
+    notes: list[str]
+    """What was guessed and left out."""
+
+
+def read_pressed(source: Any, area: float) -> Pressed:
+    """Read sinkage and force, or pressure on an area [m²]; columns, units and signs are guessed.
+
+    Raises
+    ------
+    InputError
+        With what is wrong with the table.
+    """
+    found = _PressReading(source, None)
+    if found.wrong:
+        found.refuse("; ".join(found.wrong))
+    role = "load" if "load" in found.names else "pressure"
+    sinkage, force = found._column("sinkage"), found._column(role)
+    force = force * (area if role == "pressure" else 1.0)
+    whole = np.isfinite(sinkage) & np.isfinite(force)
+    if not whole.all():
+        found.notes.append(f"{(~whole).sum()} of {len(whole)} rows lack a number and are left out.")
+    sinkage, force = sinkage[whole], force[whole]
+    if len(force) < FEWEST_ROWS or np.ptp(force) == 0.0 or np.ptp(sinkage) == 0.0:
+        found.refuse(f"{len(force)} rows with a sinkage and a force; {FEWEST_ROWS} that differ "
+                     "are needed")  # fmt: skip
+    if force[np.abs(force).argmax()] < 0.0:  # the soil presses up
+        force = -force
+        found.notes.append("The force is negative in the soil: its sign is turned.")
+    course = float(np.corrcoef(sinkage, force)[0, 1])
+    # A force that falls with depth, as of a hard layer, decides nothing: the larger end is below.
+    if course < -0.5 or (course < 0.5 and -sinkage.min() > sinkage.max()):
+        sinkage = -sinkage
+        found.notes.append("The sinkage is negative in the soil: its sign is turned.")
+    return Pressed(sinkage, force, found.notes)
+
+
+class _PressReading(_Reading):
+    """One table of a body that is pressed in."""
+
+    kinds = PRESSED
+
+    def _choose(self) -> None:
+        """Find sinkage and force, or the pressure."""
+        for role in PRESSED:
+            found = self._like(role)
+            if len(found) == 1 and not (role == "pressure" and "load" in self.names):
+                self.names[role] = found[0]
+            elif len(found) > 1:
+                listed = " or ".join(f"'{name[:40]}'" for name in found[:4])
+                self.wrong.append(f"{_WORDS[role]} may be {listed}; keep one of these columns")
+        listed = ", ".join(f"'{name[:30]}'" for name in [*self.parts][:8])
+        if not self.wrong and not ("sinkage" in self.names and len(self.names) > 1):
+            lacking = "force or pressure" if "sinkage" in self.names else "sinkage"
+            self.wrong.append(
+                f"no column of {lacking} among {listed}; name the columns such as sinkage_mm and "
+                "force_N or pressure_kPa"
+            )
+        for role in self.names:
+            self._check(role)
+            if not self._written(role):
+                self.wrong.append(
+                    f"column '{self.names[role][:40]}' has no unit; name it such as "
+                    f"{role}_{'mm' if role == 'sinkage' else 'N' if role == 'load' else 'kPa'}"
+                )
+        guessed = [f"{_WORDS[role]} from '{name}'" for role, name in self.names.items()]
+        self.notes.append(f"{GUESSED}{', '.join(guessed)}.")
 
 
 def _split(header: str) -> tuple[str, str | None]:

@@ -1,4 +1,4 @@
-"""Units of force, angle, moment and time, as headers of tables have them."""
+"""Units of force, angle, moment, time, length and pressure, as headers of tables have them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,12 @@ MOMENT |= {"lbf ft": 1.3558179483314, "lbf in": 0.1129848290276167, "ozf in": 7.
 """Newton meters."""
 TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 """Seconds."""
+LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
+"""Meters."""
+PRESSURE = {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "bar": 1e5, "psi": 6894.757293168}
+"""Pascals."""
 KINDS = {"force": FORCE, "angle": ANGLE, "moment": MOMENT, "time": TIME}
+KINDS |= {"length": LENGTH, "pressure": PRESSURE}
 _OTHER_NAMES = {
     "newton": "N", "newtons": "N", "lb": "lbf", "lbs": "lbf", "pound": "lbf", "pounds": "lbf",
     "kp": "kgf", "kg": "kgf", "g": "gf", "°": "deg", "º": "deg", "degree": "deg", "degrees": "deg",

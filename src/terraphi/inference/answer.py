@@ -21,6 +21,7 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import open_netcdf, read_bytes, write_netcdf
 from terraphi.experiment.outputs import output_folder
 from terraphi.experiment.rig import Rig
+from terraphi.experiment.tool import Tool
 from terraphi.laws.store import PHI
 
 if TYPE_CHECKING:
@@ -114,7 +115,7 @@ class RecordSummary:
     n_left_out: int = 0
     shift_deg: float = 0.0
     limit: float | None = None
-    rig: Rig
+    rig: Rig | Tool
     nrmsd: Mapping[Annotated[str, Field(pattern="^(Fx|Fz|M)$")], float] = field(
         default_factory=dict
     )
@@ -127,7 +128,7 @@ class RecordFit(RecordSummary):
     Attributes
     ----------
     theta_deg
-        Leg angles of the window means [deg], shape [m].
+        Leg angles of the window means [deg], or the sinkage of a tool [mm], shape [m].
     data, curve
         Channels of the record and of the model, shape [c, m]: Fx and Fz [N], or M [N m] in place
         of one of them or of both, as ``nrmsd`` names them.
@@ -281,7 +282,7 @@ class Answer(AnswerSummary):
         return ", ".join(record.source for record in self.records)
 
     @property
-    def rigs(self) -> list[Rig]:
+    def rigs(self) -> list[Rig | Tool]:
         """The different rigs of the records."""
         return list(dict.fromkeys(record.rig for record in self.records))
 
@@ -381,7 +382,10 @@ class Answer(AnswerSummary):
                 if record.expected is not None:
                     axes.plot(theta, record.curve[i], "--", color="C0", lw=1, label="bare model")
                 axes.plot(theta, record.data[i], ".", color="black", ms=3, label="data")
-            axes.set(xlabel="leg angle θ [deg]", ylabel=force_label(name))
+            pressed = isinstance(self.rigs[0], Tool)
+            axes.set(
+                xlabel="sinkage [mm]" if pressed else "leg angle θ [deg]", ylabel=force_label(name)
+            )
             axes.axhline(0.0, color="0.7", lw=0.5, zorder=0)
         handles, labels = of_channels[0].get_legend_handles_labels()
         each = dict(zip(labels, handles, strict=True))

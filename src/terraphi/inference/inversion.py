@@ -46,6 +46,7 @@ from terraphi.inference.likelihood import (
     Likelihood,
     channels_of,
 )
+from terraphi.inference.pressed import invert_pressed
 from terraphi.inference.records import Record, open_records
 from terraphi.inference.sampling import Drawn, quadrature, sample
 from terraphi.laws.law import is_similar, model_error, rig_of
@@ -73,6 +74,7 @@ def invert(
     *,
     leg: str | None = None,
     rig: Any = None,
+    tool: str | None = None,
     density: float | str | None = None,
     columns: Any = None,
     law: Library | Legs | Path | str | None = None,
@@ -94,6 +96,10 @@ def invert(
     rig
         The apparatus: a :class:`Rig`, a mapping of its keys, a TOML file, or ``"li2013"`` for that
         of Li et al. (2013); ``None``: from the forces' file, which tables of text do not have.
+    tool
+        ``plate:151``, ``plate:38x25`` or ``ball:44`` [mm] in place of a leg: a body pressed
+        straight down, with the columns sinkage and force or pressure. ``law`` is then one
+        of feet.
     density
         Bulk density [kg/m³], as a number (± 5 %) or ``"1600±80"``; ``None``: from the forces' file,
         else the library's.
@@ -133,6 +139,14 @@ def invert(
     """
     from threadpoolctl import threadpool_limits
 
+    if tool is not None:
+        others_given = (leg, rig, columns, noise, gain, calibration, simulated)
+        if any(one is not None for one in others_given):
+            raise InputError(
+                "a tool excludes leg, rig, columns, noise, gain, calibration and simulated; leave "
+                "them out, or leave out the tool"
+            )
+        return invert_pressed(forces, tool, density=density, law=law)
     began = time.perf_counter()
     # The matrices are small: threads would only wait for each other.
     with threadpool_limits(limits=1, user_api="blas"):

@@ -1,0 +1,93 @@
+"""φ from bodies pressed straight down."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import terraphi
+from terraphi.laws.foot import LAWS, Foot
+
+GRAINS = Path(__file__).parents[2] / "studies" / "data" / "grains"
+CRITICAL_DEG = {"B-loose_disc_60_1": 26.2, "B-loose_ball_44_1": 26.2}
+
+
+def pressed(phi: float, contraction: float = 0.0) -> pd.DataFrame:
+    """A disc of 151 mm in soil of the law, 60 mm deep."""
+    z = np.linspace(0.0, 0.06, 121)
+    force = LAWS["foot"].force(
+        Foot(0.0755, "disc"), z, 0.5 * np.pi, friction_angle_deg=phi, density=1500.0,
+        surface_friction=0.5,
+    )[:, 1]  # fmt: skip
+    force *= 1.0 - contraction * np.exp(-z / (2.0 * 0.0755))
+    return pd.DataFrame({"sinkage_mm": 1e3 * z, "force_N": force})
+
+
+@pytest.mark.parametrize("contraction", [0.0, 0.9])
+@pytest.mark.parametrize("phi", [22.0, 30.0, 38.0])
+def test_own_curves_return_their_angle(phi: float, contraction: float) -> None:
+    answer = terraphi.invert(pressed(phi, contraction), tool="plate:151", density=1500)
+    low, high = answer.phi.ci95
+    assert low < phi < high
+    assert answer.verdict == "consistent"
+    assert any("compacts" in one for one in answer.questions) == (contraction > 0.0)
+
+
+def test_columns_units_signs_and_unloading_do_not_matter(tmp_path: Path) -> None:
+    table = pressed(30.0)
+    area = np.pi * 0.0755**2
+    back = table.iloc[60:40:-1].assign(force_N=0.0)
+    variants = [
+        pd.DataFrame({"depth [cm]": 0.1 * table.sinkage_mm, "Fz [kN]": 1e-3 * table.force_N}),
+        pd.DataFrame({"z_m": -1e-3 * table.sinkage_mm, "load_N": -table.force_N}),
+        pd.DataFrame({"s_mm": table.sinkage_mm, "pressure_kPa": 1e-3 * table.force_N / area}),
+        pd.concat([table.iloc[:61], back, table.iloc[40:]]),
+    ]
+    expected = terraphi.invert(table, tool="plate:151", density=1500)
+    for variant in variants:
+        answer = terraphi.invert(variant.reset_index(drop=True), tool="plate:151", density=1500)
+        assert answer.phi.median == pytest.approx(expected.phi.median, abs=0.01)
+    assert any("unloading" in one for one in answer.questions)
+    answer.save(tmp_path / "answer")
+    assert terraphi.Answer.load(tmp_path / "answer").phi.median == answer.phi.median
+
+
+@pytest.mark.parametrize("name", CRITICAL_DEG)
+def test_grains_lie_within_the_interval(name: str) -> None:
+    path = GRAINS / f"{name}.csv"
+    density = float(re.findall(r"density (\d+)", path.read_text(encoding="utf-8"))[0])
+    tool = "plate:60" if "disc" in name else "ball:44"
+    table = pd.read_csv(path, comment="#")[["depth_mm", "Fz_N"]]
+    low, high = terraphi.invert(table, tool=tool, density=density).phi.ci95
+    assert low < CRITICAL_DEG[name] < high
+
+
+def test_forces_beyond_the_law_are_out_of_range() -> None:
+    table = pressed(38.0)
+    answer = terraphi.invert(table.assign(force_N=50.0 * table.force_N), tool="plate:151")
+    assert (answer.verdict, answer.edge) == ("out_of_range", "high")
+
+
+def test_two_layers_are_a_misfit() -> None:
+    table, weak = pressed(38.0), pressed(30.0)
+    table["force_N"] = np.where(table.sinkage_mm < 20.0, table.force_N, weak.force_N)
+    assert terraphi.invert(table, tool="plate:151", density=1500).verdict == "misfit"
+
+
+@pytest.mark.parametrize(
+    ("tool", "options", "match"),
+    [("plate:", {}, "tool 'plate:'"), ("ball:0", {}, "tool 'ball:0'"),
+     ("plate:60", {"leg": "c"}, "excludes leg"), ("plate:60", {"law": "sand"}, "no law")],
+)  # fmt: skip
+def test_bad_tools_are_refused(tool: str, options: dict[str, str], match: str) -> None:
+    with pytest.raises(terraphi.InputError, match=match):
+        terraphi.invert(pressed(30.0), tool=tool, **options)
+
+
+def test_missing_column_is_named() -> None:
+    with pytest.raises(terraphi.InputError, match="no column of force or pressure"):
+        terraphi.invert(pressed(30.0)[["sinkage_mm"]].assign(a=1.0), tool="plate:60")
