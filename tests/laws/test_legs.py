@@ -246,3 +246,14 @@ def test_a_written_law_is_the_same(tmp_path: Path) -> None:
     x = np.array([[20.0], [40.0]])
     laws: list[LegLaw] = [law.law(rig), again.law(rig)]
     np.testing.assert_allclose(laws[1](x, 0.1), laws[0](x, 0.1), rtol=1e-6)
+
+
+@pytest.mark.parametrize(("number", "named"), [(0.0, False), (0.12, True)])
+def test_a_law_of_dry_soil_names_what_may_be_damp(number: float, named: bool) -> None:
+    """Of soil with a cohesion, read by the default of Li's rig."""
+    law = shipped_legs().law(Rig.of("li2013", "straight"))
+    history = ForceHistory(np.radians(law.theta_deg), law(np.array([[27.0]]), number)[0].T)
+    answer = invert(history, rig="li2013", leg="straight", density="1650±30")
+    assert answer.law == "sand3d"
+    assert any("--law legs" in question for question in answer.questions) == named
+    assert (answer.phi.median > 29.0) == named
