@@ -34,7 +34,7 @@ def answer(**changes: Any) -> dict[str, Any]:
         "reason": "It fits.",
         "density_kg_m3": 1600.0,
         "source": "sand.csv",
-        "library": "of-another-machine",
+        "law": "of-another-machine",
         **changes,
     }
 
@@ -119,13 +119,13 @@ def test_bekker_is_near_bearing_capacity_and_published_sand() -> None:
     ['x"""\nimport sys\nsys.stolen = True\n"""', "C:\\new\\u00\\N{x}\\", "nul\0 \ud800 '\u2028\""],
 )
 def test_foreign_text_stays_text_in_the_module(name) -> None:
-    changes = {"source": name, "library": name, "verdict": "misfit", "reason": name}
+    changes = {"source": name, "law": name, "verdict": "misfit", "reason": name}
     one = Told(name, answer(**changes), np.empty(0))
     tree = ast.parse(text(export(one, to="newton", anyway=True), "python"))
     clean = ast.parse(text(export(read(), to="newton"), "python"))
     kinds = [[type(node) for node in one.body] for one in (tree, clean)]
     assert kinds[0] == kinds[1]
-    assert f"From {name}: {name}, library {name}." in (ast.get_docstring(tree, clean=False) or "")
+    assert f"From {name}: {name}, law {name}." in (ast.get_docstring(tree, clean=False) or "")
 
 
 def test_draws_are_converted_to_plane_strain() -> None:
