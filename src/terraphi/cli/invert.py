@@ -32,21 +32,21 @@ SOME_FAILED = 1
 @rig_options
 @click.option(
     "--tool",
-    metavar="plate:MM|plate:MMxMM|ball:MM",
-    help="In place of a leg, a body pressed down: sinkage and force or pressure.",
+    metavar="plate:MM|ball:MM",
+    help="Pressed in, in place of a leg; plate:MMxMM too.",
 )
 @density_option
 @columns_option
 @gain_option
 @law_option
-@click.option("--noise", type=Float(), help="Noise of a reading [N].  [default: estimated]")
+@click.option("--noise", type=Float(), help="Noise [N].  [default: estimated]")
 @click.option("--calibration", type=PATH, help="File of 'terraphi calibrate'.")
 @click.option(
     "--simulated/--measured",
     default=None,
     help="What FORCES are.  [default: as in FORCES]",
 )
-@click.option("--out", type=PATH, help="Folder for answer.json, .nc (ArviZ) and .png.")
+@click.option("--out", type=PATH, help="Folder for answer.json, .nc and .png.")
 @click.option(
     "--table",
     type=PATH,
@@ -64,9 +64,8 @@ def invert(
 ) -> None:
     """Infer the friction angle from FORCES.
 
-    FORCES is a table of the leg angle (from the downward vertical) and the forces of the soil on
-    the leg (x forward, z up), a NetCDF of terraphi, or li2013:MEDIUM/LEG. Several FORCES are
-    records of one soil.
+    FORCES: leg angle (0 downward) and the soil's forces (x forward, z up) in a table or NetCDF, or
+    li2013:MEDIUM/LEG; several are of one soil.
 
     Example: terraphi invert forces.csv --rig rig.toml --density 1600±80
 
