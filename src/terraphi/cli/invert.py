@@ -33,7 +33,7 @@ SOME_FAILED = 1
 @click.option(
     "--tool",
     metavar="plate:MM|ball:MM",
-    help="Pressed in, in place of a leg; plate:MMxMM too.",
+    help="Pressed in; plate:MMxMM as well.",
 )
 @density_option
 @columns_option
