@@ -309,15 +309,19 @@ def draw(law: legs.Legs, grains: list[tuple[float, str, float]]) -> Figure:
     size = np.abs(law.left_out()[0][:, 0])
     for leg, marker in zip(law.legs, ("o", "^", "s"), strict=False):
         phi, width, height = law.x[law.of(leg)][:, [0, *map(AXES.index, ("width", "hip_height"))]].T
-        dots = left.scatter(width, height, 12.0 + 800.0 * size[law.of(leg)], phi, marker, vmin=10,
+        dots = left.scatter(width, height, 12.0 + 800.0 * size[law.of(leg)], phi, marker=marker, vmin=10,
                             vmax=55, alpha=0.8, label=LEG_NAMES[leg])  # fmt: skip
     figure.colorbar(dots, ax=left, label="φ [deg]")
-    left.legend(frameon=False, fontsize="small")
+    left.legend(frameon=False, fontsize="small", ncols=3, loc="upper center", markerscale=0.5,
+                bbox_to_anchor=(0.5, -0.15))  # fmt: skip
     left.set(xlabel="width / length", ylabel="hip height / length")
     left.set_title("cases; area: error of the size, left out", fontsize=10)
-    for body in sorted({name.split("_")[1] for _, name, _ in grains}):
-        some = [(phi, phi + apart) for phi, name, apart in grains if name.split("_")[1] == body]
-        right.plot(*zip(*some, strict=True), "o", ms=5, alpha=0.7, label=body)
+    bodies = [name.rsplit("_", 1)[0].split("_", 1)[1] for _, name, _ in grains]
+    for body in sorted(set(bodies)):
+        some = [(phi, phi + apart) for (phi, _, apart), one in zip(grains, bodies, strict=True)
+                if one == body]  # fmt: skip
+        label = LEG_NAMES.get(body, body.replace("rig-", "rig "))
+        right.plot(*zip(*some, strict=True), "o", ms=5, alpha=0.7, label=label)
     right.axline((25.0, 25.0), slope=1.0, color="0.5", lw=0.8)
     right.set(xlabel="φ of the shear cell [deg]", ylabel="φ read [deg]")
     right.legend(frameon=False, fontsize="small")
