@@ -309,8 +309,9 @@ def draw(law: legs.Legs, grains: list[tuple[float, str, float]]) -> Figure:
     size = np.abs(law.left_out()[0][:, 0])
     for leg, marker in zip(law.legs, ("o", "^", "s"), strict=False):
         phi, width, height = law.x[law.of(leg)][:, [0, *map(AXES.index, ("width", "hip_height"))]].T
-        dots = left.scatter(width, height, 12.0 + 800.0 * size[law.of(leg)], phi, marker=marker, vmin=10,
-                            vmax=55, alpha=0.8, label=LEG_NAMES[leg])  # fmt: skip
+        area = 12.0 + 800.0 * size[law.of(leg)]
+        dots = left.scatter(width, height, area, phi, marker=marker, vmin=10, vmax=55, alpha=0.8,
+                            label=LEG_NAMES[leg])  # fmt: skip
     figure.colorbar(dots, ax=left, label="φ [deg]")
     left.legend(frameon=False, fontsize="small", ncols=3, loc="upper center", markerscale=0.5,
                 bbox_to_anchor=(0.5, -0.15))  # fmt: skip
