@@ -297,7 +297,7 @@ def accuracy(law: legs.Legs) -> str:
         "by the size of the cell only); errors of the size of its forces:\n\n"
         f"{pages.table(header, rows)}\n\n"
         f"Of sizes and shapes {np.mean(z < 1.0):.0%} are within one and {np.mean(z < 1.96):.0%} "
-        "within 1.96 standard deviations of the processes, which the law widens by "
+        "within 1.96 standard deviations of the processes, which the law multiplies by "
         f"{law.error_scale:g}."
     )
 

@@ -503,9 +503,10 @@ def second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:
 
 
 def damp(likelihood: Likelihood) -> list[str]:
-    """Whether what a law of dry soil read may be damp soil, by the straight legs."""
+    """Warn if damp soil fits the straight legs as well, where the law is of dry soil."""
     records = [record for record in likelihood.records if record.leg == "straight"]
     cohesive = any(law.most_cohesion for law in likelihood.laws)
+    cohesive |= likelihood.library.scenario.convention != "plane_strain"
     if not records or not likelihood.measured or cohesive or likelihood.keys != (PHI,):
         return []
     try:

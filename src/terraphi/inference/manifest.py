@@ -41,6 +41,7 @@ def read_manifest(path: Path) -> list[dict[str, Any]]:
     names = [*rows[0]] if rows else ["file"]
     known = ("file", *OPTIONS)
     wrong = [] if "file" in names else ["no column 'file'"]
+    wrong += ["column 'library' is 'law' now; rename it"] if "library" in names else []
     for name in (name for name in names if name not in known):
         hint = nearest(name, known)
         if hint.startswith("did"):

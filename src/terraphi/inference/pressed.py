@@ -245,10 +245,10 @@ def _virgin(
         f = f - zero
         notes.append(f"{zero:.3g} N are read above the soil and taken off.")
     z, f = z[z > 0.0], f[z > 0.0]
-    if z.size < 8:
-        raise InputError(f"{label}: {z.size} readings below the surface, 8 are needed; check the "
-                         "zero and sign of the sinkage")  # fmt: skip
-    at = np.minimum((z / z[-1] * WINDOWS).astype(int), WINDOWS - 1)
+    at = np.minimum((z / z.max(initial=1e-9) * WINDOWS).astype(int), WINDOWS - 1)
     count = np.bincount(at, minlength=WINDOWS)
+    if (depths := int((count > 0).sum())) < 8:
+        raise InputError(f"{label}: readings at {depths} depths below the surface, 8 are needed; "
+                         "check the zero and sign of the sinkage")  # fmt: skip
     means = [np.bincount(at, v, WINDOWS)[count > 0] / count[count > 0] for v in (z, f)]
     return means[0], means[1], notes

@@ -313,7 +313,8 @@ def _refined(
         normal = basis.T @ trend
         projected = inverse - trend @ np.linalg.solve(normal, trend.T)
         rest = projected @ w[:, 0]
-        sigma2 = float(w[:, 0] @ rest) / free + 1e-300
+        # Without noise A is nearly singular, and rounding decides its sign.
+        sigma2 = max(float(w[:, 0] @ rest) / free, 1e-300)
         value = free * np.log(sigma2) + np.linalg.slogdet(a)[1] + np.linalg.slogdet(normal)[1]
         # By the elements of A, and these by the logarithm of each length and of the nugget.
         by_a = projected - np.outer(rest, rest) / sigma2

@@ -72,7 +72,7 @@ LEAST_FRICTION = 0.05
 PHI_DEG = (10.0, 55.0)
 """Smallest and largest friction angle of the design [deg]."""
 MOST_COHESION = 0.4
-"""Largest c / (ρ g L) of the cases [-]."""
+"""Largest c / (ρ g L) that is fitted [-]; cases go to 0.37 (straight) and 0.47 (C legs)."""
 
 
 @functools.lru_cache(maxsize=256)
