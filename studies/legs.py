@@ -227,7 +227,7 @@ def coarse() -> Iterator[tuple[str, list[float], np.ndarray, np.ndarray]]:
     table = np.genfromtxt(FOLDER / "coarse.csv", delimiter=",", comments="#", skip_header=2)
     theta = np.arange(-84.0, 81.0, 4.0)
     for phi, width, height, cohesion, *force in table.tolist():
-        c = cohesion / (1650.0 * GRAVITY * LENGTH)
+        c = cohesion / (legs.DENSITY * GRAVITY * LENGTH)
         x = [phi, 0.3, width / LENGTH, height / LENGTH, LI_LEG[2], c, 6.25e-3 / LENGTH]
         yield "straight", x, theta, np.reshape(force, (2, -1))
 
@@ -252,7 +252,7 @@ def fit() -> None:
         ratios = Ratios(*given[2:5])
         first, last, depth = legs.reach(shape, ratios)
         at = 0.5 * (first + last + (last - first) * legs.PLACES)
-        size = 1650.0 * GRAVITY * LENGTH**3 * ratios.width * depth**2
+        size = legs.DENSITY * GRAVITY * LENGTH**3 * ratios.width * depth**2
         curves.append(np.array([np.interp(at, theta, row) for row in force]) / size)
         x.append([*given, cell / legs.cells_of(ratios, depth), legs.CURVATURES[shape]])
         depths.append(depth)

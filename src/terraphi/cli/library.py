@@ -82,11 +82,9 @@ def library_list(as_json: bool) -> None:
 
     Example: terraphi library list
     """
-    from terraphi.laws.legs import shipped_legs
-    from terraphi.laws.store import Library
+    from terraphi.laws.legs import shipped_laws
 
-    laws: list[Legs | Library] = [*map(Library.load, Library.names()), shipped_legs()]
-    found = [one.summary() for one in laws]
+    found = [one.summary() for one in shipped_laws()]
     rows = [
         (
             one["name"],
@@ -110,10 +108,9 @@ def library_show(name: str, as_json: bool) -> None:
 
     Example: terraphi library show sand3d
     """
-    from terraphi.laws.legs import NAME, shipped_legs
-    from terraphi.laws.store import Library
+    from terraphi.laws.legs import law_named
 
-    print_library(shipped_legs() if name == NAME else Library.load(name), as_json)
+    print_library(law_named(name), as_json)
 
 
 def print_library(found: Library | Legs, as_json: bool) -> None:

@@ -149,6 +149,11 @@ class RecordFit(RecordSummary):
         """``expected``, or ``curve`` where that is unknown, shape [c, m]."""
         return self.curve if self.expected is None else self.expected
 
+    @property
+    def along(self) -> str:
+        """Label of ``theta_deg``."""
+        return "sinkage [mm]" if isinstance(self.rig, Tool) else "leg angle θ [deg]"
+
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and words, without the forces."""
         stated = {one.name: getattr(self, one.name) for one in fields(RecordSummary)}
@@ -382,10 +387,7 @@ class Answer(AnswerSummary):
                 if record.expected is not None:
                     axes.plot(theta, record.curve[i], "--", color="C0", lw=1, label="bare model")
                 axes.plot(theta, record.data[i], ".", color="black", ms=3, label="data")
-            pressed = isinstance(self.rigs[0], Tool)
-            axes.set(
-                xlabel="sinkage [mm]" if pressed else "leg angle θ [deg]", ylabel=force_label(name)
-            )
+            axes.set(xlabel=self.records[0].along, ylabel=force_label(name))
             axes.axhline(0.0, color="0.7", lw=0.5, zorder=0)
         handles, labels = of_channels[0].get_legend_handles_labels()
         each = dict(zip(labels, handles, strict=True))

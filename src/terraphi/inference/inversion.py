@@ -50,8 +50,7 @@ from terraphi.inference.pressed import invert_pressed
 from terraphi.inference.records import Record, open_records
 from terraphi.inference.sampling import Drawn, quadrature, sample
 from terraphi.laws.law import is_similar, model_error, rig_of
-from terraphi.laws.legs import NAME as LEGS
-from terraphi.laws.legs import Legs, shipped_legs
+from terraphi.laws.legs import Legs, law_named, shipped_legs
 from terraphi.laws.store import PHI, Library, nearest_library, shipped_library
 
 DEFAULT = "sand3d"
@@ -292,10 +291,7 @@ def _law_for(
         return law, ""
     rigs = tuple(record.rig for record in records)
     if law is not None:
-        named = str(law)
-        if named == LEGS:
-            return shipped_legs(), ""
-        return (shipped_library(named) if named in Library.names() else Library.load(law)), ""
+        return law_named(law), ""
     scenarios = [record.scenario for record in records]
     if all(scenario is not None for scenario in scenarios):
         assert scenarios[0] is not None

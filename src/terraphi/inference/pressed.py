@@ -17,18 +17,19 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray, IntArray
 from terraphi.experiment.errors import InputError, nearest
-from terraphi.experiment.files import number_with_sd
 from terraphi.experiment.reading import read_pressed
 from terraphi.experiment.tool import Tool
 from terraphi.inference.answer import Answer, Edge, Estimate, RecordFit, Verdict
 from terraphi.inference.estimator import least_squares, weights
+from terraphi.inference.likelihood import UNKNOWN_DENSITY
+from terraphi.inference.records import density_with_sd, roughness
 from terraphi.laws.foot import LAWS, Foot
 from terraphi.laws.store import PHI
 
 WINDOWS = 40
 """Equal windows of sinkage."""
-DENSITY, DENSITY_SD, KNOWN_SD = 1600.0, 0.10, 0.05
-"""Density of which nothing is said [kg/m³], its relative error, and that of one that is given."""
+DENSITY = 1600.0
+"""Density of which nothing is said [kg/m³]."""
 FRICTION, FRICTION_SD = 0.5, 0.15
 """Between body and soil [-]."""
 SHAPE_SD, SHAPE_LENGTH, FLOOR = 0.08, 1.0, 0.02
@@ -62,10 +63,12 @@ def invert_pressed(
         if len(source) != 1:
             raise InputError(f"{len(source)} records of a tool; give one")
         source = source[0]
-    rho, rho_sd = _density(density)
     radius = tool.radius
     table = read_pressed(source, math.pi * radius**2)
     label = str(source) if isinstance(source, str | Path) else type(source).__name__
+    rho, rho_sd = DENSITY, UNKNOWN_DENSITY * DENSITY
+    if density is not None:
+        rho, rho_sd = density_with_sd(density, label)
     z, force, notes = _virgin(table.sinkage, table.force, table.notes, label)
     foot = Foot(radius, "ball" if tool.leg == "ball" else "disc")
 
@@ -78,7 +81,7 @@ def invert_pressed(
 
     known = np.isfinite(curve(np.stack([RANGE_DEG, 0 * RANGE_DEG], -1))).all(axis=1)
     low, high = RANGE_DEG[known][[0, -1]].tolist()
-    noise = 1.4826 * float(np.median(np.abs(np.diff(force, 2)))) / math.sqrt(6.0)
+    noise = roughness(force)
     apart = np.abs(np.log(z[:, None] / z))
     shape = SHAPE_SD**2 * np.outer(force, force) * np.exp(-apart / SHAPE_LENGTH)
     course = shape + (FLOOR * force.max()) ** 2 * np.eye(z.size)
@@ -110,19 +113,18 @@ def invert_pressed(
     phi = best.x[:, 0]
     top = int(chance.argmax())
     # Named terms at the likeliest node; errors of the whole force in proportion to it.
-    gain, _ = weights(best.slope[top : top + 1], weight[:1], precision)
+    gain, covariance = weights(best.slope[top : top + 1], weight[:1], precision)
     row, model = gain[0, 0], borne[top] * curve(best.x[top : top + 1])[0]
     rough = borne[top] * np.subtract(*(
         curve(best.x[top : top + 1], mu=FRICTION + s * 0.1)[0] for s in (1, -1)
     )) / 0.2  # fmt: skip
-    normal = np.linalg.inv(best.slope[top].T @ weight[0] @ best.slope[top] + np.diag(precision))
     deep = DEEP_SD * np.maximum(z / radius - DEEP, 0.0) * model
     budget = {
         "model: law": LAWS[name].sd_deg,
         "model: course": math.sqrt(float(row @ course @ row)),
         "density": abs(float(row @ model)) * rho_sd / rho,
         "surface friction": abs(float(row @ rough)) * FRICTION_SD,
-        "contact": abs(float(normal[0, 1])) / contact_sd,
+        "contact": abs(float(covariance[0, 0, 1])) / contact_sd,
         "noise": noise * math.sqrt(float(row @ row)),
         "contraction": math.sqrt(float(chance @ (phi - chance @ phi) ** 2)),
         "depth": abs(float(row @ deep)),
@@ -138,21 +140,19 @@ def invert_pressed(
     verdict: Verdict = "consistent"
     edge: Edge | None = None
     reason = f"Consistent: the law follows the force within {100.0 * size:.0f} % of its range."
-    remedy = "check diameter and unit; cohesive or dense soil bears more"
     if chance @ (phi > high - 0.1) > 0.5 or chance @ (phi < low + 0.1) > 0.5:
         edge = "high" if phi[top] > 0.5 * (low + high) else "low"
         end, word = (high, "above") if edge == "high" else (low, "below")
-        verdict, reason = (
-            "out_of_range",
-            (f"Out of range: φ lies {word} {end:g}°, the end of law {name}; {remedy}."),
+        verdict = "out_of_range"
+        reason = (
+            f"Out of range: φ lies {word} {end:g}°, the end of law {name}; check diameter and "
+            "unit; cohesive or dense soil bears more."
         )
     elif size > LIMIT:
-        verdict, reason = (
-            "misfit",
-            (
-                f"Misfit: the residual is {100.0 * size:.0f} % of the force's range, the limit "
-                f"{100.0 * LIMIT:.0f} %; check tool and columns. Do not use the angle."
-            ),
+        verdict = "misfit"
+        reason = (
+            f"Misfit: the residual is {100.0 * size:.0f} % of the force's range, the limit "
+            f"{100.0 * LIMIT:.0f} %; check tool and columns. Do not use the angle."
         )
     # φ of the shallow and of the deep half, with contact and contraction as they are.
     angles = np.arange(low, high, 0.1)
@@ -163,22 +163,18 @@ def invert_pressed(
         for half in (~far, far)
     )
     if verdict == "consistent" and abs(deeper - shallow) > APART * sd:
-        verdict, reason = (
-            "misfit",
-            (
-                f"Misfit: the upper half of the depth gives φ = {shallow:.0f}°, the lower half "
-                f"{deeper:.0f}°; check tool, surface and layers. Do not use the angle."
-            ),
+        verdict = "misfit"
+        reason = (
+            f"Misfit: the upper half of the depth gives φ = {shallow:.0f}°, the lower half "
+            f"{deeper:.0f}°; check tool, surface and layers. Do not use the angle."
         )
     contraction = float(chance @ nodes[:, 0])
     if verdict == "consistent" and contraction > BOUND:
-        verdict, reason = (
-            "misfit",
-            (
-                f"Misfit: {100.0 * contraction:.0f} % of the law's force are missing at the "
-                "surface, and it grows faster with depth than that of loose soil of one density; "
-                "check tool, density and zero of the sinkage. Do not use the angle."
-            ),
+        verdict = "misfit"
+        reason = (
+            f"Misfit: {100.0 * contraction:.0f} % of the law's force are missing at the "
+            "surface, and it grows faster with depth than that of loose soil of one density; "
+            "check tool, density and zero of the sinkage. Do not use the angle."
         )
     if contraction > SIGNIFICANT and chance[nodes[:, 0] < 0.1 * SIGNIFICANT].sum() < 0.05:
         notes.insert(0, f"The force begins {100.0 * contraction:.0f} % lower than the law's: loose "
@@ -205,19 +201,6 @@ def invert_pressed(
             "seconds": round(time.perf_counter() - began, 3),
         },
     )  # fmt: skip
-
-
-def _density(given: float | str | None) -> tuple[float, float]:
-    """Density and its standard deviation [kg/m³]."""
-    if given is None:
-        return DENSITY, DENSITY_SD * DENSITY
-    try:
-        mean, sd = number_with_sd(str(given))
-    except ValueError:
-        mean, sd = 0.0, None
-    if not 100.0 <= mean <= 10_000.0 or not 0.0 <= (sd or 0.0) < mean:
-        raise InputError(f"density = '{given}'; give 100 to 10000 kg/m³ as 1600 or 1600±80")
-    return mean, KNOWN_SD * mean if sd is None else sd
 
 
 def _rectangle(tool: Tool) -> float:

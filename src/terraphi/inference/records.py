@@ -331,25 +331,10 @@ def record_of(
         )
     history = known.history
     made_by = known.scenario
-    mean, sd, assumed = known.density_kg_m3, None, known.density_assumed
-    if density is not None:
-        try:
-            mean, sd = number_with_sd(str(density))
-        except ValueError:
-            raise InputError(
-                f"{known.name}: density = '{density}'; give kg/m³ as 1600 or 1600±80"
-            ) from None
-        assumed = False
-    if mean is not None and not 100.0 <= mean <= 10_000.0:
-        raise InputError(f"{known.name}: density = {mean:g} kg/m³; 100 to 10000 kg/m³ are accepted")
-    if mean is not None and sd is not None and not 0.0 <= sd < mean:
-        raise InputError(
-            f"{known.name}: density = {density}; a standard deviation of 0 to {mean:g} is accepted"
-        )
+    stated = known.density_kg_m3 if density is None else density
+    mean, sd = (None, 0.0) if stated is None else density_with_sd(stated, known.name)
     if made_by is not None and density is None:
         sd = 0.0
-    if mean is not None and sd is None:
-        sd = DENSITY_SD * mean
     if made_by is not None and rig is not None:
         raise InputError(f"{known.name}: a simulation knows its rig; leave out the sizes")
     if made_by is not None and gain is not None:
@@ -381,8 +366,8 @@ def record_of(
         history=history,
         rig=Rig.of(source, leg),
         density_kg_m3=mean,
-        density_sd_kg_m3=sd or 0.0,
-        density_assumed=assumed,
+        density_sd_kg_m3=sd,
+        density_assumed=known.density_assumed and density is None,
         scenario=made_by,
         simulated=made_by is not None if simulated is None else simulated,
         measurement=str(history.provenance.get("measurement", "")),
@@ -392,6 +377,22 @@ def record_of(
         gain=factor,
         gain_sd=gain_sd,
     )
+
+
+def density_with_sd(density: float | str, name: str) -> tuple[float, float]:
+    """Bulk density of what is named and its standard deviation [kg/m³]; raises InputError."""
+    try:
+        mean, sd = number_with_sd(str(density))
+    except ValueError:
+        raise InputError(f"{name}: density = '{density}'; give kg/m³ as 1600 or 1600±80") from None
+    if not 100.0 <= mean <= 10_000.0:
+        raise InputError(f"{name}: density = {mean:g} kg/m³; 100 to 10000 kg/m³ are accepted")
+    sd = DENSITY_SD * mean if sd is None else sd
+    if not 0.0 <= sd < mean:
+        raise InputError(
+            f"{name}: density = {density}; a standard deviation of 0 to {mean:g} is accepted"
+        )
+    return mean, sd
 
 
 def _gain(gain: float | str | None, name: str) -> tuple[float, float]:
@@ -425,11 +426,14 @@ def _measurements(forces: Any, columns: Any) -> list[Measurement]:
 
 
 def _noise(history: ForceHistory) -> tuple[float, ...]:
-    """Noise of a reading of each channel: from second differences, of which it leaves √6."""
-    second = [np.diff(history.channel(name), n=2) for name in history.channels]
-    if len(second[0]) < 10:
-        return (0.0,) * len(second)
-    return tuple(float(1.4826 * np.median(np.abs(one)) / np.sqrt(6.0)) for one in second)
+    """Noise of a reading of each channel."""
+    few = len(history.theta_deg) < 12
+    return tuple(0.0 if few else roughness(history.channel(name)) for name in history.channels)
+
+
+def roughness(values: FloatArray) -> float:
+    """Noise of readings, from their second differences, of which it leaves √6."""
+    return float(1.4826 * np.median(np.abs(np.diff(values, n=2))) / np.sqrt(6.0))
 
 
 def _resolution(history: ForceHistory) -> FloatArray:

@@ -307,7 +307,7 @@ def _refined(
         squared = apart / np.exp(2.0 * p[:-1])
         lag = np.sqrt(5.0 * squared.sum(axis=-1))
         decay = np.exp(-lag) / scale
-        a = (1.0 + lag + lag**2 / 3.0) * decay + np.exp(p[-1]) * np.eye(len(w))
+        a = _kernel(t, t, np.exp(p[:-1])) / scale + np.exp(p[-1]) * np.eye(len(w))
         inverse = np.linalg.inv(a)
         trend = inverse @ basis
         normal = basis.T @ trend

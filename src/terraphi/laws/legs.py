@@ -51,7 +51,7 @@ from terraphi.experiment.rig import (
 from terraphi.experiment.scenario import GRAVITY, Scenario
 from terraphi.laws.emulator import Process, fitted
 from terraphi.laws.law import LegLaw, check_friction, library_of_theory, remedy, rig_of
-from terraphi.laws.store import PHI, THETA_DEG, shipped_library
+from terraphi.laws.store import PHI, THETA_DEG, Library, shipped_library
 
 NAME, SCHEMA = "legs", 2
 DENSITY = 1650.0
@@ -237,9 +237,8 @@ class Legs:
 
     def ranges(self, leg: str) -> dict[str, tuple[float, float]]:
         """Smallest and largest value of each axis among the cases of a shape."""
-        x = self.x[self.of(leg)]
-        return dict(zip(AXES, zip(*map(np.ndarray.tolist, (x.min(0), x.max(0))), strict=True),
-                        strict=True))  # fmt: skip
+        columns = zip(AXES, self.x[self.of(leg)].T, strict=True)
+        return {axis: (float(column.min()), float(column.max())) for axis, column in columns}
 
     def summary(self) -> dict[str, Any]:
         """Contents and origin, JSON-able."""
@@ -405,3 +404,15 @@ class RatioLaw(LegLaw):
 def shipped_legs() -> Legs:
     """The shipped law, kept for the next record."""
     return Legs.load(shipped_file("laws", NAME, ".nc"))
+
+
+def shipped_laws() -> list[Library | Legs]:
+    """All shipped laws of legs."""
+    return [*map(shipped_library, Library.names()), shipped_legs()]
+
+
+def law_named(name: Path | str) -> Library | Legs:
+    """A shipped law of legs by its name, or one from a file; raises InputError."""
+    if str(name) == NAME:
+        return shipped_legs()
+    return shipped_library(str(name)) if str(name) in Library.names() else Library.load(name)

@@ -195,7 +195,7 @@ class Library:
 
     def summary(self) -> dict[str, Any]:
         """Contents and origin, JSON-able."""
-        first = self.cases[0].scenario
+        first = self.scenario
         ranges = self.phi_deg_by_leg
         return {
             "name": self.name,
@@ -220,7 +220,7 @@ class Library:
 
     def __repr__(self) -> str:
         """A few lines for a prompt."""
-        first = self.cases[0].scenario
+        first = self.scenario
         legs = [f"{leg} {low:g} to {high:g}°" for leg, (low, high) in self.phi_deg_by_leg.items()]
         model = f"{first.model}, {first.dimensions}-D, {first.soil.density:g} kg/m³"
         lines = [
@@ -542,7 +542,7 @@ def nearest_library(scenario: Scenario) -> Library:
     """The shipped library whose scenario differs least from a simulation's."""
 
     def apart(library: Library) -> tuple[bool, int]:
-        own = library.cases[0].scenario
+        own = library.scenario
         kinds = [(one.model, one.dimensions, one.convention) for one in (scenario, own)]
         return kinds[0] != kinds[1], len(differences(scenario, own))
 

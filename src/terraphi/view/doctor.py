@@ -74,9 +74,6 @@ def _kernels() -> str:
 
 
 def _laws() -> str:
-    from terraphi.laws.legs import NAME, shipped_legs
-    from terraphi.laws.store import Library
+    from terraphi.laws.legs import shipped_laws
 
-    counts = {name: len(Library.load(name).cases) for name in Library.names()}
-    counts[NAME] = len(shipped_legs().x)
-    return ", ".join(f"{name} ({count})" for name, count in counts.items())
+    return ", ".join(f"{law.name} ({law.summary()['cases']})" for law in shipped_laws())

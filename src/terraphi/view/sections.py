@@ -191,7 +191,6 @@ def of_answer(answer: Answer) -> Section:
     parts: list[Plot | Picture | Table] = []
     for record in answer.records:
         where = f", {record.source}" if len(answer.records) > 1 else ""
-        along = THETA if record.rig.sizes_mm else "sinkage [mm]"
         residuals: list[Trace] = []
         for i, (force, nrmsd) in enumerate(record.nrmsd.items()):
             theta, low, high = record.theta_deg, *record.band[:, i]
@@ -203,7 +202,7 @@ def of_answer(answer: Answer) -> Section:
                 points(theta, record.data[i], "data", ORANGE),
             ]
             label = CHANNELS[force]
-            parts.append(Plot(f"{force}{where}", traces, axes(along, label)))
+            parts.append(Plot(f"{force}{where}", traces, axes(record.along, label)))
             apart = record.data[i] - record.curve[i]
             span = math.sqrt(np.square(apart).mean()) / (nrmsd or math.inf)
             share = 100.0 * (record.data[i] - record.best[i]) / max(span, 1e-300)
@@ -211,7 +210,7 @@ def of_answer(answer: Answer) -> Section:
         if record.limit is not None:
             size = np.full(len(record.theta_deg), 100.0 * record.limit)
             limit = band(record.theta_deg, -size, size, "± limit", PALE_GREY)
-            layout = axes(along, "data less model [% of range]")
+            layout = axes(record.along, "data less model [% of range]")
             note = "The limit is that of the root mean square, from training soils."
             parts.append(Plot(f"Residual{where}", [limit, *residuals], layout, note, wide=True))
     parts += _posterior(answer)
