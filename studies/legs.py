@@ -1,6 +1,7 @@
 """Simulate legs of any shape in any dry or damp soil: the cases that law `legs` is fitted to.
 
     python studies/legs.py [--part K --parts N] [--forecast]
+    python studies/legs.py --truths
     python studies/legs.py --fit
     python studies/legs.py --errors
 
@@ -96,6 +97,8 @@ COHESION = 0.5
 COUNT, USUAL, FINER, LARGER, LI = 252, 4, 8, 21, 24
 """Cases; each how many-th in cells of the rule, and each how many-th in finer ones as well; the one
 in a larger bed as well; cases with Li's legs."""
+TRUTHS, ENDS = 40, 10
+"""Cases that the law is judged by, and those near the ends of its ranges."""
 LI_LEG = (0.0254 / LENGTH, 0.020 / LENGTH, 0.0064 / LENGTH)
 """Width, hip height and thickness over the length of Li's legs."""
 ANGLES = np.arange(-130.0, 90.0) + 0.5
@@ -134,16 +137,7 @@ def cases() -> Iterator[Case]:
     for k, p in enumerate(points[:COUNT]):
         # A cohesion for each third case of a shape, not for one shape of three.
         damp = (k // len(SHAPES)) % 3 == 1
-        case = Case(
-            k,
-            SHAPES[k % len(SHAPES)],
-            round(p["phi_deg"], 3),
-            round(p["mu"], 4),
-            round(math.exp(p["log_width"]), 4),
-            round(p["height"], 4),
-            round(math.exp(p["log_thickness"]), 4),
-            round(COHESION * p["cohesion"] ** 2, 5) if damp else 0.0,
-        )
+        case = of_point(k, SHAPES[k % len(SHAPES)], p, damp=damp)
         yield case if k % USUAL == USUAL - 1 else replace(case, cells=COARSE)
         if k % FINER == FINER - 1:
             yield replace(case, cells=0.75)
@@ -160,6 +154,32 @@ def cases() -> Iterator[Case]:
                 *(round(ratio, 6) for ratio in LI_LEG),
                 other,
             )
+
+
+def truths() -> Iterator[Case]:
+    """Cases that the law is judged by, of another sequence; of the last, one ratio is at an end."""
+    low, high = np.transpose(list(BOX.values()))
+    unit = qmc.Sobol(len(BOX), scramble=True, rng=11).random_base2(6)[: TRUTHS + ENDS]
+    for k in range(ENDS):
+        unit[TRUTHS + k, k % len(BOX)] = 0.02 if k < len(BOX) else 0.98
+    for k, point in enumerate(qmc.scale(unit, low, high).tolist()):
+        p = dict(zip(BOX, point, strict=True))
+        one = of_point(2000 + k, SHAPES[k % 3], p, damp=k % 9 in (1, 5, 6))
+        yield one if k % USUAL == 0 else replace(one, cells=COARSE)
+
+
+def of_point(number: int, shape: RotatingShape, p: dict[str, float], *, damp: bool) -> Case:
+    """The case at a point of the box."""
+    return Case(
+        number,
+        shape,
+        round(p["phi_deg"], 3),
+        round(p["mu"], 4),
+        round(math.exp(p["log_width"]), 4),
+        round(p["height"], 4),
+        round(math.exp(p["log_thickness"]), 4),
+        round(COHESION * p["cohesion"] ** 2, 5) if damp else 0.0,
+    )
 
 
 def scenario(case: Case) -> terraphi.Scenario:
@@ -509,6 +529,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--part", type=int, default=0, help="which of the parts, from 0 on")
     parser.add_argument("--parts", type=int, default=1, help="processes that share the work")
+    parser.add_argument("--truths", action="store_true", help="cases that the law is judged by")
     parser.add_argument("--forecast", action="store_true", help="print the time and end")
     parser.add_argument("--fit", action="store_true", help="make the law of what there is")
     parser.add_argument("--errors", action="store_true", help="learn its error from grains")
@@ -518,7 +539,7 @@ def main() -> None:
         return
     if options.forecast:
         times = []
-        for case in cases():
+        for case in truths() if options.truths else cases():
             one = forecast([scenario(case)])
             times.append(one.core_seconds)
             print(f"{case}: {one.particles:,.0f} particles, {one.core_seconds / 60.0:.1f} minutes")
@@ -529,17 +550,18 @@ def main() -> None:
     # A case is done if it, or the same in finer cells, is in a file; what was simulated in cells
     # of the rule when all cases were is kept.
     done: dict[str, float] = {}
-    for path in FOLDER.glob("cases-*.csv"):
+    kind = "truths" if options.truths else "cases"
+    for path in FOLDER.glob(f"{kind}-*.csv"):
         for row in csv.DictReader(path.open()):
             key = f"{row['number']} {float(row['bed'])} {float(row['cells']) < 1.0}"
             done[key] = min(float(row["cells"]), done.get(key, math.inf))
-    file = FOLDER / f"cases-{options.part}.csv"
+    file = FOLDER / f"{kind}-{options.part}.csv"
     if not file.exists():
         file.write_text(",".join(head) + "\n")
-    # Straight legs have cases of an earlier design; of finer cells the law needs few.
-    ordered = sorted(
-        cases(), key=lambda case: (case.cells < 1.0 or case.bed > 1.0, case.shape == "straight")
-    )
+    # Of finer cells the law needs few.
+    ordered = list(truths()) if options.truths else sorted(
+        cases(), key=lambda case: (case.cells < 1.0 or case.bed > 1.0, case.shape != "straight")
+    )  # fmt: skip
     for k, case in enumerate(ordered):
         key = f"{case.number} {case.bed} {case.cells < 1.0}"
         if k % options.parts == options.part and not done.get(key, math.inf) <= case.cells:

@@ -126,7 +126,7 @@ def lattice(soil: Soil, seed: int, box: tuple[float, ...], thickness: float, pat
     lines = [
         "grains\n",
         f"{x.size} atoms\n2 atom types",
-        f"{x0} {x1} xlo xhi\n{y0} {y1} ylo yhi\n-0.001 {largest * layers + 0.01:.6g} zlo zhi",
+        f"{x0} {x1} xlo xhi\n{y0} {y1} ylo yhi\n-0.001 {largest * layers + 0.06:.6g} zlo zhi",
         "\nAtoms\n",
     ]
     grains = enumerate(zip(diameter, x, y, z, strict=True), 1)
@@ -176,7 +176,7 @@ def run(deck: str, folder: Path, name: str) -> None:
             cwd=folder, stdout=out, stderr=subprocess.STDOUT, check=False,
         ).returncode  # fmt: skip
     if code:
-        tail = (folder / f"{name}.out").read_text()[-600:]
+        tail = (folder / f"{name}.out").read_text(errors="replace")[-600:]
         raise RuntimeError(f"{folder / name}.in: LIGGGHTS failed: {tail}")
 
 
