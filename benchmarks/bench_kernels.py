@@ -24,7 +24,6 @@ from terraphi.forward.ledger import empty_audit, empty_reaction
 from terraphi.forward.mpm.lattice import lattice_of
 from terraphi.forward.mpm.plasticity import material_of
 from terraphi.forward.mpm.solver import MpmSolver
-from terraphi.laws.plan import Plan
 
 try:
     import warp as wp
@@ -40,7 +39,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="A step in three dimensions, side by side.")
     parser.add_argument("--turns", type=int, default=3, help="turns of each")
     turns = parser.parse_args().turns
-    scenario = Plan.load("sand3d").scenario
+    scenario = Scenario.load("sand3d")
     steps = scenario.numerics.steps_per_phase
     rates: dict[str, list[float]] = {}
     runs: dict[str, Any] = {

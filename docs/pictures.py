@@ -15,6 +15,7 @@ import table
 
 import terraphi
 from terraphi.experiment.leg import Leg, LegShape, frame_axes
+from terraphi.experiment.measurements import measurement, names
 from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, save
 
 DOCS = Path(__file__).parent
@@ -111,18 +112,23 @@ def interval(axes: object, place: float, row: dict[str, Any]) -> None:
 
 def accuracy(figure: Any) -> None:
     """Draw answers for grains over their measured angle, and for measured media by leg."""
-    library = terraphi.Library.load("sand3d")
-    rows = table.answers(library, table.model_error.readings(library))
+    law = table.Legs.load(table.LAW)
     grains, media = figure.subplots(1, 2, sharey=True)
-    for row in rows:
-        if row["kind"] == "grains" and row["packing"] == "loose":
-            interval(grains, row["phi_critical_deg"], row)
-        elif row["kind"] == "medium":
-            place = list(MEDIA).index(row["soil"])
-            interval(media, place, row)
-            if row["phi_peak_deg"] is not None:
-                repose = [row["phi_peak_deg"]] * 2
-                media.plot([place - 0.4, place + 0.4], repose, color=GREY, lw=1)
+    for row in table.answers(law, table.read(law, list(table.records()))):
+        if row["soil"].endswith("-loose"):
+            shift = row["fine_deg"] - row["phi_deg"]
+            fine = {key: np.array(row[key]) + shift for key in ("ci68", "ci95")}
+            interval(grains, row["phi_critical_deg"], {**row, **fine, "phi_deg": row["fine_deg"]})
+    for name in names():
+        answer, known = terraphi.invert(name, law=law), measurement(name)
+        place = list(MEDIA).index(name.partition(":")[2].partition("/")[0])
+        interval(media, place, {
+            "leg": known.rig.leg, "ci68": answer.phi.ci68, "ci95": answer.phi.ci95,
+            "phi_deg": answer.phi.median, "verdict": answer.verdict,
+        })  # fmt: skip
+        if known.angle_of_repose_deg is not None:
+            repose = [known.angle_of_repose_deg] * 2
+            media.plot([place - 0.4, place + 0.4], repose, color=GREY, lw=1)
     grains.plot([18, 35], [18, 35], color=GREY, lw=1, label="φ of the shear cell")
     media.plot([], [], color=GREY, lw=1, label="angle of repose, a guide")
     for leg, colour in LEGS.items():

@@ -3,7 +3,7 @@
     python studies/legs.py [--part K --parts N] [--forecast]
     python studies/legs.py --truths
     python studies/legs.py --fit
-    python studies/legs.py --errors
+    python studies/legs.py --page
 
 Slow soil under gravity has no length of its own: F = ρ g L³ f(θ, φ, μ, c/(ρ g L), w/L, h/L, t/L,
 curvature), with L from the hip to the outermost tip. So one length and one density do, and the
@@ -19,13 +19,13 @@ well, one in a bed 1.5 times as large (`bed`), and Li's three legs at random φ,
 A case is a line of `studies/data/legs/cases-K.csv`, appended when it is finished; the same command
 goes on. `--parts 2` lets two processes share the work. Two to five minutes of one core a case.
 
-`--fit` makes `src/terraphi/data/laws/legs.nc` of these, of Li's legs in `sand3d`, and of
+`--fit` makes `src/terraphi/data/laws/legs.nc` of these, of libraries of Li's legs, and of
 `coarse.csv`, an earlier design of straight legs in cells of 6.25 mm (means over 4°, μ = 0.3). It
-prints how well each case is predicted by the others.
+prints how well each case is predicted by the others. What real soils differ by is learned from
+grains (`grains/table.py --learn`).
 
-`--errors` reads the loose grains of `grains/` by that law, on Li's and on other rigs, in grains of
-4 to 9 mm: the cohesion that it fits stands for their size. The angle read less that of the shear
-cell gives the model error, which goes into the law's file.
+`--truths` simulates fifty cases of another sequence, to which nothing is fitted, and `--page`
+writes how well the law meets them.
 """
 
 from __future__ import annotations
@@ -35,7 +35,6 @@ import csv
 import itertools
 import math
 import os
-import sys
 from collections.abc import Iterator
 from dataclasses import astuple, dataclass, fields, replace
 from pathlib import Path
@@ -49,36 +48,17 @@ import pages
 import terraphi
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.leg import RotatingShape
-from terraphi.experiment.rig import LEG_NAMES, LI2013, Ratios, Rig, similar_scenario
+from terraphi.experiment.rig import LEG_NAMES, Ratios, similar_scenario
 from terraphi.experiment.rig import SIMULATED_LENGTH as LENGTH
 from terraphi.experiment.scenario import GRAVITY
 from terraphi.forward import Checkpoint, model_version
 from terraphi.forward.forecast import forecast
-from terraphi.inference.checks import without_faults
-from terraphi.inference.likelihood import Likelihood
-from terraphi.inference.records import open_record
 from terraphi.laws import legs
 from terraphi.laws.legs import AXES
-
-sys.path.insert(0, str(Path(__file__).parent / "grains"))
-import elements
-import run
+from terraphi.laws.store import Case as Simulation
 
 FOLDER = Path(__file__).parent / "data" / "legs"
 LAW = Path(__file__).parents[1] / "src" / "terraphi" / "data" / "laws" / "legs.nc"
-GRAINS = Path(__file__).parent / "data" / "grains"
-OTHERS = ("slow", "narrow", "wide")
-"""Ends of the names of soils that are stirred otherwise."""
-SHEAR_CELL_SD = 0.6
-"""Standard deviation of the friction angle by one shear cell [deg]: between seeds."""
-SLOPE_SD = 0.1
-"""Standard deviation of the slope of the offset over φ [-]: the readings show none (chosen)."""
-COMMON_SD = 1.47
-"""What all soils in one apparatus may differ by [deg]: that of `sand3d` (``model_error.py``)."""
-COHESION_WEIGHTS = (0.01, 0.03, 0.1, 0.3)
-"""Weights of (c / (ρ g L))² in the mean squared residual that are tried [-]."""
-AS_GOOD = 1.1
-"""Standard deviation over the least that is as good [-]; chosen."""
 NAMES = ("phi_deg", "mu", "width", "height", "thickness", "cohesion")
 BOX = {
     "phi_deg": (10.0, 55.0),
@@ -99,6 +79,9 @@ COUNT, USUAL, FINER, LARGER, LI = 252, 4, 8, 21, 24
 in a larger bed as well; cases with Li's legs."""
 TRUTHS, ENDS = 40, 10
 """Cases that the law is judged by, and those near the ends of its ranges."""
+OF_LI = ("sand3d-simulated", "sand3d-friction", "sand3d-raised", "sand3d-cells-120")
+"""Libraries of Li's legs: over φ, with another friction, a higher hip, and finer cells."""
+TRUTHS_OF_LI = "sand3d-truths"
 LI_LEG = (0.0254 / LENGTH, 0.020 / LENGTH, 0.0064 / LENGTH)
 """Width, hip height and thickness over the length of Li's legs."""
 ANGLES = np.arange(-130.0, 90.0) + 0.5
@@ -231,19 +214,23 @@ def line(case: Case) -> str:
     return ",".join([*map(str, known), *(f"{v:.5g}" for v in np.concatenate(means))]) + "\n"
 
 
-def fresh() -> Iterator[tuple[str, list[float], np.ndarray, np.ndarray]]:
-    """Shape, parameters over `AXES`, leg angles [deg] and (Fx, Fz) [N] of the design's cases."""
-    for file in sorted(FOLDER.glob("cases-*.csv")):
+Simulated = tuple[str, list[float], np.ndarray, np.ndarray]
+"""Shape, parameters with the size of the cell over the length, leg angles [deg], (Fx, Fz) [N]."""
+
+
+def fresh(kind: str = "cases") -> Iterator[tuple[dict[str, str], Simulated]]:
+    """Rows and forces of the design's cases, or of the truths."""
+    for file in sorted(FOLDER.glob(f"{kind}-*.csv")):
         for row in csv.DictReader(file.open()):
             if row.get(f"Fx_{ANGLES[0]:g}") and float(row["bed"]) == 1.0:
                 x = [float(row[key]) for key in NAMES]
                 force = [[float(row[f"{axis}_{a:g}"]) for a in ANGLES] for axis in ("Fx", "Fz")]
                 cell = float(row["cell_mm"]) * 1e-3 / LENGTH
-                yield row["shape"], [*x, cell], ANGLES, np.array(force)
+                yield row, (row["shape"], [*x, cell], ANGLES, np.array(force))
 
 
-def coarse() -> Iterator[tuple[str, list[float], np.ndarray, np.ndarray]]:
-    """The same of the earlier design."""
+def coarse() -> Iterator[Simulated]:
+    """Those of the earlier design."""
     table = np.genfromtxt(FOLDER / "coarse.csv", delimiter=",", comments="#", skip_header=2)
     theta = np.arange(-84.0, 81.0, 4.0)
     for phi, width, height, cohesion, *force in table.tolist():
@@ -252,46 +239,40 @@ def coarse() -> Iterator[tuple[str, list[float], np.ndarray, np.ndarray]]:
         yield "straight", x, theta, np.reshape(force, (2, -1))
 
 
-def of_li() -> Iterator[tuple[str, list[float], np.ndarray, np.ndarray]]:
-    """The same of library `sand3d`."""
-    library = terraphi.Library.load("sand3d")
-    theta = np.arange(-90.0, 91.0)
-    for case in (*library.cases, *library.replicates):
-        if case.history is not None:
-            one = case.scenario
-            cell = one.numerics.cell_size / LENGTH
-            x = [one.soil.friction_angle_deg, one.leg.friction, *LI_LEG, 0.0, cell]
-            force = case.history.means(np.radians(theta), np.radians(0.5)).T
-            yield one.leg.shape, x, theta, force
+def known(simulated: Simulated) -> tuple[np.ndarray, float, np.ndarray]:
+    """Parameters over `AXES`, D / L, and forces over ρ g w D² at the law's places [2, place]."""
+    shape, (*given, cell), theta, force = simulated
+    ratios = Ratios(*given[2:5])
+    first, last, depth = legs.reach(shape, ratios)
+    at = 0.5 * (first + last + (last - first) * legs.PLACES)
+    size = legs.DENSITY * GRAVITY * LENGTH**3 * ratios.width * depth**2
+    x = [*given, cell / legs.cells_of(ratios, depth), legs.CURVATURES[shape]]
+    return np.array(x), depth, np.array([np.interp(at, theta, row) for row in force]) / size
 
 
 def fit() -> None:
     """Fit the law, print how well cases are predicted by the others, and write it."""
-    x, depths, curves = [], [], []
-    for shape, (*given, cell), theta, force in itertools.chain(fresh(), coarse(), of_li()):
-        ratios = Ratios(*given[2:5])
-        first, last, depth = legs.reach(shape, ratios)
-        at = 0.5 * (first + last + (last - first) * legs.PLACES)
-        size = legs.DENSITY * GRAVITY * LENGTH**3 * ratios.width * depth**2
-        curves.append(np.array([np.interp(at, theta, row) for row in force]) / size)
-        x.append([*given, cell / legs.cells_of(ratios, depth), legs.CURVATURES[shape]])
-        depths.append(depth)
-    law = legs.Legs(np.array(x), np.array(depths), np.array(curves, np.float32).astype(float))
+    own = [known(one) for one in itertools.chain((each for _, each in fresh()), coarse())]
+    sets = [tuple(map(np.array, zip(*own, strict=True)))]
+    for name in OF_LI:
+        library = terraphi.Library.load(pages.LIBRARIES / f"{name}.nc")
+        sets.append(legs.cases_of(library)[:3])
+    every, deep, force = (np.concatenate(each) for each in zip(*sets, strict=True))
+    law = legs.Legs(every, deep, force.astype(np.float32).astype(float))
     apart, sd = law.left_out()
     others = ~usual(law)
     scale = float(np.sqrt(np.mean(np.square(apart / sd)[others, :2])))
-    path = LAW
     law = replace(
         law,
         hyper=law.hyperparameters,
         error_scale=round(max(scale, 1.0), 2),
-        model_error=legs.Legs.load(path).model_error if path.exists() else {},
+        model_error=legs.Legs.load(LAW).model_error if LAW.exists() else {},
         provenance={"cases": {leg: int(law.of(leg).sum()) for leg in law.legs},
                     "terraphi": terraphi.__version__},
     )  # fmt: skip
     print(accuracy(law))
-    path.parent.mkdir(exist_ok=True)
-    law.save(path)
+    LAW.parent.mkdir(exist_ok=True)
+    law.save(LAW)
 
 
 def usual(law: legs.Legs) -> np.ndarray:
@@ -322,8 +303,86 @@ def accuracy(law: legs.Legs) -> str:
     )
 
 
-def draw(law: legs.Legs, grains: list[tuple[float, str, float]]) -> Figure:
-    """Cases over width and height with their errors, and angles read off grains."""
+class Truth(NamedTuple):
+    """A simulation that the law was not fitted to, and what the law makes of it."""
+
+    kind: str
+    """Li's leg, another inside the ranges, or one near an end of a range."""
+    x: np.ndarray
+    """Parameters over `AXES`."""
+    size: float
+    """Size of the law's forces over that of the simulation, less 1 [-]."""
+    z: float
+    """The logarithm of that over the law's standard deviation [-]."""
+    phi_deg: float
+    """φ at which the law's forces are closest, all else known, less the simulation's [deg]."""
+
+
+def judged(law: legs.Legs) -> Iterator[Truth]:
+    """The law at the truths."""
+    kinds = "others, inside the ranges", "others, near an end of one"
+    every = [(kinds[int(row["number"]) >= 2000 + TRUTHS], known(one))
+             for row, one in fresh("truths")]  # fmt: skip
+    library = terraphi.Library.load(pages.LIBRARIES / f"{TRUTHS_OF_LI}.nc")
+    bent = terraphi.Plan.load(pages.ROOT / "plans" / f"{TRUTHS_OF_LI}-legs.toml").cases()
+    folder = pages.LIBRARIES / f"{TRUTHS_OF_LI}-legs.nc.cases"
+    done = [(one, folder / f"{one.hash}.nc") for one in bent]
+    more = [Simulation(one, ForceHistory.from_netcdf(path)) for one, path in done if path.exists()]
+    library = replace(library, cases=(*library.cases, *more))
+    every += [("Li's legs", one) for one in zip(*legs.cases_of(library)[:3], strict=True)]
+    for kind, (x, depth, true) in every:
+        angles = np.clip(x[0] + np.arange(-12.0, 12.01, 0.05), *legs.PHI_DEG)
+        tried = np.tile(x, (len(angles), 1))
+        tried[:, 0] = angles
+        apart = law(tried, np.full(len(angles), depth)) - true
+        best = angles[np.square(apart).sum(axis=(1, 2)).argmin()]
+        at = x[None], np.array([depth])
+        found, modes = law(*at)[0], law.errors(*at)[:, 0]
+        size = math.sqrt(np.square(found).sum() / np.square(true).sum())
+        sd = math.sqrt(np.square(modes[0]).sum() / np.square(found).sum())
+        yield Truth(kind, x, size - 1.0, math.log(size) / sd, float(best - x[0]))
+
+
+def page(law: legs.Legs) -> None:
+    """Write the page: how cases predict each other, and how truths are met."""
+    found = list(judged(law))
+    rows = []
+    shapes = {curvature: leg for leg, curvature in legs.CURVATURES.items()}
+    names = {t.kind: [u for u in found if u.kind == t.kind] for t in found}
+    names |= {
+        f"others, {LEG_NAMES[leg]}": [t for t in found if t.kind != "Li's legs"
+                                      and shapes[t.x[-1]] == leg] for leg in law.legs
+    }  # fmt: skip
+    for name, some in names.items():
+        if some:
+            phi, size, z = (
+                np.abs([getattr(t, key) for t in some]) for key in ("phi_deg", "size", "z")
+            )
+            rows.append((
+                name, f"{len(some)}", f"{np.median(phi):.2f}°", f"{np.quantile(phi, 0.95):.1f}°",
+                f"{100.0 * np.median(size):.1f} %", f"{100.0 * size.max():.0f} %",
+                f"{np.mean(z < 1.0):.0%}", f"{np.mean(z < 1.96):.0%}",
+            ))  # fmt: skip
+    header = ("truths", "count", "φ: median", "95 %", "size: median", "largest", "within 1 SD",
+              "1.96 SD")  # fmt: skip
+    parts = [
+        accuracy(law),
+        (
+            "Truths are simulations to which nothing was fitted: of Li's legs, and of legs "
+            "at other random points of the same ranges; of the last ten one number is at an end of "
+            "its range. The error of φ is that of the angle at which the law's forces are closest "
+            "to theirs, all else known."
+        ),
+        pages.table(header, rows),
+    ]
+    alt = "cases and truths over width and height, and the error of φ of truths over φ"
+    pages.write(
+        pages.DOCS, "legs", "Law legs", parts, draw(law, found), alt, script="legs.py --page"
+    )
+
+
+def draw(law: legs.Legs, found: list[Truth]) -> Figure:
+    """Cases over width and height with their errors, and the errors of truths."""
     figure = Figure(figsize=(9.0, 3.8), layout="constrained")
     left, right = figure.subplots(1, 2)
     size = np.abs(law.left_out()[0][:, 0])
@@ -332,196 +391,21 @@ def draw(law: legs.Legs, grains: list[tuple[float, str, float]]) -> Figure:
         area = 12.0 + 800.0 * size[law.of(leg)]
         dots = left.scatter(width, height, area, phi, marker=marker, vmin=10, vmax=55, alpha=0.8,
                             label=LEG_NAMES[leg])  # fmt: skip
+        some = [t for t in found if t.x[-1] == legs.CURVATURES[leg]]
+        right.plot([t.x[0] for t in some], [t.phi_deg for t in some], marker,
+                   color=pages.LEGS[leg], label=LEG_NAMES[leg])  # fmt: skip
+    places = [[t.x[AXES.index(key)] for t in found] for key in ("width", "hip_height")]
+    left.plot(*places, "+", color="black", ms=5, label="truths")
     figure.colorbar(dots, ax=left, label="φ [deg]")
-    left.legend(frameon=False, fontsize="small", ncols=3, loc="upper center", markerscale=0.5,
+    left.legend(frameon=False, fontsize="small", ncols=4, loc="upper center", markerscale=0.5,
                 bbox_to_anchor=(0.5, -0.15))  # fmt: skip
     left.set(xlabel="width / length", ylabel="hip height / length")
     left.set_title("cases; area: error of the size, left out", fontsize=10)
-    bodies = [name.rsplit("_", 1)[0].split("_", 1)[1] for _, name, _ in grains]
-    for body in sorted(set(bodies)):
-        some = [(phi, phi + apart) for (phi, _, apart), one in zip(grains, bodies, strict=True)
-                if one == body]  # fmt: skip
-        label = LEG_NAMES.get(body, body.replace("rig-", "rig "))
-        right.plot(*zip(*some, strict=True), "o", ms=5, alpha=0.7, label=label)
-    right.axline((25.0, 25.0), slope=1.0, color="0.5", lw=0.8)
-    right.set(xlabel="φ of the shear cell [deg]", ylabel="φ read [deg]")
+    right.axhline(0.0, color="0.5", lw=0.8)
+    right.set(xlabel="φ [deg]", ylabel="error of φ [deg]")
+    right.set_title("truths", fontsize=10)
     right.legend(frameon=False, fontsize="small")
     return figure
-
-
-class Reading(NamedTuple):
-    """An angle read off grains."""
-
-    leg: str
-    soil: str
-    """In which a shear cell measured φ."""
-    record: str
-    size_mm: float
-    """Diameter of the grains, on a leg as wide as that of Li et al. [mm]."""
-    excess_deg: float
-    """Angle read less that of the shear cell [deg]."""
-    shift_deg: float
-    nrmsd: float
-    """Residual of the force that is met worse [-]."""
-
-
-def read_grains(law: legs.Legs, leg: str) -> Iterator[Reading]:
-    """What the law reads off loose grains that a leg stirred, on all rigs."""
-    rigs = {f"rig-{rig.name}": rig for rig in run.rigs()}
-    rigs |= {leg: run.Rig(leg)}
-    for path in sorted(GRAINS.glob("*-loose*.csv")):
-        soil, body = path.stem.rsplit("_", 1)[0].split("_", 1)
-        if body not in rigs or rigs[body].leg != leg or soil.endswith(OTHERS):
-            continue
-        own, sizes = run.soils()[soil], {key: getattr(rigs[body], key) for key in LI2013}
-        rig = Rig(leg=leg, hip_height_sd_mm=0.0, leg_friction=own.leg_friction, **sizes)
-        theta, force, density = run.load(path)
-        history = ForceHistory(np.radians(theta), np.asarray(force).T)
-        record = without_faults(open_record(history, rig=rig, density=f"{density:.1f}±0"))
-        likelihood = Likelihood([record], law)
-        base = f"{soil.split('-')[0]}-loose"
-        read = float(likelihood.least_squares[0])
-        residual = (likelihood.data - likelihood.curves(np.array([[read]]))[0]) / likelihood.span
-        yield Reading(
-            leg, base, path.stem, own.diameter_mm * LI2013["width_mm"] / rig.width_mm,
-            read - elements.measured(GRAINS, base).phi_critical_deg,
-            float(likelihood.shift_deg[0]),
-            float(np.sqrt(np.square(residual).reshape(2, -1).mean(axis=1)).max()),
-        )  # fmt: skip
-
-
-class Line(NamedTuple):
-    """Excess of the angle read, at zero grain size and for each millimeter of grains."""
-
-    offset_deg: float
-    of_size: float
-    spread: float
-    """Variance of the offset over that of a reading [-]."""
-
-    @classmethod
-    def of(cls, readings: list[Reading]) -> Line:
-        """By least squares; without what grows with the size, if that is below twice its error."""
-        y = np.array([one.excess_deg for one in readings])
-        x = np.column_stack([np.ones(len(y)), [one.size_mm for one in readings]])
-        inverse = np.linalg.inv(x.T @ x)
-        offset, slope = (inverse @ x.T @ y).tolist()
-        rest = y - x @ [offset, slope]
-        if abs(slope) < 2.0 * np.sqrt(rest @ rest / (len(y) - 2) * inverse[1, 1]):
-            return cls(float(y.mean()), 0.0, 1.0 / len(y))
-        return cls(offset, slope, float(inverse[0, 0]))
-
-    def rest(self, one: Reading) -> float:
-        """What it leaves of a reading [deg]."""
-        return one.excess_deg - self.offset_deg - self.of_size * one.size_mm
-
-
-def errors() -> None:
-    """Learn the model error, write it into the law's file, and write the page.
-
-    Each leg has a weight on the cohesion, an offset, and what grows with the size of grains beside
-    the cohesion; what is left of all legs together gives what soils differ by, and what rigs, sizes
-    and beds of a soil differ by.
-    """
-    law = legs.Legs.load(LAW)
-    readings: list[Reading] = []
-    chosen, lines, tried = {}, {}, []
-    for leg in law.legs:
-        found = {}
-        for weight in COHESION_WEIGHTS:
-            error = {"cohesion_weight": weight}
-            own = list(read_grains(replace(law, model_error={leg: error}), leg))
-            line = Line.of(own)
-            sd = float(np.std([line.rest(one) for one in own]))
-            found[weight] = sd, line, own
-            numbers = (
-                f"{np.mean([one.excess_deg for one in own]):+.1f}°", f"{line.offset_deg:+.1f}°",
-                f"{line.of_size:+.2f}°", f"{sd:.1f}°",
-            )  # fmt: skip
-            tried.append((LEG_NAMES[leg], f"{weight:g}", f"{len(own)}", *numbers))
-        # The smallest weight that is as good as the best, so that a cohesion is found.
-        least = min(sd for sd, *_ in found.values())
-        chosen[leg] = min(weight for weight, (sd, *_) in found.items() if sd < AS_GOOD * least)
-        _, lines[leg], own = found[chosen[leg]]
-        readings += own
-    known = {one.soil: elements.measured(GRAINS, one.soil).phi_critical_deg for one in readings}
-    rest = {soil: np.array([lines[one.leg].rest(one) for one in readings if one.soil == soil])
-            for soil in known}  # fmt: skip
-    within = sum(float(np.square(one - one.mean()).sum()) for one in rest.values())
-    leg_sd = np.sqrt(within / (len(readings) - len(rest)))
-    scatter = np.mean([leg_sd**2 / one.size for one in rest.values()])
-    between = float(np.var([one.mean() for one in rest.values()], ddof=1))
-    soil_sd = np.sqrt(max(between - scatter, SHEAR_CELL_SD**2))
-    error = {}
-    for leg in law.legs:
-        own = [one for one in readings if one.leg == leg]
-        variance = soil_sd**2 / len({one.soil for one in own}) + leg_sd**2 * lines[leg].spread
-        error[leg] = {
-            "offset_deg": round(lines[leg].offset_deg, 2),
-            "covariance": [[round(float(variance), 3), 0.0], [0.0, round(SLOPE_SD**2, 3)]],
-            "common_sd_deg": COMMON_SD,
-            "soil_sd_deg": round(float(soil_sd), 2),
-            "leg_sd_deg": round(float(leg_sd), 2),
-            "cohesion_weight": chosen[leg],
-            "phi_deg": [round(min(known.values()), 1), round(max(known.values()), 1)],
-            "shift_deg": round(float(np.mean([one.shift_deg for one in own])), 1),
-            "nrmsd_limit": round(1.1 * float(np.quantile([one.nrmsd for one in own], 0.95)), 3),
-            "training": sorted(one.record for one in own),
-        }
-    replace(law, model_error=error).save(LAW)
-    table = [
-        (one.record, f"{known[one.soil]:.1f}°", f"{one.excess_deg:+.1f}°",
-         f"{lines[one.leg].rest(one):+.1f}°", f"{one.shift_deg:+.1f}°", f"{100 * one.nrmsd:.0f} %")
-        for one in readings
-    ]  # fmt: skip
-    header = ("record", "φ of the shear cell", "read, less that", "left by the line", "shift",
-              "residual")  # fmt: skip
-    every = np.concatenate(list(rest.values()))
-    numbers = ("offset_deg", "cohesion_weight", "shift_deg", "nrmsd_limit")
-    parts = [
-        accuracy(law),
-        (
-            "Loose grains (*fine* 4.4 mm, 6 mm, *coarse* 8.8 mm) are read with a cohesion, which "
-            "takes up a part of what their size does. What is left of it is a line over the size, "
-            "where that is more than twice its error, for soils of fine grains are inferred with "
-            "the line's beginning. The weight of the cohesion is the smallest of these with which "
-            f"the standard deviation about the line is within {AS_GOOD:g} of the least:"
-        ),
-        pages.table(("leg", "weight", "records", "mean", "at zero size", "for 1 mm", "SD"), tried),
-        pages.table(header, table),
-        (
-            "About these lines the root mean square is "
-            f"{np.sqrt(np.mean(every**2)):.1f}° over {every.size} records. Standard deviations: "
-            f"soils {soil_sd:.1f}°, legs, rigs and beds of a soil {leg_sd:.1f}°, apparatus "
-            f"{COMMON_SD:.1f}°."
-        ),
-        pages.table(("leg", *numbers), [
-            (LEG_NAMES[leg], *(f"{one[key]:g}" for key in numbers)) for leg, one in error.items()
-        ]),
-        *other_rigs(readings),
-    ]  # fmt: skip
-    alt = "left: the cases over width and height; right: angles read over those of shear cells"
-    figure = draw(law, [
-        (known[one.soil], one.record, one.excess_deg - lines[one.leg].of_size * one.size_mm
-         - lines[one.leg].offset_deg) for one in readings
-    ])  # fmt: skip
-    pages.write(pages.DOCS, "legs", "Law legs", parts, figure, alt, script="legs.py --errors")
-
-
-def other_rigs(readings: list[Reading]) -> tuple[str, str]:
-    """How rigs that are not Li's are read by what the others teach: a sentence and a table."""
-    rows = []
-    for rig in run.rigs():
-        own = [one for one in readings if f"_rig-{rig.name}_" in one.record]
-        if own:
-            others = [one for one in readings if one.leg == rig.leg and one not in own]
-            apart = [Line.of(others).rest(one) for one in own]
-            rows.append((f"{rig.name}: {LEG_NAMES[rig.leg]}", f"{len(own)}",
-                         ", ".join(f"{one:+.1f}°" for one in apart)))  # fmt: skip
-    words = "Rigs other than that of Li et al., with the line of the other records of their shape:"
-    return (
-        words,
-        pages.table(("rig", "records", "read, less the shear cell and the line"), rows),
-    )
 
 
 def main() -> None:
@@ -532,10 +416,13 @@ def main() -> None:
     parser.add_argument("--truths", action="store_true", help="cases that the law is judged by")
     parser.add_argument("--forecast", action="store_true", help="print the time and end")
     parser.add_argument("--fit", action="store_true", help="make the law of what there is")
-    parser.add_argument("--errors", action="store_true", help="learn its error from grains")
+    parser.add_argument("--page", action="store_true", help="write the page")
     options = parser.parse_args()
-    if options.fit or options.errors:
-        (fit if options.fit else errors)()
+    if options.fit:
+        fit()
+    if options.page:
+        page(legs.Legs.load(LAW))
+    if options.fit or options.page:
         return
     if options.forecast:
         times = []

@@ -1,7 +1,7 @@
-"""Resolution: what cells, speed-up and particles make of the forces of library `sand3d`.
+"""Resolution: what cells, speed-up and particles make of the forces of preset `sand3d`.
 
-None of these is a property of the soil, so forces should stay where they change. Cases of the
-library are compared with the same on other cells, speed-up or particles.
+None of these is a property of the soil, so forces should stay where they change. Simulations of
+Li's legs are compared with the same on other cells, speed-up or particles.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 import pages
 import terraphi
 
-BASE = "sand3d"
+BASE = "sand3d-simulated.nc"
 VARIANTS = {
     "cells of 3.5 mm": "sand3d-cells-86.nc",
     "cells of 2.5 mm": "sand3d-cells-120.nc",
@@ -43,7 +43,7 @@ class Change(NamedTuple):
     """Root mean square of the difference over the base's peak-to-peak [%]."""
 
 
-def curves_of(library: Path | str) -> dict[tuple[str, float], np.ndarray]:
+def curves_of(library: Path) -> dict[tuple[str, float], np.ndarray]:
     """Means over 1° as simulated, shape [angle, 2], by leg and φ; of several cases the mean."""
     found: dict[tuple[str, float], list[np.ndarray]] = {}
     for case in terraphi.Library.load(library).cases:
@@ -56,7 +56,7 @@ def curves_of(library: Path | str) -> dict[tuple[str, float], np.ndarray]:
 
 def changes() -> Iterator[Change]:
     """Each case of a variant compared with the base's of the same leg and φ."""
-    base = curves_of(BASE)
+    base = curves_of(pages.LIBRARIES / BASE)
     size = {key: np.abs(curve).mean(axis=0) for key, curve in base.items()}
     for variant, name in VARIANTS.items():
         for (leg, phi), curve in sorted(curves_of(pages.LIBRARIES / name).items()):
@@ -121,10 +121,10 @@ def main() -> None:
     header = ("changed", "leg", "φ", "mean |Fx| / |Fz|", "as φ", "apart, of peak-to-peak")
     parts = [
         (
-            "Library `sand3d` has cells of 5 mm, 8 particles in each, and a speed-up of 10. Its "
-            "cases are compared with the same on other numerics: the change of the mean |force| "
-            "over |θ| < 85°, by how much more friction the library would have that mean, and how "
-            "far the curves are apart."
+            "Preset `sand3d` has cells of 5 mm, 8 particles in each, and a speed-up of 10, as law "
+            "`legs` has for a leg of Li et al. It is compared with the same on other numerics: the "
+            "change of the mean |force| over |θ| < 85°, by how much more friction would have that "
+            "mean, and how far the curves are apart."
         ),
         pages.table(header, rows),
         (

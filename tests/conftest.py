@@ -66,7 +66,9 @@ def terraphi(
 
 @pytest.fixture(scope="session")
 def sand3d() -> Library:
-    return Library.load("sand3d")
+    """Simulations of the legs of Li et al. (2013), which no law is made of alone."""
+    data = Path(__file__).parents[1] / "studies" / "data" / "libraries"
+    return Library.load(data / "sand3d-simulated.nc")
 
 
 @pytest.fixture(scope="session")

@@ -50,7 +50,7 @@ def results(log: Path) -> list[Any]:
     forces = terraphi.foot_forces(log)
     return [
         measured, measured.history, terraphi.invert(measured, law="rft3d"),
-        terraphi.Library.load("sand3d"), forces, forces.forces, forces.pooled, forces.log,
+        terraphi.Library.load("rft3d"), forces, forces.forces, forces.pooled, forces.log,
         forces.stances[0], forces.robot, terraphi.footfalls(log),
     ]  # fmt: skip
 
@@ -66,7 +66,7 @@ def test_results_in_memory_make_a_page(results: list[Any], tmp_path: Path) -> No
     measured, history, answer, library, forces, *_, footfalls = results
     shown = [history, answer, library, forces, footfalls]
     titles = [title for title, _ in terraphi.report(shown, tmp_path / "r.html")]
-    assert titles[1:3] == ["li2013:yuma/c", "sand3d"]
+    assert titles[1:3] == ["li2013:yuma/c", "rft3d"]
     assert len({*titles}) == len(shown)
     with pytest.raises(terraphi.InputError, match="type Measurement"):
         terraphi.report(measured, tmp_path / "r.html")

@@ -9,12 +9,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import table
 from scipy.spatial import ConvexHull
 
-import model_error
 import plates
-from terraphi.inference.calibration import ModelError
 from terraphi.laws.foot import Foot
+from terraphi.laws.law import ModelError
 
 STUDIES = Path(plates.__file__).parent
 BALL, DISC = 4 / 3 * np.pi * 0.03**3, np.pi * 0.03**2 * 0.006
@@ -68,91 +68,54 @@ def test_mesh_of_a_foot_is_its_shape(shape: str, volume: float, tmp_path: Path) 
     assert area.sum() / 2 == pytest.approx(hull.area, rel=1e-6)  # closed
 
 
-def test_size_of_grains_is_taken_out_of_soils_in_two_sizes_and_one() -> None:
-    """Forces that grow by a known share of those of fine grains for each millimetre."""
-    theta = model_error.ANGLES_DEG
-    share = np.stack([0.02 * np.cos(np.radians(theta)), 0.03 * np.exp(-np.square(theta / 40))], 1)
-    beds, plain = {}, {}
-    for soil, strength, diameters in (
-        ("A-loose", 3.0, (6.0, 9.0)), ("B-loose", 5.0, (4.0, 6.0, 9.0)), ("C-loose", 4.0, (6.0,)),
-    ):  # fmt: skip
-        force = np.stack([np.cos(np.radians(theta)), -np.sin(np.radians(theta))], axis=1)
-        fine = plain[soil, "c"] = strength / 1400.0 * force
-        # Over the size of the forces in grains of 6 mm: share / |1 + 6 share|.
-        beds[soil, "c"] = [
-            model_error.Bed(d, 1400.0 * (fine + d * strength / 1400.0 * share), 1400.0)
-            for d in diameters
-        ]
-    found = model_error.without_size(beds)
-    inside = np.abs(theta) < 60.0
-    for key, fine in plain.items():
-        np.testing.assert_allclose(found[key][inside], fine[inside], atol=0.02 * np.ptp(fine))
+def readings(rng: np.random.Generator, of_size: float) -> list[table.Reading]:
+    """Forty soils on three legs, in grains of three sizes, which the C does not feel."""
+    every = []
+    for i, phi in enumerate(rng.uniform(20.0, 36.0, 40)):
+        of_soil = 2.0 * rng.standard_normal() + 0.6 * rng.standard_normal()
+        for leg, offset in OFFSETS.items():
+            for size in (4.0, 6.0, 9.0):
+                excess = offset + of_size * size * (leg != "c") + of_soil
+                read = phi + excess + 0.8 * rng.standard_normal()
+                every.append(
+                    table.Reading(
+                        f"{i}/{leg}/{size}", f"{i}-loose", leg, SimpleNamespace(leg=leg), phi,
+                        phi + 2.0, size, read, 0.5, 0.1,
+                    )
+                )  # fmt: skip
+    return every
+
+
+OFFSETS = {"straight": 1.0, "c": -4.0, "reversed_c": 2.0}
 
 
 def test_offset_and_spread_are_learnt_as_they_were_made() -> None:
-    """Forty soils on three legs: lines over φ and normal errors of soils and legs."""
-    rng = np.random.default_rng(2)
-    lines = {"straight": (1.0, 0.1), "c": (-4.0, -0.3), "reversed_c": (2.0, 0.2)}
-    every = []
-    for i, phi in enumerate(rng.uniform(20.0, 36.0, 40)):
-        of_soil = 2.0 * rng.standard_normal()
-        for leg, (offset, slope) in lines.items():
-            soil = phi + of_soil + 1.0 * rng.standard_normal()
-            read = soil + offset + slope * (soil - 27.0)
-            every.append(
-                model_error.Reading(
-                    f"{i}", leg, "loose", False, SimpleNamespace(source=f"{i}/{leg}"), phi,
-                    phi + 2.0, read, read, 0.0, 0.0, np.zeros((2, 40)), np.ones(2),
-                )
-            )  # fmt: skip
-    found = model_error.learn(every)
-    for leg, (offset, slope) in lines.items():
-        assert found[leg]["offset_deg"] == pytest.approx(offset, abs=1.2)
-        assert found[leg]["slope"] == pytest.approx(slope, abs=0.2)
-        assert found[leg]["soil_sd_deg"] == pytest.approx(2.0, rel=0.3)
-        assert found[leg]["leg_sd_deg"] == pytest.approx(1.0, rel=0.2)
+    """What grows with the size of grains is found where it is, and soils and legs apart."""
+    weights = dict.fromkeys(OFFSETS, 0.1)
+    known = readings(np.random.default_rng(2), 0.5)
+    found, lines = table.learn(known, weights), table.lines(known)
+    assert lines["c"].of_size == pytest.approx(0.0, abs=0.15)
+    assert lines["straight"].of_size == pytest.approx(0.5, abs=0.15)
+    for leg, offset in OFFSETS.items():
+        error = ModelError.model_validate(found[leg])
+        assert error.offset_deg == pytest.approx(offset, abs=1.5)
+        assert error.soil_sd_deg == pytest.approx(2.0, rel=0.3)  # that of shear cells taken off
+        assert error.leg_sd_deg == pytest.approx(0.8, rel=0.2)
 
 
-def test_error_of_an_offset_is_the_scatter_of_lines_over_other_soils() -> None:
-    """Within the angles it is learned from and far beyond them; soils differ by 1.5°."""
-    rng, phi, lines, stated = np.random.default_rng(4), np.linspace(20.0, 33.0, 8), [], []
-    for _ in range(200):
-        every = [
-            model_error.Reading(
-                f"{i}", "c", "loose", False, SimpleNamespace(source=f"{i}"), soil, soil,
-                soil + 1.5 * rng.standard_normal(), soil, 0.0, 0.0, np.full((2, 40), 0.1 * i),
-                np.ones(2),
-            )
-            for i, soil in enumerate(phi)
-        ]  # fmt: skip
-        found = ModelError.model_validate(model_error.learn(every)["c"])
-        lines.append([found.offset_at(angle) for angle in (27.0, 42.0)])
-        stated.append([found.offset_sd_at(angle) * (1 + found.slope) for angle in (27.0, 42.0)])
-    assert found.phi_deg == (20.0, 33.0)
-    # A prior on the slope, and one on how much soils differ, make lines of few soils differ less.
-    np.testing.assert_allclose(np.sqrt(np.mean(np.square(stated), 0)), np.std(lines, 0), rtol=0.25)
-
-
-@pytest.mark.parametrize("share", [0.0, 0.3])
-def test_error_of_the_size_of_grains_is_that_of_a_mean_over_soils(share: float) -> None:
-    """The jackknife of a mean is the standard error of that mean."""
-    effects = share * np.array([1.0, 2.0, 6.0])
-    left_out = [float(np.delete(effects, i).mean()) for i in range(3)]
-    every = [
-        model_error.Reading(
-            "A", "c", "loose", False, SimpleNamespace(source="A"), phi, phi, phi, phi, 0.0, 0.0,
-            np.zeros((2, 40)), np.ones(2), tuple(phi + np.array(left_out)),
-        )
-        for phi in np.linspace(20.0, 34.0, 8)
-    ]  # fmt: skip
-    found = model_error.size_covariance(every)
-    assert found[0, 0] == pytest.approx(effects.var(ddof=1) / 3.0, abs=1e-9)
-    np.testing.assert_allclose(found[1], 0.0, atol=1e-9)
+def test_error_of_an_offset_is_its_scatter_over_other_soils() -> None:
+    rng, weights = np.random.default_rng(4), dict.fromkeys(OFFSETS, 0.1)
+    found = [
+        ModelError.model_validate(table.learn(readings(rng, 0.5), weights)["straight"])
+        for _ in range(60)
+    ]
+    stated = np.sqrt(np.mean([one.covariance[0][0] for one in found]))
+    assert stated == pytest.approx(np.std([one.offset_deg for one in found]), rel=0.3)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "name", ["plates", "resolution", "real_sand", "calibration", "grains/table"]
+    "name", ["plates", "real_sand", "resolution", "sheared_sands", "grains/table"]
 )
 def test_script_writes_its_page(name: str, tmp_path: Path) -> None:
     command = [sys.executable, str(STUDIES / f"{name}.py"), "--out", str(tmp_path)]

@@ -18,7 +18,6 @@ from terraphi.forward.mpm.lattice import lattice_of
 from terraphi.forward.mpm.solver import MpmSolver, settle
 from terraphi.forward.plane.bed import Particles
 from terraphi.forward.plane.solver import PlaneSolver
-from terraphi.laws.plan import Plan
 
 BLOCK = 1000
 """Steps that a solver is asked for at a time; in three dimensions whole phases near it."""
@@ -69,7 +68,7 @@ def elastic(cells, *, per_side=2, **changes):
 
 def sand3d(cells=60, **changes):
     """Scenario of library `sand3d` on another grid, with steps and phases longer as cells are."""
-    base = Plan.load("sand3d").scenario
+    base = Scenario.load("sand3d")
     scale = base.numerics.cells / cells
     grid = {
         "numerics.cells": cells,

@@ -62,16 +62,16 @@ figure
 # %%
 # The law of legs
 # ---------------
-# Without ``library`` measured forces on a straight leg are read by law ``legs``, simulated in three
-# dimensions for many proportions. Here it reads forces that another theory made.
+# Without ``law`` measured forces are read by law ``legs``, simulated in three dimensions for many
+# proportions. Here it reads forces that another theory made.
 
 terraphi.invert(record, rig=rig, density=1650)
 
 # %%
-# A library of simulations
+# Simulations of one's own
 # ------------------------
-# C legs of other proportions than Li's need a library: two to five minutes of a core for each of 15
-# angles. Bed, cells and steps follow from the sizes of the rig.
+# Legs outside these proportions need simulations of their own: two to five minutes of a core for
+# each of eight angles. Bed, cells and steps follow from the sizes of the rig.
 
 plan = terraphi.Plan.of_rig(rig)
 print(plan.count, "cases in cells of", 1e3 * plan.scenario.numerics.cell_size, "mm")
@@ -83,7 +83,7 @@ print(plan.count, "cases in cells of", 1e3 * plan.scenario.numerics.cell_size, "
 # .. code-block:: console
 #
 #    $ terraphi library build --rig rig.toml --out mine.nc
-#    $ terraphi invert forces.csv --rig rig.toml --library mine.nc --density 1600
+#    $ terraphi invert forces.csv --rig rig.toml --law mine.nc --density 1600
 #
-# Such a library has not learned how real soils differ from it: :doc:`/how-to/calibrate` narrows the
-# interval.
+# They join the cases of law ``legs``, which has learned from all of them what friction, cohesion
+# and the height of the hip do, and from simulated grains how real soils differ from it.

@@ -123,7 +123,7 @@ def test_invert_prints_angle_and_verdict_within_ten_lines(terraphi: Terraphi) ->
     first, phi, verdict, *rest = ran.out.splitlines()
     assert ran.status == 0
     assert first.startswith("12 records")
-    assert first.endswith("law sand3d")
+    assert first.endswith("law legs")
     assert phi.startswith("φ = ")
     assert "plane strain" in phi
     assert verdict.split(":")[0] in ("Consistent", "Misfit", "Out of range")
@@ -291,7 +291,7 @@ def test_a_library_is_built_listed_shown_and_used(terraphi: Terraphi, tmp_path: 
     answer = json.loads(terraphi("invert", MEASURED, "--law", "l.nc", "--json").out)
     assert answer["law"] == "small"
     listed = json.loads(terraphi("library", "list", "--json").out)["libraries"]
-    assert [one["name"] for one in listed][:2] == ["sand3d", "rft3d"]
+    assert [one["name"] for one in listed][:2] == ["legs", "rft3d"]
 
 
 def test_the_demo_recovers_the_angle(terraphi: Terraphi, tmp_path: Path) -> None:
@@ -300,7 +300,7 @@ def test_the_demo_recovers_the_angle(terraphi: Terraphi, tmp_path: Path) -> None
     low, high = known["phi_deg"]["ci95"]
     assert low <= 33.0 <= high
     assert known["verdict"] == "consistent"
-    assert [one["law"] for one in sands] == ["sand3d", "sand3d"]
+    assert [one["law"] for one in sands] == ["legs", "legs"]
     assert (tmp_path / "d" / "demo.png").stat().st_size > 20_000
     ran = terraphi("report", "d", "--out", "r.html", "--json")
     assert len(json.loads(ran.out)["results"]) == 3

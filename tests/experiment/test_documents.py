@@ -83,7 +83,7 @@ def test_a_byte_order_mark_and_arrays_for_tuples_are_read(tmp_path: Path) -> Non
 
 
 def test_shipped_files() -> None:
-    assert {"rft3d", "sand3d", "paper"} <= set(shipped_names("libraries", ".nc"))
+    assert {"rft3d", "paper", "paper-code"} <= set(shipped_names("libraries", ".nc"))
     assert shipped_file("libraries", "rft3d", ".nc").is_file()
     with pytest.raises(InputError, match=r"'rft3' is neither .*; did you mean 'rft3d'"):
         shipped_file("libraries", "rft3", ".nc")

@@ -29,7 +29,7 @@ def test_what_is_written_is_read_back(answer: Answer, tmp_path: Path) -> None:
     again = Answer.load(tmp_path / "answer")
     assert again.as_dict() == json.loads(json.dumps(answer.as_dict()))
     for one, other in zip(again.records, answer.records, strict=True):
-        for name in ("theta_deg", "data", "curve", "expected", "band"):
+        for name in ("theta_deg", "data", "curve", "band"):
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     assert {file.name for file in (tmp_path / "answer").iterdir()} >= {
         "answer.json", "answer.nc", "answer.png",

@@ -7,6 +7,7 @@ import pytest
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 
+from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
 from terraphi.laws.emulator import Emulator, _kernel, fitted
 from terraphi.laws.store import Case, Curves, Library
@@ -87,7 +88,7 @@ def test_scatter_and_intervals_hold_in_drawn_worlds() -> None:
     """Curves drawn from a smooth law with scatter: the truth between the cases is covered."""
     theta, rng = np.arange(-60.0, 61.0), np.random.default_rng(1)
     phi = np.linspace(15.0, 50.0, 15)
-    base = Library.load("sand3d").cases[0].scenario
+    base = Scenario.load("sand3d")
     inside, ratios = [], []
     apart = np.abs(np.subtract.outer(np.arange(121), np.arange(121)))
     correlation = np.clip(1.0 - apart / 5.0, 0.0, 1.0)  # of the mean of five in a row, times √5

@@ -58,21 +58,6 @@ def test_a_folder_of_answers_stands_for_each(
     assert [one.kind for one in sections(["."])] == ["answer"] * 2
 
 
-def test_the_fit_is_the_curve_with_the_mean_model_error() -> None:
-    answer = invert("li2013:yuma/c")
-    fx = of_answer(answer).parts[0]
-    assert isinstance(fx, Plot)
-    traces = {trace["name"]: trace for trace in fx.traces}
-    record = answer.records[0]
-    np.testing.assert_allclose(traces["model"]["y"], record.expected[0], rtol=1e-5, atol=1e-9)
-    np.testing.assert_allclose(traces["bare model"]["y"], record.curve[0], rtol=1e-5, atol=1e-9)
-    np.testing.assert_allclose(traces["data"]["y"], record.data[0], rtol=1e-5, atol=1e-9)
-    assert (traces["model"]["line"]["dash"], traces["bare model"]["line"]["dash"]) == (
-        "solid",
-        "dash",
-    )
-
-
 def test_residuals_are_drawn_against_the_limit_that_decides_the_verdict() -> None:
     for leg, verdict in (("c", "consistent"), ("straight", "misfit")):
         answer = invert("li2013:yuma/c", leg=leg)

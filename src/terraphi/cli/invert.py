@@ -14,6 +14,7 @@ from terraphi.cli.options import (
     columns_option,
     density_option,
     gain_option,
+    grain_size_option,
     json_option,
     law_option,
     rig_options,
@@ -36,6 +37,7 @@ SOME_FAILED = 1
     help="Pressed in; plate:MMxMM as well.",
 )
 @density_option
+@grain_size_option
 @columns_option
 @gain_option
 @law_option
@@ -68,8 +70,6 @@ def invert(
     li2013:MEDIUM/LEG; several are of one soil.
 
     Example: terraphi invert forces.csv --rig rig.toml --density 1600±80
-
-    Example: terraphi invert --table day.csv --out angles.csv
     """
     from terraphi.experiment.rig import with_rig
     from terraphi.inference import inversion
@@ -131,6 +131,7 @@ def tabulate(
 @click.option("--phi", required=True, metavar="MEAN±SD", help="Known friction angle [deg].")
 @rig_options
 @density_option
+@grain_size_option
 @columns_option
 @gain_option
 @law_option
@@ -140,7 +141,7 @@ def calibrate(forces: tuple[str, ...], phi: str, out: Path, as_json: bool, **opt
     """Learn the offset of your apparatus from soils of known angle.
 
     FORCES were measured in a soil of angle --phi, in the convention of the library (plane strain
-    for sand3d). 'invert --calibration FILE' then gives narrower intervals.
+    for legs). 'invert --calibration FILE' then gives narrower intervals.
 
     Example: terraphi calibrate li2013:poppy_loose/straight --phi 36±2 --out poppy.toml
     """

@@ -106,11 +106,11 @@ def library_list(as_json: bool) -> None:
 def library_show(name: str, as_json: bool) -> None:
     """Show the contents and the origin of library NAME, or of a .nc file.
 
-    Example: terraphi library show sand3d
+    Example: terraphi library show rft3d
     """
-    from terraphi.laws.legs import law_named
+    from terraphi.laws.legs import stored
 
-    print_library(law_named(name), as_json)
+    print_library(stored(name), as_json)
 
 
 def print_library(found: Library | Legs, as_json: bool) -> None:

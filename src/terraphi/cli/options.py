@@ -66,6 +66,13 @@ density_option = click.option(
     metavar="KG_M3[±SD]",
     help="Bulk density, as 1600 (± 5 %) or 1600±80.",
 )
+grain_size_option = click.option(
+    "--grain-size",
+    "grain_size_mm",
+    metavar="MM",
+    type=Float(),
+    help="Mean diameter of coarse grains.  [default: 0]",
+)
 columns_option = click.option(
     "--columns",
     metavar="FILE|KEY=VALUE",
@@ -81,5 +88,5 @@ law_option = click.option(
     "--library",
     "law",
     metavar="NAME|FILE",
-    help="Name or .nc file.  [default: sand3d or legs]",
+    help="Name or .nc file.  [default: legs]",
 )

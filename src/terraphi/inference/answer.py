@@ -132,8 +132,6 @@ class RecordFit(RecordSummary):
     data, curve
         Channels of the record and of the model, shape [c, m]: Fx and Fz [N], or M [N m] in place
         of one of them or of both, as ``nrmsd`` names them.
-    expected
-        The curve with the mean residual of real soils, shape [c, m]; ``None`` where unknown.
     band
         Smallest and largest curve over the 95 % interval, shape [2, c, m].
     """
@@ -141,13 +139,7 @@ class RecordFit(RecordSummary):
     theta_deg: FloatArray = field(repr=False)
     data: FloatArray = field(repr=False)
     curve: FloatArray = field(repr=False)
-    expected: FloatArray | None = field(repr=False)
     band: FloatArray = field(repr=False)
-
-    @property
-    def best(self) -> FloatArray:
-        """``expected``, or ``curve`` where that is unknown, shape [c, m]."""
-        return self.curve if self.expected is None else self.expected
 
     @property
     def along(self) -> str:
@@ -383,9 +375,7 @@ class Answer(AnswerSummary):
             for record in (one for one in self.records if name in one.nrmsd):
                 i, theta = list(record.nrmsd).index(name), record.theta_deg
                 axes.fill_between(theta, *record.band[:, i], color="C0", alpha=0.2, lw=0)
-                axes.plot(theta, record.best[i], color="C0", label="model")
-                if record.expected is not None:
-                    axes.plot(theta, record.curve[i], "--", color="C0", lw=1, label="bare model")
+                axes.plot(theta, record.curve[i], color="C0", label="model")
                 axes.plot(theta, record.data[i], ".", color="black", ms=3, label="data")
             axes.set(xlabel=self.records[0].along, ylabel=force_label(name))
             axes.axhline(0.0, color="0.7", lw=0.5, zorder=0)
@@ -426,8 +416,6 @@ class Answer(AnswerSummary):
             constant[f"theta_deg_{i}"] = (dims[1], record.theta_deg)
             constant[f"curve_{i}"] = (dims, record.curve)
             constant[f"band_{i}"] = (("bound", *dims), record.band)
-            if record.expected is not None:
-                constant[f"expected_{i}"] = (dims, record.expected)
         constant["grid_deg"] = ("grid", self.grid_deg)
         constant["density"] = ("grid", self.density)
         return {
@@ -476,15 +464,12 @@ class Answer(AnswerSummary):
         with open_netcdf(path, AnswerAttributes, kind="answer", schema=None) as file:
             known, at, records = file.attrs.answer, "constant_data/", []
             for i, one in enumerate(known.records):
-                dims, expected = (len(one.nrmsd), f"theta_{i}"), None
-                if f"{at}expected_{i}" in file.variables:
-                    expected = file.numbers(f"{at}expected_{i}", *dims)
+                dims = (len(one.nrmsd), f"theta_{i}")
                 fit = RecordFit(
                     **vars(one),
                     theta_deg=file.numbers(f"{at}theta_deg_{i}", dims[1]),
                     data=file.numbers(f"observed_data/force_{i}", *dims),
                     curve=file.numbers(f"{at}curve_{i}", *dims),
-                    expected=expected,
                     band=file.numbers(f"{at}band_{i}", 2, *dims),
                 )
                 records.append(fit)

@@ -26,11 +26,10 @@ from terraphi.inference.likelihood import (
     Likelihood,
     law_of,
     squared_residuals,
-    window_means,
 )
-from terraphi.inference.records import Record
-from terraphi.laws.law import THEORY, LegLaw
-from terraphi.laws.legs import shipped_legs
+from terraphi.inference.records import Record, density_doubts
+from terraphi.laws.law import THEORY
+from terraphi.laws.legs import Legs
 from terraphi.laws.store import PHI, differences, shipped_library
 
 LOADED = 0.05
@@ -51,9 +50,9 @@ STEP_SPACING_DEG = 1.5
 """Spacing of readings above which no steps are looked for [deg]."""
 MOST_LEFT_OUT = 0.5
 """Share of the readings that may be left out [-]."""
-BETTER, FITS = 0.6, 2.0
-"""Residual of a record read differently at which that is proposed, over that as given, and over the
-limit of a misfit [-]."""
+BETTER, FITS, SIMPLER = 0.6, 2.0, 0.9
+"""Residual of a record read differently at which that is proposed, over that as given, over the
+limit of a misfit, and over that of a simpler proposal [-]."""
 USUAL_DEG = (18.0, 50.0)
 """Friction angles of dry soils in plane strain [deg]: from glass beads, 21 to 24° (Jop, Forterre &
 Pouliquen 2006, Nature 441:727), to dense quartz sand at its peak, 48° (Bolton 1986, Géotechnique
@@ -61,11 +60,6 @@ Pouliquen 2006, Nature 441:727), to dense quartz sand at its peak, 48° (Bolton 
 COHESIVE_PA = 100.0
 """Cohesion above which dry soil must be coarse [Pa]: chosen; grains of 4 mm act like 30 to 50 Pa on
 a leg of 25 mm, measured sands like 0 to 20."""
-DAMP_PA, DAMP_DEG = 60.0, 2.0
-"""Cohesion by law ``legs`` [Pa], and how much lower φ is with it [deg], from which dry soil is
-doubted: chosen, above what the shipped media and grains of 4 mm have."""
-USUAL_DENSITY = (1100.0, 2100.0)
-"""Bulk density of dry mineral soils [kg/m³]."""
 LARGE_SHIFT_DEG = 4.0
 """Distance of the leg angle's shift from the usual one above which an answer says so [deg]."""
 ONSET, LATE_DEG = 0.1, 11.0
@@ -73,19 +67,16 @@ ONSET, LATE_DEG = 0.1, 11.0
 that another leg makes [deg]: at most 9° in the shipped records."""
 OTHER_ARM = 1.3
 """Factor between a moment and that of the forces that another leg makes: 0.91 to 1.27 in grains."""
-NEARLY_ALL, WHOLE = 0.995, 0.9
-"""Share of a stroke's information that counts as all of it [-]; share of its windows with which its
-shape can be compared with those of whole strokes [-]."""
+NEARLY_ALL = 0.995
+"""Share of a stroke's information that counts as all of it [-]."""
 UNUSUAL = 2.0
 """Standard deviations that are unusual [-]: one in twenty."""
-VAGUE = 0.5
-"""Standard deviation of the logarithm of the forces' size between soils above which shapes
-determine it too vaguely [-]."""
-SURE = 1.4
-"""Error of a factor on the forces up to which it is named [-]."""
 FAR_APART_DEG = 10.0
 """Distance of two opinions above which answers doubt the record [deg]: at most 8.5° with the right
 leg in simulated grains and shipped media, 14° where a wrong leg is consistent."""
+SIMILAR = ("leg.", "motion.", "bed.", "numerics.domain", "numerics.cells", "numerics.time_step",
+           "numerics.remap_interval")  # fmt: skip
+"""Beginnings of scenario keys in which the cases of law ``legs`` differ."""
 UNITS = ("N", "lbf", "kgf", "gf", "kN", "mN")
 """Units of force that a record may be in."""
 
@@ -270,6 +261,11 @@ def guesses(likelihood: Likelihood) -> Iterator[str]:
                 f"{name}The record covers {low:.0f} to {high:.0f}° of ±{WINDOW_DEG:g}°, with "
                 f"{part.share:.0%} of the information on φ of a whole stroke."
             )
+        if grown := likelihood.of_size_deg(record):
+            yield (
+                f"{name}Grains of {record.grain_size_mm:g} mm raise the angle that this leg reads "
+                f"by {grown:.1f}°, which is taken off."
+            )
         if likelihood.cohesion > 0.5 and i == 0:
             check = likelihood.cohesion > COHESIVE_PA
             yield (
@@ -277,12 +273,8 @@ def guesses(likelihood: Likelihood) -> Iterator[str]:
                 "one, and grains that are large compared with the leg act like one"
                 f"{'; else check the density and the unit of force' if check else ''}."
             )
-        least, most = USUAL_DENSITY
-        if likelihood.measured and not record.medium and not least <= density <= most:
-            yield (
-                f"{name}The density {density:g} kg/m³ is unusual: dry sand and gravel have "
-                f"{least:g} to {most:g} kg/m³. Half or twice of it moves φ by 6 to 9°."
-            )
+        if likelihood.measured and not record.medium:
+            yield from (f"{name}{doubt}" for doubt in density_doubts(density))
         if record.density_kg_m3 is None or record.density_assumed:
             yield f"{name}The density {density:g} kg/m³ is assumed; 10 % of it move φ by about 1°."
 
@@ -311,7 +303,8 @@ def others(
         name = likelihood.prefix(record)
         if record.scenario is not None:
             apart = differences(record.scenario, likelihood.library.scenario)
-            apart = [key for key in apart if key not in likelihood.keys]
+            known = SIMILAR if isinstance(likelihood.library, Legs) else ()
+            apart = [k for k in apart if k not in likelihood.keys and not k.startswith(known)]
             if apart:
                 listed = ", ".join(apart[:3]) + (", …" if len(apart) > 3 else "")
                 yield (
@@ -325,14 +318,13 @@ def others(
             for sentence in found or [
                 *_other_arm(likelihood, i),
                 *_other_size(likelihood, i),
-                *_other_strength(likelihood, record),
             ]:
                 yield f"{name}{sentence}"
 
 
 def _other_readings(likelihood: Likelihood, record: Record) -> Iterator[str]:
     """Another leg, sign, unit or order that would describe a misfit much better."""
-    own = residual(record.data, record, likelihood, record.leg)
+    own = residual(record.data, record, likelihood, record.leg, likelihood.cohesion)
     most = FITS * likelihood.errors[record.leg].nrmsd_limit
     best, proposal = min(BETTER * own, most), ""
     options = _columns_otherwise(record) if record.channels == FORCES else {}
@@ -341,7 +333,8 @@ def _other_readings(likelihood: Likelihood, record: Record) -> Iterator[str]:
         size = residual(data, other, likelihood, record.leg)
         if what.startswith("unit") and size < min(BETTER * own, most):
             units.append(what.partition("=")[2])
-        if size < best:
+        # What is simpler comes first, and stays if the others are hardly better.
+        if size < (SIMPLER if proposal else 1.0) * best:
             best, proposal = size, f"The record would fit with --columns {what}: check the columns."
     if "columns unit=" in proposal and len(units) > 1:
         proposal = f"{proposal[:-1]}; of all units {' and '.join(units)} would fit."
@@ -429,56 +422,6 @@ def _other_size(likelihood: Likelihood, i: int) -> Iterator[str]:
         )
 
 
-def is_whole(record: Record) -> bool:
-    """Whether the shape of a record can be compared with those of whole strokes.
-
-    The moment alone has nearly the same shape on all legs.
-    """
-    forces = record.channels == FORCES
-    return forces and record.theta_deg.size >= WHOLE * OBSERVATION_ANGLES
-
-
-def _other_strength(likelihood: Likelihood, record: Record) -> Iterator[str]:
-    """A sentence if the shape of the forces wants another size of them than soils usually do."""
-    error = likelihood.errors[record.leg]
-    comparable = likelihood.measured and likelihood.keys == (PHI,) and is_whole(record)
-    if not comparable or not 0 < error.strength_sd < VAGUE:
-        return
-    factor, sd = log_strength(likelihood, record)
-    apart = factor - error.strength
-    if abs(apart) > UNUSUAL * error.strength_sd and sd < np.log(SURE):
-        yield (
-            f"By their shape the forces are {np.exp(apart):.1g} times as large as they should be: "
-            "check the density and the unit of force."
-        )
-
-
-def log_strength(likelihood: Likelihood, record: Record) -> tuple[float, float]:
-    """Logarithm of the factor on the curves with which, and some φ, a record fits best [-].
-
-    With its standard deviation, as if the whole residual were of its direction, φ and shift free:
-    it is known only as well as the shape of the curves depends on φ. At an end of φ or of the shift
-    nothing is known.
-    """
-    on, force = _over_phi(likelihood, record, record.leg)
-    spans = np.repeat(record.span, record.theta_deg.size)
-    data, shifts = record.data.ravel() / spans, np.arange(-SHIFT_DEG, SHIFT_DEG + 1.0)
-    curves = np.stack([window_means(record, force, on, shift) / spans for shift in shifts])
-    factor = np.maximum(curves @ data / np.square(curves).sum(axis=2), 1e-6)
-    squares = np.square(data - factor[..., None] * curves).sum(axis=2)
-    k, i = np.unravel_index(squares.argmin(), squares.shape)
-    found = float(np.log(factor[k, i]))
-    if k in (0, len(shifts) - 1) or i in (0, len(force) - 1):
-        return found, np.inf
-    slopes = [
-        curves[k, i],
-        curves[k, i + 1] - curves[k, i - 1],
-        curves[k + 1, i] - curves[k - 1, i],
-    ]
-    unexplained = np.linalg.pinv(factor[k, i] * np.stack(slopes, axis=1))[0]
-    return found, float(np.linalg.norm(unexplained) * np.sqrt(squares[k, i]))
-
-
 def second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:
     """Angle of measured forces by resistive force theory, as one of plane strain."""
     if not likelihood.measured or likelihood.library.name == THEORY:
@@ -502,39 +445,16 @@ def second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:
     return {"law": THEORY, "median": median, "sd": sd, "force_size_deg": of_size}
 
 
-def damp(likelihood: Likelihood) -> list[str]:
-    """Warn if damp soil fits the straight legs as well, where the law is of dry soil."""
-    records = [record for record in likelihood.records if record.leg == "straight"]
-    cohesive = any(law.most_cohesion for law in likelihood.laws)
-    cohesive |= likelihood.library.scenario.convention != "plane_strain"
-    if not records or not likelihood.measured or cohesive or likelihood.keys != (PHI,):
-        return []
-    try:
-        other = Likelihood(records, shipped_legs())
-    except InputError:
-        return []  # another rig than law legs knows
-    phi = float(other.least_squares[0])
-    if other.cohesion < DAMP_PA or phi > float(likelihood.least_squares[0]) - DAMP_DEG:
-        return []
-    words = (
-        f"Soil with φ = {phi:.0f}° and a cohesion of {other.cohesion:.0f} Pa gives such forces as "
-        "well: if it may be damp, or its grains are large for the leg, use --law legs."
-    )
-    return [words]
-
-
-def residual(data: FloatArray, record: Record, likelihood: Likelihood, leg: str) -> float:
-    """Smallest residual of data over the library's angles, of peak-to-peak [-]."""
-    on, force = _over_phi(likelihood, record, leg)
+def residual(
+    data: FloatArray, record: Record, likelihood: Likelihood, leg: str, cohesion: float = 0.0
+) -> float:
+    """Smallest residual of data over the usual angles [-], of peak-to-peak, at a cohesion [Pa]."""
+    rig = Rig.of(record.rig, leg)
+    on = law_of(likelihood.library, rig, record.scenario, strict=False)
+    density = record.density_kg_m3 or on.density
+    number = cohesion / (density * GRAVITY * rig.length)
+    low, high = np.clip(USUAL_DEG, on.bounds[0][0], on.bounds[1][0])
+    force = density / on.density * on(np.linspace(low, high, 65)[:, None], number)
     shifts = np.arange(-SHIFT_DEG, SHIFT_DEG + 1.0, 3.0) if likelihood.measured else np.zeros(1)
     squares = squared_residuals(record, data, force, on, shifts)
     return float(np.sqrt(squares.min() / data.size))
-
-
-def _over_phi(likelihood: Likelihood, record: Record, leg: str) -> tuple[LegLaw, FloatArray]:
-    """Law of a leg, and its forces [N] over the law's φ, at a record's density."""
-    rig = Rig.of(record.rig, leg)
-    law = law_of(likelihood.library, rig, measured=likelihood.measured, strict=False)
-    density = record.density_kg_m3 or law.density
-    number = likelihood.cohesion / (density * GRAVITY * rig.length)
-    return law, density / law.density * law(np.linspace(*law.bounds, 71), number)

@@ -20,6 +20,7 @@ from terraphi.experiment.files import atomic_write, open_netcdf, write_netcdf
 from terraphi.experiment.outputs import SIGNATURE
 from terraphi.experiment.tables import write_csv
 from terraphi.inference.pool import Anchor, Normal, Observed, pool
+from terraphi.inference.records import density_doubts
 from terraphi.inference.touchdowns import (
     FEWEST,
     MOST_FITTED,
@@ -438,7 +439,7 @@ def infer(
             for anchor, off in zip(anchors, pooled.surprise, strict=True) if off > CONTRADICTED
         ]  # fmt: skip
     sinkage = np.where(verdict == SHALLOW, found.gained, found.sinkage)
-    notes = [*contradicted, *notes]
+    notes = [*contradicted, *density_doubts(prior.density), *notes]
     # Inclination of the plane through places where feet met the ground.
     x, y, z = seen.place.T
     rise = np.linalg.lstsq(np.stack([x, y, np.ones_like(x)], axis=-1), z)[0][:2]

@@ -31,10 +31,8 @@ from terraphi.inference.checks import (
     LARGE_SHIFT_DEG,
     UNUSUAL,
     USUAL_DEG,
-    damp,
     guesses,
     in_air,
-    is_whole,
     others,
     residual,
     second_opinion,
@@ -44,17 +42,14 @@ from terraphi.inference.likelihood import (
     OF_RIG,
     UNKNOWN_DENSITY,
     Likelihood,
-    channels_of,
+    is_whole,
 )
 from terraphi.inference.pressed import invert_pressed
 from terraphi.inference.records import Record, open_records
 from terraphi.inference.sampling import Drawn, quadrature, sample
-from terraphi.laws.law import is_similar, model_error, rig_of
-from terraphi.laws.legs import Legs, law_named, shipped_legs
-from terraphi.laws.store import PHI, Library, nearest_library, shipped_library
+from terraphi.laws.legs import Legs, law_named, nearest_law, shipped_legs
+from terraphi.laws.store import PHI, Library
 
-DEFAULT = "sand3d"
-"""Library for measured forces on legs of the proportions of Li et al. (2013)."""
 MODEL = ("model: apparatus", "model: soil", "model: leg", "model: offset")
 """Terms of the error of the model on real soils."""
 BETTER_LEG = 0.9
@@ -75,6 +70,7 @@ def invert(
     rig: Any = None,
     tool: str | None = None,
     density: float | str | None = None,
+    grain_size_mm: float | None = None,
     columns: Any = None,
     law: Library | Legs | Path | str | None = None,
     noise: float | tuple[float, float] | None = None,
@@ -102,13 +98,15 @@ def invert(
     density
         Bulk density [kg/m³], as a number (± 5 %) or ``"1600±80"``; ``None``: from the forces' file,
         else the library's.
+    grain_size_mm
+        Mean diameter of the grains [mm], where they are not small compared with the leg: what
+        simulated grains of 4 to 9 mm raise φ by is taken off.
     columns
         Which columns of a table are what, as a mapping of the options of
         :func:`terraphi.read_forces`, or a TOML file of them; ``None``: guessed.
     law
-        Library, file or shipped name; ``None``: ``sand3d`` for measured forces on legs of the
-        proportions of Li et al. (2013), ``legs`` for others, and for simulated forces the library
-        whose scenario is nearest.
+        Library, file or shipped name; ``None``: ``legs``, and for forces that were simulated
+        otherwise the library whose scenario is nearest.
     noise
         Standard deviation of one reading [N], of both forces or of each; ``None``: from the
         readings' roughness.
@@ -139,19 +137,19 @@ def invert(
     from threadpoolctl import threadpool_limits
 
     if tool is not None:
-        others_given = (leg, rig, columns, noise, gain, calibration, simulated)
+        others_given = (leg, rig, grain_size_mm, columns, noise, gain, calibration, simulated)
         if any(one is not None for one in others_given):
             raise InputError(
-                "a tool excludes leg, rig, columns, noise, gain, calibration and simulated; leave "
-                "them out, or leave out the tool"
+                "a tool excludes leg, rig, grain_size_mm, columns, noise, gain, calibration and "
+                "simulated; leave them out, or leave out the tool"
             )
         return invert_pressed(forces, tool, density=density, law=law)
     began = time.perf_counter()
     # The matrices are small: threads would only wait for each other.
     with threadpool_limits(limits=1, user_api="blas"):
         records = _records(
-            forces, leg=leg, rig=rig, density=density, columns=columns, noise=noise, gain=gain,
-            simulated=simulated,
+            forces, leg=leg, rig=rig, density=density, grain_size_mm=grain_size_mm,
+            columns=columns, noise=noise, gain=gain, simulated=simulated,
         )  # fmt: skip
         found, reason = _law_for(records, law)
         if isinstance(calibration, str | Path):
@@ -184,6 +182,7 @@ def calibrate(
     leg: str | None = None,
     rig: Any = None,
     density: float | str | None = None,
+    grain_size_mm: float | None = None,
     columns: Any = None,
     noise: float | tuple[float, float] | None = None,
     gain: float | str | None = None,
@@ -196,7 +195,7 @@ def calibrate(
         As of :func:`invert`; the records of a list are of one soil.
     phi_deg, phi_sd_deg
         Friction angle in the library's convention and its standard deviation [deg].
-    law, leg, rig, density, columns, noise, gain
+    law, leg, rig, density, grain_size_mm, columns, noise, gain
         As of :func:`invert`.
 
     Raises
@@ -217,8 +216,9 @@ def calibrate(
         raise InputError(f"phi = {phi_deg:g} ± {phi_sd_deg:g}°; 0 to 90° are accepted")
     soils = []
     records = _records(
-        forces, leg=leg, rig=rig, density=density, columns=columns, noise=noise, gain=gain
-    )
+        forces, leg=leg, rig=rig, density=density, grain_size_mm=grain_size_mm, columns=columns,
+        noise=noise, gain=gain,
+    )  # fmt: skip
     found, _ = _law_for(records, law)
     for record in records:
         likelihood = Likelihood([record], found)
@@ -289,17 +289,13 @@ def _law_for(
     """The law to take, and why, if none was named."""
     if isinstance(law, Library | Legs):
         return law, ""
-    rigs = tuple(record.rig for record in records)
     if law is not None:
         return law_named(law), ""
     scenarios = [record.scenario for record in records]
     if all(scenario is not None for scenario in scenarios):
         assert scenarios[0] is not None
-        return nearest_library(scenarios[0]), "the nearest to the simulation"
-    default = shipped_library(DEFAULT)
-    if all(is_similar(rig, rig_of(default, rig.leg)) for rig in rigs):
-        return default, "the default for measured forces"
-    return shipped_legs(), "the law for legs of any proportions"
+        return nearest_law(scenarios[0]), "the nearest to the simulation"
+    return shipped_legs(), "the default for measured forces"
 
 
 def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Answer:
@@ -348,7 +344,6 @@ def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Ans
         # Leg, columns, sizes or units may be others than stated.
         *(others(likelihood, misfit=verdict != "consistent") if not air else ()),
         *far,
-        *damp(likelihood),
         *_about(likelihood, fits, parameters, verdict),
         # The angle or its interval rests on what was not measured.
         *([disagreement] if disagreement else []),
@@ -409,31 +404,19 @@ def _fits(
     points[:2] = np.clip(points[:2], likelihood.low, likelihood.high)
     curves = likelihood.curves(points)
     found = []
-    for record, law, part, whole, shift in zip(
-        likelihood.records, likelihood.laws, likelihood.parts, likelihood.strokes,
-        likelihood.shift_deg, strict=True,
-    ):  # fmt: skip
+    for record, part, whole, shift in zip(
+        likelihood.records, likelihood.parts, likelihood.strokes, likelihood.shift_deg, strict=True
+    ):
         low, high, curve = (one.reshape(len(record.channels), -1) for one in curves[:, part])
         span, error = whole.span, likelihood.errors[record.leg]
-        usual = error.mean_residual(
-            np.ptp(curve, axis=1) if whole.model is None else whole.model, record.theta_deg
-        )
-        if usual is not None:
-            arm = law.arm if law.arm is None else np.stack(
-                [np.interp(record.theta_deg, law.theta_deg + shift, row) for row in law.arm]
-            )  # fmt: skip
-            usual = channels_of(record, usual, arm)
         size = _nrmsd(record.data, curve, span)
         noise = record.noise_covariance.diagonal().reshape(size.size, -1).mean(axis=1) / span**2
-        expected = None if record.simulated or usual is None else curve + usual
-        if expected is not None and _nrmsd(record.data, expected, span).max() > size.max():
-            expected = None  # this soil does not differ as others do
         found.append(
             RecordFit(
                 source=record.source, rig=record.rig,
                 simulated=record.simulated, n_readings=len(record.history.position),
                 n_left_out=record.n_left_out, theta_deg=record.theta_deg, data=record.data,
-                curve=curve, expected=expected,
+                curve=curve,
                 band=np.stack([np.minimum(low, high), np.maximum(low, high)]),
                 nrmsd=dict(zip(record.channels, size.tolist(), strict=True)),
                 shift_deg=float(shift),
@@ -485,23 +468,20 @@ def _verdict(
         return "misfit", misfit, None
     if not likelihood.measured:
         return "consistent", "Consistent: noise and scatter explain the residual.", None
-    left_out = sorted({r.medium for r in likelihood.records
-                       if r.medium in model_error(likelihood.library, r.leg).without})  # fmt: skip
-    without = f" (learned without {left_out[0]})" if left_out else ""
     followed = " and ".join(f"{c} within {_percent(size)}" for c, size in worst_nrmsd(fits).items())
     return (
         "consistent",
-        f"Consistent: the model follows {followed} of the range, usual for sand{without}.",
+        f"Consistent: the model follows {followed} of the range, usual for sand.",
         None,
     )
 
 
 def _misfit_of_soil(likelihood: Likelihood, fits: Sequence[RecordFit]) -> str:
     """A sentence if a record differs from the model by more than real soils do."""
-    for fit, record, (_, span, _) in zip(fits, likelihood.records, likelihood.strokes, strict=True):
-        size = float(_nrmsd(fit.data, fit.best, span).max())
+    for fit, record, (_, span) in zip(fits, likelihood.records, likelihood.strokes, strict=True):
+        size = float(_nrmsd(fit.data, fit.curve, span).max())
         if fit.limit is not None and size > fit.limit:
-            apart = (fit.data - fit.best) / span[:, None]
+            apart = (fit.data - fit.curve) / span[:, None]
             i, j = np.unravel_index(np.abs(apart).argmax(), apart.shape)
             far = apart[i, j]
             shown = f"{100.0 * far:+.0f} % of" if abs(far) < 2.0 else f"{far:+.1f} times"
@@ -521,7 +501,8 @@ def _other_leg(likelihood: Likelihood) -> str:
     for record in likelihood.records:
         if not is_whole(record):
             continue
-        sizes = {leg: residual(record.data, record, likelihood, leg)
+        cohesion = likelihood.cohesion
+        sizes = {leg: residual(record.data, record, likelihood, leg, cohesion)
                  for leg in likelihood.library.legs}  # fmt: skip
         leg = min(sizes, key=lambda one: sizes[one])
         if sizes[leg] < BETTER_LEG * sizes[record.leg]:
@@ -559,7 +540,7 @@ def _edge(likelihood: Likelihood) -> Edge | None:
         )
     i = likelihood.keys.index(PHI)
     read = float(likelihood.least_squares[i])
-    offsets = [float(likelihood.offset(leg, np.array(read))) for leg in likelihood.errors]
+    offsets = [float(likelihood.offset(r, np.array(read))) for r in likelihood.records]
     if read < likelihood.low[i] - min(offsets):
         return "low"
     return "high" if read > likelihood.high[i] - max(offsets) else None

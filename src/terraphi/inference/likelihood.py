@@ -19,16 +19,16 @@ leg friction, hip height  a standard deviation of each, times how the curves cha
 density, gain             relative standard deviation of the density, and of the gain of the sensor,
                           times g
 model: apparatus, soil    what looks like another angle: b² and s² times (∂g/∂φ)(∂g/∂φ)'
-model: leg, offset        the same of each leg by itself, l²; and the error of its offset over φ,
-                          which includes that of the correction to small cells and a slow motion
-cohesion                  what the weight on a cohesion that is fitted as well takes from it
+model: leg, offset        the same of each leg by itself, l²; and the error of its offset over φ
+cohesion                  what the weight on a cohesion that is fitted as well takes from it; of a
+                          part of the stroke, which does not tell it from φ, a usual one
 missing angles            where a record has a part of the stroke (below)
 missing forces            where it has the moment about the hip in place of a force: the angles
                           read off both differ by that
 second opinion            where other physics gives an angle outside both intervals
 ========================  ==========================================================================
 
-Corrections and what follows are of measured records; particle scatter is of simulated ones.
+Particle scatter is of simulated records, what follows it of measured ones.
 
 **Estimate.** With S = ∂g/∂(x, δ) at the best point, A = diag(1/p²), p the peak-to-peak of each
 force, and c = (S'AS)⁻¹S'A, the parameters are those of least squares, and c (d − g(x)) is normal
@@ -36,7 +36,7 @@ with the variance V = Σ_t c C_t c': the sandwich (White 1980, Econometrica 48:8
 of a real soil varies with θ is unknown, and that of particle scatter is known from few simulations,
 so the terms neither move the estimate nor narrow it: in what c does not see a residual may be
 anything. A model error that is allowed to look like a change of φ would take its place
-(Brynjarsdottir & O'Hagan 2014, doi 10.1088/0266-5611/30/11/114007). Curves left out of `sand3d` in
+(Brynjarsdottir & O'Hagan 2014, doi 10.1088/0266-5611/30/11/114007). Curves left out of a library in
 turn are read with errors as large as stated so, and up to 1.7 times larger if scatter is taken at
 its word (generalised least squares). Several records give the angle of their common least squares,
 between those of each; with their shared errors as weights it could lie outside (Peelle's puzzle). A
@@ -73,8 +73,8 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import FORCES, OBSERVATION_ANGLES, WINDOW_DEG, ForceHistory
-from terraphi.experiment.rig import Rig
-from terraphi.experiment.scenario import GRAVITY
+from terraphi.experiment.rig import LI2013, Rig
+from terraphi.experiment.scenario import GRAVITY, Scenario
 from terraphi.inference.calibration import Calibration
 from terraphi.inference.estimator import Best, least_squares, weights
 from terraphi.inference.records import Record
@@ -85,9 +85,8 @@ from terraphi.laws.law import (
     ModelError,
     leg_law,
     library_of_theory,
-    model_error,
 )
-from terraphi.laws.legs import Legs
+from terraphi.laws.legs import Legs, cells_in
 from terraphi.laws.store import PHI, Library, shipped_library
 
 SHIFT_DEG = 15.0
@@ -109,10 +108,25 @@ OF_RIG = ("leg friction", "hip height", "gain")
 """Causes that stay as they are in an apparatus."""
 
 
+LONG, UNKNOWN_COHESION = 0.65, 0.015
+"""Share of a stroke's windows from which on a cohesion is told from φ [-], and the standard
+deviation of c / (ρ g L) in other records [-]: shipped media have 0 to 0.018 by whole strokes;
+chosen."""
+WHOLE = 0.9
+"""Share of a stroke's windows with which its shape can be compared with those of whole ones [-]."""
 PART_DEG = 1.4
 """Standard deviation of the shift of φ at h = ½ [deg]."""
 MOMENT_DEG = 0.9
 """Standard deviation of φ by a moment less that by both forces [deg]."""
+
+
+def is_whole(record: Record) -> bool:
+    """Whether the shape of a record can be compared with those of whole strokes.
+
+    The moment alone has nearly the same shape on all legs.
+    """
+    forces = record.channels == FORCES
+    return forces and record.theta_deg.size >= WHOLE * OBSERVATION_ANGLES
 
 
 class Part(NamedTuple):
@@ -122,8 +136,6 @@ class Part(NamedTuple):
     """Share h of the information on φ [-]."""
     span: FloatArray
     """Peak-to-peak of each channel over a whole stroke, by the record or the model, shape [c]."""
-    model: FloatArray | None = None
-    """That of Fx and Fz by the model [N], shape [2]; ``None`` of a record that is whole."""
 
 
 def channels_of(record: Record, force: FloatArray, arm: FloatArray | None) -> FloatArray:
@@ -141,15 +153,15 @@ def channels_of(record: Record, force: FloatArray, arm: FloatArray | None) -> Fl
     return np.stack([rows[name] for name in record.channels], axis=-2)
 
 
-def law_of(library: Library | Legs, rig: Rig, *, measured: bool, strict: bool = True) -> LegLaw:
-    """The law of a rig; errors as of :func:`~terraphi.laws.law.leg_law`."""
+def law_of(
+    library: Library | Legs, rig: Rig, scenario: Scenario | None, *, strict: bool = True
+) -> LegLaw:
+    """The law of a rig, of a simulation in its cells; errors as of `~terraphi.laws.law.leg_law`."""
     if isinstance(library, Legs):
-        if not measured:
-            raise InputError(f"law {library.name} is for measured forces; take another library")
-        return library.law(rig)
-    if (measured or strict) and library is shipped_library(THEORY):
+        return library.law(rig, cells_in(scenario, rig))
+    if (scenario is None or strict) and library is shipped_library(THEORY):
         library = library_of_theory(rig)
-    return leg_law(library, rig, corrected=measured, strict=strict)
+    return leg_law(library, rig, strict=strict)
 
 
 def window_means(record: Record, force: FloatArray, law: LegLaw, shift_deg: float) -> FloatArray:
@@ -226,9 +238,9 @@ class Likelihood:
         self.span = np.concatenate([np.repeat(r.span, r.theta_deg.size) for r in records])
         # The record of each window mean.
         self._of = np.repeat(np.arange(len(records)), [r.data.size for r in records])
-        media = sorted({record.medium for record in records if record.medium})
         self.errors: dict[str, ModelError] = {
-            r.leg: model_error(library, r.leg, media) for r in records
+            r.leg: library.error_of(r.leg) if isinstance(library, Legs) else ModelError()
+            for r in records
         }
         # c / (ρ g L) of each record for a cohesion of 1 Pa.
         lengths = np.array([record.rig.length for record in records])
@@ -252,7 +264,7 @@ class Likelihood:
         """The law of a record's rig; raises InputError if it does not cover the record."""
         try:
             strict = record.scenario is None
-            law = law_of(library, record.rig, measured=self.measured, strict=strict)
+            law = law_of(library, record.rig, record.scenario, strict=strict)
         except InputError as error:
             raise InputError(f"{record.source}: {error}") from None
         theta, known = record.theta_deg, law.theta_deg
@@ -266,13 +278,18 @@ class Likelihood:
 
     # -- curves ----------------------------------------------------------------------------------
 
-    def offset(self, leg: str, phi_deg: FloatArray) -> FloatArray:
+    def offset(self, record: Record, phi_deg: FloatArray) -> FloatArray:
         """Mean of the angle read off measured forces less the soil's [deg]."""
         if not self.measured:
             return np.zeros_like(phi_deg)
-        error = self.errors[leg]
+        leg, error = record.leg, self.errors[record.leg]
         common = self.calibration.common(error, leg, phi_deg)[0] if self.calibration else 0.0
-        return np.asarray(error.offset_at(phi_deg + common) + common)
+        return np.asarray(error.offset_deg + self.of_size_deg(record) + common)
+
+    def of_size_deg(self, record: Record) -> float:
+        """What the size of the grains adds to the angle read off measured forces [deg]."""
+        grains = record.grain_size_mm * LI2013["width_mm"] / record.rig.width_mm
+        return self.errors[record.leg].of_size_deg * grains if self.measured else 0.0
 
     def curves(self, x: FloatArray, nuisance: FloatArray | None = None) -> FloatArray:
         """Window means g(x) [N] at the best δ and c, or others, [k, key] -> [k, n]."""
@@ -290,18 +307,19 @@ class Likelihood:
 
         The cohesion of the soil is in pascals.
         """
-        forces: dict[tuple[Rig, float], FloatArray] = {}
-        keys = [(r.rig, n * cohesion) for r, n in zip(self.records, self._per_pascal, strict=True)]
+        forces: dict[tuple[Rig, float, float], FloatArray] = {}
+        pairs = zip(self.records, self._per_pascal, strict=True)
+        keys = [(r.rig, r.grain_size_mm, n * cohesion) for r, n in pairs]
         for record, law, key in zip(self.records, self.laws, keys, strict=True):
             if key not in forces:
-                forces[key] = law(self._read(record.leg, x), key[1])
+                forces[key] = law(self._read(record, x), key[-1])
         return [ratio * forces[key] for key, ratio in zip(keys, self._ratio, strict=True)]
 
-    def _read(self, leg: str, x: FloatArray) -> FloatArray:
+    def _read(self, record: Record, x: FloatArray) -> FloatArray:
         """Parameters with the angle that the law reads off a leg's measured forces, [..., key]."""
         x = x.copy()
         if self._phi is not None:
-            x[..., self._phi] += self.offset(leg, x[..., self._phi])
+            x[..., self._phi] += self.offset(record, x[..., self._phi])
         return x
 
     def slope(self, x: FloatArray, nuisance: FloatArray | None = None) -> FloatArray:
@@ -327,11 +345,18 @@ class Likelihood:
 
     @property
     def _bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Least and largest δ [deg] and c [Pa]: of simulated records, nothing but 0."""
+        """Least and largest δ [deg] and c [Pa]: of simulated records, nothing but 0.
+
+        Parts of a stroke do not tell c from φ, and are read as of dry soil.
+        """
         shift = np.full(len(self.records), SHIFT_DEG if self.measured else 0.0)
-        most = [law.most_cohesion / number for law, number in zip(self.laws, self._per_pascal,
-                                                                  strict=True)]  # fmt: skip
-        return np.append(-shift, 0.0), np.append(shift, min(most) if self.measured else 0.0)
+        pairs = zip(self.laws, self._per_pascal, strict=True)
+        most = min(law.most_cohesion / number for law, number in pairs)
+        known = self.measured and any(
+            r.channels == FORCES and r.theta_deg.size >= LONG * OBSERVATION_ANGLES
+            for r in self.records
+        )
+        return np.append(-shift, 0.0), np.append(shift, most if known else 0.0)
 
     # -- best point ------------------------------------------------------------------------------
 
@@ -380,21 +405,15 @@ class Likelihood:
         x[:, self._phi or 0] += [-1.0, 0.0, 1.0]
         force = self._forces(x, self.cohesion)[i]
 
-        def of_model(axes: tuple[str, ...]) -> tuple[Record, FloatArray]:
-            """A record of the whole stroke, and its means 1° below, at and above φ, [3, c, m]."""
-            still = ForceHistory(
-                theta, np.zeros((theta.size, len(axes))), axes=axes, moment=0 * theta
-            )
-            whole = replace(record, history=still)
-            means = window_means(whole, force, self.laws[i], self.shift_deg[i])
-            return whole, means.reshape(3, len(whole.channels), -1)
-
-        whole, (below, curve, above) = of_model(record.history.axes)
-        model = np.ptp(curve if forces else of_model(("x", "z"))[1][1], axis=1)
+        axes = record.history.axes
+        still = ForceHistory(theta, np.zeros((theta.size, len(axes))), axes=axes, moment=0 * theta)
+        whole = replace(record, history=still)
+        means = window_means(whole, force, self.laws[i], self.shift_deg[i])
+        below, curve, above = means.reshape(3, len(whole.channels), -1)
         span = record.span if every else np.maximum(record.span, np.ptp(curve, axis=1))
         has = np.isin(whole.theta_deg.round(6), record.theta_deg.round(6))
         information = np.square((above - below) / span[:, None])
-        return Part(float(information[:, has].sum() / information.sum()), span, model)
+        return Part(float(information[:, has].sum() / information.sum()), span)
 
     @cached_property
     def _best(self) -> Best:
@@ -469,7 +488,7 @@ class Likelihood:
         curve, slope = self.curves(x[None])[0], self.slope(x)
         found = {"noise": self._blocks([r.noise_covariance for r in self.records])}
         found["noise"] += np.diag(np.square(RIDGE * self.span))
-        at = [self._read(record.leg, x) for record in self.records]
+        at = [self._read(record, x) for record in self.records]
         laws = list(zip(self.laws, at, strict=True))
         numbers = (self.cohesion * self._per_pascal).tolist()
         found["emulator"] = self._shared_by_leg(
@@ -491,6 +510,10 @@ class Likelihood:
                 for law, each, calibrated in zip(self.laws, modes, known, strict=True)
             ]
             found[cause] = self._shared_by_leg(factors)
+        if not self._bounds[1][-1] and any(law.most_cohesion for law in self.laws):
+            c = UNKNOWN_COHESION / float(self._per_pascal.max())
+            moist = self.curves(x[None], np.append(self.nuisance[:-1], c))[0]
+            found["cohesion"] = _square(moist - curve)
         if self.cohesion:
             # What the weight on c takes from it looks like another angle: c itself at most.
             found["cohesion"] = _square(self.cohesion * self._best.slope[0, :, -1])

@@ -15,8 +15,8 @@ from terraphi.inference import COLUMNS
 from terraphi.inference.answer import Answer
 from terraphi.inference.inversion import invert_many
 
-OPTIONS = ("leg", "rig", *SIZES, "leg_friction", "density", "columns", "law", "noise", "gain",
-           "calibration")  # fmt: skip
+OPTIONS = ("leg", "rig", *SIZES, "leg_friction", "density", "grain_size_mm", "columns", "law",
+           "noise", "gain", "calibration")  # fmt: skip
 """Columns that are options of ``invert``, besides ``file``."""
 LEAST_ROWS = 8
 """Records from which several processes are worth their start."""
@@ -63,13 +63,13 @@ def _row(folder: Path, cells: dict[str, str]) -> dict[str, Any]:
         return str(folder / text) if (folder / text).is_file() else text
 
     given: dict[str, Any] = {key: placed(cells[key]) for key in OPTIONS if cells.get(key)}
-    for key in {"density", "noise", "gain", "leg_friction", *SIZES} & given.keys():
+    for key in {"density", "grain_size_mm", "noise", "gain", "leg_friction", *SIZES} & given.keys():
         given[key] = given[key].replace(",", ".")  # as in 638,5
-    if "noise" in given:
+    for key in {"noise", "grain_size_mm"} & given.keys():
         try:
-            given["noise"] = float(given["noise"])
+            given[key] = float(given[key])
         except ValueError:
-            raise InputError(f"{cells['file']}: noise = {given['noise']!r} is no number") from None
+            raise InputError(f"{cells['file']}: {key} = {given[key]!r} is no number") from None
     notes = {key: cell for key, cell in cells.items() if key not in ("file", *OPTIONS)}
     return {"forces": placed(cells["file"]), **given, "notes": notes}
 

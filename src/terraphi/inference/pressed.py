@@ -22,7 +22,7 @@ from terraphi.experiment.tool import Tool
 from terraphi.inference.answer import Answer, Edge, Estimate, RecordFit, Verdict
 from terraphi.inference.estimator import least_squares, weights
 from terraphi.inference.likelihood import UNKNOWN_DENSITY
-from terraphi.inference.records import density_with_sd, roughness
+from terraphi.inference.records import density_doubts, density_with_sd, roughness
 from terraphi.laws.foot import LAWS, Foot
 from terraphi.laws.store import PHI
 
@@ -43,6 +43,10 @@ CONTRACTIONS, PRIOR, EXPONENTS = np.linspace(0.0, 0.98, 15), 0.25, np.array([1.3
 """Nodes of A, the mean of its prior, and nodes of b [-]."""
 SIGNIFICANT = 0.3
 """A from which an answer names it, with a chance below 5 % that it is a tenth of this [-]."""
+COMPACTING_DEG, MOSTLY = 5.0, 0.4
+"""Standard deviation of φ of soil that compacts [deg], and the A from which it is all of that: six
+plates on the loosest Cullinan sand (A from 0.28 to 0.96) read 8 to 0° less than its triaxial tests,
+root mean square 5° (``studies/sheared_sands.py``). No other sand is known."""
 APART, BOUND = 3.0, 0.8
 """Difference of φ between both halves of the depth over its standard deviation, and A, above which
 a record is a misfit [-]: chosen. Measured plates of 60 and 100 mm on sand with an angle of repose
@@ -119,7 +123,9 @@ def invert_pressed(
         curve(best.x[top : top + 1], mu=FRICTION + s * 0.1)[0] for s in (1, -1)
     )) / 0.2  # fmt: skip
     deep = DEEP_SD * np.maximum(z / radius - DEEP, 0.0) * model
+    contraction = float(chance @ nodes[:, 0])
     budget = {
+        "model: compaction": COMPACTING_DEG * min(contraction / MOSTLY, 1.0),
         "model: law": LAWS[name].sd_deg,
         "model: course": math.sqrt(float(row @ course @ row)),
         "density": abs(float(row @ model)) * rho_sd / rho,
@@ -168,7 +174,6 @@ def invert_pressed(
             f"Misfit: the upper half of the depth gives φ = {shallow:.0f}°, the lower half "
             f"{deeper:.0f}°; check tool, surface and layers. Do not use the angle."
         )
-    contraction = float(chance @ nodes[:, 0])
     if verdict == "consistent" and contraction > BOUND:
         verdict = "misfit"
         reason = (
@@ -185,7 +190,7 @@ def invert_pressed(
     ends = curve(np.stack([np.clip(estimate.ci95, low, high), best.x[[top, top], 1]], -1))
     fit = RecordFit(
         source=label, rig=tool, simulated=False, n_readings=table.force.size, n_left_out=0,
-        theta_deg=1e3 * z, data=force[None], curve=model[None], expected=None,
+        theta_deg=1e3 * z, data=force[None], curve=model[None],
         band=(borne[top] * ends)[:, None], nrmsd={"Fz": size}, limit=LIMIT,
     )  # fmt: skip
     return Answer(
@@ -193,7 +198,7 @@ def invert_pressed(
         phi_plane_strain_reason="", verdict=verdict, reason=reason, edge=edge, budget_deg=budget,
         density_kg_m3=rho, density_sd_kg_m3=rho_sd, density_assumed=density is None, law=name,
         law_reason="" if law else "the default for tools", second_opinion=None,
-        questions=tuple(notes), records=(fit,), grid_deg=grid, density=posterior,
+        questions=(*density_doubts(rho), *notes), records=(fit,), grid_deg=grid, density=posterior,
         leg_friction=FRICTION,
         provenance={
             "terraphi": importlib.metadata.version("terraphi"), "contraction": contraction,

@@ -45,6 +45,12 @@ MOST_READINGS = 4000
 """Readings above which a record is averaged in bins of 0.05°, or wider."""
 DENSITY_SD = 0.05
 """Relative standard deviation of a density that comes without one: chosen."""
+USUAL_DENSITY = (1250.0, 2100.0)
+"""Bulk density of dry mineral soils [kg/m³]: loose uniform sand has 1480, glacial till 2100 (Das,
+*Principles of Geotechnical Engineering*, table of typical dry unit weights); loose beds of angular
+sand a tenth less and more."""
+LARGEST_GRAIN = 0.4
+"""Largest diameter of grains over the width of a leg [-]: of those that were simulated 0.35."""
 GAIN_SD = 0.02
 """Standard deviation of a sensor's gain of which nothing is said [-]: chosen."""
 
@@ -78,6 +84,8 @@ class Record:
         Standard deviation of a reading of each channel [N], of a moment [N m].
     resolution
         Step that the readings of each channel are rounded to [N], of a moment [N m]; 0 if fine.
+    grain_size_mm
+        Mean diameter of the grains [mm]; 0 of sand.
     gain, gain_sd
         What the forces were divided by, and its relative standard deviation [-].
     """
@@ -98,6 +106,7 @@ class Record:
     resolution: tuple[float, ...] = (0.0, 0.0)
     gain: float = 1.0
     gain_sd: float = 0.0
+    grain_size_mm: float = 0.0
 
     @property
     def leg(self) -> RotatingShape:
@@ -291,6 +300,7 @@ def record_of(
     density: float | str | None = None,
     noise: float | tuple[float, float] | None = None,
     gain: float | str | None = None,
+    grain_size_mm: float | None = None,
     simulated: bool | None = None,
 ) -> Record:
     """The record of a measurement.
@@ -311,6 +321,8 @@ def record_of(
         roughness. That of a moment always is.
     gain
         What the sensor reads over the true force [-], as ``"1.05±0.01"``; ``None``: 1 ± 2 %.
+    grain_size_mm
+        Mean diameter of the grains [mm]; ``None``: small compared with the leg.
     simulated
         Whether the forces are a simulation's; ``None``: from their file.
 
@@ -339,6 +351,13 @@ def record_of(
         raise InputError(f"{known.name}: a simulation knows its rig; leave out the sizes")
     if made_by is not None and gain is not None:
         raise InputError(f"{known.name}: a simulation has no sensor; leave out the gain")
+    rig = Rig.of(source, leg)
+    grains = 0.0 if grain_size_mm is None else grain_size_mm
+    if not 0.0 <= grains <= LARGEST_GRAIN * rig.width_mm:
+        raise InputError(
+            f"{known.name}: grain_size_mm = {grains:g}; 0 to {LARGEST_GRAIN * rig.width_mm:.3g} mm "
+            "are accepted on a leg of this width"
+        )
     factor, gain_sd = _gain(gain, known.name)
     if factor != 1.0:
         history = history.scaled(1.0 / factor)
@@ -364,7 +383,7 @@ def record_of(
     return Record(
         source=known.name,
         history=history,
-        rig=Rig.of(source, leg),
+        rig=rig,
         density_kg_m3=mean,
         density_sd_kg_m3=sd,
         density_assumed=known.density_assumed and density is None,
@@ -376,7 +395,20 @@ def record_of(
         resolution=tuple(steps.tolist()),
         gain=factor,
         gain_sd=gain_sd,
+        grain_size_mm=grains,
     )
+
+
+def density_doubts(density: float) -> list[str]:
+    """A sentence if no dry soil is likely to have a bulk density [kg/m³]."""
+    least, most = USUAL_DENSITY
+    if least <= density <= most:
+        return []
+    sentence = (
+        f"The density {density:g} kg/m³ is unusual: dry sand and gravel have {least:g} to "
+        f"{most:g} kg/m³. Half or twice of it moves φ by 6 to 9°."
+    )
+    return [sentence]
 
 
 def density_with_sd(density: float | str, name: str) -> tuple[float, float]:

@@ -12,7 +12,6 @@ import shutil
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, as_completed
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -101,15 +100,6 @@ def build(
         cases = [Case(s, finished.get(s.hash), failures.get(s.hash, "")) for s in wanted]
         known = {"plan": plan.model_dump(mode="json"), **software(plan.scenario)}
         library = Library(plan.name, tuple(cases), plan.description, plan.caveat, provenance=known)
-        if path.exists():
-            old = Library.load(path)
-            if [c.scenario.hash for c in old.cases] == [scenario.hash for scenario in wanted]:
-                library = replace(
-                    library,
-                    replicates=old.replicates,
-                    corrections=old.corrections,
-                    model_error=old.model_error,
-                )
         library.save(path)
         shutil.rmtree(folder)
     return library

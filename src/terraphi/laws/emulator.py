@@ -186,9 +186,9 @@ class Emulator:
 
 
 @functools.lru_cache(maxsize=16)
-def emulator_of(library: Library, leg: str, *, corrected: bool) -> Emulator:
+def emulator_of(library: Library, leg: str) -> Emulator:
     """Emulator of one leg of a library, kept for the next record; see `Library.curves`."""
-    return Emulator(library.curves(leg, corrected=corrected))
+    return Emulator(library.curves(leg))
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ and the soil, and gives the force; :class:`FootLaw` is that interface. Three kin
 different evidence, so that their difference shows how much the choice matters:
 
 ``foot``
-    Simulated: the material point method in three dimensions, with the soil of library ``sand3d``
+    Simulated: the material point method in three dimensions, with the soil of preset ``sand3d``
     (φ of plane strain, no dilation), over the angle, the friction and the direction. Forces are
     proportional to ρ g R³ and were extrapolated in cells, particles and stiffness. φ is 2° above
     the simulated one, so that feet in loose grains of measured φ agree (``studies/foot.py``).

@@ -9,27 +9,20 @@ from __future__ import annotations
 import functools
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
-from typing import Any, Protocol
 
 import numpy as np
 from pydantic import Field
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.documents import Strict, strictly
+from terraphi.experiment.documents import Strict
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
-from terraphi.experiment.rig import (
-    HIP_HEIGHT_SD_MM,
-    LEG_FRICTION,
-    LEG_FRICTION_SD,
-    LI2013,
-    Rig,
-)
+from terraphi.experiment.rig import LEG_FRICTION, Rig
 from terraphi.forward.rft import leg_force, stress_scale
 from terraphi.laws.emulator import Emulator, emulator_of
-from terraphi.laws.store import PHI, Case, Correction, Library, shipped_library
+from terraphi.laws.store import PHI, Case, Library, shipped_library
 
 THEORY = "rft3d"
 """Library of resistive force theory in three dimensions, which needs no simulations."""
@@ -49,9 +42,9 @@ class ModelError(Strict):
     """How real soils differ from the law of one leg."""
 
     offset_deg: float = 0.0
-    """Mean of φ_read − ψ at ψ = CENTRE_DEG [deg]."""
-    slope: float = Field(0.0, gt=-0.9)
-    """Change of that per degree of ψ [-]."""
+    """Mean of φ_read − ψ [deg]."""
+    of_size_deg: float = 0.0
+    """What it grows by for each mm of grain diameter, on a leg as wide as Li's [deg]."""
     common_sd_deg: float = Field(3.0, ge=0)
     """Standard deviation of b, common to all soils of one apparatus [deg]."""
     soil_sd_deg: float = Field(4.0, ge=0)
@@ -59,75 +52,27 @@ class ModelError(Strict):
     leg_sd_deg: float = Field(2.0, ge=0)
     """Standard deviation of l, between legs in one soil [deg]."""
     covariance: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0))
-    """Of the errors of offset_deg [deg] and slope [-]."""
+    """Of the errors of offset_deg at CENTRE_DEG [deg] and of its slope over φ [-]."""
     phi_deg: tuple[float, float] | None = None
     """Smallest and largest angle of the soils that the offset was learned from [deg]."""
     shift_deg: float = 0.0
     """Mean shift of the leg angle of training records [deg]."""
-    strength: float = 0.0
-    """Mean of ln of the factor on the curves with which a record fits best [-]."""
-    strength_sd: float = Field(0.0, ge=0)
-    """Its standard deviation between soils; 0 if it is not known."""
     cohesion_weight: float = Field(0.01, ge=0)
     """Weight of (c / (ρ g L))² in the mean squared residual, where the law knows cohesion [-]."""
     nrmsd_limit: float = Field(0.25, gt=0)
     """Residual above which a record is a misfit [-]."""
-    theta_deg: tuple[float, ...] = ()
-    """Leg angles of the mean residual [deg]."""
-    residual: tuple[tuple[float, ...], ...] = ()
-    """Mean residual of Fx and Fz in real soils, over the model's peak-to-peak [-], [2, theta]."""
     training: tuple[str, ...] = ()
     """Records that this was learned from."""
-    without: dict[str, ModelError] = Field(default_factory=dict)
-    """The same learned without a medium that is shipped, such as ``li2013:yuma``."""
-
-    def offset_at(self, phi_deg: FloatArray | float) -> FloatArray | float:
-        """Mean of φ_read − ψ at angles ψ [deg]."""
-        return self.offset_deg + self.slope * (phi_deg - CENTRE_DEG)
 
     def offset_covariance(self, one: FloatArray, other: FloatArray) -> FloatArray:
         """Covariance of the offset's error between angles ψ, as angles of the soil [deg²]."""
         first, second = (np.stack([np.ones_like(x), x - CENTRE_DEG], -1) for x in (one, other))
-        return np.asarray(first @ np.array(self.covariance) @ second.T) / (1.0 + self.slope) ** 2
+        return np.asarray(first @ np.array(self.covariance) @ second.T)
 
     def offset_sd_at(self, phi_deg: float) -> float:
         """Standard deviation of the offset at an angle ψ, as an angle of the soil [deg]."""
         at = np.array([phi_deg])
         return math.sqrt(max(float(self.offset_covariance(at, at)[0, 0]), 0.0))
-
-    def mean_residual(self, spans: FloatArray, theta_deg: FloatArray) -> FloatArray | None:
-        """Expected residual of a record [N], [2, m], from the model's peak-to-peak [N], [2]."""
-        if not self.residual:
-            return None
-        rows = [np.interp(theta_deg, self.theta_deg, row) for row in self.residual]
-        return np.asarray(spans[:, None] * np.array(rows))
-
-
-class HasModelError(Protocol):
-    """A library, or a law over ratios."""
-
-    @property
-    def name(self) -> str:
-        """Its name."""
-
-    @property
-    def model_error(self) -> Mapping[str, Any]:
-        """By leg, JSON-able."""
-
-
-def model_error(library: HasModelError, leg: str, media: Iterable[str] = ()) -> ModelError:
-    """Model error of a leg; wide defaults if the library has none.
-
-    Parameters
-    ----------
-    library, leg
-        Where, and of which leg.
-    media
-        Shipped media that it must not be learned from; the first of them counts.
-    """
-    where = f"library {library.name}, model_error.{leg}"
-    error = strictly(library.model_error.get(leg, {}), ModelError, where)
-    return next((error.without[medium] for medium in media if medium in error.without), error)
 
 
 class LegLaw(ABC):
@@ -186,46 +131,18 @@ class LegLaw(ABC):
 
 
 class LibraryLaw(LegLaw):
-    """The law of a library for a rig of its proportions.
+    """The law of a library for a rig of its proportions, longer by a factor [-]."""
 
-    Parameters
-    ----------
-    emulator
-        Forces on the simulated leg.
-    longer
-        Length of the rig's leg over that of the simulated one [-].
-    correction
-        What is uncertain of smaller cells and of the rig; ``None`` if unknown.
-    rig
-        The apparatus, with the uncertainties of its height and friction.
-    """
-
-    def __init__(
-        self, emulator: Emulator, longer: float, correction: Correction | None, rig: Rig
-    ) -> None:
+    def __init__(self, emulator: Emulator, longer: float) -> None:
         curves = emulator.curves
-        self.emulator, self.correction, self._scale = emulator, correction, longer**3
-        # Over what the correction's modes are of.
-        height = HIP_HEIGHT_SD_MM / LI2013["length_mm"]
-        self._sd = {
-            "hip height": rig.hip_height_sd_mm / rig.length_mm / height,
-            "leg friction": rig.leg_friction_sd / LEG_FRICTION_SD,
-        }
-        self._rougher = (rig.leg_friction - LEG_FRICTION) / LEG_FRICTION_SD
+        self.emulator, self._scale = emulator, longer**3
         self.keys, self.bounds, self.theta_deg = curves.keys, emulator.bounds, curves.theta_deg
         self.density = curves.scenario.soil.density
         self.arm = None if curves.arm is None else longer * curves.arm
-        if correction is not None:
-            self._places = np.searchsorted(correction.theta_deg, self.theta_deg)
 
     def within(self, x: FloatArray, _cohesion: float) -> FloatArray:
-        """Forces within the bounds, with the leg's friction to first order."""
-        force = self.emulator(x)
-        if self._rougher and self.correction is not None:
-            i, at = self.keys.index(PHI), self._places
-            modes = [self.correction.modes_at(phi)["leg friction"] for phi in x[:, i].tolist()]
-            force = force + self._rougher * np.stack(modes)[:, 0, :, at].transpose(1, 2, 0)
-        return self._scale * force
+        """Forces within the bounds."""
+        return self._scale * self.emulator(x)
 
     def interpolation(self, x: FloatArray, _cohesion: float) -> FloatArray:
         """Factor of the emulator's covariance."""
@@ -235,18 +152,9 @@ class LibraryLaw(LegLaw):
         """Covariance of the emulator's scatter."""
         return self._scale**2 * self.emulator.scatter(np.clip(x, *self.bounds))
 
-    def modes(self, x: FloatArray, _cohesion: float) -> dict[str, FloatArray]:
-        """What the correction leaves uncertain."""
-        if self.correction is None or PHI not in self.keys:
-            return {}
-        i = self.keys.index(PHI)
-        modes = self.correction.modes_at(float(np.clip(x, *self.bounds)[i]))
-        return {
-            cause: self._scale
-            * self._sd.get(cause, 1.0)
-            * mode[:, :, self._places].reshape(len(mode), -1).T
-            for cause, mode in modes.items()
-        }
+    def modes(self, _x: FloatArray, _cohesion: float) -> dict[str, FloatArray]:
+        """None: the library has one rig."""
+        return {}
 
 
 def is_similar(rig: Rig, leg: Rig | None, varied: Iterable[str] = ()) -> bool:
@@ -280,7 +188,7 @@ def check_friction(rig: Rig) -> None:
         )
 
 
-def leg_law(library: Library, rig: Rig, *, corrected: bool, strict: bool = True) -> LegLaw:
+def leg_law(library: Library, rig: Rig, *, strict: bool = True) -> LegLaw:
     """The law of a rig by a library of legs.
 
     Parameters
@@ -289,8 +197,6 @@ def leg_law(library: Library, rig: Rig, *, corrected: bool, strict: bool = True)
         Has the rig's leg.
     rig
         The apparatus.
-    corrected
-        Whether to add the correction for cells and speed-up, if there is one.
     strict
         Whether the rig must have the proportions of the library's leg.
 
@@ -299,22 +205,14 @@ def leg_law(library: Library, rig: Rig, *, corrected: bool, strict: bool = True)
     InputError
         If the library lacks the leg, or its leg has other proportions.
     """
-    emulator = emulator_of(library, rig.leg, corrected=corrected)
+    emulator = emulator_of(library, rig.leg)
     simulated = Rig.of_scenario(emulator.curves.scenario)
     if strict and not is_similar(rig, simulated, emulator.curves.keys):
         raise InputError(
             f"library {library.name} is of a {simulated}, and this leg has other proportions; "
             f"{remedy(rig)}"
         )
-    correction = library.corrections.get(rig.leg) if corrected else None
-    if correction is not None:
-        check_friction(rig)
-    return LibraryLaw(
-        emulator,
-        1.0 if simulated is None else rig.length / simulated.length,
-        correction,
-        rig,
-    )
+    return LibraryLaw(emulator, 1.0 if simulated is None else rig.length / simulated.length)
 
 
 def rig_of(library: Library, leg: str) -> Rig | None:

@@ -24,17 +24,17 @@ import functools
 import hashlib
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field, Json
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.documents import shipped_file
+from terraphi.experiment.documents import shipped_file, strictly
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import open_netcdf, write_netcdf
 from terraphi.experiment.rig import (
@@ -50,10 +50,20 @@ from terraphi.experiment.rig import (
 )
 from terraphi.experiment.scenario import GRAVITY, Scenario
 from terraphi.laws.emulator import Process, fitted
-from terraphi.laws.law import LegLaw, check_friction, library_of_theory, remedy, rig_of
-from terraphi.laws.store import PHI, THETA_DEG, Library, shipped_library
+from terraphi.laws.law import (
+    LegLaw,
+    ModelError,
+    check_friction,
+    is_similar,
+    library_of_theory,
+    remedy,
+    rig_of,
+)
+from terraphi.laws.store import PHI, THETA_DEG, Library, nearest_library, shipped_library
 
 NAME, SCHEMA = "legs", 2
+FORMER_NAME = "sand3d"
+"""Name of an earlier law, of the rig of Li et al. (2013) alone, which this one answers to."""
 DENSITY = 1650.0
 """Bulk density of the simulated soil [kg/m³]; forces are in proportion to it."""
 AXES = ("phi_deg", "mu", "width", "hip_height", "thickness", "cohesion", "cells", "curvature")
@@ -120,6 +130,10 @@ class Legs:
         By shape of leg, as of :class:`~terraphi.laws.store.Library`.
     provenance
         Versions and cases.
+    name, caveat
+        Of the library of one's own that was joined to it.
+    own
+        Rigs of that library, a rig for each of its cases, which are the last.
     """
 
     x: FloatArray
@@ -129,8 +143,14 @@ class Legs:
     error_scale: float = 1.0
     model_error: dict[str, Any] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)
-    name: ClassVar[str] = NAME
-    caveat: ClassVar[str] = ""
+    name: str = NAME
+    caveat: str = ""
+    own: tuple[Rig, ...] = ()
+
+    @property
+    def _design(self) -> slice:
+        """The cases that scales and components are of."""
+        return slice(len(self.x) - len(self.own))
 
     # -- the processes ---------------------------------------------------------------------------
 
@@ -145,13 +165,13 @@ class Legs:
     @cached_property
     def _scale(self) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviation of the coordinates of the cases, shape [axis] each."""
-        t = self._coordinates(self.x, self.depth)
+        t = self._coordinates(self.x, self.depth)[self._design]
         return t.mean(axis=0), np.maximum(t.std(axis=0), 1e-9)
 
     def _standard(self, x: FloatArray, depth: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Standardized coordinates [k, axis], and polynomials of the mean [k, q]."""
         t = (self._coordinates(x, depth) - self._scale[0]) / self._scale[1]
-        varied = np.ptp(self.x, axis=0) > 0.0
+        varied = np.ptp(self.x[self._design], axis=0) > 0.0
         return t, np.hstack([np.ones((len(t), 1)), t[:, varied], t[:, :1] ** 2])
 
     @cached_property
@@ -160,8 +180,9 @@ class Legs:
         flat = self.force.reshape(len(self.x), -1)
         size = np.sqrt(np.square(flat).mean(axis=1))
         z = flat / size[:, None]
-        u = np.linalg.svd(z - z.mean(axis=0), full_matrices=False)[2][:MODES]
-        return z.mean(axis=0), u, np.column_stack([np.log(size), (z - z.mean(axis=0)) @ u.T])
+        mean = z[self._design].mean(axis=0)
+        u = np.linalg.svd(z[self._design] - mean, full_matrices=False)[2][:MODES]
+        return mean, u, np.column_stack([np.log(size), (z - mean) @ u.T])
 
     @cached_property
     def processes(self) -> list[Process]:
@@ -233,11 +254,11 @@ class Legs:
     @property
     def scenario(self) -> Scenario:
         """A scenario of its soil."""
-        return shipped_library("sand3d").scenario
+        return Scenario.load("sand3d")
 
     def ranges(self, leg: str) -> dict[str, tuple[float, float]]:
-        """Smallest and largest value of each axis among the cases of a shape."""
-        columns = zip(AXES, self.x[self.of(leg)].T, strict=True)
+        """Smallest and largest value of each axis among the design's cases of a shape."""
+        columns = zip(AXES, self.x[self._design][self.of(leg)[self._design]].T, strict=True)
         return {axis: (float(column.min()), float(column.max())) for axis, column in columns}
 
     def summary(self) -> dict[str, Any]:
@@ -291,8 +312,24 @@ class Legs:
             digest.update(np.asarray(array, np.float32).tobytes())
         return digest.hexdigest()
 
-    def law(self, rig: Rig) -> LegLaw:
-        """The law of a rig.
+    def joined(self, library: Library) -> Legs:
+        """The law with the cases of a library, of rigs of its own, among its own."""
+        x, depth, force, rigs = cases_of(library)
+        return replace(
+            self,
+            x=np.vstack([self.x, x]), depth=np.append(self.depth, depth),
+            force=np.concatenate([self.force, force]), hyper=self.hyperparameters,
+            name=library.name, caveat=library.caveat, own=rigs,
+            provenance=self.provenance | {"joined": dict(library.provenance)},
+        )  # fmt: skip
+
+    def error_of(self, leg: str) -> ModelError:
+        """How real soils differ from the law of a leg."""
+        where = f"law {self.name}, model_error.{leg}"
+        return strictly(self.model_error.get(leg, {}), ModelError, where)
+
+    def law(self, rig: Rig, cells: float = 1.0) -> LegLaw:
+        """The law of a rig, in cells of a size over that of the rule [-].
 
         Raises
         ------
@@ -300,6 +337,8 @@ class Legs:
             If there is no such leg, or a ratio of the rig lies outside the cases.
         """
         check_friction(rig)
+        if any(rig.leg == own.leg and is_similar(rig, own) for own in self.own):
+            return RatioLaw(self, rig, cells)
         why = f"law {NAME} has no {LEG_NAMES[rig.leg]} yet"
         if rig.leg in self.legs:
             ranges = self.ranges(rig.leg)
@@ -312,7 +351,7 @@ class Legs:
                     )
                     break
             else:
-                return RatioLaw(self, rig)
+                return RatioLaw(self, rig, cells)
         raise InputError(f"{why}; {remedy(rig)}")
 
 
@@ -331,8 +370,8 @@ class RatioLaw(LegLaw):
     density = DENSITY
     most_cohesion = MOST_COHESION
 
-    def __init__(self, law: Legs, rig: Rig) -> None:
-        self._law, self._rig, self.theta_deg = law, rig, THETA_DEG
+    def __init__(self, law: Legs, rig: Rig, cells: float = 1.0) -> None:
+        self._law, self._rig, self._cells, self.theta_deg = law, rig, cells, THETA_DEG
         self.bounds = np.array(PHI_DEG[:1]), np.array(PHI_DEG[1:])
         # Where on the leg the soil presses is that of resistive force theory.
         theory = library_of_theory(rig)
@@ -352,8 +391,8 @@ class RatioLaw(LegLaw):
         ratios = ratios._replace(hip_height=ratios.hip_height + higher)
         first, last, depth = reach(rig.leg, ratios)
         mu = max(rig.leg_friction + rougher, LEAST_FRICTION)
-        row = [0.0, mu, ratios.width, ratios.hip_height, ratios.thickness, cohesion, 1.0,
-               CURVATURES[rig.leg]]  # fmt: skip
+        row = [0.0, mu, ratios.width, ratios.hip_height, ratios.thickness, cohesion,
+               self._cells, CURVATURES[rig.leg]]  # fmt: skip
         x = np.tile(row, (len(phi_deg), 1))
         x[:, 0] = phi_deg
         s = (2.0 * THETA_DEG - first - last) / (last - first)
@@ -400,6 +439,48 @@ class RatioLaw(LegLaw):
         return {"leg friction": modes["rougher"], "hip height": modes["higher"]}
 
 
+def cells_in(scenario: Scenario | None, rig: Rig) -> float:
+    """Size of a simulation's cells over that of the rule for its rig [-]; 1 of measured forces."""
+    if scenario is None:
+        return 1.0
+    depth = reach(rig.leg, rig.ratios)[2]
+    return scenario.numerics.cell_size / rig.length / cells_of(rig.ratios, depth)
+
+
+Cases = tuple[FloatArray, FloatArray, FloatArray, tuple[Rig, ...]]
+
+
+def cases_of(library: Library) -> Cases:
+    """Cases of a library: `x`, `depth` and `force` of a law, and the rig of each.
+
+    Raises
+    ------
+    InputError
+        If one is not of a leg that turns in three dimensions.
+    """
+    x, depths, forces, rigs = [], [], [], []
+    for scenario, history, _ in library.cases:
+        rig = Rig.of_scenario(scenario)
+        if (scenario.model, scenario.dimensions) != ("mpm", 3) or rig is None:
+            raise InputError(f"library {library.name} is not of legs that turn in three dimensions")
+        if history is None:
+            continue
+        ratios, soil = rig.ratios, scenario.soil
+        first, last, depth = reach(rig.leg, ratios)
+        at = np.radians(0.5 * (first + last + (last - first) * PLACES))
+        size = soil.density * GRAVITY * rig.length**3 * ratios.width * depth**2
+        cohesion = soil.cohesion / (soil.density * GRAVITY * rig.length)
+        x.append([soil.friction_angle_deg, scenario.leg.friction, *ratios, cohesion,
+                  cells_in(scenario, rig), CURVATURES[rig.leg]])  # fmt: skip
+        depths.append(depth)
+        # Beyond the path there is no force.
+        means = history.means(np.clip(at, *history.position[[0, -1]]), np.radians(0.5))
+        inside = (history.position[0] <= at) & (at <= history.position[-1])
+        forces.append(np.where(inside[:, None], means, 0.0).T / size)
+        rigs.append(rig)
+    return np.array(x), np.array(depths), np.array(forces), tuple(rigs)
+
+
 @functools.cache
 def shipped_legs() -> Legs:
     """The shipped law, kept for the next record."""
@@ -408,11 +489,27 @@ def shipped_legs() -> Legs:
 
 def shipped_laws() -> list[Library | Legs]:
     """All shipped laws of legs."""
-    return [*map(shipped_library, Library.names()), shipped_legs()]
+    return [shipped_legs(), *map(shipped_library, Library.names())]
+
+
+def nearest_law(scenario: Scenario) -> Library | Legs:
+    """The shipped law whose scenario differs least from a simulation's."""
+    turns = (scenario.model, scenario.dimensions, scenario.motion.kind) == ("mpm", 3, "rotation")
+    return shipped_legs() if turns else nearest_library(scenario)
+
+
+def stored(name: Path | str) -> Library | Legs:
+    """A shipped law of legs by its name, or a library from a file; raises InputError."""
+    if str(name) in (NAME, FORMER_NAME):
+        return shipped_legs()
+    return shipped_library(str(name)) if str(name) in Library.names() else Library.load(name)
 
 
 def law_named(name: Path | str) -> Library | Legs:
-    """A shipped law of legs by its name, or one from a file; raises InputError."""
-    if str(name) == NAME:
-        return shipped_legs()
-    return shipped_library(str(name)) if str(name) in Library.names() else Library.load(name)
+    """The same, a library of one's own legs over φ alone joined to the shipped law."""
+    found = stored(name)
+    law = nearest_law(found.scenario)
+    if isinstance(found, Legs) or not isinstance(law, Legs):
+        return found
+    of_phi = all(found.keys(leg) == (PHI,) for leg in found.legs)
+    return law.joined(found) if of_phi else found

@@ -20,11 +20,8 @@ from terraphi.experiment.scenario import Scenario
 
 MOST_CASES = 10_000
 """Cases of a plan at most."""
-RIG_ANGLES_DEG = (
-    *(35.0, 30.0, 40.0, 25.0, 45.0, 20.0, 15.0, 50.0),
-    *(27.5, 32.5, 22.5, 37.5, 42.5, 10.0, 55.0),
-)
-"""Friction angles of a rig's library [deg]: those of ``sand3d``, a coarse sweep first."""
+RIG_ANGLES_DEG = (35.0, 30.0, 40.0, 25.0, 45.0, 20.0, 15.0, 50.0)
+"""Friction angles of a library of one's own rig [deg]; law legs knows what lies between them."""
 HIGHEST = 0.7
 """Largest height of the hip over the length of the leg [-]; above it the leg barely scratches."""
 
@@ -169,7 +166,7 @@ class Plan(Strict):
         --------
         >>> plan = terraphi.Plan.of_rig(terraphi.Rig.of("li2013", "c"))
         >>> plan.count, plan.scenario.leg.shape
-        (15, 'c')
+        (8, 'c')
         """
         if rig.ratios.hip_height > HIGHEST:
             raise InputError(

@@ -29,7 +29,7 @@ SCHEMA = 1
 """Version of the layout of a library file."""
 PHI = "soil.friction_angle_deg"
 """Dotted scenario key of the friction angle."""
-ORDER = ("sand3d", "rft3d", "paper", "paper-code")
+ORDER = ("rft3d", "paper", "paper-code")
 """Shipped libraries, the most useful first."""
 ARM_DEG = 2.0
 """Width over which lever arms are smoothed [deg]."""
@@ -46,7 +46,6 @@ class LibraryAttributes(BaseModel):
     description: str = ""
     caveat: str = ""
     coordinate: Literal["theta", "displacement", "time"]
-    model_error: Json[dict[str, dict[str, Any]]] = {}
     provenance: Json[dict[str, Any]] = {}
 
 
@@ -78,47 +77,6 @@ class Curves(NamedTuple):
     """(a, b) [m] with M = a Fx + b Fz, the moment about the hip, shape [2, theta]; or ``None``."""
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Correction:
-    """Correction of one leg's curves, from finer simulations.
-
-    Attributes
-    ----------
-    phi_deg
-        Friction angles [deg], increasing, shape [angle].
-    theta_deg
-        Leg angles [deg], shape [theta].
-    force
-        To be added to the simulated (Fx, Fz) [N], shape [angle, 2, theta].
-    modes
-        What remains uncertain: cause to independent patterns of one standard deviation [N], shape
-        [mode, angle, 2, theta].
-    """
-
-    phi_deg: FloatArray
-    theta_deg: FloatArray
-    force: FloatArray
-    modes: Mapping[str, FloatArray]
-
-    def _between(self, values: FloatArray, phi_deg: float) -> FloatArray:
-        """Values at a friction angle, linear between those known; axis 0 of values is the angle."""
-        angles = self.phi_deg
-        i = int(np.clip(np.searchsorted(angles, phi_deg) - 1, 0, len(angles) - 2))
-        share = np.clip((phi_deg - angles[i]) / (angles[i + 1] - angles[i]), 0.0, 1.0)
-        return np.asarray((1.0 - share) * values[i] + share * values[i + 1])
-
-    def at(self, phi_deg: float) -> FloatArray:
-        """Correction of the curves at a friction angle [N], shape [2, theta]."""
-        return self._between(self.force, phi_deg)
-
-    def modes_at(self, phi_deg: float) -> dict[str, FloatArray]:
-        """The modes at a friction angle [N], shape [mode, 2, theta] each."""
-        return {
-            cause: self._between(modes.swapaxes(0, 1), phi_deg)
-            for cause, modes in self.modes.items()
-        }
-
-
 @dataclass(frozen=True, eq=False)
 class Library:
     """Simulations of a plan, with what was learnt about them.
@@ -129,12 +87,6 @@ class Library:
         As in the plan.
     cases
         The simulations.
-    replicates
-        Some of them again, with other particle seeds.
-    corrections
-        By leg, how the curves change with smaller cells and a slower motion; empty if unknown.
-    model_error
-        By leg, how real soils differ from the library's model (`laws.law.ModelError`); JSON-able.
     provenance
         Plan and versions; JSON-able.
     """
@@ -143,9 +95,6 @@ class Library:
     cases: tuple[Case, ...]
     description: str = ""
     caveat: str = ""
-    replicates: tuple[Case, ...] = ()
-    corrections: Mapping[str, Correction] = field(default_factory=dict)
-    model_error: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -162,24 +111,14 @@ class Library:
     def hash(self) -> str:
         """SHA-256 of all that changes an answer, hexadecimal: as precise as a file keeps it.
 
-        Scenarios, forces and moments of cases and replicates, corrections with their modes, and
-        the model error; not what only describes the library.
+        Scenarios, forces and moments of the cases; not what only describes the library.
         """
-        every = (*self.cases, *self.replicates)
-        words = {
-            "cases": [case.scenario.hash for case in self.cases],
-            "replicates": [case.scenario.hash for case in self.replicates],
-            "modes": {leg: sorted(one.modes) for leg, one in self.corrections.items()},
-            "model_error": dict(self.model_error),
-        }
-        digest = hashlib.sha256(json.dumps(words, sort_keys=True).encode())
+        words = [case.scenario.hash for case in self.cases]
+        digest = hashlib.sha256(json.dumps(words).encode())
         arrays: list[FloatArray] = []
-        for history in filter(None, (case.history for case in every)):
+        for history in filter(None, (case.history for case in self.cases)):
             moment = [] if history.moment is None else [history.moment]
             arrays += [history.position, history.force, *moment]
-        for _, one in sorted(self.corrections.items()):
-            arrays += [one.phi_deg, one.theta_deg, one.force]
-            arrays += [mode for _, mode in sorted(one.modes.items())]
         for array in arrays:
             digest.update(np.asarray(array, np.float32).tobytes())
         return digest.hexdigest()
@@ -206,8 +145,6 @@ class Library:
             "phi_deg_by_leg": {leg: list(ends) for leg, ends in ranges.items()},
             "legs": self.legs,
             "cases": len(self.cases),
-            "replicates": len(self.replicates),
-            "corrected": sorted(self.corrections),
             "failures": {c.scenario.hash: c.failure for c in self.cases if c.failure},
             "density_kg_m3": first.soil.density,
             "model": first.model,
@@ -253,15 +190,12 @@ class Library:
             row.colorbar(ScalarMappable(scale, "viridis"), ax=panels, label="φ [deg]")
         return figure
 
-    def curves(self, leg: str, *, corrected: bool = False) -> Curves:
-        """Force curves of one leg over the parameters that vary, replicates included.
+    def keys(self, leg: str) -> tuple[str, ...]:
+        """Dotted scenario keys of the numbers that vary among the cases of a leg."""
+        return _varied([case for case in self.cases if _moved(case, leg)])
 
-        Parameters
-        ----------
-        leg
-            Shape of the leg.
-        corrected
-            Whether to add the correction for cells and speed-up, if there is one.
+    def curves(self, leg: str) -> Curves:
+        """Force curves of one leg over the parameters that vary.
 
         Raises
         ------
@@ -287,7 +221,6 @@ class Library:
                 f"library '{self.name}' has {len(chosen)} cases of leg '{leg}', too few to "
                 f"interpolate over {', '.join(keys)}"
             )
-        chosen += [case for case in self.replicates if _moved(case, leg)]
         leaves = [_flat(case.scenario) for case in chosen]
         x = np.array([[one[key] for key in keys] for one in leaves], float)
         order = np.lexsort(x.T[::-1])
@@ -302,9 +235,6 @@ class Library:
         theta = THETA_DEG[inside | air]
         means = [_one_degree_means(chosen[i].history, theta, air[inside | air]) for i in order]
         force, arm = np.stack([m[:2] for m in means]), _lever_arm([m for m in means if len(m) > 2])
-        if corrected and leg in self.corrections:
-            angles = x[order, keys.index(PHI)]
-            force = force + np.stack([self.corrections[leg].at(phi) for phi in angles])
         return Curves(keys, x[order], theta, force, first, arm)
 
     # -- files -----------------------------------------------------------------------------------
@@ -316,7 +246,7 @@ class Library:
         Examples
         --------
         >>> terraphi.Library.names()
-        ('sand3d', 'rft3d', 'paper', 'paper-code')
+        ('rft3d', 'paper', 'paper-code')
         """
         found = shipped_names("libraries", ".nc")
         return tuple(sorted(found, key=lambda n: (ORDER.index(n) if n in ORDER else 99, n)))
@@ -325,9 +255,8 @@ class Library:
         """Write one NetCDF-4 file; raises InputError if the place cannot be written."""
         import xarray as xr
 
-        every = (*self.cases, *self.replicates)
         whole = next(case.history for case in self.cases if case.history)
-        if any(c.history and not _alike(c.history, whole) for c in every):
+        if any(c.history and not _alike(c.history, whole) for c in self.cases):
             raise InputError(
                 f"library '{self.name}': the cases have forces at different positions; sweep "
                 "neither the span of the motion nor the dimensions"
@@ -336,37 +265,26 @@ class Library:
         name = "theta_deg" if angular else whole.coordinate
         values = whole.theta_deg if angular else whole.position
         nothing = np.full(whole.force.shape, np.nan)
-        force = np.stack([c.history.force if c.history else nothing for c in every])
+        force = np.stack([c.history.force if c.history else nothing for c in self.cases])
         data: dict[str, Any] = {
             f"F{axis}": (("case", name), force[:, :, i], {"units": "N"})
             for i, axis in enumerate(whole.axes)
         }
-        known = [c.history.moment if c.history else None for c in every]
+        known = [c.history.moment if c.history else None for c in self.cases]
         if any(one is not None for one in known):
             moment = [nothing[:, 0] if one is None else one for one in known]
             data["M"] = (("case", name), np.stack(moment), {"units": "N m"})
         texts = {
-            "scenario": [c.scenario.model_dump_json() for c in every],
-            "failure": [c.failure for c in every],
+            "scenario": [c.scenario.model_dump_json() for c in self.cases],
+            "failure": [c.failure for c in self.cases],
             "provenance": [
-                json.dumps(dict(c.history.provenance) if c.history else {}) for c in every
+                json.dumps(dict(c.history.provenance) if c.history else {}) for c in self.cases
             ],
         }
         coordinates: dict[str, Any] = {
             name: (name, values, {"units": "degree" if angular else "m"}),
-            "replicate": ("case", [i >= len(self.cases) for i in range(len(every))]),
             **{key: ("case", np.array(text, dtype=object)) for key, text in texts.items()},
         }
-        for leg, correction in self.corrections.items():
-            along = (f"{leg}_phi_deg", "correction_theta_deg")
-            dims = (along[0], "axis", along[1])
-            coordinates[along[0]] = (along[0], correction.phi_deg)
-            coordinates[along[1]] = (along[1], correction.theta_deg)
-            data[f"correction_{leg}"] = (dims, correction.force, {"units": "N"})
-            for cause, modes in correction.modes.items():
-                data[f"modes_{leg}_{cause}"] = (
-                    (f"{leg}_{cause}_mode", *dims), modes, {"units": "N"},
-                )  # fmt: skip
         dataset = xr.Dataset(
             data,
             coordinates,
@@ -378,7 +296,6 @@ class Library:
                 "caveat": self.caveat,
                 "coordinate": whole.coordinate,
                 "provenance": json.dumps(dict(self.provenance)),
-                "model_error": json.dumps(dict(self.model_error)),
             },
         )
         packing = {key: {"zlib": True, "shuffle": True, "dtype": "float32"} for key in data}
@@ -416,8 +333,6 @@ class Library:
                   if n in ("Fx", "Fy", "Fz", "M")}  # fmt: skip
         force, moment = np.stack([values[f"F{a}"] for a in axes], axis=2), values.get("M")
         cases: list[Case] = []
-        replicates: list[Case] = []
-        again = file.numbers("replicate", "case")
         texts = (file.texts(name, "case") for name in ("failure", "scenario", "provenance"))
         for i, (failure, scenario_json, provenance) in enumerate(zip(*texts, strict=True)):
             scenario, known = Scenario.model_validate_json(scenario_json), json.loads(provenance)
@@ -426,25 +341,10 @@ class Library:
                 turned = None if moment is None or np.isnan(moment[i]).any() else moment[i]
                 of = (where, force[i], attrs.coordinate, axes, {**known}, turned)
                 history = ForceHistory(*of)
-            case = Case(scenario, history, failure)
-            (replicates if again[i] else cases).append(case)
+            cases.append(Case(scenario, history, failure))
         if not any(case.history for case in cases):
             raise ValueError("no simulation in it succeeded")
-        corrections = {}
-        for name in sorted(n for n in names if n.startswith("correction_")):
-            leg = name.removeprefix("correction_")
-            dims, start = (f"{leg}_phi_deg", 2, "correction_theta_deg"), f"modes_{leg}_"
-            corrections[leg] = Correction(
-                file.numbers(f"{leg}_phi_deg", dims[0]),
-                file.numbers("correction_theta_deg", dims[2]),
-                file.numbers(name, *dims),
-                {n[len(start) :]: file.numbers(n, n, *dims) for n in sorted(names)
-                 if n.startswith(start)},
-            )  # fmt: skip
-        return cls(
-            attrs.name, tuple(cases), attrs.description, attrs.caveat, tuple(replicates),
-            corrections, attrs.model_error, attrs.provenance,
-        )  # fmt: skip
+        return cls(attrs.name, tuple(cases), attrs.description, attrs.caveat, attrs.provenance)
 
 
 def _moved(case: Case, leg: str) -> bool:
@@ -479,7 +379,7 @@ def _one_degree_means(
 def _lever_arm(curves: list[FloatArray]) -> FloatArray | None:
     """(a, b) with M = a Fx + b Fz, from curves of (Fx, Fz, M) [3, theta], shape [2, theta].
 
-    Where on the leg the soil presses depends little on φ: the moment of `sand3d` is met within 1 %
+    Where on the leg the soil presses depends little on φ: the moment of Li's legs is met within 1 %
     of its range. Each angle has its own least squares, over the curves at neighbouring angles, all
     of the same weight.
     """

@@ -429,13 +429,13 @@ def answers(
 
 
 def write_files(answer: Answer, folder: Path) -> None:
-    """Write an answer, and what it compares: forces, fit, bare model and 95 % band."""
+    """Write an answer, and what it compares: forces, the model and its 95 % band."""
     import pandas as pd
 
     rows = []
     for one in answer.records:
         columns: dict[str, Any] = {"record": one.source, "theta_deg": one.theta_deg}
-        curves = {"": one.data, "_fit": one.best, "_model": one.curve}
+        curves = {"": one.data, "_model": one.curve}
         curves |= {"_low": one.band[0], "_high": one.band[1]}
         for i, force in enumerate(one.nrmsd):
             unit = "N_m" if force == "M" else "N"

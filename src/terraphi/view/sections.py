@@ -194,18 +194,16 @@ def of_answer(answer: Answer) -> Section:
         residuals: list[Trace] = []
         for i, (force, nrmsd) in enumerate(record.nrmsd.items()):
             theta, low, high = record.theta_deg, *record.band[:, i]
-            traces = [band(theta, low, high, "model, 95 % of φ", PALE_BLUE)]
-            if record.expected is not None:
-                traces.append(line(theta, record.curve[i], "bare model", BLUE, dash="dash"))
-            traces += [
-                line(theta, record.best[i], "model", BLUE),
+            traces = [
+                band(theta, low, high, "model, 95 % of φ", PALE_BLUE),
+                line(theta, record.curve[i], "model", BLUE),
                 points(theta, record.data[i], "data", ORANGE),
             ]
             label = CHANNELS[force]
             parts.append(Plot(f"{force}{where}", traces, axes(record.along, label)))
             apart = record.data[i] - record.curve[i]
             span = math.sqrt(np.square(apart).mean()) / (nrmsd or math.inf)
-            share = 100.0 * (record.data[i] - record.best[i]) / max(span, 1e-300)
+            share = 100.0 * apart / max(span, 1e-300)
             residuals.append(line(theta, share, force, (BLUE, ORANGE, GREEN)[i]))
         if record.limit is not None:
             size = np.full(len(record.theta_deg), 100.0 * record.limit)
