@@ -301,3 +301,15 @@ def test_a_library_of_one_rig_is_read_with_the_law(tmp_path: Path) -> None:
     assert law.name == "wide"
     assert isinstance(stored(tmp_path / "wide.nc"), Library)
     assert law_named("sand3d") is law_named("legs")
+
+
+def test_a_leg_that_other_shapes_may_not_have_is_answered() -> None:
+    """Each record is compared with the same leg in other shapes, which the law may not know."""
+    law = shipped_legs()
+    thickest = {leg: law.ranges(leg)["thickness"][1] for leg in law.legs}
+    leg = max(thickest, key=lambda one: thickest[one])
+    thickness = 50.0 * (thickest[leg] + min(thickest.values()))
+    rig = Rig(leg=leg, length_mm=100, width_mm=40, thickness_mm=thickness, hip_height_mm=30)
+    own = law.law(rig)
+    history = ForceHistory(np.radians(own.theta_deg), own(np.array([[30.0]]))[0].T)
+    assert invert(history, rig=rig, density="1600±10").verdict == "consistent"

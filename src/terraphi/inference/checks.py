@@ -448,9 +448,15 @@ def second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:
 def residual(
     data: FloatArray, record: Record, likelihood: Likelihood, leg: str, cohesion: float = 0.0
 ) -> float:
-    """Smallest residual of data over the usual angles [-], of peak-to-peak, at a cohesion [Pa]."""
+    """Smallest residual of data over the usual angles [-], of peak-to-peak, at a cohesion [Pa].
+
+    Infinite for a leg that the law does not know in these sizes.
+    """
     rig = Rig.of(record.rig, leg)
-    on = law_of(likelihood.library, rig, record.scenario, strict=False)
+    try:
+        on = law_of(likelihood.library, rig, record.scenario, strict=False)
+    except InputError:
+        return np.inf
     density = record.density_kg_m3 or on.density
     number = cohesion / (density * GRAVITY * rig.length)
     low, high = np.clip(USUAL_DEG, on.bounds[0][0], on.bounds[1][0])
