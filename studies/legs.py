@@ -13,7 +13,7 @@ box. Cohesion is in every third case. The numerics are those of `sand3d`, in pro
 The cell of the rule is a fifth of the width or an eleventh of the depth, as Li's leg has it in
 `sand3d`, and the bed reaches as many depths beyond the leg. Three cases of four are simulated in
 cells of 1.25 of that (`cells`), which costs 0.4 as much: the law has the size of the cell among its
-axes, and more cases tell it more than finer ones. Every eighth is simulated in cells of 0.75 as
+axes, and more cases are worth more than finer ones. Every eighth is simulated in cells of 0.75 as
 well, one in a bed 1.5 times as large (`bed`), and Li's three legs at random φ, μ and c.
 
 A case is a line of `studies/data/legs/cases-K.csv`, appended when it is finished; the same command
@@ -331,7 +331,7 @@ def judged(law: legs.Legs) -> Iterator[Truth]:
     library = replace(library, cases=(*library.cases, *more))
     every += [("Li's legs", one) for one in zip(*legs.cases_of(library)[:3], strict=True)]
     for kind, (x, depth, true) in every:
-        angles = np.clip(x[0] + np.arange(-12.0, 12.01, 0.05), *legs.PHI_DEG)
+        angles = np.maximum(x[0] + np.arange(-12.0, 12.01, 0.05), 2.0)
         tried = np.tile(x, (len(angles), 1))
         tried[:, 0] = angles
         apart = law(tried, np.full(len(angles), depth)) - true

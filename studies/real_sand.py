@@ -22,7 +22,7 @@ def infer(name: str) -> dict[str, Any]:
     answer, record = terraphi.invert(name), measurement(name)
     return {
         "medium": name.partition(":")[2].partition("/")[0],
-        "leg": record.leg,
+        "leg": record.rig.leg,
         "repose": record.angle_of_repose_deg,
         "phi": answer.phi.median,
         "ci68": answer.phi.ci68,
@@ -108,8 +108,9 @@ def main() -> None:
     header = ("medium", "leg", "repose", "φ", "68 %", "95 %", "NRMSD Fx / Fz", "verdict")
     parts = [
         (
-            "`terraphi invert` on every record of Li et al. (2013). Of these media the law has "
-            "learned nothing but how much an apparatus adds to the interval."
+            "`terraphi invert` on every record of Li et al. (2013). Law `legs` was not fitted to "
+            "them; what an apparatus adds to the interval, the error of a part of a stroke and the "
+            "shift from which an answer warns were learned from them."
         ),
         "\n".join(f"- {line}" for line in summary(answers)),
         pages.table(header, rows),

@@ -67,7 +67,7 @@ def elastic(cells, *, per_side=2, **changes):
 
 
 def sand3d(cells=60, **changes):
-    """Scenario of library `sand3d` on another grid, with steps and phases longer as cells are."""
+    """Scenario of preset `sand3d` on another grid, with steps and phases longer as cells are."""
     base = Scenario.load("sand3d")
     scale = base.numerics.cells / cells
     grid = {

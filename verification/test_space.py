@@ -2,7 +2,7 @@
 
 Smooth round footings on soil of one φ with associated flow, whose exact loads slip lines give; a
 wall as narrow as a leg over one in plane strain; and whether soil that is sheared bears its
-strength. Kernel, contact, phases and damping are those of library `sand3d`.
+strength. Kernel, contact, phases and damping are those of preset `sand3d`.
 """
 
 from __future__ import annotations

@@ -64,7 +64,7 @@ answer = terraphi.invert(history, rig="li2013", leg="straight", density="1650±5
 answer
 
 # %%
-# The dashed curve is the model at the median. The solid one adds the mean residual of real soils.
+# The curve is the model at the median.
 
 answer.plot()
 

@@ -144,8 +144,8 @@ class Line(NamedTuple):
 
     offset_deg: float
     of_size: float
-    spread: float
-    """Variance of the offset over that of a reading [-]."""
+    weights: tuple[float, ...]
+    """Of the readings in the offset [-]."""
 
     @classmethod
     def of(cls, readings: Sequence[Reading]) -> Line:
@@ -153,7 +153,7 @@ class Line(NamedTuple):
         x = np.array([[1.0, one.size_mm] for one in readings])
         inverse = np.linalg.inv(x.T @ x)
         offset, slope = (inverse @ x.T @ [one.excess_deg for one in readings]).tolist()
-        return cls(offset, slope, float(inverse[0, 0]))
+        return cls(offset, slope, tuple((inverse @ x.T)[0].tolist()))
 
     def rest(self, one: Reading) -> float:
         """What it leaves of a reading [deg]."""
@@ -197,7 +197,10 @@ def learn(
     found = {}
     for leg, line in of_leg.items():
         own = [one for one in loose if one.leg == leg]
-        variance = soil_sd**2 / len({one.soil for one in own}) + leg_sd**2 * line.spread
+        weight = np.array(line.weights)
+        of_soil = [weight[[one.soil == soil for one in own]].sum() for soil in rest]
+        variance = (soil_sd**2 + SHEAR_CELL_SD**2) * np.square(of_soil).sum()
+        variance += leg_sd**2 * np.square(weight).sum()
         critical = [one.critical_deg for one in own]
         found[leg] = {
             "offset_deg": round(line.offset_deg, 2),
@@ -483,12 +486,13 @@ def main() -> None:
         (
             "Spheres simulated one by one are sheared, which measures their friction angle, and "
             "stirred by legs on eight rigs. Each soil, in all its packings, is inverted by law "
-            "`legs` with the offset, the standard deviations and the limit of a misfit that all "
-            "other soils teach. Grains of 6 mm (*coarse* 8.8, *fine* 4.4 mm) are large for such "
-            "legs, and act in part like a cohesion, which is fitted with φ. What they do beside "
-            "that is a line over their size, of reversed C legs above all: φ *without the size* "
+            "`legs` with the offset, the standard deviations and the limit of a misfit learned "
+            "from all other soils. Grains of 6 mm (*coarse* 8.8, *fine* 4.4 mm) are large for such "
+            "legs, and act in part like a cohesion, which is fitted with φ. What they add beside "
+            "it is a line over their size, of reversed C legs above all: φ *without the size* "
             "is what fine soil would give. φ is in plane strain. In the picture thick lines are "
-            "68 %, thin ones 95 %, crosses misfits."
+            "68 %, thin ones 95 %, crosses misfits. Weights of the cohesion, what apparatuses "
+            "differ by, calibrations and wrong records are by all soils."
         ),
         pages.table(("what", "value"), [
             *summary(rows), *calibrated(law, usual), *wrong(law, usual),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -303,14 +304,68 @@ def test_an_angle_beyond_the_soils_that_were_learned_from_is_said() -> None:
     assert outside.budget_deg["model: offset"] > 1.5 * inside.budget_deg["model: offset"]
 
 
-@pytest.mark.parametrize("leg", ["straight", "reversed_c"])
-def test_large_grains_are_taken_off_where_their_size_is_known(leg: str) -> None:
+@pytest.mark.parametrize(("leg", "width"), [("straight", 25.4), ("reversed_c", 50.8)])
+def test_large_grains_are_taken_off_where_their_size_is_known(leg: str, width: float) -> None:
     """In proportion to their diameter over the width of the leg; and it is said."""
     law = shipped_legs()
     error = law.model_error[leg] | {"of_size_deg": 0.5}
     law = replace(law, model_error={leg: error})
-    sand, grains = (invert(f"li2013:glass03_loose/{leg}", law=law, grain_size_mm=d) for d in (0, 6))
-    assert grains.phi.median == pytest.approx(sand.phi.median - 3.0, abs=0.1)
+    rig = Rig.of("li2013", leg).model_copy(update={"width_mm": width})
+    history = replace(measurement(f"li2013:glass03_loose/{leg}").history, provenance={})
+    sand, grains = (
+        invert(history, rig=rig, density=1450, law=law, grain_size_mm=d) for d in (None, 6)
+    )
+    expected = sand.phi.median - 3.0 * 25.4 / width
+    assert grains.phi.median == pytest.approx(expected, abs=0.1)
     assert any("Grains of 6 mm" in question for question in grains.questions)
-    with pytest.raises(InputError, match="grain_size_mm = 20"):
-        invert(f"li2013:glass03_loose/{leg}", grain_size_mm=20)
+
+
+@pytest.mark.parametrize(("size", "why"), [(20, "grain_size_mm = 20"), ("six", "is no number")])
+def test_sizes_of_grains_that_cannot_be(size: object, why: str) -> None:
+    with pytest.raises(InputError, match=why):
+        invert("li2013:yuma/c", grain_size_mm=size)
+
+
+def test_a_law_without_grains_says_so() -> None:
+    answer = invert("li2013:yuma/c", law="rft3d", grain_size_mm=3)
+    assert any("large grains" in question for question in answer.questions)
+
+
+@pytest.mark.parametrize(("name", "error"), [("sand3d-truths", 0.3), ("sand3d-cells-86", 1.2)])
+def test_simulations_that_the_law_was_not_fitted_to_are_recovered(name: str, error: float) -> None:
+    """Of Li's legs, in the cells of the rule and in finer ones."""
+    data = Path(__file__).parents[2] / "studies" / "data" / "libraries"
+    cases = [c for c in Library.load(data / f"{name}.nc").cases if c.history is not None]
+    for scenario, history, _ in cases[::3]:
+        answer = invert(history)
+        assert (answer.law, answer.verdict) == ("legs", "consistent")
+        assert answer.phi.median == pytest.approx(scenario.soil.friction_angle_deg, abs=error)
+        assert answer.phi.sd < 0.5
+
+
+def test_simulations_of_other_physics_are_refused_by_the_law_of_legs() -> None:
+    history = simulate(Scenario.load("quick"))
+    with pytest.raises(InputError, match="three dimensions"):
+        invert(history, law="legs")
+
+
+@pytest.mark.parametrize("phi", [14.0, 22.0, 48.0])
+def test_the_right_leg_is_right_at_all_angles(phi: float) -> None:
+    """Forces of the law itself on a reversed C, whose offset is 5°."""
+    law = shipped_legs()
+    own = law.law(Rig.of("li2013", "reversed_c"))
+    history = ForceHistory(np.radians(own.theta_deg), own(np.array([[phi]]))[0].T)
+    answer = invert(history, rig="li2013", leg="reversed_c", density="1650±10")
+    assert answer.verdict == "consistent"
+    soil = phi - law.error_of("reversed_c").offset_deg
+    assert answer.phi.median == pytest.approx(soil, abs=0.6)
+
+
+def test_the_end_of_a_law_is_named_as_an_angle_of_soil() -> None:
+    law = shipped_legs()
+    own = law.law(Rig.of("li2013", "reversed_c"))
+    history = ForceHistory(np.radians(own.theta_deg), own(np.array([[8.0]]))[0].T)
+    answer = invert(history, rig="li2013", leg="reversed_c", density="1650±10")
+    assert (answer.verdict, answer.edge) == ("out_of_range", "low")
+    end = 10.0 - law.error_of("reversed_c").offset_deg
+    assert f"below {end:.0f}°" in answer.reason

@@ -203,7 +203,7 @@ def test_a_calibration_is_refused_by_a_library_of_other_forces(sand3d: Library) 
     known = calibrate("li2013:glass03_loose/straight", 25.0, 1.0, law=sand3d)
     cases = tuple(c._replace(history=c.history and c.history.scaled(1.5)) for c in sand3d.cases)
     scaled = replace(sand3d, cases=cases)
-    with pytest.raises(InputError, match="calibration is for library 'sand3d'"):
+    with pytest.raises(InputError, match="calibration is for law 'sand3d'"):
         invert("li2013:yuma/straight", law=scaled, calibration=known)
 
 

@@ -301,6 +301,26 @@ def test_a_library_of_one_rig_is_read_with_the_law(tmp_path: Path) -> None:
     assert law.name == "wide"
     assert isinstance(stored(tmp_path / "wide.nc"), Library)
     assert law_named("sand3d") is law_named("legs")
+    with pytest.raises(InputError, match="keep the library's own file"):
+        law.save(tmp_path / "again.nc")
+    shipped_legs().save(tmp_path / "law.nc")
+    assert law_named(tmp_path / "law.nc").hash == shipped_legs().hash
+
+
+@pytest.mark.parametrize("change", ["soil", "path"])
+def test_a_library_of_other_soil_or_of_a_part_of_the_stroke_is_not_joined(
+    tmp_path: Path, change: str
+) -> None:
+    library = own_library(1.4, 1.15)
+    cases = []
+    for scenario, history, _ in library.cases:
+        if change == "soil":
+            scenario = scenario.replace(**{"soil.dilation_angle_deg": 10.0})
+        else:
+            history = history.between(*np.radians([-40.0, 30.0]))
+        cases.append(Case(scenario, history))
+    replace(library, cases=tuple(cases)).save(tmp_path / "other.nc")
+    assert isinstance(law_named(tmp_path / "other.nc"), Library)
 
 
 def test_a_leg_that_other_shapes_may_not_have_is_answered() -> None:

@@ -140,8 +140,8 @@ def tabulate(
 def calibrate(forces: tuple[str, ...], phi: str, out: Path, as_json: bool, **options: Any) -> None:
     """Learn the offset of your apparatus from soils of known angle.
 
-    FORCES were measured in a soil of angle --phi, in the convention of the library (plane strain
-    for legs). 'invert --calibration FILE' then gives narrower intervals.
+    FORCES were measured in a soil of angle --phi, in the convention of the law (plane strain for
+    legs). 'invert --calibration FILE' then gives narrower intervals.
 
     Example: terraphi calibrate li2013:poppy_loose/straight --phi 36±2 --out poppy.toml
     """

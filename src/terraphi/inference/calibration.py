@@ -1,14 +1,14 @@
-r"""How real soils differ from a library's model, and soils of known angle in one's own apparatus.
+r"""How real soils differ from a law's model, and soils of known angle in one's own apparatus.
 
-The angle that a library reads off a record of measured forces is
+The angle that a law reads off a record of measured forces is
 
-    φ_read = ψ + offset(ψ),    ψ = φ + b + s + l,
+    φ_read = ψ + offset,    ψ = φ + b + s + l,
 
-the offset of each leg linear in ψ, b common to all soils in one apparatus, s of the soil, l of the
-leg in it, each normal about zero. The coefficients of the line have a covariance, so that the error
-of the offset, the same for all soils, grows away from those it was learned from. Forces show none
-of them: they look like another angle. They are learned from soils whose angle was measured
-otherwise, and stand in the library's file.
+the offset that of a shape of leg, b common to all soils in one apparatus, s of the soil, l of the
+leg or rig in it, each normal about zero. The offset has an error, and no slope over ψ within an
+error, so that it is known less away from the soils it was learned from. Forces show none of them:
+they look like another angle. They are learned from soils whose angle was measured otherwise, and
+stand in the law's file.
 
 A calibration is such a soil in the user's own apparatus, in which the height of the hip, the
 friction of the leg and the gain of the sensor stay as they are. Its y_i = ψ_i − φ_i is a draw of a
@@ -50,13 +50,13 @@ class CalibrationSoil(Strict):
     leg: str
     """Shape of the leg."""
     phi_deg: float = Field(gt=0, lt=90)
-    """Friction angle that was measured otherwise [deg], in the library's convention."""
+    """Friction angle that was measured otherwise [deg], in the law's convention."""
     phi_sd_deg: float = Field(ge=0, le=90)
     """Its standard deviation [deg]."""
     read_deg: float
-    """Angle that the library reads off the record, its offset taken off: ψ [deg]."""
+    """Angle that the law reads off the record, its offset taken off: ψ [deg]."""
     read_sd_deg: float = Field(ge=0, le=90)
-    """Standard deviation of that from noise, density and the library [deg]."""
+    """Standard deviation of that from noise, density and the law [deg]."""
     rig_sd_deg: float = Field(0.0, ge=0, le=90)
     """The same from the height of the hip, the friction of the leg and the gain, which stay."""
     gain: float = Field(1.0, gt=0)
@@ -64,27 +64,27 @@ class CalibrationSoil(Strict):
 
 
 class Calibration(Strict):
-    """Soils of known friction angle in one apparatus, read through one library."""
+    """Soils of known friction angle in one apparatus, read by one law."""
 
     library: str
-    """Name of the library."""
+    """Name of the law."""
     library_hash: str
     """Its hash."""
     soils: list[CalibrationSoil] = Field(min_length=1)
     """The records."""
 
     def check(self, library: Library | Legs) -> None:
-        """Refuse another library than that of the calibration.
+        """Refuse another law than that of the calibration.
 
         Raises
         ------
         InputError
-            If the library is another, or has changed.
+            If the law is another, or has changed.
         """
         if (library.name, library.hash) != (self.library, self.library_hash):
             raise InputError(
-                f"the calibration is for library '{self.library}' as it was then, and this is "
-                f"'{library.name}'; invert with that library, or calibrate again"
+                f"the calibration is for law '{self.library}' as it was then, and this is "
+                f"'{library.name}'; invert with that law, or calibrate again"
             )
 
     def check_gain(self, gains: Mapping[str, float]) -> None:

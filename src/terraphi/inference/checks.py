@@ -29,7 +29,7 @@ from terraphi.inference.likelihood import (
 )
 from terraphi.inference.records import Record, density_doubts
 from terraphi.laws.law import THEORY
-from terraphi.laws.legs import Legs
+from terraphi.laws.legs import VARIED, Legs
 from terraphi.laws.store import PHI, differences, shipped_library
 
 LOADED = 0.05
@@ -60,8 +60,9 @@ Pouliquen 2006, Nature 441:727), to dense quartz sand at its peak, 48° (Bolton 
 COHESIVE_PA = 100.0
 """Cohesion above which dry soil must be coarse [Pa]: chosen; grains of 4 mm act like 30 to 50 Pa on
 a leg of 25 mm, measured sands like 0 to 20."""
-LARGE_SHIFT_DEG = 4.0
-"""Distance of the leg angle's shift from the usual one above which an answer says so [deg]."""
+LARGE_SHIFT_DEG = 8.5
+"""Distance of the leg angle's shift from the usual one above which an answer says so [deg]: media
+of Li et al. (2013) have up to 8.2°."""
 ONSET, LATE_DEG = 0.1, 11.0
 """Force over its largest at which contact has begun [-]; difference of that angle from the model's
 that another leg makes [deg]: at most 9° in the shipped records."""
@@ -74,9 +75,6 @@ UNUSUAL = 2.0
 FAR_APART_DEG = 10.0
 """Distance of two opinions above which answers doubt the record [deg]: at most 8.5° with the right
 leg in simulated grains and shipped media, 14° where a wrong leg is consistent."""
-SIMILAR = ("leg.", "motion.", "bed.", "numerics.domain", "numerics.cells", "numerics.time_step",
-           "numerics.remap_interval")  # fmt: skip
-"""Beginnings of scenario keys in which the cases of law ``legs`` differ."""
 UNITS = ("N", "lbf", "kgf", "gf", "kN", "mN")
 """Units of force that a record may be in."""
 
@@ -253,7 +251,7 @@ def guesses(likelihood: Likelihood) -> Iterator[str]:
         if likelihood.measured and record.rig.hip_height_sd_mm > 0.0 and not known:
             yield (
                 f"{name}The ± {record.rig.hip_height_sd_mm:g} mm of the hip's height are not in "
-                f"this interval: library {likelihood.library.name} does not have their effect."
+                f"this interval: law {likelihood.library.name} does not have their effect."
             )
         if part.share < NEARLY_ALL and likelihood.measured and PHI in likelihood.keys:
             low, high = np.clip(record.history.theta_deg[[0, -1]], -WINDOW_DEG, WINDOW_DEG)
@@ -261,6 +259,8 @@ def guesses(likelihood: Likelihood) -> Iterator[str]:
                 f"{name}The record covers {low:.0f} to {high:.0f}° of ±{WINDOW_DEG:g}°, with "
                 f"{part.share:.0%} of the information on φ of a whole stroke."
             )
+        if record.grain_size_mm and not likelihood.of_size_deg(record):
+            yield f"{name}Law {likelihood.library.name} does not know what large grains add."
         if grown := likelihood.of_size_deg(record):
             yield (
                 f"{name}Grains of {record.grain_size_mm:g} mm raise the angle that this leg reads "
@@ -303,12 +303,12 @@ def others(
         name = likelihood.prefix(record)
         if record.scenario is not None:
             apart = differences(record.scenario, likelihood.library.scenario)
-            known = SIMILAR if isinstance(likelihood.library, Legs) else ()
-            apart = [k for k in apart if k not in likelihood.keys and not k.startswith(known)]
+            known = VARIED if isinstance(likelihood.library, Legs) else set()
+            apart = [key for key in apart if key not in {*likelihood.keys, *known}]
             if apart:
                 listed = ", ".join(apart[:3]) + (", …" if len(apart) > 3 else "")
                 yield (
-                    f"{name}The simulation differs from library {likelihood.library.name} in "
+                    f"{name}The simulation differs from law {likelihood.library.name} in "
                     f"{listed}: the angle may be off."
                 )
         elif PHI in likelihood.keys:
@@ -330,7 +330,7 @@ def _other_readings(likelihood: Likelihood, record: Record) -> Iterator[str]:
     options = _columns_otherwise(record) if record.channels == FORCES else {}
     units = []
     for what, (other, data) in options.items():
-        size = residual(data, other, likelihood, record.leg)
+        size = residual(data, other, likelihood, record.leg, usual=True)
         if what.startswith("unit") and size < min(BETTER * own, most):
             units.append(what.partition("=")[2])
         # What is simpler comes first, and stays if the others are hardly better.
@@ -418,7 +418,7 @@ def _other_size(likelihood: Likelihood, i: int) -> Iterator[str]:
     if min(begins) > 0 and abs(theta[0] - theta[1]) > LATE_DEG:
         yield (
             f"Contact begins at {theta[0]:.0f}°, in the model at {theta[1]:.0f}°: check the length "
-            "of the leg and the height of its hip; other sizes need a library of their own."
+            "of the leg and the height of its hip."
         )
 
 
@@ -446,11 +446,12 @@ def second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:
 
 
 def residual(
-    data: FloatArray, record: Record, likelihood: Likelihood, leg: str, cohesion: float = 0.0
-) -> float:
-    """Smallest residual of data over the usual angles [-], of peak-to-peak, at a cohesion [Pa].
+    data: FloatArray, record: Record, likelihood: Likelihood, leg: str, cohesion: float = 0.0,
+    *, usual: bool = False,
+) -> float:  # fmt: skip
+    """Smallest residual of data over the law's angles [-], of peak-to-peak, at a cohesion [Pa].
 
-    Infinite for a leg that the law does not know in these sizes.
+    Of usual soils alone, if asked. Infinite for a leg that the law does not know in these sizes.
     """
     rig = Rig.of(record.rig, leg)
     try:
@@ -459,7 +460,10 @@ def residual(
         return np.inf
     density = record.density_kg_m3 or on.density
     number = cohesion / (density * GRAVITY * rig.length)
-    low, high = np.clip(USUAL_DEG, on.bounds[0][0], on.bounds[1][0])
+    low, high = on.bounds[0][0], on.bounds[1][0]
+    if usual:
+        ends = np.array(USUAL_DEG)
+        low, high = np.clip(ends + likelihood.offset(record, ends), low, high)
     force = density / on.density * on(np.linspace(low, high, 65)[:, None], number)
     shifts = np.arange(-SHIFT_DEG, SHIFT_DEG + 1.0, 3.0) if likelihood.measured else np.zeros(1)
     squares = squared_residuals(record, data, force, on, shifts)

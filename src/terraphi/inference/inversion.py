@@ -58,6 +58,9 @@ at least 0.95 in all training records."""
 FAR = 4.0
 """Standard deviations above which chance explains nothing (1 in 16,000) [-]: of chi-square of a
 simulated record, and of a calibration soil's known angle."""
+SIMULATED = 0.08
+"""Residual of a simulation above which law ``legs`` does not describe it, over the range [-]:
+chosen; simulations of Li's legs that nothing was fitted to have 1 to 3 %."""
 SEVERAL = 1.3
 """Limit of a residual of several records with one angle, over that of one [-]: chosen, for legs
 differ."""
@@ -348,7 +351,7 @@ def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Ans
         # The angle or its interval rests on what was not measured.
         *([disagreement] if disagreement else []),
         *guesses(likelihood),
-        *([f"Library {library.name}: {library.caveat}"] if library.caveat else []),
+        *([f"Law {library.name}: {library.caveat}"] if library.caveat else []),
         # What was done with the readings.
         *notes,
     ]  # fmt: skip
@@ -401,7 +404,7 @@ def _fits(
     points = np.stack([middle, middle, middle])
     if PHI in parameters:
         points[:2, likelihood.keys.index(PHI)] = parameters[PHI].ci95
-    points[:2] = np.clip(points[:2], likelihood.low, likelihood.high)
+    points[:2] = np.clip(points[:2], *likelihood.ends)
     curves = likelihood.curves(points)
     found = []
     for record, part, whole, shift in zip(
@@ -452,26 +455,29 @@ def _verdict(
     misfit = (
         _misfit_of_soil(likelihood, fits) or _other_leg(likelihood)
         if likelihood.measured
+        else _misfit_of_law(fits)
+        if isinstance(likelihood.library, Legs)
         else _misfit(likelihood, middle)
     )
     edge = _edge(likelihood)
     if edge is not None:
         i = likelihood.keys.index(PHI)
-        low, high = likelihood.low[i], likelihood.high[i]
-        end, word = (low, "below") if edge == "low" else (high, "above")
+        end, word = (likelihood.low[i], "below") if edge == "low" else (likelihood.high[i], "above")
+        end -= float(likelihood.offset(likelihood.records[0], end))
         why = (
-            f"Out of range: φ lies {word} {end:g}°, the "
-            f"{'lower' if edge == 'low' else 'upper'} end of library {likelihood.library.name}."
+            f"Out of range: φ lies {word} {end:.0f}°, the "
+            f"{'lower' if edge == 'low' else 'upper'} end of law {likelihood.library.name}."
         )
         return "out_of_range", f"{why} {misfit}".rstrip(), edge
     if misfit:
         return "misfit", misfit, None
-    if not likelihood.measured:
+    if not likelihood.measured and not isinstance(likelihood.library, Legs):
         return "consistent", "Consistent: noise and scatter explain the residual.", None
     followed = " and ".join(f"{c} within {_percent(size)}" for c, size in worst_nrmsd(fits).items())
+    kind = "sand" if likelihood.measured else "simulations"
     return (
         "consistent",
-        f"Consistent: the model follows {followed} of the range, usual for sand.",
+        f"Consistent: the model follows {followed} of the range, usual for {kind}.",
         None,
     )
 
@@ -512,6 +518,17 @@ def _other_leg(likelihood: Likelihood) -> str:
                 "Check the leg. Do not use the angle."
             )
     return ""
+
+
+def _misfit_of_law(fits: Sequence[RecordFit]) -> str:
+    """A sentence if a simulation differs from a law over ratios by more than its cases do."""
+    size = max(worst_nrmsd(fits).values())
+    if size <= SIMULATED:
+        return ""
+    return (
+        f"Misfit: the residual is {_percent(size)} of the range; the limit for simulations is "
+        f"{_percent(SIMULATED)}. Do not use the angle."
+    )
 
 
 def _misfit(likelihood: Likelihood, middle: FloatArray) -> str:

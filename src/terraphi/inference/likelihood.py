@@ -21,7 +21,7 @@ density, gain             relative standard deviation of the density, and of the
 model: apparatus, soil    what looks like another angle: b² and s² times (∂g/∂φ)(∂g/∂φ)'
 model: leg, offset        the same of each leg by itself, l²; and the error of its offset over φ
 cohesion                  what the weight on a cohesion that is fitted as well takes from it; of a
-                          part of the stroke, which does not tell it from φ, a usual one
+                          part of the stroke, which does not determine it, a usual one
 missing angles            where a record has a part of the stroke (below)
 missing forces            where it has the moment about the hip in place of a force: the angles
                           read off both differ by that
@@ -90,8 +90,8 @@ from terraphi.laws.legs import Legs, cells_in
 from terraphi.laws.store import PHI, Library, shipped_library
 
 SHIFT_DEG = 15.0
-"""Largest shift of the leg angle of measured records [deg]: chosen, above the 13° of the shipped
-and simulated records."""
+"""Largest shift of the leg angle of measured records [deg]: chosen. C legs have 11 to 15° in grains
+and shipped media; with 20° their angles move by 0.1°."""
 COHESIONS = np.array([0.0, 0.1, 0.35, 1.0])
 """Cohesions from which the best is looked for, over the largest that a law knows [-]; chosen."""
 RIDGE = 2e-3
@@ -106,12 +106,9 @@ FAR_OFF = 3.0
 """Factor between data and best curve at which no angle fits [-]: chosen."""
 OF_RIG = ("leg friction", "hip height", "gain")
 """Causes that stay as they are in an apparatus."""
-
-
-LONG, UNKNOWN_COHESION = 0.65, 0.015
-"""Share of a stroke's windows from which on a cohesion is told from φ [-], and the standard
-deviation of c / (ρ g L) in other records [-]: shipped media have 0 to 0.018 by whole strokes;
-chosen."""
+LONG, UNKNOWN_COHESION = 0.8, 0.015
+"""Share of the windows in soil from which on a cohesion is fitted [-], and the standard deviation
+of c / (ρ g L) in other records [-]: shipped media have 0 to 0.02 by whole strokes; chosen."""
 WHOLE = 0.9
 """Share of a stroke's windows with which its shape can be compared with those of whole ones [-]."""
 PART_DEG = 1.4
@@ -127,6 +124,15 @@ def is_whole(record: Record) -> bool:
     """
     forces = record.channels == FORCES
     return forces and record.theta_deg.size >= WHOLE * OBSERVATION_ANGLES
+
+
+def _is_long(record: Record) -> bool:
+    """Whether a record of both forces has most of the windows in which its leg is in soil."""
+    grid = np.linspace(-WINDOW_DEG, WINDOW_DEG, OBSERVATION_ANGLES)
+    first, last = record.rig.air_deg()
+    inside = grid[(first <= grid) & (grid <= last)].round(6)
+    has = np.isin(inside, record.theta_deg.round(6))
+    return record.channels == FORCES and bool(has.mean() >= LONG)
 
 
 class Part(NamedTuple):
@@ -270,7 +276,7 @@ class Likelihood:
         theta, known = record.theta_deg, law.theta_deg
         if theta[0] < known[0] - 4.4 or theta[-1] > known[-1] + 4.4:
             raise InputError(
-                f"library '{library.name}' covers theta from {known[0]:.0f} to {known[-1]:.0f} deg "
+                f"law {library.name} covers theta from {known[0]:.0f} to {known[-1]:.0f} deg "
                 f"only, {record.source} {theta[0]:.0f} to {theta[-1]:.0f} deg; cut the record or "
                 "build the library anew"
             )
@@ -347,15 +353,13 @@ class Likelihood:
     def _bounds(self) -> tuple[FloatArray, FloatArray]:
         """Least and largest δ [deg] and c [Pa]: of simulated records, nothing but 0.
 
-        Parts of a stroke do not tell c from φ, and are read as of dry soil.
+        Parts of a stroke do not determine c beside φ, and are read as of dry soil, unless a longer
+        record of the soil is among them.
         """
         shift = np.full(len(self.records), SHIFT_DEG if self.measured else 0.0)
         pairs = zip(self.laws, self._per_pascal, strict=True)
         most = min(law.most_cohesion / number for law, number in pairs)
-        known = self.measured and any(
-            r.channels == FORCES and r.theta_deg.size >= LONG * OBSERVATION_ANGLES
-            for r in self.records
-        )
+        known = self.measured and any(map(_is_long, self.records))
         return np.append(-shift, 0.0), np.append(shift, most if known else 0.0)
 
     # -- best point ------------------------------------------------------------------------------
@@ -511,7 +515,7 @@ class Likelihood:
             ]
             found[cause] = self._shared_by_leg(factors)
         if not self._bounds[1][-1] and any(law.most_cohesion for law in self.laws):
-            c = UNKNOWN_COHESION / float(self._per_pascal.max())
+            c = UNKNOWN_COHESION / float(self._per_pascal.min())
             moist = self.curves(x[None], np.append(self.nuisance[:-1], c))[0]
             found["cohesion"] = _square(moist - curve)
         if self.cohesion:
@@ -640,13 +644,13 @@ class Likelihood:
         """Standard deviation of each parameter from all terms, [key]."""
         return np.sqrt(np.diag(self._variance))
 
-    def budget(self, key: str = PHI) -> dict[str, float]:
-        """Share of each term in the standard deviation of a parameter, in its unit.
+    def budget(self) -> dict[str, float]:
+        """Share of each term in the standard deviation of φ [deg].
 
         With c the weights of the estimate, c'C_t c; the squares add up to the variance. The
         largest comes first, and what is below a hundredth of it is left out.
         """
-        c = self._weights[self.keys.index(key)]
+        c = self._weights[self.keys.index(PHI)]
         shares = {n: math.sqrt(max(float(c @ term @ c), 0.0)) for n, term in self.terms.items()}
         most = max(shares.values())
         ordered = sorted(shares.items(), key=lambda item: -item[1])

@@ -65,11 +65,11 @@ def _row(folder: Path, cells: dict[str, str]) -> dict[str, Any]:
     given: dict[str, Any] = {key: placed(cells[key]) for key in OPTIONS if cells.get(key)}
     for key in {"density", "grain_size_mm", "noise", "gain", "leg_friction", *SIZES} & given.keys():
         given[key] = given[key].replace(",", ".")  # as in 638,5
-    for key in {"noise", "grain_size_mm"} & given.keys():
+    if "noise" in given:
         try:
-            given[key] = float(given[key])
+            given["noise"] = float(given["noise"])
         except ValueError:
-            raise InputError(f"{cells['file']}: {key} = {given[key]!r} is no number") from None
+            raise InputError(f"{cells['file']}: noise = {given['noise']!r} is no number") from None
     notes = {key: cell for key, cell in cells.items() if key not in ("file", *OPTIONS)}
     return {"forces": placed(cells["file"]), **given, "notes": notes}
 

@@ -47,8 +47,8 @@ DENSITY_SD = 0.05
 """Relative standard deviation of a density that comes without one: chosen."""
 USUAL_DENSITY = (1250.0, 2100.0)
 """Bulk density of dry mineral soils [kg/m³]: loose uniform sand has 1480, glacial till 2100 (Das,
-*Principles of Geotechnical Engineering*, table of typical dry unit weights); loose beds of angular
-sand a tenth less and more."""
+*Principles of Geotechnical Engineering*, table of typical dry unit weights); the loosest angular
+sand and simulated grains of this project have 1300."""
 LARGEST_GRAIN = 0.4
 """Largest diameter of grains over the width of a leg [-]: of those that were simulated 0.35."""
 GAIN_SD = 0.02
@@ -352,7 +352,12 @@ def record_of(
     if made_by is not None and gain is not None:
         raise InputError(f"{known.name}: a simulation has no sensor; leave out the gain")
     rig = Rig.of(source, leg)
-    grains = 0.0 if grain_size_mm is None else grain_size_mm
+    if made_by is not None and grain_size_mm is not None:
+        raise InputError(f"{known.name}: a simulation has no grains; leave out their size")
+    try:
+        grains = float(grain_size_mm or 0.0)
+    except (TypeError, ValueError):
+        raise InputError(f"{known.name}: grain_size_mm = {grain_size_mm!r} is no number") from None
     if not 0.0 <= grains <= LARGEST_GRAIN * rig.width_mm:
         raise InputError(
             f"{known.name}: grain_size_mm = {grains:g}; 0 to {LARGEST_GRAIN * rig.width_mm:.3g} mm "
@@ -406,7 +411,7 @@ def density_doubts(density: float) -> list[str]:
         return []
     sentence = (
         f"The density {density:g} kg/m³ is unusual: dry sand and gravel have {least:g} to "
-        f"{most:g} kg/m³. Half or twice of it moves φ by 6 to 9°."
+        f"{most:g} kg/m³. Half or twice of it moves φ by 5 to 9°."
     )
     return [sentence]
 

@@ -36,7 +36,7 @@ from pydantic import BaseModel, Field, Json
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import shipped_file, strictly
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import open_netcdf, write_netcdf
+from terraphi.experiment.files import netcdf_kind, open_netcdf, write_netcdf
 from terraphi.experiment.rig import (
     CELLS_ACROSS,
     CELLS_DEEP,
@@ -59,11 +59,25 @@ from terraphi.laws.law import (
     remedy,
     rig_of,
 )
-from terraphi.laws.store import PHI, THETA_DEG, Library, nearest_library, shipped_library
+from terraphi.laws.store import (
+    PHI,
+    THETA_DEG,
+    Library,
+    differences,
+    nearest_library,
+    shipped_library,
+)
 
 NAME, SCHEMA = "legs", 2
 FORMER_NAME = "sand3d"
-"""Name of an earlier law, of the rig of Li et al. (2013) alone, which this one answers to."""
+"""Name of an earlier law, of the rig of Li et al. (2013) alone, which means this one now."""
+VARIED = {
+    "soil.cohesion", "leg.chord", "leg.width", "leg.half_thickness", "leg.friction",
+    "motion.hip.0", "motion.hip.1", "motion.start_deg", "motion.stop_deg", "bed.left", "bed.floor",
+    "bed.width", "bed.height", "bed.breadth", "numerics.domain", "numerics.cells",
+    "numerics.time_step", "numerics.remap_interval",
+}  # fmt: skip
+"""Scenario keys in which the cases differ, besides those that :func:`differences` ignores."""
 DENSITY = 1650.0
 """Bulk density of the simulated soil [kg/m³]; forces are in proportion to it."""
 AXES = ("phi_deg", "mu", "width", "hip_height", "thickness", "cohesion", "cells", "curvature")
@@ -240,6 +254,21 @@ class Legs:
                 sd[block, k] = np.sqrt(process.sigma2 * np.diag(covariance))
         return apart, sd
 
+    def scatter(self, x: FloatArray, depth: FloatArray) -> FloatArray:
+        """Factor of what a simulation differs by from the law's mean [-], [k, 2, place].
+
+        By its particle seed, as the nuggets have it, and by what the components do not hold, as the
+        cases have it.
+        """
+        mean, u, y = self._components
+        size = np.sqrt(np.square(self.force).mean(axis=(1, 2)))
+        rest = self.force.reshape(len(y), -1) / size[:, None] - mean - y[:, 1:] @ u
+        force = self(x, depth)[0].ravel()
+        sd = np.sqrt([process.nugget for process in self.processes])
+        own = float(np.sqrt(np.square(force).mean()))
+        rows = [sd[:1] * force[None], own * sd[1:, None] * u, own / np.sqrt(len(rest)) * rest]
+        return np.vstack(rows).reshape(-1, *self.force.shape[1:])
+
     # -- contents and file -----------------------------------------------------------------------
 
     def of(self, leg: str) -> NDArray[np.bool_]:
@@ -273,9 +302,14 @@ class Legs:
         }  # fmt: skip
 
     def save(self, path: Path) -> None:
-        """Write one NetCDF-4 file; raises InputError if the place cannot be written."""
+        """Write one NetCDF-4 file; raises InputError if the place cannot be written.
+
+        A library that was joined stays in its own file.
+        """
         import xarray as xr
 
+        if self.own:
+            raise InputError(f"law legs with library {self.name}: keep the library's own file")
         data: dict[str, Any] = {
             "x": (("case", "axis"), self.x),
             "depth": ("case", self.depth),
@@ -339,6 +373,13 @@ class Legs:
         check_friction(rig)
         if any(rig.leg == own.leg and is_similar(rig, own) for own in self.own):
             return RatioLaw(self, rig, cells)
+        if rig.leg in self.legs:
+            low, high = self.ranges(rig.leg)["cells"]
+            if not low <= cells <= high:
+                raise InputError(
+                    f"law {NAME} is for cells of {low:.2g} to {high:.2g} times those of its rule, "
+                    f"and the simulation has {cells:.2g}"
+                )
         why = f"law {NAME} has no {LEG_NAMES[rig.leg]} yet"
         if rig.leg in self.legs:
             ranges = self.ranges(rig.leg)
@@ -423,9 +464,12 @@ class RatioLaw(LegLaw):
         errors = forces(self._law.errors(x, depth))[:, 0]
         return np.asarray(errors.reshape(len(errors), -1).T)
 
-    def scatter(self, _x: FloatArray) -> FloatArray:
-        """None: the law is of measured forces."""
-        return np.zeros((2 * THETA_DEG.size,) * 2)
+    def scatter(self, x: FloatArray) -> FloatArray:
+        """Covariance of what a simulation differs by from the law's mean."""
+        x, depth, forces = self._at(np.clip(x, *self.bounds), 0.0)
+        factor = forces(self._law.scatter(x, depth))
+        flat = factor.reshape(len(factor), -1)
+        return np.asarray(flat.T @ flat)
 
     def modes(self, x: FloatArray, cohesion: float) -> dict[str, FloatArray]:
         """One standard deviation of the leg's friction, and of the hip's height."""
@@ -440,9 +484,17 @@ class RatioLaw(LegLaw):
 
 
 def cells_in(scenario: Scenario | None, rig: Rig) -> float:
-    """Size of a simulation's cells over that of the rule for its rig [-]; 1 of measured forces."""
+    """Size of a simulation's cells over that of the rule for its rig [-]; 1 of measured forces.
+
+    Raises InputError if it is not a material point method in three dimensions.
+    """
     if scenario is None:
         return 1.0
+    if (scenario.model, scenario.dimensions) != ("mpm", 3):
+        raise InputError(
+            f"law {NAME} is of simulations in three dimensions by mpm, and this is one by "
+            f"{scenario.model} in {scenario.dimensions}; leave out the law"
+        )
     depth = reach(rig.leg, rig.ratios)[2]
     return scenario.numerics.cell_size / rig.length / cells_of(rig.ratios, depth)
 
@@ -493,23 +545,43 @@ def shipped_laws() -> list[Library | Legs]:
 
 
 def nearest_law(scenario: Scenario) -> Library | Legs:
-    """The shipped law whose scenario differs least from a simulation's."""
+    """Law ``legs`` of legs that turn in three dimensions, or the most similar shipped library."""
     turns = (scenario.model, scenario.dimensions, scenario.motion.kind) == ("mpm", 3, "rotation")
     return shipped_legs() if turns else nearest_library(scenario)
 
 
 def stored(name: Path | str) -> Library | Legs:
-    """A shipped law of legs by its name, or a library from a file; raises InputError."""
+    """A shipped law of legs by its name, or a law or library from a file; raises InputError."""
     if str(name) in (NAME, FORMER_NAME):
         return shipped_legs()
-    return shipped_library(str(name)) if str(name) in Library.names() else Library.load(name)
+    if str(name) in Library.names():
+        return shipped_library(str(name))
+    path = Path(name)
+    of_law = path.is_file() and netcdf_kind(path) == "law"
+    return Legs.load(path) if of_law else Library.load(name)
 
 
 def law_named(name: Path | str) -> Library | Legs:
-    """The same, a library of one's own legs over φ alone joined to the shipped law."""
+    """A law or library by name or file; raises InputError.
+
+    A library over φ alone of legs that turn through the soil of law ``legs`` is joined to it.
+    """
     found = stored(name)
     law = nearest_law(found.scenario)
     if isinstance(found, Legs) or not isinstance(law, Legs):
         return found
+    alike = set(differences(found.scenario, law.scenario)) <= VARIED
     of_phi = all(found.keys(leg) == (PHI,) for leg in found.legs)
-    return law.joined(found) if of_phi else found
+    return law.joined(found) if alike and of_phi and _whole(found) else found
+
+
+def _whole(library: Library) -> bool:
+    """Whether the paths of a library begin and end in the air."""
+    for scenario, history, _ in library.cases:
+        rig = Rig.of_scenario(scenario)
+        if history is not None and rig is not None:
+            first, last, _ = reach(rig.leg, rig.ratios)
+            begins, ends = history.theta_deg[[0, -1]]
+            if begins > first + 1.0 or ends < last - 1.0:
+                return False
+    return True

@@ -21,7 +21,7 @@ from terraphi.experiment.scenario import Scenario
 MOST_CASES = 10_000
 """Cases of a plan at most."""
 RIG_ANGLES_DEG = (35.0, 30.0, 40.0, 25.0, 45.0, 20.0, 15.0, 50.0)
-"""Friction angles of a library of one's own rig [deg]; law legs knows what lies between them."""
+"""Friction angles of a library of one's own rig [deg]; between them law legs interpolates."""
 HIGHEST = 0.7
 """Largest height of the hip over the length of the leg [-]; above it the leg barely scratches."""
 

@@ -1,4 +1,4 @@
-"""A library: simulations over the friction angle, and what else inference needs, in one NetCDF."""
+"""A library: simulations over the friction angle, in one NetCDF."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class Curves(NamedTuple):
     keys: tuple[str, ...]
     """Dotted scenario keys of the parameters."""
     x: FloatArray
-    """Their values, shape [case, key]; replicates repeat a row."""
+    """Their values, shape [case, key]."""
     theta_deg: FloatArray
     """Leg angles [deg], shape [theta]."""
     force: FloatArray
@@ -79,7 +79,7 @@ class Curves(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Library:
-    """Simulations of a plan, with what was learnt about them.
+    """Simulations of a plan.
 
     Attributes
     ----------

@@ -17,10 +17,11 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
+from terraphi.experiment.scenario import GRAVITY
 from terraphi.robot.forces import FootForces, SensorErrors
 from terraphi.robot.friction import BEARING_SHARE
 from terraphi.robot.joint_log import AVERAGE_S, FEET, JointLog
-from terraphi.robot.legs import GRAVITY, Legs, body_rate, rotation
+from terraphi.robot.legs import Legs, body_rate, rotation
 from terraphi.robot.model import Quadruped
 from terraphi.robot.stance import Stance
 from terraphi.robot.touchdowns import STANCE_SD

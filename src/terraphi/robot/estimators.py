@@ -17,8 +17,9 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
+from terraphi.experiment.scenario import GRAVITY
 from terraphi.robot.joint_log import STANDSTILL, JointLog
-from terraphi.robot.legs import GRAVITY, Legs, TrunkMotion, rotation
+from terraphi.robot.legs import Legs, TrunkMotion, rotation
 from terraphi.robot.model import Quadruped
 
 Estimator = Literal["quasi_static", "momentum_observer"]

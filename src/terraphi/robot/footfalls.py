@@ -13,6 +13,7 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import number_with_sd
 from terraphi.experiment.plausibility import LIMITS
+from terraphi.experiment.scenario import GRAVITY
 from terraphi.inference.footfalls import FootfallMap, infer
 from terraphi.inference.pool import Anchor, Normal
 from terraphi.inference.touchdowns import TORQUES, Prior
@@ -20,7 +21,7 @@ from terraphi.laws.foot import LAWS
 from terraphi.robot.forces import SensorErrors, without_broken_accelerometer
 from terraphi.robot.friction import spread
 from terraphi.robot.joint_log import FEET, JointLog
-from terraphi.robot.legs import GRAVITY, rotation
+from terraphi.robot.legs import rotation
 from terraphi.robot.logs.columns import Columns
 from terraphi.robot.model import Quadruped
 from terraphi.robot.results import foot_forces

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError, nearest
+from terraphi.experiment.scenario import GRAVITY
 from terraphi.robot.estimators import (
     ESTIMATORS,
     OBSERVER_GAIN,
@@ -25,7 +26,7 @@ from terraphi.robot.estimators import (
 )
 from terraphi.robot.friction import Survey, survey
 from terraphi.robot.joint_log import FEET, GAP_STEPS, JOINTS, SHAPES, JointLog
-from terraphi.robot.legs import GRAVITY, rotation
+from terraphi.robot.legs import rotation
 from terraphi.robot.model import Quadruped
 
 SingleArray = NDArray[np.float32]

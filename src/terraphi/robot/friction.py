@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
+from terraphi.experiment.scenario import GRAVITY
 from terraphi.robot.estimators import (
     CHUNK,
     OBSERVER_GAIN,
@@ -29,7 +30,6 @@ from terraphi.robot.estimators import (
     upward,
 )
 from terraphi.robot.joint_log import STANDSTILL, JointLog
-from terraphi.robot.legs import GRAVITY
 from terraphi.robot.model import Quadruped
 
 LEAST_SWING = 50

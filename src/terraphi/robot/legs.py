@@ -15,13 +15,11 @@ from scipy.spatial.transform import Rotation
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import needing
+from terraphi.experiment.scenario import GRAVITY
 from terraphi.robot.model import Quadruped
 
 with needing("the legs of a robot:", "the package mujoco", extra="robot"):
     import mujoco
-
-GRAVITY = 9.81
-"""Acceleration of gravity g [m/s²]."""
 
 
 class TrunkMotion(NamedTuple):

@@ -15,12 +15,12 @@ from pydantic import BaseModel, Json
 
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import NetcdfFile, write_netcdf
+from terraphi.experiment.scenario import GRAVITY
 from terraphi.robot.checks import balance, check
 from terraphi.robot.estimators import Estimator
 from terraphi.robot.forces import DEFAULT_ESTIMATOR, FootForces, Frame, estimate
 from terraphi.robot.friction import BEARING_SHARE, LAG_STEP_S, MOST_LAG_S
 from terraphi.robot.joint_log import FEET, JointLog
-from terraphi.robot.legs import GRAVITY
 from terraphi.robot.logs import read_log
 from terraphi.robot.logs.columns import Columns
 from terraphi.robot.logs.samples import UNEVEN, describe

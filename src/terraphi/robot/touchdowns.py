@@ -28,12 +28,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.scenario import GRAVITY
 from terraphi.inference.touchdowns import FEWEST, Touchdowns
 from terraphi.robot.estimators import smooth_sign, trunk_motion
 from terraphi.robot.forces import TRUNK_ACCELERATION_SD, FootForces
 from terraphi.robot.friction import BEARING_SHARE
 from terraphi.robot.joint_log import FEET, GAP_STEPS, JointLog
-from terraphi.robot.legs import GRAVITY
 from terraphi.robot.model import Quadruped
 from terraphi.robot.stance import SMOOTH_S, Stance, running_mean
 
