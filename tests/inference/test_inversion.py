@@ -239,7 +239,7 @@ def test_calibrating_with_one_s_own_answer_centres_there(tmp_path) -> None:
     assert answer.phi.sd < plain.phi.sd
 
 
-@pytest.mark.parametrize("phi", [12.0, 50.0])
+@pytest.mark.parametrize("phi", [9.0, 50.0])
 def test_a_known_angle_that_the_forces_contradict_is_refused(phi: float) -> None:
     with pytest.raises(InputError, match="disagree"):
         calibrate("li2013:glass03_loose/straight", phi, 1.0)
@@ -369,3 +369,35 @@ def test_the_end_of_a_law_is_named_as_an_angle_of_soil() -> None:
     assert (answer.verdict, answer.edge) == ("out_of_range", "low")
     end = 10.0 - law.error_of("reversed_c").offset_deg
     assert f"below {end:.0f}°" in answer.reason
+
+
+def test_dense_soil_has_a_peak_where_its_critical_angle_is_known(tmp_path: Path) -> None:
+    """The share of the way that is read, turned round; kept in files."""
+    answer = invert("li2013:glass03_close/straight", critical="22±1")
+    apart = answer.phi.median - 22.0
+    peak = answer.phi_peak
+    assert peak.median == pytest.approx(22.0 + apart / 0.57, abs=1.0)
+    slope = np.hypot(answer.phi.sd, 0.75) / 0.57  # of what is read, and of the critical angle
+    assert peak.sd > slope
+    answer.save(tmp_path / "a")
+    again = Answer.load(tmp_path / "a")
+    assert again.phi_peak == peak
+    assert again.as_dict()["phi_peak"]["median"] == peak.median
+    assert answer.phi == invert("li2013:glass03_close/straight").phi
+
+
+def test_loose_soil_has_no_peak() -> None:
+    answer = invert("li2013:glass03_loose/straight", critical=24)
+    assert answer.phi_peak is None
+    assert any("loose" in question for question in answer.questions)
+    wrong = invert("li2013:glass03_loose/straight", critical="40±1")
+    assert any("the critical angle is wrong" in question for question in wrong.questions)
+
+
+@pytest.mark.parametrize(
+    ("critical", "law", "why"),
+    [("33+-x", None, "give degrees"), (70, None, "0 to 60"), (30, "rft3d", "plane strain")],
+)
+def test_critical_angles_that_cannot_be(critical: object, law: str | None, why: str) -> None:
+    with pytest.raises(InputError, match=why):
+        invert("li2013:yuma/straight", critical=critical, law=law)

@@ -43,6 +43,7 @@ SOME_FAILED = 1
 @law_option
 @click.option("--noise", type=Float(), help="Noise [N].  [default: estimated]")
 @click.option("--calibration", type=PATH, help="File of 'terraphi calibrate'.")
+@click.option("--critical", metavar="DEG[±SD]", help="Critical φ; of dense soil adds the peak.")
 @click.option(
     "--simulated/--measured",
     default=None,

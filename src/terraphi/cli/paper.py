@@ -29,7 +29,7 @@ NAMES = (
 @click.option("--out", type=PATH, help="Folder for data.json and figures.")
 @json_option
 def paper(name: str | None, library: str, out: Path | None, as_json: bool) -> None:
-    r"""Repeat the results of Xu & Wang.
+    """Repeat the results of Xu & Wang.
 
     NAME is one of these; without it all but the figures, in about two minutes.
 
@@ -45,7 +45,7 @@ def paper(name: str | None, library: str, out: Path | None, as_json: bool) -> No
     figures          its figures, ready to print (13 minutes)
 
     Example: terraphi paper recovery --out recovery
-    """
+    """  # noqa: D301
     from terraphi.experiment.outputs import check_folder, output_folder
     from terraphi.paper import numbers
 

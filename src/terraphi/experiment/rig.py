@@ -76,8 +76,8 @@ class Rig(Strict):
 
     leg: RotatingShape
     """``straight``; ``c``, a semicircle that bulges where it moves; ``reversed_c``, its mirror."""
-    length_mm: float = Field(gt=0, le=10_000)
-    """From the hip to the outermost tip [mm]."""
+    length_mm: float = Field(gt=10, le=10_000)
+    """From the hip to the outermost tip [mm]; 10 and less are centimeters or meters."""
     width_mm: float = Field(gt=0, le=10_000)
     """Extent across the plane of motion [mm]."""
     thickness_mm: float = Field(gt=0, le=1000)

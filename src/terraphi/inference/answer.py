@@ -197,6 +197,8 @@ class AnswerSummary:
         Of the draws.
     budget_deg
         Standard deviation of φ by term of the likelihood, the largest first [deg].
+    phi_peak
+        Peak angle of dense soil [deg], where its critical angle was given; ``None`` if it is loose.
     second_opinion
         Library, median and standard deviation of the answer by other physics, or ``None``.
     parameters
@@ -223,6 +225,7 @@ class AnswerSummary:
     leg_friction: Annotated[float, Field(ge=0.0, lt=10.0)] | None = None
     seed: int | None = None
     cohesion_pa: Annotated[float, Field(ge=0.0, lt=1e9)] | None = None
+    phi_peak: Estimate | None = None
     budget_deg: Mapping[str, float] = field(default_factory=dict)
     second_opinion: Annotated[Mapping[str, Any], AfterValidator(_opinion)] | None = None
     diagnostics: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
@@ -314,6 +317,7 @@ class Answer(AnswerSummary):
             "source": self.source,
             "rig": self.rigs[0].model_dump(),
             **copy.deepcopy({one.name: getattr(self, one.name) for one in fields(AnswerSummary)}),
+            "phi_peak": self.phi_peak.as_dict() if self.phi_peak else None,
             "nrmsd": self.nrmsd,
             "n_angles": self.records[0].theta_deg.size,
             "questions": list(self.questions),
@@ -383,17 +387,21 @@ class Answer(AnswerSummary):
         each = dict(zip(labels, handles, strict=True))
         of_channels[0].legend(each.values(), each.keys(), frameon=False, fontsize="small")
         grid, density = self.posterior
-        of_phi.plot(grid, density, color="C0")
+        sound = self.verdict == "consistent"
+        colour = "C0" if sound else "0.6"
+        of_phi.plot(grid, density, color=colour)
         low, high = self.phi.ci68
         inside = (grid >= low) & (grid <= high)
-        of_phi.fill_between(grid[inside], density[inside], color="C0", alpha=0.3, lw=0)
+        of_phi.fill_between(grid[inside], density[inside], color=colour, alpha=0.3, lw=0)
         seen = grid[density > 1e-4 * density.max()]
         of_phi.set(
             xlabel=f"φ [deg], {self.convention.replace('_', ' ')}",
             ylabel="posterior density [1/deg]",
             xlim=(seen[0], seen[-1]),
             ylim=(0.0, None),
-            title=f"φ = {str(self.phi).partition('    ')[0]}",
+            title=f"φ = {str(self.phi).partition('    ')[0]}"
+            if sound
+            else f"{self.verdict.replace('_', ' ')}: not to be used",
         )
         return figure
 

@@ -17,6 +17,7 @@ from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.baseline import OFFSET
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import CHANNEL_UNITS, FORCES, OBSERVATION_ANGLES, WINDOW_DEG
+from terraphi.experiment.measurements import measurement
 from terraphi.experiment.rig import Rig
 from terraphi.experiment.scenario import GRAVITY
 from terraphi.experiment.units import FORCE
@@ -261,10 +262,11 @@ def guesses(likelihood: Likelihood) -> Iterator[str]:
             )
         if record.grain_size_mm and not likelihood.of_size_deg(record):
             yield f"{name}Law {likelihood.library.name} does not know what large grains add."
-        if grown := likelihood.of_size_deg(record):
+        grown = likelihood.of_size_deg(record)
+        if abs(grown) > 0.05:
             yield (
-                f"{name}Grains of {record.grain_size_mm:g} mm raise the angle that this leg reads "
-                f"by {grown:.1f}°, which is taken off."
+                f"{name}Grains of {record.grain_size_mm:g} mm add {grown:+.1f}° to the angle that "
+                "this leg reads, which is taken off."
             )
         if likelihood.cohesion > 0.5 and i == 0:
             check = likelihood.cohesion > COHESIVE_PA
@@ -273,7 +275,9 @@ def guesses(likelihood: Likelihood) -> Iterator[str]:
                 "one, and grains that are large compared with the leg act like one"
                 f"{'; else check the density and the unit of force' if check else ''}."
             )
-        if likelihood.measured and not record.medium:
+        # The seeds of Li et al. are light.
+        shipped = record.medium and measurement(record.measurement).density_kg_m3 == density
+        if likelihood.measured and not shipped:
             yield from (f"{name}{doubt}" for doubt in density_doubts(density))
         if record.density_kg_m3 is None or record.density_assumed:
             yield f"{name}The density {density:g} kg/m³ is assumed; 10 % of it move φ by about 1°."

@@ -6,6 +6,7 @@ import importlib.metadata
 import math
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
+from terraphi.experiment.files import number_with_sd
 from terraphi.experiment.rig import with_rig
 from terraphi.experiment.scenario import Scenario
 from terraphi.experiment.soil import plane_strain_friction_angle_deg
@@ -47,7 +49,7 @@ from terraphi.inference.likelihood import (
 from terraphi.inference.pressed import invert_pressed
 from terraphi.inference.records import Record, open_records
 from terraphi.inference.sampling import Drawn, quadrature, sample
-from terraphi.laws.legs import Legs, law_named, nearest_law, shipped_legs
+from terraphi.laws.legs import FORMER_NAME, Legs, law_named, nearest_law, shipped_legs
 from terraphi.laws.store import PHI, Library
 
 MODEL = ("model: apparatus", "model: soil", "model: leg", "model: offset")
@@ -58,6 +60,12 @@ at least 0.95 in all training records."""
 FAR = 4.0
 """Standard deviations above which chance explains nothing (1 in 16,000) [-]: of chi-square of a
 simulated record, and of a calibration soil's known angle."""
+SHARE, SHARE_ENDS, PEAK_DRAWS = (0.57, 0.18), (0.25, 1.0), 20_001
+"""Where φ of dense soil lies from critical to peak, mean and standard deviation [-]: seven packed
+records of simulated grains, by their size (``docs/grains.md``); a strip footing on Toyoura sand has
+0.59 to 0.72 (``docs/sheared_sands.md``). The ends, and the draws, are chosen."""
+LOOSE = 1.64
+"""Standard deviations below which φ is not above the critical angle [-]: one in twenty."""
 SIMULATED = 0.08
 """Residual of a simulation above which law ``legs`` does not describe it, over the range [-]:
 chosen; simulations of Li's legs that nothing was fitted to have 1 to 3 %."""
@@ -79,6 +87,7 @@ def invert(
     noise: float | tuple[float, float] | None = None,
     gain: float | str | None = None,
     calibration: Calibration | Path | str | None = None,
+    critical: float | str | None = None,
     simulated: bool | None = None,
     seed: int = 0,
 ) -> Answer:
@@ -117,6 +126,9 @@ def invert(
         What the sensor reads over the true force [-], as ``"1.05±0.01"``; ``None``: 1 ± 2 %.
     calibration
         Soils of known friction angle in the same apparatus, or their file.
+    critical
+        Critical angle of the soil in plane strain [deg], as a number (± 1°) or ``"33±1"``: of dense
+        soil the answer then has the peak angle, of which a leg in grains reads a share (``SHARE``).
     simulated
         Whether the forces are simulated, so that the library's model is exact; ``None``: from
         their file.
@@ -140,11 +152,12 @@ def invert(
     from threadpoolctl import threadpool_limits
 
     if tool is not None:
-        others_given = (leg, rig, grain_size_mm, columns, noise, gain, calibration, simulated)
+        others_given = (leg, rig, grain_size_mm, columns, noise, gain, calibration, critical,
+                        simulated)  # fmt: skip
         if any(one is not None for one in others_given):
             raise InputError(
-                "a tool excludes leg, rig, grain_size_mm, columns, noise, gain, calibration and "
-                "simulated; leave them out, or leave out the tool"
+                "a tool excludes leg, rig, grain_size_mm, columns, noise, gain, calibration, "
+                "critical and simulated; leave them out, or leave out the tool"
             )
         return invert_pressed(forces, tool, density=density, law=law)
     began = time.perf_counter()
@@ -165,7 +178,43 @@ def invert(
         if calibration is not None:
             calibration.check(found)
             calibration.check_gain({record.leg: record.gain for record in records})
-        return _answer(Likelihood(records, found, calibration), reason, seed, began)
+        answer = _answer(Likelihood(records, found, calibration), reason, seed, began)
+        return answer if critical is None else with_peak(answer, critical)
+
+
+def with_peak(answer: Answer, critical: float | str) -> Answer:
+    """An answer with the peak angle of the soil, whose critical angle is known [deg].
+
+    φ = φ_c + share (φ_p − φ_c), by draws. Soil is loose if φ exceeds φ_c by less than 1.64 standard
+    deviations of both.
+
+    Raises
+    ------
+    InputError
+        If it is no angle, or the answer's φ is none of plane strain.
+    """
+    try:
+        mean, sd = number_with_sd(str(critical))
+    except ValueError:
+        raise InputError(f"critical = '{critical}'; give degrees as 33 or 33±1") from None
+    sd = 1.0 if sd is None else sd
+    if not (0.0 < mean < 60.0 and 0.0 <= sd < mean):
+        raise InputError(f"critical = {critical}; 0 to 60° with a smaller ± are accepted")
+    if answer.convention != "plane_strain" or answer.records[0].simulated:
+        raise InputError("critical is of measured forces by a law in plane strain; leave it out")
+    apart, least = answer.phi.median - mean, LOOSE * math.hypot(answer.phi.sd, sd)
+    if apart < least:
+        word = "agrees with" if apart > -least else "is below"
+        end = "" if apart > -least else ", or the critical angle is wrong"
+        sentence = f"φ {word} the critical angle of {mean:g} ± {sd:g}°: the soil is loose{end}."
+        return replace(answer, questions=(sentence, *answer.questions))
+    rng = np.random.default_rng(0)
+    read, low, share = (
+        rng.normal(middle, spread, PEAK_DRAWS)
+        for middle, spread in ((answer.phi.median, answer.phi.sd), (mean, sd), SHARE)
+    )
+    peak = low + np.maximum(read - low, 0.0) / np.clip(share, *SHARE_ENDS)
+    return replace(answer, phi_peak=Estimate.of(peak))
 
 
 def _records(forces: Any, **options: Any) -> list[Record]:
@@ -293,7 +342,7 @@ def _law_for(
     if isinstance(law, Library | Legs):
         return law, ""
     if law is not None:
-        return law_named(law), ""
+        return law_named(law), "what sand3d is now" if str(law) == FORMER_NAME else ""
     scenarios = [record.scenario for record in records]
     if all(scenario is not None for scenario in scenarios):
         assert scenarios[0] is not None
@@ -350,6 +399,7 @@ def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Ans
         *_about(likelihood, fits, parameters, verdict),
         # The angle or its interval rests on what was not measured.
         *([disagreement] if disagreement else []),
+        *_calibrated(likelihood),
         *guesses(likelihood),
         *([f"Law {library.name}: {library.caveat}"] if library.caveat else []),
         # What was done with the readings.
@@ -607,6 +657,15 @@ def _about(
                 "density, unit of force and leg."
             )
     return found
+
+
+def _calibrated(likelihood: Likelihood) -> list[str]:
+    """A sentence on the soils of known angle."""
+    if likelihood.calibration is None:
+        return []
+    soils = likelihood.calibration.soils
+    known = ", ".join(f"{one.source} ({one.phi_deg:g} ± {one.phi_sd_deg:g}°)" for one in soils)
+    return [f"Calibrated by {known}; what is a soil's own part of its difference stays."]
 
 
 def _plane_strain(phi: Estimate, scenario: Scenario) -> tuple[Estimate | None, str]:

@@ -16,7 +16,7 @@ from terraphi.inference.answer import Answer
 from terraphi.inference.inversion import invert_many
 
 OPTIONS = ("leg", "rig", *SIZES, "leg_friction", "density", "grain_size_mm", "columns", "law",
-           "noise", "gain", "calibration")  # fmt: skip
+           "noise", "gain", "calibration", "critical")  # fmt: skip
 """Columns that are options of ``invert``, besides ``file``."""
 LEAST_ROWS = 8
 """Records from which several processes are worth their start."""
@@ -63,7 +63,15 @@ def _row(folder: Path, cells: dict[str, str]) -> dict[str, Any]:
         return str(folder / text) if (folder / text).is_file() else text
 
     given: dict[str, Any] = {key: placed(cells[key]) for key in OPTIONS if cells.get(key)}
-    for key in {"density", "grain_size_mm", "noise", "gain", "leg_friction", *SIZES} & given.keys():
+    for key in {
+        "density",
+        "grain_size_mm",
+        "noise",
+        "gain",
+        "leg_friction",
+        "critical",
+        *SIZES,
+    } & given.keys():
         given[key] = given[key].replace(",", ".")  # as in 638,5
     if "noise" in given:
         try:

@@ -184,12 +184,14 @@ def invert_pressed(
             "surface, and it grows faster with depth than that of loose soil of one density; "
             "check tool, density and zero of the sinkage. Do not use the angle."
         )
-    if contraction > SIGNIFICANT and chance[nodes[:, 0] < 0.1 * SIGNIFICANT].sum() < 0.05:
+    named = verdict == "consistent" and contraction > SIGNIFICANT
+    if named and chance[nodes[:, 0] < 0.1 * SIGNIFICANT].sum() < 0.05:
         notes.insert(0, f"The force begins {100.0 * contraction:.0f} % lower than the law's: loose "
                      "soil that compacts as it is pressed.")  # fmt: skip
     if z[-1] > DEEP * radius:
         notes.insert(0, f"The law is extrapolated from {1e3 * DEEP * radius:.0f} mm on, to "
                      f"{1e3 * z[-1]:.0f} mm.")  # fmt: skip
+    guessed = [] if density is not None else [f"The density {rho:g} kg/m³ is assumed."]
     ends = curve(np.stack([np.clip(estimate.ci95, low, high), best.x[[top, top], 1]], -1))
     fit = RecordFit(
         source=label, rig=tool, simulated=False, n_readings=table.force.size, n_left_out=0,
@@ -201,7 +203,8 @@ def invert_pressed(
         phi_plane_strain_reason="", verdict=verdict, reason=reason, edge=edge, budget_deg=budget,
         density_kg_m3=rho, density_sd_kg_m3=rho_sd, density_assumed=density is None, law=name,
         law_reason="" if law else "the default for tools", second_opinion=None,
-        questions=(*density_doubts(rho), *notes), records=(fit,), grid_deg=grid, density=posterior,
+        questions=(*density_doubts(rho), *guessed, *notes), records=(fit,), grid_deg=grid,
+        density=posterior,
         leg_friction=FRICTION,
         provenance={
             "terraphi": importlib.metadata.version("terraphi"), "contraction": contraction,

@@ -175,8 +175,8 @@ def remedy(rig: Rig) -> str:
     sizes = rig.sizes_mm.items()
     options = " ".join(f"--{key[:-3].replace('_', '-')} {size:g}" for key, size in sizes)
     return (
-        f"build one: terraphi library build --leg {rig.leg} {options} --out mine.nc, and add "
-        "--law mine.nc, or rft3d for a rough angle at once"
+        f"simulate it: terraphi library build --leg {rig.leg} {options}±{rig.hip_height_sd_mm:g} "
+        "--out mine.nc; then add --law mine.nc. For a rough angle at once: --law rft3d"
     )
 
 

@@ -35,7 +35,7 @@ from pydantic import BaseModel, Field, Json
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import shipped_file, strictly
-from terraphi.experiment.errors import InputError
+from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import netcdf_kind, open_netcdf, write_netcdf
 from terraphi.experiment.rig import (
     CELLS_ACROSS,
@@ -91,6 +91,8 @@ FADES = 0.06
 """Part of the places over which forces fade out at either end [-]; chosen."""
 MODES = 8
 """Principal components that are kept: the next adds less than a tenth of the first (chosen)."""
+SHIFTED_DEG = np.arange(-105.0, 101.0)
+"""Leg angles of the law [deg]: those of records, and what a shift brings there."""
 LEAST_FRICTION = 0.05
 """Least friction of a leg that is asked of the processes [-]: they have its logarithm."""
 PHI_DEG = (10.0, 55.0)
@@ -412,14 +414,18 @@ class RatioLaw(LegLaw):
     most_cohesion = MOST_COHESION
 
     def __init__(self, law: Legs, rig: Rig, cells: float = 1.0) -> None:
-        self._law, self._rig, self._cells, self.theta_deg = law, rig, cells, THETA_DEG
+        self._law, self._rig, self._cells, self.theta_deg = law, rig, cells, SHIFTED_DEG
         self.bounds = np.array(PHI_DEG[:1]), np.array(PHI_DEG[1:])
         # Where on the leg the soil presses is that of resistive force theory.
         theory = library_of_theory(rig)
         simulated, arm = rig_of(theory, rig.leg), theory.curves(rig.leg).arm
         assert simulated is not None
         assert arm is not None
-        self.arm = rig.length / simulated.length * arm
+        self.arm = (
+            rig.length
+            / simulated.length
+            * np.stack([np.interp(self.theta_deg, THETA_DEG, row) for row in arm])
+        )
 
     def _at(
         self, phi_deg: FloatArray, cohesion: float, rougher: float = 0.0, higher: float = 0.0
@@ -436,7 +442,7 @@ class RatioLaw(LegLaw):
                self._cells, CURVATURES[rig.leg]]  # fmt: skip
         x = np.tile(row, (len(phi_deg), 1))
         x[:, 0] = phi_deg
-        s = (2.0 * THETA_DEG - first - last) / (last - first)
+        s = (2.0 * self.theta_deg - first - last) / (last - first)
         i = np.clip(np.searchsorted(PLACES, s) - 1, 0, PLACES.size - 2)
         share = (s - PLACES[i]) / (PLACES[i + 1] - PLACES[i])
         size = DENSITY * GRAVITY * rig.length**3 * ratios.width * depth**2
@@ -557,6 +563,9 @@ def stored(name: Path | str) -> Library | Legs:
     if str(name) in Library.names():
         return shipped_library(str(name))
     path = Path(name)
+    if not path.suffix and not path.exists():
+        hint = nearest(str(name), (NAME, *Library.names()))
+        raise InputError(f"'{name}' is neither a file nor a law of legs; {hint}")
     of_law = path.is_file() and netcdf_kind(path) == "law"
     return Legs.load(path) if of_law else Library.load(name)
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from terraphi.experiment.errors import GUESSED, InputError
+from terraphi.experiment.tool import Tool
 from terraphi.inference import COLUMNS
 from terraphi.view.table import Table
 
@@ -67,6 +68,8 @@ def in_words(answer: Answer) -> list[str]:
             lines.append("  {} = {} ± {}".format(key, *_rounded(one)))
     if answer.budget_deg:
         lines.append(f"  ± is: {_terms(answer)}")
+    if answer.phi_peak is not None:
+        lines.append(f"  Peak angle of the dense soil: {answer.phi_peak}")
     other = answer.second_opinion
     if other is not None:
         where = "" if answer.convention == "plane_strain" else " in plane strain"
@@ -138,7 +141,8 @@ def _terms(answer: Answer) -> str:
     digits = 1 if most > 0.3 else 3
     named = [f"{n} {sd:.{digits}f}°" for n, sd in terms.items() if sd >= LEAST_SHARE * most]
     # Simulated forces need no better measurement.
-    advice = "" if all(r.simulated for r in answer.records) else f" {_advice(answer, digits)}"
+    useless = all(r.simulated or isinstance(r.rig, Tool) for r in answer.records)
+    advice = "" if useless else f" {_advice(answer, digits)}"
     return f"{', '.join(named)}.{advice}"
 
 
