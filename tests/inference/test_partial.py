@@ -48,7 +48,7 @@ def test_a_part_gives_the_angle_of_the_whole_within_its_own_share(window: tuple[
         missing = np.hypot(
             *(part.budget_deg.get(term, 0.0) for term in ("missing angles", "cohesion"))
         )
-        assert part.phi.sd > 0.95 * whole.phi.sd  # other terms change a little too
+        assert part.phi.sd > 0.8 * whole.phi.sd  # other terms change too
         if part.verdict == "consistent":
             apart.append(abs(part.phi.median - whole.phi.median) / max(missing, 0.3))
     # Of twelve normal deviates the root mean square is below 1.55 with 99.5 % probability.

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from terraphi.experiment.errors import GUESSED, InputError
-from terraphi.experiment.tool import Tool
 from terraphi.inference import COLUMNS
 from terraphi.view.table import Table
 
@@ -133,6 +132,8 @@ def tables(answer: Answer) -> list[Table]:
 
 def _terms(answer: Answer) -> str:
     """Terms of the interval, those of the model together, the largest first."""
+    from terraphi.experiment.tool import Tool
+
     squares: Counter[str] = Counter()
     for name, sd in answer.budget_deg.items():
         squares["model on real grains" if name.startswith("model") else name] += sd**2  # type: ignore[assignment]
