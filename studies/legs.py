@@ -243,9 +243,8 @@ def known(simulated: Simulated) -> tuple[np.ndarray, float, np.ndarray]:
     """Parameters over `AXES`, D / L, and forces over ρ g w D² at the law's places [2, place]."""
     shape, (*given, cell), theta, force = simulated
     ratios = Ratios(*given[2:5])
-    first, last, depth = legs.reach(shape, ratios)
-    at = 0.5 * (first + last + (last - first) * legs.PLACES)
-    size = legs.DENSITY * GRAVITY * LENGTH**3 * ratios.width * depth**2
+    depth, at = legs.reach(shape, ratios)[2], legs.places_deg(shape, ratios)
+    size = legs.unit_of_force(legs.DENSITY, LENGTH, ratios, depth)
     x = [*given, cell / legs.cells_of(ratios, depth), legs.CURVATURES[shape]]
     return np.array(x), depth, np.array([np.interp(at, theta, row) for row in force]) / size
 

@@ -194,7 +194,7 @@ def main() -> None:
             "law `foot` is of loose soil, and ends two radii deep."
         ),
         (
-            "The strip footing at its peak load, by bearing capacity, beside plane-strain tests at "
+            "The strip footing at its peak load, by bearing capacity, and plane-strain tests at "
             f"the same void ratio and {STRESS_KPA:.0f} kPa:"
         ),
         pages.table(("footing", "critical", "peak", "read", "share of the way"), footings()),

@@ -488,7 +488,7 @@ def main() -> None:
             "stirred by legs on eight rigs. Each soil, in all its packings, is inverted by law "
             "`legs` with the offset, the standard deviations and the limit of a misfit learned "
             "from all other soils. Grains of 6 mm (*coarse* 8.8, *fine* 4.4 mm) are large for such "
-            "legs, and act in part like a cohesion, which is fitted with φ. What they add beside "
+            "legs, and act in part like a cohesion, which is fitted with φ. What they add to "
             "it is a line over their size, of reversed C legs above all: φ *without the size* "
             "is what fine soil would give. φ is in plane strain. In the picture thick lines are "
             "68 %, thin ones 95 %, crosses misfits. Weights of the cohesion, what apparatuses "

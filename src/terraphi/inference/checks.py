@@ -275,10 +275,10 @@ def guesses(likelihood: Likelihood) -> Iterator[str]:
                 "one, and grains that are large compared with the leg act like one"
                 f"{'; else check the density and the unit of force' if check else ''}."
             )
-        # The seeds of Li et al. are light.
-        shipped = record.medium and measurement(record.measurement).density_kg_m3 == density
-        if likelihood.measured and not shipped:
-            yield from (f"{name}{doubt}" for doubt in density_doubts(density))
+        doubts = density_doubts(density) if likelihood.measured else []
+        if doubts and record.medium and measurement(record.measurement).density_kg_m3 == density:
+            doubts = []  # the seeds of Li et al. are light
+        yield from (f"{name}{doubt}" for doubt in doubts)
         if record.density_kg_m3 is None or record.density_assumed:
             yield f"{name}The density {density:g} kg/m³ is assumed; 10 % of it move φ by about 1°."
 

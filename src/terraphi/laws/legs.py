@@ -119,6 +119,17 @@ def reach(leg: str, ratios: Ratios) -> tuple[float, float, float]:
     return float(begins), float(ends), float(depth / SIMULATED_LENGTH)
 
 
+def places_deg(leg: str, ratios: Ratios) -> FloatArray:
+    """Leg angles of :data:`PLACES` [deg]."""
+    first, last, _ = reach(leg, ratios)
+    return 0.5 * (first + last + (last - first) * PLACES)
+
+
+def unit_of_force(density: float, length: float, ratios: Ratios, depth: float) -> float:
+    """ρ g w D² [N] of a leg of a length [m] that reaches D / L deep."""
+    return density * GRAVITY * length**3 * ratios.width * depth**2
+
+
 def cells_of(ratios: Ratios, depth: float) -> float:
     """Size of the rule's cell over the length of the leg [-], at a depth over it [-]."""
     return min(ratios.width / CELLS_ACROSS, depth / CELLS_DEEP)
@@ -375,27 +386,23 @@ class Legs:
         check_friction(rig)
         if any(rig.leg == own.leg and is_similar(rig, own) for own in self.own):
             return RatioLaw(self, rig, cells)
-        if rig.leg in self.legs:
-            low, high = self.ranges(rig.leg)["cells"]
-            if not low <= cells <= high:
+        if rig.leg not in self.legs:
+            raise InputError(f"law {NAME} has no {LEG_NAMES[rig.leg]} yet; {remedy(rig)}")
+        ranges = self.ranges(rig.leg)
+        low, high = ranges["cells"]
+        if not low <= cells <= high:
+            raise InputError(
+                f"law {NAME} is for cells of {low:.2g} to {high:.2g} times those of its rule, "
+                f"and the simulation has {cells:.2g}"
+            )
+        for name, value in rig.ratios._asdict().items():
+            low, high = ranges[name]
+            if not low <= value <= high:
                 raise InputError(
-                    f"law {NAME} is for cells of {low:.2g} to {high:.2g} times those of its rule, "
-                    f"and the simulation has {cells:.2g}"
+                    f"law {NAME} is for {name.replace('_', ' ')} over length from {low:.3g} to "
+                    f"{high:.3g}, and this leg has {value:.3g}; {remedy(rig)}"
                 )
-        why = f"law {NAME} has no {LEG_NAMES[rig.leg]} yet"
-        if rig.leg in self.legs:
-            ranges = self.ranges(rig.leg)
-            for name, value in rig.ratios._asdict().items():
-                low, high = ranges[name]
-                if not low <= value <= high:
-                    why = (
-                        f"law {NAME} is for {name.replace('_', ' ')} over length from {low:.3g} to "
-                        f"{high:.3g}, and this leg has {value:.3g}"
-                    )
-                    break
-            else:
-                return RatioLaw(self, rig, cells)
-        raise InputError(f"{why}; {remedy(rig)}")
+        return RatioLaw(self, rig, cells)
 
 
 class LegsAttributes(BaseModel):
@@ -445,7 +452,7 @@ class RatioLaw(LegLaw):
         s = (2.0 * self.theta_deg - first - last) / (last - first)
         i = np.clip(np.searchsorted(PLACES, s) - 1, 0, PLACES.size - 2)
         share = (s - PLACES[i]) / (PLACES[i + 1] - PLACES[i])
-        size = DENSITY * GRAVITY * rig.length**3 * ratios.width * depth**2
+        size = unit_of_force(DENSITY, rig.length, ratios, depth)
         # What little force there is at the last place fades out there.
         weights = size * np.clip((PLACES[-1] - np.abs(s)) / FADES, 0.0, 1.0)
 
@@ -524,9 +531,9 @@ def cases_of(library: Library) -> Cases:
         if history is None:
             continue
         ratios, soil = rig.ratios, scenario.soil
-        first, last, depth = reach(rig.leg, ratios)
-        at = np.radians(0.5 * (first + last + (last - first) * PLACES))
-        size = soil.density * GRAVITY * rig.length**3 * ratios.width * depth**2
+        depth = reach(rig.leg, ratios)[2]
+        at = np.radians(places_deg(rig.leg, ratios))
+        size = unit_of_force(soil.density, rig.length, ratios, depth)
         cohesion = soil.cohesion / (soil.density * GRAVITY * rig.length)
         x.append([soil.friction_angle_deg, scenario.leg.friction, *ratios, cohesion,
                   cells_in(scenario, rig), CURVATURES[rig.leg]])  # fmt: skip

@@ -213,7 +213,7 @@ class Library:
                 f"library '{self.name}' has no friction angle to infer: it needs rotating legs in "
                 "a material point method or in three-dimensional resistive force theory"
             )
-        keys = _varied(chosen)
+        keys = self.keys(leg)
         if PHI not in keys:
             raise InputError(f"library '{self.name}' does not vary {PHI} on leg '{leg}'")
         if len(chosen) < 2 * len(keys) + 1:
