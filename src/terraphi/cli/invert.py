@@ -67,8 +67,8 @@ def invert(
 ) -> None:
     """Infer the friction angle from FORCES.
 
-    FORCES: leg angle (0 downward) and the soil's forces (x forward, z up) in a table or NetCDF, or
-    li2013:MEDIUM/LEG; several are of one soil.
+    FORCES, of one soil: leg angle (0 downward) and forces (x forward, z up) in a table or NetCDF;
+    li2013:MEDIUM/LEG; FILE@plate:60 of a tool.
 
     Example: terraphi invert forces.csv --rig rig.toml --density 1600±80
     """

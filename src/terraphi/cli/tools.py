@@ -75,7 +75,7 @@ def doctor(as_json: bool) -> None:
 @click.command()
 @click.argument(
     "document",
-    type=click.Choice(("scenario", "plan", "robot", "forces", "columns")),
+    type=click.Choice(("scenario", "plan", "robot", "forces", "tool", "columns")),
     default="scenario",
     metavar="[DOCUMENT]",
 )

@@ -11,10 +11,10 @@ import re
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, NoReturn
+from typing import Any, ClassVar, Literal, NamedTuple, NoReturn, Self
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field, ValidationInfo, field_validator
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.baseline import at_rest, baseline
@@ -64,18 +64,61 @@ _NAMES = {
     "moment": r"m|my|moment|torque|(hip|joint|motor)(moment|torque)|drehmoment|ty|moment[yh]",
     "sinkage": r"sinkage|depth|penetration(depth)?|displacement|travel|position|z|s|tiefe"
     r"|einsinkung|weg|settlement|einsinktiefe|indentation",
-    "load": r"f|fz|force|load|(normal|vertical|plate|contact)(force|load)|(force|load)z|kraft|last",
+    "force": r"f|fz|force|load|(normal|vertical|plate|contact)(force|load)|(force|load)z|kraft"
+    r"|last",
     "pressure": r"p|q|pressure|(normal|contact|ground|plate|vertical)(pressure|stress)|stress|druck"
     r"|spannung|bearingpressure",
 }
 """Names of columns, without units, signs and case."""
 _LOOSE = {"theta": "theta|angle|winkel|θ", "fx": "fx|forcex|xforce", "fz": "fz|forcez|zforce"}
 KIND = {"theta": "angle", "fx": "force", "fz": "force", "time": "time", "moment": "moment"}
-PRESSED = {"sinkage": "length", "load": "force", "pressure": "pressure"}
+PRESSED = {"sinkage": "length", "force": "force", "pressure": "pressure"}
 """Kinds of the columns of a leg, and of a body that is pressed in."""
+_Unit = Literal["N", "kN", "mN", "MN", "lbf", "ozf", "kgf", "gf", "dyn"]
 
 
-class ForceColumns(Strict):
+class Columns(Strict):
+    """Which columns of a table are what, by name, from a file or in one line."""
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _named(cls, value: Any, info: ValidationInfo) -> Any:
+        """Our name of a unit that is written otherwise, such as ``lbs``."""
+        unit = isinstance(value, str) and str(info.field_name).endswith("unit")
+        return (unit_named(value) if unit else None) or value
+
+    @classmethod
+    def of(cls, given: Self | Mapping[str, Any] | Path | str | None) -> Self:
+        """Columns from a mapping, a TOML file or ``key=value,key=value``; raises InputError."""
+        if isinstance(given, cls):
+            return given
+        if isinstance(given, Path) or (isinstance(given, str) and "=" not in given):
+            return parse_toml(Path(given), cls)
+        if isinstance(given, str):
+            pairs = [pair.partition("=") for pair in re.split("[,;]", given)]
+            given = {key.strip(): _value(text.strip()) for key, _, text in pairs}
+        known = {k: value for k, value in dict(given or {}).items() if value is not None}
+        return strictly(known, cls, "columns")
+
+
+class PressColumns(Columns):
+    """Which columns of a table of a body pressed in are what, and their units."""
+
+    sinkage: str | None = None
+    """Column of the sinkage; if not given, it is guessed."""
+    force: str | None = None
+    """Column of the force; if not given, it is guessed."""
+    pressure: str | None = None
+    """Column of the pressure, in place of a force; if not given, it is guessed."""
+    sinkage_unit: Literal["mm", "cm", "m", "in", "ft"] | None = None
+    """Unit of the sinkage; if not given, that of the header."""
+    unit: _Unit | None = None
+    """Unit of the force; if not given, that of the header."""
+    pressure_unit: Literal["kPa", "Pa", "MPa", "bar", "psi"] | None = None
+    """Unit of the pressure; if not given, that of the header."""
+
+
+class ForceColumns(Columns):
     """Which columns of a table of forces are what, their units and their signs."""
 
     theta: str | None = None
@@ -90,7 +133,7 @@ class ForceColumns(Strict):
     """Column of the time, for `rate_deg_s`."""
     rate_deg_s: float | None = Field(None, gt=0)
     """Constant rate of the leg [deg/s], where the table has a time instead of an angle."""
-    unit: Literal["N", "kN", "mN", "MN", "lbf", "ozf", "kgf", "gf", "dyn"] | None = None
+    unit: _Unit | None = None
     """Unit of the forces; if not given, that of the header, else N."""
     theta_unit: Literal["deg", "rad", "mrad", "rev", "gon"] | None = None
     """Unit of the angle; if not given, that of the header, else deg."""
@@ -109,25 +152,6 @@ class ForceColumns(Strict):
     If not given, `invert` takes that of the rig."""
     air_after_deg: float | None = None
     """Leg angle [deg] above which it is in air again; 180 for not at all."""
-
-    @field_validator("unit", "theta_unit", mode="before")
-    @classmethod
-    def _named(cls, unit: Any) -> Any:
-        """Our name of a unit that is written otherwise, such as ``lbs``."""
-        return (unit_named(unit) if isinstance(unit, str) else None) or unit
-
-    @classmethod
-    def of(cls, given: ForceColumns | Mapping[str, Any] | Path | str | None) -> ForceColumns:
-        """Columns from a mapping, a TOML file or ``key=value,key=value``; raises InputError."""
-        if isinstance(given, ForceColumns):
-            return given
-        if isinstance(given, Path) or (isinstance(given, str) and "=" not in given):
-            return parse_toml(Path(given), cls)
-        if isinstance(given, str):
-            pairs = [pair.partition("=") for pair in re.split("[,;]", given)]
-            given = {key.strip(): _value(text.strip()) for key, _, text in pairs}
-        known = {key: value for key, value in (given or {}).items() if value is not None}
-        return strictly(known, cls, "columns")
 
 
 def _value(text: str) -> Any:
@@ -198,7 +222,7 @@ def read_trials(
     source: Any, columns: ForceColumns | Mapping[str, Any] | Path | str | None = None
 ) -> list[ForceHistory]:
     """Forces of each stroke in which θ grows, of a ``Table`` or what :func:`read_forces` takes."""
-    found = _Reading(source, columns)
+    found = _Reading(source, ForceColumns.of(columns))
     name, table = found.source, found.table
     if found.wrong:
         found.refuse("; ".join(found.wrong))
@@ -273,7 +297,7 @@ def preview(
     InputError
         If it holds no rows of numbers, or an option is wrong.
     """
-    found = _Reading(source, columns)
+    found = _Reading(source, ForceColumns.of(columns))
     table = found.table
     written = [table.units.get(name) or unit for name, (_, unit) in found.parts.items()]
     return Preview(
@@ -299,9 +323,11 @@ class _Reading:
     """One table on its way to forces, with what was guessed and what is wrong."""
 
     kinds = KIND
+    unit_keys: ClassVar = {"angle": "theta_unit", "force": "unit"}
+    """Option that names the unit of a kind."""
 
-    def __init__(self, source: Any, columns: Any) -> None:
-        self.given, self.source = ForceColumns.of(columns), _name_of(source)
+    def __init__(self, source: Any, given: ForceColumns, units: Columns | None = None) -> None:
+        self.given, self.units, self.source = given, units or given, _name_of(source)
         self.table = _table(source)
         self.names: dict[str, str] = {}
         self.wrong: list[str] = []
@@ -415,8 +441,8 @@ class _Reading:
     def _unit(self, role: str) -> tuple[str, float]:
         """Unit of a column and what it is in N, degrees, seconds or N m; NaN if it is unknown."""
         kind = self.kinds[role]
-        given = {"angle": self.given.theta_unit, "force": self.given.unit}.get(kind)
-        unit = given or unit_named(self._written(role) or next(iter(KINDS[kind])))
+        unit = getattr(self.units, self.unit_keys.get(kind, ""), None)
+        unit = unit or unit_named(self._written(role) or next(iter(KINDS[kind])))
         return (unit, KINDS[kind][unit]) if unit in KINDS[kind] else ("?", math.nan)
 
     def _written(self, role: str) -> str | None:
@@ -435,7 +461,7 @@ class _Reading:
                 "remove the row"
             )
         if math.isnan(self._unit(role)[1]):
-            key = {"angle": "theta_unit", "force": "unit"}.get(kind)
+            key = self.unit_keys.get(kind)
             remedy = f"add --columns {key}=UNIT" if key else "rename it"
             self.wrong.append(
                 f"column '{column}': '{self._written(role)}' is no known unit of {kind}; {remedy}, "
@@ -583,7 +609,7 @@ class _Reading:
 
 
 _WORDS = {"theta": "theta", "fx": "Fx", "fz": "Fz", "moment": "the moment", "time": "the time"}
-_WORDS |= {"sinkage": "the sinkage", "load": "the force", "pressure": "the pressure"}
+_WORDS |= {"sinkage": "the sinkage", "force": "the force", "pressure": "the pressure"}
 
 
 class Pressed(NamedTuple):
@@ -593,11 +619,13 @@ class Pressed(NamedTuple):
     """Positive into the soil, from the zero of the table [m]."""
     force: FloatArray
     """Up on the body [N]."""
+    rows: int
+    """Of the table."""
     notes: list[str]
     """What was guessed and left out."""
 
 
-def read_pressed(source: Any, area: float) -> Pressed:
+def read_pressed(source: Any, area: float, columns: Any = None) -> Pressed:
     """Read sinkage and force, or pressure on an area [m²]; columns, units and signs are guessed.
 
     Raises
@@ -605,10 +633,10 @@ def read_pressed(source: Any, area: float) -> Pressed:
     InputError
         With what is wrong with the table.
     """
-    found = _PressReading(source, None)
+    found = _PressReading(source, PressColumns.of(columns))
     if found.wrong:
         found.refuse("; ".join(found.wrong))
-    role = "load" if "load" in found.names else "pressure"
+    role = "force" if "force" in found.names else "pressure"
     sinkage, force = found._column("sinkage"), found._column(role)
     force = force * (area if role == "pressure" else 1.0)
     whole = np.isfinite(sinkage) & np.isfinite(force)
@@ -626,39 +654,59 @@ def read_pressed(source: Any, area: float) -> Pressed:
     if course < -0.5 or (course < 0.5 and -sinkage.min() > sinkage.max()):
         sinkage = -sinkage
         found.notes.append("The sinkage is negative in the soil: its sign is turned.")
-    return Pressed(sinkage, force, found.notes)
+    return Pressed(sinkage, force, len(whole), found.notes)
 
 
 class _PressReading(_Reading):
     """One table of a body that is pressed in."""
 
     kinds = PRESSED
+    unit_keys: ClassVar = {
+        "length": "sinkage_unit", "force": "unit", "pressure": "pressure_unit"
+    }  # fmt: skip
+
+    def __init__(self, source: Any, columns: PressColumns) -> None:
+        super().__init__(source, ForceColumns(), columns)
 
     def _choose(self) -> None:
         """Find sinkage and force, or the pressure."""
-        for role in PRESSED:
-            found = self._like(role)
-            if len(found) == 1 and not (role == "pressure" and "load" in self.names):
+        given: dict[str, str] = self.units.model_dump(include=set(PRESSED), exclude_none=True)
+        for role, column in given.items():
+            self._take(role, column)
+        for role in PRESSED if not self.wrong else ():
+            # One of force and pressure does; what is given goes first.
+            borne = {"force", "pressure"} - {role} if role != "sinkage" else set()
+            found = [] if role in given or borne & {*self.names} else self._like(role)
+            if len(found) == 1:
                 self.names[role] = found[0]
-            elif len(found) > 1:
+            elif found:
                 listed = " or ".join(f"'{name[:40]}'" for name in found[:4])
-                self.wrong.append(f"{_WORDS[role]} may be {listed}; keep one of these columns")
+                self.wrong.append(
+                    f"{_WORDS[role]} may be {listed}; add --columns '{role}={found[0]}'"
+                )
         listed = ", ".join(f"'{name[:30]}'" for name in [*self.parts][:8])
         if not self.wrong and not ("sinkage" in self.names and len(self.names) > 1):
             lacking = "force or pressure" if "sinkage" in self.names else "sinkage"
+            key = lacking.partition(" ")[0]
             self.wrong.append(
-                f"no column of {lacking} among {listed}; name the columns such as sinkage_mm and "
-                "force_N or pressure_kPa"
+                f"no column of {lacking} among {listed}; add --columns '{key}=NAME', or name the "
+                "columns such as sinkage_mm and force_N or pressure_kPa"
             )
         for role in self.names:
             self._check(role)
-            if not self._written(role):
+            key = self.unit_keys[PRESSED[role]]
+            if not (self._written(role) or getattr(self.units, key)):
+                unit = {"sinkage": "mm", "force": "N", "pressure": "kPa"}[role]
                 self.wrong.append(
-                    f"column '{self.names[role][:40]}' has no unit; name it such as "
-                    f"{role}_{'mm' if role == 'sinkage' else 'N' if role == 'load' else 'kPa'}"
+                    f"column '{self.names[role][:40]}' has no unit; add --columns {key}={unit}, or "
+                    f"name it such as {role}_{unit}"
                 )
-        guessed = [f"{_WORDS[role]} from '{name}'" for role, name in self.names.items()]
-        self.notes.append(f"{GUESSED}{', '.join(guessed)}.")
+        guessed = [
+            f"{_WORDS[role]} from '{name}'" for role, name in self.names.items()
+            if role not in given
+        ]  # fmt: skip
+        if guessed:
+            self.notes.append(f"{GUESSED}{', '.join(guessed)}.")
 
 
 def _split(header: str) -> tuple[str, str | None]:

@@ -374,14 +374,17 @@ class Answer(AnswerSummary):
         from terraphi.experiment.figure import force_label
 
         figure = figure or NewFigure(figsize=(10.0, 3.4), layout="constrained")
-        *of_channels, of_phi = figure.subplots(1, 1 + len(self.nrmsd))
-        for axes, name in zip(of_channels, self.nrmsd, strict=True):
-            for record in (one for one in self.records if name in one.nrmsd):
+        panels = dict.fromkeys((name, one.along) for one in self.records for name in one.nrmsd)
+        *of_channels, of_phi = figure.subplots(1, 1 + len(panels))
+        for axes, (name, along) in zip(of_channels, panels, strict=True):
+            for record in self.records:
+                if name not in record.nrmsd or record.along != along:
+                    continue
                 i, theta = list(record.nrmsd).index(name), record.theta_deg
                 axes.fill_between(theta, *record.band[:, i], color="C0", alpha=0.2, lw=0)
                 axes.plot(theta, record.curve[i], color="C0", label="model")
                 axes.plot(theta, record.data[i], ".", color="black", ms=3, label="data")
-            axes.set(xlabel=self.records[0].along, ylabel=force_label(name))
+            axes.set(xlabel=along, ylabel=force_label(name))
             axes.axhline(0.0, color="0.7", lw=0.5, zorder=0)
         handles, labels = of_channels[0].get_legend_handles_labels()
         each = dict(zip(labels, handles, strict=True))

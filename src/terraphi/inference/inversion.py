@@ -40,13 +40,14 @@ from terraphi.inference.checks import (
     second_opinion,
     without_faults,
 )
+from terraphi.inference.combined import combined
 from terraphi.inference.likelihood import (
     OF_RIG,
     UNKNOWN_DENSITY,
     Likelihood,
     is_whole,
 )
-from terraphi.inference.pressed import invert_pressed
+from terraphi.inference.pressed import invert_pressed, pressed_by
 from terraphi.inference.records import Record, open_records
 from terraphi.inference.sampling import Drawn, quadrature, sample
 from terraphi.laws.legs import FORMER_NAME, Legs, law_named, nearest_law, shipped_legs
@@ -106,7 +107,8 @@ def invert(
     tool
         ``plate:151``, ``plate:38x25`` or ``ball:44`` [mm] in place of a leg: a body pressed
         straight down, with the columns sinkage and force or pressure. ``law`` is then one
-        of feet.
+        of feet. Of records of several bodies in one soil, those of tools are named such as
+        ``"plate.csv@plate:151"``, or ``(table, "plate:151")``.
     density
         Bulk density [kg/m³], as a number (± 5 %) or ``"1600±80"``; ``None``: from the forces' file,
         else the library's.
@@ -151,15 +153,25 @@ def invert(
     """
     from threadpoolctl import threadpool_limits
 
-    if tool is not None:
-        others_given = (leg, rig, grain_size_mm, columns, noise, gain, calibration, critical,
-                        simulated)  # fmt: skip
-        if any(one is not None for one in others_given):
-            raise InputError(
-                "a tool excludes leg, rig, grain_size_mm, columns, noise, gain, calibration, "
-                "critical and simulated; leave them out, or leave out the tool"
-            )
-        return invert_pressed(forces, tool, density=density, law=law)
+    several = isinstance(forces, list | tuple) and pressed_by(forces) is None
+    every = list(forces) if several else [forces]
+    tools = [(one, tool) if tool is not None else pressed_by(one) for one in every]
+    if any(tools):
+        of_legs = [one for one, pressed in zip(every, tools, strict=True) if pressed is None]
+        given = {"leg": leg, "rig": rig, "grain_size_mm": grain_size_mm, "noise": noise,
+                 "gain": gain, "calibration": calibration, "simulated": simulated}  # fmt: skip
+        wrong = [name for name, value in given.items() if value is not None and not of_legs]
+        if wrong:
+            raise InputError(f"a tool excludes {', '.join(wrong)}; leave out one or the other")
+        if of_legs and not (columns is None and law is None):
+            raise InputError("columns and law are of one kind of body; leave them out")
+        answers = [
+            *([invert(of_legs, density=density, seed=seed, **given)] if of_legs else []),
+            *(invert_pressed(*one, density=density, law=law, columns=columns)
+              for one in tools if one),
+        ]  # fmt: skip
+        answer = combined(answers) if len(answers) > 1 else answers[0]
+        return answer if critical is None else with_peak(answer, critical)
     began = time.perf_counter()
     # The matrices are small: threads would only wait for each other.
     with threadpool_limits(limits=1, user_api="blas"):

@@ -15,8 +15,8 @@ from terraphi.inference import COLUMNS
 from terraphi.inference.answer import Answer
 from terraphi.inference.inversion import invert_many
 
-OPTIONS = ("leg", "rig", *SIZES, "leg_friction", "density", "grain_size_mm", "columns", "law",
-           "noise", "gain", "calibration", "critical")  # fmt: skip
+OPTIONS = ("leg", "rig", "tool", *SIZES, "leg_friction", "density", "grain_size_mm", "columns",
+           "law", "noise", "gain", "calibration", "critical")  # fmt: skip
 """Columns that are options of ``invert``, besides ``file``."""
 LEAST_ROWS = 8
 """Records from which several processes are worth their start."""
@@ -101,8 +101,9 @@ def invert_rows(
     whole = []
     for row in rows:
         own = {key: value for key, value in row.items() if key != "notes"}
-        # A row with sizes of its own has the whole rig.
-        several = ("rig", *SIZES) if own.keys() & {"rig", *SIZES} else ()
+        # A row with sizes of its own has the whole rig, and a tool none.
+        of_leg = ("leg", "leg_friction", "grain_size_mm") if "tool" in own else ()
+        several = ("rig", *SIZES, *of_leg) if own.keys() & {"rig", "tool", *SIZES} else ()
         whole.append({k: v for k, v in options.items() if k not in several} | own)
     count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     with workers(min(count or 1, len(rows)) if len(rows) >= LEAST_ROWS else 1) as pool:

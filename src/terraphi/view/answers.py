@@ -142,7 +142,7 @@ def _terms(answer: Answer) -> str:
     digits = 1 if most > 0.3 else 3
     named = [f"{n} {sd:.{digits}f}°" for n, sd in terms.items() if sd >= LEAST_SHARE * most]
     # Simulated forces need no better measurement.
-    useless = all(r.simulated or isinstance(r.rig, Tool) for r in answer.records)
+    useless = any(r.simulated or isinstance(r.rig, Tool) for r in answer.records)
     advice = "" if useless else f" {_advice(answer, digits)}"
     return f"{', '.join(named)}.{advice}"
 

@@ -1,0 +1,126 @@
+"""One friction angle from several maneuvers in one soil: legs, plates and balls.
+
+Each answer is a normal distribution. Answers share the error of the density and what the soil does
+that no law has, and those of one law what is wrong with it, so that the best mean is that of
+generalized least squares. Answers that
+disagree by more than their errors widen it by Birge's ratio, and by far more are a misfit.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.errors import InputError
+from terraphi.inference.answer import Answer, Estimate, Verdict, decimals
+from terraphi.laws.store import PHI
+
+OF_SOIL = ("density", "model: soil")
+"""Terms that all answers share."""
+OF_LAW = ("model: law", "model: compaction", "surface friction", "rectangle")
+"""Terms that answers by one law share."""
+DISAGREE = 2.58
+"""Standard deviations of the difference of two answers above which they are a misfit [-]: one sound
+pair in a hundred."""
+STEP_DEG = 0.05
+
+
+def combined(answers: Sequence[Answer]) -> Answer:
+    """The angle of one soil that several answers are of.
+
+    Parameters
+    ----------
+    answers
+        Of the same soil at the same density, in plane strain; errors of their records are
+        independent but for the density and the law.
+
+    Raises
+    ------
+    InputError
+        If an answer is in another convention.
+    """
+    if any(one.convention != "plane_strain" or PHI not in one.parameters for one in answers):
+        raise InputError("answers that are joined are of φ in plane strain; leave out --law")
+    phi = np.array([one.phi.median for one in answers])
+    terms: dict[str, FloatArray] = {
+        name: np.array([one.budget_deg.get(name, 0.0) for one in answers])
+        for name in dict.fromkeys(name for one in answers for name in one.budget_deg)
+    }
+    laws = np.array([one.law for one in answers])
+    same = dict.fromkeys(OF_LAW, laws[:, None] == laws)
+    same |= dict.fromkeys(OF_SOIL, np.ones((len(answers),) * 2, dtype=bool))
+    covariance = np.diag([one.phi.sd**2 for one in answers])
+    for name, shared in same.items():
+        share = np.outer(terms.get(name, 0.0 * phi), terms.get(name, 0.0 * phi)) * shared
+        covariance += share - np.diag(np.diag(share))
+    inverse = np.linalg.inv(covariance)
+    # An answer that shares most of its error with a better one is worth nothing, not less.
+    weight = np.maximum(inverse.sum(axis=1), 0.0)
+    weight /= weight.sum()
+    median = float(weight @ phi)
+    apart = phi - median
+    birge = math.sqrt(max(float(apart @ inverse @ apart) / (len(phi) - 1), 1.0))
+    sd = birge * math.sqrt(float(weight @ covariance @ weight))
+    budget = {
+        name: math.sqrt(float((weight * each) @ same.get(name, np.eye(len(phi))) @ (weight * each)))
+        for name, each in terms.items()
+    }
+    if birge > 1.0:
+        budget["disagreement"] = sd * math.sqrt(1.0 - birge**-2)
+    digits = max(decimals((median - sd, median + sd)), 0)
+    each = [f"{one.source} {one.phi.median:.{digits}f} ± {one.phi.sd:.1f}°" for one in answers]
+    verdict: Verdict = "consistent"
+    reason = f"Consistent: {', '.join(each)} agree."
+    pairs = [[i, j] for i, j in itertools.combinations(range(len(phi)), 2)]
+    spread = [
+        abs(np.diff(phi[pair])[0]) / math.sqrt(np.array([1, -1]) @ covariance[np.ix_(pair, pair)]
+                                               @ np.array([1, -1]))
+        for pair in pairs
+    ]  # fmt: skip
+    if worse := [one for one in answers if one.verdict != "consistent"]:
+        verdict, reason = worse[0].verdict, f"{worse[0].source}: {worse[0].reason}"
+    elif max(spread) > DISAGREE:
+        verdict = "misfit"
+        reason = (
+            f"Misfit: {', '.join(each)} disagree; check sizes, density and moisture, and whether "
+            "the soil is the same. Do not use the angle."
+        )
+    grid = np.arange(max(median - 6.0 * sd, 0.5), min(median + 6.0 * sd, 85.0), STEP_DEG)
+    density = np.exp(-0.5 * ((grid - median) / sd) ** 2)
+    density /= np.trapezoid(density, grid)
+    estimate = Estimate.of_density(grid, density)
+    first = answers[0]
+    questions = [
+        text if text.startswith(one.source) else f"{one.source}: {text}"
+        for one in answers for text in one.questions
+    ]  # fmt: skip
+    return replace(
+        first,
+        parameters={PHI: estimate},
+        phi_plane_strain=estimate,
+        verdict=verdict,
+        reason=reason,
+        edge=next((one.edge for one in answers if one.edge), None),
+        law=", ".join(dict.fromkeys(one.law for one in answers)),
+        law_reason="",
+        budget_deg=dict(sorted(budget.items(), key=lambda term: -term[1])),
+        density_assumed=any(one.density_assumed for one in answers),
+        records=tuple(record for one in answers for record in one.records),
+        grid_deg=grid,
+        density=density,
+        draws={},
+        diagnostics={},
+        questions=tuple(questions),
+        provenance={
+            **first.provenance,
+            "answers": [
+                {"source": one.source, "median": one.phi.median, "sd": one.phi.sd, "weight": w}
+                for one, w in zip(answers, weight.tolist(), strict=True)
+            ],
+        },
+    )

@@ -1,0 +1,77 @@
+"""One angle from several maneuvers in one soil."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import terraphi
+from terraphi.inference.answer import Answer, Estimate
+from terraphi.inference.combined import combined
+from terraphi.laws.store import PHI
+
+GRAINS = Path(__file__).parents[2] / "studies" / "data" / "grains"
+CRITICAL_DEG = {"A": 19.8, "B": 25.9, "C": 31.3, "E": 29.6}
+"""Loose grains, by their shear cells (docs/grains.md)."""
+
+
+@pytest.fixture(scope="module")
+def plate() -> Answer:
+    return terraphi.invert(GRAINS / "B-loose_disc_60_1.csv", tool="plate:60", density=1412)
+
+
+def normal(answer: Answer, median: float, own: float, density: float, law: str) -> Answer:
+    """The answer with another angle, and an error of its own and one of the density."""
+    sd = float(np.hypot(own, density))
+    estimate = Estimate(median, sd, (median - sd, median + sd), (median - 2 * sd, median + 2 * sd))
+    budget = {"noise": own, "density": density}
+    return replace(answer, parameters={PHI: estimate}, budget_deg=budget, law=law)
+
+
+def test_two_answers_have_the_posterior_of_their_common_angle(plate: Answer) -> None:
+    (m, e), (n, f), d, g = (28.0, 2.0), (31.0, 3.0), 1.5, 0.8
+    joint = combined([normal(plate, m, e, d, "legs"), normal(plate, n, f, g, "foot")])
+    # By integrating over the density's error.
+    phi, error = np.meshgrid(np.arange(10.0, 50.0, 0.02), np.arange(-6.0, 6.0, 0.05))
+    logs = ((m - phi - d * error) / e) ** 2 + ((n - phi - g * error) / f) ** 2 + error**2
+    density = np.exp(-0.5 * logs).sum(axis=0)
+    density /= density.sum()
+    mean = float(density @ phi[0])
+    assert joint.phi.median == pytest.approx(mean, abs=0.02)
+    assert joint.phi.sd == pytest.approx(np.sqrt(density @ (phi[0] - mean) ** 2), abs=0.02)
+    assert joint.verdict == "consistent"
+    assert np.hypot(*joint.budget_deg.values()) == pytest.approx(joint.phi.sd, abs=0.02)
+
+
+def test_answers_far_apart_are_a_misfit_and_one_misfit_spoils_all(plate: Answer) -> None:
+    low, high = normal(plate, 22.0, 2.0, 0.0, "legs"), normal(plate, 34.0, 2.0, 0.0, "foot")
+    apart = combined([low, high])
+    assert apart.verdict == "misfit"
+    assert apart.phi.ci95[0] < 22.0 < 34.0 < apart.phi.ci95[1]
+    assert combined([low, replace(low, verdict="misfit")]).verdict == "misfit"
+    with pytest.raises(terraphi.InputError, match="plane strain"):
+        combined([low, replace(low, convention="rft3d")])
+
+
+@pytest.mark.parametrize("soil", CRITICAL_DEG)
+def test_leg_plate_and_ball_in_one_soil_narrow_its_angle(soil: str, tmp_path: Path) -> None:
+    legs = GRAINS / f"{soil}-loose_straight_1.csv"
+    plate = GRAINS / f"{soil}-loose_disc_60_1.csv"
+    ball = GRAINS / f"{soil}-loose_ball_44_1.csv"
+    given = {"rig": "li2013", "leg": "straight", "density": "1415±30"}
+    joint = terraphi.invert([legs, f"{plate}@plate:60", (ball, "ball:44")], **given)
+    alone = terraphi.invert(legs, **given)
+    assert joint.phi.median == pytest.approx(CRITICAL_DEG[soil], abs=2.0 * joint.phi.sd)
+    assert joint.phi.sd < 0.9 * alone.phi.sd
+    assert joint.verdict == "consistent"
+    joint.save(tmp_path / "answer")
+    stored = terraphi.Answer.load(tmp_path / "answer")
+    assert [record.rig for record in stored.records] == [record.rig for record in joint.records]
+
+
+def test_a_tool_has_no_leg() -> None:
+    with pytest.raises(terraphi.InputError, match="rig"):
+        terraphi.invert(GRAINS / "B-loose_disc_60_1.csv", tool="plate:60", rig="li2013")
