@@ -25,6 +25,7 @@ from scipy.optimize import brentq
 
 import pages
 import terraphi
+from terraphi.inference.inversion import peak_draws
 
 DATA = Path(__file__).parent / "data"
 CULLINAN = ("Method_1", "Method_3", "5")
@@ -35,6 +36,8 @@ CONVERSION_SD_DEG = 2.0
 """Of a triaxial critical angle as one of plane strain [deg]."""
 CRITICAL_TOYOURA_DEG = 36.0
 """In plane strain (Chakraborty & Salgado 2010, J. Geotech. Geoenviron. Eng. 136:898)."""
+READ_SD_DEG, CRITICAL_SD_DEG = 2.5, 1.0
+"""Of the angle that is read, as law `foot` has it in grains, and of the critical one [deg]."""
 FOOTINGS = {"V64.6": (0.7315, 14.96), "V75.1": (0.6916, 15.31), "V85.6": (0.6517, 15.68)}
 """Void ratio [-] and unit weight [kN/m³] of each."""
 WIDTH, STRESS_KPA = 0.90, 98.0
@@ -119,8 +122,8 @@ def bearing_kpa(phi_deg: float, weight: float, sinkage: float) -> float:
     return float(weight * (0.5 * WIDTH * of_weight + sinkage * of_depth))
 
 
-def footings() -> list[tuple[str, str, str, str, str]]:
-    """Of each: test, critical and peak angle of plane strain, read at the peak, and its share."""
+def footings() -> list[tuple[str, ...]]:
+    """Of each: test, critical and peak angle, read at the peak, its share, and peak by critical."""
     tests, rows = table("toyoura_plane_strain.csv"), []
     own = tests[tests.sigma3_kPa == STRESS_KPA]
     line = np.polyfit(own.void_ratio, own.phi_peak_deg, 1)
@@ -133,8 +136,12 @@ def footings() -> list[tuple[str, str, str, str, str]]:
         )
         peak = float(np.polyval(line, void))
         share = (read_deg - CRITICAL_TOYOURA_DEG) / (peak - CRITICAL_TOYOURA_DEG)
+        known = CRITICAL_TOYOURA_DEG, CRITICAL_SD_DEG
+        low, middle, high = np.quantile(peak_draws((read_deg, READ_SD_DEG), known),
+                                        [0.025, 0.5, 0.975])  # fmt: skip
         rows.append((f"Toyoura {name}", f"{CRITICAL_TOYOURA_DEG:.0f}°", f"{peak:.1f}°",
-                     f"{read_deg:.1f}°", f"{share:.2f}"))  # fmt: skip
+                     f"{read_deg:.1f}°", f"{share:.2f}",
+                     f"{middle:.0f}° ({low:.0f} to {high:.0f}°)"))  # fmt: skip
     return rows
 
 
@@ -197,7 +204,17 @@ def main() -> None:
             "The strip footing at its peak load, by bearing capacity, and plane-strain tests at "
             f"the same void ratio and {STRESS_KPA:.0f} kPa:"
         ),
-        pages.table(("footing", "critical", "peak", "read", "share of the way"), footings()),
+        pages.table(
+            (
+                "footing",
+                "critical",
+                "peak",
+                "read",
+                "share of the way",
+                "peak (95 %) by the critical angle",
+            ),
+            footings(),
+        ),
     ]
     alt = "pressure over sinkage of plates on Cullinan sand and of a strip on Toyoura sand"
     pages.write(out, "sheared_sands", "Sands that were sheared", parts, draw(), alt)

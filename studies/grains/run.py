@@ -136,19 +136,20 @@ def record(soil: engine.Soil, rig: Rig, seed: int, work: Path, out: Path) -> Pat
 def pressed(soil: engine.Soil, name: str, seed: int, work: Path, out: Path) -> Path:
     """Pour the bed of feet unless it is there, press one in, and write the forces; the file.
 
-    A foot is named by its shape, its diameter [mm] and how far from the vertical it moves [deg].
+    A foot is named by its shape, its diameter [mm], how far from the vertical it moves [deg], and
+    its speed [m/s] after a v if it is hit: ``ball_44_45``, ``ball_44_v1.2``.
     """
     path = out / f"{soil.name}_{name}_{seed}.csv"
     if path.exists():
         return path
-    foot, descent = foot_of(name)
+    foot, descent, speed = foot_of(name)
     folder = work / f"{soil.name}_{seed}_feet"
     length, breadth, thickness = (soil.diameter * each for each in soil.bed)
     box = (-0.5 * length, 0.5 * length, -0.5 * breadth, 0.5 * breadth)
     engine.bed(soil, seed, (*box, 0.0), thickness, folder)
     surface, fraction = engine.layering(engine.dump(folder / "bed.dump"), length * breadth)
     start, stop = -soil.diameter, DEEPEST * foot.radius
-    vx, vz = soil.rate * SPEED * math.cos(descent), soil.rate * SPEED * math.sin(descent)
+    vx, vz = soil.rate * speed * math.cos(descent), soil.rate * speed * math.sin(descent)
     low = (-0.5 * (stop - start) * vx / vz, surface - start)
     engine.foot_mesh(foot.shape, foot.radius, low, folder / "body.stl")
     deck = engine.moved(
@@ -164,10 +165,12 @@ def pressed(soil: engine.Soil, name: str, seed: int, work: Path, out: Path) -> P
     return path
 
 
-def foot_of(name: str) -> tuple[Foot, float]:
-    """A foot, and the angle of its velocity below the horizontal [rad]."""
+def foot_of(name: str) -> tuple[Foot, float, float]:
+    """A foot, the angle of its velocity below the horizontal [rad], and its speed [m/s]."""
+    name, _, speed = name.partition("_v")
     shape, diameter, *turned = name.split("_")
-    return Foot(5e-4 * float(diameter), shape), math.radians(90.0 - float((turned or [0])[0]))
+    descent = math.radians(90.0 - float((turned or [0])[0]))
+    return Foot(5e-4 * float(diameter), shape), descent, float(speed or SPEED)
 
 
 def write(

@@ -220,13 +220,15 @@ def with_peak(answer: Answer, critical: float | str) -> Answer:
         end = "" if apart > -least else ", or the critical angle is wrong"
         sentence = f"φ {word} the critical angle of {mean:g} ± {sd:g}°: the soil is loose{end}."
         return replace(answer, questions=(sentence, *answer.questions))
+    read = answer.phi.median, answer.phi.sd
+    return replace(answer, phi_peak=Estimate.of(peak_draws(read, (mean, sd))))
+
+
+def peak_draws(read: tuple[float, float], critical: tuple[float, float]) -> FloatArray:
+    """Peak angles of dense soil, by the angle read and the critical one, each mean and SD [deg]."""
     rng = np.random.default_rng(0)
-    read, low, share = (
-        rng.normal(middle, spread, PEAK_DRAWS)
-        for middle, spread in ((answer.phi.median, answer.phi.sd), (mean, sd), SHARE)
-    )
-    peak = low + np.maximum(read - low, 0.0) / np.clip(share, *SHARE_ENDS)
-    return replace(answer, phi_peak=Estimate.of(peak))
+    angle, low, share = (rng.normal(*one, PEAK_DRAWS) for one in (read, critical, SHARE))
+    return np.asarray(low + np.maximum(angle - low, 0.0) / np.clip(share, *SHARE_ENDS))
 
 
 def _records(forces: Any, **options: Any) -> list[Record]:
