@@ -56,6 +56,14 @@ def test_arviz_summarises_the_same_posterior(answer: Answer) -> None:
     assert table["sd"].iloc[0] == pytest.approx(answer.phi.sd, rel=0.02)
 
 
+def test_arviz_has_the_observed_forces_over_the_leg_angle(answer: Answer) -> None:
+    record = answer.records[0]
+    seen = answer.to_inference_data()["observed_data"]["force_0"]
+    assert list(seen["channel_0"].values) == list(record.nrmsd)
+    np.testing.assert_array_equal(seen["theta_0"], record.theta_deg)
+    np.testing.assert_array_equal(seen.sel(channel_0="Fz"), record.data[1])
+
+
 def test_quantiles_are_those_of_the_density(answer: Answer) -> None:
     step = 0.5 * (answer.density[1:] + answer.density[:-1]) * np.diff(answer.grid_deg)
     below = np.interp(answer.phi.ci95, answer.grid_deg[1:], np.cumsum(step))

@@ -421,8 +421,11 @@ class Answer(AnswerSummary):
         posterior = xr.Dataset({key: (("chain", "draw"), value) for key, value in draws.items()})
         data: dict[str, Any] = {}
         constant: dict[str, Any] = {}
+        places: dict[str, Any] = {}
         for i, record in enumerate(self.records):
-            dims = (f"force_{i}", f"theta_{i}")
+            # A variable named as one of its dimensions would be a coordinate.
+            dims = (f"channel_{i}", f"theta_{i}")
+            places |= {dims[0]: list(record.nrmsd), dims[1]: record.theta_deg}
             data[f"force_{i}"] = (dims, record.data)
             constant[f"theta_deg_{i}"] = (dims[1], record.theta_deg)
             constant[f"curve_{i}"] = (dims, record.curve)
@@ -431,8 +434,8 @@ class Answer(AnswerSummary):
         constant["density"] = ("grid", self.density)
         return {
             "posterior": posterior,
-            "observed_data": xr.Dataset(data),
-            "constant_data": xr.Dataset(constant),
+            "observed_data": xr.Dataset(data, places),
+            "constant_data": xr.Dataset(constant, places),
         }
 
     def to_inference_data(self) -> Any:
