@@ -1,11 +1,15 @@
 r"""The simulated force law of a foot: from balls and discs pressed into sand to a table.
 
 Feet of radius R are pressed two radii deep into the soil of `sand3d`, on cells of R/3 with 64
-particles each (plans `foot`, `foot-22`, `foot-45`). Forces over ρ g R³ depend on φ, friction,
-direction and depth over R. A foot that moves at once first throws the soil below it, and shallow
-dents are a cell deep, so that they are not used: a shallow dent of a ball is a round footing
-of radius √(2Rz), whose load grows with the power 3/2 of the depth. Cases on other numerics (plan
-`foot-numerics`) give factors for more particles, smaller cells and stiffer soil, with their errors.
+particles each (plans `foot`, `foot-22`, `foot-45`), and straight down to five radii with 8
+particles in a cell (plan `foot-deep`). Forces over ρ g R³ depend on φ, friction, direction and
+depth over R, which counts from the surface of the settled bed: beds of particles at random places
+fall by a tenth of R (`settle`; simulated where `studies/data/foot_surface.csv` lacks it).
+
+A foot that moves at once first throws the soil below it, and shallow dents are a cell deep, so that
+they are not used: a shallow dent of a ball is a round footing of radius √(2Rz), whose load grows
+with the power 3/2 of the depth. Cases on other numerics (plan `foot-numerics`) give factors for
+more particles, smaller cells and stiffer soil, with their errors.
 
 The page has these factors, and what the law makes of slopes of the measured plates. `plates.py`
 compares the law with grains.
@@ -13,6 +17,7 @@ compares the law with grains.
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import math
 from collections.abc import Callable
@@ -26,10 +31,18 @@ import pages
 import terraphi
 from terraphi.experiment.files import write_netcdf
 from terraphi.experiment.scenario import GRAVITY, Scenario
+from terraphi.forward.driver import Snapshot
 from terraphi.laws.foot import LAWS, Foot
 
-RATIO = np.linspace(0.0, 2.0, 101)
+RATIO = np.linspace(0.0, 5.0, 251)
 """Depths over the radius of the table."""
+LAST = 1.8
+"""Depth over the radius to which the shallow simulations are used; farther on forces grow as those
+of plan `foot-deep` do."""
+SETTLED_S, OUTERMOST = 0.06, 0.98
+"""Time after which a bed has settled under its weight [s], and the quantile of heights that is its
+surface [-]."""
+SURFACES = pages.ROOT / "data" / "foot_surface.csv"
 FIRST = {"sphere": 0.6, "cylinder": 0.4}
 """Depth over the radius from which a simulation is used."""
 POWER = {"sphere": 1.5, "cylinder": 0.0}
@@ -40,11 +53,16 @@ WEAKER_DEG = 2.0
 """By how much feet in loose grains find less φ than a shear cell, extrapolated to zero grain size
 (`plates.py`) [deg]: soil that a foot compacts is weaker. At φ the law has what was simulated at φ
 less this."""
+DEEPER = 0.02
+"""Error of ln F for each radius beyond LAST [-]: 45° from the vertical, a smooth foot and 27
+particles in a cell grow otherwise by up to as much (the page)."""
 SCATTER, UNKNOWN = 0.02, 0.05
 """Of ln F: between particle seeds and in smoothing, and for a correction that was not simulated."""
 NAMES = {"sphere": "ball", "cylinder": "disc"}
 LIBRARIES = ("foot", "foot-45", "foot-22", "foot-numerics")
 """Those of the steps of numerics last."""
+DEEP = "foot-deep"
+"""The library that goes to five radii."""
 PLATE_DENSITY = 1330.0
 """Of the sand that plates were pressed into [kg/m³]."""
 SPANS = ((1e-3, 5e-3), (5e-3, 12e-3), (12e-3, 20e-3), (20e-3, 28e-3))
@@ -73,6 +91,62 @@ class Case(NamedTuple):
     force: np.ndarray
 
 
+Bed = tuple[float, ...]
+"""φ and ψ [deg], particles along a cell, cell [mm], E [MPa], height and floor [mm]."""
+
+
+def bed_of(s: Scenario) -> Bed:
+    """What a bed's settling depends on."""
+    values = (
+        s.soil.friction_angle_deg, s.soil.dilation_angle_deg, s.numerics.particles_per_cell_side,
+        1e3 * s.numerics.cell_size, 1e-6 * s.soil.youngs_modulus, 1e3 * s.bed.height,
+        1e3 * s.bed.floor,
+    )  # fmt: skip
+    return tuple(round(float(value), 4) for value in values)
+
+
+def settled() -> dict[Bed, float]:
+    """How far the surface of each bed settles [m]; none if nothing was simulated yet."""
+    rows = np.atleast_2d(np.loadtxt(SURFACES, delimiter=",")) if SURFACES.is_file() else ()
+    return {tuple(row[:-1]): 1e-3 * row[-1] for row in rows}
+
+
+class SettledError(Exception):
+    """A bed has settled."""
+
+
+def settle(s: Scenario) -> float:
+    """Fall of the surface of a bed by its own weight [m].
+
+    Particles at random places carry their weight only once they have moved, those of the lowest
+    cell most, as the floor of these plans lies a hair below its nodes.
+    """
+    heights: list[float] = []
+
+    def observe(snapshot: Snapshot) -> None:
+        places = snapshot.solver.fields(snapshot.soil)[0]
+        heights.append(float(np.quantile(places[:, 2], OUTERMOST)))
+        if snapshot.time > SETTLED_S:
+            raise SettledError
+
+    with contextlib.suppress(SettledError):
+        terraphi.simulate(s, observe=observe)
+    return heights[0] - heights[-1]
+
+
+def settle_all() -> None:
+    """Simulate the beds that are missing in SURFACES."""
+    known = settled()
+    for name in (*LIBRARIES, DEEP):
+        for s in terraphi.Plan.load(pages.ROOT / "plans" / f"{name}.toml").cases():
+            if bed_of(s) not in known:
+                known[bed_of(s)] = settle(s)
+                rows = [[*bed, 1e3 * fall] for bed, fall in known.items()]
+                head = "phi_deg,psi_deg,particles,cell_mm,E_MPa,height_mm,floor_mm,fall_mm"
+                np.savetxt(SURFACES, rows, "%.6g", ",", header=head)
+                print(bed_of(s), known[bed_of(s)], flush=True)
+
+
 def smooth(shape: str, ratio: np.ndarray, force: np.ndarray) -> np.ndarray:
     """Least squares of a polynomial times a power of the depth, from FIRST on.
 
@@ -81,11 +155,12 @@ def smooth(shape: str, ratio: np.ndarray, force: np.ndarray) -> np.ndarray:
     through its loads at FIRST and at one radius.
     """
     used, power, first = ratio > FIRST[shape], POWER[shape], FIRST[shape]
+    used &= ratio < 2.0
     scale = np.maximum(ratio[used], 0.3)[:, None]
     basis = ratio[used, None] ** power * np.vander(ratio[used], TERMS[shape])
     found = np.linalg.lstsq(basis / scale, force[used] / scale, rcond=None)[0]
-    at = np.maximum(RATIO, first)
-    curve = RATIO[:, None] ** power * (np.vander(at, TERMS[shape]) @ found)
+    at = np.clip(RATIO, first, LAST)
+    curve = np.minimum(RATIO, LAST)[:, None] ** power * (np.vander(at, TERMS[shape]) @ found)
     short = np.minimum(RATIO / first, 1.0)[:, None] - 1.0
     if shape == "sphere":
         return np.asarray(curve * (0.5 + 0.5 * np.sqrt(1.0 + short)))
@@ -96,14 +171,14 @@ def smooth(shape: str, ratio: np.ndarray, force: np.ndarray) -> np.ndarray:
 
 def read(name: str) -> list[Case]:
     """Finished cases of a library; none if there is no such file yet."""
-    path, found = pages.LIBRARIES / f"{name}.nc", []
+    path, found, surfaces = pages.LIBRARIES / f"{name}.nc", [], settled()
     for case in terraphi.Library.load(path).cases if path.is_file() else ():
         if case.history is None:
             continue
         s: Scenario = case.scenario
         radius, (x, z) = 0.5 * s.leg.width, s.motion.velocity
         tilt = math.atan2(x, -z)
-        ratio = case.history.position * math.cos(tilt) / radius
+        ratio = (case.history.position * math.cos(tilt) - surfaces[bed_of(s)]) / radius
         force = case.history.force / (s.soil.density * GRAVITY * radius**3)
         found.append(
             Case(
@@ -116,6 +191,22 @@ def read(name: str) -> list[Case]:
     return found
 
 
+def growth(shape: str, angles: np.ndarray) -> np.ndarray:
+    """Forces at RATIO over those at LAST, by a cubic from one radius on, [phi, ratio]."""
+    found = {}
+    for case in terraphi.Library.load(pages.LIBRARIES / f"{DEEP}.nc").cases:
+        s = case.scenario
+        usual = s.motion.velocity[0] == 0.0 and s.numerics.particles_per_cell_side == 2
+        if s.leg.shape == shape and usual and s.leg.friction == 0.5 and case.history is not None:
+            ratio = (case.history.position - settled()[bed_of(s)]) / (0.5 * s.leg.width)
+            curve = np.polyfit(ratio[ratio > 1.0], case.history.force[ratio > 1.0, 1], 3)
+            course = np.polyval(curve, np.maximum(RATIO, LAST))
+            found[s.soil.friction_angle_deg] = np.log(course / course[0])
+    known = sorted(found)
+    logs = np.array([found[phi] for phi in known])
+    return np.exp(np.array([np.interp(angles, known, row) for row in logs.T]).T)
+
+
 def change(cases: list[Case], shape: str, before: dict, after: dict) -> dict[float, np.ndarray]:
     """Change of ln lift between cases that differ in their numerics, by φ, [ratio].
 
@@ -123,7 +214,7 @@ def change(cases: list[Case], shape: str, before: dict, after: dict) -> dict[flo
     """
     usual = {"cells": 3.0, "stiffness": 2e6, "breadth": 0.256, "friction": 0.5, "tilt": 0.0,
              "dilation": 0.0}  # fmt: skip
-    first, last = FIRST["sphere"], 1.9
+    first, last = FIRST["sphere"], LAST
     used = (first <= RATIO) & (last >= RATIO)
 
     def lifts(numerics: dict) -> dict[float, np.ndarray]:
@@ -134,7 +225,7 @@ def change(cases: list[Case], shape: str, before: dict, after: dict) -> dict[flo
 
     low, high = lifts(before), lifts(after)
     return {
-        phi: np.polyval(np.polyfit(RATIO[used], high[phi] - low[phi], 1), RATIO.clip(first))
+        phi: np.polyval(np.polyfit(RATIO[used], high[phi] - low[phi], 1), RATIO.clip(first, last))
         for phi in sorted(low.keys() & high.keys())
     }
 
@@ -278,11 +369,13 @@ def draw(tables: dict[str, tuple[dict[str, np.ndarray], np.ndarray]]) -> Figure:
 def main() -> None:
     """Write the tables and the page."""
     out = pages.out_from(str(__doc__))
+    settle_all()
     cases, parts, tables = [case for name in LIBRARIES for case in read(name)], [], {}
     for shape in NAMES:
         axes, force = table_of(cases, shape)
         log, sd = correction(cases, shape, axes["phi_deg"])
-        force *= np.exp(log)[:, None, :, None]
+        force *= (np.exp(log) * growth(shape, axes["phi_deg"]))[:, None, :, None]
+        sd = np.hypot(sd, DEEPER * np.maximum(RATIO - LAST, 0.0))
         write_table(shape, axes, force, sd)
         tables[shape] = axes, force
         rows = [
@@ -293,7 +386,7 @@ def main() -> None:
         widest = max(map(len, rows), default=1)
         header = ("change", *["lift"] * (widest - 1))
         listed = (", ".join(f"{v:g}" for v in axes[key]) for key in ("phi_deg", "tilt_deg"))
-        told = "The {}: φ {}°, μ 0.2 and 0.5, {}° from the vertical, to two radii.".format(
+        told = "The {}: φ {}°, μ 0.2 and 0.5, {}° from the vertical, to five radii.".format(
             NAMES[shape], *listed
         )
         parts += [told, pages.table(header, [(*r, *[""] * (widest - len(r))) for r in rows])]

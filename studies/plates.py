@@ -179,7 +179,9 @@ def in_grains() -> dict[str, list[Test]]:
     tests: dict[str, list[Test]] = {}
     for name, soil in run.soils().items():
         for pressed in soil.feet:
-            foot, descent, _ = run.foot_of(pressed)
+            foot, descent, speed, _ = run.foot_of(pressed)
+            if speed > run.SPEED:
+                continue
             for path in sorted(GRAINS.glob(f"{name}_{pressed}_[0-9].csv")):
                 depth, force, density = run.load(path)
                 test = Test(

@@ -33,6 +33,8 @@ SWING_DEG, CLEAR_DEG, EVERY_DEG = (-85.0, 80.0), (10.0, 5.0), 1.0
 SPEED, DEEPEST, EVERY = 0.03, 1.5, 5e-4
 """Speed of a foot at a rate of 1 [m/s], its last depth over its radius, and the depth of the means
 [m]."""
+LANDED = 0.025
+"""Last depth of a foot that lands [m]: what a Go2 of 15 kg sinks in loose sand."""
 
 
 @dataclass(frozen=True)
@@ -137,40 +139,56 @@ def pressed(soil: engine.Soil, name: str, seed: int, work: Path, out: Path) -> P
     """Pour the bed of feet unless it is there, press one in, and write the forces; the file.
 
     A foot is named by its shape, its diameter [mm], how far from the vertical it moves [deg], and
-    its speed [m/s] after a v if it is hit: ``ball_44_45``, ``ball_44_v1.2``.
+    its speed [m/s] after a v, if that is another, or after an l if it lands: a quarter of a sine,
+    which is at rest :data:`LANDED` deep. ``ball_44_45``, ``ball_44_v1.5``, ``ball_44_l1``.
     """
     path = out / f"{soil.name}_{name}_{seed}.csv"
     if path.exists():
         return path
-    foot, descent, speed = foot_of(name)
+    foot, descent, speed, lands = foot_of(name)
     folder = work / f"{soil.name}_{seed}_feet"
     length, breadth, thickness = (soil.diameter * each for each in soil.bed)
     box = (-0.5 * length, 0.5 * length, -0.5 * breadth, 0.5 * breadth)
     engine.bed(soil, seed, (*box, 0.0), thickness, folder)
     surface, fraction = engine.layering(engine.dump(folder / "bed.dump"), length * breadth)
-    start, stop = -soil.diameter, DEEPEST * foot.radius
+    start, stop = -soil.diameter, LANDED if lands else DEEPEST * foot.radius
     vx, vz = soil.rate * speed * math.cos(descent), soil.rate * speed * math.sin(descent)
     low = (-0.5 * (stop - start) * vx / vz, surface - start)
     engine.foot_mesh(foot.shape, foot.radius, low, folder / "body.stl")
+    duration, way = (stop - start) / vz, stop - start
+    motion, every = f"linear {vx:.8g} 0 {-vz:.8g}", EVERY / vz
+    if lands:
+        duration *= 0.5 * math.pi
+        motion = f"wiggle amplitude 0. 0. {-way:.8g} period {4.0 * duration:.8g}"
+        every = duration / 70.0
     deck = engine.moved(
-        soil, (*box, 0.0), low, f"linear {vx:.8g} 0 {-vz:.8g}",
-        steps=round((stop - start) / vz / soil.time_step),
-        every=round(EVERY / vz / soil.time_step),
+        soil, (*box, 0.0), low, motion,
+        steps=round(duration / soil.time_step), every=max(round(every / soil.time_step), 1),
     )  # fmt: skip
     engine.run(deck, folder, name)
     time, (fx, _, fz, _) = engine.means(soil, folder)
-    rows = zip(1e3 * (start + vz * time), fx, fz, strict=True)
+    depth, moved = start + vz * time, ""
+    if lands:
+        turn = 0.5 * math.pi * time / duration
+        depth, moved = start + way * np.sin(turn), ",speed_m_s,acceleration_m_s2"
+        more = np.array([vz * np.cos(turn), -(vz**2) / way * np.sin(turn)])
+    rows = np.array([1e3 * depth, fx, fz]).T
     lines = [f"{z:.2f},{x:.4f},{f:.4f}" for z, x, f in rows]
-    write(path, soil, seed, fraction, name.replace("_", " "), ["depth_mm,Fx_N,Fz_N", *lines])
+    if lands:
+        lines = [f"{line},{v:.4f},{a:.3f}" for line, v, a in zip(lines, *more, strict=True)]
+    words = name.replace("_", " ")
+    write(path, soil, seed, fraction, words, [f"depth_mm,Fx_N,Fz_N{moved}", *lines])
     return path
 
 
-def foot_of(name: str) -> tuple[Foot, float, float]:
-    """A foot, the angle of its velocity below the horizontal [rad], and its speed [m/s]."""
+def foot_of(name: str) -> tuple[Foot, float, float, bool]:
+    """A foot, angle of its velocity below the horizontal [rad], speed [m/s], whether it lands."""
+    name, _, landing = name.partition("_l")
     name, _, speed = name.partition("_v")
     shape, diameter, *turned = name.split("_")
     descent = math.radians(90.0 - float((turned or [0])[0]))
-    return Foot(5e-4 * float(diameter), shape), descent, float(speed or SPEED)
+    foot = Foot(5e-4 * float(diameter), shape)
+    return foot, descent, float(landing or speed or SPEED), bool(landing)
 
 
 def write(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,13 +13,15 @@ from terraphi.inference.touchdowns import (
     Prior,
     Touchdowns,
     fit,
+    inertia,
     noise_covariance,
     predicted,
     with_exponent,
 )
-from terraphi.laws.foot import LAWS
+from terraphi.laws.foot import LAWS, Foot, moved_mass
 
 PRIOR = Prior()
+GRAINS = Path(__file__).parents[2] / "studies" / "data" / "grains"
 
 
 def pressed(phi: float = 34.0, *, level: float = 0.003, seed: int | None = 0) -> Touchdowns:
@@ -28,7 +31,7 @@ def pressed(phi: float = 34.0, *, level: float = 0.003, seed: int | None = 0) ->
     still = np.zeros_like(time)
     seen = Touchdowns(
         foot=np.array([2]), begin=np.zeros(1), place=np.zeros((1, 3)), time=time, drop=drop,
-        descent=np.full_like(time, 1.4), speed=still, force=still,
+        descent=np.full_like(time, 1.4), speed=still, acceleration=still, force=still,
         per_error=np.zeros((*time.shape, 6)),
         used=np.ones_like(time, dtype=bool), torn=np.zeros(1, bool), saturated=np.zeros(1, bool),
     )  # fmt: skip
@@ -69,6 +72,55 @@ def test_laplace_agrees_with_quadrature() -> None:
     mean, sd = moments(1.0)
     assert found.phi[0] == pytest.approx(mean, abs=0.15 * sd)
     assert found.sd[0] == pytest.approx(moments(found.misfit[0])[1], rel=0.1)
+
+
+def test_the_inertia_gives_the_impulse_that_its_mass_takes_up() -> None:
+    """Over a landing ∫ d(m v)/dt is m v at its end, less that at its beginning."""
+    time = np.linspace(0.0, 0.05, 4001)[None]
+    turn = 0.4 * np.pi * time / 0.05
+    drop, rate = 0.03 * np.sin(turn), 0.4 * np.pi / 0.05
+    seen = pressed(seed=None)._replace(
+        time=time, drop=drop, descent=np.full_like(time, 0.5 * np.pi),
+        speed=0.03 * rate * np.cos(turn), acceleration=-(rate**2) * drop,
+    )  # fmt: skip
+    impulse = np.trapezoid(inertia(PRIOR, seen, drop), time)[0]
+    mass = moved_mass(Foot(PRIOR.radius), drop, PRIOR.density)[0]
+    momentum = (mass * seen.speed)[0]
+    assert impulse == pytest.approx(momentum[-1] - momentum[0], rel=1e-3)
+    assert 2.0 < mass[0, -1] / (PRIOR.density * np.pi * PRIOR.radius**3) < 4.0
+
+
+@pytest.mark.parametrize("soil", ["B", "C", "E"])
+@pytest.mark.parametrize("landing", ["l0.5", "l1"])
+def test_a_ball_that_lands_in_grains_reads_what_a_slow_one_does(soil: str, landing: str) -> None:
+    slow, hit = (landed(f"{soil}-loose_ball_44_{name}1.csv") for name in ("", f"{landing}_"))
+    read = [fit(seen, "foot", prior).phi[0] for seen, prior in (slow, hit)]
+    assert read[1] == pytest.approx(read[0], abs=2.0)
+    # Without the inertia it does not.
+    still = hit[0]._replace(acceleration=0.0 * hit[0].speed, speed=0.0 * hit[0].speed)
+    assert read[1] - fit(still, "foot", hit[1]).phi[0] > 0.5
+
+
+def landed(name: str) -> tuple[Touchdowns, Prior]:
+    """A record of grains as a touch-down, and its prior."""
+    path = GRAINS / name
+    density = float(path.read_text().splitlines()[1].split()[2])
+    rows = np.loadtxt(path, delimiter=",", skiprows=3)
+    rows = rows[(rows[:, 0] > 0.0) & (rows[:, 0] < 25.0)]
+    part = [rows[some].mean(axis=0) for some in np.array_split(np.arange(len(rows)), 24)]
+    depth, _, force, *moving = np.transpose(part)
+    speed, acceleration = moving or (np.full(24, 0.03), np.zeros(24))
+    drop = 1e-3 * depth[None]
+    gaps = np.diff(drop[0]) / (0.5 * (speed[1:] + speed[:-1]))
+    seen = Touchdowns(
+        foot=np.array([0]), begin=np.zeros(1), place=np.zeros((1, 3)),
+        time=np.append(0.0, np.cumsum(gaps))[None], drop=drop,
+        descent=np.full((1, 24), 0.5 * np.pi), speed=speed[None], acceleration=acceleration[None],
+        force=force[None], per_error=np.zeros((1, 24, 6)), used=np.ones((1, 24), dtype=bool),
+        torn=np.zeros(1, bool), saturated=np.zeros(1, bool),
+    )  # fmt: skip
+    prior = replace(PRIOR, density=density, surface_friction=0.35, level_sd=2e-3, drift_sd=1e-4)
+    return seen, prior
 
 
 def test_a_misfit_counts_once_and_the_prior_of_phi_not_at_all() -> None:
@@ -131,9 +183,10 @@ def test_noise_has_its_three_parts() -> None:
     still = np.zeros_like(seen.time)
     for force, speed in ((0.0, 0.0), (100.0, 0.0), (0.0, 2.0)):
         one = seen._replace(force=still + force, speed=still + speed)
-        # What it takes to set the soil below the foot in motion is ρ A v².
-        inertia = PRIOR.density * np.pi * PRIOR.radius**2 * speed**2
-        sd = np.sqrt(1.5**2 + (0.04 * force) ** 2 + inertia**2)
+        # What it takes to set the soil below the foot in motion is known to 30 %.
+        hit = 0.3 * inertia(PRIOR, one, one.drop)[0]
+        sd = np.sqrt(1.5**2 + (0.04 * force) ** 2 + hit**2)
         matrix = noise_covariance(one, PRIOR)[0]
         assert np.sqrt(np.diag(matrix)) == pytest.approx(sd, rel=1e-5)
-        assert matrix[0, 4] == pytest.approx(sd**2 * np.exp(-1.0))  # 8 ms apart
+        assert matrix[0, 4] == pytest.approx(sd[0] * sd[4] * np.exp(-1.0))  # 8 ms apart
+        assert (hit.max() > 3.0) == (speed > 0.0)

@@ -3,10 +3,12 @@ r"""The friction angle under one touch-down, by a force law and least squares; m
 For the upward force F of a touch-down, its ball's descent d since the first force and time t,
 
 .. math::
-    F_k = F_{law}\bigl(d_k + z_0 + w\,t_k,\ \gamma_k;\ \varphi, \rho, \mu_s, R\bigr) + e_k,
+    F_k = F_{law}\bigl(z_k,\ \gamma_k;\ \varphi, \rho, \mu_s, R\bigr)
+          + \frac{d}{dt} m(z_k)\,\dot z_k + e_k,\qquad z_k = d_k + z_0 + w\,t_k,
 
-with the friction angle φ, the depth z₀ at which the foot's lowest point lies at touch-down (the
-surface is not known), a vertical drift w of the odometry, and noise e that is correlated over
+with the mass m of soil that moves with the foot (:func:`~terraphi.laws.foot.moved_mass`), the
+friction angle φ, the depth z₀ at which the foot's lowest point lies at touch-down (the surface is
+not known), a vertical drift w of the odometry, and noise e that is correlated over
 :data:`CORRELATION_S`. The likelihood of φ, with z₀ and w under their priors, is taken as normal
 about its mode (Laplace): φ's own prior is the pooling's, and counts once. What all
 footfalls share, θ, is held at its prior's mean θ₀ here; how far that puts the mode off
@@ -22,7 +24,7 @@ import numpy as np
 
 from terraphi.experiment.arrays import BoolArray, FloatArray, IntArray
 from terraphi.inference.estimator import least_squares, weights
-from terraphi.laws.foot import LAWS, Foot, FootLaw
+from terraphi.laws.foot import LAWS, Foot, FootLaw, moved_mass
 
 PHI_RANGE = (15.0, 50.0)
 """Friction angles in plane strain for which laws are evaluated [deg]: law ``foot`` has a table from
@@ -30,6 +32,9 @@ PHI_RANGE = (15.0, 50.0)
 NOISE_N, NOISE_PART = 1.5, 0.04
 """Standard deviation of a force: constant [N], and as a part of it [-]; odometry is in it.
 Residuals scale the result, so that the ratio of both counts (chosen)."""
+INERTIA_PART = 0.3
+"""Standard deviation of the inertia's force, as a part of it [-]: half of what balls in grains
+differ by (``docs/landing.md``; from 0.1 to 0.8 their angles differ by 0.2° root mean square)."""
 CORRELATION_S = 0.008
 """Correlation time of the noise [s]: a few samples of a log of 500 Hz (chosen)."""
 EXPONENTS = (-0.7, 0.4)
@@ -74,6 +79,8 @@ class Touchdowns(NamedTuple):
         Angle of its velocity below the horizontal [rad].
     speed
         [m/s].
+    acceleration
+        Of the ball, downward [m/s²].
     force
         Upward force on the foot [N].
     per_error
@@ -94,6 +101,7 @@ class Touchdowns(NamedTuple):
     drop: FloatArray
     descent: FloatArray
     speed: FloatArray
+    acceleration: FloatArray
     force: FloatArray
     per_error: FloatArray
     used: BoolArray
@@ -232,17 +240,23 @@ def predicted(law: FootLaw, prior: Prior, seen: Touchdowns, state: FloatArray) -
     )[..., 1]
     if prior.exponent:
         lift = lift * (np.maximum(depth, 1e-4) / prior.radius) ** prior.exponent
-    return np.asarray(lift, dtype=np.float64)
+    return np.asarray(lift + inertia(prior, seen, depth), dtype=np.float64)
+
+
+def inertia(prior: Prior, seen: Touchdowns, depth: FloatArray) -> FloatArray:
+    """Upward force of the soil's inertia, d(m v)/dt [N], shape [touchdown, sample]."""
+    foot = Foot(prior.radius, prior.shape)  # type: ignore[arg-type]
+    mass, growth = moved_mass(foot, depth, prior.density)
+    return growth * np.square(seen.speed * np.sin(seen.descent)) + mass * seen.acceleration
 
 
 def noise_covariance(seen: Touchdowns, prior: Prior) -> FloatArray:
     """Covariance of forces [N²], shape [touchdown, sample, sample]; alone where not used.
 
-    A part grows with the force, and one with the square of the speed: the soil's inertia, which
-    quasi-static laws leave out, is ρ π R² v².
+    A part grows with the force, and one with the soil's inertia.
     """
-    inertia = prior.density * np.pi * prior.radius**2 * seen.speed**2
-    sd = np.sqrt(NOISE_N**2 + (NOISE_PART * seen.force) ** 2 + inertia**2)
+    hit = INERTIA_PART * inertia(prior, seen, np.maximum(seen.drop, 0.0))
+    sd = np.sqrt(NOISE_N**2 + (NOISE_PART * seen.force) ** 2 + hit**2)
     apart = np.abs(seen.time[:, :, None] - seen.time[:, None, :])
     covariance = sd[:, :, None] * sd[:, None, :] * np.exp(-apart / CORRELATION_S)
     both = seen.used[:, :, None] & seen.used[:, None, :]

@@ -67,6 +67,8 @@ DESCENTS = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 61)
 """Directions of motion that are tabulated, from straight up to straight down [rad]."""
 SCHEMA = 1
 """Of the files of simulated forces."""
+MOVED = (2.3, 1.2)
+"""a and b of :func:`moved_mass` [-] (``docs/landing.md``)."""
 BEYOND_DEG, BEYOND_FRICTION = 3.0, 0.15
 """How far outside its table of angles [deg] and frictions the simulated law is continued."""
 
@@ -180,6 +182,22 @@ def resistive_force(
     unit = _interpolated(table, _row(turn), np.maximum(ratio, 0.0) / DEPTHS[1])
     scale = stress_scale(phi_deg, density) * foot.radius**3
     return np.asarray(scale[..., None] * unit)
+
+
+def moved_mass(
+    foot: Foot, depth: ArrayLike, density: float, *, moved: tuple[float, float] | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Mass of the soil that moves down with a foot [kg], and its growth with depth [kg/m].
+
+    A foot that goes down at v feels d(m v)/dt more than the law: its soil's momentum. m is
+    a ρ π R² z (1 + (z / b R)⁴)^(-1/4), with a and b of ``moved``, by default those of balls that
+    hit simulated grains (:data:`MOVED`).
+    """
+    size, reach = moved or MOVED
+    ratio = np.maximum(np.asarray(depth, dtype=np.float64), 0.0) / foot.radius
+    growth = size * density * math.pi * foot.radius**2 * (ratio > 0.0)
+    slower = 1.0 + (ratio / reach) ** 4
+    return growth * ratio * foot.radius * slower**-0.25, growth * slower**-1.25
 
 
 def bearing_capacity(

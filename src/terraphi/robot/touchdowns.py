@@ -197,6 +197,8 @@ def _touchdown(
     velocity = (place[after] - place[before]) / (time[after] - time[before])[:, None]
     down, force = -velocity[:, 2], lift[rows]
     drop = place[start, 2] - place[rows, 2]
+    span = time[after] - time[before]
+    acceleration = 4.0 * (2.0 * place[rows, 2] - place[before, 2] - place[after, 2]) / span**2
     fastest = maximum_filter1d(
         np.where(rows >= start, down, 0.0), max(1, round(0.5 * WINDOW_S / step))
     )
@@ -221,6 +223,7 @@ def _touchdown(
         "drop": drop[chosen],
         "descent": np.arctan2(down, np.hypot(velocity[:, 0], velocity[:, 1]))[chosen],
         "speed": np.linalg.norm(velocity, axis=1)[chosen],
+        "acceleration": acceleration[chosen],
         "force": force[chosen],
         "per_error": per[rows[chosen], foot],
         "used": good[chosen] & (np.arange(POINTS) < count) & (not short),

@@ -1,0 +1,162 @@
+r"""The inertia of soil under a foot that lands: balls that hit simulated grains.
+
+    python studies/landing.py
+
+Balls of 44 mm go into loose grains (`grains/run.py`) at constant speeds, and as a foot that lands:
+a quarter of a sine, at rest 25 mm deep. What they feel above the slow ball in the same bed is put
+down to the momentum of a mass of soil that moves with the foot,
+
+    F = F_slow + d(m v)/dt,    m = a ρ π R² z (1 + (z / b R)⁴)^(-1/4),
+
+by least squares; `terraphi.laws.foot.MOVED` has a and b. The page has φ by law `foot` and that
+force, less φ of the slow ball, as touch-downs of a robot are fitted.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+from scipy.optimize import least_squares
+
+sys.path.insert(0, str(Path(__file__).parent / "grains"))
+
+import run
+
+import pages
+from terraphi.inference import touchdowns
+from terraphi.laws import foot as laws
+
+GRAINS = Path(__file__).parent / "data" / "grains"
+SOILS = ("A-loose", "B-loose", "C-loose", "E-loose")
+HITS = tuple(f"{kind}{speed}" for kind in "vl" for speed in ("0.5", "1", "1.5"))
+WORDS = {"v": "{} m/s", "l": "landing at {} m/s"}
+RADIUS, FRICTION, DEEPEST = 0.022, 0.35, 0.025
+WINDOWS = 24
+NOISE_N, NOISE_PART = 0.7, 0.1
+"""Of means over a window: of grains that are large for the ball [N], and of the force [-]."""
+
+
+class Hit(NamedTuple):
+    """One record, means over equal windows."""
+
+    depth: np.ndarray
+    speed: np.ndarray
+    acceleration: np.ndarray
+    force: np.ndarray
+    slow: np.ndarray
+    """Force on the slow ball at the same depths [N]."""
+    density: float
+
+
+def read(soil: str, name: str) -> Hit:
+    """A record of a soil, ``""`` that of the slow ball."""
+    path = GRAINS / f"{soil}_ball_44_{name + '_' if name else ''}1.csv"
+    depth, force, density = run.load(path)
+    speed, acceleration = np.full(len(depth), float(name[1:] or run.SPEED)), np.zeros(len(depth))
+    if name.startswith("l"):
+        speed, acceleration = np.loadtxt(path, delimiter=",", skiprows=3, unpack=True)[3:]
+    used = np.flatnonzero((depth > 0.0) & (1e-3 * depth < DEEPEST) & (speed > 0.02))
+    rows = [1e-3 * depth, speed, acceleration, force[1]]
+    means = [np.array([row[part].mean() for part in np.array_split(used, WINDOWS)]) for row in rows]
+    below, slow, _ = run.load(GRAINS / f"{soil}_ball_44_1.csv")
+    inside = below > 0.0
+    course = np.polyfit(below[inside], slow[1][inside], 3)
+    return Hit(*means, np.polyval(course, 1e3 * means[0]), density)
+
+
+def moved(hits: list[Hit]) -> np.ndarray:
+    """Least squares of a and b."""
+
+    def residual(p: np.ndarray) -> np.ndarray:
+        found = []
+        for hit in hits:
+            mass, growth = laws.moved_mass(
+                laws.Foot(RADIUS), hit.depth, hit.density, moved=(float(p[0]), float(p[1]))
+            )
+            inertia = growth * hit.speed**2 + mass * hit.acceleration
+            found.append((hit.force - hit.slow - inertia) / (NOISE_N + NOISE_PART * hit.force))
+        return np.concatenate(found)
+
+    return np.asarray(least_squares(residual, (3.0, 1.0)).x)
+
+
+def phi_deg(hit: Hit, *, inertia: bool = True) -> float:
+    """φ of a record as of a touch-down [deg]."""
+    speed = hit.speed if inertia else np.zeros(WINDOWS)
+    time = np.append(0.0, np.cumsum(np.diff(hit.depth) / (0.5 * (hit.speed[1:] + hit.speed[:-1]))))
+    seen = touchdowns.Touchdowns(
+        foot=np.array([0]), begin=np.zeros(1), place=np.zeros((1, 3)), time=time[None],
+        drop=hit.depth[None], descent=np.full((1, WINDOWS), 0.5 * np.pi), speed=speed[None],
+        acceleration=hit.acceleration[None] * inertia, force=hit.force[None],
+        per_error=np.zeros((1, WINDOWS, 6)), used=np.ones((1, WINDOWS), dtype=bool),
+        torn=np.zeros(1, dtype=bool), saturated=np.zeros(1, dtype=bool),
+    )  # fmt: skip
+    prior = touchdowns.Prior(
+        density=hit.density, surface_friction=FRICTION, radius=RADIUS, level_sd=2e-3, drift_sd=1e-4
+    )
+    return float(touchdowns.fit(seen, "foot", prior).phi[0])
+
+
+def draw(hits: dict[tuple[str, str], Hit]) -> Figure:
+    """What each ball feels above the slow one, over ρ π R² v², and the law's."""
+    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    for k, soil in enumerate(SOILS):
+        for name, axes in (("v1", left), ("l1", right)):
+            hit = hits[soil, name]
+            unit = hit.density * np.pi * RADIUS**2 * hit.speed.max() ** 2
+            axes.plot(hit.depth / RADIUS, (hit.force - hit.slow) / unit, f"C{k}", label=soil)
+    for name, axes in (("v1", left), ("l1", right)):
+        hit = hits[SOILS[0], name]
+        mass, growth = laws.moved_mass(laws.Foot(RADIUS), hit.depth, hit.density)
+        unit = hit.density * np.pi * RADIUS**2 * hit.speed.max() ** 2
+        inertia = growth * hit.speed**2 + mass * hit.acceleration
+        axes.plot(hit.depth / RADIUS, inertia / unit, "k--", label="d(m v)/dt")
+        axes.axhline(0.0, color="0.7", lw=0.6)
+        axes.set(xlabel="depth / R", ylabel="(F − F slow) / ρ π R² v²",
+                 title=WORDS[name[0]].format(name[1:]))  # fmt: skip
+    left.legend(frameon=False, fontsize="small")
+    return figure
+
+
+def main() -> None:
+    """Fit, and write the page."""
+    out = pages.out_from(str(__doc__).splitlines()[0])
+    soils = [soil for soil in SOILS if (GRAINS / f"{soil}_ball_44_l1.5_1.csv").exists()]
+    hits = {(soil, name): read(soil, name) for soil in soils for name in HITS}
+    size, rate = moved(list(hits.values()))
+    rows, off = [], {True: [], False: []}
+    slow = {soil: phi_deg(read(soil, "")) for soil in soils}
+    for name in HITS:
+        row = [WORDS[name[0]].format(name[1:])]
+        for soil in soils:
+            apart = [phi_deg(hits[soil, name], inertia=own) - slow[soil] for own in (True, False)]
+            off[True].append(apart[0])
+            off[False].append(apart[1])
+            row.append(f"{apart[0]:+.1f}° ({apart[1]:+.1f}°)")
+        rows.append(tuple(row))
+    rms = {own: float(np.sqrt(np.mean(np.square(values)))) for own, values in off.items()}
+    parts = [
+        (
+            "Balls of 44 mm that go into loose simulated grains, at constant speed, or as a foot "
+            "that lands and is at rest 25 mm deep. The soil that moves with a foot is taken as "
+            f"{size:.2f} ρ π R² z, to a depth of about {rate:.2f} R, by least squares; the law has "
+            f"{laws.MOVED[0]:g} and {laws.MOVED[1]:g}. The table has φ by law `foot` with that "
+            "inertia, less φ of the slow ball in the same bed; in brackets without inertia."
+        ),
+        pages.table(("ball", *soils), rows),
+        (
+            f"Root mean square: {rms[True]:.1f}° with inertia, {rms[False]:.1f}° without. One "
+            "more bed of the same soil changes φ by about 1°."
+        ),
+    ]
+    alt = "force on balls that hit grains above that on slow ones, over depth"
+    pages.write(out, "landing", "Feet that land", parts, draw(hits), alt)
+
+
+if __name__ == "__main__":
+    main()
