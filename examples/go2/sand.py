@@ -6,7 +6,8 @@ lets go of one that is lifted. So the force changes by −k Δx while it is with
 
     f ← F(new depth) + (f − F(old depth)) exp(−k |Δx| / |F|),
 
-which is the law itself while the foot moves on.
+which is the law itself while the foot moves on. A foot that goes down sets soil of a mass m in
+motion, and feels d(m v)/dt as well.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from go2.model import FOOT_RADIUS
-from terraphi.laws.foot import LAWS, Foot
+from terraphi.laws.foot import LAWS, Foot, moved_mass
 from terraphi.robot.joint_log import FEET
 
 FloatArray = NDArray[np.float64]
@@ -28,6 +29,9 @@ STIFFNESS = 1.5e5
 """Of sand that is unloaded, or loaded again [N/m]."""
 DAMPING = 20.0
 """Of a foot that sand holds [N s/m]; one that moves on feels the law alone."""
+LAG_S = 3e-3
+"""Time over which the acceleration of a foot is averaged [s]: an added mass must lag in a step that
+does not know the next velocity."""
 WAVES = 40
 """Cosines that a random field is made of."""
 
@@ -122,6 +126,7 @@ class SandForces:
         self._sand, self._model, self._step = sand, model, step
         self._feet = [model.body(f"{foot}_foot").id for foot in FEET]
         self._last, self._held = np.full((4, 3), np.nan), np.zeros((4, 3))
+        self._sinking = np.zeros(4)
         self.force = np.zeros((4, 3))
         """On each foot in the world [N], shape [foot, 3]."""
 
@@ -162,7 +167,13 @@ class SandForces:
         self._held = np.where(holds[:, None], trial, flowing)
         self._held[:, 2] = np.maximum(self._held[:, 2], 0.0)
         self._held[~in_it] = 0.0
+        down = -moved[:, 2] / self._step
+        faster = (down - self._sinking) / LAG_S
+        self._sinking += self._step * faster
+        mass, growth = moved_mass(Foot(self._sand.radius), depth, self._sand.density)
+        inertia = np.where(~holds & (down > 0.0), growth * down**2 + mass * faster, 0.0)
         damped = np.where(holds[:, None], DAMPING / self._step * moved, 0.0)
         self.force = self._held - damped
+        self.force[:, 2] += inertia
         self.force[:, 2] = np.maximum(self.force[:, 2], 0.0)
         self.force[~in_it] = 0.0
