@@ -40,7 +40,7 @@ over the largest force: chosen; laws follow loose grains within 5 to 10 %."""
 SOIL_SD_DEG = 1.4
 """Of the error of laws of feet, the part by which soils differ [deg]: 1.4 to 1.6 for five laws in
 loose grains (``docs/plates.md``). Soils in which feet read low are those in which legs do."""
-DEEP, DEEP_SD = 2.0, 0.10
+DEEP, DEEP_SD = 5.0, 0.10
 """Depth over the radius from which laws are extrapolated, and their error for each radius more."""
 CONTACT_M, CONTACT = 1e-3, 0.03
 """Error of the first contact: the larger of a length [m] and a part of the radius."""

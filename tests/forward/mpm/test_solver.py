@@ -66,6 +66,19 @@ def test_momentum_of_the_soil_is_accounted_for(space, kernel, most):
     np.testing.assert_allclose(made.audit.ledger[1], -made.impulse, rtol=1e-12)
 
 
+def test_a_wall_that_is_a_rounding_error_beside_its_nodes_is_on_them(space):
+    """A floor of two cells that came out below their nodes held nothing: the bed fell by 2 mm."""
+    floor = space.scenario().bed.floor
+    cell = space.scenario().numerics.cell_size
+    assert floor / cell == pytest.approx(round(floor / cell))
+    runs = [
+        space.run(space.scenario(**{"bed.floor": where}), "scalar", 100)
+        for where in (round(floor / cell) * cell, np.nextafter(round(floor / cell) * cell, 0.0))
+    ]
+    np.testing.assert_allclose(runs[0].place, runs[1].place, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(runs[0].impulse, runs[1].impulse, rtol=1e-9)
+
+
 def stepped(space, pose, shift=0.0, **changes):
     """A bed without weight after a step of its grid, its phase, and what the leg felt and where.
 

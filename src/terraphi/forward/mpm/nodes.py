@@ -30,6 +30,11 @@ LEAST_MASS = 0.03
 """Inertia of a node, at least, over that of a cell full of soil [-]."""
 
 
+ON_WALL = 1e-5
+"""Distance from a wall within which a node lies on it [cell]. A floor that is written in meters may
+come out a rounding error below its nodes; they would not hold, and the bed fell by half a cell."""
+
+
 class Phase(NamedTuple):
     """Constants and working memory of a phase."""
 
@@ -82,6 +87,7 @@ def phase_of(scenario: Scenario, soil: Soil) -> Phase:
     """Constants of a scenario and its soil, with working memory."""
     bed, numerics, lattice = scenario.bed, scenario.numerics, lattice_of(scenario)
     count, real, whole = lattice.nodes, soil.velocity.dtype, np.int64
+    slack = ON_WALL * numerics.cell_size
     return Phase(
         lattice,
         contact_of(scenario),
@@ -89,9 +95,9 @@ def phase_of(scenario: Scenario, soil: Soil) -> Phase:
         bed.gravity,
         numerics.damping_factor,
         numerics.stiffness_damping,
-        bed.left,
-        bed.left + bed.width,
-        bed.floor,
+        bed.left + slack,
+        bed.left + bed.width - slack,
+        bed.floor + slack,
         bed.floor_friction == "rough",
         LEAST_MASS * scenario.soil.density * math.pow(numerics.cell_size, 3),
         float(soil.mass.sum(dtype=np.float64)),
