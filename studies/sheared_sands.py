@@ -198,7 +198,7 @@ def main() -> None:
             f"Of the {len(loose)} loosest plates {hold} hold {angle[0]:.0f}° in their 95 % "
             f"interval, which was learned from these plates, and {misfits} are misfits. Of the "
             f"others, denser or on the wheel test bed, {answered} of {len(others)} are consistent: "
-            "law `foot` is of loose soil, and ends two radii deep."
+            "law `foot` is of loose soil."
         ),
         (
             "The strip footing at its peak load, by bearing capacity, and plane-strain tests at "
