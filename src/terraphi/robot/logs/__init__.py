@@ -28,6 +28,7 @@ def read_log(
     topic: str | None = None,
     joint_names: Sequence[str] | None = None,
     motors: Sequence[str] = JOINT_NAMES,
+    own_names: Sequence[str] = (),
     columns: Columns | Path | str | None = None,
 ) -> JointLog:
     """Read the log of a walking robot.
@@ -46,6 +47,9 @@ def read_log(
     motors
         Which joint each of the first twelve motors of a LowState moves, as ``FR_hip``: a robot's
         :attr:`~terraphi.robot.model.Quadruped.joint_order`. Joints that it lacks are zero.
+    own_names
+        What the robot's model calls its joints, foot by foot
+        (:attr:`~terraphi.robot.model.Quadruped.own_names`); a log may use these names.
     columns
         Which columns of a table are what, or a TOML file of it
         (:class:`~terraphi.robot.logs.columns.Columns`).
@@ -79,8 +83,10 @@ def read_log(
         if value is not None:
             raise InputError(f"{path}: has no use for {name}; leave the {name} out")
     if bag:
-        return read_bag(path, topic, joint_names, motors)
-    values = read_columns(path, named, motors)
+        return read_bag(path, topic, joint_names, motors, own_names)
+    values = read_columns(path, named, motors, own_names)
     kind = "parquet" if path.suffix == ".parquet" else "csv"
     facts: dict[str, Any] = {"notes": [], "format": kind, "topic": None}
+    if named is not None and any("{motor" in str(names) for _, names in named):
+        facts["motors"] = list(motors)
     return joint_log(path, values, "time_s", Counter(), facts)
