@@ -1,0 +1,167 @@
+"""Footfalls while a robot walks, compared with those of the whole log."""
+
+from __future__ import annotations
+
+import runpy
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from terraphi.experiment.errors import InputError
+from terraphi.inference.footfalls import FootfallMap
+from terraphi.robot.footfalls import footfalls
+from terraphi.robot.forces import estimate
+from terraphi.robot.joint_log import JointLog
+from terraphi.robot.model import Quadruped
+from terraphi.robot.online import LAG_S, Footfall, Footfalls
+from terraphi.robot.touchdowns import track
+
+_WALKER = runpy.run_path(str(Path(__file__).with_name("walker.py")))
+Walk, LawWalk = (_WALKER[name] for name in ("Walk", "LawWalk"))
+GO2 = Quadruped.load("go2")
+COLUMNS = ("time", "angle", "velocity", "torque", "quaternion", "angular_velocity", "acceleration")
+DURATION = 15.0
+
+
+def part(log: JointLog, start: int, stop: int | None = None) -> JointLog:
+    return replace(log, **{name: getattr(log, name)[start:stop] for name in COLUMNS})
+
+
+def streamed(log: JointLog, size: int, **options: Any) -> tuple[Footfalls, list[Footfall]]:
+    walk, found = Footfalls(**options), []
+    for start in range(0, len(log.time), size):
+        found += walk.update(part(log, start, start + size))
+    return walk, found
+
+
+@pytest.fixture(scope="module")
+def log() -> JointLog:
+    return LawWalk(duration=DURATION).log()[0]
+
+
+@pytest.fixture(scope="module")
+def online(log: JointLog) -> tuple[Footfalls, list[Footfall]]:
+    return streamed(log, 37, density="1550±80")
+
+
+@pytest.fixture(scope="module")
+def batch(log: JointLog) -> FootfallMap:
+    return footfalls(log, density="1550±80")
+
+
+def test_footfalls_are_those_of_the_whole_log(
+    online: tuple[Footfalls, list[Footfall]], batch: FootfallMap
+) -> None:
+    """All but those of the last second; φ differs by the accelerometer's bias alone, 0.2° at most.
+
+    The gains of the torques are not known before a map: on a log without errors of them, zero.
+    """
+    _, found = online
+    known = batch.time < DURATION - 2.0
+    assert [f.foot for f in found[: known.sum()]] == [
+        foot for foot, early in zip(batch.foot, known, strict=True) if early
+    ]
+    found = found[: known.sum()]
+    assert [f.time for f in found] == pytest.approx(batch.time[known], abs=0.004)
+    assert [f.verdict for f in found] == list(np.array(batch.verdict)[known])
+    np.testing.assert_allclose([f.place for f in found], batch.place[known], atol=1e-3)
+    np.testing.assert_allclose([f.sinkage for f in found], batch.sinkage[known], atol=1e-3)
+    apart = np.array([f.phi for f in found]) - batch.phi[known]
+    assert np.abs(apart).max() < 0.3
+    assert np.sqrt(np.mean(apart**2)) < 0.1
+
+
+def test_the_map_is_that_of_the_whole_log(
+    online: tuple[Footfalls, list[Footfall]], batch: FootfallMap
+) -> None:
+    found = online[0].map()
+    pairs = [
+        (i, j) for i in range(len(found.time)) for j in range(len(batch.time))
+        if found.foot[i] == batch.foot[j] and abs(found.time[i] - batch.time[j]) < 0.05
+    ]  # fmt: skip
+    assert len(pairs) == len(found.time) > 30
+    own, other = np.array(pairs).T
+    np.testing.assert_allclose(found.phi[own], batch.phi[other], atol=0.3)
+    np.testing.assert_allclose(found.sd[own], batch.sd[other], rtol=0.15)
+    np.testing.assert_allclose(found.shared_sd[own], batch.shared_sd[other], rtol=0.02)
+    there = np.interp(found.path[:, 0], batch.path[:, 0], batch.path_phi)
+    np.testing.assert_allclose(found.path_phi, there, atol=0.15)
+    assert found.notes == batch.notes
+
+
+def test_the_length_of_samples_does_not_matter(
+    log: JointLog, online: tuple[Footfalls, list[Footfall]]
+) -> None:
+    _, found = streamed(log, 400, density="1550±80")
+    for one, other in zip(found, online[1], strict=False):
+        assert one.foot == other.foot
+        assert one.phi == pytest.approx(other.phi, abs=0.2)
+
+
+def test_places_do_not_depend_on_what_comes_later() -> None:
+    """Velocities of the odometry, with and without the samples after the lag."""
+    log = Walk(duration=4.0, sinkage=0.02).log()[0]
+    forces = estimate(log, robot=GO2)
+    end = int(np.searchsorted(log.time, 3.0))
+    last = int(np.searchsorted(log.time, 3.0 - LAG_S))
+    lift, bias = forces.force[:, :, 2].astype(float), np.zeros(3)
+    whole = track(log, GO2, forces.place, lift, bias=bias)
+    early = track(part(log, 0, end), GO2, forces.place[:end], lift[:end], bias=bias)
+    np.testing.assert_allclose(early.trunk[:last], whole.trunk[:last], atol=2e-6)
+
+
+def test_known_friction_gives_the_same_forces() -> None:
+    log = Walk(duration=3.0).log()[0]
+    whole = estimate(log, robot=GO2)
+    again = estimate(part(log, 500, 1000), robot=GO2, friction=whole.friction or True)
+    np.testing.assert_allclose(again.force[20:-20], whole.force[520:980], rtol=1e-5, atol=1e-4)
+
+
+def test_after_a_map_what_it_learned_is_used() -> None:
+    """A motor whose torque reads 10 % too much: the map finds it, later footfalls have it."""
+    log = LawWalk(duration=DURATION).log()[0]
+    gain = np.ones((4, 3))
+    gain[1, 2] = 1.1
+    log = replace(log, torque=log.torque * gain)
+    cut = int(np.searchsorted(log.time, 12.0))
+    walk, _ = streamed(part(log, 0, cut), 250)
+    plain = streamed(part(log, 0, cut), 250)[0].update(part(log, cut))
+    walk.map()
+    learned = walk.update(part(log, cut))
+    truth = footfalls(log)
+    for before, after in zip(plain, learned, strict=True):
+        if before.foot == "FL":
+            i = int(np.argmin(np.abs(truth.time - after.time)))
+            assert abs(after.phi - truth.phi[i]) < 0.5 * abs(before.phi - truth.phi[i])
+
+
+@pytest.mark.parametrize("gap_s", [3.0, 60.0])
+def test_gaps_and_rests(log: JointLog, gap_s: float) -> None:
+    """Samples are lost: what stands before and after is answered, the places go on."""
+    cut = int(np.searchsorted(log.time, 12.0))
+    time = log.time + np.where(np.arange(len(log.time)) >= cut, gap_s, 0.0)
+    walk, found = streamed(replace(log, time=time), 200)
+    assert [f.verdict for f in found].count("usable") > 35
+    assert any(f.time > 12.0 + gap_s for f in found)
+    assert np.isfinite(walk.map().path_phi).all()
+
+
+def test_what_cannot_be_is_refused(log: JointLog) -> None:
+    walk = Footfalls()
+    assert walk.update(part(log, 0, 100)) == ()
+    with pytest.raises(InputError, match="should follow"):
+        walk.update(part(log, 50, 100))
+    with pytest.raises(InputError, match="no footfall yet"):
+        walk.map()
+    with pytest.raises(InputError, match="law 'rtf' is unknown"):
+        Footfalls(law="rtf")
+    names = ("angle", "velocity", "torque")
+    other = Walk(duration=10.1, sinkage=0.03).log()[0]
+    exchanged = {name: getattr(other, name)[:, [2, 3, 0, 1]] for name in names}
+    with pytest.raises(InputError, match="no footfall can be read"):
+        Footfalls().update(replace(other, **exchanged))
+    with pytest.raises(InputError, match="other columns"):
+        streamed(part(log, 0, 6000), 5600)[0].update(replace(part(log, 6000), acceleration=None))
