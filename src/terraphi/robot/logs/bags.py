@@ -247,7 +247,7 @@ def read_bag(
                 imus = {c.topic for c in bag.connections if _plain(c.msgtype) == IMU}
                 if imus and len(values["stamp"]):
                     first, *others = sorted(imus, key=len)
-                    _add_imu(values, imu_readings(raw(first)), [first, *others], facts["notes"])
+                    add_imu(values, imu_readings(raw(first)), [first, *others], facts["notes"])
             else:
                 facts["motors"] = list(motors)
                 values = low_states(raw(name), motors, dropped)
@@ -285,7 +285,7 @@ def _choose(connections: Sequence[Any], wanted: str | None) -> Any:
     return usable[ranks.index(min(ranks))]
 
 
-def _add_imu(
+def add_imu(
     values: dict[str, Any], imu: dict[str, Any], topics: Sequence[str], notes: list[str]
 ) -> None:
     """Add the readings of an IMU to joint states, linearly between its messages.
