@@ -6,6 +6,7 @@ import re
 import runpy
 import xml.etree.ElementTree as ET
 from dataclasses import replace
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
@@ -225,3 +226,22 @@ def test_what_is_no_quadruped_is_refused(tmp_path: Path, old: str, new: str, wor
     with pytest.raises(InputError, match=words) as caught:
         Quadruped.load(tmp_path / "own.urdf")
     assert "table 'joints'" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "name", ["a1", "anymal", "b1", "go1", "go2", "hyq_no_sensors", "laikago", "solo", "solo12"]
+)
+def test_published_quadrupeds_are_the_same_without_their_names(tmp_path: Path, name: str) -> None:
+    """By their places, the joints are those that the names say."""
+    try:
+        files = metadata.files("example-robot-data") or []
+    except metadata.PackageNotFoundError:
+        pytest.skip("example-robot-data is not installed")
+    path = Path(str(next(f for f in files if f.name == f"{name}.urdf").locate()))
+    text, known = path.read_text(), Quadruped.load(path)
+    assert not any("disagree" in note for note in known.notes)
+    for number, joint in enumerate(known.own_names):
+        text = re.sub(f'joint="{joint}"|name="{joint}"', f'name="j{number}"', text)
+    (tmp_path / "own.urdf").write_text(text)
+    robot = Quadruped.load(tmp_path / "own.urdf")
+    assert robot.own_names == tuple(f"j{number}" for number in range(len(known.own_names)))
