@@ -55,9 +55,9 @@ def batch(log: JointLog) -> FootfallMap:
 def test_footfalls_are_those_of_the_whole_log(
     online: tuple[Footfalls, list[Footfall]], batch: FootfallMap
 ) -> None:
-    """All but those of the last second; φ differs by the accelerometer's bias alone, 0.2° at most.
+    """All but those of the last second; φ differs by what is known of friction and bias by then.
 
-    The gains of the torques are not known before a map: on a log without errors of them, zero.
+    Torques without errors of their gains, which are not known before a map.
     """
     _, found = online
     known = batch.time < DURATION - 2.0

@@ -136,6 +136,7 @@ class Footfalls:
         self._over = dict.fromkeys(FEET, -math.inf)
         """End of each foot's last stance that was answered [s]."""
         self._fitted: list[tuple[Touchdowns, Fit]] = []
+        self._places: FloatArray = np.zeros((0, 2))
         self._means: list[tuple[FloatArray, ...]] = []
         """Means of what weight and path need, a tuple for each piece."""
         self._map: FootfallMap | None = None
@@ -294,11 +295,11 @@ class Footfalls:
         answers = []
         for i in range(len(phi)):
             one, fitted = picked(seen, [i]), picked(found, [i])
-            near = [
-                pair for pair in self._fitted
-                if math.dist(pair[0].place[0, :2], one.place[0, :2]) < BESIDE_RADII * prior.radius
-            ]  # fmt: skip
+            # Of the footfalls before, those near by are enough for the verdict.
+            apart = np.hypot(*(self._places - one.place[:, :2]).T)
+            near = [self._fitted[k] for k in np.flatnonzero(apart < BESIDE_RADII * prior.radius)]
             self._fitted.append((one, fitted))
+            self._places = np.concatenate([self._places, one.place[:, :2]])
             touched, fits = zip(*near, (one, fitted), strict=True)
             verdict = str(verdicts(_stacked(touched), _stacked(fits), prior.radius)[-1])
             usable = 1.0 if verdict == USABLE else math.nan
