@@ -24,16 +24,22 @@ _WALKER = runpy.run_path(str(Path(__file__).with_name("walker.py")))
 Walk, LawWalk = (_WALKER[name] for name in ("Walk", "LawWalk"))
 GO2 = Quadruped.load("go2")
 COLUMNS = ("time", "angle", "velocity", "torque", "quaternion", "angular_velocity", "acceleration")
-DURATION = 15.0
+DURATION, MAP_S = 15.0, 11.0
 
 
 def part(log: JointLog, start: int, stop: int | None = None) -> JointLog:
     return replace(log, **{name: getattr(log, name)[start:stop] for name in COLUMNS})
 
 
-def streamed(log: JointLog, size: int, **options: Any) -> tuple[Footfalls, list[Footfall]]:
+def streamed(
+    log: JointLog, size: int, *, map_s: float | None = None, **options: Any
+) -> tuple[Footfalls, list[Footfall]]:
+    """Hand over a log in pieces of a size, with a map at a time [s]."""
     walk, found = Footfalls(**options), []
     for start in range(0, len(log.time), size):
+        if map_s is not None and log.time[start] > map_s:
+            walk.map()
+            map_s = None
         found += walk.update(part(log, start, start + size))
     return walk, found
 
@@ -45,7 +51,7 @@ def log() -> JointLog:
 
 @pytest.fixture(scope="module")
 def online(log: JointLog) -> tuple[Footfalls, list[Footfall]]:
-    return streamed(log, 37, density="1550±80")
+    return streamed(log, 37, map_s=MAP_S, density="1550±80")
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +64,7 @@ def test_footfalls_are_those_of_the_whole_log(
 ) -> None:
     """All but those of the last second; φ differs by what is known of friction and bias by then.
 
-    Torques without errors of their gains, which are not known before a map.
+    Before a map, the law's growth with depth and gains of the torques are those of the prior.
     """
     _, found = online
     known = batch.time < DURATION - 2.0
@@ -74,8 +80,10 @@ def test_footfalls_are_those_of_the_whole_log(
     np.testing.assert_allclose(places[:, 2], batch.place[known, 2], atol=3e-3)
     np.testing.assert_allclose([f.sinkage for f in found], batch.sinkage[known], atol=3e-3)
     apart = np.array([f.phi for f in found]) - batch.phi[known]
-    assert np.abs(apart).max() < 0.3
-    assert np.sqrt(np.mean(apart**2)) < 0.1
+    learned = np.array([f.time > MAP_S for f in found])
+    assert learned.sum() > 5
+    assert np.abs(apart[learned]).max() < 0.5
+    assert np.all(np.abs(apart) < [f.shared_sd for f in found])
 
 
 def test_the_map_is_that_of_the_whole_log(
@@ -99,10 +107,10 @@ def test_the_map_is_that_of_the_whole_log(
 def test_the_length_of_samples_does_not_matter(
     log: JointLog, online: tuple[Footfalls, list[Footfall]]
 ) -> None:
-    _, found = streamed(log, 400, density="1550±80")
+    _, found = streamed(log, 400, map_s=MAP_S, density="1550±80")
     for one, other in zip(found, online[1], strict=False):
         assert one.foot == other.foot
-        assert one.phi == pytest.approx(other.phi, abs=0.2)
+        assert one.phi == pytest.approx(other.phi, abs=0.4)
 
 
 def test_places_do_not_depend_on_what_comes_later() -> None:
