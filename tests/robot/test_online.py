@@ -107,10 +107,11 @@ def test_the_map_is_that_of_the_whole_log(
 def test_the_length_of_samples_does_not_matter(
     log: JointLog, online: tuple[Footfalls, list[Footfall]]
 ) -> None:
-    _, found = streamed(log, 400, map_s=MAP_S, density="1550±80")
+    _, found = streamed(log, 400, density="1550±80")
     for one, other in zip(found, online[1], strict=False):
         assert one.foot == other.foot
-        assert one.phi == pytest.approx(other.phi, abs=0.4)
+        if other.time < MAP_S - 2.0:  # answered before the map
+            assert one.phi == pytest.approx(other.phi, abs=0.2)
 
 
 def test_places_do_not_depend_on_what_comes_later() -> None:
