@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from terraphi.laws.plan import Plan as Plan
     from terraphi.laws.store import Library as Library
     from terraphi.robot.footfalls import footfalls as footfalls
+    from terraphi.robot.online import Footfalls as Footfalls
     from terraphi.robot.results import foot_forces as foot_forces
     from terraphi.terrain.export import export as export
     from terraphi.terrain.simulators import convert as convert
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 
 _PLACES = {
     "Answer": "inference.answer",
+    "Footfalls": "robot.online",
     "ForceHistory": "experiment.history",
     "InputError": "experiment.errors",
     "Leg": "experiment.leg",

@@ -92,14 +92,18 @@ def test_kinematics_equal_pinocchio(pair: Pair, pinocchio: Any) -> None:
         q[6] = 1.0
         pinocchio.framesForwardKinematics(model, data, q)
         for f, frame in enumerate(pair.feet):
-            np.testing.assert_allclose(legs.place[i, f], data.oMf[frame].translation, atol=1e-9)
+            # The ball's center may be off the foot's frame, as in ANYmal's URDF.
+            ball = data.oMf[frame].rotation @ pair.robot.foot_offset[f]
+            center = data.oMf[frame].translation + ball
+            np.testing.assert_allclose(legs.place[i, f], center, atol=1e-9)
             six = pinocchio.computeFrameJacobian(
                 model, data, q, frame, pinocchio.LOCAL_WORLD_ALIGNED
             )
             for j, column in enumerate(pair.columns[f]):
                 own = np.zeros(6) if column < 0 else six[:, column]
-                np.testing.assert_allclose(matrices[i, f, :, j], own[:3], atol=1e-9)
-                turned = own[:3] + np.cross(own[3:], arm)
+                turned = own[:3] + np.cross(own[3:], ball)
+                np.testing.assert_allclose(matrices[i, f, :, j], turned, atol=1e-9)
+                turned = turned + np.cross(own[3:], arm)
                 np.testing.assert_allclose(shifted[i, f, :, j], turned, atol=1e-9)
 
 

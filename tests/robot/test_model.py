@@ -108,6 +108,9 @@ def test_mjcf_with_meshes_and_feet_that_are_spheres(tmp_path: Path) -> None:
         ("model = 'small.urdf'\nfoot_radios = 1", "unknown key 'foot_radios'; did you mean 'foot_"),
         ("model = 'small.urdf'\nmass = -1", "mass = -1: should be greater than 0"),
         ("model = 'small.urdf'\njoint_order = ['FR_hip']", "are expected, each once"),
+        ("model = 'small.urdf'\njoints = {FR_hip = 'FR_hop'}", "no revolute joint 'FR_hop' in the"),
+        ("model = 'small.urdf'\njoints = {FR_hop = 'FR_hip_joint'}", "did you mean 'FR_hip'"),
+        ("model = 'small.urdf'\njoints = {FR_hip = 'FR_hip_joint'}", "FR_thigh, FR_calf, FL_hip"),
         ("model = 'absent.urdf'", "absent.urdf: no such file"),
     ],
 )
@@ -122,7 +125,11 @@ def test_wrong_toml_is_refused_in_one_sentence(tmp_path: Path, text: str, words:
     ("pattern", "new", "words"),
     [
         ('<link name="FL_foot">', '<link name="other">', "MuJoCo cannot read it"),
-        ("FR_calf_joint", "front_wheel", "no revolute joint is named like FR_calf"),
+        (
+            '"FR_calf_joint" type="revolute"',
+            '"FR_calf_joint" type="fixed"',
+            "like FR_calf, and its",
+        ),
         ("</robot>", "", "not valid XML"),
         ('<robot name="small">', "<sdf>", "outermost element is <sdf>"),
         ('<parent link="FR_hip"/>', '<parent link="FL_hip"/>', "'FR_thigh_joint' does not hang"),

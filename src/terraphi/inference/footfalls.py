@@ -453,7 +453,9 @@ def infer(
             "slope bears less"
         )
     if not usable.any():
-        notes.append("no footfall is usable: the map is empty")
+        hard = 2 * np.count_nonzero(verdict == SHALLOW) > len(verdict)
+        why = "hard ground, on which feet hardly sink" if hard else "the map is empty"
+        notes.append(f"no footfall is usable: {why}")
     elif not anchors:
         notes.append("no anchor: only differences along the path are as sure as the relative band")
     return FootfallMap(

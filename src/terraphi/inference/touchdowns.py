@@ -388,10 +388,11 @@ def _fit(seen: Touchdowns, law: FootLaw, prior: Prior) -> Fit:
 
 def _slopes(law: FootLaw, prior: Prior, seen: Touchdowns, state: FloatArray) -> FloatArray:
     """Derivatives of forces by (φ, z₀, w), shape [touchdown, sample, 3]."""
-    by_phi, by_level = (
-        (predicted(law, prior, seen, state + step) - predicted(law, prior, seen, state - step))
-        / (2.0 * step.sum())
-        for step in (np.array([0.1, 0.0, 0.0]), np.array([0.0, 1e-4, 0.0]))
-    )
+    # All four in one call, whose price for one touch-down is mostly that of the call.
+    steps = np.array([[0.1, 0.0, 0.0], [-0.1, 0.0, 0.0], [0.0, 1e-4, 0.0], [0.0, -1e-4, 0.0]])
+    four = picked(seen, np.tile(np.arange(len(state)), len(steps)))
+    moved = predicted(law, prior, four, (state + steps[:, None]).reshape(-1, state.shape[1]))
+    after, before = np.moveaxis(moved.reshape(2, 2, *seen.drop.shape), 1, 0)
+    by_phi, by_level = (after - before) / np.array([0.2, 2e-4])[:, None, None]
     slope = np.stack([by_phi, by_level, by_level * seen.time], axis=-1)
     return np.where(seen.used[..., None], slope, 0.0)

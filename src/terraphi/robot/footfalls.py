@@ -95,17 +95,7 @@ def footfalls(
     {'usable': 31}
     >>> found.to_netcdf("soil.nc")
     """
-    body = robot if isinstance(robot, Quadruped) else Quadruped.load(robot)
-    if law not in LAWS:
-        raise InputError(f"law '{law}' is unknown; {nearest(law, LAWS)}")
-    if body.foot_radius <= 0.0:
-        raise InputError(f"robot '{body.name}' lacks its foot_radius, which footfalls need")
-    chosen = replace(prior or Prior(), radius=body.foot_radius)
-    if density is not None:
-        mean, sd = _density(str(density))
-        chosen = replace(chosen, density=mean, density_sd=sd)
-    given = [anchors] if isinstance(anchors, str) else anchors
-    known = [Anchor.of(a) if isinstance(a, str) else a for a in given]
+    body, chosen, known, assumed = assumptions(robot, density, law, prior, anchors)
     name = "the log" if isinstance(log, JointLog) else str(log)
     analysis = foot_forces(
         log, robot=body, contact_part=CONTACT_PART, lag_s=lag_s, topic=topic,
@@ -117,7 +107,7 @@ def footfalls(
         raise InputError(f"{name}: no footfall can be read: {analysis.grave[0]}")
     log, forces = without_broken_accelerometer(analysis.log)[0], analysis.forces
     lift = forces.force[:, :, 2].astype(np.float64)
-    motion = _from_the_start(track(log, body, forces.place, lift), log)
+    motion = from_the_start(track(log, body, forces.place, lift), log)
     per = sensitivity(log, forces)
     seen = touchdowns(log, forces, motion, analysis.stances, per, radius=body.foot_radius)
     # The centre of mass accelerates otherwise than the trunk: legs are half of the robot.
@@ -128,7 +118,7 @@ def footfalls(
     found = infer(
         seen,
         calibrate_on_weight(log.time, lift, acceleration, per, torque_sd, mass=body.mass),
-        _path(motion, log.time),
+        path_of(motion, log.time),
         prior=chosen,
         law=law,
         anchors=known,
@@ -136,13 +126,33 @@ def footfalls(
         notes=notes,
         provenance={"log": name, "robot": body.name, "forces": analysis.provenance()},
     )
-    if density is not None or prior is not None:
-        return found
-    assumed = f"density {chosen.density:g} ± {chosen.density_sd:g} kg/m³, assumed"
-    return replace(found, notes=(assumed, *found.notes))
+    return replace(found, notes=(*assumed, *found.notes))
 
 
-def _from_the_start(motion: Motion, log: JointLog) -> Motion:
+def assumptions(
+    robot: Quadruped | Path | str,
+    density: str | float | None,
+    law: str,
+    prior: Prior | None,
+    anchors: Sequence[Anchor | str] | str,
+) -> tuple[Quadruped, Prior, list[Anchor], list[str]]:
+    """Robot, prior, anchors and notes from the options of :func:`footfalls`, checked."""
+    body = robot if isinstance(robot, Quadruped) else Quadruped.load(robot)
+    if law not in LAWS:
+        raise InputError(f"law '{law}' is unknown; {nearest(law, LAWS)}")
+    if body.foot_radius <= 0.0:
+        raise InputError(f"robot '{body.name}' lacks its foot_radius, which footfalls need")
+    chosen = replace(prior or Prior(), radius=body.foot_radius)
+    if density is not None:
+        mean, sd = _density(str(density))
+        chosen = replace(chosen, density=mean, density_sd=sd)
+    given = [anchors] if isinstance(anchors, str) else anchors
+    known = [Anchor.of(a) if isinstance(a, str) else a for a in given]
+    text = f"density {chosen.density:g} ± {chosen.density_sd:g} kg/m³, assumed"
+    return body, chosen, known, [text] if density is None and prior is None else []
+
+
+def from_the_start(motion: Motion, log: JointLog) -> Motion:
     """Turn the motion so that x is the robot's first heading."""
     assert log.quaternion is not None, "checked when the log was read"
     early = log.time <= log.time[0] + SMOOTH_PATH_S
@@ -152,7 +162,7 @@ def _from_the_start(motion: Motion, log: JointLog) -> Motion:
     return motion._replace(trunk=motion.trunk @ back.T, feet=motion.feet @ back.T)
 
 
-def _path(motion: Motion, time: FloatArray) -> FloatArray:
+def path_of(motion: Motion, time: FloatArray) -> FloatArray:
     """Points s, x, y of the trunk's way at even steps [m], shape [point, 3]."""
     from scipy.ndimage import uniform_filter1d
 

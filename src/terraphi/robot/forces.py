@@ -138,7 +138,7 @@ def estimate(
     robot: Quadruped,
     estimator: Estimator = DEFAULT_ESTIMATOR,
     frame: Frame = "world",
-    friction: bool = True,
+    friction: bool | JointFriction = True,
     contact_part: float = 1.0,
     priors: SensorErrors | None = None,
 ) -> FootForces:
@@ -157,7 +157,9 @@ def estimate(
     frame
         ``world``, by the log's attitude, or ``body``.
     friction
-        Find the joints' friction in swing and take it off; ``quasi_static`` never does.
+        Find the joints' friction in swing and take it off; ``quasi_static`` never does. Or the
+        friction, known from before: then the accelerometer is known to be sound too, and sigma has
+        no noise of its own.
     contact_part
         How far below the ball's centre the ground pushes, as a part of its radius [-]: 1 on a
         floor, less in soil, which also pushes on the ball's sides.
@@ -176,11 +178,16 @@ def estimate(
         if value not in known:
             raise InputError(f"{name} '{value}' is unknown; {nearest(value, known)}")
     _check_log(log, frame)
-    log, broken = without_broken_accelerometer(log)
+    lost_before = friction if isinstance(friction, JointFriction) else None
+    log, broken = (log, []) if lost_before else without_broken_accelerometer(log)
     # A frame or two are read as well: of a robot at rest, for they hold no accelerations.
     gap = GAP_STEPS * float(np.median(np.diff(log.time))) if len(log.time) > 1 else math.inf
     moving = estimator != "quasi_static"
-    overview = survey(log, robot, estimator, gap, friction=moving and friction)
+    nothing = np.zeros((len(FEET), len(JOINTS)))
+    overview = (
+        Survey(lost_before, nothing, nothing, 0.0) if lost_before
+        else survey(log, robot, estimator, gap, friction=moving and bool(friction))
+    )  # fmt: skip
     # A foot that never swings is given what the others show, or else the torques' noise.
     swung = np.isfinite(overview.residual)
     others = np.median(overview.residual[swung[:, 0]], axis=0) if swung.any() else overview.noise

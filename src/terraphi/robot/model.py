@@ -6,9 +6,11 @@ A robot of one's own needs its URDF or MJCF and nothing of ours. A small TOML ne
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -17,10 +19,10 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial.transform import Rotation
 
-from terraphi.experiment.arrays import BoolArray, FloatArray
+from terraphi.experiment.arrays import BoolArray, FloatArray, IntArray
 from terraphi.experiment.budget import PARTS, unpacking
 from terraphi.experiment.documents import Strict, parse_toml, shipped_file
-from terraphi.experiment.errors import InputError
+from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import check_is_file, is_there, read_bytes
 from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, joint_place
 
@@ -29,6 +31,10 @@ if TYPE_CHECKING:
 
 UNUSED = {"asset", "keyframe", "size", "visual"}
 """Elements of an MJCF that neither kinematics nor masses need."""
+STRETCH_STEPS = 19
+"""Angles of thigh and of calf that are tried to stretch a leg: 10° apart over half a turn, so that
+the foot of a leg of 0.4 m is found within 4 cm of where it stands, a fifth of a Go2's half-base
+(robots in ``tests/robot/test_any_robot.py``)."""
 Positive = Annotated[float, Field(gt=0)]
 Vector = tuple[float, float, float]
 
@@ -51,7 +57,11 @@ class RobotFile(Strict):
     imu: Vector | None = None
     """Place of the accelerometer in the frame of the trunk [m]. Not given: the model's."""
     joint_order: tuple[str, ...] | None = None
-    """The joints, as FR_hip, in the order in which the motors are numbered."""
+    """The joints, as FR_hip or by their names in the model, in the order in which the motors are
+    numbered."""
+    joints: dict[str, str] | None = None
+    """Table of the joints' names in the model, such as FR_hip = "RF_HAA". Not given: recognized by
+    their names, or else by their place in the tree."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -81,6 +91,10 @@ class Quadruped:
         Place of the accelerometer in the frame of the trunk [m].
     joint_order
         The joints in the order in which the motors are numbered.
+    order_assumed
+        Whether that order is a guess.
+    notes
+        What was guessed, or looks wrong, in the model.
     """
 
     model: mujoco.MjModel
@@ -95,11 +109,18 @@ class Quadruped:
     torque_limit: Vector | None = None
     imu: Vector = (0.0, 0.0, 0.0)
     joint_order: tuple[str, ...] = JOINT_NAMES
+    order_assumed: bool = False
+    notes: tuple[str, ...] = ()
 
     @property
     def there(self) -> BoolArray:
         """Which joints the legs have, shape [foot, joint]."""
         return np.asarray(self.joint >= 0)
+
+    @property
+    def own_names(self) -> tuple[str, ...]:
+        """Names of the joints in the model, foot by foot, without hips that are not there."""
+        return tuple(self.model.joint(int(i)).name for i in self.joint[self.there])
 
     @classmethod
     def load(cls, source: Path | str) -> Quadruped:
@@ -136,11 +157,13 @@ def _loaded(path: Path, own: RobotFile, toml: str = "") -> Quadruped:
     with unpacking(f"{path}: it", [path]):
         model, title = _compiled(read_bytes(path), str(path))
         data = mujoco.MjData(model)
-    joint = _leg_joints(model, str(path))
+    joint, notes = _leg_joints(model, data, own.joints, toml or str(path))
     names = [name for name, there in zip(JOINT_NAMES, (joint >= 0).ravel(), strict=True) if there]
-    order = own.joint_order or tuple(names)
+    alias = dict(zip((model.joint(int(i)).name for i in joint[joint >= 0]), names, strict=True))
+    order = tuple(alias.get(name, name) for name in own.joint_order or names)
     if sorted(order) != sorted(names):
         raise InputError(f"{toml}: joint_order: {', '.join(names)} are expected, each once")
+    data.qpos[:] = model.qpos0
     data.qpos[:7] = (0, 0, 0, 1, 0, 0, 0)
     mujoco.mj_kinematics(model, data)
     feet = [_foot(model, data, int(model.jnt_bodyid[j]), str(path)) for j in joint[:, 2]]
@@ -148,6 +171,8 @@ def _loaded(path: Path, own: RobotFile, toml: str = "") -> Quadruped:
     place = data.xpos[body] + np.einsum("fij,fj->fi", data.xmat[body].reshape(-1, 3, 3), offset)
     thigh, knee = data.xanchor[joint[:, 1]], data.xanchor[joint[:, 2]]
     length = np.linalg.norm(knee - thigh, axis=-1) + np.linalg.norm(place - knee, axis=-1)
+    if own.foot_radius is None and radius[0] > 0.0:
+        notes.append(f"foot_radius taken from the model's sphere: {1e3 * radius[0]:g} mm")
     return Quadruped(
         model=model,
         joint=joint,
@@ -161,6 +186,8 @@ def _loaded(path: Path, own: RobotFile, toml: str = "") -> Quadruped:
         torque_limit=own.torque_limit or _limits(model, joint),
         imu=own.imu or _imu(model, data),
         joint_order=order,
+        order_assumed=own.joint_order is None,
+        notes=tuple(notes),
     )
 
 
@@ -270,32 +297,138 @@ def _prepare_mjcf(root: ET.Element) -> dict[str, FloatArray]:
     return {}
 
 
-def _leg_joints(model: mujoco.MjModel, source: str) -> Any:
-    """Numbers of the legs' joints, shape [foot, joint]; −1 for hips that are not there."""
+def _leg_joints(
+    model: mujoco.MjModel, data: mujoco.MjData, table: Mapping[str, str] | None, source: str
+) -> tuple[IntArray, list[str]]:
+    """Numbers of the legs' joints, shape [foot, joint], −1 for hips that are not there; and notes.
+
+    By a table of names, or by the words in the names; where these do not name a whole quadruped,
+    by the tree and its geometry (:func:`_joints_by_place`), which otherwise checks the names.
+    """
     import mujoco
 
+    hinges = {
+        model.joint(i).name: i for i in range(model.njnt)
+        if model.jnt_type[i] == mujoco.mjtJoint.mjJNT_HINGE
+    }  # fmt: skip
     joint = np.full((len(FEET), len(JOINTS)), -1)
-    for i in range(model.njnt):
-        place = joint_place(model.joint(i).name)
-        if place is not None and model.jnt_type[i] == mujoco.mjtJoint.mjJNT_HINGE:
+    for name, i in hinges.items() if table is None else ():
+        if (place := joint_place(name)) is not None:
             joint[place] = i
+    for key, name in (table or {}).items():
+        if key not in JOINT_NAMES:
+            raise InputError(f"{source}: joints: '{key}' is unknown; {nearest(key, JOINT_NAMES)}")
+        if name not in hinges:
+            hint = nearest(name, list(hinges))
+            raise InputError(f"{source}: joints: no revolute joint '{name}' in the model; {hint}")
+        joint.flat[JOINT_NAMES.index(key)] = hinges[name]
     first = 1 if np.all(joint[:, 0] < 0) else 0
     missing = [
         name for name, i in zip(JOINT_NAMES, joint.ravel(), strict=True)
         if i < 0 and not (first and name.endswith("hip"))
     ]  # fmt: skip
+    if missing and table is not None:
+        raise InputError(f"{source}: joints: {', '.join(missing)} missing")
+    try:
+        placed = _joints_by_place(model, data)
+    except InputError as error:
+        if missing:
+            raise InputError(
+                f"{source}: no revolute joint is named like {missing[0]}, and {error}; name the "
+                "legs' joints in the table 'joints' of the robot's TOML"
+            ) from error
+        placed = joint
     if missing:
-        raise InputError(
-            f"{source}: no revolute joint is named like {', '.join(missing)}; a quadruped with "
-            "hip, thigh and calf on each of its feet FR, FL, RR, RL is expected, or with thigh "
-            "and calf"
-        )
-    for row in joint[:, first:]:
+        words = zip(FEET, placed[:, -1], strict=True)
+        found = ", ".join(f"{foot} ends with '{model.joint(int(i)).name}'" for foot, i in words)
+        return placed, [f"legs recognized by their places, not by names: {found}"]
+    for row in np.sort(joint[:, first:]):
         for i, above in zip(row, [5, *model.jnt_dofadr[row[:-1]]], strict=True):
             if model.dof_parentid[model.jnt_dofadr[i]] != above:
                 name = model.joint(i).name
                 raise InputError(f"{source}: '{name}' does not hang on the joint above it")
-    return joint
+    if np.array_equal(joint, placed):
+        return joint, []
+    where = {int(row[2]): foot for row, foot in zip(placed, FEET, strict=True)}
+    wrong = [
+        f"{model.joint(int(row[2])).name}, named {foot}, is at {where.get(int(row[2]), 'no foot')}"
+        for row, foot in zip(joint, FEET, strict=True) if where.get(int(row[2])) != foot
+    ]  # fmt: skip
+    return joint, [f"names and places of the legs disagree: {'; '.join(wrong)}"] if wrong else []
+
+
+def _joints_by_place(model: mujoco.MjModel, data: mujoco.MjData) -> IntArray:
+    """Numbers of the legs' joints by the tree and its geometry, whatever they are called.
+
+    A leg is one of four chains of three (or two) hinges that end where no further hinge hangs. Its
+    last joint is the calf. Of the two before, the hip is the one whose axis is nearer to the
+    trunk's x, for abduction; the first, if neither. The trunk's x points forwards and its y to the
+    left, as in REP 103 of ROS. Thigh and calf stretch each leg downwards, as far as their ranges
+    allow: which foot is which follows from where it then stands. That the leg reaches down, not up
+    or aside, is the check that a trunk or an axis is not upside down.
+
+    Raises
+    ------
+    InputError
+        With half a sentence, if there are no four such legs.
+    """
+    import mujoco
+
+    chains: list[tuple[int, ...]] = []
+    for body in range(1, model.nbody):
+        chain: list[int] = []
+        at = body
+        while at > 0:
+            first, count = model.body_jntadr[at], model.body_jntnum[at]
+            chain[:0] = [
+                i for i in range(first, first + count)
+                if model.jnt_type[i] == mujoco.mjtJoint.mjJNT_HINGE
+            ]  # fmt: skip
+            at = model.body_parentid[at]
+        chains.append(tuple(chain))
+    ends = {one for one in chains if not any(one == c[: len(one)] != c for c in chains)}
+    legs = [sorted(one for one in ends if len(one) == count) for count in (3, 2)]
+    four = next((each for each in legs if len(each) == len(FEET)), None)
+    if four is None:
+        lengths = sorted(map(len, ends))
+        raise InputError(f"its tree has no four legs: chains of {lengths} revolute joints")
+    data.qpos[:] = model.qpos0
+    data.qpos[:7] = (0, 0, 0, 1, 0, 0, 0)
+    mujoco.mj_kinematics(model, data)
+    along = np.abs(data.xaxis[:, 0])
+    joint = np.full((len(FEET), len(JOINTS)), -1)
+    for row, one in zip(joint, four, strict=True):
+        row[-len(one) :] = one
+        if len(one) == len(JOINTS) and along[one[1]] > max(along[one[0]], math.sqrt(0.5)):
+            row[:2] = one[1], one[0]
+    ends_of = [_foot(model, data, int(model.jnt_bodyid[row[2]]), "it")[:2] for row in joint]
+    feet, offset = (np.array(column) for column in zip(*ends_of, strict=True))
+    limited = model.jnt_limited[joint][..., None].astype(bool)
+    middle = np.stack([model.qpos0[model.jnt_qposadr[joint]]] * 2, axis=-1)
+    span = np.where(limited, model.jnt_range[joint], middle + 0.5 * math.pi * np.array([-1.0, 1.0]))
+    if np.any(joint[:, 0] >= 0):  # within its range, if zero is not
+        hip = np.clip(middle[:, 0, 0], *span[:, 0].T)
+        data.qpos[model.jnt_qposadr[joint[:, 0]]] = hip
+    drops, places = [], []
+    for thigh, calf in itertools.product(np.linspace(0.0, 1.0, STRETCH_STEPS), repeat=2):
+        part = np.array([thigh, calf])
+        data.qpos[model.jnt_qposadr[joint[:, 1:]]] = (
+            span[:, 1:, 0] + part * (span[:, 1:, 1] - span[:, 1:, 0])
+        )  # fmt: skip
+        mujoco.mj_kinematics(model, data)
+        place = np.einsum("fij,fj->fi", data.xmat[feet].reshape(-1, 3, 3), offset)
+        places.append(place + data.xpos[feet])
+        thighs, knees = data.xanchor[joint[:, 1]], data.xanchor[joint[:, 2]]
+        length = np.linalg.norm(knees - thighs, axis=1) + np.linalg.norm(places[-1] - knees, axis=1)
+        drops.append((thighs - places[-1])[:, 2] / length)
+    lowest, rows = np.argmax(drops, axis=0), np.arange(len(FEET))
+    if np.any(np.array(drops)[lowest, rows] < 0.5):
+        raise InputError("its legs do not reach below the trunk; z is expected to point up")
+    x, y = (stand := np.array(places)[lowest, rows][:, :2]).T - stand.mean(axis=0)[:, None]
+    foot = 2 * (x < 0.0) + (y > 0.0)
+    if len(set(foot.tolist())) < len(FEET):
+        raise InputError("its feet do not stand at four corners; x is expected to point forwards")
+    return np.asarray(joint[np.argsort(foot)])
 
 
 def _foot(
@@ -313,8 +446,10 @@ def _foot(
     balls = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE).tolist()
     if named or fixed:
         body = max(named or fixed, key=lambda b: np.linalg.norm(data.xpos[b] - data.xpos[calf]))
-        radii = [float(model.geom_size[g, 0]) for g in balls if model.geom_bodyid[g] == body]
-        return body, np.zeros(3), (radii or [0.0])[0]
+        for ball in (g for g in balls if model.geom_bodyid[g] == body):
+            # A sphere that is a little off its frame belongs to the foot's frame nevertheless.
+            return body, model.geom_pos[ball].copy(), float(model.geom_size[ball, 0])
+        return body, np.zeros(3), 0.0
     own = [g for g in balls if model.geom_bodyid[g] == calf]
     if not own:
         raise InputError(

@@ -217,8 +217,9 @@ def foot_forces(
     source = "" if isinstance(log, JointLog) else str(log)
     if not isinstance(log, JointLog):
         log = read_log(
-            log, topic=topic, joint_names=joint_names, motors=body.joint_order, columns=columns
-        )
+            log, topic=topic, joint_names=joint_names, motors=body.joint_order,
+            own_names=body.own_names, columns=columns,
+        )  # fmt: skip
     if abs(lag_s) > MOST_LAG_S:
         raise InputError(f"lag of {1e3 * lag_s:g} ms: expected at most {1e3 * MOST_LAG_S:g} ms")
     if lag_s:
@@ -246,12 +247,22 @@ def foot_forces(
             *report.get("notes", ()),
             *(finding.text for finding in findings),
             *_notes(forces, stances, report, weight),
+            *body.notes,
+            *_motor_order(body, report),
         ),
         grave=tuple(finding.text for finding in reversed(findings) if finding.grave),
         sensor_correlation=_sensor_correlation(log, forces),
         report=report,
         lift=None if mean is None else mean[0],
     )
+
+
+def _motor_order(robot: Quadruped, report: Mapping[str, Any]) -> list[str]:
+    """The order of numbered motors, if it is a guess."""
+    if not robot.order_assumed or "motors" not in report:
+        return []
+    order = ", ".join(report["motors"])
+    return [f"motors are taken to be numbered {order}: if not, set joint_order of the robot's TOML"]
 
 
 def _sensor_correlation(log: JointLog, forces: FootForces) -> dict[str, float]:

@@ -79,7 +79,14 @@ class Motion(NamedTuple):
     lift_acceleration: FloatArray
 
 
-def track(log: JointLog, robot: Quadruped, place: FloatArray, load: FloatArray) -> Motion:
+def track(
+    log: JointLog,
+    robot: Quadruped,
+    place: FloatArray,
+    load: FloatArray,
+    *,
+    bias: FloatArray | None = None,
+) -> Motion:
     """Motion of the feet in the world.
 
     Parameters
@@ -91,6 +98,9 @@ def track(log: JointLog, robot: Quadruped, place: FloatArray, load: FloatArray) 
     load
         Upward force of the ground on each foot [N], shape [sample, foot]; not a number counts as
         none.
+    bias
+        Mean acceleration in the world's axes that is none [m/s²], shape [3]; by default over
+        :data:`BIAS_S` about each sample.
     """
     from scipy.linalg import solveh_banded
     from scipy.ndimage import uniform_filter1d
@@ -103,7 +113,8 @@ def track(log: JointLog, robot: Quadruped, place: FloatArray, load: FloatArray) 
     if log.acceleration is not None:
         felt = np.einsum("sij,sj->si", turn, trunk_own.specific_force)
         felt[:, 2] -= GRAVITY
-        felt -= running_mean(felt, max(1, round(BIAS_S / float(np.median(step))) // 2))
+        half = max(1, round(BIAS_S / float(np.median(step))) // 2)
+        felt -= running_mean(felt, half) if bias is None else bias
     sd = TRUNK_ACCELERATION_SD if log.acceleration is None else ACCELERATION_SD
     # v_k belongs to the middle of step k: the readings between two middles are a sample's.
     between = 0.5 * (step[1:] + step[:-1])

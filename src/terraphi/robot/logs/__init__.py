@@ -1,4 +1,4 @@
-"""Logs of a walking robot: CSV, Parquet, MCAP and rosbag2 become a JointLog.
+"""Logs of a walking robot: CSV, Parquet, MCAP, rosbag2 and GrandTour missions become a JointLog.
 
 Bags hold ``unitree_go/msg/LowState`` or ``sensor_msgs/msg/JointState`` messages and need the extra
 ``robot`` (``pip install 'terraphi[robot]'``); ROS 2 need not be installed.
@@ -17,9 +17,10 @@ from terraphi.experiment.files import check_is_file
 from terraphi.robot.joint_log import JOINT_NAMES, JointLog
 from terraphi.robot.logs.bags import read_bag
 from terraphi.robot.logs.columns import Columns, read_columns
+from terraphi.robot.logs.missions import is_mission, read_mission
 from terraphi.robot.logs.samples import joint_log
 
-FORMATS = "CSV, Parquet, MCAP or the folder of a rosbag2"
+FORMATS = "CSV, Parquet, MCAP, the folder of a rosbag2 or that of a GrandTour mission"
 
 
 def read_log(
@@ -28,6 +29,7 @@ def read_log(
     topic: str | None = None,
     joint_names: Sequence[str] | None = None,
     motors: Sequence[str] = JOINT_NAMES,
+    own_names: Sequence[str] = (),
     columns: Columns | Path | str | None = None,
 ) -> JointLog:
     """Read the log of a walking robot.
@@ -36,7 +38,8 @@ def read_log(
     ----------
     path
         A CSV or Parquet table (:mod:`~terraphi.robot.logs.columns` has its columns), an MCAP file,
-        or the folder of a rosbag2.
+        the folder of a rosbag2, or that of a mission of the GrandTour data set
+        (:mod:`~terraphi.robot.logs.missions`).
     topic
         Topic of a bag to read; by default the one with ``unitree_go/msg/LowState`` messages, or
         else ``sensor_msgs/msg/JointState``, with the ``sensor_msgs/msg/Imu`` of the same bag.
@@ -46,6 +49,9 @@ def read_log(
     motors
         Which joint each of the first twelve motors of a LowState moves, as ``FR_hip``: a robot's
         :attr:`~terraphi.robot.model.Quadruped.joint_order`. Joints that it lacks are zero.
+    own_names
+        What the robot's model calls its joints, foot by foot
+        (:attr:`~terraphi.robot.model.Quadruped.own_names`); a log may use these names.
     columns
         Which columns of a table are what, or a TOML file of it
         (:class:`~terraphi.robot.logs.columns.Columns`).
@@ -71,16 +77,22 @@ def read_log(
             f"{', '.join(name for name in JOINT_NAMES if name in motors)}"
         )
     path = path.parent if path.name == "metadata.yaml" else path
-    bag = path.is_dir() or path.suffix in {".mcap", ".db3"}
+    mission = path.is_dir() and is_mission(path)
+    bag = (path.is_dir() and not mission) or path.suffix in {".mcap", ".db3"}
     if not path.is_dir():
         check_is_file(path, FORMATS)
-    useless = {"columns": named} if bag else {"topic": topic, "joint names": joint_names}
+    useless: dict[str, object] = {} if bag else {"topic": topic, "joint names": joint_names}
+    useless |= {"columns": named} if bag or mission else {}
     for name, value in useless.items():
         if value is not None:
             raise InputError(f"{path}: has no use for {name}; leave the {name} out")
     if bag:
-        return read_bag(path, topic, joint_names, motors)
-    values = read_columns(path, named, motors)
+        return read_bag(path, topic, joint_names, motors, own_names)
+    if mission:
+        return read_mission(path)
+    values = read_columns(path, named, motors, own_names)
     kind = "parquet" if path.suffix == ".parquet" else "csv"
     facts: dict[str, Any] = {"notes": [], "format": kind, "topic": None}
+    if named is not None and any("{motor" in str(names) for _, names in named):
+        facts["motors"] = list(motors)
     return joint_log(path, values, "time_s", Counter(), facts)

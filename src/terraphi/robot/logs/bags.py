@@ -98,12 +98,17 @@ _FIELDS = {"angle": "position", "velocity": "velocity", "torque": "effort"}
 
 
 def joint_states(
-    messages: Raw, joint_names: Sequence[str] | None, joints: Sequence[str], dropped: Counter[str]
+    messages: Raw,
+    joint_names: Sequence[str] | None,
+    joints: Sequence[str],
+    own_names: Sequence[str],
+    dropped: Counter[str],
 ) -> dict[str, Any]:
     """Columns of a JointLog from JointState messages, ``stamp`` (header) and ``recorded`` [ns].
 
-    ``joint_names`` and ``joints`` as in :func:`joint_order`. Messages without the joints, or with
-    other columns than the first ones, are left out.
+    ``joint_names`` and ``joints`` as in :func:`joint_order`; ``own_names``, of the robot's model,
+    if the messages have them all. Messages without the joints, or with other columns than the first
+    ones, are left out.
 
     Raises
     ------
@@ -116,8 +121,9 @@ def joint_states(
     for recorded, message in decoded(messages, JOINT_STATE, dropped):
         names = tuple(message.name)
         if names not in orders:
+            own = own_names if own_names and {*own_names} <= {*names} else None
             try:
-                orders[names] = joint_order(names, joint_names, joints)
+                orders[names] = joint_order(names, joint_names or own, joints)
             except InputError as error:
                 orders[names], refusal = None, refusal or str(error)
         order = orders[names]
@@ -199,7 +205,11 @@ def joint_order(
 
 
 def read_bag(
-    path: Path, topic: str | None, joint_names: Sequence[str] | None, motors: Sequence[str]
+    path: Path,
+    topic: str | None,
+    joint_names: Sequence[str] | None,
+    motors: Sequence[str],
+    own_names: Sequence[str],
 ) -> JointLog:
     """Read an MCAP file or the folder of a rosbag2; options of ``read_log``."""
     with needing(f"{path}: reading bags", "the package rosbags", extra="robot"):
@@ -233,12 +243,13 @@ def read_bag(
                 what = f"has {MOTORS} motors without names, the robot {len(motors)}"
                 raise InputError(f"topic '{name}' {what}; leave the joint names out")
             if named:
-                values = joint_states(raw(name), joint_names, motors, dropped)
+                values = joint_states(raw(name), joint_names, motors, own_names, dropped)
                 imus = {c.topic for c in bag.connections if _plain(c.msgtype) == IMU}
                 if imus and len(values["stamp"]):
                     first, *others = sorted(imus, key=len)
-                    _add_imu(values, imu_readings(raw(first)), [first, *others], facts["notes"])
+                    add_imu(values, imu_readings(raw(first)), [first, *others], facts["notes"])
             else:
+                facts["motors"] = list(motors)
                 values = low_states(raw(name), motors, dropped)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
@@ -274,7 +285,7 @@ def _choose(connections: Sequence[Any], wanted: str | None) -> Any:
     return usable[ranks.index(min(ranks))]
 
 
-def _add_imu(
+def add_imu(
     values: dict[str, Any], imu: dict[str, Any], topics: Sequence[str], notes: list[str]
 ) -> None:
     """Add the readings of an IMU to joint states, linearly between its messages.

@@ -29,9 +29,10 @@ _RADIANS = {"rad": 1.0, "deg": pi / 180.0}
 class Columns(Strict):
     """Names of a table's columns, and their units.
 
-    A name with ``{motor}`` stands for the twelve motors, numbered from 0 in the robot's order, one
-    with ``{foot}`` and ``{joint}`` for FR, FL, RR, RL and hip, thigh, calf. An array has one name
-    for each: joints foot by foot in that order, quaternions w, x, y, z, vectors x, y, z.
+    A name with ``{motor}`` stands for the twelve motors, numbered from 0 in the robot's order (from
+    00 if it is ``{motor:02}``), one with ``{foot}`` and ``{joint}`` for FR, FL, RR, RL and hip,
+    thigh, calf, one with ``{name}`` for the joints' names in the robot's model. An array has one
+    name for each: joints foot by foot in that order, quaternions w, x, y, z, vectors x, y, z.
     """
 
     time: str
@@ -55,16 +56,19 @@ class Columns(Strict):
     foot_counts: Names | None = None
     """Columns of the foot sensors."""
 
-    def group(self, group: str, motors: Sequence[str]) -> list[str]:
+    def group(self, group: str, motors: Sequence[str], own_names: Sequence[str] = ()) -> list[str]:
         """Columns of a group in the order of a JointLog; none if the group is not there."""
         names = getattr(self, group) or ()
         if not isinstance(names, str):
             return list(names)
         filled: dict[str, None] = {}  # each name once: those of feet repeat for their joints
-        for name in (joint for joint in JOINT_NAMES if joint in motors):
+        joints = [joint for joint in JOINT_NAMES if joint in motors]
+        for name, own in zip(joints, own_names or joints, strict=True):
             foot, joint = name.split("_")
-            text = names.replace("{motor}", str(list(motors).index(name)))
-            filled[text.replace("{foot}", foot).replace("{joint}", joint)] = None
+            number = list(motors).index(name)
+            text = names.replace("{motor}", str(number)).replace("{motor:02}", f"{number:02}")
+            text = text.replace("{foot}", foot).replace("{joint}", joint)
+            filled[text.replace("{name}", own)] = None
         return list(filled)
 
 
@@ -81,7 +85,18 @@ OWN = Columns(
 """Terraphi's own names."""
 
 
-def read_columns(path: Path, columns: Columns | None, motors: Sequence[str]) -> dict[str, Any]:
+NAMED = OWN.model_copy(
+    update={
+        group: getattr(OWN, group).replace("{foot}_{joint}", "{name}")
+        for group in ("angle", "velocity", "torque")
+    }
+)
+"""The same with the joints' names in the robot's model."""
+
+
+def read_columns(
+    path: Path, columns: Columns | None, motors: Sequence[str], own_names: Sequence[str] = ()
+) -> dict[str, Any]:
     """Read a CSV, or a Parquet file by its suffix.
 
     Parameters
@@ -89,9 +104,11 @@ def read_columns(path: Path, columns: Columns | None, motors: Sequence[str]) -> 
     path
         The file.
     columns
-        Which of its columns are what; ``None`` for :data:`OWN`.
+        Which of its columns are what; ``None`` for :data:`OWN` or :data:`NAMED`.
     motors
         Which joint each motor moves; of joints that no motor moves, all is zero.
+    own_names
+        Of the joints in the robot's model, foot by foot.
 
     Returns
     -------
@@ -106,11 +123,13 @@ def read_columns(path: Path, columns: Columns | None, motors: Sequence[str]) -> 
     table = _table(path)
     table.columns = header = [str(name).strip().strip('"') for name in table.columns]
     named = columns or OWN
+    if columns is None and {*NAMED.group("angle", motors, own_names)} <= {*header}:
+        named = NAMED
     scale = {"time": _SECONDS[named.time_unit]}
     scale |= dict.fromkeys(("angle", "velocity"), _RADIANS[named.angle_unit])
     found: dict[str, Any] = {}
     for group, shape in {"time": (), **SHAPES}.items():
-        names = [named.time] if group == "time" else named.group(group, motors)
+        names = [named.time] if group == "time" else named.group(group, motors, own_names)
         optional = columns is None and group not in {"time", "angle", "torque"}
         if not names or (optional and not set(names) & set(header)):
             continue
@@ -119,7 +138,7 @@ def read_columns(path: Path, columns: Columns | None, motors: Sequence[str]) -> 
         if len(names) != count:
             raise InputError(
                 f"{path}: columns give '{group}' {len(names)} different names; {count} are "
-                "expected, by an array or by {motor}, {foot} and {joint}"
+                "expected, by an array or by {motor}, {name}, or {foot} and {joint}"
             )
         for name in names:
             if name not in header:

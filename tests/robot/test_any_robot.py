@@ -1,0 +1,247 @@
+"""Quadrupeds of other names and orders: the Go2 under another name has the Go2's forces."""
+
+from __future__ import annotations
+
+import re
+import runpy
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+import pytest
+from go2.logs import write_csv, write_mcap
+
+from terraphi.experiment.documents import shipped_file
+from terraphi.experiment.errors import InputError
+from terraphi.robot.joint_log import JOINT_NAMES
+from terraphi.robot.legs import Legs
+from terraphi.robot.logs import read_log
+from terraphi.robot.logs.bags import JOINT_STATE
+from terraphi.robot.model import Quadruped
+from terraphi.robot.results import RobotForces, foot_forces
+
+HERE = Path(__file__)
+Walk = runpy.run_path(str(HERE.with_name("walker.py")))["Walk"]
+LOGS = runpy.run_path(str(HERE.with_name("test_logs.py")))
+small_urdf = runpy.run_path(str(HERE.with_name("test_model.py")))["small_urdf"]
+GO2 = Quadruped.load("go2")
+
+SIDES = {
+    "anymal": {"FR": "RF", "FL": "LF", "RR": "RH", "RL": "LH"},
+    "spot": {"FR": "fr", "FL": "fl", "RR": "hr", "RL": "hl"},
+    "words": {"FR": "front_right", "FL": "front_left", "RR": "back_right", "RL": "back_left"},
+}
+KINDS = {
+    "anymal": {"hip": "HAA", "thigh": "HFE", "calf": "KFE"},
+    "spot": {"hip": "hx", "thigh": "hy", "calf": "kn"},
+    "words": {"hip": "hip", "thigh": "upper_leg", "calf": "lower_leg"},
+}
+SHUFFLED = np.random.default_rng(3).permutation(12).tolist()
+
+
+def names_like(style: str) -> list[str]:
+    """Names of the twelve joints in the order of a JointLog."""
+    if style == "nameless":
+        return [f"j{number}" for number in SHUFFLED]
+    link = "." if style == "spot" else "_"
+    words = [name.split("_") for name in JOINT_NAMES]
+    return [f"{SIDES[style][foot]}{link}{KINDS[style][joint]}" for foot, joint in words]
+
+
+def go2_like(folder: Path, style: str) -> Path:
+    """The Go2's MJCF with other names of joints, bodies that say nothing, and legs shuffled."""
+    root = ET.fromstring(shipped_file("robots", "go2", ".xml").read_text())
+    names = dict(zip((f"{name}_joint" for name in JOINT_NAMES), names_like(style), strict=True))
+    for number, element in enumerate(root.iter()):
+        if element.tag in {"body", "geom"}:
+            element.set("name", f"part{number}")
+        elif element.tag == "joint":
+            element.set("name", names[element.attrib["name"]])
+    trunk = root.find("worldbody/body")
+    assert trunk is not None
+    legs = trunk.findall("body")
+    for leg in legs:
+        trunk.remove(leg)
+    trunk.extend([legs[i] for i in (2, 1, 3, 0)])
+    path = folder / f"{style}.xml"
+    ET.ElementTree(root).write(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def walked(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, RobotForces]:
+    """A table of a walk, and the Go2's forces by it."""
+    path = tmp_path_factory.mktemp("walk") / "go2.csv"
+    log, _ = Walk(duration=2.0).log()
+    write_csv(path, log)
+    return path, foot_forces(path, robot=GO2)
+
+
+def renamed_table(source: Path, folder: Path, style: str) -> Path:
+    """The same table with a robot's own names of joints, its columns shuffled."""
+    header, *rows = [line.split(",") for line in source.read_text().splitlines()]
+    names = dict(zip(JOINT_NAMES, names_like(style), strict=True))
+    header = [re.sub("^[FR][RL]_(hip|thigh|calf)", lambda m: names[m[0]], name) for name in header]
+    order = np.random.default_rng(0).permutation(len(header)).tolist()
+    path = folder / f"{style}.csv"
+    lines = [",".join(row[i] for i in order) for row in [header, *rows]]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+@pytest.mark.parametrize("style", [*SIDES, "nameless"])
+def test_a_go2_of_other_names_has_the_forces_of_a_go2(
+    tmp_path: Path, walked: tuple[Path, RobotForces], style: str
+) -> None:
+    source, truth = walked
+    robot = Quadruped.load(go2_like(tmp_path, style))
+    assert robot.own_names == tuple(names_like(style))
+    found = foot_forces(renamed_table(source, tmp_path, style), robot=robot)
+    # Forces are single; the order of legs in the tree changes the order of MuJoCo's sums.
+    np.testing.assert_allclose(found.forces.force, truth.forces.force, rtol=1e-5, atol=1e-4)
+    assert [s.foot for s in found.stances] == [s.foot for s in truth.stances]
+    assert any("by their places" in note for note in found.notes) == (style == "nameless")
+
+
+@pytest.mark.parametrize("order_given", [True, False])
+def test_an_assumed_order_of_motors_is_noted(
+    tmp_path: Path, walked: tuple[Path, RobotForces], order_given: bool
+) -> None:
+    """A LowState numbers its motors: by the TOML, in the model's names, or as the Go2 does."""
+    log, names = Walk(duration=2.0).log()[0], names_like("nameless")
+    order = np.random.default_rng(1).permutation(12) if order_given else np.arange(12)
+    joints = {
+        name: getattr(log, name).reshape(-1, 12)[:, order].reshape(-1, 4, 3)
+        for name in ("angle", "velocity", "torque")
+    }
+    write_mcap(
+        tmp_path / "walk.mcap", replace(log, **joints, foot_counts=np.zeros_like(log.quaternion))
+    )
+    listed = f"joint_order = {[names[i] for i in order]}" if order_given else ""
+    model = go2_like(tmp_path, "nameless").name
+    (tmp_path / "own.toml").write_text(f"model = '{model}'\n{listed}")
+    found = foot_forces(tmp_path / "walk.mcap", robot=tmp_path / "own.toml")
+    # Messages are single.
+    np.testing.assert_allclose(found.forces.force, walked[1].forces.force, rtol=1e-3, atol=0.02)
+    assert any("numbered FR_hip, FR_thigh" in note for note in found.notes) != order_given
+
+
+def test_joint_states_by_the_names_of_the_model(tmp_path: Path) -> None:
+    order = np.random.default_rng(2).permutation(12)
+    names = names_like("nameless")
+    rows = LOGS["joint_states"]([names[i] for i in order], np.append(order, 12)[:12])
+    path = LOGS["bag"](tmp_path / "bag", {"/joint_states": (JOINT_STATE, rows)})
+    found = read_log(path, own_names=names)
+    np.testing.assert_array_equal(found.torque, LOGS["log"].torque)
+    with pytest.raises(InputError, match="'j"):
+        read_log(path)
+
+
+def nameless_urdf() -> tuple[str, dict[str, str]]:
+    """The small URDF of ``test_model.py`` with joints j0 to j11 and links that say nothing."""
+    names = {f"{n}_joint": f"j{k}" for n, k in zip(JOINT_NAMES, SHUFFLED, strict=True)}
+    root = ET.fromstring(small_urdf())
+    links = {link.attrib["name"]: f"part{k}" for k, link in enumerate(root.iter("link"))}
+    for element in root.iter():
+        for key in {"name", "link"} & set(element.attrib):
+            old = element.attrib[key]
+            element.set(key, names.get(old) or links.get(old) or f"fixed{old[:2]}")
+    return ET.tostring(root, encoding="unicode"), names
+
+
+def test_a_urdf_without_names_by_its_tree(tmp_path: Path) -> None:
+    """Thighs of one side turn about −y, and zero is not where legs hang: they lie to the front."""
+    text, names = nameless_urdf()
+    (tmp_path / "own.urdf").write_text(text.replace('xyz="0 0 -0.25"', 'xyz="0.25 0 0"'))
+    robot = Quadruped.load(tmp_path / "own.urdf")
+    assert dict(zip(JOINT_NAMES, robot.own_names, strict=True)) == {
+        name.removesuffix("_joint"): own for name, own in names.items()
+    }
+    assert robot.foot_radius == 0.02
+    assert any("sphere: 20 mm" in note for note in robot.notes)
+
+
+def test_two_joints_a_leg_by_their_place(tmp_path: Path) -> None:
+    text, _ = nameless_urdf()
+    root = ET.fromstring(text)
+    for joint in root.iter("joint"):
+        if (axis := joint.find("axis")) is not None and axis.get("xyz") == "1 0 0":
+            joint.set("type", "fixed")
+    (tmp_path / "own.urdf").write_text(ET.tostring(root, encoding="unicode"))
+    robot = Quadruped.load(tmp_path / "own.urdf")
+    assert robot.there.tolist() == [[False, True, True]] * 4
+    place = Legs(robot, np.zeros((1, 4, 3))).place[0]
+    assert np.sign(place[:, :2]).tolist() == [[1, -1], [1, 1], [-1, -1], [-1, 1]]
+
+
+def test_a_hip_that_hangs_on_the_thigh_is_known_by_its_axis(tmp_path: Path) -> None:
+    text = (
+        nameless_urdf()[0].replace('xyz="1 0 0"', 'xyz="A"').replace('xyz="0 -1 0"', 'xyz="0 1 0"')
+    )
+    root = ET.fromstring(text)
+    for joint in root.iter("joint"):
+        axis = joint.find("axis")
+        if axis is None:
+            continue
+        origin = joint.find("origin")
+        assert origin is not None
+        if axis.get("xyz") == "A":
+            axis.set("xyz", "0 1 0")
+        elif not origin.attrib["xyz"].startswith("0 0 "):
+            axis.set("xyz", "1 0 0")
+    (tmp_path / "own.urdf").write_text(ET.tostring(root, encoding="unicode"))
+    robot = Quadruped.load(tmp_path / "own.urdf")
+    axes = np.array([robot.model.jnt_axis[row] for row in robot.joint])
+    np.testing.assert_allclose(np.abs(axes), [np.eye(3)[[0, 1, 1]]] * 4)
+
+
+def test_a_table_of_names_fixes_what_is_wrong(tmp_path: Path) -> None:
+    """Left and right are exchanged in a model's names: noted, and mended by the table."""
+    text = small_urdf()
+    swapped = re.sub("([FR])([RL])(?=_)", lambda m: m[1] + "RL"[m[2] == "R"], text)
+    (tmp_path / "own.urdf").write_text(swapped)
+    assert any("disagree" in note for note in Quadruped.load(tmp_path / "own.urdf").notes)
+    table = "\n".join(f"{n} = '{n[0]}{'RL'[n[1] == 'R']}{n[2:]}_joint'" for n in JOINT_NAMES)
+    (tmp_path / "own.toml").write_text(f"model = 'own.urdf'\n[joints]\n{table}")
+    robot = Quadruped.load(tmp_path / "own.toml")
+    assert not any("disagree" in note for note in robot.notes)
+    place = Legs(robot, np.zeros((1, 4, 3))).place[0]
+    assert np.sign(place[:, :2]).tolist() == [[1, -1], [1, 1], [-1, -1], [-1, 1]]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('xyz="0 0 -0.25"', 'xyz="0 0.25 0"', "do not reach below the trunk"),
+        ('xyz="-0.2 -0.1 0"', 'xyz="0.2 -0.1 0"', "do not stand at four corners"),
+        ('"j0" type="revolute"', '"j0" type="fixed"', "no four legs: chains of"),
+    ],
+)
+def test_what_is_no_quadruped_is_refused(tmp_path: Path, old: str, new: str, words: str) -> None:
+    text, _ = nameless_urdf()
+    assert old in text
+    (tmp_path / "own.urdf").write_text(text.replace(old, new))
+    with pytest.raises(InputError, match=words) as caught:
+        Quadruped.load(tmp_path / "own.urdf")
+    assert "table 'joints'" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "name", ["a1", "anymal", "b1", "go1", "go2", "hyq_no_sensors", "laikago", "solo", "solo12"]
+)
+def test_published_quadrupeds_are_the_same_without_their_names(tmp_path: Path, name: str) -> None:
+    """By their places, the joints are those that the names say."""
+    try:
+        files = metadata.files("example-robot-data") or []
+    except metadata.PackageNotFoundError:
+        pytest.skip("example-robot-data is not installed")
+    path = Path(str(next(f for f in files if f.name == f"{name}.urdf").locate()))
+    text, known = path.read_text(), Quadruped.load(path)
+    assert not any("disagree" in note for note in known.notes)
+    for number, joint in enumerate(known.own_names):
+        text = re.sub(f'joint="{joint}"|name="{joint}"', f'name="j{number}"', text)
+    (tmp_path / "own.urdf").write_text(text)
+    robot = Quadruped.load(tmp_path / "own.urdf")
+    assert robot.own_names == tuple(f"j{number}" for number in range(len(known.own_names)))

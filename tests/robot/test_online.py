@@ -1,0 +1,177 @@
+"""Footfalls while a robot walks, compared with those of the whole log."""
+
+from __future__ import annotations
+
+import copy
+import runpy
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from terraphi.experiment.errors import InputError
+from terraphi.inference.footfalls import FootfallMap
+from terraphi.robot.footfalls import footfalls
+from terraphi.robot.forces import estimate
+from terraphi.robot.joint_log import JointLog
+from terraphi.robot.model import Quadruped
+from terraphi.robot.online import LAG_S, Footfall, Footfalls
+from terraphi.robot.touchdowns import track
+
+_WALKER = runpy.run_path(str(Path(__file__).with_name("walker.py")))
+Walk, LawWalk = (_WALKER[name] for name in ("Walk", "LawWalk"))
+GO2 = Quadruped.load("go2")
+COLUMNS = ("time", "angle", "velocity", "torque", "quaternion", "angular_velocity", "acceleration")
+DURATION, MAP_S = 15.0, 11.0
+
+
+def part(log: JointLog, start: int, stop: int | None = None) -> JointLog:
+    return replace(log, **{name: getattr(log, name)[start:stop] for name in COLUMNS})
+
+
+def streamed(
+    log: JointLog, size: int, *, map_s: float | None = None, **options: Any
+) -> tuple[Footfalls, list[Footfall]]:
+    """Hand over a log in pieces of a size, with a map at a time [s]."""
+    walk, found = Footfalls(**options), []
+    for start in range(0, len(log.time), size):
+        if map_s is not None and log.time[start] > map_s:
+            walk.map()
+            map_s = None
+        found += walk.update(part(log, start, start + size))
+    return walk, found
+
+
+@pytest.fixture(scope="module")
+def log() -> JointLog:
+    return LawWalk(duration=DURATION).log()[0]
+
+
+@pytest.fixture(scope="module")
+def online(log: JointLog) -> tuple[Footfalls, list[Footfall]]:
+    return streamed(log, 37, map_s=MAP_S, density="1550±80")
+
+
+@pytest.fixture(scope="module")
+def batch(log: JointLog) -> FootfallMap:
+    return footfalls(log, density="1550±80")
+
+
+def test_footfalls_are_those_of_the_whole_log(
+    online: tuple[Footfalls, list[Footfall]], batch: FootfallMap
+) -> None:
+    """All but those of the last second; φ differs by what is known of friction and bias by then.
+
+    Before a map, the law's growth with depth and gains of the torques are those of the prior.
+    """
+    _, found = online
+    known = batch.time < DURATION - 2.0
+    assert [f.foot for f in found[: known.sum()]] == [
+        foot for foot, early in zip(batch.foot, known, strict=True) if early
+    ]
+    found = found[: known.sum()]
+    assert [f.time for f in found] == pytest.approx(batch.time[known], abs=0.004)
+    assert [f.verdict for f in found] == list(np.array(batch.verdict)[known])
+    places = np.array([f.place for f in found])
+    np.testing.assert_allclose(places[:, :2], batch.place[known, :2], atol=1e-3)
+    # The depth at touch-down depends on the law's growth with depth, not yet learned.
+    np.testing.assert_allclose(places[:, 2], batch.place[known, 2], atol=3e-3)
+    np.testing.assert_allclose([f.sinkage for f in found], batch.sinkage[known], atol=3e-3)
+    apart = np.array([f.phi for f in found]) - batch.phi[known]
+    learned = np.array([f.time > MAP_S for f in found])
+    assert learned.sum() > 5
+    assert np.abs(apart[learned]).max() < 0.5
+    assert np.all(np.abs(apart) < [f.shared_sd for f in found])
+
+
+def test_the_map_is_that_of_the_whole_log(
+    online: tuple[Footfalls, list[Footfall]], batch: FootfallMap
+) -> None:
+    found = online[0].map()
+    pairs = [
+        (i, j) for i in range(len(found.time)) for j in range(len(batch.time))
+        if found.foot[i] == batch.foot[j] and abs(found.time[i] - batch.time[j]) < 0.05
+    ]  # fmt: skip
+    assert len(pairs) == len(found.time) > 30
+    own, other = np.array(pairs).T
+    np.testing.assert_allclose(found.phi[own], batch.phi[other], atol=0.3)
+    np.testing.assert_allclose(found.sd[own], batch.sd[other], rtol=0.15)
+    np.testing.assert_allclose(found.shared_sd[own], batch.shared_sd[other], rtol=0.02)
+    there = np.interp(found.path[:, 0], batch.path[:, 0], batch.path_phi)
+    np.testing.assert_allclose(found.path_phi, there, atol=0.15)
+    assert found.notes == batch.notes
+
+
+def test_the_length_of_samples_does_not_matter(
+    log: JointLog, online: tuple[Footfalls, list[Footfall]]
+) -> None:
+    _, found = streamed(log, 400, density="1550±80")
+    for one, other in zip(found, online[1], strict=False):
+        assert one.foot == other.foot
+        if other.time < MAP_S - 2.0:  # answered before the map
+            assert one.phi == pytest.approx(other.phi, abs=0.2)
+
+
+def test_places_do_not_depend_on_what_comes_later() -> None:
+    """Velocities of the odometry, with and without the samples after the lag."""
+    log = Walk(duration=4.0, sinkage=0.02).log()[0]
+    forces = estimate(log, robot=GO2)
+    end = int(np.searchsorted(log.time, 3.0))
+    last = int(np.searchsorted(log.time, 3.0 - LAG_S))
+    lift, bias = forces.force[:, :, 2].astype(float), np.zeros(3)
+    whole = track(log, GO2, forces.place, lift, bias=bias)
+    early = track(part(log, 0, end), GO2, forces.place[:end], lift[:end], bias=bias)
+    np.testing.assert_allclose(early.trunk[:last], whole.trunk[:last], atol=2e-6)
+
+
+def test_known_friction_gives_the_same_forces() -> None:
+    log = Walk(duration=3.0).log()[0]
+    whole = estimate(log, robot=GO2)
+    again = estimate(part(log, 500, 1000), robot=GO2, friction=whole.friction or True)
+    np.testing.assert_allclose(again.force[20:-20], whole.force[520:980], rtol=1e-5, atol=1e-4)
+
+
+def test_after_a_map_what_it_learned_is_used(log: JointLog, batch: FootfallMap) -> None:
+    """A motor whose torque reads 10 % too much: the map finds it, later footfalls have it."""
+    gain = np.ones((4, 3))
+    gain[1, 2] = 1.1
+    log = replace(log, torque=log.torque * gain)
+    cut = int(np.searchsorted(log.time, 12.0))
+    walk, _ = streamed(part(log, 0, cut), 6000)
+    plain = copy.deepcopy(walk).update(part(log, cut))
+    walk.map()
+    pairs = list(zip(plain, walk.update(part(log, cut)), strict=True))
+    for before, after in pairs:
+        if before.foot == "FL":
+            truth = batch.phi[np.argmin(np.abs(batch.time - after.time))]
+            assert abs(after.phi - truth) < 0.5 * abs(before.phi - truth)
+    assert any(before.foot == "FL" for before, _ in pairs)
+
+
+def test_gaps(log: JointLog) -> None:
+    """Samples of seconds and of a minute are lost: the rest is answered, and places go on."""
+    time = log.time + 3.0 * (log.time > 11.0) + 60.0 * (log.time > 13.0)
+    walk, found = streamed(replace(log, time=time), 200)
+    assert [f.verdict for f in found].count("usable") > 30
+    assert {int(f.time > 14.0) + int(f.time > 76.0) for f in found} == {0, 1, 2}
+    assert np.isfinite(walk.map().path_phi).all()
+
+
+def test_what_cannot_be_is_refused(log: JointLog) -> None:
+    walk = Footfalls()
+    assert walk.update(part(log, 0, 100)) == ()
+    with pytest.raises(InputError, match="should follow"):
+        walk.update(part(log, 50, 100))
+    with pytest.raises(InputError, match="no footfall yet"):
+        walk.map()
+    with pytest.raises(InputError, match="law 'rtf' is unknown"):
+        Footfalls(law="rtf")
+    names = ("angle", "velocity", "torque")
+    other = Walk(duration=10.1, sinkage=0.03).log()[0]
+    exchanged = {name: getattr(other, name)[:, [2, 3, 0, 1]] for name in names}
+    with pytest.raises(InputError, match="no footfall can be read"):
+        Footfalls().update(replace(other, **exchanged))
+    with pytest.raises(InputError, match="other columns"):
+        streamed(part(log, 0, 6000), 5600)[0].update(replace(part(log, 6000), acceleration=None))
