@@ -68,7 +68,7 @@ def test_grains_lie_within_the_interval(name: str) -> None:
 
 def test_forces_beyond_the_law_are_out_of_range() -> None:
     table = pressed(38.0)
-    answer = terraphi.invert(table.assign(force_N=50.0 * table.force_N), tool="plate:151")
+    answer = terraphi.invert(table.assign(force_N=200.0 * table.force_N), tool="plate:151")
     assert (answer.verdict, answer.edge) == ("out_of_range", "high")
 
 

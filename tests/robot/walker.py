@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from terraphi.laws.foot import LAWS, Foot
+from terraphi.laws.foot import LAWS, Foot, moved_mass
 from terraphi.robot.joint_log import JointLog
 from terraphi.robot.legs import Legs, TrunkMotion
 from terraphi.robot.model import Quadruped
@@ -196,7 +196,11 @@ class LawWalk(Walk):
         depth = GO2.foot_radius - feet[..., 2]
         third = MASS * GRAVITY / 3.0
         comes = stand < self.ramp
-        load = np.where(comes, self._law(depth, self.phi(feet)), third * (stand < 1.0))
+        down = -_first(self._feet, time)[..., 2]
+        mass, growth = moved_mass(Foot(GO2.foot_radius), depth, self.density)
+        inertia = growth * down**2 - mass * _second(self._feet, time)[..., 2]
+        pressed = self._law(depth, self.phi(feet)) + np.where(down > 0.0, inertia, 0.0)
+        load = np.where(comes, pressed, third * (stand < 1.0))
         goes = (stand > 1.0 - self.ramp) & (stand < 1.0)
         load = np.where(goes, third - np.where(comes, load, 0.0).sum(axis=1, keepdims=True), load)
         # Fore and rear feet push against each other.
