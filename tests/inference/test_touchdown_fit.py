@@ -31,6 +31,7 @@ def pressed(phi: float = 34.0, *, level: float = 0.003, seed: int | None = 0) ->
         descent=np.full_like(time, 1.4), speed=still, force=still,
         per_error=np.zeros((*time.shape, 6)),
         used=np.ones_like(time, dtype=bool), torn=np.zeros(1, bool), saturated=np.zeros(1, bool),
+        returned=np.zeros(1), peak=np.ones(1), deepest=drop.max(axis=1), broken=np.zeros(1),
     )  # fmt: skip
     force = predicted(LAWS["rft"], PRIOR, seen, np.array([[phi, level, 0.0]]))
     seen = seen._replace(force=force, per_error=force[..., None] * [1.0, 1.0, 1.0, 0.0, 0.0, 0.0])

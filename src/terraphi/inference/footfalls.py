@@ -45,7 +45,10 @@ USABLE = "usable"
 SHALLOW, MISFIT = "too little sinkage", "the law does not fit"
 TRODDEN, PRINT = "not virgin ground", "print of a fore foot"
 TORN, SATURATED, EDGE = "timing unreliable", "saturated", "at a prior's edge"
-VERDICTS = (USABLE, SHALLOW, PRINT, TRODDEN, MISFIT, TORN, SATURATED, EDGE)
+ELASTIC, CRUST, HARD = "ground springs back", "a crust broke", "hard ground below"
+VERDICTS = (
+    USABLE, SHALLOW, ELASTIC, CRUST, HARD, PRINT, TRODDEN, MISFIT, TORN, SATURATED, EDGE
+)  # fmt: skip
 """Verdicts of footfalls."""
 
 LEAST_GAINED = 0.003
@@ -61,6 +64,23 @@ in simulated grains read φ + 7.9° at its place, + 3.5° at one radius, + 0.5°
 WORST_MISFIT = 2.0
 """χ² over the degrees of freedom above which a law does not fit [-]: with noise of twice the usual
 size and more it is 0.1 to 0.4 on simulated walks."""
+MOST_RETURNED, WALK_RETURNED = 0.35, 0.15
+"""Work that the ground gives back at the end of a stance over what the loading put in, above which
+a footfall is on elastic ground, and the median above which a whole walk is [-]. Elastic ground
+returns all of it, soil what its grains spring back. On simulated sand
+(six worlds, five gaits) usable footfalls have 0.2 at most and walks a median of 0.01 to 0.06; mats
+of 2 to 10 kN/m and two foams 0.6 to 1.6, and medians of 0.9 to 1.3. The limits are between; a
+mat of 3 kN/m and a foam that nearly only creeps, tried afterwards, had medians of 1.0 and 1.4."""
+MOST_BROKEN, WALK_BROKEN = 0.35, 0.15
+"""Part of the force that is lost while a foot goes deeper, above which it broke through a crust,
+and the median above which a walk is on a crust [-]. Simulated sand: 0.2 at most and medians of 0;
+by Hansen's formula, whose resistance falls at a depth of one breadth, 0.3 and 0.1. Crusts that
+break at 25, 40 and 60 N: medians of 0.2, 0.3 to 0.5 and 0.6 to 0.7."""
+MOST_BORNE = 1.2
+"""Force that the ground bears at the deepest point of a stance, over what the law that fits the
+loading gives there, above which something hard lies below [-]. Usable footfalls on simulated sand,
+of the assumed law and others: 1.07 at most; on a hard layer under 20 to 30 mm of sand the median of
+a walk is 1.2, where its feet reach it."""
 LEVEL_DEG = 5.0
 """Inclination of the ground that is worth a note [deg]: 1.4° at most on simulated level sand."""
 CONTRADICTED = 2.0
@@ -443,7 +463,9 @@ def infer(
             for anchor, off in zip(anchors, pooled.surprise, strict=True) if off > CONTRADICTED
         ]  # fmt: skip
     sinkage = np.where(verdict == SHALLOW, found.gained, found.sinkage)
-    notes = [*contradicted, *density_doubts(prior.density), *notes]
+    notes = [
+        *_ground_notes(seen, verdict), *contradicted, *density_doubts(prior.density), *notes
+    ]  # fmt: skip
     # Inclination of the plane through places where feet met the ground.
     x, y, z = seen.place.T
     rise = np.linalg.lstsq(np.stack([x, y, np.ones_like(x)], axis=-1), z)[0][:2]
@@ -498,11 +520,15 @@ def verdicts(seen: Touchdowns, found: Fit, radius: float) -> NDArray[np.str_]:
         Of the foot [m].
     """
     trodden, printed = _trodden(seen, NEAR_RADII * radius)
+    springs, breaks, layer = not_soil(seen, found)
     rests = seen.used.sum(axis=1) < FEWEST
     reasons = (
         (TORN, seen.torn),
         (SATURATED, seen.saturated),
         (SHALLOW, (found.gained < LEAST_GAINED) | rests),
+        (ELASTIC, springs),
+        (CRUST, breaks),
+        (HARD, layer),
         (PRINT, printed),
         (TRODDEN, trodden),
         (EDGE, np.isin(found.phi, PHI_RANGE)),
@@ -510,6 +536,39 @@ def verdicts(seen: Touchdowns, found: Fit, radius: float) -> NDArray[np.str_]:
     )
     words = [word for word, _ in reasons]
     return np.select([holds for _, holds in reasons], words, USABLE)
+
+
+def not_soil(seen: Touchdowns, found: Fit) -> tuple[BoolArray, BoolArray, BoolArray]:
+    """Footfalls on elastic ground, through a crust, and on something hard below the soil."""
+    springs = (seen.returned > MOST_RETURNED) | (_typical(seen, seen.returned) > WALK_RETURNED)
+    return springs, seen.broken > MOST_BROKEN, found.borne > MOST_BORNE
+
+
+def _typical(seen: Touchdowns, values: FloatArray) -> float:
+    """Median over the touch-downs of a walk whose timing is reliable; 0 without one."""
+    return float(np.median(values[~seen.torn])) if not seen.torn.all() else 0.0
+
+
+def _ground_notes(seen: Touchdowns, verdict: NDArray[np.str_]) -> list[str]:
+    """Sentences on ground that is no soil, or not only soil."""
+    returned, broken = _typical(seen, seen.returned), _typical(seen, seen.broken)
+    notes = []
+    if returned > WALK_RETURNED:
+        notes.append(
+            f"the ground gives back {returned:.0%} of the work that feet do on it, soil a few per "
+            "cent: it is a mat, foam or floor, and has no φ"
+        )
+    if broken > WALK_BROKEN:
+        notes.append(
+            f"feet lose {broken:.0%} of their force while they go deeper: a crust breaks, as on "
+            "snow, and φ is not that of sand"
+        )
+    if hard := int((verdict == HARD).sum()):
+        notes.append(
+            f"{hard} of {len(verdict)} feet ended on something harder than the soil above it: how "
+            "deep is the soil?"
+        )
+    return notes
 
 
 def _trodden(seen: Touchdowns, reach: float) -> tuple[BoolArray, BoolArray]:

@@ -85,6 +85,14 @@ class Touchdowns(NamedTuple):
         Samples are missing, or come too slowly for a touch-down; shape [touchdown].
     saturated
         A motor of the leg is at its limit in it; shape [touchdown].
+    returned
+        Work that the ground gives back at the end of the stance, over what the loading put in [-],
+        shape [touchdown].
+    peak, deepest
+        Of the whole stance: largest force [N] and largest drop [m], shape [touchdown].
+    broken
+        Largest part of the force that is lost while the foot goes deeper [-], shape [touchdown];
+        what the soil's inertia adds to a landing does not count.
     """
 
     foot: IntArray
@@ -99,6 +107,10 @@ class Touchdowns(NamedTuple):
     used: BoolArray
     torn: BoolArray
     saturated: BoolArray
+    returned: FloatArray
+    peak: FloatArray
+    deepest: FloatArray
+    broken: FloatArray
 
 
 @dataclass(frozen=True)
@@ -195,6 +207,8 @@ class Fit(NamedTuple):
         χ² over the degrees of freedom [-].
     cost
         χ² and what z₀ and w are off their prior, over the number of samples [-].
+    borne
+        Largest force of the stance over what the law gives at its deepest point [-].
     shared
         S: how far φ̂ is off per unit of θ − θ₀, shape [touchdown, shared], by :data:`TORQUES` and
         :meth:`Prior.shared`; zero for ``law_slope``, which compares touch-downs.
@@ -206,6 +220,7 @@ class Fit(NamedTuple):
     gained: FloatArray
     misfit: FloatArray
     cost: FloatArray
+    borne: FloatArray
     shared: FloatArray
 
 
@@ -369,7 +384,11 @@ def _fit(seen: Touchdowns, law: FootLaw, prior: Prior) -> Fit:
     sd = np.sqrt(weights(slope, scaled, precision)[1][:, 0, 0])
     sinkage = np.where(np.isfinite(sinkage), sinkage, 0.0)
     gained = np.where(rising.any(axis=1), bottom - top, 0.0)
-    return Fit(state[:, 0], sd, sinkage, gained, misfit, cost_each, shared)
+    end = seen._replace(
+        drop=seen.deepest[:, None], descent=np.array([[0.5 * np.pi]]), time=np.array([[0.0]])
+    )
+    borne = seen.peak / np.maximum(predicted(law, prior, end, state)[:, 0], NOISE_N)
+    return Fit(state[:, 0], sd, sinkage, gained, misfit, cost_each, borne, shared)
 
 
 def _slopes(law: FootLaw, prior: Prior, seen: Touchdowns, state: FloatArray) -> FloatArray:
