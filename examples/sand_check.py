@@ -3,8 +3,8 @@
     python examples/sand_check.py --keep walks --csv worlds.csv --page worlds.md
 
 Worlds of the assumed law (``foot``), of other laws and of ground that is no sand; gaits; frictions
-between foot and sand; robots; seeds. A walk takes half a minute to simulate; ``--keep`` keeps it, so that an
-interrupted run goes on.
+between foot and sand; robots; seeds. A walk takes half a minute to simulate; ``--keep`` keeps it,
+so that an interrupted run goes on.
 """
 
 from __future__ import annotations
@@ -164,8 +164,13 @@ def page(rows: pd.DataFrame) -> str:
 
 
 @click.command()
-@click.option("--world", "worlds", multiple=True, default=[*WORLDS, *GROUNDS],
-              type=click.Choice([*WORLDS, *GROUNDS]))  # fmt: skip
+@click.option(
+    "--world",
+    "worlds",
+    multiple=True,
+    default=[*WORLDS, *GROUNDS],
+    type=click.Choice([*WORLDS, *GROUNDS]),
+)
 @click.option("--gait", "gaits", type=click.Choice(sorted(GAITS)), multiple=True, default=GAITS)
 @click.option("--friction", "frictions", type=float, multiple=True, default=(0.5, 0.3))
 @click.option("--robot", type=click.Path(path_type=Path), help="URDF or MJCF instead of the Go2.")

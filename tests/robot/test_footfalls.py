@@ -24,6 +24,7 @@ from terraphi.inference.footfalls import (
     TRODDEN,
     USABLE,
     FootfallMap,
+    comes_back,
     verdicts,
 )
 from terraphi.inference.touchdowns import Prior
@@ -180,6 +181,15 @@ def test_of_two_feet_in_one_place_the_second_is_refused() -> None:
     )  # fmt: skip
     expected = [USABLE, USABLE, PRINT, PRINT, USABLE, TRODDEN, EDGE]
     assert verdicts(seen, found, 0.022).tolist() == expected
+
+
+def test_a_path_comes_back_where_it_crosses_itself() -> None:
+    turn = np.linspace(0.0, 2.0 * np.pi, 200)
+    eight = np.column_stack([2.0 * turn, np.sin(turn), np.sin(2.0 * turn)])
+    line = np.column_stack([turn, turn, 0.1 * np.sin(turn)])
+    assert comes_back(eight)
+    assert not comes_back(line)
+    assert not comes_back(line[:1])
 
 
 def test_a_log_of_exchanged_legs_tells_no_footfall() -> None:

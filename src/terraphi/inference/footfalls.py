@@ -81,6 +81,9 @@ MOST_BORNE = 1.2
 loading gives there, above which something hard lies below [-]. Usable footfalls on simulated sand,
 of the assumed law and others: 1.07 at most; on a hard layer under 20 to 30 mm of sand the median of
 a walk is 1.2, where its feet reach it."""
+BACK_M = 0.3
+"""A trunk that comes nearer than this to its former path, a robot's width, may tread in its own
+prints [m]."""
 LEVEL_DEG = 5.0
 """Inclination of the ground that is worth a note [deg]: 1.4° at most on simulated level sand."""
 CONTRADICTED = 2.0
@@ -474,6 +477,11 @@ def infer(
             f"the ground is inclined by {slope:.0f}°: the law is of level ground, and soil on a "
             "slope bears less"
         )
+    if comes_back(path):
+        notes.append(
+            f"the path comes back to itself: prints of before are recognized within "
+            f"{1e3 * NEAR_RADII * prior.radius:.0f} mm, if the odometry is as good as that"
+        )
     if not usable.any():
         notes.append("no footfall is usable: the map is empty")
     elif not anchors:
@@ -536,6 +544,14 @@ def verdicts(seen: Touchdowns, found: Fit, radius: float) -> NDArray[np.str_]:
     )
     words = [word for word, _ in reasons]
     return np.select([holds for _, holds in reasons], words, USABLE)
+
+
+def comes_back(path: FloatArray) -> bool:
+    """True if a path (s, x, y) comes nearer than :data:`BACK_M` to itself after a way of a metre."""
+    from scipy.spatial import cKDTree
+
+    first, second = cKDTree(path[:, 1:]).query_pairs(BACK_M, output_type="ndarray").T
+    return bool(np.any(np.abs(path[second, 0] - path[first, 0]) > 4.0 * BACK_M))
 
 
 def not_soil(seen: Touchdowns, found: Fit) -> tuple[BoolArray, BoolArray, BoolArray]:

@@ -62,9 +62,9 @@ GOES_ON = 0.25
 LOADED = 0.7
 """Part of the largest force of a stance at which its loading ends and its unloading begins [-]."""
 BREAK_M, BREAK_SPEED, BREAK_STEEP, BREAK_PART = 0.002, 0.15, 0.87, 0.15
-"""A crust breaks where a foot goes deeper by so much [m], at so much [m/s], steeper than 60° [-] and
-under less force than before, which was so much of the stance's largest [-]: slower feet creep, and
-their force falls as others take over the load (simulated walks at 0.08 and 0.12 m/s)."""
+"""A crust breaks where a foot goes deeper by so much [m], at so much [m/s], steeper than 60° [-]
+and under less force than before, which was so much of the stance's largest [-]: slower feet creep,
+and their force falls as others take over the load (simulated walks at 0.08 and 0.12 m/s)."""
 LANDING_KG_M = 7.0
 """Force of the soil's inertia on a foot over the square of its speed [kg/m]: 3 ρ π R². Balls of
 44 mm in grains felt 7 and 19 N more at 1 and 1.8 m/s than in slow motion, 3 and 2.5 ρ π R²."""
