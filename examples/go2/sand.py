@@ -157,7 +157,8 @@ class Crust(Sand):
     weak: float = 1500.0
 
     def lift(self, depth: FloatArray, descent: FloatArray, phi: FloatArray) -> FloatArray:
-        """Force of crust or snow."""
+        """Force of crust or snow, the same at all places."""
+        del phi
         below = depth - self.thickness
         up = np.where(below < 0.0, self.breaks_N * depth / self.thickness, self.weak * below)
         up = np.where(descent > -1e-3, np.maximum(up, 0.0), 0.0)

@@ -28,7 +28,7 @@ from terraphi.inference.footfalls import (
     verdicts,
 )
 from terraphi.inference.touchdowns import Prior
-from terraphi.robot.footfalls import footfalls
+from terraphi.robot.footfalls import carried_s, footfalls
 from terraphi.robot.joint_log import JointLog
 from terraphi.robot.model import Quadruped
 
@@ -181,6 +181,16 @@ def test_of_two_feet_in_one_place_the_second_is_refused() -> None:
     )  # fmt: skip
     expected = [USABLE, USABLE, PRINT, PRINT, USABLE, TRODDEN, EDGE]
     assert verdicts(seen, found, 0.022).tolist() == expected
+
+
+def test_a_robot_that_lies_down_is_carried() -> None:
+    """A trot of torques 10 % too large, whose body rests for 3 of 12 s."""
+    time = np.arange(0.0, 12.0, 0.002)
+    lift = 1.1 + 0.4 * np.sin(2.0 * np.pi * time / 0.25)
+    assert carried_s(time, lift) == 0.0
+    lies = (time > 5.0) & (time < 8.0)
+    assert carried_s(time, np.where(lies, 0.4 * lift, lift)) == pytest.approx(3.0, abs=0.8)
+    assert carried_s(time[:50], np.full(50, np.nan)) == 0.0
 
 
 def test_a_path_comes_back_where_it_crosses_itself() -> None:

@@ -32,6 +32,7 @@ from terraphi.inference.touchdowns import (
     evenly,
     fit,
     picked,
+    slope_sd,
     with_exponent,
 )
 from terraphi.laws.foot import LAWS
@@ -81,6 +82,8 @@ MOST_BORNE = 1.2
 loading gives there, above which something hard lies below [-]. Usable footfalls on simulated sand,
 of the assumed law and others: 1.07 at most; on a hard layer under 20 to 30 mm of sand the median of
 a walk is 1.2, where its feet reach it."""
+DEEPEST_RADII = 2.0
+"""Depth over the radius to which law ``foot`` was simulated [-]; deeper it is continued."""
 BACK_M = 0.3
 """A trunk that comes nearer than this to its former path, a robot's width, may tread in its own
 prints [m]."""
@@ -435,6 +438,8 @@ def infer(
     if usable.any():
         phi, moves = found.phi[usable], found.shared[usable]
         moves[:, TORQUES + list(prior.shared()).index("law_slope")] = phi - phi.mean()
+        typical = float(np.median(phi)), float(np.median(found.sinkage[usable]))
+        prior = replace(prior, slope_sd=slope_sd(law, prior, *typical))
         known = np.array(list(prior.shared().values()))
         theta = np.zeros((len(known) + TORQUES,) * 2)
         theta[:TORQUES, :TORQUES] = torques.covariance
@@ -477,6 +482,11 @@ def infer(
             f"the ground is inclined by {slope:.0f}°: the law is of level ground, and soil on a "
             "slope bears less"
         )
+    if law == "foot" and (deep := found.sinkage[usable] > DEEPEST_RADII * prior.radius).any():
+        notes.append(
+            f"{int(deep.sum())} of {len(deep)} usable feet sank deeper than {DEEPEST_RADII:g} "
+            "radii, where law foot was not simulated: their φ is less sure than stated"
+        )
     if comes_back(path):
         notes.append(
             f"the path comes back to itself: prints of before are recognized within "
@@ -485,7 +495,10 @@ def infer(
     if not usable.any():
         notes.append("no footfall is usable: the map is empty")
     elif not anchors:
-        notes.append("no anchor: only differences along the path are as sure as the relative band")
+        notes.append(
+            "no anchor: only differences along the path are as sure as the relative band, and "
+            f"their scale is unsure by {shared['law_slope']['sd']:.0%}"
+        )
     return FootfallMap(
         time=seen.begin,
         foot=tuple(feet[i] for i in seen.foot),
@@ -547,7 +560,7 @@ def verdicts(seen: Touchdowns, found: Fit, radius: float) -> NDArray[np.str_]:
 
 
 def comes_back(path: FloatArray) -> bool:
-    """True if a path (s, x, y) comes nearer than :data:`BACK_M` to itself after a way of a metre."""
+    """True if a path (s, x, y) comes nearer than :data:`BACK_M` to itself, a metre or so later."""
     from scipy.spatial import cKDTree
 
     first, second = cKDTree(path[:, 1:]).query_pairs(BACK_M, output_type="ndarray").T

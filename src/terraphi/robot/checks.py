@@ -49,8 +49,8 @@ SOMEWHAT_UNLIKE = 0.3
 above :data:`EXPLAINED` one of them is wrong. Sound ones disagree by 0.5 at most, even if the
 attitude is 20 ms late in a trot (``tests/robot/test_checks.py``)."""
 CLOCK_OFF = 0.03
-"""Part by which velocities may differ from the rate of the angles [-]: 0.001 on simulated walks with
-sensors' errors; ``tests/robot/test_checks.py`` has clocks that are off."""
+"""Part by which velocities may differ from the rate of the angles [-]: 0.001 on simulated walks
+with errors of sensors; ``tests/robot/test_checks.py`` has clocks that are off."""
 _SAMPLES = 2500
 
 
