@@ -68,20 +68,20 @@ size and more it is 0.1 to 0.4 on simulated walks."""
 MOST_RETURNED, WALK_RETURNED = 0.35, 0.15
 """Work that the ground gives back at the end of a stance over what the loading put in, above which
 a footfall is on elastic ground, and the median above which a whole walk is [-]. Elastic ground
-returns all of it, soil what its grains spring back. On simulated sand
-(six worlds, five gaits) usable footfalls have 0.2 at most and walks a median of 0.01 to 0.06; mats
-of 2 to 10 kN/m and two foams 0.6 to 1.6, and medians of 0.9 to 1.3. The limits are between; a
-mat of 3 kN/m and a foam that nearly only creeps, tried afterwards, had medians of 1.0 and 1.4."""
+returns all of it, soil what its grains spring back. On simulated sand (six worlds, five gaits)
+usable footfalls have 0.2 at most and walks a median of 0.01 to 0.06; mats of 2 to 10 kN/m and two
+foams 0.6 to 1.6, and medians of 0.9 to 1.3. The limits are between; a mat of 3 kN/m and a foam that
+nearly only creeps, tried afterwards, had medians of 1.0 and 1.4."""
 MOST_BROKEN, WALK_BROKEN = 0.4, 0.15
 """Part of the force that is lost while a foot goes deeper, above which it broke through a crust,
-and the median above which a walk is on a crust [-]. 80 walks on simulated sand: 0.34 at most and medians
-of 0; by Hansen's formula, whose resistance falls at a depth of one breadth, medians of 0.1. Crusts that
-break at 25, 40 and 60 N: medians of 0.2, 0.3 to 0.5 and 0.6 to 0.7."""
+and the median above which a walk is on a crust [-]. 80 walks on simulated sand: 0.34 at most and
+medians of 0; by Hansen's formula, whose resistance falls at a depth of one breadth, medians of 0.1.
+Crusts that break at 25, 40 and 60 N: medians of 0.2, 0.3 to 0.5 and 0.6 to 0.7."""
 MOST_BORNE = 1.2
 """Force that the ground bears at the deepest point of a stance, over what the law that fits the
-loading gives there, above which something hard lies below [-]. On simulated sand of the assumed
-law and others one of about 2,500 usable footfalls has 1.4, the others 1.07 at most; on a hard layer under 20 to 30 mm of sand the median of
-a walk is 1.2, where its feet reach it."""
+loading gives there, above which something hard lies below [-]. On simulated sand of the assumed law
+and others one of about 2,500 usable footfalls has 1.4, the others 1.07 at most; on a hard layer
+under 20 to 30 mm of sand the median of a walk is 1.2, where its feet reach it."""
 DEEPEST_RADII = 2.0
 """Depth over the radius to which law ``foot`` was simulated [-]; deeper it is continued."""
 BACK_M = 0.3
