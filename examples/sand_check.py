@@ -2,9 +2,9 @@
 
     python examples/sand_check.py --keep walks --csv worlds.csv --page worlds.md
 
-Worlds of the assumed law (``foot``), of other laws and a hard floor; gaits; frictions between foot
-and sand; robots; seeds. A walk takes half a minute to simulate; ``--keep`` keeps it, so that an
-interrupted run goes on.
+Worlds of the assumed law (``foot``), of other laws and of ground that is no sand; gaits; frictions
+between foot and sand; robots; seeds. A walk takes half a minute to simulate; ``--keep`` keeps it,
+so that an interrupted run goes on.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import numpy as np
 import pandas as pd
 from go2.control import HEIGHT
 from go2.model import GO2_MASS
+from go2.sand import Crust, Elastic, Sand
 from go2.walk import Recording, Walk
 from sand_walk import GAITS, sand_log, sand_walk
 
@@ -45,6 +46,14 @@ WORLDS = {
     "floor": World("floor", 0.0, 0.0),
 }
 """At these angles in plane strain feet sink 1 to 2 radii."""
+GROUNDS: dict[str, Sand] = {
+    "mat": Elastic(stiffness=4e3),
+    "foam": Elastic(stiffness=3e3, lossy=6e3, relaxation=0.1),
+    "soft floor": Elastic(stiffness=3e4),
+    "hard layer": Elastic(stiffness=1e5, cover=0.02),
+    "crust": Crust(),
+}
+"""Ground that is no sand, or not only: no footfall may be usable without a note."""
 HELD_BACK = ("slow", "limp")
 """Gaits that walk in the first world only."""
 ANCHOR_M, ANCHOR_SD = 0.5, 1.0 / 3.0
@@ -55,10 +64,13 @@ def world_walk(
     world: str, gait: str, friction: float, seed: int, duration: float, robot: Path | None
 ) -> Walk:
     """The walk of one row of the table."""
-    law, exponent, mean = WORLDS[world]
+    law, exponent, mean = WORLDS.get(world, WORLDS["foot"])
     body = None if robot is None else Quadruped.load(robot)
     walk = sand_walk(gait, seed=seed, law=law, duration=duration, mean=mean)
-    if walk.sand is not None:
+    if world in GROUNDS and walk.sand is not None:
+        ground = replace(GROUNDS[world], phi=walk.sand.phi, surface=walk.sand.surface)
+        walk = replace(walk, sand=ground)
+    elif walk.sand is not None:
         sand = replace(walk.sand, exponent=exponent, surface_friction=friction)
         walk = replace(walk, sand=sand)
     if body is None:
@@ -100,7 +112,8 @@ def score(walk: Walk, recording: Recording, seed: int) -> dict[str, float]:
     usable = found.usable
     numbers = {"footfalls": len(usable), "usable": int(usable.sum()), "s_per_min": spent}
     numbers["s_per_min"] *= 60.0 / float(log.time[-1] - log.time[0])
-    if walk.sand is None or not usable.any():
+    numbers["notes"] = len(found.notes) - 2  # of the density, and that there is no anchor
+    if walk.sand is None or isinstance(walk.sand, Elastic | Crust) or not usable.any():
         return numbers
     start = recording.position[0, :2]
     truth = walk.sand.phi(found.path[:, 1:] + start)
@@ -151,7 +164,13 @@ def page(rows: pd.DataFrame) -> str:
 
 
 @click.command()
-@click.option("--world", "worlds", type=click.Choice(list(WORLDS)), multiple=True, default=WORLDS)
+@click.option(
+    "--world",
+    "worlds",
+    multiple=True,
+    default=[*WORLDS, *GROUNDS],
+    type=click.Choice([*WORLDS, *GROUNDS]),
+)
 @click.option("--gait", "gaits", type=click.Choice(sorted(GAITS)), multiple=True, default=GAITS)
 @click.option("--friction", "frictions", type=float, multiple=True, default=(0.5, 0.3))
 @click.option("--robot", type=click.Path(path_type=Path), help="URDF or MJCF instead of the Go2.")
@@ -182,7 +201,7 @@ def main(
         for world in worlds:
             # Formulas of bearing capacity have no friction; slow and limping walks are of the first
             # world.
-            law = WORLDS[world].law
+            law = WORLDS[world].law if world in WORLDS else world
             for friction in frictions if law in ("foot", "rft") else frictions[:1]:
                 for gait in gaits if world == "foot" else [g for g in gaits if g not in HELD_BACK]:
                     row = {"world": world, "robot": name, "gait": gait, "friction": friction}

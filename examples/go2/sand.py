@@ -119,6 +119,56 @@ class Sand:
         return force * (np.maximum(depth, 1e-4)[..., None] / self.radius) ** self.exponent
 
 
+@dataclass(frozen=True)
+class Elastic(Sand):
+    """A mat, foam or floor that springs back, bare or under sand.
+
+    Attributes
+    ----------
+    stiffness
+        Of its spring [N/m].
+    lossy, relaxation
+        Stiffness of a second spring [N/m] behind a damper, and the time in which that relaxes [s]
+        (a standard linear solid).
+    cover
+        Depth of the sand on it [m]; 0: it is bare.
+    """
+
+    stiffness: float = 5e3
+    lossy: float = 0.0
+    relaxation: float = 0.1
+    cover: float = 0.0
+
+    def lift(self, depth: FloatArray, descent: FloatArray, phi: FloatArray) -> FloatArray:
+        """Force of the sand on top of it."""
+        return super().lift(depth, descent, phi) * (self.cover > 0.0)
+
+
+@dataclass(frozen=True)
+class Crust(Sand):
+    """Weak snow under a crust.
+
+    Attributes
+    ----------
+    breaks_N, thickness
+        Force at which a foot breaks through, and its depth by then [m].
+    weak
+        Growth of the force with depth below the crust [N/m].
+    """
+
+    breaks_N: float = 40.0
+    thickness: float = 0.008
+    weak: float = 1500.0
+
+    def lift(self, depth: FloatArray, descent: FloatArray, phi: FloatArray) -> FloatArray:
+        """Force of crust or snow, the same at all places."""
+        del phi
+        below = depth - self.thickness
+        up = np.where(below < 0.0, self.breaks_N * depth / self.thickness, self.weak * below)
+        up = np.where(descent > -1e-3, np.maximum(up, 0.0), 0.0)
+        return np.stack([-0.6 * up * np.cos(descent), up], axis=-1)
+
+
 class SandForces:
     """Pushes the feet of one simulation."""
 
@@ -127,6 +177,7 @@ class SandForces:
         self._feet = [model.body(f"{foot}_foot").id for foot in FEET]
         self._last, self._held = np.full((4, 3), np.nan), np.zeros((4, 3))
         self._sinking = np.zeros(4)
+        self._spring = np.zeros((4, 4))  # shear of the elastic ground, pressure, lossy part
         self.force = np.zeros((4, 3))
         """On each foot in the world [N], shape [foot, 3]."""
 
@@ -139,6 +190,8 @@ class SandForces:
         depth = sand.surface(place) - (place[:, 2] - sand.radius)
         in_it = depth > 0.0
         self._follow(depth, moved, sand.phi(place), in_it)
+        if isinstance(sand, Elastic):
+            self._press(sand, depth - sand.cover, moved)
         # Tangential stresses on the ball turn it; they matter while it is hardly submerged.
         low = sand.radius * np.exp(-np.maximum(depth, 0.0) / sand.radius)
         for i, body in enumerate(self._feet):
@@ -177,3 +230,18 @@ class SandForces:
         self.force[:, 2] += inertia
         self.force[:, 2] = np.maximum(self.force[:, 2], 0.0)
         self.force[~in_it] = 0.0
+
+    def _press(self, ground: Elastic, deep: FloatArray, moved: FloatArray) -> None:
+        """Add the force of elastic ground: a standard linear solid, and shear up to friction."""
+        spring, gone = self._spring, np.maximum(deep, 0.0) - np.maximum(deep + moved[:, 2], 0.0)
+        spring[:, 3] = spring[:, 3] * np.exp(-self._step / ground.relaxation) + ground.lossy * gone
+        spring[:, 2] = np.maximum(ground.stiffness * deep + spring[:, 3], 0.0)
+        spring[:, :2] -= 2e4 * moved[:, :2]
+        most = ground.surface_friction * spring[:, 2]
+        size = np.linalg.norm(spring[:, :2], axis=1)
+        slips = size > most
+        spring[:, :2] *= np.where(slips, most / np.maximum(size, 1e-9), 1.0)[:, None]
+        spring[deep <= 0.0] = 0.0
+        sticks = (~slips & (deep > 0.0))[:, None]
+        self.force += spring[:, :3]
+        self.force[:, :2] -= np.where(sticks, DAMPING / self._step * moved[:, :2], 0.0)

@@ -16,6 +16,7 @@ from terraphi.inference.touchdowns import (
     inertia,
     noise_covariance,
     predicted,
+    slope_sd,
     with_exponent,
 )
 from terraphi.laws.foot import LAWS, Foot, moved_mass
@@ -34,6 +35,7 @@ def pressed(phi: float = 34.0, *, level: float = 0.003, seed: int | None = 0) ->
         descent=np.full_like(time, 1.4), speed=still, acceleration=still, force=still,
         per_error=np.zeros((*time.shape, 6)),
         used=np.ones_like(time, dtype=bool), torn=np.zeros(1, bool), saturated=np.zeros(1, bool),
+        returned=np.zeros(1), peak=np.ones(1), deepest=drop.max(axis=1), broken=np.zeros(1),
     )  # fmt: skip
     force = predicted(LAWS["rft"], PRIOR, seen, np.array([[phi, level, 0.0]]))
     seen = seen._replace(force=force, per_error=force[..., None] * [1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
@@ -174,8 +176,23 @@ def test_growth_with_depth_is_learnt_from_the_courses_of_force() -> None:
     found = with_exponent(softer, "rft", PRIOR)
     assert found.exponent == pytest.approx(-0.3, abs=0.08)
     assert fit(softer, "rft", found).phi.mean() == pytest.approx(40.4, abs=0.8)
-    # A law that lacks growth with depth is less sure of differences of φ.
-    assert found.slope_sd > 5.0 * PRIOR.slope_sd
+
+
+def test_differences_are_as_unsure_as_laws_differ() -> None:
+    """Of law foot on soil that grows with depth as rft: by what it reads of 2° of that law."""
+    like_rft = replace(PRIOR, exponent=0.4, exponent_sd=0.0, slope_sd=0.0)
+    soil = {"density": 1550.0, "surface_friction": 0.4}
+    foot = Foot(PRIOR.radius)
+    truth = np.array([40.0, 42.0])
+    wanted = LAWS["rft"].force(foot, 0.04, 0.5 * np.pi, friction_angle_deg=truth, **soil)[:, 1]
+    angles = np.linspace(20.0, 48.0, 20000)
+    force = LAWS["foot"].force(foot, 0.04, 0.5 * np.pi, friction_angle_deg=angles, **soil)[:, 1]
+    # Levels are not compared.
+    force *= np.sqrt(wanted.prod()) / np.interp(41.0, angles, force)
+    read = np.diff(np.interp(wanted, force, angles))[0]
+    assert slope_sd("foot", like_rft, 41.0, 0.04) == pytest.approx(2.0 / read - 1.0, rel=0.1)
+    assert slope_sd("foot", replace(like_rft, exponent=-0.3), 41.0, 0.04) == 0.0
+    assert slope_sd("rft", like_rft, 41.0, 0.04) == 0.0
 
 
 def test_noise_has_its_three_parts() -> None:

@@ -196,3 +196,17 @@ def test_noise_bias_delay_and_a_corrected_heading_are_no_finding(log: JointLog) 
 def test_forces_of_no_robot_are_refused(log: JointLog, factor: float, words: str) -> None:
     with pytest.raises(InputError, match=words):
         foot_forces(torque(log, factor))
+
+
+@pytest.mark.parametrize("factor", [0.95, 1.05, 1.1])
+def test_a_clock_that_is_a_little_off_is_noted(log: JointLog, factor: float) -> None:
+    found = foot_forces(replace(log, time=factor * log.time))
+    off = abs(factor - 1.0)
+    assert any(f"joint velocities are {off:.0%}" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("order", [[1, 0, 2, 3], [0, 1, 3, 2]])
+def test_exchanged_legs_are_found_by_the_attitude_alone(sandy: JointLog, order: list[int]) -> None:
+    blind = replace(sandy, angular_velocity=None)
+    assert not foot_forces(blind).grave
+    assert "check the order of the joints" in foot_forces(legs(blind, order)).grave[0]

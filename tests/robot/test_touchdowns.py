@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from terraphi.inference.touchdowns import Touchdowns
 from terraphi.robot.stance import Stance
 from terraphi.robot.touchdowns import touchdowns
 
@@ -58,3 +59,46 @@ def test_a_foot_that_goes_down_aslant_is_seen_as_it_went() -> None:
     rests = [0.275, 0.1, 0.0 - radius]
     assert seen.place[0] == pytest.approx(rests, abs=2e-3)
     assert not seen.torn[0]
+
+
+def stance_of(drop: np.ndarray, force: np.ndarray) -> Touchdowns:
+    """The touch-down of a foot that goes straight down and up in 0.4 s."""
+    time = np.linspace(-0.1, 0.5, len(drop) + 100)
+    feet, lift = np.zeros((2, len(time), 4, 3))
+    feet[50:-50, 0, 2], lift[50:-50, 0, 2] = -drop, force
+    feet[:50, 0, 2] = np.linspace(0.05, 0.0, 50)
+    forces = SimpleNamespace(force=lift, saturated=np.zeros((len(time), 4), dtype=bool))
+    stance = Stance("FR", time[50:-50], lift[50:-50, 0])
+    return touchdowns(
+        SimpleNamespace(time=time), forces, SimpleNamespace(feet=feet), [stance],
+        np.zeros((len(time), 4, 6)), radius=0.022,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.4, 0.7])
+def test_elastic_ground_returns_work_and_soil_does_not(lost: float) -> None:
+    """A spring whose force at unloading is less by a part; soil, which springs back 1 mm of 20."""
+    part = np.linspace(0.0, np.pi, 800)
+    drop = 0.02 * np.sin(part)
+    less = 1.0 - lost * np.clip((part - 1.6) / 0.05, 0.0, 1.0)
+    foam = stance_of(drop, 5000.0 * drop * less)
+    # Both works are of triangles, the loading's up to 0.7 of the peak.
+    base = min(0.7 / (1.0 - lost), 1.0)
+    assert foam.returned[0] == pytest.approx((1.0 - lost) * base**2 / 0.49, rel=0.03)
+    assert foam.peak[0] == pytest.approx(100.0, rel=0.02)
+    assert foam.deepest[0] == pytest.approx(0.02, rel=0.01)
+    assert foam.broken[0] == 0.0
+    stays = np.where(part < 0.5 * np.pi, drop, 0.019 + 0.001 * np.sin(part))
+    assert stance_of(stays, 5000.0 * drop).returned[0] < 0.1
+
+
+def test_a_crust_loses_its_force_and_an_impact_does_not() -> None:
+    """It breaks at 40 N and 6 mm, and 13 N are left 2 mm deeper; soil brakes a foot of 2 m/s."""
+    drop = np.concatenate([np.linspace(0.0, 0.06, 200), np.full(200, 0.06)])
+    force = np.where(drop < 0.006, 40.0 * drop / 0.006, 10.0 + 1500.0 * (drop - 0.006))
+    assert stance_of(drop, force).broken[0] == pytest.approx(27.0 / 40.0, abs=0.1)
+    # 20 N of inertia at first, and soil whose force grows by 1 N/mm.
+    brakes = 0.04 * (1.0 - np.exp(-np.arange(400) / 15.0))
+    speed = np.gradient(brakes, 0.6 / 499)
+    landing = stance_of(brakes, 1000.0 * brakes + 5.0 * speed**2)
+    assert landing.broken[0] < 0.1

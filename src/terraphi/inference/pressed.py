@@ -25,7 +25,7 @@ from terraphi.inference.answer import Answer, Edge, Estimate, RecordFit, Verdict
 from terraphi.inference.estimator import least_squares, weights
 from terraphi.inference.likelihood import UNKNOWN_DENSITY
 from terraphi.inference.records import density_doubts, density_with_sd, roughness
-from terraphi.laws.foot import LAWS, Foot
+from terraphi.laws.foot import DEEPEST, LAWS, Foot
 from terraphi.laws.store import PHI
 
 WINDOWS = 40
@@ -40,8 +40,8 @@ over the largest force: chosen; laws follow loose grains within 5 to 10 %."""
 SOIL_SD_DEG = 1.4
 """Of the error of laws of feet, the part by which soils differ [deg]: 1.4 to 1.6 for five laws in
 loose grains (``docs/plates.md``). Soils in which feet read low are those in which legs do."""
-DEEP, DEEP_SD = 5.0, 0.10
-"""Depth over the radius from which laws are extrapolated, and their error for each radius more."""
+DEEP_SD = 0.10
+"""Error of laws for each radius beyond :data:`~terraphi.laws.foot.DEEPEST` [-], chosen."""
 CONTACT_M, CONTACT = 1e-3, 0.03
 """Error of the first contact: the larger of a length [m] and a part of the radius."""
 CONTRACTIONS, PRIOR, EXPONENTS = np.linspace(0.0, 0.98, 15), 0.25, np.array([1.3, 2.0, 3.0])
@@ -140,7 +140,7 @@ def invert_pressed(
     rough = borne[top] * np.subtract(*(
         curve(best.x[top : top + 1], mu=FRICTION + s * 0.1)[0] for s in (1, -1)
     )) / 0.2  # fmt: skip
-    deep = DEEP_SD * np.maximum(z / radius - DEEP, 0.0) * model
+    deep = DEEP_SD * np.maximum(z / radius - DEEPEST, 0.0) * model
     contraction = float(chance @ nodes[:, 0])
     budget = {
         "model: compaction": COMPACTING_DEG * min(contraction / MOSTLY, 1.0),
@@ -208,8 +208,8 @@ def invert_pressed(
     if named and chance[nodes[:, 0] < 0.1 * SIGNIFICANT].sum() < 0.05:
         notes.insert(0, f"The force begins {100.0 * contraction:.0f} % lower than the law's: loose "
                      "soil that compacts as it is pressed.")  # fmt: skip
-    if z[-1] > DEEP * radius:
-        notes.insert(0, f"The law is extrapolated from {1e3 * DEEP * radius:.0f} mm on, to "
+    if z[-1] > DEEPEST * radius:
+        notes.insert(0, f"The law is extrapolated from {1e3 * DEEPEST * radius:.0f} mm on, to "
                      f"{1e3 * z[-1]:.0f} mm.")  # fmt: skip
     guessed = [] if density is not None else [f"The density {rho:g} kg/m³ is assumed."]
     ends = curve(np.stack([np.clip(estimate.ci95, low, high), best.x[[top, top], 1]], -1))

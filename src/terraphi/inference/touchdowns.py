@@ -43,11 +43,9 @@ resistive force theory, whose stress is proportional to the depth."""
 TAUGHT_SD = 0.03
 """Standard deviation of an exponent that touch-downs have taught [-]; on walks made from the law it
 errs by 0.01 (``tests/robot/test_footfall_truth.py``), on simulated ones by 0.05."""
-SLOPE_PER_SQUARE = 6.0
-"""Standard deviation of the error of a law's growth with φ, per square of the exponent that its
-growth with depth lacks [-]. Law ``foot`` lacks 0.4 for resistive force theory, which changes with φ
-0.4 times as much (an error of 1.5), and 0.2 to 0.4 for Hansen's (errors up to 0.3): root mean
-square 1 at 0.4. It lacks -0.3 for itself with a resistance that grows slower (no error)."""
+SLOPE_LIKE = "rft"
+"""The law whose growth with φ the soil may have (:func:`slope_sd`). At 42° law ``foot`` reads 0.46
+of a difference of φ on its sand, at 30° 0.8; on Hansen's 1.1, which is left to the prior."""
 MOST_FITTED = 120
 """Footfalls from which what they share is learned at most, evenly chosen, so that what no model has
 right does not grow into certainty with the length of a log (chosen)."""
@@ -92,6 +90,14 @@ class Touchdowns(NamedTuple):
         Samples are missing, or come too slowly for a touch-down; shape [touchdown].
     saturated
         A motor of the leg is at its limit in it; shape [touchdown].
+    returned
+        Work that the ground gives back at the end of the stance, over what the loading put in [-],
+        shape [touchdown].
+    peak, deepest
+        Of the whole stance: largest force [N] and largest drop [m], shape [touchdown].
+    broken
+        Largest part of the force that is lost while the foot goes deeper [-], shape [touchdown];
+        what the soil's inertia adds to a landing does not count.
     """
 
     foot: IntArray
@@ -107,6 +113,10 @@ class Touchdowns(NamedTuple):
     used: BoolArray
     torn: BoolArray
     saturated: BoolArray
+    returned: FloatArray
+    peak: FloatArray
+    deepest: FloatArray
+    broken: FloatArray
 
 
 @dataclass(frozen=True)
@@ -138,7 +148,8 @@ class Prior:
         foot's radius, a factor on the law.
     slope_sd
         Of a relative error of differences of φ between places [-], for the law grows with φ
-        otherwise than the soil.
+        otherwise than the soil, where it grows with depth as the soil (chosen; grains of four soils
+        are too few); :func:`slope_sd` adds to it.
     """
 
     phi_deg: float = 32.0
@@ -156,7 +167,7 @@ class Prior:
     law_sd_deg: float | None = None
     exponent: float = 0.0
     exponent_sd: float = 0.2
-    slope_sd: float = 0.05
+    slope_sd: float = 0.1
 
     def shared(self) -> dict[str, tuple[float, float]]:
         """Mean and standard deviation of what all footfalls share, but errors of torques."""
@@ -203,6 +214,8 @@ class Fit(NamedTuple):
         χ² over the degrees of freedom [-].
     cost
         χ² and what z₀ and w are off their prior, over the number of samples [-].
+    borne
+        Largest force of the stance over what the law gives at its deepest point [-].
     shared
         S: how far φ̂ is off per unit of θ − θ₀, shape [touchdown, shared], by :data:`TORQUES` and
         :meth:`Prior.shared`; zero for ``law_slope``, which compares touch-downs.
@@ -214,6 +227,7 @@ class Fit(NamedTuple):
     gained: FloatArray
     misfit: FloatArray
     cost: FloatArray
+    borne: FloatArray
     shared: FloatArray
 
 
@@ -324,8 +338,37 @@ def with_exponent(seen: Touchdowns, law: str, prior: Prior) -> Prior:
         return float(np.log(np.maximum(found.cost, 1e-6)).mean())
 
     best = minimize_scalar(cost, bounds=EXPONENTS, method="bounded", options={"xatol": 0.02}).x
-    slope_sd = float(np.hypot(prior.slope_sd, SLOPE_PER_SQUARE * best**2))
-    return replace(prior, exponent=float(best), exponent_sd=TAUGHT_SD, slope_sd=slope_sd)
+    return replace(prior, exponent=float(best), exponent_sd=TAUGHT_SD)
+
+
+def slope_sd(law: str, prior: Prior, phi: float, depth: float) -> float:
+    """Standard deviation of the relative error of differences of φ between places [-].
+
+    A law L reads a difference of φ as s_true / s_L times what it is, with s = ∂ ln F / ∂φ. How
+    forces on soil grow with φ is unknown, but growth with depth goes with it: resistive force
+    theory grows with depth by a power that is greater by :data:`EXPONENTS`' upper end, and less
+    with φ. So the error is that of its slope as far as the walk's exponent is its one, and
+    :attr:`Prior.slope_sd` anyway.
+
+    Parameters
+    ----------
+    law, prior
+        As in :func:`fit`, with the walk's exponent.
+    phi, depth
+        Typical angle [deg] and depth [m] of the footfalls.
+    """
+
+    def growth(name: str) -> float:
+        low, high = LAWS[name].force(
+            Foot(prior.radius, prior.shape),  # type: ignore[arg-type]
+            depth, 0.5 * np.pi, friction_angle_deg=phi + np.array([-1.0, 1.0]),
+            density=prior.density, surface_friction=prior.surface_friction,
+        )[:, 1]  # fmt: skip
+        return float(np.log(high / low))
+
+    like = np.hypot(max(prior.exponent, 0.0), prior.exponent_sd) / EXPONENTS[1]
+    other = (growth(law) / growth(SLOPE_LIKE) - 1.0) * min(like, 1.0)
+    return float(np.hypot(prior.slope_sd, other))
 
 
 def _fit(seen: Touchdowns, law: FootLaw, prior: Prior) -> Fit:
@@ -383,7 +426,11 @@ def _fit(seen: Touchdowns, law: FootLaw, prior: Prior) -> Fit:
     sd = np.sqrt(weights(slope, scaled, precision)[1][:, 0, 0])
     sinkage = np.where(np.isfinite(sinkage), sinkage, 0.0)
     gained = np.where(rising.any(axis=1), bottom - top, 0.0)
-    return Fit(state[:, 0], sd, sinkage, gained, misfit, cost_each, shared)
+    end = seen._replace(
+        drop=seen.deepest[:, None], descent=np.array([[0.5 * np.pi]]), time=np.array([[0.0]])
+    )
+    borne = seen.peak / np.maximum(predicted(law, prior, end, state)[:, 0], NOISE_N)
+    return Fit(state[:, 0], sd, sinkage, gained, misfit, cost_each, borne, shared)
 
 
 def _slopes(law: FootLaw, prior: Prior, seen: Touchdowns, state: FloatArray) -> FloatArray:

@@ -67,6 +67,8 @@ DESCENTS = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 61)
 """Directions of motion that are tabulated, from straight up to straight down [rad]."""
 SCHEMA = 1
 """Of the files of simulated forces."""
+DEEPEST = 5.0
+"""Depth over the radius to which law ``foot`` was simulated [-]."""
 MOVED = (2.3, 1.2)
 """a and b of :func:`moved_mass` [-] (``docs/landing.md``)."""
 BEYOND_DEG, BEYOND_FRICTION = 3.0, 0.15

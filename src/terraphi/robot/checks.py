@@ -22,6 +22,7 @@ from terraphi.robot.forces import FootForces, SensorErrors
 from terraphi.robot.friction import BEARING_SHARE
 from terraphi.robot.joint_log import AVERAGE_S, FEET, JointLog
 from terraphi.robot.legs import Legs, body_rate, rotation
+from terraphi.robot.logs.samples import velocity_ratio
 from terraphi.robot.model import Quadruped
 from terraphi.robot.stance import Stance
 from terraphi.robot.touchdowns import STANCE_SD
@@ -47,6 +48,9 @@ SOMEWHAT_UNLIKE = 0.3
 """Part of the turning by which attitude and gyroscope disagree [-] if another reading explains it;
 above :data:`EXPLAINED` one of them is wrong. Sound ones disagree by 0.5 at most, even if the
 attitude is 20 ms late in a trot (``tests/robot/test_checks.py``)."""
+CLOCK_OFF = 0.03
+"""Part by which velocities may differ from the rate of the angles [-]: 0.001 on simulated walks
+with errors of sensors; ``tests/robot/test_checks.py`` has clocks that are off."""
 _SAMPLES = 2500
 
 
@@ -103,12 +107,22 @@ def check(
     if attitude and legs:
         both = f"{attitude[0].text}; or, if they are right, {legs[0].text}"
         attitude, legs = [], [Finding(both, True)]
+    weight += _clock(log)
     if legs or weight or mean is None or forces.frame == "body":
         return [*weight, *attitude, *legs]
     if mean[1] <= BEARING_SHARE:
         return attitude
     push = f"the feet push the robot sideways with {mean[1]:.0%} of its weight on average"
     return [*attitude, Finding(f"{push}: are the angles' zeros and the attitude right?", True)]
+
+
+def _clock(log: JointLog) -> list[Finding]:
+    """Velocities that the log's clock does not bear out."""
+    off = velocity_ratio(log.time, log.angle, log.velocity) - 1.0
+    if abs(off) < CLOCK_OFF:
+        return []
+    text = f"joint velocities are {abs(off):.0%} {'above' if off > 0.0 else 'below'} the rate at "
+    return [Finding(f"{text}which the angles change: is the clock, or a gear ratio, right?")]
 
 
 def _weight(lift: float, robot: Quadruped) -> list[Finding]:
@@ -182,6 +196,19 @@ def _attitude(log: JointLog) -> list[Finding]:
     return [Finding(text)] if off > EXPLAINED else []
 
 
+def _spin(log: JointLog) -> FloatArray:
+    """Rate of turning in the trunk's frame [rad/s], by the gyroscope or else by the attitude."""
+    if log.angular_velocity is not None:
+        return np.asarray(log.angular_velocity, float)
+    assert log.quaternion is not None, "checked before"
+    every = max(1, round(AVERAGE_S / float(np.median(np.diff(log.time)))))
+    time = log.time[::every]
+    if len(time) < 2:
+        return np.zeros((len(log.time), 3))
+    rate, middle = body_rate(log.quaternion[::every], np.diff(time)), 0.5 * (time[1:] + time[:-1])
+    return np.stack([np.interp(log.time, middle, each) for each in rate.T], axis=1)
+
+
 def _legs(log: JointLog, robot: Quadruped) -> list[Finding]:
     """Legs in another order, by how feet that stand slide and by moments that nothing balances.
 
@@ -190,13 +217,13 @@ def _legs(log: JointLog, robot: Quadruped) -> list[Finding]:
     The likeliest order has the least product of the three root mean squares. All left legs for all
     right ones are a robot in a mirror: only sliding counts between the two.
     """
-    if log.angular_velocity is None:
+    if log.angular_velocity is None and log.quaternion is None:
         return []
     every = slice(None, None, max(1, len(log.time) // _SAMPLES))
-    angle, velocity, spin, torque = (
-        np.asarray(v[every], float)
-        for v in (log.angle, log.velocity, log.angular_velocity, log.torque)
+    angle, velocity, torque = (
+        np.asarray(v[every], float) for v in (log.angle, log.velocity, log.torque)
     )
+    spin = _spin(log)[every]
     count, feet, weight = len(angle), np.arange(len(FEET)), robot.mass * GRAVITY
     turn = np.broadcast_to(np.eye(3), (count, 3, 3))
     if log.quaternion is not None:

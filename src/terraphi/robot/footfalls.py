@@ -25,6 +25,7 @@ from terraphi.robot.legs import rotation
 from terraphi.robot.logs.columns import Columns
 from terraphi.robot.model import Quadruped
 from terraphi.robot.results import foot_forces
+from terraphi.robot.stance import running_mean
 from terraphi.robot.touchdowns import Motion, sensitivity, touchdowns, track
 
 CONTACT_PART = 0.4
@@ -40,6 +41,10 @@ map, are measured [s]: half a stride of a walk."""
 AVERAGED_S = 0.05
 """Forces are averaged over this time, which counts as one weighing [s]: a tenth of a stride
 (chosen)."""
+RESTS_PART, STRIDE_S = 0.8, 1.6
+"""Part of the usual load of all feet below which the body rests on the ground [-], and the time
+over which loads are averaged, the stride of a slow walk [s]. In ten simulated walks of five gaits
+the mean never falls below 0.98."""
 MASS_SD = 0.02
 """What the robot weighs is known to this part [-]: a payload of 0.3 kg on a Go2 (chosen)."""
 MOST_NEWS = 25.0
@@ -113,8 +118,15 @@ def footfalls(
     # The centre of mass accelerates otherwise than the trunk: legs are half of the robot.
     acceleration = motion.lift_acceleration + forces.leg_inertia / body.mass
     errors = SensorErrors()
+    total = lift.sum(axis=1) / (body.mass * GRAVITY)
     torque_sd = np.concatenate([[errors.gain] * 12, errors.friction_sd(forces.friction).ravel()])
     notes = [note for note in analysis.notes if "the axis of Fx" not in note]
+    if (rests := carried_s(log.time, total)) > 0.0:
+        notes.insert(
+            0,
+            f"for {rests:.1f} s the feet bear less than {RESTS_PART:.0%} of what they bear "
+            "otherwise: the body touches the ground, or the robot is held",
+        )
     found = infer(
         seen,
         calibrate_on_weight(log.time, lift, acceleration, per, torque_sd, mass=body.mass),
@@ -150,6 +162,24 @@ def assumptions(
     known = [Anchor.of(a) if isinstance(a, str) else a for a in given]
     text = f"density {chosen.density:g} ± {chosen.density_sd:g} kg/m³, assumed"
     return body, chosen, known, [text] if density is None and prior is None else []
+
+
+def carried_s(time: FloatArray, lift: FloatArray) -> float:
+    """How long something else than the feet carries a robot [s].
+
+    Parameters
+    ----------
+    time, lift
+        [s], and what all feet bear over the weight [-], shape [sample]; not a number where unknown.
+    """
+    step = float(np.median(np.diff(time)))
+    half = max(1, round(0.5 * STRIDE_S / step))
+    known = np.isfinite(lift)
+    counts, sums = (running_mean(v[:, None], half)[:, 0] for v in (known, np.nan_to_num(lift)))
+    mean = sums[half:-half] / np.maximum(counts[half:-half], 1e-9)
+    mean = mean[counts[half:-half] > 0.5]
+    # Against the log's own level: gains of the torques are off.
+    return float(step * (mean < RESTS_PART * np.median(mean)).sum()) if len(mean) else 0.0
 
 
 def from_the_start(motion: Motion, log: JointLog) -> Motion:

@@ -138,7 +138,17 @@ def _refuse_if_hopeless(path: Path, dropped: Counter[str], kept: int) -> None:
 
 
 def _check_units(path: Path, time: FloatArray, angle: FloatArray, velocity: FloatArray) -> None:
-    """Refuse velocities that are not the rate at which the angles change.
+    """Refuse velocities that are not the rate at which the angles change."""
+    ratio = velocity_ratio(time, angle, velocity)
+    if not 1.0 / _UNLIKE < ratio < _UNLIKE:
+        raise InputError(
+            f"{path}: joint velocities are {ratio:.3g} times the rate at which the angles change; "
+            "look at the units of times (s), angles (rad) and velocities (rad/s)"
+        )
+
+
+def velocity_ratio(time: FloatArray, angle: FloatArray, velocity: FloatArray) -> float:
+    """Joint velocities over the rate at which the angles change [-]; 1 where nothing shows it.
 
     The ratio is the slope of a regression of the velocities' integral on the change of the angles,
     over spans that are long against the noise of both and short against a stride.
@@ -147,7 +157,7 @@ def _check_units(path: Path, time: FloatArray, angle: FloatArray, velocity: Floa
 
     time, angle, velocity = (v[:_MOTION_SAMPLES] for v in (time, angle, velocity))
     if len(time) < 2:
-        return
+        return 1.0
     usual = float(np.median(np.diff(time)))
     every = max(1, min(round(AVERAGE_S / usual), len(time) // 4))
     way = np.diff(cumulative_trapezoid(velocity, time, axis=0, initial=0.0)[::every], axis=0)
@@ -156,14 +166,9 @@ def _check_units(path: Path, time: FloatArray, angle: FloatArray, velocity: Floa
     way, moved = way[whole], moved[whole]
     rate = float(np.maximum(np.abs(moved), np.abs(way)).sum() / max(span[whole].sum(), 1e-12)) / 12
     both, squares = float(np.sum(way * moved)), float(np.sum(moved**2))
-    ratio = both / max(squares, 1e-12)
     # Samples that are far apart miss what happens between them.
     proportional = abs(both) > _PROPORTIONAL * np.sqrt(squares * np.sum(way**2))
-    if rate > STANDSTILL and proportional and not 1.0 / _UNLIKE < ratio < _UNLIKE:
-        raise InputError(
-            f"{path}: joint velocities are {ratio:.3g} times the rate at which the angles change; "
-            "look at the units of times (s), angles (rad) and velocities (rad/s)"
-        )
+    return both / max(squares, 1e-12) if rate > STANDSTILL and proportional else 1.0
 
 
 def seconds(
