@@ -36,7 +36,7 @@ from terraphi.laws.foot import LAWS, Foot
 
 RATIO = np.linspace(0.0, 5.0, 251)
 """Depths over the radius of the table."""
-LAST = 1.8
+LAST = 1.5
 """Depth over the radius to which the shallow simulations are used; farther on forces grow as those
 of plan `foot-deep` do."""
 SETTLED_S, OUTERMOST = 0.06, 0.98
@@ -58,9 +58,11 @@ DEEPER = 0.04
 particles in a cell grow otherwise by up to as much (the page)."""
 SCATTER, UNKNOWN = 0.02, 0.05
 """Of ln F: between particle seeds and in smoothing, and for a correction that was not simulated."""
+SOFT = 2e6
+"""Young's modulus of the usual soil [Pa]."""
 NAMES = {"sphere": "ball", "cylinder": "disc"}
-LIBRARIES = ("foot", "foot-45", "foot-22", "foot-numerics")
-"""Those of the steps of numerics last."""
+LIBRARIES = ("foot", "foot-45", "foot-22", "foot-stiff", "foot-numerics")
+"""Those that replace cases of the first, and of the steps of numerics, last."""
 DEEP = "foot-deep"
 """The library that goes to five radii."""
 PLATE_DENSITY = 1330.0
@@ -274,20 +276,23 @@ def correction(cases: list[Case], shape: str, angles: np.ndarray) -> tuple[np.nd
 
 def table_of(cases: list[Case], shape: str) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Axes, and forces [friction, phi, tilt, ratio, 2]."""
-    usual = {
-        (c.friction, c.phi, c.tilt): c.force
-        for c in cases
-        if c.shape == shape and c.particles == 4 and c.dilation == 0.0 and c.cells == 3.0
-    }
+    every = [c for c in cases
+             if (c.shape, c.particles, c.dilation, c.cells) == (shape, 4, 0.0, 3.0)]  # fmt: skip
+    usual = {(c.friction, c.phi, c.tilt): c.force for c in every if c.stiffness == SOFT}
+    # Soil that is too soft for its strength: what stiffer soil has straight down holds at 45° too,
+    # and for a smooth disc, whose friction changes nothing.
+    for c in every:
+        if c.stiffness > SOFT:
+            stiffer = c.force[:, 1:] / usual[c.friction, c.phi, 0.0][:, 1:]
+            own = [key for key in usual if key[:2] == (c.friction, c.phi)]
+            usual |= {key: usual[key] * stiffer for key in own}
     angles = sorted(p for f, p, t in usual if f == 0.5 and t == 0.0 and (f, p, 45.0) in usual)
-    # Soil too soft for its strength has no load at the surface: such an angle is left out.
-    soft = {p for (_, p, _), force in usual.items() if force[1:, 1].min() <= 0.0}
-    angles = [p for p in angles if (0.2, p, 0.0) in usual and p not in soft]
+    angles = [p for p in angles if (0.2, p, 0.0) in usual]
     whole = [t for t in (0.0, 22.5, 45.0) if all((0.5, p, t) in usual for p in angles)]
     axes = {"friction": [0.2, 0.5], "phi_deg": angles, "tilt_deg": whole}
-    # A smooth disc at 45° in soil of 50° was not simulated: friction of a disc changes nothing.
+    stiff = {c.phi for c in every if c.stiffness > SOFT}
     force = np.array([
-        [[usual.get((f, p, t), usual[0.5, p, t]) for t in whole] for p in angles]
+        [[usual[0.5 if p in stiff else f, p, t] for t in whole] for p in angles]
         for f in axes["friction"]
     ])  # fmt: skip
     force[:, :, 0, :, 0] = 0.0  # by symmetry
@@ -390,9 +395,10 @@ def main() -> None:
         widest = max(map(len, rows), default=1)
         header = ("change", *["lift"] * (widest - 1))
         listed = (", ".join(f"{v:g}" for v in axes[key]) for key in ("phi_deg", "tilt_deg"))
-        told = "The {}: φ {}°, μ 0.2 and 0.5, {}° from the vertical, to five radii.".format(
-            NAMES[shape], *listed
-        )
+        told = (
+            "The {}: φ {}°, μ 0.2 and 0.5, {}° from the vertical, to five radii; soil of 36° and "
+            "more grows as that of 36° beyond {:g} radii."
+        ).format(NAMES[shape], *listed, LAST)
         parts += [told, pages.table(header, [(*r, *[""] * (widest - len(r))) for r in rows])]
         factors = zip(axes["phi_deg"], np.exp(log[:, 50]), sd[:, 50], strict=True)
         text = ", ".join(f"{f:.2f} ± {100 * s:.0f} % at {phi:g}°" for phi, f, s in factors)

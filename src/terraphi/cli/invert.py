@@ -186,6 +186,7 @@ def demo(out: Path, as_json: bool) -> None:
         {"answers": [one.as_dict() for one in answers], "picture": str(picture)},
         f"Simulated with φ = {TRUTH_DEG:g}°, then inverted; and two measured soils.\n",
         *(f"{headline(answer)}\n{answer.reason}\n" for answer in answers),
-        f"Picture: {picture}\nYour own: terraphi invert FORCES.csv --rig RIG.toml --density KG_M3",
+        f"Picture: {picture}\nYour own: terraphi invert {out}/forces.csv --rig {out}/rig.toml "
+        "--density KG_M3, with your files in place of these.",
         as_json=as_json,
     )

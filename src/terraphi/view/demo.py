@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,11 +20,11 @@ TRUTH_DEG = 33.0
 NOISE_N = 0.5
 """Standard deviation of the noise that is added to each simulated reading [N]."""
 SOILS = {"yuma": "li2013:yuma/straight", "poppy": "li2013:poppy_loose/straight"}
-"""Measured records, by the name of their folder."""
+"""Measured records, by the name of their folder; the first is left as a table, with its rig."""
 
 
 def run(out: Path) -> tuple[list[Answer], Path]:
-    """Invert the three records; write their answers and a picture into a folder.
+    """Invert the three records; write their answers, a picture, a table and its rig into a folder.
 
     Returns
     -------
@@ -31,7 +32,8 @@ def run(out: Path) -> tuple[list[Answer], Path]:
     """
     from matplotlib.figure import Figure
 
-    from terraphi.experiment.files import made_folder
+    from terraphi.experiment.files import atomic_write, made_folder
+    from terraphi.experiment.measurements import measurement
     from terraphi.inference.inversion import invert
 
     answers = {"simulated": invert(known_record(), noise=NOISE_N)}
@@ -44,6 +46,12 @@ def run(out: Path) -> tuple[list[Answer], Path]:
         answer.plot(row)
         row.suptitle(f"{answer.source}: {answer.verdict.replace('_', ' ')}", fontsize="medium")
     save(figure, out / "demo.png")
+    name = next(iter(SOILS.values()))
+    measurement(name).history.to_csv(out / "forces.csv")
+    sizes = answers[next(iter(SOILS))].rigs[0].model_dump(exclude_defaults=True)
+    lines = [f"{key} = {json.dumps(value)}\n" for key, value in sizes.items()]
+    with atomic_write(out / "rig.toml") as temporary:
+        temporary.write_text("".join(lines), encoding="utf-8")
     return list(answers.values()), out / "demo.png"
 
 
