@@ -93,7 +93,8 @@ def phi_deg(hit: Hit, *, inertia: bool = True) -> float:
         drop=hit.depth[None], descent=np.full((1, WINDOWS), 0.5 * np.pi), speed=speed[None],
         acceleration=hit.acceleration[None] * inertia, force=hit.force[None],
         per_error=np.zeros((1, WINDOWS, 6)), used=np.ones((1, WINDOWS), dtype=bool),
-        torn=np.zeros(1, dtype=bool), saturated=np.zeros(1, dtype=bool),
+        torn=np.zeros(1, dtype=bool), saturated=np.zeros(1, dtype=bool), returned=np.zeros(1),
+        peak=np.ones(1), deepest=np.array([DEEPEST]), broken=np.zeros(1),
     )  # fmt: skip
     prior = touchdowns.Prior(
         density=hit.density, surface_friction=FRICTION, radius=RADIUS, level_sd=2e-3, drift_sd=1e-4

@@ -120,6 +120,7 @@ def landed(name: str) -> tuple[Touchdowns, Prior]:
         descent=np.full((1, 24), 0.5 * np.pi), speed=speed[None], acceleration=acceleration[None],
         force=force[None], per_error=np.zeros((1, 24, 6)), used=np.ones((1, 24), dtype=bool),
         torn=np.zeros(1, bool), saturated=np.zeros(1, bool),
+        returned=np.zeros(1), peak=np.ones(1), deepest=drop.max(axis=1), broken=np.zeros(1),
     )  # fmt: skip
     prior = replace(PRIOR, density=density, surface_friction=0.35, level_sd=2e-3, drift_sd=1e-4)
     return seen, prior

@@ -322,7 +322,7 @@ def wrench(
 
 
 LAWS: Mapping[str, FootLaw] = {
-    "foot": FootLaw("foot", simulated_force, sd_deg=2.5),
+    "foot": FootLaw("foot", simulated_force, sd_deg=2.6),
     "rft": FootLaw("rft", resistive_force, "rft3d", sd_deg=8.0),
     **{
         name: FootLaw(name, partial(bearing_capacity, name))
