@@ -56,6 +56,14 @@ def test_answers_far_apart_are_a_misfit_and_one_misfit_spoils_all(plate: Answer)
         combined([low, replace(low, convention="rft3d")])
 
 
+def test_what_answers_share_is_not_widened_by_their_disagreement(plate: Answer) -> None:
+    """It cancels in their difference, so that the difference says nothing of it."""
+    apart = [normal(plate, phi, 0.8, 2.5, "foot") for phi in (30.0, 32.2)]
+    joint = combined(apart)
+    assert joint.verdict == "consistent"
+    assert 2.5 < joint.phi.sd < 1.2 * apart[0].phi.sd
+
+
 @pytest.mark.parametrize("soil", CRITICAL_DEG)
 def test_leg_plate_and_ball_in_one_soil_narrow_its_angle(soil: str, tmp_path: Path) -> None:
     legs = GRAINS / f"{soil}-loose_straight_1.csv"

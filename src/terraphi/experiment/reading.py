@@ -84,7 +84,10 @@ class Columns(Strict):
     @classmethod
     def _named(cls, value: Any, info: ValidationInfo) -> Any:
         """Our name of a unit that is written otherwise, such as ``lbs``."""
-        unit = isinstance(value, str) and str(info.field_name).endswith("unit")
+        name = str(info.field_name)
+        if isinstance(value, int) and cls.model_fields[name].annotation == str | None:
+            return str(value)  # a header of numbers
+        unit = isinstance(value, str) and name.endswith("unit")
         return (unit_named(value) if unit else None) or value
 
     @classmethod
@@ -620,7 +623,7 @@ class Pressed(NamedTuple):
     force: FloatArray
     """Up on the body [N]."""
     rows: int
-    """Of the table."""
+    """Number of rows of the table."""
     notes: list[str]
     """What was guessed and left out."""
 
@@ -671,6 +674,8 @@ class _PressReading(_Reading):
     def _choose(self) -> None:
         """Find sinkage and force, or the pressure."""
         given: dict[str, str] = self.units.model_dump(include=set(PRESSED), exclude_none=True)
+        if {"force", "pressure"} <= given.keys():
+            self.wrong.append("--columns names a force and a pressure; one of them is needed")
         for role, column in given.items():
             self._take(role, column)
         for role in PRESSED if not self.wrong else ():

@@ -2,8 +2,8 @@
 
 Each answer is a normal distribution. Answers share the error of the density and what the soil does
 that no law has, and those of one law what is wrong with it, so that the best mean is that of
-generalized least squares. Answers that
-disagree by more than their errors widen it by Birge's ratio, and by far more are a misfit.
+generalized least squares. Where answers disagree by more than their errors, Birge's ratio widens
+what is each one's own, for what they share cancels in their difference. Far more is a misfit.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from statistics import NormalDist
 
 import numpy as np
 
@@ -24,9 +25,8 @@ OF_SOIL = ("density", "model: soil")
 """Terms that all answers share."""
 OF_LAW = ("model: law", "model: compaction", "surface friction", "rectangle")
 """Terms that answers by one law share."""
-DISAGREE = 2.58
-"""Standard deviations of the difference of two answers above which they are a misfit [-]: one sound
-pair in a hundred."""
+CHANCE = 0.01
+"""Chance with which sound answers disagree by so much that they are called a misfit [-]."""
 STEP_DEG = 0.05
 
 
@@ -65,13 +65,18 @@ def combined(answers: Sequence[Answer]) -> Answer:
     median = float(weight @ phi)
     apart = phi - median
     birge = math.sqrt(max(float(apart @ inverse @ apart) / (len(phi) - 1), 1.0))
-    sd = birge * math.sqrt(float(weight @ covariance @ weight))
+    own = np.diag(covariance) - sum(
+        np.square(terms.get(name, 0.0 * phi)) * (shared.sum(axis=1) > 1)
+        for name, shared in same.items()
+    )
+    wider = math.sqrt((birge**2 - 1.0) * float(weight**2 @ np.maximum(own, 0.0)))
+    sd = math.hypot(math.sqrt(float(weight @ covariance @ weight)), wider)
     budget = {
         name: math.sqrt(float((weight * each) @ same.get(name, np.eye(len(phi))) @ (weight * each)))
         for name, each in terms.items()
     }
-    if birge > 1.0:
-        budget["disagreement"] = sd * math.sqrt(1.0 - birge**-2)
+    if wider > 0.0:
+        budget["disagreement"] = wider
     digits = max(decimals((median - sd, median + sd)), 0)
     each = [f"{one.source} {one.phi.median:.{digits}f} ± {one.phi.sd:.1f}°" for one in answers]
     verdict: Verdict = "consistent"
@@ -84,7 +89,7 @@ def combined(answers: Sequence[Answer]) -> Answer:
     ]  # fmt: skip
     if worse := [one for one in answers if one.verdict != "consistent"]:
         verdict, reason = worse[0].verdict, f"{worse[0].source}: {worse[0].reason}"
-    elif max(spread) > DISAGREE:
+    elif max(spread) > NormalDist().inv_cdf(1.0 - 0.5 * CHANCE / len(pairs)):
         verdict = "misfit"
         reason = (
             f"Misfit: {', '.join(each)} disagree; check sizes, density and moisture, and whether "

@@ -82,6 +82,8 @@ MOST_BORNE = 1.2
 loading gives there, above which something hard lies below [-]. On simulated sand of the assumed law
 and others one of about 2,500 usable footfalls has 1.4, the others 1.07 at most; on a hard layer
 under 20 to 30 mm of sand the median of a walk is 1.2, where its feet reach it."""
+FEWEST_TYPICAL = 5
+"""Footfalls that a median of a walk needs (chosen)."""
 BACK_M = 0.3
 """A trunk that comes nearer than this to its former path, a robot's width, may tread in its own
 prints [m]."""
@@ -470,7 +472,7 @@ def infer(
         ]  # fmt: skip
     sinkage = np.where(verdict == SHALLOW, found.gained, found.sinkage)
     notes = [
-        *_ground_notes(seen, verdict), *contradicted, *density_doubts(prior.density), *notes
+        *_ground_notes(seen, found, verdict), *contradicted, *density_doubts(prior.density), *notes
     ]  # fmt: skip
     # Inclination of the plane through places where feet met the ground.
     x, y, z = seen.place.T
@@ -530,7 +532,9 @@ def _with_growth(seen: Touchdowns, law: str, prior: Prior) -> Prior:
     return with_exponent(picked(seen, deep), law, prior) if deep.sum() >= FEWEST else prior
 
 
-def verdicts(seen: Touchdowns, found: Fit, radius: float) -> NDArray[np.str_]:
+def verdicts(
+    seen: Touchdowns, found: Fit, radius: float, *, returned: float | None = None
+) -> NDArray[np.str_]:
     """Verdict of each footfall: the first reason against it, else :data:`USABLE`.
 
     Parameters
@@ -539,17 +543,21 @@ def verdicts(seen: Touchdowns, found: Fit, radius: float) -> NDArray[np.str_]:
         The touch-downs of a log, in the order of time, and their fit.
     radius
         Of the foot [m].
+    returned
+        Work that the ground of the walk gives back (:func:`walk_median`), if these are a part.
     """
+    if returned is None:
+        returned = walk_median(seen.torn, found.gained, seen.returned)
     trodden, printed = _trodden(seen, NEAR_RADII * radius)
-    springs, breaks, layer = not_soil(seen, found)
+    springs = (seen.returned > MOST_RETURNED) | (returned > WALK_RETURNED)
     rests = seen.used.sum(axis=1) < FEWEST
     reasons = (
         (TORN, seen.torn),
         (SATURATED, seen.saturated),
         (SHALLOW, (found.gained < LEAST_GAINED) | rests),
         (ELASTIC, springs),
-        (CRUST, breaks),
-        (HARD, layer),
+        (CRUST, seen.broken > MOST_BROKEN),
+        (HARD, found.borne > MOST_BORNE),
         (PRINT, printed),
         (TRODDEN, trodden),
         (EDGE, np.isin(found.phi, PHI_RANGE)),
@@ -563,24 +571,27 @@ def comes_back(path: FloatArray) -> bool:
     """True if a path (s, x, y) comes nearer than :data:`BACK_M` to itself, a metre or so later."""
     from scipy.spatial import cKDTree
 
-    first, second = cKDTree(path[:, 1:]).query_pairs(BACK_M, output_type="ndarray").T
-    return bool(np.any(np.abs(path[second, 0] - path[first, 0]) > 4.0 * BACK_M))
+    # Points of a long path are farther apart than that.
+    near = max(BACK_M, float(np.diff(path[:, 0]).max(initial=0.0)))
+    first, second = cKDTree(path[:, 1:]).query_pairs(near, output_type="ndarray").T
+    return bool(np.any(np.abs(path[second, 0] - path[first, 0]) > 4.0 * near))
 
 
-def not_soil(seen: Touchdowns, found: Fit) -> tuple[BoolArray, BoolArray, BoolArray]:
-    """Footfalls on elastic ground, through a crust, and on something hard below the soil."""
-    springs = (seen.returned > MOST_RETURNED) | (_typical(seen, seen.returned) > WALK_RETURNED)
-    return springs, seen.broken > MOST_BROKEN, found.borne > MOST_BORNE
+def walk_median(torn: BoolArray, gained: FloatArray, values: FloatArray) -> float:
+    """Median of values over the touch-downs whose timing is reliable and that sank in.
+
+    0 if they are fewer than :data:`FEWEST_TYPICAL`; on hard ground a foot hardly sinks, and what
+    comes before the soil or after it says nothing of the soil.
+    """
+    sound = ~torn & (gained >= LEAST_GAINED)
+    return float(np.median(values[sound])) if sound.sum() >= FEWEST_TYPICAL else 0.0
 
 
-def _typical(seen: Touchdowns, values: FloatArray) -> float:
-    """Median over the touch-downs of a walk whose timing is reliable; 0 without one."""
-    return float(np.median(values[~seen.torn])) if not seen.torn.all() else 0.0
-
-
-def _ground_notes(seen: Touchdowns, verdict: NDArray[np.str_]) -> list[str]:
+def _ground_notes(seen: Touchdowns, found: Fit, verdict: NDArray[np.str_]) -> list[str]:
     """Sentences on ground that is no soil, or not only soil."""
-    returned, broken = _typical(seen, seen.returned), _typical(seen, seen.broken)
+    returned, broken = (
+        walk_median(seen.torn, found.gained, each) for each in (seen.returned, seen.broken)
+    )
     notes = []
     if returned > WALK_RETURNED:
         notes.append(

@@ -108,7 +108,8 @@ def invert(
         ``plate:151``, ``plate:38x25`` or ``ball:44`` [mm] in place of a leg: a body pressed
         straight down, with the columns sinkage and force or pressure. ``law`` is then one
         of feet. Of records of several bodies in one soil, those of tools are named such as
-        ``"plate.csv@plate:151"``, or ``(table, "plate:151")``.
+        ``"plate.csv@plate:151"``, or ``(table, "plate:151")``; ``law`` and ``columns`` are then
+        those of the legs.
     density
         Bulk density [kg/m³], as a number (± 5 %) or ``"1600±80"``; ``None``: from the forces' file,
         else the library's.
@@ -163,13 +164,17 @@ def invert(
         wrong = [name for name, value in given.items() if value is not None and not of_legs]
         if wrong:
             raise InputError(f"a tool excludes {', '.join(wrong)}; leave out one or the other")
-        if of_legs and not (columns is None and law is None):
-            raise InputError("columns and law are of one kind of body; leave them out")
-        answers = [
-            *([invert(of_legs, density=density, seed=seed, **given)] if of_legs else []),
-            *(invert_pressed(*one, density=density, law=law, columns=columns)
-              for one in tools if one),
-        ]  # fmt: skip
+        answers = []
+        if of_legs:
+            answers = [
+                invert(of_legs, density=density, law=law, columns=columns, seed=seed, **given)
+            ]
+            # One soil has one density, and its columns and law are those of the legs.
+            sd = answers[0].density_sd_kg_m3 or 0.05 * answers[0].density_kg_m3
+            density, law, columns = f"{answers[0].density_kg_m3:g}±{sd:g}", None, None
+        answers += [
+            invert_pressed(*one, density=density, law=law, columns=columns) for one in tools if one
+        ]
         answer = combined(answers) if len(answers) > 1 else answers[0]
         return answer if critical is None else with_peak(answer, critical)
     began = time.perf_counter()

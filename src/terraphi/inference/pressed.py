@@ -67,10 +67,10 @@ RANGE_DEG = np.arange(10.0, 55.5, 0.5)
 def pressed_by(source: Any) -> tuple[Any, str] | None:
     """Table and tool of ``"plate.csv@plate:151"`` or of such a pair; ``None`` of other forces."""
     if isinstance(source, str):
-        source = source.rpartition("@")[::2]
-    if not (isinstance(source, tuple) and len(source) == 2 and isinstance(source[1], str)):
-        return None
-    return source if re.match("(plate|ball):", source[1]) else None
+        found = re.fullmatch(r"(.+)@(\w+:[^/\\]*)", source)
+        source = found.groups() if found else None
+    pair = isinstance(source, tuple) and len(source) == 2 and isinstance(source[1], str)
+    return source if pair and re.match(r"\w+:[\d.]", source[1]) else None
 
 
 def invert_pressed(
@@ -87,7 +87,7 @@ def invert_pressed(
         raise InputError(f"no law '{name}' of a tool; {nearest(name, tuple(LAWS))}")
     radius = tool.radius
     table = read_pressed(source, math.pi * radius**2, columns)
-    label = str(source) if isinstance(source, str | Path) else type(source).__name__
+    label = str(source) if isinstance(source, str | Path) else f"{type(source).__name__} ({text})"
     rho, rho_sd = DENSITY, UNKNOWN_DENSITY * DENSITY
     if density is not None:
         rho, rho_sd = density_with_sd(density, label)

@@ -348,7 +348,8 @@ def slope_sd(law: str, prior: Prior, phi: float, depth: float) -> float:
     forces on soil grow with φ is unknown, but growth with depth goes with it: resistive force
     theory grows with depth by a power that is greater by :data:`EXPONENTS`' upper end, and less
     with φ. So the error is that of its slope as far as the walk's exponent is its one, and
-    :attr:`Prior.slope_sd` anyway.
+    :attr:`Prior.slope_sd` anyway. Read by that theory, soil of the opposite exponent is like law
+    ``foot``.
 
     Parameters
     ----------
@@ -366,8 +367,9 @@ def slope_sd(law: str, prior: Prior, phi: float, depth: float) -> float:
         )[:, 1]  # fmt: skip
         return float(np.log(high / low))
 
-    like = np.hypot(max(prior.exponent, 0.0), prior.exponent_sd) / EXPONENTS[1]
-    other = (growth(law) / growth(SLOPE_LIKE) - 1.0) * min(like, 1.0)
+    sign, another = (-1.0, "foot") if law == SLOPE_LIKE else (1.0, SLOPE_LIKE)
+    like = np.hypot(max(sign * prior.exponent, 0.0), prior.exponent_sd) / EXPONENTS[1]
+    other = (growth(law) / growth(another) - 1.0) * min(like, 1.0)
     return float(np.hypot(prior.slope_sd, other))
 
 
@@ -426,9 +428,11 @@ def _fit(seen: Touchdowns, law: FootLaw, prior: Prior) -> Fit:
     sd = np.sqrt(weights(slope, scaled, precision)[1][:, 0, 0])
     sinkage = np.where(np.isfinite(sinkage), sinkage, 0.0)
     gained = np.where(rising.any(axis=1), bottom - top, 0.0)
+    rest = np.zeros((len(state), 1))
     end = seen._replace(
-        drop=seen.deepest[:, None], descent=np.array([[0.5 * np.pi]]), time=np.array([[0.0]])
-    )
+        drop=seen.deepest[:, None], descent=rest + 0.5 * np.pi, time=rest, speed=rest,
+        acceleration=rest,
+    )  # fmt: skip
     borne = seen.peak / np.maximum(predicted(law, prior, end, state)[:, 0], NOISE_N)
     return Fit(state[:, 0], sd, sinkage, gained, misfit, cost_each, borne, shared)
 

@@ -70,7 +70,8 @@ SCHEMA = 1
 DEEPEST = 5.0
 """Depth over the radius to which law ``foot`` was simulated [-]."""
 MOVED = (2.3, 1.2)
-"""a and b of :func:`moved_mass` [-] (``docs/landing.md``)."""
+"""a and b of :func:`moved_mass` [-], by balls of 44 mm (``docs/landing.md``); other diameters and
+discs were not tried."""
 BEYOND_DEG, BEYOND_FRICTION = 3.0, 0.15
 """How far outside its table of angles [deg] and frictions the simulated law is continued."""
 

@@ -107,13 +107,14 @@ def check(
     if attitude and legs:
         both = f"{attitude[0].text}; or, if they are right, {legs[0].text}"
         attitude, legs = [], [Finding(both, True)]
-    weight += _clock(log)
+    clock = _clock(log)
     if legs or weight or mean is None or forces.frame == "body":
-        return [*weight, *attitude, *legs]
+        return [*weight, *attitude, *legs, *clock]
     if mean[1] <= BEARING_SHARE:
-        return attitude
+        return [*attitude, *clock]
     push = f"the feet push the robot sideways with {mean[1]:.0%} of its weight on average"
-    return [*attitude, Finding(f"{push}: are the angles' zeros and the attitude right?", True)]
+    sideways = Finding(f"{push}: are the angles' zeros and the attitude right?", True)
+    return [*attitude, sideways, *clock]
 
 
 def _clock(log: JointLog) -> list[Finding]:

@@ -354,6 +354,11 @@ def _leg_joints(
         f"{model.joint(int(row[2])).name}, named {foot}, is at {where.get(int(row[2]), 'no foot')}"
         for row, foot in zip(joint, FEET, strict=True) if where.get(int(row[2])) != foot
     ]  # fmt: skip
+    wrong += [
+        f"the hip and thigh of {foot} have each other's axes"
+        for row, other, foot in zip(joint, placed, FEET, strict=True)
+        if row[2] == other[2] and tuple(row) != tuple(other)
+    ]
     return joint, [f"names and places of the legs disagree: {'; '.join(wrong)}"] if wrong else []
 
 

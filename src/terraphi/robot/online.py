@@ -3,8 +3,9 @@
 The batch functions of :func:`terraphi.footfalls`, on a window of the log. What they take from a
 whole log is handled so:
 
-- **Friction** of the joints, and the checks of log and robot, come from the first :data:`WARM_UP_S`
-  of walking. No footfall is answered before; those of that time are answered then.
+- **Friction** of the joints, and the checks of log and robot, come from the first
+  :data:`WARM_UP_S`, in which the robot has to walk. No footfall is answered before; those of that
+  time are answered then. A body on the ground is noted for that time only.
 - **Forces** are final :data:`~terraphi.robot.estimators.MARGIN_S` after a sample and **places**
   :data:`LAG_S` after that, by when the observer and the odometry have forgotten: the same numbers.
   But the accelerometer's bias is the mean over the :data:`~terraphi.robot.touchdowns.BIAS_S` before
@@ -33,10 +34,12 @@ from terraphi.experiment.scenario import GRAVITY
 from terraphi.inference.footfalls import (
     BESIDE_RADII,
     BESIDE_SD_DEG,
+    SHALLOW,
     USABLE,
     FootfallMap,
     infer,
     verdicts,
+    walk_median,
 )
 from terraphi.inference.pool import Anchor
 from terraphi.inference.touchdowns import TORQUES, Fit, Prior, Touchdowns, fit, picked
@@ -128,6 +131,7 @@ class Footfalls:
         law_sd = LAWS[law].sd_deg if chosen.law_sd_deg is None else chosen.law_sd_deg
         self._law, self._prior = law, replace(chosen, law_sd_deg=law_sd)
         self._pending: list[JointLog] = []
+        self._columns: list[str] = []
         self._start: RobotForces | None = None
         # The window: samples, forces of all but the newest, motion of all but some more.
         self._log: JointLog | None = None
@@ -161,6 +165,9 @@ class Footfalls:
                 f"samples begin at {samples.time[0]:g} s, and those before end at "
                 f"{last.time[-1]:g} s; they should follow"
             )
+        if self._columns not in ([], _arrays(samples)):
+            raise InputError("samples have other columns than those before; give all the same")
+        self._columns = _arrays(samples)
         self._pending.append(samples)
         wanted = WARM_UP_S if self._start is None else STEP_S
         if samples.time[-1] - self._pending[0].time[0] < wanted:
@@ -301,10 +308,15 @@ class Footfalls:
             self._fitted.append((one, fitted))
             self._places = np.concatenate([self._places, one.place[:, :2]])
             touched, fits = zip(*near, (one, fitted), strict=True)
-            verdict = str(verdicts(_stacked(touched), _stacked(fits), prior.radius)[-1])
+            torn, gained, returned = np.array(
+                [(row.torn[0], fit.gained[0], row.returned[0]) for row, fit in self._fitted]
+            ).T
+            median = walk_median(torn > 0.0, gained, returned)
+            each = verdicts(_stacked(touched), _stacked(fits), prior.radius, returned=median)
+            verdict = str(each[-1])
             usable = 1.0 if verdict == USABLE else math.nan
             x, y, z = seen.place[i].tolist()
-            sinkage = float(found.sinkage[i])
+            sinkage = float((found.gained if verdict == SHALLOW else found.sinkage)[i])
             answers.append(
                 Footfall(
                     time=float(seen.begin[i]),
@@ -345,10 +357,8 @@ def _arrays(record: Record) -> list[str]:
 
 
 def _joined(parts: Sequence[Record]) -> Record:
-    """Parts of a record over time, one after the other; raises InputError if they differ."""
+    """Parts of a record over time with the same columns, one after the other."""
     names = _arrays(parts[0])
-    if any(_arrays(part) != names for part in parts):
-        raise InputError("samples have other columns than those before; give all the same")
     whole: dict[str, Any] = {n: np.concatenate([getattr(p, n) for p in parts]) for n in names}
     return replace(parts[0], **whole)
 

@@ -65,9 +65,9 @@ BREAK_M, BREAK_SPEED, BREAK_STEEP, BREAK_PART = 0.002, 0.15, 0.87, 0.15
 """A crust breaks where a foot goes deeper by so much [m], at so much [m/s], steeper than 60° [-]
 and under less force than before, which was so much of the stance's largest [-]: slower feet creep,
 and their force falls as others take over the load (simulated walks at 0.08 and 0.12 m/s)."""
-LANDING_KG_M = 7.0
-"""Force of the soil's inertia on a foot over the square of its speed [kg/m]: 3 ρ π R². Balls of
-44 mm in grains felt 7 and 19 N more at 1 and 1.8 m/s than in slow motion, 3 and 2.5 ρ π R²."""
+LANDING_KG_M3 = 4650.0
+"""Force of the soil's inertia on a foot over π R² and the square of its speed [kg/m³]: three times
+a usual density, as of balls that hit grains (``docs/landing.md``)."""
 
 
 class Motion(NamedTuple):
@@ -185,14 +185,21 @@ def touchdowns(
         Of the feet [m].
     """
     step = float(np.median(np.diff(log.time)))
-    cut = [_touchdown(log, forces, motion, stance, per, step) for stance in stances]
+    landing = LANDING_KG_M3 * np.pi * radius**2
+    cut = [_touchdown(log, forces, motion, stance, per, step, landing) for stance in stances]
     columns = {name: np.array([one[name] for one in cut]) for name in Touchdowns._fields}
     columns["place"][:, 2] -= radius
     return Touchdowns(**columns)
 
 
 def _touchdown(
-    log: JointLog, forces: FootForces, motion: Motion, stance: Stance, per: FloatArray, step: float
+    log: JointLog,
+    forces: FootForces,
+    motion: Motion,
+    stance: Stance,
+    per: FloatArray,
+    step: float,
+    landing: float,
 ) -> dict[str, Any]:
     """Fields of one touch-down; the places of samples that it lacks repeat its last."""
     from scipy.ndimage import maximum_filter1d
@@ -250,12 +257,17 @@ def _touchdown(
         "used": good[chosen] & (np.arange(POINTS) < count) & (not short),
         "torn": short or 2.0 * FEWEST * step > WINDOW_S or bool(late.any()),
         "saturated": bool(forces.saturated[part, foot].any()),
-        **_yielding(time[start:end], place[start:end], lift[start:end], half),
+        **_yielding(time[start:end], place[start:end], lift[start:end], half, landing),
     }
 
 
-def _yielding(time: FloatArray, place: FloatArray, lift: FloatArray, half: int) -> dict[str, float]:
-    """Fields of one touch-down, from its whole stance, by which ground that is no soil differs."""
+def _yielding(
+    time: FloatArray, place: FloatArray, lift: FloatArray, half: int, landing: float
+) -> dict[str, float]:
+    """Fields of one touch-down, from its whole stance, by which ground that is no soil differs.
+
+    ``landing`` is the force of the soil's inertia over the square of the speed [kg/m].
+    """
     force, drop = running_mean(np.nan_to_num(lift)[:, None], half)[:, 0], place[0, 2] - place[:, 2]
     peak = max(float(force.max()), 1e-6)
     high = np.flatnonzero(force >= LOADED * peak)
@@ -274,7 +286,7 @@ def _yielding(time: FloatArray, place: FloatArray, lift: FloatArray, half: int) 
     breaks = (drop > drop[at] + BREAK_M) & (drop >= np.maximum.accumulate(drop) - 3e-4)
     breaks &= (down > BREAK_SPEED) & (down > BREAK_STEEP * speed) & (most > BREAK_PART * peak)
     breaks &= time < time[0] + WINDOW_S
-    lost = most - force - np.maximum(LANDING_KG_M * (speed[at] ** 2 - speed**2), 0.0)
+    lost = most - force - np.maximum(landing * (speed[at] ** 2 - speed**2), 0.0)
     return {
         "returned": float(unloading / max(loading, 1e-4 * peak)),
         "peak": peak,
