@@ -434,6 +434,8 @@ class _Reading:
         names = header if unnamed else ["NAME"] * len(lacking)
         pairs = ",".join(f"{role}={name}" for role, name in zip(lacking, names, strict=False))
         more = ", or rate_deg_s=RATE for a time" if "theta" in lacking and not timed else ""
+        if "theta" in lacking and self._like("sinkage"):
+            more += "; of a plate or ball pressed in, give --tool plate:MM or FILE@plate:MM"
         if "moment" in self.names and {"fx", "fz"} & {*lacking}:
             more += f", or 'moment={self.names['moment']}' to do without a force"
         self.wrong.append(

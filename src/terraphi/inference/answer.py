@@ -20,7 +20,7 @@ from terraphi.experiment.documents import parse_json
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import open_netcdf, read_bytes, write_netcdf
 from terraphi.experiment.outputs import output_folder
-from terraphi.experiment.rig import Rig
+from terraphi.experiment.rig import LEG_NAMES, Rig
 from terraphi.experiment.tool import Tool
 from terraphi.laws.store import PHI
 
@@ -376,19 +376,27 @@ class Answer(AnswerSummary):
         figure = figure or NewFigure(figsize=(10.0, 3.4), layout="constrained")
         panels = dict.fromkeys((name, one.along) for one in self.records for name in one.nrmsd)
         *of_channels, of_phi = figure.subplots(1, 1 + len(panels))
+        several = len(self.rigs) > 1
         for axes, (name, along) in zip(of_channels, panels, strict=True):
             for record in self.records:
                 if name not in record.nrmsd or record.along != along:
                     continue
                 i, theta = list(record.nrmsd).index(name), record.theta_deg
-                axes.fill_between(theta, *record.band[:, i], color="C0", alpha=0.2, lw=0)
-                axes.plot(theta, record.curve[i], color="C0", label="model")
-                axes.plot(theta, record.data[i], ".", color="black", ms=3, label="data")
+                rig = record.rig
+                colour = f"C{self.rigs.index(rig) % 10}"
+                body = str(rig) if isinstance(rig, Tool) else LEG_NAMES[rig.leg]
+                axes.fill_between(theta, *record.band[:, i], color=colour, alpha=0.2, lw=0)
+                axes.plot(theta, record.curve[i], color=colour, label=body if several else "model")
+                axes.plot(theta, record.data[i], ".", color="black", ms=3,
+                          label="" if several else "data")  # fmt: skip
+            if several:
+                axes.legend(frameon=False, fontsize="small")
             axes.set(xlabel=along, ylabel=force_label(name))
             axes.axhline(0.0, color="0.7", lw=0.5, zorder=0)
-        handles, labels = of_channels[0].get_legend_handles_labels()
-        each = dict(zip(labels, handles, strict=True))
-        of_channels[0].legend(each.values(), each.keys(), frameon=False, fontsize="small")
+        if not several:
+            handles, labels = of_channels[0].get_legend_handles_labels()
+            each = dict(zip(labels, handles, strict=True))
+            of_channels[0].legend(each.values(), each.keys(), frameon=False, fontsize="small")
         grid, density = self.posterior
         sound = self.verdict == "consistent"
         colour = "C0" if sound else "0.6"

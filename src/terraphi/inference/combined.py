@@ -12,7 +12,6 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from statistics import NormalDist
 
 import numpy as np
 
@@ -25,8 +24,9 @@ OF_SOIL = ("density", "model: soil")
 """Terms that all answers share."""
 OF_LAW = ("model: law", "model: compaction", "surface friction", "rectangle")
 """Terms that answers by one law share."""
-CHANCE = 0.01
-"""Chance with which sound answers disagree by so much that they are called a misfit [-]."""
+DISAGREE = 1.96
+"""Standard deviations of the difference of two answers above which they are a misfit [-]: one sound
+pair in twenty, and fewer in grains, whose intervals hold more than they claim."""
 STEP_DEG = 0.05
 
 
@@ -80,7 +80,8 @@ def combined(answers: Sequence[Answer]) -> Answer:
     digits = max(decimals((median - sd, median + sd)), 0)
     each = [f"{one.source} {one.phi.median:.{digits}f} ± {one.phi.sd:.1f}°" for one in answers]
     verdict: Verdict = "consistent"
-    reason = f"Consistent: {', '.join(each)} agree."
+    within = " within their errors" if wider > 0.0 else ""
+    reason = f"Consistent: {', '.join(each)} agree{within}."
     pairs = [[i, j] for i, j in itertools.combinations(range(len(phi)), 2)]
     spread = [
         abs(np.diff(phi[pair])[0]) / math.sqrt(np.array([1, -1]) @ covariance[np.ix_(pair, pair)]
@@ -89,7 +90,7 @@ def combined(answers: Sequence[Answer]) -> Answer:
     ]  # fmt: skip
     if worse := [one for one in answers if one.verdict != "consistent"]:
         verdict, reason = worse[0].verdict, f"{worse[0].source}: {worse[0].reason}"
-    elif max(spread) > NormalDist().inv_cdf(1.0 - 0.5 * CHANCE / len(pairs)):
+    elif max(spread) > DISAGREE:
         verdict = "misfit"
         reason = (
             f"Misfit: {', '.join(each)} disagree; check sizes, density and moisture, and whether "

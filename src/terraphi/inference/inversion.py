@@ -219,6 +219,8 @@ def with_peak(answer: Answer, critical: float | str) -> Answer:
         raise InputError(f"critical = {critical}; 0 to 60° with a smaller ± are accepted")
     if answer.convention != "plane_strain" or answer.records[0].simulated:
         raise InputError("critical is of measured forces by a law in plane strain; leave it out")
+    if answer.verdict != "consistent":
+        return answer
     apart, least = answer.phi.median - mean, LOOSE * math.hypot(answer.phi.sd, sd)
     if apart < least:
         word = "agrees with" if apart > -least else "is below"
@@ -351,7 +353,8 @@ def _attempt(row: Any) -> Answer | InputError:
     try:
         return invert(**with_rig(row)) if isinstance(row, dict) else invert(row)
     except InputError as error:
-        return error
+        name = str(row["forces"]) if isinstance(row, dict) else str(row)
+        return error if name in str(error) else InputError(f"{name}: {error}")
 
 
 def _law_for(

@@ -14,6 +14,7 @@ from terraphi.experiment.workers import workers
 from terraphi.inference import COLUMNS
 from terraphi.inference.answer import Answer
 from terraphi.inference.inversion import invert_many
+from terraphi.inference.pressed import pressed_by
 
 OPTIONS = ("leg", "rig", "tool", *SIZES, "leg_friction", "density", "grain_size_mm", "columns",
            "law", "noise", "gain", "calibration", "critical")  # fmt: skip
@@ -102,8 +103,9 @@ def invert_rows(
     for row in rows:
         own = {key: value for key, value in row.items() if key != "notes"}
         # A row with sizes of its own has the whole rig, and a tool none.
-        of_leg = ("leg", "leg_friction", "grain_size_mm") if "tool" in own else ()
-        several = ("rig", *SIZES, *of_leg) if own.keys() & {"rig", "tool", *SIZES} else ()
+        tool = "tool" in own or pressed_by(own["forces"]) is not None
+        of_leg = ("leg", "leg_friction", "grain_size_mm") if tool else ()
+        several = ("rig", *SIZES, *of_leg) if tool or own.keys() & {"rig", *SIZES} else ()
         whole.append({k: v for k, v in options.items() if k not in several} | own)
     count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     with workers(min(count or 1, len(rows)) if len(rows) >= LEAST_ROWS else 1) as pool:

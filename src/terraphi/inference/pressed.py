@@ -59,6 +59,8 @@ a record is a misfit [-]: chosen. Measured plates of 60 and 100 mm on sand with 
 of 29° have A from 0.87 on and φ from 41° on: the correction carries them, not the law."""
 LIMIT = 0.15
 """Residual above which a record is a misfit, over the range of the force [-]."""
+FEWEST_AIR = 6
+"""Readings in air that a zero needs (chosen)."""
 TARED = 0.01
 """Force in air over the largest from which it is named [-]."""
 RANGE_DEG = np.arange(10.0, 55.5, 0.5)
@@ -255,7 +257,9 @@ def _virgin(
         )
     z, f = sinkage[virgin], force[virgin]
     air = z < 0.0
-    zero = float(np.median(f[air])) if air.sum() >= 3 else 0.0
+    # Of the third farthest from the soil: coarse grains touch before the surface.
+    far = z < np.quantile(z[air], 1.0 / 3.0) if air.sum() >= FEWEST_AIR else air & False
+    zero = float(np.median(f[far])) if far.any() else 0.0
     f = f - zero
     if abs(zero) > TARED * np.abs(f).max(initial=0.0):
         notes.append(f"{zero:.3g} N are read above the soil and taken off.")

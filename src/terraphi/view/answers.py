@@ -242,7 +242,9 @@ def row(source: str, answer: Answer) -> dict[str, Any]:
     rounded = [f"{value:.6g}" for value in ends] or [""] * 6
     return {
         "source": source,
-        "leg": ", ".join(dict.fromkeys(rig.leg for rig in answer.rigs)),
+        "leg": ", ".join(
+            dict.fromkeys(rig.leg if rig.sizes_mm else str(rig) for rig in answer.rigs)
+        ),
         **dict(zip(COLUMNS[2:8], rounded, strict=True)),
         "yield": answer.convention,
         "phi_plane_strain_deg": "" if plane is None else f"{plane.median:.6g}",
