@@ -324,7 +324,8 @@ class FootfallMap:
         plan.set_aspect("equal", adjustable="datalim")
         plan.legend(fontsize="small", frameon=False)
         self._draw_course(course)
-        figure.draw_without_rendering()  # the labels of a plot whose limits follow its aspect
+        # Limits that follow the aspect change labels after their room is measured.
+        figure.get_layout_engine().set(w_pad=0.2)  # type: ignore[union-attr, call-arg]
         return figure
 
     def _draw_course(self, axes: Axes) -> None:
