@@ -334,8 +334,9 @@ def _leg_joints(
     except InputError as error:
         if missing:
             raise InputError(
-                f"{source}: no revolute joint is named like {missing[0]}, and {error}; name the "
-                "legs' joints in the table 'joints' of the robot's TOML"
+                f"{source}: no revolute joint is named like {missing[0]}, and places do not show "
+                f"the legs ({str(error).removeprefix('it: ')}); mend that, or name the legs' "
+                "joints in the table 'joints' of the robot's TOML"
             ) from error
         placed = joint
     if missing:
@@ -458,8 +459,8 @@ def _foot(
     own = [g for g in balls if model.geom_bodyid[g] == calf]
     if not own:
         raise InputError(
-            f"{source}: nothing is fixed to body '{model.body(calf).name}'; a foot's frame fixed "
-            "to the calf, or a sphere at its end, is expected"
+            f"{source}: nothing is fixed to body '{model.body(calf).name}'; add a foot: a link "
+            "fixed to it, or a sphere at its end as a collision"
         )
     ball = max(own, key=lambda g: np.linalg.norm(model.geom_pos[g]))
     return calf, model.geom_pos[ball].copy(), float(model.geom_size[ball, 0])
