@@ -12,14 +12,14 @@ from go2.logs import write_csv
 
 import terraphi
 
-Walk = runpy.run_path(str(Path(__file__).parent / "robot" / "walker.py"))["Walk"]
+LawWalk = runpy.run_path(str(Path(__file__).parent / "robot" / "walker.py"))["LawWalk"]
 
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The log of a walk on sand."""
     path = tmp_path_factory.mktemp("log") / "walk.csv"
-    write_csv(path, Walk(sinkage=0.03).log()[0])
+    write_csv(path, LawWalk(duration=10.0).log()[0])
     return path
 
 

@@ -97,7 +97,7 @@ def footfalls(
     --------
     >>> found = terraphi.footfalls("walk.csv", density="1550±80")
     >>> found.counts()
-    {'usable': 31}
+    {'usable': 30}
     >>> found.to_netcdf("soil.nc")
     """
     body, chosen, known, assumed = assumptions(robot, density, law, prior, anchors)

@@ -209,7 +209,7 @@ def foot_forces(
     --------
     >>> forces = terraphi.foot_forces("walk.csv", robot="go2")
     >>> forces.pooled.count, len(forces.summary()["feet"])
-    (31, 4)
+    (30, 4)
     """
     if not isinstance(log, JointLog | str | Path):
         raise InputError(f"log of type {type(log).__name__}; give the path of a file or folder")
