@@ -334,9 +334,9 @@ def _leg_joints(
     except InputError as error:
         if missing:
             raise InputError(
-                f"{source}: no revolute joint is named like {missing[0]}, and places do not show "
-                f"the legs ({str(error).removeprefix('it: ')}); mend that, or name the legs' "
-                "joints in the table 'joints' of the robot's TOML"
+                f"{source}: no revolute joint is named like {missing[0]}, and "
+                f"{str(error).removeprefix('it: ')}; name the legs' joints in the table 'joints' "
+                "of the robot's TOML"
             ) from error
         placed = joint
     if missing:
