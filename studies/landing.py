@@ -68,16 +68,20 @@ def read(soil: str, name: str) -> Hit:
     return Hit(*means, np.polyval(course, 1e3 * means[0]), density)
 
 
+def inertia_of(hit: Hit, moved: tuple[float, float] | None = None) -> np.ndarray:
+    """Force of the soil's inertia by the law, or with other a and b [N]."""
+    return laws.inertial_force(
+        laws.Foot(RADIUS), hit.depth, hit.speed, hit.acceleration, hit.density, moved=moved
+    )
+
+
 def moved(hits: list[Hit]) -> np.ndarray:
     """Least squares of a and b."""
 
     def residual(p: np.ndarray) -> np.ndarray:
         found = []
         for hit in hits:
-            mass, growth = laws.moved_mass(
-                laws.Foot(RADIUS), hit.depth, hit.density, moved=(float(p[0]), float(p[1]))
-            )
-            inertia = growth * hit.speed**2 + mass * hit.acceleration
+            inertia = inertia_of(hit, (float(p[0]), float(p[1])))
             found.append((hit.force - hit.slow - inertia) / (NOISE_N + NOISE_PART * hit.force))
         return np.concatenate(found)
 
@@ -113,10 +117,8 @@ def draw(hits: dict[tuple[str, str], Hit]) -> Figure:
             axes.plot(hit.depth / RADIUS, (hit.force - hit.slow) / unit, f"C{k}", label=soil)
     for name, axes in (("v1", left), ("l1", right)):
         hit = hits[SOILS[0], name]
-        mass, growth = laws.moved_mass(laws.Foot(RADIUS), hit.depth, hit.density)
         unit = hit.density * np.pi * RADIUS**2 * hit.speed.max() ** 2
-        inertia = growth * hit.speed**2 + mass * hit.acceleration
-        axes.plot(hit.depth / RADIUS, inertia / unit, "k--", label="d(m v)/dt")
+        axes.plot(hit.depth / RADIUS, inertia_of(hit) / unit, "k--", label="d(m v)/dt")
         axes.axhline(0.0, color="0.7", lw=0.6)
         axes.set(xlabel="depth / R", ylabel="(F − F slow) / ρ π R² v²",
                  title=WORDS[name[0]].format(name[1:]))  # fmt: skip
@@ -127,14 +129,13 @@ def draw(hits: dict[tuple[str, str], Hit]) -> Figure:
 def main() -> None:
     """Fit, and write the page."""
     out = pages.out_from(str(__doc__).splitlines()[0])
-    soils = [soil for soil in SOILS if (GRAINS / f"{soil}_ball_44_l1.5_1.csv").exists()]
-    hits = {(soil, name): read(soil, name) for soil in soils for name in HITS}
+    hits = {(soil, name): read(soil, name) for soil in SOILS for name in HITS}
     size, rate = moved(list(hits.values()))
     rows, off = [], {True: [], False: []}
-    slow = {soil: phi_deg(read(soil, "")) for soil in soils}
+    slow = {soil: phi_deg(read(soil, "")) for soil in SOILS}
     for name in HITS:
         row = [WORDS[name[0]].format(name[1:])]
-        for soil in soils:
+        for soil in SOILS:
             apart = [phi_deg(hits[soil, name], inertia=own) - slow[soil] for own in (True, False)]
             off[True].append(apart[0])
             off[False].append(apart[1])
@@ -149,7 +150,7 @@ def main() -> None:
             f"{laws.MOVED[0]:g} and {laws.MOVED[1]:g}. The table has φ by law `foot` with that "
             "inertia, less φ of the slow ball in the same bed; in brackets without inertia."
         ),
-        pages.table(("ball", *soils), rows),
+        pages.table(("ball", *SOILS), rows),
         (
             f"Root mean square: {rms[True]:.1f}° with inertia, {rms[False]:.1f}° without. Both "
             "numbers of the mass were fitted to these records. One more bed of the same soil "

@@ -26,6 +26,7 @@ from scipy.optimize import brentq
 import pages
 import terraphi
 from terraphi.inference.inversion import peak_draws
+from terraphi.laws.foot import LAWS
 
 DATA = Path(__file__).parent / "data"
 CULLINAN = ("Method_1", "Method_3", "5")
@@ -36,8 +37,8 @@ CONVERSION_SD_DEG = 2.0
 """Of a triaxial critical angle as one of plane strain [deg]."""
 CRITICAL_TOYOURA_DEG = 36.0
 """In plane strain (Chakraborty & Salgado 2010, J. Geotech. Geoenviron. Eng. 136:898)."""
-READ_SD_DEG, CRITICAL_SD_DEG = 2.5, 1.0
-"""Of the angle that is read, as law `foot` has it in grains, and of the critical one [deg]."""
+CRITICAL_SD_DEG = 1.0
+"""Of the critical angle [deg]; what is read has the error of law `foot`."""
 FOOTINGS = {"V64.6": (0.7315, 14.96), "V75.1": (0.6916, 15.31), "V85.6": (0.6517, 15.68)}
 """Void ratio [-] and unit weight [kN/m³] of each."""
 WIDTH, STRESS_KPA = 0.90, 98.0
@@ -137,7 +138,7 @@ def footings() -> list[tuple[str, ...]]:
         peak = float(np.polyval(line, void))
         share = (read_deg - CRITICAL_TOYOURA_DEG) / (peak - CRITICAL_TOYOURA_DEG)
         known = CRITICAL_TOYOURA_DEG, CRITICAL_SD_DEG
-        low, middle, high = np.quantile(peak_draws((read_deg, READ_SD_DEG), known),
+        low, middle, high = np.quantile(peak_draws((read_deg, LAWS["foot"].sd_deg), known),
                                         [0.025, 0.5, 0.975])  # fmt: skip
         rows.append((f"Toyoura {name}", f"{CRITICAL_TOYOURA_DEG:.0f}°", f"{peak:.1f}°",
                      f"{read_deg:.1f}°", f"{share:.2f}",

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from go2.model import FOOT_RADIUS
-from terraphi.laws.foot import LAWS, Foot, moved_mass
+from terraphi.laws.foot import LAWS, Foot, inertial_force
 from terraphi.robot.joint_log import FEET
 
 FloatArray = NDArray[np.float64]
@@ -223,8 +223,8 @@ class SandForces:
         down = -moved[:, 2] / self._step
         faster = (down - self._sinking) / LAG_S
         self._sinking += self._step * faster
-        mass, growth = moved_mass(Foot(self._sand.radius), depth, self._sand.density)
-        inertia = np.where(~holds & (down > 0.0), growth * down**2 + mass * faster, 0.0)
+        inertia = inertial_force(Foot(self._sand.radius), depth, down, faster, self._sand.density)
+        inertia = np.where(~holds & (down > 0.0), inertia, 0.0)
         damped = np.where(holds[:, None], DAMPING / self._step * moved, 0.0)
         self.force = self._held - damped
         self.force[:, 2] += inertia

@@ -8,14 +8,13 @@ what is each one's own, for what they share cancels in their difference. Far mor
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.inference.answer import Answer, Estimate, Verdict, decimals
 from terraphi.laws.store import PHI
@@ -52,12 +51,18 @@ def combined(answers: Sequence[Answer]) -> Answer:
         for name in dict.fromkeys(name for one in answers for name in one.budget_deg)
     }
     laws = np.array([one.law for one in answers])
-    same = dict.fromkeys(OF_LAW, laws[:, None] == laws)
-    same |= dict.fromkeys(OF_SOIL, np.ones((len(answers),) * 2, dtype=bool))
-    covariance = np.diag([one.phi.sd**2 for one in answers])
-    for name, shared in same.items():
-        share = np.outer(terms.get(name, 0.0 * phi), terms.get(name, 0.0 * phi)) * shared
-        covariance += share - np.diag(np.diag(share))
+    one_law, one_soil = laws[:, None] == laws, np.ones((len(phi),) * 2, dtype=bool)
+    # What is shared goes off the diagonal, and is not what an answer has of its own.
+    own = np.array([one.phi.sd**2 for one in answers])
+    covariance = np.diag(own)
+    same: dict[str, BoolArray] = {}
+    for names, shared in ((OF_LAW, one_law), (OF_SOIL, one_soil)):
+        for name in names:
+            if name in terms:
+                same[name] = shared
+                share = np.outer(terms[name], terms[name]) * shared
+                covariance += share - np.diag(np.diag(share))
+                own -= np.square(terms[name]) * (shared.sum(axis=1) > 1)
     inverse = np.linalg.inv(covariance)
     # An answer that shares most of its error with a better one is worth nothing, not less.
     weight = np.maximum(inverse.sum(axis=1), 0.0)
@@ -65,10 +70,6 @@ def combined(answers: Sequence[Answer]) -> Answer:
     median = float(weight @ phi)
     apart = phi - median
     birge = math.sqrt(max(float(apart @ inverse @ apart) / (len(phi) - 1), 1.0))
-    own = np.diag(covariance) - sum(
-        np.square(terms.get(name, 0.0 * phi)) * (shared.sum(axis=1) > 1)
-        for name, shared in same.items()
-    )
     wider = math.sqrt((birge**2 - 1.0) * float(weight**2 @ np.maximum(own, 0.0)))
     sd = math.hypot(math.sqrt(float(weight @ covariance @ weight)), wider)
     budget = {
@@ -77,23 +78,21 @@ def combined(answers: Sequence[Answer]) -> Answer:
     }
     if wider > 0.0:
         budget["disagreement"] = wider
-    digits = max(decimals((median - sd, median + sd)), 0)
-    each = [f"{one.source} {one.phi.median:.{digits}f} ± {one.phi.sd:.1f}°" for one in answers]
+    digits = decimals((median - sd, median + sd))
+    read = [f"{one.source} {one.phi.median:.{digits}f} ± {one.phi.sd:.1f}°" for one in answers]
     verdict: Verdict = "consistent"
     within = " within their errors" if wider > 0.0 else ""
-    reason = f"Consistent: {', '.join(each)} agree{within}."
-    pairs = [[i, j] for i, j in itertools.combinations(range(len(phi)), 2)]
-    spread = [
-        abs(np.diff(phi[pair])[0]) / math.sqrt(np.array([1, -1]) @ covariance[np.ix_(pair, pair)]
-                                               @ np.array([1, -1]))
-        for pair in pairs
-    ]  # fmt: skip
+    reason = f"Consistent: {', '.join(read)} agree{within}."
+    variance = np.diag(covariance)
+    pairs = np.triu_indices(len(phi), 1)
+    differ = np.sqrt((variance[:, None] + variance - 2.0 * covariance)[pairs])
+    spread = np.abs(phi[:, None] - phi)[pairs] / differ
     if worse := [one for one in answers if one.verdict != "consistent"]:
         verdict, reason = worse[0].verdict, f"{worse[0].source}: {worse[0].reason}"
-    elif max(spread) > DISAGREE:
+    elif spread.max() > DISAGREE:
         verdict = "misfit"
         reason = (
-            f"Misfit: {', '.join(each)} disagree; check sizes, density and moisture, and whether "
+            f"Misfit: {', '.join(read)} disagree; check sizes, density and moisture, and whether "
             "the soil is the same. Do not use the angle."
         )
     grid = np.arange(max(median - 6.0 * sd, 0.5), min(median + 6.0 * sd, 85.0), STEP_DEG)

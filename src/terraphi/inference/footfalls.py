@@ -59,9 +59,9 @@ with the depth to the power of 1.7, it is half of a sinkage of 6 mm (hard ground
 ``examples/sand_check.py`` has no usable footfall)."""
 NEAR_RADII, BESIDE_RADII, BESIDE_SD_DEG = 1.5, 3.0, 1.5
 """Ground nearer than this many radii to an earlier footfall has been trodden [-]; up to more, the
-earlier one has moved soil: standard deviation of φ by that [deg]. Balls of 44 mm beside their print
-in simulated grains read φ + 7.9° at its place, + 3.5° at one radius, + 0.5° at 1.5 and −0.9 to
-+ 1.5° from 2 to 3."""
+earlier one has moved soil: standard deviation of φ by that [deg]. In simulated grains balls of 44
+mm read φ + 7.9° in their own print, + 3.5° at one radius from it, + 0.5° at 1.5 and −0.9 to + 1.5°
+from 2 to 3."""
 WORST_MISFIT = 2.0
 """χ² over the degrees of freedom above which a law does not fit [-]: with noise of twice the usual
 size and more it is 0.1 to 0.4 on simulated walks."""
@@ -308,9 +308,12 @@ class FootfallMap:
 
     def plot(self) -> Figure:
         """Footfalls on the ground, and φ along the path with both bands, by Matplotlib."""
+        from matplotlib.layout_engine import ConstrainedLayoutEngine
+
         from terraphi.experiment.figure import Figure as NewFigure
 
-        figure = NewFigure(figsize=(11.0, 4.6), layout="constrained")
+        # Limits that follow the aspect change labels after their room is measured.
+        figure = NewFigure(figsize=(11.0, 4.6), layout=ConstrainedLayoutEngine(w_pad=0.2))
         plan, course = figure.subplots(1, 2, width_ratios=(1.0, 1.35))
         usable, (x, y) = self.usable, self.place[:, :2].T
         plan.plot(self.path[:, 1], self.path[:, 2], color=GREY, lw=0.8, zorder=0)
@@ -324,8 +327,6 @@ class FootfallMap:
         plan.set_aspect("equal", adjustable="datalim")
         plan.legend(fontsize="small", frameon=False)
         self._draw_course(course)
-        # Limits that follow the aspect change labels after their room is measured.
-        figure.get_layout_engine().set(w_pad=0.2)  # type: ignore[union-attr, call-arg]
         return figure
 
     def _draw_course(self, axes: Axes) -> None:

@@ -24,7 +24,7 @@ import numpy as np
 
 from terraphi.experiment.arrays import BoolArray, FloatArray, IntArray
 from terraphi.inference.estimator import least_squares, weights
-from terraphi.laws.foot import LAWS, Foot, FootLaw, moved_mass
+from terraphi.laws.foot import LAWS, Foot, FootLaw, inertial_force
 
 PHI_RANGE = (15.0, 50.0)
 """Friction angles in plane strain for which laws are evaluated [deg]: law ``foot`` has a table from
@@ -169,6 +169,11 @@ class Prior:
     exponent_sd: float = 0.2
     slope_sd: float = 0.1
 
+    @property
+    def foot(self) -> Foot:
+        """The foot of that radius and shape."""
+        return Foot(self.radius, self.shape)  # type: ignore[arg-type]
+
     def shared(self) -> dict[str, tuple[float, float]]:
         """Mean and standard deviation of what all footfalls share, but errors of torques."""
         law_sd = LAWS["foot"].sd_deg if self.law_sd_deg is None else self.law_sd_deg
@@ -245,7 +250,7 @@ def predicted(law: FootLaw, prior: Prior, seen: Touchdowns, state: FloatArray) -
     """
     depth = seen.drop + state[:, 1:2] + state[:, 2:3] * seen.time
     lift = law.force(
-        Foot(prior.radius, prior.shape),  # type: ignore[arg-type]
+        prior.foot,
         depth,
         seen.descent,
         friction_angle_deg=state[:, :1],
@@ -259,9 +264,8 @@ def predicted(law: FootLaw, prior: Prior, seen: Touchdowns, state: FloatArray) -
 
 def inertia(prior: Prior, seen: Touchdowns, depth: FloatArray) -> FloatArray:
     """Upward force of the soil's inertia, d(m v)/dt [N], shape [touchdown, sample]."""
-    foot = Foot(prior.radius, prior.shape)  # type: ignore[arg-type]
-    mass, growth = moved_mass(foot, depth, prior.density)
-    return growth * np.square(seen.speed * np.sin(seen.descent)) + mass * seen.acceleration
+    down = seen.speed * np.sin(seen.descent)
+    return inertial_force(prior.foot, depth, down, seen.acceleration, prior.density)
 
 
 def noise_covariance(seen: Touchdowns, prior: Prior) -> FloatArray:
@@ -361,8 +365,7 @@ def slope_sd(law: str, prior: Prior, phi: float, depth: float) -> float:
 
     def growth(name: str) -> float:
         low, high = LAWS[name].force(
-            Foot(prior.radius, prior.shape),  # type: ignore[arg-type]
-            depth, 0.5 * np.pi, friction_angle_deg=phi + np.array([-1.0, 1.0]),
+            prior.foot, depth, 0.5 * np.pi, friction_angle_deg=phi + np.array([-1.0, 1.0]),
             density=prior.density, surface_friction=prior.surface_friction,
         )[:, 1]  # fmt: skip
         return float(np.log(high / low))

@@ -203,6 +203,18 @@ def moved_mass(
     return growth * ratio * foot.radius * slower**-0.25, growth * slower**-1.25
 
 
+def inertial_force(
+    foot: Foot, depth: ArrayLike, speed: ArrayLike, acceleration: ArrayLike, density: float,
+    *, moved: tuple[float, float] | None = None,
+) -> FloatArray:  # fmt: skip
+    """Upward force d(m v)/dt of the soil of :func:`moved_mass` [N].
+
+    ``speed`` and ``acceleration`` are those of the foot, downward [m/s], [m/s²].
+    """
+    mass, growth = moved_mass(foot, depth, density, moved=moved)
+    return np.asarray(growth * np.square(speed) + mass * np.asarray(acceleration))
+
+
 def bearing_capacity(
     name: str,
     foot: Foot,

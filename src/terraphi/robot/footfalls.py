@@ -18,13 +18,13 @@ from terraphi.inference.footfalls import FootfallMap, infer
 from terraphi.inference.pool import Anchor, Normal
 from terraphi.inference.touchdowns import TORQUES, Prior
 from terraphi.laws.foot import LAWS
-from terraphi.robot.forces import SensorErrors, without_broken_accelerometer
+from terraphi.robot.forces import FootForces, SensorErrors, without_broken_accelerometer
 from terraphi.robot.friction import spread
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.legs import rotation
 from terraphi.robot.logs.columns import Columns
 from terraphi.robot.model import Quadruped
-from terraphi.robot.results import foot_forces
+from terraphi.robot.results import RobotForces, foot_forces
 from terraphi.robot.stance import running_mean
 from terraphi.robot.touchdowns import Motion, sensitivity, touchdowns, track
 
@@ -117,10 +117,8 @@ def footfalls(
     seen = touchdowns(log, forces, motion, analysis.stances, per, radius=body.foot_radius)
     # The centre of mass accelerates otherwise than the trunk: legs are half of the robot.
     acceleration = motion.lift_acceleration + forces.leg_inertia / body.mass
-    errors = SensorErrors()
     total = lift.sum(axis=1) / (body.mass * GRAVITY)
-    torque_sd = np.concatenate([[errors.gain] * 12, errors.friction_sd(forces.friction).ravel()])
-    notes = [note for note in analysis.notes if "the axis of Fx" not in note]
+    notes = notes_of(analysis)
     if (rests := carried_s(log.time, total)) > 0.0:
         notes.insert(
             0,
@@ -129,7 +127,7 @@ def footfalls(
         )
     found = infer(
         seen,
-        calibrate_on_weight(log.time, lift, acceleration, per, torque_sd, mass=body.mass),
+        calibrate_on_weight(log.time, lift, acceleration, per, torque_sd(forces), mass=body.mass),
         path_of(motion, log.time),
         prior=chosen,
         law=law,
@@ -162,6 +160,18 @@ def assumptions(
     known = [Anchor.of(a) if isinstance(a, str) else a for a in given]
     text = f"density {chosen.density:g} ± {chosen.density_sd:g} kg/m³, assumed"
     return body, chosen, known, [text] if density is None and prior is None else []
+
+
+def notes_of(analysis: RobotForces) -> list[str]:
+    """Warnings of the forces, without that on an axis which no footfall has."""
+    return [note for note in analysis.notes if "the axis of Fx" not in note]
+
+
+def torque_sd(forces: FootForces) -> FloatArray:
+    """Prior standard deviations of gains [-] and of friction that is left [N m], shape [24]."""
+    errors = SensorErrors()
+    left = errors.friction_sd(forces.friction)
+    return np.concatenate([[errors.gain] * left.size, left.ravel()])
 
 
 def carried_s(time: FloatArray, lift: FloatArray) -> float:

@@ -51,9 +51,11 @@ from terraphi.robot.footfalls import (
     assumptions,
     calibrate_on_weight,
     from_the_start,
+    notes_of,
     path_of,
+    torque_sd,
 )
-from terraphi.robot.forces import FootForces, SensorErrors, estimate, without_broken_accelerometer
+from terraphi.robot.forces import FootForces, estimate, without_broken_accelerometer
 from terraphi.robot.friction import BEARING_SHARE
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.model import Quadruped
@@ -199,14 +201,14 @@ class Footfalls:
         self._map = infer(
             _stacked(rows),
             calibrate_on_weight(
-                time, lift, acceleration, per, _torque_sd(self._start), mass=self._robot.mass
+                time, lift, acceleration, per, torque_sd(self._start.forces), mass=self._robot.mass
             ),
             path_of(Motion(trunk, trunk[:, None], time), time),
             prior=self._prior,
             law=self._law,
             anchors=self._anchors,
             feet=FEET,
-            notes=[note for note in self._start.notes if "the axis of Fx" not in note],
+            notes=notes_of(self._start),
             provenance={
                 "log": "online", "robot": self._robot.name, "forces": self._start.provenance()
             },
@@ -284,7 +286,7 @@ class Footfalls:
         if self._fitted:
             prior = replace(prior, phi_deg=float(self._fitted[-1][1].phi[0]))
         mean = np.zeros(TORQUES + len(prior.shared()))
-        sd = np.append(_torque_sd(start), [sd for _, sd in prior.shared().values()])
+        sd = np.append(torque_sd(start.forces), [sd for _, sd in prior.shared().values()])
         if self._map is not None and self._map.usable.any():
             learned = self._map.shared
             prior = replace(prior, exponent=learned["law_exponent"]["mean"])
@@ -330,13 +332,6 @@ class Footfalls:
                 )
             )
         return tuple(answers)
-
-
-def _torque_sd(start: RobotForces) -> FloatArray:
-    """Standard deviations of gains [-] and friction left [N m], shape [24]."""
-    errors = SensorErrors()
-    lost = errors.friction_sd(start.forces.friction)
-    return np.concatenate([[errors.gain] * lost.size, lost.ravel()])
 
 
 def _means(values: FloatArray, size: int) -> FloatArray:
