@@ -20,7 +20,7 @@ from terraphi.cli.library import library
 from terraphi.cli.paper import paper
 from terraphi.cli.robot import footfalls, forces
 from terraphi.cli.simulate import simulate
-from terraphi.cli.terrain import convert, export, slope_map
+from terraphi.cli.terrain import convert, export, slope_map, tune
 from terraphi.cli.tools import app, doctor, keys, report
 from terraphi.experiment.errors import HIDDEN, InputError, SimulationError, printable
 
@@ -64,7 +64,7 @@ def cli() -> None:
 
 for command in (
     *(demo, invert, calibrate, simulate, library, paper, forces, footfalls),
-    *(export, convert, slope_map, report, app, doctor, keys),
+    *(export, convert, tune, slope_map, report, app, doctor, keys),
 ):
     cli.add_command(command)
 

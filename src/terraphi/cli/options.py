@@ -16,6 +16,7 @@ LAWS = ("foot", "rft", "meyerhof", "vesic", "hansen")
 FRAMES = ("world", "body")
 SIMULATORS = ("genesis", "newton", "isaaclab", "chrono-crm", "chrono-scm", "geotaichi", "rft3d",
               "mujoco")  # fmt: skip
+TUNED = ("newton", "isaaclab", "genesis")
 MATCHES = ("plane-strain", "triaxial")
 DP_TYPES = ("Circumscribed", "MiddleCircumscribed", "Inscribed")
 

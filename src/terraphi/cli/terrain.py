@@ -1,4 +1,4 @@
-"""``terraphi export``, ``terraphi convert`` and ``terraphi map``."""
+"""``terraphi export``, ``convert``, ``tune`` and ``map``."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from terraphi.cli.options import (
     MATCHES,
     PATH,
     SIMULATORS,
+    TUNED,
     Float,
     json_option,
 )
@@ -85,6 +86,61 @@ def convert(value: float, as_json: bool, **options: Any) -> None:
 
     found = converted(value, **options)
     present(found, *converted_in_words(found), as_json=as_json)
+
+
+@click.command()
+@click.argument("name", metavar="SIMULATOR", type=click.Choice(TUNED))
+@click.option("--voxel", required=True, type=Float(), metavar="M", help="Size of a grid cell.")
+@click.option(
+    "--foot",
+    required=True,
+    metavar="disc:M|ball:M|FILE",
+    help="Radius of a disc or ball, or a closed mesh in OBJ (metres, z up).",
+)
+@click.option(
+    "--phi",
+    required=True,
+    metavar="DEG[±SD]|ANSWER",
+    help="Friction angle in plane strain, or the folder of an answer.",
+)
+@click.option(
+    "--density", type=Float(), default=1600, show_default=True, metavar="KG_M3",
+    help="Bulk density.",
+)  # fmt: skip
+@click.option(
+    "--surface-friction", type=Float(), default=0.5, show_default=True, help="Foot on soil."
+)
+@click.option("--depth", type=Float(), metavar="M", help="Largest sinkage.  [default: radius / 2]")
+@click.option(
+    "--time-step", type=Float(), default=0.01, show_default=True, metavar="S",
+    help="Of Newton; its force depends on it.",
+)  # fmt: skip
+@click.option(
+    "--finer", type=click.IntRange(0, 4), default=2, show_default=True,
+    help="Finer voxels to try where no friction does.",
+)  # fmt: skip
+@click.option(
+    "--draws", type=click.IntRange(0, 2000), default=64, show_default=True,
+    help="Draws of friction.",
+)  # fmt: skip
+@seed_option
+@click.option("--anyway", is_flag=True, help="Write a file although no friction does.")
+@click.option("--out", type=PATH, help="A .py, .json, .csv or (newton, isaaclab) .usda file.")
+@json_option
+def tune(name: str, out: Path | None, as_json: bool, **options: Any) -> None:
+    """Find the friction with which a simulator's grid carries a foot.
+
+    Presses the foot a dozen times with Newton or Genesis itself, on a CPU, for minutes, and
+    compares the force over sinkage with law 'foot'.
+
+    Example: terraphi tune newton --voxel 0.03 --foot disc:0.05 --phi 33±2 --out soil.usda
+    """
+    from terraphi.terrain import tune as tuning
+
+    with progress_bar("pressing") as report:
+        found = tuning.tune(name, out=out, progress=report, **options)
+    written = [] if out is None else [f"Written: {out}"]
+    present(found, *tuning.in_words(found), *written, as_json=as_json)
 
 
 @click.command("map")

@@ -323,9 +323,10 @@ def _about(found: Mapping[str, Any]) -> str:
     """Docstring of the module."""
     phi, lost = found["phi_plane_strain_deg"], found["draws_without_equivalent"]
     low, high = phi["ci95"]
-    matched = f"Matched in plane strain: {found['formula']}."
-    if found["matched"] == "triaxial":
-        matched = "Matched in triaxial compression: stronger than φ in plane strain."
+    matched = {
+        "plane-strain": f"Matched in plane strain: {found['formula']}.",
+        "triaxial": "Matched in triaxial compression: stronger than φ in plane strain.",
+    }.get(found["matched"], f"Tuned to {found['matched']}.")
     density = "given" if found["density_assumed"] is False else "assumed"
     lines = [
         f"Soil for {found['title']}; {found['made']}.\n",
@@ -359,6 +360,32 @@ NEWTON = '''def set_friction(model, value=FRICTION, particles=slice(None)):
     friction[particles] = value
     model.mpm.friction.assign(friction)
 '''
+ISAACLAB = '''
+
+def draw_friction(env, env_ids, draws=DRAWS or [FRICTION]):
+    """Event: each environment's particles have one draw of the posterior as their friction."""
+    import torch
+    import warp as wp
+    from isaaclab_newton.physics import NewtonManager
+
+    model = NewtonManager.get_model()
+    world, friction = wp.to_torch(model.particle_world).long(), wp.to_torch(model.mpm.friction)
+    chosen = torch.zeros(env.num_envs, dtype=torch.bool, device=world.device)
+    chosen[slice(None) if env_ids is None else env_ids] = True
+    values = torch.tensor(draws, dtype=friction.dtype, device=world.device)
+    drawn = values[torch.randint(len(draws), (env.num_envs,), device=world.device)]
+    ours = (world >= 0) & chosen[world]
+    friction[ours] = drawn[world[ours]]
+
+
+def soil_event(mode="reset"):
+    """An attribute of your EventCfg, as soil = soil_event()."""
+    from isaaclab.managers import EventTermCfg as EventTerm
+
+    return EventTerm(func=draw_friction, mode=mode)
+'''
+"""For Isaac Lab on Newton; read against its source (event_manager.py, newton_replicate.py, 2026),
+not run in it."""
 USES = {
     "genesis": '''def sand(value=FRICTION_ANGLE, **others):
     """The material of a scene; others are E, nu and sampler."""
@@ -367,7 +394,7 @@ USES = {
     return gs.materials.MPM.Sand(friction_angle=value, rho=DENSITY, **others)
 ''',
     "newton": NEWTON,
-    "isaaclab": NEWTON,
+    "isaaclab": NEWTON + ISAACLAB,
     "chrono-crm": '''def fill(properties, value=MU_FRIC_S):
     """Fill SoilProperties (ElasticMaterialProperties in older releases) of ChFsiFluidSystemSPH."""
     properties.density = DENSITY

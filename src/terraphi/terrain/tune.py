@@ -1,0 +1,869 @@
+r"""The friction with which a simulator's grid carries the load that the soil would carry.
+
+The material point method on a coarse grid loses force: a foot of a few voxels feels what the nodes
+in it and next to it hold, and that depends on where the surface lies in its voxel. So the friction
+of the soil, as :mod:`~terraphi.terrain.simulators` converts it, is not the one with which a foot
+sinks as deep as it would. Here the foot is pressed with the simulator itself, on a CPU, and its
+force over sinkage is compared with that of our law ``foot`` (:mod:`~terraphi.laws.foot`).
+
+Forces are means over thirds of the depth and over three places of the surface in its voxel. What is
+searched is :math:`q = \sqrt{J_2}/p`, which each simulator's parameter follows from. The best one
+has the least squares of log force, weighted by the scatter of the means. Its interval is that of
+draws of φ, of the law's own error and of the scatter. A voxel is too coarse where the best one's
+force over sinkage differs from the soil's, or single places differ from one another, by more than
+the law's own error.
+
+Run were Newton 1.8.0 (Warp 1.19.0) and Genesis 1.4.5.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import math
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from terraphi.experiment.arrays import FloatArray, IntArray
+from terraphi.experiment.errors import InputError, nearest, needing
+from terraphi.experiment.files import atomic_write, number_with_sd, plain_number
+from terraphi.experiment.outputs import SIGNATURE, check_file
+from terraphi.experiment.scenario import GRAVITY
+from terraphi.forward.rft import from_plane_strain, stress_scale
+from terraphi.inference.answer import StoredAnswer
+from terraphi.laws.foot import LAWS, Foot, wrench
+from terraphi.terrain.export import FORMATS, in_plane_strain, text
+from terraphi.terrain.simulators import in_words as value_in_words
+from terraphi.terrain.simulators import simulator
+
+DOWN = 0.5 * np.pi
+THIRDS, PLACES = 3, 3
+"""Parts of the depth, and places of the surface in its voxel at which each friction is tried."""
+FINE = 40
+"""Depths at which the law is averaged in each part."""
+SAMPLES = 2000
+"""Draws behind an interval."""
+STEP, CLOSE = 1.4, 0.08
+"""Ratio of neighboring frictions, and how near in log friction the best one has a neighbor; chosen
+so that a dozen presses do."""
+NODES = 6
+"""Frictions tried at most."""
+LIMITS = {"newton": (0.05, 2.0), "isaaclab": (0.05, 2.0), "genesis": (0.05, 1.7)}
+"""Least and largest q [-]; Genesis' cone ends at √3."""
+FINER, MOST_PARTICLES = 1.5, 60_000
+"""Where no friction does: ratio of the voxels that are tried next, and their particles at most."""
+WIDE, FLOOR = 3.0, 2.0
+"""Half the bed's width and its depth below the deepest sinkage, over the foot's radius. Newton's
+force on a disc was within 10 % of that in a bed of 4 and 3."""
+PACE = 0.2
+"""Speed over √(g R): the soil's inertia is below 2 % of the force (law of ``moved_mass``)."""
+
+
+@dataclass(frozen=True)
+class Sole:
+    """What is pressed: a closed surface of triangles, its lowest point at the origin's height.
+
+    Attributes
+    ----------
+    name
+        As it was given.
+    vertices, faces
+        [m], shape [vertex, 3]; indices, shape [face, 3], counterclockwise from outside.
+    radius
+        Of the circle with the area of the sole from below [m].
+    foot
+        Of a disc or ball: what the law knows it as.
+    """
+
+    name: str
+    vertices: FloatArray
+    faces: IntArray
+    radius: float
+    foot: Foot | None = None
+
+    @classmethod
+    def of(cls, text: str | Path) -> Sole:
+        """A foot from ``disc:RADIUS``, ``ball:RADIUS`` [m], or a Wavefront OBJ in metres.
+
+        A disc is a cylinder as high as its radius, so that no soil flows over it.
+
+        Raises
+        ------
+        InputError
+            If it is none of these, or the mesh is open or not between 5 mm and 1 m wide.
+        """
+        name = str(text)
+        shape, _, size = name.partition(":")
+        if shape in ("disc", "ball"):
+            try:
+                radius = plain_number(size)
+            except ValueError:
+                radius = math.nan
+            if not 0.005 <= radius <= 0.5:
+                raise InputError(f"foot {name}: give a radius of 0.005 to 0.5 m, as disc:0.05")
+            kind: Literal["disc", "ball"] = "disc" if shape == "disc" else "ball"
+            return cls(name, *_turned(kind, radius), radius, Foot(radius, kind))
+        if Path(name).suffix.lower() != ".obj":
+            raise InputError(f"foot {name}: give disc:RADIUS, ball:RADIUS (in m) or a .obj file")
+        vertices, faces = _read_obj(Path(name))
+        sole = cls(name, vertices, faces, math.nan)
+        _, normals, areas = sole.panels()
+        area = float(np.sum(areas * np.maximum(-normals[:, 2], 0.0)))
+        return replace(sole, radius=math.sqrt(area / math.pi))
+
+    def panels(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Centres [m] and outward unit normals, shape [face, 3]; areas [m²], shape [face]."""
+        first, second, third = (self.vertices[self.faces[:, k]] for k in range(3))
+        normals = np.cross(second - first, third - first)
+        doubled = np.linalg.norm(normals, axis=1)
+        keep = doubled > 0.0
+        centres = (first + second + third)[keep] / 3.0
+        return centres, normals[keep] / doubled[keep, None], 0.5 * doubled[keep]
+
+    def force(
+        self, depth: FloatArray, phi_deg: FloatArray, *, density: float, surface_friction: float
+    ) -> FloatArray:
+        """Upward force of law ``foot`` [N], shape [φ, depth]; NaN for φ outside its table.
+
+        A mesh has the force of resistive force theory times the ratio of both laws at its depth:
+        that of a ball and that of a disc of its area, in geometric proportion to how flat it is.
+        It is flat by the mean depth of its lower faces over its depth, 1 for a disc, less for a
+        ball, so that meshes of discs and balls have the force of both. Between them the ratios
+        differ by up to 2.5; other meshes were compared with nothing.
+        """
+        soil = {"density": density, "surface_friction": surface_friction}
+        grid = np.broadcast_arrays(depth, np.asarray(phi_deg)[:, None])
+
+        def level(shape: Literal["disc", "ball"], law: str) -> FloatArray:
+            foot = Foot(self.radius, shape)
+            force = LAWS[law].force(foot, grid[0], DOWN, friction_angle_deg=grid[1], **soil)
+            return force[..., 1]
+
+        if self.foot is not None:
+            return level(self.foot.shape, "foot")
+        centres, normals, areas = self.panels()
+        downward = areas * np.maximum(-normals[:, 2], 0.0)
+        below = np.maximum(depth[:, None] - centres[:, 2], 0.0)
+        wet = np.where(below > 0.0, downward, 0.0)
+        mean = (wet * below).sum(axis=1) / np.maximum(wet.sum(axis=1), 1e-12) / depth
+        cap = np.minimum(depth, self.radius)  # of a ball, as in ``bearing_capacity``
+        round_ = cap * (3 * self.radius - cap) / (3 * (2 * self.radius - cap)) + depth - cap
+        flat = np.clip((mean - round_ / depth) / (1.0 - round_ / depth), 0.0, 1.0)
+        down = np.multiply.outer(depth, [0.0, 0.0, 1.0])[:, None]
+        theory, _ = wrench(
+            centres - down, normals, areas, [[[0.0, 0.0, -1.0]]], friction_angle_deg=30.0, **soil
+        )
+        # Of resistive force theory only the level depends on φ.
+        scale = stress_scale(from_plane_strain(grid[1]), density) / stress_scale(30.0, density)
+        disc, ball = (level(shape, "foot") / level(shape, "rft") for shape in ("disc", "ball"))
+        return np.asarray(theory[:, 2] * scale * disc**flat * ball ** (1.0 - flat))
+
+
+@dataclass(frozen=True)
+class Press:
+    """A foot that goes straight down into a box of soil, in SI units.
+
+    ``place`` is that of the surface above a node, over the voxel, and ``seed`` that of the
+    particles. ``time_step`` is Newton's; Genesis' follows from its stiffness.
+    """
+
+    sole: Sole
+    voxel: float
+    depth: float
+    density: float
+    surface_friction: float
+    time_step: float
+    place: float = 0.5
+    seed: int = 0
+
+    @property
+    def speed(self) -> float:
+        """Downward [m/s]."""
+        return PACE * math.sqrt(GRAVITY * self.sole.radius)
+
+    @property
+    def box(self) -> tuple[float, float]:
+        """Half the width, and the depth of the bed [m], in whole voxels."""
+        half = max(math.ceil(WIDE * self.sole.radius / self.voxel), 3) * self.voxel
+        deep = math.ceil((FLOOR * self.sole.radius + self.depth) / self.voxel)
+        return half, max(deep, 3) * self.voxel
+
+
+Engine = Callable[[Press, float], tuple[FloatArray, FloatArray]]
+"""Sinkage [m] and upward force [N] of a press with a simulator's parameter, step by step."""
+
+
+def newton(press: Press, friction: float) -> tuple[FloatArray, FloatArray]:
+    """Newton's implicit solver with its own defaults, 27 particles in a voxel as in its examples.
+
+    Force on a kinematic body, from ``collect_collider_impulses``.
+    """
+    with needing("tune newton", "newton", extra="tune-newton"):
+        import newton as nt
+        import warp as wp
+
+    wp.config.quiet = True
+    voxel, (half, deep) = press.voxel, press.box
+    builder = nt.ModelBuilder()
+    nt.solvers.SolverImplicitMPM.register_custom_attributes(builder)
+    cell = voxel / 3
+    counts = [round(2 * half / cell)] * 2 + [round(deep / cell)]
+    rng = np.random.default_rng(press.seed)
+    grid = np.moveaxis(np.indices(counts), 0, -1).reshape(-1, 3)
+    shift = np.array([*rng.uniform(-0.5, 0.5, 2), press.place]) * voxel
+    places = (grid + rng.random(grid.shape)) * cell - [half, half, deep] + shift
+    builder.add_particles(
+        pos=places.tolist(),
+        vel=np.zeros_like(places).tolist(),
+        mass=[press.density * cell**3] * len(places),
+        radius=[cell / 2] * len(places),
+        custom_attributes={"mpm:friction": float(friction)},
+    )
+    rough = nt.ModelBuilder.ShapeConfig(mu=press.surface_friction)
+    for side, axis in [(1, 0), (-1, 0), (1, 1), (-1, 1), (-1, 2)]:
+        size = np.full(3, half + deep)
+        size[axis] = 2 * voxel
+        at = shift.copy()
+        at[axis] += side * ((deep if axis == 2 else half) + 2 * voxel)
+        builder.add_shape_box(
+            -1, xform=wp.transform(wp.vec3(*at), wp.quat_identity()),
+            hx=size[0], hy=size[1], hz=size[2], cfg=rough,
+        )  # fmt: skip
+    body = builder.add_body(is_kinematic=True, mass=1.0)
+    sole = press.sole
+    mesh = nt.Mesh(sole.vertices.astype(np.float32), sole.faces.astype(np.int32).ravel())
+    builder.add_shape_mesh(body, mesh=mesh, cfg=rough)
+    model = builder.finalize(device="cpu")
+    model.set_gravity((0.0, 0.0, -GRAVITY))
+    solver = nt.solvers.SolverImplicitMPM(
+        model, config=nt.solvers.SolverImplicitMPM.Config(voxel_size=voxel)
+    )
+    ours = np.flatnonzero(solver.collider_body_index.numpy() == body)
+    state, pose, velocity = model.state(), np.zeros((1, 7)), np.zeros((1, 6))
+    pose[0, 6] = 1.0
+
+    def moved(height: float, speed: float) -> float:
+        """Lift after a step that begins at a height of the foot above the surface."""
+        pose[0, 2], velocity[0, 2] = height + shift[2], -speed
+        state.body_q.assign(pose)
+        state.body_qd.assign(velocity)
+        solver.step(state, state, None, None, press.time_step)
+        impulses, _, colliders = solver.collect_collider_impulses(state)
+        mine = np.isin(colliders.numpy(), ours)
+        return float(impulses.numpy()[mine, 2].sum() / press.time_step)
+
+    for _ in range(5):  # the bed rests after the first
+        moved(3 * voxel, 0.0)
+    shift[2] -= _sunk(press, places, state.particle_q.numpy())
+    stride = press.speed * press.time_step
+    steps = np.arange(-math.ceil(0.5 * voxel / stride), math.ceil(press.depth / stride))
+    forces = [moved(-step * stride, press.speed) for step in steps]
+    return np.asarray((steps + 1) * stride), np.array(forces)
+
+
+def genesis(press: Press, friction_angle: float) -> tuple[FloatArray, FloatArray]:
+    """Genesis' solver and its legacy coupler with their own defaults.
+
+    Force on a rigid body, too heavy to be slowed, from what the coupler gives its link.
+    """
+    with needing("tune genesis", "genesis-world and torch", extra="tune-genesis"):
+        import genesis as gs
+        import torch  # noqa: F401
+        from genesis.utils.misc import qd_to_numpy
+
+    if not getattr(gs, "_initialized", False):
+        gs.init(backend=gs.cpu, logging_level="error", seed=press.seed)
+    voxel, sole, (half, deep) = press.voxel, press.sole, press.box
+    pad, top = 3 * voxel, press.place * voxel
+    sand = gs.materials.MPM.Sand(friction_angle=friction_angle, rho=press.density)
+    # A quarter of the time that its pressure waves need for a voxel.
+    step = 0.25 * voxel / math.sqrt(1.2 * sand.E / press.density)
+    scene = gs.Scene(
+        sim_options=gs.options.SimOptions(dt=step, substeps=1, gravity=(0.0, 0.0, -GRAVITY)),
+        mpm_options=gs.options.MPMOptions(
+            grid_density=1.0 / voxel,
+            lower_bound=(-half - pad, -half - pad, -deep - pad),
+            upper_bound=(half + pad, half + pad, math.ceil(4 * sole.radius / voxel) * voxel + pad),
+        ),
+        show_viewer=False,
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "sole.obj")
+        lines = [f"v {x:.7g} {y:.7g} {z:.7g}" for x, y, z in sole.vertices]
+        lines += [f"f {a} {b} {c}" for a, b, c in sole.faces + 1]
+        file.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        foot = scene.add_entity(
+            morph=gs.morphs.Mesh(
+                file=str(file), convexify=False, decimate=False, file_meshes_are_zup=True
+            ),
+            material=gs.materials.Rigid(
+                rho=1e6, coup_friction=press.surface_friction, gravity_compensation=1.0
+            ),
+        )
+        bed = scene.add_entity(
+            morph=gs.morphs.Box(lower=(-half, -half, -deep), upper=(half, half, top)),
+            material=sand,
+        )
+        scene.build()
+    link = foot.links[0].idx
+    aside = np.random.default_rng(press.seed).uniform(-0.5, 0.5, 2) * voxel
+
+    def moved(speed: float) -> float:
+        foot.set_dofs_velocity(np.array([0.0, 0.0, -speed, 0.0, 0.0, 0.0]))
+        scene.step()
+        wrenches = qd_to_numpy(scene.sim.rigid_solver.dyn_state.links.cfrc_coupling_vel)
+        return -float(wrenches[link].ravel()[2])
+
+    def lift_to(height: float) -> None:
+        foot.set_pos((*aside, top + height))
+
+    lift_to(3 * voxel)
+    before = bed.get_particles_pos().cpu().numpy().reshape(-1, 3)
+    for _ in range(math.ceil(0.05 / step)):
+        moved(0.0)
+    top -= _sunk(press, before, bed.get_particles_pos().cpu().numpy().reshape(-1, 3))
+    lift_to(0.5 * voxel)
+    stride = press.speed * step
+    count = math.ceil((0.5 * voxel + press.depth) / stride)
+    forces = np.array([moved(press.speed) for _ in range(count)])
+    scene.destroy()
+    return np.asarray(np.arange(1, count + 1) * stride - 0.5 * voxel), forces
+
+
+def _sunk(press: Press, before: FloatArray, after: FloatArray) -> float:
+    """Mean way down of particles under the foot that began within a voxel of the surface [m]."""
+    top = before[:, 2].max() - press.voxel
+    under = (before[:, 2] > top) & (np.hypot(*before[:, :2].T) < press.sole.radius + press.voxel)
+    return float((before - after)[under, 2].mean())
+
+
+ENGINES: dict[str, Engine] = {"newton": newton, "isaaclab": newton, "genesis": genesis}
+PACKAGES = {"newton": "newton", "isaaclab": "newton", "genesis": "genesis-world"}
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Result of :func:`fit`.
+
+    Attributes
+    ----------
+    ratio, draws
+        Best q [-]; draws of it, shape [draw].
+    lost
+        Share of draws that no q in the limits reaches, which ``draws`` leaves out.
+    factor
+        Draws of the factor of density with which the soil's own q does, shape [draw].
+    forces, carried
+        Mean force in each part of the depth at the best q and at the soil's own [N], shape [part].
+    residual
+        Root mean square of log force over that of the law at the best q.
+    scatter
+        Standard deviation between single places of the mean force over the depth, over its mean.
+    tolerance
+        The law's own error in log force, which both may reach.
+    presses
+        How many there were.
+    at_limit
+        ``low`` or ``high`` where the best q is an end of the limits.
+    """
+
+    ratio: float
+    draws: FloatArray
+    lost: float
+    factor: FloatArray
+    forces: FloatArray
+    carried: FloatArray
+    residual: float
+    scatter: float
+    tolerance: float
+    presses: int
+    at_limit: str = ""
+
+    @property
+    def fits(self) -> bool:
+        """Whether a friction has the soil's force over sinkage within the law's own error."""
+        return not self.at_limit and max(self.residual, self.scatter) <= self.tolerance
+
+
+def fit(
+    press: Callable[[float, int], FloatArray],
+    target: FloatArray,
+    targets: FloatArray,
+    *,
+    tolerance: float,
+    start: float,
+    limits: tuple[float, float],
+    seed: int = 0,
+    report: Callable[[float, float], None] = lambda _done, _total: None,
+) -> Fit:
+    """Find the q whose forces are nearest to the soil's, for any engine.
+
+    Parameters
+    ----------
+    press
+        Mean forces in each part of the depth [N], shape [part], from q and the index of a place.
+    target
+        The soil's, shape [part].
+    targets
+        Draws of it, with all that is not known of the soil, shape [draw, part].
+    tolerance
+        Error of the law in log force.
+    start
+        The soil's own q.
+    limits
+        Least and largest q.
+    seed
+        Of the draws of the scatter.
+    report
+        Called with the presses done and an estimate of all.
+
+    Raises
+    ------
+    InputError
+        If the foot feels no force.
+    """
+    low, high = limits
+    start = min(max(start, low), high)
+    runs: dict[float, FloatArray] = {}
+    waiting = [start, min(start * STEP, high)]
+    wanted, wanted_draws = np.log(target), np.log(targets)
+    rng = np.random.default_rng(seed)
+    while True:
+        for ratio in waiting:
+            runs[ratio] = np.array([press(ratio, place) for place in range(PLACES)])
+            report(PLACES * len(runs), PLACES * max(len(runs) + 1, 4))
+        nodes = np.array(sorted(runs))
+        forces = np.array([runs[node] for node in nodes])  # [node, place, part]
+        means = np.maximum(forces.mean(axis=1), 1e-3 * target)
+        if not np.isfinite(forces).all() or not (forces > 0.0).any():
+            raise InputError("the foot felt no force, or one that is no number: take finer voxels")
+        # Deviations of single places, of which a mean over places has 1/√PLACES.
+        freedom = len(nodes) * (PLACES - 1)
+        deviations = ((forces - forces.mean(axis=1, keepdims=True)) / means[:, None]).reshape(
+            -1, len(target)
+        ) / math.sqrt(freedom * PLACES)
+        variance = np.square(deviations).sum(axis=0)
+        weights = 1.0 / (variance + 0.1**2)  # no part is better than a tenth
+        weights /= weights.sum()
+        logs = np.linspace(np.log(nodes[0]), np.log(nodes[-1]), 801)
+        curve = _over(np.log(nodes), np.log(means), logs)  # [q, part]
+        scatter = rng.standard_normal((len(targets), len(deviations))) @ deviations
+        scatter /= np.sqrt(rng.chisquare(freedom, (len(targets), 1)) / freedom)
+
+        def best(goal: FloatArray, curve: FloatArray = curve, w: FloatArray = weights) -> IntArray:
+            """Index of the nearest q to each row."""
+            return np.array([np.argmin(((curve - row) ** 2) @ w) for row in goal])
+
+        (chosen,), drawn = best(wanted[None]), best(wanted_draws - scatter)
+        ends = np.quantile(drawn, [0.025, 0.975])
+        last = len(logs) - 1
+        near = np.min(np.abs(np.log(nodes) - logs[chosen]))
+        if ends[1] >= last and nodes[-1] < high * 0.999:
+            waiting = [min(nodes[-1] * STEP, high)]
+        elif ends[0] <= 0 and nodes[0] > low * 1.001:
+            waiting = [max(nodes[0] / STEP, low)]
+        elif 0 < chosen < last and near > CLOSE:
+            waiting = [float(np.exp(logs[chosen]))]
+        else:
+            break
+        if len(runs) >= NODES and 0 < chosen < last:
+            break
+    inside = (drawn > 0) & (drawn < last)
+    residual, levels = curve[chosen] - wanted, forces.mean(axis=2)
+    own = _over(np.log(nodes), np.log(means), np.array([np.log(start)]))[0]
+    shortfall = (wanted_draws - scatter - own) @ weights
+    limit = {0: "low", last: "high"}.get(int(chosen), "")
+    return Fit(
+        float(np.exp(logs[chosen])),
+        np.exp(logs[drawn[inside]]),
+        1.0 - float(inside.mean()),
+        np.exp(shortfall),
+        np.exp(curve[chosen]),
+        np.exp(own),
+        math.sqrt(float(np.square(residual) @ weights)),
+        float(np.sqrt(np.mean(np.var(levels, axis=1, ddof=1) / levels.mean(axis=1) ** 2))),
+        tolerance,
+        PLACES * len(runs),
+        limit,
+    )
+
+
+def tune(
+    name: str,
+    *,
+    voxel: float,
+    foot: str | Path,
+    phi: Any,
+    density: float = 1600.0,
+    surface_friction: float = 0.5,
+    depth: float | None = None,
+    time_step: float = 0.01,
+    finer: int = 2,
+    draws: int = 64,
+    seed: int = 0,
+    anyway: bool = False,
+    out: Path | str | None = None,
+    progress: Callable[[float, float], None] = lambda _done, _total: None,
+) -> dict[str, Any]:
+    """Find the friction with which a simulator's grid carries a foot as the soil would.
+
+    The foot is pressed in about a dozen times with the simulator itself, on a CPU: minutes.
+
+    Parameters
+    ----------
+    name
+        ``newton``, ``isaaclab`` (Newton's solver) or ``genesis``.
+    voxel
+        Size of a cell of its grid [m].
+    foot
+        ``disc:RADIUS``, ``ball:RADIUS`` [m] or a closed Wavefront OBJ [m], z up.
+    phi
+        φ of the soil in plane strain [deg]: ``"33±2"``, a number, or an answer with draws (see
+        :func:`~terraphi.terrain.export.export`).
+    density
+        Bulk density [kg/m³].
+    surface_friction
+        Coulomb coefficient between foot and soil [-], also given to the simulator.
+    depth
+        Largest sinkage [m]; by default half the foot's radius.
+    time_step
+        Newton's [s], on which its force depends; Genesis takes its own.
+    finer
+        How many finer voxels are tried where no friction does.
+    draws, seed
+        How many draws of the friction are returned; seed of all draws and particles.
+    anyway
+        Whether a file is written although no friction has the soil's force over sinkage.
+    out
+        A ``.py``, ``.json``, ``.csv`` or, of newton and isaaclab, ``.usda`` file to write.
+    progress
+        Called with the presses done and an estimate of all.
+
+    Returns
+    -------
+    dict
+        ``parameter``, ``value``, ``ci68``, ``ci95``, ``draws``; ``density_factor`` with which the
+        soil's own friction carries as much; ``residual``, ``scatter``, ``verdict`` (``carries`` or
+        ``no value``) and its ``reason``; ``forces_N`` by depth; ``voxel_that_does``, where one was
+        tried for want of a value.
+
+    Raises
+    ------
+    InputError
+        If an option cannot be used, the package is missing, or no friction does and a file is
+        wanted without ``anyway``.
+    """
+    if name not in ENGINES:
+        raise InputError(f"cannot press with '{name}'; {nearest(name, ENGINES)}")
+    path = None if out is None else Path(out)
+    if path is not None:
+        if path.suffix not in (*FORMATS, ".csv"):
+            raise InputError(f"{path}: name a .py, .json, .csv or .usda file")
+        if path.suffix == ".usda" and name == "genesis":
+            raise InputError("genesis reads no materials in USD: name a .py, .csv or .json file")
+        check_file(path)
+    sole = Sole.of(foot)
+    deepest = 0.5 * sole.radius if depth is None else depth
+    bounds = {
+        "voxel": (voxel, 0.05 * sole.radius, 2.0 * sole.radius),
+        "depth": (deepest, 0.05 * sole.radius, 2.0 * sole.radius),
+        "density": (density, 500.0, 3000.0),
+        "time_step": (time_step, 1e-4, 0.05),
+    }
+    for what, (value, least, most) in bounds.items():
+        if not least <= value <= most:
+            raise InputError(f"{what} = {value:g}: {least:.3g} to {most:.3g} are accepted here")
+    rng = np.random.default_rng(seed)
+    middle, angles, source = _angles(phi, rng)
+    first = Press(sole, voxel, deepest, density, surface_friction, time_step, seed=seed)
+    edges = np.linspace(0.0, deepest, THIRDS + 1)
+
+    def law(phi_deg: FloatArray) -> FloatArray:
+        """Mean force in each part of the depth, shape [φ, part]."""
+        at = deepest * (np.arange(THIRDS * FINE) + 0.5) / (THIRDS * FINE)
+        soil = {"density": density, "surface_friction": surface_friction}
+        return sole.force(at, phi_deg, **soil).reshape(-1, THIRDS, FINE).mean(axis=2)
+
+    target = law(np.array([middle]))[0]
+    if not np.isfinite(target).all():
+        raise InputError(f"φ = {middle:g} deg: law 'foot' was simulated for less or more; see docs")
+    targets = law(angles + rng.normal(0.0, LAWS["foot"].sd_deg, angles.size))
+    targets = targets[np.isfinite(targets).all(axis=1)]
+    error = LAWS["foot"].sd_deg
+    ends = law(np.array([middle - error, middle + error]))
+    tolerance = float(np.log(ends[1] / ends[0]).mean() / 2)
+    to = simulator(name)
+
+    def fitted(press: Press) -> Fit:
+        def forces(ratio: float, place: int) -> FloatArray:
+            here = replace(press, place=(place + 0.5) / PLACES, seed=seed + place)
+            sinkage, force = ENGINES[name](here, to.law.value(ratio))
+            part = np.searchsorted(edges, sinkage - 1e-9) - 1
+            return np.array([force[part == k].mean() for k in range(THIRDS)])
+
+        start = math.sin(math.radians(middle))
+        return fit(
+            forces, target, targets, tolerance=tolerance, start=start, limits=LIMITS[name],
+            seed=seed, report=progress,
+        )  # fmt: skip
+
+    found = fitted(first)
+    would, tried = None, voxel
+    press = first
+    for _ in range(0 if found.fits else finer):
+        press = replace(press, voxel=press.voxel / FINER)
+        half, deep = press.box
+        if 27 * 4 * half**2 * deep / press.voxel**3 > MOST_PARTICLES:
+            break
+        tried = press.voxel
+        if fitted(press).fits:
+            would = tried
+            break
+    result = _result(to, found, first, rng, draws, middle, angles, source)
+    result |= {"voxel_that_does": would, "finest_voxel_tried": tried}
+    result["reason"] = _reason(found, target, result, first)
+    result["law_N"] = np.round(target, 4).tolist()
+    if not found.fits:
+        result["caution"] = result["reason"]
+        if path is not None and not anyway:
+            raise InputError(f"{result['reason']} To write a file all the same, add --anyway")
+    if path is not None:
+        content = _table(result) if path.suffix == ".csv" else text(result, FORMATS[path.suffix])
+        with atomic_write(path) as temporary:
+            temporary.write_text(content, encoding="utf-8")
+    return result
+
+
+def in_words(found: dict[str, Any]) -> list[str]:
+    """Result of :func:`tune`, a sentence each."""
+    value, low, high = (
+        value_in_words(number, found["unit"]) for number in (found["value"], *found["ci95"])
+    )
+    factor = found["density_factor"]
+    own = value_in_words(found["own_value"], found["unit"])
+    carried = (
+        f"With the soil's own {own} the grid carries {found['carried']:.0%} of the load: density "
+        f"times {factor['median']:.2f} makes up for it, 95 %: {factor['ci95'][0]:.2f} to "
+        f"{factor['ci95'][1]:.2f}."
+    )
+    tuned = f"{found['parameter']} {value}, 95 %: {low} to {high} ({found['presses']} presses)."
+    return [found["reason"], tuned, carried]
+
+
+def _result(
+    to: Any,
+    found: Fit,
+    press: Press,
+    rng: np.random.Generator,
+    draws: int,
+    phi_deg: float,
+    angles: FloatArray,
+    source: str,
+) -> dict[str, Any]:
+    """What :func:`tune` returns, but for the reason."""
+
+    def summary(values: FloatArray, middle: float | None = None) -> dict[str, Any]:
+        ends = np.quantile(values, [0.16, 0.84, 0.025, 0.975]).round(6).tolist()
+        center = float(np.median(values)) if middle is None else middle
+        return {"median": round(center, 6), "ci68": ends[:2], "ci95": ends[2:]}
+
+    values = np.array([to.law.value(q) for q in found.draws]) if found.draws.size else np.empty(0)
+    middle = to.law.value(found.ratio)
+    value = summary(values if values.size else np.array([middle]), middle)
+    package = PACKAGES[to.name]
+    version = _version(package)
+    return {
+        "made": f"{SIGNATURE} {importlib.metadata.version('terraphi')}",
+        "caution": "",
+        "to": to.name,
+        "title": to.title,
+        "package": package,
+        "version": version,
+        "parameter": to.parameter,
+        "unit": to.unit,
+        "meaning": to.law.meaning,
+        "formula": to.law.formula,
+        "dp_type": None,
+        "matched": f"force over sinkage of {press.sole.name} to {1e3 * press.depth:.3g} mm, with "
+        f"voxels of {1e3 * press.voxel:.3g} mm in {package} {version}",
+        "value": value.pop("median"),
+        **value,
+        "draws": rng.choice(values, draws).round(6).tolist() if draws and values.size else [],
+        "draws_go_to": to.draws_go_to,
+        "draws_without_equivalent": found.lost,
+        "verdict": "carries" if found.fits else "no value",
+        "residual": round(found.residual, 4),
+        "scatter": round(found.scatter, 4),
+        "tolerance": round(found.tolerance, 4),
+        "own_value": round(to.law.value(math.sin(math.radians(phi_deg))), 6),
+        "carried": round(1.0 / float(np.median(found.factor)), 4),
+        "density_factor": summary(found.factor),
+        "forces_N": np.round(found.forces, 4).tolist(),
+        "forces_own_N": np.round(found.carried, 4).tolist(),
+        "presses": found.presses,
+        "phi_plane_strain_deg": summary(angles, phi_deg),
+        "density_kg_m3": press.density,
+        "density_assumed": None,
+        "leg_friction_assumed": press.surface_friction,
+        "voxel_m": press.voxel,
+        "depth_m": press.depth,
+        "time_step_s": press.time_step if package == "newton" else None,
+        "not_inferred": to.not_inferred,
+        "source": {"answer": source, "record": press.sole.name, "law": "foot"},
+    }
+
+
+def _reason(found: Fit, target: FloatArray, result: dict[str, Any], press: Press) -> str:
+    """The verdict in a sentence."""
+    voxel = f"voxels of {1e3 * press.voxel:.3g} mm"
+    if found.fits:
+        return (
+            f"{result['title']} with {voxel} carries {press.sole.name} as the soil does, within "
+            f"{found.residual:.0%} over the depth and {found.scatter:.0%} between places of the "
+            f"surface in its voxel (the law's own error: {found.tolerance:.0%})."
+        )
+    by_part = ", ".join(f"{ratio - 1:+.0%}" for ratio in found.forces / target)
+    why = f"at the best one the forces of the thirds of the depth are off by {by_part}"
+    if found.residual <= found.tolerance:
+        why = (
+            f"the force differs by ± {found.scatter:.0%} with the place of the surface in its "
+            f"voxel, more than by the law's own error ({found.tolerance:.0%})"
+        )
+    if found.at_limit:
+        end = "largest" if found.at_limit == "high" else "least"
+        why = f"at the {end} that was tried the forces are off by {by_part}"
+    would, finest = result["voxel_that_does"], result["finest_voxel_tried"]
+    remedy = f"Voxels of {1e3 * (would or 0):.3g} mm do."
+    if would is None:
+        more = f" down to {1e3 * finest:.3g} mm" if finest < press.voxel else ""
+        remedy = f"Take finer voxels; none{more} did here." if more else "Take finer voxels."
+    return f"No friction does with {voxel}: {why}. {remedy}"
+
+
+def _table(found: dict[str, Any]) -> str:
+    """The numbers as CSV."""
+    rows = {
+        f"{found['parameter']} [{found['unit'] or '-'}]": {**found, "median": found["value"]},
+        "density_factor [-]": found["density_factor"],
+        "phi_plane_strain [deg]": found["phi_plane_strain_deg"],
+    }
+    lines = ["quantity,median,low68,high68,low95,high95"]
+    for name, row in rows.items():
+        lines.append(",".join(map(str, [name, row["median"], *row["ci68"], *row["ci95"]])))
+    return "\n".join([*lines, *(f"draw,{value},,,," for value in found["draws"])]) + "\n"
+
+
+def _version(package: str) -> str:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "of unknown version"
+
+
+def _angles(phi: Any, rng: np.random.Generator) -> tuple[float, FloatArray, str]:
+    """Median and draws of φ in plane strain [deg], and where they come from."""
+    given = f"{phi:g}" if isinstance(phi, int | float) else phi
+    if isinstance(given, str):
+        try:
+            middle, sd = number_with_sd(given)
+        except ValueError:
+            middle, sd = math.nan, None
+        if math.isfinite(middle):
+            if not (10.0 <= middle <= 60.0 and (sd is None or 0.0 <= sd <= 15.0)):
+                raise InputError(f"φ = {given} deg: give 10 to 60, as 33±2")
+            return middle, rng.normal(middle, sd or 0.0, SAMPLES), f"φ {given} deg"
+    read = StoredAnswer.of(phi)
+    every = in_plane_strain(read)
+    every = every[np.isfinite(every)]
+    return float(np.median(every)), rng.choice(every, SAMPLES), read.source
+
+
+def _over(nodes: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:
+    """Monotone cubic through rows of values over nodes, shape [at, ...]."""
+    from scipy.interpolate import PchipInterpolator
+
+    return np.asarray(PchipInterpolator(nodes, values, axis=0)(at))
+
+
+def _turned(shape: Literal["disc", "ball"], radius: float) -> tuple[FloatArray, IntArray]:
+    """A cylinder as high as its radius, or a ball: vertices and faces, its lowest point at zero."""
+    if shape == "ball":
+        turn = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 25)
+        outline = np.stack([np.cos(turn), 1.0 + np.sin(turn)], axis=-1)
+    else:
+        outline = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    sectors = 48
+    # A facetted circle of the same area.
+    size = radius * np.sqrt(2 * np.pi / sectors / np.sin(2 * np.pi / sectors))
+    around = 2 * np.pi * np.arange(sectors) / sectors
+    rings = outline[1:-1]
+    points = np.stack(
+        [
+            size * rings[:, :1] * np.cos(around),
+            size * rings[:, :1] * np.sin(around),
+            radius * np.repeat(rings[:, 1:], sectors, axis=1),
+        ],
+        axis=-1,
+    ).reshape(-1, 3)
+    bottom, top = len(points), len(points) + 1
+    one = np.arange(sectors)
+    other = (one + 1) % sectors
+    faces = [np.stack([np.full(sectors, bottom), other, one], axis=-1)]
+    for ring in range(len(rings) - 1):
+        low, high = ring * sectors, (ring + 1) * sectors
+        faces.append(np.stack([low + one, low + other, high + other], axis=-1))
+        faces.append(np.stack([low + one, high + other, high + one], axis=-1))
+    last = (len(rings) - 1) * sectors
+    faces.append(np.stack([last + one, last + other, np.full(sectors, top)], axis=-1))
+    poles = radius * np.array([[0.0, 0.0, outline[0, 1]], [0.0, 0.0, outline[-1, 1]]])
+    return np.vstack([points, poles]), np.vstack(faces)
+
+
+def _read_obj(path: Path) -> tuple[FloatArray, IntArray]:
+    """Vertices and triangles of a Wavefront OBJ, centred, its lowest point at zero.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, has no faces, is not closed, or has another size than a foot.
+    """
+    vertices: list[list[float]] = []
+    faces: list[list[int]] = []
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read as text ({type(error).__name__})") from error
+    for number, line in enumerate(lines, 1):
+        key, *words = line.split() or [""]
+        try:
+            if key == "v":
+                vertices.append([plain_number(word) for word in words[:3]])
+            elif key == "f":
+                corners = [int(word.partition("/")[0]) for word in words]
+                corners = [at - 1 if at > 0 else len(vertices) + at for at in corners]
+                faces += [[corners[0], *pair] for pair in pairwise(corners[1:])]
+        except ValueError as error:
+            raise InputError(f"{path}, line {number}: '{line[:60]}' is no number") from error
+    points, corners_ = np.array(vertices), np.array(faces, dtype=np.int64)
+    sound = bool(faces) and points.ndim == 2 and points.shape[1] == 3 and np.isfinite(points).all()
+    if not sound or corners_.min() < 0 or corners_.max() >= len(points):
+        raise InputError(f"{path}: has no faces, or faces of vertices that it lacks")
+    # Each edge of a closed surface is passed once in each direction.
+    edges = np.concatenate([corners_[:, [0, 1]], corners_[:, [1, 2]], corners_[:, [2, 0]]])
+    there = edges[np.lexsort(edges.T)]
+    back = edges[:, ::-1][np.lexsort(edges[:, ::-1].T)]
+    if not np.array_equal(there, back) or len(np.unique(there, axis=0)) != len(there):
+        raise InputError(f"{path}: the surface is not closed; export one solid, vertices merged")
+    size = np.ptp(points, axis=0)
+    if size[:2].min() < 0.005 or size.max() > 1.0:
+        raise InputError(f"{path}: is {size.max():.3g} m long; the file's unit is the metre")
+    a, b, c = (points[corners_[:, k]] for k in range(3))
+    if np.einsum("fi,fi->", a, np.cross(b, c)) < 0.0:
+        corners_ = corners_[:, ::-1]
+    points = points - [*(points.min(axis=0) + 0.5 * size)[:2], points[:, 2].min()]
+    return points, corners_

@@ -1,0 +1,310 @@
+"""The search of ``terraphi tune`` against engines whose answer is known, and the real ones."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import runpy
+import sys
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from terraphi.cli.main import cli
+from terraphi.cli.options import TUNED
+from terraphi.experiment.errors import InputError
+from terraphi.inference.answer import StoredAnswer
+from terraphi.laws.foot import LAWS, Foot
+from terraphi.terrain import tune as tuning
+from terraphi.terrain.export import export, text
+from terraphi.terrain.simulators import simulator
+from terraphi.terrain.tune import ENGINES, Fit, Press, Sole, fit, tune
+
+SOIL = {"density": 1600.0, "surface_friction": 0.5}
+TARGET = np.array([100.0, 160.0, 210.0])
+GIVEN: dict[str, Any] = {"tolerance": 0.2, "start": 0.545, "limits": (0.05, 2.0)}
+OWN = math.sin(math.radians(33.0))
+
+
+def search(
+    answer: float, *, power: float = 3.0, noise: float = 0.0, spread: float = 0.3, seed: int = 0
+) -> Fit:
+    """Fit to an engine that has the soil's force at a known q, with noise in each press."""
+    rng = np.random.default_rng(seed)
+
+    def press(ratio: float, _place: int) -> np.ndarray:
+        return (
+            TARGET
+            * (ratio / answer) ** power
+            * np.exp(noise * rng.standard_normal(3) - 0.5 * noise**2)
+        )
+
+    targets = TARGET * np.exp(np.random.default_rng(9).normal(0.0, spread, 2000))[:, None]
+    return fit(press, TARGET, targets, **GIVEN)
+
+
+@pytest.mark.parametrize("answer", [0.21, 0.4, OWN, 0.9, 1.3])
+def test_a_known_friction_is_found_with_its_interval(answer: float) -> None:
+    found = search(answer)
+    assert found.fits
+    assert found.ratio == pytest.approx(answer, rel=0.01)
+    # Errors of log force divided by the exponent.
+    assert np.std(np.log(found.draws)) == pytest.approx(0.1, rel=0.15)
+    assert np.median(found.factor) == pytest.approx((answer / OWN) ** 3, rel=0.02)
+    assert found.presses <= 18
+
+
+def test_the_interval_covers_noise_as_often_as_it_says() -> None:
+    hits = []
+    for seed in range(100):
+        found = search(0.8, noise=0.4, spread=0.0, seed=seed)
+        low, high = np.quantile(found.draws, [0.025, 0.975])
+        hits.append(low <= 0.8 <= high)
+    assert 0.88 <= np.mean(hits) <= 1.0
+    assert high / low > 1.1
+
+
+def test_an_engine_that_cannot_bear_the_load_has_no_value() -> None:
+    def press(ratio: float, _place: int) -> np.ndarray:
+        return 0.3 * TARGET * ratio / (0.5 + ratio)
+
+    found = fit(press, TARGET, TARGET[None] * np.ones((500, 1)), **GIVEN)
+    assert not found.fits
+    assert found.at_limit == "high"
+    assert found.lost == 1.0
+    weak = fit(lambda q, _: 50 * TARGET * (1 + q), TARGET, TARGET[None], **GIVEN)
+    assert weak.at_limit == "low"
+    assert np.median(weak.factor) == pytest.approx(1 / (50 * (1 + OWN)), rel=0.01)
+
+
+def test_another_curve_of_force_over_sinkage_has_no_value() -> None:
+    def press(ratio: float, _place: int) -> np.ndarray:
+        return TARGET * [0.2, 1.0, 5.0] * (ratio / 0.6) ** 3
+
+    found = fit(press, TARGET, TARGET[None] * np.ones((500, 1)), **GIVEN)
+    assert found.ratio == pytest.approx(0.6, rel=0.02)
+    assert not found.fits
+    assert found.residual == pytest.approx(math.log(5) * math.sqrt(2 / 3), rel=0.02)
+
+
+def test_a_force_that_depends_on_the_place_in_the_voxel_has_no_value() -> None:
+    def press(ratio: float, place: int) -> np.ndarray:
+        return TARGET * (0.4, 1.0, 1.6)[place] * (ratio / 0.6) ** 3
+
+    found = fit(press, TARGET, TARGET[None] * np.ones((500, 1)), **GIVEN)
+    assert found.ratio == pytest.approx(0.6, rel=0.01)
+    assert found.residual < 0.01
+    assert found.scatter == pytest.approx(0.6)
+    assert not found.fits
+
+
+def test_a_foot_that_feels_nothing_is_refused() -> None:
+    with pytest.raises(InputError, match="finer voxels"):
+        search(1.0, power=math.nan)
+
+
+def synthetic(strength: float, coarse: float = 1.0):
+    """An engine with the law's force at a known value; another curve on voxels above ``coarse``."""
+
+    def engine(press: Press, value: float) -> tuple[np.ndarray, np.ndarray]:
+        depth = np.linspace(1e-4, press.depth, 60)
+        force = press.sole.force(depth, np.array([33.0]), **SOIL)[0]
+        if press.voxel > coarse:
+            force = force * (depth / press.depth) ** 4
+        return depth, force * (value / strength) ** 2
+
+    return engine
+
+
+def test_the_command_writes_what_the_simulators_read(tmp_path, monkeypatch) -> None:
+    monkeypatch.setitem(ENGINES, "newton", synthetic(0.7))
+    args = ["tune", "newton", "--voxel", "0.03", "--foot", "disc:0.05", "--phi", "33±2"]
+    files = [tmp_path / f"soil.{end}" for end in ("usda", "py", "csv", "json")]
+    for file in files:
+        ran = CliRunner().invoke(cli, [*args, "--out", str(file), "--json"], catch_exceptions=False)
+        assert ran.exit_code == 0, ran.output
+    found = json.loads(files[3].read_text())
+    assert found["value"] == pytest.approx(0.7, rel=0.01)
+    assert found["carried"] == pytest.approx((OWN / 0.7) ** 2, rel=0.03)
+    assert found["verdict"] == "carries"
+    assert f"newton:mpm:internalFriction = {found['value']:.6f}" in files[0].read_text()
+    module = runpy.run_path(str(files[1]))
+    assert (module["FRICTION"], module["DRAWS"]) == (found["value"], found["draws"])
+    rows = list(csv.reader(files[2].read_text().splitlines()))
+    assert {len(row) for row in rows} == {6}
+    assert float(rows[1][1]) == found["value"]
+    assert [float(row[1]) for row in rows if row[0] == "draw"] == found["draws"]
+
+
+def test_genesis_gets_its_angle(monkeypatch) -> None:
+    monkeypatch.setitem(ENGINES, "genesis", synthetic(30.0))
+    found = tune("genesis", voxel=0.03, foot="ball:0.022", phi=33.0)
+    assert found["value"] == pytest.approx(30.0, rel=0.01)
+    assert found["own_value"] == pytest.approx(simulator("genesis").from_angle(33.0), abs=1e-6)
+
+
+def test_a_grid_that_is_too_coarse_is_told_which_voxel_does(tmp_path, monkeypatch) -> None:
+    monkeypatch.setitem(ENGINES, "newton", synthetic(0.7, coarse=0.021))
+    options: dict[str, Any] = {"voxel": 0.03, "foot": "disc:0.05", "phi": "33±2"}
+    found = tune("newton", **options)
+    assert found["verdict"] == "no value"
+    assert found["voxel_that_does"] == pytest.approx(0.02)
+    assert "20 mm do" in found["reason"]
+    out = tmp_path / "soil.py"
+    with pytest.raises(InputError, match="--anyway"):
+        tune("newton", **options, out=out)
+    assert not out.exists()
+    tune("newton", **options, out=out, anyway=True)
+    assert "CAUTION: No friction does" in runpy.run_path(str(out))["__doc__"]
+    monkeypatch.setitem(ENGINES, "newton", synthetic(0.7, coarse=0.001))
+    found = tune("newton", **options)
+    assert found["voxel_that_does"] is None
+    assert found["finest_voxel_tried"] < 0.03
+
+
+def test_an_interval_is_as_wide_as_that_of_the_soil(monkeypatch) -> None:
+    monkeypatch.setitem(ENGINES, "newton", synthetic(0.7))
+    options: dict[str, Any] = {"voxel": 0.03, "foot": "disc:0.05"}
+    logs = [np.log(tune("newton", **options, phi=phi)["ci68"]) for phi in (33.0, "33±5")]
+    narrow, wide = (half[1] - half[0] for half in logs)
+    # Half of the change of log force by the law's own error, the engine's exponent being 2.
+    ends = (33.0 - 2.6, 33.0 + 2.6)
+    law = [LAWS["foot"].force(Foot(0.05, "disc"), 0.0125, np.pi / 2,
+                              friction_angle_deg=phi, **SOIL)[1] for phi in ends]  # fmt: skip
+    assert narrow == pytest.approx(math.log(law[1] / law[0]) / 2, rel=0.15)
+    assert wide / narrow == pytest.approx(math.hypot(2.6, 5.0) / 2.6, rel=0.2)
+
+
+@pytest.mark.parametrize("shape", ["disc", "ball"])
+def test_a_mesh_of_a_disc_or_ball_has_its_force(shape: Any, tmp_path: Path) -> None:
+    exact = Sole.of(f"{shape}:0.04")
+    file = write_obj(
+        tmp_path / "sole.obj", exact.vertices + np.array([0.3, -0.2, 0.7]), exact.faces
+    )
+    mesh = Sole.of(file)
+    assert mesh.foot is None
+    assert mesh.radius == pytest.approx(0.04, rel=0.005)
+    depth, phi = 0.04 * np.array([0.25, 0.5, 1.0]), np.array([25.0, 33.0, 42.0])
+    np.testing.assert_allclose(
+        mesh.force(depth, phi, **SOIL), exact.force(depth, phi, **SOIL), rtol=0.06
+    )
+
+
+def write_obj(path: Path, vertices: np.ndarray, faces: np.ndarray) -> Path:
+    lines = ["v {} {} {}".format(*point) for point in vertices]
+    lines += ["f {}//1 {}//1 {}//1".format(*face) for face in faces + 1]
+    path.write_text("\n".join(lines))
+    return path
+
+
+def test_a_box_of_quadrilaterals_is_read_and_turned_outward(tmp_path: Path) -> None:
+    corners = [(x, y, z) for z in (0, 0.02) for y in (0, 0.1) for x in (0, 0.2)]
+    quads = [(1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4)]
+    lines = ["v {} {} {}".format(*corner) for corner in corners]
+    lines += ["f " + " ".join(map(str, quad)) for quad in quads]
+    file = tmp_path / "box.obj"
+    file.write_text("\n".join(lines))
+    box = Sole.of(file)
+    centres, normals, areas = box.panels()
+    assert np.einsum("fi,fi,f->", centres, normals, areas) / 3 == pytest.approx(0.2 * 0.1 * 0.02)
+    assert box.radius == pytest.approx(math.sqrt(0.02 / math.pi))
+    assert box.vertices[:, 2].min() == 0.0
+
+
+def test_unusable_input_is_one_sentence(tmp_path: Path) -> None:
+    ball = Sole.of("ball:0.04")
+    open_ = write_obj(tmp_path / "open.obj", ball.vertices, ball.faces[1:])
+    large = write_obj(tmp_path / "mm.obj", 1e3 * ball.vertices, ball.faces)
+    words = tmp_path / "words.obj"
+    words.write_text("v 0 0 zero\n")
+    bare = tmp_path / "bare.obj"
+    bare.write_text("v 0 0 0\nf 1 2 3\n")
+    options: dict[str, Any] = {"voxel": 0.03, "foot": "disc:0.05", "phi": 33.0}
+    for changed, match in [
+        ({"foot": open_}, "not closed"),
+        ({"foot": large}, "metre"),
+        ({"foot": words}, "line 1"),
+        ({"foot": bare}, "vertices that it lacks"),
+        ({"foot": "disc:5cm"}, "disc:0.05"),
+        ({"foot": "box:1"}, "disc:RADIUS"),
+        ({"phi": "33±x"}, "33±x"),
+        ({"phi": 3.0}, "10 to 60"),
+        ({"phi": 58.0}, "simulated"),
+        ({"voxel": 30.0}, "voxel = 30"),
+        ({"depth": 1.0}, "depth = 1"),
+        ({"surface_friction": 3.0}, "surface_friction"),
+        ({"out": tmp_path / "soil.txt"}, ".csv"),
+    ]:
+        with pytest.raises(InputError, match=match):
+            tune("newton", **{**options, **changed})
+    with pytest.raises(InputError, match="USD"):
+        tune("genesis", **options, out=tmp_path / "soil.usda")
+    with pytest.raises(InputError, match="did you mean 'newton'"):
+        tune("newtom", **options)
+    assert set(TUNED) == set(ENGINES)
+
+
+@pytest.mark.parametrize(("name", "module"), [("newton", "newton"), ("genesis", "genesis")])
+def test_a_missing_package_is_named_with_the_line_to_type(name, module, monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(InputError, match=rf"pip install 'terraphi\[tune-{name}\]'"):
+        tune(name, voxel=0.03, foot="disc:0.05", phi=33.0)
+
+
+def test_the_event_of_isaac_lab_draws_for_the_environments_that_are_reset(monkeypatch) -> None:
+    torch = pytest.importorskip("torch")
+    phi = {"median": 30.0, "ci68": [29.0, 31.0], "ci95": [28.0, 32.0]}
+    answer = {
+        "phi_deg": {**phi, "yield": "plane_strain"}, "phi_plane_strain_deg": phi,
+        "verdict": "consistent", "density_kg_m3": 1600.0, "law": "foot",
+    }  # fmt: skip
+    stored = StoredAnswer("answer", answer, np.linspace(28.0, 32.0, 51))
+    found = export(stored, to="isaaclab", draws=8)
+    module: dict[str, Any] = {}
+    exec(text(found, "python"), module)
+    world = torch.tensor([-1, 0, 0, 1, 1, 2, 2], dtype=torch.int32)
+    friction = torch.zeros(7)
+    model = SimpleNamespace(particle_world=world, mpm=SimpleNamespace(friction=friction))
+    fakes = {
+        "warp": SimpleNamespace(to_torch=lambda array: array),
+        "isaaclab_newton": ModuleType("isaaclab_newton"),
+        "isaaclab_newton.physics": SimpleNamespace(
+            NewtonManager=SimpleNamespace(get_model=lambda: model)
+        ),
+    }
+    for name, fake in fakes.items():
+        monkeypatch.setitem(sys.modules, name, fake)
+    environment = SimpleNamespace(num_envs=3)
+    module["draw_friction"](environment, torch.tensor([0, 2], dtype=torch.int32))
+    assert friction[[0, 3, 4]].tolist() == [0.0, 0.0, 0.0]
+    assert friction[1] == friction[2]
+    assert friction[5] == friction[6]
+    given = torch.tensor(module["DRAWS"])
+    assert all((given - value).abs().min() < 1e-6 for value in friction[[1, 5]])
+    for every in (None, slice(None)):
+        friction.zero_()
+        module["draw_friction"](environment, every)
+        assert (friction[1:] > 0).all()
+        assert friction[0] == 0.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["newton", "genesis"])
+def test_the_simulator_itself_carries_more_with_more_friction(name: str) -> None:
+    """Presses of the package, where it is installed: a tiny bed, forces by two ways."""
+    pytest.importorskip(name)
+    sole = Sole.of("disc:0.05")
+    press = Press(sole, 0.05, 0.02, 1600.0, 0.5, 0.01)
+    law = simulator(name).law
+    weak, strong = (ENGINES[name](press, law.value(q)) for q in (0.3, 0.9))
+    assert strong[0][-1] == pytest.approx(0.02, rel=0.1)
+    means = [force[sinkage > 0].mean() for sinkage, force in (weak, strong)]
+    assert 1.0 < means[0] < means[1] < 2000.0
+    # Weight and friction scale with density.
+    heavy = ENGINES[name](tuning.replace(press, density=3200.0), law.value(0.9))
+    assert heavy[1][heavy[0] > 0].mean() == pytest.approx(2 * means[1], rel=0.25)
