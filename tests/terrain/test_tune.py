@@ -195,6 +195,19 @@ def test_a_mesh_of_a_disc_or_ball_has_its_force(shape: Any, tmp_path: Path) -> N
     )
 
 
+def test_a_mesh_between_ball_and_disc_widens_the_interval(tmp_path, monkeypatch) -> None:
+    monkeypatch.setitem(ENGINES, "newton", synthetic(0.7))
+    ball, widths, flatness = Sole.of("ball:0.04"), [], []
+    for height in (1.0, 0.35):
+        file = write_obj(tmp_path / "sole.obj", ball.vertices * [1, 1, height], ball.faces)
+        flatness.append(Sole.of(file).flatness(np.array([0.02]))[0])
+        low, high = tune("newton", voxel=0.03, foot=file, phi=33.0)["ci68"]
+        widths.append(math.log(high / low))
+    assert flatness[0] < 0.05
+    assert 0.2 < flatness[1] < 0.8
+    assert widths[1] > 1.1 * widths[0]
+
+
 def write_obj(path: Path, vertices: np.ndarray, faces: np.ndarray) -> Path:
     lines = ["v {} {} {}".format(*point) for point in vertices]
     lines += ["f {}//1 {}//1 {}//1".format(*face) for face in faces + 1]

@@ -125,27 +125,8 @@ class Sole:
         centres = (first + second + third)[keep] / 3.0
         return centres, normals[keep] / doubled[keep, None], 0.5 * doubled[keep]
 
-    def force(
-        self, depth: FloatArray, phi_deg: FloatArray, *, density: float, surface_friction: float
-    ) -> FloatArray:
-        """Upward force of law ``foot`` [N], shape [φ, depth]; NaN for φ outside its table.
-
-        A mesh has the force of resistive force theory times the ratio of both laws at its depth:
-        that of a ball and that of a disc of its area, in geometric proportion to how flat it is.
-        It is flat by the mean depth of its lower faces over its depth, 1 for a disc, less for a
-        ball, so that meshes of discs and balls have the force of both. Between them the ratios
-        differ by up to 2.5; other meshes were compared with nothing.
-        """
-        soil = {"density": density, "surface_friction": surface_friction}
-        grid = np.broadcast_arrays(depth, np.asarray(phi_deg)[:, None])
-
-        def level(shape: Literal["disc", "ball"], law: str) -> FloatArray:
-            foot = Foot(self.radius, shape)
-            force = LAWS[law].force(foot, grid[0], DOWN, friction_angle_deg=grid[1], **soil)
-            return force[..., 1]
-
-        if self.foot is not None:
-            return level(self.foot.shape, "foot")
+    def flatness(self, depth: FloatArray) -> FloatArray:
+        """1 for a disc, 0 for a ball, shape [depth]: by the mean depth of the lower faces."""
         centres, normals, areas = self.panels()
         downward = areas * np.maximum(-normals[:, 2], 0.0)
         below = np.maximum(depth[:, None] - centres[:, 2], 0.0)
@@ -153,14 +134,39 @@ class Sole:
         mean = (wet * below).sum(axis=1) / np.maximum(wet.sum(axis=1), 1e-12) / depth
         cap = np.minimum(depth, self.radius)  # of a ball, as in ``bearing_capacity``
         round_ = cap * (3 * self.radius - cap) / (3 * (2 * self.radius - cap)) + depth - cap
-        flat = np.clip((mean - round_ / depth) / (1.0 - round_ / depth), 0.0, 1.0)
+        return np.clip((mean - round_ / depth) / (1.0 - round_ / depth), 0.0, 1.0)
+
+    def force(
+        self, depth: FloatArray, phi_deg: FloatArray, *, density: float, surface_friction: float
+    ) -> FloatArray:
+        """Upward force of law ``foot`` [N], shape [φ, depth]; NaN for φ outside its table.
+
+        A mesh has the force of resistive force theory times the ratio of both laws at its depth:
+        that of a ball and that of a disc of its area, in geometric proportion to how flat it is,
+        so that meshes of discs and balls have the force of both. The ratios differ by up to 2.5;
+        other meshes were compared with nothing.
+        """
+        soil = {"density": density, "surface_friction": surface_friction}
+        grid = np.broadcast_arrays(depth, np.asarray(phi_deg)[:, None])
+
+        def level(shape: Literal["disc", "ball"], law: str, least: float = 0.0) -> FloatArray:
+            foot, at = Foot(self.radius, shape), np.maximum(grid[0], least * self.radius)
+            return LAWS[law].force(foot, at, DOWN, friction_angle_deg=grid[1], **soil)[..., 1]
+
+        if self.foot is not None:
+            return level(self.foot.shape, "foot")
+        centres, normals, areas = self.panels()
+        flat = self.flatness(depth)
         down = np.multiply.outer(depth, [0.0, 0.0, 1.0])[:, None]
         theory, _ = wrench(
             centres - down, normals, areas, [[[0.0, 0.0, -1.0]]], friction_angle_deg=30.0, **soil
         )
         # Of resistive force theory only the level depends on φ.
         scale = stress_scale(from_plane_strain(grid[1]), density) / stress_scale(30.0, density)
-        disc, ball = (level(shape, "foot") / level(shape, "rft") for shape in ("disc", "ball"))
+        # Shallower than a twentieth of its radius the table of a ball has no force.
+        disc, ball = (
+            level(shape, "foot", 0.05) / level(shape, "rft", 0.05) for shape in ("disc", "ball")
+        )
         return np.asarray(theory[:, 2] * scale * disc**flat * ball ** (1.0 - flat))
 
 
@@ -593,6 +599,9 @@ def tune(
     if not np.isfinite(target).all():
         raise InputError(f"φ = {middle:g} deg: law 'foot' was simulated for less or more; see docs")
     targets = law(angles + rng.normal(0.0, LAWS["foot"].sd_deg, angles.size))
+    if sole.foot is None:  # a quarter of log force where a mesh is half flat; chosen
+        flat = float(sole.flatness(edges[1:]).mean())
+        targets *= np.exp(rng.normal(0.0, flat * (1.0 - flat), (angles.size, 1)))
     targets = targets[np.isfinite(targets).all(axis=1)]
     error = LAWS["foot"].sd_deg
     ends = law(np.array([middle - error, middle + error]))
