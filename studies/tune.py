@@ -14,13 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from terraphi.terrain.tune import ENGINES, Press, tune
+from terraphi.terrain.tune import ENGINES, Press, in_words, tune
 
 DATA = Path(__file__).parent / "data"
 PAGE = Path(__file__).parents[1] / "docs" / "how-to" / "simulators.md"
-BEGIN, END = "<!-- table of studies/tune.py -->", "<!-- end of the table -->"
 FOOT, PHI, DEPTH = "disc:0.05", "33±2", 0.025
 CASES = {"newton": (0.04, 0.03, 0.025), "genesis": (0.05, 0.04, 0.03)}
+SHOWN = ("newton", 0.03)
+"""The case whose sentences the page has."""
 BINS = 24
 """Parts of the depth of which each press keeps the mean force."""
 HEAD = (
@@ -95,10 +96,16 @@ def main() -> None:
                 rows.append(row(tuned(name, voxel, only_kept=True)))
             except KeyError as missing:
                 print(f"{name}, {voxel:g} m is left out: press first ({missing})")
-    table = "\n".join([HEAD, "|---" * 8 + "|", *rows])
-    before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
-    after = rest.partition(END)[2]
-    PAGE.write_text(f"{before}{BEGIN}\n\n{table}\n\n{END}{after}", encoding="utf-8")
+    sentences = in_words(tuned(*SHOWN, only_kept=True))
+    page = PAGE.read_text(encoding="utf-8")
+    for mark, content in {
+        "answer": "\n".join(["```text", *sentences, "```"]),
+        "table": "\n".join([HEAD, "|---" * 8 + "|", *rows]),
+    }.items():
+        begin, end = f"<!-- {mark} of studies/tune.py -->", f"<!-- end of the {mark} -->"
+        before, _, rest = page.partition(begin)
+        page = f"{before}{begin}\n\n{content}\n\n{end}{rest.partition(end)[2]}"
+    PAGE.write_text(page, encoding="utf-8")
 
 
 if __name__ == "__main__":
