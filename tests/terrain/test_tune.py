@@ -247,9 +247,10 @@ def test_unusable_input_is_one_sentence(tmp_path: Path) -> None:
         ({"foot": "box:1"}, "disc:RADIUS"),
         ({"phi": "33±x"}, "33±x"),
         ({"phi": 3.0}, "10 to 60"),
-        ({"phi": 58.0}, "simulated"),
+        ({"phi": 58.0}, "simulated for .* to .* deg"),
         ({"voxel": 30.0}, "voxel = 30"),
         ({"depth": 1.0}, "depth = 1"),
+        ({"time_step": 0.1}, "time_step = 0.1"),
         ({"surface_friction": 3.0}, "surface_friction"),
         ({"out": tmp_path / "soil.txt"}, ".csv"),
     ]:

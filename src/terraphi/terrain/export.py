@@ -337,7 +337,7 @@ def _about(found: Mapping[str, Any]) -> str:
         matched,
         "Without dilation and cohesion, as the soil was inferred.",
         f"DRAWS are of the posterior: {found['draws_go_to']}." if found["draws"] else "",
-        f"{lost:.1%} of the draws have no equivalent in plane strain." if lost else "",
+        f"{lost:.1%} of the draws have no equivalent: left out, or at the limit." if lost else "",
         f"DENSITY [kg/m³] was {density}.",
         "LEG_FRICTION is that of the library's leg, unless it was inferred; None: unknown.",
     ]

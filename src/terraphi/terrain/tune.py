@@ -20,8 +20,10 @@ from __future__ import annotations
 
 import importlib.metadata
 import math
+import sys
 import tempfile
 from collections.abc import Callable
+from contextlib import redirect_stdout
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -213,7 +215,7 @@ def newton(press: Press, friction: float) -> tuple[FloatArray, FloatArray]:
         import newton as nt
         import warp as wp
 
-    wp.config.quiet = True
+    wp.config.log_level = wp.LOG_WARNING
     voxel, (half, deep) = press.voxel, press.box
     builder = nt.ModelBuilder()
     nt.solvers.SolverImplicitMPM.register_custom_attributes(builder)
@@ -361,7 +363,7 @@ class Fit:
     ratio, draws
         Best q [-]; draws of it, shape [draw].
     lost
-        Share of draws that no q in the limits reaches, which ``draws`` leaves out.
+        Share of draws that no q in the limits reaches; ``draws`` has the limit there.
     factor
         Draws of the factor of density with which the soil's own q does, shape [draw].
     forces, carried
@@ -486,7 +488,7 @@ def fit(
     limit = {0: "low", last: "high"}.get(int(chosen), "")
     return Fit(
         float(np.exp(logs[chosen])),
-        np.exp(logs[drawn[inside]]),
+        np.exp(logs[drawn]),
         1.0 - float(inside.mean()),
         np.exp(shortfall),
         np.exp(curve[chosen]),
@@ -574,12 +576,14 @@ def tune(
             raise InputError("genesis reads no materials in USD: name a .py, .csv or .json file")
         check_file(path)
     sole = Sole.of(foot)
-    deepest = 0.5 * sole.radius if depth is None else depth
+    radius = sole.radius
+    deepest = 0.5 * radius if depth is None else depth
     bounds = {
-        "voxel": (voxel, 0.05 * sole.radius, 2.0 * sole.radius),
-        "depth": (deepest, 0.05 * sole.radius, 2.0 * sole.radius),
+        "voxel": (voxel, 0.05 * radius, 2.0 * radius),
+        "depth": (deepest, 0.05 * radius, 2.0 * radius),
         "density": (density, 500.0, 3000.0),
-        "time_step": (time_step, 1e-4, 0.05),
+        # Two steps of Newton at least in each part of the depth.
+        "time_step": (time_step, 1e-4, 0.5 * deepest / THIRDS / PACE / math.sqrt(GRAVITY * radius)),
     }
     for what, (value, least, most) in bounds.items():
         if not least <= value <= most:
@@ -595,23 +599,26 @@ def tune(
         soil = {"density": density, "surface_friction": surface_friction}
         return sole.force(at, phi_deg, **soil).reshape(-1, THIRDS, FINE).mean(axis=2)
 
+    every = np.arange(10.0, 61.0)
+    inside = every[np.isfinite(law(every)).all(axis=1)]
+    if not inside[0] <= middle <= inside[-1]:
+        ends = f"{inside[0]:g} to {inside[-1]:g} deg"
+        raise InputError(f"φ = {middle:g} deg: law 'foot' was simulated for {ends}")
     target = law(np.array([middle]))[0]
-    if not np.isfinite(target).all():
-        raise InputError(f"φ = {middle:g} deg: law 'foot' was simulated for less or more; see docs")
     targets = law(angles + rng.normal(0.0, LAWS["foot"].sd_deg, angles.size))
     if sole.foot is None:  # a quarter of log force where a mesh is half flat; chosen
         flat = float(sole.flatness(edges[1:]).mean())
         targets *= np.exp(rng.normal(0.0, flat * (1.0 - flat), (angles.size, 1)))
     targets = targets[np.isfinite(targets).all(axis=1)]
-    error = LAWS["foot"].sd_deg
-    ends = law(np.array([middle - error, middle + error]))
-    tolerance = float(np.log(ends[1] / ends[0]).mean() / 2)
+    around = law(middle + LAWS["foot"].sd_deg * np.array([-1.0, 0.0, 1.0]))
+    tolerance = float(np.nanmean(np.diff(np.log(around), axis=0)))
     to = simulator(name)
 
     def fitted(press: Press) -> Fit:
         def forces(ratio: float, place: int) -> FloatArray:
             here = replace(press, place=(place + 0.5) / PLACES, seed=seed + place)
-            sinkage, force = ENGINES[name](here, to.law.value(ratio))
+            with redirect_stdout(sys.stderr):  # which simulators write to
+                sinkage, force = ENGINES[name](here, to.law.value(ratio))
             part = np.searchsorted(edges, sinkage - 1e-9) - 1
             return np.array([force[part == k].mean() for k in range(THIRDS)])
 
@@ -661,7 +668,9 @@ def in_words(found: dict[str, Any]) -> list[str]:
         f"{factor['ci95'][1]:.2f}."
     )
     tuned = f"{found['parameter']} {value}, 95 %: {low} to {high} ({found['presses']} presses)."
-    return [found["reason"], tuned, carried]
+    lost = found["draws_without_equivalent"]
+    beyond = [f"No friction reaches {lost:.0%} of the draws: the interval ends there."]
+    return [found["reason"], tuned, *(beyond if lost > 0.005 else []), carried]
 
 
 def _result(
@@ -681,9 +690,8 @@ def _result(
         center = float(np.median(values)) if middle is None else middle
         return {"median": round(center, 6), "ci68": ends[:2], "ci95": ends[2:]}
 
-    values = np.array([to.law.value(q) for q in found.draws]) if found.draws.size else np.empty(0)
-    middle = to.law.value(found.ratio)
-    value = summary(values if values.size else np.array([middle]), middle)
+    values = np.array([to.law.value(q) for q in found.draws])
+    value = summary(values, to.law.value(found.ratio))
     package = PACKAGES[to.name]
     version = _version(package)
     return {
@@ -702,7 +710,7 @@ def _result(
         f"voxels of {1e3 * press.voxel:.3g} mm in {package} {version}",
         "value": value.pop("median"),
         **value,
-        "draws": rng.choice(values, draws).round(6).tolist() if draws and values.size else [],
+        "draws": rng.choice(values, draws).round(6).tolist() if draws else [],
         "draws_go_to": to.draws_go_to,
         "draws_without_equivalent": found.lost,
         "verdict": "carries" if found.fits else "no value",
