@@ -39,6 +39,7 @@ MOST_DRAWS = 100_000
 """Draws of an export at most."""
 PLATE = Foot(0.05, "disc")
 """Plate whose sinkage gives Bekker's parameters."""
+LEG_FRICTION_ABOUT = "that of the library's leg, unless it was inferred; None: unknown"
 SINKAGE, DOWN = 0.02, 0.5 * np.pi
 """Of the plate [m], in which the law is linear; and its direction of motion [rad]."""
 JANOSI = (0.010, 0.025)
@@ -339,7 +340,7 @@ def _about(found: Mapping[str, Any]) -> str:
         f"DRAWS are of the posterior: {found['draws_go_to']}." if found["draws"] else "",
         f"{lost:.1%} of the draws have no equivalent: left out, or at the limit." if lost else "",
         f"DENSITY [kg/m³] was {density}.",
-        "LEG_FRICTION is that of the library's leg, unless it was inferred; None: unknown.",
+        f"LEG_FRICTION is {found.get('leg_friction_about', LEG_FRICTION_ABOUT)}.",
     ]
     for name in filter(str.isupper, found):
         median, (low, high) = found[name]["median"], found[name]["ci95"]
