@@ -70,13 +70,15 @@ def row(result: dict[str, Any]) -> str:
     """A line of the table."""
     digits, unit = (1, "°") if result["unit"] else (2, "")
     factor, (low, high) = result["density_factor"], result["ci95"]
-    least, most = factor["ci95"]
+    density = "–"
+    if factor:
+        density = f"{factor['median']:.2f} ({factor['ci95'][0]:.2f} to {factor['ci95'][1]:.2f})"
     cells = [
         f"{result['package']}, `{result['parameter']}`",
         f"{1e3 * result['voxel_m']:g} mm",
         f"{result['own_value']:.{digits}f}{unit}, {result['carried']:.0%}",
         f"{result['value']:.{digits}f}{unit} ({low:.{digits}f} to {high:.{digits}f})",
-        f"{factor['median']:.2f} ({least:.2f} to {most:.2f})",
+        density,
         f"{result['residual']:.0%}",
         f"{result['scatter']:.0%}",
         result["verdict"],

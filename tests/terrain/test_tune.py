@@ -144,6 +144,7 @@ def test_the_command_writes_what_the_simulators_read(tmp_path, monkeypatch) -> N
 def test_genesis_gets_its_angle(monkeypatch) -> None:
     monkeypatch.setitem(ENGINES, "genesis", synthetic(30.0))
     found = tune("genesis", voxel=0.03, foot="ball:0.022", phi=33.0)
+    assert found["density_factor"] is None
     assert found["value"] == pytest.approx(30.0, rel=0.01)
     assert found["own_value"] == pytest.approx(simulator("genesis").from_angle(33.0), abs=1e-6)
 
@@ -320,6 +321,6 @@ def test_the_simulator_itself_carries_more_with_more_friction(name: str) -> None
     assert strong[0][-1] == pytest.approx(0.02, rel=0.1)
     means = [force[sinkage > 0].mean() for sinkage, force in (weak, strong)]
     assert 1.0 < means[0] < means[1] < 2000.0
-    # Weight and friction scale with density.
-    heavy = ENGINES[name](tuning.replace(press, density=3200.0), law.value(0.9))
-    assert heavy[1][heavy[0] > 0].mean() == pytest.approx(2 * means[1], rel=0.25)
+    if name == "newton":  # its soil is rigid: the factor of density rests on this
+        heavy = ENGINES[name](tuning.replace(press, density=3200.0), law.value(0.9))
+        assert heavy[1][heavy[0] > 0].mean() == pytest.approx(2 * means[1], rel=0.02)
