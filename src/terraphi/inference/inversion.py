@@ -452,6 +452,7 @@ def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Ans
         grid_deg=grid,
         density=density,
         draws=drawn.draws,
+        covariance=likelihood.predictive_covariance(),
         diagnostics=drawn.diagnostics,
         leg_friction=None if "leg.friction" in keys else first.rig.leg_friction
         if "leg friction" in likelihood.terms else scenario.leg.friction,
@@ -478,6 +479,8 @@ def _fits(
         points[:2, likelihood.keys.index(PHI)] = parameters[PHI].ci95
     points[:2] = np.clip(points[:2], *likelihood.ends)
     curves = likelihood.curves(points)
+    slope = likelihood.slope(middle)
+    tangent = np.vstack([curves[2] - slope @ middle, slope.T])
     found = []
     for record, part, whole, shift in zip(
         likelihood.records, likelihood.parts, likelihood.strokes, likelihood.shift_deg, strict=True
@@ -491,7 +494,7 @@ def _fits(
                 source=record.source, rig=record.rig,
                 simulated=record.simulated, n_readings=len(record.history.position),
                 n_left_out=record.n_left_out, theta_deg=record.theta_deg, data=record.data,
-                curve=curve,
+                curve=curve, tangent=tangent[:, part].reshape(-1, *curve.shape),
                 band=np.stack([np.minimum(low, high), np.maximum(low, high)]),
                 nrmsd=dict(zip(record.channels, size.tolist(), strict=True)),
                 shift_deg=float(shift),
