@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.arrays import FloatArray, seed_from
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import number_with_sd
 from terraphi.experiment.rig import with_rig
@@ -91,6 +91,7 @@ def invert(
     critical: float | str | None = None,
     simulated: bool | None = None,
     seed: int = 0,
+    rng: Any = None,
 ) -> Answer:
     """Infer the friction angle, and whatever else a library varies, from forces on a leg.
 
@@ -135,8 +136,9 @@ def invert(
     simulated
         Whether the forces are simulated, so that the library's model is exact; ``None``: from
         their file.
-    seed
-        Of the draws, where several parameters are inferred.
+    seed, rng
+        Of the draws, where several parameters are inferred: an integer, or as ``rng`` also a
+        :class:`numpy.random.Generator` (SPEC 7), from which a seed is drawn.
 
     Returns
     -------
@@ -154,6 +156,7 @@ def invert(
     """
     from threadpoolctl import threadpool_limits
 
+    seed = seed_from(seed, rng)
     several = isinstance(forces, list | tuple) and pressed_by(forces) is None
     every = list(forces) if several else [forces]
     tools = [(one, tool) if tool is not None else pressed_by(one) for one in every]
