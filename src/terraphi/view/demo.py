@@ -27,7 +27,7 @@ SOILS = {"yuma": "li2013:yuma/straight", "poppy": "li2013:poppy_loose/straight"}
 def run(out: Path) -> tuple[list[Answer], Path]:
     """Invert three records; write answers, picture, a table with its rig, and a log into a folder.
 
-    The log is that of a Go2 on simulated sand of 41 to 43° (``studies/demo_walk.py``).
+    The log is that of a Go2 on simulated sand of 41 to 42° (``studies/demo_walk.py``).
 
     Returns
     -------
