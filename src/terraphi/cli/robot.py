@@ -29,8 +29,7 @@ log_options = option_group(
     click.option(
         "--columns",
         type=PATH,
-        help="TOML that says which columns of a table are what; 'terraphi keys columns' prints "
-        "its keys.",
+        help="TOML of a table's columns; 'terraphi keys columns' prints its keys.",
     ),
     click.option(
         "--lag",
@@ -128,7 +127,7 @@ def forces(
     type=PATH,
     help="NetCDF file; .png, .csv and .geojson of the same name go with it.",
 )
-@click.option("--mcap", type=PATH, help="MCAP file with φ as a topic, for Foxglove and Rerun.")
+@click.option("--mcap", type=PATH, help="MCAP of φ, for Foxglove and Rerun.")
 @json_option
 def footfalls(
     log: str,
