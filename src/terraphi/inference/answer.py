@@ -512,7 +512,7 @@ class Answer(AnswerSummary):
         Notes
         -----
         Of parameters x the forces are normal with the mean g(x), the law's curve to first order
-        about the median, and the covariance :attr:`covariance`: the terms of the likelihood, model
+        about the median, and the covariance ``covariance``: the terms of the likelihood, model
         error and density included, and the residual. They are those of another record of a soil
         with these parameters, whose errors are drawn anew. What part of the residual no term
         explains has the size and the correlation over θ of the record's own, so that predictions
@@ -521,7 +521,7 @@ class Answer(AnswerSummary):
         Windows are correlated: the log-likelihood is that of each window given all others, whose
         leave-one-out predictive density ``arviz.loo`` then estimates and ``arviz.compare`` compares
         between answers to the same forces. Of several records it is one variable over all windows,
-        with the number of the ``record``.
+        with the number of the ``record``. Errors that a leg and a tool share are drawn for each.
         """
         import xarray as xr
 

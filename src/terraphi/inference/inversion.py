@@ -138,7 +138,7 @@ def invert(
         their file.
     seed, rng
         Of the draws, where several parameters are inferred: an integer, or as ``rng`` also a
-        :class:`numpy.random.Generator` (SPEC 7), from which a seed is drawn.
+        ``numpy.random.Generator`` (SPEC 7), from which a seed is drawn.
 
     Returns
     -------

@@ -74,7 +74,7 @@ def export(
     draws
         Number of draws of the posterior.
     seed, rng
-        Of the choice of draws: an integer, or as ``rng`` also a :class:`numpy.random.Generator`
+        Of the choice of draws: an integer, or as ``rng`` also a ``numpy.random.Generator``
         (SPEC 7), from which a seed is drawn.
     anyway
         Whether an answer whose verdict is not ``consistent`` is accepted.

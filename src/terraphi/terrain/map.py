@@ -185,7 +185,7 @@ def map_slopes(
     draws
         Joint draws of the field and all priors, for the unstable area.
     seed, rng
-        Of all draws: an integer, or as ``rng`` also a :class:`numpy.random.Generator` (SPEC 7),
+        Of all draws: an integer, or as ``rng`` also a ``numpy.random.Generator`` (SPEC 7),
         from which a seed is drawn.
     progress
         Called with the work done and all of it.
