@@ -78,6 +78,14 @@ def test_leg_plate_and_ball_in_one_soil_narrow_its_angle(soil: str, tmp_path: Pa
     joint.save(tmp_path / "answer")
     stored = terraphi.Answer.load(tmp_path / "answer")
     assert [record.rig for record in stored.records] == [record.rig for record in joint.records]
+    groups = stored.to_inference_data()
+    assert list(groups["observed_data"]["force_1"].dims) == ["component_1", "sinkage_mm_1"]
+    for i, record in enumerate(joint.records):
+        level, slope = record.tangent
+        curve = level + slope * joint.phi.median
+        predicted = groups["posterior_predictive"][f"force_{i}"]
+        apart = (predicted.mean(("chain", "draw")) - curve) / predicted.std(("chain", "draw"))
+        assert np.abs(apart).max() < 0.1
 
 
 def test_a_tool_has_no_leg() -> None:

@@ -187,6 +187,7 @@ def demo(out: Path, as_json: bool) -> None:
         f"Simulated with φ = {TRUTH_DEG:g}°, then inverted; and two measured soils.\n",
         *(f"{headline(answer)}\n{answer.reason}\n" for answer in answers),
         f"Picture: {picture}\nYour own: terraphi invert {out}/forces.csv --rig {out}/rig.toml "
-        "--density KG_M3, with your files in place of these.",
+        f"--density KG_M3, with your files in place of these.\nA robot's log: terraphi footfalls "
+        f"{out}/walk.csv --density KG_M3",
         as_json=as_json,
     )

@@ -111,9 +111,7 @@ def convert(value: float, as_json: bool, **options: Any) -> None:
 )
 @seed_option
 @json_option
-def slope_map(
-    points: Path, dem: Path, out: Path, start: str | None, as_json: bool, **options: Any
-) -> None:
+def slope_map(points: Path, dem: Path, out: Path, as_json: bool, **options: Any) -> None:
     """Map the probability that slopes slide, from friction angles at POINTS.
 
     POINTS is a CSV with the columns x_m,y_m,phi_deg,sd_deg and, if known, shared_sd_deg (of an
@@ -123,19 +121,13 @@ def slope_map(
 
     Example: terraphi map points.csv --dem dem.tif --out slopes
     """
-    from terraphi.experiment.outputs import check_folder, output_folder
-    from terraphi.terrain.inputs import start_from
-    from terraphi.terrain.map import KIND, LAYERS, SUMMARY, in_words, map_slopes
-    from terraphi.view import plots
+    from terraphi.experiment.outputs import check_folder
+    from terraphi.terrain.map import KIND, LAYERS, PICTURE, SUMMARY, in_words, map_slopes
 
-    picture = "map.png"
-    names = [*(f"{name}.tif" for name in LAYERS), SUMMARY, picture]
+    names = [*(f"{name}.tif" for name in LAYERS), SUMMARY, PICTURE]
     check_folder(out, kind=KIND, names=names)
-    begun = None if start is None else start_from(start)
     with progress_bar("mapping") as report:
-        found = map_slopes(points, dem, start=begun, progress=report, **options)
-    with output_folder(out, kind=KIND, last=SUMMARY) as made:
-        found.write(made)
-        plots.save(plots.map_figure(found), made.joinpath(picture))
+        found = map_slopes(points, dem, progress=report, **options)
+    found.save(out)
     written = f"Written: {out}/{', '.join(names)}"
     present(found.summary, *in_words(found.summary), written, as_json=as_json)

@@ -104,6 +104,16 @@ def combined(answers: Sequence[Answer]) -> Answer:
         text if text.startswith(one.source) else f"{one.source}: {text}"
         for one in answers for text in one.questions
     ]  # fmt: skip
+    # Curves of φ alone, other parameters at their medians; each answer's errors are its own.
+    records, ends = [], np.cumsum([0, *(len(one.covariance) for one in answers)])
+    joint = np.zeros((ends[-1], ends[-1]))
+    for one, start, end in zip(answers, ends[:-1], ends[1:], strict=True):
+        joint[start:end, start:end] = one.covariance
+        at = [1.0, *(0.0 if k == PHI else p.median for k, p in one.parameters.items())]
+        by_phi = 1 + list(one.parameters).index(PHI)
+        for record in one.records:
+            level = np.tensordot(at, record.tangent, 1)
+            records.append(replace(record, tangent=np.stack([level, record.tangent[by_phi]])))
     return replace(
         first,
         parameters={PHI: estimate},
@@ -115,7 +125,8 @@ def combined(answers: Sequence[Answer]) -> Answer:
         law_reason="",
         budget_deg=dict(sorted(budget.items(), key=lambda term: -term[1])),
         density_assumed=any(one.density_assumed for one in answers),
-        records=tuple(record for one in answers for record in one.records),
+        records=tuple(records),
+        covariance=joint,
         grid_deg=grid,
         density=density,
         draws={},

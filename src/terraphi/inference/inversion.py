@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.arrays import FloatArray, seed_from
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import number_with_sd
 from terraphi.experiment.rig import with_rig
@@ -91,6 +91,7 @@ def invert(
     critical: float | str | None = None,
     simulated: bool | None = None,
     seed: int = 0,
+    rng: Any = None,
 ) -> Answer:
     """Infer the friction angle, and whatever else a library varies, from forces on a leg.
 
@@ -135,8 +136,9 @@ def invert(
     simulated
         Whether the forces are simulated, so that the library's model is exact; ``None``: from
         their file.
-    seed
-        Of the draws, where several parameters are inferred.
+    seed, rng
+        Of the draws, where several parameters are inferred: an integer, or as ``rng`` also a
+        ``numpy.random.Generator`` (SPEC 7), from which a seed is drawn.
 
     Returns
     -------
@@ -154,6 +156,7 @@ def invert(
     """
     from threadpoolctl import threadpool_limits
 
+    seed = seed_from(seed, rng)
     several = isinstance(forces, list | tuple) and pressed_by(forces) is None
     every = list(forces) if several else [forces]
     tools = [(one, tool) if tool is not None else pressed_by(one) for one in every]
@@ -452,6 +455,7 @@ def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Ans
         grid_deg=grid,
         density=density,
         draws=drawn.draws,
+        covariance=likelihood.predictive_covariance(),
         diagnostics=drawn.diagnostics,
         leg_friction=None if "leg.friction" in keys else first.rig.leg_friction
         if "leg friction" in likelihood.terms else scenario.leg.friction,
@@ -478,6 +482,8 @@ def _fits(
         points[:2, likelihood.keys.index(PHI)] = parameters[PHI].ci95
     points[:2] = np.clip(points[:2], *likelihood.ends)
     curves = likelihood.curves(points)
+    slope = likelihood.slope(middle)
+    tangent = np.vstack([curves[2] - slope @ middle, slope.T])
     found = []
     for record, part, whole, shift in zip(
         likelihood.records, likelihood.parts, likelihood.strokes, likelihood.shift_deg, strict=True
@@ -491,7 +497,7 @@ def _fits(
                 source=record.source, rig=record.rig,
                 simulated=record.simulated, n_readings=len(record.history.position),
                 n_left_out=record.n_left_out, theta_deg=record.theta_deg, data=record.data,
-                curve=curve,
+                curve=curve, tangent=tangent[:, part].reshape(-1, *curve.shape),
                 band=np.stack([np.minimum(low, high), np.maximum(low, high)]),
                 nrmsd=dict(zip(record.channels, size.tolist(), strict=True)),
                 shift_deg=float(shift),

@@ -113,6 +113,11 @@ WHOLE = 0.9
 """Share of a stroke's windows with which its shape can be compared with those of whole ones [-]."""
 PART_DEG = 1.4
 """Standard deviation of the shift of φ at h = ½ [deg]."""
+RESIDUAL = ("noise", "emulator", "particle scatter")
+"""Terms that a residual shows; the others move the whole curve, and φ with it."""
+ROUGHNESS = 1.5
+"""Exponent of the correlation of a residual over θ [-]: of 1, 1.5 and 2 that with the largest
+density of the residuals of shipped records (straight and C legs, six of six)."""
 MOMENT_DEG = 0.9
 """Standard deviation of φ by a moment less that by both forces [deg]."""
 
@@ -599,6 +604,28 @@ class Likelihood:
     def covariance(self) -> FloatArray:
         """Sum of all terms [N²], shape [n, n]."""
         return np.asarray(sum(self.terms.values()))
+
+    def predictive_covariance(self) -> FloatArray:
+        """Covariance of the data about the curve of the right parameters [N²], shape [n, n].
+
+        To the terms it adds what noise, emulator and scatter lack of the mean square of each
+        channel's residual e. The correlation of that, exp(−a k^p) over k windows with p =
+        :data:`ROUGHNESS`, is such that a window differs from the mean of its neighbors as those of
+        the record do: to first order, Σ (eᵢ − (eᵢ₋₁ + eᵢ₊₁) / 2)² / Σ eᵢ² = a (2 − 2^(p − 1)).
+        """
+        found = self.covariance.copy()
+        known = np.sum([self.terms[n].diagonal() for n in RESIDUAL if n in self.terms], axis=0)
+        residual = self.data - self.curves(self.least_squares[None])[0]
+        for record, part in zip(self.records, self.parts, strict=True):
+            e = residual[part].reshape(len(record.channels), -1)
+            lacking = np.square(e).mean(axis=1) - known[part].reshape(e.shape).mean(axis=1)
+            unit = e / record.span[:, None]
+            rough = np.square(np.diff(unit, n=2)).sum() / (4.0 * max(np.square(unit).sum(), 1e-300))
+            theta = record.theta_deg
+            steps = np.abs(theta[:, None] - theta) / np.median(np.diff(theta))
+            alike = np.exp(-rough / (2.0 - 2.0 ** (ROUGHNESS - 1.0)) * steps**ROUGHNESS)
+            found[part, part] += np.kron(np.diag(np.maximum(lacking, 0.0)), alike)
+        return found
 
     @cached_property
     def _weights(self) -> FloatArray:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.arrays import FloatArray, seed_from
 from terraphi.experiment.errors import GUESSED, InputError, nearest
 from terraphi.experiment.files import atomic_write
 from terraphi.experiment.outputs import SIGNATURE, changed, check_file
@@ -53,6 +53,7 @@ def export(
     dp_type: str | None = None,
     draws: int = 0,
     seed: int = 0,
+    rng: Any = None,
     anyway: bool = False,
     out: Path | str | None = None,
 ) -> dict[str, Any]:
@@ -72,8 +73,9 @@ def export(
         Cone of GeoTaichi: ``Circumscribed``, ``MiddleCircumscribed`` (default) or ``Inscribed``.
     draws
         Number of draws of the posterior.
-    seed
-        Of the choice of draws.
+    seed, rng
+        Of the choice of draws: an integer, or as ``rng`` also a ``numpy.random.Generator``
+        (SPEC 7), from which a seed is drawn.
     anyway
         Whether an answer whose verdict is not ``consistent`` is accepted.
     out
@@ -99,6 +101,7 @@ def export(
     >>> found["parameter"], len(found["draws"])
     ('friction_angle', 64)
     """
+    seed = seed_from(seed, rng)
     target = simulator(to, dp_type=dp_type)
     check_dp_type(dp_type, to)
     if match not in MATCHES:
