@@ -88,6 +88,13 @@ def test_leg_plate_and_ball_in_one_soil_narrow_its_angle(soil: str, tmp_path: Pa
         assert np.abs(apart).max() < 0.1
 
 
+def test_a_density_that_is_exact_is_so_for_all_bodies() -> None:
+    forces = [GRAINS / f"B-loose_{name}_1.csv" for name in ("straight", "disc_60")]
+    given = {"rig": "li2013", "leg": "straight", "density": "1415±0"}
+    joint = terraphi.invert([forces[0], f"{forces[1]}@plate:60"], **given)
+    assert joint.budget_deg.get("density", 0.0) == 0.0
+
+
 def test_a_tool_has_no_leg() -> None:
     with pytest.raises(terraphi.InputError, match="rig"):
         terraphi.invert(GRAINS / "B-loose_disc_60_1.csv", tool="plate:60", rig="li2013")

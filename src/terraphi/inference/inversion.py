@@ -173,8 +173,8 @@ def invert(
                 invert(of_legs, density=density, law=law, columns=columns, seed=seed, **given)
             ]
             # One soil has one density, and its columns and law are those of the legs.
-            sd = answers[0].density_sd_kg_m3 or 0.05 * answers[0].density_kg_m3
-            density, law, columns = f"{answers[0].density_kg_m3:g}±{sd:g}", None, None
+            first = answers[0]
+            density, law, columns = f"{first.density_kg_m3}±{first.density_sd_kg_m3}", None, None
         answers += [
             invert_pressed(*one, density=density, law=law, columns=columns) for one in tools if one
         ]
