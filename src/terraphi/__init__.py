@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from terraphi.robot.results import foot_forces as foot_forces
     from terraphi.terrain.export import export as export
     from terraphi.terrain.simulators import convert as convert
+    from terraphi.terrain.soils import soil as soil
     from terraphi.view.page import report as report
 
 _PLACES = {
@@ -61,6 +62,7 @@ _PLACES = {
     "read_forces": "experiment.reading",
     "report": "view.page",
     "simulate": "forward",
+    "soil": "terrain.soils",
 }
 """Public name to its module."""
 
