@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from terraphi.inference.inversion import invert as invert
     from terraphi.inference.inversion import invert_many as invert_many
     from terraphi.laws.build import build as build
+    from terraphi.laws.legs import law as law
     from terraphi.laws.plan import Plan as Plan
     from terraphi.laws.store import Library as Library
     from terraphi.robot.footfalls import footfalls as footfalls
@@ -58,6 +59,7 @@ _PLACES = {
     "footfalls": "robot.footfalls",
     "invert": "inference.inversion",
     "invert_many": "inference.inversion",
+    "law": "laws.legs",
     "measurement": "experiment.measurements",
     "read_forces": "experiment.reading",
     "report": "view.page",

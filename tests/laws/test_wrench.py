@@ -79,9 +79,7 @@ def test_meshes_of_a_ball_and_a_disc_have_the_force_of_the_law(
     phi, ratio = (one.ravel() for one in np.meshgrid(PHI, DEPTHS))
     place = np.zeros((phi.size, 3))
     place[:, 2] = RADIUS * ((shape == "ball") - ratio)
-    found, _ = force(
-        mesh, place, going(descent), phi_deg=phi, density=1600.0, surface_friction=mu
-    )
+    found, _ = force(mesh, place, going(descent), phi_deg=phi, density=1600.0, surface_friction=mu)
     expected = LAWS["foot"].force(
         foot, ratio * RADIUS, math.radians(descent), friction_angle_deg=phi, density=1600.0,
         surface_friction=mu,
@@ -112,7 +110,7 @@ def test_a_foot_has_the_force_of_the_law_in_its_heading(shape: Any, descent: flo
 
 def test_resistive_force_theory_is_the_plain_sum_over_faces() -> None:
     mesh, velocity = ball(1000), going(50.0, 1.0)
-    points = mesh.points + [0.1, 0.2, 0.6 * RADIUS]
+    points = mesh.points + np.array([0.1, 0.2, 0.6 * RADIUS])
     about = np.array([0.1, 0.0, 0.3])
     found, moment = wrench(
         points, mesh.normals, mesh.areas, velocity, law="rft", about=about, **SAND
@@ -139,9 +137,7 @@ def test_stress_goes_over_from_one_side_of_the_vertical_to_the_other() -> None:
     far = np.abs(np.sin(tilt)) > FADE
     np.testing.assert_allclose(smooth[far], jumps[far], rtol=1e-12)
     # A vertical face has the mean of both sides.
-    np.testing.assert_allclose(
-        smooth[1200], jumps[[1198, 1202]].mean(axis=0), atol=1e-3
-    )
+    np.testing.assert_allclose(smooth[1200], jumps[[1198, 1202]].mean(axis=0), atol=1e-3)
 
 
 def test_wrenches_of_many_feet_are_those_of_each() -> None:
@@ -230,7 +226,7 @@ def test_what_is_held_follows_the_law_and_stays_at_rest() -> None:
     assert held[0][2] == pytest.approx(law[2] * (1.0 - math.exp(-stiffness * way / law[2])))
     still = force(foot, place, 0.0 * down, held=held, step=1.0, **SAND)
     np.testing.assert_array_equal(still, held)
-    out = force(foot, place + [0.0, 0.0, 0.1], -down, held=held, step=step, **SAND)
+    out = force(foot, place + np.array([0.0, 0.0, 0.1]), -down, held=held, step=step, **SAND)
     assert not np.any(out)
 
 
@@ -260,9 +256,7 @@ class Standing:
             data.qfrc_applied[dofs] = 200.0 * lag - 2.0 * data.qvel[dofs]
             speed = np.zeros((4, 3))
             for i, foot in enumerate(feet):
-                mujoco.mj_objectVelocity(
-                    model, data, mujoco.mjtObj.mjOBJ_BODY, foot, spatial, 0
-                )
+                mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_BODY, foot, spatial, 0)
                 speed[i] = spatial[3:]
             held = force(
                 Foot(FOOT_RADIUS), data.xpos[feet], speed, phi_deg=phi_deg, density=1550.0,
@@ -283,8 +277,8 @@ def test_a_go2_stands_on_soil_up_to_the_bound_and_shakes_beyond(step: float) -> 
     assert at_bound.load.sum(axis=1) == pytest.approx(at_bound.weight, rel=0.02)
     assert at_bound.speed.max() < 0.005
     assert beyond.speed.mean() > 0.05
-    # Its weight comes at once. So it sinks until the soil's work is that of the load, up to twice as
-    # deep as the law bears it.
+    # Its weight comes at once. So it sinks until the soil's work is that of the load, up to twice
+    # as deep as the law bears it.
     for load, depth in zip(at_bound.load[-1], at_bound.depth, strict=True):
         static = brentq(
             lambda z, load=load: LAWS["foot"].force(

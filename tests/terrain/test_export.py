@@ -84,7 +84,7 @@ def set_by(name: str, made: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> 
         assert given[5:] == [made["JANOSI_SHEAR"], 1e8, 3e4]
         return given[4]
     if name == "rft3d":
-        # The module's φ is the law's, and its ξ that of resistive force theory at the module's angle.
+        # The module's φ is the law's; its ξ is that of resistive force theory.
         disc, moving = Foot(0.018, "disc"), ([0.0, 0.0, -0.02], [0.0, 0.0, -1.0])
         soil = made["soil"](surface_friction=0.4)
         found, _ = force(disc, *moving, **soil)

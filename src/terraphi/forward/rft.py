@@ -359,8 +359,9 @@ def unit_stress(
                 other = _side_stress(xp, n, v, along, -turn, surface_friction)
                 stress = stress + xp.clip(share, 0.0, 0.5) * (other - stress)
             elif (near := np.flatnonzero(share > 0.0)).size:
-                columns = (one[..., near] for one in (n, v, along, -turn))
-                other = _side_stress(xp, *columns, surface_friction)
+                other = _side_stress(
+                    xp, n[:, near], v[:, near], along[near], -turn[near], surface_friction
+                )
                 stress[:, near] += share[near] * (other - stress[:, near])
         parts.append((stress * xp.clip(along / fade, 0.0, 1.0)).T)
     return xp.concat(parts, axis=0)

@@ -123,6 +123,12 @@ class Library:
             digest.update(np.asarray(array, np.float32).tobytes())
         return digest.hexdigest()
 
+    def forces(self, rig: Any, phi_deg: Any, **options: Any) -> Any:
+        """Forces on the leg of a rig and their slope with φ: `~terraphi.laws.legs.forces`."""
+        from terraphi.laws.legs import forces
+
+        return forces(self, rig, phi_deg, **options)
+
     @property
     def phi_deg_by_leg(self) -> dict[str, tuple[float, float]]:
         """Smallest and largest friction angle of each leg [deg]."""

@@ -63,8 +63,8 @@ other, and on which a face that begins to lead gets its force [-]; chosen."""
 SPACING, LEVEL = float(DESCENTS[1] - DESCENTS[0]), len(DESCENTS) // 2
 """Of :data:`~terraphi.laws.foot.DESCENTS` [rad], and its row of level motion."""
 LOWEST = 45
-"""Row of :data:`~terraphi.laws.foot.DESCENTS` of the lowest direction that was simulated, 45°; below
-it the law has the ratios of that direction."""
+"""Row of :data:`~terraphi.laws.foot.DESCENTS` of the lowest direction that was simulated, 45°;
+below it the law has the ratios of that direction."""
 TINY = 1e-12
 """Least length [m], speed [m/s], area [m²] or force [N] that is divided by."""
 
@@ -191,8 +191,8 @@ def force(
                       if xp is np else (pose, velocity))  # fmt: skip
     if pose.shape[-1] not in (3, 7) or velocity.shape[-1] not in (3, 6):
         raise InputError(
-            f"pose of shape {tuple(pose.shape)}, velocity of {tuple(velocity.shape)}: the last axis "
-            "is 3 or 7 (with a quaternion), and 3 or 6 (with the angular velocity)"
+            f"pose of shape {tuple(pose.shape)}, velocity of {tuple(velocity.shape)}: the last "
+            "axis is 3 or 7 (with a quaternion), and 3 or 6 (with the angular velocity)"
         )
     if held is not None and step is None:
         raise InputError("held: give the time since then as step [s]")
@@ -204,6 +204,7 @@ def force(
         key: xp.reshape(xp.broadcast_to(like(pose, value), lead), (-1,))
         for key, value in (("phi_deg", phi_deg), ("density", density), ("surface", surface))
     }
+    _check_angles(each["phi_deg"], surface_friction)
     fade = TINY if held is not None else rest_speed
     if isinstance(foot, Foot):
         force_, moment, deep = _of_foot(foot, place, moving, surface_friction, fade, **each)
@@ -220,8 +221,7 @@ def force(
         kept = xp.exp(-stiffness * step * travel / xp.clip(size, TINY, None))
         kept = xp.where(deep > 0.0, kept, xp.zeros_like(kept))[:, None]
         force_, moment = (
-            law + kept * (last - law)
-            for law, last in zip((force_, moment), before, strict=True)
+            law + kept * (last - law) for law, last in zip((force_, moment), before, strict=True)
         )
     return xp.reshape(force_, (*lead, 3)), xp.reshape(moment, (*lead, 3))
 
@@ -236,10 +236,9 @@ def _of_foot(
     level = _norm(xp, moving[:, :2])
     speed = _norm(xp, moving[:, :3])
     first, step, table = _foot_table(foot.shape, float(surface_friction))
-    at = _angles(phi_deg, first, len(table))
     turn = xp.atan2(-moving[:, 2], level) / SPACING + LEVEL
     ratio = xp.clip(depth, 0.0, None) / foot.radius
-    unit = interpolated(table, at, turn, ratio / step)
+    unit = interpolated(table, phi_deg - first, turn, ratio / step)
     size = density * GRAVITY * foot.radius**3 * xp.clip(speed / fade, None, 1.0)
     unit = unit * (size * like(place, depth > 0.0))[:, None]
     heading = moving[:, :2] / xp.clip(level, TINY, None)[:, None]
@@ -247,9 +246,11 @@ def _of_foot(
     # The moment is about the level axis across the motion, left of it.
     across = xp.stack([-heading[:, 1], heading[:, 0], xp.zeros_like(depth)], axis=1)
     found = xp.concat([along * heading, lift], axis=1)
-    return _against(xp, found, moving[:, :3] / xp.clip(speed, TINY, None)[:, None]), (
-        turning * across
-    ), depth
+    return (
+        _against(xp, found, moving[:, :3] / xp.clip(speed, TINY, None)[:, None]),
+        (turning * across),
+        depth,
+    )
 
 
 def _of_mesh(
@@ -270,12 +271,15 @@ def _of_mesh(
     if place.shape[-1] == 7:
         rows = xp.reshape(_rotation(xp, place[:, 3:]), (-1, 3))
         points, normals = (
-            xp.permute_dims(xp.reshape(rows @ one.T, (place.shape[0], 3, points.shape[0])), (0, 2, 1))
+            xp.permute_dims(
+                xp.reshape(rows @ one.T, (place.shape[0], 3, points.shape[0])), (0, 2, 1)
+            )
             for one in (points, normals)
         )
     return _sum_of_faces(
         place[:, None, :3] + points, normals, areas, moving[:, None, :3], points,
-        moving[:, 3:] if moving.shape[-1] == 6 else None, surface_friction=surface_friction, law="foot", rest_speed=fade, **each,
+        moving[:, 3:] if moving.shape[-1] == 6 else None,
+        surface_friction=surface_friction, law="foot", rest_speed=fade, **each,
     )  # fmt: skip
 
 
@@ -349,7 +353,9 @@ def wrench(
         return xp.reshape(xp.broadcast_to(like(points, values), (*lead, *end)), (-1, *end))
 
     flat_points = xp.reshape(points, (-1, *shape[-2:]))
-    normals = like(points, normals)
+    normals, phi_deg = like(points, normals), flat(phi_deg, ())
+    if law == "foot":
+        _check_angles(phi_deg, surface_friction)
     found, moment, _ = _sum_of_faces(
         flat_points,
         normals if normals.ndim == 2 else flat(normals, shape[-2:]),
@@ -360,7 +366,7 @@ def wrench(
         surface_friction=surface_friction,
         law=law,
         rest_speed=rest_speed,
-        phi_deg=flat(phi_deg, ()),
+        phi_deg=phi_deg,
         density=flat(density, ()),
         surface=flat(surface, ()),
     )
@@ -425,8 +431,9 @@ def _sum_of_faces(
         vx, vy, vz = (total(weight * v[:, i]) for i in range(3))
         descent = xp.atan2(-vz, xp.sqrt(vx * vx + vy * vy))
         drag, lift = _ratios(
-            xp.sqrt(base / math.pi), mean, deepest, descent, phi_deg, surface_friction
-        )
+            xp.sqrt(base / math.pi), mean, deepest, descent, phi_deg,
+            surface_friction=surface_friction,
+        )  # fmt: skip
         along = spread(drag)
         scaled = xp.stack([fx * along, fy * along, fz * spread(lift)], axis=1)
         scaled = _against(xp, scaled, direction)
@@ -438,7 +445,13 @@ def _sum_of_faces(
 
 
 def _ratios(
-    radius: Any, mean: Any, deepest: Any, descent: Any, phi_deg: Any, surface_friction: float
+    radius: Any,
+    mean: Any,
+    deepest: Any,
+    descent: Any,
+    phi_deg: Any,
+    *,
+    surface_friction: float,
 ) -> tuple[Any, Any]:
     """Drag and lift by law ``foot`` over those of resistive force theory, [foot] each.
 
@@ -446,10 +459,10 @@ def _ratios(
     """
     xp = namespace(radius)
     if xp is np and not (loaded := deepest > 0.0).all():
-        each = (radius, mean, deepest, descent, phi_deg)
         whole = np.zeros((2, len(radius)))
         if loaded.any():
-            whole[:, loaded] = _ratios(*(one[loaded] for one in each), surface_friction)
+            parts = [one[loaded] for one in (radius, mean, deepest, descent, phi_deg)]
+            whole[:, loaded] = _ratios(*parts, surface_friction=surface_friction)
         return whole[0], whole[1]
     radius, deepest = xp.clip(radius, TINY, None), xp.clip(deepest, TINY, None)
     # The ball that touches the soil over a circle of this radius with its cap this deep.
@@ -458,29 +471,30 @@ def _ratios(
     above = cap * (3.0 * of_ball - 2.0 * cap) / (3.0 * (2.0 * of_ball - cap))
     round_ = xp.clip((deepest - mean) / above, 0.0, 1.0)[:, None]
     turn = xp.clip(descent / SPACING + LEVEL, LOWEST, None)
-    scale = 0.0
+    scale: Any = 0.0
     for shape, share, depth, size in (
         ("ball", round_, deepest, of_ball), ("disc", 1.0 - round_, mean, radius),
     ):  # fmt: skip
         first, step, table = _ratio_table(shape, float(surface_friction))
         ratio = xp.clip(depth / size, 1e-3 * step, None)
-        found = interpolated(
-            table, _angles(phi_deg, first, len(table)), turn - LOWEST, ratio / step
-        )
+        found = interpolated(table, phi_deg - first, turn - LOWEST, ratio / step)
         scale = scale + share * found / ratio[:, None]
     return scale[:, 0], scale[:, 1]
 
 
-def _angles(phi_deg: Any, first: float, count: int) -> Any:
-    """Places of angles [deg] in a table that begins with one; raises InputError outside it."""
-    low, high = first - BEYOND_DEG, first + count - 1 + BEYOND_DEG
+def _check_angles(phi_deg: Any, surface_friction: float) -> None:
+    """Raise InputError if angles [deg] are outside the law's table."""
+    first, _, table = simulated_table("ball", float(surface_friction))
+    low, high = first - BEYOND_DEG, first + len(table) - 1 + BEYOND_DEG
+    if phi_deg.shape[0] == 0:
+        return
     xp = namespace(phi_deg)
-    if phi_deg.shape[0] and not (float(xp.min(phi_deg)) >= low and float(xp.max(phi_deg)) <= high):
+    least, most = float(xp.min(phi_deg)), float(xp.max(phi_deg))
+    if not (least >= low and most <= high):
         raise InputError(
-            f"phi_deg = {float(xp.min(phi_deg)):g} to {float(xp.max(phi_deg)):g}: law 'foot' is for "
-            f"{low:g} to {high:g}° in plane strain"
+            f"phi_deg = {least:g} to {most:g}: law 'foot' is for {low:g} to {high:g}° in plane "
+            "strain"
         )
-    return phi_deg - first
 
 
 @lru_cache(maxsize=8)
@@ -492,7 +506,7 @@ def _ratio_table(shape: str, surface_friction: float) -> tuple[float, float, Flo
     over the theory's as the radius over the depth.
     """
     first, step, law = simulated_table(shape, surface_friction)
-    depths = step * np.arange(law.shape[2])
+    depths = step * np.arange(law.shape[2], dtype=np.float64)
     theory = _theory(shape, surface_friction, depths)[LOWEST:, 1:, :2]
     mu = np.sin(np.radians(first + np.arange(len(law))))
     scale = np.polyval([*SCALE_POLYNOMIAL, 0.0], mu)
@@ -507,7 +521,7 @@ def _ratio_table(shape: str, surface_friction: float) -> tuple[float, float, Flo
 def _foot_table(shape: str, surface_friction: float) -> tuple[float, float, FloatArray]:
     """As :func:`~terraphi.laws.foot.simulated_table`, with the moment over ρ g R⁴ as a third."""
     first, step, law = simulated_table(shape, surface_friction)
-    depths = step * np.arange(law.shape[2])
+    depths = step * np.arange(law.shape[2], dtype=np.float64)
     theory = _theory(shape, surface_friction, depths)[..., 2]
     rows = np.maximum(np.arange(len(DESCENTS)) - LOWEST, 0)
     lift = _ratio_table(shape, surface_friction)[2][..., 1][:, rows] / np.maximum(depths, step)
@@ -538,9 +552,7 @@ def _norm(xp: Any, vectors: Any) -> Any:
 
 def _rotation(xp: Any, quaternion: Any) -> Any:
     """Rotation matrices of quaternions (w, x, y, z), shape [foot, 3, 3]."""
-    w, x, y, z = (
-        quaternion[:, i] / xp.clip(_norm(xp, quaternion), TINY, None) for i in range(4)
-    )
+    w, x, y, z = (quaternion[:, i] / xp.clip(_norm(xp, quaternion), TINY, None) for i in range(4))
     rows = (
         (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
         (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),

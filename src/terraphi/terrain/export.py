@@ -324,10 +324,12 @@ USES = {
     plastic = {"Friction": value, "dpType": DP_TYPE, "Dilation": 0.0, "Cohesion": 0.0}
     return {"MaterialID": 1, "Density": DENSITY, **elastic, **plastic, **others}
 ''',
-    "rft3d": '''def soil(value=PHI_PLANE_STRAIN_DEG, density=DENSITY, surface_friction=LEG_FRICTION):
+    "rft3d": '''def soil(
+    phi_deg=PHI_PLANE_STRAIN_DEG, density=DENSITY, surface_friction=LEG_FRICTION
+):
     """Keywords of force and wrench of terraphi.laws.wrench; φ is that of plane strain."""
     friction = 0.4 if surface_friction is None else surface_friction
-    return {"phi_deg": value, "density": density, "surface_friction": friction}
+    return {"phi_deg": phi_deg, "density": density, "surface_friction": friction}
 ''',
 }
 """Functions of the exported module that hand the constants to the simulator."""
