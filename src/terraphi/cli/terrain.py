@@ -38,7 +38,7 @@ seed_option = click.option(
     type=click.Choice(MATCHES),
     default="plane-strain",
     show_default=True,
-    help="Stress path in which the simulator is as strong as the soil.",
+    help="Stress path in which both are as strong.",
 )
 @dp_type_option
 @click.option(
@@ -48,22 +48,16 @@ seed_option = click.option(
     help="Draws of the posterior.  [default: 0]",
 )
 @seed_option
-@click.option(
-    "--anyway", is_flag=True, help="Export it although the verdict is a misfit or out of range."
-)
+@click.option("--anyway", is_flag=True, help="Export a misfit, or what is out of range.")
 @click.option("--out", type=PATH, help="A .py, .json or (newton, isaaclab) .usda file.")
 @json_option
 def export(answer: str, out: Path | None, as_json: bool, **options: Any) -> None:
-    """Write a Python module that sets the friction of an ANSWER or a SOIL in a simulator.
+    """Write a Python module that sets an ANSWER or a SOIL in a simulator.
 
-    ANSWER is the folder of 'terraphi invert --out', its answer.nc, or the output of 'invert
-    --json' (- for standard input). SOIL is 'loose dry sand', 'medium dense dry sand', 'dense dry
-    sand', 'loose glass beads', or φ in plane strain as 33±2. The module says which stress path is
-    matched, and what was not inferred. For chrono-scm it holds Bekker's parameters too.
+    ANSWER is the folder of 'terraphi invert --out', its answer.nc, or the output of 'invert --json'
+    (-: standard input). SOIL is φ in plane strain as 33±2, or a name as 'loose dry sand'.
 
-    Example: terraphi export answer --to genesis --draws 64 --out soil.py
-
-    Example: terraphi export 33±2 --density 1600±40 --to newton
+    Example: terraphi export 33±2 --density 1600±40 --to genesis --draws 64 --out soil.py
     """
     from terraphi.terrain import export as exports
 

@@ -548,6 +548,8 @@ def forces(
 ) -> xr.Dataset:
     """Forces on the leg of a rig by a law, and their slope with φ.
 
+    They are as simulated: an answer's φ has the law's mean offset on real soils taken off.
+
     Parameters
     ----------
     law

@@ -23,7 +23,9 @@ from terraphi.experiment.rig import contact_deg
 from terraphi.experiment.scenario import Scenario
 
 if TYPE_CHECKING:
+    import xarray as xr
     from matplotlib.figure import Figure
+    from numpy.typing import ArrayLike
 
 SCHEMA = 1
 """Version of the layout of a library file."""
@@ -123,7 +125,7 @@ class Library:
             digest.update(np.asarray(array, np.float32).tobytes())
         return digest.hexdigest()
 
-    def forces(self, rig: Any, phi_deg: Any, **options: Any) -> Any:
+    def forces(self, rig: Any, phi_deg: ArrayLike, **options: Any) -> xr.Dataset:
         """Forces on the leg of a rig and their slope with φ: `~terraphi.laws.legs.forces`."""
         from terraphi.laws.legs import forces
 
