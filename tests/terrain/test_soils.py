@@ -95,6 +95,10 @@ def test_force_is_that_of_the_law_in_plane_strain() -> None:
         foot, 0.022, math.pi / 2, friction_angle_deg=42.0, density=1800.0, surface_friction=0.4
     )
     np.testing.assert_allclose(force, [[0.0, 0.0, expected[1]], [0.0, 0.0, 0.0]], atol=1e-9)
+    for name in SANDS:
+        every = soil(name).draws(4096, rng=0)
+        found, _ = sand.force(foot, np.zeros((4096, 3)), down, **every._asdict())
+        assert (found[:, 2] > 0.0).all()
     drawn = sand.draws(2, rng=0)
     other, _ = sand.force(foot, place[[0, 0]], down, **drawn._asdict())
     rising = np.diff(other[:, 2] / drawn.density)[0] * np.diff(drawn.phi_deg)[0]

@@ -37,10 +37,11 @@ def like(reference: Any, values: Any) -> Any:
         return np.asarray(values, dtype=reference.dtype)
     if isinstance(values, type(reference)):
         return xp.astype(values, reference.dtype)
-    return xp.asarray(values, dtype=reference.dtype, device=reference.device)
+    place = {} if (device := getattr(reference, "device", None)) is None else {"device": device}
+    return xp.asarray(values, dtype=reference.dtype, **place)  # what JAX traces has no device
 
 
 def whole(places: Any) -> Any:
-    """Numbers cut to whole ones, as indices."""
+    """Numbers cut to whole ones, as indices; in 32 bits, which JAX has too."""
     xp = namespace(places)
-    return places.astype(np.int64) if xp is np else xp.astype(places, xp.int64)
+    return places.astype(np.int64) if xp is np else xp.astype(places, xp.int32)

@@ -187,8 +187,8 @@ def force(
     if not isinstance(foot, Foot | Mesh):
         raise InputError(f"foot of type {type(foot).__name__}; give a Foot or a Mesh")
     xp = namespace(pose)
-    pose, velocity = ((np.asarray(one, dtype=np.float64) for one in (pose, velocity))
-                      if xp is np else (pose, velocity))  # fmt: skip
+    pose = np.asarray(pose, dtype=np.float64) if xp is np else pose
+    velocity = like(pose, velocity)
     if pose.shape[-1] not in (3, 7) or velocity.shape[-1] not in (3, 6):
         raise InputError(
             f"pose of shape {tuple(pose.shape)}, velocity of {tuple(velocity.shape)}: the last "
@@ -197,7 +197,7 @@ def force(
     if held is not None and step is None:
         raise InputError("held: give the time since then as step [s]")
     lead = pose.shape[:-1]
-    place, moving = xp.reshape(pose, (-1, pose.shape[-1])), like(pose, velocity)
+    place, moving = xp.reshape(pose, (-1, pose.shape[-1])), velocity
     moving = xp.reshape(xp.broadcast_to(moving, (*lead, velocity.shape[-1])),
                         (-1, velocity.shape[-1]))  # fmt: skip
     each = {
@@ -489,7 +489,10 @@ def _check_angles(phi_deg: Any, surface_friction: float) -> None:
     if phi_deg.shape[0] == 0:
         return
     xp = namespace(phi_deg)
-    least, most = float(xp.min(phi_deg)), float(xp.max(phi_deg))
+    try:
+        least, most = float(xp.min(phi_deg)), float(xp.max(phi_deg))
+    except TypeError:  # JAX traces it: there are no numbers to check yet
+        return
     if not (least >= low and most <= high):
         raise InputError(
             f"phi_deg = {least:g} to {most:g}: law 'foot' is for {low:g} to {high:g}° in plane "

@@ -34,6 +34,9 @@ MOST_DRAWS = 100_000
 """Draws of an export at most."""
 LEAST_DENSITY = 0.1
 """Of a draw of the density, over the mean [-]; chosen, so that none is negative."""
+MOST_SDS = 3.0
+"""Standard deviations from the mean at which draws of φ end [-]; chosen, so that those of the table
+are within law ``foot``, which ends at 55°."""
 FOOT_FRICTION = 0.4
 """Coulomb coefficient between foot and soil that forces have unless another is given [-]: the
 middle of the frictions that law ``foot`` was simulated for, 0.2 to 0.6."""
@@ -315,10 +318,11 @@ def _angle(phi: Any) -> tuple[float, float]:
 
 
 def _normal(mean: float, sd: float) -> FloatArray:
-    """Equally probable values of a normal distribution."""
+    """Equally probable values of a normal distribution, none beyond :data:`MOST_SDS`."""
     normal = NormalDist(0.0, 1.0)
     share = (np.arange(QUANTILES) + 0.5) / QUANTILES
-    return mean + sd * np.array([normal.inv_cdf(p) for p in share.tolist()])
+    apart = np.array([normal.inv_cdf(p) for p in share.tolist()])
+    return mean + sd * np.clip(apart, -MOST_SDS, MOST_SDS)
 
 
 def _of_answer(what: Any, *, anyway: bool) -> SoilDistribution:
