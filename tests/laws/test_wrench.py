@@ -178,12 +178,22 @@ def test_a_mesh_of_triangles_has_the_faces_and_faces_outward() -> None:
     corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
     triangles = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7],
                  [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3], [0, 0, 1]]  # fmt: skip
+    assert len(Mesh.of(corners, triangles, longest=2.0).areas) == 12
     mesh = Mesh.of(corners, triangles)
+    assert len(mesh.areas) > 500
     assert mesh.areas.sum() == pytest.approx(6.0)
+    sizes = np.array([0.1, 0.06, 0.03])
+    pose = [0.0, 0.0, -0.005, math.cos(math.radians(7.5)), 0.0, math.sin(math.radians(7.5)), 0.0]
+    plain, fine = (
+        force(Mesh.of((corners - 0.5) * sizes, triangles, longest=longest), pose, going(80.0),
+              **SAND)[0] for longest in (None, 0.005)
+    )  # fmt: skip
+    np.testing.assert_allclose(plain, fine, atol=1e-3 * fine[2])
     # Of a closed surface: no net area, and its volume.
     np.testing.assert_allclose(mesh.normals.T @ mesh.areas, 0.0, atol=1e-12)
     assert np.vecdot(mesh.points, mesh.normals) @ mesh.areas / 3.0 == pytest.approx(1.0)
-    for wrong in ((corners[:, :2], triangles), (corners, [[0, 0, 1]]), (object(),)):
+    broken = (corners + np.inf, triangles)
+    for wrong in ((corners[:, :2], triangles), (corners, [[0, 0, 1]]), (object(),), broken):
         with pytest.raises(InputError, match="mesh"):
             Mesh.of(*wrong)
 
