@@ -161,7 +161,7 @@ def force(
     rest_speed: float = 0.01,
     held: tuple[Any, Any] | None = None,
     step: float | None = None,
-    stiffness: float = 2e4,
+    stiffness: float | None = None,
 ) -> tuple[Any, Any]:
     """Force and moment of soil on feet, by law ``foot``.
 
@@ -217,8 +217,10 @@ def force(
             f"pose of shape {tuple(pose.shape)}, velocity of {tuple(velocity.shape)}: the last "
             "axis is 3 or 7 (with a quaternion), and 3 or 6 (with the angular velocity)"
         )
-    if held is not None and step is None:
-        raise InputError("held: give the time since then as step [s]")
+    if held is not None and (step is None or stiffness is None):
+        raise InputError(
+            "held: give the time since then as step [s], and stiffness [N/m], below 2 m / step²"
+        )
     lead = pose.shape[:-1]
     place, moving = xp.reshape(pose, (-1, pose.shape[-1])), velocity
     moving = xp.reshape(xp.broadcast_to(moving, (*lead, velocity.shape[-1])),
@@ -235,7 +237,7 @@ def force(
     else:
         force_, moment, deep = _of_mesh(foot, place, moving, surface_friction, fade, **each)
         far = foot.reach
-    if held is not None and step is not None:
+    if held is not None and step is not None and stiffness is not None:
         before = [xp.reshape(like(pose, one), (-1, 3)) for one in held]
         travel = _norm(xp, moving[:, :3])
         if moving.shape[-1] == 6:
