@@ -187,7 +187,8 @@ def force(
     step
         Time since then [s].
     stiffness
-        Of soil that holds a foot, k [N/m]; k ``step``² below 2 m is stable (see the module).
+        Of soil that holds a foot, k [N/m]; below 2 m over the square of ``step`` it is stable (see
+        the module).
 
     Returns
     -------
