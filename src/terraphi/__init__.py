@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from terraphi.inference.inversion import invert as invert
     from terraphi.inference.inversion import invert_many as invert_many
     from terraphi.laws.build import build as build
+    from terraphi.laws.legs import law as law
     from terraphi.laws.plan import Plan as Plan
     from terraphi.laws.store import Library as Library
     from terraphi.robot.footfalls import footfalls as footfalls
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from terraphi.terrain.export import export as export
     from terraphi.terrain.map import map_slopes as map  # noqa: A004, F401
     from terraphi.terrain.simulators import convert as convert
+    from terraphi.terrain.soils import soil as soil
     from terraphi.view.page import report as report
 
 _PLACES = {
@@ -58,11 +60,13 @@ _PLACES = {
     "footfalls": "robot.footfalls",
     "invert": "inference.inversion",
     "invert_many": "inference.inversion",
+    "law": "laws.legs",
     "map": "terrain.map:map_slopes",
     "measurement": "experiment.measurements",
     "read_forces": "experiment.reading",
     "report": "view.page",
     "simulate": "forward",
+    "soil": "terrain.soils",
 }
 """Public name to its module, and to its name there if that is another."""
 

@@ -13,6 +13,7 @@ from terraphi.cli.options import (
     PATH,
     SIMULATORS,
     Float,
+    density_option,
     json_option,
 )
 from terraphi.view.console import present, progress_bar
@@ -29,14 +30,15 @@ seed_option = click.option(
 
 
 @click.command()
-@click.argument("answer", type=PATH)
+@click.argument("answer", metavar="ANSWER|SOIL")
 @click.option("--to", required=True, type=SIMULATOR, help="The simulator.")
+@density_option
 @click.option(
     "--match",
     type=click.Choice(MATCHES),
     default="plane-strain",
     show_default=True,
-    help="Stress path in which the simulator is as strong as the soil.",
+    help="Stress path in which both are as strong.",
 )
 @dp_type_option
 @click.option(
@@ -46,19 +48,16 @@ seed_option = click.option(
     help="Draws of the posterior.  [default: 0]",
 )
 @seed_option
-@click.option(
-    "--anyway", is_flag=True, help="Export it although the verdict is a misfit or out of range."
-)
+@click.option("--anyway", is_flag=True, help="Export a misfit, or what is out of range.")
 @click.option("--out", type=PATH, help="A .py, .json or (newton, isaaclab) .usda file.")
 @json_option
-def export(answer: Path, out: Path | None, as_json: bool, **options: Any) -> None:
-    """Write a Python module that sets the friction of an ANSWER in a simulator.
+def export(answer: str, out: Path | None, as_json: bool, **options: Any) -> None:
+    """Write a Python module that sets an ANSWER or a SOIL in a simulator.
 
-    ANSWER is the folder of 'terraphi invert --out', its answer.nc, or the output of 'invert
-    --json' (- for standard input). The module says which stress path is matched, and what was not
-    inferred. For chrono-scm it holds Bekker's parameters too.
+    ANSWER is the folder of 'terraphi invert --out', its answer.nc, or the output of 'invert --json'
+    (-: standard input). SOIL is φ in plane strain as 33±2, or a name as 'loose dry sand'.
 
-    Example: terraphi export answer --to genesis --draws 64 --out soil.py
+    Example: terraphi export 33±2 --density 1600±40 --to genesis --draws 64 --out soil.py
     """
     from terraphi.terrain import export as exports
 
@@ -70,20 +69,25 @@ def export(answer: Path, out: Path | None, as_json: bool, **options: Any) -> Non
 
 
 @click.command()
-@click.argument("value", type=Float())
-@click.option("--from", "from_", required=True, type=SIMULATOR, help="Simulator of VALUE.")
-@click.option("--to", type=SIMULATOR, help="Another simulator, whose value is wanted.")
+@click.argument("value", metavar="VALUE|SOIL")
+@click.option("--from", "from_", type=SIMULATOR, help="Simulator of VALUE; a SOIL has none.")
+@click.option("--to", type=SIMULATOR, help="The simulator whose value is wanted.")
 @dp_type_option
 @json_option
-def convert(value: float, as_json: bool, **options: Any) -> None:
-    """Print the friction angle that acts where a simulator's friction is VALUE.
+def convert(value: str, from_: str | None, as_json: bool, **options: Any) -> None:
+    """Print the friction angle that acts where a simulator's friction is VALUE, or the reverse.
+
+    SOIL is as of 'terraphi export': an angle as 33±2, a name, or an answer.
 
     Example: terraphi convert 0.68 --from newton --to genesis
+
+    Example: terraphi convert 33±2 --to newton
     """
     from terraphi.terrain.simulators import convert as converted
     from terraphi.terrain.simulators import converted_in_words
 
-    found = converted(value, **options)
+    number = value if from_ is None else Float().convert(value, None, None)
+    found = converted(number, from_=from_, **options)
     present(found, *converted_in_words(found), as_json=as_json)
 
 

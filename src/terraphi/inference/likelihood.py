@@ -74,20 +74,13 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import FORCES, OBSERVATION_ANGLES, WINDOW_DEG, ForceHistory
 from terraphi.experiment.rig import LI2013, Rig
-from terraphi.experiment.scenario import GRAVITY, Scenario
+from terraphi.experiment.scenario import GRAVITY
 from terraphi.inference.calibration import Calibration
 from terraphi.inference.estimator import Best, least_squares, weights
 from terraphi.inference.records import Record
-from terraphi.laws.law import (
-    STEP,
-    THEORY,
-    LegLaw,
-    ModelError,
-    leg_law,
-    library_of_theory,
-)
-from terraphi.laws.legs import Legs, cells_in
-from terraphi.laws.store import PHI, Library, shipped_library
+from terraphi.laws.law import STEP, LegLaw, ModelError
+from terraphi.laws.legs import Legs, law_of
+from terraphi.laws.store import PHI, Library
 
 SHIFT_DEG = 15.0
 """Largest shift of the leg angle of measured records [deg]: chosen. C legs have 11 to 15° in grains
@@ -162,17 +155,6 @@ def channels_of(record: Record, force: FloatArray, arm: FloatArray | None) -> Fl
         )
     rows = {"Fx": force[..., 0, :], "Fz": force[..., 1, :], "M": (force * arm).sum(axis=-2)}
     return np.stack([rows[name] for name in record.channels], axis=-2)
-
-
-def law_of(
-    library: Library | Legs, rig: Rig, scenario: Scenario | None, *, strict: bool = True
-) -> LegLaw:
-    """The law of a rig, of a simulation in its cells; errors as of `~terraphi.laws.law.leg_law`."""
-    if isinstance(library, Legs):
-        return library.law(rig, cells_in(scenario, rig))
-    if (scenario is None or strict) and library is shipped_library(THEORY):
-        library = library_of_theory(rig)
-    return leg_law(library, rig, strict=strict)
 
 
 def window_means(record: Record, force: FloatArray, law: LegLaw, shift_deg: float) -> FloatArray:

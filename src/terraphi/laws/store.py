@@ -23,7 +23,9 @@ from terraphi.experiment.rig import contact_deg
 from terraphi.experiment.scenario import Scenario
 
 if TYPE_CHECKING:
+    import xarray as xr
     from matplotlib.figure import Figure
+    from numpy.typing import ArrayLike
 
 SCHEMA = 1
 """Version of the layout of a library file."""
@@ -122,6 +124,12 @@ class Library:
         for array in arrays:
             digest.update(np.asarray(array, np.float32).tobytes())
         return digest.hexdigest()
+
+    def forces(self, rig: Any, phi_deg: ArrayLike, **options: Any) -> xr.Dataset:
+        """Forces on the leg of a rig and their slope with φ: `~terraphi.laws.legs.forces`."""
+        from terraphi.laws.legs import forces
+
+        return forces(self, rig, phi_deg, **options)
 
     @property
     def phi_deg_by_leg(self) -> dict[str, tuple[float, float]]:

@@ -235,14 +235,19 @@ def check_dp_type(dp_type: str | None, *names: str | None) -> None:
 
 
 def convert(
-    value: float, *, from_: str, to: str | None = None, dp_type: str | None = None
+    value: float | str,
+    *,
+    from_: str | None = None,
+    to: str | None = None,
+    dp_type: str | None = None,
 ) -> dict[str, Any]:
-    """Friction angles that act where a simulator's friction has a value.
+    """Friction angles that act where a simulator's friction has a value, or the reverse.
 
     Parameters
     ----------
     value
-        The parameter of ``from_``, in its unit.
+        The parameter of ``from_``, in its unit. Without ``from_`` a soil, as of
+        :func:`~terraphi.soil`: φ in plane strain as ``"33±2"``, a name, or an answer.
     from_, to
         Names of simulators: ``genesis``, ``newton``, ``isaaclab``, ``chrono-crm``,
         ``chrono-scm``, ``geotaichi`` or ``rft3d``.
@@ -254,7 +259,8 @@ def convert(
     dict
         ``phi_plane_strain_deg`` and ``phi_triaxial_deg``: the Mohr-Coulomb angles as which it acts
         in plane strain without dilation and in triaxial compression, ``None`` where it is stronger
-        than any; ``value`` of ``to`` with its parameter, equally strong in plane strain.
+        than any; ``value`` of ``to`` with its parameter, equally strong in plane strain. Of a soil,
+        what :func:`~terraphi.export` returns.
 
     Raises
     ------
@@ -266,7 +272,15 @@ def convert(
     >>> found = terraphi.convert(0.68, from_="newton", to="genesis")
     >>> round(found["phi_plane_strain_deg"], 1), round(found["value"], 1)
     (42.8, 29.5)
+    >>> round(terraphi.convert("33±2", to="newton")["value"], 3)
+    0.545
     """
+    if from_ is None:
+        from terraphi.terrain.export import export
+
+        if to is None:
+            raise InputError(f"convert {value}: name the simulator that it is from, or to")
+        return export(value if isinstance(value, str) else f"{value:g}", to=to, dp_type=dp_type)
     given = simulator(from_, dp_type=dp_type)
     check_dp_type(dp_type, from_, to)
     least, most, unit = (LEAST_DEG, 90.0, " degrees, not radians") if given.unit else (0, 2, "")
@@ -296,6 +310,10 @@ def convert(
 
 def converted_in_words(found: dict[str, Any]) -> list[str]:
     """Result of :func:`convert`, a sentence each."""
+    if "from" not in found:
+        from terraphi.terrain.export import headline
+
+        return [headline(found), f"It means {found['meaning']}."]
     sentences = ["{from}: {parameter} {given:g} means {meaning}.".format_map(found)]
     for name, path in {"plane_strain": "plane strain", "triaxial": "triaxial compression"}.items():
         phi = found[f"phi_{name}_deg"]
