@@ -153,7 +153,7 @@ def test_the_moment_alone_is_read_in_any_size(length: float) -> None:
 
 @pytest.mark.parametrize(("length", "density"), [(80.0, 1500.0), (160.0, 1700.0)])
 def test_a_cohesion_is_found_in_pascals(length: float, density: float) -> None:
-    """Of the law's own forces; a weight on it takes a fifth, and the interval includes that."""
+    """Of the law's own forces; a weight takes a part of it, and the interval includes that."""
     rig = Rig(leg="straight", length_mm=length, width_mm=0.5 * length, thickness_mm=0.08 * length,
               hip_height_mm=0.3 * length, hip_height_sd_mm=0.5)  # fmt: skip
     law, number = shipped_legs().law(rig), 0.08
@@ -163,8 +163,7 @@ def test_a_cohesion_is_found_in_pascals(length: float, density: float) -> None:
     assert answer.cohesion_pa == pytest.approx(pascals, rel=0.35)
     assert answer.cohesion_pa < pascals
     read = answer.phi.median + shipped_legs().error_of("straight").offset_deg
-    assert abs(read - 29.0) < 1.5
-    assert answer.budget_deg["cohesion"] > 0.3
+    assert 0.0 < read - 29.0 < 2.0 * answer.budget_deg["cohesion"]
 
 
 def test_the_hash_changes_with_all_that_changes_an_answer() -> None:
