@@ -1,4 +1,4 @@
-"""One friction angle from several maneuvers in one soil: legs, plates and balls.
+"""One friction angle from several maneuvers in one soil: different legs, plates and balls.
 
 Each answer is a normal distribution. Answers share the error of the density and what the soil does
 that no law has, and those of one law what is wrong with it, so that the best mean is that of
@@ -21,7 +21,7 @@ from terraphi.laws.store import PHI
 
 OF_SOIL = ("density", "model: soil")
 """Terms that all answers share."""
-OF_LAW = ("model: law", "model: compaction", "surface friction", "rectangle")
+OF_LAW = ("model: law", "model: apparatus", "model: compaction", "surface friction", "rectangle")
 """Terms that answers by one law share."""
 DISAGREE = 1.96
 """Standard deviations of the difference of two answers above which they are a misfit [-]: one sound
@@ -100,8 +100,10 @@ def combined(answers: Sequence[Answer]) -> Answer:
     density /= np.trapezoid(density, grid)
     estimate = Estimate.of_density(grid, density)
     first = answers[0]
+    # What is said of all is said once.
+    alike = set(first.questions).intersection(*(one.questions for one in answers))
     questions = [
-        text if text.startswith(one.source) else f"{one.source}: {text}"
+        text if text in alike or text.startswith(one.source) else f"{one.source}: {text}"
         for one in answers for text in one.questions
     ]  # fmt: skip
     # Curves of φ alone, other parameters at their medians; each answer's errors are its own.
@@ -122,7 +124,8 @@ def combined(answers: Sequence[Answer]) -> Answer:
         reason=reason,
         edge=next((one.edge for one in answers if one.edge), None),
         law=", ".join(dict.fromkeys(one.law for one in answers)),
-        law_reason="",
+        law_reason=first.law_reason if one_law.all() else "",
+        second_opinion=None,
         budget_deg=dict(sorted(budget.items(), key=lambda term: -term[1])),
         density_assumed=any(one.density_assumed for one in answers),
         records=tuple(records),
@@ -131,7 +134,7 @@ def combined(answers: Sequence[Answer]) -> Answer:
         density=density,
         draws={},
         diagnostics={},
-        questions=tuple(questions),
+        questions=tuple(dict.fromkeys(questions)),
         provenance={
             **first.provenance,
             "answers": [
