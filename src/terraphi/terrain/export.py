@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable, Mapping
 from numbers import Integral
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -103,7 +103,8 @@ def export(
     check_dp_type(dp_type, to)
     if match not in MATCHES:
         raise InputError(f"unknown stress path '{match}'; {nearest(match, MATCHES)}")
-    if isinstance(draws, bool) or not (isinstance(draws, Integral) and 0 <= draws <= MOST_DRAWS):
+    whole = isinstance(cast("object", draws), Integral) and not isinstance(draws, bool)
+    if not (whole and 0 <= draws <= MOST_DRAWS):
         raise InputError(f"draws = {draws!r}; 0 to {MOST_DRAWS} are accepted")
     path = None if out is None else Path(out)
     if path is not None:

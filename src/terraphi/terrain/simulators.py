@@ -19,7 +19,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from numbers import Real
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, cast, get_args
 
 from terraphi.experiment.errors import InputError, nearest
 
@@ -270,7 +270,7 @@ def convert(
     given = simulator(from_, dp_type=dp_type)
     check_dp_type(dp_type, from_, to)
     least, most, unit = (LEAST_DEG, 90.0, " degrees, not radians") if given.unit else (0, 2, "")
-    if not (isinstance(value, Real) and least < value < most):
+    if not (isinstance(cast("object", value), Real) and least < value < most):
         expected = f"{given.title} expects {least:g} to {most:g}{unit}"
         raise InputError(f"{given.parameter} = {value!r}: {expected}")
     ratio = given.law.ratio(value)
