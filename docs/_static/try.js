@@ -26,7 +26,7 @@
   async function load() {
     await script(`${pyodideUrl}pyodide.js`, form.dataset.integrity);
     const pyodide = await loadPyodide({ indexURL: pyodideUrl });
-    await pyodide.loadPackage(["numpy", "packaging", "pandas", "pydantic", "threadpoolctl"]);
+    await pyodide.loadPackage(["click", "numpy", "packaging", "pandas", "pydantic", "threadpoolctl"]);
     const place = pyodide.runPython("import site; site.getsitepackages()[0]");
     pyodide.unpackArchive(await bytes("terraphi.zip"), "zip", { extractDir: place });
     const code = new TextDecoder().decode(await bytes("try.py"));

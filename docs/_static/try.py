@@ -11,6 +11,7 @@ import numpy as np
 
 import terraphi
 from terraphi.experiment import files
+from terraphi.view.answers import in_words
 
 ATTRIBUTES = "attributes"
 """Name of the array that holds the attributes of a file as JSON."""
@@ -49,7 +50,7 @@ def invert(name, content, options):
     Returns
     -------
     str
-        JSON: ``text`` for people, and ``answer`` as of ``terraphi invert --json``; or ``error``.
+        JSON: ``text`` as ``terraphi invert -v`` prints it, and ``answer`` as of ``terraphi invert --json``; or ``error``.
     """
     path = Path(Path(name).name or "forces.csv")
     path.write_bytes(bytes(content))
@@ -59,7 +60,5 @@ def invert(name, content, options):
         return json.dumps({"error": str(error)})
     finally:
         path.unlink()
-    lines = repr(answer).splitlines()
-    if answer.questions:
-        lines[-1:] = [f"Warning: {one}" for one in answer.questions]  # in place of their number
-    return json.dumps({"text": "\n".join(lines), "answer": answer.as_dict()}, default=str)
+    text = "\n".join(in_words(answer))
+    return json.dumps({"text": text, "answer": answer.as_dict()}, default=str)

@@ -18,13 +18,14 @@ from typing import Any
 import pytest
 
 import terraphi
+from terraphi.view.answers import in_words
 
 DOCS = Path(__file__).parents[2] / "docs"
 RIG = {
     "leg": "c", "length_mm": 76.2, "width_mm": 25.4, "thickness_mm": 6.4,
     "hip_height_mm": "20±1",
 }  # fmt: skip
-IN_BROWSER = ("annotated_types", "dateutil", "numpy", "packaging", "pandas", "pydantic",
+IN_BROWSER = ("annotated_types", "click", "dateutil", "numpy", "packaging", "pandas", "pydantic",
               "pydantic_core", "pytz", "six", "terraphi", "threadpoolctl", "typing_extensions",
               "typing_inspection")  # fmt: skip
 """Packages that the page loads, and ours."""
@@ -141,9 +142,10 @@ def test_page_answers_as_the_command_line_and_sends_nothing(site: str, record: P
             "document.getElementById('try-answer').dataset.answer", timeout=300_000
         )
         found = page.evaluate("document.getElementById('try-answer').dataset.answer")
-        shown = page.inner_text("#try-answer")
+        shown = page.text_content("#try-answer")
         browser.close()
     check(json.loads(found), record, density="1650±50")
-    assert "Consistent" in shown
+    printed = "\n".join(in_words(terraphi.invert(record, rig=RIG, density="1650±50")))
+    assert shown.partition(" ")[2] == printed.partition(" ")[2]  # but for the folder
     assert {(method, data) for method, _, data in requests} == {("GET", None)}
     assert all(url.startswith(site) for _, url, _ in requests)
