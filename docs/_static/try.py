@@ -50,7 +50,8 @@ def invert(name, content, options):
     Returns
     -------
     str
-        JSON: ``text`` as ``terraphi invert -v`` prints it, and ``answer`` as of ``terraphi invert --json``; or ``error``.
+        JSON: ``text`` as ``terraphi invert`` prints it, all warnings included, and ``answer`` as
+        ``--json`` has it; or ``error``.
     """
     path = Path(Path(name).name or "forces.csv")
     path.write_bytes(bytes(content))
