@@ -69,7 +69,7 @@ def _kernels() -> str:
     from terraphi.forward import simulate
 
     if find_spec("numba") is None:
-        return "none, for want of Numba; to simulate: pip install 'terraphi[simulate]'"
+        return "Numba is not installed; to simulate: pip install 'terraphi[simulate]'"
     began = time.perf_counter()
     coarse = {"numerics.cells": 64, "numerics.time_step": 16e-6, "numerics.speed_up": 10.0}
     simulate(Scenario.load("paper-1").replace(**coarse, **{"motion.stop_deg": -130.0}))
