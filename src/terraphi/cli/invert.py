@@ -87,7 +87,9 @@ def invert(
     answer = inversion.invert(list(forces), **with_rig(options))
     if out is not None:
         answer.save(out)
-    written = [] if out is None else [f"Written: {out}/answer.json, answer.nc, answer.png"]
+    files = [] if out is None else [f"answer.{one}" for one in ("json", "nc", "png")]
+    made = [name for name in files if out is not None and (out / name).exists()]
+    written = [f"Written: {out}/{', '.join(made)}"] if made else []
     parts = parts_of(answer, verbose=verbose)
     present(answer.as_dict(), *parts, *written, as_json=as_json)
 

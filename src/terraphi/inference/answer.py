@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import html
 import json
+import logging
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -27,6 +28,8 @@ from terraphi.laws.store import PHI
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
+
+log = logging.getLogger(__name__)
 
 QUANTILES = 4000
 """Equally probable values that stand for a posterior by quadrature where draws are wanted."""
@@ -595,6 +598,8 @@ class Answer(AnswerSummary):
     def save(self, folder: Path | str) -> None:
         """Write ``answer.json``, ``answer.nc`` and ``answer.png`` into a folder, all or none.
 
+        Without Matplotlib there is no picture, and a warning is logged.
+
         Raises
         ------
         InputError
@@ -602,7 +607,10 @@ class Answer(AnswerSummary):
         """
         with output_folder(Path(folder), kind="answer", last="answer.json") as place:
             self.to_netcdf(place / "answer.nc")
-            self.plot().savefig(place / "answer.png", dpi=150)
+            try:
+                self.plot().savefig(place / "answer.png", dpi=150)
+            except InputError as error:  # without Matplotlib
+                log.warning("%s", error)
             text = json.dumps(self.as_dict(), indent=1, ensure_ascii=False, default=str)
             (place / "answer.json").write_text(text + "\n", encoding="utf-8")
 

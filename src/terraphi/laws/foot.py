@@ -331,8 +331,6 @@ def simulated_table(shape: str, surface_friction: float) -> tuple[float, float, 
 
     The force has the shape [φ, descent, depth, 2], with a degree from one φ to the next.
     """
-    from scipy.interpolate import CubicSpline
-
     path = shipped_file("foot", shape, ".nc")
     axes = ("friction", "phi_deg", "tilt_deg", "ratio")
     with open_netcdf(path, LawAttributes, kind="foot law", schema=SCHEMA) as file:
@@ -350,7 +348,7 @@ def simulated_table(shape: str, surface_friction: float) -> tuple[float, float, 
     lift = np.maximum(by_angle[..., 1], 1e-12)
     whole = np.arange(angles[0], angles[-1] + 0.5)
     lift, along = (
-        CubicSpline(angles, values)(whole) for values in (np.log(lift), by_angle[..., 0] / lift)
+        _cubic_spline(angles, values, whole) for values in (np.log(lift), by_angle[..., 0] / lift)
     )
     force = np.stack([along * np.exp(lift), np.exp(lift)], axis=-1)  # [φ, tilt, ratio, 2]
     # Over the angle from the vertical: the lift is even, the horizontal force odd.
@@ -377,6 +375,22 @@ def simulated_table(shape: str, surface_friction: float) -> tuple[float, float, 
     )
     table[:, rows] *= there / lowest
     return float(angles[0]), float(ratio[1]), table
+
+
+def _cubic_spline(nodes: FloatArray, values: FloatArray, places: FloatArray) -> FloatArray:
+    """Cubic spline through four or more nodes along the first axis, "not-a-knot" at its ends.
+
+    By cubes that begin at each node but the two at either end: de Boor, *A Practical Guide to
+    Splines*, 2001, chapters IV and VIII.
+    """
+
+    def basis(x: FloatArray) -> FloatArray:
+        part = ((x - nodes[0]) / (nodes[-1] - nodes[0]))[:, None]
+        begins = (nodes[2:-2] - nodes[0]) / (nodes[-1] - nodes[0])
+        return np.hstack([part ** np.arange(4), np.maximum(part - begins, 0.0) ** 3])
+
+    rows = basis(places) @ np.linalg.inv(basis(nodes))
+    return np.einsum("pn,n...->p...", rows, values)
 
 
 def _row(descent: ArrayLike) -> FloatArray:

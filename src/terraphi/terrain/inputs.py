@@ -161,7 +161,7 @@ def read_layer(path: Path, on: Elevation, points: pd.DataFrame) -> Float32:
 def _read(path: Path) -> tuple[Float32, Any, Any, str]:
     """First band with nodata as not a number; coordinate system, transform and unit."""
     os.environ.update(OFFLINE)
-    with needing("a map", "rasterio and scikit-learn", extra="terrain"):
+    with needing("a map", "rasterio, scikit-learn and SciPy", extra="terrain"):
         import rasterio
     check_is_file(path)
     try:

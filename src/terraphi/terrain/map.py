@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from scipy.spatial import cKDTree
 
 from terraphi.experiment.arrays import seed_from
 from terraphi.experiment.errors import InputError
@@ -234,6 +233,8 @@ def map_slopes(
     # A Sobol sequence is even at powers of two.
     joint = slopes.Sample.of(priors, 1 << max(draws - 1, 1).bit_length(), seed + 1)
     drawn = field.draws(joint.normal.size, seed).astype(np.float32).T
+    from scipy.spatial import cKDTree
+
     tree = cKDTree(known[["x_m", "y_m"]].to_numpy())
     far = min(field.learnt["length_m"], FARTHEST * max(np.ptp(ground.x), np.ptp(ground.y)))
     slack = BEYOND * np.ptp(at_points, axis=0) + 1e-6

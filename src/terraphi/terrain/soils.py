@@ -11,7 +11,7 @@ from functools import cached_property
 from numbers import Integral
 from pathlib import Path
 from statistics import NormalDist
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -162,7 +162,8 @@ class SoilDistribution:
         InputError
             If ``n`` is no count, or the answer's file has no draws.
         """
-        if isinstance(n, bool) or not (isinstance(n, Integral) and 0 <= n <= MOST_DRAWS):
+        whole = isinstance(cast("object", n), Integral) and not isinstance(n, bool)
+        if not (whole and 0 <= n <= MOST_DRAWS):
             raise InputError(f"draws = {n!r}; 0 to {MOST_DRAWS} are accepted")
         if n == 0:
             return Draws(np.empty(0), np.empty(0))

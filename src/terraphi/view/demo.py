@@ -33,9 +33,8 @@ def run(out: Path) -> tuple[list[Answer], Path]:
     -------
     answers, path of the picture
     """
-    from matplotlib.figure import Figure
-
     from terraphi.experiment.documents import shipped_file
+    from terraphi.experiment.figure import Figure
     from terraphi.experiment.files import atomic_write, made_folder
     from terraphi.experiment.measurements import measurement
     from terraphi.inference.inversion import invert
