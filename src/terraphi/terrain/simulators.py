@@ -284,10 +284,11 @@ def convert(
     given = simulator(from_, dp_type=dp_type)
     check_dp_type(dp_type, from_, to)
     least, most, unit = (LEAST_DEG, 90.0, " degrees, not radians") if given.unit else (0, 2, "")
-    if not (isinstance(value, Real) and least < value < most):
+    number: Any = value
+    if not (isinstance(number, Real) and least < number < most):
         expected = f"{given.title} expects {least:g} to {most:g}{unit}"
         raise InputError(f"{given.parameter} = {value!r}: {expected}")
-    ratio = given.law.ratio(value)
+    ratio = given.law.ratio(number)
     found: dict[str, Any] = {
         "from": from_,
         "parameter": given.parameter,
@@ -302,7 +303,7 @@ def convert(
     wanted = simulator(to, dp_type=dp_type)
     other = wanted.law.value(ratio)
     if math.isnan(other):
-        strength = f"{given.parameter} {in_words(value, given.unit)} of {from_}"
+        strength = f"{given.parameter} {in_words(number, given.unit)} of {from_}"
         raise InputError(f"{wanted.title}: cannot be as strong as {strength}")
     found |= {"to": to, "to_parameter": wanted.parameter, "to_unit": wanted.unit}
     return found | {"value": other}
