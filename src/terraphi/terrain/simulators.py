@@ -19,7 +19,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from numbers import Real
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, cast, get_args
 
 from terraphi.experiment.errors import InputError, nearest
 
@@ -284,15 +284,16 @@ def convert(
     given = simulator(from_, dp_type=dp_type)
     check_dp_type(dp_type, from_, to)
     least, most, unit = (LEAST_DEG, 90.0, " degrees, not radians") if given.unit else (0, 2, "")
-    number: Any = value
-    if not (isinstance(number, Real) and least < number < most):
+    real = isinstance(cast("object", value), Real)
+    number = float(value) if real else math.nan
+    if not least < number < most:
         expected = f"{given.title} expects {least:g} to {most:g}{unit}"
         raise InputError(f"{given.parameter} = {value!r}: {expected}")
     ratio = given.law.ratio(number)
     found: dict[str, Any] = {
         "from": from_,
         "parameter": given.parameter,
-        "given": value,
+        "given": number,
         "meaning": given.law.meaning,
         "phi_plane_strain_deg": angle_of_ratio(ratio),
         # The shear strength of one plane does not determine that of other stress paths.
