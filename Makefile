@@ -5,6 +5,8 @@
 PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11; do \
 	"$$p" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && { echo "$$p"; break; }; done)
 WORKERS ?= 2
+# What the tests and the documentation use.
+EXTRAS := app,arrays,cluster,simulate,terrain
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -52,7 +54,7 @@ test-oldest:
 	"$(PYTHON)" -m venv $(OLDEST)
 	$(OLDEST)/bin/python -m pip --disable-pip-version-check install --quiet --constraint constraints.txt uv
 	$(OLDEST)/bin/uv pip install --quiet --python $(OLDEST)/bin/python --resolution lowest-direct \
-		--editable '.[parquet,test]'
+		--editable '.[$(EXTRAS),parquet]' --group test
 	$(OLDEST)/bin/pytest -n $(WORKERS) -W default --disable-warnings
 
 test-slow: $(DEV)
@@ -76,6 +78,7 @@ lint: $(DEV)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/zizmor --offline --quiet .github
 
 format: $(DEV)
 	$(BIN)/ruff check --fix .
@@ -90,12 +93,13 @@ $(BIN)/python:
 	"$(PYTHON)" -m venv $(VENV)
 
 $(RUN): pyproject.toml constraints.txt | $(BIN)/python
-	$(PIP) --editable .
+	$(PIP) --editable '.[plot]'
 	@touch $@
 
 # What serves the developer serves the demo too.
 $(DEV): pyproject.toml constraints.txt | $(BIN)/python
-	$(PIP) --editable '.[dev]'
+	$(PIP) --upgrade pip # 25.1 and newer know groups
+	$(PIP) --editable '.[$(EXTRAS)]' --group dev
 	@touch $(RUN) $@
 
 clean:

@@ -10,6 +10,7 @@ from docutils.utils.math import latex2mathml
 from matplotlib.figure import Figure
 from sphinx_gallery.scrapers import figure_rst
 
+import browser  # in this folder
 from terraphi.experiment.files import atomic_write
 from terraphi.view.keys import DOCUMENTS, HEADER, tables
 
@@ -46,6 +47,12 @@ def write_keys(_app: Any) -> None:
         if not path.is_file() or path.read_text(encoding="utf-8") != text:
             with atomic_write(path) as temporary:
                 temporary.write_text(text, encoding="utf-8")
+
+
+def write_package(app: Any, error: Exception | None) -> None:
+    """Write what the page try.md loads: the package, its laws as arrays of NumPy, its metadata."""
+    if error is None and app.builder.format == "html":
+        browser.write(Path(app.outdir) / "_static" / "terraphi.zip")
 
 
 def place(script: str) -> int:

@@ -117,6 +117,7 @@ def setup(app: Any) -> None:
     app.connect("autodoc-process-docstring", plain_bars, priority=900)
     app.connect("sphinx-click-process-description", examples_as_code)
     app.connect("builder-inited", building.write_keys)
+    app.connect("build-finished", building.write_package)
     app.add_html_math_renderer(
         "mathml", (building.inline_math, None), (building.display_math, None)
     )

@@ -24,9 +24,6 @@ goes on. `--parts 2` lets two processes share the work. Two to five minutes of o
 prints how well each case is predicted by the others. What real soils differ by is learned from
 grains (`grains/table.py --learn`).
 
-The shipped law is older than 28 cases that were simulated anew, because their beds had fallen by
-half a cell: their floor lay below its nodes by a rounding error.
-
 `--truths` simulates fifty cases of another sequence, to which nothing is fitted, and `--page`
 writes how well the law meets them.
 """

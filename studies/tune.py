@@ -18,7 +18,7 @@ from terraphi.terrain.tune import ENGINES, Press, in_words, tune
 
 DATA = Path(__file__).parent / "data"
 PAGE = Path(__file__).parents[1] / "docs" / "how-to" / "simulators.md"
-FOOT, PHI, DEPTH = "disc:0.05", "33±2", 0.025
+FOOT, PHI, DEPTH, DENSITY = "disc:0.05", "33±2", 0.025, 1600.0
 CASES = {"newton": (0.04, 0.03, 0.025), "genesis": (0.05, 0.04, 0.03)}
 SHOWN = ("newton", 0.03)
 """The case whose sentences the page has."""
@@ -52,7 +52,7 @@ def tuned(name: str, voxel: float, *, only_kept: bool) -> dict[str, Any]:
 
     ENGINES[name] = remembered
     try:
-        return tune(name, voxel=voxel, foot=FOOT, phi=PHI, depth=DEPTH, finer=0, draws=0)
+        return tune(name, voxel=voxel, foot=FOOT, phi=PHI, density=DENSITY, depth=DEPTH, finer=0, draws=0)
     finally:
         ENGINES[name] = engine
 

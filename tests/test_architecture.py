@@ -52,7 +52,7 @@ def test_every_folder_has_its_place() -> None:
 
 @pytest.mark.parametrize(
     ("module", "heavy"),
-    [("terraphi", HEAVY), ("terraphi.cli.main", {*HEAVY, "numpy", "pydantic", "rich"})],
+    [("terraphi", HEAVY), ("terraphi.cli.main", {*HEAVY, "numpy", "pydantic"})],
 )
 def test_import_stays_light(module: str, heavy: set[str]) -> None:
     code = f"import sys, {module}; print(*sorted({heavy!r} & set(sys.modules)))"

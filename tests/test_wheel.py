@@ -38,7 +38,7 @@ def test_wheel_is_small_and_holds_every_file_of_the_package(wheel: Path) -> None
     assert held == {n for n in ours if "__pycache__" not in n and ".nc.cases/" not in n}
 
 
-def test_demo_runs_from_an_empty_environment(wheel: Path, tmp_path: Path) -> None:
+def test_base_inverts_and_demo_runs_from_an_empty_environment(wheel: Path, tmp_path: Path) -> None:
     place = tmp_path / "environment"
     venv.create(place, with_pip=True)
     programs = place / ("Scripts" if os.name == "nt" else "bin")
@@ -46,8 +46,10 @@ def test_demo_runs_from_an_empty_environment(wheel: Path, tmp_path: Path) -> Non
     clean = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
     for command, variables in (
         ([programs / "python", "-m", "pip", "install", "--quiet", wheel], pinned),
-        ([programs / "terraphi", "demo", "--out", "demo"], clean),
+        ([programs / "terraphi", "invert", "li2013:yuma/c"], clean),
         ([programs / "terraphi", "doctor"], clean),
+        ([programs / "python", "-m", "pip", "install", "--quiet", f"{wheel}[plot]"], pinned),
+        ([programs / "terraphi", "demo", "--out", "demo"], clean),
     ):
         made = subprocess.run(
             [str(word) for word in command],

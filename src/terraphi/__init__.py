@@ -26,13 +26,16 @@ if TYPE_CHECKING:
     from terraphi.inference.inversion import invert as invert
     from terraphi.inference.inversion import invert_many as invert_many
     from terraphi.laws.build import build as build
+    from terraphi.laws.legs import law as law
     from terraphi.laws.plan import Plan as Plan
     from terraphi.laws.store import Library as Library
     from terraphi.robot.footfalls import footfalls as footfalls
     from terraphi.robot.online import Footfalls as Footfalls
     from terraphi.robot.results import foot_forces as foot_forces
     from terraphi.terrain.export import export as export
+    from terraphi.terrain.map import map_slopes as map  # noqa: A004, F401
     from terraphi.terrain.simulators import convert as convert
+    from terraphi.terrain.soils import soil as soil
     from terraphi.terrain.tune import tune as tune
     from terraphi.view.page import report as report
 
@@ -58,15 +61,18 @@ _PLACES = {
     "footfalls": "robot.footfalls",
     "invert": "inference.inversion",
     "invert_many": "inference.inversion",
+    "law": "laws.legs",
+    "map": "terrain.map:map_slopes",
     "measurement": "experiment.measurements",
     "read_forces": "experiment.reading",
     "report": "view.page",
     "simulate": "forward",
+    "soil": "terrain.soils",
     "tune": "terrain.tune",
 }
-"""Public name to its module."""
+"""Public name to its module, and to its name there if that is another."""
 
-__all__ = [*_PLACES]
+__all__ = [name for name in _PLACES if name != "map"]  # which Python has itself
 
 
 def __getattr__(name: str) -> Any:
@@ -77,9 +83,10 @@ def __getattr__(name: str) -> Any:
         return version("terraphi")
     if name not in _PLACES:
         raise AttributeError(f"module 'terraphi' has no attribute '{name}'")
-    return getattr(importlib.import_module(f"terraphi.{_PLACES[name]}"), name)
+    module, _, there = _PLACES[name].partition(":")
+    return getattr(importlib.import_module(f"terraphi.{module}"), there or name)
 
 
 def __dir__() -> list[str]:
     """Public names."""
-    return sorted(__all__)
+    return sorted(_PLACES)

@@ -6,8 +6,9 @@
 Legs stirred loose grains of 4 to 9 mm on Li's and other rigs; a shear cell measured their friction
 angle, and the apparatus is known exactly. `--learn` writes the law's error into its file:
 
-- the cohesion that is fitted with φ stands for a part of the size of the grains. Its **weight** is
-  the smallest that leaves the angles of a shape of leg as close together as the best;
+- the cohesion that is fitted with φ finds damp soil, and makes dry soil less sure, for it also
+  stands for a part of the size of the grains. Its **weight** is the smallest, by shape of leg, that
+  leaves dry soil an interval little wider than without a cohesion;
 - the **offset** of a shape is the value, at zero size of the grains, of a line through the angles
   read less that of the shear cell: sand is fine;
 - what is left of all shapes gives what **soils** and what **legs**, rigs, sizes and beds of a soil
@@ -24,6 +25,7 @@ import argparse
 import functools
 import itertools
 import json
+import math
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -60,10 +62,14 @@ REPOSE_SD_DEG = 3.0
 PRIOR_COUNT, PRIOR_SD_DEG, PRIOR_COMMON_DEG = 2, 1.0, 1.5
 """What soils, legs and apparatuses differ by before anything is known [deg], and how many of them
 that is worth; chosen, so that few do not seem alike by chance."""
-COHESION_WEIGHTS = (0.01, 0.03, 0.1, 0.3)
+COHESION_WEIGHTS = (0.01, 0.03, 0.1, 0.3, 1.0)
 """Weights of (c / (ρ g L))² in the mean squared residual that are tried [-]."""
-AS_GOOD = 1.1
-"""Standard deviation over the least that is as good [-]; chosen."""
+DRY = 1e4
+"""A weight that leaves no cohesion [-]."""
+OTHER_SD_DEG, WIDER = 1.6, 1.12
+"""What the interval of a dry record has besides what is learned here (apparatus, hip and friction
+of the leg) [deg], and over the interval without a cohesion the widest with one [-]; chosen on these
+grains: at 1.1 straight legs would no longer find damp soil."""
 LIMIT, MARGIN = 0.95, 1.1
 """Quantile of the residuals over records, and the limit of a misfit over it [-]; chosen."""
 
@@ -223,22 +229,24 @@ def choose(law: Legs) -> Legs:
     given = [one for one in records() if one[1].endswith("-loose")]
     weights, readings = {}, []
     for leg in law.legs:
-        found = {}
-        for weight in COHESION_WEIGHTS:
+        widest = math.inf
+        for weight in (DRY, *COHESION_WEIGHTS):
             weighed = replace(law, model_error={leg: {"cohesion_weight": weight}})
             own = read(weighed, [one for one in given if one[3].leg == leg])
             line = Line.of(own)
             sd = float(np.std([line.rest(one) for one in own]))
-            found[weight] = sd, own
             print(
                 f"{leg}, weight {weight:g}: {line.offset_deg:+.1f}° at zero size, "
                 f"{line.of_size:+.2f}° for 1 mm, SD {sd:.2f}° of {len(own)}",
                 flush=True,
             )
-        # The smallest weight that is as good as the best, so that a cohesion is found.
-        least = min(sd for sd, _ in found.values())
-        weights[leg] = min(weight for weight, (sd, _) in found.items() if sd < AS_GOOD * least)
-        readings += found[weights[leg]][1]
+            width = math.hypot(sd, OTHER_SD_DEG)
+            if weight == DRY:
+                widest = WIDER * width
+            elif width < widest:
+                break
+        weights[leg] = weight
+        readings += own
     law = replace(law, model_error=learn(readings, weights))
     law = replace(law, model_error=learn(readings, weights, excess_of_media(law)))
     law.save(LAW)

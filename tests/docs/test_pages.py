@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import re
 import shlex
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import click
 import pytest
@@ -14,6 +16,7 @@ from terraphi.cli.main import cli
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"```console\n(.*?)```", re.DOTALL)
+PYTHON = re.compile(r"```python\n(.*?)```", re.DOTALL)
 LINK = re.compile(r"\]\((?!https?:|#)([^)#\s]+)")
 
 
@@ -41,3 +44,17 @@ def test_commands_and_links_of_a_page_exist(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     assert not [wrong for shown in commands(text) for wrong in unknown(shown)]
     assert not [link for link in LINK.findall(text) if not (page.parent / link).exists()]
+
+
+def test_lines_of_the_readme_run_in_their_order_in_an_empty_folder(
+    terraphi: Callable[..., Any], tmp_path: Path
+) -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    for arguments in commands(text):
+        ran = terraphi(*arguments)
+        assert ran.status == 0, ran.err
+        assert "isfit" not in ran.out
+    for block in PYTHON.findall(text):
+        exec(block, {})
+    left = {path.name for path in tmp_path.iterdir()}
+    assert left >= {"demo-output", "answer", "soil.nc", "answer.png"}

@@ -3,20 +3,30 @@
 from __future__ import annotations
 
 import json
+import math
 import resource
 import warnings
 from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from terraphi.experiment.errors import InputError
 from terraphi.inference.answer import Answer, Estimate, decimals
 from terraphi.inference.inversion import invert
+from terraphi.inference.likelihood import Likelihood
+from terraphi.inference.records import open_records
+from terraphi.laws.legs import shipped_legs
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")
     import arviz
+
+OLD = "InferenceData" in vars(arviz)
+"""ArviZ 0.x."""
+mpl.use("agg")
 
 
 @pytest.fixture(scope="module")
@@ -29,8 +39,9 @@ def test_what_is_written_is_read_back(answer: Answer, tmp_path: Path) -> None:
     again = Answer.load(tmp_path / "answer")
     assert again.as_dict() == json.loads(json.dumps(answer.as_dict()))
     for one, other in zip(again.records, answer.records, strict=True):
-        for name in ("theta_deg", "data", "curve", "band"):
+        for name in ("theta_deg", "data", "curve", "band", "tangent"):
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    np.testing.assert_array_equal(again.covariance, answer.covariance)
     assert {file.name for file in (tmp_path / "answer").iterdir()} >= {
         "answer.json", "answer.nc", "answer.png",
     }  # fmt: skip
@@ -58,10 +69,70 @@ def test_arviz_summarises_the_same_posterior(answer: Answer) -> None:
 
 def test_arviz_has_the_observed_forces_over_the_leg_angle(answer: Answer) -> None:
     record = answer.records[0]
-    seen = answer.to_inference_data()["observed_data"]["force_0"]
-    assert list(seen["channel_0"].values) == list(record.nrmsd)
-    np.testing.assert_array_equal(seen["theta_0"], record.theta_deg)
-    np.testing.assert_array_equal(seen.sel(channel_0="Fz"), record.data[1])
+    seen = answer.to_inference_data()["observed_data"]["force"]
+    assert list(seen["component"].values) == list(record.nrmsd)
+    np.testing.assert_array_equal(seen["theta_deg"], record.theta_deg)
+    np.testing.assert_array_equal(seen.sel(component="Fz"), record.data[1])
+
+
+def test_predicted_forces_are_those_of_the_law_at_the_draws(answer: Answer) -> None:
+    groups = answer.to_inference_data()
+    phi = groups["posterior"]["soil.friction_angle_deg"].values.ravel()
+    predicted = groups["posterior_predictive"]["force"].values.reshape(phi.size, -1)
+    likelihood = Likelihood(open_records("li2013:yuma/straight"), shipped_legs())
+    curves = likelihood.curves(np.array([[answer.phi.median - 1.0], [answer.phi.median + 1.0]]))
+    slope = 0.5 * (curves[1] - curves[0])
+    size = np.sqrt(answer.covariance.diagonal())
+    apart = (predicted.mean(axis=0) - curves.mean(axis=0)) / size
+    assert np.abs(apart).max() < 0.1
+    expected = answer.covariance + phi.var() * np.outer(slope, slope)
+    unit = np.outer(size, size)
+    np.testing.assert_allclose(np.cov(predicted.T) / unit, expected / unit, atol=0.15)
+
+
+def test_log_likelihood_is_that_of_a_window_given_the_others(answer: Answer) -> None:
+    """By conditioning the joint normal distribution, window for window."""
+    groups = answer.to_inference_data()
+    phi = float(groups["posterior"]["soil.friction_angle_deg"][1, 7])
+    known = groups["log_likelihood"]["force"][1, 7].values.ravel()
+    level, slope = answer.records[0].tangent.reshape(2, -1)
+    apart = answer.records[0].data.ravel() - level - slope * phi
+    for i in (0, 17, 41, 79):
+        rest = np.arange(apart.size) != i
+        row = np.linalg.solve(answer.covariance[np.ix_(rest, rest)], answer.covariance[rest, i])
+        sd = math.sqrt(answer.covariance[i, i] - row @ answer.covariance[rest, i])
+        assert known[i] == pytest.approx(norm.logpdf(apart[i], row @ apart[rest], sd), abs=1e-6)
+
+
+@pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::DeprecationWarning")
+@pytest.mark.filterwarnings("ignore:The inplace keyword")  # of pandas, in ArviZ 0.x
+def test_arviz_compares_answers_and_draws_their_predictions(answer: Answer) -> None:
+    other = invert("li2013:yuma/straight", leg="c")
+    groups = {"straight": answer.to_inference_data(), "c": other.to_inference_data()}
+    table = arviz.compare(groups)
+    assert table.index[0] == "straight"
+    of_one = arviz.loo(groups["straight"], pointwise=True)
+    assert float(np.max(of_one.pareto_k)) < 0.7
+    if hasattr(arviz, "plot_ppc"):
+        arviz.plot_ppc(groups["straight"], num_pp_samples=20, coords={"component": ["Fz"]})
+        mpl.pyplot.close("all")
+    else:
+        arviz.plot_ppc_dist(groups["straight"], num_samples=20, backend="none")
+
+
+def test_several_records_are_compared_as_one(tmp_path: Path) -> None:
+    several = invert(["li2013:yuma/straight", "li2013:yuma/c"])
+    groups = several.to_inference_data()
+    for i, record in enumerate(several.records):
+        seen = groups["observed_data"][f"force_{i}"].sel({f"component_{i}": "Fx"})
+        np.testing.assert_array_equal(seen, record.data[0])
+        assert groups["posterior_predictive"][f"force_{i}"].shape[2:] == record.data.shape
+    logs = groups["log_likelihood"]["force"]
+    assert np.bincount(logs["record"]).tolist() == [r.data.size for r in several.records]
+    assert np.isfinite(float(arviz.loo(groups).elpd_loo if OLD else arviz.loo(groups).elpd))
+    several.to_netcdf(tmp_path / "answer.nc")
+    again = Answer.load(tmp_path / "answer.nc").to_inference_data()
+    np.testing.assert_array_equal(again["log_likelihood"]["force"], logs)
 
 
 def test_quantiles_are_those_of_the_density(answer: Answer) -> None:

@@ -78,6 +78,47 @@ def test_leg_plate_and_ball_in_one_soil_narrow_its_angle(soil: str, tmp_path: Pa
     joint.save(tmp_path / "answer")
     stored = terraphi.Answer.load(tmp_path / "answer")
     assert [record.rig for record in stored.records] == [record.rig for record in joint.records]
+    groups = stored.to_inference_data()
+    assert list(groups["observed_data"]["force_1"].dims) == ["component_1", "sinkage_mm_1"]
+    for i, record in enumerate(joint.records):
+        level, slope = record.tangent
+        curve = level + slope * joint.phi.median
+        predicted = groups["posterior_predictive"][f"force_{i}"]
+        apart = (predicted.mean(("chain", "draw")) - curve) / predicted.std(("chain", "draw"))
+        assert np.abs(apart).max() < 0.1
+
+
+@pytest.mark.parametrize("soil", CRITICAL_DEG)
+def test_legs_of_two_shapes_read_what_lies_between_them(soil: str) -> None:
+    """Each has an offset of its own, learned with its own cohesion."""
+    straight, bent = (GRAINS / f"{soil}-loose_{leg}_1.csv" for leg in ("straight", "c"))
+    given = {"rig": "li2013", "density": "1415±30", "grain_size_mm": 6.0}
+    joint = terraphi.invert([straight, f"{bent}@c"], leg="straight", **given)
+    alone = [terraphi.invert(straight, leg="straight", **given),
+             terraphi.invert(bent, leg="c", **given)]  # fmt: skip
+    angles = [one.phi.median for one in alone]
+    assert min(angles) - 0.1 < joint.phi.median < max(angles) + 0.1
+    assert joint.phi.sd < min(one.phi.sd for one in alone)
+    assert joint.phi.median == pytest.approx(CRITICAL_DEG[soil], abs=2.5)
+    assert [record.rig.leg for record in joint.records] == ["straight", "c"]
+
+
+def test_a_record_may_have_a_rig_of_its_own(tmp_path: Path) -> None:
+    sizes = {"length_mm": 76.2, "width_mm": 25.4, "thickness_mm": 6.4, "hip_height_mm": 30.0}
+    lines = [f"{key} = {value}" for key, value in sizes.items()]
+    (tmp_path / "high.toml").write_text("\n".join(['leg = "straight"', *lines]))
+    forces = GRAINS / "B-loose_straight_1.csv"
+    given = {"rig": "li2013", "leg": "straight", "density": 1415}
+    for high in (f"{forces}@{tmp_path / 'high.toml'}", (forces, {"leg": "straight", **sizes})):
+        joint = terraphi.invert([forces, high], **given)
+        assert [record.rig.hip_height_mm for record in joint.records] == [20.0, 30.0]
+
+
+def test_a_density_that_is_exact_is_so_for_all_bodies() -> None:
+    forces = [GRAINS / f"B-loose_{name}_1.csv" for name in ("straight", "disc_60")]
+    given = {"rig": "li2013", "leg": "straight", "density": "1415±0"}
+    joint = terraphi.invert([forces[0], f"{forces[1]}@plate:60"], **given)
+    assert joint.budget_deg.get("density", 0.0) == 0.0
 
 
 def test_a_tool_has_no_leg() -> None:

@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 
 from terraphi.experiment.errors import InputError
 from terraphi.forward.rft import stress_per_depth_3d
-from terraphi.laws.foot import LAWS, Foot, bearing_factors, wrench
+from terraphi.laws.foot import LAWS, Foot, bearing_factors
 
 BALL = Foot(0.022)
 SIMULATED = ("ball", "disc")
@@ -113,71 +113,6 @@ def test_nothing_is_felt_above_the_surface_and_all_scales_with_density(law: str)
         BALL, 0.02, math.pi / 2, friction_angle_deg=phi, density=3100.0, surface_friction=0.5
     )
     assert double[1] == pytest.approx(2.0 * lift(law, BALL, 0.02, 33.0))
-
-
-def sphere(count: int = 2000) -> tuple[np.ndarray, np.ndarray]:
-    """Directions and areas of a sphere's faces (a Fibonacci lattice), of unit radius."""
-    up = 1.0 - (2.0 * np.arange(count) + 1.0) / count
-    turn = np.pi * (1.0 + np.sqrt(5.0)) * np.arange(count)
-    level = np.sqrt(1.0 - up**2)
-    return np.stack([level * np.cos(turn), level * np.sin(turn), up], 1), np.full(
-        count, 4.0 * np.pi / count
-    )
-
-
-LOOSE = {"friction_angle_deg": 31.0, "density": 1600.0, "surface_friction": 0.4}
-
-
-@pytest.mark.parametrize("descent", [20.0, 55.0, 90.0])
-@pytest.mark.parametrize("heading", [0.0, 2.0])
-def test_a_mesh_of_a_ball_feels_what_the_ball_does(descent: float, heading: float) -> None:
-    normals, areas = sphere()
-    radius, depth, turn = 0.022, 0.015, np.radians(descent)
-    ahead = np.array([np.cos(heading), np.sin(heading), 0.0])
-    velocity = 0.2 * (np.cos(turn) * ahead - np.sin(turn) * np.array([0.0, 0.0, 1.0]))
-    centre = np.array([0.3, -0.2, radius - depth])
-    force, moment = wrench(
-        centre + radius * normals, normals, radius**2 * areas, velocity, about=centre, **LOOSE
-    )
-    phi = in_plane_strain(LOOSE["friction_angle_deg"])
-    expected = LAWS["rft"].force(Foot(radius), depth, turn, **{**LOOSE, "friction_angle_deg": phi})
-    along = np.array([force @ ahead, force[2]])
-    np.testing.assert_allclose(along, expected, atol=0.01 * abs(expected).max())
-    # Forces on a sphere turn it by friction alone, about the horizontal axis across its way.
-    across = np.cross([0.0, 0.0, 1.0], ahead)
-    assert moment == pytest.approx((moment @ across) * across, abs=0.01 * radius * abs(force[2]))
-
-
-def test_wrenches_of_many_feet_are_those_of_each() -> None:
-    rng = np.random.default_rng(3)
-    normals, areas = sphere(30)
-    points = 0.03 * normals + rng.uniform(-0.05, 0.05, (7, 4, 1, 3))
-    velocity, about = rng.standard_normal((7, 4, 30, 3)), rng.standard_normal((7, 4, 3))
-    force, moment = wrench(points, normals, areas, velocity, about=about, **LOOSE)
-    assert force.shape == moment.shape == (7, 4, 3)
-    one = wrench(points[2, 3], normals, areas, velocity[2, 3], about=about[2, 3], **LOOSE)
-    np.testing.assert_allclose(one, (force[2, 3], moment[2, 3]), rtol=1e-12)
-    # About another point it differs by the force times the distance.
-    _, other = wrench(points, normals, areas, velocity, **LOOSE)
-    np.testing.assert_allclose(other, moment + np.cross(about, force), rtol=1e-9, atol=1e-12)
-
-
-@pytest.mark.parametrize("speed", [0.0, 1e-12, 0.3])
-@pytest.mark.parametrize("height", [-0.03, 0.0, 0.1])
-@pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_soil_takes_energy_and_gives_numbers_everywhere(
-    speed: float, height: float, sign: float
-) -> None:
-    """At rest, on the way up, in the air and upside down."""
-    normals, areas = sphere(200)
-    rng = np.random.default_rng(1)
-    for direction in rng.standard_normal((20, 3)):
-        velocity = speed * direction
-        points = np.array([0.0, 0.0, height]) + 0.02 * sign * normals
-        force, moment = wrench(points, sign * normals, areas, velocity, **LOOSE)
-        assert np.isfinite([force, moment]).all()
-        assert force @ velocity <= 0.0
-        assert not force.any() or (speed > 0.0 and height < 0.02)
 
 
 # Smooth round footings by slip lines (verification/exact.py): N of the weight below, p/γa, and N_q,

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
+import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,9 +15,9 @@ from scipy.stats import qmc
 from terraphi import Rig, invert
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
-from terraphi.experiment.rig import Ratios, similar_scenario
+from terraphi.experiment.rig import LI2013, Ratios, similar_scenario
 from terraphi.experiment.scenario import GRAVITY, Scenario
-from terraphi.forward.rft import from_plane_strain, leg_force
+from terraphi.forward.rft import from_plane_strain, leg_force, stress_scale
 from terraphi.inference.likelihood import Likelihood
 from terraphi.inference.records import open_record
 from terraphi.laws.law import LegLaw, leg_law, library_of_theory
@@ -151,7 +153,7 @@ def test_the_moment_alone_is_read_in_any_size(length: float) -> None:
 
 @pytest.mark.parametrize(("length", "density"), [(80.0, 1500.0), (160.0, 1700.0)])
 def test_a_cohesion_is_found_in_pascals(length: float, density: float) -> None:
-    """Of the law's own forces; a weight on it takes a fifth, and the interval includes that."""
+    """Of the law's own forces; a weight takes a part of it, and the interval includes that."""
     rig = Rig(leg="straight", length_mm=length, width_mm=0.5 * length, thickness_mm=0.08 * length,
               hip_height_mm=0.3 * length, hip_height_sd_mm=0.5)  # fmt: skip
     law, number = shipped_legs().law(rig), 0.08
@@ -161,8 +163,7 @@ def test_a_cohesion_is_found_in_pascals(length: float, density: float) -> None:
     assert answer.cohesion_pa == pytest.approx(pascals, rel=0.35)
     assert answer.cohesion_pa < pascals
     read = answer.phi.median + shipped_legs().error_of("straight").offset_deg
-    assert abs(read - 29.0) < 1.5
-    assert answer.budget_deg["cohesion"] > 0.3
+    assert 0.0 < read - 29.0 < 2.0 * answer.budget_deg["cohesion"]
 
 
 def test_the_hash_changes_with_all_that_changes_an_answer() -> None:
@@ -333,3 +334,62 @@ def test_a_leg_that_other_shapes_may_not_have_is_answered() -> None:
     own = law.law(rig)
     history = ForceHistory(np.radians(own.theta_deg), own(np.array([[30.0]]))[0].T)
     assert invert(history, rig=rig, density="1600±10").verdict == "consistent"
+
+
+def test_forces_of_a_rig_and_their_slope_are_those_of_the_theory(exact: Legs) -> None:
+    """As resistive force theory has them; its slope by differences over 4°."""
+    rig, phi = rig_of(np.array([0.4, 0.2, 0.08]), 110.0), [24.0, 31.0]
+    curves = exact.forces(rig, phi, density=1500.0)
+    assert curves.forces.dims == curves.slope.dims == ("phi_deg", "force", "theta_deg")
+    assert curves.force.values.tolist() == ["Fx", "Fz"]
+    unit = 1500.0 * GRAVITY * 0.11**3
+    for i, angle in enumerate(phi):
+        below, at, above = (
+            unit * np.array([np.interp(curves.theta_deg, THETA, row) for row in theory(rig, one)])
+            for one in (angle - 2.0, angle, angle + 2.0)
+        )
+        slope = (above - below) / 4.0
+        for found, expected in ((curves.forces[i], at), (curves.slope[i], slope)):
+            rms = np.sqrt(np.square(expected).mean())
+            assert float(np.sqrt(np.square(found - expected).mean())) < 0.08 * rms
+
+
+def test_a_moment_is_no_larger_than_a_force_at_the_tip_and_cohesion_adds() -> None:
+    dry, damp = (
+        law_named("legs").forces("li2013", 30.0, leg="c", cohesion_pa=pascals)
+        for pascals in (0.0, 100.0)
+    )
+    size = np.sqrt(np.square(dry.forces).sum("force"))
+    assert (abs(dry.moment) <= 1.05 * 0.0762 * size + 1e-3).all()
+    assert float(damp.forces.sel(force="Fz").max()) > float(dry.forces.sel(force="Fz").max())
+
+
+def test_forces_of_a_library_are_its_own() -> None:
+    """Resistive force theory: in proportion to ξ(φ) and to the density, for any rig."""
+    theory, rig = Library.load("rft3d"), {"leg": "straight", **LI2013}
+    curves = theory.forces(rig, [25.0, 35.0], density=1000.0)
+    scale = stress_scale([25.0, 35.0], 1.0)
+    one, other = (curves.forces.isel(phi_deg=i) / scale[i] for i in (0, 1))
+    np.testing.assert_allclose(one, other, atol=0.01 * float(abs(one).max()))
+    double = theory.forces(rig, 25.0, density=2000.0)
+    np.testing.assert_allclose(double.forces[0], 2.0 * curves.forces[0], rtol=1e-12)
+    near = theory.forces(rig, [29.0, 30.0, 31.0], density=1000.0)
+    slope = 0.5 * (near.forces[2] - near.forces[0])
+    np.testing.assert_allclose(near.slope[1], slope, atol=0.01 * float(abs(slope).max()))
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"phi_deg": 5.0}, "friction_angle_deg 10 to 55; found"),
+        ({"phi_deg": math.nan}, "10 to 55"),
+        ({"density": 1.0}, "density = 1 kg"),
+        ({"cohesion_pa": 1e5}, "cohesion_pa = 100000"),
+        ({"at": {"leg.width": 0.02}}, "at has"),
+        ({"leg": None}, "three legs"),
+    ],
+)
+def test_forces_outside_a_law_are_refused(options: dict[str, Any], words: str) -> None:
+    given = {"rig": "li2013", "phi_deg": 30.0, "leg": "c", **options}
+    with pytest.raises(InputError, match=words):
+        law_named("legs").forces(**given)

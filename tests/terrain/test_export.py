@@ -16,12 +16,14 @@ import numpy as np
 import pytest
 
 from terraphi.experiment.errors import InputError
-from terraphi.forward.rft import stress_per_depth_3d, stress_scale
+from terraphi.forward.rft import stress_scale
 from terraphi.inference.answer import StoredAnswer as Told
 from terraphi.inference.inversion import invert
-from terraphi.laws.foot import LAWS, Foot, wrench
-from terraphi.terrain.export import bekker, export, in_plane_strain, text
+from terraphi.laws.foot import LAWS, Foot
+from terraphi.laws.wrench import force
+from terraphi.terrain.export import bekker, export, text
 from terraphi.terrain.simulators import NAMES, simulator
+from terraphi.terrain.soils import in_plane_strain
 
 SUMMARY = {"median": 30.0, "ci68": [28.0, 32.0], "ci95": [26.0, 34.0]}
 
@@ -82,17 +84,15 @@ def set_by(name: str, made: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> 
         assert given[5:] == [made["JANOSI_SHEAR"], 1e8, 3e4]
         return given[4]
     if name == "rft3d":
-        # The force that the module gives is that of the library of the same physics.
-        soil, mesh = made["soil"](surface_friction=0.4), ([[0.0, 0.0, -0.02]], [[0.0, 0.0, -1.0]])
-        force, _ = wrench(*mesh, [1e-3], [[0.0, 0.0, -1.0]], **soil)
-        plane = {**soil, "friction_angle_deg": 30.0}
-        pressed = LAWS["rft"].force(Foot(np.sqrt(1e-3 / np.pi), "disc"), 0.02, np.pi / 2, **plane)
-        assert force[2] == pytest.approx(pressed[1], rel=1e-6)
-        unit = stress_per_depth_3d(
-            np.array([[0.0, 0.0, -1.0]]), np.array([[0.0, 0.0, -1.0]]), **soil
-        )[0, 2] / stress_scale(soil["friction_angle_deg"], soil["density"])
-        assert force[2] == pytest.approx(unit * made["XI_N"] * 0.02 * 1e-3, rel=1e-6)
-        return soil["friction_angle_deg"]
+        # The module's φ is the law's; its ξ is that of resistive force theory.
+        disc, moving = Foot(0.018, "disc"), ([0.0, 0.0, -0.02], [0.0, 0.0, -1.0])
+        soil = made["soil"](surface_friction=0.4)
+        found, _ = force(disc, *moving, **soil)
+        plane = {"friction_angle_deg": 30.0, "density": 1600.0, "surface_friction": 0.4}
+        pressed = LAWS["foot"].force(disc, 0.02, np.pi / 2, **plane)
+        assert found[2] == pytest.approx(pressed[1], rel=1e-6)
+        assert made["XI_N"] == pytest.approx(stress_scale(made["FRICTION_ANGLE_DEG"], 1600.0))
+        return made["FRICTION_ANGLE_DEG"]
     assert made["material"](1e7, 0.3)["dpType"] == "MiddleCircumscribed"
     return made["material"](1e7, 0.3)["Friction"]
 

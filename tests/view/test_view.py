@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import io
 import re
 import tomllib
 from typing import Any
 
 import pytest
 from pydantic import ValidationError
-from rich.console import Console
 
 from terraphi import Scenario
 from terraphi.robot.results import RobotForces
@@ -32,13 +30,20 @@ NUMBERS = [
 
 
 def test_numbers_are_aligned_to_the_right() -> None:
-    seen = io.StringIO()
-    Console(file=seen, width=80, markup=False).print(TABLE.terminal())
-    lines = seen.getvalue().splitlines()
+    lines = TABLE.terminal().splitlines()
     cells = [(r"peak", lines[0]), (r"7\.2 N", lines[2]), (r"−12\.0 N", lines[4])]
     matches = [re.search(pattern, text) for pattern, text in cells]
     assert len({match.end() for match in matches if match}) == 1
     assert TABLE.numeric == [False, True, False]
+
+
+def test_the_widest_column_is_wrapped_and_no_word_is_lost() -> None:
+    words = [f"word{i}" for i in range(30)]
+    table = Table("", ("key", "meaning"), [("a", " ".join(words)), ("b", "short")])
+    lines = table.terminal(60).splitlines()
+    assert max(map(len, lines)) <= 60
+    assert re.findall(r"word\d+", " ".join(lines)) == words
+    assert lines[-1].split() == ["b", "short"]
 
 
 @pytest.mark.parametrize("document", DOCUMENTS)

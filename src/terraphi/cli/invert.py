@@ -87,7 +87,9 @@ def invert(
     answer = inversion.invert(list(forces), **with_rig(options))
     if out is not None:
         answer.save(out)
-    written = [] if out is None else [f"Written: {out}/answer.json, answer.nc, answer.png"]
+    files = [] if out is None else [f"answer.{one}" for one in ("json", "nc", "png")]
+    made = [name for name in files if out is not None and (out / name).exists()]
+    written = [f"Written: {out}/{', '.join(made)}"] if made else []
     parts = parts_of(answer, verbose=verbose)
     present(answer.as_dict(), *parts, *written, as_json=as_json)
 
@@ -187,6 +189,7 @@ def demo(out: Path, as_json: bool) -> None:
         f"Simulated with φ = {TRUTH_DEG:g}°, then inverted; and two measured soils.\n",
         *(f"{headline(answer)}\n{answer.reason}\n" for answer in answers),
         f"Picture: {picture}\nYour own: terraphi invert {out}/forces.csv --rig {out}/rig.toml "
-        "--density KG_M3, with your files in place of these.",
+        f"--density KG_M3, with your files in place of these.\nA robot's log: terraphi footfalls "
+        f"{out}/walk.csv --density KG_M3",
         as_json=as_json,
     )

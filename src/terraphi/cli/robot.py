@@ -29,8 +29,7 @@ log_options = option_group(
     click.option(
         "--columns",
         type=PATH,
-        help="TOML that says which columns of a table are what; 'terraphi keys columns' prints "
-        "its keys.",
+        help="TOML of a table's columns; 'terraphi keys columns' prints its keys.",
     ),
     click.option(
         "--lag",
@@ -128,12 +127,14 @@ def forces(
     type=PATH,
     help="NetCDF file; .png, .csv and .geojson of the same name go with it.",
 )
+@click.option("--mcap", type=PATH, help="MCAP of φ, for Foxglove and Rerun.")
 @json_option
 def footfalls(
     log: str,
     density: str | None,
     anchors: tuple[str, ...],
     out: Path | None,
+    mcap: Path | None,
     as_json: bool,
     **options: Any,
 ) -> None:
@@ -150,6 +151,8 @@ def footfalls(
         check_file(out, kind=KIND)
         for suffix in (".csv", ".geojson", ".png"):
             check_file(out.with_suffix(suffix))
+    if mcap is not None:
+        check_file(mcap)
     found = find(log, density=density, anchors=anchors, **options)
     summary, written = found.as_dict(), []
     if out is not None:
@@ -158,6 +161,9 @@ def footfalls(
         found.to_netcdf(out)
         made = (out, out.with_suffix(".geojson"), out.with_suffix(".csv"), picture)
         written.append(f"Written: {', '.join(map(str, made))}")
+    if mcap is not None:
+        found.to_mcap(mcap)
+        written.append(f"Written: {mcap}; open it together with the log")
     path = [plots.path_table(summary["path"])] if found.usable.any() else []
     rest = {name: summary[name] for name in ("counts", "by_law_deg", "notes")}
     present(summary, plots.footfalls_table(summary), *path, rest, *written, as_json=as_json)

@@ -14,6 +14,7 @@ from terraphi.cli.options import (
     SIMULATORS,
     TUNED,
     Float,
+    density_option,
     json_option,
 )
 from terraphi.view.console import present, progress_bar
@@ -30,14 +31,15 @@ seed_option = click.option(
 
 
 @click.command()
-@click.argument("answer", type=PATH)
+@click.argument("answer", metavar="ANSWER|SOIL")
 @click.option("--to", required=True, type=SIMULATOR, help="The simulator.")
+@density_option
 @click.option(
     "--match",
     type=click.Choice(MATCHES),
     default="plane-strain",
     show_default=True,
-    help="Stress path in which the simulator is as strong as the soil.",
+    help="Stress path in which both are as strong.",
 )
 @dp_type_option
 @click.option(
@@ -47,19 +49,16 @@ seed_option = click.option(
     help="Draws of the posterior.  [default: 0]",
 )
 @seed_option
-@click.option(
-    "--anyway", is_flag=True, help="Export it although the verdict is a misfit or out of range."
-)
+@click.option("--anyway", is_flag=True, help="Export a misfit, or what is out of range.")
 @click.option("--out", type=PATH, help="A .py, .json or (newton, isaaclab) .usda file.")
 @json_option
-def export(answer: Path, out: Path | None, as_json: bool, **options: Any) -> None:
-    """Write a Python module that sets the friction of an ANSWER in a simulator.
+def export(answer: str, out: Path | None, as_json: bool, **options: Any) -> None:
+    """Write a Python module that sets an ANSWER or a SOIL in a simulator.
 
-    ANSWER is the folder of 'terraphi invert --out', its answer.nc, or the output of 'invert
-    --json' (- for standard input). The module says which stress path is matched, and what was not
-    inferred. For chrono-scm it holds Bekker's parameters too.
+    ANSWER is the folder of 'terraphi invert --out', its answer.nc, or the output of 'invert --json'
+    (-: standard input). SOIL is φ in plane strain as 33±2, or a name as 'loose dry sand'.
 
-    Example: terraphi export answer --to genesis --draws 64 --out soil.py
+    Example: terraphi export 33±2 --density 1600±40 --to genesis --draws 64 --out soil.py
     """
     from terraphi.terrain import export as exports
 
@@ -71,20 +70,25 @@ def export(answer: Path, out: Path | None, as_json: bool, **options: Any) -> Non
 
 
 @click.command()
-@click.argument("value", type=Float())
-@click.option("--from", "from_", required=True, type=SIMULATOR, help="Simulator of VALUE.")
-@click.option("--to", type=SIMULATOR, help="Another simulator, whose value is wanted.")
+@click.argument("value", metavar="VALUE|SOIL")
+@click.option("--from", "from_", type=SIMULATOR, help="Simulator of VALUE; a SOIL has none.")
+@click.option("--to", type=SIMULATOR, help="The simulator whose value is wanted.")
 @dp_type_option
 @json_option
-def convert(value: float, as_json: bool, **options: Any) -> None:
-    """Print the friction angle that acts where a simulator's friction is VALUE.
+def convert(value: str, from_: str | None, as_json: bool, **options: Any) -> None:
+    """Print the friction angle that acts where a simulator's friction is VALUE, or the reverse.
+
+    SOIL is as of 'terraphi export': an angle as 33±2, a name, or an answer.
 
     Example: terraphi convert 0.68 --from newton --to genesis
+
+    Example: terraphi convert 33±2 --to newton
     """
     from terraphi.terrain.simulators import convert as converted
     from terraphi.terrain.simulators import converted_in_words
 
-    found = converted(value, **options)
+    number = value if from_ is None else Float().convert(value, None, None)
+    found = converted(number, from_=from_, **options)
     present(found, *converted_in_words(found), as_json=as_json)
 
 
@@ -104,8 +108,7 @@ def convert(value: float, as_json: bool, **options: Any) -> None:
     help="Friction angle in plane strain, or the folder of an answer.",
 )
 @click.option(
-    "--density", type=Float(), default=1600, show_default=True, metavar="KG_M3",
-    help="Bulk density.",
+    "--density", type=Float(), metavar="KG_M3", help="Bulk density.  [default: the soil's]",
 )  # fmt: skip
 @click.option(
     "--surface-friction", type=Float(), default=0.5, show_default=True, help="Foot on soil."
@@ -167,9 +170,7 @@ def tune(name: str, out: Path | None, as_json: bool, **options: Any) -> None:
 )
 @seed_option
 @json_option
-def slope_map(
-    points: Path, dem: Path, out: Path, start: str | None, as_json: bool, **options: Any
-) -> None:
+def slope_map(points: Path, dem: Path, out: Path, as_json: bool, **options: Any) -> None:
     """Map the probability that slopes slide, from friction angles at POINTS.
 
     POINTS is a CSV with the columns x_m,y_m,phi_deg,sd_deg and, if known, shared_sd_deg (of an
@@ -179,19 +180,13 @@ def slope_map(
 
     Example: terraphi map points.csv --dem dem.tif --out slopes
     """
-    from terraphi.experiment.outputs import check_folder, output_folder
-    from terraphi.terrain.inputs import start_from
-    from terraphi.terrain.map import KIND, LAYERS, SUMMARY, in_words, map_slopes
-    from terraphi.view import plots
+    from terraphi.experiment.outputs import check_folder
+    from terraphi.terrain.map import KIND, LAYERS, PICTURE, SUMMARY, in_words, map_slopes
 
-    picture = "map.png"
-    names = [*(f"{name}.tif" for name in LAYERS), SUMMARY, picture]
+    names = [*(f"{name}.tif" for name in LAYERS), SUMMARY, PICTURE]
     check_folder(out, kind=KIND, names=names)
-    begun = None if start is None else start_from(start)
     with progress_bar("mapping") as report:
-        found = map_slopes(points, dem, start=begun, progress=report, **options)
-    with output_folder(out, kind=KIND, last=SUMMARY) as made:
-        found.write(made)
-        plots.save(plots.map_figure(found), made.joinpath(picture))
+        found = map_slopes(points, dem, progress=report, **options)
+    found.save(out)
     written = f"Written: {out}/{', '.join(names)}"
     present(found.summary, *in_words(found.summary), written, as_json=as_json)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import resource
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -40,6 +39,8 @@ def unpacking(what: str, files: list[Path]) -> Iterator[None]:
 
     They are limits of the whole process, by POSIX; that on memory holds on Linux alone.
     """
+    import resource  # browsers have none
+
     most = LEAST_UNPACKED + UNPACKED * sum(file.stat().st_size for file in files)
     limits = {resource.RLIMIT_FSIZE: most}
     with suppress(OSError):  # Linux alone has it

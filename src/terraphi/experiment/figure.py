@@ -5,9 +5,11 @@ from __future__ import annotations
 import base64
 import io
 
-from matplotlib import figure
-
+from terraphi.experiment.errors import needing
 from terraphi.experiment.history import CHANNEL_UNITS
+
+with needing("a picture", "Matplotlib", extra="plot"):
+    from matplotlib import figure
 
 
 def force_label(channel: str) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import io
 import os
 import re
@@ -191,12 +190,19 @@ def folder_lock(folder: Path) -> Iterator[None]:
     """
     with opened_folder(made_folder(folder)) as handle:
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            lock(handle)
         except BlockingIOError as error:
             raise InputError(f"{folder}: another process works here; wait for it") from error
         except OSError:  # a file system without locks
             pass
         yield
+
+
+def lock(handle: int) -> None:
+    """Lock an open folder; raises OSError if another process has it. Browsers have no locks."""
+    import fcntl
+
+    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 @contextmanager
@@ -222,7 +228,7 @@ def temporary_folder(target: Path) -> Iterator[Path]:
         with suppress(OSError), opened_folder(old) as handle:
             there = os.fstat(handle)
             if there.st_uid == os.geteuid() and time.time() - there.st_mtime > LEAST_AGE:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                lock(handle)
                 shutil.rmtree(old)
     prefix = f".{target.name[:40]}{MARK}"
     with (

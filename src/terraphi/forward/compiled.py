@@ -20,12 +20,15 @@ from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Any, TypeVar, cast
 
-import numba
-import numba.extending
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from terraphi.experiment import leg
+from terraphi.experiment.errors import needing
+
+with needing("this simulation", "Numba", extra="simulate"):
+    import numba
+    import numba.extending
 
 Kernel = TypeVar("Kernel", bound=Callable[..., object])
 

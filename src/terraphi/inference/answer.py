@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import html
 import json
+import logging
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -27,6 +28,8 @@ from terraphi.laws.store import PHI
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
+
+log = logging.getLogger(__name__)
 
 QUANTILES = 4000
 """Equally probable values that stand for a posterior by quadrature where draws are wanted."""
@@ -120,6 +123,11 @@ class RecordSummary:
         default_factory=dict
     )
 
+    @property
+    def coordinate(self) -> str:
+        """Name of what the forces are over: ``theta_deg``, or ``sinkage_mm`` of a tool."""
+        return "sinkage_mm" if isinstance(self.rig, Tool) else "theta_deg"
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RecordFit(RecordSummary):
@@ -134,22 +142,31 @@ class RecordFit(RecordSummary):
         of one of them or of both, as ``nrmsd`` names them.
     band
         Smallest and largest curve over the 95 % interval, shape [2, c, m].
+    tangent
+        The curve to first order in the answer's parameters: at parameters of zero, and its slope
+        by each, in their order, shape [1 + parameter, c, m].
     """
 
     theta_deg: FloatArray = field(repr=False)
     data: FloatArray = field(repr=False)
     curve: FloatArray = field(repr=False)
     band: FloatArray = field(repr=False)
+    tangent: FloatArray = field(repr=False)
 
     @property
     def along(self) -> str:
         """Label of ``theta_deg``."""
-        return "sinkage [mm]" if isinstance(self.rig, Tool) else "leg angle θ [deg]"
+        return {"sinkage_mm": "sinkage [mm]"}.get(self.coordinate, "leg angle θ [deg]")
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and words, without the forces."""
         stated = {one.name: getattr(self, one.name) for one in fields(RecordSummary)}
         return {**stated, "rig": self.rig.model_dump(), "nrmsd": dict(self.nrmsd)}
+
+
+def _endings(records: Sequence[Any]) -> list[str]:
+    """Endings of the names of each record's variables; of one record there is none."""
+    return [f"_{i}" for i in range(len(records))] if len(records) > 1 else [""]
 
 
 def worst_nrmsd(fits: Sequence[RecordFit]) -> dict[str, float]:
@@ -250,6 +267,9 @@ class Answer(AnswerSummary):
         Posterior density of φ [1/deg] on a grid, shape [k]; empty if it was sampled.
     draws
         Draws by parameter, shape [chain, draw]; empty if the posterior is by quadrature.
+    covariance
+        Of the data about the curve of the right parameters, all records one after the other, with
+        the residual that no term of ``budget_deg`` has, shape [n, n].
 
     Examples
     --------
@@ -268,6 +288,7 @@ class Answer(AnswerSummary):
     grid_deg: FloatArray
     density: FloatArray
     draws: Mapping[str, FloatArray] = field(default_factory=dict)
+    covariance: FloatArray
 
     @property
     def phi(self) -> Estimate:
@@ -418,47 +439,105 @@ class Answer(AnswerSummary):
 
     # -- files -----------------------------------------------------------------------------------
 
+    def _over_windows(self, name: str) -> FloatArray:
+        """An array of the records, those of all of them one after the other, shape [..., n]."""
+        each = [getattr(record, name) for record in self.records]
+        return np.concatenate([one.reshape(*one.shape[:-2], -1) for one in each], axis=-1)
+
+    def _by_record(self, name: str, values: FloatArray, *over: str) -> Any:
+        """A Dataset with a variable for each record, from values over all windows, [..., n]."""
+        import xarray as xr
+
+        ends = np.cumsum([record.data.size for record in self.records])
+        variables: dict[str, Any] = {}
+        places: dict[str, Any] = {}
+        parts = np.split(values, ends[:-1], axis=-1)
+        for record, part, end in zip(self.records, parts, _endings(self.records), strict=True):
+            component, along = f"component{end}", f"{record.coordinate}{end}"
+            places[component], places[along] = list(record.nrmsd), record.theta_deg
+            shaped = part.reshape(*part.shape[:-1], *record.data.shape)
+            # A variable named as one of its dimensions would be a coordinate.
+            variables[f"{name}{end}"] = ((*over, component, along), shaped)
+        return xr.Dataset(variables, places)
+
+    def _posterior(self) -> Mapping[str, FloatArray]:
+        """Draws by parameter, shape [chain, draw]."""
+        if self.draws:
+            return self.draws
+        shuffled = np.random.default_rng(self.seed or 0).permutation(self.phi_draws())
+        return {PHI: shuffled.reshape(4, -1)}
+
     def _groups(self) -> dict[str, Any]:
         """Datasets in the layout of ArviZ, by group."""
         import xarray as xr
 
-        draws = self.draws
-        if not draws:
-            shuffled = np.random.default_rng(self.seed or 0).permutation(self.phi_draws())
-            draws = {PHI: shuffled.reshape(4, -1)}
-        posterior = xr.Dataset({key: (("chain", "draw"), value) for key, value in draws.items()})
-        data: dict[str, Any] = {}
-        constant: dict[str, Any] = {}
-        places: dict[str, Any] = {}
-        for i, record in enumerate(self.records):
-            # A variable named as one of its dimensions would be a coordinate.
-            dims = (f"channel_{i}", f"theta_{i}")
-            places |= {dims[0]: list(record.nrmsd), dims[1]: record.theta_deg}
-            data[f"force_{i}"] = (dims, record.data)
-            constant[f"theta_deg_{i}"] = (dims[1], record.theta_deg)
-            constant[f"curve_{i}"] = (dims, record.curve)
-            constant[f"band_{i}"] = (("bound", *dims), record.band)
+        draws = {key: (("chain", "draw"), value) for key, value in self._posterior().items()}
+        constant = self._by_record("curve", self._over_windows("curve"))
+        for name, over in (("band", "bound"), ("tangent", "coefficient")):
+            constant.update(self._by_record(name, self._over_windows(name), over))
+        constant["covariance"] = (("window", "other_window"), self.covariance)
         constant["grid_deg"] = ("grid", self.grid_deg)
         constant["density"] = ("grid", self.density)
         return {
-            "posterior": posterior,
-            "observed_data": xr.Dataset(data, places),
-            "constant_data": xr.Dataset(constant, places),
+            "posterior": xr.Dataset(draws),
+            "observed_data": self._by_record("force", self._over_windows("data")),
+            "constant_data": constant,
         }
 
-    def to_inference_data(self) -> Any:
-        """Draws and data for ArviZ: an ``InferenceData`` (ArviZ 0.x) or a ``DataTree`` (1.x)."""
+    def _predictive_groups(self) -> dict[str, Any]:
+        """Forces and log-likelihood at each draw of the posterior, by group of ArviZ."""
         import xarray as xr
 
+        draws, data, over = self._posterior(), self._over_windows("data"), ("chain", "draw")
+        x = np.stack([np.ones_like(draws[next(iter(draws))]), *draws.values()], axis=-1)
+        curves, rng = x @ self._over_windows("tangent"), np.random.default_rng(self.seed or 0)
+        error = rng.standard_normal(curves.shape) @ np.linalg.cholesky(self.covariance).T
+        # A window given all others (Bürkner, Gabry & Vehtari 2021, Comput. Stat. 36:1243, eq. 15).
+        inverse = np.linalg.inv(self.covariance)
+        precision = inverse.diagonal()
+        logs = 0.5 * np.log(precision / (2.0 * np.pi))
+        logs = logs - 0.5 * ((data - curves) @ inverse) ** 2 / precision
+        likelihood = self._by_record("force", logs, *over)
+        if len(self.records) > 1:  # ArviZ compares what is one variable
+            number = np.repeat(range(len(self.records)), [one.data.size for one in self.records])
+            places = {"record": ("window", number)}
+            likelihood = xr.Dataset({"force": ((*over, "window"), logs)}, places)
+        predicted = self._by_record("force", curves + error, *over)
+        return {"posterior_predictive": predicted, "log_likelihood": likelihood}
+
+    def to_inference_data(self) -> Any:
+        """Draws and data for ArviZ: an ``InferenceData`` (ArviZ 0.x) or a ``DataTree`` (1.x).
+
+        Groups ``posterior``, ``observed_data``, ``posterior_predictive``, ``log_likelihood`` and
+        ``constant_data``. Forces are ``force``, over ``component`` and ``theta_deg`` (of tools
+        ``sinkage_mm``); of several records ``force_0``, ``component_0`` and so on.
+
+        Notes
+        -----
+        Of parameters x the forces are normal with the mean g(x), the law's curve to first order
+        about the median, and the covariance ``covariance``: the terms of the likelihood, model
+        error and density included, and the residual. They are those of another record of a soil
+        with these parameters, whose errors are drawn anew. What part of the residual no term
+        explains has the size and the correlation over θ of the record's own, so that predictions
+        check its course, and the verdict its size.
+
+        Windows are correlated: the log-likelihood is that of each window given all others, whose
+        leave-one-out predictive density ``arviz.loo`` then estimates and ``arviz.compare`` compares
+        between answers to the same forces. Of several records it is one variable over all windows,
+        with the number of the ``record``. Errors that a leg and a tool share are drawn for each.
+        """
+        import xarray as xr
+
+        groups = {**self._groups(), **self._predictive_groups()}
         with suppress(ImportError):
             import arviz
 
             if "InferenceData" in vars(arviz):
-                return arviz.InferenceData(**self._groups())
-        return xr.DataTree.from_dict(self._groups())
+                return arviz.InferenceData(**groups)
+        return xr.DataTree.from_dict(groups)
 
     def to_netcdf(self, path: Path | str) -> None:
-        """Write the answer in the layout of ArviZ, which can open it.
+        """Write the answer in the layout of ArviZ, which can open it, without predictions.
 
         Raises
         ------
@@ -484,17 +563,19 @@ class Answer(AnswerSummary):
         path = Path(path)
         path = path / "answer.nc" if path.is_dir() else path
         with open_netcdf(path, AnswerAttributes, kind="answer", schema=None) as file:
-            known, at, records = file.attrs.answer, "constant_data/", []
-            for i, one in enumerate(known.records):
-                dims = (len(one.nrmsd), f"theta_{i}")
+            known, at, records, size = file.attrs.answer, "constant_data/", [], 0
+            for one, end in zip(known.records, _endings(known.records), strict=True):
+                dims = len(one.nrmsd), f"{one.coordinate}{end}"
                 fit = RecordFit(
                     **vars(one),
-                    theta_deg=file.numbers(f"{at}theta_deg_{i}", dims[1]),
-                    data=file.numbers(f"observed_data/force_{i}", *dims),
-                    curve=file.numbers(f"{at}curve_{i}", *dims),
-                    band=file.numbers(f"{at}band_{i}", 2, *dims),
+                    theta_deg=file.numbers(f"observed_data/{dims[1]}", dims[1]),
+                    data=file.numbers(f"observed_data/force{end}", *dims),
+                    curve=file.numbers(f"{at}curve{end}", *dims),
+                    band=file.numbers(f"{at}band{end}", 2, *dims),
+                    tangent=file.numbers(f"{at}tangent{end}", 1 + len(known.parameters), *dims),
                 )
                 records.append(fit)
+                size += fit.data.size
             drawn = known.parameters if known.diagnostics or len(known.parameters) > 1 else ()
             draws = {key: file.numbers(f"posterior/{key}", "chain", "draw") for key in drawn}
             grid, density = (file.numbers(at + name, "grid") for name in ("grid_deg", "density"))
@@ -510,11 +591,14 @@ class Answer(AnswerSummary):
                 grid_deg=grid,
                 density=density,
                 draws=draws,
+                covariance=file.numbers(f"{at}covariance", size, size),
                 **{one.name: getattr(known, one.name) for one in fields(AnswerSummary)},
             )
 
     def save(self, folder: Path | str) -> None:
         """Write ``answer.json``, ``answer.nc`` and ``answer.png`` into a folder, all or none.
+
+        Without Matplotlib there is no picture, and a warning is logged.
 
         Raises
         ------
@@ -523,7 +607,10 @@ class Answer(AnswerSummary):
         """
         with output_folder(Path(folder), kind="answer", last="answer.json") as place:
             self.to_netcdf(place / "answer.nc")
-            self.plot().savefig(place / "answer.png", dpi=150)
+            try:
+                self.plot().savefig(place / "answer.png", dpi=150)
+            except InputError as error:  # without Matplotlib
+                log.warning("%s", error)
             text = json.dumps(self.as_dict(), indent=1, ensure_ascii=False, default=str)
             (place / "answer.json").write_text(text + "\n", encoding="utf-8")
 

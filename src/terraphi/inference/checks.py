@@ -25,12 +25,11 @@ from terraphi.forward.rft import to_plane_strain
 from terraphi.inference.likelihood import (
     SHIFT_DEG,
     Likelihood,
-    law_of,
     squared_residuals,
 )
 from terraphi.inference.records import Record, density_doubts
 from terraphi.laws.law import THEORY
-from terraphi.laws.legs import VARIED, Legs
+from terraphi.laws.legs import VARIED, Legs, law_of
 from terraphi.laws.store import PHI, differences, shipped_library
 
 LOADED = 0.05

@@ -1,4 +1,4 @@
-"""One friction angle from several maneuvers in one soil: legs, plates and balls.
+"""One friction angle from several maneuvers in one soil: different legs, plates and balls.
 
 Each answer is a normal distribution. Answers share the error of the density and what the soil does
 that no law has, and those of one law what is wrong with it, so that the best mean is that of
@@ -21,7 +21,7 @@ from terraphi.laws.store import PHI
 
 OF_SOIL = ("density", "model: soil")
 """Terms that all answers share."""
-OF_LAW = ("model: law", "model: compaction", "surface friction", "rectangle")
+OF_LAW = ("model: law", "model: apparatus", "model: compaction", "surface friction", "rectangle")
 """Terms that answers by one law share."""
 DISAGREE = 1.96
 """Standard deviations of the difference of two answers above which they are a misfit [-]: one sound
@@ -100,10 +100,22 @@ def combined(answers: Sequence[Answer]) -> Answer:
     density /= np.trapezoid(density, grid)
     estimate = Estimate.of_density(grid, density)
     first = answers[0]
+    # What is said of all is said once.
+    alike = set(first.questions).intersection(*(one.questions for one in answers))
     questions = [
-        text if text.startswith(one.source) else f"{one.source}: {text}"
+        text if text in alike or text.startswith(one.source) else f"{one.source}: {text}"
         for one in answers for text in one.questions
     ]  # fmt: skip
+    # Curves of φ alone, other parameters at their medians; each answer's errors are its own.
+    records, ends = [], np.cumsum([0, *(len(one.covariance) for one in answers)])
+    joint = np.zeros((ends[-1], ends[-1]))
+    for one, start, end in zip(answers, ends[:-1], ends[1:], strict=True):
+        joint[start:end, start:end] = one.covariance
+        at = [1.0, *(0.0 if k == PHI else p.median for k, p in one.parameters.items())]
+        by_phi = 1 + list(one.parameters).index(PHI)
+        for record in one.records:
+            level = np.tensordot(at, record.tangent, 1)
+            records.append(replace(record, tangent=np.stack([level, record.tangent[by_phi]])))
     return replace(
         first,
         parameters={PHI: estimate},
@@ -112,15 +124,17 @@ def combined(answers: Sequence[Answer]) -> Answer:
         reason=reason,
         edge=next((one.edge for one in answers if one.edge), None),
         law=", ".join(dict.fromkeys(one.law for one in answers)),
-        law_reason="",
+        law_reason=first.law_reason if one_law.all() else "",
+        second_opinion=None,
         budget_deg=dict(sorted(budget.items(), key=lambda term: -term[1])),
         density_assumed=any(one.density_assumed for one in answers),
-        records=tuple(record for one in answers for record in one.records),
+        records=tuple(records),
+        covariance=joint,
         grid_deg=grid,
         density=density,
         draws={},
         diagnostics={},
-        questions=tuple(questions),
+        questions=tuple(dict.fromkeys(questions)),
         provenance={
             **first.provenance,
             "answers": [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import importlib.metadata
+import io
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, Field, Json
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
+from terraphi.experiment.errors import needing
 from terraphi.experiment.files import atomic_write, open_netcdf, write_netcdf
 from terraphi.experiment.outputs import SIGNATURE
 from terraphi.experiment.tables import write_csv
@@ -39,6 +41,7 @@ from terraphi.laws.foot import DEEPEST, LAWS
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray as xr
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -100,6 +103,12 @@ CI95 = 1.959964
 """Half-width of a normal 95 % interval over its standard deviation [-]; of a 68 % one it is 1."""
 EARTH_RADIUS = 6_371_000.0
 """[m]."""
+TOPIC, MESSAGE = "/terraphi/footfalls", "terraphi_msgs/msg/Footfall"
+FIELDS = ("x_m", "y_m", "surface_m", "sinkage_m", "phi_deg", "ci68_low_deg", "ci68_high_deg",
+          "ci95_low_deg", "ci95_high_deg", "relative_sd_deg")  # fmt: skip
+"""Numbers of a message; φ and its absolute intervals are not a number where it was refused."""
+LAST_STAMP = 2**31 - 1
+"""Largest time of a ROS message [s]."""
 COLUMNS = {
     "time_s": ("time", None, "s", "touch-down"),
     "x_m": ("place", 0, "m", "along the first heading"),
@@ -233,14 +242,61 @@ class FootfallMap:
             "notes": list(self.notes),
         }
 
-    def to_netcdf(self, path: Path | str) -> None:
-        """Write NetCDF-4, and a GeoJSON and a CSV of the same name next to it.
+    def to_mcap(self, path: Path | str) -> None:
+        """Write the footfalls as an MCAP file with the topic ``/terraphi/footfalls``.
 
-        Raises InputError if the place cannot be written.
+        Foxglove opens it together with the robot's MCAP on one time line, that of recording. The
+        messages are those of ROS 2, with the fields ``header``, ``foot``, ``verdict``, ``x_m``,
+        ``y_m``, ``surface_m``, ``sinkage_m``, ``phi_deg``, ``ci68_low_deg`` and so on.
+
+        Raises
+        ------
+        InputError
+            If the place cannot be written, or the extra ``robot`` is missing.
         """
+        with needing(f"{path}: writing MCAP", "mcap and rosbags", extra="robot"):
+            from mcap.writer import CompressionType, Writer
+            from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+        store: Any = get_typestore(Stores.ROS2_HUMBLE)
+        text = "std_msgs/Header header\nstring foot\nstring verdict\n"
+        text += "".join(f"float64 {name}\n" for name in FIELDS)
+        store.register(get_types_from_msg(text, MESSAGE))
+        definition, _ = store.generate_msgdef(MESSAGE, ros_version=2)
+        log = self.provenance.get("forces", {}).get("log", {})
+        recorded = log.get("recorded_ns", 0)
+        bands = [
+            self.phi + side * size * self.absolute_sd for size in (1.0, CI95) for side in (-1, 1)
+        ]
+        numbers = np.column_stack([self.place, self.sinkage, self.phi, *bands, self.sd])
+        times = np.rint(1e9 * np.clip(self.time, 0.0, LAST_STAMP)).astype(np.int64).tolist()
+        rows = zip(times, self.foot, self.verdict, numbers.tolist(), strict=True)
+        content = io.BytesIO()
+        writer: Any = Writer(content, compression=CompressionType.NONE)
+        writer.start(profile="ros2", library=SIGNATURE)
+        schema = writer.register_schema(MESSAGE, "ros2msg", definition.encode())
+        channel = writer.register_channel(TOPIC, "cdr", schema)
+        header, stamp = (
+            store.types[name] for name in ("std_msgs/msg/Header", "builtin_interfaces/msg/Time")
+        )
+        for i, (time, foot, verdict, row) in enumerate(rows):
+            stamped, when = (
+                min(max(start + time, 0), LAST_STAMP * 10**9)
+                for start in (log.get("start_ns", recorded), recorded)
+            )
+            at = header(stamp(*divmod(stamped, 10**9)), "")
+            data = bytes(
+                store.serialize_cdr(store.types[MESSAGE](at, foot, verdict, *row), MESSAGE)
+            )
+            writer.add_message(channel, when, data, when, i)
+        writer.finish()
+        with atomic_write(Path(path)) as temporary:
+            temporary.write_bytes(content.getvalue())
+
+    def to_xarray(self) -> xr.Dataset:
+        """Footfalls and the path as a Dataset, with units, as in the NetCDF."""
         import xarray as xr
 
-        path = Path(path)
         variables: dict[str, Any] = {}
         for name, (source, column, units, about) in COLUMNS.items():
             values = getattr(self, source)
@@ -251,12 +307,20 @@ class FootfallMap:
         variables["absolute_sd_deg"] = ("footfall", self.absolute_sd, about_it)
         variables["foot"] = ("footfall", np.array(self.foot, dtype="U2"))
         variables["verdict"] = ("footfall", np.array(self.verdict, dtype="U24"))
+        return xr.Dataset(variables).set_coords("s_m")
+
+    def to_netcdf(self, path: Path | str) -> None:
+        """Write NetCDF-4, and a GeoJSON and a CSV of the same name next to it.
+
+        Raises InputError if the place cannot be written.
+        """
+        path = Path(path)
         texts = {
             known.alias or name: json.dumps(getattr(self, name))
             for name, known in FootfallAttributes.model_fields.items()
         }
         attributes = {"terraphi_file": KIND, "terraphi_schema": SCHEMA, **texts}
-        write_netcdf(xr.Dataset(variables, attrs=attributes).set_coords("s_m"), path)
+        write_netcdf(self.to_xarray().assign_attrs(attributes), path)
         with atomic_write(path.with_suffix(".geojson")) as temporary:
             temporary.write_text(json.dumps(self._geojson(), ensure_ascii=False), encoding="utf-8")
         first = f"# {SIGNATURE}: footfalls; x, y from the robot's first place and heading\n"

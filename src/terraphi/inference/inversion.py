@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import math
+import re
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -12,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.arrays import FloatArray, seed_from
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import number_with_sd
-from terraphi.experiment.rig import with_rig
+from terraphi.experiment.rig import LEG_NAMES, with_rig
 from terraphi.experiment.scenario import Scenario
 from terraphi.experiment.soil import plane_strain_friction_angle_deg
 from terraphi.forward.rft import to_plane_strain
@@ -91,6 +92,7 @@ def invert(
     critical: float | str | None = None,
     simulated: bool | None = None,
     seed: int = 0,
+    rng: Any = None,
 ) -> Answer:
     """Infer the friction angle, and whatever else a library varies, from forces on a leg.
 
@@ -104,6 +106,8 @@ def invert(
     rig
         The apparatus: a :class:`Rig`, a mapping of its keys, a TOML file, or ``"li2013"`` for that
         of Li et al. (2013); ``None``: from the forces' file, which tables of text do not have.
+        Records of another leg or rig in a list are named such as ``"forces.csv@c"``,
+        ``"forces.csv@rig.toml"`` or ``(table, rig)``; different legs are joined by their angles.
     tool
         ``plate:151``, ``plate:38x25`` or ``ball:44`` [mm] in place of a leg: a body pressed
         straight down, with the columns sinkage and force or pressure. ``law`` is then one
@@ -135,8 +139,9 @@ def invert(
     simulated
         Whether the forces are simulated, so that the library's model is exact; ``None``: from
         their file.
-    seed
-        Of the draws, where several parameters are inferred.
+    seed, rng
+        Of the draws, where several parameters are inferred: an integer, or as ``rng`` also a
+        ``numpy.random.Generator`` (SPEC 7), from which a seed is drawn.
 
     Returns
     -------
@@ -154,6 +159,7 @@ def invert(
     """
     from threadpoolctl import threadpool_limits
 
+    seed = seed_from(seed, rng)
     several = isinstance(forces, list | tuple) and pressed_by(forces) is None
     every = list(forces) if several else [forces]
     tools = [(one, tool) if tool is not None else pressed_by(one) for one in every]
@@ -170,8 +176,8 @@ def invert(
                 invert(of_legs, density=density, law=law, columns=columns, seed=seed, **given)
             ]
             # One soil has one density, and its columns and law are those of the legs.
-            sd = answers[0].density_sd_kg_m3 or 0.05 * answers[0].density_kg_m3
-            density, law, columns = f"{answers[0].density_kg_m3:g}±{sd:g}", None, None
+            first = answers[0]
+            density, law, columns = f"{first.density_kg_m3}±{first.density_sd_kg_m3}", None, None
         answers += [
             invert_pressed(*one, density=density, law=law, columns=columns) for one in tools if one
         ]
@@ -195,7 +201,15 @@ def invert(
         if calibration is not None:
             calibration.check(found)
             calibration.check_gain({record.leg: record.gain for record in records})
-        answer = _answer(Likelihood(records, found, calibration), reason, seed, began)
+        # Offset and cohesion of law legs are those of one leg alone, so that different legs are
+        # joined by their angles: in one fit grains of known φ were read 4° wrong, with these 1°.
+        legs = dict.fromkeys(record.leg for record in records)
+        apart = isinstance(found, Legs) and not all(record.simulated for record in records)
+        groups = [[r for r in records if r.leg == one] for one in legs] if apart else [records]
+        answers = [
+            _answer(Likelihood(group, found, calibration), reason, seed, began) for group in groups
+        ]
+        answer = combined(answers) if len(answers) > 1 else answers[0]
         return answer if critical is None else with_peak(answer, critical)
 
 
@@ -243,7 +257,22 @@ def _records(forces: Any, **options: Any) -> list[Record]:
     every = list(forces) if isinstance(forces, list | tuple) else [forces]
     if not every:
         raise InputError("no forces: the list is empty")
-    return [without_faults(r) for one in every for r in open_records(one, **options)]
+    own = [_of_leg(one) for one in every]
+    return [
+        without_faults(record) for one, leg in own for record in open_records(one, **options | leg)
+    ]
+
+
+def _of_leg(source: Any) -> tuple[Any, dict[str, Any]]:
+    """Forces, and leg or rig of ``"forces.csv@c"``, ``"forces.csv@rig.toml"`` or such a pair."""
+    if isinstance(source, str):
+        found = re.fullmatch(rf"(.+)@({'|'.join(LEG_NAMES)}|.+\.toml)", source)
+        source = found.groups() if found else source
+    if not (isinstance(source, tuple) and len(source) == 2):
+        return source, {}
+    forces, own = source
+    of_shape = isinstance(own, str) and own in LEG_NAMES
+    return forces, {"leg": own} if of_shape else {"rig": own, "leg": None}
 
 
 def calibrate(
@@ -452,6 +481,7 @@ def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Ans
         grid_deg=grid,
         density=density,
         draws=drawn.draws,
+        covariance=likelihood.predictive_covariance(),
         diagnostics=drawn.diagnostics,
         leg_friction=None if "leg.friction" in keys else first.rig.leg_friction
         if "leg friction" in likelihood.terms else scenario.leg.friction,
@@ -478,6 +508,8 @@ def _fits(
         points[:2, likelihood.keys.index(PHI)] = parameters[PHI].ci95
     points[:2] = np.clip(points[:2], *likelihood.ends)
     curves = likelihood.curves(points)
+    slope = likelihood.slope(middle)
+    tangent = np.vstack([curves[2] - slope @ middle, slope.T])
     found = []
     for record, part, whole, shift in zip(
         likelihood.records, likelihood.parts, likelihood.strokes, likelihood.shift_deg, strict=True
@@ -491,7 +523,7 @@ def _fits(
                 source=record.source, rig=record.rig,
                 simulated=record.simulated, n_readings=len(record.history.position),
                 n_left_out=record.n_left_out, theta_deg=record.theta_deg, data=record.data,
-                curve=curve,
+                curve=curve, tangent=tangent[:, part].reshape(-1, *curve.shape),
                 band=np.stack([np.minimum(low, high), np.maximum(low, high)]),
                 nrmsd=dict(zip(record.channels, size.tolist(), strict=True)),
                 shift_deg=float(shift),

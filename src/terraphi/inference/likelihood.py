@@ -74,20 +74,13 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import FORCES, OBSERVATION_ANGLES, WINDOW_DEG, ForceHistory
 from terraphi.experiment.rig import LI2013, Rig
-from terraphi.experiment.scenario import GRAVITY, Scenario
+from terraphi.experiment.scenario import GRAVITY
 from terraphi.inference.calibration import Calibration
 from terraphi.inference.estimator import Best, least_squares, weights
 from terraphi.inference.records import Record
-from terraphi.laws.law import (
-    STEP,
-    THEORY,
-    LegLaw,
-    ModelError,
-    leg_law,
-    library_of_theory,
-)
-from terraphi.laws.legs import Legs, cells_in
-from terraphi.laws.store import PHI, Library, shipped_library
+from terraphi.laws.law import STEP, LegLaw, ModelError
+from terraphi.laws.legs import Legs, law_of
+from terraphi.laws.store import PHI, Library
 
 SHIFT_DEG = 15.0
 """Largest shift of the leg angle of measured records [deg]: chosen. C legs have 11 to 15° in grains
@@ -113,6 +106,11 @@ WHOLE = 0.9
 """Share of a stroke's windows with which its shape can be compared with those of whole ones [-]."""
 PART_DEG = 1.4
 """Standard deviation of the shift of φ at h = ½ [deg]."""
+RESIDUAL = ("noise", "emulator", "particle scatter")
+"""Terms that a residual shows; the others move the whole curve, and φ with it."""
+ROUGHNESS = 1.5
+"""Exponent of the correlation of a residual over θ [-]: of 1, 1.5 and 2 that with the largest
+density of the residuals of shipped records (straight and C legs, six of six)."""
 MOMENT_DEG = 0.9
 """Standard deviation of φ by a moment less that by both forces [deg]."""
 
@@ -157,17 +155,6 @@ def channels_of(record: Record, force: FloatArray, arm: FloatArray | None) -> Fl
         )
     rows = {"Fx": force[..., 0, :], "Fz": force[..., 1, :], "M": (force * arm).sum(axis=-2)}
     return np.stack([rows[name] for name in record.channels], axis=-2)
-
-
-def law_of(
-    library: Library | Legs, rig: Rig, scenario: Scenario | None, *, strict: bool = True
-) -> LegLaw:
-    """The law of a rig, of a simulation in its cells; errors as of `~terraphi.laws.law.leg_law`."""
-    if isinstance(library, Legs):
-        return library.law(rig, cells_in(scenario, rig))
-    if (scenario is None or strict) and library is shipped_library(THEORY):
-        library = library_of_theory(rig)
-    return leg_law(library, rig, strict=strict)
 
 
 def window_means(record: Record, force: FloatArray, law: LegLaw, shift_deg: float) -> FloatArray:
@@ -599,6 +586,28 @@ class Likelihood:
     def covariance(self) -> FloatArray:
         """Sum of all terms [N²], shape [n, n]."""
         return np.asarray(sum(self.terms.values()))
+
+    def predictive_covariance(self) -> FloatArray:
+        """Covariance of the data about the curve of the right parameters [N²], shape [n, n].
+
+        To the terms it adds what noise, emulator and scatter lack of the mean square of each
+        channel's residual e. The correlation of that, exp(−a k^p) over k windows with p =
+        :data:`ROUGHNESS`, is such that a window differs from the mean of its neighbors as those of
+        the record do: to first order, Σ (eᵢ − (eᵢ₋₁ + eᵢ₊₁) / 2)² / Σ eᵢ² = a (2 − 2^(p − 1)).
+        """
+        found = self.covariance.copy()
+        known = np.sum([self.terms[n].diagonal() for n in RESIDUAL if n in self.terms], axis=0)
+        residual = self.data - self.curves(self.least_squares[None])[0]
+        for record, part in zip(self.records, self.parts, strict=True):
+            e = residual[part].reshape(len(record.channels), -1)
+            lacking = np.square(e).mean(axis=1) - known[part].reshape(e.shape).mean(axis=1)
+            unit = e / record.span[:, None]
+            rough = np.square(np.diff(unit, n=2)).sum() / (4.0 * max(np.square(unit).sum(), 1e-300))
+            theta = record.theta_deg
+            steps = np.abs(theta[:, None] - theta) / np.median(np.diff(theta))
+            alike = np.exp(-rough / (2.0 - 2.0 ** (ROUGHNESS - 1.0)) * steps**ROUGHNESS)
+            found[part, part] += np.kron(np.diag(np.maximum(lacking, 0.0)), alike)
+        return found
 
     @cached_property
     def _weights(self) -> FloatArray:

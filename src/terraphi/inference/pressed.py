@@ -214,11 +214,15 @@ def invert_pressed(
         notes.insert(0, f"The law is extrapolated from {1e3 * DEEPEST * radius:.0f} mm on, to "
                      f"{1e3 * z[-1]:.0f} mm.")  # fmt: skip
     guessed = [] if density is not None else [f"The density {rho:g} kg/m³ is assumed."]
+    by_phi, shown = best.slope[top, :, 0], ("model: course", "noise")
+    # What else is unsure looks like another angle.
+    shared = sum(share**2 for name, share in budget.items() if name not in shown)
     ends = curve(np.stack([np.clip(estimate.ci95, low, high), best.x[[top, top], 1]], -1))
     fit = RecordFit(
         source=label, rig=tool, simulated=False, n_readings=used, n_left_out=table.rows - used,
         theta_deg=1e3 * z, data=force[None], curve=model[None],
         band=(borne[top] * ends)[:, None], nrmsd={"Fz": size}, limit=LIMIT,
+        tangent=np.stack([model - by_phi * best.x[top, 0], by_phi])[:, None],
     )  # fmt: skip
     return Answer(
         parameters={PHI: estimate}, convention="plane_strain", phi_plane_strain=estimate,
@@ -226,7 +230,7 @@ def invert_pressed(
         density_kg_m3=rho, density_sd_kg_m3=rho_sd, density_assumed=density is None, law=name,
         law_reason="" if law else "the default for tools", second_opinion=None,
         questions=(*density_doubts(rho), *guessed, *notes), records=(fit,), grid_deg=grid,
-        density=posterior,
+        density=posterior, covariance=error + shared * np.outer(by_phi, by_phi),
         leg_friction=FRICTION,
         provenance={
             "terraphi": importlib.metadata.version("terraphi"), "contraction": contraction,

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.errors import needing
 from terraphi.inference.likelihood import Likelihood
 
 NODES = 801
@@ -56,7 +57,9 @@ def sample(likelihood: Likelihood, *, seed: int = 0, steps: int = STEPS) -> Draw
 
     Walkers of one ensemble depend on each other, so that R̂ compares several ensembles.
     """
-    import emcee
+    with needing("a posterior of several parameters", "emcee and SciPy", extra="simulate"):
+        import emcee
+        import scipy  # noqa: F401 - for split_rhat
 
     count, walkers = len(likelihood.keys), max(WALKERS, 2 * len(likelihood.keys) + 2)
     low, high, start = likelihood.low, likelihood.high, likelihood.least_squares

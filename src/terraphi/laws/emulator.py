@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.errors import needing
 from terraphi.laws.store import Curves, Library
 
 LENGTHS = np.geomspace(0.15, 8.0, 16)
@@ -298,7 +299,8 @@ def _refined(
     With P = A⁻¹ − A⁻¹F(F'A⁻¹F)⁻¹F'A⁻¹ and σ² = w'Pw / (n − q), its derivative by a parameter is
     [(Pw)' ∂A (Pw) / σ² − tr(P ∂A)] / 2.
     """
-    from scipy.optimize import minimize
+    with needing("a law made of this library", "SciPy", extra="simulate"):
+        from scipy.optimize import minimize
 
     free = len(w) - basis.shape[1]
     apart = np.square(t[:, None] - t)

@@ -44,19 +44,18 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import BaseModel
 
+from terraphi.experiment.arrays import FloatArray, like, namespace, whole
 from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import open_netcdf
 from terraphi.experiment.scenario import GRAVITY
-from terraphi.forward.rft import from_plane_strain, stress_per_depth_3d, stress_scale
-
-FloatArray = NDArray[np.float64]
+from terraphi.forward.rft import from_plane_strain, stress_scale, unit_stress
 
 RINGS, SECTORS = 100, 24
 """Faces of half a ball, whose other half is its mirror image: rings of equal area, and faces in
@@ -164,10 +163,10 @@ def simulated_force(
     :data:`BEYOND_DEG` outside the table give NaN; a friction more than
     :data:`BEYOND_FRICTION` outside raises InputError.
     """
-    first, step, table = _simulated(foot.shape, float(mu))
+    first, step, table = simulated_table(foot.shape, float(mu))
     ratio, turn, phi = np.broadcast_arrays(np.asarray(depth) / foot.radius, descent, phi_deg)
     place = phi - first
-    unit = _interpolated(table, place, _row(turn), ratio / step)
+    unit = interpolated(table, place, _row(turn), ratio / step)
     known = (place >= -BEYOND_DEG) & (place <= len(table) - 1 + BEYOND_DEG)
     met = np.where(known, ratio > 0.0, np.nan)
     return np.asarray(density * GRAVITY * foot.radius**3 * met[..., None] * unit)
@@ -181,10 +180,10 @@ def resistive_force(
     T is tabulated once for each μ_s and shape; between its nodes it is linear.
     """
     ratio, turn = np.broadcast_arrays(np.asarray(depth) / foot.radius, descent)
-    table = _table(foot.shape, float(mu))
-    unit = _interpolated(table, _row(turn), np.maximum(ratio, 0.0) / DEPTHS[1])
+    table = resistive_table(foot.shape, float(mu))
+    unit = interpolated(table, _row(turn), np.maximum(ratio, 0.0) / DEPTHS[1])
     scale = stress_scale(phi_deg, density) * foot.radius**3
-    return np.asarray(scale[..., None] * unit)
+    return np.asarray(scale[..., None] * unit[..., :2])
 
 
 def moved_mass(
@@ -246,94 +245,6 @@ def bearing_capacity(
     return np.stack([np.zeros_like(lift), lift], axis=-1)
 
 
-def wrench(
-    points: ArrayLike,
-    normals: ArrayLike,
-    areas: ArrayLike,
-    velocities: ArrayLike,
-    *,
-    friction_angle_deg: float,
-    density: float,
-    surface_friction: float,
-    surface: float = 0.0,
-    about: ArrayLike = (0.0, 0.0, 0.0),
-    rest_speed: float = 0.01,
-) -> tuple[FloatArray, FloatArray]:
-    """Force and moment of soil on many feet, by three-dimensional resistive force theory.
-
-    For simulators: the faces of a mesh that lead and are submerged feel a stress in proportion to
-    their depth, whatever the speed. Below ``rest_speed`` it falls with the speed to zero, since the
-    law does not cover a foot at rest. So a resting foot creeps, and an explicit step of a mass m
-    under a force F is stable up to 2 m ``rest_speed`` / F.
-
-    Parameters
-    ----------
-    points
-        Centres of the faces [m], shape [..., face, 3]; z is up.
-    normals
-        Outward unit normals [-], shape [..., face, 3] or [face, 3].
-    areas
-        Of the faces [m²], shape [face].
-    velocities
-        Of the faces [m/s], shape [..., face, 3] or what broadcasts to it, as [..., 1, 3].
-    friction_angle_deg
-        φ of resistive force theory, as ``terraphi export --to rft3d`` prints it [deg].
-    density
-        Bulk density ρ [kg/m³].
-    surface_friction
-        Coulomb coefficient between foot and soil [-].
-    surface
-        Height of the level surface [m].
-    about
-        What the moment is about [m], shape [..., 3] or [3].
-    rest_speed
-        [m/s].
-
-    Returns
-    -------
-    tuple of ndarray
-        Force [N] and moment [N m], shape [..., 3].
-
-    Examples
-    --------
-    >>> down, up = [[0.0, 0.0, -0.02]], [[0.0, 0.0, -1.0]]
-    >>> soil = {"friction_angle_deg": 30.0, "density": 1600.0, "surface_friction": 0.4}
-    >>> force, moment = wrench(down, up, [1e-3], [[0.0, 0.0, -0.1]], **soil)
-    >>> bool(force[2] > 0.0)
-    True
-    """
-    points = np.asarray(points, dtype=np.float64)
-    shape = points.shape
-
-    def flat(values: ArrayLike) -> FloatArray:
-        """Vectors of all faces of all feet, [foot face, 3]."""
-        return np.broadcast_to(np.asarray(values, dtype=np.float64), shape).reshape(-1, 3)
-
-    depth = surface - points[..., 2].ravel()
-    below = np.flatnonzero(depth > 0.0)
-    normal, velocity = flat(normals)[below], flat(velocities)[below]
-    leading = np.einsum("fi,fi->f", normal, velocity) > 0.0
-    below, normal, velocity = below[leading], normal[leading], velocity[leading]
-    speed = np.sqrt(np.square(velocity).sum(axis=1))
-    size = depth[below] * np.minimum(speed / rest_speed, 1.0)
-    size *= np.broadcast_to(np.asarray(areas, dtype=np.float64), shape[:-1]).reshape(-1)[below]
-    stress = stress_per_depth_3d(
-        normal,
-        velocity / speed[:, None],
-        friction_angle_deg=friction_angle_deg,
-        density=density,
-        surface_friction=surface_friction,
-    )
-    force = size[:, None] * stress
-    arm = points.reshape(-1, 3)[below] - flat(np.asarray(about)[..., None, :])[below]
-    (fx, fy, fz), (x, y, z) = force.T, arm.T
-    # Sums over the faces of each foot.
-    feet, foot = math.prod(shape[:-2]), below // shape[-2]
-    rows = (fx, fy, fz, y * fz - z * fy, z * fx - x * fz, x * fy - y * fx)
-    sums = np.array([np.bincount(foot, row, feet) for row in rows], dtype=np.float64).T
-    return sums[:, :3].reshape(*shape[:-2], 3), sums[:, 3:].reshape(*shape[:-2], 3)
-
-
 LAWS: Mapping[str, FootLaw] = {
     "foot": FootLaw("foot", simulated_force, sd_deg=2.6),
     "rft": FootLaw("rft", resistive_force, "rft3d", sd_deg=8.0),
@@ -392,23 +303,20 @@ def _faces(shape: str) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 @lru_cache(maxsize=64)
-def _table(shape: str, surface_friction: float) -> FloatArray:
-    """Force over ξ R³ of a foot of unit radius, shape [descent, depth, 2]."""
+def resistive_table(shape: str, mu: float) -> FloatArray:
+    """Force over ξ R³ of a foot, and moment about its center over ξ R⁴, [descent, depth, 3].
+
+    Along the motion and up; about the level axis across the motion, left of it. The disc has none.
+    """
     height, normal, area = _faces(shape)
     levels, ring = np.unique(height, return_inverse=True)
-    force = np.empty((len(DESCENTS), len(DEPTHS), 2))
+    force = np.empty((len(DESCENTS), len(DEPTHS), 3))
     submerged = np.maximum(DEPTHS[:, None] - levels, 0.0)  # of each ring's centre
     for i, descent in enumerate(DESCENTS.tolist()):
         direction = np.array([math.cos(descent), 0.0, -math.sin(descent)])
-        alpha = stress_per_depth_3d(
-            normal,
-            np.broadcast_to(direction, normal.shape),
-            friction_angle_deg=30.0,
-            density=1.0,
-            surface_friction=surface_friction,
-        )
-        pushed = alpha[:, (0, 2)] * area[:, None] / stress_scale(30.0, 1.0)
-        rings = np.stack([np.bincount(ring, pushed[:, k]) for k in range(2)], axis=-1)
+        push = area * unit_stress(normal, np.broadcast_to(direction, normal.shape), mu).T
+        turning = (normal[:, 2] * push[0] - normal[:, 0] * push[2]) * (shape == "ball")
+        rings = np.stack([np.bincount(ring, row) for row in (push[0], push[2], turning)], axis=-1)
         force[i] = submerged @ rings
     return force
 
@@ -418,13 +326,11 @@ class LawAttributes(BaseModel):
 
 
 @lru_cache(maxsize=8)
-def _simulated(shape: str, surface_friction: float) -> tuple[float, float, FloatArray]:
+def simulated_table(shape: str, surface_friction: float) -> tuple[float, float, FloatArray]:
     """First φ [deg], step of the depth over the radius, and force over ρ g R³.
 
     The force has the shape [φ, descent, depth, 2], with a degree from one φ to the next.
     """
-    from scipy.interpolate import CubicSpline
-
     path = shipped_file("foot", shape, ".nc")
     axes = ("friction", "phi_deg", "tilt_deg", "ratio")
     with open_netcdf(path, LawAttributes, kind="foot law", schema=SCHEMA) as file:
@@ -437,12 +343,12 @@ def _simulated(shape: str, surface_friction: float) -> tuple[float, float, Float
             f"{friction[0]:g} to {friction[-1]:g}; give {low:.2g} to {high:.2g}, or take law 'rft'"
         )
     place = (surface_friction - friction[0]) / (friction[-1] - friction[0])
-    by_angle = _interpolated(stored, np.asarray(place * (len(friction) - 1)))
+    by_angle = interpolated(stored, np.asarray(place * (len(friction) - 1)))
     # Over φ: the logarithm of the lift, and the horizontal force over it.
     lift = np.maximum(by_angle[..., 1], 1e-12)
     whole = np.arange(angles[0], angles[-1] + 0.5)
     lift, along = (
-        CubicSpline(angles, values)(whole) for values in (np.log(lift), by_angle[..., 0] / lift)
+        _cubic_spline(angles, values, whole) for values in (np.log(lift), by_angle[..., 0] / lift)
     )
     force = np.stack([along * np.exp(lift), np.exp(lift)], axis=-1)  # [φ, tilt, ratio, 2]
     # Over the angle from the vertical: the lift is even, the horizontal force odd.
@@ -462,13 +368,29 @@ def _simulated(shape: str, surface_friction: float) -> tuple[float, float, Float
     # Nearer to the horizontal: as by resistive force theory.
     last = 0.5 * np.pi - turned[-1]
     rows, depths = np.flatnonzero(last - 1e-9 > DESCENTS), np.maximum(ratio, ratio[1]) / DEPTHS[1]
-    theory = _table(shape, surface_friction)
+    theory = resistive_table(shape, surface_friction)[..., :2]
     there, lowest = (
-        _interpolated(theory, *np.meshgrid(_row(turn), depths, indexing="ij"))
+        interpolated(theory, *np.meshgrid(_row(turn), depths, indexing="ij"))
         for turn in (DESCENTS[rows], np.array([last]))
     )
     table[:, rows] *= there / lowest
     return float(angles[0]), float(ratio[1]), table
+
+
+def _cubic_spline(nodes: FloatArray, values: FloatArray, places: FloatArray) -> FloatArray:
+    """Cubic spline through four or more nodes along the first axis, "not-a-knot" at its ends.
+
+    By cubes that begin at each node but the two at either end: de Boor, *A Practical Guide to
+    Splines*, 2001, chapters IV and VIII.
+    """
+
+    def basis(x: FloatArray) -> FloatArray:
+        part = ((x - nodes[0]) / (nodes[-1] - nodes[0]))[:, None]
+        begins = (nodes[2:-2] - nodes[0]) / (nodes[-1] - nodes[0])
+        return np.hstack([part ** np.arange(4), np.maximum(part - begins, 0.0) ** 3])
+
+    rows = basis(places) @ np.linalg.inv(basis(nodes))
+    return np.einsum("pn,n...->p...", rows, values)
 
 
 def _row(descent: ArrayLike) -> FloatArray:
@@ -476,21 +398,27 @@ def _row(descent: ArrayLike) -> FloatArray:
     return (np.asarray(descent) - DESCENTS[0]) / (DESCENTS[1] - DESCENTS[0])
 
 
-def _interpolated(table: FloatArray, *places: FloatArray) -> FloatArray:
-    """Rows of a table at places on its first axes [node]; arrays of one shape.
+def interpolated(table: FloatArray, *places: Any) -> Any:
+    """Rows of a table at places on its first axes [node]; arrays of one shape and library.
 
     Linear between nodes; beyond the first and the last as between the two that are next.
     """
+    xp, sizes = namespace(places[0]), table.shape[: len(places)]
+    rest = table.shape[len(places) :]
+    rows = like(places[0], table.reshape(-1, *rest))
     lows, parts = [], []
-    for place, count in zip(places, table.shape, strict=False):
-        lows.append(np.clip(place.astype(np.int64), 0, count - 2))
-        parts.append(place - lows[-1])
-    rest = (1,) * (table.ndim - len(places))
-    found = np.zeros(parts[0].shape + table.shape[len(places) :])
+    for place, count in zip(places, sizes, strict=True):
+        lows.append(whole(xp.clip(place, 0, count - 2)))
+        parts.append(place - like(place, lows[-1]))
+    found = 0.0
     for corner in itertools.product((0, 1), repeat=len(places)):
         share = math.prod(
             part if up else 1.0 - part for part, up in zip(parts, corner, strict=True)
         )
-        at = tuple(low + up for low, up in zip(lows, corner, strict=True))
-        found += np.reshape(share, np.shape(share) + rest) * table[at]
+        at = 0
+        for low, up, count in zip(lows, corner, sizes, strict=True):
+            at = at * count + low + up
+        found = found + xp.reshape(share, (*share.shape, *(1 for _ in rest))) * xp.take(
+            rows, at, axis=0
+        )
     return found

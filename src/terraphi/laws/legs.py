@@ -23,14 +23,14 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, Field, Json
 
 from terraphi.experiment.arrays import FloatArray
@@ -51,10 +51,13 @@ from terraphi.experiment.rig import (
 from terraphi.experiment.scenario import GRAVITY, Scenario
 from terraphi.laws.emulator import Process, fitted
 from terraphi.laws.law import (
+    STEP,
+    THEORY,
     LegLaw,
     ModelError,
     check_friction,
     is_similar,
+    leg_law,
     library_of_theory,
     remedy,
     rig_of,
@@ -67,6 +70,9 @@ from terraphi.laws.store import (
     nearest_library,
     shipped_library,
 )
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 NAME, SCHEMA = "legs", 2
 FORMER_NAME = "sand3d"
@@ -375,6 +381,10 @@ class Legs:
         where = f"law {self.name}, model_error.{leg}"
         return strictly(self.model_error.get(leg, {}), ModelError, where)
 
+    def forces(self, rig: Any, phi_deg: ArrayLike, **options: Any) -> xr.Dataset:
+        """Forces on the leg of a rig and their slope with φ, as :func:`forces` has them."""
+        return forces(self, rig, phi_deg, **options)
+
     def law(self, rig: Rig, cells: float = 1.0) -> LegLaw:
         """The law of a rig, in cells of a size over that of the rule [-].
 
@@ -515,6 +525,116 @@ def cells_in(scenario: Scenario | None, rig: Rig) -> float:
 Cases = tuple[FloatArray, FloatArray, FloatArray, tuple[Rig, ...]]
 
 
+def law_of(
+    library: Library | Legs, rig: Rig, scenario: Scenario | None, *, strict: bool = True
+) -> LegLaw:
+    """The law of a rig, of a simulation in its cells; errors as of `~terraphi.laws.law.leg_law`."""
+    if isinstance(library, Legs):
+        return library.law(rig, cells_in(scenario, rig))
+    if (scenario is None or strict) and library is shipped_library(THEORY):
+        library = library_of_theory(rig)
+    return leg_law(library, rig, strict=strict)
+
+
+def forces(
+    law: Library | Legs,
+    rig: Rig | Mapping[str, Any] | Path | str,
+    phi_deg: ArrayLike,
+    *,
+    leg: str | None = None,
+    density: float | None = None,
+    cohesion_pa: float = 0.0,
+    at: Mapping[str, float] | None = None,
+) -> xr.Dataset:
+    """Forces on the leg of a rig by a law, and their slope with φ.
+
+    They are as simulated: an answer's φ has the law's mean offset on real soils taken off.
+
+    Parameters
+    ----------
+    law
+        A law or library; as a method ``law.forces(rig, phi_deg)``.
+    rig
+        A :class:`~terraphi.Rig`, its keys, a TOML file, or ``li2013``.
+    phi_deg
+        Friction angles in the law's convention [deg], one or several.
+    leg
+        Shape of the leg, where the rig has several.
+    density
+        Bulk density [kg/m³]; forces are in proportion to it. By default that of the law's soil.
+    cohesion_pa
+        Cohesion [Pa], where the law knows it.
+    at
+        Values of a library's other parameters, by their dotted scenario keys.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``forces`` [N] and ``slope`` [N/deg], with the coordinates ``phi_deg``, ``force`` (``Fx``,
+        ``Fz``) and ``theta_deg``; and ``moment`` about the hip [N m], where the law has it.
+
+    Raises
+    ------
+    InputError
+        If the law is not for this rig, an angle, friction or cohesion is outside it, or a
+        parameter is missing.
+
+    Examples
+    --------
+    >>> curves = terraphi.law("legs").forces("li2013", [28.0, 33.0], leg="c", density=1600.0)
+    >>> curves.forces.dims
+    ('phi_deg', 'force', 'theta_deg')
+    >>> bool(curves.slope.sel(force="Fz").max() > 0.0)
+    True
+    """
+    import xarray as xr
+
+    apparatus = Rig.of(rig, leg)
+    of_rig = law_of(law, apparatus, None)
+    phi = np.atleast_1d(np.asarray(phi_deg, dtype=np.float64))
+    given = dict(at or {})
+    if PHI not in of_rig.keys or set(given) != {*of_rig.keys} - {PHI}:
+        others = sorted({*of_rig.keys} - {PHI})
+        raise InputError(f"law {law.name}: at has {sorted(given)}; expected the keys {others}")
+    i, x = of_rig.keys.index(PHI), np.empty((phi.size, len(of_rig.keys)))
+    for k, key in enumerate(of_rig.keys):
+        x[:, k] = phi if key == PHI else given[key]
+    low, high = of_rig.bounds
+    if phi.ndim != 1 or not ((x >= low) & (x <= high)).all():
+        ranges = [f"{key} {a:g} to {b:g}" for key, a, b in zip(of_rig.keys, low, high, strict=True)]
+        raise InputError(
+            f"law {law.name} is for {', '.join(ranges)}; found phi_deg = {phi.tolist()}"
+        )
+    if not (density is None or 100.0 <= density <= 10_000.0):
+        raise InputError(f"density = {density:g} kg/m³; 100 to 10000 kg/m³ are accepted")
+    heavier = 1.0 if density is None else density / of_rig.density
+    cohesion = cohesion_pa / (heavier * of_rig.density * GRAVITY * apparatus.length)
+    if not 0.0 <= cohesion <= of_rig.most_cohesion:
+        most = cohesion_pa / cohesion * of_rig.most_cohesion if cohesion else 0.0
+        raise InputError(f"cohesion_pa = {cohesion_pa:g}: law {law.name} is for 0 to {most:g} Pa")
+    ends, step = [], STEP * (high[i] - low[i])
+    for side in (-step, step):
+        moved = x.copy()
+        moved[:, i] = np.clip(phi + side, low[i], high[i])
+        ends.append((moved[:, i], of_rig(moved, cohesion)))
+    (before, lower), (after, upper) = ends
+    force = heavier * of_rig(x, cohesion)
+    dims = ("phi_deg", "force", "theta_deg")
+    slope = heavier * (upper - lower) / (after - before)[:, None, None]
+    found: dict[Any, Any] = {
+        "forces": (dims, force, {"units": "N"}), "slope": (dims, slope, {"units": "N/deg"}),
+    }  # fmt: skip
+    if of_rig.arm is not None:
+        moment = (of_rig.arm * force).sum(axis=1)
+        found["moment"] = (("phi_deg", "theta_deg"), moment, {"units": "N m"})
+    return xr.Dataset(
+        found,
+        {"phi_deg": phi, "force": ["Fx", "Fz"], "theta_deg": of_rig.theta_deg},
+        {"law": law.name, "rig": str(apparatus), "density_kg_m3": heavier * of_rig.density,
+         "cohesion_Pa": cohesion_pa},
+    )  # fmt: skip
+
+
 def cases_of(library: Library) -> Cases:
     """Cases of a library: `x`, `depth` and `force` of a law, and the rig of each.
 
@@ -578,9 +698,20 @@ def stored(name: Path | str) -> Library | Legs:
 
 
 def law_named(name: Path | str) -> Library | Legs:
-    """A law or library by name or file; raises InputError.
+    """A law of legs or a library, by its name or file.
 
-    A library over φ alone of legs that turn through the soil of law ``legs`` is joined to it.
+    Its method ``forces(rig, phi_deg)`` has the forces on a leg (:func:`forces`). A library over φ
+    alone of legs that turn through the soil of law ``legs`` is joined to it.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+
+    Examples
+    --------
+    >>> terraphi.law("legs").legs
+    ['c', 'reversed_c', 'straight']
     """
     found = stored(name)
     law = nearest_law(found.scenario)
@@ -589,6 +720,10 @@ def law_named(name: Path | str) -> Library | Legs:
     alike = set(differences(found.scenario, law.scenario)) <= VARIED
     of_phi = all(found.keys(leg) == (PHI,) for leg in found.legs)
     return law.joined(found) if alike and of_phi and _whole(found) else found
+
+
+law = law_named
+"""The public name of :func:`law_named`."""
 
 
 def _whole(library: Library) -> bool:

@@ -14,7 +14,7 @@ from typing import Any, Self
 from pydantic import Field, JsonValue, model_validator
 
 from terraphi.experiment.documents import Strict, located, parse_toml
-from terraphi.experiment.errors import InputError
+from terraphi.experiment.errors import InputError, needing
 from terraphi.experiment.rig import Rig, similar_scenario
 from terraphi.experiment.scenario import Scenario
 
@@ -45,7 +45,8 @@ class Sample(Strict):
 
     def points(self) -> list[dict[str, float]]:
         """Key to value of each point, rounded to six digits."""
-        from scipy.stats import qmc
+        with needing("[sample] of a plan", "SciPy", extra="simulate"):
+            from scipy.stats import qmc
 
         exponent = (self.count - 1).bit_length()
         unit = qmc.Sobol(len(self.keys), scramble=True, rng=self.seed).random_base2(exponent)

@@ -23,7 +23,9 @@ from terraphi.experiment.rig import contact_deg
 from terraphi.experiment.scenario import Scenario
 
 if TYPE_CHECKING:
+    import xarray as xr
     from matplotlib.figure import Figure
+    from numpy.typing import ArrayLike
 
 SCHEMA = 1
 """Version of the layout of a library file."""
@@ -123,6 +125,12 @@ class Library:
             digest.update(np.asarray(array, np.float32).tobytes())
         return digest.hexdigest()
 
+    def forces(self, rig: Any, phi_deg: ArrayLike, **options: Any) -> xr.Dataset:
+        """Forces on the leg of a rig and their slope with φ: `~terraphi.laws.legs.forces`."""
+        from terraphi.laws.legs import forces
+
+        return forces(self, rig, phi_deg, **options)
+
     @property
     def phi_deg_by_leg(self) -> dict[str, tuple[float, float]]:
         """Smallest and largest friction angle of each leg [deg]."""
@@ -168,16 +176,14 @@ class Library:
 
     def plot(self) -> Figure:
         """Force curves of each leg, coloured by φ, as a Matplotlib figure."""
-        from matplotlib import colormaps
-        from matplotlib.cm import ScalarMappable
-        from matplotlib.colors import Normalize
-
         from terraphi.experiment.figure import Figure as NewFigure
 
         figure = NewFigure(figsize=(9.0, 3.0 * len(self.legs)), layout="constrained")
+        from matplotlib import cm, colormaps, colors
+
         rows = figure.subfigures(len(self.legs), squeeze=False)[:, 0]
         ends = np.array([*self.phi_deg_by_leg.values()])
-        scale = Normalize(ends.min(), ends.max())
+        scale = colors.Normalize(ends.min(), ends.max())
         for row, leg in zip(rows, self.legs, strict=True):
             panels = row.subplots(1, 2)
             for case in self.cases:
@@ -187,7 +193,7 @@ class Library:
                     for axes in panels:
                         axes.lines[-1].set(color=colour, lw=0.8)
             row.suptitle(f"leg {leg}", fontsize=10)
-            row.colorbar(ScalarMappable(scale, "viridis"), ax=panels, label="φ [deg]")
+            row.colorbar(cm.ScalarMappable(scale, "viridis"), ax=panels, label="φ [deg]")
         return figure
 
     def keys(self, leg: str) -> tuple[str, ...]:

@@ -3,3 +3,9 @@
 `gaussian_process` is the surrogate, `likelihood` the residual covariance, the posterior and the
 sampler, `numbers` each result next to the one that the paper prints, `figures` the pictures.
 """
+
+from terraphi.experiment.errors import needing
+
+with needing("terraphi paper", "emcee, Matplotlib, Numba and SciPy", extra="plot,simulate"):
+    import matplotlib as mpl  # noqa: F401
+    import scipy  # noqa: F401

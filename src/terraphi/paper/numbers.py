@@ -101,7 +101,7 @@ def as_table(title: str, records: Iterable[Json], columns: str) -> Json:
     """Title, header, and a row for each record."""
 
     def cell(record: Json, path: str) -> str:
-        value = functools.reduce(operator.getitem, path.split("."), record)
+        value: Any = functools.reduce(operator.getitem, path.split("."), record)
         numbers = [value] if isinstance(value, float) else value
         return " to ".join(f"{x:.4g}" for x in numbers) if isinstance(numbers, list) else str(value)
 

@@ -11,15 +11,15 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import needing
 from terraphi.experiment.scenario import GRAVITY
 from terraphi.robot.model import Quadruped
 
-with needing("the legs of a robot:", "the package mujoco", extra="robot"):
+with needing("a robot", "MuJoCo and SciPy", extra="robot"):
     import mujoco
+    from scipy.spatial.transform import Rotation
 
 
 class TrunkMotion(NamedTuple):

@@ -17,14 +17,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from pydantic import Field
-from scipy.spatial.transform import Rotation
 
 from terraphi.experiment.arrays import BoolArray, FloatArray, IntArray
 from terraphi.experiment.budget import PARTS, unpacking
 from terraphi.experiment.documents import Strict, parse_toml, shipped_file
-from terraphi.experiment.errors import InputError, nearest
+from terraphi.experiment.errors import InputError, nearest, needing
 from terraphi.experiment.files import check_is_file, is_there, read_bytes
 from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, joint_place
+
+with needing("a robot", "MuJoCo and SciPy", extra="robot"):
+    from scipy.spatial.transform import Rotation
 
 if TYPE_CHECKING:
     import mujoco

@@ -142,7 +142,8 @@ class Footfalls:
         self._over = dict.fromkeys(FEET, -math.inf)
         """End of each foot's last stance that was answered [s]."""
         self._fitted: list[tuple[Touchdowns, Fit]] = []
-        self._places: FloatArray = np.zeros((0, 2))
+        self._brief: FloatArray = np.zeros((0, 5))
+        """Of each footfall x, y [m], whether it is torn, depth gained [m] and work returned [-]."""
         self._means: list[tuple[FloatArray, ...]] = []
         """Means of what weight and path need, a tuple for each piece."""
         self._map: FootfallMap | None = None
@@ -305,14 +306,13 @@ class Footfalls:
         for i in range(len(phi)):
             one, fitted = picked(seen, [i]), picked(found, [i])
             # Of the footfalls before, those near by are enough for the verdict.
-            apart = np.hypot(*(self._places - one.place[:, :2]).T)
+            apart = np.hypot(*(self._brief[:, :2] - one.place[:, :2]).T)
             near = [self._fitted[k] for k in np.flatnonzero(apart < BESIDE_RADII * prior.radius)]
             self._fitted.append((one, fitted))
-            self._places = np.concatenate([self._places, one.place[:, :2]])
+            brief = [*one.place[0, :2], one.torn[0], fitted.gained[0], one.returned[0]]
+            self._brief = np.vstack([self._brief, brief])
             touched, fits = zip(*near, (one, fitted), strict=True)
-            torn, gained, returned = np.array(
-                [(row.torn[0], fit.gained[0], row.returned[0]) for row, fit in self._fitted]
-            ).T
+            torn, gained, returned = self._brief[:, 2:].T
             median = walk_median(torn > 0.0, gained, returned)
             each = verdicts(_stacked(touched), _stacked(fits), prior.radius, returned=median)
             verdict = str(each[-1])

@@ -5,18 +5,16 @@ from __future__ import annotations
 import importlib.metadata
 import json
 from collections.abc import Callable, Mapping
-from numbers import Integral
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.errors import GUESSED, InputError, nearest
+from terraphi.experiment.arrays import FloatArray, seed_from
+from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import atomic_write
-from terraphi.experiment.outputs import SIGNATURE, changed, check_file
-from terraphi.experiment.soil import cone_slope
-from terraphi.forward.rft import stress_scale, to_plane_strain
+from terraphi.experiment.outputs import SIGNATURE, check_file
+from terraphi.forward.rft import stress_scale
 from terraphi.inference.answer import Answer, StoredAnswer
 from terraphi.laws.foot import LAWS, Foot
 from terraphi.terrain.simulators import (
@@ -27,16 +25,10 @@ from terraphi.terrain.simulators import (
     in_words,
     simulator,
 )
+from terraphi.terrain.soils import SoilDistribution, soil
 
-ANGLES = ("phi_deg", "phi_plane_strain_deg")
-EXACT = ("plane_strain", "rft3d")
-"""Conventions whose plane-strain angle follows from the angle alone."""
-AGREEMENT_DEG = 0.01
-"""Rounding of an answer's angles [deg]."""
 FORMATS = {".py": "python", ".json": "json", ".usda": "usda"}
 """Suffix of a file to what is written into it."""
-MOST_DRAWS = 100_000
-"""Draws of an export at most."""
 PLATE = Foot(0.05, "disc")
 """Plate whose sinkage gives Bekker's parameters."""
 LEG_FRICTION_ABOUT = "that of the library's leg, unless it was inferred; None: unknown"
@@ -47,23 +39,27 @@ JANOSI = (0.010, 0.025)
 
 
 def export(
-    answer: Answer | StoredAnswer | Path | str,
+    answer: SoilDistribution | Answer | StoredAnswer | Path | str,
     *,
     to: str,
+    density: float | str | None = None,
     match: Match = "plane-strain",
     dp_type: str | None = None,
     draws: int = 0,
     seed: int = 0,
+    rng: Any = None,
     anyway: bool = False,
     out: Path | str | None = None,
 ) -> dict[str, Any]:
-    """Write a simulator's parameters from an answer.
+    """Write a simulator's parameters from an answer, a soil or an angle.
 
     Parameters
     ----------
     answer
-        An answer, the folder of ``terraphi invert --out``, its ``answer.nc``, or the output of
-        ``invert --json``.
+        An answer, or what :func:`~terraphi.soil` takes: the folder of ``terraphi invert --out``,
+        its ``answer.nc``, the output of ``invert --json``, the name of a soil, or φ as ``"33±2"``.
+    density
+        Bulk density of a soil that has none of its own [kg/m³], as ``"1600±40"``.
     to
         The simulator: ``genesis``, ``newton``, ``isaaclab``, ``chrono-crm``, ``chrono-scm``,
         ``geotaichi`` or ``rft3d``.
@@ -73,8 +69,9 @@ def export(
         Cone of GeoTaichi: ``Circumscribed``, ``MiddleCircumscribed`` (default) or ``Inscribed``.
     draws
         Number of draws of the posterior.
-    seed
-        Of the choice of draws.
+    seed, rng
+        Of the choice of draws: an integer, or as ``rng`` also a ``numpy.random.Generator``
+        (SPEC 7), from which a seed is drawn.
     anyway
         Whether an answer whose verdict is not ``consistent`` is accepted.
     out
@@ -100,18 +97,18 @@ def export(
     >>> found["parameter"], len(found["draws"])
     ('friction_angle', 64)
     """
+    seed = seed_from(seed, rng)
     target = simulator(to, dp_type=dp_type)
     check_dp_type(dp_type, to)
     if match not in MATCHES:
         raise InputError(f"unknown stress path '{match}'; {nearest(match, MATCHES)}")
-    if isinstance(draws, bool) or not (isinstance(draws, Integral) and 0 <= draws <= MOST_DRAWS):
-        raise InputError(f"draws = {draws!r}; 0 to {MOST_DRAWS} are accepted")
     path = None if out is None else Path(out)
     if path is not None:
         if path.suffix not in FORMATS:
             raise InputError(f"{path}: name a .py, .json or .usda file")
         check_file(path)
-    found = _parameters(StoredAnswer.of(answer), target, match, draws, seed, anyway=anyway)
+    of_soil = soil(answer, density=density, anyway=anyway)
+    found = _parameters(of_soil, target, match, draws, seed)
     if path is not None:
         content = text(found, FORMATS[path.suffix])
         with atomic_write(path) as temporary:
@@ -120,35 +117,17 @@ def export(
 
 
 def _parameters(
-    read: StoredAnswer, to: Simulator, match: Match, draws: int, seed: int, *, anyway: bool
+    soil: SoilDistribution, to: Simulator, match: Match, draws: int, seed: int
 ) -> dict[str, Any]:
     """What :func:`export` returns."""
-    answer = read.answer
-    if None in (answer[name] for name in ANGLES):
-        reason = answer.get("phi_plane_strain_reason") or "it was not inferred"
-        raise InputError(f"{read.source}: no friction angle in plane strain: {reason}")
-    _check(read)
-    caution = " ".join(q for q in answer.get("questions", ()) if GUESSED not in q)
-    if answer["verdict"] != "consistent":
-        caution = f"the verdict is {answer['verdict'].replace('_', ' ')}: {answer['reason']}"
-        if not anyway:
-            raise InputError(f"{read.source}: {caution} To export it all the same, add --anyway")
-    caution = ". ".join(filter(None, [changed(Path(read.source)), caution]))
-    chosen, lost = np.empty(0), 0.0
-    if draws:
-        every = in_plane_strain(read)
-        there = every[np.isfinite(every)]
-        lost = 1.0 - there.size / every.size
-        chosen = np.random.default_rng(seed).choice(there, draws, replace=draws > there.size)
-    phi = dict(answer["phi_plane_strain_deg"])
-    density, assumed = answer["density_kg_m3"], answer.get("density_assumed", True)
-    records = [one["source"] for one in answer.get("records", ())]
-    inferred = answer.get("parameters", {}).get("leg.friction")
-    friction = inferred["median"] if inferred else answer.get("leg_friction")
+    chosen, densities = soil.draws(draws, rng=seed)
+    lost = float(np.mean(~np.isfinite(soil.phi_values))) if draws else 0.0
+    phi = soil.phi.as_dict()
+    density = soil.density
     values = _summary(lambda angle: to.from_angle(angle, match), phi, chosen)
     found = {
         "made": f"{SIGNATURE} {importlib.metadata.version('terraphi')}",
-        "caution": caution,
+        "caution": soil.caution,
         "to": to.name,
         "title": to.title,
         "parameter": to.parameter,
@@ -162,27 +141,22 @@ def _parameters(
         "draws_go_to": to.draws_go_to,
         "draws_without_equivalent": lost,
         "phi_plane_strain_deg": phi,
-        "density_kg_m3": float(density),
-        "density_assumed": assumed,
-        "leg_friction_assumed": friction,
+        "density_kg_m3": density,
+        "density_assumed": soil.density_assumed,
+        "density_draws_kg_m3": densities.round(3).tolist(),
+        "leg_friction_assumed": soil.leg_friction,
         "dilation_deg": 0.0,
         "cohesion_Pa": 0.0,
         "not_inferred": to.not_inferred,
-        "source": {
-            "answer": read.source,
-            "record": answer.get("source") or ", ".join(records),
-            "law": answer["law"],
-            "verdict": answer["verdict"],
-            "draws_seed": seed,
-            "provenance": answer.get("provenance", {}),
-        },
+        "source": {**soil.origin, "draws_seed": seed},
     }
     if to.name == "chrono-scm":
-        found |= bekker(phi, chosen, float(density), seed=seed)
+        found |= bekker(phi, chosen, density, seed=seed)
     if to.name == "rft3d":
         about = "[N/m³] ξ_n, which all stresses per depth are proportional to"
         scale = _summary(lambda a: float(stress_scale(to.from_angle(a), density)), phi, chosen)
-        found["XI_N"] = {**scale, "about": about}
+        plane = {**_summary(float, phi, chosen), "about": "[deg] φ in plane strain, of wrench"}
+        found |= {"XI_N": {**scale, "about": about}, "PHI_PLANE_STRAIN_DEG": plane}
     return found
 
 
@@ -239,45 +213,6 @@ def _summary(
     return {"median": round(of(float(phi["median"])), 6), **ends, "draws": draws}
 
 
-def _check(read: StoredAnswer) -> None:
-    """Refuse medians and intervals that do not belong together, as of an answer edited by hand."""
-    angles = (read.answer[name] for name in ANGLES)
-    own, given = (np.array([one["median"], *one["ci68"], *one["ci95"]]) for one in angles)
-    expected = _to_plane_strain(read, own)
-    if read.answer["phi_deg"].get("yield") in EXACT and not np.allclose(
-        expected, given, rtol=0.0, atol=AGREEMENT_DEG
-    ):
-        pair = f"phi_deg {own[0]:.1f} is {expected[0]:.1f} in plane strain"
-        raise InputError(f"{read.source}: {pair}, found {given[0]:.1f}; invert again")
-
-
-def _to_plane_strain(read: StoredAnswer, phi_deg: FloatArray) -> FloatArray:
-    """Angles of an answer's convention as in plane strain [deg]; not a number if there is none."""
-    convention = read.answer["phi_deg"].get("yield")
-    if convention in ("paper", "plane_strain"):
-        sine = [cone_slope(phi, convention) for phi in phi_deg]
-        return np.asarray(np.degrees(np.arcsin(sine)))
-    return to_plane_strain(phi_deg)
-
-
-def in_plane_strain(read: StoredAnswer) -> FloatArray:
-    """Draws of φ as plane-strain angles [deg], shape [draw]; not a number if there is none.
-
-    Raises
-    ------
-    InputError
-        If there are no draws, or the conversion does not reproduce the answer's own medians.
-    """
-    if not read.draws_deg.size:
-        where = "name the folder of 'terraphi invert --out', or its answer.nc"
-        raise InputError(f"{read.source}: has no draws of the posterior; {where}")
-    median = _to_plane_strain(read, np.array([read.answer["phi_deg"]["median"]]))
-    if not abs(median[0] - read.answer["phi_plane_strain_deg"]["median"]) < 1e-6:
-        why = f"draws of '{read.answer['phi_deg']['yield']}' cannot be converted to plane strain"
-        raise InputError(f"{read.source}: {why}; leave out --draws")
-    return _to_plane_strain(read, read.draws_deg)
-
-
 def text(found: Mapping[str, Any], form: str) -> str:
     """Content of a file in a form of :data:`FORMATS`, from what :func:`export` found.
 
@@ -299,7 +234,9 @@ def text(found: Mapping[str, Any], form: str) -> str:
             f"    float newton:mpm:internalFriction = {found['value']:.6f}\n}}\n"
         )
     constants = {found["parameter"].upper(): found["value"], "DRAWS": found["draws"]}
-    constants |= {"DENSITY": found["density_kg_m3"], "LEG_FRICTION": found["leg_friction_assumed"]}
+    constants |= {"DENSITY": found["density_kg_m3"]}
+    constants |= {"DENSITY_DRAWS": found["density_draws_kg_m3"]}
+    constants |= {"LEG_FRICTION": found["leg_friction_assumed"]}
     if found["dp_type"]:
         constants["DP_TYPE"] = found["dp_type"]
     for name in filter(str.isupper, found):
@@ -323,7 +260,7 @@ def _value(found: Mapping[str, Any]) -> str:
 def _about(found: Mapping[str, Any]) -> str:
     """Docstring of the module."""
     phi, lost = found["phi_plane_strain_deg"], found["draws_without_equivalent"]
-    low, high = phi["ci95"]
+    source, (low, high) = found["source"], phi["ci95"]
     matched = {
         "plane-strain": f"Matched in plane strain: {found['formula']}.",
         "triaxial": "Matched in triaxial compression: stronger than φ in plane strain.",
@@ -332,12 +269,14 @@ def _about(found: Mapping[str, Any]) -> str:
     lines = [
         f"Soil for {found['title']}; {found['made']}.\n",
         f"CAUTION: {found['caution']}" if found["caution"] else "",
-        "From {answer}: {record}, law {law}.".format_map(found["source"]),
+        "From {answer}: {record}, law {law}.".format_map(source)
+        if "answer" in source
+        else "{soil}, {source}.".format_map(source),
         f"φ {phi['median']:.1f} deg in plane strain, 95 %: {low:.1f} to {high:.1f}.",
         f"{_value(found)}; it means: {found['meaning']}.",
         matched,
-        "Without dilation and cohesion, as the soil was inferred.",
-        f"DRAWS are of the posterior: {found['draws_go_to']}." if found["draws"] else "",
+        "Without dilation and cohesion, as the soil of the law.",
+        f"DRAWS go with DENSITY_DRAWS: {found['draws_go_to']}." if found["draws"] else "",
         f"{lost:.1%} of the draws have no equivalent: left out, or at the limit." if lost else "",
         f"DENSITY [kg/m³] was {density}.",
         f"LEG_FRICTION is {found.get('leg_friction_about', LEG_FRICTION_ABOUT)}.",
@@ -416,11 +355,12 @@ USES = {
     plastic = {"Friction": value, "dpType": DP_TYPE, "Dilation": 0.0, "Cohesion": 0.0}
     return {"MaterialID": 1, "Density": DENSITY, **elastic, **plastic, **others}
 ''',
-    "rft3d": '''def soil(value=FRICTION_ANGLE_DEG, surface_friction=LEG_FRICTION):
-    """Keywords of terraphi.laws.foot.wrench: force and moment on the mesh of a foot."""
-    return {
-        "friction_angle_deg": value, "density": DENSITY, "surface_friction": surface_friction,
-    }
+    "rft3d": '''def soil(
+    phi_deg=PHI_PLANE_STRAIN_DEG, density=DENSITY, surface_friction=LEG_FRICTION
+):
+    """Keywords of force and wrench of terraphi.laws.wrench; φ is that of plane strain."""
+    friction = 0.4 if surface_friction is None else surface_friction
+    return {"phi_deg": phi_deg, "density": density, "surface_friction": friction}
 ''',
 }
 """Functions of the exported module that hand the constants to the simulator."""

@@ -23,12 +23,15 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.sparse import csr_array
-from scipy.special import expit, logit
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.budget import POINTS
+from terraphi.experiment.errors import needing
 from terraphi.terrain.inputs import STEEPEST_DEG, Elevation
+
+with needing("a map", "rasterio, scikit-learn and SciPy", extra="terrain"):
+    from scipy.sparse import csr_array
+    from scipy.special import expit, logit
 
 STEEPEST = np.tan(np.radians(STEEPEST_DEG))
 CENTRE_DEG = 30.0

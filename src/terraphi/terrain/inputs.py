@@ -161,7 +161,7 @@ def read_layer(path: Path, on: Elevation, points: pd.DataFrame) -> Float32:
 def _read(path: Path) -> tuple[Float32, Any, Any, str]:
     """First band with nodata as not a number; coordinate system, transform and unit."""
     os.environ.update(OFFLINE)
-    with needing("a map", "rasterio and scikit-learn", extra="terrain"):
+    with needing("a map", "rasterio, scikit-learn and SciPy", extra="terrain"):
         import rasterio
     check_is_file(path)
     try:
@@ -219,15 +219,18 @@ def start_from(text: str) -> Start:
     return Start(x, y, bearing)
 
 
-def read_points(path: Path, dem: Elevation, start: Start | None = None) -> tuple[pd.DataFrame, int]:
+def read_points(
+    points: Any, dem: Elevation, start: Start | None = None
+) -> tuple[pd.DataFrame, int]:
     """Read points, and find their cells in an elevation model.
 
     Parameters
     ----------
-    path
-        A CSV with the columns ``x_m,y_m,phi_deg,sd_deg[,shared_sd_deg]`` in the coordinate system
-        of the elevation model, which a first line ``# crs: EPSG:32611`` may confirm; or the
-        NetCDF or CSV of a walk's footfalls, of which the usable ones are used.
+    points
+        A CSV or DataFrame with the columns ``x_m,y_m,phi_deg,sd_deg[,shared_sd_deg]`` in the
+        coordinate system of the elevation model, which a first line ``# crs: EPSG:32611`` of the
+        CSV may confirm; or the footfalls of a walk, or their NetCDF or CSV, of which the usable
+        ones are used.
     dem
         The elevation model.
     start
@@ -247,10 +250,15 @@ def read_points(path: Path, dem: Elevation, start: Start | None = None) -> tuple
     """
     import rasterio
 
-    if path.suffix == ".nc":
-        table = FootfallMap.load(path).summary().rename(index=lambda row: f"footfall {row}")
-    else:
+    path = type(points).__name__ if isinstance(points, FootfallMap | pd.DataFrame) else Path(points)
+    if isinstance(path, Path) and path.suffix == ".nc":
+        points = FootfallMap.load(path)
+    if isinstance(points, FootfallMap):
+        table = points.summary().rename(index=lambda row: f"footfall {row}")
+    elif isinstance(path, Path):
         table = _csv(path, dem)
+    else:
+        table = points.rename(index=lambda row: f"row {row}")
     table = table.rename(columns={"relative_sd_deg": "sd_deg"})  # of footfalls
     walk = "verdict" in table
     for name in table:

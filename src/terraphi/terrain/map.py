@@ -5,20 +5,25 @@ from __future__ import annotations
 import importlib.metadata
 import json
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from scipy.spatial import cKDTree
 
+from terraphi.experiment.arrays import seed_from
 from terraphi.experiment.errors import InputError
+from terraphi.experiment.outputs import output_folder
 from terraphi.terrain import inputs, slopes
 from terraphi.terrain.field import Field, degrees_per_z, fit, tangent
 
-KIND, SUMMARY = "slope map", "map.json"
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import Figure
+
+KIND, SUMMARY, PICTURE = "slope map", "map.json", "map.png"
 LAYERS = {
     "p_unstable": ("probability that the factor of safety is below 1", "1"),
     "fs_median": ("median of the factor of safety, at most 100", "1"),
@@ -39,6 +44,15 @@ BEYOND = 0.1
 """Share of the points' range of a covariate by which a cell may lie outside."""
 BLOCK = 4096
 """Cells computed together; bounds the memory."""
+
+MOST_PIXELS = 800
+"""Along the longer side of a picture; larger maps are thinned."""
+PANELS = (
+    ("p_unstable", "probability of a factor of safety below 1", "YlOrRd", (0.0, 1.0)),
+    ("phi_median", "φ in plane strain, median [deg]", "viridis", (None, None)),
+    ("phi_sd", "φ, standard deviation [deg]", "Purples", (None, None)),
+    ("phi_share", "share of the variance that is due to φ", "Blues", (0.0, None)),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +75,61 @@ class SlopeMap:
     layers: Mapping[str, Any]
     summary: Mapping[str, Any]
 
-    def write(self, folder: Path) -> None:
-        """Write a GeoTIFF each and the summary into a folder."""
+    def to_xarray(self) -> xr.Dataset:
+        """Layers over y and x [m], with their units."""
+        import xarray as xr
+
+        layers = {
+            name: (("y", "x"), self.layers[name], {"long_name": about, "units": unit})
+            for name, (about, unit) in LAYERS.items()
+        }
+        return xr.Dataset(layers, {"y": self.dem.y, "x": self.dem.x}, {"crs": str(self.dem.crs)})
+
+    def plot(self) -> Figure:
+        """Four maps with the points, hatched where the field extrapolates."""
+        from terraphi.experiment.figure import Figure as NewFigure
+
+        every = max(1, -(-max(self.dem.height.shape) // MOST_PIXELS))
+        thin = (slice(None, None, every), slice(None, None, every))
+        x, y, half = self.dem.x, self.dem.y, 0.5 * self.dem.cell
+        extent = (x[0] - half, x[-1] + half, y[-1] - half, y[0] + half)
+        on_map: dict[str, Any] = {"extent": extent, "origin": "upper"}
+        height = np.ma.masked_invalid(self.dem.height[thin])
+        beyond = (self.layers["extrapolated"][thin] == 1).astype(float)
+        size = 5.2 * min(max((extent[3] - extent[2]) / (extent[1] - extent[0]), 0.4), 2.0)
+        figure = NewFigure(figsize=(11.0, 1.7 * size + 0.6), layout="constrained")
+        grid = figure.subplots(2, 2, sharex=True, sharey=True)
+        for axes, (name, title, colours, (low, high)) in zip(grid.flat, PANELS, strict=True):
+            values = np.ma.masked_invalid(self.layers[name][thin])
+            shown = axes.imshow(values, cmap=colours, vmin=low, vmax=high, **on_map)
+            figure.colorbar(shown, ax=axes, shrink=0.8)
+            if min(height.shape) > 1 and height.min() < height.max():
+                axes.contour(height, 10, colors="black", linewidths=0.4, alpha=0.6, **on_map)
+            if beyond.any():
+                axes.contourf(beyond, levels=[0.5, 1.5], colors="none", hatches=["////"], **on_map)
+            axes.plot(self.points.x_m, self.points.y_m, "k.", ms=2.5)
+            axes.set_title(title, fontsize=10)
+            axes.ticklabel_format(useOffset=False, style="plain")
+            axes.tick_params(labelsize=7)
+        figure.supxlabel("x [m]", fontsize=9)
+        figure.supylabel("y [m]", fontsize=9)
+        legend = "Points: measured φ. Hatched: extrapolated. Thin lines: elevation."
+        figure.suptitle(legend, fontsize=10)
+        return figure
+
+    def save(self, folder: Path | str) -> None:
+        """Write a GeoTIFF of each layer, ``map.json`` and ``map.png`` into a folder, all or none.
+
+        Raises
+        ------
+        InputError
+            If the folder cannot be written, or holds other things.
+        """
+        with output_folder(Path(folder), kind=KIND, last=SUMMARY) as place:
+            self._write(place)
+            self.plot().savefig(place / PICTURE, dpi=150)
+
+    def _write(self, folder: Path) -> None:
         import rasterio
 
         for name, (about, unit) in LAYERS.items():
@@ -82,15 +149,16 @@ class SlopeMap:
 
 
 def map_slopes(
-    points: Path,
-    dem: Path,
+    points: Any,
+    dem: Path | str,
     *,
-    start: inputs.Start | None = None,
-    prior: tuple[str, ...] = (),
-    wetness: Path | None = None,
-    covariate: Path | None = None,
+    start: inputs.Start | str | None = None,
+    prior: Sequence[str] | str = (),
+    wetness: Path | str | None = None,
+    covariate: Path | str | None = None,
     draws: int = 128,
     seed: int = 0,
+    rng: Any = None,
     progress: Callable[[float, float], None] = lambda _done, _all: None,
 ) -> SlopeMap:
     """Map the stability of slopes from friction angles at points.
@@ -98,40 +166,56 @@ def map_slopes(
     Parameters
     ----------
     points
-        As in :func:`~terraphi.terrain.inputs.read_points`.
+        A CSV or DataFrame with the columns ``x_m,y_m,phi_deg,sd_deg[,shared_sd_deg]`` in the
+        coordinates of the elevation model; or footfalls, or their NetCDF or CSV.
     dem
-        Digital elevation model in metres.
+        Digital elevation model: a GeoTIFF in metres.
     start
-        Where the walk began whose footfalls the points are; without it, their places are in the
-        coordinates of the elevation model.
+        Where the walk began whose footfalls the points are, such as ``"500012,4000034,90"``: x, y
+        in the coordinates of the elevation model [m], and the first heading, clockwise from north
+        [deg]. Without it, places are in these coordinates.
     prior
-        As in :func:`~terraphi.terrain.slopes.priors_of`.
+        What is known of the slope, such as ``["cohesion_Pa=0:500", "wetness=0.3+-0.2"]``
+        (:func:`~terraphi.terrain.slopes.priors_of`).
     wetness
         Raster of m on the grid of the elevation model, in place of its prior.
     covariate
         Raster of a quantity on which φ may depend, such as burn severity, on the same grid.
     draws
         Joint draws of the field and all priors, for the unstable area.
-    seed
-        Of all draws.
+    seed, rng
+        Of all draws: an integer, or as ``rng`` also a ``numpy.random.Generator`` (SPEC 7),
+        from which a seed is drawn.
     progress
         Called with the work done and all of it.
 
     Raises
     ------
     InputError
-        If a file cannot be used, or they do not fit each other.
+        If a file cannot be used, or they do not fit each other; if the extra ``terrain`` is
+        missing.
+
+    Notes
+    -----
+    Of the footfalls of a walk::
+
+        walk = terraphi.footfalls("walk.csv", density="1550±80")
+        found = terraphi.map(walk, "dem.tif", start="500012,4000034,90", prior=["wetness=0"])
+        found.to_xarray()["p_unstable"].plot()
+        found.save("slopes")
     """
     began = time.perf_counter()
-    ground = inputs.read_elevation(dem)
+    seed = seed_from(seed, rng)
+    start = inputs.start_from(start) if isinstance(start, str) else start
+    ground = inputs.read_elevation(Path(dem))
     known, left_out = inputs.read_points(points, ground, start)
-    priors = slopes.priors_of(prior)
+    priors = slopes.priors_of([prior] if isinstance(prior, str) else prior)
     named, layer, wet = ["elevation", "slope"], [ground.height, ground.slope], None
     if covariate is not None:
-        named.append(covariate.stem)
-        layer.append(inputs.read_layer(covariate, ground, known))
+        named.append(Path(covariate).stem)
+        layer.append(inputs.read_layer(Path(covariate), ground, known))
     if wetness is not None:
-        wet = inputs.read_layer(wetness, ground, known)
+        wet = inputs.read_layer(Path(wetness), ground, known)
         least, most = float(np.nanmin(wet)), float(np.nanmax(wet))
         if not 0.0 <= least <= most <= 1.0:
             raise InputError(f"{wetness}: values from {least:g} to {most:g}, expected 0 to 1")
@@ -149,6 +233,8 @@ def map_slopes(
     # A Sobol sequence is even at powers of two.
     joint = slopes.Sample.of(priors, 1 << max(draws - 1, 1).bit_length(), seed + 1)
     drawn = field.draws(joint.normal.size, seed).astype(np.float32).T
+    from scipy.spatial import cKDTree
+
     tree = cKDTree(known[["x_m", "y_m"]].to_numpy())
     far = min(field.learnt["length_m"], FARTHEST * max(np.ptp(ground.x), np.ptp(ground.y)))
     slack = BEYOND * np.ptp(at_points, axis=0) + 1e-6
@@ -182,7 +268,7 @@ def map_slopes(
     summary = {
         "terraphi_file": KIND,
         "terraphi": importlib.metadata.version("terraphi"),
-        "points": str(points),
+        "points": str(points) if isinstance(points, str | Path) else type(points).__name__,
         "points_used": len(known),
         "points_left_out": left_out,
         "dem": ground.source,

@@ -19,7 +19,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from numbers import Real
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, cast, get_args
 
 from terraphi.experiment.errors import InputError, nearest
 
@@ -235,14 +235,19 @@ def check_dp_type(dp_type: str | None, *names: str | None) -> None:
 
 
 def convert(
-    value: float, *, from_: str, to: str | None = None, dp_type: str | None = None
+    value: float | str,
+    *,
+    from_: str | None = None,
+    to: str | None = None,
+    dp_type: str | None = None,
 ) -> dict[str, Any]:
-    """Friction angles that act where a simulator's friction has a value.
+    """Friction angles that act where a simulator's friction has a value, or the reverse.
 
     Parameters
     ----------
     value
-        The parameter of ``from_``, in its unit.
+        The parameter of ``from_``, in its unit. Without ``from_`` a soil, as of
+        :func:`~terraphi.soil`: φ in plane strain as ``"33±2"``, a name, or an answer.
     from_, to
         Names of simulators: ``genesis``, ``newton``, ``isaaclab``, ``chrono-crm``,
         ``chrono-scm``, ``geotaichi`` or ``rft3d``.
@@ -254,7 +259,8 @@ def convert(
     dict
         ``phi_plane_strain_deg`` and ``phi_triaxial_deg``: the Mohr-Coulomb angles as which it acts
         in plane strain without dilation and in triaxial compression, ``None`` where it is stronger
-        than any; ``value`` of ``to`` with its parameter, equally strong in plane strain.
+        than any; ``value`` of ``to`` with its parameter, equally strong in plane strain. Of a soil,
+        what :func:`~terraphi.export` returns.
 
     Raises
     ------
@@ -266,18 +272,28 @@ def convert(
     >>> found = terraphi.convert(0.68, from_="newton", to="genesis")
     >>> round(found["phi_plane_strain_deg"], 1), round(found["value"], 1)
     (42.8, 29.5)
+    >>> round(terraphi.convert("33±2", to="newton")["value"], 3)
+    0.545
     """
+    if from_ is None:
+        from terraphi.terrain.export import export
+
+        if to is None:
+            raise InputError(f"convert {value}: name the simulator that it is from, or to")
+        return export(value if isinstance(value, str) else f"{value:g}", to=to, dp_type=dp_type)
     given = simulator(from_, dp_type=dp_type)
     check_dp_type(dp_type, from_, to)
     least, most, unit = (LEAST_DEG, 90.0, " degrees, not radians") if given.unit else (0, 2, "")
-    if not (isinstance(value, Real) and least < value < most):
+    real = isinstance(cast("object", value), Real)
+    number = float(value) if real else math.nan
+    if not least < number < most:
         expected = f"{given.title} expects {least:g} to {most:g}{unit}"
         raise InputError(f"{given.parameter} = {value!r}: {expected}")
-    ratio = given.law.ratio(value)
+    ratio = given.law.ratio(number)
     found: dict[str, Any] = {
         "from": from_,
         "parameter": given.parameter,
-        "given": value,
+        "given": number,
         "meaning": given.law.meaning,
         "phi_plane_strain_deg": angle_of_ratio(ratio),
         # The shear strength of one plane does not determine that of other stress paths.
@@ -288,7 +304,7 @@ def convert(
     wanted = simulator(to, dp_type=dp_type)
     other = wanted.law.value(ratio)
     if math.isnan(other):
-        strength = f"{given.parameter} {in_words(value, given.unit)} of {from_}"
+        strength = f"{given.parameter} {in_words(number, given.unit)} of {from_}"
         raise InputError(f"{wanted.title}: cannot be as strong as {strength}")
     found |= {"to": to, "to_parameter": wanted.parameter, "to_unit": wanted.unit}
     return found | {"value": other}
@@ -296,6 +312,10 @@ def convert(
 
 def converted_in_words(found: dict[str, Any]) -> list[str]:
     """Result of :func:`convert`, a sentence each."""
+    if "from" not in found:
+        from terraphi.terrain.export import headline
+
+        return [headline(found), f"It means {found['meaning']}."]
     sentences = ["{from}: {parameter} {given:g} means {meaning}.".format_map(found)]
     for name, path in {"plane_strain": "plane strain", "triaxial": "triaxial compression"}.items():
         phi = found[f"phi_{name}_deg"]

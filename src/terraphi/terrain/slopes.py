@@ -19,13 +19,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.special import logit, ndtr, ndtri
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.errors import InputError, nearest
+from terraphi.experiment.errors import InputError, nearest, needing
 from terraphi.experiment.files import number_with_sd, plain_number
 from terraphi.experiment.scenario import GRAVITY
 from terraphi.terrain.field import STEEPEST, tangent
+
+with needing("a map", "rasterio, scikit-learn and SciPy", extra="terrain"):
+    from scipy.special import logit, ndtr, ndtri
 
 WATER = 1000.0
 """Density of water [kg/m³]."""

@@ -25,6 +25,7 @@ import tempfile
 from collections.abc import Callable
 from contextlib import redirect_stdout
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
@@ -33,15 +34,15 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray, IntArray
 from terraphi.experiment.errors import InputError, nearest, needing
-from terraphi.experiment.files import atomic_write, number_with_sd, plain_number
+from terraphi.experiment.files import atomic_write, plain_number
 from terraphi.experiment.outputs import SIGNATURE, check_file
 from terraphi.experiment.scenario import GRAVITY
-from terraphi.forward.rft import from_plane_strain, stress_scale
-from terraphi.inference.answer import StoredAnswer
-from terraphi.laws.foot import LAWS, Foot, wrench
-from terraphi.terrain.export import FORMATS, in_plane_strain, text
+from terraphi.laws.foot import LAWS, Foot
+from terraphi.laws.wrench import Mesh, force
+from terraphi.terrain.export import FORMATS, text
 from terraphi.terrain.simulators import in_words as value_in_words
 from terraphi.terrain.simulators import simulator
+from terraphi.terrain.soils import soil
 
 DOWN = 0.5 * np.pi
 THIRDS, PLACES = 3, 3
@@ -114,24 +115,18 @@ class Sole:
             raise InputError(f"foot {name}: give disc:RADIUS, ball:RADIUS (in m) or a .obj file")
         vertices, faces = _read_obj(Path(name))
         sole = cls(name, vertices, faces, math.nan)
-        _, normals, areas = sole.panels()
-        area = float(np.sum(areas * np.maximum(-normals[:, 2], 0.0)))
+        area = float(np.sum(sole.mesh.areas * np.maximum(-sole.mesh.normals[:, 2], 0.0)))
         return replace(sole, radius=math.sqrt(area / math.pi))
 
-    def panels(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Centres [m] and outward unit normals, shape [face, 3]; areas [m²], shape [face]."""
-        first, second, third = (self.vertices[self.faces[:, k]] for k in range(3))
-        normals = np.cross(second - first, third - first)
-        doubled = np.linalg.norm(normals, axis=1)
-        keep = doubled > 0.0
-        centres = (first + second + third)[keep] / 3.0
-        return centres, normals[keep] / doubled[keep, None], 0.5 * doubled[keep]
+    @cached_property
+    def mesh(self) -> Mesh:
+        """Its faces."""
+        return Mesh.of(self.vertices, self.faces)
 
     def flatness(self, depth: FloatArray) -> FloatArray:
         """1 for a disc, 0 for a ball, shape [depth]: by the mean depth of the lower faces."""
-        centres, normals, areas = self.panels()
-        downward = areas * np.maximum(-normals[:, 2], 0.0)
-        below = np.maximum(depth[:, None] - centres[:, 2], 0.0)
+        downward = self.mesh.areas * np.maximum(-self.mesh.normals[:, 2], 0.0)
+        below = np.maximum(depth[:, None] - self.mesh.points[:, 2], 0.0)
         wet = np.where(below > 0.0, downward, 0.0)
         mean = (wet * below).sum(axis=1) / np.maximum(wet.sum(axis=1), 1e-12) / depth
         cap = np.minimum(depth, self.radius)  # of a ball, as in ``bearing_capacity``
@@ -143,33 +138,24 @@ class Sole:
     ) -> FloatArray:
         """Upward force of law ``foot`` [N], shape [φ, depth]; NaN for φ outside its table.
 
-        A mesh has the force of resistive force theory times the ratio of both laws at its depth:
-        that of a ball and that of a disc of its area, in geometric proportion to how flat it is,
-        so that meshes of discs and balls have the force of both. The ratios differ by up to 2.5;
-        other meshes were compared with nothing.
+        That of a mesh lies between those of a ball and a disc of its footprint
+        (:mod:`~terraphi.laws.wrench`); other meshes than of these were compared with nothing.
         """
         soil = {"density": density, "surface_friction": surface_friction}
-        grid = np.broadcast_arrays(depth, np.asarray(phi_deg)[:, None])
-
-        def level(shape: Literal["disc", "ball"], law: str, least: float = 0.0) -> FloatArray:
-            foot, at = Foot(self.radius, shape), np.maximum(grid[0], least * self.radius)
-            return LAWS[law].force(foot, at, DOWN, friction_angle_deg=grid[1], **soil)[..., 1]
-
+        at, phi = np.broadcast_arrays(depth, np.asarray(phi_deg)[:, None])
+        law = LAWS["foot"].force(
+            self.foot or Foot(self.radius), at, DOWN, friction_angle_deg=phi, **soil
+        )[..., 1]
         if self.foot is not None:
-            return level(self.foot.shape, "foot")
-        centres, normals, areas = self.panels()
-        flat = self.flatness(depth)
-        down = np.multiply.outer(depth, [0.0, 0.0, 1.0])[:, None]
-        theory, _ = wrench(
-            centres - down, normals, areas, [[[0.0, 0.0, -1.0]]], friction_angle_deg=30.0, **soil
-        )
-        # Of resistive force theory only the level depends on φ.
-        scale = stress_scale(from_plane_strain(grid[1]), density) / stress_scale(30.0, density)
-        # Shallower than a twentieth of its radius the table of a ball has no force.
-        disc, ball = (
-            level(shape, "foot", 0.05) / level(shape, "rft", 0.05) for shape in ("disc", "ball")
-        )
-        return np.asarray(theory[:, 2] * scale * disc**flat * ball ** (1.0 - flat))
+            return law
+        known = np.isfinite(law).all(axis=1)
+        pose = np.multiply.outer(-at[known], [0.0, 0.0, 1.0])
+        lift, _ = force(
+            self.mesh, pose, [0.0, 0.0, -1.0], phi_deg=phi[known], density=density,
+            surface_friction=surface_friction,
+        )  # fmt: skip
+        law[known] = lift[..., 2]
+        return law
 
 
 @dataclass(frozen=True)
@@ -507,7 +493,7 @@ def tune(
     voxel: float,
     foot: str | Path,
     phi: Any,
-    density: float = 1600.0,
+    density: float | None = None,
     surface_friction: float = 0.5,
     depth: float | None = None,
     time_step: float = 0.01,
@@ -531,10 +517,10 @@ def tune(
     foot
         ``disc:RADIUS``, ``ball:RADIUS`` [m] or a closed Wavefront OBJ [m], z up.
     phi
-        φ of the soil in plane strain [deg]: ``"33±2"``, a number, or an answer with draws (see
-        :func:`~terraphi.terrain.export.export`).
+        φ of the soil in plane strain [deg] as ``"33±2"``, or the name of a soil or an answer (see
+        :func:`~terraphi.terrain.soils.soil`).
     density
-        Bulk density [kg/m³].
+        Bulk density [kg/m³]; by default that of the soil.
     surface_friction
         Coulomb coefficient between foot and soil [-], also given to the simulator.
     depth
@@ -575,6 +561,10 @@ def tune(
         if path.suffix == ".usda" and name == "genesis":
             raise InputError("genesis reads no materials in USD: name a .py, .csv or .json file")
         check_file(path)
+    ground = soil(f"{phi:g}" if isinstance(phi, int | float) else phi)
+    rng = np.random.default_rng(seed)
+    middle, angles = ground.phi.median, ground.draws(SAMPLES, rng=rng).phi_deg
+    density = ground.density if density is None else density
     sole = Sole.of(foot)
     radius = sole.radius
     deepest = 0.5 * radius if depth is None else depth
@@ -588,19 +578,22 @@ def tune(
     for what, (value, least, most) in bounds.items():
         if not least <= value <= most:
             raise InputError(f"{what} = {value:g}: {least:.3g} to {most:.3g} are accepted here")
-    rng = np.random.default_rng(seed)
-    middle, angles, source = _angles(phi, rng)
     first = Press(sole, voxel, deepest, density, surface_friction, time_step, seed=seed)
     edges = np.linspace(0.0, deepest, THIRDS + 1)
 
-    def law(phi_deg: FloatArray) -> FloatArray:
-        """Mean force in each part of the depth, shape [φ, part]."""
-        at = deepest * (np.arange(THIRDS * FINE) + 0.5) / (THIRDS * FINE)
-        soil = {"density": density, "surface_friction": surface_friction}
-        return sole.force(at, phi_deg, **soil).reshape(-1, THIRDS, FINE).mean(axis=2)
-
+    # Mean force in each part of the depth, shape [φ, part], at whole degrees.
     every = np.arange(10.0, 61.0)
-    inside = every[np.isfinite(law(every)).all(axis=1)]
+    depths = deepest * (np.arange(THIRDS * FINE) + 0.5) / (THIRDS * FINE)
+    forces = sole.force(depths, every, density=density, surface_friction=surface_friction)
+    forces = forces.reshape(-1, THIRDS, FINE).mean(axis=2)
+    known = np.isfinite(forces).all(axis=1)
+    inside, logs = every[known], np.log(forces[known])
+
+    def law(phi_deg: FloatArray) -> FloatArray:
+        """Mean force in each part of the depth, shape [φ, part]; NaN outside the table."""
+        rows = [np.interp(phi_deg, inside, row, np.nan, np.nan) for row in logs.T]
+        return np.exp(np.stack(rows, axis=-1))
+
     if not inside[0] <= middle <= inside[-1]:
         ends = f"{inside[0]:g} to {inside[-1]:g} deg"
         raise InputError(f"φ = {middle:g} deg: law 'foot' was simulated for {ends}")
@@ -640,7 +633,7 @@ def tune(
         if fitted(press).fits:
             would = tried
             break
-    result = _result(to, found, first, rng, draws, middle, angles, source)
+    result = _result(to, found, first, rng, draws, middle, angles, ground.name)
     result |= {"voxel_that_does": would, "finest_voxel_tried": tried}
     result["reason"] = _reason(found, target, result, first)
     result["law_N"] = np.round(target, 4).tolist()
@@ -711,6 +704,7 @@ def _result(
         "value": value.pop("median"),
         **value,
         "draws": rng.choice(values, draws).round(6).tolist() if draws else [],
+        "density_draws_kg_m3": [press.density] * draws,
         "draws_go_to": to.draws_go_to,
         "draws_without_equivalent": found.lost,
         "verdict": "carries" if found.fits else "no value",
@@ -783,24 +777,6 @@ def _version(package: str) -> str:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
         return "of unknown version"
-
-
-def _angles(phi: Any, rng: np.random.Generator) -> tuple[float, FloatArray, str]:
-    """Median and draws of φ in plane strain [deg], and where they come from."""
-    given = f"{phi:g}" if isinstance(phi, int | float) else phi
-    if isinstance(given, str):
-        try:
-            middle, sd = number_with_sd(given)
-        except ValueError:
-            middle, sd = math.nan, None
-        if math.isfinite(middle):
-            if not (10.0 <= middle <= 60.0 and (sd is None or 0.0 <= sd <= 15.0)):
-                raise InputError(f"φ = {given} deg: give 10 to 60, as 33±2")
-            return middle, rng.normal(middle, sd or 0.0, SAMPLES), f"φ {given} deg"
-    read = StoredAnswer.of(phi)
-    every = in_plane_strain(read)
-    every = every[np.isfinite(every)]
-    return float(np.median(every)), rng.choice(every, SAMPLES), read.source
 
 
 def _over(nodes: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:

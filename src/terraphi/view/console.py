@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+import shutil
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -11,6 +13,9 @@ from typing import Any
 import click
 
 from terraphi.view.table import Table
+
+PARTS = 1000
+"""Parts of a progress bar."""
 
 
 def as_text(data: Any) -> str:
@@ -34,13 +39,11 @@ def present(data: Any, *parts: str | Table | Mapping[str, Any], as_json: bool) -
 
 def print_table(table: Table) -> None:
     """Title, columns and note."""
-    from rich.console import Console
-
     if table.title:
         click.secho(table.title, bold=True)
     # In a file or a pipe lines are as long as they need to be.
-    width = None if sys.stdout.isatty() else 160
-    Console(highlight=False, markup=False, width=width).print(table.terminal())
+    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else math.inf
+    click.echo(table.terminal(width))
     click.echo(f"{table.note}\n" if table.note else "")
 
 
@@ -80,9 +83,5 @@ def progress_bar(description: str) -> Iterator[Callable[[float, float], None]]:
     if not sys.stderr.isatty():
         yield lambda _done, _total: None
         return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(description, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+    with click.progressbar(length=PARTS, label=description, file=sys.stderr) as bar:
+        yield lambda done, total: bar.update(round(PARTS * done / total) - bar.pos)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,14 +25,16 @@ SOILS = {"yuma": "li2013:yuma/straight", "poppy": "li2013:poppy_loose/straight"}
 
 
 def run(out: Path) -> tuple[list[Answer], Path]:
-    """Invert the three records; write their answers, a picture, a table and its rig into a folder.
+    """Invert three records; write answers, picture, a table with its rig, and a log into a folder.
+
+    The log is that of a Go2 on simulated sand of 41 to 42° (``studies/demo_walk.py``).
 
     Returns
     -------
     answers, path of the picture
     """
-    from matplotlib.figure import Figure
-
+    from terraphi.experiment.documents import shipped_file
+    from terraphi.experiment.figure import Figure
     from terraphi.experiment.files import atomic_write, made_folder
     from terraphi.experiment.measurements import measurement
     from terraphi.inference.inversion import invert
@@ -52,6 +55,8 @@ def run(out: Path) -> tuple[list[Answer], Path]:
     lines = [f"{key} = {json.dumps(value)}\n" for key, value in sizes.items()]
     with atomic_write(out / "rig.toml") as temporary:
         temporary.write_text("".join(lines), encoding="utf-8")
+    with atomic_write(out / "walk.csv") as temporary:
+        shutil.copyfile(shipped_file("robots", "walk", ".csv"), temporary)
     return list(answers.values()), out / "demo.png"
 
 

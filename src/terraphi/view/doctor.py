@@ -8,6 +8,7 @@ import platform
 import sys
 import time
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
@@ -67,6 +68,8 @@ def _kernels() -> str:
     from terraphi.experiment.scenario import Scenario
     from terraphi.forward import simulate
 
+    if find_spec("numba") is None:
+        return "Numba is not installed; to simulate: pip install 'terraphi[simulate]'"
     began = time.perf_counter()
     coarse = {"numerics.cells": 64, "numerics.time_step": 16e-6, "numerics.speed_up": 10.0}
     simulate(Scenario.load("paper-1").replace(**coarse, **{"motion.stop_deg": -130.0}))

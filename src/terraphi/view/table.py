@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 import re
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from terraphi.experiment.errors import visible
-
-if TYPE_CHECKING:
-    from rich.table import Table as RichTable
 
 _NUMBER = re.compile(r"[-+−]?\d+(\.\d+)?( ?[%°]| N)?|[-–]?")
 
@@ -44,14 +43,26 @@ class Table:
             for i in range(len(self.header))
         ]
 
-    def terminal(self) -> RichTable:
-        """The columns for a terminal, without title and note."""
-        from rich import box
-        from rich.table import Table as RichTable
+    def terminal(self, width: float = math.inf) -> str:
+        """The columns for a terminal of some width, without title and note.
 
-        made = RichTable(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
-        for name, numeric in zip(self.header, self.numeric, strict=True):
-            made.add_column(name, justify="right" if numeric else "left")
-        for row in self.rows:
-            made.add_row(*map(visible, row))
-        return made
+        Where they are wider, the widest column is wrapped, to twenty letters at least.
+        """
+        rows = [[visible(str(cell)) for cell in row] for row in (self.header, *self.rows)]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        widest, whole = widths.index(max(widths)), sum(widths) + 2 * len(widths) - 2
+        if whole > width:
+            widths[widest] = min(widths[widest], max(20, int(widths[widest] + width - whole)))
+        lines = []
+        for row in rows:
+            parts = [[cell] for cell in row]
+            parts[widest] = textwrap.wrap(row[widest], widths[widest])
+            for cells in itertools.zip_longest(*parts, fillvalue=""):
+                placed = [
+                    f"{cell:{'>' if numeric else '<'}{room}}"
+                    for cell, numeric, room in zip(cells, self.numeric, widths, strict=True)
+                ]
+                lines.append("  ".join(placed).rstrip())
+            if row is rows[0]:
+                lines.append("─" * (sum(widths) + 2 * len(widths) - 2))
+        return "\n".join(lines)

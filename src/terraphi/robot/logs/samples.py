@@ -192,10 +192,21 @@ def seconds(
         recording times count from the first sample.
     dict
         ``clock``, the one used: the recording time where the messages' own stands still; ``notes``;
-        ``start_ns`` of a time that counts from the first sample.
+        ``start_ns`` of a time that counts from the first sample; ``recorded_ns``, the usual time of
+        recording less the time [ns].
     """
     if clock == "time_s" or recorded is None:
         return stamp.astype(np.float64), {"clock": clock}
+    time, facts = _of_messages(stamp, recorded, clock)
+    # Differences from the first, for a double is not precise to the nanosecond in 2026.
+    late = np.median((recorded - recorded[0]) / 1e9 - (time - time[0]))
+    return time, facts | {"recorded_ns": int(recorded[0]) + round(1e9 * float(late - time[0]))}
+
+
+def _of_messages(
+    stamp: NDArray[Any], recorded: NDArray[np.int64], clock: Clock
+) -> tuple[FloatArray, dict[str, Any]]:
+    """Times and facts of :func:`seconds`, but for when they were recorded."""
     notes = []
     if len(stamp) > 1 and np.mean(np.diff(stamp) == 0) > STALLED:
         notes = [f"the messages' {clock} stands still; times are those of recording"]

@@ -1,0 +1,34 @@
+"""What the page try.md loads: the package in an archive, with its laws as arrays of NumPy."""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+import terraphi
+from terraphi.experiment import files
+
+LAWS = ("laws/legs.nc", "libraries/rft3d.nc")
+"""Files that an inversion by law ``legs`` reads; HDF5 is not needed for arrays."""
+
+
+def write(path: Path) -> None:
+    """Write the ZIP archive out of which ``_static/try.py`` inverts."""
+    folder, version = Path(terraphi.__file__).parent, terraphi.__version__
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for one in sorted(folder.rglob("*")):
+            if one.suffix in (".csv", ".py", ".toml"):
+                archive.write(one, one.relative_to(folder.parent))
+        for name in LAWS:
+            attributes, arrays, names = files._read(folder / "data" / name)
+            arrays = {n: a.astype(str) if a.dtype.kind == "O" else a for n, a in arrays.items()}
+            plain = {n: a.item() if isinstance(a, np.generic) else a for n, a in attributes.items()}
+            content = io.BytesIO()
+            np.savez_compressed(content, attributes=json.dumps([plain, names]), **arrays)
+            archive.writestr(f"terraphi/data/{name}", content.getvalue())
+        metadata = f"Metadata-Version: 2.1\nName: terraphi\nVersion: {version}\n"
+        archive.writestr(f"terraphi-{version}.dist-info/METADATA", metadata)

@@ -1,0 +1,595 @@
+r"""Force and moment of soil on feet that a simulator moves: balls, discs and meshes, many at once.
+
+All take φ in plane strain and have the level of law ``foot`` (:mod:`~terraphi.laws.foot`). A ball
+or a disc has the law itself. A mesh has the faces' forces by resistive force theory, in the
+proportion in which both differ for a ball and a disc of the mesh's footprint:
+
+.. math::
+    F = \sum_f \operatorname{diag}(d, d, l)\, F_f^{rft}, \qquad
+    (d, l) = m\,(d, l)_{ball} + (1 - m)\,(d, l)_{disc},
+
+with the drag's and the lift's ratio d and l over φ, direction and depth, and the roundness m of
+what points down and is submerged: one less the length of its mean normal (weighted by projected
+area), over that of a cap of the same area and depth. It is 0 for a plane, tilted or not. So a mesh
+of a ball or of a disc has the law's force (``tests/laws/test_wrench.py``: within 2.5 % and 0.1 %),
+and other shapes come between.
+
+Resistive force theory jumps where a face turns through the vertical or begins to lead; here it is
+continuous (:data:`FADE`).
+
+Arrays may be of NumPy or of another library of the array-API standard, as PyTorch, CuPy and JAX;
+results are of the same library, type and device.
+
+**At rest.** No quasi-static law has a force on a foot that stands. There are two ways:
+
+- without memory, the force fades below ``rest_speed`` v₀, so that a standing foot creeps. It acts
+  as a damper of F/v₀: an explicit step h of an apparent mass m is stable for h < 2 m v₀ / F.
+- with the force ``held`` from the step before, it follows the law over a displacement,
+
+  .. math:: f \leftarrow F + (f - F)\, e^{-k |\Delta x| / \max(|f|, |F|)},
+
+  which is a spring of stiffness k at rest and the law in steady motion: a standing foot stays. The
+  slope of f is at most 2 k, since \|f − F\| is at most twice the larger. So a semi-implicit Euler
+  step h is stable for 2 k h² < 4 m, that is **k h² < 2 m**, with m the least apparent mass of the
+  foot, one over the largest eigenvalue of J M⁻¹ Jᵀ. Feet of one body share its mass: take M as it
+  is, and J of all feet that stand.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from terraphi.experiment.arrays import FloatArray, like, namespace
+from terraphi.experiment.errors import InputError, nearest
+from terraphi.experiment.scenario import GRAVITY
+from terraphi.forward.rft import SCALE_POLYNOMIAL, unit_stress
+from terraphi.laws.foot import (
+    BEYOND_DEG,
+    DEPTHS,
+    DESCENTS,
+    Foot,
+    interpolated,
+    resistive_table,
+    simulated_table,
+)
+
+FADE = 0.05
+"""Sine of the angle over which the stress on a face goes from one side of the vertical to the
+other, and on which a face that begins to lead gets its force [-]; chosen."""
+SPACING, LEVEL = float(DESCENTS[1] - DESCENTS[0]), len(DESCENTS) // 2
+"""Of :data:`~terraphi.laws.foot.DESCENTS` [rad], and its row of level motion."""
+LOWEST = 45
+"""Row of :data:`~terraphi.laws.foot.DESCENTS` of the lowest direction that was simulated, 45°;
+below it the law has the ratios of that direction."""
+FINE, MOST_FACES = 0.2, 100_000
+"""Longest edge of a face over the extent of its mesh [-], and faces at most; chosen: a tilted box
+has the force of one four times as fine within 0.1 % (``tests/laws/test_wrench.py``)."""
+TINY = 1e-12
+"""Least length [m], speed [m/s], area [m²] or force [N] that is divided by."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Faces of a foot in its own frame, small next to the foot.
+
+    Attributes
+    ----------
+    points
+        Centres [m], shape [face, 3].
+    normals
+        Outward unit normals [-], shape [face, 3].
+    areas
+        [m²], shape [face].
+    """
+
+    points: FloatArray
+    normals: FloatArray
+    areas: FloatArray
+
+    @classmethod
+    def of(cls, mesh: Any, triangles: Any = None, *, longest: float | None = None) -> Mesh:
+        """Faces of a closed surface of triangles, large ones in parts.
+
+        Parameters
+        ----------
+        mesh
+            Corners [m], shape [corner, 3]; or an object with ``vertices`` and ``faces``, as those
+            of trimesh.
+        triangles
+            Corners of each triangle, counterclockwise seen from outside, shape [face, 3].
+        longest
+            Longest edge of a face [m]; triangles are halved along each edge until they have it. By
+            default :data:`FINE` of the extent. A face is in soil or not by its middle alone.
+
+        Raises
+        ------
+        InputError
+            If the shapes are others, no triangle has an area, or there are too many.
+        """
+        if triangles is None:
+            mesh, triangles = getattr(mesh, "vertices", None), getattr(mesh, "faces", None)
+        corners, index = np.asarray(mesh, dtype=np.float64), np.asarray(triangles)
+        if corners.ndim != 2 or index.ndim != 2 or (corners.shape[1], index.shape[1]) != (3, 3):
+            raise InputError(
+                "mesh: give corners [corner, 3] and triangles [face, 3], or an object with "
+                "vertices and faces"
+            )
+        each = corners[index]
+        if not np.isfinite(each).all():
+            raise InputError("mesh: a corner is not finite")
+        most = (
+            FINE * float(np.ptp(each.reshape(-1, 3), axis=0).max()) if longest is None else longest
+        )
+        while (
+            large := (np.linalg.norm(each - each[:, (1, 2, 0)], axis=2) > most).any(axis=1)
+        ).any():
+            a, b, c = each[large].swapaxes(0, 1)
+            ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
+            quarters = ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
+            each = np.concatenate([each[~large], *(np.stack(one, axis=1) for one in quarters)])
+            if len(each) > MOST_FACES:
+                raise InputError(
+                    f"mesh: more than {MOST_FACES} faces with edges of {most:g} m; give longest"
+                )
+        cross = np.cross(each[:, 1] - each[:, 0], each[:, 2] - each[:, 0])
+        twice = np.linalg.norm(cross, axis=1)
+        keep = twice > 0.0
+        if not keep.any():
+            raise InputError("mesh: no triangle has an area")
+        return cls(each[keep].mean(axis=1), cross[keep] / twice[keep, None], 0.5 * twice[keep])
+
+    @property
+    def reach(self) -> float:
+        """Distance of the farthest face from the origin [m]."""
+        return float(np.linalg.norm(self.points, axis=1).max())
+
+
+def force(
+    foot: Foot | Mesh,
+    pose: Any,
+    velocity: Any,
+    *,
+    phi_deg: Any,
+    density: Any,
+    surface_friction: float = 0.4,
+    surface: Any = 0.0,
+    rest_speed: float = 0.01,
+    held: tuple[Any, Any] | None = None,
+    step: float | None = None,
+    stiffness: float | None = None,
+) -> tuple[Any, Any]:
+    """Force and moment of soil on feet, by law ``foot``.
+
+    Parameters
+    ----------
+    foot
+        A ball or disc, or a mesh.
+    pose
+        Of the feet: the position of the centre of a ball or disc, or of a mesh's origin [m], shape
+        [..., 3]; with a unit quaternion (w, x, y, z), shape [..., 7]. z is up.
+    velocity
+        In the world: linear [m/s], shape [..., 3]; with angular [rad/s], shape [..., 6].
+    phi_deg, density
+        φ in plane strain [deg] and bulk density [kg/m³]: numbers, or one for each foot, [...].
+    surface_friction
+        Coulomb coefficient between foot and soil [-], 0.05 to 0.65.
+    surface
+        Height of the level surface [m], a number or one for each foot.
+    rest_speed
+        Below it the force falls with the speed to zero [m/s], unless it is ``held``.
+    held
+        What this function returned at the step before; zeros at first.
+    step
+        Time since then [s].
+    stiffness
+        Of soil that holds a foot, k [N/m]; below 2 m over the square of ``step`` it is stable (see
+        the module).
+
+    Returns
+    -------
+    tuple of array
+        Force [N] and moment about the position [N m], shape [..., 3]. A ball's moment is that of
+        resistive force theory in the lift's proportion; a disc has none, and stays level.
+
+    Raises
+    ------
+    InputError
+        If φ or the friction is outside the law's table, or a shape is another.
+
+    Examples
+    --------
+    >>> from terraphi.laws.wrench import force
+    >>> up, _ = force(Foot(0.022), [0.0, 0.0, 0.0], [0.0, 0.0, -0.1], phi_deg=35.0, density=1550.0)
+    >>> bool(up[2] > 0.0)
+    True
+    """
+    if not isinstance(foot, Foot | Mesh):
+        raise InputError(f"foot of type {type(foot).__name__}; give a Foot or a Mesh")
+    xp = namespace(pose)
+    pose = np.asarray(pose, dtype=np.float64) if xp is np else pose
+    velocity = like(pose, velocity)
+    if pose.shape[-1] not in (3, 7) or velocity.shape[-1] not in (3, 6):
+        raise InputError(
+            f"pose of shape {tuple(pose.shape)}, velocity of {tuple(velocity.shape)}: the last "
+            "axis is 3 or 7 (with a quaternion), and 3 or 6 (with the angular velocity)"
+        )
+    if held is not None and (step is None or stiffness is None):
+        raise InputError(
+            "held: give the time since then as step [s], and stiffness [N/m], below 2 m / step²"
+        )
+    lead = pose.shape[:-1]
+    place, moving = xp.reshape(pose, (-1, pose.shape[-1])), velocity
+    moving = xp.reshape(xp.broadcast_to(moving, (*lead, velocity.shape[-1])),
+                        (-1, velocity.shape[-1]))  # fmt: skip
+    each = {
+        key: xp.reshape(xp.broadcast_to(like(pose, value), lead), (-1,))
+        for key, value in (("phi_deg", phi_deg), ("density", density), ("surface", surface))
+    }
+    _check_angles(each["phi_deg"], surface_friction)
+    fade = TINY if held is not None else rest_speed
+    if isinstance(foot, Foot):
+        force_, moment, deep = _of_foot(foot, place, moving, surface_friction, fade, **each)
+        far = 0.0
+    else:
+        force_, moment, deep = _of_mesh(foot, place, moving, surface_friction, fade, **each)
+        far = foot.reach
+    if held is not None and step is not None and stiffness is not None:
+        before = [xp.reshape(like(pose, one), (-1, 3)) for one in held]
+        travel = _norm(xp, moving[:, :3])
+        if moving.shape[-1] == 6:
+            travel = travel + far * _norm(xp, moving[:, 3:])
+        size = xp.maximum(_norm(xp, before[0]), _norm(xp, force_))
+        kept = xp.exp(-stiffness * step * travel / xp.clip(size, TINY, None))
+        kept = xp.where(deep > 0.0, kept, xp.zeros_like(kept))[:, None]
+        force_, moment = (
+            law + kept * (last - law) for law, last in zip((force_, moment), before, strict=True)
+        )
+    return xp.reshape(force_, (*lead, 3)), xp.reshape(moment, (*lead, 3))
+
+
+def _of_foot(
+    foot: Foot, place: Any, moving: Any, surface_friction: float, fade: float, *,
+    phi_deg: Any, density: Any, surface: Any,
+) -> tuple[Any, Any, Any]:  # fmt: skip
+    """Force, moment and depth of balls or discs, shape [foot, 3], [foot, 3] and [foot]."""
+    xp = namespace(place)
+    depth = surface - place[:, 2] + (foot.radius if foot.shape == "ball" else 0.0)
+    level = _norm(xp, moving[:, :2])
+    speed = _norm(xp, moving[:, :3])
+    first, step, table = _foot_table(foot.shape, float(surface_friction))
+    turn = xp.atan2(-moving[:, 2], level) / SPACING + LEVEL
+    ratio = xp.clip(depth, 0.0, None) / foot.radius
+    unit = interpolated(table, phi_deg - first, turn, ratio / step)
+    size = density * GRAVITY * foot.radius**3 * xp.clip(speed / fade, None, 1.0)
+    unit = unit * (size * like(place, depth > 0.0))[:, None]
+    heading = moving[:, :2] / xp.clip(level, TINY, None)[:, None]
+    along, lift, turning = unit[:, 0:1], unit[:, 1:2], foot.radius * unit[:, 2:3]
+    # The moment is about the level axis across the motion, left of it.
+    across = xp.stack([-heading[:, 1], heading[:, 0], xp.zeros_like(depth)], axis=1)
+    found = xp.concat([along * heading, lift], axis=1)
+    return (
+        _against(xp, found, moving[:, :3] / xp.clip(speed, TINY, None)[:, None]),
+        (turning * across),
+        depth,
+    )
+
+
+def _of_mesh(
+    mesh: Mesh, place: Any, moving: Any, surface_friction: float, fade: float, **each: Any
+) -> tuple[Any, Any, Any]:
+    """Force, moment and depth of meshes, shape [foot, 3], [foot, 3] and [foot]."""
+    xp = namespace(place)
+    if xp is np:  # Feet in the air cost nothing.
+        near = np.flatnonzero(each["surface"] - place[:, 2] > -mesh.reach)
+        if near.size < len(place):
+            some = {key: value[near] for key, value in each.items()}
+            parts = _of_mesh(mesh, place[near], moving[near], surface_friction, fade, **some)
+            whole = [np.zeros((len(place), *part.shape[1:])) for part in parts]
+            for target, part in zip(whole, parts, strict=True):
+                target[near] = part
+            return whole[0], whole[1], whole[2]
+    points, normals, areas = (like(place, one) for one in (mesh.points, mesh.normals, mesh.areas))
+    if place.shape[-1] == 7:
+        rows = xp.reshape(_rotation(xp, place[:, 3:]), (-1, 3))
+        points, normals = (
+            xp.permute_dims(
+                xp.reshape(rows @ one.T, (place.shape[0], 3, points.shape[0])), (0, 2, 1)
+            )
+            for one in (points, normals)
+        )
+    return _sum_of_faces(
+        place[:, None, :3] + points, normals, areas, moving[:, None, :3], points,
+        moving[:, 3:] if moving.shape[-1] == 6 else None,
+        surface_friction=surface_friction, law="foot", rest_speed=fade, **each,
+    )  # fmt: skip
+
+
+def wrench(
+    points: Any,
+    normals: Any,
+    areas: Any,
+    velocities: Any,
+    *,
+    phi_deg: Any,
+    density: Any,
+    surface_friction: float,
+    law: str = "foot",
+    surface: Any = 0.0,
+    about: Any = (0.0, 0.0, 0.0),
+    rest_speed: float = 0.01,
+) -> tuple[Any, Any]:
+    """Force and moment of soil on the faces of many feet, whose places are known already.
+
+    Parameters
+    ----------
+    points
+        Centres of the faces [m], shape [..., face, 3]; z is up.
+    normals
+        Outward unit normals [-], shape [..., face, 3] or [face, 3].
+    areas
+        Of the faces [m²], shape [face].
+    velocities
+        Of the faces [m/s], shape [..., face, 3] or what broadcasts to it, as [..., 1, 3].
+    phi_deg
+        φ in plane strain [deg], a number or one for each foot, shape [...].
+    density
+        Bulk density ρ [kg/m³], a number or one for each foot.
+    surface_friction
+        Coulomb coefficient between foot and soil [-].
+    law
+        Level of the forces: ``foot``, or ``rft``, resistive force theory as published.
+    surface
+        Height of the level surface [m], a number or one for each foot.
+    about
+        What the moment is about [m], shape [..., 3] or [3].
+    rest_speed
+        Below it the force falls with the speed to zero [m/s].
+
+    Returns
+    -------
+    tuple of array
+        Force [N] and moment [N m], shape [..., 3].
+
+    Raises
+    ------
+    InputError
+        If φ or the friction is outside the law's table, or there is no such law.
+
+    Examples
+    --------
+    >>> down, up = [[0.0, 0.0, -0.02]], [[0.0, 0.0, -1.0]]
+    >>> soil = {"phi_deg": 33.0, "density": 1600.0, "surface_friction": 0.4}
+    >>> force, moment = wrench(down, up, [1e-3], [[0.0, 0.0, -0.1]], **soil)
+    >>> bool(force[2] > 0.0)
+    True
+    """
+    if law not in ("foot", "rft"):
+        raise InputError(f"unknown law '{law}'; {nearest(law, ('foot', 'rft'))}")
+    xp = namespace(points)
+    points = np.asarray(points, dtype=np.float64) if xp is np else points
+    shape = tuple(points.shape)
+    lead = shape[:-2]
+
+    def flat(values: Any, end: tuple[int, ...]) -> Any:
+        return xp.reshape(xp.broadcast_to(like(points, values), (*lead, *end)), (-1, *end))
+
+    flat_points = xp.reshape(points, (-1, *shape[-2:]))
+    normals, phi_deg = like(points, normals), flat(phi_deg, ())
+    if law == "foot":
+        _check_angles(phi_deg, surface_friction)
+    found, moment, _ = _sum_of_faces(
+        flat_points,
+        normals if normals.ndim == 2 else flat(normals, shape[-2:]),
+        like(points, areas),
+        flat(velocities, shape[-2:]),
+        flat_points - flat(about, (3,))[:, None, :],
+        None,
+        surface_friction=surface_friction,
+        law=law,
+        rest_speed=rest_speed,
+        phi_deg=phi_deg,
+        density=flat(density, ()),
+        surface=flat(surface, ()),
+    )
+    return xp.reshape(found, (*lead, 3)), xp.reshape(moment, (*lead, 3))
+
+
+def _sum_of_faces(
+    points: Any, normals: Any, areas: Any, velocities: Any, arms: Any, spin: Any, *,
+    surface_friction: float, law: str, rest_speed: float, phi_deg: Any, density: Any, surface: Any,
+) -> tuple[Any, Any, Any]:  # fmt: skip
+    """Force, moment and greatest depth of feet, from arrays [foot, face, 3]; others [foot].
+
+    ``spin`` is the angular velocity [foot, 3], or ``None``.
+    """
+    xp = namespace(points)
+    feet, faces = points.shape[:2]
+    depths = surface[:, None] - points[:, :, 2]
+    deepest = xp.clip(xp.max(depths, axis=1), 0.0, None)
+    each = [xp.broadcast_to(one, points.shape) for one in (normals, velocities, arms)]
+    areas = xp.broadcast_to(areas, depths.shape)
+    # NumPy computes the faces that are submerged only, the others have no force.
+    at = np.nonzero(depths > 0.0) if xp is np else None
+    owner = at[0] if at else None
+    n, v, arm = (one[at] if at else xp.reshape(one, (-1, 3)) for one in each)
+    depth, area = (one[at] if at else xp.reshape(one, (-1,)) for one in (depths, areas))
+    depth = xp.clip(depth, 0.0, None)
+
+    def total(values: Any) -> Any:
+        """Sum over the faces of each foot."""
+        if owner is not None:
+            return np.bincount(owner, values, feet)
+        return xp.sum(xp.reshape(values, (feet, faces)), axis=1)
+
+    def spread(values: Any) -> Any:
+        """A foot's number for each of its faces."""
+        return values[owner] if owner is not None else xp.repeat(values, faces)
+
+    if spin is not None:
+        wx, wy, wz = (spread(spin[:, i]) for i in range(3))
+        x, y, z = arm[:, 0], arm[:, 1], arm[:, 2]
+        v = v + xp.stack([wy * z - wz * y, wz * x - wx * z, wx * y - wy * x], axis=1)
+    area = area * like(depth, depth > 0.0)
+    facing_down = area * xp.clip(-n[:, 2], 0.0, None)
+    base = total(facing_down)
+    mean = total(facing_down * depth) / xp.clip(base, TINY, None)
+    normal = xp.stack([total(facing_down * n[:, i]) for i in range(3)], axis=1)
+    bent = 1.0 - _norm(xp, normal) / xp.clip(base, TINY, None)
+    speed = _norm(xp, v)
+    direction = v / xp.clip(speed, TINY, None)[:, None]
+    leading = xp.sum(n * direction, axis=1)
+    if owner is not None:
+        some = np.flatnonzero(leading > 0.0)
+        n, v, arm, direction = n[some], v[some], arm[some], direction[some]
+        owner, depth, area, speed = owner[some], depth[some], area[some], speed[some]
+        leading = leading[some]
+    mu = xp.sin(math.pi / 180.0 * phi_deg)  # tan φ_rft = sin φ
+    cubic, square, linear = SCALE_POLYNOMIAL
+    stress = density * GRAVITY * mu * (linear + mu * (square + mu * cubic))
+    size = depth * area * xp.clip(speed / rest_speed, None, 1.0) * spread(stress)
+    pushed = unit_stress(n, direction, surface_friction, fade=FADE) * size[:, None]
+    fx, fy, fz = pushed[:, 0], pushed[:, 1], pushed[:, 2]
+    if law == "foot":
+        weight = area * xp.clip(leading, 0.0, None)
+        vx, vy, vz = (total(weight * v[:, i]) for i in range(3))
+        descent = xp.atan2(-vz, xp.sqrt(vx * vx + vy * vy))
+        drag, lift = _ratios(
+            xp.sqrt(base / math.pi), bent, mean, deepest, descent, phi_deg,
+            surface_friction=surface_friction,
+        )  # fmt: skip
+        along = spread(drag)
+        scaled = xp.stack([fx * along, fy * along, fz * spread(lift)], axis=1)
+        scaled = _against(xp, scaled, direction)
+        fx, fy, fz = scaled[:, 0], scaled[:, 1], scaled[:, 2]
+    x, y, z = arm[:, 0], arm[:, 1], arm[:, 2]
+    rows = (fx, fy, fz, y * fz - z * fy, z * fx - x * fz, x * fy - y * fx)
+    sums = xp.stack([total(row) for row in rows], axis=1)
+    return sums[:, :3], sums[:, 3:], deepest
+
+
+def _ratios(
+    radius: Any,
+    bent: Any,
+    mean: Any,
+    deepest: Any,
+    descent: Any,
+    phi_deg: Any,
+    *,
+    surface_friction: float,
+) -> tuple[Any, Any]:
+    """Drag and lift by law ``foot`` over those of resistive force theory, [foot] each.
+
+    Of footprints with a radius [m], one less the length of the mean normal [-], and a mean and
+    greatest depth [m], shape [foot].
+    """
+    xp = namespace(radius)
+    if xp is np and not (loaded := deepest > 0.0).all():
+        whole = np.zeros((2, len(radius)))
+        if loaded.any():
+            parts = [one[loaded] for one in (radius, bent, mean, deepest, descent, phi_deg)]
+            whole[:, loaded] = _ratios(*parts, surface_friction=surface_friction)
+        return whole[0], whole[1]
+    radius, deepest = xp.clip(radius, TINY, None), xp.clip(deepest, TINY, None)
+    # The ball that touches the soil over a circle of this radius with its cap this deep.
+    of_ball = xp.where(deepest < radius, 0.5 * (radius**2 / deepest + deepest), radius)
+    cap = xp.minimum(deepest, of_ball)
+    level = 1.0 - cap / of_ball  # of its rim, the cosine of the polar angle
+    expected = (1.0 - level) * (1.0 + 2.0 * level) / (3.0 * (1.0 + level))
+    round_ = xp.clip(bent / xp.clip(expected, TINY, None), 0.0, 1.0)[:, None]
+    turn = xp.clip(descent / SPACING + LEVEL, LOWEST, None)
+    scale: Any = 0.0
+    for shape, share, depth, size in (
+        ("ball", round_, deepest, of_ball), ("disc", 1.0 - round_, mean, radius),
+    ):  # fmt: skip
+        first, step, table = _ratio_table(shape, float(surface_friction))
+        ratio = xp.clip(depth / size, 1e-3 * step, None)
+        found = interpolated(table, phi_deg - first, turn - LOWEST, ratio / step)
+        scale = scale + share * found / ratio[:, None]
+    return scale[:, 0], scale[:, 1]
+
+
+def _check_angles(phi_deg: Any, surface_friction: float) -> None:
+    """Raise InputError if angles [deg] are outside the law's table."""
+    first, _, table = simulated_table("ball", float(surface_friction))
+    low, high = first - BEYOND_DEG, first + len(table) - 1 + BEYOND_DEG
+    if phi_deg.shape[0] == 0:
+        return
+    xp = namespace(phi_deg)
+    try:
+        least, most = float(xp.min(phi_deg)), float(xp.max(phi_deg))
+    except TypeError:  # JAX traces it: there are no numbers to check yet
+        return
+    if not (least >= low and most <= high):
+        raise InputError(
+            f"phi_deg = {least:g} to {most:g}: law 'foot' is for {low:g} to {high:g}° in plane "
+            "strain"
+        )
+
+
+@lru_cache(maxsize=8)
+def _ratio_table(shape: str, surface_friction: float) -> tuple[float, float, FloatArray]:
+    """First φ [deg], step of the depth over the radius, and ratios times the depth over the radius.
+
+    Of drag and lift of law ``foot`` to those of resistive force theory, [φ, descent, depth, 2], the
+    descents from :data:`LOWEST` on. Times the depth, since what a footing bears at its surface is
+    over the theory's as the radius over the depth.
+    """
+    first, step, law = simulated_table(shape, surface_friction)
+    depths = step * np.arange(law.shape[2], dtype=np.float64)
+    theory = _theory(shape, surface_friction, depths)[LOWEST:, 1:, :2]
+    mu = np.sin(np.radians(first + np.arange(len(law))))
+    scale = np.polyval([*SCALE_POLYNOMIAL, 0.0], mu)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = law[:, LOWEST:, 1:] / (scale[:, None, None, None] * theory)
+    ratio[:, -1, :, 0] = ratio[:, -2, :, 0]  # Straight down nothing drags.
+    ratio *= depths[1:, None]
+    return first, step, np.concatenate([np.zeros_like(ratio[:, :, :1]), ratio], axis=2)
+
+
+@lru_cache(maxsize=8)
+def _foot_table(shape: str, surface_friction: float) -> tuple[float, float, FloatArray]:
+    """As :func:`~terraphi.laws.foot.simulated_table`, with the moment over ρ g R⁴ as a third."""
+    first, step, law = simulated_table(shape, surface_friction)
+    depths = step * np.arange(law.shape[2], dtype=np.float64)
+    theory = _theory(shape, surface_friction, depths)[..., 2]
+    rows = np.maximum(np.arange(len(DESCENTS)) - LOWEST, 0)
+    lift = _ratio_table(shape, surface_friction)[2][..., 1][:, rows] / np.maximum(depths, step)
+    mu = np.sin(np.radians(first + np.arange(len(law))))
+    moment = np.polyval([*SCALE_POLYNOMIAL, 0.0], mu)[:, None, None] * theory * lift
+    return first, step, np.concatenate([law, moment[..., None]], axis=-1)
+
+
+def _theory(shape: str, surface_friction: float, depths: FloatArray) -> FloatArray:
+    """Force and moment of resistive force theory over ξ R³ and ξ R⁴, [descent, depth, 3]."""
+    rows = np.arange(len(DESCENTS), dtype=np.float64)
+    table = resistive_table(shape, surface_friction)
+    return interpolated(table, *np.meshgrid(rows, depths / DEPTHS[1], indexing="ij"))
+
+
+def _against(xp: Any, forces: Any, direction: Any) -> Any:
+    """Forces without what would drive a motion, for soil takes energy; shape [..., 3].
+
+    Resistive force theory has such a part on faces that rise at some 10°.
+    """
+    return forces - xp.clip(xp.sum(forces * direction, axis=1), 0.0, None)[:, None] * direction
+
+
+def _norm(xp: Any, vectors: Any) -> Any:
+    """Lengths of vectors, over the last axis."""
+    return xp.sqrt(xp.sum(vectors * vectors, axis=-1))
+
+
+def _rotation(xp: Any, quaternion: Any) -> Any:
+    """Rotation matrices of quaternions (w, x, y, z), shape [foot, 3, 3]."""
+    w, x, y, z = (quaternion[:, i] / xp.clip(_norm(xp, quaternion), TINY, None) for i in range(4))
+    rows = (
+        (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
+        (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
+        (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)),
+    )
+    return xp.stack([xp.stack(row, axis=-1) for row in rows], axis=-2)

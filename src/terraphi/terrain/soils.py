@@ -1,0 +1,412 @@
+"""A soil for a simulator: φ in plane strain and bulk density, with what is uncertain of both.
+
+From a table of sands, from numbers with their errors, or from an answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from numbers import Integral
+from pathlib import Path
+from statistics import NormalDist
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+
+from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.errors import GUESSED, InputError, nearest
+from terraphi.experiment.files import number_with_sd
+from terraphi.experiment.outputs import changed
+from terraphi.experiment.plausibility import LIMITS
+from terraphi.experiment.soil import cone_slope
+from terraphi.forward.rft import to_plane_strain
+from terraphi.inference.answer import QUANTILES, Estimate, StoredAnswer
+from terraphi.inference.records import density_with_sd
+
+ANGLES = ("phi_deg", "phi_plane_strain_deg")
+EXACT = ("plane_strain", "rft3d")
+"""Conventions whose plane-strain angle follows from the angle alone."""
+AGREEMENT_DEG = 0.01
+"""Rounding of an answer's angles [deg]."""
+MOST_DRAWS = 100_000
+"""Draws of an export at most."""
+LEAST_DENSITY = 0.1
+"""Of a draw of the density, over the mean [-]; chosen, so that none is negative."""
+MOST_SDS = 3.0
+"""Standard deviations from the mean at which draws of φ end [-]; chosen, so that those of the table
+are within law ``foot``, which ends at 55°."""
+FOOT_FRICTION = 0.4
+"""Coulomb coefficient between foot and soil that forces have unless another is given [-]: the
+middle of the frictions that law ``foot`` was simulated for, 0.2 to 0.6."""
+
+
+class Sand(NamedTuple):
+    """An entry of the table: means and standard deviations, and where they come from."""
+
+    phi: tuple[float, float]
+    """φ in plane strain [deg] that carries the load: critical of loose soil, between critical and
+    peak of dense soil."""
+    density: tuple[float, float]
+    """Bulk density [kg/m³]."""
+    source: str
+
+
+# Quartz sand shears at constant volume at 33° (Bolton, 1986, within 1° by mineral; 30 to 36° by
+# grading and roundness: Dołżyk-Szypcio, Geosciences 10 (2020) 29), one angle in plane strain and
+# triaxial compression (Schanz & Vermeer, 1996). Dense sand peaks 5 I_R above it in plane strain,
+# I_R = I_D (10 − ln p') − 1 with p' of 150 kPa below that pressure: 5 I_D − 1 (Bolton, 1986, 1987).
+# What carries a foot lies 0.57 ± 0.18 of the way up (`inference.inversion.SHARE`). So at a relative
+# density I_D of 0.85 ± 0.1 φ = 33 + 0.57·16.3 = 42°, ± √(2² + (0.18·16.3)² + (0.57·2.5)²) = 4°, at
+# 0.5 ± 0.1 37 ± 3°. Densities are 2650 (1 − n) with the porosity n of uniform and of mixed-grained
+# sand, 0.46 and 0.40 loose, 0.34 and 0.30 dense (Terzaghi, Peck & Mesri, 1996, table of typical
+# porosities): between 1430 and 1590, and 1750 and 1855 kg/m³; medium lies between.
+_QUARTZ = "Bolton (1986, 1987); Schanz & Vermeer (1996); Terzaghi, Peck & Mesri (1996)"
+SANDS = {
+    "loose dry sand": Sand((33.0, 2.0), (1510.0, 80.0), _QUARTZ),
+    "medium dense dry sand": Sand((37.0, 3.0), (1655.0, 80.0), _QUARTZ),
+    "dense dry sand": Sand((42.0, 4.0), (1800.0, 60.0), _QUARTZ),
+    # τ/σ = 0.38 in steady flow on inclines and a volume fraction of 0.60 of glass, 2450 kg/m³
+    # (Jop, Forterre & Pouliquen, Nature 441 (2006) 727): asin 0.38 = 22.3°. Errors are chosen.
+    "loose glass beads": Sand((22.3, 1.5), (1470.0, 40.0), "Jop, Forterre & Pouliquen (2006)"),
+}
+"""Soils by name."""
+ASSUMED_DENSITY = (1550.0, 80.0)
+"""Of a soil of which φ alone is given [kg/m³]: the table's loose to medium dense sand."""
+
+
+class Draws(NamedTuple):
+    """Soils that agree with what is known, shape [draw] each."""
+
+    phi_deg: FloatArray
+    """φ in plane strain [deg]."""
+    density: FloatArray
+    """Bulk density [kg/m³]."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SoilDistribution:
+    """φ in plane strain and bulk density of a soil, with their uncertainty.
+
+    Attributes
+    ----------
+    name
+        What it is, or where the answer comes from.
+    phi
+        Median, standard deviation and intervals of φ in plane strain [deg].
+    density, density_sd
+        Bulk density and its standard deviation [kg/m³].
+    density_assumed
+        Whether nobody measured it.
+    correlation
+        Between φ and density [-]: forces that determine φ give less of it if the soil is heavier.
+    leg_friction
+        Of the leg of an answer [-], or ``None``.
+    caution
+        What to know before it is used; may be empty.
+    origin
+        Where it comes from, as plain values.
+    answer
+        The answer that it is of, or ``None``.
+
+    Examples
+    --------
+    >>> sand = terraphi.soil("loose dry sand")
+    >>> sand
+    loose dry sand: φ 33.0 ± 2.0° in plane strain, 1510 ± 80 kg/m³
+    >>> round(sand.newton()["value"], 3)
+    0.545
+    >>> phi_deg, density = sand.draws(100, rng=1)
+    >>> len(phi_deg)
+    100
+    """
+
+    name: str
+    phi: Estimate
+    density: float
+    density_sd: float
+    density_assumed: bool = True
+    correlation: float = 0.0
+    leg_friction: float | None = None
+    caution: str = ""
+    origin: Mapping[str, Any] = field(default_factory=dict)
+    answer: StoredAnswer | None = None
+
+    def __repr__(self) -> str:
+        """One line."""
+        return (
+            f"{self.name}: φ {self.phi.median:.1f} ± {self.phi.sd:.1f}° in plane strain, "
+            f"{self.density:g} ± {self.density_sd:g} kg/m³"
+        )
+
+    @cached_property
+    def phi_values(self) -> FloatArray:
+        """Equally probable values of φ in plane strain [deg], NaN where an answer has none."""
+        if self.answer is not None:
+            return in_plane_strain(self.answer)
+        return _normal(self.phi.median, self.phi.sd)
+
+    def draws(self, n: int, *, rng: np.random.Generator | int | None = None) -> Draws:
+        """Draw soils.
+
+        Parameters
+        ----------
+        n
+            How many.
+        rng
+            A generator, or the seed of one.
+
+        Raises
+        ------
+        InputError
+            If ``n`` is no count, or the answer's file has no draws.
+        """
+        whole = isinstance(cast("object", n), Integral) and not isinstance(n, bool)
+        if not (whole and 0 <= n <= MOST_DRAWS):
+            raise InputError(f"draws = {n!r}; 0 to {MOST_DRAWS} are accepted")
+        if n == 0:
+            return Draws(np.empty(0), np.empty(0))
+        rng = np.random.default_rng(rng)
+        there = self.phi_values[np.isfinite(self.phi_values)]
+        phi = rng.choice(there, int(n), replace=n > there.size)
+        apart = (phi - there.mean()) / max(float(there.std()), 1e-9)
+        own = np.sqrt(1.0 - self.correlation**2) * rng.standard_normal(int(n))
+        density = self.density + self.density_sd * (self.correlation * apart + own)
+        return Draws(phi, np.maximum(density, LEAST_DENSITY * self.density))
+
+    def genesis(self, **options: Any) -> dict[str, Any]:
+        """Friction of Genesis' MPM sand; options as of :func:`~terraphi.terrain.export.export`."""
+        return self._export("genesis", options)
+
+    def newton(self, **options: Any) -> dict[str, Any]:
+        """Friction of Newton's implicit MPM; options as of `~terraphi.terrain.export.export`."""
+        return self._export("newton", options)
+
+    def chrono(self, terrain: str = "crm", **options: Any) -> dict[str, Any]:
+        """Parameters of Chrono's ``crm`` (FSI-SPH) or ``scm`` terrain; options as of export."""
+        return self._export(f"chrono-{terrain}", options)
+
+    def rft(self, **options: Any) -> dict[str, Any]:
+        """Parameters of three-dimensional resistive force theory; options as of export."""
+        return self._export("rft3d", options)
+
+    def _export(self, to: str, options: dict[str, Any]) -> dict[str, Any]:
+        from terraphi.terrain.export import export
+
+        return export(self, to=to, **options)
+
+    def force(self, foot: Any, pose: Any, velocity: Any, **options: Any) -> tuple[Any, Any]:
+        """Force and moment on feet by law ``foot``, at the median φ and the mean density.
+
+        Parameters
+        ----------
+        foot, pose, velocity
+            As of :func:`terraphi.laws.wrench.force`: a :class:`~terraphi.laws.foot.Foot` or a
+            :class:`~terraphi.laws.wrench.Mesh`, where it is, and how it moves.
+        **options
+            As there; ``phi_deg`` and ``density`` are those of this soil unless given, as one of
+            :meth:`draws` for each foot.
+
+        Raises
+        ------
+        InputError
+            If φ or the friction is outside the law's table, or a shape is another.
+
+        Examples
+        --------
+        >>> from terraphi.laws.foot import Foot
+        >>> ball = Foot(radius=0.022)
+        >>> sand = terraphi.soil("loose dry sand")
+        >>> force, moment = sand.force(ball, [0.0, 0.0, 0.002], [0.0, 0.0, -0.1])
+        >>> bool(force[2] > 10.0)
+        True
+        """
+        from terraphi.laws.wrench import force
+
+        soil = {"phi_deg": self.phi.median, "density": self.density,
+                "surface_friction": FOOT_FRICTION}  # fmt: skip
+        return force(foot, pose, velocity, **{**soil, **options})
+
+
+def soil(
+    what: Any = None,
+    *,
+    phi: float | str | None = None,
+    density: float | str | None = None,
+    anyway: bool = False,
+) -> SoilDistribution:
+    """A soil for a simulator, without a test or from an answer.
+
+    Parameters
+    ----------
+    what
+        A name of the table (``loose dry sand``, ``medium dense dry sand``, ``dense dry sand``,
+        ``loose glass beads``), φ as ``"33±2"``, or an answer: an :class:`~terraphi.Answer`, the
+        folder of ``terraphi invert --out``, its ``answer.nc``, or the output of ``--json``.
+    phi
+        φ in plane strain [deg] in place of a name, as ``33`` (exact) or ``"33±2"``.
+    density
+        Bulk density [kg/m³], as ``1600`` (± 5 %) or ``"1600±40"``; by default that of the table,
+        or 1550 ± 80. An answer has its own.
+    anyway
+        Whether an answer whose verdict is not ``consistent`` is accepted.
+
+    Raises
+    ------
+    InputError
+        If there is no such soil, a number cannot be, or the answer has no φ in plane strain.
+
+    Examples
+    --------
+    >>> terraphi.soil("dense dry sand").phi.median
+    42.0
+    >>> terraphi.soil(phi="33±2", density="1600±40")
+    φ = 33±2°: φ 33.0 ± 2.0° in plane strain, 1600 ± 40 kg/m³
+    """
+    if isinstance(what, SoilDistribution):
+        if phi is not None or density is not None:
+            raise InputError("a soil has its own φ and density; leave them out")
+        return what
+    if (what is None) == (phi is None):
+        raise InputError(f"soil: give its name ({', '.join(SANDS)}), or phi as '33±2'")
+    if isinstance(what, str) and what not in SANDS and _is_angle(what):
+        what, phi = None, what
+    if what is None:
+        mean, sd = _angle(phi)
+        name, source = f"φ = {str(phi).strip()}°", "given"
+        weight, assumed = ASSUMED_DENSITY, density is None
+    elif isinstance(what, str) and what in SANDS:
+        (mean, sd), weight, source = SANDS[what]
+        name, assumed = what, density is None
+    else:
+        if density is not None:
+            raise InputError("an answer has its density; leave it out")
+        return _of_answer(what, anyway=anyway)
+    if density is not None:
+        weight = density_with_sd(density, "soil")
+    return SoilDistribution(
+        name=name,
+        phi=Estimate.of(_normal(mean, sd)),
+        density=weight[0],
+        density_sd=weight[1],
+        density_assumed=assumed,
+        origin={"soil": name, "source": source},
+    )
+
+
+def _is_angle(text: str) -> bool:
+    try:
+        number_with_sd(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _angle(phi: Any) -> tuple[float, float]:
+    """Mean and standard deviation of φ [deg]; raises InputError."""
+    low, high, _ = LIMITS["soil.friction_angle_deg"]
+    try:
+        mean, sd = number_with_sd(str(phi))
+    except ValueError:
+        raise InputError(f"phi = '{phi}'; give degrees in plane strain as 33 or 33±2") from None
+    sd = 0.0 if sd is None else sd
+    if not (low <= mean <= high and 0.0 <= sd <= 0.25 * mean):
+        raise InputError(
+            f"phi = {phi}; {low:g} to {high:g}° with a ± of a quarter of it at most are accepted"
+        )
+    return mean, sd
+
+
+def _normal(mean: float, sd: float) -> FloatArray:
+    """Equally probable values of a normal distribution, none beyond :data:`MOST_SDS`."""
+    normal = NormalDist(0.0, 1.0)
+    share = (np.arange(QUANTILES) + 0.5) / QUANTILES
+    apart = np.array([normal.inv_cdf(p) for p in share.tolist()])
+    return mean + sd * np.clip(apart, -MOST_SDS, MOST_SDS)
+
+
+def _of_answer(what: Any, *, anyway: bool) -> SoilDistribution:
+    """The soil of an answer."""
+    if isinstance(what, str | Path):
+        text, path = str(what), Path(what)
+        if text != "-" and not path.suffix and not path.exists():
+            raise InputError(
+                f"'{text}' is neither an answer nor a soil; {nearest(text, (*SANDS, '33±2'))}"
+            )
+    read = StoredAnswer.of(what)
+    answer = read.answer
+    if None in (answer[name] for name in ANGLES):
+        reason = answer.get("phi_plane_strain_reason") or "it was not inferred"
+        raise InputError(f"{read.source}: no friction angle in plane strain: {reason}")
+    _check(read)
+    caution = " ".join(q for q in answer.get("questions", ()) if GUESSED not in q)
+    if answer["verdict"] != "consistent":
+        caution = f"the verdict is {answer['verdict'].replace('_', ' ')}: {answer['reason']}"
+        if not anyway:
+            raise InputError(f"{read.source}: {caution} To export it all the same, add --anyway")
+    caution = ". ".join(filter(None, [changed(Path(read.source)), caution]))
+    phi = answer["phi_plane_strain_deg"]
+    records = [one["source"] for one in answer.get("records", ())]
+    inferred = answer.get("parameters", {}).get("leg.friction")
+    density = float(answer["density_kg_m3"])
+    sd = answer.get("density_sd_kg_m3")
+    # A heavier soil of the same forces has a smaller angle: that is the density's term of σ_φ.
+    share = answer.get("budget_deg", {}).get("density", 0.0) / max(phi.get("sd") or 0.0, 1e-9)
+    return SoilDistribution(
+        name=read.source,
+        phi=Estimate(phi["median"], phi.get("sd", 0.0), tuple(phi["ci68"]), tuple(phi["ci95"])),
+        density=density,
+        density_sd=0.05 * density if sd is None else float(sd),
+        density_assumed=answer.get("density_assumed", True),
+        correlation=-min(share, 1.0),
+        leg_friction=inferred["median"] if inferred else answer.get("leg_friction"),
+        caution=caution,
+        origin={
+            "answer": read.source,
+            "record": answer.get("source") or ", ".join(records),
+            "law": answer["law"],
+            "verdict": answer["verdict"],
+            "provenance": answer.get("provenance", {}),
+        },
+        answer=read,
+    )
+
+
+def _check(read: StoredAnswer) -> None:
+    """Refuse medians and intervals that do not belong together, as of an answer edited by hand."""
+    angles = (read.answer[name] for name in ANGLES)
+    own, given = (np.array([one["median"], *one["ci68"], *one["ci95"]]) for one in angles)
+    expected = _to_plane_strain(read, own)
+    if read.answer["phi_deg"].get("yield") in EXACT and not np.allclose(
+        expected, given, rtol=0.0, atol=AGREEMENT_DEG
+    ):
+        pair = f"phi_deg {own[0]:.1f} is {expected[0]:.1f} in plane strain"
+        raise InputError(f"{read.source}: {pair}, found {given[0]:.1f}; invert again")
+
+
+def _to_plane_strain(read: StoredAnswer, phi_deg: FloatArray) -> FloatArray:
+    """Angles of an answer's convention as in plane strain [deg]; not a number if there is none."""
+    convention = read.answer["phi_deg"].get("yield")
+    if convention in ("paper", "plane_strain"):
+        sine = [cone_slope(phi, convention) for phi in phi_deg]
+        return np.asarray(np.degrees(np.arcsin(sine)))
+    return to_plane_strain(phi_deg)
+
+
+def in_plane_strain(read: StoredAnswer) -> FloatArray:
+    """Draws of φ as plane-strain angles [deg], shape [draw]; not a number if there is none.
+
+    Raises
+    ------
+    InputError
+        If there are no draws, or the conversion does not reproduce the answer's own medians.
+    """
+    if not read.draws_deg.size:
+        where = "name the folder of 'terraphi invert --out', or its answer.nc"
+        raise InputError(f"{read.source}: has no draws of the posterior; {where}")
+    median = _to_plane_strain(read, np.array([read.answer["phi_deg"]["median"]]))
+    if not abs(median[0] - read.answer["phi_plane_strain_deg"]["median"]) < 1e-6:
+        why = f"draws of '{read.answer['phi_deg']['yield']}' cannot be converted to plane strain"
+        raise InputError(f"{read.source}: {why}; leave out --draws")
+    return _to_plane_strain(read, read.draws_deg)

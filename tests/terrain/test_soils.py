@@ -1,0 +1,129 @@
+"""Soils for simulators: the table's sources, draws, one path for names, angles and answers."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+import terraphi as package
+from terraphi.experiment.errors import InputError
+from terraphi.inference.inversion import SHARE, invert
+from terraphi.laws.foot import LAWS, Foot
+from terraphi.terrain.export import export
+from terraphi.terrain.simulators import convert
+from terraphi.terrain.soils import SANDS, soil
+
+
+@pytest.mark.parametrize(
+    ("name", "relative_density", "porosity"),
+    [
+        ("loose dry sand", None, (0.40, 0.46)),
+        ("medium dense dry sand", 0.5, (0.34, 0.40)),
+        ("dense dry sand", 0.85, (0.30, 0.34)),
+    ],
+)
+def test_the_table_follows_from_its_sources(
+    name: str, relative_density: float | None, porosity: tuple[float, float]
+) -> None:
+    """Bolton's I_R in plane strain at low pressure, and densities from porosities, anew."""
+    (phi, sd), (density, _), _ = SANDS[name]
+    above, error = 0.0, 0.0
+    if relative_density is not None:
+        rise = 5.0 * (relative_density * (10.0 - math.log(150.0)) - 1.0)
+        above = SHARE[0] * rise
+        error = math.hypot(SHARE[1] * rise, SHARE[0] * 25.0 * 0.1)
+    assert phi == pytest.approx(33.0 + above, abs=0.5)
+    assert sd == pytest.approx(math.hypot(2.0, error), abs=0.4)
+    low, high = (2650.0 * (1.0 - n) for n in reversed(porosity))
+    assert low <= density <= high
+
+
+def test_draws_have_the_moments_of_the_soil() -> None:
+    found = soil(phi="33±2", density="1600±40")
+    phi, density = found.draws(100_000, rng=np.random.default_rng(1))
+    assert (phi.mean(), phi.std()) == pytest.approx((33.0, 2.0), abs=0.02)
+    assert (density.mean(), density.std()) == pytest.approx((1600.0, 40.0), abs=0.5)
+    assert abs(np.corrcoef(phi, density)[0, 1]) < 0.02
+    again = found.draws(100_000, rng=1)
+    np.testing.assert_array_equal(again.phi_deg, phi)
+    exact = soil(phi=30).draws(5, rng=0)
+    assert exact.phi_deg.tolist() == [30.0] * 5
+
+
+def test_draws_of_an_answer_agree_with_its_forces() -> None:
+    """A heavier soil has a smaller angle by what the density's term says of σ_φ."""
+    answer = invert("li2013:yuma/straight", density="1650±120")
+    of_answer = soil(answer)
+    phi, density = of_answer.draws(100_000, rng=3)
+    slope = np.polyfit(density, phi, 1)[0]
+    heavier = invert("li2013:yuma/straight", density=1750.0).phi.median
+    lighter = invert("li2013:yuma/straight", density=1550.0).phi.median
+    assert slope == pytest.approx((heavier - lighter) / 200.0, rel=0.35)
+    assert phi.std() == pytest.approx(answer.phi.sd, rel=0.02)
+    assert density.std() == pytest.approx(120.0, rel=0.02)
+
+
+def test_an_angle_a_name_and_an_answer_take_one_path(terraphi: Any) -> None:
+    loose = soil("loose dry sand")
+    same = [export("33±2", to="newton"), convert("33±2", to="newton"), loose.newton(),
+            soil(loose).newton(), package.export(loose, to="newton")]  # fmt: skip
+    for one in same:
+        assert one["value"] == pytest.approx(math.sin(math.radians(33.0)), abs=1e-6)
+        assert one["ci95"] == pytest.approx(
+            [math.sin(math.radians(33.0 + s * 1.96 * 2.0)) for s in (-1, 1)], abs=2e-4
+        )
+    assert loose.genesis()["to"] == "genesis"
+    assert [loose.chrono(one)["to"] for one in ("crm", "scm")] == ["chrono-crm", "chrono-scm"]
+    assert loose.rft()["PHI_PLANE_STRAIN_DEG"]["median"] == pytest.approx(33.0)
+    ran = terraphi("export", "33+-2", "--density", "1600±40", "--to", "newton", "--draws", "3",
+                   "--out", "soil.json", "--json")  # fmt: skip
+    written = json.loads(ran.out)
+    assert (written["density_kg_m3"], written["density_assumed"]) == (1600.0, False)
+    assert len(written["draws"]) == len(written["density_draws_kg_m3"]) == 3
+    assert "0.545" in terraphi("convert", "loose dry sand", "--to", "newton").out
+
+
+def test_force_is_that_of_the_law_in_plane_strain() -> None:
+    sand, foot = soil("dense dry sand"), Foot(0.022)
+    place, down = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.1]]), np.array([0.0, 0.0, -0.1])
+    force, _ = sand.force(foot, place, down)
+    expected = LAWS["foot"].force(
+        foot, 0.022, math.pi / 2, friction_angle_deg=42.0, density=1800.0, surface_friction=0.4
+    )
+    np.testing.assert_allclose(force, [[0.0, 0.0, expected[1]], [0.0, 0.0, 0.0]], atol=1e-9)
+    for name in SANDS:
+        every = soil(name).draws(4096, rng=0)
+        found, _ = sand.force(foot, np.zeros((4096, 3)), down, **every._asdict())
+        assert (found[:, 2] > 0.0).all()
+    drawn = sand.draws(2, rng=0)
+    other, _ = sand.force(foot, place[[0, 0]], down, **drawn._asdict())
+    rising = np.diff(other[:, 2] / drawn.density)[0] * np.diff(drawn.phi_deg)[0]
+    assert rising > 0.0
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: soil(), "give its name"),
+        (lambda: soil("loose dry sand", phi=33), "give its name"),
+        (lambda: soil("loos dry sand"), "did you mean 'loose dry sand'"),
+        (lambda: soil(phi="33±"), "phi = '33±'"),
+        (lambda: soil(phi="nan"), "phi = nan; 5 to 60"),
+        (lambda: soil(phi="33±20"), "a quarter"),
+        (lambda: soil(phi=0.6), "phi = 0.6; 5 to 60"),
+        (lambda: soil(phi=33, density="heavy"), "density = 'heavy'"),
+        (lambda: soil("none.nc"), "none.nc"),
+        (lambda: soil(invert("li2013:yuma/c"), density=1600), "an answer has its density"),
+        (lambda: soil("dense dry sand").draws(-1), "draws = -1"),
+        (lambda: soil("dense dry sand").chrono("crn"), "did you mean 'chrono-crm'"),
+        (lambda: convert("33±2"), "name the simulator"),
+        (lambda: convert("42±4", to="genesis", dp_type="Inscribed"), "only geotaichi"),
+    ],
+)
+def test_what_is_no_soil_is_refused(call: Any, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        call()
