@@ -52,7 +52,9 @@ def tuned(name: str, voxel: float, *, only_kept: bool) -> dict[str, Any]:
 
     ENGINES[name] = remembered
     try:
-        return tune(name, voxel=voxel, foot=FOOT, phi=PHI, density=DENSITY, depth=DEPTH, finer=0, draws=0)
+        return tune(
+            name, voxel=voxel, foot=FOOT, phi=PHI, density=DENSITY, depth=DEPTH, finer=0, draws=0
+        )
     finally:
         ENGINES[name] = engine
 
