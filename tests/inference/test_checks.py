@@ -130,7 +130,7 @@ def test_the_option_that_is_offered_mends_the_record(
         remedy = "unit=mN"
     mended = invert(pd.DataFrame(columns), columns=remedy, **options)
     assert mended.verdict == "consistent"
-    assert mended.phi.median == pytest.approx(invert(history, **options).phi.median, abs=1e-6)
+    assert mended.phi.median == pytest.approx(invert(history, **options).phi.median, abs=1e-4)
 
 
 @pytest.mark.parametrize("given", [{"force_on": "soil"}, {"fx_sign": -1}, {"theta_sign": -1}])
