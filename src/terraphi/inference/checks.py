@@ -282,6 +282,16 @@ def guesses(likelihood: Likelihood) -> Iterator[str]:
             yield f"{name}The density {density:g} kg/m³ is assumed; 10 % of it move φ by about 1°."
 
 
+def densities(density: FloatArray, sd: FloatArray) -> list[str]:
+    """A sentence if records of one soil have different densities [kg/m³], shape [record] each."""
+    if np.ptp(density) <= UNUSUAL * sd.max():
+        return []
+    return [
+        f"The records have densities from {density.min():g} to {density.max():g} kg/m³, and are "
+        "inverted as one soil: check that they are."
+    ]
+
+
 def others(
     likelihood: Likelihood,
     *,
@@ -297,11 +307,7 @@ def others(
         Whether the model describes them badly; only then other readings of them are proposed.
     """
     density = np.array(likelihood.density)
-    if np.ptp(density) > UNUSUAL * np.max(likelihood.density_sd * density):
-        yield (
-            f"The records have densities from {density.min():g} to {density.max():g} kg/m³, and "
-            "are inverted as one soil: check that they are."
-        )
+    yield from densities(density, likelihood.density_sd * density)
     for i, record in enumerate(likelihood.records):
         name = likelihood.prefix(record)
         if record.scenario is not None:

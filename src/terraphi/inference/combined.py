@@ -16,7 +16,9 @@ import numpy as np
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError
+from terraphi.experiment.rig import LEG_NAMES, Rig
 from terraphi.inference.answer import Answer, Estimate, Verdict, decimals
+from terraphi.inference.checks import densities
 from terraphi.laws.store import PHI
 
 OF_SOIL = ("density", "model: soil")
@@ -79,7 +81,8 @@ def combined(answers: Sequence[Answer]) -> Answer:
     if wider > 0.0:
         budget["disagreement"] = wider
     digits = decimals((median - sd, median + sd))
-    read = [f"{one.source} {one.phi.median:.{digits}f} ± {one.phi.sd:.1f}°" for one in answers]
+    named = list(zip(map(_name, answers), answers, strict=True))
+    read = [f"{name} {one.phi.median:.{digits}f} ± {one.phi.sd:.1f}°" for name, one in named]
     verdict: Verdict = "consistent"
     within = " within their errors" if wider > 0.0 else ""
     reason = f"Consistent: {', '.join(read)} agree{within}."
@@ -87,8 +90,10 @@ def combined(answers: Sequence[Answer]) -> Answer:
     pairs = np.triu_indices(len(phi), 1)
     differ = np.sqrt((variance[:, None] + variance - 2.0 * covariance)[pairs])
     spread = np.abs(phi[:, None] - phi)[pairs] / differ
-    if worse := [one for one in answers if one.verdict != "consistent"]:
-        verdict, reason = worse[0].verdict, f"{worse[0].source}: {worse[0].reason}"
+    if worse := [(name, one) for name, one in named if one.verdict != "consistent"]:
+        [(name, one), *_] = worse
+        head, _, rest = one.reason.partition(": ")
+        verdict, reason = one.verdict, f"{head}: {name}: {rest}"
     elif spread.max() > DISAGREE:
         verdict = "misfit"
         reason = (
@@ -100,11 +105,13 @@ def combined(answers: Sequence[Answer]) -> Answer:
     density /= np.trapezoid(density, grid)
     estimate = Estimate.of_density(grid, density)
     first = answers[0]
+    density_kg_m3 = np.array([one.density_kg_m3 for one in answers])
+    density_sd = np.array([one.density_sd_kg_m3 or 0.0 for one in answers])
     # What is said of all is said once.
     alike = set(first.questions).intersection(*(one.questions for one in answers))
     questions = [
-        text if text in alike or text.startswith(one.source) else f"{one.source}: {text}"
-        for one in answers for text in one.questions
+        text if text in alike or text.startswith(tuple(r.source for r in one.records))
+        else f"{name}: {text}" for name, one in named for text in one.questions
     ]  # fmt: skip
     # Curves of φ alone, other parameters at their medians; each answer's errors are its own.
     records, ends = [], np.cumsum([0, *(len(one.covariance) for one in answers)])
@@ -134,7 +141,7 @@ def combined(answers: Sequence[Answer]) -> Answer:
         density=density,
         draws={},
         diagnostics={},
-        questions=tuple(dict.fromkeys(questions)),
+        questions=tuple(dict.fromkeys([*densities(density_kg_m3, density_sd), *questions])),
         provenance={
             **first.provenance,
             "answers": [
@@ -143,3 +150,10 @@ def combined(answers: Sequence[Answer]) -> Answer:
             ],
         },
     )
+
+
+def _name(answer: Answer) -> str:
+    """The record of an answer, or the leg of several."""
+    rig = answer.records[0].rig
+    several = len(answer.records) > 1 and isinstance(rig, Rig)
+    return f"{LEG_NAMES[rig.leg]} ({len(answer.records)} records)" if several else answer.source
