@@ -287,8 +287,10 @@ def densities(density: FloatArray, sd: FloatArray) -> list[str]:
     if np.ptp(density) <= UNUSUAL * sd.max():
         return []
     return [
-        f"The records have densities from {density.min():g} to {density.max():g} kg/m³, and are "
-        "inverted as one soil: check that they are."
+        (
+            f"The records have densities from {density.min():g} to {density.max():g} kg/m³, and are "
+            "inverted as one soil: check that they are."
+        )
     ]
 
 
