@@ -286,12 +286,8 @@ def densities(density: FloatArray, sd: FloatArray) -> list[str]:
     """A sentence if records of one soil have different densities [kg/m³], shape [record] each."""
     if np.ptp(density) <= UNUSUAL * sd.max():
         return []
-    return [
-        (
-            f"The records have densities from {density.min():g} to {density.max():g} kg/m³, and are "
-            "inverted as one soil: check that they are."
-        )
-    ]
+    ends = f"{density.min():g} to {density.max():g} kg/m³"
+    return [f"The records have densities from {ends}, and are inverted as one soil: check them."]
 
 
 def others(
