@@ -87,6 +87,12 @@ def test_an_angle_a_name_and_an_answer_take_one_path(terraphi: Any) -> None:
     assert "0.545" in terraphi("convert", "loose dry sand", "--to", "newton").out
 
 
+def test_an_angle_may_be_a_number() -> None:
+    for angle in (33, np.float64(33.0)):
+        assert soil(angle).phi == soil(phi=33).phi
+        assert convert(angle, to="newton")["value"] == convert("33", to="newton")["value"]
+
+
 def test_force_is_that_of_the_law_in_plane_strain() -> None:
     sand, foot = soil("dense dry sand"), Foot(0.022)
     place, down = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.1]]), np.array([0.0, 0.0, -0.1])

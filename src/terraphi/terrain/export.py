@@ -39,7 +39,7 @@ JANOSI = (0.010, 0.025)
 
 
 def export(
-    answer: SoilDistribution | Answer | StoredAnswer | Path | str,
+    answer: SoilDistribution | Answer | StoredAnswer | Path | str | float,
     *,
     to: str,
     density: float | str | None = None,
