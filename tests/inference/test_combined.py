@@ -11,6 +11,7 @@ import pytest
 import terraphi
 from terraphi.inference.answer import Answer, Estimate
 from terraphi.inference.combined import combined
+from terraphi.inference.manifest import read_manifest
 from terraphi.laws.store import PHI
 
 GRAINS = Path(__file__).parents[2] / "studies" / "data" / "grains"
@@ -64,6 +65,14 @@ def test_what_answers_share_is_not_widened_by_their_disagreement(plate: Answer) 
     assert 2.5 < joint.phi.sd < 1.2 * apart[0].phi.sd
 
 
+def test_a_sensor_is_wrong_by_the_same_for_all_legs(plate: Answer) -> None:
+    legs = [
+        replace(normal(plate, 30.0, 1.0, 0.0, "legs"), budget_deg={"noise": 0.8, "gain": 0.6})
+        for _ in range(2)
+    ]
+    assert combined(legs).phi.sd == pytest.approx(np.hypot(0.8 / np.sqrt(2), 0.6), abs=0.01)
+
+
 @pytest.mark.parametrize("soil", CRITICAL_DEG)
 def test_leg_plate_and_ball_in_one_soil_narrow_its_angle(soil: str, tmp_path: Path) -> None:
     legs = GRAINS / f"{soil}-loose_straight_1.csv"
@@ -101,6 +110,8 @@ def test_legs_of_two_shapes_read_what_lies_between_them(soil: str) -> None:
     assert joint.phi.sd < min(one.phi.sd for one in alone)
     assert joint.phi.median == pytest.approx(CRITICAL_DEG[soil], abs=2.5)
     assert [record.rig.leg for record in joint.records] == ["straight", "c"]
+    assert joint.cohesion_pa is None  # each leg has its own
+    assert len(joint.provenance["gain"]) == len(joint.provenance["noise"]) == 2
 
 
 def test_a_record_may_have_a_rig_of_its_own(tmp_path: Path) -> None:
@@ -112,6 +123,28 @@ def test_a_record_may_have_a_rig_of_its_own(tmp_path: Path) -> None:
     for high in (f"{forces}@{tmp_path / 'high.toml'}", (forces, {"leg": "straight", **sizes})):
         joint = terraphi.invert([forces, high], **given)
         assert [record.rig.hip_height_mm for record in joint.records] == [20.0, 30.0]
+
+
+def test_a_table_names_the_rig_of_a_file_in_its_folder(tmp_path: Path) -> None:
+    (tmp_path / "force.csv").touch()
+    (tmp_path / "high.toml").touch()
+    lines = ["file,density", "force.csv@c,1500", "force.csv@high.toml,1500", "force.csv,1500"]
+    (tmp_path / "day.csv").write_text("\n".join(lines) + "\n")
+    force = tmp_path / "force.csv"
+    named = [row["forces"] for row in read_manifest(tmp_path / "day.csv")]
+    assert named == [f"{force}@c", f"{force}@{tmp_path / 'high.toml'}", str(force)]
+
+
+def test_what_differs_between_bodies_is_stated_of_none() -> None:
+    names = ("straight", "c", "disc_60")
+    leg, bent, plate = (GRAINS / f"B-loose_{name}_1.csv" for name in names)
+    given = {"rig": "li2013", "leg": "straight", "density": 1415}
+    joint = terraphi.invert([leg, f"{bent}@c", f"{plate}@plate:60"], **given)
+    alone = [terraphi.invert(leg, **given),
+             terraphi.invert(plate, tool="plate:60", density=1415)]  # fmt: skip
+    assert alone[0].leg_friction != alone[1].leg_friction
+    assert joint.leg_friction is None
+    assert "straight leg, C leg (2 records)" in joint.reason
 
 
 def test_a_density_that_is_exact_is_so_for_all_bodies() -> None:

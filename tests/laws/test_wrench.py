@@ -345,6 +345,8 @@ def test_other_arrays_have_the_forces_of_numpy(foot: Any, library: str) -> None:
         ({"phi_deg": 60.0}, "phi_deg = 60 to 60: law 'foot' is for 14 to 55"),
         ({"phi_deg": math.nan}, "phi_deg = nan"),
         ({"surface_friction": 0.9}, "surface_friction = 0.9"),
+        ({"pose": np.full((2, 3), [[0.0], [math.nan]])}, "pose of foot 1 is no number"),
+        ({"velocity": np.full(3, math.inf)}, "velocity of foot 0 is no number"),
         ({"pose": np.zeros(4)}, "the last axis is 3 or 7"),
         ({"velocity": np.zeros(2)}, "the last axis is 3 or 7"),
         ({"held": (np.zeros(3), np.zeros(3))}, "as step"),

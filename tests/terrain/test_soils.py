@@ -87,6 +87,20 @@ def test_an_angle_a_name_and_an_answer_take_one_path(terraphi: Any) -> None:
     assert "0.545" in terraphi("convert", "loose dry sand", "--to", "newton").out
 
 
+@pytest.mark.parametrize(("to", "name"), [("rft3d", "XI_N"), ("chrono-scm", "BEKKER_KPHI")])
+def test_draws_of_stiffness_have_the_density_of_their_draw(to: str, name: str) -> None:
+    found = export(soil(phi="33±0", density="1600±100"), to=to, draws=200)
+    drawn = np.array(found[name]["draws"]) / found[name]["median"]
+    np.testing.assert_allclose(drawn, np.array(found["density_draws_kg_m3"]) / 1600.0, rtol=1e-5)
+    assert np.ptp(drawn) > 0.1
+
+
+def test_an_angle_may_be_a_number() -> None:
+    for angle in (33, np.float64(33.0)):
+        assert soil(angle).phi == soil(phi=33).phi
+        assert convert(angle, to="newton")["value"] == convert("33", to="newton")["value"]
+
+
 def test_force_is_that_of_the_law_in_plane_strain() -> None:
     sand, foot = soil("dense dry sand"), Foot(0.022)
     place, down = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.1]]), np.array([0.0, 0.0, -0.1])

@@ -7,6 +7,7 @@ import json
 import math
 import runpy
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from terraphi import invert
 from terraphi.cli.main import cli
 from terraphi.cli.options import TUNED
 from terraphi.experiment.errors import InputError
@@ -103,6 +105,15 @@ def test_a_force_that_depends_on_the_place_in_the_voxel_has_no_value() -> None:
     assert not found.fits
 
 
+def test_a_friction_without_force_does_not_hide_the_scatter() -> None:
+    def press(ratio: float, place: int) -> np.ndarray:
+        return TARGET * (0.2, 1.0, 1.8)[place] * (ratio / 0.4) ** 3 * (ratio > 0.35)
+
+    found = fit(press, TARGET, TARGET[None] * np.ones((500, 1)), **GIVEN)
+    assert found.scatter > found.tolerance
+    assert not found.fits
+
+
 def test_a_foot_that_feels_nothing_is_refused() -> None:
     with pytest.raises(InputError, match="finer voxels"):
         search(1.0, power=math.nan)
@@ -140,6 +151,30 @@ def test_the_command_writes_what_the_simulators_read(tmp_path, monkeypatch) -> N
     assert {len(row) for row in rows} == {6}
     assert float(rows[1][1]) == found["value"]
     assert [float(row[1]) for row in rows if row[0] == "draw"] == found["draws"]
+
+
+def test_draws_beyond_the_law_do_not_move_the_others(monkeypatch) -> None:
+    """Law foot ends near 55°: dropped draws took the median of the load down."""
+
+    def engine(press: Press, value: float) -> tuple[np.ndarray, np.ndarray]:
+        depth = np.linspace(1e-4, press.depth, 60)
+        force = press.sole.force(depth, np.array([54.0]), **SOIL)[0]
+        return depth, force * (value / math.sin(math.radians(54.0))) ** 2
+
+    monkeypatch.setitem(ENGINES, "newton", engine)
+    found = tune("newton", voxel=0.03, foot="disc:0.05", phi="54±6", density=1600.0)
+    assert found["carried"] == pytest.approx(1.0, abs=0.1)
+
+
+def test_an_answer_that_is_a_misfit_is_tuned_if_wanted(monkeypatch) -> None:
+    monkeypatch.setitem(ENGINES, "newton", synthetic(0.7))
+    answer = invert("li2013:poppy_loose/straight", density="1600±10")
+    misfit = replace(answer, verdict="misfit", reason="Misfit: of a test.")
+    options: dict[str, Any] = {"voxel": 0.03, "foot": "disc:0.05", "phi": misfit}
+    with pytest.raises(InputError, match="--anyway"):
+        tune("newton", **options)
+    assert "Misfit: of a test." in tune("newton", **options, anyway=True)["caution"]
+    assert tune("newton", voxel=0.03, foot="disc:0.05", phi="33±2")["density_assumed"]
 
 
 def test_genesis_gets_its_angle(monkeypatch) -> None:

@@ -23,8 +23,9 @@ from terraphi.laws.store import PHI
 
 OF_SOIL = ("density", "model: soil")
 """Terms that all answers share."""
-OF_LAW = ("model: law", "model: apparatus", "model: compaction", "surface friction", "rectangle")
-"""Terms that answers by one law share."""
+OF_LAW = ("model: law", "model: apparatus", "model: compaction", "surface friction", "rectangle",
+          "gain")  # fmt: skip
+"""Terms that answers by one law share; legs have one sensor."""
 DISAGREE = 1.96
 """Standard deviations of the difference of two answers above which they are a misfit [-]: one sound
 pair in twenty, and fewer in grains, whose intervals hold more than they claim."""
@@ -107,6 +108,8 @@ def combined(answers: Sequence[Answer]) -> Answer:
     first = answers[0]
     density_kg_m3 = np.array([one.density_kg_m3 for one in answers])
     density_sd = np.array([one.density_sd_kg_m3 or 0.0 for one in answers])
+    frictions = {one.leg_friction for one in answers}
+    cohesions = {one.cohesion_pa for one in answers}
     # What is said of all is said once.
     alike = set(first.questions).intersection(*(one.questions for one in answers))
     questions = [
@@ -133,6 +136,8 @@ def combined(answers: Sequence[Answer]) -> Answer:
         law=", ".join(dict.fromkeys(one.law for one in answers)),
         law_reason=first.law_reason if one_law.all() else "",
         second_opinion=None,
+        leg_friction=first.leg_friction if len(frictions) == 1 else None,
+        cohesion_pa=first.cohesion_pa if len(cohesions) == 1 else None,
         budget_deg=dict(sorted(budget.items(), key=lambda term: -term[1])),
         density_assumed=any(one.density_assumed for one in answers),
         records=tuple(records),
@@ -144,6 +149,11 @@ def combined(answers: Sequence[Answer]) -> Answer:
         questions=tuple(dict.fromkeys([*densities(density_kg_m3, density_sd), *questions])),
         provenance={
             **first.provenance,
+            **{
+                name: [value for one in answers for value in one.provenance.get(name, ())]
+                for name in ("gain", "noise")
+                if name in first.provenance
+            },
             "answers": [
                 {"source": one.source, "median": one.phi.median, "sd": one.phi.sd, "weight": w}
                 for one, w in zip(answers, weight.tolist(), strict=True)
@@ -153,7 +163,7 @@ def combined(answers: Sequence[Answer]) -> Answer:
 
 
 def _name(answer: Answer) -> str:
-    """The record of an answer, or the leg of several."""
-    rig = answer.records[0].rig
-    several = len(answer.records) > 1 and isinstance(rig, Rig)
-    return f"{LEG_NAMES[rig.leg]} ({len(answer.records)} records)" if several else answer.source
+    """The record of an answer, or the legs of several."""
+    legs = dict.fromkeys(LEG_NAMES[rig.leg] for rig in answer.rigs if isinstance(rig, Rig))
+    several = len(answer.records) > 1 and legs
+    return f"{', '.join(legs)} ({len(answer.records)} records)" if several else answer.source

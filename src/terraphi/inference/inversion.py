@@ -146,6 +146,8 @@ def invert(
     Returns
     -------
     Answer
+        Its ``records`` are in the order of the list, but those of one shape of leg together, and
+        those of tools last.
 
     Raises
     ------

@@ -61,7 +61,10 @@ def _row(folder: Path, cells: dict[str, str]) -> dict[str, Any]:
     """Options of one record; files that lie in the folder of the table are found there."""
 
     def placed(text: str) -> str:
-        return str(folder / text) if (folder / text).is_file() else text
+        if (folder / text).is_file():
+            return str(folder / text)
+        name, at, own = text.rpartition("@")  # forces.csv@c, forces.csv@rig.toml
+        return f"{placed(name)}@{placed(own)}" if at else text
 
     given: dict[str, Any] = {key: placed(cells[key]) for key in OPTIONS if cells.get(key)}
     for key in {

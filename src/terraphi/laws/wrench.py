@@ -32,7 +32,9 @@ results are of the same library, type and device.
   slope of f is at most 2 k, since \|f − F\| is at most twice the larger. So a semi-implicit Euler
   step h is stable for 2 k h² < 4 m, that is **k h² < 2 m**, with m the least apparent mass of the
   foot, one over the largest eigenvalue of J M⁻¹ Jᵀ. Feet of one body share its mass: take M as it
-  is, and J of all feet that stand.
+  is, and J of all feet that stand. Take k near that bound: a soft spring without a damper ratchets
+  (1 kg on a ball of 22 mm, steps of 5 ms: 8 mm deep after 8 s at a quarter of it, 102 mm and
+  sinking at a fortieth; with a damper of 20 N s/m it stays at 2 and 9 mm).
 """
 
 from __future__ import annotations
@@ -199,7 +201,8 @@ def force(
     Raises
     ------
     InputError
-        If φ or the friction is outside the law's table, or a shape is another.
+        If φ or the friction is outside the law's table, a number of NumPy is not finite, or a shape
+        is another.
 
     Examples
     --------
@@ -231,6 +234,10 @@ def force(
         for key, value in (("phi_deg", phi_deg), ("density", density), ("surface", surface))
     }
     _check_angles(each["phi_deg"], surface_friction)
+    numbers = {"pose": place, "velocity": moving, **each} if xp is np else {}
+    for name, values in numbers.items():
+        if (wrong := np.argwhere(~np.isfinite(values))).size:
+            raise InputError(f"{name} of foot {wrong[0, 0]} is no number")
     fade = TINY if held is not None else rest_speed
     if isinstance(foot, Foot):
         force_, moment, deep = _of_foot(foot, place, moving, surface_friction, fade, **each)

@@ -39,7 +39,7 @@ JANOSI = (0.010, 0.025)
 
 
 def export(
-    answer: SoilDistribution | Answer | StoredAnswer | Path | str,
+    answer: SoilDistribution | Answer | StoredAnswer | Path | str | float,
     *,
     to: str,
     density: float | str | None = None,
@@ -157,6 +157,9 @@ def _parameters(
         scale = _summary(lambda a: float(stress_scale(to.from_angle(a), density)), phi, chosen)
         plane = {**_summary(float, phi, chosen), "about": "[deg] φ in plane strain, of wrench"}
         found |= {"XI_N": {**scale, "about": about}, "PHI_PLANE_STRAIN_DEG": plane}
+    for name in {"BEKKER_KPHI", "XI_N"} & found.keys():  # in proportion to each draw's density
+        drawn = np.array(found[name]["draws"]) * densities / density
+        found[name]["draws"] = drawn.round(6).tolist()
     return found
 
 

@@ -280,7 +280,7 @@ def convert(
 
         if to is None:
             raise InputError(f"convert {value}: name the simulator that it is from, or to")
-        return export(value if isinstance(value, str) else f"{value:g}", to=to, dp_type=dp_type)
+        return export(value, to=to, dp_type=dp_type)
     given = simulator(from_, dp_type=dp_type)
     check_dp_type(dp_type, from_, to)
     least, most, unit = (LEAST_DEG, 90.0, " degrees, not radians") if given.unit else (0, 2, "")

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from numbers import Integral
+from numbers import Integral, Real
 from pathlib import Path
 from statistics import NormalDist
 from typing import Any, NamedTuple, cast
@@ -242,8 +242,9 @@ def soil(
     ----------
     what
         A name of the table (``loose dry sand``, ``medium dense dry sand``, ``dense dry sand``,
-        ``loose glass beads``), φ as ``"33±2"``, or an answer: an :class:`~terraphi.Answer`, the
-        folder of ``terraphi invert --out``, its ``answer.nc``, or the output of ``--json``.
+        ``loose glass beads``), φ as ``33`` or ``"33±2"``, or an answer: an
+        :class:`~terraphi.Answer`, the folder of ``terraphi invert --out``, its ``answer.nc``, or
+        the output of ``--json``.
     phi
         φ in plane strain [deg] in place of a name, as ``33`` (exact) or ``"33±2"``.
     density
@@ -270,6 +271,8 @@ def soil(
         return what
     if (what is None) == (phi is None):
         raise InputError(f"soil: give its name ({', '.join(SANDS)}), or phi as '33±2'")
+    if isinstance(what, Real):
+        what = f"{float(what):g}"
     if isinstance(what, str) and what not in SANDS and _is_angle(what):
         what, phi = None, what
     if what is None:

@@ -469,6 +469,7 @@ def fit(
             break
     inside = (drawn > 0) & (drawn < last)
     residual, levels = curve[chosen] - wanted, forces.mean(axis=2)
+    level = np.maximum(levels.mean(axis=1), 1e-3 * target.mean())
     own = _over(np.log(nodes), np.log(means), np.array([np.log(start)]))[0]
     shortfall = (wanted_draws - scatter - own) @ weights
     limit = {0: "low", last: "high"}.get(int(chosen), "")
@@ -480,7 +481,7 @@ def fit(
         np.exp(curve[chosen]),
         np.exp(own),
         math.sqrt(float(np.square(residual) @ weights)),
-        float(np.sqrt(np.mean(np.var(levels, axis=1, ddof=1) / levels.mean(axis=1) ** 2))),
+        float(np.sqrt(np.mean(np.var(levels, axis=1, ddof=1) / level**2))),
         tolerance,
         PLACES * len(runs),
         limit,
@@ -532,7 +533,8 @@ def tune(
     draws, seed
         How many draws of the friction are returned; seed of all draws and particles.
     anyway
-        Whether a file is written although no friction has the soil's force over sinkage.
+        Whether an answer that is a misfit or out of range is accepted, and a file is written
+        although no friction has the soil's force over sinkage.
     out
         A ``.py``, ``.json``, ``.csv`` or, of newton and isaaclab, ``.usda`` file to write.
     progress
@@ -561,9 +563,10 @@ def tune(
         if path.suffix == ".usda" and name == "genesis":
             raise InputError("genesis reads no materials in USD: name a .py, .csv or .json file")
         check_file(path)
-    ground = soil(f"{phi:g}" if isinstance(phi, int | float) else phi)
+    ground = soil(phi, anyway=anyway)
     rng = np.random.default_rng(seed)
     middle, angles = ground.phi.median, ground.draws(SAMPLES, rng=rng).phi_deg
+    assumed = density is None and ground.density_assumed
     density = ground.density if density is None else density
     sole = Sole.of(foot)
     radius = sole.radius
@@ -598,11 +601,12 @@ def tune(
         ends = f"{inside[0]:g} to {inside[-1]:g} deg"
         raise InputError(f"φ = {middle:g} deg: law 'foot' was simulated for {ends}")
     target = law(np.array([middle]))[0]
-    targets = law(angles + rng.normal(0.0, LAWS["foot"].sd_deg, angles.size))
+    # Beyond the law's table its ends: without these draws the others would have another median.
+    drawn = angles + rng.normal(0.0, LAWS["foot"].sd_deg, angles.size)
+    targets = law(np.clip(drawn, inside[0], inside[-1]))
     if sole.foot is None:  # a quarter of log force where a mesh is half flat; chosen
         flat = float(sole.flatness(edges[1:]).mean())
         targets *= np.exp(rng.normal(0.0, flat * (1.0 - flat), (angles.size, 1)))
-    targets = targets[np.isfinite(targets).all(axis=1)]
     around = law(middle + LAWS["foot"].sd_deg * np.array([-1.0, 0.0, 1.0]))
     tolerance = float(np.nanmean(np.diff(np.log(around), axis=0)))
     to = simulator(name)
@@ -637,8 +641,9 @@ def tune(
     result |= {"voxel_that_does": would, "finest_voxel_tried": tried}
     result["reason"] = _reason(found, target, result, first)
     result["law_N"] = np.round(target, 4).tolist()
+    result["density_assumed"], result["caution"] = assumed, ground.caution
     if not found.fits:
-        result["caution"] = result["reason"]
+        result["caution"] = " ".join(filter(None, [result["reason"], ground.caution]))
         if path is not None and not anyway:
             raise InputError(f"{result['reason']} To write a file all the same, add --anyway")
     if path is not None:
@@ -689,7 +694,6 @@ def _result(
     version = _version(package)
     return {
         "made": f"{SIGNATURE} {importlib.metadata.version('terraphi')}",
-        "caution": "",
         "to": to.name,
         "title": to.title,
         "package": package,
@@ -721,7 +725,6 @@ def _result(
         "presses": found.presses,
         "phi_plane_strain_deg": summary(angles, phi_deg),
         "density_kg_m3": press.density,
-        "density_assumed": False,
         "leg_friction_assumed": press.surface_friction,
         "leg_friction_about": "that between foot and soil, as given",
         "voxel_m": press.voxel,
