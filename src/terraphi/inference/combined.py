@@ -1,4 +1,4 @@
-"""One friction angle from several maneuvers in one soil: different legs, plates and balls.
+"""One friction angle from several maneuvers in one soil: different rigs, plates and balls.
 
 Each answer is a normal distribution. Answers share the error of the density and what the soil does
 that no law has, and those of one law what is wrong with it, so that the best mean is that of
@@ -26,6 +26,8 @@ OF_SOIL = ("density", "model: soil")
 OF_LAW = ("model: law", "model: apparatus", "model: compaction", "surface friction", "rectangle",
           "gain")  # fmt: skip
 """Terms that answers by one law share; legs have one sensor."""
+OF_LEG = ("model: offset",)
+"""Terms that answers of one shape of leg share."""
 DISAGREE = 1.96
 """Standard deviations of the difference of two answers above which they are a misfit [-]: one sound
 pair in twenty, and fewer in grains, whose intervals hold more than they claim."""
@@ -54,12 +56,14 @@ def combined(answers: Sequence[Answer]) -> Answer:
         for name in dict.fromkeys(name for one in answers for name in one.budget_deg)
     }
     laws = np.array([one.law for one in answers])
-    one_law, one_soil = laws[:, None] == laws, np.ones((len(phi),) * 2, dtype=bool)
+    legs = np.array([getattr(one.records[0].rig, "leg", one.source) for one in answers])
+    one_law, one_leg = (each[:, None] == each for each in (laws, legs))
+    one_soil = np.ones((len(phi),) * 2, dtype=bool)
     # What is shared goes off the diagonal, and is not what an answer has of its own.
     own = np.array([one.phi.sd**2 for one in answers])
     covariance = np.diag(own)
     same: dict[str, BoolArray] = {}
-    for names, shared in ((OF_LAW, one_law), (OF_SOIL, one_soil)):
+    for names, shared in ((OF_LAW, one_law), (OF_LEG, one_leg), (OF_SOIL, one_soil)):
         for name in names:
             if name in terms:
                 same[name] = shared

@@ -107,7 +107,7 @@ def invert(
         The apparatus: a :class:`Rig`, a mapping of its keys, a TOML file, or ``"li2013"`` for that
         of Li et al. (2013); ``None``: from the forces' file, which tables of text do not have.
         Records of another leg or rig in a list are named such as ``"forces.csv@c"``,
-        ``"forces.csv@rig.toml"`` or ``(table, rig)``; different legs are joined by their angles.
+        ``"forces.csv@rig.toml"`` or ``(table, rig)``; different rigs are joined by their angles.
     tool
         ``plate:151``, ``plate:38x25`` or ``ball:44`` [mm] in place of a leg: a body pressed
         straight down, with the columns sinkage and force or pressure. ``law`` is then one
@@ -146,7 +146,7 @@ def invert(
     Returns
     -------
     Answer
-        Its ``records`` are in the order of the list, but those of one shape of leg together, and
+        Its ``records`` are in the order of the list, but those on one rig together, and
         those of tools last.
 
     Raises
@@ -203,11 +203,11 @@ def invert(
         if calibration is not None:
             calibration.check(found)
             calibration.check_gain({record.leg: record.gain for record in records})
-        # Offset and cohesion of law legs are those of one leg alone, so that different legs are
+        # Offset and cohesion of law legs are those of one rig alone, so that different ones are
         # joined by their angles: in one fit grains of known φ were read 4° wrong, with these 1°.
-        legs = dict.fromkeys(record.leg for record in records)
+        rigs = dict.fromkeys(record.rig for record in records)
         apart = isinstance(found, Legs) and not all(record.simulated for record in records)
-        groups = [[r for r in records if r.leg == one] for one in legs] if apart else [records]
+        groups = [[r for r in records if r.rig == one] for one in rigs] if apart else [records]
         answers = [
             _answer(Likelihood(group, found, calibration), reason, seed, began) for group in groups
         ]
