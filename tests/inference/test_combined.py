@@ -123,6 +123,22 @@ def test_a_record_may_have_a_rig_of_its_own(tmp_path: Path) -> None:
     for high in (f"{forces}@{tmp_path / 'high.toml'}", (forces, {"leg": "straight", **sizes})):
         joint = terraphi.invert([forces, high], **given)
         assert [record.rig.hip_height_mm for record in joint.records] == [20.0, 30.0]
+    for wrong in ("curved", "C", "rig", ""):
+        with pytest.raises(terraphi.InputError, match="after @"):
+            terraphi.invert(f"{forces}@{wrong}", **given)
+
+
+def test_two_rigs_of_one_shape_narrow_the_angle() -> None:
+    long = {"leg": "straight", "length_mm": 110, "width_mm": 40, "thickness_mm": 8,
+            "hip_height_mm": "35±1"}  # fmt: skip
+    forces = [GRAINS / f"B-loose_{name}_1.csv" for name in ("straight", "rig-long")]
+    given = {"rig": "li2013", "leg": "straight", "density": "1418±10"}
+    joint = terraphi.invert([forces[0], (forces[1], long)], **given)
+    alone = [terraphi.invert(forces[0], **given), terraphi.invert((forces[1], long), **given)]
+    assert joint.phi.sd < 0.95 * min(one.phi.sd for one in alone)
+    assert joint.phi.median == pytest.approx(CRITICAL_DEG["B"], abs=2.5)
+    # One offset, one soil and one apparatus: not the half of two independent errors.
+    assert joint.phi.sd > 1.1 * min(one.phi.sd for one in alone) / np.sqrt(2.0)
 
 
 def test_a_table_names_the_rig_of_a_file_in_its_folder(tmp_path: Path) -> None:
@@ -144,7 +160,7 @@ def test_what_differs_between_bodies_is_stated_of_none() -> None:
              terraphi.invert(plate, tool="plate:60", density=1415)]  # fmt: skip
     assert alone[0].leg_friction != alone[1].leg_friction
     assert joint.leg_friction is None
-    assert "straight leg, C leg (2 records)" in joint.reason
+    assert all(one.source in joint.reason for one in alone)
 
 
 def test_a_density_that_is_exact_is_so_for_all_bodies() -> None:

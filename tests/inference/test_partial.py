@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +14,8 @@ from terraphi.inference.inversion import invert
 from terraphi.inference.likelihood import PART_DEG, Likelihood
 from terraphi.inference.records import open_record
 from terraphi.laws.store import Library
+
+GRAINS = Path(__file__).parents[2] / "studies" / "data" / "grains"
 
 
 def cut(name: str, low: float, high: float) -> ForceHistory:
@@ -54,3 +57,19 @@ def test_a_part_gives_the_angle_of_the_whole_within_its_own_share(window: tuple[
     # Of twelve normal deviates the root mean square is below 1.55 with 99.5 % probability.
     assert len(apart) >= 11
     assert np.sqrt(np.mean(np.square(apart))) < 1.55
+
+
+@pytest.mark.parametrize("leg", ["straight", "c", "reversed_c"])
+def test_intervals_of_parts_and_of_a_torque_hold_the_angle_of_grains(leg: str) -> None:
+    """Grains of 6 mm act like a cohesion, which neither determines; by their shear cells."""
+    apart = []
+    for soil, true in (("A", 19.8), ("B", 25.9), ("C", 31.3), ("E", 29.6)):
+        table = np.loadtxt(GRAINS / f"{soil}-loose_{leg}_1.csv", delimiter=",", skiprows=3)
+        theta, force, moment = np.radians(table[:, 0]), table[:, 1:3], table[:, 3]
+        whole = ForceHistory(theta, force)
+        torque = ForceHistory(theta, force[:, :0], axes=(), moment=moment)
+        for history in (torque, *(whole.between(*np.radians(w)) for w in ((-60, 20), (-20, 60)))):
+            answer = invert(history, rig="li2013", leg=leg, density="1415±20", grain_size_mm=6.0)
+            apart.append((answer.phi.median - true) / answer.phi.sd)
+            assert any("cohesion" in text for text in answer.questions)
+    assert np.mean(np.abs(apart) < 1.96) >= 11 / 12

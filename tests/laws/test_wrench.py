@@ -360,3 +360,24 @@ def test_a_wrong_argument_is_refused(changes: dict[str, Any], words: str) -> Non
     if changes == {"phi_deg": 60.0}:
         with pytest.raises(InputError, match="did you mean 'foot'"):
             wrench(np.zeros((1, 3)), np.eye(3)[:1], [1.0], np.zeros(3), law="foots", **SAND)
+
+
+def test_what_cannot_be_a_foot_is_refused() -> None:
+    corners = np.array([(x, y, z) for z in (0, 0.02) for y in (0, 0.1) for x in (0, 0.2)])
+    quads = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
+    faces = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
+    assert Mesh.of(corners, faces).areas.sum() == pytest.approx(0.052)
+    for mesh, match in [
+        ((corners, faces[:, ::-1]), "inside out"),
+        ((corners, faces[1:]), "not closed"),
+        ((1e3 * corners, faces), "meters"),
+    ]:
+        with pytest.raises(InputError, match=match):
+            Mesh.of(*mesh)
+    for size in (22.0, -0.02, math.nan):
+        with pytest.raises(InputError, match="radius"):
+            Foot(size)
+    here = ([0.0, 0.0, 0.0], [0.0, 0.0, -0.1])
+    for changed, match in [({"density": 1.6}, "density"), ({"phi_deg": [30.0, 31.0]}, "phi_deg")]:
+        with pytest.raises(InputError, match=match):
+            force(Foot(0.022), *here, **{"phi_deg": 30.0, "density": 1550.0, **changed})

@@ -68,7 +68,7 @@ def invert(
     """Infer the friction angle from FORCES.
 
     FORCES, of one soil: leg angle (0 downward) and forces (x forward, z up) in a table or NetCDF;
-    li2013:MEDIUM/LEG; FILE@plate:60 of a tool.
+    li2013:MEDIUM/LEG; FILE@c or FILE@rig.toml of another leg or rig, FILE@plate:60 of a tool.
 
     Example: terraphi invert forces.csv --rig rig.toml --density 1600±80
     """
@@ -90,6 +90,8 @@ def invert(
     files = [] if out is None else [f"answer.{one}" for one in ("json", "nc", "png")]
     made = [name for name in files if out is not None and (out / name).exists()]
     written = [f"Written: {out}/{', '.join(made)}"] if made else []
+    if len(made) < len(files):
+        written.append("No picture: it needs Matplotlib; run: pip install 'terraphi[plot]'")
     parts = parts_of(answer, verbose=verbose)
     present(answer.as_dict(), *parts, *written, as_json=as_json)
 
@@ -185,7 +187,7 @@ def demo(out: Path, as_json: bool) -> None:
 
     answers, picture = run(out)
     present(
-        {"answers": [one.as_dict() for one in answers], "picture": str(picture)},
+        {"answers": [one.as_dict() for one in answers], "picture": picture},
         f"Simulated with φ = {TRUTH_DEG:g}°, then inverted; and two measured soils.\n",
         *(f"{headline(answer)}\n{answer.reason}\n" for answer in answers),
         f"Picture: {picture}\nYour own: terraphi invert {out}/forces.csv --rig {out}/rig.toml "

@@ -394,6 +394,9 @@ class _Reading:
         bare = [role for role in ("fx", "fz") if role in self.names and not self._written(role)]
         if bare and self.given.unit is None:
             self.notes.append("The forces have no unit, and are taken as N.")
+        alone = "moment" in self.names and not {"fx", "fz"} <= {*self.names}
+        if alone and not self._written("moment"):
+            self.notes.append("The moment has no unit, and is taken as N m.")
 
     def _take(self, role: str, column: str) -> None:
         """The column of a name, which may lack its unit."""

@@ -267,6 +267,11 @@ def guesses(likelihood: Likelihood) -> Iterator[str]:
                 f"{name}Grains of {record.grain_size_mm:g} mm add {grown:+.1f}° to the angle that "
                 "this leg reads, which is taken off."
             )
+        if likelihood.lacks_cohesion and i == 0:
+            yield (
+                "Only both forces of a whole stroke determine a cohesion: damp soil, and grains "
+                "that are large compared with the leg, look like a larger angle here."
+            )
         if likelihood.cohesion > 0.5 and i == 0:
             check = likelihood.cohesion > COHESIVE_PA
             yield (

@@ -24,8 +24,8 @@ from terraphi.laws.store import PHI
 OF_SOIL = ("density", "model: soil")
 """Terms that all answers share."""
 OF_LAW = ("model: law", "model: apparatus", "model: compaction", "surface friction", "rectangle",
-          "gain")  # fmt: skip
-"""Terms that answers by one law share; legs have one sensor."""
+          "gain", "leg friction")  # fmt: skip
+"""Terms that answers by one law share; legs have one sensor and one surface."""
 OF_LEG = ("model: offset",)
 """Terms that answers of one shape of leg share."""
 DISAGREE = 1.96

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import importlib.metadata
 import math
-import re
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray, seed_from
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import number_with_sd
-from terraphi.experiment.rig import LEG_NAMES, with_rig
+from terraphi.experiment.rig import LEG_NAMES, Rig, with_rig
 from terraphi.experiment.scenario import Scenario
 from terraphi.experiment.soil import plane_strain_friction_angle_deg
 from terraphi.forward.rft import to_plane_strain
@@ -159,8 +158,6 @@ def invert(
     >>> terraphi.invert("li2013:poppy_loose/straight").verdict
     'consistent'
     """
-    from threadpoolctl import threadpool_limits
-
     seed = seed_from(seed, rng)
     several = isinstance(forces, list | tuple) and pressed_by(forces) is None
     every = list(forces) if several else [forces]
@@ -174,24 +171,40 @@ def invert(
             raise InputError(f"a tool excludes {', '.join(wrong)}; leave out one or the other")
         answers = []
         if of_legs:
-            answers = [
-                invert(of_legs, density=density, law=law, columns=columns, seed=seed, **given)
-            ]
+            answers = _of_legs(
+                of_legs, density=density, law=law, columns=columns, seed=seed, **given
+            )
             # One soil has one density, and its columns and law are those of the legs.
             first = answers[0]
             density, law, columns = f"{first.density_kg_m3}±{first.density_sd_kg_m3}", None, None
         answers += [
             invert_pressed(*one, density=density, law=law, columns=columns) for one in tools if one
         ]
-        answer = combined(answers) if len(answers) > 1 else answers[0]
-        return answer if critical is None else with_peak(answer, critical)
+    else:
+        answers = _of_legs(
+            forces, leg=leg, rig=rig, density=density, grain_size_mm=grain_size_mm, noise=noise,
+            gain=gain, simulated=simulated, columns=columns, law=law, calibration=calibration,
+            seed=seed,
+        )  # fmt: skip
+    answer = combined(answers) if len(answers) > 1 else answers[0]
+    return answer if critical is None else with_peak(answer, critical)
+
+
+def _of_legs(
+    forces: Any,
+    *,
+    law: Library | Legs | Path | str | None,
+    calibration: Calibration | Path | str | None,
+    seed: int,
+    **options: Any,
+) -> list[Answer]:
+    """Answers of legs: one, or by law ``legs`` one for each rig."""
+    from threadpoolctl import threadpool_limits
+
     began = time.perf_counter()
     # The matrices are small: threads would only wait for each other.
     with threadpool_limits(limits=1, user_api="blas"):
-        records = _records(
-            forces, leg=leg, rig=rig, density=density, grain_size_mm=grain_size_mm,
-            columns=columns, noise=noise, gain=gain, simulated=simulated,
-        )  # fmt: skip
+        records = _records(forces, **options)
         found, reason = _law_for(records, law)
         if isinstance(calibration, str | Path):
             calibration = Calibration.load(calibration)
@@ -208,11 +221,9 @@ def invert(
         rigs = dict.fromkeys(record.rig for record in records)
         apart = isinstance(found, Legs) and not all(record.simulated for record in records)
         groups = [[r for r in records if r.rig == one] for one in rigs] if apart else [records]
-        answers = [
+        return [
             _answer(Likelihood(group, found, calibration), reason, seed, began) for group in groups
         ]
-        answer = combined(answers) if len(answers) > 1 else answers[0]
-        return answer if critical is None else with_peak(answer, critical)
 
 
 def with_peak(answer: Answer, critical: float | str) -> Answer:
@@ -256,21 +267,36 @@ def peak_draws(read: tuple[float, float], critical: tuple[float, float]) -> Floa
 
 def _records(forces: Any, **options: Any) -> list[Record]:
     """Records of one thing or a list, without faulty readings."""
-    every = list(forces) if isinstance(forces, list | tuple) else [forces]
+    several = isinstance(forces, list | tuple) and not _is_pair(forces)
+    every = list(forces) if several else [forces]
     if not every:
         raise InputError("no forces: the list is empty")
-    own = [_of_leg(one) for one in every]
+    own = [_with_rig(one) for one in every]
     return [
         without_faults(record) for one, leg in own for record in open_records(one, **options | leg)
     ]
 
 
-def _of_leg(source: Any) -> tuple[Any, dict[str, Any]]:
-    """Forces, and leg or rig of ``"forces.csv@c"``, ``"forces.csv@rig.toml"`` or such a pair."""
-    if isinstance(source, str):
-        found = re.fullmatch(rf"(.+)@({'|'.join(LEG_NAMES)}|.+\.toml)", source)
-        source = found.groups() if found else source
+def _is_pair(source: Any) -> bool:
+    """Whether this is a record with its leg or rig."""
     if not (isinstance(source, tuple) and len(source) == 2):
+        return False
+    own = source[1]
+    of_text = isinstance(own, str | Path) and (own in LEG_NAMES or Path(own).suffix == ".toml")
+    return of_text or isinstance(own, Rig | Mapping)
+
+
+def _with_rig(source: Any) -> tuple[Any, dict[str, Any]]:
+    """Forces, and leg or rig of ``"forces.csv@c"``, ``"forces.csv@rig.toml"`` or such a pair."""
+    if isinstance(source, str) and "@" in source and not Path(source).exists():
+        forces, _, own = source.rpartition("@")
+        if not _is_pair((forces, own)):
+            raise InputError(
+                f"{source}: after @ comes a leg ({', '.join(LEG_NAMES)}), a rig (rig.toml) or a "
+                "tool (plate:60, ball:44)"
+            )
+        source = forces, own
+    if not _is_pair(source):
         return source, {}
     forces, own = source
     of_shape = isinstance(own, str) and own in LEG_NAMES

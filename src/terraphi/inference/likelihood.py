@@ -52,7 +52,8 @@ record gives another φ than the whole. Cut to 22 windows of 40° to 160°, the 
 1.4° √(1/h - 1), root mean square, whatever the window: 1.1 to 1.5° for h from 0.1 to 0.99.
 
 The moment about the hip gives another angle than the forces do, too: MOMENT_DEG is the root mean
-square of what it differs by on the legs of simulated grains.
+square of what it differs by on the legs of simulated grains, both read as dry soil. Neither it nor
+a part of a stroke determines a cohesion: what :data:`UNKNOWN_COHESION` changes is a term of both.
 
 All terms are taken at the best point, so that their size is no evidence of x. For measured records
 g is linear about that point: several of the terms are degrees wide and known to first order only,
@@ -99,9 +100,10 @@ FAR_OFF = 3.0
 """Factor between data and best curve at which no angle fits [-]: chosen."""
 OF_RIG = ("leg friction", "hip height", "gain")
 """Causes that stay as they are in an apparatus."""
-LONG, UNKNOWN_COHESION = 0.8, 0.015
+LONG, UNKNOWN_COHESION = 0.8, 0.04
 """Share of the windows in soil from which on a cohesion is fitted [-], and the standard deviation
-of c / (ρ g L) in other records [-]: shipped media have 0 to 0.02 by whole strokes; chosen."""
+of c / (ρ g L) in other records [-]: by whole strokes of straight legs media of Li et al. have 0 to
+0.02, grains of 4 to 9 mm 0.04 to 0.13 (``docs/grains.md``); chosen."""
 WHOLE = 0.9
 """Share of a stroke's windows with which its shape can be compared with those of whole ones [-]."""
 PART_DEG = 1.4
@@ -349,6 +351,12 @@ class Likelihood:
         known = self.measured and any(map(_is_long, self.records))
         return np.append(-shift, 0.0), np.append(shift, most if known else 0.0)
 
+    @property
+    def lacks_cohesion(self) -> bool:
+        """Whether the law knows a cohesion, and no record is such that one is fitted."""
+        cohesive = any(law.most_cohesion for law in self.laws)
+        return self.measured and cohesive and not self._bounds[1][-1]
+
     # -- best point ------------------------------------------------------------------------------
 
     @property
@@ -501,7 +509,7 @@ class Likelihood:
                 for law, each, calibrated in zip(self.laws, modes, known, strict=True)
             ]
             found[cause] = self._shared_by_leg(factors)
-        if not self._bounds[1][-1] and any(law.most_cohesion for law in self.laws):
+        if self.lacks_cohesion:
             c = UNKNOWN_COHESION / float(self._per_pascal.min())
             moist = self.curves(x[None], np.append(self.nuisance[:-1], c))[0]
             found["cohesion"] = _square(moist - curve)

@@ -44,7 +44,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -82,13 +82,25 @@ class Foot:
     Attributes
     ----------
     radius
-        [m].
+        [m], 0.1 mm to 1 m.
     shape
         ``ball``, or ``disc``: a flat plate that stays level and is thin.
+
+    Raises
+    ------
+    InputError
+        If the radius or the shape is another.
     """
 
     radius: float
     shape: Literal["ball", "disc"] = "ball"
+
+    def __post_init__(self) -> None:
+        """Check the size and the shape."""
+        if not 1e-4 <= self.radius <= 1.0:
+            raise InputError(f"foot of radius {self.radius:g} m: 0.0001 to 1 m are accepted")
+        if self.shape not in get_args(Literal["ball", "disc"]):
+            raise InputError(f"foot of shape '{self.shape}'; give ball or disc")
 
 
 @dataclass(frozen=True)

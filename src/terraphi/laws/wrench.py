@@ -48,6 +48,7 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray, like, namespace
 from terraphi.experiment.errors import InputError, nearest
+from terraphi.experiment.plausibility import LIMITS
 from terraphi.experiment.scenario import GRAVITY
 from terraphi.forward.rft import SCALE_POLYNOMIAL, unit_stress
 from terraphi.laws.foot import (
@@ -71,6 +72,9 @@ below it the law has the ratios of that direction."""
 FINE, MOST_FACES = 0.2, 100_000
 """Longest edge of a face over the extent of its mesh [-], and faces at most; chosen: a tilted box
 has the force of one four times as fine within 0.1 % (``tests/laws/test_wrench.py``)."""
+OPEN, LARGEST = 1e-3, 2.0
+"""Sum of the faces' vectors over their areas from which a surface is not closed [-], and farthest
+face from the origin of a foot [m]; chosen."""
 TINY = 1e-12
 """Least length [m], speed [m/s], area [m²] or force [N] that is divided by."""
 
@@ -111,7 +115,8 @@ class Mesh:
         Raises
         ------
         InputError
-            If the shapes are others, no triangle has an area, or there are too many.
+            If the shapes are others, no triangle has an area, there are too many, or the surface
+            is open, inside out or larger than a foot.
         """
         if triangles is None:
             mesh, triangles = getattr(mesh, "vertices", None), getattr(mesh, "faces", None)
@@ -143,7 +148,15 @@ class Mesh:
         keep = twice > 0.0
         if not keep.any():
             raise InputError("mesh: no triangle has an area")
-        return cls(each[keep].mean(axis=1), cross[keep] / twice[keep, None], 0.5 * twice[keep])
+        found = cls(each[keep].mean(axis=1), cross[keep] / twice[keep, None], 0.5 * twice[keep])
+        pushes = found.normals * found.areas[:, None]
+        if np.linalg.norm(pushes.sum(axis=0)) > OPEN * found.areas.sum():
+            raise InputError("mesh: the surface is not closed")
+        if (pushes * found.points).sum() <= 0.0:
+            raise InputError("mesh: turned inside out; order corners counterclockwise from outside")
+        if found.reach > LARGEST:
+            raise InputError(f"mesh: reaches {found.reach:g} m; corners are in meters")
+        return found
 
     @property
     def reach(self) -> float:
@@ -226,18 +239,30 @@ def force(
             "held: give the time since then as step [s], and stiffness [N/m], below 2 m / step²"
         )
     lead = pose.shape[:-1]
-    place, moving = xp.reshape(pose, (-1, pose.shape[-1])), velocity
-    moving = xp.reshape(xp.broadcast_to(moving, (*lead, velocity.shape[-1])),
-                        (-1, velocity.shape[-1]))  # fmt: skip
-    each = {
-        key: xp.reshape(xp.broadcast_to(like(pose, value), lead), (-1,))
-        for key, value in (("phi_deg", phi_deg), ("density", density), ("surface", surface))
-    }
+
+    def flat(name: str, value: Any, *last: int) -> Any:
+        """A row for each foot."""
+        value = like(pose, value)
+        try:
+            return xp.reshape(xp.broadcast_to(value, (*lead, *last)), (-1, *last))
+        except (ValueError, RuntimeError) as error:
+            shapes = f"{tuple(value.shape)}, pose of {tuple(pose.shape)}"
+            raise InputError(f"{name} of shape {shapes}: give one, or one for each foot") from error
+
+    place, moving = (
+        flat("pose", pose, pose.shape[-1]),
+        flat("velocity", velocity, velocity.shape[-1]),
+    )
+    given = {"phi_deg": phi_deg, "density": density, "surface": surface}
+    each = {name: flat(name, value) for name, value in given.items()}
     _check_angles(each["phi_deg"], surface_friction)
     numbers = {"pose": place, "velocity": moving, **each} if xp is np else {}
     for name, values in numbers.items():
         if (wrong := np.argwhere(~np.isfinite(values))).size:
             raise InputError(f"{name} of foot {wrong[0, 0]} is no number")
+    low, high, _ = LIMITS["soil.density"]
+    if xp is np and not ((low <= each["density"]) & (each["density"] <= high)).all():
+        raise InputError(f"density: {low:g} to {high:g} kg/m³ are accepted")
     fade = TINY if held is not None else rest_speed
     if isinstance(foot, Foot):
         force_, moment, deep = _of_foot(foot, place, moving, surface_friction, fade, **each)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from terraphi.experiment.errors import InputError
 from terraphi.view.plots import save
 
 if TYPE_CHECKING:
@@ -24,17 +25,16 @@ SOILS = {"yuma": "li2013:yuma/straight", "poppy": "li2013:poppy_loose/straight"}
 """Measured records, by the name of their folder; the first is left as a table, with its rig."""
 
 
-def run(out: Path) -> tuple[list[Answer], Path]:
+def run(out: Path) -> tuple[list[Answer], str]:
     """Invert three records; write answers, picture, a table with its rig, and a log into a folder.
 
     The log is that of a Go2 on simulated sand of 41 to 42° (``studies/demo_walk.py``).
 
     Returns
     -------
-    answers, path of the picture
+    answers, path of the picture or why there is none
     """
     from terraphi.experiment.documents import shipped_file
-    from terraphi.experiment.figure import Figure
     from terraphi.experiment.files import atomic_write, made_folder
     from terraphi.experiment.measurements import measurement
     from terraphi.inference.inversion import invert
@@ -42,13 +42,8 @@ def run(out: Path) -> tuple[list[Answer], Path]:
     answers = {"simulated": invert(known_record(), noise=NOISE_N)}
     answers |= {name: invert(source) for name, source in SOILS.items()}
     made_folder(out)
-    figure = Figure(figsize=(11.0, 9.6), layout="constrained")
-    rows: Any = figure.subfigures(len(answers), 1)
-    for (name, answer), row in zip(answers.items(), rows, strict=True):
+    for name, answer in answers.items():
         answer.save(out / name)
-        answer.plot(row)
-        row.suptitle(f"{answer.source}: {answer.verdict.replace('_', ' ')}", fontsize="medium")
-    save(figure, out / "demo.png")
     name = next(iter(SOILS.values()))
     measurement(name).history.to_csv(out / "forces.csv")
     sizes = answers[next(iter(SOILS))].rigs[0].model_dump(exclude_defaults=True)
@@ -57,7 +52,17 @@ def run(out: Path) -> tuple[list[Answer], Path]:
         temporary.write_text("".join(lines), encoding="utf-8")
     with atomic_write(out / "walk.csv") as temporary:
         shutil.copyfile(shipped_file("robots", "walk", ".csv"), temporary)
-    return list(answers.values()), out / "demo.png"
+    try:
+        from terraphi.experiment.figure import Figure
+    except InputError as error:  # without Matplotlib
+        return list(answers.values()), str(error)
+    figure = Figure(figsize=(11.0, 9.6), layout="constrained")
+    rows: Any = figure.subfigures(len(answers), 1)
+    for answer, row in zip(answers.values(), rows, strict=True):
+        answer.plot(row)
+        row.suptitle(f"{answer.source}: {answer.verdict.replace('_', ' ')}", fontsize="medium")
+    save(figure, out / "demo.png")
+    return list(answers.values()), str(out / "demo.png")
 
 
 def known_record() -> ForceHistory:
