@@ -70,6 +70,8 @@ OTHER_ARM = 1.3
 """Factor between a moment and that of the forces that another leg makes: 0.91 to 1.27 in grains."""
 NEARLY_ALL = 0.995
 """Share of a stroke's information that counts as all of it [-]."""
+OF_SIZE_DEG = 0.3
+"""What a mm of grain diameter adds to the angle from which an answer says so [deg]; chosen."""
 UNUSUAL = 2.0
 """Standard deviations that are unusual [-]: one in twenty."""
 FAR_APART_DEG = 10.0
@@ -264,8 +266,14 @@ def guesses(likelihood: Likelihood) -> Iterator[str]:
         grown = likelihood.of_size_deg(record)
         if abs(grown) > 0.05:
             yield (
-                f"{name}Grains of {record.grain_size_mm:g} mm add {grown:+.1f}° to the angle that "
-                "this leg reads, which is taken off."
+                f"{name}For grains of {record.grain_size_mm:g} mm, the angle that this leg reads "
+                f"is corrected by {-grown:+.1f}°."
+            )
+        per_mm = likelihood.of_size_deg(replace(record, grain_size_mm=1.0))
+        if not record.grain_size_mm and per_mm > OF_SIZE_DEG:
+            yield (
+                f"{name}The grains are taken as fine: each mm of their diameter adds "
+                f"{per_mm:.1f}° on this leg; give --grain-size."
             )
         if likelihood.lacks_cohesion and i == 0:
             yield (

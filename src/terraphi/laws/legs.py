@@ -591,7 +591,11 @@ def forces(
 
     apparatus = Rig.of(rig, leg)
     of_rig = law_of(law, apparatus, None)
-    phi = np.atleast_1d(np.asarray(phi_deg, dtype=np.float64))
+    try:
+        phi = np.atleast_1d(np.asarray(phi_deg, dtype=np.float64))
+        density = None if density is None else float(density)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"phi_deg and density are numbers here: {error}") from None
     given = dict(at or {})
     if PHI not in of_rig.keys or set(given) != {*of_rig.keys} - {PHI}:
         others = sorted({*of_rig.keys} - {PHI})
