@@ -96,6 +96,9 @@ class Rig(Strict):
     def _parse_sd(cls, content: Any) -> Any:
         pairs = (("hip_height_mm", "hip_height_sd_mm", "35±1"),
                  ("leg_friction", "leg_friction_sd", "0.35±0.05"))  # fmt: skip
+        length = content.get("length_mm") if isinstance(content, dict) else None
+        if isinstance(length, int | float) and 0.0 < length <= 10.0:
+            raise ValueError(f"length_mm = {length:g} looks like meters or centimeters; give mm")
         for key, sd_key, example in pairs if isinstance(content, dict) else ():
             text = content.get(key)
             if isinstance(text, str):

@@ -11,7 +11,7 @@ FORCE = {
 """Newtons."""
 ANGLE = {"deg": 1.0, "rad": 180.0 / pi, "mrad": 0.18 / pi, "rev": 360.0, "gon": 0.9}
 """Degrees."""
-MOMENT = {"N m": 1.0, "kN m": 1e3, "mN m": 1e-3, "N mm": 1e-3, "N cm": 1e-2}
+MOMENT = {"N m": 1.0, "kN m": 1e3, "kN mm": 1.0, "mN m": 1e-3, "N mm": 1e-3, "N cm": 1e-2}
 MOMENT |= {"kgf cm": 0.0980665, "kgf m": 9.80665}
 MOMENT |= {"lbf ft": 1.3558179483314, "lbf in": 0.1129848290276167, "ozf in": 7.061551814e-3}
 """Newton meters."""
