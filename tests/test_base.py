@@ -110,6 +110,7 @@ def test_the_base_calibrates_exports_and_simulates(tmp_path: Path, absent: set[s
         ["export", "answer", "--to", "newton"],
         ["convert", "0.7", "--from", "newton"],
         ["simulate", "quick"],
+        ["demo"],
     ):
         done = ran(tmp_path, absent, *command)
         assert done.returncode == 0, done.stderr
@@ -119,7 +120,6 @@ def test_the_base_calibrates_exports_and_simulates(tmp_path: Path, absent: set[s
     ("command", "extra"),
     [
         (["simulate", "sand3d"], "simulate"),
-        (["demo"], "plot"),
         (["paper", "k0"], "plot,simulate"),
         (["footfalls", "walk.csv"], "robot"),
         (["forces", "walk.csv"], "robot"),

@@ -85,7 +85,7 @@ def test_results_in_memory_make_a_page(results: list[Any], tmp_path: Path) -> No
         (lambda: terraphi.foot_forces(5), "log of type int"),  # type: ignore[arg-type]
         (lambda: terraphi.build("rft3", "x.nc"), "did you mean 'rft3d'"),
         (lambda: terraphi.export("x", to="newtom"), "did you mean 'newton'"),
-        (lambda: terraphi.export(5, to="newton"), "answer of type int"),  # type: ignore[arg-type]
+        (lambda: terraphi.export([5], to="newton"), "answer of type list"),  # type: ignore[arg-type]
         (lambda: terraphi.convert("1", from_="newton"), "friction = '1'"),  # type: ignore[arg-type]
         (lambda: terraphi.report("rft3d", "r.pdf"), "name it r.html"),
         (lambda: terraphi.report([], "r.html"), "no results"),

@@ -317,7 +317,7 @@ def test_large_grains_are_taken_off_where_their_size_is_known(leg: str, width: f
     )
     expected = sand.phi.median - 3.0 * 25.4 / width
     assert grains.phi.median == pytest.approx(expected, abs=0.1)
-    assert any("Grains of 6 mm" in question for question in grains.questions)
+    assert any("grains of 6 mm" in question for question in grains.questions)
 
 
 @pytest.mark.parametrize(("size", "why"), [(20, "grain_size_mm = 20"), ("six", "is no number")])

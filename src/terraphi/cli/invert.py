@@ -68,7 +68,7 @@ def invert(
     """Infer the friction angle from FORCES.
 
     FORCES, of one soil: leg angle (0 downward) and forces (x forward, z up) in a table or NetCDF;
-    li2013:MEDIUM/LEG; FILE@c or FILE@rig.toml of another leg or rig, FILE@plate:60 of a tool.
+    li2013:MEDIUM/LEG; FILE@c, FILE@rig.toml, FILE@plate:60.
 
     Example: terraphi invert forces.csv --rig rig.toml --density 1600±80
     """
@@ -90,8 +90,6 @@ def invert(
     files = [] if out is None else [f"answer.{one}" for one in ("json", "nc", "png")]
     made = [name for name in files if out is not None and (out / name).exists()]
     written = [f"Written: {out}/{', '.join(made)}"] if made else []
-    if len(made) < len(files):
-        written.append("No picture: it needs Matplotlib; run: pip install 'terraphi[plot]'")
     parts = parts_of(answer, verbose=verbose)
     present(answer.as_dict(), *parts, *written, as_json=as_json)
 
