@@ -226,7 +226,7 @@ def spoil_netcdf(path: Path, rng: random.Random) -> None:
                 return
             key = rng.choice(ours)
             value = holder.attrs[key]
-            text = isinstance(value, str) and value[:1] in "{["
+            text = isinstance(value, str) and value.startswith(("{", "["))
             if action < 3 and text:
                 holder.attrs[key] = spoil_json(value, rng)
             elif action == 3:
