@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from terraphi.inference.inversion import invert as invert
     from terraphi.inference.inversion import invert_many as invert_many
     from terraphi.laws.build import build as build
-    from terraphi.laws.legs import law as law
+    from terraphi.laws.legs import law_named as law  # noqa: F401
     from terraphi.laws.plan import Plan as Plan
     from terraphi.laws.store import Library as Library
     from terraphi.robot.footfalls import footfalls as footfalls
@@ -61,7 +61,7 @@ _PLACES = {
     "footfalls": "robot.footfalls",
     "invert": "inference.inversion",
     "invert_many": "inference.inversion",
-    "law": "laws.legs",
+    "law": "laws.legs:law_named",
     "map": "terrain.map:map_slopes",
     "measurement": "experiment.measurements",
     "read_forces": "experiment.reading",

@@ -85,11 +85,12 @@ def invert(
     if not forces:
         raise InputError("no forces; give FORCES, or a CSV of records by --table")
     answer = inversion.invert(list(forces), **with_rig(options))
+    written = []
     if out is not None:
         answer.save(out)
-    files = [] if out is None else [f"answer.{one}" for one in ("json", "nc", "png")]
-    made = [name for name in files if out is not None and (out / name).exists()]
-    written = [f"Written: {out}/{', '.join(made)}"] if made else []
+        files = [f"answer.{one}" for one in ("json", "nc", "png")]
+        made = [name for name in files if (out / name).exists()]
+        written.append(f"Written: {out}/{', '.join(made)}")
     parts = parts_of(answer, verbose=verbose)
     present(answer.as_dict(), *parts, *written, as_json=as_json)
 

@@ -156,7 +156,7 @@ class RecordFit(RecordSummary):
     @property
     def along(self) -> str:
         """Label of ``theta_deg``."""
-        return {"sinkage_mm": "sinkage [mm]"}.get(self.coordinate, "leg angle θ [deg]")
+        return "sinkage [mm]" if isinstance(self.rig, Tool) else "leg angle θ [deg]"
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and words, without the forces."""

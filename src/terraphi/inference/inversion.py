@@ -159,33 +159,24 @@ def invert(
     'consistent'
     """
     seed = seed_from(seed, rng)
-    several = isinstance(forces, list | tuple) and pressed_by(forces) is None
-    every = list(forces) if several else [forces]
+    pair = pressed_by(forces) is not None or _is_pair(forces)
+    every = list(forces) if isinstance(forces, list | tuple) and not pair else [forces]
     tools = [(one, tool) if tool is not None else pressed_by(one) for one in every]
-    if any(tools):
-        of_legs = [one for one, pressed in zip(every, tools, strict=True) if pressed is None]
-        given = {"leg": leg, "rig": rig, "grain_size_mm": grain_size_mm, "noise": noise,
-                 "gain": gain, "calibration": calibration, "simulated": simulated}  # fmt: skip
-        wrong = [name for name, value in given.items() if value is not None and not of_legs]
-        if wrong:
-            raise InputError(f"a tool excludes {', '.join(wrong)}; leave out one or the other")
-        answers = []
-        if of_legs:
-            answers = _of_legs(
-                of_legs, density=density, law=law, columns=columns, seed=seed, **given
-            )
-            # One soil has one density, and its columns and law are those of the legs.
-            first = answers[0]
-            density, law, columns = f"{first.density_kg_m3}±{first.density_sd_kg_m3}", None, None
-        answers += [
-            invert_pressed(*one, density=density, law=law, columns=columns) for one in tools if one
-        ]
-    else:
-        answers = _of_legs(
-            forces, leg=leg, rig=rig, density=density, grain_size_mm=grain_size_mm, noise=noise,
-            gain=gain, simulated=simulated, columns=columns, law=law, calibration=calibration,
-            seed=seed,
-        )  # fmt: skip
+    of_legs = [one for one, pressed in zip(every, tools, strict=True) if pressed is None]
+    given = {"leg": leg, "rig": rig, "grain_size_mm": grain_size_mm, "noise": noise, "gain": gain,
+             "calibration": calibration, "simulated": simulated}  # fmt: skip
+    wrong = [name for name, value in given.items() if value is not None and not of_legs]
+    if any(tools) and wrong:
+        raise InputError(f"a tool excludes {', '.join(wrong)}; leave out one or the other")
+    answers = []
+    if of_legs or not any(tools):
+        answers = _of_legs(of_legs, density=density, law=law, columns=columns, seed=seed, **given)
+        # One soil has one density, and its columns and law are those of the legs.
+        first = answers[0]
+        density, law, columns = f"{first.density_kg_m3}±{first.density_sd_kg_m3}", None, None
+    answers += [
+        invert_pressed(*one, density=density, law=law, columns=columns) for one in tools if one
+    ]
     answer = combined(answers) if len(answers) > 1 else answers[0]
     return answer if critical is None else with_peak(answer, critical)
 

@@ -726,10 +726,6 @@ def law_named(name: Path | str) -> Library | Legs:
     return law.joined(found) if alike and of_phi and _whole(found) else found
 
 
-law = law_named
-"""The public name of :func:`law_named`."""
-
-
 def _whole(library: Library) -> bool:
     """Whether the paths of a library begin and end in the air."""
     for scenario, history, _ in library.cases:

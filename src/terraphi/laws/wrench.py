@@ -239,22 +239,10 @@ def force(
             "held: give the time since then as step [s], and stiffness [N/m], below 2 m / step²"
         )
     lead = pose.shape[:-1]
-
-    def flat(name: str, value: Any, *last: int) -> Any:
-        """A row for each foot."""
-        value = like(pose, value)
-        try:
-            return xp.reshape(xp.broadcast_to(value, (*lead, *last)), (-1, *last))
-        except (ValueError, RuntimeError) as error:
-            shapes = f"{tuple(value.shape)}, pose of {tuple(pose.shape)}"
-            raise InputError(f"{name} of shape {shapes}: give one, or one for each foot") from error
-
-    place, moving = (
-        flat("pose", pose, pose.shape[-1]),
-        flat("velocity", velocity, velocity.shape[-1]),
-    )
+    place = xp.reshape(pose, (-1, pose.shape[-1]))
+    moving = _each("velocity", velocity, pose, lead, velocity.shape[-1])
     given = {"phi_deg": phi_deg, "density": density, "surface": surface}
-    each = {name: flat(name, value) for name, value in given.items()}
+    each = {name: _each(name, value, pose, lead) for name, value in given.items()}
     _check_angles(each["phi_deg"], surface_friction)
     numbers = {"pose": place, "velocity": moving, **each} if xp is np else {}
     for name, values in numbers.items():
@@ -282,6 +270,16 @@ def force(
             law + kept * (last - law) for law, last in zip((force_, moment), before, strict=True)
         )
     return xp.reshape(force_, (*lead, 3)), xp.reshape(moment, (*lead, 3))
+
+
+def _each(name: str, value: Any, places: Any, lead: tuple[int, ...], *last: int) -> Any:
+    """A row for each foot of an array of places, shape [foot, *last]; raises InputError."""
+    xp, value = namespace(places), like(places, value)
+    try:
+        return xp.reshape(xp.broadcast_to(value, (*lead, *last)), (-1, *last))
+    except (ValueError, RuntimeError) as error:
+        shapes = f"{tuple(value.shape)}, feet of {tuple(lead)}"
+        raise InputError(f"{name} of shape {shapes}: give one, or one for each foot") from error
 
 
 def _of_foot(
@@ -407,26 +405,23 @@ def wrench(
     shape = tuple(points.shape)
     lead = shape[:-2]
 
-    def flat(values: Any, end: tuple[int, ...]) -> Any:
-        return xp.reshape(xp.broadcast_to(like(points, values), (*lead, *end)), (-1, *end))
-
     flat_points = xp.reshape(points, (-1, *shape[-2:]))
-    normals, phi_deg = like(points, normals), flat(phi_deg, ())
+    normals, phi_deg = like(points, normals), _each("phi_deg", phi_deg, points, lead)
     if law == "foot":
         _check_angles(phi_deg, surface_friction)
     found, moment, _ = _sum_of_faces(
         flat_points,
-        normals if normals.ndim == 2 else flat(normals, shape[-2:]),
+        normals if normals.ndim == 2 else _each("normals", normals, points, lead, *shape[-2:]),
         like(points, areas),
-        flat(velocities, shape[-2:]),
-        flat_points - flat(about, (3,))[:, None, :],
+        _each("velocities", velocities, points, lead, *shape[-2:]),
+        flat_points - _each("about", about, points, lead, 3)[:, None, :],
         None,
         surface_friction=surface_friction,
         law=law,
         rest_speed=rest_speed,
         phi_deg=phi_deg,
-        density=flat(density, ()),
-        surface=flat(surface, ()),
+        density=_each("density", density, points, lead),
+        surface=_each("surface", surface, points, lead),
     )
     return xp.reshape(found, (*lead, 3)), xp.reshape(moment, (*lead, 3))
 

@@ -116,6 +116,22 @@ def export(
     return found
 
 
+def described(to: Simulator) -> dict[str, Any]:
+    """What a module says of its simulator, whatever the soil."""
+    return {
+        "made": f"{SIGNATURE} {importlib.metadata.version('terraphi')}",
+        "to": to.name,
+        "title": to.title,
+        "parameter": to.parameter,
+        "unit": to.unit,
+        "meaning": to.law.meaning,
+        "formula": to.law.formula,
+        "dp_type": to.dp_type,
+        "draws_go_to": to.draws_go_to,
+        "not_inferred": to.not_inferred,
+    }
+
+
 def _parameters(
     soil: SoilDistribution, to: Simulator, match: Match, draws: int, seed: int
 ) -> dict[str, Any]:
@@ -126,19 +142,11 @@ def _parameters(
     density = soil.density
     values = _summary(lambda angle: to.from_angle(angle, match), phi, chosen)
     found = {
-        "made": f"{SIGNATURE} {importlib.metadata.version('terraphi')}",
+        **described(to),
         "caution": soil.caution,
-        "to": to.name,
-        "title": to.title,
-        "parameter": to.parameter,
-        "unit": to.unit,
-        "meaning": to.law.meaning,
-        "formula": to.law.formula,
-        "dp_type": to.dp_type,
         "matched": match,
         "value": values.pop("median"),
         **values,
-        "draws_go_to": to.draws_go_to,
         "draws_without_equivalent": lost,
         "phi_plane_strain_deg": phi,
         "density_kg_m3": density,
@@ -147,7 +155,6 @@ def _parameters(
         "leg_friction_assumed": soil.leg_friction,
         "dilation_deg": 0.0,
         "cohesion_Pa": 0.0,
-        "not_inferred": to.not_inferred,
         "source": {**soil.origin, "draws_seed": seed},
     }
     if to.name == "chrono-scm":

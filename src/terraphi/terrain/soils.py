@@ -98,7 +98,7 @@ class SoilDistribution:
     density, density_sd
         Bulk density and its standard deviation [kg/m³].
     density_assumed
-        Whether nobody measured it.
+        Whether it is an assumption, not a measurement.
     correlation
         Between φ and density [-]: forces that determine φ give less of it if the soil is heavier.
     leg_friction

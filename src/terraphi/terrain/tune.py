@@ -35,11 +35,11 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray, IntArray
 from terraphi.experiment.errors import InputError, nearest, needing
 from terraphi.experiment.files import atomic_write, plain_number
-from terraphi.experiment.outputs import SIGNATURE, check_file
+from terraphi.experiment.outputs import check_file
 from terraphi.experiment.scenario import GRAVITY
 from terraphi.laws.foot import LAWS, Foot
 from terraphi.laws.wrench import Mesh, force
-from terraphi.terrain.export import FORMATS, text
+from terraphi.terrain.export import FORMATS, described, text
 from terraphi.terrain.simulators import in_words as value_in_words
 from terraphi.terrain.simulators import simulator
 from terraphi.terrain.soils import soil
@@ -693,23 +693,15 @@ def _result(
     package = PACKAGES[to.name]
     version = _version(package)
     return {
-        "made": f"{SIGNATURE} {importlib.metadata.version('terraphi')}",
-        "to": to.name,
-        "title": to.title,
+        **described(to),
         "package": package,
         "version": version,
-        "parameter": to.parameter,
-        "unit": to.unit,
-        "meaning": to.law.meaning,
-        "formula": to.law.formula,
-        "dp_type": None,
         "matched": f"force over sinkage of {press.sole.name} to {1e3 * press.depth:.3g} mm, with "
         f"voxels of {1e3 * press.voxel:.3g} mm in {package} {version}",
         "value": value.pop("median"),
         **value,
         "draws": rng.choice(values, draws).round(6).tolist() if draws else [],
         "density_draws_kg_m3": [press.density] * draws,
-        "draws_go_to": to.draws_go_to,
         "draws_without_equivalent": found.lost,
         "verdict": "carries" if found.fits else "no value",
         "residual": round(found.residual, 4),
@@ -730,7 +722,6 @@ def _result(
         "voxel_m": press.voxel,
         "depth_m": press.depth,
         "time_step_s": press.time_step if package == "newton" else None,
-        "not_inferred": to.not_inferred,
         "source": {"answer": source, "record": press.sole.name, "law": "foot"},
     }
 
