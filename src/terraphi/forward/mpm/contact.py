@@ -109,17 +109,20 @@ def distance_to_body(contact: Contact, s: float, m: float, y: float) -> tuple[fl
     """
     half = 0.5 * contact.outline.chord
     if contact.kind == SPHERE:
+        # |r| - R, from the middle of the ball; there itself any normal will do.
         length = math.sqrt((s - half) * (s - half) + m * m + y * y)
         if length == 0.0:
             return -half, (0.0, 1.0, 0.0)
         return length - half, ((s - half) / length, m / length, y / length)
     if contact.kind == CYLINDER:
+        # The body within both an endless cylinder and the slab between its two ends.
         radial = math.sqrt(m * m + y * y)
         distance, side, end = joined(radial - contact.half_width, abs(s - half) - half)
         ends = end if s > half else -end
         if radial == 0.0:
             return distance, (ends, side, 0.0)
         return distance, (ends, side * m / radial, side * y / radial)
+    # A leg: its outline in the plane of motion, and the slab between its two flanks.
     flat, ns, nm = distance_to_leg(contact.outline, s, m)
     distance, rim, flank = joined(flat, abs(y) - contact.half_width)
     return distance, (rim * ns, rim * nm, flank if y > 0.0 else -flank)
@@ -128,6 +131,7 @@ def distance_to_body(contact: Contact, s: float, m: float, y: float) -> tuple[fl
 @kernel
 def distance_in_space(contact: Contact, place: Three, pose: Pose) -> tuple[float, Three]:
     """Signed distance [m] of a place (x, y, z) [m] from a body, and the normal (x, y, z) [-]."""
+    # Into the body's frame: s along the chord, m across it (drawn in forward/body.py).
     rx, rz = place[0] - pose.hip_x, place[2] - pose.hip_z
     s, m = -pose.sine * rx - pose.cosine * rz, -pose.cosine * rx + pose.sine * rz
     distance, (ns, nm, ny) = distance_to_body(contact, s, m, place[1])
@@ -159,6 +163,7 @@ def touch(
         after the step [m], each (x, y, z); zeros if the particle does not reach the body.
     """
     nothing = (0.0, 0.0, 0.0)
+    # A particle is a ball of half its cube's side: overlap δ = R - d.
     distance, out = distance_in_space(contact, place, pose)
     overlap = contact.radius - distance
     if overlap <= 0.0:
@@ -169,6 +174,7 @@ def touch(
         speed[1],
         speed[2] - (pose.hip_vz - pose.rate * (place[0] - pose.hip_x)),
     )
+    # Spring k δ, and a dashpot of 2 ζ √(k m) on the normal velocity.
     normal = dot(along, out)
     stiffness = contact.stiffness
     dashpot = 2.0 * DAMPING * math.sqrt(stiffness * mass)
@@ -226,6 +232,7 @@ def near_leg(
     far = contact.outline.reach + margin
     for p in range(cell.size):
         place = place_of(lattice, cell[p], offset[p, 0], offset[p, 1], offset[p, 2])
+        # A circle about the hip first: it leaves most particles without a look at the outline.
         rx, rz = place[0] - pose.hip_x, place[2] - pose.hip_z
         if rx * rx + rz * rz < far * far and distance_in_space(contact, place, pose)[0] < margin:
             near[count] = p

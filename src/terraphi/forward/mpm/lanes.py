@@ -179,6 +179,7 @@ def strain(
     wide_vectors()
     wide = lanes + MARGIN
     row, layer = np.uint64(lattice.row), np.uint64(lattice.layer)
+    # Flat arrays: an index of two dimensions would keep the loops from being vectorized.
     fx, fy, fz = force[0], force[1], force[2]
     block = lattice.count_y * lattice.blocks
     for k in range(np.uint64(1), np.uint64(top - 1)):
@@ -186,6 +187,7 @@ def strain(
             for b in range(lattice.blocks):
                 first, last = np.uint64(packets.first[block]), np.uint64(packets.first[block + 1])
                 block += 1
+                # A block without soil costs nothing more.
                 if first == last:
                     continue
                 # The window of nodes that the block reaches begins one before its first cell.
@@ -244,6 +246,7 @@ def load(work: Work, velocity: Nodes, at: Index, row: Index, layer: Index, wide:
     """Copy the velocities of the nodes that a block reaches."""
     wide_vectors()
     for component in range(THREE):
+        # Nine rows of nodes, (z, y) of the window, one node longer than the block to each side.
         speed = velocity[component]
         for c in range(THREE):
             for b in range(THREE):
@@ -256,6 +259,7 @@ def load(work: Work, velocity: Nodes, at: Index, row: Index, layer: Index, wide:
 @kernel
 def spline(work: Work, at: Index, step: Index) -> tuple[Any, Any, Any]:
     """Value, slope and second slope in the middle of a cell, from three numbers ``step`` apart."""
+    # Values 1/8, 3/4, 1/8; slopes -1/2, 0, 1/2; second slopes 1, -2, 1.
     a, b, c = work[at], work[at + step], work[at + TWO * step]
     return SIDE * (a + c) + CENTRE * b, HALF * (c - a), a + c - DOUBLE * b
 
@@ -309,6 +313,7 @@ def gather_along(work: Work, component: Index, scale: Any, lanes: Index) -> None
 def rate_of_cells(work: Work, lanes: Index) -> None:
     """Volumetric strain at the mean offset of each cell's particles, which is their mean."""
     wide_vectors()
+    # tr(L) at the mean offset: L is linear in r, so this is the mean of the particles' own.
     for i in range(lanes):
         x, y, z = work[MIDDLE + i], work[MIDDLE + ROW + i], work[MIDDLE + TWO * ROW + i]
         m = MOMENT + i
@@ -384,6 +389,7 @@ def predicted(state: Work, work: Work, at: Index, i: Index, laws: Material) -> S
 @kernel
 def settle(state: Work, work: Work, at: Index, i: Index, trial: Six, laws: Material) -> None:
     """Return a trial stress [Pa] of a particle, keep it, and add it to the sums of its cell."""
+    # The return of `plain`, in single precision and without branches.
     made, slip, _ = return_to_surface(trial, state[at + STRAIN], laws, SINGLE_PRECISION)
     xx, yy, zz, xy, xz, yz = made
     keep(state, at, made)
@@ -455,6 +461,7 @@ def share(work: Work, lanes: Index, laws: Material) -> None:
     """Take a Newton step towards the change of mean stress that a cell's particles share."""
     wide_vectors()
     for i in range(lanes):
+        # s -= (n s + K Σ e) / Σ (1 + b), as in `plain`; a cell without soil keeps s = 0.
         number, swelling = work[SWELL + i], work[SWELL + ROW + i]
         slope = work[SWELL + TWO * ROW + i]
         slope = slope if number > ZERO else UNIT
@@ -487,6 +494,7 @@ def give_along(work: Work, x: Index, y: Index, z: Index, scale: Any, wide: Index
     """
     wide_vectors()
     s = SUM - TWO  # node i of the window is the last of cell i - 2, the first of cell i
+    # Rows of Σ σ, and of Σ σ r, of the stresses on the faces across x, y and z.
     xs, ys, zs = s + x * ROW, s + y * ROW, s + z * ROW
     xm = s + (SIX + THREE * x) * ROW
     ym = s + (SIX + THREE * y) * ROW
@@ -518,6 +526,7 @@ def give_across(
 ) -> None:  # fmt: skip
     """Add forces to one row of nodes, given its splines' (W, D, H) over y and z."""
     wide_vectors()
+    # One row of nodes has one weight for each of the six sums, the same at every x.
     ww, dw, wd = y[0] * z[0], y[1] * z[0], y[0] * z[1]
     hw, wh, dd = y[2] * z[0], y[0] * z[2], y[1] * z[1]
     for i in range(wide):
@@ -543,6 +552,7 @@ def lay_down(
     ``stresses`` says which of the six act on the faces across x, y and z.
     """
     give_along(work, stresses[0], stresses[1], stresses[2], area, wide)
+    # To the nine rows (z, y) of the window that load read.
     for c in range(THREE):
         for b in range(THREE):
             give_across(work, force, at + c * layer + b * row, SPLINES[b], SPLINES[c], wide)

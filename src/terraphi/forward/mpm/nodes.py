@@ -116,18 +116,22 @@ def take_over(soil: Soil, lattice: Lattice, grid: FloatArray) -> None:
     # What the splines gave to images belongs to the nodes that they mirror.
     fold(grid[:1], lattice, lattice.nodes)
     fold(grid[1:], lattice, lattice.nodes)
+    # v_i = (m v)_i / m_i; a node without soil stands still.
     for q in range(lattice.nodes):
         mass = grid[0, q]
         inverse = 1.0 / mass if mass > 0.0 else 0.0
         soil.node_mass[q] = mass
         for axis in range(3):
             soil.velocity[axis, q] = grid[1 + axis, q] * inverse
+    # The next phase interpolates over the planes of symmetry as well.
     mirror(soil.velocity, lattice, lattice.nodes)
 
 
 @kernel
 def mirror(nodes: Nodes, lattice: Lattice, used: int) -> None:
     """Give the images of nodes the velocities of what they mirror: the normal one is reversed."""
+    # A layer is count_y rows: the first and the last are the images of those next to them, each
+    # half a cell beyond a plane of symmetry.
     row, last = lattice.row, (lattice.count_y - 1) * lattice.row
     for axis in range(3):
         sign = nodes.dtype.type(-1.0 if axis == 1 else 1.0)
@@ -143,6 +147,7 @@ def fold(nodes: Nodes, lattice: Lattice, used: int) -> None:
     row, last = lattice.row, (lattice.count_y - 1) * lattice.row
     for axis in range(nodes.shape[0]):
         sign = nodes.dtype.type(-1.0 if axis == 1 else 1.0)
+        # The transpose of mirror: what it copies, with its sign, is given back.
         for low in range(0, used, lattice.layer):
             for i in range(low, low + row):
                 nodes[axis, i + row] += sign * nodes[axis, i]
@@ -158,6 +163,7 @@ def weigh(soil: Soil, phase: Phase) -> None:
     for q in range(lattice.nodes):
         mass = soil.node_mass[q]
         if mass <= 0.0:
+            # No soil: whatever force reaches the node moves nothing.
             phase.per_mass[q] = 0.0
             phase.share[q] = 0.0
             continue
@@ -166,6 +172,7 @@ def weigh(soil: Soil, phase: Phase) -> None:
         phase.per_mass[q] = 1.0 / least
         phase.share[q] = mass / least
         used = q
+        # Few nodes are light or on a wall. They are listed, so that a step looks at these alone.
         if mass < least:
             phase.light[light] = q
             light += 1
@@ -198,6 +205,7 @@ def lead(force: NDArray[Any], before: NDArray[Any], share: Any, count: np.uint64
     yield stress does not change. ``before``, the force of the step before [N], becomes that of now.
     """
     wide_vectors()
+    # Backward difference: Δt df/dt ≈ f - f of the step before.
     for q in range(count):
         now = force[q]
         force[q] = now + share * (now - before[q])
@@ -212,6 +220,7 @@ def accelerate(
     wide_vectors()
     for q in range(count):
         speed[q] += dt * (force[q] * phase.per_mass[q]) - fall * phase.share[q]
+    # Cleared for the sums of the next step.
     for q in range(count):
         force[q] = 0
 
@@ -235,6 +244,7 @@ def step(soil: Soil, phase: Phase, impulses: FloatArray) -> None:
     fold(force, lattice, used)
     # Gravity pulls at the whole mass; what light nodes do not get of it is entered apart.
     impulses[0, 1] -= phase.mass * phase.gravity * time_step
+    # A light node gets share m of what its force asks for: Δt (share - 1) f is missing.
     for number in range(phase.counts[0]):
         q = phase.light[number]
         lack = (phase.share[q] - 1.0) * time_step
@@ -246,6 +256,7 @@ def step(soil: Soil, phase: Phase, impulses: FloatArray) -> None:
         fall = real(time_step * phase.gravity if axis == 2 else 0.0)
         count = np.uint64(used)
         accelerate(soil.velocity[axis], force[axis], phase, real(time_step), fall, count)
+    # Walls after all forces, so that none pushes soil through them in this step.
     walls(soil, phase, impulses)
     if phase.damping != 1.0:  # a drag on the soil
         x, z = momentum(soil)
@@ -274,6 +285,7 @@ def walls(soil: Soil, phase: Phase, impulses: FloatArray) -> None:
             if phase.rough:
                 vx = 0.0
                 velocity[1, q] = 0.0
+        # The walls' impulse is the change of momentum that they made, m Δv.
         velocity[0, q], velocity[2, q] = vx, vz
         impulses[2, 0] += soil.node_mass[q] * (vx - px)
         impulses[2, 1] += soil.node_mass[q] * (vz - pz)

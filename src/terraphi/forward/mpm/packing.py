@@ -61,9 +61,11 @@ def pack(soil: Soil, lattice: Lattice) -> Packets:
     # The cells of a row begin at its second node; a block is as deep as its fullest cell.
     cells = count.reshape(-1, lattice.row)[:, 1 : 1 + lattice.blocks * _WIDTH]
     depth = cells.reshape(-1, _WIDTH).max(axis=1)
+    # Packets of block b are first[b] to first[b + 1] - 1.
     first = np.concatenate([[0], np.cumsum(depth)])
     packets = int(first[-1])
     state = aligned_zeros(packets * FIELDS * _WIDTH, np.float32)
+    # Lanes stay zero where there is no particle: no stress, no volume.
     owner = np.full(packets * _WIDTH, -1, np.int32)
     centre = aligned_zeros(len(depth) * 3 * _WIDTH, np.float32)
     made = Packets(state, first, centre, owner)
@@ -96,6 +98,7 @@ def _fill(
         for axis in range(3):
             state[at + (X + axis) * _WIDTH] = soil.offset[p, axis]
             made.centre[(block * 3 + axis) * _WIDTH + lane] += soil.offset[p, axis] / count[cell]
+        # What the strain kernel reads and changes, field by field.
         for c in range(6):
             state[at + (SXX + c) * _WIDTH] = soil.stress[p, c]
         state[at + STRAIN * _WIDTH] = soil.strain[p]

@@ -123,6 +123,7 @@ def strain(
     time_step
         Whole or half [s].
     """
+    # Each loop needs what the one before has summed over whole cells; so they are five.
     for sums in cells:
         sums[:] = 0.0
     # Volumetric strain of each cell: the mean over its particles.
@@ -170,6 +171,7 @@ def slope(place: Three, a: int, b: int, c: int) -> Three:
 @kernel
 def gradient(nodes: Nodes, cell: int, place: Three, lattice: Lattice) -> tuple[Three, Three, Three]:
     """Velocity gradient ∂v_a/∂x_b at a place [1/s], row by row."""
+    # L = Σ v_i G_i', over the 27 nodes around the cell's own.
     xx, xy, xz = 0.0, 0.0, 0.0
     yx, yy, yz = 0.0, 0.0, 0.0
     zx, zy, zz = 0.0, 0.0, 0.0
@@ -196,6 +198,7 @@ def predict(
 ) -> None:
     """Put the trial stress of a particle in the place of its stress."""
     cell, dt, stress = soil.cell[p], time_step, soil.stress
+    # Own distortion, Δt L; its trace is replaced by the cell's mean in the predictor (B-bar).
     x, y, z = gradient(soil.velocity, cell, offset_of(soil, p), lattice)
     strains = (
         dt * x[0], dt * x[1], dt * x[2],
@@ -227,6 +230,7 @@ def share(soil: Soil, cells: Cells, material: Material, held: Material) -> None:
     cells.swelling[:] = 0.0
     cells.yielding[:] = 0.0
     for p in range(soil.cell.size):
+        # ẽ: what the particle would gain by itself. e: what it gains at its mean stress.
         trial = shared(soil, cells, p)
         _, _, alone = return_mapping(trial, soil.strain[p], material)
         # Beyond the tip no return at a held mean stress exists: take the one just short of it.
@@ -236,7 +240,9 @@ def share(soil: Soil, cells: Cells, material: Material, held: Material) -> None:
         clamped = (xx - over, yy - over, zz - over, xy, xz, yz)
         _, _, most = return_mapping(clamped, soil.strain[p], held)
         cells.swelling[soil.cell[p]] += most
+        # 1 + b = e / ẽ; 1 for what does not yield, or comes apart.
         cells.yielding[soil.cell[p]] += most / alone if alone * most > 0.0 else 1.0
+    # Newton: s -= (n s + K Σ e) / Σ (1 + b).
     for q in range(cells.share.size):
         if cells.number[q] > 0.0:
             left = cells.number[q] * cells.share[q] + material.bulk_modulus * cells.swelling[q]
@@ -247,6 +253,7 @@ def share(soil: Soil, cells: Cells, material: Material, held: Material) -> None:
 def settle(soil: Soil, cells: Cells, material: Material, p: int) -> None:
     """Return the trial stress of a particle; its mean stress is added to the cell's."""
     stress, slipped, _ = return_mapping(shared(soil, cells, p), soil.strain[p], material)
+    # Its deviator is its own; of its mean stress only the cell's sum acts on the nodes.
     for c in range(6):
         soil.stress[p, c] = stress[c]
     soil.strain[p] += slipped
@@ -261,8 +268,10 @@ def push_nodes(
     cell, place = soil.cell[p], offset_of(soil, p)
     xx, yy, zz = soil.stress[p, 0], soil.stress[p, 1], soil.stress[p, 2]
     xy, xz, yz = soil.stress[p, 3], soil.stress[p, 4], soil.stress[p, 5]
+    # B-bar: the cell's mean stress takes the place of the particle's.
     excess = cells.pressed[cell] / cells.number[cell] - (xx + yy + zz) / 3.0
     xx, yy, zz = xx + excess, yy + excess, zz + excess
+    # f_i = -V σ G_i, with G per cell.
     size = -volume / lattice.cell_size
     for c in range(-1, 2):
         for b in range(-1, 2):

@@ -54,6 +54,7 @@ def offset_of(soil: Soil, p: int) -> Three:
 def gather(nodes: Nodes, cell: int, place: Three, lattice: Lattice) -> Three:
     """Interpolate a vector of the nodes to a place, an offset from a cell's middle [cell]."""
     wx, wy, wz = weights(place[0]), weights(place[1]), weights(place[2])
+    # v(x) = Σ N_i v_i over the 27 nodes from (-1, -1, -1) of the cell's node on; x runs fastest.
     first, second, third = 0.0, 0.0, 0.0
     for c in range(3):
         for b in range(3):
@@ -74,6 +75,8 @@ def push(force: Nodes, cell: int, place: Three, given: Three, arm: Three, lattic
     The moment goes with it as the affine part of a momentum does: node i gets N (1 + 4 arm · r).
     """
     wx, wy, wz = weights(place[0]), weights(place[1]), weights(place[2])
+    # f_i = N_i f (1 + 4 arm · r_i), r from the particle to the node: Σ f_i = f, for Σ N r = 0, and
+    # Σ r × f_i = arm × f, for 4 Σ N r r' = 1 [cell²].
     for c in range(3):
         rz = 4.0 * arm[2] * (c - 1 - place[2])
         for b in range(3):
@@ -119,6 +122,7 @@ def press(
     """
     per_cell = 1.0 / lattice.cell_size
     total_x, total_z, total_m = 0.0, 0.0, 0.0
+    # One after the other: particles that touch the leg share nodes.
     for p in near:
         # Where the nodes have taken the particle by now, and the soil's velocity there.
         cell, at = soil.cell[p], offset_of(soil, p)
@@ -133,6 +137,7 @@ def press(
             contact,
             pose,
         )
+        # The spring's slip is kept for the next step; zero if the particle has left the leg.
         soil.slip[p, 0], soil.slip[p, 1], soil.slip[p, 2] = slip[0], slip[1], slip[2]
         if given[0] != 0.0 or given[1] != 0.0 or given[2] != 0.0:
             push(force, cell, at, given, scaled(per_cell, arm), lattice)
@@ -150,6 +155,7 @@ def affine_velocity(
 ) -> tuple[Three, tuple[Three, Three, Three]]:
     """Velocity at a place [m/s], and four times its first moments about it [cell m/s]."""
     wx, wy, wz = weights(place[0]), weights(place[1]), weights(place[2])
+    # v = Σ N v_i and Δx C = 4 Σ N v_i r', r in cells: row by row, over the nodes as in gather.
     vx, vy, vz = 0.0, 0.0, 0.0
     xx, xy, xz = 0.0, 0.0, 0.0
     yx, yy, yz = 0.0, 0.0, 0.0
@@ -182,6 +188,7 @@ def scatter(
 ) -> None:
     """Give mass and momentum of a particle to the grid (mass, then momenta; shape [4, node])."""
     wx, wy, wz = weights(place[0]), weights(place[1]), weights(place[2])
+    # m_i += N m and (m v)_i += N m (v + Δx C r), r in cells.
     for c in range(3):
         rz = c - 1 - place[2]
         for b in range(3):
@@ -247,16 +254,19 @@ def renew(soil: Soil, lattice: Lattice, shift: Nodes, grid: FloatArray) -> int:
         k = cell // layer
         j = (cell - k * layer) // row
         i = cell - k * layer - j * row
+        # Nearest node of the new place: at most one on along each axis.
         di, dj, dk = np.floor(x + 0.5), np.floor(y + 0.5), np.floor(z + 0.5)
         # No soil passes a plane of symmetry; rounding might put a particle a hair beyond.
         if j + dj < 1 or j + dj > lattice.count_y - 2:
             y = min(max(y, -0.5), 0.4999999)
             dj = 0.0
         i, j, k = i + int(di), j + int(dj), k + int(dk)
+        # Beyond the outermost nodes there are none for its splines.
         if not (1 <= i < lattice.side - 1 and 1 <= k < lattice.side - 1):
             return p
         cell = k * layer + j * row + i
         soil.cell[p] = cell
         soil.offset[p, 0], soil.offset[p, 1], soil.offset[p, 2] = x - di, y - dj, z - dk
+        # With the velocity of where it was, which is what it carries to where it is.
         scatter(grid, cell, offset_of(soil, p), soil.mass[p], velocity, affine, lattice)
     return -1

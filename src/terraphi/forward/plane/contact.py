@@ -70,6 +70,7 @@ def against_leg(
     leg = (pose.hip_vx + pose.rate * rz, pose.hip_vz - pose.rate * rx)
     if model.unbalanced:
         return prototype((vx, vz), leg, normal, intruder.friction)
+    # What is counted is what the node gets: m Δv / Δt is the force.
     after = coulomb((vx, vz), leg, normal, intruder.friction)
     return after[0], after[1], after[0] - vx, after[1] - vz
 
@@ -112,11 +113,13 @@ def prototype(
     approach = (vx - body[0]) * normal[0] + (vz - body[1]) * normal[1]
     if approach >= 0.0:
         return vx, vz, 0.0, 0.0
+    # Step 1: no approach. This alone is counted.
     counted_x, counted_z = -approach * normal[0], -approach * normal[1]
     vx, vz = vx + counted_x, vz + counted_z
     # The approach is gone from v already, and is subtracted once more: a slip that points outwards.
     tx, tz = vx - body[0] + counted_x, vz - body[1] + counted_z
     slip = math.sqrt(tx * tx + tz * tz)
+    # Step 3: v -= t (1 - μ |a| / |t|).
     if slip > -friction * approach:
         lost = 1.0 + friction * approach / slip
         vx, vz = vx - lost * tx, vz - lost * tz
@@ -130,6 +133,7 @@ def distance_to_box(intruder: Intruder, s: float, m: float, h: float) -> tuple[f
     The normal is the gradient of the distance by differences over ``h`` [m] to either side. Where
     that vanishes, as in the middle of the leg, there is no contact: the distance is then infinite.
     """
+    # ∇d by central differences, then made a unit vector.
     ns = _box(intruder, s + h, m) - _box(intruder, s - h, m)
     nm = _box(intruder, s, m + h) - _box(intruder, s, m - h)
     length = math.sqrt(ns * ns + nm * nm)

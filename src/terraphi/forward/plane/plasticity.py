@@ -110,11 +110,13 @@ def jaumann_predictor(
         Factor on the spin W: 1, or 0 for the prototype, whose stress does not turn [-].
     """
     sxx, szz, sxz, syy = stress
+    # D Δt and W Δt; σ_yy of plane strain changes by the volume alone.
     dxx = gradient[0] * time_step
     dzz = gradient[3] * time_step
     dxz = 0.5 * (gradient[1] + gradient[2]) * time_step
     spin = 0.5 * turning * (gradient[1] - gradient[2]) * time_step
     volumetric = lame_lambda * (dxx + dzz)
+    # Wσ - σW of W = [[0, w], [-w, 0]]: (2 w σ_xz, -2 w σ_xz) and w (σ_zz - σ_xx) for σ_xz.
     turn = 2.0 * spin * sxz
     return (
         sxx + turn + volumetric + 2.0 * shear_modulus * dxx,
@@ -128,11 +130,13 @@ def jaumann_predictor(
 def return_mapping(trial: Four, material: Material) -> Four:
     """Bring a trial stress [Pa] back to the cone; without branches, for whole vector registers."""
     sxx, szz, sxz, syy = trial
+    # Center c and radius r of the criterion: Mohr's circle, or I₁/3 and √J₂.
     center = material.share * (sxx + szz) + material.share * material.out * syy
     dxx, dzz, dyy = sxx - center, szz - center, material.out * (syy - center)
     radius = math.sqrt(0.5 * (dxx * dxx + dzz * dzz + dyy * dyy) + sxz * sxz)
     # Along the potential to the cone. Elastic states have no excess, and stay.
     excess = max(radius + material.slope * center - material.intercept, 0.0)
+    # Δλ = (r + α p - k) / (G + B α β), r -= G Δλ, p -= B β Δλ.
     multiplier = material.per_excess * excess
     new_radius = radius - material.shear_modulus * multiplier
     new_center = center - material.drop * multiplier

@@ -60,6 +60,7 @@ def advance(
         momentum = particles_to_grid(soil, grid, model.cell_size, model.time_step)
         # The momentum now must be that of a step ago and the impulses since then.
         close_books(audit, impulses, momentum)
+        # Forces on the nodes, then back to the particles; the books are kept on the way.
         impulses[:] = 0.0
         counted = update_grid(grid, model, path.poses[step], impulses)
         enter_reaction(impulse, path.bins[step], counted, (impulses[1, 0], impulses[1, 1]))
@@ -162,6 +163,7 @@ def update_particles(
     low, high = 0.5 * model.cell_size, (grid.mass.shape[0] - 2.5) * model.cell_size
     material = model.material
     factor = math.exp(-model.relief_rate * turned)
+    # The relief's exp(-rate |Δθ|) is the same for all particles of a step.
     for p in range(soil.mass.size):
         vx, vz, gradient = grid_to_particle(soil, grid, p, model.cell_size)
         # Explicit: the strain of this step makes the stress that acts in the next.

@@ -47,6 +47,7 @@ def particle_to_grid(
         Δx [m], Δt [s].
     """
     per_cell = 1.0 / cell_size
+    # Force of the stress, -Δt V σ ∇w, as an affine momentum: ∇w = 4 w r / Δx² (MLS-MPM).
     stress_scale = -4.0 * time_step * per_cell * per_cell
     # The base node (i, j), and the place of the particle from it [cell].
     i = int(soil.position[p, 0] * per_cell - 0.5)
@@ -62,6 +63,7 @@ def particle_to_grid(
     axz = (k * sxz + mass * soil.gradient[p, 1]) * cell_size
     azx = (k * sxz + mass * soil.gradient[p, 2]) * cell_size
     azz = (k * szz + mass * soil.gradient[p, 3]) * cell_size
+    # (m v)_i += w (m v_p + A r), r in cells.
     px, pz = mass * soil.velocity[p, 0], mass * soil.velocity[p, 1]
     for b in range(3):
         rz = b - fz
@@ -79,6 +81,7 @@ def particles_to_grid(
     soil: Particles, grid: Grid, cell_size: float, time_step: float
 ) -> tuple[float, float]:
     """Clear the grid and add all particles; returns the soil's momentum (x, z) [kg/s]."""
+    # Particles share nodes, so that one is added after the other.
     grid.mass[:] = 0.0
     grid.vx[:] = 0.0
     grid.vz[:] = 0.0
@@ -107,6 +110,7 @@ def grid_to_particle(
         vx, vz [m/s] and (∂vx/∂x, ∂vx/∂z, ∂vz/∂x, ∂vz/∂z) [1/s].
     """
     per_cell = 1.0 / cell_size
+    # The nodes and weights that the particle gave its momentum with.
     i = int(soil.position[p, 0] * per_cell - 0.5)
     j = int(soil.position[p, 1] * per_cell - 0.5)
     fx = soil.position[p, 0] * per_cell - i
@@ -127,5 +131,6 @@ def grid_to_particle(
             cxz += gx * rz
             czx += gz * rx
             czz += gz * rz
+    # C = 4/Δx² Σ w v_i (x_i - x_p), and r is in cells: one Δx is left.
     scale = 4.0 * per_cell
     return vx, vz, (scale * cxx, scale * cxz, scale * czx, scale * czz)
