@@ -446,7 +446,7 @@ def main() -> None:
         file.write_text(",".join(head) + "\n")
     # Of finer cells the law needs few.
     ordered = list(truths()) if options.truths else sorted(
-        cases(), key=lambda case: (case.cells < 1.0 or case.bed > 1.0, case.shape != "straight")
+        cases(), key=lambda case: case.cells < 1.0 or case.bed > 1.0
     )  # fmt: skip
     for k, case in enumerate(ordered):
         key = f"{case.number} {case.bed} {case.cells < 1.0}"

@@ -8,12 +8,15 @@ With D the depth that a leg reaches in level soil, F is compared with ρ g w D²
 principal components of the curves over their root mean square. The size y_0 and the weights y_k
 are Gaussian processes (:mod:`~terraphi.laws.emulator`) over
 
-    ln tan(45° + φ/2),  ln μ,  ln w/L,  h/L,  ln t/L,  ln(1 + 20 c/(ρ g D)),  Δx over the rule's
+    ½ ln K,  μ,  ln w/L,  h/L,  ln t/L,  ln(1 + 40 c/(K ρ g D)),  Δx over the rule's
 
 and the curvature, which is 1 of a C, 0 of a straight and −1 of a reversed C leg, so that each shape
-learns from the others what friction, cohesion and cells do. Their means are linear in these and
-quadratic in the first. The law is read in cells of a fifth of the width or an eleventh of the depth
-(:func:`cells_of`).
+learns from the others what friction, cohesion and cells do. K = tan²(45° + φ/2) is the coefficient
+of passive earth pressure: the larger it is, the less cohesion adds to the weight of the soil that
+is pushed (2 c √K to ½ ρ g D K for a smooth wall). The form of these coordinates (μ or ln μ, the
+factor 5 to 40, K to a power of 0 to 1) is the one with the largest restricted likelihood of the
+cases. The means are linear in the coordinates and quadratic in the first. The law is read in cells
+of a fifth of the width or an eleventh of the depth (:func:`cells_of`).
 
 ``studies/legs.py`` simulates the cases and finds correlation lengths and nuggets.
 """
@@ -99,8 +102,6 @@ MODES = 8
 """Principal components that are kept: the next adds less than a tenth of the first (chosen)."""
 SHIFTED_DEG = np.arange(-105.0, 101.0)
 """Leg angles of the law [deg]: those of records, and what a shift brings there."""
-LEAST_FRICTION = 0.05
-"""Least friction of a leg that is asked of the processes [-]: they have its logarithm."""
 PHI_DEG = (10.0, 55.0)
 """Smallest and largest friction angle of the design [deg]."""
 MOST_COHESION = 0.4
@@ -190,9 +191,11 @@ class Legs:
     def _coordinates(self, x: FloatArray, depth: FloatArray) -> FloatArray:
         """What the processes are smooth in, shape [k, axis]."""
         phi, mu, width, height, thickness, cohesion, cells, curvature = x.T
+        passive = np.square(np.tan(np.radians(45.0 + 0.5 * phi)))
+        damp = np.log1p(40.0 * cohesion / (passive * depth))
         return np.stack([
-            np.log(np.tan(np.radians(45.0 + 0.5 * phi))), np.log(mu), np.log(width), height,
-            np.log(thickness), np.log1p(20.0 * cohesion / depth), cells, curvature,
+            0.5 * np.log(passive), mu, np.log(width), height, np.log(thickness), damp, cells,
+            curvature,
         ], axis=1)  # fmt: skip
 
     @cached_property
@@ -454,7 +457,7 @@ class RatioLaw(LegLaw):
         rig, ratios = self._rig, self._rig.ratios
         ratios = ratios._replace(hip_height=ratios.hip_height + higher)
         first, last, depth = reach(rig.leg, ratios)
-        mu = max(rig.leg_friction + rougher, LEAST_FRICTION)
+        mu = rig.leg_friction + rougher
         row = [0.0, mu, ratios.width, ratios.hip_height, ratios.thickness, cohesion,
                self._cells, CURVATURES[rig.leg]]  # fmt: skip
         x = np.tile(row, (len(phi_deg), 1))
