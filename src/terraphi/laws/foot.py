@@ -48,14 +48,13 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import BaseModel
 
 from terraphi.experiment.arrays import FloatArray, like, namespace, whole
 from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import open_netcdf
 from terraphi.experiment.scenario import GRAVITY
 from terraphi.forward.rft import from_plane_strain, stress_scale, unit_stress
+from terraphi.laws.fitted import FittedLaw
 
 RINGS, SECTORS = 100, 24
 """Faces of half a ball, whose other half is its mirror image: rings of equal area, and faces in
@@ -64,8 +63,6 @@ DEPTHS = np.linspace(0.0, 2.02, 203)
 """Depths over the radius that are tabulated [-]; at the last two all faces are submerged."""
 DESCENTS = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 61)
 """Directions of motion that are tabulated, from straight up to straight down [rad]."""
-SCHEMA = 1
-"""Of the files of simulated forces."""
 DEEPEST = 5.0
 """Depth over the radius to which law ``foot`` was simulated [-]."""
 MOVED = (2.3, 1.2)
@@ -124,6 +121,11 @@ class FootLaw:
     formula: Callable[..., FloatArray]
     convention: str = "plane_strain"
     sd_deg: float = 6.0
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of all numbers of a law that was simulated; empty of a closed form."""
+        return simulated_cases().hash if self.name == "foot" else ""
 
     def force(
         self,
@@ -333,8 +335,21 @@ def resistive_table(shape: str, mu: float) -> FloatArray:
     return force
 
 
-class LawAttributes(BaseModel):
-    """Attributes of a law's file, of which none is read."""
+class FootCases(FittedLaw):
+    """The simulated law: force over ρ g R³, along the motion and up."""
+
+    AXES = ("friction", "phi_deg", "tilt_deg", "flatness")
+    PLACES = np.linspace(0.0, DEEPEST, 251)
+
+
+@lru_cache(maxsize=1)
+def simulated_cases() -> FootCases:
+    """Those that are shipped, kept for the next call.
+
+    The friction is that of the surface [-], φ that of the simulated soil [deg], the tilt that of
+    the motion from the vertical [deg], and the flatness 0 for a ball, 1 for a disc.
+    """
+    return FootCases.load(shipped_file("laws", "foot", ".nc"))
 
 
 @lru_cache(maxsize=8)
@@ -343,11 +358,12 @@ def simulated_table(shape: str, surface_friction: float) -> tuple[float, float, 
 
     The force has the shape [φ, descent, depth, 2], with a degree from one φ to the next.
     """
-    path = shipped_file("foot", shape, ".nc")
-    axes = ("friction", "phi_deg", "tilt_deg", "ratio")
-    with open_netcdf(path, LawAttributes, kind="foot law", schema=SCHEMA) as file:
-        friction, angles, tilt_deg, ratio = (file.numbers(name, name) for name in axes)
-        stored = file.numbers("force", *axes, 2)
+    law = simulated_cases()
+    own, ratio = law.x[:, 3] == (shape == "disc"), law.PLACES
+    friction, angles, tilt_deg = (np.unique(column) for column in law.x[own, :3].T)
+    angles -= law.model_error[shape]["offset_deg"]
+    counts = friction.size, angles.size, tilt_deg.size, 2, ratio.size
+    stored = law.force[own].reshape(counts).swapaxes(-1, -2)
     low, high = friction[0] - BEYOND_FRICTION, friction[-1] + BEYOND_FRICTION
     if not low - 1e-9 <= surface_friction <= high + 1e-9:
         raise InputError(
