@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import json
+import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -31,8 +32,8 @@ FORMATS = {".py": "python", ".json": "json", ".csv": "csv", ".usda": "usda"}
 PLATE = Foot(0.05, "disc")
 """Plate whose sinkage gives Bekker's parameters."""
 LEG_FRICTION_ABOUT = "that of the library's leg, unless it was inferred; None: unknown"
-SINKAGE, DOWN = 0.02, 0.5 * np.pi
-"""Of the plate [m], in which the law is linear; and its direction of motion [rad]."""
+SINKAGE = 0.02
+"""Of the plate [m], in which the law is linear."""
 JANOSI = (0.010, 0.025)
 """Janosi's K of sand, from firm to loose [m] (Wong, 2008, Theory of Ground Vehicles)."""
 
@@ -101,7 +102,39 @@ def export(
     if match not in MATCHES:
         raise InputError(f"unknown stress path '{match}'; {nearest(match, MATCHES)}")
     path = file_for(out, to)
-    found = _parameters(soil(answer, density=density, anyway=anyway), target, match, draws, seed)
+    of_soil = soil(answer, density=density, anyway=anyway)
+    phi, (chosen, densities) = of_soil.phi.as_dict(), of_soil.draws(draws, rng=seed)
+    values = _summary(lambda angle: target.from_angle(angle, match), phi, chosen)
+    found = {
+        **described(target),
+        "caution": of_soil.caution,
+        "matched": match,
+        "value": values.pop("median"),
+        **values,
+        "draws_without_equivalent": float(
+            np.mean(~np.isfinite(of_soil.phi_values)) if draws else 0
+        ),
+        "phi_plane_strain_deg": phi,
+        "density_kg_m3": of_soil.density,
+        "density_assumed": of_soil.density_assumed,
+        "density_draws_kg_m3": densities.round(3).tolist(),
+        "leg_friction_assumed": of_soil.leg_friction,
+        "dilation_deg": 0.0,
+        "cohesion_Pa": 0.0,
+        "source": {**of_soil.origin, "draws_seed": seed},
+    }
+    if to == "chrono-scm":
+        found |= bekker(phi, chosen, of_soil.density, seed=seed)
+    if to == "rft3d":
+        about = "[N/m³] ξ_n, which all stresses per depth are proportional to"
+        scale = _summary(
+            lambda a: float(stress_scale(target.from_angle(a), of_soil.density)), phi, chosen
+        )
+        plane = {**_summary(float, phi, chosen), "about": "[deg] φ in plane strain, of wrench"}
+        found |= {"XI_N": {**scale, "about": about}, "PHI_PLANE_STRAIN_DEG": plane}
+    for name in {"BEKKER_KPHI", "XI_N"} & found.keys():  # in proportion to each draw's density
+        drawn = np.array(found[name]["draws"]) * densities / of_soil.density
+        found[name]["draws"] = drawn.round(6).tolist()
     write(found, path)
     return found
 
@@ -143,44 +176,6 @@ def described(to: Simulator) -> dict[str, Any]:
     }
 
 
-def _parameters(
-    soil: SoilDistribution, to: Simulator, match: Match, draws: int, seed: int
-) -> dict[str, Any]:
-    """What :func:`export` returns."""
-    chosen, densities = soil.draws(draws, rng=seed)
-    lost = float(np.mean(~np.isfinite(soil.phi_values))) if draws else 0.0
-    phi = soil.phi.as_dict()
-    density = soil.density
-    values = _summary(lambda angle: to.from_angle(angle, match), phi, chosen)
-    found = {
-        **described(to),
-        "caution": soil.caution,
-        "matched": match,
-        "value": values.pop("median"),
-        **values,
-        "draws_without_equivalent": lost,
-        "phi_plane_strain_deg": phi,
-        "density_kg_m3": density,
-        "density_assumed": soil.density_assumed,
-        "density_draws_kg_m3": densities.round(3).tolist(),
-        "leg_friction_assumed": soil.leg_friction,
-        "dilation_deg": 0.0,
-        "cohesion_Pa": 0.0,
-        "source": {**soil.origin, "draws_seed": seed},
-    }
-    if to.name == "chrono-scm":
-        found |= bekker(phi, chosen, density, seed=seed)
-    if to.name == "rft3d":
-        about = "[N/m³] ξ_n, which all stresses per depth are proportional to"
-        scale = _summary(lambda a: float(stress_scale(to.from_angle(a), density)), phi, chosen)
-        plane = {**_summary(float, phi, chosen), "about": "[deg] φ in plane strain, of wrench"}
-        found |= {"XI_N": {**scale, "about": about}, "PHI_PLANE_STRAIN_DEG": plane}
-    for name in {"BEKKER_KPHI", "XI_N"} & found.keys():  # in proportion to each draw's density
-        drawn = np.array(found[name]["draws"]) * densities / density
-        found[name]["draws"] = drawn.round(6).tolist()
-    return found
-
-
 def bekker(
     phi: Mapping[str, Any], draws_deg: FloatArray, density: float, *, seed: int = 0
 ) -> dict[str, Any]:
@@ -210,8 +205,9 @@ def bekker(
 
     def stiffness(phi_deg: float) -> float:
         force = LAWS["rft"].force(
-            PLATE, SINKAGE, DOWN, friction_angle_deg=phi_deg, density=density, surface_friction=0.5
-        )
+            PLATE, SINKAGE, math.pi / 2, friction_angle_deg=phi_deg, density=density,
+            surface_friction=0.5,
+        )  # fmt: skip
         return float(force[1] / (np.pi * PLATE.radius**2 * SINKAGE))
 
     law = "from φ by resistive force theory of a flat plate, p = K z; Bekker_Kc is 0"
