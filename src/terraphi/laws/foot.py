@@ -109,9 +109,7 @@ class FootLaw:
     name
         Name of the law.
     formula
-        What :meth:`force` returns, of the same arguments in their order, φ in the law's convention.
-    convention
-        What that is: ``plane_strain``, or ``rft3d``.
+        What :meth:`force` returns, of the same arguments in their order.
     sd_deg
         Error of φ by this law in loose grains of measured φ, offset and scatter together, root
         mean square [deg] (``docs/plates.md``).
@@ -119,7 +117,6 @@ class FootLaw:
 
     name: str
     formula: Callable[..., FloatArray]
-    convention: str = "plane_strain"
     sd_deg: float = 6.0
 
     @property
@@ -161,8 +158,6 @@ class FootLaw:
             arrays broadcast to.
         """
         phi = np.asarray(friction_angle_deg, dtype=np.float64)
-        if self.convention == "rft3d":
-            phi = from_plane_strain(phi)
         return self.formula(foot, depth, descent, phi, density, surface_friction)
 
 
@@ -196,7 +191,7 @@ def resistive_force(
     ratio, turn = np.broadcast_arrays(np.asarray(depth) / foot.radius, descent)
     table = resistive_table(foot.shape, float(mu))
     unit = interpolated(table, _row(turn), np.maximum(ratio, 0.0) / DEPTHS[1])
-    scale = stress_scale(phi_deg, density) * foot.radius**3
+    scale = stress_scale(from_plane_strain(phi_deg), density) * foot.radius**3
     return np.asarray(scale[..., None] * unit[..., :2])
 
 
@@ -261,7 +256,7 @@ def bearing_capacity(
 
 LAWS: Mapping[str, FootLaw] = {
     "foot": FootLaw("foot", simulated_force, sd_deg=2.6),
-    "rft": FootLaw("rft", resistive_force, "rft3d", sd_deg=8.0),
+    "rft": FootLaw("rft", resistive_force, sd_deg=8.0),
     **{
         name: FootLaw(name, partial(bearing_capacity, name))
         for name in ("meyerhof", "vesic", "hansen")

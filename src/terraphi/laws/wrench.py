@@ -254,21 +254,20 @@ def force(
     lead = pose.shape[:-1]
     place = xp.reshape(pose, (-1, pose.shape[-1]))
     moving = _each("velocity", velocity, pose, lead, velocity.shape[-1])
-    given = {"phi_deg": phi_deg, "density": density, "surface": surface}
-    soil = _soil(pose, lead, "foot", surface_friction, **given)
+    soil = _soil(
+        pose, lead, "foot", surface_friction, phi_deg=phi_deg, density=density, surface=surface
+    )
     _check_finite(pose=place, velocity=moving)
     fade = TINY if held is not None else rest_speed
-    if isinstance(foot, Foot):
-        force_, moment, deep = _of_foot(foot, place, moving, surface_friction, fade, **soil)
-        far = 0.0
-    else:
-        force_, moment, deep = _of_mesh(foot, place, moving, surface_friction, fade, **soil)
-        far = foot.reach
+    given = place, moving, surface_friction, fade
+    force_, moment, deep = (
+        _of_foot(foot, *given, **soil) if isinstance(foot, Foot) else _of_mesh(foot, *given, **soil)
+    )
     if held is not None and step is not None and stiffness is not None:
         before = [xp.reshape(like(pose, one), (-1, 3)) for one in held]
         travel = _norm(xp, moving[:, :3])
-        if moving.shape[-1] == 6:
-            travel = travel + far * _norm(xp, moving[:, 3:])
+        if moving.shape[-1] == 6 and isinstance(foot, Mesh):
+            travel = travel + foot.reach * _norm(xp, moving[:, 3:])
         size = xp.maximum(_norm(xp, before[0]), _norm(xp, force_))
         kept = xp.exp(-stiffness * step * travel / xp.clip(size, TINY, None))
         kept = xp.where(deep > 0.0, kept, xp.zeros_like(kept))[:, None]
@@ -446,8 +445,9 @@ def wrench(
     xp = namespace(points)
     points = np.asarray(points, dtype=np.float64) if xp is np else points
     lead, last = tuple(points.shape[:-2]), tuple(points.shape[-2:])
-    given = {"phi_deg": phi_deg, "density": density, "surface": surface}
-    soil = _soil(points, lead, law, surface_friction, **given)
+    soil = _soil(
+        points, lead, law, surface_friction, phi_deg=phi_deg, density=density, surface=surface
+    )
     flat, normals = xp.reshape(points, (-1, *last)), like(points, normals)
     if normals.ndim != 2:
         normals = _each("normals", normals, points, lead, *last)
@@ -556,12 +556,6 @@ def _ratios(
     Of what :func:`_footprint` takes, the mean depth [m] and the descent [rad].
     """
     xp = namespace(base)
-    if xp is np and not (loaded := deepest > 0.0).all():
-        whole = np.zeros((2, len(base)))
-        if loaded.any():
-            parts = [one[loaded] for one in (base, normal, mean, deepest, descent, phi_deg)]
-            whole[:, loaded] = _ratios(*parts, surface_friction=surface_friction)
-        return whole[0], whole[1]
     radius, roundness, of_ball = _footprint(base, normal, deepest)
     roundness, deepest = roundness[:, None], xp.clip(deepest, TINY, None)
     turn = xp.clip(descent / SPACING + LEVEL, LOWEST, None)
