@@ -436,11 +436,9 @@ def fit(
         scatter = rng.standard_normal((len(targets), len(deviations))) @ deviations
         scatter /= np.sqrt(rng.chisquare(freedom, (len(targets), 1)) / freedom)
 
-        def best(goal: FloatArray, curve: FloatArray = curve, w: FloatArray = weights) -> IntArray:
-            """Index of the nearest q to each row."""
-            return np.array([np.argmin(((curve - row) ** 2) @ w) for row in goal])
-
-        (chosen,), drawn = best(wanted[None]), best(wanted_draws - scatter)
+        rows = np.vstack([wanted, wanted_draws - scatter])
+        nearest_q = np.array([np.argmin(np.square(curve - row) @ weights) for row in rows])
+        chosen, drawn = nearest_q[0], nearest_q[1:]
         ends = np.quantile(drawn, [0.025, 0.975])
         last = len(logs) - 1
         near = np.min(np.abs(np.log(nodes) - logs[chosen]))
