@@ -751,7 +751,9 @@ def _turned(foot: Foot) -> tuple[FloatArray, IntArray]:
     next_low, next_high = np.roll(low, -1, axis=1), np.roll(high, -1, axis=1)
     faces = np.stack([[low, next_low, next_high], [low, next_high, high]]).swapaxes(1, -1)
     faces = faces.reshape(-1, 3)
-    return points.reshape(-1, 3), faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+    used, faces = np.unique(faces, return_inverse=True)
+    return points.reshape(-1, 3)[used], faces.reshape(-1, 3)
 
 
 def _read_obj(path: Path) -> tuple[FloatArray, IntArray]:
