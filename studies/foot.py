@@ -19,20 +19,19 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import itertools
 import math
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-import xarray as xr
 from matplotlib.figure import Figure
 
 import pages
 import terraphi
-from terraphi.experiment.files import write_netcdf
 from terraphi.experiment.scenario import GRAVITY, Scenario
 from terraphi.forward.driver import Snapshot
-from terraphi.laws.foot import LAWS, Foot
+from terraphi.laws.foot import LAWS, Foot, FootCases
 
 RATIO = np.linspace(0.0, 5.0, 251)
 """Depths over the radius of the table."""
@@ -53,9 +52,6 @@ WEAKER_DEG = 2.0
 """By how much feet in loose grains find less φ than a shear cell, extrapolated to zero grain size
 (`plates.py`) [deg]: soil that a foot compacts is weaker. At φ the law has what was simulated at φ
 less this."""
-DEEPER = 0.04
-"""Error of ln F for each radius beyond LAST [-]: a smooth ball of plan `foot-deep`, and one at 45°
-from the vertical that was tried, have 12 and 13 % more and less force at five radii."""
 SCATTER, UNKNOWN = 0.02, 0.05
 """Of ln F: between particle seeds and in smoothing, and for a correction that was not simulated."""
 SOFT = 2e6
@@ -77,7 +73,7 @@ DRIFT = (
     "with one law rises. Soil that is compacted as it flows does the same until it is compacted."
 )
 COMPACTED_AT = (0.4, 0.6, 0.8, 1.0, 1.5)
-TABLES = pages.ROOT.parent / "src" / "terraphi" / "data" / "foot"
+LAW = pages.ROOT.parent / "src" / "terraphi" / "data" / "laws" / "foot.nc"
 
 
 class Case(NamedTuple):
@@ -303,21 +299,22 @@ def table_of(cases: list[Case], shape: str) -> tuple[dict[str, np.ndarray], np.n
     return {name: np.array(nodes) for name, nodes in axes.items()}, force
 
 
-def write_table(shape: str, axes: dict[str, np.ndarray], force: np.ndarray, sd: np.ndarray) -> None:
-    """The file that law `foot` reads."""
-    data = xr.Dataset(
-        {"force": ((*axes, "ratio", "axis"), force.astype(np.float32)),
-         "relative_sd": (("phi_deg", "ratio"), sd.astype(np.float32))},
-        {**axes, "phi_deg": axes["phi_deg"] + WEAKER_DEG, "ratio": RATIO, "axis": ["along", "up"]},
-        {
-            "terraphi_file": "foot law", "terraphi_schema": 1,
-            "description": f"force over ρ g R³ on a {NAMES[shape]} of radius R, along the "
-            "horizontal part of its motion and up; φ in plane strain, ψ = 0, Matsuoka and Nakai; "
-            f"φ is {WEAKER_DEG:g}° above the simulated one, as grains have it",
-        },
-    )  # fmt: skip
-    TABLES.mkdir(exist_ok=True)
-    write_netcdf(data, TABLES / f"{NAMES[shape]}.nc")
+Tables = dict[str, tuple[dict[str, np.ndarray], np.ndarray]]
+"""Axes and forces of each shape, as of :func:`table_of`."""
+
+
+def write_law(tables: Tables) -> None:
+    """The file that law `foot` reads: φ is that of the simulated soil, and the offset of grains."""
+    x, forces = [], []
+    for shape, (axes, force) in tables.items():
+        flatness = float(NAMES[shape] == "disc")
+        x += [[*nodes, flatness] for nodes in itertools.product(*axes.values())]
+        forces += list(force.reshape(-1, *force.shape[-2:]).swapaxes(1, 2))
+    FootCases(
+        np.array(x), np.ones(len(x)), np.array(forces),
+        model_error={NAMES[shape]: {"offset_deg": -WEAKER_DEG} for shape in tables},
+        provenance={"script": "studies/foot.py", "libraries": [*LIBRARIES, DEEP]},
+    ).save(LAW)  # fmt: skip
 
 
 def slopes(law: Callable[[float, float, np.ndarray], np.ndarray]) -> list[tuple[str, ...]]:
@@ -363,7 +360,7 @@ def compacted(cases: list[Case]) -> list[tuple[str, ...]]:
     ]
 
 
-def draw(tables: dict[str, tuple[dict[str, np.ndarray], np.ndarray]]) -> Figure:
+def draw(tables: Tables) -> Figure:
     """Lift straight down over the depth, by φ, of both feet."""
     figure = Figure(figsize=(10.0, 3.8), layout="constrained")
     for axes, (shape, (nodes, force)) in zip(
@@ -380,7 +377,7 @@ def draw(tables: dict[str, tuple[dict[str, np.ndarray], np.ndarray]]) -> Figure:
 
 
 def main() -> None:
-    """Write the tables and the page."""
+    """Write the law and the page."""
     out = pages.out_from(str(__doc__))
     settle_all()
     cases, parts, tables = [case for name in LIBRARIES for case in read(name)], [], {}
@@ -388,8 +385,6 @@ def main() -> None:
         axes, force = table_of(cases, shape)
         log, sd = correction(cases, shape, axes["phi_deg"])
         force *= (np.exp(log) * growth(shape, axes["phi_deg"]))[:, None, :, None]
-        sd = np.hypot(sd, DEEPER * np.maximum(RATIO - LAST, 0.0))
-        write_table(shape, axes, force, sd)
         tables[shape] = axes, force
         rows = [
             (step.name, *(f"{phi:g}°: {np.expm1(ln[50]):+.0%}" for phi, ln in ratio.items()))
@@ -408,6 +403,8 @@ def main() -> None:
         text = ", ".join(f"{f:.2f} ± {100 * s:.0f} % at {phi:g}°" for phi, f, s in factors)
         parts.append(f"One radius deep forces are multiplied by {text}.")
 
+    write_law(tables)
+
     def law(radius: float, phi: float, depth: np.ndarray) -> np.ndarray:
         force = LAWS["foot"].force(Foot(radius, "disc"), depth, 0.5 * np.pi, density=1.0,
                                    friction_angle_deg=phi, surface_friction=0.5)[:, 1]  # fmt: skip
@@ -420,7 +417,7 @@ def main() -> None:
     parts.append(pages.table(header, compacted(cases)))
     parts.append(
         f"Feet in loose grains whose φ a shear cell measured find {WEAKER_DEG:g}° less by the "
-        "simulated forces ([plates](plates.md)). So at φ the files have the force that was "
+        "simulated forces ([plates](plates.md)). So at φ the law has the force that was "
         f"simulated at φ − {WEAKER_DEG:g}°; the numbers above are of simulated φ, those of plates "
         "of the law."
     )

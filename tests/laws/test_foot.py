@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +12,8 @@ from scipy.optimize import brentq
 
 from terraphi.experiment.errors import InputError
 from terraphi.forward.rft import stress_per_depth_3d
-from terraphi.laws.foot import LAWS, Foot, bearing_factors
+from terraphi.laws.foot import LAWS, Foot, FootCases, bearing_factors, simulated_cases
+from terraphi.laws.legs import Legs
 
 BALL = Foot(0.022)
 SIMULATED = ("ball", "disc")
@@ -173,3 +176,16 @@ def test_simulated_law_does_not_answer_outside_its_table() -> None:
         LAWS["foot"].force(
             BALL, 0.02, math.pi / 2, friction_angle_deg=30.0, density=1.0, surface_friction=0.7
         )
+
+
+def test_a_law_is_read_back_and_another_is_refused(tmp_path: Path) -> None:
+    """One layout for laws of feet and of legs, each with its own axes."""
+    law = simulated_cases()
+    law.save(tmp_path / "law.nc")
+    again = FootCases.load(tmp_path / "law.nc")
+    assert again.hash == law.hash
+    np.testing.assert_array_equal(again.force, law.force)
+    heavier = replace(law, model_error={"ball": {"offset_deg": 0.0}})
+    assert len({law.hash, heavier.hash, replace(law, force=2.0 * law.force).hash}) == 3
+    with pytest.raises(InputError, match=r"law\.nc: .*it is over friction"):
+        Legs.load(tmp_path / "law.nc")

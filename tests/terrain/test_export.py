@@ -214,7 +214,7 @@ STRONG = {"phi_plane_strain_deg": None, "phi_plane_strain_reason": "too strong"}
         ({}, "--to mujoco", "mujoco has no soil"),
         ({}, "--to newton --dp-type Inscribed", "only geotaichi"),
         ({}, "--to newton --draws 3", "has no draws of the posterior"),
-        ({}, "--to newton --out soil.txt", "name a .py, .json or .usda"),
+        ({}, "--to newton --out soil.txt", "name a .py, .json, .csv or .usda"),
         ({}, "--to genesis --out soil.usda", "reads no materials in USD"),
         ({}, "--to newton --out mine.py", "not a file written by"),
     ],

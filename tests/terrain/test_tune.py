@@ -217,6 +217,25 @@ def test_an_interval_is_as_wide_as_that_of_the_soil(monkeypatch) -> None:
     assert wide / narrow == pytest.approx(math.hypot(2.6, 5.0) / 2.6, rel=0.2)
 
 
+def test_the_density_s_error_widens_genesis_and_goes_with_newton_s_draws(monkeypatch) -> None:
+    """A rigid soil is as much too heavy as the simulated one; an elastic one is not."""
+    options: dict[str, Any] = {"voxel": 0.03, "foot": "disc:0.05", "phi": 33.0, "draws": 400}
+    widths, found = {}, {}
+    for name, strength in (("newton", 0.7), ("genesis", 30.0)):
+        monkeypatch.setitem(ENGINES, name, synthetic(strength))
+        for sd in (0, 480):
+            found[name, sd] = tune(name, **options, density=f"1600±{sd}")
+            low, high = (math.log(end) for end in found[name, sd]["ci68"])
+            widths[name, sd] = high - low
+    assert widths["newton", 480] == widths["newton", 0]
+    drawn = np.array(found["newton", 480]["density_draws_kg_m3"])
+    assert (drawn.mean(), drawn.std()) == pytest.approx((1600.0, 480.0), rel=0.1)
+    assert set(found["genesis", 480]["density_draws_kg_m3"]) == {1600.0}
+    law = found["genesis", 0]["tolerance"]
+    ratio = math.hypot(law, 0.3) / law
+    assert widths["genesis", 480] / widths["genesis", 0] == pytest.approx(ratio, rel=0.1)
+
+
 @pytest.mark.parametrize("shape", ["disc", "ball"])
 def test_a_mesh_of_a_disc_or_ball_has_its_force(shape: Any, tmp_path: Path) -> None:
     exact = Sole.of(f"{shape}:0.04")
@@ -224,7 +243,6 @@ def test_a_mesh_of_a_disc_or_ball_has_its_force(shape: Any, tmp_path: Path) -> N
         tmp_path / "sole.obj", exact.vertices + np.array([0.3, -0.2, 0.7]), exact.faces
     )
     mesh = Sole.of(file)
-    assert mesh.foot is None
     assert mesh.radius == pytest.approx(0.04, rel=0.005)
     depth, phi = 0.04 * np.array([0.25, 0.5, 1.0]), np.array([25.0, 33.0, 42.0])
     np.testing.assert_allclose(
@@ -237,7 +255,7 @@ def test_a_mesh_between_ball_and_disc_widens_the_interval(tmp_path, monkeypatch)
     ball, widths, flatness = Sole.of("ball:0.04"), [], []
     for height in (1.0, 0.35):
         file = write_obj(tmp_path / "sole.obj", ball.vertices * [1, 1, height], ball.faces)
-        flatness.append(Sole.of(file).flatness(np.array([0.02]))[0])
+        flatness.append(1.0 - Sole.of(file).foot.footprint(np.array([0.02]))[1][0])
         low, high = tune("newton", voxel=0.03, foot=file, phi=33.0)["ci68"]
         widths.append(math.log(high / low))
     assert flatness[0] < 0.05
@@ -260,7 +278,7 @@ def test_a_box_of_quadrilaterals_is_read_and_turned_outward(tmp_path: Path) -> N
     file = tmp_path / "box.obj"
     file.write_text("\n".join(lines))
     box = Sole.of(file)
-    faces = box.mesh
+    faces = box.foot
     volume = np.einsum("fi,fi,f->", faces.points, faces.normals, faces.areas) / 3
     assert volume == pytest.approx(0.2 * 0.1 * 0.02)
     assert box.radius == pytest.approx(math.sqrt(0.02 / math.pi))
@@ -278,7 +296,7 @@ def test_unusable_input_is_one_sentence(tmp_path: Path) -> None:
     options: dict[str, Any] = {"voxel": 0.03, "foot": "disc:0.05", "phi": 33.0}
     for changed, match in [
         ({"foot": open_}, "not closed"),
-        ({"foot": large}, "metre"),
+        ({"foot": large}, "meter"),
         ({"foot": words}, "line 1"),
         ({"foot": bare}, "vertices that it lacks"),
         ({"foot": "disc:5cm"}, "disc:0.05"),

@@ -50,7 +50,7 @@ seed_option = click.option(
 )
 @seed_option
 @click.option("--anyway", is_flag=True, help="Export a misfit, or what is out of range.")
-@click.option("--out", type=PATH, help="A .py, .json or (newton, isaaclab) .usda file.")
+@click.option("--out", type=PATH, help="A .py, .json, .csv or (newton, isaaclab) .usda file.")
 @json_option
 def export(answer: str, out: Path | None, as_json: bool, **options: Any) -> None:
     """Write a Python module that sets an ANSWER or a SOIL in a simulator.
@@ -107,9 +107,7 @@ def convert(value: str, from_: str | None, as_json: bool, **options: Any) -> Non
     metavar="DEG[±SD]|ANSWER",
     help="Friction angle in plane strain, or the folder of an answer.",
 )
-@click.option(
-    "--density", type=Float(), metavar="KG_M3", help="Bulk density.  [default: the soil's]",
-)  # fmt: skip
+@density_option
 @click.option(
     "--surface-friction", type=Float(), default=0.5, show_default=True, help="Foot on soil."
 )

@@ -581,7 +581,7 @@ def infer(
         by_law=by_law,
         notes=tuple(notes),
         provenance={
-            **provenance, "law": law, "prior": asdict(prior),
+            **provenance, "law": law, "law_hash": LAWS[law].hash, "prior": asdict(prior),
             "anchors": [anchor._asdict() for anchor in anchors],
             "terraphi": importlib.metadata.version("terraphi"),
         },

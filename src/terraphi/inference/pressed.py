@@ -234,6 +234,7 @@ def invert_pressed(
         leg_friction=FRICTION,
         provenance={
             "terraphi": importlib.metadata.version("terraphi"), "contraction": contraction,
+            "law_hash": LAWS[name].hash,
             "contact_mm": 1e3 * float(best.x[top, 1]),
             "seconds": round(time.perf_counter() - began, 3),
         },

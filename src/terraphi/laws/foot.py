@@ -48,14 +48,13 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import BaseModel
 
 from terraphi.experiment.arrays import FloatArray, like, namespace, whole
 from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import open_netcdf
 from terraphi.experiment.scenario import GRAVITY
 from terraphi.forward.rft import from_plane_strain, stress_scale, unit_stress
+from terraphi.laws.fitted import FittedLaw
 
 RINGS, SECTORS = 100, 24
 """Faces of half a ball, whose other half is its mirror image: rings of equal area, and faces in
@@ -64,8 +63,6 @@ DEPTHS = np.linspace(0.0, 2.02, 203)
 """Depths over the radius that are tabulated [-]; at the last two all faces are submerged."""
 DESCENTS = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 61)
 """Directions of motion that are tabulated, from straight up to straight down [rad]."""
-SCHEMA = 1
-"""Of the files of simulated forces."""
 DEEPEST = 5.0
 """Depth over the radius to which law ``foot`` was simulated [-]."""
 MOVED = (2.3, 1.2)
@@ -112,9 +109,7 @@ class FootLaw:
     name
         Name of the law.
     formula
-        What :meth:`force` returns, of the same arguments in their order, φ in the law's convention.
-    convention
-        What that is: ``plane_strain``, or ``rft3d``.
+        What :meth:`force` returns, of the same arguments in their order.
     sd_deg
         Error of φ by this law in loose grains of measured φ, offset and scatter together, root
         mean square [deg] (``docs/plates.md``).
@@ -122,8 +117,12 @@ class FootLaw:
 
     name: str
     formula: Callable[..., FloatArray]
-    convention: str = "plane_strain"
     sd_deg: float = 6.0
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of all numbers of a law that was simulated; empty of a closed form."""
+        return simulated_cases().hash if self.name == "foot" else ""
 
     def force(
         self,
@@ -159,8 +158,6 @@ class FootLaw:
             arrays broadcast to.
         """
         phi = np.asarray(friction_angle_deg, dtype=np.float64)
-        if self.convention == "rft3d":
-            phi = from_plane_strain(phi)
         return self.formula(foot, depth, descent, phi, density, surface_friction)
 
 
@@ -194,7 +191,7 @@ def resistive_force(
     ratio, turn = np.broadcast_arrays(np.asarray(depth) / foot.radius, descent)
     table = resistive_table(foot.shape, float(mu))
     unit = interpolated(table, _row(turn), np.maximum(ratio, 0.0) / DEPTHS[1])
-    scale = stress_scale(phi_deg, density) * foot.radius**3
+    scale = stress_scale(from_plane_strain(phi_deg), density) * foot.radius**3
     return np.asarray(scale[..., None] * unit[..., :2])
 
 
@@ -259,7 +256,7 @@ def bearing_capacity(
 
 LAWS: Mapping[str, FootLaw] = {
     "foot": FootLaw("foot", simulated_force, sd_deg=2.6),
-    "rft": FootLaw("rft", resistive_force, "rft3d", sd_deg=8.0),
+    "rft": FootLaw("rft", resistive_force, sd_deg=8.0),
     **{
         name: FootLaw(name, partial(bearing_capacity, name))
         for name in ("meyerhof", "vesic", "hansen")
@@ -333,8 +330,21 @@ def resistive_table(shape: str, mu: float) -> FloatArray:
     return force
 
 
-class LawAttributes(BaseModel):
-    """Attributes of a law's file, of which none is read."""
+class FootCases(FittedLaw):
+    """The simulated law: force over ρ g R³, along the motion and up."""
+
+    AXES = ("friction", "phi_deg", "tilt_deg", "flatness")
+    PLACES = np.linspace(0.0, DEEPEST, 251)
+
+
+@lru_cache(maxsize=1)
+def simulated_cases() -> FootCases:
+    """Those that are shipped, kept for the next call.
+
+    The friction is that of the surface [-], φ that of the simulated soil [deg], the tilt that of
+    the motion from the vertical [deg], and the flatness 0 for a ball, 1 for a disc.
+    """
+    return FootCases.load(shipped_file("laws", "foot", ".nc"))
 
 
 @lru_cache(maxsize=8)
@@ -343,11 +353,12 @@ def simulated_table(shape: str, surface_friction: float) -> tuple[float, float, 
 
     The force has the shape [φ, descent, depth, 2], with a degree from one φ to the next.
     """
-    path = shipped_file("foot", shape, ".nc")
-    axes = ("friction", "phi_deg", "tilt_deg", "ratio")
-    with open_netcdf(path, LawAttributes, kind="foot law", schema=SCHEMA) as file:
-        friction, angles, tilt_deg, ratio = (file.numbers(name, name) for name in axes)
-        stored = file.numbers("force", *axes, 2)
+    law = simulated_cases()
+    own, ratio = law.x[:, 3] == (shape == "disc"), law.PLACES
+    friction, angles, tilt_deg = (np.unique(column) for column in law.x[own, :3].T)
+    angles -= law.model_error[shape]["offset_deg"]
+    counts = friction.size, angles.size, tilt_deg.size, 2, ratio.size
+    stored = law.force[own].reshape(counts).swapaxes(-1, -2)
     low, high = friction[0] - BEYOND_FRICTION, friction[-1] + BEYOND_FRICTION
     if not low - 1e-9 <= surface_friction <= high + 1e-9:
         raise InputError(

@@ -24,22 +24,19 @@ of a fifth of the width or an eleventh of the depth (:func:`cells_of`).
 from __future__ import annotations
 
 import functools
-import hashlib
-import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import BaseModel, Field, Json
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import shipped_file, strictly
 from terraphi.experiment.errors import InputError, nearest
-from terraphi.experiment.files import netcdf_kind, open_netcdf, write_netcdf
+from terraphi.experiment.files import netcdf_kind
 from terraphi.experiment.rig import (
     CELLS_ACROSS,
     CELLS_DEEP,
@@ -53,6 +50,7 @@ from terraphi.experiment.rig import (
 )
 from terraphi.experiment.scenario import GRAVITY, Scenario
 from terraphi.laws.emulator import Process, fitted
+from terraphi.laws.fitted import KIND, FittedLaw
 from terraphi.laws.law import (
     STEP,
     THEORY,
@@ -77,7 +75,7 @@ from terraphi.laws.store import (
 if TYPE_CHECKING:
     import xarray as xr
 
-NAME, SCHEMA = "legs", 2
+NAME = "legs"
 FORMER_NAME = "sand3d"
 """Name of an earlier law, of the rig of Li et al. (2013) alone, which means this one now."""
 VARIED = {
@@ -143,40 +141,24 @@ def cells_of(ratios: Ratios, depth: float) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Legs:
+class Legs(FittedLaw):
     """The law of all legs that there are cases of.
+
+    Forces are over ρ g w D², the depth D of a case over the length L. Without hyperparameters (one
+    correlation length for each axis, over its standard deviation, and a nugget) they are fitted at
+    first use.
 
     Attributes
     ----------
-    x
-        Cases over :data:`AXES`, shape [case, axis].
-    depth
-        D / L of each, shape [case].
-    force
-        Fx and Fz over ρ g w D² at :data:`PLACES` [-], shape [case, 2, place].
-    hyper
-        Correlation lengths, over the standard deviation of each axis, and nugget of each process,
-        shape [1 + MODES, axis + 1]; ``None``: fitted at first use.
-    error_scale
-        Errors of cases that are left out over the processes' own standard deviation, root mean
-        square [-]: standard deviations are so much larger.
-    model_error
-        By shape of leg, as of :class:`~terraphi.laws.store.Library`.
-    provenance
-        Versions and cases.
     name, caveat
         Of the library of one's own that was joined to it.
     own
         Rigs of that library, a rig for each of its cases, which are the last.
     """
 
-    x: FloatArray
-    depth: FloatArray
-    force: FloatArray
-    hyper: FloatArray | None = None
-    error_scale: float = 1.0
-    model_error: dict[str, Any] = field(default_factory=dict)
-    provenance: dict[str, Any] = field(default_factory=dict)
+    AXES = AXES
+    PLACES = PLACES
+
     name: str = NAME
     caveat: str = ""
     own: tuple[Rig, ...] = ()
@@ -328,45 +310,9 @@ class Legs:
 
         A library that was joined stays in its own file.
         """
-        import xarray as xr
-
         if self.own:
             raise InputError(f"law legs with library {self.name}: keep the library's own file")
-        data: dict[str, Any] = {
-            "x": (("case", "axis"), self.x),
-            "depth": ("case", self.depth),
-            "force": (("case", "channel", "place"), self.force),
-            "hyper": (("process", "hyper"), self.hyperparameters),
-        }
-        attrs = {"terraphi_file": "law", "terraphi_schema": SCHEMA,
-                 "error_scale": self.error_scale,
-                 "model_error": json.dumps(self.model_error),
-                 "provenance": json.dumps(self.provenance)}  # fmt: skip
-        packed = {"force": {"zlib": True, "dtype": "float32"}}
-        write_netcdf(xr.Dataset(data, attrs=attrs), path, encoding=packed)
-
-    @classmethod
-    def load(cls, path: Path) -> Legs:
-        """Read what :meth:`save` wrote; raises InputError if it is not whole."""
-        with open_netcdf(path, LegsAttributes, kind="law", schema=SCHEMA) as file:
-            return cls(
-                file.numbers("x", "case", len(AXES)),
-                file.numbers("depth", "case"),
-                file.numbers("force", "case", 2, PLACES.size),
-                file.numbers("hyper", MODES + 1, len(AXES) + 1),
-                file.attrs.error_scale,
-                file.attrs.model_error,
-                file.attrs.provenance,
-            )
-
-    @cached_property
-    def hash(self) -> str:
-        """SHA-256 of all that changes an answer, hexadecimal."""
-        numbers = (self.x, self.depth, self.force, self.hyperparameters, self.error_scale)
-        digest = hashlib.sha256(json.dumps(self.model_error, sort_keys=True).encode())
-        for array in numbers:
-            digest.update(np.asarray(array, np.float32).tobytes())
-        return digest.hexdigest()
+        super().save(path)
 
     def joined(self, library: Library) -> Legs:
         """The law with the cases of a library, of rigs of its own, among its own."""
@@ -416,14 +362,6 @@ class Legs:
                     f"{high:.3g}, and this leg has {value:.3g}; {remedy(rig)}"
                 )
         return RatioLaw(self, rig, cells)
-
-
-class LegsAttributes(BaseModel):
-    """Attributes of the law's file."""
-
-    error_scale: float = Field(1.0, ge=1.0)
-    model_error: Json[dict[str, dict[str, Any]]] = {}
-    provenance: Json[dict[str, Any]] = {}
 
 
 class RatioLaw(LegLaw):
@@ -700,7 +638,7 @@ def stored(name: Path | str) -> Library | Legs:
     if not path.suffix and not path.exists():
         hint = nearest(str(name), (NAME, *Library.names()))
         raise InputError(f"'{name}' is neither a file nor a law of legs; {hint}")
-    of_law = path.is_file() and netcdf_kind(path) == "law"
+    of_law = path.is_file() and netcdf_kind(path) == KIND
     return Legs.load(path) if of_law else Library.load(name)
 
 

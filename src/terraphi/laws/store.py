@@ -117,12 +117,9 @@ class Library:
         """
         words = [case.scenario.hash for case in self.cases]
         digest = hashlib.sha256(json.dumps(words).encode())
-        arrays: list[FloatArray] = []
-        for history in filter(None, (case.history for case in self.cases)):
-            moment = [] if history.moment is None else [history.moment]
-            arrays += [history.position, history.force, *moment]
-        for array in arrays:
-            digest.update(np.asarray(array, np.float32).tobytes())
+        for one in filter(None, (case.history for case in self.cases)):
+            for array in filter(lambda x: x is not None, (one.position, one.force, one.moment)):
+                digest.update(np.asarray(array, np.float32).tobytes())
         return digest.hexdigest()
 
     def forces(self, rig: Any, phi_deg: ArrayLike, **options: Any) -> xr.Dataset:
@@ -135,7 +132,7 @@ class Library:
     def phi_deg_by_leg(self) -> dict[str, tuple[float, float]]:
         """Smallest and largest friction angle of each leg [deg]."""
         angles = {
-            leg: [c.scenario.soil.friction_angle_deg for c in self.cases if _moved(c, leg)]
+            leg: [case.scenario.soil.friction_angle_deg for case in self._of(leg)]
             for leg in self.legs
         }
         return {leg: (min(all_), max(all_)) for leg, all_ in angles.items()}
@@ -186,19 +183,23 @@ class Library:
         scale = colors.Normalize(ends.min(), ends.max())
         for row, leg in zip(rows, self.legs, strict=True):
             panels = row.subplots(1, 2)
-            for case in self.cases:
-                if _moved(case, leg) and case.history is not None:
-                    case.history.plot(row)
-                    colour = colormaps["viridis"](scale(case.scenario.soil.friction_angle_deg))
-                    for axes in panels:
-                        axes.lines[-1].set(color=colour, lw=0.8)
+            for scenario, history, _ in self._of(leg):
+                assert history is not None
+                history.plot(row)
+                color = colormaps["viridis"](scale(scenario.soil.friction_angle_deg))
+                for axes in panels:
+                    axes.lines[-1].set(color=color, lw=0.8)
             row.suptitle(f"leg {leg}", fontsize=10)
             row.colorbar(cm.ScalarMappable(scale, "viridis"), ax=panels, label="φ [deg]")
         return figure
 
     def keys(self, leg: str) -> tuple[str, ...]:
         """Dotted scenario keys of the numbers that vary among the cases of a leg."""
-        return _varied([case for case in self.cases if _moved(case, leg)])
+        return _varied(self._of(leg))
+
+    def _of(self, leg: str) -> list[Case]:
+        """Simulations of a leg that succeeded."""
+        return [case for case in self.cases if case.history and case.scenario.leg.shape == leg]
 
     def curves(self, leg: str) -> Curves:
         """Force curves of one leg over the parameters that vary.
@@ -208,7 +209,7 @@ class Library:
         InputError
             If the library lacks the leg, has too few cases of it, or is not one of rotating legs.
         """
-        chosen = [case for case in self.cases if _moved(case, leg)]
+        chosen = self._of(leg)
         if not chosen:
             raise InputError(
                 f"library '{self.name}' has no leg '{leg}'; it has {', '.join(self.legs)}"
@@ -261,8 +262,9 @@ class Library:
         """Write one NetCDF-4 file; raises InputError if the place cannot be written."""
         import xarray as xr
 
-        whole = next(case.history for case in self.cases if case.history)
-        if any(c.history and not _alike(c.history, whole) for c in self.cases):
+        histories = [case.history for case in self.cases]
+        whole = next(filter(None, histories))
+        if any(one and not _alike(one, whole) for one in histories):
             raise InputError(
                 f"library '{self.name}': the cases have forces at different positions; sweep "
                 "neither the span of the motion nor the dimensions"
@@ -271,21 +273,19 @@ class Library:
         name = "theta_deg" if angular else whole.coordinate
         values = whole.theta_deg if angular else whole.position
         nothing = np.full(whole.force.shape, np.nan)
-        force = np.stack([c.history.force if c.history else nothing for c in self.cases])
+        force = np.stack([one.force if one else nothing for one in histories])
         data: dict[str, Any] = {
             f"F{axis}": (("case", name), force[:, :, i], {"units": "N"})
             for i, axis in enumerate(whole.axes)
         }
-        known = [c.history.moment if c.history else None for c in self.cases]
-        if any(one is not None for one in known):
-            moment = [nothing[:, 0] if one is None else one for one in known]
-            data["M"] = (("case", name), np.stack(moment), {"units": "N m"})
+        moments = [one.moment if one else None for one in histories]
+        if any(one is not None for one in moments):
+            moment = np.stack([nothing[:, 0] if one is None else one for one in moments])
+            data["M"] = (("case", name), moment, {"units": "N m"})
         texts = {
             "scenario": [c.scenario.model_dump_json() for c in self.cases],
             "failure": [c.failure for c in self.cases],
-            "provenance": [
-                json.dumps(dict(c.history.provenance) if c.history else {}) for c in self.cases
-            ],
+            "provenance": [json.dumps(dict(one.provenance) if one else {}) for one in histories],
         }
         coordinates: dict[str, Any] = {
             name: (name, values, {"units": "degree" if angular else "m"}),
@@ -327,35 +327,28 @@ class Library:
             )
         path = located(source, "libraries", ".nc")
         with open_netcdf(path, LibraryAttributes, kind="library", schema=SCHEMA) as file:
-            return cls._of(file)
-
-    @classmethod
-    def _of(cls, file: Any) -> Library:
-        """A library from an open file; raises ValueError if it is not whole."""
-        attrs, names = file.attrs, file.data_vars
-        axes = ("x", "y", "z") if "Fy" in names else ("x", "z")
-        where = positions(file, attrs.coordinate)
-        values = {n: file.numbers(n, "case", "position", finite=False) for n in names
-                  if n in ("Fx", "Fy", "Fz", "M")}  # fmt: skip
-        force, moment = np.stack([values[f"F{a}"] for a in axes], axis=2), values.get("M")
-        cases: list[Case] = []
-        texts = (file.texts(name, "case") for name in ("failure", "scenario", "provenance"))
-        for i, (failure, scenario_json, provenance) in enumerate(zip(*texts, strict=True)):
-            scenario, known = Scenario.model_validate_json(scenario_json), json.loads(provenance)
-            history = None
-            if not failure:
-                turned = None if moment is None or np.isnan(moment[i]).any() else moment[i]
-                of = (where, force[i], attrs.coordinate, axes, {**known}, turned)
-                history = ForceHistory(*of)
-            cases.append(Case(scenario, history, failure))
-        if not any(case.history for case in cases):
-            raise ValueError("no simulation in it succeeded")
-        return cls(attrs.name, tuple(cases), attrs.description, attrs.caveat, attrs.provenance)
-
-
-def _moved(case: Case, leg: str) -> bool:
-    """Whether a case succeeded and is of a leg."""
-    return case.history is not None and case.scenario.leg.shape == leg
+            attrs, names = file.attrs, file.data_vars
+            axes = ("x", "y", "z") if "Fy" in names else ("x", "z")
+            where = positions(file, attrs.coordinate)
+            values: dict[str, FloatArray] = {
+                name: file.numbers(name, "case", "position", finite=False)
+                for name in ("Fx", "Fy", "Fz", "M")
+                if name in names
+            }
+            force, moments = np.stack([values[f"F{a}"] for a in axes], axis=2), values.get("M")
+            texts = (file.texts(name, "case") for name in ("failure", "scenario", "provenance"))
+            cases: list[Case] = []
+            for i, (failure, scenario, known) in enumerate(zip(*texts, strict=True)):
+                history = None
+                if not failure:
+                    moment = None if moments is None or np.isnan(moments[i]).any() else moments[i]
+                    origin = {**json.loads(known)}
+                    numbers = where, force[i], attrs.coordinate, axes
+                    history = ForceHistory(*numbers, origin, moment)
+                cases.append(Case(Scenario.model_validate_json(scenario), history, failure))
+            if not any(case.history for case in cases):
+                raise ValueError("no simulation in it succeeded")
+            return cls(attrs.name, tuple(cases), attrs.description, attrs.caveat, attrs.provenance)
 
 
 def _alike(one: ForceHistory, other: ForceHistory) -> bool:

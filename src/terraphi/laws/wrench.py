@@ -72,9 +72,8 @@ below it the law has the ratios of that direction."""
 FINE, MOST_FACES = 0.2, 100_000
 """Longest edge of a face over the extent of its mesh [-], and faces at most; chosen: a tilted box
 has the force of one four times as fine within 0.1 % (``tests/laws/test_wrench.py``)."""
-OPEN, LARGEST = 1e-3, 2.0
-"""Sum of the faces' vectors over their areas from which a surface is not closed [-], and farthest
-face from the origin of a foot [m]; chosen."""
+LARGEST = 2.0
+"""Farthest face from the origin of a foot [m]; chosen."""
 TINY = 1e-12
 """Least length [m], speed [m/s], area [m²] or force [N] that is divided by."""
 
@@ -116,7 +115,7 @@ class Mesh:
         ------
         InputError
             If the shapes are others, no triangle has an area, there are too many, or the surface
-            is open, inside out or larger than a foot.
+            is open, has a face twice, is inside out or larger than a foot.
         """
         if triangles is None:
             mesh, triangles = getattr(mesh, "vertices", None), getattr(mesh, "faces", None)
@@ -129,6 +128,13 @@ class Mesh:
         each = corners[index]
         if not np.isfinite(each).all():
             raise InputError("mesh: a corner is not finite")
+        # A closed surface passes each edge once in either direction; equal corners are one.
+        same = np.unique(each.reshape(-1, 3), axis=0, return_inverse=True)[1].reshape(-1, 3)
+        same = same[(same != np.roll(same, 1, axis=1)).all(axis=1)]
+        edges = np.stack([same, np.roll(same, -1, axis=1)], axis=-1).reshape(-1, 2)
+        there, back = (np.unique(one, axis=0) for one in (edges, edges[:, ::-1]))
+        if len(there) < len(edges) or not np.array_equal(there, back):
+            raise InputError("mesh: the surface is not closed, or has faces twice; give one solid")
         most = (
             FINE * float(np.ptp(each.reshape(-1, 3), axis=0).max()) if longest is None else longest
         )
@@ -149,10 +155,7 @@ class Mesh:
         if not keep.any():
             raise InputError("mesh: no triangle has an area")
         found = cls(each[keep].mean(axis=1), cross[keep] / twice[keep, None], 0.5 * twice[keep])
-        pushes = found.normals * found.areas[:, None]
-        if np.linalg.norm(pushes.sum(axis=0)) > OPEN * found.areas.sum():
-            raise InputError("mesh: the surface is not closed")
-        if (pushes * found.points).sum() <= 0.0:
+        if found.areas @ np.vecdot(found.normals, found.points) <= 0.0:
             raise InputError("mesh: turned inside out; order corners counterclockwise from outside")
         if found.reach > LARGEST:
             raise InputError(f"mesh: reaches {found.reach:g} m; corners are in meters")
@@ -162,6 +165,16 @@ class Mesh:
     def reach(self) -> float:
         """Distance of the farthest face from the origin [m]."""
         return float(np.linalg.norm(self.points, axis=1).max())
+
+    def footprint(self, depth: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Radius [m] and roundness [-] of what is submerged, shape [depth] each.
+
+        At depths of its origin [m], level; the radius is that of a circle of the projected area,
+        and the roundness 1 for a ball and 0 for a disc.
+        """
+        below = depth[:, None] - self.points[:, 2]
+        down = np.where(below > 0.0, self.areas * np.maximum(-self.normals[:, 2], 0.0), 0.0)
+        return _footprint(down.sum(axis=1), down @ self.normals, below.max(axis=1))[:2]
 
 
 def force(
@@ -241,28 +254,20 @@ def force(
     lead = pose.shape[:-1]
     place = xp.reshape(pose, (-1, pose.shape[-1]))
     moving = _each("velocity", velocity, pose, lead, velocity.shape[-1])
-    given = {"phi_deg": phi_deg, "density": density, "surface": surface}
-    each = {name: _each(name, value, pose, lead) for name, value in given.items()}
-    _check_angles(each["phi_deg"], surface_friction)
-    numbers = {"pose": place, "velocity": moving, **each} if xp is np else {}
-    for name, values in numbers.items():
-        if (wrong := np.argwhere(~np.isfinite(values))).size:
-            raise InputError(f"{name} of foot {wrong[0, 0]} is no number")
-    low, high, _ = LIMITS["soil.density"]
-    if xp is np and not ((low <= each["density"]) & (each["density"] <= high)).all():
-        raise InputError(f"density: {low:g} to {high:g} kg/m³ are accepted")
+    soil = _soil(
+        pose, lead, "foot", surface_friction, phi_deg=phi_deg, density=density, surface=surface
+    )
+    _check_finite(pose=place, velocity=moving)
     fade = TINY if held is not None else rest_speed
-    if isinstance(foot, Foot):
-        force_, moment, deep = _of_foot(foot, place, moving, surface_friction, fade, **each)
-        far = 0.0
-    else:
-        force_, moment, deep = _of_mesh(foot, place, moving, surface_friction, fade, **each)
-        far = foot.reach
+    given = place, moving, surface_friction, fade
+    force_, moment, deep = (
+        _of_foot(foot, *given, **soil) if isinstance(foot, Foot) else _of_mesh(foot, *given, **soil)
+    )
     if held is not None and step is not None and stiffness is not None:
         before = [xp.reshape(like(pose, one), (-1, 3)) for one in held]
         travel = _norm(xp, moving[:, :3])
-        if moving.shape[-1] == 6:
-            travel = travel + far * _norm(xp, moving[:, 3:])
+        if moving.shape[-1] == 6 and isinstance(foot, Mesh):
+            travel = travel + foot.reach * _norm(xp, moving[:, 3:])
         size = xp.maximum(_norm(xp, before[0]), _norm(xp, force_))
         kept = xp.exp(-stiffness * step * travel / xp.clip(size, TINY, None))
         kept = xp.where(deep > 0.0, kept, xp.zeros_like(kept))[:, None]
@@ -280,6 +285,42 @@ def _each(name: str, value: Any, places: Any, lead: tuple[int, ...], *last: int)
     except (ValueError, RuntimeError) as error:
         shapes = f"{tuple(value.shape)}, feet of {tuple(lead)}"
         raise InputError(f"{name} of shape {shapes}: give one, or one for each foot") from error
+
+
+def _check_finite(**given: Any) -> None:
+    """Raise InputError if rows of NumPy have a number that is not finite."""
+    for name, values in given.items():
+        if namespace(values) is np and (wrong := np.argwhere(~np.isfinite(values))).size:
+            raise InputError(f"{name} of foot {wrong[0, 0]} is no number")
+
+
+def angles_deg(surface_friction: float) -> tuple[float, float]:
+    """Least and largest φ of law ``foot`` [deg]; raises InputError as `simulated_table` does."""
+    first, _, table = simulated_table("ball", float(surface_friction))
+    return first - BEYOND_DEG, first + len(table) - 1 + BEYOND_DEG
+
+
+def _soil(
+    places: Any, lead: tuple[int, ...], law: str, surface_friction: float, **given: Any
+) -> dict[str, Any]:
+    """φ, density and surface of each foot of an array of places, [foot]; raises InputError."""
+    xp = namespace(places)
+    soil = {name: _each(name, value, places, lead) for name, value in given.items()}
+    if law == "foot":
+        (low, high), phi = angles_deg(surface_friction), soil["phi_deg"]
+        try:
+            inside = bool(xp.all((phi >= low) & (phi <= high)))
+        except TypeError:  # JAX traces it: there are no numbers to check yet
+            inside = True
+        if not inside:
+            found = f"{float(xp.min(phi)):g} to {float(xp.max(phi)):g}"
+            ends = f"{low:g} to {high:g}° in plane strain"
+            raise InputError(f"phi_deg = {found}: law 'foot' is for {ends}")
+    _check_finite(**soil)
+    low, high, _ = LIMITS["soil.density"]
+    if xp is np and not ((low <= soil["density"]) & (soil["density"] <= high)).all():
+        raise InputError(f"density: {low:g} to {high:g} kg/m³ are accepted")
+    return soil
 
 
 def _of_foot(
@@ -388,7 +429,8 @@ def wrench(
     Raises
     ------
     InputError
-        If φ or the friction is outside the law's table, or there is no such law.
+        If φ or the friction is outside the law's table, a number of NumPy is not finite, or there
+        is no such law.
 
     Examples
     --------
@@ -402,27 +444,20 @@ def wrench(
         raise InputError(f"unknown law '{law}'; {nearest(law, ('foot', 'rft'))}")
     xp = namespace(points)
     points = np.asarray(points, dtype=np.float64) if xp is np else points
-    shape = tuple(points.shape)
-    lead = shape[:-2]
-
-    flat_points = xp.reshape(points, (-1, *shape[-2:]))
-    normals, phi_deg = like(points, normals), _each("phi_deg", phi_deg, points, lead)
-    if law == "foot":
-        _check_angles(phi_deg, surface_friction)
-    found, moment, _ = _sum_of_faces(
-        flat_points,
-        normals if normals.ndim == 2 else _each("normals", normals, points, lead, *shape[-2:]),
-        like(points, areas),
-        _each("velocities", velocities, points, lead, *shape[-2:]),
-        flat_points - _each("about", about, points, lead, 3)[:, None, :],
-        None,
-        surface_friction=surface_friction,
-        law=law,
-        rest_speed=rest_speed,
-        phi_deg=phi_deg,
-        density=_each("density", density, points, lead),
-        surface=_each("surface", surface, points, lead),
+    lead, last = tuple(points.shape[:-2]), tuple(points.shape[-2:])
+    soil = _soil(
+        points, lead, law, surface_friction, phi_deg=phi_deg, density=density, surface=surface
     )
+    flat, normals = xp.reshape(points, (-1, *last)), like(points, normals)
+    if normals.ndim != 2:
+        normals = _each("normals", normals, points, lead, *last)
+    velocities = _each("velocities", velocities, points, lead, *last)
+    arms = flat - _each("about", about, points, lead, 3)[:, None, :]
+    _check_finite(points=flat, velocities=velocities, arms=arms)
+    found, moment, _ = _sum_of_faces(
+        flat, normals, like(points, areas), velocities, arms, None,
+        surface_friction=surface_friction, law=law, rest_speed=rest_speed, **soil,
+    )  # fmt: skip
     return xp.reshape(found, (*lead, 3)), xp.reshape(moment, (*lead, 3))
 
 
@@ -466,7 +501,6 @@ def _sum_of_faces(
     base = total(facing_down)
     mean = total(facing_down * depth) / xp.clip(base, TINY, None)
     normal = xp.stack([total(facing_down * n[:, i]) for i in range(3)], axis=1)
-    bent = 1.0 - _norm(xp, normal) / xp.clip(base, TINY, None)
     speed = _norm(xp, v)
     direction = v / xp.clip(speed, TINY, None)[:, None]
     leading = xp.sum(n * direction, axis=1)
@@ -486,8 +520,7 @@ def _sum_of_faces(
         vx, vy, vz = (total(weight * v[:, i]) for i in range(3))
         descent = xp.atan2(-vz, xp.sqrt(vx * vx + vy * vy))
         drag, lift = _ratios(
-            xp.sqrt(base / math.pi), bent, mean, deepest, descent, phi_deg,
-            surface_friction=surface_friction,
+            base, normal, mean, deepest, descent, phi_deg, surface_friction=surface_friction,
         )  # fmt: skip
         along = spread(drag)
         scaled = xp.stack([fx * along, fy * along, fz * spread(lift)], axis=1)
@@ -499,63 +532,42 @@ def _sum_of_faces(
     return sums[:, :3], sums[:, 3:], deepest
 
 
+def _footprint(base: Any, normal: Any, deepest: Any) -> tuple[Any, Any, Any]:
+    """Radius [m], roundness [-] and radius of the ball [m] of what faces down, [foot] each.
+
+    From its projected area [m²], its sum of normals weighted by that [m²] and its depth [m]. The
+    ball touches the soil over a circle of the radius with its cap that deep.
+    """
+    xp = namespace(base)
+    bent = 1.0 - _norm(xp, normal) / xp.clip(base, TINY, None)
+    radius, deepest = (xp.clip(one, TINY, None) for one in (xp.sqrt(base / math.pi), deepest))
+    of_ball = xp.where(deepest < radius, 0.5 * (radius**2 / deepest + deepest), radius)
+    level = 1.0 - xp.minimum(deepest, of_ball) / of_ball  # cosine of the rim's polar angle
+    expected = (1.0 - level) * (1.0 + 2.0 * level) / (3.0 * (1.0 + level))
+    return radius, xp.clip(bent / xp.clip(expected, TINY, None), 0.0, 1.0), of_ball
+
+
 def _ratios(
-    radius: Any,
-    bent: Any,
-    mean: Any,
-    deepest: Any,
-    descent: Any,
-    phi_deg: Any,
-    *,
+    base: Any, normal: Any, mean: Any, deepest: Any, descent: Any, phi_deg: Any, *,
     surface_friction: float,
-) -> tuple[Any, Any]:
+) -> tuple[Any, Any]:  # fmt: skip
     """Drag and lift by law ``foot`` over those of resistive force theory, [foot] each.
 
-    Of footprints with a radius [m], one less the length of the mean normal [-], and a mean and
-    greatest depth [m], shape [foot].
+    Of what :func:`_footprint` takes, the mean depth [m] and the descent [rad].
     """
-    xp = namespace(radius)
-    if xp is np and not (loaded := deepest > 0.0).all():
-        whole = np.zeros((2, len(radius)))
-        if loaded.any():
-            parts = [one[loaded] for one in (radius, bent, mean, deepest, descent, phi_deg)]
-            whole[:, loaded] = _ratios(*parts, surface_friction=surface_friction)
-        return whole[0], whole[1]
-    radius, deepest = xp.clip(radius, TINY, None), xp.clip(deepest, TINY, None)
-    # The ball that touches the soil over a circle of this radius with its cap this deep.
-    of_ball = xp.where(deepest < radius, 0.5 * (radius**2 / deepest + deepest), radius)
-    cap = xp.minimum(deepest, of_ball)
-    level = 1.0 - cap / of_ball  # of its rim, the cosine of the polar angle
-    expected = (1.0 - level) * (1.0 + 2.0 * level) / (3.0 * (1.0 + level))
-    round_ = xp.clip(bent / xp.clip(expected, TINY, None), 0.0, 1.0)[:, None]
+    xp = namespace(base)
+    radius, roundness, of_ball = _footprint(base, normal, deepest)
+    roundness, deepest = roundness[:, None], xp.clip(deepest, TINY, None)
     turn = xp.clip(descent / SPACING + LEVEL, LOWEST, None)
     scale: Any = 0.0
     for shape, share, depth, size in (
-        ("ball", round_, deepest, of_ball), ("disc", 1.0 - round_, mean, radius),
+        ("ball", roundness, deepest, of_ball), ("disc", 1.0 - roundness, mean, radius),
     ):  # fmt: skip
         first, step, table = _ratio_table(shape, float(surface_friction))
         ratio = xp.clip(depth / size, 1e-3 * step, None)
         found = interpolated(table, phi_deg - first, turn - LOWEST, ratio / step)
         scale = scale + share * found / ratio[:, None]
     return scale[:, 0], scale[:, 1]
-
-
-def _check_angles(phi_deg: Any, surface_friction: float) -> None:
-    """Raise InputError if angles [deg] are outside the law's table."""
-    first, _, table = simulated_table("ball", float(surface_friction))
-    low, high = first - BEYOND_DEG, first + len(table) - 1 + BEYOND_DEG
-    if phi_deg.shape[0] == 0:
-        return
-    xp = namespace(phi_deg)
-    try:
-        least, most = float(xp.min(phi_deg)), float(xp.max(phi_deg))
-    except TypeError:  # JAX traces it: there are no numbers to check yet
-        return
-    if not (least >= low and most <= high):
-        raise InputError(
-            f"phi_deg = {least:g} to {most:g}: law 'foot' is for {low:g} to {high:g}° in plane "
-            "strain"
-        )
 
 
 @lru_cache(maxsize=8)

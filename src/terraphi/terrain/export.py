@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import json
+import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -21,19 +22,18 @@ from terraphi.terrain.simulators import (
     MATCHES,
     Match,
     Simulator,
-    check_dp_type,
     in_words,
     simulator,
 )
 from terraphi.terrain.soils import SoilDistribution, soil
 
-FORMATS = {".py": "python", ".json": "json", ".usda": "usda"}
+FORMATS = {".py": "python", ".json": "json", ".csv": "csv", ".usda": "usda"}
 """Suffix of a file to what is written into it."""
 PLATE = Foot(0.05, "disc")
 """Plate whose sinkage gives Bekker's parameters."""
 LEG_FRICTION_ABOUT = "that of the library's leg, unless it was inferred; None: unknown"
-SINKAGE, DOWN = 0.02, 0.5 * np.pi
-"""Of the plate [m], in which the law is linear; and its direction of motion [rad]."""
+SINKAGE = 0.02
+"""Of the plate [m], in which the law is linear."""
 JANOSI = (0.010, 0.025)
 """Janosi's K of sand, from firm to loose [m] (Wong, 2008, Theory of Ground Vehicles)."""
 
@@ -75,7 +75,7 @@ def export(
     anyway
         Whether an answer whose verdict is not ``consistent`` is accepted.
     out
-        A Python module (``.py``), ``.json`` or, of newton and isaaclab, ``.usda`` file to write.
+        A Python module (``.py``), ``.json``, ``.csv`` or, of newton and isaaclab, ``.usda`` file.
 
     Returns
     -------
@@ -99,21 +99,65 @@ def export(
     """
     seed = seed_from(seed, rng)
     target = simulator(to, dp_type=dp_type)
-    check_dp_type(dp_type, to)
     if match not in MATCHES:
         raise InputError(f"unknown stress path '{match}'; {nearest(match, MATCHES)}")
-    path = None if out is None else Path(out)
-    if path is not None:
-        if path.suffix not in FORMATS:
-            raise InputError(f"{path}: name a .py, .json or .usda file")
-        check_file(path)
+    path = file_for(out, to)
     of_soil = soil(answer, density=density, anyway=anyway)
-    found = _parameters(of_soil, target, match, draws, seed)
+    phi, (chosen, densities) = of_soil.phi.as_dict(), of_soil.draws(draws, rng=seed)
+    values = _summary(lambda angle: target.from_angle(angle, match), phi, chosen)
+    found = {
+        **described(target),
+        "caution": of_soil.caution,
+        "matched": match,
+        "value": values.pop("median"),
+        **values,
+        "draws_without_equivalent": float(
+            np.mean(~np.isfinite(of_soil.phi_values)) if draws else 0
+        ),
+        "phi_plane_strain_deg": phi,
+        "density_kg_m3": of_soil.density,
+        "density_assumed": of_soil.density_assumed,
+        "density_draws_kg_m3": densities.round(3).tolist(),
+        "leg_friction_assumed": of_soil.leg_friction,
+        "dilation_deg": 0.0,
+        "cohesion_Pa": 0.0,
+        "source": {**of_soil.origin, "draws_seed": seed},
+    }
+    if to == "chrono-scm":
+        found |= bekker(phi, chosen, of_soil.density, seed=seed)
+    if to == "rft3d":
+        about = "[N/m³] ξ_n, which all stresses per depth are proportional to"
+        scale = _summary(
+            lambda a: float(stress_scale(target.from_angle(a), of_soil.density)), phi, chosen
+        )
+        plane = {**_summary(float, phi, chosen), "about": "[deg] φ in plane strain, of wrench"}
+        found |= {"XI_N": {**scale, "about": about}, "PHI_PLANE_STRAIN_DEG": plane}
+    for name in {"BEKKER_KPHI", "XI_N"} & found.keys():  # in proportion to each draw's density
+        drawn = np.array(found[name]["draws"]) * densities / of_soil.density
+        found[name]["draws"] = drawn.round(6).tolist()
+    write(found, path)
+    return found
+
+
+def file_for(out: Path | str | None, to: str) -> Path | None:
+    """A file to write for a simulator; raises InputError if it cannot be written or read there."""
+    if out is None:
+        return None
+    path = Path(out)
+    if path.suffix not in FORMATS:
+        raise InputError(f"{path}: name a .py, .json, .csv or .usda file")
+    if path.suffix == ".usda" and to not in ("newton", "isaaclab"):
+        raise InputError(f"{to} reads no materials in USD: name a .py, .json or .csv file")
+    check_file(path)
+    return path
+
+
+def write(found: Mapping[str, Any], path: Path | None) -> None:
+    """Write what was found to a file of :func:`file_for`, if there is one."""
     if path is not None:
         content = text(found, FORMATS[path.suffix])
         with atomic_write(path) as temporary:
             temporary.write_text(content, encoding="utf-8")
-    return found
 
 
 def described(to: Simulator) -> dict[str, Any]:
@@ -130,44 +174,6 @@ def described(to: Simulator) -> dict[str, Any]:
         "draws_go_to": to.draws_go_to,
         "not_inferred": to.not_inferred,
     }
-
-
-def _parameters(
-    soil: SoilDistribution, to: Simulator, match: Match, draws: int, seed: int
-) -> dict[str, Any]:
-    """What :func:`export` returns."""
-    chosen, densities = soil.draws(draws, rng=seed)
-    lost = float(np.mean(~np.isfinite(soil.phi_values))) if draws else 0.0
-    phi = soil.phi.as_dict()
-    density = soil.density
-    values = _summary(lambda angle: to.from_angle(angle, match), phi, chosen)
-    found = {
-        **described(to),
-        "caution": soil.caution,
-        "matched": match,
-        "value": values.pop("median"),
-        **values,
-        "draws_without_equivalent": lost,
-        "phi_plane_strain_deg": phi,
-        "density_kg_m3": density,
-        "density_assumed": soil.density_assumed,
-        "density_draws_kg_m3": densities.round(3).tolist(),
-        "leg_friction_assumed": soil.leg_friction,
-        "dilation_deg": 0.0,
-        "cohesion_Pa": 0.0,
-        "source": {**soil.origin, "draws_seed": seed},
-    }
-    if to.name == "chrono-scm":
-        found |= bekker(phi, chosen, density, seed=seed)
-    if to.name == "rft3d":
-        about = "[N/m³] ξ_n, which all stresses per depth are proportional to"
-        scale = _summary(lambda a: float(stress_scale(to.from_angle(a), density)), phi, chosen)
-        plane = {**_summary(float, phi, chosen), "about": "[deg] φ in plane strain, of wrench"}
-        found |= {"XI_N": {**scale, "about": about}, "PHI_PLANE_STRAIN_DEG": plane}
-    for name in {"BEKKER_KPHI", "XI_N"} & found.keys():  # in proportion to each draw's density
-        drawn = np.array(found[name]["draws"]) * densities / density
-        found[name]["draws"] = drawn.round(6).tolist()
-    return found
 
 
 def bekker(
@@ -199,8 +205,9 @@ def bekker(
 
     def stiffness(phi_deg: float) -> float:
         force = LAWS["rft"].force(
-            PLATE, SINKAGE, DOWN, friction_angle_deg=phi_deg, density=density, surface_friction=0.5
-        )
+            PLATE, SINKAGE, math.pi / 2, friction_angle_deg=phi_deg, density=density,
+            surface_friction=0.5,
+        )  # fmt: skip
         return float(force[1] / (np.pi * PLATE.radius**2 * SINKAGE))
 
     law = "from φ by resistive force theory of a flat plate, p = K z; Bekker_Kc is 0"
@@ -224,18 +231,10 @@ def _summary(
 
 
 def text(found: Mapping[str, Any], form: str) -> str:
-    """Content of a file in a form of :data:`FORMATS`, from what :func:`export` found.
-
-    Raises
-    ------
-    InputError
-        If the simulator reads no such file.
-    """
+    """Content of a file in a form of :data:`FORMATS`, from what :func:`export` found."""
     if form == "json":
         return json.dumps(found, indent=2, ensure_ascii=False) + "\n"
     if form == "usda":
-        if found["to"] not in ("newton", "isaaclab"):
-            raise InputError(f"{found['to']} reads no materials in USD: name a .py or .json file")
         return (
             f"#usda 1.0\n(\n    doc = {json.dumps(_about(found), ensure_ascii=False)}\n)\n\n"
             'def Material "Soil" (\n'
@@ -243,6 +242,18 @@ def text(found: Mapping[str, Any], form: str) -> str:
             f"    float physics:density = {found['density_kg_m3']}\n"
             f"    float newton:mpm:internalFriction = {found['value']:.6f}\n}}\n"
         )
+    if form == "csv":
+        rows = {
+            f"{found['parameter']} [{found['unit'] or '-'}]": {**found, "median": found["value"]},
+            "density_factor [-]": found.get("density_factor"),
+            "phi_plane_strain [deg]": found["phi_plane_strain_deg"],
+        }
+        table = [["quantity", "median", "low68", "high68", "low95", "high95"]]
+        table += [
+            [name, row["median"], *row["ci68"], *row["ci95"]] for name, row in rows.items() if row
+        ]
+        table += [["draw", value, "", "", "", ""] for value in found["draws"]]
+        return "".join(",".join(map(str, row)) + "\n" for row in table)
     constants = {found["parameter"].upper(): found["value"], "DRAWS": found["draws"]}
     constants |= {"DENSITY": found["density_kg_m3"]}
     constants |= {"DENSITY_DRAWS": found["density_draws_kg_m3"]}
@@ -259,10 +270,12 @@ def headline(found: Mapping[str, Any]) -> str:
     """The parameter in a sentence."""
     caution = f" CAUTION: {found['caution']}" if found["caution"] else ""
     phi = found["phi_plane_strain_deg"]["median"]
-    return f"{found['title']}: {_value(found)}, for φ {phi:.1f} deg in plane strain.{caution}"
+    value = interval_in_words(found)
+    return f"{found['title']}: {value}, for φ {phi:.1f} deg in plane strain.{caution}"
 
 
-def _value(found: Mapping[str, Any]) -> str:
+def interval_in_words(found: Mapping[str, Any]) -> str:
+    """The parameter with its interval."""
     value, low, high = (in_words(v, found["unit"]) for v in (found["value"], *found["ci95"]))
     return f"{found['parameter']} {value}, 95 %: {low} to {high}"
 
@@ -283,7 +296,7 @@ def _about(found: Mapping[str, Any]) -> str:
         if "answer" in source
         else "{soil}, {source}.".format_map(source),
         f"φ {phi['median']:.1f} deg in plane strain, 95 %: {low:.1f} to {high:.1f}.",
-        f"{_value(found)}; it means: {found['meaning']}.",
+        f"{interval_in_words(found)}; it means: {found['meaning']}.",
         matched,
         "Without dilation and cohesion, as the soil of the law.",
         f"DRAWS go with DENSITY_DRAWS: {found['draws_go_to']}." if found["draws"] else "",

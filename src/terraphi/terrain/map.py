@@ -125,27 +125,25 @@ class SlopeMap:
         InputError
             If the folder cannot be written, or holds other things.
         """
-        with output_folder(Path(folder), kind=KIND, last=SUMMARY) as place:
-            self._write(place)
-            self.plot().savefig(place / PICTURE, dpi=150)
-
-    def _write(self, folder: Path) -> None:
         import rasterio
 
-        for name, (about, unit) in LAYERS.items():
-            layer = self.layers[name]
-            whole = layer.dtype == np.uint8
-            with rasterio.open(
-                folder / f"{name}.tif", "w", driver="GTiff", count=1, dtype=layer.dtype,
-                height=layer.shape[0], width=layer.shape[1], crs=self.dem.crs,
-                transform=self.dem.transform, nodata=255 if whole else np.nan,
-                compress="deflate", predictor=2 if whole else 3,
-            ) as file:  # fmt: skip
-                file.write(layer, 1)
-                file.set_band_description(1, about)
-                file.update_tags(1, unit=unit)
-        text = json.dumps(self.summary, indent=2, ensure_ascii=False)
-        folder.joinpath(SUMMARY).write_text(text, encoding="utf-8")
+        grid = {"crs": self.dem.crs, "transform": self.dem.transform}
+        grid |= dict(zip(("height", "width"), self.dem.height.shape, strict=True))
+        with output_folder(Path(folder), kind=KIND, last=SUMMARY) as place:
+            for name, (about, unit) in LAYERS.items():
+                layer = self.layers[name]
+                whole = layer.dtype == np.uint8
+                with rasterio.open(
+                    place / f"{name}.tif", "w", driver="GTiff", count=1, dtype=layer.dtype,
+                    nodata=255 if whole else np.nan, compress="deflate",
+                    predictor=2 if whole else 3, **grid,
+                ) as file:  # fmt: skip
+                    file.write(layer, 1)
+                    file.set_band_description(1, about)
+                    file.update_tags(1, unit=unit)
+            text = json.dumps(self.summary, indent=2, ensure_ascii=False)
+            place.joinpath(SUMMARY).write_text(text, encoding="utf-8")
+            self.plot().savefig(place / PICTURE, dpi=150)
 
 
 def map_slopes(

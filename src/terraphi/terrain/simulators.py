@@ -221,17 +221,13 @@ def simulator(name: str, *, dp_type: str | None = None) -> Simulator:
         raise InputError(f"unknown simulator '{name}'; {nearest(name, NAMES)}")
     found = SIMULATORS[name]
     if name != "geotaichi":
+        if dp_type is not None:
+            raise InputError(f"dp_type {dp_type}: only geotaichi has this option; leave it out")
         return found
     cone = dp_type or "MiddleCircumscribed"
     if cone not in CONES:
         raise InputError(f"unknown dpType '{cone}'; {nearest(cone, CONES)}")
     return replace(found, title=f"{found.title} with dpType {cone}", law=CONES[cone], dp_type=cone)
-
-
-def check_dp_type(dp_type: str | None, *names: str | None) -> None:
-    """Raise InputError if there is a cone, and none of some simulators is GeoTaichi."""
-    if dp_type is not None and "geotaichi" not in names:
-        raise InputError(f"dp_type {dp_type}: only geotaichi has this option; leave it out")
 
 
 def convert(
@@ -281,8 +277,7 @@ def convert(
         if to is None:
             raise InputError(f"convert {value}: name the simulator that it is from, or to")
         return export(value, to=to, dp_type=dp_type)
-    given = simulator(from_, dp_type=dp_type)
-    check_dp_type(dp_type, from_, to)
+    given = simulator(from_, dp_type=dp_type if to != "geotaichi" or from_ == to else None)
     least, most, unit = (LEAST_DEG, 90.0, " degrees, not radians") if given.unit else (0, 2, "")
     real = isinstance(cast("object", value), Real)
     number = float(value) if real else math.nan
@@ -301,7 +296,7 @@ def convert(
     }
     if to is None:
         return found
-    wanted = simulator(to, dp_type=dp_type)
+    wanted = simulator(to, dp_type=dp_type if to == "geotaichi" else None)
     other = wanted.law.value(ratio)
     if math.isnan(other):
         strength = f"{given.parameter} {in_words(number, given.unit)} of {from_}"

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partialmethod
 from numbers import Integral, Real
 from pathlib import Path
 from statistics import NormalDist
@@ -175,26 +175,22 @@ class SoilDistribution:
         density = self.density + self.density_sd * (self.correlation * apart + own)
         return Draws(phi, np.maximum(density, LEAST_DENSITY * self.density))
 
-    def genesis(self, **options: Any) -> dict[str, Any]:
-        """Friction of Genesis' MPM sand; options as of :func:`~terraphi.terrain.export.export`."""
-        return self._export("genesis", options)
-
-    def newton(self, **options: Any) -> dict[str, Any]:
-        """Friction of Newton's implicit MPM; options as of `~terraphi.terrain.export.export`."""
-        return self._export("newton", options)
-
-    def chrono(self, terrain: str = "crm", **options: Any) -> dict[str, Any]:
-        """Parameters of Chrono's ``crm`` (FSI-SPH) or ``scm`` terrain; options as of export."""
-        return self._export(f"chrono-{terrain}", options)
-
-    def rft(self, **options: Any) -> dict[str, Any]:
-        """Parameters of three-dimensional resistive force theory; options as of export."""
-        return self._export("rft3d", options)
-
-    def _export(self, to: str, options: dict[str, Any]) -> dict[str, Any]:
+    def export(self, to: str, **options: Any) -> dict[str, Any]:
+        """Parameters of a simulator, as :func:`~terraphi.terrain.export.export` has them."""
         from terraphi.terrain.export import export
 
         return export(self, to=to, **options)
+
+    genesis = partialmethod(export, "genesis")
+    """Friction of Genesis' MPM sand."""
+    newton = partialmethod(export, "newton")
+    """Friction of Newton's implicit MPM."""
+    rft = partialmethod(export, "rft3d")
+    """Parameters of three-dimensional resistive force theory."""
+
+    def chrono(self, terrain: str = "crm", **options: Any) -> dict[str, Any]:
+        """Parameters of Chrono's ``crm`` (FSI-SPH) or ``scm`` terrain."""
+        return self.export(f"chrono-{terrain}", **options)
 
     def force(self, foot: Any, pose: Any, velocity: Any, **options: Any) -> tuple[Any, Any]:
         """Force and moment on feet by law ``foot``, at the median φ and the mean density.
@@ -273,50 +269,43 @@ def soil(
         raise InputError(f"soil: give its name ({', '.join(SANDS)}), or phi as '33±2'")
     if isinstance(what, Real):
         what = f"{float(what):g}"
-    if isinstance(what, str) and what not in SANDS and _is_angle(what):
-        what, phi = None, what
-    if what is None:
-        mean, sd = _angle(phi)
-        name, source = f"φ = {str(phi).strip()}°", "given"
-        weight, assumed = ASSUMED_DENSITY, density is None
-    elif isinstance(what, str) and what in SANDS:
-        (mean, sd), weight, source = SANDS[what]
-        name, assumed = what, density is None
-    else:
+    name, sand = str(what), SANDS.get(what) if isinstance(what, str) else None
+    if sand is None and (phi is not None or _is_angle(what)):
+        given = str(what if phi is None else phi).strip()
+        name, sand = f"φ = {given}°", Sand(_angle(given), ASSUMED_DENSITY, "given")
+    if sand is None:
         if density is not None:
             raise InputError("an answer has its density; leave it out")
         return _of_answer(what, anyway=anyway)
-    if density is not None:
-        weight = density_with_sd(density, "soil")
+    weight = sand.density if density is None else density_with_sd(density, "soil")
     return SoilDistribution(
         name=name,
-        phi=Estimate.of(_normal(mean, sd)),
+        phi=Estimate.of(_normal(*sand.phi)),
         density=weight[0],
         density_sd=weight[1],
-        density_assumed=assumed,
-        origin={"soil": name, "source": source},
+        density_assumed=density is None,
+        origin={"soil": name, "source": sand.source},
     )
 
 
-def _is_angle(text: str) -> bool:
+def _is_angle(text: Any) -> bool:
     try:
-        number_with_sd(text)
+        return isinstance(text, str) and bool(number_with_sd(text))
     except ValueError:
         return False
-    return True
 
 
-def _angle(phi: Any) -> tuple[float, float]:
+def _angle(text: str) -> tuple[float, float]:
     """Mean and standard deviation of φ [deg]; raises InputError."""
     low, high, _ = LIMITS["soil.friction_angle_deg"]
     try:
-        mean, sd = number_with_sd(str(phi))
+        mean, sd = number_with_sd(text)
     except ValueError:
-        raise InputError(f"phi = '{phi}'; give degrees in plane strain as 33 or 33±2") from None
-    sd = 0.0 if sd is None else sd
+        raise InputError(f"phi = '{text}'; give degrees in plane strain as 33 or 33±2") from None
+    sd = sd or 0.0
     if not (low <= mean <= high and 0.0 <= sd <= 0.25 * mean):
         raise InputError(
-            f"phi = {phi}; {low:g} to {high:g}° with a ± of a quarter of it at most are accepted"
+            f"phi = {text}; {low:g} to {high:g}° with a ± of a quarter of it at most are accepted"
         )
     return mean, sd
 

@@ -25,26 +25,24 @@ import tempfile
 from collections.abc import Callable
 from contextlib import redirect_stdout
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray, IntArray
 from terraphi.experiment.errors import InputError, nearest, needing
-from terraphi.experiment.files import atomic_write, plain_number
-from terraphi.experiment.outputs import check_file
+from terraphi.experiment.files import plain_number
 from terraphi.experiment.scenario import GRAVITY
+from terraphi.inference.records import density_with_sd
 from terraphi.laws.foot import LAWS, Foot
-from terraphi.laws.wrench import Mesh, force
-from terraphi.terrain.export import FORMATS, described, text
+from terraphi.laws.wrench import Mesh, angles_deg, force
+from terraphi.terrain.export import described, file_for, interval_in_words, write
 from terraphi.terrain.simulators import in_words as value_in_words
 from terraphi.terrain.simulators import simulator
 from terraphi.terrain.soils import soil
 
-DOWN = 0.5 * np.pi
 THIRDS, PLACES = 3, 3
 """Parts of the depth, and places of the surface in its voxel at which each friction is tried."""
 FINE = 40
@@ -56,8 +54,8 @@ STEP, CLOSE = 1.4, 0.08
 so that a dozen presses do."""
 NODES = 6
 """Frictions tried at most."""
-LIMITS = {"newton": (0.05, 2.0), "isaaclab": (0.05, 2.0), "genesis": (0.05, 1.7)}
-"""Least and largest q [-]; Genesis' cone ends at √3."""
+LEAST, MOST = 0.05, 2.0
+"""Least and largest q [-]; Genesis' cone ends at √3, and is tried up to 1.7."""
 FINER, MOST_PARTICLES = 1.5, 60_000
 """Where no friction does: ratio of the voxels that are tried next, and their particles at most."""
 WIDE, FLOOR = 3.0, 2.0
@@ -77,21 +75,21 @@ class Sole:
         As it was given.
     vertices, faces
         [m], shape [vertex, 3]; indices, shape [face, 3], counterclockwise from outside.
+    foot
+        What the law knows it as: a disc, a ball or the faces of a mesh.
     radius
         Of the circle with the area of the sole from below [m].
-    foot
-        Of a disc or ball: what the law knows it as.
     """
 
     name: str
     vertices: FloatArray
     faces: IntArray
+    foot: Foot | Mesh
     radius: float
-    foot: Foot | None = None
 
     @classmethod
     def of(cls, text: str | Path) -> Sole:
-        """A foot from ``disc:RADIUS``, ``ball:RADIUS`` [m], or a Wavefront OBJ in metres.
+        """A foot from ``disc:RADIUS``, ``ball:RADIUS`` [m], or a Wavefront OBJ in meters.
 
         A disc is a cylinder as high as its radius, so that no soil flows over it.
 
@@ -109,53 +107,34 @@ class Sole:
                 radius = math.nan
             if not 0.005 <= radius <= 0.5:
                 raise InputError(f"foot {name}: give a radius of 0.005 to 0.5 m, as disc:0.05")
-            kind: Literal["disc", "ball"] = "disc" if shape == "disc" else "ball"
-            return cls(name, *_turned(kind, radius), radius, Foot(radius, kind))
+            foot = Foot(radius, "disc" if shape == "disc" else "ball")
+            return cls(name, *_turned(foot), foot, radius)
         if Path(name).suffix.lower() != ".obj":
             raise InputError(f"foot {name}: give disc:RADIUS, ball:RADIUS (in m) or a .obj file")
         vertices, faces = _read_obj(Path(name))
-        sole = cls(name, vertices, faces, math.nan)
-        area = float(np.sum(sole.mesh.areas * np.maximum(-sole.mesh.normals[:, 2], 0.0)))
-        return replace(sole, radius=math.sqrt(area / math.pi))
-
-    @cached_property
-    def mesh(self) -> Mesh:
-        """Its faces."""
-        return Mesh.of(self.vertices, self.faces)
-
-    def flatness(self, depth: FloatArray) -> FloatArray:
-        """1 for a disc, 0 for a ball, shape [depth]: by the mean depth of the lower faces."""
-        downward = self.mesh.areas * np.maximum(-self.mesh.normals[:, 2], 0.0)
-        below = np.maximum(depth[:, None] - self.mesh.points[:, 2], 0.0)
-        wet = np.where(below > 0.0, downward, 0.0)
-        mean = (wet * below).sum(axis=1) / np.maximum(wet.sum(axis=1), 1e-12) / depth
-        cap = np.minimum(depth, self.radius)  # of a ball, as in ``bearing_capacity``
-        round_ = cap * (3 * self.radius - cap) / (3 * (2 * self.radius - cap)) + depth - cap
-        return np.clip((mean - round_ / depth) / (1.0 - round_ / depth), 0.0, 1.0)
+        try:
+            mesh = Mesh.of(vertices, faces)
+        except InputError as error:
+            raise InputError(f"{name}: {error}") from error
+        deep = np.array([np.ptp(vertices[:, 2])])
+        return cls(name, vertices, faces, mesh, float(mesh.footprint(deep)[0][0]))
 
     def force(
         self, depth: FloatArray, phi_deg: FloatArray, *, density: float, surface_friction: float
     ) -> FloatArray:
-        """Upward force of law ``foot`` [N], shape [φ, depth]; NaN for φ outside its table.
+        """Upward force of law ``foot`` [N], shape [φ, depth]; InputError for φ outside its table.
 
         That of a mesh lies between those of a ball and a disc of its footprint
         (:mod:`~terraphi.laws.wrench`); other meshes than of these were compared with nothing.
         """
-        soil = {"density": density, "surface_friction": surface_friction}
-        at, phi = np.broadcast_arrays(depth, np.asarray(phi_deg)[:, None])
-        law = LAWS["foot"].force(
-            self.foot or Foot(self.radius), at, DOWN, friction_angle_deg=phi, **soil
-        )[..., 1]
-        if self.foot is not None:
-            return law
-        known = np.isfinite(law).all(axis=1)
-        pose = np.multiply.outer(-at[known], [0.0, 0.0, 1.0])
+        ball = isinstance(self.foot, Foot) and self.foot.shape == "ball"
+        height = (self.radius if ball else 0.0) - depth
+        phi, height = np.broadcast_arrays(np.asarray(phi_deg)[:, None], height)
         lift, _ = force(
-            self.mesh, pose, [0.0, 0.0, -1.0], phi_deg=phi[known], density=density,
-            surface_friction=surface_friction,
+            self.foot, np.multiply.outer(height, [0.0, 0.0, 1.0]), [0.0, 0.0, -1.0], phi_deg=phi,
+            density=density, surface_friction=surface_friction,
         )  # fmt: skip
-        law[known] = lift[..., 2]
-        return law
+        return np.asarray(lift[..., 2])
 
 
 @dataclass(frozen=True)
@@ -186,6 +165,12 @@ class Press:
         half = max(math.ceil(WIDE * self.sole.radius / self.voxel), 3) * self.voxel
         deep = math.ceil((FLOOR * self.sole.radius + self.depth) / self.voxel)
         return half, max(deep, 3) * self.voxel
+
+    @property
+    def particles(self) -> float:
+        """Particles of the bed, 27 in each voxel."""
+        half, deep = self.box
+        return 27 * 4 * half**2 * deep / self.voxel**3
 
 
 Engine = Callable[[Press, float], tuple[FloatArray, FloatArray]]
@@ -288,9 +273,9 @@ def genesis(press: Press, friction_angle: float) -> tuple[FloatArray, FloatArray
     )
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "sole.obj")
-        lines = [f"v {x:.7g} {y:.7g} {z:.7g}" for x, y, z in sole.vertices]
-        lines += [f"f {a} {b} {c}" for a, b, c in sole.faces + 1]
-        file.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        with file.open("w", encoding="utf-8") as target:
+            np.savetxt(target, sole.vertices, "v %.7g %.7g %.7g")
+            np.savetxt(target, sole.faces + 1, "f %d %d %d")
         foot = scene.add_entity(
             morph=gs.morphs.Mesh(
                 file=str(file), convexify=False, decimate=False, file_meshes_are_zup=True
@@ -337,7 +322,6 @@ def _sunk(press: Press, before: FloatArray, after: FloatArray) -> float:
 
 
 ENGINES: dict[str, Engine] = {"newton": newton, "isaaclab": newton, "genesis": genesis}
-PACKAGES = {"newton": "newton", "isaaclab": "newton", "genesis": "genesis-world"}
 
 
 @dataclass(frozen=True)
@@ -421,6 +405,8 @@ def fit(
     InputError
         If the foot feels no force.
     """
+    from scipy.interpolate import PchipInterpolator
+
     low, high = limits
     start = min(max(start, low), high)
     runs: dict[float, FloatArray] = {}
@@ -445,15 +431,14 @@ def fit(
         weights = 1.0 / (variance + 0.1**2)  # no part is better than a tenth
         weights /= weights.sum()
         logs = np.linspace(np.log(nodes[0]), np.log(nodes[-1]), 801)
-        curve = _over(np.log(nodes), np.log(means), logs)  # [q, part]
+        between = PchipInterpolator(np.log(nodes), np.log(means))  # [q, part]
+        curve = between(logs)
         scatter = rng.standard_normal((len(targets), len(deviations))) @ deviations
         scatter /= np.sqrt(rng.chisquare(freedom, (len(targets), 1)) / freedom)
 
-        def best(goal: FloatArray, curve: FloatArray = curve, w: FloatArray = weights) -> IntArray:
-            """Index of the nearest q to each row."""
-            return np.array([np.argmin(((curve - row) ** 2) @ w) for row in goal])
-
-        (chosen,), drawn = best(wanted[None]), best(wanted_draws - scatter)
+        rows = np.vstack([wanted, wanted_draws - scatter])
+        nearest_q = np.array([np.argmin(np.square(curve - row) @ weights) for row in rows])
+        chosen, drawn = nearest_q[0], nearest_q[1:]
         ends = np.quantile(drawn, [0.025, 0.975])
         last = len(logs) - 1
         near = np.min(np.abs(np.log(nodes) - logs[chosen]))
@@ -470,7 +455,7 @@ def fit(
     inside = (drawn > 0) & (drawn < last)
     residual, levels = curve[chosen] - wanted, forces.mean(axis=2)
     level = np.maximum(levels.mean(axis=1), 1e-3 * target.mean())
-    own = _over(np.log(nodes), np.log(means), np.array([np.log(start)]))[0]
+    own = between(math.log(start))
     shortfall = (wanted_draws - scatter - own) @ weights
     limit = {0: "low", last: "high"}.get(int(chosen), "")
     return Fit(
@@ -494,7 +479,7 @@ def tune(
     voxel: float,
     foot: str | Path,
     phi: Any,
-    density: float | None = None,
+    density: float | str | None = None,
     surface_friction: float = 0.5,
     depth: float | None = None,
     time_step: float = 0.01,
@@ -521,7 +506,9 @@ def tune(
         φ of the soil in plane strain [deg] as ``"33±2"``, or the name of a soil or an answer (see
         :func:`~terraphi.terrain.soils.soil`).
     density
-        Bulk density [kg/m³]; by default that of the soil.
+        Bulk density [kg/m³], as ``1600`` (± 5 %) or ``"1600±40"``; by default that of the soil.
+        Its error is in the interval of Genesis; Newton's force is in proportion to the density, as
+        the soil's.
     surface_friction
         Coulomb coefficient between foot and soil [-], also given to the simulator.
     depth
@@ -556,60 +543,66 @@ def tune(
     """
     if name not in ENGINES:
         raise InputError(f"cannot press with '{name}'; {nearest(name, ENGINES)}")
-    path = None if out is None else Path(out)
-    if path is not None:
-        if path.suffix not in (*FORMATS, ".csv"):
-            raise InputError(f"{path}: name a .py, .json, .csv or .usda file")
-        if path.suffix == ".usda" and name == "genesis":
-            raise InputError("genesis reads no materials in USD: name a .py, .csv or .json file")
-        check_file(path)
+    path, to, is_newton = file_for(out, name), simulator(name), name != "genesis"
     ground = soil(phi, anyway=anyway)
-    rng = np.random.default_rng(seed)
-    middle, angles = ground.phi.median, ground.draws(SAMPLES, rng=rng).phi_deg
-    assumed = density is None and ground.density_assumed
-    density = ground.density if density is None else density
-    sole = Sole.of(foot)
+    if density is not None:
+        mean, sd = density_with_sd(density, "tune")
+        own: dict[str, Any] = {
+            "density": mean,
+            "density_sd": sd,
+            "density_assumed": False,
+            "correlation": 0.0,
+        }
+        ground = replace(ground, **own)
+    sole, middle = Sole.of(foot), ground.phi.median
     radius = sole.radius
     deepest = 0.5 * radius if depth is None else depth
     bounds = {
         "voxel": (voxel, 0.05 * radius, 2.0 * radius),
         "depth": (deepest, 0.05 * radius, 2.0 * radius),
-        "density": (density, 500.0, 3000.0),
+        "density": (ground.density, 500.0, 3000.0),
         # Two steps of Newton at least in each part of the depth.
         "time_step": (time_step, 1e-4, 0.5 * deepest / THIRDS / PACE / math.sqrt(GRAVITY * radius)),
     }
     for what, (value, least, most) in bounds.items():
         if not least <= value <= most:
             raise InputError(f"{what} = {value:g}: {least:.3g} to {most:.3g} are accepted here")
-    first = Press(sole, voxel, deepest, density, surface_friction, time_step, seed=seed)
+    press = Press(sole, voxel, deepest, ground.density, surface_friction, time_step, seed=seed)
     edges = np.linspace(0.0, deepest, THIRDS + 1)
 
     # Mean force in each part of the depth, shape [φ, part], at whole degrees.
-    every = np.arange(10.0, 61.0)
+    low, high = angles_deg(surface_friction)
+    if not low <= middle <= high:
+        raise InputError(f"φ = {middle:g}: law 'foot' was simulated for {low:g} to {high:g} deg")
+    every = np.arange(low, high + 0.5)
     depths = deepest * (np.arange(THIRDS * FINE) + 0.5) / (THIRDS * FINE)
-    forces = sole.force(depths, every, density=density, surface_friction=surface_friction)
-    forces = forces.reshape(-1, THIRDS, FINE).mean(axis=2)
-    known = np.isfinite(forces).all(axis=1)
-    inside, logs = every[known], np.log(forces[known])
+    forces = sole.force(depths, every, density=ground.density, surface_friction=surface_friction)
+    logs = np.log(forces.reshape(-1, THIRDS, FINE).mean(axis=2))
 
     def law(phi_deg: FloatArray) -> FloatArray:
         """Mean force in each part of the depth, shape [φ, part]; NaN outside the table."""
-        rows = [np.interp(phi_deg, inside, row, np.nan, np.nan) for row in logs.T]
+        rows = [np.interp(phi_deg, every, row, np.nan, np.nan) for row in logs.T]
         return np.exp(np.stack(rows, axis=-1))
 
-    if not inside[0] <= middle <= inside[-1]:
-        ends = f"{inside[0]:g} to {inside[-1]:g} deg"
-        raise InputError(f"φ = {middle:g} deg: law 'foot' was simulated for {ends}")
-    target = law(np.array([middle]))[0]
+    rng, law_sd = np.random.default_rng(seed), LAWS["foot"].sd_deg
+    drawn = ground.draws(SAMPLES, rng=rng)
     # Beyond the law's table its ends: without these draws the others would have another median.
-    drawn = angles + rng.normal(0.0, LAWS["foot"].sd_deg, angles.size)
-    targets = law(np.clip(drawn, inside[0], inside[-1]))
-    if sole.foot is None:  # a quarter of log force where a mesh is half flat; chosen
-        flat = float(sole.flatness(edges[1:]).mean())
-        targets *= np.exp(rng.normal(0.0, flat * (1.0 - flat), (angles.size, 1)))
-    around = law(middle + LAWS["foot"].sd_deg * np.array([-1.0, 0.0, 1.0]))
-    tolerance = float(np.nanmean(np.diff(np.log(around), axis=0)))
-    to = simulator(name)
+    angles = drawn.phi_deg + rng.normal(0.0, law_sd, SAMPLES)
+    target, targets = law(np.array([middle]))[0], law(np.clip(angles, low, high))
+    if isinstance(sole.foot, Mesh):  # a quarter of log force where a mesh is half round; chosen
+        roundness = sole.foot.footprint(edges[1:])[1]
+        unknown = float((roundness * (1.0 - roundness)).max())
+        targets *= np.exp(rng.normal(0.0, unknown, (SAMPLES, 1)))
+    # Newton's soil is rigid, so that its force is in proportion to the density, as the law's is.
+    # Genesis' is elastic: twice the density gave 1.4 times the force (voxels of 30 mm). It keeps
+    # the density of the presses.
+    densities = drawn.density
+    if not is_newton:
+        targets *= (densities / ground.density)[:, None]
+        densities = np.full(SAMPLES, ground.density)
+    tolerance = float(
+        np.nanmean(np.diff(np.log(law(middle + law_sd * np.array([-1.0, 0.0, 1.0]))), axis=0))
+    )
 
     def fitted(press: Press) -> Fit:
         def forces(ratio: float, place: int) -> FloatArray:
@@ -619,208 +612,157 @@ def tune(
             part = np.searchsorted(edges, sinkage - 1e-9) - 1
             return np.array([force[part == k].mean() for k in range(THIRDS)])
 
-        start = math.sin(math.radians(middle))
         return fit(
-            forces, target, targets, tolerance=tolerance, start=start, limits=LIMITS[name],
-            seed=seed, report=progress,
+            forces, target, targets, tolerance=tolerance, start=math.sin(math.radians(middle)),
+            limits=(LEAST, MOST if is_newton else 1.7), seed=seed, report=progress,
         )  # fmt: skip
 
-    found = fitted(first)
-    would, tried = None, voxel
-    press = first
+    found, finest, would = fitted(press), press, None
     for _ in range(0 if found.fits else finer):
-        press = replace(press, voxel=press.voxel / FINER)
-        half, deep = press.box
-        if 27 * 4 * half**2 * deep / press.voxel**3 > MOST_PARTICLES:
+        smaller = replace(finest, voxel=finest.voxel / FINER)
+        if smaller.particles > MOST_PARTICLES:
             break
-        tried = press.voxel
-        if fitted(press).fits:
-            would = tried
+        finest = smaller
+        if fitted(finest).fits:
+            would = finest.voxel
             break
-    result = _result(to, found, first, rng, draws, middle, angles, ground.name)
-    result |= {"voxel_that_does": would, "finest_voxel_tried": tried}
-    result["reason"] = _reason(found, target, result, first)
-    result["law_N"] = np.round(target, 4).tolist()
-    result["density_assumed"], result["caution"] = assumed, ground.caution
-    if not found.fits:
-        result["caution"] = " ".join(filter(None, [result["reason"], ground.caution]))
-        if path is not None and not anyway:
-            raise InputError(f"{result['reason']} To write a file all the same, add --anyway")
-    if path is not None:
-        content = _table(result) if path.suffix == ".csv" else text(result, FORMATS[path.suffix])
-        with atomic_write(path) as temporary:
-            temporary.write_text(content, encoding="utf-8")
-    return result
-
-
-def in_words(found: dict[str, Any]) -> list[str]:
-    """Result of :func:`tune`, a sentence each."""
-    value, low, high = (
-        value_in_words(number, found["unit"]) for number in (found["value"], *found["ci95"])
-    )
-    factor = found["density_factor"]
-    own = value_in_words(found["own_value"], found["unit"])
-    carried = f"With the soil's own {own} the grid carries {found['carried']:.0%} of the load"
-    if factor:
-        low_, high_ = factor["ci95"]
-        carried += f": density times {factor['median']:.2f} makes up for it, 95 %: {low_:.2f} to "
-        carried += f"{high_:.2f}"
-    tuned = f"{found['parameter']} {value}, 95 %: {low} to {high} ({found['presses']} presses)."
-    lost = found["draws_without_equivalent"]
-    beyond = [f"No friction reaches {lost:.0%} of the draws: the interval ends there."]
-    return [found["reason"], tuned, *(beyond if lost > 0.005 else []), f"{carried}."]
-
-
-def _result(
-    to: Any,
-    found: Fit,
-    press: Press,
-    rng: np.random.Generator,
-    draws: int,
-    phi_deg: float,
-    angles: FloatArray,
-    source: str,
-) -> dict[str, Any]:
-    """What :func:`tune` returns, but for the reason."""
-
-    def summary(values: FloatArray, middle: float | None = None) -> dict[str, Any]:
-        ends = np.quantile(values, [0.16, 0.84, 0.025, 0.975]).round(6).tolist()
-        center = float(np.median(values)) if middle is None else middle
-        return {"median": round(center, 6), "ci68": ends[:2], "ci95": ends[2:]}
 
     values = np.array([to.law.value(q) for q in found.draws])
-    value = summary(values, to.law.value(found.ratio))
-    package = PACKAGES[to.name]
-    version = _version(package)
-    return {
+    chosen = rng.choice(SAMPLES, draws) if draws else np.empty(0, dtype=np.int64)
+    summary = _summary(values, to.law.value(found.ratio))
+    package = "newton" if is_newton else "genesis-world"
+    try:
+        version = importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        version = "of unknown version"
+    reason = _reason(to.title, found, target, press, finest.voxel, would)
+    result = {
         **described(to),
         "package": package,
         "version": version,
-        "matched": f"force over sinkage of {press.sole.name} to {1e3 * press.depth:.3g} mm, with "
-        f"voxels of {1e3 * press.voxel:.3g} mm in {package} {version}",
-        "value": value.pop("median"),
-        **value,
-        "draws": rng.choice(values, draws).round(6).tolist() if draws else [],
-        "density_draws_kg_m3": [press.density] * draws,
+        "matched": f"force over sinkage of {sole.name} to {1e3 * deepest:.3g} mm, with "
+        f"voxels of {1e3 * voxel:.3g} mm in {package} {version}",
+        "value": summary.pop("median"),
+        **summary,
+        "draws": values[chosen].round(6).tolist(),
+        "density_draws_kg_m3": densities[chosen].round(3).tolist(),
         "draws_without_equivalent": found.lost,
         "verdict": "carries" if found.fits else "no value",
+        "reason": reason,
+        "caution": " ".join(filter(None, ["" if found.fits else reason, ground.caution])),
         "residual": round(found.residual, 4),
         "scatter": round(found.scatter, 4),
-        "tolerance": round(found.tolerance, 4),
-        "own_value": round(to.law.value(math.sin(math.radians(phi_deg))), 6),
+        "tolerance": round(tolerance, 4),
+        "own_value": round(to.law.value(math.sin(math.radians(middle))), 6),
         "carried": round(1.0 / float(np.median(found.factor)), 4),
-        # Newton's soil is rigid, so that force is proportional to density; Genesis' is elastic,
-        # and twice the density gave 1.4 times the force (voxels of 30 mm).
-        "density_factor": summary(found.factor) if package == "newton" else None,
+        "density_factor": _summary(found.factor) if is_newton else None,
+        "law_N": np.round(target, 4).tolist(),
         "forces_N": np.round(found.forces, 4).tolist(),
         "forces_own_N": np.round(found.carried, 4).tolist(),
         "presses": found.presses,
-        "phi_plane_strain_deg": summary(angles, phi_deg),
-        "density_kg_m3": press.density,
-        "leg_friction_assumed": press.surface_friction,
+        "phi_plane_strain_deg": _summary(drawn.phi_deg, middle),
+        "density_kg_m3": ground.density,
+        "density_assumed": ground.density_assumed,
+        "leg_friction_assumed": surface_friction,
         "leg_friction_about": "that between foot and soil, as given",
-        "voxel_m": press.voxel,
-        "depth_m": press.depth,
-        "time_step_s": press.time_step if package == "newton" else None,
-        "source": {"answer": source, "record": press.sole.name, "law": "foot"},
+        "voxel_m": voxel,
+        "voxel_that_does": would,
+        "finest_voxel_tried": finest.voxel,
+        "depth_m": deepest,
+        "time_step_s": time_step if is_newton else None,
+        "source": {"answer": ground.name, "record": sole.name, "law": "foot"},
     }
+    if path is not None and not (found.fits or anyway):
+        raise InputError(f"{reason} To write a file all the same, add --anyway")
+    write(result, path)
+    return result
 
 
-def _reason(found: Fit, target: FloatArray, result: dict[str, Any], press: Press) -> str:
-    """The verdict in a sentence."""
+def _summary(values: FloatArray, middle: float | None = None) -> dict[str, Any]:
+    """Median, or a given middle, and intervals."""
+    ends = np.quantile(values, [0.16, 0.84, 0.025, 0.975]).round(6).tolist()
+    center = float(np.median(values)) if middle is None else middle
+    return {"median": round(center, 6), "ci68": ends[:2], "ci95": ends[2:]}
+
+
+def _reason(
+    title: str, found: Fit, target: FloatArray, press: Press, finest: float, would: float | None
+) -> str:
+    """The verdict in a sentence, with the finest voxel that was tried and the one that does."""
     voxel = f"voxels of {1e3 * press.voxel:.3g} mm"
     if found.fits:
         return (
-            f"{result['title']} with {voxel} carries {press.sole.name} as the soil does, within "
+            f"{title} with {voxel} carries {press.sole.name} as the soil does, within "
             f"{found.residual:.0%} over the depth and {found.scatter:.0%} between places of the "
             f"surface in its voxel (the law's own error: {found.tolerance:.0%})."
         )
     by_part = ", ".join(f"{ratio - 1:+.0%}" for ratio in found.forces / target)
-    why = f"at the best one the forces of the thirds of the depth are off by {by_part}"
-    if found.residual <= found.tolerance:
+    if found.at_limit:
+        end = "largest" if found.at_limit == "high" else "least"
+        why = f"at the {end} that was tried the forces are off by {by_part}"
+    elif found.residual <= found.tolerance:
         why = (
             f"the force differs by ± {found.scatter:.0%} with the place of the surface in its "
             f"voxel, more than by the law's own error ({found.tolerance:.0%})"
         )
-    if found.at_limit:
-        end = "largest" if found.at_limit == "high" else "least"
-        why = f"at the {end} that was tried the forces are off by {by_part}"
-    would, finest = result["voxel_that_does"], result["finest_voxel_tried"]
-    remedy = f"Voxels of {1e3 * (would or 0):.3g} mm do."
-    if would is None:
-        more = f" down to {1e3 * finest:.3g} mm" if finest < press.voxel else ""
-        remedy = f"Take finer voxels; none{more} did here." if more else "Take finer voxels."
+    else:
+        why = f"at the best one the forces of the thirds of the depth are off by {by_part}"
+    remedy = "Take finer voxels."
+    if would is not None:
+        remedy = f"Voxels of {1e3 * would:.3g} mm do."
+    elif finest < press.voxel:
+        remedy = f"Take finer voxels; none down to {1e3 * finest:.3g} mm did here."
     return f"No friction does with {voxel}: {why}. {remedy}"
 
 
-def _table(found: dict[str, Any]) -> str:
-    """The numbers as CSV."""
-    rows = {
-        f"{found['parameter']} [{found['unit'] or '-'}]": {**found, "median": found["value"]},
-        **({"density_factor [-]": found["density_factor"]} if found["density_factor"] else {}),
-        "phi_plane_strain [deg]": found["phi_plane_strain_deg"],
-    }
-    lines = ["quantity,median,low68,high68,low95,high95"]
-    for name, row in rows.items():
-        lines.append(",".join(map(str, [name, row["median"], *row["ci68"], *row["ci95"]])))
-    return "\n".join([*lines, *(f"draw,{value},,,," for value in found["draws"])]) + "\n"
+def in_words(found: dict[str, Any]) -> list[str]:
+    """Result of :func:`tune`, a sentence each."""
+    factor, lost = found["density_factor"], found["draws_without_equivalent"]
+    own = value_in_words(found["own_value"], found["unit"])
+    carried = f"With the soil's own {own} the grid carries {found['carried']:.0%} of the load"
+    if factor:
+        low, high = factor["ci95"]
+        carried += f": density times {factor['median']:.2f} makes up for it, 95 %: {low:.2f} to "
+        carried += f"{high:.2f}"
+    tuned = f"{interval_in_words(found)} ({found['presses']} presses)."
+    beyond = [f"No friction reaches {lost:.0%} of the draws: the interval ends there."]
+    return [found["reason"], tuned, *(beyond if lost > 0.005 else []), f"{carried}."]
 
 
-def _version(package: str) -> str:
-    try:
-        return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
-        return "of unknown version"
-
-
-def _over(nodes: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:
-    """Monotone cubic through rows of values over nodes, shape [at, ...]."""
-    from scipy.interpolate import PchipInterpolator
-
-    return np.asarray(PchipInterpolator(nodes, values, axis=0)(at))
-
-
-def _turned(shape: Literal["disc", "ball"], radius: float) -> tuple[FloatArray, IntArray]:
+def _turned(foot: Foot) -> tuple[FloatArray, IntArray]:
     """A cylinder as high as its radius, or a ball: vertices and faces, its lowest point at zero."""
-    if shape == "ball":
+    outline = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    if foot.shape == "ball":
         turn = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 25)
         outline = np.stack([np.cos(turn), 1.0 + np.sin(turn)], axis=-1)
-    else:
-        outline = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+        outline[[0, -1], 0] = 0.0
     sectors = 48
     # A facetted circle of the same area.
-    size = radius * np.sqrt(2 * np.pi / sectors / np.sin(2 * np.pi / sectors))
+    size = np.sqrt(2 * np.pi / sectors / np.sin(2 * np.pi / sectors))
     around = 2 * np.pi * np.arange(sectors) / sectors
-    rings = outline[1:-1]
-    points = np.stack(
-        [
-            size * rings[:, :1] * np.cos(around),
-            size * rings[:, :1] * np.sin(around),
-            radius * np.repeat(rings[:, 1:], sectors, axis=1),
-        ],
-        axis=-1,
-    ).reshape(-1, 3)
-    bottom, top = len(points), len(points) + 1
-    one = np.arange(sectors)
-    other = (one + 1) % sectors
-    faces = [np.stack([np.full(sectors, bottom), other, one], axis=-1)]
-    for ring in range(len(rings) - 1):
-        low, high = ring * sectors, (ring + 1) * sectors
-        faces.append(np.stack([low + one, low + other, high + other], axis=-1))
-        faces.append(np.stack([low + one, high + other, high + one], axis=-1))
-    last = (len(rings) - 1) * sectors
-    faces.append(np.stack([last + one, last + other, np.full(sectors, top)], axis=-1))
-    poles = radius * np.array([[0.0, 0.0, outline[0, 1]], [0.0, 0.0, outline[-1, 1]]])
-    return np.vstack([points, poles]), np.vstack(faces)
+    far, height = np.broadcast_arrays(*outline.T[..., None], around)[:2]
+    points = foot.radius * np.stack(
+        [size * far * np.cos(around), size * far * np.sin(around), height], -1
+    )
+    # Corners of each quadrilateral between two rings; one of its triangles is none at a pole.
+    ring = np.arange(height.size).reshape(height.shape)
+    ring[[0, -1]] = ring[[0, -1], :1]
+    low, high = ring[:-1], ring[1:]
+    next_low, next_high = np.roll(low, -1, axis=1), np.roll(high, -1, axis=1)
+    faces = np.stack([[low, next_low, next_high], [low, next_high, high]]).swapaxes(1, -1)
+    faces = faces.reshape(-1, 3)
+    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+    used, faces = np.unique(faces, return_inverse=True)
+    return points.reshape(-1, 3)[used], faces.reshape(-1, 3)
 
 
 def _read_obj(path: Path) -> tuple[FloatArray, IntArray]:
-    """Vertices and triangles of a Wavefront OBJ, centred, its lowest point at zero.
+    """Vertices and triangles of a Wavefront OBJ, centered, its lowest point at zero.
 
     Raises
     ------
     InputError
-        If it cannot be read, has no faces, is not closed, or has another size than a foot.
+        If it cannot be read, has no faces, or has another size than a foot.
     """
     vertices: list[list[float]] = []
     faces: list[list[int]] = []
@@ -839,21 +781,13 @@ def _read_obj(path: Path) -> tuple[FloatArray, IntArray]:
                 faces += [[corners[0], *pair] for pair in pairwise(corners[1:])]
         except ValueError as error:
             raise InputError(f"{path}, line {number}: '{line[:60]}' is no number") from error
-    points, corners_ = np.array(vertices), np.array(faces, dtype=np.int64)
+    points, index = np.array(vertices), np.array(faces, dtype=np.int64)
     sound = bool(faces) and points.ndim == 2 and points.shape[1] == 3 and np.isfinite(points).all()
-    if not sound or corners_.min() < 0 or corners_.max() >= len(points):
+    if not sound or index.min() < 0 or index.max() >= len(points):
         raise InputError(f"{path}: has no faces, or faces of vertices that it lacks")
-    # Each edge of a closed surface is passed once in each direction.
-    edges = np.concatenate([corners_[:, [0, 1]], corners_[:, [1, 2]], corners_[:, [2, 0]]])
-    there = edges[np.lexsort(edges.T)]
-    back = edges[:, ::-1][np.lexsort(edges[:, ::-1].T)]
-    if not np.array_equal(there, back) or len(np.unique(there, axis=0)) != len(there):
-        raise InputError(f"{path}: the surface is not closed; export one solid, vertices merged")
     size = np.ptp(points, axis=0)
     if size[:2].min() < 0.005 or size.max() > 1.0:
-        raise InputError(f"{path}: is {size.max():.3g} m long; the file's unit is the metre")
-    a, b, c = (points[corners_[:, k]] for k in range(3))
-    if np.einsum("fi,fi->", a, np.cross(b, c)) < 0.0:
-        corners_ = corners_[:, ::-1]
-    points = points - [*(points.min(axis=0) + 0.5 * size)[:2], points[:, 2].min()]
-    return points, corners_
+        raise InputError(f"{path}: is {size.max():.3g} m long; the file's unit is the meter")
+    if np.linalg.det(points[index]).sum() < 0.0:  # six times its volume
+        index = index[:, ::-1]
+    return points - [*(points.min(axis=0) + 0.5 * size)[:2], points[:, 2].min()], index
