@@ -12,9 +12,9 @@ from pydantic import ValidationError
 from terraphi import Scenario
 from terraphi.robot.results import RobotForces
 from terraphi.view import doctor
+from terraphi.view.console import Table
 from terraphi.view.keys import DOCUMENTS, tables
 from terraphi.view.plots import save, stance_figure
-from terraphi.view.table import Table
 
 TABLE = Table(
     "Peaks",

@@ -20,7 +20,7 @@ from pydantic import BaseModel, Json
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import open_netcdf, positions, write_netcdf
-from terraphi.experiment.force_table import write_force_table
+from terraphi.experiment.tables import write_force_table
 from terraphi.experiment.units import FORCE
 
 if TYPE_CHECKING:

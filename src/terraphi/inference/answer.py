@@ -21,8 +21,7 @@ from terraphi.experiment.documents import parse_json
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import open_netcdf, read_bytes, write_netcdf
 from terraphi.experiment.outputs import output_folder
-from terraphi.experiment.rig import LEG_NAMES, Rig
-from terraphi.experiment.tool import Tool
+from terraphi.experiment.rig import LEG_NAMES, Rig, Tool
 from terraphi.laws.store import PHI
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ import click
 
 from terraphi.experiment.errors import GUESSED, InputError
 from terraphi.inference import COLUMNS
-from terraphi.view.table import Table
+from terraphi.view.console import Table
 
 if TYPE_CHECKING:
     from terraphi.inference.answer import Answer, Estimate
@@ -132,7 +132,7 @@ def tables(answer: Answer) -> list[Table]:
 
 def _terms(answer: Answer) -> str:
     """Terms of the interval, those of the model together, the largest first."""
-    from terraphi.experiment.tool import Tool
+    from terraphi.experiment.rig import Tool
 
     squares: Counter[str] = Counter()
     for name, sd in answer.budget_deg.items():
