@@ -76,11 +76,10 @@ def simulate(
 
 def announce(scenarios: Sequence[Scenario], workers: int = 1) -> None:
     """Print what looks like a mistake in scenarios and, on a terminal, how long they will take."""
-    from terraphi.experiment.plausibility import doubts
     from terraphi.forward.forecast import forecast
 
-    for doubt in dict.fromkeys(doubt for one in scenarios for doubt in doubts(one)):
-        click.echo(f"terraphi: {doubt}", err=True)
+    for warning in dict.fromkeys(text for one in scenarios for text in one.warnings()):
+        click.echo(f"terraphi: {warning}", err=True)
     if sys.stderr.isatty():
         click.echo(forecast(scenarios).sentence(workers), err=True)
 

@@ -23,7 +23,8 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import Strict, parse_toml, refuse
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import number_with_sd, plain_number
-from terraphi.experiment.leg import Leg, RotatingShape, frame_axes
+from terraphi.experiment.leg import Leg, RotatingShape
+from terraphi.experiment.motion import placed
 from terraphi.experiment.scenario import GRAVITY, Scenario
 
 SIMULATED_LENGTH = 0.0762
@@ -318,11 +319,7 @@ def swept(leg: Leg, hip_height: float, theta_deg: FloatArray) -> FloatArray:
 
     Shape [theta, corner, 2].
     """
-    along, motion = frame_axes(np.radians(theta_deg)[:, None])
-    outline = leg.outline()
-    return np.asarray(
-        outline[:, :1] * along + outline[:, 1:] * motion + np.array([0.0, hip_height])
-    )
+    return placed(leg.outline(), np.array([0.0, hip_height]), np.radians(theta_deg))
 
 
 def contact_deg(leg: Leg, hip_height: float) -> tuple[float, float]:

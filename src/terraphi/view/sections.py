@@ -212,7 +212,7 @@ def of_answer(answer: Answer) -> Section:
             parts.append(Plot(f"Residual{where}", [limit, *residuals], layout, note, wide=True))
     parts += _posterior(answer)
     if answer.budget_deg:
-        names, values = zip(*reversed(answer.budget_deg.items()), strict=True)
+        names, values = zip(*[*answer.budget_deg.items()][::-1], strict=True)
         bars = {"type": "bar", "orientation": "h", "x": numbers(values), "y": [*names]}
         layout = axes("standard deviation of φ [deg]", "")
         marker = {"marker": {"color": BLUE}}
