@@ -66,6 +66,12 @@ def resolution(values: FloatArray) -> float:
     return found if found > least and np.allclose(multiples, multiples.round(), atol=0.02) else 0.0
 
 
+def force_label(channel: str) -> str:
+    """Label of an axis that shows a channel of a force history."""
+    symbol = "$M$" if channel == "M" else f"$F_{channel[1]}$"
+    return f"{symbol} [{CHANNEL_UNITS[channel]}]"
+
+
 class Origin(BaseModel, strict=True, extra="allow"):
     """Types of those entries of a history's provenance that are read back."""
 
@@ -371,7 +377,6 @@ class ForceHistory:
             Where to draw; ``None`` makes a figure. One that has panels gets another curve in each.
         """
         from terraphi.experiment.figure import Figure as NewFigure
-        from terraphi.experiment.figure import force_label
 
         figure = figure or NewFigure(figsize=(8.0, 3.0), layout="constrained")
         panels = figure.axes or figure.subplots(1, len(self.channels), squeeze=False)[0]

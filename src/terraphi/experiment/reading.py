@@ -485,7 +485,7 @@ class _LegTable(_Reading[ForceColumns]):
             along = (given.rate_deg_s or 1.0) * self.column("time")
         theta = given.theta_sign * (along + given.theta_offset_deg)
         needed = [v for role, v in columns.items() if role != "moment" or len(self.axes) < 2]
-        whole = np.isfinite([theta, *needed]).all(axis=0)
+        whole = np.asarray(np.isfinite([theta, *needed]).all(axis=0))
         if not whole.any():
             self.refuse("no row has all that is needed; check the columns")
         if not whole.all():

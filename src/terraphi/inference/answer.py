@@ -391,7 +391,7 @@ class Answer(AnswerSummary):
             Where to draw; ``None`` makes a figure.
         """
         from terraphi.experiment.figure import Figure as NewFigure
-        from terraphi.experiment.figure import force_label
+        from terraphi.experiment.history import force_label
 
         figure = figure or NewFigure(figsize=(10.0, 3.4), layout="constrained")
         panels = dict.fromkeys((name, one.along) for one in self.records for name in one.nrmsd)
