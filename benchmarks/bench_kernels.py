@@ -19,7 +19,8 @@ import numpy as np
 
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward.bed import sub_cells
-from terraphi.forward.driver import Kernel, path_of_steps
+from terraphi.forward.checkpoint import Kernel
+from terraphi.forward.driver import path_of_steps
 from terraphi.forward.ledger import empty_audit, empty_reaction
 from terraphi.forward.mpm.lattice import lattice_of
 from terraphi.forward.mpm.plasticity import material_of

@@ -8,7 +8,7 @@ from typing import Literal
 import pytest
 from pydantic import Field
 
-from terraphi.experiment.documents import Strict, parse_toml, shipped_file, shipped_names
+from terraphi.experiment.documents import Strict, parse_toml
 from terraphi.experiment.errors import InputError, nearest
 
 
@@ -80,10 +80,3 @@ def test_a_byte_order_mark_and_arrays_for_tuples_are_read(tmp_path: Path) -> Non
     file = tmp_path / "x.toml"
     file.write_bytes(b"\xef\xbb\xbfsize = [2, 3.5]\r\n")
     assert parse_toml(file, Rover).size == (2.0, 3.5)
-
-
-def test_shipped_files() -> None:
-    assert {"rft3d", "paper", "paper-code"} <= set(shipped_names("libraries", ".nc"))
-    assert shipped_file("libraries", "rft3d", ".nc").is_file()
-    with pytest.raises(InputError, match=r"'rft3' is neither .*; did you mean 'rft3d'"):
-        shipped_file("libraries", "rft3", ".nc")

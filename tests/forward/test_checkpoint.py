@@ -97,12 +97,9 @@ def _kept(scenario, tmp_path):
     return kept
 
 
-@pytest.mark.parametrize("named", [False, True])
 @pytest.mark.parametrize("spoil", ["scenario", "software", "cut", "empty"])
-def test_a_checkpoint_that_does_not_fit(
-    scenario, kept, named, spoil, monkeypatch, caplog, space
-) -> None:
-    """One that a person named is refused; ours is ignored, with a word, and overwritten."""
+def test_a_checkpoint_that_does_not_fit(scenario, kept, spoil, monkeypatch, caplog, space) -> None:
+    """It is ignored, with a word, and overwritten."""
     content = kept.path.read_bytes()
     words = "not a whole checkpoint"
     if spoil == "scenario":
@@ -114,10 +111,6 @@ def test_a_checkpoint_that_does_not_fit(
         words = "has numpy"
     else:
         kept.path.write_bytes(content[: len(content) // 2] if spoil == "cut" else b"")
-    if named:
-        with pytest.raises(InputError, match=rf"c: .*{words}.*; remove it, or name another file"):
-            simulate(scenario, checkpoint=Checkpoint(kept.path, named=True))
-        return
     with pytest.raises(StopError):
         simulate(scenario, checkpoint=kept, progress=stop)
     assert words in caplog.text

@@ -11,7 +11,7 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import forecast as module
 from terraphi.forward import simulate
-from terraphi.forward.forecast import YEAR, forecast, lasting, particle_count, step_count
+from terraphi.forward.forecast import forecast, particle_count, step_count
 
 
 def test_particles_and_steps_are_those_of_the_simulation(space) -> None:
@@ -58,12 +58,3 @@ def test_what_cannot_fit_is_refused(changes: dict[str, Any], what: str, monkeypa
         assert tracemalloc.get_traced_memory()[1] < 50e6  # nothing is laid out to be counted
     finally:
         tracemalloc.stop()
-
-
-@pytest.mark.parametrize(
-    ("seconds", "words"),
-    [(0.2, "less than a second"), (90.0, "about 90 s"), (1500.0, "about 25 minutes"),
-     (3.0 * YEAR, "about 3 years"), (float("inf"), "over 10,000 years")],
-)  # fmt: skip
-def test_times_in_words(seconds: float, words: str) -> None:
-    assert lasting(seconds) == words

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from terraphi import Answer, InputError, invert
+from terraphi.view.console import Table
 from terraphi.view.page import render, sections
 from terraphi.view.sections import Plot, Section, band, kind_of, line, of_answer, points
-from terraphi.view.table import Table
 
 HOSTILE = "</script><img src=x onerror=alert(1)>"
 

@@ -8,21 +8,10 @@ from typing import Any
 
 import click
 
-from terraphi.cli.options import (
-    PATH,
-    Float,
-    columns_option,
-    density_option,
-    gain_option,
-    grain_size_option,
-    json_option,
-    law_option,
-    rig_options,
-)
+from terraphi.cli.options import PATH, Float, json_option, record_options
 from terraphi.experiment.errors import InputError
 from terraphi.view.answers import headline, parts_of
-from terraphi.view.console import present, progress_bar
-from terraphi.view.table import Table
+from terraphi.view.console import Table, present, progress_bar
 
 SOME_FAILED = 1
 """Exit status where some records of a table cannot be used."""
@@ -30,31 +19,16 @@ SOME_FAILED = 1
 
 @click.command()
 @click.argument("forces", nargs=-1, metavar="[FORCES...]")
-@rig_options
-@click.option(
-    "--tool",
-    metavar="plate:MM|ball:MM",
-    help="Pressed in; plate:MMxMM as well.",
-)
-@density_option
-@grain_size_option
-@columns_option
-@gain_option
-@law_option
+@record_options
+@click.option("--tool", metavar="plate:MM|ball:MM", help="Pressed in; plate:MMxMM as well.")
 @click.option("--noise", type=Float(), help="Noise [N].  [default: estimated]")
 @click.option("--calibration", type=PATH, help="File of 'terraphi calibrate'.")
 @click.option("--critical", metavar="DEG[±SD]", help="Critical φ; of dense soil adds the peak.")
 @click.option(
-    "--simulated/--measured",
-    default=None,
-    help="What FORCES are.  [default: as in FORCES]",
+    "--simulated/--measured", default=None, help="What FORCES are.  [default: as in FORCES]"
 )
 @click.option("--out", type=PATH, help="Folder for answer.json, .nc and .png.")
-@click.option(
-    "--table",
-    type=PATH,
-    help="CSV to write; without FORCES, to read.",
-)
+@click.option("--table", type=PATH, help="CSV to write; without FORCES, to read.")
 @click.option("-v", "--verbose", is_flag=True, help="Print all warnings, and tables.")
 @json_option
 def invert(
@@ -133,12 +107,7 @@ def tabulate(
 @click.command()
 @click.argument("forces", nargs=-1, required=True, metavar="FORCES...")
 @click.option("--phi", required=True, metavar="MEAN±SD", help="Known friction angle [deg].")
-@rig_options
-@density_option
-@grain_size_option
-@columns_option
-@gain_option
-@law_option
+@record_options
 @click.option("--out", type=PATH, required=True, help="TOML file for 'invert --calibration'.")
 @json_option
 def calibrate(forces: tuple[str, ...], phi: str, out: Path, as_json: bool, **options: Any) -> None:

@@ -11,8 +11,7 @@ import click
 from terraphi.cli.options import PATH, json_option, rig_options
 from terraphi.cli.simulate import announce
 from terraphi.experiment.errors import InputError
-from terraphi.view.console import present, progress_bar
-from terraphi.view.table import Table
+from terraphi.view.console import Table, present, progress_bar
 
 if TYPE_CHECKING:
     from terraphi.laws.legs import Legs

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +48,12 @@ def option_group(*each: Callable[..., Any]) -> Callable[..., Any]:
     return decorate
 
 
+def choice(name: str, choices: Sequence[str], default: str, text: str) -> Callable[..., Any]:
+    """An option that is one of some words, with a default that the help shows."""
+    kind = click.Choice(choices)
+    return click.option(name, type=kind, default=default, show_default=True, help=text)
+
+
 rig_options = option_group(
     click.option("--leg", type=click.Choice(LEGS), help="Shape of the leg."),
     click.option("--length", metavar="MM", help="From the hip to the outermost tip."),
@@ -55,39 +61,25 @@ rig_options = option_group(
     click.option("--thickness", metavar="MM", help="Of the leg."),
     click.option("--hip-height", metavar="MM[±SD]", help="Above the soil.  [default SD: 2]"),
     click.option("--leg-friction", metavar="MU[±SD]", help="On soil.  [default: 0.3±0.09]"),
-    click.option(
-        "--rig",
-        metavar="FILE|li2013",
-        help="All of these in TOML, or Li et al. (2013).",
-    ),
+    click.option("--rig", metavar="FILE|li2013", help="All of these in TOML, or Li et al. (2013)."),
 )
 """A rig: its leg and four sizes, or a file."""
 density_option = click.option(
-    "--density",
-    metavar="KG_M3[±SD]",
-    help="Bulk density, as 1600 (± 5 %) or 1600±80.",
+    "--density", metavar="KG_M3[±SD]", help="Bulk density, as 1600 (± 5 %) or 1600±80."
 )
-grain_size_option = click.option(
-    "--grain-size",
-    "grain_size_mm",
-    metavar="MM",
-    type=Float(),
-    help="Mean diameter of coarse grains.  [default: 0]",
-)
-columns_option = click.option(
-    "--columns",
-    metavar="FILE|KEY=VALUE",
-    help="As in 'terraphi keys forces', or guessed.",
-)
-gain_option = click.option(
-    "--gain",
-    metavar="GAIN[±SD]",
-    help="Gain of the sensor.  [default: 1±0.02]",
-)
-law_option = click.option(
-    "--law",
-    "--library",
-    "law",
-    metavar="NAME|FILE",
-    help="Name or .nc file.  [default: legs]",
-)
+record_options = option_group(
+    rig_options,
+    density_option,
+    click.option(
+        "--grain-size", "grain_size_mm", metavar="MM", type=Float(),
+        help="Mean diameter of coarse grains.  [default: 0]",
+    ),
+    click.option(
+        "--columns", metavar="FILE|KEY=VALUE", help="As in 'terraphi keys forces', or guessed."
+    ),
+    click.option("--gain", metavar="GAIN[±SD]", help="Gain of the sensor.  [default: 1±0.02]"),
+    click.option(
+        "--law", "--library", "law", metavar="NAME|FILE", help="Name or .nc file.  [default: legs]"
+    ),
+)  # fmt: skip
+"""Rig, soil, table and law of a record."""

@@ -7,9 +7,8 @@ from typing import Any
 
 import click
 
-from terraphi.cli.options import PATH, json_option
-from terraphi.view.console import as_text, present, progress_bar
-from terraphi.view.table import Table
+from terraphi.cli.options import PATH, choice, json_option
+from terraphi.view.console import Table, as_text, present, progress_bar
 
 NAMES = (
     *("recovery", "benchmark", "sensitivity", "phi_sensitivity", "k0", "prototype", "surrogate"),
@@ -19,12 +18,11 @@ NAMES = (
 
 @click.command()
 @click.argument("name", required=False, metavar="[NAME]", type=click.Choice(NAMES))
-@click.option(
+@choice(
     "--library",
-    type=click.Choice(("paper", "paper-code")),
-    default="paper",
-    show_default=True,
-    help="Model: the paper's text, or its public code (recovery, phi_sensitivity, k0, surrogate).",
+    ("paper", "paper-code"),
+    "paper",
+    "Model: the paper's text, or its public code (recovery, phi_sensitivity, k0, surrogate).",
 )
 @click.option("--out", type=PATH, help="Folder for data.json and figures.")
 @json_option

@@ -7,16 +7,14 @@ from typing import Any
 
 import click
 
-from terraphi.cli.options import ESTIMATORS, FRAMES, LAWS, PATH, Float, json_option, option_group
+from terraphi.cli import options as shared
+from terraphi.cli.options import PATH, Float, choice, json_option, option_group
 from terraphi.view.console import present
 
 log_options = option_group(
     click.argument("log"),
     click.option(
-        "--robot",
-        default="go2",
-        show_default=True,
-        help="Name, URDF, MJCF or TOML of the robot.",
+        "--robot", default="go2", show_default=True, help="Name, URDF, MJCF or TOML of the robot."
     ),
     click.option("--topic", help="Topic of a bag; if not given, the one with joint states."),
     click.option(
@@ -46,20 +44,13 @@ log_options = option_group(
 
 @click.command()
 @log_options
-@click.option(
+@choice(
     "--estimator",
-    type=click.Choice(ESTIMATORS),
-    default="momentum_observer",
-    show_default=True,
-    help="How forces follow from torques; quasi_static is the paper's way.",
+    shared.ESTIMATORS,
+    "momentum_observer",
+    "How forces follow from torques; quasi_static is the paper's way.",
 )
-@click.option(
-    "--frame",
-    type=click.Choice(FRAMES),
-    default="world",
-    show_default=True,
-    help="Axes of the forces: the world's or the body's.",
-)
+@choice("--frame", shared.FRAMES, "world", "Axes of the forces: the world's or the body's.")
 @click.option("--out", type=PATH, help="NetCDF file for forces and stances.")
 @click.option("--figures", type=PATH, help="Folder for forces.png and stance.png.")
 @json_option
@@ -115,17 +106,14 @@ def forces(
     metavar="[x=A:B,]phi=P±SD",
     help="Known friction angle on a stretch of the path [m], s=A:B along it; or of all of it.",
 )
-@click.option(
+@choice(
     "--law",
-    type=click.Choice(LAWS),
-    default="foot",
-    show_default=True,
-    help="Force law: simulated, resistive force theory, or a formula of bearing capacity.",
+    shared.LAWS,
+    "foot",
+    "Force law: simulated, resistive force theory, or a formula of bearing capacity.",
 )
 @click.option(
-    "--out",
-    type=PATH,
-    help="NetCDF file; .png, .csv and .geojson of the same name go with it.",
+    "--out", type=PATH, help="NetCDF file; .png, .csv and .geojson of the same name go with it."
 )
 @click.option("--mcap", type=PATH, help="MCAP of φ, for Foxglove and Rerun.")
 @json_option

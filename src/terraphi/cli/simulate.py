@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -77,24 +76,22 @@ def simulate(
 
 def announce(scenarios: Sequence[Scenario], workers: int = 1) -> None:
     """Print what looks like a mistake in scenarios and, on a terminal, how long they will take."""
-    from terraphi.experiment.plausibility import doubts
     from terraphi.forward.forecast import forecast
 
-    for doubt in dict.fromkeys(doubt for one in scenarios for doubt in doubts(one)):
-        click.echo(f"terraphi: {doubt}", err=True)
+    for warning in dict.fromkeys(text for one in scenarios for text in one.warnings()):
+        click.echo(f"terraphi: {warning}", err=True)
     if sys.stderr.isatty():
         click.echo(forecast(scenarios).sentence(workers), err=True)
 
 
 def changed(scenario: Scenario, changes: tuple[str, ...]) -> Scenario:
     """A scenario with the keys of ``--set`` replaced; raises InputError if one cannot be."""
+    from terraphi.experiment.documents import value_of
+
     found: dict[str, Any] = {}
     for change in changes:
         key, given, text = change.partition("=")
         if not given:
             raise InputError(f"--set {change}: give KEY=VALUE, such as leg.shape=c")
-        try:
-            found[key] = tomllib.loads(f"value = {text}")["value"]
-        except tomllib.TOMLDecodeError:  # a word without quotation marks
-            found[key] = text
+        found[key] = value_of(text)
     return scenario.replace("--set", **found)

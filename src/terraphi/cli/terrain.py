@@ -7,22 +7,14 @@ from typing import Any
 
 import click
 
-from terraphi.cli.options import (
-    DP_TYPES,
-    MATCHES,
-    PATH,
-    SIMULATORS,
-    TUNED,
-    Float,
-    density_option,
-    json_option,
-)
+from terraphi.cli import options as shared
+from terraphi.cli.options import PATH, Float, choice, density_option, json_option
 from terraphi.view.console import present, progress_bar
 
-SIMULATOR = click.Choice(SIMULATORS)
+SIMULATOR = click.Choice(shared.SIMULATORS)
 dp_type_option = click.option(
     "--dp-type",
-    type=click.Choice(DP_TYPES),
+    type=click.Choice(shared.DP_TYPES),
     help="Cone of geotaichi.  [default: MiddleCircumscribed]",
 )
 seed_option = click.option(
@@ -34,13 +26,7 @@ seed_option = click.option(
 @click.argument("answer", metavar="ANSWER|SOIL")
 @click.option("--to", required=True, type=SIMULATOR, help="The simulator.")
 @density_option
-@click.option(
-    "--match",
-    type=click.Choice(MATCHES),
-    default="plane-strain",
-    show_default=True,
-    help="Stress path in which both are as strong.",
-)
+@choice("--match", shared.MATCHES, "plane-strain", "Stress path in which both are as strong.")
 @dp_type_option
 @click.option(
     "--draws",
@@ -93,7 +79,7 @@ def convert(value: str, from_: str | None, as_json: bool, **options: Any) -> Non
 
 
 @click.command()
-@click.argument("name", metavar="SIMULATOR", type=click.Choice(TUNED))
+@click.argument("name", metavar="SIMULATOR", type=click.Choice(shared.TUNED))
 @click.option("--voxel", required=True, type=Float(), metavar="M", help="Size of a grid cell.")
 @click.option(
     "--foot",

@@ -8,8 +8,7 @@ from pathlib import Path
 import click
 
 from terraphi.cli.options import PATH, json_option
-from terraphi.view.console import present
-from terraphi.view.table import Table
+from terraphi.view.console import Table, present
 
 
 @click.command()

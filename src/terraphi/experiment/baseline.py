@@ -14,11 +14,11 @@ of another leg, which is in soil there, could pass for both.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
+from terraphi.experiment.history import CHANNEL_UNITS
 
 REST_DEG, FEWEST_ROWS, LONGER = 0.5, 10, 5.0
 """Path within which a leg rests [deg]; rows that it does so at least, as a number and over those
@@ -41,15 +41,6 @@ ZERO, DRIFT, WEIGHT = [0], [0, 1], [0, 2, 3]
 """Columns of the design that are fitted together."""
 
 
-class Baseline(NamedTuple):
-    """Readings without soil."""
-
-    values: FloatArray
-    """At each row, shape [row, channel]."""
-    notes: list[str]
-    """What was found and its size, a sentence each; empty if nothing is to be taken off."""
-
-
 def at_rest(theta_deg: FloatArray) -> BoolArray:
     """Rows in which the leg rests, of those in the order of time, shape [row]."""
     starts, anchor = [0], theta_deg[0]
@@ -61,10 +52,10 @@ def at_rest(theta_deg: FloatArray) -> BoolArray:
     return np.repeat(counts >= max(FEWEST_ROWS, LONGER * float(np.median(counts))), counts)
 
 
-def baseline(
-    theta_deg: FloatArray, values: FloatArray, air: BoolArray, names: Sequence[tuple[str, str]]
-) -> Baseline:
-    """Fit what a sensor reads in air, if there was a rest or it is more than good sensors read.
+def without_baseline(
+    theta_deg: FloatArray, values: FloatArray, air: BoolArray, channels: Sequence[str]
+) -> tuple[FloatArray, list[str]]:
+    """Take off what a sensor reads in air, if there was a rest or it is more than good ones read.
 
     Parameters
     ----------
@@ -74,8 +65,13 @@ def baseline(
         Channels [N] or [N m], shape [row, channel].
     air
         Rows in which the leg is clear of the soil, shape [row].
-    names
-        Name and unit of each channel, such as ``("Fx", "N")``.
+    channels
+        Name of each channel, such as ``Fx``.
+
+    Returns
+    -------
+    ndarray, list of str
+        Channels without it; and what was taken off, a sentence each.
     """
     still, count = at_rest(theta_deg), len(theta_deg)
     group = np.where(still, 1e3, 0.0) + np.floor(theta_deg / STRETCH_DEG)
@@ -109,12 +105,13 @@ def baseline(
     if not (
         np.isfinite(least) and (rests or (len(read) >= FEWEST_STRETCHES and size.max() > OFFSET))
     ):
-        return Baseline(np.zeros_like(values), [])
+        return values, []
     every = np.zeros((design.shape[1], len(span)))
     every[best] = solved
 
     def sizes(of: FloatArray) -> str:
-        return ", ".join(f"{n} {v:+.2f} {u}" for (n, u), v in zip(names, of, strict=True))
+        each = zip(channels, of, strict=True)
+        return ", ".join(f"{name} {size:+.2f} {CHANNEL_UNITS[name]}" for name, size in each)
 
     by = f"the rest in air at the {' and the '.join(rests)}" if rests else "the angles in air"
     notes = [f"Tared by {by}: {sizes(every[0])}."]
@@ -125,4 +122,4 @@ def baseline(
         notes.append(f"The leg's own weight is taken off, a sine of θ in air: {sizes(amplitude)}.")
     elif not weighed:
         notes.append("The leg's own weight is taken to be subtracted: too few angles in air.")
-    return Baseline(found, notes)
+    return values - found, notes

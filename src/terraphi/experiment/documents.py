@@ -76,6 +76,14 @@ def located(source: Path | str, folder: str, suffix: str) -> Path:
     return shipped_file(folder, str(source), suffix)
 
 
+def value_of(text: str) -> Any:
+    """A value on a command line as TOML has it; a word may lack its quotation marks."""
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text.strip()
+
+
 def strictly(content: Any, model: type[Model], source: str) -> Model:
     """Check a document by its types as written: ``true`` and ``"1650"`` are no numbers.
 

@@ -6,16 +6,9 @@ import base64
 import io
 
 from terraphi.experiment.errors import needing
-from terraphi.experiment.history import CHANNEL_UNITS
 
 with needing("a picture", "Matplotlib", extra="plot"):
     from matplotlib import figure
-
-
-def force_label(channel: str) -> str:
-    """Label of an axis that shows a channel of a force history."""
-    symbol = "$M$" if channel == "M" else f"$F_{channel[1]}$"
-    return f"{symbol} [{CHANNEL_UNITS[channel]}]"
 
 
 class Figure(figure.Figure):

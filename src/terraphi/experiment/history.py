@@ -20,7 +20,7 @@ from pydantic import BaseModel, Json
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import open_netcdf, positions, write_netcdf
-from terraphi.experiment.force_table import write_force_table
+from terraphi.experiment.tables import write_force_table
 from terraphi.experiment.units import FORCE
 
 if TYPE_CHECKING:
@@ -64,6 +64,12 @@ def resolution(values: FloatArray) -> float:
     found = float(min(steps[steps > 1e-3 * least], default=0.0))
     multiples = steps / max(found, 1e-300)
     return found if found > least and np.allclose(multiples, multiples.round(), atol=0.02) else 0.0
+
+
+def force_label(channel: str) -> str:
+    """Label of an axis that shows a channel of a force history."""
+    symbol = "$M$" if channel == "M" else f"$F_{channel[1]}$"
+    return f"{symbol} [{CHANNEL_UNITS[channel]}]"
 
 
 class Origin(BaseModel, strict=True, extra="allow"):
@@ -371,7 +377,6 @@ class ForceHistory:
             Where to draw; ``None`` makes a figure. One that has panels gets another curve in each.
         """
         from terraphi.experiment.figure import Figure as NewFigure
-        from terraphi.experiment.figure import force_label
 
         figure = figure or NewFigure(figsize=(8.0, 3.0), layout="constrained")
         panels = figure.axes or figure.subplots(1, len(self.channels), squeeze=False)[0]

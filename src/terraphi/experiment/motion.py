@@ -31,8 +31,13 @@ class Poses(NamedTuple):
 
     def placed(self, points: FloatArray) -> FloatArray:
         """Positions (x, z) of points of the leg's frame [m]: [point, 2] -> [time, point, 2]."""
-        along, ahead = (axis[:, None, :] for axis in frame_axes(self.theta))
-        return self.hip[:, None, :] + points[:, :1] * along + points[:, 1:] * ahead
+        return placed(points, self.hip, self.theta)
+
+
+def placed(points: FloatArray, hip: FloatArray, theta: FloatArray) -> FloatArray:
+    """Positions of points of the leg's frame about one hip or several [m], as of :class:`Poses`."""
+    along, ahead = (axis[:, None, :] for axis in frame_axes(theta))
+    return np.asarray(hip[..., None, :] + points[:, :1] * along + points[:, 1:] * ahead)
 
 
 class Rotation(Strict):

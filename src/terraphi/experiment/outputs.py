@@ -20,6 +20,7 @@ from terraphi.experiment.files import (
     check_is_file,
     made_folder,
     makeable,
+    netcdf_kind,
     read_bytes,
     temporary_folder,
     writable,
@@ -70,11 +71,9 @@ def _is_ours(path: Path, kind: str) -> bool:
     if not kind:
         content = read_bytes(path)
         return any(mark in content for mark in _MARKS)
-    import h5py
-
-    with suppress(Exception), h5py.File(path) as file:
-        return bool(file.attrs.get("terraphi_file") == kind)
-    return False  # damaged, or of another format
+    with suppress(InputError):  # damaged, or of another format
+        return netcdf_kind(path) == kind
+    return False
 
 
 def check_folder(path: Path, *, kind: str, names: Iterable[str] = ()) -> set[str]:

@@ -11,18 +11,17 @@ import re
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, ClassVar, Literal, NamedTuple, NoReturn, Self
+from typing import Any, Generic, Literal, NamedTuple, NoReturn, Self, TypeVar
 
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
-from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.baseline import at_rest, baseline
-from terraphi.experiment.documents import Strict, parse_toml, strictly
+from terraphi.experiment.arrays import BoolArray, FloatArray
+from terraphi.experiment.baseline import at_rest, without_baseline
+from terraphi.experiment.documents import Strict, parse_toml, strictly, value_of
 from terraphi.experiment.errors import GUESSED, InputError, nearest
-from terraphi.experiment.force_table import CSV_COLUMNS, origin
-from terraphi.experiment.history import CHANNEL_UNITS, ForceHistory, resolution
-from terraphi.experiment.tables import Table, read_table, table_of
+from terraphi.experiment.history import ForceHistory, resolution
+from terraphi.experiment.tables import CSV_COLUMNS, Table, origin, read_table, table_of
 from terraphi.experiment.units import KINDS, unit_named
 
 TURN_DEG = 10.0
@@ -45,7 +44,6 @@ PREVIEW_ROWS = 6
 """Rows of a preview."""
 TURNED = ("theta_sign", "fx_sign", "fz_sign", "force_on")
 """Options that turn a sign."""
-ROLES = ("theta", "fx", "fz")
 NO_FORCE = r"#|row|nr|no|index|sample|test|comment|temp\w*"
 """Names of columns that are none of a force, where only a moment was found."""
 OTHER_ANGLE = (
@@ -71,9 +69,16 @@ _NAMES = {
 }
 """Names of columns, without units, signs and case."""
 _LOOSE = {"theta": "theta|angle|winkel|θ", "fx": "fx|forcex|xforce", "fz": "fz|forcez|zforce"}
-KIND = {"theta": "angle", "fx": "force", "fz": "force", "time": "time", "moment": "moment"}
+LEG = {"theta": "angle", "fx": "force", "fz": "force", "time": "time", "moment": "moment"}
 PRESSED = {"sinkage": "length", "force": "force", "pressure": "pressure"}
 """Kinds of the columns of a leg, and of a body that is pressed in."""
+KIND = LEG | PRESSED
+UNIT_KEYS = {
+    "angle": "theta_unit", "force": "unit", "length": "sinkage_unit", "pressure": "pressure_unit",
+}  # fmt: skip
+"""Option that names the unit of a kind."""
+_WORDS = {"theta": "theta", "fx": "Fx", "fz": "Fz"}
+_WORDS |= {role: f"the {role}" for role in ("moment", "time", *PRESSED)}
 _Unit = Literal["N", "kN", "mN", "MN", "lbf", "ozf", "kgf", "gf", "dyn"]
 
 
@@ -99,7 +104,7 @@ class Columns(Strict):
             return parse_toml(Path(given), cls)
         if isinstance(given, str):
             pairs = [pair.partition("=") for pair in re.split("[,;]", given)]
-            given = {key.strip(): _value(text.strip()) for key, _, text in pairs}
+            given = {key.strip(): value_of(text) for key, _, text in pairs}
         known = {k: value for k, value in dict(given or {}).items() if value is not None}
         return strictly(known, cls, "columns")
 
@@ -157,14 +162,7 @@ class ForceColumns(Columns):
     """Leg angle [deg] above which it is in air again; 180 for not at all."""
 
 
-def _value(text: str) -> Any:
-    """A number if the text is one."""
-    for kind in (int, float):
-        try:
-            return kind(text)
-        except ValueError:
-            pass
-    return text.strip("'\"")
+Given = TypeVar("Given", bound=Columns)
 
 
 def read_forces(source: Any, **columns: Any) -> ForceHistory:
@@ -215,7 +213,7 @@ def read_forces(source: Any, **columns: Any) -> ForceHistory:
     found = read_trials(source, columns)
     if len(found) > 1:
         raise InputError(
-            f"{_name_of(source)}: {len(found)} strokes; give the table to invert, which takes them "
+            f"{_name(source)}: {len(found)} strokes; give the table to invert, which takes them "
             "as trials, or cut it into files of one stroke"
         )
     return found[0]
@@ -225,52 +223,43 @@ def read_trials(
     source: Any, columns: ForceColumns | Mapping[str, Any] | Path | str | None = None
 ) -> list[ForceHistory]:
     """Forces of each stroke in which θ grows, of a ``Table`` or what :func:`read_forces` takes."""
-    found = _Reading(source, ForceColumns.of(columns))
+    found = _LegTable(source, ForceColumns.of(columns))
     name, table = found.source, found.table
-    if found.wrong:
-        found.refuse("; ".join(found.wrong))
-    theta, force, moment = found.values()
-    steps = {f"F{axis}": resolution(row) for axis, row in zip(found.axes, force.T, strict=True)}
-    steps["M"] = resolution(moment)
-    turned = found.given.model_dump(exclude_defaults=True, include={*TURNED})
+    found.refuse_wrong()
+    theta, values = found.values()
+    steps = {n: resolution(row) for n, row in zip(found.channels, values.T, strict=True)}
     known: dict[str, Any] = {}
     if found.given.model_fields_set <= {"air_before_deg", "air_after_deg"} and (
         {*CSV_COLUMNS} == {*found.names.values()}
     ):
         known = origin(Path(name), table.comments, table.frame[list(CSV_COLUMNS)].to_numpy())
     if not known:
-        force, moment = found.tared(theta, force, moment)
-    strokes = found.strokes(theta, force if len(found.axes) == 2 else moment[:, None])
+        values = found.tared(theta, values)
+    strokes = found.strokes(theta, values[:, :2] if len(found.axes) == 2 else values[:, -1:])
+    unit = found.unit(f"f{found.axes[-1]}")[0] if found.axes else "N"
+    file = "standard input" if name == "-" else Path(name).name
+    about: dict[str, Any] = {
+        "force_unit": "" if unit == "N" else unit,
+        "resolution": steps if any(steps.values()) else {},
+        "columns": found.given.model_dump(exclude_defaults=True, include={*TURNED}),
+    }
     histories = []
-    unit = found._unit(f"f{found.axes[-1]}")[0] if found.axes else "N"
     for i, which in enumerate(strokes):
-        position, values = _increasing(theta[which], np.column_stack([force, moment])[which])
+        position, rows = _increasing(theta[which], values[which])
         if i == 0 and len(position) < len(which):
             found.notes.append(
                 f"Rows are averaged in bins of {BIN_DEG:g}°: {len(which)} become {len(position)}."
             )
-        turning = values[:, -1] if np.isfinite(values[:, -1]).all() else None
-        if turning is None and "moment" in found.names and i == 0:
-            found.notes.append("The moment lacks numbers, and is not used.")
-        if turning is not None and np.trapezoid(turning, position) > 0.0:
-            turning = -turning  # soil resists the leg, so that this is the motor's
-        trial = f" (stroke {i + 1})" if len(strokes) > 1 else ""
-        file = "standard input" if name == "-" else Path(name).name
+        moment = rows[:, -1].copy() if "M" in found.channels else None
+        if moment is not None and np.trapezoid(moment, position) > 0.0:
+            moment = -moment  # soil resists the leg, so that this is the motor's
+        about["file"] = f"{file} (stroke {i + 1})" if len(strokes) > 1 else file
+        about["reading"] = found.notes if i == 0 else []
+        provenance = known | {key: value for key, value in about.items() if value}
+        force = rows[:, : len(found.axes)].copy()
         histories.append(
-            ForceHistory(
-                np.radians(position),
-                values[:, :-1].copy(),
-                axes=found.axes,
-                provenance=known | {"file": file + trial} | (
-                    {"force_unit": unit} if unit != "N" else {}
-                ) | ({"resolution": steps} if any(steps.values()) else {}) | (
-                    {"columns": turned} if turned else {}
-                ) | (
-                    {"reading": found.notes} if found.notes and i == 0 else {}
-                ),
-                moment=turning,
-            )
-        )  # fmt: skip
+            ForceHistory(np.radians(position), force, "theta", found.axes, provenance, moment)
+        )
     found.refuse_other_zero(histories[0])
     return histories
 
@@ -300,7 +289,7 @@ def preview(
     InputError
         If it holds no rows of numbers, or an option is wrong.
     """
-    found = _Reading(source, ForceColumns.of(columns))
+    found = _LegTable(source, ForceColumns.of(columns))
     table = found.table
     written = [table.units.get(name) or unit for name, (_, unit) in found.parts.items()]
     return Preview(
@@ -308,196 +297,195 @@ def preview(
         [unit_named(unit or "") for unit in written],
         table.frame.head(PREVIEW_ROWS).to_numpy().tolist(),
         found.names,
-        {role: found._like(role) for role in KIND if role not in found.names},
+        {role: found.like(role) for role in LEG if role not in found.names},
     )
 
 
-def _name_of(source: Any) -> str:
+def _name(source: Any) -> str:
     return str(source) if isinstance(source, str | Path) else type(source).__name__
 
 
-def _table(source: Any) -> Table:
-    if isinstance(source, str | Path):
-        return read_table(Path(source))
-    return source if isinstance(source, Table) else table_of(source)
+class _Reading(Generic[Given]):
+    """One table and the columns that have a role in it; what was guessed, and what is wrong."""
 
-
-class _Reading:
-    """One table on its way to forces, with what was guessed and what is wrong."""
-
-    kinds = KIND
-    unit_keys: ClassVar = {"angle": "theta_unit", "force": "unit"}
-    """Option that names the unit of a kind."""
-
-    def __init__(self, source: Any, given: ForceColumns, units: Columns | None = None) -> None:
-        self.given, self.units, self.source = given, units or given, _name_of(source)
-        self.table = _table(source)
+    def __init__(self, source: Any, given: Given) -> None:
+        self.given, self.source = given, _name(source)
+        if isinstance(source, str | Path):
+            self.table = read_table(Path(source))
+        else:
+            self.table = source if isinstance(source, Table) else table_of(source)
         self.names: dict[str, str] = {}
         self.wrong: list[str] = []
         self.notes: list[str] = []
         self.parts = {name: _split(str(name)) for name in self.table.frame.columns}
-        self._choose()
+        self.header = ", ".join(f"'{name[:30]}'" for name in [*self.parts][:8])
 
     def refuse(self, sentence: str) -> NoReturn:
         """Raise InputError that names the table."""
         raise InputError(f"{self.source}: {sentence}")
 
-    # -- columns ---------------------------------------------------------------------------------
+    def refuse_wrong(self) -> None:
+        """Raise InputError with all that is wrong, if anything is."""
+        if self.wrong:
+            self.refuse("; ".join(self.wrong))
 
-    def _choose(self) -> None:
-        """Find the column of each role: as given, by our own names, or by a guess."""
-        guessed, lacking = [], []
-        timed = self.given.rate_deg_s is not None
-        for role in ("time" if timed else "theta", "fx", "fz", "moment"):
-            column = getattr(self.given, role)
-            if column is not None:
-                self._take(role, column)
-                continue
-            own = dict(zip(ROLES, CSV_COLUMNS, strict=True)).get(role)
-            if own in self.parts:
-                self.names[role] = str(own)
-                continue
-            found = self._like(role)
-            if role == "moment":  # not needed: only if there is no doubt
-                found = [n for n in found if len(found) == 1 and n not in self.table.words]
-            if len(found) == 1:
-                self.names[role] = found[0]
-                if role == "moment" and math.isnan(self._unit(role)[1]):
-                    del self.names[role]
-                    continue
-                guessed.append(f"{_WORDS[role]} from '{found[0]}' [{self._unit(role)[0]}]")
-            elif found:
-                listed = " or ".join(f"'{name[:40]}'" for name in found[:4])
-                self.wrong.append(
-                    f"{_WORDS[role]} may be {listed}; add --columns '{role}={found[0]}'"
-                )
-            elif role != "moment":
-                lacking.append(role)
-        if "moment" in self.names and {"fx", "fz"} & {*lacking}:
-            rest = [n for n in self.parts if n not in self.names.values()]
-            rest = [n for n in rest if not re.fullmatch(f"{NO_FORCE}|{_NAMES['time']}", n.lower())]
-            if self.given.moment is not None or not rest:
-                without = [_WORDS[role] for role in lacking if role != "theta"]
-                beware = (
-                    "" if len(without) == 1 else " It cannot show a wrong leg or a wrong scale."
-                )
-                self.notes.append(
-                    f"The moment is used in place of {' and '.join(without)}.{beware}"
-                )
-                lacking = [role for role in lacking if role == "theta"]
-        if lacking:
-            self._ask(lacking, timed)
-        if guessed:
-            self.notes.append(f"{GUESSED}{', '.join(guessed)}.")
-        for role in self.names:
-            self._check(role)
-        bare = [role for role in ("fx", "fz") if role in self.names and not self._written(role)]
-        if bare and self.given.unit is None:
-            self.notes.append("The forces have no unit, and are taken as N.")
-        alone = "moment" in self.names and not {"fx", "fz"} <= {*self.names}
-        if alone and not self._written("moment"):
-            self.notes.append("The moment has no unit, and is taken as N m.")
-
-    def _take(self, role: str, column: str) -> None:
+    def take(self, role: str, column: str) -> None:
         """The column of a name, which may lack its unit."""
         same = [name for name, (bare, _) in self.parts.items() if column in (name, bare)]
         if len(same) == 1 or column in same:
             self.names[role] = column if column in same else same[0]
         else:
-            header = list(self.parts)
-            hint = f"it fits {' and '.join(map(repr, same))}" if same else nearest(column, header)
+            hint = nearest(column, [*self.parts])
+            hint = f"it fits {' and '.join(map(repr, same))}" if same else hint
             self.wrong.append(f"no column '{column[:40]}' for {role}; {hint[:200]}")
 
-    def _like(self, role: str) -> list[str]:
+    def guess(self, role: str, found: list[str]) -> bool:
+        """Take the only column that fits a role, or complain about several; False of none."""
+        if len(found) == 1:
+            self.names[role] = found[0]
+        elif found:
+            listed = " or ".join(f"'{name[:40]}'" for name in found[:4])
+            self.wrong.append(f"{_WORDS[role]} may be {listed}; add --columns '{role}={found[0]}'")
+        return bool(found)
+
+    def like(self, role: str) -> list[str]:
         """Columns whose names fit a role."""
+        taken = self.names.values()
         plain = {
-            name: re.sub(r"[\W_]+", "", bare.lower()) for name, (bare, _) in self.parts.items()
-        }
-        taken = set(self.names.values())
-
-        def fitting(pattern: str, *, whole: bool) -> list[str]:
-            match = re.fullmatch if whole else re.search
-            return [n for n, text in plain.items() if match(pattern, text) and n not in taken]
-
-        found = fitting(_NAMES[role], whole=True)
-        found = found or (fitting(_LOOSE[role], whole=False) if role in _LOOSE else [])
+            name: re.sub(r"[\W_]+", "", bare.lower())
+            for name, (bare, _) in self.parts.items() if name not in taken
+        }  # fmt: skip
+        found = [name for name, text in plain.items() if re.fullmatch(_NAMES[role], text)]
+        if role in _LOOSE and not found:
+            found = [name for name, text in plain.items() if re.search(_LOOSE[role], text)]
         if role == "theta" and not found:  # the one whose unit is that of an angle
-            units = {
-                n: unit_named(self.table.units.get(n) or self.parts[n][1] or "") for n in plain
-            }
-            found = [n for n, unit in units.items() if unit in KINDS["angle"] and n not in taken]
-            found = [n for n in found if not re.search(OTHER_ANGLE, plain[n])]
+            found = [
+                name for name, text in plain.items()
+                if unit_named(self.written(name) or "") in KINDS["angle"]
+                and not re.search(OTHER_ANGLE, text)
+            ]  # fmt: skip
         return found
 
-    def _ask(self, lacking: list[str], timed: bool) -> None:
+    def written(self, column: str) -> str | None:
+        """Unit of a column as the table has it."""
+        return self.table.units.get(column) or self.parts[column][1]
+
+    def unit(self, role: str) -> tuple[str, float]:
+        """Unit of a column and what it is in our own; NaN if it is unknown."""
+        kind = KIND[role]
+        unit = getattr(self.given, UNIT_KEYS.get(kind, ""), None)
+        unit = unit or unit_named(self.written(self.names[role]) or next(iter(KINDS[kind])))
+        return (unit, KINDS[kind][unit]) if unit in KINDS[kind] else ("?", math.nan)
+
+    def check(self, role: str) -> None:
+        """Complain about words among the numbers of a column, and about its unit."""
+        column, kind = self.names[role], KIND[role]
+        words = self.table.words.get(column, [])
+        if words:
+            (place, cell), more = words[0], f" and {len(words) - 1} more" if len(words) > 1 else ""
+            self.wrong.append(
+                f"{place}: {column[:40]} = {cell[:30]!r}{more} is not a number; leave the cell "
+                "blank or remove the row"
+            )
+        if math.isnan(self.unit(role)[1]):
+            key = UNIT_KEYS.get(kind)
+            remedy = f"add --columns {key}=UNIT" if key else "rename it"
+            self.wrong.append(
+                f"column '{column[:40]}': '{self.written(column)}' is no known unit of {kind}; "
+                f"{remedy}, one of {', '.join(KINDS[kind])}"
+            )
+
+    def column(self, role: str) -> FloatArray:
+        """A column in the first unit of its kind."""
+        _, factor = self.unit(role)
+        return np.asarray(factor * self.table.frame[self.names[role]].to_numpy(np.float64))
+
+
+class _LegTable(_Reading[ForceColumns]):
+    """A table of forces on a leg over its angle."""
+
+    def __init__(self, source: Any, given: ForceColumns) -> None:
+        """Find the column of each role: as given, by our own names, or by a guess."""
+        super().__init__(source, given)
+        self.channels: list[str] = []
+        guessed, lacking = [], []
+        own = dict(zip(("theta", "fx", "fz"), CSV_COLUMNS, strict=True))
+        along = "theta" if given.rate_deg_s is None else "time"
+        for role in (along, "fx", "fz", "moment"):
+            column = getattr(given, role)
+            if column is not None:
+                self.take(role, column)
+            elif own.get(role) in self.parts:
+                self.names[role] = own[role]
+            elif role == "moment":  # not needed: only if there is no doubt
+                found = [name for name in self.like(role) if name not in self.table.words]
+                if len(self.like(role)) == 1 and found:
+                    self.names[role] = found[0]
+                    if math.isnan(self.unit(role)[1]):
+                        del self.names[role]
+            elif not self.guess(role, self.like(role)):
+                lacking.append(role)
+            if role in self.names and column is None and self.names[role] != own.get(role):
+                guessed.append(f"{_WORDS[role]} from '{self.names[role]}' [{self.unit(role)[0]}]")
+        if "moment" in self.names and {"fx", "fz"} & {*lacking}:
+            lacking = self._without_forces(lacking)
+        if lacking:
+            self._ask(lacking)
+        if guessed:
+            self.notes.append(f"{GUESSED}{', '.join(guessed)}.")
+        for role in self.names:
+            self.check(role)
+        unwritten = {role for role, name in self.names.items() if not self.written(name)}
+        if unwritten & {"fx", "fz"} and given.unit is None:
+            self.notes.append("The forces have no unit, and are taken as N.")
+        if "moment" in unwritten and len(self.axes) < 2:
+            self.notes.append("The moment has no unit, and is taken as N m.")
+
+    def _without_forces(self, lacking: list[str]) -> list[str]:
+        """Roles that still lack a column where the moment may stand for forces; noted."""
+        rest = [name for name in self.parts if name not in self.names.values()]
+        rest = [n for n in rest if not re.fullmatch(f"{NO_FORCE}|{_NAMES['time']}", n.lower())]
+        if rest and self.given.moment is None:
+            return lacking
+        without = [_WORDS[role] for role in lacking if role != "theta"]
+        beware = "" if len(without) == 1 else " It cannot show a wrong leg or a wrong scale."
+        self.notes.append(f"The moment is used in place of {' and '.join(without)}.{beware}")
+        return [role for role in lacking if role == "theta"]
+
+    def _ask(self, lacking: list[str]) -> None:
         """Complain about roles without a column."""
         header = list(self.parts)
-        listed = ", ".join(f"'{name[:30]}'" for name in header[:8])
         unnamed = len(header) >= len(lacking) and all(name.startswith("column ") for name in header)
         names = header if unnamed else ["NAME"] * len(lacking)
         pairs = ",".join(f"{role}={name}" for role, name in zip(lacking, names, strict=False))
-        more = ", or rate_deg_s=RATE for a time" if "theta" in lacking and not timed else ""
-        if "theta" in lacking and self._like("sinkage"):
+        more = ", or rate_deg_s=RATE for a time" if "theta" in lacking else ""
+        if "theta" in lacking and self.like("sinkage"):
             more += "; of a plate or ball pressed in, give --tool plate:MM or FILE@plate:MM"
         if "moment" in self.names and {"fx", "fz"} & {*lacking}:
             more += f", or 'moment={self.names['moment']}' to do without a force"
         self.wrong.append(
-            f"no column of {', '.join(_WORDS[role] for role in lacking)} among {listed}; add "
+            f"no column of {', '.join(_WORDS[role] for role in lacking)} among {self.header}; add "
             f"--columns '{pairs}'{more}"
         )
-
-    def _unit(self, role: str) -> tuple[str, float]:
-        """Unit of a column and what it is in N, degrees, seconds or N m; NaN if it is unknown."""
-        kind = self.kinds[role]
-        unit = getattr(self.units, self.unit_keys.get(kind, ""), None)
-        unit = unit or unit_named(self._written(role) or next(iter(KINDS[kind])))
-        return (unit, KINDS[kind][unit]) if unit in KINDS[kind] else ("?", math.nan)
-
-    def _written(self, role: str) -> str | None:
-        """Unit of a column as the table has it."""
-        column = self.names[role]
-        return self.table.units.get(column) or self.parts[column][1]
-
-    def _check(self, role: str) -> None:
-        """Complain about words among the numbers of a column, and about its unit."""
-        column, kind = self.names[role][:40], self.kinds[role]
-        words = self.table.words.get(self.names[role], [])
-        if words:
-            (place, cell), more = words[0], f" and {len(words) - 1} more" if len(words) > 1 else ""
-            self.wrong.append(
-                f"{place}: {column} = {cell[:30]!r}{more} is not a number; leave the cell blank or "
-                "remove the row"
-            )
-        if math.isnan(self._unit(role)[1]):
-            key = self.unit_keys.get(kind)
-            remedy = f"add --columns {key}=UNIT" if key else "rename it"
-            self.wrong.append(
-                f"column '{column}': '{self._written(role)}' is no known unit of {kind}; {remedy}, "
-                f"one of {', '.join(KINDS[kind])}"
-            )
-
-    # -- numbers ---------------------------------------------------------------------------------
 
     @property
     def axes(self) -> tuple[str, ...]:
         """Axes of the forces that the table has."""
         return tuple(axis for axis in "xz" if f"f{axis}" in self.names)
 
-    def values(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """θ [deg], force [N] (row, axis) and moment [N m] of the rows that are whole."""
-        column = {role: self._column(role) for role in self.names}
-        soil = -1.0 if self.given.force_on == "soil" else 1.0
-        signs = {"x": self.given.fx_sign, "z": self.given.fz_sign}
-        count = len(self.table.frame)
-        force = np.array([soil * signs[a] * column[f"f{a}"] for a in self.axes])
-        force = force.reshape(len(self.axes), count).T
-        rate = self.given.rate_deg_s or 1.0
-        along = column["theta"] if "theta" in column else rate * column["time"]
-        theta = self.given.theta_sign * (along + self.given.theta_offset_deg)
-        whole = np.isfinite(theta) & np.isfinite(force).all(axis=1)
-        moment = column.get("moment", np.full(count, np.nan))
-        if len(self.axes) < 2:
-            whole &= np.isfinite(moment)
+    def values(self) -> tuple[FloatArray, FloatArray]:
+        """θ [deg] and :attr:`channels` [N] or [N m] of the rows that are whole, [row, channel]."""
+        given = self.given
+        soil = -1.0 if given.force_on == "soil" else 1.0
+        signs = {"fx": soil * given.fx_sign, "fz": soil * given.fz_sign, "moment": 1.0}
+        columns = {r: sign * self.column(r) for r, sign in signs.items() if r in self.names}
+        if "theta" in self.names:
+            along = self.column("theta")
+        else:
+            along = (given.rate_deg_s or 1.0) * self.column("time")
+        theta = given.theta_sign * (along + given.theta_offset_deg)
+        needed = [v for role, v in columns.items() if role != "moment" or len(self.axes) < 2]
+        whole = np.asarray(np.isfinite([theta, *needed]).all(axis=0))
         if not whole.any():
             self.refuse("no row has all that is needed; check the columns")
         if not whole.all():
@@ -506,54 +494,39 @@ class _Reading:
                 f"{(~whole).sum()} of {len(whole)} rows lack a number and are left out, the first "
                 f"at {first}."
             )
-        theta, force, moment = theta[whole], force[whole], moment[whole]
+        theta, values = theta[whole], np.column_stack(list(columns.values()))[whole]
+        self.channels = [*(f"F{axis}" for axis in self.axes), "M"][: len(columns)]
+        if not np.isfinite(values).all():
+            self.notes.append("The moment lacks numbers, and is not used.")
+            self.channels, values = self.channels[:-1], values[:, :-1]
         if np.ptp(theta) > 360.0 or np.abs(np.diff(theta)).max(initial=0.0) > 180.0:
             # The encoder counts turns, or starts again at a full one.
             theta = np.where(np.abs(theta) > 180.0, (theta + 180.0) % 360.0 - 180.0, theta)
-        theta, force, moment = self._without_glitches(theta, force, moment)
+        kept = ~_glitches(theta)
+        if not kept.all():
+            self.notes.append(f"{(~kept).sum()} rows in which the angle jumps are left out.")
+        theta, values = theta[kept], values[kept]
         largest = float(np.abs(theta).max())
-        if "theta" in self.names and self._unit("theta")[0] == "deg" and largest < LEAST_DEG:
+        if "theta" in self.names and self.unit("theta")[0] == "deg" and largest < LEAST_DEG:
             self.refuse(
                 f"the angle runs from {theta.min():.2f} to {theta.max():.2f}, which must be "
                 "radians; add --columns theta_unit=rad"
             )
-        return theta, force, moment
+        return theta, values
 
-    def _without_glitches(self, *columns: FloatArray) -> tuple[FloatArray, ...]:
-        """Columns without the rows in which the angle jumps away and is back in the next."""
-        theta = columns[0]
-        if _scattered(theta):
-            return columns
-        around = np.median(np.stack([theta[:-2], theta[1:-1], theta[2:]]), axis=0)
-        apart = (theta[1:-1] - around + 180.0) % 360.0 - 180.0
-        kept = np.ones(len(theta), dtype=bool)
-        kept[1:-1] = np.abs(apart) <= TURN_DEG
-        if not kept.all():
-            self.notes.append(f"{(~kept).sum()} rows in which the angle jumps are left out.")
-        return tuple(column[kept] for column in columns)
-
-    def _column(self, role: str) -> FloatArray:
-        """A column in N, degrees, seconds or N m."""
-        _, factor = self._unit(role)
-        return np.asarray(factor * self.table.frame[self.names[role]].to_numpy(np.float64))
-
-    def tared(
-        self, theta: FloatArray, force: FloatArray, moment: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Forces and moment less what they read while the leg is in air; noted."""
+    def tared(self, theta: FloatArray, values: FloatArray) -> FloatArray:
+        """Channels less what they read while the leg is in air; noted."""
         low, high = self.given.air_before_deg, self.given.air_after_deg
-        air = (theta < (-np.inf if low is None else low)) | (
-            theta > (np.inf if high is None else high)
-        )
+        air = np.zeros(len(theta), dtype=bool)
+        if low is not None:
+            air |= theta < low
+        if high is not None:
+            air |= theta > high
         if _scattered(theta) or not air.any():
-            return force, moment
-        whole = np.isfinite(moment).all()
-        values = np.column_stack([force, moment]) if whole else force
-        names = [(name, CHANNEL_UNITS[name]) for name in (*(f"F{a}" for a in self.axes), "M")]
-        found = baseline(theta, values, air, names[: values.shape[1]])
-        self.notes += found.notes
-        values = values - found.values
-        return values[:, : len(self.axes)], values[:, -1] if whole else moment
+            return values
+        values, notes = without_baseline(theta, values, air, self.channels)
+        self.notes += notes
+        return values
 
     # -- strokes ---------------------------------------------------------------------------------
 
@@ -616,10 +589,6 @@ class _Reading:
         )
 
 
-_WORDS = {"theta": "theta", "fx": "Fx", "fz": "Fz", "moment": "the moment", "time": "the time"}
-_WORDS |= {"sinkage": "the sinkage", "force": "the force", "pressure": "the pressure"}
-
-
 class Pressed(NamedTuple):
     """A body pressed in, in the order of time."""
 
@@ -641,11 +610,10 @@ def read_pressed(source: Any, area: float, columns: Any = None) -> Pressed:
     InputError
         With what is wrong with the table.
     """
-    found = _PressReading(source, PressColumns.of(columns))
-    if found.wrong:
-        found.refuse("; ".join(found.wrong))
+    found = _PressTable(source, PressColumns.of(columns))
+    found.refuse_wrong()
     role = "force" if "force" in found.names else "pressure"
-    sinkage, force = found._column("sinkage"), found._column(role)
+    sinkage, force = found.column("sinkage"), found.column(role)
     force = force * (area if role == "pressure" else 1.0)
     whole = np.isfinite(sinkage) & np.isfinite(force)
     if not whole.all():
@@ -665,56 +633,39 @@ def read_pressed(source: Any, area: float, columns: Any = None) -> Pressed:
     return Pressed(sinkage, force, len(whole), found.notes)
 
 
-class _PressReading(_Reading):
-    """One table of a body that is pressed in."""
+class _PressTable(_Reading[PressColumns]):
+    """A table of a body that is pressed in."""
 
-    kinds = PRESSED
-    unit_keys: ClassVar = {
-        "length": "sinkage_unit", "force": "unit", "pressure": "pressure_unit"
-    }  # fmt: skip
-
-    def __init__(self, source: Any, columns: PressColumns) -> None:
-        super().__init__(source, ForceColumns(), columns)
-
-    def _choose(self) -> None:
+    def __init__(self, source: Any, given: PressColumns) -> None:
         """Find sinkage and force, or the pressure."""
-        given: dict[str, str] = self.units.model_dump(include=set(PRESSED), exclude_none=True)
-        if {"force", "pressure"} <= given.keys():
+        super().__init__(source, given)
+        chosen: dict[str, str] = given.model_dump(include=set(PRESSED), exclude_none=True)
+        if {"force", "pressure"} <= chosen.keys():
             self.wrong.append("--columns names a force and a pressure; one of them is needed")
-        for role, column in given.items():
-            self._take(role, column)
+        for role, column in chosen.items():
+            self.take(role, column)
         for role in PRESSED if not self.wrong else ():
             # One of force and pressure does; what is given goes first.
             borne = {"force", "pressure"} - {role} if role != "sinkage" else set()
-            found = [] if role in given or borne & {*self.names} else self._like(role)
-            if len(found) == 1:
-                self.names[role] = found[0]
-            elif found:
-                listed = " or ".join(f"'{name[:40]}'" for name in found[:4])
-                self.wrong.append(
-                    f"{_WORDS[role]} may be {listed}; add --columns '{role}={found[0]}'"
-                )
-        listed = ", ".join(f"'{name[:30]}'" for name in [*self.parts][:8])
+            if role not in chosen and not borne & {*self.names}:
+                self.guess(role, self.like(role))
         if not self.wrong and not ("sinkage" in self.names and len(self.names) > 1):
             lacking = "force or pressure" if "sinkage" in self.names else "sinkage"
             key = lacking.partition(" ")[0]
             self.wrong.append(
-                f"no column of {lacking} among {listed}; add --columns '{key}=NAME', or name the "
-                "columns such as sinkage_mm and force_N or pressure_kPa"
+                f"no column of {lacking} among {self.header}; add --columns '{key}=NAME', or name "
+                "the columns such as sinkage_mm and force_N or pressure_kPa"
             )
-        for role in self.names:
-            self._check(role)
-            key = self.unit_keys[PRESSED[role]]
-            if not (self._written(role) or getattr(self.units, key)):
+        for role, name in self.names.items():
+            self.check(role)
+            key = UNIT_KEYS[PRESSED[role]]
+            if not (self.written(name) or getattr(given, key)):
                 unit = {"sinkage": "mm", "force": "N", "pressure": "kPa"}[role]
                 self.wrong.append(
-                    f"column '{self.names[role][:40]}' has no unit; add --columns {key}={unit}, or "
+                    f"column '{name[:40]}' has no unit; add --columns {key}={unit}, or "
                     f"name it such as {role}_{unit}"
                 )
-        guessed = [
-            f"{_WORDS[role]} from '{name}'" for role, name in self.names.items()
-            if role not in given
-        ]  # fmt: skip
+        guessed = [f"{_WORDS[k]} from '{n}'" for k, n in self.names.items() if k not in chosen]
         if guessed:
             self.notes.append(f"{GUESSED}{', '.join(guessed)}.")
 
@@ -734,6 +685,15 @@ def _split(header: str) -> tuple[str, str | None]:
 def _scattered(theta: FloatArray) -> bool:
     """Whether the rows have no order in the angle, or are too few to have one."""
     return len(theta) < 3 or bool(np.median(np.abs(np.diff(theta))) > SCATTERED_DEG)
+
+
+def _glitches(theta: FloatArray) -> BoolArray:
+    """Rows in which the angle jumps away and is back in the next, shape [row]."""
+    jumps = np.zeros(len(theta), dtype=bool)
+    if not _scattered(theta):
+        around = np.median(np.stack([theta[:-2], theta[1:-1], theta[2:]]), axis=0)
+        jumps[1:-1] = np.abs((theta[1:-1] - around + 180.0) % 360.0 - 180.0) > TURN_DEG
+    return jumps
 
 
 def _turns(theta: FloatArray) -> list[int]:

@@ -1,4 +1,4 @@
-"""The apparatus: a rigid leg that rotates about a hip at a constant height above level soil.
+"""The apparatus: a rigid leg that rotates about a hip above level soil, or a body pressed into it.
 
 Slow, dry soil under gravity has no length of its own, so that
 
@@ -11,18 +11,20 @@ Legs of one shape and one set of ratios are therefore simulated once, at one len
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple, Self, get_args
+from typing import Any, Literal, NamedTuple, Self, get_args
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.documents import Strict, parse_toml
+from terraphi.experiment.documents import Strict, parse_toml, refuse
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import number_with_sd, plain_number
-from terraphi.experiment.leg import Leg, RotatingShape, frame_axes
+from terraphi.experiment.leg import Leg, RotatingShape
+from terraphi.experiment.motion import placed
 from terraphi.experiment.scenario import GRAVITY, Scenario
 
 SIMULATED_LENGTH = 0.0762
@@ -76,7 +78,7 @@ class Rig(Strict):
 
     leg: RotatingShape
     """``straight``; ``c``, a semicircle that bulges where it moves; ``reversed_c``, its mirror."""
-    length_mm: float = Field(gt=10, le=10_000)
+    length_mm: float = Field(gt=0, le=10_000)
     """From the hip to the outermost tip [mm]; 10 and less are centimeters or meters."""
     width_mm: float = Field(gt=0, le=10_000)
     """Extent across the plane of motion [mm]."""
@@ -96,9 +98,6 @@ class Rig(Strict):
     def _parse_sd(cls, content: Any) -> Any:
         pairs = (("hip_height_mm", "hip_height_sd_mm", "35±1"),
                  ("leg_friction", "leg_friction_sd", "0.35±0.05"))  # fmt: skip
-        length = content.get("length_mm") if isinstance(content, dict) else None
-        if isinstance(length, int | float) and 0.0 < length <= 10.0:
-            raise ValueError(f"length_mm = {length:g} looks like meters or centimeters; give mm")
         for key, sd_key, example in pairs if isinstance(content, dict) else ():
             text = content.get(key)
             if isinstance(text, str):
@@ -111,15 +110,16 @@ class Rig(Strict):
 
     @model_validator(mode="after")
     def _reaches_soil(self) -> Self:
-        if self.thickness_mm >= self.length_mm:
-            raise ValueError(
-                f"thickness_mm = {self.thickness_mm:g} is not below length_mm = {self.length_mm:g}"
-            )
-        if self.hip_height_mm >= self.length_mm:
-            raise ValueError(
-                f"hip_height_mm = {self.hip_height_mm:g}: a leg of {self.length_mm:g} mm does not "
-                "reach the soil"
-            )
+        length, thickness, height = self.length_mm, self.thickness_mm, self.hip_height_mm
+        refuse(
+            {
+                f"length_mm = {length:g} looks like meters or centimeters; give mm": length <= 10.0,
+                f"thickness_mm = {thickness:g} is not below length_mm = {length:g}": thickness
+                >= length,
+                f"hip_height_mm = {height:g}: a leg of {length:g} mm does not reach the "
+                "soil": height >= length,
+            }
+        )
         return self
 
     @property
@@ -257,6 +257,47 @@ def with_rig(options: Mapping[str, Any]) -> dict[str, Any]:
     return {**others, "rig": Rig(leg=options["leg"], **numbers, **friction)}
 
 
+class Tool(Strict):
+    """A plate, by diameter or two sides, or a ball, in millimeters."""
+
+    leg: Literal["disc", "rectangle", "ball"]
+    """Its shape; named as that of a rig, so that answers treat both alike."""
+    size_mm: tuple[float, ...] = Field(min_length=1, max_length=2)
+    """Diameter, or both sides [mm]."""
+
+    @classmethod
+    def of(cls, text: str) -> Self:
+        """Parse ``plate:151``, ``plate:38x25`` or ``ball:44``; raises InputError."""
+        number = r"(\d+\.?\d*|\.\d+)"
+        found = re.fullmatch(rf"(plate|ball):{number}(?:[x×]{number})?", str(text).strip().lower())
+        sizes = tuple(float(one) for one in found.groups()[1:] if one) if found else ()
+        if not found or (found[1] == "ball" and len(sizes) > 1) or not all(
+            1.0 <= size <= 5000.0 for size in sizes
+        ):  # fmt: skip
+            raise InputError(
+                f"tool '{text}'; give plate:151 (diameter in mm), plate:38x25 (sides in mm) or "
+                "ball:44, each of 1 to 5000 mm"
+            )
+        shape = "ball" if found[1] == "ball" else "rectangle" if len(sizes) > 1 else "disc"
+        return cls.model_validate({"leg": shape, "size_mm": sizes})
+
+    @property
+    def radius(self) -> float:
+        """Radius, of a rectangle that of the disc of equal area [m]."""
+        if len(self.size_mm) > 1:
+            return 1e-3 * math.sqrt(math.prod(self.size_mm) / math.pi)
+        return 5e-4 * self.size_mm[0]
+
+    @property
+    def sizes_mm(self) -> dict[str, float]:
+        """Nothing of what a rig has."""
+        return {}
+
+    def __str__(self) -> str:
+        """Shape and size, such as ``disc 151 mm``."""
+        return f"{self.leg} {' × '.join(f'{size:g}' for size in self.size_mm)} mm"
+
+
 def rounded(length: float) -> float:
     """A length to the micrometer [m], so that every processor makes the same scenario."""
     return round(float(length), 6)
@@ -278,11 +319,7 @@ def swept(leg: Leg, hip_height: float, theta_deg: FloatArray) -> FloatArray:
 
     Shape [theta, corner, 2].
     """
-    along, motion = frame_axes(np.radians(theta_deg)[:, None])
-    outline = leg.outline()
-    return np.asarray(
-        outline[:, :1] * along + outline[:, 1:] * motion + np.array([0.0, hip_height])
-    )
+    return placed(leg.outline(), np.array([0.0, hip_height]), np.radians(theta_deg))
 
 
 def contact_deg(leg: Leg, hip_height: float) -> tuple[float, float]:

@@ -54,10 +54,7 @@ def cone_slope(angle_deg: float, yield_criterion: YieldCriterion) -> float:
 
 
 def plane_strain_friction_angle_deg(
-    friction_angle_deg: float,
-    yield_criterion: YieldCriterion,
-    *,
-    dilation_angle_deg: float = 0.0,
+    friction_angle_deg: float, yield_criterion: YieldCriterion, *, dilation_angle_deg: float = 0.0
 ) -> float:
     r"""Mohr-Coulomb friction angle that has the same strength in plane strain.
 

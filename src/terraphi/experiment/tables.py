@@ -1,14 +1,20 @@
 """Tables of numbers as people have them: any separator, decimal sign, encoding, header or unit row.
 
 Lines that begin with ``#``, ``%`` or ``//`` are comments; ``#N/A`` and its like are missing values.
+In a comment before the names of the columns, a table of forces of ours keeps its origin: pandas
+skips it with ``comment="#"``, numpy.genfromtxt with ``skip_header=1``.
 """
 
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
 import itertools
+import json
+import logging
 import re
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,10 +22,19 @@ from typing import Any
 import numpy as np
 from packaging.version import Version
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError, visible
 from terraphi.experiment.files import atomic_write, read_bytes
-from terraphi.experiment.units import is_unit
+from terraphi.experiment.units import unit_named
 
+log = logging.getLogger(__name__)
+
+CSV_COLUMNS = ("theta_deg", "Fx_N", "Fz_N")
+"""Columns of forces on a leg."""
+MARK = "# terraphi force history "
+"""Beginning of our comment line; JSON follows on the same line."""
+SCHEMA = 1
+"""Version of what our comment holds."""
 _DIALECTS = [(sep, decimal) for sep in ("\t", ";", ",", "|", None) for decimal in ".,"]
 """Separator (``None``: spaces) and decimal sign, the more usual first."""
 _ERROR = r"#(\w/\w|n[av]|[¡¿]?\w[\w/]*[!?])(?![^\s,;|])"
@@ -226,6 +241,70 @@ def write_csv(path: Path, frame: Any, *, first: str = "", float_format: str | No
         safe.to_csv(stream, index=False, float_format=float_format, lineterminator="\n")
 
 
+def write_force_table(path: Path, values: FloatArray, provenance: Mapping[str, Any]) -> None:
+    """Write a CSV, with its provenance in a comment if there is any.
+
+    Parameters
+    ----------
+    path
+        The file to make or replace.
+    values
+        Columns θ [deg], Fx [N], Fz [N], shape [row, 3].
+    provenance
+        JSON-able.
+
+    Raises
+    ------
+    InputError
+        If the place cannot be written.
+    """
+    import pandas as pd
+
+    provenance = json.loads(json.dumps(dict(provenance)))  # as it will be read
+    # Twelve digits keep neighboring angles apart and hide the round-off of radians.
+    rows = [(f"{t:.12g}", f"{x:.6g}", f"{z:.6g}") for t, x, z in values.tolist()]
+    comment = ""
+    if provenance:
+        digest = _digest(np.array(rows, dtype=np.float64), provenance)
+        content = {"schema": SCHEMA, "digest": digest, "provenance": provenance}
+        comment = f"{MARK}{json.dumps(content)}\n"
+    write_csv(path, pd.DataFrame(rows, columns=[*CSV_COLUMNS]), first=comment)
+
+
+def origin(path: Path, comments: Iterable[str], values: FloatArray) -> dict[str, Any]:
+    """Provenance in our comment, if there is one.
+
+    Empty, with a warning in the log, if comment or numbers were changed since.
+
+    Parameters
+    ----------
+    path
+        The file, for the warning.
+    comments
+        Its lines of comment.
+    values
+        As in :func:`write_force_table`, as read.
+    """
+    ours = [line.removeprefix(MARK) for line in comments if line.startswith(MARK)]
+    if not ours:
+        return {}
+    try:
+        content = json.loads(ours[0])
+        provenance = dict(content["provenance"])
+        if content["schema"] == SCHEMA and content["digest"] == _digest(values, provenance):
+            return provenance
+    except (KeyError, RecursionError, TypeError, ValueError):
+        pass
+    log.warning("%s: the comment on the origin of these forces does not fit them; ignored", path)
+    return {}
+
+
+def _digest(values: FloatArray, provenance: Mapping[str, Any]) -> str:
+    """SHA-256 of numbers and their provenance, hexadecimal."""
+    content = json.dumps(provenance, sort_keys=True).encode()
+    return hashlib.sha256(content + np.ascontiguousarray(values, "<f8").tobytes()).hexdigest()
+
+
 def unquoted(cell: str) -> str:
     """A cell without the apostrophe of :func:`write_csv`."""
     return cell[1:] if cell[:1] == "'" and _FORMULA.match(cell, 1) else cell
@@ -299,7 +378,7 @@ def _header(
     rows = [row for row in rows if not all(_MISSING.fullmatch(cell) for cell in row)]
     units: list[str] = []
     last = [cell for cell in rows[-1] if cell not in ("", "-")] if len(rows) > 1 else []
-    if last and 2 * sum(is_unit(cell) for cell in last) >= len(last):
+    if last and 2 * sum(unit_named(cell) is not None for cell in last) >= len(last):
         units = rows.pop()
     found = rows[-1] if rows else []
     if not rows and comments:  # as numpy.savetxt writes it

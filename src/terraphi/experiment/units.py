@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from math import pi
 
 FORCE = {
@@ -33,19 +34,12 @@ _OTHER_NAMES = {
     "kg m": "kgf m",
 }  # fmt: skip
 """Other names, in lower case. *Grad* is German for degree; a grade is ``gon``."""
-_KNOWN = {name: name for units in KINDS.values() for name in units}
-_LOWER = {name.lower(): name for name in _KNOWN if name != "MN"} | _OTHER_NAMES
+_EXACT = {name.replace(" ", ""): name for units in KINDS.values() for name in units}
+_LOWER = {compact.lower(): name for compact, name in _EXACT.items() if name != "MN"}
+_LOWER |= {name.replace(" ", ""): unit for name, unit in _OTHER_NAMES.items()}
 
 
 def unit_named(text: str) -> str | None:
     """Our name of a unit, however it is written, such as ``lbf`` for ``Lbs``; or ``None``."""
-    text = " ".join(text.strip(" []()<>{}.").replace("·", " ").replace("*", " ").split())
-    compact = text.replace(" ", "")
-    joined = {name.replace(" ", ""): name for name in _KNOWN}
-    lower = {name.replace(" ", ""): unit for name, unit in _LOWER.items()}
-    return _KNOWN.get(text) or joined.get(compact) or lower.get(compact.lower())
-
-
-def is_unit(text: str) -> bool:
-    """Whether a cell of a table is the unit of its column."""
-    return unit_named(text) is not None
+    compact = re.sub(r"[\s·*]", "", text.strip(" []()<>{}."))
+    return _EXACT.get(compact) or _LOWER.get(compact.lower())

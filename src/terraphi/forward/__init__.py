@@ -22,13 +22,7 @@ from terraphi.forward.forecast import refuse_what_cannot_fit
 if TYPE_CHECKING:
     from terraphi.forward.driver import Observer
 
-__all__ = [
-    "MODEL_VERSIONS",
-    "Checkpoint",
-    "model_version",
-    "simulate",
-    "software",
-]
+__all__ = ["MODEL_VERSIONS", "Checkpoint", "model_version", "simulate", "software"]
 
 MODEL_VERSIONS = {"mpm": 1, "mpm3d": 1, "rft": 1}
 """A number for each model, raised whenever the same scenario would give other forces."""
@@ -68,8 +62,8 @@ def simulate(
     Raises
     ------
     InputError
-        If the model cannot do this scenario or has nothing to observe, a checkpoint that a person
-        named does not fit, or this machine could not hold or finish the simulation.
+        If the model cannot do this scenario or has nothing to observe, what lies at the place of
+        the checkpoint is none, or this machine could not hold or finish the simulation.
     SimulationError
         If the solution breaks down; the message says between which steps, and the likely cause.
 

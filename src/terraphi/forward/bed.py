@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.scenario import Scenario
-
-FloatArray = NDArray[np.float64]
 
 
 def sub_cells(scenario: Scenario) -> tuple[tuple[int, ...], FloatArray]:

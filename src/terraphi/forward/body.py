@@ -11,14 +11,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from terraphi.experiment import leg as outline
+from terraphi.experiment.arrays import FloatArray, IntArray
 from terraphi.experiment.leg import Leg
 from terraphi.forward.compiled import kernel
-
-FloatArray = NDArray[np.float64]
 
 _segment = kernel(outline.segment_distance)
 _arc = kernel(outline.arc_distance)
@@ -44,6 +40,18 @@ class Intruder(NamedTuple):
     """No smaller than the largest distance of the outline from the hip [m]."""
     friction: float
     """Coulomb coefficient [-]."""
+
+
+class Path(NamedTuple):
+    """Where the leg is at some steps, as the kernels take it."""
+
+    poses: FloatArray
+    """Hip x, z [m], θ [rad], hip velocity x, z [m/s], angular rate [rad/s] at the start of each
+    step, sped up; shape [step, 6]."""
+    turned: FloatArray
+    """|Δθ| of each step once θ > 0 [rad], shape [step]."""
+    bins: IntArray
+    """History bin that the middle of each step falls into, shape [step]."""
 
 
 class Pose(NamedTuple):

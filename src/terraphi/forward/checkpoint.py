@@ -18,7 +18,7 @@ import time
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -27,6 +27,10 @@ from terraphi.experiment.files import atomic_write, check_is_file
 from terraphi.experiment.scenario import Scenario
 
 log = logging.getLogger(__name__)
+
+Kernel = Literal["packets", "scalar"]
+"""``scalar`` is the plain kernel, to be read; ``packets``, in three dimensions, is fast and gives
+the same but for roundings of single precision."""
 
 EVERY = 20.0
 """Least time between two checkpoints [s]."""
@@ -48,15 +52,10 @@ class Checkpoint:
     every
         Least time between two writings [s]; longer where writing takes more than a hundredth of
         that. 0: after every block of steps, whatever it costs.
-    named
-        Whether a person gave the name of this file. If what lies there is no checkpoint of this
-        simulation, the simulation then stops with an error; otherwise it warns, starts from the
-        beginning and overwrites the file.
     """
 
     path: Path
     every: float = EVERY
-    named: bool = False
 
 
 class State(NamedTuple):
@@ -108,7 +107,7 @@ class Keeper:
         Raises
         ------
         InputError
-            If a person named the file, and it is no checkpoint of this run.
+            If the file is no checkpoint. One of another run is ignored, with a warning.
         """
         if self._where is None or not self._where.path.exists():
             return first
@@ -142,7 +141,7 @@ class Keeper:
         # A checkpoint that was cut off still begins as one: another's file is left alone.
         with path.open("rb") as stream:
             ours = stream.read(4) in (b"", b"PK\x03\x04")
-        if self._where.named or not ours:
+        if not ours:
             raise InputError(f"{path}: {why}; remove it, or name another file")
         log.warning("%s: %s; it is ignored, and the simulation starts anew", path, why)
         return first

@@ -6,7 +6,7 @@ import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,37 +16,21 @@ from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.motion import Poses, bin_centres
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import forecast
-from terraphi.forward.checkpoint import Checkpoint, Keeper, State
+from terraphi.forward.body import Path
+from terraphi.forward.checkpoint import Checkpoint, Keeper, Kernel, State
 from terraphi.forward.ledger import empty_audit, empty_reaction
 
 if TYPE_CHECKING:
     from terraphi.forward.mpm.solver import MpmSolver
     from terraphi.forward.plane.solver import PlaneSolver
 
-FloatArray = NDArray[np.float64]
 log = logging.getLogger(__name__)
-
-Kernel = Literal["packets", "scalar"]
-"""``scalar`` is the plain kernel, to be read; ``packets``, in three dimensions, is fast and gives
-the same but for roundings of single precision."""
 
 BLOCK = {2: 2000, 3: 400}
 """Steps in a block, by dimensions: what is done between two reports of progress.
 
 Blocks end at multiples of their length even if a run goes on from a checkpoint, for the fast kernel
 packs its particles anew at the start of each, and its roundings depend on that."""
-
-
-class Path(NamedTuple):
-    """Where the leg is at some steps, as the kernels take it."""
-
-    poses: FloatArray
-    """Hip x, z [m], θ [rad], hip velocity x, z [m/s], angular rate [rad/s] at the start of each
-    step, sped up; shape [step, 6]."""
-    turned: FloatArray
-    """|Δθ| of each step once θ > 0 [rad], shape [step]."""
-    bins: NDArray[np.int64]
-    """History bin that the middle of each step falls into, shape [step]."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +101,7 @@ def simulate(
     Raises
     ------
     InputError
-        If a checkpoint that a person named does not fit.
+        If what lies at the place of the checkpoint is none.
     SimulationError
         If the solution breaks down; the message says between which steps, and the likely cause.
     """

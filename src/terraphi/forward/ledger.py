@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.forward.compiled import kernel
-
-FloatArray = NDArray[np.float64]
 
 LEDGER_ROWS = ("gravity", "leg", "walls", "damping", "relief")
 """What changes the soil's momentum, in the order of the ledger's rows."""

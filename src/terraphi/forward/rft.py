@@ -28,16 +28,14 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from terraphi.experiment.arrays import like, namespace
+from terraphi.experiment.arrays import FloatArray, like, namespace
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.leg import frame_axes
 from terraphi.experiment.motion import Poses, bin_centres
 from terraphi.experiment.scenario import GRAVITY, Scenario
-
-FloatArray = NDArray[np.float64]
 
 BLOCK = 512
 """Poses evaluated together; bounds the memory."""

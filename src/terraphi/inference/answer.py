@@ -21,8 +21,7 @@ from terraphi.experiment.documents import parse_json
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import open_netcdf, read_bytes, write_netcdf
 from terraphi.experiment.outputs import output_folder
-from terraphi.experiment.rig import LEG_NAMES, Rig
-from terraphi.experiment.tool import Tool
+from terraphi.experiment.rig import LEG_NAMES, Rig, Tool
 from terraphi.laws.store import PHI
 
 if TYPE_CHECKING:
@@ -392,7 +391,7 @@ class Answer(AnswerSummary):
             Where to draw; ``None`` makes a figure.
         """
         from terraphi.experiment.figure import Figure as NewFigure
-        from terraphi.experiment.figure import force_label
+        from terraphi.experiment.history import force_label
 
         figure = figure or NewFigure(figsize=(10.0, 3.4), layout="constrained")
         panels = dict.fromkeys((name, one.along) for one in self.records for name in one.nrmsd)

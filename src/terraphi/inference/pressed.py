@@ -20,7 +20,7 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray, IntArray
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.reading import read_pressed
-from terraphi.experiment.tool import Tool
+from terraphi.experiment.rig import Tool
 from terraphi.inference.answer import Answer, Edge, Estimate, RecordFit, Verdict
 from terraphi.inference.estimator import least_squares, weights
 from terraphi.inference.likelihood import UNKNOWN_DENSITY

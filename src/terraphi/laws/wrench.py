@@ -48,8 +48,7 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray, like, namespace
 from terraphi.experiment.errors import InputError, nearest
-from terraphi.experiment.plausibility import LIMITS
-from terraphi.experiment.scenario import GRAVITY
+from terraphi.experiment.scenario import GRAVITY, LIMITS
 from terraphi.forward.rft import SCALE_POLYNOMIAL, unit_stress
 from terraphi.laws.foot import (
     BEYOND_DEG,

@@ -15,7 +15,7 @@ from matplotlib.ticker import MaxNLocator
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.history import WINDOW_DEG, ForceHistory
-from terraphi.experiment.leg import frame_axes
+from terraphi.experiment.motion import placed
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
 from terraphi.forward.driver import Snapshot
@@ -255,9 +255,7 @@ def snapshots(found: Mapping[str, tuple[Scenario, Sequence[Moment]]]) -> Figure:
             faded: Any = np.maximum(one.weight, 0.25)
             place = 1e3 * one.points.T
             shown = axes.scatter(*place, c=one.speed / tip, alpha=faded, rasterized=True, **look)
-            along, motion = (axis[0] for axis in frame_axes(np.array([one.theta])))
-            outline = scenario.leg.outline()
-            corners = one.hip + outline[:, :1] * along + outline[:, 1:] * motion
+            corners = placed(scenario.leg.outline(), one.hip, np.array([one.theta]))[0]
             axes.add_patch(Polygon(1e3 * corners, facecolor="white", edgecolor="black"))
             axes.plot(*(1e3 * one.hip), "k+")
             axes.set_title(

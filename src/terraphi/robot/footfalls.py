@@ -12,8 +12,7 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import number_with_sd
-from terraphi.experiment.plausibility import LIMITS
-from terraphi.experiment.scenario import GRAVITY
+from terraphi.experiment.scenario import GRAVITY, LIMITS
 from terraphi.inference.footfalls import FootfallMap, infer
 from terraphi.inference.pool import Anchor, Normal
 from terraphi.inference.touchdowns import TORQUES, Prior

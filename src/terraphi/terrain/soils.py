@@ -19,7 +19,7 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import GUESSED, InputError, nearest
 from terraphi.experiment.files import number_with_sd
 from terraphi.experiment.outputs import changed
-from terraphi.experiment.plausibility import LIMITS
+from terraphi.experiment.scenario import LIMITS
 from terraphi.experiment.soil import cone_slope
 from terraphi.forward.rft import to_plane_strain
 from terraphi.inference.answer import QUANTILES, Estimate, StoredAnswer

@@ -12,7 +12,7 @@ import click
 
 from terraphi.experiment.errors import GUESSED, InputError
 from terraphi.inference import COLUMNS
-from terraphi.view.table import Table
+from terraphi.view.console import Table
 
 if TYPE_CHECKING:
     from terraphi.inference.answer import Answer, Estimate
@@ -132,7 +132,7 @@ def tables(answer: Answer) -> list[Table]:
 
 def _terms(answer: Answer) -> str:
     """Terms of the interval, those of the model together, the largest first."""
-    from terraphi.experiment.tool import Tool
+    from terraphi.experiment.rig import Tool
 
     squares: Counter[str] = Counter()
     for name, sd in answer.budget_deg.items():
@@ -201,47 +201,40 @@ def write_table(
 
     from terraphi.experiment.tables import write_csv
 
-    written = [
-        (_failed(given, one) if isinstance(one, InputError) else row(str(given["forces"]), one))
-        | given.get("notes", {})
-        for given, one in zip(rows, found, strict=True)
-    ]
+    written = []
+    for given, one in zip(rows, found, strict=True):
+        cells = {"source": str(given["forces"])}
+        if isinstance(one, InputError):
+            known = {"leg": given.get("leg", ""), "density_kg_m3": given.get("density", "")}
+            cells |= {"verdict": "failed", "reason": str(one), **known}
+        else:
+            cells |= row(one)
+        written.append(cells | given.get("notes", {}))
     if path is not None:
         names = dict.fromkeys([*COLUMNS, *(name for one in written for name in one)])
         write_csv(path, pd.DataFrame(written, columns=[*names]))
     return written, dict(Counter(str(one["verdict"]).replace("_", " ") for one in written))
 
 
-def _failed(given: dict[str, Any], error: InputError) -> dict[str, Any]:
-    """A record that could not be used, by column."""
-    known = {"leg": given.get("leg", ""), "density_kg_m3": given.get("density", "")}
-    return {"source": str(given["forces"]), "verdict": "failed", "reason": str(error), **known}
-
-
 def table_of_answers(rows: Sequence[dict[str, Any]]) -> Table:
     """Angle, interval and verdict of each record."""
-    shown = [
-        (
-            one["source"],
-            one.get("leg", ""),
-            f"{float(one['phi_deg']):.1f}" if one.get("phi_deg") else "",
-            f"{float(one['ci95_low_deg']):.0f} to {float(one['ci95_high_deg']):.0f}"
-            if one.get("phi_deg")
-            else "",
-            str(one["verdict"]).replace("_", " "),
-        )
-        for one in rows
-    ]
+    shown = []
+    for one in rows:
+        phi, ends = "", ""
+        if one.get("phi_deg"):
+            phi = f"{float(one['phi_deg']):.1f}"
+            ends = f"{float(one['ci95_low_deg']):.0f} to {float(one['ci95_high_deg']):.0f}"
+        verdict = str(one["verdict"]).replace("_", " ")
+        shown.append((one["source"], one.get("leg", ""), phi, ends, verdict))
     return Table("", ("source", "leg", "φ [deg]", "95 %", "verdict"), shown)
 
 
-def row(source: str, answer: Answer) -> dict[str, Any]:
-    """An answer by column."""
+def row(answer: Answer) -> dict[str, Any]:
+    """An answer by column, but for its source."""
     phi, plane = answer.parameters.get(PHI), answer.phi_plane_strain
     ends = [] if phi is None else [phi.median, phi.sd, *phi.ci68, *phi.ci95]
     rounded = [f"{value:.6g}" for value in ends] or [""] * 6
     return {
-        "source": source,
         "leg": ", ".join(
             dict.fromkeys(rig.leg if rig.sizes_mm else str(rig) for rig in answer.rigs)
         ),

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from importlib import import_module
 from typing import Any
 
-from terraphi.view.table import Table
+from terraphi.view.console import Table
 
 DOCUMENTS = {
     "scenario": ("terraphi.experiment.scenario", "Scenario"),

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from terraphi.experiment.files import atomic_write
-from terraphi.view.table import Table
+from terraphi.view.console import Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -19,7 +19,7 @@ from terraphi.experiment.measurements import scenario_of
 from terraphi.experiment.outputs import changed
 from terraphi.experiment.rig import LEG_NAMES
 from terraphi.view.answers import CONVENTIONS, PHI, in_words, tables
-from terraphi.view.console import words
+from terraphi.view.console import Table, words
 from terraphi.view.plots import (
     BLUE,
     FOOT_NAMES,
@@ -30,7 +30,6 @@ from terraphi.view.plots import (
     feet_table,
     footfalls_table,
 )
-from terraphi.view.table import Table
 
 if TYPE_CHECKING:
     from terraphi.inference.answer import Answer
@@ -213,25 +212,17 @@ def of_answer(answer: Answer) -> Section:
             parts.append(Plot(f"Residual{where}", [limit, *residuals], layout, note, wide=True))
     parts += _posterior(answer)
     if answer.budget_deg:
-        names, values = list(answer.budget_deg)[::-1], list(answer.budget_deg.values())[::-1]
-        bars = {"type": "bar", "orientation": "h", "x": numbers(values), "y": names}
-        traces = [{**bars, "marker": {"color": BLUE}}]
-        parts.append(
-            Plot("Terms of the interval", traces, axes("standard deviation of φ [deg]", ""))
-        )
+        names, values = zip(*[*answer.budget_deg.items()][::-1], strict=True)
+        bars = {"type": "bar", "orientation": "h", "x": numbers(values), "y": [*names]}
+        layout = axes("standard deviation of φ [deg]", "")
+        marker = {"marker": {"color": BLUE}}
+        parts.append(Plot("Terms of the interval", [bars | marker], layout))
     known = "Parameters" if len(answer.parameters) == 1 else ""  # in the headline, that is
     parts += [one for one in tables(answer) if one.title != known and "term" not in one.header]
     status = "good" if answer.verdict == "consistent" else "bad"
     origin = pairs(answer.as_dict()["provenance"])
-    return Section(
-        "answer",
-        source,
-        headline,
-        [*map(capital, more[1:]), *lines, about],
-        parts,
-        origin,
-        status,
-    )
+    sentences = [*map(capital, more[1:]), *lines, about]
+    return Section("answer", source, headline, sentences, parts, origin, status)
 
 
 def _posterior(answer: Answer) -> list[Plot]:
@@ -456,13 +447,8 @@ def line(x: ArrayLike, y: ArrayLike, name: str, colour: str, *, dash: str = "sol
 def points(x: ArrayLike, y: ArrayLike, name: str, colour: str, *, symbol: str = "circle") -> Trace:
     """Points."""
     look = {"color": colour, "symbol": symbol, "size": 6}
-    return {
-        "mode": "markers",
-        "x": numbers(x),
-        "y": numbers(y),
-        "name": escaped(name),
-        "marker": look,
-    }
+    place = {"x": numbers(x), "y": numbers(y)}
+    return {"mode": "markers", **place, "name": escaped(name), "marker": look}
 
 
 def band(x: ArrayLike, low: ArrayLike, high: ArrayLike, name: str, colour: str) -> Trace:

@@ -21,10 +21,9 @@ from numpy.typing import NDArray
 
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.scenario import Scenario
-from terraphi.forward.body import pose_of
-from terraphi.forward.checkpoint import State
+from terraphi.forward.body import Path, pose_of
+from terraphi.forward.checkpoint import Kernel, State
 from terraphi.forward.compiled import entry
-from terraphi.forward.driver import Kernel, Path
 from terraphi.forward.ledger import LEDGER_ROWS, Audit, close_books, enter_reaction, write_books
 from terraphi.forward.mpm import nodes
 from terraphi.forward.mpm.bed import Soil, geostatic_bed

@@ -11,9 +11,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.forward.body import pose_of
+from terraphi.forward.body import Path, pose_of
 from terraphi.forward.compiled import kernel
-from terraphi.forward.driver import Path
 from terraphi.forward.ledger import Audit, close_books, enter_reaction, write_books
 from terraphi.forward.plane.bed import Grid, Particles
 from terraphi.forward.plane.contact import against_leg, against_walls

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from terraphi.experiment.motion import bin_centres
 from terraphi.experiment.scenario import Scenario
+from terraphi.forward.body import Path
 from terraphi.forward.checkpoint import State
-from terraphi.forward.driver import Path
 from terraphi.forward.ledger import LEDGER_ROWS, Audit
 from terraphi.forward.plane.bed import Particles, empty_grid, geostatic_bed
 from terraphi.forward.plane.model import model_of
