@@ -163,8 +163,10 @@ def score(walk: Walk, recording: Recording, seed: int) -> dict[str, float]:
     each, whole = off(found), np.hypot(found.sd, found.shared_sd)[usable]
     # What is added to all footfalls alike is no part of the relative band.
     apart, own = each - each.mean(), found.sd[usable]
+    there = walk.sand.phi(found.place[usable, :2] + start)
     return {
         **numbers,
+        "contrast": np.polyfit(there, found.phi[usable], 1)[0],
         "bias": each.mean(),
         "rmse": np.sqrt(np.mean(each**2)),
         "relative68": np.mean(np.abs(apart) < own),
@@ -179,7 +181,8 @@ def score(walk: Walk, recording: Recording, seed: int) -> dict[str, float]:
 def page(rows: pd.DataFrame) -> str:
     """Means over gaits and seeds of each world, robot and friction, as Markdown."""
     head = ("world", "robot", "foot friction", "walks", "usable", "bias [°]", "RMSE [°]",
-            "in relative 68 / 95 %", "in absolute 68 / 95 %", "RMSE anchored [°]")  # fmt: skip
+            "in relative 68 / 95 %", "in absolute 68 / 95 %", "RMSE anchored [°]",
+            "contrast, read / true")  # fmt: skip
     lines = [head, ("---",) * len(head)]
     for keys, walks in rows.groupby(["world", "robot", "friction"], sort=False):
         mean = walks.mean(numeric_only=True)
@@ -191,7 +194,7 @@ def page(rows: pd.DataFrame) -> str:
                 for band in ("relative", "absolute")
             ]
             degrees = [f"{mean[name]:.1f}" for name in ("bias", "rmse", "anchored_rmse")]
-            cells += (*degrees[:2], *within, degrees[2])
+            cells += (*degrees[:2], *within, degrees[2], f"{mean['contrast']:.2f}")
         lines.append(cells + ("–",) * (len(head) - len(cells)))
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
