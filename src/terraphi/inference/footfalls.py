@@ -89,6 +89,12 @@ MOST_MISFITS = 0.2
 """Part of the footfalls above which a law that does not fit is worth a note [-]. On virgin sand of
 five laws ``examples/sand_check.py`` has 0 to 12 %, but for one of eight walks by Meyerhof's formula
 (28 %); on a track that was walked before 27 to 50 %."""
+SLOW_GROWTH = -0.35
+"""Exponent of a walk, by law ``foot``, below which forces grow slower with depth than those of dry
+sand that is stepped on slowly [-]: −0.1 to 0.1 on simulated dry sand, −0.18 in grains, −0.31 on
+that of ``depth^0.7``; −0.38 and −0.43 in sand of a cohesion of 200 Pa, which reads 7 to 8° high,
+and −0.36 to −0.45 on that of Meyerhof's formula, which does too; feet that land in grains at 0.5 to
+1.5 m/s have −0.69 and read right (``docs/landing.md``)."""
 FEWEST_TYPICAL = 5
 """Footfalls that a median of a walk needs (chosen)."""
 BACK_M = 0.3
@@ -562,6 +568,11 @@ def infer(
         notes.append(
             f"{int(deep.sum())} of {len(deep)} usable feet sank deeper than {DEEPEST:g} "
             "radii, where law foot was not simulated: their φ is less sure than stated"
+        )
+    if law == "foot" and prior.exponent < SLOW_GROWTH:
+        notes.append(
+            f"forces grow slower with depth than in dry sand, by a power of {prior.exponent:.2f}: "
+            "damp soil does so, and reads up to 8° too high; feet that land fast do, too"
         )
     if comes_back(path):
         notes.append(
