@@ -511,13 +511,14 @@ def infer(
     shared: dict[str, Any] = {}
     by_law: dict[str, float] = {}
     contradicted: list[str] = []
+    scale_sd = prior.slope_sd
     if usable.any():
-        phi, moves, part = found.phi[usable], found.shared[usable], picked(seen, usable)
+        phi, moves, sound = found.phi[usable], found.shared[usable], picked(seen, usable)
         second = SECOND.get(law, "rft")
         second_prior = with_exponent(
-            evenly(part, MOST_FITTED), second, replace(prior, exponent=0.0)
+            evenly(sound, MOST_FITTED), second, replace(prior, exponent=0.0)
         )
-        other = fit(part, second, second_prior).phi
+        other = fit(sound, second, second_prior).phi
         prior = replace(prior, other_law_sd=math.sqrt(likeness(prior, second_prior)))
         stretch = np.std(phi - other) / max(float(np.std(phi)), 1e-9)
         scale_sd = math.hypot(prior.slope_sd, prior.other_law_sd * stretch)
