@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 from go2.control import HEIGHT
 from go2.model import GO2_MASS
-from go2.sand import Crust, Elastic, Sand
+from go2.sand import Crust, Elastic, Sand, Trodden
 from go2.walk import Recording, Walk
 from sand_walk import GAITS, sand_log, sand_walk
 
@@ -30,11 +30,18 @@ from terraphi.robot.model import Quadruped
 
 
 class World(NamedTuple):
-    """What the feet feel: a law, what is added to its power of depth, and the mean φ [deg]."""
+    """What the feet feel: a law, an exponent that is added to its power of depth, and more.
+
+    Mean of φ and its spread over the place [deg], the length over which it changes [m], and the
+    cohesion [Pa].
+    """
 
     law: str
     exponent: float
     mean: float
+    spread: float = 1.5
+    length: float = 1.0
+    cohesion: float = 0.0
 
 
 WORLDS = {
@@ -43,17 +50,22 @@ WORLDS = {
     "rft": World("rft", 0.0, 44.0),
     "hansen": World("hansen", 0.0, 38.5),
     "meyerhof": World("meyerhof", 0.0, 38.5),
+    **{f"{law} 26 to 36": World(law, 0.0, 31.0, 4.0, 0.5)
+       for law in ("foot", "rft", "hansen", "meyerhof")},
+    "damp 75 Pa": World("foot", 0.0, 38.0, cohesion=75.0),
+    "damp 200 Pa": World("foot", 0.0, 34.0, cohesion=200.0),
     "floor": World("floor", 0.0, 0.0),
-}
-"""At these angles in plane strain feet sink 1 to 2 radii."""
+}  # fmt: skip
+"""At the first angles in plane strain feet sink 1 to 2 radii, at 26° up to 5."""
 GROUNDS: dict[str, Sand] = {
     "mat": Elastic(stiffness=4e3),
     "foam": Elastic(stiffness=3e3, lossy=6e3, relaxation=0.1),
     "soft floor": Elastic(stiffness=3e4),
     "hard layer": Elastic(stiffness=1e5, cover=0.02),
     "crust": Crust(),
+    "trodden": Trodden(),
 }
-"""Ground that is no sand, or not only: no footfall may be usable without a note."""
+"""Ground that is no dry virgin sand, or not only: no footfall may be usable without a note."""
 HELD_BACK = ("slow", "limp")
 """Gaits that walk in the first world only."""
 ANCHOR_M, ANCHOR_SD = 0.5, 1.0 / 3.0
@@ -64,14 +76,21 @@ def world_walk(
     world: str, gait: str, friction: float, seed: int, duration: float, robot: Path | None
 ) -> Walk:
     """The walk of one row of the table."""
-    law, exponent, mean = WORLDS.get(world, WORLDS["foot"])
+    soil = WORLDS.get(world, WORLDS["foot"])
     body = None if robot is None else Quadruped.load(robot)
-    walk = sand_walk(gait, seed=seed, law=law, duration=duration, mean=mean)
+    walk = sand_walk(
+        gait, seed=seed, law=soil.law, duration=duration,
+        mean=soil.mean, spread=soil.spread, length=soil.length,
+    )  # fmt: skip
     if world in GROUNDS and walk.sand is not None:
         ground = replace(GROUNDS[world], phi=walk.sand.phi, surface=walk.sand.surface)
+        if isinstance(ground, Trodden):
+            ground = replace(ground, prints=prints_of(walk, walk.run()))
         walk = replace(walk, sand=ground)
     elif walk.sand is not None:
-        sand = replace(walk.sand, exponent=exponent, surface_friction=friction)
+        sand = replace(
+            walk.sand, exponent=soil.exponent, surface_friction=friction, cohesion=soil.cohesion
+        )
         walk = replace(walk, sand=sand)
     if body is None:
         return walk
@@ -88,6 +107,20 @@ def world_walk(
         aim=replace(walk.aim, height=HEIGHT * longer, speed=walk.aim.speed * longer),
         sand=None if walk.sand is None else replace(walk.sand, radius=body.foot_radius),
     )
+
+
+def prints_of(walk: Walk, recording: Recording) -> np.ndarray:
+    """Places and depths of the prints that a walk left [m], shape [print, 3]."""
+    assert walk.sand is not None
+    place, loaded = recording.foot_position, recording.force[..., 2] > 0.0
+    depth = walk.sand.surface(place) - (place[..., 2] - walk.sand.radius)
+    prints = []
+    for foot in range(4):
+        starts = np.flatnonzero(np.diff(loaded[:, foot].astype(int), prepend=0) > 0)
+        for rows in np.split(np.arange(len(place)), starts)[1:]:
+            at = rows[depth[rows, foot].argmax()]
+            prints.append([*place[at, foot, :2], depth[at, foot]])
+    return np.array(prints)
 
 
 def recorded(walk: Walk, place: Path | None) -> Recording:
@@ -130,8 +163,10 @@ def score(walk: Walk, recording: Recording, seed: int) -> dict[str, float]:
     each, whole = off(found), np.hypot(found.sd, found.shared_sd)[usable]
     # What is added to all footfalls alike is no part of the relative band.
     apart, own = each - each.mean(), found.sd[usable]
+    there = walk.sand.phi(found.place[usable, :2] + start)
     return {
         **numbers,
+        "contrast": np.polyfit(there, found.phi[usable], 1)[0],
         "bias": each.mean(),
         "rmse": np.sqrt(np.mean(each**2)),
         "relative68": np.mean(np.abs(apart) < own),
@@ -146,7 +181,8 @@ def score(walk: Walk, recording: Recording, seed: int) -> dict[str, float]:
 def page(rows: pd.DataFrame) -> str:
     """Means over gaits and seeds of each world, robot and friction, as Markdown."""
     head = ("world", "robot", "foot friction", "walks", "usable", "bias [°]", "RMSE [°]",
-            "in relative 68 / 95 %", "in absolute 68 / 95 %", "RMSE anchored [°]")  # fmt: skip
+            "in relative 68 / 95 %", "in absolute 68 / 95 %", "RMSE anchored [°]",
+            "contrast, read / true")  # fmt: skip
     lines = [head, ("---",) * len(head)]
     for keys, walks in rows.groupby(["world", "robot", "friction"], sort=False):
         mean = walks.mean(numeric_only=True)
@@ -158,7 +194,7 @@ def page(rows: pd.DataFrame) -> str:
                 for band in ("relative", "absolute")
             ]
             degrees = [f"{mean[name]:.1f}" for name in ("bias", "rmse", "anchored_rmse")]
-            cells += (*degrees[:2], *within, degrees[2])
+            cells += (*degrees[:2], *within, degrees[2], f"{mean['contrast']:.2f}")
         lines.append(cells + ("–",) * (len(head) - len(cells)))
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 

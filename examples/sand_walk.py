@@ -40,11 +40,21 @@ TILT = 0.005
 
 
 def sand_walk(
-    gait: str, *, seed: int, law: str = "foot", duration: float = 20.0, mean: float = 42.0
+    gait: str,
+    *,
+    seed: int,
+    law: str = "foot",
+    duration: float = 20.0,
+    mean: float = 42.0,
+    spread: float = 1.5,
+    length: float = 1.0,
 ) -> Walk:
-    """A walk on sand whose φ and surface are drawn by a seed; a floor for law ``floor``."""
+    """A walk on sand whose φ and surface are drawn by a seed; a floor for law ``floor``.
+
+    ``mean`` and ``spread`` are of φ [deg]; it changes over the ``length`` [m].
+    """
     rng = np.random.default_rng(1000 + seed)
-    phi = Field(mean + rng.normal(0.0, 1.5), 1.5, 1.0, seed)
+    phi = Field(mean + rng.normal(0.0, 1.5), spread, length, seed)
     sand = None
     if law != "floor":
         sand = Sand(phi=phi, surface=Field(0.0, 0.005, 0.4, seed + 500), law=law)

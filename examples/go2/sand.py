@@ -12,8 +12,9 @@ motion, and feels d(m v)/dt as well.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -32,6 +33,9 @@ DAMPING = 20.0
 LAG_S = 3e-3
 """Time over which the acceleration of a foot is averaged [s]: an added mass must lag in a step that
 does not know the next velocity."""
+FIRMER = (0.0, 1.0, 1.5, 2.0), (7.9, 3.5, 0.5, 0.0)
+"""Distance from a print over the radius [-], and how much more a ball reads there [deg]: grains
+(:data:`terraphi.inference.footfalls.NEAR_RADII`)."""
 WAVES = 40
 """Cosines that a random field is made of."""
 
@@ -88,6 +92,9 @@ class Sand:
         Of the feet [m].
     exponent
         Added to the power with which the law grows with depth [-].
+    cohesion
+        Of damp sand [Pa]; it adds the bearing capacity c N_c s_c d_c of the foot's circle by
+        Hansen (see :mod:`terraphi.laws.foot`).
     """
 
     phi: Field = field(default_factory=lambda: Field(42.0, 1.5, 1.0))
@@ -97,6 +104,7 @@ class Sand:
     law: str = "foot"
     radius: float = FOOT_RADIUS
     exponent: float = 0.0
+    cohesion: float = 0.0
 
     def under(self, model: mujoco.MjModel, *, step: float) -> SandForces:
         """The forces of this sand on a robot whose simulation takes steps of some length [s]."""
@@ -116,7 +124,17 @@ class Sand:
         )
         if not directed:
             force[..., 0] = -0.6 * force[..., 1] * np.cos(descent)
-        return force * (np.maximum(depth, 1e-4)[..., None] / self.radius) ** self.exponent
+        force *= (np.maximum(depth, 1e-4)[..., None] / self.radius) ** self.exponent
+        if self.cohesion:
+            tan, sin = np.tan(np.radians(phi)), np.sin(np.radians(phi))
+            n_q = np.exp(np.pi * tan) * (1.0 + sin) / (1.0 - sin)
+            cap = np.clip(depth, 0.0, self.radius)
+            deep = np.arctan(np.maximum(depth, 0.0) / (2.0 * self.radius))
+            bears = ((n_q - 1.0) / tan + n_q) * (1.0 + 0.4 * deep)
+            area = np.pi * cap * (2.0 * self.radius - cap)
+            held = self.cohesion * bears * area * (descent > -1e-3)
+            force += np.stack([-0.6 * held * np.cos(descent), held], axis=-1)
+        return force
 
 
 @dataclass(frozen=True)
@@ -142,6 +160,41 @@ class Elastic(Sand):
     def lift(self, depth: FloatArray, descent: FloatArray, phi: FloatArray) -> FloatArray:
         """Force of the sand on top of it."""
         return super().lift(depth, descent, phi) * (self.cover > 0.0)
+
+
+@dataclass(frozen=True)
+class Trodden(Sand):
+    """Sand with the prints of a walk before, in each of which φ is higher and the surface lower.
+
+    Attributes
+    ----------
+    prints
+        Place and depth of each [m], shape [print, 3].
+    """
+
+    prints: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+
+    def under(self, model: mujoco.MjModel, *, step: float) -> SandForces:
+        """The forces of this sand, its fields as they are after the first walk."""
+        from scipy.spatial import cKDTree
+
+        tree, (phi, surface) = cKDTree(self.prints[:, :2]), (self.phi, self.surface)
+
+        def near(place: FloatArray) -> tuple[FloatArray, FloatArray]:
+            apart, row = tree.query(np.asarray(place)[..., :2])
+            return apart / self.radius, self.prints[row, 2]
+
+        def stronger(place: FloatArray) -> FloatArray:
+            return phi(place) + np.interp(near(place)[0], *FIRMER)
+
+        def lower(place: FloatArray) -> FloatArray:
+            apart, depth = near(place)
+            return surface(place) - depth * np.clip(1.0 - (apart / 1.5) ** 2, 0.0, 1.0)
+
+        after: Any = {"phi": stronger, "surface": lower}
+        return SandForces(
+            Sand(**{**{f.name: getattr(self, f.name) for f in fields(Sand)}, **after}), model, step
+        )
 
 
 @dataclass(frozen=True)

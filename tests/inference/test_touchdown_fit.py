@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from terraphi.inference.footfalls import FootfallMap, infer
+from terraphi.inference.pool import Normal
 from terraphi.inference.touchdowns import (
     TORQUES,
     Prior,
@@ -16,7 +18,6 @@ from terraphi.inference.touchdowns import (
     inertia,
     noise_covariance,
     predicted,
-    slope_sd,
     with_exponent,
 )
 from terraphi.laws.foot import LAWS, Foot, moved_mass
@@ -179,21 +180,44 @@ def test_growth_with_depth_is_learnt_from_the_courses_of_force() -> None:
     assert fit(softer, "rft", found).phi.mean() == pytest.approx(40.4, abs=0.8)
 
 
-def test_differences_are_as_unsure_as_laws_differ() -> None:
-    """Of law foot on soil that grows with depth as rft: by what it reads of 2° of that law."""
-    like_rft = replace(PRIOR, exponent=0.4, exponent_sd=0.0, slope_sd=0.0)
-    soil = {"density": 1550.0, "surface_friction": 0.4}
-    foot = Foot(PRIOR.radius)
-    truth = np.array([40.0, 42.0])
-    wanted = LAWS["rft"].force(foot, 0.04, 0.5 * np.pi, friction_angle_deg=truth, **soil)[:, 1]
-    angles = np.linspace(20.0, 48.0, 20000)
-    force = LAWS["foot"].force(foot, 0.04, 0.5 * np.pi, friction_angle_deg=angles, **soil)[:, 1]
-    # Levels are not compared.
-    force *= np.sqrt(wanted.prod()) / np.interp(41.0, angles, force)
-    read = np.diff(np.interp(wanted, force, angles))[0]
-    assert slope_sd("foot", like_rft, 41.0, 0.04) == pytest.approx(2.0 / read - 1.0, rel=0.1)
-    assert slope_sd("foot", replace(like_rft, exponent=-0.3), 41.0, 0.04) == 0.0
-    assert slope_sd("rft", like_rft, 41.0, 0.04) == 0.0
+def walked(soil: str, phi: np.ndarray, *, exponent: float = 0.0) -> FootfallMap:
+    """Footfalls by law foot on soil of a law, φ given for each, every 0.2 m."""
+    count = len(phi)
+    state = np.stack([phi, np.full(count, 0.003), np.zeros(count)], axis=-1)
+    one = pressed(seed=None)
+    seen = Touchdowns._make(np.repeat(column, count, axis=0) for column in one)
+    place = np.column_stack([0.2 * np.arange(count), np.zeros((count, 2))])
+    force = predicted(LAWS[soil], replace(PRIOR, exponent=exponent), seen, state)
+    seen = seen._replace(place=place, force=force, deepest=np.full(count, 0.03))
+    return infer(
+        seen, Normal(np.zeros(TORQUES), 1e-6 * np.eye(TORQUES)), place[:, [0, 0, 1]], prior=PRIOR,
+        law="foot", anchors=[], feet=("FR", "FL", "RR", "RL"), notes=[], provenance={},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("soil", "read"), [("foot", (0.95, 1.05)), ("rft", (0.3, 0.7))])
+def test_differences_between_places_are_inside_their_interval(
+    soil: str, read: tuple[float, float]
+) -> None:
+    """Law foot reads differences on soil of rft too small: by its growth with depth it is known."""
+    phi = 40.0 + 2.0 * np.sin(np.arange(24.0))
+    found = walked(soil, phi)
+    assert found.usable.all()
+    slope = np.polyfit(phi, found.phi, 1)[0]
+    assert read[0] < slope < read[1]
+    apart = np.abs((found.phi - found.phi.mean()) - (phi - phi.mean()))
+    assert np.all(apart < 1.96 * found.sd)
+    # The error of the scale is about as large as stated, or there is none.
+    assert found.sd.max() < 2.0 * max(apart.max(), 0.2)
+
+
+@pytest.mark.parametrize(("exponent", "noted"), [(-0.45, True), (-0.2, False)])
+def test_soil_that_grows_slower_with_depth_than_dry_sand_is_noted(
+    exponent: float, noted: bool
+) -> None:
+    found = walked("foot", np.full(12, 36.0), exponent=exponent)
+    assert found.shared["law_exponent"]["mean"] == pytest.approx(exponent, abs=0.05)
+    assert any("damp" in note for note in found.notes) == noted
 
 
 def test_noise_has_its_three_parts() -> None:

@@ -259,7 +259,7 @@ def test_options_and_logs_that_cannot_be() -> None:
         with pytest.raises(InputError, match=words):
             footfalls(log, **options)
     with pytest.raises(InputError, match="no stances: the robot hangs"):
-        footfalls(replace(log, torque=0.0 * log.torque))
+        footfalls(replace(log, torque=0.0 * log.torque), robot=replace(GO2, notes=("guessed",)))
     with pytest.raises(InputError, match="has no attitude"):
         footfalls(replace(log, quaternion=None))
 

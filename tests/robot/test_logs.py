@@ -9,7 +9,7 @@ import resource
 import sqlite3
 import struct
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,9 @@ import numpy as np
 import pytest
 import zstandard
 from go2.logs import EPOCH_NS, write_csv, write_mcap, write_parquet, write_rosbag2
+from rosbags.rosbag1 import Writer as OldWriter
 from rosbags.rosbag2 import Writer
+from rosbags.typesys import Stores, get_typestore
 
 from terraphi.experiment import budget
 from terraphi.experiment.errors import InputError
@@ -215,6 +217,30 @@ def test_imu_of_the_same_bag_goes_with_the_joints(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.acceleration, [[0.0, 0.0, 9.81]] * 200)
     notes = found.report["notes"]
     assert any("/camera/imu/data" in note for note in notes)
+
+
+def test_a_bag_of_ros_1_is_that_of_ros_2(tmp_path: Path) -> None:
+    """Headers of ROS 1 count messages as well."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    topics = {
+        "/joint_states": (JOINT_STATE, list(joint_states(list(URDF_NAMES), EVERY))),
+        "/imu/data": (IMU, list(imu_states(SWAY))),
+    }
+    path = tmp_path / "walk.bag"
+    with OldWriter(path) as writer:
+        for name, (kind, rows) in topics.items():
+            connection = writer.add_connection(name, kind, typestore=store)
+            for i, (stamp, message) in enumerate(rows):
+                head, *rest = (getattr(message, f.name) for f in fields(message))
+                own = store.types["std_msgs/msg/Header"](i, head.stamp, head.frame_id)
+                raw = store.serialize_ros1(store.types[kind](own, *rest), kind)
+                writer.write(connection, stamp, raw if i != 50 else raw[:20])
+    found, other = read_log(path), read_log(bag(tmp_path / "new", topics))  # type: ignore[arg-type]
+    assert found.report["dropped"] == {"not a message of its type": 1}
+    kept = np.arange(200) != 50
+    for name in ("time", "angle", "velocity", "torque", "acceleration"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(other, name)[kept])
+    np.testing.assert_allclose(found.quaternion, other.quaternion[kept], atol=2e-5)
 
 
 @pytest.mark.parametrize(

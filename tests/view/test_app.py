@@ -10,6 +10,7 @@ import io
 import json
 import os
 import select
+import shutil
 import socket
 import subprocess
 import sys
@@ -25,6 +26,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import terraphi
 from terraphi import InputError, invert, measurement, read_forces
 from terraphi.view import app
 from terraphi.view.app import Limits, Readers, application, look, work
@@ -227,13 +229,31 @@ def test_what_cannot_be_read_ends_in_a_sentence_with_its_own_name(
 ) -> None:
     file = f"dropped{Path(name).suffix}"
     (tmp_path / file).write_bytes(body)
-    options = {"leg": "c", **SIZES, "density": None, "columns": None}
+    options = dict.fromkeys(("density", "columns", "law", "robot")) | {"leg": "c", **SIZES}
     work({"folder": str(tmp_path), "file": file, "name": name, "task": "answer", **options})
     sentence = (tmp_path / "refused.txt").read_text(encoding="utf-8")
     assert word in sentence
     assert name in sentence
     assert "dropped." not in sentence
     assert str(tmp_path) not in sentence
+
+
+def test_a_log_is_read_with_the_robot_and_the_law_that_were_chosen(tmp_path: Path) -> None:
+    log = Path(app.__file__).parents[1] / "data" / "robots" / "walk.csv"
+    robot = tmp_path / "heavy.toml"
+    robot.write_text(f'model = "{log.with_name("go2.xml")}"\nname = "heavier"\nmass = 17.0\n')
+    shutil.copy(log, tmp_path / "dropped.csv")
+    job = dict.fromkeys(("leg", *SIZES, "density", "columns")) | {"name": "walk.csv"}
+    job |= {"folder": str(tmp_path), "file": "dropped.csv", "task": "answer"}
+    work(job | {"law": "rft", "robot": str(robot)})
+    html = json.loads((tmp_path / "reply.json").read_text())["html"]
+    own = terraphi.footfalls(log, robot=robot, law="rft")
+    assert f"{own.path_phi.mean():.1f}" in html
+    assert "0.9 times the robot" not in html
+    (tmp_path / "reply.json").unlink()
+    shutil.rmtree(tmp_path / "files")
+    work(job | {"law": None, "robot": "go3"})
+    assert "go3" in (tmp_path / "refused.txt").read_text()
 
 
 def test_too_much_is_refused_whether_announced_or_not(served: Served, places: Path) -> None:

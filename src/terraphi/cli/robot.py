@@ -63,7 +63,7 @@ def forces(
     as_json: bool,
     **reading: Any,
 ) -> None:
-    """Foot forces and stances from a robot's LOG: CSV, Parquet, MCAP or rosbag2.
+    """Foot forces and stances from a robot's LOG: CSV, Parquet, MCAP, rosbag2 or ROS 1 bag.
 
     Example: terraphi forces walk.mcap --out forces.nc
     """

@@ -106,7 +106,8 @@ def footfalls(
         joint_names=joint_names, columns=columns,
     )  # fmt: skip
     if not analysis.stances:
-        raise InputError(f"{name}: {analysis.notes[-1]}")
+        why = next(note for note in analysis.notes if note.startswith("no stances"))
+        raise InputError(f"{name}: {why}")
     if analysis.grave:
         raise InputError(f"{name}: no footfall can be read: {analysis.grave[0]}")
     log, forces = without_broken_accelerometer(analysis.log)[0], analysis.forces

@@ -246,23 +246,13 @@ def foot_forces(
         notes=(
             *report.get("notes", ()),
             *(finding.text for finding in findings),
-            *_notes(forces, stances, report, weight),
-            *body.notes,
-            *_motor_order(body, report),
+            *_notes(forces, stances, report, body),
         ),
         grave=tuple(finding.text for finding in reversed(findings) if finding.grave),
         sensor_correlation=_sensor_correlation(log, forces),
         report=report,
         lift=None if mean is None else mean[0],
     )
-
-
-def _motor_order(robot: Quadruped, report: Mapping[str, Any]) -> list[str]:
-    """The order of numbered motors, if it is a guess."""
-    if not robot.order_assumed or "motors" not in report:
-        return []
-    order = ", ".join(report["motors"])
-    return [f"motors are taken to be numbered {order}: if not, set joint_order of the robot's TOML"]
 
 
 def _sensor_correlation(log: JointLog, forces: FootForces) -> dict[str, float]:
@@ -278,9 +268,9 @@ def _sensor_correlation(log: JointLog, forces: FootForces) -> dict[str, float]:
 
 
 def _notes(
-    forces: FootForces, stances: Sequence[Stance], report: Mapping[str, Any], weight: float
+    forces: FootForces, stances: Sequence[Stance], report: Mapping[str, Any], robot: Quadruped
 ) -> list[str]:
-    notes = []
+    notes, weight = [], robot.mass * GRAVITY
     heading = forces.provenance["heading_deg"]
     if forces.frame == "world" and abs(heading) > ASKEW_DEG:
         turned = f"the robot heads {heading:.0f}° from the world's x"
@@ -310,7 +300,12 @@ def _notes(
         notes.append(f"no stances: {did}, its feet carry {lift.sum():.0f} N of {weight:.0f} N")
     elif len(walked) < len(FEET):
         notes.append(f"no stances of {', '.join(foot for foot in FEET if foot not in walked)}")
-    return notes
+    if robot.order_assumed and "motors" in report:
+        order = ", ".join(report["motors"])
+        notes.append(
+            f"motors are taken to be numbered {order}: if not, set joint_order of the robot's TOML"
+        )
+    return [*notes, *robot.notes]
 
 
 def as_file(result: RobotForces) -> NetcdfFile[ForcesAttributes]:

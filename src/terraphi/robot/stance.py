@@ -103,11 +103,11 @@ class Ensemble:
     duration: float
 
     @classmethod
-    def of(cls, stances: Sequence[Stance], *, points: int = POINTS) -> Ensemble:
+    def of(cls, stances: Sequence[Stance]) -> Ensemble:
         """Average stances, none or more."""
-        part = np.linspace(0.0, 1.0, points)
+        part = np.linspace(0.0, 1.0, POINTS)
         if not stances:
-            empty = np.full((points, len(AXES)), np.nan)
+            empty = np.full((POINTS, len(AXES)), np.nan)
             return cls(part, empty, empty, 0, float("nan"))
         each = [
             [np.interp(s.begin + part * s.duration, s.time, f) for f in s.force.T] for s in stances

@@ -29,7 +29,8 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.scenario import GRAVITY
-from terraphi.inference.touchdowns import FEWEST, Touchdowns
+from terraphi.inference.touchdowns import FEWEST, Prior, Touchdowns
+from terraphi.laws.foot import Foot, moved_mass
 from terraphi.robot.estimators import smooth_sign, trunk_motion
 from terraphi.robot.forces import TRUNK_ACCELERATION_SD, FootForces
 from terraphi.robot.friction import BEARING_SHARE
@@ -65,9 +66,6 @@ BREAK_M, BREAK_SPEED, BREAK_STEEP, BREAK_PART = 0.002, 0.15, 0.87, 0.15
 """A crust breaks where a foot goes deeper by so much [m], at so much [m/s], steeper than 60° [-]
 and under less force than before, which was so much of the stance's largest [-]: slower feet creep,
 and their force falls as others take over the load (simulated walks at 0.08 and 0.12 m/s)."""
-LANDING_KG_M3 = 4650.0
-"""Force of the soil's inertia on a foot over π R² and the square of its speed [kg/m³]: three times
-a usual density, as of balls that hit grains (``docs/landing.md``)."""
 
 
 class Motion(NamedTuple):
@@ -185,7 +183,8 @@ def touchdowns(
         Of the feet [m].
     """
     step = float(np.median(np.diff(log.time)))
-    landing = LANDING_KG_M3 * np.pi * radius**2
+    # Force of the soil's inertia on a foot that meets it, over the square of its speed [kg/m].
+    landing = float(moved_mass(Foot(radius), 1e-6, Prior.density)[1])
     cut = [_touchdown(log, forces, motion, stance, per, step, landing) for stance in stances]
     columns = {name: np.array([one[name] for one in cut]) for name in Touchdowns._fields}
     columns["place"][:, 2] -= radius

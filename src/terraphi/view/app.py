@@ -200,7 +200,8 @@ async def reply_to(
     suffix = Path(name).suffix.lower()
     if suffix not in SUFFIXES:
         raise RefusedError(415, f"{name}: expected a file of {', '.join(SUFFIXES)}")
-    options = {key: query.get(key) or None for key in ("leg", *SIZES, "density", "columns")}
+    names = ("leg", *SIZES, "density", "columns", "robot", "law")
+    options = {key: query.get(key) or None for key in names}
     with tempfile.TemporaryDirectory(dir=place, prefix="dropped-") as made:
         folder = Path(made)
         await _receive(request, folder / f"dropped{suffix}", name, limits)
@@ -337,7 +338,7 @@ def work(job: dict[str, Any]) -> None:
     ----------
     job
         ``folder`` and ``file`` in it, the ``name`` that was dropped, the ``task`` (look, answer);
-        ``leg``, its sizes [mm], ``density`` and, as JSON, ``columns``.
+        ``leg``, its sizes [mm], ``density``, ``law``, ``robot`` and, as JSON, ``columns``.
     """
     folder, name = Path(job["folder"]), job["name"]
     file = str(folder / job["file"])
@@ -351,8 +352,8 @@ def work(job: dict[str, Any]) -> None:
             reply = look(file, columns)
         else:
             (folder / "files").mkdir()
-            sizes = {key: job[key] for key in ("leg", *SIZES)}
-            found = answers(file, name, columns, density=job["density"], **sizes)
+            options = {key: job[key] for key in ("leg", *SIZES, "density", "law", "robot")}
+            found = answers(file, name, columns, **options)
             reply = page.drawn(found)
             files = {path.name: path.read_bytes() for path in folder.glob("files/*")}
             files = {"report.html": page.document(name, **reply).encode(), **files}
@@ -391,11 +392,13 @@ def look(file: str, columns: dict[str, Any]) -> dict[str, Any]:
 
 
 def answers(
-    file: str, name: str, columns: dict[str, Any], *, density: str | None, **sizes: str | None
-) -> list[Section]:
+    file: str, name: str, columns: dict[str, Any], *,
+    density: str | None, law: str | None, robot: str | None, **sizes: str | None,
+) -> list[Section]:  # fmt: skip
     """Sections for a dropped file: an inversion, footfalls and foot forces of a log, or a result.
 
-    What can be downloaded goes to the folder ``files`` next to it.
+    Law and robot are names, or files of this machine. What can be downloaded goes to the folder
+    ``files`` next to the file.
     """
     kind, folder = kind_of(file), Path(file).parent / "files"
     if kind in ("forces", "simulation"):
@@ -406,21 +409,18 @@ def answers(
         options = with_rig(sizes)
         measured = open_forces(file, tared(columns, options.get("rig")))
         measured = [replace(one, name=one.name.replace(file, name)) for one in measured]
-        answer = invert(measured, density=density, **options)
+        answer = invert(measured, density=density, law=law, **options)
         write_files(answer, folder)
         return [of_answer(answer)]
     if kind != "log":
         return [section_of(file)._replace(title=name)]
     from terraphi.robot.footfalls import footfalls
-    from terraphi.robot.logs import read_log
-    from terraphi.robot.model import Quadruped
     from terraphi.robot.results import foot_forces
 
-    robot = Quadruped.load("go2")
-    log = read_log(file, motors=robot.joint_order)
-    forces = of_foot_forces(foot_forces(log, robot=robot), name)
+    found = foot_forces(file, robot=robot or "go2")
+    forces = of_foot_forces(found, name)
     try:
-        walked = footfalls(log, robot=robot, density=density)
+        walked = footfalls(found.log, robot=found.robot, density=density, law=law or "foot")
     except InputError as error:
         why = f"No footfalls: {str(error).removeprefix('the log: ')}."
         return [forces._replace(lines=[*forces.lines, why])]

@@ -47,7 +47,7 @@ FORCES = {"Fx": "F<sub>x</sub> [N], forward", "Fz": "F<sub>z</sub> [N], up"}
 CHANNELS = {**FORCES, "M": "M [N m]"}
 PALE_BLUE, PALE_GREY = "rgba(0,114,178,0.22)", "rgba(102,102,102,0.25)"
 TABLES = (".csv", ".txt", ".tsv", ".dat", ".lvm")
-LOGS = (".mcap", ".db3", ".parquet", *TABLES)
+LOGS = (".mcap", ".db3", ".bag", ".parquet", *TABLES)
 KINDS = ("answer", "library", "force history", "foot forces", "footfalls")
 """Marks in the NetCDF of results."""
 Trace = dict[str, Any]

@@ -1,7 +1,7 @@
-"""Logs of a walking robot: CSV, Parquet, MCAP, rosbag2 and GrandTour missions become a JointLog.
+"""Logs of a walking robot, tables, bags and GrandTour missions, become a JointLog.
 
 Bags hold ``unitree_go/msg/LowState`` or ``sensor_msgs/msg/JointState`` messages and need the extra
-``robot`` (``pip install 'terraphi[robot]'``); ROS 2 need not be installed.
+``robot`` (``pip install 'terraphi[robot]'``); ROS need not be installed.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from terraphi.robot.logs.columns import Columns, read_columns
 from terraphi.robot.logs.missions import is_mission, read_mission
 from terraphi.robot.logs.samples import joint_log
 
-FORMATS = "CSV, Parquet, MCAP, the folder of a rosbag2 or that of a GrandTour mission"
+FORMATS = "CSV, Parquet, MCAP, a ROS 1 bag, the folder of a rosbag2 or of a GrandTour mission"
 
 
 def read_log(
@@ -38,7 +38,7 @@ def read_log(
     ----------
     path
         A CSV or Parquet table (:mod:`~terraphi.robot.logs.columns` has its columns), an MCAP file,
-        the folder of a rosbag2, or that of a mission of the GrandTour data set
+        a bag of ROS 1, the folder of a rosbag2, or that of a mission of the GrandTour data set
         (:mod:`~terraphi.robot.logs.missions`).
     topic
         Topic of a bag to read; by default the one with ``unitree_go/msg/LowState`` messages, or
@@ -78,7 +78,7 @@ def read_log(
         )
     path = path.parent if path.name == "metadata.yaml" else path
     mission = path.is_dir() and is_mission(path)
-    bag = (path.is_dir() and not mission) or path.suffix in {".mcap", ".db3"}
+    bag = (path.is_dir() and not mission) or path.suffix in {".bag", ".mcap", ".db3"}
     if not path.is_dir():
         check_is_file(path, FORMATS)
     useless: dict[str, object] = {} if bag else {"topic": topic, "joint names": joint_names}

@@ -1,8 +1,8 @@
-"""Bags of ROS 2 with a robot's joint states and IMU, read by the package ``rosbags``.
+"""Bags of ROS with a robot's joint states and IMU, read by the package ``rosbags``.
 
 ``unitree_go/msg/LowState`` (Go2, B2) numbers its motors, of which the first twelve are the legs'.
 ``sensor_msgs/msg/JointState`` names its joints and may list them in any order;
-``sensor_msgs/msg/Imu`` goes with it.
+``sensor_msgs/msg/Imu`` goes with it. Messages of a ROS 1 bag are read as those of ROS 2.
 """
 
 from __future__ import annotations
@@ -211,21 +211,29 @@ def read_bag(
     motors: Sequence[str],
     own_names: Sequence[str],
 ) -> JointLog:
-    """Read an MCAP file or the folder of a rosbag2; options of ``read_log``."""
+    """Read an MCAP file, the folder of a rosbag2 or a ROS 1 bag; options of ``read_log``."""
     with needing(f"{path}: reading bags", "the package rosbags", extra="robot"):
         import apsw
-        from rosbags.rosbag2 import Reader
+        from rosbags import rosbag1, rosbag2
     dropped: Counter[str] = Counter()
-    facts: dict[str, Any] = {"notes": [], "format": "rosbag2" if path.is_dir() else "mcap"}
+    kind = "rosbag2" if path.is_dir() else "rosbag1" if path.suffix == ".bag" else "mcap"
+    facts: dict[str, Any] = {"notes": [], "format": kind}
+    opened: Any = rosbag1.Reader if kind == "rosbag1" else rosbag2.Reader
     files = [one for one in path.iterdir() if not one.is_dir()] if path.is_dir() else [path]
     for one in files:
         check_is_file(one)
     end = time.monotonic() + SECONDS
 
     def raw(topic: str) -> Raw:
-        for _, recorded, data in bag.messages([c for c in bag.connections if c.topic == topic]):
+        chosen = [c for c in bag.connections if c.topic == topic]
+        for connection, recorded, data in bag.messages(chosen):
             if time.monotonic() > end:
                 raise InputError(f"not read within {SECONDS:g} s; cut it into parts")
+            if kind == "rosbag1":
+                try:
+                    data = bytes(typestore().ros1_to_cdr(data, connection.msgtype))
+                except Exception:  # damaged, as in decoded, where nothing is no message either
+                    data = b""
             yield recorded, data
 
     def guard(database: Any) -> None:
@@ -235,7 +243,7 @@ def read_bag(
 
     apsw.connection_hooks.append(guard)
     try:
-        with unpacking("it", files), Reader(path) as bag:
+        with unpacking("it", files), opened(path) as bag:
             chosen = _choose(bag.connections, topic)
             name, named = chosen.topic, _plain(chosen.msgtype) == JOINT_STATE
             facts |= {"topic": name, "message": chosen.msgtype}

@@ -25,9 +25,9 @@ async function send(task) {
   const tell = () => { by("status").textContent = `${task === "look" ? "Reading" : "Working"}: ${Math.round((Date.now() - began) / 1000)} s`; };
   const tick = setInterval(tell, 500);
   tell();
-  const { leg, length, width, thickness, hip_height, hip_sd, density, sd } = Object.fromEntries(new FormData(form));
+  const { leg, length, width, thickness, hip_height, hip_sd, density, sd, law, robot } = Object.fromEntries(new FormData(form));
   const query = {
-    name: file.name, columns: JSON.stringify(columns()), leg: leg || "", length, width, thickness,
+    name: file.name, columns: JSON.stringify(columns()), leg: leg || "", length, width, thickness, law, robot,
     hip_height: hip_height && hip_sd ? `${hip_height}±${hip_sd}` : hip_height, density: density && sd ? `${density}±${sd}` : density,
   };
   let found = { refused: "The file did not arrive: it may be too large, or the app has been stopped." };
@@ -141,6 +141,7 @@ async function open(dropped) {
   kind = found.kind;
   form.hidden = !["forces", "log"].includes(kind);
   by("forces").hidden = by("forces").inert = kind !== "forces";
+  by("robot").hidden = kind !== "log";
   form.noValidate = kind !== "forces"; // what is hidden is required of forces alone
   if (kind !== "forces") { answer(); return; }
   tabulate(found);
