@@ -53,6 +53,8 @@ LAW = Path(__file__).parents[2] / "src" / "terraphi" / "data" / "laws" / "legs.n
 GRAINS = Path(__file__).parents[1] / "data" / "grains"
 OTHERS = ("slow", "narrow", "wide")
 """Ends of the names of soils that are stirred otherwise."""
+APART = ("moist", "damp", "contracting")
+"""Packings of which nothing is learned: their cells are under two loads."""
 SHEAR_CELL_SD = 0.6
 """Standard deviation of the friction angle by one shear cell [deg]: between seeds."""
 SLOPE_SD = 0.1
@@ -139,8 +141,9 @@ def read(law: Legs, given: Sequence[tuple[str, str, str, Record, float]]) -> lis
         angle, shift = float(likelihood.least_squares[0]), float(likelihood.shift_deg[0])
         apart = (likelihood.data - likelihood.curves(np.array([[angle]]))[0]) / likelihood.span
         nrmsd = np.sqrt(np.square(apart).reshape(2, -1).mean(axis=1)).max()
-        critical = measured(f"{soil.split('-')[0]}-loose").phi_critical_deg
-        angles = (critical, measured(soil).phi_peak_deg)
+        loose = measured(f"{soil.split('-')[0]}-loose")
+        peak = loose if soil.endswith(APART) else measured(soil)
+        angles = (loose.phi_critical_deg, peak.phi_peak_deg)
         found.append(Reading(name, soil, body, record, *angles, size, angle, shift, float(nrmsd)))
     return found
 
@@ -298,6 +301,7 @@ def answers(law: Legs, readings: Sequence[Reading]) -> list[dict[str, Any]]:
                     "ci95": [round(end, 2) for end in answer.phi.ci95],
                     "nrmsd": {name: round(value, 4) for name, value in answer.nrmsd.items()},
                     "verdict": answer.verdict,
+                    "moisture": any("damp soil" in text for text in answer.questions),
                 })  # fmt: skip
     return rows
 
@@ -410,6 +414,20 @@ def calibrated(law: Legs, readings: Sequence[Reading]) -> list[tuple[str, str]]:
     ]  # fmt: skip
 
 
+def cells() -> str:
+    """A table: cells of damp soils and of one that contracts."""
+    rows = []
+    for soil in APART:
+        one = elements.cohesive(GRAINS, f"B-{soil}")
+        rows.append((
+            f"B-{soil}", f"{one.phi_deg:.1f} ± {one.phi_sd_deg:.1f}°",
+            f"{one.cohesion_pa:.0f} ± {one.cohesion_sd_pa:.0f} Pa", f"{one.volume_fraction:.3f}",
+            f"{one.shrinks:.1%}", f"{one.mobilized:.0%}",
+        ))  # fmt: skip
+    return pages.table(("soil", "critical φ", "c", "volume fraction", "shrinks by",
+                        "of the friction at 5 % strain"), rows)  # fmt: skip
+
+
 def other_rigs(readings: Sequence[Reading]) -> str:
     """A table: rigs that are not Li's, by the line of all other records of their shape."""
     rows = []
@@ -457,6 +475,20 @@ def draw(rows: Sequence[dict[str, Any]]) -> Figure:
     return figure
 
 
+def listed(rows: Sequence[dict[str, Any]]) -> list[tuple[str, ...]]:
+    """Cells of a table for each row."""
+    return [
+        (
+            r["name"], *(f"{r[f'phi_{key}_deg']:.1f}°" for key in ("critical", "peak")),
+            f"{r['phi_deg']:.1f}°", f"{r['fine_deg']:.1f}°",
+            *("{:.0f} to {:.0f}°".format(*r[k]) for k in ("ci68", "ci95")),
+            f"{r['cohesion_pa']:.0f} Pa",
+            f"{r['nrmsd']['Fx']:.0%} / {r['nrmsd']['Fz']:.0%}", r["verdict"],
+        )
+        for r in rows
+    ]  # fmt: skip
+
+
 def main() -> None:
     """Learn the error, or read, leave out, and print or write the page."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -473,18 +505,10 @@ def main() -> None:
     if options.json:
         print(json.dumps(rows, indent=1))
         return
+    apart = [r for r in rows if r["soil"].endswith(APART)]
+    rows = [r for r in rows if r not in apart]
     header = ("record", "critical", "peak", "φ", "without the size", "68 %", "95 %", "c",
               "NRMSD Fx / Fz", "verdict")  # fmt: skip
-    every = [
-        (
-            r["name"], *(f"{r[f'phi_{key}_deg']:.1f}°" for key in ("critical", "peak")),
-            f"{r['phi_deg']:.1f}°", f"{r['fine_deg']:.1f}°",
-            *("{:.0f} to {:.0f}°".format(*r[k]) for k in ("ci68", "ci95")),
-            f"{r['cohesion_pa']:.0f} Pa",
-            f"{r['nrmsd']['Fx']:.0%} / {r['nrmsd']['Fz']:.0%}", r["verdict"],
-        )
-        for r in rows
-    ]  # fmt: skip
     numbers = ("offset_deg", "common_sd_deg", "soil_sd_deg", "leg_sd_deg", "cohesion_weight",
                "shift_deg", "nrmsd_limit")  # fmt: skip
     slopes = {leg: line.of_size for leg, line in lines(readings).items()}
@@ -510,7 +534,20 @@ def main() -> None:
             for leg, one in law.model_error.items()
         ]),
         other_rigs(readings),
-        pages.table(header, every),
+        (
+            "Soil B with bridges of liquid between its grains (*moist*, *damp*), and poured with "
+            "such bridges that are then taken away but for a tenth, so that it is looser than its "
+            "critical state (*contracting*). Nothing is learned from them. Cells under 0.5 and 1.5 "
+            "kPa give φ and c; volume and friction are those under 0.5 kPa."
+        ),
+        cells(),
+        pages.table(("record", "critical", "φ", "without the size", "68 %", "95 %", "c",
+                     "NRMSD Fx / Fz", "verdict", "names moisture"), [
+            (*row[:2], *row[3:], "yes" if r["moisture"] else "no")
+            for row, r in zip(listed(apart), apart, strict=True)
+        ]),
+        "Every record of the other soils:",
+        pages.table(header, listed(rows)),
     ]  # fmt: skip
     alt = "inferred angles over critical ones; packed soils between critical and peak"
     title = "Grains whose friction angle was measured"
