@@ -275,10 +275,10 @@ class Cohesive(NamedTuple):
     """Cohesion there [Pa]."""
     cohesion_sd_pa: float
     """Standard errors from blocks [deg], [Pa]."""
-    shrinks: float
-    """Loss of height under the lighter load, until it is least [-]."""
-    mobilized: float
-    """τ/σ at a shear strain of EARLY_STRAIN over that of the critical state, there [-]."""
+    shrinks: tuple[float, float]
+    """Loss of height until it is least, under the firm and the light load [-]."""
+    mobilized: tuple[float, float]
+    """τ/σ at a shear strain of EARLY_STRAIN over that of the critical state, likewise [-]."""
     volume_fraction: float
     """Of the settled bed [-]."""
 
@@ -289,21 +289,23 @@ def cohesive(folder: Path, name: str) -> Cohesive:
     In the critical state planes of shear are those of the largest shear stress, so that
     τ = σ sin φ + c cos φ.
     """
-    steady = []
+    steady, shrinks, mobilized = [], [], []
     for kind in ("firm", "light"):
         paths = sorted(folder.glob(f"{name}_{kind}_*.csv"))
         if not paths:
             raise FileNotFoundError(f"{folder}: no cell {kind} of {name}")
         cells = np.array([np.loadtxt(path, delimiter=",", skiprows=3)[:, :4].T for path in paths])
-        late = cells[:, 2:, cells[0, 0] > CRITICAL_STRAIN]
-        blocks = np.hstack([part.mean(axis=2).T for part in np.array_split(late, BLOCKS, axis=2)])
+        strain, rise, tau, sigma = cells.mean(axis=0)
+        late, near = strain > CRITICAL_STRAIN, np.abs(strain - EARLY_STRAIN) < 0.5 * SMOOTH
+        parts = np.array_split(cells[:, 2:, late], BLOCKS, axis=2)
+        blocks = np.hstack([part.mean(axis=2).T for part in parts])
         stress, load = blocks.mean(axis=1)
         sd = (blocks[0] / blocks[1]).std(ddof=1) * load / math.sqrt(blocks.shape[1])
         steady.append((load, stress, sd))
-    strain, rise, tau, sigma = cells.mean(axis=0)
-    near = np.abs(strain - EARLY_STRAIN) < 0.5 * SMOOTH
-    smooth = np.convolve(rise, np.ones(8) / 8, "valid")
-    mobilized = tau[near].mean() / sigma[near].mean() / (stress / load)
+        width = round(SMOOTH / (strain[1] - strain[0]))
+        least = np.convolve(rise, np.ones(width) / width, "valid").min()
+        shrinks.append(max(-float(least), 0.0))
+        mobilized.append(float(tau[near].mean() / sigma[near].mean() / (stress / load)))
     words = [path.read_text().split("volume fraction ")[1].split()[0] for path in paths]
     (high, firm, firm_sd), (low, light, light_sd) = steady
     slope = (firm - light) / (high - low)
@@ -313,7 +315,7 @@ def cohesive(folder: Path, name: str) -> Cohesive:
     return Cohesive(
         math.degrees(phi), math.degrees(slope_sd / math.cos(phi)),
         float(light - slope * low) / math.cos(phi), rest_sd / math.cos(phi),
-        max(-float(smooth.min()), 0.0), float(mobilized),
+        (shrinks[0], shrinks[1]), (mobilized[0], mobilized[1]),
         float(np.mean([float(word) for word in words])),
     )  # fmt: skip
 
