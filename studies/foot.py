@@ -72,6 +72,10 @@ DRIFT = (
     "the depth, for the surface bears too. Theirs begins at nothing, and its slope doubles: φ read "
     "with one law rises. Soil that is compacted as it flows does the same until it is compacted."
 )
+RECTANGLES = pages.ROOT / "data" / "foot_rectangles.csv"
+SLENDER, AREA_RADIUS, OF_PHI, EDGE = (1, 2, 4), 0.024, 30.0, 3e-3
+"""Sides' ratios of plates that have the area of a disc of a radius [m], φ of the soil [deg], and by
+how much a grid of 6 mm widens a body at each edge: half a cell [m]."""
 COMPACTED_AT = (0.4, 0.6, 0.8, 1.0, 1.5)
 LAW = pages.ROOT.parent / "src" / "terraphi" / "data" / "laws" / "foot.nc"
 
@@ -360,6 +364,49 @@ def compacted(cases: list[Case]) -> list[tuple[str, ...]]:
     ]
 
 
+def rectangles() -> list[tuple[str, ...]]:
+    """Lift on plates over that on a disc of their area, mean from 0.3 to 1.5 radii; simulated once.
+
+    Cells of 6 mm with 8 particles each. Edges are widened as EDGE says, of slender plates more.
+    """
+    if not RECTANGLES.is_file():
+        plan = terraphi.Plan.load(pages.ROOT / "plans" / "foot.toml")
+        usual = next(s for s in plan.cases() if s.leg.shape == "cylinder")
+        changes = {
+            "soil.friction_angle_deg": OF_PHI, "numerics.cells": 56, "numerics.time_step": 8.25e-5,
+            "numerics.particles_per_cell_side": 2, "numerics.remap_interval": 8.25e-3,
+            "bed.left": 0.024, "bed.floor": 0.024, "bed.width": 0.288, "bed.breadth": 0.252,
+            "motion.distance": 0.036,
+        }  # fmt: skip
+        columns = []
+        for ratio in (None, *SLENDER):
+            if ratio:
+                width = AREA_RADIUS * math.sqrt(math.pi / ratio)
+                changes |= {
+                    "leg.shape": "plate", "leg.chord": ratio * width, "leg.width": width,
+                    "leg.half_thickness": AREA_RADIUS, "motion.orientation_deg": 90.0,
+                    "motion.start": [0.168 + 0.5 * ratio * width, 0.176],
+                }  # fmt: skip
+            history = terraphi.simulate(usual.replace(**changes))
+            columns.append(history.force[:, 1])
+        head = "way_mm,disc," + ",".join(f"plate_{ratio}" for ratio in SLENDER)
+        np.savetxt(RECTANGLES, np.column_stack([1e3 * history.position, *columns]), "%.4f", ",",
+                   header=f"lift [N] over the way, by studies/foot.py\n{head}")  # fmt: skip
+    way, disc, *plates = np.loadtxt(RECTANGLES, delimiter=",", skiprows=2, unpack=True)
+    used = (way > 300.0 * AREA_RADIUS) & (way < 1500.0 * AREA_RADIUS)
+    rows = []
+    for ratio, lift in zip(SLENDER, plates, strict=True):
+        width = AREA_RADIUS * math.sqrt(math.pi / ratio)
+        wider = (1.0 + 2.0 * EDGE / width) * (1.0 + 2.0 * EDGE / (ratio * width))
+        simulated = lift[used].mean() / disc[used].mean()
+        rows.append((
+            f"{ratio}", f"{simulated:.2f}",
+            f"{simulated * (1.0 + EDGE / AREA_RADIUS) ** 2 / wider:.2f}",
+            f"{0.955 * ratio**-0.2:.2f}", f"{0.98 * ratio**-0.15:.2f}",
+        ))  # fmt: skip
+    return rows
+
+
 def draw(tables: Tables) -> Figure:
     """Lift straight down over the depth, by φ, of both feet."""
     figure = Figure(figsize=(10.0, 3.8), layout="constrained")
@@ -415,6 +462,15 @@ def main() -> None:
     parts += [DRIFT, pages.table(header, slopes(law))]
     header = ("disc, φ = 36°", *(f"p/ρgz at {depth:g} R" for depth in COMPACTED_AT))
     parts.append(pages.table(header, compacted(cases)))
+    header = ("L/B", "simulated", "for bodies as wide as the grid makes them", "Vesić", "taken")
+    parts += [
+        (
+            f"Lift on rectangles over that on a disc of their area (radius {1e3 * AREA_RADIUS:g} "
+            f"mm, φ {OF_PHI:g}°, 0.3 to 1.5 radii deep), and by Vesić's shape factors. `--tool "
+            "plate:38x25` takes what is between, with half its logarithm as error."
+        ),
+        pages.table(header, rectangles()),
+    ]
     parts.append(
         f"Feet in loose grains whose φ a shear cell measured find {WEAKER_DEG:g}° less by the "
         "simulated forces ([plates](plates.md)). So at φ the law has the force that was "

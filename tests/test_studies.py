@@ -13,6 +13,10 @@ import table
 from scipy.spatial import ConvexHull
 
 import plates
+import terraphi
+from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.rig import LI2013
+from terraphi.inference.records import open_record
 from terraphi.laws.foot import Foot
 from terraphi.laws.law import ModelError
 
@@ -111,6 +115,39 @@ def test_error_of_an_offset_is_its_scatter_over_other_soils() -> None:
     ]
     stated = np.sqrt(np.mean([one.covariance[0][0] for one in found]))
     assert stated == pytest.approx(np.std([one.offset_deg for one in found]), rel=0.3)
+
+
+def test_cells_under_two_loads_find_cohesion_and_angle(tmp_path: Path) -> None:
+    """Rows of Mohr and Coulomb's soil in its critical state, whose volume falls at first."""
+    phi, cohesion, strain = np.radians(30.0), 80.0, 0.005 * (np.arange(140) + 0.5)
+    for kind, load in (("firm", 1500.0), ("light", 500.0)):
+        tau = load * np.sin(phi) + cohesion * np.cos(phi)
+        course = tau * np.minimum(strain / 0.1, 1.0)
+        rise = -0.02 * np.minimum(strain / 0.2, 1.0)
+        rows = np.column_stack([strain, rise, course, 0.0 * strain + load, course])
+        head = "# grains\n# density 1375 kg/m3, volume fraction 0.55\nstrain,rise,tau,sigma,top"
+        path = tmp_path / f"S-damp_{kind}_1.csv"
+        np.savetxt(path, rows, delimiter=",", header=head, comments="")
+    found = table.elements.cohesive(tmp_path, "S-damp")
+    assert found.phi_deg == pytest.approx(30.0, abs=0.01)
+    assert found.cohesion_pa == pytest.approx(cohesion, abs=0.1)
+    np.testing.assert_allclose(found.shrinks, 0.02, atol=2e-4)
+    np.testing.assert_allclose(found.mobilized, 0.5, atol=0.02)
+
+
+def test_late_lift_is_found_and_taken_off() -> None:
+    law = table.without_offset(table.Legs.load(table.LAW))
+    rig = terraphi.Rig(leg="straight", **LI2013)
+    theta = np.arange(-85.0, 81.0)
+    force = law.forces(rig, 30.0).forces[0].interp(theta_deg=theta).values.copy()
+    contact = -np.degrees(np.arccos(rig.hip_height_mm / rig.length_mm))
+    force[1] *= 1.0 - 0.3 * np.exp(-np.maximum(theta - contact, 0.0) / table.LATE_DEG)
+    history = ForceHistory(np.radians(theta), force.T)
+    given = [("made", "A-loose", "straight", open_record(history, rig=rig, density="1650±0"), 0.0)]
+    reading = table.read(law, given)[0]
+    angle, missing = table.late(law, reading)
+    assert 0.1 < missing < 0.35
+    assert abs(angle - 30.0) < 0.5 * abs(reading.read_deg - 30.0)
 
 
 @pytest.mark.slow

@@ -12,6 +12,9 @@ the upper one [Pa]. In the steady state both τ agree and σ is the load.
 **Tilting bed.** Gravity is turned by 2.5° a second until the bed flows, and back until it rests.
 Rows: angle [deg] and the mean speed along of the grains above the middle [m/s].
 
+Damp soil, and soil that contracts, is sheared in smaller cells under two loads (`firm`, `light`),
+which give φ and the cohesion.
+
 Angles of a shear cell are those of Mohr-Coulomb soil in plane strain: with the stress ratio τ/σ and
 the rise tan ψ = dh/dx, τ/σ = sin φ cos ψ / (1 − sin φ sin ψ) (Davis 1968), and sin φ = τ/σ in the
 critical state, where nothing rises.
@@ -23,6 +26,7 @@ import argparse
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import engine
 import numpy as np
@@ -38,8 +42,12 @@ CELL, LAYER = (20.0, 12.0, 26.0), 2.0
 
 Through a layer of 1.3 grains slip out of loose soils.
 """
-PRESSURE, INERTIAL, STRAIN, ROW = 1500.0, 2e-3, 1.2, 0.005
-"""Load [Pa], inertial number, shear strain of a test, and of a row."""
+SMALL = 12.0, 8.0, 18.0
+"""The same of a cell under two loads."""
+LOADS = {"shear": (1500.0, 2e-3, 1.2), "firm": (1500.0, 5e-3, 0.7), "light": (500.0, 5e-3, 0.7)}
+"""Load [Pa], inertial number and shear strain of a shear cell; damp soil is under two loads."""
+ROW = 0.005
+"""Shear strain of a row."""
 TILT_DEG, RATE_DEG, STEP_DEG = 14.0, 2.5, 0.25
 """Angle at the start [deg], speed of the tilt [deg/s], and width of a row [deg]."""
 FLOWS, RUNS, RESTS = 0.01, 0.1, 0.002
@@ -47,11 +55,13 @@ FLOWS, RUNS, RESTS = 0.01, 0.1, 0.002
 SMOOTH, EARLY, BLOCKS = 0.04, 0.5, 4
 """Shear strain of running means, that by which they peak, and blocks of a steady state."""
 SEEDS = (1, 2, 3, 4)
+CRITICAL_STRAIN, EARLY_STRAIN = 0.25, 0.05
+"""Shear strain from which a cell under two loads is steady, and one at which it is not [-]."""
 
 
-def box_of(soil: engine.Soil) -> tuple[float, ...]:
+def box_of(soil: engine.Soil, cell: tuple[float, ...] = CELL) -> tuple[float, ...]:
     """West, east, south, north and top of a cell [m]."""
-    length, breadth, height = (soil.diameter * each for each in CELL)
+    length, breadth, height = (soil.diameter * each for each in cell)
     return -length / 2, length / 2, -breadth / 2, breadth / 2, 3.0 * height
 
 
@@ -66,27 +76,28 @@ neigh_modify exclude group low low
 """
 
 
-def sheared(soil: engine.Soil, top: float, area: float) -> str:
-    """Deck of a shear cell whose surface is at a height [m]."""
+def sheared(soil: engine.Soil, top: float, area: float, kind: str) -> str:
+    """Deck of a shear cell whose surface is at a height [m], under a load of LOADS."""
+    pressure, inertial, strain = LOADS[kind]
     height = top - 2.0 * LAYER * soil.diameter
-    speed = INERTIAL * height / (soil.diameter * math.sqrt(engine.DENSITY / PRESSURE))
+    speed = inertial * height / (soil.diameter * math.sqrt(engine.DENSITY / pressure))
     every = round(ROW * height / speed / soil.time_step)
     return f"""{engine.header(soil, walls=False)}read_restart bed.restart
-{engine.contacts(soil, soil.sliding)}
+{engine.contacts(soil)}
 {glued(top - LAYER * soil.diameter, soil)}neigh_modify exclude group high high
 velocity all set 0 0 0
 velocity high set {speed:.6g} 0 0
 fix integrate inner nve/sphere
 variable many equal count(high)
-variable each equal -{PRESSURE * area:.6g}/v_many
+variable each equal -{pressure * area:.6g}/v_many
 fix load high addforce 0 0 ${{each}}
 fix plate high rigid single force 1 off off on torque 1 off off off
 fix ground low freeze
 variable above equal f_plate[1][7]
 variable rise equal xcm(high,z)
-fix mean all ave/time 1 {every} {every} f_ground[1] f_ground[3] v_above v_rise file shear.txt
-dump last all custom {round(STRAIN / ROW) * every} shear.dump id x y z radius
-run {round(STRAIN / ROW) * every}
+fix mean all ave/time 1 {every} {every} f_ground[1] f_ground[3] v_above v_rise file {kind}.txt
+dump last all custom {round(strain / ROW) * every} {kind}.dump id x y z radius
+run {round(strain / ROW) * every}
 """
 
 
@@ -111,7 +122,7 @@ label {name}_end
 """
 
     return f"""{engine.header(soil, walls=False)}read_restart bed.restart
-{engine.contacts(soil, soil.sliding)}
+{engine.contacts(soil)}
 {glued(0.5 * top, soil)}group free subtract all low
 fix integrate free nve/sphere
 fix ground low freeze
@@ -122,23 +133,24 @@ fix mean all ave/time 1 {steps} {steps} v_angle v_speed file tilt.txt
 {turn("back", f"${{turned}}-{STEP_DEG}*v_back", f"< {RESTS}")}"""
 
 
-def shear(soil: engine.Soil, folder: Path, top: float, area: float) -> FloatArray:
+def shear(soil: engine.Soil, folder: Path, top: float, area: float, kind: str) -> FloatArray:
     """Shear a bed: strain, rise over height, τ, σ below and τ above [Pa], shape [row, 5]."""
-    engine.run(sheared(soil, top, area), folder, "shear")
-    _, x, z, above, rise = np.loadtxt(folder / "shear.txt").T
+    engine.run(sheared(soil, top, area, kind), folder, kind)
+    _, x, z, above, rise = np.loadtxt(folder / f"{kind}.txt").T
     strain = ROW * (np.arange(x.size) + 0.5)
     height = top - 2.0 * LAYER * soil.diameter
     return np.column_stack([strain, (rise - rise[0]) / height, x / area, -z / area, -above / area])
 
 
-def tilt(soil: engine.Soil, folder: Path, top: float, _: float) -> FloatArray:
+def tilt(soil: engine.Soil, folder: Path, top: float, _: float, kind: str) -> FloatArray:
     """Tilt a bed and turn it back: angle [deg], mean speed of its upper half [m/s]."""
-    engine.run(tilted(soil, top), folder, "tilt")
-    return np.loadtxt(folder / "tilt.txt")[:, 1:]
+    engine.run(tilted(soil, top), folder, kind)
+    return np.loadtxt(folder / f"{kind}.txt")[:, 1:]
 
 
+SHEAR = (shear, "strain,rise,tau_Pa,sigma_Pa,tau_top_Pa", "%.4f,%.5f,%.2f,%.2f,%.2f")
 TESTS = {
-    "shear": (shear, "strain,rise,tau_Pa,sigma_Pa,tau_top_Pa", "%.4f,%.5f,%.2f,%.2f,%.2f"),
+    **dict.fromkeys(LOADS, SHEAR),
     "tilt": (tilt, "angle_deg,speed_m_s", "%.3f,%.5f"),
 }
 
@@ -149,13 +161,14 @@ def test(name: str, kind: str, seed: int, work: Path, out: Path) -> None:
     if path.exists():
         return
     soil = replace(run.soils()[name], diameter_mm=DIAMETER_MM)
-    folder = work / f"{name}_{seed}"
-    x0, x1, y0, y1, _ = box = box_of(soil)
+    cell = SMALL if kind in ("firm", "light") else CELL
+    folder = work / f"{name}_{seed}_{cell[2]:g}"
+    x0, x1, y0, y1, _ = box = box_of(soil, cell)
     area = (x1 - x0) * (y1 - y0)
-    engine.bed(soil, seed, box, CELL[2] * soil.diameter, folder, walls=False)
+    engine.bed(soil, seed, box, cell[2] * soil.diameter, folder, walls=False)
     top, fraction = engine.layering(engine.dump(folder / "bed.dump"), area)
     perform, columns, form = TESTS[kind]
-    rows = perform(soil, folder, top, area)
+    rows = perform(soil, folder, top, area, kind)
     with atomic_write(path) as temporary, temporary.open("w") as file:
         file.write(
             f"# grains {name}, seed {seed}: sliding friction {soil.sliding}, rolling "
@@ -252,13 +265,68 @@ def measured(folder: Path, name: str) -> Measured:
     )  # fmt: skip
 
 
+class Cohesive(NamedTuple):
+    """Results of a shear cell under two loads."""
+
+    phi_deg: float
+    """Friction angle in plane strain in the critical state [deg]."""
+    phi_sd_deg: float
+    cohesion_pa: float
+    """Cohesion there [Pa]."""
+    cohesion_sd_pa: float
+    """Standard errors from blocks [deg], [Pa]."""
+    shrinks: tuple[float, float]
+    """Loss of height until it is least, under the firm and the light load [-]."""
+    mobilized: tuple[float, float]
+    """τ/σ at a shear strain of EARLY_STRAIN over that of the critical state, likewise [-]."""
+    volume_fraction: float
+    """Of the settled bed [-]."""
+
+
+def cohesive(folder: Path, name: str) -> Cohesive:
+    """Reduce the cells of a soil under two loads; raises FileNotFoundError if one is missing.
+
+    In the critical state planes of shear are those of the largest shear stress, so that
+    τ = σ sin φ + c cos φ.
+    """
+    steady, shrinks, mobilized = [], [], []
+    for kind in ("firm", "light"):
+        paths = sorted(folder.glob(f"{name}_{kind}_*.csv"))
+        if not paths:
+            raise FileNotFoundError(f"{folder}: no cell {kind} of {name}")
+        cells = np.array([np.loadtxt(path, delimiter=",", skiprows=3)[:, :4].T for path in paths])
+        strain, rise, tau, sigma = cells.mean(axis=0)
+        late, near = strain > CRITICAL_STRAIN, np.abs(strain - EARLY_STRAIN) < 0.5 * SMOOTH
+        parts = np.array_split(cells[:, 2:, late], BLOCKS, axis=2)
+        blocks = np.hstack([part.mean(axis=2).T for part in parts])
+        stress, load = blocks.mean(axis=1)
+        sd = (blocks[0] / blocks[1]).std(ddof=1) * load / math.sqrt(blocks.shape[1])
+        steady.append((load, stress, sd))
+        width = round(SMOOTH / (strain[1] - strain[0]))
+        least = np.convolve(rise, np.ones(width) / width, "valid").min()
+        shrinks.append(max(-float(least), 0.0))
+        mobilized.append(float(tau[near].mean() / sigma[near].mean() / (stress / load)))
+    words = [path.read_text().split("volume fraction ")[1].split()[0] for path in paths]
+    (high, firm, firm_sd), (low, light, light_sd) = steady
+    slope = (firm - light) / (high - low)
+    slope_sd = math.hypot(light_sd, firm_sd) / (high - low)
+    phi = math.asin(slope)
+    rest_sd = math.hypot(light_sd * high, firm_sd * low) / (high - low)
+    return Cohesive(
+        math.degrees(phi), math.degrees(slope_sd / math.cos(phi)),
+        float(light - slope * low) / math.cos(phi), rest_sd / math.cos(phi),
+        (shrinks[0], shrinks[1]), (mobilized[0], mobilized[1]),
+        float(np.mean([float(word) for word in words])),
+    )  # fmt: skip
+
+
 def main() -> None:
     """Test one soil."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("soil", choices=sorted(run.soils()), metavar="SOIL")
     parser.add_argument("--work", type=Path, required=True, help="folder for the engine's files")
     parser.add_argument("--out", type=Path, required=True, help="folder for the results")
-    parser.add_argument("--tests", nargs="+", choices=list(TESTS), default=list(TESTS))
+    parser.add_argument("--tests", nargs="+", choices=list(TESTS), default=["shear", "tilt"])
     parser.add_argument("--seeds", nargs="+", type=int, default=list(SEEDS))
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)

@@ -26,6 +26,9 @@ SPREAD = 0.15
 RAYLEIGH = 0.25
 """Time step over Rayleigh's time of the smallest grain [-]."""
 GRAVITY = 9.81
+LIQUID, VISCOSITY, REACH = 1.0, 1e-3, 1.1
+"""Liquid on damp grains [% of their volume], its viscosity [Pa s], and distance of centers over the
+sum of radii up to which bridges are sought [-]; they break at a gap of a sixth of a radius."""
 POINTS, RIM, DISC = 500, 32, 0.006
 """Corners of a ball's mesh and of a disc's rim, and a disc's thickness [m]."""
 
@@ -45,6 +48,8 @@ class Soil:
     seeds: tuple[int, ...]
     rate: float
     bed: tuple[float, float, float]
+    attraction: float = 0.0
+    poured_attraction: float = 0.0
 
     @property
     def diameter(self) -> float:
@@ -60,9 +65,24 @@ class Soil:
         return RAYLEIGH * rayleigh
 
 
-def contacts(soil: Soil, sliding: float) -> str:
-    """Material and integrator; type 1 are grains and walls alike, type 2 is the leg."""
+def contacts(soil: Soil, *, poured: bool = False) -> str:
+    """Material and integrator; type 1 are grains and walls alike, type 2 is the leg.
+
+    Bridges of liquid (Soulié et al. 2006, as LIGGGHTS has them) attract grains, not the leg.
+    """
     wall = soil.leg_friction
+    rolling, sliding, attraction = soil.rolling, soil.sliding, soil.attraction
+    if poured:
+        sliding, attraction = soil.settled, soil.poured_attraction
+    damp = f"""fix l1 all property/global surfaceLiquidContentInitial scalar {LIQUID}
+fix l2 all property/global surfaceTension scalar {attraction * soil.diameter}
+fix l3 all property/global fluidViscosity scalar {VISCOSITY}
+fix l4 all property/global contactAngle peratomtype 0 0
+fix l5 all property/global minSeparationDistanceRatio scalar 0.01
+fix l6 all property/global maxSeparationDistanceRatio scalar {REACH}
+"""
+    bridges = soil.attraction or soil.poured_attraction  # a restart keeps the model
+    model = f"hertz tangential history {'cohesion easo/capillary/viscous ' if bridges else ''}"
     return f"""
 fix m1 all property/global youngsModulus peratomtype {YOUNGS} {YOUNGS}
 fix m2 all property/global poissonsRatio peratomtype {POISSON} {POISSON}
@@ -70,8 +90,8 @@ fix m3 all property/global coefficientRestitution peratomtypepair 2 &
   {RESTITUTION} {RESTITUTION} {RESTITUTION} {RESTITUTION}
 fix m4 all property/global coefficientFriction peratomtypepair 2 {sliding} {wall} {wall} {wall}
 fix m5 all property/global coefficientRollingFriction peratomtypepair 2 &
-  {soil.rolling} {soil.rolling} {soil.rolling} {soil.rolling}
-pair_style gran model hertz tangential history rolling_friction epsd2
+  {rolling} {rolling} {rolling} {rolling}
+{damp if bridges else ""}pair_style gran model {model}rolling_friction epsd2
 pair_coeff * *
 timestep {soil.time_step:.4g}
 """
@@ -150,12 +170,12 @@ def bed(
     folder.mkdir(parents=True, exist_ok=True)
     lattice(soil, seed, box, thickness, folder / "grains.data")
     fall = 0.5 + 10.0 * math.sqrt(thickness / GRAVITY)
-    for name, sliding, source, time in (
-        ("fallen", soil.settled, "read_data grains.data", fall),
-        ("bed", soil.sliding, "read_restart fallen.restart", 0.3),
+    for name, source, time in (
+        ("fallen", "read_data grains.data", fall),
+        ("bed", "read_restart fallen.restart", 0.3),
     ):
         deck = f"""{header(soil, walls=walls)}{source}
-{contacts(soil, sliding)}
+{contacts(soil, poured=name == "fallen")}
 {ground(box, walls=walls)}thermo 5000
 thermo_style custom step atoms ke cpu
 run {round(time / soil.time_step)}
@@ -261,7 +281,7 @@ def moved(
     return (
         header(soil)
         + "read_restart bed.restart\n"
-        + contacts(soil, soil.sliding)
+        + contacts(soil)
         + f"""
 {ground(box)}fix body all mesh/surface/stress file body.stl type 2 reference_point {at[0]} 0 {at[1]}
 fix touch all {WALL} mesh n_meshes 1 meshes body

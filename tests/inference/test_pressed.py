@@ -66,6 +66,26 @@ def test_grains_lie_within_the_interval(name: str) -> None:
     assert low < CRITICAL_DEG[name] < high
 
 
+@pytest.mark.parametrize("long_mm", [60.0, 120.0, 300.0])
+def test_rectangles_read_as_discs_do(long_mm: float) -> None:
+    """Vesić's bearing capacity with De Beer's shape factors, φ = 32° (Vesić 1973)."""
+    z, breadth, phi = np.linspace(1e-3, 0.04, 60), 0.06, np.radians(32.0)
+
+    def invert(tool: str, area: float, slender: float, s_gamma: float) -> terraphi.Answer:
+        n_q = np.exp(np.pi * np.tan(phi)) * np.tan(0.25 * np.pi + 0.5 * phi) ** 2
+        d_q = 1.0 + 2.0 * np.tan(phi) * (1.0 - np.sin(phi)) ** 2 * z / breadth
+        deep = z * n_q * (1.0 + slender * np.tan(phi)) * d_q
+        wide = breadth * (n_q + 1.0) * np.tan(phi) * s_gamma
+        table = pd.DataFrame({"z_mm": 1e3 * z, "F_N": 1600.0 * 9.81 * area * (deep + wide)})
+        return terraphi.invert(table, tool=tool, density="1600±10", law="vesic")
+
+    slender = 60.0 / long_mm
+    plate = invert(f"plate:60x{long_mm:g}", breadth**2 / slender, slender, 1.0 - 0.4 * slender)
+    disc = invert("plate:60", 0.25 * np.pi * breadth**2, 1.0, 0.6)
+    apart = plate.phi.median - disc.phi.median
+    assert abs(apart) < plate.budget_deg["rectangle"] + 0.1
+
+
 def test_forces_beyond_the_law_are_out_of_range() -> None:
     table = pressed(38.0)
     answer = terraphi.invert(table.assign(force_N=200.0 * table.force_N), tool="plate:151")

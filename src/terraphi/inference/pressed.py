@@ -95,10 +95,11 @@ def invert_pressed(
         rho, rho_sd = density_with_sd(density, label)
     z, force, used, notes = _virgin(table.sinkage, table.force, table.notes, label)
     foot = Foot(radius, "ball" if tool.leg == "ball" else "disc")
+    over_disc = tool.over_disc
 
     def curve(x: FloatArray, mu: float = FRICTION) -> FloatArray:
         """Force [N] at (φ, z₀), [k, 2] -> [k, n]."""
-        return np.asarray(LAWS[name].force(
+        return np.asarray(over_disc * LAWS[name].force(
             foot, z + x[:, 1:], 0.5 * np.pi, friction_angle_deg=x[:, :1], density=rho,
             surface_friction=mu,
         )[..., 1])  # fmt: skip
@@ -155,7 +156,7 @@ def invert_pressed(
         "noise": noise * math.sqrt(float(row @ row)),
         "contraction": math.sqrt(float(chance @ (phi - chance @ phi) ** 2)),
         "depth": abs(float(row @ deep)),
-        "rectangle": abs(float(row @ model)) * _rectangle(tool),
+        "rectangle": abs(float(row @ model) * 0.5 * math.log(over_disc)),
     }  # fmt: skip
     budget = {k: sd for k, sd in sorted(budget.items(), key=lambda one: -one[1]) if sd > 1e-3}
     sd = math.sqrt(sum(s**2 for k, s in budget.items() if k != "contraction"))
@@ -239,14 +240,6 @@ def invert_pressed(
             "seconds": round(time.perf_counter() - began, 3),
         },
     )  # fmt: skip
-
-
-def _rectangle(tool: Tool) -> float:
-    """Relative error of a rectangle as a disc of equal area: what B s_γ of Vesić differs by [-]."""
-    if tool.leg != "rectangle":
-        return 0.0
-    short, long = sorted(tool.size_mm)
-    return abs(math.log(short * (1.0 - 0.4 * short / long) / (0.6 * 2e3 * tool.radius)))
 
 
 def _virgin(
