@@ -97,10 +97,6 @@ class Calibration(Strict):
                     f"{soil.gain:g}; give the same --gain"
                 )
 
-    def has(self, leg: str) -> bool:
-        """Whether a soil was read with this leg, whose height and friction are then part of b."""
-        return any(soil.leg == leg for soil in self.soils)
-
     def common(
         self, error: ModelError, leg: str, phi_deg: FloatArray
     ) -> tuple[FloatArray, FloatArray]:

@@ -22,11 +22,7 @@ from terraphi.experiment.rig import Rig
 from terraphi.experiment.scenario import GRAVITY
 from terraphi.experiment.units import FORCE
 from terraphi.forward.rft import to_plane_strain
-from terraphi.inference.likelihood import (
-    SHIFT_DEG,
-    Likelihood,
-    squared_residuals,
-)
+from terraphi.inference.likelihood import SHIFT_DEG, Likelihood, squared_residuals
 from terraphi.inference.records import Record, density_doubts
 from terraphi.laws.law import THEORY
 from terraphi.laws.legs import VARIED, Legs, law_of
@@ -261,7 +257,8 @@ def guesses(likelihood: Likelihood) -> Iterator[str]:
                 f"{name}The record covers {low:.0f} to {high:.0f}° of ±{WINDOW_DEG:g}°, with "
                 f"{part.share:.0%} of the information on φ of a whole stroke."
             )
-        if record.grain_size_mm and not likelihood.of_size_deg(record):
+        knows = likelihood.of_size_deg(record) or likelihood.lacks_cohesion
+        if record.grain_size_mm and not knows:
             yield f"{name}Law {likelihood.library.name} does not know what large grains add."
         grown = likelihood.of_size_deg(record)
         if abs(grown) > 0.05:
@@ -276,11 +273,18 @@ def guesses(likelihood: Likelihood) -> Iterator[str]:
                 f"{per_mm:.1f}° on this leg; give --grain-size."
             )
         if likelihood.lacks_cohesion and i == 0:
+            grains = "damp soil, and grains that are large compared with the leg, look"
+            if record.grain_size_mm:
+                grains = (
+                    f"that of grains of {record.grain_size_mm:g} mm, {likelihood.cohesion:.0f} Pa, "
+                    "is assumed, and damp soil looks"
+                )
+            give = "" if record.grain_size_mm else "; give --grain-size if they are coarse"
             yield (
-                "Only both forces of a whole stroke determine a cohesion: damp soil, and grains "
-                "that are large compared with the leg, look like a larger angle here."
+                f"Only both forces of a whole stroke determine a cohesion: {grains} like a larger "
+                f"angle here{give}."
             )
-        if likelihood.cohesion > 0.5 and i == 0:
+        elif likelihood.cohesion > 0.5 and i == 0:
             check = likelihood.cohesion > COHESIVE_PA
             yield (
                 f"A cohesion of {likelihood.cohesion:.0f} Pa is fitted with φ: damp soil has "
@@ -305,11 +309,7 @@ def densities(density: FloatArray, sd: FloatArray) -> list[str]:
     ]
 
 
-def others(
-    likelihood: Likelihood,
-    *,
-    misfit: bool,
-) -> Iterator[str]:
+def others(likelihood: Likelihood, *, misfit: bool) -> Iterator[str]:
     """Sentences on legs, columns, sizes and units that may be others than stated.
 
     Parameters
@@ -337,10 +337,7 @@ def others(
             found = []
             if misfit and likelihood.keys == (PHI,):
                 found = list(_other_readings(likelihood, record))
-            for sentence in found or [
-                *_other_arm(likelihood, i),
-                *_other_size(likelihood, i),
-            ]:
+            for sentence in found or [*_other_arm(likelihood, i), *_other_size(likelihood, i)]:
                 yield f"{name}{sentence}"
 
 
