@@ -21,22 +21,18 @@ from terraphi.forward.rft import to_plane_strain
 from terraphi.inference.answer import Answer, Edge, Estimate, RecordFit, Verdict, worst_nrmsd
 from terraphi.inference.calibration import Calibration, CalibrationSoil
 from terraphi.inference.checks import (
-    FAR_APART_DEG,
-    LARGE_SHIFT_DEG,
     UNUSUAL,
-    USUAL_DEG,
-    guesses,
     in_air,
-    others,
     residual,
     second_opinion,
+    warnings,
     without_faults,
 )
 from terraphi.inference.combined import combined
-from terraphi.inference.likelihood import OF_RIG, UNKNOWN_DENSITY, Likelihood, is_whole
+from terraphi.inference.likelihood import OF_RIG, UNKNOWN_DENSITY, WHOLE, Likelihood, coverage
 from terraphi.inference.pressed import invert_pressed
 from terraphi.inference.records import Record, is_tool, open_records, with_body, with_sd
-from terraphi.inference.sampling import Drawn, quadrature, sample
+from terraphi.inference.sampling import quadrature, sample
 from terraphi.laws.legs import FORMER_NAME, Legs, law_named, nearest_law, shipped_legs
 from terraphi.laws.store import PHI, Library
 
@@ -190,8 +186,7 @@ def _of_legs(
                 "or a file"
             )
         if calibration is not None:
-            calibration.check(found)
-            calibration.check_gain({record.leg: record.gain for record in records})
+            calibration.check(found, {record.leg: record.gain for record in records})
         # Offset and cohesion of law legs are those of one rig alone, so that different ones are
         # joined by their angles: in one fit grains of known φ were read 4° wrong, with these 1°.
         rigs = dict.fromkeys(record.rig for record in records)
@@ -383,18 +378,14 @@ def _law_for(
 def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Answer:
     """Posterior, verdict and all that goes with them."""
     records, keys, library = likelihood.records, likelihood.keys, likelihood.library
-    second, disagreement = second_opinion(likelihood), ""
-    drawn = Drawn({}, {})
+    second = second_opinion(likelihood)
+    draws: dict[str, FloatArray] = {}
+    diagnostics: dict[str, dict[str, float]] = {}
     grid = density = np.zeros(0)
     if keys == (PHI,):
         grid, density = quadrature(likelihood)
         phi = Estimate.of_density(grid, density)
         if second is not None and (wider := _disagreement_deg(likelihood, phi, second)):
-            disagreement = (
-                f"Resistive force theory gives {second['median']:.0f}°, "
-                f"{abs(second['median'] - phi.median):.0f}° from {library.name} and outside both "
-                "intervals: the interval is wider by that."
-            )
             likelihood = Likelihood(
                 records, library, likelihood.calibration, disagreement_deg=wider
             )
@@ -402,39 +393,13 @@ def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Ans
             phi = Estimate.of_density(grid, density)
         parameters = {PHI: phi}
     else:
-        drawn = sample(likelihood, seed=seed)
-        parameters = {key: Estimate.of(values) for key, values in drawn.draws.items()}
+        draws, diagnostics = sample(likelihood, seed=seed)
+        parameters = {key: Estimate.of(values) for key, values in draws.items()}
     middle = np.array([parameters[key].median for key in keys])
     fits = _fits(likelihood, middle, parameters)
     air = in_air(likelihood)
     verdict, why, edge = _verdict(likelihood, fits, middle, damaged=bool(air))
     inferred, scenario = parameters.get(PHI), library.scenario
-    other = second["median"] if second and scenario.convention == "plane_strain" else None
-    far = []
-    if inferred and other is not None and abs(other - inferred.median) > FAR_APART_DEG:
-        far.append(
-            f"Resistive force theory gives {other:.0f}°, farther than for any record whose leg "
-            "is known: check the leg and the columns."
-        )
-    damage = [f"{likelihood.prefix(one)}{text}" for one in records for text in one.damage]
-    notes = [f"{likelihood.prefix(one)}{text}" for one in records for text in one.notes]
-    # In the order of their consequence, the gravest first.
-    questions = [
-        # The forces are wrong, whatever the soil.
-        *damage,
-        *air,
-        # Leg, columns, sizes or units may be others than stated.
-        *(others(likelihood, misfit=verdict != "consistent") if not air else ()),
-        *far,
-        *_about(likelihood, fits, parameters, verdict),
-        # The angle or its interval rests on what was not measured.
-        *([disagreement] if disagreement else []),
-        *_calibrated(likelihood),
-        *guesses(likelihood),
-        *([f"Law {library.name}: {library.caveat}"] if library.caveat else []),
-        # What was done with the readings.
-        *notes,
-    ]  # fmt: skip
     plane, no_plane = (
         _plane_strain(inferred, scenario) if inferred else (None, "φ was not inferred")
     )
@@ -455,17 +420,17 @@ def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Ans
         law=library.name,
         law_reason=reason,
         second_opinion=second,
-        questions=tuple(questions),
+        questions=tuple(warnings(likelihood, fits, inferred, verdict, second)),
         records=tuple(fits),
         grid_deg=grid,
         density=density,
-        draws=drawn.draws,
+        draws=draws,
         covariance=likelihood.predictive_covariance(),
-        diagnostics=drawn.diagnostics,
+        diagnostics=diagnostics,
         leg_friction=None if "leg.friction" in keys else first.rig.leg_friction
         if "leg friction" in likelihood.terms else scenario.leg.friction,
         cohesion_pa=likelihood.cohesion if isinstance(library, Legs) else None,
-        seed=seed if drawn.draws else None,
+        seed=seed if draws else None,
         provenance={
             "terraphi": importlib.metadata.version("terraphi"),
             "law_hash": library.hash,
@@ -580,7 +545,7 @@ def _other_leg(likelihood: Likelihood) -> str:
     if likelihood.keys != (PHI,):
         return ""
     for record in likelihood.records:
-        if not is_whole(record):
+        if coverage(record) < WHOLE:
             continue
         cohesion = likelihood.cohesion
         sizes = {leg: residual(record.data, record, likelihood, leg, cohesion)
@@ -614,69 +579,13 @@ def _edge(likelihood: Likelihood) -> Edge | None:
     if PHI not in likelihood.keys:
         return None
     if likelihood.beyond is not None:
-        return (
-            "high"
-            if likelihood.beyond[0] > 0.5 * (likelihood.low[0] + likelihood.high[0])
-            else "low"
-        )
+        return "low" if likelihood.beyond[0] < likelihood.low[0] else "high"
     i = likelihood.keys.index(PHI)
     read = float(likelihood.least_squares[i])
     offsets = [float(likelihood.offset(r, np.array(read))) for r in likelihood.records]
     if read < likelihood.low[i] - min(offsets):
         return "low"
     return "high" if read > likelihood.high[i] - max(offsets) else None
-
-
-def _about(
-    likelihood: Likelihood, fits: Sequence[RecordFit], parameters: dict[str, Estimate], verdict: str
-) -> list[str]:
-    """Warnings about the answer."""
-    found = []
-    phi = parameters.get(PHI)
-    if likelihood.measured and verdict == "consistent":
-        for fit in fits:
-            usual = likelihood.errors[fit.rig.leg].shift_deg
-            if abs(fit.shift_deg - usual) > LARGE_SHIFT_DEG:
-                found.append(
-                    f"{fit.source}: the forces come {abs(fit.shift_deg):.0f}° "
-                    f"{'later' if fit.shift_deg > 0 else 'earlier'} than the model's; check the "
-                    "zero of theta and the height of the hip."
-                )
-    if likelihood.measured and len(likelihood.keys) > 1:
-        found.append(
-            "The error of the model on real soil is part of the interval of φ alone; do not trust "
-            "those of the other parameters."
-        )
-    if phi is not None:
-        prior = np.ptp(likelihood.ends) / math.sqrt(12.0) if likelihood.keys == (PHI,) else np.inf
-        if likelihood.sd[0] > prior:
-            found.append(
-                "The forces carry almost no information on φ: the posterior equals the prior."
-            )
-        for leg, error in likelihood.errors.items() if verdict == "consistent" else ():
-            ends = error.phi_deg if likelihood.measured else None
-            if ends and not ends[0] <= phi.median <= ends[1]:
-                found.append(
-                    f"φ = {phi.median:.1f}° lies outside {ends[0]:.1f} to {ends[1]:.1f}°, where "
-                    f"the offset of leg {leg} was learned: its error there is "
-                    f"{error.offset_sd_at(phi.median):.1f}°."
-                )
-        low, high = USUAL_DEG
-        if likelihood.measured and not low <= phi.median <= high:
-            found.append(
-                f"φ = {phi.median:.0f}° is unusual for dry soil ({low:g} to {high:g}°): check "
-                "density, unit of force and leg."
-            )
-    return found
-
-
-def _calibrated(likelihood: Likelihood) -> list[str]:
-    """A sentence on the soils of known angle."""
-    if likelihood.calibration is None:
-        return []
-    soils = likelihood.calibration.soils
-    known = ", ".join(f"{one.source} ({one.phi_deg:g} ± {one.phi_sd_deg:g}°)" for one in soils)
-    return [f"Calibrated by {known}; what is a soil's own part of its difference stays."]
 
 
 def _plane_strain(phi: Estimate, scenario: Scenario) -> tuple[Estimate | None, str]:

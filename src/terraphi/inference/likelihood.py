@@ -106,7 +106,7 @@ of c / (ρ g L) in other records [-], of grains of unknown size and of grains th
 known size: by whole strokes of straight legs media of Li et al. have 0 to 0.02, grains of 4 to 9 mm
 0.04 to 0.13 (``docs/grains.md``); chosen."""
 WHOLE = 0.9
-"""Share of a stroke's windows with which its shape can be compared with those of whole ones [-]."""
+"""The same from which a record's shape can be compared with those of other legs [-]; chosen."""
 PART_DEG = 1.4
 """Standard deviation of the shift of φ at h = ½ [deg]."""
 RESIDUAL = ("noise", "emulator", "particle scatter")
@@ -118,22 +118,13 @@ MOMENT_DEG = 0.9
 """Standard deviation of φ by a moment less that by both forces [deg]."""
 
 
-def is_whole(record: Record) -> bool:
-    """Whether the shape of a record can be compared with those of whole strokes.
-
-    The moment alone has nearly the same shape on all legs.
-    """
-    forces = record.channels == FORCES
-    return forces and record.theta_deg.size >= WHOLE * OBSERVATION_ANGLES
-
-
-def _is_long(record: Record) -> bool:
-    """Whether a record of both forces has most of the windows in which its leg is in soil."""
+def coverage(record: Record) -> float:
+    """Share of the windows with the leg in soil that a record of both forces has; else 0 [-]."""
     grid = np.linspace(-WINDOW_DEG, WINDOW_DEG, OBSERVATION_ANGLES)
     first, last = record.rig.air_deg()
     inside = grid[(first <= grid) & (grid <= last)].round(6)
     has = np.isin(inside, record.theta_deg.round(6))
-    return record.channels == FORCES and bool(has.mean() >= LONG)
+    return float(has.mean()) if record.channels == FORCES else 0.0
 
 
 class Part(NamedTuple):
@@ -350,7 +341,7 @@ class Likelihood:
         shift = np.full(len(self.records), SHIFT_DEG if self.measured else 0.0)
         pairs = zip(self.laws, self._per_pascal, strict=True)
         most = min(law.most_cohesion / number for law, number in pairs)
-        known = self.measured and any(map(_is_long, self.records))
+        known = self.measured and any(coverage(record) >= LONG for record in self.records)
         usual = min(self._of_grains()[0], most)
         return np.append(-shift, 0.0 if known else usual), np.append(
             shift, most if known else usual

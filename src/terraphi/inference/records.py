@@ -119,11 +119,6 @@ class Record:
         """``Fx``, ``Fz`` and ``M``: those that are compared."""
         return self.history.channels
 
-    @property
-    def medium(self) -> str:
-        """Name of the shipped medium that it was measured in; empty for any other."""
-        return self.measurement.partition("/")[0]
-
     @cached_property
     def _windows(self) -> tuple[FloatArray, FloatArray]:
         """Centres of the windows that the record covers [deg], and their weights W [m, reading]."""
