@@ -9,6 +9,8 @@ angle, and the apparatus is known exactly. `--learn` writes the law's error into
 - the cohesion that is fitted with φ finds damp soil, and makes dry soil less sure, for it also
   stands for a part of the size of the grains. Its **weight** is the smallest, by shape of leg, that
   leaves dry soil an interval little wider than without a cohesion;
+- a torque alone, or a part of a stroke, determines no cohesion. **What grains act like** there, by
+  shape of leg, is the cohesion over ρ g d with which such records give the angles of shear cells;
 - the **offset** of a shape is the value, at zero size of the grains, of a line through the angles
   read less that of the shear cell: sand is fine;
 - what is left of all shapes gives what **soils** and what **legs**, rigs, sizes and beds of a soil
@@ -41,6 +43,7 @@ import run
 
 import pages
 import terraphi
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import measurement, names
 from terraphi.experiment.rig import LEG_NAMES, LI2013, Rig
@@ -66,6 +69,10 @@ PRIOR_COUNT, PRIOR_SD_DEG, PRIOR_COMMON_DEG = 2, 1.0, 1.5
 that is worth; chosen, so that few do not seem alike by chance."""
 COHESION_WEIGHTS = (0.01, 0.03, 0.1, 0.3, 1.0)
 """Weights of (c / (ρ g L))² in the mean squared residual that are tried [-]."""
+PARTS = {"torque alone": None, "-60 to 20°": (-60.0, 20.0), "-20 to 60°": (-20.0, 60.0)}
+"""Records that determine no cohesion: the hip's torque, and parts of a stroke [deg]."""
+TRIED = (0.0, 0.75, 1.5)
+"""Cohesions over ρ g d, d the diameter of grains, that they are read with [-]."""
 DRY = 1e4
 """A weight that leaves no cohesion [-]."""
 OTHER_SD_DEG, WIDER = 1.6, 1.12
@@ -154,6 +161,71 @@ def read(law: Legs, given: Sequence[tuple[str, str, str, Record, float]]) -> lis
         peak = loose if soil.endswith(APART) else measured(soil)
         angles = (loose.phi_critical_deg, peak.phi_peak_deg)
         found.append(Reading(name, soil, body, record, *angles, size, angle, shift, float(nrmsd)))
+    return found
+
+
+class Partial(NamedTuple):
+    """A record that determines no cohesion, of loose grains."""
+
+    soil: str
+    what: str
+    record: Record
+    """With the diameter of its grains."""
+    critical_deg: float
+    read_deg: tuple[float, ...]
+    """With each cohesion of `TRIED`, the law's offset taken off [deg]."""
+
+    @property
+    def leg(self) -> str:
+        """Shape of the leg."""
+        return self.record.leg
+
+    def excess_deg(self, k: FloatArray) -> FloatArray:
+        """Angle read less the critical one, of cohesions k ρ g d [deg]."""
+        return np.polyval(np.polyfit(TRIED, self.read_deg, 2), k) - self.critical_deg
+
+
+def partial(law: Legs, given: Sequence[tuple[str, str, str, Record, float]]) -> list[Partial]:
+    """What the law reads off the torque and parts of loose records."""
+    found, legs = [], law.model_error
+    tried = [
+        replace(law, model_error={n: e | {"cohesion_of_grains": (k, 0.0)} for n, e in legs.items()})
+        for k in TRIED
+    ]
+    for name, soil, _, whole, size in given:
+        history, columns = (
+            whole.history,
+            np.loadtxt(GRAINS / f"{name}.csv", delimiter=",", skiprows=3),
+        )
+        if not soil.endswith("-loose") or columns.shape[1] < 4:
+            continue
+        theta, moment = np.radians(columns[:, 0]), columns[:, 3]
+        torque = ForceHistory(theta, np.zeros((theta.size, 0)), axes=(), moment=moment)
+        critical = elements.measured(GRAINS, f"{soil[0]}-loose").phi_critical_deg
+        for what, ends in PARTS.items():
+            part = torque if ends is None else history.between(*np.radians(ends))
+            density = f"{whole.density_kg_m3}±0"
+            diameter = size * whole.rig.width_mm / LI2013["width_mm"]
+            record = without_faults(
+                open_record(part, rig=whole.rig, density=density, grain_size_mm=diameter)
+            )
+            read = tuple(float(Likelihood([record], one).least_squares[0]) for one in tried)
+            found.append(Partial(soil, what, record, critical, read))
+    return found
+
+
+def act_like(law: Legs, partials: Sequence[Partial]) -> dict[str, tuple[float, float]]:
+    """Cohesion over ρ g d that grains act like, and its standard deviation, by shape of leg.
+
+    The latter is of what the scatter of the angles has besides that of soils and legs.
+    """
+    k, found = np.linspace(0.0, 3.0, 301), {}
+    for leg in sorted({one.leg for one in partials}):
+        excess = np.array([one.excess_deg(k) for one in partials if one.leg == leg])
+        mean, i = excess.mean(axis=0), int(np.abs(excess.mean(axis=0)).argmin())
+        usual = sum(law.model_error[leg][f"{one}_sd_deg"] ** 2 for one in ("soil", "leg"))
+        scatter = math.sqrt(max(float(np.square(excess[:, i]).mean()) - usual, 0.0))
+        found[leg] = round(float(k[i]), 2), round(scatter / abs(float(np.gradient(mean, k)[i])), 2)
     return found
 
 
@@ -261,8 +333,17 @@ def choose(law: Legs) -> Legs:
         readings += own
     law = replace(law, model_error=learn(readings, weights))
     law = replace(law, model_error=learn(readings, weights, excess_of_media(law)))
+    law = with_grains(law, partial(law, given))
     law.save(LAW)
     return law
+
+
+def with_grains(law: Legs, partials: Sequence[Partial]) -> Legs:
+    """The law with what grains act like in records that determine no cohesion."""
+    error = dict(law.model_error)
+    for leg, known in act_like(law, partials).items():
+        error[leg] = error[leg] | {"cohesion_of_grains": known}
+    return replace(law, model_error=error)
 
 
 def excess_of_media(law: Legs) -> list[float]:
@@ -485,6 +566,36 @@ def cells() -> str:
                         "of the friction at 5 % strain"), rows)  # fmt: skip
 
 
+def undetermined(law: Legs, partials: Sequence[Partial]) -> list[tuple[str, str]]:
+    """Errors of records that determine no cohesion, as of dry soil and with what grains act like.
+
+    The latter is learned from the other soils.
+    """
+    rows = []
+    for leg, error in law.model_error.items():
+        own = [one for one in partials if one.leg == leg]
+        apart, sd = [], []
+        for one in own:
+            known = act_like(law, [other for other in own if other.soil[0] != one.soil[0]])
+            changed = replace(law, model_error={leg: error | {"cohesion_of_grains": known[leg]}})
+            likelihood = Likelihood([one.record], changed)
+            apart.append(float(likelihood.least_squares[0]) - one.critical_deg)
+            shares = likelihood.budget().items()
+            sd.append(math.hypot(*(share for name, share in shares if name not in EXACT)))
+        dry, ratio = [one.excess_deg(np.array(0.0)) for one in own], np.abs(apart) / np.array(sd)
+        means = [f"{np.mean(each):+.1f}° ± {np.sqrt(np.mean(np.square(each))):.1f}°"
+                 for each in (dry, apart)]  # fmt: skip
+        what = f"a torque alone or a part of a stroke, {LEG_NAMES[leg]}"
+        held = f"{(ratio < 1.0).mean():.0%} and {(ratio < 1.96).mean():.0%} of {len(own)}"
+        rows += [
+            (f"{what}: mean ± RMS error as of dry soil", means[0]),
+            ("the same with a cohesion by the size of the grains", means[1]),
+            ("its standard deviation; 68 and 95 % intervals that hold the critical angle",
+             f"{np.mean(sd):.1f}°; {held}"),
+        ]  # fmt: skip
+    return rows
+
+
 def other_rigs(readings: Sequence[Reading]) -> str:
     """A table: rigs that are not Li's, by the line of all other records of their shape."""
     rows = []
@@ -557,7 +668,8 @@ def main() -> None:
     if options.learn:
         choose(law)
         return
-    readings = read(law, list(records()))
+    given = list(records())
+    readings = read(law, given)
     rows = answers(law, readings)
     if options.json:
         print(json.dumps(rows, indent=1))
@@ -568,6 +680,7 @@ def main() -> None:
               "NRMSD Fx / Fz", "verdict")  # fmt: skip
     numbers = ("offset_deg", "common_sd_deg", "soil_sd_deg", "leg_sd_deg", "cohesion_weight",
                "shift_deg", "nrmsd_limit")  # fmt: skip
+    of_grains = {leg: one["cohesion_of_grains"] for leg, one in law.model_error.items()}
     slopes = {leg: line.of_size for leg, line in lines(readings).items()}
     usual = [one for one in readings if one.loose and one.body == one.leg
              and one.name.startswith(f"{one.soil}_")]  # fmt: skip
@@ -584,10 +697,12 @@ def main() -> None:
             "differ by, calibrations and wrong records are by all soils."
         ),
         pages.table(("what", "value"), [
-            *summary(rows), *calibrated(law, usual), *wrong(law, usual),
+            *summary(rows), *undetermined(law, partial(law, given)), *calibrated(law, usual),
+            *wrong(law, usual),
         ]),
-        pages.table(("leg", "for 1 mm of grain", *numbers), [
-            (LEG_NAMES[leg], f"{slopes[leg]:+.2f}°", *(f"{one[key]:g}" for key in numbers))
+        pages.table(("leg", "for 1 mm of grain", "c / ρ g d", *numbers), [
+            (LEG_NAMES[leg], f"{slopes[leg]:+.2f}°", "{:g} ± {:g}".format(*of_grains[leg]),
+             *(f"{one[key]:g}" for key in numbers))
             for leg, one in law.model_error.items()
         ]),
         other_rigs(readings),

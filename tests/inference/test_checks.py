@@ -31,11 +31,10 @@ def answer_to(change):
     return invert(damaged(change), rig="li2013", leg="straight", density=638.0)
 
 
-@pytest.mark.parametrize("name", names())
-def test_shipped_records_have_no_faults(name: str) -> None:
-    record = without_faults(open_record(name))
-    assert not record.damage
-    assert record.n_left_out <= 0.05 * len(record.history.position)
+def test_shipped_records_have_no_faults() -> None:
+    for record in map(without_faults, map(open_record, names())):
+        assert not record.damage
+        assert record.n_left_out <= 0.05 * len(record.history.position)
 
 
 def dropouts(theta, force):
@@ -89,17 +88,6 @@ def test_faults_that_shift_readings_are_misfits(change) -> None:
     answer = answer_to(change)
     assert answer.verdict == "misfit"
     assert answer.questions
-
-
-@pytest.mark.parametrize(
-    ("change", "words"), [(clipped, "Fz is cut off at"), (step, "Fx jumps by 2.5 N at -1")]
-)
-def test_what_shifts_readings_is_named(change, words: str) -> None:
-    record = without_faults(
-        open_record(damaged(change), rig="li2013", leg="straight", density=638.0)
-    )
-    assert record.damage
-    assert any(words in note for note in record.damage)
 
 
 def test_a_record_of_faults_is_refused() -> None:
@@ -199,7 +187,7 @@ def test_a_record_is_put_right_by_what_the_sensor_reads_in_air(name: str, change
     assert invert(logged(name, CHANGES[change]), columns=as_it_is, **options).verdict == "misfit"
 
 
-@pytest.mark.parametrize("name", [*names()[::3], "li2013:poppy_loose/reversed_c"])
+@pytest.mark.parametrize("name", ["li2013:yuma/straight", "li2013:poppy_loose/reversed_c"])
 def test_a_good_record_is_left_as_it_is(name: str) -> None:
     known = measurement(name)
     history, options = known.history, {"rig": known.rig, "density": known.density_kg_m3}
@@ -214,7 +202,7 @@ def test_forces_of_another_leg_in_soil_are_not_taken_for_air() -> None:
     assert invert(frame, rig="li2013", leg="straight", density=1550.0).verdict != "consistent"
 
 
-@pytest.mark.parametrize("name", names()[::2])
+@pytest.mark.parametrize("name", names()[::4])
 def test_a_coarse_sensor_widens_the_interval(name: str) -> None:
     known = measurement(name)
     history, options = known.history, {"rig": known.rig, "density": known.density_kg_m3}

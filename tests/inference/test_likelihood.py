@@ -274,7 +274,7 @@ def test_draws_stay_within_the_library() -> None:
     half_normal.keys, half_normal.least_squares = ("a", "b"), np.zeros(2)
     half_normal.low, half_normal.high = np.array([0.0, -1.0]), np.array([9.0, 1.0])
     half_normal.sd = np.array([1.0, 0.1])
-    drawn = sample(half_normal, seed=3, steps=800).draws
+    drawn, _ = sample(half_normal, seed=3, steps=800)
     assert drawn["a"].min() >= 0.0
     assert drawn["a"].mean() == pytest.approx(np.sqrt(2.0 / np.pi), rel=0.06)
     assert drawn["b"].std() == pytest.approx(0.1, rel=0.06)
@@ -307,7 +307,7 @@ def test_draws_of_two_parameters_agree_with_a_grid(rft3d: Library) -> None:
     truth = case(33.0, 0.4)
     record = replace(open_record(truth.history, noise=0.5), simulated=True)
     likelihood = Likelihood([record], library)
-    drawn = sample(likelihood, seed=1, steps=500)
+    every, diagnostics = sample(likelihood, seed=1, steps=500)
     best, reach = likelihood.least_squares, 6.0 * likelihood.sd
     low, high = np.maximum(best - reach, likelihood.low), np.minimum(best + reach, likelihood.high)
     sides = [np.linspace(*ends, 81) for ends in zip(low, high, strict=True)]
@@ -318,8 +318,8 @@ def test_draws_of_two_parameters_agree_with_a_grid(rft3d: Library) -> None:
     for i, key in enumerate(likelihood.keys):
         mean = float(p @ inside[:, i])
         sd = float(np.sqrt(p @ (inside[:, i] - mean) ** 2))
-        draws = drawn.draws[key]
+        draws = every[key]
         assert draws.mean() == pytest.approx(mean, abs=0.15 * sd)
         assert draws.std() == pytest.approx(sd, rel=0.1)
-        assert drawn.diagnostics[key]["rhat"] < 1.05
-        assert 100.0 < drawn.diagnostics[key]["ess"] < 0.5 * 5 * draws.size  # every fifth is kept
+        assert diagnostics[key]["rhat"] < 1.05
+        assert 100.0 < diagnostics[key]["ess"] < 0.5 * 5 * draws.size  # every fifth is kept

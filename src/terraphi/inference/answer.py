@@ -208,7 +208,8 @@ class AnswerSummary:
     leg_friction
         Friction of the leg in the library's model [-], where it was not inferred.
     cohesion_pa
-        Cohesion that was fitted with φ [Pa]; ``None`` by libraries, which are of dry soil.
+        Cohesion that was fitted with φ, or that its grains act like where none is [Pa]; ``None`` by
+        libraries, which are of dry soil.
     seed
         Of the draws.
     budget_deg
@@ -401,22 +402,17 @@ class Answer(AnswerSummary):
             for record in self.records:
                 if name not in record.nrmsd or record.along != along:
                     continue
-                i, theta = list(record.nrmsd).index(name), record.theta_deg
-                rig = record.rig
+                i, theta, rig = list(record.nrmsd).index(name), record.theta_deg, record.rig
                 colour = f"C{self.rigs.index(rig) % 10}"
                 body = str(rig) if isinstance(rig, Tool) else LEG_NAMES[rig.leg]
                 axes.fill_between(theta, *record.band[:, i], color=colour, alpha=0.2, lw=0)
                 axes.plot(theta, record.curve[i], color=colour, label=body if several else "model")
-                axes.plot(theta, record.data[i], ".", color="black", ms=3,
-                          label="" if several else "data")  # fmt: skip
-            if several:
-                axes.legend(frameon=False, fontsize="small")
+                axes.plot(theta, record.data[i], ".", color="black", ms=3, label="data")
+            handles, labels = axes.get_legend_handles_labels()
+            each = dict(zip(labels, handles, strict=True))
+            axes.legend(each.values(), each.keys(), frameon=False, fontsize="small")
             axes.set(xlabel=along, ylabel=force_label(name))
             axes.axhline(0.0, color="0.7", lw=0.5, zorder=0)
-        if not several:
-            handles, labels = of_channels[0].get_legend_handles_labels()
-            each = dict(zip(labels, handles, strict=True))
-            of_channels[0].legend(each.values(), each.keys(), frameon=False, fontsize="small")
         grid, density = self.posterior
         sound = self.verdict == "consistent"
         colour = "C0" if sound else "0.6"

@@ -73,22 +73,19 @@ class Calibration(Strict):
     soils: list[CalibrationSoil] = Field(min_length=1)
     """The records."""
 
-    def check(self, library: Library | Legs) -> None:
-        """Refuse another law than that of the calibration.
+    def check(self, library: Library | Legs, gains: Mapping[str, float]) -> None:
+        """Refuse another law, or another gain of a leg's sensor, than those of the calibration.
 
         Raises
         ------
         InputError
-            If the law is another, or has changed.
+            If the law is another, or has changed, or a gain is another.
         """
         if (library.name, library.hash) != (self.library, self.library_hash):
             raise InputError(
                 f"the calibration is for law '{self.library}' as it was then, and this is "
                 f"'{library.name}'; invert with that law, or calibrate again"
             )
-
-    def check_gain(self, gains: Mapping[str, float]) -> None:
-        """Raise InputError if a leg's sensor has another gain than in the calibration."""
         for soil in self.soils:
             given = gains.get(soil.leg, soil.gain)
             if abs(given - soil.gain) > 1e-6 * soil.gain:
@@ -96,10 +93,6 @@ class Calibration(Strict):
                     f"gain = {given:g}, and the calibration of leg {soil.leg} was made with "
                     f"{soil.gain:g}; give the same --gain"
                 )
-
-    def has(self, leg: str) -> bool:
-        """Whether a soil was read with this leg, whose height and friction are then part of b."""
-        return any(soil.leg == leg for soil in self.soils)
 
     def common(
         self, error: ModelError, leg: str, phi_deg: FloatArray

@@ -7,7 +7,7 @@ identified, and make any answer a misfit. A doubt is a sentence with one remedy.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -22,11 +22,8 @@ from terraphi.experiment.rig import Rig
 from terraphi.experiment.scenario import GRAVITY
 from terraphi.experiment.units import FORCE
 from terraphi.forward.rft import to_plane_strain
-from terraphi.inference.likelihood import (
-    SHIFT_DEG,
-    Likelihood,
-    squared_residuals,
-)
+from terraphi.inference.answer import Estimate, RecordFit
+from terraphi.inference.likelihood import SHIFT_DEG, Likelihood, squared_residuals
 from terraphi.inference.records import Record, density_doubts
 from terraphi.laws.law import THEORY
 from terraphi.laws.legs import VARIED, Legs, law_of
@@ -241,6 +238,82 @@ def in_air(likelihood: Likelihood) -> list[str]:
     return found
 
 
+def warnings(
+    likelihood: Likelihood,
+    fits: Sequence[RecordFit],
+    phi: Estimate | None,
+    verdict: str,
+    second: Mapping[str, Any] | None,
+) -> Iterator[str]:
+    """Sentences on an answer, in the order of their consequence, the gravest first."""
+    records, law, air = likelihood.records, likelihood.library, in_air(likelihood)
+    # The forces are wrong, whatever the soil.
+    yield from (f"{likelihood.prefix(one)}{text}" for one in records for text in one.damage)
+    yield from air
+    # Leg, columns, sizes or units may be others than stated.
+    if not air:
+        yield from others(likelihood, misfit=verdict != "consistent")
+    apart = 0.0
+    if phi and second and law.scenario.convention == "plane_strain":
+        apart = abs(second["median"] - phi.median)
+    if second and apart > FAR_APART_DEG:
+        yield (
+            f"Resistive force theory gives {second['median']:.0f}°, farther than for any record "
+            "whose leg is known: check the leg and the columns."
+        )
+    for fit in fits if likelihood.measured and verdict == "consistent" else ():
+        late = fit.shift_deg - likelihood.errors[fit.rig.leg].shift_deg
+        if abs(late) > LARGE_SHIFT_DEG:
+            yield (
+                f"{fit.source}: the forces come {abs(fit.shift_deg):.0f}° "
+                f"{'later' if fit.shift_deg > 0 else 'earlier'} than the model's; check the zero "
+                "of theta and the height of the hip."
+            )
+    if likelihood.measured and len(likelihood.keys) > 1:
+        yield (
+            "The error of the model on real soil is part of the interval of φ alone; do not trust "
+            "those of the other parameters."
+        )
+    if phi is not None:
+        yield from _unusual(likelihood, phi, verdict)
+    # The angle or its interval rests on what was not measured.
+    if likelihood.disagreement_deg and second:
+        yield (
+            f"Resistive force theory gives {second['median']:.0f}°, {apart:.0f}° from {law.name} "
+            "and outside both intervals: the interval is wider by that."
+        )
+    if likelihood.calibration is not None:
+        soils = likelihood.calibration.soils
+        known = ", ".join(f"{one.source} ({one.phi_deg:g} ± {one.phi_sd_deg:g}°)" for one in soils)
+        yield f"Calibrated by {known}; what is a soil's own part of its difference stays."
+    yield from guesses(likelihood)
+    if law.caveat:
+        yield f"Law {law.name}: {law.caveat}"
+    # What was done with the readings.
+    yield from (f"{likelihood.prefix(one)}{text}" for one in records for text in one.notes)
+
+
+def _unusual(likelihood: Likelihood, phi: Estimate, verdict: str) -> Iterator[str]:
+    """Sentences on an angle that the forces hardly determine, or that few soils have."""
+    alone = likelihood.keys == (PHI,)
+    if alone and likelihood.sd[0] > np.ptp(likelihood.ends) / np.sqrt(12.0):
+        yield "The forces carry almost no information on φ: the posterior equals the prior."
+    for leg, error in likelihood.errors.items() if verdict == "consistent" else ():
+        ends = error.phi_deg if likelihood.measured else None
+        if ends and not ends[0] <= phi.median <= ends[1]:
+            yield (
+                f"φ = {phi.median:.1f}° lies outside {ends[0]:.1f} to {ends[1]:.1f}°, where the "
+                f"offset of leg {leg} was learned: its error there is "
+                f"{error.offset_sd_at(phi.median):.1f}°."
+            )
+    low, high = USUAL_DEG
+    if likelihood.measured and not low <= phi.median <= high:
+        yield (
+            f"φ = {phi.median:.0f}° is unusual for dry soil ({low:g} to {high:g}°): check density, "
+            "unit of force and leg."
+        )
+
+
 def guesses(likelihood: Likelihood) -> Iterator[str]:
     """Sentences on what an answer takes for granted of its records."""
     for i, record in enumerate(likelihood.records):
@@ -261,7 +334,8 @@ def guesses(likelihood: Likelihood) -> Iterator[str]:
                 f"{name}The record covers {low:.0f} to {high:.0f}° of ±{WINDOW_DEG:g}°, with "
                 f"{part.share:.0%} of the information on φ of a whole stroke."
             )
-        if record.grain_size_mm and not likelihood.of_size_deg(record):
+        knows = likelihood.of_size_deg(record) or likelihood.lacks_cohesion
+        if record.grain_size_mm and not knows:
             yield f"{name}Law {likelihood.library.name} does not know what large grains add."
         grown = likelihood.of_size_deg(record)
         if abs(grown) > 0.05:
@@ -276,11 +350,18 @@ def guesses(likelihood: Likelihood) -> Iterator[str]:
                 f"{per_mm:.1f}° on this leg; give --grain-size."
             )
         if likelihood.lacks_cohesion and i == 0:
+            grains = "damp soil, and grains that are large compared with the leg, look"
+            if record.grain_size_mm:
+                grains = (
+                    f"that of grains of {record.grain_size_mm:g} mm, {likelihood.cohesion:.0f} Pa, "
+                    "is assumed, and damp soil looks"
+                )
+            give = "" if record.grain_size_mm else "; give --grain-size if they are coarse"
             yield (
-                "Only both forces of a whole stroke determine a cohesion: damp soil, and grains "
-                "that are large compared with the leg, look like a larger angle here."
+                f"Only both forces of a whole stroke determine a cohesion: {grains} like a larger "
+                f"angle here{give}."
             )
-        if likelihood.cohesion > 0.5 and i == 0:
+        elif likelihood.cohesion > 0.5 and i == 0:
             check = likelihood.cohesion > COHESIVE_PA
             yield (
                 f"A cohesion of {likelihood.cohesion:.0f} Pa is fitted with φ: damp soil has "
@@ -288,7 +369,11 @@ def guesses(likelihood: Likelihood) -> Iterator[str]:
                 f"{'; else check the density and the unit of force' if check else ''}."
             )
         doubts = density_doubts(density) if likelihood.measured else []
-        if doubts and record.medium and measurement(record.measurement).density_kg_m3 == density:
+        if (
+            doubts
+            and record.measurement
+            and measurement(record.measurement).density_kg_m3 == density
+        ):
             doubts = []  # the seeds of Li et al. are light
         yield from (f"{name}{doubt}" for doubt in doubts)
         if record.density_kg_m3 is None or record.density_assumed:
@@ -305,11 +390,7 @@ def densities(density: FloatArray, sd: FloatArray) -> list[str]:
     ]
 
 
-def others(
-    likelihood: Likelihood,
-    *,
-    misfit: bool,
-) -> Iterator[str]:
+def others(likelihood: Likelihood, *, misfit: bool) -> Iterator[str]:
     """Sentences on legs, columns, sizes and units that may be others than stated.
 
     Parameters
@@ -337,10 +418,7 @@ def others(
             found = []
             if misfit and likelihood.keys == (PHI,):
                 found = list(_other_readings(likelihood, record))
-            for sentence in found or [
-                *_other_arm(likelihood, i),
-                *_other_size(likelihood, i),
-            ]:
+            for sentence in found or [*_other_arm(likelihood, i), *_other_size(likelihood, i)]:
                 yield f"{name}{sentence}"
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.metadata
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,42 +14,25 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray, seed_from
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import number_with_sd
-from terraphi.experiment.rig import LEG_NAMES, Rig, with_rig
+from terraphi.experiment.rig import LEG_NAMES, with_rig
 from terraphi.experiment.scenario import Scenario
 from terraphi.experiment.soil import plane_strain_friction_angle_deg
 from terraphi.forward.rft import to_plane_strain
-from terraphi.inference.answer import (
-    Answer,
-    Edge,
-    Estimate,
-    RecordFit,
-    Verdict,
-    worst_nrmsd,
-)
+from terraphi.inference.answer import Answer, Edge, Estimate, RecordFit, Verdict, worst_nrmsd
 from terraphi.inference.calibration import Calibration, CalibrationSoil
 from terraphi.inference.checks import (
-    FAR_APART_DEG,
-    LARGE_SHIFT_DEG,
     UNUSUAL,
-    USUAL_DEG,
-    guesses,
     in_air,
-    others,
     residual,
     second_opinion,
+    warnings,
     without_faults,
 )
 from terraphi.inference.combined import combined
-from terraphi.inference.likelihood import (
-    OF_RIG,
-    UNKNOWN_DENSITY,
-    Likelihood,
-    is_whole,
-)
-from terraphi.inference.pressed import invert_pressed, pressed_by
-from terraphi.inference.records import Record, open_records
-from terraphi.inference.sampling import Drawn, quadrature, sample
+from terraphi.inference.likelihood import OF_RIG, UNKNOWN_DENSITY, WHOLE, Likelihood, coverage
+from terraphi.inference.pressed import invert_pressed
+from terraphi.inference.records import Record, is_tool, open_records, with_body, with_sd
+from terraphi.inference.sampling import quadrature, sample
 from terraphi.laws.legs import FORMER_NAME, Legs, law_named, nearest_law, shipped_legs
 from terraphi.laws.store import PHI, Library
 
@@ -159,30 +142,28 @@ def invert(
     'consistent'
     """
     seed = seed_from(seed, rng)
-    pair = pressed_by(forces) is not None or _is_pair(forces)
-    every = list(forces) if isinstance(forces, list | tuple) and not pair else [forces]
-    tools = [(one, tool) if tool is not None else pressed_by(one) for one in every]
-    of_legs = [one for one, pressed in zip(every, tools, strict=True) if pressed is None]
+    every = _listed(forces)
+    of_legs = [one for one in every if tool is None and not is_tool(one[1])]
+    of_tools = [(one, tool or own) for one, own in every if tool is not None or is_tool(own)]
     given = {"leg": leg, "rig": rig, "grain_size_mm": grain_size_mm, "noise": noise, "gain": gain,
              "calibration": calibration, "simulated": simulated}  # fmt: skip
     wrong = [name for name, value in given.items() if value is not None and not of_legs]
-    if any(tools) and wrong:
+    wrong += [f"@{own}" for _, own in every if tool is not None and own is not None]
+    if of_tools and wrong:
         raise InputError(f"a tool excludes {', '.join(wrong)}; leave out one or the other")
     answers = []
-    if of_legs or not any(tools):
+    if of_legs:
         answers = _of_legs(of_legs, density=density, law=law, columns=columns, seed=seed, **given)
         # One soil has one density, and its columns and law are those of the legs.
         first = answers[0]
         density, law, columns = f"{first.density_kg_m3}±{first.density_sd_kg_m3}", None, None
-    answers += [
-        invert_pressed(*one, density=density, law=law, columns=columns) for one in tools if one
-    ]
+    answers += [invert_pressed(*one, density=density, law=law, columns=columns) for one in of_tools]
     answer = combined(answers) if len(answers) > 1 else answers[0]
     return answer if critical is None else with_peak(answer, critical)
 
 
 def _of_legs(
-    forces: Any,
+    sources: Sequence[tuple[Any, Any]],
     *,
     law: Library | Legs | Path | str | None,
     calibration: Calibration | Path | str | None,
@@ -195,7 +176,7 @@ def _of_legs(
     began = time.perf_counter()
     # The matrices are small: threads would only wait for each other.
     with threadpool_limits(limits=1, user_api="blas"):
-        records = _records(forces, **options)
+        records = _records(sources, **options)
         found, reason = _law_for(records, law)
         if isinstance(calibration, str | Path):
             calibration = Calibration.load(calibration)
@@ -205,8 +186,7 @@ def _of_legs(
                 "or a file"
             )
         if calibration is not None:
-            calibration.check(found)
-            calibration.check_gain({record.leg: record.gain for record in records})
+            calibration.check(found, {record.leg: record.gain for record in records})
         # Offset and cohesion of law legs are those of one rig alone, so that different ones are
         # joined by their angles: in one fit grains of known φ were read 4° wrong, with these 1°.
         rigs = dict.fromkeys(record.rig for record in records)
@@ -228,13 +208,8 @@ def with_peak(answer: Answer, critical: float | str) -> Answer:
     InputError
         If it is no angle, or the answer's φ is none of plane strain.
     """
-    try:
-        mean, sd = number_with_sd(str(critical))
-    except ValueError:
-        raise InputError(f"critical = '{critical}'; give degrees as 33 or 33±1") from None
+    mean, sd = with_sd("critical", critical, "degrees as 33 or 33±1", (0.0, 60.0))
     sd = 1.0 if sd is None else sd
-    if not (0.0 < mean < 60.0 and 0.0 <= sd < mean):
-        raise InputError(f"critical = {critical}; 0 to 60° with a smaller ± are accepted")
     if answer.convention != "plane_strain" or answer.records[0].simulated:
         raise InputError("critical is of measured forces by a law in plane strain; leave it out")
     if answer.verdict != "consistent":
@@ -256,42 +231,22 @@ def peak_draws(read: tuple[float, float], critical: tuple[float, float]) -> Floa
     return np.asarray(low + np.maximum(angle - low, 0.0) / np.clip(share, *SHARE_ENDS))
 
 
-def _records(forces: Any, **options: Any) -> list[Record]:
-    """Records of one thing or a list, without faulty readings."""
-    several = isinstance(forces, list | tuple) and not _is_pair(forces)
-    every = list(forces) if several else [forces]
-    if not every:
+def _listed(forces: Any) -> list[tuple[Any, Any]]:
+    """Each of one input or a list, with the body that it names."""
+    several = isinstance(forces, list | tuple) and with_body(forces)[1] is None
+    if several and not forces:
         raise InputError("no forces: the list is empty")
-    own = [_with_rig(one) for one in every]
-    return [
-        without_faults(record) for one, leg in own for record in open_records(one, **options | leg)
-    ]
+    return [with_body(one) for one in (forces if several else [forces])]
 
 
-def _is_pair(source: Any) -> bool:
-    """Whether this is a record with its leg or rig."""
-    if not (isinstance(source, tuple) and len(source) == 2):
-        return False
-    own = source[1]
-    of_text = isinstance(own, str | Path) and (own in LEG_NAMES or Path(own).suffix == ".toml")
-    return of_text or isinstance(own, Rig | Mapping)
-
-
-def _with_rig(source: Any) -> tuple[Any, dict[str, Any]]:
-    """Forces, and leg or rig of ``"forces.csv@c"``, ``"forces.csv@rig.toml"`` or such a pair."""
-    if isinstance(source, str) and "@" in source and not Path(source).exists():
-        forces, _, own = source.rpartition("@")
-        if not _is_pair((forces, own)):
-            raise InputError(
-                f"{source}: after @ comes a leg ({', '.join(LEG_NAMES)}), a rig (rig.toml) or a "
-                "tool (plate:60, ball:44)"
-            )
-        source = forces, own
-    if not _is_pair(source):
-        return source, {}
-    forces, own = source
-    of_shape = isinstance(own, str) and own in LEG_NAMES
-    return forces, {"leg": own} if of_shape else {"rig": own, "leg": None}
+def _records(sources: Sequence[tuple[Any, Any]], **options: Any) -> list[Record]:
+    """Records without faulty readings, of forces and their own legs or rigs, if any."""
+    records: list[Record] = []
+    for forces, own in sources:
+        of_shape = isinstance(own, str) and own in LEG_NAMES
+        body = {"leg": own} if of_shape else {} if own is None else {"rig": own, "leg": None}
+        records += map(without_faults, open_records(forces, **options | body))
+    return records
 
 
 def calibrate(
@@ -337,8 +292,8 @@ def calibrate(
         raise InputError(f"phi = {phi_deg:g} ± {phi_sd_deg:g}°; 0 to 90° are accepted")
     soils = []
     records = _records(
-        forces, leg=leg, rig=rig, density=density, grain_size_mm=grain_size_mm, columns=columns,
-        noise=noise, gain=gain,
+        _listed(forces), leg=leg, rig=rig, density=density, grain_size_mm=grain_size_mm,
+        columns=columns, noise=noise, gain=gain,
     )  # fmt: skip
     found, _ = _law_for(records, law)
     for record in records:
@@ -423,18 +378,14 @@ def _law_for(
 def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Answer:
     """Posterior, verdict and all that goes with them."""
     records, keys, library = likelihood.records, likelihood.keys, likelihood.library
-    second, disagreement = second_opinion(likelihood), ""
-    drawn = Drawn({}, {})
+    second = second_opinion(likelihood)
+    draws: dict[str, FloatArray] = {}
+    diagnostics: dict[str, dict[str, float]] = {}
     grid = density = np.zeros(0)
     if keys == (PHI,):
         grid, density = quadrature(likelihood)
         phi = Estimate.of_density(grid, density)
         if second is not None and (wider := _disagreement_deg(likelihood, phi, second)):
-            disagreement = (
-                f"Resistive force theory gives {second['median']:.0f}°, "
-                f"{abs(second['median'] - phi.median):.0f}° from {library.name} and outside both "
-                "intervals: the interval is wider by that."
-            )
             likelihood = Likelihood(
                 records, library, likelihood.calibration, disagreement_deg=wider
             )
@@ -442,39 +393,13 @@ def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Ans
             phi = Estimate.of_density(grid, density)
         parameters = {PHI: phi}
     else:
-        drawn = sample(likelihood, seed=seed)
-        parameters = {key: Estimate.of(values) for key, values in drawn.draws.items()}
+        draws, diagnostics = sample(likelihood, seed=seed)
+        parameters = {key: Estimate.of(values) for key, values in draws.items()}
     middle = np.array([parameters[key].median for key in keys])
     fits = _fits(likelihood, middle, parameters)
     air = in_air(likelihood)
     verdict, why, edge = _verdict(likelihood, fits, middle, damaged=bool(air))
     inferred, scenario = parameters.get(PHI), library.scenario
-    other = second["median"] if second and scenario.convention == "plane_strain" else None
-    far = []
-    if inferred and other is not None and abs(other - inferred.median) > FAR_APART_DEG:
-        far.append(
-            f"Resistive force theory gives {other:.0f}°, farther than for any record whose leg "
-            "is known: check the leg and the columns."
-        )
-    damage = [f"{likelihood.prefix(one)}{text}" for one in records for text in one.damage]
-    notes = [f"{likelihood.prefix(one)}{text}" for one in records for text in one.notes]
-    # In the order of their consequence, the gravest first.
-    questions = [
-        # The forces are wrong, whatever the soil.
-        *damage,
-        *air,
-        # Leg, columns, sizes or units may be others than stated.
-        *(others(likelihood, misfit=verdict != "consistent") if not air else ()),
-        *far,
-        *_about(likelihood, fits, parameters, verdict),
-        # The angle or its interval rests on what was not measured.
-        *([disagreement] if disagreement else []),
-        *_calibrated(likelihood),
-        *guesses(likelihood),
-        *([f"Law {library.name}: {library.caveat}"] if library.caveat else []),
-        # What was done with the readings.
-        *notes,
-    ]  # fmt: skip
     plane, no_plane = (
         _plane_strain(inferred, scenario) if inferred else (None, "φ was not inferred")
     )
@@ -495,17 +420,17 @@ def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Ans
         law=library.name,
         law_reason=reason,
         second_opinion=second,
-        questions=tuple(questions),
+        questions=tuple(warnings(likelihood, fits, inferred, verdict, second)),
         records=tuple(fits),
         grid_deg=grid,
         density=density,
-        draws=drawn.draws,
+        draws=draws,
         covariance=likelihood.predictive_covariance(),
-        diagnostics=drawn.diagnostics,
+        diagnostics=diagnostics,
         leg_friction=None if "leg.friction" in keys else first.rig.leg_friction
         if "leg friction" in likelihood.terms else scenario.leg.friction,
         cohesion_pa=likelihood.cohesion if isinstance(library, Legs) else None,
-        seed=seed if drawn.draws else None,
+        seed=seed if draws else None,
         provenance={
             "terraphi": importlib.metadata.version("terraphi"),
             "law_hash": library.hash,
@@ -535,8 +460,12 @@ def _fits(
     ):
         low, high, curve = (one.reshape(len(record.channels), -1) for one in curves[:, part])
         span, error = whole.span, likelihood.errors[record.leg]
-        size = _nrmsd(record.data, curve, span)
+        size = np.sqrt(np.square(record.data - curve).mean(axis=1)) / span
         noise = record.noise_covariance.diagonal().reshape(size.size, -1).mean(axis=1) / span**2
+        limit = SIMULATED if isinstance(likelihood.library, Legs) else None
+        if not record.simulated:
+            several = SEVERAL if len(likelihood.records) > 1 else 1.0
+            limit = math.hypot(error.nrmsd_limit * several, math.sqrt(noise.max()))
         found.append(
             RecordFit(
                 source=record.source, rig=record.rig,
@@ -546,18 +475,10 @@ def _fits(
                 band=np.stack([np.minimum(low, high), np.maximum(low, high)]),
                 nrmsd=dict(zip(record.channels, size.tolist(), strict=True)),
                 shift_deg=float(shift),
-                limit=None if record.simulated else math.hypot(
-                    error.nrmsd_limit * (SEVERAL if len(likelihood.records) > 1 else 1.0),
-                    math.sqrt(noise.max()),
-                ),
+                limit=limit,
             )
         )  # fmt: skip
     return found
-
-
-def _nrmsd(data: FloatArray, curve: FloatArray, span: FloatArray) -> FloatArray:
-    """Root mean square residual of each channel over its peak-to-peak in a whole stroke [-]."""
-    return np.asarray(np.sqrt(np.square(data - curve).mean(axis=1)) / span)
 
 
 def _percent(share: float, *, digits: int = 0) -> str:
@@ -566,22 +487,17 @@ def _percent(share: float, *, digits: int = 0) -> str:
 
 
 def _verdict(
-    likelihood: Likelihood,
-    fits: Sequence[RecordFit],
-    middle: FloatArray,
-    *,
-    damaged: bool,
+    likelihood: Likelihood, fits: Sequence[RecordFit], middle: FloatArray, *, damaged: bool
 ) -> tuple[Verdict, str, Edge | None]:
     """Verdict, reason, and the end of the library beyond which φ lies."""
     if damaged or any(record.damage for record in likelihood.records):
         return "misfit", "Misfit: the record is damaged. Do not use the angle.", None
-    misfit = (
-        _misfit_of_soil(likelihood, fits) or _other_leg(likelihood)
-        if likelihood.measured
-        else _misfit_of_law(fits)
-        if isinstance(likelihood.library, Legs)
-        else _misfit(likelihood, middle)
-    )
+    misfit = _large_residual(likelihood, fits)
+    by_library = not likelihood.measured and not isinstance(likelihood.library, Legs)
+    if not misfit and likelihood.measured:
+        misfit = _other_leg(likelihood)
+    elif by_library:
+        misfit = _misfit(likelihood, middle)
     edge = _edge(likelihood)
     if edge is not None:
         i = likelihood.keys.index(PHI)
@@ -594,7 +510,7 @@ def _verdict(
         return "out_of_range", f"{why} {misfit}".rstrip(), edge
     if misfit:
         return "misfit", misfit, None
-    if not likelihood.measured and not isinstance(likelihood.library, Legs):
+    if by_library:
         return "consistent", "Consistent: noise and scatter explain the residual.", None
     followed = " and ".join(f"{c} within {_percent(size)}" for c, size in worst_nrmsd(fits).items())
     kind = "sand" if likelihood.measured else "simulations"
@@ -605,10 +521,11 @@ def _verdict(
     )
 
 
-def _misfit_of_soil(likelihood: Likelihood, fits: Sequence[RecordFit]) -> str:
-    """A sentence if a record differs from the model by more than real soils do."""
+def _large_residual(likelihood: Likelihood, fits: Sequence[RecordFit]) -> str:
+    """A sentence if a record differs from the model by more than soils or simulations do."""
+    origin = "training soils" if likelihood.measured else "simulations"
     for fit, record, (_, span) in zip(fits, likelihood.records, likelihood.strokes, strict=True):
-        size = float(_nrmsd(fit.data, fit.curve, span).max())
+        size = max(fit.nrmsd.values())
         if fit.limit is not None and size > fit.limit:
             apart = (fit.data - fit.curve) / span[:, None]
             i, j = np.unravel_index(np.abs(apart).argmax(), apart.shape)
@@ -618,7 +535,7 @@ def _misfit_of_soil(likelihood: Likelihood, fits: Sequence[RecordFit]) -> str:
                 f"Misfit: {record.channels[i]} differs from the model by "
                 f"{shown} its range at {fit.theta_deg[j]:.0f}°. The "
                 f"residual is {_percent(size, digits=1)}; the limit is "
-                f"{_percent(fit.limit, digits=1)}, from training soils. Do not use the angle."
+                f"{_percent(fit.limit, digits=1)}, from {origin}. Do not use the angle."
             )
     return ""
 
@@ -628,7 +545,7 @@ def _other_leg(likelihood: Likelihood) -> str:
     if likelihood.keys != (PHI,):
         return ""
     for record in likelihood.records:
-        if not is_whole(record):
+        if coverage(record) < WHOLE:
             continue
         cohesion = likelihood.cohesion
         sizes = {leg: residual(record.data, record, likelihood, leg, cohesion)
@@ -641,17 +558,6 @@ def _other_leg(likelihood: Likelihood) -> str:
                 "Check the leg. Do not use the angle."
             )
     return ""
-
-
-def _misfit_of_law(fits: Sequence[RecordFit]) -> str:
-    """A sentence if a simulation differs from a law over ratios by more than its cases do."""
-    size = max(worst_nrmsd(fits).values())
-    if size <= SIMULATED:
-        return ""
-    return (
-        f"Misfit: the residual is {_percent(size)} of the range; the limit for simulations is "
-        f"{_percent(SIMULATED)}. Do not use the angle."
-    )
 
 
 def _misfit(likelihood: Likelihood, middle: FloatArray) -> str:
@@ -673,72 +579,13 @@ def _edge(likelihood: Likelihood) -> Edge | None:
     if PHI not in likelihood.keys:
         return None
     if likelihood.beyond is not None:
-        return (
-            "high"
-            if likelihood.beyond[0] > 0.5 * (likelihood.low[0] + likelihood.high[0])
-            else "low"
-        )
+        return "low" if likelihood.beyond[0] < likelihood.low[0] else "high"
     i = likelihood.keys.index(PHI)
     read = float(likelihood.least_squares[i])
     offsets = [float(likelihood.offset(r, np.array(read))) for r in likelihood.records]
     if read < likelihood.low[i] - min(offsets):
         return "low"
     return "high" if read > likelihood.high[i] - max(offsets) else None
-
-
-def _about(
-    likelihood: Likelihood,
-    fits: Sequence[RecordFit],
-    parameters: dict[str, Estimate],
-    verdict: str,
-) -> list[str]:
-    """Warnings about the answer."""
-    found = []
-    phi = parameters.get(PHI)
-    if likelihood.measured and verdict == "consistent":
-        for fit in fits:
-            usual = likelihood.errors[fit.rig.leg].shift_deg
-            if abs(fit.shift_deg - usual) > LARGE_SHIFT_DEG:
-                found.append(
-                    f"{fit.source}: the forces come {abs(fit.shift_deg):.0f}° "
-                    f"{'later' if fit.shift_deg > 0 else 'earlier'} than the model's; check the "
-                    "zero of theta and the height of the hip."
-                )
-    if likelihood.measured and len(likelihood.keys) > 1:
-        found.append(
-            "The error of the model on real soil is part of the interval of φ alone; do not trust "
-            "those of the other parameters."
-        )
-    if phi is not None:
-        prior = np.ptp(likelihood.ends) / math.sqrt(12.0) if likelihood.keys == (PHI,) else np.inf
-        if likelihood.sd[0] > prior:
-            found.append(
-                "The forces carry almost no information on φ: the posterior equals the prior."
-            )
-        for leg, error in likelihood.errors.items() if verdict == "consistent" else ():
-            ends = error.phi_deg if likelihood.measured else None
-            if ends and not ends[0] <= phi.median <= ends[1]:
-                found.append(
-                    f"φ = {phi.median:.1f}° lies outside {ends[0]:.1f} to {ends[1]:.1f}°, where "
-                    f"the offset of leg {leg} was learned: its error there is "
-                    f"{error.offset_sd_at(phi.median):.1f}°."
-                )
-        low, high = USUAL_DEG
-        if likelihood.measured and not low <= phi.median <= high:
-            found.append(
-                f"φ = {phi.median:.0f}° is unusual for dry soil ({low:g} to {high:g}°): check "
-                "density, unit of force and leg."
-            )
-    return found
-
-
-def _calibrated(likelihood: Likelihood) -> list[str]:
-    """A sentence on the soils of known angle."""
-    if likelihood.calibration is None:
-        return []
-    soils = likelihood.calibration.soils
-    known = ", ".join(f"{one.source} ({one.phi_deg:g} ± {one.phi_sd_deg:g}°)" for one in soils)
-    return [f"Calibrated by {known}; what is a soil's own part of its difference stays."]
 
 
 def _plane_strain(phi: Estimate, scenario: Scenario) -> tuple[Estimate | None, str]:

@@ -71,7 +71,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import FORCES, OBSERVATION_ANGLES, WINDOW_DEG, ForceHistory
 from terraphi.experiment.rig import LI2013, Rig
@@ -100,12 +100,13 @@ FAR_OFF = 3.0
 """Factor between data and best curve at which no angle fits [-]: chosen."""
 OF_RIG = ("leg friction", "hip height", "gain")
 """Causes that stay as they are in an apparatus."""
-LONG, UNKNOWN_COHESION = 0.8, 0.04
+LONG, UNKNOWN_COHESION, USUAL_COHESION = 0.8, 0.04, 0.02
 """Share of the windows in soil from which on a cohesion is fitted [-], and the standard deviation
-of c / (ρ g L) in other records [-]: by whole strokes of straight legs media of Li et al. have 0 to
-0.02, grains of 4 to 9 mm 0.04 to 0.13 (``docs/grains.md``); chosen."""
+of c / (ρ g L) in other records [-], of grains of unknown size and of grains that are fine or of
+known size: by whole strokes of straight legs media of Li et al. have 0 to 0.02, grains of 4 to 9 mm
+0.04 to 0.13 (``docs/grains.md``); chosen."""
 WHOLE = 0.9
-"""Share of a stroke's windows with which its shape can be compared with those of whole ones [-]."""
+"""The same from which a record's shape can be compared with those of other legs [-]; chosen."""
 PART_DEG = 1.4
 """Standard deviation of the shift of φ at h = ½ [deg]."""
 RESIDUAL = ("noise", "emulator", "particle scatter")
@@ -117,22 +118,13 @@ MOMENT_DEG = 0.9
 """Standard deviation of φ by a moment less that by both forces [deg]."""
 
 
-def is_whole(record: Record) -> bool:
-    """Whether the shape of a record can be compared with those of whole strokes.
-
-    The moment alone has nearly the same shape on all legs.
-    """
-    forces = record.channels == FORCES
-    return forces and record.theta_deg.size >= WHOLE * OBSERVATION_ANGLES
-
-
-def _is_long(record: Record) -> bool:
-    """Whether a record of both forces has most of the windows in which its leg is in soil."""
+def coverage(record: Record) -> float:
+    """Share of the windows with the leg in soil that a record of both forces has; else 0 [-]."""
     grid = np.linspace(-WINDOW_DEG, WINDOW_DEG, OBSERVATION_ANGLES)
     first, last = record.rig.air_deg()
     inside = grid[(first <= grid) & (grid <= last)].round(6)
     has = np.isin(inside, record.theta_deg.round(6))
-    return record.channels == FORCES and bool(has.mean() >= LONG)
+    return float(has.mean()) if record.channels == FORCES else 0.0
 
 
 class Part(NamedTuple):
@@ -284,7 +276,8 @@ class Likelihood:
     def of_size_deg(self, record: Record) -> float:
         """What the size of the grains adds to the angle read off measured forces [deg]."""
         grains = record.grain_size_mm * LI2013["width_mm"] / record.rig.width_mm
-        return self.errors[record.leg].of_size_deg * grains if self.measured else 0.0
+        known = self.measured and not self.lacks_cohesion
+        return self.errors[record.leg].of_size_deg * grains if known else 0.0
 
     def curves(self, x: FloatArray, nuisance: FloatArray | None = None) -> FloatArray:
         """Window means g(x) [N] at the best δ and c, or others, [k, key] -> [k, n]."""
@@ -338,7 +331,7 @@ class Likelihood:
             of_cohesion = (ahead - behind) / (ends[0][-1] - ends[1][-1])
         return np.hstack([*slopes, of_cohesion[:, None]])
 
-    @property
+    @cached_property
     def _bounds(self) -> tuple[FloatArray, FloatArray]:
         """Least and largest δ [deg] and c [Pa]: of simulated records, nothing but 0.
 
@@ -348,14 +341,26 @@ class Likelihood:
         shift = np.full(len(self.records), SHIFT_DEG if self.measured else 0.0)
         pairs = zip(self.laws, self._per_pascal, strict=True)
         most = min(law.most_cohesion / number for law, number in pairs)
-        known = self.measured and any(map(_is_long, self.records))
-        return np.append(-shift, 0.0), np.append(shift, most if known else 0.0)
+        known = self.measured and any(coverage(record) >= LONG for record in self.records)
+        usual = min(self._of_grains()[0], most)
+        return np.append(-shift, 0.0 if known else usual), np.append(
+            shift, most if known else usual
+        )
 
-    @property
+    def _of_grains(self) -> tuple[float, float]:
+        """Cohesion that the grains act like where none is fitted, and what it is unsure by [Pa]."""
+        k, sd = np.mean([self.errors[r.leg].cohesion_of_grains for r in self.records], axis=0)
+        size = float(np.mean([r.grain_size_mm for r in self.records])) if self.measured else 0.0
+        weight = 1e-3 * size * GRAVITY * float(np.mean(self.density))
+        unknown = (USUAL_COHESION if size else UNKNOWN_COHESION) / float(self._per_pascal.min())
+        return float(k) * weight, math.hypot(float(sd) * weight, unknown)
+
+    @cached_property
     def lacks_cohesion(self) -> bool:
         """Whether the law knows a cohesion, and no record is such that one is fitted."""
         cohesive = any(law.most_cohesion for law in self.laws)
-        return self.measured and cohesive and not self._bounds[1][-1]
+        least, most = self._bounds
+        return self.measured and cohesive and bool(least[-1] == most[-1])
 
     # -- best point ------------------------------------------------------------------------------
 
@@ -420,7 +425,8 @@ class Likelihood:
         (least, most), n = self._bounds, len(self.keys)
         shifts = np.arange(least[0], most[0] + 1.0)
         # With a cohesion the squared residual has several minima.
-        cohesions = most[-1] * (COHESIONS if most[-1] else COHESIONS[:1])
+        width = most[-1] - least[-1]
+        cohesions = least[-1] + width * (COHESIONS if width else COHESIONS[:1])
         if n == 1:
             x = np.linspace(*self.ends, 257 if len(cohesions) == 1 else 65)
         else:
@@ -510,17 +516,13 @@ class Likelihood:
             ]
             found[cause] = self._shared_by_leg(factors)
         if self.lacks_cohesion:
-            c = UNKNOWN_COHESION / float(self._per_pascal.min())
-            moist = self.curves(x[None], np.append(self.nuisance[:-1], c))[0]
-            found["cohesion"] = _square(moist - curve)
-        if self.cohesion:
+            moist = self.nuisance + np.append(np.zeros(len(self.records)), self._of_grains()[1])
+            found["cohesion"] = _square(self.curves(x[None], moist)[0] - curve)
+        elif self.cohesion:
             # What the weight on c takes from it looks like another angle: c itself at most.
             found["cohesion"] = _square(self.cohesion * self._best.slope[0, :, -1])
         if self._phi is not None:
-            found |= self._model_offset(slope[:, self._phi])
-            found |= self._missing_parts(slope[:, self._phi])
-            if self.disagreement_deg:
-                found["second opinion"] = _square(self.disagreement_deg * slope[:, self._phi])
+            found |= self._angle_errors(slope[:, self._phi], float(x[self._phi]))
         if "soil.density" not in self.keys:
             found["density"] = _square(self.density_sd[self._of] * curve)
         gain = np.array([0.0 if self._calibrated(r.leg) else r.gain_sd for r in self.records])
@@ -530,7 +532,8 @@ class Likelihood:
 
     def _calibrated(self, leg: str) -> bool:
         """Whether a soil of known angle was read with this leg, whose rig is then known with b."""
-        return self.calibration is not None and self.calibration.has(leg)
+        known = self.calibration
+        return known is not None and any(soil.leg == leg for soil in known.soils)
 
     def _blocks(self, blocks: Sequence[FloatArray]) -> FloatArray:
         """Block-diagonal covariance of records whose errors are independent."""
@@ -541,54 +544,48 @@ class Likelihood:
 
     def _shared_by_leg(self, factors: Sequence[FloatArray]) -> FloatArray:
         """Covariance of errors that records of a leg share, by a factor [2 theta, k] a record."""
-        found = np.zeros((self.data.size, self.data.size))
-        for leg in self.errors:
-            stacked = np.zeros((self.data.size, max(f.shape[1] for f in factors)))
-            for i, (record, factor) in enumerate(zip(self.records, factors, strict=True)):
-                if record.leg == leg:
-                    force = self._ratio[i] * factor.T.reshape(factor.shape[1], 2, -1)
-                    means = window_means(record, force, self.laws[i], self.shift_deg[i])
-                    stacked[self.parts[i], : factor.shape[1]] = means.T
-            found += stacked @ stacked.T
-        return found
+        stacked = np.zeros((self.data.size, max(f.shape[1] for f in factors)))
+        for i, (record, factor) in enumerate(zip(self.records, factors, strict=True)):
+            force = self._ratio[i] * factor.T.reshape(factor.shape[1], 2, -1)
+            means = window_means(record, force, self.laws[i], self.shift_deg[i])
+            stacked[self.parts[i], : factor.shape[1]] = means.T
+        return np.asarray(stacked @ stacked.T * self._alike([r.leg for r in self.records]))
 
-    def _model_offset(self, slope: FloatArray) -> dict[str, FloatArray]:
-        """Covariance of what looks like another angle: of an apparatus, a soil, and each leg."""
-        known, legs = self.calibration, np.array([record.leg for record in self.records])
-        phi = self.least_squares[self.keys.index(PHI)]
-        sd = {
-            leg: (
-                float(known.common(error, leg, phi)[1]) if known else error.common_sd_deg,
-                error.soil_sd_deg,
-                error.leg_sd_deg,
-                0.0 if self._calibrated(leg) else error.offset_sd_at(phi),
-            )
-            for leg, error in self.errors.items()
-        }
-        each = np.array([sd[leg] for leg in legs])[self._of].T
-        apparatus, soil, leg, offset = map(_square, slope * each)
-        same_leg = np.equal.outer(legs, legs)[self._of][:, self._of]
+    def _alike(self, names: Sequence[object]) -> BoolArray:
+        """Whether the records of two window means have the same name, shape [n, n]."""
+        of_each = np.array(names)[self._of]
+        return np.equal.outer(of_each, of_each)
+
+    def _angle_errors(self, slope: FloatArray, phi_deg: float) -> dict[str, FloatArray]:
+        """Covariance of what looks like another angle: its size, and which records share it."""
+        known, records = self.calibration, self.records
+        legs, errors = [r.leg for r in records], [self.errors[r.leg] for r in records]
+        pairs = list(zip(legs, errors, strict=True))
+        each, every = range(len(records)), [0] * len(records)
         # Law legs was learned on several rigs, which differ by l.
-        rigs = np.array([str(r.rig) if isinstance(self.library, Legs) else r.leg
-                         for r in self.records])  # fmt: skip
-        same_rig = np.equal.outer(rigs, rigs)[self._of][:, self._of]
-        return {
-            "model: apparatus": apparatus,
-            "model: soil": soil,
-            "model: leg": leg * same_rig,
-            "model: offset": offset * same_leg,
+        rigs = [str(r.rig) for r in records] if isinstance(self.library, Legs) else legs
+        common = [
+            float(known.common(error, leg, np.array(phi_deg))[1]) if known else error.common_sd_deg
+            for leg, error in pairs
+        ]
+        offset = [
+            0.0 if self._calibrated(leg) else error.offset_sd_at(phi_deg) for leg, error in pairs
+        ]
+        lacking = [1.0 / np.clip(stroke.share, 1e-3, 1.0) - 1.0 for stroke in self.strokes]
+        sizes: dict[str, tuple[Sequence[object], Sequence[float]]] = {
+            "model: apparatus": (every, common),
+            "model: soil": (every, [error.soil_sd_deg for error in errors]),
+            "model: leg": (rigs, [error.leg_sd_deg for error in errors]),
+            "model: offset": (legs, offset),
+            "missing angles": (each, [PART_DEG * math.sqrt(one) for one in lacking]),
+            "missing forces": (each, [MOMENT_DEG * (r.channels != FORCES) for r in records]),
+            "second opinion": (every, [self.disagreement_deg] * len(records)),
         }
-
-    def _missing_parts(self, slope: FloatArray) -> dict[str, FloatArray]:
-        """Covariance of what missing angles and missing forces would change, if any are missing."""
-        angles, forces = np.zeros((2, slope.size, slope.size))
-        for record, part, stroke in zip(self.records, self.parts, self.strokes, strict=True):
-            square = _square(slope[part])
-            angles[part, part] = PART_DEG**2 * (1.0 / max(stroke.share, 1e-3) - 1.0) * square
-            if record.channels != FORCES:
-                forces[part, part] = MOMENT_DEG**2 * square
-        named = {"missing angles": angles, "missing forces": forces}
-        return {name: each for name, each in named.items() if each.any()}
+        return {
+            name: _square(np.array(sd)[self._of] * slope) * self._alike(alike)
+            for name, (alike, sd) in sizes.items()
+            if any(sd)
+        }
 
     @cached_property
     def covariance(self) -> FloatArray:

@@ -14,11 +14,13 @@ from terraphi.experiment.workers import workers
 from terraphi.inference import COLUMNS
 from terraphi.inference.answer import Answer
 from terraphi.inference.inversion import invert_many
-from terraphi.inference.pressed import pressed_by
+from terraphi.inference.records import is_tool
 
 OPTIONS = ("leg", "rig", "tool", *SIZES, "leg_friction", "density", "grain_size_mm", "columns",
            "law", "noise", "gain", "calibration", "critical")  # fmt: skip
 """Columns that are options of ``invert``, besides ``file``."""
+TEXTS = {"leg", "rig", "tool", "columns", "law", "calibration"}
+"""Those that are no numbers."""
 LEAST_ROWS = 8
 """Records from which several processes are worth their start."""
 
@@ -67,15 +69,7 @@ def _row(folder: Path, cells: dict[str, str]) -> dict[str, Any]:
         return f"{placed(name)}@{placed(own)}" if at else text
 
     given: dict[str, Any] = {key: placed(cells[key]) for key in OPTIONS if cells.get(key)}
-    for key in {
-        "density",
-        "grain_size_mm",
-        "noise",
-        "gain",
-        "leg_friction",
-        "critical",
-        *SIZES,
-    } & given.keys():
+    for key in given.keys() - TEXTS:
         given[key] = given[key].replace(",", ".")  # as in 638,5
     if "noise" in given:
         try:
@@ -106,7 +100,7 @@ def invert_rows(
     for row in rows:
         own = {key: value for key, value in row.items() if key != "notes"}
         # A row with sizes of its own has the whole rig, and a tool none.
-        tool = "tool" in own or pressed_by(own["forces"]) is not None
+        tool = "tool" in own or is_tool(str(own["forces"]).rpartition("@")[2])
         of_leg = ("leg", "leg_friction", "grain_size_mm") if tool else ()
         several = ("rig", *SIZES, *of_leg) if tool or own.keys() & {"rig", *SIZES} else ()
         whole.append({k: v for k, v in options.items() if k not in several} | own)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import importlib.metadata
 import math
-import re
 import time
 from pathlib import Path
 from typing import Any
@@ -64,15 +63,6 @@ FEWEST_AIR = 6
 TARED = 0.01
 """Force in air over the largest from which it is named [-]."""
 RANGE_DEG = np.arange(10.0, 55.5, 0.5)
-
-
-def pressed_by(source: Any) -> tuple[Any, str] | None:
-    """Table and tool of ``"plate.csv@plate:151"`` or of such a pair; ``None`` of other forces."""
-    if isinstance(source, str):
-        found = re.fullmatch(r"(.+)@(\w+:[^/\\]*)", source)
-        source = found.groups() if found else None
-    pair = isinstance(source, tuple) and len(source) == 2 and isinstance(source[1], str)
-    return source if pair and re.match(r"\w+:[\d.]", source[1]) else None
 
 
 def invert_pressed(

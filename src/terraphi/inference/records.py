@@ -13,11 +13,12 @@ Whatever the readings' spacing, both sides are averaged alike.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
@@ -36,7 +37,7 @@ from terraphi.experiment.history import (
 from terraphi.experiment.leg import RotatingShape
 from terraphi.experiment.measurements import Measurement, measurement_of, open_forces
 from terraphi.experiment.reading import ForceColumns, read_trials
-from terraphi.experiment.rig import Rig
+from terraphi.experiment.rig import LEG_NAMES, Rig
 from terraphi.experiment.scenario import Scenario
 
 FEWEST_WINDOWS = 9
@@ -117,11 +118,6 @@ class Record:
     def channels(self) -> tuple[str, ...]:
         """``Fx``, ``Fz`` and ``M``: those that are compared."""
         return self.history.channels
-
-    @property
-    def medium(self) -> str:
-        """Name of the shipped medium that it was measured in; empty for any other."""
-        return self.measurement.partition("/")[0]
 
     @cached_property
     def _windows(self) -> tuple[FloatArray, FloatArray]:
@@ -251,6 +247,35 @@ def _interpolation(at: FloatArray, x: FloatArray) -> FloatArray:
     return found
 
 
+def with_body(source: Any) -> tuple[Any, Any]:
+    """Forces with the leg, rig or tool that they name, or ``None``.
+
+    ``"forces.csv@c"``, ``"forces.csv@rig.toml"``, ``"plate.csv@plate:60"``, or such a pair.
+    """
+    if isinstance(source, str) and "@" in source and not Path(source).exists():
+        forces, _, own = source.rpartition("@")
+        if not _is_body(own):
+            raise InputError(
+                f"{source}: after @ comes a leg ({', '.join(LEG_NAMES)}), a rig (rig.toml) or a "
+                "tool (plate:60, ball:44)"
+            )
+        return forces, own
+    pair = isinstance(source, tuple) and len(source) == 2 and _is_body(source[1])
+    return source if pair else (source, None)
+
+
+def _is_body(own: Any) -> bool:
+    """Whether this is a leg, a rig or a tool."""
+    if isinstance(own, str | Path):
+        return own in LEG_NAMES or Path(own).suffix == ".toml" or is_tool(own)
+    return isinstance(own, Rig | Mapping)
+
+
+def is_tool(own: Any) -> bool:
+    """Whether a body is a tool, such as ``"plate:60"``."""
+    return isinstance(own, str) and re.match(r"\w+:[\d.]", own) is not None
+
+
 def open_record(forces: Any, **options: Any) -> Record:
     """The record of one stroke; as :func:`open_records`."""
     found = open_records(forces, **options)
@@ -280,7 +305,19 @@ def open_records(
     InputError
         If the forces, the rig or the density cannot be used.
     """
-    known = _measurements(forces, tared(columns, rig, leg))
+    if isinstance(forces, Measurement):
+        known = [forces]
+    elif isinstance(forces, ForceHistory):
+        known = [measurement_of(forces)]
+    elif isinstance(forces, str | Path):
+        known = open_forces(forces, tared(columns, rig, leg))
+    elif hasattr(forces, "to_dataframe") or hasattr(forces, "columns"):
+        known = list(map(measurement_of, read_trials(forces, tared(columns, rig, leg))))
+    else:
+        raise InputError(
+            f"forces of type {type(forces).__name__}; give a path, a shipped name, a ForceHistory, "
+            "a DataFrame or an xarray Dataset"
+        )
     return [record_of(one, leg=leg, rig=rig, **options) for one in known]
 
 
@@ -331,9 +368,8 @@ def record_of(
     InputError
         If the rig is not known, or forces, rig or density cannot be used.
     """
-    legs = get_args(RotatingShape)
-    if leg is not None and leg not in legs:
-        raise InputError(f"unknown leg '{leg}'; {nearest(leg, legs)}")
+    if leg is not None and leg not in LEG_NAMES:
+        raise InputError(f"unknown leg '{leg}'; {nearest(leg, tuple(LEG_NAMES))}")
     source = known.rig if rig is None else rig
     if source is None:
         raise InputError(
@@ -347,13 +383,14 @@ def record_of(
     mean, sd = (None, 0.0) if stated is None else density_with_sd(stated, known.name)
     if made_by is not None and density is None:
         sd = 0.0
-    if made_by is not None and rig is not None:
-        raise InputError(f"{known.name}: a simulation knows its rig; leave out the sizes")
-    if made_by is not None and gain is not None:
-        raise InputError(f"{known.name}: a simulation has no sensor; leave out the gain")
+    excluded = {"sizes of the leg": rig, "gain": gain, "size of grains": grain_size_mm}
+    wrong = [name for name, value in excluded.items() if value is not None]
+    if made_by is not None and wrong:
+        raise InputError(
+            f"{known.name}: a simulation knows its rig, and has no sensor and no grains; leave out "
+            f"the {' and the '.join(wrong)}"
+        )
     rig = Rig.of(source, leg)
-    if made_by is not None and grain_size_mm is not None:
-        raise InputError(f"{known.name}: a simulation has no grains; leave out their size")
     try:
         grains = float(grain_size_mm or 0.0)
     except (TypeError, ValueError):
@@ -363,22 +400,28 @@ def record_of(
             f"{known.name}: grain_size_mm = {grains:g}; 0 to {LARGEST_GRAIN * rig.width_mm:.3g} mm "
             "are accepted on a leg of this width"
         )
-    factor, gain_sd = _gain(gain, known.name)
+    factor, gain_sd = 1.0, None
+    if gain is not None:
+        factor, gain_sd = with_sd(
+            f"{known.name}: gain", gain, "it as 1.05 or 1.05±0.01", (0.1, 10.0)
+        )
+    gain_sd = GAIN_SD if gain_sd is None else gain_sd / factor
     if factor != 1.0:
         history = history.scaled(1.0 / factor)
-    sensor, steps = _noise(history), _resolution(known.history) / factor
+    few, channels = len(history.theta_deg) < 12, history.channels
+    sensor = tuple(0.0 if few else roughness(history.channel(name)) for name in channels)
+    coarse = known.history.provenance.get("resolution", {})
+    steps = np.array([coarse.get(n, resolution(known.history.channel(n))) for n in channels])
+    steps /= factor
     if noise is not None and not history.axes:
         raise InputError(f"{known.name}: noise is that of forces, and there is a moment alone")
     if noise is not None:
         given = tuple(noise) if isinstance(noise, list | tuple) else (noise, noise)
-        if len(given) != 2 or not all(isinstance(one, int | float) for one in given):
+        numbers = len(given) == 2 and all(isinstance(one, int | float) for one in given)
+        if not numbers or not all(0.0 <= one <= np.ptp(history.force) for one in given):
             raise InputError(
-                f"noise = {noise!r}; give one number of newtons, or one for each force"
-            )
-        if not all(0.0 <= one <= np.ptp(history.force) for one in given):
-            raise InputError(
-                f"noise = {max(given):g} N; 0 N to {np.ptp(history.force):.3g} N, the range of "
-                "the forces, is accepted"
+                f"noise = {noise!r}; give one number of newtons, or one for each force, from 0 to "
+                f"{np.ptp(history.force):.3g} N, the range of the forces"
             )
         of_forces = dict(zip(FORCES, given, strict=True))
         pairs = zip(history.channels, sensor, strict=True)
@@ -418,65 +461,29 @@ def density_doubts(density: float) -> list[str]:
 
 def density_with_sd(density: float | str, name: str) -> tuple[float, float]:
     """Bulk density of what is named and its standard deviation [kg/m³]; raises InputError."""
+    ends = (100.0, 10_000.0)
+    mean, sd = with_sd(f"{name}: density", density, "kg/m³ as 1600 or 1600±80", ends)
+    return mean, DENSITY_SD * mean if sd is None else sd
+
+
+def with_sd(
+    what: str, text: float | str, form: str, ends: tuple[float, float]
+) -> tuple[float, float | None]:
+    """A number between two ends and its standard deviation, of ``"1600±80"``; raises InputError."""
     try:
-        mean, sd = number_with_sd(str(density))
+        mean, sd = number_with_sd(str(text))
     except ValueError:
-        raise InputError(f"{name}: density = '{density}'; give kg/m³ as 1600 or 1600±80") from None
-    if not 100.0 <= mean <= 10_000.0:
-        raise InputError(f"{name}: density = {mean:g} kg/m³; 100 to 10000 kg/m³ are accepted")
-    sd = DENSITY_SD * mean if sd is None else sd
-    if not 0.0 <= sd < mean:
+        raise InputError(f"{what} = '{text}'; give {form}") from None
+    if not (ends[0] <= mean <= ends[1] and 0.0 <= (sd or 0.0) < mean):
         raise InputError(
-            f"{name}: density = {density}; a standard deviation of 0 to {mean:g} is accepted"
+            f"{what} = {text}; {ends[0]:g} to {ends[1]:g} with a smaller ± are accepted"
         )
     return mean, sd
-
-
-def _gain(gain: float | str | None, name: str) -> tuple[float, float]:
-    """Gain of a sensor and its relative standard deviation [-]."""
-    if gain is None:
-        return 1.0, GAIN_SD
-    try:
-        factor, sd = number_with_sd(str(gain))
-    except ValueError:
-        raise InputError(f"{name}: gain = '{gain}'; give it as 1.05 or 1.05±0.01") from None
-    sd = GAIN_SD * factor if sd is None else sd
-    if not (0.1 <= factor <= 10.0 and 0.0 <= sd < factor):
-        raise InputError(f"{name}: gain = {gain}; 0.1 to 10 with a smaller ± are accepted")
-    return factor, sd / factor
-
-
-def _measurements(forces: Any, columns: Any) -> list[Measurement]:
-    """Forces with leg and density, from any input: one for each stroke."""
-    if isinstance(forces, Measurement):
-        return [forces]
-    if isinstance(forces, ForceHistory):
-        return [measurement_of(forces)]
-    if isinstance(forces, str | Path):
-        return open_forces(forces, columns)
-    if hasattr(forces, "to_dataframe") or hasattr(forces, "columns"):
-        return [measurement_of(history) for history in read_trials(forces, columns)]
-    raise InputError(
-        f"forces of type {type(forces).__name__}; give a path, a shipped name, a ForceHistory, a "
-        "DataFrame or an xarray Dataset"
-    )
-
-
-def _noise(history: ForceHistory) -> tuple[float, ...]:
-    """Noise of a reading of each channel."""
-    few = len(history.theta_deg) < 12
-    return tuple(0.0 if few else roughness(history.channel(name)) for name in history.channels)
 
 
 def roughness(values: FloatArray) -> float:
     """Noise of readings, from their second differences, of which it leaves √6."""
     return float(1.4826 * np.median(np.abs(np.diff(values, n=2))) / np.sqrt(6.0))
-
-
-def _resolution(history: ForceHistory) -> FloatArray:
-    """Step that each channel is rounded to, if that is coarse."""
-    known = history.provenance.get("resolution", {})
-    return np.array([known.get(n, resolution(history.channel(n))) for n in history.channels])
 
 
 def _rounded(history: ForceHistory, steps: FloatArray) -> list[str]:

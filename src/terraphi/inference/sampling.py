@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
@@ -14,15 +12,6 @@ NODES = 801
 """Nodes of the quadrature, over eight standard deviations to either side."""
 ENSEMBLES, WALKERS, STEPS = 4, 24, 1200
 """Independent ensembles, their walkers (at least twice the parameters), and steps of each."""
-
-
-class Drawn(NamedTuple):
-    """Draws of several parameters."""
-
-    draws: dict[str, FloatArray]
-    """By dotted key, shape [ensemble, draw]."""
-    diagnostics: dict[str, dict[str, float]]
-    """Split-R̂, effective sample size and autocorrelation time by key."""
 
 
 def quadrature(likelihood: Likelihood) -> tuple[FloatArray, FloatArray]:
@@ -52,10 +41,18 @@ def quadrature(likelihood: Likelihood) -> tuple[FloatArray, FloatArray]:
     return grid, density / np.trapezoid(density, grid)
 
 
-def sample(likelihood: Likelihood, *, seed: int = 0, steps: int = STEPS) -> Drawn:
+def sample(
+    likelihood: Likelihood, *, seed: int = 0, steps: int = STEPS
+) -> tuple[dict[str, FloatArray], dict[str, dict[str, float]]]:
     """Draws of several parameters under a uniform prior over the library, by emcee.
 
     Walkers of one ensemble depend on each other, so that R̂ compares several ensembles.
+
+    Returns
+    -------
+    draws, diagnostics
+        Of each dotted key: draws, shape [ensemble, draw]; split-R̂, effective sample size and
+        autocorrelation time.
     """
     with needing("a posterior of several parameters", "emcee and SciPy", extra="simulate"):
         import emcee
@@ -97,7 +94,7 @@ def sample(likelihood: Likelihood, *, seed: int = 0, steps: int = STEPS) -> Draw
             "ess": ess,
             "tau": float(tau[i]),
         }
-    return Drawn(draws, diagnostics)
+    return draws, diagnostics
 
 
 def split_rhat(draws: FloatArray) -> float:

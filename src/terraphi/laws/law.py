@@ -59,6 +59,9 @@ class ModelError(Strict):
     """Mean shift of the leg angle of training records [deg]."""
     cohesion_weight: float = Field(0.01, ge=0)
     """Weight of (c / (ρ g L))² in the mean squared residual, where the law knows cohesion [-]."""
+    cohesion_of_grains: tuple[float, float] = (0.0, 0.0)
+    """k and its standard deviation: where records determine no cohesion, grains of diameter d act
+    like one of k ρ g d [-]."""
     nrmsd_limit: float = Field(0.25, gt=0)
     """Residual above which a record is a misfit [-]."""
     training: tuple[str, ...] = ()
