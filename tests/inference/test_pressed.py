@@ -82,8 +82,9 @@ def test_rectangles_read_as_discs_do(long_mm: float) -> None:
     slender = 60.0 / long_mm
     plate = invert(f"plate:60x{long_mm:g}", breadth**2 / slender, slender, 1.0 - 0.4 * slender)
     disc = invert("plate:60", 0.25 * np.pi * breadth**2, 1.0, 0.6)
-    apart = plate.phi.median - disc.phi.median
-    assert abs(apart) < plate.budget_deg["rectangle"] + 0.1
+    # As a disc of its area without a factor a plate of 5 to 1 reads 2° less.
+    assert plate.phi.median == pytest.approx(disc.phi.median, abs=0.7)
+    assert plate.budget_deg["rectangle"] < 1.5
 
 
 def test_forces_beyond_the_law_are_out_of_range() -> None:

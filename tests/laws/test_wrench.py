@@ -384,7 +384,7 @@ def test_what_cannot_be_a_foot_is_refused() -> None:
         ((corners, faces[:, ::-1]), "inside out"),
         ((corners, faces[1:]), "not closed"),
         ((corners, faces[4:]), "not closed"),
-        ((corners, np.concatenate([faces, faces])), "faces twice"),
+        ((corners, np.concatenate([faces, faces])), "a face twice"),
         ((1e3 * corners, faces), "meters"),
     ]:
         with pytest.raises(InputError, match=match):

@@ -81,7 +81,11 @@ def value_of(text: str) -> Any:
     try:
         return tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
-        return text.strip()
+        pass
+    try:
+        return float(text)  # such as .5, which is no number of TOML
+    except ValueError:
+        return text.strip(" '\"")
 
 
 def strictly(content: Any, model: type[Model], source: str) -> Model:

@@ -34,6 +34,8 @@ HIP_HEIGHT_SD_MM = 2.0
 LEG_FRICTION, LEG_FRICTION_SD = 0.30, 0.0866
 """Friction between leg and soil of which nothing is said, and its standard deviation [-]: metal or
 plastic on dry sand (uniform on 0.15 to 0.45)."""
+SLENDER = 5.0
+"""Longest side of a rectangular plate over the other [-]: shape factors were compared up to it."""
 CELLS_ACROSS, CELLS_DEEP = 5.08, 11.24
 """Cells in the width and in the depth of the leg [-]: those of ``sand3d`` with Li's leg."""
 COARSEST, FINEST = 1.0 / 12.0, 1.0 / 20.0
@@ -278,6 +280,11 @@ class Tool(Strict):
                 f"tool '{text}'; give plate:151 (diameter in mm), plate:38x25 (sides in mm) or "
                 "ball:44, each of 1 to 5000 mm"
             )
+        if max(sizes) > SLENDER * min(sizes):
+            raise InputError(
+                f"tool '{text}': sides up to {SLENDER:g} to 1 are known; a longer plate bears as a "
+                "strip does, which law foot has not"
+            )
         shape = "ball" if found[1] == "ball" else "rectangle" if len(sizes) > 1 else "disc"
         return cls.model_validate({"leg": shape, "size_mm": sizes})
 
@@ -293,7 +300,7 @@ class Tool(Strict):
         """Force on a rectangle over that on the disc of equal area [-].
 
         The geometric mean of Vesić's shape factors (1973, after De Beer), 0.955 (B/L)^0.2 within
-        7 % at φ of 25 to 40° and depths of 0.3 to 2 radii up to L = 5 B, and of simulations, 1.00,
+        11 % at φ of 25 to 40° and depths of 0.3 to 2 radii up to L = 5 B, and of simulations, 1.00,
         0.93 and 0.89 at L/B of 1, 2 and 4 (``docs/foot.md``). Half its logarithm is their distance
         from it.
         """

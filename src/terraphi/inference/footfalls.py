@@ -520,7 +520,10 @@ def infer(
         )
         other = fit(sound, second, second_prior).phi
         prior = replace(prior, other_law_sd=math.sqrt(likeness(prior, second_prior)))
-        stretch = np.std(phi - other) / max(float(np.std(phi)), 1e-9)
+        # How much larger or smaller the other law makes a difference: its slope, for on uniform
+        # soil both differ by their noise.
+        varies = phi - phi.mean()
+        stretch = abs(float(varies @ (phi - other))) / max(float(varies @ varies), 1e-9)
         scale_sd = math.hypot(prior.slope_sd, prior.other_law_sd * stretch)
         for name, differs in (("law_slope", phi), ("other_law", phi - other)):
             moves[:, TORQUES + list(prior.shared()).index(name)] = differs - differs.mean()

@@ -60,6 +60,8 @@ class FittedLaw:
     """Names of the parameters of a case."""
     PLACES: ClassVar[FloatArray]
     """Along the motion, or depths, as the law has them [-]."""
+    HYPER: ClassVar[tuple[int, int]] = (0, 0)
+    """Number of processes, and of the numbers of each."""
 
     x: FloatArray
     depth: FloatArray
@@ -101,7 +103,10 @@ class FittedLaw:
         """Read what :meth:`save` wrote; raises InputError if it is not whole, or of another law."""
         with open_netcdf(path, LawAttributes, kind=KIND, schema=SCHEMA) as file:
             axes, places = file.texts("axis", "axis"), file.numbers("place", "place")
-            if axes != cls.AXES or not np.array_equal(places, cls.PLACES):
+            if axes != cls.AXES:
                 raise ValueError(f"it is over {', '.join(axes)}, not {', '.join(cls.AXES)}")
-            numbers: dict[str, Any] = {n: file.numbers(n, *dims) for n, dims in DIMS.items()}
+            if not np.array_equal(places, cls.PLACES):
+                raise ValueError("its places are those of another version")
+            shapes = DIMS | {"hyper": cls.HYPER}
+            numbers: dict[str, Any] = {n: file.numbers(n, *dims) for n, dims in shapes.items()}
             return cls(**numbers, **dict(file.attrs))

@@ -158,6 +158,7 @@ class Legs(FittedLaw):
 
     AXES = AXES
     PLACES = PLACES
+    HYPER = (1 + MODES, len(AXES) + 1)
 
     name: str = NAME
     caveat: str = ""

@@ -133,7 +133,11 @@ class Mesh:
         edges = np.stack([same, np.roll(same, -1, axis=1)], axis=-1).reshape(-1, 2)
         there, back = (np.unique(one, axis=0) for one in (edges, edges[:, ::-1]))
         if len(there) < len(edges) or not np.array_equal(there, back):
-            raise InputError("mesh: the surface is not closed, or has faces twice; give one solid")
+            raise InputError(
+                "mesh: the surface is not closed, has a face twice, or one whose corners run the "
+                "other way than its neighbors'; give one solid, its corners counterclockwise seen "
+                "from outside"
+            )
         most = (
             FINE * float(np.ptp(each.reshape(-1, 3), axis=0).max()) if longest is None else longest
         )

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import importlib.metadata
+import io
 import json
 import math
 from collections.abc import Callable, Mapping
@@ -247,13 +249,19 @@ def text(found: Mapping[str, Any], form: str) -> str:
             f"{found['parameter']} [{found['unit'] or '-'}]": {**found, "median": found["value"]},
             "density_factor [-]": found.get("density_factor"),
             "phi_plane_strain [deg]": found["phi_plane_strain_deg"],
+            **{name: found[name] for name in filter(str.isupper, found)},
         }
         table = [["quantity", "median", "low68", "high68", "low95", "high95"]]
         table += [
             [name, row["median"], *row["ci68"], *row["ci95"]] for name, row in rows.items() if row
         ]
+        table.append(["density [kg/m3]", found["density_kg_m3"], "", "", "", ""])
         table += [["draw", value, "", "", "", ""] for value in found["draws"]]
-        return "".join(",".join(map(str, row)) + "\n" for row in table)
+        if found["caution"]:
+            table.append(["caution", found["caution"], "", "", "", ""])
+        written = io.StringIO()
+        csv.writer(written, lineterminator="\n").writerows(table)
+        return written.getvalue()
     constants = {found["parameter"].upper(): found["value"], "DRAWS": found["draws"]}
     constants |= {"DENSITY": found["density_kg_m3"]}
     constants |= {"DENSITY_DRAWS": found["density_draws_kg_m3"]}
