@@ -506,8 +506,8 @@ class _LegTable(_Reading[ForceColumns]):
         if not kept.all():
             self.notes.append(f"{(~kept).sum()} rows in which the angle jumps are left out.")
         theta, values = theta[kept], values[kept]
-        largest = float(np.abs(theta).max())
-        if "theta" in self.names and self.unit("theta")[0] == "deg" and largest < LEAST_DEG:
+        small = np.ptp(theta) > 0.0 and np.abs(theta).max() < LEAST_DEG
+        if "theta" in self.names and self.unit("theta")[0] == "deg" and small:
             self.refuse(
                 f"the angle runs from {theta.min():.2f} to {theta.max():.2f}, which must be "
                 "radians; add --columns theta_unit=rad"

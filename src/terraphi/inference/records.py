@@ -476,7 +476,7 @@ def with_sd(
         raise InputError(f"{what} = '{text}'; give {form}") from None
     if not (ends[0] <= mean <= ends[1] and 0.0 <= (sd or 0.0) < mean):
         raise InputError(
-            f"{what} = {text}; {ends[0]:g} to {ends[1]:g} with a smaller ± are accepted"
+            f"{what} = {text}; give {form}, from {ends[0]:g} to {ends[1]:g} and above its own ±"
         )
     return mean, sd
 
