@@ -46,12 +46,17 @@ def spikes(theta, force):
         force[np.abs(theta - at).argmin()] += 6.0
 
 
+def overflow(theta, force):
+    """One reading of a million newtons, of which the others are small parts of a step."""
+    force[np.abs(theta + 2.0).argmin(), 0] = 1e6
+
+
 def held(theta, force):
     inside = (theta > -35) & (theta < -27)
     force[inside, 1] = force[np.flatnonzero(inside)[0], 1]
 
 
-@pytest.mark.parametrize("change", [dropouts, spikes])
+@pytest.mark.parametrize("change", [dropouts, spikes, overflow])
 def test_faults_that_hide_readings_are_left_out(change) -> None:
     plain = invert(NAME)
     answer = answer_to(change)

@@ -320,7 +320,9 @@ def test_large_grains_are_taken_off_where_their_size_is_known(leg: str, width: f
     assert any("grains of 6 mm" in question for question in grains.questions)
 
 
-@pytest.mark.parametrize(("size", "why"), [(20, "grain_size_mm = 20"), ("six", "is no number")])
+@pytest.mark.parametrize(
+    ("size", "why"), [(20, "grain_size_mm = 20"), (0.006, "0.02 to"), ("six", "is no number")]
+)
 def test_sizes_of_grains_that_cannot_be(size: object, why: str) -> None:
     with pytest.raises(InputError, match=why):
         invert("li2013:yuma/c", grain_size_mm=size)

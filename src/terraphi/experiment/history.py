@@ -47,8 +47,9 @@ _UNITS = {"theta": "rad", "displacement": "m", "time": "s"}
 _SHOWN_IN = {"theta": (180.0 / math.pi, "deg"), "displacement": (1e3, "mm"), "time": (1.0, "s")}
 
 
-COARSE = 0.01
-"""Step of readings from which on it counts, of peak-to-peak [-]."""
+COARSE, SPIKES = 0.01, 0.05
+"""Step of readings from which on it counts, of peak-to-peak [-], and share of the readings that has
+to differ from the median by it [-]; chosen."""
 
 
 def resolution(values: FloatArray) -> float:
@@ -63,7 +64,11 @@ def resolution(values: FloatArray) -> float:
     least = COARSE * float(np.ptp(values))
     found = float(min(steps[steps > 1e-3 * least], default=0.0))
     multiples = steps / max(found, 1e-300)
-    return found if found > least and np.allclose(multiples, multiples.round(), atol=0.02) else 0.0
+    if found <= least or not np.allclose(multiples, multiples.round(), atol=0.02):
+        return 0.0
+    # A spike of a thousand times the forces rounds the others to one level.
+    levels = np.round((values - np.median(values)) / found)
+    return found if np.count_nonzero(levels) > SPIKES * levels.size else 0.0
 
 
 def force_label(channel: str) -> str:

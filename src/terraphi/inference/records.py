@@ -50,6 +50,8 @@ USUAL_DENSITY = (1250.0, 2100.0)
 """Bulk density of dry mineral soils [kg/m³]: loose uniform sand has 1480, glacial till 2100 (Das,
 *Principles of Geotechnical Engineering*, table of typical dry unit weights); the loosest angular
 sand and simulated grains of this project have 1300."""
+SMALLEST_GRAIN_MM = 0.02
+"""Least size of grains [mm], of coarse silt: a smaller number is one in meters."""
 LARGEST_GRAIN = 0.4
 """Largest diameter of grains over the width of a leg [-]: of those that were simulated 0.35."""
 GAIN_SD = 0.02
@@ -395,9 +397,10 @@ def record_of(
         grains = float(grain_size_mm or 0.0)
     except (TypeError, ValueError):
         raise InputError(f"{known.name}: grain_size_mm = {grain_size_mm!r} is no number") from None
-    if not 0.0 <= grains <= LARGEST_GRAIN * rig.width_mm:
+    largest = LARGEST_GRAIN * rig.width_mm
+    if grains and not SMALLEST_GRAIN_MM <= grains <= largest:
         raise InputError(
-            f"{known.name}: grain_size_mm = {grains:g}; 0 to {LARGEST_GRAIN * rig.width_mm:.3g} mm "
+            f"{known.name}: grain_size_mm = {grains:g}; {SMALLEST_GRAIN_MM:g} to {largest:.3g} mm "
             "are accepted on a leg of this width"
         )
     factor, gain_sd = 1.0, None
