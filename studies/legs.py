@@ -80,6 +80,8 @@ COHESION = 0.5
 COUNT, USUAL, FINER, LARGER, LI = 252, 4, 8, 21, 24
 """Cases; each how many-th in cells of the rule, and each how many-th in finer ones as well; the one
 in a larger bed as well; cases with Li's legs."""
+MORE, COARSEST = 600, 2.2
+"""Further cases, and the size of their cells over that of the rule [-]."""
 TRUTHS, ENDS = 40, 10
 """Cases that the law is judged by, and those near the ends of its ranges."""
 OF_LI = ("sand3d-simulated", "sand3d-friction", "sand3d-raised", "sand3d-cells-120")
@@ -118,7 +120,7 @@ class Case:
 def cases() -> Iterator[Case]:
     """All cases, in the order in which they are simulated."""
     low, high = zip(*BOX.values(), strict=True)
-    unit = qmc.Sobol(len(BOX), scramble=True, rng=7).random_base2(9)
+    unit = qmc.Sobol(len(BOX), scramble=True, rng=7).random_base2(10)
     points = [dict(zip(BOX, point, strict=True)) for point in qmc.scale(unit, low, high).tolist()]
     for k, p in enumerate(points[:COUNT]):
         # A cohesion for each third case of a shape, not for one shape of three.
@@ -140,6 +142,9 @@ def cases() -> Iterator[Case]:
                 *(round(ratio, 6) for ratio in LI_LEG),
                 other,
             )
+    for k, p in enumerate(points[COUNT + LI :][:MORE], 3000):
+        case = of_point(k, SHAPES[k % len(SHAPES)], p, damp=(k // len(SHAPES)) % 3 == 1)
+        yield replace(case, cells=COARSEST)
 
 
 def truths() -> Iterator[Case]:

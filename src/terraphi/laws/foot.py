@@ -39,7 +39,6 @@ All are quasi-static, for dry soil without cohesion, and proportional to its wei
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -426,22 +425,16 @@ def interpolated(table: FloatArray, *places: Any) -> Any:
 
     Linear between nodes; beyond the first and the last as between the two that are next.
     """
-    xp, sizes = namespace(places[0]), table.shape[: len(places)]
-    rest = table.shape[len(places) :]
+    xp, rest = namespace(places[0]), table.shape[len(places) :]
     rows = like(places[0], table.reshape(-1, *rest))
-    lows, parts = [], []
-    for place, count in zip(places, sizes, strict=True):
-        lows.append(whole(xp.clip(place, 0, count - 2)))
-        parts.append(place - like(place, lows[-1]))
+    corners: list[tuple[Any, Any]] = [(0, 1.0)]  # row of the table, and its share
+    for place, count in zip(places, table.shape, strict=False):
+        low = whole(xp.clip(place, 0, count - 2))
+        part = place - like(place, low)
+        ends = (low, 1.0 - part), (low + 1, part)
+        corners = [(at * count + row, share * own) for at, share in corners for row, own in ends]
     found = 0.0
-    for corner in itertools.product((0, 1), repeat=len(places)):
-        share = math.prod(
-            part if up else 1.0 - part for part, up in zip(parts, corner, strict=True)
-        )
-        at = 0
-        for low, up, count in zip(lows, corner, sizes, strict=True):
-            at = at * count + low + up
-        found = found + xp.reshape(share, (*share.shape, *(1 for _ in rest))) * xp.take(
-            rows, at, axis=0
-        )
+    for at, share in corners:
+        wide = xp.reshape(share, (*share.shape, *(1 for _ in rest)))
+        found = found + wide * xp.take(rows, at, axis=0)
     return found

@@ -104,8 +104,8 @@ class Legs:
         for i in range(count):
             q[:] = qpos[i]
             mujoco.mj_kinematics(model, data)
-            np.take(xpos, robot.foot, axis=0, out=place[i])
-            np.take(xmat, robot.foot, axis=0, out=turn[i])
+            xpos.take(robot.foot, 0, place[i], "clip")  # any other mode makes a copy first
+            xmat.take(robot.foot, 0, turn[i], "clip")
             anchor[i], axis[i] = xanchor, xaxis
             if accelerations:
                 v[:] = qvel[i]

@@ -66,7 +66,7 @@ from terraphi.robot.touchdowns import BIAS_S, Motion, sensitivity, touchdowns, t
 WARM_UP_S = 10.0
 """Of walking, from which friction is found and log and robot are checked [s]: eight strides of a
 slow walk, in each of which a foot swings for over a hundred samples of 500 Hz."""
-STEP_S = 0.5
+STEP_S = 1.0
 """Samples are taken up in pieces of this length [s]; for shorter ones the margins cost more."""
 LAG_S = 0.25
 """Time after which a velocity of the odometry does not depend on later samples [s]: seven times the
