@@ -405,8 +405,10 @@ class Answer(AnswerSummary):
                 i, theta, rig = list(record.nrmsd).index(name), record.theta_deg, record.rig
                 colour = f"C{self.rigs.index(rig) % 10}"
                 body = str(rig) if isinstance(rig, Tool) else LEG_NAMES[rig.leg]
-                axes.fill_between(theta, *record.band[:, i], color=colour, alpha=0.2, lw=0)
                 axes.plot(theta, record.curve[i], color=colour, label=body if several else "model")
+                axes.fill_between(
+                    theta, *record.band[:, i], color=colour, alpha=0.2, lw=0, label="95 % of φ"
+                )
                 axes.plot(theta, record.data[i], ".", color="black", ms=3, label="data")
             handles, labels = axes.get_legend_handles_labels()
             each = dict(zip(labels, handles, strict=True))
