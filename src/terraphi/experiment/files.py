@@ -340,7 +340,8 @@ def open_netcdf(
     from pydantic import ValidationError
 
     if netcdf_kind(path) != kind:
-        raise InputError(f"{path}: a NetCDF file, but not a {kind} written by terraphi")
+        csv = "; give other forces as a CSV of theta_deg, Fx_N, Fz_N" if "force" in kind else ""
+        raise InputError(f"{path}: a NetCDF file, but not a {kind} written by terraphi{csv}")
     try:
         attrs, variables, data_vars = _read(path)
     except Exception as error:  # damage raises anything in the libraries that read it
