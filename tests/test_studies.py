@@ -13,10 +13,6 @@ import table
 from scipy.spatial import ConvexHull
 
 import plates
-import terraphi
-from terraphi.experiment.history import ForceHistory
-from terraphi.experiment.rig import LI2013
-from terraphi.inference.records import open_record
 from terraphi.laws.foot import Foot
 from terraphi.laws.law import ModelError
 
@@ -133,21 +129,6 @@ def test_cells_under_two_loads_find_cohesion_and_angle(tmp_path: Path) -> None:
     assert found.cohesion_pa == pytest.approx(cohesion, abs=0.1)
     np.testing.assert_allclose(found.shrinks, 0.02, atol=2e-4)
     np.testing.assert_allclose(found.mobilized, 0.5, atol=0.02)
-
-
-def test_late_lift_is_found_and_taken_off() -> None:
-    law = table.without_offset(table.Legs.load(table.LAW))
-    rig = terraphi.Rig(leg="straight", **LI2013)
-    theta = np.arange(-85.0, 81.0)
-    force = law.forces(rig, 30.0).forces[0].interp(theta_deg=theta).values.copy()
-    contact = -np.degrees(np.arccos(rig.hip_height_mm / rig.length_mm))
-    force[1] *= 1.0 - 0.3 * np.exp(-np.maximum(theta - contact, 0.0) / table.LATE_DEG)
-    history = ForceHistory(np.radians(theta), force.T)
-    given = [("made", "A-loose", "straight", open_record(history, rig=rig, density="1650±0"), 0.0)]
-    reading = table.read(law, given)[0]
-    angle, missing = table.late(law, reading)
-    assert 0.1 < missing < 0.35
-    assert abs(angle - 30.0) < 0.5 * abs(reading.read_deg - 30.0)
 
 
 @pytest.mark.slow

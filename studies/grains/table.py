@@ -79,10 +79,6 @@ OTHER_SD_DEG, WIDER = 1.6, 1.12
 """What the interval of a dry record has besides what is learned here (apparatus, hip and friction
 of the leg) [deg], and over the interval without a cohesion the widest with one [-]; chosen on these
 grains: at 1.1 straight legs would no longer find damp soil."""
-LATE_DEG, LATE_SD = 60.0, 1.0
-"""Turn of the leg over which a late lift catches up by 1/e [deg], and the standard deviation of
-what is missing at first [-], in sums of squares of residuals over peak-to-peak; chosen, the first
-of 30 to 120, the second of 0.2 to 30."""
 LIMIT, MARGIN = 0.95, 1.1
 """Quantile of the residuals over records, and the limit of a misfit over it [-]; chosen."""
 
@@ -504,53 +500,6 @@ def calibrated(law: Legs, readings: Sequence[Reading]) -> list[tuple[str, str]]:
     ]  # fmt: skip
 
 
-def late(law: Legs, one: Reading) -> tuple[float, float]:
-    """Angle [deg] read with a lift that begins late, and the share A missing at first [-].
-
-    The lift is that of the law times 1 − A exp(−(θ − θ₀) / LATE_DEG) from the contact θ₀ on. A step
-    of Gauss and Newton from the best point of today, with A beside φ, shift and cohesion.
-    """
-    likelihood = Likelihood([one.record], law)
-    x, nuisance = likelihood.least_squares, likelihood.nuisance
-    curve = likelihood.curves(x[None], nuisance)[0]
-    steps = np.diag([0.1, 1.0])
-    slopes = [(likelihood.curves(x[None], nuisance + h)[0] - curve) / h.sum() for h in steps]
-    rig, theta = one.record.rig, one.record.theta_deg
-    contact = -math.degrees(math.acos(rig.hip_height_mm / rig.length_mm))
-    missing = -curve.reshape(2, -1) * np.exp(-np.maximum(theta - contact, 0.0) / LATE_DEG)
-    missing[0] = 0.0
-    columns = [likelihood.slope(x)[:, 0], *slopes, missing.ravel()]
-    jacobian = np.stack(columns, -1) / likelihood.span[:, None]
-    ridge = np.append(likelihood._precision, LATE_SD**-2)
-    residual = (likelihood.data - curve) / likelihood.span
-    point = np.append(0.0, [*nuisance, 0.0])
-    step = np.linalg.solve(jacobian.T @ jacobian + np.diag(ridge),
-                           jacobian.T @ residual - ridge * point)  # fmt: skip
-    return float(x[0] + step[0]), float(step[-1])
-
-
-def late_lift(law: Legs, readings: Sequence[Reading]) -> str:
-    """A table: what a lift that begins late would explain, each soil left out of the line."""
-    rows = []
-    for leg in pages.LEGS:
-        own = [one for one in readings if one.leg == leg]
-        with_it = {one.name: late(law, one) for one in own}
-        fits = [own, [one._replace(read_deg=with_it[one.name][0]) for one in own]]
-        missing: dict[str, list[float]] = {}
-        for one in own:
-            missing.setdefault(one.soil, []).append(with_it[one.name][1])
-        words = []
-        for fit in fits:
-            means = []
-            for soil in {one.soil for one in fit if one.loose}:
-                line = Line.of([one for one in fit if one.loose and one.soil != soil])
-                means.append(np.mean([line.rest(one) for one in fit if one.soil == soil]))
-            words.append(f"{np.sqrt(np.mean(np.square(means))):.1f}°")
-        shares = ", ".join(f"{soil} {np.mean(each):.2f}" for soil, each in sorted(missing.items()))
-        rows.append((LEG_NAMES[leg], *words, shares))
-    return pages.table(("leg", "soils left out, RMS", "with a late lift", "share missing"), rows)
-
-
 def cells() -> str:
     """A table: cells of damp soils and of one that contracts."""
     rows = []
@@ -717,14 +666,6 @@ def main() -> None:
                      "NRMSD Fx / Fz", "verdict", "names moisture"), [
             (*row[:2], *row[3:], "yes" if r["moisture"] else "no")
             for row, r in zip(listed(apart), apart, strict=True)
-        ]),
-        (
-            f"Soils differ most by how late the lift begins. With the lift times 1 − A exp(−(θ − "
-            f"θ₀)/{LATE_DEG:g}°) fitted as well, soils that are left out come out nearer to their "
-            "cells. The law does not have this term."
-        ),
-        late_lift(without_offset(law), [
-            one for one in readings if one.loose or one.soil.endswith(APART)
         ]),
         "Every record of the other soils:",
         pages.table(header, listed(rows)),
