@@ -248,8 +248,8 @@ def main(
                     walk = world_walk(world, gait, friction, seed, duration, robot)
                     try:
                         found = score(walk, recorded(walk, place), seed)
-                    except RuntimeError as fallen:
-                        click.echo(f"{file}: {fallen}", err=True)
+                    except click.ClickException as fallen:
+                        click.echo(f"{file}: {fallen.message}", err=True)
                         continue
                     rows.append({**row, "seed": seed, **found})
                     click.echo(f"{file}: {found}", err=True)

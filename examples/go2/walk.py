@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import click
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -103,7 +104,7 @@ class Walk:
 
         Raises
         ------
-        RuntimeError
+        click.ClickException
             If the robot falls.
         """
         rng = np.random.default_rng(self.seed)
@@ -141,7 +142,9 @@ class Walk:
                     under.push(data)
                 mujoco.mj_step2(model, data)
             if data.xmat[base][8] < 0.8:
-                raise RuntimeError(f"the robot fell after {data.time:.2f} s")
+                raise click.ClickException(
+                    f"the robot fell after {data.time:.2f} s; change the seed or gait"
+                )
         return rows.recording()
 
     def _place(self, model: mujoco.MjModel, data: mujoco.MjData, controller: Controller) -> None:

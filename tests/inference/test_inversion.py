@@ -345,6 +345,21 @@ def test_simulations_that_the_law_was_not_fitted_to_are_recovered(name: str, err
         assert answer.phi.sd < 0.5
 
 
+def test_the_cohesion_of_a_simulated_soil_is_known() -> None:
+    """As dry soil it would be read as one of a larger angle."""
+    damp = Scenario.load("sand3d").replace(**{"soil.cohesion": 150.0})
+    curves = shipped_legs().forces("li2013", 28.0, leg="straight", cohesion_pa=150.0).forces[0]
+    provenance = {"scenario": damp.model_dump(mode="json")}
+    theta = np.radians(curves.theta_deg.values)
+    answer = invert(ForceHistory(theta, curves.values.T, provenance=provenance))
+    assert answer.phi.median == pytest.approx(28.0, abs=0.1)
+    assert answer.cohesion_pa == 150.0
+    assert not any("cohesion" in question for question in answer.questions)
+    provenance["scenario"]["soil"]["cohesion"] = 2000.0
+    with pytest.raises(InputError, match="2000 Pa"):
+        invert(ForceHistory(theta, curves.values.T, provenance=provenance))
+
+
 def test_simulations_of_other_physics_are_refused_by_the_law_of_legs() -> None:
     history = simulate(Scenario.load("quick"))
     with pytest.raises(InputError, match="three dimensions"):

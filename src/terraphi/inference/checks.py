@@ -361,7 +361,7 @@ def guesses(likelihood: Likelihood) -> Iterator[str]:
                 f"Only both forces of a whole stroke determine a cohesion: {grains} like a larger "
                 f"angle here{give}."
             )
-        elif likelihood.cohesion > 0.5 and i == 0:
+        elif likelihood.measured and likelihood.cohesion > 0.5 and i == 0:
             check = likelihood.cohesion > COHESIVE_PA
             yield (
                 f"A cohesion of {likelihood.cohesion:.0f} Pa is fitted with φ: damp soil has "

@@ -254,6 +254,13 @@ class Likelihood:
             law = law_of(library, record.rig, record.scenario, strict=strict)
         except InputError as error:
             raise InputError(f"{record.source}: {error}") from None
+        if record.scenario is not None and law.most_cohesion:
+            most = law.most_cohesion * record.scenario.soil.density * GRAVITY * record.rig.length
+            if (cohesion := record.scenario.soil.cohesion) > most:
+                raise InputError(
+                    f"{record.source}: its soil has a cohesion of {cohesion:g} Pa, and law "
+                    f"{library.name} is for {most:.0f} Pa at most on this leg"
+                )
         theta, known = record.theta_deg, law.theta_deg
         if theta[0] < known[0] - 4.4 or theta[-1] > known[-1] + 4.4:
             raise InputError(
@@ -333,7 +340,7 @@ class Likelihood:
 
     @cached_property
     def _bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Least and largest δ [deg] and c [Pa]: of simulated records, nothing but 0.
+        """Least and largest δ [deg] and c [Pa]: of simulated records, 0 and what their soil has.
 
         Parts of a stroke do not determine c beside φ, and are read as of dry soil, unless a longer
         record of the soil is among them.
@@ -342,7 +349,8 @@ class Likelihood:
         pairs = zip(self.laws, self._per_pascal, strict=True)
         most = min(law.most_cohesion / number for law, number in pairs)
         known = self.measured and any(coverage(record) >= LONG for record in self.records)
-        usual = min(self._of_grains()[0], most)
+        made_by = [r.scenario.soil.cohesion for r in self.records if r.scenario is not None]
+        usual = min(self._of_grains()[0] if self.measured else max(made_by, default=0.0), most)
         return np.append(-shift, 0.0 if known else usual), np.append(
             shift, most if known else usual
         )
@@ -501,9 +509,10 @@ class Likelihood:
         )
         if not self.measured:
             blocks = []
-            for record, ratio, (law, p) in zip(self.records, self._ratio, laws, strict=True):
+            each = zip(self.records, self._ratio, laws, numbers, strict=True)
+            for record, ratio, (law, p), c in each:
                 both = ratio * np.kron(np.eye(2), record.operator(law.theta_deg))
-                blocks.append(both @ law.scatter(p) @ both.T)
+                blocks.append(both @ law.scatter(p, c) @ both.T)
             found["particle scatter"] = self._blocks(blocks)
             return found
         modes = [law.modes(p, c) for (law, p), c in zip(laws, numbers, strict=True)]

@@ -103,7 +103,7 @@ class LegLaw(ABC):
         """Factor F of the covariance F F' of the interpolation at a point [N], [2 theta, k]."""
 
     @abstractmethod
-    def scatter(self, x: FloatArray) -> FloatArray:
+    def scatter(self, x: FloatArray, cohesion: float) -> FloatArray:
         """Covariance between particle seeds at a point [N²], [2 theta, 2 theta]."""
 
     @abstractmethod
@@ -151,7 +151,7 @@ class LibraryLaw(LegLaw):
         """Factor of the emulator's covariance."""
         return self._scale * self.emulator.interpolation(np.clip(x, *self.bounds))
 
-    def scatter(self, x: FloatArray) -> FloatArray:
+    def scatter(self, x: FloatArray, _cohesion: float) -> FloatArray:
         """Covariance of the emulator's scatter."""
         return self._scale**2 * self.emulator.scatter(np.clip(x, *self.bounds))
 
