@@ -349,15 +349,21 @@ def test_the_cohesion_of_a_simulated_soil_is_known() -> None:
     """As dry soil it would be read as one of a larger angle."""
     damp = Scenario.load("sand3d").replace(**{"soil.cohesion": 150.0})
     curves = shipped_legs().forces("li2013", 28.0, leg="straight", cohesion_pa=150.0).forces[0]
-    provenance = {"scenario": damp.model_dump(mode="json")}
     theta = np.radians(curves.theta_deg.values)
-    answer = invert(ForceHistory(theta, curves.values.T, provenance=provenance))
+
+    def simulated(cohesion: float) -> ForceHistory:
+        soil = damp.replace(**{"soil.cohesion": cohesion})
+        provenance = {"scenario": soil.model_dump(mode="json")}
+        return ForceHistory(theta, curves.values.T, provenance=provenance)
+
+    answer = invert(simulated(150.0))
     assert answer.phi.median == pytest.approx(28.0, abs=0.1)
     assert answer.cohesion_pa == 150.0
     assert not any("cohesion" in question for question in answer.questions)
-    provenance["scenario"]["soil"]["cohesion"] = 2000.0
     with pytest.raises(InputError, match="2000 Pa"):
-        invert(ForceHistory(theta, curves.values.T, provenance=provenance))
+        invert(simulated(2000.0))
+    with pytest.raises(InputError, match="not of one soil"):
+        invert([simulated(150.0), simulated(100.0)])
 
 
 def test_simulations_of_other_physics_are_refused_by_the_law_of_legs() -> None:

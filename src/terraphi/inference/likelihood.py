@@ -229,6 +229,13 @@ class Likelihood:
             r.leg: library.error_of(r.leg) if isinstance(library, Legs) else ModelError()
             for r in records
         }
+        cohesions = {r.scenario.soil.cohesion for r in records if r.scenario is not None}
+        if len(cohesions) > 1:
+            raise InputError(
+                f"simulations of soils with a cohesion of {min(cohesions):g} and of "
+                f"{max(cohesions):g} Pa are not of one soil; infer each alone"
+            )
+        self._simulated_cohesion = max(cohesions, default=0.0)
         # c / (ρ g L) of each record for a cohesion of 1 Pa.
         lengths = np.array([record.rig.length for record in records])
         self._per_pascal = 1.0 / (np.array(self.density) * GRAVITY * lengths)
@@ -349,8 +356,7 @@ class Likelihood:
         pairs = zip(self.laws, self._per_pascal, strict=True)
         most = min(law.most_cohesion / number for law, number in pairs)
         known = self.measured and any(coverage(record) >= LONG for record in self.records)
-        made_by = [r.scenario.soil.cohesion for r in self.records if r.scenario is not None]
-        usual = min(self._of_grains()[0] if self.measured else max(made_by, default=0.0), most)
+        usual = min(self._of_grains()[0] if self.measured else self._simulated_cohesion, most)
         return np.append(-shift, 0.0 if known else usual), np.append(
             shift, most if known else usual
         )
