@@ -268,7 +268,7 @@ def fit() -> None:
     law = legs.Legs(every, deep, force.astype(np.float32).astype(float))
     apart, sd = law.left_out()
     others = ~usual(law)
-    scale = float(np.sqrt(np.mean(np.square(apart / sd)[others, :2])))
+    scale = float(np.sqrt(np.mean(np.square(apart / sd)[others])))
     law = replace(
         law,
         hyper=law.hyperparameters,
@@ -347,7 +347,8 @@ def judged(law: legs.Legs) -> Iterator[Truth]:
         found, modes = law(*at)[0], law.errors(*at)[:, 0]
         size = math.sqrt(np.square(found).sum() / np.square(true).sum())
         of_law = np.square(modes[0]).sum() / np.square(found).sum()
-        sd = math.sqrt(of_law + law.process.nugget[0] * x[AXES.index("cells")] ** 2)
+        rough = float(x[AXES.index("cells")]) ** legs.ROUGHER
+        sd = math.sqrt(of_law + law.process.nugget[0] * rough**2)
         yield Truth(kind, x, size - 1.0, math.log(size) / sd, float(best - x[0]))
 
 

@@ -340,7 +340,11 @@ def open_netcdf(
     from pydantic import ValidationError
 
     if netcdf_kind(path) != kind:
-        csv = "; give other forces as a CSV of theta_deg, Fx_N, Fz_N" if "force" in kind else ""
+        csv = (
+            "; give other forces as a CSV of theta_deg, Fx_N, Fz_N"
+            if kind == "force history"
+            else ""
+        )
         raise InputError(f"{path}: a NetCDF file, but not a {kind} written by terraphi{csv}")
     try:
         attrs, variables, data_vars = _read(path)

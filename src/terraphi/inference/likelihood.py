@@ -229,18 +229,37 @@ class Likelihood:
             r.leg: library.error_of(r.leg) if isinstance(library, Legs) else ModelError()
             for r in records
         }
-        cohesions = {r.scenario.soil.cohesion for r in records if r.scenario is not None}
-        if len(cohesions) > 1:
+        # c / (ρ g L) of each record for a cohesion of 1 Pa.
+        lengths = np.array([record.rig.length for record in records])
+        self._per_pascal = 1.0 / (np.array(self.density) * GRAVITY * lengths)
+        self._simulated_cohesion = self._cohesion_of_simulations()
+        self.low = np.max([law.bounds[0] for law in self.laws], axis=0)
+        self.high = np.min([law.bounds[1] for law in self.laws], axis=0)
+
+    def _cohesion_of_simulations(self) -> float:
+        """That of the simulated soil [Pa]; raises InputError if there are several, or it is large.
+
+        Laws of dry soil take none.
+        """
+        cohesions = []
+        for record, law, number in zip(
+            self.records, self.laws, self._per_pascal.tolist(), strict=True
+        ):
+            if not record.simulated or record.scenario is None:
+                continue
+            cohesions.append(record.scenario.soil.cohesion)
+            if law.most_cohesion and cohesions[-1] * number > law.most_cohesion:
+                raise InputError(
+                    f"{record.source}: its soil has a cohesion of {cohesions[-1]:g} Pa, and law "
+                    f"{self.library.name} is for {law.most_cohesion / number:.0f} Pa at most on "
+                    "this leg"
+                )
+        if len({*cohesions}) > 1:
             raise InputError(
                 f"simulations of soils with a cohesion of {min(cohesions):g} and of "
                 f"{max(cohesions):g} Pa are not of one soil; infer each alone"
             )
-        self._simulated_cohesion = max(cohesions, default=0.0)
-        # c / (ρ g L) of each record for a cohesion of 1 Pa.
-        lengths = np.array([record.rig.length for record in records])
-        self._per_pascal = 1.0 / (np.array(self.density) * GRAVITY * lengths)
-        self.low = np.max([law.bounds[0] for law in self.laws], axis=0)
-        self.high = np.min([law.bounds[1] for law in self.laws], axis=0)
+        return max(cohesions, default=0.0)
 
     @property
     def density_sd(self) -> FloatArray:
@@ -261,13 +280,6 @@ class Likelihood:
             law = law_of(library, record.rig, record.scenario, strict=strict)
         except InputError as error:
             raise InputError(f"{record.source}: {error}") from None
-        if record.scenario is not None and law.most_cohesion:
-            most = law.most_cohesion * record.scenario.soil.density * GRAVITY * record.rig.length
-            if (cohesion := record.scenario.soil.cohesion) > most:
-                raise InputError(
-                    f"{record.source}: its soil has a cohesion of {cohesion:g} Pa, and law "
-                    f"{library.name} is for {most:.0f} Pa at most on this leg"
-                )
         theta, known = record.theta_deg, law.theta_deg
         if theta[0] < known[0] - 4.4 or theta[-1] > known[-1] + 4.4:
             raise InputError(
@@ -347,7 +359,9 @@ class Likelihood:
 
     @cached_property
     def _bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Least and largest δ [deg] and c [Pa]: of simulated records, 0 and what their soil has.
+        """Least and largest δ [deg] and c [Pa].
+
+        Of simulated records 0, and the cohesion of their scenario (0 by laws of dry soil).
 
         Parts of a stroke do not determine c beside φ, and are read as of dry soil, unless a longer
         record of the soil is among them.

@@ -363,7 +363,8 @@ def record_of(
     grain_size_mm
         Mean diameter of the grains [mm]; ``None``: small compared with the leg.
     simulated
-        Whether the forces are a simulation's; ``None``: from their file.
+        Whether the forces are a simulation's; ``None``: from their file. Their soil has the
+        cohesion of their scenario, and none without one.
 
     Raises
     ------

@@ -102,7 +102,7 @@ class Emulator:
 
     @cached_property
     def _stacked(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Lengths [k, 1, 1, key], solved weights [k, case] and polynomials [k, q] of all."""
+        """Lengths [k, 1, key], solved weights [k, case] and polynomials [k, q] of all."""
         each = self._processes
         lengths = np.stack([process.lengths for process in each])[:, None]
         return lengths, np.hstack([p.solved for p in each]).T, np.hstack([p.beta for p in each]).T

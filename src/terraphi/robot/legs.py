@@ -104,7 +104,7 @@ class Legs:
         for i in range(count):
             q[:] = qpos[i]
             mujoco.mj_kinematics(model, data)
-            xpos.take(robot.foot, 0, place[i], "clip")  # any other mode makes a copy first
+            xpos.take(robot.foot, 0, place[i], "clip")  # the default mode buffers the output
             xmat.take(robot.foot, 0, turn[i], "clip")
             anchor[i], axis[i] = xanchor, xaxis
             if accelerations:
