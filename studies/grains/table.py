@@ -75,14 +75,10 @@ TRIED = (0.0, 0.75, 1.5)
 """Cohesions over ρ g d, d the diameter of grains, that they are read with [-]."""
 DRY = 1e4
 """A weight that leaves no cohesion [-]."""
-OTHER_SD_DEG, WIDER = 1.6, 1.2
+OTHER_SD_DEG, WIDER = 1.6, 1.12
 """What the interval of a dry record has besides what is learned here (apparatus, hip and friction
 of the leg) [deg], and over the interval without a cohesion the widest with one [-]; chosen on these
-grains: at 1.1 C legs would find hardly any damp soil."""
-SURE_SD_DEG, INDEPENDENT = 1.2, 32
-"""Standard deviation of readings besides what their residual may do [deg], and how many residuals
-of a record are independent; chosen: readings with a cohesion scatter by 1 to 3°, the more the less
-their records determine it."""
+grains: at 1.1 straight legs would no longer find damp soil."""
 LIMIT, MARGIN = 0.95, 1.1
 """Quantile of the residuals over records, and the limit of a misfit over it [-]; chosen."""
 
@@ -106,8 +102,6 @@ class Reading(NamedTuple):
     shift_deg: float
     nrmsd: float
     """Residual of the force that is met worse [-]."""
-    sd_deg: float
-    """What the residual may have moved the angle by: much where a cohesion does the same."""
 
     @property
     def leg(self) -> str:
@@ -162,11 +156,7 @@ def read(law: Legs, given: Sequence[tuple[str, str, str, Record, float]]) -> lis
         loose = measured(f"{soil.split('-')[0]}-loose")
         peak = loose if soil.endswith(APART) else measured(soil)
         angles = (loose.phi_critical_deg, peak.phi_peak_deg)
-        moves = np.linalg.norm(likelihood._weights[0] * likelihood.span) / math.sqrt(INDEPENDENT)
-        sd = float(moves * np.linalg.norm(apart))
-        found.append(
-            Reading(name, soil, body, record, *angles, size, angle, shift, float(nrmsd), sd)
-        )
+        found.append(Reading(name, soil, body, record, *angles, size, angle, shift, float(nrmsd)))
     return found
 
 
@@ -245,12 +235,11 @@ class Line(NamedTuple):
 
     @classmethod
     def of(cls, readings: Sequence[Reading]) -> Line:
-        """By least squares; readings count less the less sure they are."""
+        """By least squares."""
         x = np.array([[1.0, one.size_mm] for one in readings])
-        precision = 1.0 / (SURE_SD_DEG**2 + np.square([one.sd_deg for one in readings]))
-        weights = np.linalg.inv((x.T * precision) @ x) @ (x.T * precision)
-        offset, slope = (weights @ [one.excess_deg for one in readings]).tolist()
-        return cls(offset, slope, tuple(weights[0].tolist()))
+        inverse = np.linalg.inv(x.T @ x)
+        offset, slope = (inverse @ x.T @ [one.excess_deg for one in readings]).tolist()
+        return cls(offset, slope, tuple((inverse @ x.T)[0].tolist()))
 
     def rest(self, one: Reading) -> float:
         """What it leaves of a reading [deg]."""
@@ -325,9 +314,7 @@ def choose(law: Legs) -> Legs:
             weighed = replace(law, model_error={leg: {"cohesion_weight": weight}})
             own = read(weighed, [one for one in given if one[3].leg == leg])
             line = Line.of(own)
-            precision = [1.0 / (SURE_SD_DEG**2 + one.sd_deg**2) for one in own]
-            squares = [line.rest(one) ** 2 for one in own]
-            sd = math.sqrt(np.average(squares, weights=precision))
+            sd = float(np.std([line.rest(one) for one in own]))
             print(
                 f"{leg}, weight {weight:g}: {line.offset_deg:+.1f}° at zero size, "
                 f"{line.of_size:+.2f}° for 1 mm, SD {sd:.2f}° of {len(own)}",
