@@ -31,10 +31,10 @@ def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 
 def write(
-    out: Path, name: str, title: str, parts: Sequence[str], figure: Figure, alt: str,
-    script: str = "",
+    out: Path, name: str, title: str, parts: Sequence[str], figure: Figure | None = None,
+    alt: str = "", script: str = "",
 ) -> None:  # fmt: skip
-    """Write NAME.md and NAME.png, and print the page.
+    """Write NAME.md and, of a figure, NAME.png; print the page.
 
     Parameters
     ----------
@@ -47,8 +47,11 @@ def write(
     script
         That writes it, if it is not called as the page is.
     """
-    figure.savefig(out / f"{name}.png", dpi=150)
+    pictures = []
+    if figure is not None:
+        figure.savefig(out / f"{name}.png", dpi=150)
+        pictures = [f"![{alt}]({name}.png)"]
     made = f"Written by `python studies/{script or f'{name}.py'}`."
-    text = "\n\n".join([f"# {title}", *parts, f"![{alt}]({name}.png)", made]) + "\n"
+    text = "\n\n".join([f"# {title}", *parts, *pictures, made]) + "\n"
     (out / f"{name}.md").write_text(text, encoding="utf-8")
     print(text)

@@ -12,6 +12,7 @@ import pytest
 import table
 from scipy.spatial import ConvexHull
 
+import corruptions
 import plates
 from terraphi.laws.foot import Foot
 from terraphi.laws.law import ModelError
@@ -129,6 +130,16 @@ def test_cells_under_two_loads_find_cohesion_and_angle(tmp_path: Path) -> None:
     assert found.cohesion_pa == pytest.approx(cohesion, abs=0.1)
     np.testing.assert_allclose(found.shrinks, 0.02, atol=2e-4)
     np.testing.assert_allclose(found.mobilized, 0.5, atol=0.02)
+
+
+def test_damages_differ_from_each_other_and_from_the_record() -> None:
+    theta = np.linspace(-90.0, 90.0, 181)
+    whole = theta, np.cos(np.radians(theta + 10.0)), 2.0 * np.cos(np.radians(theta - 20.0))
+    every = [
+        (d.density, d.leg, d.size, *(x[np.argsort(d.theta)].round(6).tobytes() for x in d[1:4]))
+        for d in (corruptions.Damaged("", *whole), *corruptions.damages(*whole))
+    ]
+    assert len(every) == len({*every}) > 170
 
 
 @pytest.mark.slow
