@@ -164,7 +164,7 @@ def warnings(answer: terraphi.Answer) -> set[str]:
     }  # fmt: skip
 
 
-def outcomes(name: str) -> Iterator[tuple[str, str]]:
+def outcomes(name: str) -> list[tuple[str, str]]:
     """Kind and outcome of each damage of a shipped record.
 
     Raises
@@ -179,14 +179,14 @@ def outcomes(name: str) -> Iterator[tuple[str, str]]:
     whole = inverted(Damaged("", *forces), leg, density)
     if whole.verdict != "consistent" or whole.phi is None:
         raise terraphi.InputError(f"{name}: the whole record is not consistent")
-    low, high = whole.phi.ci95
+    (low, high), found = whole.phi.ci95, []
     for damaged in damages(*forces):
         if damaged.leg == leg:
             continue
         try:
             answer = inverted(damaged, leg, density)
         except terraphi.InputError:
-            yield damaged.kind, "refused"
+            found.append((damaged.kind, "refused"))
             continue
         if answer.verdict != "consistent" or answer.phi is None:
             outcome = "refused"
@@ -194,14 +194,15 @@ def outcomes(name: str) -> Iterator[tuple[str, str]]:
             outcome = "warned"
         else:
             outcome = "inside" if low <= answer.phi.median <= high else "silent"
-        yield damaged.kind, outcome
+        found.append((damaged.kind, outcome))
+    return found
 
 
 def main() -> None:
     """Damage all records, and write the page."""
     out = pages.out_from(__doc__.splitlines()[0])
     with ProcessPoolExecutor() as pool:
-        counts = Counter(itertools.chain.from_iterable(pool.map(listed, names())))
+        counts = Counter(itertools.chain.from_iterable(pool.map(outcomes, names())))
     columns = ("refused", "warned", "inside", "silent")
     kinds = sorted(dict.fromkeys(kind for kind, _ in counts), key=lambda kind: kind[:5] == "size:")
     rows = [
@@ -227,11 +228,6 @@ def main() -> None:
         ),
     ]
     pages.write(out, "corruptions", "Damaged records", parts)
-
-
-def listed(name: str) -> list[tuple[str, str]]:
-    """Outcomes of a record as a list, which another process can return."""
-    return list(outcomes(name))
 
 
 if __name__ == "__main__":
