@@ -12,17 +12,14 @@ box. Cohesion is in every third case. The numerics are those of `sand3d`, in pro
 
 The cell of the rule is a fifth of the width or an eleventh of the depth, as Li's leg has it in
 `sand3d`, and the bed reaches as many depths beyond the leg. Three cases of four are simulated in
-cells of 1.25 of that (`cells`), the later ones of 1.6, which cost 0.4 and 0.15 as much: the law has
-the size of the cell among its axes, and more cases are worth more than finer ones. Every eighth is
-simulated in cells of 0.75 as well, one in a bed 1.5 times as large (`bed`), and Li's three legs at
-random φ, μ and c.
-
-`later-*.csv` has finished cases that the shipped law is not fitted to yet: with them it predicts
-truths better and grains worse. Named `cases-K.csv` they are part of the fit.
+cells of 1.25 of that (`cells`), the later ones of 1.6, and 600 more of 2.2, which cost 0.4, 0.15
+and 0.05 as much: the law has the size of the cell among its axes, and more cases are worth more
+than finer ones. Every eighth is simulated in cells of 0.75 as well, one in a bed 1.5 times as large
+(`bed`), and Li's three legs at random φ, μ and c.
 
 A case is a line of `studies/data/legs/cases-K.csv`, appended when it is finished; the same command
-goes on, those in the largest cells first. `--parts 2` lets two processes share the work. Half a
-minute to five minutes of one core a case.
+goes on, those in the largest cells first. `--parts 2` lets two processes share the work. Ten
+seconds to five minutes of one core a case.
 
 `--fit` makes `src/terraphi/data/laws/legs.nc` of these, of libraries of Li's legs, and of
 `coarse.csv`, an earlier design of straight legs in cells of 6.25 mm (means over 4°, μ = 0.3). It
@@ -84,8 +81,7 @@ COUNT, USUAL, FINER, LARGER, LI = 252, 4, 8, 21, 24
 """Cases; each how many-th in cells of the rule, and each how many-th in finer ones as well; the one
 in a larger bed as well; cases with Li's legs."""
 MORE, COARSEST = 600, 2.2
-"""Further cases, numbered from 3000 on, and the size of their cells over that of the rule [-]; they
-cost a twentieth of the rule's."""
+"""Further cases, and the size of their cells over that of the rule [-]."""
 TRUTHS, ENDS = 40, 10
 """Cases that the law is judged by, and those near the ends of its ranges."""
 OF_LI = ("sand3d-simulated", "sand3d-friction", "sand3d-raised", "sand3d-cells-120")
@@ -272,7 +268,7 @@ def fit() -> None:
     law = legs.Legs(every, deep, force.astype(np.float32).astype(float))
     apart, sd = law.left_out()
     others = ~usual(law)
-    scale = float(np.sqrt(np.mean(np.square(apart / sd)[others, :2])))
+    scale = float(np.sqrt(np.mean(np.square(apart / sd)[others])))
     law = replace(
         law,
         hyper=law.hyperparameters,
@@ -309,7 +305,7 @@ def accuracy(law: legs.Legs) -> str:
         "by the size of the cell only); errors of the size of its forces:\n\n"
         f"{pages.table(header, rows)}\n\n"
         f"Of sizes and shapes {np.mean(z < 1.0):.0%} are within one and {np.mean(z < 1.96):.0%} "
-        "within 1.96 standard deviations of the processes, which the law multiplies by "
+        "within 1.96 standard deviations of the process, which the law multiplies by "
         f"{law.error_scale:g}."
     )
 
@@ -324,7 +320,7 @@ class Truth(NamedTuple):
     size: float
     """Size of the law's forces over that of the simulation, less 1 [-]."""
     z: float
-    """The logarithm of that over the law's standard deviation [-]."""
+    """The logarithm of that over the standard deviation of law and particle seed [-]."""
     phi_deg: float
     """φ at which the law's forces are closest, all else known, less the simulation's [deg]."""
 
@@ -350,7 +346,9 @@ def judged(law: legs.Legs) -> Iterator[Truth]:
         at = x[None], np.array([depth])
         found, modes = law(*at)[0], law.errors(*at)[:, 0]
         size = math.sqrt(np.square(found).sum() / np.square(true).sum())
-        sd = math.sqrt(np.square(modes[0]).sum() / np.square(found).sum())
+        of_law = np.square(modes[0]).sum() / np.square(found).sum()
+        rough = float(x[AXES.index("cells")]) ** legs.ROUGHER
+        sd = math.sqrt(of_law + law.process.nugget[0] * rough**2)
         yield Truth(kind, x, size - 1.0, math.log(size) / sd, float(best - x[0]))
 
 
@@ -449,7 +447,7 @@ def main() -> None:
     # of the rule when all cases were is kept.
     done: dict[str, float] = {}
     kind = "truths" if options.truths else "cases"
-    for path in [*FOLDER.glob(f"{kind}-*.csv"), *FOLDER.glob("later-*.csv")]:
+    for path in FOLDER.glob(f"{kind}-*.csv"):
         for row in csv.DictReader(path.open()):
             key = f"{row['number']} {float(row['bed'])} {float(row['cells']) < 1.0}"
             done[key] = min(float(row["cells"]), done.get(key, math.inf))

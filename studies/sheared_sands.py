@@ -20,6 +20,7 @@ file it is simulated again, in ten minutes.
 
 from __future__ import annotations
 
+import functools
 import math
 from pathlib import Path
 from typing import NamedTuple
@@ -182,6 +183,7 @@ def strip(void: float, weight: float, modulus: float) -> terraphi.Scenario:
     })  # fmt: skip
 
 
+@functools.cache
 def simulated() -> pd.DataFrame:
     """Pressures on the simulated footing, means over a cell of settlement: what the edge meets."""
     if SIMULATED.exists():

@@ -6,15 +6,11 @@
 Legs stirred loose grains of 4 to 9 mm on Li's and other rigs; a shear cell measured their friction
 angle, and the apparatus is known exactly. `--learn` writes the law's error into its file:
 
-- the cohesion that is fitted with φ finds damp soil, and makes dry soil less sure, for it also
-  stands for a part of the size of the grains. Its **weight** is the smallest, by shape of leg, that
-  leaves dry soil an interval little wider than without a cohesion;
-- a torque alone, or a part of a stroke, determines no cohesion. **What grains act like** there, by
-  shape of leg, is the cohesion over ρ g d with which such records give the angles of shear cells;
 - the **offset** of a shape is the value, at zero size of the grains, of a line through the angles
   read less that of the shear cell: sand is fine;
-- what is left of all shapes gives what **soils** and what **legs**, rigs, sizes and beds of a soil
-  differ by, and the **limit** of a misfit.
+- what is left of all shapes, and is more than what angles of likely cohesions differ by, gives what
+  **soils** and what **legs**, rigs, sizes and beds of a soil differ by, and the **limit** of a
+  misfit.
 
 Without it the page `docs/grains.md` is written: each soil, in any packing, is left out of the
 offset, the standard deviations and the limit, and then inverted. A column is the angle without what
@@ -43,7 +39,6 @@ import run
 
 import pages
 import terraphi
-from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import measurement, names
 from terraphi.experiment.rig import LEG_NAMES, LI2013, Rig
@@ -67,19 +62,9 @@ REPOSE_SD_DEG = 3.0
 PRIOR_COUNT, PRIOR_SD_DEG, PRIOR_COMMON_DEG = 2, 1.0, 1.5
 """What soils, legs and apparatuses differ by before anything is known [deg], and how many of them
 that is worth; chosen, so that few do not seem alike by chance."""
-COHESION_WEIGHTS = (0.01, 0.03, 0.1, 0.3, 1.0)
-"""Weights of (c / (ρ g L))² in the mean squared residual that are tried [-]."""
 PARTS = {"torque alone": None, "-60 to 20°": (-60.0, 20.0), "-20 to 60°": (-20.0, 60.0)}
-"""Records that determine no cohesion: the hip's torque, and parts of a stroke [deg]."""
-TRIED = (0.0, 0.75, 1.5)
-"""Cohesions over ρ g d, d the diameter of grains, that they are read with [-]."""
-DRY = 1e4
-"""A weight that leaves no cohesion [-]."""
-OTHER_SD_DEG, WIDER = 1.6, 1.12
-"""What the interval of a dry record has besides what is learned here (apparatus, hip and friction
-of the leg) [deg], and over the interval without a cohesion the widest with one [-]; chosen on these
-grains: at 1.1 straight legs would no longer find damp soil."""
-LIMIT, MARGIN = 0.95, 1.1
+"""Records that say little of a cohesion: the hip's torque, and parts of a stroke [deg]."""
+LIMIT, MARGIN = 0.95, 1.2
 """Quantile of the residuals over records, and the limit of a misfit over it [-]; chosen."""
 
 
@@ -102,6 +87,8 @@ class Reading(NamedTuple):
     shift_deg: float
     nrmsd: float
     """Residual of the force that is met worse [-]."""
+    sd_deg: float
+    """What angles of likely cohesions differ by [deg]."""
 
     @property
     def leg(self) -> str:
@@ -156,72 +143,10 @@ def read(law: Legs, given: Sequence[tuple[str, str, str, Record, float]]) -> lis
         loose = measured(f"{soil.split('-')[0]}-loose")
         peak = loose if soil.endswith(APART) else measured(soil)
         angles = (loose.phi_critical_deg, peak.phi_peak_deg)
-        found.append(Reading(name, soil, body, record, *angles, size, angle, shift, float(nrmsd)))
-    return found
-
-
-class Partial(NamedTuple):
-    """A record that determines no cohesion, of loose grains."""
-
-    soil: str
-    what: str
-    record: Record
-    """With the diameter of its grains."""
-    critical_deg: float
-    read_deg: tuple[float, ...]
-    """With each cohesion of `TRIED`, the law's offset taken off [deg]."""
-
-    @property
-    def leg(self) -> str:
-        """Shape of the leg."""
-        return self.record.leg
-
-    def excess_deg(self, k: FloatArray) -> FloatArray:
-        """Angle read less the critical one, of cohesions k ρ g d [deg]."""
-        return np.polyval(np.polyfit(TRIED, self.read_deg, 2), k) - self.critical_deg
-
-
-def partial(law: Legs, given: Sequence[tuple[str, str, str, Record, float]]) -> list[Partial]:
-    """What the law reads off the torque and parts of loose records."""
-    found, legs = [], law.model_error
-    tried = [
-        replace(law, model_error={n: e | {"cohesion_of_grains": (k, 0.0)} for n, e in legs.items()})
-        for k in TRIED
-    ]
-    for name, soil, _, whole, size in given:
-        history, columns = (
-            whole.history,
-            np.loadtxt(GRAINS / f"{name}.csv", delimiter=",", skiprows=3),
+        sd = likelihood.budget().get("cohesion", 0.0)
+        found.append(
+            Reading(name, soil, body, record, *angles, size, angle, shift, float(nrmsd), sd)
         )
-        if not soil.endswith("-loose") or columns.shape[1] < 4:
-            continue
-        theta, moment = np.radians(columns[:, 0]), columns[:, 3]
-        torque = ForceHistory(theta, np.zeros((theta.size, 0)), axes=(), moment=moment)
-        critical = elements.measured(GRAINS, f"{soil[0]}-loose").phi_critical_deg
-        for what, ends in PARTS.items():
-            part = torque if ends is None else history.between(*np.radians(ends))
-            density = f"{whole.density_kg_m3}±0"
-            diameter = size * whole.rig.width_mm / LI2013["width_mm"]
-            record = without_faults(
-                open_record(part, rig=whole.rig, density=density, grain_size_mm=diameter)
-            )
-            read = tuple(float(Likelihood([record], one).least_squares[0]) for one in tried)
-            found.append(Partial(soil, what, record, critical, read))
-    return found
-
-
-def act_like(law: Legs, partials: Sequence[Partial]) -> dict[str, tuple[float, float]]:
-    """Cohesion over ρ g d that grains act like, and its standard deviation, by shape of leg.
-
-    The latter is of what the scatter of the angles has besides that of soils and legs.
-    """
-    k, found = np.linspace(0.0, 3.0, 301), {}
-    for leg in sorted({one.leg for one in partials}):
-        excess = np.array([one.excess_deg(k) for one in partials if one.leg == leg])
-        mean, i = excess.mean(axis=0), int(np.abs(excess.mean(axis=0)).argmin())
-        usual = sum(law.model_error[leg][f"{one}_sd_deg"] ** 2 for one in ("soil", "leg"))
-        scatter = math.sqrt(max(float(np.square(excess[:, i]).mean()) - usual, 0.0))
-        found[leg] = round(float(k[i]), 2), round(scatter / abs(float(np.gradient(mean, k)[i])), 2)
     return found
 
 
@@ -235,11 +160,12 @@ class Line(NamedTuple):
 
     @classmethod
     def of(cls, readings: Sequence[Reading]) -> Line:
-        """By least squares."""
+        """By least squares, each reading by its own error and that of the shear cell."""
         x = np.array([[1.0, one.size_mm] for one in readings])
-        inverse = np.linalg.inv(x.T @ x)
-        offset, slope = (inverse @ x.T @ [one.excess_deg for one in readings]).tolist()
-        return cls(offset, slope, tuple((inverse @ x.T)[0].tolist()))
+        precision = 1.0 / (np.square([one.sd_deg for one in readings]) + SHEAR_CELL_SD**2)
+        weights = np.linalg.inv((x.T * precision) @ x) @ (x.T * precision)
+        offset, slope = (weights @ [one.excess_deg for one in readings]).tolist()
+        return cls(offset, slope, tuple(weights[0].tolist()))
 
     def rest(self, one: Reading) -> float:
         """What it leaves of a reading [deg]."""
@@ -253,29 +179,30 @@ def lines(readings: Sequence[Reading]) -> dict[str, Line]:
     return {leg: Line.of([one for one in loose if one.leg == leg]) for leg in legs}
 
 
-def learn(
-    readings: Sequence[Reading], weights: dict[str, float], of_media: Sequence[float] = ()
-) -> dict[str, dict[str, Any]]:
+def learn(readings: Sequence[Reading], of_media: Sequence[float] = ()) -> dict[str, dict[str, Any]]:
     """Model error by shape of leg, as `terraphi.laws.law.ModelError` has it.
 
-    Also given are the weight of the cohesion of each, and by how much the angles of loose media
-    exceed their angles of repose [deg], each a mean over legs.
+    Also given is by how much the angles of loose media exceed their angles of repose [deg], each a
+    mean over legs.
     """
     loose = [one for one in readings if one.loose]
     of_leg = lines(loose)
-    rest: dict[str, list[float]] = {}
-    for one in loose:
-        rest.setdefault(one.soil, []).append(of_leg[one.leg].rest(one))
-    apart = [np.array(values) for values in rest.values()]
+    soils = list(dict.fromkeys(one.soil for one in loose))
+    of_soils = [[one for one in loose if one.soil == soil] for soil in soils]
+    apart = [np.array([of_leg[one.leg].rest(one) for one in some]) for some in of_soils]
+    known = [float(np.mean([one.sd_deg**2 for one in some])) for some in of_soils]
 
     def sd(squares: float, count: float, prior: float = PRIOR_SD_DEG) -> float:
         """Root mean square of so many values, with the prior [deg]."""
         total = PRIOR_COUNT * prior**2 + max(squares, 0.0)
         return round(float(np.sqrt(total / (PRIOR_COUNT + count))), 2)
 
-    within = sum(float(np.square(one - one.mean()).sum()) for one in apart)
-    leg_sd = sd(within, len(loose) - len(apart))
-    between = [one.mean() ** 2 - leg_sd**2 / one.size - SHEAR_CELL_SD**2 for one in apart]
+    pairs = list(zip(apart, known, strict=True))
+    within = [np.square(one - one.mean()).sum() - (one.size - 1) * own for one, own in pairs]
+    leg_sd = sd(float(sum(within)), len(loose) - len(apart))
+    between = [
+        one.mean() ** 2 - (leg_sd**2 + own) / one.size - SHEAR_CELL_SD**2 for one, own in pairs
+    ]
     soil_sd = sd(float(sum(between)), len(apart) - 1)
     # All media are in one apparatus: their mean is the only draw of what is common.
     chance = (soil_sd**2 + REPOSE_SD_DEG**2) / max(len(of_media), 1)
@@ -284,9 +211,10 @@ def learn(
     for leg, line in of_leg.items():
         own = [one for one in loose if one.leg == leg]
         weight = np.array(line.weights)
-        of_soil = [weight[[one.soil == soil for one in own]].sum() for soil in rest]
+        of_soil = [weight[[one.soil == soil for one in own]].sum() for soil in soils]
         variance = (soil_sd**2 + SHEAR_CELL_SD**2) * np.square(of_soil).sum()
-        variance += leg_sd**2 * np.square(weight).sum()
+        of_record = leg_sd**2 + np.square([one.sd_deg for one in own])
+        variance += (of_record * np.square(weight)).sum()
         critical = [one.critical_deg for one in own]
         found[leg] = {
             "offset_deg": round(line.offset_deg, 2),
@@ -295,7 +223,6 @@ def learn(
             "common_sd_deg": sd(common, bool(of_media), PRIOR_COMMON_DEG),
             "soil_sd_deg": soil_sd,
             "leg_sd_deg": leg_sd,
-            "cohesion_weight": weights[leg],
             "phi_deg": [round(min(critical), 1), round(max(critical), 1)],
             "shift_deg": round(float(np.mean([one.shift_deg for one in own])), 1),
             "nrmsd_limit": round(MARGIN * float(np.quantile([one.nrmsd for one in own], LIMIT)), 3),
@@ -307,39 +234,11 @@ def learn(
 def choose(law: Legs) -> Legs:
     """Learn the law's error from all loose grains and write it."""
     given = [one for one in records() if one[1].endswith("-loose")]
-    weights, readings = {}, []
-    for leg in law.legs:
-        widest = math.inf
-        for weight in (DRY, *COHESION_WEIGHTS):
-            weighed = replace(law, model_error={leg: {"cohesion_weight": weight}})
-            own = read(weighed, [one for one in given if one[3].leg == leg])
-            line = Line.of(own)
-            sd = float(np.std([line.rest(one) for one in own]))
-            print(
-                f"{leg}, weight {weight:g}: {line.offset_deg:+.1f}° at zero size, "
-                f"{line.of_size:+.2f}° for 1 mm, SD {sd:.2f}° of {len(own)}",
-                flush=True,
-            )
-            width = math.hypot(sd, OTHER_SD_DEG)
-            if weight == DRY:
-                widest = WIDER * width
-            elif width < widest:
-                break
-        weights[leg] = weight
-        readings += own
-    law = replace(law, model_error=learn(readings, weights))
-    law = replace(law, model_error=learn(readings, weights, excess_of_media(law)))
-    law = with_grains(law, partial(law, given))
+    readings = read(law, given)
+    law = replace(law, model_error=learn(readings))
+    law = replace(law, model_error=learn(readings, excess_of_media(law)))
     law.save(LAW)
     return law
-
-
-def with_grains(law: Legs, partials: Sequence[Partial]) -> Legs:
-    """The law with what grains act like in records that determine no cohesion."""
-    error = dict(law.model_error)
-    for leg, known in act_like(law, partials).items():
-        error[leg] = error[leg] | {"cohesion_of_grains": known}
-    return replace(law, model_error=error)
 
 
 def excess_of_media(law: Legs) -> list[float]:
@@ -361,12 +260,11 @@ def inverted(one: Reading, law: Legs, **changes: Any) -> terraphi.Answer:
 
 def answers(law: Legs, readings: Sequence[Reading]) -> list[dict[str, Any]]:
     """A row for each record, its soil left out of what was learned of the law's error."""
-    weights = {leg: error["cohesion_weight"] for leg, error in law.model_error.items()}
     common = {leg: error["common_sd_deg"] for leg, error in law.model_error.items()}
     rows = []
     for letter in sorted({one.soil[0] for one in readings}):
         others = [one for one in readings if one.soil[0] != letter]
-        learned = learn(others, weights)
+        learned = learn(others)
         for leg, error in learned.items():
             error["common_sd_deg"] = common[leg]
         own, of_leg = replace(law, model_error=learned), lines(others)
@@ -515,33 +413,42 @@ def cells() -> str:
                         "of the friction at 5 % strain"), rows)  # fmt: skip
 
 
-def undetermined(law: Legs, partials: Sequence[Partial]) -> list[tuple[str, str]]:
-    """Errors of records that determine no cohesion, as of dry soil and with what grains act like.
+def of_parts(law: Legs, readings: Sequence[Reading]) -> list[tuple[str, str]]:
+    """Errors of the torque alone and of parts of a stroke, each soil left out of what is learned.
 
-    The latter is learned from the other soils.
+    The size of the grains is given.
     """
+    found: dict[str, list[tuple[float, float]]] = {}
+    for letter in sorted({one.soil[0] for one in readings}):
+        own = replace(law, model_error=learn([o for o in readings if o.soil[0] != letter]))
+        for one in readings:
+            columns = np.loadtxt(GRAINS / f"{one.name}.csv", delimiter=",", skiprows=3)
+            if one.soil[0] != letter or not one.loose or columns.shape[1] < 4:
+                continue
+            theta, moment = np.radians(columns[:, 0]), columns[:, 3]
+            torque = ForceHistory(theta, np.zeros((theta.size, 0)), axes=(), moment=moment)
+            whole = one.record
+            diameter = one.size_mm * whole.rig.width_mm / LI2013["width_mm"]
+            for what, ends in PARTS.items():
+                part = torque if ends is None else whole.history.between(*np.radians(ends))
+                record = without_faults(open_record(
+                    part, rig=whole.rig, density=f"{whole.density_kg_m3}±0", grain_size_mm=diameter
+                ))  # fmt: skip
+                likelihood = Likelihood([record], own)
+                shares = likelihood.budget().items()
+                sd = math.hypot(*(share for name, share in shares if name not in EXACT))
+                apart = float(likelihood.least_squares[0]) - one.critical_deg
+                found.setdefault(f"{what}, {LEG_NAMES[one.leg]}", []).append((apart, sd))
     rows = []
-    for leg, error in law.model_error.items():
-        own = [one for one in partials if one.leg == leg]
-        apart, sd = [], []
-        for one in own:
-            known = act_like(law, [other for other in own if other.soil[0] != one.soil[0]])
-            changed = replace(law, model_error={leg: error | {"cohesion_of_grains": known[leg]}})
-            likelihood = Likelihood([one.record], changed)
-            apart.append(float(likelihood.least_squares[0]) - one.critical_deg)
-            shares = likelihood.budget().items()
-            sd.append(math.hypot(*(share for name, share in shares if name not in EXACT)))
-        dry, ratio = [one.excess_deg(np.array(0.0)) for one in own], np.abs(apart) / np.array(sd)
-        means = [f"{np.mean(each):+.1f}° ± {np.sqrt(np.mean(np.square(each))):.1f}°"
-                 for each in (dry, apart)]  # fmt: skip
-        what = f"a torque alone or a part of a stroke, {LEG_NAMES[leg]}"
-        held = f"{(ratio < 1.0).mean():.0%} and {(ratio < 1.96).mean():.0%} of {len(own)}"
-        rows += [
-            (f"{what}: mean ± RMS error as of dry soil", means[0]),
-            ("the same with a cohesion by the size of the grains", means[1]),
-            ("its standard deviation; 68 and 95 % intervals that hold the critical angle",
-             f"{np.mean(sd):.1f}°; {held}"),
-        ]  # fmt: skip
+    for what, each in found.items():
+        apart, sd = np.array(each).T
+        rms = math.hypot(*apart) / math.sqrt(len(apart))
+        shares = [f"{(np.abs(apart) < k * sd).mean():.0%}" for k in (1.0, 1.96)]
+        held = f"{' and '.join(shares)} of {len(apart)}"
+        rows.append((
+            f"{what}: mean ± RMS error; standard deviation; within one and 1.96",
+            f"{apart.mean():+.1f}° ± {rms:.1f}°; {sd.mean():.1f}°; {held}",
+        ))  # fmt: skip
     return rows
 
 
@@ -627,9 +534,8 @@ def main() -> None:
     rows = [r for r in rows if r not in apart]
     header = ("record", "critical", "peak", "φ", "without the size", "68 %", "95 %", "c",
               "NRMSD Fx / Fz", "verdict")  # fmt: skip
-    numbers = ("offset_deg", "common_sd_deg", "soil_sd_deg", "leg_sd_deg", "cohesion_weight",
-               "shift_deg", "nrmsd_limit")  # fmt: skip
-    of_grains = {leg: one["cohesion_of_grains"] for leg, one in law.model_error.items()}
+    numbers = ("offset_deg", "common_sd_deg", "soil_sd_deg", "leg_sd_deg", "shift_deg",
+               "nrmsd_limit")  # fmt: skip
     slopes = {leg: line.of_size for leg, line in lines(readings).items()}
     usual = [one for one in readings if one.loose and one.body == one.leg
              and one.name.startswith(f"{one.soil}_")]  # fmt: skip
@@ -642,16 +548,14 @@ def main() -> None:
             "legs, and act in part like a cohesion, which is fitted with φ. What they add to "
             "it is a line over their size, of reversed C legs above all: φ *without the size* "
             "is what fine soil would give. φ is in plane strain. In the picture thick lines are "
-            "68 %, thin ones 95 %, crosses misfits. Weights of the cohesion, what apparatuses "
+            "68 %, thin ones 95 %, crosses misfits. What apparatuses "
             "differ by, calibrations and wrong records are by all soils."
         ),
         pages.table(("what", "value"), [
-            *summary(rows), *undetermined(law, partial(law, given)), *calibrated(law, usual),
-            *wrong(law, usual),
+            *summary(rows), *of_parts(law, readings), *calibrated(law, usual), *wrong(law, usual),
         ]),
-        pages.table(("leg", "for 1 mm of grain", "c / ρ g d", *numbers), [
-            (LEG_NAMES[leg], f"{slopes[leg]:+.2f}°", "{:g} ± {:g}".format(*of_grains[leg]),
-             *(f"{one[key]:g}" for key in numbers))
+        pages.table(("leg", "for 1 mm of grain", *numbers), [
+            (LEG_NAMES[leg], f"{slopes[leg]:+.2f}°", *(f"{one[key]:g}" for key in numbers))
             for leg, one in law.model_error.items()
         ]),
         other_rigs(readings),

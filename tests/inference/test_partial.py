@@ -61,7 +61,7 @@ def test_a_part_gives_the_angle_of_the_whole_within_its_own_share(window: tuple[
 
 @pytest.mark.parametrize("leg", ["straight", "c", "reversed_c"])
 def test_intervals_of_parts_and_of_a_torque_hold_the_angle_of_grains(leg: str) -> None:
-    """Grains of 6 mm act like a cohesion, which neither determines; by their shear cells."""
+    """Grains of 6 mm act like a cohesion; the angles are those of shear cells."""
     apart, errors = [], []
     for soil, true in (("A", 19.8), ("B", 25.9), ("C", 31.3), ("E", 29.6)):
         table = np.loadtxt(GRAINS / f"{soil}-loose_{leg}_1.csv", delimiter=",", skiprows=3)
@@ -72,6 +72,5 @@ def test_intervals_of_parts_and_of_a_torque_hold_the_angle_of_grains(leg: str) -
             answer = invert(history, rig="li2013", leg=leg, density="1415±20", grain_size_mm=6.0)
             errors.append(answer.phi.median - true)
             apart.append(errors[-1] / answer.phi.sd)
-            assert any("cohesion" in text for text in answer.questions)
     assert np.mean(np.abs(apart) < 1.96) >= 11 / 12
     assert abs(np.mean(errors)) < 2.0  # as of dry soil + 3 to + 11°

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.linalg import null_space
+from scipy.stats import multivariate_normal
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 
@@ -59,19 +61,20 @@ def test_process_is_that_of_scikit_learn() -> None:
     w = np.sin(2.0 * t) + 0.05 * rough[:, None] * rng.standard_normal(t.shape)
     basis = np.hstack([np.ones_like(t), t])
     (process,) = fitted(t, basis, w, rough)
-    scatter = process.sigma2 * process.noise * rough**2
+    (variance,) = process.sigma2
+    scatter = process.nugget * rough**2
     new = np.array([[-0.77], [0.03], [0.61]])
     f = np.hstack([np.ones_like(new), new])
     # The residual about our polynomial is an ordinary process; scikit-learn predicts it.
-    kernel = ConstantKernel(process.sigma2, "fixed") * Matern(process.lengths, "fixed", nu=2.5)
+    kernel = ConstantKernel(variance, "fixed") * Matern(process.lengths, "fixed", nu=2.5)
     rival = GaussianProcessRegressor(kernel, alpha=scatter, optimizer=None)
-    rival.fit(t, w[:, 0] - basis @ process.beta)
+    rival.fit(t, (w - basis @ process.beta)[:, 0])
     mean, sd = rival.predict(new, return_std=True)
     ours = _kernel(new, t, process.lengths) @ process.solved
-    np.testing.assert_allclose(ours, mean, atol=1e-8)
-    assert np.all(process.variance(new, f) > np.square(sd) - 1e-12)
+    np.testing.assert_allclose(ours[:, 0], mean, atol=1e-8)
+    assert np.all(process.variance(new, f)[:, 0] > np.square(sd) - 1e-12)
     # And with a prior of large variance on the polynomial the variance is the same.
-    big = 1e6 * process.sigma2
+    big = 1e6 * variance
 
     def k(a: np.ndarray, b: np.ndarray, fa: np.ndarray, fb: np.ndarray) -> np.ndarray:
         return kernel(a, b) + big * fa @ fb.T
@@ -81,7 +84,40 @@ def test_process_is_that_of_scikit_learn() -> None:
     limit = np.diag(k(new, new, f, f)) - np.einsum(
         "ki,ki->k", across, np.linalg.solve(total, across.T).T
     )
-    np.testing.assert_allclose(process.variance(new, f), limit, rtol=1e-3, atol=1e-9)
+    np.testing.assert_allclose(process.variance(new, f)[:, 0], limit, rtol=1e-3, atol=1e-9)
+
+
+def test_weights_that_share_a_process_have_the_largest_sum_of_likelihoods() -> None:
+    """Restricted likelihoods by the density of contrasts that no polynomial has, independently."""
+    rng = np.random.default_rng(3)
+    t, rough = rng.uniform(-1.0, 1.0, (40, 2)), np.ones(40)
+    w = np.column_stack(
+        [np.sin(3.0 * t[:, 0]) + np.cos(2.0 * t[:, 1]), 50.0 * np.sin(4.0 * t @ [1, 1])]
+    )
+    w += rng.normal(size=w.shape) * [0.05, 2.0]
+    basis = np.hstack([np.ones((40, 1)), t])
+    (process,) = fitted(t, basis, w, rough, shared=True)
+    free = null_space(basis.T)
+
+    def likelihood(lengths: np.ndarray, noise: float) -> float:
+        kernel = Matern(lengths, nu=2.5)(t) + noise * np.eye(40)
+        covariance = free.T @ kernel @ free
+        sums = 0.0
+        for one in (free.T @ w).T:
+            sigma2 = one @ np.linalg.solve(covariance, one) / len(one)
+            sums += multivariate_normal(cov=sigma2 * covariance).logpdf(one)
+        return sums
+
+    best = likelihood(process.lengths, process.noise)
+    for axis in range(2):
+        for factor in (0.9, 1.1):
+            assert likelihood(process.lengths * factor ** np.eye(2)[axis], process.noise) < best
+    for factor in (0.9, 1.1):
+        assert likelihood(process.lengths, factor * process.noise) < best
+    # Each weight has a variance of its own, in proportion to its square.
+    again = fitted(t, basis, w * [1.0, 10.0], rough, shared=True)[0]
+    np.testing.assert_allclose(again.lengths, process.lengths, rtol=1e-3)
+    np.testing.assert_allclose(again.sigma2, process.sigma2 * [1.0, 100.0], rtol=1e-2)
 
 
 def test_scatter_and_intervals_hold_in_drawn_worlds() -> None:

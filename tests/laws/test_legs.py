@@ -215,8 +215,8 @@ def test_soil_with_cohesion_is_not_soil_of_a_larger_angle() -> None:
         likelihood = Likelihood([record], shipped_legs())
         errors.append(likelihood.least_squares[0] - phi)
         x = np.linspace(10.0, 55.0, 226)[:, None]
-        without = np.append(likelihood.shift_deg, 0.0)
-        squares = np.square((likelihood.data - likelihood.curves(x, without)) / likelihood.span)
+        curves = likelihood.curves(x, likelihood.shift_deg, 0.0)
+        squares = np.square((likelihood.data - curves) / likelihood.span)
         dry.append(x[squares.sum(axis=1).argmin(), 0] - phi)
     assert len(errors) > 5
     assert np.sqrt(np.mean(np.square(errors))) < 0.45 * np.sqrt(np.mean(np.square(dry)))

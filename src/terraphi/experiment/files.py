@@ -316,7 +316,7 @@ class NetcdfFile(Generic[Attributes]):
 
 @contextmanager
 def open_netcdf(
-    path: Path, attributes: type[Attributes], *, kind: str, schema: int | None
+    path: Path, attributes: type[Attributes], *, kind: str, schema: int | None, remedy: str = ""
 ) -> Iterator[NetcdfFile[Attributes]]:
     """Load a NetCDF file that terraphi wrote, for the time of a block that makes a result of it.
 
@@ -330,6 +330,8 @@ def open_netcdf(
         Value of the attribute ``terraphi_file`` expected.
     schema
         Version of its layout expected.
+    remedy
+        What to do with a file of another kind, after a semicolon.
 
     Raises
     ------
@@ -340,12 +342,7 @@ def open_netcdf(
     from pydantic import ValidationError
 
     if netcdf_kind(path) != kind:
-        csv = (
-            "; give other forces as a CSV of theta_deg, Fx_N, Fz_N"
-            if kind == "force history"
-            else ""
-        )
-        raise InputError(f"{path}: a NetCDF file, but not a {kind} written by terraphi{csv}")
+        raise InputError(f"{path}: a NetCDF file, but not a {kind} written by terraphi{remedy}")
     try:
         attrs, variables, data_vars = _read(path)
     except Exception as error:  # damage raises anything in the libraries that read it

@@ -435,7 +435,10 @@ class ForceHistory:
 
         Raises InputError if the file is not a whole NetCDF of this kind and schema.
         """
-        with open_netcdf(Path(path), HistoryAttributes, kind=KIND, schema=SCHEMA) as file:
+        remedy = "; give other forces as a CSV of theta_deg, Fx_N, Fz_N"
+        with open_netcdf(
+            Path(path), HistoryAttributes, kind=KIND, schema=SCHEMA, remedy=remedy
+        ) as file:
             coordinate, known = file.attrs.coordinate, file.attrs.provenance
             place = positions(file, coordinate)
             channels = {name: file.numbers(name, "position") for name in file.data_vars}

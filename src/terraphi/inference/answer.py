@@ -208,8 +208,8 @@ class AnswerSummary:
     leg_friction
         Friction of the leg in the library's model [-], where it was not inferred.
     cohesion_pa
-        Cohesion that was fitted with φ, or that its grains act like where none is, or that of the
-        scenario of simulated forces [Pa]; ``None`` by libraries, which are of dry soil.
+        Mean cohesion of the soil, or that of the scenario of simulated forces [Pa]; ``None`` by
+        libraries, which are of dry soil.
     seed
         Of the draws.
     budget_deg

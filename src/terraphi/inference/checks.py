@@ -54,9 +54,9 @@ USUAL_DEG = (18.0, 50.0)
 """Friction angles of dry soils in plane strain [deg]: from glass beads, 21 to 24° (Jop, Forterre &
 Pouliquen 2006, Nature 441:727), to dense quartz sand at its peak, 48° (Bolton 1986, Géotechnique
 36:65, table 1, whose critical angles are about 30 to 37°)."""
-COHESIVE_PA = 100.0
-"""Cohesion above which dry soil must be coarse [Pa]: chosen; grains of 4 mm act like 30 to 50 Pa on
-a leg of 25 mm, measured sands like 0 to 20."""
+MOIST_PA, COHESIVE_PA = 20.0, 100.0
+"""Cohesions above which an answer names them, and above which dry soil must be coarse [Pa]: chosen;
+grains of 4 mm act like 30 to 50 Pa on a leg of 25 mm, measured sands like 0 to 20."""
 LARGE_SHIFT_DEG = 8.5
 """Distance of the leg angle's shift from the usual one above which an answer says so [deg]: media
 of Li et al. (2013) have up to 8.2°."""
@@ -334,8 +334,7 @@ def guesses(likelihood: Likelihood) -> Iterator[str]:
                 f"{name}The record covers {low:.0f} to {high:.0f}° of ±{WINDOW_DEG:g}°, with "
                 f"{part.share:.0%} of the information on φ of a whole stroke."
             )
-        knows = likelihood.of_size_deg(record) or likelihood.lacks_cohesion
-        if record.grain_size_mm and not knows:
+        if record.grain_size_mm and not likelihood.of_size_deg(record):
             yield f"{name}Law {likelihood.library.name} does not know what large grains add."
         grown = likelihood.of_size_deg(record)
         if abs(grown) > 0.05:
@@ -349,24 +348,12 @@ def guesses(likelihood: Likelihood) -> Iterator[str]:
                 f"{name}The grains are taken as fine: each mm of their diameter adds "
                 f"{per_mm:.1f}° on this leg; give --grain-size."
             )
-        if likelihood.lacks_cohesion and i == 0:
-            grains = "damp soil, and grains that are large compared with the leg, look"
-            if record.grain_size_mm:
-                grains = (
-                    f"that of grains of {record.grain_size_mm:g} mm, {likelihood.cohesion:.0f} Pa, "
-                    "is assumed, and damp soil looks"
-                )
-            give = "" if record.grain_size_mm else "; give --grain-size if they are coarse"
+        cohesion, sd = likelihood.cohesion, likelihood.cohesion_sd
+        if sd and cohesion > MOIST_PA and i == 0:
             yield (
-                f"Only both forces of a whole stroke determine a cohesion: {grains} like a larger "
-                f"angle here{give}."
-            )
-        elif likelihood.measured and likelihood.cohesion > 0.5 and i == 0:
-            check = likelihood.cohesion > COHESIVE_PA
-            yield (
-                f"A cohesion of {likelihood.cohesion:.0f} Pa is fitted with φ: damp soil has "
+                f"The angle is that of a cohesion of {cohesion:.0f} ± {sd:.0f} Pa: damp soil has "
                 "one, and grains that are large compared with the leg act like one"
-                f"{'; else check the density and the unit of force' if check else ''}."
+                f"{'; else check the density and the unit of force' * (cohesion > COHESIVE_PA)}."
             )
         doubts = density_doubts(density) if likelihood.measured else []
         if (

@@ -20,8 +20,7 @@ density, gain             relative standard deviation of the density, and of the
                           times g
 model: apparatus, soil    what looks like another angle: b² and s² times (∂g/∂φ)(∂g/∂φ)'
 model: leg, offset        the same of each leg by itself, l²; and the error of its offset over φ
-cohesion                  what the weight on a cohesion that is fitted as well takes from it; of a
-                          part of the stroke, which does not determine it, a usual one
+cohesion                  what angles of all likely cohesions differ by (below)
 missing angles            where a record has a part of the stroke (below)
 missing forces            where it has the moment about the hip in place of a force: the angles
                           read off both differ by that
@@ -42,6 +41,19 @@ its word (generalised least squares). Several records give the angle of their co
 between those of each; with their shared errors as weights it could lie outside (Peelle's puzzle). A
 shift has no term of its own: c does not see it.
 
+**Cohesion.** Forces determine it worse than φ, or not at all: records of legs in dry grains are met
+as well by 38° without one as by 30° with 200 Pa, and where the least residual lies is chance. So it
+is not fitted but averaged over. With S(c) the mean squared residual of the best φ and δ at c,
+
+    p(c | d) ∝ S(c)^(−ν/2) p(c),
+
+the marginal of a residual of unknown variance, of which ν are independent: one window mean in
+:data:`WINDOWS_ALIKE`. p(c) is half of Student's t (:data:`COHESION_SCALE`): most soils are dry, and
+a few are damp, which its tail leaves room for. φ, and all that follows, is that at the mean of c,
+and the standard deviation of φ(c) is a term. Angles of 60 records of loose grains scatter by what
+this term says, and three legs in each of four real media, which it was not made from, agree within
+0.8 to 1.3°; with the c of least residual, within 2.1 to 3.9°.
+
 **Parts of the stroke.** With g the window means of a whole stroke, the windows that a record has
 hold the share
 
@@ -52,8 +64,7 @@ record gives another φ than the whole. Cut to 22 windows of 40° to 160°, the 
 1.4° √(1/h - 1), root mean square, whatever the window: 1.1 to 1.5° for h from 0.1 to 0.99.
 
 The moment about the hip gives another angle than the forces do, too: MOMENT_DEG is the root mean
-square of what it differs by on the legs of simulated grains, both read as dry soil. Neither it nor
-a part of a stroke determines a cohesion: what :data:`UNKNOWN_COHESION` changes is a term of both.
+square of what it differs by on the legs of simulated grains, both read as dry soil.
 
 All terms are taken at the best point, so that their size is no evidence of x. For measured records
 g is linear about that point: several of the terms are degrees wide and known to first order only,
@@ -86,8 +97,17 @@ from terraphi.laws.store import PHI, Library
 SHIFT_DEG = 15.0
 """Largest shift of the leg angle of measured records [deg]: chosen. C legs have 11 to 15° in grains
 and shipped media; with 20° their angles move by 0.1°."""
-COHESIONS = np.array([0.0, 0.1, 0.35, 1.0])
-"""Cohesions from which the best is looked for, over the largest that a law knows [-]; chosen."""
+COHESIONS = np.array([0.0, 0.025, 0.05, 0.0875, 0.125, 0.175, 0.25, 0.35, 0.475, 0.625, 0.8, 1.0])
+"""Cohesions at which φ is looked for, over the largest that a law knows [-]; chosen."""
+FINE = 400
+"""Cohesions that are averaged over."""
+COHESION_SCALE, COHESION_DEGREES = 0.035, 3
+"""Scale of c / (ρ g L) beforehand [-], and degrees of freedom of its half t distribution: with 8 to
+16 independent residuals, scales of 0.02 to 0.05 and 2 to 5 degrees of freedom dry and damp grains
+are described nearly as well (``studies/grains``); chosen among them."""
+WINDOWS_ALIKE = 7
+"""Window means for one independent residual: by their correlation 7 of straight, 9 of C and 5 of
+reversed C legs in grains."""
 RIDGE = 2e-3
 """Standard deviation added to each window mean, of peak-to-peak [-]: the emulator's largest error
 in unseen simulations of an exact model (tests/laws/test_emulator.py)."""
@@ -100,11 +120,6 @@ FAR_OFF = 3.0
 """Factor between data and best curve at which no angle fits [-]: chosen."""
 OF_RIG = ("leg friction", "hip height", "gain")
 """Causes that stay as they are in an apparatus."""
-LONG, UNKNOWN_COHESION, USUAL_COHESION = 0.8, 0.04, 0.02
-"""Share of the windows in soil from which on a cohesion is fitted [-], and the standard deviation
-of c / (ρ g L) in other records [-], of grains of unknown size and of grains that are fine or of
-known size: by whole strokes of straight legs media of Li et al. have 0 to 0.02, grains of 4 to 9 mm
-0.04 to 0.13 (``docs/grains.md``); chosen."""
 WHOLE = 0.9
 """The same from which a record's shape can be compared with those of other legs [-]; chosen."""
 PART_DEG = 1.4
@@ -134,6 +149,15 @@ class Part(NamedTuple):
     """Share h of the information on φ [-]."""
     span: FloatArray
     """Peak-to-peak of each channel over a whole stroke, by the record or the model, shape [c]."""
+
+
+class Cohesion(NamedTuple):
+    """What is known of the cohesion of a soil."""
+
+    mean_pa: float
+    sd_pa: float
+    phi_sd_deg: float
+    """Standard deviation of φ about the angle at the mean [deg]."""
 
 
 def channels_of(record: Record, force: FloatArray, arm: FloatArray | None) -> FloatArray:
@@ -302,13 +326,17 @@ class Likelihood:
     def of_size_deg(self, record: Record) -> float:
         """What the size of the grains adds to the angle read off measured forces [deg]."""
         grains = record.grain_size_mm * LI2013["width_mm"] / record.rig.width_mm
-        known = self.measured and not self.lacks_cohesion
-        return self.errors[record.leg].of_size_deg * grains if known else 0.0
+        return self.errors[record.leg].of_size_deg * grains if self.measured else 0.0
 
-    def curves(self, x: FloatArray, nuisance: FloatArray | None = None) -> FloatArray:
-        """Window means g(x) [N] at the best δ and c, or others, [k, key] -> [k, n]."""
-        *shift_deg, cohesion = self.nuisance if nuisance is None else nuisance
-        forces = self._forces(x, cohesion)
+    def curves(
+        self, x: FloatArray, shift_deg: FloatArray | None = None, cohesion: float | None = None
+    ) -> FloatArray:
+        """Window means g(x) [N] at the best δ [deg] and c [Pa], or others, [k, key] -> [k, n]."""
+        forces = self._forces(x, self.cohesion if cohesion is None else cohesion)
+        return self._means(forces, self.shift_deg if shift_deg is None else shift_deg)
+
+    def _means(self, forces: list[FloatArray], shift_deg: FloatArray) -> FloatArray:
+        """Window means of the forces on each record's leg [N], [k, 2, theta] each -> [k, n]."""
         return np.hstack([
             window_means(record, force, law, shift)
             for record, force, law, shift in zip(
@@ -336,59 +364,38 @@ class Likelihood:
             x[..., self._phi] += self.offset(record, x[..., self._phi])
         return x
 
-    def slope(self, x: FloatArray, nuisance: FloatArray | None = None) -> FloatArray:
-        """∂g/∂x at a point [N/unit], at the best δ and c or others, shape [key] -> [n, key]."""
-        steps = np.diag(STEP * (self.high - self.low))
-        ahead, behind = (self.curves(x + h, nuisance) for h in (steps, -steps))
-        return np.asarray((ahead - behind).T / (2.0 * np.diag(steps)))
+    def slope(self, x: FloatArray) -> FloatArray:
+        """∂g/∂x at a point [N/unit], at the best δ and c, shape [key] -> [n, key]."""
+        return self._slopes(x, self.shift_deg, self.cohesion)[:, : len(x)]
 
-    def _slopes(self, point: FloatArray) -> FloatArray:
-        """∂g/∂x, ∂g/∂δ of each record [N/deg] and ∂g/∂c [N/Pa], [n, key + record + 1]."""
-        x, nuisance = np.split(point, [len(self.keys)])
-        turn = np.append(np.full(len(self.records), 0.1), 0.0)
-        ahead, behind = (self.curves(x[None], nuisance + h)[0] for h in (turn, -turn))
+    def _slopes(self, x: FloatArray, shift_deg: FloatArray, cohesion: float) -> FloatArray:
+        """∂g/∂x and ∂g/∂δ of each record [N/deg], shape [n, key + record]."""
+        steps = STEP * (self.high - self.low)
+        forces = self._forces(np.vstack([x + np.diag(steps), x - np.diag(steps), x]), cohesion)
+        moved = self._means(forces, shift_deg)[:-1].reshape(2, len(x), -1)
+        turned = [self._means([f[-1:] for f in forces], shift_deg + h)[0] for h in (0.1, -0.1)]
         of_shift = np.where(self._of[:, None] == np.arange(len(self.records)), 1.0, 0.0)
-        slopes = [self.slope(x, nuisance), of_shift * (ahead - behind)[:, None] / 0.2]
-        step = STEP * self._bounds[1][-1]
-        of_cohesion = np.zeros(self.data.size)
-        if step:
-            ends = [np.append(nuisance[:-1], max(nuisance[-1] + h, 0.0)) for h in (step, -step)]
-            ahead, behind = (self.curves(x[None], end)[0] for end in ends)
-            of_cohesion = (ahead - behind) / (ends[0][-1] - ends[1][-1])
-        return np.hstack([*slopes, of_cohesion[:, None]])
+        return np.hstack([
+            (moved[0] - moved[1]).T / (2.0 * steps),
+            of_shift * (turned[0] - turned[1])[:, None] / 0.2,
+        ])  # fmt: skip
+
+    @property
+    def _most_shift(self) -> FloatArray:
+        """Largest δ of each record [deg], shape [record]; of simulated ones 0."""
+        return np.full(len(self.records), SHIFT_DEG if self.measured else 0.0)
 
     @cached_property
-    def _bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Least and largest δ [deg] and c [Pa].
+    def _cohesions(self) -> FloatArray:
+        """Cohesions [Pa] that are averaged over, from 0; or the one that is known.
 
-        Of simulated records 0, and the cohesion of their scenario (0 by laws of dry soil).
-
-        Parts of a stroke do not determine c beside φ, and are read as of dry soil, unless a longer
-        record of the soil is among them.
+        Simulated soil has that of its scenario; 0 by laws of dry soil.
         """
-        shift = np.full(len(self.records), SHIFT_DEG if self.measured else 0.0)
         pairs = zip(self.laws, self._per_pascal, strict=True)
         most = min(law.most_cohesion / number for law, number in pairs)
-        known = self.measured and any(coverage(record) >= LONG for record in self.records)
-        usual = min(self._of_grains()[0] if self.measured else self._simulated_cohesion, most)
-        return np.append(-shift, 0.0 if known else usual), np.append(
-            shift, most if known else usual
-        )
-
-    def _of_grains(self) -> tuple[float, float]:
-        """Cohesion that the grains act like where none is fitted, and what it is unsure by [Pa]."""
-        k, sd = np.mean([self.errors[r.leg].cohesion_of_grains for r in self.records], axis=0)
-        size = float(np.mean([r.grain_size_mm for r in self.records])) if self.measured else 0.0
-        weight = 1e-3 * size * GRAVITY * float(np.mean(self.density))
-        unknown = (USUAL_COHESION if size else UNKNOWN_COHESION) / float(self._per_pascal.min())
-        return float(k) * weight, math.hypot(float(sd) * weight, unknown)
-
-    @cached_property
-    def lacks_cohesion(self) -> bool:
-        """Whether the law knows a cohesion, and no record is such that one is fitted."""
-        cohesive = any(law.most_cohesion for law in self.laws)
-        least, most = self._bounds
-        return self.measured and cohesive and bool(least[-1] == most[-1])
+        if self.measured and most:
+            return most * COHESIONS
+        return np.array([min(self._simulated_cohesion, most)])
 
     # -- best point ------------------------------------------------------------------------------
 
@@ -403,17 +410,17 @@ class Likelihood:
     @property
     def shift_deg(self) -> FloatArray:
         """Shift of each record with them [deg], shape [record]: its forces come so much later."""
-        return self.nuisance[:-1]
+        return self._best.x[0, len(self.keys) :]
 
     @property
     def cohesion(self) -> float:
-        """Cohesion of the soil with them [Pa]; 0 by laws of dry soil."""
-        return float(self.nuisance[-1])
+        """Mean cohesion of the soil [Pa]; 0 by laws of dry soil."""
+        return self._averaged.mean_pa
 
     @property
-    def nuisance(self) -> FloatArray:
-        """Shift of each record [deg], and the cohesion [Pa], shape [record + 1]."""
-        return self._best.x[0, len(self.keys) :]
+    def cohesion_sd(self) -> float:
+        """Standard deviation of the cohesion [Pa]; 0 if it is known."""
+        return self._averaged.sd_pa
 
     @property
     def inside(self) -> FloatArray:
@@ -449,42 +456,87 @@ class Likelihood:
 
     @cached_property
     def _best(self) -> Best:
-        """Parameters, shifts and cohesion of the smallest squared residual."""
-        (least, most), n = self._bounds, len(self.keys)
-        shifts = np.arange(least[0], most[0] + 1.0)
-        # With a cohesion the squared residual has several minima.
-        width = most[-1] - least[-1]
-        cohesions = least[-1] + width * (COHESIONS if width else COHESIONS[:1])
-        if n == 1:
-            x = np.linspace(*self.ends, 257 if len(cohesions) == 1 else 65)
+        """Parameters and shifts of the smallest squared residual, at the mean cohesion."""
+        found = self._along
+        near = int(np.abs(self._cohesions - self.cohesion).argmin())
+        return found[near] if len(found) == 1 else self._fitted(self.cohesion, found[near].x)
+
+    @cached_property
+    def _along(self) -> list[Best]:
+        """The same at each cohesion, from one to the next."""
+        start, found = self._start, []
+        settled = 1e-8 if len(self._cohesions) == 1 else 1e-4
+        for cohesion in self._cohesions.tolist():
+            found.append(self._fitted(cohesion, start, settled))
+            start = found[-1].x
+        return found
+
+    @property
+    def _start(self) -> FloatArray:
+        """Parameters and shifts near those of the smallest residual at the first cohesion, [1, p].
+
+        The residual has several minima.
+        """
+        shifts = np.arange(-self._most_shift[0], self._most_shift[0] + 1.0)
+        if len(self.keys) == 1:
+            x = np.linspace(*self.ends, 257)
         else:
+            n = len(self.keys)
             x = self.low + (self.high - self.low) * np.random.default_rng(0).random((512, n))
-        costs, starts = [], []
-        for cohesion in cohesions.tolist():
-            squares = [
-                squared_residuals(record, record.data, force, law, shifts)
-                for record, force, law in zip(
-                    self.records, self._forces(x, cohesion), self.laws, strict=True
-                )
-            ]
-            cost = sum(each.min(axis=0) for each in squares)
-            first = int(cost.argmin())
-            shift = shifts[[int(each[:, first].argmin()) for each in squares]]
-            costs.append(cost[first] + self._precision[-1] * cohesion**2)
-            starts.append(np.concatenate([x[first], shift, [cohesion]]))
-        low, high = self.ends
+        squares = [
+            squared_residuals(record, record.data, force, law, shifts)
+            for record, force, law in zip(
+                self.records, self._forces(x, float(self._cohesions[0])), self.laws, strict=True
+            )
+        ]
+        first = int(sum(each.min(axis=0) for each in squares).argmin())
+        return np.append(x[first], shifts[[int(each[:, first].argmin()) for each in squares]])[None]
+
+    def _fitted(self, cohesion: float, start: FloatArray, settled: float = 1e-8) -> Best:
+        """Least squares at a cohesion [Pa]."""
+        n, (low, high), most = len(self.keys), self.ends, self._most_shift
         return least_squares(
-            lambda p, _: self.data - self.curves(p[:, :n], p[0, n:]),
-            lambda p, _: self._slopes(p[0])[None],
+            lambda p, _: self.data - self.curves(p[:, :n], p[0, n:], cohesion),
+            lambda p, _: self._slopes(p[0, :n], p[0, n:], cohesion)[None],
             self._weight[None],
-            starts[int(np.argmin(costs))][None],
-            bounds=(np.append(low, least), np.append(high, most)),
-            scale=np.concatenate(
-                [self.high - self.low, np.ones(len(self.records)), [max(most[-1], 1.0)]]
-            ),
-            precision=self._precision,
-            settled=1e-8,
+            start,
+            bounds=(np.append(low, -most), np.append(high, most)),
+            scale=np.append(self.high - self.low, np.ones(len(self.records))),
+            settled=settled,
         )
+
+    @cached_property
+    def _averaged(self) -> Cohesion:
+        """The cohesion, averaged over those that are likely.
+
+        Residuals and angles of the cohesions are interpolated along ln(c + 0.03 ρ g L), along which
+        they change evenly.
+        """
+        known = self._cohesions
+        if len(known) == 1:
+            return Cohesion(float(known[0]), 0.0, 0.0)
+        unit = float(np.mean(self._per_pascal))
+        along = np.log1p(known * unit / 0.03)
+        fine = np.linspace(0.0, along[-1], FINE)
+        c = 0.03 * np.expm1(fine)
+        i = np.clip(np.searchsorted(along, fine, "right") - 1, 0, len(along) - 2)
+        share = ((fine - along[i]) / (along[i + 1] - along[i]))[:, None]
+        apart = np.array([best.residual[0] for best in self._along]) / self.span
+        squares = np.square((1.0 - share) * apart[i] + share * apart[i + 1])
+        # Of records of one leg in one soil the law is wrong alike: more of them are not more sure.
+        logs = np.mean([
+            len(part) / WINDOWS_ALIKE * np.log(part.mean(axis=0) + RIDGE**2)
+            for part in np.split(squares.T, [part.stop for part in self.parts[:-1]])
+        ], axis=0)  # fmt: skip
+        tail = np.log1p(np.square(c / COHESION_SCALE) / COHESION_DEGREES)
+        log = -0.5 * logs - 0.5 * (COHESION_DEGREES + 1) * tail + np.log(c + 0.03)
+        weight = np.exp(log - log.max())
+        weight /= weight.sum()
+        mean = float(weight @ c)
+        phi = np.interp(fine, along, [best.x[0, self._phi or 0] for best in self._along])
+        there = np.interp(np.log1p(mean / 0.03), fine, phi)
+        sd, phi_sd = (math.sqrt(float(weight @ np.square(x))) for x in (c - mean, phi - there))
+        return Cohesion(mean / unit, sd / unit, phi_sd)
 
     @property
     def ends(self) -> tuple[FloatArray, FloatArray]:
@@ -544,12 +596,8 @@ class Likelihood:
                 for law, each, calibrated in zip(self.laws, modes, known, strict=True)
             ]
             found[cause] = self._shared_by_leg(factors)
-        if self.lacks_cohesion:
-            moist = self.nuisance + np.append(np.zeros(len(self.records)), self._of_grains()[1])
-            found["cohesion"] = _square(self.curves(x[None], moist)[0] - curve)
-        elif self.cohesion:
-            # What the weight on c takes from it looks like another angle: c itself at most.
-            found["cohesion"] = _square(self.cohesion * self._best.slope[0, :, -1])
+        if self._phi is not None:
+            found["cohesion"] = _square(self._averaged.phi_sd_deg * slope[:, self._phi])
         if self._phi is not None:
             found |= self._angle_errors(slope[:, self._phi], float(x[self._phi]))
         if "soil.density" not in self.keys:
@@ -646,18 +694,10 @@ class Likelihood:
     @cached_property
     def _weights(self) -> FloatArray:
         """Weights c of each parameter at the best point, shape [key, n] [unit/N]."""
-        slope = self._best.slope.copy()
+        slope, shift = self._best.slope.copy(), np.abs(self.shift_deg)
         # What is at a bound is not fitted.
-        (low, high), margin = self._bounds, 1e-3 * self._bounds[1]
-        slope[0, :, len(self.keys) :] *= (low + margin < self.nuisance) & (self.nuisance < high)
-        return weights(slope, self._weight[None], self._precision)[0][0, : len(self.keys)]
-
-    @property
-    def _precision(self) -> FloatArray:
-        """Precision of x, δ and c before the forces, of the cohesion alone, [key + record + 1]."""
-        free = np.zeros(len(self.keys) + len(self.records))
-        weight = np.array([self.errors[r.leg].cohesion_weight * r.data.size for r in self.records])
-        return np.append(free, weight @ np.square(self._per_pascal))
+        slope[0, :, len(self.keys) :] *= shift < self._most_shift
+        return weights(slope, self._weight[None])[0][0, : len(self.keys)]
 
     @property
     def _weight(self) -> FloatArray:

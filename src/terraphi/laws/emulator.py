@@ -102,10 +102,10 @@ class Emulator:
 
     @cached_property
     def _stacked(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Lengths [k, 1, 1, key], solved weights [k, case] and polynomials [k, q] of all."""
+        """Lengths [k, 1, key], solved weights [k, case] and polynomials [k, q] of all."""
         each = self._processes
-        lengths = np.stack([process.lengths for process in each])[:, None, None]
-        return lengths, np.stack([p.solved for p in each]), np.stack([p.beta for p in each])
+        lengths = np.stack([process.lengths for process in each])[:, None]
+        return lengths, np.hstack([p.solved for p in each]).T, np.hstack([p.beta for p in each]).T
 
     @property
     def _scatters(self) -> bool:
@@ -173,7 +173,7 @@ class Emulator:
     def interpolation(self, x: FloatArray) -> FloatArray:
         """Factor F of the emulator's own covariance F F' at one point [N], shape [2 theta, k]."""
         t = (x[None] - self._scale[0]) / self._scale[1]
-        variance = [process.variance(t, self._basis(x[None]))[0] for process in self._processes]
+        variance = [process.variance(t, self._basis(x[None]))[0, 0] for process in self._processes]
         return np.asarray((self.size(x[None])[0] * np.sqrt(variance)) * self._components[1].T)
 
     def scatter(self, x: FloatArray) -> FloatArray:
@@ -181,7 +181,7 @@ class Emulator:
         if not self._scatters:
             return np.zeros((2 * self.curves.theta_deg.size,) * 2)
         u = self._components[1]
-        nugget = np.array([process.nugget for process in self._processes])
+        nugget = np.concatenate([process.nugget for process in self._processes])
         size = self.size(x[None])[0] * self.roughness(x[None])[0]
         return np.asarray(np.square(size) * ((u.T * nugget) @ u + self._outside))
 
@@ -194,10 +194,11 @@ def emulator_of(library: Library, leg: str) -> Emulator:
 
 @dataclass(frozen=True, eq=False)
 class Process:
-    """A Gaussian process with a polynomial mean, fitted to one weight.
+    """A Gaussian process with a polynomial mean, fitted to one weight or to several that share it.
 
     With A = K + λ diag(b²), K of unit variance, F the polynomials at the cases with coefficients β,
-    ``solved`` is A⁻¹(w − Fβ), ``inverse`` A⁻¹ and ``spread`` (F'A⁻¹F)⁻¹.
+    ``solved`` is A⁻¹(w − Fβ), ``inverse`` A⁻¹ and ``spread`` (F'A⁻¹F)⁻¹. Weights that share a
+    process have the same correlation lengths and λ, and each a variance of its own.
     """
 
     t: FloatArray
@@ -207,74 +208,82 @@ class Process:
     inverse: FloatArray
     basis: FloatArray
     spread: FloatArray
-    sigma2: float
+    sigma2: FloatArray
     noise: float
 
     @classmethod
     def of(
-        cls, t: FloatArray, basis: FloatArray, weight: FloatArray, lengths: FloatArray,
+        cls, t: FloatArray, basis: FloatArray, weights: FloatArray, lengths: FloatArray,
         noise: float, rough: FloatArray | float = 1.0,
     ) -> Process:  # fmt: skip
-        """The process of known lengths [key] and λ, for a weight of each case [case]."""
+        """The process of known lengths [key] and λ, for weights [case, weight]."""
         nugget = noise * np.square(rough) * np.ones(len(t))
         inverse = np.linalg.inv(_kernel(t, t, lengths) + np.diag(nugget)).astype(np.float64)
         spread = np.linalg.inv(basis.T @ inverse @ basis).astype(np.float64)
-        beta = spread @ basis.T @ inverse @ weight
-        rest = weight - basis @ beta
-        sigma2 = float(rest @ inverse @ rest) / max(len(t) - basis.shape[1], 1)
-        return cls(t, lengths, beta, inverse @ rest, inverse, basis, spread, sigma2, noise)
+        beta = spread @ basis.T @ inverse @ weights
+        rest = weights - basis @ beta
+        solved = inverse @ rest
+        sigma2 = (rest * solved).sum(axis=0) / max(len(t) - basis.shape[1], 1)
+        return cls(t, lengths, beta, solved, inverse, basis, spread, sigma2, noise)
 
     def mean(self, t: FloatArray, basis: FloatArray) -> FloatArray:
-        """Weight at other parameters, shape [k, key] -> [k]."""
+        """Weights at other parameters, shape [k, key] -> [k, weight]."""
         return np.asarray(basis @ self.beta + _kernel(t, self.t, self.lengths) @ self.solved)
 
     @property
-    def nugget(self) -> float:
-        """Variance between particle seeds, over b²."""
+    def nugget(self) -> FloatArray:
+        """Variance between particle seeds, over b², shape [weight]."""
         return self.sigma2 * self.noise
 
     def variance(self, t: FloatArray, basis: FloatArray) -> FloatArray:
-        """Variance of the weight, without the nugget, shape [k, key] -> [k]."""
+        """Variance of the weights, without the nugget, shape [k, key] -> [k, weight]."""
         cross = _kernel(t, self.t, self.lengths)
         lack = basis - cross @ self.inverse @ self.basis
-        known = np.einsum("ki,ij,kj->k", cross, self.inverse, cross)
+        known = np.einsum("ki,ki->k", cross @ self.inverse, cross)
         of_mean = np.einsum("ki,ij,kj->k", lack, self.spread, lack)
-        return self.sigma2 * np.maximum(1.0 - known + of_mean, 0.0)
+        return np.maximum(1.0 - known + of_mean, 0.0)[:, None] * self.sigma2
 
 
 def _kernel(one: FloatArray, other: FloatArray, lengths: FloatArray) -> FloatArray:
     """Matérn correlation of order 5/2, shape [..., k, n]: smooth, but not infinitely so."""
-    squared = np.square((one[:, None] - other) / lengths).sum(axis=-1)
+    a, b = one / lengths, other / lengths
+    squared = np.square(a).sum(axis=-1)[..., None] + np.square(b).sum(axis=-1)[..., None, :]
+    squared = np.maximum(squared - 2.0 * a @ b.swapaxes(-1, -2), 0.0)
     lag = np.sqrt(5.0 * squared)
     return (1.0 + lag + 5.0 / 3.0 * squared) * np.exp(-lag)
 
 
 def fitted(
-    t: FloatArray, basis: FloatArray, weights: FloatArray, rough: FloatArray
-) -> list[Process]:
-    """A process for each column of weights: restricted likelihood over a grid, then refined.
+    t: FloatArray, basis: FloatArray, weights: FloatArray, rough: FloatArray, *,
+    shared: bool = False,
+) -> list[Process]:  # fmt: skip
+    """A process for each column of weights, or one that all share, by the restricted likelihood.
 
-    The nugget of a case goes with the square of its roughness b; dividing everything by b makes it
-    the same for all. For one parameter the grid over (length, nugget) is enough; for several, the
-    best isotropic length is where the length of each is looked for.
+    It is looked for on a grid, then refined. The nugget of a case goes with the square of its
+    roughness b; dividing everything by b makes it the same for all. For one parameter the grid over
+    (length, nugget) is enough; for several, the best isotropic length is where the length of each
+    is looked for.
     """
     f, w, scale = basis / rough[:, None], weights / rough[:, None], np.outer(rough, rough)
-    best = np.full(weights.shape[1], -np.inf)
-    chosen = np.zeros((weights.shape[1], 1 + t.shape[1]))
+    columns = np.split(np.arange(w.shape[1]), 1 if shared else w.shape[1])
+    best = np.full(len(columns), -np.inf)
+    chosen = np.zeros((len(columns), 1 + t.shape[1]))
     for length in LENGTHS:
         roots, vectors = np.linalg.eigh(_kernel(t, t, np.full(t.shape[1], length)) / scale)
         for noise in NUGGETS / np.median(rough) ** 2:
-            value = _restricted(np.maximum(roots, 0.0) + noise, vectors, f, w)
+            each = _restricted(np.maximum(roots, 0.0) + noise, vectors, f, w)
+            value = np.array([each[own].sum() for own in columns])
             better = value > best
             best = np.where(better, value, best)
             chosen[better] = np.log([*[length] * t.shape[1], noise])
     if t.shape[1] > 1:
         chosen = np.array([
-            _refined(t, f, w[:, [k]], scale, start) for k, start in enumerate(chosen)
+            _refined(t, f, w[:, own], scale, start)
+            for own, start in zip(columns, chosen, strict=True)
         ])  # fmt: skip
     return [
-        Process.of(t, basis, weights[:, k], np.exp(one[:-1]), float(np.exp(one[-1])), rough)
-        for k, one in enumerate(chosen)
+        Process.of(t, basis, weights[:, own], np.exp(one[:-1]), float(np.exp(one[-1])), rough)
+        for own, one in zip(columns, chosen, strict=True)
     ]
 
 
@@ -294,10 +303,10 @@ def _restricted(
 def _refined(
     t: FloatArray, basis: FloatArray, w: FloatArray, scale: FloatArray, start: FloatArray
 ) -> FloatArray:
-    """Log lengths and log nugget of the largest restricted likelihood, from a start.
+    """Log lengths and log nugget of the largest restricted likelihood of all columns of w.
 
-    With P = A⁻¹ − A⁻¹F(F'A⁻¹F)⁻¹F'A⁻¹ and σ² = w'Pw / (n − q), its derivative by a parameter is
-    [(Pw)' ∂A (Pw) / σ² − tr(P ∂A)] / 2.
+    With P = A⁻¹ − A⁻¹F(F'A⁻¹F)⁻¹F'A⁻¹ and σ² = w'Pw / (n − q), the derivative of that of a column
+    by a parameter is [(Pw)' ∂A (Pw) / σ² − tr(P ∂A)] / 2.
     """
     with needing("a law made of this library", "SciPy", extra="simulate"):
         from scipy.optimize import minimize
@@ -314,12 +323,13 @@ def _refined(
         trend = inverse @ basis
         normal = basis.T @ trend
         projected = inverse - trend @ np.linalg.solve(normal, trend.T)
-        rest = projected @ w[:, 0]
+        rest = projected @ w
         # Without noise A is nearly singular, and rounding decides its sign.
-        sigma2 = max(float(w[:, 0] @ rest) / free, 1e-300)
-        value = free * np.log(sigma2) + np.linalg.slogdet(a)[1] + np.linalg.slogdet(normal)[1]
+        sigma2 = np.maximum((w * rest).sum(axis=0) / free, 1e-300)
+        volume = np.linalg.slogdet(a)[1] + np.linalg.slogdet(normal)[1]
+        value = (free * np.log(sigma2) + volume).sum()
         # By the elements of A, and these by the logarithm of each length and of the nugget.
-        by_a = projected - np.outer(rest, rest) / sigma2
+        by_a = w.shape[1] * projected - (rest / sigma2) @ rest.T
         by_length = np.einsum("ij,ijk->k", by_a * 5.0 / 3.0 * (1.0 + lag) * decay, squared)
         return 0.5 * value, 0.5 * np.append(by_length, np.exp(p[-1]) * np.trace(by_a))
 

@@ -46,9 +46,9 @@ class FittedLaw:
     force
         In the law's unit at :attr:`PLACES` [-], shape [case, 2, place].
     hyper
-        Numbers of each process between the cases, shape [process, number]; ``None``: not known yet.
+        Numbers of the process between the cases, shape [1, number]; ``None``: not known yet.
     error_scale
-        Errors of cases that are left out over the processes' own standard deviation, root mean
+        Errors of cases that are left out over the process' own standard deviation, root mean
         square [-]: standard deviations are so much larger.
     model_error
         How real soils differ from the law, by body, as of :class:`~terraphi.laws.law.ModelError`.
@@ -61,7 +61,7 @@ class FittedLaw:
     PLACES: ClassVar[FloatArray]
     """Along the motion, or depths, as the law has them [-]."""
     HYPER: ClassVar[tuple[int, int]] = (0, 0)
-    """Number of processes, and of the numbers of each."""
+    """Shape of the hyperparameters."""
 
     x: FloatArray
     depth: FloatArray
@@ -73,7 +73,7 @@ class FittedLaw:
 
     @property
     def hyperparameters(self) -> FloatArray:
-        """Those of the processes, as ``hyper``; none of a table."""
+        """Those of the process, as ``hyper``; none of a table."""
         return np.empty((0, 0)) if self.hyper is None else self.hyper
 
     @cached_property

@@ -57,11 +57,6 @@ class ModelError(Strict):
     """Smallest and largest angle of the soils that the offset was learned from [deg]."""
     shift_deg: float = 0.0
     """Mean shift of the leg angle of training records [deg]."""
-    cohesion_weight: float = Field(0.01, ge=0)
-    """Weight of (c / (ρ g L))² in the mean squared residual, where the law knows cohesion [-]."""
-    cohesion_of_grains: tuple[float, float] = (0.0, 0.0)
-    """k and its standard deviation: where records determine no cohesion, grains of diameter d act
-    like one of k ρ g d [-]."""
     nrmsd_limit: float = Field(0.25, gt=0)
     """Residual above which a record is a misfit [-]."""
     training: tuple[str, ...] = ()
