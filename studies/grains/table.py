@@ -290,8 +290,9 @@ def answers(law: Legs, readings: Sequence[Reading]) -> list[dict[str, Any]]:
     return rows
 
 
-EXACT = ("hip height", "leg friction", "density", "gain", "model: apparatus")
-"""Terms of an interval that simulated grains do not have: their apparatus is known exactly."""
+EXACT = ("hip height", "leg friction", "density", "gain", "model: apparatus", "model: offset")
+"""Terms of an interval that simulated grains do not have: their apparatus is known exactly, and the
+offset's error is that of fine soil."""
 
 
 def summary(rows: Sequence[dict[str, Any]]) -> list[tuple[str, str]]:

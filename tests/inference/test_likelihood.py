@@ -7,15 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.optimize import differential_evolution
+from scipy.optimize import differential_evolution, least_squares
+from scipy.stats import t
 
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import names
 from terraphi.forward import simulate
 from terraphi.inference.calibration import Calibration, CalibrationSoil
+from terraphi.inference.checks import without_faults
 from terraphi.inference.inversion import calibrate, invert
-from terraphi.inference.likelihood import Likelihood
+from terraphi.inference.likelihood import COHESION_SCALE, RIDGE, WINDOWS_ALIKE, Likelihood
 from terraphi.inference.records import open_record
 from terraphi.inference.sampling import quadrature, sample
 from terraphi.laws.emulator import Emulator
@@ -324,3 +326,32 @@ def test_draws_of_two_parameters_agree_with_a_grid(rft3d: Library) -> None:
         assert draws.std() == pytest.approx(sd, rel=0.1)
         assert diagnostics[key]["rhat"] < 1.05
         assert 100.0 < diagnostics[key]["ess"] < 0.5 * 5 * draws.size  # every fifth is kept
+
+
+@pytest.mark.parametrize("name", ["yuma/straight", "glass03_close/c"])
+def test_cohesion_is_averaged_as_by_brute_force(name: str) -> None:
+    """Even steps of c, SciPy's least squares at each, and its density of Student's t."""
+    record = without_faults(open_record(f"li2013:{name}"))
+    likelihood = Likelihood([record], shipped_legs())
+    unit = record.density_kg_m3 * 9.81 * record.rig.length
+    c, start = np.linspace(0.0, 0.4, 121), [25.0, 5.0]
+    phi, squares = np.zeros((2, c.size))
+    for i, number in enumerate(c):
+
+        def apart(p: np.ndarray, number: float = number) -> np.ndarray:
+            curve = likelihood.curves(p[:1][None], p[1:], number * unit)[0]
+            return (likelihood.data - curve) / likelihood.span
+
+        found = least_squares(apart, start, bounds=([0.5, -15.0], [67.0, 15.0]), diff_step=1e-4)
+        start, phi[i], squares[i] = found.x, found.x[0], np.square(found.fun).mean()
+    independent = likelihood.data.size / WINDOWS_ALIKE
+    weight = (squares + RIDGE**2) ** (-independent / 2.0) * t.pdf(c / COHESION_SCALE, 3)
+    weight /= np.trapezoid(weight, c)
+    mean = np.trapezoid(weight * c, c)
+    assert likelihood.cohesion == pytest.approx(mean * unit, rel=0.03)
+    sd = np.sqrt(np.trapezoid(weight * (c - mean) ** 2, c))
+    assert likelihood.cohesion_sd == pytest.approx(sd * unit, rel=0.03)
+    there = np.interp(mean, c, phi)
+    assert likelihood.least_squares[0] == pytest.approx(there, abs=0.03)
+    of_phi = np.sqrt(np.trapezoid(weight * (phi - there) ** 2, c))
+    assert likelihood.budget()["cohesion"] == pytest.approx(of_phi, rel=0.03)

@@ -90,17 +90,17 @@ def test_process_is_that_of_scikit_learn() -> None:
 def test_weights_that_share_a_process_have_the_largest_sum_of_likelihoods() -> None:
     """Restricted likelihoods by the density of contrasts that no polynomial has, independently."""
     rng = np.random.default_rng(3)
-    t, rough = rng.uniform(-1.0, 1.0, (40, 2)), np.ones(40)
+    t, rough = rng.uniform(-1.0, 1.0, (40, 2)), rng.uniform(0.5, 2.0, 40)
     w = np.column_stack(
         [np.sin(3.0 * t[:, 0]) + np.cos(2.0 * t[:, 1]), 50.0 * np.sin(4.0 * t @ [1, 1])]
     )
-    w += rng.normal(size=w.shape) * [0.05, 2.0]
+    w += rough[:, None] * rng.normal(size=w.shape) * [0.05, 2.0]
     basis = np.hstack([np.ones((40, 1)), t])
     (process,) = fitted(t, basis, w, rough, shared=True)
     free = null_space(basis.T)
 
     def likelihood(lengths: np.ndarray, noise: float) -> float:
-        kernel = Matern(lengths, nu=2.5)(t) + noise * np.eye(40)
+        kernel = Matern(lengths, nu=2.5)(t) + noise * np.diag(rough**2)
         covariance = free.T @ kernel @ free
         sums = 0.0
         for one in (free.T @ w).T:

@@ -50,9 +50,9 @@ is not fitted but averaged over. With S(c) the mean squared residual of the best
 the marginal of a residual of unknown variance, of which ν are independent: one window mean in
 :data:`WINDOWS_ALIKE`. p(c) is half of Student's t (:data:`COHESION_SCALE`): most soils are dry, and
 a few are damp, which its tail leaves room for. φ, and all that follows, is that at the mean of c,
-and the standard deviation of φ(c) is a term. Angles of 60 records of loose grains scatter by what
-this term says, and three legs in each of four real media, which it was not made from, agree within
-0.8 to 1.3°; with the c of least residual, within 2.1 to 3.9°.
+and the standard deviation of φ(c) is a term. Angles of 73 records of loose grains scatter by little
+more than this term, and those of three legs in each of four real media, which it was not made from,
+agree within what ``docs/explanation/accuracy.md`` says.
 
 **Parts of the stroke.** With g the window means of a whole stroke, the windows that a record has
 hold the share
@@ -99,8 +99,9 @@ SHIFT_DEG = 15.0
 and shipped media; with 20° their angles move by 0.1°."""
 COHESIONS = np.array([0.0, 0.025, 0.05, 0.0875, 0.125, 0.175, 0.25, 0.35, 0.475, 0.625, 0.8, 1.0])
 """Cohesions at which φ is looked for, over the largest that a law knows [-]; chosen."""
-FINE = 400
-"""Cohesions that are averaged over."""
+FINE, EVENLY = 400, 0.03
+"""How many cohesions are averaged over, evenly along ln(1 + c / (0.03 ρ g L)), along which residual
+and angle change evenly."""
 COHESION_SCALE, COHESION_DEGREES = 0.035, 3
 """Scale of c / (ρ g L) beforehand [-], and degrees of freedom of its half t distribution: with 8 to
 16 independent residuals, scales of 0.02 to 0.05 and 2 to 5 degrees of freedom dry and damp grains
@@ -507,18 +508,14 @@ class Likelihood:
 
     @cached_property
     def _averaged(self) -> Cohesion:
-        """The cohesion, averaged over those that are likely.
-
-        Residuals and angles of the cohesions are interpolated along ln(c + 0.03 ρ g L), along which
-        they change evenly.
-        """
+        """The cohesion, averaged over those that are likely."""
         known = self._cohesions
         if len(known) == 1:
             return Cohesion(float(known[0]), 0.0, 0.0)
         unit = float(np.mean(self._per_pascal))
-        along = np.log1p(known * unit / 0.03)
+        along = np.log1p(known * unit / EVENLY)
         fine = np.linspace(0.0, along[-1], FINE)
-        c = 0.03 * np.expm1(fine)
+        c = EVENLY * np.expm1(fine)
         i = np.clip(np.searchsorted(along, fine, "right") - 1, 0, len(along) - 2)
         share = ((fine - along[i]) / (along[i + 1] - along[i]))[:, None]
         apart = np.array([best.residual[0] for best in self._along]) / self.span
@@ -529,12 +526,13 @@ class Likelihood:
             for part in np.split(squares.T, [part.stop for part in self.parts[:-1]])
         ], axis=0)  # fmt: skip
         tail = np.log1p(np.square(c / COHESION_SCALE) / COHESION_DEGREES)
-        log = -0.5 * logs - 0.5 * (COHESION_DEGREES + 1) * tail + np.log(c + 0.03)
+        # The last term is dc over a step along the logarithm.
+        log = -0.5 * logs - 0.5 * (COHESION_DEGREES + 1) * tail + np.log(c + EVENLY)
         weight = np.exp(log - log.max())
         weight /= weight.sum()
         mean = float(weight @ c)
         phi = np.interp(fine, along, [best.x[0, self._phi or 0] for best in self._along])
-        there = np.interp(np.log1p(mean / 0.03), fine, phi)
+        there = np.interp(np.log1p(mean / EVENLY), fine, phi)
         sd, phi_sd = (math.sqrt(float(weight @ np.square(x))) for x in (c - mean, phi - there))
         return Cohesion(mean / unit, sd / unit, phi_sd)
 
