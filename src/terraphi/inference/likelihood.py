@@ -129,7 +129,7 @@ RESIDUAL = ("noise", "emulator", "particle scatter")
 """Terms that a residual shows; the others move the whole curve, and φ with it."""
 ROUGHNESS = 1.5
 """Exponent of the correlation of a residual over θ [-]: residuals of the shipped records have a
-larger density by it than by 1 (12 of 12); 1.75 is better for 7 of 12 (``studies/roughness.py``)."""
+larger density by it than by 1 (12 of 12); 1.75 is better for 6 of 12 (``studies/roughness.py``)."""
 MOMENT_DEG = 0.9
 """Standard deviation of φ by a moment less that by both forces [deg]."""
 
