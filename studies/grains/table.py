@@ -8,9 +8,8 @@ angle, and the apparatus is known exactly. `--learn` writes the law's error into
 
 - the **offset** of a shape is the value, at zero size of the grains, of a line through the angles
   read less that of the shear cell: sand is fine;
-- what is left of all shapes, and is more than what angles of likely cohesions differ by, gives what
-  **soils** and what **legs**, rigs, sizes and beds of a soil differ by, and the **limit** of a
-  misfit.
+- what is left of all shapes gives what **soils** and what **legs**, rigs, sizes and beds of a soil
+  differ by, and the **limit** of a misfit.
 
 Without it the page `docs/grains.md` is written: each soil, in any packing, is left out of the
 offset, the standard deviations and the limit, and then inverted. A column is the angle without what
@@ -87,8 +86,6 @@ class Reading(NamedTuple):
     shift_deg: float
     nrmsd: float
     """Residual of the force that is met worse [-]."""
-    sd_deg: float
-    """What angles of likely cohesions differ by [deg]."""
 
     @property
     def leg(self) -> str:
@@ -143,10 +140,7 @@ def read(law: Legs, given: Sequence[tuple[str, str, str, Record, float]]) -> lis
         loose = measured(f"{soil.split('-')[0]}-loose")
         peak = loose if soil.endswith(APART) else measured(soil)
         angles = (loose.phi_critical_deg, peak.phi_peak_deg)
-        sd = likelihood.budget().get("cohesion", 0.0)
-        found.append(
-            Reading(name, soil, body, record, *angles, size, angle, shift, float(nrmsd), sd)
-        )
+        found.append(Reading(name, soil, body, record, *angles, size, angle, shift, float(nrmsd)))
     return found
 
 
@@ -160,10 +154,9 @@ class Line(NamedTuple):
 
     @classmethod
     def of(cls, readings: Sequence[Reading]) -> Line:
-        """By least squares, each reading by its own error and that of the shear cell."""
+        """By least squares."""
         x = np.array([[1.0, one.size_mm] for one in readings])
-        precision = 1.0 / (np.square([one.sd_deg for one in readings]) + SHEAR_CELL_SD**2)
-        weights = np.linalg.inv((x.T * precision) @ x) @ (x.T * precision)
+        weights = np.linalg.inv(x.T @ x) @ x.T
         offset, slope = (weights @ [one.excess_deg for one in readings]).tolist()
         return cls(offset, slope, tuple(weights[0].tolist()))
 
@@ -190,19 +183,15 @@ def learn(readings: Sequence[Reading], of_media: Sequence[float] = ()) -> dict[s
     soils = list(dict.fromkeys(one.soil for one in loose))
     of_soils = [[one for one in loose if one.soil == soil] for soil in soils]
     apart = [np.array([of_leg[one.leg].rest(one) for one in some]) for some in of_soils]
-    known = [float(np.mean([one.sd_deg**2 for one in some])) for some in of_soils]
 
     def sd(squares: float, count: float, prior: float = PRIOR_SD_DEG) -> float:
         """Root mean square of so many values, with the prior [deg]."""
         total = PRIOR_COUNT * prior**2 + max(squares, 0.0)
         return round(float(np.sqrt(total / (PRIOR_COUNT + count))), 2)
 
-    pairs = list(zip(apart, known, strict=True))
-    within = [np.square(one - one.mean()).sum() - (one.size - 1) * own for one, own in pairs]
-    leg_sd = sd(float(sum(within)), len(loose) - len(apart))
-    between = [
-        one.mean() ** 2 - (leg_sd**2 + own) / one.size - SHEAR_CELL_SD**2 for one, own in pairs
-    ]
+    within = sum(float(np.square(one - one.mean()).sum()) for one in apart)
+    leg_sd = sd(within, len(loose) - len(apart))
+    between = [one.mean() ** 2 - leg_sd**2 / one.size - SHEAR_CELL_SD**2 for one in apart]
     soil_sd = sd(float(sum(between)), len(apart) - 1)
     # All media are in one apparatus: their mean is the only draw of what is common.
     chance = (soil_sd**2 + REPOSE_SD_DEG**2) / max(len(of_media), 1)
@@ -213,8 +202,7 @@ def learn(readings: Sequence[Reading], of_media: Sequence[float] = ()) -> dict[s
         weight = np.array(line.weights)
         of_soil = [weight[[one.soil == soil for one in own]].sum() for soil in soils]
         variance = (soil_sd**2 + SHEAR_CELL_SD**2) * np.square(of_soil).sum()
-        of_record = leg_sd**2 + np.square([one.sd_deg for one in own])
-        variance += (of_record * np.square(weight)).sum()
+        variance += leg_sd**2 * np.square(weight).sum()
         critical = [one.critical_deg for one in own]
         found[leg] = {
             "offset_deg": round(line.offset_deg, 2),
@@ -290,9 +278,10 @@ def answers(law: Legs, readings: Sequence[Reading]) -> list[dict[str, Any]]:
     return rows
 
 
-EXACT = ("hip height", "leg friction", "density", "gain", "model: apparatus", "model: offset")
-"""Terms of an interval that simulated grains do not have: their apparatus is known exactly, and the
-offset's error is that of fine soil."""
+EXACT = ("hip height", "leg friction", "density", "gain", "model: apparatus", "model: offset",
+         "cohesion")  # fmt: skip
+"""Terms of an interval that simulated grains do not have: their apparatus is known exactly, they
+are dry, and the offset's error is that of fine soil."""
 
 
 def summary(rows: Sequence[dict[str, Any]]) -> list[tuple[str, str]]:

@@ -362,10 +362,10 @@ def test_the_cohesion_of_a_simulated_soil_is_known() -> None:
     assert not any("cohesion" in question for question in answer.questions)
     lighter = invert(simulated(150.0), density=1200.0)
     assert lighter.cohesion_pa == 150.0
-    # As measured forces it has the cohesion that is fitted.
-    fitted = invert(replace(simulated(150.0), provenance={}), rig="li2013", leg="straight",
+    # As measured forces it has the cohesion that they determine.
+    measured = invert(replace(simulated(150.0), provenance={}), rig="li2013", leg="straight",
                     density=1650.0)  # fmt: skip
-    assert fitted.cohesion_pa == pytest.approx(150.0, rel=0.3)
+    assert measured.cohesion_pa == pytest.approx(150.0, rel=0.3)
     with pytest.raises(InputError, match="2000 Pa"):
         invert(simulated(2000.0))
     with pytest.raises(InputError, match="400 Pa"):

@@ -17,7 +17,7 @@ from terraphi.forward import simulate
 from terraphi.inference.calibration import Calibration, CalibrationSoil
 from terraphi.inference.checks import without_faults
 from terraphi.inference.inversion import calibrate, invert
-from terraphi.inference.likelihood import COHESION_SCALE, RIDGE, WINDOWS_ALIKE, Likelihood
+from terraphi.inference.likelihood import COHESION_PA, RIDGE, WINDOWS_ALIKE, Likelihood
 from terraphi.inference.records import open_record
 from terraphi.inference.sampling import quadrature, sample
 from terraphi.laws.emulator import Emulator
@@ -344,8 +344,10 @@ def test_cohesion_is_averaged_as_by_brute_force(name: str) -> None:
 
         found = least_squares(apart, start, bounds=([0.5, -15.0], [67.0, 15.0]), diff_step=1e-4)
         start, phi[i], squares[i] = found.x, found.x[0], np.square(found.fun).mean()
-    independent = likelihood.data.size / WINDOWS_ALIKE
-    weight = (squares + RIDGE**2) ** (-independent / 2.0) * t.pdf(c / COHESION_SCALE, 3)
+    low, high = record.rig.air_deg()
+    in_soil = 2 * np.sum((low <= record.theta_deg) & (record.theta_deg <= high))
+    weight = (squares + RIDGE**2) ** (-0.5 * in_soil / WINDOWS_ALIKE)
+    weight *= t.pdf(c * unit / COHESION_PA, 3)
     weight /= np.trapezoid(weight, c)
     mean = np.trapezoid(weight * c, c)
     assert likelihood.cohesion == pytest.approx(mean * unit, rel=0.03)

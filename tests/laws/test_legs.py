@@ -153,7 +153,7 @@ def test_the_moment_alone_is_read_in_any_size(length: float) -> None:
 
 @pytest.mark.parametrize(("length", "density"), [(80.0, 1500.0), (160.0, 1700.0)])
 def test_a_cohesion_is_found_in_pascals(length: float, density: float) -> None:
-    """Of the law's own forces; a weight takes a part of it, and the interval includes that."""
+    """Of the law's own forces; its prior takes a part of it, and the interval includes that."""
     rig = Rig(leg="straight", length_mm=length, width_mm=0.5 * length, thickness_mm=0.08 * length,
               hip_height_mm=0.3 * length, hip_height_sd_mm=0.5)  # fmt: skip
     law, number = shipped_legs().law(rig), 0.08

@@ -54,9 +54,10 @@ USUAL_DEG = (18.0, 50.0)
 """Friction angles of dry soils in plane strain [deg]: from glass beads, 21 to 24° (Jop, Forterre &
 Pouliquen 2006, Nature 441:727), to dense quartz sand at its peak, 48° (Bolton 1986, Géotechnique
 36:65, table 1, whose critical angles are about 30 to 37°)."""
-MOIST_PA, COHESIVE_PA = 20.0, 100.0
-"""Cohesions above which an answer names them, and above which dry soil must be coarse [Pa]: chosen;
-grains of 4 mm act like 30 to 50 Pa on a leg of 25 mm, measured sands like 0 to 20."""
+MOIST_PA, COHESIVE_PA, KNOWN, MOIST_DEG = 20.0, 100.0, 1.5, 1.5
+"""Cohesions above which an answer names them, if they are so many standard deviations [-], and
+above which dry soil must be coarse [Pa]; standard deviation of φ by a cohesion above which an
+answer says so [deg]: chosen; grains of 4 mm act like 30 to 50 Pa, measured sands like 0 to 30."""
 LARGE_SHIFT_DEG = 8.5
 """Distance of the leg angle's shift from the usual one above which an answer says so [deg]: media
 of Li et al. (2013) have up to 8.2°."""
@@ -348,13 +349,8 @@ def guesses(likelihood: Likelihood) -> Iterator[str]:
                 f"{name}The grains are taken as fine: each mm of their diameter adds "
                 f"{per_mm:.1f}° on this leg; give --grain-size."
             )
-        cohesion, sd = likelihood.cohesion, likelihood.cohesion_sd
-        if sd and cohesion > MOIST_PA and i == 0:
-            yield (
-                f"The angle is that of a cohesion of {cohesion:.0f} ± {sd:.0f} Pa: damp soil has "
-                "one, and grains that are large compared with the leg act like one"
-                f"{'; else check the density and the unit of force' * (cohesion > COHESIVE_PA)}."
-            )
+        if i == 0 and (sentence := _moisture(likelihood)):
+            yield sentence
         doubts = density_doubts(density) if likelihood.measured else []
         if (
             doubts
@@ -530,6 +526,23 @@ def second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:
         of_size = float(np.interp(own, np.maximum.accumulate(size), phi))
     sd *= (above - below) / 2.0
     return {"law": THEORY, "median": median, "sd": sd, "force_size_deg": of_size}
+
+
+def _moisture(likelihood: Likelihood) -> str:
+    """A sentence if the soil has a cohesion, or if it is not known and would matter."""
+    cohesion, sd = likelihood.cohesion, likelihood.cohesion_sd
+    if cohesion > max(MOIST_PA, KNOWN * sd):
+        check = "; else check the density and the unit of force" * (cohesion > COHESIVE_PA)
+        return (
+            f"The angle is that of a cohesion of {cohesion:.0f} ± {sd:.0f} Pa: damp soil has one, "
+            f"and grains that are large compared with the leg act like one{check}."
+        )
+    if likelihood.budget().get("cohesion", 0.0) > MOIST_DEG:
+        return (
+            "These forces hardly tell a cohesion from friction: damp soil, and grains that are "
+            "large compared with the leg, may have a smaller angle."
+        )
+    return ""
 
 
 def residual(

@@ -78,7 +78,12 @@ def combined(answers: Sequence[Answer]) -> Answer:
     apart = phi - median
     birge = math.sqrt(max(float(apart @ inverse @ apart) / (len(phi) - 1), 1.0))
     wider = math.sqrt((birge**2 - 1.0) * float(weight**2 @ np.maximum(own, 0.0)))
-    sd = math.hypot(math.sqrt(float(weight @ covariance @ weight)), wider)
+    # All are too high in soil that is damper than it is taken for. That makes none of them better,
+    # and in dry soil, in which offsets were learned, none differ by it.
+    same["cohesion"] = one_soil
+    moist = weight * terms.get("cohesion", 0.0)
+    squares = float(weight @ covariance @ weight + moist.sum() ** 2 - np.square(moist).sum())
+    sd = math.hypot(math.sqrt(squares), wider)
     budget = {
         name: math.sqrt(float((weight * each) @ same.get(name, np.eye(len(phi))) @ (weight * each)))
         for name, each in terms.items()

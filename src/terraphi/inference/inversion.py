@@ -187,8 +187,8 @@ def _of_legs(
             )
         if calibration is not None:
             calibration.check(found, {record.leg: record.gain for record in records})
-        # Offset and cohesion of law legs are those of one rig alone, so that different ones are
-        # joined by their angles: in one fit grains of known φ were read 4° wrong, with these 1°.
+        # The offset of law legs is that of one rig alone, so that different ones are joined by
+        # their angles. In one fit, which shared a cohesion, grains were read 4° wrong.
         rigs = dict.fromkeys(record.rig for record in records)
         apart = isinstance(found, Legs) and not all(record.simulated for record in records)
         groups = [[r for r in records if r.rig == one] for one in rigs] if apart else [records]

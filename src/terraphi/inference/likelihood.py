@@ -47,12 +47,11 @@ is not fitted but averaged over. With S(c) the mean squared residual of the best
 
     p(c | d) ∝ S(c)^(−ν/2) p(c),
 
-the marginal of a residual of unknown variance, of which ν are independent: one window mean in
-:data:`WINDOWS_ALIKE`. p(c) is half of Student's t (:data:`COHESION_SCALE`): most soils are dry, and
-a few are damp, which its tail leaves room for. φ, and all that follows, is that at the mean of c,
-and the standard deviation of φ(c) is a term. Angles of 73 records of loose grains scatter by little
-more than this term, and those of three legs in each of four real media, which it was not made from,
-agree within what ``docs/explanation/accuracy.md`` says.
+the marginal of a residual of unknown variance, of which ν are independent: of the windows in soil
+one in :data:`WINDOWS_ALIKE`. p(c) is half of Student's t (:data:`COHESION_PA`): most soils are dry,
+and a few are damp, which its tail leaves room for. φ, and all that follows, is that at the mean of
+c, and the standard deviation of φ(c) is a term. It says what is not known of the soil's moisture;
+what dry soils differ by besides is in the terms of the model.
 
 **Parts of the stroke.** With g the window means of a whole stroke, the windows that a record has
 hold the share
@@ -61,7 +60,7 @@ hold the share
 
 of the information. Real soils deviate from the model differently at each angle, so that a part of a
 record gives another φ than the whole. Cut to 22 windows of 40° to 160°, the shipped records move by
-1.4° √(1/h - 1), root mean square, whatever the window: 1.1 to 1.5° for h from 0.1 to 0.99.
+1.4° √(1/h - 1) besides the term of the cohesion, root mean square.
 
 The moment about the hip gives another angle than the forces do, too: MOMENT_DEG is the root mean
 square of what it differs by on the legs of simulated grains, both read as dry soil.
@@ -102,10 +101,10 @@ COHESIONS = np.array([0.0, 0.025, 0.05, 0.0875, 0.125, 0.175, 0.25, 0.35, 0.475,
 FINE, EVENLY = 400, 0.03
 """How many cohesions are averaged over, evenly along ln(1 + c / (0.03 ρ g L)), along which residual
 and angle change evenly."""
-COHESION_SCALE, COHESION_DEGREES = 0.035, 3
-"""Scale of c / (ρ g L) beforehand [-], and degrees of freedom of its half t distribution: with 8 to
-16 independent residuals, scales of 0.02 to 0.05 and 2 to 5 degrees of freedom dry and damp grains
-are described nearly as well (``studies/grains``); chosen among them."""
+COHESION_PA, COHESION_DEGREES = 40.0, 3
+"""Scale of the cohesion beforehand [Pa], and degrees of freedom of its half t distribution; chosen:
+grains of 4 to 9 mm act like 20 to 60 Pa, a little moisture gives sand hundreds. With 25 to 60 Pa
+and 2 to 5 degrees of freedom loose grains that are left out are read nearly as well."""
 WINDOWS_ALIKE = 7
 """Window means for one independent residual: by their correlation 7 of straight, 9 of C and 5 of
 reversed C legs in grains."""
@@ -518,14 +517,18 @@ class Likelihood:
         c = EVENLY * np.expm1(fine)
         i = np.clip(np.searchsorted(along, fine, "right") - 1, 0, len(along) - 2)
         share = ((fine - along[i]) / (along[i + 1] - along[i]))[:, None]
+        # The residual changes more evenly than its square, which may be near zero between two.
         apart = np.array([best.residual[0] for best in self._along]) / self.span
         squares = np.square((1.0 - share) * apart[i] + share * apart[i + 1])
-        # Of records of one leg in one soil the law is wrong alike: more of them are not more sure.
-        logs = np.mean([
-            len(part) / WINDOWS_ALIKE * np.log(part.mean(axis=0) + RIDGE**2)
-            for part in np.split(squares.T, [part.stop for part in self.parts[:-1]])
-        ], axis=0)  # fmt: skip
-        tail = np.log1p(np.square(c / COHESION_SCALE) / COHESION_DEGREES)
+        # Repeats are not more sure: of one leg in one soil the law is wrong alike.
+        windows = {
+            (channel, round(theta, 3))
+            for record in self.records for channel in record.channels
+            for theta in record.theta_deg.tolist()
+            if record.rig.air_deg()[0] <= theta <= record.rig.air_deg()[1]
+        }  # fmt: skip
+        logs = len(windows) / WINDOWS_ALIKE * np.log(squares.mean(axis=1) + RIDGE**2)
+        tail = np.log1p(np.square(c / (COHESION_PA * unit)) / COHESION_DEGREES)
         # The last term is dc over a step along the logarithm.
         log = -0.5 * logs - 0.5 * (COHESION_DEGREES + 1) * tail + np.log(c + EVENLY)
         weight = np.exp(log - log.max())
@@ -595,8 +598,6 @@ class Likelihood:
             ]
             found[cause] = self._shared_by_leg(factors)
         if self._phi is not None:
-            found["cohesion"] = _square(self._averaged.phi_sd_deg * slope[:, self._phi])
-        if self._phi is not None:
             found |= self._angle_errors(slope[:, self._phi], float(x[self._phi]))
         if "soil.density" not in self.keys:
             found["density"] = _square(self.density_sd[self._of] * curve)
@@ -655,6 +656,7 @@ class Likelihood:
             "missing angles": (each, [PART_DEG * math.sqrt(one) for one in lacking]),
             "missing forces": (each, [MOMENT_DEG * (r.channels != FORCES) for r in records]),
             "second opinion": (every, [self.disagreement_deg] * len(records)),
+            "cohesion": (every, [self._averaged.phi_sd_deg] * len(records)),
         }
         return {
             name: _square(np.array(sd)[self._of] * slope) * self._alike(alike)

@@ -48,7 +48,7 @@ class FittedLaw:
     hyper
         Numbers of the process between the cases, shape [1, number]; ``None``: not known yet.
     error_scale
-        Errors of cases that are left out over the process' own standard deviation, root mean
+        Errors of cases that are left out over the process's own standard deviation, root mean
         square [-]: standard deviations are so much larger.
     model_error
         How real soils differ from the law, by body, as of :class:`~terraphi.laws.law.ModelError`.

@@ -111,7 +111,7 @@ SHIFTED_DEG = np.arange(-105.0, 101.0)
 PHI_DEG = (10.0, 55.0)
 """Smallest and largest friction angle of the design [deg]."""
 MOST_COHESION = 0.4
-"""Largest c / (ρ g L) that is fitted [-]; cases go to 0.37 (straight) and 0.47 (C legs)."""
+"""Largest c / (ρ g L) that is averaged over [-]; cases go to 0.37 (straight) and 0.47 (C legs)."""
 
 
 @functools.lru_cache(maxsize=256)
