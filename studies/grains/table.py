@@ -301,7 +301,10 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[tuple[str, str]]:
     def share(some: Sequence[Any], true: Sequence[bool]) -> str:
         return f"{sum(true)} of {len(some)}"
 
-    apart = [abs(r["fine_deg"] - r["phi_critical_deg"]) / r["model_sd_deg"] for r in loose]
+    apart, wide = (
+        [abs(r["fine_deg"] - r["phi_critical_deg"]) / r[key] for r in loose]
+        for key in ("model_sd_deg", "sd_deg")
+    )
     between = [r["phi_critical_deg"] <= r["fine_deg"] <= r["phi_peak_deg"] for r in packed]
     nearly = [r["phi_critical_deg"] - r["sd_deg"] <= r["fine_deg"] <= r["phi_peak_deg"]
               + r["sd_deg"] for r in packed]  # fmt: skip
@@ -314,6 +317,8 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[tuple[str, str]]:
         ("half-width of the 68 % interval", f"{np.median(widths):.1f}°"),
         ("within the terms that grains have, 68 %", share(loose, [one < 1.0 for one in apart])),
         ("the same, 95 %", share(loose, [one < 1.96 for one in apart])),
+        ("within the intervals as given, 68 %", share(loose, [one < 1.0 for one in wide])),
+        ("the same, 95 %", share(loose, [one < 1.96 for one in wide])),
         ("medium and dense grains between critical and peak", share(packed, between)),
         ("the same within a standard deviation", share(packed, nearly)),
         ("consistent: loose", share(loose, [r["verdict"] == "consistent" for r in loose])),

@@ -12,7 +12,8 @@ from scipy.stats import t
 
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
-from terraphi.experiment.measurements import names
+from terraphi.experiment.measurements import measurement, names
+from terraphi.experiment.rig import Rig
 from terraphi.forward import simulate
 from terraphi.inference.calibration import Calibration, CalibrationSoil
 from terraphi.inference.checks import without_faults
@@ -215,12 +216,12 @@ def test_calibration_is_the_posterior_of_its_normal_model() -> None:
     error = ModelError(offset_deg=1.0, common_sd_deg=3.0, soil_sd_deg=2.0, leg_sd_deg=1.2)
     soil = {"source": "x", "phi_sd_deg": 1.5, "read_sd_deg": 0.5}
     soils = [
-        CalibrationSoil(leg="c", phi_deg=30.0, read_deg=33.0, **soil),
-        CalibrationSoil(leg="c", phi_deg=25.0, read_deg=29.5, **soil),
-        CalibrationSoil(leg="straight", phi_deg=25.0, read_deg=28.5, **soil),
+        CalibrationSoil(leg="c", rig="c", phi_deg=30.0, read_deg=33.0, **soil),
+        CalibrationSoil(leg="c", rig="c", phi_deg=25.0, read_deg=29.5, **soil),
+        CalibrationSoil(leg="straight", rig="s", phi_deg=25.0, read_deg=28.5, **soil),
     ]
     known = Calibration(library="x", library_hash="", soils=soils)
-    mean, sd = known.common(error, "c", np.array(30.0))
+    mean, sd = known.common(error, "c", "c", np.array(30.0))
     b = np.linspace(-20.0, 20.0, 40_001)
     log_p = -0.5 * b**2 / 9.0
     for apart, legs in ((3.0, 1), (4.0, 2)):
@@ -239,19 +240,32 @@ def test_a_calibration_determines_the_offset_at_its_own_angle() -> None:
         covariance=((0.64, 0.02), (0.02, 0.01)),
     )  # fmt: skip
     soil = CalibrationSoil(
-        source="x", leg="c", phi_deg=25.0, phi_sd_deg=0.5, read_deg=26.5, read_sd_deg=0.2,
-        rig_sd_deg=0.4,
+        source="x", leg="c", rig="low", phi_deg=25.0, phi_sd_deg=0.5, read_deg=26.5,
+        read_sd_deg=0.2, rig_sd_deg=0.4,
     )  # fmt: skip
     phi = np.array([25.0, 40.0])
-    mean, sd = Calibration(library="x", library_hash="", soils=[soil]).common(error, "c", phi)
+    known = Calibration(library="x", library_hash="", soils=[soil])
     rng = np.random.default_rng(3)
     line = rng.multivariate_normal([0.0, 0.0], error.covariance, 400_000)
-    shared = rng.normal(0.0, np.hypot(1.5, 0.4), len(line))
-    at = shared + line[:, :1].T + line[:, 1:].T * (np.array([26.5, *phi])[:, None] - 27.0)
-    weight = np.exp(-0.5 * (1.5 - at[0]) ** 2 / (0.6**2 + 0.3**2 + 0.5**2 + 0.2**2))
+    common, own = rng.normal(0.0, 1.5, len(line)), rng.normal(0.0, 0.4, len(line))
+    at = common + line[:, :1].T + line[:, 1:].T * (np.array([26.5, *phi])[:, None] - 27.0)
+    weight = np.exp(-0.5 * (1.5 - at[0] - own) ** 2 / (0.6**2 + 0.3**2 + 0.5**2 + 0.2**2))
     weight /= weight.sum()
-    np.testing.assert_allclose(mean, at[1:] @ weight, atol=0.02)
-    np.testing.assert_allclose(sd**2, np.square(at[1:] - mean[:, None]) @ weight, rtol=0.02)
+    # Another rig of the shape shares all but what is wrong with this one.
+    for rig, sought in (("low", at[1:] + own), ("high", at[1:])):
+        mean, sd = known.common(error, "c", rig, phi)
+        np.testing.assert_allclose(mean, sought @ weight, atol=0.02)
+        np.testing.assert_allclose(sd**2, np.square(sought - mean[:, None]) @ weight, rtol=0.02)
+
+
+def test_a_calibration_says_nothing_of_another_rig() -> None:
+    known = calibrate("li2013:glass03_loose/straight", 25.0, 1.0)
+    forces = measurement("li2013:yuma/straight").history
+    high = Rig(leg="straight", length_mm=80, width_mm=30, thickness_mm=6, hip_height_mm="24±1")
+    for rig, of_rig in ((Rig.of("li2013", "straight"), False), (high, True)):
+        budget = invert(forces, rig=rig, density="1650±50", calibration=known).budget_deg
+        for term in ("hip height", "leg friction", "gain"):
+            assert (term in budget) == of_rig
 
 
 def test_quadrature_resolves_a_narrow_peak(history_at: Callable[..., ForceHistory]) -> None:

@@ -14,12 +14,12 @@ A calibration is such a soil in the user's own apparatus, in which the height of
 friction of the leg and the gain of the sensor stay as they are. Its y_i = ψ_i − φ_i is a draw of a
 normal distribution, of which
 
-    k_ij = b² + [same leg] (rig_i rig_j + o(ψ_i, ψ_j))
+    k_ij = b² + [same rig] rig_i rig_j + [same shape of leg] o(ψ_i, ψ_j)
 
 is what a record shares with it, o the covariance of the offset's error, and s², var(φ), var(ψ) and
-of each leg l² come on top where i and j are one soil. The mean and variance of b, or of b, rig and
-offset of a leg that was calibrated, follow by conditioning on y (Rasmussen & Williams 2006, section
-2.2), so that an interval can only become narrower.
+of each rig l² come on top where i and j are one soil. The mean and variance of b, and with it of
+the offset of a shape and the error of a rig that were calibrated, follow by conditioning on y
+(Rasmussen & Williams 2006, section 2.2), so that an interval can only become narrower.
 """
 
 from __future__ import annotations
@@ -49,6 +49,8 @@ class CalibrationSoil(Strict):
     """Its file."""
     leg: str
     """Shape of the leg."""
+    rig: str = ""
+    """The leg with its sizes, as answers print it; another rig has errors of its own."""
     phi_deg: float = Field(gt=0, lt=90)
     """Friction angle that was measured otherwise [deg], in the law's convention."""
     phi_sd_deg: float = Field(ge=0, le=90)
@@ -95,32 +97,32 @@ class Calibration(Strict):
                 )
 
     def common(
-        self, error: ModelError, leg: str, phi_deg: FloatArray
+        self, error: ModelError, leg: str, rig: str, phi_deg: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviation of b at angles ψ, given the calibration soils [deg].
 
-        Where the leg was calibrated they are those of b, its rig and its offset's error together.
+        Where the shape of the leg was calibrated they are those of b and its offset's error
+        together, and where the rig was, those of its own error as well.
         """
-        legs, phi, phi_sd, read, read_sd, rig = (
+        legs, rigs, phi, phi_sd, read, read_sd, rig_sd = (
             np.array([getattr(soil, name) for soil in self.soils])
-            for name in ("leg", "phi_deg", "phi_sd_deg", "read_deg", "read_sd_deg", "rig_sd_deg")
-        )
-        own = legs == leg
-        own_rig = math.sqrt(float(np.square(rig[own]).mean())) if own.any() else 0.0
-        same_leg = legs[:, None] == legs
+            for name in ("leg", "rig", "phi_deg", "phi_sd_deg", "read_deg", "read_sd_deg",
+                         "rig_sd_deg")
+        )  # fmt: skip
+        own, own_rig = legs == leg, rigs == rig
+        sd = math.sqrt(float(np.square(rig_sd[own_rig]).mean())) if own_rig.any() else 0.0
+        same_leg, same_rig = legs[:, None] == legs, rigs[:, None] == rigs
         # Records of one soil share s, φ and most of what makes φ_read uncertain.
         same_soil = (phi[:, None] == phi) & (phi_sd[:, None] == phi_sd)
         of_soil = error.soil_sd_deg**2 + phi_sd**2 + np.outer(read_sd, read_sd)
-        total = same_leg * (np.outer(rig, rig) + error.offset_covariance(read, read))
-        total += error.common_sd_deg**2 + same_soil * (of_soil + same_leg * error.leg_sd_deg**2)
+        total = same_leg * error.offset_covariance(read, read) + same_rig * np.outer(rig_sd, rig_sd)
+        total += error.common_sd_deg**2 + same_soil * (of_soil + same_rig * error.leg_sd_deg**2)
         flat = phi_deg.ravel()
-        across = error.common_sd_deg**2 + own * (
-            own_rig * rig + error.offset_covariance(flat, read)
-        )
+        across = error.common_sd_deg**2 + own * error.offset_covariance(flat, read)
+        across += own_rig * sd * rig_sd
         solved = np.linalg.solve(total + 1e-6 * np.eye(len(read)), across.T)
-        prior = error.common_sd_deg**2 + own.any() * (
-            own_rig**2 + np.diag(error.offset_covariance(flat, flat))
-        )
+        prior = error.common_sd_deg**2 + sd**2
+        prior += own.any() * np.diag(error.offset_covariance(flat, flat))
         variance = np.maximum(prior - (across.T * solved).sum(axis=0), 0.0)
         mean = ((read - phi) @ solved).reshape(phi_deg.shape)
         return mean, np.sqrt(variance).reshape(phi_deg.shape)

@@ -68,7 +68,7 @@ OTHER_ARM = 1.3
 """Factor between a moment and that of the forces that another leg makes: 0.91 to 1.27 in grains."""
 NEARLY_ALL = 0.995
 """Share of a stroke's information that counts as all of it [-]."""
-OF_SIZE_DEG = 0.3
+OF_SIZE_DEG = 0.5
 """What a mm of grain diameter adds to the angle from which an answer says so [deg]; chosen."""
 UNUSUAL = 2.0
 """Standard deviations that are unusual [-]: one in twenty."""
@@ -266,9 +266,9 @@ def warnings(
         late = fit.shift_deg - likelihood.errors[fit.rig.leg].shift_deg
         if abs(late) > LARGE_SHIFT_DEG:
             yield (
-                f"{fit.source}: the forces come {abs(fit.shift_deg):.0f}° "
-                f"{'later' if fit.shift_deg > 0 else 'earlier'} than the model's; check the zero "
-                "of theta and the height of the hip."
+                f"{fit.source}: the forces come {abs(late):.0f}° "
+                f"{'later' if late > 0 else 'earlier'} than those of such a leg usually do; check "
+                "the zero of theta and the height of the hip."
             )
     if likelihood.measured and len(likelihood.keys) > 1:
         yield (
@@ -330,7 +330,8 @@ def guesses(likelihood: Likelihood) -> Iterator[str]:
                 f"this interval: law {likelihood.library.name} does not have their effect."
             )
         if part.share < NEARLY_ALL and likelihood.measured and PHI in likelihood.keys:
-            low, high = np.clip(record.history.theta_deg[[0, -1]], -WINDOW_DEG, WINDOW_DEG)
+            ends = np.clip(record.history.theta_deg[[0, -1]], -WINDOW_DEG, WINDOW_DEG)
+            low, high = ends.round() + 0.0
             yield (
                 f"{name}The record covers {low:.0f} to {high:.0f}° of ±{WINDOW_DEG:g}°, with "
                 f"{part.share:.0%} of the information on φ of a whole stroke."
@@ -349,6 +350,9 @@ def guesses(likelihood: Likelihood) -> Iterator[str]:
                 f"{name}The grains are taken as fine: each mm of their diameter adds "
                 f"{per_mm:.1f}° on this leg; give --grain-size."
             )
+        cohesive = any(law.most_cohesion for law in likelihood.laws)
+        if record.simulated and record.scenario is None and cohesive:
+            yield f"{name}Simulated without a scenario: the soil is taken as dry."
         if i == 0 and (sentence := _moisture(likelihood)):
             yield sentence
         doubts = density_doubts(density) if likelihood.measured else []
@@ -360,7 +364,10 @@ def guesses(likelihood: Likelihood) -> Iterator[str]:
             doubts = []  # the seeds of Li et al. are light
         yield from (f"{name}{doubt}" for doubt in doubts)
         if record.density_kg_m3 is None or record.density_assumed:
-            yield f"{name}The density {density:g} kg/m³ is assumed; 10 % of it move φ by about 1°."
+            yield (
+                f"{name}The density {density:g} kg/m³ is assumed; an error of 10 % moves φ by "
+                "about 1°."
+            )
 
 
 def densities(density: FloatArray, sd: FloatArray) -> list[str]:
@@ -534,8 +541,8 @@ def _moisture(likelihood: Likelihood) -> str:
     if cohesion > max(MOIST_PA, KNOWN * sd):
         check = "; else check the density and the unit of force" * (cohesion > COHESIVE_PA)
         return (
-            f"The angle is that of a cohesion of {cohesion:.0f} ± {sd:.0f} Pa: damp soil has one, "
-            f"and grains that are large compared with the leg act like one{check}."
+            f"The forces show a cohesion of {cohesion:.0f} ± {sd:.0f} Pa: damp soil has one, and "
+            f"grains that are large compared with the leg act like one{check}."
         )
     if likelihood.budget().get("cohesion", 0.0) > MOIST_DEG:
         return (

@@ -322,9 +322,9 @@ def calibrate(
             )
         soils.append(
             CalibrationSoil(
-                source=record.source, leg=record.leg, phi_deg=phi_deg, phi_sd_deg=phi_sd_deg,
-                read_deg=read, read_sd_deg=sd,
-                rig_sd_deg=rig_sd, gain=record.gain,
+                source=record.source, leg=record.leg, rig=str(record.rig), phi_deg=phi_deg,
+                phi_sd_deg=phi_sd_deg, read_deg=read, read_sd_deg=sd, rig_sd_deg=rig_sd,
+                gain=record.gain,
             )
         )  # fmt: skip
     return Calibration(library=found.name, library_hash=found.hash, soils=soils)

@@ -320,7 +320,8 @@ class Likelihood:
         if not self.measured:
             return np.zeros_like(phi_deg)
         leg, error = record.leg, self.errors[record.leg]
-        common = self.calibration.common(error, leg, phi_deg)[0] if self.calibration else 0.0
+        known, rig = self.calibration, str(record.rig)
+        common = known.common(error, leg, rig, phi_deg)[0] if known else 0.0
         return np.asarray(error.offset_deg + self.of_size_deg(record) + common)
 
     def of_size_deg(self, record: Record) -> float:
@@ -521,12 +522,12 @@ class Likelihood:
         apart = np.array([best.residual[0] for best in self._along]) / self.span
         squares = np.square((1.0 - share) * apart[i] + share * apart[i + 1])
         # Repeats are not more sure: of one leg in one soil the law is wrong alike.
-        windows = {
-            (channel, round(theta, 3))
-            for record in self.records for channel in record.channels
-            for theta in record.theta_deg.tolist()
-            if record.rig.air_deg()[0] <= theta <= record.rig.air_deg()[1]
-        }  # fmt: skip
+        windows = set()
+        for record in self.records:
+            places = record.theta_deg.round(3)
+            low, high = record.rig.air_deg()
+            inside = places[(low <= places) & (places <= high)].tolist()
+            windows |= {*itertools.product(record.channels, inside)}
         logs = len(windows) / WINDOWS_ALIKE * np.log(squares.mean(axis=1) + RIDGE**2)
         tail = np.log1p(np.square(c / (COHESION_PA * unit)) / COHESION_DEGREES)
         # The last term is dc over a step along the logarithm.
@@ -591,7 +592,7 @@ class Likelihood:
         modes = [law.modes(p, c) for (law, p), c in zip(laws, numbers, strict=True)]
         for cause in sorted({cause for each in modes for cause in each}):
             # What a calibration determines of the apparatus includes that of its rig.
-            known = [cause in OF_RIG and self._calibrated(r.leg) for r in self.records]
+            known = [cause in OF_RIG and self._calibrated(rig=str(r.rig)) for r in self.records]
             factors = [
                 np.zeros((2 * law.theta_deg.size, 1)) if calibrated else each[cause]
                 for law, each, calibrated in zip(self.laws, modes, known, strict=True)
@@ -601,15 +602,17 @@ class Likelihood:
             found |= self._angle_errors(slope[:, self._phi], float(x[self._phi]))
         if "soil.density" not in self.keys:
             found["density"] = _square(self.density_sd[self._of] * curve)
-        gain = np.array([0.0 if self._calibrated(r.leg) else r.gain_sd for r in self.records])
+        gain = np.array([
+            0.0 if self._calibrated(rig=str(r.rig)) else r.gain_sd for r in self.records
+        ])  # fmt: skip
         if gain.any():
             found["gain"] = _square(gain[self._of] * curve)
         return found
 
-    def _calibrated(self, leg: str) -> bool:
-        """Whether a soil of known angle was read with this leg, whose rig is then known with b."""
-        known = self.calibration
-        return known is not None and any(soil.leg == leg for soil in known.soils)
+    def _calibrated(self, **wanted: str) -> bool:
+        """Whether a soil of known angle was read with such a leg or rig, whose error b contains."""
+        soils = self.calibration.soils if self.calibration else []
+        return any(all(getattr(s, k) == v for k, v in wanted.items()) for s in soils)
 
     def _blocks(self, blocks: Sequence[FloatArray]) -> FloatArray:
         """Block-diagonal covariance of records whose errors are independent."""
@@ -641,11 +644,14 @@ class Likelihood:
         # Law legs was learned on several rigs, which differ by l.
         rigs = [str(r.rig) for r in records] if isinstance(self.library, Legs) else legs
         common = [
-            float(known.common(error, leg, np.array(phi_deg))[1]) if known else error.common_sd_deg
-            for leg, error in pairs
+            float(known.common(error, leg, str(r.rig), np.array(phi_deg))[1])
+            if known
+            else error.common_sd_deg
+            for r, (leg, error) in zip(records, pairs, strict=True)
         ]
         offset = [
-            0.0 if self._calibrated(leg) else error.offset_sd_at(phi_deg) for leg, error in pairs
+            0.0 if self._calibrated(leg=leg) else error.offset_sd_at(phi_deg)
+            for leg, error in pairs
         ]
         lacking = [1.0 / np.clip(stroke.share, 1e-3, 1.0) - 1.0 for stroke in self.strokes]
         sizes: dict[str, tuple[Sequence[object], Sequence[float]]] = {

@@ -458,7 +458,7 @@ def density_doubts(density: float) -> list[str]:
         return []
     sentence = (
         f"The density {density:g} kg/m³ is unusual: dry sand and gravel have {least:g} to "
-        f"{most:g} kg/m³. Half or twice of it moves φ by 5 to 9°."
+        f"{most:g} kg/m³. Half or twice that density moves φ by 4 to 9°."
     )
     return [sentence]
 
