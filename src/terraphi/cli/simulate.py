@@ -16,8 +16,8 @@ from terraphi.view.console import present, progress_bar
 if TYPE_CHECKING:
     from terraphi.experiment.scenario import Scenario
 
-FRAMES = 100
-"""Frames of a VTK series."""
+FRAMES, LONG_S = 100, 30.0
+"""Frames of a VTK series, and time from which a forecast is printed on any output [s]."""
 
 
 @click.command()
@@ -75,13 +75,14 @@ def simulate(
 
 
 def announce(scenarios: Sequence[Scenario], workers: int = 1) -> None:
-    """Print what looks like a mistake in scenarios and, on a terminal, how long they will take."""
+    """Print what looks like a mistake in scenarios, and how long they will take, if long."""
     from terraphi.forward.forecast import forecast
 
     for warning in dict.fromkeys(text for one in scenarios for text in one.warnings()):
         click.echo(f"terraphi: {warning}", err=True)
-    if sys.stderr.isatty():
-        click.echo(forecast(scenarios).sentence(workers), err=True)
+    expected = forecast(scenarios)
+    if sys.stderr.isatty() or expected.core_seconds > LONG_S:
+        click.echo(expected.sentence(workers), err=True)
 
 
 def changed(scenario: Scenario, changes: tuple[str, ...]) -> Scenario:

@@ -9,6 +9,7 @@ import re
 import shutil
 import sys
 import textwrap
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,8 +19,8 @@ import click
 
 from terraphi.experiment.errors import visible
 
-PARTS = 1000
-"""Parts of a progress bar."""
+PARTS, EVERY_S = 1000, 10.0
+"""Parts of a progress bar, and time between lines where there is none [s]."""
 _NUMBER = re.compile(r"[-+−]?\d+(\.\d+)?( ?[%°]| N)?|[-–]?")
 
 
@@ -132,7 +133,7 @@ def words(value: Any) -> str:
 
 @contextmanager
 def progress_bar(description: str) -> Iterator[Callable[[float, float], None]]:
-    """Time left, on a terminal only.
+    """Time left on a terminal; elsewhere a line for what was done, each ten seconds at most.
 
     Yields
     ------
@@ -140,7 +141,15 @@ def progress_bar(description: str) -> Iterator[Callable[[float, float], None]]:
         To be called with the work done and all of it.
     """
     if not sys.stderr.isatty():
-        yield lambda _done, _total: None
+        last = time.monotonic()
+
+        def line(done: float, total: float) -> None:
+            nonlocal last
+            if time.monotonic() - last >= EVERY_S:
+                last = time.monotonic()
+                click.echo(f"{description}: {done / total:.0%}", err=True)
+
+        yield line
         return
     with click.progressbar(length=PARTS, label=description, file=sys.stderr) as bar:
         yield lambda done, total: bar.update(round(PARTS * done / total) - bar.pos)
