@@ -430,9 +430,8 @@ def of_parts(law: Legs, readings: Sequence[Reading]) -> list[tuple[str, str]]:
                     part, rig=whole.rig, density=f"{whole.density_kg_m3}±0", grain_size_mm=diameter
                 ))  # fmt: skip
                 likelihood = Likelihood([record], own)
-                shares = likelihood.budget().items()
-                sd = math.hypot(*(share for name, share in shares if name not in EXACT))
                 apart = float(likelihood.least_squares[0]) - one.critical_deg
+                sd = float(likelihood.sd[0])
                 found.setdefault(f"{what}, {LEG_NAMES[one.leg]}", []).append((apart, sd))
     rows = []
     for what, each in found.items():

@@ -538,7 +538,7 @@ def second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:
 def _moisture(likelihood: Likelihood) -> str:
     """A sentence if the soil has a cohesion, or if it is not known and would matter."""
     cohesion, sd = likelihood.cohesion, likelihood.cohesion_sd
-    if cohesion > max(MOIST_PA, KNOWN * sd):
+    if sd and cohesion > max(MOIST_PA, KNOWN * sd):
         check = "; else check the density and the unit of force" * (cohesion > COHESIVE_PA)
         return (
             f"The forces show a cohesion of {cohesion:.0f} ± {sd:.0f} Pa: damp soil has one, and "
