@@ -536,7 +536,7 @@ def main() -> None:
     parts = [
         (
             "Spheres simulated one by one are sheared, which measures their friction angle, and "
-            "stirred by legs on eight rigs. Each soil, in all its packings, is inverted by law "
+            "stirred by legs on nine rigs. Each soil, in all its packings, is inverted by law "
             "`legs` with the offset, the standard deviations and the limit of a misfit learned "
             "from all other soils. Grains of 6 mm (*coarse* 8.8, *fine* 4.4 mm) are large for such "
             "legs, and act in part like a cohesion, over which the answer averages. What that "
