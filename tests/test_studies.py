@@ -92,9 +92,8 @@ OFFSETS = {"straight": 1.0, "c": -4.0, "reversed_c": 2.0}
 
 def test_offset_and_spread_are_learnt_as_they_were_made() -> None:
     """What grows with the size of grains is found where it is, and soils and legs apart."""
-    weights = dict.fromkeys(OFFSETS, 0.1)
     known = readings(np.random.default_rng(2), 0.5)
-    found, lines = table.learn(known, weights), table.lines(known)
+    found, lines = table.learn(known), table.lines(known)
     assert lines["c"].of_size == pytest.approx(0.0, abs=0.15)
     assert lines["straight"].of_size == pytest.approx(0.5, abs=0.15)
     for leg, offset in OFFSETS.items():
@@ -105,10 +104,9 @@ def test_offset_and_spread_are_learnt_as_they_were_made() -> None:
 
 
 def test_error_of_an_offset_is_its_scatter_over_other_soils() -> None:
-    rng, weights = np.random.default_rng(4), dict.fromkeys(OFFSETS, 0.1)
+    rng = np.random.default_rng(4)
     found = [
-        ModelError.model_validate(table.learn(readings(rng, 0.5), weights)["straight"])
-        for _ in range(60)
+        ModelError.model_validate(table.learn(readings(rng, 0.5))["straight"]) for _ in range(60)
     ]
     stated = np.sqrt(np.mean([one.covariance[0][0] for one in found]))
     assert stated == pytest.approx(np.std([one.offset_deg for one in found]), rel=0.3)

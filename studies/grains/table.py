@@ -440,7 +440,7 @@ def of_parts(law: Legs, readings: Sequence[Reading]) -> list[tuple[str, str]]:
         shares = [f"{(np.abs(apart) < k * sd).mean():.0%}" for k in (1.0, 1.96)]
         held = f"{' and '.join(shares)} of {len(apart)}"
         rows.append((
-            f"{what}: mean ± RMS error; standard deviation; within one and 1.96",
+            f"{what}: mean ± RMS error; standard deviation as given; within one and 1.96",
             f"{apart.mean():+.1f}° ± {rms:.1f}°; {sd.mean():.1f}°; {held}",
         ))  # fmt: skip
     return rows

@@ -62,7 +62,8 @@ def test_draws_of_an_answer_agree_with_its_forces() -> None:
     slope = np.polyfit(density, phi, 1)[0]
     heavier = invert("li2013:yuma/straight", density=1750.0).phi.median
     lighter = invert("li2013:yuma/straight", density=1550.0).phi.median
-    assert slope == pytest.approx((heavier - lighter) / 200.0, rel=0.35)
+    # The term is at one cohesion, which takes a third of it where a record leaves it open.
+    assert 0.9 < slope / ((heavier - lighter) / 200.0) < 1.6
     assert phi.std() == pytest.approx(answer.phi.sd, rel=0.02)
     assert density.std() == pytest.approx(120.0, rel=0.02)
 

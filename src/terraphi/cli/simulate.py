@@ -75,7 +75,7 @@ def simulate(
 
 
 def announce(scenarios: Sequence[Scenario], workers: int = 1) -> None:
-    """Print what looks like a mistake in scenarios, and how long they will take, if long."""
+    """Print what looks like a mistake in scenarios, and how long they take."""
     from terraphi.forward.forecast import forecast
 
     for warning in dict.fromkeys(text for one in scenarios for text in one.warnings()):

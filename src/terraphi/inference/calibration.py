@@ -19,7 +19,7 @@ normal distribution, of which
 is what a record shares with it, o the covariance of the offset's error, and s², var(φ), var(ψ) and
 of each rig l² come on top where i and j are one soil. The mean and variance of b, and with it of
 the offset of a shape and the error of a rig that were calibrated, follow by conditioning on y
-(Rasmussen & Williams 2006, section 2.2), so that an interval can only become narrower.
+(Rasmussen & Williams 2006, section 2.2).
 """
 
 from __future__ import annotations
@@ -37,9 +37,15 @@ from terraphi.experiment.documents import Strict, parse_toml
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import atomic_write
 from terraphi.experiment.outputs import SIGNATURE
+from terraphi.experiment.rig import Rig
 from terraphi.laws.law import ModelError
 from terraphi.laws.legs import Legs
 from terraphi.laws.store import Library
+
+
+def rig_name(rig: Rig) -> str:
+    """The leg with its sizes and its friction, by which rigs are told apart."""
+    return f"{rig}, friction {rig.leg_friction:g}"
 
 
 class CalibrationSoil(Strict):
@@ -50,7 +56,7 @@ class CalibrationSoil(Strict):
     leg: str
     """Shape of the leg."""
     rig: str = ""
-    """The leg with its sizes, as answers print it; another rig has errors of its own."""
+    """Its :func:`rig_name`; another rig has errors of its own."""
     phi_deg: float = Field(gt=0, lt=90)
     """Friction angle that was measured otherwise [deg], in the law's convention."""
     phi_sd_deg: float = Field(ge=0, le=90)
@@ -76,7 +82,7 @@ class Calibration(Strict):
     """The records."""
 
     def check(self, library: Library | Legs, gains: Mapping[str, float]) -> None:
-        """Refuse another law, or another gain of a leg's sensor, than those of the calibration.
+        """Refuse another law, or another gain of a rig's sensor, than those of the calibration.
 
         Raises
         ------
@@ -89,10 +95,10 @@ class Calibration(Strict):
                 f"'{library.name}'; invert with that law, or calibrate again"
             )
         for soil in self.soils:
-            given = gains.get(soil.leg, soil.gain)
+            given = gains.get(soil.rig, soil.gain)
             if abs(given - soil.gain) > 1e-6 * soil.gain:
                 raise InputError(
-                    f"gain = {given:g}, and the calibration of leg {soil.leg} was made with "
+                    f"gain = {given:g}, and the calibration of this rig was made with "
                     f"{soil.gain:g}; give the same --gain"
                 )
 
@@ -109,9 +115,10 @@ class Calibration(Strict):
             for name in ("leg", "rig", "phi_deg", "phi_sd_deg", "read_deg", "read_sd_deg",
                          "rig_sd_deg")
         )  # fmt: skip
-        own, own_rig = legs == leg, rigs == rig
+        own, own_rig = legs == leg, (legs == leg) & (rigs == rig)
         sd = math.sqrt(float(np.square(rig_sd[own_rig]).mean())) if own_rig.any() else 0.0
-        same_leg, same_rig = legs[:, None] == legs, rigs[:, None] == rigs
+        same_leg = legs[:, None] == legs
+        same_rig = same_leg & (rigs[:, None] == rigs)
         # Records of one soil share s, φ and most of what makes φ_read uncertain.
         same_soil = (phi[:, None] == phi) & (phi_sd[:, None] == phi_sd)
         of_soil = error.soil_sd_deg**2 + phi_sd**2 + np.outer(read_sd, read_sd)

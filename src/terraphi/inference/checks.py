@@ -57,7 +57,7 @@ Pouliquen 2006, Nature 441:727), to dense quartz sand at its peak, 48° (Bolton 
 MOIST_PA, COHESIVE_PA, KNOWN, MOIST_DEG = 20.0, 100.0, 1.5, 1.5
 """Cohesions above which an answer names them, if they are so many standard deviations [-], and
 above which dry soil must be coarse [Pa]; standard deviation of φ by a cohesion above which an
-answer says so [deg]: chosen; grains of 4 mm act like 30 to 50 Pa, measured sands like 0 to 30."""
+answer says so [deg]: chosen; grains of 4 mm act like 20 to 50 Pa, measured sands like 0 to 30."""
 LARGE_SHIFT_DEG = 8.5
 """Distance of the leg angle's shift from the usual one above which an answer says so [deg]: media
 of Li et al. (2013) have up to 8.2°."""
@@ -546,8 +546,8 @@ def _moisture(likelihood: Likelihood) -> str:
         )
     if likelihood.budget().get("cohesion", 0.0) > MOIST_DEG:
         return (
-            "These forces hardly tell a cohesion from friction: damp soil, and grains that are "
-            "large compared with the leg, may have a smaller angle."
+            "These forces hardly tell a cohesion from friction: if the soil is damp, or its grains "
+            "are large compared with the leg, its angle may be smaller."
         )
     return ""
 

@@ -1,9 +1,10 @@
 """One friction angle from several maneuvers in one soil: different rigs, plates and balls.
 
 Each answer is a normal distribution. Answers share the error of the density and what the soil does
-that no law has, and those of one law what is wrong with it, so that the best mean is that of
-generalized least squares. Where answers disagree by more than their errors, Birge's ratio widens
-what is each one's own, for what they share cancels in their difference. Far more is a misfit.
+that no law has, those of one law what is wrong with it, and all what is not known of moisture, so
+that the best mean is that of generalized least squares. Where answers disagree by more than their
+errors, Birge's ratio widens what is each one's own, for what they share cancels in their
+difference. Far more is a misfit.
 """
 
 from __future__ import annotations
@@ -78,8 +79,8 @@ def combined(answers: Sequence[Answer]) -> Answer:
     apart = phi - median
     birge = math.sqrt(max(float(apart @ inverse @ apart) / (len(phi) - 1), 1.0))
     wider = math.sqrt((birge**2 - 1.0) * float(weight**2 @ np.maximum(own, 0.0)))
-    # All are too high in soil that is damper than it is taken for. That makes none of them better,
-    # and in dry soil, in which offsets were learned, none differ by it.
+    # All are too high in soil that is damper than it is taken for, but not by the same share, so
+    # that in weights and differences it counts as each one's own; in the interval it is one.
     same["cohesion"] = one_soil
     moist = weight * terms.get("cohesion", 0.0)
     squares = float(weight @ covariance @ weight + moist.sum() ** 2 - np.square(moist).sum())

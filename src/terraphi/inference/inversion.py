@@ -19,7 +19,7 @@ from terraphi.experiment.scenario import Scenario
 from terraphi.experiment.soil import plane_strain_friction_angle_deg
 from terraphi.forward.rft import to_plane_strain
 from terraphi.inference.answer import Answer, Edge, Estimate, RecordFit, Verdict, worst_nrmsd
-from terraphi.inference.calibration import Calibration, CalibrationSoil
+from terraphi.inference.calibration import Calibration, CalibrationSoil, rig_name
 from terraphi.inference.checks import (
     UNUSUAL,
     in_air,
@@ -186,7 +186,7 @@ def _of_legs(
                 "or a file"
             )
         if calibration is not None:
-            calibration.check(found, {record.leg: record.gain for record in records})
+            calibration.check(found, {rig_name(record.rig): record.gain for record in records})
         # The offset of law legs is that of one rig alone, so that different ones are joined by
         # their angles. In one fit, which shared a cohesion, grains were read 4° wrong.
         rigs = dict.fromkeys(record.rig for record in records)
@@ -322,7 +322,7 @@ def calibrate(
             )
         soils.append(
             CalibrationSoil(
-                source=record.source, leg=record.leg, rig=str(record.rig), phi_deg=phi_deg,
+                source=record.source, leg=record.leg, rig=rig_name(record.rig), phi_deg=phi_deg,
                 phi_sd_deg=phi_sd_deg, read_deg=read, read_sd_deg=sd, rig_sd_deg=rig_sd,
                 gain=record.gain,
             )

@@ -51,7 +51,7 @@ the marginal of a residual of unknown variance, of which ν are independent: of 
 one in :data:`WINDOWS_ALIKE`. p(c) is half of Student's t (:data:`COHESION_PA`): most soils are dry,
 and a few are damp, which its tail leaves room for. φ, and all that follows, is that at the mean of
 c, and the standard deviation of φ(c) is a term. It says what is not known of the soil's moisture;
-what dry soils differ by besides is in the terms of the model.
+the terms of the model hold all that dry grains differ by, so that intervals are rather wide.
 
 **Parts of the stroke.** With g the window means of a whole stroke, the windows that a record has
 hold the share
@@ -86,7 +86,7 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import FORCES, OBSERVATION_ANGLES, WINDOW_DEG, ForceHistory
 from terraphi.experiment.rig import LI2013, Rig
 from terraphi.experiment.scenario import GRAVITY
-from terraphi.inference.calibration import Calibration
+from terraphi.inference.calibration import Calibration, rig_name
 from terraphi.inference.estimator import Best, least_squares, weights
 from terraphi.inference.records import Record
 from terraphi.laws.law import STEP, LegLaw, ModelError
@@ -103,8 +103,8 @@ FINE, EVENLY = 400, 0.03
 and angle change evenly."""
 COHESION_PA, COHESION_DEGREES = 40.0, 3
 """Scale of the cohesion beforehand [Pa], and degrees of freedom of its half t distribution; chosen:
-grains of 4 to 9 mm act like 20 to 60 Pa, a little moisture gives sand hundreds. With 25 to 60 Pa
-and 2 to 5 degrees of freedom loose grains that are left out are read nearly as well."""
+grains of 4 to 9 mm act like some tens, a little moisture gives sand hundreds. With 25 to 60 Pa and
+2 to 5 degrees of freedom loose grains that are left out are read nearly as well."""
 WINDOWS_ALIKE = 7
 """Window means for one independent residual: by their correlation 7 of straight, 9 of C and 5 of
 reversed C legs in grains."""
@@ -320,7 +320,7 @@ class Likelihood:
         if not self.measured:
             return np.zeros_like(phi_deg)
         leg, error = record.leg, self.errors[record.leg]
-        known, rig = self.calibration, str(record.rig)
+        known, rig = self.calibration, rig_name(record.rig)
         common = known.common(error, leg, rig, phi_deg)[0] if known else 0.0
         return np.asarray(error.offset_deg + self.of_size_deg(record) + common)
 
@@ -527,7 +527,8 @@ class Likelihood:
             places = record.theta_deg.round(3)
             low, high = record.rig.air_deg()
             inside = places[(low <= places) & (places <= high)].tolist()
-            windows |= {*itertools.product(record.channels, inside)}
+            # Of Fx, Fz and the moment two give the third.
+            windows |= {*itertools.product(record.channels[:2], inside)}
         logs = len(windows) / WINDOWS_ALIKE * np.log(squares.mean(axis=1) + RIDGE**2)
         tail = np.log1p(np.square(c / (COHESION_PA * unit)) / COHESION_DEGREES)
         # The last term is dc over a step along the logarithm.
@@ -591,8 +592,10 @@ class Likelihood:
             return found
         modes = [law.modes(p, c) for (law, p), c in zip(laws, numbers, strict=True)]
         for cause in sorted({cause for each in modes for cause in each}):
-            # What a calibration determines of the apparatus includes that of its rig.
-            known = [cause in OF_RIG and self._calibrated(rig=str(r.rig)) for r in self.records]
+            # The apparatus's part includes the error of a rig that was calibrated.
+            known = [
+                cause in OF_RIG and self._calibrated(rig=rig_name(r.rig)) for r in self.records
+            ]
             factors = [
                 np.zeros((2 * law.theta_deg.size, 1)) if calibrated else each[cause]
                 for law, each, calibrated in zip(self.laws, modes, known, strict=True)
@@ -603,7 +606,7 @@ class Likelihood:
         if "soil.density" not in self.keys:
             found["density"] = _square(self.density_sd[self._of] * curve)
         gain = np.array([
-            0.0 if self._calibrated(rig=str(r.rig)) else r.gain_sd for r in self.records
+            0.0 if self._calibrated(rig=rig_name(r.rig)) else r.gain_sd for r in self.records
         ])  # fmt: skip
         if gain.any():
             found["gain"] = _square(gain[self._of] * curve)
@@ -642,9 +645,9 @@ class Likelihood:
         pairs = list(zip(legs, errors, strict=True))
         each, every = range(len(records)), [0] * len(records)
         # Law legs was learned on several rigs, which differ by l.
-        rigs = [str(r.rig) for r in records] if isinstance(self.library, Legs) else legs
+        rigs = [rig_name(r.rig) for r in records]
         common = [
-            float(known.common(error, leg, str(r.rig), np.array(phi_deg))[1])
+            float(known.common(error, leg, rig_name(r.rig), np.array(phi_deg))[1])
             if known
             else error.common_sd_deg
             for r, (leg, error) in zip(records, pairs, strict=True)

@@ -1,4 +1,4 @@
-"""Tables, for a terminal and for pages; names with values, JSON and progress on a terminal."""
+"""Tables, for a terminal and for pages; names with values, JSON, and progress."""
 
 from __future__ import annotations
 
