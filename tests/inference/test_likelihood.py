@@ -262,10 +262,16 @@ def test_a_calibration_says_nothing_of_another_rig() -> None:
     known = calibrate("li2013:glass03_loose/straight", 25.0, 1.0)
     forces = measurement("li2013:yuma/straight").history
     high = Rig(leg="straight", length_mm=80, width_mm=30, thickness_mm=6, hip_height_mm="24±1")
-    for rig, of_rig in ((Rig.of("li2013", "straight"), False), (high, True)):
-        budget = invert(forces, rig=rig, density="1650±50", calibration=known).budget_deg
+    own = Rig.of("li2013", "straight")
+    rough = own.model_copy(update={"leg_friction": 0.5})
+    for rig, gain, of_rig in ((own, "1±0.02", False), (high, "1.1±0.02", True),
+                              (rough, "1.1±0.02", True)):  # fmt: skip
+        options = {"density": "1650±50", "gain": gain, "calibration": known}
+        budget = invert(forces, rig=rig, **options).budget_deg
         for term in ("hip height", "leg friction", "gain"):
             assert (term in budget) == of_rig
+    with pytest.raises(InputError, match="the same --gain"):
+        invert(forces, rig=own, gain="1.1±0.02", calibration=known)
 
 
 def test_quadrature_resolves_a_narrow_peak(history_at: Callable[..., ForceHistory]) -> None:
