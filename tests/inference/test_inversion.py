@@ -217,6 +217,9 @@ def test_a_moment_that_the_forces_do_not_have_is_noticed() -> None:
     )
     assert any("moment" in one for one in other)
     assert not any("moment" in one for one in plain)
+    pounds = replace(history, force=history.force / 4.448)
+    found = invert(pounds, rig="li2013", leg="straight", density=1650, law="rft3d").questions
+    assert any("--columns unit=lbf" in one for one in found)
 
 
 @pytest.mark.parametrize("factor", [0.5, 2.0])

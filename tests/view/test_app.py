@@ -219,7 +219,7 @@ def test_what_a_killed_app_left_is_removed_at_the_next_start(
         (f"{HOSTILE},theta_deg,Fz_N\n1,2,3\n".encode(), "a.csv", "column"),
         (FLAT, "b.csv", "same at every angle"),
         (b"time,q,a\n0,1,2\n", "it.csv", ""),
-        (os.urandom(5000), "a.mcap", ""),
+        (np.random.default_rng(0).bytes(5000), "a.mcap", ""),
         (b"SQLite format 3\x00" + bytes(5000), "a.db3", ""),
         (b"\x89HDF", "a.nc", ""),
     ],

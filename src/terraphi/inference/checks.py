@@ -489,9 +489,16 @@ def _other_arm(likelihood: Likelihood, i: int) -> Iterator[str]:
     of_forces = (arm * record.data).sum(axis=0)
     factor = float(of_forces @ record.means(record.history.moment) / (of_forces @ of_forces))
     if abs(np.log(max(factor, 1e-3))) > np.log(OTHER_ARM):
+        # Forces in another unit than they are read in, beside a moment in N m.
+        of_unit = [
+            f"; forces in {unit} would make it equal (--columns unit={unit})"
+            for unit in ("lbf", "kgf")
+            if abs(np.log(max(factor, 1e-3) / FORCE[unit])) < np.log(OTHER_ARM)
+        ]
         yield (
             f"The moment is {factor:.2g} times that of the forces about the hip: check the length "
-            "of the leg, the units, and about which axis the moment is."
+            "of the leg, the units, and about which axis the moment is"
+            f"{''.join(of_unit)}."
         )
 
 
