@@ -44,7 +44,7 @@ from terraphi.laws.store import Library
 
 
 def rig_name(rig: Rig) -> str:
-    """The leg with its sizes and its friction, by which rigs are told apart."""
+    """The leg with its sizes and its friction, by which rigs are distinguished."""
     return f"{rig}, friction {rig.leg_friction:g}"
 
 

@@ -591,23 +591,19 @@ class Likelihood:
             found["particle scatter"] = self._blocks(blocks)
             return found
         modes = [law.modes(p, c) for (law, p), c in zip(laws, numbers, strict=True)]
+        # The apparatus's part includes the error of a rig that was calibrated.
+        calibrated = [self._calibrated(rig=rig_name(r.rig)) for r in self.records]
         for cause in sorted({cause for each in modes for cause in each}):
-            # The apparatus's part includes the error of a rig that was calibrated.
-            known = [
-                cause in OF_RIG and self._calibrated(rig=rig_name(r.rig)) for r in self.records
-            ]
             factors = [
-                np.zeros((2 * law.theta_deg.size, 1)) if calibrated else each[cause]
-                for law, each, calibrated in zip(self.laws, modes, known, strict=True)
+                np.zeros((2 * law.theta_deg.size, 1)) if cause in OF_RIG and known else each[cause]
+                for law, each, known in zip(self.laws, modes, calibrated, strict=True)
             ]
             found[cause] = self._shared_by_leg(factors)
         if self._phi is not None:
             found |= self._angle_errors(slope[:, self._phi], float(x[self._phi]))
         if "soil.density" not in self.keys:
             found["density"] = _square(self.density_sd[self._of] * curve)
-        gain = np.array([
-            0.0 if self._calibrated(rig=rig_name(r.rig)) else r.gain_sd for r in self.records
-        ])  # fmt: skip
+        gain = np.where(calibrated, 0.0, [r.gain_sd for r in self.records])
         if gain.any():
             found["gain"] = _square(gain[self._of] * curve)
         return found
