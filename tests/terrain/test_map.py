@@ -176,6 +176,14 @@ def test_probability_median_and_share_against_plain_monte_carlo() -> None:
     median, share = slopes.spread(mean, sd, sample.normal, a, b)
     assert median[0] == pytest.approx(np.median(factor), rel=0.02)
     assert share[0] == pytest.approx(second.mean() ** 2 * tan_phi.var() / factor.var(), abs=0.02)
+    # A share by the definition of the index, Var E[F | φ] / Var F, where B varies by itself.
+    b = np.linspace(0.1, 1.9, 1000)
+    tan_phi = STEEPEST / (1 + np.exp(-(mean + 1.5 * sd * sample.normal)))
+    a, factor = np.full((1, 1000), 0.2), 0.2 + np.multiply.outer(tan_phi, b)
+    expected = factor.mean(axis=1).var() / factor.var()
+    order = np.random.default_rng(1).permutation(1024)[:1000]
+    share = slopes.spread(mean, 1.5 * sd, sample.normal[order], a, b[None])[1]
+    assert share[0] == pytest.approx(expected, rel=0.1)
     # Neutrally buoyant and saturated, B = 0: F = A at every φ.
     a, b = np.array([[0.5, 2.0, 0.9, 1.1]]), np.zeros((1, 4))
     assert slopes.unstable(np.zeros(1), np.ones(1), a, b) == pytest.approx([0.5])
