@@ -56,6 +56,23 @@ def test_covariance_of_noise_is_that_of_noisy_readings() -> None:
     assert np.abs(sample - one.noise_covariance).max() < 0.1 * np.diag(sample).max()
 
 
+def test_covariance_of_rounding_is_that_of_rounded_readings() -> None:
+    """Forces that change by steps, each 20 readings long, to a level drawn at random."""
+    theta, rng, step = np.arange(-88.0, 88.1, 0.8), np.random.default_rng(5), 0.5
+    errors, stated = [], []
+    for _ in range(400):
+        level = np.cumsum(rng.uniform(1.0, 2.0, (12, 2)), axis=0)
+        exact = np.repeat(level, 20, axis=0)[: len(theta)]
+        one = record(
+            theta, step * np.round(exact / step), noise=(0.0, 0.0), resolution=(step, step)
+        )
+        errors.append((one.data - record(theta, exact).data).ravel())
+        stated.append(one.noise_covariance)
+    sample, expected = np.cov(np.array(errors).T), np.mean(stated, axis=0)
+    np.testing.assert_allclose(np.diag(sample).mean(), np.diag(expected).mean(), rtol=0.1)
+    assert np.abs(sample - expected).max() < 0.3 * np.diag(expected).max()
+
+
 @pytest.mark.parametrize("sigma", [0.02, 0.2])
 def test_noise_is_estimated_from_roughness(sigma: float) -> None:
     theta, rng = np.arange(-90.0, 90.1, 0.25), np.random.default_rng(1)

@@ -1,0 +1,215 @@
+"""Each term of an interval against the scatter of angles when its cause is drawn.
+
+A term that is too wide is as wrong as one that is too narrow: both ways by 15 %. Causes are drawn
+by the quantiles of the normal distribution in random order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.stats import norm
+
+import terraphi
+from terraphi.experiment.rig import Rig
+from terraphi.inference.likelihood import RIDGE, Likelihood
+from terraphi.inference.records import open_record
+from terraphi.laws.law import CENTRE_DEG
+from terraphi.laws.legs import shipped_legs
+
+DRAWS = 200
+QUANTILES = norm.ppf((np.arange(DRAWS) + 0.5) / DRAWS)
+GRAINS = Path(__file__).parents[2] / "studies" / "data" / "grains"
+
+
+def quantiles(rng: np.random.Generator, count: int = 1) -> np.ndarray:
+    """Standard normal numbers [draw, count] whose columns have a variance of 1."""
+    return np.stack([rng.permutation(QUANTILES) for _ in range(count)], axis=1) / QUANTILES.std()
+
+
+class Legs:
+    """Two records of a leg in one soil, as law ``legs`` has them, and angles of drawn ones.
+
+    The angles are those of least squares over φ and a shift of each record, at the cohesion that
+    the answer has, by Newton's method with slopes of the undisturbed forces.
+    """
+
+    def __init__(self, leg: str, phi_deg: float) -> None:
+        self.rig = Rig.of({
+            "leg": leg, "length_mm": 80.0, "width_mm": 27.0, "thickness_mm": 6.4,
+            "hip_height_mm": "20±1.2", "leg_friction": 0.35, "leg_friction_sd": 0.05,
+        })  # fmt: skip
+        self.law, self.phi_deg = shipped_legs(), phi_deg
+        self.error = self.law.error_of(leg)
+        curve = self.law.forces(self.rig, phi_deg + self.error.offset_deg, density=1600.0)
+        theta = np.arange(-85.0, 85.1, 0.5)
+        force = [np.interp(theta, curve.theta_deg, row) for row in curve.forces.values[0]]
+        table = pd.DataFrame({"theta_deg": theta, "Fx_N": force[0], "Fz_N": force[1]})
+        record = open_record(table, rig=self.rig, density="1600±80", gain="1±0.03", noise=4.0)
+        self.records = [replace(record, source=name) for name in ("first", "second")]
+        self.likelihood = Likelihood(self.records, self.law)
+        number = self.likelihood.cohesion / (1600.0 * 9.81 * self.rig.length)
+        self.number = float(number)
+        self.phi = float(self.likelihood.least_squares[0])
+        self.data = self.means(self.rig, np.full(1, self.phi), np.zeros((1, 2)))
+        step = 0.05
+        moved = [
+            self.means(self.rig, self.phi + a * np.ones(1), b[None])
+            for a, b in (
+                (step, np.zeros(2)),
+                (0.0, step * np.eye(2)[0]),
+                (0.0, step * np.eye(2)[1]),
+            )
+        ]
+        slope = np.vstack([(one - self.data) / step for one in moved]).T
+        span = np.repeat(np.concatenate([record.span] * 2), record.theta_deg.size)
+        self.span = span
+        self.weights = np.linalg.pinv(slope / span[:, None]) / span
+
+    def means(self, rig: Rig, phi: np.ndarray, shift: np.ndarray) -> np.ndarray:
+        """Window means of both records [draw, n] at angles [draw] and further shifts [draw, 2]."""
+        law, rows = self.law.law(rig), []
+        forces = 1600.0 / law.density * law((phi + self.error.offset_deg)[:, None], self.number)
+        base = self.likelihood.shift_deg
+        for force, shifts in zip(forces, shift + base, strict=True):
+            each = [
+                (force @ record.operator(law.theta_deg + one).T).ravel()
+                for record, one in zip(self.records, shifts, strict=True)
+            ]
+            rows.append(np.concatenate(each))
+        return np.array(rows)
+
+    def angles(self, data: np.ndarray) -> np.ndarray:
+        """φ of drawn data, shape [draw, n] -> [draw]."""
+        x = np.zeros((len(data), 3))
+        for _ in range(4):
+            x += (data - self.means(self.rig, self.phi + x[:, 0], x[:, 1:])) @ self.weights.T
+        return x[:, 0]
+
+    # -- causes: data of 200 draws, shape [draw, n] ------------------------------------------------
+
+    def scaled(self, rng: np.random.Generator, sd: float) -> np.ndarray:
+        return self.data * (1.0 + sd * quantiles(rng))
+
+    def turned(self, sizes: np.ndarray) -> np.ndarray:
+        """Of soil that reads otherwise by some angles [draw]."""
+        return self.means(self.rig, self.phi + sizes, np.zeros((DRAWS, 2)))
+
+    def of_rig(self, rng: np.random.Generator, name: str, sd: float) -> np.ndarray:
+        """Of a rig of another size, by a parabola through three sizes."""
+        nodes = np.array([-1.5, 0.0, 1.5]) * sd
+        curves = [
+            self.means(
+                self.rig.model_copy(update={name: getattr(self.rig, name) + node}),
+                np.full(1, self.phi), np.zeros((1, 2)),
+            )[0]
+            for node in nodes
+        ]  # fmt: skip
+        return np.polynomial.polynomial.polyval(
+            sd * quantiles(rng)[:, 0], np.polynomial.polynomial.polyfit(nodes, curves, 2)
+        ).T
+
+    def noisy(self, rng: np.random.Generator) -> np.ndarray:
+        """Of readings that scatter, and of a law whose window means are off."""
+        record, rows = self.records[0], []
+        count = len(record.history.position)
+        for _ in range(DRAWS):
+            noise = rng.normal(0.0, np.array(record.noise)[:, None], (2, 2, count))
+            rows.append(np.concatenate([record.means(row) for row in noise.reshape(4, count)]))
+        return self.data + rows + RIDGE * self.span * rng.standard_normal((DRAWS, self.span.size))
+
+    def interpolated(self, rng: np.random.Generator) -> np.ndarray:
+        """Of a law whose Gaussian process is off, by the same on both records."""
+        law = self.law.law(self.rig)
+        x, depth, forces = law._at(np.array([self.phi + self.error.offset_deg]), self.number)
+        errors = 1600.0 / law.density * forces(self.law.errors(x, depth))[:, 0]
+        each = np.array([
+            np.concatenate([
+                (error @ record.operator(law.theta_deg + shift).T).ravel()
+                for record, shift in zip(self.records, self.likelihood.shift_deg, strict=True)
+            ])
+            for error in errors
+        ])  # fmt: skip
+        return self.data + quantiles(rng, len(each)) @ each
+
+
+def offset(world: Legs, rng: np.random.Generator) -> np.ndarray:
+    """Errors of an offset whose height and slope over φ are known together."""
+    root = np.linalg.cholesky(np.array(world.error.covariance))
+    height, slope = root @ quantiles(rng, 2).T
+    return world.turned(height + slope * (world.phi - CENTRE_DEG))
+
+
+OF_LEGS: dict[str, Callable[[Legs, np.random.Generator], np.ndarray]] = {
+    "noise": Legs.noisy,
+    "emulator": Legs.interpolated,
+    "density": lambda world, rng: world.scaled(rng, 0.05),
+    "gain": lambda world, rng: world.scaled(rng, 0.03),
+    "hip height": lambda world, rng: world.of_rig(rng, "hip_height_mm", 1.2),
+    "leg friction": lambda world, rng: world.of_rig(rng, "leg_friction", 0.05),
+    "model: offset": offset,
+    "model: apparatus": lambda w, rng: w.turned(w.error.common_sd_deg * quantiles(rng)[:, 0]),
+    "model: soil": lambda w, rng: w.turned(w.error.soil_sd_deg * quantiles(rng)[:, 0]),
+    "model: leg": lambda w, rng: w.turned(w.error.leg_sd_deg * quantiles(rng)[:, 0]),
+}
+
+
+@pytest.mark.parametrize(("leg", "phi_deg"), [("straight", 38.0), ("c", 30.0)])
+def test_terms_of_legs_are_the_scatter_of_angles_when_their_causes_are_drawn(
+    leg: str, phi_deg: float
+) -> None:
+    world, rng = Legs(leg, phi_deg), np.random.default_rng(0)
+    budget = world.likelihood.budget()
+    # The cohesion is averaged over by brute force in test_likelihood.py.
+    assert set(budget) - {"cohesion"} <= set(OF_LEGS)
+    scatter = {
+        name: float(np.std(world.angles(draw(world, rng)))) for name, draw in OF_LEGS.items()
+    }
+    stated = {name: budget.get(name, 0.0) for name in OF_LEGS}
+    assert scatter == pytest.approx(stated, rel=0.15, abs=0.01)
+
+
+SHARED_BY: dict[str, str] = {
+    "density": "soil", "model: soil": "soil", "cohesion": "soil",
+    "model: apparatus": "law", "gain": "law", "leg friction": "law", "model: law": "law",
+    "model: compaction": "law", "surface friction": "law", "rectangle": "law",
+    "model: offset": "shape",
+    "model: leg": "record", "hip height": "record", "emulator": "record", "noise": "record",
+    "model: course": "record", "contact": "record", "contraction": "record", "depth": "record",
+    "missing angles": "record", "missing forces": "record", "second opinion": "record",
+}  # fmt: skip
+"""Which answers of a joint one are off by the same cause: of one soil, law, or shape of leg."""
+
+
+def test_terms_of_a_joint_answer_are_its_scatter_when_their_causes_are_drawn() -> None:
+    """Two straight legs, a C and two tools in one soil: what they share is drawn once."""
+    long = {"leg": "straight", "length_mm": 110, "width_mm": 40, "thickness_mm": 8,
+            "hip_height_mm": "35±1"}  # fmt: skip
+    bodies = {"straight": "straight", "rig-long": long, "c": "c", "disc_60": "plate:60",
+              "ball_44": "ball:44"}  # fmt: skip
+    sources = [(GRAINS / f"B-loose_{name}_1.csv", body) for name, body in bodies.items()]
+    given = {"density": "1415±60", "leg": "straight", "rig": "li2013"}
+    joint = terraphi.invert(sources, **given)
+    alone = [terraphi.invert(source, **given) for source in sources[:3]]
+    alone += [terraphi.invert(source, density="1415±60") for source in sources[3:]]
+    weight = {each["source"]: each["weight"] for each in joint.provenance["answers"]}
+    w = np.array([weight[one.source] for one in alone])
+    assert joint.phi.median == pytest.approx(w @ [one.phi.median for one in alone], abs=0.05)
+    keys = {
+        "soil": [0] * len(alone), "law": [one.law for one in alone],
+        "shape": ["straight", "straight", "c", "plate", "ball"], "record": range(len(alone)),
+    }  # fmt: skip
+    rng = np.random.default_rng(1)
+    for name, stated in joint.budget_deg.items():
+        if name == "disagreement":
+            continue
+        groups = [str(key) for key in keys[SHARED_BY[name]]]
+        draws = quantiles(rng, len(groups))
+        sizes = np.array([one.budget_deg.get(name, 0.0) for one in alone])
+        shifts = draws[:, [groups.index(key) for key in groups]] * sizes
+        assert np.std(shifts @ w) == pytest.approx(stated, rel=0.15, abs=0.01), name
