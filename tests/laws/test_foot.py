@@ -152,6 +152,23 @@ def test_simulated_force_changes_smoothly_with_direction(shape: str) -> None:
 
 
 @pytest.mark.parametrize("shape", SIMULATED)
+@pytest.mark.parametrize("tilt_deg", [0.0, 22.5, 45.0])
+def test_simulated_force_is_that_of_its_cases(shape: str, tilt_deg: float) -> None:
+    """Along the motion and up; between the table's directions, 3° apart, it is linear."""
+    law, foot = simulated_cases(), Foot(0.03, shape)
+    rows = law.x[:, 3] == (shape == "disc")
+    for x, force in zip(law.x[rows], law.force[rows], strict=True):
+        if x[2] != tilt_deg:
+            continue
+        law_force = LAWS["foot"].force(
+            foot, 0.03 * law.PLACES[1:], math.radians(90.0 - tilt_deg), density=1550.0,
+            friction_angle_deg=x[1] + 2.0, surface_friction=x[0],
+        )  # fmt: skip
+        expected = 1550.0 * 9.81 * 0.03**3 * force[:, 1:].T * [tilt_deg > 0.0, 1.0]
+        np.testing.assert_allclose(law_force, expected, rtol=2e-3, atol=1e-6)
+
+
+@pytest.mark.parametrize("shape", SIMULATED)
 def test_simulated_force_grows_with_angle_friction_and_depth(shape: str) -> None:
     phi, depth = np.linspace(15.0, 43.0, 57), np.linspace(0.001, 0.06, 60)
     force = [
