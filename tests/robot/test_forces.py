@@ -14,6 +14,7 @@ import pytest
 from terraphi.experiment.errors import InputError
 from terraphi.robot import estimators as residual
 from terraphi.robot import forces
+from terraphi.robot.estimators import JointFriction
 from terraphi.robot.forces import SensorErrors, estimate
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.legs import Legs, rotation
@@ -132,6 +133,21 @@ def test_uncertainty_covers_the_noise_of_torques() -> None:
     # 68 and 95 % of a normal distribution; what neighbours differ by widens sigma a little.
     assert 0.65 < np.mean(np.abs(score) < 1.0) < 0.9
     assert 0.93 < np.mean(np.abs(score) < 2.0) < 1.0
+
+
+def test_uncertainty_is_the_scatter_of_friction_whose_sign_is_unknown() -> None:
+    """In joints at rest, whose Coulomb torques of 0.5 N m hold either way."""
+    log, rng = standing(4), np.random.default_rng(0)
+    lost = JointFriction(
+        np.full((4, 3), 0.5), np.zeros((4, 3)), np.zeros((4, 3)), np.ones((4, 3), bool)
+    )
+    exact = SensorErrors(gain=0.0, coulomb_Nm=0.0, friction_part=0.0, attitude_deg=0.0)
+    forces = []
+    for _ in range(200):
+        torque = log.torque + 0.5 * rng.choice([-1.0, 1.0], (4, 3))
+        found = estimate(replace(log, torque=torque), robot=GO2, friction=lost, priors=exact)
+        forces.append(found.force[-1])
+    np.testing.assert_allclose(np.std(forces, axis=0), found.sigma[-1], rtol=0.15)
 
 
 # -- logs that lack something --------------------------------------------------------------------
