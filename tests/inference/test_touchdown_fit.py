@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from terraphi.inference.footfalls import FootfallMap, infer
 from terraphi.inference.pool import Normal
@@ -17,6 +18,7 @@ from terraphi.inference.touchdowns import (
     fit,
     inertia,
     noise_covariance,
+    picked,
     predicted,
     with_exponent,
 )
@@ -165,6 +167,43 @@ def test_what_is_shared_moves_the_answer_as_told() -> None:
     louder = fit(seen._replace(force=1.02 * seen.force), "rft", PRIOR).phi[0] - found.phi[0]
     gains = found.shared[0, 6:9].sum()
     assert louder == pytest.approx(gains * 0.02 / 3.0, rel=0.1)
+
+
+def test_what_is_shared_is_the_scatter_of_angles_when_it_is_drawn() -> None:
+    """Of 200 touch-downs in one soil, each with another density, friction, radius, drop or law."""
+    seen, prior = pressed(seed=None), replace(PRIOR, exponent_sd=0.03)
+    touchdowns, state = picked(seen, np.zeros(200, int)), np.array([[34.0, 0.003, 0.0]])
+    spread = norm.ppf((np.arange(200) + 0.5) / 200)
+    per_unit = dict(zip(prior.shared(), fit(seen, "rft", prior).shared[0, TORQUES:], strict=True))
+    fields = {"density_kg_m3": "density", "surface_friction": "surface_friction",
+              "foot_radius_mm": "radius", "law_exponent": "exponent"}  # fmt: skip
+    for name, (_, sd) in prior.shared().items():
+        if name == "odometry_drop":
+            drawn = touchdowns._replace(drop=(1.0 + sd * spread[:, None]) * touchdowns.drop)
+        elif name in fields:
+            key, unit = fields[name], 1e-3 if name.endswith("_mm") else 1.0
+            forces = [
+                predicted(LAWS["rft"], replace(prior, **{key: getattr(prior, key) + unit * one}),
+                          seen, state)[0] for one in sd * spread
+            ]  # fmt: skip
+            drawn = touchdowns._replace(force=np.array(forces))
+        else:  # of angles themselves, or between places
+            continue
+        scatter = np.std(fit(drawn, "rft", prior).phi)
+        assert scatter == pytest.approx(abs(per_unit[name]) * sd, rel=0.15), name
+
+
+def test_the_interval_of_a_touchdown_is_the_scatter_of_drawn_ones() -> None:
+    """Level, drift and noise as the fit expects them."""
+    seen, rng = pressed(seed=None), np.random.default_rng(4)
+    touchdowns = picked(seen, np.zeros(400, int))
+    state = np.column_stack([np.full(400, 34.0), *(0.004 * rng.normal(size=(2, 400)))])
+    prior = replace(PRIOR, level_sd=0.004, drift_sd=0.004)
+    force = predicted(LAWS["rft"], prior, touchdowns, state)
+    lower = np.linalg.cholesky(noise_covariance(seen._replace(force=force[:1]), prior)[0])
+    drawn = touchdowns._replace(force=force + rng.normal(size=force.shape) @ lower.T)
+    found = fit(drawn, "rft", prior)
+    assert np.std((found.phi - 34.0) / found.sd) == pytest.approx(1.0, rel=0.15)
 
 
 def test_growth_with_depth_is_learnt_from_the_courses_of_force() -> None:
