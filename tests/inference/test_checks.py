@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -15,8 +16,9 @@ from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
 from terraphi.inference.checks import without_faults
 from terraphi.inference.inversion import invert
-from terraphi.inference.records import open_record
+from terraphi.inference.records import Record, open_record
 
+GRAINS = Path(__file__).parents[2] / "studies" / "data" / "grains"
 NAME = "li2013:poppy_loose/straight"
 
 
@@ -35,6 +37,48 @@ def test_shipped_records_have_no_faults() -> None:
     for record in map(without_faults, map(open_record, names())):
         assert not record.damage
         assert record.n_left_out <= 0.05 * len(record.history.position)
+
+
+def grain_records() -> list[Record]:
+    """Of legs in simulated grains, whose forces begin and end sharply."""
+    records = []
+    for leg in ("straight", "c"):
+        for path in sorted(GRAINS.glob(f"?-loose_{leg}_1.csv")):
+            table = pd.read_csv(path, comment="#", usecols=["theta_deg", "Fx_N", "Fz_N"])
+            records.append(open_record(table, rig="li2013", leg=leg, density=1500.0))
+    return records
+
+
+def with_zeros(record: Record, where: np.ndarray) -> Record:
+    force = np.where(where[:, None], 0.0, record.history.force)
+    return without_faults(replace(record, history=replace(record.history, force=force)))
+
+
+def has_dropouts(record: Record) -> bool:
+    return any("dropouts" in note for note in record.notes)
+
+
+def test_zeros_in_soil_are_dropouts_and_those_in_air_are_not() -> None:
+    records = [*map(open_record, names()), *grain_records()]
+    assert len(records) > 20
+    for record in records:
+        theta = record.history.theta_deg
+        largest = np.abs(record.history.force).max(axis=1)
+        for late_deg in (0.0, 5.0, 10.0):  # legs meet the soil up to 9 degrees late
+            first, last = np.array(record.rig.air_deg()) + np.array([late_deg, -late_deg])
+            air = (theta < first) | (theta > last)
+            assert not has_dropouts(with_zeros(record, air)), (record.source, late_deg)
+            lost = air.copy()
+            lost[np.argmax(np.where(air, 0.0, largest))] = True
+            assert has_dropouts(with_zeros(record, lost)), (record.source, late_deg)
+
+
+def test_zeros_of_a_sensor_that_starts_late_in_the_soil_are_dropouts() -> None:
+    record = open_record("li2013:yuma/straight")
+    part = replace(record, history=record.history.chosen(record.history.theta_deg > -40.0))
+    found = with_zeros(part, np.arange(len(part.history.theta_deg)) < 4)
+    assert has_dropouts(found)
+    assert found.history.theta_deg[0] == part.history.theta_deg[4]
 
 
 def dropouts(theta, force):

@@ -18,7 +18,7 @@ from terraphi.experiment.baseline import OFFSET
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import CHANNEL_UNITS, FORCES, OBSERVATION_ANGLES, WINDOW_DEG
 from terraphi.experiment.measurements import measurement
-from terraphi.experiment.rig import Rig
+from terraphi.experiment.rig import AIR_MARGIN_DEG, Rig
 from terraphi.experiment.scenario import GRAVITY
 from terraphi.experiment.units import FORCE
 from terraphi.forward.rft import to_plane_strain
@@ -97,10 +97,12 @@ def without_faults(record: Record) -> Record:
     bad = np.zeros(len(theta), dtype=bool)
     all_zero = np.all([force == 0.0 for force in forces.values()], axis=0)
     steps = dict(zip(record.channels, record.resolution, strict=True))
+    first, last = np.array(record.rig.air_deg()) + (AIR_MARGIN_DEG + LATE_DEG) * np.array([1, -1])
+    in_soil = np.array([theta[0] > first, theta[-1] < last])
     for name, force in forces.items():
         span, load = float(np.ptp(force)), LOADED * (largest["M"] if name == "M" else of_forces)
         faults = {
-            "dropouts": _dropouts(force, all_zero, max(load, 1.01 * steps[name])),
+            "dropouts": _dropouts(force, all_zero, max(load, 1.01 * steps[name]), in_soil),
             "held values": _held(force, span),
             "spikes": _spikes(force, span, steps[name]),
         }
@@ -123,16 +125,18 @@ def without_faults(record: Record) -> Record:
     return record.without(bad, notes, damage).binned().checked()
 
 
-def _dropouts(force: FloatArray, all_zero: BoolArray, load: float) -> BoolArray:
-    """Exact zeros amid load: of this force, or of all."""
-    rows = np.arange(len(force))
-    loaded = rows[(force != 0.0) & ~all_zero]
+def _dropouts(force: FloatArray, all_zero: BoolArray, load: float, in_soil: BoolArray) -> BoolArray:
+    """Exact zeros between loaded readings: of this force, or of all.
+
+    Zeros up to an end of the record are dropouts if that end is in the soil; in air zero is right.
+    """
+    loaded = np.flatnonzero((force != 0.0) & ~all_zero)
     if loaded.size < 3:
         return np.zeros(len(force), dtype=bool)
-    around = np.minimum(
-        np.abs(force[loaded[np.clip(np.searchsorted(loaded, rows) - 1, 0, None)]]),
-        np.abs(force[loaded[np.clip(np.searchsorted(loaded, rows), None, loaded.size - 1)]]),
-    )
+    sizes = np.pad(np.abs(force[loaded]), 1, mode="edge")
+    sizes[[0, -1]] *= in_soil
+    after = np.searchsorted(loaded, np.arange(len(force))) + 1
+    around = np.minimum(sizes[after - 1], sizes[after])
     return np.asarray((force == 0.0) & (around > load))
 
 
