@@ -378,6 +378,28 @@ def test_a_mistake_is_one_sentence_that_names_the_remedy(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    ("content", "option", "word"),
+    [
+        ("# made with terraphi\nt", ("--out", "walk.nc"), "walk.csv: is the log"),
+        ("# made with terraphi\nt", ("--mcap", "walk.csv"), "walk.csv: is the log"),
+        ("t", ("--out", "other.nc"), "other.png: is there"),
+    ],
+)
+def test_files_in_the_way_of_footfalls_are_named_before_anything_is_loaded(
+    content: str, option: tuple[str, str], word: str, terraphi: Terraphi, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.setitem(sys.modules, "terraphi.robot.footfalls", None)
+    (tmp_path / "walk.csv").write_text(content)
+    (tmp_path / "other.png").write_bytes(b"a picture")
+    status, out, err = terraphi("footfalls", "walk.csv", *option)
+    assert (status, out, err.count("\n")) == (2, "", 1)
+    assert word in err
+    assert {path.name for path in tmp_path.iterdir()} == {"walk.csv", "other.png"}
+    assert (tmp_path / "walk.csv").read_text() == content
+
+
 def test_codes_in_names_do_not_reach_the_terminal(terraphi: Terraphi, tmp_path: Path) -> None:
     name = "a\x1b]0;title\x07b.csv"
     assert terraphi("simulate", "quick", "--out", f"{name}.nc").status == 0

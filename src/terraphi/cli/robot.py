@@ -9,6 +9,7 @@ import click
 
 from terraphi.cli import options as shared
 from terraphi.cli.options import PATH, Float, choice, json_option, option_group
+from terraphi.experiment.errors import InputError
 from terraphi.view.console import present
 
 log_options = option_group(
@@ -130,25 +131,29 @@ def footfalls(
 
     Example: terraphi footfalls walk.mcap --density 1550±80 --out soil.nc
     """
+    with_it = [out.with_suffix(suffix) for suffix in (".csv", ".geojson", ".png")] if out else []
+    for file in filter(None, (out, mcap, *with_it)):
+        if file.exists() and Path(log).exists() and file.samefile(log):
+            more = f", and --out {out} writes {file.name} too" if file in with_it else ""
+            raise InputError(f"{file}: is the log{more}; name another file")
+    # Only after this what takes a second to load.
     from terraphi.experiment.outputs import SIGNATURE, check_file
+
+    for file in filter(None, (mcap, *with_it)):
+        check_file(file)
     from terraphi.inference.footfalls import KIND
     from terraphi.robot.footfalls import footfalls as find
     from terraphi.view import plots
 
     if out is not None:
         check_file(out, kind=KIND)
-        for suffix in (".csv", ".geojson", ".png"):
-            check_file(out.with_suffix(suffix))
-    if mcap is not None:
-        check_file(mcap)
     found = find(log, density=density, anchors=anchors, **options)
     summary, written = found.as_dict(), []
     if out is not None:
         picture = out.with_suffix(".png")
         plots.save(found.plot(), picture, metadata={"Comment": SIGNATURE})
         found.to_netcdf(out)
-        made = (out, out.with_suffix(".geojson"), out.with_suffix(".csv"), picture)
-        written.append(f"Written: {', '.join(map(str, made))}")
+        written.append(f"Written: {', '.join(map(str, (out, *with_it)))}")
     if mcap is not None:
         found.to_mcap(mcap)
         written.append(f"Written: {mcap}; open it together with the log")
