@@ -294,6 +294,25 @@ def test_a_library_is_built_listed_shown_and_used(terraphi: Terraphi, tmp_path: 
     assert [one["name"] for one in listed][:2] == ["legs", "rft3d"]
 
 
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("library", "build", "--rig", "li2013", "--leg", "c", "--out", "l.nc"),
+        ("simulate", "sand3d", "--out", "h.nc"),
+    ],
+)
+def test_a_missing_compiler_is_named_before_the_forecast(
+    command: tuple[str, ...], terraphi: Terraphi, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "numba", None)
+    monkeypatch.delitem(sys.modules, "terraphi.forward.compiled", raising=False)
+    status, _, err = terraphi(*command)
+    assert status == 2
+    assert "pip install 'terraphi[simulate]'" in err
+    assert "forecast" not in err
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_the_demo_recovers_the_angle(terraphi: Terraphi, tmp_path: Path) -> None:
     ran = terraphi("demo", "--out", "d", "--json")
     known, *sands = json.loads(ran.out)["answers"]

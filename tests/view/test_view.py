@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import queue
 import re
+import threading
 import tomllib
 from typing import Any
 
@@ -10,7 +12,7 @@ import pytest
 
 from terraphi import Scenario
 from terraphi.robot.results import RobotForces
-from terraphi.view import doctor
+from terraphi.view import console, doctor
 from terraphi.view.console import Table
 from terraphi.view.keys import DOCUMENTS, tables
 from terraphi.view.plots import save, stance_figure
@@ -23,6 +25,21 @@ def test_the_widest_column_is_wrapped_and_no_word_is_lost() -> None:
     assert max(map(len, lines)) <= 60
     assert re.findall(r"word\d+", " ".join(lines)) == words
     assert lines[-1].split() == ["b", "short"]
+
+
+def test_long_work_without_a_terminal_prints_lines_before_any_of_it_is_done(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(console, "EVERY_S", 0.01)
+    lines: queue.Queue[str] = queue.Queue()
+    monkeypatch.setattr(console.click, "echo", lambda text, err: lines.put(text))
+    before = threading.active_count()
+    with console.progress_bar("simulating") as report:
+        assert lines.get(timeout=30.0).startswith("simulating: 0% after")
+        report(3, 4)
+        while not lines.get(timeout=30.0).startswith("simulating: 75% after"):
+            pass
+    assert threading.active_count() == before
 
 
 @pytest.mark.parametrize("document", DOCUMENTS)

@@ -67,10 +67,10 @@ def library_build(
         raise InputError("give a PLAN, or a rig by --leg with its four sizes, or by --rig FILE")
     chosen = Plan.load(plan) if plan is not None else Plan.of_rig(Rig.of(**given))
     count = min(workers or os.cpu_count() or 1, chosen.count)
-    announce(chosen.cases(), count)
-    pool = builder.cluster(cluster) if cluster else processes(count)
-    with pool as executor, progress_bar("simulating") as report:
-        made = builder.build(chosen, out, executor=executor, progress=report)
+    with builder.cluster(cluster) if cluster else processes(count) as executor:
+        announce(chosen.cases(), count)
+        with progress_bar("simulating") as report:
+            made = builder.build(chosen, out, executor=executor, progress=report)
     print_library(made, as_json)
 
 

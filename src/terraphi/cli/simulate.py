@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -75,9 +76,14 @@ def simulate(
 
 
 def announce(scenarios: Sequence[Scenario], workers: int = 1) -> None:
-    """Print what looks like a mistake in scenarios, and how long they take."""
+    """Print what looks like a mistake in scenarios, and how long they take.
+
+    Raises InputError if the compiler that they need is not installed.
+    """
     from terraphi.forward.forecast import forecast
 
+    if any(one.model == "mpm" for one in scenarios):
+        importlib.import_module("terraphi.forward.compiled")
     for warning in dict.fromkeys(text for one in scenarios for text in one.warnings()):
         click.echo(f"terraphi: {warning}", err=True)
     expected = forecast(scenarios)

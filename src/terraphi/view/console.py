@@ -9,9 +9,9 @@ import re
 import shutil
 import sys
 import textwrap
-import time
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +19,7 @@ import click
 
 from terraphi.experiment.errors import visible
 
-PARTS, EVERY_S = 1000, 10.0
+PARTS, EVERY_S = 1000, 60.0
 """Parts of a progress bar, and time between lines where there is none [s]."""
 _NUMBER = re.compile(r"[-+−]?\d+(\.\d+)?( ?[%°]| N)?|[-–]?")
 
@@ -133,23 +133,31 @@ def words(value: Any) -> str:
 
 @contextmanager
 def progress_bar(description: str) -> Iterator[Callable[[float, float], None]]:
-    """Time left on a terminal; elsewhere a line for what was done, each ten seconds at most.
+    """Time left on a terminal; elsewhere a line each minute, whether or not work was reported.
 
     Yields
     ------
     callable
         To be called with the work done and all of it.
     """
-    if not sys.stderr.isatty():
-        last = time.monotonic()
-
-        def line(done: float, total: float) -> None:
-            nonlocal last
-            if time.monotonic() - last >= EVERY_S:
-                last = time.monotonic()
-                click.echo(f"{description}: {done / total:.0%}", err=True)
-
-        yield line
+    if sys.stderr.isatty():
+        with click.progressbar(length=PARTS, label=description, file=sys.stderr) as bar:
+            yield lambda done, total: bar.update(round(PARTS * done / total) - bar.pos)
         return
-    with click.progressbar(length=PARTS, label=description, file=sys.stderr) as bar:
-        yield lambda done, total: bar.update(round(PARTS * done / total) - bar.pos)
+    ended, share = threading.Event(), [0.0]
+
+    def print_lines() -> None:
+        for lines in itertools.count(1):
+            if ended.wait(EVERY_S):
+                return
+            passed = f"{lines * EVERY_S / 60.0:.0f} min"
+            with suppress(OSError):  # nobody reads it any more
+                click.echo(f"{description}: {share[0]:.0%} after {passed}", err=True)
+
+    thread = threading.Thread(target=print_lines, daemon=True)
+    thread.start()
+    try:
+        yield lambda done, total: share.__setitem__(0, done / total)
+    finally:
+        ended.set()
+        thread.join()
