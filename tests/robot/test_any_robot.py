@@ -139,6 +139,15 @@ def test_joint_states_by_the_names_of_the_model(tmp_path: Path) -> None:
         read_log(path)
 
 
+def published(name: str) -> Path:
+    """The URDF of a robot that example-robot-data brings."""
+    try:
+        files = metadata.files("example-robot-data") or []
+    except metadata.PackageNotFoundError:
+        pytest.skip("example-robot-data is not installed")
+    return Path(str(next(f for f in files if f.name == f"{name}.urdf").locate()))
+
+
 def nameless_urdf() -> tuple[str, dict[str, str]]:
     """The small URDF of ``test_model.py`` with joints j0 to j11 and links that say nothing."""
     names = {f"{n}_joint": f"j{k}" for n, k in zip(JOINT_NAMES, SHUFFLED, strict=True)}
@@ -216,7 +225,7 @@ def test_a_table_of_names_fixes_what_is_wrong(tmp_path: Path) -> None:
     [
         ('xyz="0 0 -0.25"', 'xyz="0 0.25 0"', "do not reach below the trunk"),
         ('xyz="-0.2 -0.1 0"', 'xyz="0.2 -0.1 0"', "do not stand at four corners"),
-        ('"j0" type="revolute"', '"j0" type="fixed"', "no four legs: chains of"),
+        ('"j0" type="revolute"', '"j0" type="fixed"', "it has 4 legs of 2 or 3 revolute joints"),
     ],
 )
 def test_what_is_no_quadruped_is_refused(tmp_path: Path, old: str, new: str, words: str) -> None:
@@ -229,15 +238,37 @@ def test_what_is_no_quadruped_is_refused(tmp_path: Path, old: str, new: str, wor
 
 
 @pytest.mark.parametrize(
+    ("name", "legs"),
+    [("bolt", "2 legs of 3"), ("g1_29dof_rev_1_0", "2 legs of 6"), ("icub_reduced", "2 legs of 6"),
+     ("centauro", "4 legs of 6"), ("ur5_robot", "1 leg of 6"), ("iris", "no legs")],
+)  # fmt: skip
+def test_published_robots_of_other_kinds_are_refused_by_their_legs(name: str, legs: str) -> None:
+    with pytest.raises(InputError, match=f"it has {legs}.*bipeds and flat soles"):
+        Quadruped.load(published(name))
+
+
+def test_an_ankle_below_named_legs_is_refused(tmp_path: Path) -> None:
+    """Even where the calf itself has a ball, such as at its knee."""
+    root = ET.fromstring(small_urdf())
+    ball = "<collision><geometry><sphere radius='0.02'/></geometry></collision>"
+    for link in root.iter("link"):
+        if link.attrib["name"].endswith("calf"):
+            link.append(ET.fromstring(ball))
+    for joint in root.iter("joint"):
+        if joint.attrib["name"].endswith("foot_joint"):
+            joint.set("type", "revolute")
+            joint.append(ET.fromstring("<axis xyz='0 1 0'/>"))
+    (tmp_path / "own.urdf").write_text(ET.tostring(root, encoding="unicode"))
+    with pytest.raises(InputError, match=r"joint 'F[RL]_foot_joint' is below the calf.*flat soles"):
+        Quadruped.load(tmp_path / "own.urdf")
+
+
+@pytest.mark.parametrize(
     "name", ["a1", "anymal", "b1", "go1", "go2", "hyq_no_sensors", "laikago", "solo", "solo12"]
 )
 def test_published_quadrupeds_are_the_same_without_their_names(tmp_path: Path, name: str) -> None:
     """By their places, the joints are those that the names say."""
-    try:
-        files = metadata.files("example-robot-data") or []
-    except metadata.PackageNotFoundError:
-        pytest.skip("example-robot-data is not installed")
-    path = Path(str(next(f for f in files if f.name == f"{name}.urdf").locate()))
+    path = published(name)
     text, known = path.read_text(), Quadruped.load(path)
     assert not any("disagree" in note for note in known.notes)
     for number, joint in enumerate(known.own_names):

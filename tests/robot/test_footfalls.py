@@ -261,7 +261,7 @@ def test_options_and_logs_that_cannot_be() -> None:
         ({"density": 1.55}, "density '1.55'"),
         ({"density": "heavy"}, "density 'heavy'"),
         ({"density": "1550±900"}, "at most 30 %"),
-        ({"robot": replace(GO2, foot_radius=0.0)}, "lacks its foot_radius"),
+        ({"robot": replace(GO2, foot_radius=0.0)}, "flat soles are not supported"),
     ):
         with pytest.raises(InputError, match=words):
             footfalls(log, **options)

@@ -128,7 +128,7 @@ def test_wrong_toml_is_refused_in_one_sentence(tmp_path: Path, text: str, words:
         (
             '"FR_calf_joint" type="revolute"',
             '"FR_calf_joint" type="fixed"',
-            "like FR_calf, and its",
+            "has 3 legs of 3",
         ),
         ("</robot>", "", "not valid XML"),
         ('<robot name="small">', "<sdf>", "outermost element is <sdf>"),

@@ -151,7 +151,10 @@ def assumptions(
     if law not in LAWS:
         raise InputError(f"law '{law}' is unknown; {nearest(law, LAWS)}")
     if body.foot_radius <= 0.0:
-        raise InputError(f"robot '{body.name}' lacks its foot_radius, which footfalls need")
+        raise InputError(
+            f"robot '{body.name}' lacks foot_radius, the radius of the ball at the end of a leg; "
+            "add it to the robot's TOML (flat soles are not supported)"
+        )
     chosen = replace(prior or Prior(), radius=body.foot_radius)
     if density is not None:
         mean, sd = _density(str(density))

@@ -10,7 +10,7 @@ import itertools
 import math
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -336,9 +336,8 @@ def _leg_joints(
     except InputError as error:
         if missing:
             raise InputError(
-                f"{source}: no revolute joint is named like {missing[0]}, and "
-                f"{str(error).removeprefix('it: ')}; name the legs' joints in the table 'joints' "
-                "of the robot's TOML"
+                f"{source}: {str(error).removeprefix('it: ')}; or name the four legs' joints in "
+                "the table 'joints' of the robot's TOML"
             ) from error
         placed = joint
     if missing:
@@ -397,12 +396,14 @@ def _joints_by_place(model: mujoco.MjModel, data: mujoco.MjData) -> IntArray:
     ends = {one for one in chains if not any(one == c[: len(one)] != c for c in chains)}
     legs = [sorted(one for one in ends if len(one) == count) for count in (3, 2)]
     four = next((each for each in legs if len(each) == len(FEET)), None)
-    if four is None:
-        lengths = sorted(map(len, ends))
-        raise InputError(f"its tree has no four legs: chains of {lengths} revolute joints")
     data.qpos[:] = model.qpos0
     data.qpos[:7] = (0, 0, 0, 1, 0, 0, 0)
     mujoco.mj_kinematics(model, data)
+    if four is None:
+        raise InputError(
+            f"it has {_legs_in_words(data, ends)}, not four of two or three with a ball at the end "
+            "(bipeds and flat soles are not supported)"
+        )
     along = np.abs(data.xaxis[:, 0])
     joint = np.full((len(FEET), len(JOINTS)), -1)
     for row, one in zip(joint, four, strict=True):
@@ -439,6 +440,20 @@ def _joints_by_place(model: mujoco.MjModel, data: mujoco.MjData) -> IntArray:
     return np.asarray(joint[np.argsort(foot)])
 
 
+def _legs_in_words(data: mujoco.MjData, chains: Iterable[tuple[int, ...]]) -> str:
+    """Number of legs and of their joints, such as ``2 legs of 6 revolute joints``.
+
+    Of chains of joints, those that reach more than half as deep below the trunk as the deepest:
+    arms and heads end higher.
+    """
+    depth = {chain: -data.xanchor[chain[-1]][2] for chain in chains if chain}
+    least = max(0.0, 0.5 * max(depth.values(), default=0.0))
+    legs = sorted(len(chain) for chain in depth if depth[chain] > least)
+    joints = " or ".join(map(str, dict.fromkeys(legs)))
+    count = "1 leg" if len(legs) == 1 else f"{len(legs)} legs"
+    return f"{count} of {joints} revolute joints" if legs else "no legs"
+
+
 def _foot(
     model: mujoco.MjModel, data: mujoco.MjData, calf: int, source: str
 ) -> tuple[int, FloatArray, float]:
@@ -452,6 +467,13 @@ def _foot(
     fixed = [b for b in np.flatnonzero(model.body_weldid == calf).tolist() if b != calf]
     named = [b for b in fixed if re.search("foot|feet|toe", model.body(b).name, re.IGNORECASE)]
     balls = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE).tolist()
+    for joint in range(model.njnt) if not named else ():
+        if model.body_weldid[model.body_parentid[model.jnt_bodyid[joint]]] == calf:
+            raise InputError(
+                f"{source}: joint '{model.joint(joint).name}' is below the calf "
+                f"'{model.body(calf).name}'; a ball at the calf's end is expected: flat soles on "
+                "ankles, and wheels, are not supported"
+            )
     if named or fixed:
         body = max(named or fixed, key=lambda b: np.linalg.norm(data.xpos[b] - data.xpos[calf]))
         for ball in (g for g in balls if model.geom_bodyid[g] == body):
