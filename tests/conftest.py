@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -24,15 +23,6 @@ threadpool_limits(limits=1, user_api="blas")
 # A busy machine is no error.
 settings.register_profile("untimed", deadline=None)
 settings.load_profile("untimed")
-
-
-def pytest_configure() -> None:
-    """Let Ctrl-C through to the processes that tests start and interrupt.
-
-    A shell that starts the tests in the background ignores it, and children inherit that.
-    """
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 class Ran(NamedTuple):

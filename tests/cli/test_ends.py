@@ -36,6 +36,12 @@ SENTENCE = "continues with the same command"
 slow = pytest.mark.slow
 
 
+def accept_signals() -> None:
+    """Undo in a child what ``nohup`` and shells' background jobs have it ignore."""
+    for number in (signal.SIGHUP, signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_DFL)
+
+
 def started(folder: Path, command: list[str]) -> subprocess.Popen[str]:
     """A command that is in the midst of its work, in a folder that also has its temporary files."""
     (folder / "p.toml").write_text(PLAN.format(angles=", ".join(map(str, range(20, 60)))))
@@ -44,7 +50,7 @@ def started(folder: Path, command: list[str]) -> subprocess.Popen[str]:
     running = subprocess.Popen(
         [sys.executable, *(("-c", RUN) if command == INVERT else ("-m", "terraphi.cli")), *command],
         cwd=folder, env={**os.environ, **places}, text=True, start_new_session=True,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, preexec_fn=accept_signals,
     )  # fmt: skip
     if command == APP:  # it has opened its port
         assert running.stdout is not None
