@@ -145,7 +145,7 @@ def score(walk: Walk, recording: Recording, seed: int) -> dict[str, float]:
     usable = found.usable
     numbers = {"footfalls": len(usable), "usable": int(usable.sum()), "s_per_min": spent}
     numbers["s_per_min"] *= 60.0 / float(log.time[-1] - log.time[0])
-    numbers["notes"] = len(found.notes) - 2  # of the density, and that there is no anchor
+    numbers["notes"] = len(found.warnings) - 2  # of the density, and that there is no anchor
     if walk.sand is None or isinstance(walk.sand, Elastic | Crust) or not usable.any():
         return numbers
     start = recording.position[0, :2]

@@ -159,7 +159,7 @@ def inverted(damaged: Damaged, leg: str, density: float) -> terraphi.Answer:
 def warnings(answer: terraphi.Answer) -> set[str]:
     """Warnings of an answer without their numbers; not that it was tared, or has some cohesion."""
     return {
-        re.sub(r"[-+]?\d[\d.]*", "#", warning) for warning in answer.questions
+        re.sub(r"[-+]?\d[\d.]*", "#", warning) for warning in answer.warnings
         if not warning.startswith("Tared")
         and ("check the density" in warning or "large compared with the leg" not in warning)
     }  # fmt: skip

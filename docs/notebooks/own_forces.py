@@ -72,7 +72,7 @@ answer.plot()
 # The standard deviation of φ by source [deg], and the warnings:
 
 print(pd.Series(answer.budget_deg).round(2).to_string())
-print(*answer.questions, sep="\n")
+print(*answer.warnings, sep="\n")
 
 # %%
 # Most of the interval is the error of the model on real grains: :doc:`calibration` narrows it.

@@ -273,7 +273,7 @@ def answers(law: Legs, readings: Sequence[Reading]) -> list[dict[str, Any]]:
                     "ci95": [round(end, 2) for end in answer.phi.ci95],
                     "nrmsd": {name: round(value, 4) for name, value in answer.nrmsd.items()},
                     "verdict": answer.verdict,
-                    "moisture": any("damp soil" in text for text in answer.questions),
+                    "moisture": any("damp soil" in text for text in answer.warnings),
                 })  # fmt: skip
     return rows
 
@@ -351,7 +351,7 @@ def wrong(law: Legs, readings: Sequence[Reading]) -> list[tuple[str, str]]:
                 found.setdefault(kind, []).append(False)
                 continue
             words = ("unit of force", "is unusual", "farther than")
-            warned = any(word in question for question in answer.questions for word in words)
+            warned = any(word in question for question in answer.warnings for word in words)
             found.setdefault(kind, []).append(answer.verdict == "consistent" and not warned)
     return [
         (

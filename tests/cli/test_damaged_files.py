@@ -90,7 +90,7 @@ def make_files(folder: Path) -> None:
         sinkage=0.02 * one, phi=30.0 + one, sd=one, shared_sd=3.0 * one, misfit=one,
         verdict=("usable",) * 8, path=np.column_stack([place, place, place]), path_phi=30.0 + one,
         path_relative_sd=one, path_absolute_sd=3.0 * one, shared={"density": 1.0},
-        by_law={"rft": 31.0}, notes=("a note",), provenance={"law": "foot"},
+        by_law={"rft": 31.0}, warnings=("a note",), provenance={"law": "foot"},
     )  # fmt: skip
     walk.to_netcdf(folder / "footfalls.nc")
     time = np.arange(0.0, 2.0, 0.01)

@@ -74,7 +74,7 @@ def check(found: dict[str, Any], record: Path, **density: str) -> None:
     assert found["phi_deg"]["median"] == pytest.approx(expected["phi_deg"]["median"], abs=1e-4)
     assert found["phi_deg"]["ci95"] == pytest.approx(expected["phi_deg"]["ci95"], abs=1e-4)
     assert found["budget_deg"] == pytest.approx(expected["budget_deg"], abs=1e-4)
-    for key in ("verdict", "questions", "rig", "density_kg_m3", "law"):
+    for key in ("verdict", "warnings", "rig", "density_kg_m3", "law"):
         assert found[key] == expected[key]
     assert found["provenance"]["law_hash"] == expected["provenance"]["law_hash"]
 

@@ -6,8 +6,10 @@ import json
 import math
 import resource
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import matplotlib as mpl
 import numpy as np
 import pytest
@@ -19,6 +21,7 @@ from terraphi.inference.inversion import invert
 from terraphi.inference.likelihood import Likelihood
 from terraphi.inference.records import open_records
 from terraphi.laws.legs import shipped_legs
+from terraphi.terrain.soils import soil
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")
@@ -47,6 +50,23 @@ def test_what_is_written_is_read_back(answer: Answer, tmp_path: Path) -> None:
     }  # fmt: skip
     with pytest.raises(InputError):
         Answer.load(tmp_path / "answer" / "answer.json")
+
+
+def test_answers_of_version_0_3_are_read_with_their_warnings(
+    answer: Answer, tmp_path: Path
+) -> None:
+    """Their warnings are called ``questions``."""
+    answer = replace(answer, warnings=("Check it.", "Is the soil dry?"))
+    text = json.dumps(answer.as_dict())
+    assert text.count('"warnings"') == 1
+    old = text.replace('"warnings"', '"questions"')
+    (tmp_path / "old.json").write_text(old)
+    answer.to_netcdf(tmp_path / "old.nc")
+    with h5py.File(tmp_path / "old.nc", "r+") as file:
+        file.attrs["answer"] = old
+    assert Answer.load(tmp_path / "old.nc").warnings == answer.warnings
+    for name in ("old.json", "old.nc"):
+        assert soil(str(tmp_path / name)).caution == " ".join(answer.warnings)
 
 
 @pytest.mark.parametrize("most", [10_000, 40_000, 60_000])
@@ -149,7 +169,7 @@ def test_json_holds_plain_values_and_the_keys_that_programs_rely_on(answer: Answ
     assert set(known["phi_deg"]) == {"median", "sd", "ci68", "ci95", "yield"}
     assert {
         "phi_plane_strain_deg", "verdict", "reason", "edge", "nrmsd", "budget_deg", "density_kg_m3",
-        "n_angles", "law", "second_opinion", "questions", "provenance",
+        "n_angles", "law", "second_opinion", "warnings", "provenance",
     } <= set(known)  # fmt: skip
     assert known["nrmsd"].keys() == {"Fx", "Fz"}
 

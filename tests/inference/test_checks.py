@@ -136,7 +136,7 @@ def offset(theta, force):
 def test_faults_that_shift_readings_are_misfits(change) -> None:
     answer = answer_to(change)
     assert answer.verdict == "misfit"
-    assert answer.questions
+    assert answer.warnings
 
 
 def test_a_record_of_faults_is_refused() -> None:
@@ -160,7 +160,7 @@ def test_the_option_that_is_offered_mends_the_record(
     columns = {"theta": theta * history.theta_deg, "Fx": fx * history.Fx, "Fz": fz * history.Fz}
     answer = invert(pd.DataFrame(columns), **options)
     assert answer.verdict != "consistent"
-    [offer] = [one for one in answer.questions if "--columns" in one]
+    [offer] = [one for one in answer.warnings if "--columns" in one]
     remedy = offer.partition("--columns ")[2].partition(":")[0]
     if "of all units" in offer:  # the C's shape says little of the size of its forces
         assert "mN" in offer
@@ -178,7 +178,7 @@ def test_an_option_that_was_given_wrongly_is_turned_back(given: dict) -> None:
     answer = invert(
         pd.DataFrame(columns), rig=known.rig, density=known.density_kg_m3, columns=given
     )
-    [offer] = [one for one in answer.questions if "--columns" in one]
+    [offer] = [one for one in answer.warnings if "--columns" in one]
     key, _, value = offer.partition("--columns ")[2].partition(":")[0].partition("=")
     assert {key: value} == {one: {"soil": "leg", -1: "1"}[old] for one, old in given.items()}
 
@@ -187,7 +187,7 @@ def test_of_two_legs_that_fit_the_one_that_other_physics_confirms_is_offered() -
     """By `reversed_c` the record is consistent too, at 43 instead of 30°."""
     answer = invert("li2013:yuma/straight", leg="c")
     assert answer.verdict == "misfit"
-    assert any("--leg straight" in one for one in answer.questions)
+    assert any("--leg straight" in one for one in answer.warnings)
 
 
 @pytest.mark.parametrize(("chord", "begins"), [(0.0762, False), (0.045, True)])
@@ -197,7 +197,7 @@ def test_a_short_leg_is_noticed(chord: float, begins: bool) -> None:
     answer = invert(
         ForceHistory(made.position, made.force), rig="li2013", leg="straight", density=1650
     )
-    assert any("Contact begins" in one for one in answer.questions) == begins
+    assert any("Contact begins" in one for one in answer.warnings) == begins
 
 
 def logged(name: str, change) -> pd.DataFrame:

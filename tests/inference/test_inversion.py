@@ -112,7 +112,7 @@ def test_wrong_records_are_misfits_with_a_remedy(medium: str, leg: str) -> None:
     ):
         answer = invert(turned(known.history, fx, fz), **options)
         assert answer.verdict != "consistent"
-        assert any(word in question for question in answer.questions)
+        assert any(word in question for question in answer.warnings)
 
 
 def test_a_wrong_leg_is_a_misfit_in_nearly_all_records() -> None:
@@ -212,13 +212,13 @@ def test_a_moment_that_the_forces_do_not_have_is_noticed() -> None:
     history = replace(simulate(base.replace(**{PHI: 30.0})), provenance={})
     longer = replace(history, moment=1.5 * history.moment)
     plain, other = (
-        invert(one, rig="li2013", leg="straight", density=1650, law="rft3d").questions
+        invert(one, rig="li2013", leg="straight", density=1650, law="rft3d").warnings
         for one in (history, longer)
     )
     assert any("moment" in one for one in other)
     assert not any("moment" in one for one in plain)
     pounds = replace(history, force=history.force / 4.448)
-    found = invert(pounds, rig="li2013", leg="straight", density=1650, law="rft3d").questions
+    found = invert(pounds, rig="li2013", leg="straight", density=1650, law="rft3d").warnings
     assert any("--columns unit=lbf" in one for one in found)
 
 
@@ -230,7 +230,7 @@ def test_half_and_twice_the_density_of_sand_are_noticed(factor: float) -> None:
             continue  # poppy seeds
         history = replace(known.history, provenance={})
         answer = invert(history, rig=known.rig, density=factor * known.density_kg_m3)
-        assert answer.verdict != "consistent" or any("density" in q for q in answer.questions)
+        assert answer.verdict != "consistent" or any("density" in q for q in answer.warnings)
 
 
 def test_many_keeps_the_order_and_the_errors() -> None:
@@ -263,7 +263,7 @@ def test_the_unit_that_is_offered_counts_from_the_one_that_was_read(given: str, 
     columns = {"theta [deg]": known.history.theta_deg, f"Fx [{given}]": known.history.Fx / newtons,
                f"Fz [{given}]": known.history.Fz / newtons}  # fmt: skip
     answer = invert(pd.DataFrame(columns), rig="li2013", leg="straight", density=1650)
-    assert any(f"unit={right}:" in question for question in answer.questions)
+    assert any(f"unit={right}:" in question for question in answer.warnings)
 
 
 def test_what_a_law_reads_too_high_is_taken_off() -> None:
@@ -299,8 +299,8 @@ def test_a_wrong_leg_that_fits_is_doubted_by_the_second_opinion() -> None:
         invert(record, rig="li2013", leg=leg, density=1650.0) for leg in ("straight", "reversed_c")
     )
     assert right.phi.median < 35.0 < 40.0 < wrong.phi.median
-    assert any("the leg" in question for question in wrong.questions)
-    assert not any("the leg and" in question for question in right.questions)
+    assert any("the leg" in question for question in wrong.warnings)
+    assert not any("the leg and" in question for question in right.warnings)
 
 
 def test_an_angle_beyond_the_soils_that_were_learned_from_is_said() -> None:
@@ -310,8 +310,8 @@ def test_an_angle_beyond_the_soils_that_were_learned_from_is_said() -> None:
         history = ForceHistory(np.radians(law.theta_deg), law(np.array([[phi]]))[0].T)
         answers.append(invert(history, rig="li2013", leg="straight", density=1650.0))
     inside, outside = answers
-    assert any("lies outside" in question for question in outside.questions)
-    assert not any("lies outside" in question for question in inside.questions)
+    assert any("lies outside" in question for question in outside.warnings)
+    assert not any("lies outside" in question for question in inside.warnings)
     assert outside.budget_deg["model: offset"] > 1.5 * inside.budget_deg["model: offset"]
 
 
@@ -328,7 +328,7 @@ def test_large_grains_are_taken_off_where_their_size_is_known(leg: str, width: f
     )
     expected = sand.phi.median - 3.0 * 25.4 / width
     assert grains.phi.median == pytest.approx(expected, abs=0.1)
-    assert any("grains of 6 mm" in question for question in grains.questions)
+    assert any("grains of 6 mm" in question for question in grains.warnings)
 
 
 @pytest.mark.parametrize(
@@ -341,7 +341,7 @@ def test_sizes_of_grains_that_cannot_be(size: object, why: str) -> None:
 
 def test_a_law_without_grains_says_so() -> None:
     answer = invert("li2013:yuma/c", law="rft3d", grain_size_mm=3)
-    assert any("large grains" in question for question in answer.questions)
+    assert any("large grains" in question for question in answer.warnings)
 
 
 @pytest.mark.parametrize(("name", "error"), [("sand3d-truths", 0.3), ("sand3d-cells-86", 1.2)])
@@ -370,7 +370,7 @@ def test_the_cohesion_of_a_simulated_soil_is_known() -> None:
     answer = invert(simulated(150.0))
     assert answer.phi.median == pytest.approx(28.0, abs=0.1)
     assert answer.cohesion_pa == 150.0
-    assert not any("cohesion" in question for question in answer.questions)
+    assert not any("cohesion" in question for question in answer.warnings)
     lighter = invert(simulated(150.0), density=1200.0)
     assert lighter.cohesion_pa == 150.0
     # As measured forces it has the cohesion that they determine.
@@ -431,9 +431,9 @@ def test_dense_soil_has_a_peak_where_its_critical_angle_is_known(tmp_path: Path)
 def test_loose_soil_has_no_peak() -> None:
     answer = invert("li2013:glass03_loose/straight", critical=24)
     assert answer.phi_peak is None
-    assert any("loose" in question for question in answer.questions)
+    assert any("loose" in question for question in answer.warnings)
     wrong = invert("li2013:glass03_loose/straight", critical="40±1")
-    assert any("the critical angle is wrong" in question for question in wrong.questions)
+    assert any("the critical angle is wrong" in question for question in wrong.warnings)
 
 
 @pytest.mark.parametrize(

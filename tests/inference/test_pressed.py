@@ -34,7 +34,7 @@ def test_own_curves_return_their_angle(phi: float, contraction: float) -> None:
     low, high = answer.phi.ci95
     assert low < phi < high
     assert answer.verdict == "consistent"
-    assert any("compacts" in one for one in answer.questions) == (contraction > 0.0)
+    assert any("compacts" in one for one in answer.warnings) == (contraction > 0.0)
 
 
 def test_columns_units_signs_and_unloading_do_not_matter(tmp_path: Path) -> None:
@@ -51,7 +51,7 @@ def test_columns_units_signs_and_unloading_do_not_matter(tmp_path: Path) -> None
     for variant in variants:
         answer = terraphi.invert(variant.reset_index(drop=True), tool="plate:151", density=1500)
         assert answer.phi.median == pytest.approx(expected.phi.median, abs=0.01)
-    assert any("unloading" in one for one in answer.questions)
+    assert any("unloading" in one for one in answer.warnings)
     answer.save(tmp_path / "answer")
     assert terraphi.Answer.load(tmp_path / "answer").phi.median == answer.phi.median
 

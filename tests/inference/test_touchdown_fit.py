@@ -256,7 +256,7 @@ def test_soil_that_grows_slower_with_depth_than_dry_sand_is_noted(
 ) -> None:
     found = walked("foot", np.full(12, 36.0), exponent=exponent)
     assert found.shared["law_exponent"]["mean"] == pytest.approx(exponent, abs=0.05)
-    assert any("damp" in note for note in found.notes) == noted
+    assert any("damp" in note for note in found.warnings) == noted
 
 
 def test_noise_has_its_three_parts() -> None:

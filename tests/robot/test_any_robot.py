@@ -102,7 +102,7 @@ def test_a_go2_of_other_names_has_the_forces_of_a_go2(
     # Forces are single; the order of legs in the tree changes the order of MuJoCo's sums.
     np.testing.assert_allclose(found.forces.force, truth.forces.force, rtol=1e-5, atol=1e-4)
     assert [s.foot for s in found.stances] == [s.foot for s in truth.stances]
-    assert any("by their places" in note for note in found.notes) == (style == "nameless")
+    assert any("by their places" in note for note in found.warnings) == (style == "nameless")
 
 
 @pytest.mark.parametrize("order_given", [True, False])
@@ -125,7 +125,7 @@ def test_an_assumed_order_of_motors_is_noted(
     found = foot_forces(tmp_path / "walk.mcap", robot=tmp_path / "own.toml")
     # Messages are single.
     np.testing.assert_allclose(found.forces.force, walked[1].forces.force, rtol=1e-3, atol=0.02)
-    assert any("numbered FR_hip, FR_thigh" in note for note in found.notes) != order_given
+    assert any("numbered FR_hip, FR_thigh" in note for note in found.warnings) != order_given
 
 
 def test_joint_states_by_the_names_of_the_model(tmp_path: Path) -> None:

@@ -41,7 +41,7 @@ def legs(log: JointLog, order: list[int]) -> JointLog:
 @pytest.mark.parametrize("name", WALKS)
 def test_a_sound_log_is_not_doubted(name: str) -> None:
     found = foot_forces(WALKS[name].log()[0])
-    assert found.notes == ()
+    assert found.warnings == ()
     assert found.summary()["lift_over_weight"] == pytest.approx(1.0, abs=0.03)
 
 
@@ -52,14 +52,14 @@ def late(log: JointLog, seconds: float) -> JointLog:
 
 def test_late_torques_are_found_in_swing_and_taken_back(log: JointLog) -> None:
     """20 ms late torques move φ by 5°; a trailing mean of 50 ms is late by half of that."""
-    notes = " | ".join(foot_forces(late(log, 0.02)).notes)
+    notes = " | ".join(foot_forces(late(log, 0.02)).warnings)
     found = re.search(r"torques are (\d+) ms late .* correct it with --lag (\d+)", notes)
     assert found, notes
     assert found[1] == found[2]
     assert float(found[1]) == pytest.approx(20.0, abs=4.0)
-    assert "torques are" not in " ".join(foot_forces(late(log, 0.02), lag_s=0.02).notes)
+    assert "torques are" not in " ".join(foot_forces(late(log, 0.02), lag_s=0.02).warnings)
     mean = replace(log, torque=uniform_filter1d(log.torque, 25, axis=0, origin=12))
-    notes = " | ".join(foot_forces(mean).notes)
+    notes = " | ".join(foot_forces(mean).warnings)
     found = re.search(r"torques are (\d+) ms late", notes)
     assert found, notes
     assert float(found[1]) == pytest.approx(24.0, abs=8.0)
@@ -77,7 +77,7 @@ def test_late_torques_are_found_in_swing_and_taken_back(log: JointLog) -> None:
 def test_what_cannot_be_is_said(
     log: JointLog, wrong: Callable[[JointLog], JointLog], words: str
 ) -> None:
-    notes = " | ".join(foot_forces(wrong(log)).notes)
+    notes = " | ".join(foot_forces(wrong(log)).warnings)
     assert re.search(words, notes), notes
 
 
@@ -99,7 +99,7 @@ def sandy(request: pytest.FixtureRequest) -> JointLog:
     ],
 )
 def test_one_pair_of_legs_exchanged_on_sand(sandy: JointLog, order: list[int], words: str) -> None:
-    assert not any("exchanged" in note for note in foot_forces(sandy).notes)
+    assert not any("exchanged" in note for note in foot_forces(sandy).warnings)
     found = foot_forces(legs(sandy, order)).grave
     assert any("exchanged" in note and words in note for note in found), found
 
@@ -141,7 +141,7 @@ def test_an_attitude_that_turns_otherwise_than_the_gyroscope(
         return
     found = foot_forces(wrong)
     assert re.search(words, found.grave[0]), found.grave
-    assert not any("exchanged" in note or "zeros" in note for note in found.notes)
+    assert not any("exchanged" in note or "zeros" in note for note in found.warnings)
 
 
 @pytest.mark.parametrize(
@@ -155,8 +155,8 @@ def test_an_imu_that_no_known_slip_explains_is_a_note(
     log: JointLog, order: list[int], signs: list[float], factor: float
 ) -> None:
     found = foot_forces(imu(log, order, signs, factor))
-    assert any(note.startswith("attitude and gyroscope disagree") for note in found.notes)
-    assert not any(re.search(r"and by \d+% if", note) for note in found.notes)
+    assert any(note.startswith("attitude and gyroscope disagree") for note in found.warnings)
+    assert not any(re.search(r"and by \d+% if", note) for note in found.warnings)
 
 
 @pytest.mark.parametrize("stretch", [2.0, 0.5])
@@ -177,7 +177,9 @@ def test_noise_bias_delay_and_a_corrected_heading_are_no_finding(log: JointLog) 
     assert log.angular_velocity is not None
     half = (np.arange(len(log.time)) > len(log.time) // 2)[:, None]
     corrected = np.where(half, turned(log, 0.5).quaternion, log.quaternion)
-    assert not any("gyroscope" in n for n in foot_forces(replace(log, quaternion=corrected)).notes)
+    assert not any(
+        "gyroscope" in n for n in foot_forces(replace(log, quaternion=corrected)).warnings
+    )
     rng = np.random.default_rng(0)
     late = np.roll(log.quaternion, 10, axis=0)  # 20 ms
     late[:10] = log.quaternion[0]
@@ -186,7 +188,7 @@ def test_noise_bias_delay_and_a_corrected_heading_are_no_finding(log: JointLog) 
         quaternion=late + rng.normal(0.0, 5e-4, late.shape),
         angular_velocity=log.angular_velocity + rng.normal(0.02, 0.05, log.angular_velocity.shape),
     )
-    assert not any("gyroscope" in note for note in foot_forces(noisy).notes)
+    assert not any("gyroscope" in note for note in foot_forces(noisy).warnings)
 
 
 @pytest.mark.parametrize(
@@ -202,7 +204,7 @@ def test_forces_of_no_robot_are_refused(log: JointLog, factor: float, words: str
 def test_a_clock_that_is_a_little_off_is_noted(log: JointLog, factor: float) -> None:
     found = foot_forces(replace(log, time=factor * log.time))
     off = abs(factor - 1.0)
-    assert any(f"joint velocities are {off:.0%}" in note for note in found.notes)
+    assert any(f"joint velocities are {off:.0%}" in note for note in found.warnings)
 
 
 @pytest.mark.parametrize("order", [[1, 0, 2, 3], [0, 1, 3, 2]])

@@ -68,7 +68,7 @@ def test_a_walk_on_sand_tells_its_field(walked: Any, found: FootfallMap) -> None
     walk, recording, _ = walked
     assert found.usable.sum() > 20
     # Feet under which soil gives way slide; that is no zero of a joint.
-    assert not any("slide" in note for note in found.notes)
+    assert not any("slide" in note for note in found.warnings)
     truth = walk.sand.phi(found.path[:, 1:] + recording.position[0, :2])
     # A friction of 0.5 where 0.4 is assumed is 0.9 of it.
     assert np.sqrt(np.mean((found.path_phi - truth) ** 2)) < 1.1
@@ -113,7 +113,7 @@ def test_a_slope_is_noted(slope_deg: float) -> None:
     uphill = Rotation.from_euler("y", -slope_deg, degrees=True) * level
     found = footfalls(replace(log, quaternion=uphill.as_quat(scalar_first=True)))
     assert found.usable.any()
-    assert any("inclined" in note for note in found.notes) == (slope_deg > 0.0)
+    assert any("inclined" in note for note in found.warnings) == (slope_deg > 0.0)
 
 
 @pytest.mark.slow
@@ -223,7 +223,7 @@ def test_an_accelerometer_that_is_ignored_does_not_matter() -> None:
     assert log.acceleration is not None
     broken = replace(log, acceleration=-log.acceleration)
     found, without = (footfalls(each) for each in (broken, replace(log, acceleration=None)))
-    assert any("accelerometer ignored" in note for note in found.notes)
+    assert any("accelerometer ignored" in note for note in found.warnings)
     assert len(found.verdict) > 3
     for name in ("place", "sinkage", "misfit", "path"):
         np.testing.assert_array_equal(getattr(found, name), getattr(without, name))
@@ -277,7 +277,7 @@ def test_the_command_writes_its_files(terraphi: Any) -> None:
     assert ran.status == 0, ran.err
     answer = json.loads(ran.out)
     assert set(answer) == {
-        "law", "counts", "footfalls", "path", "shared", "by_law_deg", "notes",
+        "law", "counts", "footfalls", "path", "shared", "by_law_deg", "warnings",
     }  # fmt: skip
     assert set(answer["footfalls"][0]) == {
         "t_s", "foot", "x_m", "y_m", "surface_mm", "sinkage_mm", "phi_deg", "phi_relative_deg",

@@ -103,8 +103,8 @@ def test_the_map_is_that_of_the_whole_log(
     there = np.interp(found.path[:, 0], batch.path[:, 0], batch.path_phi)
     np.testing.assert_allclose(found.path_phi, there, atol=0.15)
     # The scale of differences of φ follows from them, and is written in percent.
-    assert [re.sub(r"\d+%", "", note) for note in found.notes] == [
-        re.sub(r"\d+%", "", note) for note in batch.notes
+    assert [re.sub(r"\d+%", "", note) for note in found.warnings] == [
+        re.sub(r"\d+%", "", note) for note in batch.warnings
     ]
 
 

@@ -83,7 +83,7 @@ def test_no_stances_are_explained(load: float, word: str, tmp_path: Path) -> Non
     assert summary["pooled"] == {
         "stances": 0, "mean_duration_s": None, "mean_peak_Fz_N": None, "mean_peak_Fx_N": None,
     }  # fmt: skip
-    assert any(word in note for note in summary["notes"])
+    assert any(word in note for note in summary["warnings"])
     json.dumps(summary, allow_nan=False)
     found.to_netcdf(tmp_path / "still.nc")
 

@@ -44,7 +44,7 @@ def footfalls() -> FootfallMap:
         path_absolute_sd=np.full(15, 3.0),
         shared={},
         by_law={"rft": 31.0},
-        notes=("density is assumed",),
+        warnings=("density is assumed",),
     )
 
 
@@ -77,7 +77,7 @@ def foot_forces_file(robot_forces: Any, tmp_path_factory: pytest.TempPathFactory
     }  # fmt: skip
     summary = {
         "feet": dict.fromkeys(FEET, figures), "pooled": figures, "duration_s": 3.0,
-        "estimator": "quasi_static", "frame": "world", "notes": ["no attitude"],
+        "estimator": "quasi_static", "frame": "world", "warnings": ["no attitude"],
     }  # fmt: skip
     pooled = robot_forces.pooled
     data = {

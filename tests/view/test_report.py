@@ -9,10 +9,12 @@ import re
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 
 from terraphi import Answer, InputError, invert
+from terraphi.inference.footfalls import FootfallMap
 from terraphi.view.console import Table
 from terraphi.view.page import render, sections
 from terraphi.view.sections import Plot, Section, band, kind_of, line, of_answer, points
@@ -138,3 +140,19 @@ def test_a_browser_draws_every_plot_offline(
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     assert trouble == []
     context.close()
+
+
+def test_foot_forces_and_footfalls_of_version_0_3_show_their_warnings(
+    results: dict[str, str], tmp_path: Path
+) -> None:
+    """They are called ``notes`` there."""
+    for kind in ("foot forces", "footfalls"):
+        (old := tmp_path / f"{kind}.nc").write_bytes(Path(results[kind]).read_bytes())
+        with h5py.File(old, "r+") as file:
+            if kind == "footfalls":
+                file.attrs["notes"] = file.attrs.pop("warnings")
+            else:
+                file.attrs["summary"] = file.attrs["summary"].replace('"warnings"', '"notes"')
+        (section,), (same,) = (sections([path]) for path in (str(old), results[kind]))
+        assert section.lines == same.lines
+    assert FootfallMap.load(tmp_path / "footfalls.nc").warnings == ("density is assumed",)

@@ -158,6 +158,6 @@ def footfalls(
         found.to_mcap(mcap)
         written.append(f"Written: {mcap}; open it together with the log")
     path = [plots.path_table(summary["path"])] if found.usable.any() else []
-    names = {"footfalls": "counts", "φ by law [deg]": "by_law_deg", "notes": "notes"}
+    names = {"footfalls": "counts", "φ by law [deg]": "by_law_deg", "warnings": "warnings"}
     rest = {name: summary[key] for name, key in names.items()}
     present(summary, plots.footfalls_table(summary), *path, rest, *written, as_json=as_json)

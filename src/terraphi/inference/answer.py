@@ -14,7 +14,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Json, model_validator
+from pydantic import (
+    AfterValidator,
+    AliasChoices,
+    BaseModel,
+    ConfigDict,
+    Field,
+    Json,
+    model_validator,
+)
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import parse_json
@@ -222,7 +230,7 @@ class AnswerSummary:
         Estimate of each parameter that was inferred, by its dotted scenario key.
     diagnostics
         Split-R̂, effective sample size and autocorrelation time of each parameter, if drawn.
-    questions
+    warnings
         Warnings, a sentence each.
     provenance
         Versions, hash of the law, time; JSON-able.
@@ -247,7 +255,9 @@ class AnswerSummary:
     second_opinion: Annotated[Mapping[str, Any], AfterValidator(_opinion)] | None = None
     diagnostics: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
-    questions: tuple[str, ...] = ()
+    warnings: Annotated[  # version 0.3 wrote questions
+        tuple[str, ...], Field(validation_alias=AliasChoices("warnings", "questions"))
+    ] = ()
     parameters: Mapping[str, Estimate] = field(default_factory=dict)
 
 
@@ -341,7 +351,7 @@ class Answer(AnswerSummary):
             "phi_peak": self.phi_peak.as_dict() if self.phi_peak else None,
             "nrmsd": self.nrmsd,
             "n_angles": self.records[0].theta_deg.size,
-            "questions": list(self.questions),
+            "warnings": list(self.warnings),
             "records": [record.as_dict() for record in self.records],
             "parameters": {key: one.as_dict() for key, one in self.parameters.items()},
         }
@@ -374,8 +384,8 @@ class Answer(AnswerSummary):
         if inside and self.convention != "plane_strain" and self.phi_plane_strain is not None:
             lines.append(f"as plane strain: φ = {self.phi_plane_strain}")
         lines.append(self.reason)
-        if self.questions:
-            lines.append(f"{len(self.questions)} warnings in .questions")
+        if self.warnings:
+            lines.append(f"{len(self.warnings)} warnings in .warnings")
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
@@ -677,7 +687,9 @@ class StoredAnswer(NamedTuple):
             if not (Path(answer).is_dir() or source.endswith(".nc")):
                 text = read_bytes(Path(answer))
                 parse_json(text, Stored, source)
-                return cls(source, json.loads(text), np.zeros(0))
+                written = json.loads(text)
+                written.setdefault("warnings", written.pop("questions", []))
+                return cls(source, written, np.zeros(0))
             answer = Answer.load(answer)
         if not isinstance(answer, Answer):
             raise InputError(

@@ -121,10 +121,10 @@ def combined(answers: Sequence[Answer]) -> Answer:
     frictions = {one.leg_friction for one in answers}
     cohesions = {one.cohesion_pa for one in answers}
     # What is said of all is said once.
-    alike = set(first.questions).intersection(*(one.questions for one in answers))
-    questions = [
+    alike = set(first.warnings).intersection(*(one.warnings for one in answers))
+    warnings = [
         text if text in alike or text.startswith(tuple(r.source for r in one.records))
-        else f"{name}: {text}" for name, one in named for text in one.questions
+        else f"{name}: {text}" for name, one in named for text in one.warnings
     ]  # fmt: skip
     # Curves of φ alone, other parameters at their medians; each answer's errors are its own.
     records, ends = [], np.cumsum([0, *(len(one.covariance) for one in answers)])
@@ -156,7 +156,7 @@ def combined(answers: Sequence[Answer]) -> Answer:
         density=density,
         draws={},
         diagnostics={},
-        questions=tuple(dict.fromkeys([*densities(density_kg_m3, density_sd), *questions])),
+        warnings=tuple(dict.fromkeys([*densities(density_kg_m3, density_sd), *warnings])),
         provenance={
             **first.provenance,
             **{

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, Field, Json
+from pydantic import AliasChoices, BaseModel, Field, Json
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import needing
@@ -170,8 +170,8 @@ class FootfallMap:
         What all footfalls share, by name: mean, standard deviation and its share of φ's.
     by_law
         Mean φ of the usable footfalls by the law, and by a second one [deg].
-    notes
-        Warnings.
+    warnings
+        A sentence each.
     provenance
         Log, robot, priors and versions.
     """
@@ -191,7 +191,7 @@ class FootfallMap:
     path_absolute_sd: FloatArray
     shared: Mapping[str, Any]
     by_law: Mapping[str, float]
-    notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -249,7 +249,7 @@ class FootfallMap:
             "path": {**path, "phi_deg": _numbers(self.path_phi), **bands},
             "shared": self.shared,
             "by_law_deg": dict(zip(self.by_law, _numbers(self.by_law.values()), strict=True)),
-            "notes": list(self.notes),
+            "warnings": list(self.warnings),
         }
 
     def to_mcap(self, path: Path | str) -> None:
@@ -431,8 +431,8 @@ class FootfallMap:
             mean, wide = self.path_phi.mean(), self.path_absolute_sd.mean()
             low, high = self.path_phi.min(), self.path_phi.max()
             lines.append(f"φ = {mean:.1f}° ± {wide:.1f}°, {low:.1f} to {high:.1f}° along the path")
-        if self.notes:
-            lines.append(f"warnings in .notes: {len(self.notes)}")
+        if self.warnings:
+            lines.append(f"warnings in .warnings: {len(self.warnings)}")
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
@@ -446,7 +446,7 @@ class FootfallAttributes(BaseModel):
 
     shared: Json[dict[str, Any]]
     by_law: Json[dict[str, float]] = Field(alias="by_law_deg")
-    notes: Json[tuple[str, ...]]
+    warnings: Json[tuple[str, ...]] = Field(validation_alias=AliasChoices("warnings", "notes"))
     provenance: Json[dict[str, Any]]
 
 
@@ -604,7 +604,7 @@ def infer(
         path=path,
         shared=shared,
         by_law=by_law,
-        notes=tuple(notes),
+        warnings=tuple(notes),
         provenance={
             **provenance, "law": law, "law_hash": LAWS[law].hash, "prior": asdict(prior),
             "anchors": [anchor._asdict() for anchor in anchors],

@@ -219,7 +219,7 @@ def with_peak(answer: Answer, critical: float | str) -> Answer:
         word = "agrees with" if apart > -least else "is below"
         end = "" if apart > -least else ", or the critical angle is wrong"
         sentence = f"φ {word} the critical angle of {mean:g} ± {sd:g}°: the soil is loose{end}."
-        return replace(answer, questions=(sentence, *answer.questions))
+        return replace(answer, warnings=(sentence, *answer.warnings))
     read = answer.phi.median, answer.phi.sd
     return replace(answer, phi_peak=Estimate.of(peak_draws(read, (mean, sd))))
 
@@ -420,7 +420,7 @@ def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Ans
         law=library.name,
         law_reason=reason,
         second_opinion=second,
-        questions=tuple(warnings(likelihood, fits, inferred, verdict, second)),
+        warnings=tuple(warnings(likelihood, fits, inferred, verdict, second)),
         records=tuple(fits),
         grid_deg=grid,
         density=density,

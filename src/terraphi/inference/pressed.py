@@ -220,7 +220,7 @@ def invert_pressed(
         phi_plane_strain_reason="", verdict=verdict, reason=reason, edge=edge, budget_deg=budget,
         density_kg_m3=rho, density_sd_kg_m3=rho_sd, density_assumed=density is None, law=name,
         law_reason="" if law else "the default for tools", second_opinion=None,
-        questions=(*density_doubts(rho), *guessed, *notes), records=(fit,), grid_deg=grid,
+        warnings=(*density_doubts(rho), *guessed, *notes), records=(fit,), grid_deg=grid,
         density=posterior, covariance=error + shared * np.outer(by_phi, by_phi),
         leg_friction=FRICTION,
         provenance={

@@ -106,7 +106,7 @@ def footfalls(
         joint_names=joint_names, columns=columns,
     )  # fmt: skip
     if not analysis.stances:
-        why = next(note for note in analysis.notes if note.startswith("no stances"))
+        why = next(note for note in analysis.warnings if note.startswith("no stances"))
         raise InputError(f"{name}: {why}")
     if analysis.grave:
         raise InputError(f"{name}: no footfall can be read: {analysis.grave[0]}")
@@ -136,7 +136,7 @@ def footfalls(
         notes=notes,
         provenance={"log": name, "robot": body.name, "forces": analysis.provenance()},
     )
-    return replace(found, notes=(*assumed, *found.notes))
+    return replace(found, warnings=(*assumed, *found.warnings))
 
 
 def assumptions(
@@ -167,7 +167,7 @@ def assumptions(
 
 def notes_of(analysis: RobotForces) -> list[str]:
     """Warnings of the forces, without that on an axis which no footfall has."""
-    return [note for note in analysis.notes if "the axis of Fx" not in note]
+    return [note for note in analysis.warnings if "the axis of Fx" not in note]
 
 
 def torque_sd(forces: FootForces) -> FloatArray:

@@ -214,7 +214,7 @@ class Footfalls:
                 "log": "online", "robot": self._robot.name, "forces": self._start.provenance()
             },
         )  # fmt: skip
-        self._map = replace(self._map, notes=(*self._assumed, *self._map.notes))
+        self._map = replace(self._map, warnings=(*self._assumed, *self._map.warnings))
         return self._map
 
     def _extended(self, start: RobotForces, log: JointLog) -> slice:

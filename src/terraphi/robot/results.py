@@ -55,10 +55,11 @@ class RobotForces:
         Mean stance of each foot.
     pooled
         Mean stance of all feet.
-    notes
-        Warnings: what the log lacks, why there are no stances, contradictions.
+    warnings
+        Sentences: what the log lacks, why there are no stances, contradictions.
     grave
-        Of the notes, those with which neither directions of forces nor places of feet can be used.
+        Of the warnings, those with which neither directions of forces nor places of feet can be
+        used.
     sensor_correlation
         Of each foot's sensor with its vertical force [-], a cross-check of uncalibrated counts;
         empty if the log has none.
@@ -75,7 +76,7 @@ class RobotForces:
     stances: tuple[Stance, ...]
     feet: Mapping[str, Ensemble]
     pooled: Ensemble
-    notes: tuple[str, ...]
+    warnings: tuple[str, ...]
     grave: tuple[str, ...]
     sensor_correlation: Mapping[str, float]
     report: Mapping[str, Any]
@@ -102,7 +103,7 @@ class RobotForces:
             "foot_sensor_correlation": dict(self.sensor_correlation) or None,
             "estimator": forces.estimator,
             "frame": forces.frame,
-            "notes": list(self.notes),
+            "warnings": list(self.warnings),
         }
 
     def provenance(self) -> dict[str, Any]:
@@ -154,8 +155,8 @@ class RobotForces:
         ]
         if self.lift is not None:
             lines.append(f"mean load of the feet: {self.lift:.3f} of the weight")
-        if self.notes:
-            lines.append(f"warnings in .notes: {len(self.notes)}")
+        if self.warnings:
+            lines.append(f"warnings in .warnings: {len(self.warnings)}")
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
@@ -243,7 +244,7 @@ def foot_forces(
         stances=stances,
         feet={foot: Ensemble.of([s for s in stances if s.foot == foot]) for foot in FEET},
         pooled=Ensemble.of(stances),
-        notes=(
+        warnings=(
             *report.get("notes", ()),
             *(finding.text for finding in findings),
             *_notes(forces, stances, report, body),

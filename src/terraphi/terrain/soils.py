@@ -332,7 +332,7 @@ def _of_answer(what: Any, *, anyway: bool) -> SoilDistribution:
         reason = answer.get("phi_plane_strain_reason") or "it was not inferred"
         raise InputError(f"{read.source}: no friction angle in plane strain: {reason}")
     _check(read)
-    caution = " ".join(q for q in answer.get("questions", ()) if GUESSED not in q)
+    caution = " ".join(q for q in answer.get("warnings", ()) if GUESSED not in q)
     if answer["verdict"] != "consistent":
         caution = f"the verdict is {answer['verdict'].replace('_', ' ')}: {answer['reason']}"
         if not anyway:

@@ -75,8 +75,8 @@ def in_words(answer: Answer) -> list[str]:
         size = other.get("force_size_deg")
         size = "" if size is None else f"; size of the forces alone {size:.0f}°"
         lines.append(f"  Second opinion: {other['law']} {other['median']:.0f}°{where}{size}.")
-    guesses = [sentence for sentence in answer.questions if GUESSED in sentence]
-    warnings = [sentence for sentence in answer.questions if sentence not in guesses]
+    guesses = [sentence for sentence in answer.warnings if GUESSED in sentence]
+    warnings = [sentence for sentence in answer.warnings if sentence not in guesses]
     lines += [f"  Warning: {sentence}" for sentence in warnings]
     return lines + [f"  Note: {sentence}" for sentence in guesses]
 
@@ -248,5 +248,5 @@ def row(answer: Answer) -> dict[str, Any]:
         "density_kg_m3": f"{answer.density_kg_m3:g}",
         "density_assumed": answer.density_assumed,
         "law": answer.law,
-        "warnings": " ".join(answer.questions),
+        "warnings": " ".join(answer.warnings),
     }

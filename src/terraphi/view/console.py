@@ -111,7 +111,7 @@ def print_pairs(pairs: Mapping[str, Any]) -> None:
     """Names and values, one a line; a list of sentences one a line."""
     width = max(map(len, pairs))
     for name, value in pairs.items():
-        lines = value if name == "notes" and value else [value]
+        lines = value if name == "warnings" and value else [value]
         for i, line in enumerate(lines):
             click.echo(f"{'' if i else name:<{width}}  {words(line)}")
 

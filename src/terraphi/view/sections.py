@@ -367,7 +367,7 @@ def of_foot_forces(found: Any, name: str = "foot forces") -> Section:
     if pooled["stances"]:
         headline += f", mean peak lift {pooled['mean_peak_Fz_N']:.0f} N"
     lines = [f"{summary['estimator'].replace('_', ' ')}, frame: {summary['frame']}"]
-    lines += [f"{capital(note)}." for note in summary["notes"]]
+    lines += [f"{capital(each)}." for each in summary.get("warnings", summary.get("notes", ()))]
     origin = pairs(file.attrs.provenance)
     return Section("foot forces", name, headline, lines, parts, origin)
 
@@ -407,7 +407,7 @@ def of_footfalls(found: FootfallMap, name: str = "footfalls") -> Section:
             f"differences between places ± {np.median(narrow):.1f}°"
         )
     parts.append(footfalls_table(found.as_dict(), MOST_ROWS))
-    lines = [f"Footfalls: {counts}.", *(f"{capital(note)}." for note in found.notes)]
+    lines = [f"Footfalls: {counts}.", *(f"{capital(note)}." for note in found.warnings)]
     status = "" if usable.any() else "bad"
     return Section("footfalls", name, headline, lines, parts, pairs(found.provenance), status)
 
