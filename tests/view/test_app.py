@@ -29,14 +29,15 @@ import pytest
 import terraphi
 from terraphi import InputError, invert, measurement, read_forces
 from terraphi.view import app
-from terraphi.view.app import Limits, Readers, application, look, work
+from terraphi.view.app import Limits, Readers, look, work
 
-uvicorn = pytest.importorskip("uvicorn")
+pytest.importorskip("uvicorn")
 
 SIZES = {"length": "76.2", "width": "25.4", "thickness": "6.4", "hip_height": "20"}
 USUAL = {"leg": "straight", **SIZES, "density": "", "name": "mine.csv"}
 HOSTILE = "</script><img src=x onerror=alert(1)>"
 MOST_BYTES = 300_000
+TOKEN = "a-token-of-the-tests"
 FLAT = (
     "theta_deg,Fx_N,Fz_N\n" + "".join(f"{theta},0,{theta}\n" for theta in range(-100, 101))
 ).encode()
@@ -64,7 +65,7 @@ class Served:
 
     def drop(self, body: Any, *, task: str = "answer", **options: str) -> Reply:
         query = urlencode({**USUAL, **options})
-        return self.ask("POST", f"/{task}?{query}", body, **{"x-terraphi": "1"})
+        return self.ask("POST", f"/{task}?{query}", body, **{"x-terraphi": TOKEN})
 
 
 @pytest.fixture(scope="module")
@@ -79,8 +80,7 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 def running(limits: Limits) -> Iterator[Served]:
     with socket.socket() as bound:
         bound.bind(("127.0.0.1", 0))
-        options: dict[str, Any] = {"log_level": "critical"}
-        server = uvicorn.Server(uvicorn.Config(application(limits), **options))
+        server = app.server(TOKEN, limits=limits)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [bound]})
         thread.start()
         while not server.started:
@@ -93,7 +93,7 @@ def running(limits: Limits) -> Iterator[Served]:
 @pytest.fixture(scope="module")
 def served(places: Path) -> Iterator[Served]:
     assert places.is_dir()
-    with running(Limits(bytes=MOST_BYTES, upload_seconds=3.0)) as one:
+    with running(Limits(bytes=MOST_BYTES, upload_seconds=3.0, header_seconds=2.0)) as one:
         yield one
 
 
@@ -266,7 +266,7 @@ def test_too_much_is_refused_whether_announced_or_not(served: Served, places: Pa
 
 
 def test_an_upload_that_stops_is_given_up(served: Served, places: Path) -> None:
-    head = f"POST /answer?{urlencode(USUAL)} HTTP/1.1\r\nHost: 127.0.0.1\r\nx-terraphi: 1\r\n"
+    head = f"POST /answer?{urlencode(USUAL)} HTTP/1.1\r\nHost: 127.0.0.1\r\nx-terraphi: {TOKEN}\r\n"
     with socket.create_connection(("127.0.0.1", served.port), timeout=60) as sending:
         sending.sendall(f"{head}Content-Length: 100000\r\n\r\ntheta_deg,Fx".encode())
         reply = http.client.HTTPResponse(sending)
@@ -276,15 +276,66 @@ def test_an_upload_that_stops_is_given_up(served: Served, places: Path) -> None:
 
 
 def test_another_site_can_neither_send_nor_name_the_app(served: Served, forces: bytes) -> None:
-    front = served.ask("GET", "/")
+    front = served.ask("GET", f"/?token={TOKEN}")
+    assert front.status == 200
     assert "default-src 'none'" in front.headers["content-security-policy"]
     assert "frame-ancestors 'none'" in front.headers["content-security-policy"]
-    assert served.ask("POST", f"/answer?{urlencode(USUAL)}", forces).status == 403
-    assert served.ask("GET", "/", Host="evil.example").status == 400
+    assert served.ask("GET", f"/?token={TOKEN}", Host="evil.example").status == 400
     preflight = served.ask("OPTIONS", "/answer", Origin="http://evil.example")
     assert preflight.status == 405
     assert "access-control-allow-origin" not in preflight.headers
     assert served.ask("GET", "/..%2f..%2fetc%2fpasswd").status == 404
+
+
+@pytest.mark.parametrize("token", ["", "1", TOKEN[:-1], f"{TOKEN}a", "\xe9"])
+def test_another_user_of_the_machine_cannot_have_files_read(
+    token: str, served: Served, forces: bytes, tmp_path: Path
+) -> None:
+    (tmp_path / "robot.toml").write_text("private = 1")
+    query = urlencode({**USUAL, "name": "walk.csv", "robot": str(tmp_path / "robot.toml")})
+    for task in ("look", "answer"):
+        found = served.ask("POST", f"/{task}?{query}", forces, **{"x-terraphi": token})
+        assert found.status == 403
+        assert "private" not in found.text
+        assert "token" in json.loads(found.text)["refused"]
+    front = served.ask("GET", f"/?{urlencode({'token': token})}")
+    assert front.status == 403
+    assert TOKEN not in front.text
+
+
+def is_closed(connection: socket.socket) -> bool:
+    """True once the other end has closed it; waits a minute at most."""
+    try:
+        return connection.recv(1) == b""
+    except ConnectionResetError:
+        return True
+
+
+@pytest.mark.parametrize("begun", [b"", b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nx-slow: "])
+def test_headers_that_do_not_end_are_given_up_and_do_not_keep_others_out(
+    begun: bytes, served: Served
+) -> None:
+    """300 connections, of which 64 may wait."""
+    with contextlib.ExitStack() as stack:
+        slow = []
+        for _ in range(300):
+            one = socket.create_connection(("127.0.0.1", served.port), timeout=60)
+            slow.append(stack.enter_context(one))
+            with contextlib.suppress(OSError):  # closed already, as the one that waited longest
+                one.sendall(begun)
+        assert served.ask("GET", f"/?token={TOKEN}").status == 200
+        assert all(map(is_closed, slow))
+
+
+def test_a_further_request_on_a_connection_is_given_up_too(served: Served) -> None:
+    whole = f"GET /?token={TOKEN} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
+    with socket.create_connection(("127.0.0.1", served.port), timeout=60) as slow:
+        slow.sendall(whole.encode())
+        reply = http.client.HTTPResponse(slow)
+        reply.begin()
+        assert len(reply.read()) > 100_000
+        slow.sendall(b"GET / HTTP/1.1\r\n")
+        assert is_closed(slow)
 
 
 @pytest.mark.parametrize(
@@ -365,7 +416,7 @@ def test_a_file_dropped_in_a_browser_ends_in_its_page(
     page = browser.new_page()
     trouble: list[str] = []
     page.on("pageerror", lambda error: trouble.append(str(error)))
-    page.goto(f"http://127.0.0.1:{served.port}/")
+    page.goto(f"http://127.0.0.1:{served.port}/?token={TOKEN}")
     page.set_input_files("#file", tmp_path / "bad.csv")
     page.get_by_label("straight leg").check()
     page.get_by_role("button", name="Sizes of Li").click()

@@ -1,10 +1,11 @@
 """A local page that answers whatever is dropped on it: forces on a leg, or a robot's log.
 
 The server listens on the loopback address alone. It refuses requests with another host name
-(against DNS rebinding) and uploads without a header that browsers do not send from another site's
-page (against cross-site requests). A file goes to a temporary folder under a generated name. A
-process of its own with limits on time and memory reads it: a copy of one that has loaded the
-library, ``python -m terraphi.view.app``, so that no file meets what another left.
+(against DNS rebinding), and all requests without the token of the address that it prints: other
+users of the machine can reach the port, and pages of other sites can send to it. A file goes to a
+temporary folder under a generated name. A process of its own with limits on time and memory reads
+it: a copy of one that has loaded the library, ``python -m terraphi.view.app``, so that no file
+meets what another left.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import base64
 import contextlib
 import json
 import os
+import secrets
 import signal
 import socket
 import sys
@@ -45,6 +47,7 @@ from terraphi.view.sections import (
 )
 
 if TYPE_CHECKING:
+    import uvicorn
     from starlette.applications import Starlette
     from starlette.requests import Request
     from starlette.responses import Response
@@ -82,6 +85,10 @@ class Limits(NamedTuple):
     """For all work on it [s]."""
     upload_seconds: float = 60.0
     """Until it has come in [s]."""
+    header_seconds: float = 5.0
+    """Until the headers of a request have come in [s]."""
+    waiting: int = 64
+    """Connections whose headers have not come in."""
 
 
 class RefusedError(Exception):
@@ -100,20 +107,19 @@ def serve(port: int, *, ready: Callable[[str], None]) -> None:
     port
         On the loopback address; 0 takes a free one.
     ready
-        Called with the address once the port is open.
+        Called with the address, token included, once the port is open.
 
     Raises
     ------
     InputError
         If a package is missing, or the port cannot be opened.
     """
-    with needing("the app", "Starlette and uvicorn", extra="app"):
-        import uvicorn
+    token = secrets.token_urlsafe(16)
     with (
         temporary_folder(Path(tempfile.gettempdir()) / "terraphi-app") as place,
         socket.socket() as ours,
     ):
-        served = application(place=place)
+        served = server(token, place=place)
         try:
             ours.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             ours.bind((HOST, port))
@@ -121,23 +127,40 @@ def serve(port: int, *, ready: Callable[[str], None]) -> None:
             raise InputError(
                 f"port {port} on {HOST} cannot be opened ({error.strerror}); name another by --port"
             ) from error
-        options: dict[str, Any] = {"log_level": "warning", "server_header": False}
         with contextlib.suppress(KeyboardInterrupt):
-            ready(f"http://{HOST}:{ours.getsockname()[1]}")
-            uvicorn.Server(uvicorn.Config(served, **options)).run(sockets=[ours])
+            ready(f"http://{HOST}:{ours.getsockname()[1]}/?token={token}")
+            served.run(sockets=[ours])
 
 
-def application(limits: Limits | None = None, *, place: Path | None = None) -> Starlette:
-    """Make the Starlette application, with dropped files in a folder of this process.
+def server(
+    token: str, *, limits: Limits | None = None, place: Path | None = None
+) -> uvicorn.Server:
+    """Make the server, with dropped files in a folder of this process.
 
     Raises InputError if a package is missing.
     """
+    with needing("the app", "Starlette and uvicorn", extra="app"):
+        import uvicorn
+
+        from terraphi.view import guard
     limits = limits or Limits()
+    config = uvicorn.Config(
+        application(token, limits, place),
+        http=guard.protocol(limits.header_seconds, limits.waiting),
+        ws="none",
+        log_level="warning",
+        server_header=False,
+    )
+    return uvicorn.Server(config)
+
+
+def application(token: str, limits: Limits, place: Path | None) -> Starlette:
+    """Make the Starlette application; raises InputError if a package is missing."""
     with needing("the app", "Starlette and uvicorn", extra="app"):
         from starlette.applications import Starlette
         from starlette.middleware import Middleware
         from starlette.middleware.trustedhost import TrustedHostMiddleware
-        from starlette.responses import HTMLResponse, JSONResponse, Response
+        from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, Response
         from starlette.routing import Route
     script = page.asset("plots.js") + page.asset("app.js")
     library, packed = page.plotly()
@@ -167,11 +190,20 @@ def application(limits: Limits | None = None, *, place: Path | None = None) -> S
         finally:
             await readers.end()
 
-    async def home(_: Request) -> Response:
+    def allow(given: str) -> None:
+        if not secrets.compare_digest(given.encode(), token.encode()):
+            raise RefusedError(403, "open the address that 'terraphi app' printed: it has a token")
+
+    async def home(request: Request) -> Response:
+        try:
+            allow(request.query_params.get("token", ""))
+        except RefusedError as refused:
+            return PlainTextResponse(f"terraphi: {refused}", refused.status, headers=HEADERS)
         return HTMLResponse(front, headers={**HEADERS, "content-security-policy": policy})
 
     async def dropped(request: Request) -> Response:
         try:
+            allow(request.headers.get("x-terraphi", ""))
             reply = await reply_to(request, readers, limits, place)
             return Response(reply, media_type="application/json", headers=HEADERS)
         except RefusedError as refused:
@@ -192,8 +224,6 @@ async def reply_to(
     request: Request, readers: Readers, limits: Limits, place: Path | None = None
 ) -> bytes:
     """What an upload holds or its answer, as JSON; raises RefusedError."""
-    if request.headers.get("x-terraphi") != "1":
-        raise RefusedError(403, "only this app's own page may send files")
     query = request.query_params
     last = query.get("name", "").replace("\\", "/").rpartition("/")[2]
     name = "".join(letter for letter in last if letter.isprintable())[-LONGEST_NAME:] or "file"

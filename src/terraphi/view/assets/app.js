@@ -1,5 +1,6 @@
 const by = (id) => document.getElementById(id);
 const form = by("form");
+const token = new URLSearchParams(location.search).get("token");
 const roles = JSON.parse(by("roles").textContent);
 let file, kind, busy = 0;
 
@@ -32,7 +33,7 @@ async function send(task) {
   };
   let found = { refused: "The file did not arrive: it may be too large, or the app has been stopped." };
   try {
-    const answer = await fetch(`/${task}?${new URLSearchParams(query)}`, { method: "POST", body: file, headers: { "x-terraphi": "1" } });
+    const answer = await fetch(`/${task}?${new URLSearchParams(query)}`, { method: "POST", body: file, headers: { "x-terraphi": token } });
     found = await answer.json();
   } catch { /* as it is */ } finally {
     clearInterval(tick);
