@@ -39,6 +39,7 @@ COMMANDS = {
     "library.nc": ("library show FILE", f"{INVERT} FILE", "report FILE --out r.html"),
     "footfalls.nc": ("report FILE --out r.html", WALKED),
     "forces.nc": ("report FILE --out r.html",),
+    "law.nc": (f"{INVERT} FILE",),
     "calibration.toml": (f"{INVERT} rft3d --calibration FILE",),
     "scenario.toml": ("simulate FILE",),
     "plan.toml": ("library build FILE --out built.nc",),
@@ -84,6 +85,7 @@ def make_files(folder: Path) -> None:
     scenario = terraphi.Scenario.load(folder / "scenario.toml")
     terraphi.simulate(scenario).to_netcdf(folder / "simulation.nc")
     terraphi.Library.load("rft3d").save(folder / "library.nc")
+    shutil.copy(quick.parents[1] / "laws" / "legs.nc", folder / "law.nc")
     place, one = np.linspace(0.0, 10.0, 8), np.ones(8)
     walk = FootfallMap(
         time=place, foot=("FR", "FL", "RR", "RL") * 2, place=np.column_stack([place, place, place]),
@@ -209,13 +211,56 @@ def spoil_text(content: bytes, rng: random.Random) -> bytes:
     return "\n".join(lines).encode()
 
 
-def spoil_netcdf(path: Path, rng: random.Random) -> None:
-    """Change one variable, group or attribute of a NetCDF."""
+FOREIGN = ("external", "virtual", "linked", "lzf", "scaleoffset")
+"""Ways to write a variable that must be refused."""
+
+
+def make_foreign(file: h5py.File, name: str, way: str) -> None:
+    """Give a variable the same values, but in another file or packed by a filter of few readers."""
+    data, place = np.asarray(file[name][()]), Path(file.filename).parent
+    dims = [[*dim.values()][:1] for dim in file[name].dims]
+    attributes = {k: v for k, v in file[name].attrs.items() if k != "DIMENSION_LIST"}
+    del file[name]
+    if way == "external":
+        data.tofile(place / "private")
+        whole = [("private", 0, data.nbytes)]
+        file.create_dataset(name, data.shape, data.dtype, external=whole)
+    elif way in ("virtual", "linked"):
+        with h5py.File(place / "private", "w") as private:
+            private["x"] = data
+        if way == "linked":
+            file[name] = h5py.ExternalLink("private", "x")
+            return
+        layout = h5py.VirtualLayout(data.shape, data.dtype)
+        layout[...] = h5py.VirtualSource("private", "x", data.shape)
+        file.create_virtual_dataset(name, layout)
+    else:
+        packing = {"compression": "lzf"} if way == "lzf" else {"scaleoffset": 9}
+        file.create_dataset(name, data=data, chunks=data.shape, **packing)
+    file[name].attrs.update(attributes)
+    for i, scales in enumerate(dims):
+        for scale in scales:
+            file[name].dims[i].attach_scale(scale)
+
+
+def numbers_of(file: h5py.File) -> list[str]:
+    """Names of variables of numbers that are no coordinates."""
+    names: list[str] = []
+    file.visit(names.append)
+    sets = [name for name in names if isinstance(file[name], h5py.Dataset)]
+    return [n for n in sets if file[n].dtype.kind == "f" and file[n].size and not file[n].is_scale]
+
+
+def spoil_netcdf(path: Path, rng: random.Random) -> bool:
+    """Change one variable, group or attribute of a NetCDF; whether it must be refused."""
     with h5py.File(path, "r+") as file:
         names: list[str] = []
         file.visit(names.append)
         sets = [name for name in names if isinstance(file[name], h5py.Dataset)]
-        name, action = rng.choice(sets), rng.randrange(16)
+        name, action = rng.choice(sets), rng.randrange(19)
+        if action > 15:
+            make_foreign(file, rng.choice(numbers_of(file)), rng.choice(FOREIGN))
+            return True
         values = file[name][()]
         numeric = isinstance(values, np.ndarray) and values.dtype.kind in "iuf"
         if action < 5:
@@ -223,7 +268,7 @@ def spoil_netcdf(path: Path, rng: random.Random) -> None:
             holder = file if rng.random() < 0.8 else rng.choice(holders)
             ours = [key for key in holder.attrs if key not in ("terraphi_file", "_NCProperties")]
             if not ours:
-                return
+                return False
             key = rng.choice(ours)
             value = holder.attrs[key]
             text = isinstance(value, str) and value.startswith(("{", "["))
@@ -237,10 +282,10 @@ def spoil_netcdf(path: Path, rng: random.Random) -> None:
                     np.float64("nan"), h5py.Empty("f8"), h5py.Empty(h5py.string_dtype()),
                     np.dtype([("a", "f4")]).type(0), '{"a": ' * 300,
                 ])  # fmt: skip
-            return
+            return False
         if action == 5 and "/" in name:
             del file[name.split("/")[0]]
-            return
+            return False
         del file[name]
         if action == 6:
             file[f"{name}_x"] = values
@@ -266,18 +311,20 @@ def spoil_netcdf(path: Path, rng: random.Random) -> None:
         elif action == 14:
             file.create_dataset(name, data=rng.choice([5, -1.0]))
         # else the variable is gone
+    return False
 
 
-def spoil(path: Path, rng: random.Random) -> None:
-    """Damage a file in a way that suits its kind, or its bytes."""
+def spoil(path: Path, rng: random.Random) -> bool:
+    """Damage a file in a way that suits its kind, or its bytes; whether it must be refused."""
     if path.suffix == ".nc" and rng.random() < 0.85:
-        spoil_netcdf(path, rng)
-    elif path.suffix == ".json" and rng.random() < 0.85:
+        return spoil_netcdf(path, rng)
+    if path.suffix == ".json" and rng.random() < 0.85:
         path.write_text(spoil_json(path.read_text(encoding="utf-8"), rng))
     elif path.suffix in (".csv", ".toml", ".yaml") and rng.random() < 0.75:
         path.write_bytes(spoil_text(path.read_bytes(), rng))
     else:
         path.write_bytes(spoil_bytes(path.read_bytes(), rng))
+    return False
 
 
 # -- endings --------------------------------------------------------------------------------------
@@ -341,10 +388,12 @@ def endings(files: Path, count: int, seed: int = 0) -> Iterator[tuple[int, str, 
         for number, file, line in cases(count, seed):
             shutil.rmtree(place, ignore_errors=True)
             shutil.copytree(files, place)
-            spoil(place / file, random.Random(number))
+            foreign = spoil(place / file, random.Random(number))
             with contextlib.chdir(place), warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                yield number, file, line, ending(line)
+                end = ending(line)
+                unseen = foreign and end == ("good", "")
+                yield number, file, line, Ending("not refused", "") if unseen else end
 
 
 @pytest.fixture(scope="module")
@@ -359,6 +408,23 @@ def test_whole_files_are_read(files: Path, tmp_path: Path) -> None:
     with contextlib.chdir(tmp_path / "work"):
         for _, file, line in cases(sum(map(len, COMMANDS.values()))):
             assert ending(line, sound=True) == ("good", ""), file
+
+
+@pytest.mark.parametrize("way", FOREIGN)
+def test_values_in_other_files_and_unusual_filters_are_refused_by_every_reader(
+    files: Path, tmp_path: Path, way: str
+) -> None:
+    for file, lines in COMMANDS.items():
+        if file.endswith(".nc"):
+            shutil.copytree(files, tmp_path / file)
+            with h5py.File(tmp_path / file / file, "r+") as damaged:
+                name = numbers_of(damaged)[0]
+                make_foreign(damaged, name, way)
+            for line in lines:
+                with contextlib.chdir(tmp_path / file):
+                    end = ending(line.replace("FILE", file))
+                assert end.kind == "good", (line, end)
+                assert f"'/{name}'" in end.about, (line, end)
 
 
 @pytest.mark.parametrize(("count", "seed"), [

@@ -240,7 +240,17 @@ def test_a_netcdf_of_another_kind_is_refused(
             "3.2 GB",
         ),
         (lambda file: file.create_group("g").__setitem__("loop", file["/"]), "'/g/loop' is a link"),
-        (lambda file: file.__setitem__("s", h5py.ExternalLink("other.nc", "/a")), "not a whole"),
+        (
+            lambda file: file.create_dataset(
+                "b", (1,), chunks=(200_000_000,), maxshape=(None,), dtype="f8"
+            ),
+            "1.6 GB",
+        ),
+        (
+            lambda file: file.create_dataset("b", (1 << 40, 1 << 40), "f4", chunks=(1, 1)),
+            r"4\.84e\+15 GB",
+        ),
+        (lambda file: file.__setitem__("s", h5py.SoftLink("/a")), "'/s' is a link"),
         (lambda file: file.attrs.__setitem__("terraphi_file", [1, 2]), "not a thing"),
         (lambda file: file.attrs.__setitem__("terraphi_schema", [1, 2]), "schema version"),
     ],
@@ -253,6 +263,51 @@ def test_what_would_fill_the_memory_or_never_end_is_refused(
         spoil(file)
     with pytest.raises(InputError, match=words):
         opened(tmp_path / "x.nc")
+
+
+KINDS = """
+import sys
+from pathlib import Path
+from terraphi.experiment.files import netcdf_kind
+for name in sys.argv[1:]:
+    try:
+        netcdf_kind(Path(name))
+    except ValueError as error:
+        print(error)
+"""
+
+
+def test_no_other_file_is_opened_be_it_a_pipe_that_never_ends(tmp_path: Path) -> None:
+    other = tmp_path / "other"
+
+    def virtual(file: h5py.File, size: int | None) -> None:  # of any size, HDF5 opens it at once
+        end = size or h5py.h5s.UNLIMITED
+        layout, source = (
+            h5py.VirtualLayout((3,), "f8", maxshape=(size,)),
+            h5py.VirtualSource(other, "x", (3,), maxshape=(size,)),
+        )
+        layout[0:end] = source[0:end]
+        file.create_virtual_dataset("b", layout)
+
+    ways: dict[str, Callable[[h5py.File], object]] = {
+        "external.nc": lambda file: file.create_dataset("b", 3, "f8", external=[(other, 0, 24)]),
+        "virtual.nc": lambda file: virtual(file, 3),
+        "endless.nc": lambda file: virtual(file, None),
+        "link.nc": lambda file: file.__setitem__("b", h5py.ExternalLink(other, "/x")),
+    }
+    with h5py.File(other, "w") as file:
+        file["x"] = np.ones(3)
+    for name, make in ways.items():
+        write_netcdf(dataset(), tmp_path / name)
+        with h5py.File(tmp_path / name, "r+") as file:
+            make(file)
+    other.unlink()
+    os.mkfifo(other)
+    found = subprocess.run(
+        [sys.executable, "-c", KINDS, *ways], cwd=tmp_path, capture_output=True, text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}, check=True, timeout=60.0,
+    )  # fmt: skip
+    assert [line.partition(": '/b' ")[0] for line in found.stdout.splitlines()] == [*ways]
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import os
 import re
 import select
@@ -375,8 +376,8 @@ def netcdf_kind(path: Path) -> str:
     """Kind of a NetCDF file of ours, found without reading its variables; empty if there is none.
 
     Raises InputError if the file is missing or no NetCDF, exceeds a limit of
-    :mod:`terraphi.experiment.budget`, or has links between its groups, which readers would follow
-    without end.
+    :mod:`terraphi.experiment.budget`, or has links, which readers would follow without end or into
+    other files; or for a variable as :func:`_memory` does.
     """
     import h5py
 
@@ -387,15 +388,17 @@ def netcdf_kind(path: Path) -> str:
             while groups:
                 group = groups.pop()
                 for name in group:
-                    item, link = group[name], group.get(name, getlink=True)
-                    address = h5py.h5o.get_info(item.id).addr
-                    if address in seen or not isinstance(link, h5py.HardLink):
-                        raise InputError(f"{path}: '{item.name}' is a link; write it without links")
+                    where = f"{path}: '{group.name.rstrip('/')}/{name}'"
+                    # Asked before it is opened: an external link opens another file, or a pipe.
+                    linked = not isinstance(group.get(name, getlink=True), h5py.HardLink)
+                    if linked or (address := h5py.h5o.get_info(group[name].id).addr) in seen:
+                        raise InputError(f"{where} is a link; write it without links")
                     seen.add(address)
+                    item = group[name]
                     if len(seen) > ITEMS or item.name.count("/") > NESTING:
                         more = f"more than {ITEMS} variables or {NESTING} groups within another"
                         raise InputError(f"{path}: has {more}; name a file of terraphi")
-                    size += getattr(item, "nbytes", 0)
+                    size += _memory(item, where) if isinstance(item, h5py.Dataset) else 0
                     groups += [item] if isinstance(item, h5py.Group) else []
             kind = str(file.attrs.get("terraphi_file", ""))
     except InputError:
@@ -405,6 +408,27 @@ def netcdf_kind(path: Path) -> str:
     if size > BYTES:
         raise InputError(f"{path}: its variables take {size / 1e9:.3g} GB, expected at most 1 GB")
     return kind
+
+
+def _memory(variable: Any, where: str) -> int:
+    """Memory that a variable takes while it is read [byte], found before any value is.
+
+    Raises InputError if its values lie in other files, which may be private or a pipe, or have a
+    filter that NetCDF-4 does not need, for which HDF5 would load a plugin.
+    """
+    from h5py import h5d, h5z
+
+    known = {h5z.FILTER_DEFLATE, h5z.FILTER_SHUFFLE, h5z.FILTER_FLETCHER32}
+    layout = variable.id.get_create_plist()
+    # Before the shape, for which HDF5 may open the files that a virtual variable is made of.
+    if layout.get_external_count() or layout.get_layout() == h5d.VIRTUAL:
+        raise InputError(f"{where} lies in another file; write its values into this one")
+    if {layout.get_filter(i)[0] for i in range(layout.get_nfilters())} - known:
+        raise InputError(f"{where} has a filter other than deflate; compress it with zlib alone")
+    # A chunk is unpacked whole, and may be larger than the variable.
+    shape = variable.shape or ()
+    lengths = map(max, shape, variable.chunks or shape)
+    return int(variable.id.dtype.itemsize * math.prod(lengths))
 
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any], list[str]]:
