@@ -4,17 +4,32 @@
   const form = document.getElementById("try-form");
   const shown = document.getElementById("try-answer");
   const here = new URL(".", document.currentScript.src);
-  const pyodideUrl = form.dataset.pyodide;
+  const pyodideUrl = new URL(form.dataset.pyodide, document.baseURI).href;
+  const hashes = JSON.parse(form.dataset.integrity);
   let loading = null;
 
-  function script(url, integrity) {
+  function script(name) {
     return new Promise((done, failed) => {
       const element = document.createElement("script");
-      Object.assign(element, { src: url, integrity, crossOrigin: "anonymous" });
+      Object.assign(element, { src: pyodideUrl + name, integrity: hashes[name], crossOrigin: "anonymous" });
       element.onload = done;
-      element.onerror = () => failed(new Error(`${url} cannot be loaded`));
+      element.onerror = () => failed(new Error(`${element.src} cannot be loaded`));
       document.head.append(element);
     });
+  }
+
+  // Pyodide asks for its packages with the hashes in its lock file, for all else without one, and
+  // waits for ever where WebAssembly is refused.
+  function checkHashes(failed) {
+    const plain = window.fetch.bind(window);
+    window.fetch = (resource, options = {}) => {
+      const url = new URL(resource, document.baseURI).href;
+      if (!url.startsWith(pyodideUrl)) return plain(resource, options);
+      const integrity = hashes[url.slice(pyodideUrl.length)] ?? options.integrity;
+      const answer = integrity ? plain(url, { ...options, integrity }) : Promise.reject(new Error("no hash"));
+      answer.catch((error) => failed(new Error(`${url} cannot be loaded: ${error.message}`)));
+      return answer;
+    };
   }
 
   async function bytes(name) {
@@ -23,8 +38,13 @@
     return answer.arrayBuffer();
   }
 
-  async function load() {
-    await script(`${pyodideUrl}pyodide.js`, form.dataset.integrity);
+  function load() {
+    return Promise.race([new Promise((_, failed) => checkHashes(failed)), start()]);
+  }
+
+  async function start() {
+    await script("pyodide.js");
+    await script("pyodide.asm.js"); // before Pyodide would load it without a hash
     const pyodide = await loadPyodide({ indexURL: pyodideUrl });
     await pyodide.loadPackage(["click", "numpy", "packaging", "pandas", "pydantic", "threadpoolctl"]);
     const place = pyodide.runPython("import site; site.getsitepackages()[0]");

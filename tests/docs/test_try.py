@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import functools
 import http.server
 import json
@@ -94,6 +95,83 @@ def test_archive_answers_with_what_the_page_loads(tmp_path: Path, record: Path) 
     check(answered["answer"], record, density="1650±50")
     assert refused.keys() == {"error"}
     assert refused["error"].startswith("words.csv: ")
+
+
+PAGE = """
+const { page, pyodide, integrity } = JSON.parse(process.argv[1]);
+const seen = [], shown = { dataset: {} };
+const form = { dataset: { pyodide, integrity }, elements: {}, addEventListener: () => {},
+  querySelectorAll: () => [] };
+const example = { addEventListener: (_, click) => { example.click = click; } };
+globalThis.window = globalThis;
+globalThis.document = {
+  baseURI: "https://docs.example/try.html",
+  currentScript: { src: "https://docs.example/_static/try.js" },
+  getElementById: (id) => ({ "try-form": form, "try-answer": shown, "try-example": example })[id],
+  createElement: () => ({}),
+  head: { append: (one) => { seen.push([one.src, one.integrity]); setTimeout(one.onload); } },
+};
+globalThis.fetch = async (url, options = {}) => {
+  seen.push([String(url), options.integrity]);
+  if (options.integrity === "refused") throw new TypeError("wrong hash");
+  return { ok: true, json: async () => ({}), arrayBuffer: async () => new ArrayBuffer(1) };
+};
+globalThis.loadPyodide = async ({ indexURL }) => {
+  await fetch(`${indexURL}pyodide-lock.json`); // as Pyodide 0.27 does, with strings and with URLs
+  await fetch(new URL("python_stdlib.zip", indexURL), {});
+  fetch(`${indexURL}pyodide.asm.wasm`).catch(() => {}); // it only warns
+  if (integrity.includes("refused")) await new Promise(() => {});
+  return {
+    loadPackage: () => fetch(new URL("numpy.whl", indexURL), { integrity: "sha256-of-numpy" }),
+    runPython: () => "place", unpackArchive: () => {},
+    runPythonAsync: async () => {
+      await fetch(`${indexURL}unknown.js`).catch(() => {});
+      return [() => JSON.stringify({ text: "φ" }), () => ""];
+    },
+  };
+};
+require("vm").runInThisContext(page);
+example.click();
+const wait = setInterval(() => {
+  if (/^(Loading|Inverting|$)/.test(shown.textContent ?? "")) return;
+  clearInterval(wait);
+  console.log(JSON.stringify({ seen, shown: shown.textContent }));
+}, 10);
+"""
+"""A browser as the page's script sees it, which notes what is asked for, and with which hash."""
+
+
+@pytest.mark.parametrize("refused", ["", "pyodide.asm.wasm", "pyodide-lock.json"])
+def test_page_asks_for_everything_from_elsewhere_with_its_hash(refused: str) -> None:
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("Node.js is not installed")
+    text = (DOCS / "try.md").read_text(encoding="utf-8")
+    (pyodide,) = re.findall(r'data-pyodide="([^"]*)"', text)
+    hashes = json.loads(re.findall(r"data-integrity='([^']*)'", text)[0])
+    assert all(len(base64.b64decode(one.removeprefix("sha384-"))) == 48 for one in hashes.values())
+    given = {**hashes, refused: "refused"} if refused else hashes
+    about = {
+        "page": (DOCS / "_static" / "try.js").read_text(encoding="utf-8"),
+        "pyodide": pyodide, "integrity": json.dumps(given),
+    }  # fmt: skip
+    done = subprocess.run(
+        [node, "-e", PAGE, json.dumps(about)],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+    )
+    found = json.loads(done.stdout)
+    asked = {url: known for url, known in found["seen"] if not url.startswith("https://docs.ex")}
+    if refused:
+        assert f"{refused} cannot be loaded" in found["shown"]
+        assert asked.items() <= {pyodide + name: known for name, known in given.items()}.items()
+    else:
+        # What has no hash is not even asked for.
+        assert "unknown.js cannot be loaded" in found["shown"]
+        expected = {pyodide + name: known for name, known in hashes.items()}
+        assert asked == {**expected, f"{pyodide}numpy.whl": "sha256-of-numpy"}
 
 
 @pytest.fixture
