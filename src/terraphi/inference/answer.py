@@ -36,6 +36,8 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
+    from terraphi.inference.bekker import Bekker
+
 log = logging.getLogger(__name__)
 
 QUANTILES = 4000
@@ -323,6 +325,13 @@ class Answer(AnswerSummary):
         return worst_nrmsd(self.records)
 
     @property
+    def bekker(self) -> Bekker | None:
+        """Numbers of the pressure-sinkage curve of plates; ``None`` without a plate."""
+        from terraphi.inference.bekker import bekker
+
+        return bekker(self.records)
+
+    @property
     def posterior(self) -> tuple[FloatArray, FloatArray]:
         """Angles [deg] and the density of φ there [1/deg], of draws by a histogram; shape [k]."""
         if self.grid_deg.size:
@@ -349,6 +358,7 @@ class Answer(AnswerSummary):
             "rig": self.rigs[0].model_dump(),
             **copy.deepcopy({one.name: getattr(self, one.name) for one in fields(AnswerSummary)}),
             "phi_peak": self.phi_peak.as_dict() if self.phi_peak else None,
+            "bekker_kN_m": numbers._asdict() if (numbers := self.bekker) else None,
             "nrmsd": self.nrmsd,
             "n_angles": self.records[0].theta_deg.size,
             "warnings": list(self.warnings),

@@ -69,6 +69,8 @@ def in_words(answer: Answer) -> list[str]:
         lines.append(f"  ± is: {_terms(answer)}")
     if answer.phi_peak is not None:
         lines.append(f"  Peak angle of the dense soil: {answer.phi_peak}")
+    if answer.bekker is not None:
+        lines.append(f"  {answer.bekker}")
     other = answer.second_opinion
     if other is not None:
         where = "" if answer.convention == "plane_strain" else " in plane strain"
