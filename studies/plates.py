@@ -1,10 +1,12 @@
 """Plates and balls pressed in: force laws of a foot against measurements and simulated grains.
 
 Flat discs that go down slowly are the nearest that public measurements come to a foot. Each test
-is fitted by each law, with φ and the first contact unknown, and again in windows of its depth.
-Balls and discs pressed into simulated grains (`grains/`) are fitted likewise; there a shear cell
-measured φ. Li et al. (2013) measured a plate of 38 by 25 mm, inclined and moved down, along or
-between. It is fitted with one φ for each medium, and compared with the soil of `sand3d`.
+is inverted by each law as a user would, `terraphi invert plate.csv --tool plate:60`, and again by
+the part down to each depth. So are balls and discs pressed into simulated grains (`grains/`); there
+a shear cell measured φ. Tools go straight down: balls that move at 45° are fitted with φ and the
+first contact unknown, and with the friction of the grains. Li et al. (2013) measured a plate of 38
+by 25 mm, inclined and moved down, along or between. It is fitted with one φ for each medium, and
+compared with the soil of `sand3d`.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from matplotlib import colormaps
 from matplotlib.figure import Figure
 from scipy.optimize import least_squares
@@ -23,7 +26,8 @@ from scipy.optimize import least_squares
 import pages
 import terraphi
 from terraphi.forward.rft import stress_per_depth_3d, to_plane_strain
-from terraphi.laws.foot import LAWS, Foot
+from terraphi.inference.pressed import LOOSE_DEG
+from terraphi.laws.foot import LAWS, SURFACE_FRICTION, Foot
 
 sys.path.insert(0, str(Path(__file__).parent / "grains"))
 import elements
@@ -32,13 +36,9 @@ import run
 DENSITY = 1330.0
 """Of the measured sand, as its authors give it [kg/m³]."""
 REPOSE_DEG = 29.0
-FRICTION = 0.5
-"""Of the plates, assumed."""
 FIRST = 1e-3
 """Sinkage from which tests are used [m]."""
-WINDOWS_MM = ((2.0, 8.0), (8.0, 16.0), (16.0, 26.0))
-CONTACT_SD = 5e-4
-"""Of the first contact, which the measurement has found already [m]."""
+DOWN_TO_MM = (8.0, 16.0)
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "black")
 PLATE, GRAVITY = (0.0381, 0.0254), 9.81
 MEDIA = {
@@ -58,8 +58,8 @@ FEET = {"ball_44": "ball of 44 mm, down", "disc_60": "disc of 60 mm, down",
 """Feet that were pressed into all soils; TURNED moves at 45° from the vertical."""
 SIZES, SIZE_MM = ("loose", "coarse", "fine"), 6.0
 """Last parts of the names of soils that differ by size only, and the size that all soils have."""
-WINDOWS_R = ((0.25, 0.5), (0.5, 1.0), (1.0, 1.5))
-"""Windows of depth over the radius, for grains [-]."""
+DOWN_TO_R = (0.5, 1.0)
+"""Depths over the radius down to which parts of tests are inverted, for grains [-]."""
 CHECKS = (
     ("grains of 8.8 mm, not 6 mm", "-coarse ", " "),
     ("grains of 4.4 mm, not 6 mm", "-fine ", " "),
@@ -83,9 +83,8 @@ class Test(NamedTuple):
     sinkage: np.ndarray
     force: np.ndarray
     density: float = DENSITY
-    friction: float = FRICTION
+    friction: float = SURFACE_FRICTION
     descent: float = 0.5 * np.pi
-    contact_sd: float = CONTACT_SD
 
     @property
     def diameter(self) -> float:
@@ -148,30 +147,23 @@ def fitted(test: Test, law: Law) -> tuple[float, float]:
 
     def residual(x: np.ndarray) -> np.ndarray:
         misfit = (law(test, x[0], test.sinkage + x[1])[:, 1] - lift) / scale
-        return np.append(misfit / 0.1, x[1] / test.contact_sd)
+        return np.append(misfit / 0.1, x[1] / GRAINS_CONTACT_SD)
 
-    found = least_squares(residual, [30.0, 0.0], x_scale=[1.0, test.contact_sd])
+    found = least_squares(residual, [30.0, 0.0], x_scale=[1.0, GRAINS_CONTACT_SD])
     misfit = 0.1 * residual(found.x)[:-1]
     return float(found.x[0]), float(np.sqrt(np.mean(misfit**2)))
 
 
-def one_angle(tests: list[Test], law: Law) -> tuple[float, float]:
-    """The one φ for all tests [deg] and its misfit over their peak-to-peaks."""
-    angles = np.arange(20.0, 45.0, 0.1)
-    misfit = [
-        np.sqrt(
-            np.mean(
-                [
-                    np.mean((law(t, phi, t.sinkage) - t.force)[:, 1] ** 2)
-                    / np.ptp(t.force[:, 1]) ** 2
-                    for t in tests
-                ]
-            )
-        )
-        for phi in angles.tolist()
-    ]
-    best = int(np.nanargmin(misfit))
-    return float(angles[best]), float(misfit[best])
+def inverted(test: Test, name: str) -> tuple[float, float]:
+    """φ of a foot that goes straight down [deg], and the residual over the force's range.
+
+    That of `terraphi invert --tool`, by a law.
+    """
+    kind = "ball" if test.foot.shape == "ball" else "plate"
+    table = pd.DataFrame({"sinkage_mm": 1e3 * test.sinkage, "force_N": test.force[:, 1]})
+    answer = terraphi.invert(table, tool=f"{kind}:{1e3 * test.diameter:.6g}", law=name,
+                             density=test.density)  # fmt: skip
+    return answer.phi.median, answer.nrmsd["Fz"]
 
 
 def in_grains() -> dict[str, list[Test]]:
@@ -184,19 +176,20 @@ def in_grains() -> dict[str, list[Test]]:
                 continue
             for path in sorted(GRAINS.glob(f"{name}_{pressed}_[0-9].csv")):
                 depth, force, density = run.load(path)
-                test = Test(
-                    name, foot, depth / 1e3, force.T, density, soil.leg_friction, descent,
-                    GRAINS_CONTACT_SD,
-                )  # fmt: skip
-                tests.setdefault(f"{name} {pressed}", []).append(test.between(FIRST, np.inf))
+                test = Test(name, foot, depth / 1e3, force.T, density, soil.leg_friction, descent)
+                tests.setdefault(f"{name} {pressed}", []).append(test)
     return tests
 
 
 def angles(name: str, test: Test) -> list[float]:
-    """φ by a law in plane strain [deg]: from all depths, and from each of WINDOWS_R."""
-    law, radius = law_of(name), test.foot.radius
-    parts = [test, *(test.between(a * radius, b * radius) for a, b in WINDOWS_R)]
-    return [fitted(part, law)[0] for part in parts]
+    """φ by a law [deg]: from all depths, and from the part down to each of DOWN_TO_R."""
+    radius = test.foot.radius
+    down = test.descent > 0.49 * np.pi
+    first = -np.inf if down else FIRST
+    parts = [test.between(first, depth * radius) for depth in (np.inf, *DOWN_TO_R)]
+    if not down:
+        return [fitted(part, law_of(name))[0] for part in parts]
+    return [inverted(part, name)[0] for part in parts]
 
 
 def log_strength(test: Test) -> float:
@@ -246,16 +239,16 @@ def sizeless(values: Mapping[str, float], foot: str) -> Sizeless:
 def by_law(tests: dict[str, list[Test]], off: Mapping[str, Mapping[str, np.ndarray]]) -> str:
     """Table of each law's φ less the true one, over loose soils, at zero grain size.
 
-    ``off`` has that by law and test [deg], for all depths and for each of WINDOWS_R.
+    ``off`` has that by law and test [deg], for all depths and down to each of DOWN_TO_R.
     """
     rows = []
     for name, own in off.items():
-        law, means, spreads, errors = law_of(name), [], [], []
+        law, means, squares = law_of(name), [], []
         for foot, words in FEET.items():
             whole = sizeless({key: float(value[0]) for key, value in own.items()}, foot)
             values = np.array(list(whole.values.values()))
             usual = [f"{soil}{size} {foot}" for soil in whole.values for size in ("", "-coarse")]
-            depths = np.mean([own[key] for key in usual if key in own], axis=0)[1:]
+            depths = np.roll(np.mean([own[key] for key in usual if key in own], axis=0), -1)
             drag = ""
             if foot == TURNED:
                 turned = [t for key, each in tests.items() if key.endswith(foot) for t in each]
@@ -264,26 +257,22 @@ def by_law(tests: dict[str, list[Test]], off: Mapping[str, Mapping[str, np.ndarr
                 of_law, of_soil = (np.mean([-x / z for x, z in lean[i::2]]) for i in (0, 1))
                 drag = f"{of_law:.2f} / {of_soil:.2f}"
             means.append([values.mean(), *depths])
-            spreads.append([values.var(ddof=1), np.var(depths, ddof=1)])
-            errors.append(whole.error)
+            squares.append([np.square(values).mean(), values.var(ddof=1), whole.error**2])
             rows.append((
                 name, words, f"{values.mean():+.1f}°", f"{whole.slope:+.2f}°",
                 *(f"{depth:+.1f}°" for depth in depths), f"{values.std(ddof=1):.1f}°",
                 f"{whole.error:.1f}°", drag,
             ))  # fmt: skip
         overall = np.mean(means, axis=0)
-        parts = np.sqrt([*np.mean(spreads, axis=0), np.var([m[0] for m in means], ddof=1),
-                         np.mean(errors) ** 2])  # fmt: skip
+        rms, of_soils, of_size = np.sqrt(np.mean(squares, axis=0))
         rows.append((
             name, "all", f"{overall[0]:+.1f}°", "", *(f"{depth:+.1f}°" for depth in overall[1:]),
-            f"{parts[0]:.1f}°", f"{parts[3]:.1f}°",
-            (f"± {np.sqrt(np.square(parts).sum()):.1f}°: soils {parts[0]:.1f}°, depths "
-            f"{parts[1]:.1f}°, feet {parts[2]:.1f}°, size {parts[3]:.1f}°"),
+            f"{of_soils:.1f}°", f"{of_size:.1f}°", f"{rms:.1f}°",
         ))  # fmt: skip
-    windows = [f"{a:g} to {b:g} R" for a, b in WINDOWS_R]
+    windows = [*(f"down to {depth:g} R" for depth in DOWN_TO_R), "all depths"]
     header = ("law", "foot", "φ less measured", "each mm of grains adds",
               *(f"{window}, as it is" for window in windows), "SD of soils",
-              "error of the size", "drag over lift: law / grains; SD of all")  # fmt: skip
+              "error of the size", "drag over lift: law / grains; all: RMS")  # fmt: skip
     return pages.table(header, rows)
 
 
@@ -342,7 +331,8 @@ def of_inclined_plates() -> list[tuple[str, ...]]:
         normal *= np.where((normal * motion).sum(axis=1) >= -1e-9, 1.0, -1.0)[:, None]
         forces = {
             phi: stress_per_depth_3d(
-                normal, motion, friction_angle_deg=phi, density=1.0, surface_friction=FRICTION
+                normal, motion, friction_angle_deg=phi, density=1.0,
+                surface_friction=SURFACE_FRICTION,
             )[:, (0, 2)] / GRAVITY
             for phi in np.arange(15.0, 45.0, 0.1)
         }  # fmt: skip
@@ -411,10 +401,9 @@ def draw(
     (forces, whole, windows), (reduced, soils, depths) = figure.subplots(2, 3)
     for test in tests:
         forces.plot(1e3 * test.sinkage, test.force[:, 1], ".", ms=3, color="grey")
-    middles = [0.5 * (a + b) for a, b in WINDOWS_MM]
     colours = dict(zip(LAWS, COLOURS, strict=True))
     for name, law in laws.items():
-        one, _ = one_angle(tests, law)
+        one = float(np.mean(fits[name]))
         for i, diameter in enumerate(sorted({test.diameter for test in tests})):
             test = next(t for t in tests if t.diameter == diameter)
             label = f"{name}, {one:.1f}°" if i == 0 else None
@@ -422,11 +411,13 @@ def draw(
             forces.plot(1e3 * test.sinkage, force, color=colours[name], lw=1.0, label=label)
             own = [t.diameter == diameter for t in tests]
             line = ("-", "--")[i % 2]
-            windows.plot(middles, by_window[name][own].mean(axis=0), line, color=colours[name])
+            windows.plot(DOWN_TO_MM, by_window[name][own].mean(axis=0), line, color=colours[name])
         whole.plot([1e3 * t.diameter for t in tests], fits[name], "o", color=colours[name], ms=4)
-    forces.set(xlabel="sinkage [mm]", ylabel="force [N]", title="plates in sand: one φ for all")
+    forces.set(
+        xlabel="sinkage [mm]", ylabel="force [N]", title="plates in sand: laws at the mean φ"
+    )
     whole.set(xlabel="diameter [mm]", ylabel="φ [deg]", title="each test")
-    windows.set(xlabel="sinkage [mm]", ylabel="φ [deg]", title="by depth; dashed: 100 mm")
+    windows.set(xlabel="down to [mm]", ylabel="φ [deg]", title="by depth; dashed: 100 mm")
     forces.legend(frameon=False, fontsize="x-small")
     shades = colormaps["viridis"](np.linspace(0.0, 0.9, len(phi)))
     for shade, (soil, angle) in zip(shades, phi.items(), strict=True):
@@ -436,20 +427,19 @@ def draw(
                 label = f"{soil[0]}, {angle:.1f}°" if line == "-" and i == 0 else None
                 lift = test.force[:, 1] / (test.density * GRAVITY * radius**3)
                 reduced.plot(test.sinkage / radius, lift, line, color=shade, lw=1.0, label=label)
-    middles = [0.5 * (a + b) for a, b in WINDOWS_R]
     for name, own in off.items():
         for mark, line, foot in zip("os^", ("-", "--", ":"), FEET, strict=True):
             if f"{next(iter(phi))} {foot}" not in own:
                 continue
             values = np.array([own[f"{soil} {foot}"] for soil in phi])
             soils.plot(phi.values(), values[:, 0], mark, color=colours[name], ms=4, mfc="none")
-            depths.plot(middles, values[:, 1:].mean(axis=0), line, color=colours[name])
+            depths.plot(DOWN_TO_R, values[:, 1:].mean(axis=0), line, color=colours[name])
     for axes in (soils, depths):
         axes.axhline(0.0, color="grey", lw=0.8)
     reduced.set(xlabel="depth / R", ylabel="lift / ρ g R³", title="in grains; dashed: disc, 60 mm")
     soils.set(xlabel="φ of the shear cell [deg]", ylabel="φ by law less that [deg]",
               title="circles: ball, squares: disc, triangles: 45°")  # fmt: skip
-    depths.set(xlabel="depth / R", ylabel="φ by law less measured [deg]",
+    depths.set(xlabel="down to [R]", ylabel="φ by law less measured [deg]",
                title="by depth; dashed: disc, dotted: 45°")  # fmt: skip
     reduced.legend(frameon=False, fontsize="x-small")
     return figure
@@ -460,17 +450,16 @@ def main() -> None:
     out, tests = pages.out_from(str(__doc__)), measured()
     laws = {name: law_of(name) for name in LAWS}
     rows, fits, by_window = [], {}, {}
-    for name, law in laws.items():
-        found = [fitted(test, law) for test in tests]
+    for name in LAWS:
+        found = [inverted(test, name) for test in tests]
         fits[name] = [angle for angle, _ in found]
         by_window[name] = np.array(
-            [[fitted(t.between(a / 1e3, b / 1e3), law)[0] for a, b in WINDOWS_MM] for t in tests]
+            [[inverted(t.between(0.0, d / 1e3), name)[0] for d in DOWN_TO_MM] for t in tests]
         )
         repeats = [
             np.var([a for t, a in zip(tests, fits[name], strict=True) if t.diameter == d], ddof=1)
             for d in dict.fromkeys(test.diameter for test in tests)
         ]
-        angle, misfit = one_angle(tests, law)
         rows.append(
             (
                 name,
@@ -478,11 +467,10 @@ def main() -> None:
                 f"{np.sqrt(np.mean(repeats)):.1f}°",
                 *(f"{value:.1f}°" for value in by_window[name].mean(axis=0)),
                 f"{np.mean([rms for _, rms in found]):.0%}",
-                f"{angle:.1f}° ({misfit:.0%})",
             )
         )
-    windows = [f"{a:g} to {b:g} mm" for a, b in WINDOWS_MM]
-    header = ("law", "φ, mean of tests", "between repeats", *windows, "misfit", "one φ for all")
+    windows = [f"down to {depth:g} mm" for depth in DOWN_TO_MM]
+    header = ("law", "φ, mean of tests", "between repeats", *windows, "residual")
     compared = ("plate of 38 × 25 mm in", "angle", "pressed down", "moved along")
     of_motions = ("medium", "angle", "φ by the three legs", "φ, all motions",
                   "residual, vertical", "residual, along",
@@ -509,8 +497,9 @@ def main() -> None:
     parts = [
         (
             f"{len(tests)} tests with plates of 60 and 100 mm in sand with an angle of repose of "
-            f"{REPOSE_DEG:g}°; there was no shear test. φ is fitted with the first contact "
-            "unknown, to whole tests and in windows of sinkage; misfits are over peak-to-peak."
+            f"{REPOSE_DEG:g}°; there was no shear test. φ is that of `terraphi invert --tool`, of "
+            "whole tests and of the part down to a depth; residuals are over the force's range. "
+            f"Answers above {LOOSE_DEG:.0f}° are out of range: soil that gives them is not loose."
         ),
         pages.table(header, rows),
         "## Feet pressed into simulated grains",
@@ -518,8 +507,8 @@ def main() -> None:
             f"{sum(len(own) for own in grains.values())} balls and discs pressed 1.5 R deep into "
             "spheres simulated one by one, loose unless a row names another packing, of 6 and 8.8 "
             "mm (-coarse), in beds 30 diameters wide. A shear cell measured their critical φ in "
-            "plane strain. The laws are fitted in the same way; φ of `rft` is taken to plane "
-            "strain by sin φ' = tan φ. φ less measured "
+            "plane strain. φ of feet that go straight down is that of `terraphi invert --tool`, "
+            "with a friction of the foot that is not given; the grains' is 0.35. φ less measured "
             "is extrapolated to zero grain size, by a line over the size, as steep in all soils."
         ),
         by_law(grains, off),
@@ -536,8 +525,8 @@ def main() -> None:
             "Raw values of Li et al. (2013), Table S5: stress per depth over ρ g on a plate of "
             "38 by 25 mm at six inclinations that moves along, down and between. Resistive force "
             "theory with one φ for all motions in a medium; residuals are RMS over the largest "
-            "value. Bearing capacity knows only a level plate: φ by each law from that, for a disc "
-            "of the same area down to 25 mm. φ of `rft` is in plane strain."
+            "value. Bearing capacity knows only a level plate: φ by each law from that, fitted for "
+            "a disc of the same area down to 25 mm. φ of `rft` is in plane strain."
         ),
         pages.table(of_motions, of_inclined_plates()),
         (

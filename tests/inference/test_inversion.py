@@ -16,8 +16,8 @@ from terraphi.experiment.measurements import measurement, names
 from terraphi.experiment.rig import Rig
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
-from terraphi.inference.answer import Answer
-from terraphi.inference.inversion import calibrate, invert, invert_many
+from terraphi.inference.answer import Answer, Estimate
+from terraphi.inference.inversion import calibrate, critical_posterior, invert, invert_many
 from terraphi.inference.likelihood import MOMENT_DEG, Likelihood
 from terraphi.inference.records import open_record
 from terraphi.laws.emulator import Emulator
@@ -413,19 +413,40 @@ def test_the_end_of_a_law_is_named_as_an_angle_of_soil() -> None:
     assert f"below {end:.0f}°" in answer.reason
 
 
+@pytest.mark.parametrize(("read", "sd", "critical"), [
+    (26.9, 2.9, (22.0, 1.0)), (30.0, 5.0, (36.0, 2.0)), (45.0, 3.0, (33.0, 1.0)),
+])  # fmt: skip
+def test_a_critical_angle_bounds_the_answer(
+    read: float, sd: float, critical: tuple[float, float]
+) -> None:
+    """Draws of soils of every relative density, weighted by how well they fit what is read."""
+    rng = np.random.default_rng(3)
+    low, share = rng.normal(*critical, 400_000), rng.normal(0.57, 0.18, 400_000).clip(0.25, 1.0)
+    excess = 5.0 * (5.0 * rng.uniform(size=400_000) - 1.0).clip(0.0)  # Bolton 1987
+    angle = low + share * excess
+    weight = np.exp(-0.5 * ((angle - read) / sd) ** 2)
+    kept = rng.choice(400_000, 100_000, p=weight / weight.sum())
+    grid = np.arange(5.0, 75.0, 0.05)
+    forces = np.exp(-0.5 * ((grid - read) / sd) ** 2)
+    density, peak = critical_posterior(grid, forces, critical)
+    for estimate, draws in ((Estimate.of_density(grid, density), angle[kept]),
+                            (peak, (low + excess)[kept])):  # fmt: skip
+        assert estimate.median == pytest.approx(np.median(draws), abs=0.15)
+        assert estimate.sd == pytest.approx(draws.std(), abs=0.1)
+        np.testing.assert_allclose(estimate.ci95, np.quantile(draws, [0.025, 0.975]), atol=0.4)
+    assert peak.ci95[1] < critical[0] + 20.0 + 2.0 * critical[1]
+
+
 def test_dense_soil_has_a_peak_where_its_critical_angle_is_known(tmp_path: Path) -> None:
-    """The share of the way that is read, turned round; kept in files."""
+    """Above the angle that carries the leg, which is not below the critical one; in files."""
+    alone = invert("li2013:glass03_close/straight")
     answer = invert("li2013:glass03_close/straight", critical="22±1")
-    apart = answer.phi.median - 22.0
-    peak = answer.phi_peak
-    assert peak.median == pytest.approx(22.0 + apart / 0.57, abs=1.0)
-    slope = np.hypot(answer.phi.sd, 0.75) / 0.57  # of what is read, and of the critical angle
-    assert peak.sd > slope
+    assert 22.0 < answer.phi.median < answer.phi_peak.median < 42.0
+    assert answer.phi.sd < alone.phi.sd < answer.phi_peak.sd
     answer.save(tmp_path / "a")
     again = Answer.load(tmp_path / "a")
-    assert again.phi_peak == peak
-    assert again.as_dict()["phi_peak"]["median"] == peak.median
-    assert answer.phi == invert("li2013:glass03_close/straight").phi
+    assert (again.phi, again.phi_peak) == (answer.phi, answer.phi_peak)
+    assert again.as_dict()["phi_peak"]["median"] == answer.phi_peak.median
 
 
 def test_loose_soil_has_no_peak() -> None:

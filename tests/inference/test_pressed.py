@@ -12,7 +12,8 @@ import pytest
 import terraphi
 from terraphi.laws.foot import LAWS, Foot
 
-GRAINS = Path(__file__).parents[2] / "studies" / "data" / "grains"
+DATA = Path(__file__).parents[2] / "studies" / "data"
+GRAINS = DATA / "grains"
 CRITICAL_DEG = {"B-loose_disc_60_1": 26.2, "B-loose_ball_44_1": 26.2}
 
 
@@ -91,6 +92,87 @@ def test_forces_beyond_the_law_are_out_of_range() -> None:
     table = pressed(38.0)
     answer = terraphi.invert(table.assign(force_N=200.0 * table.force_N), tool="plate:151")
     assert (answer.verdict, answer.edge) == ("out_of_range", "high")
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("phi", [44.0, 48.0, 52.0])
+def test_denser_soil_than_the_laws_are_of_is_out_of_range(phi: float, law: str) -> None:
+    z = np.linspace(0.0, 0.08, 81)
+    force = LAWS[law].force(
+        Foot(0.0755, "disc"), z, 0.5 * np.pi, friction_angle_deg=phi, density=1500.0,
+        surface_friction=0.4,
+    )[:, 1]  # fmt: skip
+    table = pd.DataFrame({"sinkage_mm": 1e3 * z, "force_N": force})
+    answer = terraphi.invert(table, tool="plate:151", density=1500, law=law, critical=30)
+    assert (answer.verdict, answer.edge, answer.phi_peak) == ("out_of_range", "high", None)
+
+
+def test_repeats_on_one_sand_have_one_verdict() -> None:
+    """Plates on loose, medium and dense Cullinan sand, of 36 ± 2° (Kruger et al. 2023)."""
+    plates = pd.read_csv(DATA / "sands" / "cullinan_plates.csv", comment="#")
+    for test, plate in plates.groupby("test"):
+        table = plate[["sinkage_mm", "pressure_kPa"]].reset_index(drop=True)
+        density = plate.dry_density_kg_m3.fillna(1350.0).iloc[0]
+        answer = terraphi.invert(table, tool="plate:151", density=density)
+        loose = str(test).startswith("Method_1")
+        assert answer.verdict == ("consistent" if loose else "out_of_range"), test
+        if loose:
+            assert answer.phi.ci95[0] < 36.4 < answer.phi.ci95[1]
+            bounded = terraphi.invert(table, tool="plate:151", density=density, critical="36.4±2")
+            assert bounded.phi.median == pytest.approx(36.4 + 1.6, abs=2.2)
+            assert bounded.phi.sd < answer.phi.sd
+
+
+@pytest.mark.parametrize("soil", ["A", "B", "C", "E"])
+def test_shallow_records_have_wide_intervals(soil: str) -> None:
+    """Half a radius deep; critical angles of shear cells (docs/grains.md)."""
+    path, true = (
+        GRAINS / f"{soil}-loose_disc_60_1.csv",
+        {"A": 19.8, "B": 25.9, "C": 31.3, "E": 29.6},
+    )
+    density = float(re.findall(r"density (\d+)", path.read_text(encoding="utf-8"))[0])
+    table = pd.read_csv(path, comment="#")[["depth_mm", "Fz_N"]]
+    shallow = table[table.depth_mm <= 15.0].reset_index(drop=True)
+    answer = terraphi.invert(shallow, tool="plate:60", density=density)
+    assert answer.phi.ci95[0] < true[soil] < answer.phi.ci95[1]
+
+
+@pytest.mark.parametrize("contraction", [0.0, 0.75])
+def test_terms_of_the_interval_add_up_to_it(contraction: float) -> None:
+    answer = terraphi.invert(pressed(30.0, contraction), tool="plate:151", density=1500)
+    assert np.hypot.reduce([*answer.budget_deg.values()]) == pytest.approx(answer.phi.sd, rel=0.01)
+
+
+def test_grains_widen_the_interval_by_their_size() -> None:
+    table = pressed(30.0)
+    fine, coarse = (terraphi.invert(table, tool="plate:151", density=1500, grain_size_mm=size)
+                    for size in (None, 10.0))  # fmt: skip
+    assert coarse.phi.median == pytest.approx(fine.phi.median, abs=0.1)
+    added = np.sqrt(coarse.phi.sd**2 - fine.phi.sd**2)
+    assert added == pytest.approx(coarse.budget_deg["grain size"], rel=0.05)
+    with pytest.raises(terraphi.InputError, match="grain_size_mm = 80"):
+        terraphi.invert(table, tool="plate:151", grain_size_mm=80)
+
+
+@pytest.mark.parametrize(("n", "k_c", "k_phi"), [(0.7, 5.27, 1515.0), (1.1, 0.99, 1528.0)])
+def test_bekkers_numbers_are_those_of_the_pressure(n: float, k_c: float, k_phi: float) -> None:
+    """As of sandy loam and of dry sand, in kN and m; b of a rectangle is its shorter side."""
+
+    def plate(b: float, tool: str) -> tuple[pd.DataFrame, str]:
+        z = np.linspace(0.0, 0.05, 2001)
+        return pd.DataFrame({"z_mm": 1e3 * z, "p_kPa": (k_c / b + k_phi) * z**n}), tool
+
+    plates = [plate(0.03, "plate:60"), plate(0.03, "plate:30x40"), plate(0.01, "plate:10x40"),
+              (pressed(30.0), "ball:100")]  # fmt: skip
+    answer = terraphi.invert(plates, density=1500)
+    assert answer.bekker.n == pytest.approx(n, abs=1e-3)
+    assert answer.bekker.k_c == pytest.approx(k_c, rel=0.02)
+    assert answer.bekker.k_phi == pytest.approx(k_phi, rel=0.02)
+    assert answer.as_dict()["bekker_kN_m"]["k_phi"] == answer.bekker.k_phi
+    one = terraphi.invert(plates[0], density=1500).bekker
+    assert one.k == {"30": pytest.approx(k_c / 0.03 + k_phi, rel=0.01)}
+    assert one.k_c is one.k_phi is None
+    assert terraphi.invert(plates[3], density=1500).bekker is None
 
 
 def test_two_layers_are_a_misfit() -> None:

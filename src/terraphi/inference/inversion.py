@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -44,10 +45,14 @@ at least 0.95 in all training records."""
 FAR = 4.0
 """Standard deviations above which chance explains nothing (1 in 16,000) [-]: of chi-square of a
 simulated record, and of a calibration soil's known angle."""
-SHARE, SHARE_ENDS, PEAK_DRAWS = (0.57, 0.18), (0.25, 1.0), 20_001
+SHARE, SHARE_ENDS = (0.57, 0.18), (0.25, 1.0)
 """Where φ of dense soil lies from critical to peak, mean and standard deviation [-]: seven packed
 records of simulated grains, by their size (``docs/grains.md``); a strip footing on Toyoura sand has
-0.59 to 0.72 (``docs/sheared_sands.md``). The ends, and the draws, are chosen."""
+0.59 to 0.72 (``docs/sheared_sands.md``). The ends are chosen."""
+DENSEST_DEG, LOOSEST_DEG = 20.0, -5.0
+"""Peak less critical angle [deg] at relative densities I_D of 1 and 0, in plane strain: 5 I_R with
+I_R = 5 I_D − 1 below 150 kPa, and none of looser soil (Bolton 1986, 1987, Géotechnique 36:65 and
+37:225). Every relative density is as likely."""
 LOOSE = 1.64
 """Standard deviations below which φ is not above the critical angle [-]: one in twenty."""
 SIMULATED = 0.08
@@ -100,8 +105,8 @@ def invert(
         Bulk density [kg/m³], as a number (± 5 %) or ``"1600±80"``; ``None``: from the forces' file,
         else the library's.
     grain_size_mm
-        Mean diameter of the grains [mm], where they are not small compared with the leg: what
-        simulated grains of 4 to 9 mm raise φ by is taken off.
+        Mean diameter of the grains [mm], where they are not small compared with the leg or tool:
+        what simulated grains of 4 to 9 mm raise φ by is taken off.
     columns
         Which columns of a table are what, as a mapping of the options of
         :func:`terraphi.read_forces`, or a TOML file of them; ``None``: guessed.
@@ -116,8 +121,9 @@ def invert(
     calibration
         Soils of known friction angle in the same apparatus, or their file.
     critical
-        Critical angle of the soil in plane strain [deg], as a number (± 1°) or ``"33±1"``: of dense
-        soil the answer then has the peak angle, of which a leg in grains reads a share (``SHARE``).
+        Critical angle of the soil in plane strain [deg], as a number (± 1°) or ``"33±1"``: φ is not
+        below it, and of dense soil the answer has the peak angle, of which a leg in grains reads a
+        share (``SHARE``).
     simulated
         Whether the forces are simulated, so that the library's model is exact; ``None``: from
         their file.
@@ -145,21 +151,23 @@ def invert(
     every = _listed(forces)
     of_legs = [one for one in every if tool is None and not is_tool(one[1])]
     of_tools = [(one, tool or own) for one, own in every if tool is not None or is_tool(own)]
-    given = {"leg": leg, "rig": rig, "grain_size_mm": grain_size_mm, "noise": noise, "gain": gain,
-             "calibration": calibration, "simulated": simulated}  # fmt: skip
+    given = {"leg": leg, "rig": rig, "noise": noise, "gain": gain, "calibration": calibration,
+             "simulated": simulated}  # fmt: skip
     wrong = [name for name, value in given.items() if value is not None and not of_legs]
     wrong += [f"@{own}" for _, own in every if tool is not None and own is not None]
     if of_tools and wrong:
         raise InputError(f"a tool excludes {', '.join(wrong)}; leave out one or the other")
     answers = []
     if of_legs:
-        answers = _of_legs(of_legs, density=density, law=law, columns=columns, seed=seed, **given)
+        answers = _of_legs(of_legs, density=density, law=law, columns=columns, seed=seed,
+                           grain_size_mm=grain_size_mm, **given)  # fmt: skip
         # One soil has one density, and its columns and law are those of the legs.
         first = answers[0]
         density, law, columns = f"{first.density_kg_m3}±{first.density_sd_kg_m3}", None, None
-    answers += [invert_pressed(*one, density=density, law=law, columns=columns) for one in of_tools]
+    answers += [invert_pressed(*one, density=density, law=law, columns=columns,
+                               grain_size_mm=grain_size_mm) for one in of_tools]  # fmt: skip
     answer = combined(answers) if len(answers) > 1 else answers[0]
-    return answer if critical is None else with_peak(answer, critical)
+    return answer if critical is None else with_critical(answer, critical)
 
 
 def _of_legs(
@@ -197,11 +205,11 @@ def _of_legs(
         ]
 
 
-def with_peak(answer: Answer, critical: float | str) -> Answer:
-    """An answer with the peak angle of the soil, whose critical angle is known [deg].
+def with_critical(answer: Answer, critical: float | str) -> Answer:
+    """An answer of soil whose critical angle is known [deg]: φ is not below it.
 
-    φ = φ_c + share (φ_p − φ_c), by draws. Soil is loose if φ exceeds φ_c by less than 1.64 standard
-    deviations of both.
+    Soil is loose if φ by the forces exceeds the critical angle by less than 1.64 standard
+    deviations of both; otherwise the answer has the peak angle as well.
 
     Raises
     ------
@@ -215,20 +223,49 @@ def with_peak(answer: Answer, critical: float | str) -> Answer:
     if answer.verdict != "consistent":
         return answer
     apart, least = answer.phi.median - mean, LOOSE * math.hypot(answer.phi.sd, sd)
-    if apart < least:
-        word = "agrees with" if apart > -least else "is below"
-        end = "" if apart > -least else ", or the critical angle is wrong"
-        sentence = f"φ {word} the critical angle of {mean:g} ± {sd:g}°: the soil is loose{end}."
+    given = f"the critical angle of {mean:g} ± {sd:g}°"
+    if apart < -least:
+        sentence = f"φ is below {given}: the soil is loose, or the critical angle is wrong."
         return replace(answer, warnings=(sentence, *answer.warnings))
-    read = answer.phi.median, answer.phi.sd
-    return replace(answer, phi_peak=Estimate.of(peak_draws(read, (mean, sd))))
+    alone = f"{answer.phi}".partition("  ")[0]
+    sentence = f"φ is not below {given}; by the forces alone it is {alone}."
+    if apart < least:
+        sentence = f"φ agrees with {given}: the soil is loose. By the forces alone it is {alone}."
+    density, peak = critical_posterior(*answer.posterior, (mean, sd))
+    answer = replace(
+        answer, phi_peak=peak if apart >= least else None, warnings=(sentence, *answer.warnings)
+    )
+    if answer.draws:  # of several parameters
+        return answer
+    phi = Estimate.of_density(answer.grid_deg, density)
+    return replace(answer, density=density, parameters={PHI: phi}, phi_plane_strain=phi)
 
 
-def peak_draws(read: tuple[float, float], critical: tuple[float, float]) -> FloatArray:
-    """Peak angles of dense soil, by the angle read and the critical one, each mean and SD [deg]."""
-    rng = np.random.default_rng(0)
-    angle, low, share = (rng.normal(*one, PEAK_DRAWS) for one in (read, critical, SHARE))
-    return np.asarray(low + np.maximum(angle - low, 0.0) / np.clip(share, *SHARE_ENDS))
+def critical_posterior(
+    grid: FloatArray, density: FloatArray, critical: tuple[float, float]
+) -> tuple[FloatArray, Estimate]:
+    """Posterior of φ and of the peak angle of soil whose critical angle is known.
+
+    φ = φ_c + share (φ_p − φ_c), with φ_p − φ_c by the relative density (:data:`DENSEST_DEG`).
+
+    Parameters
+    ----------
+    grid, density
+        Of φ by the forces alone [deg], [1/deg], shape [k]; the grid's steps are equal.
+    critical
+        Mean and standard deviation of φ_c [deg].
+    """
+    middles = (np.arange(40) + 0.5) / 40.0
+    shares = np.clip([NormalDist(*SHARE).inv_cdf(p) for p in middles.tolist()], *SHARE_ENDS)
+    excess = np.maximum(LOOSEST_DEG + (DENSEST_DEG - LOOSEST_DEG) * middles, 0.0)
+    above, excess = (shares[:, None] * excess).ravel(), np.tile(excess, shares.size)
+    mean, sd = critical[0], max(critical[1], grid[1] - grid[0])
+    joint = density[:, None] * np.exp(-0.5 * ((grid[:, None] - above - mean) / sd) ** 2)
+    posterior = joint.sum(axis=1)
+    ends = np.arange(0.0, 90.1, 0.1)
+    peak, _ = np.histogram(grid[:, None] - above + excess, ends, weights=joint, density=True)
+    whole = np.trapezoid(posterior, grid)
+    return np.asarray(posterior / whole), Estimate.of_density(0.5 * (ends[1:] + ends[:-1]), peak)
 
 
 def _listed(forces: Any) -> list[tuple[Any, Any]]:

@@ -101,7 +101,7 @@ def invert_rows(
         own = {key: value for key, value in row.items() if key != "notes"}
         # A row with sizes of its own has the whole rig, and a tool none.
         tool = "tool" in own or is_tool(str(own["forces"]).rpartition("@")[2])
-        of_leg = ("leg", "leg_friction", "grain_size_mm") if tool else ()
+        of_leg = ("leg", "leg_friction") if tool else ()
         several = ("rig", *SIZES, *of_leg) if tool or own.keys() & {"rig", *SIZES} else ()
         whole.append({k: v for k, v in options.items() if k not in several} | own)
     count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()

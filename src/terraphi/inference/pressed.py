@@ -2,8 +2,8 @@ r"""The friction angle from a body pressed straight down: force over sinkage, by
 
 The force is m(z) F(φ, z + z₀) with the contact z₀ and the mobilization m = 1 − A exp(−z / (b R)) of
 loose soil that compacts before it bears. For each node of A and b, φ and z₀ are fitted; the nodes'
-weights are their likelihood times the prior, exp(−A / A₀). How well that holds in real sand is
-known from one, and is a term of its own that grows with A.
+weights are their likelihood times the prior, exp(−A / A₀). In soil that compacts the law reads low:
+such nodes have an offset and a standard deviation of their own, learned from one sand.
 """
 
 from __future__ import annotations
@@ -11,8 +11,10 @@ from __future__ import annotations
 import importlib.metadata
 import math
 import time
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,16 +25,14 @@ from terraphi.experiment.rig import Tool
 from terraphi.inference.answer import Answer, Edge, Estimate, RecordFit, Verdict
 from terraphi.inference.estimator import least_squares, weights
 from terraphi.inference.likelihood import UNKNOWN_DENSITY
-from terraphi.inference.records import density_doubts, density_with_sd, roughness
-from terraphi.laws.foot import DEEPEST, LAWS, Foot
+from terraphi.inference.records import density_doubts, density_with_sd, grain_size, roughness
+from terraphi.laws.foot import DEEPEST, LAWS, SURFACE_FRICTION, SURFACE_FRICTION_SD, Foot
 from terraphi.laws.store import PHI
 
 WINDOWS = 40
 """Equal windows of sinkage."""
 DENSITY = 1600.0
 """Density of which nothing is said [kg/m³]."""
-FRICTION, FRICTION_SD = 0.5, 0.15
-"""Between body and soil [-]."""
 SHAPE_SD, SHAPE_LENGTH, FLOOR = 0.08, 1.0, 0.02
 """Error of a law's course over depth [-], its correlation length in ln z, and an independent error
 over the largest force: chosen; laws follow loose grains within 5 to 10 %."""
@@ -45,17 +45,31 @@ CONTACT_M, CONTACT = 1e-3, 0.03
 """Error of the first contact: the larger of a length [m] and a part of the radius."""
 CONTRACTIONS, PRIOR, EXPONENTS = np.linspace(0.0, 0.98, 15), 0.25, np.array([1.3, 2.0, 3.0])
 """Nodes of A, the mean of its prior, and nodes of b [-]."""
+NODES = np.array([(a, b) for a in CONTRACTIONS for b in EXPONENTS])
+"""A and b, shape [node, 2]."""
 SIGNIFICANT = 0.3
-"""A from which an answer names it, with a chance below 5 % that it is a tenth of this [-]."""
-COMPACTING_DEG, MOSTLY = 4.0, 0.4
-"""Standard deviation of φ of soil that compacts [deg], and the A from which it is all of that: six
-plates on the loosest Cullinan sand (A from 0.34 to 0.98) read 7° less to 1° more than its triaxial
-tests, root mean square 4° (``studies/sheared_sands.py``). No other sand is known, so that the
-interval is as wide on both sides."""
-APART, BOUND = 3.0, 0.8
-"""Difference of φ between both halves of the depth over its standard deviation, and A, above which
-a record is a misfit [-]: chosen. Measured plates of 60 and 100 mm on sand with an angle of repose
-of 29° have A from 0.87 on and φ from 41° on: the correction carries them, not the law."""
+"""A from which soil compacts, and an answer says so with a chance below 5 % that it is a tenth of
+this [-], chosen: feet in loose grains have up to 0.33, plates on loose Cullinan sand 0.42 to 1."""
+COMPACT = NODES[:, 0] >= SIGNIFICANT
+"""Nodes of soil that compacts, shape [node]."""
+COMPACTING_DEG, COMPACTING_SD_DEG = 2.2, 3.7
+"""What a law reads too little in soil that compacts, and the standard deviation that remains [deg]:
+six plates on the loosest Cullinan sand. Each left out in turn, they leave 3.1°, and the triaxial
+tests of that sand 2.0° in common (``studies/sheared_sands.py``). No other sand is known."""
+SHALLOW = 2.0
+"""Largest ratio of the radius to the depth, by which that standard deviation grows in records less
+than a radius deep [-]: down to half a radius the plates on Cullinan sand read 8° too little, discs
+in loose grains 7° too much, and as much down to a quarter."""
+LOOSE_DEG = 37.0 + 1.64 * LAWS["foot"].sd_deg
+"""φ above which soil is not loose [deg]: 1.64 standard deviations of the law (one in twenty) above
+the largest critical angle of seventeen sands (Bolton 1986, Géotechnique 36:65, table 1)."""
+GRAINS_DEG = 15.0
+"""Standard deviation of φ by grains as large as the body [deg]; it goes with their diameter. Grains
+of 4 to 9 mm add 14 ± 10° to balls of 44 mm and take 17 ± 11° off discs of 60 mm, over the diameter
+(``docs/plates.md``), so that nothing is corrected."""
+APART = 3.0
+"""Difference of φ between both halves of the depth over its standard deviation above which a record
+is a misfit [-], chosen."""
 LIMIT = 0.15
 """Residual above which a record is a misfit, over the range of the force [-]."""
 FEWEST_AIR = 6
@@ -65,6 +79,77 @@ TARED = 0.01
 RANGE_DEG = np.arange(10.0, 55.5, 0.5)
 
 
+@dataclass(frozen=True, eq=False)
+class _Press:
+    """A body that was pressed in, its window means, and the law that they are read by."""
+
+    tool: Tool
+    law: str
+    density: float
+    z: FloatArray
+    """Sinkage [m], shape [n]."""
+    force: FloatArray
+    noise: float
+    grains: float = 0.0
+    """Diameter of the grains over that of the body [-]."""
+
+    def curve(self, x: FloatArray, mu: float = SURFACE_FRICTION) -> FloatArray:
+        """The law's force [N] at (φ, z₀), [k, 2] -> [k, n]."""
+        foot = Foot(self.tool.radius, "ball" if self.tool.leg == "ball" else "disc")
+        force = LAWS[self.law].force(
+            foot, self.z + x[:, 1:], 0.5 * np.pi, friction_angle_deg=x[:, :1],
+            density=self.density, surface_friction=mu,
+        )  # fmt: skip
+        return np.asarray(self.tool.over_disc * force[..., 1])
+
+    @cached_property
+    def ends(self) -> tuple[float, float]:
+        """Smallest and largest φ that the law has [deg]."""
+        known = np.isfinite(self.curve(np.stack([RANGE_DEG, 0 * RANGE_DEG], -1))).all(axis=1)
+        low, high = RANGE_DEG[known][[0, -1]].tolist()
+        return low, high
+
+    @cached_property
+    def borne(self) -> FloatArray:
+        """m(z) at each node, shape [node, n]."""
+        return np.asarray(1.0 - NODES[:, :1] * np.exp(-self.z / (NODES[:, 1:] * self.tool.radius)))
+
+    @cached_property
+    def course(self) -> FloatArray:
+        """Covariance of the error of the law's course over depth, shape [n, n]."""
+        apart = np.abs(np.log(self.z[:, None] / self.z))
+        shape = SHAPE_SD**2 * np.outer(self.force, self.force) * np.exp(-apart / SHAPE_LENGTH)
+        return np.asarray(shape + (FLOOR * self.force.max()) ** 2 * np.eye(self.z.size))
+
+    @property
+    def error(self) -> FloatArray:
+        """Covariance of the course and of the noise, shape [n, n]."""
+        return np.asarray(self.course + self.noise**2 * np.eye(self.z.size))
+
+
+class _Fit(NamedTuple):
+    """Angles of all nodes, and the likeliest node."""
+
+    chance: FloatArray
+    """Of each node, shape [node]."""
+    by_law: FloatArray
+    """φ without the offset of soil that compacts [deg], shape [node]."""
+    phi: FloatArray
+    """φ with it [deg], shape [node]."""
+    top: int
+    """The likeliest node."""
+    contact: float
+    """z₀ there [m]."""
+    model: FloatArray
+    """Force there [N], shape [n]."""
+    slope: FloatArray
+    """Its slope by φ [N/deg], shape [n]."""
+    row: FloatArray
+    """Slope of φ by the force [deg/N], shape [n]."""
+    by_contact: float
+    """Standard deviation of φ by that of z₀ [deg]."""
+
+
 def invert_pressed(
     source: Any,
     text: str,
@@ -72,164 +157,190 @@ def invert_pressed(
     density: float | str | None = None,
     law: Any = None,
     columns: Any = None,
+    grain_size_mm: float | None = None,
 ) -> Answer:
     """Infer φ from a table of sinkage and force; raises InputError as :func:`invert` does."""
     began, tool, name = time.perf_counter(), Tool.of(text), str(law or "foot")
     if name not in LAWS:
         raise InputError(f"no law '{name}' of a tool; {nearest(name, tuple(LAWS))}")
-    radius = tool.radius
-    table = read_pressed(source, math.pi * radius**2, columns)
+    table = read_pressed(source, math.pi * tool.radius**2, columns)
     label = str(source) if isinstance(source, str | Path) else f"{type(source).__name__} ({text})"
     rho, rho_sd = DENSITY, UNKNOWN_DENSITY * DENSITY
     if density is not None:
         rho, rho_sd = density_with_sd(density, label)
+    grains = grain_size(grain_size_mm, 2e3 * tool.radius, label) / (2e3 * tool.radius)
     z, force, used, notes = _virgin(table.sinkage, table.force, table.notes, label)
-    foot = Foot(radius, "ball" if tool.leg == "ball" else "disc")
-    over_disc = tool.over_disc
-
-    def curve(x: FloatArray, mu: float = FRICTION) -> FloatArray:
-        """Force [N] at (φ, z₀), [k, 2] -> [k, n]."""
-        return np.asarray(over_disc * LAWS[name].force(
-            foot, z + x[:, 1:], 0.5 * np.pi, friction_angle_deg=x[:, :1], density=rho,
-            surface_friction=mu,
-        )[..., 1])  # fmt: skip
-
-    known = np.isfinite(curve(np.stack([RANGE_DEG, 0 * RANGE_DEG], -1))).all(axis=1)
-    low, high = RANGE_DEG[known][[0, -1]].tolist()
-    noise = roughness(force)
-    apart = np.abs(np.log(z[:, None] / z))
-    shape = SHAPE_SD**2 * np.outer(force, force) * np.exp(-apart / SHAPE_LENGTH)
-    course = shape + (FLOOR * force.max()) ** 2 * np.eye(z.size)
-    error = course + noise**2 * np.eye(z.size)
-    nodes = np.array([(a, b) for a in CONTRACTIONS for b in EXPONENTS])
-    borne = 1.0 - nodes[:, :1] * np.exp(-z / (nodes[:, 1:] * radius))
-    contact_sd = max(CONTACT_M, CONTACT * radius)
-    scale, precision = np.array([1.0, contact_sd]), np.array([0.0, contact_sd**-2])
-
-    def residual(x: FloatArray, rows: IntArray) -> FloatArray:
-        return force - borne[rows] * curve(x)
-
-    def slope(x: FloatArray, rows: IntArray) -> FloatArray:
-        steps = 1e-3 * scale
-        inner = np.clip(x, [low + 0.01, -np.inf], [high - 0.01, np.inf])
-        pairs = [(curve(inner + d) - curve(inner - d)) / (2.0 * d.sum()) for d in np.diag(steps)]
-        return np.asarray(borne[rows][..., None] * np.stack(pairs, -1))
-
-    weight = np.broadcast_to(np.linalg.inv(error), (len(nodes), z.size, z.size))
-    best = least_squares(
-        residual, slope, weight, np.tile([0.5 * (low + high), 0.0], (len(nodes), 1)),
-        bounds=(np.array([low, -3.0 * contact_sd]), np.array([high, 3.0 * contact_sd])),
-        scale=scale, precision=precision,
-    )  # fmt: skip
-    cost = np.einsum("kn,nm,km->k", best.residual, weight[0], best.residual)
-    cost += precision[1] * best.x[:, 1] ** 2 + 2.0 * nodes[:, 0] / PRIOR
-    chance = np.exp(0.5 * (cost.min() - cost))
-    chance /= chance.sum()
-    phi = best.x[:, 0]
-    top = int(chance.argmax())
-    # Named terms at the likeliest node; errors of the whole force in proportion to it.
-    gain, covariance = weights(best.slope[top : top + 1], weight[:1], precision)
-    row, model = gain[0, 0], borne[top] * curve(best.x[top : top + 1])[0]
-    rough = borne[top] * np.subtract(*(
-        curve(best.x[top : top + 1], mu=FRICTION + s * 0.1)[0] for s in (1, -1)
-    )) / 0.2  # fmt: skip
-    deep = DEEP_SD * np.maximum(z / radius - DEEPEST, 0.0) * model
-    contraction = float(chance @ nodes[:, 0])
-    budget = {
-        "model: compaction": COMPACTING_DEG * min(contraction / MOSTLY, 1.0),
-        "model: soil": SOIL_SD_DEG,
-        "model: law": math.sqrt(LAWS[name].sd_deg ** 2 - SOIL_SD_DEG**2),
-        "model: course": math.sqrt(float(row @ course @ row)),
-        "density": abs(float(row @ model)) * rho_sd / rho,
-        "surface friction": abs(float(row @ rough)) * FRICTION_SD,
-        "contact": abs(float(covariance[0, 0, 1])) / contact_sd,
-        "noise": noise * math.sqrt(float(row @ row)),
-        "contraction": math.sqrt(float(chance @ (phi - chance @ phi) ** 2)),
-        "depth": abs(float(row @ deep)),
-        "rectangle": abs(float(row @ model) * 0.5 * math.log(over_disc)),
-    }  # fmt: skip
-    budget = {k: sd for k, sd in sorted(budget.items(), key=lambda one: -one[1]) if sd > 1e-3}
-    sd = math.sqrt(sum(s**2 for k, s in budget.items() if k != "contraction"))
-    grid = np.arange(max(low - 15.0, 0.5), min(high + 15.0, 80.0), 0.05)
-    posterior = np.exp(-0.5 * ((grid[:, None] - phi) / sd) ** 2) @ chance
-    posterior /= np.trapezoid(posterior, grid)
+    press = _Press(tool, name, rho, z, force, roughness(force), grains)
+    fit = _fit(press)
+    budget = _budget(press, fit, rho_sd / rho)
+    grid, posterior = _posterior(press, fit, budget)
     estimate = Estimate.of_density(grid, posterior)
-    size = float(np.sqrt(np.square(force - model).mean()) / np.ptp(force))
-    verdict: Verdict = "consistent"
-    edge: Edge | None = None
-    reason = f"Consistent: the law follows the force within {100.0 * size:.0f} % of its range."
-    if chance @ (phi > high - 0.1) > 0.5 or chance @ (phi < low + 0.1) > 0.5:
-        edge = "high" if phi[top] > 0.5 * (low + high) else "low"
-        end, word, other = (
-            (high, "above", "; cohesive or dense soil bears more") if edge == "high"
-            else (low, "below", " of the force, its sign and the zero of the sinkage")
-        )  # fmt: skip
-        verdict = "out_of_range"
-        reason = (
-            f"Out of range: φ lies {word} {end:g}°, the end of law {name}; check diameter and "
-            f"unit{other}."
-        )
-    elif size > LIMIT:
-        verdict = "misfit"
-        reason = (
-            f"Misfit: the residual is {100.0 * size:.0f} % of the force's range, the limit "
-            f"{100.0 * LIMIT:.0f} %; check tool and columns. Do not use the angle."
-        )
-    # φ of the shallow and of the deep half, with contact and contraction as they are.
-    angles = np.arange(low, high, 0.1)
-    every = borne[top] * curve(np.stack([angles, 0 * angles + best.x[top, 1]], -1))
-    far = z > 0.5 * z[-1]
-    shallow, deeper = (
-        float(angles[np.square((every - force)[:, half]).sum(axis=1).argmin()])
-        for half in (~far, far)
-    )
-    steady = math.sqrt(sd**2 - budget.get("model: compaction", 0.0) ** 2)
-    if verdict == "consistent" and abs(deeper - shallow) > APART * steady:
-        verdict = "misfit"
-        reason = (
-            f"Misfit: the upper half of the depth gives φ = {shallow:.0f}°, the lower half "
-            f"{deeper:.0f}°; check tool, surface and layers. Do not use the angle."
-        )
-    if verdict == "consistent" and contraction > BOUND:
-        verdict = "misfit"
-        reason = (
-            f"Misfit: {100.0 * contraction:.0f} % of the law's force are missing at the "
-            "surface, and it grows faster with depth than that of loose soil of one density; "
-            "check tool, density and zero of the sinkage. Do not use the angle."
-        )
-    named = verdict == "consistent" and contraction > SIGNIFICANT
-    if named and chance[nodes[:, 0] < 0.1 * SIGNIFICANT].sum() < 0.05:
-        notes.insert(0, f"The force begins {100.0 * contraction:.0f} % lower than the law's: loose "
-                     "soil that compacts as it is pressed.")  # fmt: skip
-    if z[-1] > DEEPEST * radius:
-        notes.insert(0, f"The law is extrapolated from {1e3 * DEEPEST * radius:.0f} mm on, to "
-                     f"{1e3 * z[-1]:.0f} mm.")  # fmt: skip
-    guessed = [] if density is not None else [f"The density {rho:g} kg/m³ is assumed."]
-    by_phi, shown = best.slope[top, :, 0], ("model: course", "noise")
+    size = float(np.sqrt(np.square(force - fit.model).mean()) / np.ptp(force))
+    verdict, reason, edge = _verdict(press, fit, budget, estimate, size)
+    level, read = fit.phi[fit.top], fit.by_law[fit.top]
+    ends = np.array(estimate.ci95) - (level - read)
+    ends = press.curve(np.stack([np.clip(ends, *press.ends), [fit.contact] * 2], -1))
     # What else is unsure looks like another angle.
-    shared = sum(share**2 for name, share in budget.items() if name not in shown)
-    ends = curve(np.stack([np.clip(estimate.ci95, low, high), best.x[[top, top], 1]], -1))
-    fit = RecordFit(
+    shared = sum(
+        share**2 for term, share in budget.items() if term not in ("model: course", "noise")
+    )
+    record = RecordFit(
         source=label, rig=tool, simulated=False, n_readings=used, n_left_out=table.rows - used,
-        theta_deg=1e3 * z, data=force[None], curve=model[None],
-        band=(borne[top] * ends)[:, None], nrmsd={"Fz": size}, limit=LIMIT,
-        tangent=np.stack([model - by_phi * best.x[top, 0], by_phi])[:, None],
+        theta_deg=1e3 * z, data=force[None], curve=fit.model[None],
+        band=(press.borne[fit.top] * ends)[:, None], nrmsd={"Fz": size}, limit=LIMIT,
+        tangent=np.stack([fit.model - fit.slope * level, fit.slope])[:, None],
     )  # fmt: skip
+    guessed = [] if density is not None else [f"The density {rho:g} kg/m³ is assumed."]
+    notes = _notes(press, fit, verdict) + notes
     return Answer(
         parameters={PHI: estimate}, convention="plane_strain", phi_plane_strain=estimate,
-        phi_plane_strain_reason="", verdict=verdict, reason=reason, edge=edge, budget_deg=budget,
+        verdict=verdict, reason=reason, edge=edge, budget_deg=budget,
         density_kg_m3=rho, density_sd_kg_m3=rho_sd, density_assumed=density is None, law=name,
-        law_reason="" if law else "the default for tools", second_opinion=None,
-        warnings=(*density_doubts(rho), *guessed, *notes), records=(fit,), grid_deg=grid,
-        density=posterior, covariance=error + shared * np.outer(by_phi, by_phi),
-        leg_friction=FRICTION,
+        law_reason="" if law else "the default for tools", leg_friction=SURFACE_FRICTION,
+        warnings=(*density_doubts(rho), *guessed, *notes), records=(record,), grid_deg=grid,
+        density=posterior, covariance=press.error + shared * np.outer(fit.slope, fit.slope),
         provenance={
-            "terraphi": importlib.metadata.version("terraphi"), "contraction": contraction,
-            "law_hash": LAWS[name].hash,
-            "contact_mm": 1e3 * float(best.x[top, 1]),
-            "seconds": round(time.perf_counter() - began, 3),
+            "terraphi": importlib.metadata.version("terraphi"), "law_hash": LAWS[name].hash,
+            "contraction": float(fit.chance @ NODES[:, 0]), "compacts": float(fit.chance @ COMPACT),
+            "contact_mm": 1e3 * fit.contact, "seconds": round(time.perf_counter() - began, 3),
         },
     )  # fmt: skip
+
+
+def _fit(press: _Press) -> _Fit:
+    """φ and z₀ at each node, by least squares."""
+    (low, high), sd = press.ends, max(CONTACT_M, CONTACT * press.tool.radius)
+    scale, precision = np.array([1.0, sd]), np.array([0.0, sd**-2])
+
+    def residual(x: FloatArray, rows: IntArray) -> FloatArray:
+        return press.force - press.borne[rows] * press.curve(x)
+
+    def slope(x: FloatArray, rows: IntArray) -> FloatArray:
+        inner = np.clip(x, [low + 0.01, -np.inf], [high - 0.01, np.inf])
+        pairs = [(press.curve(inner + d) - press.curve(inner - d)) / (2.0 * d.sum())
+                 for d in np.diag(1e-3 * scale)]  # fmt: skip
+        return np.asarray(press.borne[rows][..., None] * np.stack(pairs, -1))
+
+    inverse = np.linalg.inv(press.error)
+    weight = np.broadcast_to(inverse, (len(NODES), *inverse.shape))
+    best = least_squares(
+        residual, slope, weight, np.tile([0.5 * (low + high), 0.0], (len(NODES), 1)),
+        bounds=(np.array([low, -3.0 * sd]), np.array([high, 3.0 * sd])),
+        scale=scale, precision=precision,
+    )  # fmt: skip
+    cost = np.einsum("kn,nm,km->k", best.residual, inverse, best.residual)
+    cost += (best.x[:, 1] / sd) ** 2 + 2.0 * NODES[:, 0] / PRIOR
+    chance = np.exp(0.5 * (cost.min() - cost))
+    top = int(chance.argmax())
+    gain, covariance = weights(best.slope[top : top + 1], weight[:1], precision)
+    return _Fit(
+        chance=chance / chance.sum(), by_law=best.x[:, 0],
+        phi=best.x[:, 0] + COMPACTING_DEG * COMPACT, top=top, contact=float(best.x[top, 1]),
+        model=press.borne[top] * press.curve(best.x[top : top + 1])[0],
+        slope=best.slope[top, :, 0], row=gain[0, 0],
+        by_contact=abs(float(covariance[0, 0, 1])) / sd,
+    )  # fmt: skip
+
+
+def _budget(press: _Press, fit: _Fit, density_sd: float) -> dict[str, float]:
+    """Standard deviations of φ by term [deg], at the likeliest node, the largest first.
+
+    Errors of the whole force go in proportion to it; that of the density is relative.
+    """
+    row, model, x = fit.row, fit.model, np.array([[fit.by_law[fit.top], fit.contact]])
+    rough = press.borne[fit.top] * np.subtract(
+        *(press.curve(x, mu=SURFACE_FRICTION + step)[0] for step in (0.1, -0.1))
+    )
+    deep = DEEP_SD * np.maximum(press.z / press.tool.radius - DEEPEST, 0.0) * model
+    terms = {
+        "model: compaction": _compaction_sd(press) * math.sqrt(float(fit.chance @ COMPACT)),
+        "model: soil": SOIL_SD_DEG,
+        "model: law": math.sqrt(LAWS[press.law].sd_deg ** 2 - SOIL_SD_DEG**2),
+        "model: course": math.sqrt(float(row @ press.course @ row)),
+        "density": abs(float(row @ model)) * density_sd,
+        "surface friction": abs(float(row @ rough)) * SURFACE_FRICTION_SD / 0.2,
+        "contact": fit.by_contact,
+        "noise": press.noise * math.sqrt(float(row @ row)),
+        "contraction": math.sqrt(float(fit.chance @ (fit.phi - fit.chance @ fit.phi) ** 2)),
+        "depth": abs(float(row @ deep)),
+        "rectangle": abs(float(row @ model) * 0.5 * math.log(press.tool.over_disc)),
+        "grain size": GRAINS_DEG * press.grains,
+    }
+    return {name: sd for name, sd in sorted(terms.items(), key=lambda one: -one[1]) if sd > 1e-3}
+
+
+def _compaction_sd(press: _Press) -> float:
+    """Of φ of soil that compacts [deg]."""
+    return COMPACTING_SD_DEG * min(max(press.tool.radius / float(press.z[-1]), 1.0), SHALLOW)
+
+
+def _steady_sd(budget: dict[str, float]) -> float:
+    """Of φ at a node of soil that does not compact [deg]."""
+    return math.hypot(*(sd for name, sd in budget.items()
+                        if name not in ("contraction", "model: compaction")))  # fmt: skip
+
+
+def _posterior(press: _Press, fit: _Fit, budget: dict[str, float]) -> tuple[FloatArray, FloatArray]:
+    """Density of φ [1/deg] on a grid [deg]: a normal distribution for each node."""
+    low, high = press.ends
+    sd = np.hypot(_steady_sd(budget), _compaction_sd(press) * COMPACT)
+    grid = np.arange(max(low - 15.0, 0.5), min(high + 18.0, 80.0), 0.05)
+    apart = (grid[:, None] - fit.phi) / sd
+    posterior = np.exp(-0.5 * apart**2) @ (fit.chance / sd)
+    return grid, np.asarray(posterior / np.trapezoid(posterior, grid))
+
+
+def _verdict(
+    press: _Press, fit: _Fit, budget: dict[str, float], estimate: Estimate, size: float
+) -> tuple[Verdict, str, Edge | None]:
+    """Verdict, its reason, and the end of the law beyond which φ lies."""
+    low, high = press.ends
+    end = min(high - 0.1, LOOSE_DEG)
+    if estimate.median > end:
+        return "out_of_range", (
+            f"Out of range: φ lies above {end:.0f}°, and law {press.law} is of loose soil; check "
+            "diameter and unit; dense or cohesive soil bears more."
+        ), "high"  # fmt: skip
+    if fit.chance @ (fit.by_law < low + 0.1) > 0.5:
+        return "out_of_range", (
+            f"Out of range: φ lies below {low:g}°, the end of law {press.law}; check diameter and "
+            "unit of the force, its sign and the zero of the sinkage."
+        ), "low"  # fmt: skip
+    if size > LIMIT:
+        return "misfit", (
+            f"Misfit: the residual is {100.0 * size:.0f} % of the force's range, the limit "
+            f"{100.0 * LIMIT:.0f} %; check tool and columns. Do not use the angle."
+        ), None  # fmt: skip
+    # φ of the shallow and of the deep half, with contact and contraction as they are.
+    angles = np.arange(low, high, 0.1)
+    curves = press.borne[fit.top] * press.curve(np.stack([angles, 0 * angles + fit.contact], -1))
+    deep = press.z > 0.5 * press.z[-1]
+    upper, lower = (
+        float(angles[np.square((curves - press.force)[:, half]).sum(axis=1).argmin()])
+        for half in (~deep, deep)
+    )
+    if abs(lower - upper) > APART * _steady_sd(budget):
+        return "misfit", (
+            f"Misfit: the upper half of the depth gives φ = {upper:.0f}°, the lower half "
+            f"{lower:.0f}°; check tool, surface and layers. Do not use the angle."
+        ), None  # fmt: skip
+    return "consistent", (
+        f"Consistent: the law follows the force within {100.0 * size:.0f} % of its range."
+    ), None  # fmt: skip
+
+
+def _notes(press: _Press, fit: _Fit, verdict: Verdict) -> list[str]:
+    """Sentences on depth and compaction."""
+    notes, deepest = [], DEEPEST * press.tool.radius
+    if press.z[-1] > deepest:
+        notes.append(f"The law is extrapolated from {1e3 * deepest:.0f} mm on, to "
+                     f"{1e3 * press.z[-1]:.0f} mm.")  # fmt: skip
+    certain = fit.chance[NODES[:, 0] < 0.1 * SIGNIFICANT].sum() < 0.05
+    contraction = float(fit.chance @ NODES[:, 0])
+    if verdict == "consistent" and contraction > SIGNIFICANT and certain:
+        lower = f"{100.0 * contraction:.0f} % lower than the law's"
+        notes.append(f"The force begins {lower}: loose soil that compacts as it is pressed.")
+    return notes
 
 
 def _virgin(

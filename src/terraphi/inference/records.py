@@ -394,16 +394,7 @@ def record_of(
             f"the {' and the '.join(wrong)}"
         )
     rig = Rig.of(source, leg)
-    try:
-        grains = float(grain_size_mm or 0.0)
-    except (TypeError, ValueError):
-        raise InputError(f"{known.name}: grain_size_mm = {grain_size_mm!r} is no number") from None
-    largest = LARGEST_GRAIN * rig.width_mm
-    if grains and not SMALLEST_GRAIN_MM <= grains <= largest:
-        raise InputError(
-            f"{known.name}: grain_size_mm = {grains:g}; {SMALLEST_GRAIN_MM:g} to {largest:.3g} mm "
-            "are accepted on a leg of this width"
-        )
+    grains = grain_size(grain_size_mm, rig.width_mm, known.name)
     factor, gain_sd = 1.0, None
     if gain is not None:
         factor, gain_sd = with_sd(
@@ -483,6 +474,21 @@ def with_sd(
             f"{what} = {text}; give {form}, from {ends[0]:g} to {ends[1]:g} and above its own ±"
         )
     return mean, sd
+
+
+def grain_size(given: float | str | None, width_mm: float, name: str) -> float:
+    """Mean diameter of the grains on a body of a width [mm], 0 if not given; raises InputError."""
+    try:
+        grains = float(given or 0.0)
+    except (TypeError, ValueError):
+        raise InputError(f"{name}: grain_size_mm = {given!r} is no number") from None
+    largest = LARGEST_GRAIN * width_mm
+    if grains and not SMALLEST_GRAIN_MM <= grains <= largest:
+        raise InputError(
+            f"{name}: grain_size_mm = {grains:g}; {SMALLEST_GRAIN_MM:g} to {largest:.3g} mm are "
+            f"accepted on a body {width_mm:g} mm wide"
+        )
+    return grains
 
 
 def roughness(values: FloatArray) -> float:

@@ -24,7 +24,14 @@ import numpy as np
 
 from terraphi.experiment.arrays import BoolArray, FloatArray, IntArray
 from terraphi.inference.estimator import least_squares, weights
-from terraphi.laws.foot import LAWS, Foot, FootLaw, inertial_force
+from terraphi.laws.foot import (
+    LAWS,
+    SURFACE_FRICTION,
+    SURFACE_FRICTION_SD,
+    Foot,
+    FootLaw,
+    inertial_force,
+)
 
 PHI_RANGE = (15.0, 50.0)
 """Friction angles in plane strain for which laws are evaluated [deg]: law ``foot`` has a table from
@@ -159,8 +166,8 @@ class Prior:
     drift_sd: float = 0.01
     density: float = 1550.0
     density_sd: float = 80.0
-    surface_friction: float = 0.4
-    surface_friction_sd: float = 0.12
+    surface_friction: float = SURFACE_FRICTION
+    surface_friction_sd: float = SURFACE_FRICTION_SD
     radius: float = 0.022
     radius_sd: float = 0.0005
     shape: str = "ball"

@@ -67,6 +67,9 @@ DEEPEST = 5.0
 MOVED = (2.3, 1.2)
 """a and b of :func:`moved_mass` [-], by balls of 44 mm (``docs/landing.md``); other diameters and
 discs were not tried."""
+SURFACE_FRICTION, SURFACE_FRICTION_SD = 0.4, 0.12
+"""Friction between soil and a foot, plate or ball of which nothing is said, and its standard
+deviation [-]: the middle and the spread of what law ``foot`` was simulated for, 0.2 to 0.6."""
 BEYOND_DEG, BEYOND_FRICTION = 3.0, 0.15
 """How far outside its table of angles [deg] and frictions the simulated law is continued."""
 
@@ -110,8 +113,8 @@ class FootLaw:
     formula
         What :meth:`force` returns, of the same arguments in their order.
     sd_deg
-        Error of φ by this law in loose grains of measured φ, offset and scatter together, root
-        mean square [deg] (``docs/plates.md``).
+        Error of φ by this law in loose grains of measured φ, offset and scatter together, at least
+        the root mean square [deg] (``docs/plates.md``).
     """
 
     name: str

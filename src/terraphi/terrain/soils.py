@@ -24,6 +24,7 @@ from terraphi.experiment.soil import cone_slope
 from terraphi.forward.rft import to_plane_strain
 from terraphi.inference.answer import QUANTILES, Estimate, StoredAnswer
 from terraphi.inference.records import density_with_sd
+from terraphi.laws.foot import SURFACE_FRICTION
 
 ANGLES = ("phi_deg", "phi_plane_strain_deg")
 EXACT = ("plane_strain", "rft3d")
@@ -37,9 +38,6 @@ LEAST_DENSITY = 0.1
 MOST_SDS = 3.0
 """Standard deviations from the mean at which draws of φ end [-]; chosen, so that those of the table
 are within law ``foot``, which ends at 55°."""
-FOOT_FRICTION = 0.4
-"""Coulomb coefficient between foot and soil that forces have unless another is given [-]: the
-middle of the frictions that law ``foot`` was simulated for, 0.2 to 0.6."""
 
 
 class Sand(NamedTuple):
@@ -221,7 +219,7 @@ class SoilDistribution:
         from terraphi.laws.wrench import force
 
         soil = {"phi_deg": self.phi.median, "density": self.density,
-                "surface_friction": FOOT_FRICTION}  # fmt: skip
+                "surface_friction": SURFACE_FRICTION}  # fmt: skip
         return force(foot, pose, velocity, **{**soil, **options})
 
 
