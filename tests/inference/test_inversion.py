@@ -453,8 +453,10 @@ def test_loose_soil_has_no_peak() -> None:
     answer = invert("li2013:glass03_loose/straight", critical=24)
     assert answer.phi_peak is None
     assert any("loose" in question for question in answer.warnings)
-    wrong = invert("li2013:glass03_loose/straight", critical="40±1")
-    assert any("the critical angle is wrong" in question for question in wrong.warnings)
+    for medium, critical in (("glass03_loose", "40±1"), ("poppy_loose", "2±0.5")):
+        wrong = invert(f"li2013:{medium}/straight", critical=critical)
+        assert any("which is wrong" in question for question in wrong.warnings)
+        assert wrong.phi == invert(f"li2013:{medium}/straight").phi
 
 
 @pytest.mark.parametrize(

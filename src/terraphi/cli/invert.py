@@ -23,7 +23,7 @@ SOME_FAILED = 1
 @click.option("--tool", metavar="plate:MM|ball:MM", help="Pressed in; plate:MMxMM as well.")
 @click.option("--noise", type=Float(), help="Noise [N].  [default: estimated]")
 @click.option("--calibration", type=PATH, help="File of 'terraphi calibrate'.")
-@click.option("--critical", metavar="DEG[±SD]", help="Critical φ; of dense soil adds the peak.")
+@click.option("--critical", metavar="DEG[±SD]", help="Critical φ: a bound; if dense, the peak.")
 @click.option(
     "--simulated/--measured", default=None, help="What FORCES are.  [default: as in FORCES]"
 )

@@ -224,8 +224,9 @@ def with_critical(answer: Answer, critical: float | str) -> Answer:
         return answer
     apart, least = answer.phi.median - mean, LOOSE * math.hypot(answer.phi.sd, sd)
     given = f"the critical angle of {mean:g} ± {sd:g}°"
-    if apart < -least:
-        sentence = f"φ is below {given}: the soil is loose, or the critical angle is wrong."
+    if apart < -least or apart > DENSEST_DEG + least:
+        far = "below" if apart < 0.0 else f"more than {DENSEST_DEG:g}° above"
+        sentence = f"φ is {far} {given}, which is wrong or of another soil, and is not used."
         return replace(answer, warnings=(sentence, *answer.warnings))
     alone = f"{answer.phi}".partition("  ")[0]
     sentence = f"φ is not below {given}; by the forces alone it is {alone}."
