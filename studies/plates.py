@@ -154,16 +154,12 @@ def fitted(test: Test, law: Law) -> tuple[float, float]:
     return float(found.x[0]), float(np.sqrt(np.mean(misfit**2)))
 
 
-def inverted(test: Test, name: str) -> tuple[float, float]:
-    """φ of a foot that goes straight down [deg], and the residual over the force's range.
-
-    That of `terraphi invert --tool`, by a law.
-    """
+def inverted(test: Test, name: str) -> terraphi.Answer:
+    """A foot that goes straight down as `terraphi invert --tool` has it, by a law."""
     kind = "ball" if test.foot.shape == "ball" else "plate"
     table = pd.DataFrame({"sinkage_mm": 1e3 * test.sinkage, "force_N": test.force[:, 1]})
-    answer = terraphi.invert(table, tool=f"{kind}:{1e3 * test.diameter:.6g}", law=name,
-                             density=test.density)  # fmt: skip
-    return answer.phi.median, answer.nrmsd["Fz"]
+    return terraphi.invert(table, tool=f"{kind}:{1e3 * test.diameter:.6g}", law=name,
+                           density=test.density)  # fmt: skip
 
 
 def in_grains() -> dict[str, list[Test]]:
@@ -189,7 +185,7 @@ def angles(name: str, test: Test) -> list[float]:
     parts = [test.between(first, depth * radius) for depth in (np.inf, *DOWN_TO_R)]
     if not down:
         return [fitted(part, law_of(name))[0] for part in parts]
-    return [inverted(part, name)[0] for part in parts]
+    return [inverted(part, name).phi.median for part in parts]
 
 
 def log_strength(test: Test) -> float:
@@ -392,30 +388,28 @@ def of_small_plates() -> list[tuple[str, ...]]:
 
 
 def draw(
-    tests: list[Test], laws: dict[str, Law], fits: dict[str, list[float]],
+    tests: list[Test], fits: dict[str, list[terraphi.Answer]],
     by_window: dict[str, np.ndarray], grains: dict[str, list[Test]],
     off: Mapping[str, Mapping[str, np.ndarray]], phi: Mapping[str, float],
 ) -> Figure:  # fmt: skip
-    """Plates: forces with each law at its one φ, φ by test and by depth; the same for grains."""
+    """Plates: forces with each law at its φ, φ by test and by depth; the same for grains."""
     figure = Figure(figsize=(12.0, 7.6), layout="constrained")
     (forces, whole, windows), (reduced, soils, depths) = figure.subplots(2, 3)
     for test in tests:
         forces.plot(1e3 * test.sinkage, test.force[:, 1], ".", ms=3, color="grey")
     colours = dict(zip(LAWS, COLOURS, strict=True))
-    for name, law in laws.items():
-        one = float(np.mean(fits[name]))
+    for name, answers in fits.items():
+        mean = float(np.mean([answer.phi.median for answer in answers]))
         for i, diameter in enumerate(sorted({test.diameter for test in tests})):
-            test = next(t for t in tests if t.diameter == diameter)
-            label = f"{name}, {one:.1f}°" if i == 0 else None
-            force = law(test, one, test.sinkage)[:, 1]
-            forces.plot(1e3 * test.sinkage, force, color=colours[name], lw=1.0, label=label)
             own = [t.diameter == diameter for t in tests]
+            record = answers[own.index(True)].records[0]
+            label = f"{name}, {mean:.1f}°" if i == 0 else None
+            forces.plot(record.theta_deg, record.curve[0], color=colours[name], lw=1, label=label)
             line = ("-", "--")[i % 2]
             windows.plot(DOWN_TO_MM, by_window[name][own].mean(axis=0), line, color=colours[name])
-        whole.plot([1e3 * t.diameter for t in tests], fits[name], "o", color=colours[name], ms=4)
-    forces.set(
-        xlabel="sinkage [mm]", ylabel="force [N]", title="plates in sand: laws at the mean φ"
-    )
+        whole.plot([1e3 * t.diameter for t in tests], [answer.phi.median for answer in answers],
+                   "o", color=colours[name], ms=4)  # fmt: skip
+    forces.set(xlabel="sinkage [mm]", ylabel="force [N]", title="plates in sand: laws at their φ")
     whole.set(xlabel="diameter [mm]", ylabel="φ [deg]", title="each test")
     windows.set(xlabel="down to [mm]", ylabel="φ [deg]", title="by depth; dashed: 100 mm")
     forces.legend(frameon=False, fontsize="x-small")
@@ -448,27 +442,20 @@ def draw(
 def main() -> None:
     """Fit, and write the page."""
     out, tests = pages.out_from(str(__doc__)), measured()
-    laws = {name: law_of(name) for name in LAWS}
     rows, fits, by_window = [], {}, {}
     for name in LAWS:
-        found = [inverted(test, name) for test in tests]
-        fits[name] = [angle for angle, _ in found]
-        by_window[name] = np.array(
-            [[inverted(t.between(0.0, d / 1e3), name)[0] for d in DOWN_TO_MM] for t in tests]
-        )
-        repeats = [
-            np.var([a for t, a in zip(tests, fits[name], strict=True) if t.diameter == d], ddof=1)
-            for d in dict.fromkeys(test.diameter for test in tests)
-        ]
-        rows.append(
-            (
-                name,
-                f"{np.mean(fits[name]):.1f}°",
-                f"{np.sqrt(np.mean(repeats)):.1f}°",
-                *(f"{value:.1f}°" for value in by_window[name].mean(axis=0)),
-                f"{np.mean([rms for _, rms in found]):.0%}",
-            )
-        )
+        fits[name] = [inverted(test, name) for test in tests]
+        read = np.array([answer.phi.median for answer in fits[name]])
+        by_window[name] = np.array([
+            [inverted(t.between(0.0, d / 1e3), name).phi.median for d in DOWN_TO_MM] for t in tests
+        ])  # fmt: skip
+        of_diameter = np.array([test.diameter for test in tests])
+        repeats = [np.var(read[of_diameter == d], ddof=1) for d in np.unique(of_diameter)]
+        rows.append((
+            name, f"{read.mean():.1f}°", f"{np.sqrt(np.mean(repeats)):.1f}°",
+            *(f"{value:.1f}°" for value in by_window[name].mean(axis=0)),
+            f"{np.mean([answer.nrmsd['Fz'] for answer in fits[name]]):.0%}",
+        ))  # fmt: skip
     windows = [f"down to {depth:g} mm" for depth in DOWN_TO_MM]
     header = ("law", "φ, mean of tests", "between repeats", *windows, "residual")
     compared = ("plate of 38 × 25 mm in", "angle", "pressed down", "moved along")
@@ -499,7 +486,7 @@ def main() -> None:
             f"{len(tests)} tests with plates of 60 and 100 mm in sand with an angle of repose of "
             f"{REPOSE_DEG:g}°; there was no shear test. φ is that of `terraphi invert --tool`, of "
             "whole tests and of the part down to a depth; residuals are over the force's range. "
-            f"Answers above {LOOSE_DEG:.0f}° are out of range: soil that gives them is not loose."
+            f"Answers above {LOOSE_DEG:.0f}° are out of range."
         ),
         pages.table(header, rows),
         "## Feet pressed into simulated grains",
@@ -537,7 +524,7 @@ def main() -> None:
         pages.table(compared, of_small_plates()),
     ]
     alt = "forces on plates and on feet in grains, and φ by each law over tests, soils and depths"
-    figure = draw(tests, laws, fits, by_window, grains, off, one_size)
+    figure = draw(tests, fits, by_window, grains, off, one_size)
     pages.write(out, "plates", "Plates and feet pressed in", parts, figure, alt)
 
 
