@@ -262,6 +262,30 @@ def test_columns_stand_in_a_file_or_on_the_command_line(terraphi: Terraphi, tmp_
         assert json.loads(ran.out)["phi_deg"]["median"] == pytest.approx(phi, abs=1e-3)
 
 
+def test_the_raw_file_of_a_lab_is_one_command(terraphi: Terraphi, tmp_path: Path) -> None:
+    """Semicolons, decimal commas, counts, kilograms, a turned load cell, forth, back and forth."""
+    history = package.measurement("li2013:yuma/straight").history
+    turn = np.radians(-30.0)
+    angle, force = history.theta_deg, (history.Fx + 1j * history.Fz) * np.exp(1j * turn)
+    pieces = [(angle, force), (angle[::-1], 0.02 * force[::-1]), (angle, force)]
+    theta, read = (np.concatenate(column) for column in zip(*pieces, strict=True))
+    read /= 9.80665
+    lab = pd.DataFrame({
+        "Zeit [s]": 0.05 * np.arange(len(theta)),
+        "Encoder [Impulse]": np.round((theta + 200.0) * 4096 / 360),
+        "Kraft X [kgf]": read.real,
+        "Kraft Z [kgf]": read.imag,
+    })  # fmt: skip
+    lab.round(4).to_csv(tmp_path / "lab.csv", sep=";", decimal=",", index=False, encoding="cp1252")
+    options = ("--rig", "li2013", "--leg", "straight", "--density", "1650", "--json")
+    columns = "theta=Encoder,theta_scale=0.087890625,theta_offset_deg=-200,sensor_angle_deg=-30"
+    ran = terraphi("invert", "lab.csv", "--columns", columns, *options)
+    answer = json.loads(ran.out)
+    clean = package.invert("li2013:yuma/straight", density=1650)
+    assert answer["verdict"] == "consistent"
+    assert answer["phi_deg"]["median"] == pytest.approx(clean.phi.median, abs=0.3)
+
+
 def test_a_calibration_narrows_the_interval(terraphi: Terraphi) -> None:
     known = ("calibrate", MEASURED, "--phi", "36±1", "--out", "c.toml", "--json")
     soil = json.loads(terraphi(*known).out)["soils"][0]

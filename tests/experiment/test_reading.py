@@ -193,6 +193,25 @@ def x_backward() -> Export:
 
 
 @export
+def load_cell_turned_by_its_mount() -> Export:
+    """What it reads are the components along its axes; its z axis tips forward by 30°."""
+    forward, up = np.array([np.cos(np.pi / 6), -0.5]), np.array([0.5, np.cos(np.pi / 6)])
+    force = np.column_stack([FX, FZ])
+    return text(frame(fx=-(force @ forward), fz=force @ up)), {
+        "sensor_angle_deg": 30.0, "fx_sign": -1,
+    }  # fmt: skip
+
+
+@export
+def counts_of_an_encoder() -> Export:
+    """4096 to a turn, from a zero of its own, which grows over its full turn."""
+    counts = (THETA + 150.0) * 4096 / 360
+    return text(frame(counts, names="Encoder[counts] Fx Fz")), {
+        "theta": "Encoder", "theta_scale": 360 / 4096, "theta_offset_deg": -150.0,
+    }  # fmt: skip
+
+
+@export
 def encoder_that_wraps() -> Export:
     return text(frame(theta=THETA % 360.0)), {}
 
@@ -419,6 +438,94 @@ def test_an_impossible_angle_is_refused_with_the_option_that_mends_it(
     found = dict(pair.split("=") for pair in offered.split(","))
     assert {key: float(v) if key != "theta_unit" else v for key, v in found.items()} == remedy
     assert read_forces(table, **remedy).theta_deg == pytest.approx(THETA, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("factor", "given", "key", "right"),
+    [
+        (4096 / 360, {}, "theta_scale", 360 / 4096),
+        (-4096 / 360, {}, "theta_scale", 360 / 4096),
+        (1.0, {"theta_unit": "rad"}, "theta_unit", "deg"),
+        (3.0, {"rate_deg_s": 2.0, "theta": None}, "rate_deg_s", 2.0 / 3.0),
+    ],
+)
+def test_an_angle_over_which_no_leg_is_in_soil_is_refused_with_its_scale(
+    factor: float, given: dict[str, Any], key: str, right: Any
+) -> None:
+    """By the usual path in soil, so that it is right within a third."""
+    name = "time" if "rate_deg_s" in given else "theta"
+    along = factor * THETA / (2.0 if name == "time" else 1.0)
+    with pytest.raises(InputError, match="the leg is in soil over") as caught:
+        read_forces(frame(along, names=f"{name} Fx Fz"), **given)
+    offered = str(caught.value).partition(f"--columns {key}=")[2].split()[0]
+    if key == "theta_unit":
+        assert offered == right
+    else:
+        assert float(offered) == pytest.approx(right, rel=0.35)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"theta_scale": 0.1, "theta_unit": "rad"},
+        {"theta_scale": 0.1, "rate_deg_s": 3.0},
+        {"theta_scale": 0.0},
+        {"sensor_angle_deg": 200.0},
+    ],
+)
+def test_a_scale_and_a_turn_are_checked(given: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=next(iter(given))):
+        read_forces(frame(), **given)
+    with pytest.raises(InputError, match="one of them is missing"):
+        read_forces(frame()[["theta", "Fx"]].assign(torque=FZ), sensor_angle_deg=30.0)
+
+
+def test_the_steps_of_a_coarse_load_cell_turn_with_it() -> None:
+    """Steps of 0.5 and 0.2 N are errors of q/√12 along its axes, independent of each other."""
+    coarse = frame(fx=0.5 * np.round(FX / 0.5), fz=0.2 * np.round(FZ / 0.2))
+    found = read_forces(coarse, sensor_angle_deg=30.0).provenance["resolution"]
+    expected = np.sqrt([0.75 * 0.25 + 0.25 * 0.04, 0.25 * 0.25 + 0.75 * 0.04])
+    assert [found["Fx"], found["Fz"]] == pytest.approx(expected, rel=1e-3)
+
+
+def timed(*pieces: tuple[Any, Any]) -> Any:
+    """A table with a time and no angle, 0.1 s a row, of pieces of Fx and Fz."""
+    fx, fz = (np.concatenate(column) for column in zip(*pieces, strict=True))
+    noise = 0.005 * np.ptp(FZ) * np.random.default_rng(0).standard_normal((2, len(fx)))
+    return frame(0.1 * np.arange(len(fx)), fx + noise[0], fz + noise[1], "time_s Fx Fz")
+
+
+AIR = (np.zeros(60), np.zeros(60))
+RATE = {"rate_deg_s": 10.0, "theta_offset_deg": -132.0}
+
+
+@pytest.mark.parametrize("rests_at", [85, 110, 150])
+def test_a_rest_in_soil_is_named_where_there_is_a_time_alone(rests_at: int) -> None:
+    """Sand creeps as the leg stops: the forces relax by a tenth at first."""
+    relaxed = 0.9 + 0.1 * np.exp(-np.arange(40) / 5.0)
+    rest = tuple(f[rests_at] * relaxed for f in (FX, FZ))
+    pieces = ((FX[:rests_at], FZ[:rests_at]), rest, (FX[rests_at:], FZ[rests_at:]))
+    with pytest.raises(InputError, match="rests in the soil") as caught:
+        read_trials(timed(*pieces), RATE)
+    words = str(caught.value).partition("change from ")[2].split()
+    begins, ends = float(words[0]), float(words[words.index("to") + 1])
+    assert 0.1 * rests_at <= begins < ends <= 0.1 * (rests_at + 42)
+    assert ends - begins > 1.5
+    [stroke] = read_trials(timed((FX, FZ)), RATE)
+    assert stroke.theta_deg == pytest.approx(THETA, abs=1e-6)
+
+
+def test_a_second_stroke_is_named_where_there_is_a_time_alone() -> None:
+    with pytest.raises(InputError, match="meets the soil") as caught:
+        read_trials(timed((FX, FZ), AIR, (-0.2 * FX[::-1], 0.2 * FZ[::-1]), AIR, (FX, FZ)), RATE)
+    words = str(caught.value).partition("soil at ")[2].split()
+    begins, again = float(words[0]), float(words[words.index("at") + 1])
+    assert again - begins == pytest.approx(0.1 * (2 * N + 120), abs=1.0)
+    # A leg that goes round evenly, and a clock that starts anew with each stroke, are trials.
+    turning = timed((FX, FZ), (np.zeros(360 - N),) * 2, (FX, FZ))
+    anew = pd.concat([timed((FX, FZ)), timed((FX, FZ))])
+    for table in (turning, anew):
+        assert len(read_trials(table, RATE)) == 2
 
 
 def test_all_that_is_wrong_is_reported_at_once(tmp_path: Path) -> None:

@@ -170,6 +170,85 @@ def test_the_option_that_is_offered_mends_the_record(
     assert mended.phi.median == pytest.approx(invert(history, **options).phi.median, abs=1e-4)
 
 
+def turned_cell(history: ForceHistory, angle_deg: float) -> pd.DataFrame:
+    """What a load cell reads whose z axis tips forward by an angle [deg]."""
+    turn = np.exp(1j * np.radians(angle_deg))
+    read = (history.Fx + 1j * history.Fz) * turn  # its axes turn clockwise seen from x to z
+    return pd.DataFrame({"theta_deg": history.theta_deg, "Fx_N": read.real, "Fz_N": read.imag})
+
+
+def advice(answer) -> list[str]:
+    return [one for one in answer.questions if "--columns" in one or "--leg" in one]
+
+
+@pytest.mark.parametrize(
+    ("name", "angle"), [("yuma/straight", 30), ("yuma/c", -45), ("glass03_loose/reversed_c", 90)]
+)
+def test_a_turned_load_cell_is_named_with_its_angle(name: str, angle: float) -> None:
+    """Within 10°: real soil differs from the model by so much of a turn."""
+    known = measurement(f"li2013:{name}")
+    table, options = turned_cell(known.history, angle), {"rig": known.rig, "density": 1500.0}
+    answer = invert(table, **options)
+    assert answer.verdict != "consistent"
+    [offer] = advice(answer)
+    offered = offer.partition("--columns ")[2].partition(")")[0]
+    key, _, value = offered.partition("=")
+    assert key == "sensor_angle_deg"
+    assert float(value) == pytest.approx(angle, abs=10.0)
+    assert invert(table, columns=offered, **options).verdict == "consistent"
+    plain = invert(replace(known.history, provenance={}), **options)
+    right = invert(table, columns={"sensor_angle_deg": angle}, **options)
+    assert right.phi.median == pytest.approx(plain.phi.median, abs=1e-4)
+
+
+@pytest.mark.parametrize("scale", [0.5, 1.6])
+def test_a_wrong_scale_of_the_angle_is_named(scale: float) -> None:
+    """About its own zero, which an offset was given for."""
+    known = measurement("li2013:poppy_loose/straight")
+    history, options = known.history, {"rig": known.rig, "density": known.density_kg_m3}
+    table = turned_cell(history, 0.0).assign(theta_deg=scale * history.theta_deg + 20.0)
+    answer = invert(table, columns={"theta_offset_deg": -20.0}, **options)
+    [offer] = advice(answer)
+    offered = offer.partition("--columns ")[2].partition(")")[0]
+    pairs = {key: float(value) for key, _, value in (p.partition("=") for p in offered.split(","))}
+    assert pairs["theta_scale"] == pytest.approx(1.0 / scale, rel=0.1)
+    mended = invert(table, columns=pairs, **options)
+    assert mended.verdict == "consistent"
+    assert mended.phi.median == pytest.approx(invert(history, **options).phi.median, abs=1.5)
+
+
+def test_no_reading_is_advised_where_two_fit() -> None:
+    """Behind the hip a reversed C has much the forces before it, of the other sign of Fz."""
+    known = measurement("li2013:glass03_close/reversed_c")
+    flipped = replace(known.history, force=known.history.force * [1.0, -1.0], provenance={})
+    answer = invert(flipped, rig=known.rig, density=known.density_kg_m3)
+    assert answer.verdict != "consistent"
+    assert not advice(answer)
+    [both] = [one for one in answer.questions if "fz_sign=-1" in one]
+    assert "theta_sign=-1" in both
+
+
+DAMAGES = {
+    "gain of Fx": lambda theta, x, z: (theta, 2.0 * x, z),
+    "gain of Fz": lambda theta, x, z: (theta, x, 0.5 * z),
+    "crosstalk": lambda theta, x, z: (theta, x + 0.3 * z, z),
+    "drift": lambda theta, x, z: (theta, x + 0.3 * np.ptp(x) * (theta / 264 + 0.5), z),
+    "zero of the angle": lambda theta, x, z: (theta + 25.0, x, z),
+    "square root": lambda theta, x, z: (theta, *(np.sign(f) * np.sqrt(np.abs(f)) for f in (x, z))),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+@pytest.mark.parametrize("name", ["yuma/straight", "poppy_loose/c", "glass03_loose/reversed_c"])
+def test_a_misfit_for_another_reason_is_advised_no_angle(name: str, damage: str) -> None:
+    known = measurement(f"li2013:{name}")
+    history = known.history
+    theta, x, z = DAMAGES[damage](history.theta_deg, history.Fx, history.Fz)
+    table = pd.DataFrame({"theta_deg": theta, "Fx_N": x, "Fz_N": z})
+    answer = invert(table, rig=known.rig, density=known.density_kg_m3)
+    assert not any("sensor_angle" in one or "theta_scale" in one for one in answer.questions)
+
+
 @pytest.mark.parametrize("given", [{"force_on": "soil"}, {"fx_sign": -1}, {"theta_sign": -1}])
 def test_an_option_that_was_given_wrongly_is_turned_back(given: dict) -> None:
     known = measurement("li2013:yuma/straight")

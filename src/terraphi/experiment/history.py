@@ -84,7 +84,7 @@ class Origin(BaseModel, strict=True, extra="allow"):
     measurement: str = ""
     reading: list[str] = []
     resolution: dict[str, float] = {}
-    columns: dict[str, int | str] = {}
+    columns: dict[str, int | float | str] = {}
     force_unit: Literal[*FORCE] = "N"  # type: ignore[valid-type]
     scenario: dict[str, Any] | None = None
 
@@ -405,7 +405,7 @@ class ForceHistory:
         known = {
             key: value
             for key, value in self.provenance.items()
-            if key not in ("file", "reading", "force_unit")
+            if key not in ("file", "reading", "force_unit", "columns")
         }
         write_force_table(Path(path), np.stack([self.theta_deg, self.Fx, self.Fz], axis=1), known)
 
