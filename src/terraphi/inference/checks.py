@@ -25,7 +25,7 @@ from terraphi.experiment.scenario import GRAVITY
 from terraphi.experiment.units import FORCE
 from terraphi.forward.rft import to_plane_strain
 from terraphi.inference.answer import Estimate, RecordFit
-from terraphi.inference.likelihood import SHIFT_DEG, Likelihood, window_means
+from terraphi.inference.likelihood import SHIFT_DEG, Likelihood, squared_residuals
 from terraphi.inference.records import Record, density_doubts
 from terraphi.laws.law import THEORY, LegLaw
 from terraphi.laws.legs import VARIED, Legs, law_of
@@ -56,9 +56,10 @@ residual of less than so many times its own [-]. Chosen, as the next ones, on 27
 al. and of grains, each damaged in 45 ways."""
 FITS_TURNED, FITS_SCALED = 0.8, 0.4
 """Residual over the limit of a misfit below which a turned cell, and a scale of θ, are proposed
-[-]: at more they fit other errors, too, and only keep another reading from being proposed."""
-TURNS_DEG = np.array([a for a in range(-150, 151, 5) if abs(a) >= 20], dtype=np.float64)
-"""Angles of a load cell that are tried [deg]: smaller ones pass, or fit other errors."""
+[-]: with more they fit other errors too, and where they fit best no reading is proposed."""
+TURNS_DEG = np.array([a for a in range(-135, 136, 5) if abs(a) >= 20], dtype=np.float64)
+"""Angles of a load cell that are tried [deg]: smaller ones pass or fit other errors, and larger
+ones are near the forces on the soil."""
 SCALES = np.array([s for s in np.geomspace(0.35, 2.85, 43).round(2) if abs(np.log(s)) > 0.22])
 """Scales of θ that are tried [-], 5 % apart: the reader refuses larger ones."""
 USUAL_DEG = (18.0, 50.0)
@@ -436,7 +437,7 @@ class Reading(NamedTuple):
     fits: float
     """Residual below which it fits [-]."""
     proposed: float
-    """Residual below which it is proposed, if it alone fits [-]."""
+    """Residual below which it is proposed where it fits best [-]."""
     form: str = "The record would fit with {}: check the columns."
     changes: int = 1
     """Number of things that are read otherwise."""
@@ -457,14 +458,17 @@ def _other_readings(likelihood: Likelihood, record: Record) -> Iterator[str]:
     fitting = sorted((r for r in readings if r.residual < r.fits), key=lambda r: r.residual)
     # Two signs at once only where no single reading fits.
     fitting = [r for r in fitting if r.changes == 1] or fitting
-    fitting = [r for r in fitting if r.residual < ALONE * fitting[0].residual]
+    if not fitting or fitting[0].residual >= fitting[0].proposed:
+        return
+    most = ALONE * fitting[0].residual
+    fitting = [r for r in fitting if r.residual < min(most, r.proposed)]
     legs = [r for r in fitting if r.option.startswith("--leg")]
     if len(legs) == len(fitting) > 1:
         agreeing = [r for r in legs if _opinions_agree(likelihood, record, r.option[6:])]
         fitting = agreeing if len(agreeing) == 1 else fitting
-    if len(fitting) == 1 and fitting[0].residual < fitting[0].proposed:
+    if len(fitting) == 1:
         yield fitting[0].form.format(fitting[0].option)
-    elif len(fitting) > 1:
+    else:
         listed = " or ".join(r.option.replace("--columns ", "").replace("--", "") for r in fitting)
         yield f"The record would fit with either {listed}: check which is right."
 
@@ -661,12 +665,5 @@ def residuals(
     Shapes: data [h, c, m], forces [k, 2, theta]; [h].
     """
     shifts = np.arange(-SHIFT_DEG, SHIFT_DEG + 1.0, 3.0) if measured else np.zeros(1)
-    curves = np.concatenate([window_means(record, force, law, shift) for shift in shifts])
-    span = np.maximum(
-        np.ptp(data, axis=2), 1e-6 * np.abs(data).max(axis=(1, 2), initial=0.0)[:, None]
-    )
-    weight = np.repeat(span**-2.0, data.shape[2], axis=1)
-    flat = data.reshape(len(data), -1)
-    squares = (weight * flat**2).sum(axis=1)[:, None] - 2.0 * (weight * flat) @ curves.T
-    squares += weight @ np.square(curves).T
-    return np.asarray(np.sqrt(np.maximum(squares.min(axis=1), 0.0) / flat.shape[1]))
+    squares = squared_residuals(record, data, force, law, shifts)
+    return np.asarray(np.sqrt(squares.min(axis=(1, 2)) / data[0].size))

@@ -188,13 +188,18 @@ def window_means(record: Record, force: FloatArray, law: LegLaw, shift_deg: floa
 def squared_residuals(
     record: Record, data: FloatArray, force: FloatArray, law: LegLaw, shifts: FloatArray
 ) -> FloatArray:
-    """Sum over a record of (d − g)²/p² for forces at shifts of the leg angle, [shift, k] [-].
+    """Sum over a record of (d − g)²/p² for data and forces at shifts of the leg angle [-].
 
-    The data and their peak-to-peak p are given, [c, m]; the forces have the shape [k, 2, theta].
+    p is the peak-to-peak of the data. Shapes: data [h, c, m], forces [k, 2, theta]; [h, shift, k].
     """
-    spans, flat = np.repeat(np.ptp(data, axis=1), data.shape[1]), data.ravel()
-    apart = [flat - window_means(record, force, law, shift) for shift in shifts]
-    return np.square(np.stack(apart) / spans).sum(axis=2)
+    largest = np.abs(data).max(axis=(1, 2))[:, None]
+    span = np.maximum(np.ptp(data, axis=2), 1e-6 * largest)
+    weight, flat = np.repeat(span**-2.0, data.shape[2], axis=1), data.reshape(len(data), -1)
+    curves = np.stack([window_means(record, force, law, shift) for shift in shifts])
+    squares = (weight * flat**2).sum(axis=1)[:, None, None]
+    squares = squares - 2.0 * np.tensordot(weight * flat, curves, axes=(1, 2))
+    squares += np.tensordot(weight, np.square(curves), axes=(1, 2))
+    return np.asarray(np.maximum(squares, 0.0))
 
 
 def _square(error: FloatArray) -> FloatArray:
@@ -485,7 +490,7 @@ class Likelihood:
             n = len(self.keys)
             x = self.low + (self.high - self.low) * np.random.default_rng(0).random((512, n))
         squares = [
-            squared_residuals(record, record.data, force, law, shifts)
+            squared_residuals(record, record.data[None], force, law, shifts)[0]
             for record, force, law in zip(
                 self.records, self._forces(x, float(self._cohesions[0])), self.laws, strict=True
             )
