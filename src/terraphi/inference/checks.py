@@ -456,12 +456,12 @@ def _other_readings(likelihood: Likelihood, record: Record) -> Iterator[str]:
             form = "The record would fit with {}: check the leg."
             readings.append(Reading(f"--leg {leg}", size, most, most, form))
     fitting = sorted((r for r in readings if r.residual < r.fits), key=lambda r: r.residual)
-    # Two signs at once only where no single reading fits.
-    fitting = [r for r in fitting if r.changes == 1] or fitting
+    # Two signs at once only where no single reading fits nearly as well.
+    near = [r for r in fitting if r.residual < ALONE * fitting[0].residual]
+    fitting = [r for r in near if r.changes == 1] or near
     if not fitting or fitting[0].residual >= fitting[0].proposed:
         return
-    most = ALONE * fitting[0].residual
-    fitting = [r for r in fitting if r.residual < min(most, r.proposed)]
+    fitting = [r for r in fitting if r.residual < r.proposed]
     legs = [r for r in fitting if r.option.startswith("--leg")]
     if len(legs) == len(fitting) > 1:
         agreeing = [r for r in legs if _opinions_agree(likelihood, record, r.option[6:])]
