@@ -6,9 +6,10 @@ by the quantiles of the normal distribution in random order.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -17,8 +18,21 @@ from scipy.stats import norm
 
 import terraphi
 from terraphi.experiment.rig import Rig
+from terraphi.inference.answer import Answer
 from terraphi.inference.likelihood import RIDGE, Likelihood
+from terraphi.inference.pressed import (
+    COMPACTING_DEG,
+    CONTACT,
+    CONTACT_M,
+    CONTRACTIONS,
+    EXPONENTS,
+    PRIOR,
+    SHAPE_LENGTH,
+    SHAPE_SD,
+    SIGNIFICANT,
+)
 from terraphi.inference.records import open_record
+from terraphi.laws.foot import LAWS, SURFACE_FRICTION, SURFACE_FRICTION_SD, Foot
 from terraphi.laws.law import CENTRE_DEG
 from terraphi.laws.legs import shipped_legs
 
@@ -213,3 +227,75 @@ def test_terms_of_a_joint_answer_are_its_scatter_when_their_causes_are_drawn() -
         sizes = np.array([one.budget_deg.get(name, 0.0) for one in alone])
         shifts = draws[:, [groups.index(key) for key in groups]] * sizes
         assert np.std(shifts @ w) == pytest.approx(stated, rel=0.15, abs=0.01), name
+
+
+class Pressed:
+    """A body that is pressed into soil as law ``foot`` has it."""
+
+    def __init__(self, tool: str, phi_deg: float) -> None:
+        self.tool, self.phi_deg = tool, phi_deg
+        shape, size_mm = tool.split(":")
+        self.foot = Foot(5e-4 * float(size_mm), "disc" if shape == "plate" else "ball")
+        self.z = np.linspace(5e-4, 1.5 * self.foot.radius, 120)
+        near = np.exp(-np.abs(np.log(self.z[:, None] / self.z)) / SHAPE_LENGTH)
+        self.course = SHAPE_SD * np.linalg.cholesky(near + 1e-12 * np.eye(self.z.size))
+
+    def answer(
+        self, *, density: float = 1500.0, friction: float = SURFACE_FRICTION, contact: float = 0.0,
+        share: np.ndarray | float = 1.0,
+    ) -> Answer:  # fmt: skip
+        """Of forces times a share at each depth, read at a density of 1500 kg/m³."""
+        force = LAWS["foot"].force(
+            self.foot, self.z + contact, 0.5 * np.pi, friction_angle_deg=self.phi_deg,
+            density=density, surface_friction=friction,
+        )[..., 1]  # fmt: skip
+        table = pd.DataFrame({"sinkage_mm": 1e3 * self.z, "force_N": share * force})
+        return terraphi.invert(table, tool=self.tool, density="1500±75")
+
+    def scatter(self, **draws: Sequence[Any]) -> float:
+        """Of the angles when one of what the answer assumes is drawn."""
+        [(name, values)] = draws.items()
+        return float(np.std([self.answer(**{name: value}).phi.median for value in values]))
+
+
+@pytest.mark.parametrize(("tool", "phi_deg"), [("plate:60", 26.0), ("ball:60", 31.0)])
+def test_terms_of_tools_are_the_scatter_of_angles_when_their_causes_are_drawn(
+    tool: str, phi_deg: float
+) -> None:
+    world, rng = Pressed(tool, phi_deg), np.random.default_rng(0)
+    budget = world.answer().budget_deg
+    z = norm.ppf((np.arange(25) + 0.5) / 25)
+    z /= z.std()
+    courses = 1.0 + rng.standard_normal((200, world.z.size)) @ world.course.T
+    scatter = {
+        "density": world.scatter(density=1500.0 + 75.0 * z),
+        "model: course": world.scatter(share=courses),
+        # Half of the error, for the law ends at 0.65.
+        "surface friction": 2.0
+        * world.scatter(friction=SURFACE_FRICTION + 0.5 * SURFACE_FRICTION_SD * z),
+    }
+    for name, sd in scatter.items():
+        assert sd == pytest.approx(budget[name], rel=0.15), name
+    # A plate bears at once where it touches, so that its angle is not linear in the contact.
+    contact = world.scatter(contact=max(CONTACT_M, CONTACT * world.foot.radius) * z)
+    assert contact == pytest.approx(budget.get("contact", 0.0), abs=0.1)
+    # The soil's part of the law's error counts once.
+    model = np.hypot(budget["model: soil"], budget["model: law"])
+    assert model == pytest.approx(LAWS["foot"].sd_deg)
+
+
+def test_the_contraction_of_soils_drawn_from_its_prior_is_as_uncertain_as_stated() -> None:
+    """Loose soils that compact by an exponential share, with the law's course off as well."""
+    world, rng = Pressed("plate:60", 30.0), np.random.default_rng(0)
+    errors, stated = [], []
+    for course in 1.0 + rng.standard_normal((200, world.z.size)) @ world.course.T:
+        lacking = min(rng.exponential(PRIOR), CONTRACTIONS[-1])
+        decay = rng.choice(EXPONENTS) * world.foot.radius
+        answer = world.answer(share=course * (1.0 - lacking * np.exp(-world.z / decay)))
+        # Of two angles, which compacting soil and other soil have, the mean is unbiased.
+        grid, density = answer.posterior
+        truth = 30.0 + COMPACTING_DEG * (lacking >= SIGNIFICANT)
+        errors.append(np.trapezoid(grid * density, grid) - truth)
+        stated.append([answer.budget_deg[name] for name in ("contraction", "model: course")])
+    variance = np.square(stated).sum(axis=1)
+    assert np.mean(np.square(errors)) == pytest.approx(np.mean(variance), rel=0.3)  # 15 % of an SD

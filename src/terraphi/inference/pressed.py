@@ -109,6 +109,11 @@ class _Press:
         low, high = RANGE_DEG[known][[0, -1]].tolist()
         return low, high
 
+    @property
+    def contact_sd(self) -> float:
+        """Standard deviation of z₀ [m]."""
+        return max(CONTACT_M, CONTACT * self.tool.radius)
+
     @cached_property
     def borne(self) -> FloatArray:
         """m(z) at each node, shape [node, n]."""
@@ -145,9 +150,7 @@ class _Fit(NamedTuple):
     slope: FloatArray
     """Its slope by φ [N/deg], shape [n]."""
     row: FloatArray
-    """Slope of φ by the force [deg/N], shape [n]."""
-    by_contact: float
-    """Standard deviation of φ by that of z₀ [deg]."""
+    """Slope of the mean φ by the force [deg/N], shape [n]."""
 
 
 def invert_pressed(
@@ -209,7 +212,7 @@ def invert_pressed(
 
 def _fit(press: _Press) -> _Fit:
     """φ and z₀ at each node, by least squares."""
-    (low, high), sd = press.ends, max(CONTACT_M, CONTACT * press.tool.radius)
+    (low, high), sd = press.ends, press.contact_sd
     scale, precision = np.array([1.0, sd]), np.array([0.0, sd**-2])
 
     def residual(x: FloatArray, rows: IntArray) -> FloatArray:
@@ -231,25 +234,30 @@ def _fit(press: _Press) -> _Fit:
     cost = np.einsum("kn,nm,km->k", best.residual, inverse, best.residual)
     cost += (best.x[:, 1] / sd) ** 2 + 2.0 * NODES[:, 0] / PRIOR
     chance = np.exp(0.5 * (cost.min() - cost))
-    top = int(chance.argmax())
-    gain, covariance = weights(best.slope[top : top + 1], weight[:1], precision)
+    chance /= chance.sum()
+    top, phi = int(chance.argmax()), best.x[:, 0] + COMPACTING_DEG * COMPACT
+    # d/dF of Σ p φ over the nodes: of each φ, and of ln p = −½ cost, which is −W r at its minimum.
+    gain = weights(best.slope, weight, precision)[0][:, 0]
+    row = chance @ (gain - (phi - chance @ phi)[:, None] * (best.residual @ inverse))
     return _Fit(
-        chance=chance / chance.sum(), by_law=best.x[:, 0],
-        phi=best.x[:, 0] + COMPACTING_DEG * COMPACT, top=top, contact=float(best.x[top, 1]),
+        chance=chance, by_law=best.x[:, 0], phi=phi, top=top, contact=float(best.x[top, 1]),
         model=press.borne[top] * press.curve(best.x[top : top + 1])[0],
-        slope=best.slope[top, :, 0], row=gain[0, 0],
-        by_contact=abs(float(covariance[0, 0, 1])) / sd,
+        slope=best.slope[top, :, 0], row=row,
     )  # fmt: skip
 
 
 def _budget(press: _Press, fit: _Fit, density_sd: float) -> dict[str, float]:
-    """Standard deviations of φ by term [deg], at the likeliest node, the largest first.
+    """Standard deviations of φ by term [deg], the largest first.
 
     Errors of the whole force go in proportion to it; that of the density is relative.
     """
     row, model, x = fit.row, fit.model, np.array([[fit.by_law[fit.top], fit.contact]])
     rough = press.borne[fit.top] * np.subtract(
         *(press.curve(x, mu=SURFACE_FRICTION + step)[0] for step in (0.1, -0.1))
+    )
+    # Over a step as large as the error: a disc bears at once where it touches.
+    deeper = press.borne[fit.top] * np.subtract(
+        *(press.curve(x + np.array([0.0, step * press.contact_sd]))[0] for step in (0.5, -0.5))
     )
     deep = DEEP_SD * np.maximum(press.z / press.tool.radius - DEEPEST, 0.0) * model
     terms = {
@@ -259,7 +267,7 @@ def _budget(press: _Press, fit: _Fit, density_sd: float) -> dict[str, float]:
         "model: course": math.sqrt(float(row @ press.course @ row)),
         "density": abs(float(row @ model)) * density_sd,
         "surface friction": abs(float(row @ rough)) * SURFACE_FRICTION_SD / 0.2,
-        "contact": fit.by_contact,
+        "contact": abs(float(row @ deeper)),
         "noise": press.noise * math.sqrt(float(row @ row)),
         "contraction": math.sqrt(float(fit.chance @ (fit.phi - fit.chance @ fit.phi) ** 2)),
         "depth": abs(float(row @ deep)),
