@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from go2.model import FOOT_RADIUS, Physics, build, joint_dofs
 from go2.walk import POSTURE
-from scipy.optimize import brentq
+from scipy.optimize import brentq, least_squares
 
 from terraphi.experiment.errors import InputError
 from terraphi.forward.rft import stress_per_depth_3d, unit_stress
@@ -68,20 +68,25 @@ def going(descent_deg: float, heading: float = 0.0) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("shape", "limit"), [("ball", 0.025), ("disc", 0.001)], ids=["ball", "disc"]
+    ("shape", "limit"), [("ball", 0.02), ("disc", 0.001)], ids=["ball", "disc"]
 )
 def test_meshes_of_a_ball_and_a_disc_have_the_force_of_the_law(shape: Any, limit: float) -> None:
-    """The error that the docs state: 2.5 % of the force for a ball and 0.1 % for a disc."""
+    """The error that the docs state: 2 % of the force for a ball and 0.1 % for a disc.
+
+    Friction on a flat sole is at most μ_s times the lift, where the law's drag goes beyond it.
+    """
     mesh, foot = (ball() if shape == "ball" else disc()), Foot(RADIUS, shape)
     phi, ratio = (one.ravel() for one in np.meshgrid(PHI, DEPTHS))
     place = np.zeros((phi.size, 3))
     place[:, 2] = RADIUS * ((shape == "ball") - ratio)
-    for mu, descent in itertools.product((0.2, 0.35, 0.5), (90.0, 75.0, 45.0, 20.0)):
+    for mu, descent in itertools.product((0.2, 0.35, 0.5), (90.0, 75.0, 45.0, 20.0, 10.0)):
         soil = {"density": 1600.0, "surface_friction": mu}
         found, _ = force(mesh, place, going(descent), phi_deg=phi, **soil)
         expected = LAWS["foot"].force(
             foot, ratio * RADIUS, math.radians(descent), friction_angle_deg=phi, **soil
         )
+        if shape == "disc":
+            expected[:, 0] = np.maximum(expected[:, 0], -mu * expected[:, 1])
         size = np.linalg.norm(expected, axis=1)
         assert (np.linalg.norm(found[:, [0, 2]] - expected, axis=1) < limit * size).all()
         assert np.abs(found[:, 1]).max() < 1e-3 * size.max()
@@ -196,6 +201,111 @@ def test_a_mesh_of_triangles_has_the_faces_and_faces_outward() -> None:
             Mesh.of(*wrong)
 
 
+def rim(radius: float = 0.06, width: float = 0.05, count: int = 240) -> Mesh:
+    """The rim of a smooth wheel, its axle along y."""
+    turn = (np.arange(count) + 0.5) / count * 2.0 * np.pi
+    normals = np.stack([np.sin(turn), 0.0 * turn, -np.cos(turn)], axis=1)
+    return Mesh(radius * normals, normals, np.full(count, 2.0 * np.pi * radius * width / count))
+
+
+def bounded_faces(stress: Any, normals: Any, velocities: Any, friction: float) -> np.ndarray:
+    """Forces on faces that take energy and keep Coulomb's bound, face by face."""
+    forces = []
+    for f, n, velocity in zip(stress, normals, velocities, strict=True):
+        v = velocity / np.linalg.norm(velocity)
+        f = f - max(f @ v, 0.0) * v
+        pressure = max(-f @ n, 0.0)
+        along = f + pressure * n
+        size = max(float(np.linalg.norm(along)), 1e-30)
+        forces.append(along * min(1.0, friction * pressure / size) - pressure * n)
+    return np.array(forces)
+
+
+BODIES = {
+    # Faces, height of the origin, velocity and spin of a wheel with slip, a box and a ball.
+    "wheel": (rim(), 0.048, (0.8 * 0.06, 0.0, 0.0), (0.0, 1.0, 0.0)),
+    "braked wheel": (rim(), 0.048, (1.3 * 0.06, 0.0, 0.0), (0.0, 1.0, 0.0)),
+    "box": (box((0.1, 0.06, 0.03), 6), -0.01, (0.05, 0.0, -0.1), (0.0, 0.3, 0.0)),
+    "ball": (ball(300), 0.005, (0.07, 0.0, -0.1), (0.0, 0.0, 0.0)),
+}
+
+
+@pytest.mark.parametrize("body", BODIES)
+@pytest.mark.parametrize("friction", [0.2, 0.3, 0.5])
+def test_each_face_keeps_the_bound_of_coulomb(body: str, friction: float) -> None:
+    """With d and l from force and lift, the moment is that of faces that keep the bound."""
+    mesh, height, linear, spin = BODIES[body]
+    about, scale = np.array([0.0, 0.0, height]), 1600.0 * 9.81
+    points, velocities = mesh.points + about, np.cross(spin, mesh.points) + linear
+    found, moment = wrench(
+        points, mesh.normals, mesh.areas, velocities, about=about, phi_deg=30.0, density=1600.0,
+        surface_friction=friction, rest_speed=1e-6,
+    )  # fmt: skip
+
+    direction = velocities / np.linalg.norm(velocities, axis=1)[:, None]
+    stress = unit_stress(mesh.normals, direction, friction, fade=FADE)
+    stress *= (scale * np.maximum(-points[:, 2], 0.0) * mesh.areas)[:, None]
+
+    def faces(ratios: np.ndarray) -> np.ndarray:
+        d, lift = ratios
+        return bounded_faces(stress * [d, d, lift], mesh.normals, velocities, friction)
+
+    def missing(ratios: np.ndarray) -> np.ndarray:
+        return faces(ratios).sum(axis=0)[[0, 2]] - found[[0, 2]]
+
+    ratios = least_squares(missing, [20.0, 30.0], x_scale="jac", xtol=1e-14, ftol=1e-14).x
+    size = np.linalg.norm(found)
+    assert np.abs(missing(ratios)).max() < 1e-6 * size
+    torque = np.cross(mesh.points, faces(ratios)).sum(axis=0)
+    np.testing.assert_allclose(moment, torque, atol=2e-4 * size * mesh.reach)
+
+
+def test_friction_on_a_plate_keeps_the_bound_and_is_mobilised_by_shearing() -> None:
+    """A face alone: its friction is bounded, and times 1 - exp(-j/K)."""
+    turn, descent = np.radians([60.0, 30.0, 5.0, -20.0]), np.radians([85.0, 60.0, 30.0, 10.0])
+    tilt, down = (one.ravel() for one in np.meshgrid(turn, descent))
+    normals = np.stack([np.sin(tilt), 0.0 * tilt, -np.cos(tilt)], axis=1)
+    velocities = np.stack([np.cos(down), 0.0 * down, -np.sin(down)], axis=1)
+    plates = (np.tile([0.0, 0.0, -0.02], (tilt.size, 1, 1)), normals[:, None], [1e-3],
+              velocities[:, None])  # fmt: skip
+    soil = {**SAND, "surface_friction": 0.3}
+    full, _ = wrench(*plates, **soil)
+    pressure = -np.vecdot(full, normals)
+    friction = full + pressure[:, None] * normals
+    assert (pressure >= 0.0).all()
+    assert (np.linalg.norm(friction, axis=1) <= 0.3 * pressure + 1e-9).all()
+    assert (np.linalg.norm(friction, axis=1) > 0.29 * pressure)[pressure > 0.0].any()
+    sheared = np.linspace(0.0, 0.03, tilt.size)
+    half, _ = wrench(*plates, mobilisation=0.01, sheared=sheared[:, None], **soil)
+    share = 1.0 - np.exp(-sheared / 0.01)
+    expected = share[:, None] * friction - pressure[:, None] * normals
+    np.testing.assert_allclose(half, expected, atol=1e-9)
+
+
+def test_a_foot_deeper_than_was_simulated_is_warned_of() -> None:
+    for foot, radius in ((Foot(RADIUS), RADIUS), (ball(200), RADIUS)):
+        force(foot, [0.0, 0.0, -3.5 * radius], going(90.0), **SAND)
+        with pytest.warns(UserWarning, match="radii deep"):
+            force(foot, [0.0, 0.0, -1000.0 * radius], going(90.0), **SAND)
+
+
+def test_traced_arrays_have_the_same_force() -> None:
+    jax = pytest.importorskip("jax")
+    pose, velocity = np.tile([0.0, 0.0, 0.005], (4, 1)), np.tile(going(60.0), (4, 1))
+    held = np.zeros((4, 3)), np.zeros((4, 3))
+
+    def moved(place: Any, speed: Any, phi: Any, before: Any) -> Any:
+        return force(
+            Foot(RADIUS), place, speed, phi_deg=phi, density=1600.0, held=before, step=0.01,
+            stiffness=1e4,
+        )  # fmt: skip
+
+    phi = np.array([30.0, 32.0, 34.0, 36.0])
+    given = [jax.numpy.asarray(one) for one in (pose, velocity, phi)]
+    traced = jax.jit(moved)(*given, tuple(map(jax.numpy.asarray, held)))
+    np.testing.assert_allclose(traced[0], moved(pose, velocity, phi, held)[0], rtol=1e-4)
+
+
 def test_a_flat_sole_bears_as_a_disc_of_its_area_and_changes_steadily_with_its_tilt() -> None:
     sole, size = box((0.1, 0.06, 0.03), 20), math.sqrt(0.006 / math.pi)
     flat, _ = force(sole, [0.0, 0.0, -0.005], going(90.0), **SAND)
@@ -216,6 +326,7 @@ FEET_OF_ALL_KINDS = {"ball": Foot(RADIUS), "disc": Foot(RADIUS, "disc"), "mesh":
                      "box": box((0.1, 0.06, 0.03))}  # fmt: skip
 
 
+@pytest.mark.filterwarnings("ignore:a foot is")  # 0.3 m deep
 @pytest.mark.parametrize("foot", FEET_OF_ALL_KINDS.values(), ids=FEET_OF_ALL_KINDS)
 def test_soil_takes_energy_and_gives_numbers_everywhere(foot: Any) -> None:
     """At rest, on the way up, in the air and upside down."""
@@ -294,6 +405,7 @@ class Standing:
         self.depth, self.load, self.speed = last[-1, 0], last[..., 1, :], last[..., 2, :]
 
 
+@pytest.mark.filterwarnings("ignore:a foot is")  # beyond the bound
 @pytest.mark.parametrize("step", [0.0005, 0.002])
 def test_a_go2_stands_on_soil_up_to_the_bound_and_shakes_beyond(step: float) -> None:
     at_bound, beyond = Standing(step, 1.0), Standing(step, 8.0)
@@ -337,13 +449,15 @@ def test_other_arrays_have_the_forces_of_numpy(foot: Any, library: str) -> None:
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"phi_deg": 60.0}, "phi_deg = 60 to 60: law 'foot' is for 14 to 55"),
+        ({"phi_deg": 60.0}, r"phi_deg = 60: 14 to 55 deg in plane strain"),
         ({"phi_deg": math.nan}, "phi_deg = nan"),
         ({"surface_friction": 0.9}, "surface_friction = 0.9"),
-        ({"pose": np.full((2, 3), [[0.0], [math.nan]])}, "pose of foot 1 is no number"),
-        ({"velocity": np.full(3, math.inf)}, "velocity of foot 0 is no number"),
+        ({"pose": np.full((2, 3), [[0.0], [math.nan]])}, r"pose\[1, 0\] = nan"),
+        ({"velocity": np.full(3, math.inf)}, r"velocity\[0\] = inf"),
         ({"pose": np.zeros(4)}, "the last axis is 3 or 7"),
-        ({"velocity": np.zeros(2)}, "the last axis is 3 or 7"),
+        ({"velocity": np.zeros(2)}, "the last axis is 3 or 6"),
+        ({"surface_friction": np.array([0.3, 0.4])}, "surface_friction has several values"),
+        ({"pose": np.array([0, 0, 0, 0, 0, 0, 0.0])}, "length of the quaternion"),
         ({"held": (np.zeros(3), np.zeros(3))}, "as step"),
         ({"foot": 0.022}, "foot of type float"),
     ],
@@ -359,10 +473,14 @@ def test_a_wrong_argument_is_refused(changes: dict[str, Any], words: str) -> Non
     [
         ({"law": "foots"}, "did you mean 'foot'"),
         ({"density": 1.6}, "density"),
-        ({"density": math.nan, "law": "rft"}, "density of foot 0 is no number"),
-        ({"phi_deg": 60.0}, "phi_deg = 60 to 60"),
-        ({"velocities": np.full(3, math.nan)}, "velocities of foot 0 is no number"),
-        ({"about": np.full(3, math.inf)}, "arms of foot 0 is no number"),
+        ({"density": math.nan, "law": "rft"}, "density = nan"),
+        ({"phi_deg": 60.0}, "phi_deg = 60"),
+        ({"velocities": np.full(3, math.nan)}, r"velocities\[0\] = nan"),
+        ({"about": np.full(3, math.inf)}, r"about\[0\] = inf"),
+        ({"normals": np.zeros((1, 3))}, r"normals: length\[0\] = 0"),
+        ({"normals": -2.0 * np.eye(3)[2:]}, r"normals: length\[0\] = 2"),
+        ({"phi_deg": -5.0, "law": "rft"}, "phi_deg = -5"),
+        ({"mobilisation": 0.01}, "sheared"),
     ],
 )
 def test_faces_have_the_checks_of_feet(changes: dict[str, Any], words: str) -> None:

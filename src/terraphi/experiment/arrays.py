@@ -1,4 +1,4 @@
-"""The types of the arrays in this package, the library of one, and the seed of random ones."""
+"""The types of the arrays in this package, the check of numbers from outside, and seeds."""
 
 from typing import Any
 
@@ -10,6 +10,9 @@ from terraphi.experiment.errors import InputError, needing
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
+HUGE = 1e9
+"""Largest number without a narrower range, as a place [m] or a speed [m/s]; chosen, so that a
+product of four is finite in single precision."""
 
 
 def seed_from(seed: int, rng: Any) -> int:
@@ -18,14 +21,28 @@ def seed_from(seed: int, rng: Any) -> int:
     An integer ``rng`` is the seed. From a Generator, BitGenerator or SeedSequence one is drawn, so
     that a result can state it. Raises InputError if both are given or ``rng`` is something else.
     """
+    seed = count("seed", seed, 0, 2**32 - 1)
     if rng is None:
         return seed
     if seed:
         raise InputError("seed and rng are both given; leave out seed")
     if isinstance(rng, int | np.integer) and 0 <= rng < 2**32:
         return int(rng)
+    return int(generator(rng).integers(2**32))
+
+
+def count(name: str, value: Any, low: int, high: int) -> int:
+    """A whole number between two ends; raises InputError."""
+    kinds = int, np.integer
+    if isinstance(value, bool) or not isinstance(value, kinds) or not low <= int(value) <= high:
+        raise InputError(f"{name} = {value!r:.60}; {low} to {high} are accepted")
+    return int(value)
+
+
+def generator(rng: Any) -> np.random.Generator:
+    """Generator of random numbers, from one or from a seed; raises InputError."""
     try:
-        return int(np.random.default_rng(rng).integers(2**32))
+        return np.random.default_rng(rng)
     except (TypeError, ValueError):
         raise InputError(f"rng = {rng!r}; give a seed or a numpy.random.Generator") from None
 
@@ -39,13 +56,93 @@ def namespace(array: Any) -> Any:
         If its library does not follow the standard and array-api-compat, which wraps PyTorch and
         others, is not installed.
     """
-    if isinstance(array, np.ndarray | float | int | list | tuple):
+    if type(array) is np.ndarray or isinstance(array, np.ndarray | float | int | list | tuple):
         return np
     if hasattr(array, "__array_namespace__"):
         return array.__array_namespace__()
+    if not hasattr(array, "__dlpack__"):  # no array, or one that NumPy knows
+        return np
     with needing(f"arrays of type {type(array).__name__}", "array-api-compat", extra="arrays"):
         from array_api_compat import array_namespace
     return array_namespace(array)
+
+
+def numbers(
+    name: str, values: Any, reference: Any = None, *, shape: tuple[int, ...] | None = None,
+    last: tuple[int, ...] = (), low: float = -HUGE, high: float = HUGE, unit: str = "",
+) -> Any:  # fmt: skip
+    """Check the numbers of an argument, and make them an array.
+
+    Parameters
+    ----------
+    name
+        Of the argument, for messages.
+    values
+        A number, a sequence, or an array of NumPy or of another library of the array-API standard.
+    reference
+        Array whose library, type and device the result has; by default those of ``values``, with
+        64 bits in NumPy.
+    shape
+        Shape that they are broadcast to.
+    last
+        Accepted lengths of the last axis.
+    low, high, unit
+        Least and largest value, and their unit. An array that JAX or PyTorch traces has no values
+        yet, so that they are not checked.
+
+    Raises
+    ------
+    InputError
+        If they are not real numbers, not finite, out of range or of another shape.
+    """
+    plain = type(values) in (float, int)
+    xp = np if plain else namespace(values)
+    try:
+        array = np.asarray(values) if xp is np else values
+    except ValueError:
+        raise InputError(f"{name}: its rows differ in length; give an array of numbers") from None
+    floating = xp.float64 if xp is np else array.dtype
+    real = array.dtype.kind in "iuf" if xp is np else xp.isdtype(array.dtype, "real floating")
+    if not real and (xp is np or reference is None or not xp.isdtype(array.dtype, "integral")):
+        kind = type(values).__name__ if array.ndim == 0 else f"an array of {array.dtype}"
+        raise InputError(f"{name} is {kind}; give real numbers")
+    if last and (array.ndim == 0 or array.shape[-1] not in last):
+        lengths = " or ".join(map(str, last))
+        raise InputError(f"{name} of shape {tuple(array.shape)}: the last axis is {lengths}")
+    if not (low <= values <= high if plain else _inside(xp, array, low, high)):
+        ends = f"{low:g} to {high:g} {unit}".rstrip()
+        raise InputError(f"{_outlier(xp, name, array, low, high)}: {ends} are accepted")
+    if reference is not None:
+        array = like(reference, array)
+        xp = namespace(reference)
+    elif xp is np:
+        array = np.asarray(array, dtype=floating)
+    if shape is None or tuple(array.shape) == shape:
+        return array
+    try:
+        return xp.broadcast_to(array, shape)
+    except (ValueError, RuntimeError) as error:
+        raise InputError(
+            f"{name} of shape {tuple(array.shape)}: expected {shape}, or one for all of an axis"
+        ) from error
+
+
+def _inside(xp: Any, array: Any, low: float, high: float) -> bool:
+    """Whether all numbers are between two ends, or not known yet."""
+    if xp is np:  # a minimum of NaN is NaN
+        return not array.size or bool(low <= array.min() and array.max() <= high)
+    try:
+        return bool(xp.all((array >= low) & (array <= high)))
+    except (TypeError, RuntimeError):
+        return True
+
+
+def _outlier(xp: Any, name: str, array: Any, low: float, high: float) -> str:
+    """First number out of range, with its place."""
+    if xp is not np:
+        return f"{name} = {float(xp.min(array)):g} to {float(xp.max(array)):g}"
+    place = np.argwhere(~((array >= low) & (array <= high)))[0].tolist()
+    return f"{name}{place if place else ''} = {array[tuple(place)]:g}"
 
 
 def like(reference: Any, values: Any) -> Any:

@@ -101,6 +101,15 @@ def check_is_file(path: Path, expected: str = "a file") -> None:
         raise InputError(f"{path}: {found}; expected {expected}")
 
 
+def path_of(name: str, value: Any) -> Path:
+    """Path of a file that an argument gives; raises InputError."""
+    try:
+        return Path(value)
+    except TypeError:
+        kind = type(value).__name__
+        raise InputError(f"{name} is {kind}; give the path of a file") from None
+
+
 def plain_number(text: str) -> float:
     """Parse a decimal number; unlike ``float``, refuse ``1_000`` and full-width digits.
 

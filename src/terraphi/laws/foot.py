@@ -48,7 +48,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from terraphi.experiment.arrays import FloatArray, like, namespace, whole
+from terraphi.experiment.arrays import FloatArray, like, namespace, numbers, whole
 from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.scenario import GRAVITY
@@ -96,8 +96,7 @@ class Foot:
 
     def __post_init__(self) -> None:
         """Check the size and the shape."""
-        if not 1e-4 <= self.radius <= 1.0:
-            raise InputError(f"foot of radius {self.radius:g} m: 0.0001 to 1 m are accepted")
+        numbers("radius", self.radius, shape=(), low=1e-4, high=1.0, unit="m")
         if self.shape not in get_args(Literal["ball", "disc"]):
             raise InputError(f"foot of shape '{self.shape}'; give ball or disc")
 
@@ -297,7 +296,7 @@ def bearing_factors(
     return np.asarray(n_q * s_q * d_q), np.asarray(0.6 * n_gamma * np.ones_like(ratio))
 
 
-def _faces(shape: str) -> tuple[FloatArray, FloatArray, FloatArray]:
+def foot_faces(shape: str) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Faces of a foot of unit radius on one side of its motion, with the area of both sides.
 
     Heights of their centres above the lowest point, shape [face]; outward normals, [face, 3];
@@ -319,7 +318,7 @@ def resistive_table(shape: str, mu: float) -> FloatArray:
 
     Along the motion and up; about the level axis across the motion, left of it. The disc has none.
     """
-    height, normal, area = _faces(shape)
+    height, normal, area = foot_faces(shape)
     levels, ring = np.unique(height, return_inverse=True)
     force = np.empty((len(DESCENTS), len(DEPTHS), 3))
     submerged = np.maximum(DEPTHS[:, None] - levels, 0.0)  # of each ring's centre

@@ -5,14 +5,16 @@ or a disc has the law itself. A mesh has the faces' forces by resistive force th
 proportion in which both differ for a ball and a disc of the mesh's footprint:
 
 .. math::
-    F = \sum_f \operatorname{diag}(d, d, l)\, F_f^{rft}, \qquad
+    F = \sum_f C\bigl(\operatorname{diag}(d, d, l)\, F_f^{rft}\bigr), \qquad
     (d, l) = m\,(d, l)_{ball} + (1 - m)\,(d, l)_{disc},
 
-with the drag's and the lift's ratio d and l over φ, direction and depth, and the roundness m of
-what points down and is submerged: one less the length of its mean normal (weighted by projected
-area), over that of a cap of the same area and depth. It is 0 for a plane, tilted or not. So a mesh
-of a ball or of a disc has the law's force (``tests/laws/test_wrench.py``: within 2.5 % and 0.1 %),
-and other shapes come between.
+with Coulomb's bound C, which cuts the part of a face's force along the face to μ_s times the part
+across it, the drag's and the lift's ratio d and l over φ, direction and depth, and the roundness m
+of what points down and is submerged: one less the length of its mean normal (weighted by projected
+area), over that of a cap of the same area and depth. It is 0 for a plane, tilted or not. The ratios
+are those that give a ball and a disc the law's force with the bound. So meshes of both have it
+(``tests/laws/test_wrench.py``), but for drag of a disc above μ_s times the lift; other shapes come
+between.
 
 Resistive force theory jumps where a face turns through the vertical or begins to lead; here it is
 continuous (:data:`FADE`).
@@ -40,21 +42,24 @@ results are of the same library, type and device.
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
 
-from terraphi.experiment.arrays import FloatArray, like, namespace
+from terraphi.experiment.arrays import FloatArray, like, namespace, numbers
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.scenario import GRAVITY, LIMITS
 from terraphi.forward.rft import SCALE_POLYNOMIAL, unit_stress
 from terraphi.laws.foot import (
     BEYOND_DEG,
+    DEEPEST,
     DEPTHS,
     DESCENTS,
     Foot,
+    foot_faces,
     interpolated,
     resistive_table,
     simulated_table,
@@ -65,16 +70,24 @@ FADE = 0.05
 other, and on which a face that begins to lead gets its force [-]; chosen."""
 SPACING, LEVEL = float(DESCENTS[1] - DESCENTS[0]), len(DESCENTS) // 2
 """Of :data:`~terraphi.laws.foot.DESCENTS` [rad], and its row of level motion."""
-LOWEST = 45
-"""Row of :data:`~terraphi.laws.foot.DESCENTS` of the lowest direction that was simulated, 45°;
-below it the law has the ratios of that direction."""
+LOWEST = 33
+"""Row of :data:`~terraphi.laws.foot.DESCENTS` of the lowest direction for which the ratios are
+computed, 9°; motions below it have those. There a level face begins to lead (:data:`FADE`)."""
+SIMULATED = 45
+"""Row of the lowest direction that was simulated, 45°."""
+PROPORTIONS = np.linspace(0.0, 1.5, 16)
+"""Ratio of the drag over that of the lift, d/l, for which balls and discs are summed [-]."""
 FINE, MOST_FACES = 0.2, 100_000
 """Longest edge of a face over the extent of its mesh [-], and faces at most; chosen: a tilted box
 has the force of one four times as fine within 0.1 % (``tests/laws/test_wrench.py``)."""
 LARGEST = 2.0
 """Farthest face from the origin of a foot [m]; chosen."""
+UNIT = 0.01
+"""Error of the length of a unit normal [-]; chosen, for normals that were rounded."""
 TINY = 1e-12
 """Least length [m], speed [m/s], area [m²] or force [N] that is divided by."""
+AREA: dict[str, Any] = {"low": 0.0, "high": 4.0 * LARGEST**2, "unit": "m²"}
+"""Range of the area of a face."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +107,17 @@ class Mesh:
     points: FloatArray
     normals: FloatArray
     areas: FloatArray
+
+    def __post_init__(self) -> None:
+        """Check the faces."""
+        points = numbers("points", self.points, last=(3,), low=-LARGEST, high=LARGEST, unit="m")
+        shape = (points.size // 3, 3)
+        if points.shape != shape or not points.size:
+            raise InputError(f"points of shape {points.shape}; give [face, 3]")
+        areas = numbers("areas", self.areas, points, shape=shape[:1], **AREA)
+        for name, value in (("points", points), ("normals", unit_normals(self.normals, points)),
+                            ("areas", areas)):  # fmt: skip
+            object.__setattr__(self, name, value)
 
     @classmethod
     def of(cls, mesh: Any, triangles: Any = None, *, longest: float | None = None) -> Mesh:
@@ -118,15 +142,20 @@ class Mesh:
         """
         if triangles is None:
             mesh, triangles = getattr(mesh, "vertices", None), getattr(mesh, "faces", None)
-        corners, index = np.asarray(mesh, dtype=np.float64), np.asarray(triangles)
-        if corners.ndim != 2 or index.ndim != 2 or (corners.shape[1], index.shape[1]) != (3, 3):
+        if mesh is None or triangles is None:
             raise InputError(
                 "mesh: give corners [corner, 3] and triangles [face, 3], or an object with "
                 "vertices and faces"
             )
-        each = corners[index]
-        if not np.isfinite(each).all():
-            raise InputError("mesh: a corner is not finite")
+        corners = numbers("mesh", mesh, last=(3,), unit="m")
+        index = numbers("triangles", triangles, last=(3,), low=0, high=len(corners) - 1)
+        if corners.ndim != 2 or index.ndim != 2 or (index % 1.0).any():
+            raise InputError(
+                "mesh: give corners [corner, 3] and triangles [face, 3] of whole numbers"
+            )
+        if longest is not None:
+            longest = _number("longest", longest, TINY, "m")
+        each = corners[index.astype(np.int64)]
         # A closed surface passes each edge once in either direction; equal corners are one.
         same = np.unique(each.reshape(-1, 3), axis=0, return_inverse=True)[1].reshape(-1, 3)
         same = same[(same != np.roll(same, 1, axis=1)).all(axis=1)]
@@ -152,6 +181,9 @@ class Mesh:
                 raise InputError(
                     f"mesh: more than {MOST_FACES} faces with edges of {most:g} m; give longest"
                 )
+        reach = float(np.linalg.norm(each.mean(axis=1), axis=1).max(initial=0.0))
+        if reach > LARGEST:
+            raise InputError(f"mesh: reaches {reach:g} m; corners are in meters")
         cross = np.cross(each[:, 1] - each[:, 0], each[:, 2] - each[:, 0])
         twice = np.linalg.norm(cross, axis=1)
         keep = twice > 0.0
@@ -160,11 +192,9 @@ class Mesh:
         found = cls(each[keep].mean(axis=1), cross[keep] / twice[keep, None], 0.5 * twice[keep])
         if found.areas @ np.vecdot(found.normals, found.points) <= 0.0:
             raise InputError("mesh: turned inside out; order corners counterclockwise from outside")
-        if found.reach > LARGEST:
-            raise InputError(f"mesh: reaches {found.reach:g} m; corners are in meters")
         return found
 
-    @property
+    @cached_property
     def reach(self) -> float:
         """Distance of the farthest face from the origin [m]."""
         return float(np.linalg.norm(self.points, axis=1).max())
@@ -230,8 +260,13 @@ def force(
     Raises
     ------
     InputError
-        If φ or the friction is outside the law's table, a number of NumPy is not finite, or a shape
-        is another.
+        If φ or the friction is outside the law's table, a number is not finite or out of range, or
+        a shape is another. Arrays that JAX or PyTorch traces have no numbers to check yet.
+
+    Warns
+    -----
+    UserWarning
+        If a foot is deeper than the law was simulated (arrays of NumPy only).
 
     Examples
     --------
@@ -242,59 +277,90 @@ def force(
     """
     if not isinstance(foot, Foot | Mesh):
         raise InputError(f"foot of type {type(foot).__name__}; give a Foot or a Mesh")
-    xp = namespace(pose)
-    pose = np.asarray(pose, dtype=np.float64) if xp is np else pose
-    velocity = like(pose, velocity)
-    if pose.shape[-1] not in (3, 7) or velocity.shape[-1] not in (3, 6):
-        raise InputError(
-            f"pose of shape {tuple(pose.shape)}, velocity of {tuple(velocity.shape)}: the last "
-            "axis is 3 or 7 (with a quaternion), and 3 or 6 (with the angular velocity)"
-        )
+    pose = numbers("pose", pose, last=(3, 7), unit="m")
+    velocity = numbers("velocity", velocity, pose, last=(3, 6), unit="m/s")
+    rest_speed = _number("rest_speed", rest_speed, low=TINY, unit="m/s")
     if held is not None and (step is None or stiffness is None):
         raise InputError(
             "held: give the time since then as step [s], and stiffness [N/m], below 2 m / step²"
         )
-    lead = pose.shape[:-1]
+    xp, lead = namespace(pose), tuple(pose.shape[:-1])
     place = xp.reshape(pose, (-1, pose.shape[-1]))
+    if place.shape[-1] == 7:
+        numbers("pose: length of the quaternion", _norm(xp, place[:, 3:]), low=1e-6)
     moving = _each("velocity", velocity, pose, lead, velocity.shape[-1])
+    surface_friction = _friction(surface_friction, "foot")
     soil = _soil(
         pose, lead, "foot", surface_friction, phi_deg=phi_deg, density=density, surface=surface
     )
-    _check_finite(pose=place, velocity=moving)
+    before = _before(held, step, stiffness, pose, lead) if held is not None else None
     fade = TINY if held is not None else rest_speed
     given = place, moving, surface_friction, fade
     force_, moment, deep = (
         _of_foot(foot, *given, **soil) if isinstance(foot, Foot) else _of_mesh(foot, *given, **soil)
     )
-    if held is not None and step is not None and stiffness is not None:
-        before = [xp.reshape(like(pose, one), (-1, 3)) for one in held]
+    if before is not None:
         travel = _norm(xp, moving[:, :3])
         if moving.shape[-1] == 6 and isinstance(foot, Mesh):
             travel = travel + foot.reach * _norm(xp, moving[:, 3:])
         size = xp.maximum(_norm(xp, before[0]), _norm(xp, force_))
-        kept = xp.exp(-stiffness * step * travel / xp.clip(size, TINY, None))
+        kept = xp.exp(-before[2] * travel / xp.clip(size, TINY, None))
         kept = xp.where(deep > 0.0, kept, xp.zeros_like(kept))[:, None]
         force_, moment = (
-            law + kept * (last - law) for law, last in zip((force_, moment), before, strict=True)
+            law + kept * (last - law)
+            for law, last in zip((force_, moment), before[:2], strict=True)
         )
     return xp.reshape(force_, (*lead, 3)), xp.reshape(moment, (*lead, 3))
 
 
-def _each(name: str, value: Any, places: Any, lead: tuple[int, ...], *last: int) -> Any:
+def _before(held: Any, step: Any, stiffness: Any, pose: Any, lead: tuple[int, ...]) -> Any:
+    """Force and moment of the step before, [foot, 3] each, and the stiffness times the step."""
+    if not isinstance(held, tuple | list) or len(held) != 2:
+        raise InputError(f"held is {type(held).__name__}; give force and moment of the step before")
+    stride = _number("stiffness", stiffness, unit="N/m") * _number("step", step, unit="s")
+    return *(_each("held", values, pose, lead, 3) for values in held), stride
+
+
+def _number(name: str, value: Any, low: float = 0.0, unit: str = "") -> Any:
+    """A number that is not negative; raises InputError."""
+    array = numbers(name, value, shape=(), low=low, unit=unit)
+    return float(array) if namespace(array) is np else array
+
+
+def _each(
+    name: str, value: Any, places: Any, lead: tuple[int, ...], *last: int, **ends: Any
+) -> Any:
     """A row for each foot of an array of places, shape [foot, *last]; raises InputError."""
-    xp, value = namespace(places), like(places, value)
+    rows = numbers(name, value, places, shape=(*lead, *last), **ends)
+    return rows if len(lead) == 1 else namespace(places).reshape(rows, (-1, *last))
+
+
+def unit_normals(normals: Any, points: Any) -> Any:
+    """Normals of length 1, [face, 3] or as the points [..., face, 3]; raises InputError."""
+    faces = tuple(points.shape)
+    normals = numbers("normals", normals, points, last=(3,))
+    if tuple(normals.shape) not in (faces, faces[-2:]):
+        normals = numbers("normals", normals, points, shape=faces)
+    length = _norm(namespace(points), normals)
+    numbers("normals: length", length, low=1.0 - UNIT, high=1.0 + UNIT)
+    return normals
+
+
+def _friction(surface_friction: Any, law: str) -> float:
+    """The friction of all feet [-]; raises InputError."""
+    ends = LIMITS["leg.friction"][:2]
+    values = numbers("surface_friction", surface_friction, low=ends[0], high=ends[1])
     try:
-        return xp.reshape(xp.broadcast_to(value, (*lead, *last)), (-1, *last))
-    except (ValueError, RuntimeError) as error:
-        shapes = f"{tuple(value.shape)}, feet of {tuple(lead)}"
-        raise InputError(f"{name} of shape {shapes}: give one, or one for each foot") from error
-
-
-def _check_finite(**given: Any) -> None:
-    """Raise InputError if rows of NumPy have a number that is not finite."""
-    for name, values in given.items():
-        if namespace(values) is np and (wrong := np.argwhere(~np.isfinite(values))).size:
-            raise InputError(f"{name} of foot {wrong[0, 0]} is no number")
+        flat = values if values.ndim == 0 else namespace(values).reshape(values, (-1,))
+        friction = float(flat if values.ndim == 0 else flat[0])
+        several = values.ndim > 0 and bool(namespace(values).any(flat != friction))
+    except (TypeError, IndexError):
+        raise InputError("surface_friction is traced or empty; give a number") from None
+    if several:
+        raise InputError("surface_friction has several values; give one, and call once for each")
+    if law == "foot":
+        angles_deg(friction)
+    return friction
 
 
 def angles_deg(surface_friction: float) -> tuple[float, float]:
@@ -304,26 +370,28 @@ def angles_deg(surface_friction: float) -> tuple[float, float]:
 
 
 def _soil(
-    places: Any, lead: tuple[int, ...], law: str, surface_friction: float, **given: Any
-) -> dict[str, Any]:
+    places: Any, lead: tuple[int, ...], law: str, surface_friction: float, *,
+    phi_deg: Any, density: Any, surface: Any,
+) -> dict[str, Any]:  # fmt: skip
     """φ, density and surface of each foot of an array of places, [foot]; raises InputError."""
-    xp = namespace(places)
-    soil = {name: _each(name, value, places, lead) for name, value in given.items()}
-    if law == "foot":
-        (low, high), phi = angles_deg(surface_friction), soil["phi_deg"]
-        try:
-            inside = bool(xp.all((phi >= low) & (phi <= high)))
-        except TypeError:  # JAX traces it: there are no numbers to check yet
-            inside = True
-        if not inside:
-            found = f"{float(xp.min(phi)):g} to {float(xp.max(phi)):g}"
-            ends = f"{low:g} to {high:g}° in plane strain"
-            raise InputError(f"phi_deg = {found}: law 'foot' is for {ends}")
-    _check_finite(**soil)
-    low, high, _ = LIMITS["soil.density"]
-    if xp is np and not ((low <= soil["density"]) & (soil["density"] <= high)).all():
-        raise InputError(f"density: {low:g} to {high:g} kg/m³ are accepted")
-    return soil
+    angles = angles_deg(surface_friction) if law == "foot" else LIMITS["soil.friction_angle_deg"]
+    low, high, unit = LIMITS["soil.density"]
+    return {
+        "phi_deg": _each("phi_deg", phi_deg, places, lead, low=angles[0], high=angles[1],
+                         unit=f"deg in plane strain by law '{law}'"),
+        "density": _each("density", density, places, lead, low=low, high=high, unit=unit),
+        "surface": _each("surface", surface, places, lead, unit="m"),
+    }  # fmt: skip
+
+
+def _warn_deep(xp: Any, ratio: Any) -> None:
+    """Warn of feet deeper than law ``foot`` was simulated, from depths over their radius [-]."""
+    if xp is np and ratio.size and (deepest := float(ratio.max())) > DEEPEST:
+        warnings.warn(
+            f"a foot is {deepest:.3g} of its radii deep; law 'foot' was simulated to {DEEPEST:g}, "
+            "and its forces are continued from there",
+            stacklevel=4,
+        )
 
 
 def _of_foot(
@@ -335,22 +403,21 @@ def _of_foot(
     depth = surface - place[:, 2] + (foot.radius if foot.shape == "ball" else 0.0)
     level = _norm(xp, moving[:, :2])
     speed = _norm(xp, moving[:, :3])
-    first, step, table = _foot_table(foot.shape, float(surface_friction))
+    first, step, table = _foot_table(foot.shape, surface_friction)
     turn = xp.atan2(-moving[:, 2], level) / SPACING + LEVEL
     ratio = xp.clip(depth, 0.0, None) / foot.radius
+    _warn_deep(xp, ratio)
     unit = interpolated(table, phi_deg - first, turn, ratio / step)
     size = density * GRAVITY * foot.radius**3 * xp.clip(speed / fade, None, 1.0)
     unit = unit * (size * like(place, depth > 0.0))[:, None]
     heading = moving[:, :2] / xp.clip(level, TINY, None)[:, None]
-    along, lift, turning = unit[:, 0:1], unit[:, 1:2], foot.radius * unit[:, 2:3]
+    along, lift, turning = unit[:, 0], unit[:, 1], foot.radius * unit[:, 2:3]
     # The moment is about the level axis across the motion, left of it.
     across = xp.stack([-heading[:, 1], heading[:, 0], xp.zeros_like(depth)], axis=1)
-    found = xp.concat([along * heading, lift], axis=1)
-    return (
-        _against(xp, found, moving[:, :3] / xp.clip(speed, TINY, None)[:, None]),
-        (turning * across),
-        depth,
-    )
+    forces = along * heading[:, 0], along * heading[:, 1], lift
+    speed = xp.clip(speed, TINY, None)
+    axes = _against(xp, [(f, f, moving[:, i] / speed) for i, f in enumerate(forces)])
+    return xp.stack([f for f, _, _ in axes], axis=1), turning * across, depth
 
 
 def _of_mesh(
@@ -396,6 +463,8 @@ def wrench(
     surface: Any = 0.0,
     about: Any = (0.0, 0.0, 0.0),
     rest_speed: float = 0.01,
+    mobilisation: float = 0.0,
+    sheared: Any = None,
 ) -> tuple[Any, Any]:
     """Force and moment of soil on the faces of many feet, whose places are known already.
 
@@ -423,17 +492,28 @@ def wrench(
         What the moment is about [m], shape [..., 3] or [3].
     rest_speed
         Below it the force falls with the speed to zero [m/s].
+    mobilisation
+        Shear displacement K over which friction on a face develops [m]: it is the full one times
+        1 − exp(−j/K) (Janosi & Hanamoto, 1961). By default all of it is there at once.
+    sheared
+        Shear displacement j of each face since it met the soil [m], shape [..., face].
 
     Returns
     -------
     tuple of array
-        Force [N] and moment [N m], shape [..., 3].
+        Force [N] and moment [N m], shape [..., 3]. By law ``foot`` the force on each face keeps
+        Coulomb's bound.
 
     Raises
     ------
     InputError
-        If φ or the friction is outside the law's table, a number of NumPy is not finite, or there
-        is no such law.
+        If φ or the friction is outside the law's table, a number is not finite or out of range, a
+        normal has another length than 1, or there is no such law.
+
+    Warns
+    -----
+    UserWarning
+        If a foot is deeper than law ``foot`` was simulated (arrays of NumPy only).
 
     Examples
     --------
@@ -445,32 +525,49 @@ def wrench(
     """
     if law not in ("foot", "rft"):
         raise InputError(f"unknown law '{law}'; {nearest(law, ('foot', 'rft'))}")
-    xp = namespace(points)
-    points = np.asarray(points, dtype=np.float64) if xp is np else points
-    lead, last = tuple(points.shape[:-2]), tuple(points.shape[-2:])
+    points = numbers("points", points, last=(3,), unit="m")
+    if points.ndim < 2:
+        raise InputError(f"points of shape {tuple(points.shape)}; give [..., face, 3]")
+    xp, (lead, last) = namespace(points), (tuple(points.shape[:-2]), tuple(points.shape[-2:]))
+    surface_friction = _friction(surface_friction, law)
     soil = _soil(
         points, lead, law, surface_friction, phi_deg=phi_deg, density=density, surface=surface
     )
-    flat, normals = xp.reshape(points, (-1, *last)), like(points, normals)
+    flat, normals = xp.reshape(points, (-1, *last)), unit_normals(normals, points)
     if normals.ndim != 2:
-        normals = _each("normals", normals, points, lead, *last)
-    velocities = _each("velocities", velocities, points, lead, *last)
-    arms = flat - _each("about", about, points, lead, 3)[:, None, :]
-    _check_finite(points=flat, velocities=velocities, arms=arms)
+        normals = xp.reshape(normals, (-1, *last))
+    velocities = _each("velocities", velocities, points, lead, *last, unit="m/s")
+    arms = flat - _each("about", about, points, lead, 3, unit="m")[:, None, :]
     found, moment, _ = _sum_of_faces(
-        flat, normals, like(points, areas), velocities, arms, None,
-        surface_friction=surface_friction, law=law, rest_speed=rest_speed, **soil,
+        flat, normals, numbers("areas", areas, points, shape=last[:1], **AREA), velocities, arms,
+        None, surface_friction=surface_friction, law=law,
+        rest_speed=_number("rest_speed", rest_speed, low=TINY, unit="m/s"),
+        mobilised=_mobilised(mobilisation, sheared, points), **soil,
     )  # fmt: skip
     return xp.reshape(found, (*lead, 3)), xp.reshape(moment, (*lead, 3))
+
+
+def _mobilised(mobilisation: Any, sheared: Any, points: Any) -> Any:
+    """Share of the friction of each face that is there [-], shape [foot, face]; None if all is."""
+    length = float(_number("mobilisation", mobilisation, unit="m"))
+    if (length > 0.0) != (sheared is not None):
+        raise InputError("mobilisation, sheared: give both [m], or neither")
+    if sheared is None:
+        return None
+    xp, faces = namespace(points), tuple(points.shape[:-1])
+    way = numbers("sheared", sheared, points, shape=faces, low=0.0, unit="m")
+    return xp.reshape(-xp.expm1(-way / length), (-1, faces[-1]))
 
 
 def _sum_of_faces(
     points: Any, normals: Any, areas: Any, velocities: Any, arms: Any, spin: Any, *,
     surface_friction: float, law: str, rest_speed: float, phi_deg: Any, density: Any, surface: Any,
+    mobilised: Any = None,
 ) -> tuple[Any, Any, Any]:  # fmt: skip
     """Force, moment and greatest depth of feet, from arrays [foot, face, 3]; others [foot].
 
-    ``spin`` is the angular velocity [foot, 3], or ``None``.
+    ``spin`` is the angular velocity [foot, 3], or ``None``; ``mobilised`` the share of the friction
+    [foot, face], or ``None``.
     """
     xp = namespace(points)
     feet, faces = points.shape[:2]
@@ -507,17 +604,20 @@ def _sum_of_faces(
     speed = _norm(xp, v)
     direction = v / xp.clip(speed, TINY, None)[:, None]
     leading = xp.sum(n * direction, axis=1)
+    if mobilised is not None:
+        mobilised = mobilised[at] if at else xp.reshape(mobilised, (-1,))
     if owner is not None:
         some = np.flatnonzero(leading > 0.0)
         n, v, arm, direction = n[some], v[some], arm[some], direction[some]
         owner, depth, area, speed = owner[some], depth[some], area[some], speed[some]
         leading = leading[some]
+        mobilised = None if mobilised is None else mobilised[some]
     mu = xp.sin(math.pi / 180.0 * phi_deg)  # tan φ_rft = sin φ
     cubic, square, linear = SCALE_POLYNOMIAL
     stress = density * GRAVITY * mu * (linear + mu * (square + mu * cubic))
     size = depth * area * xp.clip(speed / rest_speed, None, 1.0) * spread(stress)
-    pushed = unit_stress(n, direction, surface_friction, fade=FADE) * size[:, None]
-    fx, fy, fz = pushed[:, 0], pushed[:, 1], pushed[:, 2]
+    unit = unit_stress(n, direction, surface_friction, fade=FADE)
+    axes = [(unit[:, i] * size, n[:, i], direction[:, i]) for i in range(3)]
     if law == "foot":
         weight = area * xp.clip(leading, 0.0, None)
         vx, vy, vz = (total(weight * v[:, i]) for i in range(3))
@@ -526,9 +626,11 @@ def _sum_of_faces(
             base, normal, mean, deepest, descent, phi_deg, surface_friction=surface_friction,
         )  # fmt: skip
         along = spread(drag)
-        scaled = xp.stack([fx * along, fy * along, fz * spread(lift)], axis=1)
-        scaled = _against(xp, scaled, direction)
-        fx, fy, fz = scaled[:, 0], scaled[:, 1], scaled[:, 2]
+        scales = along, along, spread(lift)
+        axes = [(f * scale, *rest) for (f, *rest), scale in zip(axes, scales, strict=True)]
+    if law == "foot" or mobilised is not None:
+        axes = _bounded(xp, axes, surface_friction, mobilised)
+    (fx, *_), (fy, *_), (fz, *_) = axes
     x, y, z = arm[:, 0], arm[:, 1], arm[:, 2]
     rows = (fx, fy, fz, y * fz - z * fy, z * fx - x * fz, x * fy - y * fx)
     sums = xp.stack([total(row) for row in rows], axis=1)
@@ -566,8 +668,10 @@ def _ratios(
     for shape, share, depth, size in (
         ("ball", roundness, deepest, of_ball), ("disc", 1.0 - roundness, mean, radius),
     ):  # fmt: skip
-        first, step, table = _ratio_table(shape, float(surface_friction))
+        first, step, table = _ratio_table(shape, surface_friction)
         ratio = xp.clip(depth / size, 1e-3 * step, None)
+        if shape == "ball":
+            _warn_deep(xp, ratio)
         found = interpolated(table, phi_deg - first, turn - LOWEST, ratio / step)
         scale = scale + share * found / ratio[:, None]
     return scale[:, 0], scale[:, 1]
@@ -577,48 +681,96 @@ def _ratios(
 def _ratio_table(shape: str, surface_friction: float) -> tuple[float, float, FloatArray]:
     """First φ [deg], step of the depth over the radius, and ratios times the depth over the radius.
 
-    Of drag and lift of law ``foot`` to those of resistive force theory, [φ, descent, depth, 2], the
-    descents from :data:`LOWEST` on. Times the depth, since what a footing bears at its surface is
-    over the theory's as the radius over the depth.
+    The ratios d and l of the module's formula, [φ, descent, depth, 2], the descents from
+    :data:`LOWEST` on. Times the depth, since what a footing bears at its surface is over the
+    theory's as the radius over the depth.
+
+    The bound leaves a face's force in proportion to a common factor of d and l. So d/l is that for
+    which the sum over the faces of a ball or disc has the law's direction, and l follows from its
+    size. A drag beyond the bound of a flat face has the d/l at which that slides.
     """
     first, step, law = simulated_table(shape, surface_friction)
-    depths = step * np.arange(law.shape[2], dtype=np.float64)
-    theory = _theory(shape, surface_friction, depths)[LOWEST:, 1:, :2]
+    law, depths = law[:, LOWEST:], step * np.arange(law.shape[2], dtype=np.float64)
+    sums = _bounded_sums(shape, surface_friction, depths)
+    # Angle of the force above the level, over [descent, depth, d/l] and [φ, descent, depth]; drag
+    # is negative. It falls with d/l, until all faces slide.
+    turned, wanted = (np.arctan2(each[..., 1], -each[..., 0]) for each in (sums, law))
+    wanted = np.maximum(wanted, turned.min(axis=-1))
+    low = np.count_nonzero(turned > wanted[..., None] + 1e-9, axis=-1) - 1
+    low = np.clip(low, 0, PROPORTIONS.size - 2)
+    low[:, -1] = low[:, -2]  # Straight down nothing drags: as three degrees from it.
+    rows, columns = np.indices(turned.shape[:2])
+    before, after = (turned[rows, columns, low + i] for i in (0, 1))
+    part = np.clip((before - wanted) / np.maximum(before - after, 1e-12), 0.0, 1.0)
+    part[:, -1] = part[:, -2]
+    proportion = PROPORTIONS[1] * (low + part)
+    unit = sums[rows, columns, low]
+    unit = unit + part[..., None] * (sums[rows, columns, low + 1] - unit)
     mu = np.sin(np.radians(first + np.arange(len(law))))
-    scale = np.polyval([*SCALE_POLYNOMIAL, 0.0], mu)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = law[:, LOWEST:, 1:] / (scale[:, None, None, None] * theory)
-    ratio[:, -1, :, 0] = ratio[:, -2, :, 0]  # Straight down nothing drags.
-    ratio *= depths[1:, None]
-    return first, step, np.concatenate([np.zeros_like(ratio[:, :, :1]), ratio], axis=2)
+    scale = np.polyval([*SCALE_POLYNOMIAL, 0.0], mu)[:, None, None]
+    lift = np.zeros(law.shape[:-1])
+    np.divide(law[..., 1], unit[..., 1], out=lift, where=unit[..., 1] > 0.0)
+    ratio = np.stack([proportion * lift, lift], axis=-1) * depths[:, None] / scale[..., None]
+    return first, step, ratio
+
+
+def _bounded_sums(shape: str, surface_friction: float, depths: FloatArray) -> FloatArray:
+    """Force over ξ R³ of a foot at l = 1, along the motion and up, [descent, depth, d/l, 2].
+
+    By resistive force theory with Coulomb's bound; the descents from :data:`LOWEST` on.
+    """
+    height, normal, area = foot_faces(shape)
+    levels, ring = np.unique(height, return_inverse=True)
+    submerged = np.maximum(depths[:, None] - levels, 0.0)
+    descents = DESCENTS[LOWEST:]
+    found = np.empty((descents.size, depths.size, PROPORTIONS.size, 2))
+    for i, turn in enumerate(descents.tolist()):
+        direction = np.broadcast_to([math.cos(turn), 0.0, -math.sin(turn)], normal.shape)
+        pushed = area[:, None] * unit_stress(normal, direction, surface_friction, fade=FADE)
+        for j, level in enumerate(PROPORTIONS.tolist()):
+            scaled = (pushed * [level, level, 1.0]).T
+            axes = list(zip(scaled, normal.T, direction.T, strict=True))
+            (x, *_), _, (z, *_) = _bounded(np, axes, surface_friction)
+            found[i, :, j] = submerged @ np.stack([np.bincount(ring, x), np.bincount(ring, z)]).T
+    return found
 
 
 @lru_cache(maxsize=8)
 def _foot_table(shape: str, surface_friction: float) -> tuple[float, float, FloatArray]:
     """As :func:`~terraphi.laws.foot.simulated_table`, with the moment over ρ g R⁴ as a third."""
     first, step, law = simulated_table(shape, surface_friction)
-    depths = step * np.arange(law.shape[2], dtype=np.float64)
-    theory = _theory(shape, surface_friction, depths)[..., 2]
-    rows = np.maximum(np.arange(len(DESCENTS)) - LOWEST, 0)
-    lift = _ratio_table(shape, surface_friction)[2][..., 1][:, rows] / np.maximum(depths, step)
-    mu = np.sin(np.radians(first + np.arange(len(law))))
-    moment = np.polyval([*SCALE_POLYNOMIAL, 0.0], mu)[:, None, None] * theory * lift
-    return first, step, np.concatenate([law, moment[..., None]], axis=-1)
+    places = np.indices(law.shape[1:3], dtype=np.float64) * [[[1.0]], [[step / DEPTHS[1]]]]
+    theory = interpolated(resistive_table(shape, surface_friction), *places)
+    # In the lift's proportion, below the lowest direction that was simulated in that one's.
+    rows = np.maximum(np.arange(len(DESCENTS)), SIMULATED)
+    lift = law[..., 1][:, rows] / np.maximum(theory[rows, :, 1], TINY)
+    return first, step, np.concatenate([law, (lift * theory[..., 2])[..., None]], axis=-1)
 
 
-def _theory(shape: str, surface_friction: float, depths: FloatArray) -> FloatArray:
-    """Force and moment of resistive force theory over ξ R³ and ξ R⁴, [descent, depth, 3]."""
-    rows = np.arange(len(DESCENTS), dtype=np.float64)
-    table = resistive_table(shape, surface_friction)
-    return interpolated(table, *np.meshgrid(rows, depths / DEPTHS[1], indexing="ij"))
+def _bounded(
+    xp: Any, axes: list[tuple[Any, Any, Any]], friction: float, mobilised: Any = None
+) -> list[tuple[Any, Any, Any]]:
+    """Forces on faces that take energy, with no more friction than Coulomb's.
+
+    Of each axis the force, the outward normal and the direction of motion, [face] each. No soil
+    pulls at a face, and friction is mobilised by a share of it.
+    """
+    axes = _against(xp, axes)
+    pressure = xp.clip(-sum(f * n for f, n, _ in axes), 0.0, None)
+    along = [f + pressure * n for f, n, _ in axes]
+    size = xp.sqrt(sum(t * t for t in along))
+    share = xp.clip(friction * pressure / xp.clip(size, TINY, None), None, 1.0)
+    share = share if mobilised is None else share * mobilised
+    return [(t * share - pressure * n, n, v) for t, (_, n, v) in zip(along, axes, strict=True)]
 
 
-def _against(xp: Any, forces: Any, direction: Any) -> Any:
-    """Forces without what would drive a motion, for soil takes energy; shape [..., 3].
+def _against(xp: Any, axes: list[tuple[Any, Any, Any]]) -> list[tuple[Any, Any, Any]]:
+    """Forces without what would drive a motion, for soil takes energy; of each axis as above.
 
     Resistive force theory has such a part on faces that rise at some 10°.
     """
-    return forces - xp.clip(xp.sum(forces * direction, axis=1), 0.0, None)[:, None] * direction
+    driving = xp.clip(sum(f * v for f, _, v in axes), 0.0, None)
+    return [(f - driving * v, n, v) for f, n, v in axes]
 
 
 def _norm(xp: Any, vectors: Any) -> Any:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.budget import CELLS
 from terraphi.experiment.errors import InputError, nearest, needing
-from terraphi.experiment.files import check_is_file, plain_number
+from terraphi.experiment.files import check_is_file, path_of, plain_number
 from terraphi.experiment.tables import read_cells
 from terraphi.inference.footfalls import FootfallMap
 from terraphi.terrain.simulators import LEAST_DEG
@@ -209,13 +209,14 @@ class Start(NamedTuple):
     bearing_deg: float
 
 
-def start_from(text: str) -> Start:
-    """Parse a start such as ``500012,4000034,90``; raises InputError."""
+def start_from(start: Start | str) -> Start:
+    """A start, also one such as ``500012,4000034,90``; raises InputError."""
     try:
-        x, y, bearing = (plain_number(part) for part in text.split(","))
-    except ValueError:
+        parts = start.split(",") if isinstance(start, str) else [str(part) for part in start]
+        x, y, bearing = (plain_number(part) for part in parts)
+    except (TypeError, ValueError):
         expected = "X,Y,BEARING in metres and degrees, as 500012,4000034,90"
-        raise InputError(f"start '{text}': expected {expected}") from None
+        raise InputError(f"start '{start!s:.60}': expected {expected}") from None
     return Start(x, y, bearing)
 
 
@@ -250,7 +251,8 @@ def read_points(
     """
     import rasterio
 
-    path = type(points).__name__ if isinstance(points, FootfallMap | pd.DataFrame) else Path(points)
+    given = isinstance(points, FootfallMap | pd.DataFrame)
+    path = type(points).__name__ if given else path_of("points", points)
     if isinstance(path, Path) and path.suffix == ".nc":
         points = FootfallMap.load(path)
     if isinstance(points, FootfallMap):
@@ -271,7 +273,7 @@ def read_points(
     usable = table[table["verdict"] == "usable"] if walk else table
     if len(usable) < FEWEST:
         raise InputError(f"{path}: {len(usable)} of {len(table)} points usable; needed: {FEWEST}")
-    found = usable[list(COLUMNS)].apply(pd.to_numeric, errors="coerce").astype(float)
+    found = usable[list(COLUMNS)].apply(_real)
     for name, (low, high) in COLUMNS.items():
         bad = ~found[name].between(low, high, inclusive="left")
         if bad.any():
@@ -299,6 +301,17 @@ def read_points(
         where = f"{path}, {level.isna().idxmax()}"
         raise InputError(f"{where}: {dem.source} has no elevation there, or in a cell next to it")
     return found, len(table) - len(found)
+
+
+def _real(column: pd.Series) -> pd.Series:
+    """A column as real numbers, NaN where it has others."""
+    try:
+        numeric = pd.to_numeric(column, errors="coerce")
+    except OverflowError:  # larger than a float
+        numeric = column
+    if numeric.dtype.kind in "Oc":
+        numeric = numeric.map(lambda value: value if isinstance(value, float) else np.nan)
+    return numeric.astype(float)
 
 
 def _csv(path: Path, dem: Elevation) -> pd.DataFrame:

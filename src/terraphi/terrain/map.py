@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from terraphi.experiment.arrays import seed_from
+from terraphi.experiment.arrays import count, seed_from
 from terraphi.experiment.errors import InputError
+from terraphi.experiment.files import path_of
 from terraphi.experiment.outputs import output_folder
 from terraphi.terrain import inputs, slopes
 from terraphi.terrain.field import Field, degrees_per_z, fit, tangent
@@ -42,6 +43,8 @@ FARTHEST = 0.25
 the map's longer side."""
 BEYOND = 0.1
 """Share of the points' range of a covariate by which a cell may lie outside."""
+MOST_DRAWS = 4096
+"""Joint draws at most."""
 BLOCK = 4096
 """Cells computed together; bounds the memory."""
 
@@ -203,17 +206,18 @@ def map_slopes(
         found.save("slopes")
     """
     began = time.perf_counter()
-    seed = seed_from(seed, rng)
-    start = inputs.start_from(start) if isinstance(start, str) else start
-    ground = inputs.read_elevation(Path(dem))
+    seed, draws = seed_from(seed, rng), count("draws", draws, 1, MOST_DRAWS)
+    start = None if start is None else inputs.start_from(start)
+    ground = inputs.read_elevation(path_of("dem", dem))
     known, left_out = inputs.read_points(points, ground, start)
     priors = slopes.priors_of([prior] if isinstance(prior, str) else prior)
     named, layer, wet = ["elevation", "slope"], [ground.height, ground.slope], None
     if covariate is not None:
-        named.append(Path(covariate).stem)
-        layer.append(inputs.read_layer(Path(covariate), ground, known))
+        path = path_of("covariate", covariate)
+        named.append(path.stem)
+        layer.append(inputs.read_layer(path, ground, known))
     if wetness is not None:
-        wet = inputs.read_layer(Path(wetness), ground, known)
+        wet = inputs.read_layer(path_of("wetness", wetness), ground, known)
         least, most = float(np.nanmin(wet)), float(np.nanmax(wet))
         if not 0.0 <= least <= most <= 1.0:
             raise InputError(f"{wetness}: values from {least:g} to {most:g}, expected 0 to 1")

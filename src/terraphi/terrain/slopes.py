@@ -70,6 +70,8 @@ def priors_of(given: Sequence[str]) -> dict[str, dict[str, Any]]:
         If a key is unknown, or a number cannot be read or is outside the bounds of the quantity.
     """
     found = {key: _prior(usual) for key, (_, _, usual) in QUANTITIES.items()}
+    if not isinstance(given, Sequence) or not all(isinstance(text, str) for text in given):
+        raise InputError("prior: give texts as 'wetness=0.3+-0.2'")
     for text in given:
         key, _, value = text.partition("=")
         if key not in QUANTITIES:

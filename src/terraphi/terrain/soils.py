@@ -8,14 +8,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, partialmethod
-from numbers import Integral, Real
+from numbers import Real
 from pathlib import Path
 from statistics import NormalDist
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.arrays import FloatArray, count, generator
 from terraphi.experiment.errors import GUESSED, InputError, nearest
 from terraphi.experiment.files import number_with_sd
 from terraphi.experiment.outputs import changed
@@ -160,16 +160,14 @@ class SoilDistribution:
         InputError
             If ``n`` is no count, or the answer's file has no draws.
         """
-        whole = isinstance(cast("object", n), Integral) and not isinstance(n, bool)
-        if not (whole and 0 <= n <= MOST_DRAWS):
-            raise InputError(f"draws = {n!r}; 0 to {MOST_DRAWS} are accepted")
+        n = count("draws", n, 0, MOST_DRAWS)
         if n == 0:
             return Draws(np.empty(0), np.empty(0))
-        rng = np.random.default_rng(rng)
+        rng = generator(rng)
         there = self.phi_values[np.isfinite(self.phi_values)]
-        phi = rng.choice(there, int(n), replace=n > there.size)
+        phi = rng.choice(there, n, replace=n > there.size)
         apart = (phi - there.mean()) / max(float(there.std()), 1e-9)
-        own = np.sqrt(1.0 - self.correlation**2) * rng.standard_normal(int(n))
+        own = np.sqrt(1.0 - self.correlation**2) * rng.standard_normal(n)
         density = self.density + self.density_sd * (self.correlation * apart + own)
         return Draws(phi, np.maximum(density, LEAST_DENSITY * self.density))
 
