@@ -480,6 +480,7 @@ def test_a_wrong_argument_is_refused(changes: dict[str, Any], words: str) -> Non
         ({"normals": np.zeros((1, 3))}, r"normals: length\[0\] = 0"),
         ({"normals": -2.0 * np.eye(3)[2:]}, r"normals: length\[0\] = 2"),
         ({"phi_deg": -5.0, "law": "rft"}, "phi_deg = -5"),
+        ({"surface_friction": -1.0, "law": "rft"}, "surface_friction = -1"),
         ({"mobilisation": 0.01}, "sheared"),
     ],
 )
