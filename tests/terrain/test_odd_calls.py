@@ -78,7 +78,7 @@ CALLS: dict[str, tuple[Any, dict[str, Any]]] = {
 }  # fmt: skip
 """Functions, and arguments that are right."""
 FILES = ("points", "dem", "wetness", "covariate")
-NAMES = {"what": "soil|phi", "n": "draws", "x_m": "x_m|outside",
+NAMES = {"what": "soil|phi", "n": "draws", "x_m": "x_m|outside", "y_m": "y_m|outside",
          **{name: f"{name}|no such file" for name in FILES}}  # fmt: skip
 """What a sentence calls an argument, if not by its name."""
 

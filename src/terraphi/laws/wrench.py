@@ -610,8 +610,7 @@ def _sum_of_faces(
         some = np.flatnonzero(leading > 0.0)
         n, v, arm, direction = n[some], v[some], arm[some], direction[some]
         owner, depth, area, speed = owner[some], depth[some], area[some], speed[some]
-        leading = leading[some]
-        mobilised = None if mobilised is None else mobilised[some]
+        leading, mobilised = leading[some], None if mobilised is None else mobilised[some]
     mu = xp.sin(math.pi / 180.0 * phi_deg)  # tan φ_rft = sin φ
     cubic, square, linear = SCALE_POLYNOMIAL
     stress = density * GRAVITY * mu * (linear + mu * (square + mu * cubic))
@@ -625,8 +624,7 @@ def _sum_of_faces(
         drag, lift = _ratios(
             base, normal, mean, deepest, descent, phi_deg, surface_friction=surface_friction,
         )  # fmt: skip
-        along = spread(drag)
-        scales = along, along, spread(lift)
+        scales = *[spread(drag)] * 2, spread(lift)
         axes = [(f * scale, *rest) for (f, *rest), scale in zip(axes, scales, strict=True)]
     if law == "foot" or mobilised is not None:
         axes = _bounded(xp, axes, surface_friction, mobilised)
