@@ -167,7 +167,7 @@ def test_known_soils_narrow_and_shift() -> None:
     def with_soils(count: int, apart: float) -> Calibration:
         soils = [
             CalibrationSoil(
-                source="x", leg="straight", phi_deg=phi, phi_sd_deg=1.0,
+                source="x", soil=f"{phi}", leg="straight", phi_deg=phi, phi_sd_deg=1.0,
                 read_deg=phi + apart, read_sd_deg=1.0,
             )
             for phi in 21.5 + 0.01 * np.arange(count)
@@ -216,9 +216,9 @@ def test_calibration_is_the_posterior_of_its_normal_model() -> None:
     error = ModelError(offset_deg=1.0, common_sd_deg=3.0, soil_sd_deg=2.0, leg_sd_deg=1.2)
     soil = {"source": "x", "phi_sd_deg": 1.5, "read_sd_deg": 0.5}
     soils = [
-        CalibrationSoil(leg="c", rig="c", phi_deg=30.0, read_deg=33.0, **soil),
-        CalibrationSoil(leg="c", rig="c", phi_deg=25.0, read_deg=29.5, **soil),
-        CalibrationSoil(leg="straight", rig="s", phi_deg=25.0, read_deg=28.5, **soil),
+        CalibrationSoil(soil="A", leg="c", rig="c", phi_deg=30.0, read_deg=33.0, **soil),
+        CalibrationSoil(soil="B", leg="c", rig="c", phi_deg=25.0, read_deg=29.5, **soil),
+        CalibrationSoil(soil="B", leg="straight", rig="s", phi_deg=25.0, read_deg=28.5, **soil),
     ]
     known = Calibration(library="x", library_hash="", soils=soils)
     mean, sd = known.common(error, "c", "c", np.array(30.0))

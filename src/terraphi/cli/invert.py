@@ -107,14 +107,15 @@ def tabulate(
 @click.command()
 @click.argument("forces", nargs=-1, required=True, metavar="FORCES...")
 @click.option("--phi", required=True, metavar="MEAN±SD", help="Known friction angle [deg].")
+@click.option("--soil", default="", metavar="NAME", help="Its name, to join several soils.")
 @record_options
 @click.option("--out", type=PATH, required=True, help="TOML file for 'invert --calibration'.")
 @json_option
 def calibrate(forces: tuple[str, ...], phi: str, out: Path, as_json: bool, **options: Any) -> None:
     """Learn the offset of your apparatus from soils of known angle.
 
-    FORCES were measured in a soil of angle --phi, in the convention of the law (plane strain for
-    legs). 'invert --calibration FILE' then gives narrower intervals.
+    FORCES, repeats, were measured in one soil of angle --phi, in the convention of the law (plane
+    strain for legs). 'invert --calibration FILE' then gives narrower intervals.
 
     Example: terraphi calibrate li2013:poppy_loose/straight --phi 36±2 --out poppy.toml
     """
@@ -137,8 +138,10 @@ def calibrate(forces: tuple[str, ...], phi: str, out: Path, as_json: bool, **opt
         for one in found.soils
     ]
     header = ("soil", "leg", "known φ [deg]", f"by {found.library} [deg]")
-    data = {"file": str(out), **found.model_dump(mode="json")}
-    present(data, Table("", header, rows), f"Written: {out}", as_json=as_json)
+    warnings = list(found.warnings())
+    data = {"file": str(out), **found.model_dump(mode="json"), "warnings": warnings}
+    lines = [*(f"Warning: {one}" for one in warnings), f"Written: {out}"]
+    present(data, Table("", header, rows), *lines, as_json=as_json)
 
 
 @click.command()

@@ -303,6 +303,7 @@ def warnings(
         soils = likelihood.calibration.soils
         known = ", ".join(f"{one.source} ({one.phi_deg:g} ± {one.phi_sd_deg:g}°)" for one in soils)
         yield f"Calibrated by {known}; what is a soil's own part of its difference stays."
+        yield from likelihood.calibration.warnings()
     yield from guesses(likelihood)
     if law.caveat:
         yield f"Law {law.name}: {law.caveat}"

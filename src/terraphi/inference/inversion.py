@@ -292,6 +292,7 @@ def calibrate(
     phi_deg: float,
     phi_sd_deg: float,
     *,
+    soil: str = "",
     law: Library | Legs | Path | str | None = None,
     leg: str | None = None,
     rig: Any = None,
@@ -309,6 +310,8 @@ def calibrate(
         As of :func:`invert`; the records of a list are of one soil.
     phi_deg, phi_sd_deg
         Friction angle in the library's convention and its standard deviation [deg].
+    soil
+        Name of the soil, by which calibrations of several soils, or of several days, are joined.
     law, leg, rig, density, grain_size_mm, columns, noise, gain
         As of :func:`invert`.
 
@@ -360,9 +363,9 @@ def calibrate(
             )
         soils.append(
             CalibrationSoil(
-                source=record.source, leg=record.leg, rig=rig_name(record.rig), phi_deg=phi_deg,
-                phi_sd_deg=phi_sd_deg, read_deg=read, read_sd_deg=sd, rig_sd_deg=rig_sd,
-                gain=record.gain,
+                source=record.source, soil=soil, leg=record.leg, rig=rig_name(record.rig),
+                phi_deg=phi_deg, phi_sd_deg=phi_sd_deg, read_deg=read, read_sd_deg=sd,
+                rig_sd_deg=rig_sd, gain=record.gain,
             )
         )  # fmt: skip
     return Calibration(library=found.name, library_hash=found.hash, soils=soils)

@@ -1,0 +1,98 @@
+"""Repeats of a soil of known angle: properties that no calibration may lack."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from terraphi.inference.calibration import BED_SD_DEG, Calibration, CalibrationSoil
+from terraphi.laws.law import ModelError
+
+ERROR = ModelError(
+    common_sd_deg=1.5, soil_sd_deg=0.7, leg_sd_deg=1.2, covariance=((0.7, 0.0), (0.0, 0.01))
+)
+READ = st.floats(22.0, 34.0)
+SD = st.floats(0.0, 3.0)
+
+
+def in_one_soil(reads: Sequence[float], sds: Sequence[float], rig_sds: Sequence[float],
+                phi_sd: float = 1.0) -> Calibration:  # fmt: skip
+    """Repeats in a soil of 28°."""
+    soils = [
+        CalibrationSoil(
+            source="x", soil="sand", leg="c", rig="mine", phi_deg=28.0, phi_sd_deg=phi_sd,
+            read_deg=read, read_sd_deg=sd, rig_sd_deg=rig_sd,
+        )
+        for read, sd, rig_sd in zip(reads, sds, rig_sds, strict=True)
+    ]  # fmt: skip
+    return Calibration(library="x", library_hash="", soils=soils)
+
+
+def correction(known: Calibration) -> tuple[float, float]:
+    """Mean and standard deviation of what the calibration takes off at 28° [deg]."""
+    mean, sd = known.common(ERROR, "c", "mine", np.array(28.0))
+    return float(mean), float(sd)
+
+
+@given(read=st.floats(25.0, 31.0), sd=SD, rig_sd=SD, data=st.data())
+def test_copies_of_a_record_calibrate_as_it_does(
+    read: float, sd: float, rig_sd: float, data: st.DataObject
+) -> None:
+    """Their standard deviations are within 1 %, their readings within 0.05°."""
+    n = data.draw(st.integers(2, 10))
+    like = st.lists(st.floats(-1.0, 1.0), min_size=n, max_size=n)
+    off, factor, other = (np.array(data.draw(like)) for _ in range(3))
+    once, sd_once = correction(in_one_soil([read], [sd], [rig_sd]))
+    copies = in_one_soil(read + 0.05 * off, sd * (1 + 0.01 * factor), rig_sd * (1 + 0.01 * other))
+    mean, sd_of_all = correction(copies)
+    assert abs(mean - once) < 0.1 + 0.05
+    # Rig's errors that differ by 1 % are the prior's, too.
+    assert sd_of_all < 1.01 * sd_once + 1e-9
+
+
+@given(data=st.data(), more=st.floats(0.0, 3.0))
+def test_a_repeat_that_reads_more_takes_off_more(data: st.DataObject, more: float) -> None:
+    n = data.draw(st.integers(1, 5))
+    reads, sds, rig_sds = (
+        data.draw(st.lists(kind, min_size=n, max_size=n)) for kind in (READ, SD, SD)
+    )
+    raised = [*reads[:-1], reads[-1] + more]
+    lower, higher = (correction(in_one_soil(one, sds, rig_sds))[0] for one in (reads, raised))
+    assert higher >= lower - 1e-6
+
+
+@given(data=st.data(), phi_sd=SD)
+def test_repeats_are_worth_no_more_than_a_soil_without_error(
+    data: st.DataObject, phi_sd: float
+) -> None:
+    """Its angle is exact, and its beds all alike: what is left is the soil's and the leg's own."""
+    n = data.draw(st.integers(1, 50))
+    reads, sds, rig_sds = (
+        data.draw(st.lists(kind, min_size=n, max_size=n)) for kind in (READ, SD, SD)
+    )
+    _, sd = correction(in_one_soil(reads, sds, rig_sds, phi_sd))
+    at = float(np.mean(reads))
+    line = np.array([[1.0, 28.0 - 27.0], [1.0, at - 27.0]]) @ np.sqrt(ERROR.covariance)
+    shared = ERROR.common_sd_deg**2 + np.mean(np.square(rig_sds)) + line @ line.T
+    own = ERROR.soil_sd_deg**2 + ERROR.leg_sd_deg**2 - BED_SD_DEG**2
+    least = shared[0, 0] - shared[0, 1] ** 2 / (shared[1, 1] + own)
+    assert least - 1e-4 <= sd**2 <= shared[0, 0] + 1e-9
+
+
+def test_soils_are_told_apart_by_name_and_repeats_that_disagree_are_named() -> None:
+    """Two soils of equal angles count twice; beds that differ by 5° are no repeats."""
+    one = in_one_soil([30.0, 30.0], [1.0, 1.0], [0.0, 0.0])
+    named = [
+        soil.model_copy(update={"soil": name}) for soil, name in zip(one.soils, "ab", strict=True)
+    ]
+    two = Calibration(library="x", library_hash="", soils=named)
+    assert correction(two)[1] < correction(one)[1] - 0.05
+    assert not [*one.warnings(), *two.warnings()]
+    assert [*in_one_soil([30.0, 25.0, 30.0], [1.0] * 3, [0.0] * 3).warnings()]
+    with pytest.raises(ValueError, match="one angle"):
+        Calibration(library="x", library_hash="", soils=[
+            one.soils[0], one.soils[1].model_copy(update={"phi_deg": 30.0})])  # fmt: skip
