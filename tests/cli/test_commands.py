@@ -287,13 +287,28 @@ def test_the_raw_file_of_a_lab_is_one_command(terraphi: Terraphi, tmp_path: Path
 
 
 def test_a_calibration_narrows_the_interval(terraphi: Terraphi) -> None:
-    known = ("calibrate", MEASURED, "--phi", "36±1", "--out", "c.toml", "--json")
+    known = ("calibrate", MEASURED, "--phi", "36±1", "--soil", "seeds", "--out", "c.toml", "--json")
     soil = json.loads(terraphi(*known).out)["soils"][0]
-    assert (soil["phi_deg"], soil["phi_sd_deg"]) == (36.0, 1.0)
+    assert (soil["soil"], soil["phi_deg"], soil["phi_sd_deg"]) == ("seeds", 36.0, 1.0)
     before = json.loads(terraphi("invert", "li2013:yuma/c", "--json").out)["phi_deg"]
     calibrated = ("invert", "li2013:yuma/c", "--calibration", "c.toml", "--json")
     after = json.loads(terraphi(*calibrated).out)["phi_deg"]
     assert after["sd"] < before["sd"]
+
+
+def test_ten_lines_state_half_and_twice_the_force(terraphi: Terraphi) -> None:
+    """Of two rigs as well, between what each states."""
+    legs = ("li2013:yuma/c", "li2013:yuma/straight")
+    of_c, of_straight, of_both = (
+        json.loads(terraphi("invert", *forces, "--json").out)["phi_of_force_deg"]
+        for forces in (legs[:1], legs[1:], legs)
+    )
+    for key, angle in of_both.items():
+        low, high = sorted((of_c[key], of_straight[key]))
+        assert low <= angle <= high
+    lines = terraphi("invert", *legs).out.splitlines()[:10]
+    sentence = f"Half the force: {of_both['half']:.0f}°; twice: {of_both['twice']:.0f}°."
+    assert any(sentence in line for line in lines)
 
 
 @pytest.mark.parametrize("leg", ["straight", "c"])

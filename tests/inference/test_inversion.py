@@ -233,6 +233,43 @@ def test_half_and_twice_the_density_of_sand_are_noticed(factor: float) -> None:
         assert answer.verdict != "consistent" or any("density" in q for q in answer.warnings)
 
 
+@pytest.mark.parametrize("name", ["yuma/straight", "glass03_close/c", "poppy_loose/reversed_c"])
+def test_an_answer_states_what_half_and_twice_the_force_would_read(name: str) -> None:
+    """As these forces are read; unless both density and gain have a standard deviation."""
+    known = measurement(f"li2013:{name}")
+    assert known.density_kg_m3 is not None
+    given = {"rig": known.rig, "density": f"{known.density_kg_m3}±30"}
+    stated = invert(replace(known.history, provenance={}), **given).phi_of_force_deg
+    assert stated is not None
+    for key, factor in (("half", 0.5), ("twice", 2.0)):
+        forces = replace(known.history.scaled(factor), provenance={})
+        answer = invert(forces, **given, gain="1±0.01")
+        assert answer.phi_of_force_deg is None
+        assert stated[key] == pytest.approx(answer.phi.median, abs=1.3)
+
+
+@pytest.mark.parametrize("higher", [-7.0, 0.0, 7.0])
+def test_a_hip_that_the_forces_contradict_is_named(higher: float) -> None:
+    """Forces of the law itself, by a hip of 27 mm, read with another height."""
+    rig = Rig.of("li2013", "straight")
+    true = shipped_legs().forces(rig.model_copy(update={"hip_height_mm": 27.0}), 30.0)
+    table = true.forces.isel(phi_deg=0).to_series().unstack("force").reset_index()
+    table.columns = ["theta_deg", "Fx_N", "Fz_N"]
+    given = rig.model_copy(update={"hip_height_mm": 27.0 - higher})
+    named = [q for q in invert(table, rig=given, density=1650).warnings if "A hip" in q]
+    assert len(named) == (higher != 0.0)
+    assert all(("higher" if higher > 0.0 else "lower") in sentence for sentence in named)
+
+
+def test_the_hip_of_measured_records_is_not_doubted_and_a_wrong_one_is() -> None:
+    known = measurement("li2013:poppy_loose/straight")
+    rig = Rig.of(known.rig, "straight")
+    for hip, count in ((20.0, 0), (12.0, 1)):
+        given = rig.model_copy(update={"hip_height_mm": hip})
+        answer = invert(replace(known.history, provenance={}), rig=given, density=638)
+        assert sum("A hip" in sentence for sentence in answer.warnings) == count
+
+
 def test_many_keeps_the_order_and_the_errors() -> None:
     rows = [{"forces": "li2013:yuma/straight"}, {"forces": "nowhere.csv"}]
     answer, error = invert_many(rows)

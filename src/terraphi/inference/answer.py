@@ -226,6 +226,9 @@ class AnswerSummary:
         Standard deviation of φ by term of the likelihood, the largest first [deg].
     phi_peak
         Peak angle of dense soil [deg], where its critical angle was given; ``None`` if it is loose.
+    phi_of_force_deg
+        φ that ``half`` and ``twice`` the force would be read as [deg], where density and gain were
+        not both given with a standard deviation; ``None`` outside the law's range.
     second_opinion
         Library, median and standard deviation of the answer by other physics, or ``None``.
     parameters
@@ -253,6 +256,7 @@ class AnswerSummary:
     seed: int | None = None
     cohesion_pa: Annotated[float, Field(ge=0.0, lt=1e9)] | None = None
     phi_peak: Estimate | None = None
+    phi_of_force_deg: Mapping[str, float | None] | None = None
     budget_deg: Mapping[str, float] = field(default_factory=dict)
     second_opinion: Annotated[Mapping[str, Any], AfterValidator(_opinion)] | None = None
     diagnostics: Mapping[str, Mapping[str, float]] = field(default_factory=dict)

@@ -129,6 +129,15 @@ def combined(answers: Sequence[Answer]) -> Answer:
     # Curves of φ alone, other parameters at their medians; each answer's errors are its own.
     records, ends = [], np.cumsum([0, *(len(one.covariance) for one in answers)])
     joint = np.zeros((ends[-1], ends[-1]))
+    scaled = None
+    if all(one.phi_of_force_deg for one in answers):
+        columns = {
+            key: [(one.phi_of_force_deg or {})[key] for one in answers] for key in ("half", "twice")
+        }
+        scaled = {
+            key: None if None in each else float(weight @ np.array(each, float))
+            for key, each in columns.items()
+        }
     for one, start, end in zip(answers, ends[:-1], ends[1:], strict=True):
         joint[start:end, start:end] = one.covariance
         at = [1.0, *(0.0 if k == PHI else p.median for k, p in one.parameters.items())]
@@ -146,6 +155,7 @@ def combined(answers: Sequence[Answer]) -> Answer:
         law=", ".join(dict.fromkeys(one.law for one in answers)),
         law_reason=first.law_reason if one_law.all() else "",
         second_opinion=None,
+        phi_of_force_deg=scaled,
         leg_friction=first.leg_friction if len(frictions) == 1 else None,
         cohesion_pa=first.cohesion_pa if len(cohesions) == 1 else None,
         budget_deg=dict(sorted(budget.items(), key=lambda term: -term[1])),

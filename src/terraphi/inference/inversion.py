@@ -458,6 +458,7 @@ def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Ans
         density_kg_m3=density_kg_m3,
         density_sd_kg_m3=UNKNOWN_DENSITY * density_kg_m3 if unknown else first.density_sd_kg_m3,
         density_assumed=unknown or first.density_assumed,
+        phi_of_force_deg=_phi_of_force(likelihood) if verdict == "consistent" else None,
         law=library.name,
         law_reason=reason,
         second_opinion=second,
@@ -482,6 +483,14 @@ def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Ans
                if likelihood.calibration else {}),
         },
     )  # fmt: skip
+
+
+def _phi_of_force(likelihood: Likelihood) -> dict[str, float | None] | None:
+    """Angles by half and by twice the force, unless its scale was measured."""
+    given = all(record.scale_given for record in likelihood.records)
+    if given or not likelihood.measured or likelihood.keys != (PHI,):
+        return None
+    return dict(zip(("half", "twice"), likelihood.at_scaled_forces([0.5, 2.0]), strict=True))
 
 
 def _fits(

@@ -101,6 +101,9 @@ COHESIONS = np.array([0.0, 0.025, 0.05, 0.0875, 0.125, 0.175, 0.25, 0.35, 0.475,
 FINE, EVENLY = 400, 0.03
 """How many cohesions are averaged over, evenly along ln(1 + c / (0.03 ρ g L)), along which residual
 and angle change evenly."""
+EACH_COHESION, COARSE = 3, 13
+"""Each third cohesion and so many angles are read where forces are scaled: within 1.2° of a fit to
+such forces in the shipped records, in a thirtieth of an answer's time."""
 COHESION_PA, COHESION_DEGREES = 40.0, 3
 """Scale of the cohesion beforehand [Pa], and degrees of freedom of its half t distribution; chosen:
 grains of 4 to 9 mm act like some tens, a little moisture gives sand hundreds. With 25 to 60 Pa and
@@ -517,15 +520,30 @@ class Likelihood:
         known = self._cohesions
         if len(known) == 1:
             return Cohesion(float(known[0]), 0.0, 0.0)
-        unit = float(np.mean(self._per_pascal))
-        along = np.log1p(known * unit / EVENLY)
-        fine = np.linspace(0.0, along[-1], FINE)
-        c = EVENLY * np.expm1(fine)
+        along, fine = self._even_steps(known)
         i = np.clip(np.searchsorted(along, fine, "right") - 1, 0, len(along) - 2)
         share = ((fine - along[i]) / (along[i + 1] - along[i]))[:, None]
         # The residual changes more evenly than its square, which may be near zero between two.
         apart = np.array([best.residual[0] for best in self._along]) / self.span
         squares = np.square((1.0 - share) * apart[i] + share * apart[i + 1])
+        c, weight = self._likely_cohesions(fine, squares.mean(axis=1))
+        mean = float(weight @ c)
+        phi = np.interp(fine, along, [best.x[0, self._phi or 0] for best in self._along])
+        there = np.interp(np.log1p(mean / EVENLY), fine, phi)
+        sd, phi_sd = (math.sqrt(float(weight @ np.square(x))) for x in (c - mean, phi - there))
+        unit = float(np.mean(self._per_pascal))
+        return Cohesion(mean / unit, sd / unit, phi_sd)
+
+    def _even_steps(self, cohesions: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Cohesions [Pa] along the axis that is averaged over, and even steps from end to end."""
+        along = np.log1p(cohesions * np.mean(self._per_pascal) / EVENLY)
+        return along, np.linspace(0.0, along[-1], FINE)
+
+    def _likely_cohesions(
+        self, fine: FloatArray, squares: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Cohesions c / (ρ g L) and p(c | d), by the mean squared residual at each step."""
+        c, unit = EVENLY * np.expm1(fine), float(np.mean(self._per_pascal))
         # Repeats are not more sure: of one leg in one soil the law is wrong alike.
         windows = set()
         for record in self.records:
@@ -534,17 +552,81 @@ class Likelihood:
             inside = places[(low <= places) & (places <= high)].tolist()
             # Of Fx, Fz and the moment two give the third.
             windows |= {*itertools.product(record.channels[:2], inside)}
-        logs = len(windows) / WINDOWS_ALIKE * np.log(squares.mean(axis=1) + RIDGE**2)
+        logs = len(windows) / WINDOWS_ALIKE * np.log(squares + RIDGE**2)
         tail = np.log1p(np.square(c / (COHESION_PA * unit)) / COHESION_DEGREES)
         # The last term is dc over a step along the logarithm.
         log = -0.5 * logs - 0.5 * (COHESION_DEGREES + 1) * tail + np.log(c + EVENLY)
         weight = np.exp(log - log.max())
-        weight /= weight.sum()
-        mean = float(weight @ c)
-        phi = np.interp(fine, along, [best.x[0, self._phi or 0] for best in self._along])
-        there = np.interp(np.log1p(mean / EVENLY), fine, phi)
-        sd, phi_sd = (math.sqrt(float(weight @ np.square(x))) for x in (c - mean, phi - there))
-        return Cohesion(mean / unit, sd / unit, phi_sd)
+        return c, weight / weight.sum()
+
+    def hip_error(self, i: int) -> tuple[float, float, float] | None:
+        """Height of the hip that fits the i-th record best less the given one, to first order.
+
+        φ, the shift of the leg angle and the cohesion, of which none is below 0, are free as well.
+        Returned are its mean and standard deviation [mm], by a residual of which one in
+        :data:`WINDOWS_ALIKE` windows is independent, and the residual with it, the root mean square
+        over the ranges of both forces [-]. ``None`` where the law has no other hips.
+        """
+        record, law, part, x = self.records[i], self.laws[i], self.parts[i], self.least_squares
+        number = self.cohesion * float(self._per_pascal[i])
+        slope = law.of_hip(self._read(record, x)[None], number)
+        if slope is None or self.cohesion == 0.0:
+            return None
+        force = self._ratio[i] * slope.T.reshape(1, 2, -1)
+        of_hip = window_means(record, force, law, self.shift_deg[i])[0]
+        curve, damp, dry = (
+            self.curves(x[None], cohesion=f * self.cohesion)[0] for f in (1, 1.3, 0.7)
+        )
+        of_cohesion = (damp - dry)[part] / (0.6 * self.cohesion)
+        fitted = self._best.slope[0, part][:, [*range(len(x)), len(x) + i]]
+        columns = np.column_stack([fitted, of_hip, of_cohesion]) / self.span[part, None]
+        residuals = (self.data - curve)[part] / self.span[part]
+        solution = np.linalg.lstsq(columns, residuals, rcond=None)[0]
+        if solution[-1] < -self.cohesion:
+            residuals, columns = residuals + self.cohesion * columns[:, -1], columns[:, :-1]
+            solution = np.linalg.lstsq(columns, residuals, rcond=None)[0]
+        size = float(np.sqrt(np.square(residuals - columns @ solution).mean()))
+        hip = len(x) + 1
+        variance = WINDOWS_ALIKE * size**2 * np.linalg.pinv(columns.T @ columns)[hip, hip]
+        return float(solution[hip]), math.sqrt(variance), size
+
+    def at_scaled_forces(self, factors: Sequence[float]) -> list[float | None]:
+        """Angles as which forces larger by factors would be read [deg]; ``None`` outside the law.
+
+        On a coarse grid of angles and cohesions, at the shift of the forces as they are; what the
+        grid reads these wrong by is taken off.
+        """
+        cohesions, (low, high) = self._cohesions[::EACH_COHESION], np.ravel(self.ends)
+        phi, fine_phi = np.linspace(low, high, COARSE), np.linspace(low, high, FINE)
+        forces = [self._forces(phi[:, None], cohesion) for cohesion in cohesions.tolist()]
+        of_records = [np.concatenate(each) for each in zip(*forces, strict=True)]
+        unit = (self._means(of_records, self.shift_deg) / self.span).reshape(
+            -1, COARSE, len(self.data)
+        )
+        data = self.data / self.span
+        # Over φ the logarithm of the size changes evenly, and so does the likeness of the shape.
+        size = np.linalg.norm(unit, axis=2)
+        size, likeness = (
+            np.array([np.interp(fine_phi, phi, row) for row in rows])
+            for rows in (np.log(size), unit @ data / size)
+        )
+        read = []
+        for factor in (1.0, *factors):
+            scaled = np.exp(size) / factor
+            squares = (data @ data - 2.0 * scaled * likeness + scaled**2) / len(data)
+            best, angle = squares.min(axis=1), fine_phi[squares.argmin(axis=1)]
+            if len(cohesions) > 1:
+                along, fine = self._even_steps(cohesions)
+                c, weight = self._likely_cohesions(fine, np.interp(fine, along, np.sqrt(best)) ** 2)
+                angle = np.interp(np.log1p(weight @ c / EVENLY), along, angle)
+            read.append(float(np.squeeze(angle)))
+        angles = [float(self.least_squares[0]) + angle - read[0] for angle in read[1:]]
+        first = self.records[0]
+        law_angles = [phi + float(self.offset(first, np.array(phi))) for phi in angles]
+        return [
+            angle if self.low[0] <= law_angle <= self.high[0] else None
+            for angle, law_angle in zip(angles, law_angles, strict=True)
+        ]
 
     @property
     def ends(self) -> tuple[FloatArray, FloatArray]:

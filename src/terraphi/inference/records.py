@@ -91,6 +91,8 @@ class Record:
         Mean diameter of the grains [mm]; 0 of sand.
     gain, gain_sd
         What the forces were divided by, and its relative standard deviation [-].
+    scale_given
+        Whether density and gain both came with a standard deviation.
     """
 
     source: str
@@ -109,6 +111,7 @@ class Record:
     resolution: tuple[float, ...] = (0.0, 0.0)
     gain: float = 1.0
     gain_sd: float = 0.0
+    scale_given: bool = False
     grain_size_mm: float = 0.0
 
     @property
@@ -400,6 +403,7 @@ def record_of(
         factor, gain_sd = with_sd(
             f"{known.name}: gain", gain, "it as 1.05 or 1.05±0.01", (0.1, 10.0)
         )
+    scale_given = gain_sd is not None and number_with_sd(str(stated))[1] is not None
     gain_sd = GAIN_SD if gain_sd is None else gain_sd / factor
     if factor != 1.0:
         history = history.scaled(1.0 / factor)
@@ -438,6 +442,7 @@ def record_of(
         resolution=tuple(steps.tolist()),
         gain=factor,
         gain_sd=gain_sd,
+        scale_given=scale_given,
         grain_size_mm=grains,
     )
 

@@ -105,6 +105,10 @@ class LegLaw(ABC):
     def modes(self, x: FloatArray, cohesion: float) -> dict[str, FloatArray]:
         """What else is uncertain at a point [N], by cause: factors [2 theta, k]."""
 
+    def of_hip(self, _x: FloatArray, _cohesion: float) -> FloatArray | None:
+        """Change of the forces with the hip's height at a point [N/mm], shape [2 theta, 1]."""
+        return None
+
     def __call__(self, x: FloatArray, cohesion: float = 0.0) -> FloatArray:
         """Forces (Fx, Fz) [N], [k, key] -> [k, 2, theta]; linear in φ beyond its ends.
 

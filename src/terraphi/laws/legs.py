@@ -439,16 +439,28 @@ class RatioLaw(LegLaw):
         flat = factor.reshape(len(factor), -1)
         return np.asarray(flat.T @ flat)
 
+    def slope(self, x: FloatArray, cohesion: float, cause: str) -> FloatArray:
+        """Change of the forces with ``rougher`` or ``higher`` of a rig, shape [2 theta, 1]."""
+        steps = {
+            "rougher": (-0.05, 0.05),
+            "higher": (-min(0.02, self._rig.ratios.hip_height), 0.02),
+        }
+        below, above = steps[cause]
+        phi = np.clip(x, *self.bounds)
+        ends = [self._forces(phi, cohesion, **{cause: step}) for step in (below, above)]
+        return np.asarray((ends[1] - ends[0]).reshape(-1, 1) / (above - below))
+
+    def of_hip(self, x: FloatArray, cohesion: float) -> FloatArray:
+        """Change of the forces with the height of the hip [N/mm], shape [2 theta, 1]."""
+        return self.slope(x, cohesion, "higher") / self._rig.length_mm
+
     def modes(self, x: FloatArray, cohesion: float) -> dict[str, FloatArray]:
         """One standard deviation of the leg's friction, and of the hip's height."""
-        rig, phi = self._rig, np.clip(x, *self.bounds)
-        sd = {"rougher": rig.leg_friction_sd, "higher": rig.hip_height_sd_mm / rig.length_mm}
-        steps = {"rougher": (-0.05, 0.05), "higher": (-min(0.02, rig.ratios.hip_height), 0.02)}
-        modes = {}
-        for key, (below, above) in steps.items():
-            ends = [self._forces(phi, cohesion, **{key: step}) for step in (below, above)]
-            modes[key] = sd[key] / (above - below) * (ends[1] - ends[0]).reshape(-1, 1)
-        return {"leg friction": modes["rougher"], "hip height": modes["higher"]}
+        rig = self._rig
+        return {
+            "leg friction": rig.leg_friction_sd * self.slope(x, cohesion, "rougher"),
+            "hip height": rig.hip_height_sd_mm * self.of_hip(x, cohesion),
+        }
 
 
 def cells_in(scenario: Scenario | None, rig: Rig) -> float:

@@ -77,6 +77,12 @@ def in_words(answer: Answer) -> list[str]:
         size = other.get("force_size_deg")
         size = "" if size is None else f"; size of the forces alone {size:.0f}°"
         lines.append(f"  Second opinion: {other['law']} {other['median']:.0f}°{where}{size}.")
+    if answer.phi_of_force_deg is not None:
+        half, twice = (
+            "out of range" if angle is None else f"{angle:.0f}°"
+            for angle in map(answer.phi_of_force_deg.get, ("half", "twice"))
+        )
+        lines.append(f"  Half the force: {half}; twice: {twice}. Hang a known weight on the leg.")
     guesses = [sentence for sentence in answer.warnings if GUESSED in sentence]
     warnings = [sentence for sentence in answer.warnings if sentence not in guesses]
     lines += [f"  Warning: {sentence}" for sentence in warnings]
