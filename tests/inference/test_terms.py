@@ -42,8 +42,10 @@ GRAINS = Path(__file__).parents[2] / "studies" / "data" / "grains"
 
 
 def quantiles(rng: np.random.Generator, count: int = 1) -> np.ndarray:
-    """Standard normal numbers [draw, count] whose columns have a variance of 1."""
-    return np.stack([rng.permutation(QUANTILES) for _ in range(count)], axis=1) / QUANTILES.std()
+    """Standard normal numbers [draw, count], uncorrelated and with a variance of 1 as they are."""
+    draws = np.stack([rng.permutation(QUANTILES) for _ in range(count)], axis=1)
+    lower = np.linalg.cholesky(np.atleast_2d(np.cov(draws.T, bias=True)))
+    return draws @ np.linalg.inv(lower).T
 
 
 class Legs:
