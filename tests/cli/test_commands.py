@@ -468,6 +468,17 @@ def test_codes_in_names_do_not_reach_the_terminal(terraphi: Terraphi, tmp_path: 
     assert json.loads(out)["source"] == "a\x7f\x9bb.nc"
 
 
+def test_a_file_name_that_is_not_utf8_is_escaped_in_results(terraphi: Terraphi) -> None:
+    name, escaped = "a\udcff.csv", "a\\udcff.csv"
+    package.measurement(MEASURED).history.to_csv(name)
+    forces = (name, "--rig", "li2013", "--leg", "straight", *QUICK)
+    assert terraphi("invert", *forces, "--out", "o").status == 0
+    assert package.Answer.load("o").source == escaped
+    assert json.loads(Path("o/answer.json").read_text())["source"] == escaped
+    assert terraphi("calibrate", *forces, "--phi", "36±2", "--out", "c.toml").status == 0
+    assert terraphi("invert", *forces, "--calibration", "c.toml", "--table", "t.csv").status == 0
+
+
 def test_numbers_and_depth_without_bound_are_one_sentence(
     terraphi: Terraphi, tmp_path: Path
 ) -> None:

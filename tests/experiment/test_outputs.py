@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import h5py
@@ -65,22 +67,40 @@ def test_what_fails_leaves_things_as_they_were(tmp_path: Path, before: dict[str,
         assert contents(place) == {"a.txt": "1", "z.txt": "2"}
 
 
-def test_a_change_that_is_cut_off_can_be_done_again(
+KILLED = """
+import os
+import subprocess
+import sys
+from pathlib import Path
+from terraphi.experiment.outputs import output_folder
+replace = Path.replace
+Path.replace = lambda file, to: os._exit(9) if file.name == "c.txt" else replace(file, to)
+with output_folder(Path("o"), kind="test", last="z.txt") as made:
+    for name, text in {"a": "4", "c": "5", "z": "6"}.items():
+        (made / f"{name}.txt").write_text(text)
+"""
+
+
+def test_a_change_that_is_interrupted_is_undone_and_one_that_is_killed_can_be_done_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A process that is killed between two renames leaves a folder that is still ours."""
     place, replace = tmp_path / "o", Path.replace
     fill(place, a="1", b="2", z="3")
 
-    def killed(self: Path, target: Path) -> Path:
+    def interrupted(self: Path, target: Path) -> Path:
         if self.name == "c.txt":
             raise KeyboardInterrupt
         return replace(self, target)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Path, "replace", killed)
+        patch.setattr(Path, "replace", interrupted)
         with pytest.raises(KeyboardInterrupt):
             fill(place, a="4", c="5", z="6")
+    assert contents(place) == {"a.txt": "1", "b.txt": "2", "z.txt": "3"}
+    paths = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    killed = subprocess.run([sys.executable, "-c", KILLED], cwd=tmp_path, env=paths, check=False)
+    assert killed.returncode == 9
     assert "z.txt" not in contents(place)  # it goes first and comes last
     fill(place, a="7", z="8")
     assert contents(place) == {"a.txt": "7", "b.txt": "2", "z.txt": "8"}

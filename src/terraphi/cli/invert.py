@@ -46,6 +46,7 @@ def invert(
 
     Example: terraphi invert forces.csv --rig rig.toml --density 1600±80
     """
+    from terraphi.experiment.outputs import check_folder
     from terraphi.experiment.rig import with_rig
     from terraphi.inference import inversion
     from terraphi.inference.manifest import read_manifest
@@ -58,11 +59,13 @@ def invert(
         return
     if not forces:
         raise InputError("no forces; give FORCES, or a CSV of records by --table")
+    files = [f"answer.{one}" for one in ("json", "nc", "png")]
+    if out is not None:
+        check_folder(out, kind="answer", names=files)
     answer = inversion.invert(list(forces), **with_rig(options))
     written = []
     if out is not None:
         answer.save(out)
-        files = [f"answer.{one}" for one in ("json", "nc", "png")]
         made = [name for name in files if (out / name).exists()]
         written.append(f"Written: {out}/{', '.join(made)}")
     parts = parts_of(answer, verbose=verbose)

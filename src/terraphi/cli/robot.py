@@ -137,6 +137,7 @@ def footfalls(
             more = f", and --out {out} writes {file.name} too" if file in with_it else ""
             raise InputError(f"{file}: is the log{more}; name another file")
     # Only after this what takes a second to load.
+    from terraphi.experiment.files import atomic_files
     from terraphi.experiment.outputs import SIGNATURE, check_file
 
     for file in filter(None, (mcap, *with_it)):
@@ -150,9 +151,10 @@ def footfalls(
     found = find(log, density=density, anchors=anchors, **options)
     summary, written = found.as_dict(), []
     if out is not None:
-        picture = out.with_suffix(".png")
-        plots.save(found.plot(), picture, metadata={"Comment": SIGNATURE})
-        found.to_netcdf(out)
+        with atomic_files(out, out.parent, last=out.name) as place:
+            picture = place / out.with_suffix(".png").name
+            plots.save(found.plot(), picture, metadata={"Comment": SIGNATURE})
+            found.to_netcdf(place / out.name)
         written.append(f"Written: {', '.join(map(str, (out, *with_it)))}")
     if mcap is not None:
         found.to_mcap(mcap)

@@ -156,13 +156,69 @@ def atomic_write(path: Path) -> Iterator[Path]:
     InputError
         If the folder cannot be written to or the disk is full.
     """
+    with atomic_files(path, path.parent, last=path.name) as folder:
+        yield folder / path.name
+
+
+@contextmanager
+def atomic_files(target: Path, folder: Path, *, last: str, first: str = "") -> Iterator[Path]:
+    """Give a temporary folder, and move its files to another when they are whole, all or none.
+
+    Parameters
+    ----------
+    target
+        What is made, next to which the temporary folder is.
+    folder
+        Where the files belong.
+    last
+        The file that comes last: if it is there, all of them are.
+    first
+        The file that comes first.
+
+    Yields
+    ------
+    Path
+        An empty folder; nothing of it is kept if the block raises.
+
+    Raises
+    ------
+    InputError
+        If a folder cannot be written to or the disk is full.
+    """
     try:
-        with temporary_folder(path) as folder:
-            yield folder / path.name
-            folder.joinpath(path.name).replace(path)
+        with temporary_folder(target) as made:
+            try:
+                yield made
+            except InputError as error:  # named as it will be
+                raise InputError(str(error).replace(str(made), str(folder))) from error
+            names = [file.name for file in made.iterdir() if file.is_file()]
+            _move(made, folder, sorted(names, key=lambda name: (name == last) - (name == first)))
     except OSError as error:
         reason = error.strerror or error
-        raise InputError(f"{path}: cannot be written ({reason}); try another place") from error
+        raise InputError(f"{target}: cannot be written ({reason}); try another place") from error
+
+
+def _move(made: Path, folder: Path, names: list[str]) -> None:
+    """Move files to another folder; if it raises, those that were there before are there again."""
+    if len(names) < 2:  # one is replaced at once
+        for name in names:
+            made.joinpath(name).replace(folder / name)
+        return
+    earlier = made / "earlier"
+    earlier.mkdir()
+    for name in names:
+        if folder.joinpath(name).is_file():
+            shutil.copy2(folder / name, earlier)
+    try:
+        folder.joinpath(names[-1]).unlink(missing_ok=True)  # gone if the process is killed
+        for name in names:
+            made.joinpath(name).replace(folder / name)
+    except BaseException:
+        for name in names:
+            folder.joinpath(name).unlink(missing_ok=True)
+        for file in earlier.iterdir():
+            file.replace(folder / file.name)
+        raise
 
 
 def writable(path: Path) -> None:
@@ -185,11 +241,29 @@ def makeable(path: Path) -> None:
 
 def made_folder(path: Path) -> Path:
     """Make a folder if it is not there; raises InputError if it cannot be made."""
+    with kept_folder(path):
+        return path
+
+
+@contextmanager
+def kept_folder(path: Path) -> Iterator[None]:
+    """Make a folder and those above it; if the block raises, what is still empty of them goes.
+
+    Raises InputError if it cannot be made.
+    """
+    new = [place for place in (path, *path.parents) if not place.exists()]
     try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be made a folder ({error.strerror})") from error
-    return path
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            why = f"{path}: cannot be made a folder ({error.strerror}); try another place"
+            raise InputError(why) from error
+        yield
+    except BaseException:
+        for place in new:
+            with suppress(OSError):
+                place.rmdir()
+        raise
 
 
 @contextmanager
@@ -198,7 +272,7 @@ def folder_lock(folder: Path) -> Iterator[None]:
 
     A process that is killed gives the lock up.
     """
-    with opened_folder(made_folder(folder)) as handle:
+    with kept_folder(folder), opened_folder(folder) as handle:
         try:
             lock(handle)
         except BlockingIOError as error:

@@ -17,12 +17,12 @@ from pydantic import Field
 from terraphi.experiment.documents import Strict
 from terraphi.experiment.errors import InputError, printable
 from terraphi.experiment.files import (
+    atomic_files,
     check_is_file,
-    made_folder,
+    kept_folder,
     makeable,
     netcdf_kind,
     read_bytes,
-    temporary_folder,
     writable,
 )
 
@@ -132,28 +132,16 @@ def output_folder(path: Path, *, kind: str, last: str) -> Iterator[Path]:
         An empty folder; if the block raises, nothing of it is kept.
     """
     old = check_folder(path, kind=kind)
-    made_folder(path.parent)
-    try:
-        with temporary_folder(path) as made:
-            try:
-                yield made
-            except InputError as error:  # named as it will be
-                raise InputError(str(error).replace(str(made), str(path))) from error
-            new = sorted((file.name for file in made.iterdir()), key=lambda name: name == last)
-            check_folder(path, kind=kind, names=new)
-            made_folder(path)
-            digests = {name: _digest(made, name) for name in new}
-            # If the process is killed from here on, the folder is still ours. Files of earlier
-            # results that have no successor stay: a name in a manifest is no reason to delete.
-            files = sorted({*old, *new} - {MANIFEST})
-            manifest = Manifest(kind=kind, files=files, digests=digests)
-            made.joinpath(MANIFEST).write_text(manifest.model_dump_json(indent=2), encoding="utf-8")
-            path.joinpath(last).unlink(missing_ok=True)
-            for name in (MANIFEST, *new):
-                made.joinpath(name).replace(path / name)
-    except OSError as error:
-        reason = error.strerror or error
-        raise InputError(f"{path}: cannot be written ({reason}); try another place") from error
+    with kept_folder(path), atomic_files(path, path, last=last, first=MANIFEST) as made:
+        yield made
+        new = sorted(file.name for file in made.iterdir())
+        check_folder(path, kind=kind, names=new)
+        digests = {name: _digest(made, name) for name in new}
+        # If the process is killed from here on, the folder is still ours. Files of earlier
+        # results that have no successor stay: a name in a manifest is no reason to delete.
+        files = sorted({*old, *new} - {MANIFEST})
+        manifest = Manifest(kind=kind, files=files, digests=digests)
+        made.joinpath(MANIFEST).write_text(manifest.model_dump_json(indent=2), encoding="utf-8")
 
 
 def _content(folder: Path, name: str) -> bytes:

@@ -18,7 +18,7 @@ from pydantic import AliasChoices, BaseModel, Field, Json
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import needing
-from terraphi.experiment.files import atomic_write, open_netcdf, write_netcdf
+from terraphi.experiment.files import atomic_files, atomic_write, open_netcdf, write_netcdf
 from terraphi.experiment.outputs import SIGNATURE
 from terraphi.experiment.tables import write_csv
 from terraphi.inference.pool import Anchor, Normal, Observed, pool
@@ -330,11 +330,13 @@ class FootfallMap:
             for name, known in FootfallAttributes.model_fields.items()
         }
         attributes = {"terraphi_file": KIND, "terraphi_schema": SCHEMA, **texts}
-        write_netcdf(self.to_xarray().assign_attrs(attributes), path)
-        with atomic_write(path.with_suffix(".geojson")) as temporary:
-            temporary.write_text(json.dumps(self._geojson(), ensure_ascii=False), encoding="utf-8")
-        first = f"# {SIGNATURE}: footfalls; x, y from the robot's first place and heading\n"
-        write_csv(path.with_suffix(".csv"), self.summary(), first=first, float_format="%.4f")
+        with atomic_files(path, path.parent, last=path.name) as made:
+            place = made / path.name
+            write_netcdf(self.to_xarray().assign_attrs(attributes), place)
+            features = json.dumps(self._geojson(), ensure_ascii=False)
+            place.with_suffix(".geojson").write_text(features, encoding="utf-8")
+            first = f"# {SIGNATURE}: footfalls; x, y from the robot's first place and heading\n"
+            write_csv(place.with_suffix(".csv"), self.summary(), first=first, float_format="%.4f")
 
     def _geojson(self) -> dict[str, Any]:
         """Footfalls as points, metres east and north of (0°, 0°) as degrees."""

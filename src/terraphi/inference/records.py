@@ -428,7 +428,8 @@ def record_of(
     if (made_by is not None or simulated) and history.channels != FORCES:
         raise InputError(f"{known.name}: Fx and Fz of a simulation are needed")
     return Record(
-        source=known.name,
+        # A file name may hold bytes that are not UTF-8, which no file of results could.
+        source=known.name.encode(errors="backslashreplace").decode(),
         history=history,
         rig=rig,
         density_kg_m3=mean,
