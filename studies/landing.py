@@ -106,6 +106,7 @@ def touched(hits: Sequence[Hit], *, inertia: bool = True) -> touchdowns.Touchdow
         force=np.array([DENSITY / hit.density * hit.force for hit in hits]),
         per_error=np.zeros((*depth.shape, 6)), used=np.ones(depth.shape, dtype=bool),
         torn=np.zeros(count, dtype=bool), saturated=np.zeros(count, dtype=bool),
+        faulty=np.zeros(count, dtype=bool),
         returned=np.zeros(count), peak=np.ones(count), deepest=np.full(count, DEEPEST),
         broken=np.zeros(count),
     )  # fmt: skip

@@ -38,6 +38,7 @@ def pressed(phi: float = 34.0, *, level: float = 0.003, seed: int | None = 0) ->
         descent=np.full_like(time, 1.4), speed=still, acceleration=still, force=still,
         per_error=np.zeros((*time.shape, 6)),
         used=np.ones_like(time, dtype=bool), torn=np.zeros(1, bool), saturated=np.zeros(1, bool),
+        faulty=np.zeros(1, bool),
         returned=np.zeros(1), peak=np.ones(1), deepest=drop.max(axis=1), broken=np.zeros(1),
     )  # fmt: skip
     force = predicted(LAWS["rft"], PRIOR, seen, np.array([[phi, level, 0.0]]))
@@ -123,6 +124,7 @@ def landed(name: str) -> tuple[Touchdowns, Prior]:
         descent=np.full((1, 24), 0.5 * np.pi), speed=speed[None], acceleration=acceleration[None],
         force=force[None], per_error=np.zeros((1, 24, 6)), used=np.ones((1, 24), dtype=bool),
         torn=np.zeros(1, bool), saturated=np.zeros(1, bool),
+        faulty=np.zeros(1, bool),
         returned=np.zeros(1), peak=np.ones(1), deepest=drop.max(axis=1), broken=np.zeros(1),
     )  # fmt: skip
     prior = replace(PRIOR, density=density, surface_friction=0.35, level_sd=2e-3, drift_sd=1e-4)

@@ -49,9 +49,10 @@ USABLE = "usable"
 SHALLOW, MISFIT = "too little sinkage", "the law does not fit"
 TRODDEN, PRINT = "not virgin ground", "print of a fore foot"
 TORN, SATURATED, EDGE = "timing unreliable", "saturated", "at a prior's edge"
+FAULTY = "log contradicts the robot"
 ELASTIC, CRUST, HARD = "ground springs back", "a crust broke", "hard ground below"
 VERDICTS = (
-    USABLE, SHALLOW, ELASTIC, CRUST, HARD, PRINT, TRODDEN, MISFIT, TORN, SATURATED, EDGE
+    USABLE, SHALLOW, ELASTIC, CRUST, HARD, PRINT, TRODDEN, MISFIT, TORN, SATURATED, EDGE, FAULTY
 )  # fmt: skip
 """Verdicts of footfalls."""
 
@@ -563,7 +564,7 @@ def infer(
         *_ground_notes(seen, found, verdict), *contradicted, *density_doubts(prior.density), *notes
     ]  # fmt: skip
     # Inclination of the plane through places where feet met the ground.
-    x, y, z = seen.place.T
+    x, y, z = seen.place[~seen.faulty].T
     rise = np.linalg.lstsq(np.stack([x, y, np.ones_like(x)], axis=-1), z)[0][:2]
     if (slope := math.degrees(math.atan(float(np.linalg.norm(rise))))) > LEVEL_DEG:
         notes.append(
@@ -640,11 +641,12 @@ def verdicts(
         Work that the ground of the walk gives back (:func:`walk_median`), if these are a part.
     """
     if returned is None:
-        returned = walk_median(seen.torn, found.gained, seen.returned)
+        returned = walk_median(seen.torn | seen.faulty, found.gained, seen.returned)
     trodden, printed = _trodden(seen, NEAR_RADII * radius)
     springs = (seen.returned > MOST_RETURNED) | (returned > WALK_RETURNED)
     rests = seen.used.sum(axis=1) < FEWEST
     reasons = (
+        (FAULTY, seen.faulty),
         (TORN, seen.torn),
         (SATURATED, seen.saturated),
         (SHALLOW, (found.gained < LEAST_GAINED) | rests),
@@ -682,8 +684,9 @@ def walk_median(torn: BoolArray, gained: FloatArray, values: FloatArray) -> floa
 
 def _ground_notes(seen: Touchdowns, found: Fit, verdict: NDArray[np.str_]) -> list[str]:
     """Sentences on ground that is no soil, or not only soil."""
+    unsound = seen.torn | seen.faulty
     returned, broken = (
-        walk_median(seen.torn, found.gained, each) for each in (seen.returned, seen.broken)
+        walk_median(unsound, found.gained, each) for each in (seen.returned, seen.broken)
     )
     notes = []
     if returned > WALK_RETURNED:

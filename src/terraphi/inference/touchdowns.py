@@ -96,6 +96,8 @@ class Touchdowns(NamedTuple):
         Samples are missing, or come too slowly for a touch-down; shape [touchdown].
     saturated
         A motor of the leg is at its limit in it; shape [touchdown].
+    faulty
+        The log contradicts its robot then; shape [touchdown].
     returned
         Work that the ground gives back at the end of the stance, over what the loading put in [-],
         shape [touchdown].
@@ -119,6 +121,7 @@ class Touchdowns(NamedTuple):
     used: BoolArray
     torn: BoolArray
     saturated: BoolArray
+    faulty: BoolArray
     returned: FloatArray
     peak: FloatArray
     deepest: FloatArray

@@ -1,9 +1,10 @@
-"""Checks of whether a log and the model of its robot can both be right.
+"""Checks of whether a log and the model of its robot can both be right, every ten seconds.
 
 Over whole strides the ground pushes up with the robot's weight and pushes it nowhere; the attitude
-turns as the gyroscope does, and feet that stand move as one rigid body, turned likewise. Torques in
-another unit, an attitude that is another's and legs in another order break one of these, and mostly
-not the others.
+turns as the gyroscope does, and feet that stand move as one rigid body, turned likewise. In swing
+the torques are those of the motion; angles go on steadily, and no reading stands still in a leg
+that walks. Torques in another unit, an attitude that is another's, legs in another order, a dead
+motor and a stuck encoder break one of these, and mostly not the others.
 """
 
 from __future__ import annotations
@@ -15,18 +16,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.errors import InputError
+from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.scenario import GRAVITY
 from terraphi.robot.forces import LEAST_LEVER, FootForces, SensorErrors
-from terraphi.robot.friction import BEARING_SHARE
-from terraphi.robot.joint_log import AVERAGE_S, FEET, JointLog
+from terraphi.robot.friction import BEARING_SHARE, GUARD_S, LAG_STEP_S, REVERSAL_RATE
+from terraphi.robot.joint_log import AVERAGE_S, FEET, JointLog, joint_names
 from terraphi.robot.legs import Legs, body_rate, rotation
 from terraphi.robot.logs.samples import velocity_ratio
 from terraphi.robot.model import Quadruped
-from terraphi.robot.stance import Stance
+from terraphi.robot.stance import Stance, find_stances
 from terraphi.robot.touchdowns import STANCE_SD
 
+CHECK_S, PART_S = 10.0, 5.0
+"""Parts of a log that are checked: the first, and each after it [s]. Eight strides of a slow walk,
+in each of which a foot swings for over a hundred samples of 500 Hz; and half of that, for less is
+refused with it, and it ends sooner (walks of 5 and 6 s in ``tests/robot/test_checks.py``)."""
+LEAST_REST_S = 1.0
+"""A rest shorter than this after the last such part is not checked [s] (chosen)."""
 MOST_WEIGHTS = 3.0
 """Number of weights beyond which forces are those of another unit: the geometric mean of 1 and of
 the 10 of kgf cm, the nearest one."""
@@ -51,15 +57,92 @@ attitude is 20 ms late in a trot (``tests/robot/test_checks.py``)."""
 CLOCK_OFF = 0.03
 """Part by which velocities may differ from the rate of the angles [-]: 0.001 on simulated walks
 with errors of sensors; ``tests/robot/test_checks.py`` has clocks that are off."""
-_SAMPLES = 2500
+STILL, MOVES = 0.1, 0.3
+"""Standard deviations of a joint's angle or torque over that of the same joint of the other legs
+[-]: below the first it stands still, above the second it moves. On sound walks, of which one spares
+a leg, all are above 0.6 (``tests/robot/test_checks.py``)."""
+JUMP = 0.1
+"""Change of an angle from one sample to the next that its velocity does not explain [rad], at
+least. On sound walks with errors of sensors it is 0.016 at most, where legs are exchanged or an
+encoder changes its sign 0.2 to 2 (test as above)."""
+REVERSED = -0.5
+"""Gain of a torque in swing below which its sign is wrong [-]: halfway from that of a dead motor,
+0, to −1."""
+REFUSED = "refused"
+"""A finding with which a log is refused: feet that pull, or bear the weight several times over."""
+_SAMPLES = 1250
 
 
 class Finding(NamedTuple):
     """What looks wrong in a log or in the model of its robot."""
 
+    about: str
     text: str
     grave: bool = False
     """Whether it makes directions of forces and places of feet useless."""
+    remedy: str = ""
+    """What to do, if it is so in the whole log."""
+    changes: bool = False
+    """Whether it is grave if it is not so in the whole log."""
+
+
+class Checked(NamedTuple):
+    """Findings in a part of a log, from its begin to its end [s]."""
+
+    begin: float
+    end: float
+    findings: tuple[Finding, ...]
+
+
+def parts(time: FloatArray, first: int = 0) -> list[slice]:
+    """Parts of a log that are checked; the last one may overlap the one before.
+
+    ``first`` is the first sample that has not been checked.
+    """
+    pieces, size = [], PART_S if first else CHECK_S
+    while (stop := int(np.searchsorted(time, time[first] + size))) < len(time):
+        pieces.append(slice(first, stop))
+        first, size = stop, PART_S
+    if first == 0 or time[-1] - time[first] >= LEAST_REST_S:
+        pieces.append(slice(int(np.searchsorted(time, time[-1] - size)), len(time)))
+    return pieces
+
+
+def notes_of(checked: Sequence[Checked]) -> list[str]:
+    """One sentence about each kind of finding, with its time unless it is in all parts."""
+    notes = []
+    for about in dict.fromkeys(finding.about for part in checked for finding in part.findings):
+        have = [any(about == finding.about for finding in part.findings) for part in checked]
+        first = have.index(True)
+        last = ([*have, False]).index(False, first) - 1
+        finding = next(f for f in checked[last].findings if f.about == about)
+        text, more = finding.text + finding.remedy, sum(have) - (last + 1 - first)
+        if not all(have):
+            text = f"from {checked[first].begin:.0f} to {checked[last].end:.0f} s: {finding.text}"
+            text += f"; {more} of {len(have)} later parts likewise" * (more > 0)
+        notes.append(text)
+    return notes
+
+
+def grave(checked: Sequence[Checked]) -> list[list[Finding]]:
+    """Findings with which nothing can be read, of each part."""
+    of_all = set.intersection(*({finding.about for finding in part.findings} for part in checked))
+    return [
+        [f for f in part.findings[::-1] if f.grave or (f.changes and f.about not in of_all)]
+        for part in checked
+    ]
+
+
+def faulty_spans(checked: Sequence[Checked]) -> list[tuple[float, float]]:
+    """Times of which nothing can be read [s]: with the part before, in which it may have begun."""
+    triples = zip([checked[0], *checked], checked, grave(checked), strict=False)
+    return [(before.begin, part.end) for before, part, findings in triples if findings]
+
+
+def within(time: FloatArray, spans: Sequence[tuple[float, float]]) -> BoolArray:
+    """Which times [s] lie in one of the spans."""
+    inside = [(time >= begin) & (time <= end) for begin, end in spans]
+    return np.asarray(np.any([np.zeros(time.shape, dtype=bool), *inside], axis=0))
 
 
 def balance(
@@ -80,40 +163,97 @@ def balance(
     return float(z), float(np.hypot(x, y))
 
 
-def check(
-    log: JointLog, robot: Quadruped, forces: FootForces, mean: tuple[float, float] | None
-) -> list[Finding]:
-    """Compare a log with its robot.
+def check(log: JointLog, robot: Quadruped, forces: FootForces) -> Checked:
+    """Compare a log, or a part of one, with its robot.
 
     Parameters
     ----------
-    log, robot, forces, mean
-        A log, its robot, the forces found and their :func:`balance`.
-
-    Raises
-    ------
-    InputError
-        If the feet pull at the ground, or bear the robot's weight several times over.
+    log, robot, forces
+        The log, its robot and the forces found.
     """
+    weight = robot.mass * GRAVITY
+    stances = find_stances(forces.time, forces.force, rise_N=BEARING_SHARE * weight)
+    findings = _motion(log, robot, forces, balance(forces, stances, weight))
+    # With a wrong attitude or order of the legs torques are not those of the motion either.
+    if not any(f.grave and f.about in (REFUSED, "attitude", "legs") for f in findings):
+        findings = [*_torques(log, forces), *findings]
+    findings = [*_jumps(log), *_still(log, robot), *findings]
+    return Checked(float(log.time[0]), float(log.time[-1]), tuple(findings))
+
+
+def _jumps(log: JointLog) -> list[Finding]:
+    """Angles that jump, as where joints are exchanged while the robot walks."""
+    step = np.diff(log.time)[:, None, None]
+    way = 0.5 * step * (log.velocity[1:] + log.velocity[:-1])
+    off = np.where(step <= GUARD_S, np.abs(np.diff(log.angle, axis=0) - way), 0.0)
+    if not (off > JUMP).any():
+        return []
+    k = int(np.argmax((off > JUMP).any(axis=(1, 2))))
+    text = f"{_listed(off[k] > JUMP)} jumped by up to {off[k].max():.2g} rad at {log.time[k]:.2f} s"
+    return [Finding("jump", f"{text}: were joints exchanged, or their zeros set?")]
+
+
+def _still(log: JointLog, robot: Quadruped) -> list[Finding]:
+    """Angles that stand still while torques change, and torques while angles do."""
+    if np.median(np.sqrt(np.mean(log.velocity**2, axis=0))) < 2.0 * REVERSAL_RATE:
+        return []  # the robot does not walk
+    deviations = (log.angle.std(axis=0), log.torque.std(axis=0))
+    angle, torque = (sd / np.maximum(np.median(sd, axis=0), 1e-12) for sd in deviations)
+    stuck, dead = (angle < STILL) & (torque > MOVES), (torque < STILL) & (angle > MOVES)
+    texts = {
+        "stuck": "the angle of {} stands still while the leg walks: is the encoder stuck?",
+        "dead": "the torque of {} stands still while the leg walks: is the motor dead?",
+    }
+    return [
+        Finding(about, text.format(_listed(which & robot.there)), True)
+        for (about, text), which in zip(texts.items(), (stuck, dead), strict=True)
+        if (which & robot.there).any()
+    ]
+
+
+def _torques(log: JointLog, forces: FootForces) -> list[Finding]:
+    """Torques that are late, or have another sign, against the motion in swing."""
+    findings, lag = [], forces.provenance["torque_lag_s"]
+    if abs(lag) > LAG_STEP_S:
+        late = f"{abs(1e3 * lag):.0f} ms {'late' if lag > 0.0 else 'early'}"
+        text = f"torques are {late} against the motion, by the swing of the legs"
+        whole = 1e3 * (lag + log.report.get("lag_s", 0.0))
+        remedy = f": correct it with --lag {whole:.0f}"
+        # Twice the step, for a lag that does not change may be found in some parts only.
+        findings.append(Finding("lag", text, False, remedy, abs(lag) > 2.0 * LAG_STEP_S))
+    gain = np.array(forces.provenance["torque_gain"], dtype=np.float64)
+    if (gain < REVERSED).any():
+        text = f"torques of {_listed(gain < REVERSED)} have the wrong sign, by the swing of the "
+        text += "legs: is it reversed, or are legs exchanged left for right?"
+        findings.append(Finding("sign", text, True))
+    return findings
+
+
+def _listed(which: BoolArray) -> str:
+    return ", ".join(joint_names(which))
+
+
+def _motion(
+    log: JointLog, robot: Quadruped, forces: FootForces, mean: tuple[float, float] | None
+) -> list[Finding]:
+    """Attitude, order of the legs, weight and clock."""
     attitude = _attitude(log)
-    try:
-        weight = [] if mean is None else _weight(mean[0], robot)
-    except InputError as error:
-        # An attitude that is upside down makes the feet pull.
-        raise InputError("; and ".join([*(f.text for f in attitude), str(error)])) from error
+    weight = [] if mean is None else _weight(mean[0], robot)
+    if weight and weight[0].about == REFUSED:  # an attitude that is upside down makes feet pull
+        return [Finding(REFUSED, "; and ".join(f.text for f in (*attitude, *weight)), True)]
     if any(finding.grave for finding in attitude):
         return [*weight, *attitude]  # with a wrong attitude, feet that stand seem to slide
     legs = _legs(log, robot)
     if attitude and legs:
         both = f"{attitude[0].text}; or, if they are right, {legs[0].text}"
-        attitude, legs = [], [Finding(both, True)]
+        attitude, legs = [], [Finding("legs", both, True)]
     clock = _clock(log)
     if legs or weight or mean is None or forces.frame == "body":
         return [*weight, *attitude, *legs, *clock]
     if mean[1] <= BEARING_SHARE:
         return [*attitude, *clock]
     push = f"the feet push the robot sideways with {mean[1]:.0%} of its weight on average"
-    sideways = Finding(f"{push}: are the angles' zeros and the attitude right?", True)
+    sideways = Finding("push", f"{push}: are the angles' zeros and the attitude right?", True)
     return [*attitude, sideways, *clock]
 
 
@@ -123,7 +263,8 @@ def _clock(log: JointLog) -> list[Finding]:
     if abs(off) < CLOCK_OFF:
         return []
     text = f"joint velocities are {abs(off):.0%} {'above' if off > 0.0 else 'below'} the rate at "
-    return [Finding(f"{text}which the angles change: is the clock, or a gear ratio, right?")]
+    text += "which the angles change: is the clock, or a gear ratio, right?"
+    return [Finding("clock", text)]
 
 
 def _weight(lift: float, robot: Quadruped) -> list[Finding]:
@@ -131,14 +272,15 @@ def _weight(lift: float, robot: Quadruped) -> list[Finding]:
     weight = robot.mass * GRAVITY
     bears = f"the feet bear {lift:.3g} times the robot's weight of {weight:.0f} N on average"
     if lift < -BEARING_SHARE:
-        raise InputError(f"{bears}; torques that motors exert on joints are expected, not theirs")
+        text = f"{bears}; torques that motors exert on joints are expected, not theirs"
+        return [Finding(REFUSED, text, True)]
     if lift > MOST_WEIGHTS:
-        raise InputError(f"{bears}; torques in N m are expected, not N mm or kgf cm")
+        return [Finding(REFUSED, f"{bears}; torques in N m are expected, not N mm or kgf cm", True)]
     if abs(lift - 1.0) <= BEARING_SHARE or lift < BEARING_SHARE:
         return []
     text = f"{bears}: are torques about {1.0 / lift:.2g} times as large, or its mass "
     grave = not 1.0 / BELIEVABLE_LIFT < lift < BELIEVABLE_LIFT
-    return [Finding(f"{text}{lift * robot.mass:.3g} kg?", grave)]
+    return [Finding("weight", f"{text}{lift * robot.mass:.3g} kg?", grave)]
 
 
 def _attitude(log: JointLog) -> list[Finding]:
@@ -192,9 +334,10 @@ def _attitude(log: JointLog) -> list[Finding]:
     if best < EXPLAINED * min(off, 1.0):
         # At small tilts, a conjugate and reversed signs are hard to tell apart.
         causes = ", or ".join(words for words, value in left.items() if value < best + 0.1)
-        return [Finding(f"{disagree}, and by {best:.0%} if {causes}; check the IMU", True)]
+        text = f"{disagree}, and by {best:.0%} if {causes}; check the IMU"
+        return [Finding("attitude", text, True)]
     text = f"{disagree}: check the IMU's axes, units and clock"
-    return [Finding(text)] if off > EXPLAINED else []
+    return [Finding("attitude", text)] if off > EXPLAINED else []
 
 
 def _spin(log: JointLog) -> FloatArray:
@@ -293,4 +436,4 @@ def _legs(log: JointLog, robot: Quadruped) -> list[Finding]:
         f"feet that stand slide at {own[0]:.2g} m/s, and fit better if legs were exchanged: "
         f"{words}; check the order of the joints"
     )
-    return [Finding(text, True)]
+    return [Finding("legs", text, True)]

@@ -17,6 +17,7 @@ from terraphi.inference.footfalls import FootfallMap, infer
 from terraphi.inference.pool import Anchor, Normal
 from terraphi.inference.touchdowns import TORQUES, Prior
 from terraphi.laws.foot import LAWS
+from terraphi.robot.checks import faulty_spans, within
 from terraphi.robot.forces import FootForces, SensorErrors, without_broken_accelerometer
 from terraphi.robot.friction import spread
 from terraphi.robot.joint_log import FEET, JointLog
@@ -115,6 +116,9 @@ def footfalls(
     motion = from_the_start(track(log, body, forces.place, lift), log)
     per = sensitivity(log, forces)
     seen = touchdowns(log, forces, motion, analysis.stances, per, radius=body.foot_radius)
+    spans = faulty_spans(analysis.checked)
+    seen = seen._replace(faulty=within(seen.begin, spans))
+    lift[within(log.time, spans)] = np.nan
     # The centre of mass accelerates otherwise than the trunk: legs are half of the robot.
     acceleration = motion.lift_acceleration + forces.leg_inertia / body.mass
     total = lift.sum(axis=1) / (body.mass * GRAVITY)

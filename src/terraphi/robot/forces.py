@@ -25,7 +25,7 @@ from terraphi.robot.estimators import (
     upward,
 )
 from terraphi.robot.friction import Survey, survey
-from terraphi.robot.joint_log import FEET, GAP_STEPS, JOINTS, SHAPES, JointLog
+from terraphi.robot.joint_log import FEET, GAP_STEPS, JOINTS, SHAPES, JointLog, joint_names
 from terraphi.robot.legs import rotation
 from terraphi.robot.model import Quadruped
 
@@ -185,7 +185,7 @@ def estimate(
     moving = estimator != "quasi_static"
     nothing = np.zeros((len(FEET), len(JOINTS)))
     overview = (
-        Survey(lost_before, nothing, nothing, 0.0) if lost_before
+        Survey(lost_before, nothing, nothing, 0.0, nothing + np.nan) if lost_before
         else survey(log, robot, estimator, gap, friction=moving and bool(friction))
     )  # fmt: skip
     # A foot that never swings is given what the others show, or else the torques' noise.
@@ -256,6 +256,7 @@ def estimate(
             "priors": asdict(shared),
             "friction": None if overview.friction is None else overview.friction.summary(),
             "torque_lag_s": overview.lag,
+            "torque_gain": [None if np.isnan(g) else round(g, 3) for g in overview.gain.flat],
             "assumed": _assumed(log, robot, overview, broken),
         },
     )
@@ -317,7 +318,7 @@ def _assumed(log: JointLog, robot: Quadruped, overview: Survey, broken: list[str
     assumed = [*broken, *(text for text, lacks in lacking.items() if lacks)]
     lost = overview.friction
     if lost is not None and not (lost.found | ~robot.there).all():
-        unknown = [f"{FEET[i]}_{JOINTS[j]}" for i, j in np.argwhere(~lost.found & robot.there)]
+        unknown = joint_names(~lost.found & robot.there)
         whose = ", ".join(unknown) if lost.found.any() else "any joint"
         assumed.append(f"too little swing to find the friction of {whose}")
     return assumed

@@ -55,6 +55,10 @@ lack that separate Coulomb from viscous friction."""
 LAG_STEP_S, MOST_LAG_S = 0.005, 0.1
 """Step of the lags of the torques that are tried, and the largest [s]; a lag is found to within a
 step (``tests/robot/test_checks.py``)."""
+GAIN_SD = 0.25
+"""Standard deviation of a torque's gain from which on swing determines it [-]: a sixth of what lies
+between a motor that reads right, 1, and halfway from one that reads nothing to one of the other
+sign, −0.5."""
 _HUBER = 1.345
 """Residuals beyond this many standard deviations count less (95 % efficient if normal)."""
 _GAUSS = 1.4826
@@ -166,17 +170,20 @@ def spread(deviation: FloatArray) -> FloatArray:
     return np.asarray(_GAUSS * np.median(np.abs(deviation), axis=0))
 
 
-def torque_lag(
+def lag_and_gain(
     windows: Sequence[tuple[Signals, slice]],
     torque: FloatArray,
     terms: FloatArray,
     swing: BoolArray,
     gap: float,
-) -> float:
-    """Time by which torques lag behind the motion [s]; 0 if swing does not determine it.
+) -> tuple[float, FloatArray]:
+    """Time by which torques lag behind the motion [s], 0 if unknown, and gain of each [-].
 
     In swing the equations of motion, friction included, give the torque. The lag is that at which
     they explain the logged torques best, by the residual of a regression on :func:`friction_terms`.
+    The gain, shape [foot, joint], is then the slope of logged torques over those of the motion, in
+    a regression on both: 1, 0 for a dead motor, −1 for a reversed sign; NaN unless it is determined
+    to :data:`GAIN_SD`, with independent errors every :data:`GUARD_S`.
 
     Parameters
     ----------
@@ -189,9 +196,9 @@ def torque_lag(
     gap
         Steps longer than this [s] are gaps.
     """
-    feet = np.flatnonzero(swing.sum(axis=0) >= LEAST_SWING)
+    feet, gain = np.flatnonzero(swing.sum(axis=0) >= LEAST_SWING), np.full((4, 3), np.nan)
     if not len(feet):
-        return 0.0
+        return 0.0, gain
     usual = float(np.median(np.concatenate([np.diff(seen.time) for seen, _ in windows])))
     # Whole steps: a torque between two samples is a mean, and seems to have less noise.
     step = usual * max(1, round(LAG_STEP_S / usual))
@@ -213,11 +220,20 @@ def torque_lag(
             rest = model - shifted(lag, i, j)
             rest = np.abs(rest - axes @ (axes.T @ rest))
             cost[k] += np.sum(np.minimum(rest, 3.0 * spread(rest)) ** 2)
-    k = int(cost.argmin())
-    if not 0 < k < len(lags) - 1:
-        return 0.0
-    before, least, after = cost[k - 1 : k + 2]
-    return float(lags[k] + 0.5 * step * (before - after) / (before - 2.0 * least + after))
+    k, lag = int(cost.argmin()), 0.0
+    if 0 < k < len(lags) - 1:
+        before, least, after = cost[k - 1 : k + 2]
+        lag = float(lags[k] + 0.5 * step * (before - after) / (before - 2.0 * least + after))
+    for i, j in itertools.product(feet.tolist(), range(3)):
+        axes = np.linalg.qr(terms[swing[:, i], i, j])[0]
+        model, late = torque[swing[:, i], i, j] + shifted(0.0, i, j), shifted(lag, i, j)
+        model, late = (values - axes @ (axes.T @ values) for values in (model, late))
+        power = max(float(model @ model), 1e-12)
+        slope = float(model @ late) / power
+        independent = max(GUARD_S / usual, 1.0)
+        sd = np.sqrt(np.mean((late - slope * model) ** 2) * independent / power)
+        gain[i, j] = slope if sd < GAIN_SD else np.nan
+    return lag, gain
 
 
 class Survey(NamedTuple):
@@ -232,14 +248,15 @@ class Survey(NamedTuple):
         NaN for feet that were not seen to swing.
     noise
         Standard deviation of torques from one sample to the next [N m], shape [foot, joint].
-    lag
-        Of the torques behind the motion [s], see :func:`torque_lag`.
+    lag, gain
+        Of the torques behind the motion [s], and over what it needs [-], see :func:`lag_and_gain`.
     """
 
     friction: JointFriction | None
     residual: FloatArray
     noise: FloatArray
     lag: float
+    gain: FloatArray
 
 
 def survey(
@@ -294,5 +311,4 @@ def survey(
     steps = np.concatenate([np.diff(seen.torque, axis=0) for seen, _ in windows])
     # Second differences, to which the motion hardly contributes.
     noise = np.nan_to_num(spread(np.diff(steps, axis=0)) / np.sqrt(6.0))
-    lag = torque_lag(windows, torque, terms, swing, gap)
-    return Survey(kept, residual, noise, lag)
+    return Survey(kept, residual, noise, *lag_and_gain(windows, torque, terms, swing, gap))

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, TypeVar
 
-from terraphi.experiment.arrays import FloatArray
+import numpy as np
+
+from terraphi.experiment.arrays import BoolArray, FloatArray
 
 FEET = ("FR", "FL", "RR", "RL")
 """Feet in the order of the Go2's motors: front right, front left, rear right, rear left."""
@@ -71,8 +73,27 @@ class JointLog:
     report: Mapping[str, Any] = field(default_factory=dict)
 
 
+Record = TypeVar("Record", bound=Any)
+
+
+def arrays(record: Record) -> list[str]:
+    """Names of the fields of a record over time that are arrays."""
+    return [f.name for f in fields(record) if isinstance(getattr(record, f.name), np.ndarray)]
+
+
+def cut(record: Record, part: slice) -> Record:
+    """A part of a record over time, such as a JointLog."""
+    return replace(record, **{name: getattr(record, name)[part] for name in arrays(record)})
+
+
 JOINT_NAMES = tuple(f"{foot}_{joint}" for foot in FEET for joint in JOINTS)
 """The twelve joints as ``FOOT_JOINT``, in the order of the Go2's motors."""
+
+
+def joint_names(which: BoolArray) -> list[str]:
+    """Names of the joints for which an array of shape [foot, joint] is true."""
+    return [JOINT_NAMES[i] for i in np.flatnonzero(which)]
+
 
 _WORDS = {
     "FR": "fr rf",

@@ -3,14 +3,19 @@
 The batch functions of :func:`terraphi.footfalls`, on a window of the log. What they take from a
 whole log is handled so:
 
-- **Friction** of the joints, and the checks of log and robot, come from the first
-  :data:`WARM_UP_S`, in which the robot has to walk. No footfall is answered before; those of that
-  time are answered then. A body on the ground is noted for that time only.
+- **Friction** of the joints comes from the first :data:`~terraphi.robot.checks.CHECK_S`, in which
+  the robot has to walk. No footfall is answered before; those of that time are answered then.
+- **Samples** that no sensor sends are left out and counted before anything else, as in a file. Over
+  :data:`~terraphi.robot.stance.HELD_S` without samples a foot keeps standing.
+- **Checks** of log and robot are those of the batch, of each further
+  :data:`~terraphi.robot.checks.PART_S`. Footfalls of a part that contradicts the robot are refused
+  by the next map, and those after it until a part is sound. A body on the ground is not noted.
 - **Forces** are final :data:`~terraphi.robot.estimators.MARGIN_S` after a sample and **places**
   :data:`LAG_S` after that, by when the observer and the odometry have forgotten: the same numbers.
   But the accelerometer's bias is the mean over the :data:`~terraphi.robot.touchdowns.BIAS_S` before
   the newest sample, not about each.
-- **Stances** have their thresholds from the last :data:`MEMORY_S`.
+- **Stances** have their thresholds from the last :data:`~terraphi.robot.checks.CHECK_S`, which is
+  the part of the log that is kept.
 - **Gains, the law's growth with depth and the map** take all footfalls. :meth:`Footfalls.map`
   learns them by the batch's inference; :meth:`Footfalls.update` uses what the last map learned, and
   the prior before.
@@ -21,10 +26,11 @@ Memory grows by 5 kB a second and 7 kB a footfall.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -44,6 +50,7 @@ from terraphi.inference.footfalls import (
 from terraphi.inference.pool import Anchor
 from terraphi.inference.touchdowns import TORQUES, Fit, Prior, Touchdowns, fit, picked
 from terraphi.laws.foot import LAWS
+from terraphi.robot.checks import CHECK_S, check, faulty_spans, grave, parts, within
 from terraphi.robot.estimators import MARGIN_S, trunk_motion
 from terraphi.robot.footfalls import (
     AVERAGED_S,
@@ -57,25 +64,19 @@ from terraphi.robot.footfalls import (
 )
 from terraphi.robot.forces import FootForces, estimate, without_broken_accelerometer
 from terraphi.robot.friction import BEARING_SHARE
-from terraphi.robot.joint_log import FEET, JointLog
+from terraphi.robot.joint_log import FEET, JointLog, Record, arrays, cut
+from terraphi.robot.logs.samples import sound
 from terraphi.robot.model import Quadruped
-from terraphi.robot.results import RobotForces, foot_forces
+from terraphi.robot.results import RobotForces, foot_forces, left_out
 from terraphi.robot.stance import LIFT_S, find_stances
 from terraphi.robot.touchdowns import BIAS_S, Motion, sensitivity, touchdowns, track
 
-WARM_UP_S = 10.0
-"""Of walking, from which friction is found and log and robot are checked [s]: eight strides of a
-slow walk, in each of which a foot swings for over a hundred samples of 500 Hz."""
 STEP_S = 1.0
 """Samples are taken up in pieces of this length [s]; for shorter ones the margins cost more."""
 LAG_S = 0.25
 """Time after which a velocity of the odometry does not depend on later samples [s]: seven times the
 34 ms in which an accelerometer of :data:`~terraphi.robot.touchdowns.ACCELERATION_SD` forgets a foot
 that stands (``tests/robot/test_online.py``)."""
-MEMORY_S = 6.0
-"""Of the log that is kept [s]: a few strides, and the longest stance with the loading before it."""
-
-Record = TypeVar("Record", JointLog, FootForces)
 
 
 class Footfall(NamedTuple):
@@ -134,6 +135,7 @@ class Footfalls:
         self._law, self._prior = law, replace(chosen, law_sd_deg=law_sd)
         self._pending: list[JointLog] = []
         self._columns: list[str] = []
+        self._left_out: Counter[str] = Counter()
         self._start: RobotForces | None = None
         # The window: samples, forces of all but the newest, motion of all but some more.
         self._log: JointLog | None = None
@@ -143,7 +145,8 @@ class Footfalls:
         """End of each foot's last stance that was answered [s]."""
         self._fitted: list[tuple[Touchdowns, Fit]] = []
         self._brief: FloatArray = np.zeros((0, 5))
-        """Of each footfall x, y [m], whether it is torn, depth gained [m] and work returned [-]."""
+        """Of each footfall x, y [m], whether it is torn or faulty, depth gained [m] and work
+        returned [-]."""
         self._means: list[tuple[FloatArray, ...]] = []
         """Means of what weight and path need, a tuple for each piece."""
         self._map: FootfallMap | None = None
@@ -154,36 +157,67 @@ class Footfalls:
         Parameters
         ----------
         samples
-            Those after the last ones, with attitude; one or more.
+            Those after the last ones, with attitude; one or more. Unsound ones are left out.
 
         Raises
         ------
         InputError
-            If the samples do not follow or cannot be used, or if the log of the first
-            :data:`WARM_UP_S` contradicts the robot.
+            If the samples do not follow or cannot be used: then none is taken. If those of the
+            first :data:`~terraphi.robot.checks.CHECK_S` contradict the robot: then the next ones
+            are the first.
         """
+        samples, left_out = sound(samples)
+        if samples.quaternion is None:
+            raise InputError("samples have no attitude, which footfalls need; give quaternions")
+        if self._columns not in ([], arrays(samples)):
+            raise InputError("samples have other columns than those before; give all the same")
         last = self._pending[-1] if self._pending else self._log
-        if last is not None and samples.time[0] <= last.time[-1]:
+        if last is not None and len(samples.time) and samples.time[0] <= last.time[-1]:
             raise InputError(
                 f"samples begin at {samples.time[0]:g} s, and those before end at "
                 f"{last.time[-1]:g} s; they should follow"
             )
-        if self._columns not in ([], _arrays(samples)):
-            raise InputError("samples have other columns than those before; give all the same")
-        self._columns = _arrays(samples)
-        self._pending.append(samples)
-        wanted = WARM_UP_S if self._start is None else STEP_S
+        self._left_out += left_out
+        if not len(samples.time):
+            return ()
+        self._columns = arrays(samples)
+        self._pending.append(replace(samples, report={}))
+        wanted = CHECK_S if self._start is None else STEP_S
         if samples.time[-1] - self._pending[0].time[0] < wanted:
             return ()
         log, self._pending = _joined(self._pending), []
         if self._start is None:
-            start = foot_forces(log, robot=self._robot, contact_part=CONTACT_PART)
+            first = cut(log, parts(log.time)[0])
+            start = foot_forces(first, robot=self._robot, contact_part=CONTACT_PART)
             if start.grave:
                 raise InputError(f"no footfall can be read: {start.grave[0]}")
-            self._start = replace(start, log=without_broken_accelerometer(log)[0])
+            self._start = replace(start, log=without_broken_accelerometer(first)[0])
         if self._start.log.acceleration is None:
             log = replace(log, acceleration=None)
-        return self._answers(self._extended(self._start, log))
+        new = self._extended(self._start, log)
+        self._start = self._checked(self._start)
+        return self._answers(new)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings so far, of samples that were left out and of parts that were checked."""
+        start = self._start
+        notes = left_out(self._left_out) if start is None else self._notes(start)
+        return (*self._assumed, *notes)
+
+    def _notes(self, start: RobotForces) -> list[str]:
+        return notes_of(replace(start, report={**start.report, "dropped": self._left_out}))
+
+    def _checked(self, start: RobotForces, *, rest: bool = False) -> RobotForces:
+        """The start, with checks of the parts that are over; of the rest, too, for a map."""
+        assert self._log is not None, "the window"
+        time = self._log.time
+        first = int(np.searchsorted(time, start.checked[-1].end, side="right"))
+        pieces = parts(time, first) if first < len(time) else []
+        each = [cut(self._log, piece) for piece in pieces if rest or piece.stop < len(time)]
+        options: dict[str, Any] = {"robot": self._robot, "contact_part": CONTACT_PART}
+        checked = [check(part, self._robot, estimate(part, **options)) for part in each]
+        return replace(start, checked=(*start.checked, *checked))
 
     def map(self) -> FootfallMap:
         """All footfalls so far together, as :func:`terraphi.footfalls` has them.
@@ -196,24 +230,26 @@ class Footfalls:
             If there is no footfall yet, or an anchor lies off the path.
         """
         if self._start is None or not self._fitted:
-            raise InputError(f"no footfall yet; the first come after {WARM_UP_S:g} s of walking")
+            raise InputError(f"no footfall yet; the first come after {CHECK_S:g} s of walking")
+        start = self._checked(self._start, rest=True)
+        spans = faulty_spans(start.checked)
         rows = sorted((seen for seen, _ in self._fitted), key=lambda row: float(row.begin[0]))
+        seen = _stacked(rows)
         time, lift, acceleration, per, trunk = map(np.concatenate, zip(*self._means, strict=True))
+        lift[within(time, spans)] = np.nan
         self._map = infer(
-            _stacked(rows),
+            seen._replace(faulty=within(seen.begin, spans)),
             calibrate_on_weight(
-                time, lift, acceleration, per, torque_sd(self._start.forces), mass=self._robot.mass
+                time, lift, acceleration, per, torque_sd(start.forces), mass=self._robot.mass
             ),
             path_of(Motion(trunk, trunk[:, None], time), time),
             prior=self._prior,
             law=self._law,
             anchors=self._anchors,
             feet=FEET,
-            notes=notes_of(self._start),
-            provenance={
-                "log": "online", "robot": self._robot.name, "forces": self._start.provenance()
-            },
-        )  # fmt: skip
+            notes=self._notes(start),
+            provenance={"log": "online", "robot": self._robot.name, "forces": start.provenance()},
+        )
         self._map = replace(self._map, warnings=(*self._assumed, *self._map.warnings))
         return self._map
 
@@ -221,11 +257,11 @@ class Footfalls:
         """Take up samples into the window; return those whose motion is now known."""
         if self._log is not None and self._forces is not None:
             # What is older than the memory goes; what is not yet known is younger.
-            old = int(np.searchsorted(self._log.time, log.time[0] - MEMORY_S))
+            old = int(np.searchsorted(self._log.time, log.time[0] - CHECK_S))
             kept = slice(min(old, len(self._motion.trunk) - 1), None)
-            self._forces = _cut(self._forces, kept)
+            self._forces = cut(self._forces, kept)
             self._motion = Motion(*(column[kept] for column in self._motion))
-            log = _joined([_cut(self._log, kept), log])
+            log = _joined([cut(self._log, kept), log])
         self._log, time, robot, friction = log, log.time, self._robot, start.forces.friction
         count = 0 if self._forces is None else len(self._forces.time)
         known = len(self._motion.trunk)
@@ -234,9 +270,9 @@ class Footfalls:
         first = max(int(np.searchsorted(time, time[max(count - 1, 0)] - MARGIN_S)) - 2, 0)
         assert friction is not None, "the observer has found it"
         new = estimate(
-            _cut(log, slice(first, None)), robot=robot, friction=friction, contact_part=CONTACT_PART
+            cut(log, slice(first, None)), robot=robot, friction=friction, contact_part=CONTACT_PART
         )
-        new = _cut(new, slice(count - first, end - first))
+        new = cut(new, slice(count - first, end - first))
         self._forces = new if self._forces is None else _joined([self._forces, new])
         # The same for the motion, which needs the forces for the loads of the feet.
         last = int(np.searchsorted(time, time[end - 1] - LAG_S))
@@ -245,7 +281,7 @@ class Footfalls:
         turn, trunk = trunk_motion(log, robot, before)
         bias = np.einsum("sij,sj->i", turn, trunk.specific_force) / len(turn) - [0, 0, GRAVITY]
         lift = self._forces.force[first:, :, 2].astype(np.float64)
-        part, place = _cut(log, slice(first, end)), self._forces.place[first:]
+        part, place = cut(log, slice(first, end)), self._forces.place[first:]
         motion = from_the_start(track(part, robot, place, lift, bias=bias), start.log)
         if known:  # places go on from the last one that is known
             apart = self._motion.trunk[-1] - motion.trunk[known - 1 - first]
@@ -260,7 +296,7 @@ class Footfalls:
         assert self._log is not None, "the window"
         assert self._forces is not None, "the window"
         known = slice(0, new.stop)
-        log, forces, motion = _cut(self._log, known), _cut(self._forces, known), self._motion
+        log, forces, motion = cut(self._log, known), cut(self._forces, known), self._motion
         per = sensitivity(log, forces)
         size = max(1, round(AVERAGED_S / float(np.median(np.diff(log.time)))))
         inertia = forces.leg_inertia / self._robot.mass
@@ -278,6 +314,7 @@ class Footfalls:
             return ()
         self._over |= {stance.foot: stance.end for stance in stances}
         seen = touchdowns(log, forces, motion, stances, per, radius=self._prior.radius)
+        seen = seen._replace(faulty=seen.faulty | bool(grave(self._start.checked)[-1]))
         return self._fit(self._start, seen)
 
     def _fit(self, start: RobotForces, seen: Touchdowns) -> tuple[Footfall, ...]:
@@ -309,7 +346,8 @@ class Footfalls:
             apart = np.hypot(*(self._brief[:, :2] - one.place[:, :2]).T)
             near = [self._fitted[k] for k in np.flatnonzero(apart < BESIDE_RADII * prior.radius)]
             self._fitted.append((one, fitted))
-            brief = [*one.place[0, :2], one.torn[0], fitted.gained[0], one.returned[0]]
+            useless = one.torn[0] | one.faulty[0]
+            brief = [*one.place[0, :2], useless, fitted.gained[0], one.returned[0]]
             self._brief = np.vstack([self._brief, brief])
             touched, fits = zip(*near, (one, fitted), strict=True)
             torn, gained, returned = self._brief[:, 2:].T
@@ -347,17 +385,8 @@ def _stacked(rows: Sequence[Any]) -> Any:
     return rows[0]._make(map(np.concatenate, zip(*rows, strict=True)))
 
 
-def _arrays(record: Record) -> list[str]:
-    return [f.name for f in fields(record) if isinstance(getattr(record, f.name), np.ndarray)]
-
-
 def _joined(parts: Sequence[Record]) -> Record:
     """Parts of a record over time with the same columns, one after the other."""
-    names = _arrays(parts[0])
+    names = arrays(parts[0])
     whole: dict[str, Any] = {n: np.concatenate([getattr(p, n) for p in parts]) for n in names}
     return replace(parts[0], **whole)
-
-
-def _cut(record: Record, part: slice) -> Record:
-    """A part of a record over time."""
-    return replace(record, **{name: getattr(record, name)[part] for name in _arrays(record)})

@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import importlib.metadata
 import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,14 +17,14 @@ from pydantic import BaseModel, Json
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import NetcdfFile, write_netcdf
 from terraphi.experiment.scenario import GRAVITY
-from terraphi.robot.checks import balance, check
+from terraphi.robot.checks import REFUSED, Checked, balance, check, grave, notes_of, parts
 from terraphi.robot.estimators import Estimator
 from terraphi.robot.forces import DEFAULT_ESTIMATOR, FootForces, Frame, estimate
-from terraphi.robot.friction import BEARING_SHARE, LAG_STEP_S, MOST_LAG_S
-from terraphi.robot.joint_log import FEET, JointLog
+from terraphi.robot.friction import BEARING_SHARE, MOST_LAG_S
+from terraphi.robot.joint_log import FEET, JointLog, cut
 from terraphi.robot.logs import read_log
 from terraphi.robot.logs.columns import Columns
-from terraphi.robot.logs.samples import UNEVEN, describe
+from terraphi.robot.logs.samples import UNEVEN, describe, refuse_if_hopeless, sound
 from terraphi.robot.model import Quadruped
 from terraphi.robot.stance import AXES, Ensemble, Stance, find_stances
 
@@ -55,11 +56,10 @@ class RobotForces:
         Mean stance of each foot.
     pooled
         Mean stance of all feet.
-    warnings
-        Sentences: what the log lacks, why there are no stances, contradictions.
-    grave
-        Of the warnings, those with which neither directions of forces nor places of feet can be
-        used.
+    checked
+        Contradictions, of each part of the log.
+    remarks
+        Other warnings: what the log lacks, why there are no stances.
     sensor_correlation
         Of each foot's sensor with its vertical force [-], a cross-check of uncalibrated counts;
         empty if the log has none.
@@ -76,11 +76,23 @@ class RobotForces:
     stances: tuple[Stance, ...]
     feet: Mapping[str, Ensemble]
     pooled: Ensemble
-    warnings: tuple[str, ...]
-    grave: tuple[str, ...]
+    checked: tuple[Checked, ...]
+    remarks: tuple[str, ...]
     sensor_correlation: Mapping[str, float]
     report: Mapping[str, Any]
     lift: float | None
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings."""
+        dropped = left_out(self.report["dropped"])
+        return (*self.report.get("notes", ()), *notes_of(self.checked), *dropped, *self.remarks)
+
+    @property
+    def grave(self) -> tuple[str, ...]:
+        """Why neither directions of forces nor places of feet can be used, if in the whole log."""
+        findings = grave(self.checked)
+        return tuple(finding.text for finding in findings[0]) if all(findings) else ()
 
     def summary(self) -> dict[str, Any]:
         """Main numbers of the analysis, JSON-able.
@@ -221,22 +233,27 @@ def foot_forces(
             log, topic=topic, joint_names=joint_names, motors=body.joint_order,
             own_names=body.own_names, columns=columns,
         )  # fmt: skip
+    log, dropped = sound(log)
+    refuse_if_hopeless(source or "the log", dropped, len(log.time))
     if abs(lag_s) > MOST_LAG_S:
         raise InputError(f"lag of {1e3 * lag_s:g} ms: expected at most {1e3 * MOST_LAG_S:g} ms")
     if lag_s:
         every = [np.interp(log.time + lag_s, log.time, t) for t in log.torque.reshape(-1, 12).T]
-        log = replace(log, torque=np.stack(every, axis=1).reshape(log.torque.shape))
+        torque = np.stack(every, axis=1).reshape(log.torque.shape)
+        log = replace(log, torque=torque, report={**log.report, "lag_s": lag_s})
     weight = body.mass * GRAVITY
+    options: dict[str, Any] = {
+        "estimator": estimator, "frame": frame, "contact_part": contact_part
+    }  # fmt: skip
     try:
-        forces = estimate(
-            log, robot=body, estimator=estimator, frame=frame, contact_part=contact_part
-        )
-        stances = find_stances(forces.time, forces.force, rise_N=BEARING_SHARE * weight)
-        mean = balance(forces, stances, weight)
-        findings = check(log, body, forces, mean)
+        forces = estimate(log, robot=body, **options)
+        checked = _checked(log, body, forces, options)
     except InputError as error:
         raise InputError(f"{source}: {error}" if source else str(error)) from error
+    stances = find_stances(forces.time, forces.force, rise_N=BEARING_SHARE * weight)
+    mean = balance(forces, stances, weight)
     report = {"dropped": {}, "source": source, **describe(log.time), **log.report, "lag_s": lag_s}
+    report["dropped"] = dict(sorted((dropped + Counter(report["dropped"])).items()))
     return RobotForces(
         log=log,
         robot=body,
@@ -244,16 +261,28 @@ def foot_forces(
         stances=stances,
         feet={foot: Ensemble.of([s for s in stances if s.foot == foot]) for foot in FEET},
         pooled=Ensemble.of(stances),
-        warnings=(
-            *report.get("notes", ()),
-            *(finding.text for finding in findings),
-            *_notes(forces, stances, report, body),
-        ),
-        grave=tuple(finding.text for finding in reversed(findings) if finding.grave),
+        checked=checked,
+        remarks=tuple(_remarks(forces, stances, report, body)),
         sensor_correlation=_sensor_correlation(log, forces),
         report=report,
         lift=None if mean is None else mean[0],
     )
+
+
+def _checked(
+    log: JointLog, robot: Quadruped, forces: FootForces, options: dict[str, Any]
+) -> tuple[Checked, ...]:
+    """Check a log, part by part; raise InputError if all of them refuse it."""
+    pieces = parts(log.time)
+    if len(pieces) == 1:
+        checked = [check(log, robot, forces)]
+    else:
+        each = (cut(log, piece) for piece in pieces)
+        checked = [check(part, robot, estimate(part, robot=robot, **options)) for part in each]
+    reasons = [f.text for part in checked for f in part.findings if f.about == REFUSED]
+    if len(reasons) == len(checked):
+        raise InputError(reasons[0])
+    return tuple(checked)
 
 
 def _sensor_correlation(log: JointLog, forces: FootForces) -> dict[str, float]:
@@ -268,7 +297,13 @@ def _sensor_correlation(log: JointLog, forces: FootForces) -> dict[str, float]:
     return found
 
 
-def _notes(
+def left_out(dropped: Mapping[str, int]) -> list[str]:
+    """A note of samples that were left out, if there are any."""
+    reasons = ", ".join(f"{reason} ({count})" for reason, count in dropped.items())
+    return [f"{sum(dropped.values())} samples are left out: {reasons}"] if dropped else []
+
+
+def _remarks(
     forces: FootForces, stances: Sequence[Stance], report: Mapping[str, Any], robot: Quadruped
 ) -> list[str]:
     notes, weight = [], robot.mass * GRAVITY
@@ -279,11 +314,6 @@ def _notes(
     uneven = report["jitter_s"] * (report["rate_hz"] or 0.0)
     if uneven > UNEVEN:
         notes.append(f"time stamps vary by {uneven:.0%} of a step: forces are noisier")
-    lag = forces.provenance["torque_lag_s"]
-    if abs(lag) > LAG_STEP_S:
-        late = f"{abs(1e3 * lag):.0f} ms {'late' if lag > 0.0 else 'early'}"
-        remedy = f"correct it with --lag {1e3 * (lag + report['lag_s']):.0f}"
-        notes.append(f"torques are {late} against the motion, by the swing of the legs: {remedy}")
     notes += forces.provenance["assumed"]
     counts = forces.saturated.sum(axis=0).tolist()
     limited = [f"{foot} ({n})" for foot, n in zip(FEET, counts, strict=True) if n]

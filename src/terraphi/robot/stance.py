@@ -38,8 +38,11 @@ LONGEST_S = 2.0
 """Duration of a stance [s]; who stands longer stands still: the slow walk of
 ``tests/robot/test_checks.py`` has 1.6 s."""
 LIFT_S = 0.04
-"""A foot lifted, or not seen, for less than this has not been lifted [s] (a bounce of 16 ms in
+"""A foot lifted for less than this has not been lifted [s] (a bounce of 16 ms in
 ``tests/robot/test_stance.py``)."""
+HELD_S = 0.1
+"""Over this time a foot that stood before and after is taken to have stood where samples are
+missing [s]: shorter than the swing of a fast trot, 0.15 s."""
 SMOOTH_S = 0.01
 """Width of the moving mean on which thresholds are tried, and of velocities [s]: a few samples of a
 log of 500 Hz (noise in ``tests/robot/test_stance.py``)."""
@@ -193,7 +196,7 @@ def _bounds(time: FloatArray, lift: Forces, rise_N: float) -> list[tuple[int, in
     # Outside the record: the foot stood when it began, or when it ended.
     good = (first >= 0) & (last < len(lift))
     first, last = first[good], last[good]
-    breaks = np.concatenate([[0], np.cumsum(np.diff(time) > LIFT_S)])
+    breaks = np.concatenate([[0], np.cumsum(np.diff(time) > HELD_S)])
     duration = time[last] - time[first]
     good = (duration <= LONGEST_S) & (breaks[first] == breaks[last])
     first, last = first[good], last[good]

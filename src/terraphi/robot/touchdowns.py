@@ -256,6 +256,7 @@ def _touchdown(
         "used": good[chosen] & (np.arange(POINTS) < count) & (not short),
         "torn": short or 2.0 * FEWEST * step > WINDOW_S or bool(late.any()),
         "saturated": bool(forces.saturated[part, foot].any()),
+        "faulty": False,
         **_yielding(time[start:end], place[start:end], lift[start:end], half, landing),
     }
 

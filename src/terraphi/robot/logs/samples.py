@@ -6,6 +6,7 @@ Unsound samples are dropped and counted, by reason.
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError
-from terraphi.robot.joint_log import AVERAGE_S, GAP_STEPS, STANDSTILL, JointLog
+from terraphi.robot.joint_log import AVERAGE_S, GAP_STEPS, SHAPES, STANDSTILL, JointLog
 
 Clock = Literal["time_s", "tick", "header stamp"]
 """Column of a table [s], tick of a LowState [ms], header of a JointState [ns]."""
@@ -83,15 +84,15 @@ def joint_log(
     InputError
         If no sample is sound, if over half are not for one reason, or if the units are wrong.
     """
-    _refuse_if_hopeless(path, dropped, len(values["stamp"]))
+    refuse_if_hopeless(path, dropped, len(values["stamp"]))
     values = _sound(values, dropped)
-    _refuse_if_hopeless(path, dropped, len(values["stamp"]))
+    refuse_if_hopeless(path, dropped, len(values["stamp"]))
     time, facts_of_time = seconds(values.pop("stamp"), values.pop("recorded", None), clock)
     notes = [*facts["notes"], *facts_of_time.get("notes", ())]
     keep, lost = increasing(time)
     dropped.update(lost)
     time, values = time[keep], {name: column[keep] for name, column in values.items()}
-    _refuse_if_hopeless(path, dropped, len(time))
+    refuse_if_hopeless(path, dropped, len(time))
     silent = [name for name in _IMU if name in values and not values[name].any()]
     if silent:
         notes.append(f"always zero, taken as absent: {', '.join(silent)}")
@@ -107,6 +108,47 @@ def joint_log(
     counts = {"samples": len(time), "dropped": dict(sorted((+dropped).items()))}
     report = {**counts, **describe(time), **facts, **facts_of_time, "notes": notes}
     return JointLog(time, **values, report=report)
+
+
+def sound(log: JointLog) -> tuple[JointLog, Counter[str]]:
+    """The samples of a log that a sensor can have sent, and the number of others by reason.
+
+    Raises
+    ------
+    InputError
+        If it is no JointLog, has no samples, or a column is no array of numbers of its shape.
+    """
+    if not isinstance(log, JointLog):
+        raise InputError(f"samples of type {type(log).__name__}; give them as a JointLog")
+    values: dict[str, Any] = {}
+    for name, shape in {"time": (), **SHAPES}.items():
+        if (column := getattr(log, name)) is None and name in _IMU:
+            continue
+        values[name] = column = _numbers(name, column)
+        count = len(values["time"]) if values["time"].ndim else 1
+        if column.shape != (count, *shape):
+            raise InputError(f"{name} has shape {column.shape}, expected {(count, *shape)}")
+    if not len(values["time"]):
+        raise InputError("there are no samples; at least 1 is needed")
+    dropped: Counter[str] = Counter()
+    values = _sound({"stamp": values.pop("time"), **values}, dropped)
+    if "quaternion" in values and not values["quaternion"].any():  # none is an attitude
+        dropped[ATTITUDE] += len(values["stamp"])
+        values = {name: column[:0] for name, column in values.items()}
+    keep, lost = increasing(values["stamp"])
+    values = {name: column[keep] for name, column in values.items()}
+    return replace(log, time=values.pop("stamp"), **values), +(dropped + lost)
+
+
+def _numbers(name: str, column: Any) -> FloatArray:
+    try:
+        values = np.asarray(column)
+    except ValueError as error:  # rows of different lengths
+        raise InputError(f"{name} has rows of different lengths; give an array") from error
+    if values.dtype.kind not in "iuf":
+        kind = type(column).__name__ if values.dtype == object else values.dtype
+        raise InputError(f"{name} is of type {kind}; give an array of numbers")
+    return values.astype(np.float64)
 
 
 def _sound(values: dict[str, Any], dropped: Counter[str]) -> dict[str, Any]:
@@ -127,7 +169,8 @@ def _sound(values: dict[str, Any], dropped: Counter[str]) -> dict[str, Any]:
     return {name: column[keep] for name, column in values.items()}
 
 
-def _refuse_if_hopeless(path: Path, dropped: Counter[str], kept: int) -> None:
+def refuse_if_hopeless(path: Path | str, dropped: Counter[str], kept: int) -> None:
+    """Refuse a log without samples, or with most of them dropped for one reason."""
     if not kept and not dropped.total():
         raise InputError(f"{path}: no samples in it; record the log again")
     reason, number = (dropped or Counter({"": 0})).most_common(1)[0]
