@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import runpy
 from collections.abc import Callable
@@ -13,6 +14,7 @@ import pytest
 from scipy.ndimage import uniform_filter1d
 
 from terraphi.experiment.errors import InputError
+from terraphi.robot.checks import Checked, Finding, faulty_spans, parts
 from terraphi.robot.joint_log import JointLog
 from terraphi.robot.results import foot_forces
 
@@ -43,6 +45,28 @@ def test_a_sound_log_is_not_doubted(name: str) -> None:
     found = foot_forces(WALKS[name].log()[0])
     assert found.warnings == ()
     assert found.summary()["lift_over_weight"] == pytest.approx(1.0, abs=0.03)
+
+
+def test_parts_cover_a_log_and_faults_those_before_them() -> None:
+    """Ten seconds, five each after them, and the last five; a gap has no part of its own."""
+    for end in (3.0, 10.4, 11.5, 27.9):
+        time = np.delete(np.arange(0.0, end, 0.002), np.s_[400:900])
+        spans = [(time[piece][0], time[piece][-1]) for piece in parts(time)]
+        assert spans[0][0] == 0.0
+        assert all(0.0 <= b - a < 10.0 for a, b in spans)
+        assert all(nxt[0] <= last[1] + 0.003 for last, nxt in itertools.pairwise(spans))
+        assert time[-1] - spans[-1][1] < 1.0
+    sound, wrong = (), (Finding("weight", "too light", True),)
+    slow = (Finding("lag", "late", remedy="--lag 20", changes=True),)
+    ends = [0.0, 10.0, 15.0, 20.0, 25.0]
+
+    def spans_of(*findings: tuple[Finding, ...]) -> list[tuple[float, float]]:
+        pairs = zip(ends, ends[1:], findings, strict=False)
+        return faulty_spans([Checked(begin, end, each) for begin, end, each in pairs])
+
+    assert spans_of(sound, sound, wrong, sound) == [(10.0, 20.0)]
+    assert spans_of(sound, sound, sound, slow) == [(15.0, 25.0)]
+    assert spans_of(slow, slow, slow, slow) == []
 
 
 def late(log: JointLog, seconds: float) -> JointLog:

@@ -13,12 +13,13 @@ import numpy as np
 import pytest
 
 from terraphi.experiment.errors import InputError
-from terraphi.inference.footfalls import FootfallMap
+from terraphi.inference.footfalls import FAULTY, TORN, FootfallMap
 from terraphi.robot.footfalls import footfalls
 from terraphi.robot.forces import estimate
-from terraphi.robot.joint_log import JointLog
+from terraphi.robot.joint_log import SHAPES, JointLog
 from terraphi.robot.model import Quadruped
 from terraphi.robot.online import LAG_S, Footfall, Footfalls
+from terraphi.robot.results import foot_forces
 from terraphi.robot.touchdowns import track
 
 _WALKER = runpy.run_path(str(Path(__file__).with_name("walker.py")))
@@ -161,6 +162,131 @@ def test_gaps(log: JointLog) -> None:
     assert [f.verdict for f in found].count("usable") > 30
     assert {int(f.time > 14.0) + int(f.time > 76.0) for f in found} == {0, 1, 2}
     assert np.isfinite(walk.map().path_phi).all()
+
+
+def test_samples_that_no_sensor_sends_are_left_out(
+    log: JointLog, online: tuple[Footfalls, list[Footfall]], batch: FootfallMap
+) -> None:
+    """Torques of 40 ms are not numbers, an attitude is zero, a time repeats: no footfall is lost.
+
+    A foot that comes down then has no φ.
+    """
+    torque, quaternion, time = log.torque.copy(), np.array(log.quaternion), log.time.copy()
+    torque[6500:6520, 1, 2] = np.nan
+    quaternion[7000] = 0.0
+    time[7100] = time[7099]
+    unsound = replace(log, torque=torque, quaternion=quaternion, time=time)
+    walk, found = streamed(unsound, 50, density="1550±80")
+    whole = footfalls(unsound, density="1550±80")
+    assert whole.foot == batch.foot
+    early = [[f.foot for f in each if f.time < DURATION - 2.5] for each in (found, online[1])]
+    assert early[0] == early[1]
+    assert list(whole.verdict).count(TORN) <= 1
+    left_out = [n for n in whole.notes if "22 samples are left out" in n]
+    assert left_out
+    assert left_out == [n for n in walk.notes if "samples" in n]
+
+
+@pytest.fixture(scope="module")
+def warm(log: JointLog) -> Footfalls:
+    """A walk of ten seconds."""
+    return streamed(part(log, 0, 5001), 5001)[0]
+
+
+@pytest.mark.parametrize(
+    ("samples", "words"),
+    [
+        (None, "samples of type NoneType; give them as a JointLog"),
+        ([], "samples of type list"),
+        ({name: np.zeros((0, *SHAPES.get(name, ()))) for name in COLUMNS}, "there are no samples"),
+        ({"time": "abc"}, "time is of type str"),
+        ({"torque": None}, "torque is of type NoneType"),
+        ({"torque": [[1.0], [1.0, 2.0]]}, "torque has rows of different lengths"),
+        ({"torque": np.zeros((100, 12))}, r"torque has shape \(100, 12\), expected \(100, 4, 3\)"),
+        ({"quaternion": None}, "samples have no attitude"),
+        ({"acceleration": None}, "other columns"),
+        ({"time": 0.01 * np.arange(100)}, "should follow"),
+    ],
+)
+def test_a_piece_that_cannot_be_taken_leaves_the_walk_as_it_was(
+    log: JointLog, warm: Footfalls, samples: Any, words: str
+) -> None:
+    walk = copy.deepcopy(warm)
+    piece = part(log, 5001, 5101)
+    wrong = replace(piece, **samples) if isinstance(samples, dict) else samples
+    with pytest.raises(InputError, match=words):
+        walk.update(wrong)
+    walk.update(piece)
+    new = walk.update(part(log, 5101, 5700))
+    again = copy.deepcopy(warm)
+    again.update(piece)
+    assert new == again.update(part(log, 5101, 5700)) != ()
+
+
+def exchanged(log: JointLog, rows: slice) -> dict[str, np.ndarray]:
+    changed = {name: getattr(log, name).copy() for name in ("angle", "velocity", "torque")}
+    for values in changed.values():
+        values[rows] = values[rows][:, [1, 0, 2, 3]]
+    return changed
+
+
+def still(log: JointLog, rows: slice) -> dict[str, np.ndarray]:
+    angle, velocity = log.angle.copy(), log.velocity.copy()
+    angle[rows, 1, 0], velocity[rows, 1, 0] = angle[rows.start, 1, 0], 0.0
+    return {"angle": angle, "velocity": velocity}
+
+
+def times(log: JointLog, rows: slice, factor: float) -> dict[str, np.ndarray]:
+    torque = log.torque.copy()
+    torque[rows, 1, 1] *= factor
+    return {"torque": torque}
+
+
+def late(log: JointLog, rows: slice) -> dict[str, np.ndarray]:
+    torque = log.torque.copy()
+    torque[rows] = torque[rows.start - 10 : -10]
+    return {"torque": torque}
+
+
+FAULTS = {
+    "fit better if legs were exchanged": exchanged,
+    "the torque of FL_thigh stands still": lambda log, rows: times(log, rows, 0.0),
+    "torques of FL_thigh have the wrong sign": lambda log, rows: times(log, rows, -1.0),
+    "the angle of FL_hip stands still": still,
+    r"torques are (19|20|21) ms late": late,
+}
+
+
+@pytest.mark.parametrize("words", FAULTS)
+def test_faults_that_begin_after_the_first_ten_seconds(
+    log: JointLog, warm: Footfalls, words: str
+) -> None:
+    rest = slice(5001, len(log.time))
+    wrong = replace(log, **FAULTS[words](log, rest))
+    walk = copy.deepcopy(warm)
+    assert not [note for note in walk.notes if "from" in note]
+    found = [
+        f for start in range(5001, 8000, 100) for f in walk.update(part(wrong, start, start + 100))
+    ]
+    notes = [note for note in walk.notes if re.search(f"^from 10 to 1[56] s: .*({words})", note)]
+    assert len(notes) == 1, walk.notes
+    assert found[-1].verdict == FAULTY
+    # The same in the batch, which also has the last five seconds.
+    analysis = foot_forces(wrong, contact_part=0.4)
+    assert not analysis.grave
+    assert any(re.search(f"^from 10 to 1[56] s: .*({words})", note) for note in analysis.notes)
+
+
+def test_a_fault_costs_no_footfalls_before_it() -> None:
+    """A motor dead from 11 s on, found from 15 s on: those of the first 10 s are as without it."""
+    log = LawWalk(duration=20.0).log()[0]
+    dead = replace(log, **times(log, slice(5500, None), 0.0))
+    found, first = footfalls(dead), footfalls(part(log, 0, 5000))
+    faulty = np.array(found.verdict) == FAULTY
+    np.testing.assert_array_equal(faulty, found.time >= 10.0)
+    early = found.time < 9.0
+    assert early.sum() > 20
+    np.testing.assert_allclose(found.phi[early], first.phi[: early.sum()], atol=0.3)
 
 
 def test_what_cannot_be_is_refused(log: JointLog) -> None:

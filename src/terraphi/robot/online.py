@@ -65,7 +65,7 @@ from terraphi.robot.footfalls import (
 from terraphi.robot.forces import FootForces, estimate, without_broken_accelerometer
 from terraphi.robot.friction import BEARING_SHARE
 from terraphi.robot.joint_log import FEET, JointLog, Record, arrays, cut
-from terraphi.robot.logs.samples import sound
+from terraphi.robot.logs.samples import BACKWARDS, REPEATED, sound
 from terraphi.robot.model import Quadruped
 from terraphi.robot.results import RobotForces, foot_forces, left_out
 from terraphi.robot.stance import LIFT_S, find_stances
@@ -172,12 +172,16 @@ class Footfalls:
         if self._columns not in ([], arrays(samples)):
             raise InputError("samples have other columns than those before; give all the same")
         last = self._pending[-1] if self._pending else self._log
-        if last is not None and len(samples.time) and samples.time[0] <= last.time[-1]:
-            raise InputError(
-                f"samples begin at {samples.time[0]:g} s, and those before end at "
-                f"{last.time[-1]:g} s; they should follow"
-            )
-        self._left_out += left_out
+        if last is not None and len(samples.time) and samples.time[0] <= (end := last.time[-1]):
+            if samples.time[-1] <= end:
+                raise InputError(
+                    f"samples begin at {samples.time[0]:g} s, and those before end at {end:g} s; "
+                    "they should follow"
+                )
+            left_out[REPEATED] += int((samples.time == end).sum())
+            left_out[BACKWARDS] += int((samples.time < end).sum())
+            samples = cut(samples, slice(int(np.searchsorted(samples.time, end, "right")), None))
+        self._left_out += left_out  # without those of which there are none
         if not len(samples.time):
             return ()
         self._columns = arrays(samples)

@@ -253,7 +253,7 @@ def foot_forces(
     stances = find_stances(forces.time, forces.force, rise_N=BEARING_SHARE * weight)
     mean = balance(forces, stances, weight)
     report = {"dropped": {}, "source": source, **describe(log.time), **log.report, "lag_s": lag_s}
-    report["dropped"] = dict(sorted((dropped + Counter(report["dropped"])).items()))
+    report["dropped"] = dict(dropped + Counter(report["dropped"]))
     return RobotForces(
         log=log,
         robot=body,
@@ -299,7 +299,7 @@ def _sensor_correlation(log: JointLog, forces: FootForces) -> dict[str, float]:
 
 def left_out(dropped: Mapping[str, int]) -> list[str]:
     """A note of samples that were left out, if there are any."""
-    reasons = ", ".join(f"{reason} ({count})" for reason, count in dropped.items())
+    reasons = ", ".join(f"{reason} ({count})" for reason, count in sorted(dropped.items()))
     return [f"{sum(dropped.values())} samples are left out: {reasons}"] if dropped else []
 
 

@@ -146,7 +146,7 @@ def _numbers(name: str, column: Any) -> FloatArray:
     except ValueError as error:  # rows of different lengths
         raise InputError(f"{name} has rows of different lengths; give an array") from error
     if values.dtype.kind not in "iuf":
-        kind = type(column).__name__ if values.dtype == object else values.dtype
+        kind = getattr(column, "dtype", type(column).__name__)
         raise InputError(f"{name} is of type {kind}; give an array of numbers")
     return values.astype(np.float64)
 
