@@ -181,7 +181,7 @@ def test_of_two_feet_in_one_place_the_second_is_refused() -> None:
     feet = np.array([0, 1, 2, 3, 2, 0, 3])
     places = np.column_stack([x, np.zeros((7, 2))])
     fair = {"torn": np.zeros(7, bool), "saturated": np.zeros(7, bool), "place": places}
-    fair |= {"returned": np.zeros(7), "broken": np.zeros(7)}
+    fair |= {"returned": np.zeros(7), "broken": np.zeros(7), "faulty": np.zeros(7, bool)}
     seen = SimpleNamespace(foot=feet, used=np.ones((7, 20), bool), **fair)
     found = SimpleNamespace(
         phi=np.array([32.0] * 6 + [50.0]), sinkage=np.full(7, 0.02), gained=np.full(7, 0.01),

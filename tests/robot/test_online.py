@@ -182,9 +182,9 @@ def test_samples_that_no_sensor_sends_are_left_out(
     early = [[f.foot for f in each if f.time < DURATION - 2.5] for each in (found, online[1])]
     assert early[0] == early[1]
     assert list(whole.verdict).count(TORN) <= 1
-    left_out = [n for n in whole.notes if "22 samples are left out" in n]
+    left_out = [n for n in whole.warnings if "22 samples are left out" in n]
     assert left_out
-    assert left_out == [n for n in walk.notes if "samples" in n]
+    assert left_out == [n for n in walk.warnings if "samples" in n]
 
 
 @pytest.fixture(scope="module")
@@ -264,17 +264,17 @@ def test_faults_that_begin_after_the_first_ten_seconds(
     rest = slice(5001, len(log.time))
     wrong = replace(log, **FAULTS[words](log, rest))
     walk = copy.deepcopy(warm)
-    assert not [note for note in walk.notes if "from" in note]
+    assert not [note for note in walk.warnings if "from" in note]
     found = [
         f for start in range(5001, 8000, 100) for f in walk.update(part(wrong, start, start + 100))
     ]
-    notes = [note for note in walk.notes if re.search(f"^from 10 to 1[56] s: .*({words})", note)]
-    assert len(notes) == 1, walk.notes
+    notes = [note for note in walk.warnings if re.search(f"^from 10 to 1[56] s: .*({words})", note)]
+    assert len(notes) == 1, walk.warnings
     assert found[-1].verdict == FAULTY
     # The same in the batch, which also has the last five seconds.
     analysis = foot_forces(wrong, contact_part=0.4)
     assert not analysis.grave
-    assert any(re.search(f"^from 10 to 1[56] s: .*({words})", note) for note in analysis.notes)
+    assert any(re.search(f"^from 10 to 1[56] s: .*({words})", note) for note in analysis.warnings)
 
 
 def test_a_fault_costs_no_footfalls_before_it() -> None:

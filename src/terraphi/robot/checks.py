@@ -108,7 +108,7 @@ def parts(time: FloatArray, first: int = 0) -> list[slice]:
     return pieces
 
 
-def notes_of(checked: Sequence[Checked]) -> list[str]:
+def warnings_of(checked: Sequence[Checked]) -> list[str]:
     """One sentence about each kind of finding, with its time unless it is in all parts."""
     notes = []
     for about in dict.fromkeys(finding.about for part in checked for finding in part.findings):

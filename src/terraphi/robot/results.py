@@ -17,7 +17,7 @@ from pydantic import BaseModel, Json
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import NetcdfFile, write_netcdf
 from terraphi.experiment.scenario import GRAVITY
-from terraphi.robot.checks import REFUSED, Checked, balance, check, grave, notes_of, parts
+from terraphi.robot.checks import REFUSED, Checked, balance, check, grave, parts, warnings_of
 from terraphi.robot.estimators import Estimator
 from terraphi.robot.forces import DEFAULT_ESTIMATOR, FootForces, Frame, estimate
 from terraphi.robot.friction import BEARING_SHARE, MOST_LAG_S
@@ -86,7 +86,7 @@ class RobotForces:
     def warnings(self) -> tuple[str, ...]:
         """Warnings."""
         dropped = left_out(self.report["dropped"])
-        return (*self.report.get("notes", ()), *notes_of(self.checked), *dropped, *self.remarks)
+        return (*self.report.get("notes", ()), *warnings_of(self.checked), *dropped, *self.remarks)
 
     @property
     def grave(self) -> tuple[str, ...]:
