@@ -256,7 +256,9 @@ def estimate(
             "priors": asdict(shared),
             "friction": None if overview.friction is None else overview.friction.summary(),
             "torque_lag_s": overview.lag,
-            "torque_gain": [None if np.isnan(g) else round(g, 3) for g in overview.gain.flat],
+            "torque_gain": [
+                None if g != g else round(g, 3) for g in overview.gain.ravel().tolist()
+            ],
             "assumed": _assumed(log, robot, overview, broken),
         },
     )
