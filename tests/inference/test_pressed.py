@@ -197,3 +197,16 @@ def test_bad_tools_are_refused(tool: str, options: dict[str, str], match: str) -
 def test_missing_column_is_named() -> None:
     with pytest.raises(terraphi.InputError, match="no column of force or pressure"):
         terraphi.invert(pressed(30.0)[["sinkage_mm"]].assign(a=1.0), tool="plate:60")
+
+
+def test_half_and_twice_the_force_are_what_the_answer_says() -> None:
+    """An answer of forces that were scaled, where it lies in the law."""
+    file = GRAINS / "B-loose_disc_60_1.csv"
+    table = pd.read_csv(file, comment="#")
+    stated = terraphi.invert(file, tool="plate:60", density=1412).phi_of_force_deg
+    assert stated is not None
+    for name, factor in (("half", 0.5), ("twice", 2.0)):
+        scaled = terraphi.invert(
+            table.assign(Fz_N=factor * table["Fz_N"]), tool="plate:60", density=1412
+        )
+        assert scaled.phi.median == pytest.approx(stated[name], abs=1.5), name

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from terraphi.experiment.arrays import FloatArray, IntArray
+from terraphi.experiment.arrays import BoolArray, FloatArray, IntArray
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.reading import read_pressed
 from terraphi.experiment.rig import Tool
@@ -200,6 +200,8 @@ def invert_pressed(
         verdict=verdict, reason=reason, edge=edge, budget_deg=budget,
         density_kg_m3=rho, density_sd_kg_m3=rho_sd, density_assumed=density is None, law=name,
         law_reason="" if law else "the default for tools", leg_friction=SURFACE_FRICTION,
+        phi_of_force_deg=_phi_of_force(press, fit, estimate.median)
+        if verdict == "consistent" else None,
         warnings=(*density_doubts(rho), *guessed, *notes), records=(record,), grid_deg=grid,
         density=posterior, covariance=press.error + shared * np.outer(fit.slope, fit.slope),
         provenance={
@@ -319,14 +321,8 @@ def _verdict(
             f"Misfit: the residual is {100.0 * size:.0f} % of the force's range, the limit "
             f"{100.0 * LIMIT:.0f} %; check tool and columns. Do not use the angle."
         ), None  # fmt: skip
-    # φ of the shallow and of the deep half, with contact and contraction as they are.
-    angles = np.arange(low, high, 0.1)
-    curves = press.borne[fit.top] * press.curve(np.stack([angles, 0 * angles + fit.contact], -1))
     deep = press.z > 0.5 * press.z[-1]
-    upper, lower = (
-        float(angles[np.square((curves - press.force)[:, half]).sum(axis=1).argmin()])
-        for half in (~deep, deep)
-    )
+    upper, lower = (_angle_of(press, fit, press.force, half) for half in (~deep, deep))
     if abs(lower - upper) > APART * _steady_sd(budget):
         return "misfit", (
             f"Misfit: the upper half of the depth gives φ = {upper:.0f}°, the lower half "
@@ -335,6 +331,25 @@ def _verdict(
     return "consistent", (
         f"Consistent: the law follows the force within {100.0 * size:.0f} % of its range."
     ), None  # fmt: skip
+
+
+def _angle_of(press: _Press, fit: _Fit, force: FloatArray, part: BoolArray) -> float:
+    """φ of a force over a part of the depth, at the likeliest contact and contraction [deg]."""
+    low, high = press.ends
+    angles = np.arange(low, high, 0.1)
+    curves = press.borne[fit.top] * press.curve(np.stack([angles, 0 * angles + fit.contact], -1))
+    return float(angles[np.square((curves - force)[:, part]).sum(axis=1).argmin()])
+
+
+def _phi_of_force(press: _Press, fit: _Fit, phi_deg: float) -> dict[str, float | None]:
+    """φ that half and twice the force would be read as [deg]; ``None`` outside of the law."""
+    every = np.ones(press.z.size, bool)
+    now, half, twice = (_angle_of(press, fit, f * press.force, every) for f in (1.0, 0.5, 2.0))
+    low, end = press.ends[0] + 0.1, min(press.ends[1] - 0.2, LOOSE_DEG)
+    return {
+        name: phi_deg + angle - now if low < angle and phi_deg + angle - now <= end else None
+        for name, angle in (("half", half), ("twice", twice))
+    }
 
 
 def _notes(press: _Press, fit: _Fit, verdict: Verdict) -> list[str]:

@@ -82,7 +82,9 @@ def in_words(answer: Answer) -> list[str]:
             "out of range" if angle is None else f"{angle:.0f}°"
             for angle in map(answer.phi_of_force_deg.get, ("half", "twice"))
         )
-        lines.append(f"  Half the force: {half}; twice: {twice}. Hang a known weight on the leg.")
+        lines.append(
+            f"  Half the force: {half}; twice: {twice}. Hang a known weight on the sensor."
+        )
     guesses = [sentence for sentence in answer.warnings if GUESSED in sentence]
     warnings = [sentence for sentence in answer.warnings if sentence not in guesses]
     lines += [f"  Warning: {sentence}" for sentence in warnings]
