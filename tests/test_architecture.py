@@ -11,8 +11,8 @@ import pytest
 
 SOURCE = Path(__file__).parents[1] / "src" / "terraphi"
 FOLDERS = (
-    "experiment", "forward", "laws", "inference", "paper", "robot", "terrain",
-    "view", "cli",
+    "experiment", "forward", "laws", "inference", "robot", "terrain", "view",
+    "paper", "cli",
 )  # fmt: skip
 HEAVY = {"distributed", "emcee", "h5py", "matplotlib", "numba", "pandas", "scipy", "xarray"}
 

@@ -17,8 +17,8 @@ from terraphi.forward.driver import path_of_steps, step_count
 from terraphi.forward.ledger import empty_audit, empty_reaction
 from terraphi.forward.mpm.lattice import lattice_of
 from terraphi.forward.mpm.solver import MpmSolver, settle
-from terraphi.forward.plane.bed import Particles
-from terraphi.forward.plane.solver import PlaneSolver
+from terraphi.paper.plane.bed import Particles
+from terraphi.paper.plane.solver import PlaneSolver
 
 BLOCK = 1000
 """Steps that a solver is asked for at a time; in three dimensions whole phases near it."""

@@ -12,8 +12,8 @@ import pytest
 from runs import Run, block_of, elastic, floating, sand3d
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
-from terraphi.forward.plane.bed import empty_grid
-from terraphi.forward.plane.transfer import grid_to_particle, particles_to_grid
+from terraphi.paper.plane.bed import empty_grid
+from terraphi.paper.plane.transfer import grid_to_particle, particles_to_grid
 
 pytestmark = pytest.mark.slow
 

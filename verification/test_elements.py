@@ -14,7 +14,7 @@ import pytest
 
 from terraphi.experiment.soil import Soil
 from terraphi.forward.mpm import plasticity as solid
-from terraphi.forward.plane import plasticity as plane
+from terraphi.paper.plane import plasticity as plane
 
 pytestmark = pytest.mark.slow
 

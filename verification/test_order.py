@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from runs import Run, block_of, elastic, floating, lame_mode, unchecked
-from terraphi.forward.plane.bed import Particles
+from terraphi.paper.plane.bed import Particles
 
 pytestmark = pytest.mark.slow
 

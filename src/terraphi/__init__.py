@@ -8,6 +8,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from terraphi.experiment.solvers import SOLVERS
+
 if TYPE_CHECKING:
     from terraphi.experiment.errors import InputError as InputError
     from terraphi.experiment.errors import SimulationError as SimulationError
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
     from terraphi.experiment.scenario import Scenario as Scenario
     from terraphi.experiment.soil import Soil as Soil
     from terraphi.forward import simulate as simulate
+    from terraphi.forward.driver import Solver
     from terraphi.inference.answer import Answer as Answer
     from terraphi.inference.inversion import calibrate as calibrate
     from terraphi.inference.inversion import invert as invert
@@ -73,6 +76,16 @@ _PLACES = {
 """Public name to its module, and to its name there if that is another."""
 
 __all__ = [name for name in _PLACES if name != "map"]  # which Python has itself
+
+
+def _plane_strain(scenario: Scenario) -> Solver:
+    """The solver of Xu & Wang: nothing else of the package imports from ``paper/`` than this."""
+    from terraphi.paper.plane.solver import PlaneSolver
+
+    return PlaneSolver(scenario)
+
+
+SOLVERS[2] = _plane_strain
 
 
 def __getattr__(name: str) -> Any:

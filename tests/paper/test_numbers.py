@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import pytest
@@ -156,6 +158,8 @@ def test_emcee_agrees_with_quadrature_on_a_truth(monkeypatch: pytest.MonkeyPatch
     (exact,) = (p for p, here in zip(numbers.posteriors("paper"), at, strict=True) if here)
     monkeypatch.setattr(numbers, "held_out", lambda _: one)
     monkeypatch.setattr(numbers, "posteriors", lambda _: [exact])
+    # Of the paper's 4000 steps 1600, 1000 of them burn-in, are enough for the bounds below.
+    monkeypatch.setattr(numbers.paper, "sample", partial(numbers.paper.sample, steps=1600))
     found = numbers.recovery()
     (case,) = found.data["cases"]
     assert case["emcee_rhat"] < 1.01
@@ -185,16 +189,12 @@ def test_figures_show_what_was_computed(results: dict[str, numbers.Result]) -> N
 
 
 def test_snapshots_are_taken_as_the_leg_reaches_its_angles(
-    monkeypatch: pytest.MonkeyPatch,
+    coarse: Callable[..., Scenario], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    coarse = {
-        "numerics": {"cells": 32, "speed_up": 20.0, "time_step": 5e-5, "contact_band_cells": 0.5},
-        "bed": {"left": 0.010, "floor": 0.010, "width": 0.280, "height": 0.160},
-        "motion": {"start_deg": -100.0, "stop_deg": -40.0},
-    }
+    scenario = coarse(**{"motion.start_deg": -100.0, "motion.stop_deg": -40.0})
     monkeypatch.setattr(draw, "SNAPSHOTS_DEG", (-90.0, -60.0))
     monkeypatch.setattr(draw, "SPEED_UP", 20.0)
-    found = draw.soil_around(Scenario.model_validate(coarse), ["straight"], lambda _: None)
+    found = draw.soil_around(scenario, ["straight"], lambda _: None)
     _, taken = found["straight"]
     assert [np.degrees(m.theta) for m in taken] == pytest.approx([-90.0, -60.0], abs=25.0)
     assert all(np.degrees(m.theta) >= wanted for m, wanted in zip(taken, (-90, -60), strict=True))

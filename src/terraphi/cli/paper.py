@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from terraphi.cli.options import PATH, choice, json_option
+from terraphi.experiment.errors import needing
 from terraphi.view.console import Table, as_text, present, progress_bar
 
 NAMES = (
@@ -45,8 +46,9 @@ def paper(name: str | None, library: str, out: Path | None, as_json: bool) -> No
     Example: terraphi paper recovery --out recovery
     """  # noqa: D301
     from terraphi.experiment.outputs import check_folder, output_folder
-    from terraphi.paper import numbers
 
+    with needing("terraphi paper", "emcee, Matplotlib, Numba and SciPy", extra="plot,simulate"):
+        from terraphi.paper import numbers
     if out is not None:
         check_folder(out, kind="paper", names=["data.json"])
     last = None

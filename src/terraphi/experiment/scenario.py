@@ -33,7 +33,7 @@ COURANT_LIMIT = 0.9
 """Largest stable (c_p + v) Δt / Δx of the explicit step in plane strain.
 
 Measured: elastic beds stay quiet up to 1.00 in the worst arrangement of particles tried and 1.10 in
-most, soil up to 1.15; see tests/forward/plane."""
+most, soil up to 1.15; see tests/paper/plane."""
 COURANT_LIMIT_3D = 0.75
 """The same in three dimensions."""
 LONGEST_TRAVEL = 0.5
@@ -192,7 +192,7 @@ class Numerics(Strict):
     contact: Literal["nodes", "unbalanced"] = "nodes"
     """In 2-D, ``nodes``: the nodes of the grid near the leg take its velocity; ``unbalanced``: as
     in the public prototype of Xu & Wang, which counts more force than it applies
-    (``forward/plane/contact.py``). In 3-D material points press on the leg's true surface."""
+    (``paper/plane/contact.py``). In 3-D material points press on the leg's true surface."""
     contact_band_cells: float = Field(2.0, ge=0)
     """In 2-D, nodes closer to the leg than this many cells are in contact [-]."""
     tip_inset_cells: float = Field(0.0, ge=0, le=4)

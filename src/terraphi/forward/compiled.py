@@ -39,9 +39,9 @@ OPTIONS: dict[str, Any] = {
 }
 """Numba's options for all kernels."""
 _FOLDER = Path(__file__).parent
-_EXPERIMENT = _FOLDER.parent / "experiment"
-_SOURCES = [*sorted(_FOLDER.rglob("*.py")), _EXPERIMENT / "leg.py"]
-"""What is compiled."""
+_EXPERIMENT, _PLANE = (_FOLDER.parent / name for name in ("experiment", "paper/plane"))
+_SOURCES = [*sorted(_FOLDER.rglob("*.py")), *sorted(_PLANE.glob("*.py")), _EXPERIMENT / "leg.py"]
+"""What is compiled, here and below."""
 _GIVEN = [_EXPERIMENT / f"{name}.py" for name in ("motion", "scenario", "soil")]
 """What makes the numbers that the kernels are called with."""
 _NAME = "terraphi-kernels-"

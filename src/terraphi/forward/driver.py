@@ -6,23 +6,22 @@ import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import SimulationError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.motion import Poses, bin_centres
 from terraphi.experiment.scenario import Scenario
+from terraphi.experiment.solvers import SOLVERS
 from terraphi.forward import forecast
 from terraphi.forward.body import Path
 from terraphi.forward.checkpoint import Checkpoint, Keeper, Kernel, State
-from terraphi.forward.ledger import empty_audit, empty_reaction
-
-if TYPE_CHECKING:
-    from terraphi.forward.mpm.solver import MpmSolver
-    from terraphi.forward.plane.solver import PlaneSolver
+from terraphi.forward.ledger import Audit, empty_audit, empty_reaction
+from terraphi.forward.mpm.solver import MpmSolver
 
 log = logging.getLogger(__name__)
 
@@ -31,6 +30,29 @@ BLOCK = {2: 2000, 3: 400}
 
 Blocks end at multiples of their length even if a run goes on from a checkpoint, for the fast kernel
 packs its particles anew at the start of each, and its roundings depend on that."""
+
+
+class Solver(Protocol):
+    """A kernel with its constants and working memory, as the driver and an observer use it."""
+
+    width: float
+    """What impulses are multiplied by: in plane strain the leg's width [m], else 1."""
+
+    @property
+    def ledger_rows(self) -> tuple[str, ...]:
+        """Names of the rows of the ledger."""
+
+    def bed(self) -> Any:
+        """Soil before the first step."""
+
+    def advance(self, soil: Any, path: Path, impulse: FloatArray, audit: Audit) -> int:
+        """Take some steps in place; index of the first particle to leave the grid, or -1."""
+
+    def fields(self, soil: Any) -> tuple[FloatArray, dict[str, NDArray[Any]]]:
+        """Places (x, y, z) [m] of the particles, and their fields by name."""
+
+    def provenance(self, state: State) -> dict[str, Any]:
+        """What only this solver adds to the provenance of a history."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +77,7 @@ class Snapshot:
     step: int
     steps: int
     soil: Any
-    solver: PlaneSolver | MpmSolver
+    solver: Solver
 
     @property
     def time(self) -> float:
@@ -106,8 +128,11 @@ def simulate(
         If the solution breaks down; the message says between which steps, and the likely cause.
     """
     began = time.perf_counter()
-    kernel = "scalar" if scenario.dimensions == 2 else kernel
-    solver = _solver_of(scenario, kernel)
+    solver: Solver
+    if scenario.dimensions == 2:
+        solver, kernel = SOLVERS[2](scenario), "scalar"
+    else:
+        solver = MpmSolver(scenario, kernel)
     keeper = Keeper(checkpoint, scenario, kernel)
     centres, steps = bin_centres(scenario.motion), step_count(scenario)
     bins, length = len(centres), block_length(scenario)
@@ -152,22 +177,6 @@ def simulate(
         provenance=provenance,
         moment=mean[:, 2] if scenario.dimensions == 3 else None,
     )
-
-
-def _solver_of(scenario: Scenario, kernel: Kernel) -> PlaneSolver | MpmSolver:
-    """The solver of a scenario's dimensions, whose kernels are loaded here.
-
-    A solver has the ``bed`` before the first step, ``advance`` to take steps in place, ``fields``
-    to look at, ``provenance`` of its own, the names of its ``ledger_rows``, and the ``width`` that
-    impulses are multiplied by: the leg's [m] in plane strain, else 1.
-    """
-    if scenario.dimensions == 2:
-        from terraphi.forward.plane.solver import PlaneSolver
-
-        return PlaneSolver(scenario)
-    from terraphi.forward.mpm.solver import MpmSolver
-
-    return MpmSolver(scenario, kernel)
 
 
 def _breakdown(scenario: Scenario, before: int, after: int, steps: int, lost: int) -> str:

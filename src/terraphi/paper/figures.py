@@ -18,11 +18,11 @@ from terraphi.experiment.history import WINDOW_DEG, ForceHistory
 from terraphi.experiment.motion import placed
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
-from terraphi.forward.driver import Snapshot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from terraphi.forward.driver import Snapshot
     from terraphi.paper.gaussian_process import Surrogate
     from terraphi.paper.likelihood import Posterior
 

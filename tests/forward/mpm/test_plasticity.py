@@ -19,7 +19,7 @@ from terraphi.forward.mpm.plasticity import (
     return_mapping,
     return_to_surface,
 )
-from terraphi.forward.plane import plasticity as plane_of_motion
+from terraphi.paper.plane import plasticity as plane_of_motion
 
 ANGLES = st.sampled_from([(35.0, 0.0), (35.0, 10.0), (35.0, 35.0), (20.0, 0.0), (50.0, 15.0)])
 PAIRS = [(0, 1), (0, 2), (1, 2), (1, 0), (2, 0), (2, 1)]

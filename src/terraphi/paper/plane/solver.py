@@ -7,16 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.motion import bin_centres
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward.body import Path
 from terraphi.forward.checkpoint import State
 from terraphi.forward.ledger import LEDGER_ROWS, Audit
-from terraphi.forward.plane.bed import Particles, empty_grid, geostatic_bed
-from terraphi.forward.plane.model import model_of
-from terraphi.forward.plane.scalar import advance
-
-FloatArray = NDArray[np.float64]
+from terraphi.paper.plane.bed import Particles, empty_grid, geostatic_bed
+from terraphi.paper.plane.model import model_of
+from terraphi.paper.plane.scalar import advance
 
 APPLIED_BINS = 10
 """Bins of the history over which the applied force is averaged: a degree of a rotation."""

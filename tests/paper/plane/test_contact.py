@@ -13,14 +13,14 @@ from terraphi.experiment.leg import LEG_SHAPES, Leg
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward.body import Pose, distance_to_leg, intruder_of
 from terraphi.forward.driver import simulate
-from terraphi.forward.plane.contact import (
+from terraphi.paper.plane.contact import (
     against_leg,
     against_walls,
     coulomb,
     distance_to_box,
     prototype,
 )
-from terraphi.forward.plane.model import model_of
+from terraphi.paper.plane.model import model_of
 
 SPEED = st.floats(-2.0, 2.0).map(lambda v: 0.0 if abs(v) < 1e-6 else v)
 ANGLE = st.floats(0.0, 2.0 * math.pi)

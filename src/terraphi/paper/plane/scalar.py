@@ -8,19 +8,15 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from terraphi.experiment.arrays import FloatArray
 from terraphi.forward.body import Path, pose_of
 from terraphi.forward.compiled import kernel
 from terraphi.forward.ledger import Audit, close_books, enter_reaction, write_books
-from terraphi.forward.plane.bed import Grid, Particles
-from terraphi.forward.plane.contact import against_leg, against_walls
-from terraphi.forward.plane.model import Model
-from terraphi.forward.plane.plasticity import jaumann_predictor, return_mapping
-from terraphi.forward.plane.transfer import grid_to_particle, particles_to_grid
-
-FloatArray = NDArray[np.float64]
+from terraphi.paper.plane.bed import Grid, Particles
+from terraphi.paper.plane.contact import against_leg, against_walls
+from terraphi.paper.plane.model import Model
+from terraphi.paper.plane.plasticity import jaumann_predictor, return_mapping
+from terraphi.paper.plane.transfer import grid_to_particle, particles_to_grid
 
 
 @kernel
@@ -37,13 +33,13 @@ def advance(
     Parameters
     ----------
     soil
-        :class:`~terraphi.forward.plane.bed.Particles`.
+        :class:`~terraphi.paper.plane.bed.Particles`.
     grid
-        :class:`~terraphi.forward.plane.bed.Grid`, working memory.
+        :class:`~terraphi.paper.plane.bed.Grid`, working memory.
     model
-        :class:`~terraphi.forward.plane.model.Model`.
+        :class:`~terraphi.paper.plane.model.Model`.
     path
-        Where the leg is, :class:`~terraphi.forward.driver.Path`.
+        Where the leg is, :class:`~terraphi.forward.body.Path`.
     impulse
         As :func:`terraphi.forward.ledger.empty_reaction` makes it, added to.
     audit

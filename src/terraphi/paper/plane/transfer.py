@@ -14,7 +14,7 @@ steps this small. A particle's mass and volume count with its weight q.
 from __future__ import annotations
 
 from terraphi.forward.compiled import kernel
-from terraphi.forward.plane.bed import Grid, Particles
+from terraphi.paper.plane.bed import Grid, Particles
 
 Three = tuple[float, float, float]
 
@@ -38,9 +38,9 @@ def particle_to_grid(
     Parameters
     ----------
     soil
-        :class:`~terraphi.forward.plane.bed.Particles`.
+        :class:`~terraphi.paper.plane.bed.Particles`.
     grid
-        :class:`~terraphi.forward.plane.bed.Grid`, of masses and momenta.
+        :class:`~terraphi.paper.plane.bed.Grid`, of masses and momenta.
     p
         Index of the particle.
     cell_size, time_step

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from terraphi.experiment.soil import YIELD_CRITERIA, Soil, plane_strain_friction_angle_deg
-from terraphi.forward.plane.plasticity import (
+from terraphi.paper.plane.plasticity import (
     Material,
     jaumann_predictor,
     material_of,

@@ -10,9 +10,9 @@ import pytest
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward.driver import path_of_steps
 from terraphi.forward.ledger import Audit, empty_audit, empty_reaction
-from terraphi.forward.plane.bed import Grid, Particles, empty_grid, geostatic_bed
-from terraphi.forward.plane.model import Model, model_of
-from terraphi.forward.plane.scalar import advance
+from terraphi.paper.plane.bed import Grid, Particles, empty_grid, geostatic_bed
+from terraphi.paper.plane.model import Model, model_of
+from terraphi.paper.plane.scalar import advance
 
 
 class Stepped(NamedTuple):

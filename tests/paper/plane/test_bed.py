@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from terraphi.experiment.scenario import Scenario
-from terraphi.forward.plane.bed import geostatic_bed
+from terraphi.paper.plane.bed import geostatic_bed
 
 
 def bed_of(cells: int, **changes):

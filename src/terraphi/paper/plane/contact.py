@@ -25,7 +25,7 @@ import math
 
 from terraphi.forward.body import Intruder, Pose, distance_to_leg, out_of_leg_frame
 from terraphi.forward.compiled import kernel
-from terraphi.forward.plane.model import Model
+from terraphi.paper.plane.model import Model
 
 Two = tuple[float, float]
 

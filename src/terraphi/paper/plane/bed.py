@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.leg import frame_axes
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward.bed import jittered, sub_cells, weight
-
-FloatArray = NDArray[np.float64]
 
 
 class Particles(NamedTuple):

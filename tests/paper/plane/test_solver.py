@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import os
+import pickle
 import subprocess
 import sys
 
@@ -14,6 +15,7 @@ import pytest
 from terraphi.experiment.errors import SimulationError
 from terraphi.experiment.scenario import GRAVITY
 from terraphi.forward.driver import path_of_steps, simulate, step_count
+from terraphi.laws.build import run_case
 
 
 @pytest.fixture(name="sweep", scope="module")
@@ -51,22 +53,20 @@ def bits_of(history) -> str:
 
 
 def bits_in_another_process(scenario, **environment: str) -> str:
+    """Of a case as executors send it to workers, which import what the pickle names alone."""
     script = (
-        "import hashlib, sys\n"
-        "from terraphi.forward.driver import simulate\n"
-        "from terraphi.experiment.scenario import Scenario\n"
-        "scenario = Scenario.model_validate_json(sys.stdin.read())\n"
-        "print(hashlib.sha256(simulate(scenario).force.tobytes()).hexdigest())\n"
+        "import hashlib, pickle, sys\n"
+        "function, arguments = pickle.load(sys.stdin.buffer)\n"
+        "print(hashlib.sha256(function(*arguments).force.tobytes()).hexdigest())\n"
     )
     done = subprocess.run(
         [sys.executable, "-c", script],
-        input=scenario.model_dump_json(),
+        input=pickle.dumps((run_case, (scenario.model_dump_json(), "no-such-folder/checkpoint"))),
         env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), **environment},
         capture_output=True,
-        text=True,
         check=True,
     )
-    return done.stdout.strip()
+    return done.stdout.decode().strip()
 
 
 def test_same_run_gives_the_same_bits(coarse):

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from terraphi.forward.plane.bed import Grid, Particles
-from terraphi.forward.plane.transfer import grid_to_particle, particles_to_grid, weights
+from terraphi.paper.plane.bed import Grid, Particles
+from terraphi.paper.plane.transfer import grid_to_particle, particles_to_grid, weights
 
 DX = 0.01
 CELLS = 20

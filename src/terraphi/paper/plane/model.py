@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward.body import Intruder, intruder_of
-from terraphi.forward.plane.plasticity import Material, material_of
+from terraphi.paper.plane.plasticity import Material, material_of
 
 
 class Model(NamedTuple):

@@ -10,9 +10,9 @@ import pytest
 from terraphi.experiment.scenario import COURANT_LIMIT, GRAVITY, Scenario
 from terraphi.forward.driver import path_of_steps
 from terraphi.forward.ledger import LEDGER_ROWS
-from terraphi.forward.plane.bed import geostatic_bed
-from terraphi.forward.plane.model import model_of
-from terraphi.forward.plane.scalar import faded
+from terraphi.paper.plane.bed import geostatic_bed
+from terraphi.paper.plane.model import model_of
+from terraphi.paper.plane.scalar import faded
 
 ON_NODES = {
     "numerics.cells": 60,
