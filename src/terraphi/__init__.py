@@ -79,7 +79,7 @@ __all__ = [name for name in _PLACES if name != "map"]  # which Python has itself
 
 
 def _plane_strain(scenario: Scenario) -> Solver:
-    """The solver of Xu & Wang: nothing else of the package imports from ``paper/`` than this."""
+    """The solver of Xu & Wang; only this and ``terraphi paper`` import from ``paper/``."""
     from terraphi.paper.plane.solver import PlaneSolver
 
     return PlaneSolver(scenario)

@@ -53,9 +53,13 @@ def bits_of(history) -> str:
 
 
 def bits_in_another_process(scenario, **environment: str) -> str:
-    """Of a case as executors send it to workers, which import what the pickle names alone."""
+    """Of a case as executors send it to workers, which import what the pickle names alone.
+
+    They have the extra ``simulate``, and not what else ``terraphi paper`` needs.
+    """
     script = (
         "import hashlib, pickle, sys\n"
+        "sys.modules['matplotlib'] = None\n"
         "function, arguments = pickle.load(sys.stdin.buffer)\n"
         "print(hashlib.sha256(function(*arguments).force.tobytes()).hexdigest())\n"
     )
