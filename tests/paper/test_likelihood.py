@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from terraphi.inference.sampling import split_rhat
 from terraphi.paper.likelihood import (
     BURN_IN,
     NODES,
@@ -22,6 +21,7 @@ from terraphi.paper.likelihood import (
     median_standard_error,
     residual_correlation_length_deg,
     sample,
+    split_rhat,
 )
 
 FloatArray = NDArray[np.float64]

@@ -1,9 +1,8 @@
 """From records and a library to the friction angle, its interval and a verdict.
 
 Read in this order: ``records`` (what was measured), ``calibration`` (how real soils differ from the
-model), ``estimator`` (least squares), ``likelihood`` (named terms),
-``sampling`` (the posterior), ``checks`` (what looks wrong), ``answer``, ``inversion`` (all of it in
-one call).
+model), ``estimator`` (least squares), ``likelihood`` (named terms, posterior), ``checks`` (what
+looks wrong), ``answer``, ``inversion`` (all of it in one call).
 """
 
 COLUMNS = (

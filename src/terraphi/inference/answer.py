@@ -216,12 +216,10 @@ class AnswerSummary:
     density_kg_m3, density_sd_kg_m3, density_assumed
         Bulk density that the curves were scaled to.
     leg_friction
-        Friction of the leg in the library's model [-], where it was not inferred.
+        Friction of the leg in the library's model [-].
     cohesion_pa
         Mean cohesion of the soil, or that of the scenario of simulated forces [Pa]; ``None`` by
         libraries, which are of dry soil.
-    seed
-        Of the draws.
     budget_deg
         Standard deviation of φ by term of the likelihood, the largest first [deg].
     phi_peak
@@ -232,9 +230,7 @@ class AnswerSummary:
     second_opinion
         Library, median and standard deviation of the answer by other physics, or ``None``.
     parameters
-        Estimate of each parameter that was inferred, by its dotted scenario key.
-    diagnostics
-        Split-R̂, effective sample size and autocorrelation time of each parameter, if drawn.
+        Estimate of φ, by its dotted scenario key.
     warnings
         Warnings, a sentence each.
     provenance
@@ -253,13 +249,11 @@ class AnswerSummary:
     density_assumed: bool = True
     phi_plane_strain_reason: str = ""
     leg_friction: Annotated[float, Field(ge=0.0, lt=10.0)] | None = None
-    seed: int | None = None
     cohesion_pa: Annotated[float, Field(ge=0.0, lt=1e9)] | None = None
     phi_peak: Estimate | None = None
     phi_of_force_deg: Mapping[str, float | None] | None = None
     budget_deg: Mapping[str, float] = field(default_factory=dict)
     second_opinion: Annotated[Mapping[str, Any], AfterValidator(_opinion)] | None = None
-    diagnostics: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
     warnings: Annotated[  # version 0.3 wrote questions
         tuple[str, ...], Field(validation_alias=AliasChoices("warnings", "questions"))
@@ -280,9 +274,7 @@ class Answer(AnswerSummary):
     records
         The records and how the model fits them.
     grid_deg, density
-        Posterior density of φ [1/deg] on a grid, shape [k]; empty if it was sampled.
-    draws
-        Draws by parameter, shape [chain, draw]; empty if the posterior is by quadrature.
+        Posterior density of φ [1/deg] on a grid, shape [k].
     covariance
         Of the data about the curve of the right parameters, all records one after the other, with
         the residual that no term of ``budget_deg`` has, shape [n, n].
@@ -303,7 +295,6 @@ class Answer(AnswerSummary):
     records: tuple[RecordFit, ...]
     grid_deg: FloatArray
     density: FloatArray
-    draws: Mapping[str, FloatArray] = field(default_factory=dict)
     covariance: FloatArray
 
     @property
@@ -337,16 +328,11 @@ class Answer(AnswerSummary):
 
     @property
     def posterior(self) -> tuple[FloatArray, FloatArray]:
-        """Angles [deg] and the density of φ there [1/deg], of draws by a histogram; shape [k]."""
-        if self.grid_deg.size:
-            return self.grid_deg, self.density
-        density, edges = np.histogram(self.phi_draws(), bins=60, density=True)
-        return 0.5 * (edges[1:] + edges[:-1]), density
+        """Angles [deg] and the density of φ there [1/deg], shape [k] each."""
+        return self.grid_deg, self.density
 
     def phi_draws(self) -> FloatArray:
         """Equally probable values of φ [deg], shape [draw]."""
-        if self.draws:
-            return self.draws[PHI].ravel()
         share = (np.arange(QUANTILES) + 0.5) / QUANTILES
         return quantiles(self.grid_deg, self.density, share)
 
@@ -371,21 +357,15 @@ class Answer(AnswerSummary):
         }
 
     def summary(self) -> pd.DataFrame:
-        """A row for each parameter; of several, their correlations too."""
+        """A row for φ: median, standard deviation and intervals."""
         import pandas as pd
 
         rows = {}
         ends = ("ci68_low", "ci68_high", "ci95_low", "ci95_high")
         for key, one in self.parameters.items():
             interval = dict(zip(ends, (*one.ci68, *one.ci95), strict=True))
-            known = self.diagnostics.get(key, {})
-            rows[key] = {"median": one.median, "sd": one.sd, **interval, **known}
-        table = pd.DataFrame.from_dict(rows, orient="index")
-        if len(self.draws) > 1:
-            correlation = np.corrcoef([self.draws[key].ravel() for key in self.parameters])
-            for key, column in zip(self.parameters, correlation.T, strict=True):
-                table[f"corr {key.rsplit('.', 1)[-1]}"] = column
-        return table
+            rows[key] = {"median": one.median, "sd": one.sd, **interval}
+        return pd.DataFrame.from_dict(rows, orient="index")
 
     def __repr__(self) -> str:
         """Five lines for a prompt."""
@@ -483,9 +463,7 @@ class Answer(AnswerSummary):
 
     def _posterior(self) -> Mapping[str, FloatArray]:
         """Draws by parameter, shape [chain, draw]."""
-        if self.draws:
-            return self.draws
-        shuffled = np.random.default_rng(self.seed or 0).permutation(self.phi_draws())
+        shuffled = np.random.default_rng(0).permutation(self.phi_draws())
         return {PHI: shuffled.reshape(4, -1)}
 
     def _groups(self) -> dict[str, Any]:
@@ -511,7 +489,7 @@ class Answer(AnswerSummary):
 
         draws, data, over = self._posterior(), self._over_windows("data"), ("chain", "draw")
         x = np.stack([np.ones_like(draws[next(iter(draws))]), *draws.values()], axis=-1)
-        curves, rng = x @ self._over_windows("tangent"), np.random.default_rng(self.seed or 0)
+        curves, rng = x @ self._over_windows("tangent"), np.random.default_rng(0)
         error = rng.standard_normal(curves.shape) @ np.linalg.cholesky(self.covariance).T
         # A window given all others (Bürkner, Gabry & Vehtari 2021, Comput. Stat. 36:1243, eq. 15).
         inverse = np.linalg.inv(self.covariance)
@@ -597,10 +575,8 @@ class Answer(AnswerSummary):
                 )
                 records.append(fit)
                 size += fit.data.size
-            drawn = known.parameters if known.diagnostics or len(known.parameters) > 1 else ()
-            draws = {key: file.numbers(f"posterior/{key}", "chain", "draw") for key in drawn}
             grid, density = (file.numbers(at + name, "grid") for name in ("grid_deg", "density"))
-            if not (records and records[0].theta_deg.size and (draws or density.sum() > 0.0)):
+            if not (records and records[0].theta_deg.size and density.sum() > 0.0):
                 raise ValueError("no records, or no posterior")
             phi, plane = known.phi_deg, known.phi_plane_strain_deg
             return cls(
@@ -611,7 +587,6 @@ class Answer(AnswerSummary):
                 records=tuple(records),
                 grid_deg=grid,
                 density=density,
-                draws=draws,
                 covariance=file.numbers(f"{at}covariance", size, size),
                 **{one.name: getattr(known, one.name) for one in fields(AnswerSummary)},
             )

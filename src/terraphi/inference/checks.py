@@ -29,7 +29,7 @@ from terraphi.inference.likelihood import SHIFT_DEG, Likelihood, squared_residua
 from terraphi.inference.records import Record, density_doubts
 from terraphi.laws.law import THEORY, LegLaw
 from terraphi.laws.legs import VARIED, Legs, law_of
-from terraphi.laws.store import PHI, differences, shipped_library
+from terraphi.laws.store import differences, shipped_library
 
 LOADED = 0.05
 """Force over the largest above which an exact zero is a dropout [-]."""
@@ -264,7 +264,7 @@ def in_air(likelihood: Likelihood) -> list[str]:
 def warnings(
     likelihood: Likelihood,
     fits: Sequence[RecordFit],
-    phi: Estimate | None,
+    phi: Estimate,
     verdict: str,
     second: Mapping[str, Any] | None,
 ) -> Iterator[str]:
@@ -277,7 +277,7 @@ def warnings(
     if not air:
         yield from others(likelihood, misfit=verdict != "consistent")
     apart = 0.0
-    if phi and second and law.scenario.convention == "plane_strain":
+    if second and law.scenario.convention == "plane_strain":
         apart = abs(second["median"] - phi.median)
     if second and apart > FAR_APART_DEG:
         yield (
@@ -294,13 +294,7 @@ def warnings(
             )
     if likelihood.measured and verdict == "consistent":
         yield from _other_hip(likelihood)
-    if likelihood.measured and len(likelihood.keys) > 1:
-        yield (
-            "The error of the model on real soil is part of the interval of φ alone; do not trust "
-            "those of the other parameters."
-        )
-    if phi is not None:
-        yield from _unusual(likelihood, phi, verdict)
+    yield from _unusual(likelihood, phi, verdict)
     # The angle or its interval rests on what was not measured.
     if likelihood.disagreement_deg and second:
         yield (
@@ -321,8 +315,7 @@ def warnings(
 
 def _unusual(likelihood: Likelihood, phi: Estimate, verdict: str) -> Iterator[str]:
     """Sentences on an angle that the forces hardly determine, or that few soils have."""
-    alone = likelihood.keys == (PHI,)
-    if alone and likelihood.sd[0] > np.ptp(likelihood.ends) / np.sqrt(12.0):
+    if likelihood.sd[0] > np.ptp(likelihood.ends) / np.sqrt(12.0):
         yield "The forces carry almost no information on φ: the posterior equals the prior."
     for leg, error in likelihood.errors.items() if verdict == "consistent" else ():
         ends = error.phi_deg if likelihood.measured else None
@@ -354,7 +347,7 @@ def guesses(likelihood: Likelihood) -> Iterator[str]:
                 f"{name}The ± {record.rig.hip_height_sd_mm:g} mm of the hip's height are not in "
                 f"this interval: law {likelihood.library.name} does not have their effect."
             )
-        if part.share < NEARLY_ALL and likelihood.measured and PHI in likelihood.keys:
+        if part.share < NEARLY_ALL and likelihood.measured:
             ends = np.clip(record.history.theta_deg[[0, -1]], -WINDOW_DEG, WINDOW_DEG)
             low, high = ends.round() + 0.0
             yield (
@@ -422,17 +415,15 @@ def others(likelihood: Likelihood, *, misfit: bool) -> Iterator[str]:
         if record.scenario is not None:
             apart = differences(record.scenario, likelihood.library.scenario)
             known = VARIED if isinstance(likelihood.library, Legs) else set()
-            apart = [key for key in apart if key not in {*likelihood.keys, *known}]
+            apart = [key for key in apart if key not in known]
             if apart:
                 listed = ", ".join(apart[:3]) + (", …" if len(apart) > 3 else "")
                 yield (
                     f"{name}The simulation differs from law {likelihood.library.name} in "
                     f"{listed}: the angle may be off."
                 )
-        elif PHI in likelihood.keys:
-            found = []
-            if misfit and likelihood.keys == (PHI,):
-                found = list(_other_readings(likelihood, record))
+        else:
+            found = list(_other_readings(likelihood, record)) if misfit else []
             for sentence in found or [*_other_arm(likelihood, i), *_other_size(likelihood, i)]:
                 yield f"{name}{sentence}"
 
@@ -619,12 +610,11 @@ def second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:
         return None  # beyond its library, or nearly without an equivalent in plane strain
     below, median, above = to_plane_strain(read + np.array([-1.0, 0.0, 1.0])).tolist()
     sd = float(other.sd[0])
-    of_size = None
-    if likelihood.keys == (PHI,):  # φ at which forces are as large, whatever their shape
-        phi = np.linspace(likelihood.low[0], likelihood.high[0], 71)
-        size = np.square(likelihood.curves(phi[:, None]) / likelihood.span).sum(axis=1)
-        own = float(np.square(likelihood.data / likelihood.span).sum())
-        of_size = float(np.interp(own, np.maximum.accumulate(size), phi))
+    # φ at which forces are as large, whatever their shape.
+    phi = np.linspace(likelihood.low[0], likelihood.high[0], 71)
+    size = np.square(likelihood.curves(phi[:, None]) / likelihood.span).sum(axis=1)
+    measured = float(np.square(likelihood.data / likelihood.span).sum())
+    of_size = float(np.interp(measured, np.maximum.accumulate(size), phi))
     sd *= (above - below) / 2.0
     return {"law": THEORY, "median": median, "sd": sd, "force_size_deg": of_size}
 

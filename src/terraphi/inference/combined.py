@@ -18,7 +18,7 @@ import numpy as np
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.rig import LEG_NAMES, Rig
-from terraphi.inference.answer import Answer, Estimate, Verdict, decimals
+from terraphi.inference.answer import Answer, Estimate, RecordFit, Verdict, decimals
 from terraphi.inference.checks import densities
 from terraphi.laws.store import PHI
 
@@ -126,8 +126,9 @@ def combined(answers: Sequence[Answer]) -> Answer:
         text if text in alike or text.startswith(tuple(r.source for r in one.records))
         else f"{name}: {text}" for name, one in named for text in one.warnings
     ]  # fmt: skip
-    # Curves of φ alone, other parameters at their medians; each answer's errors are its own.
-    records, ends = [], np.cumsum([0, *(len(one.covariance) for one in answers)])
+    # Each answer's errors are its own.
+    records: list[RecordFit] = []
+    ends = np.cumsum([0, *(len(one.covariance) for one in answers)])
     joint = np.zeros((ends[-1], ends[-1]))
     scaled = None
     if all(one.phi_of_force_deg for one in answers):
@@ -140,11 +141,7 @@ def combined(answers: Sequence[Answer]) -> Answer:
         }
     for one, start, end in zip(answers, ends[:-1], ends[1:], strict=True):
         joint[start:end, start:end] = one.covariance
-        at = [1.0, *(0.0 if k == PHI else p.median for k, p in one.parameters.items())]
-        by_phi = 1 + list(one.parameters).index(PHI)
-        for record in one.records:
-            level = np.tensordot(at, record.tangent, 1)
-            records.append(replace(record, tangent=np.stack([level, record.tangent[by_phi]])))
+        records += one.records
     return replace(
         first,
         parameters={PHI: estimate},
@@ -164,8 +161,6 @@ def combined(answers: Sequence[Answer]) -> Answer:
         covariance=joint,
         grid_deg=grid,
         density=density,
-        draws={},
-        diagnostics={},
         warnings=tuple(dict.fromkeys([*densities(density_kg_m3, density_sd), *warnings])),
         provenance={
             **first.provenance,

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from terraphi.experiment.arrays import FloatArray, seed_from
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.rig import LEG_NAMES, with_rig
 from terraphi.experiment.scenario import Scenario
@@ -30,10 +30,16 @@ from terraphi.inference.checks import (
     without_faults,
 )
 from terraphi.inference.combined import combined
-from terraphi.inference.likelihood import OF_RIG, UNKNOWN_DENSITY, WHOLE, Likelihood, coverage
+from terraphi.inference.likelihood import (
+    OF_RIG,
+    UNKNOWN_DENSITY,
+    WHOLE,
+    Likelihood,
+    coverage,
+    quadrature,
+)
 from terraphi.inference.pressed import invert_pressed
 from terraphi.inference.records import Record, is_tool, open_records, with_body, with_sd
-from terraphi.inference.sampling import quadrature, sample
 from terraphi.laws.legs import FORMER_NAME, Legs, law_named, nearest_law, shipped_legs
 from terraphi.laws.store import PHI, Library
 
@@ -78,10 +84,8 @@ def invert(
     calibration: Calibration | Path | str | None = None,
     critical: float | str | None = None,
     simulated: bool | None = None,
-    seed: int = 0,
-    rng: Any = None,
 ) -> Answer:
-    """Infer the friction angle, and whatever else a library varies, from forces on a leg.
+    """Infer the friction angle from forces on a leg or a tool.
 
     Parameters
     ----------
@@ -127,9 +131,6 @@ def invert(
     simulated
         Whether the forces are simulated, so that the library's model is exact; ``None``: from
         their file.
-    seed, rng
-        Of the draws, where several parameters are inferred: an integer, or as ``rng`` also a
-        ``numpy.random.Generator`` (SPEC 7), from which a seed is drawn.
 
     Returns
     -------
@@ -147,7 +148,6 @@ def invert(
     >>> terraphi.invert("li2013:poppy_loose/straight").verdict
     'consistent'
     """
-    seed = seed_from(seed, rng)
     every = _listed(forces)
     of_legs = [one for one in every if tool is None and not is_tool(one[1])]
     of_tools = [(one, tool or own) for one, own in every if tool is not None or is_tool(own)]
@@ -159,7 +159,7 @@ def invert(
         raise InputError(f"a tool excludes {', '.join(wrong)}; leave out one or the other")
     answers = []
     if of_legs:
-        answers = _of_legs(of_legs, density=density, law=law, columns=columns, seed=seed,
+        answers = _of_legs(of_legs, density=density, law=law, columns=columns,
                            grain_size_mm=grain_size_mm, **given)  # fmt: skip
         # One soil has one density, and its columns and law are those of the legs.
         first = answers[0]
@@ -175,7 +175,6 @@ def _of_legs(
     *,
     law: Library | Legs | Path | str | None,
     calibration: Calibration | Path | str | None,
-    seed: int,
     **options: Any,
 ) -> list[Answer]:
     """Answers of legs: one, or by law ``legs`` one for each rig."""
@@ -200,9 +199,7 @@ def _of_legs(
         rigs = dict.fromkeys(record.rig for record in records)
         apart = isinstance(found, Legs) and not all(record.simulated for record in records)
         groups = [[r for r in records if r.rig == one] for one in rigs] if apart else [records]
-        return [
-            _answer(Likelihood(group, found, calibration), reason, seed, began) for group in groups
-        ]
+        return [_answer(Likelihood(group, found, calibration), reason, began) for group in groups]
 
 
 def with_critical(answer: Answer, critical: float | str) -> Answer:
@@ -236,8 +233,6 @@ def with_critical(answer: Answer, critical: float | str) -> Answer:
     answer = replace(
         answer, phi_peak=peak if apart >= least else None, warnings=(sentence, *answer.warnings)
     )
-    if answer.draws:  # of several parameters
-        return answer
     phi = Estimate.of_density(answer.grid_deg, density)
     return replace(answer, density=density, parameters={PHI: phi}, phi_plane_strain=phi)
 
@@ -342,11 +337,11 @@ def calibrate(
         if not likelihood.measured:
             raise InputError(f"{record.source}: simulated forces calibrate nothing")
         best = likelihood.least_squares
-        fits = _fits(likelihood, best, {})
+        fits = _fits(likelihood, best, (best[0], best[0]))
         verdict, why, _ = _verdict(likelihood, fits, best, damaged=bool(in_air(likelihood)))
         if verdict != "consistent":
             raise InputError(f"{record.source}: cannot calibrate with it. {why}")
-        read = float(best[likelihood.keys.index(PHI)])
+        read = float(best[0])
         shares = likelihood.budget()
         others = [share for name, share in shares.items() if name not in (*MODEL, *OF_RIG)]
         sd = math.hypot(*others)
@@ -416,45 +411,33 @@ def _law_for(
     return shipped_legs(), "the default for measured forces"
 
 
-def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Answer:
+def _answer(likelihood: Likelihood, reason: str, began: float) -> Answer:
     """Posterior, verdict and all that goes with them."""
-    records, keys, library = likelihood.records, likelihood.keys, likelihood.library
+    records, library = likelihood.records, likelihood.library
     second = second_opinion(likelihood)
-    draws: dict[str, FloatArray] = {}
-    diagnostics: dict[str, dict[str, float]] = {}
-    grid = density = np.zeros(0)
-    if keys == (PHI,):
+    grid, density = quadrature(likelihood)
+    phi = Estimate.of_density(grid, density)
+    if second is not None and (wider := _disagreement_deg(likelihood, phi, second)):
+        likelihood = Likelihood(records, library, likelihood.calibration, disagreement_deg=wider)
         grid, density = quadrature(likelihood)
         phi = Estimate.of_density(grid, density)
-        if second is not None and (wider := _disagreement_deg(likelihood, phi, second)):
-            likelihood = Likelihood(
-                records, library, likelihood.calibration, disagreement_deg=wider
-            )
-            grid, density = quadrature(likelihood)
-            phi = Estimate.of_density(grid, density)
-        parameters = {PHI: phi}
-    else:
-        draws, diagnostics = sample(likelihood, seed=seed)
-        parameters = {key: Estimate.of(values) for key, values in draws.items()}
-    middle = np.array([parameters[key].median for key in keys])
-    fits = _fits(likelihood, middle, parameters)
+    middle = np.array([phi.median])
+    fits = _fits(likelihood, middle, phi.ci95)
     air = in_air(likelihood)
     verdict, why, edge = _verdict(likelihood, fits, middle, damaged=bool(air))
-    inferred, scenario = parameters.get(PHI), library.scenario
-    plane, no_plane = (
-        _plane_strain(inferred, scenario) if inferred else (None, "φ was not inferred")
-    )
+    scenario = library.scenario
+    plane, no_plane = _plane_strain(phi, scenario)
     first, density_kg_m3 = records[0], likelihood.density[0]
     unknown = first.density_kg_m3 is None
     return Answer(
-        parameters=parameters,
+        parameters={PHI: phi},
         convention=scenario.convention,
         phi_plane_strain=plane,
         phi_plane_strain_reason=no_plane,
         verdict=verdict,
         reason=why,
         edge=edge,
-        budget_deg=likelihood.budget() if PHI in keys and likelihood.beyond is None else {},
+        budget_deg=likelihood.budget() if likelihood.beyond is None else {},
         density_kg_m3=density_kg_m3,
         density_sd_kg_m3=UNKNOWN_DENSITY * density_kg_m3 if unknown else first.density_sd_kg_m3,
         density_assumed=unknown or first.density_assumed,
@@ -462,17 +445,14 @@ def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Ans
         law=library.name,
         law_reason=reason,
         second_opinion=second,
-        warnings=tuple(warnings(likelihood, fits, inferred, verdict, second)),
+        warnings=tuple(warnings(likelihood, fits, phi, verdict, second)),
         records=tuple(fits),
         grid_deg=grid,
         density=density,
-        draws=draws,
         covariance=likelihood.predictive_covariance(),
-        diagnostics=diagnostics,
-        leg_friction=None if "leg.friction" in keys else first.rig.leg_friction
-        if "leg friction" in likelihood.terms else scenario.leg.friction,
+        leg_friction=first.rig.leg_friction if "leg friction" in likelihood.terms
+        else scenario.leg.friction,
         cohesion_pa=likelihood.cohesion if isinstance(library, Legs) else None,
-        seed=seed if draws else None,
         provenance={
             "terraphi": importlib.metadata.version("terraphi"),
             "law_hash": library.hash,
@@ -488,19 +468,14 @@ def _answer(likelihood: Likelihood, reason: str, seed: int, began: float) -> Ans
 def _phi_of_force(likelihood: Likelihood) -> dict[str, float | None] | None:
     """Angles by half and by twice the force, unless its scale was measured."""
     given = all(record.scale_given for record in likelihood.records)
-    if given or not likelihood.measured or likelihood.keys != (PHI,):
+    if given or not likelihood.measured:
         return None
     return dict(zip(("half", "twice"), likelihood.at_scaled_forces([0.5, 2.0]), strict=True))
 
 
-def _fits(
-    likelihood: Likelihood, middle: FloatArray, parameters: dict[str, Estimate]
-) -> list[RecordFit]:
+def _fits(likelihood: Likelihood, middle: FloatArray, ci95: tuple[float, float]) -> list[RecordFit]:
     """Each record with the curve at the median, and the curves at the ends of the 95 % interval."""
-    points = np.stack([middle, middle, middle])
-    if PHI in parameters:
-        points[:2, likelihood.keys.index(PHI)] = parameters[PHI].ci95
-    points[:2] = np.clip(points[:2], *likelihood.ends)
+    points = np.append(np.clip(ci95, *likelihood.ends), middle)[:, None]
     curves = likelihood.curves(points)
     slope = likelihood.slope(middle)
     tangent = np.vstack([curves[2] - slope @ middle, slope.T])
@@ -550,8 +525,7 @@ def _verdict(
         misfit = _misfit(likelihood, middle)
     edge = _edge(likelihood)
     if edge is not None:
-        i = likelihood.keys.index(PHI)
-        end, word = (likelihood.low[i], "below") if edge == "low" else (likelihood.high[i], "above")
+        end, word = (likelihood.low[0], "below") if edge == "low" else (likelihood.high[0], "above")
         end -= float(likelihood.offset(likelihood.records[0], end))
         why = (
             f"Out of range: φ lies {word} {end:.0f}°, the "
@@ -591,9 +565,7 @@ def _large_residual(likelihood: Likelihood, fits: Sequence[RecordFit]) -> str:
 
 
 def _other_leg(likelihood: Likelihood) -> str:
-    """A sentence if another leg describes a record better; of φ alone."""
-    if likelihood.keys != (PHI,):
-        return ""
+    """A sentence if another leg describes a record better."""
     for record in likelihood.records:
         if coverage(record) < WHOLE:
             continue
@@ -612,7 +584,7 @@ def _other_leg(likelihood: Likelihood) -> str:
 
 def _misfit(likelihood: Likelihood, middle: FloatArray) -> str:
     """A sentence if noise and scatter do not explain a simulated record."""
-    free = likelihood.data.size - len(likelihood.keys)
+    free = likelihood.data.size - 1
     ratio = likelihood.chi2(middle) / free
     # Wilson & Hilferty 1931: the cube root of chi-square is nearly normal.
     deviate = (ratio ** (1.0 / 3.0) - 1.0 + 2.0 / (9.0 * free)) / math.sqrt(2.0 / (9.0 * free))
@@ -626,16 +598,13 @@ def _misfit(likelihood: Likelihood, middle: FloatArray) -> str:
 
 def _edge(likelihood: Likelihood) -> Edge | None:
     """End of the library's range beyond which φ lies, by the forces alone."""
-    if PHI not in likelihood.keys:
-        return None
     if likelihood.beyond is not None:
         return "low" if likelihood.beyond[0] < likelihood.low[0] else "high"
-    i = likelihood.keys.index(PHI)
-    read = float(likelihood.least_squares[i])
+    read = float(likelihood.least_squares[0])
     offsets = [float(likelihood.offset(r, np.array(read))) for r in likelihood.records]
-    if read < likelihood.low[i] - min(offsets):
+    if read < likelihood.low[0] - min(offsets):
         return "low"
-    return "high" if read > likelihood.high[i] - max(offsets) else None
+    return "high" if read > likelihood.high[0] - max(offsets) else None
 
 
 def _plane_strain(phi: Estimate, scenario: Scenario) -> tuple[Estimate | None, str]:

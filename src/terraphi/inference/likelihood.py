@@ -1,7 +1,7 @@
 r"""The likelihood of records: one normal distribution, whose covariance is a sum of named terms.
 
-With d the window means of all records, one after the other, g(x) the library's curves at parameters
-x (the friction angle, or several), read and averaged as the records were,
+With d the window means of all records, one after the other, g(x) the law's curves at the
+friction angle x, read and averaged as the records were,
 
     d = g(x; δ) + Σ_t e_t,    e_t ~ N(0, C_t).
 
@@ -127,6 +127,8 @@ WHOLE = 0.9
 """The same from which a record's shape can be compared with those of other legs [-]; chosen."""
 PART_DEG = 1.4
 """Standard deviation of the shift of φ at h = ½ [deg]."""
+NODES = 801
+"""Nodes of the quadrature, over eight standard deviations to either side."""
 RESIDUAL = ("noise", "emulator", "particle scatter")
 """Terms that a residual shows; the others move the whole curve, and φ with it."""
 ROUGHNESS = 1.5
@@ -226,8 +228,6 @@ class Likelihood:
 
     Attributes
     ----------
-    keys
-        Dotted scenario keys of the parameters.
     density
         Bulk density that the curves of each record are scaled to [kg/m³].
     """
@@ -244,12 +244,14 @@ class Likelihood:
         self.disagreement_deg = disagreement_deg
         self.measured = not all(record.simulated for record in records)
         self.laws = [self._law(record, library) for record in records]
-        self.keys = self.laws[0].keys
-        self._phi = self.keys.index(PHI) if PHI in self.keys else None
-        # A law that varies the density needs no scaling.
+        if any(law.keys != (PHI,) for law in self.laws):
+            others = ", ".join(sorted({*self.laws[0].keys} - {PHI}))
+            raise InputError(
+                f"law {library.name} varies {others}, too, and φ alone is inferred; build it over "
+                f"{PHI} alone"
+            )
         own = self.laws[0].density
-        varied = "soil.density" in self.keys
-        self.density = [own if varied else (r.density_kg_m3 or own) for r in records]
+        self.density = [record.density_kg_m3 or own for record in records]
         self._ratio = np.array(self.density) / [law.density for law in self.laws]
         ends = np.cumsum([0, *(r.data.size for r in records)])
         self.parts = [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
@@ -368,10 +370,7 @@ class Likelihood:
 
     def _read(self, record: Record, x: FloatArray) -> FloatArray:
         """Parameters with the angle that the law reads off a leg's measured forces, [..., key]."""
-        x = x.copy()
-        if self._phi is not None:
-            x[..., self._phi] += self.offset(record, x[..., self._phi])
-        return x
+        return x + self.offset(record, x)
 
     def slope(self, x: FloatArray) -> FloatArray:
         """∂g/∂x at a point [N/unit], at the best δ and c, shape [key] -> [n, key]."""
@@ -414,12 +413,12 @@ class Likelihood:
 
         The friction angle may lie beyond the library's ends.
         """
-        return self._best.x[0, : len(self.keys)]
+        return self._best.x[0, :1]
 
     @property
     def shift_deg(self) -> FloatArray:
         """Shift of each record with them [deg], shape [record]: its forces come so much later."""
-        return self._best.x[0, len(self.keys) :]
+        return self._best.x[0, 1:]
 
     @property
     def cohesion(self) -> float:
@@ -446,13 +445,10 @@ class Likelihood:
         record = self.records[i]
         forces = record.channels == FORCES
         every = record.theta_deg.size == OBSERVATION_ANGLES
-        if PHI not in self.keys or (forces and every):
+        if forces and every:
             return Part(1.0, record.span)
         theta = np.radians(np.arange(-WINDOW_DEG - 3.0, WINDOW_DEG + 3.5))
-        x = np.repeat(self.inside[None], 3, axis=0)
-        x[:, self._phi or 0] += [-1.0, 0.0, 1.0]
-        force = self._forces(x, self.cohesion)[i]
-
+        force = self._forces(self.inside + np.array([[-1.0], [0.0], [1.0]]), self.cohesion)[i]
         axes = record.history.axes
         still = ForceHistory(theta, np.zeros((theta.size, len(axes))), axes=axes, moment=0 * theta)
         whole = replace(record, history=still)
@@ -487,11 +483,7 @@ class Likelihood:
         The residual has several minima.
         """
         shifts = np.arange(-self._most_shift[0], self._most_shift[0] + 1.0)
-        if len(self.keys) == 1:
-            x = np.linspace(*self.ends, 257)
-        else:
-            n = len(self.keys)
-            x = self.low + (self.high - self.low) * np.random.default_rng(0).random((512, n))
+        x = np.linspace(*self.ends, 257)
         squares = [
             squared_residuals(record, record.data[None], force, law, shifts)[0]
             for record, force, law in zip(
@@ -503,10 +495,10 @@ class Likelihood:
 
     def _fitted(self, cohesion: float, start: FloatArray, settled: float = 1e-8) -> Best:
         """Least squares at a cohesion [Pa]."""
-        n, (low, high), most = len(self.keys), self.ends, self._most_shift
+        (low, high), most = self.ends, self._most_shift
         return least_squares(
-            lambda p, _: self.data - self.curves(p[:, :n], p[0, n:], cohesion),
-            lambda p, _: self._slopes(p[0, :n], p[0, n:], cohesion)[None],
+            lambda p, _: self.data - self.curves(p[:, :1], p[0, 1:], cohesion),
+            lambda p, _: self._slopes(p[0, :1], p[0, 1:], cohesion)[None],
             self._weight[None],
             start,
             bounds=(np.append(low, -most), np.append(high, most)),
@@ -528,7 +520,7 @@ class Likelihood:
         squares = np.square((1.0 - share) * apart[i] + share * apart[i + 1])
         c, weight = self._likely_cohesions(fine, squares.mean(axis=1))
         mean = float(weight @ c)
-        phi = np.interp(fine, along, [best.x[0, self._phi or 0] for best in self._along])
+        phi = np.interp(fine, along, [best.x[0, 0] for best in self._along])
         there = np.interp(np.log1p(mean / EVENLY), fine, phi)
         sd, phi_sd = (math.sqrt(float(weight @ np.square(x))) for x in (c - mean, phi - there))
         unit = float(np.mean(self._per_pascal))
@@ -630,10 +622,9 @@ class Likelihood:
 
     @property
     def ends(self) -> tuple[FloatArray, FloatArray]:
-        """Least and largest parameters that are looked at: of φ up to 12° beyond the library."""
-        of_phi = np.array(self.keys) == PHI
-        low = np.where(of_phi, np.maximum(self.low - BEYOND_DEG, LIMITS_DEG[0]), self.low)
-        return low, np.where(of_phi, np.minimum(self.high + BEYOND_DEG, LIMITS_DEG[1]), self.high)
+        """Least and largest angle that is looked at: up to 12° beyond the library, [key]."""
+        low, high = self.low - BEYOND_DEG, self.high + BEYOND_DEG
+        return np.maximum(low, LIMITS_DEG[0]), np.minimum(high, LIMITS_DEG[1])
 
     @cached_property
     def beyond(self) -> tuple[float, float] | None:
@@ -641,11 +632,8 @@ class Likelihood:
 
         None fits if the best curve ends at the bound, or would have to be three times as large.
         """
-        if self._phi is None:
-            return None
-        best, i = float(self.least_squares[self._phi]), self._phi
-        low, high = float(self.low[i]), float(self.high[i])
-        least, most = (float(end[i]) for end in self.ends)
+        best, low, high = (float(x[0]) for x in (self.least_squares, self.low, self.high))
+        least, most = (float(end[0]) for end in self.ends)
         curve, data = self.curves(self.least_squares[None])[0] / self.span, self.data / self.span
         scale = float(curve @ data) / max(float(curve @ curve), 1e-12)
         if best >= most - 0.01 or scale > FAR_OFF:
@@ -686,10 +674,8 @@ class Likelihood:
                 for law, each, known in zip(self.laws, modes, calibrated, strict=True)
             ]
             found[cause] = self._shared_by_leg(factors)
-        if self._phi is not None:
-            found |= self._angle_errors(slope[:, self._phi], float(x[self._phi]))
-        if "soil.density" not in self.keys:
-            found["density"] = _square(self.density_sd[self._of] * curve)
+        found |= self._angle_errors(slope[:, 0], float(x[0]))
+        found["density"] = _square(self.density_sd[self._of] * curve)
         gain = np.where(calibrated, 0.0, [r.gain_sd for r in self.records])
         if gain.any():
             found["gain"] = _square(gain[self._of] * curve)
@@ -788,8 +774,8 @@ class Likelihood:
         """Weights c of each parameter at the best point, shape [key, n] [unit/N]."""
         slope, shift = self._best.slope.copy(), np.abs(self.shift_deg)
         # What is at a bound is not fitted.
-        slope[0, :, len(self.keys) :] *= shift < self._most_shift
-        return weights(slope, self._weight[None])[0][0, : len(self.keys)]
+        slope[0, :, 1:] *= shift < self._most_shift
+        return weights(slope, self._weight[None])[0][0, :1]
 
     @property
     def _weight(self) -> FloatArray:
@@ -825,8 +811,30 @@ class Likelihood:
         With c the weights of the estimate, c'C_t c; the squares add up to the variance. The
         largest comes first, and what is below a hundredth of it is left out.
         """
-        c = self._weights[self.keys.index(PHI)]
+        c = self._weights[0]
         shares = {n: math.sqrt(max(float(c @ term @ c), 0.0)) for n, term in self.terms.items()}
         most = max(shares.values())
         ordered = sorted(shares.items(), key=lambda item: -item[1])
         return {name: share for name, share in ordered if share > 0.01 * most}
+
+
+def quadrature(likelihood: Likelihood) -> tuple[FloatArray, FloatArray]:
+    """Posterior density of φ under a uniform prior, on a grid that resolves its peak.
+
+    The prior reaches from 12° below the library's smallest angle to 12° above its largest. Where no
+    angle fits even there, the density is uniform over the 12° beyond that end.
+
+    Returns
+    -------
+    grid, density
+        [deg] and [1/deg], shape [node] each.
+    """
+    if likelihood.beyond is not None:
+        low, high = likelihood.beyond
+        return np.linspace(low, high, NODES), np.full(NODES, 1.0 / (high - low))
+    best, reach = likelihood.least_squares, 8.0 * likelihood.sd
+    low, high = (float(np.clip(best + way, *likelihood.ends)[0]) for way in (-reach, reach))
+    grid = np.linspace(low, high, NODES)
+    value = likelihood(grid[:, None])
+    density = np.exp(value - value.max())
+    return grid, density / np.trapezoid(density, grid)

@@ -235,3 +235,31 @@ def median_standard_error(draws: FloatArray) -> float:
     count = effective_sample_size(below) / 2.0
     low, high = np.quantile(draws, betaincinv(count + 1.0, count + 1.0, ndtr([-1.0, 1.0])))
     return float(high - low) / 2.0
+
+
+def split_rhat(draws: FloatArray) -> float:
+    """Rank-normalized split-R̂ between ensembles [-] (Vehtari et al., Bayesian Anal. 16:667, 2021).
+
+    Draws have the shape [ensemble, walker, step]. The early and the late half of an ensemble, each
+    pooled over its walkers, count as two chains.
+    The larger of the bulk and the folded value is returned: ensembles that agree in location but
+    not in spread are noticed too. 1 if all draws are equal.
+    """
+    from scipy.special import ndtri
+    from scipy.stats import rankdata
+
+    half = draws.shape[2] // 2
+    halves = np.stack([draws[:, :, :half], draws[:, :, -half:]], axis=1)
+    chains = halves.reshape(2 * len(draws), -1)
+
+    def rhat(values: FloatArray) -> float:
+        ranks = rankdata(values, axis=None).reshape(values.shape)
+        scores = ndtri((ranks - 0.375) / (values.size + 0.25))
+        within = float(scores.var(axis=1, ddof=1).mean())
+        between = float(scores.mean(axis=1).var(ddof=1))
+        if within == 0.0:
+            return 1.0 if between == 0.0 else float(np.finfo(float).max)
+        size = scores.shape[1]
+        return float(np.sqrt((size - 1) / size + between / within))
+
+    return max(rhat(chains), rhat(np.abs(chains - np.median(chains))))

@@ -29,7 +29,6 @@ from terraphi.experiment.measurements import measurement
 from terraphi.experiment.scenario import Scenario
 from terraphi.experiment.soil import Soil
 from terraphi.forward import simulate
-from terraphi.inference.sampling import split_rhat
 from terraphi.laws.store import Library
 from terraphi.paper import figures as draw
 from terraphi.paper import likelihood as paper
@@ -322,7 +321,7 @@ def by_emcee(draws: FloatArray, exact_deg: float) -> Json:
         "emcee_median_deg": median,
         "emcee_median_error_deg": error,
         "emcee_ci68": np.quantile(draws, [0.16, 0.84]).tolist(),
-        "emcee_rhat": split_rhat(draws),
+        "emcee_rhat": paper.split_rhat(draws),
         "emcee_autocorrelation_steps": float(paper.autocorrelation_time(draws).max()),
         "medians_apart_in_errors": abs(median - exact_deg) / error,
     }

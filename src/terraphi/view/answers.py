@@ -62,9 +62,6 @@ def in_words(answer: Answer) -> list[str]:
     plane = answer.phi_plane_strain
     if plane is not None and answer.convention != "plane_strain":
         lines.append(f"  In plane strain: φ = {plane}")
-    for key, one in answer.parameters.items():
-        if key != PHI:
-            lines.append("  {} = {} ± {}".format(key, *_rounded(one)))
     if answer.budget_deg:
         lines.append(f"  ± is: {_terms(answer)}")
     if answer.phi_peak is not None:
@@ -106,17 +103,7 @@ def parts_of(answer: Answer, *, verbose: bool = False) -> list[str | Table]:
 
 def tables(answer: Answer) -> list[Table]:
     """Parameters, terms of the interval and records."""
-    names: list[str] = []
-    parameters: list[tuple[str, ...]] = [
-        (key, *_rounded(one)) for key, one in answer.parameters.items()
-    ]
-    if len(parameters) > 1:
-        frame = answer.summary().filter(like="corr")
-        names, correlations = list(frame.columns), frame.to_numpy().tolist()
-        parameters = [
-            (*row, *(f"{value:.2f}" for value in more))
-            for row, more in zip(parameters, correlations, strict=True)
-        ]
+    parameters = [(key, *_rounded(estimate)) for key, estimate in answer.parameters.items()]
     terms = [(name, f"{sd:.2f}") for name, sd in answer.budget_deg.items()]
     records = [
         (
@@ -127,7 +114,7 @@ def tables(answer: Answer) -> list[Table]:
         for one in answer.records
     ]  # fmt: skip
     found = [
-        Table("Parameters", ("key", "median", "sd", "68 %", "95 %", *names), parameters),
+        Table("Parameters", ("key", "median", "sd", "68 %", "95 %"), parameters),
         Table("Standard deviation of φ by term", ("term", "[deg]"), terms),
         Table(
             "Records",

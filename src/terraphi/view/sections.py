@@ -18,7 +18,7 @@ from terraphi.experiment.history import CHANNEL_UNITS, ForceHistory
 from terraphi.experiment.measurements import scenario_of
 from terraphi.experiment.outputs import changed
 from terraphi.experiment.rig import LEG_NAMES
-from terraphi.view.answers import CONVENTIONS, PHI, in_words, tables
+from terraphi.view.answers import CONVENTIONS, in_words, tables
 from terraphi.view.console import Table, words
 from terraphi.view.plots import (
     BLUE,
@@ -217,8 +217,9 @@ def of_answer(answer: Answer) -> Section:
         layout = axes("standard deviation of φ [deg]", "")
         marker = {"marker": {"color": BLUE}}
         parts.append(Plot("Terms of the interval", [bars | marker], layout))
-    known = "Parameters" if len(answer.parameters) == 1 else ""  # in the headline, that is
-    parts += [one for one in tables(answer) if one.title != known and "term" not in one.header]
+    # The parameter is in the headline, and the terms are drawn.
+    shown = {"Parameters", "Standard deviation of φ by term"}
+    parts += [table for table in tables(answer) if table.title not in shown]
     status = "good" if answer.verdict == "consistent" else "bad"
     origin = pairs(answer.as_dict()["provenance"])
     sentences = [*map(capital, more[1:]), *lines, about]
@@ -227,8 +228,6 @@ def of_answer(answer: Answer) -> Section:
 
 def _posterior(answer: Answer) -> list[Plot]:
     """Posterior density of φ, the 68 % interval shaded."""
-    if PHI not in answer.parameters:
-        return []
     grid, density = answer.posterior
     seen = density > 1e-4 * density.max()
     inside = (grid >= answer.phi.ci68[0]) & (grid <= answer.phi.ci68[1])
