@@ -260,7 +260,7 @@ def test_each_face_keeps_the_bound_of_coulomb(body: str, friction: float) -> Non
     np.testing.assert_allclose(moment, torque, atol=2e-4 * size * mesh.reach)
 
 
-def test_friction_on_a_plate_keeps_the_bound_and_is_mobilised_by_shearing() -> None:
+def test_friction_on_a_plate_keeps_the_bound_and_is_mobilized_by_shearing() -> None:
     """A face alone: its friction is bounded, and times 1 - exp(-j/K)."""
     turn, descent = np.radians([60.0, 30.0, 5.0, -20.0]), np.radians([85.0, 60.0, 30.0, 10.0])
     tilt, down = (one.ravel() for one in np.meshgrid(turn, descent))
@@ -276,7 +276,7 @@ def test_friction_on_a_plate_keeps_the_bound_and_is_mobilised_by_shearing() -> N
     assert (np.linalg.norm(friction, axis=1) <= 0.3 * pressure + 1e-9).all()
     assert (np.linalg.norm(friction, axis=1) > 0.29 * pressure)[pressure > 0.0].any()
     sheared = np.linspace(0.0, 0.03, tilt.size)
-    half, _ = wrench(*plates, mobilisation=0.01, sheared=sheared[:, None], **soil)
+    half, _ = wrench(*plates, mobilization=0.01, sheared=sheared[:, None], **soil)
     share = 1.0 - np.exp(-sheared / 0.01)
     expected = share[:, None] * friction - pressure[:, None] * normals
     np.testing.assert_allclose(half, expected, atol=1e-9)
@@ -481,7 +481,7 @@ def test_a_wrong_argument_is_refused(changes: dict[str, Any], words: str) -> Non
         ({"normals": -2.0 * np.eye(3)[2:]}, r"normals: length\[0\] = 2"),
         ({"phi_deg": -5.0, "law": "rft"}, "phi_deg = -5"),
         ({"surface_friction": -1.0, "law": "rft"}, "surface_friction = -1"),
-        ({"mobilisation": 0.01}, "sheared"),
+        ({"mobilization": 0.01}, "sheared"),
     ],
 )
 def test_faces_have_the_checks_of_feet(changes: dict[str, Any], words: str) -> None:

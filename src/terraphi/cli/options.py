@@ -75,7 +75,9 @@ record_options = option_group(
         help="Mean diameter of coarse grains.  [default: 0]",
     ),
     click.option(
-        "--columns", metavar="FILE|KEY=VALUE", help="As in 'terraphi keys forces', or guessed."
+        "--columns", metavar="FILE|KEY=VALUE", multiple=True,
+        callback=lambda _context, _option, given: ",".join(given) or None,
+        help="As in 'terraphi keys forces' or 'keys tool', or guessed.",
     ),
     click.option("--gain", metavar="GAIN[±SD]", help="Gain of the sensor.  [default: 1±0.02]"),
     click.option(

@@ -104,11 +104,23 @@ class Calibration(Strict):
         for record in self.soils:
             angle = f"{record.phi_deg:g} ± {record.phi_sd_deg:g}°"
             if angles.setdefault(record.soil, angle) != angle:
+                soil = f"soil '{record.soil}' has" if record.soil else "records without a soil have"
                 raise ValueError(
-                    f"soil '{record.soil}' has φ = {angles[record.soil]} and {angle}; give each "
-                    "soil a name (--soil) and one angle"
+                    f"{soil} φ = {angles[record.soil]} and {angle}; give each soil a name (--soil, "
+                    'or soil = "NAME" in the file) and one angle'
                 )
         return self
+
+    def __str__(self) -> str:
+        """Soils with their angles and records."""
+        records: dict[str, list[CalibrationSoil]] = defaultdict(list)
+        for record in self.soils:
+            records[record.soil].append(record)
+        return ", ".join(
+            f"{f'soil {soil}' if soil else 'a soil'} of {of_soil[0].phi_deg:g} ± "
+            f"{of_soil[0].phi_sd_deg:g}° ({', '.join(record.source for record in of_soil)})"
+            for soil, of_soil in records.items()
+        )
 
     @cached_property
     def repeats(self) -> list[list[CalibrationSoil]]:
@@ -119,7 +131,7 @@ class Calibration(Strict):
         return list(groups.values())
 
     def warnings(self) -> Iterator[str]:
-        """A sentence for each repeat that is farther from the others than beds of one soil are."""
+        """A sentence for each soil with a repeat farther from the others than beds of it are."""
         for records in self.repeats:
             read, n = np.array([record.read_deg for record in records]), len(records)
             if n == 1:

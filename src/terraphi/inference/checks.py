@@ -284,7 +284,7 @@ def warnings(
             f"Resistive force theory gives {second['median']:.0f}°, farther than for any record "
             "whose leg is known: check the leg and the columns."
         )
-    for fit in fits if likelihood.measured and verdict == "consistent" else ():
+    for fit in fits if likelihood.measured else ():
         late = fit.shift_deg - likelihood.errors[fit.rig.leg].shift_deg
         if abs(late) > LARGE_SHIFT_DEG:
             yield (
@@ -302,9 +302,7 @@ def warnings(
             "and outside both intervals: the interval is wider by that."
         )
     if likelihood.calibration is not None:
-        soils = likelihood.calibration.soils
-        known = ", ".join(f"{one.source} ({one.phi_deg:g} ± {one.phi_sd_deg:g}°)" for one in soils)
-        yield f"Calibrated by {known}; what is a soil's own part of its difference stays."
+        yield f"Calibrated with {likelihood.calibration}. The error that each soil has remains."
         yield from likelihood.calibration.warnings()
     yield from guesses(likelihood)
     if law.caveat:
@@ -524,9 +522,9 @@ def _columns_otherwise(
 
     turns = sizes(record, map(sensor_turn, TURNS_DEG))
     turn_deg, size = TURNS_DEG[int(np.argmin(turns))], min(turns)
-    form = (f"Forces turned by about {turn_deg:.0f}° would fit: check how the load cell is mounted "
-            "({}).")  # fmt: skip
     angle = (cell_deg + turn_deg + 180.0) % 360.0 - 180.0
+    form = (f"A load cell turned by about {angle:.0f}° would fit: check how it is mounted "
+            "({}).")  # fmt: skip
     option, well = f"--columns sensor_angle_deg={angle:.0f}", min(most, FITS_TURNED * limit)
     yield Reading(option, size, loose, well, form)
 

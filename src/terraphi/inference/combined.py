@@ -130,15 +130,13 @@ def combined(answers: Sequence[Answer]) -> Answer:
     records: list[RecordFit] = []
     ends = np.cumsum([0, *(len(one.covariance) for one in answers)])
     joint = np.zeros((ends[-1], ends[-1]))
-    scaled = None
-    if all(one.phi_of_force_deg for one in answers):
-        columns = {
-            key: [(one.phi_of_force_deg or {})[key] for one in answers] for key in ("half", "twice")
-        }
-        scaled = {
-            key: None if None in each else float(weight @ np.array(each, float))
-            for key, each in columns.items()
-        }
+    scaled: dict[str, float | None] | None = None
+    if any(answer.phi_of_force_deg for answer in answers):
+        # Where the force's scale was measured, it is right.
+        scaled = {}
+        for key in ("half", "twice"):
+            angles = [(a.phi_of_force_deg or {key: a.phi.median})[key] for a in answers]
+            scaled[key] = None if None in angles else float(weight @ np.array(angles, float))
     for one, start, end in zip(answers, ends[:-1], ends[1:], strict=True):
         joint[start:end, start:end] = one.covariance
         records += one.records

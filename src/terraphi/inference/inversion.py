@@ -59,8 +59,9 @@ DENSEST_DEG, LOOSEST_DEG = 20.0, -5.0
 """Peak less critical angle [deg] at relative densities I_D of 1 and 0, in plane strain: 5 I_R with
 I_R = 5 I_D − 1 below 150 kPa, and none of looser soil (Bolton 1986, 1987, Géotechnique 36:65 and
 37:225). Every relative density is as likely."""
-LOOSE = 1.64
-"""Standard deviations below which φ is not above the critical angle [-]: one in twenty."""
+LOOSE, CONTRADICTED = 1.64, 2.58
+"""Standard deviations below which φ is not above the critical angle [-], one in twenty; and above
+which both contradict each other, one in a hundred."""
 SIMULATED = 0.08
 """Residual of a simulation above which law ``legs`` does not describe it, over the range [-]:
 chosen; simulations of Li's legs that nothing was fitted to have 1 to 3 %."""
@@ -205,6 +206,7 @@ def _of_legs(
 def with_critical(answer: Answer, critical: float | str) -> Answer:
     """An answer of soil whose critical angle is known [deg]: φ is not below it.
 
+    The relative density is as likely at each value, so that φ moves toward the critical angle.
     Soil is loose if φ by the forces exceeds the critical angle by less than 1.64 standard
     deviations of both; otherwise the answer has the peak angle as well.
 
@@ -219,22 +221,34 @@ def with_critical(answer: Answer, critical: float | str) -> Answer:
         raise InputError("critical is of measured forces by a law in plane strain; leave it out")
     if answer.verdict != "consistent":
         return answer
-    apart, least = answer.phi.median - mean, LOOSE * math.hypot(answer.phi.sd, sd)
+    both = math.hypot(answer.phi.sd, sd)
+    apart, least, most = answer.phi.median - mean, LOOSE * both, CONTRADICTED * both
     given = f"the critical angle of {mean:g} ± {sd:g}°"
-    if apart < -least or apart > DENSEST_DEG + least:
+    if apart < -most or apart > DENSEST_DEG + most:
         far = "below" if apart < 0.0 else f"more than {DENSEST_DEG:g}° above"
-        sentence = f"φ is {far} {given}, which is wrong or of another soil, and is not used."
+        sentence = (
+            f"φ is {far} {given} by more than both errors allow, and that angle is not used: check "
+            "it, the density and the force."
+        )
         return replace(answer, warnings=(sentence, *answer.warnings))
     alone = f"{answer.phi}".partition("  ")[0]
-    sentence = f"φ is not below {given}; by the forces alone it is {alone}."
+    sentence = f"φ is that of soil with {given}; by the forces alone it is {alone}."
     if apart < least:
-        sentence = f"φ agrees with {given}: the soil is loose. By the forces alone it is {alone}."
+        sentence = f"φ cannot be distinguished from {given}; by the forces alone it is {alone}."
     density, peak = critical_posterior(*answer.posterior, (mean, sd))
-    answer = replace(
-        answer, phi_peak=peak if apart >= least else None, warnings=(sentence, *answer.warnings)
-    )
     phi = Estimate.of_density(answer.grid_deg, density)
-    return replace(answer, density=density, parameters={PHI: phi}, phi_plane_strain=phi)
+    narrower = phi.sd / answer.phi.sd
+    return replace(
+        answer,
+        density=density,
+        parameters={PHI: phi},
+        phi_plane_strain=phi,
+        phi_peak=peak if apart >= least else None,
+        # What half the force would read is of the forces alone.
+        phi_of_force_deg=None,
+        budget_deg={name: narrower * term for name, term in answer.budget_deg.items()},
+        warnings=(sentence, *answer.warnings),
+    )
 
 
 def critical_posterior(
@@ -354,7 +368,7 @@ def calibrate(
             raise InputError(
                 f"{record.source}: forces and angle disagree by {apart:+.0f}°, at most "
                 f"{FAR * usual:.0f}° are accepted; check phi = {phi_deg:g}° (in "
-                f"{found.scenario.convention}), the density and the leg"
+                f"{found.scenario.convention.replace('_', ' ')}), the density and the leg"
             )
         soils.append(
             CalibrationSoil(

@@ -11,7 +11,7 @@ from __future__ import annotations
 import importlib.metadata
 import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -61,8 +61,8 @@ SHALLOW = 2.0
 than a radius deep [-]: down to half a radius the plates on Cullinan sand read 8° too little, discs
 in loose grains 7° too much, and as much down to a quarter."""
 LOOSE_DEG = 37.0 + 1.64 * LAWS["foot"].sd_deg
-"""φ above which soil is not loose [deg]: 1.64 standard deviations of the law (one in twenty) above
-the largest critical angle of seventeen sands (Bolton 1986, Géotechnique 36:65, table 1)."""
+"""φ above which soil is not loose [deg]: 1.64 standard deviations of the best law (one in twenty)
+above the largest critical angle of seventeen sands (Bolton 1986, Géotechnique 36:65, table 1)."""
 GRAINS_DEG = 15.0
 """Standard deviation of φ by grains as large as the body [deg]; it goes with their diameter. Grains
 of 4 to 9 mm add 14 ± 10° to balls of 44 mm and take 17 ± 11° off discs of 60 mm, over the diameter
@@ -149,6 +149,8 @@ class _Fit(NamedTuple):
     """Force there [N], shape [n]."""
     slope: FloatArray
     """Its slope by φ [N/deg], shape [n]."""
+    mean_deg: float
+    """Mean of φ over the nodes [deg]."""
     row: FloatArray
     """Slope of the mean φ by the force [deg/N], shape [n]."""
 
@@ -240,11 +242,12 @@ def _fit(press: _Press) -> _Fit:
     top, phi = int(chance.argmax()), best.x[:, 0] + COMPACTING_DEG * COMPACT
     # d/dF of Σ p φ over the nodes: of each φ, and of ln p = −½ cost, which is −W r at its minimum.
     gain = weights(best.slope, weight, precision)[0][:, 0]
-    row = chance @ (gain - (phi - chance @ phi)[:, None] * (best.residual @ inverse))
+    mean = float(chance @ phi)
+    row = chance @ (gain - (phi - mean)[:, None] * (best.residual @ inverse))
     return _Fit(
         chance=chance, by_law=best.x[:, 0], phi=phi, top=top, contact=float(best.x[top, 1]),
         model=press.borne[top] * press.curve(best.x[top : top + 1])[0],
-        slope=best.slope[top, :, 0], row=row,
+        slope=best.slope[top, :, 0], mean_deg=mean, row=row,
     )  # fmt: skip
 
 
@@ -257,9 +260,12 @@ def _budget(press: _Press, fit: _Fit, density_sd: float) -> dict[str, float]:
     rough = press.borne[fit.top] * np.subtract(
         *(press.curve(x, mu=SURFACE_FRICTION + step)[0] for step in (0.1, -0.1))
     )
-    # Over a step as large as the error: a disc bears at once where it touches.
-    deeper = press.borne[fit.top] * np.subtract(
-        *(press.curve(x + np.array([0.0, step * press.contact_sd]))[0] for step in (0.5, -0.5))
+    # By fits anew: a disc bears at once where it touches, which is not linear in the contact.
+    higher, lower = (
+        _fit(
+            replace(press, force=press.borne[fit.top] * press.curve(x + np.array([0.0, z]))[0])
+        ).mean_deg
+        for z in (press.contact_sd, -press.contact_sd)
     )
     deep = DEEP_SD * np.maximum(press.z / press.tool.radius - DEEPEST, 0.0) * model
     terms = {
@@ -269,7 +275,7 @@ def _budget(press: _Press, fit: _Fit, density_sd: float) -> dict[str, float]:
         "model: course": math.sqrt(float(row @ press.course @ row)),
         "density": abs(float(row @ model)) * density_sd,
         "surface friction": abs(float(row @ rough)) * SURFACE_FRICTION_SD / 0.2,
-        "contact": abs(float(row @ deeper)),
+        "contact": 0.5 * abs(higher - lower),
         "noise": press.noise * math.sqrt(float(row @ row)),
         "contraction": math.sqrt(float(fit.chance @ (fit.phi - fit.chance @ fit.phi) ** 2)),
         "depth": abs(float(row @ deep)),

@@ -403,7 +403,7 @@ def record_of(
         factor, gain_sd = with_sd(
             f"{known.name}: gain", gain, "it as 1.05 or 1.05±0.01", (0.1, 10.0)
         )
-    scale_given = gain_sd is not None and number_with_sd(str(stated))[1] is not None
+    scale_given = None not in (gain_sd, stated) and number_with_sd(str(stated))[1] is not None
     gain_sd = GAIN_SD if gain_sd is None else gain_sd / factor
     if factor != 1.0:
         history = history.scaled(1.0 / factor)

@@ -84,6 +84,9 @@ LARGEST = 2.0
 """Farthest face from the origin of a foot [m]; chosen."""
 UNIT = 0.01
 """Error of the length of a unit normal [-]; chosen, for normals that were rounded."""
+FLAT = 0.01
+"""Roundness below which a mesh is flat, and breadth over its depth below which on edge [-]; chosen,
+for a warning alone."""
 TINY = 1e-12
 """Least length [m], speed [m/s], area [m²] or force [N] that is divided by."""
 AREA: dict[str, Any] = {"low": 0.0, "high": 4.0 * LARGEST**2, "unit": "m²"}
@@ -463,7 +466,7 @@ def wrench(
     surface: Any = 0.0,
     about: Any = (0.0, 0.0, 0.0),
     rest_speed: float = 0.01,
-    mobilisation: float = 0.0,
+    mobilization: float = 0.0,
     sheared: Any = None,
 ) -> tuple[Any, Any]:
     """Force and moment of soil on the faces of many feet, whose places are known already.
@@ -492,7 +495,7 @@ def wrench(
         What the moment is about [m], shape [..., 3] or [3].
     rest_speed
         Below it the force falls with the speed to zero [m/s].
-    mobilisation
+    mobilization
         Shear displacement K over which friction on a face develops [m]: it is the full one times
         1 − exp(−j/K) (Janosi & Hanamoto, 1961). By default all of it is there at once.
     sheared
@@ -526,7 +529,7 @@ def wrench(
     if law not in ("foot", "rft"):
         raise InputError(f"unknown law '{law}'; {nearest(law, ('foot', 'rft'))}")
     points = numbers("points", points, last=(3,), unit="m")
-    if points.ndim < 2:
+    if points.ndim < 2 or points.shape[-2] == 0:
         raise InputError(f"points of shape {tuple(points.shape)}; give [..., face, 3]")
     xp, (lead, last) = namespace(points), (tuple(points.shape[:-2]), tuple(points.shape[-2:]))
     surface_friction = _friction(surface_friction, law)
@@ -542,16 +545,16 @@ def wrench(
         flat, normals, numbers("areas", areas, points, shape=last[:1], **AREA), velocities, arms,
         None, surface_friction=surface_friction, law=law,
         rest_speed=_number("rest_speed", rest_speed, low=TINY, unit="m/s"),
-        mobilised=_mobilised(mobilisation, sheared, points), **soil,
+        mobilized=_mobilized(mobilization, sheared, points), **soil,
     )  # fmt: skip
     return xp.reshape(found, (*lead, 3)), xp.reshape(moment, (*lead, 3))
 
 
-def _mobilised(mobilisation: Any, sheared: Any, points: Any) -> Any:
+def _mobilized(mobilization: Any, sheared: Any, points: Any) -> Any:
     """Share of the friction of each face that is there [-], shape [foot, face]; None if all is."""
-    length = float(_number("mobilisation", mobilisation, unit="m"))
+    length = float(_number("mobilization", mobilization, unit="m"))
     if (length > 0.0) != (sheared is not None):
-        raise InputError("mobilisation, sheared: give both [m], or neither")
+        raise InputError("mobilization, sheared: give both [m], or neither")
     if sheared is None:
         return None
     xp, faces = namespace(points), tuple(points.shape[:-1])
@@ -562,11 +565,11 @@ def _mobilised(mobilisation: Any, sheared: Any, points: Any) -> Any:
 def _sum_of_faces(
     points: Any, normals: Any, areas: Any, velocities: Any, arms: Any, spin: Any, *,
     surface_friction: float, law: str, rest_speed: float, phi_deg: Any, density: Any, surface: Any,
-    mobilised: Any = None,
+    mobilized: Any = None,
 ) -> tuple[Any, Any, Any]:  # fmt: skip
     """Force, moment and greatest depth of feet, from arrays [foot, face, 3]; others [foot].
 
-    ``spin`` is the angular velocity [foot, 3], or ``None``; ``mobilised`` the share of the friction
+    ``spin`` is the angular velocity [foot, 3], or ``None``; ``mobilized`` the share of the friction
     [foot, face], or ``None``.
     """
     xp = namespace(points)
@@ -604,13 +607,13 @@ def _sum_of_faces(
     speed = _norm(xp, v)
     direction = v / xp.clip(speed, TINY, None)[:, None]
     leading = xp.sum(n * direction, axis=1)
-    if mobilised is not None:
-        mobilised = mobilised[at] if at else xp.reshape(mobilised, (-1,))
+    if mobilized is not None:
+        mobilized = mobilized[at] if at else xp.reshape(mobilized, (-1,))
     if owner is not None:
         some = np.flatnonzero(leading > 0.0)
         n, v, arm, direction = n[some], v[some], arm[some], direction[some]
         owner, depth, area, speed = owner[some], depth[some], area[some], speed[some]
-        leading, mobilised = leading[some], None if mobilised is None else mobilised[some]
+        leading, mobilized = leading[some], None if mobilized is None else mobilized[some]
     mu = xp.sin(math.pi / 180.0 * phi_deg)  # tan φ_rft = sin φ
     cubic, square, linear = SCALE_POLYNOMIAL
     stress = density * GRAVITY * mu * (linear + mu * (square + mu * cubic))
@@ -626,8 +629,8 @@ def _sum_of_faces(
         )  # fmt: skip
         scales = *[spread(drag)] * 2, spread(lift)
         axes = [(f * scale, *rest) for (f, *rest), scale in zip(axes, scales, strict=True)]
-    if law == "foot" or mobilised is not None:
-        axes = _bounded(xp, axes, surface_friction, mobilised)
+    if law == "foot" or mobilized is not None:
+        axes = _bounded(xp, axes, surface_friction, mobilized)
     (fx, *_), (fy, *_), (fz, *_) = axes
     x, y, z = arm[:, 0], arm[:, 1], arm[:, 2]
     rows = (fx, fy, fz, y * fz - z * fy, z * fx - x * fz, x * fy - y * fx)
@@ -668,8 +671,9 @@ def _ratios(
     ):  # fmt: skip
         first, step, table = _ratio_table(shape, surface_friction)
         ratio = xp.clip(depth / size, 1e-3 * step, None)
-        if shape == "ball":
-            _warn_deep(xp, ratio)
+        if shape == "ball":  # what is flat or on edge is no ball, whatever it points down with
+            round_feet = (roundness[:, 0] > FLAT) & (base > TINY + FLAT**2 * deepest**2)
+            _warn_deep(xp, xp.where(round_feet, ratio, 0.0 * ratio))
         found = interpolated(table, phi_deg - first, turn - LOWEST, ratio / step)
         scale = scale + share * found / ratio[:, None]
     return scale[:, 0], scale[:, 1]
@@ -746,19 +750,19 @@ def _foot_table(shape: str, surface_friction: float) -> tuple[float, float, Floa
 
 
 def _bounded(
-    xp: Any, axes: list[tuple[Any, Any, Any]], friction: float, mobilised: Any = None
+    xp: Any, axes: list[tuple[Any, Any, Any]], friction: float, mobilized: Any = None
 ) -> list[tuple[Any, Any, Any]]:
     """Forces on faces that take energy, with no more friction than Coulomb's.
 
     Of each axis the force, the outward normal and the direction of motion, [face] each. No soil
-    pulls at a face, and friction is mobilised by a share of it.
+    pulls at a face, and friction is mobilized by a share of it.
     """
     axes = _against(xp, axes)
     pressure = xp.clip(-sum(f * n for f, n, _ in axes), 0.0, None)
     along = [f + pressure * n for f, n, _ in axes]
     size = xp.sqrt(sum(t * t for t in along))
     share = xp.clip(friction * pressure / xp.clip(size, TINY, None), None, 1.0)
-    share = share if mobilised is None else share * mobilised
+    share = share if mobilized is None else share * mobilized
     return [(t * share - pressure * n, n, v) for t, (_, n, v) in zip(along, axes, strict=True)]
 
 

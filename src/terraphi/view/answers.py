@@ -150,6 +150,7 @@ def _advice(answer: Answer, digits: int) -> str:
     left = {
         action: math.sqrt(sum(sd**2 for name, sd in budget.items() if name not in removed))
         for action, removed in ACTIONS.items()
+        if "calibrate" not in action or "calibration" not in answer.provenance
     }
     action = min(left, key=lambda one: left[one])
     return f"To ± {left[action]:.{digits}f}° at best: {action}."
