@@ -141,7 +141,7 @@ class Prior:
     density, density_sd
         Bulk density [kg/m³].
     surface_friction, surface_friction_sd
-        Between foot and soil [-], about 0.2 to 0.6. A foot that touches down moves steeply, where
+        Between foot and soil [-]. A foot that touches down moves steeply, where
         the drag over the lift tells 0.3 from 0.5 by 0.02 at most, less than gains of the torques.
     radius, radius_sd
         Of the foot [m].

@@ -69,7 +69,7 @@ MOVED = (2.3, 1.2)
 discs were not tried."""
 SURFACE_FRICTION, SURFACE_FRICTION_SD = 0.4, 0.12
 """Friction between soil and a foot, plate or ball of which nothing is said, and its standard
-deviation [-]: the middle and the spread of what law ``foot`` was simulated for, 0.2 to 0.6."""
+deviation [-], chosen: law ``foot`` was simulated for 0.2 and 0.5."""
 BEYOND_DEG, BEYOND_FRICTION = 3.0, 0.15
 """How far outside its table of angles [deg] and frictions the simulated law is continued."""
 
