@@ -18,6 +18,7 @@ from terraphi.laws.plan import RIG_ANGLES_DEG
 from terraphi.robot.checks import CHECK_S, PART_S
 from terraphi.robot.friction import MOST_LAG_S
 from terraphi.robot.touchdowns import WINDOW_S
+from terraphi.terrain.inputs import HEIGHTS
 from terraphi.terrain.slopes import SAMPLES
 from terraphi.view.app import MOST_MEMORY, Limits
 
@@ -29,6 +30,8 @@ FRICTIONS = sorted({float(mu) for mu in foot.simulated_cases().x[:, 0]})
 NUMBERS = [
     ("CONTRIBUTING.md", r"missing of (\d+) cases", [len(list(legs.cases()))]),
     ("SECURITY.md", r"more than (\S+) GB of variables", [budget.BYTES >> 30]),
+    ("SECURITY.md", r"limited to (0\.\d) GB and (\d+) times its size",
+     [round(budget.LEAST_UNPACKED / 1e9, 1), budget.UNPACKED]),
     ("SECURITY.md", r"begin within (\S+) s is closed; at most (\d+) wait",
      [LIMITS.header_seconds, LIMITS.waiting]),
     ("SECURITY.md", r"file has at most (\d+) MB", [LIMITS.bytes / 1e6]),
@@ -54,11 +57,12 @@ NUMBERS = [
      [round(pressed.LOOSE_DEG)]),
     (HOW_TO + "many.md", r"model's error, ± (\d+(?:\.\d+)?)°",
      {round(offset["common_sd_deg"], 1) for offset in OFFSETS.values()}),
+    (HOW_TO + "map.md", r"metres \(−(\d+) to (\d),000\)", [-HEIGHTS[0], HEIGHTS[1] / 1e3]),
     (HOW_TO + "map.md", r"mean over (\d+) points of a Sobol", [SAMPLES]),
     (HOW_TO + "go2-log.md", r"(\d+) ms at most", [1e3 * MOST_LAG_S]),
     (HOW_TO + "go2-log.md", r"first (\d+) s are checked, then each (\d+) s", [CHECK_S, PART_S]),
     (HOW_TO + "footfalls.md", r"at most (\d+(?:\.\d+)?) s, while the foot goes down", [WINDOW_S]),
-    (HOW_TO + "footfalls.md", r"(\d+(?:\.\d+)?)° for `foot`, (\d+)° for `rft`, (\d+)° for the others",
+    (HOW_TO + "footfalls.md", r"(\d\.\d)° for `foot`, (\d+)° for `rft`, (\d+)° for the others",
      [foot.LAWS[name].sd_deg for name in ("foot", "rft", "hansen")]),
     (HOW_TO + "footfalls.md", r"less than (\d+) mm while the force rose",
      [1e3 * footfalls.LEAST_GAINED]),
