@@ -48,7 +48,7 @@ NUMBERS = [
     (HOW_TO + "own-leg.md", r"taken as (\d+(?:\.\d+)?) ± (\d+(?:\.\d+)?)",
      [rig.LEG_FRICTION, round(rig.LEG_FRICTION_SD, 2)]),
     (HOW_TO + "own-forces.md", r"averaged in bins of (\d+(?:\.\d+)?)°", [reading.BIN_DEG]),
-    (HOW_TO + "own-forces.md", r"more than (\d+) % of the force's range", [100 * baseline.OFFSET]),
+    (HOW_TO + "own-forces.md", r"exceeds (\d+) % of the force's range", [100 * baseline.OFFSET]),
     (HOW_TO + "own-forces.md", r"rest in the soil of more than (\d+)°", [reading.PAUSE_DEG]),
     (HOW_TO + "own-forces.md", r"at most (\d+)° above the critical", [inversion.DENSEST_DEG]),
     (HOW_TO + "own-forces.md", r"turned by (\d+) to (\d+)°",
