@@ -56,9 +56,9 @@ history.plot()
 # %%
 # Invert it
 # ---------
-# The forces go with the size of the leg, which is asked for: ``terraphi.Rig`` has its shape and sizes,
-# and ``li2013`` is the apparatus of this record. Measure the density as well: the verdict hardly
-# notices a wrong one.
+# The forces go with the size of the leg, which is asked for: ``terraphi.Rig`` has its shape and
+# sizes, and ``li2013`` is the apparatus of this record. Measure the density as well: the verdict
+# hardly notices a wrong one.
 
 answer = terraphi.invert(history, rig="li2013", leg="straight", density="1650±50")
 answer
