@@ -141,8 +141,8 @@ class Prior:
     density, density_sd
         Bulk density [kg/m³].
     surface_friction, surface_friction_sd
-        Between foot and soil [-]. A foot that touches down moves steeply, where
-        the drag over the lift tells 0.3 from 0.5 by 0.02 at most, less than gains of the torques.
+        Between foot and soil [-]. A foot that touches down moves steeply: its drag over lift
+        differs by at most 0.02 between 0.3 and 0.5, less than by gains of the torques.
     radius, radius_sd
         Of the foot [m].
     shape
