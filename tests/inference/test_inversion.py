@@ -277,6 +277,11 @@ def test_many_keeps_the_order_and_the_errors() -> None:
     assert isinstance(error, InputError)
 
 
+def test_a_record_is_no_repeat_of_itself() -> None:
+    with pytest.raises(InputError, match="a repeat is another stroke"):
+        calibrate(["li2013:glass03_loose/straight"] * 2, 25.0, 1.0)
+
+
 def test_calibrating_with_one_s_own_answer_centres_there(tmp_path) -> None:
     record = "li2013:glass03_loose/straight"
     found = calibrate(record, 25.0, 1.0)

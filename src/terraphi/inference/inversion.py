@@ -346,7 +346,12 @@ def calibrate(
         columns=columns, noise=noise, gain=gain,
     )  # fmt: skip
     found, _ = _law_for(records, law)
-    for record in records:
+    for i, record in enumerate(records):
+        for other in records[:i]:
+            if record.rig == other.rig and np.array_equal(record.data, other.data):
+                raise InputError(
+                    f"{record.source}: has the forces of {other.source}; a repeat is another stroke"
+                )
         likelihood = Likelihood([record], found)
         if not likelihood.measured:
             raise InputError(f"{record.source}: simulated forces calibrate nothing")
