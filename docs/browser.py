@@ -12,8 +12,8 @@ import numpy as np
 import terraphi
 from terraphi.experiment import files
 
-LAWS = ("laws/legs.nc", "libraries/rft3d.nc")
-"""Files that an inversion by law ``legs`` reads; HDF5 is not needed for arrays."""
+LAW = "laws/legs.nc"
+"""File that an inversion by law ``legs`` reads; HDF5 is not needed for arrays."""
 
 
 def write(path: Path) -> None:
@@ -23,12 +23,11 @@ def write(path: Path) -> None:
         for one in sorted(folder.rglob("*")):
             if one.suffix in (".csv", ".py", ".toml"):
                 archive.write(one, one.relative_to(folder.parent))
-        for name in LAWS:
-            attributes, arrays, names = files._read(folder / "data" / name)
-            arrays = {n: a.astype(str) if a.dtype.kind == "O" else a for n, a in arrays.items()}
-            plain = {n: a.item() if isinstance(a, np.generic) else a for n, a in attributes.items()}
-            content = io.BytesIO()
-            np.savez_compressed(content, attributes=json.dumps([plain, names]), **arrays)
-            archive.writestr(f"terraphi/data/{name}", content.getvalue())
+        attributes, arrays, names = files._read(folder / "data" / LAW)
+        arrays = {n: a.astype(str) if a.dtype.kind == "O" else a for n, a in arrays.items()}
+        plain = {n: a.item() if isinstance(a, np.generic) else a for n, a in attributes.items()}
+        content = io.BytesIO()
+        np.savez_compressed(content, attributes=json.dumps([plain, names]), **arrays)
+        archive.writestr(f"terraphi/data/{LAW}", content.getvalue())
         metadata = f"Metadata-Version: 2.1\nName: terraphi\nVersion: {version}\n"
         archive.writestr(f"terraphi-{version}.dist-info/METADATA", metadata)

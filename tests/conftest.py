@@ -13,8 +13,10 @@ from hypothesis import settings
 from threadpoolctl import threadpool_limits
 
 from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.scenario import Scenario
+from terraphi.forward import simulate
 from terraphi.laws.emulator import Emulator
-from terraphi.laws.store import Library
+from terraphi.laws.store import PHI, Case, Library
 
 # Tests run side by side, and their small matrices gain nothing from threads.
 assert np.ones(1) @ np.ones(1) == 1.0  # loads the library that is limited
@@ -63,7 +65,12 @@ def sand3d() -> Library:
 
 @pytest.fixture(scope="session")
 def rft3d() -> Library:
-    return Library.load("rft3d")
+    """Simulations of an exact model, for what is made of simulations."""
+    few = {"rft.panels": 50, "motion.start_deg": -100.0, "motion.stop_deg": 100.0}
+    base = Scenario.load("quick").replace(**few)
+    legs, angles = ("straight", "c", "reversed_c"), np.linspace(15.0, 50.0, 15).tolist()
+    cases = [base.replace(**{PHI: phi, "leg.shape": leg}) for leg in legs for phi in angles]
+    return Library("simulated", tuple(Case(one, simulate(one)) for one in cases))
 
 
 @pytest.fixture(scope="session")

@@ -50,7 +50,7 @@ def results(log: Path) -> list[Any]:
     forces = terraphi.foot_forces(log)
     return [
         measured, measured.history, terraphi.invert(measured, law="rft3d"),
-        terraphi.Library.load("rft3d"), forces, forces.forces, forces.pooled, forces.log,
+        terraphi.Library.load("paper"), forces, forces.forces, forces.pooled, forces.log,
         forces.stances[0], forces.robot, terraphi.footfalls(log),
     ]  # fmt: skip
 
@@ -66,7 +66,7 @@ def test_results_in_memory_make_a_page(results: list[Any], tmp_path: Path) -> No
     measured, history, answer, library, forces, *_, footfalls = results
     shown = [history, answer, library, forces, footfalls]
     titles = [title for title, _ in terraphi.report(shown, tmp_path / "r.html")]
-    assert titles[1:3] == ["li2013:yuma/c", "rft3d"]
+    assert titles[1:3] == ["li2013:yuma/c", "paper"]
     assert len({*titles}) == len(shown)
     with pytest.raises(terraphi.InputError, match="type Measurement"):
         terraphi.report(measured, tmp_path / "r.html")
@@ -83,11 +83,11 @@ def test_results_in_memory_make_a_page(results: list[Any], tmp_path: Path) -> No
         (lambda: terraphi.measurement(5), "no shipped measurement '5'"),  # type: ignore[arg-type]
         (lambda: terraphi.read_forces(5), "table of type int"),
         (lambda: terraphi.foot_forces(5), "log of type int"),  # type: ignore[arg-type]
-        (lambda: terraphi.build("rft3", "x.nc"), "did you mean 'rft3d'"),
+        (lambda: terraphi.build("papr", "x.nc"), "did you mean 'paper'"),
         (lambda: terraphi.export("x", to="newtom"), "did you mean 'newton'"),
         (lambda: terraphi.export([5], to="newton"), "answer of type list"),  # type: ignore[arg-type]
         (lambda: terraphi.convert("1", from_="newton"), "friction = '1'"),  # type: ignore[arg-type]
-        (lambda: terraphi.report("rft3d", "r.pdf"), "name it r.html"),
+        (lambda: terraphi.report("paper", "r.pdf"), "name it r.html"),
         (lambda: terraphi.report([], "r.html"), "no results"),
     ],
 )

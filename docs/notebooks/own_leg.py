@@ -33,7 +33,7 @@ record = terraphi.ForceHistory(truth.position, truth.force + noise)
 # %%
 # A rough angle at once
 # ---------------------
-# Resistive force theory needs no simulations: library ``rft3d`` is made for any rig in a fraction
+# Resistive force theory needs no simulations: law ``rft3d`` covers any rig in a fraction
 # of a second. ``simulated=True`` says that the model is exact.
 
 options = {"rig": rig, "density": "1650±1", "law": "rft3d"}

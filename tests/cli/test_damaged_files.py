@@ -77,6 +77,7 @@ def make_files(folder: Path) -> None:
     import terraphi
     from terraphi.cli.main import cli
     from terraphi.inference.footfalls import FootfallMap
+    from terraphi.laws.store import Case
     from terraphi.robot.joint_log import JointLog
 
     terraphi.invert(MEASURED, law="rft3d").save(folder / "answer")
@@ -84,7 +85,9 @@ def make_files(folder: Path) -> None:
     shutil.copy(quick, folder / "scenario.toml")
     scenario = terraphi.Scenario.load(folder / "scenario.toml")
     terraphi.simulate(scenario).to_netcdf(folder / "simulation.nc")
-    terraphi.Library.load("rft3d").save(folder / "library.nc")
+    angles = [{"leg.shape": "c", "soil.friction_angle_deg": phi} for phi in (20.0, 30.0, 40.0)]
+    cases = [Case(one, terraphi.simulate(one)) for one in (scenario.replace(**x) for x in angles)]
+    terraphi.Library("small", tuple(cases)).save(folder / "library.nc")
     shutil.copy(quick.parents[1] / "laws" / "legs.nc", folder / "law.nc")
     place, one = np.linspace(0.0, 10.0, 8), np.ones(8)
     walk = FootfallMap(

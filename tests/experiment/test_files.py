@@ -186,7 +186,7 @@ def same_as_xarray(file: Path) -> None:
 
 
 def test_a_library_is_read_as_xarray_reads_it() -> None:
-    same_as_xarray(shipped_file("libraries", "rft3d", ".nc"))
+    same_as_xarray(shipped_file("libraries", "paper", ".nc"))
 
 
 def test_text_and_holes_are_read_as_xarray_reads_them(tmp_path: Path) -> None:

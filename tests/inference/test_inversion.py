@@ -28,7 +28,7 @@ from terraphi.laws.store import PHI, Library
 @pytest.mark.parametrize("phi", [18.3, 26.1, 34.9, 43.2])
 @pytest.mark.parametrize("leg", ["straight", "c", "reversed_c"])
 def test_simulated_angles_are_recovered(phi: float, leg: str) -> None:
-    base = Library.load("rft3d").cases[0].scenario
+    base = Scenario.load("quick")
     scenario = base.replace(**{PHI: phi, "leg.shape": leg, "soil.density": 1400.0})
     answer = invert(simulate(scenario))
     assert answer.law == "rft3d"
@@ -144,7 +144,7 @@ def test_simulated_forces_that_noise_does_not_explain_are_a_misfit(
 def test_an_angle_beyond_the_library_is_out_of_range(
     history_at: Callable[..., ForceHistory],
 ) -> None:
-    base = Library.load("rft3d").cases[0].scenario
+    base = Scenario.load("quick")
     for phi, edge in ((12.0, "low"), (55.0, "high")):
         answer = invert(simulate(base.replace(**{PHI: phi})))
         assert (answer.verdict, answer.edge) == ("out_of_range", edge)
@@ -208,7 +208,7 @@ def test_a_moment_replaces_forces(sand3d: Library, leg: str, axes: str) -> None:
 
 def test_a_moment_that_the_forces_do_not_have_is_noticed() -> None:
     """A leg of another length has a moment out of proportion to its forces."""
-    base = Library.load("rft3d").cases[0].scenario
+    base = Scenario.load("quick")
     history = replace(simulate(base.replace(**{PHI: 30.0})), provenance={})
     longer = replace(history, moment=1.5 * history.moment)
     plain, other = (

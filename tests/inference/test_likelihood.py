@@ -129,15 +129,16 @@ def test_terms_are_what_their_causes_do_to_the_forces(leg: str) -> None:
         np.testing.assert_allclose(found, abs(sd), atol=0.05 * abs(sd).max(), err_msg=name)
 
 
-def test_noise_is_worth_what_it_does(history_at: Callable[..., ForceHistory]) -> None:
+def test_noise_is_worth_what_it_does(
+    rft3d: Library, history_at: Callable[..., ForceHistory]
+) -> None:
     """The standard deviation from noise is the scatter of angles over noisy copies of a record."""
-    library = Library.load("rft3d")
     found = [
         invert(
             history_at(33.0, noise=0.3, seed=s),
             rig="li2013",
             leg="straight",
-            law=library,
+            law=rft3d,
             simulated=True,
             noise=0.3,
         )
@@ -279,12 +280,13 @@ def test_a_calibration_says_nothing_of_another_rig() -> None:
         invert(forces, rig=own, gain="1.1±0.02", calibration=known)
 
 
-def test_quadrature_resolves_a_narrow_peak(history_at: Callable[..., ForceHistory]) -> None:
-    library = Library.load("rft3d")
+def test_quadrature_resolves_a_narrow_peak(
+    rft3d: Library, history_at: Callable[..., ForceHistory]
+) -> None:
     record = open_record(
         history_at(31.234), rig="li2013", leg="straight", simulated=True, noise=1e-3
     )
-    likelihood = Likelihood([record], library)
+    likelihood = Likelihood([record], rft3d)
     grid, density = quadrature(likelihood)
     sd = float(likelihood.sd[0])
     mean = np.trapezoid(grid * density, grid)

@@ -70,8 +70,8 @@ def test_what_cannot_be_inferred_is_refused(small: Library, tmp_path: Path) -> N
     (tmp_path / "text.nc").write_text("theta_deg,Fx_N,Fz_N")
     with pytest.raises(InputError, match=r"text\.nc"):
         Library.load(tmp_path / "text.nc")
-    with pytest.raises(InputError, match="rft3d"):
-        Library.load("rft3f")
+    with pytest.raises(InputError, match="paper-code"):
+        Library.load("paper-cod")
 
 
 @pytest.mark.parametrize("name", Library.names())

@@ -112,7 +112,7 @@ def results(
     footfalls.to_netcdf(place / "footfalls.nc")
     return {
         "answer": str(place / "answer"),
-        "library": "rft3d",
+        "library": "paper",
         "simulation": str(place / "simulation.nc"),
         "foot forces": str(foot_forces_file),
         "footfalls": str(place / "footfalls.nc"),

@@ -14,8 +14,7 @@ from terraphi.experiment.errors import InputError
 from terraphi.view.console import Table, present, progress_bar
 
 if TYPE_CHECKING:
-    from terraphi.laws.legs import Legs
-    from terraphi.laws.store import Library
+    from terraphi.laws.legs import LawOfLegs
 
 
 @click.group()
@@ -51,7 +50,7 @@ def library_build(
 
     After an interruption the same command continues. 'terraphi keys plan' lists the keys of a plan.
 
-    Example: terraphi library build rft3d --out mine.nc --workers 4
+    Example: terraphi library build rft3d-joint --out mine.nc --workers 4
 
     Example: terraphi library build --rig rig.toml --out mine.nc
     """
@@ -112,7 +111,7 @@ def library_show(name: str, as_json: bool) -> None:
     print_library(stored(name), as_json)
 
 
-def print_library(found: Library | Legs, as_json: bool) -> None:
+def print_library(found: LawOfLegs, as_json: bool) -> None:
     """Print the summary of a library, with its plan as JSON alone."""
     summary = found.summary()
     every = {**summary, **summary["provenance"]}

@@ -46,8 +46,7 @@ from terraphi.experiment.files import atomic_write
 from terraphi.experiment.outputs import SIGNATURE
 from terraphi.experiment.rig import Rig
 from terraphi.laws.law import ModelError
-from terraphi.laws.legs import Legs
-from terraphi.laws.store import Library
+from terraphi.laws.legs import LawOfLegs
 
 BED_SD_DEG, MOST_BED_SD_DEG = 0.7, 1.1
 """Standard deviation of ψ between beds of one soil on one leg [deg], a part of ``leg_sd_deg``: 27
@@ -146,7 +145,7 @@ class Calibration(Strict):
                     "the density and the leg are the same."
                 )
 
-    def check(self, library: Library | Legs, gains: Mapping[str, float]) -> None:
+    def check(self, library: LawOfLegs, gains: Mapping[str, float]) -> None:
         """Refuse another law, or another gain of a rig's sensor, than those of the calibration.
 
         Raises

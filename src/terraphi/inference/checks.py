@@ -27,9 +27,10 @@ from terraphi.forward.rft import to_plane_strain
 from terraphi.inference.answer import Estimate, RecordFit
 from terraphi.inference.likelihood import SHIFT_DEG, Likelihood, squared_residuals
 from terraphi.inference.records import Record, density_doubts
-from terraphi.laws.law import THEORY, LegLaw
-from terraphi.laws.legs import VARIED, Legs, law_of
-from terraphi.laws.store import differences, shipped_library
+from terraphi.laws.law import LegLaw
+from terraphi.laws.legs import VARIED, law_of
+from terraphi.laws.store import Library, differences
+from terraphi.laws.theory import Theory
 
 LOADED = 0.05
 """Force over the largest above which an exact zero is a dropout [-]."""
@@ -412,7 +413,7 @@ def others(likelihood: Likelihood, *, misfit: bool) -> Iterator[str]:
         name = likelihood.prefix(record)
         if record.scenario is not None:
             apart = differences(record.scenario, likelihood.library.scenario)
-            known = VARIED if isinstance(likelihood.library, Legs) else set()
+            known = set() if isinstance(likelihood.library, Library) else VARIED
             apart = [key for key in apart if key not in known]
             if apart:
                 listed = ", ".join(apart[:3]) + (", …" if len(apart) > 3 else "")
@@ -545,7 +546,7 @@ def _columns_otherwise(
 def _other_arm(likelihood: Likelihood, i: int) -> Iterator[str]:
     """A sentence if the moment about the hip is not that of the forces, with the model's arms."""
     record, law = likelihood.records[i], likelihood.laws[i]
-    if law.arm is None or record.channels != FORCES or record.history.moment is None:
+    if record.channels != FORCES or record.history.moment is None or law.arm is None:
         return
     theta_deg = law.theta_deg + likelihood.shift_deg[i]
     arm = np.stack([np.interp(record.theta_deg, theta_deg, row) for row in law.arm])
@@ -597,10 +598,10 @@ def _other_hip(likelihood: Likelihood) -> Iterator[str]:
 
 def second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:
     """Angle of measured forces by resistive force theory, as one of plane strain."""
-    if not likelihood.measured or likelihood.library.name == THEORY:
+    if not likelihood.measured or isinstance(likelihood.library, Theory):
         return None
     try:
-        other = Likelihood(likelihood.records, shipped_library(THEORY))
+        other = Likelihood(likelihood.records, Theory())
     except InputError:
         return None  # it does not cover the angles of the record
     read = float(other.least_squares[0])
@@ -614,7 +615,7 @@ def second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:
     measured = float(np.square(likelihood.data / likelihood.span).sum())
     of_size = float(np.interp(measured, np.maximum.accumulate(size), phi))
     sd *= (above - below) / 2.0
-    return {"law": THEORY, "median": median, "sd": sd, "force_size_deg": of_size}
+    return {"law": Theory.name, "median": median, "sd": sd, "force_size_deg": of_size}
 
 
 def _moisture(likelihood: Likelihood) -> str:

@@ -40,8 +40,8 @@ from terraphi.inference.likelihood import (
 )
 from terraphi.inference.pressed import invert_pressed
 from terraphi.inference.records import Record, is_tool, open_records, with_body, with_sd
-from terraphi.laws.legs import FORMER_NAME, Legs, law_named, nearest_law, shipped_legs
-from terraphi.laws.store import PHI, Library
+from terraphi.laws.legs import FORMER_NAME, LawOfLegs, Legs, law_named, nearest_law, shipped_legs
+from terraphi.laws.store import PHI
 
 MODEL = ("model: apparatus", "model: soil", "model: leg", "model: offset")
 """Terms of the error of the model on real soils."""
@@ -79,7 +79,7 @@ def invert(
     density: float | str | None = None,
     grain_size_mm: float | None = None,
     columns: Any = None,
-    law: Library | Legs | Path | str | None = None,
+    law: LawOfLegs | Path | str | None = None,
     noise: float | tuple[float, float] | None = None,
     gain: float | str | None = None,
     calibration: Calibration | Path | str | None = None,
@@ -174,7 +174,7 @@ def invert(
 def _of_legs(
     sources: Sequence[tuple[Any, Any]],
     *,
-    law: Library | Legs | Path | str | None,
+    law: LawOfLegs | Path | str | None,
     calibration: Calibration | Path | str | None,
     **options: Any,
 ) -> list[Answer]:
@@ -302,7 +302,7 @@ def calibrate(
     phi_sd_deg: float,
     *,
     soil: str = "",
-    law: Library | Legs | Path | str | None = None,
+    law: LawOfLegs | Path | str | None = None,
     leg: str | None = None,
     rig: Any = None,
     density: float | str | None = None,
@@ -416,10 +416,10 @@ def _attempt(row: Any) -> Answer | InputError:
 
 
 def _law_for(
-    records: Sequence[Record], law: Library | Legs | Path | str | None
-) -> tuple[Library | Legs, str]:
+    records: Sequence[Record], law: LawOfLegs | Path | str | None
+) -> tuple[LawOfLegs, str]:
     """The law to take, and why, if none was named."""
-    if isinstance(law, Library | Legs):
+    if isinstance(law, LawOfLegs):
         return law, ""
     if law is not None:
         return law_named(law), "what sand3d is now" if str(law) == FORMER_NAME else ""
@@ -469,8 +469,7 @@ def _answer(likelihood: Likelihood, reason: str, began: float) -> Answer:
         grid_deg=grid,
         density=density,
         covariance=likelihood.predictive_covariance(),
-        leg_friction=first.rig.leg_friction if "leg friction" in likelihood.terms
-        else scenario.leg.friction,
+        leg_friction=likelihood.laws[0].leg_friction,
         cohesion_pa=likelihood.cohesion if isinstance(library, Legs) else None,
         provenance={
             "terraphi": importlib.metadata.version("terraphi"),

@@ -90,8 +90,8 @@ from terraphi.inference.calibration import Calibration, rig_name
 from terraphi.inference.estimator import Best, least_squares, weights
 from terraphi.inference.records import Record
 from terraphi.laws.law import STEP, LegLaw, ModelError
-from terraphi.laws.legs import Legs, law_of
-from terraphi.laws.store import PHI, Library
+from terraphi.laws.legs import LawOfLegs, Legs, law_of
+from terraphi.laws.store import PHI
 
 SHIFT_DEG = 15.0
 """Largest shift of the leg angle of measured records [deg]: chosen. C legs have 11 to 15° in grains
@@ -165,13 +165,14 @@ class Cohesion(NamedTuple):
     """Standard deviation of φ about the angle at the mean [deg]."""
 
 
-def channels_of(record: Record, force: FloatArray, arm: FloatArray | None) -> FloatArray:
-    """Channels of a record from (Fx, Fz) [N] and lever arms [m], [..., 2, m] -> [..., c, m].
+def channels_of(record: Record, force: FloatArray, law: LegLaw) -> FloatArray:
+    """Channels of a record from (Fx, Fz) [N] over the angles of a law, [..., 2, m] -> [..., c, m].
 
-    Raises InputError if the record has a moment and there are no lever arms.
+    Raises InputError if the record has a moment and the law no lever arms.
     """
     if record.channels == FORCES:
         return force
+    arm = law.arm
     if arm is None:
         raise InputError(
             f"{record.source}: Fx and Fz are needed; the library has no moment about the hip"
@@ -185,7 +186,7 @@ def window_means(record: Record, force: FloatArray, law: LegLaw, shift_deg: floa
 
     Shape [..., 2, theta] -> [..., c m].
     """
-    channels = channels_of(record, force, law.arm)
+    channels = channels_of(record, force, law)
     means = channels @ record.operator(law.theta_deg + shift_deg).T
     return np.asarray(means.reshape(*means.shape[:-2], -1))
 
@@ -235,7 +236,7 @@ class Likelihood:
     def __init__(
         self,
         records: Sequence[Record],
-        library: Library | Legs,
+        library: LawOfLegs,
         calibration: Calibration | None = None,
         *,
         disagreement_deg: float = 0.0,
@@ -307,7 +308,7 @@ class Likelihood:
         """Name of a record before a sentence on it, if there are several."""
         return f"{record.source}: " if len(self.records) > 1 else ""
 
-    def _law(self, record: Record, library: Library | Legs) -> LegLaw:
+    def _law(self, record: Record, library: LawOfLegs) -> LegLaw:
         """The law of a record's rig; raises InputError if it does not cover the record."""
         try:
             strict = record.scenario is None

@@ -6,11 +6,9 @@ rig is the law of all rigs with its proportions, and a law may have these ratios
 
 from __future__ import annotations
 
-import functools
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
-from dataclasses import replace
 
 import numpy as np
 from pydantic import Field
@@ -18,14 +16,10 @@ from pydantic import Field
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import Strict
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.history import ForceHistory
-from terraphi.experiment.rig import LEG_FRICTION, Rig
-from terraphi.forward.rft import leg_force, stress_scale
+from terraphi.experiment.rig import Rig
 from terraphi.laws.emulator import Emulator, emulator_of
-from terraphi.laws.store import PHI, Case, Library, shipped_library
+from terraphi.laws.store import PHI, Library
 
-THEORY = "rft3d"
-"""Library of resistive force theory in three dimensions, which needs no simulations."""
 SIMILAR = {"leg.width": 0.02, "motion.hip.1": 0.015, "leg.half_thickness": 0.015}
 """How far a rig may be from the library's: in the width over it, in the height of the hip and in
 the thickness over the length. Each moves φ by at most 0.5° (2 mm of Li's hip by 1°, 10 % of force
@@ -84,8 +78,8 @@ class LegLaw(ABC):
     """Leg angles of the forces [deg], shape [theta]."""
     density: float
     """Bulk density that the forces are for [kg/m³]; they are in proportion to it."""
-    arm: FloatArray | None
-    """(a, b) [m] with M = a Fx + b Fz, the moment about the hip, shape [2, theta]; or ``None``."""
+    leg_friction: float
+    """Friction of the leg that the forces are for [-]."""
     most_cohesion: float = 0.0
     """Largest cohesion c / (ρ g L) that the law knows [-]; 0: it is of dry soil."""
 
@@ -93,17 +87,24 @@ class LegLaw(ABC):
     def within(self, x: FloatArray, cohesion: float) -> FloatArray:
         """Forces (Fx, Fz) [N] at parameters within the bounds, [k, key] -> [k, 2, theta]."""
 
-    @abstractmethod
-    def interpolation(self, x: FloatArray, cohesion: float) -> FloatArray:
+    @property
+    def arm(self) -> FloatArray | None:
+        """(a, b) [m] with M = a Fx + b Fz, the moment about the hip, shape [2, theta]."""
+        return None
+
+    # An exact law of a rig has no errors of its own.
+
+    def interpolation(self, _x: FloatArray, _cohesion: float) -> FloatArray:
         """Factor F of the covariance F F' of the interpolation at a point [N], [2 theta, k]."""
+        return np.zeros((2 * self.theta_deg.size, 1))
 
-    @abstractmethod
-    def scatter(self, x: FloatArray, cohesion: float) -> FloatArray:
+    def scatter(self, _x: FloatArray, _cohesion: float) -> FloatArray:
         """Covariance between particle seeds at a point [N²], [2 theta, 2 theta]."""
+        return np.zeros((2 * self.theta_deg.size,) * 2)
 
-    @abstractmethod
-    def modes(self, x: FloatArray, cohesion: float) -> dict[str, FloatArray]:
+    def modes(self, _x: FloatArray, _cohesion: float) -> dict[str, FloatArray]:
         """What else is uncertain at a point [N], by cause: factors [2 theta, k]."""
+        return {}
 
     def of_hip(self, _x: FloatArray, _cohesion: float) -> FloatArray | None:
         """Change of the forces with the hip's height at a point [N/mm], shape [2 theta, 1]."""
@@ -137,10 +138,16 @@ class LibraryLaw(LegLaw):
 
     def __init__(self, emulator: Emulator, longer: float) -> None:
         curves = emulator.curves
-        self.emulator, self._scale = emulator, longer**3
+        self.emulator, self._longer, self._scale = emulator, longer, longer**3
         self.keys, self.bounds, self.theta_deg = curves.keys, emulator.bounds, curves.theta_deg
         self.density = curves.scenario.soil.density
-        self.arm = None if curves.arm is None else longer * curves.arm
+        self.leg_friction = curves.scenario.leg.friction
+
+    @property
+    def arm(self) -> FloatArray | None:
+        """Lever arms, where the library has moments."""
+        arm = self.emulator.curves.arm
+        return None if arm is None else self._longer * arm
 
     def within(self, x: FloatArray, _cohesion: float) -> FloatArray:
         """Forces within the bounds."""
@@ -153,10 +160,6 @@ class LibraryLaw(LegLaw):
     def scatter(self, x: FloatArray, _cohesion: float) -> FloatArray:
         """Covariance of the emulator's scatter."""
         return self._scale**2 * self.emulator.scatter(np.clip(x, *self.bounds))
-
-    def modes(self, _x: FloatArray, _cohesion: float) -> dict[str, FloatArray]:
-        """None: the library has one rig."""
-        return {}
 
 
 def is_similar(rig: Rig, leg: Rig | None, varied: Iterable[str] = ()) -> bool:
@@ -215,38 +218,3 @@ def leg_law(library: Library, rig: Rig, *, strict: bool = True) -> LegLaw:
             f"{remedy(rig)}"
         )
     return LibraryLaw(emulator, 1.0 if simulated is None else rig.length / simulated.length)
-
-
-def rig_of(library: Library, leg: str) -> Rig | None:
-    """The rig that a leg of a library was simulated on; ``None`` if it does not rotate."""
-    return Rig.of_scenario(next(c.scenario for c in library.cases if c.scenario.leg.shape == leg))
-
-
-@functools.lru_cache(maxsize=32)
-def library_of_theory(rig: Rig) -> Library:
-    """Library of resistive force theory for a rig: the shipped one, or one made now.
-
-    The leg's friction is that of the shipped library unless another is known.
-    """
-    base = shipped_library(THEORY)
-    if is_similar(rig, rig_of(base, rig.leg)) and rig.leg_friction == LEG_FRICTION:
-        return base
-    own = [case.scenario for case in base.cases if case.scenario.leg.shape == rig.leg]
-    sizes = {
-        "leg.chord": rig.length,
-        "leg.width": 1e-3 * rig.width_mm,
-        "leg.half_thickness": 5e-4 * rig.thickness_mm,
-        "motion.hip.1": own[0].bed.surface + 1e-3 * rig.hip_height_mm,
-    }
-    if rig.leg_friction != LEG_FRICTION:
-        sizes["leg.friction"] = rig.leg_friction
-    scenarios = [one.replace(**sizes) for one in own]
-    theta = np.radians(np.arange(-135.0, 135.5, 0.5))
-    force, moment = leg_force(scenarios[0], scenarios[0].motion.poses_at(theta))
-    # The angle of the soil scales all stresses.
-    scales = stress_scale([s.soil.friction_angle_deg for s in scenarios], 1.0)
-    cases = [
-        Case(scenario, ForceHistory(theta, scale * force, moment=scale * moment))
-        for scenario, scale in zip(scenarios, (scales / scales[0]).tolist(), strict=True)
-    ]
-    return replace(base, cases=tuple(cases))

@@ -55,24 +55,21 @@ from terraphi.laws.emulator import Process, fitted
 from terraphi.laws.fitted import KIND, FittedLaw
 from terraphi.laws.law import (
     STEP,
-    THEORY,
     LegLaw,
     ModelError,
     check_friction,
     is_similar,
     leg_law,
-    library_of_theory,
     remedy,
-    rig_of,
 )
 from terraphi.laws.store import (
     PHI,
-    THETA_DEG,
     Library,
     differences,
     nearest_library,
     shipped_library,
 )
+from terraphi.laws.theory import Theory
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -378,16 +375,13 @@ class RatioLaw(LegLaw):
     def __init__(self, law: Legs, rig: Rig, cells: float = 1.0) -> None:
         self._law, self._rig, self._cells, self.theta_deg = law, rig, cells, SHIFTED_DEG
         self.bounds = np.array(PHI_DEG[:1]), np.array(PHI_DEG[1:])
-        # Where on the leg the soil presses is that of resistive force theory.
-        theory = library_of_theory(rig)
-        simulated, arm = rig_of(theory, rig.leg), theory.curves(rig.leg).arm
-        assert simulated is not None
-        assert arm is not None
-        self.arm = (
-            rig.length
-            / simulated.length
-            * np.stack([np.interp(self.theta_deg, THETA_DEG, row) for row in arm])
-        )
+        self.leg_friction = rig.leg_friction
+
+    @cached_property
+    def arm(self) -> FloatArray:
+        """Lever arms of resistive force theory: where on the leg the soil presses."""
+        law = Theory().law(self._rig)
+        return np.stack([np.interp(self.theta_deg, law.theta_deg, row) for row in law.arm])
 
     def _at(
         self, phi_deg: FloatArray, cohesion: float, rougher: float = 0.0, higher: float = 0.0
@@ -479,22 +473,24 @@ def cells_in(scenario: Scenario | None, rig: Rig) -> float:
     return scenario.numerics.cell_size / rig.length / cells_of(rig.ratios, depth)
 
 
+LawOfLegs = Legs | Theory | Library
+"""A law of any rig, or of those that are like a library's."""
 Cases = tuple[FloatArray, FloatArray, FloatArray, tuple[Rig, ...]]
 
 
 def law_of(
-    library: Library | Legs, rig: Rig, scenario: Scenario | None, *, strict: bool = True
+    library: LawOfLegs, rig: Rig, scenario: Scenario | None, *, strict: bool = True
 ) -> LegLaw:
     """The law of a rig, of a simulation in its cells; errors as of `~terraphi.laws.law.leg_law`."""
     if isinstance(library, Legs):
         return library.law(rig, cells_in(scenario, rig))
-    if (scenario is None or strict) and library is shipped_library(THEORY):
-        library = library_of_theory(rig)
+    if isinstance(library, Theory):
+        return library.law(rig)
     return leg_law(library, rig, strict=strict)
 
 
 def forces(
-    law: Library | Legs,
+    law: LawOfLegs,
     rig: Rig | Mapping[str, Any] | Path | str,
     phi_deg: ArrayLike,
     *,
@@ -633,32 +629,36 @@ def shipped_legs() -> Legs:
     return Legs.load(shipped_file("laws", NAME, ".nc"))
 
 
-def shipped_laws() -> list[Library | Legs]:
+def shipped_laws() -> list[LawOfLegs]:
     """All shipped laws of legs."""
-    return [shipped_legs(), *map(shipped_library, Library.names())]
+    return [shipped_legs(), Theory(), *map(shipped_library, Library.names())]
 
 
-def nearest_law(scenario: Scenario) -> Library | Legs:
-    """Law ``legs`` of legs that turn in three dimensions, or the most similar shipped library."""
+def nearest_law(scenario: Scenario) -> LawOfLegs:
+    """Law ``legs`` of legs that turn in three dimensions, or the most similar shipped law."""
+    if scenario.model == "rft":
+        return Theory()
     turns = (scenario.model, scenario.dimensions, scenario.motion.kind) == ("mpm", 3, "rotation")
     return shipped_legs() if turns else nearest_library(scenario)
 
 
-def stored(name: Path | str) -> Library | Legs:
+def stored(name: Path | str) -> LawOfLegs:
     """A shipped law of legs by its name, or a law or library from a file; raises InputError."""
     if str(name) in (NAME, FORMER_NAME):
         return shipped_legs()
+    if str(name) == Theory.name:
+        return Theory()
     if str(name) in Library.names():
         return shipped_library(str(name))
     path = Path(name)
     if not path.suffix and not path.exists():
-        hint = nearest(str(name), (NAME, *Library.names()))
+        hint = nearest(str(name), (NAME, Theory.name, *Library.names()))
         raise InputError(f"'{name}' is neither a file nor a law of legs; {hint}")
     of_law = path.is_file() and netcdf_kind(path) == KIND
     return Legs.load(path) if of_law else Library.load(name)
 
 
-def law_named(name: Path | str) -> Library | Legs:
+def law_named(name: Path | str) -> LawOfLegs:
     """A law of legs or a library, by its name or file.
 
     Its method ``forces(rig, phi_deg)`` has the forces on a leg (:func:`forces`). A library over φ
@@ -676,7 +676,7 @@ def law_named(name: Path | str) -> Library | Legs:
     """
     found = stored(name)
     law = nearest_law(found.scenario)
-    if isinstance(found, Legs) or not isinstance(law, Legs):
+    if not (isinstance(found, Library) and isinstance(law, Legs)):
         return found
     alike = set(differences(found.scenario, law.scenario)) <= VARIED
     of_phi = all(found.keys(leg) == (PHI,) for leg in found.legs)

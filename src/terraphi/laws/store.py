@@ -31,8 +31,6 @@ SCHEMA = 1
 """Version of the layout of a library file."""
 PHI = "soil.friction_angle_deg"
 """Dotted scenario key of the friction angle."""
-ORDER = ("rft3d", "paper", "paper-code")
-"""Shipped libraries, the most useful first."""
 ARM_DEG = 2.0
 """Width over which lever arms are smoothed [deg]."""
 REACH_DEG = 88.0
@@ -241,22 +239,22 @@ class Library:
         air |= (high < THETA_DEG) & (REACH_DEG > high > ends)
         theta = THETA_DEG[inside | air]
         means = [_one_degree_means(chosen[i].history, theta, air[inside | air]) for i in order]
-        force, arm = np.stack([m[:2] for m in means]), _lever_arm([m for m in means if len(m) > 2])
+        force, moments = np.stack([m[:2] for m in means]), [m for m in means if len(m) > 2]
+        arm = lever_arm(moments) if moments else None
         return Curves(keys, x[order], theta, force, first, arm)
 
     # -- files -----------------------------------------------------------------------------------
 
     @staticmethod
     def names() -> tuple[str, ...]:
-        """Names of the shipped libraries, the most useful first.
+        """Names of the shipped libraries.
 
         Examples
         --------
         >>> terraphi.Library.names()
-        ('rft3d', 'paper', 'paper-code')
+        ('paper', 'paper-code')
         """
-        found = shipped_names("libraries", ".nc")
-        return tuple(sorted(found, key=lambda n: (ORDER.index(n) if n in ORDER else 99, n)))
+        return tuple(shipped_names("libraries", ".nc"))
 
     def save(self, path: Path | str) -> None:
         """Write one NetCDF-4 file; raises InputError if the place cannot be written."""
@@ -318,8 +316,8 @@ class Library:
 
         Examples
         --------
-        >>> terraphi.Library.load("rft3d").legs
-        ['c', 'reversed_c', 'straight']
+        >>> terraphi.Library.load("paper").legs
+        ['straight']
         """
         if not isinstance(source, str | Path):
             raise InputError(
@@ -375,15 +373,13 @@ def _one_degree_means(
     return found
 
 
-def _lever_arm(curves: list[FloatArray]) -> FloatArray | None:
+def lever_arm(curves: list[FloatArray]) -> FloatArray:
     """(a, b) with M = a Fx + b Fz, from curves of (Fx, Fz, M) [3, theta], shape [2, theta].
 
     Where on the leg the soil presses depends little on φ: the moment of Li's legs is met within 1 %
     of its range. Each angle has its own least squares, over the curves at neighbouring angles, all
     of the same weight.
     """
-    if not curves:
-        return None
     each = np.stack([curve / np.sqrt(np.square(curve[:2]).mean()) for curve in curves])
     steps = np.arange(each.shape[2])
     near = np.exp(-0.5 * np.square((steps[:, None] - steps) / ARM_DEG))

@@ -53,8 +53,8 @@ def report(results: Any, path: Path | str, *, robot: str = "go2") -> list[tuple[
     Examples
     --------
     >>> answer = terraphi.invert("li2013:yuma/c")
-    >>> [title for title, _ in terraphi.report([answer, "rft3d"], "report.html")]
-    ['li2013:yuma/c', 'rft3d']
+    >>> [title for title, _ in terraphi.report([answer, "paper"], "report.html")]
+    ['li2013:yuma/c', 'paper']
     """
     out = Path(path)
     if out.suffix.lower() not in (".html", ".htm"):
