@@ -417,7 +417,7 @@ def test_unusable_forces_are_one_sentence_and_write_nothing(
         ("simulate quick --set leg.shape=strait", "straight"),
         ("simulate quick --out h.csv", ".nc"),
         ("library show rft3", "rft3d"),
-        ("library build rft3 --out x.nc", "rft3d"),
+        ("library build papr --out x.nc", "paper"),
         ("report no --out r.html", "no result"),
         ("report rft3d --out r.pdf", "r.html"),
         ("keys scenaro", "scenario"),

@@ -50,7 +50,7 @@ def library_build(
 
     After an interruption the same command continues. 'terraphi keys plan' lists the keys of a plan.
 
-    Example: terraphi library build rft3d-joint --out mine.nc --workers 4
+    Example: terraphi library build wide.toml --out wide.nc --workers 4
 
     Example: terraphi library build --rig rig.toml --out mine.nc
     """

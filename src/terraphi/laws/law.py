@@ -80,6 +80,7 @@ class LegLaw(ABC):
     """Bulk density that the forces are for [kg/m³]; they are in proportion to it."""
     leg_friction: float
     """Friction of the leg that the forces are for [-]."""
+    _arm: FloatArray | None = None
     most_cohesion: float = 0.0
     """Largest cohesion c / (ρ g L) that the law knows [-]; 0: it is of dry soil."""
 
@@ -89,8 +90,11 @@ class LegLaw(ABC):
 
     @property
     def arm(self) -> FloatArray | None:
-        """(a, b) [m] with M = a Fx + b Fz, the moment about the hip, shape [2, theta]."""
-        return None
+        """(a, b) [m] with M = a Fx + b Fz, the moment about the hip, shape [2, theta].
+
+        ``None``: the law has no moment.
+        """
+        return self._arm
 
     # An exact law of a rig has no errors of its own.
 
@@ -138,16 +142,11 @@ class LibraryLaw(LegLaw):
 
     def __init__(self, emulator: Emulator, longer: float) -> None:
         curves = emulator.curves
-        self.emulator, self._longer, self._scale = emulator, longer, longer**3
+        self.emulator, self._scale = emulator, longer**3
         self.keys, self.bounds, self.theta_deg = curves.keys, emulator.bounds, curves.theta_deg
         self.density = curves.scenario.soil.density
         self.leg_friction = curves.scenario.leg.friction
-
-    @property
-    def arm(self) -> FloatArray | None:
-        """Lever arms, where the library has moments."""
-        arm = self.emulator.curves.arm
-        return None if arm is None else self._longer * arm
+        self._arm = None if curves.arm is None else longer * curves.arm
 
     def within(self, x: FloatArray, _cohesion: float) -> FloatArray:
         """Forces within the bounds."""

@@ -435,10 +435,5 @@ def shipped_library(name: str) -> Library:
 
 def nearest_library(scenario: Scenario) -> Library:
     """The shipped library whose scenario differs least from a simulation's."""
-
-    def apart(library: Library) -> tuple[bool, int]:
-        own = library.scenario
-        kinds = [(one.model, one.dimensions, one.convention) for one in (scenario, own)]
-        return kinds[0] != kinds[1], len(differences(scenario, own))
-
-    return min((shipped_library(name) for name in Library.names()), key=apart)
+    libraries = map(shipped_library, Library.names())
+    return min(libraries, key=lambda library: len(differences(scenario, library.scenario)))

@@ -51,9 +51,11 @@ class Theory:
         """A scenario of its soil."""
         return Scenario.load("quick")
 
-    def law(self, rig: Rig) -> TheoryLaw:
-        """The law of a rig."""
-        return _law(rig)
+    @staticmethod
+    @functools.lru_cache(maxsize=32)
+    def law(rig: Rig) -> TheoryLaw:
+        """The law of a rig, kept for the next record."""
+        return TheoryLaw(rig)
 
     def forces(self, rig: Any, phi_deg: ArrayLike, **options: Any) -> xr.Dataset:
         """Forces on the leg of a rig and their slope with φ: `~terraphi.laws.legs.forces`."""
@@ -109,6 +111,3 @@ class TheoryLaw(LegLaw):
     def within(self, x: FloatArray, _cohesion: float) -> FloatArray:
         """Forces within the bounds."""
         return stress_scale(x[:, 0], self.density)[:, None, None] * self._curve[:2]
-
-
-_law = functools.lru_cache(maxsize=32)(TheoryLaw)
