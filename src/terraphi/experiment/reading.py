@@ -162,8 +162,8 @@ class ForceColumns(Columns):
     theta_sign: Literal[1, -1] = 1
     """-1 where the angle of the table falls as the leg moves through the soil."""
     theta_scale: float | None = Field(None, gt=0, le=360)
-    """Angle for one unit of the angle's column [deg], in place of `theta_unit`: 360 over the counts of
-    a turn, for an encoder; 180 / (π r), for a string in mm on a pulley of radius r mm."""
+    """Angle for one unit of the angle's column [deg], in place of `theta_unit`: 360 over the counts
+    of a turn, for an encoder; 180 / (π r), for a string in mm on a pulley of radius r mm."""
     fx_sign: Literal[1, -1] = 1
     """-1 where the x axis of the table points backward."""
     fz_sign: Literal[1, -1] = 1
