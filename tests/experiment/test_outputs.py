@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -31,7 +34,8 @@ def fill(place: Path, **content: str) -> None:
 
 
 def contents(place: Path) -> dict[str, str]:
-    return {path.name: path.read_text() for path in place.iterdir() if path.name != MANIFEST}
+    files = (path for path in place.iterdir() if path.is_file())
+    return {path.name: path.read_text() for path in files if path.name != MANIFEST}
 
 
 def test_results_replace_earlier_ones_and_nothing_else(tmp_path: Path) -> None:
@@ -109,6 +113,86 @@ def test_a_change_that_is_interrupted_is_undone_and_one_that_is_killed_can_be_do
     (place / "thesis.txt").write_text("mine")
     fill(place, z="9")
     assert contents(place)["thesis.txt"] == "mine"
+
+
+class Disk:
+    """Renames and links as a file system refuses them."""
+
+    def __init__(self, patch: pytest.MonkeyPatch, refuses: Callable[[int, Path, Path], bool]):
+        self.renames = 0
+        for name in ("rename", "replace", "link"):
+            patch.setattr(os, name, self.checked(getattr(os, name), refuses))
+
+    def checked(
+        self, call: Callable[..., None], refuses: Callable[[int, Path, Path], bool]
+    ) -> Callable[..., None]:
+        def checked(source: Any, target: Any, **options: Any) -> None:
+            self.renames += call.__name__ != "link"
+            if refuses(self.renames, Path(source), Path(target)):
+                raise OSError(errno.EXDEV, os.strerror(errno.EXDEV))
+            call(source, target, **options)
+
+        return checked
+
+
+@pytest.mark.parametrize(
+    "refuses",
+    [
+        pytest.param(lambda n, *_: n == 3, id="third rename"),
+        pytest.param(lambda n, *_: n > 0, id="every rename"),
+        pytest.param(lambda n, *_: n == 0 or n > 2, id="links, and renames from the third on"),
+    ],
+)
+def test_what_was_there_is_restored_whatever_the_disk_refuses(
+    refuses: Callable[..., bool], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place = tmp_path / "o"
+    fill(place, a="1", b="2", z="3")
+    before = contents(place), (place / MANIFEST).read_text()
+    with monkeypatch.context() as patch:
+        Disk(patch, refuses)
+        with pytest.raises(InputError, match=f"{place}: cannot be written"):
+            fill(place, a="4", b="5", c="6", z="7")
+    assert (contents(place), (place / MANIFEST).read_text()) == before
+    assert sorted(path.name for path in tmp_path.rglob("*")) == [
+        "a.txt", "b.txt", MANIFEST, "o", "z.txt",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["a", "b", "z"])
+def test_a_folder_in_the_way_costs_no_other_file(name: str, tmp_path: Path) -> None:
+    place = tmp_path / "o"
+    fill(place, a="1", b="2", z="3")
+    (place / f"{name}.txt").unlink()
+    (place / f"{name}.txt" / "mine").mkdir(parents=True)
+    before = sorted(place.rglob("*")), (place / MANIFEST).read_text()
+    with pytest.raises(InputError, match="cannot be written"):
+        fill(place, a="4", b="5", z="6")
+    assert (sorted(place.rglob("*")), (place / MANIFEST).read_text()) == before
+    rest = {"a": "1", "b": "2", "z": "3"}
+    assert {n: place.joinpath(f"{n}.txt").read_text() for n in {*rest} - {name}} == {
+        n: text for n, text in rest.items() if n != name
+    }
+
+
+def test_a_link_to_a_folder_on_another_disk_is_written_through(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    there, link = tmp_path / "disk" / "res", tmp_path / "res"
+    fill(there, a="1", z="2")
+    link.symlink_to(there)
+    with monkeypatch.context() as patch:
+        Disk(
+            patch,
+            lambda _, source, target: (
+                there.is_relative_to(target.resolve().parent)
+                and not source.resolve().is_relative_to(there)
+            ),
+        )
+        fill(link, a="3", z="4")
+    assert link.is_symlink()
+    assert contents(there) == {"a.txt": "3", "z.txt": "4"}
+    assert len([*tmp_path.rglob(".*")]) == 0
 
 
 def test_files_that_were_changed_are_named(tmp_path: Path) -> None:

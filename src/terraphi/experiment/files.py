@@ -167,9 +167,10 @@ def atomic_files(target: Path, folder: Path, *, last: str, first: str = "") -> I
     Parameters
     ----------
     target
-        What is made, next to which the temporary folder is.
+        What is made.
     folder
-        Where the files belong.
+        Where the files belong, and the temporary folder is: on the same file system, even if the
+        folder is a link or a mount point.
     last
         The file that comes last: if it is there, all of them are.
     first
@@ -186,7 +187,7 @@ def atomic_files(target: Path, folder: Path, *, last: str, first: str = "") -> I
         If a folder cannot be written to or the disk is full.
     """
     try:
-        with temporary_folder(target) as made:
+        with temporary_folder(folder / target.name) as made:
             try:
                 yield made
             except InputError as error:  # named as it will be
@@ -208,16 +209,23 @@ def _move(made: Path, folder: Path, names: list[str]) -> None:
     earlier.mkdir()
     for name in names:
         if folder.joinpath(name).is_file():
-            shutil.copy2(folder / name, earlier)
+            try:  # takes no space
+                earlier.joinpath(name).hardlink_to(folder / name)
+            except (OSError, NotImplementedError):  # a file system without links
+                shutil.copy2(folder / name, earlier)
     try:
         folder.joinpath(names[-1]).unlink(missing_ok=True)  # gone if the process is killed
         for name in names:
             made.joinpath(name).replace(folder / name)
     except BaseException:
         for name in names:
-            folder.joinpath(name).unlink(missing_ok=True)
-        for file in earlier.iterdir():
-            file.replace(folder / file.name)
+            if made.joinpath(name).exists() and folder.joinpath(name).exists():
+                continue  # not moved
+            with suppress(OSError):  # the others are still to be restored
+                if os.path.lexists(earlier / name):
+                    shutil.move(earlier / name, folder / name)
+                else:
+                    folder.joinpath(name).unlink(missing_ok=True)
         raise
 
 

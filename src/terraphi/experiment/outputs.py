@@ -17,6 +17,7 @@ from pydantic import Field
 from terraphi.experiment.documents import Strict
 from terraphi.experiment.errors import InputError, printable
 from terraphi.experiment.files import (
+    MARK,
     atomic_files,
     check_is_file,
     kept_folder,
@@ -107,6 +108,7 @@ def check_folder(path: Path, *, kind: str, names: Iterable[str] = ()) -> set[str
     if manifest.kind not in ("", kind):
         raise InputError(f"{path}: holds results of '{manifest.kind}'; name another folder")
     there = {file.name for file in path.iterdir()} if path.is_dir() else set()
+    there = {name for name in there if MARK not in name}  # of this process, or one killed
     # In a folder without a manifest everything is of other origin.
     for name in sorted((there - ours) & {*names} if manifest.kind else there):
         raise InputError(f"{path}: holds '{name}', not written by terraphi; name an empty folder")

@@ -101,7 +101,7 @@ def build(
         known = {"plan": plan.model_dump(mode="json"), **software(plan.scenario)}
         library = Library(plan.name, tuple(cases), plan.description, plan.caveat, provenance=known)
         library.save(path)
-        shutil.rmtree(folder)
+        shutil.rmtree(folder, ignore_errors=True)  # the library is whole
     return library
 
 
