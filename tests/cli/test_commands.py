@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -19,8 +20,13 @@ import pytest
 import terraphi as package
 from terraphi.cli import options
 from terraphi.cli.main import cli
+from terraphi.experiment.documents import shipped_file
+from terraphi.experiment.errors import InputError
 from terraphi.experiment.leg import LEG_SHAPES
 from terraphi.experiment.measurements import names
+from terraphi.inference import inversion
+from terraphi.inference.calibration import Calibration, CalibrationSoil
+from terraphi.inference.footfalls import FootfallMap
 from terraphi.inference.manifest import read_manifest
 from terraphi.laws.foot import LAWS
 
@@ -442,6 +448,10 @@ def test_a_mistake_is_one_sentence_that_names_the_remedy(
         ("# made with terraphi\nt", ("--out", "walk.nc"), "walk.csv: is the log"),
         ("# made with terraphi\nt", ("--mcap", "walk.csv"), "walk.csv: is the log"),
         ("t", ("--out", "other.nc"), "other.png: is there"),
+        ("t", ("--out", "."), ".: is a folder; name a file"),
+        ("t", ("--out", "/"), "/: is a folder; name a file"),
+        ("t", ("--out", ""), ".: is a folder; name a file"),
+        ("t", ("--mcap", "."), ".: is a folder; name a file"),
     ],
 )
 def test_files_in_the_way_of_footfalls_are_named_before_anything_is_loaded(
@@ -477,6 +487,43 @@ def test_a_file_name_that_is_not_utf8_is_escaped_in_results(terraphi: Terraphi) 
     assert json.loads(Path("o/answer.json").read_text())["source"] == escaped
     assert terraphi("calibrate", *forces, "--phi", "36±2", "--out", "c.toml").status == 0
     assert terraphi("invert", *forces, "--calibration", "c.toml", "--table", "t.csv").status == 0
+    depth = np.linspace(0.0, 60.0, 50)
+    pd.DataFrame({"sinkage_mm": depth, "force_N": depth}).to_csv(name, index=False)
+    assert terraphi("invert", name, "--tool", "plate:60", "--out", "p").status == 0
+    assert package.Answer.load("p").source == escaped
+    shutil.copy(shipped_file("robots", "walk", ".csv"), name)
+    assert terraphi("footfalls", name, "--out", "w.nc").status == 0
+    assert FootfallMap.load("w.nc").provenance["log"] == escaped
+    assert terraphi("forces", name, "--out", "f.nc").status == 0
+    assert terraphi("report", "f.nc", "--out", "r.html").status == 0
+
+
+@pytest.mark.parametrize("soil", ["a\udcff", "a\x7f", "a\nb"])
+def test_a_soil_of_hidden_letters_is_refused_before_the_work(
+    soil: str, terraphi: Terraphi, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arguments = ("calibrate", MEASURED, *QUICK, "--phi", "36±2", "--out", "c.toml", "--soil")
+    assert terraphi(*arguments, "sand ü").status == 0
+    text = (tmp_path / "c.toml").read_text()
+    assert Calibration.load("c.toml").soils[0].soil == "sand ü"
+    with monkeypatch.context() as patch:
+        patch.setattr(inversion, "_records", None)
+        status, out, err = terraphi(*arguments, soil)
+    assert (status, out, err.count("\n")) == (2, "", 1)
+    assert f"soil = {soil!r};" in err
+    assert (tmp_path / "c.toml").read_text() == text
+    with pytest.raises(InputError, match="printable"):
+        CalibrationSoil(
+            source="x", soil=soil, leg="c", phi_deg=30.0, phi_sd_deg=1.0, read_deg=30.0,
+            read_sd_deg=1.0,
+        )  # fmt: skip
+
+
+def test_a_calibration_with_a_file_of_hidden_letters_is_read_back(terraphi: Terraphi) -> None:
+    package.measurement(MEASURED).history.to_csv("a\x7f.csv")
+    forces = ("a\x7f.csv", "--rig", "li2013", "--leg", "straight", *QUICK)
+    assert terraphi("calibrate", *forces, "--phi", "36±2", "--out", "c.toml").status == 0
+    assert Calibration.load("c.toml").soils[0].source == "a\\x7f.csv"
 
 
 def test_numbers_and_depth_without_bound_are_one_sentence(

@@ -110,6 +110,11 @@ def path_of(name: str, value: Any) -> Path:
         raise InputError(f"{name} is {kind}; give the path of a file") from None
 
 
+def label_of(path: Path | str) -> str:
+    """Name of a file, as results state it: bytes that are not UTF-8 are escaped."""
+    return str(path).encode(errors="backslashreplace").decode()
+
+
 def plain_number(text: str) -> float:
     """Parse a decimal number; unlike ``float``, refuse ``1_000`` and full-width digits.
 

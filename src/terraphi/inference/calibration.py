@@ -35,13 +35,14 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import Strict, parse_toml
-from terraphi.experiment.errors import InputError
+from terraphi.experiment.errors import InputError, visible
 from terraphi.experiment.files import atomic_write
 from terraphi.experiment.outputs import SIGNATURE
 from terraphi.experiment.rig import Rig
@@ -62,12 +63,19 @@ def rig_name(rig: Rig) -> str:
     return f"{rig}, friction {rig.leg_friction:g}"
 
 
+def soil_name(name: Any) -> str:
+    """Name of a soil; raises InputError if it is no text, or has hidden characters."""
+    if not isinstance(name, str) or visible(name) != name:
+        raise InputError(f"soil = {name!r:.60}; give a name of printable characters")
+    return name
+
+
 class CalibrationSoil(Strict):
     """A record in a soil of known friction angle."""
 
     source: str
     """Its file."""
-    soil: str = ""
+    soil: Annotated[str, BeforeValidator(soil_name)] = ""
     """Name of the soil; records of one name, or without one, are of one soil."""
     leg: str
     """Shape of the leg."""

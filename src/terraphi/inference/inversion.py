@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.errors import InputError
+from terraphi.experiment.errors import InputError, visible
 from terraphi.experiment.rig import LEG_NAMES, with_rig
 from terraphi.experiment.scenario import Scenario
 from terraphi.experiment.soil import plane_strain_friction_angle_deg
 from terraphi.forward.rft import to_plane_strain
 from terraphi.inference.answer import Answer, Edge, Estimate, RecordFit, Verdict, worst_nrmsd
-from terraphi.inference.calibration import Calibration, CalibrationSoil, rig_name
+from terraphi.inference.calibration import Calibration, CalibrationSoil, rig_name, soil_name
 from terraphi.inference.checks import (
     UNUSUAL,
     in_air,
@@ -340,7 +340,7 @@ def calibrate(
         raise InputError(f"phi = {phi_deg!r} ± {phi_sd_deg!r}; give two numbers of degrees")
     if not (0.0 < phi_deg < 90.0 and 0.0 <= phi_sd_deg < 90.0):
         raise InputError(f"phi = {phi_deg:g} ± {phi_sd_deg:g}°; 0 to 90° are accepted")
-    soils = []
+    soils, soil = [], soil_name(soil)
     records = _records(
         _listed(forces), leg=leg, rig=rig, density=density, grain_size_mm=grain_size_mm,
         columns=columns, noise=noise, gain=gain,
@@ -377,7 +377,7 @@ def calibrate(
             )
         soils.append(
             CalibrationSoil(
-                source=record.source, soil=soil, leg=record.leg, rig=rig_name(record.rig),
+                source=visible(record.source), soil=soil, leg=record.leg, rig=rig_name(record.rig),
                 phi_deg=phi_deg, phi_sd_deg=phi_sd_deg, read_deg=read, read_sd_deg=sd,
                 rig_sd_deg=rig_sd, gain=record.gain,
             )

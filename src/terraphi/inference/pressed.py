@@ -20,6 +20,7 @@ import numpy as np
 
 from terraphi.experiment.arrays import BoolArray, FloatArray, IntArray
 from terraphi.experiment.errors import InputError, nearest
+from terraphi.experiment.files import label_of
 from terraphi.experiment.reading import read_pressed
 from terraphi.experiment.rig import Tool
 from terraphi.inference.answer import Answer, Edge, Estimate, RecordFit, Verdict
@@ -169,7 +170,8 @@ def invert_pressed(
     if name not in LAWS:
         raise InputError(f"no law '{name}' of a tool; {nearest(name, tuple(LAWS))}")
     table = read_pressed(source, math.pi * tool.radius**2, columns)
-    label = str(source) if isinstance(source, str | Path) else f"{type(source).__name__} ({text})"
+    is_file = isinstance(source, str | Path)
+    label = label_of(source) if is_file else f"{type(source).__name__} ({text})"
     rho, rho_sd = DENSITY, UNKNOWN_DENSITY * DENSITY
     if density is not None:
         rho, rho_sd = density_with_sd(density, label)

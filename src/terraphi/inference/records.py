@@ -24,7 +24,7 @@ import numpy as np
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError, nearest
-from terraphi.experiment.files import number_with_sd
+from terraphi.experiment.files import label_of, number_with_sd
 from terraphi.experiment.history import (
     CHANNEL_UNITS,
     FORCES,
@@ -428,8 +428,7 @@ def record_of(
     if (made_by is not None or simulated) and history.channels != FORCES:
         raise InputError(f"{known.name}: Fx and Fz of a simulation are needed")
     return Record(
-        # A file name may hold bytes that are not UTF-8, which no file of results could.
-        source=known.name.encode(errors="backslashreplace").decode(),
+        source=label_of(known.name),
         history=history,
         rig=rig,
         density_kg_m3=mean,

@@ -11,7 +11,7 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError, nearest
-from terraphi.experiment.files import number_with_sd
+from terraphi.experiment.files import label_of, number_with_sd
 from terraphi.experiment.scenario import GRAVITY, LIMITS
 from terraphi.inference.footfalls import FootfallMap, infer
 from terraphi.inference.pool import Anchor, Normal
@@ -101,7 +101,7 @@ def footfalls(
     >>> found.to_netcdf("soil.nc")
     """
     body, chosen, known, assumed = assumptions(robot, density, law, prior, anchors)
-    name = "the log" if isinstance(log, JointLog) else str(log)
+    name = "the log" if isinstance(log, JointLog) else label_of(log)
     analysis = foot_forces(
         log, robot=body, contact_part=CONTACT_PART, lag_s=lag_s, topic=topic,
         joint_names=joint_names, columns=columns,

@@ -22,7 +22,7 @@ from terraphi.experiment.arrays import BoolArray, FloatArray, IntArray
 from terraphi.experiment.budget import PARTS, unpacking
 from terraphi.experiment.documents import Strict, parse_toml, shipped_file
 from terraphi.experiment.errors import InputError, nearest, needing
-from terraphi.experiment.files import check_is_file, is_there, read_bytes
+from terraphi.experiment.files import check_is_file, is_there, label_of, read_bytes
 from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, joint_place
 
 with needing("a robot", "MuJoCo and SciPy", extra="robot"):
@@ -181,7 +181,7 @@ def _loaded(path: Path, own: RobotFile, toml: str = "") -> Quadruped:
         foot=body,
         foot_offset=offset,
         name=own.name or title,
-        source=own.source or str(path),
+        source=own.source or label_of(path),
         mass=own.mass or float(model.body_mass.sum()),
         leg_length=length,
         foot_radius=float(radius[0]) if own.foot_radius is None else own.foot_radius,

@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import BaseModel, Json
 
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import NetcdfFile, write_netcdf
+from terraphi.experiment.files import NetcdfFile, label_of, write_netcdf
 from terraphi.experiment.scenario import GRAVITY
 from terraphi.robot.checks import REFUSED, Checked, balance, check, grave, parts, warnings_of
 from terraphi.robot.estimators import Estimator
@@ -227,7 +227,7 @@ def foot_forces(
     if not isinstance(log, JointLog | str | Path):
         raise InputError(f"log of type {type(log).__name__}; give the path of a file or folder")
     body = robot if isinstance(robot, Quadruped) else Quadruped.load(robot)
-    source = "" if isinstance(log, JointLog) else str(log)
+    source = "" if isinstance(log, JointLog) else label_of(log)
     if not isinstance(log, JointLog):
         log = read_log(
             log, topic=topic, joint_names=joint_names, motors=body.joint_order,
