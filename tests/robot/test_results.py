@@ -11,7 +11,7 @@ import pytest
 import xarray as xr
 from go2.logs import write_csv
 
-from terraphi.robot.joint_log import FEET, JointLog
+from terraphi.robot.joint_log import FEET, JointLog, cut
 from terraphi.robot.legs import Legs
 from terraphi.robot.model import Quadruped
 from terraphi.robot.results import RobotForces, foot_forces
@@ -70,6 +70,15 @@ def test_summary_has_the_agreed_keys(found: RobotForces) -> None:
         assert part["mean_peak_Fx_N"] == pytest.approx(-14.0, rel=2e-3)
         assert part["mean_duration_s"] == pytest.approx(0.2, abs=0.003)
     assert min(summary["foot_sensor_correlation"].values()) > 0.99
+
+
+def test_a_hole_is_named_with_its_place_and_a_short_one_is_not(found: RobotForces) -> None:
+    time = found.log.time - found.log.time[0]
+    begin = f"at {found.log.time[time < 1.0][-1]:.2f} s"
+    for length, named in ((0.3, True), (0.03, False)):
+        kept = (time < 1.0) | (time >= 1.0 + length)
+        warnings = foot_forces(cut(found.log, kept)).warnings
+        assert any("without samples" in text and begin in text for text in warnings) == named
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ from terraphi.robot.logs import read_log
 from terraphi.robot.logs.columns import Columns
 from terraphi.robot.logs.samples import UNEVEN, describe, refuse_if_hopeless, sound
 from terraphi.robot.model import Quadruped
-from terraphi.robot.stance import AXES, Ensemble, Stance, find_stances
+from terraphi.robot.stance import AXES, HELD_S, Ensemble, Stance, find_stances
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -314,6 +314,13 @@ def _remarks(
     uneven = report["jitter_s"] * (report["rate_hz"] or 0.0)
     if uneven > UNEVEN:
         notes.append(f"time stamps vary by {uneven:.0%} of a step: forces are noisier")
+    holes = [(gap["end_s"] - gap["start_s"], gap["start_s"]) for gap in report["gaps"]]
+    if holes := [hole for hole in holes if hole[0] > HELD_S]:
+        seconds, begin = max(holes)
+        notes.append(
+            f"gaps without samples: {len(holes)}, the longest of {seconds:.2f} s at {begin:.2f} s; "
+            "what feet did there is missing"
+        )
     notes += forces.provenance["assumed"]
     counts = forces.saturated.sum(axis=0).tolist()
     limited = [f"{foot} ({n})" for foot, n in zip(FEET, counts, strict=True) if n]
