@@ -15,10 +15,11 @@ from scipy.ndimage import uniform_filter1d
 
 from terraphi.experiment.errors import InputError
 from terraphi.robot.checks import Checked, Finding, faulty_spans, parts
-from terraphi.robot.joint_log import JointLog
+from terraphi.robot.joint_log import JointLog, arrays
 from terraphi.robot.results import foot_forces
 
-Walk = runpy.run_path(str(Path(__file__).with_name("walker.py")))["Walk"]
+_WALKER = runpy.run_path(str(Path(__file__).with_name("walker.py")))
+Walk, LawWalk = (_WALKER[name] for name in ("Walk", "LawWalk"))
 WALKS = {
     "walk": Walk(duration=6.0),
     "slow": Walk(period=2.0, speed=0.05, sinkage=0.025, seed=1),
@@ -48,14 +49,18 @@ def test_a_sound_log_is_not_doubted(name: str) -> None:
 
 
 def test_parts_cover_a_log_and_faults_those_before_them() -> None:
-    """Ten seconds, five each after them, and the last five; a gap has no part of its own."""
-    for end in (3.0, 10.4, 11.5, 27.9):
-        time = np.delete(np.arange(0.0, end, 0.002), np.s_[400:900])
-        spans = [(time[piece][0], time[piece][-1]) for piece in parts(time)]
-        assert spans[0][0] == 0.0
-        assert all(0.0 <= b - a < 10.0 for a, b in spans)
-        assert all(nxt[0] <= last[1] + 0.003 for last, nxt in itertools.pairwise(spans))
-        assert time[-1] - spans[-1][1] < 1.0
+    """Ten seconds of samples, five each after them, and the last five, wherever samples lack."""
+    gaps = [(0.8, 1.8), (2.0, 90.0), (10.001, 15.5), (10.3, 15.5), (12.0, 16.9), (14.9, 80.0)]
+    for end, (begin, back) in itertools.product((3.0, 10.4, 11.5, 27.9), [*gaps, (99.0, 99.0)]):
+        time = np.arange(0.0, end, 0.002)
+        time[time > begin] += back - begin
+        pieces = parts(time)
+        assert pieces[0].start == 0
+        sizes = [0.002 * (piece.stop - piece.start) for piece in pieces]
+        assert min(sizes) >= (4.89 if end > 5.0 else end - 0.01)
+        assert min(end, 10.0) - 0.11 <= sizes[0] <= 10.001
+        assert all(nxt.start <= last.stop for last, nxt in itertools.pairwise(pieces))
+        assert 0.002 * (len(time) - pieces[-1].stop) < 1.1
     sound, wrong = (), (Finding("weight", "too light", True),)
     slow = (Finding("lag", "late", remedy="--lag 20", changes=True),)
     ends = [0.0, 10.0, 15.0, 20.0, 25.0]
@@ -72,6 +77,50 @@ def test_parts_cover_a_log_and_faults_those_before_them() -> None:
 def late(log: JointLog, seconds: float) -> JointLog:
     every = [np.interp(log.time - seconds, log.time, t) for t in log.torque.reshape(-1, 12).T]
     return replace(log, torque=np.stack(every, axis=1).reshape(-1, 4, 3))
+
+
+def part(log: JointLog, chosen: np.ndarray) -> JointLog:
+    names = arrays(log)
+    return replace(log, **{name: getattr(log, name)[chosen] for name in names})
+
+
+@pytest.fixture(scope="module")
+def long() -> JointLog:
+    return LawWalk(duration=22.0).log()[0]
+
+
+@pytest.mark.parametrize("begin", [10.001, 10.3, 10.6])
+def test_a_sound_log_with_a_gap_is_not_doubted(long: JointLog, begin: float) -> None:
+    """Few samples of a part come before a gap: they do not judge the robot."""
+    found = foot_forces(part(long, (long.time < begin) | (long.time >= begin + 5.3)))
+    assert found.warnings == ()
+
+
+@pytest.mark.parametrize("milliseconds", [12, 20])
+def test_a_lag_is_corrected_though_the_robot_stands_after_its_walk(
+    long: JointLog, milliseconds: int
+) -> None:
+    """Standing tells nothing of a lag."""
+    walk, stand = int(np.searchsorted(long.time, 16.0)), 4000
+    rows = np.minimum(np.arange(walk + stand), walk - 1)
+    stands = np.arange(walk + stand) >= walk
+    log = part(long, rows)
+    velocity, angular_velocity = log.velocity.copy(), np.array(log.angular_velocity)
+    velocity[stands], angular_velocity[stands] = 0.0, 0.0
+    noise = np.random.default_rng(0).normal(0.0, 0.05, log.torque.shape)
+    log = replace(
+        log,
+        time=0.002 * np.arange(len(rows)),
+        velocity=velocity,
+        angular_velocity=angular_velocity,
+        torque=log.torque + noise * stands[:, None, None],
+    )
+    found = foot_forces(late(log, 1e-3 * milliseconds))
+    assert faulty_spans(found.checked) == []
+    notes = " | ".join(found.warnings)
+    lag = re.search(r"^torques are (\d+) ms late .* correct it with --lag (\d+)", notes)
+    assert lag, notes
+    assert abs(int(lag[2]) - milliseconds) <= 2
 
 
 def test_late_torques_are_found_in_swing_and_taken_back(log: JointLog) -> None:

@@ -164,6 +164,20 @@ def test_gaps(log: JointLog) -> None:
     assert np.isfinite(walk.map().path_phi).all()
 
 
+@pytest.mark.parametrize(("begin", "lost"), [(13.0, 60.0), (10.3, 5.2), (4.0, 30.0)])
+def test_parts_checked_are_those_of_the_batch(log: JointLog, begin: float, lost: float) -> None:
+    """Samples before a gap are checked as well, however long it is; a motor dies early on."""
+    dead = replace(log, **times(log, slice(4900, None), 0.0))
+    dead = replace(dead, time=log.time + lost * (log.time > begin))
+    walk, _ = streamed(dead, 300)
+    assert walk._start
+    each = [walk._start.checked, foot_forces(dead, contact_part=0.4).checked]
+    online, batch = ([(c.begin, c.end, {f.about for f in c.findings}) for c in one] for one in each)
+    assert online == batch[: len(online)]
+    assert len(batch) - len(online) <= 1  # the last one ends with the log
+    assert "dead" in online[-1][2]
+
+
 def test_samples_that_no_sensor_sends_are_left_out(
     log: JointLog, online: tuple[Footfalls, list[Footfall]], batch: FootfallMap
 ) -> None:

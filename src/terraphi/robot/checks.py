@@ -24,7 +24,7 @@ from terraphi.robot.joint_log import AVERAGE_S, FEET, JointLog, joint_names
 from terraphi.robot.legs import Legs, body_rate, rotation
 from terraphi.robot.logs.samples import velocity_ratio
 from terraphi.robot.model import Quadruped
-from terraphi.robot.stance import Stance, find_stances
+from terraphi.robot.stance import HELD_S, Stance, find_stances
 from terraphi.robot.touchdowns import STANCE_SD
 
 CHECK_S, PART_S = 10.0, 5.0
@@ -79,11 +79,11 @@ class Finding(NamedTuple):
     about: str
     text: str
     grave: bool = False
-    """Whether it makes directions of forces and places of feet useless."""
+    """Directions of forces and places of feet are useless with it."""
     remedy: str = ""
     """What to do, if it is so in the whole log."""
     changes: bool = False
-    """Whether it is grave if it is not so in the whole log."""
+    """Grave if it is not so in the whole log."""
 
 
 class Checked(NamedTuple):
@@ -92,19 +92,29 @@ class Checked(NamedTuple):
     begin: float
     end: float
     findings: tuple[Finding, ...]
+    open: tuple[str, ...] = ()
+    """Kinds of findings of which the part shows neither that it has them nor that it has not."""
 
 
-def parts(time: FloatArray, first: int = 0) -> list[slice]:
-    """Parts of a log that are checked; the last one may overlap the one before.
+def recorded(time: FloatArray) -> FloatArray:
+    """Times as if no samples were missing for longer than :data:`HELD_S` [s]."""
+    missing = np.maximum(np.diff(time, prepend=time[0]) - HELD_S, 0.0)
+    return np.asarray(time - np.cumsum(missing))
 
-    ``first`` is the first sample that has not been checked.
+
+def parts(time: FloatArray, first: int = 0, size: float = CHECK_S) -> list[slice]:
+    """Parts of a log that are checked, all as long by :func:`recorded` time wherever gaps are.
+
+    ``first`` is the first sample that has not been checked, and ``size`` the length of the part
+    that begins there [s]. The last part may overlap the one before.
     """
-    pieces, size = [], PART_S if first else CHECK_S
-    while (stop := int(np.searchsorted(time, time[first] + size))) < len(time):
+    pieces: list[slice] = []
+    clock = recorded(time)
+    while (stop := int(np.searchsorted(clock, clock[first] + size))) < len(clock):
         pieces.append(slice(first, stop))
         first, size = stop, PART_S
-    if first == 0 or time[-1] - time[first] >= LEAST_REST_S:
-        pieces.append(slice(int(np.searchsorted(time, time[-1] - size)), len(time)))
+    if first == 0 or clock[-1] - clock[first] >= LEAST_REST_S:
+        pieces.append(slice(int(np.searchsorted(clock, clock[-1] - size)), len(clock)))
     return pieces
 
 
@@ -112,13 +122,16 @@ def warnings_of(checked: Sequence[Checked]) -> list[str]:
     """One sentence about each kind of finding, with its time unless it is in all parts."""
     notes = []
     for about in dict.fromkeys(finding.about for part in checked for finding in part.findings):
-        have = [any(about == finding.about for finding in part.findings) for part in checked]
-        first = have.index(True)
-        last = ([*have, False]).index(False, first) - 1
-        finding = next(f for f in checked[last].findings if f.about == about)
-        text, more = finding.text + finding.remedy, sum(have) - (last + 1 - first)
+        able = [part for part in checked if about not in part.open]
+        have = [next((f for f in part.findings if f.about == about), None) for part in able]
+        first = next(i for i, finding in enumerate(have) if finding)
+        last = ([*have, None]).index(None, first) - 1
+        # Of all parts the middle one: the robot may stand in the first and in the last.
+        finding = have[(len(have) - 1) // 2] if all(have) else have[last]
+        assert finding is not None, "one of those that have it"
+        text, more = finding.text + finding.remedy, sum(map(bool, have)) - (last + 1 - first)
         if not all(have):
-            text = f"from {checked[first].begin:.0f} to {checked[last].end:.0f} s: {finding.text}"
+            text = f"from {able[first].begin:.0f} to {able[last].end:.0f} s: {finding.text}"
             text += f"; {more} of {len(have)} later parts likewise" * (more > 0)
         notes.append(text)
     return notes
@@ -126,7 +139,9 @@ def warnings_of(checked: Sequence[Checked]) -> list[str]:
 
 def grave(checked: Sequence[Checked]) -> list[list[Finding]]:
     """Findings with which nothing can be read, of each part."""
-    of_all = set.intersection(*({finding.about for finding in part.findings} for part in checked))
+    of_all = set.intersection(
+        *({*part.open, *(f.about for f in part.findings)} for part in checked)
+    )
     return [
         [f for f in part.findings[::-1] if f.grave or (f.changes and f.about not in of_all)]
         for part in checked
@@ -140,7 +155,7 @@ def faulty_spans(checked: Sequence[Checked]) -> list[tuple[float, float]]:
 
 
 def within(time: FloatArray, spans: Sequence[tuple[float, float]]) -> BoolArray:
-    """Which times [s] lie in one of the spans."""
+    """Times [s] in one of the spans or more, as a mask."""
     inside = [(time >= begin) & (time <= end) for begin, end in spans]
     return np.asarray(np.any([np.zeros(time.shape, dtype=bool), *inside], axis=0))
 
@@ -178,7 +193,10 @@ def check(log: JointLog, robot: Quadruped, forces: FootForces) -> Checked:
     if not any(f.grave and f.about in (REFUSED, "attitude", "legs") for f in findings):
         findings = [*_torques(log, forces), *findings]
     findings = [*_jumps(log), *_still(log, robot), *findings]
-    return Checked(float(log.time[0]), float(log.time[-1]), tuple(findings))
+    # Without swing, as while the robot stands, torques have no lag that could be found.
+    gain = np.array(forces.provenance["torque_gain"], dtype=np.float64)
+    open_ = ("lag",) * bool(np.isnan(gain).all() and all(f.about != "lag" for f in findings))
+    return Checked(float(log.time[0]), float(log.time[-1]), tuple(findings), open_)
 
 
 def _jumps(log: JointLog) -> list[Finding]:

@@ -115,9 +115,9 @@ def footfalls(
     lift = forces.force[:, :, 2].astype(np.float64)
     motion = from_the_start(track(log, body, forces.place, lift), log)
     per = sensitivity(log, forces)
-    seen = touchdowns(log, forces, motion, analysis.stances, per, radius=body.foot_radius)
+    landings = touchdowns(log, forces, motion, analysis.stances, per, radius=body.foot_radius)
     spans = faulty_spans(analysis.checked)
-    seen = seen._replace(faulty=within(seen.begin, spans))
+    landings = landings._replace(faulty=within(landings.begin, spans))
     lift[within(log.time, spans)] = np.nan
     # The centre of mass accelerates otherwise than the trunk: legs are half of the robot.
     acceleration = motion.lift_acceleration + forces.leg_inertia / body.mass
@@ -130,7 +130,7 @@ def footfalls(
             "otherwise: the body touches the ground, or the robot is held",
         )
     found = infer(
-        seen,
+        landings,
         calibrate_on_weight(log.time, lift, acceleration, per, torque_sd(forces), mass=body.mass),
         path_of(motion, log.time),
         prior=chosen,

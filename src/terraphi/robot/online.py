@@ -50,7 +50,16 @@ from terraphi.inference.footfalls import (
 from terraphi.inference.pool import Anchor
 from terraphi.inference.touchdowns import TORQUES, Fit, Prior, Touchdowns, fit, picked
 from terraphi.laws.foot import LAWS
-from terraphi.robot.checks import CHECK_S, check, faulty_spans, grave, parts, within
+from terraphi.robot.checks import (
+    CHECK_S,
+    PART_S,
+    check,
+    faulty_spans,
+    grave,
+    parts,
+    recorded,
+    within,
+)
 from terraphi.robot.estimators import MARGIN_S, trunk_motion
 from terraphi.robot.footfalls import (
     AVERAGED_S,
@@ -191,6 +200,9 @@ class Footfalls:
             return ()
         log, self._pending = _joined(self._pending), []
         if self._start is None:
+            if np.ptp(recorded(log.time)) < CHECK_S:
+                self._pending = [log]
+                return ()
             first = cut(log, parts(log.time)[0])
             start = foot_forces(first, robot=self._robot, contact_part=CONTACT_PART)
             if start.grave:
@@ -217,7 +229,7 @@ class Footfalls:
         assert self._log is not None, "the window"
         time = self._log.time
         first = int(np.searchsorted(time, start.checked[-1].end, side="right"))
-        pieces = parts(time, first) if first < len(time) else []
+        pieces = parts(time, first, PART_S) if first < len(time) else []
         each = [cut(self._log, piece) for piece in pieces if rest or piece.stop < len(time)]
         options: dict[str, Any] = {"robot": self._robot, "contact_part": CONTACT_PART}
         checked = [check(part, self._robot, estimate(part, **options)) for part in each]
@@ -237,12 +249,12 @@ class Footfalls:
             raise InputError(f"no footfall yet; the first come after {CHECK_S:g} s of walking")
         start = self._checked(self._start, rest=True)
         spans = faulty_spans(start.checked)
-        rows = sorted((seen for seen, _ in self._fitted), key=lambda row: float(row.begin[0]))
-        seen = _stacked(rows)
+        rows = sorted((each for each, _ in self._fitted), key=lambda row: float(row.begin[0]))
+        landings = _stacked(rows)
         time, lift, acceleration, per, trunk = map(np.concatenate, zip(*self._means, strict=True))
         lift[within(time, spans)] = np.nan
         self._map = infer(
-            seen._replace(faulty=within(seen.begin, spans)),
+            landings._replace(faulty=within(landings.begin, spans)),
             calibrate_on_weight(
                 time, lift, acceleration, per, torque_sd(start.forces), mass=self._robot.mass
             ),
@@ -260,8 +272,9 @@ class Footfalls:
     def _extended(self, start: RobotForces, log: JointLog) -> slice:
         """Take up samples into the window; return those whose motion is now known."""
         if self._log is not None and self._forces is not None:
-            # What is older than the memory goes; what is not yet known is younger.
-            old = int(np.searchsorted(self._log.time, log.time[0] - CHECK_S))
+            # What is older than the memory goes; what is not yet known, or checked, is younger.
+            clock = recorded(np.append(self._log.time, log.time[0]))
+            old = int(np.searchsorted(clock, clock[-1] - CHECK_S))
             kept = slice(min(old, len(self._motion.trunk) - 1), None)
             self._forces = cut(self._forces, kept)
             self._motion = Motion(*(column[kept] for column in self._motion))
@@ -317,11 +330,11 @@ class Footfalls:
         if not stances:
             return ()
         self._over |= {stance.foot: stance.end for stance in stances}
-        seen = touchdowns(log, forces, motion, stances, per, radius=self._prior.radius)
-        seen = seen._replace(faulty=seen.faulty | bool(grave(self._start.checked)[-1]))
-        return self._fit(self._start, seen)
+        landings = touchdowns(log, forces, motion, stances, per, radius=self._prior.radius)
+        landings = landings._replace(faulty=landings.faulty | bool(grave(self._start.checked)[-1]))
+        return self._fit(self._start, landings)
 
-    def _fit(self, start: RobotForces, seen: Touchdowns) -> tuple[Footfall, ...]:
+    def _fit(self, start: RobotForces, landings: Touchdowns) -> tuple[Footfall, ...]:
         """Fit touch-downs with what the last map has learned."""
         # The fit begins where the last one ended.
         prior = self._prior
@@ -340,12 +353,12 @@ class Footfalls:
                 for key in ("mean", "sd")
             )  # fmt: skip
             mean[TORQUES:] -= [centre for centre, _ in prior.shared().values()]
-        found = fit(seen, self._law, prior)
+        found = fit(landings, self._law, prior)
         phi = found.phi - found.shared @ mean
         shared_sd = np.sqrt(np.square(found.shared) @ np.square(sd))
         answers = []
         for i in range(len(phi)):
-            one, fitted = picked(seen, [i]), picked(found, [i])
+            one, fitted = picked(landings, [i]), picked(found, [i])
             # Of the footfalls before, those near by are enough for the verdict.
             apart = np.hypot(*(self._brief[:, :2] - one.place[:, :2]).T)
             near = [self._fitted[k] for k in np.flatnonzero(apart < BESIDE_RADII * prior.radius)]
@@ -359,12 +372,12 @@ class Footfalls:
             each = verdicts(_stacked(touched), _stacked(fits), prior.radius, returned=median)
             verdict = str(each[-1])
             usable = 1.0 if verdict == USABLE else math.nan
-            x, y, z = seen.place[i].tolist()
+            x, y, z = landings.place[i].tolist()
             sinkage = float((found.gained if verdict == SHALLOW else found.sinkage)[i])
             answers.append(
                 Footfall(
-                    time=float(seen.begin[i]),
-                    foot=FEET[int(seen.foot[i])],
+                    time=float(landings.begin[i]),
+                    foot=FEET[int(landings.foot[i])],
                     place=(x, y, z + sinkage),
                     sinkage=sinkage,
                     phi=usable * float(phi[i]),
