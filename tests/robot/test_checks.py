@@ -138,6 +138,16 @@ def test_late_torques_are_found_in_swing_and_taken_back(log: JointLog) -> None:
     assert float(found[1]) == pytest.approx(24.0, abs=8.0)
 
 
+@pytest.mark.parametrize("reading", [0.0, None])
+def test_a_motor_that_dies_within_a_part_is_named(log: JointLog, reading: float | None) -> None:
+    """Its torque is zero from then on, or the last that was read."""
+    dies = log.time > log.time[0] + 3.5
+    dead = log.torque.copy()
+    dead[dies, 1, 2] = dead[~dies][-1, 1, 2] if reading is None else reading
+    found = foot_forces(replace(log, torque=dead)).grave
+    assert any("FL_calf" in text and "stands still" in text for text in found), found
+
+
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [

@@ -61,6 +61,9 @@ STILL, MOVES = 0.1, 0.3
 """Standard deviations of a joint's angle or torque over that of the same joint of the other legs
 [-]: below the first it stands still, above the second it moves. On sound walks, of which one spares
 a leg, all are above 0.6 (``tests/robot/test_checks.py``)."""
+HOLD_S, MOST_HELD = 0.5, 3
+"""Time over which no torque of a sound motor stays one number [s], 0.012 on sound walks; and joints
+of which it may at once, those of a leg, for all are held where a robot stands (chosen)."""
 JUMP = 0.1
 """Change of an angle from one sample to the next that its velocity does not explain [rad], at
 least. On sound walks with errors of sensors it is 0.016 at most, where legs are exchanged or an
@@ -218,15 +221,32 @@ def _still(log: JointLog, robot: Quadruped) -> list[Finding]:
     deviations = (log.angle.std(axis=0), log.torque.std(axis=0))
     angle, torque = (sd / np.maximum(np.median(sd, axis=0), 1e-12) for sd in deviations)
     stuck, dead = (angle < STILL) & (torque > MOVES), (torque < STILL) & (angle > MOVES)
+    # A motor that dies within the part; where all torques are held, the robot stands.
+    seconds, since = _longest_hold(log.time, log.torque)
+    held = (seconds > HOLD_S) & (angle > MOVES) & ((seconds > HOLD_S).sum() <= MOST_HELD)
+    from_on = f" from {since[held].min():.1f} s on" if held.any() else ""
+    dead |= held
     texts = {
         "stuck": "the angle of {} stands still while the leg walks: is the encoder stuck?",
-        "dead": "the torque of {} stands still while the leg walks: is the motor dead?",
+        "dead": f"the torque of {{}} stands still{from_on} while the leg walks: is the motor dead?",
     }
     return [
         Finding(about, text.format(_listed(which & robot.there)), True)
         for (about, text), which in zip(texts.items(), (stuck, dead), strict=True)
         if (which & robot.there).any()
     ]
+
+
+def _longest_hold(time: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Longest time over which each reading stays one number [s], and its begin; [foot, joint]."""
+    seconds, since = np.zeros((2, *values.shape[1:]))
+    changes = np.diff(values, axis=0) != 0.0
+    for foot, joint in np.ndindex(seconds.shape):
+        ends = np.concatenate([[0], np.flatnonzero(changes[:, foot, joint]) + 1, [len(time)]])
+        spans = time[ends[1:] - 1] - time[ends[:-1]]
+        longest = int(spans.argmax())
+        seconds[foot, joint], since[foot, joint] = spans[longest], time[ends[longest]]
+    return seconds, since
 
 
 def _torques(log: JointLog, forces: FootForces) -> list[Finding]:
