@@ -93,7 +93,7 @@ def long() -> JointLog:
 def test_a_sound_log_with_a_gap_is_not_doubted(long: JointLog, begin: float) -> None:
     """Few samples of a part come before a gap: they do not judge the robot."""
     found = foot_forces(part(long, (long.time < begin) | (long.time >= begin + 5.3)))
-    assert found.warnings == ()
+    assert not [each for each in found.checked if each.findings]
 
 
 @pytest.mark.parametrize("milliseconds", [12, 20])
