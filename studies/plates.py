@@ -166,7 +166,7 @@ def in_grains() -> dict[str, list[Test]]:
     """Feet pressed into simulated grains, a test for each seed, by soil and foot."""
     tests: dict[str, list[Test]] = {}
     for name, soil in run.soils().items():
-        for pressed in soil.feet:
+        for pressed in soil.feet if soil.learn else ():
             foot, descent, speed, _ = run.foot_of(pressed)
             if speed > run.SPEED:
                 continue

@@ -44,7 +44,7 @@ Through a layer of 1.3 grains slip out of loose soils.
 """
 SMALL = 12.0, 8.0, 18.0
 """The same of a cell under two loads."""
-LOADS = {"shear": (1500.0, 2e-3, 1.2), "firm": (1500.0, 5e-3, 0.7), "light": (500.0, 5e-3, 0.7)}
+LOADS = {"shear": (1500.0, 2e-3, 1.2), "firm": (1500.0, 5e-3, 1.0), "light": (500.0, 5e-3, 1.0)}
 """Load [Pa], inertial number and shear strain of a shear cell; damp soil is under two loads."""
 ROW = 0.005
 """Shear strain of a row."""
@@ -65,18 +65,49 @@ def box_of(soil: engine.Soil, cell: tuple[float, ...] = CELL) -> tuple[float, ..
     return -length / 2, length / 2, -breadth / 2, breadth / 2, 3.0 * height
 
 
-def glued(top: float, soil: engine.Soil) -> str:
-    """Groups of the lowest layer, of all above a height [m], and of what is between."""
-    return f"""region low block INF INF INF INF INF {LAYER * soil.diameter:.5g} units box
-region high block INF INF INF INF {top:.5g} INF units box
+def glued(soil: engine.Soil, folder: Path, top: float = math.inf) -> str:
+    """Groups: `low`, the lowest layer, `high`, all above a height [m], and `inner`, which moves.
+
+    Clumps are glued as spheres of their own, without a body.
+    """
+    bottom = LAYER * soil.diameter
+    move = f"fix integrate {{}} {engine.integrator(soil)}\n"
+    if not soil.clump:
+        return f"""region low block INF INF INF INF INF {bottom:.5g} units box
+region high block INF INF INF INF {min(top, 1e3):.5g} INF units box
 group low region low
 group high region high
 group inner subtract all low high
 neigh_modify exclude group low low
+neigh_modify exclude group high high
+{move.format("inner")}"""
+    grains = engine.dump(folder / "bed.dump")
+    _, clump = np.unique(grains[:, 5], return_inverse=True)
+    height = (np.bincount(clump, grains[:, 3]) / np.bincount(clump))[clump]
+    low, high = grains[height < bottom], grains[height > top]
+    first = int(grains[:, 0].max()) + 1
+    middle, last = first + len(low), first + len(low) + len(high)
+    plates = np.vstack([low, high])
+    lines = ["plates\n", f"{len(plates)} atoms\n2 atom types", "\nAtoms\n"]
+    lines += [f"{i} 1 {2.0 * r:.9g} {engine.DENSITY} {x:.9g} {y:.9g} {z:.9g}"
+              for i, (_, x, y, z, r, _) in enumerate(plates, first)]  # fmt: skip
+    (folder / "plates.data").write_text("\n".join([*lines, ""]))
+    parts = np.array_split(plates[:, 0].astype(int), 1 + len(plates) // 50)
+    gone = "\n".join(f"group gone id {' '.join(map(str, part))}" for part in parts)
+    return f"""{move.format("all")}{gone}
+run 0
+delete_atoms group gone compress no
+run 0
+read_data plates.data add
+group low id <> {first} {middle - 1}
+group high id <> {middle} {last}
+group inner subtract all low high
+neigh_modify exclude group low low
+neigh_modify exclude group high high
 """
 
 
-def sheared(soil: engine.Soil, top: float, area: float, kind: str) -> str:
+def sheared(soil: engine.Soil, folder: Path, top: float, area: float, kind: str) -> str:
     """Deck of a shear cell whose surface is at a height [m], under a load of LOADS."""
     pressure, inertial, strain = LOADS[kind]
     height = top - 2.0 * LAYER * soil.diameter
@@ -84,10 +115,8 @@ def sheared(soil: engine.Soil, top: float, area: float, kind: str) -> str:
     every = round(ROW * height / speed / soil.time_step)
     return f"""{engine.header(soil, walls=False)}read_restart bed.restart
 {engine.contacts(soil)}
-{glued(top - LAYER * soil.diameter, soil)}neigh_modify exclude group high high
-velocity all set 0 0 0
+{glued(soil, folder, top - LAYER * soil.diameter)}velocity all set 0 0 0
 velocity high set {speed:.6g} 0 0
-fix integrate inner nve/sphere
 variable many equal count(high)
 variable each equal -{pressure * area:.6g}/v_many
 fix load high addforce 0 0 ${{each}}
@@ -101,7 +130,7 @@ run {round(strain / ROW) * every}
 """
 
 
-def tilted(soil: engine.Soil, top: float) -> str:
+def tilted(soil: engine.Soil, folder: Path, top: float) -> str:
     """Deck of a bed that is tilted until it flows, and back until it rests."""
     steps = round(STEP_DEG / RATE_DEG / soil.time_step)
     degree = math.pi / 180.0
@@ -123,10 +152,10 @@ label {name}_end
 
     return f"""{engine.header(soil, walls=False)}read_restart bed.restart
 {engine.contacts(soil)}
-{glued(0.5 * top, soil)}group free subtract all low
-fix integrate free nve/sphere
+{glued(soil, folder)}region upper block INF INF INF INF {0.5 * top:.5g} INF units box
+group upper region upper
 fix ground low freeze
-variable speed equal vcm(high,x)
+variable speed equal vcm(upper,x)
 variable angle equal {TILT_DEG}
 fix mean all ave/time 1 {steps} {steps} v_angle v_speed file tilt.txt
 {turn("up", f"{TILT_DEG}+{STEP_DEG}*v_up", f"> {RUNS}")}variable turned equal ${{angle}}
@@ -135,7 +164,7 @@ fix mean all ave/time 1 {steps} {steps} v_angle v_speed file tilt.txt
 
 def shear(soil: engine.Soil, folder: Path, top: float, area: float, kind: str) -> FloatArray:
     """Shear a bed: strain, rise over height, τ, σ below and τ above [Pa], shape [row, 5]."""
-    engine.run(sheared(soil, top, area, kind), folder, kind)
+    engine.run(sheared(soil, folder, top, area, kind), folder, kind)
     _, x, z, above, rise = np.loadtxt(folder / f"{kind}.txt").T
     strain = ROW * (np.arange(x.size) + 0.5)
     height = top - 2.0 * LAYER * soil.diameter
@@ -144,7 +173,7 @@ def shear(soil: engine.Soil, folder: Path, top: float, area: float, kind: str) -
 
 def tilt(soil: engine.Soil, folder: Path, top: float, _: float, kind: str) -> FloatArray:
     """Tilt a bed and turn it back: angle [deg], mean speed of its upper half [m/s]."""
-    engine.run(tilted(soil, top), folder, kind)
+    engine.run(tilted(soil, folder, top), folder, kind)
     return np.loadtxt(folder / f"{kind}.txt")[:, 1:]
 
 
@@ -166,13 +195,13 @@ def test(name: str, kind: str, seed: int, work: Path, out: Path) -> None:
     x0, x1, y0, y1, _ = box = box_of(soil, cell)
     area = (x1 - x0) * (y1 - y0)
     engine.bed(soil, seed, box, cell[2] * soil.diameter, folder, walls=False)
-    top, fraction = engine.layering(engine.dump(folder / "bed.dump"), area)
+    top, fraction = engine.layering(soil, engine.dump(folder / "bed.dump"), area)
     perform, columns, form = TESTS[kind]
     rows = perform(soil, folder, top, area, kind)
     with atomic_write(path) as temporary, temporary.open("w") as file:
         file.write(
             f"# grains {name}, seed {seed}: sliding friction {soil.sliding}, rolling "
-            f"{soil.rolling}, settled with {soil.settled}, {soil.diameter_mm} mm\n# density "
+            f"{soil.rolling}, settled with {soil.settled}, {soil.words}\n# density "
             f"{engine.DENSITY * fraction:.0f} kg/m3, volume fraction {fraction:.4f}\n{columns}\n"
         )
         np.savetxt(file, rows, fmt=form)

@@ -1,11 +1,13 @@
 """Decks for LIGGGHTS, and what it writes.
 
 LIGGGHTS (GPL) is run as a separate program; Debian's package ``liggghts`` has it. Contacts are
-those of Hertz and Mindlin with tangential history, and rolling friction ``epsd2``.
+those of Hertz and Mindlin with tangential history, and rolling friction ``epsd2``. Grains are
+spheres, or clumps: rigid spheres that overlap, whose mass and inertia LIGGGHTS takes of the union.
 """
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 import subprocess
@@ -22,13 +24,32 @@ from terraphi.experiment.leg import Leg, frame_axes
 DENSITY, YOUNGS, POISSON, RESTITUTION = 2500.0, 2.5e6, 0.3, 0.5
 """Of a grain [kg/m³], [Pa], [-], [-]. Soft, for long steps: overlaps are 1 % of a radius."""
 SPREAD = 0.15
-"""Diameters are uniform within this share of the mean, either side [-]."""
+"""Diameters are uniform within this share of the mean, either side, if a soil has no other [-]."""
 RAYLEIGH = 0.25
 """Time step over Rayleigh's time of the smallest grain [-]."""
 GRAVITY = 9.81
 LIQUID, VISCOSITY, REACH = 1.0, 1e-3, 1.1
 """Liquid on damp grains [% of their volume], its viscosity [Pa s], and distance of centers over the
 sum of radii up to which bridges are sought [-]; they break at a gap of a sixth of a radius."""
+SIZES = 5
+"""Sizes of clumps, evenly spread: LIGGGHTS has one of each template."""
+SPARSE = 0.2
+"""Volume fraction of clumps as they are let fall [-]."""
+EDGE = 0.75
+"""Half the distance of a clump's neighbouring spheres, over their radius [-]."""
+CLUMPS = {
+    "dimer of aspect 1.5": [(-0.5, 0.0, 0.0), (0.5, 0.0, 0.0)],
+    "dimer of aspect 1.25": [(-0.25, 0.0, 0.0), (0.25, 0.0, 0.0)],
+    "tetrahedron of four": [
+        (EDGE * x / math.sqrt(2.0), EDGE * y / math.sqrt(2.0), EDGE * x * y / math.sqrt(2.0))
+        for x in (-1, 1) for y in (-1, 1)
+    ],
+    "flat square of four": [(EDGE * x, EDGE * y, 0.0) for x in (-1, 1) for y in (-1, 1)],
+    "cube of eight": [
+        (EDGE * x, EDGE * y, EDGE * z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)
+    ],
+}  # fmt: skip
+"""Centers of the spheres of a clump over their radius."""
 POINTS, RIM, DISC = 500, 32, 0.006
 """Corners of a ball's mesh and of a disc's rim, and a disc's thickness [m]."""
 
@@ -50,19 +71,50 @@ class Soil:
     bed: tuple[float, float, float]
     attraction: float = 0.0
     poured_attraction: float = 0.0
+    youngs: float = YOUNGS
+    spread: float = SPREAD
+    clump: str = ""
+    """A name of CLUMPS; spheres have none."""
+    learn: bool = True
+    """Whether errors of laws are learned from it."""
 
     @property
     def diameter(self) -> float:
-        """Mean diameter [m]."""
+        """Mean diameter [m], of a sphere as large as a clump."""
         return 1e-3 * self.diameter_mm
 
     @property
     def time_step(self) -> float:
         """[s]."""
-        radius = 0.5 * self.diameter * (1.0 - SPREAD)
-        shear = YOUNGS / (2.0 * (1.0 + POISSON))
+        radius = self.diameter * (1.0 - self.spread) * spheres(self.clump)[0, 3]
+        shear = self.youngs / (2.0 * (1.0 + POISSON))
         rayleigh = math.pi * radius * math.sqrt(DENSITY / shear) / (0.1631 * POISSON + 0.8766)
         return RAYLEIGH * rayleigh
+
+    @property
+    def words(self) -> str:
+        """Size, and what is not as usual."""
+        words = f"{self.diameter_mm} mm"
+        words += f", {self.clump}" if self.clump else ""
+        words += f", graded ± {self.spread:.0%}" if self.spread != SPREAD else ""
+        return words + (f", E {self.youngs:.3g} Pa" if self.youngs != YOUNGS else "")
+
+
+@functools.cache
+def spheres(clump: str) -> FloatArray:
+    """Centers and radius of the spheres of a grain as large as a ball of unit diameter.
+
+    The volume of their union is counted on a grid, to 1e-3. Shape [sphere, 4].
+    """
+    if not clump:
+        return np.array([[0.0, 0.0, 0.0, 0.5]])
+    centers = np.array(CLUMPS[clump])
+    ends = np.abs(centers).max(axis=0) + 1.0
+    axes = [np.linspace(-end, end, 100, endpoint=False) + end / 100 for end in ends]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    inside = np.any([np.square(points - at).sum(axis=-1) < 1.0 for at in centers], axis=0)
+    diameter = float(6.0 / math.pi * inside.mean() * np.prod(2.0 * ends)) ** (1.0 / 3.0)
+    return np.column_stack([centers, np.ones(len(centers))]) / diameter
 
 
 def contacts(soil: Soil, *, poured: bool = False) -> str:
@@ -84,7 +136,7 @@ fix l6 all property/global maxSeparationDistanceRatio scalar {REACH}
     bridges = soil.attraction or soil.poured_attraction  # a restart keeps the model
     model = f"hertz tangential history {'cohesion easo/capillary/viscous ' if bridges else ''}"
     return f"""
-fix m1 all property/global youngsModulus peratomtype {YOUNGS} {YOUNGS}
+fix m1 all property/global youngsModulus peratomtype {soil.youngs} {soil.youngs}
 fix m2 all property/global poissonsRatio peratomtype {POISSON} {POISSON}
 fix m3 all property/global coefficientRestitution peratomtypepair 2 &
   {RESTITUTION} {RESTITUTION} {RESTITUTION} {RESTITUTION}
@@ -115,16 +167,67 @@ neigh_modify delay 0
 """
 
 
-def ground(box: tuple[float, ...], *, walls: bool = True) -> str:
+def integrator(soil: Soil) -> str:
+    """What moves grains."""
+    return "multisphere allow_group_and_set yes" if soil.clump else "nve/sphere"
+
+
+def ground(soil: Soil, box: tuple[float, ...], *, walls: bool = True) -> str:
     """Weight, floor and end walls of a box [m]; across, it is periodic."""
     x0, x1, *_ = box
-    lines = f"""fix integrate all nve/sphere
+    lines = f"""fix integrate all {integrator(soil)}
 fix gravity all gravity {GRAVITY} vector 0 0 -1
 fix floor all {WALL} primitive type 1 zplane 0
 """
     for name, x in (("west", x0), ("east", x1)) if walls else ():
         lines += f"fix {name} all {WALL} primitive type 1 xplane {x}\n"
     return lines
+
+
+def number(soil: Soil, volume: float) -> float:
+    """Grains in so much of a bed [m³]."""
+    return 0.58 * volume / (math.pi / 6.0 * soil.diameter**3 * (1.0 + soil.spread**2))
+
+
+def prime(count: int) -> int:
+    """Prime number that follows so many others above 1e4: LIGGGHTS seeds with such."""
+    numbers = (n for n in itertools.count(10_001, 2) if all(n % k for k in range(3, 400, 2)))
+    return next(itertools.islice(numbers, count, None))
+
+
+def templates(soil: Soil, seed: int) -> str:
+    """Clumps of all sizes, as the distribution `sizes`."""
+    lines, parts = "", ""
+    for k in range(SIZES):
+        scale = soil.diameter * (1.0 + soil.spread * (2 * k + 1 - SIZES) / SIZES)
+        balls = scale * spheres(soil.clump)
+        lines += f"""fix t{k} all particletemplate/multisphere {prime(10 * seed + k)} atom_type 1 &
+  density constant {DENSITY} nspheres {len(balls)} ntry 1000000 &
+  spheres {" ".join(f"{value:.9g}" for value in balls.ravel())} type {k + 1}
+"""
+        parts += f" t{k} {1.0 / SIZES}"
+    return f"""{lines}fix sizes all particledistribution/discrete/numberbased &
+  {prime(10 * seed + SIZES)} {SIZES}{parts}
+"""
+
+
+def clumps(
+    soil: Soil, seed: int, box: tuple[float, ...], thickness: float, *, walls: bool
+) -> tuple[str, str]:
+    """An empty box, and clumps that fall into it and settle as the grains of :func:`lattice`."""
+    x0, x1, y0, y1, _ = box
+    count = round(number(soil, (x1 - x0) * (y1 - y0) * thickness))
+    low = soil.diameter * (1.0 + soil.spread)
+    high = low + thickness * 0.58 / SPARSE
+    end = low if walls else 0.0
+    empty = f"region box block {x0} {x1} {y0} {y1} -0.001 {high + 0.06:.6g} units box"
+    fill = f"region fill block {x0 + end} {x1 - end} {y0} {y1} {low} {high} units box"
+    pour = f"""{templates(soil, seed)}{fill}
+fix pour all insert/pack seed {prime(10 * seed + SIZES + 1)} distributiontemplate sizes &
+  maxattempt 200 insert_every once overlapcheck yes all_in no vel uniform 0 0 0 0.1 0.1 0.1 &
+  orientation random region fill particles_in_region {count}
+"""
+    return f"{empty}\ncreate_box 2 box", pour
 
 
 def lattice(soil: Soil, seed: int, box: tuple[float, ...], thickness: float, path: Path) -> None:
@@ -134,14 +237,13 @@ def lattice(soil: Soil, seed: int, box: tuple[float, ...], thickness: float, pat
     """
     rng = np.random.default_rng(seed)
     x0, x1, y0, y1, _ = box
-    largest = soil.diameter * (1.0 + SPREAD)
+    largest = soil.diameter * (1.0 + soil.spread)
     counts = [int((x1 - x0) / largest), int((y1 - y0) / largest)]
     pitch_x, pitch_y = (x1 - x0) / counts[0], (y1 - y0) / counts[1]
-    grain = math.pi / 6.0 * soil.diameter**3 * (1.0 + SPREAD**2)
-    layers = round(0.58 * thickness * pitch_x * pitch_y / grain)
+    layers = round(number(soil, pitch_x * pitch_y * thickness))
     ix, iy, iz = np.indices((*counts, layers)).reshape(3, -1)
     x, y, z = x0 + pitch_x * (ix + 0.5), y0 + pitch_y * (iy + 0.5), largest * (iz + 0.5)
-    diameter = soil.diameter * rng.uniform(1.0 - SPREAD, 1.0 + SPREAD, x.size)
+    diameter = soil.diameter * rng.uniform(1.0 - soil.spread, 1.0 + soil.spread, x.size)
     velocity = rng.uniform(-0.1, 0.1, (x.size, 3))
     lines = [
         "grains\n",
@@ -168,19 +270,24 @@ def bed(
     if (folder / "bed.dump").exists():
         return
     folder.mkdir(parents=True, exist_ok=True)
-    lattice(soil, seed, box, thickness, folder / "grains.data")
-    fall = 0.5 + 10.0 * math.sqrt(thickness / GRAVITY)
-    for name, source, time in (
-        ("fallen", "read_data grains.data", fall),
-        ("bed", "read_restart fallen.restart", 0.3),
-    ):
+    if soil.clump:
+        start, pour = clumps(soil, seed, box, thickness, walls=walls)
+    else:
+        lattice(soil, seed, box, thickness, folder / "grains.data")
+        start, pour = "read_data grains.data", ""
+    fall = 0.25 + 5.0 * math.sqrt(thickness / GRAVITY)
+    columns = "id x y z radius" + (" id_multisphere" if soil.clump else "")
+    for name, source, poured, time in (
+        ("fallen", start, pour, fall), ("bed", "read_restart fallen.restart", "", 0.3)
+    ):  # fmt: skip
         deck = f"""{header(soil, walls=walls)}{source}
 {contacts(soil, poured=name == "fallen")}
-{ground(box, walls=walls)}thermo 5000
+{ground(soil, box, walls=walls)}{poured}thermo 5000
 thermo_style custom step atoms ke cpu
+thermo_modify flush yes
 run {round(time / soil.time_step)}
 write_restart {name}.restart
-dump last all custom 1 {name}.dump id x y z radius
+dump last all custom 1 {name}.dump {columns}
 run 0
 """
         run(deck, folder, name)
@@ -201,22 +308,26 @@ def run(deck: str, folder: Path, name: str) -> None:
 
 
 def dump(path: Path) -> FloatArray:
-    """Grains of a dump's last frame: id, x, y, z, radius, shape [grain, 5]."""
+    """Spheres of a dump's last frame: id, x, y, z, radius and that of the clump, if any."""
     lines = path.read_text().splitlines()
     start = max(i for i, line in enumerate(lines) if line.startswith("ITEM: ATOMS"))
     return np.array([line.split() for line in lines[start + 1 :]], dtype=float)
 
 
-def layering(grains: FloatArray, area: float) -> tuple[float, float]:
-    """Height of the mass-equivalent surface [m] and volume fraction of the middle [-]."""
+def layering(soil: Soil, grains: FloatArray, area: float) -> tuple[float, float]:
+    """Height of the mass-equivalent surface [m] and volume fraction of the middle [-].
+
+    Each sphere of a clump has an equal share of its volume.
+    """
     z, radius = grains[:, 3], grains[:, 4]
     top = np.quantile(z, 0.98)
     low, high = 0.25 * top, 0.8 * top
+    overlap = float(8.0 * (spheres(soil.clump)[:, 3] ** 3).sum())
 
     def above(level: float) -> float:
         """Volume of grains above a level [m³]."""
         h = np.clip(z + radius - level, 0.0, 2.0 * radius)
-        return float((math.pi * h**2 * (radius - h / 3.0)).sum())
+        return float((math.pi * h**2 * (radius - h / 3.0)).sum()) / overlap
 
     fraction = (above(low) - above(high)) / (area * (high - low))
     return low + above(low) / (area * fraction), fraction
@@ -283,12 +394,14 @@ def moved(
         + "read_restart bed.restart\n"
         + contacts(soil)
         + f"""
-{ground(box)}fix body all mesh/surface/stress file body.stl type 2 reference_point {at[0]} 0 {at[1]}
+{ground(soil, box)}fix body all mesh/surface/stress file body.stl type 2 &
+  reference_point {at[0]} 0 {at[1]}
 fix touch all {WALL} mesh n_meshes 1 meshes body
 fix move all move/mesh mesh body {motion}
 fix mean all ave/time 1 {every} {every} f_body[1] f_body[2] f_body[3] f_body[5] file body.txt
 thermo 5000
 thermo_style custom step atoms ke cpu
+thermo_modify flush yes
 run {steps}
 """
     )

@@ -52,6 +52,8 @@ class Rig:
     hip_height_mm: float = 20.0
     soils: tuple[str, ...] = ()
     """Names of the soils that it stirs."""
+    learn: bool = True
+    """Whether errors of laws are learned from its records."""
 
     @property
     def half_angle(self) -> float:
@@ -103,11 +105,12 @@ def record(soil: engine.Soil, rig: Rig, seed: int, work: Path, out: Path) -> Pat
     path = out / f"{soil.name}_{body}_{seed}.csv"
     if path.exists():
         return path
-    folder = work / f"{soil.name}_{rig.name and f'{rig.name}_'}{seed}"
     length, breadth, thickness = rig.bed
+    sizes = "x".join(f"{1e3 * size:.0f}" for size in rig.bed)
+    folder = work / f"{soil.name}_{sizes}_{seed}"  # legs of one size stir the same bed
     box = (-0.5 * length, 0.5 * length, -0.5 * breadth, 0.5 * breadth, 0.0)
     engine.bed(soil, seed, box, thickness, folder)
-    surface, fraction = engine.layering(engine.dump(folder / "bed.dump"), length * breadth)
+    surface, fraction = engine.layering(soil, engine.dump(folder / "bed.dump"), length * breadth)
     hip = (0.0, surface + 1e-3 * rig.hip_height_mm)
     # Center line and half thickness together have the leg's length.
     leg = Leg(
@@ -150,7 +153,7 @@ def pressed(soil: engine.Soil, name: str, seed: int, work: Path, out: Path) -> P
     length, breadth, thickness = (soil.diameter * each for each in soil.bed)
     box = (-0.5 * length, 0.5 * length, -0.5 * breadth, 0.5 * breadth)
     engine.bed(soil, seed, (*box, 0.0), thickness, folder)
-    surface, fraction = engine.layering(engine.dump(folder / "bed.dump"), length * breadth)
+    surface, fraction = engine.layering(soil, engine.dump(folder / "bed.dump"), length * breadth)
     start, stop = -soil.diameter, LANDED if lands else DEEPEST * foot.radius
     vx, vz = soil.rate * speed * math.cos(descent), soil.rate * speed * math.sin(descent)
     low = (-0.5 * (stop - start) * vx / vz, surface - start)
@@ -198,7 +201,7 @@ def write(
     lines = [
         (
             f"# grains {soil.name}, seed {seed}: sliding friction {soil.sliding}, rolling "
-            f"{soil.rolling}, settled with {soil.settled}, {soil.diameter_mm} mm"
+            f"{soil.rolling}, settled with {soil.settled}, {soil.words}"
         ),
         (
             f"# density {engine.DENSITY * fraction:.0f} kg/m3, volume fraction {fraction:.4f}, "

@@ -103,14 +103,19 @@ class Reading(NamedTuple):
         return self.read_deg - self.critical_deg
 
 
-def records() -> Iterator[tuple[str, str, str, Record, float]]:
-    """Name, soil, body, record and diameter over the leg's width [mm], of all that legs stirred."""
+def records(*, learn: bool = True) -> Iterator[tuple[str, str, str, Record, float]]:
+    """Name, soil, body, record and diameter over the leg's width [mm], of all that legs stirred.
+
+    Of soils and rigs that are to be learned from, or of the others.
+    """
     bodies = {f"rig-{rig.name}": rig for rig in run.rigs()}
     bodies |= {leg: run.Rig(leg) for leg in pages.LEGS}
     soils = run.soils()
     for path in sorted(GRAINS.glob("*.csv")):
         name, body = path.stem.rsplit("_", 1)[0].split("_", 1)
         if body not in bodies or name.endswith(OTHERS):
+            continue
+        if (soils[name].learn and bodies[body].learn) != learn:
             continue
         sizes = {key: getattr(bodies[body], key) for key in LI2013}
         rig = Rig(leg=bodies[body].leg, hip_height_sd_mm=0.0,
