@@ -7,10 +7,15 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import compute
+import elements
 import engine
 import numpy as np
 import pytest
 import run
+import table
+
+from terraphi.laws.legs import Legs
 
 SOIL = replace(run.soils()["I-loose"], spread=0.0)
 engine_is_there = pytest.mark.skipif(not shutil.which("liggghts"), reason="no LIGGGHTS")
@@ -133,3 +138,24 @@ def test_a_flat_clump_slides_where_friction_says(over: float, tmp_path: Path) ->
         assert abs(speed) < 1e-3
     else:
         assert speed == pytest.approx(acceleration * time, rel=0.05)
+
+
+def test_law_learned_from_the_records_that_are_flagged_so() -> None:
+    """Those of other shapes, sizes and contacts are there and left alone."""
+    learned = {name for name, soil, *_ in table.records() if soil.endswith("-loose")}
+    law = Legs.load(table.LAW)
+    assert learned == {name for one in law.model_error.values() for name in one["training"]}
+    assert not learned & {name for name, *_ in table.records(learn=False)}
+
+
+def test_queue_has_records_that_can_be_made(tmp_path: Path) -> None:
+    bodies = {f"rig-{rig.name}" for rig in run.rigs()} | {"straight", "c", "reversed_c"}
+    queue, soils = list(compute.missing(tmp_path, ())), run.soils()
+    assert len(queue) == len({*queue}) > 100
+    for stem in queue:
+        name, body, seed = stem.split("_", 1)[0], *stem.split("_", 1)[1].rsplit("_", 1)
+        assert name in soils
+        assert body in bodies | {*elements.TESTS}
+        assert int(seed) > 0
+    (tmp_path / f"{queue[0]}.csv").touch()
+    assert list(compute.missing(tmp_path, {queue[2]})) == [queue[1], *queue[3:]]
