@@ -25,8 +25,8 @@ DENSITY, YOUNGS, POISSON, RESTITUTION = 2500.0, 2.5e6, 0.3, 0.5
 """Of a grain [kg/m³], [Pa], [-], [-]. Soft, for long steps: overlaps are 1 % of a radius."""
 SPREAD = 0.15
 """Diameters are uniform within this share of the mean, either side, if a soil has no other [-]."""
-RAYLEIGH = 0.25
-"""Time step over Rayleigh's time of the smallest grain [-]."""
+RAYLEIGH, POURED = 0.25, 0.4
+"""Time step over Rayleigh's time of the smallest grain, and while a bed is poured [-]."""
 GRAVITY = 9.81
 LIQUID, VISCOSITY, REACH = 1.0, 1e-3, 1.1
 """Liquid on damp grains [% of their volume], its viscosity [Pa s], and distance of centers over the
@@ -124,8 +124,10 @@ def contacts(soil: Soil, *, poured: bool = False) -> str:
     """
     wall = soil.leg_friction
     rolling, sliding, attraction = soil.rolling, soil.sliding, soil.attraction
+    step = soil.time_step
     if poured:
         sliding, attraction = soil.settled, soil.poured_attraction
+        step *= POURED / RAYLEIGH
     damp = f"""fix l1 all property/global surfaceLiquidContentInitial scalar {LIQUID}
 fix l2 all property/global surfaceTension scalar {attraction * soil.diameter}
 fix l3 all property/global fluidViscosity scalar {VISCOSITY}
@@ -145,7 +147,7 @@ fix m5 all property/global coefficientRollingFriction peratomtypepair 2 &
   {rolling} {rolling} {rolling} {rolling}
 {damp if bridges else ""}pair_style gran model {model}rolling_friction epsd2
 pair_coeff * *
-timestep {soil.time_step:.4g}
+timestep {step:.4g}
 """
 
 
@@ -275,7 +277,7 @@ def bed(
     else:
         lattice(soil, seed, box, thickness, folder / "grains.data")
         start, pour = "read_data grains.data", ""
-    fall = 0.25 + 5.0 * math.sqrt(thickness / GRAVITY)
+    fall = (0.25 + 5.0 * math.sqrt(thickness / GRAVITY)) * RAYLEIGH / POURED
     columns = "id x y z radius" + (" id_multisphere" if soil.clump else "")
     for name, source, poured, time in (
         ("fallen", start, pour, fall), ("bed", "read_restart fallen.restart", "", 0.3)

@@ -66,10 +66,11 @@ def listed() -> Iterator[tuple[str, ...]]:
         paths = sorted(table.GRAINS.glob(f"{name}_*.csv"))
         if paths:
             head = paths[0].read_text().split("volume fraction ")[1]
+            learned = soil.learn and "-loose" in name and not name.endswith(table.OTHERS)
             yield (
                 name, soil.words, f"{soil.sliding} / {soil.rolling}", head[:5],
                 *(means(cells(name, kind)) for kind in CELLS), bodies(name),
-                "yes" if soil.learn and not name.endswith((*table.OTHERS, *table.APART)) else "no",
+                "yes" if learned else "no",
             )  # fmt: skip
 
 

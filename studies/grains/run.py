@@ -52,6 +52,8 @@ class Rig:
     hip_height_mm: float = 20.0
     soils: tuple[str, ...] = ()
     """Names of the soils that it stirs."""
+    bed_mm: tuple[float, ...] = ()
+    """Length, breadth and thickness of its bed, if they are given."""
     learn: bool = True
     """Whether errors of laws are learned from its records."""
 
@@ -63,6 +65,8 @@ class Rig:
     @property
     def bed(self) -> tuple[float, float, float]:
         """Length, breadth and thickness of its bed [m], in whole millimeters."""
+        if self.bed_mm:
+            return tuple(1e-3 * size for size in self.bed_mm)
         depth = self.length_mm - self.hip_height_mm
         half_length = self.length_mm * math.sin(self.half_angle) + ENDS * depth
         sizes = 2.0 * half_length, self.width_mm + 2.0 * SIDES * depth, FLOOR * depth
