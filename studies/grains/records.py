@@ -39,11 +39,12 @@ def cells(soil: str, kind: str) -> list[float]:
 def truth(name: str) -> float:
     """Critical friction angle of a soil of any size and stiffness [deg].
 
-    By all cells at 1.5 kPa; of damp soil, by those under two loads.
+    By all cells of the loose soil at 1.5 kPa; of damp soil, by those under two loads.
     """
-    soil = "-".join(name.split("-")[:2])
-    if run.soils()[soil].attraction:
-        return elements.cohesive(table.GRAINS, soil).phi_deg
+    letter, packing, *_ = name.split("-")
+    if run.soils()[f"{letter}-{packing}"].attraction:
+        return elements.cohesive(table.GRAINS, f"{letter}-{packing}").phi_deg
+    soil = f"{letter}-loose"
     return float(np.mean(cells(soil, "shear") + cells(soil, "firm")))
 
 
