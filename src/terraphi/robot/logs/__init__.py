@@ -1,4 +1,4 @@
-"""Logs of a walking robot, tables, bags and GrandTour missions, become a JointLog.
+"""Logs of a walking robot, tables and bags, become a JointLog.
 
 Bags hold ``unitree_go/msg/LowState`` or ``sensor_msgs/msg/JointState`` messages and need the extra
 ``robot`` (``pip install 'terraphi[robot]'``); ROS need not be installed.
@@ -17,7 +17,6 @@ from terraphi.experiment.files import check_is_file
 from terraphi.robot.joint_log import JOINT_NAMES, JointLog
 from terraphi.robot.logs.bags import read_bag
 from terraphi.robot.logs.columns import Columns, read_columns
-from terraphi.robot.logs.missions import is_mission, read_mission
 from terraphi.robot.logs.samples import joint_log
 
 FORMATS = "CSV, Parquet, MCAP, a ROS 1 bag, the folder of a rosbag2 or of a GrandTour mission"
@@ -38,8 +37,7 @@ def read_log(
     ----------
     path
         A CSV or Parquet table (:mod:`~terraphi.robot.logs.columns` has its columns), an MCAP file,
-        a bag of ROS 1, the folder of a rosbag2, or that of a mission of the GrandTour data set
-        (:mod:`~terraphi.robot.logs.missions`).
+        a bag of ROS 1, or the folder of a rosbag2.
     topic
         Topic of a bag to read; by default the one with ``unitree_go/msg/LowState`` messages, or
         else ``sensor_msgs/msg/JointState``, with the ``sensor_msgs/msg/Imu`` of the same bag.
@@ -77,19 +75,16 @@ def read_log(
             f"{', '.join(name for name in JOINT_NAMES if name in motors)}"
         )
     path = path.parent if path.name == "metadata.yaml" else path
-    mission = path.is_dir() and is_mission(path)
-    bag = (path.is_dir() and not mission) or path.suffix in {".bag", ".mcap", ".db3"}
+    bag = path.is_dir() or path.suffix in {".bag", ".mcap", ".db3"}
     if not path.is_dir():
         check_is_file(path, FORMATS)
     useless: dict[str, object] = {} if bag else {"topic": topic, "joint names": joint_names}
-    useless |= {"columns": named} if bag or mission else {}
+    useless |= {"columns": named} if bag else {}
     for name, value in useless.items():
         if value is not None:
             raise InputError(f"{path}: has no use for {name}; leave the {name} out")
     if bag:
         return read_bag(path, topic, joint_names, motors, own_names)
-    if mission:
-        return read_mission(path)
     values = read_columns(path, named, motors, own_names)
     kind = "parquet" if path.suffix == ".parquet" else "csv"
     facts: dict[str, Any] = {"notes": [], "format": kind, "topic": None}

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from grandtour import read_mission
 
 from terraphi.experiment.errors import InputError
 from terraphi.robot.joint_log import JointLog
-from terraphi.robot.logs import read_log
 
 Walk = runpy.run_path(str(Path(__file__).with_name("walker.py")))["Walk"]
 EPOCH = 1_730_000_000.0
@@ -89,7 +89,7 @@ def test_a_mission_is_the_log_it_was(
     tmp_path: Path, log: JointLog, compressed: bool, tarred: bool
 ) -> None:
     codec = pytest.importorskip("numcodecs").Blosc() if compressed else None
-    found = read_log(mission(tmp_path / "2024-11-11-12-42-47", log, codec=codec, tarred=tarred))
+    found = read_mission(mission(tmp_path / "2024-11-11-12-42-47", log, codec=codec, tarred=tarred))
     np.testing.assert_allclose(found.time, log.time, atol=3e-7)  # of a double since 1970
     for name in ("angle", "velocity", "torque", "acceleration"):
         np.testing.assert_allclose(getattr(found, name), getattr(log, name), atol=1e-4)
@@ -105,7 +105,7 @@ def test_a_mission_with_joints_alone(tmp_path: Path, log: JointLog) -> None:
     folder = mission(tmp_path / "m", log)
     for topic in ("anymal_state_state_estimator", "anymal_imu"):
         (folder / "data" / f"{topic}.tar").unlink()
-    found = read_log(folder)
+    found = read_mission(folder)
     assert found.quaternion is None
     np.testing.assert_array_equal(found.torque, log.torque)
 
@@ -128,7 +128,7 @@ def test_what_is_damaged_is_refused(
     if content is not None:
         place.write_bytes(content)
     with pytest.raises(InputError, match=words) as caught:
-        read_log(folder)
+        read_mission(folder)
     assert "anymal_state_actuator" in str(caught.value)
 
 
@@ -137,9 +137,9 @@ def test_a_cut_tar_is_refused(tmp_path: Path, log: JointLog) -> None:
     tar = folder / "data" / "anymal_state_actuator.tar"
     tar.write_bytes(tar.read_bytes()[:30_000])
     with pytest.raises(InputError, match="anymal_state_actuator"):
-        read_log(folder)
+        read_mission(folder)
     tar.write_bytes(b"no tar")
     with pytest.raises(InputError, match="not a whole tar"):
-        read_log(folder)
-    with pytest.raises(InputError, match="no use for topic"):
-        read_log(folder, topic="imu")
+        read_mission(folder)
+    with pytest.raises(InputError, match="name a mission's folder"):
+        read_mission(tmp_path)

@@ -1,8 +1,11 @@
-"""Missions of the GrandTour data set: an ANYmal D's joints, attitude and IMU in Zarr arrays.
+"""φ under footfalls of a GrandTour mission: an ANYmal D's joints, attitude and IMU in Zarr arrays.
 
-A mission's folder holds ``data/anymal_state_actuator.tar`` and others, as they are downloaded, or
-what these tars hold. An array is a folder with its ``.zarray`` (Zarr 2: shape, chunks, type,
-compressor) and a file for each chunk of rows. Read are:
+    python examples/grandtour.py 2024-11-11-12-42-47 --robot anymal_d.urdf --density 1550±80
+
+It needs numcodecs, and the model of the robot. A mission's folder holds
+``data/anymal_state_actuator.tar`` and others, as they are downloaded, or what these tars hold. An
+array is a folder with its ``.zarray`` (Zarr 2: shape, chunks, type, compressor) and a file for each
+chunk of rows. Read are:
 
 - ``anymal_state_actuator``, 400 Hz: ``00_state_joint_position`` to ``11_``, ``_velocity`` and
   ``_torque``, of LF, RF, LH, RH × HAA, HFE, KFE;
@@ -17,17 +20,20 @@ Names, orders and the turn are those of the set's own converter and launch files
 from __future__ import annotations
 
 import json
+import sys
 import tarfile
 from collections import Counter
 from math import ceil, prod
 from pathlib import Path
 from typing import Any
 
+import click
 import numpy as np
 
+import terraphi
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.budget import BYTES, unpacking
-from terraphi.experiment.errors import InputError, needing
+from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import check_is_file
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.logs.bags import MEASURED, add_imu
@@ -46,11 +52,6 @@ def topic_of(folder: Path, topic: str) -> Path | None:
     return next((place for place in places if place.exists()), None)
 
 
-def is_mission(folder: Path) -> bool:
-    """True for the folder of a mission."""
-    return topic_of(folder, ACTUATORS) is not None
-
-
 def read_mission(folder: Path) -> JointLog:
     """Read a mission's folder.
 
@@ -60,7 +61,8 @@ def read_mission(folder: Path) -> JointLog:
         If an array of the joints is missing or damaged, or a package is.
     """
     found = topic_of(folder, ACTUATORS)
-    assert found is not None, "checked by is_mission"
+    if found is None:
+        raise InputError(f"{folder}: no data/{ACTUATORS} or .tar in it; name a mission's folder")
     notes: list[str] = []
     with _Arrays(found) as arrays:
         values: dict[str, Any] = {"stamp": arrays.stamp()}
@@ -169,6 +171,27 @@ def _codec(compressor: Any, source: str) -> Any:
     """Codec of chunks; ``None`` if they are not compressed."""
     if compressor is None:
         return None
-    with needing(f"{source}: reading Zarr", "the package numcodecs", extra="zarr"):
+    try:
         from numcodecs import get_codec
+    except ImportError:
+        raise InputError(f"{source}: reading Zarr needs numcodecs; pip install numcodecs") from None
     return get_codec(compressor)
+
+
+@click.command()
+@click.argument("mission", type=click.Path(path_type=Path))
+@click.option("--robot", required=True, help="URDF, MJCF or TOML of the robot.")
+@click.option("--density", default="1550±80", show_default=True, help="Of the soil [kg/m³].")
+def main(mission: Path, robot: str, density: str) -> None:
+    """Print φ under the footfalls of a mission."""
+    try:
+        walk = terraphi.footfalls(read_mission(mission), robot=robot, density=density)
+    except InputError as error:
+        sys.exit(f"grandtour: {error}")
+    click.echo(walk.summary().to_string(index=False))
+    for warning in walk.warnings:
+        click.echo(warning)
+
+
+if __name__ == "__main__":
+    main()
