@@ -77,7 +77,7 @@ record_options = option_group(
     click.option(
         "--columns", metavar="FILE|KEY=VALUE", multiple=True,
         callback=lambda _context, _option, given: ",".join(given) or None,
-        help="As in 'terraphi keys forces' or 'keys tool', or guessed.",
+        help="As in 'terraphi keys forces', or guessed.",
     ),
     click.option("--gain", metavar="GAIN[±SD]", help="Gain of the sensor.  [default: 1±0.02]"),
     click.option(
