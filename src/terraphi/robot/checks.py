@@ -87,6 +87,8 @@ class Finding(NamedTuple):
     """What to do, if it is so in the whole log."""
     changes: bool = False
     """Grave if it is not so in the whole log."""
+    since: float = -math.inf
+    """When it began [s], if it did within the part and that is known."""
 
 
 class Checked(NamedTuple):
@@ -154,7 +156,11 @@ def grave(checked: Sequence[Checked]) -> list[list[Finding]]:
 def faulty_spans(checked: Sequence[Checked]) -> list[tuple[float, float]]:
     """Times of which nothing can be read [s]: with the part before, in which it may have begun."""
     triples = zip([checked[0], *checked], checked, grave(checked), strict=False)
-    return [(before.begin, part.end) for before, part, findings in triples if findings]
+    return [
+        (max(before.begin, min(finding.since for finding in findings) - HOLD_S), part.end)
+        for before, part, findings in triples
+        if findings
+    ]
 
 
 def within(time: FloatArray, spans: Sequence[tuple[float, float]]) -> BoolArray:
@@ -222,19 +228,20 @@ def _still(log: JointLog, robot: Quadruped) -> list[Finding]:
     angle, torque = (sd / np.maximum(np.median(sd, axis=0), 1e-12) for sd in deviations)
     stuck, dead = (angle < STILL) & (torque > MOVES), (torque < STILL) & (angle > MOVES)
     # A motor that dies within the part; where all torques are held, the robot stands.
-    seconds, since = _longest_hold(log.time, log.torque)
+    seconds, begins = _longest_hold(log.time, log.torque)
     held = (seconds > HOLD_S) & (angle > MOVES) & ((seconds > HOLD_S).sum() <= MOST_HELD)
-    from_on = f" from {since[held].min():.1f} s on" if held.any() else ""
-    dead |= held
-    texts = {
-        "stuck": "the angle of {} stands still while the leg walks: is the encoder stuck?",
-        "dead": f"the torque of {{}} stands still{from_on} while the leg walks: is the motor dead?",
-    }
-    return [
-        Finding(about, text.format(_listed(which & robot.there)), True)
-        for (about, text), which in zip(texts.items(), (stuck, dead), strict=True)
-        if (which & robot.there).any()
-    ]
+    since, when = -math.inf, ""
+    if held.any() and not dead.any() and begins[held].min() > log.time[0] + HOLD_S:
+        since = float(begins[held].min())
+        when = f" from {since:.1f} s on"
+    findings = []
+    if (stuck & robot.there).any():
+        text = f"the angle of {_listed(stuck & robot.there)} stands still while the leg walks"
+        findings.append(Finding("stuck", f"{text}: is the encoder stuck?", True))
+    if (which := (dead | held) & robot.there).any():
+        text = f"the torque of {_listed(which)} stands still{when} while the leg walks"
+        findings.append(Finding("dead", f"{text}: is the motor dead?", True, since=since))
+    return findings
 
 
 def _longest_hold(time: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
