@@ -22,7 +22,7 @@ dimensions = 3
 BUILD = ["library", "build", "p.toml", "--out", "l.nc", "--workers", "2"]
 APP = ["app", "--port", "0"]
 INVERT = ["invert", "li2013:yuma/c", "--out", "a", "--law", "rft3d"]
-BEGUN = {"library": "l.nc.cases/*.nc", "app": "tmp/.*", "invert": ".a.*"}
+BEGUN = {"library": "l.nc.cases/*.nc", "app": "tmp/.*", "invert": "a/.a.*"}
 """What shows that a command is in the midst of its work."""
 RUN = """
 import time
@@ -98,3 +98,4 @@ def test_the_same_command_clears_what_it_left_when_it_was_killed(tmp_path: Path,
     os.utime(temporary, (0.0, 0.0))
     assert terraphi(*INVERT).status == 0
     assert {path.name for path in tmp_path.iterdir()} == {"p.toml", "tmp", "a"}
+    assert not any(tmp_path.glob(BEGUN["invert"]))

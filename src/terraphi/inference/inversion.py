@@ -234,7 +234,7 @@ def with_critical(answer: Answer, critical: float | str) -> Answer:
     alone = f"{answer.phi}".partition("  ")[0]
     sentence = f"φ is that of soil with {given}; by the forces alone it is {alone}."
     if apart < least:
-        sentence = f"φ cannot be distinguished from {given}; by the forces alone it is {alone}."
+        sentence = f"φ may be {given}, that of loose soil; by the forces alone it is {alone}."
     density, peak = critical_posterior(*answer.posterior, (mean, sd))
     phi = Estimate.of_density(answer.grid_deg, density)
     narrower = phi.sd / answer.phi.sd
