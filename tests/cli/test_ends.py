@@ -44,9 +44,7 @@ def accept_signals() -> None:
 
 def started(folder: Path, command: list[str]) -> subprocess.Popen[str]:
     """A command that is in the midst of its work, in a folder that also has its temporary files."""
-    (folder / "p.toml").write_text(
-        PLAN.format(angles=", ".join(str(20.0 + i / 8.0) for i in range(320)))
-    )
+    (folder / "p.toml").write_text(PLAN.format(angles=", ".join(map(str, range(20, 60)))))
     (folder / "tmp").mkdir()
     places = {"TMPDIR": str(folder / "tmp"), "PYTHONPATH": os.pathsep.join(sys.path)}
     running = subprocess.Popen(
