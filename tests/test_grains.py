@@ -1,4 +1,4 @@
-"""Clumps that LIGGGHTS moves, beside the mechanics of a rigid body; needs its program."""
+"""Clumps that LIGGGHTS moves, compared with the mechanics of a rigid body; needs its program."""
 
 from __future__ import annotations
 

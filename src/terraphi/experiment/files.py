@@ -514,12 +514,12 @@ def _memory(variable: Any, where: str) -> int:
     """
     from h5py import h5d, h5z
 
-    known = {h5z.FILTER_DEFLATE, h5z.FILTER_SHUFFLE, h5z.FILTER_FLETCHER32}
+    accepted = {h5z.FILTER_DEFLATE, h5z.FILTER_SHUFFLE, h5z.FILTER_FLETCHER32}
     layout = variable.id.get_create_plist()
     # Before the shape, for which HDF5 may open the files that a virtual variable is made of.
     if layout.get_external_count() or layout.get_layout() == h5d.VIRTUAL:
         raise InputError(f"{where} lies in another file; write its values into this one")
-    if {layout.get_filter(i)[0] for i in range(layout.get_nfilters())} - known:
+    if {layout.get_filter(i)[0] for i in range(layout.get_nfilters())} - accepted:
         raise InputError(f"{where} has a filter other than deflate; compress it with zlib alone")
     # A chunk is unpacked whole, and may be larger than the variable.
     shape = variable.shape or ()

@@ -221,11 +221,11 @@ def with_critical(answer: Answer, critical: float | str) -> Answer:
         raise InputError("critical is of measured forces by a law in plane strain; leave it out")
     if answer.verdict != "consistent":
         return answer
-    both = math.hypot(answer.phi.sd, sd)
-    apart, least, most = answer.phi.median - mean, LOOSE * both, CONTRADICTED * both
+    joint_sd = math.hypot(answer.phi.sd, sd)
+    excess, least, most = answer.phi.median - mean, LOOSE * joint_sd, CONTRADICTED * joint_sd
     given = f"the critical angle of {mean:g} ± {sd:g}°"
-    if apart < -most or apart > DENSEST_DEG + most:
-        far = "below" if apart < 0.0 else f"more than {DENSEST_DEG:g}° above"
+    if excess < -most or excess > DENSEST_DEG + most:
+        far = "below" if excess < 0.0 else f"more than {DENSEST_DEG:g}° above"
         sentence = (
             f"φ is {far} {given} by more than both errors allow, and that angle is not used: check "
             "it, the density and the force."
@@ -233,7 +233,7 @@ def with_critical(answer: Answer, critical: float | str) -> Answer:
         return replace(answer, warnings=(sentence, *answer.warnings))
     alone = f"{answer.phi}".partition("  ")[0]
     sentence = f"φ is that of soil with {given}; by the forces alone it is {alone}."
-    if apart < least:
+    if excess < least:
         sentence = f"φ may be {given}, that of loose soil; by the forces alone it is {alone}."
     density, peak = critical_posterior(*answer.posterior, (mean, sd))
     phi = Estimate.of_density(answer.grid_deg, density)
@@ -243,7 +243,7 @@ def with_critical(answer: Answer, critical: float | str) -> Answer:
         density=density,
         parameters={PHI: phi},
         phi_plane_strain=phi,
-        phi_peak=peak if apart >= least else None,
+        phi_peak=peak if excess >= least else None,
         # What half the force would read is of the forces alone.
         phi_of_force_deg=None,
         budget_deg={name: narrower * term for name, term in answer.budget_deg.items()},

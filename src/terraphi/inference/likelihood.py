@@ -246,9 +246,9 @@ class Likelihood:
         self.measured = not all(record.simulated for record in records)
         self.laws = [self._law(record, library) for record in records]
         if any(law.keys != (PHI,) for law in self.laws):
-            others = ", ".join(sorted({*self.laws[0].keys} - {PHI}))
+            further = ", ".join(sorted({*self.laws[0].keys} - {PHI}))
             raise InputError(
-                f"law {library.name} varies {others}, too, and φ alone is inferred; build it over "
+                f"law {library.name} varies {further}, too, and φ alone is inferred; build it over "
                 f"{PHI} alone"
             )
         own = self.laws[0].density

@@ -106,8 +106,8 @@ class _Press:
     @cached_property
     def ends(self) -> tuple[float, float]:
         """Smallest and largest φ that the law has [deg]."""
-        known = np.isfinite(self.curve(np.stack([RANGE_DEG, 0 * RANGE_DEG], -1))).all(axis=1)
-        low, high = RANGE_DEG[known][[0, -1]].tolist()
+        covered = np.isfinite(self.curve(np.stack([RANGE_DEG, 0 * RANGE_DEG], -1))).all(axis=1)
+        low, high = RANGE_DEG[covered][[0, -1]].tolist()
         return low, high
 
     @property
@@ -123,8 +123,8 @@ class _Press:
     @cached_property
     def course(self) -> FloatArray:
         """Covariance of the error of the law's course over depth, shape [n, n]."""
-        apart = np.abs(np.log(self.z[:, None] / self.z))
-        shape = SHAPE_SD**2 * np.outer(self.force, self.force) * np.exp(-apart / SHAPE_LENGTH)
+        distance = np.abs(np.log(self.z[:, None] / self.z))
+        shape = SHAPE_SD**2 * np.outer(self.force, self.force) * np.exp(-distance / SHAPE_LENGTH)
         return np.asarray(shape + (FLOOR * self.force.max()) ** 2 * np.eye(self.z.size))
 
     @property
@@ -303,8 +303,8 @@ def _posterior(press: _Press, fit: _Fit, budget: dict[str, float]) -> tuple[Floa
     low, high = press.ends
     sd = np.hypot(_steady_sd(budget), _compaction_sd(press) * COMPACT)
     grid = np.arange(max(low - 15.0, 0.5), min(high + 18.0, 80.0), 0.05)
-    apart = (grid[:, None] - fit.phi) / sd
-    posterior = np.exp(-0.5 * apart**2) @ (fit.chance / sd)
+    deviate = (grid[:, None] - fit.phi) / sd
+    posterior = np.exp(-0.5 * deviate**2) @ (fit.chance / sd)
     return grid, np.asarray(posterior / np.trapezoid(posterior, grid))
 
 
@@ -351,8 +351,10 @@ def _angle_of(press: _Press, fit: _Fit, force: FloatArray, part: BoolArray) -> f
 
 def _phi_of_force(press: _Press, fit: _Fit, phi_deg: float) -> dict[str, float | None]:
     """φ that half and twice the force would be read as [deg]; ``None`` outside of the law."""
-    every = np.ones(press.z.size, bool)
-    now, half, twice = (_angle_of(press, fit, f * press.force, every) for f in (1.0, 0.5, 2.0))
+    whole_depth = np.ones(press.z.size, bool)
+    now, half, twice = (
+        _angle_of(press, fit, f * press.force, whole_depth) for f in (1.0, 0.5, 2.0)
+    )
     low, end = press.ends[0] + 0.1, min(press.ends[1] - 0.2, LOOSE_DEG)
     return {
         name: phi_deg + angle - now if low < angle and phi_deg + angle - now <= end else None

@@ -151,7 +151,7 @@ def progress_bar(description: str) -> Iterator[Callable[[float, float], None]]:
             if ended.wait(EVERY_S):
                 return
             passed = f"{lines * EVERY_S / 60.0:.0f} min"
-            with suppress(OSError):  # nobody reads it any more
+            with suppress(OSError):  # the reader has gone
                 click.echo(f"{description}: {share[0]:.0%} after {passed}", err=True)
 
     thread = threading.Thread(target=print_lines, daemon=True)
