@@ -85,8 +85,7 @@ LARGEST = 2.0
 UNIT = 0.01
 """Error of the length of a unit normal [-]; chosen, for normals that were rounded."""
 FLAT = 0.01
-"""Roundness below which a mesh is flat, and breadth over its depth below which on edge [-]; chosen,
-for a warning alone."""
+"""Roundness below which a mesh is flat [-]; chosen, for a warning alone."""
 TINY = 1e-12
 """Least length [m], speed [m/s], area [m²] or force [N] that is divided by."""
 AREA: dict[str, Any] = {"low": 0.0, "high": 4.0 * LARGEST**2, "unit": "m²"}
@@ -672,7 +671,7 @@ def _ratios(
         first, step, table = _ratio_table(shape, surface_friction)
         ratio = xp.clip(depth / size, 1e-3 * step, None)
         if shape == "ball":  # what is flat or on edge is no ball, whatever it points down with
-            round_feet = (roundness[:, 0] > FLAT) & (base > TINY + FLAT**2 * deepest**2)
+            round_feet = (roundness[:, 0] > FLAT) & (base > TINY)
             _warn_deep(xp, xp.where(round_feet, ratio, 0.0 * ratio))
         found = interpolated(table, phi_deg - first, turn - LOWEST, ratio / step)
         scale = scale + share * found / ratio[:, None]
