@@ -1,9 +1,9 @@
-"""Damaged records: what `terraphi invert` says of damages of 29 kinds to each shipped record.
+"""Damaged records: answers of `terraphi invert` to 29 kinds of damage of each shipped record.
 
-A damage is silent if the answer is consistent, warns of nothing that it does not warn of in the
-whole record, and lies outside the whole record's 95 % interval. That a record was tared, or what is
-said of a cohesion below 100 Pa, is no warning here. Sizes of the leg that are typed in wrong are
-counted apart: another leg in another soil may have the same forces.
+A damage is silent if the answer is consistent, warns of nothing new compared with the
+undamaged record, and lies outside the 95 % interval of the undamaged record. That a record was
+tared, or has a cohesion below 100 Pa, is no warning here. Wrong sizes of the leg are counted
+separately: another leg in another soil may have the same forces.
 """
 
 from __future__ import annotations

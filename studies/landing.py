@@ -169,8 +169,8 @@ def main() -> None:
     change = np.abs(phi_deg(landed, grown["landed"]) - phi_deg(landed, WALK))
     parts = [
         (
-            "Balls of 44 mm that go into loose simulated grains, at constant speed, or as a foot "
-            "that lands and is at rest 25 mm deep. The soil that moves with a foot is taken as "
+            "Balls of 44 mm go into loose simulated grains, at constant speed, or as a foot that "
+            "lands and is at rest 25 mm deep. The mass of the soil that moves with a foot is "
             f"{size:.2f} ρ π R² z, to a depth of about {rate:.2f} R, by least squares; the law has "
             f"{laws.MOVED[0]:g} and {laws.MOVED[1]:g}. The table has φ by law `foot` with that "
             "inertia, less φ of the slow ball in the same bed; in brackets without inertia."
@@ -178,14 +178,14 @@ def main() -> None:
         pages.table(("ball", *SOILS), rows),
         (
             f"Root mean square: {rms[True]:.1f}° with inertia, {rms[False]:.1f}° without. Both "
-            "numbers of the mass were fitted to these records. One more bed of the same soil "
+            "numbers of the mass were fitted to these records. Another bed of the same soil "
             "changes φ by about 1°. Other diameters and discs were not tried."
         ),
         (
-            "A walk learns by which power of the depth its soil grows otherwise than the law. From "
-            f"the slow balls that is {grown['slow'].exponent:+.2f}, from those that land "
-            f"{grown['landed'].exponent:+.2f} (limits {touchdowns.EXPONENTS[0]:g} and "
-            f"{touchdowns.EXPONENTS[1]:g}): what the mass does not have right is taken for growth. "
+            "A walk also fits an exponent that corrects the law's growth with depth. It is "
+            f"{grown['slow'].exponent:+.2f} for the slow balls and {grown['landed'].exponent:+.2f} "
+            f"for those that land (limits {touchdowns.EXPONENTS[0]:g} and "
+            f"{touchdowns.EXPONENTS[1]:g}), because it takes up errors of the mass. "
             f"It changes φ by {np.median(change):.1f}° (median; largest {change.max():.1f}°)."
         ),
     ]

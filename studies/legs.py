@@ -289,24 +289,25 @@ def usual(law: legs.Legs) -> np.ndarray:
 
 
 def accuracy(law: legs.Legs) -> str:
-    """A table of how well cases are predicted by the others, and what the law makes of it."""
-    apart, sd = law.left_out()
-    size, z, rows = 100.0 * np.abs(apart[:, 0]), np.abs(apart / sd), []
+    """Format how well each case is predicted by the others."""
+    residual, sd = law.left_out()
+    percent, z, rows = 100.0 * np.abs(residual[:, 0]), np.abs(residual / sd), []
     for leg in law.legs:
-        for name, some in (("as Li's", usual(law)), ("others", ~usual(law))):
-            one = size[law.of(leg) & some]
-            if one.size:
-                rms = np.sqrt(np.mean(one**2))
-                numbers = (f"{np.median(one):.1f} %", f"{rms:.1f} %", f"{one.max():.0f} %")
-                rows.append((LEG_NAMES[leg], name, f"{one.size}", *numbers))
+        for name, group in (("as Li's", usual(law)), ("others", ~usual(law))):
+            errors = percent[law.of(leg) & group]
+            if errors.size:
+                rms = np.sqrt(np.mean(errors**2))
+                shown = (f"{np.median(errors):.1f} %", f"{rms:.1f} %", f"{errors.max():.0f} %")
+                rows.append((LEG_NAMES[leg], name, f"{errors.size}", *shown))
     header = ("leg", "friction and thickness", "cases", "median", "root mean square", "largest")
     return (
-        f"{len(law.x)} cases. Each is predicted by the others (without those that differ from it "
-        "by the size of the cell only); errors of the size of its forces:\n\n"
+        f"The law was fitted to {len(law.x)} simulations. The table has the error of the size of "
+        "the forces where each simulation is predicted from the others. (Simulations that differ "
+        "from it only by the size of the cells are left out, too.)\n\n"
         f"{pages.table(header, rows)}\n\n"
-        f"Of sizes and shapes {np.mean(z < 1.0):.0%} are within one and {np.mean(z < 1.96):.0%} "
-        "within 1.96 standard deviations of the process, which the law multiplies by "
-        f"{law.error_scale:g}."
+        f"Of these errors {np.mean(z < 1.0):.0%} are within one and {np.mean(z < 1.96):.0%} within "
+        "1.96 standard deviations of the Gaussian process. The law multiplies this standard "
+        f"deviation by {law.error_scale:g}."
     )
 
 
@@ -326,94 +327,84 @@ class Truth(NamedTuple):
 
 
 def judged(law: legs.Legs) -> Iterator[Truth]:
-    """The law at the truths."""
+    """Compare the law with the simulations that it was not fitted to."""
     kinds = "others, inside the ranges", "others, near an end of one"
-    every = [(kinds[int(row["number"]) >= 2000 + TRUTHS], known(one))
-             for row, one in fresh("truths")]  # fmt: skip
+    simulations = [(kinds[int(row["number"]) >= 2000 + TRUTHS], known(simulation))
+                   for row, simulation in fresh("truths")]  # fmt: skip
     library = terraphi.Library.load(pages.LIBRARIES / f"{TRUTHS_OF_LI}.nc")
     bent = terraphi.Plan.load(pages.ROOT / "plans" / f"{TRUTHS_OF_LI}-legs.toml").cases()
     folder = pages.LIBRARIES / f"{TRUTHS_OF_LI}-legs.nc.cases"
-    done = [(one, folder / f"{one.hash}.nc") for one in bent]
-    more = [Simulation(one, ForceHistory.from_netcdf(path)) for one, path in done if path.exists()]
-    library = replace(library, cases=(*library.cases, *more))
-    every += [("Li's legs", one) for one in zip(*legs.cases_of(library)[:3], strict=True)]
-    for kind, (x, depth, true) in every:
+    paths = [(scenario, folder / f"{scenario.hash}.nc") for scenario in bent]
+    finished = [Simulation(scenario, ForceHistory.from_netcdf(path))
+                for scenario, path in paths if path.exists()]  # fmt: skip
+    library = replace(library, cases=(*library.cases, *finished))
+    simulations += [("Li's legs", case) for case in zip(*legs.cases_of(library)[:3], strict=True)]
+    for kind, (x, depth, force) in simulations:
         angles = np.maximum(x[0] + np.arange(-12.0, 12.01, 0.05), 2.0)
-        tried = np.tile(x, (len(angles), 1))
-        tried[:, 0] = angles
-        apart = law(tried, np.full(len(angles), depth)) - true
-        best = angles[np.square(apart).sum(axis=(1, 2)).argmin()]
-        at = x[None], np.array([depth])
-        found, modes = law(*at)[0], law.errors(*at)[:, 0]
-        size = math.sqrt(np.square(found).sum() / np.square(true).sum())
-        of_law = np.square(modes[0]).sum() / np.square(found).sum()
+        points = np.tile(x, (len(angles), 1))
+        points[:, 0] = angles
+        residual = law(points, np.full(len(angles), depth)) - force
+        best = angles[np.square(residual).sum(axis=(1, 2)).argmin()]
+        point = x[None], np.array([depth])
+        predicted, modes = law(*point)[0], law.errors(*point)[:, 0]
+        size = math.sqrt(np.square(predicted).sum() / np.square(force).sum())
+        of_law = np.square(modes[0]).sum() / np.square(predicted).sum()
         rough = float(x[AXES.index("cells")]) ** legs.ROUGHER
         sd = math.sqrt(of_law + law.process.nugget[0] * rough**2)
         yield Truth(kind, x, size - 1.0, math.log(size) / sd, float(best - x[0]))
 
 
 def page(law: legs.Legs) -> None:
-    """Write the page: how cases predict each other, and how truths are met."""
-    found = list(judged(law))
+    """Write the page: errors of cases left out, and of simulations that were never fitted."""
+    truths = list(judged(law))
     rows = []
     shapes = {curvature: leg for leg, curvature in legs.CURVATURES.items()}
-    names = {t.kind: [u for u in found if u.kind == t.kind] for t in found}
-    names |= {
-        f"others, {LEG_NAMES[leg]}": [t for t in found if t.kind != "Li's legs"
+    groups = {t.kind: [u for u in truths if u.kind == t.kind] for t in truths}
+    groups |= {
+        f"others, {LEG_NAMES[leg]}": [t for t in truths if t.kind != "Li's legs"
                                       and shapes[t.x[-1]] == leg] for leg in law.legs
     }  # fmt: skip
-    for name, some in names.items():
-        if some:
+    for name, group in groups.items():
+        if group:
             phi, size, z = (
-                np.abs([getattr(t, key) for t in some]) for key in ("phi_deg", "size", "z")
+                np.abs([getattr(t, key) for t in group]) for key in ("phi_deg", "size", "z")
             )
             rows.append((
-                name, f"{len(some)}", f"{np.median(phi):.2f}°", f"{np.quantile(phi, 0.95):.1f}°",
-                f"{100.0 * np.median(size):.1f} %", f"{100.0 * size.max():.0f} %",
+                name, f"{len(group)}",
+                f"{np.median(phi):.2f}° / {np.quantile(phi, 0.95):.1f}°",
+                f"{100.0 * np.median(size):.1f} / {100.0 * size.max():.0f} %",
                 f"{np.mean(z < 1.0):.0%}", f"{np.mean(z < 1.96):.0%}",
             ))  # fmt: skip
-    header = ("truths", "count", "φ: median", "95 %", "size: median", "largest", "within 1 SD",
-              "1.96 SD")  # fmt: skip
+    header = ("simulations", "count", "error of φ: median / 95 %", "of the size: median / largest",
+              "within 1 SD", "1.96 SD")  # fmt: skip
     parts = [
         accuracy(law),
         (
-            "Truths are simulations to which nothing was fitted: of Li's legs, and of legs "
-            "at other random points of the same ranges; of the last ten one number is at an end of "
-            "its range. The error of φ is that of the angle at which the law's forces are closest "
-            "to theirs, all else known."
+            "The next table has simulations to which nothing was fitted: Li's legs, and legs at "
+            "random points of the same ranges. *Near an end* means that one parameter is at an end "
+            "of its range. The law finds φ by least squares, with all other parameters given."
         ),
         pages.table(header, rows),
     ]
-    alt = "cases and truths over width and height, and the error of φ of truths over φ"
+    alt = "error of φ over φ for each simulation that the law was not fitted to, by leg"
     pages.write(
-        pages.DOCS, "legs", "Law legs", parts, draw(law, found), alt, script="legs.py --page"
+        pages.DOCS, "legs", "Law legs", parts, draw(law, truths), alt, script="legs.py --page"
     )
 
 
-def draw(law: legs.Legs, found: list[Truth]) -> Figure:
-    """Cases over width and height with their errors, and the errors of truths."""
-    figure = Figure(figsize=(9.0, 3.8), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    size = np.abs(law.left_out()[0][:, 0])
+def draw(law: legs.Legs, truths: list[Truth]) -> Figure:
+    """Draw the error of φ for simulations to which nothing was fitted."""
+    figure = Figure(figsize=(6.4, 3.8), layout="constrained")
+    axes = figure.subplots()
+    axes.axhspan(-1.0, 1.0, color="0.93", lw=0, label="± 1°")
+    axes.axhline(0.0, color="0.5", lw=0.8)
     for leg, marker in zip(law.legs, ("o", "^", "s"), strict=False):
-        phi, width, height = law.x[law.of(leg)][:, [0, *map(AXES.index, ("width", "hip_height"))]].T
-        area = 12.0 + 800.0 * size[law.of(leg)]
-        dots = left.scatter(width, height, area, phi, marker=marker, vmin=10, vmax=55, alpha=0.8,
-                            label=LEG_NAMES[leg])  # fmt: skip
-        some = [t for t in found if t.x[-1] == legs.CURVATURES[leg]]
-        right.plot([t.x[0] for t in some], [t.phi_deg for t in some], marker,
-                   color=pages.LEGS[leg], label=LEG_NAMES[leg])  # fmt: skip
-    places = [[t.x[AXES.index(key)] for t in found] for key in ("width", "hip_height")]
-    left.plot(*places, "+", color="black", ms=5, label="truths")
-    figure.colorbar(dots, ax=left, label="φ [deg]")
-    left.legend(frameon=False, fontsize="small", ncols=4, loc="upper center", markerscale=0.5,
-                bbox_to_anchor=(0.5, -0.15))  # fmt: skip
-    left.set(xlabel="width / length", ylabel="hip height / length")
-    left.set_title("cases; area: error of the size, left out", fontsize=10)
-    right.axhline(0.0, color="0.5", lw=0.8)
-    right.set(xlabel="φ [deg]", ylabel="error of φ [deg]")
-    right.set_title("truths", fontsize=10)
-    right.legend(frameon=False, fontsize="small")
+        points = [t for t in truths if t.x[-1] == legs.CURVATURES[leg]]
+        axes.plot([t.x[0] for t in points], [t.phi_deg for t in points], marker, ms=6,
+                  color=pages.LEGS[leg], label=LEG_NAMES[leg])  # fmt: skip
+    axes.set(xlabel="φ of the simulation [deg]", ylabel="φ by the law less that [deg]",
+             title="How well does law legs find φ of new simulations?")  # fmt: skip
+    figure.legend(loc="outside lower center", ncols=4, frameon=False)
     return figure
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import csv
+import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -13,6 +15,11 @@ LIBRARIES = ROOT / "data" / "libraries"
 DOCS = ROOT.parent / "docs"
 LEGS = {"straight": "#0072b2", "c": "#d55e00", "reversed_c": "#009e73"}
 """Shapes of legs, and their colours in all pictures."""
+WIDEST = 6
+"""Columns of a table on a page; wider tables go into a CSV file next to it."""
+NUMBER = r"[-+]?\d+(\.\d+)?"
+UNITS = {"°": "deg", " %": "%", "%": "%", " kPa": "kPa", " Pa": "Pa", " mm": "mm"}
+"""Endings of cells, and the units that they stand for."""
 
 
 def out_from(description: str) -> Path:
@@ -25,9 +32,34 @@ def out_from(description: str) -> Path:
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A table in Markdown."""
+    """Format a table in Markdown, of :data:`WIDEST` columns at most."""
+    if len(header) > WIDEST:
+        raise ValueError(f"{len(header)} columns: {header}")
     lines = [header, ["---"] * len(header), *([str(cell) for cell in row] for row in rows)]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def excerpt(
+    out: Path, name: str, header: Sequence[str], rows: Iterable[Sequence[object]],
+    shown: Sequence[str],
+) -> str:  # fmt: skip
+    """Write a table to NAME.csv, and format some of its columns for the page.
+
+    In the file a unit that all cells of a column share stands in the header.
+    """
+    cells = [[str(cell) for cell in row] for row in rows]
+    columns = dict(zip(header, map(list, zip(*cells, strict=True)), strict=True))
+    page = table(shown, zip(*(columns[key] for key in shown), strict=True))
+    plain = {}
+    for key, column in columns.items():
+        shared = [s for s in UNITS if all(re.fullmatch(rf"({NUMBER}{s})?", c) for c in column)]
+        suffix = shared[0] if any(column) and shared else ""
+        unit = f" [{UNITS[suffix]}]" if suffix else ""
+        plain[key + unit] = [cell.removesuffix(suffix) for cell in column]
+    with (out / f"{name}.csv").open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerows([[*plain], *zip(*plain.values(), strict=True)])
+    return f"{page}\n\nAll columns: [{name}.csv]({name}.csv)."
 
 
 def write(

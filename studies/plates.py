@@ -19,7 +19,6 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from matplotlib import colormaps
 from matplotlib.figure import Figure
 from scipy.optimize import least_squares
 
@@ -39,7 +38,10 @@ REPOSE_DEG = 29.0
 FIRST = 1e-3
 """Sinkage from which tests are used [m]."""
 DOWN_TO_MM = (8.0, 16.0)
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "black")
+DRAWN = {"foot": "law foot", "rft": "resistive force theory",
+         "hansen": "bearing capacity (Hansen)"}  # fmt: skip
+"""Laws in the picture and in tables of the page; the files have all."""
+COLOURS = ("#0072b2", "#d55e00", "#009e73")
 PLATE, GRAVITY = (0.0381, 0.0254), 9.81
 MEDIA = {
     "glass03_loose": ("glass beads 0.3 mm, loose", "repose 25°"),
@@ -232,19 +234,22 @@ def sizeless(values: Mapping[str, float], foot: str) -> Sizeless:
     )  # fmt: skip
 
 
-def by_law(tests: dict[str, list[Test]], off: Mapping[str, Mapping[str, np.ndarray]]) -> str:
-    """Table of each law's φ less the true one, over loose soils, at zero grain size.
+def by_law(
+    out: Path, tests: dict[str, list[Test]], off: Mapping[str, Mapping[str, np.ndarray]]
+) -> str:
+    """Tabulate each law's φ less the true one, over loose soils, at zero grain size.
 
-    ``off`` has that by law and test [deg], for all depths and down to each of DOWN_TO_R.
+    ``off`` has that by law and test [deg], for all depths and down to each of DOWN_TO_R. The page
+    has a row a law, the file a row for each law and foot.
     """
-    rows = []
-    for name, own in off.items():
+    rows, short = [], []
+    for name, errors in off.items():
         law, means, squares = law_of(name), [], []
         for foot, words in FEET.items():
-            whole = sizeless({key: float(value[0]) for key, value in own.items()}, foot)
-            values = np.array(list(whole.values.values()))
-            usual = [f"{soil}{size} {foot}" for soil in whole.values for size in ("", "-coarse")]
-            depths = np.roll(np.mean([own[key] for key in usual if key in own], axis=0), -1)
+            fine = sizeless({key: float(value[0]) for key, value in errors.items()}, foot)
+            values = np.array(list(fine.values.values()))
+            usual = [f"{soil}{size} {foot}" for soil in fine.values for size in ("", "-coarse")]
+            depths = np.roll(np.mean([errors[key] for key in usual if key in errors], axis=0), -1)
             drag = ""
             if foot == TURNED:
                 turned = [t for key, each in tests.items() if key.endswith(foot) for t in each]
@@ -252,58 +257,60 @@ def by_law(tests: dict[str, list[Test]], off: Mapping[str, Mapping[str, np.ndarr
                         for force in (law(t, 30.0, t.sinkage), t.force)]  # fmt: skip
                 of_law, of_soil = (np.mean([-x / z for x, z in lean[i::2]]) for i in (0, 1))
                 drag = f"{of_law:.2f} / {of_soil:.2f}"
-            means.append([values.mean(), *depths])
-            squares.append([np.square(values).mean(), values.var(ddof=1), whole.error**2])
+            means.append(values.mean())
+            squares.append(np.square(values).mean())
             rows.append((
-                name, words, f"{values.mean():+.1f}°", f"{whole.slope:+.2f}°",
+                name, words, f"{values.mean():+.1f}°", f"{fine.slope:+.2f}°",
                 *(f"{depth:+.1f}°" for depth in depths), f"{values.std(ddof=1):.1f}°",
-                f"{whole.error:.1f}°", drag,
+                f"{fine.error:.1f}°", drag,
             ))  # fmt: skip
-        overall = np.mean(means, axis=0)
-        rms, of_soils, of_size = np.sqrt(np.mean(squares, axis=0))
-        rows.append((
-            name, "all", f"{overall[0]:+.1f}°", "", *(f"{depth:+.1f}°" for depth in overall[1:]),
-            f"{of_soils:.1f}°", f"{of_size:.1f}°", f"{rms:.1f}°",
-        ))  # fmt: skip
+        short.append((name, *(f"{mean:+.1f}°" for mean in (*means, np.mean(means))),
+                      f"{np.sqrt(np.mean(squares)):.1f}°"))  # fmt: skip
     windows = [*(f"down to {depth:g} R" for depth in DOWN_TO_R), "all depths"]
     header = ("law", "foot", "φ less measured", "each mm of grains adds",
-              *(f"{window}, as it is" for window in windows), "SD of soils",
-              "error of the size", "drag over lift: law / grains; all: RMS")  # fmt: skip
-    return pages.table(header, rows)
+              *(f"{window}, grains as they are" for window in windows), "SD of soils",
+              "error of the size", "drag over lift: law / grains")  # fmt: skip
+    link = pages.excerpt(out, "plates_feet", header, rows, ("law",)).rpartition("\n\n")[2]
+    shown = pages.table(("law", *FEET.values(), "mean", "RMS"), short)
+    return f"{shown}\n\n{link.replace('All columns', 'By depth, and errors')}"
 
 
-def by_soil(strength: Mapping[str, float], off: Mapping[str, Mapping[str, np.ndarray]],
-            phi: Mapping[str, float]) -> str:  # fmt: skip
-    """Table of lifts, and of each law's φ less the true one, in each soil."""
+def by_soil(out: Path, strength: Mapping[str, float], phi: Mapping[str, float],
+            off: Mapping[str, Mapping[str, np.ndarray]]) -> str:  # fmt: skip
+    """Tabulate lifts, and each law's φ less the true one, in each soil."""
     rows = [
         (
             soil, f"{angle:.1f}°", f"{elements.measured(GRAINS, base(soil)).phi_peak_deg:.1f}°",
             *(f"{np.exp(strength[f'{soil} {foot}']):.0f}" for foot in FEET),
-            *(f"{np.mean([own[key][0] for key in keys if key in own]):+.1f}°"
-              for own in off.values()),
+            *(f"{np.mean([errors[key][0] for key in keys if key in errors]):+.1f}°"
+              for errors in off.values()),
         )
         for soil, angle in phi.items()
         for keys in [[f"{soil} {foot}" for foot in FEET]]
     ]  # fmt: skip
-    return pages.table(("soil", "critical φ", "peak", *FEET.values(), *off), rows)
+    header = ("soil", "critical φ", "peak", *(f"lift: {foot}" for foot in FEET.values()), *off)
+    shown = ("soil", "critical φ", "peak", *DRAWN)
+    return pages.excerpt(out, "plates_soils", header, rows, shown)
 
 
-def by_setting(tests: dict[str, list[Test]], strength: Mapping[str, float],
+def by_setting(out: Path, tests: dict[str, list[Test]], strength: Mapping[str, float],
                off: Mapping[str, Mapping[str, np.ndarray]]) -> str:  # fmt: skip
-    """Table of what the size of grains and foot, speed and bed do to the lift and to φ."""
-    values = [strength, *({key: float(v[0]) for key, v in own.items()} for own in off.values())]
-    found = [(words, [difference(own, *parts) for own in values]) for words, *parts in CHECKS]
+    """Tabulate the effect of the size of grains and foot, speed and bed on the lift and on φ."""
+    values = [strength, *({key: float(v[0]) for key, v in errors.items()}
+                          for errors in off.values())]  # fmt: skip
+    changes = [(words, [difference(each, *parts) for each in values]) for words, *parts in CHECKS]
     for foot, words in FEET.items():
-        change = [-SIZE_MM * sizeless(own, foot).slope for own in values]
-        found.append((f"zero grain size, not {SIZE_MM:g} mm: {words}", change))
+        change = [-SIZE_MM * sizeless(each, foot).slope for each in values]
+        changes.append((f"zero grain size, not {SIZE_MM:g} mm: {words}", change))
     rows = [
         (words, f"{np.expm1(lift):+.0%}",
-         *("" if np.isnan(change) else f"{change:+.1f}°" for change in changes))
-        for words, (lift, *changes) in found if np.isfinite(lift)
+         *("" if np.isnan(change) else f"{change:+.1f}°" for change in angles))
+        for words, (lift, *angles) in changes if np.isfinite(lift)
     ]  # fmt: skip
-    seeds = [np.var([log_strength(t) for t in own], ddof=1) for own in tests.values() if own[1:]]
+    seeds = [np.var([log_strength(t) for t in each], ddof=1) for each in tests.values() if each[1:]]
     rows.append(("another bed (SD)", f"{np.sqrt(np.mean(seeds)):.0%}", *[""] * len(off)))
-    return pages.table(("what differs", "F / ρgR³", *off), rows)
+    header = ("what differs", "F / ρgR³", *off)
+    return pages.excerpt(out, "plates_settings", header, rows, (*header[:2], *DRAWN))
 
 
 def inclined(medium: str) -> dict[tuple[float, float], tuple[float, float]]:
@@ -387,145 +394,119 @@ def of_small_plates() -> list[tuple[str, ...]]:
     return rows
 
 
-def draw(
-    tests: list[Test], fits: dict[str, list[terraphi.Answer]],
-    by_window: dict[str, np.ndarray], grains: dict[str, list[Test]],
-    off: Mapping[str, Mapping[str, np.ndarray]], phi: Mapping[str, float],
-) -> Figure:  # fmt: skip
-    """Plates: forces with each law at its φ, φ by test and by depth; the same for grains."""
-    figure = Figure(figsize=(12.0, 7.6), layout="constrained")
-    (forces, whole, windows), (reduced, soils, depths) = figure.subplots(2, 3)
-    for test in tests:
-        forces.plot(1e3 * test.sinkage, test.force[:, 1], ".", ms=3, color="grey")
-    colours = dict(zip(LAWS, COLOURS, strict=True))
-    for name, answers in fits.items():
-        mean = float(np.mean([answer.phi.median for answer in answers]))
-        for i, diameter in enumerate(sorted({test.diameter for test in tests})):
-            own = [t.diameter == diameter for t in tests]
-            record = answers[own.index(True)].records[0]
-            label = f"{name}, {mean:.1f}°" if i == 0 else None
-            forces.plot(record.theta_deg, record.curve[0], color=colours[name], lw=1, label=label)
-            line = ("-", "--")[i % 2]
-            windows.plot(DOWN_TO_MM, by_window[name][own].mean(axis=0), line, color=colours[name])
-        whole.plot([1e3 * t.diameter for t in tests], [answer.phi.median for answer in answers],
-                   "o", color=colours[name], ms=4)  # fmt: skip
-    forces.set(xlabel="sinkage [mm]", ylabel="force [N]", title="plates in sand: laws at their φ")
-    whole.set(xlabel="diameter [mm]", ylabel="φ [deg]", title="each test")
-    windows.set(xlabel="down to [mm]", ylabel="φ [deg]", title="by depth; dashed: 100 mm")
-    forces.legend(frameon=False, fontsize="x-small")
-    shades = colormaps["viridis"](np.linspace(0.0, 0.9, len(phi)))
-    for shade, (soil, angle) in zip(shades, phi.items(), strict=True):
-        for line, foot in zip(("-", "--"), FEET, strict=False):
-            for i, test in enumerate(grains[f"{soil} {foot}"]):
-                radius = test.foot.radius
-                label = f"{soil[0]}, {angle:.1f}°" if line == "-" and i == 0 else None
-                lift = test.force[:, 1] / (test.density * GRAVITY * radius**3)
-                reduced.plot(test.sinkage / radius, lift, line, color=shade, lw=1.0, label=label)
-    for name, own in off.items():
-        for mark, line, foot in zip("os^", ("-", "--", ":"), FEET, strict=True):
-            if f"{next(iter(phi))} {foot}" not in own:
-                continue
-            values = np.array([own[f"{soil} {foot}"] for soil in phi])
-            soils.plot(phi.values(), values[:, 0], mark, color=colours[name], ms=4, mfc="none")
-            depths.plot(DOWN_TO_R, values[:, 1:].mean(axis=0), line, color=colours[name])
-    for axes in (soils, depths):
-        axes.axhline(0.0, color="grey", lw=0.8)
-    reduced.set(xlabel="depth / R", ylabel="lift / ρ g R³", title="in grains; dashed: disc, 60 mm")
-    soils.set(xlabel="φ of the shear cell [deg]", ylabel="φ by law less that [deg]",
-              title="circles: ball, squares: disc, triangles: 45°")  # fmt: skip
-    depths.set(xlabel="down to [R]", ylabel="φ by law less measured [deg]",
-               title="by depth; dashed: disc, dotted: 45°")  # fmt: skip
-    reduced.legend(frameon=False, fontsize="x-small")
+def draw(off: Mapping[str, Mapping[str, np.ndarray]], phi: Mapping[str, float]) -> Figure:
+    """Draw the error of φ by each law in loose grains: mean and range over the three feet."""
+    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
+    axes = figure.subplots()
+    axes.axhline(0.0, color="grey", lw=0.8)
+    for k, (name, words) in enumerate(DRAWN.items()):
+        errors = np.array([[off[name][f"{soil} {foot}"][0] for foot in FEET] for soil in phi])
+        place = np.array([*phi.values()]) + 0.25 * (k - 1)
+        axes.vlines(place, errors.min(axis=1), errors.max(axis=1), color=COLOURS[k], lw=1.5)
+        axes.plot(place, errors.mean(axis=1), "os^"[k], color=COLOURS[k], ms=6, label=words)
+    axes.set(xlabel="critical φ by a shear cell [deg]", ylabel="φ by the law less that [deg]",
+             title="How far off is φ by each law in loose grains?")  # fmt: skip
+    figure.legend(loc="outside lower center", ncols=3, frameon=False)
     return figure
+
+
+def measured_plates() -> str:
+    """Tabulate φ of the measured plates by each law, of whole tests and by depth."""
+    tests, rows = measured(), []
+    for name in LAWS:
+        answers = [inverted(test, name) for test in tests]
+        phi = np.array([answer.phi.median for answer in answers])
+        by_depth = np.array([
+            [inverted(t.between(0.0, d / 1e3), name).phi.median for d in DOWN_TO_MM] for t in tests
+        ])  # fmt: skip
+        diameters = np.array([test.diameter for test in tests])
+        repeats = [np.var(phi[diameters == d], ddof=1) for d in np.unique(diameters)]
+        rows.append((
+            name, f"{phi.mean():.1f}°", f"{np.sqrt(np.mean(repeats)):.1f}°",
+            *(f"{value:.1f}°" for value in by_depth.mean(axis=0)),
+            f"{np.mean([answer.nrmsd['Fz'] for answer in answers]):.0%}",
+        ))  # fmt: skip
+    windows = [f"down to {depth:g} mm" for depth in DOWN_TO_MM]
+    header = ("law", "φ, mean of tests", "SD of repeats", *windows, "residual")
+    return (
+        f"{len(tests)} tests with plates of 60 and 100 mm in sand with an angle of repose of "
+        f"{REPOSE_DEG:g}°. The sand was not sheared. φ is that of `terraphi invert --tool`. "
+        "Residuals are over the range of the force. Angles above "
+        f"{LOOSE_DEG:.0f}° are out of range.\n\n{pages.table(header, rows)}"
+    )
 
 
 def main() -> None:
     """Fit, and write the page."""
-    out, tests = pages.out_from(str(__doc__)), measured()
-    rows, fits, by_window = [], {}, {}
-    for name in LAWS:
-        fits[name] = [inverted(test, name) for test in tests]
-        read = np.array([answer.phi.median for answer in fits[name]])
-        by_window[name] = np.array([
-            [inverted(t.between(0.0, d / 1e3), name).phi.median for d in DOWN_TO_MM] for t in tests
-        ])  # fmt: skip
-        of_diameter = np.array([test.diameter for test in tests])
-        repeats = [np.var(read[of_diameter == d], ddof=1) for d in np.unique(of_diameter)]
-        rows.append((
-            name, f"{read.mean():.1f}°", f"{np.sqrt(np.mean(repeats)):.1f}°",
-            *(f"{value:.1f}°" for value in by_window[name].mean(axis=0)),
-            f"{np.mean([answer.nrmsd['Fz'] for answer in fits[name]]):.0%}",
-        ))  # fmt: skip
-    windows = [f"down to {depth:g} mm" for depth in DOWN_TO_MM]
-    header = ("law", "φ, mean of tests", "between repeats", *windows, "residual")
-    compared = ("plate of 38 × 25 mm in", "angle", "pressed down", "moved along")
-    of_motions = ("medium", "angle", "φ by the three legs", "φ, all motions",
-                  "residual, vertical", "residual, along",
-                  "model over measured, level plate down", "the same, upright plate along",
-                  *(f"level plate down, {name}" for name in LAWS))  # fmt: skip
-    grains = in_grains()
+    out, grains = pages.out_from(str(__doc__)), in_grains()
     true = {
         soil: elements.measured(GRAINS, base(soil)).phi_critical_deg
         for soil in dict.fromkeys(key.split()[0] for key in grains)
     }
     off = {
         name: {
-            key: np.mean([angles(name, test) for test in own], axis=0) - true[key.split()[0]]
-            for key, own in grains.items()
+            key: np.mean([angles(name, test) for test in each], axis=0) - true[key.split()[0]]
+            for key, each in grains.items()
         }
         for name in LAWS
     }
     full = [soil for soil in true if all(f"{soil} {foot}" in grains for foot in FEET)]
-    others = ("slow", "narrow", "wide")
     phi = {soil: true[soil] for soil in sorted(full, key=true.__getitem__)
-           if not soil.endswith(others)}  # fmt: skip
+           if not soil.endswith(("slow", "narrow", "wide"))}  # fmt: skip
     one_size = {soil: angle for soil, angle in phi.items() if soil.endswith("loose-coarse")}
-    strength = {key: float(np.mean([log_strength(t) for t in own])) for key, own in grains.items()}
+    strength = {key: float(np.mean([log_strength(t) for t in each]))
+                for key, each in grains.items()}  # fmt: skip
+    compared = ("plate of 38 × 25 mm in", "angle", "pressed down", "moved along")
+    of_motions = ("medium", "angle", "φ by the three legs", "φ, all motions",
+                  "residual, vertical", "residual, along",
+                  "model over measured, level plate down", "the same, upright plate along",
+                  *(f"level plate, {name}" for name in LAWS))  # fmt: skip
     parts = [
         (
-            f"{len(tests)} tests with plates of 60 and 100 mm in sand with an angle of repose of "
-            f"{REPOSE_DEG:g}°; there was no shear test. φ is that of `terraphi invert --tool`, of "
-            "whole tests and of the part down to a depth; residuals are over the force's range. "
-            f"Answers above {LOOSE_DEG:.0f}° are out of range."
+            f"{sum(map(len, grains.values()))} balls and discs were pressed 1.5 R deep into "
+            "spheres that are simulated one by one. A shear cell measured the critical φ of these "
+            "grains in plane strain. Grains are loose unless a row names another packing, and have "
+            "6 mm or 8.8 mm (-coarse). Beds are 30 diameters wide. `terraphi invert --tool` gives "
+            "φ of feet that go straight down, without their friction (0.35)."
         ),
-        pages.table(header, rows),
-        "## Feet pressed into simulated grains",
         (
-            f"{sum(len(own) for own in grains.values())} balls and discs pressed 1.5 R deep into "
-            "spheres simulated one by one, loose unless a row names another packing, of 6 and 8.8 "
-            "mm (-coarse), in beds 30 diameters wide. A shear cell measured their critical φ in "
-            "plane strain. φ of feet that go straight down is that of `terraphi invert --tool`, "
-            "with a friction of the foot that is not given; the grains' is 0.35. φ less measured "
-            "is extrapolated to zero grain size, by a line over the size, as steep in all soils."
+            "The table has φ by each law less the measured φ, extrapolated to zero grain size by "
+            "a line over the size that is equally steep in all soils."
         ),
-        by_law(grains, off),
-        "By soil: lift over ρ g R³, mean between R/2 and 3R/2, and φ by law less critical φ.",
-        by_soil(strength, off, phi),
+        by_law(out, grains, off),
         (
-            "What else a record depends on: change of the lift, and of φ by each law. One bed "
-            "scatters by the last row, which smaller changes do not pass. Grains are 6 mm unless "
-            "a row has another size."
+            "By soil, with grains of the size they have: φ by law less critical φ, mean of the "
+            "three feet."
         ),
-        by_setting(grains, strength, off),
+        by_soil(out, strength, phi, off),
+        "## What else changes φ",
+        (
+            "Change of the lift, and of φ by each law. One bed scatters by the last row. Changes "
+            "smaller than that are not significant. Grains have 6 mm unless a row names a size."
+        ),
+        by_setting(out, grains, strength, off),
+        "## Measured plates",
+        measured_plates(),
         "## A plate at all inclinations",
         (
-            "Raw values of Li et al. (2013), Table S5: stress per depth over ρ g on a plate of "
-            "38 by 25 mm at six inclinations that moves along, down and between. Resistive force "
-            "theory with one φ for all motions in a medium; residuals are RMS over the largest "
-            "value. Bearing capacity knows only a level plate: φ by each law from that, fitted for "
-            "a disc of the same area down to 25 mm. φ of `rft` is in plane strain."
+            "Li et al. (2013), Table S5, measured the stress per depth on a plate of 38 by 25 mm "
+            "at six inclinations that moves along, down and between. Resistive force theory is "
+            "fitted with one φ for all motions in a medium. Other laws are fitted to the level "
+            "plate only, as a disc of the same area down to 25 mm. φ of `rft` is in plane strain."
         ),
-        pages.table(of_motions, of_inclined_plates()),
+        pages.excerpt(
+            out, "plates_inclined", of_motions, of_inclined_plates(),
+            (*of_motions[:4], "level plate, foot", "level plate, rft"),
+        ),
         (
-            "The same plate flat and pressed down, and upright and moved along, in grains and in "
-            "`sand3d`. The Fourier coefficients that resistive force theory is used with are 5 to "
+            "Stress per depth over ρ g on the same plate, flat and pressed down, and upright and "
+            "moved along. The Fourier coefficients of resistive force theory are 5 to "
             "28 % lower than the measured values pressed down and 14 to 25 % higher moved along."
         ),
         pages.table(compared, of_small_plates()),
-    ]
-    alt = "forces on plates and on feet in grains, and φ by each law over tests, soils and depths"
-    figure = draw(tests, fits, by_window, grains, off, one_size)
-    pages.write(out, "plates", "Plates and feet pressed in", parts, figure, alt)
+    ]  # fmt: skip
+    alt = "φ by laws foot, rft and hansen less φ of the shear cell, over φ, for six loose soils"
+    pages.write(out, "plates", "Plates and feet pressed in", parts, draw(off, one_size), alt)
 
 
 if __name__ == "__main__":

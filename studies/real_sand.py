@@ -106,14 +106,15 @@ def main() -> None:
         for a in answers
     ]
     header = ("medium", "leg", "repose", "φ", "68 %", "95 %", "NRMSD Fx / Fz", "verdict")
+    shown = ("medium", "leg", "repose", "φ", "95 %", "verdict")
     parts = [
         (
             "`terraphi invert` on every record of Li et al. (2013). Law `legs` was not fitted to "
-            "them; what an apparatus adds to the interval, the error of a part of a stroke and the "
-            "shift from which an answer warns were learned from them."
+            "these records. They were used only for the error of an apparatus, the error of a part "
+            "of a stroke, and the shift of θ from which an answer warns."
         ),
         "\n".join(f"- {line}" for line in summary(answers)),
-        pages.table(header, rows),
+        pages.excerpt(out, "real_sand", header, rows, shown),
     ]
     alt = "friction angles by medium and leg with their intervals; open circles: not consistent"
     pages.write(out, "real_sand", "Measured sands", parts, draw(answers), alt)

@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 
 import pages
 import terraphi
+from terraphi.experiment.rig import LEG_NAMES
 
 BASE = "sand3d-simulated.nc"
 VARIANTS = {
@@ -25,6 +26,9 @@ VARIANTS = {
     "speed-up halved": "sand3d-speed-up.nc",
     "27 particles a cell": "sand3d-particles.nc",
 }
+DRAWN = "cells of 2.5 mm"
+STRONG_DEG = 35.0
+"""Angle above which changes stand in a column of their own [deg]."""
 WINDOW_DEG = 85.0
 ANGLES = np.radians(np.arange(-WINDOW_DEG + 1.0, WINDOW_DEG))
 
@@ -82,24 +86,25 @@ def pair(values: np.ndarray, digits: str = "+.1f", unit: str = "") -> str:
     return " / ".join(f"{value:{digits}}" for value in values) + unit
 
 
+def span(changes_of_phi: list[Change]) -> str:
+    """Format the smallest and the largest change over φ and both forces [deg]."""
+    values = [value for change in changes_of_phi for value in change.degrees]
+    ends = dict.fromkeys(f"{end:+.1f}" for end in (min(values, default=0), max(values, default=0)))
+    return f"{' to '.join(ends)}°" if values else ""
+
+
 def draw(found: list[Change]) -> Figure:
-    """Changes in degrees over φ, by leg, a panel a variant."""
-    figure = Figure(figsize=(11.0, 3.4), layout="constrained")
-    names = list(dict.fromkeys(change.variant for change in found))
-    for axes, name in zip(
-        figure.subplots(1, len(names), sharex=True, sharey=True), names, strict=True
-    ):
-        for leg, colour in pages.LEGS.items():
-            own = [c for c in found if c.variant == name and c.leg == leg]
-            for axis, marker in ((0, "x"), (1, "o")):
-                look = {"color": colour, "marker": marker, "ms": 5, "lw": 0.8, "mfc": "none"}
-                label = f"{leg}, {('Fx', 'Fz')[axis]}"
-                axes.plot([c.phi_deg for c in own], [c.degrees[axis] for c in own],
-                          label=label, **look)  # fmt: skip
-        axes.axhline(0.0, color="grey", lw=0.8)
-        axes.set(title=name, xlabel="φ [deg]")
-    figure.axes[0].set_ylabel("change of the mean force [deg of φ]")
-    figure.axes[0].legend(frameon=False, fontsize=6)
+    """Draw the effect of finer cells on the mean force, as degrees of φ, by leg."""
+    figure = Figure(figsize=(6.4, 3.8), layout="constrained")
+    axes = figure.subplots()
+    axes.axhline(0.0, color="grey", lw=0.8)
+    for leg, colour in pages.LEGS.items():
+        finer = [c for c in found if c.variant == DRAWN and c.leg == leg]
+        axes.plot([c.phi_deg for c in finer], [c.degrees.mean() for c in finer], "o-",
+                  color=colour, label=LEG_NAMES[leg])  # fmt: skip
+    axes.set(xlabel="φ [deg]", ylabel="change of the force, as φ [deg]",
+             title=f"How much do {DRAWN}, not 5 mm, change φ?")  # fmt: skip
+    figure.legend(loc="outside lower center", ncols=3, frameon=False)
     return figure
 
 
@@ -108,32 +113,38 @@ def main() -> None:
     out = pages.out_from(str(__doc__))
     found = list(changes())
     rows = [
-        (
-            c.variant,
-            c.leg,
-            f"{c.phi_deg:g}°",
-            pair(c.percent, "+.1f", " %"),
-            pair(c.degrees, "+.1f", "°"),
-            pair(c.apart, ".1f", " %"),
-        )
+        (c.variant, c.leg, f"{c.phi_deg:g}°", pair(c.percent, "+.1f", " %"),
+         pair(c.degrees, "+.1f", "°"), pair(c.apart, ".1f", " %"))
         for c in found
-    ]
-    header = ("changed", "leg", "φ", "mean |Fx| / |Fz|", "as φ", "apart, of peak-to-peak")
+    ]  # fmt: skip
+    header = ("changed", "leg", "φ", "mean |Fx| / |Fz|", "as φ", "residual over peak-to-peak")
+    short = []
+    for variant in VARIANTS:
+        for leg in pages.LEGS:
+            of_leg = [c for c in found if (c.variant, c.leg) == (variant, leg)]
+            low, high = (
+                span([c for c in of_leg if (c.phi_deg > STRONG_DEG) == strong])
+                for strong in (False, True)
+            )
+            if of_leg:
+                short.append((variant, LEG_NAMES[leg], low, high))
+    link = pages.excerpt(out, "resolution", header, rows, ("changed",)).rpartition("\n\n")[2]
     parts = [
         (
             "Preset `sand3d` has cells of 5 mm, 8 particles in each, and a speed-up of 10, as law "
-            "`legs` has for a leg of Li et al. It is compared with the same on other numerics: the "
-            "change of the mean |force| over |θ| < 85°, by how much more friction would have that "
-            "mean, and how far the curves are apart."
+            "`legs` has for a leg of Li et al. The table has the change of the mean |force| over "
+            "|θ| < 85° on other numerics, as the change of φ with the same effect. The range is "
+            "that over φ and both forces."
         ),
-        pages.table(header, rows),
+        pages.table(("changed", "leg", f"φ of 20 to {STRONG_DEG:g}°", "φ of 45 and 50°"), short),
+        link,
         (
             "Seeds, tip, phases, time step, box and stiffness were changed one at a time for the "
             "straight leg at 35°: `studies/data/space.csv` has the forces. Particle seeds alone "
             "move means by 2 % and peaks by 7 %."
         ),
     ]
-    alt = "change of the mean force in degrees of φ, by leg and force, for each change of numerics"
+    alt = "change of the mean force in cells of 2.5 mm, in degrees of φ, over φ, by leg"
     title = "Cells, speed-up and particles of sand3d"
     pages.write(out, "resolution", title, parts, draw(found), alt)
 

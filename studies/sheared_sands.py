@@ -82,6 +82,7 @@ class Row(NamedTuple):
     """Chance that the soil compacts [-]."""
     course: str
     """Angle by the part down to each depth."""
+    phi_deg: float = math.nan
 
 
 def table(name: str) -> pd.DataFrame:
@@ -116,7 +117,7 @@ def read(name: str, plate: pd.DataFrame, tool: str, expected: str, density: floa
     return Row(sand, test, expected, f"{whole.phi.median:.0f}° ({low:.0f} to {high:.0f}°)",
                whole.phi.ci95, whole.verdict, whole.provenance["contraction"],
                whole.phi.median - COMPACTING_DEG * compacts, compacts,
-               ", ".join(course))  # fmt: skip
+               ", ".join(course), whole.phi.median)  # fmt: skip
 
 
 def plates() -> list[Row]:
@@ -248,99 +249,85 @@ def footings() -> list[tuple[str, ...]]:
     return rows
 
 
-def draw() -> Figure:
-    """Pressures over sinkage."""
-    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    labels = dict(zip(CULLINAN, ("loosest", "medium", "densest"), strict=True))
-    for k, preparation in enumerate(CULLINAN):
-        for test, plate in table("cullinan_plates.csv").groupby("test"):
-            if str(test).startswith(f"{preparation}_test"):
-                label = labels.pop(preparation, None)
-                left.plot(plate.sinkage_mm, plate.pressure_kPa, color=f"C{k}", label=label)
-    left.set(xlabel="sinkage [mm]", ylabel="pressure [kPa]", yscale="log", ylim=(1.0, None),
-             title="Cullinan sand")  # fmt: skip
-    left.legend(frameon=False, fontsize="small")
-    simulations = simulated()
-    for k, (name, course) in enumerate(table("toyoura_footing.csv").groupby("test")):
-        right.plot(course.s_over_B, course.q_kPa, color=f"C{k}", label=str(name))
-        own = simulations[simulations.test == name]
-        right.plot(own.s_over_B, own.q_kPa, "--", color=f"C{k}", lw=1.0)
-    right.plot([], [], "--", color="black", lw=1.0, label="simulated")
-    right.set(xlabel="settlement / width", ylabel="pressure [kPa]", title="Toyoura sand, strip")
-    right.legend(frameon=False, fontsize="small")
+def draw(rows: list[Row], truth: tuple[float, float]) -> Figure:
+    """Draw φ of each plate on Cullinan sand, and the critical angle of the triaxial tests."""
+    figure = Figure(figsize=(6.4, 3.8), layout="constrained")
+    axes = figure.subplots()
+    angle, sd = truth
+    axes.axhspan(angle - sd, angle + sd, color="0.85", lw=0, label="triaxial tests, ± 1 SD")
+    looks = {"consistent": ("o", "#0072b2", "plate, consistent"),
+             "out_of_range": ("x", "#d55e00", "plate, out of range")}  # fmt: skip
+    for verdict, (mark, colour, label) in looks.items():
+        places = [k for k, row in enumerate(rows) if row.verdict == verdict]
+        ends = np.array([rows[k].ci95 for k in places]).reshape(-1, 2)
+        axes.vlines(places, ends[:, 0], ends[:, 1], color=colour)
+        axes.plot(places, [rows[k].phi_deg for k in places], mark, color=colour, label=label)
+    loose = sum(row.test.startswith(CULLINAN[0]) for row in rows)
+    names = [*(f"loose {k + 1}" for k in range(loose)), "medium", "dense"]
+    axes.set_xticks(range(len(rows)), names)
+    axes.set(ylabel="φ by law foot, 95 % [deg]",
+             title="Do plates find the sheared angle of Cullinan sand?")  # fmt: skip
+    figure.legend(loc="outside lower center", ncols=3, frameon=False)
     return figure
 
 
 def main() -> None:
     """Read, and write the page."""
     out = pages.out_from(str(__doc__).splitlines()[0])
-    rows, strips, angle = plates(), footings(), critical_deg()
+    rows, strips, truth = plates(), footings(), critical_deg()
     loose = [row for row in rows if row.test.startswith(CULLINAN[0])]
-    others = [row for row in rows if row not in loose]
-    hold = sum(row.ci95[0] <= angle[0] <= row.ci95[1] for row in loose)
-    offset, before, after = compaction(loose, angle[0])
-    verdicts = ", ".join(f"{sum(row.verdict == v for row in loose)} {v}"
-                         for v in dict.fromkeys(row.verdict for row in loose))  # fmt: skip
-    answered = sum(row.verdict == "consistent" for row in others)
+    denser = [row for row in rows if row not in loose]
+    hold = sum(row.ci95[0] <= truth[0] <= row.ci95[1] for row in loose)
+    offset, before, after = compaction(loose, truth[0])
+    consistent, answered = (
+        sum(row.verdict == "consistent" for row in group) for group in (loose, denser)
+    )
+    of_plates = ("sand", "test", "expected", "φ (95 %)", "verdict", "compaction",
+                 "down to 20, 40, 60 mm")  # fmt: skip
+    of_strips = ("footing", "critical", "peak", "φ by capacity", "share of the way to the peak",
+                 "peak (95 %) by the critical angle", "peak load", "simulated", "difference",
+                 "φ of the simulated load")  # fmt: skip
     parts = [
         (
-            "Plates and a footing on sands that others sheared. φ is in plane strain; what is "
-            "expected is the critical angle of loose sand, and between critical and peak of "
-            f"dense. Three drained triaxial tests of loose Cullinan sand end at {angle[0]:.1f} ± "
-            f"{angle[1]:.1f}° as angles of plane strain. The densities of its loosest plates are "
-            "not stated, and taken as 1350 kg/m³."
+            "Others sheared these sands, and pressed plates and a footing into them. φ is in plane "
+            "strain. The angle expected of loose sand is its critical angle; dense sand lies "
+            "between critical and peak. Three drained triaxial tests of loose Cullinan sand give a "
+            f"critical angle of {truth[0]:.1f} ± {truth[1]:.1f}° in plane strain. The densities "
+            "of its loosest plates are not published; 1350 kg/m³ is assumed."
         ),
-        pages.table(
-            (
-                "sand",
-                "test",
-                "expected",
-                "φ (95 %)",
-                "verdict",
-                "compaction",
-                "down to 20, 40, 60 mm",
-            ),
+        pages.excerpt(
+            out, "sheared_sands_plates", of_plates,
             [(*row[:4], row.verdict, f"{row.contraction:.2f}", row.course) for row in rows],
+            of_plates[:6],
         ),
         (
-            f"Of the {len(loose)} loosest plates ({verdicts}) {hold} hold {angle[0]:.0f}° in their "
-            f"95 % interval. Without an offset they read {before:.1f}° wrong (root mean square). "
-            f"The offset of soil that compacts, {offset:+.1f}°, is learned from them; each left "
-            f"out in turn, {after:.1f}° remain, and ± {CONVERSION_SD_DEG:g}° of the triaxial tests "
-            "in common. No other sand that compacts is known. Of the others, denser or on the "
-            f"wheel test bed, {answered} of {len(others)} are consistent: "
-            "law `foot` is of loose soil."
+            f"{consistent} of the {len(loose)} loosest plates are consistent, and {hold} hold "
+            f"{truth[0]:.0f}° in their 95 % interval. Without an offset their error is "
+            f"{before:.1f}° (root mean square). The offset of soil that compacts, {offset:+.1f}°, "
+            f"is learned from these plates. With each plate left out in turn, {after:.1f}° remain; "
+            f"the triaxial tests share an error of ± {CONVERSION_SD_DEG:g}°. Of the other plates, "
+            f"on denser sand or on the wheel test bed, {answered} of {len(denser)} are "
+            "consistent: law `foot` holds for loose soil."
         ),
         (
-            "The strip footing at its peak load, by bearing capacity, and plane-strain tests at "
-            f"the same void ratio and {STRESS_KPA:.0f} kPa:"
+            "The next table has a strip footing on Toyoura sand: φ from its peak load by bearing "
+            "capacity, and the peak angle of plane-strain tests at the same void ratio and "
+            f"{STRESS_KPA:.0f} kPa. The footing was also simulated, with the peak angle and the "
+            "dilation of these tests. Only the stiffness at the beginning was fitted."
         ),
-        pages.table(
-            (
-                "footing",
-                "critical",
-                "peak",
-                "read",
-                "share of the way",
-                "peak (95 %) by the critical angle",
-                "peak load",
-                "simulated at that settlement",
-                "difference",
-                "read off the simulation",
-            ),
-            strips,
+        pages.excerpt(
+            out, "sheared_sands_footings", of_strips, strips,
+            ("footing", "peak", "φ by capacity", "peak load", "simulated", "difference"),
         ),
         (
-            "Simulated with the tests' peak angle and dilation, and with nothing fitted but the "
-            f"stiffness at the beginning, the load is {', '.join(row[8] for row in strips)} "
-            "against what was measured (dashed). The simulated sand does not soften, so that "
-            "its load goes on growing on the looser beds; on the densest it wavers. One grid was "
-            "tried, and on footings with exact loads the solver is some 20 % high."
+            "The simulated sand does not soften, so the load on the two looser beds keeps "
+            "growing. One grid was tried. On footings with exact loads the solver is some 20 % "
+            "too high."
         ),
-    ]
-    alt = "pressure over sinkage of plates on Cullinan sand and of a strip on Toyoura sand"
-    pages.write(out, "sheared_sands", "Sands that were sheared", parts, draw(), alt)
+    ]  # fmt: skip
+    alt = "φ of eight plates on Cullinan sand with 95 % intervals, and the triaxial angle as a band"
+    cullinan = [row for row in rows if row.sand == "Cullinan"]
+    pages.write(out, "sheared_sands", "Sands that were sheared", parts, draw(cullinan, truth), alt)
 
 
 if __name__ == "__main__":

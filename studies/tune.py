@@ -26,7 +26,7 @@ BINS = 24
 """Parts of the depth of which each press keeps the mean force."""
 HEAD = (
     "| simulator | voxel | friction of φ, and the share of the load that it carries "
-    "| tuned friction (95 %) | or density times (95 %) | residual | scatter | verdict |"
+    "| tuned friction (95 %) | or density times (95 %) | verdict: residual, scatter |"
 )
 
 
@@ -81,9 +81,7 @@ def row(result: dict[str, Any]) -> str:
         f"{result['own_value']:.{digits}f}{unit}, {result['carried']:.0%}",
         f"{result['value']:.{digits}f}{unit} ({low:.{digits}f} to {high:.{digits}f})",
         density,
-        f"{result['residual']:.0%}",
-        f"{result['scatter']:.0%}",
-        result["verdict"],
+        f"{result['verdict']}: {result['residual']:.0%}, {result['scatter']:.0%}",
     ]
     return f"| {' | '.join(cells)} |"
 
@@ -104,7 +102,7 @@ def main() -> None:
     page = PAGE.read_text(encoding="utf-8")
     for mark, content in {
         "answer": "\n".join(["```text", *sentences, "```"]),
-        "table": "\n".join([HEAD, "|---" * 8 + "|", *rows]),
+        "table": "\n".join([HEAD, "|---" * 6 + "|", *rows]),
     }.items():
         begin, end = f"<!-- {mark} of studies/tune.py -->", f"<!-- end of the {mark} -->"
         before, _, rest = page.partition(begin)

@@ -75,6 +75,7 @@ def listed() -> Iterator[tuple[str, ...]]:
             learned = soil.learn and "-loose" in name and not name.endswith(table.OTHERS)
             yield (
                 name, soil.words, f"{soil.sliding} / {soil.rolling}", head[:5],
+                means(cells(name, "shear") or ([] if soil.attraction else cells(name, "firm"))),
                 *(means(cells(name, kind)) for kind in CELLS), bodies(name),
                 "yes" if learned else "no",
             )  # fmt: skip
@@ -103,20 +104,24 @@ def unlearned(law: Legs) -> Iterator[tuple[str, ...]]:
 def main() -> None:
     """Write the page."""
     out = pages.out_from(__doc__.splitlines()[0])
+    cells_of = ("soil", "grains", "friction", "volume fraction", "critical φ", *CELLS.values(),
+                "records", "learned from")  # fmt: skip
+    of_records = ("record", "leg", "d/w", "critical φ", "φ", "φ with the size", "c", "verdict")
     parts = [
         (
-            "Friction is that between grains, sliding / rolling. Cells have critical φ in plane "
-            "strain, with the standard deviation between beds and their number. Fine and coarse "
-            "grains, stiff ones and other rates have the cells of the soil they are made of."
+            "Friction is that between grains: sliding / rolling. Shear cells give the critical φ "
+            "in plane strain, with the standard deviation between beds and their number. Fine, "
+            "coarse and stiff grains, and other rates, use the cells of the same loose soil."
         ),
-        pages.table(("soil", "grains", "friction", "volume fraction", *CELLS.values(),
-                     "records", "learned from"), listed()),
+        pages.excerpt(out, "grain_records", cells_of, listed(),
+                      ("soil", "grains", "friction", "volume fraction", "critical φ",
+                       "learned from")),
         (
-            "Records that nothing was learned from, as law `legs` reads them: without the size of "
-            "the grains and with it; in brackets less the angle of the cells."
+            "The next records were not used to learn the error of law `legs`. φ is given without "
+            "and with `--grain-size`, and in brackets less the angle of the shear cells."
         ),
-        pages.table(("record", "leg", "d/w", "critical φ", "φ", "φ with the size of the grains",
-                     "c", "verdict"), unlearned(Legs.load(table.LAW))),
+        pages.excerpt(out, "grain_records_unlearned", of_records, unlearned(Legs.load(table.LAW)),
+                      ("record", "critical φ", "φ", "φ with the size", "c", "verdict")),
     ]  # fmt: skip
     pages.write(out, "grain_records", "Simulated grains: what there is", parts,
                 script="grains/records.py")  # fmt: skip

@@ -39,7 +39,7 @@ NUMBERS = [
     (EXPLANATION + "interval.md", r"up to ± (\d+)°, that is fitted", [likelihood.SHIFT_DEG]),
     (EXPLANATION + "interval.md", r"(\d+) degrees of freedom and a scale of (\d+) Pa",
      [likelihood.COHESION_DEGREES, likelihood.COHESION_PA]),
-    (EXPLANATION + "interval.md", r"cohesion above (\d+) Pa, of a density outside (\d+) to (\d+)",
+    (EXPLANATION + "interval.md", r"cohesion above (\d+) Pa, a density outside (\d+) to (\d+)",
      [checks.COHESIVE_PA, *records.USUAL_DENSITY]),
     (EXPLANATION + "interval.md", r"angle outside (\d+) to (\d+)°", [*checks.USUAL_DEG]),
     (EXPLANATION + "interval.md", r"more than (\d+(?:\.\d+)?)° later", [checks.LARGE_SHIFT_DEG]),
