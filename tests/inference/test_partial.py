@@ -31,7 +31,7 @@ def test_information_of_the_parts_adds_up_to_that_of_the_whole(sand3d: Library) 
             cut("li2013:yuma/straight", low, high), rig="li2013", leg="straight", density=1650
         )
         likelihood = Likelihood([record], sand3d)
-        share = likelihood.strokes[0].share
+        share = likelihood.coverage[0].share
         missing = likelihood.budget()["missing angles"]
         assert missing == pytest.approx(PART_DEG * np.sqrt(1.0 / share - 1.0), rel=0.05)
         shares.append(share)

@@ -19,6 +19,7 @@ from scipy.stats import norm
 import terraphi
 from terraphi.experiment.rig import Rig
 from terraphi.inference.answer import Answer
+from terraphi.inference.combined import errors_of
 from terraphi.inference.likelihood import RIDGE, Likelihood
 from terraphi.inference.pressed import (
     COMPACTING_DEG,
@@ -32,6 +33,7 @@ from terraphi.inference.pressed import (
     SIGNIFICANT,
 )
 from terraphi.inference.records import open_record
+from terraphi.inference.terms import TERMS, Term
 from terraphi.laws.foot import LAWS, SURFACE_FRICTION, SURFACE_FRICTION_SD, Foot
 from terraphi.laws.law import CENTRE_DEG
 from terraphi.laws.legs import shipped_legs
@@ -202,33 +204,84 @@ SHARED_BY: dict[str, str] = {
 """Which answers of a joint one are off by the same cause: of one soil, law, or shape of leg."""
 
 
-def test_terms_of_a_joint_answer_are_its_scatter_when_their_causes_are_drawn() -> None:
-    """Two straight legs, a C and two tools in one soil: what they share is drawn once."""
+@pytest.fixture(scope="module")
+def bodies() -> tuple[Answer, list[Answer]]:
+    """Two straight legs, a C and two tools in one soil: the joint answer, and each by itself."""
     long = {"leg": "straight", "length_mm": 110, "width_mm": 40, "thickness_mm": 8,
             "hip_height_mm": "35±1"}  # fmt: skip
-    bodies = {"straight": "straight", "rig-long": long, "c": "c", "disc_60": "plate:60",
+    shapes = {"straight": "straight", "rig-long": long, "c": "c", "disc_60": "plate:60",
               "ball_44": "ball:44"}  # fmt: skip
-    sources = [(GRAINS / f"B-loose_{name}_1.csv", body) for name, body in bodies.items()]
+    sources = [(GRAINS / f"B-loose_{name}_1.csv", body) for name, body in shapes.items()]
     given = {"density": "1415±60", "leg": "straight", "rig": "li2013"}
-    joint = terraphi.invert(sources, **given)
     alone = [terraphi.invert(source, **given) for source in sources[:3]]
     alone += [terraphi.invert(source, density="1415±60") for source in sources[3:]]
-    weight = {each["source"]: each["weight"] for each in joint.provenance["answers"]}
-    w = np.array([weight[one.source] for one in alone])
-    assert joint.phi.median == pytest.approx(w @ [one.phi.median for one in alone], abs=0.05)
+    return terraphi.invert(sources, **given), alone
+
+
+def shifts(alone: Sequence[Answer], name: str, rng: np.random.Generator) -> np.ndarray:
+    """Errors of each answer by one term [deg], its causes drawn, shape [draw, answer]."""
     keys = {
-        "soil": [0] * len(alone), "law": [one.law for one in alone],
+        "soil": [0] * len(alone), "law": [answer.law for answer in alone],
         "shape": ["straight", "straight", "c", "plate", "ball"], "record": range(len(alone)),
     }  # fmt: skip
+    groups = [str(key) for key in keys[SHARED_BY[name]]]
+    draws = quantiles(rng, len(groups))
+    sizes = np.array([answer.budget_deg.get(name, 0.0) for answer in alone])
+    return draws[:, [groups.index(key) for key in groups]] * sizes
+
+
+def test_terms_of_a_joint_answer_are_its_scatter_when_their_causes_are_drawn(
+    bodies: tuple[Answer, list[Answer]],
+) -> None:
+    """What answers share is drawn once."""
+    joint, alone = bodies
+    weight = {each["source"]: each["weight"] for each in joint.provenance["answers"]}
+    w = np.array([weight[answer.source] for answer in alone])
+    assert joint.phi.median == pytest.approx(w @ [answer.phi.median for answer in alone], abs=0.05)
     rng = np.random.default_rng(1)
     for name, stated in joint.budget_deg.items():
-        if name == "disagreement":
-            continue
-        groups = [str(key) for key in keys[SHARED_BY[name]]]
-        draws = quantiles(rng, len(groups))
-        sizes = np.array([one.budget_deg.get(name, 0.0) for one in alone])
-        shifts = draws[:, [groups.index(key) for key in groups]] * sizes
-        assert np.std(shifts @ w) == pytest.approx(stated, rel=0.15, abs=0.01), name
+        if name != "disagreement":
+            scatter = np.std(shifts(alone, name, rng) @ w)
+            assert scatter == pytest.approx(stated, rel=0.15, abs=0.01), name
+
+
+def test_answers_are_correlated_as_draws_of_their_causes_are(
+    bodies: tuple[Answer, list[Answer]],
+) -> None:
+    """Sum of the drawn errors of all terms; moisture is each answer's own in the weights."""
+    _, alone = bodies
+    errors, rng = errors_of(alone), np.random.default_rng(2)
+    drawn = sum(
+        np.cov(shifts(alone, name, rng).T, bias=True) for name in errors.sds if name != "cohesion"
+    )
+    drawn += np.diag(np.square(errors.sds["cohesion"]))
+    sd = np.sqrt(np.diag(drawn))
+    stated = errors.covariance / np.outer(sd, sd)
+    # The intervals of tools are no normal distributions, so that their terms miss some 2 % of them.
+    np.testing.assert_allclose(stated, drawn / np.outer(sd, sd), atol=0.05)
+
+
+@pytest.mark.parametrize("key", ["record", "soil", "law"])
+def test_a_term_is_added_in_one_place(key: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A row of the table and a size: it is in the budget, in the JSON and in the joint answer."""
+    sizes = Likelihood._angle_sds
+
+    def with_temperature(self: Likelihood) -> dict[str, np.ndarray]:
+        return sizes(self) | {"temperature": np.full(len(self.records), 2.0)}
+
+    monkeypatch.setattr(Likelihood, "_angle_sds", with_temperature)
+    with pytest.raises(LookupError, match="'temperature' is not in the table"):
+        terraphi.invert("li2013:yuma/straight")
+    monkeypatch.setitem(TERMS, "temperature", Term("given", key))
+    alone = [terraphi.invert(f"li2013:yuma/{leg}") for leg in ("straight", "c")]
+    joint = terraphi.invert([f"li2013:yuma/{leg}" for leg in ("straight", "c")])
+    for answer in alone:
+        assert answer.budget_deg["temperature"] == pytest.approx(2.0, rel=0.01)
+        assert answer.as_dict()["budget_deg"]["temperature"] == answer.budget_deg["temperature"]
+    weights = [each["weight"] for each in joint.provenance["answers"]]
+    # Weights add up to 1, so that an error of both answers stays, and one of each gets less.
+    expected = 2.0 * np.hypot(*weights) if key == "record" else 2.0
+    assert joint.budget_deg["temperature"] == pytest.approx(expected, rel=0.01)
 
 
 class Pressed:

@@ -335,7 +335,7 @@ def _unusual(likelihood: Likelihood, phi: Estimate, verdict: str) -> Iterator[st
 def guesses(likelihood: Likelihood) -> Iterator[str]:
     """Sentences on what an answer takes for granted of its records."""
     for i, record in enumerate(likelihood.records):
-        density, part = likelihood.density[i], likelihood.strokes[i]
+        density, part = likelihood.density[i], likelihood.coverage[i]
         name = likelihood.prefix(record)
         spacing = float(np.median(np.diff(record.history.theta_deg)))
         if spacing > 2.0 * WINDOW_DEG / (OBSERVATION_ANGLES - 1):

@@ -1,10 +1,9 @@
 """One friction angle from several maneuvers in one soil: different rigs, plates and balls.
 
-Each answer is a normal distribution. Answers share the error of the density and what the soil does
-that no law has, those of one law what is wrong with it, and all what is not known of moisture, so
-that the best mean is that of generalized least squares. Where answers disagree by more than their
-errors, Birge's ratio widens what is each one's own, for what they share cancels in their
-difference. Far more is a misfit.
+Each answer is a normal distribution. The table of terms has which of their errors two answers
+share (:data:`~terraphi.inference.terms.TERMS`), so that the best mean is that of generalized least
+squares. Where answers differ by more than their errors, Birge's ratio widens what each answer has
+alone, because shared errors cancel in a difference. Far larger differences are a misfit.
 """
 
 from __future__ import annotations
@@ -12,167 +11,199 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from terraphi.experiment.arrays import BoolArray, FloatArray
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.rig import LEG_NAMES, Rig
-from terraphi.inference.answer import Answer, Estimate, RecordFit, Verdict, decimals
+from terraphi.inference.answer import Answer, Estimate, Verdict, decimals
 from terraphi.inference.checks import densities
+from terraphi.inference.terms import Sharer, is_shared, ordered_budget, term
 from terraphi.laws.store import PHI
 
-OF_SOIL = ("density", "model: soil")
-"""Terms that all answers share."""
-OF_LAW = ("model: law", "model: apparatus", "model: compaction", "surface friction", "rectangle",
-          "gain", "leg friction")  # fmt: skip
-"""Terms that answers by one law share; legs have one sensor and one surface."""
-OF_LEG = ("model: offset",)
-"""Terms that answers of one shape of leg share."""
 DISAGREE = 1.96
 """Standard deviations of the difference of two answers above which they are a misfit [-]: one sound
 pair in twenty, and fewer in grains, whose intervals hold more than they claim."""
 STEP_DEG = 0.05
+"""Step of the grid of the joint posterior [deg]."""
+
+
+class Errors(NamedTuple):
+    """Errors of several answers."""
+
+    sds: dict[str, FloatArray]
+    """Standard deviation of φ by term [deg], shape [answer] each."""
+    shared: dict[str, FloatArray]
+    """Correlation of each term between answers, 0 or 1, shape [answer, answer] each."""
+    covariance: FloatArray
+    """Covariance of the angles by which they are weighed [deg²], shape [answer, answer]."""
+    alone: FloatArray
+    """Variance of what no other answer shares [deg²], shape [answer]."""
+
+
+def errors_of(answers: Sequence[Answer]) -> Errors:
+    """Errors of answers, by their budgets and the table of terms."""
+    names = dict.fromkeys(name for answer in answers for name in answer.budget_deg)
+    sds = {name: np.array([a.budget_deg.get(name, 0.0) for a in answers]) for name in names}
+    sharers = [Sharer(i, a.rigs[0], a.rigs[0].leg, a.law) for i, a in enumerate(answers)]
+    shared = {name: is_shared(name, sharers).astype(float) for name in names}
+    alone = np.array([answer.phi.sd**2 for answer in answers])
+    covariance = np.diag(alone)
+    for name, sd in sds.items():
+        if term(name).weighs:
+            between = np.outer(sd, sd) * (shared[name] - np.eye(len(sd)))
+            covariance += between
+            alone = alone - np.square(sd) * between.any(axis=1)
+    return Errors(sds, shared, covariance, np.maximum(alone, 0.0))
 
 
 def combined(answers: Sequence[Answer]) -> Answer:
-    """The angle of one soil that several answers are of.
+    """Friction angle of one soil by several answers.
 
     Parameters
     ----------
     answers
-        Of the same soil at the same density, in plane strain; errors of their records are
-        independent but for the density and the law.
+        Of the same soil at the same density, in plane strain.
 
     Raises
     ------
     InputError
         If an answer is in another convention.
+    LookupError
+        If the table of terms lacks a term of an answer.
     """
-    if any(one.convention != "plane_strain" or PHI not in one.parameters for one in answers):
+    if any(a.convention != "plane_strain" or PHI not in a.parameters for a in answers):
         raise InputError("answers that are joined are of φ in plane strain; leave out --law")
-    phi = np.array([one.phi.median for one in answers])
-    terms: dict[str, FloatArray] = {
-        name: np.array([one.budget_deg.get(name, 0.0) for one in answers])
-        for name in dict.fromkeys(name for one in answers for name in one.budget_deg)
-    }
-    laws = np.array([one.law for one in answers])
-    legs = np.array([getattr(one.records[0].rig, "leg", one.source) for one in answers])
-    one_law, one_leg = (each[:, None] == each for each in (laws, legs))
-    one_soil = np.ones((len(phi),) * 2, dtype=bool)
-    # What is shared goes off the diagonal, and is not what an answer has of its own.
-    own = np.array([one.phi.sd**2 for one in answers])
-    covariance = np.diag(own)
-    same: dict[str, BoolArray] = {}
-    for names, shared in ((OF_LAW, one_law), (OF_LEG, one_leg), (OF_SOIL, one_soil)):
-        for name in names:
-            if name in terms:
-                same[name] = shared
-                share = np.outer(terms[name], terms[name]) * shared
-                covariance += share - np.diag(np.diag(share))
-                own -= np.square(terms[name]) * (shared.sum(axis=1) > 1)
-    inverse = np.linalg.inv(covariance)
-    # An answer that shares most of its error with a better one is worth nothing, not less.
+    phi, errors = np.array([answer.phi.median for answer in answers]), errors_of(answers)
+    inverse = np.linalg.inv(errors.covariance)
+    # An answer that shares most of its error with a better one has the weight 0, not less.
     weight = np.maximum(inverse.sum(axis=1), 0.0)
     weight /= weight.sum()
     median = float(weight @ phi)
-    apart = phi - median
-    birge = math.sqrt(max(float(apart @ inverse @ apart) / (len(phi) - 1), 1.0))
-    wider = math.sqrt((birge**2 - 1.0) * float(weight**2 @ np.maximum(own, 0.0)))
-    # All are too high in soil that is damper than it is taken for, but not by the same share, so
-    # that in weights and differences it counts as each one's own; in the interval it is one.
-    same["cohesion"] = one_soil
-    moist = weight * terms.get("cohesion", 0.0)
-    squares = float(weight @ covariance @ weight + moist.sum() ** 2 - np.square(moist).sum())
-    sd = math.hypot(math.sqrt(squares), wider)
-    budget = {
-        name: math.sqrt(float((weight * each) @ same.get(name, np.eye(len(phi))) @ (weight * each)))
-        for name, each in terms.items()
-    }
-    if wider > 0.0:
-        budget["disagreement"] = wider
-    digits = decimals((median - sd, median + sd))
-    named = list(zip(map(_name, answers), answers, strict=True))
-    read = [f"{name} {one.phi.median:.{digits}f} ± {one.phi.sd:.1f}°" for name, one in named]
-    verdict: Verdict = "consistent"
-    within = " within their errors" if wider > 0.0 else ""
-    reason = f"Consistent: {', '.join(read)} agree{within}."
-    variance = np.diag(covariance)
-    pairs = np.triu_indices(len(phi), 1)
-    differ = np.sqrt((variance[:, None] + variance - 2.0 * covariance)[pairs])
-    spread = np.abs(phi[:, None] - phi)[pairs] / differ
-    if worse := [(name, one) for name, one in named if one.verdict != "consistent"]:
-        [(name, one), *_] = worse
-        head, _, rest = one.reason.partition(": ")
-        verdict, reason = one.verdict, f"{head}: {name}: {rest}"
-    elif spread.max() > DISAGREE:
-        verdict = "misfit"
-        reason = (
-            f"Misfit: {', '.join(read)} disagree; check sizes, density and moisture, and whether "
-            "the soil is the same. Do not use the angle."
-        )
+    deviation = phi - median
+    birge = math.sqrt(max(float(deviation @ inverse @ deviation) / (len(phi) - 1), 1.0))
+    widening = math.sqrt((birge**2 - 1.0) * float(weight**2 @ errors.alone))
+    variances, variance = {}, float(weight @ errors.covariance @ weight) + widening**2
+    for name, sds in errors.sds.items():
+        moved = weight * sds
+        variances[name] = float(moved @ errors.shared[name] @ moved)
+        if not term(name).weighs:
+            # Each answer's alone in the covariance, and one error of all in the interval.
+            variance += variances[name] - float(moved @ moved)
+    sd = math.sqrt(variance)
+    budget = {name: math.sqrt(each) for name, each in variances.items()}
     grid = np.arange(max(median - 6.0 * sd, 0.5), min(median + 6.0 * sd, 85.0), STEP_DEG)
     density = np.exp(-0.5 * ((grid - median) / sd) ** 2)
     density /= np.trapezoid(density, grid)
     estimate = Estimate.of_density(grid, density)
-    first = answers[0]
-    density_kg_m3 = np.array([one.density_kg_m3 for one in answers])
-    density_sd = np.array([one.density_sd_kg_m3 or 0.0 for one in answers])
-    frictions = {one.leg_friction for one in answers}
-    cohesions = {one.cohesion_pa for one in answers}
-    # What is said of all is said once.
-    alike = set(first.warnings).intersection(*(one.warnings for one in answers))
-    warnings = [
-        text if text in alike or text.startswith(tuple(r.source for r in one.records))
-        else f"{name}: {text}" for name, one in named for text in one.warnings
-    ]  # fmt: skip
-    # Each answer's errors are its own.
-    records: list[RecordFit] = []
-    ends = np.cumsum([0, *(len(one.covariance) for one in answers)])
-    joint = np.zeros((ends[-1], ends[-1]))
-    scaled: dict[str, float | None] | None = None
-    if any(answer.phi_of_force_deg for answer in answers):
-        # Where the force's scale was measured, it is right.
-        scaled = {}
-        for key in ("half", "twice"):
-            angles = [(a.phi_of_force_deg or {key: a.phi.median})[key] for a in answers]
-            scaled[key] = None if None in angles else float(weight @ np.array(angles, float))
-    for one, start, end in zip(answers, ends[:-1], ends[1:], strict=True):
-        joint[start:end, start:end] = one.covariance
-        records += one.records
+    verdict, reason = _verdict(answers, errors.covariance, decimals((median - sd, median + sd)),
+                               is_widened=widening > 0.0)  # fmt: skip
     return replace(
-        first,
+        _merged(answers, weight),
         parameters={PHI: estimate},
         phi_plane_strain=estimate,
         verdict=verdict,
         reason=reason,
-        edge=next((one.edge for one in answers if one.edge), None),
-        law=", ".join(dict.fromkeys(one.law for one in answers)),
-        law_reason=first.law_reason if one_law.all() else "",
-        second_opinion=None,
-        phi_of_force_deg=scaled,
-        leg_friction=first.leg_friction if len(frictions) == 1 else None,
-        cohesion_pa=first.cohesion_pa if len(cohesions) == 1 else None,
-        budget_deg=dict(sorted(budget.items(), key=lambda term: -term[1])),
-        density_assumed=any(one.density_assumed for one in answers),
-        records=tuple(records),
-        covariance=joint,
+        budget_deg=ordered_budget(budget | ({"disagreement": widening} if widening else {})),
         grid_deg=grid,
         density=density,
-        warnings=tuple(dict.fromkeys([*densities(density_kg_m3, density_sd), *warnings])),
+    )
+
+
+def _verdict(
+    answers: Sequence[Answer], covariance: FloatArray, digits: int, *, is_widened: bool
+) -> tuple[Verdict, str]:
+    """Verdict and its reason: that of the first answer that is not sound, or their agreement."""
+    for answer in answers:
+        if answer.verdict != "consistent":
+            head, _, reason = answer.reason.partition(": ")
+            return answer.verdict, f"{head}: {_name(answer)}: {reason}"
+    angles = ", ".join(
+        f"{_name(answer)} {answer.phi.median:.{digits}f} ± {answer.phi.sd:.1f}°"
+        for answer in answers
+    )
+    phi, variance = np.array([answer.phi.median for answer in answers]), covariance.diagonal()
+    pairs = np.triu_indices(len(phi), 1)
+    sd = np.sqrt((variance[:, None] + variance - 2.0 * covariance)[pairs])
+    if (np.abs(phi[:, None] - phi)[pairs] / sd).max() > DISAGREE:
+        return "misfit", (
+            f"Misfit: {angles} disagree; check sizes, density and moisture, and whether the soil "
+            "is the same. Do not use the angle."
+        )
+    return (
+        "consistent",
+        f"Consistent: {angles} agree{' within their errors' if is_widened else ''}.",
+    )
+
+
+def _merged(answers: Sequence[Answer], weight: FloatArray) -> Answer:
+    """The first answer, with the records, assumptions and warnings of all answers."""
+    first = answers[0]
+    # The errors of the records are joint within an answer only.
+    ends = np.cumsum([0, *(len(answer.covariance) for answer in answers)])
+    covariance = np.zeros((ends[-1], ends[-1]))
+    for answer, start, end in zip(answers, ends[:-1], ends[1:], strict=True):
+        covariance[start:end, start:end] = answer.covariance
+    laws = dict.fromkeys(answer.law for answer in answers)
+    return replace(
+        first,
+        edge=next((answer.edge for answer in answers if answer.edge), None),
+        law=", ".join(laws),
+        law_reason=first.law_reason if len(laws) == 1 else "",
+        second_opinion=None,
+        phi_of_force_deg=_phi_of_force(answers, weight),
+        leg_friction=_common([answer.leg_friction for answer in answers]),
+        cohesion_pa=_common([answer.cohesion_pa for answer in answers]),
+        density_assumed=any(answer.density_assumed for answer in answers),
+        records=tuple(record for answer in answers for record in answer.records),
+        covariance=covariance,
+        warnings=_warnings(answers),
         provenance={
             **first.provenance,
             **{
-                name: [value for one in answers for value in one.provenance.get(name, ())]
+                name: [value for answer in answers for value in answer.provenance.get(name, ())]
                 for name in ("gain", "noise")
                 if name in first.provenance
             },
             "answers": [
-                {"source": one.source, "median": one.phi.median, "sd": one.phi.sd, "weight": w}
-                for one, w in zip(answers, weight.tolist(), strict=True)
+                {"source": a.source, "median": a.phi.median, "sd": a.phi.sd, "weight": w}
+                for a, w in zip(answers, weight.tolist(), strict=True)
             ],
         },
     )
+
+
+def _common(values: Sequence[float | None]) -> float | None:
+    """The value that all answers have; ``None`` if they differ."""
+    return values[0] if len({*values}) == 1 else None
+
+
+def _phi_of_force(answers: Sequence[Answer], weight: FloatArray) -> dict[str, float | None] | None:
+    """φ by half and by twice the force [deg], answers whose force has a measured scale as is."""
+    if not any(answer.phi_of_force_deg for answer in answers):
+        return None
+    scaled: dict[str, float | None] = {}
+    for key in ("half", "twice"):
+        angles = [(a.phi_of_force_deg or {key: a.phi.median})[key] for a in answers]
+        scaled[key] = None if None in angles else float(weight @ np.array(angles, float))
+    return scaled
+
+
+def _warnings(answers: Sequence[Answer]) -> tuple[str, ...]:
+    """Warnings of all answers, each once; those of one answer begin with its name."""
+    density = np.array([answer.density_kg_m3 for answer in answers])
+    sd = np.array([answer.density_sd_kg_m3 or 0.0 for answer in answers])
+    of_all = set(answers[0].warnings).intersection(*(answer.warnings for answer in answers))
+    sentences = densities(density, sd)
+    for answer in answers:
+        sources = tuple(record.source for record in answer.records)
+        sentences += [
+            text if text in of_all or text.startswith(sources) else f"{_name(answer)}: {text}"
+            for text in answer.warnings
+        ]
+    return tuple(dict.fromkeys(sentences))
 
 
 def _name(answer: Answer) -> str:

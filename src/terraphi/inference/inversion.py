@@ -31,20 +31,18 @@ from terraphi.inference.checks import (
 )
 from terraphi.inference.combined import combined
 from terraphi.inference.likelihood import (
-    OF_RIG,
     UNKNOWN_DENSITY,
     WHOLE,
     Likelihood,
-    coverage,
+    coverage_of,
     quadrature,
 )
 from terraphi.inference.pressed import invert_pressed
 from terraphi.inference.records import Record, is_tool, open_records, with_body, with_sd
+from terraphi.inference.terms import root_sum_square, term
 from terraphi.laws.legs import FORMER_NAME, LawOfLegs, Legs, law_named, nearest_law, shipped_legs
 from terraphi.laws.store import PHI
 
-MODEL = ("model: apparatus", "model: soil", "model: leg", "model: offset")
-"""Terms of the error of the model on real soils."""
 BETTER_LEG = 0.9
 """Residual by another leg over that by the record's own at which the leg is taken for wrong [-]:
 at least 0.95 in all training records."""
@@ -362,9 +360,10 @@ def calibrate(
             raise InputError(f"{record.source}: cannot calibrate with it. {why}")
         read = float(best[0])
         shares = likelihood.budget()
-        others = [share for name, share in shares.items() if name not in (*MODEL, *OF_RIG)]
-        sd = math.hypot(*others)
-        rig_sd = math.hypot(*(shares.get(name, 0.0) for name in OF_RIG))
+        fixed = [name for name in shares if term(name).fixed]
+        model = [name for name in shares if name.startswith("model: ")]
+        sd = root_sum_square(shares, *fixed, *model)
+        rig_sd = math.hypot(*(shares[name] for name in fixed))
         error = likelihood.errors[record.leg]
         apart = read - phi_deg
         usual = math.hypot(error.common_sd_deg, error.soil_sd_deg, error.leg_sd_deg,
@@ -499,7 +498,7 @@ def _fits(likelihood: Likelihood, middle: FloatArray, ci95: tuple[float, float])
     tangent = np.vstack([curves[2] - slope @ middle, slope.T])
     found = []
     for record, part, whole, shift in zip(
-        likelihood.records, likelihood.parts, likelihood.strokes, likelihood.shift_deg, strict=True
+        likelihood.records, likelihood.parts, likelihood.coverage, likelihood.shift_deg, strict=True
     ):
         low, high, curve = (one.reshape(len(record.channels), -1) for one in curves[:, part])
         span, error = whole.span, likelihood.errors[record.leg]
@@ -566,7 +565,7 @@ def _verdict(
 def _large_residual(likelihood: Likelihood, fits: Sequence[RecordFit]) -> str:
     """A sentence if a record differs from the model by more than soils or simulations do."""
     origin = "training soils" if likelihood.measured else "simulations"
-    for fit, record, (_, span) in zip(fits, likelihood.records, likelihood.strokes, strict=True):
+    for fit, record, (_, span) in zip(fits, likelihood.records, likelihood.coverage, strict=True):
         size = max(fit.nrmsd.values())
         if fit.limit is not None and size > fit.limit:
             apart = (fit.data - fit.curve) / span[:, None]
@@ -585,7 +584,7 @@ def _large_residual(likelihood: Likelihood, fits: Sequence[RecordFit]) -> str:
 def _other_leg(likelihood: Likelihood) -> str:
     """A sentence if another leg describes a record better."""
     for record in likelihood.records:
-        if coverage(record) < WHOLE:
+        if coverage_of(record) < WHOLE:
             continue
         cohesion = likelihood.cohesion
         sizes = {leg: residual(record.data, record, likelihood, leg, cohesion)

@@ -81,7 +81,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from terraphi.experiment.arrays import BoolArray, FloatArray
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import FORCES, OBSERVATION_ANGLES, WINDOW_DEG, ForceHistory
 from terraphi.experiment.rig import LI2013, Rig
@@ -89,6 +89,7 @@ from terraphi.experiment.scenario import GRAVITY
 from terraphi.inference.calibration import Calibration, rig_name
 from terraphi.inference.estimator import Best, least_squares, weights
 from terraphi.inference.records import Record
+from terraphi.inference.terms import Sharer, is_shared, ordered_budget, term
 from terraphi.laws.law import STEP, LegLaw, ModelError
 from terraphi.laws.legs import LawOfLegs, Legs, law_of
 from terraphi.laws.store import PHI
@@ -121,16 +122,12 @@ BEYOND_DEG, LIMITS_DEG = 12.0, (0.5, 80.0)
 angles that can be answered [deg]; chosen."""
 FAR_OFF = 3.0
 """Factor between data and best curve at which no angle fits [-]: chosen."""
-OF_RIG = ("leg friction", "hip height", "gain")
-"""Causes that stay as they are in an apparatus."""
 WHOLE = 0.9
 """The same from which a record's shape can be compared with those of other legs [-]; chosen."""
 PART_DEG = 1.4
 """Standard deviation of the shift of φ at h = ½ [deg]."""
 NODES = 801
 """Nodes of the quadrature, over eight standard deviations to either side."""
-RESIDUAL = ("noise", "emulator", "particle scatter")
-"""Terms that a residual shows; the others move the whole curve, and φ with it."""
 ROUGHNESS = 1.5
 """Exponent of the correlation of a residual over θ [-]: residuals of the shipped records have a
 larger density by it than by 1 (12 of 12); 1.75 is better for 6 of 12 (``studies/roughness.py``)."""
@@ -138,7 +135,7 @@ MOMENT_DEG = 0.9
 """Standard deviation of φ by a moment less that by both forces [deg]."""
 
 
-def coverage(record: Record) -> float:
+def coverage_of(record: Record) -> float:
     """Share of the windows with the leg in soil that a record of both forces has; else 0 [-]."""
     grid = np.linspace(-WINDOW_DEG, WINDOW_DEG, OBSERVATION_ANGLES)
     first, last = record.rig.air_deg()
@@ -147,7 +144,7 @@ def coverage(record: Record) -> float:
     return float(has.mean()) if record.channels == FORCES else 0.0
 
 
-class Part(NamedTuple):
+class Coverage(NamedTuple):
     """How much of a whole stroke a record has."""
 
     share: float
@@ -208,11 +205,6 @@ def squared_residuals(
     return np.asarray(np.maximum(squares, 0.0))
 
 
-def _square(error: FloatArray) -> FloatArray:
-    """Covariance of one error, by its size at each window mean, shape [n] -> [n, n]."""
-    return np.outer(error, error)
-
-
 class Likelihood:
     """Log-likelihood of one record or several through a library.
 
@@ -259,7 +251,7 @@ class Likelihood:
         self.data = np.concatenate([record.data.ravel() for record in records])
         self.span = np.concatenate([np.repeat(r.span, r.theta_deg.size) for r in records])
         # The record of each window mean.
-        self._of = np.repeat(np.arange(len(records)), [r.data.size for r in records])
+        self._record_index = np.repeat(np.arange(len(records)), [r.data.size for r in records])
         self.errors: dict[str, ModelError] = {
             r.leg: library.error_of(r.leg) if isinstance(library, Legs) else ModelError()
             for r in records
@@ -356,6 +348,11 @@ class Likelihood:
             )
         ])  # fmt: skip
 
+    def _means_of(self, i: int, rows: FloatArray) -> FloatArray:
+        """Window means of the i-th record [N] of forces by its law [N], [k, 2 theta] -> [k, m]."""
+        force = self._ratio[i] * rows.reshape(len(rows), 2, -1)
+        return window_means(self.records[i], force, self.laws[i], self.shift_deg[i])
+
     def _forces(self, x: FloatArray, cohesion: float) -> list[FloatArray]:
         """Forces [N] on the leg of each record in soil of its density, [k, 2, theta].
 
@@ -383,7 +380,7 @@ class Likelihood:
         forces = self._forces(np.vstack([x + np.diag(steps), x - np.diag(steps), x]), cohesion)
         moved = self._means(forces, shift_deg)[:-1].reshape(2, len(x), -1)
         turned = [self._means([f[-1:] for f in forces], shift_deg + h)[0] for h in (0.1, -0.1)]
-        of_shift = np.where(self._of[:, None] == np.arange(len(self.records)), 1.0, 0.0)
+        of_shift = np.where(self._record_index[:, None] == np.arange(len(self.records)), 1.0, 0.0)
         return np.hstack([
             (moved[0] - moved[1]).T / (2.0 * steps),
             of_shift * (turned[0] - turned[1])[:, None] / 0.2,
@@ -437,17 +434,16 @@ class Likelihood:
         return np.clip(self.least_squares, self.low, self.high)
 
     @cached_property
-    def strokes(self) -> list[Part]:
-        """What each record has of a whole stroke."""
-        return [self._stroke(i) for i in range(len(self.records))]
+    def coverage(self) -> list[Coverage]:
+        """Part of a whole stroke that each record has, at the best point."""
+        return [self._coverage(i) for i in range(len(self.records))]
 
-    def _stroke(self, i: int) -> Part:
-        """What the i-th record has of a whole stroke, at the best point."""
+    def _coverage(self, i: int) -> Coverage:
         record = self.records[i]
         forces = record.channels == FORCES
         every = record.theta_deg.size == OBSERVATION_ANGLES
         if forces and every:
-            return Part(1.0, record.span)
+            return Coverage(1.0, record.span)
         theta = np.radians(np.arange(-WINDOW_DEG - 3.0, WINDOW_DEG + 3.5))
         force = self._forces(self.inside + np.array([[-1.0], [0.0], [1.0]]), self.cohesion)[i]
         axes = record.history.axes
@@ -458,7 +454,7 @@ class Likelihood:
         span = record.span if every else np.maximum(record.span, np.ptp(curve, axis=1))
         has = np.isin(whole.theta_deg.round(6), record.theta_deg.round(6))
         information = np.square((above - below) / span[:, None])
-        return Part(float(information[:, has].sum() / information.sum()), span)
+        return Coverage(float(information[:, has].sum() / information.sum()), span)
 
     @cached_property
     def _best(self) -> Best:
@@ -565,8 +561,7 @@ class Likelihood:
         slope = law.of_hip(self._read(record, x)[None], number)
         if slope is None or self.cohesion == 0.0:
             return None
-        force = self._ratio[i] * slope.T.reshape(1, 2, -1)
-        of_hip = window_means(record, force, law, self.shift_deg[i])[0]
+        of_hip = self._means_of(i, slope.T)[0]
         curve, damp, dry = (
             self.curves(x[None], cohesion=f * self.cohesion)[0] for f in (1, 1.3, 0.7)
         )
@@ -647,101 +642,95 @@ class Likelihood:
 
     @cached_property
     def terms(self) -> dict[str, FloatArray]:
-        """Covariance C_t of each term at the best point [N²], shape [n, n] each."""
-        x = self.least_squares
-        curve, slope = self.curves(x[None])[0], self.slope(x)
-        found = {"noise": self._blocks([r.noise_covariance for r in self.records])}
-        found["noise"] += np.diag(np.square(RIDGE * self.span))
-        at = [self._read(record, x) for record in self.records]
-        laws = list(zip(self.laws, at, strict=True))
-        numbers = (self.cohesion * self._per_pascal).tolist()
-        found["emulator"] = self._shared_by_leg(
-            [law.interpolation(p, c) for (law, p), c in zip(laws, numbers, strict=True)]
-        )
-        if not self.measured:
-            blocks = []
-            each = zip(self.records, self._ratio, laws, numbers, strict=True)
-            for record, ratio, (law, p), c in each:
-                both = ratio * np.kron(np.eye(2), record.operator(law.theta_deg))
-                blocks.append(both @ law.scatter(p, c) @ both.T)
-            found["particle scatter"] = self._blocks(blocks)
-            return found
-        modes = [law.modes(p, c) for (law, p), c in zip(laws, numbers, strict=True)]
-        # The apparatus's part includes the error of a rig that was calibrated.
-        calibrated = [self._calibrated(rig=rig_name(r.rig)) for r in self.records]
-        for cause in sorted({cause for each in modes for cause in each}):
-            factors = [
-                np.zeros((2 * law.theta_deg.size, 1)) if cause in OF_RIG and known else each[cause]
-                for law, each, known in zip(self.laws, modes, calibrated, strict=True)
-            ]
-            found[cause] = self._shared_by_leg(factors)
-        found |= self._angle_errors(slope[:, 0], float(x[0]))
-        found["density"] = _square(self.density_sd[self._of] * curve)
-        gain = np.where(calibrated, 0.0, [r.gain_sd for r in self.records])
-        if gain.any():
-            found["gain"] = _square(gain[self._of] * curve)
-        return found
+        """Covariance C_t of each term at the best point [N²], shape [n, n] each.
 
-    def _calibrated(self, **wanted: str) -> bool:
-        """Whether a soil of known angle was read with such a leg or rig, whose error b contains."""
+        Raises LookupError if the table of terms lacks a name.
+        """
+        covariances = self._law_errors()
+        covariances["noise"] = np.diag(np.square(RIDGE * self.span))
+        for record, part in zip(self.records, self.parts, strict=True):
+            covariances["noise"][part, part] += record.noise_covariance
+        if self.measured:
+            curve = self.curves(self.least_squares[None])[0]
+            # A change of the curve that looks like another φ.
+            slope = self.slope(self.least_squares)[:, 0]
+            errors = {name: (sds, slope) for name, sds in self._angle_sds().items()}
+            errors["density"] = self.density_sd, curve
+            errors["gain"] = np.array([record.gain_sd for record in self.records]), curve
+            for name, (sds, change) in errors.items():
+                error = sds[self._record_index] * change
+                covariances[name] = np.outer(error, error)
+        rigs = [rig_name(record.rig) for record in self.records]
+        sharers = [
+            Sharer(i, rig, record.leg, self.library.name)
+            for i, (rig, record) in enumerate(zip(rigs, self.records, strict=True))
+        ]
+        # What a calibration of the rig includes is no further error of its records.
+        counts = np.array([not self._is_calibrated(rig=rig) for rig in rigs])
+        windows = np.ix_(self._record_index, self._record_index)
+        for name, covariance in covariances.items():
+            together = is_shared(name, sharers)
+            if term(name).fixed:
+                together &= np.outer(counts, counts)
+            covariance *= together[windows]
+        return {name: each for name, each in covariances.items() if each.any()}
+
+    def _is_calibrated(self, **wanted: str) -> bool:
+        """True if a calibration soil has such a leg or rig, whose error is then part of b."""
         soils = self.calibration.soils if self.calibration else []
         return any(all(getattr(s, k) == v for k, v in wanted.items()) for s in soils)
 
-    def _blocks(self, blocks: Sequence[FloatArray]) -> FloatArray:
-        """Block-diagonal covariance of records whose errors are independent."""
-        found = np.zeros((self.data.size, self.data.size))
-        for part, block in zip(self.parts, blocks, strict=True):
-            found[part, part] = block
-        return found
+    def _law_errors(self) -> dict[str, FloatArray]:
+        """Covariance of the law's errors as if all records shared them [N²], [n, n] each.
 
-    def _shared_by_leg(self, factors: Sequence[FloatArray]) -> FloatArray:
-        """Covariance of errors that records of a leg share, by a factor [2 theta, k] a record."""
-        stacked = np.zeros((self.data.size, max(f.shape[1] for f in factors)))
-        for i, (record, factor) in enumerate(zip(self.records, factors, strict=True)):
-            force = self._ratio[i] * factor.T.reshape(factor.shape[1], 2, -1)
-            means = window_means(record, force, self.laws[i], self.shift_deg[i])
-            stacked[self.parts[i], : factor.shape[1]] = means.T
-        return np.asarray(stacked @ stacked.T * self._alike([r.leg for r in self.records]))
+        The law's interpolation between its simulations; of measured records a standard deviation of
+        the leg's friction and of the hip's height; of simulated ones the scatter between seeds.
+        """
+        scatter, errors = np.zeros((self.data.size, self.data.size)), []
+        for i, (record, law, part) in enumerate(
+            zip(self.records, self.laws, self.parts, strict=True)
+        ):
+            at = self._read(record, self.least_squares), self.cohesion * float(self._per_pascal[i])
+            factors = {"emulator": law.interpolation(*at)}
+            factors |= law.modes(*at) if self.measured else {}
+            errors.append({name: self._means_of(i, f.T) for name, f in factors.items()})
+            if not self.measured:
+                scatter[part, part] = self._means_of(i, self._means_of(i, law.scatter(*at)).T)
+        covariances = {} if self.measured else {"particle scatter": scatter}
+        for name in errors[0]:
+            factor = np.zeros((self.data.size, max(len(means[name]) for means in errors)))
+            for part, means in zip(self.parts, errors, strict=True):
+                factor[part, : len(means[name])] = means[name].T
+            covariances[name] = factor @ factor.T
+        return covariances
 
-    def _alike(self, names: Sequence[object]) -> BoolArray:
-        """Whether the records of two window means have the same name, shape [n, n]."""
-        of_each = np.array(names)[self._of]
-        return np.equal.outer(of_each, of_each)
-
-    def _angle_errors(self, slope: FloatArray, phi_deg: float) -> dict[str, FloatArray]:
-        """Covariance of what looks like another angle: its size, and which records share it."""
-        known, records = self.calibration, self.records
-        legs, errors = [r.leg for r in records], [self.errors[r.leg] for r in records]
-        pairs = list(zip(legs, errors, strict=True))
-        each, every = range(len(records)), [0] * len(records)
-        # Law legs was learned on several rigs, which differ by l.
-        rigs = [rig_name(r.rig) for r in records]
-        common = [
-            float(known.common(error, leg, rig_name(r.rig), np.array(phi_deg))[1])
-            if known
-            else error.common_sd_deg
-            for r, (leg, error) in zip(records, pairs, strict=True)
-        ]
-        offset = [
-            0.0 if self._calibrated(leg=leg) else error.offset_sd_at(phi_deg)
-            for leg, error in pairs
-        ]
-        lacking = [1.0 / np.clip(stroke.share, 1e-3, 1.0) - 1.0 for stroke in self.strokes]
-        sizes: dict[str, tuple[Sequence[object], Sequence[float]]] = {
-            "model: apparatus": (every, common),
-            "model: soil": (every, [error.soil_sd_deg for error in errors]),
-            "model: leg": (rigs, [error.leg_sd_deg for error in errors]),
-            "model: offset": (legs, offset),
-            "missing angles": (each, [PART_DEG * math.sqrt(one) for one in lacking]),
-            "missing forces": (each, [MOMENT_DEG * (r.channels != FORCES) for r in records]),
-            "second opinion": (every, [self.disagreement_deg] * len(records)),
-            "cohesion": (every, [self._averaged.phi_sd_deg] * len(records)),
-        }
-        return {
-            name: _square(np.array(sd)[self._of] * slope) * self._alike(alike)
-            for name, (alike, sd) in sizes.items()
-            if any(sd)
-        }
+    def _angle_sds(self) -> dict[str, FloatArray]:
+        """Standard deviation of φ by what looks like another angle [deg], shape [record] each."""
+        phi, calibration = float(self.least_squares[0]), self.calibration
+        rows = []
+        for record, coverage in zip(self.records, self.coverage, strict=True):
+            error, leg = self.errors[record.leg], record.leg
+            apparatus = error.common_sd_deg
+            if calibration:
+                apparatus = float(
+                    calibration.common(error, leg, rig_name(record.rig), np.array(phi))[1]
+                )
+            missing = 1.0 / min(max(coverage.share, 1e-3), 1.0) - 1.0
+            rows.append(
+                {
+                    "model: apparatus": apparatus,
+                    "model: soil": error.soil_sd_deg,
+                    "model: leg": error.leg_sd_deg,
+                    "model: offset": (
+                        0.0 if self._is_calibrated(leg=leg) else error.offset_sd_at(phi)
+                    ),
+                    "missing angles": PART_DEG * math.sqrt(missing),
+                    "missing forces": MOMENT_DEG * (record.channels != FORCES),
+                    "second opinion": self.disagreement_deg,
+                    "cohesion": self._averaged.phi_sd_deg,
+                }
+            )
+        return {name: np.array([row[name] for row in rows]) for name in rows[0]}
 
     @cached_property
     def covariance(self) -> FloatArray:
@@ -756,19 +745,21 @@ class Likelihood:
         :data:`ROUGHNESS`, is such that a window differs from the mean of its neighbors as those of
         the record do: to first order, Σ (eᵢ − (eᵢ₋₁ + eᵢ₊₁) / 2)² / Σ eᵢ² = a (2 − 2^(p − 1)).
         """
-        found = self.covariance.copy()
-        known = np.sum([self.terms[n].diagonal() for n in RESIDUAL if n in self.terms], axis=0)
+        covariance = self.covariance.copy()
+        stated = np.sum(
+            [each.diagonal() for name, each in self.terms.items() if term(name).residual], axis=0
+        )
         residual = self.data - self.curves(self.least_squares[None])[0]
         for record, part in zip(self.records, self.parts, strict=True):
             e = residual[part].reshape(len(record.channels), -1)
-            lacking = np.square(e).mean(axis=1) - known[part].reshape(e.shape).mean(axis=1)
+            lacking = np.square(e).mean(axis=1) - stated[part].reshape(e.shape).mean(axis=1)
             unit = e / record.span[:, None]
             rough = np.square(np.diff(unit, n=2)).sum() / (4.0 * max(np.square(unit).sum(), 1e-300))
             theta = record.theta_deg
             steps = np.abs(theta[:, None] - theta) / np.median(np.diff(theta))
-            alike = np.exp(-rough / (2.0 - 2.0 ** (ROUGHNESS - 1.0)) * steps**ROUGHNESS)
-            found[part, part] += np.kron(np.diag(np.maximum(lacking, 0.0)), alike)
-        return found
+            correlation = np.exp(-rough / (2.0 - 2.0 ** (ROUGHNESS - 1.0)) * steps**ROUGHNESS)
+            covariance[part, part] += np.kron(np.diag(np.maximum(lacking, 0.0)), correlation)
+        return covariance
 
     @cached_property
     def _weights(self) -> FloatArray:
@@ -809,14 +800,11 @@ class Likelihood:
     def budget(self) -> dict[str, float]:
         """Share of each term in the standard deviation of φ [deg].
 
-        With c the weights of the estimate, c'C_t c; the squares add up to the variance. The
-        largest comes first, and what is below a hundredth of it is left out.
+        With c the weights of the estimate it is √(c'C_t c); the squares add up to the variance.
         """
         c = self._weights[0]
-        shares = {n: math.sqrt(max(float(c @ term @ c), 0.0)) for n, term in self.terms.items()}
-        most = max(shares.values())
-        ordered = sorted(shares.items(), key=lambda item: -item[1])
-        return {name: share for name, share in ordered if share > 0.01 * most}
+        variances = {name: float(c @ covariance @ c) for name, covariance in self.terms.items()}
+        return ordered_budget({name: math.sqrt(max(v, 0.0)) for name, v in variances.items()})
 
 
 def quadrature(likelihood: Likelihood) -> tuple[FloatArray, FloatArray]:

@@ -27,6 +27,7 @@ from terraphi.inference.answer import Answer, Edge, Estimate, RecordFit, Verdict
 from terraphi.inference.estimator import least_squares, weights
 from terraphi.inference.likelihood import UNKNOWN_DENSITY
 from terraphi.inference.records import density_doubts, density_with_sd, grain_size, roughness
+from terraphi.inference.terms import ordered_budget, root_sum_square, term
 from terraphi.laws.foot import DEEPEST, LAWS, SURFACE_FRICTION, SURFACE_FRICTION_SD, Foot
 from terraphi.laws.store import PHI
 
@@ -188,9 +189,7 @@ def invert_pressed(
     ends = np.array(estimate.ci95) - (level - read)
     ends = press.curve(np.stack([np.clip(ends, *press.ends), [fit.contact] * 2], -1))
     # What else is unsure looks like another angle.
-    shared = sum(
-        share**2 for term, share in budget.items() if term not in ("model: course", "noise")
-    )
+    shared = sum(sd**2 for name, sd in budget.items() if not term(name).residual)
     record = RecordFit(
         source=label, rig=tool, simulated=False, n_readings=used, n_left_out=table.rows - used,
         theta_deg=1e3 * z, data=force[None], curve=fit.model[None],
@@ -254,7 +253,7 @@ def _fit(press: _Press) -> _Fit:
 
 
 def _budget(press: _Press, fit: _Fit, density_sd: float) -> dict[str, float]:
-    """Standard deviations of φ by term [deg], the largest first.
+    """Standard deviations of φ by term [deg], the largest first; those of no size are left out.
 
     Errors of the whole force go in proportion to it; that of the density is relative.
     """
@@ -284,7 +283,7 @@ def _budget(press: _Press, fit: _Fit, density_sd: float) -> dict[str, float]:
         "rectangle": abs(float(row @ model) * 0.5 * math.log(press.tool.over_disc)),
         "grain size": GRAINS_DEG * press.grains,
     }
-    return {name: sd for name, sd in sorted(terms.items(), key=lambda one: -one[1]) if sd > 1e-3}
+    return ordered_budget(terms)
 
 
 def _compaction_sd(press: _Press) -> float:
@@ -294,8 +293,7 @@ def _compaction_sd(press: _Press) -> float:
 
 def _steady_sd(budget: dict[str, float]) -> float:
     """Of φ at a node of soil that does not compact [deg]."""
-    return math.hypot(*(sd for name, sd in budget.items()
-                        if name not in ("contraction", "model: compaction")))  # fmt: skip
+    return root_sum_square(budget, "contraction", "model: compaction")
 
 
 def _posterior(press: _Press, fit: _Fit, budget: dict[str, float]) -> tuple[FloatArray, FloatArray]:

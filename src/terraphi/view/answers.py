@@ -103,8 +103,14 @@ def parts_of(answer: Answer, *, verbose: bool = False) -> list[str | Table]:
 
 def tables(answer: Answer) -> list[Table]:
     """Parameters, terms of the interval and records."""
+    from terraphi.inference.terms import TERMS
+
     parameters = [(key, *_rounded(estimate)) for key, estimate in answer.parameters.items()]
-    terms = [(name, f"{sd:.2f}") for name, sd in answer.budget_deg.items()]
+    # Answers by earlier versions have terms that the table has no more.
+    terms = [
+        (name, f"{sd:.2f}", TERMS[name].source if name in TERMS else "")
+        for name, sd in answer.budget_deg.items()
+    ]
     records = [
         (
             one.source, str(one.rig), str(one.n_readings), str(one.n_left_out),
@@ -115,7 +121,7 @@ def tables(answer: Answer) -> list[Table]:
     ]  # fmt: skip
     found = [
         Table("Parameters", ("key", "median", "sd", "68 %", "95 %"), parameters),
-        Table("Standard deviation of φ by term", ("term", "[deg]"), terms),
+        Table("Standard deviation of φ by term", ("term", "[deg]", "size is"), terms),
         Table(
             "Records",
             ("source", "rig", "readings", "left out", "residuals", "shift of θ"),

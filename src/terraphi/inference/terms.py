@@ -1,0 +1,109 @@
+"""The table of what an answer is uncertain by: each term, its source, and who shares its error.
+
+A term is one cause of error. It adds a covariance to the forces, and by that a standard deviation
+to φ. Two records, or two answers, that share the cause are wrong by the same error, each times its
+own size; otherwise their errors are independent. The likelihood, joint answers, tools and
+calibration all read this table, so that a new term is one row here and its size where the forces
+are known.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from terraphi.experiment.arrays import BoolArray
+
+SMALLEST = 0.01
+"""Share of the largest term below which a term is left out of the budget [-]."""
+
+
+class Term(NamedTuple):
+    """One cause of error."""
+
+    source: Literal["learned", "given", "assumed"]
+    """Origin of the size: training soils and simulations; the user's rig, record and options; or
+    the authors' choice."""
+    key: Literal["record", "rig", "leg", "law", "soil"]
+    """What records and answers have in common if they share the error."""
+    fixed: bool = False
+    """It stays as it is in an apparatus, so that a calibration of that rig includes it."""
+    residual: bool = False
+    """It shows in the residual; the other terms move the whole curve and look like another φ."""
+    weighs: bool = True
+    """Answers that share it count it as shared when they are weighed against each other."""
+
+
+TERMS: dict[str, Term] = {
+    # Readings, and the law's curves between its simulations.
+    "noise": Term("given", "record", residual=True),
+    "emulator": Term("learned", "rig", residual=True),
+    "particle scatter": Term("learned", "record", residual=True),
+    # The apparatus. Legs of one laboratory have one surface and one sensor.
+    "leg friction": Term("given", "law", fixed=True),
+    "hip height": Term("given", "rig", fixed=True),
+    "gain": Term("given", "law", fixed=True),
+    # The soil. All answers read too high in damp soil, but not by the same share.
+    "density": Term("given", "soil"),
+    "cohesion": Term("assumed", "soil", weighs=False),
+    # How real soils differ from the law of legs: b, s, l and the offset of terraphi.inference.
+    # calibration.
+    "model: apparatus": Term("learned", "law"),
+    "model: soil": Term("learned", "soil"),
+    "model: leg": Term("learned", "rig"),
+    "model: offset": Term("learned", "leg"),
+    "missing angles": Term("learned", "record"),
+    "missing forces": Term("learned", "record"),
+    "second opinion": Term("assumed", "rig"),
+    # Bodies that are pressed in, by the law of a foot.
+    "model: law": Term("learned", "law"),
+    "model: compaction": Term("learned", "law"),
+    "model: course": Term("assumed", "record", residual=True),
+    "contraction": Term("learned", "record"),
+    "surface friction": Term("assumed", "law"),
+    "rectangle": Term("learned", "law"),
+    "contact": Term("assumed", "record"),
+    "depth": Term("assumed", "record"),
+    "grain size": Term("learned", "record"),
+    # Joint answers.
+    "disagreement": Term("learned", "record"),
+}
+"""Every term of an interval by its name in the budget."""
+
+
+class Sharer(NamedTuple):
+    """A record or an answer, by what it can have in common with others of the same soil."""
+
+    record: object
+    rig: object
+    leg: str
+    law: str
+    soil: str = ""
+
+
+def term(name: str) -> Term:
+    """Row of a term; raises LookupError if the table has none of that name."""
+    if name not in TERMS:
+        raise LookupError(f"term '{name}' is not in the table terraphi.inference.terms.TERMS")
+    return TERMS[name]
+
+
+def is_shared(name: str, sharers: Sequence[Sharer]) -> BoolArray:
+    """Whether two records or answers have the same error of a term, shape [k, k]."""
+    values = [getattr(sharer, term(name).key) for sharer in sharers]
+    return np.equal.outer(*[np.array([values.index(value) for value in values])] * 2)
+
+
+def ordered_budget(sds: Mapping[str, float]) -> dict[str, float]:
+    """Standard deviations of φ by term [deg], the largest first and the negligible left out."""
+    least = SMALLEST * max(sds.values())
+    ordered = sorted(sds.items(), key=lambda item: -item[1])
+    return {name: sd for name, sd in ordered if term(name) and sd > least}
+
+
+def root_sum_square(budget: Mapping[str, float], *excluded: str) -> float:
+    """Standard deviation of φ by all terms of a budget but some [deg]."""
+    return math.hypot(*(sd for name, sd in budget.items() if name not in excluded))
