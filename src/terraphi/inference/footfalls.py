@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import importlib.metadata
 import io
 import json
@@ -10,7 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +17,9 @@ from pydantic import AliasChoices, BaseModel, Field, Json
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import needing
-from terraphi.experiment.files import atomic_files, atomic_write, open_netcdf, write_netcdf
+from terraphi.experiment.files import NetcdfFile, atomic_files, atomic_write
 from terraphi.experiment.outputs import SIGNATURE
+from terraphi.experiment.results import Result, Variable
 from terraphi.experiment.tables import write_csv
 from terraphi.inference.pool import Anchor, Normal, Observed, pool
 from terraphi.inference.records import density_doubts
@@ -41,7 +41,6 @@ from terraphi.laws.foot import DEEPEST, LAWS
 
 if TYPE_CHECKING:
     import pandas as pd
-    import xarray as xr
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -108,7 +107,6 @@ CONTRADICTED = 2.0
 SECOND = {"rft": "foot"}
 """Law of a second opinion, for each law; else ``rft``: of few terms, and fast."""
 KIND = "footfalls"
-SCHEMA = 2
 GREY = "0.4"
 CI95 = 1.959964
 """Half-width of a normal 95 % interval over its standard deviation [-]; of a 68 % one it is 1."""
@@ -120,28 +118,19 @@ FIELDS = ("x_m", "y_m", "surface_m", "sinkage_m", "phi_deg", "ci68_low_deg", "ci
 """Numbers of a message; φ and its absolute intervals are not a number where it was refused."""
 LAST_STAMP = 2**31 - 1
 """Largest time of a ROS message [s]."""
-COLUMNS = {
-    "time_s": ("time", None, "s", "touch-down"),
-    "x_m": ("place", 0, "m", "along the first heading"),
-    "y_m": ("place", 1, "m", "to its left"),
-    "surface_m": ("place", 2, "m", "level of the surface"),
-    "sinkage_m": ("sinkage", None, "m", "depth of the foot at the end of the loading"),
-    "phi_deg": ("phi", None, "degree", "friction angle, by this footfall alone"),
-    "relative_sd_deg": ("sd", None, "degree", "standard deviation against the walk's others"),
-    "shared_sd_deg": ("shared_sd", None, "degree", "that it shares with all footfalls"),
-    "chi2": ("misfit", None, "1", "chi squared over the degrees of freedom"),
-    "s_m": ("path", 0, "m", "along the path"),
-    "path_x_m": ("path", 1, "m", "along the first heading"),
-    "path_y_m": ("path", 2, "m", "to its left"),
-    "path_phi_deg": ("path_phi", None, "degree", "friction angle, footfalls pooled"),
-    "path_relative_sd_deg": ("path_relative_sd", None, "degree", "standard deviation, relative"),
-    "path_absolute_sd_deg": ("path_absolute_sd", None, "degree", "standard deviation, absolute"),
-}
-"""Variable of a file to the field of a map that it holds, the column in it, unit and meaning."""
 
 
-@dataclass(frozen=True)
-class FootfallMap:
+class FootfallAttributes(BaseModel):
+    """Attributes of a file of footfalls: fields of a map, as JSON."""
+
+    shared: Json[dict[str, Any]]
+    by_law: Json[dict[str, float]] = Field(alias="by_law_deg")
+    warnings: Json[tuple[str, ...]] = Field(validation_alias=AliasChoices("warnings", "notes"))
+    provenance: Json[dict[str, Any]]
+
+
+@dataclass(frozen=True, repr=False)
+class FootfallMap(Result):
     """φ under footfalls and along the path.
 
     Attributes
@@ -177,6 +166,40 @@ class FootfallMap:
         Log, robot, priors and versions.
     """
 
+    KIND = KIND
+    SCHEMA = 2
+    ATTRIBUTES = FootfallAttributes
+    VARIABLES = (
+        Variable("time_s", "footfall", "s", "touch-down", "time"),
+        Variable("foot", "footfall", words=True),
+        Variable("x_m", "footfall", "m", "along the first heading", "place", 0),
+        Variable("y_m", "footfall", "m", "to its left", "place", 1),
+        Variable("surface_m", "footfall", "m", "level of the surface", "place", 2),
+        Variable("sinkage_m", "footfall", "m", "depth of the foot at the end of the loading",
+                 "sinkage", holes=True),
+        Variable("phi_deg", "footfall", "degree", "friction angle, by this footfall alone",
+                 "phi", holes=True),
+        Variable("absolute_sd_deg", "footfall", "degree", "standard deviation of phi_deg, absolute",
+                 "absolute_sd", derived=True),
+        Variable("relative_sd_deg", "footfall", "degree",
+                 "standard deviation, relative to the others",
+                 "sd", holes=True),
+        Variable("shared_sd_deg", "footfall", "degree", "that it shares with all footfalls",
+                 "shared_sd", holes=True),
+        Variable("verdict", "footfall", words=True),
+        Variable("chi2", "footfall", "1", "chi squared over the degrees of freedom",
+                 "misfit", holes=True),
+        Variable("s_m", "point", "m", "along the path", "path", 0, coordinate=True),
+        Variable("path_x_m", "point", "m", "along the first heading", "path", 1),
+        Variable("path_y_m", "point", "m", "to its left", "path", 2),
+        Variable("path_phi_deg", "point", "degree", "friction angle, footfalls pooled",
+                 "path_phi", holes=True),
+        Variable("path_relative_sd_deg", "point", "degree", "standard deviation, relative",
+                 "path_relative_sd", holes=True),
+        Variable("path_absolute_sd_deg", "point", "degree", "standard deviation, absolute",
+                 "path_absolute_sd", holes=True),
+    )  # fmt: skip
+
     time: FloatArray
     foot: tuple[str, ...]
     place: FloatArray
@@ -211,18 +234,7 @@ class FootfallMap:
 
     def summary(self) -> pd.DataFrame:
         """A row for each footfall, as in the CSV of ``terraphi footfalls --out``."""
-        import pandas as pd
-
-        x, y, surface = self.place.T
-        return pd.DataFrame(
-            {
-                "t_s": self.time, "foot": self.foot, "x_m": x, "y_m": y, "surface_m": surface,
-                "sinkage_m": self.sinkage, "phi_deg": self.phi,
-                "absolute_sd_deg": self.absolute_sd,
-                "relative_sd_deg": self.sd, "shared_sd_deg": self.shared_sd,
-                "verdict": self.verdict,
-            }
-        )  # fmt: skip
+        return self._frame("footfall").rename(columns={"time_s": "t_s"}).drop(columns="chi2")
 
     def as_dict(self) -> dict[str, Any]:
         """What ``terraphi footfalls --json`` prints; null where there is no number.
@@ -304,36 +316,15 @@ class FootfallMap:
         with atomic_write(Path(path)) as temporary:
             temporary.write_bytes(content.getvalue())
 
-    def to_xarray(self) -> xr.Dataset:
-        """Footfalls and the path as a Dataset, with units, as in the NetCDF."""
-        import xarray as xr
-
-        variables: dict[str, Any] = {}
-        for name, (source, column, units, about) in COLUMNS.items():
-            values = getattr(self, source)
-            values = values if column is None else values[:, column]
-            over = "point" if source.startswith("path") else "footfall"
-            variables[name] = (over, values, {"units": units, "long_name": about})
-        about_it = {"units": "degree", "long_name": "standard deviation of phi_deg, absolute"}
-        variables["absolute_sd_deg"] = ("footfall", self.absolute_sd, about_it)
-        variables["foot"] = ("footfall", np.array(self.foot, dtype="U2"))
-        variables["verdict"] = ("footfall", np.array(self.verdict, dtype="U24"))
-        return xr.Dataset(variables).set_coords("s_m")
-
     def to_netcdf(self, path: Path | str) -> None:
         """Write NetCDF-4, and a GeoJSON and a CSV of the same name next to it.
 
         Raises InputError if the place cannot be written.
         """
         path = Path(path)
-        texts = {
-            known.alias or name: json.dumps(getattr(self, name))
-            for name, known in FootfallAttributes.model_fields.items()
-        }
-        attributes = {"terraphi_file": KIND, "terraphi_schema": SCHEMA, **texts}
         with atomic_files(path, path.parent, last=path.name) as made:
             place = made / path.name
-            write_netcdf(self.to_xarray().assign_attrs(attributes), place)
+            super().to_netcdf(place)
             features = json.dumps(self._geojson(), ensure_ascii=False)
             place.with_suffix(".geojson").write_text(features, encoding="utf-8")
             first = f"# {SIGNATURE}: footfalls; x, y from the robot's first place and heading\n"
@@ -360,28 +351,16 @@ class FootfallMap:
         return {"type": "FeatureCollection", "about": about, "features": features}
 
     @classmethod
-    def load(cls, path: Path | str) -> FootfallMap:
-        """Read a NetCDF of :meth:`to_netcdf`; raises InputError if it is not whole."""
-        with open_netcdf(Path(path), FootfallAttributes, kind=KIND, schema=SCHEMA) as file:
-            columns: dict[str, list[FloatArray]] = {}
-            for name, (source, *_) in COLUMNS.items():
-                over = "point" if source.startswith("path") else "footfall"
-                values = file.numbers(name, over, finite=source in ("time", "place", "path"))
-                columns.setdefault(source, []).append(values)
-            fields: dict[str, Any] = {
-                source: np.column_stack(each) if len(each) > 1 else each[0]
-                for source, each in columns.items()
-            }
-            fields |= dict(file.attrs)
-            fields |= {name: file.texts(name, "footfall") for name in ("foot", "verdict")}
-            walk = cls(**fields)
-            if unknown := set(walk.verdict) - set(VERDICTS):
-                raise ValueError(f"verdict {unknown.pop()!r}")
-            pooled = walk.path_phi if walk.usable.any() else 0.0
-            each = np.stack([walk.phi, walk.sd, walk.shared_sd])[:, walk.usable]
-            if not (np.isfinite(each).all() and np.isfinite(pooled).all()):
-                raise ValueError("a usable footfall has no phi_deg")
-            return walk
+    def _of_file(cls, file: NetcdfFile[Any]) -> Self:
+        """A map; raises ValueError if a verdict is unknown, or a usable footfall lacks φ."""
+        walk = super()._of_file(file)
+        if unknown := set(walk.verdict) - set(VERDICTS):
+            raise ValueError(f"verdict {unknown.pop()!r}")
+        pooled = walk.path_phi if walk.usable.any() else 0.0
+        each = np.stack([walk.phi, walk.sd, walk.shared_sd])[:, walk.usable]
+        if not (np.isfinite(each).all() and np.isfinite(pooled).all()):
+            raise ValueError("a usable footfall has no phi_deg")
+        return walk
 
     def plot(self) -> Figure:
         """Footfalls on the ground, and φ along the path with both bands, by Matplotlib."""
@@ -426,8 +405,7 @@ class FootfallMap:
         )  # fmt: skip
         axes.legend(fontsize="small", frameon=False)
 
-    def __repr__(self) -> str:
-        """A few lines for a prompt."""
+    def _lines(self) -> list[str]:
         counts = ", ".join(f"{n} {verdict}" for verdict, n in self.counts().items())
         lines = [f"{self.provenance.get('log', 'log')}: {len(self.verdict)} footfalls: {counts}"]
         if self.usable.any():
@@ -436,21 +414,9 @@ class FootfallMap:
             lines.append(f"φ = {mean:.1f}° ± {wide:.1f}°, {low:.1f} to {high:.1f}° along the path")
         if self.warnings:
             lines.append(f"warnings in .warnings: {len(self.warnings)}")
-        return "\n".join(lines)
+        return lines
 
-    def _repr_html_(self) -> str:
-        """The same for a notebook, with a table of footfalls."""
-        table = self.summary().to_html(max_rows=10, float_format="{:.3g}".format)
-        return f"<pre>{html.escape(repr(self))}</pre>{table}"
-
-
-class FootfallAttributes(BaseModel):
-    """Attributes of a file of footfalls: fields of a map, as JSON."""
-
-    shared: Json[dict[str, Any]]
-    by_law: Json[dict[str, float]] = Field(alias="by_law_deg")
-    warnings: Json[tuple[str, ...]] = Field(validation_alias=AliasChoices("warnings", "notes"))
-    provenance: Json[dict[str, Any]]
+    _table = summary
 
 
 def _numbers(values: Any, digits: int = 4) -> list[float | None]:

@@ -6,23 +6,16 @@ import hashlib
 import json
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import numpy as np
 from pydantic import BaseModel, Field, Json
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.files import open_netcdf, write_netcdf
+from terraphi.experiment.files import NetcdfFile
+from terraphi.experiment.results import Result, Variable, read
 
-KIND, SCHEMA = "law", 3
-DIMS = {
-    "x": ("case", "axis"),
-    "depth": ("case",),
-    "force": ("case", "channel", "place"),
-    "hyper": ("process", "number"),
-}
-"""Dimensions of what is stored."""
+KIND = "law"
 
 
 class LawAttributes(BaseModel):
@@ -33,8 +26,8 @@ class LawAttributes(BaseModel):
     provenance: Json[dict[str, Any]] = {}
 
 
-@dataclass(frozen=True, eq=False)
-class FittedLaw:
+@dataclass(frozen=True, eq=False, repr=False)
+class FittedLaw(Result):
     """Dimensionless forces of simulations, and what was learned from them and from real soil.
 
     Attributes
@@ -63,6 +56,18 @@ class FittedLaw:
     HYPER: ClassVar[tuple[int, int]] = (0, 0)
     """Shape of the hyperparameters."""
 
+    KIND = KIND
+    SCHEMA = 3
+    ATTRIBUTES = LawAttributes
+    VARIABLES = (
+        Variable("axis", "axis", field="AXES", words=True, coordinate=True),
+        Variable("place", "place", field="PLACES", coordinate=True),
+        Variable("x", "case axis"),
+        Variable("depth", "case"),
+        Variable("force", "case channel place", packed=True),
+        Variable("hyper", "process number", field="hyperparameters"),
+    )
+
     x: FloatArray
     depth: FloatArray
     force: FloatArray
@@ -86,27 +91,20 @@ class FittedLaw:
             digest.update(np.asarray(array, np.float32).tobytes())
         return digest.hexdigest()
 
-    def save(self, path: Path) -> None:
-        """Write one NetCDF-4 file; raises InputError if the place cannot be written."""
-        import xarray as xr
-
-        numbers = {**vars(self), "hyper": self.hyperparameters}
-        data = {name: (dims, numbers[name]) for name, dims in DIMS.items()}
-        coordinates = {"axis": np.array(self.AXES, dtype=object), "place": self.PLACES}
-        words = {key: json.dumps(getattr(self, key)) for key in ("model_error", "provenance")}
-        attrs = {"terraphi_file": KIND, "terraphi_schema": SCHEMA, "error_scale": self.error_scale}
-        packed = {"force": {"zlib": True, "dtype": "float32"}}
-        write_netcdf(xr.Dataset(data, coordinates, attrs | words), path, encoding=packed)
+    save = Result.to_netcdf
 
     @classmethod
-    def load(cls, path: Path) -> Self:
-        """Read what :meth:`save` wrote; raises InputError if it is not whole, or of another law."""
-        with open_netcdf(path, LawAttributes, kind=KIND, schema=SCHEMA) as file:
-            axes, places = file.texts("axis", "axis"), file.numbers("place", "place")
-            if axes != cls.AXES:
-                raise ValueError(f"it is over {', '.join(axes)}, not {', '.join(cls.AXES)}")
-            if not np.array_equal(places, cls.PLACES):
-                raise ValueError("its places are those of another version")
-            shapes = DIMS | {"hyper": cls.HYPER}
-            numbers: dict[str, Any] = {n: file.numbers(n, *dims) for n, dims in shapes.items()}
-            return cls(**numbers, **dict(file.attrs))
+    def _of_file(cls, file: NetcdfFile[LawAttributes]) -> Self:
+        """A law; raises ValueError if the file is of another law."""
+        numbers = read(file, cls.VARIABLES)
+        axes, places = numbers.pop("axis"), numbers.pop("place")
+        if axes != cls.AXES:
+            raise ValueError(f"it is over {', '.join(axes)}, not {', '.join(cls.AXES)}")
+        if not np.array_equal(places, cls.PLACES):
+            raise ValueError("its places are those of another version")
+        numbers["hyper"] = file.numbers("hyper", *cls.HYPER)
+        return cls(**numbers, **dict(file.attrs))
+
+    def _lines(self) -> list[str]:
+        cases = f"{len(self.depth)} cases over {', '.join(self.AXES)}"
+        return [f"{type(self).__name__}: {cases}", f"hash {self.hash[:12]}"]

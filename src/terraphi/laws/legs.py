@@ -145,7 +145,7 @@ def cells_of(ratios: Ratios, depth: float) -> float:
     return min(ratios.width / CELLS_ACROSS, depth / CELLS_DEEP)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Legs(FittedLaw):
     """The law of all legs that there are cases of.
 

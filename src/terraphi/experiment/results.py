@@ -1,0 +1,188 @@
+"""Results: one writer, one strict reader and one display, by declared variables."""
+
+from __future__ import annotations
+
+import html
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
+
+import numpy as np
+
+from terraphi.experiment.files import NetcdfFile, open_netcdf, write_netcdf
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+    from pydantic import BaseModel
+
+MOST_LINES = 5
+"""Lines of a result at a prompt, at most."""
+PACKED = {"zlib": True, "shuffle": True, "dtype": "float32"}
+"""Encoding of variables that are stored in single precision."""
+
+
+class Variable(NamedTuple):
+    """A variable of a result and of its file."""
+
+    name: str
+    """Name in the file; of a variable in a group, after the group and a slash."""
+    dims: str
+    """Names of its dimensions, with spaces between."""
+    unit: str = ""
+    text: str = ""
+    """What it is; the attribute ``long_name``."""
+    field: str = ""
+    """Attribute of the result that holds it; by default that of its name."""
+    column: int | None = None
+    """Column of that attribute, if it has several variables."""
+    words: bool = False
+    """True for text; other variables are numbers."""
+    holes: bool = False
+    """True if values may be not a number, or infinite; else a file with such values is refused."""
+    optional: bool = False
+    """True if a file may lack it; the result then has ``None``."""
+    coordinate: bool = False
+    packed: bool = False
+    derived: bool = False
+    """True if it is computed from the others, and not read."""
+
+    def of(self, result: Any) -> Any:
+        """Its values in a result."""
+        values = getattr(result, self.field or self.name)
+        return values if self.column is None else values[..., self.column]
+
+
+def groups_of(variables: Iterable[Variable], values: Mapping[str, Any]) -> dict[str, xr.Dataset]:
+    """Datasets of variables by group, with units and names; of variables that have values.
+
+    Parameters
+    ----------
+    variables
+        What is declared.
+    values
+        Arrays, or sequences of text, by the names of variables.
+    """
+    import xarray as xr
+
+    groups: dict[str, xr.Dataset] = {}
+    for variable in variables:
+        if values.get(variable.name) is None:
+            continue
+        group, _, name = variable.name.rpartition("/")
+        array = np.asarray(values[variable.name], str if variable.words else None)
+        stated = {"units": variable.unit, "long_name": variable.text}
+        entry = variable.dims.split(), array, {key: word for key, word in stated.items() if word}
+        dataset = groups.setdefault(group, xr.Dataset())
+        if variable.coordinate:
+            groups[group] = dataset.assign_coords({name: entry})
+        else:
+            dataset[name] = entry
+        if variable.packed:
+            groups[group][name].encoding = PACKED
+    return groups
+
+
+def read(file: NetcdfFile[Any], variables: Iterable[Variable]) -> dict[str, Any]:
+    """Values of variables of a file, by name; raises ValueError as :class:`NetcdfFile` does."""
+    values: dict[str, Any] = {}
+    for variable in variables:
+        if variable.derived:
+            continue
+        name, dims = variable.name, variable.dims.split()
+        if variable.optional and name not in file.variables:
+            values[name] = None
+        elif variable.words:
+            values[name] = file.texts(name, *dims)
+        else:
+            values[name] = file.numbers(name, *dims, finite=not variable.holes)
+    return values
+
+
+class Result:
+    """Base of results: to and from NetCDF, and what a prompt or a notebook shows of them."""
+
+    KIND: ClassVar[str]
+    """Attribute ``terraphi_file`` of the file."""
+    SCHEMA: ClassVar[int | None] = None
+    """Version of its layout."""
+    ATTRIBUTES: ClassVar[type[BaseModel]]
+    """Attributes of the file, each a field or property of the result."""
+    VARIABLES: ClassVar[tuple[Variable, ...]] = ()
+    REMEDY: ClassVar[str] = ""
+    """What to do with a file of another kind, after a semicolon."""
+
+    def _variables(self) -> dict[str, Any]:
+        """Values of the declared variables, by name."""
+        return {variable.name: variable.of(self) for variable in self.VARIABLES}
+
+    def _attributes(self) -> dict[str, Any]:
+        """Attributes of the file: numbers and words as they are, everything else as JSON."""
+        stated: dict[str, Any] = {"terraphi_file": self.KIND}
+        if self.SCHEMA is not None:
+            stated["terraphi_schema"] = self.SCHEMA
+        for name, info in self.ATTRIBUTES.model_fields.items():
+            value = getattr(self, name)
+            value = value() if callable(value) else value
+            plain = isinstance(value, str | float)
+            value = dict(value) if isinstance(value, Mapping) else value
+            stated[info.alias or name] = value if plain else json.dumps(value, default=str)
+        return stated
+
+    def to_xarray(self) -> xr.Dataset:
+        """Variables as a Dataset, with units, as in the NetCDF."""
+        return groups_of(self.VARIABLES, self._variables())[""]
+
+    def to_netcdf(self, path: Path | str) -> None:
+        """Write a self-describing NetCDF-4; raises InputError if the place cannot be written."""
+        write_netcdf(self.to_xarray().assign_attrs(self._attributes()), Path(path))
+
+    def _frame(self, dims: str) -> pd.DataFrame:
+        """Table of the variables of some dimensions, a column each."""
+        import pandas as pd
+
+        return pd.DataFrame({v.name: v.of(self) for v in self.VARIABLES if v.dims == dims})
+
+    @classmethod
+    def load(cls, path: Path | str) -> Self:
+        """Read a NetCDF of :meth:`to_netcdf`; raises InputError if it is not whole."""
+        options: dict[str, Any] = {"kind": cls.KIND, "schema": cls.SCHEMA, "remedy": cls.REMEDY}
+        with open_netcdf(Path(path), cls.ATTRIBUTES, **options) as file:
+            return cls._of_file(file)
+
+    @classmethod
+    def _of_file(cls, file: NetcdfFile[Any]) -> Self:
+        """A result from the variables and attributes of a file; raises ValueError."""
+        columns: dict[str, list[Any]] = {}
+        values = read(file, cls.VARIABLES)
+        for variable in cls.VARIABLES:
+            if variable.name in values:
+                columns.setdefault(variable.field or variable.name, []).append(
+                    values[variable.name]
+                )
+        fields = {
+            name: np.column_stack(parts) if len(parts) > 1 else parts[0]
+            for name, parts in columns.items()
+        }
+        return cls(**fields, **dict(file.attrs))
+
+    # -- showing ---------------------------------------------------------------------------------
+
+    def _lines(self) -> list[str]:
+        """What a prompt shows, without arrays; the first line names the result."""
+        raise NotImplementedError
+
+    def _table(self) -> pd.DataFrame | None:
+        """What a notebook shows below, if there is a table."""
+        return None
+
+    def __repr__(self) -> str:
+        """A few lines for a prompt."""
+        return "\n".join(self._lines()[:MOST_LINES])
+
+    def _repr_html_(self) -> str:
+        """The same for a notebook, with a table."""
+        table = self._table()
+        rows = "" if table is None else table.to_html(max_rows=10, float_format="{:.4g}".format)
+        return f"<pre>{html.escape(repr(self))}</pre>{rows}"
