@@ -1,9 +1,10 @@
 r"""The friction angle from a body pressed straight down: force over sinkage, by a law of a foot.
 
-The force is m(z) F(φ, z + z₀) with the contact z₀ and the mobilization m = 1 − A exp(−z / (b R)) of
-loose soil that compacts before it bears. For each node of A and b, φ and z₀ are fitted; the nodes'
-weights are their likelihood times the prior, exp(−A / A₀). In soil that compacts the law reads low:
-such nodes have an offset and a standard deviation of their own, learned from one sand.
+The force at the sinkage z is m(z) F(φ, z + z₀). z₀ is the error of the contact. The mobilization
+m = 1 − A exp(−z / (b R)) is that of loose soil that compacts before it bears, R the radius of the
+body. φ and z₀ are fitted at each node of A and b by least squares, and the weight of a node is its
+likelihood times the prior exp(−A / A₀). The law reads too low in soil that compacts: nodes with a
+large A have an offset and a standard deviation of their own, learned from one sand.
 """
 
 from __future__ import annotations
@@ -23,11 +24,12 @@ from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import label_of
 from terraphi.experiment.reading import read_pressed
 from terraphi.experiment.rig import Tool
-from terraphi.inference.answer import Answer, Edge, Estimate, RecordFit, Verdict
+from terraphi.inference.answer import Answer, Estimate, RecordFit
 from terraphi.inference.estimator import least_squares, weights
 from terraphi.inference.likelihood import UNKNOWN_DENSITY
 from terraphi.inference.records import density_doubts, density_with_sd, grain_size, roughness
 from terraphi.inference.terms import ordered_budget, root_sum_square, term
+from terraphi.inference.verdict import Judgment, consistent, large_residual, out_of_range
 from terraphi.laws.foot import DEEPEST, LAWS, SURFACE_FRICTION, SURFACE_FRICTION_SD, Foot
 from terraphi.laws.store import PHI
 
@@ -69,7 +71,7 @@ GRAINS_DEG = 15.0
 """Standard deviation of φ by grains as large as the body [deg]; it goes with their diameter. Grains
 of 4 to 9 mm add 14 ± 10° to balls of 44 mm and take 17 ± 11° off discs of 60 mm, over the diameter
 (``docs/plates.md``), so that nothing is corrected."""
-APART = 3.0
+HALVES = 3.0
 """Difference of φ between both halves of the depth over its standard deviation above which a record
 is a misfit [-], chosen."""
 LIMIT = 0.15
@@ -129,9 +131,19 @@ class _Press:
         return np.asarray(shape + (FLOOR * self.force.max()) ** 2 * np.eye(self.z.size))
 
     @property
+    def noise_covariance(self) -> FloatArray:
+        """Covariance of the noise [N²], shape [n, n]."""
+        return np.asarray(self.noise**2 * np.eye(self.z.size))
+
+    @property
     def error(self) -> FloatArray:
-        """Covariance of the course and of the noise, shape [n, n]."""
-        return np.asarray(self.course + self.noise**2 * np.eye(self.z.size))
+        """Covariance of the course and of the noise [N²], shape [n, n]."""
+        return self.course + self.noise_covariance
+
+    @property
+    def compaction_sd(self) -> float:
+        """Standard deviation of φ of soil that compacts [deg]."""
+        return COMPACTING_SD_DEG * min(max(self.tool.radius / float(self.z[-1]), 1.0), SHALLOW)
 
 
 class _Fit(NamedTuple):
@@ -181,32 +193,34 @@ def invert_pressed(
     press = _Press(tool, name, rho, z, force, roughness(force), grains)
     fit = _fit(press)
     budget = _budget(press, fit, rho_sd / rho)
-    grid, posterior = _posterior(press, fit, budget)
+    steady_sd = root_sum_square(budget, "contraction", "model: compaction")
+    grid, posterior = _posterior(press, fit, steady_sd)
     estimate = Estimate.of_density(grid, posterior)
-    size = float(np.sqrt(np.square(force - fit.model).mean()) / np.ptp(force))
-    verdict, reason, edge = _verdict(press, fit, budget, estimate, size)
     level, read = fit.phi[fit.top], fit.by_law[fit.top]
     ends = np.array(estimate.ci95) - (level - read)
     ends = press.curve(np.stack([np.clip(ends, *press.ends), [fit.contact] * 2], -1))
-    # What else is unsure looks like another angle.
-    shared = sum(sd**2 for name, sd in budget.items() if not term(name).residual)
+    residual = float(np.sqrt(np.square(force - fit.model).mean()) / np.ptp(force))
     record = RecordFit(
         source=label, rig=tool, simulated=False, n_readings=used, n_left_out=table.rows - used,
         theta_deg=1e3 * z, data=force[None], curve=fit.model[None],
-        band=(press.borne[fit.top] * ends)[:, None], nrmsd={"Fz": size}, limit=LIMIT,
+        band=(press.borne[fit.top] * ends)[:, None], nrmsd={"Fz": residual}, limit=LIMIT,
         tangent=np.stack([fit.model - fit.slope * level, fit.slope])[:, None],
     )  # fmt: skip
-    guessed = [] if density is not None else [f"The density {rho:g} kg/m³ is assumed."]
-    notes = _notes(press, fit, verdict) + notes
+    verdict, reason, edge = _verdict(press, fit, record, estimate.median, steady_sd)
+    is_sound = verdict == "consistent"
+    scaled = _phi_of_force(press, fit, estimate.median) if is_sound else None
+    if density is None:
+        notes = [f"The density {rho:g} kg/m³ is assumed.", *notes]
+    # Terms that do not show in the residual look like another angle.
+    angle_sd = root_sum_square(budget, *(name for name in budget if term(name).residual))
     return Answer(
         parameters={PHI: estimate}, convention="plane_strain", phi_plane_strain=estimate,
         verdict=verdict, reason=reason, edge=edge, budget_deg=budget,
         density_kg_m3=rho, density_sd_kg_m3=rho_sd, density_assumed=density is None, law=name,
         law_reason="" if law else "the default for tools", leg_friction=SURFACE_FRICTION,
-        phi_of_force_deg=_phi_of_force(press, fit, estimate.median)
-        if verdict == "consistent" else None,
-        warnings=(*density_doubts(rho), *guessed, *notes), records=(record,), grid_deg=grid,
-        density=posterior, covariance=press.error + shared * np.outer(fit.slope, fit.slope),
+        phi_of_force_deg=scaled, records=(record,), grid_deg=grid, density=posterior,
+        warnings=(*density_doubts(rho), *notes, *_warnings(press, fit, is_sound=is_sound)),
+        covariance=press.error + angle_sd**2 * np.outer(fit.slope, fit.slope),
         provenance={
             "terraphi": importlib.metadata.version("terraphi"), "law_hash": LAWS[name].hash,
             "contraction": float(fit.chance @ NODES[:, 0]), "compacts": float(fit.chance @ COMPACT),
@@ -253,14 +267,19 @@ def _fit(press: _Press) -> _Fit:
 
 
 def _budget(press: _Press, fit: _Fit, density_sd: float) -> dict[str, float]:
-    """Standard deviations of φ by term [deg], the largest first; those of no size are left out.
-
-    Errors of the whole force go in proportion to it; that of the density is relative.
-    """
-    row, model, x = fit.row, fit.model, np.array([[fit.by_law[fit.top], fit.contact]])
-    rough = press.borne[fit.top] * np.subtract(
-        *(press.curve(x, mu=SURFACE_FRICTION + step)[0] for step in (0.1, -0.1))
-    )
+    """Standard deviation of φ by term [deg]; that of the density is relative [-]."""
+    x = np.array([[fit.by_law[fit.top], fit.contact]])
+    rougher, smoother = (press.curve(x, mu=SURFACE_FRICTION + step)[0] for step in (0.1, -0.1))
+    # Errors of the force [N], one standard deviation over depth.
+    errors = {
+        "density": density_sd * fit.model,
+        "surface friction": press.borne[fit.top] * (rougher - smoother) * SURFACE_FRICTION_SD / 0.2,
+        "depth": DEEP_SD * np.maximum(press.z / press.tool.radius - DEEPEST, 0.0) * fit.model,
+        "rectangle": 0.5 * math.log(press.tool.over_disc) * fit.model,
+    }
+    sds = {name: abs(float(fit.row @ error)) for name, error in errors.items()}
+    for name, covariance in (("model: course", press.course), ("noise", press.noise_covariance)):
+        sds[name] = math.sqrt(float(fit.row @ covariance @ fit.row))
     # By fits anew: a disc bears at once where it touches, which is not linear in the contact.
     higher, lower = (
         _fit(
@@ -268,38 +287,23 @@ def _budget(press: _Press, fit: _Fit, density_sd: float) -> dict[str, float]:
         ).mean_deg
         for z in (press.contact_sd, -press.contact_sd)
     )
-    deep = DEEP_SD * np.maximum(press.z / press.tool.radius - DEEPEST, 0.0) * model
-    terms = {
-        "model: compaction": _compaction_sd(press) * math.sqrt(float(fit.chance @ COMPACT)),
+    return ordered_budget(sds | {
+        "contact": 0.5 * abs(higher - lower),
+        "contraction": math.sqrt(float(fit.chance @ (fit.phi - fit.mean_deg) ** 2)),
+        "model: compaction": press.compaction_sd * math.sqrt(float(fit.chance @ COMPACT)),
         "model: soil": SOIL_SD_DEG,
         "model: law": math.sqrt(LAWS[press.law].sd_deg ** 2 - SOIL_SD_DEG**2),
-        "model: course": math.sqrt(float(row @ press.course @ row)),
-        "density": abs(float(row @ model)) * density_sd,
-        "surface friction": abs(float(row @ rough)) * SURFACE_FRICTION_SD / 0.2,
-        "contact": 0.5 * abs(higher - lower),
-        "noise": press.noise * math.sqrt(float(row @ row)),
-        "contraction": math.sqrt(float(fit.chance @ (fit.phi - fit.chance @ fit.phi) ** 2)),
-        "depth": abs(float(row @ deep)),
-        "rectangle": abs(float(row @ model) * 0.5 * math.log(press.tool.over_disc)),
         "grain size": GRAINS_DEG * press.grains,
-    }
-    return ordered_budget(terms)
+    })  # fmt: skip
 
 
-def _compaction_sd(press: _Press) -> float:
-    """Of φ of soil that compacts [deg]."""
-    return COMPACTING_SD_DEG * min(max(press.tool.radius / float(press.z[-1]), 1.0), SHALLOW)
+def _posterior(press: _Press, fit: _Fit, steady_sd: float) -> tuple[FloatArray, FloatArray]:
+    """Density of φ [1/deg] on a grid [deg]: a normal distribution for each node.
 
-
-def _steady_sd(budget: dict[str, float]) -> float:
-    """Of φ at a node of soil that does not compact [deg]."""
-    return root_sum_square(budget, "contraction", "model: compaction")
-
-
-def _posterior(press: _Press, fit: _Fit, budget: dict[str, float]) -> tuple[FloatArray, FloatArray]:
-    """Density of φ [1/deg] on a grid [deg]: a normal distribution for each node."""
+    ``steady_sd`` is the standard deviation at a node of soil that does not compact [deg].
+    """
     low, high = press.ends
-    sd = np.hypot(_steady_sd(budget), _compaction_sd(press) * COMPACT)
+    sd = np.hypot(steady_sd, press.compaction_sd * COMPACT)
     grid = np.arange(max(low - 15.0, 0.5), min(high + 18.0, 80.0), 0.05)
     deviate = (grid[:, None] - fit.phi) / sd
     posterior = np.exp(-0.5 * deviate**2) @ (fit.chance / sd)
@@ -307,71 +311,65 @@ def _posterior(press: _Press, fit: _Fit, budget: dict[str, float]) -> tuple[Floa
 
 
 def _verdict(
-    press: _Press, fit: _Fit, budget: dict[str, float], estimate: Estimate, size: float
-) -> tuple[Verdict, str, Edge | None]:
+    press: _Press, fit: _Fit, record: RecordFit, phi_deg: float, steady_sd: float
+) -> Judgment:
     """Verdict, its reason, and the end of the law beyond which φ lies."""
     low, high = press.ends
-    end = min(high - 0.1, LOOSE_DEG)
-    if estimate.median > end:
-        return "out_of_range", (
-            f"Out of range: φ lies above {end:.0f}°, and law {press.law} is of loose soil; check "
-            "diameter and unit; dense or cohesive soil bears more."
-        ), "high"  # fmt: skip
+    loosest = min(high - 0.1, LOOSE_DEG)
+    if phi_deg > loosest:
+        return out_of_range(
+            press.law, "high", loosest,
+            "which is of loose soil; check diameter and unit; dense or cohesive soil bears more",
+        )  # fmt: skip
     if fit.chance @ (fit.by_law < low + 0.1) > 0.5:
-        return "out_of_range", (
-            f"Out of range: φ lies below {low:g}°, the end of law {press.law}; check diameter and "
-            "unit of the force, its sign and the zero of the sinkage."
-        ), "low"  # fmt: skip
-    if size > LIMIT:
-        return "misfit", (
-            f"Misfit: the residual is {100.0 * size:.0f} % of the force's range, the limit "
-            f"{100.0 * LIMIT:.0f} %; check tool and columns. Do not use the angle."
-        ), None  # fmt: skip
+        return out_of_range(
+            press.law, "low", low,
+            "check diameter and unit of the force, its sign and the zero of the sinkage",
+        )  # fmt: skip
+    if misfit := large_residual([record], "loose grains"):
+        return misfit
     deep = press.z > 0.5 * press.z[-1]
-    upper, lower = (_angle_of(press, fit, press.force, half) for half in (~deep, deep))
-    if abs(lower - upper) > APART * _steady_sd(budget):
+    upper, lower = (_angle_of(press, fit, part=half) for half in (~deep, deep))
+    if abs(lower - upper) > HALVES * steady_sd:
         return "misfit", (
             f"Misfit: the upper half of the depth gives φ = {upper:.0f}°, the lower half "
             f"{lower:.0f}°; check tool, surface and layers. Do not use the angle."
         ), None  # fmt: skip
-    return "consistent", (
-        f"Consistent: the law follows the force within {100.0 * size:.0f} % of its range."
-    ), None  # fmt: skip
+    return consistent([record], "loose soil")
 
 
-def _angle_of(press: _Press, fit: _Fit, force: FloatArray, part: BoolArray) -> float:
-    """φ of a force over a part of the depth, at the likeliest contact and contraction [deg]."""
-    low, high = press.ends
-    angles = np.arange(low, high, 0.1)
+def _angle_of(
+    press: _Press, fit: _Fit, factor: float = 1.0, part: BoolArray | slice = slice(None)
+) -> float:
+    """φ of the force times a factor, over a part of the depth, at the likeliest node [deg]."""
+    angles = np.arange(*press.ends, 0.1)
     curves = press.borne[fit.top] * press.curve(np.stack([angles, 0 * angles + fit.contact], -1))
-    return float(angles[np.square((curves - force)[:, part]).sum(axis=1).argmin()])
+    return float(angles[np.square((curves - factor * press.force)[:, part]).sum(axis=1).argmin()])
 
 
 def _phi_of_force(press: _Press, fit: _Fit, phi_deg: float) -> dict[str, float | None]:
     """φ that half and twice the force would be read as [deg]; ``None`` outside of the law."""
-    whole_depth = np.ones(press.z.size, bool)
-    now, half, twice = (
-        _angle_of(press, fit, f * press.force, whole_depth) for f in (1.0, 0.5, 2.0)
-    )
-    low, end = press.ends[0] + 0.1, min(press.ends[1] - 0.2, LOOSE_DEG)
+    now, half, twice = (_angle_of(press, fit, factor) for factor in (1.0, 0.5, 2.0))
+    low, high = press.ends[0] + 0.1, min(press.ends[1] - 0.2, LOOSE_DEG)
     return {
-        name: phi_deg + angle - now if low < angle and phi_deg + angle - now <= end else None
+        name: phi_deg + angle - now if low < angle and phi_deg + angle - now <= high else None
         for name, angle in (("half", half), ("twice", twice))
     }
 
 
-def _notes(press: _Press, fit: _Fit, verdict: Verdict) -> list[str]:
-    """Sentences on depth and compaction."""
-    notes, deepest = [], DEEPEST * press.tool.radius
-    if press.z[-1] > deepest:
-        notes.append(f"The law is extrapolated from {1e3 * deepest:.0f} mm on, to "
-                     f"{1e3 * press.z[-1]:.0f} mm.")  # fmt: skip
-    certain = fit.chance[NODES[:, 0] < 0.1 * SIGNIFICANT].sum() < 0.05
+def _warnings(press: _Press, fit: _Fit, *, is_sound: bool) -> list[str]:
+    """Sentences on depth and, of a sound answer, on compaction."""
+    sentences, deepest = [], 1e3 * DEEPEST * press.tool.radius
+    if (bottom := 1e3 * press.z[-1]) > deepest:
+        sentences.append(f"The law is extrapolated from {deepest:.0f} mm on, to {bottom:.0f} mm.")
+    compacts = fit.chance[NODES[:, 0] < 0.1 * SIGNIFICANT].sum() < 0.05
     contraction = float(fit.chance @ NODES[:, 0])
-    if verdict == "consistent" and contraction > SIGNIFICANT and certain:
-        lower = f"{100.0 * contraction:.0f} % lower than the law's"
-        notes.append(f"The force begins {lower}: loose soil that compacts as it is pressed.")
-    return notes
+    if is_sound and compacts and contraction > SIGNIFICANT:
+        sentences.append(
+            f"The force begins {100.0 * contraction:.0f} % lower than the law's: loose soil that "
+            "compacts as it is pressed."
+        )
+    return sentences
 
 
 def _virgin(

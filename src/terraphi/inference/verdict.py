@@ -1,0 +1,52 @@
+"""Verdicts on legs and tools alike: whether φ is in the range of a law, and the residual usual."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from terraphi.inference.answer import Edge, RecordFit, Verdict, worst_nrmsd
+
+Judgment = tuple[Verdict, str, Edge | None]
+"""Verdict, its reason in a sentence or more, and the end of the law beyond which φ lies."""
+
+
+def out_of_range(law: str, edge: Edge, end_deg: float, advice: str = "") -> Judgment:
+    """Verdict on φ beyond an end of a law [deg]."""
+    where, end = ("below", "lower") if edge == "low" else ("above", "upper")
+    reason = f"Out of range: φ lies {where} {end_deg:.0f}°, the {end} end of law {law}"
+    return "out_of_range", f"{reason}{f'; {advice}' if advice else ''}.", edge
+
+
+def large_residual(fits: Sequence[RecordFit], origin: str) -> Judgment | None:
+    """Verdict on the first record whose residual exceeds its limit; ``None`` if there is none.
+
+    ``origin`` names what the limit was found by.
+    """
+    for fit in fits:
+        sizes = np.array([*fit.nrmsd.values()])
+        if fit.limit is None or sizes.max() <= fit.limit:
+            continue
+        residual = fit.data - fit.curve
+        rms = np.sqrt(np.square(residual).mean(axis=1))
+        residual *= (sizes / np.maximum(rms, 1e-300))[:, None]
+        i, j = np.unravel_index(np.abs(residual).argmax(), residual.shape)
+        largest = residual[i, j]
+        shown = f"{100.0 * largest:+.0f} % of" if abs(largest) < 2.0 else f"{largest:+.1f} times"
+        unit = "°" if fit.coordinate == "theta_deg" else " mm"
+        return "misfit", (
+            f"Misfit: {[*fit.nrmsd][i]} differs from the model by {shown} its range at "
+            f"{fit.theta_deg[j]:.0f}{unit}. The residual is {100.0 * sizes.max():.1f} %; the limit "
+            f"is {100.0 * fit.limit:.1f} %, from {origin}. Do not use the angle."
+        ), None  # fmt: skip
+    return None
+
+
+def consistent(fits: Sequence[RecordFit], usual: str) -> Judgment:
+    """Verdict on records whose residuals are usual for some soils."""
+    sizes = " and ".join(
+        f"{n} within {100.0 * size:.0f} %" for n, size in worst_nrmsd(fits).items()
+    )
+    reason = f"Consistent: the model follows {sizes} of the range, usual for {usual}."
+    return "consistent", reason, None
