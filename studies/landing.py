@@ -163,7 +163,7 @@ def main() -> None:
     rms = {own: float(np.sqrt(np.mean(np.square(values)))) for own, values in off.items()}
     landed = [hits[soil, name] for soil in SOILS for name in HITS if name.startswith("l")]
     grown = {
-        name: touchdowns.with_exponent(touched(some), "foot", WALK)
+        name: touchdowns.learn_exponent(touched(some), "foot", WALK)
         for name, some in (("slow", slow), ("landed", landed))
     }
     change = np.abs(phi_deg(landed, grown["landed"]) - phi_deg(landed, WALK))

@@ -17,10 +17,10 @@ from terraphi.inference.touchdowns import (
     Touchdowns,
     fit,
     inertia,
+    learn_exponent,
     noise_covariance,
     picked,
     predicted,
-    with_exponent,
 )
 from terraphi.laws.foot import LAWS, Foot, moved_mass
 
@@ -215,8 +215,8 @@ def test_growth_with_depth_is_learnt_from_the_courses_of_force() -> None:
     seen = Touchdowns._make(map(np.concatenate, zip(*each, strict=True)))
     depth = np.maximum(seen.drop + 0.003, 1e-4)
     softer = seen._replace(force=seen.force * (depth / PRIOR.radius) ** -0.3)
-    assert with_exponent(seen, "rft", PRIOR).exponent == pytest.approx(0.0, abs=0.08)
-    found = with_exponent(softer, "rft", PRIOR)
+    assert learn_exponent(seen, "rft", PRIOR).exponent == pytest.approx(0.0, abs=0.08)
+    found = learn_exponent(softer, "rft", PRIOR)
     assert found.exponent == pytest.approx(-0.3, abs=0.08)
     assert fit(softer, "rft", found).phi.mean() == pytest.approx(40.4, abs=0.8)
 

@@ -21,7 +21,7 @@ from terraphi.experiment.files import NetcdfFile, atomic_files, atomic_write
 from terraphi.experiment.outputs import SIGNATURE
 from terraphi.experiment.results import Result, Variable
 from terraphi.experiment.tables import write_csv
-from terraphi.inference.pool import Anchor, Normal, Observed, pool
+from terraphi.inference.pool import Anchor, Normal, Observed, Pooled, pool
 from terraphi.inference.records import density_doubts
 from terraphi.inference.touchdowns import (
     FEWEST,
@@ -33,9 +33,9 @@ from terraphi.inference.touchdowns import (
     Touchdowns,
     evenly,
     fit,
+    learn_exponent,
     likeness,
     picked,
-    with_exponent,
 )
 from terraphi.laws.foot import DEEPEST, LAWS
 
@@ -61,13 +61,13 @@ ground a force comes without, and what creeps under a full load is no loading. W
 with the depth to the power of 1.7, it is half of a sinkage of 6 mm (hard ground in
 ``examples/sand_check.py`` has no usable footfall)."""
 NEAR_RADII, BESIDE_RADII, BESIDE_SD_DEG = 1.5, 3.0, 1.5
-"""Ground nearer than this many radii to an earlier footfall has been trodden [-]; up to more, the
-earlier one has moved soil: standard deviation of φ by that [deg]. In simulated grains balls of 44
-mm read φ + 7.9° in their own print, + 3.5° at one radius from it, + 0.5° at 1.5 and −0.9 to + 1.5°
-from 2 to 3."""
+"""Distances from an earlier footfall, in radii [-]: ground nearer than the first has been trodden,
+ground nearer than the second has been moved, which adds a standard deviation to φ [deg]. In
+simulated grains balls of 44 mm read φ + 7.9° in their own print, + 3.5° at one radius from it, +
+0.5° at 1.5 and −0.9 to + 1.5° from 2 to 3."""
 WORST_MISFIT = 2.0
-"""χ² over the degrees of freedom above which a law does not fit [-]: with noise of twice the usual
-size and more it is 0.1 to 0.4 on simulated walks."""
+"""χ² over the degrees of freedom above which a law does not fit [-]; 0.1 to 0.4 on simulated walks,
+with noise twice as large as usual included."""
 MOST_RETURNED, WALK_RETURNED = 0.35, 0.15
 """Work that the ground gives back at the end of a stance over what the loading put in, above which
 a footfall is on elastic ground, and the median above which a whole walk is [-]. Elastic ground
@@ -86,9 +86,9 @@ loading gives there, above which something hard lies below [-]. On simulated san
 and others one of about 2,500 usable footfalls has 1.4, the others 1.07 at most; on a hard layer
 under 20 to 30 mm of sand the median of a walk is 1.2, where its feet reach it."""
 MOST_MISFITS = 0.2
-"""Part of the footfalls above which a law that does not fit is worth a note [-]. On virgin sand of
-five laws ``examples/sand_check.py`` has 0 to 12 %, but for one of eight walks by Meyerhof's formula
-(28 %); on a track that was walked before 27 to 50 %."""
+"""Part of the footfalls that the law does not fit, above which there is a warning [-]. On virgin
+sand of five laws ``examples/sand_check.py`` has 0 to 12 %, but for one of eight walks by Meyerhof's
+formula (28 %); on a track that was walked before 27 to 50 %."""
 SLOW_GROWTH = -0.35
 """Exponent of a walk, by law ``foot``, below which forces grow slower with depth than those of dry
 sand that is stepped on slowly [-]: −0.1 to 0.1 on simulated dry sand, −0.18 in grains, −0.31 on
@@ -98,14 +98,16 @@ and −0.36 to −0.45 on that of Meyerhof's formula, which does too; feet that 
 FEWEST_TYPICAL = 5
 """Footfalls that a median of a walk needs (chosen)."""
 BACK_M = 0.3
-"""A trunk that comes nearer than this to its former path, a robot's width, may tread in its own
-prints [m]."""
+"""Distance of the trunk from its former path below which feet may tread in their own prints [m]: a
+robot's width."""
 LEVEL_DEG = 5.0
-"""Inclination of the ground that is worth a note [deg]: 1.4° at most on simulated level sand."""
+"""Inclination of the ground above which there is a warning [deg]: 1.4° at most on simulated level
+sand."""
 CONTRADICTED = 2.0
-"""Standard deviations above which an anchor is doubted [-]: one sound anchor in twenty."""
+"""Standard deviations from the rest above which an anchor is doubted [-]; one sound anchor in
+twenty is."""
 SECOND = {"rft": "foot"}
-"""Law of a second opinion, for each law; else ``rft``: of few terms, and fast."""
+"""Law of a second opinion, for each law; else ``rft``, which has few terms and is fast."""
 KIND = "footfalls"
 GREY = "0.4"
 CI95 = 1.959964
@@ -440,7 +442,7 @@ def _each(phi: FloatArray, sd: FloatArray) -> list[dict[str, Any] | None]:
 
 
 def infer(
-    seen: Touchdowns,
+    touchdowns: Touchdowns,
     torques: Normal,
     path: FloatArray,
     *,
@@ -451,14 +453,14 @@ def infer(
     notes: Sequence[str],
     provenance: Mapping[str, Any],
 ) -> FootfallMap:
-    """φ of the touch-downs of a walk and along its path.
+    """Infer φ of the touch-downs of a walk and along its path.
 
     Parameters
     ----------
-    seen
-        The touch-downs, in the order of time.
+    touchdowns
+        In the order of time.
     torques
-        What is known of errors of the joints' torques, in the order of
+        Errors of the joints' torques, in the order of
         :data:`~terraphi.inference.touchdowns.TORQUES`.
     path
         Points of the path: s along it, x, y [m], shape [point, 3].
@@ -467,77 +469,144 @@ def infer(
     feet
         Names of the feet.
     notes, provenance
-        Of the log.
+        Warnings about the log, and its origin.
     """
-    stretches = [(anchor, anchor.stretch(path)) for anchor in anchors]
-    prior = _with_growth(seen, law, prior)
-    found = fit(seen, law, prior)
-    beside, _ = _trodden(seen, BESIDE_RADII * prior.radius)
-    found = found._replace(sd=np.hypot(found.sd, BESIDE_SD_DEG * beside))
-    verdict = verdicts(seen, found, prior.radius)
+    stretches = [anchor.stretch(path) for anchor in anchors]
+    prior = _with_growth(touchdowns, law, prior)
+    fits = fit(touchdowns, law, prior)
+    near_print, _ = trodden_before(touchdowns, BESIDE_RADII * prior.radius)
+    fits = fits._replace(sd=np.hypot(fits.sd, BESIDE_SD_DEG * near_print))
+    verdict = verdicts(touchdowns, fits, prior.radius)
     usable = verdict == USABLE
-    of_each, of_path = np.full((3, len(verdict)), np.nan), np.full((3, len(path)), np.nan)
+    footfall_phi, path_phi = np.full((3, len(verdict)), np.nan), np.full((3, len(path)), np.nan)
     shared: dict[str, Any] = {}
     by_law: dict[str, float] = {}
-    contradicted: list[str] = []
-    scale_sd = prior.slope_sd
+    scale_sd, contradicted = prior.slope_sd, []
     if usable.any():
-        phi, moves, sound = found.phi[usable], found.shared[usable], picked(seen, usable)
-        second = SECOND.get(law, "rft")
-        second_prior = with_exponent(
-            evenly(sound, MOST_FITTED), second, replace(prior, exponent=0.0)
-        )
-        other = fit(sound, second, second_prior).phi
-        prior = replace(prior, other_law_sd=math.sqrt(likeness(prior, second_prior)))
-        # How much larger or smaller the other law makes a difference: its slope, for on uniform
-        # soil both differ by their noise.
-        varies = phi - phi.mean()
-        stretch = abs(float(varies @ (phi - other))) / max(float(varies @ varies), 1e-9)
-        scale_sd = math.hypot(prior.slope_sd, prior.other_law_sd * stretch)
-        for name, differs in (("law_slope", phi), ("other_law", phi - other)):
-            moves[:, TORQUES + list(prior.shared()).index(name)] = differs - differs.mean()
-        known = np.array(list(prior.shared().values()))
-        theta = np.zeros((len(known) + TORQUES,) * 2)
-        theta[:TORQUES, :TORQUES] = torques.covariance
-        theta[TORQUES:, TORQUES:] = np.diag(known[:, 1] ** 2)
-        common = Normal(np.append(torques.mean, 0.0 * known[:, 0]), theta)
-        observed = Observed(phi, found.sd[usable], moves, seen.place[usable, :2])
+        sound, sound_fits = picked(touchdowns, usable), picked(fits, usable)
+        prior, second, sensitivity, scale_sd = _compare_laws(sound, sound_fits, law, prior)
         pooled = pool(
-            observed, common, path[:, 1:], stretches, mean=prior.phi_deg, mean_sd=prior.phi_sd_deg
-        )
-        of_each[:, usable] = pooled.phi, pooled.sd, pooled.shared_sd
-        of_path[:] = pooled.path_phi, pooled.path_relative_sd, pooled.path_absolute_sd
-        for name, part in (("torque_gain", slice(12)), ("joint_friction_Nm", slice(12, TORQUES))):
-            mean, sd, terms = pooled.shared[:, part]
-            worth = float(np.sqrt((terms**2).sum()))
-            shared[name] = {"mean": mean.tolist(), "sd": sd.tolist(), "worth_deg": worth}
-        rows = pooled.shared[:, TORQUES:].T.tolist()
-        for (name, (centre, _)), (off, sd, worth) in zip(prior.shared().items(), rows, strict=True):
-            shared[name] = {"mean": centre + off, "sd": sd, "worth_deg": worth}
-        shared["field"] = pooled.field
-        # The second law too with what was learned of sensors and anchors.
-        by_law = {
-            law: float(pooled.phi.mean()),
-            second: float(other.mean() + (pooled.phi - phi).mean()),
-        }
+            Observed(sound_fits.phi, sound_fits.sd, sensitivity, sound.place[:, :2]),
+            _shared_errors(torques, prior), path[:, 1:], list(zip(anchors, stretches, strict=True)),
+            mean=prior.phi_deg, mean_sd=prior.phi_sd_deg,
+        )  # fmt: skip
+        footfall_phi[:, usable] = pooled.phi, pooled.sd, pooled.shared_sd
+        path_phi[:] = pooled.path_phi, pooled.path_relative_sd, pooled.path_absolute_sd
+        shared = _shared_summary(pooled, prior)
+        # The second law is shifted by what was learned about sensors and from anchors, too.
+        learned = float((pooled.phi - sound_fits.phi).mean())
+        by_law = {law: float(pooled.phi.mean())}
+        by_law |= {name: float(phi.mean()) + learned for name, phi in second.items()}
         contradicted = [
             f"the anchor of {anchor.phi_deg:g} ± {anchor.sd_deg:g}° is {off:.1f} standard "
             "deviations from what footfalls, law and other anchors give: check it"
             for anchor, off in zip(anchors, pooled.surprise, strict=True) if off > CONTRADICTED
         ]  # fmt: skip
-    sinkage = np.where(verdict == SHALLOW, found.gained, found.sinkage)
-    notes = [
-        *_ground_notes(seen, found, verdict), *contradicted, *density_doubts(prior.density), *notes
+    sinkage = surface_depth(fits, verdict)
+    warnings = [
+        *_ground_notes(touchdowns, fits, verdict), *contradicted, *density_doubts(prior.density),
+        *notes, *_limits_of_the_law(touchdowns, fits, usable, law, prior),
+        *_limits_of_the_path(path, verdict, prior, scale_sd, anchored=bool(anchors)),
     ]  # fmt: skip
+    return FootfallMap(
+        time=touchdowns.begin,
+        foot=tuple(feet[i] for i in touchdowns.foot),
+        place=touchdowns.place + np.outer(sinkage, [0.0, 0.0, 1.0]),
+        sinkage=sinkage,
+        **dict(zip(("phi", "sd", "shared_sd"), footfall_phi, strict=True)),
+        **dict(zip(("path_phi", "path_relative_sd", "path_absolute_sd"), path_phi, strict=True)),
+        misfit=fits.misfit,
+        verdict=tuple(verdict.tolist()),
+        path=path,
+        shared=shared,
+        by_law=by_law,
+        warnings=tuple(warnings),
+        provenance={
+            **provenance, "law": law, "law_hash": LAWS[law].hash, "prior": asdict(prior),
+            "anchors": [anchor._asdict() for anchor in anchors],
+            "terraphi": importlib.metadata.version("terraphi"),
+        },
+    )  # fmt: skip
+
+
+def surface_depth(fits: Fit, verdict: NDArray[np.str_]) -> FloatArray:
+    """Sinkage of each footfall [m]: of the fit, or the way down under load if that is shallow."""
+    return np.where(verdict == SHALLOW, fits.gained, fits.sinkage)
+
+
+def _with_growth(touchdowns: Touchdowns, law: str, prior: Prior) -> Prior:
+    """Add the law's error to the prior, and its growth with depth if enough feet sink in."""
+    if prior.law_sd_deg is None:
+        prior = replace(prior, law_sd_deg=LAWS[law].sd_deg)
+    trodden, _ = trodden_before(touchdowns, NEAR_RADII * prior.radius)
+    virgin = evenly(picked(touchdowns, ~trodden), MOST_FITTED)
+    deep = np.isin(verdicts(virgin, fit(virgin, law, prior), prior.radius), (USABLE, MISFIT))
+    return learn_exponent(picked(virgin, deep), law, prior) if deep.sum() >= FEWEST else prior
+
+
+def _compare_laws(
+    touchdowns: Touchdowns, fits: Fit, law: str, prior: Prior
+) -> tuple[Prior, dict[str, FloatArray], FloatArray, float]:
+    """Compare usable footfalls with a second law, whose growth with φ is another.
+
+    Returns the prior with the second law's weight, φ by that law [deg], the sensitivities with the
+    columns ``law_slope`` and ``other_law`` filled in, and the relative standard deviation of the
+    scale of differences of φ [-].
+    """
+    name = SECOND.get(law, "rft")
+    second_prior = learn_exponent(
+        evenly(touchdowns, MOST_FITTED), name, replace(prior, exponent=0.0)
+    )
+    prior = replace(prior, other_law_sd=math.sqrt(likeness(prior, second_prior)))
+    phi, sensitivity = fits.phi, fits.shared.copy()
+    second = fit(touchdowns, name, second_prior).phi
+    for term, difference in (("law_slope", phi), ("other_law", phi - second)):
+        column = TORQUES + list(prior.shared()).index(term)
+        sensitivity[:, column] = difference - difference.mean()
+    # By how much the other law makes differences larger or smaller: the slope of a regression, for
+    # on uniform soil the two laws differ by their noise.
+    deviation = phi - phi.mean()
+    stretch = abs(float(deviation @ (phi - second))) / max(float(deviation @ deviation), 1e-9)
+    scale_sd = math.hypot(prior.slope_sd, prior.other_law_sd * stretch)
+    return prior, {name: second}, sensitivity, scale_sd
+
+
+def _shared_errors(torques: Normal, prior: Prior) -> Normal:
+    """Joint distribution of θ − θ₀: torques, then :meth:`Prior.shared`, which are independent."""
+    sd = np.array([sd for _, sd in prior.shared().values()])
+    covariance = np.zeros((len(sd) + TORQUES,) * 2)
+    covariance[:TORQUES, :TORQUES] = torques.covariance
+    covariance[TORQUES:, TORQUES:] = np.diag(sd**2)
+    return Normal(np.append(torques.mean, 0.0 * sd), covariance)
+
+
+def _shared_summary(pooled: Pooled, prior: Prior) -> dict[str, Any]:
+    """Posterior mean and standard deviation of θ, and its share of the uncertainty of φ [deg]."""
+    shared: dict[str, Any] = {}
+    for name, part in (("torque_gain", slice(12)), ("joint_friction_Nm", slice(12, TORQUES))):
+        mean, sd, terms = pooled.shared[:, part]
+        worth = float(np.sqrt((terms**2).sum()))
+        shared[name] = {"mean": mean.tolist(), "sd": sd.tolist(), "worth_deg": worth}
+    rows = pooled.shared[:, TORQUES:].T.tolist()
+    for (name, (centre, _)), (off, sd, worth) in zip(prior.shared().items(), rows, strict=True):
+        shared[name] = {"mean": centre + off, "sd": sd, "worth_deg": worth}
+    return shared | {"field": pooled.field}
+
+
+def _limits_of_the_law(
+    touchdowns: Touchdowns, fits: Fit, usable: BoolArray, law: str, prior: Prior
+) -> list[str]:
+    """Warnings where the law was not simulated or not tested: slopes, depth, growth with depth."""
+    notes = []
     # Inclination of the plane through places where feet met the ground.
-    x, y, z = seen.place[~seen.faulty].T
+    x, y, z = touchdowns.place[~touchdowns.faulty].T
     rise = np.linalg.lstsq(np.stack([x, y, np.ones_like(x)], axis=-1), z)[0][:2]
     if (slope := math.degrees(math.atan(float(np.linalg.norm(rise))))) > LEVEL_DEG:
         notes.append(
             f"the ground is inclined by {slope:.0f}°: the law is of level ground, and soil on a "
             "slope bears less"
         )
-    if law == "foot" and (deep := found.sinkage[usable] > DEEPEST * prior.radius).any():
+    if law == "foot" and (deep := fits.sinkage[usable] > DEEPEST * prior.radius).any():
         notes.append(
             f"{int(deep.sum())} of {len(deep)} usable feet sank deeper than {DEEPEST:g} "
             "radii, where law foot was not simulated: their φ is less sure than stated"
@@ -547,82 +616,62 @@ def infer(
             f"forces grow slower with depth than in dry sand, by a power of {prior.exponent:.2f}: "
             "damp soil does so, and reads up to 8° too high; feet that land fast do, too"
         )
+    return notes
+
+
+def _limits_of_the_path(
+    path: FloatArray, verdict: NDArray[np.str_], prior: Prior, scale_sd: float, *, anchored: bool
+) -> list[str]:
+    """Warnings about prints of before, a map without footfalls, or one without an anchor."""
+    notes = []
     if comes_back(path):
         notes.append(
             f"the path comes back to itself: prints of before are recognized within "
             f"{1e3 * NEAR_RADII * prior.radius:.0f} mm, if the odometry is as good as that"
         )
-    if not usable.any():
+    if not (verdict == USABLE).any():
         hard = 2 * np.count_nonzero(verdict == SHALLOW) > len(verdict)
         why = "hard ground, on which feet hardly sink" if hard else "the map is empty"
         notes.append(f"no footfall is usable: {why}")
-    elif not anchors:
+    elif not anchored:
         notes.append(
             "no anchor: only differences along the path are as sure as the relative band, and "
             f"their scale is unsure by {scale_sd:.0%}"
         )
-    return FootfallMap(
-        time=seen.begin,
-        foot=tuple(feet[i] for i in seen.foot),
-        place=seen.place + np.outer(sinkage, [0.0, 0.0, 1.0]),
-        sinkage=sinkage,
-        **dict(zip(("phi", "sd", "shared_sd"), of_each, strict=True)),
-        **dict(zip(("path_phi", "path_relative_sd", "path_absolute_sd"), of_path, strict=True)),
-        misfit=found.misfit,
-        verdict=tuple(verdict.tolist()),
-        path=path,
-        shared=shared,
-        by_law=by_law,
-        warnings=tuple(notes),
-        provenance={
-            **provenance, "law": law, "law_hash": LAWS[law].hash, "prior": asdict(prior),
-            "anchors": [anchor._asdict() for anchor in anchors],
-            "terraphi": importlib.metadata.version("terraphi"),
-        },
-    )  # fmt: skip
-
-
-def _with_growth(seen: Touchdowns, law: str, prior: Prior) -> Prior:
-    """The prior with the law's error, and its growth with depth if enough touch-downs are deep."""
-    if prior.law_sd_deg is None:
-        prior = replace(prior, law_sd_deg=LAWS[law].sd_deg)
-    trodden, _ = _trodden(seen, NEAR_RADII * prior.radius)
-    seen = evenly(picked(seen, ~trodden), MOST_FITTED)
-    deep = np.isin(verdicts(seen, fit(seen, law, prior), prior.radius), (USABLE, MISFIT))
-    return with_exponent(picked(seen, deep), law, prior) if deep.sum() >= FEWEST else prior
+    return notes
 
 
 def verdicts(
-    seen: Touchdowns, found: Fit, radius: float, *, returned: float | None = None
+    touchdowns: Touchdowns, fits: Fit, radius: float, *, returned: float | None = None
 ) -> NDArray[np.str_]:
     """Verdict of each footfall: the first reason against it, else :data:`USABLE`.
 
     Parameters
     ----------
-    seen, found
+    touchdowns, fits
         The touch-downs of a log, in the order of time, and their fit.
     radius
         Of the foot [m].
     returned
-        Work that the ground of the walk gives back (:func:`walk_median`), if these are a part.
+        Median work returned by the ground of the whole walk [-] (:func:`walk_median`); by default
+        that of these touch-downs.
     """
     if returned is None:
-        returned = walk_median(seen.torn | seen.faulty, found.gained, seen.returned)
-    trodden, printed = _trodden(seen, NEAR_RADII * radius)
-    springs = (seen.returned > MOST_RETURNED) | (returned > WALK_RETURNED)
-    rests = seen.used.sum(axis=1) < FEWEST
+        unsound = touchdowns.torn | touchdowns.faulty
+        returned = walk_median(unsound, fits.gained, touchdowns.returned)
+    trodden, printed = trodden_before(touchdowns, NEAR_RADII * radius)
     reasons = (
-        (FAULTY, seen.faulty),
-        (TORN, seen.torn),
-        (SATURATED, seen.saturated),
-        (SHALLOW, (found.gained < LEAST_GAINED) | rests),
-        (ELASTIC, springs),
-        (CRUST, seen.broken > MOST_BROKEN),
-        (HARD, found.borne > MOST_BORNE),
+        (FAULTY, touchdowns.faulty),
+        (TORN, touchdowns.torn),
+        (SATURATED, touchdowns.saturated),
+        (SHALLOW, (fits.gained < LEAST_GAINED) | (touchdowns.used.sum(axis=1) < FEWEST)),
+        (ELASTIC, (touchdowns.returned > MOST_RETURNED) | (returned > WALK_RETURNED)),
+        (CRUST, touchdowns.broken > MOST_BROKEN),
+        (HARD, fits.borne > MOST_BORNE),
         (PRINT, printed),
         (TRODDEN, trodden),
-        (EDGE, np.isin(found.phi, PHI_RANGE)),
-        (MISFIT, found.misfit > WORST_MISFIT),
+        (EDGE, np.isin(fits.phi, PHI_RANGE)),
+        (MISFIT, fits.misfit > WORST_MISFIT),
     )
     words = [word for word, _ in reasons]
     return np.select([holds for _, holds in reasons], words, USABLE)
@@ -641,18 +690,18 @@ def comes_back(path: FloatArray) -> bool:
 def walk_median(torn: BoolArray, gained: FloatArray, values: FloatArray) -> float:
     """Median of values over the touch-downs whose timing is reliable and that sank in.
 
-    0 if they are fewer than :data:`FEWEST_TYPICAL`; on hard ground a foot hardly sinks, and what
-    comes before the soil or after it says nothing of the soil.
+    0 if they are fewer than :data:`FEWEST_TYPICAL`. Feet that hardly sink stand on hard ground,
+    which a walk may cross before and after the soil.
     """
     sound = ~torn & (gained >= LEAST_GAINED)
     return float(np.median(values[sound])) if sound.sum() >= FEWEST_TYPICAL else 0.0
 
 
-def _ground_notes(seen: Touchdowns, found: Fit, verdict: NDArray[np.str_]) -> list[str]:
-    """Sentences on ground that is no soil, or not only soil."""
-    unsound = seen.torn | seen.faulty
+def _ground_notes(touchdowns: Touchdowns, fits: Fit, verdict: NDArray[np.str_]) -> list[str]:
+    """Warnings about ground that is not soil, or not only soil."""
+    unsound = touchdowns.torn | touchdowns.faulty
     returned, broken = (
-        walk_median(unsound, found.gained, each) for each in (seen.returned, seen.broken)
+        walk_median(unsound, fits.gained, part) for part in (touchdowns.returned, touchdowns.broken)
     )
     notes = []
     if returned > WALK_RETURNED:
@@ -679,13 +728,16 @@ def _ground_notes(seen: Touchdowns, found: Fit, verdict: NDArray[np.str_]) -> li
     return notes
 
 
-def _trodden(seen: Touchdowns, reach: float) -> tuple[BoolArray, BoolArray]:
-    """Whether a foot had stood nearer than a reach [m], and a fore foot where a rear one steps."""
+def trodden_before(touchdowns: Touchdowns, reach: float) -> tuple[BoolArray, BoolArray]:
+    """Masks of touch-downs nearer than ``reach`` [m] to an earlier one, and in a fore foot's print.
+
+    Both shape [touchdown]; only a rear foot steps into the print of a fore foot.
+    """
     from scipy.spatial import cKDTree
 
-    trodden, printed = np.zeros((2, len(seen.foot)), dtype=bool)
-    near = cKDTree(seen.place[:, :2]).query_pairs(reach, output_type="ndarray")
+    trodden, printed = np.zeros((2, len(touchdowns.foot)), dtype=bool)
+    near = cKDTree(touchdowns.place[:, :2]).query_pairs(reach, output_type="ndarray")
     first, second = near.min(axis=1), near.max(axis=1)
     trodden[second] = True
-    printed[second[(seen.foot[first] < 2) & (seen.foot[second] >= 2)]] = True
+    printed[second[(touchdowns.foot[first] < 2) & (touchdowns.foot[second] >= 2)]] = True
     return trodden, printed

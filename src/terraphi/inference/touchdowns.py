@@ -17,13 +17,14 @@ follows from the same linearisation, φ̂ = φ + S (θ − θ₀) + e, and is le
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from terraphi.experiment.arrays import BoolArray, FloatArray, IntArray
-from terraphi.inference.estimator import least_squares, weights
+from terraphi.inference.estimator import Best, least_squares, weights
 from terraphi.laws.foot import (
     LAWS,
     SURFACE_FRICTION,
@@ -47,17 +48,18 @@ CORRELATION_S = 0.008
 EXPONENTS = (-0.7, 0.4)
 """Range of what is added to a law's power of depth [-]; the upper end makes law ``foot`` grow like
 resistive force theory, whose stress is proportional to the depth."""
-TAUGHT_SD = 0.03
-"""Standard deviation of an exponent that touch-downs have taught [-]; on walks made from the law it
+LEARNED_SD = 0.03
+"""Standard deviation of an exponent learned from touch-downs [-]; on walks made from the law it
 errs by 0.01 (``tests/robot/test_footfall_truth.py``), on simulated ones by 0.05."""
 EXPONENT_SD = 0.1
-"""Of the exponent that the right law would be given [-] (worlds of ``examples/sand_check.py``)."""
+"""Standard deviation of the exponent fitted to the right law [-] (worlds of
+``examples/sand_check.py``)."""
 MOST_FITTED = 120
-"""Footfalls from which what they share is learned at most, evenly chosen, so that what no model has
-right does not grow into certainty with the length of a log (chosen)."""
+"""Most footfalls from which shared quantities are learned, evenly chosen: model errors would
+otherwise be taken for certainty in a long log (chosen)."""
 FEWEST = 10
-"""Samples that a touch-down needs while the foot goes down, to fit three quantities; touch-downs
-that teach how a law grows with depth."""
+"""Fewest samples of a touch-down while the foot goes down, for a fit of three quantities; fewest
+touch-downs from which a law's growth with depth is learned."""
 BLOCK = 512
 """Touch-downs that are fitted together; bounds the memory."""
 
@@ -130,7 +132,7 @@ class Touchdowns(NamedTuple):
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known before the forces are seen: means and standard deviations.
+    """Means and standard deviations assumed before any force is used.
 
     Attributes
     ----------
@@ -187,7 +189,7 @@ class Prior:
         return Foot(self.radius, self.shape)  # type: ignore[arg-type]
 
     def shared(self) -> dict[str, tuple[float, float]]:
-        """Mean and standard deviation of what all footfalls share, but errors of torques."""
+        """Mean and standard deviation of each shared quantity, errors of the torques excluded."""
         law_sd = LAWS["foot"].sd_deg if self.law_sd_deg is None else self.law_sd_deg
         return {
             "odometry_drop": (0.0, self.drop_sd),
@@ -250,76 +252,80 @@ class Fit(NamedTuple):
     shared: FloatArray
 
 
-def predicted(law: FootLaw, prior: Prior, seen: Touchdowns, state: FloatArray) -> FloatArray:
+def predicted(law: FootLaw, prior: Prior, touchdowns: Touchdowns, state: FloatArray) -> FloatArray:
     """Upward force of the law [N], shape [..., touchdown, sample].
 
     Parameters
     ----------
     law, prior
-        Which law, for which soil and foot.
-    seen
-        The touch-downs.
+        Force law, and the soil and foot it is evaluated for.
+    touchdowns
+        Depth, direction and speed of the feet.
     state
         φ [deg], z₀ [m] and w [m/s], shape [..., touchdown, 3].
     """
-    depth = seen.drop + state[..., 1:2] + state[..., 2:3] * seen.time
+    depth = _depth(touchdowns, state)
     lift = law.force(
         prior.foot,
         depth,
-        seen.descent,
+        touchdowns.descent,
         friction_angle_deg=state[..., :1],
         density=prior.density,
         surface_friction=prior.surface_friction,
     )[..., 1]
     if prior.exponent:
         lift = lift * (np.maximum(depth, 1e-4) / prior.radius) ** prior.exponent
-    return np.asarray(lift + inertia(prior, seen, depth), dtype=np.float64)
+    return np.asarray(lift + inertia(prior, touchdowns, depth), dtype=np.float64)
 
 
-def inertia(prior: Prior, seen: Touchdowns, depth: FloatArray) -> FloatArray:
+def _depth(touchdowns: Touchdowns, state: FloatArray) -> FloatArray:
+    """Depth z of the foot's lowest point [m], shape [..., touchdown, sample]."""
+    return touchdowns.drop + state[..., 1:2] + state[..., 2:3] * touchdowns.time
+
+
+def inertia(prior: Prior, touchdowns: Touchdowns, depth: FloatArray) -> FloatArray:
     """Upward force of the soil's inertia, d(m v)/dt [N], shape [touchdown, sample]."""
-    down = seen.speed * np.sin(seen.descent)
-    return inertial_force(prior.foot, depth, down, seen.acceleration, prior.density)
+    down = touchdowns.speed * np.sin(touchdowns.descent)
+    return inertial_force(prior.foot, depth, down, touchdowns.acceleration, prior.density)
 
 
-def noise_covariance(seen: Touchdowns, prior: Prior) -> FloatArray:
-    """Covariance of forces [N²], shape [touchdown, sample, sample]; alone where not used.
+def noise_covariance(touchdowns: Touchdowns, prior: Prior) -> FloatArray:
+    """Covariance of forces [N²], shape [touchdown, sample, sample]; unit where not used.
 
-    A part grows with the force, and one with the soil's inertia.
+    Its standard deviation has a constant part, one that grows with the force, and one that grows
+    with the soil's inertia.
     """
-    hit = INERTIA_PART * inertia(prior, seen, np.maximum(seen.drop, 0.0))
-    sd = np.sqrt(NOISE_N**2 + (NOISE_PART * seen.force) ** 2 + hit**2)
-    apart = np.abs(seen.time[:, :, None] - seen.time[:, None, :])
-    covariance = sd[:, :, None] * sd[:, None, :] * np.exp(-apart / CORRELATION_S)
-    both = seen.used[:, :, None] & seen.used[:, None, :]
-    covariance = np.where(both, covariance, 0.0)
+    hit = INERTIA_PART * inertia(prior, touchdowns, np.maximum(touchdowns.drop, 0.0))
+    sd = np.sqrt(NOISE_N**2 + (NOISE_PART * touchdowns.force) ** 2 + hit**2)
+    lag = np.abs(touchdowns.time[:, :, None] - touchdowns.time[:, None, :])
+    covariance = sd[:, :, None] * sd[:, None, :] * np.exp(-lag / CORRELATION_S)
+    covariance *= touchdowns.used[:, :, None] & touchdowns.used[:, None, :]
     rows = np.arange(sd.shape[1])
-    covariance[:, rows, rows] = np.where(seen.used, sd**2 * (1.0 + 1e-6), 1.0)
+    covariance[:, rows, rows] = np.where(touchdowns.used, sd**2 * (1.0 + 1e-6), 1.0)
     return covariance
 
 
-def fit(seen: Touchdowns, law: str | FootLaw, prior: Prior) -> Fit:
-    """Fit touch-downs, each for itself.
+def fit(touchdowns: Touchdowns, law: str | FootLaw, prior: Prior) -> Fit:
+    """Fit φ, level and drift of each touch-down independently.
 
     Parameters
     ----------
-    seen
-        The touch-downs, one or more; those without used samples come out at the prior.
+    touchdowns
+        One or more; those without used samples come out at the prior.
     law
-        One of :data:`~terraphi.laws.foot.LAWS`, by its name, or another.
+        A law, or the name of one of :data:`~terraphi.laws.foot.LAWS`.
     prior
-        What is known before.
+        Soil, foot and priors.
 
     Returns
     -------
     Fit
     """
-    known = LAWS[law] if isinstance(law, str) else law
-    parts = [
-        _fit(picked(seen, slice(i, i + BLOCK)), known, prior)
-        for i in range(0, len(seen.foot), BLOCK)
-    ]
-    return Fit(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+    force_law = LAWS[law] if isinstance(law, str) else law
+    starts = range(0, len(touchdowns.foot), BLOCK)
+    return stacked(
+        [_fit(picked(touchdowns, slice(i, i + BLOCK)), force_law, prior) for i in starts]
+    )
 
 
 def picked(rows: Rows, which: Any) -> Rows:
@@ -327,67 +333,105 @@ def picked(rows: Rows, which: Any) -> Rows:
     return rows._make(column[which] for column in rows)
 
 
+def stacked(parts: Sequence[Rows]) -> Rows:
+    """Tuples of arrays, one below the other."""
+    return parts[0]._make(map(np.concatenate, zip(*parts, strict=True)))
+
+
 def evenly(rows: Rows, most: int) -> Rows:
-    """Rows of a tuple of arrays, at most so many, evenly chosen."""
+    """Rows of a tuple of arrays, ``most`` at most, evenly spaced."""
     count = len(rows[0])
     return picked(rows, np.unique(np.linspace(0, count - 1, min(count, most)).astype(int)))
 
 
-def with_exponent(seen: Touchdowns, law: str, prior: Prior) -> Prior:
-    """The prior with the growth with depth that the touch-downs' courses of force have.
+def learn_exponent(touchdowns: Touchdowns, law: str, prior: Prior) -> Prior:
+    """Prior with the exponent of depth learned from the touch-downs.
 
-    The exponent within :data:`EXPONENTS` with the least mean logarithm of the cost: touch-downs
-    have noise of their own, and an unlikely level or drift counts against a course. Footfalls do
-    not teach the level or the slope in φ of a law: there, another law and another field of φ are
-    the same. But the further the law's growth with depth is off, the less sure is its growth with
-    φ.
+    The exponent within :data:`EXPONENTS` with the least mean logarithm of the cost. The logarithm
+    leaves each touch-down its own noise level; the cost includes the priors of level and drift.
+    The law's level and its slope in φ cannot be learned: they cannot be separated from the field
+    of φ. A large exponent makes the law's growth with φ less certain.
 
     Parameters
     ----------
-    seen
-        Touch-downs that go deep enough for a fit, one or more.
+    touchdowns
+        One or more, each deep enough for a fit.
     law, prior
         As in :func:`fit`.
     """
     from scipy.optimize import minimize_scalar
 
     def cost(exponent: float) -> float:
-        found = fit(seen, law, replace(prior, exponent=exponent))
-        return float(np.log(np.maximum(found.cost, 1e-6)).mean())
+        costs = fit(touchdowns, law, replace(prior, exponent=exponent)).cost
+        return float(np.log(np.maximum(costs, 1e-6)).mean())
 
     best = minimize_scalar(cost, bounds=EXPONENTS, method="bounded", options={"xatol": 0.02}).x
-    return replace(prior, exponent=float(best), exponent_sd=TAUGHT_SD)
+    return replace(prior, exponent=float(best), exponent_sd=LEARNED_SD)
 
 
 def likeness(prior: Prior, other: Prior) -> float:
-    """Weight of another law against the walk's, by the exponents that both have been given [-].
+    """Weight of another law compared with the walk's, from the exponents learned for each [-].
 
-    How forces on soil grow with φ is unknown, but growth with depth goes with it: of two laws the
-    one whose growth with depth needs less correction is the likelier one for the other, too.
+    Growth of the forces with φ cannot be learned, growth with depth can. The law whose growth with
+    depth needs less correction is taken to be the likelier one for growth with φ.
     """
     variance = EXPONENT_SD**2 + prior.exponent_sd**2
     return float(1.0 / (1.0 + np.exp((other.exponent**2 - prior.exponent**2) / (2.0 * variance))))
 
 
-def _fit(seen: Touchdowns, law: FootLaw, prior: Prior) -> Fit:
-    weight = np.asarray(np.linalg.inv(noise_covariance(seen, prior)))
-    mean = np.array([prior.phi_deg, 0.0, 0.0])
+def _fit(touchdowns: Touchdowns, law: FootLaw, prior: Prior) -> Fit:
+    weight = np.asarray(np.linalg.inv(noise_covariance(touchdowns, prior)))
     sd = np.array([prior.phi_sd_deg, prior.level_sd, prior.drift_sd])
     precision = sd**-2 * [1e-6, 1.0, 1.0]  # a trace for touch-downs without samples
+    best = _mode(touchdowns, law, prior, weight, sd, precision)
+    state, residual, slope = best
+    # A prediction that rises by D lets the mode move by −c D.
+    gain = weights(slope, weight, precision)[0][:, 0]
+    chi = np.einsum("nk,nkl,nl->n", residual, weight, residual)
+    count = touchdowns.used.sum(axis=1)
+    misfit = chi / np.maximum(count - 2.0, 1.0)
+    # Birge's ratio is of the noise: what is known of the drop and its drift beforehand stays.
+    scaled = weight / np.maximum(misfit, 1e-6)[:, None, None]
+    depth = np.where(touchdowns.used, _depth(touchdowns, state), -np.inf)
+    sinkage = depth.max(axis=1, initial=-np.inf)
+    # The law at the deepest point of the whole stance, where the foot rests.
+    still = np.zeros((len(state), 1))
+    deepest = touchdowns._replace(
+        drop=touchdowns.deepest[:, None], descent=still + 0.5 * np.pi, time=still, speed=still,
+        acceleration=still,
+    )  # fmt: skip
+    bears = predicted(law, prior, deepest, state)[:, 0]
+    return Fit(
+        phi=state[:, 0],
+        sd=np.sqrt(weights(slope, scaled, precision)[1][:, 0, 0]),
+        sinkage=np.where(np.isfinite(sinkage), sinkage, 0.0),
+        gained=_gained(touchdowns),
+        misfit=misfit,
+        cost=(chi + np.square(state[:, 1:] / sd[1:]).sum(axis=1)) / np.maximum(count, 1),
+        borne=touchdowns.peak / np.maximum(bears, NOISE_N),
+        shared=_sensitivity(touchdowns, law, prior, best, gain),
+    )
 
+
+def _mode(
+    touchdowns: Touchdowns, law: FootLaw, prior: Prior, weight: FloatArray, sd: FloatArray,
+    precision: FloatArray,
+) -> Best:  # fmt: skip
+    """φ [deg], z₀ [m] and w [m/s] of the mode, residuals there [N], and slopes of the law."""
+    mean = np.array([prior.phi_deg, 0.0, 0.0])
     # The last states that were tried with the slopes there, and the slopes of those that are best.
-    tried = np.full((len(seen.foot), 3), np.nan)
-    slopes, best_slopes = np.zeros((2, *seen.drop.shape, 3))
+    tried = np.full((len(touchdowns.foot), 3), np.nan)
+    slopes, best_slopes = np.zeros((2, *touchdowns.drop.shape, 3))
 
     def residual(state: FloatArray, rows: IntArray) -> FloatArray:
-        part = picked(seen, rows)
+        part = picked(touchdowns, rows)
         tried[rows] = state
         # All in one call, whose price for one touch-down is mostly that of the call.
-        here, *moved = predicted(law, prior, part, state + STEPS[:, None])
+        force, *moved = predicted(law, prior, part, state + STEPS[:, None])
         by_phi, by_level = (moved[0] - moved[1]) / 0.2, (moved[2] - moved[3]) / 2e-4
         slope = np.stack([by_phi, by_level, by_level * part.time], axis=-1)
         slopes[rows] = np.where(part.used[..., None], slope, 0.0)
-        return np.where(part.used, part.force - here, 0.0)
+        return np.where(part.used, part.force - force, 0.0)
 
     def slope_at(state: FloatArray, rows: IntArray) -> FloatArray:
         new = rows[(state == tried[rows]).all(axis=1)]
@@ -395,61 +439,52 @@ def _fit(seen: Touchdowns, law: FootLaw, prior: Prior) -> Fit:
         return np.asarray(best_slopes[rows])
 
     free = np.full(2, np.inf)
-    state, left, slope = least_squares(
-        residual,
-        slope_at,
-        weight,
-        np.tile(mean, (len(seen.foot), 1)),
+    return least_squares(
+        residual, slope_at, weight, np.tile(mean, (len(tried), 1)),
         bounds=(np.append(PHI_RANGE[0], -free), np.append(PHI_RANGE[1], free)),
-        scale=sd,
-        mean=mean,
-        precision=precision,
-    )
-    # A prediction that rises by D lets the mode move by −c D.
-    gain = weights(slope, weight, precision)[0][:, 0]
+        scale=sd, mean=mean, precision=precision,
+    )  # fmt: skip
+
+
+def _sensitivity(
+    touchdowns: Touchdowns, law: FootLaw, prior: Prior, best: Best, gain: FloatArray
+) -> FloatArray:
+    """S: how far φ̂ is off per unit of each shared error, shape [touchdown, shared].
+
+    ``gain``, shape [touchdown, sample], turns a rise of the forces into one of φ̂ [deg/N].
+    """
+    state, residual, slope = best
     torques = np.zeros((len(state), TORQUES))
-    own = 3 * seen.foot[:, None] + np.array([0, 1, 2, 12, 13, 14])
-    np.put_along_axis(torques, own, np.einsum("nl,nlk->nk", gain, seen.per_error), axis=1)
+    joints = 3 * touchdowns.foot[:, None] + np.array([0, 1, 2, 12, 13, 14])
+    by_joint = np.einsum("nl,nlk->nk", gain, touchdowns.per_error)
+    np.put_along_axis(torques, joints, by_joint, axis=1)
     # How far φ̂ is off where the truth is above what is assumed: forces are higher than expected
     # by so much, and a drop that reads too large makes the expected ones too high.
-    depth = seen.drop + state[:, 1:2] + state[:, 2:3] * seen.time
-    force = seen.force - left
-    steady = force - inertia(prior, seen, depth)
+    depth, force = _depth(touchdowns, state), touchdowns.force - residual
+    steady = force - inertia(prior, touchdowns, depth)
     rises = {
-        "odometry_drop": -slope[..., 1] * seen.drop,
+        "odometry_drop": -slope[..., 1] * touchdowns.drop,
         "density_kg_m3": force / prior.density,
         "law_exponent": steady * np.log(np.maximum(depth, 1e-4) / prior.radius),
     }
     for name, (key, step, unit) in CHANGES.items():
         after, before = (
-            predicted(law, replace(prior, **{key: getattr(prior, key) + s}), seen, state)
+            predicted(law, replace(prior, **{key: getattr(prior, key) + s}), touchdowns, state)
             for s in (step, -step)
         )
         rises[name] = (after - before) / (2.0 * step * unit)
     off = {name: np.einsum("nl,nl->n", gain, rise) for name, rise in rises.items()}
     off["law_offset_deg"] = np.ones(len(state))
-    none = np.zeros(len(state))
-    shared = np.column_stack([torques, *(off.get(name, none) for name in prior.shared())])
-    chi = np.einsum("nk,nkl,nl->n", left, weight, left)
-    count = seen.used.sum(axis=1)
-    misfit = chi / np.maximum(count - 2.0, 1.0)
-    cost_each = (chi + np.square(state[:, 1:] / sd[1:]).sum(axis=1)) / np.maximum(count, 1)
-    sinkage = np.where(seen.used, depth, -np.inf).max(axis=1, initial=-np.inf)
-    force = np.where(seen.used, seen.force, 0.0)
+    zero = np.zeros(len(state))  # of law_slope and other_law, which compare touch-downs
+    return np.column_stack([torques, *(off.get(name, zero) for name in prior.shared())])
+
+
+def _gained(touchdowns: Touchdowns) -> FloatArray:
+    """How far each foot goes down while its force rises from a sixth to five sixths of its end."""
+    force = np.where(touchdowns.used, touchdowns.force, 0.0)
     end = force.max(axis=1, keepdims=True, initial=0.0)
-    rising = seen.used & (force > end / 6.0)
+    rising = touchdowns.used & (force > end / 6.0)
     rising &= np.minimum.accumulate(force < 5.0 / 6.0 * end, axis=1)
-    bottom = np.where(rising, seen.drop, -np.inf).max(axis=1, initial=-np.inf)
-    top = np.where(rising, seen.drop, np.inf).min(axis=1, initial=np.inf)
-    # Birge's ratio is of the noise: what is known of the drop and its drift beforehand stays.
-    scaled = weight / np.maximum(misfit, 1e-6)[:, None, None]
-    sd = np.sqrt(weights(slope, scaled, precision)[1][:, 0, 0])
-    sinkage = np.where(np.isfinite(sinkage), sinkage, 0.0)
-    gained = np.where(rising.any(axis=1), bottom - top, 0.0)
-    rest = np.zeros((len(state), 1))
-    end = seen._replace(
-        drop=seen.deepest[:, None], descent=rest + 0.5 * np.pi, time=rest, speed=rest,
-        acceleration=rest,
-    )  # fmt: skip
-    borne = seen.peak / np.maximum(predicted(law, prior, end, state)[:, 0], NOISE_N)
-    return Fit(state[:, 0], sd, sinkage, gained, misfit, cost_each, borne, shared)
+    bottom = np.where(rising, touchdowns.drop, -np.inf).max(axis=1, initial=-np.inf)
+    top = np.where(rising, touchdowns.drop, np.inf).min(axis=1, initial=np.inf)
+    return np.where(rising.any(axis=1), bottom - top, 0.0)

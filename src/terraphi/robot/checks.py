@@ -12,15 +12,15 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.scenario import GRAVITY
-from terraphi.robot.forces import LEAST_LEVER, FootForces, SensorErrors
+from terraphi.robot.forces import LEAST_LEVER, FootForces, SensorErrors, estimate
 from terraphi.robot.friction import BEARING_SHARE, GUARD_S, LAG_STEP_S, REVERSAL_RATE
-from terraphi.robot.joint_log import AVERAGE_S, FEET, JointLog, joint_names
+from terraphi.robot.joint_log import AVERAGE_S, FEET, JointLog, cut, joint_names
 from terraphi.robot.legs import Legs, body_rate, rotation
 from terraphi.robot.logs.samples import velocity_ratio
 from terraphi.robot.model import Quadruped
@@ -206,6 +206,14 @@ def check(log: JointLog, robot: Quadruped, forces: FootForces) -> Checked:
     gain = np.array(forces.provenance["torque_gain"], dtype=np.float64)
     open_ = ("lag",) * bool(np.isnan(gain).all() and all(f.about != "lag" for f in findings))
     return Checked(float(log.time[0]), float(log.time[-1]), tuple(findings), open_)
+
+
+def check_parts(
+    log: JointLog, robot: Quadruped, pieces: Sequence[slice], **options: Any
+) -> list[Checked]:
+    """Check parts of a log, each with forces of its own; ``options`` are those of the forces."""
+    logs = [cut(log, piece) for piece in pieces]
+    return [check(part, robot, estimate(part, robot=robot, **options)) for part in logs]
 
 
 def _jumps(log: JointLog) -> list[Finding]:

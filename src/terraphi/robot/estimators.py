@@ -48,7 +48,7 @@ class JointFriction:
     inertia
         Of the rotor, seen from the joint [kg m²].
     found
-        Whether there was enough swing to find them; they are zero where not.
+        True where there was enough swing to find them; they are zero elsewhere.
     """
 
     coulomb: FloatArray
@@ -57,7 +57,7 @@ class JointFriction:
     found: BoolArray
 
     def torque(self, velocity: FloatArray) -> FloatArray:
-        """Torque lost at joint velocities [rad/s], without the rotor's inertia [N m]."""
+        """Torque lost to friction at joint velocities [rad/s], rotor's inertia excluded [N m]."""
         return self.coulomb * smooth_sign(velocity) + self.viscous * velocity
 
     def doubt(self, velocity: FloatArray) -> FloatArray:
@@ -104,7 +104,7 @@ class Signals(NamedTuple):
 
 
 def signals(log: JointLog, robot: Quadruped, part: slice, *, moving: bool = True) -> Signals:
-    """A part of a log, and the legs; ``moving`` if their equations of motion are wanted."""
+    """Read a part of a log; ``moving`` evaluates the legs' equations of motion, too."""
     names = ("time", "angle", "velocity", "torque")
     time, angle, velocity, torque = (np.asarray(getattr(log, n)[part], float) for n in names)
     turn, trunk = trunk_motion(log, robot, part)
@@ -144,14 +144,14 @@ def trunk_motion(
 
 
 def contact_torque(
-    seen: Signals, estimator: Estimator, gap: float, friction: JointFriction | None = None
+    part: Signals, estimator: Estimator, gap: float, friction: JointFriction | None = None
 ) -> FloatArray:
     """Generalised force of the ground on each leg, Jᵀ f.
 
     Parameters
     ----------
-    seen
-        A part of a log.
+    part
+        Of a log.
     estimator
         Which estimator.
     gap
@@ -165,19 +165,19 @@ def contact_torque(
         [N m], shape [sample, foot, joint].
     """
     if estimator == "quasi_static":
-        return -seen.torque
-    values, rate = _needed(seen.legs.torque)
-    values -= seen.torque
+        return -part.torque
+    values, rate = _needed(part.legs.torque)
+    values -= part.torque
     if friction is not None:
-        rate += friction.inertia * seen.slopes
-        values += friction.torque(seen.velocity)
-    return low_pass(seen.time, OBSERVER_GAIN, values, rate, gap)
+        rate += friction.inertia * part.slopes
+        values += friction.torque(part.velocity)
+    return low_pass(part.time, OBSERVER_GAIN, values, rate, gap)
 
 
-def leg_inertia(seen: Signals, gap: float) -> FloatArray:
+def leg_inertia(part: Signals, gap: float) -> FloatArray:
     """Upward force that the legs' motion against the trunk needs [N], shape [sample]."""
-    force = low_pass(seen.time, OBSERVER_GAIN, *_needed(seen.legs.inertia), gap)
-    return np.asarray(np.einsum("si,si->s", seen.turn[:, 2], force))
+    force = low_pass(part.time, OBSERVER_GAIN, *_needed(part.legs.inertia), gap)
+    return np.asarray(np.einsum("si,si->s", part.turn[:, 2], force))
 
 
 def _needed(motion: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -190,14 +190,14 @@ def _needed(motion: FloatArray) -> tuple[FloatArray, FloatArray]:
     return still.copy(), 0.5 * ((after - still)[:-1] + (before - still)[1:])
 
 
-def friction_terms(seen: Signals, gap: float) -> FloatArray:
+def friction_terms(part: Signals, gap: float) -> FloatArray:
     """Regressors of joint friction as the observer sees them, shape [sample, foot, joint, 3].
 
     They multiply Coulomb torque, viscous coefficient and reflected inertia.
     """
-    sign, none = smooth_sign(seen.velocity), np.zeros_like(seen.velocity)
-    terms = (sign, none[1:]), (seen.velocity, none[1:]), (none, seen.slopes)
-    columns = [low_pass(seen.time, OBSERVER_GAIN, *term, gap) for term in terms]
+    sign, none = smooth_sign(part.velocity), np.zeros_like(part.velocity)
+    terms = (sign, none[1:]), (part.velocity, none[1:]), (none, part.slopes)
+    columns = [low_pass(part.time, OBSERVER_GAIN, *term, gap) for term in terms]
     return np.stack(columns, axis=-1)
 
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from terraphi.experiment.files import label_of, number_with_sd
 from terraphi.experiment.scenario import GRAVITY, LIMITS
 from terraphi.inference.footfalls import FootfallMap, infer
 from terraphi.inference.pool import Anchor, Normal
-from terraphi.inference.touchdowns import TORQUES, Prior
+from terraphi.inference.touchdowns import TORQUES, Prior, Touchdowns
 from terraphi.laws.foot import LAWS
 from terraphi.robot.checks import faulty_spans, within
 from terraphi.robot.forces import FootForces, SensorErrors, without_broken_accelerometer
@@ -29,27 +30,24 @@ from terraphi.robot.stance import running_mean
 from terraphi.robot.touchdowns import Motion, sensitivity, touchdowns, track
 
 CONTACT_PART = 0.4
-"""Of the radius below a sunk ball's centre, where soil pushes [-]: by resistive force theory 0.9 to
-0.5 at a third of the radius' depth, 0.3 at a radius, 0.2 at one and a half."""
-PATH_STEP = 0.05
-"""Spacing of the map along the path, at least [m]: about two radii of a foot."""
-MOST_POINTS = 1500
+"""Depth of the soil's push below the centre of a sunk ball, over the radius [-]: by resistive force
+theory 0.9 to 0.5 at a third of the radius' depth, 0.3 at a radius, 0.2 at one and a half."""
+PATH_STEP, MOST_POINTS = 0.05, 1500
+"""Least spacing of the map along the path [m], about two radii of a foot, and its most points."""
 SMOOTH_PATH_S = 0.6
-"""The trunk's sway is averaged over this time before the path, and its first heading, the x of the
-map, are measured [s]: half a stride of a walk."""
-
+"""Time over which the trunk's sway is averaged, for the path and for the first heading, the x of
+the map [s]: half a stride of a walk."""
 AVERAGED_S = 0.05
-"""Forces are averaged over this time, which counts as one weighing [s]: a tenth of a stride
-(chosen)."""
+"""Time over which forces are averaged to one weighing [s]: a tenth of a stride (chosen)."""
 RESTS_PART, STRIDE_S = 0.8, 1.6
 """Part of the usual load of all feet below which the body rests on the ground [-], and the time
 over which loads are averaged, the stride of a slow walk [s]. In ten simulated walks of five gaits
 the mean never falls below 0.98."""
 MASS_SD = 0.02
-"""What the robot weighs is known to this part [-]: a payload of 0.3 kg on a Go2 (chosen)."""
-MOST_NEWS = 25.0
-"""Weighings at most that count as independent: a gait repeats itself, and what the weight leaves
-out, such as the legs' own swinging, does so too. A longer log is not surer (chosen; in
+"""Relative standard deviation of the robot's mass [-]: a payload of 0.3 kg on a Go2 (chosen)."""
+MOST_INDEPENDENT = 25.0
+"""Most weighings that count as independent: a gait repeats itself, and so do errors of the balance
+such as the legs' own swinging. A longer log is not more certain (chosen; in
 ``tests/robot/test_footfall_truth.py`` gains come back within two standard deviations)."""
 
 
@@ -95,13 +93,13 @@ def footfalls(
 
     Examples
     --------
-    >>> found = terraphi.footfalls("walk.csv", density="1550±80")
-    >>> found.counts()
+    >>> answer = terraphi.footfalls("walk.csv", density="1550±80")
+    >>> answer.counts()
     {'usable': 30}
-    >>> found.to_netcdf("soil.nc")
+    >>> answer.to_netcdf("soil.nc")
     """
-    body, chosen, known, assumed = assumptions(robot, density, law, prior, anchors)
-    name = "the log" if isinstance(log, JointLog) else label_of(log)
+    options = Options.of(robot, density, law, prior, anchors)
+    body, name = options.robot, "the log" if isinstance(log, JointLog) else label_of(log)
     analysis = foot_forces(
         log, robot=body, contact_part=CONTACT_PART, lag_s=lag_s, topic=topic,
         joint_names=joint_names, columns=columns,
@@ -112,89 +110,137 @@ def footfalls(
     if analysis.grave:
         raise InputError(f"{name}: no footfall can be read: {analysis.grave[0]}")
     log, forces = without_broken_accelerometer(analysis.log)[0], analysis.forces
-    lift = forces.force[:, :, 2].astype(np.float64)
-    motion = from_the_start(track(log, body, forces.place, lift), log)
-    per = sensitivity(log, forces)
-    landings = touchdowns(log, forces, motion, analysis.stances, per, radius=body.foot_radius)
-    spans = faulty_spans(analysis.checked)
-    landings = landings._replace(faulty=within(landings.begin, spans))
-    lift[within(log.time, spans)] = np.nan
+    motion = from_the_start(track(log, body, forces.place, forces.lift), log)
+    per_error = sensitivity(log, forces)
+    landings = touchdowns(log, forces, motion, analysis.stances, per_error, radius=body.foot_radius)
+    course = course_of(log, body, forces, motion, per_error)
+    return infer_walk(options, analysis, course, landings, name, notes_of(analysis))
+
+
+class Options(NamedTuple):
+    """Options of :func:`footfalls`, checked; ``notes`` has a sentence on what was assumed."""
+
+    robot: Quadruped
+    prior: Prior
+    law: str
+    anchors: list[Anchor]
+    notes: list[str]
+
+    @classmethod
+    def of(
+        cls, robot: Quadruped | Path | str, density: str | float | None, law: str,
+        prior: Prior | None, anchors: Sequence[Anchor | str] | str,
+    ) -> Options:  # fmt: skip
+        """Check the options; raises InputError."""
+        body = robot if isinstance(robot, Quadruped) else Quadruped.load(robot)
+        if law not in LAWS:
+            raise InputError(f"law '{law}' is unknown; {nearest(law, LAWS)}")
+        if body.foot_radius <= 0.0:
+            raise InputError(
+                f"robot '{body.name}' lacks foot_radius, the radius of the ball at the end of a "
+                "leg; add it to the robot's TOML (flat soles are not supported)"
+            )
+        full = replace(prior or Prior(), radius=body.foot_radius)
+        if density is not None:
+            mean, sd = _density(str(density))
+            full = replace(full, density=mean, density_sd=sd)
+        if full.law_sd_deg is None:
+            full = replace(full, law_sd_deg=LAWS[law].sd_deg)
+        texts = [anchors] if isinstance(anchors, str) else anchors
+        text = f"density {full.density:g} ± {full.density_sd:g} kg/m³, assumed"
+        return cls(
+            body, full, law, [Anchor.of(a) if isinstance(a, str) else a for a in texts],
+            [text] if density is None and prior is None else [],
+        )  # fmt: skip
+
+
+class Course(NamedTuple):
+    """A walk over time, as far as the robot's weight and its path need it.
+
+    Attributes
+    ----------
+    time, lift, acceleration, per_error
+        Arguments of :func:`calibrate_on_weight`.
+    trunk
+        Place of the trunk [m], shape [sample, 3].
+    """
+
+    time: FloatArray
+    lift: FloatArray
+    acceleration: FloatArray
+    per_error: FloatArray
+    trunk: FloatArray
+
+
+def course_of(
+    log: JointLog, robot: Quadruped, forces: FootForces, motion: Motion, per_error: FloatArray
+) -> Course:
+    """Course of a walk from its forces and its motion."""
     # The centre of mass accelerates otherwise than the trunk: legs are half of the robot.
-    acceleration = motion.lift_acceleration + forces.leg_inertia / body.mass
-    total = lift.sum(axis=1) / (body.mass * GRAVITY)
-    notes = notes_of(analysis)
-    if (rests := carried_s(log.time, total)) > 0.0:
-        notes.insert(
-            0,
-            f"for {rests:.1f} s the feet bear less than {RESTS_PART:.0%} of what they bear "
-            "otherwise: the body touches the ground, or the robot is held",
-        )
-    found = infer(
-        landings,
-        calibrate_on_weight(log.time, lift, acceleration, per, torque_sd(forces), mass=body.mass),
-        path_of(motion, log.time),
-        prior=chosen,
-        law=law,
-        anchors=known,
+    acceleration = motion.lift_acceleration + forces.leg_inertia / robot.mass
+    return Course(log.time, forces.lift, acceleration, per_error, motion.trunk)
+
+
+def infer_walk(
+    options: Options,
+    analysis: RobotForces,
+    course: Course,
+    landings: Touchdowns,
+    name: str,
+    notes: Sequence[str],
+) -> FootfallMap:
+    """Weigh the robot, lay out its path and infer φ under its touch-downs.
+
+    ``analysis`` has the checks of the log and the friction of the joints, ``name`` is that of the
+    log, ``notes`` its warnings.
+    """
+    spans, mass = faulty_spans(analysis.checked), options.robot.mass
+    lift = np.where(within(course.time, spans)[:, None], np.nan, course.lift)
+    if (rests := carried_s(course.time, lift.sum(axis=1) / (mass * GRAVITY))) > 0.0:
+        text = f"for {rests:.1f} s the feet bear less than {RESTS_PART:.0%} of what they bear "
+        notes = [f"{text}otherwise: the body touches the ground, or the robot is held", *notes]
+    sd = torque_sd(analysis.forces)
+    answer = infer(
+        landings._replace(faulty=within(landings.begin, spans)),
+        calibrate_on_weight(
+            course.time, lift, course.acceleration, course.per_error, sd, mass=mass
+        ),
+        path_of(course.trunk, course.time),
+        prior=options.prior,
+        law=options.law,
+        anchors=options.anchors,
         feet=FEET,
         notes=notes,
-        provenance={"log": name, "robot": body.name, "forces": analysis.provenance()},
+        provenance={"log": name, "robot": options.robot.name, "forces": analysis.provenance()},
     )
-    return replace(found, warnings=(*assumed, *found.warnings))
-
-
-def assumptions(
-    robot: Quadruped | Path | str,
-    density: str | float | None,
-    law: str,
-    prior: Prior | None,
-    anchors: Sequence[Anchor | str] | str,
-) -> tuple[Quadruped, Prior, list[Anchor], list[str]]:
-    """Robot, prior, anchors and notes from the options of :func:`footfalls`, checked."""
-    body = robot if isinstance(robot, Quadruped) else Quadruped.load(robot)
-    if law not in LAWS:
-        raise InputError(f"law '{law}' is unknown; {nearest(law, LAWS)}")
-    if body.foot_radius <= 0.0:
-        raise InputError(
-            f"robot '{body.name}' lacks foot_radius, the radius of the ball at the end of a leg; "
-            "add it to the robot's TOML (flat soles are not supported)"
-        )
-    chosen = replace(prior or Prior(), radius=body.foot_radius)
-    if density is not None:
-        mean, sd = _density(str(density))
-        chosen = replace(chosen, density=mean, density_sd=sd)
-    given = [anchors] if isinstance(anchors, str) else anchors
-    known = [Anchor.of(a) if isinstance(a, str) else a for a in given]
-    text = f"density {chosen.density:g} ± {chosen.density_sd:g} kg/m³, assumed"
-    return body, chosen, known, [text] if density is None and prior is None else []
+    return replace(answer, warnings=(*options.notes, *answer.warnings))
 
 
 def notes_of(analysis: RobotForces) -> list[str]:
-    """Warnings of the forces, without that on an axis which no footfall has."""
+    """Warnings about the forces, but for that about the axis of Fx, which footfalls do not use."""
     return [note for note in analysis.warnings if "the axis of Fx" not in note]
 
 
 def torque_sd(forces: FootForces) -> FloatArray:
     """Prior standard deviations of gains [-] and of friction that is left [N m], shape [24]."""
     errors = SensorErrors()
-    left = errors.friction_sd(forces.friction)
-    return np.concatenate([[errors.gain] * left.size, left.ravel()])
+    friction_sd = errors.friction_sd(forces.friction).ravel()
+    return np.append(np.full(friction_sd.size, errors.gain), friction_sd)
 
 
 def carried_s(time: FloatArray, lift: FloatArray) -> float:
-    """How long something else than the feet carries a robot [s].
+    """Time for which something other than the feet carries a robot [s].
 
     Parameters
     ----------
     time, lift
-        [s], and what all feet bear over the weight [-], shape [sample]; not a number where unknown.
+        [s], and load of all feet over the weight [-], shape [sample]; not a number where unknown.
     """
     step = float(np.median(np.diff(time)))
     half = max(1, round(0.5 * STRIDE_S / step))
-    known = np.isfinite(lift)
-    counts, sums = (running_mean(v[:, None], half)[:, 0] for v in (known, np.nan_to_num(lift)))
-    mean = sums[half:-half] / np.maximum(counts[half:-half], 1e-9)
-    mean = mean[counts[half:-half] > 0.5]
+    is_finite, loads = np.isfinite(lift), np.nan_to_num(lift)
+    shares, sums = (running_mean(v[:, None], half)[half:-half, 0] for v in (is_finite, loads))
+    mean = (sums / np.maximum(shares, 1e-9))[shares > 0.5]
     # Against the log's own level: gains of the torques are off.
     return float(step * (mean < RESTS_PART * np.median(mean)).sum()) if len(mean) else 0.0
 
@@ -209,32 +255,32 @@ def from_the_start(motion: Motion, log: JointLog) -> Motion:
     return motion._replace(trunk=motion.trunk @ back.T, feet=motion.feet @ back.T)
 
 
-def path_of(motion: Motion, time: FloatArray) -> FloatArray:
-    """Points s, x, y of the trunk's way at even steps [m], shape [point, 3]."""
+def path_of(trunk: FloatArray, time: FloatArray) -> FloatArray:
+    """Points s, x, y of the trunk's path at even steps [m], shape [point, 3]."""
     from scipy.ndimage import uniform_filter1d
 
     width = max(1, round(SMOOTH_PATH_S / float(np.median(np.diff(time)))))
-    smooth = uniform_filter1d(motion.trunk[:, :2], 2 * width, axis=0, mode="nearest")
-    gone = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(smooth, axis=0).T))])
-    count = int(np.clip(gone[-1] / PATH_STEP + 1, 1, MOST_POINTS))
-    s = np.linspace(0.0, gone[-1], count)
-    return np.column_stack([s, *(np.interp(s, gone, column) for column in smooth.T)])
+    smooth = uniform_filter1d(trunk[:, :2], 2 * width, axis=0, mode="nearest")
+    length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(smooth, axis=0).T))])
+    count = int(np.clip(length[-1] / PATH_STEP + 1, 1, MOST_POINTS))
+    s = np.linspace(0.0, length[-1], count)
+    return np.column_stack([s, *(np.interp(s, length, column) for column in smooth.T)])
 
 
 def calibrate_on_weight(
     time: FloatArray,
     lift: FloatArray,
     lift_acceleration: FloatArray,
-    per: FloatArray,
+    per_error: FloatArray,
     sd: FloatArray,
     *,
     mass: float,
 ) -> Normal:
-    """Errors of the torques by the robot's own weight: at every moment Σ F_z = m (g + a_z).
+    """Errors of the torques from the robot's weight: at every moment Σ F_z = m (g + a_z).
 
-    The upward forces are linear in errors of the torques' gains and in friction that was not
-    accounted for, so the times in which different legs carry different shares separate the errors
-    by linear least squares with priors.
+    The upward forces are linear in errors of the torques' gains and in friction that was not taken
+    off. Legs carry different shares at different times, so that linear least squares with priors
+    separates the errors.
 
     Parameters
     ----------
@@ -243,10 +289,9 @@ def calibrate_on_weight(
     lift
         Upward forces on the feet [N], shape [sample, foot]; not a number where unknown.
     lift_acceleration
-        Of the trunk [m/s²], shape [sample].
-    per
-        What errors of the torques add to the forces
-        (:func:`~terraphi.robot.touchdowns.sensitivity`).
+        Of the centre of mass [m/s²], shape [sample].
+    per_error
+        Upward force per error of each torque (:func:`~terraphi.robot.touchdowns.sensitivity`).
     sd
         Prior standard deviations of gains [-] and friction [N m], shape [24].
     mass
@@ -255,34 +300,34 @@ def calibrate_on_weight(
     Returns
     -------
     Normal
-        Gains and friction of the torques as the weight has them; the prior, where
-        no sample is known or the robot does not stand on its feet.
+        Errors of gains, then friction; the prior where no sample is known or the robot does not
+        stand on its feet.
     """
-    known_before = Normal(np.zeros(TORQUES), np.diag(sd**2))
-    weight = mass * GRAVITY
-    known = np.isfinite(lift).all(axis=1)
-    if known.sum() < 2:
-        return known_before
-    errors = np.hstack([part.reshape(-1, 12) for part in np.split(per, 2, axis=-1)])
+    prior, weight = Normal(np.zeros(TORQUES), np.diag(sd**2)), mass * GRAVITY
+    is_known = np.isfinite(lift).all(axis=1)
+    if is_known.sum() < 2:
+        return prior
+    errors = np.hstack([part.reshape(-1, 12) for part in np.split(per_error, 2, axis=-1)])
     # The last column is the relative error of the mass itself.
     expected = mass * (GRAVITY + lift_acceleration)
-    rows = np.column_stack([lift.sum(axis=1) - expected, errors, expected])[known]
-    number = np.floor((time[known] - time[known][0]) / AVERAGED_S).astype(np.int64)
+    rows = np.column_stack([lift.sum(axis=1) - expected, errors, expected])[is_known]
+    time = time[is_known]
+    number = np.floor((time - time[0]) / AVERAGED_S).astype(np.int64)
     starts = np.flatnonzero(np.diff(number, prepend=-1))
     counts = np.diff(np.append(starts, len(rows)))
     rows = np.add.reduceat(rows, starts) / counts[:, None]
     bears = np.abs(rows[:, 0]) < 0.4 * weight
     if bears.sum() < 20 or bears.mean() < 0.5:
-        return known_before
-    rows = rows[bears]
-    off, each, precision = rows[:, 0], rows[:, 1:], np.diag(np.append(sd, MASS_SD) ** -2.0)
+        return prior
+    off, design = rows[bears, 0], rows[bears, 1:]
+    precision = np.diag(np.append(sd, MASS_SD) ** -2.0)
     noise, inverse = 0.1 * weight, precision
     mean: FloatArray = np.zeros(TORQUES + 1)
     for _ in range(3):
-        share = min(1.0, MOST_NEWS / len(rows)) / noise**2
-        inverse = share * each.T @ each + precision
-        mean = np.asarray(share * np.linalg.solve(inverse, each.T @ off))
-        noise = float(spread(off - each @ mean))
+        share = min(1.0, MOST_INDEPENDENT / len(off)) / noise**2
+        inverse = share * design.T @ design + precision
+        mean = np.asarray(share * np.linalg.solve(inverse, design.T @ off))
+        noise = float(spread(off - design @ mean))
     return Normal(mean[:-1], np.asarray(np.linalg.inv(inverse)[:-1, :-1]))
 
 

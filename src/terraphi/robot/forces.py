@@ -18,6 +18,7 @@ from terraphi.robot.estimators import (
     OBSERVER_GAIN,
     Estimator,
     JointFriction,
+    Signals,
     chunks,
     contact_torque,
     leg_inertia,
@@ -50,7 +51,7 @@ uniform distribution within a friction coefficient of 0.5."""
 
 @dataclass(frozen=True)
 class SensorErrors:
-    """Errors that all samples of a log share, as standard deviations; the one set of the package.
+    """Errors that all samples of a log share, as standard deviations.
 
     Attributes
     ----------
@@ -58,11 +59,11 @@ class SensorErrors:
         Of each joint's torque, independently [-]. Walking controllers are trained for motors that
         differ by ± 10 % (Margolis & Agrawal, CoRL 2022).
     coulomb_Nm
-        Of the Coulomb friction of a joint that is not seen in swing [N m]: the ``frictionloss`` of
-        the Go2's joints in MuJoCo Menagerie.
+        Of the Coulomb friction of a joint that does not swing [N m]: the ``frictionloss`` of the
+        Go2's joints in MuJoCo Menagerie.
     friction_part
-        Of a friction that is known, or of the usual one, if that is more [-]: the error on walks of
-        known friction (``tests/robot/test_friction.py``).
+        Of the friction that was found, or of ``coulomb_Nm`` if that is more [-]: the error on
+        walks of known friction (``tests/robot/test_friction.py``).
     attitude_deg
         Of roll and of pitch [deg]: an error of g/57 in the mean reading of an accelerometer that
         shakes with the trunk.
@@ -77,8 +78,8 @@ class SensorErrors:
         """Coulomb torque left in the forces when that was taken off [N m], shape [foot, joint]."""
         if friction is None:
             return np.full((len(FEET), len(JOINTS)), self.coulomb_Nm)
-        known = self.friction_part * np.maximum(friction.coulomb, self.coulomb_Nm)
-        return np.where(friction.found, known, self.coulomb_Nm)
+        error = self.friction_part * np.maximum(friction.coulomb, self.coulomb_Nm)
+        return np.where(friction.found, error, self.coulomb_Nm)
 
 
 @dataclass(frozen=True, repr=False)
@@ -131,6 +132,11 @@ class FootForces:
     friction: JointFriction | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
+    @property
+    def lift(self) -> FloatArray:
+        """Upward force on each foot in double precision [N], shape [sample, foot]."""
+        return self.force[:, :, 2].astype(np.float64)
+
 
 def estimate(
     log: JointLog,
@@ -158,8 +164,7 @@ def estimate(
         ``world``, by the log's attitude, or ``body``.
     friction
         Find the joints' friction in swing and take it off; ``quasi_static`` never does. Or the
-        friction, known from before: then the accelerometer is known to be sound too, and sigma has
-        no noise of its own.
+        friction itself: then the accelerometer is not checked, and sigma has no noise.
     contact_part
         How far below the ball's centre the ground pushes, as a part of its radius [-]: 1 on a
         floor, less in soil, which also pushes on the ball's sides.
@@ -174,75 +179,34 @@ def estimate(
         number or angles in degrees, lacks the attitude that ``world`` takes, or an
         option is unknown.
     """
-    for name, value, known in (("estimator", estimator, ESTIMATORS), ("frame", frame, FRAMES)):
-        if value not in known:
-            raise InputError(f"{name} '{value}' is unknown; {nearest(value, known)}")
+    for name, value, names in (("estimator", estimator, ESTIMATORS), ("frame", frame, FRAMES)):
+        if value not in names:
+            raise InputError(f"{name} '{value}' is unknown; {nearest(value, names)}")
     _check_log(log, frame)
-    lost_before = friction if isinstance(friction, JointFriction) else None
-    log, broken = (log, []) if lost_before else without_broken_accelerometer(log)
+    given = friction if isinstance(friction, JointFriction) else None
+    log, broken = (log, []) if given else without_broken_accelerometer(log)
     # A frame or two are read as well: of a robot at rest, for they hold no accelerations.
     gap = GAP_STEPS * float(np.median(np.diff(log.time))) if len(log.time) > 1 else math.inf
     moving = estimator != "quasi_static"
     nothing = np.zeros((len(FEET), len(JOINTS)))
     overview = (
-        Survey(lost_before, nothing, nothing, 0.0, nothing + np.nan) if lost_before
+        Survey(given, nothing, nothing, 0.0, nothing + np.nan) if given
         else survey(log, robot, estimator, gap, friction=moving and bool(friction))
     )  # fmt: skip
-    # A foot that never swings is given what the others show, or else the torques' noise.
-    swung = np.isfinite(overview.residual)
-    others = np.median(overview.residual[swung[:, 0]], axis=0) if swung.any() else overview.noise
-    noise = np.where(swung, overview.residual, others)
-    limit = SATURATED * np.array(robot.torque_limit or (np.inf,) * 3)
-    shared, parts = priors or SensorErrors(), []
-    # Friction that is not known shows in the torques of a foot that swings, and is in their spread.
-    found = False if overview.friction is None else overview.friction.found
-    lost = np.where(swung & ~np.asarray(found), 0.0, shared.friction_sd(overview.friction))
-    for wide, inner in chunks(log.time):
-        seen = signals(log, robot, wide, moving=moving)
-        torque = contact_torque(seen, estimator, gap, overview.friction)
-        # The time of a sample is not known exactly: a torque that changes at a rate r is uncertain
-        # by r Δt/√12, much where a foot strikes.
-        change = np.diff(torque, axis=0)
-        change[np.diff(seen.time) > gap] = 0.0
-        timing = np.pad(change**2 / 24.0, ((1, 1), (0, 0), (0, 0)))
-        own = noise**2 + (timing[1:] + timing[:-1])[inner]
-        torque, velocity, turn = torque[inner], seen.velocity[inner], seen.turn[inner]
-        if overview.friction is not None:
-            own += overview.friction.doubt(velocity) ** 2
-        common = np.square(shared.gain * seen.torque[inner]) + np.square(lost)
-        low = -contact_part * robot.foot_radius * seen.turn[:, None, 2, :] if moving else None
-        inverse, lever = (each[inner] for each in seen.legs.force_per_torque(low))
-        near = lever < LEAST_LEVER * robot.leg_length
-        lift_per_torque = upward(turn, inverse)
-        if frame == "world":
-            inverse = turn[:, None] @ inverse
-        with np.errstate(over="ignore", invalid="ignore"):  # where a knee is singular
-            force = np.einsum("sfij,sfj->sfi", inverse, torque)
-            variance = np.einsum("sfij,sfj->sfi", inverse**2, own + common)
-            if not robot.there.all():  # legs of two joints feel no force across their plane
-                across = inverse[..., 0] / np.linalg.norm(inverse[..., 0], axis=-1, keepdims=True)
-                size = UNFELT_PART * np.linalg.norm(force, axis=-1, keepdims=True)
-                variance += np.where(robot.there[:, :1], 0.0, np.square(across * size))
-            if frame == "world":
-                # A small turn ε about level axes moves a force by
-                # ε × f = (ε_y f_z, −ε_x f_z, ε_x f_y − ε_y f_x).
-                x, y, z = np.moveaxis(np.square(math.radians(shared.attitude_deg) * force), -1, 0)
-                variance += np.stack([z, z, x + y], axis=-1)
-            both = np.asarray([force, np.sqrt(variance)], dtype=np.float32)
-        both[:, near] = np.nan
-        saturated = (np.abs(seen.torque[inner]) >= limit).any(axis=-1)
-        swing = leg_inertia(seen, gap)[inner] if moving else np.zeros(len(torque))
-        place = seen.legs.place[inner]
-        parts.append((*both, near, saturated, place, lift_per_torque, swing))
-    heading = None
-    if log.quaternion is not None:  # mean direction of the trunk's x in the world
-        x, y = rotation(log.quaternion[:: max(1, len(log.time) // 10_000)])[:, :2, 0].mean(axis=0)
-        heading = math.degrees(math.atan2(y, x))
-    names = ("force", "sigma", "flagged", "saturated", "place", "lift_per_torque", "leg_inertia")
+    errors = priors or SensorErrors()
+    noise, lost = _torque_noise(overview, errors)
+    parts = [
+        _chunk(
+            signals(log, robot, wide, moving=moving), inner, robot, estimator, overview.friction,
+            noise, lost, errors, gap=gap, frame=frame, contact_part=contact_part,
+        )
+        for wide, inner in chunks(log.time)
+    ]  # fmt: skip
     columns = map(np.concatenate, zip(*parts, strict=True))
+    fields = ("force", "sigma", "flagged", "saturated", "place", "lift_per_torque", "leg_inertia")
     return FootForces(
         time=np.asarray(log.time, dtype=np.float64),
-        **dict(zip(names, columns, strict=True)),
+        **dict(zip(fields, columns, strict=True)),
         estimator=estimator,
         frame=frame,
         friction=overview.friction,
@@ -251,9 +215,9 @@ def estimate(
             "robot_source": robot.source,
             "estimator": estimator,
             "frame": frame,
-            "heading_deg": heading,
+            "heading_deg": _heading_deg(log),
             "gain_per_s": OBSERVER_GAIN if moving else None,
-            "priors": asdict(shared),
+            "priors": asdict(errors),
             "friction": None if overview.friction is None else overview.friction.summary(),
             "torque_lag_s": overview.lag,
             "torque_gain": [
@@ -262,6 +226,71 @@ def estimate(
             "assumed": _assumed(log, robot, overview, broken),
         },
     )
+
+
+def _torque_noise(overview: Survey, errors: SensorErrors) -> tuple[FloatArray, FloatArray]:
+    """Torque noise of each sample, and Coulomb friction left in all [N m]; shape [foot, joint]."""
+    # A foot that never swings is given what the others show, or else the torques' noise.
+    swung = np.isfinite(overview.residual)
+    usual = np.median(overview.residual[swung[:, 0]], axis=0) if swung.any() else overview.noise
+    noise = np.where(swung, overview.residual, usual)
+    # Friction that was not found shows in the torques of a foot that swings, and in their spread.
+    found = False if overview.friction is None else overview.friction.found
+    lost = np.where(swung & ~np.asarray(found), 0.0, errors.friction_sd(overview.friction))
+    return noise, lost
+
+
+def _chunk(
+    part: Signals, inner: slice, robot: Quadruped, estimator: Estimator,
+    friction: JointFriction | None, noise: FloatArray, lost: FloatArray, errors: SensorErrors, *,
+    gap: float, frame: Frame, contact_part: float,
+) -> tuple[Any, ...]:  # fmt: skip
+    """Forces in a part of a log, without its margins: columns of :class:`FootForces`."""
+    moving = estimator != "quasi_static"
+    torque = contact_torque(part, estimator, gap, friction)
+    # The time of a sample is not known exactly: a torque that changes at a rate r is uncertain by
+    # r Δt/√12, much where a foot strikes.
+    change = np.diff(torque, axis=0)
+    change[np.diff(part.time) > gap] = 0.0
+    timing = np.pad(change**2 / 24.0, ((1, 1), (0, 0), (0, 0)))
+    variance = noise**2 + (timing[1:] + timing[:-1])[inner] + np.square(lost)
+    torque, turn, measured = torque[inner], part.turn[inner], part.torque[inner]
+    variance += np.square(errors.gain * measured)
+    if friction is not None:
+        variance += friction.doubt(part.velocity[inner]) ** 2
+    low = -contact_part * robot.foot_radius * part.turn[:, None, 2, :] if moving else None
+    inverse, lever = (values[inner] for values in part.legs.force_per_torque(low))
+    lift_per_torque = upward(turn, inverse)
+    if frame == "world":
+        inverse = turn[:, None] @ inverse
+    with np.errstate(over="ignore", invalid="ignore"):  # where a knee is singular
+        force = np.einsum("sfij,sfj->sfi", inverse, torque)
+        variance = np.einsum("sfij,sfj->sfi", inverse**2, variance)
+        if not robot.there.all():  # legs of two joints feel no force across their plane
+            across = inverse[..., 0] / np.linalg.norm(inverse[..., 0], axis=-1, keepdims=True)
+            size = UNFELT_PART * np.linalg.norm(force, axis=-1, keepdims=True)
+            variance += np.where(robot.there[:, :1], 0.0, np.square(across * size))
+        if frame == "world":
+            # A small turn ε about level axes moves a force by
+            # ε × f = (ε_y f_z, −ε_x f_z, ε_x f_y − ε_y f_x).
+            x, y, z = np.moveaxis(np.square(math.radians(errors.attitude_deg) * force), -1, 0)
+            variance += np.stack([z, z, x + y], axis=-1)
+        force_sigma = np.asarray([force, np.sqrt(variance)], dtype=np.float32)
+    near_singular = lever < LEAST_LEVER * robot.leg_length
+    force_sigma[:, near_singular] = np.nan
+    limit = SATURATED * np.array(robot.torque_limit or (np.inf,) * 3)
+    saturated = (np.abs(measured) >= limit).any(axis=-1)
+    swing = leg_inertia(part, gap)[inner] if moving else np.zeros(len(torque))
+    place = part.legs.place[inner]
+    return *force_sigma, near_singular, saturated, place, lift_per_torque, swing
+
+
+def _heading_deg(log: JointLog) -> float | None:
+    """Mean direction of the trunk's x in the world [deg]; ``None`` without attitude."""
+    if log.quaternion is None:
+        return None
+    x, y = rotation(log.quaternion[:: max(1, len(log.time) // 10_000)])[:, :2, 0].mean(axis=0)
+    return math.degrees(math.atan2(y, x))
 
 
 def _check_log(log: JointLog, frame: Frame) -> None:
@@ -293,10 +322,10 @@ def without_broken_accelerometer(log: JointLog) -> tuple[JointLog, list[str]]:
     """Drop accelerations whose mean is not gravity, pointing up; return the log and remarks."""
     if log.acceleration is None:
         return log, []
-    every = slice(None, None, max(1, len(log.time) // 10_000))
-    felt = np.asarray(log.acceleration[every], dtype=np.float64)
+    thinned = slice(None, None, max(1, len(log.time) // 10_000))
+    felt = np.asarray(log.acceleration[thinned], dtype=np.float64)
     if log.quaternion is not None:
-        felt = np.einsum("sij,sj->si", rotation(log.quaternion[every]), felt)
+        felt = np.einsum("sij,sj->si", rotation(log.quaternion[thinned]), felt)
     mean = felt.mean(axis=0)
     up = mean / np.linalg.norm(mean) if log.quaternion is None else [0.0, 0.0, 1.0]
     if np.linalg.norm(mean - GRAVITY * np.asarray(up)) <= TRUNK_ACCELERATION_SD:
@@ -308,7 +337,7 @@ def without_broken_accelerometer(log: JointLog) -> tuple[JointLog, list[str]]:
 
 
 def _assumed(log: JointLog, robot: Quadruped, overview: Survey, broken: list[str]) -> list[str]:
-    """What was assumed where the log lacks something."""
+    """Sentences about assumptions in the place of what the log lacks."""
     lacking = {
         "no attitude: gravity is taken along the body's z": log.quaternion is None,
         "no accelerometer: the trunk is taken to be unaccelerated": log.acceleration is None,

@@ -47,7 +47,7 @@ BEARING_SHARE = 0.15
 whose feet bear less all together hangs or lies; what they bear and how they push sideways, on
 average, may be off by as much, which is 1.5 standard deviations of a torque's gain."""
 SURVEY = 60_000
-"""Samples, from all over the log, that are looked at."""
+"""Most samples that are used, from all over the log."""
 CLEAR_PART = 0.5
 """Part of the height of its swing [-] above which a foot is clear of the ground. Above 0.4 it still
 scratches the soil on the walks of ``tests/robot/test_friction.py``; above 0.6 the slow movements
@@ -68,7 +68,7 @@ _GAUSS = 1.4826
 def clear_of_ground(
     place: FloatArray, up: FloatArray, lift: FloatArray, *, weight: float
 ) -> BoolArray:
-    """When feet are above the ground, from where the legs hold them.
+    """Mask of feet that are above the ground, from the places at which the legs hold them.
 
     The ground is a plane through the feet that bear load; its height changes from sample to sample
     as the body moves, its slope does not. On soft ground the soles of standing feet lie below the
@@ -94,7 +94,7 @@ def clear_of_ground(
         return np.ones(lift.shape, dtype=bool)
     load = np.maximum(lift / weight - BEARING_SHARE, 0.0)
     total = load.sum(axis=1, keepdims=True)
-    known = total[:, 0] > 0.0
+    is_loaded = total[:, 0] > 0.0
     share = np.divide(load, total, out=np.zeros_like(load), where=total > 0.0)
     height = np.einsum("sfi,si->sf", place, up)
     height -= np.sum(share * height, axis=1, keepdims=True)
@@ -103,19 +103,19 @@ def clear_of_ground(
     normal = np.einsum("sf,sfi,sfj->ij", share, across, across) + 1e-9 * np.eye(2)
     slope = np.linalg.solve(normal, np.einsum("sf,sfi,sf->i", share, across, height))
     height -= across @ slope
-    lifted = np.quantile(height[known], 0.95, axis=0)
-    return np.asarray(known[:, None] & (height > CLEAR_PART * lifted))
+    lifted = np.quantile(height[is_loaded], 0.95, axis=0)
+    return np.asarray(is_loaded[:, None] & (height > CLEAR_PART * lifted))
 
 
 def away_from(event: BoolArray, time: FloatArray) -> BoolArray:
-    """Samples that are further than :data:`GUARD_S` from an event; shape [sample, ...]."""
+    """Mask of samples further than :data:`GUARD_S` from an event; shape [sample, ...]."""
     when = time.reshape(-1, *(1,) * (event.ndim - 1))
     since = when - np.maximum.accumulate(np.where(event, when, -np.inf), axis=0)
     until = np.minimum.accumulate(np.where(event, when, np.inf)[::-1], axis=0)[::-1] - when
     return np.asarray(np.minimum(since, until) > GUARD_S)
 
 
-def fit(
+def fit_friction(
     residual: FloatArray, terms: FloatArray, swing: BoolArray, sure: BoolArray
 ) -> JointFriction:
     """Fit the joint friction to the torques in swing.
@@ -199,35 +199,37 @@ def lag_and_gain(
     feet, gain = np.flatnonzero(swing.sum(axis=0) >= LEAST_SWING), np.full((4, 3), np.nan)
     if not len(feet):
         return 0.0, gain
-    usual = float(np.median(np.concatenate([np.diff(seen.time) for seen, _ in windows])))
+    usual = float(np.median(np.concatenate([np.diff(part.time) for part, _ in windows])))
     # Whole steps: a torque between two samples is a mean, and seems to have less noise.
     step = usual * max(1, round(LAG_STEP_S / usual))
     most = round(MOST_LAG_S / step)
     lags, cost = step * np.arange(-most, most + 1), np.zeros(2 * most + 1)
-    logged = [low_pass(s.time, OBSERVER_GAIN, s.torque, 0.0 * s.slopes, gap) for s, _ in windows]
+    logged = [low_pass(p.time, OBSERVER_GAIN, p.torque, 0.0 * p.slopes, gap) for p, _ in windows]
 
     def shifted(lag: float, foot: int, joint: int) -> FloatArray:
-        each = [
-            np.interp(seen.time[inner] + lag, seen.time, values[:, foot, joint])
-            for (seen, inner), values in zip(windows, logged, strict=True)
+        parts = [
+            np.interp(part.time[inner] + lag, part.time, values[:, foot, joint])
+            for (part, inner), values in zip(windows, logged, strict=True)
         ]
-        return np.concatenate(each)[swing[:, foot]]
+        return np.concatenate(parts)[swing[:, foot]]
 
-    for i, j in itertools.product(feet.tolist(), range(3)):
-        axes = np.linalg.qr(terms[swing[:, i], i, j])[0]
-        model = torque[swing[:, i], i, j] + shifted(0.0, i, j)
+    joints = list(itertools.product(feet.tolist(), range(3)))
+    # Friction's regressors, orthonormal, and the torque of the motion without friction, of each.
+    frictions = {(i, j): np.linalg.qr(terms[swing[:, i], i, j])[0] for i, j in joints}
+    models = {(i, j): torque[swing[:, i], i, j] + shifted(0.0, i, j) for i, j in joints}
+    for i, j in joints:
+        axes, model = frictions[i, j], models[i, j]
         for k, lag in enumerate(lags):
-            rest = model - shifted(lag, i, j)
-            rest = np.abs(rest - axes @ (axes.T @ rest))
-            cost[k] += np.sum(np.minimum(rest, 3.0 * spread(rest)) ** 2)
+            off = model - shifted(lag, i, j)
+            off = np.abs(off - axes @ (axes.T @ off))
+            cost[k] += np.sum(np.minimum(off, 3.0 * spread(off)) ** 2)
     k, lag = int(cost.argmin()), 0.0
-    if 0 < k < len(lags) - 1:
+    if 0 < k < len(lags) - 1:  # the vertex of a parabola through three costs
         before, least, after = cost[k - 1 : k + 2]
         lag = float(lags[k] + 0.5 * step * (before - after) / (before - 2.0 * least + after))
-    for i, j in itertools.product(feet.tolist(), range(3)):
-        axes = np.linalg.qr(terms[swing[:, i], i, j])[0]
-        model, late = torque[swing[:, i], i, j] + shifted(0.0, i, j), shifted(lag, i, j)
-        model, late = (values - axes @ (axes.T @ values) for values in (model, late))
+    for i, j in joints:
+        axes = frictions[i, j]
+        model, late = (v - axes @ (axes.T @ v) for v in (models[i, j], shifted(lag, i, j)))
         power = max(float(model @ model), 1e-12)
         slope = float(model @ late) / power
         independent = max(GUARD_S / usual, 1.0)
@@ -242,10 +244,10 @@ class Survey(NamedTuple):
     Attributes
     ----------
     friction
-        Of the joints; ``None`` if it was not asked for.
+        Of the joints; ``None`` if it is not taken off.
     residual
         Spread of contact torques in swing, where the truth is zero [N m], shape [foot, joint];
-        NaN for feet that were not seen to swing.
+        NaN for feet that did not swing.
     noise
         Standard deviation of torques from one sample to the next [N m], shape [foot, joint].
     lag, gain
@@ -262,53 +264,55 @@ class Survey(NamedTuple):
 def survey(
     log: JointLog, robot: Quadruped, estimator: Estimator, gap: float, *, friction: bool
 ) -> Survey:
-    """Find friction and noise from windows spread over a log.
+    """Find friction and noise of the torques from windows spread over a log.
 
     Parameters
     ----------
     log, robot
         The log, and of whom.
     estimator, gap
-        See :func:`~terraphi.robot.estimators.contact_torque`; its residual in swing is wanted.
+        Of :func:`~terraphi.robot.estimators.contact_torque`, whose residual in swing is returned.
     friction
-        Whether that of the joints is to be taken off.
+        Take the joints' friction off.
     """
-    every = list(chunks(log.time))
-    picked = np.unique(np.linspace(0, len(every) - 1, min(len(every), SURVEY // CHUNK + 1)))
-    windows = [(signals(log, robot, every[i][0]), every[i][1]) for i in picked.astype(int)]
+    parts = list(chunks(log.time))
+    numbers = np.unique(np.linspace(0, len(parts) - 1, min(len(parts), SURVEY // CHUNK + 1)))
+    windows = [(signals(log, robot, parts[i][0]), parts[i][1]) for i in numbers.astype(int)]
 
-    def joined(values: Callable[[Signals], Any]) -> Any:
-        return np.concatenate([values(seen)[inner] for seen, inner in windows])
+    def of_all(values: Callable[[Signals], Any]) -> Any:
+        return np.concatenate([values(part)[inner] for part, inner in windows])
 
     # Swing phases follow from the forces and friction from the swing phases, alternately.
-    torque = joined(lambda seen: contact_torque(seen, "momentum_observer", gap))
-    terms = joined(lambda seen: friction_terms(seen, gap))
-    sure = joined(lambda seen: away_from(np.abs(seen.velocity) < REVERSAL_RATE, seen.time))
-    per = joined(lambda seen: upward(seen.turn, seen.legs.force_per_torque()[0]))
+    torque = of_all(lambda part: contact_torque(part, "momentum_observer", gap))
+    terms = of_all(lambda part: friction_terms(part, gap))
+    sure = of_all(lambda part: away_from(np.abs(part.velocity) < REVERSAL_RATE, part.time))
+    lift_per_torque = of_all(lambda part: upward(part.turn, part.legs.force_per_torque()[0]))
     ends = np.cumsum([inner.stop - inner.start for _, inner in windows])[:-1]
     weight = robot.mass * GRAVITY
 
-    def found(rest: FloatArray, share: float) -> tuple[JointFriction, BoolArray, FloatArray]:
-        lifts = np.split(np.nansum(per * rest, axis=-1), ends)
-        each = [
-            away_from(lift >= share * weight, seen.time[inner])
-            & clear_of_ground(seen.legs.place[inner], seen.turn[inner][:, 2], lift, weight=weight)
-            for (seen, inner), lift in zip(windows, lifts, strict=True)
-        ]
-        lost = fit(torque, terms, air := np.concatenate(each), sure)
+    def refined(contact: FloatArray, share: float) -> tuple[JointFriction, BoolArray, FloatArray]:
+        """Friction from contact torques, the swing it is found in, and contact torques less it."""
+        lifts = np.split(np.nansum(lift_per_torque * contact, axis=-1), ends)
+        swing = np.concatenate([
+            away_from(lift >= share * weight, part.time[inner])
+            & clear_of_ground(part.legs.place[inner], part.turn[inner][:, 2], lift, weight=weight)
+            for (part, inner), lift in zip(windows, lifts, strict=True)
+        ])  # fmt: skip
+        lost = fit_friction(torque, terms, swing, sure)
         numbers = np.stack([lost.coulomb, lost.viscous, lost.inertia], axis=-1)
-        return lost, air, torque + np.sum(numbers * terms, axis=-1)
+        return lost, swing, torque + np.sum(numbers * terms, axis=-1)
 
     # Before friction is known it looks like force, so that twice the load may be swing.
-    rest = found(found(torque, 2.0 * BEARING_SHARE)[2], BEARING_SHARE)[2]
-    lost, swing, _ = found(rest, BEARING_SHARE)
+    *_, contact = refined(torque, 2.0 * BEARING_SHARE)
+    *_, contact = refined(contact, BEARING_SHARE)
+    lost, swing, _ = refined(contact, BEARING_SHARE)
     kept, residual = lost if friction else None, np.full((4, 3), np.nan)
-    deviation = joined(lambda seen: contact_torque(seen, estimator, gap, kept))
+    deviation = of_all(lambda part: contact_torque(part, estimator, gap, kept))
     for foot in np.flatnonzero(swing.any(axis=0)):
-        own = np.abs(deviation[swing[:, foot], foot])
+        off = np.abs(deviation[swing[:, foot], foot])
         # Root mean square, errors that are far out cut short; right for ±c as for a bell.
-        residual[foot] = np.sqrt(np.mean(np.minimum(own, 3.0 * spread(own)) ** 2, axis=0))
-    steps = np.concatenate([np.diff(seen.torque, axis=0) for seen, _ in windows])
+        residual[foot] = np.sqrt(np.mean(np.minimum(off, 3.0 * spread(off)) ** 2, axis=0))
+    steps = np.concatenate([np.diff(part.torque, axis=0) for part, _ in windows])
     # Second differences, to which the motion hardly contributes.
     noise = np.nan_to_num(spread(np.diff(steps, axis=0)) / np.sqrt(6.0))
     return Survey(kept, residual, noise, *lag_and_gain(windows, torque, terms, swing, gap))

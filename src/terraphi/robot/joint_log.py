@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, TypeVar
 
@@ -84,6 +84,12 @@ def arrays(record: Record) -> list[str]:
 def cut(record: Record, part: slice) -> Record:
     """A part of a record over time, such as a JointLog."""
     return replace(record, **{name: getattr(record, name)[part] for name in arrays(record)})
+
+
+def joined(parts: Sequence[Record]) -> Record:
+    """Parts of a record over time with the same columns, one after the other."""
+    names = arrays(parts[0])
+    return replace(parts[0], **{n: np.concatenate([getattr(p, n) for p in parts]) for n in names})
 
 
 JOINT_NAMES = tuple(f"{foot}_{joint}" for foot in FEET for joint in JOINTS)

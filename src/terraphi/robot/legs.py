@@ -82,7 +82,7 @@ class Legs:
     ) -> None:
         model, there, joint = robot.model, robot.there, robot.joint
         data = mujoco.MjData(model)
-        count, own = len(angle), model.jnt_dofadr[joint[there]]
+        count, dof = len(angle), model.jnt_dofadr[joint[there]]
         qpos = np.tile(model.qpos0, (count, 1))
         qpos[:, :7] = (0, 0, 0, 1, 0, 0, 0)
         qpos[:, model.jnt_qposadr[joint[there]]] = angle[:, there]
@@ -93,9 +93,9 @@ class Legs:
         qacc = np.zeros((len(accelerations), count, model.nv))
         qacc[..., :3], qacc[..., 3:6] = trunk.specific_force, trunk.angular_acceleration
         if velocity is not None:
-            qvel[:, own] = velocity[:, there]
+            qvel[:, dof] = velocity[:, there]
         for k, acceleration in enumerate(accelerations):
-            qacc[k][:, own] = acceleration[:, there]
+            qacc[k][:, dof] = acceleration[:, there]
         needed = np.empty_like(qacc)
         place, turn = np.empty((count, 4, 3)), np.empty((count, 4, 9))
         anchor, axis = (np.empty((count, model.njnt, 3)) for _ in range(2))
@@ -119,7 +119,7 @@ class Legs:
         self._anchor, self._axis = anchor[:, joint], np.where(there[..., None], axis[:, joint], 0.0)
         self._there = there
         self.torque = np.zeros((len(accelerations), count, 4, 3))
-        self.torque[..., there] = needed[..., own]
+        self.torque[..., there] = needed[..., dof]
         self.inertia = needed[..., :3] - model.body_mass.sum() * qacc[..., :3]
 
     def jacobian(self, offset: FloatArray | None = None) -> FloatArray:

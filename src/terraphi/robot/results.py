@@ -17,11 +17,20 @@ from pydantic import BaseModel, Json
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import NetcdfFile, label_of, write_netcdf
 from terraphi.experiment.scenario import GRAVITY
-from terraphi.robot.checks import REFUSED, Checked, balance, check, grave, parts, warnings_of
+from terraphi.robot.checks import (
+    REFUSED,
+    Checked,
+    balance,
+    check,
+    check_parts,
+    grave,
+    parts,
+    warnings_of,
+)
 from terraphi.robot.estimators import Estimator
 from terraphi.robot.forces import DEFAULT_ESTIMATOR, FootForces, Frame, estimate
 from terraphi.robot.friction import BEARING_SHARE, MOST_LAG_S
-from terraphi.robot.joint_log import FEET, JointLog, cut
+from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.logs import read_log
 from terraphi.robot.logs.columns import Columns
 from terraphi.robot.logs.samples import UNEVEN, describe, refuse_if_hopeless, sound
@@ -277,8 +286,7 @@ def _checked(
     if len(pieces) == 1:
         checked = [check(log, robot, forces)]
     else:
-        each = (cut(log, piece) for piece in pieces)
-        checked = [check(part, robot, estimate(part, robot=robot, **options)) for part in each]
+        checked = check_parts(log, robot, pieces, **options)
     reasons = [f.text for part in checked for f in part.findings if f.about == REFUSED]
     if len(reasons) == len(checked):
         raise InputError(reasons[0])

@@ -161,13 +161,15 @@ def find_stances(time: FloatArray, force: Forces, *, rise_N: float) -> tuple[Sta
     that ends a stance is therefore the lower quartile of the foot's low forces where that is
     positive.
     """
-    found: list[Stance] = []
+    stances: list[Stance] = []
     for column, foot in enumerate(FEET):
-        known = np.isfinite(force[:, column]).all(axis=1)
-        own_time, own = time[known], force[known, column]
-        for first, last in _bounds(own_time, own[:, 2], rise_N):
-            found.append(Stance(foot, own_time[first : last + 1], own[first : last + 1]))
-    return tuple(sorted(found, key=lambda stance: stance.begin))
+        finite = np.isfinite(force[:, column]).all(axis=1)
+        when, forces = time[finite], force[finite, column]
+        stances += [
+            Stance(foot, when[first : last + 1], forces[first : last + 1])
+            for first, last in _bounds(when, forces[:, 2], rise_N)
+        ]
+    return tuple(sorted(stances, key=lambda stance: stance.begin))
 
 
 def _bounds(time: FloatArray, lift: Forces, rise_N: float) -> list[tuple[int, int]]:
@@ -190,8 +192,8 @@ def _bounds(time: FloatArray, lift: Forces, rise_N: float) -> list[tuple[int, in
     holds = np.logical_or.reduceat(high, starts)
     starts, ends = starts[holds], ends[holds]
     # Runs that are separated by less than the shortest lift of a foot are one.
-    apart = time[starts[1:]] - time[ends[:-1]] >= LIFT_S
-    starts, ends = starts[np.append(True, apart)], ends[np.append(apart, True)]
+    lifted = time[starts[1:]] - time[ends[:-1]] >= LIFT_S
+    starts, ends = starts[np.append(True, lifted)], ends[np.append(lifted, True)]
     first, last = _crossings(lift, starts, ends, max(level, TOUCH_PART * rise), level)
     # Outside the record: the foot stood when it began, or when it ended.
     good = (first >= 0) & (last < len(lift))

@@ -186,7 +186,7 @@ def touchdowns(
     # Force of the soil's inertia on a foot that meets it, over the square of its speed [kg/m].
     landing = float(moved_mass(Foot(radius), 1e-6, Prior.density)[1])
     cut = [_touchdown(log, forces, motion, stance, per, step, landing) for stance in stances]
-    columns = {name: np.array([one[name] for one in cut]) for name in Touchdowns._fields}
+    columns = {name: np.array([row[name] for row in cut]) for name in Touchdowns._fields}
     columns["place"][:, 2] -= radius
     return Touchdowns(**columns)
 

@@ -32,7 +32,7 @@ MOTORS = len(JOINT_NAMES)
 URDF_NAMES = tuple(f"{name}_joint" for name in JOINT_NAMES)
 """Names of the joints in Unitree's robot descriptions, in the order of a JointLog."""
 MALFORMED = "not a message of its type"
-OTHERS = "joints of something else"
+FOREIGN = "joints of something else"
 
 _KINDS = (LOW_STATE, JOINT_STATE)
 STEPS = 100_000
@@ -55,7 +55,7 @@ Raw = Iterable[tuple[int, bytes]]
 
 
 def decoded(messages: Raw, kind: str, dropped: Counter[str]) -> Iterator[tuple[int, Any]]:
-    """Messages of a type; bytes that are none are counted."""
+    """Decode messages of a type; damaged ones are counted."""
     for recorded, raw in messages:
         try:
             message = typestore().deserialize_cdr(raw, kind)
@@ -121,16 +121,16 @@ def joint_states(
     for recorded, message in decoded(messages, JOINT_STATE, dropped):
         names = tuple(message.name)
         if names not in orders:
-            own = own_names if own_names and {*own_names} <= {*names} else None
+            model_names = own_names if own_names and {*own_names} <= {*names} else None
             try:
-                orders[names] = joint_order(names, joint_names or own, joints)
+                orders[names] = joint_order(names, joint_names or model_names, joints)
             except InputError as error:
                 orders[names], refusal = None, refusal or str(error)
         order = orders[names]
         present = tuple(c for c, f in _FIELDS.items() if len(getattr(message, f)) == len(names))
-        whole = {"angle", "torque"} <= {*present} and present == (columns or present)
-        if order is None or not whole:
-            dropped[OTHERS] += 1
+        complete = {"angle", "torque"} <= {*present} and present == (columns or present)
+        if order is None or not complete:
+            dropped[FOREIGN] += 1
             continue
         columns = present
         stamps.append((_stamp(message), recorded))
@@ -181,27 +181,27 @@ def joint_order(
     InputError
         If a joint is missing, stands twice or is not known; the message does not name the file.
     """
-    found: dict[str, int] = {}
+    index: dict[str, int] = {}
     hint = "say which twelve are meant (--joint-names; in Python joint_names)"
     for name in wanted or ():
         if name not in names or list(wanted or ()).count(name) > 1:
             raise InputError(f"joint '{name}' is not once in the messages; {nearest(name, names)}")
     if wanted is not None:
         legs = [joint for joint in JOINT_NAMES if joint in joints]
-        found = dict(zip(legs, map(list(names).index, wanted), strict=True))
+        index = dict(zip(legs, map(list(names).index, wanted), strict=True))
     for i, place in enumerate(map(joint_place, names if wanted is None else ())):
         joint = place and JOINT_NAMES[3 * place[0] + place[1]]
-        if joint and found.setdefault(joint, i) != i:
-            both = f"joints '{names[found[joint]][:60]}' and '{names[i][:60]}'"
-            raise InputError(f"{both} both look like the {joint.replace('_', ' ')}; {hint}")
-    missing = [joint.replace("_", " ") for joint in joints if joint not in found]
+        if joint and index.setdefault(joint, i) != i:
+            pair = f"joints '{names[index[joint]][:60]}' and '{names[i][:60]}'"
+            raise InputError(f"{pair} both look like the {joint.replace('_', ' ')}; {hint}")
+    missing = [joint.replace("_", " ") for joint in joints if joint not in index]
     if missing:
         unknown = [f", and '{name[:60]}' is not known" for name in names if not joint_place(name)]
         raise InputError(
             f"{len(names)} joints, and none for the {missing[0]}{(unknown or [''])[0]}; expected "
             f"twelve named like {URDF_NAMES[0]}, or {hint}"
         )
-    return [found[joint] if joint in joints else -1 for joint in JOINT_NAMES]
+    return [index[joint] if joint in joints else -1 for joint in JOINT_NAMES]
 
 
 def read_bag(
@@ -219,9 +219,9 @@ def read_bag(
     kind = "rosbag2" if path.is_dir() else "rosbag1" if path.suffix == ".bag" else "mcap"
     facts: dict[str, Any] = {"notes": [], "format": kind}
     opened: Any = rosbag1.Reader if kind == "rosbag1" else rosbag2.Reader
-    files = [one for one in path.iterdir() if not one.is_dir()] if path.is_dir() else [path]
-    for one in files:
-        check_is_file(one)
+    files = [file for file in path.iterdir() if not file.is_dir()] if path.is_dir() else [path]
+    for file in files:
+        check_is_file(file)
     end = time.monotonic() + SECONDS
 
     def raw(topic: str) -> Raw:
@@ -254,8 +254,8 @@ def read_bag(
                 values = joint_states(raw(name), joint_names, motors, own_names, dropped)
                 imus = {c.topic for c in bag.connections if _plain(c.msgtype) == IMU}
                 if imus and len(values["stamp"]):
-                    first, *others = sorted(imus, key=len)
-                    add_imu(values, imu_readings(raw(first)), [first, *others], facts["notes"])
+                    topics = sorted(imus, key=len)
+                    add_imu(values, imu_readings(raw(topics[0])), topics, facts["notes"])
             else:
                 facts["motors"] = list(motors)
                 values = low_states(raw(name), motors, dropped)
@@ -303,10 +303,10 @@ def add_imu(
     clock = "stamp" if np.ptp(values["stamp"]) else "recorded"
     start = values[clock][0]
     at = (values[clock] - start) / 1e9
-    every, order = np.unique((imu[clock] - start) / 1e9, return_index=True)
+    times, order = np.unique((imu[clock] - start) / 1e9, return_index=True)
     for name in MEASURED:
-        known = np.isfinite(imu[name][order]).all(axis=1)
-        time, column = every[known], imu[name][order][known]
+        measured = np.isfinite(imu[name][order]).all(axis=1)
+        time, column = times[measured], imu[name][order][measured]
         if len(time) < 2:
             continue
         reach = GAP_STEPS * float(np.median(np.diff(time)))

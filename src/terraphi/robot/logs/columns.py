@@ -63,12 +63,12 @@ class Columns(Strict):
             return list(names)
         filled: dict[str, None] = {}  # each name once: those of feet repeat for their joints
         joints = [joint for joint in JOINT_NAMES if joint in motors]
-        for name, own in zip(joints, own_names or joints, strict=True):
+        for name, model_name in zip(joints, own_names or joints, strict=True):
             foot, joint = name.split("_")
             number = list(motors).index(name)
             text = names.replace("{motor}", str(number)).replace("{motor:02}", f"{number:02}")
             text = text.replace("{foot}", foot).replace("{joint}", joint)
-            filled[text.replace("{name}", own)] = None
+            filled[text.replace("{name}", model_name)] = None
         return list(filled)
 
 
@@ -127,7 +127,7 @@ def read_columns(
         named = NAMED
     scale = {"time": _SECONDS[named.time_unit]}
     scale |= dict.fromkeys(("angle", "velocity"), _RADIANS[named.angle_unit])
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for group, shape in {"time": (), **SHAPES}.items():
         names = [named.time] if group == "time" else named.group(group, motors, own_names)
         optional = columns is None and group not in {"time", "angle", "torque"}
@@ -144,14 +144,13 @@ def read_columns(
             if name not in header:
                 hint = nearest(name, header)[:200]
                 raise InputError(f"{path}: column '{name[:60]}' is missing; {hint}")
-        values = table[names].to_numpy(dtype=np.float64)
+        numbers = table[names].to_numpy(dtype=np.float64)
         if joints:  # those that no motor moves are zero
-            whole = np.zeros((len(values), len(JOINT_NAMES)))
-            whole[:, [name in motors for name in JOINT_NAMES]] = values
-            values = whole
-        found[group] = scale.get(group, 1.0) * values.reshape(len(values), *shape)
-    found["stamp"] = found.pop("time")
-    return found
+            moved, numbers = numbers, np.zeros((len(numbers), len(JOINT_NAMES)))
+            numbers[:, [name in motors for name in JOINT_NAMES]] = moved
+        values[group] = scale.get(group, 1.0) * numbers.reshape(len(numbers), *shape)
+    values["stamp"] = values.pop("time")
+    return values
 
 
 def _table(path: Path) -> Any:

@@ -1,4 +1,4 @@
-"""From the columns of a log to a JointLog: seconds that increase, and only sound samples.
+"""From the columns of a log to a JointLog: seconds that increase, and sound samples only.
 
 Unsound samples are dropped and counted, by reason.
 """
@@ -27,20 +27,22 @@ STALLED = 0.9
 """Fraction of steps without advance beyond which a clock stands still; up to a half, repeats are
 dropped one by one (``tests/robot/test_logs.py``)."""
 UNEVEN = 0.15
-"""Steps that vary by more than this part of the usual one [-] make forces noisier."""
+"""Variation of steps, as a part of the usual one [-], above which forces are noisier."""
+FULL_TURN = 2.0 * np.pi
+LARGEST = 1e6
+"""Largest number that a sensor sends; larger ones count as not finite."""
+_MOTION_SAMPLES = 200_000
+"""Most samples on which velocities are compared with angles."""
+_PROPORTIONAL, _DIFFERENT = 0.9, 1.25
+"""Correlation of joint velocities with the rate of their angles from which on their ratio means
+something, and the ratio that shows wrong units or a wrong clock [-]: for noise and for factors of
+0.5 and 2 in ``tests/robot/test_logs.py``."""
 
 REPEATED = "repeated time"
 BACKWARDS = "time ran backwards"
-
-
-FULL_TURN = 2.0 * np.pi
-LARGEST = 1e6
-"""Numbers beyond this are no sensor's, and count as not finite."""
-
 NOT_FINITE = "not a finite number"
 TURNED = "joint angle beyond a full turn"
 ATTITUDE = "attitude is not a unit quaternion"
-
 # What to do when most of a log is dropped for one reason.
 _REMEDIES = {
     NOT_FINITE: f"none above {LARGEST:g} is expected either; remove or repair those rows",
@@ -50,11 +52,6 @@ _REMEDIES = {
     BACKWARDS: "sort the samples by time, or cut the log where its clock was set back",
 }
 _IMU = ("quaternion", "angular_velocity", "acceleration", "foot_counts")
-_MOTION_SAMPLES = 200_000
-_PROPORTIONAL, _UNLIKE = 0.9, 1.25
-"""Correlation of joint velocities with the rate of their angles from which on their ratio means
-something, and the ratio that shows wrong units or a wrong clock [-]: for noise and for factors of
-0.5 and 2 in ``tests/robot/test_logs.py``."""
 
 
 def joint_log(
@@ -85,7 +82,7 @@ def joint_log(
         If no sample is sound, if over half are not for one reason, or if the units are wrong.
     """
     refuse_if_hopeless(path, dropped, len(values["stamp"]))
-    values = _sound(values, dropped)
+    values = _of_sensors(values, dropped)
     refuse_if_hopeless(path, dropped, len(values["stamp"]))
     time, facts_of_time = seconds(values.pop("stamp"), values.pop("recorded", None), clock)
     notes = [*facts["notes"], *facts_of_time.get("notes", ())]
@@ -111,7 +108,7 @@ def joint_log(
 
 
 def sound(log: JointLog) -> tuple[JointLog, Counter[str]]:
-    """The samples of a log that a sensor can have sent, and the number of others by reason.
+    """Samples of a log that a sensor can have sent, and the number of the others by reason.
 
     Raises
     ------
@@ -131,10 +128,12 @@ def sound(log: JointLog) -> tuple[JointLog, Counter[str]]:
     if not len(values["time"]):
         raise InputError("there are no samples; at least 1 is needed")
     dropped: Counter[str] = Counter()
-    values = _sound({"stamp": values.pop("time"), **values}, dropped)
+    values = _of_sensors({"stamp": values.pop("time"), **values}, dropped)
     if "quaternion" in values and not values["quaternion"].any():  # none is an attitude
         dropped[ATTITUDE] += len(values["stamp"])
         values = {name: column[:0] for name, column in values.items()}
+    if (np.diff(values["stamp"]) > 0.0).all():
+        return replace(log, time=values.pop("stamp"), **values), +dropped
     keep, lost = increasing(values["stamp"])
     values = {name: column[keep] for name, column in values.items()}
     return replace(log, time=values.pop("stamp"), **values), +(dropped + lost)
@@ -151,19 +150,20 @@ def _numbers(name: str, column: Any) -> FloatArray:
     return values.astype(np.float64)
 
 
-def _sound(values: dict[str, Any], dropped: Counter[str]) -> dict[str, Any]:
-    """Samples whose numbers are those of sensors; the others are counted."""
-    columns = {name: c.reshape(len(c), -1) for name, c in values.items() if name != "recorded"}
-    finite = np.isfinite(columns["stamp"].astype(np.float64))[:, 0]
-    for name in columns.keys() - {"stamp"}:
-        finite &= (np.abs(columns[name]) < LARGEST).all(axis=1)
-    within = (np.abs(columns["angle"]) <= FULL_TURN).all(axis=1)
+def _of_sensors(values: dict[str, Any], dropped: Counter[str]) -> dict[str, Any]:
+    """Samples whose numbers can be those of sensors; the others are counted."""
+    finite = np.isfinite(values["stamp"].astype(np.float64))
+    for name in values.keys() - {"stamp", "recorded"}:
+        finite &= (np.abs(values[name]) < LARGEST).reshape(len(finite), -1).all(axis=1)
+    within = (np.abs(values["angle"]) <= FULL_TURN).all(axis=(1, 2))
     unit = np.ones_like(within)
-    if "quaternion" in columns:
-        size = np.linalg.norm(columns["quaternion"], axis=1)
+    if "quaternion" in values:
+        size = np.linalg.norm(values["quaternion"], axis=1)
         # A zero quaternion is none, unless all samples lack their attitude.
         unit = (np.abs(size - 1.0) < 0.1) | ((size == 0.0) & ~size[finite & within].any())
     keep = finite & within & unit
+    if keep.all():
+        return values
     bad = {NOT_FINITE: ~finite, TURNED: finite & ~within, ATTITUDE: finite & within & ~unit}
     dropped.update({reason: int(which.sum()) for reason, which in bad.items()})
     return {name: column[keep] for name, column in values.items()}
@@ -176,14 +176,14 @@ def refuse_if_hopeless(path: Path | str, dropped: Counter[str], kept: int) -> No
     reason, number = (dropped or Counter({"": 0})).most_common(1)[0]
     if 2 * number > kept + dropped.total() or not kept:
         remedy = _REMEDIES.get(reason, "check what wrote it, or record it again")
-        whole = kept + dropped.total()
-        raise InputError(f"{path}: {number} of {whole} samples: {reason}; {remedy}")
+        total = kept + dropped.total()
+        raise InputError(f"{path}: {number} of {total} samples: {reason}; {remedy}")
 
 
 def _check_units(path: Path, time: FloatArray, angle: FloatArray, velocity: FloatArray) -> None:
     """Refuse velocities that are not the rate at which the angles change."""
     ratio = velocity_ratio(time, angle, velocity)
-    if not 1.0 / _UNLIKE < ratio < _UNLIKE:
+    if not 1.0 / _DIFFERENT < ratio < _DIFFERENT:
         raise InputError(
             f"{path}: joint velocities are {ratio:.3g} times the rate at which the angles change; "
             "look at the units of times (s), angles (rad) and velocities (rad/s)"
@@ -202,16 +202,16 @@ def velocity_ratio(time: FloatArray, angle: FloatArray, velocity: FloatArray) ->
     if len(time) < 2:
         return 1.0
     usual = float(np.median(np.diff(time)))
-    every = max(1, min(round(AVERAGE_S / usual), len(time) // 4))
-    way = np.diff(cumulative_trapezoid(velocity, time, axis=0, initial=0.0)[::every], axis=0)
-    moved, span = np.diff(angle[::every], axis=0), np.diff(time[::every])
-    whole = span < 1.5 * every * usual
-    way, moved = way[whole], moved[whole]
-    rate = float(np.maximum(np.abs(moved), np.abs(way)).sum() / max(span[whole].sum(), 1e-12)) / 12
-    both, squares = float(np.sum(way * moved)), float(np.sum(moved**2))
+    stride = max(1, min(round(AVERAGE_S / usual), len(time) // 4))
+    way = np.diff(cumulative_trapezoid(velocity, time, axis=0, initial=0.0)[::stride], axis=0)
+    moved, span = np.diff(angle[::stride], axis=0), np.diff(time[::stride])
+    without_gap = span < 1.5 * stride * usual
+    way, moved, span = way[without_gap], moved[without_gap], span[without_gap]
+    rate = float(np.maximum(np.abs(moved), np.abs(way)).sum() / max(span.sum(), 1e-12)) / 12
+    product, squares = float(np.sum(way * moved)), float(np.sum(moved**2))
     # Samples that are far apart miss what happens between them.
-    proportional = abs(both) > _PROPORTIONAL * np.sqrt(squares * np.sum(way**2))
-    return both / max(squares, 1e-12) if rate > STANDSTILL and proportional else 1.0
+    proportional = abs(product) > _PROPORTIONAL * np.sqrt(squares * np.sum(way**2))
+    return product / max(squares, 1e-12) if rate > STANDSTILL and proportional else 1.0
 
 
 def seconds(
