@@ -23,11 +23,11 @@ def write(path: Path) -> None:
         for one in sorted(folder.rglob("*")):
             if one.suffix in (".csv", ".py", ".toml"):
                 archive.write(one, one.relative_to(folder.parent))
-        attributes, arrays, names = files._read(folder / "data" / LAW)
+        attributes, arrays = files._read(folder / "data" / LAW)
         arrays = {n: a.astype(str) if a.dtype.kind == "O" else a for n, a in arrays.items()}
         plain = {n: a.item() if isinstance(a, np.generic) else a for n, a in attributes.items()}
         content = io.BytesIO()
-        np.savez_compressed(content, attributes=json.dumps([plain, names]), **arrays)
+        np.savez_compressed(content, attributes=json.dumps(plain), **arrays)
         archive.writestr(f"terraphi/data/{LAW}", content.getvalue())
         metadata = f"Metadata-Version: 2.1\nName: terraphi\nVersion: {version}\n"
         archive.writestr(f"terraphi-{version}.dist-info/METADATA", metadata)

@@ -18,11 +18,10 @@ ATTRIBUTES = "attributes"
 
 
 def read(path):
-    """Attributes, variables and names of data variables, as of a NetCDF file."""
+    """Attributes and variables, as of a NetCDF file."""
     with np.load(path) as arrays:
         found = {n: a.astype(object) if a.dtype.kind == "U" else a for n, a in arrays.items()}
-    attributes, names = json.loads(str(found.pop(ATTRIBUTES)))
-    return attributes, found, names
+    return json.loads(str(found.pop(ATTRIBUTES))), found
 
 
 files._read = read

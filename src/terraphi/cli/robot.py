@@ -69,12 +69,11 @@ def forces(
     Example: terraphi forces walk.mcap --out forces.nc
     """
     from terraphi.experiment.outputs import check_file, check_folder, output_folder
-    from terraphi.robot import results as results_file
-    from terraphi.robot.results import foot_forces
+    from terraphi.robot.results import RobotForces, foot_forces
     from terraphi.view import plots
 
     if out is not None:
-        check_file(out, kind=results_file.KIND)
+        check_file(out, kind=RobotForces.KIND)
     if figures is not None:
         check_folder(figures, kind="forces", names=["forces.png", "stance.png"])
     found = foot_forces(log, estimator=estimator, frame=frame, **reading)

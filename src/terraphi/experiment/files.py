@@ -354,16 +354,12 @@ class NetcdfFile(Generic[Attributes]):
     variables
         Arrays of all variables, in the order of the file; text as ``str``. Names of those in groups
         begin with the group, as in ``posterior/phi``.
-    data_vars
-        Names of those that are no coordinates, which are variables named as a dimension or by a
-        ``coordinates`` attribute (CF conventions 1.11, chapter 5).
     sizes
         Length of each dimension that was asked for so far.
     """
 
     attrs: Attributes
     variables: dict[str, Any]
-    data_vars: list[str]
     sizes: dict[str, int] = field(default_factory=dict)
 
     def _array(self, name: str, dims: tuple[str | int, ...]) -> Any:
@@ -441,7 +437,7 @@ def open_netcdf(
     if netcdf_kind(path) != kind:
         raise InputError(f"{path}: a NetCDF file, but not a {kind} written by terraphi{remedy}")
     try:
-        attrs, variables, data_vars = _read(path)
+        attrs, variables = _read(path)
     except Exception as error:  # damage raises anything in the libraries that read it
         raise InputError(f"{path}: not a whole NetCDF file; build or copy it again") from error
     version = str(attrs.get("terraphi_schema"))
@@ -453,7 +449,7 @@ def open_netcdf(
         except ValidationError as error:
             sentence = sentence_from_validation(error, str(path), attributes)
             raise InputError(f"{sentence}; make the {kind} again") from error
-        yield NetcdfFile(checked, variables, data_vars)
+        yield NetcdfFile(checked, variables)
 
 
 @contextmanager
@@ -527,8 +523,8 @@ def _memory(variable: Any, where: str) -> int:
     return int(variable.id.dtype.itemsize * math.prod(lengths))
 
 
-def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any], list[str]]:
-    """Attributes, variables and names of data variables of a NetCDF-4 file.
+def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Attributes and variables of a NetCDF-4 file.
 
     Scale, offset and calendar attributes are not applied.
     """
@@ -541,11 +537,7 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any], list[str]]:
             for at, group in groups.items()
             for n, v in group.variables.items()
         }
-        attributes = dict(file.attrs)
-        named = [attributes.pop("coordinates", "")]
-        named += [str(v.attrs.get("coordinates", "")) for v in file.variables.values()]
-        coordinates = {*file.dimensions, *" ".join(named).split()}
-    return attributes, variables, [n for n in variables if n not in coordinates]
+        return dict(file.attrs), variables
 
 
 def write_netcdf(dataset: Any, path: Path, *, encoding: Any = None) -> None:
@@ -571,13 +563,3 @@ def write_netcdf(dataset: Any, path: Path, *, encoding: Any = None) -> None:
     dataset.to_netcdf(buffer, engine="h5netcdf", encoding=encoding)
     with atomic_write(path) as temporary:
         temporary.write_bytes(buffer.getvalue())
-
-
-def positions(file: NetcdfFile[Any], coordinate: str) -> FloatArray:
-    """Positions [rad or m or s] of the samples in a file; of θ degrees alone will do.
-
-    Raises ValueError if there are none.
-    """
-    if coordinate == "theta" and "theta" not in file.variables:
-        return np.radians(file.numbers("theta_deg", "position"))
-    return file.numbers(coordinate, "position")

@@ -7,23 +7,24 @@ the leg on, in the direction of increasing θ.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self
 
 import numpy as np
 from pydantic import BaseModel, Json
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import open_netcdf, positions, write_netcdf
+from terraphi.experiment.files import NetcdfFile
+from terraphi.experiment.results import Result, Variable, read
 from terraphi.experiment.tables import write_force_table
 from terraphi.experiment.units import FORCE
 
 if TYPE_CHECKING:
+    import xarray as xr
     from matplotlib.figure import Figure
 
 WINDOW_DEG = 85.0
@@ -32,8 +33,6 @@ OBSERVATION_ANGLES = 40
 """Number M of angles in the paper's observation vector."""
 WIDEST_GAP_DEG = 20.0
 """Widest gap between readings within the window [deg]."""
-SCHEMA = 1
-KIND = "force history"
 _SHOWN = (
     *("scenario_hash", "model_version", "particles", "steps", "momentum_mismatch", "momentum"),
     *("counted_impulse_kg_m_s", "applied_impulse_kg_m_s", "seconds"),
@@ -44,6 +43,11 @@ FORCES = ("Fx", "Fz")
 CHANNEL_UNITS = {"Fx": "N", "Fz": "N", "M": "N m"}
 """Unit of each channel."""
 _UNITS = {"theta": "rad", "displacement": "m", "time": "s"}
+COORDINATES = tuple(
+    Variable(name, "position", unit, coordinate=True, optional=True)
+    for name, unit in {"theta_deg": "degree", **_UNITS}.items()
+)
+"""Positions of readings in files."""
 _SHOWN_IN = {"theta": (180.0 / math.pi, "deg"), "displacement": (1e3, "mm"), "time": (1.0, "s")}
 
 
@@ -62,19 +66,37 @@ def resolution(values: FloatArray) -> float:
     """
     steps = np.abs(np.diff(values))
     least = COARSE * float(np.ptp(values))
-    found = float(min(steps[steps > 1e-3 * least], default=0.0))
-    multiples = steps / max(found, 1e-300)
-    if found <= least or not np.allclose(multiples, multiples.round(), atol=0.02):
+    step = float(min(steps[steps > 1e-3 * least], default=0.0))
+    multiples = steps / max(step, 1e-300)
+    if step <= least or not np.allclose(multiples, multiples.round(), atol=0.02):
         return 0.0
     # A spike of a thousand times the forces rounds the others to one level.
-    levels = np.round((values - np.median(values)) / found)
-    return found if np.count_nonzero(levels) > SPIKES * levels.size else 0.0
+    levels = np.round((values - np.median(values)) / step)
+    return step if np.count_nonzero(levels) > SPIKES * levels.size else 0.0
 
 
 def force_label(channel: str) -> str:
     """Label of an axis that shows a channel of a force history."""
     symbol = "$M$" if channel == "M" else f"$F_{channel[1]}$"
     return f"{symbol} [{CHANNEL_UNITS[channel]}]"
+
+
+def force_variables(dims: str, **options: Any) -> tuple[Variable, ...]:
+    """Variables of files with forces and the moment, over dimensions."""
+    units = {"Fx": "N", "Fy": "N", "Fz": "N", "M": "N m"}
+    return tuple(Variable(n, dims, unit, optional=True, **options) for n, unit in units.items())
+
+
+def positions(values: Mapping[str, Any], coordinate: str) -> FloatArray:
+    """Positions [rad or m or s] among the variables of a file; of θ degrees alone will do.
+
+    Raises ValueError if there are none.
+    """
+    if values.get(coordinate) is not None:
+        return np.asarray(values[coordinate])
+    if coordinate == "theta" and values["theta_deg"] is not None:
+        return np.radians(values["theta_deg"])
+    raise ValueError(f"no variable '{coordinate}'")
 
 
 class Origin(BaseModel, strict=True, extra="allow"):
@@ -125,8 +147,8 @@ class Peaks(NamedTuple):
     """Angle of the peak lift [deg]."""
 
 
-@dataclass(frozen=True)
-class ForceHistory:
+@dataclass(frozen=True, repr=False)
+class ForceHistory(Result):
     """Forces of the soil on the leg along its path.
 
     Attributes
@@ -154,6 +176,12 @@ class ForceHistory:
     >>> terraphi.ForceHistory(theta, force)
     ForceHistory(171 samples, theta -85 to 85 deg, Fx 0.697 to 8 N, Fz 1.05 to 12 N)
     """
+
+    KIND = "force history"
+    SCHEMA = 1
+    ATTRIBUTES = HistoryAttributes
+    VARIABLES = (*COORDINATES, *force_variables("position"))
+    REMEDY = "; give other forces as a CSV of theta_deg, Fx_N, Fz_N"
 
     position: FloatArray
     force: FloatArray
@@ -216,9 +244,9 @@ class ForceHistory:
 
     def scaled(self, factor: float) -> ForceHistory:
         """Copy of this history with all forces and moments multiplied by a factor [-]."""
-        known = {key: value for key, value in self.provenance.items() if key != "applied_force"}
+        origin = {key: value for key, value in self.provenance.items() if key != "applied_force"}
         moment = None if self.moment is None else factor * self.moment
-        return replace(self, provenance=known, force=factor * self.force, moment=moment)
+        return replace(self, provenance=origin, force=factor * self.force, moment=moment)
 
     def chosen(self, mask: BoolArray) -> ForceHistory:
         """Samples that a mask chooses, shape [sample]."""
@@ -361,8 +389,7 @@ class ForceHistory:
                 shown[f"peak_{name}_{unit}"] = float(values[np.abs(values).argmax()])
         return shown | {key: self.provenance[key] for key in _SHOWN if key in self.provenance}
 
-    def __repr__(self) -> str:
-        """One line, without the numbers."""
+    def _lines(self) -> list[str]:
         scale, unit = _SHOWN_IN[self.coordinate]
         low, high = scale * self.position[[0, -1]]
         forces = ", ".join(
@@ -371,7 +398,7 @@ class ForceHistory:
             for name in self.channels
         )
         along = f"{self.coordinate} {low:.4g} to {high:.4g} {unit}"
-        return f"ForceHistory({len(self.position)} samples, {along}, {forces})"
+        return [f"ForceHistory({len(self.position)} samples, {along}, {forces})"]
 
     def plot(self, figure: Figure | None = None) -> Figure:
         """Forces along the path, as a Matplotlib figure.
@@ -402,32 +429,21 @@ class ForceHistory:
         """
         if self.channels != FORCES:
             raise InputError(f"{path}: Fx and Fz are needed; write NetCDF (to_netcdf) instead")
-        known = {
-            key: value
-            for key, value in self.provenance.items()
-            if key not in ("file", "reading", "force_unit", "columns")
-        }
-        write_force_table(Path(path), np.stack([self.theta_deg, self.Fx, self.Fz], axis=1), known)
+        left_out = ("file", "reading", "force_unit", "columns")
+        origin = {key: value for key, value in self.provenance.items() if key not in left_out}
+        write_force_table(Path(path), np.stack([self.theta_deg, self.Fx, self.Fz], axis=1), origin)
 
-    def to_netcdf(self, path: Path | str) -> None:
-        """Write a self-describing NetCDF-4; raises InputError if the place cannot be written."""
-        import xarray as xr
+    def _variables(self) -> dict[str, Any]:
+        theta_deg = self.theta_deg if self.coordinate == "theta" else None
+        forces = {f"F{axis}": values for axis, values in zip(self.axes, self.force.T, strict=True)}
+        return forces | {
+            self.coordinate: self.position, "theta_deg": theta_deg, "M": self.moment
+        }  # fmt: skip
 
-        # In degrees to be read, and in radians to the last bit.
+    def to_xarray(self) -> xr.Dataset:
+        """Forces over θ in degrees, or over the displacement or time, as in the NetCDF."""
         dim = "theta_deg" if self.coordinate == "theta" else self.coordinate
-        coords = {self.coordinate: (dim, self.position, {"units": _UNITS[self.coordinate]})}
-        if self.coordinate == "theta":
-            coords[dim] = (dim, self.theta_deg, {"units": "degree"})
-        variables = {
-            f"F{axis}": (dim, values, {"units": "N"})
-            for axis, values in zip(self.axes, self.force.T, strict=True)
-        }
-        if self.moment is not None:
-            variables["M"] = (dim, self.moment, {"units": "N m"})
-        known = json.dumps(dict(self.provenance))
-        attributes = {"terraphi_file": KIND, "terraphi_schema": SCHEMA}
-        attributes |= {"coordinate": self.coordinate, "provenance": known}
-        write_netcdf(xr.Dataset(variables, coords, attributes), Path(path))
+        return super().to_xarray().swap_dims(position=dim)
 
     @classmethod
     def from_netcdf(cls, path: Path | str) -> ForceHistory:
@@ -435,19 +451,15 @@ class ForceHistory:
 
         Raises InputError if the file is not a whole NetCDF of this kind and schema.
         """
-        remedy = "; give other forces as a CSV of theta_deg, Fx_N, Fz_N"
-        with open_netcdf(
-            Path(path), HistoryAttributes, kind=KIND, schema=SCHEMA, remedy=remedy
-        ) as file:
-            coordinate, known = file.attrs.coordinate, file.attrs.provenance
-            place = positions(file, coordinate)
-            channels = {name: file.numbers(name, "position") for name in file.data_vars}
-            moment = channels.pop("M", None)
-            return cls(
-                place,
-                np.array(list(channels.values())).reshape(len(channels), len(place)).T,
-                coordinate,
-                tuple(name.removeprefix("F") for name in channels),
-                known.model_dump(exclude_unset=True),
-                moment,
-            )
+        return cls.load(path)
+
+    @classmethod
+    def _of_file(cls, file: NetcdfFile[HistoryAttributes]) -> Self:
+        values, coordinate = read(file, cls.VARIABLES), file.attrs.coordinate
+        position = positions(values, coordinate)
+        axes = tuple(axis for axis in "xyz" if values[f"F{axis}"] is not None)
+        force = np.empty((len(position), len(axes)))
+        for i, axis in enumerate(axes):
+            force[:, i] = values[f"F{axis}"]
+        origin = file.attrs.provenance.model_dump(exclude_unset=True)
+        return cls(position, force, coordinate, axes, origin, values["M"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import json
 from collections.abc import Iterable, Mapping
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
@@ -127,7 +128,7 @@ class Result:
             value = value() if callable(value) else value
             plain = isinstance(value, str | float)
             value = dict(value) if isinstance(value, Mapping) else value
-            stated[info.alias or name] = value if plain else json.dumps(value, default=str)
+            stated[info.alias or name] = value if plain else json.dumps(value)
         return stated
 
     def to_xarray(self) -> xr.Dataset:
@@ -147,9 +148,20 @@ class Result:
     @classmethod
     def load(cls, path: Path | str) -> Self:
         """Read a NetCDF of :meth:`to_netcdf`; raises InputError if it is not whole."""
-        options: dict[str, Any] = {"kind": cls.KIND, "schema": cls.SCHEMA, "remedy": cls.REMEDY}
-        with open_netcdf(Path(path), cls.ATTRIBUTES, **options) as file:
+        with cls.opened(path) as file:
             return cls._of_file(file)
+
+    @classmethod
+    def opened(cls, path: Path | str) -> AbstractContextManager[NetcdfFile[Any]]:
+        """Variables and attributes of a file, as of ``open_netcdf``."""
+        return open_netcdf(
+            Path(path), cls.ATTRIBUTES, kind=cls.KIND, schema=cls.SCHEMA, remedy=cls.REMEDY
+        )
+
+    def as_file(self) -> NetcdfFile[Any]:
+        """Variables and attributes as a file of this result has them, without writing one."""
+        variables = {name: np.asarray(values) for name, values in self._variables().items()}
+        return NetcdfFile(self.ATTRIBUTES.model_validate(self._attributes()), variables)
 
     @classmethod
     def _of_file(cls, file: NetcdfFile[Any]) -> Self:

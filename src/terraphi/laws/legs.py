@@ -306,7 +306,7 @@ class Legs(FittedLaw):
             "provenance": dict(self.provenance),
         }  # fmt: skip
 
-    def save(self, path: Path) -> None:
+    def save(self, path: Path | str) -> None:
         """Write one NetCDF-4 file; raises InputError if the place cannot be written.
 
         A library that was joined stays in its own file.

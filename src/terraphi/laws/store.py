@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self
 
 import numpy as np
 from pydantic import BaseModel, Json
@@ -17,8 +17,14 @@ from pydantic import BaseModel, Json
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.documents import located, shipped_names
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import open_netcdf, positions, write_netcdf
-from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.files import NetcdfFile
+from terraphi.experiment.history import (
+    COORDINATES,
+    ForceHistory,
+    force_variables,
+    positions,
+)
+from terraphi.experiment.results import Result, Variable, read
 from terraphi.experiment.rig import contact_deg
 from terraphi.experiment.scenario import Scenario
 
@@ -27,8 +33,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import ArrayLike
 
-SCHEMA = 1
-"""Version of the layout of a library file."""
 PHI = "soil.friction_angle_deg"
 """Dotted scenario key of the friction angle."""
 ARM_DEG = 2.0
@@ -77,8 +81,8 @@ class Curves(NamedTuple):
     """(a, b) [m] with M = a Fx + b Fz, the moment about the hip, shape [2, theta]; or ``None``."""
 
 
-@dataclass(frozen=True, eq=False)
-class Library:
+@dataclass(frozen=True, eq=False, repr=False)
+class Library(Result):
     """Simulations of a plan.
 
     Attributes
@@ -91,6 +95,18 @@ class Library:
         Plan and versions; JSON-able.
     """
 
+    KIND = "library"
+    SCHEMA = 1
+    ATTRIBUTES = LibraryAttributes
+    VARIABLES = (
+        *COORDINATES,
+        *force_variables("case position", holes=True, packed=True),
+        *(
+            Variable(name, "case", words=True, coordinate=True)
+            for name in ("scenario", "failure", "provenance")
+        ),
+    )
+
     name: str
     cases: tuple[Case, ...]
     description: str = ""
@@ -101,6 +117,15 @@ class Library:
     def scenario(self) -> Scenario:
         """Scenario of the first case: density, yield criterion and all that is not varied."""
         return self.cases[0].scenario
+
+    @property
+    def _first_history(self) -> ForceHistory:
+        return next(case.history for case in self.cases if case.history)
+
+    @property
+    def coordinate(self) -> str:
+        """Kind of the positions of its forces: ``theta``, ``displacement`` or ``time``."""
+        return self._first_history.coordinate
 
     @property
     def legs(self) -> list[str]:
@@ -115,9 +140,10 @@ class Library:
         """
         words = [case.scenario.hash for case in self.cases]
         digest = hashlib.sha256(json.dumps(words).encode())
-        for one in filter(None, (case.history for case in self.cases)):
-            for array in filter(lambda x: x is not None, (one.position, one.force, one.moment)):
-                digest.update(np.asarray(array, np.float32).tobytes())
+        for history in filter(None, (case.history for case in self.cases)):
+            for array in (history.position, history.force, history.moment):
+                if array is not None:
+                    digest.update(np.asarray(array, np.float32).tobytes())
         return digest.hexdigest()
 
     def forces(self, rig: Any, phi_deg: ArrayLike, **options: Any) -> xr.Dataset:
@@ -133,7 +159,7 @@ class Library:
             leg: [case.scenario.soil.friction_angle_deg for case in self._of(leg)]
             for leg in self.legs
         }
-        return {leg: (min(all_), max(all_)) for leg, all_ in angles.items()}
+        return {leg: (min(values), max(values)) for leg, values in angles.items()}
 
     def summary(self) -> dict[str, Any]:
         """Contents and origin, JSON-able."""
@@ -158,8 +184,7 @@ class Library:
             "provenance": dict(self.provenance),
         }
 
-    def __repr__(self) -> str:
-        """A few lines for a prompt."""
+    def _lines(self) -> list[str]:
         first = self.scenario
         legs = [f"{leg} {low:g} to {high:g}°" for leg, (low, high) in self.phi_deg_by_leg.items()]
         model = f"{first.model}, {first.dimensions}-D, {first.soil.density:g} kg/m³"
@@ -167,7 +192,7 @@ class Library:
             f"{self.name}: {len(self.cases)} simulations ({model})",
             f"φ ({first.convention}): {', '.join(legs)}",
         ]
-        return "\n".join([*lines, *filter(None, [self.description, self.caveat])])
+        return [*lines, *filter(None, [self.description, self.caveat])]
 
     def plot(self) -> Figure:
         """Force curves of each leg, coloured by φ, as a Matplotlib figure."""
@@ -227,7 +252,7 @@ class Library:
                 f"interpolate over {', '.join(keys)}"
             )
         leaves = [_flat(case.scenario) for case in chosen]
-        x = np.array([[one[key] for key in keys] for one in leaves], float)
+        x = np.array([[leaf[key] for key in keys] for leaf in leaves], float)
         order = np.lexsort(x.T[::-1])
         span = chosen[0].history
         assert span is not None
@@ -256,57 +281,39 @@ class Library:
         """
         return tuple(shipped_names("libraries", ".nc"))
 
-    def save(self, path: Path | str) -> None:
-        """Write one NetCDF-4 file; raises InputError if the place cannot be written."""
-        import xarray as xr
-
-        histories = [case.history for case in self.cases]
-        whole = next(filter(None, histories))
-        if any(one and not _alike(one, whole) for one in histories):
+    def _variables(self) -> dict[str, Any]:
+        histories, first = [case.history for case in self.cases], self._first_history
+        if any(history and not _has_positions(history, first.position) for history in histories):
             raise InputError(
                 f"library '{self.name}': the cases have forces at different positions; sweep "
                 "neither the span of the motion nor the dimensions"
             )
-        angular = whole.coordinate == "theta"
-        name = "theta_deg" if angular else whole.coordinate
-        values = whole.theta_deg if angular else whole.position
-        nothing = np.full(whole.force.shape, np.nan)
-        force = np.stack([one.force if one else nothing for one in histories])
-        data: dict[str, Any] = {
-            f"F{axis}": (("case", name), force[:, :, i], {"units": "N"})
-            for i, axis in enumerate(whole.axes)
+        lost = np.full(first.force.shape, np.nan)
+        force = np.stack([history.force if history else lost for history in histories], axis=-1)
+        moments = [history.moment if history else None for history in histories]
+        moment = [lost[:, 0] if values is None else values for values in moments]
+        origins = [dict(history.provenance) if history else {} for history in histories]
+        angular = self.coordinate == "theta"
+        return {
+            "theta_deg" if angular else self.coordinate: (
+                first.theta_deg if angular else first.position
+            ),
+            **{f"F{axis}": force[:, i].T for i, axis in enumerate(first.axes)},
+            "M": None if all(values is None for values in moments) else moment,
+            "scenario": [case.scenario.model_dump_json() for case in self.cases],
+            "failure": [case.failure for case in self.cases],
+            "provenance": [json.dumps(origin) for origin in origins],
         }
-        moments = [one.moment if one else None for one in histories]
-        if any(one is not None for one in moments):
-            moment = np.stack([nothing[:, 0] if one is None else one for one in moments])
-            data["M"] = (("case", name), moment, {"units": "N m"})
-        texts = {
-            "scenario": [c.scenario.model_dump_json() for c in self.cases],
-            "failure": [c.failure for c in self.cases],
-            "provenance": [json.dumps(dict(one.provenance) if one else {}) for one in histories],
-        }
-        coordinates: dict[str, Any] = {
-            name: (name, values, {"units": "degree" if angular else "m"}),
-            **{key: ("case", np.array(text, dtype=object)) for key, text in texts.items()},
-        }
-        dataset = xr.Dataset(
-            data,
-            coordinates,
-            attrs={
-                "terraphi_file": "library",
-                "terraphi_schema": SCHEMA,
-                "name": self.name,
-                "description": self.description,
-                "caveat": self.caveat,
-                "coordinate": whole.coordinate,
-                "provenance": json.dumps(dict(self.provenance)),
-            },
-        )
-        packing = {key: {"zlib": True, "shuffle": True, "dtype": "float32"} for key in data}
-        write_netcdf(dataset, Path(path), encoding=packing)
+
+    def to_xarray(self) -> xr.Dataset:
+        """Forces of all cases, as in the NetCDF; raises InputError if positions differ."""
+        dim = "theta_deg" if self.coordinate == "theta" else self.coordinate
+        return super().to_xarray().swap_dims(position=dim)
+
+    save = Result.to_netcdf
 
     @classmethod
-    def load(cls, source: Path | str) -> Library:
+    def load(cls, source: Path | str) -> Self:
         """Read a library file, or a shipped library by its name.
 
         Raises
@@ -323,36 +330,33 @@ class Library:
             raise InputError(
                 f"library of type {type(source).__name__}; give a Library, a shipped name or a file"
             )
-        path = located(source, "libraries", ".nc")
-        with open_netcdf(path, LibraryAttributes, kind="library", schema=SCHEMA) as file:
-            attrs, names = file.attrs, file.data_vars
-            axes = ("x", "y", "z") if "Fy" in names else ("x", "z")
-            where = positions(file, attrs.coordinate)
-            values: dict[str, FloatArray] = {
-                name: file.numbers(name, "case", "position", finite=False)
-                for name in ("Fx", "Fy", "Fz", "M")
-                if name in names
-            }
-            force, moments = np.stack([values[f"F{a}"] for a in axes], axis=2), values.get("M")
-            texts = (file.texts(name, "case") for name in ("failure", "scenario", "provenance"))
-            cases: list[Case] = []
-            for i, (failure, scenario, known) in enumerate(zip(*texts, strict=True)):
-                history = None
-                if not failure:
-                    moment = None if moments is None or np.isnan(moments[i]).any() else moments[i]
-                    origin = {**json.loads(known)}
-                    numbers = where, force[i], attrs.coordinate, axes
-                    history = ForceHistory(*numbers, origin, moment)
-                cases.append(Case(Scenario.model_validate_json(scenario), history, failure))
-            if not any(case.history for case in cases):
-                raise ValueError("no simulation in it succeeded")
-            return cls(attrs.name, tuple(cases), attrs.description, attrs.caveat, attrs.provenance)
+        return super().load(located(source, "libraries", ".nc"))
+
+    @classmethod
+    def _of_file(cls, file: NetcdfFile[LibraryAttributes]) -> Self:
+        """A library; raises ValueError if no simulation in it succeeded."""
+        attrs, values = file.attrs, read(file, cls.VARIABLES)
+        axes = ("x", "y", "z") if values["Fy"] is not None else ("x", "z")
+        position, moments = positions(values, attrs.coordinate), values["M"]
+        force = np.stack([values[f"F{axis}"] for axis in axes], axis=2)
+        cases: list[Case] = []
+        texts = zip(values["scenario"], values["failure"], values["provenance"], strict=True)
+        for i, (scenario, failure, origin) in enumerate(texts):
+            history = None
+            if not failure:
+                moment = None if moments is None or np.isnan(moments[i]).any() else moments[i]
+                numbers = position, force[i], attrs.coordinate, axes
+                history = ForceHistory(*numbers, {**json.loads(origin)}, moment)
+            cases.append(Case(Scenario.model_validate_json(scenario), history, failure))
+        if not any(case.history for case in cases):
+            raise ValueError("no simulation in it succeeded")
+        return cls(attrs.name, tuple(cases), attrs.description, attrs.caveat, attrs.provenance)
 
 
-def _alike(one: ForceHistory, other: ForceHistory) -> bool:
-    """Whether two histories have their forces at the same positions."""
-    return one.position.shape == other.position.shape and np.allclose(
-        one.position, other.position, rtol=0.0, atol=1e-9
+def _has_positions(history: ForceHistory, position: FloatArray) -> bool:
+    """True if a history has its forces at some positions."""
+    return history.position.shape == position.shape and np.allclose(
+        history.position, position, rtol=0.0, atol=1e-9
     )
 
 
@@ -367,10 +371,10 @@ def _one_degree_means(
     values = np.stack([history.Fx, history.Fz], axis=1)
     if history.moment is not None:
         values = np.column_stack([values, history.moment])
-    found = np.zeros((values.shape[1], theta_deg.size))
+    means = np.zeros((values.shape[1], theta_deg.size))
     centre = np.radians(theta_deg[~air])
-    found[:, ~air] = history.means(centre, np.radians(0.5), values=values).T
-    return found
+    means[:, ~air] = history.means(centre, np.radians(0.5), values=values).T
+    return means
 
 
 def lever_arm(curves: list[FloatArray]) -> FloatArray:
@@ -408,22 +412,22 @@ def _flat(value: Any, name: str = "") -> dict[str, Any]:
         value = dict(enumerate(value))
     if not isinstance(value, dict):
         return {name: value}
-    found: dict[str, Any] = {}
-    for key, one in value.items():
-        found |= _flat(one, f"{name}.{key}" if name else key)
-    return found
+    leaves: dict[str, Any] = {}
+    for key, item in value.items():
+        leaves |= _flat(item, f"{name}.{key}" if name else key)
+    return leaves
 
 
-def differences(one: Scenario, other: Scenario) -> list[str]:
+def differences(scenario: Scenario, other: Scenario) -> list[str]:
     """Dotted keys in which two scenarios differ, apart from φ, density, leg shape and seed."""
-    ours, theirs = _flat(one), _flat(other)
+    ours, theirs = _flat(scenario), _flat(other)
     ignored = {PHI, "soil.density", "leg.shape", "numerics.seed", "name"}
     return [
         k
         for k in {**ours, **theirs}
         if ours.get(k) != theirs.get(k)
         and k not in ignored
-        and not (one.model == "rft" and k.startswith("relief."))
+        and not (scenario.model == "rft" and k.startswith("relief."))
     ]
 
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import html
 import importlib.metadata
-import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -15,7 +13,8 @@ import numpy as np
 from pydantic import BaseModel, Json
 
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import NetcdfFile, label_of, write_netcdf
+from terraphi.experiment.files import label_of
+from terraphi.experiment.results import Result, Variable
 from terraphi.experiment.scenario import GRAVITY
 from terraphi.robot.checks import (
     REFUSED,
@@ -38,6 +37,7 @@ from terraphi.robot.model import Quadruped
 from terraphi.robot.stance import AXES, HELD_S, Ensemble, Stance, find_stances
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.figure import Figure
 
 ASKEW_DEG = 15.0
@@ -45,12 +45,17 @@ ASKEW_DEG = 15.0
 GREY = "0.4"
 PLOTTED_S = 7.0
 """Part of a log that a picture shows [s]."""
-KIND = "foot forces"
-SCHEMA = 1
 
 
-@dataclass(frozen=True)
-class RobotForces:
+class ForcesAttributes(BaseModel):
+    """Attributes of a file of foot forces."""
+
+    summary: Json[dict[str, Any]]
+    provenance: Json[dict[str, Any]]
+
+
+@dataclass(frozen=True, repr=False)
+class RobotForces(Result):
     """Foot forces of a log, their stances and mean stances.
 
     Attributes
@@ -78,6 +83,29 @@ class RobotForces:
         Mean load of the feet over whole strides, as a part of the robot's weight [-]; ``None`` if
         unknown.
     """
+
+    KIND = "foot forces"
+    SCHEMA = 1
+    ATTRIBUTES = ForcesAttributes
+    VARIABLES = (
+        Variable("time", "time", "s", coordinate=True),
+        Variable("foot", "foot", words=True, coordinate=True),
+        Variable("axis", "axis", "", "axes of the frame, z up", words=True, coordinate=True),
+        Variable("part", "part", "", "normalised time in a stance", coordinate=True),
+        Variable("force", "time foot axis", "N", "force of the ground on the foot"),
+        Variable("sigma", "time foot axis", "N", "standard uncertainty"),
+        Variable("flagged", "time foot", "1", "1 where the knee is near-singular: no force"),
+        Variable("saturated", "time foot", "1", "1 where a motor is at its limit"),
+        Variable("stance_foot", "stance", "1", "foot", words=True),
+        Variable("stance_begin", "stance", "s", "touch-down"),
+        Variable("stance_end", "stance", "s", "lift-off"),
+        Variable("stance_count", "foot", "1", "stances averaged"),
+        Variable("stance_duration", "foot", "s", "mean"),
+        Variable("stance_mean", "foot part axis", "N", "mean stance"),
+        Variable("stance_spread", "foot part axis", "N", "standard deviation among stances"),
+        Variable("pooled_mean", "part axis", "N", "mean stance"),
+        Variable("pooled_spread", "part axis", "N", "standard deviation among stances"),
+    )
 
     log: JointLog
     robot: Quadruped
@@ -146,10 +174,10 @@ class RobotForces:
             for axes, column, label in zip(grid[i], (0, 2), ("$F_x$", "$F_z$"), strict=True):
                 force = self.forces.force[shown, i, column]
                 axes.plot(time[shown] - start, force, color="C0", lw=1.0)
-                for one in stances:
-                    if one.foot == foot and start < one.end and one.begin < start + PLOTTED_S:
-                        ends = one.begin - start, one.end - start
-                        axes.axvspan(*ends, color=GREY, alpha=0.15, lw=0)
+                for stance in stances:
+                    begin, end = stance.begin - start, stance.end - start
+                    if stance.foot == foot and end > 0.0 and begin < PLOTTED_S:
+                        axes.axvspan(begin, end, color=GREY, alpha=0.15, lw=0)
                 axes.axhline(0.0, color=GREY, lw=0.6)
                 axes.set_ylabel(f"{label} of {foot} [N]")
         for axes in grid[-1]:
@@ -160,12 +188,28 @@ class RobotForces:
         figure.suptitle(f"Force of the ground on each foot ({how}); stances shaded", fontsize=11)
         return figure
 
-    def to_netcdf(self, path: Path | str) -> None:
-        """Write forces, stances and mean stances as NetCDF-4; raises InputError if that fails."""
-        write_netcdf(dataset_of(self), Path(path))
+    def _variables(self) -> dict[str, Any]:
+        forces, stances, feet = self.forces, self.stances, self.feet.values()
+        return {
+            "time": forces.time, "foot": FEET, "axis": AXES, "part": self.pooled.part,
+            "force": forces.force, "sigma": forces.sigma,
+            "flagged": forces.flagged.astype(np.int8),
+            "saturated": forces.saturated.astype(np.int8),
+            "stance_foot": [stance.foot for stance in stances],
+            "stance_begin": np.array([stance.begin for stance in stances], float),
+            "stance_end": np.array([stance.end for stance in stances], float),
+            "stance_count": [foot.count for foot in feet],
+            "stance_duration": [foot.duration for foot in feet],
+            "stance_mean": np.stack([foot.mean for foot in feet]),
+            "stance_spread": np.stack([foot.spread for foot in feet]),
+            "pooled_mean": self.pooled.mean, "pooled_spread": self.pooled.spread,
+        }  # fmt: skip
 
-    def __repr__(self) -> str:
-        """A few lines for a prompt."""
+    def _attributes(self) -> dict[str, Any]:
+        how = {"frame": self.forces.frame, "estimator": self.forces.estimator}
+        return super()._attributes() | how
+
+    def _lines(self) -> list[str]:
         peak = self.pooled.peak("z")
         how = f"{self.forces.estimator}, {self.forces.frame} frame"
         lines = [
@@ -178,21 +222,13 @@ class RobotForces:
             lines.append(f"mean load of the feet: {self.lift:.3f} of the weight")
         if self.warnings:
             lines.append(f"warnings in .warnings: {len(self.warnings)}")
-        return "\n".join(lines)
+        return lines
 
-    def _repr_html_(self) -> str:
-        """The same for a notebook, with the mean stance of each foot."""
+    def _table(self) -> pd.DataFrame:
+        """Mean stance of each foot."""
         import pandas as pd
 
-        table = pd.DataFrame({foot: one.summary() for foot, one in self.feet.items()}).T
-        return f"<pre>{html.escape(repr(self))}</pre>{table.to_html(float_format='{:.3g}'.format)}"
-
-
-class ForcesAttributes(BaseModel):
-    """Attributes of a file of foot forces."""
-
-    summary: Json[dict[str, Any]]
-    provenance: Json[dict[str, Any]]
+        return pd.DataFrame({foot: mean.summary() for foot, mean in self.feet.items()}).T
 
 
 def foot_forces(
@@ -247,8 +283,8 @@ def foot_forces(
     if abs(lag_s) > MOST_LAG_S:
         raise InputError(f"lag of {1e3 * lag_s:g} ms: expected at most {1e3 * MOST_LAG_S:g} ms")
     if lag_s:
-        every = [np.interp(log.time + lag_s, log.time, t) for t in log.torque.reshape(-1, 12).T]
-        torque = np.stack(every, axis=1).reshape(log.torque.shape)
+        late = [np.interp(log.time + lag_s, log.time, t) for t in log.torque.reshape(-1, 12).T]
+        torque = np.stack(late, axis=1).reshape(log.torque.shape)
         log = replace(log, torque=torque, report={**log.report, "lag_s": lag_s})
     weight = body.mass * GRAVITY
     options: dict[str, Any] = {
@@ -297,12 +333,12 @@ def _sensor_correlation(log: JointLog, forces: FootForces) -> dict[str, float]:
     """Correlation of each foot sensor that ever changes with the vertical force."""
     if log.foot_counts is None:
         return {}
-    found = {}
+    correlations = {}
     for foot, counts, lift in zip(FEET, log.foot_counts.T, forces.force[..., 2].T, strict=True):
-        known = np.isfinite(lift)
-        if known.sum() > 1 and np.ptp(counts[known]) > 0 and np.ptp(lift[known]) > 0:
-            found[foot] = float(np.corrcoef(counts[known], lift[known])[0, 1])
-    return found
+        counts, lift = (values[np.isfinite(lift)] for values in (counts, lift))
+        if lift.size > 1 and np.ptp(counts) > 0 and np.ptp(lift) > 0:
+            correlations[foot] = float(np.corrcoef(counts, lift)[0, 1])
+    return correlations
 
 
 def left_out(dropped: Mapping[str, int]) -> list[str]:
@@ -336,8 +372,8 @@ def _remarks(
         notes.append(f"motors at their limit: {', '.join(limited)} samples; forces may be larger")
     walked = {stance.foot for stance in stances}
     if not walked:
-        known = np.isfinite(forces.force[:, :, 2]).all(axis=1)
-        lift = np.median(forces.force[known, :, 2], axis=0) if known.any() else np.zeros(4)
+        lifts = forces.force[np.isfinite(forces.force[:, :, 2]).all(axis=1), :, 2]
+        lift = np.median(lifts, axis=0) if lifts.size else np.zeros(4)
         did = "no foot was set down and lifted again"
         if lift.sum() > (1.0 - BEARING_SHARE) * weight:
             did = "the robot stands still"
@@ -352,54 +388,3 @@ def _remarks(
             f"motors are taken to be numbered {order}: if not, set joint_order of the robot's TOML"
         )
     return [*notes, *robot.notes]
-
-
-def as_file(result: RobotForces) -> NetcdfFile[ForcesAttributes]:
-    """Forces as a file of them holds them, without writing one."""
-    data = dataset_of(result)
-    variables = {str(name): one.values for name, one in data.variables.items()}
-    return NetcdfFile(ForcesAttributes.model_validate(data.attrs), variables, [])
-
-
-def dataset_of(result: RobotForces) -> Any:
-    """Forces, stances and mean stances as an ``xarray.Dataset``, as a file holds them."""
-    import xarray as xr
-
-    forces, pooled, stances = result.forces, result.pooled, result.stances
-    feet = result.feet.values()
-    over_time, over_part = ("time", "foot", "axis"), ("foot", "part", "axis")
-    mean, spread = "mean stance", "standard deviation among stances"
-    straight = "1 where the knee is near-singular and there is no force"
-    limited = "1 where a motor is at its limit"
-    rows: list[tuple[str, Any, Any, str, str]] = [
-        ("force", over_time, forces.force, "N", "force of the ground on the foot"),
-        ("sigma", over_time, forces.sigma, "N", "standard uncertainty"),
-        ("flagged", over_time[:2], forces.flagged.astype(np.int8), "1", straight),
-        ("saturated", over_time[:2], forces.saturated.astype(np.int8), "1", limited),
-        ("stance_foot", "stance", np.array([s.foot for s in stances], dtype="U2"), "1", "foot"),
-        ("stance_begin", "stance", np.array([s.begin for s in stances], float), "s", "touch-down"),
-        ("stance_end", "stance", np.array([s.end for s in stances], float), "s", "lift-off"),
-        ("stance_count", "foot", [foot.count for foot in feet], "1", "stances averaged"),
-        ("stance_duration", "foot", [foot.duration for foot in feet], "s", "mean"),
-        ("stance_mean", over_part, np.stack([foot.mean for foot in feet]), "N", mean),
-        ("stance_spread", over_part, np.stack([foot.spread for foot in feet]), "N", spread),
-        ("pooled_mean", over_part[1:], pooled.mean, "N", mean),
-        ("pooled_spread", over_part[1:], pooled.spread, "N", spread),
-    ]  # fmt: skip
-    return xr.Dataset(
-        {name: (of, v, {"units": unit, "long_name": about}) for name, of, v, unit, about in rows},
-        coords={
-            "time": ("time", forces.time, {"units": "s"}),
-            "foot": list(FEET),
-            "axis": ("axis", list(AXES), {"long_name": f"axes of the {forces.frame}, z up"}),
-            "part": ("part", pooled.part, {"long_name": "normalised time in a stance"}),
-        },
-        attrs={
-            "terraphi_file": KIND,
-            "terraphi_schema": SCHEMA,
-            "frame": forces.frame,
-            "estimator": forces.estimator,
-            "summary": json.dumps(result.summary()),
-            "provenance": json.dumps(result.provenance()),
-        },
-    )

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import as_written, netcdf_kind, open_netcdf, read_bytes
+from terraphi.experiment.files import as_written, netcdf_kind, read_bytes
 from terraphi.experiment.history import CHANNEL_UNITS, ForceHistory
 from terraphi.experiment.measurements import scenario_of
 from terraphi.experiment.outputs import changed
@@ -172,8 +172,7 @@ def _of_file(source: Path | str, kind: str, robot: str) -> Section:
     from terraphi.robot import results
 
     if kind == "foot forces":
-        attributes, schema = results.ForcesAttributes, results.SCHEMA
-        with open_netcdf(path, attributes, kind=results.KIND, schema=schema) as file:
+        with results.RobotForces.opened(path) as file:
             return of_foot_forces(file, path.name)
     return of_foot_forces(results.foot_forces(path, robot=robot), path.name)
 
@@ -327,9 +326,9 @@ def position_label(history: ForceHistory) -> str:
 def of_foot_forces(found: Any, name: str = "foot forces") -> Section:
     """Foot forces over time with the stances, and the mean stance, from memory or a file."""
     from terraphi.robot.joint_log import FEET
-    from terraphi.robot.results import RobotForces, as_file
+    from terraphi.robot.results import RobotForces
 
-    file = as_file(found) if isinstance(found, RobotForces) else found
+    file = found.as_file() if isinstance(found, RobotForces) else found
     summary = file.attrs.summary
     time, force = file.numbers("time", "time"), file.numbers("force", "time", 4, 3, finite=False)
     begins = file.numbers("stance_begin", "stance")
