@@ -101,8 +101,30 @@ def read(file: NetcdfFile[Any], variables: Iterable[Variable]) -> dict[str, Any]
     return values
 
 
-class Result:
-    """Base of results: to and from NetCDF, and what a prompt or a notebook shows of them."""
+class Shown:
+    """Base of what shows itself at a prompt and in a notebook, without arrays."""
+
+    def _lines(self) -> list[str]:
+        """What a prompt shows, without arrays; the first line names the result."""
+        raise NotImplementedError
+
+    def _table(self) -> pd.DataFrame | None:
+        """What a notebook shows below, if there is a table."""
+        return None
+
+    def __repr__(self) -> str:
+        """A few lines for a prompt."""
+        return "\n".join(self._lines()[:MOST_LINES])
+
+    def _repr_html_(self) -> str:
+        """The same for a notebook, with a table."""
+        table = self._table()
+        rows = "" if table is None else table.to_html(max_rows=10, float_format="{:.4g}".format)
+        return f"<pre>{html.escape(repr(self))}</pre>{rows}"
+
+
+class Result(Shown):
+    """Base of results with files: from declared variables to NetCDF, and back."""
 
     KIND: ClassVar[str]
     """Attribute ``terraphi_file`` of the file."""
@@ -178,23 +200,3 @@ class Result:
             for name, parts in columns.items()
         }
         return cls(**fields, **dict(file.attrs))
-
-    # -- showing ---------------------------------------------------------------------------------
-
-    def _lines(self) -> list[str]:
-        """What a prompt shows, without arrays; the first line names the result."""
-        raise NotImplementedError
-
-    def _table(self) -> pd.DataFrame | None:
-        """What a notebook shows below, if there is a table."""
-        return None
-
-    def __repr__(self) -> str:
-        """A few lines for a prompt."""
-        return "\n".join(self._lines()[:MOST_LINES])
-
-    def _repr_html_(self) -> str:
-        """The same for a notebook, with a table."""
-        table = self._table()
-        rows = "" if table is None else table.to_html(max_rows=10, float_format="{:.4g}".format)
-        return f"<pre>{html.escape(repr(self))}</pre>{rows}"

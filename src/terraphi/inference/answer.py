@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import html
 import json
 import logging
 import math
@@ -11,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
 from pydantic import (
@@ -27,8 +26,9 @@ from pydantic import (
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import parse_json
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import open_netcdf, read_bytes, write_netcdf
+from terraphi.experiment.files import NetcdfFile, read_bytes, write_netcdf
 from terraphi.experiment.outputs import output_folder
+from terraphi.experiment.results import Result
 from terraphi.experiment.rig import LEG_NAMES, Rig, Tool
 from terraphi.laws.store import PHI
 
@@ -169,7 +169,7 @@ class RecordFit(RecordSummary):
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and words, without the forces."""
-        stated = {one.name: getattr(self, one.name) for one in fields(RecordSummary)}
+        stated = {part.name: getattr(self, part.name) for part in fields(RecordSummary)}
         return {**stated, "rig": self.rig.model_dump(), "nrmsd": dict(self.nrmsd)}
 
 
@@ -261,8 +261,45 @@ class AnswerSummary:
     parameters: Mapping[str, Estimate] = field(default_factory=dict)
 
 
+class StoredAngle(BaseModel, strict=True):
+    """A friction angle [deg] in some convention."""
+
+    median: float
+    sd: float = Field(0.0, ge=0.0)
+    ci68: tuple[float, float]
+    ci95: tuple[float, float]
+    convention: str = Field("", alias="yield")
+
+    @property
+    def estimate(self) -> Estimate:
+        """The angle without its convention."""
+        return Estimate(self.median, self.sd, self.ci68, self.ci95)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> StoredAngle:
+        (low68, high68), (low95, high95) = self.ci68, self.ci95
+        if not 0.0 < low95 <= low68 <= self.median <= high68 <= high95 < 90.0:
+            raise ValueError("ci95, ci68 and median do not lie within each other, in 0 to 90 deg")
+        return self
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Answer(AnswerSummary):
+class Stored(AnswerSummary):
+    """What :meth:`Answer.as_dict` wrote, as far as it is read back."""
+
+    phi_deg: StoredAngle | None
+    phi_plane_strain_deg: StoredAngle | None
+    records: list[RecordSummary] = field(default_factory=list)
+
+
+class AnswerAttributes(BaseModel):
+    """Attributes of an answer's file."""
+
+    answer: Json[Stored]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Answer(Result, AnswerSummary):
     """What an inversion found.
 
     Attributes
@@ -289,6 +326,9 @@ class Answer(AnswerSummary):
     >>> terraphi.Answer.load("answer").verdict
     'consistent'
     """
+
+    KIND = "answer"
+    ATTRIBUTES = AnswerAttributes
 
     convention: str
     phi_plane_strain: Estimate | None
@@ -341,34 +381,33 @@ class Answer(AnswerSummary):
     def as_dict(self) -> dict[str, Any]:
         """What ``terraphi invert --json`` prints."""
         phi, plane = self.parameters.get(PHI), self.phi_plane_strain
+        stated = {part.name: getattr(self, part.name) for part in fields(AnswerSummary)}
         return {
             "phi_deg": {**phi.as_dict(), "yield": self.convention} if phi else None,
             "phi_plane_strain_deg": plane.as_dict() if plane else None,
             "source": self.source,
             "rig": self.rigs[0].model_dump(),
-            **copy.deepcopy({one.name: getattr(self, one.name) for one in fields(AnswerSummary)}),
+            **copy.deepcopy(
+                {part.name: getattr(self, part.name) for part in fields(AnswerSummary)}
+            ),
             "phi_peak": self.phi_peak.as_dict() if self.phi_peak else None,
             "bekker_kN_m": numbers._asdict() if (numbers := self.bekker) else None,
             "nrmsd": self.nrmsd,
             "n_angles": self.records[0].theta_deg.size,
             "warnings": list(self.warnings),
             "records": [record.as_dict() for record in self.records],
-            "parameters": {key: one.as_dict() for key, one in self.parameters.items()},
+            "parameters": {key: value.as_dict() for key, value in self.parameters.items()},
         }
 
     def summary(self) -> pd.DataFrame:
         """A row for φ: median, standard deviation and intervals."""
         import pandas as pd
 
-        rows = {}
-        ends = ("ci68_low", "ci68_high", "ci95_low", "ci95_high")
-        for key, one in self.parameters.items():
-            interval = dict(zip(ends, (*one.ci68, *one.ci95), strict=True))
-            rows[key] = {"median": one.median, "sd": one.sd, **interval}
-        return pd.DataFrame.from_dict(rows, orient="index")
+        columns = ["median", "sd", "ci68_low", "ci68_high", "ci95_low", "ci95_high"]
+        rows = [[p.median, p.sd, *p.ci68, *p.ci95] for p in self.parameters.values()]
+        return pd.DataFrame(rows, [*self.parameters], columns)
 
-    def __repr__(self) -> str:
-        """Five lines for a prompt."""
+    def _lines(self) -> list[str]:
         assumed = " (assumed)" if self.density_assumed else ""
         rigs = "; ".join(map(str, self.rigs))
         lines = [f"{self.source}: {rigs}, {self.density_kg_m3:g} kg/m³{assumed}, {self.law}"]
@@ -380,12 +419,9 @@ class Answer(AnswerSummary):
         lines.append(self.reason)
         if self.warnings:
             lines.append(f"{len(self.warnings)} warnings in .warnings")
-        return "\n".join(lines)
+        return lines
 
-    def _repr_html_(self) -> str:
-        """The same for a notebook."""
-        table = self.summary().to_html(float_format="{:.4g}".format)
-        return f"<pre>{html.escape(repr(self))}</pre>{table}"
+    _table = summary
 
     def plot(self, figure: Figure | None = None) -> Figure:
         """Forces with the model's curve, and the posterior of φ; needs nothing but Matplotlib.
@@ -545,13 +581,15 @@ class Answer(AnswerSummary):
         """
         import xarray as xr
 
-        root = xr.Dataset(
-            attrs={"terraphi_file": "answer", "answer": json.dumps(self.as_dict(), default=str)}
-        )
+        root = xr.Dataset(attrs=self._attributes())
         write_netcdf(xr.DataTree.from_dict({"/": root, **self._groups()}), Path(path))
 
+    def _attributes(self) -> dict[str, Any]:
+        text = json.dumps(self.as_dict(), default=str)
+        return {"terraphi_file": self.KIND, "answer": text}
+
     @classmethod
-    def load(cls, path: Path | str) -> Answer:
+    def load(cls, path: Path | str) -> Self:
         """Read an answer from its NetCDF, or from the folder of ``invert --out``.
 
         Raises
@@ -560,36 +598,37 @@ class Answer(AnswerSummary):
             If there is none, or it is not one of this version.
         """
         path = Path(path)
-        path = path / "answer.nc" if path.is_dir() else path
-        with open_netcdf(path, AnswerAttributes, kind="answer", schema=None) as file:
-            known, at, records, size = file.attrs.answer, "constant_data/", [], 0
-            for one, end in zip(known.records, _endings(known.records), strict=True):
-                dims = len(one.nrmsd), f"{one.coordinate}{end}"
-                fit = RecordFit(
-                    **vars(one),
-                    theta_deg=file.numbers(f"observed_data/{dims[1]}", dims[1]),
-                    data=file.numbers(f"observed_data/force{end}", *dims),
-                    curve=file.numbers(f"{at}curve{end}", *dims),
-                    band=file.numbers(f"{at}band{end}", 2, *dims),
-                    tangent=file.numbers(f"{at}tangent{end}", 1 + len(known.parameters), *dims),
-                )
-                records.append(fit)
-                size += fit.data.size
-            grid, density = (file.numbers(at + name, "grid") for name in ("grid_deg", "density"))
-            if not (records and records[0].theta_deg.size and density.sum() > 0.0):
-                raise ValueError("no records, or no posterior")
-            phi, plane = known.phi_deg, known.phi_plane_strain_deg
-            return cls(
-                convention=phi.convention if phi else "",
-                phi_plane_strain=Estimate(**plane.model_dump(exclude={"convention"}))
-                if plane
-                else None,
-                records=tuple(records),
-                grid_deg=grid,
-                density=density,
-                covariance=file.numbers(f"{at}covariance", size, size),
-                **{one.name: getattr(known, one.name) for one in fields(AnswerSummary)},
+        return super().load(path / "answer.nc" if path.is_dir() else path)
+
+    @classmethod
+    def _of_file(cls, file: NetcdfFile[AnswerAttributes]) -> Self:
+        stated, at, size = file.attrs.answer, "constant_data/", 0
+        records: list[RecordFit] = []
+        for record, end in zip(stated.records, _endings(stated.records), strict=True):
+            dims = len(record.nrmsd), f"{record.coordinate}{end}"
+            fit = RecordFit(
+                **vars(record),
+                theta_deg=file.numbers(f"observed_data/{dims[1]}", dims[1]),
+                data=file.numbers(f"observed_data/force{end}", *dims),
+                curve=file.numbers(f"{at}curve{end}", *dims),
+                band=file.numbers(f"{at}band{end}", 2, *dims),
+                tangent=file.numbers(f"{at}tangent{end}", 1 + len(stated.parameters), *dims),
             )
+            records.append(fit)
+            size += fit.data.size
+        grid, density = (file.numbers(at + name, "grid") for name in ("grid_deg", "density"))
+        if not (records and records[0].theta_deg.size and density.sum() > 0.0):
+            raise ValueError("no records, or no posterior")
+        phi, plane = stated.phi_deg, stated.phi_plane_strain_deg
+        return cls(
+            convention=phi.convention if phi else "",
+            phi_plane_strain=plane.estimate if plane else None,
+            records=tuple(records),
+            grid_deg=grid,
+            density=density,
+            covariance=file.numbers(f"{at}covariance", size, size),
+            **{part.name: getattr(stated, part.name) for part in fields(AnswerSummary)},
+        )
 
     def save(self, folder: Path | str) -> None:
         """Write ``answer.json``, ``answer.nc`` and ``answer.png`` into a folder, all or none.
@@ -609,38 +648,6 @@ class Answer(AnswerSummary):
                 log.warning("%s", error)
             text = json.dumps(self.as_dict(), indent=1, ensure_ascii=False, default=str)
             (place / "answer.json").write_text(text + "\n", encoding="utf-8")
-
-
-class StoredAngle(BaseModel, strict=True):
-    """A friction angle [deg] in some convention."""
-
-    median: float
-    sd: float = Field(0.0, ge=0.0)
-    ci68: tuple[float, float]
-    ci95: tuple[float, float]
-    convention: str = Field("", alias="yield")
-
-    @model_validator(mode="after")
-    def _ordered(self) -> StoredAngle:
-        (low68, high68), (low95, high95) = self.ci68, self.ci95
-        if not 0.0 < low95 <= low68 <= self.median <= high68 <= high95 < 90.0:
-            raise ValueError("ci95, ci68 and median do not lie within each other, in 0 to 90 deg")
-        return self
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Stored(AnswerSummary):
-    """What :meth:`Answer.as_dict` wrote, as far as it is read back."""
-
-    phi_deg: StoredAngle | None
-    phi_plane_strain_deg: StoredAngle | None
-    records: list[RecordSummary] = field(default_factory=list)
-
-
-class AnswerAttributes(BaseModel):
-    """Attributes of an answer's file."""
-
-    answer: Json[Stored]
 
 
 class StoredAnswer(NamedTuple):

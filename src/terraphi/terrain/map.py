@@ -17,6 +17,7 @@ from terraphi.experiment.arrays import count, seed_from
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import path_of
 from terraphi.experiment.outputs import output_folder
+from terraphi.experiment.results import Shown, Variable, groups_of
 from terraphi.terrain import inputs, slopes
 from terraphi.terrain.field import Field, degrees_per_z, fit, tangent
 
@@ -58,8 +59,8 @@ PANELS = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class SlopeMap:
+@dataclass(frozen=True, eq=False, repr=False)
+class SlopeMap(Shown):
     """Maps on the grid of an elevation model.
 
     Attributes
@@ -80,13 +81,12 @@ class SlopeMap:
 
     def to_xarray(self) -> xr.Dataset:
         """Layers over y and x [m], with their units."""
-        import xarray as xr
+        on_grid = [Variable(name, "y x", unit, about) for name, (about, unit) in LAYERS.items()]
+        places = {"y": self.dem.y, "x": self.dem.x, "crs": str(self.dem.crs)}
+        return groups_of(on_grid, self.layers)[""].assign_coords(places)
 
-        layers = {
-            name: (("y", "x"), self.layers[name], {"long_name": about, "units": unit})
-            for name, (about, unit) in LAYERS.items()
-        }
-        return xr.Dataset(layers, {"y": self.dem.y, "x": self.dem.x}, {"crs": str(self.dem.crs)})
+    def _lines(self) -> list[str]:
+        return in_words(self.summary)
 
     def plot(self) -> Figure:
         """Four maps with the points, hatched where the field extrapolates."""
