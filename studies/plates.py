@@ -24,9 +24,10 @@ from scipy.optimize import least_squares
 
 import pages
 import terraphi
+from terraphi.experiment.priors import FRICTION
 from terraphi.forward.rft import stress_per_depth_3d, to_plane_strain
 from terraphi.inference.pressed import LOOSE_DEG
-from terraphi.laws.foot import LAWS, SURFACE_FRICTION, Foot
+from terraphi.laws.foot import LAWS, Foot
 
 sys.path.insert(0, str(Path(__file__).parent / "grains"))
 import elements
@@ -85,7 +86,7 @@ class Test(NamedTuple):
     sinkage: np.ndarray
     force: np.ndarray
     density: float = DENSITY
-    friction: float = SURFACE_FRICTION
+    friction: float = FRICTION.mean
     descent: float = 0.5 * np.pi
 
     @property
@@ -335,7 +336,7 @@ def of_inclined_plates() -> list[tuple[str, ...]]:
         forces = {
             phi: stress_per_depth_3d(
                 normal, motion, friction_angle_deg=phi, density=1.0,
-                surface_friction=SURFACE_FRICTION,
+                surface_friction=FRICTION.mean,
             )[:, (0, 2)] / GRAVITY
             for phi in np.arange(15.0, 45.0, 0.1)
         }  # fmt: skip

@@ -53,8 +53,9 @@ def tuned(name: str, voxel: float, *, only_kept: bool) -> dict[str, Any]:
     ENGINES[name] = remembered
     try:
         return tune(
-            name, voxel=voxel, foot=FOOT, phi=PHI, density=DENSITY, depth=DEPTH, finer=0, draws=0
-        )
+            name, voxel=voxel, foot=FOOT, phi=PHI, density=DENSITY, surface_friction=0.5,
+            depth=DEPTH, finer=0, draws=0,
+        )  # fmt: skip
     finally:
         ENGINES[name] = engine
 

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 import legs
-from terraphi.experiment import baseline, budget, reading, rig
+from terraphi.experiment import baseline, budget, reading
+from terraphi.experiment.priors import FRICTION
 from terraphi.inference import checks, footfalls, inversion, likelihood, pressed, records
 from terraphi.inference.manifest import LEAST_ROWS
 from terraphi.inference.touchdowns import PHI_RANGE, Prior
@@ -46,7 +47,7 @@ NUMBERS = [
     (EXPLANATION + "model.md", r"friction \((\d+(?:\.\d+)?) and (\d+(?:\.\d+)?)\)", FRICTIONS),
     (HOW_TO + "own-library.md", r"`legs` \|.*\| (\d+) to (\d+)° \|", [*PHI_DEG]),
     (HOW_TO + "own-leg.md", r"taken as (\d+(?:\.\d+)?) ± (\d+(?:\.\d+)?)",
-     [rig.LEG_FRICTION, round(rig.LEG_FRICTION_SD, 2)]),
+     [FRICTION.mean, round(FRICTION.sd, 2)]),
     (HOW_TO + "own-forces.md", r"averaged in bins of (\d+(?:\.\d+)?)°", [reading.BIN_DEG]),
     (HOW_TO + "own-forces.md", r"exceeds (\d+) % of the force's range", [100 * baseline.OFFSET]),
     (HOW_TO + "own-forces.md", r"rest in the soil of more than (\d+)°", [reading.PAUSE_DEG]),
@@ -70,7 +71,7 @@ NUMBERS = [
     (HOW_TO + "footfalls.md", r"φ is (\d+) or (\d+)°", [*PHI_RANGE]),
     (HOW_TO + "footfalls.md", r"prior of (\d+) ± (\d+)°", [Prior().phi_deg, Prior().phi_sd_deg]),
     (HOW_TO + "footfalls.md", r"taken as (\d+(?:\.\d+)?) ± (\d+(?:\.\d+)?)",
-     [foot.SURFACE_FRICTION, foot.SURFACE_FRICTION_SD]),
+     [FRICTION.mean, round(FRICTION.sd, 2)]),
 ]  # fmt: skip
 """Page, an expression that finds numbers in it, and what they are in the code."""
 

@@ -17,14 +17,13 @@ import pytest
 from scipy.stats import norm
 
 import terraphi
+from terraphi.experiment.priors import CONTACT_SD_M, CONTACT_SD_PART, FRICTION
 from terraphi.experiment.rig import Rig
 from terraphi.inference.answer import Answer
 from terraphi.inference.combined import errors_of
 from terraphi.inference.likelihood import RIDGE, Likelihood
 from terraphi.inference.pressed import (
     COMPACTING_DEG,
-    CONTACT,
-    CONTACT_M,
     CONTRACTIONS,
     EXPONENTS,
     PRIOR,
@@ -34,7 +33,7 @@ from terraphi.inference.pressed import (
 )
 from terraphi.inference.records import open_record
 from terraphi.inference.terms import TERMS, Term
-from terraphi.laws.foot import LAWS, SURFACE_FRICTION, SURFACE_FRICTION_SD, Foot
+from terraphi.laws.foot import LAWS, Foot
 from terraphi.laws.law import CENTRE_DEG
 from terraphi.laws.legs import shipped_legs
 
@@ -296,7 +295,7 @@ class Pressed:
         self.course = SHAPE_SD * np.linalg.cholesky(near + 1e-12 * np.eye(self.z.size))
 
     def answer(
-        self, *, density: float = 1500.0, friction: float = SURFACE_FRICTION, contact: float = 0.0,
+        self, *, density: float = 1500.0, friction: float = FRICTION.mean, contact: float = 0.0,
         share: np.ndarray | float = 1.0,
     ) -> Answer:  # fmt: skip
         """Of forces times a share at each depth, read at a density of 1500 kg/m³."""
@@ -326,13 +325,12 @@ def test_terms_of_tools_are_the_scatter_of_angles_when_their_causes_are_drawn(
         "density": world.scatter(density=1500.0 + 75.0 * z),
         "model: course": world.scatter(share=courses),
         # Half of the error, for the law ends at 0.65.
-        "surface friction": 2.0
-        * world.scatter(friction=SURFACE_FRICTION + 0.5 * SURFACE_FRICTION_SD * z),
+        "surface friction": 2.0 * world.scatter(friction=FRICTION.mean + 0.5 * FRICTION.sd * z),
     }
     for name, sd in scatter.items():
         assert sd == pytest.approx(budget[name], rel=0.15), name
     # A plate bears at once where it touches, so that its angle is not linear in the contact.
-    contact = world.scatter(contact=max(CONTACT_M, CONTACT * world.foot.radius) * z)
+    contact = world.scatter(contact=max(CONTACT_SD_M, CONTACT_SD_PART * world.foot.radius) * z)
     assert contact == pytest.approx(budget.get("contact", 0.0), abs=0.1)
     # The soil's part of the law's error counts once.
     model = np.hypot(budget["model: soil"], budget["model: law"])

@@ -9,6 +9,8 @@ from typing import Any
 
 import click
 
+from terraphi.experiment.priors import FRICTION, HIP_HEIGHT_SD_MM, SENSOR_GAIN
+
 # The same words stand in the modules that take them, which are too slow to import for --help.
 LEGS = ("straight", "c", "reversed_c")
 ESTIMATORS = ("quasi_static", "momentum_observer")
@@ -59,10 +61,13 @@ rig_options = option_group(
     click.option("--length", metavar="MM", help="From the hip to the outermost tip."),
     click.option("--width", metavar="MM", help="Of the leg, across the plane of motion."),
     click.option("--thickness", metavar="MM", help="Of the leg."),
-    click.option("--hip-height", metavar="MM[±SD]", help="Above the soil.  [default SD: 2]"),
-    click.option("--leg-friction", metavar="MU[±SD]", help="On soil.  [default: 0.3±0.09]"),
+    click.option(
+        "--hip-height", metavar="MM[±SD]",
+        help=f"Above the soil.  [default SD: {HIP_HEIGHT_SD_MM:g}]",
+    ),
+    click.option("--leg-friction", metavar="MU[±SD]", help=f"On soil.  [default: {FRICTION}]"),
     click.option("--rig", metavar="FILE|li2013", help="All of these in TOML, or Li et al. (2013)."),
-)
+)  # fmt: skip
 """A rig: its leg and four sizes, or a file."""
 density_option = click.option(
     "--density", metavar="KG_M3[±SD]", help="Bulk density, as 1600 (± 5 %) or 1600±80."
@@ -79,7 +84,9 @@ record_options = option_group(
         callback=lambda _context, _option, given: ",".join(given) or None,
         help="As in 'terraphi keys forces', or guessed.",
     ),
-    click.option("--gain", metavar="GAIN[±SD]", help="Gain of the sensor.  [default: 1±0.02]"),
+    click.option(
+        "--gain", metavar="GAIN[±SD]", help=f"Gain of the sensor.  [default: {SENSOR_GAIN}]"
+    ),
     click.option(
         "--law", "--library", "law", metavar="NAME|FILE", help="Name or .nc file.  [default: legs]"
     ),

@@ -10,6 +10,7 @@ import click
 from terraphi.cli import options as shared
 from terraphi.cli.options import PATH, Float, choice, json_option, option_group
 from terraphi.experiment.errors import InputError
+from terraphi.experiment.priors import DENSITY
 from terraphi.view.console import present
 
 log_options = option_group(
@@ -97,7 +98,7 @@ def forces(
 @click.option(
     "--density",
     metavar="KG_M3[±SD]",
-    help="Bulk density of the soil, such as 1550±80 (or 1550+-80).  [default: 1550±80]",
+    help=f"Bulk density of the soil, such as 1550±80 (or 1550+-80).  [default: {DENSITY}]",
 )
 @click.option(
     "--anchor",

@@ -9,6 +9,7 @@ import click
 
 from terraphi.cli import options as shared
 from terraphi.cli.options import PATH, Float, choice, density_option, json_option
+from terraphi.experiment.priors import FRICTION
 from terraphi.view.console import present, progress_bar
 
 SIMULATOR = click.Choice(shared.SIMULATORS)
@@ -95,8 +96,9 @@ def convert(value: str, from_: str | None, as_json: bool, **options: Any) -> Non
 )
 @density_option
 @click.option(
-    "--surface-friction", type=Float(), default=0.5, show_default=True, help="Foot on soil."
-)
+    "--surface-friction", type=Float(), default=FRICTION.mean, show_default=True,
+    help="Foot on soil.",
+)  # fmt: skip
 @click.option("--depth", type=Float(), metavar="M", help="Largest sinkage.  [default: radius / 2]")
 @click.option(
     "--time-step", type=Float(), default=0.01, show_default=True, metavar="S",

@@ -25,15 +25,11 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import number_with_sd, plain_number
 from terraphi.experiment.leg import Leg, RotatingShape
 from terraphi.experiment.motion import placed
+from terraphi.experiment.priors import FRICTION, HIP_HEIGHT_SD_MM
 from terraphi.experiment.scenario import GRAVITY, Scenario
 
 SIMULATED_LENGTH = 0.0762
 """Length of the leg in simulations [m]: that of Li et al. (2013)."""
-HIP_HEIGHT_SD_MM = 2.0
-"""Standard deviation of the height of a hip of which nothing is said [mm]; chosen."""
-LEG_FRICTION, LEG_FRICTION_SD = 0.30, 0.0866
-"""Friction between leg and soil of which nothing is said, and its standard deviation [-]: metal or
-plastic on dry sand (uniform on 0.15 to 0.45)."""
 SLENDER = 5.0
 """Longest side of a rectangular plate over the other [-]: shape factors were compared up to it."""
 CELLS_ACROSS, CELLS_DEEP = 5.08, 11.24
@@ -90,9 +86,9 @@ class Rig(Strict):
     """Height of the hip above the level soil [mm]; with its standard deviation as ``"35±1"``."""
     hip_height_sd_mm: float = Field(HIP_HEIGHT_SD_MM, ge=0, le=1000)
     """Standard deviation of that height [mm]."""
-    leg_friction: float = Field(LEG_FRICTION, ge=0, le=2)
+    leg_friction: float = Field(FRICTION.mean, ge=0, le=2)
     """Coulomb friction between leg and soil [-]; with its standard deviation as ``"0.35±0.1"``."""
-    leg_friction_sd: float = Field(LEG_FRICTION_SD, ge=0, le=1)
+    leg_friction_sd: float = Field(FRICTION.sd, ge=0, le=1)
     """Standard deviation of that friction [-]."""
 
     @model_validator(mode="before")

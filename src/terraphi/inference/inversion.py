@@ -15,6 +15,7 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError, visible
+from terraphi.experiment.priors import DENSITY
 from terraphi.experiment.rig import LEG_NAMES, with_rig
 from terraphi.experiment.scenario import Scenario
 from terraphi.experiment.soil import plane_strain_friction_angle_deg
@@ -31,7 +32,6 @@ from terraphi.inference.checks import (
 )
 from terraphi.inference.combined import combined
 from terraphi.inference.likelihood import (
-    UNKNOWN_DENSITY,
     WHOLE,
     Likelihood,
     coverage_of,
@@ -457,7 +457,7 @@ def _answer(likelihood: Likelihood, reason: str, began: float) -> Answer:
         edge=edge,
         budget_deg=likelihood.budget() if likelihood.beyond is None else {},
         density_kg_m3=density_kg_m3,
-        density_sd_kg_m3=UNKNOWN_DENSITY * density_kg_m3 if unknown else first.density_sd_kg_m3,
+        density_sd_kg_m3=DENSITY.sd if unknown else first.density_sd_kg_m3,
         density_assumed=unknown or first.density_assumed,
         phi_of_force_deg=_phi_of_force(likelihood) if verdict == "consistent" else None,
         law=library.name,

@@ -84,6 +84,7 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import FORCES, OBSERVATION_ANGLES, WINDOW_DEG, ForceHistory
+from terraphi.experiment.priors import DENSITY
 from terraphi.experiment.rig import LI2013, Rig
 from terraphi.experiment.scenario import GRAVITY
 from terraphi.inference.calibration import Calibration, rig_name
@@ -115,8 +116,6 @@ reversed C legs in grains."""
 RIDGE = 2e-3
 """Standard deviation added to each window mean, of peak-to-peak [-]: the emulator's largest error
 in unseen simulations of an exact model (tests/laws/test_emulator.py)."""
-UNKNOWN_DENSITY = 0.10
-"""Relative standard deviation of a density of which nothing is known [-]: chosen."""
 BEYOND_DEG, LIMITS_DEG = 12.0, (0.5, 80.0)
 """How far beyond the library's ends angles are looked for, with forces that continue linearly; and
 angles that can be answered [deg]; chosen."""
@@ -243,8 +242,7 @@ class Likelihood:
                 f"law {library.name} varies {further}, too, and φ alone is inferred; build it over "
                 f"{PHI} alone"
             )
-        own = self.laws[0].density
-        self.density = [record.density_kg_m3 or own for record in records]
+        self.density = [record.density_kg_m3 or DENSITY.mean for record in records]
         self._ratio = np.array(self.density) / [law.density for law in self.laws]
         ends = np.cumsum([0, *(r.data.size for r in records)])
         self.parts = [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
@@ -291,8 +289,9 @@ class Likelihood:
     @property
     def density_sd(self) -> FloatArray:
         """Relative standard deviation of each record's density [-], shape [record]."""
+        unknown = DENSITY.sd / DENSITY.mean
         return np.array([
-            UNKNOWN_DENSITY if r.density_kg_m3 is None else r.density_sd_kg_m3 / r.density_kg_m3
+            unknown if r.density_kg_m3 is None else r.density_sd_kg_m3 / r.density_kg_m3
             for r in self.records
         ])  # fmt: skip
 

@@ -22,21 +22,19 @@ import numpy as np
 from terraphi.experiment.arrays import BoolArray, FloatArray, IntArray
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import label_of
+from terraphi.experiment.priors import CONTACT_SD_M, CONTACT_SD_PART, DENSITY, FRICTION
 from terraphi.experiment.reading import read_pressed
 from terraphi.experiment.rig import Tool
 from terraphi.inference.answer import Answer, Estimate, RecordFit
 from terraphi.inference.estimator import least_squares, weights
-from terraphi.inference.likelihood import UNKNOWN_DENSITY
 from terraphi.inference.records import density_doubts, density_with_sd, grain_size, roughness
 from terraphi.inference.terms import ordered_budget, root_sum_square, term
 from terraphi.inference.verdict import Judgment, consistent, large_residual, out_of_range
-from terraphi.laws.foot import DEEPEST, LAWS, SURFACE_FRICTION, SURFACE_FRICTION_SD, Foot
+from terraphi.laws.foot import DEEPEST, LAWS, Foot
 from terraphi.laws.store import PHI
 
 WINDOWS = 40
 """Equal windows of sinkage."""
-DENSITY = 1600.0
-"""Density of which nothing is said [kg/m³]."""
 SHAPE_SD, SHAPE_LENGTH, FLOOR = 0.08, 1.0, 0.02
 """Error of a law's course over depth [-], its correlation length in ln z, and an independent error
 over the largest force: chosen; laws follow loose grains within 5 to 10 %."""
@@ -45,8 +43,6 @@ SOIL_SD_DEG = 1.4
 loose grains (``docs/plates.md``). Soils in which feet read low are those in which legs do."""
 DEEP_SD = 0.10
 """Error of laws for each radius beyond :data:`~terraphi.laws.foot.DEEPEST` [-], chosen."""
-CONTACT_M, CONTACT = 1e-3, 0.03
-"""Error of the first contact: the larger of a length [m] and a part of the radius."""
 CONTRACTIONS, PRIOR, EXPONENTS = np.linspace(0.0, 0.98, 15), 0.25, np.array([1.3, 2.0, 3.0])
 """Nodes of A, the mean of its prior, and nodes of b [-]."""
 NODES = np.array([(a, b) for a in CONTRACTIONS for b in EXPONENTS])
@@ -97,7 +93,7 @@ class _Press:
     grains: float = 0.0
     """Diameter of the grains over that of the body [-]."""
 
-    def curve(self, x: FloatArray, mu: float = SURFACE_FRICTION) -> FloatArray:
+    def curve(self, x: FloatArray, mu: float = FRICTION.mean) -> FloatArray:
         """The law's force [N] at (φ, z₀), [k, 2] -> [k, n]."""
         foot = Foot(self.tool.radius, "ball" if self.tool.leg == "ball" else "disc")
         force = LAWS[self.law].force(
@@ -116,7 +112,7 @@ class _Press:
     @property
     def contact_sd(self) -> float:
         """Standard deviation of z₀ [m]."""
-        return max(CONTACT_M, CONTACT * self.tool.radius)
+        return max(CONTACT_SD_M, CONTACT_SD_PART * self.tool.radius)
 
     @cached_property
     def borne(self) -> FloatArray:
@@ -185,7 +181,7 @@ def invert_pressed(
     table = read_pressed(source, math.pi * tool.radius**2, columns)
     is_file = isinstance(source, str | Path)
     label = label_of(source) if is_file else f"{type(source).__name__} ({text})"
-    rho, rho_sd = DENSITY, UNKNOWN_DENSITY * DENSITY
+    rho, rho_sd = DENSITY
     if density is not None:
         rho, rho_sd = density_with_sd(density, label)
     grains = grain_size(grain_size_mm, 2e3 * tool.radius, label) / (2e3 * tool.radius)
@@ -217,7 +213,7 @@ def invert_pressed(
         parameters={PHI: estimate}, convention="plane_strain", phi_plane_strain=estimate,
         verdict=verdict, reason=reason, edge=edge, budget_deg=budget,
         density_kg_m3=rho, density_sd_kg_m3=rho_sd, density_assumed=density is None, law=name,
-        law_reason="" if law else "the default for tools", leg_friction=SURFACE_FRICTION,
+        law_reason="" if law else "the default for tools", leg_friction=FRICTION.mean,
         phi_of_force_deg=scaled, records=(record,), grid_deg=grid, density=posterior,
         warnings=(*density_doubts(rho), *notes, *_warnings(press, fit, is_sound=is_sound)),
         covariance=press.error + angle_sd**2 * np.outer(fit.slope, fit.slope),
@@ -269,11 +265,11 @@ def _fit(press: _Press) -> _Fit:
 def _budget(press: _Press, fit: _Fit, density_sd: float) -> dict[str, float]:
     """Standard deviation of φ by term [deg]; that of the density is relative [-]."""
     x = np.array([[fit.by_law[fit.top], fit.contact]])
-    rougher, smoother = (press.curve(x, mu=SURFACE_FRICTION + step)[0] for step in (0.1, -0.1))
+    rougher, smoother = (press.curve(x, mu=FRICTION.mean + step)[0] for step in (0.1, -0.1))
     # Errors of the force [N], one standard deviation over depth.
     errors = {
         "density": density_sd * fit.model,
-        "surface friction": press.borne[fit.top] * (rougher - smoother) * SURFACE_FRICTION_SD / 0.2,
+        "surface friction": press.borne[fit.top] * (rougher - smoother) * FRICTION.sd / 0.2,
         "depth": DEEP_SD * np.maximum(press.z / press.tool.radius - DEEPEST, 0.0) * fit.model,
         "rectangle": 0.5 * math.log(press.tool.over_disc) * fit.model,
     }

@@ -36,6 +36,7 @@ from terraphi.experiment.history import (
 )
 from terraphi.experiment.leg import RotatingShape
 from terraphi.experiment.measurements import Measurement, measurement_of, open_forces
+from terraphi.experiment.priors import DENSITY_SD_PART, SENSOR_GAIN
 from terraphi.experiment.reading import ForceColumns, read_trials
 from terraphi.experiment.rig import LEG_NAMES, Rig
 from terraphi.experiment.scenario import Scenario
@@ -44,8 +45,6 @@ FEWEST_WINDOWS = 9
 """Windows that a record must have: those within 40° of its path."""
 MOST_READINGS = 4000
 """Readings above which a record is averaged in bins of 0.05°, or wider."""
-DENSITY_SD = 0.05
-"""Relative standard deviation of a density that comes without one: chosen."""
 USUAL_DENSITY = (1250.0, 2100.0)
 """Bulk density of dry mineral soils [kg/m³]: loose uniform sand has 1480, glacial till 2100 (Das,
 *Principles of Geotechnical Engineering*, table of typical dry unit weights); the loosest angular
@@ -54,8 +53,6 @@ SMALLEST_GRAIN_MM = 0.02
 """Least size of grains [mm], of coarse silt: a smaller number is one in meters."""
 LARGEST_GRAIN = 0.4
 """Largest diameter of grains over the width of a leg [-]: of those that were simulated 0.35."""
-GAIN_SD = 0.02
-"""Standard deviation of a sensor's gain of which nothing is said [-]: chosen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -398,13 +395,13 @@ def record_of(
         )
     rig = Rig.of(source, leg)
     grains = grain_size(grain_size_mm, rig.width_mm, known.name)
-    factor, gain_sd = 1.0, None
+    factor, gain_sd = SENSOR_GAIN.mean, None
     if gain is not None:
         factor, gain_sd = with_sd(
             f"{known.name}: gain", gain, "it as 1.05 or 1.05±0.01", (0.1, 10.0)
         )
     scale_given = None not in (gain_sd, stated) and number_with_sd(str(stated))[1] is not None
-    gain_sd = GAIN_SD if gain_sd is None else gain_sd / factor
+    gain_sd = SENSOR_GAIN.sd if gain_sd is None else gain_sd / factor
     if factor != 1.0:
         history = history.scaled(1.0 / factor)
     few, channels = len(history.theta_deg) < 12, history.channels
@@ -463,7 +460,7 @@ def density_with_sd(density: float | str, name: str) -> tuple[float, float]:
     """Bulk density of what is named and its standard deviation [kg/m³]; raises InputError."""
     ends = (100.0, 10_000.0)
     mean, sd = with_sd(f"{name}: density", density, "kg/m³ as 1600 or 1600±80", ends)
-    return mean, DENSITY_SD * mean if sd is None else sd
+    return mean, DENSITY_SD_PART * mean if sd is None else sd
 
 
 def with_sd(

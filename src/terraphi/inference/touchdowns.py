@@ -24,11 +24,17 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from terraphi.experiment.arrays import BoolArray, FloatArray, IntArray
+from terraphi.experiment.priors import (
+    DENSITY,
+    DROP_SD_PART,
+    FOOT_RADIUS_SD_M,
+    FRICTION,
+    ODOMETRY_DRIFT_SD,
+    TOUCHDOWN_DEPTH_SD_M,
+)
 from terraphi.inference.estimator import Best, least_squares, weights
 from terraphi.laws.foot import (
     LAWS,
-    SURFACE_FRICTION,
-    SURFACE_FRICTION_SD,
     Foot,
     FootLaw,
     inertial_force,
@@ -167,16 +173,16 @@ class Prior:
 
     phi_deg: float = 32.0
     phi_sd_deg: float = 8.0
-    level_sd: float = 0.01
-    drift_sd: float = 0.01
-    density: float = 1550.0
-    density_sd: float = 80.0
-    surface_friction: float = SURFACE_FRICTION
-    surface_friction_sd: float = SURFACE_FRICTION_SD
+    level_sd: float = TOUCHDOWN_DEPTH_SD_M
+    drift_sd: float = ODOMETRY_DRIFT_SD
+    density: float = DENSITY.mean
+    density_sd: float = DENSITY.sd
+    surface_friction: float = FRICTION.mean
+    surface_friction_sd: float = FRICTION.sd
     radius: float = 0.022
-    radius_sd: float = 0.0005
+    radius_sd: float = FOOT_RADIUS_SD_M
     shape: str = "ball"
-    drop_sd: float = 0.02
+    drop_sd: float = DROP_SD_PART
     law_sd_deg: float | None = None
     exponent: float = 0.0
     exponent_sd: float = 0.2

@@ -67,9 +67,6 @@ DEEPEST = 5.0
 MOVED = (2.3, 1.2)
 """a and b of :func:`moved_mass` [-], by balls of 44 mm (``docs/landing.md``); other diameters and
 discs were not tried."""
-SURFACE_FRICTION, SURFACE_FRICTION_SD = 0.4, 0.12
-"""Friction between soil and a foot, plate or ball of which nothing is said, and its standard
-deviation [-], chosen: law ``foot`` was simulated for 0.2 and 0.5."""
 BEYOND_DEG, BEYOND_FRICTION = 3.0, 0.15
 """How far outside its table of angles [deg] and frictions the simulated law is continued."""
 

@@ -39,10 +39,10 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import shipped_file, strictly
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import netcdf_kind
+from terraphi.experiment.priors import FRICTION
 from terraphi.experiment.rig import (
     CELLS_ACROSS,
     CELLS_DEEP,
-    LEG_FRICTION,
     LEG_NAMES,
     SIMULATED_LENGTH,
     Ratios,
@@ -302,7 +302,7 @@ class Legs(FittedLaw):
             "dimensions": self.scenario.dimensions, "convention": self.scenario.convention,
             "phi_deg": list(PHI_DEG), "legs": self.legs, "cases": len(self.x),
             "ranges": {leg: self.ranges(leg) for leg in self.legs},
-            "density_kg_m3": DENSITY, "leg_friction": LEG_FRICTION,
+            "density_kg_m3": DENSITY, "leg_friction": FRICTION.mean,
             "provenance": dict(self.provenance),
         }  # fmt: skip
 

@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.rig import LEG_FRICTION, LEG_FRICTION_SD, Rig
+from terraphi.experiment.priors import FRICTION
+from terraphi.experiment.rig import Rig
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward.rft import SCALE_POLYNOMIAL, SPACE_COEFFICIENTS, leg_force, stress_scale
 from terraphi.laws.law import LegLaw
@@ -84,7 +85,7 @@ class TheoryLaw(LegLaw):
     def __init__(self, rig: Rig) -> None:
         base = Theory().scenario
         # Of aluminum on poppy seeds it was measured, and stands where the rig's is assumed.
-        is_assumed = (rig.leg_friction, rig.leg_friction_sd) == (LEG_FRICTION, LEG_FRICTION_SD)
+        is_assumed = (rig.leg_friction, rig.leg_friction_sd) == FRICTION
         self.leg_friction = base.leg.friction if is_assumed else rig.leg_friction
         scenario = base.replace(
             **{

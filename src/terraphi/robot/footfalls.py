@@ -13,6 +13,7 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import label_of, number_with_sd
+from terraphi.experiment.priors import DENSITY_SD_PART, ROBOT_MASS_SD_PART
 from terraphi.experiment.scenario import GRAVITY, LIMITS
 from terraphi.inference.footfalls import FootfallMap, infer
 from terraphi.inference.pool import Anchor, Normal
@@ -43,8 +44,6 @@ RESTS_PART, STRIDE_S = 0.8, 1.6
 """Part of the usual load of all feet below which the body rests on the ground [-], and the time
 over which loads are averaged, the stride of a slow walk [s]. In ten simulated walks of five gaits
 the mean never falls below 0.98."""
-MASS_SD = 0.02
-"""Relative standard deviation of the robot's mass [-]: a payload of 0.3 kg on a Go2 (chosen)."""
 MOST_INDEPENDENT = 25.0
 """Most weighings that count as independent: a gait repeats itself, and so do errors of the balance
 such as the legs' own swinging. A longer log is not more certain (chosen; in
@@ -320,7 +319,7 @@ def calibrate_on_weight(
     if bears.sum() < 20 or bears.mean() < 0.5:
         return prior
     off, design = rows[bears, 0], rows[bears, 1:]
-    precision = np.diag(np.append(sd, MASS_SD) ** -2.0)
+    precision = np.diag(np.append(sd, ROBOT_MASS_SD_PART) ** -2.0)
     noise, inverse = 0.1 * weight, precision
     mean: FloatArray = np.zeros(TORQUES + 1)
     for _ in range(3):
@@ -336,7 +335,7 @@ def _density(text: str) -> tuple[float, float]:
     low, high, _ = LIMITS["soil.density"]
     try:
         mean, sd = number_with_sd(text)
-        sd = mean * Prior.density_sd / Prior.density if sd is None else sd
+        sd = DENSITY_SD_PART * mean if sd is None else sd
         if low <= mean <= high and 0.0 < sd <= 0.3 * mean:
             return mean, sd
     except ValueError:

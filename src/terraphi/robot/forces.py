@@ -12,6 +12,12 @@ from numpy.typing import NDArray
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError, nearest
+from terraphi.experiment.priors import (
+    ATTITUDE_SD_DEG,
+    JOINT_FRICTION_SD_NM,
+    JOINT_FRICTION_SD_PART,
+    TORQUE_GAIN_SD,
+)
 from terraphi.experiment.scenario import GRAVITY
 from terraphi.robot.estimators import (
     ESTIMATORS,
@@ -56,23 +62,19 @@ class SensorErrors:
     Attributes
     ----------
     gain
-        Of each joint's torque, independently [-]. Walking controllers are trained for motors that
-        differ by ± 10 % (Margolis & Agrawal, CoRL 2022).
+        Of each joint's torque, independently [-].
     coulomb_Nm
-        Of the Coulomb friction of a joint that does not swing [N m]: the ``frictionloss`` of the
-        Go2's joints in MuJoCo Menagerie.
+        Of the Coulomb friction of a joint that does not swing [N m].
     friction_part
-        Of the friction that was found, or of ``coulomb_Nm`` if that is more [-]: the error on
-        walks of known friction (``tests/robot/test_friction.py``).
+        Of a friction that was measured, or of ``coulomb_Nm`` if that is more, over it [-].
     attitude_deg
-        Of roll and of pitch [deg]: an error of g/57 in the mean reading of an accelerometer that
-        shakes with the trunk.
+        Of roll and of pitch [deg].
     """
 
-    gain: float = 0.1
-    coulomb_Nm: float = 0.2
-    friction_part: float = 0.2
-    attitude_deg: float = 1.0
+    gain: float = TORQUE_GAIN_SD
+    coulomb_Nm: float = JOINT_FRICTION_SD_NM
+    friction_part: float = JOINT_FRICTION_SD_PART
+    attitude_deg: float = ATTITUDE_SD_DEG
 
     def friction_sd(self, friction: JointFriction | None) -> FloatArray:
         """Coulomb torque left in the forces when that was taken off [N m], shape [foot, joint]."""

@@ -17,6 +17,7 @@ from terraphi.experiment.arrays import FloatArray, seed_from
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import atomic_write
 from terraphi.experiment.outputs import SIGNATURE, check_file
+from terraphi.experiment.priors import FRICTION
 from terraphi.forward.rft import stress_scale
 from terraphi.inference.answer import Answer, StoredAnswer
 from terraphi.laws.foot import LAWS, Foot
@@ -208,7 +209,7 @@ def bekker(
     def stiffness(phi_deg: float) -> float:
         force = LAWS["rft"].force(
             PLATE, SINKAGE, math.pi / 2, friction_angle_deg=phi_deg, density=density,
-            surface_friction=0.5,
+            surface_friction=FRICTION.mean,
         )  # fmt: skip
         return float(force[1] / (np.pi * PLATE.radius**2 * SINKAGE))
 
@@ -390,8 +391,8 @@ USES = {
     phi_deg=PHI_PLANE_STRAIN_DEG, density=DENSITY, surface_friction=LEG_FRICTION
 ):
     """Keywords of force and wrench of terraphi.laws.wrench; φ is that of plane strain."""
-    friction = 0.4 if surface_friction is None else surface_friction
-    return {"phi_deg": phi_deg, "density": density, "surface_friction": friction}
+    soil = {"phi_deg": phi_deg, "density": density}
+    return soil if surface_friction is None else {**soil, "surface_friction": surface_friction}
 ''',
 }
 """Functions of the exported module that hand the constants to the simulator."""

@@ -19,12 +19,12 @@ from terraphi.experiment.arrays import FloatArray, count, generator
 from terraphi.experiment.errors import GUESSED, InputError, nearest
 from terraphi.experiment.files import number_with_sd
 from terraphi.experiment.outputs import changed
+from terraphi.experiment.priors import DENSITY, FRICTION
 from terraphi.experiment.scenario import LIMITS
 from terraphi.experiment.soil import cone_slope
 from terraphi.forward.rft import to_plane_strain
 from terraphi.inference.answer import QUANTILES, Estimate, StoredAnswer
 from terraphi.inference.records import density_with_sd
-from terraphi.laws.foot import SURFACE_FRICTION
 
 ANGLES = ("phi_deg", "phi_plane_strain_deg")
 EXACT = ("plane_strain", "rft3d")
@@ -70,8 +70,6 @@ SANDS = {
     "loose glass beads": Sand((22.3, 1.5), (1470.0, 40.0), "Jop, Forterre & Pouliquen (2006)"),
 }
 """Soils by name."""
-ASSUMED_DENSITY = (1550.0, 80.0)
-"""Of a soil of which φ alone is given [kg/m³]: the table's loose to medium dense sand."""
 
 
 class Draws(NamedTuple):
@@ -217,7 +215,7 @@ class SoilDistribution:
         from terraphi.laws.wrench import force
 
         soil = {"phi_deg": self.phi.median, "density": self.density,
-                "surface_friction": SURFACE_FRICTION}  # fmt: skip
+                "surface_friction": FRICTION.mean}  # fmt: skip
         return force(foot, pose, velocity, **{**soil, **options})
 
 
@@ -241,7 +239,7 @@ def soil(
         φ in plane strain [deg] in place of a name, as ``33`` (exact) or ``"33±2"``.
     density
         Bulk density [kg/m³], as ``1600`` (± 5 %) or ``"1600±40"``; by default that of the table,
-        or 1550 ± 80. An answer has its own.
+        or that of :mod:`~terraphi.experiment.priors`. An answer has its own.
     anyway
         Whether an answer whose verdict is not ``consistent`` is accepted.
 
@@ -268,7 +266,7 @@ def soil(
     name, sand = str(what), SANDS.get(what) if isinstance(what, str) else None
     if sand is None and (phi is not None or _is_angle(what)):
         given = str(what if phi is None else phi).strip()
-        name, sand = f"φ = {given}°", Sand(_angle(given), ASSUMED_DENSITY, "given")
+        name, sand = f"φ = {given}°", Sand(_angle(given), DENSITY, "given")
     if sand is None:
         if density is not None:
             raise InputError("an answer has its density; leave it out")

@@ -34,6 +34,7 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray, IntArray
 from terraphi.experiment.errors import InputError, nearest, needing
 from terraphi.experiment.files import plain_number
+from terraphi.experiment.priors import FRICTION
 from terraphi.experiment.scenario import GRAVITY
 from terraphi.inference.records import density_with_sd
 from terraphi.laws.foot import LAWS, Foot
@@ -480,7 +481,7 @@ def tune(
     foot: str | Path,
     phi: Any,
     density: float | str | None = None,
-    surface_friction: float = 0.5,
+    surface_friction: float = FRICTION.mean,
     depth: float | None = None,
     time_step: float = 0.01,
     finer: int = 2,
