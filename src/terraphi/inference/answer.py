@@ -387,9 +387,7 @@ class Answer(Result, AnswerSummary):
             "phi_plane_strain_deg": plane.as_dict() if plane else None,
             "source": self.source,
             "rig": self.rigs[0].model_dump(),
-            **copy.deepcopy(
-                {part.name: getattr(self, part.name) for part in fields(AnswerSummary)}
-            ),
+            **copy.deepcopy(stated),
             "phi_peak": self.phi_peak.as_dict() if self.phi_peak else None,
             "bekker_kN_m": numbers._asdict() if (numbers := self.bekker) else None,
             "nrmsd": self.nrmsd,
