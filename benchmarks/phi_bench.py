@@ -1,0 +1,184 @@
+"""Compare methods that read friction angles off legs, where they have to transfer.
+
+    python benchmarks/phi_bench.py [--method FILE.py:FUNCTION] [--json] [--check] [--page]
+
+Records have a friction angle that a shear cell measured, or are of measured media. Tasks leave out
+a soil, a shape of grains, a rig with its soil, or a code; in measured media the legs should agree.
+A method is ``method(train, test) -> [(phi_deg, sd_deg), ...]``. A record has ``theta_deg``,
+``force_N`` (Fx and Fz on the leg, shape [angle, 2]), ``rig``, ``density`` [kg/m³],
+``grain_size_mm``, ``phi_deg`` (``None`` in the test) and ``soil``. Predictions are normal and are
+scored by CRPS [deg], soils weighing alike. ``--check`` fails if a baseline has a smaller CRPS than
+``terraphi`` in any task. ``--page`` writes ``docs/benchmark.md``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import runpy
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "studies"))
+from threadpoolctl import threadpool_limits
+
+import errors
+import pages
+from errors import Method, Record
+from terraphi.experiment.scenario import GRAVITY
+
+TASKS = {
+    "soil": "another soil", "shape": "another shape", "rig": "another rig", "code": "another code",
+    "measured": "measured media",
+}  # fmt: skip
+Features = Callable[[Record, tuple[float, float]], tuple[float, list[float]]]
+
+
+def thrust(record: Record, ends: tuple[float, float]) -> tuple[float, float]:
+    """Mean and largest forward force between two angles, over ρ g w D² [-]."""
+    theta = np.linspace(*ends, 171)
+    rising = np.argsort(record.theta_deg)
+    force = np.interp(theta, record.theta_deg[rising], record.force_N[rising, 0], left=0.0)
+    depth = 1e-3 * (record.rig.length_mm - record.rig.hip_height_mm)
+    unit = record.density * GRAVITY * 1e-3 * record.rig.width_mm * depth**2
+    return float(np.clip(force, 1e-6, None).mean()) / unit, float(max(force.max(), 1e-6)) / unit
+
+
+def constant(_: Record, __: tuple[float, float]) -> tuple[float, list[float]]:
+    """The mean of the training soils."""
+    return 0.0, [1.0]
+
+
+def earth_pressure(record: Record, ends: tuple[float, float]) -> tuple[float, list[float]]:
+    """Rankine's passive earth pressure from the largest thrust, ½ K ρ g w D², and an offset."""
+    coefficient = 2.0 * thrust(record, ends)[1]
+    return math.degrees(math.asin((coefficient - 1.0) / (coefficient + 1.0))), [1.0]
+
+
+def formula(record: Record, ends: tuple[float, float]) -> tuple[float, list[float]]:
+    """φ = a + b d/w + s ln(mean Fx / ρ g w D²)."""
+    return 0.0, [1.0, record.size / errors.USUAL_SIZE, math.log(thrust(record, ends)[0])]
+
+
+def theory(record: Record, _: tuple[float, float]) -> tuple[float, list[float]]:
+    """Resistive force theory in three dimensions, and an offset."""
+    return errors.readings(record)["theory"], [1.0]
+
+
+def regression(features: Features, *, by_leg: bool = True) -> Method:
+    """φ = base + features · b by least squares, soils weighing alike.
+
+    Features are those between the angles that the test record has. The standard deviation is the
+    root mean square error of training soils that are left out.
+    """
+
+    def fit(rows: Sequence[Record], ends: tuple[float, float]) -> Callable[[Record], float]:
+        solutions = {}
+        for leg in errors.LEGS:
+            group = [row for row in rows if row.rig.leg == leg or not by_leg]
+            base, x = zip(*(features(row, ends) for row in group), strict=True)
+            weight = errors.alike([row.soil for row in group]).sum(axis=1) ** -0.5
+            target = np.array([row.phi_deg for row in group], float) - base
+            solutions[leg] = np.linalg.lstsq(
+                weight[:, None] * np.array(x), weight * target, rcond=None
+            )[0]
+
+        def predict(row: Record) -> float:
+            base, x = features(row, ends)
+            return base + float(solutions[row.rig.leg] @ x)
+
+        return predict
+
+    def method(train: list[Record], test: list[Record]) -> list[tuple[float, float]]:
+        answers = []
+        for row in test:
+            ends = max(-85.0, float(row.theta_deg.min())), min(85.0, float(row.theta_deg.max()))
+            answers.append((fit(train, ends)(row), deviation(train, ends)))
+        return answers
+
+    def deviation(train: list[Record], ends: tuple[float, float]) -> float:
+        outcomes = []
+        for letter in {row.letter for row in train}:
+            predict = fit([row for row in train if row.letter != letter], ends)
+            outcomes += [(predict(row) - (row.phi_deg or 0.0), 1.0, letter)
+                         for row in train if row.letter == letter]  # fmt: skip
+        return errors.score(outcomes)["rms"]
+
+    return method
+
+
+METHODS: dict[str, Method] = {
+    "terraphi": errors.terraphi_method,
+    "constant": regression(constant, by_leg=False),
+    "passive earth pressure": regression(earth_pressure),
+    "formula": regression(formula),
+    "resistive force theory": regression(theory),
+}
+
+
+def external(spec: str) -> Method:
+    """A function of a file, of ``FILE.py:FUNCTION``."""
+    file, _, name = spec.rpartition(":")
+    function: Method = runpy.run_path(file)[name]
+    return function
+
+
+def page(scores: dict[str, dict[str, dict[str, float]]]) -> str:
+    """The table of all methods, a row each."""
+
+    def cell(values: dict[str, float]) -> str:
+        return (f"{values['crps']:.2f}; {values['rms']:.1f} ({values['bias']:+.1f}); "
+                f"{values['in68']:.0%}, {values['in95']:.0%}")  # fmt: skip
+
+    methods = next(iter(scores.values()))
+    counts = [f"{task} ({next(iter(values.values()))['n']})" for task, values in scores.items()]
+    rows = [(name, *(cell(values[name]) for values in scores.values())) for name in methods]
+    return pages.table(("method", *counts), rows)
+
+
+CODE = (
+    "The grains are simulated by LIGGGHTS, a discrete element code; *another code* is a program of "
+    "our own."
+)
+WORDS = (
+    "A cell has the CRPS, the RMS error, in brackets the bias [deg], and the share of truths in "
+    "intervals of 68 and 95 %, soils weighing alike; what is tested is left out of what is learned "
+    "from. In measured media the truth of a leg is the mean of what the other two legs read, so "
+    "that a method that does not look at the forces has an RMS error of 0."
+)
+
+
+def main() -> None:
+    """Score all methods, and print, write or check."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--method", metavar="FILE.py:FUNCTION", help="score this, too")
+    parser.add_argument("--json", action="store_true", help="print the scores as JSON")
+    parser.add_argument("--check", action="store_true", help="fail if a baseline beats terraphi")
+    parser.add_argument("--page", action="store_true", help="write docs/benchmark.md")
+    options = parser.parse_args()
+    methods = METHODS | ({options.method: external(options.method)} if options.method else {})
+    with threadpool_limits(1):
+        parts = list(errors.splits(list(errors.grains()), list(errors.media())))
+        results = {name: errors.evaluate(method, parts) for name, method in methods.items()}
+    scores = {
+        words: {name: {key: value for key, value in result[task].items() if key != "z"}
+                for name, result in results.items()}
+        for task, words in TASKS.items()
+    }  # fmt: skip
+    print(json.dumps({"tasks": scores}, indent=1) if options.json else page(scores))
+    if options.page:
+        made = "Written by `python benchmarks/phi_bench.py --page`."
+        text = "\n\n".join(["# Benchmark of transfer", CODE, page(scores), WORDS, made])
+        (pages.DOCS / "benchmark.md").write_text(text + "\n", encoding="utf-8")
+    better = [f"{name} in {task}" for task, values in scores.items() for name in METHODS
+              if values[name]["crps"] < values["terraphi"]["crps"]]  # fmt: skip
+    if options.check and better:
+        raise SystemExit(f"better than terraphi: {', '.join(better)}")
+
+
+if __name__ == "__main__":
+    main()
