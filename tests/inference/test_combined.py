@@ -176,3 +176,10 @@ def test_a_density_that_is_exact_is_so_for_all_bodies() -> None:
 def test_a_tool_has_no_leg() -> None:
     with pytest.raises(terraphi.InputError, match="rig"):
         terraphi.invert(GRAINS / "B-loose_disc_60_1.csv", tool="plate:60", rig="li2013")
+
+
+def test_answers_without_a_budget_are_joined(plate: Answer) -> None:
+    """Out of range no term has a size."""
+    out = replace(plate, verdict="out_of_range", reason="Out of range: far.", budget_deg={})
+    joint = combined([out, out])
+    assert (joint.verdict, joint.budget_deg) == ("out_of_range", {})

@@ -21,7 +21,7 @@ from terraphi.inference.inversion import calibrate, invert
 from terraphi.inference.likelihood import (
     COHESION_PA,
     RIDGE,
-    WINDOWS_ALIKE,
+    WINDOWS_PER_RESIDUAL,
     Likelihood,
     quadrature,
 )
@@ -339,7 +339,7 @@ def test_cohesion_is_averaged_as_by_brute_force(name: str) -> None:
         start, phi[i], squares[i] = found.x, found.x[0], np.square(found.fun).mean()
     low, high = record.rig.air_deg()
     in_soil = 2 * np.sum((low <= record.theta_deg) & (record.theta_deg <= high))
-    weight = (squares + RIDGE**2) ** (-0.5 * in_soil / WINDOWS_ALIKE)
+    weight = (squares + RIDGE**2) ** (-0.5 * in_soil / WINDOWS_PER_RESIDUAL)
     weight *= t.pdf(c * unit / COHESION_PA, 3)
     weight /= np.trapezoid(weight, c)
     mean = np.trapezoid(weight * c, c)

@@ -249,15 +249,17 @@ def test_answers_are_correlated_as_draws_of_their_causes_are(
 ) -> None:
     """Sum of the drawn errors of all terms; moisture is each answer's own in the weights."""
     _, alone = bodies
-    errors, rng = errors_of(alone), np.random.default_rng(2)
+    names, rng = [*SHARED_BY], np.random.default_rng(2)
+    errors = errors_of(alone, names)
     drawn = sum(
-        np.cov(shifts(alone, name, rng).T, bias=True) for name in errors.sds if name != "cohesion"
+        np.cov(shifts(alone, name, rng).T, bias=True) for name in names if name != "cohesion"
     )
-    drawn += np.diag(np.square(errors.sds["cohesion"]))
+    drawn += np.diag(np.square(errors.sds[names.index("cohesion")]))
     sd = np.sqrt(np.diag(drawn))
-    stated = errors.covariance / np.outer(sd, sd)
     # The intervals of tools are no normal distributions, so that their terms miss some 2 % of them.
-    np.testing.assert_allclose(stated, drawn / np.outer(sd, sd), atol=0.05)
+    np.testing.assert_allclose(
+        errors.covariance / np.outer(sd, sd), drawn / np.outer(sd, sd), atol=0.05
+    )
 
 
 @pytest.mark.parametrize("key", ["record", "soil", "law"])

@@ -1,11 +1,12 @@
-"""Bekker's pressure-sinkage numbers of plates, which terramechanics describes a soil by.
+"""Bekker's pressure-sinkage parameters of a soil, from plates.
 
     p = (k_c / b + k_φ) zⁿ
 
-with the pressure p, the sinkage z and b the radius of a disc or the shorter side of a rectangle
+p is the pressure, z the sinkage, and b the radius of a disc or the shorter side of a rectangle
 (M. G. Bekker, *Introduction to Terrain-Vehicle Systems*, 1969; J. Y. Wong, *Theory of Ground
-Vehicles*). One plate determines n and k_c / b + k_φ, plates of two sizes k_c and k_φ as well. The
-fit is Wong's (1980, J. Terramechanics 17:13): ln p over ln z by least squares with the weights p².
+Vehicles*). One plate determines n and k_c / b + k_φ; plates of two sizes determine k_c and k_φ as
+well. The fit is Wong's (1980, J. Terramechanics 17:13): ln p over ln z by least squares with the
+weights p².
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ FEWEST = 3
 
 
 class Bekker(NamedTuple):
-    """Numbers of the soil under one plate or several, in kN and m."""
+    """Parameters of the soil under one plate or several, in kN and m."""
 
     n: float
     """Exponent of the sinkage [-]."""

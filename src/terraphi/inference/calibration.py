@@ -1,30 +1,31 @@
-r"""How real soils differ from a law's model, and soils of known angle in one's own apparatus.
+r"""How real soils differ from a law's model, and calibration soils in the user's own apparatus.
 
 The angle that a law reads off a record of measured forces is
 
-    φ_read = ψ + offset,    ψ = φ + b + s + l,
+    φ_read = ψ + offset,    ψ = φ + b + s + l.
 
-the offset that of a shape of leg, b common to all soils in one apparatus, s of the soil, l of the
-leg or rig in it, each normal about zero. The offset has an error, and no slope over ψ within an
-error, so that it is known less away from the soils it was learned from. Forces show none of them:
-they look like another angle. They are learned from soils whose angle was measured otherwise, and
-stand in the law's file.
+The offset is that of a shape of leg. Its error has a height and a slope over ψ, so that it grows
+away from the training soils. b is common to all soils in one apparatus, s belongs to the soil, and
+l to the leg or rig in it; each is normal about zero. They look like another angle, so that forces
+show none of them. They are learned from soils whose angle was measured otherwise, and stand in the
+law's file. The table :data:`~terraphi.inference.terms.TERMS` has them as model: offset, apparatus,
+soil and leg.
 
-A calibration is such a soil in the user's own apparatus, in which the height of the hip, the
-friction of the leg and the gain of the sensor stay as they are. Its y_i = ψ_i − φ_i is a draw of a
-normal distribution, of which
+A calibration soil is such a soil in the user's own apparatus, which keeps the height of the hip,
+the friction of the leg and the gain of the sensor (the fixed terms of the table). Its
+y_i = ψ_i − φ_i is normal, and
 
     k_ij = b² + [same rig] rig_i rig_j + [same shape of leg] o(ψ_i, ψ_j)
 
-is what a record shares with it, o the covariance of the offset's error, and s², var(φ), var(ψ) and
-of each rig l² come on top where i and j are one soil. The mean and variance of b, and with it of
-the offset of a shape and the error of a rig that were calibrated, follow by conditioning on y
-(Rasmussen & Williams 2006, section 2.2).
+is what a record shares with it, o the covariance of the offset's error. Where i and j are one soil,
+s², var(φ), var(ψ) and of each rig l² are added. The mean and variance of b follow by conditioning
+on y (Rasmussen & Williams 2006, section 2.2); those of a calibrated shape include its offset's
+error, and those of a calibrated rig its own error.
 
-Repeats, records of one soil on one rig, are pooled first: their y is the mean, and of l² only the
-part that beds of one soil differ by is divided by their number. Taken as equal but for what their
-standard deviations differ by, two repeats would explain a difference of 0.05° by an error of 3°.
-Two rigs in one soil share of var(ψ) the smaller: what the other has on top is its own.
+Repeats, records of one soil on one rig, are pooled first. Their y is the mean, and only the part of
+l² by which beds of one soil differ is divided by their number. Two repeats with independent errors
+of their standard deviations alone would explain a difference of 0.05° by an error of 3°. Two rigs
+in one soil share the smaller of their var(ψ).
 """
 
 from __future__ import annotations
@@ -50,16 +51,17 @@ from terraphi.laws.law import ModelError
 from terraphi.laws.legs import LawOfLegs
 
 BED_SD_DEG, MOST_BED_SD_DEG = 0.7, 1.1
-"""Standard deviation of ψ between beds of one soil on one leg [deg], a part of ``leg_sd_deg``: 27
+"""Standard deviation of ψ between beds of one soil on one leg [deg], a part of ``leg_sd_deg``. 27
 repeats in loose grains have 0.8 (6 mm) and 1.0 (8.8 mm), together 0.7 to 1.1 with 95 % confidence.
-The smaller is averaged over repeats, for beds of fine sand differ less; the larger is the scatter
-at which repeats disagree."""
+The mean of repeats uses the smaller, because beds of fine sand differ less; the test of repeats
+uses the larger."""
 DISAGREE = 1.96
-"""Standard deviations of the scatter at which repeats disagree [-]: one sound repeat in twenty."""
+"""Distance from the other repeats, over its standard deviation, that is warned of [-]: one sound
+repeat in twenty."""
 
 
 def rig_name(rig: Rig) -> str:
-    """The leg with its sizes and its friction, by which rigs are distinguished."""
+    """Name of a rig: the leg, its sizes and its friction."""
     return f"{rig}, friction {rig.leg_friction:g}"
 
 
@@ -71,7 +73,7 @@ def soil_name(name: Any) -> str:
 
 
 class CalibrationSoil(Strict):
-    """A record in a soil of known friction angle."""
+    """A record in a calibration soil."""
 
     source: str
     """Its file."""
@@ -80,23 +82,23 @@ class CalibrationSoil(Strict):
     leg: str
     """Shape of the leg."""
     rig: str = ""
-    """Its :func:`rig_name`; another rig has errors of its own."""
+    """Its :func:`rig_name`."""
     phi_deg: float = Field(gt=0, lt=90)
-    """Friction angle that was measured otherwise [deg], in the law's convention."""
+    """Friction angle by another test [deg], in the law's convention."""
     phi_sd_deg: float = Field(ge=0, le=90)
     """Its standard deviation [deg]."""
     read_deg: float
-    """Angle that the law reads off the record, its offset taken off: ψ [deg]."""
+    """ψ: angle that the law reads off the record, minus the law's offset [deg]."""
     read_sd_deg: float = Field(ge=0, le=90)
-    """Standard deviation of that from noise, density and the law [deg]."""
+    """Standard deviation of ψ by noise, density and the law [deg]."""
     rig_sd_deg: float = Field(0.0, ge=0, le=90)
-    """The same from the height of the hip, the friction of the leg and the gain, which stay."""
+    """Standard deviation of ψ by hip height, leg friction and gain, which the rig keeps [deg]."""
     gain: float = Field(1.0, gt=0)
     """Gain of the sensor that its forces were divided by [-]."""
 
 
 class Calibration(Strict):
-    """Soils of known friction angle in one apparatus, read by one law."""
+    """Calibration soils in one apparatus, read by one law."""
 
     library: str
     """Name of the law."""
@@ -138,7 +140,7 @@ class Calibration(Strict):
         return list(groups.values())
 
     def warnings(self) -> Iterator[str]:
-        """A sentence for each soil with a repeat farther from the others than beds of it are."""
+        """A sentence for each soil with a repeat that differs by more than beds of a soil do."""
         for records in self.repeats:
             read, n = np.array([record.read_deg for record in records]), len(records)
             if n == 1:
@@ -183,22 +185,22 @@ class Calibration(Strict):
         together, and where the rig was, those of its own error as well.
         """
         legs, rigs, soils, phi, phi_sd, read, read_sd, rig_sd, count = self._pooled
-        own, own_rig = legs == leg, (legs == leg) & (rigs == rig)
-        sd = math.sqrt(float(np.square(rig_sd[own_rig]).mean())) if own_rig.any() else 0.0
+        on_leg, on_rig = legs == leg, (legs == leg) & (rigs == rig)
+        sd = math.sqrt(float(np.square(rig_sd[on_rig]).mean())) if on_rig.any() else 0.0
+        b = error.common_sd_deg**2
+        # K of the soils, y = read − phi.
         same_leg = legs[:, None] == legs
         same_rig = same_leg & (rigs[:, None] == rigs)
-        # Rigs in one soil share s, φ and most of what makes φ_read uncertain.
         of_soil = error.soil_sd_deg**2 + phi_sd**2 + np.minimum.outer(read_sd, read_sd) ** 2
         bed = min(BED_SD_DEG, error.leg_sd_deg)
-        total = same_leg * error.offset_covariance(read, read) + same_rig * np.outer(rig_sd, rig_sd)
-        total += error.common_sd_deg**2 + (soils[:, None] == soils) * of_soil
+        total = b + same_leg * error.offset_covariance(read, read)
+        total += same_rig * np.outer(rig_sd, rig_sd) + (soils[:, None] == soils) * of_soil
         total += np.diag(1e-6 + error.leg_sd_deg**2 - bed**2 * (1.0 - 1.0 / count))
+        # k between the record's angles and the soils, and conditioning on y.
         flat = phi_deg.ravel()
-        across = error.common_sd_deg**2 + own * error.offset_covariance(flat, read)
-        across += own_rig * sd * rig_sd
+        across = b + on_leg * error.offset_covariance(flat, read) + on_rig * sd * rig_sd
         solved = np.linalg.solve(total, across.T)
-        prior = error.common_sd_deg**2 + sd**2
-        prior += own.any() * np.diag(error.offset_covariance(flat, flat))
+        prior = b + sd**2 + on_leg.any() * np.diag(error.offset_covariance(flat, flat))
         variance = np.maximum(prior - (across.T * solved).sum(axis=0), 0.0)
         mean = ((read - phi) @ solved).reshape(phi_deg.shape)
         return mean, np.sqrt(variance).reshape(phi_deg.shape)
@@ -208,19 +210,17 @@ class Calibration(Strict):
         """Leg, rig, soil, φ, its sd, mean ψ, its sd, that of the rig, and number of repeats."""
         rows = []
         for records in self.repeats:
-            first, n = records[0], len(records)
-            read = sum(record.read_deg for record in records) / n
-            sds = [
-                math.sqrt(sum(getattr(record, name) ** 2 for record in records) / n)
-                for name in ("read_sd_deg", "rig_sd_deg")
-            ]
-            rows.append(
-                (first.leg, first.rig, first.soil, first.phi_deg, first.phi_sd_deg, read, *sds, n)
+            first = records[0]
+            read, *variances = np.mean(
+                [(r.read_deg, r.read_sd_deg**2, r.rig_sd_deg**2) for r in records], axis=0
             )
+            sds = np.sqrt(variances)
+            rows.append((first.leg, first.rig, first.soil, first.phi_deg, first.phi_sd_deg, read,
+                         *sds, len(records)))  # fmt: skip
         return [np.array(column) for column in zip(*rows, strict=True)]
 
     def save(self, path: Path | str) -> None:
-        """Write it as TOML; raises InputError if the place cannot be written."""
+        """Write a TOML file; raises InputError if the place cannot be written."""
         lines = [
             f"# {SIGNATURE}: a calibration",
             f'library = "{self.library}"',
@@ -235,5 +235,5 @@ class Calibration(Strict):
 
     @classmethod
     def load(cls, path: Path | str) -> Calibration:
-        """Read one that :meth:`save` wrote; raises InputError if it is none."""
+        """Read a file of :meth:`save`; raises InputError if it is no calibration."""
         return parse_toml(Path(path), cls)

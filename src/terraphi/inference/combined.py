@@ -33,30 +33,28 @@ STEP_DEG = 0.05
 class Errors(NamedTuple):
     """Errors of several answers."""
 
-    sds: dict[str, FloatArray]
-    """Standard deviation of φ by term [deg], shape [answer] each."""
-    shared: dict[str, FloatArray]
-    """Correlation of each term between answers, 0 or 1, shape [answer, answer] each."""
+    sds: FloatArray
+    """Standard deviation of φ by term [deg], shape [term, answer]."""
+    shared: FloatArray
+    """Correlation of each term between answers, 0 or 1, shape [term, answer, answer]."""
     covariance: FloatArray
     """Covariance of the angles by which they are weighed [deg²], shape [answer, answer]."""
     alone: FloatArray
     """Variance of what no other answer shares [deg²], shape [answer]."""
 
 
-def errors_of(answers: Sequence[Answer]) -> Errors:
-    """Errors of answers, by their budgets and the table of terms."""
-    names = dict.fromkeys(name for answer in answers for name in answer.budget_deg)
-    sds = {name: np.array([a.budget_deg.get(name, 0.0) for a in answers]) for name in names}
+def errors_of(answers: Sequence[Answer], names: Sequence[str]) -> Errors:
+    """Errors of answers by terms, from their budgets and the table of terms."""
+    k = len(answers)
+    sds = np.array([[a.budget_deg.get(name, 0.0) for a in answers] for name in names])
+    sds = sds.reshape(-1, k)
     sharers = [Sharer(i, a.rigs[0], a.rigs[0].leg, a.law) for i, a in enumerate(answers)]
-    shared = {name: is_shared(name, sharers).astype(float) for name in names}
-    alone = np.array([answer.phi.sd**2 for answer in answers])
-    covariance = np.diag(alone)
-    for name, sd in sds.items():
-        if term(name).weighs:
-            between = np.outer(sd, sd) * (shared[name] - np.eye(len(sd)))
-            covariance += between
-            alone = alone - np.square(sd) * between.any(axis=1)
-    return Errors(sds, shared, covariance, np.maximum(alone, 0.0))
+    shared = np.array([is_shared(name, sharers) for name in names], float).reshape(-1, k, k)
+    variance = np.array([answer.phi.sd**2 for answer in answers])
+    between = sds[:, :, None] * sds[:, None] * (shared - np.eye(k))
+    between *= np.array([term(name).weighs for name in names], bool)[:, None, None]
+    alone = variance - (np.square(sds) * between.any(axis=2)).sum(axis=0)
+    return Errors(sds, shared, np.diag(variance) + between.sum(axis=0), np.maximum(alone, 0.0))
 
 
 def combined(answers: Sequence[Answer]) -> Answer:
@@ -76,7 +74,8 @@ def combined(answers: Sequence[Answer]) -> Answer:
     """
     if any(a.convention != "plane_strain" or PHI not in a.parameters for a in answers):
         raise InputError("answers that are joined are of φ in plane strain; leave out --law")
-    phi, errors = np.array([answer.phi.median for answer in answers]), errors_of(answers)
+    names = [*dict.fromkeys(name for answer in answers for name in answer.budget_deg)]
+    phi, errors = np.array([answer.phi.median for answer in answers]), errors_of(answers, names)
     inverse = np.linalg.inv(errors.covariance)
     # An answer that shares most of its error with a better one has the weight 0, not less.
     weight = np.maximum(inverse.sum(axis=1), 0.0)
@@ -85,15 +84,16 @@ def combined(answers: Sequence[Answer]) -> Answer:
     deviation = phi - median
     birge = math.sqrt(max(float(deviation @ inverse @ deviation) / (len(phi) - 1), 1.0))
     widening = math.sqrt((birge**2 - 1.0) * float(weight**2 @ errors.alone))
-    variances, variance = {}, float(weight @ errors.covariance @ weight) + widening**2
-    for name, sds in errors.sds.items():
-        moved = weight * sds
-        variances[name] = float(moved @ errors.shared[name] @ moved)
-        if not term(name).weighs:
-            # Each answer's alone in the covariance, and one error of all in the interval.
-            variance += variances[name] - float(moved @ moved)
-    sd = math.sqrt(variance)
-    budget = {name: math.sqrt(each) for name, each in variances.items()}
+    moved = weight * errors.sds
+    variances = np.einsum("ti,tij,tj->t", moved, errors.shared, moved)
+    # A term that does not weigh is each answer's in the covariance, and one error in the interval.
+    joined = np.array([not term(name).weighs for name in names]) * (
+        variances - np.square(moved).sum(axis=1)
+    )
+    sd = math.sqrt(float(weight @ errors.covariance @ weight + joined.sum()) + widening**2)
+    budget = dict(zip(names, np.sqrt(variances).tolist(), strict=True))
+    if widening > 0.0:
+        budget["disagreement"] = widening
     grid = np.arange(max(median - 6.0 * sd, 0.5), min(median + 6.0 * sd, 85.0), STEP_DEG)
     density = np.exp(-0.5 * ((grid - median) / sd) ** 2)
     density /= np.trapezoid(density, grid)
@@ -106,7 +106,7 @@ def combined(answers: Sequence[Answer]) -> Answer:
         phi_plane_strain=estimate,
         verdict=verdict,
         reason=reason,
-        budget_deg=ordered_budget(budget | ({"disagreement": widening} if widening else {})),
+        budget_deg=ordered_budget(budget),
         grid_deg=grid,
         density=density,
     )

@@ -1,12 +1,12 @@
-r"""Least squares, many problems at a time, and what an error of the data does to the estimate.
+r"""Least squares of many problems at a time, and the effect of errors of the data on the estimate.
 
-For data d, predictions g(x), weights W and, where something is known beforehand, a prior of mean m
-and diagonal precision P, the estimate is
+For data d, predictions g(x), weights W and a prior of mean m and diagonal precision P (0: none),
+the estimate is
 
     x̂ = argmin (d − g(x))'W(d − g(x)) + (x − m)'P(x − m),    low ≤ x ≤ high,
 
-by the method of Levenberg and Marquardt. With S = ∂g/∂x there, an error e of the data moves it by
-c e, c = (S'WS + P)⁻¹S'W, so that a covariance C of such errors gives it the covariance c C c'.
+by the method of Levenberg and Marquardt. With S = ∂g/∂x there, an error e of the data moves x̂ by
+c e, c = (S'WS + P)⁻¹S'W. Errors of the covariance C give x̂ the covariance c C c'.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray, IntArray
 
 ROUNDS, SETTLED = 40, 1e-3
-"""Steps at most, until one is this part of the parameters' scale [-]."""
+"""Largest number of steps, and the step over the parameters' scale that ends the fit [-]."""
 DAMPING, LESS, MORE = 1e-2, 0.2, 8.0
-"""First damping, over the diagonal of the normal matrix, and its factors after a step that lowered
-the cost and after one that did not [-]."""
+"""First damping over the diagonal of the normal matrix, and its factors after a step that lowers
+the cost and after a step that does not [-]."""
 
 
 class Best(NamedTuple):
@@ -53,8 +53,8 @@ def least_squares(
     Parameters
     ----------
     residual, slope
-        Give d − g(x), shape [k, datum], and S, [k, datum, key], from x, [k, key], for the problems
-        whose numbers are given, [k].
+        Functions of x, shape [k, key], and the numbers of k problems: d − g(x), [k, datum], and S,
+        [k, datum, key].
     weight
         W, shape [problem, datum, datum].
     start
@@ -62,7 +62,7 @@ def least_squares(
     bounds
         Smallest and largest x, shape [key].
     scale
-        Size of a change of x that counts, shape [key].
+        Scale of each parameter, shape [key].
     mean, precision
         m and the diagonal of P, shape [key] each.
     settled
@@ -71,19 +71,20 @@ def least_squares(
     x, rows = start.copy(), np.arange(len(start))
     low, high = bounds
 
-    def cost(at: FloatArray, left: FloatArray, rows: IntArray) -> FloatArray:
+    def cost(at: FloatArray, errors: FloatArray, rows: IntArray) -> FloatArray:
         of_prior = (precision * np.square(at - mean)).sum(axis=1)
-        return np.asarray(np.einsum("nk,nkl,nl->n", left, weight[rows], left) + of_prior)
+        return np.asarray(np.einsum("nk,nkl,nl->n", errors, weight[rows], errors) + of_prior)
 
-    left = residual(x, rows)
-    now, damping = cost(x, left, rows), np.full(len(x), DAMPING)
+    errors = residual(x, rows)
+    costs, damping = cost(x, errors, rows), np.full(len(x), DAMPING)
     for _ in range(ROUNDS):
         at, s = x[rows], slope(x[rows], rows)
         weighted = s.swapaxes(1, 2) @ weight[rows]
         normal = weighted @ s + precision * np.eye(len(scale))
-        gradient = (weighted @ left[rows, :, None])[..., 0]
+        gradient = (weighted @ errors[rows, :, None])[..., 0]
         gradient -= precision * (at - mean)
-        # What presses against its bound, or changes nothing, stays, and the rest is solved without.
+        # A parameter whose step would leave its bounds, or that changes nothing, stays: its row and
+        # column of the normal matrix become those of the identity.
         fixed = ((at <= low) & (gradient < 0.0)) | ((at >= high) & (gradient > 0.0))
         fixed |= normal.diagonal(axis1=1, axis2=2) == 0.0
         normal[fixed[:, :, None] | fixed[:, None, :]] = 0.0
@@ -92,16 +93,17 @@ def least_squares(
         step = np.linalg.solve(damped, np.where(fixed, 0.0, gradient)[..., None])[..., 0]
         tried = np.clip(at + step, low, high)
         moves = np.abs((tried - at) / scale).max(axis=1) > settled
-        new_left = residual(tried, rows)
-        new = cost(tried, new_left, rows)
-        better = new <= now[rows]
-        good = rows[better]
-        x[good], left[good], now[good] = tried[better], new_left[better], new[better]
+        new_errors = residual(tried, rows)
+        new_costs = cost(tried, new_errors, rows)
+        better = new_costs <= costs[rows]
+        improved = rows[better]
+        x[improved], errors[improved] = tried[better], new_errors[better]
+        costs[improved] = new_costs[better]
         damping[rows] = np.clip(damping[rows] * np.where(better, LESS, MORE), 1e-9, 1e6)
         rows = rows[moves]
         if not len(rows):
             break
-    return Best(x, left, slope(x, np.arange(len(x))))
+    return Best(x, errors, slope(x, np.arange(len(x))))
 
 
 def weights(

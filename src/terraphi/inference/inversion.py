@@ -32,7 +32,7 @@ from terraphi.inference.checks import (
 )
 from terraphi.inference.combined import combined
 from terraphi.inference.likelihood import (
-    WHOLE,
+    LEAST_COVERAGE,
     Likelihood,
     coverage_of,
     quadrature,
@@ -584,7 +584,7 @@ def _large_residual(likelihood: Likelihood, fits: Sequence[RecordFit]) -> str:
 def _other_leg(likelihood: Likelihood) -> str:
     """A sentence if another leg describes a record better."""
     for record in likelihood.records:
-        if coverage_of(record) < WHOLE:
+        if coverage_of(record) < LEAST_COVERAGE:
             continue
         cohesion = likelihood.cohesion
         sizes = {leg: residual(record.data, record, likelihood, leg, cohesion)

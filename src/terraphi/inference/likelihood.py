@@ -1,73 +1,71 @@
 r"""The likelihood of records: one normal distribution, whose covariance is a sum of named terms.
 
-With d the window means of all records, one after the other, g(x) the law's curves at the
-friction angle x, read and averaged as the records were,
+Let d be the window means of all records in a row, and g(φ, δ) the law's curves, read and averaged
+as the records were. Then
 
-    d = g(x; δ) + Σ_t e_t,    e_t ~ N(0, C_t).
+    d = g(φ, δ) + Σ_t e_t,    e_t ~ N(0, C_t).
 
-A measured record has an unknown shift δ of its leg angle, by which its forces come later than the
-model's: the zero of the angle, the height of the hip, soil at the surface that gives way before it
-bears. δ is uniform on ± 15°, fitted to each record with x and marginalised.
+A measured record has an unknown shift δ of its leg angle. Three causes delay its forces: the zero
+of the angle, the height of the hip, and soil at the surface that yields before it bears. δ is
+uniform within ± 15°. It is fitted to each record together with φ, and marginalized.
+
+The table :data:`~terraphi.inference.terms.TERMS` has each term t, the source of its size, and the
+records that share its error. The covariances C_t are
 
 ========================  ==========================================================================
 term                      covariance
 ========================  ==========================================================================
 noise                     of the readings, through the windows
-emulator                  of the curves between the library's cases
-particle scatter          between seeds: of a simulated record
-leg friction, hip height  a standard deviation of each, times how the curves change with it
-density, gain             relative standard deviation of the density, and of the gain of the sensor,
-                          times g
-model: apparatus, soil    what looks like another angle: b² and s² times (∂g/∂φ)(∂g/∂φ)'
-model: leg, offset        the same of each leg by itself, l²; and the error of its offset over φ
-cohesion                  what angles of all likely cohesions differ by (below)
-missing angles            where a record has a part of the stroke (below)
-missing forces            where it has the moment about the hip in place of a force: the angles
-                          read off both differ by that
-second opinion            where other physics gives an angle outside both intervals
+emulator                  of the curves between the law's simulations
+particle scatter          between seeds; simulated records only
+leg friction, hip height  (one standard deviation × ∂g of it)², measured records only, as all below
+density, gain             (relative standard deviation × g)²
+model: apparatus          (b ∂g/∂φ)²: what a laboratory's legs have in common
+model: soil, model: leg   (s ∂g/∂φ)², (l ∂g/∂φ)²: how soils and rigs differ
+model: offset             (∂g/∂φ × error of the leg's offset at φ)²
+cohesion                  (∂g/∂φ × standard deviation of φ over the likely cohesions)², see below
+missing angles            (∂g/∂φ × 1.4° √(1/h − 1))²: the record has the share h of a stroke, below
+missing forces            (∂g/∂φ × 0.9°)²: the record has the hip's moment in place of a force
+second opinion            (∂g/∂φ × disagreement)²: another physics gives an angle outside both
+                          intervals
 ========================  ==========================================================================
 
-Particle scatter is of simulated records, what follows it of measured ones.
+where (e)² is the matrix e e'.
 
-**Estimate.** With S = ∂g/∂(x, δ) at the best point, A = diag(1/p²), p the peak-to-peak of each
-force, and c = (S'AS)⁻¹S'A, the parameters are those of least squares, and c (d − g(x)) is normal
-with the variance V = Σ_t c C_t c': the sandwich (White 1980, Econometrica 48:817). How the residual
-of a real soil varies with θ is unknown, and that of particle scatter is known from few simulations,
-so the terms neither move the estimate nor narrow it: in what c does not see a residual may be
-anything. A model error that is allowed to look like a change of φ would take its place
-(Brynjarsdottir & O'Hagan 2014, doi 10.1088/0266-5611/30/11/114007). Curves left out of a library in
-turn are read with errors as large as stated so, and up to 1.7 times larger if scatter is taken at
-its word (generalised least squares). Several records give the angle of their common least squares,
-between those of each; with their shared errors as weights it could lie outside (Peelle's puzzle). A
-shift has no term of its own: c does not see it.
+**Estimate.** φ and δ are those of least squares, each force over its peak-to-peak p. With
+S = ∂g/∂(φ, δ) at the best point and A = diag(1/p²), the weights are c = (S'AS)⁻¹S'A, and c (d − g)
+is normal with the variance V = Σ_t c C_t c'. This is the sandwich (White 1980, Econometrica
+48:817). The terms neither move the estimate nor narrow it, for two reasons. The course of a real
+soil's residual over θ is unknown, and that of particle scatter is known from few simulations. And a
+model error that may look like a change of φ would replace that change (Brynjarsdottir & O'Hagan
+2014, doi 10.1088/0266-5611/30/11/114007). Curves that were left out of a library have errors as
+large as stated with these weights, and up to 1.7 times as large with those of generalized least
+squares. Records with one angle have an angle between theirs; weighted by their shared errors it
+could lie outside (Peelle's puzzle).
 
-**Cohesion.** Forces determine it worse than φ, or not at all: records of legs in dry grains are met
-as well by 38° without one as by 30° with 200 Pa, and where the least residual lies is chance. So it
-is not fitted but averaged over. With S(c) the mean squared residual of the best φ and δ at c,
+**Cohesion.** Forces determine the cohesion worse than φ, or not at all: 38° without cohesion fit
+legs in dry grains as well as 30° with 200 Pa. So it is averaged over. With S(c) the mean squared
+residual of the best φ and δ at the cohesion c,
 
     p(c | d) ∝ S(c)^(−ν/2) p(c),
 
-the marginal of a residual of unknown variance, of which ν are independent: of the windows in soil
-one in :data:`WINDOWS_ALIKE`. p(c) is half of Student's t (:data:`COHESION_PA`): most soils are dry,
-and a few are damp, which its tail leaves room for. φ, and all that follows, is that at the mean of
-c, and the standard deviation of φ(c) is a term. It says what is not known of the soil's moisture;
-the terms of the model hold all that dry grains differ by, so that intervals are rather wide.
+the marginal of a residual of unknown variance with ν independent values: the windows in soil over
+:data:`WINDOWS_PER_RESIDUAL`. p(c) is half of Student's t (:data:`COHESION_PA`): most soils are dry,
+and its tail allows for damp ones. φ and all curves are those at the mean of c, and the standard
+deviation of φ(c) is the term. The terms of the model include what dry grains differ by as well, so
+that intervals are rather wide.
 
-**Parts of the stroke.** With g the window means of a whole stroke, the windows that a record has
-hold the share
+**Parts of the stroke.** The windows of a record have the share
 
-    h = Σ_record (∂g/∂φ / p)² / Σ_whole (∂g/∂φ / p)²
+    h = Σ_record (∂g/∂φ / p)² / Σ_stroke (∂g/∂φ / p)²
 
-of the information. Real soils deviate from the model differently at each angle, so that a part of a
-record gives another φ than the whole. Cut to 22 windows of 40° to 160°, the shipped records move by
-1.4° √(1/h - 1) besides the term of the cohesion, root mean square.
+of the information on φ in a whole stroke. Real soils differ from the model by another angle at
+each θ, so that a part gives another φ than the whole. Shipped records, cut to 22 windows of 40° to
+160°, move by 1.4° √(1/h − 1) (root mean square) besides the term of the cohesion.
 
-The moment about the hip gives another angle than the forces do, too: MOMENT_DEG is the root mean
-square of what it differs by on the legs of simulated grains, both read as dry soil.
-
-All terms are taken at the best point, so that their size is no evidence of x. For measured records
-g is linear about that point: several of the terms are degrees wide and known to first order only,
-and the curvature of g would move the median by what is not known.
+All terms are taken at the best point, so that their size is no evidence on φ. Of measured records g
+is linear about that point: terms of degrees are known to first order only, and the curvature of g
+would move the median by an unknown amount.
 """
 
 from __future__ import annotations
@@ -99,48 +97,49 @@ SHIFT_DEG = 15.0
 """Largest shift of the leg angle of measured records [deg]: chosen. C legs have 11 to 15° in grains
 and shipped media; with 20° their angles move by 0.1°."""
 COHESIONS = np.array([0.0, 0.025, 0.05, 0.0875, 0.125, 0.175, 0.25, 0.35, 0.475, 0.625, 0.8, 1.0])
-"""Cohesions at which φ is looked for, over the largest that a law knows [-]; chosen."""
+"""Cohesions at which φ is fitted, over the largest of the law [-]; chosen."""
 FINE, EVENLY = 400, 0.03
-"""How many cohesions are averaged over, evenly along ln(1 + c / (0.03 ρ g L)), along which residual
-and angle change evenly."""
+"""Number of cohesions that are averaged over, in even steps of ln(1 + c / (0.03 ρ g L)), in which
+residual and angle are nearly linear."""
 EACH_COHESION, COARSE = 3, 13
-"""Each third cohesion and so many angles are read where forces are scaled: within 1.2° of a fit to
-such forces in the shipped records, in a thirtieth of an answer's time."""
+"""Grid for scaled forces: each third cohesion, and the number of angles. It reads shipped records
+within 1.2° of a fit to scaled forces, in a thirtieth of an answer's time."""
 COHESION_PA, COHESION_DEGREES = 40.0, 3
-"""Scale of the cohesion beforehand [Pa], and degrees of freedom of its half t distribution; chosen:
-grains of 4 to 9 mm act like some tens, a little moisture gives sand hundreds. With 25 to 60 Pa and
-2 to 5 degrees of freedom loose grains that are left out are read nearly as well."""
-WINDOWS_ALIKE = 7
-"""Window means for one independent residual: by their correlation 7 of straight, 9 of C and 5 of
-reversed C legs in grains."""
+"""Scale [Pa] and degrees of freedom of the cohesion's prior, half of a t distribution; chosen.
+Grains of 4 to 9 mm act like tens of pascals, and a little moisture gives sand hundreds. Loose
+grains left out are read nearly as well with 25 to 60 Pa and 2 to 5 degrees of freedom."""
+WINDOWS_PER_RESIDUAL = 7
+"""Window means that carry one independent residual. Residuals in grains are correlated over 7
+windows of straight, 9 of C and 5 of reversed C legs."""
 RIDGE = 2e-3
 """Standard deviation added to each window mean, of peak-to-peak [-]: the emulator's largest error
 in unseen simulations of an exact model (tests/laws/test_emulator.py)."""
 BEYOND_DEG, LIMITS_DEG = 12.0, (0.5, 80.0)
-"""How far beyond the library's ends angles are looked for, with forces that continue linearly; and
-angles that can be answered [deg]; chosen."""
+"""Range of φ beyond the law's ends, where forces continue linearly, and the limits of any answer
+[deg]; chosen."""
 FAR_OFF = 3.0
 """Factor between data and best curve at which no angle fits [-]: chosen."""
-WHOLE = 0.9
-"""The same from which a record's shape can be compared with those of other legs [-]; chosen."""
+LEAST_COVERAGE = 0.9
+"""Share of the windows in soil that a comparison with other legs needs [-]; chosen."""
 PART_DEG = 1.4
-"""Standard deviation of the shift of φ at h = ½ [deg]."""
+"""Standard deviation of φ by the missing part of a stroke at h = ½ [deg]."""
 NODES = 801
 """Nodes of the quadrature, over eight standard deviations to either side."""
 ROUGHNESS = 1.5
 """Exponent of the correlation of a residual over θ [-]: residuals of the shipped records have a
 larger density by it than by 1 (12 of 12); 1.75 is better for 6 of 12 (``studies/roughness.py``)."""
 MOMENT_DEG = 0.9
-"""Standard deviation of φ by a moment less that by both forces [deg]."""
+"""Standard deviation of φ by a moment minus φ by both forces [deg]: root mean square of that
+difference on legs in simulated grains, read as dry soil."""
 
 
 def coverage_of(record: Record) -> float:
     """Share of the windows with the leg in soil that a record of both forces has; else 0 [-]."""
     grid = np.linspace(-WINDOW_DEG, WINDOW_DEG, OBSERVATION_ANGLES)
     first, last = record.rig.air_deg()
-    inside = grid[(first <= grid) & (grid <= last)].round(6)
-    has = np.isin(inside, record.theta_deg.round(6))
-    return float(has.mean()) if record.channels == FORCES else 0.0
+    in_soil = grid[(first <= grid) & (grid <= last)].round(6)
+    measured = np.isin(in_soil, record.theta_deg.round(6))
+    return float(measured.mean()) if record.channels == FORCES else 0.0
 
 
 class Coverage(NamedTuple):
@@ -153,7 +152,7 @@ class Coverage(NamedTuple):
 
 
 class Cohesion(NamedTuple):
-    """What is known of the cohesion of a soil."""
+    """Mean and standard deviation of the cohesion of a soil [Pa]."""
 
     mean_pa: float
     sd_pa: float
@@ -161,29 +160,20 @@ class Cohesion(NamedTuple):
     """Standard deviation of φ about the angle at the mean [deg]."""
 
 
-def channels_of(record: Record, force: FloatArray, law: LegLaw) -> FloatArray:
-    """Channels of a record from (Fx, Fz) [N] over the angles of a law, [..., 2, m] -> [..., c, m].
-
-    Raises InputError if the record has a moment and the law no lever arms.
-    """
-    if record.channels == FORCES:
-        return force
-    arm = law.arm
-    if arm is None:
-        raise InputError(
-            f"{record.source}: Fx and Fz are needed; the library has no moment about the hip"
-        )
-    rows = {"Fx": force[..., 0, :], "Fz": force[..., 1, :], "M": (force * arm).sum(axis=-2)}
-    return np.stack([rows[name] for name in record.channels], axis=-2)
-
-
 def window_means(record: Record, force: FloatArray, law: LegLaw, shift_deg: float) -> FloatArray:
     """Forces [N] over the angles of a law, as a record reads them at a shift.
 
-    Shape [..., 2, theta] -> [..., c m].
+    Shape [..., 2, theta] -> [..., c m]. Raises InputError if the record has a moment and the law no
+    lever arms.
     """
-    channels = channels_of(record, force, law)
-    means = channels @ record.operator(law.theta_deg + shift_deg).T
+    if record.channels != FORCES:
+        if law.arm is None:
+            raise InputError(
+                f"{record.source}: Fx and Fz are needed; the library has no moment about the hip"
+            )
+        rows = {"Fx": force[..., 0, :], "Fz": force[..., 1, :], "M": (force * law.arm).sum(axis=-2)}
+        force = np.stack([rows[name] for name in record.channels], axis=-2)
+    means = force @ record.operator(law.theta_deg + shift_deg).T
     return np.asarray(means.reshape(*means.shape[:-2], -1))
 
 
@@ -262,33 +252,31 @@ class Likelihood:
         self.high = np.min([law.bounds[1] for law in self.laws], axis=0)
 
     def _cohesion_of_simulations(self) -> float:
-        """That of the simulated soil [Pa]; raises InputError if there are several, or it is large.
+        """Cohesion of the simulated soil [Pa]; 0 without simulations.
 
-        Laws of dry soil take none.
+        Raises InputError if soils differ in it, or if it exceeds the law's range.
         """
-        cohesions = []
-        for record, law, number in zip(
-            self.records, self.laws, self._per_pascal.tolist(), strict=True
-        ):
+        cohesions = {0.0}
+        for record, law, number in zip(self.records, self.laws, self._per_pascal, strict=True):
             if not record.simulated or record.scenario is None:
                 continue
-            cohesions.append(record.scenario.soil.cohesion)
-            if law.most_cohesion and cohesions[-1] * number > law.most_cohesion:
+            cohesions = (cohesions - {0.0}) | {record.scenario.soil.cohesion}
+            most = law.most_cohesion / float(number)
+            if most and max(cohesions) > most:
                 raise InputError(
-                    f"{record.source}: its soil has a cohesion of {cohesions[-1]:g} Pa, and law "
-                    f"{self.library.name} is for {law.most_cohesion / number:.0f} Pa at most on "
-                    "this leg"
+                    f"{record.source}: its soil has a cohesion of {max(cohesions):g} Pa, and law "
+                    f"{self.library.name} is for {most:.0f} Pa at most on this leg"
                 )
-        if len({*cohesions}) > 1:
+        if len(cohesions) > 1:
             raise InputError(
                 f"simulations of soils with a cohesion of {min(cohesions):g} and of "
                 f"{max(cohesions):g} Pa are not of one soil; infer each alone"
             )
-        return max(cohesions, default=0.0)
+        return max(cohesions)
 
     @property
     def density_sd(self) -> FloatArray:
-        """Relative standard deviation of each record's density [-], shape [record]."""
+        """Relative standard deviation of the density [-], shape [record]."""
         unknown = DENSITY.sd / DENSITY.mean
         return np.array([
             unknown if r.density_kg_m3 is None else r.density_sd_kg_m3 / r.density_kg_m3
@@ -302,14 +290,13 @@ class Likelihood:
     def _law(self, record: Record, library: LawOfLegs) -> LegLaw:
         """The law of a record's rig; raises InputError if it does not cover the record."""
         try:
-            strict = record.scenario is None
-            law = law_of(library, record.rig, record.scenario, strict=strict)
+            law = law_of(library, record.rig, record.scenario, strict=record.scenario is None)
         except InputError as error:
             raise InputError(f"{record.source}: {error}") from None
-        theta, known = record.theta_deg, law.theta_deg
-        if theta[0] < known[0] - 4.4 or theta[-1] > known[-1] + 4.4:
+        theta, covered = record.theta_deg, law.theta_deg
+        if theta[0] < covered[0] - 4.4 or theta[-1] > covered[-1] + 4.4:
             raise InputError(
-                f"law {library.name} covers theta from {known[0]:.0f} to {known[-1]:.0f} deg "
+                f"law {library.name} covers theta from {covered[0]:.0f} to {covered[-1]:.0f} deg "
                 f"only, {record.source} {theta[0]:.0f} to {theta[-1]:.0f} deg; cut the record or "
                 "build the library anew"
             )
@@ -318,23 +305,23 @@ class Likelihood:
     # -- curves ----------------------------------------------------------------------------------
 
     def offset(self, record: Record, phi_deg: FloatArray) -> FloatArray:
-        """Mean of the angle read off measured forces less the soil's [deg]."""
+        """Mean of φ as the law reads it off measured forces, minus φ of the soil [deg]."""
         if not self.measured:
             return np.zeros_like(phi_deg)
-        leg, error = record.leg, self.errors[record.leg]
-        known, rig = self.calibration, rig_name(record.rig)
-        common = known.common(error, leg, rig, phi_deg)[0] if known else 0.0
+        error, common = self.errors[record.leg], np.zeros_like(phi_deg)
+        if self.calibration:
+            common, _ = self.calibration.common(error, record.leg, rig_name(record.rig), phi_deg)
         return np.asarray(error.offset_deg + self.of_size_deg(record) + common)
 
     def of_size_deg(self, record: Record) -> float:
-        """What the size of the grains adds to the angle read off measured forces [deg]."""
+        """Part of the offset that grows with the size of the grains [deg]."""
         grains = record.grain_size_mm * LI2013["width_mm"] / record.rig.width_mm
         return self.errors[record.leg].of_size_deg * grains if self.measured else 0.0
 
     def curves(
         self, x: FloatArray, shift_deg: FloatArray | None = None, cohesion: float | None = None
     ) -> FloatArray:
-        """Window means g(x) [N] at the best δ [deg] and c [Pa], or others, [k, key] -> [k, n]."""
+        """Window means g(x) [N] at the best δ [deg] and c [Pa], or others, [k, 1] -> [k, n]."""
         forces = self._forces(x, self.cohesion if cohesion is None else cohesion)
         return self._means(forces, self.shift_deg if shift_deg is None else shift_deg)
 
@@ -353,37 +340,36 @@ class Likelihood:
         return window_means(self.records[i], force, self.laws[i], self.shift_deg[i])
 
     def _forces(self, x: FloatArray, cohesion: float) -> list[FloatArray]:
-        """Forces [N] on the leg of each record in soil of its density, [k, 2, theta].
+        """Forces [N] on the leg of each record, in soil of its density and a cohesion [Pa].
 
-        The cohesion of the soil is in pascals.
+        Shape [k, 1] -> [k, 2, theta] each.
         """
         forces: dict[tuple[Rig, float, float], FloatArray] = {}
-        pairs = zip(self.records, self._per_pascal, strict=True)
-        keys = [(r.rig, r.grain_size_mm, n * cohesion) for r, n in pairs]
+        numbers = (cohesion * self._per_pascal).tolist()
+        keys = [(r.rig, r.grain_size_mm, n) for r, n in zip(self.records, numbers, strict=True)]
         for record, law, key in zip(self.records, self.laws, keys, strict=True):
             if key not in forces:
                 forces[key] = law(self._read(record, x), key[-1])
         return [ratio * forces[key] for key, ratio in zip(keys, self._ratio, strict=True)]
 
     def _read(self, record: Record, x: FloatArray) -> FloatArray:
-        """Parameters with the angle that the law reads off a leg's measured forces, [..., key]."""
+        """φ as the law reads it off a record of soil of φ = x [deg]."""
         return x + self.offset(record, x)
 
     def slope(self, x: FloatArray) -> FloatArray:
-        """∂g/∂x at a point [N/unit], at the best δ and c, shape [key] -> [n, key]."""
-        return self._slopes(x, self.shift_deg, self.cohesion)[:, : len(x)]
+        """∂g/∂φ at a point [N/deg], at the best δ and c, shape [1] -> [n, 1]."""
+        return self._slopes(x, self.shift_deg, self.cohesion)[:, :1]
 
     def _slopes(self, x: FloatArray, shift_deg: FloatArray, cohesion: float) -> FloatArray:
-        """∂g/∂x and ∂g/∂δ of each record [N/deg], shape [n, key + record]."""
-        steps = STEP * (self.high - self.low)
-        forces = self._forces(np.vstack([x + np.diag(steps), x - np.diag(steps), x]), cohesion)
-        moved = self._means(forces, shift_deg)[:-1].reshape(2, len(x), -1)
-        turned = [self._means([f[-1:] for f in forces], shift_deg + h)[0] for h in (0.1, -0.1)]
-        of_shift = np.where(self._record_index[:, None] == np.arange(len(self.records)), 1.0, 0.0)
-        return np.hstack([
-            (moved[0] - moved[1]).T / (2.0 * steps),
-            of_shift * (turned[0] - turned[1])[:, None] / 0.2,
-        ])  # fmt: skip
+        """∂g/∂φ and ∂g/∂δ of each record by central differences [N/deg], [n, 1 + record]."""
+        step = STEP * (self.high - self.low)
+        forces = self._forces(x + step * np.array([[1.0], [-1.0], [0.0]]), cohesion)
+        above, below, _ = self._means(forces, shift_deg)
+        middle = [force[-1:] for force in forces]
+        later, earlier = (self._means(middle, shift_deg + h)[0] for h in (0.1, -0.1))
+        of_record = np.eye(len(self.records))[self._record_index]
+        of_shift = of_record * (later - earlier)[:, None] / 0.2
+        return np.column_stack([(above - below) / (2.0 * step), of_shift])
 
     @property
     def _most_shift(self) -> FloatArray:
@@ -392,9 +378,9 @@ class Likelihood:
 
     @cached_property
     def _cohesions(self) -> FloatArray:
-        """Cohesions [Pa] that are averaged over, from 0; or the one that is known.
+        """Cohesions that φ is fitted at [Pa], from 0; of simulated soil that of its scenario.
 
-        Simulated soil has that of its scenario; 0 by laws of dry soil.
+        Laws of dry soil have 0 alone.
         """
         pairs = zip(self.laws, self._per_pascal, strict=True)
         most = min(law.most_cohesion / number for law, number in pairs)
@@ -406,15 +392,15 @@ class Likelihood:
 
     @property
     def least_squares(self) -> FloatArray:
-        """Parameters of the smallest squared residual, each force over its peak-to-peak, [key].
+        """φ of the smallest squared residual, each force over its peak-to-peak [deg], [1].
 
-        The friction angle may lie beyond the library's ends.
+        It may lie up to 12° outside the law.
         """
         return self._best.x[0, :1]
 
     @property
     def shift_deg(self) -> FloatArray:
-        """Shift of each record with them [deg], shape [record]: its forces come so much later."""
+        """δ of each record at that φ [deg], shape [record]; positive if the forces come late."""
         return self._best.x[0, 1:]
 
     @property
@@ -424,12 +410,12 @@ class Likelihood:
 
     @property
     def cohesion_sd(self) -> float:
-        """Standard deviation of the cohesion [Pa]; 0 if it is known."""
+        """Standard deviation of the cohesion [Pa]; 0 where it is not averaged over."""
         return self._averaged.sd_pa
 
     @property
     def inside(self) -> FloatArray:
-        """The best point within the library, where slopes are those of simulations, [key]."""
+        """Best φ within the law, where slopes are those of simulations [deg], [1]."""
         return np.clip(self.least_squares, self.low, self.high)
 
     @cached_property
@@ -439,42 +425,41 @@ class Likelihood:
 
     def _coverage(self, i: int) -> Coverage:
         record = self.records[i]
-        forces = record.channels == FORCES
-        every = record.theta_deg.size == OBSERVATION_ANGLES
-        if forces and every:
+        is_full = record.theta_deg.size == OBSERVATION_ANGLES
+        if record.channels == FORCES and is_full:
             return Coverage(1.0, record.span)
         theta = np.radians(np.arange(-WINDOW_DEG - 3.0, WINDOW_DEG + 3.5))
         force = self._forces(self.inside + np.array([[-1.0], [0.0], [1.0]]), self.cohesion)[i]
         axes = record.history.axes
         still = ForceHistory(theta, np.zeros((theta.size, len(axes))), axes=axes, moment=0 * theta)
-        whole = replace(record, history=still)
-        means = window_means(whole, force, self.laws[i], self.shift_deg[i])
-        below, curve, above = means.reshape(3, len(whole.channels), -1)
-        span = record.span if every else np.maximum(record.span, np.ptp(curve, axis=1))
-        has = np.isin(whole.theta_deg.round(6), record.theta_deg.round(6))
+        stroke = replace(record, history=still)
+        means = window_means(stroke, force, self.laws[i], self.shift_deg[i])
+        below, curve, above = means.reshape(3, len(stroke.channels), -1)
+        span = record.span if is_full else np.maximum(record.span, np.ptp(curve, axis=1))
+        measured = np.isin(stroke.theta_deg.round(6), record.theta_deg.round(6))
         information = np.square((above - below) / span[:, None])
-        return Coverage(float(information[:, has].sum() / information.sum()), span)
+        return Coverage(float(information[:, measured].sum() / information.sum()), span)
 
     @cached_property
     def _best(self) -> Best:
-        """Parameters and shifts of the smallest squared residual, at the mean cohesion."""
-        found = self._along
+        """φ and δ of the smallest squared residual, at the mean cohesion."""
+        fits = self._by_cohesion
         near = int(np.abs(self._cohesions - self.cohesion).argmin())
-        return found[near] if len(found) == 1 else self._fitted(self.cohesion, found[near].x)
+        return fits[near] if len(fits) == 1 else self._fitted(self.cohesion, fits[near].x)
 
     @cached_property
-    def _along(self) -> list[Best]:
-        """The same at each cohesion, from one to the next."""
-        start, found = self._start, []
+    def _by_cohesion(self) -> list[Best]:
+        """φ and δ of the smallest residual at each cohesion, each fit begun at the last."""
+        start, fits = self._start, []
         settled = 1e-8 if len(self._cohesions) == 1 else 1e-4
         for cohesion in self._cohesions.tolist():
-            found.append(self._fitted(cohesion, start, settled))
-            start = found[-1].x
-        return found
+            fits.append(self._fitted(cohesion, start, settled))
+            start = fits[-1].x
+        return fits
 
     @property
     def _start(self) -> FloatArray:
-        """Parameters and shifts near those of the smallest residual at the first cohesion, [1, p].
+        """φ and δ of the smallest residual on a grid at the first cohesion, [1, 1 + record].
 
         The residual has several minima.
         """
@@ -504,21 +489,20 @@ class Likelihood:
 
     @cached_property
     def _averaged(self) -> Cohesion:
-        """The cohesion, averaged over those that are likely."""
-        known = self._cohesions
-        if len(known) == 1:
-            return Cohesion(float(known[0]), 0.0, 0.0)
-        along, fine = self._even_steps(known)
+        """Mean of the cohesion by its posterior, and the standard deviation of φ by it."""
+        if len(self._cohesions) == 1:
+            return Cohesion(float(self._cohesions[0]), 0.0, 0.0)
+        along, fine = self._even_steps(self._cohesions)
         i = np.clip(np.searchsorted(along, fine, "right") - 1, 0, len(along) - 2)
         share = ((fine - along[i]) / (along[i + 1] - along[i]))[:, None]
-        # The residual changes more evenly than its square, which may be near zero between two.
-        apart = np.array([best.residual[0] for best in self._along]) / self.span
-        squares = np.square((1.0 - share) * apart[i] + share * apart[i + 1])
+        # Between two cohesions the residual is nearly linear, and its square may be near zero.
+        residuals = np.array([best.residual[0] for best in self._by_cohesion]) / self.span
+        squares = np.square((1.0 - share) * residuals[i] + share * residuals[i + 1])
         c, weight = self._likely_cohesions(fine, squares.mean(axis=1))
         mean = float(weight @ c)
-        phi = np.interp(fine, along, [best.x[0, 0] for best in self._along])
-        there = np.interp(np.log1p(mean / EVENLY), fine, phi)
-        sd, phi_sd = (math.sqrt(float(weight @ np.square(x))) for x in (c - mean, phi - there))
+        phi = np.interp(fine, along, [best.x[0, 0] for best in self._by_cohesion])
+        at_mean = np.interp(np.log1p(mean / EVENLY), fine, phi)
+        sd, phi_sd = (math.sqrt(float(weight @ np.square(x))) for x in (c - mean, phi - at_mean))
         unit = float(np.mean(self._per_pascal))
         return Cohesion(mean / unit, sd / unit, phi_sd)
 
@@ -532,15 +516,15 @@ class Likelihood:
     ) -> tuple[FloatArray, FloatArray]:
         """Cohesions c / (ρ g L) and p(c | d), by the mean squared residual at each step."""
         c, unit = EVENLY * np.expm1(fine), float(np.mean(self._per_pascal))
-        # Repeats are not more sure: of one leg in one soil the law is wrong alike.
+        # Repeats have the same residual by the law, so that they count once.
         windows = set()
         for record in self.records:
             places = record.theta_deg.round(3)
             low, high = record.rig.air_deg()
-            inside = places[(low <= places) & (places <= high)].tolist()
+            in_soil = places[(low <= places) & (places <= high)].tolist()
             # Of Fx, Fz and the moment two give the third.
-            windows |= {*itertools.product(record.channels[:2], inside)}
-        logs = len(windows) / WINDOWS_ALIKE * np.log(squares + RIDGE**2)
+            windows |= {*itertools.product(record.channels[:2], in_soil)}
+        logs = len(windows) / WINDOWS_PER_RESIDUAL * np.log(squares + RIDGE**2)
         tail = np.log1p(np.square(c / (COHESION_PA * unit)) / COHESION_DEGREES)
         # The last term is dc over a step along the logarithm.
         log = -0.5 * logs - 0.5 * (COHESION_DEGREES + 1) * tail + np.log(c + EVENLY)
@@ -548,56 +532,56 @@ class Likelihood:
         return c, weight / weight.sum()
 
     def hip_error(self, i: int) -> tuple[float, float, float] | None:
-        """Height of the hip that fits the i-th record best less the given one, to first order.
+        """Correction of the height of the hip that fits the i-th record best, to first order.
 
-        φ, the shift of the leg angle and the cohesion, of which none is below 0, are free as well.
-        Returned are its mean and standard deviation [mm], by a residual of which one in
-        :data:`WINDOWS_ALIKE` windows is independent, and the residual with it, the root mean square
-        over the ranges of both forces [-]. ``None`` where the law has no other hips.
+        φ, δ and the cohesion are free as well, the cohesion not below 0. Returned are the
+        correction and its standard deviation [mm], by a residual of which one in
+        :data:`WINDOWS_PER_RESIDUAL` windows is independent, and the residual with it, the root mean
+        square over the ranges of both forces [-]. ``None`` where the law has no other hips.
         """
-        record, law, part, x = self.records[i], self.laws[i], self.parts[i], self.least_squares
+        record, part, x = self.records[i], self.parts[i], self.least_squares
         number = self.cohesion * float(self._per_pascal[i])
-        slope = law.of_hip(self._read(record, x)[None], number)
+        slope = self.laws[i].of_hip(self._read(record, x)[None], number)
         if slope is None or self.cohesion == 0.0:
             return None
-        of_hip = self._means_of(i, slope.T)[0]
         curve, damp, dry = (
-            self.curves(x[None], cohesion=f * self.cohesion)[0] for f in (1, 1.3, 0.7)
+            self.curves(x[None], cohesion=f * self.cohesion)[0, part] for f in (1, 1.3, 0.7)
         )
-        of_cohesion = (damp - dry)[part] / (0.6 * self.cohesion)
-        fitted = self._best.slope[0, part][:, [*range(len(x)), len(x) + i]]
-        columns = np.column_stack([fitted, of_hip, of_cohesion]) / self.span[part, None]
-        residuals = (self.data - curve)[part] / self.span[part]
+        # Columns: φ, δ, the height of the hip, the cohesion.
+        columns = np.column_stack([
+            self._best.slope[0, part][:, [0, 1 + i]], self._means_of(i, slope.T)[0],
+            (damp - dry) / (0.6 * self.cohesion),
+        ]) / self.span[part, None]  # fmt: skip
+        residuals = (self.data[part] - curve) / self.span[part]
         solution = np.linalg.lstsq(columns, residuals, rcond=None)[0]
         if solution[-1] < -self.cohesion:
             residuals, columns = residuals + self.cohesion * columns[:, -1], columns[:, :-1]
             solution = np.linalg.lstsq(columns, residuals, rcond=None)[0]
         size = float(np.sqrt(np.square(residuals - columns @ solution).mean()))
-        hip = len(x) + 1
-        variance = WINDOWS_ALIKE * size**2 * np.linalg.pinv(columns.T @ columns)[hip, hip]
-        return float(solution[hip]), math.sqrt(variance), size
+        variance = WINDOWS_PER_RESIDUAL * size**2 * np.linalg.pinv(columns.T @ columns)[2, 2]
+        return float(solution[2]), math.sqrt(variance), size
 
     def at_scaled_forces(self, factors: Sequence[float]) -> list[float | None]:
-        """Angles as which forces larger by factors would be read [deg]; ``None`` outside the law.
+        """φ by forces that are larger by factors [deg]; ``None`` outside the law.
 
-        On a coarse grid of angles and cohesions, at the shift of the forces as they are; what the
-        grid reads these wrong by is taken off.
+        φ is read from a coarse grid of angles and cohesions, at the shift of the unscaled forces.
+        The error of that grid for the unscaled forces is taken off.
         """
         cohesions, (low, high) = self._cohesions[::EACH_COHESION], np.ravel(self.ends)
         phi, fine_phi = np.linspace(low, high, COARSE), np.linspace(low, high, FINE)
         forces = [self._forces(phi[:, None], cohesion) for cohesion in cohesions.tolist()]
-        of_records = [np.concatenate(each) for each in zip(*forces, strict=True)]
-        unit = (self._means(of_records, self.shift_deg) / self.span).reshape(
-            -1, COARSE, len(self.data)
-        )
-        data = self.data / self.span
-        # Over φ the logarithm of the size changes evenly, and so does the likeness of the shape.
-        size = np.linalg.norm(unit, axis=2)
+        by_record = [np.concatenate(each) for each in zip(*forces, strict=True)]
+        curves = self._means(by_record, self.shift_deg) / self.span
+        curves, data = curves.reshape(-1, COARSE, len(self.data)), self.data / self.span
+        # With |g| the size of a curve and s = g'd / |g| its likeness to the data, the squared
+        # residual at a factor f is d'd − 2 s |g| / f + (|g| / f)². ln |g| and s are nearly linear
+        # over φ between the angles of the grid.
+        size = np.linalg.norm(curves, axis=2)
         size, likeness = (
             np.array([np.interp(fine_phi, phi, row) for row in rows])
-            for rows in (np.log(size), unit @ data / size)
+            for rows in (np.log(size), curves @ data / size)
         )
-        read = []
+        angles = []
         for factor in (1.0, *factors):
             scaled = np.exp(size) / factor
             squares = (data @ data - 2.0 * scaled * likeness + scaled**2) / len(data)
@@ -606,26 +590,24 @@ class Likelihood:
                 along, fine = self._even_steps(cohesions)
                 c, weight = self._likely_cohesions(fine, np.interp(fine, along, np.sqrt(best)) ** 2)
                 angle = np.interp(np.log1p(weight @ c / EVENLY), along, angle)
-            read.append(float(np.squeeze(angle)))
-        angles = [float(self.least_squares[0]) + angle - read[0] for angle in read[1:]]
-        first = self.records[0]
-        law_angles = [phi + float(self.offset(first, np.array(phi))) for phi in angles]
-        return [
-            angle if self.low[0] <= law_angle <= self.high[0] else None
-            for angle, law_angle in zip(angles, law_angles, strict=True)
-        ]
+            angles.append(np.squeeze(angle))
+        answers = self.least_squares[0] + np.array(angles[1:]) - angles[0]
+        by_law = answers + self.offset(self.records[0], answers)
+        in_range = (self.low[0] <= by_law) & (by_law <= self.high[0])
+        return [phi if ok else None for phi, ok in zip(answers.tolist(), in_range, strict=True)]
 
     @property
     def ends(self) -> tuple[FloatArray, FloatArray]:
-        """Least and largest angle that is looked at: up to 12° beyond the library, [key]."""
+        """Least and largest φ of the fit, up to 12° outside the law, [1]."""
         low, high = self.low - BEYOND_DEG, self.high + BEYOND_DEG
         return np.maximum(low, LIMITS_DEG[0]), np.minimum(high, LIMITS_DEG[1])
 
     @cached_property
     def beyond(self) -> tuple[float, float] | None:
-        """Where φ lies if no angle within 12° of the library fits [deg]; ``None`` if one does.
+        """Range of φ if no angle within 12° of the law fits [deg]; ``None`` if one does.
 
-        None fits if the best curve ends at the bound, or would have to be three times as large.
+        No angle fits if the best curve ends at the bound, or differs from the data by a factor of
+        :data:`FAR_OFF`.
         """
         best, low, high = (float(x[0]) for x in (self.least_squares, self.low, self.high))
         least, most = (float(end[0]) for end in self.ends)
@@ -762,9 +744,9 @@ class Likelihood:
 
     @cached_property
     def _weights(self) -> FloatArray:
-        """Weights c of each parameter at the best point, shape [key, n] [unit/N]."""
+        """Weights c of φ at the best point [deg/N], shape [1, n]."""
         slope, shift = self._best.slope.copy(), np.abs(self.shift_deg)
-        # What is at a bound is not fitted.
+        # A shift at its bound is not fitted.
         slope[0, :, 1:] *= shift < self._most_shift
         return weights(slope, self._weight[None])[0][0, :1]
 
@@ -775,16 +757,16 @@ class Likelihood:
 
     @cached_property
     def _variance(self) -> FloatArray:
-        """Covariance V of the parameters, shape [key, key]."""
+        """Variance V of φ [deg²], shape [1, 1]."""
         return np.asarray(self._weights @ self.covariance @ self._weights.T)
 
     def __call__(self, x: FloatArray) -> FloatArray:
-        """Log-likelihood up to a constant, shape [k, key] -> [k]."""
-        apart = (
-            x - self.least_squares if self.measured
-            else (self.curves(x) - self.data) @ self._weights.T
-        )  # fmt: skip
-        return np.asarray(-0.5 * ((apart @ np.linalg.pinv(self._variance)) * apart).sum(axis=1))
+        """Log-likelihood up to a constant, shape [k, 1] -> [k]."""
+        deviation = x - self.least_squares
+        if not self.measured:
+            deviation = (self.curves(x) - self.data) @ self._weights.T
+        precision = np.linalg.pinv(self._variance)
+        return np.asarray(-0.5 * (deviation @ precision * deviation).sum(axis=1))
 
     def chi2(self, x: FloatArray) -> float:
         """Squared residual at a point, over all terms [-]."""
@@ -793,7 +775,7 @@ class Likelihood:
 
     @property
     def sd(self) -> FloatArray:
-        """Standard deviation of each parameter from all terms, [key]."""
+        """Standard deviation of φ by all terms [deg], [1]."""
         return np.sqrt(np.diag(self._variance))
 
     def budget(self) -> dict[str, float]:

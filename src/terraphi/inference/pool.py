@@ -1,21 +1,21 @@
-r"""Footfalls together: a map of φ along the path, with what is shared by all of them.
+r"""Footfalls together: a map of φ along the path, with the errors that all of them share.
 
-Each footfall gives φ̂_i = φ(x_i) + S_i (θ − θ₀) + e_i, with the sensitivities S_i of its fit to what
-all share, θ: errors of the sensors, density, surface friction, radius, law. φ is a Gaussian
-process over the ground with an unknown mean; e has the fit's standard deviation. Everything is
-linear and normal, so the posterior of φ and θ is exact given the process's amplitude and length,
-which maximise their marginal posterior. An anchor, φ as a shear test found it on a stretch of the
-path, is one more observation, with S = 0.
+Footfall i at the place x_i has φ̂_i = φ(x_i) + S_i (θ − θ₀) + e_i. S_i is the sensitivity of its fit
+to the errors θ that all footfalls share: of the sensors, the density, the surface friction, the
+radius and the law. φ is a Gaussian process over the ground with an unknown mean, and e_i has the
+standard deviation of the fit. Everything is linear and normal, so the posterior of φ and θ is exact
+at given amplitude and length of the process, which maximize their marginal posterior. An anchor, φ
+by a shear test on a stretch of the path, is one more observation, with S = 0.
 
-What footfalls share is taught by them in one thing: gains and friction that differ from leg to leg
-while the soil does not, by :data:`~terraphi.inference.touchdowns.MOST_FITTED` footfalls at most.
-They do not teach soil, foot and law: a wrong slope of the law differs from another field in nothing
-but the field's prior. So θ otherwise keeps its prior and moves the map as a whole, until there is
-an anchor: a cut posterior.
+Of θ, footfalls determine gains and frictions of the joints only, which differ from leg to leg while
+the soil does not; :data:`~terraphi.inference.touchdowns.MOST_FITTED` footfalls are used at most.
+They do not determine soil, foot and law: a wrong slope of the law and another field of φ have equal
+likelihoods. So the other θ keep their prior and move the map as a whole, until there is an anchor:
+a cut posterior.
 
-Two bands come out. **Relative**: places of one walk compared with each other. What θ adds to all
-alike cancels; what differs from foot to foot, with the sinkage or with φ itself counts.
-**Absolute**: all that is shared is uncertain.
+The result has two intervals. **Relative**: places of one walk compared with each other. An error
+that θ adds to all places cancels; what differs from foot to foot, with the sinkage or with φ
+remains. **Absolute**: all shared errors count.
 """
 
 from __future__ import annotations
@@ -32,26 +32,25 @@ from terraphi.experiment.files import number_with_sd, plain_number
 from terraphi.inference.touchdowns import MOST_FITTED, PHI_RANGE, TORQUES, evenly
 
 MEDIANS, LOG_SD = (1.5, 1.0), 0.7
-"""Of the process's amplitude [deg] and length [m]: medians, and the standard deviation of the
-logarithm of each: a factor of 2 either way (chosen)."""
+"""Prior of the process's amplitude [deg] and length [m]: medians, and the standard deviation of the
+logarithms, a factor of 2 either way (chosen)."""
 ANCHOR_POINTS = 9
 """Points that stand for an anchor's stretch."""
 MOST = 6000
 """Footfalls that are pooled at most, evenly chosen: memory grows with the square."""
-
 LONGEST_PATH = 1e6
 """End of an anchor that names no stretch [m]."""
 
 
 class Anchor(NamedTuple):
-    """A friction angle known on a stretch of the path.
+    """A measured friction angle on a stretch of the path.
 
     Attributes
     ----------
     begin, end
         Along the axis [m].
     phi_deg, sd_deg
-        What is known there [deg].
+        Friction angle there and its standard deviation [deg].
     axis
         ``x``, ``y`` in the frame of the log's start, or ``s`` along the path.
     """
@@ -97,8 +96,8 @@ class Anchor(NamedTuple):
                 f"anchor {self.axis}={self.begin:g}:{self.end:g}: the path has {self.axis} "
                 f"from {along.min():.2f} to {along.max():.2f} m; name a stretch of it"
             )
-        some = np.unique(np.linspace(0, len(inside) - 1, ANCHOR_POINTS).round().astype(int))
-        return path[inside[some], 1:]
+        chosen = np.unique(np.linspace(0, len(inside) - 1, ANCHOR_POINTS).round().astype(int))
+        return path[inside[chosen], 1:]
 
 
 class Pooled(NamedTuple):
@@ -107,16 +106,16 @@ class Pooled(NamedTuple):
     Attributes
     ----------
     phi, sd, shared_sd
-        Of each footfall by itself, with what is shared at its posterior mean [deg]: independent
-        and shared standard deviation; shape [footfall].
+        φ of each footfall by itself, with shared errors at their posterior mean, its independent
+        and its shared standard deviation [deg], shape [footfall].
     path_phi, path_relative_sd, path_absolute_sd
         On the path's points [deg], shape [point].
     shared
-        Mean and standard deviation of each of θ − θ₀, and what it adds to the mean φ's uncertainty
-        [deg], shape [3, shared].
+        Mean and standard deviation of θ − θ₀, and the standard deviation of the mean φ by it [deg],
+        shape [3, shared].
     surprise
-        How far each anchor is from what footfalls and law give without it, or from the result if
-        that is more, in standard deviations [-].
+        Distance of each anchor from the map without it, or from the result if that is more, in
+        standard deviations [-].
     field
         Amplitude and length of the process [deg], [m], and e, root mean square [deg].
     """
@@ -133,7 +132,7 @@ class Pooled(NamedTuple):
 
 
 class Observed(NamedTuple):
-    """Footfalls to pool: φ̂ [deg], its own sd [deg], S [footfall, shared], place [footfall, 2]."""
+    """Footfalls to pool: φ̂ [deg], its sd [deg], S [footfall, shared], place [footfall, 2] [m]."""
 
     phi: FloatArray
     sd: FloatArray
@@ -159,13 +158,13 @@ def covariance(
     a: FloatArray, b: FloatArray, amplitude: float, length: float, mean_sd: float
 ) -> FloatArray:
     """Matérn covariance of smoothness 5/2 between places [m], with the unknown mean's [deg²]."""
-    apart = np.sqrt(((a[:, None] - b[None]) ** 2).sum(axis=-1)) * (math.sqrt(5.0) / length)
-    shape = (1.0 + apart + apart**2 / 3.0) * np.exp(-apart)
+    distance = np.sqrt(((a[:, None] - b[None]) ** 2).sum(axis=-1)) * (math.sqrt(5.0) / length)
+    shape = (1.0 + distance + distance**2 / 3.0) * np.exp(-distance)
     return np.asarray(amplitude**2 * shape + mean_sd**2)
 
 
 def pool(
-    seen: Observed,
+    footfalls: Observed,
     shared: Normal,
     path: FloatArray,
     anchors: Sequence[tuple[Anchor, FloatArray]],
@@ -177,81 +176,86 @@ def pool(
 
     Parameters
     ----------
-    seen
+    footfalls
         The usable footfalls, one or more.
     shared
-        Prior of θ − θ₀, of what they share.
+        Prior of θ − θ₀.
     path
         Points of the map [m], shape [point, 2].
     anchors
         Each with the points that stand for its stretch [m], shape [any, 2].
     mean, mean_sd
-        Of φ before anything is seen, and its standard deviation [deg].
+        Prior mean and standard deviation of φ [deg].
     """
     from scipy.linalg import block_diag
 
-    part = evenly(seen, MOST_FITTED)
-    torques = part.shared * (np.arange(part.shared.shape[1]) < TORQUES)
-    amplitude, length = _learned(part, torques, shared, mean, mean_sd)
+    # 1. Amplitude and length of the process, and errors of the torques, by some footfalls.
+    subset = evenly(footfalls, MOST_FITTED)
+    torques = subset.shared * (np.arange(subset.shared.shape[1]) < TORQUES)
+    amplitude, length = _learned(subset, torques, shared, mean, mean_sd)
     field = amplitude, length, mean_sd
-    off = part.phi - mean - (part.shared - torques) @ shared.mean
-    shared = shared.given(off, torques, _observed(part, field))
-    kept, stretches = evenly(seen, MOST), [points for _, points in anchors]
-    # Rows: the path's points, then each anchor's stretch as the mean of its points.
+    residual = subset.phi - mean - (subset.shared - torques) @ shared.mean
+    shared = shared.given(residual, torques, _observed(subset, field))
+    # 2. Averages of φ given θ: the path's points, then each anchor's stretch as the mean of its
+    # points. Their mean is phi − sensitivity (θ − θ₀), by the footfalls.
+    subset, stretches = evenly(footfalls, MOST), [points for _, points in anchors]
     means = [np.full((1, len(points)), 1.0 / len(points)) for points in stretches]
     average = block_diag(np.eye(len(path)), *means)
-    # Posterior mean and covariance of these averages of φ, and their S, θ known.
     places = np.concatenate([path, *stretches])
-    lower = np.asarray(np.linalg.cholesky(_observed(kept, field)))
-    half = _solve(lower, (average @ covariance(places, kept.place, *field)).T)
-    weights = half.T @ _solve(lower, np.column_stack([kept.phi - mean, kept.shared]))
-    before = average @ covariance(places, places, *field) @ average.T
-    found, spread, moves = mean + weights[:, 0], before - half.T @ half, weights[:, 1:]
-    apart = (moves - moves[: len(path)].mean(axis=0))[: len(path)]
-    relative = np.diag(spread)[: len(path)] + _spread(apart, shared.covariance)
-    # φ = found − moves (θ − θ₀): anchors are seen now, footfalls have been.
+    lower = np.asarray(np.linalg.cholesky(_observed(subset, field)))
+    half = _solve(lower, (average @ covariance(places, subset.place, *field)).T)
+    weights = half.T @ _solve(lower, np.column_stack([subset.phi - mean, subset.shared]))
+    prior = average @ covariance(places, places, *field) @ average.T
+    phi, sensitivity, spread = mean + weights[:, 0], weights[:, 1:], prior - half.T @ half
+    points = len(path)
+    differences = (sensitivity - sensitivity[:points].mean(axis=0))[:points]
+    relative = np.diag(spread)[:points] + _spread(differences, shared.covariance)
+    # 3. The joint distribution of these averages and θ, then given the anchors.
     theta = shared.covariance
-    whole = np.block(
-        [[spread + moves @ theta @ moves.T, -moves @ theta], [-theta @ moves.T, theta]]
+    joint_covariance = np.block([
+        [spread + sensitivity @ theta @ sensitivity.T, -sensitivity @ theta],
+        [-theta @ sensitivity.T, theta],
+    ])  # fmt: skip
+    before = Normal(
+        np.concatenate([phi - sensitivity @ shared.mean, shared.mean]), joint_covariance
     )
-    free = Normal(np.concatenate([found - moves @ shared.mean, shared.mean]), whole)
-    known, sure = np.array([(a.phi_deg, a.sd_deg) for a, _ in anchors]).reshape(-1, 2).T
-    rows = np.eye(len(found), len(whole))[len(path) :]
-    held = free.given(known, rows, np.diag(sure**2))
-    before_sd = np.sqrt(np.diag(rows @ free.covariance @ rows.T) + sure**2)
+    measured, sd = np.array([(a.phi_deg, a.sd_deg) for a, _ in anchors]).reshape(-1, 2).T
+    rows = np.eye(len(phi), len(joint_covariance))[points:]
+    after = before.given(measured, rows, np.diag(sd**2))
+    before_sd = np.sqrt(np.diag(rows @ before.covariance @ rows.T) + sd**2)
     surprise = np.maximum(
-        np.abs(known - rows @ free.mean) / before_sd, np.abs(known - rows @ held.mean) / sure
+        np.abs(measured - rows @ before.mean) / before_sd, np.abs(measured - rows @ after.mean) / sd
     )
-    centre = held.mean[len(found) :]
-    left = held.covariance[len(found) :, len(found) :]
-    each = np.sqrt(np.diag(left).clip(0.0))
-    # Of a place compared with others of the walk: what is added to all alike is shared.
-    unlike = _spread(seen.shared - seen.shared.mean(axis=0), left)
+    # 4. Each footfall by itself. Between places of one walk an error that is equal at all of them
+    # cancels; the differences of the sensitivities remain.
+    centre, theta = after.mean[len(phi) :], after.covariance[len(phi) :, len(phi) :]
+    theta_sd = np.sqrt(np.diag(theta).clip(0.0))
+    differing = _spread(footfalls.shared - footfalls.shared.mean(axis=0), theta)
     return Pooled(
-        phi=seen.phi - seen.shared @ centre,
-        sd=np.sqrt(seen.sd**2 + unlike),
-        shared_sd=np.sqrt((_spread(seen.shared, left) - unlike).clip(0.0)),
-        path_phi=held.mean[: len(path)],
+        phi=footfalls.phi - footfalls.shared @ centre,
+        sd=np.sqrt(footfalls.sd**2 + differing),
+        shared_sd=np.sqrt((_spread(footfalls.shared, theta) - differing).clip(0.0)),
+        path_phi=after.mean[:points],
         path_relative_sd=np.sqrt(relative.clip(0.0)),
-        path_absolute_sd=np.sqrt(np.diag(held.covariance)[: len(path)].clip(0.0)),
-        shared=np.stack([centre, each, np.abs(seen.shared.mean(axis=0)) * each]),
+        path_absolute_sd=np.sqrt(np.diag(after.covariance)[:points].clip(0.0)),
+        shared=np.stack([centre, theta_sd, np.abs(footfalls.shared.mean(axis=0)) * theta_sd]),
         surprise=surprise,
         field={
             "amplitude_deg": amplitude, "length_m": length,
-            "scatter_deg": float(np.sqrt(np.mean(seen.sd**2))),
+            "scatter_deg": float(np.sqrt(np.mean(footfalls.sd**2))),
         },
     )  # fmt: skip
 
 
 def _spread(rows: FloatArray, matrix: FloatArray) -> FloatArray:
-    """Variance of each row's product with something of that covariance."""
+    """Variance of each row's product with a vector of that covariance."""
     return np.asarray(np.einsum("ni,ij,nj->n", rows, matrix, rows).clip(0.0))
 
 
-def _observed(seen: Observed, field: tuple[float, float, float]) -> FloatArray:
-    """Covariance of footfalls, the quantities that they share known [deg²]."""
-    matrix = covariance(seen.place, seen.place, *field)
-    matrix[np.diag_indices(len(matrix))] += seen.sd**2
+def _observed(footfalls: Observed, field: tuple[float, float, float]) -> FloatArray:
+    """Covariance of footfalls at given θ [deg²]."""
+    matrix = covariance(footfalls.place, footfalls.place, *field)
+    matrix[np.diag_indices(len(matrix))] += footfalls.sd**2
     return matrix
 
 
@@ -262,26 +266,25 @@ def _solve(lower: FloatArray, right: FloatArray) -> FloatArray:
 
 
 def _learned(
-    seen: Observed, torques: FloatArray, shared: Normal, mean: float, mean_sd: float
+    footfalls: Observed, torques: FloatArray, shared: Normal, mean: float, mean_sd: float
 ) -> tuple[float, float]:
     """Amplitude and length at the maximum of their marginal posterior."""
     from scipy.optimize import minimize
 
-    left = seen.phi - mean - seen.shared @ shared.mean
+    residual = footfalls.phi - mean - footfalls.shared @ shared.mean
     common = torques @ shared.covariance @ torques.T
 
-    def surprise(logs: FloatArray) -> float:
+    def cost(logs: FloatArray) -> float:
         amplitude, length = np.exp(logs) * MEDIANS
-        lower = np.asarray(
-            np.linalg.cholesky(_observed(seen, (amplitude, length, mean_sd)) + common)
-        )
-        half = _solve(lower, left)
+        matrix = _observed(footfalls, (amplitude, length, mean_sd)) + common
+        lower = np.asarray(np.linalg.cholesky(matrix))
+        half = _solve(lower, residual)
         prior = ((logs / LOG_SD) ** 2).sum()
         return float(0.5 * (half @ half + prior) + np.log(np.diag(lower)).sum())
 
     corners = LOG_SD * np.eye(3, 2)
     best = minimize(
-        surprise, corners[2], method="Nelder-Mead",
+        cost, corners[2], method="Nelder-Mead",
         options={"xatol": 0.02, "fatol": 0.01, "maxiter": 150, "initial_simplex": corners},
     )  # fmt: skip
     amplitude, length = (np.exp(best.x) * MEDIANS).tolist()

@@ -127,14 +127,9 @@ class _Press:
         return np.asarray(shape + (FLOOR * self.force.max()) ** 2 * np.eye(self.z.size))
 
     @property
-    def noise_covariance(self) -> FloatArray:
-        """Covariance of the noise [N²], shape [n, n]."""
-        return np.asarray(self.noise**2 * np.eye(self.z.size))
-
-    @property
     def error(self) -> FloatArray:
         """Covariance of the course and of the noise [N²], shape [n, n]."""
-        return self.course + self.noise_covariance
+        return np.asarray(self.course + self.noise**2 * np.eye(self.z.size))
 
     @property
     def compaction_sd(self) -> float:
@@ -274,8 +269,6 @@ def _budget(press: _Press, fit: _Fit, density_sd: float) -> dict[str, float]:
         "rectangle": 0.5 * math.log(press.tool.over_disc) * fit.model,
     }
     sds = {name: abs(float(fit.row @ error)) for name, error in errors.items()}
-    for name, covariance in (("model: course", press.course), ("noise", press.noise_covariance)):
-        sds[name] = math.sqrt(float(fit.row @ covariance @ fit.row))
     # By fits anew: a disc bears at once where it touches, which is not linear in the contact.
     higher, lower = (
         _fit(
@@ -284,6 +277,8 @@ def _budget(press: _Press, fit: _Fit, density_sd: float) -> dict[str, float]:
         for z in (press.contact_sd, -press.contact_sd)
     )
     return ordered_budget(sds | {
+        "model: course": math.sqrt(float(fit.row @ press.course @ fit.row)),
+        "noise": press.noise * float(np.linalg.norm(fit.row)),
         "contact": 0.5 * abs(higher - lower),
         "contraction": math.sqrt(float(fit.chance @ (fit.phi - fit.mean_deg) ** 2)),
         "model: compaction": press.compaction_sd * math.sqrt(float(fit.chance @ COMPACT)),

@@ -99,7 +99,7 @@ def is_shared(name: str, sharers: Sequence[Sharer]) -> BoolArray:
 
 def ordered_budget(sds: Mapping[str, float]) -> dict[str, float]:
     """Standard deviations of φ by term [deg], the largest first and the negligible left out."""
-    least = SMALLEST * max(sds.values())
+    least = SMALLEST * max(sds.values(), default=0.0)
     ordered = sorted(sds.items(), key=lambda item: -item[1])
     return {name: sd for name, sd in ordered if term(name) and sd > least}
 
