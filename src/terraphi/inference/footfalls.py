@@ -23,6 +23,7 @@ from terraphi.experiment.results import Result, Variable
 from terraphi.experiment.tables import write_csv
 from terraphi.inference.pool import Anchor, Normal, Observed, Pooled, pool
 from terraphi.inference.records import density_doubts
+from terraphi.inference.terms import TERMS
 from terraphi.inference.touchdowns import (
     FEWEST,
     MOST_FITTED,
@@ -586,10 +587,12 @@ def _shared_summary(pooled: Pooled, prior: Prior) -> dict[str, Any]:
     for name, part in (("torque_gain", slice(12)), ("joint_friction_Nm", slice(12, TORQUES))):
         mean, sd, terms = pooled.shared[:, part]
         worth = float(np.sqrt((terms**2).sum()))
-        shared[name] = {"mean": mean.tolist(), "sd": sd.tolist(), "worth_deg": worth}
+        shared[name] = {"mean": mean.tolist(), "sd": sd.tolist(), "worth_deg": worth,
+                        "source": TERMS[name].source}  # fmt: skip
     rows = pooled.shared[:, TORQUES:].T.tolist()
     for (name, (centre, _)), (off, sd, worth) in zip(prior.shared().items(), rows, strict=True):
-        shared[name] = {"mean": centre + off, "sd": sd, "worth_deg": worth}
+        shared[name] = {"mean": centre + off, "sd": sd, "worth_deg": worth,
+                        "source": TERMS[name].source}  # fmt: skip
     return shared | {"field": pooled.field}
 
 

@@ -68,6 +68,17 @@ TERMS: dict[str, Term] = {
     "contact": Term("assumed", "record"),
     "depth": Term("assumed", "record"),
     "grain size": Term("learned", "record"),
+    # A walk, by the names of a map's errors that all its footfalls share.
+    "torque_gain": Term("learned", "leg", fixed=True),
+    "joint_friction_Nm": Term("learned", "leg", fixed=True),
+    "odometry_drop": Term("assumed", "rig"),
+    "foot_radius_mm": Term("given", "rig", fixed=True),
+    "density_kg_m3": Term("given", "soil"),
+    "surface_friction": Term("assumed", "law"),
+    "law_offset_deg": Term("learned", "law"),
+    "law_exponent": Term("learned", "law"),
+    "law_slope": Term("learned", "law"),
+    "other_law": Term("assumed", "law"),
     # Joint answers.
     "disagreement": Term("learned", "record"),
 }
