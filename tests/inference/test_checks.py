@@ -160,7 +160,7 @@ def test_the_option_that_is_offered_mends_the_record(
     columns = {"theta": theta * history.theta_deg, "Fx": fx * history.Fx, "Fz": fz * history.Fz}
     answer = invert(pd.DataFrame(columns), **options)
     assert answer.verdict != "consistent"
-    [offer] = [one for one in answer.warnings if "would fit" in one]
+    [offer] = [sentence for sentence in answer.warnings if "would fall" in sentence]
     remedy = offer.partition("--columns ")[2].partition(":")[0]
     if not remedy:  # the C's shape does not determine the size of its forces
         assert "unit=mN" in offer
@@ -191,7 +191,7 @@ def test_a_turned_load_cell_is_named_with_its_angle(name: str, angle: float) -> 
     answer = invert(table, **options)
     assert answer.verdict != "consistent"
     [offer] = advice(answer)
-    offered = offer.partition("--columns ")[2].partition(")")[0]
+    offered = offer.partition("--columns ")[2].partition(":")[0]
     key, _, value = offered.partition("=")
     assert key == "sensor_angle_deg"
     assert float(value) == pytest.approx(angle, abs=10.0)
@@ -209,7 +209,7 @@ def test_a_wrong_scale_of_the_angle_is_named(scale: float) -> None:
     table = turned_cell(history, 0.0).assign(theta_deg=scale * history.theta_deg + 20.0)
     answer = invert(table, columns={"theta_offset_deg": -20.0}, **options)
     [offer] = advice(answer)
-    offered = offer.partition("--columns ")[2].partition(")")[0]
+    offered = offer.partition("--columns ")[2].partition(":")[0]
     pairs = {key: float(value) for key, _, value in (p.partition("=") for p in offered.split(","))}
     assert pairs["theta_scale"] == pytest.approx(1.0 / scale, rel=0.1)
     mended = invert(table, columns=pairs, **options)

@@ -256,7 +256,7 @@ def test_a_hip_that_the_forces_contradict_is_named(higher: float) -> None:
     table = true.forces.isel(phi_deg=0).to_series().unstack("force").reset_index()
     table.columns = ["theta_deg", "Fx_N", "Fz_N"]
     given = rig.model_copy(update={"hip_height_mm": 27.0 - higher})
-    named = [q for q in invert(table, rig=given, density=1650).warnings if "A hip" in q]
+    named = [q for q in invert(table, rig=given, density=1650).warnings if "fit a hip" in q]
     assert len(named) == (higher != 0.0)
     assert all(("higher" if higher > 0.0 else "lower") in sentence for sentence in named)
 
@@ -267,7 +267,7 @@ def test_the_hip_of_measured_records_is_not_doubted_and_a_wrong_one_is() -> None
     for hip, count in ((20.0, 0), (12.0, 1)):
         given = rig.model_copy(update={"hip_height_mm": hip})
         answer = invert(replace(known.history, provenance={}), rig=given, density=638)
-        assert sum("A hip" in sentence for sentence in answer.warnings) == count
+        assert sum("fit a hip" in sentence for sentence in answer.warnings) == count
 
 
 def test_many_keeps_the_order_and_the_errors() -> None:
@@ -341,8 +341,8 @@ def test_a_wrong_leg_that_fits_is_doubted_by_the_second_opinion() -> None:
         invert(record, rig="li2013", leg=leg, density=1650.0) for leg in ("straight", "reversed_c")
     )
     assert right.phi.median < 35.0 < 40.0 < wrong.phi.median
-    assert any("the leg" in question for question in wrong.warnings)
-    assert not any("the leg and" in question for question in right.warnings)
+    assert any(q.startswith("Resistive force theory") for q in wrong.warnings)
+    assert not any(q.startswith("Resistive force theory") for q in right.warnings)
 
 
 def test_an_angle_beyond_the_soils_that_were_learned_from_is_said() -> None:

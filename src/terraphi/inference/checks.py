@@ -1,8 +1,12 @@
-"""What looks wrong with a record: sensor faults before inference, units and signs after.
+"""Checks of a record: sensor faults before inference, and warnings after it.
 
-Faults that hide a few readings (dropouts, held values, spikes) are left out. Faults that shift many
-readings (a clipped top, a step, a force in air) are left in, since the right readings cannot be
-identified, and make any answer a misfit. A doubt is a sentence with one remedy.
+Readings with faults that hide the force (dropouts, held values, spikes) are left out. Faults that
+shift many readings (a clipped top, a step, a force in air) stay, since the right readings cannot be
+identified, and make any answer a misfit.
+
+A misfit is searched for its cause: the residual of the record is minimized over φ and the shift of
+the leg angle for each leg of the law and each other reading of the columns (:class:`Reading`). The
+verdict and the advice read that one table. A warning is a sentence with one remedy.
 """
 
 from __future__ import annotations
@@ -17,18 +21,26 @@ import numpy as np
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.baseline import OFFSET
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.history import CHANNEL_UNITS, FORCES, OBSERVATION_ANGLES, WINDOW_DEG
+from terraphi.experiment.history import (
+    CHANNEL_UNITS,
+    FORCES,
+    OBSERVATION_ANGLES,
+    WINDOW_DEG,
+    ForceHistory,
+)
 from terraphi.experiment.measurements import measurement
+from terraphi.experiment.priors import DENSITY
 from terraphi.experiment.reading import sensor_turn
 from terraphi.experiment.rig import AIR_MARGIN_DEG, Rig
 from terraphi.experiment.scenario import GRAVITY
+from terraphi.experiment.soil import plane_strain_friction_angle_deg
 from terraphi.experiment.units import FORCE
 from terraphi.forward.rft import to_plane_strain
 from terraphi.inference.answer import Estimate, RecordFit
 from terraphi.inference.likelihood import SHIFT_DEG, Likelihood, squared_residuals
-from terraphi.inference.records import Record, density_doubts
+from terraphi.inference.records import Record, density_warnings
 from terraphi.laws.law import LegLaw
-from terraphi.laws.legs import VARIED, law_of
+from terraphi.laws.legs import VARIED, LawOfLegs, law_of
 from terraphi.laws.store import Library, differences
 from terraphi.laws.theory import Theory
 
@@ -106,10 +118,9 @@ def without_faults(record: Record) -> Record:
     Raises
     ------
     InputError
-        If more than half of the readings are faulty.
+        If more than half of the readings are faulty, or a force is constant.
     """
-    theta, notes = record.history.theta_deg, []
-    damage: list[str] = []
+    theta, damage, notes = record.history.theta_deg, [], list(record.notes)
     forces = {name: record.history.channel(name) for name in record.channels}
     largest = {name: float(np.abs(force).max()) for name, force in forces.items()}
     of_forces = max((size for name, size in largest.items() if name != "M"), default=0.0)
@@ -125,23 +136,31 @@ def without_faults(record: Record) -> Record:
             "held values": _held(force, span),
             "spikes": _spikes(force, span, steps[name]),
         }
-        for what, found in faults.items():
-            if count := int(found.sum()):
-                low, high = theta[found][[0, -1]]
+        for kind, faulty in faults.items():
+            if count := int(faulty.sum()):
+                low, high = theta[faulty][[0, -1]]
                 readings = "1 reading" if count == 1 else f"{count} readings"
                 place = f"between {low:.1f} and {high:.1f}°" if high > low else f"at {low:.1f}°"
-                notes.append(f"{readings} of {name} left out as {what} {place}.")
-                bad |= found
+                notes.append(f"{readings} of {name} left out as {kind} {place}.")
+                bad |= faulty
     if bad.mean() > MOST_LEFT_OUT:
         raise InputError(
             f"{record.source}: {bad.mean():.0%} of the readings are faulty ({' '.join(notes)}); "
             "check the sensor and record again"
         )
     for name, force in forces.items():
-        kept, where = force[~bad], theta[~bad]
-        q = steps[name]
-        damage += filter(None, (_clipped(name, kept, where, q), _step(name, kept, where, q)))
-    return record.without(bad, notes, damage).binned().checked()
+        args = name, force[~bad], theta[~bad], steps[name]
+        damage += [sentence for sentence in (_clipped(*args), _step(*args)) if sentence]
+    sound = replace(
+        record, history=record.history.chosen(~bad), n_left_out=int(bad.sum()),
+        notes=tuple(notes), damage=(*record.damage, *damage),
+    ).binned()  # fmt: skip
+    for values, name in zip(sound.data, sound.channels, strict=True):
+        if np.ptp(values) <= 1e-9 * max(float(np.abs(sound.data).max()), 1e-300):
+            raise InputError(
+                f"{record.source}: {name} is the same at every angle; check the sensor"
+            )
+    return sound
 
 
 def _dropouts(force: FloatArray, all_zero: BoolArray, load: float, in_soil: BoolArray) -> BoolArray:
@@ -162,26 +181,26 @@ def _dropouts(force: FloatArray, all_zero: BoolArray, load: float, in_soil: Bool
 def _held(force: FloatArray, span: float) -> BoolArray:
     """Runs of equal readings under load that end with a jump, as of a value that was held."""
     changes = np.abs(np.diff(force))
-    found = np.zeros(len(force), dtype=bool)
-    some = changes[changes > 1e-12 * span]
-    quantum = float(some.min()) if some.size else span
+    held = np.zeros(len(force), dtype=bool)
+    quantum = float(min(changes[changes > 1e-12 * span], default=span))
     ends = np.flatnonzero(np.append(changes, np.inf) > 0.0)
     for first, last in zip(np.append(-1, ends[:-1]) + 1, ends, strict=True):
         long = last - first + 1 >= HELD and last + 1 < len(force)
-        inside = abs(force[first]) > LOADED * span and force.min() < force[first] < force.max()
-        if long and inside and changes[last] > JUMP * quantum:
-            found[first + 1 : last + 1] = True
-    return found
+        is_loaded = abs(force[first]) > LOADED * span
+        is_loaded &= bool(force.min() < force[first] < force.max())
+        if long and is_loaded and changes[last] > JUMP * quantum:
+            held[first + 1 : last + 1] = True
+    return held
 
 
 def _spikes(force: FloatArray, span: float, resolution: float) -> BoolArray:
     """Readings far from the median of their neighbours."""
     padded = np.pad(force, 3, mode="reflect")
     windows = np.lib.stride_tricks.sliding_window_view(padded, 7)
-    apart = np.abs(force - np.median(windows, axis=1))
-    usual = max(float(1.4826 * np.median(apart)), 1e-9 * span, resolution / np.sqrt(12.0))
+    distance = np.abs(force - np.median(windows, axis=1))
+    usual = max(float(1.4826 * np.median(distance)), 1e-9 * span, resolution / np.sqrt(12.0))
     scale = np.maximum(usual, 0.5 * np.median(np.abs(np.diff(windows, axis=1)), axis=1))
-    return np.asarray((apart > SPIKE * scale) & (apart > LARGE_SPIKE * span))
+    return np.asarray((distance > SPIKE * scale) & (distance > LARGE_SPIKE * span))
 
 
 def _clipped(name: str, force: FloatArray, theta: FloatArray, resolution: float) -> str:
@@ -204,8 +223,8 @@ def _clipped(name: str, force: FloatArray, theta: FloatArray, resolution: float)
         hidden = (last - first) * up * down / max(up + down, 1e-12)
         if hidden > HIDDEN * np.ptp(force) + ROUND * resolution:
             return (
-                f"{name} is cut off at {end:.3g} N between {first:.0f} and {last:.0f}°: check "
-                "whether the sensor saturated."
+                f"{name} stays at its extreme, {end:.3g} N, from {first:.0f} to {last:.0f}°: check "
+                "whether the sensor saturates."
             )
     return ""
 
@@ -229,7 +248,7 @@ def _step(name: str, force: FloatArray, theta: FloatArray, resolution: float) ->
         and abs(size) > max(20 * usual, 2.0 * resolution)
     ):
         place = theta[width - 1 + at]
-        return f"{name} jumps by {size:.2g} N at {place:.0f}°: repair the record or use another."
+        return f"{name} jumps by {size:.2g} N at {place:.0f}° and stays there: record it again."
     return ""
 
 
@@ -237,8 +256,8 @@ def _step(name: str, force: FloatArray, theta: FloatArray, resolution: float) ->
 
 
 def in_air(likelihood: Likelihood) -> list[str]:
-    """A sentence for each measured force that is not zero where the leg is in the air."""
-    found = []
+    """Warn of each measured force that is not zero where the leg is in the air."""
+    sentences = []
     for record, shift in zip(likelihood.records, likelihood.shift_deg, strict=True):
         first, last = shift + np.array(record.rig.air_deg())
         theta = record.history.theta_deg
@@ -247,19 +266,17 @@ def in_air(likelihood: Likelihood) -> list[str]:
             ("before the leg meets the soil", theta < first, OFFSET),
             ("after it has left the soil", theta > last, 2.0 * OFFSET),
         ):
-            for name in record.channels:
+            for name in record.channels if air.sum() >= 3 and not record.simulated else ():
                 values = record.history.channel(name)
-                if air.sum() < 3 or record.simulated:
-                    continue
                 # Soil that is met early is met more and more; an offset is there all the way.
                 size = float(np.quantile(np.abs(values[air]), 0.2))
                 size *= float(np.sign(np.median(values[air])))
                 if abs(size) > limit * np.ptp(values):
-                    found.append(
-                        f"{record.source}: {name} is {size:.2g} {CHANNEL_UNITS[name]} "
-                        f"{side}; tare the sensor, or check the leg."
+                    sentences.append(
+                        f"{record.source}: {name} is {size:.2g} {CHANNEL_UNITS[name]} in air, "
+                        f"{side}: tare the sensor, or check the leg."
                     )
-    return found
+    return sentences
 
 
 def warnings(
@@ -267,284 +284,358 @@ def warnings(
     fits: Sequence[RecordFit],
     phi: Estimate,
     verdict: str,
-    second: Mapping[str, Any] | None,
+    opinion: Mapping[str, Any] | None,
+    legs: Sequence[Sequence[Reading]],
+    air: Sequence[str],
 ) -> Iterator[str]:
     """Sentences on an answer, in the order of their consequence, the gravest first."""
-    records, law, air = likelihood.records, likelihood.library, in_air(likelihood)
+    records, law = likelihood.records, likelihood.library
     # The forces are wrong, whatever the soil.
-    yield from (f"{likelihood.prefix(one)}{text}" for one in records for text in one.damage)
+    yield from (f"{likelihood.prefix(r)}{text}" for r in records for text in r.damage)
     yield from air
     # Leg, columns, sizes or units may be others than stated.
     if not air:
-        yield from others(likelihood, misfit=verdict != "consistent")
-    apart = 0.0
-    if second and law.scenario.convention == "plane_strain":
-        apart = abs(second["median"] - phi.median)
-    if second and apart > FAR_APART_DEG:
-        yield (
-            f"Resistive force theory gives {second['median']:.0f}°, farther than for any record "
-            "whose leg is known: check the leg and the columns."
+        density = np.array(likelihood.density)
+        yield from densities(density, likelihood.density_sd * density)
+        for i, readings in enumerate(legs):
+            for sentence in misread(likelihood, i, readings, verdict):
+                yield f"{likelihood.prefix(records[i])}{sentence}"
+    separation_deg, theory = 0.0, ""
+    if opinion and law.convention == "plane_strain":
+        separation_deg = abs(opinion["median"] - phi.median)
+        theory = (
+            f"Resistive force theory gives {opinion['median']:.0f}°, {separation_deg:.0f}° from "
+            f"law {law.name}"
         )
-    for fit in fits if likelihood.measured else ():
+    if separation_deg > FAR_APART_DEG:
+        yield (
+            f"{theory}; with the right leg they are at most {FAR_APART_DEG:g}° apart: check the "
+            "leg and the columns."
+        )
+    if likelihood.measured:
+        yield from _displaced(likelihood, fits, verdict)
+    yield from _unusual(likelihood, phi, verdict)
+    # The angle or its interval rests on what was not measured.
+    if likelihood.disagreement_deg:
+        yield f"{theory} and outside both intervals: the interval is wider by that."
+    if likelihood.calibration is not None:
+        yield f"Calibrated with {likelihood.calibration}. The error of each soil remains."
+        yield from likelihood.calibration.warnings()
+    for i, record in enumerate(records):
+        yield from (f"{likelihood.prefix(record)}{text}" for text in _assumed(likelihood, i))
+        if i == 0:
+            yield from _moisture(likelihood)
+    if law.caveat:
+        yield f"Law {law.name}: {law.caveat}"
+    # What was done with the readings.
+    yield from (f"{likelihood.prefix(r)}{text}" for r in records for text in r.notes)
+
+
+def _displaced(likelihood: Likelihood, fits: Sequence[RecordFit], verdict: str) -> Iterator[str]:
+    """Warn of forces that come early or late, and of a hip of another height that fits better."""
+    for fit in fits:
         late = fit.shift_deg - likelihood.errors[fit.rig.leg].shift_deg
         if abs(late) > LARGE_SHIFT_DEG:
             yield (
                 f"{fit.source}: the forces come {abs(late):.0f}° "
-                f"{'later' if late > 0 else 'earlier'} than those of such a leg usually do; check "
-                "the zero of theta and the height of the hip."
+                f"{'later' if late > 0 else 'earlier'} than is usual for this leg: check the zero "
+                "of theta and the hip height."
             )
-    if likelihood.measured and verdict == "consistent":
-        yield from _other_hip(likelihood)
-    yield from _unusual(likelihood, phi, verdict)
-    # The angle or its interval rests on what was not measured.
-    if likelihood.disagreement_deg and second:
-        yield (
-            f"Resistive force theory gives {second['median']:.0f}°, {apart:.0f}° from {law.name} "
-            "and outside both intervals: the interval is wider by that."
-        )
-    if likelihood.calibration is not None:
-        yield f"Calibrated with {likelihood.calibration}. The error that each soil has remains."
-        yield from likelihood.calibration.warnings()
-    yield from guesses(likelihood)
-    if law.caveat:
-        yield f"Law {law.name}: {law.caveat}"
-    # What was done with the readings.
-    yield from (f"{likelihood.prefix(one)}{text}" for one in records for text in one.notes)
+    for i, record in enumerate(likelihood.records if verdict == "consistent" else ()):
+        higher, sd, size = likelihood.hip_error(i) or (0.0, 0.0, 1.0)
+        limit = max(HIP_MM, HIP_SURE * sd, UNUSUAL * record.rig.hip_height_sd_mm)
+        if size < HIP_RESIDUAL and abs(higher) > limit:
+            yield (
+                f"{likelihood.prefix(record)}The forces fit a hip {abs(higher):.0f} ± {sd:.0f} mm "
+                f"{'higher' if higher > 0 else 'lower'} than {record.rig.hip_height_mm:g} mm: "
+                "check the hip height and the leg length."
+            )
 
 
 def _unusual(likelihood: Likelihood, phi: Estimate, verdict: str) -> Iterator[str]:
-    """Sentences on an angle that the forces hardly determine, or that few soils have."""
+    """Warn of an angle that the forces hardly determine, or that few soils have."""
     if likelihood.sd[0] > np.ptp(likelihood.ends) / np.sqrt(12.0):
         yield "The forces carry almost no information on φ: the posterior equals the prior."
-    for leg, error in likelihood.errors.items() if verdict == "consistent" else ():
-        ends = error.phi_deg if likelihood.measured else None
-        if ends and not ends[0] <= phi.median <= ends[1]:
+    is_measured = likelihood.measured
+    for leg, error in likelihood.errors.items() if verdict == "consistent" and is_measured else ():
+        if error.phi_deg and not error.phi_deg[0] <= phi.median <= error.phi_deg[1]:
             yield (
-                f"φ = {phi.median:.1f}° lies outside {ends[0]:.1f} to {ends[1]:.1f}°, where the "
-                f"offset of leg {leg} was learned: its error there is "
-                f"{error.offset_sd_at(phi.median):.1f}°."
+                f"φ = {phi.median:.1f}° lies outside {error.phi_deg[0]:.1f} to "
+                f"{error.phi_deg[1]:.1f}°, where the offset of leg {leg} was learned: the error of "
+                f"the offset there is {error.offset_sd_at(phi.median):.1f}°."
             )
     low, high = USUAL_DEG
-    if likelihood.measured and not low <= phi.median <= high:
+    if is_measured and not low <= phi.median <= high:
         yield (
-            f"φ = {phi.median:.0f}° is unusual for dry soil ({low:g} to {high:g}°): check density, "
-            "unit of force and leg."
+            f"φ = {phi.median:.0f}° is unusual for dry soil ({low:g} to {high:g}°): check the "
+            "density, the unit of force and the leg."
         )
 
 
-def guesses(likelihood: Likelihood) -> Iterator[str]:
-    """Sentences on what an answer takes for granted of its records."""
-    for i, record in enumerate(likelihood.records):
-        density, part = likelihood.density[i], likelihood.coverage[i]
-        name = likelihood.prefix(record)
-        spacing = float(np.median(np.diff(record.history.theta_deg)))
-        if spacing > 2.0 * WINDOW_DEG / (OBSERVATION_ANGLES - 1):
-            yield f"{name}The readings are {spacing:.0f}° apart; peaks between them are missed."
-        known = "hip height" in likelihood.terms
-        if likelihood.measured and record.rig.hip_height_sd_mm > 0.0 and not known:
-            yield (
-                f"{name}The ± {record.rig.hip_height_sd_mm:g} mm of the hip's height are not in "
-                f"this interval: law {likelihood.library.name} does not have their effect."
-            )
-        if part.share < NEARLY_ALL and likelihood.measured:
-            ends = np.clip(record.history.theta_deg[[0, -1]], -WINDOW_DEG, WINDOW_DEG)
-            low, high = ends.round() + 0.0
-            yield (
-                f"{name}The record covers {low:.0f} to {high:.0f}° of ±{WINDOW_DEG:g}°, with "
-                f"{part.share:.0%} of the information on φ of a whole stroke."
-            )
-        if record.grain_size_mm and not likelihood.of_size_deg(record):
-            yield f"{name}Law {likelihood.library.name} does not know what large grains add."
-        grown = likelihood.of_size_deg(record)
-        if abs(grown) > 0.05:
-            yield (
-                f"{name}For grains of {record.grain_size_mm:g} mm, the angle that this leg reads "
-                f"is corrected by {-grown:+.1f}°."
-            )
-        per_mm = likelihood.of_size_deg(replace(record, grain_size_mm=1.0))
-        if not record.grain_size_mm and per_mm > OF_SIZE_DEG:
-            yield (
-                f"{name}The grains are taken as fine: each mm of their diameter adds "
-                f"{per_mm:.1f}° on this leg; give --grain-size."
-            )
-        cohesive = any(law.most_cohesion for law in likelihood.laws)
-        if record.simulated and record.scenario is None and cohesive:
-            yield f"{name}Simulated without a scenario: the soil is taken as dry."
-        if i == 0 and (sentence := _moisture(likelihood)):
-            yield sentence
-        doubts = density_doubts(density) if likelihood.measured else []
-        if (
-            doubts
-            and record.measurement
-            and measurement(record.measurement).density_kg_m3 == density
-        ):
-            doubts = []  # the seeds of Li et al. are light
-        yield from (f"{name}{doubt}" for doubt in doubts)
-        if record.density_kg_m3 is None or record.density_assumed:
-            yield (
-                f"{name}The density {density:g} kg/m³ is assumed; an error of 10 % moves φ by "
-                "about 1°."
-            )
+def _assumed(likelihood: Likelihood, i: int) -> Iterator[str]:
+    """Sentences on what an answer assumes of a record."""
+    record, law, density = likelihood.records[i], likelihood.library, likelihood.density[i]
+    rig, share, grains = record.rig, likelihood.coverage[i].share, record.grain_size_mm
+    spacing = float(np.median(np.diff(record.history.theta_deg)))
+    window_deg = 2.0 * WINDOW_DEG / (OBSERVATION_ANGLES - 1)
+    if spacing > window_deg:
+        yield (
+            f"The readings are {spacing:.0f}° apart and miss peaks between them: record one at "
+            f"least every {window_deg:.0f}°."
+        )
+    if likelihood.measured and rig.hip_height_sd_mm > 0.0 and "hip height" not in likelihood.terms:
+        yield (
+            f"The interval leaves out the ± {rig.hip_height_sd_mm:g} mm of the hip height, whose "
+            f"effect law {law.name} lacks."
+        )
+    if share < NEARLY_ALL and likelihood.measured:
+        ends = np.clip(record.history.theta_deg[[0, -1]], -WINDOW_DEG, WINDOW_DEG)
+        low, high = ends.round() + 0.0
+        yield (
+            f"The record covers {low:.0f} to {high:.0f}° of ±{WINDOW_DEG:g}° and has "
+            f"{100.0 * share:.0f} % of the information on φ of a whole stroke."
+        )
+    of_size_deg = likelihood.of_size_deg(record)
+    if grains and not of_size_deg:
+        yield f"Law {law.name} has no correction for large grains."
+    elif abs(of_size_deg) > 0.05:
+        yield f"φ is corrected by {-of_size_deg:+.1f}° for grains of {grains:g} mm."
+    per_mm = likelihood.of_size_deg(replace(record, grain_size_mm=1.0))
+    if not grains and per_mm > OF_SIZE_DEG:
+        yield (
+            f"Fine grains are assumed: each mm of grain diameter raises φ by {per_mm:.1f}° on this "
+            "leg; give --grain-size."
+        )
+    if record.simulated and record.scenario is None and likelihood.laws[i].most_cohesion:
+        yield "The simulated forces have no scenario: dry soil is assumed."
+    shipped = record.measurement and measurement(record.measurement).density_kg_m3 == density
+    if likelihood.measured and not shipped:  # the seeds of Li et al. are light
+        yield from density_warnings(density)
+    if record.density_kg_m3 is None or record.density_assumed:
+        yield (f"The density {density:g} kg/m³ is assumed; an error of 10 % moves φ by about 1°.")
 
 
 def densities(density: FloatArray, sd: FloatArray) -> list[str]:
-    """A sentence if records of one soil have different densities [kg/m³], shape [record] each."""
+    """Warn if records of one soil have different densities [kg/m³], shape [record] each."""
     if np.ptp(density) <= UNUSUAL * sd.max():
         return []
     ends = f"from {density.min():g} to {density.max():g} kg/m³"
-    return [
-        f"The records have densities {ends}, and are inverted as one soil: check that they are."
-    ]
+    return [f"The records have densities {ends} and are inverted as one soil: check that they are."]
 
 
-def others(likelihood: Likelihood, *, misfit: bool) -> Iterator[str]:
-    """Sentences on legs, columns, sizes and units that may be others than stated.
+def _moisture(likelihood: Likelihood) -> Iterator[str]:
+    """Warn if the soil has a cohesion, or if an unknown one would matter."""
+    cohesion, sd = likelihood.cohesion, likelihood.cohesion_sd
+    if sd and cohesion > max(MOIST_PA, KNOWN * sd):
+        check = "; if not, check the density and the unit of force" * (cohesion > COHESIVE_PA)
+        yield (
+            f"The forces fit a cohesion of {cohesion:.0f} ± {sd:.0f} Pa: check whether the soil is "
+            f"damp or its grains are large compared with the leg{check}."
+        )
+    elif likelihood.budget().get("cohesion", 0.0) > MOIST_DEG:
+        yield (
+            "Cohesion and friction cannot be separated in this record. If the soil is damp, or its "
+            "grains are large compared with the leg, φ may be lower."
+        )
 
-    Parameters
-    ----------
-    likelihood
-        Of the records.
-    misfit
-        Whether the model describes them badly; only then other readings of them are proposed.
-    """
-    density = np.array(likelihood.density)
-    yield from densities(density, likelihood.density_sd * density)
-    for i, record in enumerate(likelihood.records):
-        name = likelihood.prefix(record)
-        if record.scenario is not None:
-            apart = differences(record.scenario, likelihood.library.scenario)
-            known = set() if isinstance(likelihood.library, Library) else VARIED
-            apart = [key for key in apart if key not in known]
-            if apart:
-                listed = ", ".join(apart[:3]) + (", …" if len(apart) > 3 else "")
-                yield (
-                    f"{name}The simulation differs from law {likelihood.library.name} in "
-                    f"{listed}: the angle may be off."
-                )
-        else:
-            found = list(_other_readings(likelihood, record)) if misfit else []
-            for sentence in found or [*_other_arm(likelihood, i), *_other_size(likelihood, i)]:
-                yield f"{name}{sentence}"
+
+# -- one search over legs and readings -----------------------------------------------------------
 
 
 class Reading(NamedTuple):
-    """A record read otherwise."""
+    """A leg, or another reading of the columns, and the least residual with it."""
 
     option: str
-    """What does it, such as ``--columns fx_sign=-1``."""
+    """Option for it, such as ``--columns fx_sign=-1``."""
     residual: float
-    fits: float
+    """Root mean square of data less curve over φ and shift, over peak-to-peak [-]."""
+    fits: float = 0.0
     """Residual below which it fits [-]."""
-    proposed: float
+    proposed: float = 0.0
     """Residual below which it is proposed where it fits best [-]."""
-    form: str = "The record would fit with {}: check the columns."
+    check: str = "check the columns"
+    leg: str = ""
+    """Shape of the leg; empty for a reading of the columns."""
     changes: int = 1
-    """Number of things that are read otherwise."""
+    """Number of options that are changed."""
 
 
-def _other_readings(likelihood: Likelihood, record: Record) -> Iterator[str]:
-    """The only column, unit, scale or leg by which a misfit would be described much better."""
-    if record.channels != FORCES or record.damage:
-        return
-    given = residual(record.data, record, likelihood, record.leg, likelihood.cohesion)
-    readings = [*_columns_otherwise(likelihood, record, given)]
-    most = min(BETTER * given, FITS * likelihood.errors[record.leg].nrmsd_limit)
+def leg_readings(likelihood: Likelihood, record: Record) -> list[Reading]:
+    """Least residual of measured forces by each leg of the law, in the sizes of the record's.
+
+    At the cohesion of the answer; infinite for a leg that the law does not have in these sizes.
+    """
+    if record.scenario is not None or record.channels != FORCES:
+        return []
+    readings = []
     for leg in likelihood.library.legs:
-        if leg != record.leg:
-            size = residual(record.data, record, likelihood, leg)
-            form = "The record would fit with {}: check the leg."
-            readings.append(Reading(f"--leg {leg}", size, most, most, form))
-    fitting = sorted((r for r in readings if r.residual < r.fits), key=lambda r: r.residual)
+        size = np.inf
+        with suppress(InputError):
+            law, force = _forces(likelihood, record, leg, likelihood.cohesion)
+            [size] = _residuals(record, record.data[None], law, force, likelihood.measured)
+        readings.append(Reading(f"--leg {leg}", size, check="check the leg", leg=leg))
+    return readings
+
+
+def _forces(
+    likelihood: Likelihood, record: Record, leg: str, cohesion: float = 0.0, *, usual: bool = False
+) -> tuple[LegLaw, FloatArray]:
+    """Law of a leg in the sizes of a record's, and its forces over φ [N], [k, 2, theta].
+
+    At a cohesion [Pa]; of usual soils alone, if asked. Raises InputError if the law does not have
+    the leg in these sizes.
+    """
+    rig = Rig.of(record.rig, leg)
+    law = law_of(likelihood.library, rig, record.scenario, strict=False)
+    density = record.density_kg_m3 or DENSITY.mean
+    number = cohesion / (density * GRAVITY * rig.length)
+    low, high = law.bounds[0][0], law.bounds[1][0]
+    if usual:
+        ends = np.array(USUAL_DEG)
+        low, high = np.clip(ends + likelihood.offset(record, ends), low, high)
+    return law, density / law.density * law(np.linspace(low, high, 65)[:, None], number)
+
+
+def _residuals(
+    record: Record, data: FloatArray, law: LegLaw, force: FloatArray, measured: bool
+) -> list[float]:
+    """Least residual of window means over forces and shifts, over peak-to-peak [-].
+
+    Shapes: data [h, c, m], forces [k, 2, theta]; [h].
+    """
+    shifts = np.arange(-SHIFT_DEG, SHIFT_DEG + 1.0, 3.0) if measured else np.zeros(1)
+    squares = squared_residuals(record, data, force, law, shifts)
+    return list(np.sqrt(squares.min(axis=(1, 2)) / data[0].size).tolist())
+
+
+def _column_readings(likelihood: Likelihood, record: Record, given: float) -> Iterator[Reading]:
+    """Least residuals with other signs, axes, units, and angles of load cell and leg.
+
+    Of usual dry soils; ``given`` is the residual of the record as it is read [-].
+    """
+    try:
+        law, force = _forces(likelihood, record, record.rig.leg, usual=True)
+    except InputError:
+        return
+    limit, history = likelihood.errors[record.rig.leg].nrmsd_limit, record.history
+    strict, loose = min(MUCH_BETTER * given, FITS * limit), min(BETTER * given, FITS * limit)
+    read_as = history.provenance.get("columns", {})  # an option that was given is turned back
+
+    def sizes(changes: Iterable[FloatArray], other: ForceHistory = history) -> list[float]:
+        """Residuals of the forces turned by 2 × 2 matrices, of the record or with other angles."""
+        of_other = record if other is history else replace(record, history=other)
+        data = np.stack([change @ of_other.data for change in changes])
+        return _residuals(of_other, data, law, force, likelihood.measured)
+
+    # Signs and axes of the forces, in the axes of the load cell.
+    cell_deg = read_as.get("sensor_angle_deg", 0.0)
+    cell = sensor_turn(cell_deg)
+    theta, fx, fz = (f"{n}_sign={-read_as.get(f'{n}_sign', 1)}" for n in ("theta", "fx", "fz"))
+    on = "force_on=" + ("leg" if read_as.get("force_on") == "soil" else "soil")
+    signs = {
+        fx: cell @ np.diag([-1.0, 1.0]) @ cell.T,
+        fz: cell @ np.diag([1.0, -1.0]) @ cell.T,
+        on: -np.eye(2),
+    }
+    axes = signs | {"fx=FZ_COLUMN,fz=FX_COLUMN": cell @ np.eye(2)[::-1] @ cell.T}
+    for option, size in zip(axes, sizes(axes.values()), strict=True):
+        yield Reading(f"--columns {option}", size, strict, strict)
+    # The sign of θ, alone or with that of a force.
+    reversed_path = replace(history, position=-history.position[::-1], force=history.force[::-1],
+                            moment=None)  # fmt: skip
+    turned = {theta: np.eye(2)} | {f"{option},{theta}": sign for option, sign in signs.items()}
+    for option, size in zip(turned, sizes(turned.values(), reversed_path), strict=True):
+        yield Reading(f"--columns {option}", size, strict, strict, changes=1 + (option != theta))
+
+    read_in = history.provenance.get("force_unit", "N")
+    units = {u: FORCE[u] / FORCE[read_in] * np.eye(2) for u in UNITS if u != read_in}
+    check = "check the columns and the leg length"
+    for unit, size in zip(units, sizes(units.values()), strict=True):
+        yield Reading(f"--columns unit={unit}", size, loose, loose, check)
+
+    turns = sizes(map(sensor_turn, TURNS_DEG))
+    angle = (cell_deg + TURNS_DEG[int(np.argmin(turns))] + 180.0) % 360.0 - 180.0
+    option, close = f"--columns sensor_angle_deg={angle:.0f}", min(strict, FITS_TURNED * limit)
+    yield Reading(option, min(turns), loose, close, "check how the load cell is mounted")
+
+    scaled = {}
+    for scale in SCALES.tolist():
+        with suppress(InputError):  # too short a part of the stroke
+            longer = replace(history, position=scale * history.position)
+            [scaled[scale]] = sizes([np.eye(2)], longer)
+    scale = min(scaled, key=scaled.__getitem__, default=1.0)
+    key = "rate_deg_s" if "rate_deg_s" in read_as else "theta_scale"
+    option = f"--columns {key}={read_as.get(key, 1.0) * scale:.3g}"
+    if offset_deg := read_as.get("theta_offset_deg"):
+        option += f",theta_offset_deg={offset_deg * scale:.3g}"
+    close = min(strict, FITS_SCALED * limit)
+    check = "check the unit and the zero of theta"
+    yield Reading(option, scaled.get(scale, np.inf), loose, close, check)
+
+
+def _other_readings(
+    likelihood: Likelihood, record: Record, legs: Sequence[Reading]
+) -> Iterator[str]:
+    """Advise the only column, unit, scale or leg by which a misfit would be described much better.
+
+    Parameters
+    ----------
+    legs
+        Rows of the search by :func:`leg_readings`, which the columns are added to.
+    """
+    if record.damage or not legs:
+        return
+    [given] = [reading.residual for reading in legs if reading.leg == record.rig.leg]
+    most = min(BETTER * given, FITS * likelihood.errors[record.rig.leg].nrmsd_limit)
+    table = [*_column_readings(likelihood, record, given)]
+    table += [r._replace(fits=most, proposed=most) for r in legs if r.leg != record.rig.leg]
+    fitting = sorted((r for r in table if r.residual < r.fits), key=lambda r: r.residual)
     # Two signs at once only where no single reading fits nearly as well.
     near = [r for r in fitting if r.residual < ALONE * fitting[0].residual]
     fitting = [r for r in near if r.changes == 1] or near
     if not fitting or fitting[0].residual >= fitting[0].proposed:
         return
     fitting = [r for r in fitting if r.residual < r.proposed]
-    legs = [r for r in fitting if r.option.startswith("--leg")]
-    if len(legs) == len(fitting) > 1:
-        agreeing = [r for r in legs if _opinions_agree(likelihood, record, r.option[6:])]
+    if len(fitting) > 1 and all(r.leg for r in fitting):
+        agreeing = [r for r in fitting if _opinions_agree(likelihood, record, r.leg)]
         fitting = agreeing if len(agreeing) == 1 else fitting
+    best, options = fitting[0], [r.option for r in fitting]
+    falls = f"The residual would fall from {100.0 * given:.0f} to {100.0 * best.residual:.0f} %"
     if len(fitting) == 1:
-        yield fitting[0].form.format(fitting[0].option)
+        yield f"{falls} with {best.option}: {best.check}."
     else:
-        listed = " or ".join(r.option.replace("--columns ", "").replace("--", "") for r in fitting)
-        yield f"The record would fit with either {listed}: check which is right."
+        listed = " or ".join(o.replace("--columns ", "").replace("--", "") for o in options)
+        yield f"{falls} with either {listed}: check which is right."
 
 
 def _opinions_agree(likelihood: Likelihood, record: Record, leg: str) -> bool:
-    """Whether other physics gives much the same angle of a record by another leg."""
+    """Whether the law and resistive force theory give much the same angle by another leg."""
     other = Likelihood([replace(record, rig=Rig.of(record.rig, leg))], likelihood.library)
     opinion = second_opinion(other)
-    apart = np.inf if opinion is None else opinion["median"] - other.least_squares[0]
-    return bool(abs(apart) <= FAR_APART_DEG)
+    if opinion is None:
+        return False
+    return bool(abs(opinion["median"] - other.least_squares[0]) <= FAR_APART_DEG)
 
 
-def _columns_otherwise(
-    likelihood: Likelihood, record: Record, residual_as_given: float
-) -> Iterator[Reading]:
-    """A record of both forces with other signs, axes, units, and angles of load cell and leg."""
-    try:
-        law, force = _usual_forces(likelihood, record, record.leg, usual=True)
-    except InputError:
+def misread(likelihood: Likelihood, i: int, legs: Sequence[Reading], verdict: str) -> Iterator[str]:
+    """Warn of a leg, columns, sizes and units of a record that may be others than stated.
+
+    Other readings are proposed for a misfit alone.
+    """
+    record, law = likelihood.records[i], likelihood.library
+    if record.scenario is not None:
+        varied = set() if isinstance(law, Library) else VARIED
+        keys = [k for k in differences(record.scenario, law.scenario) if k not in varied]
+        if keys:
+            listed = ", ".join(keys[:3]) + (", …" if len(keys) > 3 else "")
+            yield f"The simulation differs from law {law.name} in {listed}: φ may be wrong."
         return
-    limit, history = likelihood.errors[record.leg].nrmsd_limit, record.history
-    read_as = history.provenance.get("columns", {})  # an option that was given is turned back
-    cell_deg = read_as.get("sensor_angle_deg", 0.0)
-    theta, fx, fz = (f"{n}_sign={-read_as.get(f'{n}_sign', 1)}" for n in ("theta", "fx", "fz"))
-    on = "force_on=" + ("leg" if read_as.get("force_on") == "soil" else "soil")
-    cell = sensor_turn(cell_deg)
-    back, forth, swap = np.diag([-1.0, 1.0]), np.diag([1.0, -1.0]), np.eye(2)[::-1]
-    signs = {fx: cell @ back @ cell.T, fz: cell @ forth @ cell.T, on: -np.eye(2)}
-    axes = signs | {"fx=FZ_COLUMN,fz=FX_COLUMN": cell @ swap @ cell.T}
-
-    def sizes(other: Record, changes: Iterable[FloatArray]) -> list[float]:
-        data = np.stack([change @ other.data for change in changes])
-        return residuals(data, other, law, force, likelihood.measured).tolist()
-
-    most = min(MUCH_BETTER * residual_as_given, FITS * limit)
-    turned = replace(history, position=-history.position[::-1], force=history.force[::-1],
-                     moment=None)  # fmt: skip
-    turned_signs = {"": np.eye(2)} | signs
-    for option, size in zip(axes, sizes(record, axes.values()), strict=True):
-        yield Reading(f"--columns {option}", size, most, most)
-    each = zip(turned_signs, sizes(replace(record, history=turned), turned_signs.values()),
-               strict=True)  # fmt: skip
-    for option, size in each:
-        changed = f"--columns {option and option + ','}{theta}"
-        yield Reading(changed, size, most, most, changes=2 if option else 1)
-
-    read_in = history.provenance.get("force_unit", "N")
-    units = {u: FORCE[u] / FORCE[read_in] * np.eye(2) for u in UNITS if u != read_in}
-    loose = min(BETTER * residual_as_given, FITS * limit)
-    form = "The record would fit with {}: check the columns, and the length of the leg."
-    for unit, size in zip(units, sizes(record, units.values()), strict=True):
-        yield Reading(f"--columns unit={unit}", size, loose, loose, form)
-
-    turns = sizes(record, map(sensor_turn, TURNS_DEG))
-    turn_deg, size = TURNS_DEG[int(np.argmin(turns))], min(turns)
-    angle = (cell_deg + turn_deg + 180.0) % 360.0 - 180.0
-    form = (f"A load cell turned by about {angle:.0f}° would fit: check how it is mounted "
-            "({}).")  # fmt: skip
-    option, well = f"--columns sensor_angle_deg={angle:.0f}", min(most, FITS_TURNED * limit)
-    yield Reading(option, size, loose, well, form)
-
-    scaled = {}
-    for scale in SCALES.tolist():
-        other = replace(record, history=replace(history, position=scale * history.position))
-        with suppress(InputError):  # too short a part of the stroke
-            [scaled[scale]] = sizes(other, [np.eye(2)])
-    scale = min(scaled, key=lambda one: scaled[one], default=1.0)
-    key = "rate_deg_s" if "rate_deg_s" in read_as else "theta_scale"
-    form = f"An angle about {scale:g} times as large would fit: check its unit and zero ({{}})."
-    option = f"--columns {key}={read_as.get(key, 1.0) * scale:.3g}"
-    if offset_deg := read_as.get("theta_offset_deg"):
-        option += f",theta_offset_deg={offset_deg * scale:.3g}"
-    yield Reading(option, scaled.get(scale, np.inf), loose, min(most, FITS_SCALED * limit), form)
+    advice = [] if verdict == "consistent" else [*_other_readings(likelihood, record, legs)]
+    yield from advice or [*_other_arm(likelihood, i), *_other_size(likelihood, i)]
 
 
 def _other_arm(likelihood: Likelihood, i: int) -> Iterator[str]:
-    """A sentence if the moment about the hip is not that of the forces, with the model's arms."""
+    """Warn of a moment about the hip that is not that of the forces, with the model's arms."""
     record, law = likelihood.records[i], likelihood.laws[i]
     if record.channels != FORCES or record.history.moment is None or law.arm is None:
         return
@@ -552,22 +643,19 @@ def _other_arm(likelihood: Likelihood, i: int) -> Iterator[str]:
     arm = np.stack([np.interp(record.theta_deg, theta_deg, row) for row in law.arm])
     of_forces = (arm * record.data).sum(axis=0)
     factor = float(of_forces @ record.means(record.history.moment) / (of_forces @ of_forces))
-    if abs(np.log(max(factor, 1e-3))) > np.log(OTHER_ARM):
-        # Forces in another unit than they are read in, beside a moment in N m.
-        of_unit = [
-            f"; forces in {unit} would make it equal (--columns unit={unit})"
-            for unit in ("lbf", "kgf")
-            if abs(np.log(max(factor, 1e-3) / FORCE[unit])) < np.log(OTHER_ARM)
-        ]
+    ratio = np.log(max(factor, 1e-3))
+    if abs(ratio) > np.log(OTHER_ARM):
+        # Forces in another unit than they are read in, next to a moment in N m.
+        units = [u for u in ("lbf", "kgf") if abs(ratio - np.log(FORCE[u])) < np.log(OTHER_ARM)]
+        equal = "".join(f" In {u} they would be equal (--columns unit={u})." for u in units)
         yield (
-            f"The moment is {factor:.2g} times that of the forces about the hip: check the length "
-            "of the leg, the units, and about which axis the moment is"
-            f"{''.join(of_unit)}."
+            f"The moment is {factor:.2g} times the moment of the forces about the hip: check the "
+            f"leg length, the units and the axis of the moment.{equal}"
         )
 
 
 def _other_size(likelihood: Likelihood, i: int) -> Iterator[str]:
-    """A sentence if contact begins elsewhere than in the model, as of a leg of another length."""
+    """Warn of a contact that begins elsewhere than in the model, as of a leg of another length."""
     record, part = likelihood.records[i], likelihood.parts[i]
     curve = likelihood.curves(likelihood.inside[None])[0, part].reshape(len(record.channels), -1)
     begins = []
@@ -578,103 +666,66 @@ def _other_size(likelihood: Likelihood, i: int) -> Iterator[str]:
     theta[1] -= likelihood.shift_deg[i]
     if min(begins) > 0 and abs(theta[0] - theta[1]) > LATE_DEG:
         yield (
-            f"Contact begins at {theta[0]:.0f}°, in the model at {theta[1]:.0f}°: check the length "
-            "of the leg and the height of its hip."
+            f"Contact begins at {theta[0]:.0f}° in the record and at {theta[1]:.0f}° in the model: "
+            "check the leg length and the hip height."
         )
 
 
-def _other_hip(likelihood: Likelihood) -> Iterator[str]:
-    """A sentence for each record that a hip of another height describes better."""
-    for i, record in enumerate(likelihood.records):
-        higher, sd, size = likelihood.hip_error(i) or (0.0, 0.0, 1.0)
-        limit = max(HIP_MM, HIP_SURE * sd, UNUSUAL * record.rig.hip_height_sd_mm)
-        if size < HIP_RESIDUAL and abs(higher) > limit:
-            yield (
-                f"{likelihood.prefix(record)}A hip {abs(higher):.0f} ± {sd:.0f} mm "
-                f"{'higher' if higher > 0 else 'lower'} than given would fit the forces: check "
-                "the height of the hip and the length of the leg."
-            )
+# -- another law on the same records -------------------------------------------------------------
+
+
+def plane_strain(phi: Estimate, law: LawOfLegs) -> tuple[Estimate | None, str]:
+    """φ as that of Mohr-Coulomb soil in plane strain, or why there is none.
+
+    Quantiles map one to one.
+    """
+    if law.convention == "plane_strain":
+        return phi, ""
+    soil = law.scenario.soil
+
+    def convert(angle: float) -> float:
+        if law.convention == "rft3d":
+            if angle >= 45.0:
+                raise InputError(
+                    "resistive force theory yields at √J₂ = p tan φ, which has no plane-strain "
+                    "equivalent from φ = 45°"
+                )
+            return float(to_plane_strain(angle))
+        dilation = angle if soil.flow == "associated" else soil.dilation_angle_deg
+        return plane_strain_friction_angle_deg(
+            angle, soil.yield_criterion, dilation_angle_deg=dilation
+        )
+
+    try:
+        ends = [convert(angle) for angle in (*phi.ci68, *phi.ci95)]
+        sd = phi.sd * (ends[1] - ends[0]) / (phi.ci68[1] - phi.ci68[0])
+        return Estimate(convert(phi.median), sd, (ends[0], ends[1]), (ends[2], ends[3])), ""
+    except InputError as error:
+        return None, str(error)
 
 
 def second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:
-    """Angle of measured forces by resistive force theory, as one of plane strain."""
+    """Angle of measured forces by law ``rft3d``, as one of plane strain.
+
+    With it goes φ at which forces by the first law are as large, whatever their shape.
+    """
     if not likelihood.measured or isinstance(likelihood.library, Theory):
         return None
+    theory = Theory()
     try:
-        other = Likelihood(likelihood.records, Theory())
+        other = Likelihood(likelihood.records, theory)
     except InputError:
         return None  # it does not cover the angles of the record
     read = float(other.least_squares[0])
     if not other.low[0] <= read <= min(other.high[0], 43.0):
-        return None  # beyond its library, or nearly without an equivalent in plane strain
+        return None  # beyond its range, or nearly without an equivalent in plane strain
     below, median, above = to_plane_strain(read + np.array([-1.0, 0.0, 1.0])).tolist()
-    sd = float(other.sd[0])
-    # φ at which forces are as large, whatever their shape.
     phi = np.linspace(likelihood.low[0], likelihood.high[0], 71)
     size = np.square(likelihood.curves(phi[:, None]) / likelihood.span).sum(axis=1)
     measured = float(np.square(likelihood.data / likelihood.span).sum())
-    of_size = float(np.interp(measured, np.maximum.accumulate(size), phi))
-    sd *= (above - below) / 2.0
-    return {"law": Theory.name, "median": median, "sd": sd, "force_size_deg": of_size}
-
-
-def _moisture(likelihood: Likelihood) -> str:
-    """A sentence if the soil has a cohesion, or if it is not known and would matter."""
-    cohesion, sd = likelihood.cohesion, likelihood.cohesion_sd
-    if sd and cohesion > max(MOIST_PA, KNOWN * sd):
-        check = "; else check the density and the unit of force" * (cohesion > COHESIVE_PA)
-        return (
-            f"The forces show a cohesion of {cohesion:.0f} ± {sd:.0f} Pa: damp soil has one, and "
-            f"grains that are large compared with the leg act like one{check}."
-        )
-    if likelihood.budget().get("cohesion", 0.0) > MOIST_DEG:
-        return (
-            "These forces hardly tell a cohesion from friction: if the soil is damp, or its grains "
-            "are large compared with the leg, its angle may be smaller."
-        )
-    return ""
-
-
-def residual(
-    data: FloatArray, record: Record, likelihood: Likelihood, leg: str, cohesion: float = 0.0
-) -> float:
-    """Smallest residual of data over the law's angles [-], of peak-to-peak, at a cohesion [Pa].
-
-    Infinite for a leg that the law does not know in these sizes.
-    """
-    try:
-        law, force = _usual_forces(likelihood, record, leg, cohesion)
-    except InputError:
-        return np.inf
-    return float(residuals(data[None], record, law, force, likelihood.measured)[0])
-
-
-def _usual_forces(
-    likelihood: Likelihood, record: Record, leg: str, cohesion: float = 0.0, *, usual: bool = False
-) -> tuple[LegLaw, FloatArray]:
-    """Law of a leg in the sizes of a record's, and its forces over φ [N], [k, 2, theta].
-
-    At a cohesion [Pa]; of usual soils alone, if asked. Raises InputError if the law does not know
-    the leg in these sizes.
-    """
-    rig = Rig.of(record.rig, leg)
-    law = law_of(likelihood.library, rig, record.scenario, strict=False)
-    density = record.density_kg_m3 or law.density
-    number = cohesion / (density * GRAVITY * rig.length)
-    low, high = law.bounds[0][0], law.bounds[1][0]
-    if usual:
-        ends = np.array(USUAL_DEG)
-        low, high = np.clip(ends + likelihood.offset(record, ends), low, high)
-    return law, density / law.density * law(np.linspace(low, high, 65)[:, None], number)
-
-
-def residuals(
-    data: FloatArray, record: Record, law: LegLaw, force: FloatArray, measured: bool
-) -> FloatArray:
-    """Smallest residual of window means over forces and shifts, of peak-to-peak [-].
-
-    Shapes: data [h, c, m], forces [k, 2, theta]; [h].
-    """
-    shifts = np.arange(-SHIFT_DEG, SHIFT_DEG + 1.0, 3.0) if measured else np.zeros(1)
-    squares = squared_residuals(record, data, force, law, shifts)
-    return np.asarray(np.sqrt(squares.min(axis=(1, 2)) / data[0].size))
+    return {
+        "law": theory.name,
+        "median": median,
+        "sd": float(other.sd[0]) * (above - below) / 2.0,
+        "force_size_deg": float(np.interp(measured, np.maximum.accumulate(size), phi)),
+    }

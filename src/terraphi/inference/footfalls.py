@@ -22,7 +22,7 @@ from terraphi.experiment.outputs import SIGNATURE
 from terraphi.experiment.results import Result, Variable
 from terraphi.experiment.tables import write_csv
 from terraphi.inference.pool import Anchor, Normal, Observed, Pooled, pool
-from terraphi.inference.records import density_doubts
+from terraphi.inference.records import density_warnings
 from terraphi.inference.terms import TERMS
 from terraphi.inference.touchdowns import (
     FEWEST,
@@ -505,7 +505,8 @@ def infer(
         ]  # fmt: skip
     sinkage = surface_depth(fits, verdict)
     warnings = [
-        *_ground_notes(touchdowns, fits, verdict), *contradicted, *density_doubts(prior.density),
+        *_ground_notes(touchdowns, fits, verdict), *contradicted,
+        *density_warnings(prior.density),
         *notes, *_limits_of_the_law(touchdowns, fits, usable, law, prior),
         *_limits_of_the_path(path, verdict, prior, scale_sd, anchored=bool(anchors)),
     ]  # fmt: skip

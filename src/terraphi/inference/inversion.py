@@ -16,16 +16,15 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError, visible
 from terraphi.experiment.priors import DENSITY
-from terraphi.experiment.rig import LEG_NAMES, with_rig
-from terraphi.experiment.scenario import Scenario
-from terraphi.experiment.soil import plane_strain_friction_angle_deg
-from terraphi.forward.rft import to_plane_strain
-from terraphi.inference.answer import Answer, Edge, Estimate, RecordFit, Verdict, worst_nrmsd
+from terraphi.experiment.rig import with_rig
+from terraphi.inference.answer import Answer, Edge, Estimate, RecordFit
 from terraphi.inference.calibration import Calibration, CalibrationSoil, rig_name, soil_name
 from terraphi.inference.checks import (
     UNUSUAL,
+    Reading,
     in_air,
-    residual,
+    leg_readings,
+    plane_strain,
     second_opinion,
     warnings,
     without_faults,
@@ -37,9 +36,9 @@ from terraphi.inference.likelihood import (
     coverage_of,
     quadrature,
 )
-from terraphi.inference.pressed import invert_pressed
-from terraphi.inference.records import Record, is_tool, open_records, with_body, with_sd
+from terraphi.inference.records import PressedRecord, Record, open_records, with_sd
 from terraphi.inference.terms import root_sum_square, term
+from terraphi.inference.verdict import Judgment, consistent, large_residual, out_of_range
 from terraphi.laws.legs import FORMER_NAME, LawOfLegs, Legs, law_named, nearest_law, shipped_legs
 from terraphi.laws.store import PHI
 
@@ -147,58 +146,68 @@ def invert(
     >>> terraphi.invert("li2013:poppy_loose/straight").verdict
     'consistent'
     """
-    every = _listed(forces)
-    of_legs = [one for one in every if tool is None and not is_tool(one[1])]
-    of_tools = [(one, tool or own) for one, own in every if tool is not None or is_tool(own)]
-    given = {"leg": leg, "rig": rig, "noise": noise, "gain": gain, "calibration": calibration,
-             "simulated": simulated}  # fmt: skip
-    wrong = [name for name, value in given.items() if value is not None and not of_legs]
-    wrong += [f"@{own}" for _, own in every if tool is not None and own is not None]
-    if of_tools and wrong:
-        raise InputError(f"a tool excludes {', '.join(wrong)}; leave out one or the other")
-    answers = []
-    if of_legs:
-        answers = _of_legs(of_legs, density=density, law=law, columns=columns,
-                           grain_size_mm=grain_size_mm, **given)  # fmt: skip
-        # One soil has one density, and its columns and law are those of the legs.
-        first = answers[0]
-        density, law, columns = f"{first.density_kg_m3}±{first.density_sd_kg_m3}", None, None
-    answers += [invert_pressed(*one, density=density, law=law, columns=columns,
-                               grain_size_mm=grain_size_mm) for one in of_tools]  # fmt: skip
+    began = time.perf_counter()
+    records = open_records(
+        forces, leg=leg, rig=rig, tool=tool, density=density, grain_size_mm=grain_size_mm,
+        columns=columns, noise=noise, gain=gain, simulated=simulated,
+    )  # fmt: skip
+    answers = _answers(records, law, calibration, began)
     answer = combined(answers) if len(answers) > 1 else answers[0]
     return answer if critical is None else with_critical(answer, critical)
 
 
-def _of_legs(
-    sources: Sequence[tuple[Any, Any]],
-    *,
+def _answers(
+    records: Sequence[Record | PressedRecord],
     law: LawOfLegs | Path | str | None,
     calibration: Calibration | Path | str | None,
-    **options: Any,
+    began: float,
 ) -> list[Answer]:
-    """Answers of legs: one, or by law ``legs`` one for each rig."""
-    from threadpoolctl import threadpool_limits
+    """Answers by law and body: legs, by law ``legs`` one for each rig, then tools one by one."""
+    legs = [without_faults(record) for record in records if isinstance(record, Record)]
+    tools = [record for record in records if isinstance(record, PressedRecord)]
+    if calibration is not None and not legs:
+        raise InputError("a tool excludes calibration; leave out one or the other")
+    answers: list[Answer] = []
+    if legs:
+        from threadpoolctl import threadpool_limits
 
-    began = time.perf_counter()
-    # The matrices are small: threads would only wait for each other.
-    with threadpool_limits(limits=1, user_api="blas"):
-        records = _records(sources, **options)
-        found, reason = _law_for(records, law)
-        if isinstance(calibration, str | Path):
-            calibration = Calibration.load(calibration)
-        if not isinstance(calibration, Calibration | None):
-            raise InputError(
-                f"calibration of type {type(calibration).__name__}; give the result of calibrate, "
-                "or a file"
-            )
-        if calibration is not None:
-            calibration.check(found, {rig_name(record.rig): record.gain for record in records})
-        # The offset of law legs is that of one rig alone, so that different ones are joined by
-        # their angles. In one fit, which shared a cohesion, grains were read 4° wrong.
-        rigs = dict.fromkeys(record.rig for record in records)
-        apart = isinstance(found, Legs) and not all(record.simulated for record in records)
-        groups = [[r for r in records if r.rig == one] for one in rigs] if apart else [records]
-        return [_answer(Likelihood(group, found, calibration), reason, began) for group in groups]
+        law, reason = _law_for(legs, law)
+        calibration = _opened(calibration, law, legs)
+        # The offset of law legs is that of one rig alone, so that answers of different rigs are
+        # joined by their angles. In one fit, which shared a cohesion, grains were read 4° wrong.
+        by_rig = isinstance(law, Legs) and not all(record.simulated for record in legs)
+        rigs = dict.fromkeys(record.rig if by_rig else None for record in legs)
+        # The matrices are small: threads would only wait for each other.
+        with threadpool_limits(limits=1, user_api="blas"):
+            for rig in rigs:
+                group = [record for record in legs if rig in (None, record.rig)]
+                answers.append(_answer(group, law, calibration, reason, began))
+        # One soil has one density, and the law that was named is one of legs.
+        density, sd = answers[0].density_kg_m3, answers[0].density_sd_kg_m3 or 0.0
+        tools = [replace(tool, density_kg_m3=density, density_sd_kg_m3=sd) for tool in tools]
+        law = None
+    if tools:
+        from terraphi.inference.pressed import invert_pressed
+
+        answers += [invert_pressed(tool, law) for tool in tools]
+    return answers
+
+
+def _opened(
+    calibration: Calibration | Path | str | None, law: LawOfLegs, records: Sequence[Record]
+) -> Calibration | None:
+    """A calibration from memory or its file, that is of a law and the gains of records."""
+    if isinstance(calibration, str | Path):
+        calibration = Calibration.load(calibration)
+    if calibration is None:
+        return None
+    if not isinstance(calibration, Calibration):
+        raise InputError(
+            f"calibration of type {type(calibration).__name__}; give the result of calibrate, or a "
+            "file"
+        )
+    calibration.check(law, {rig_name(record.rig): record.gain for record in records})
+    return calibration
 
 
 def with_critical(answer: Answer, critical: float | str) -> Answer:
@@ -276,24 +285,6 @@ def critical_posterior(
     return np.asarray(posterior / whole), Estimate.of_density(0.5 * (ends[1:] + ends[:-1]), peak)
 
 
-def _listed(forces: Any) -> list[tuple[Any, Any]]:
-    """Each of one input or a list, with the body that it names."""
-    several = isinstance(forces, list | tuple) and with_body(forces)[1] is None
-    if several and not forces:
-        raise InputError("no forces: the list is empty")
-    return [with_body(one) for one in (forces if several else [forces])]
-
-
-def _records(sources: Sequence[tuple[Any, Any]], **options: Any) -> list[Record]:
-    """Records without faulty readings, of forces and their own legs or rigs, if any."""
-    records: list[Record] = []
-    for forces, own in sources:
-        of_shape = isinstance(own, str) and own in LEG_NAMES
-        body = {"leg": own} if of_shape else {} if own is None else {"rig": own, "leg": None}
-        records += map(without_faults, open_records(forces, **options | body))
-    return records
-
-
 def calibrate(
     forces: Any,
     phi_deg: float,
@@ -334,54 +325,60 @@ def calibrate(
     >>> after.phi.sd < terraphi.invert("li2013:yuma/straight").phi.sd
     True
     """
-    if not all(isinstance(one, int | float) for one in (phi_deg, phi_sd_deg)):
+    if not all(isinstance(angle, int | float) for angle in (phi_deg, phi_sd_deg)):
         raise InputError(f"phi = {phi_deg!r} ± {phi_sd_deg!r}; give two numbers of degrees")
     if not (0.0 < phi_deg < 90.0 and 0.0 <= phi_sd_deg < 90.0):
         raise InputError(f"phi = {phi_deg:g} ± {phi_sd_deg:g}°; 0 to 90° are accepted")
-    soils, soil = [], soil_name(soil)
-    records = _records(
-        _listed(forces), leg=leg, rig=rig, density=density, grain_size_mm=grain_size_mm,
-        columns=columns, noise=noise, gain=gain,
+    opened = open_records(
+        forces, leg=leg, rig=rig, density=density, grain_size_mm=grain_size_mm, columns=columns,
+        noise=noise, gain=gain,
     )  # fmt: skip
-    found, _ = _law_for(records, law)
+    records = [without_faults(record) for record in opened if isinstance(record, Record)]
+    if len(records) < len(opened):
+        raise InputError("calibrate takes forces on legs; leave out those on tools")
+    leg_law, _ = _law_for(records, law)
+    truth, soils = (phi_deg, phi_sd_deg, soil_name(soil)), []
     for i, record in enumerate(records):
-        for other in records[:i]:
-            if record.rig == other.rig and np.array_equal(record.data, other.data):
+        for earlier in records[:i]:
+            if record.rig == earlier.rig and np.array_equal(record.data, earlier.data):
                 raise InputError(
-                    f"{record.source}: has the forces of {other.source}; a repeat is another stroke"
+                    f"{record.source}: has the forces of {earlier.source}; a repeat is another "
+                    "stroke"
                 )
-        likelihood = Likelihood([record], found)
-        if not likelihood.measured:
-            raise InputError(f"{record.source}: simulated forces calibrate nothing")
-        best = likelihood.least_squares
-        fits = _fits(likelihood, best, (best[0], best[0]))
-        verdict, why, _ = _verdict(likelihood, fits, best, damaged=bool(in_air(likelihood)))
-        if verdict != "consistent":
-            raise InputError(f"{record.source}: cannot calibrate with it. {why}")
-        read = float(best[0])
-        shares = likelihood.budget()
-        fixed = [name for name in shares if term(name).fixed]
-        model = [name for name in shares if name.startswith("model: ")]
-        sd = root_sum_square(shares, *fixed, *model)
-        rig_sd = math.hypot(*(shares[name] for name in fixed))
-        error = likelihood.errors[record.leg]
-        apart = read - phi_deg
-        usual = math.hypot(error.common_sd_deg, error.soil_sd_deg, error.leg_sd_deg,
-                           error.offset_sd_at(read), rig_sd, phi_sd_deg, sd)  # fmt: skip
-        if abs(apart) > FAR * usual:
-            raise InputError(
-                f"{record.source}: forces and angle disagree by {apart:+.0f}°, at most "
-                f"{FAR * usual:.0f}° are accepted; check phi = {phi_deg:g}° (in "
-                f"{found.scenario.convention.replace('_', ' ')}), the density and the leg"
-            )
-        soils.append(
-            CalibrationSoil(
-                source=visible(record.source), soil=soil, leg=record.leg, rig=rig_name(record.rig),
-                phi_deg=phi_deg, phi_sd_deg=phi_sd_deg, read_deg=read, read_sd_deg=sd,
-                rig_sd_deg=rig_sd, gain=record.gain,
-            )
-        )  # fmt: skip
-    return Calibration(library=found.name, library_hash=found.hash, soils=soils)
+        soils.append(_calibration_soil(record, leg_law, *truth))
+    return Calibration(library=leg_law.name, library_hash=leg_law.hash, soils=soils)
+
+
+def _calibration_soil(
+    record: Record, law: LawOfLegs, phi_deg: float, phi_sd_deg: float, soil: str
+) -> CalibrationSoil:
+    """The angle that a law reads off a record in a soil of known angle; raises InputError."""
+    likelihood = Likelihood([record], law)
+    if not likelihood.measured:
+        raise InputError(f"{record.source}: simulated forces calibrate nothing")
+    best = likelihood.least_squares
+    fits = _record_fits(likelihood, best, (best[0], best[0]))
+    legs = [leg_readings(likelihood, record)]
+    verdict, reason, _ = _verdict(likelihood, fits, legs, damaged=bool(in_air(likelihood)))
+    if verdict != "consistent":
+        raise InputError(f"{record.source}: cannot calibrate with it. {reason}")
+    read, shares, error = float(best[0]), likelihood.budget(), likelihood.errors[record.rig.leg]
+    fixed = [name for name in shares if term(name).fixed]
+    rig_sd = math.hypot(*(shares[name] for name in fixed))
+    sd = root_sum_square(shares, *fixed, *(name for name in shares if name.startswith("model: ")))
+    limit = FAR * math.hypot(error.common_sd_deg, error.soil_sd_deg, error.leg_sd_deg,
+                             error.offset_sd_at(read), rig_sd, phi_sd_deg, sd)  # fmt: skip
+    if abs(read - phi_deg) > limit:
+        raise InputError(
+            f"{record.source}: the law reads φ {read - phi_deg:+.0f}° from phi = {phi_deg:g}°, and "
+            f"at most {limit:.0f}° are accepted; check phi (in "
+            f"{law.convention.replace('_', ' ')}), the density and the leg"
+        )
+    return CalibrationSoil(
+        source=visible(record.source), soil=soil, leg=record.rig.leg, rig=rig_name(record.rig),
+        phi_deg=phi_deg, phi_sd_deg=phi_sd_deg, read_deg=read, read_sd_deg=sd, rig_sd_deg=rig_sd,
+        gain=record.gain,
+    )  # fmt: skip
 
 
 def invert_many(
@@ -429,233 +426,173 @@ def _law_for(
     return shipped_legs(), "the default for measured forces"
 
 
-def _answer(likelihood: Likelihood, reason: str, began: float) -> Answer:
-    """Posterior, verdict and all that goes with them."""
-    records, library = likelihood.records, likelihood.library
-    second = second_opinion(likelihood)
+def _answer(
+    records: Sequence[Record],
+    law: LawOfLegs,
+    calibration: Calibration | None,
+    law_reason: str,
+    began: float,
+) -> Answer:
+    """Posterior, verdict and warnings of records of one soil by one law."""
+    likelihood = Likelihood(records, law, calibration)
+    opinion = second_opinion(likelihood)
+    if opinion is not None and (wider := _disagreement_deg(likelihood, opinion)):
+        likelihood = Likelihood(records, law, calibration, disagreement_deg=wider)
     grid, density = quadrature(likelihood)
     phi = Estimate.of_density(grid, density)
-    if second is not None and (wider := _disagreement_deg(likelihood, phi, second)):
-        likelihood = Likelihood(records, library, likelihood.calibration, disagreement_deg=wider)
-        grid, density = quadrature(likelihood)
-        phi = Estimate.of_density(grid, density)
-    middle = np.array([phi.median])
-    fits = _fits(likelihood, middle, phi.ci95)
+    fits = _record_fits(likelihood, np.array([phi.median]), phi.ci95)
     air = in_air(likelihood)
-    verdict, why, edge = _verdict(likelihood, fits, middle, damaged=bool(air))
-    scenario = library.scenario
-    plane, no_plane = _plane_strain(phi, scenario)
+    # The one search over legs: verdict and advice read it.
+    legs = [leg_readings(likelihood, record) for record in records]
+    verdict, reason, edge = _verdict(likelihood, fits, legs, damaged=bool(air))
+    plane, no_plane = plane_strain(phi, law)
+    scaled = None
+    if verdict == "consistent" and likelihood.measured and not all(r.scale_given for r in records):
+        scaled = dict(zip(("half", "twice"), likelihood.at_scaled_forces([0.5, 2.0]), strict=True))
     first, density_kg_m3 = records[0], likelihood.density[0]
-    unknown = first.density_kg_m3 is None
+    is_unknown = first.density_kg_m3 is None
     return Answer(
         parameters={PHI: phi},
-        convention=scenario.convention,
+        convention=law.convention,
         phi_plane_strain=plane,
         phi_plane_strain_reason=no_plane,
         verdict=verdict,
-        reason=why,
+        reason=reason,
         edge=edge,
         budget_deg=likelihood.budget() if likelihood.beyond is None else {},
         density_kg_m3=density_kg_m3,
-        density_sd_kg_m3=DENSITY.sd if unknown else first.density_sd_kg_m3,
-        density_assumed=unknown or first.density_assumed,
-        phi_of_force_deg=_phi_of_force(likelihood) if verdict == "consistent" else None,
-        law=library.name,
-        law_reason=reason,
-        second_opinion=second,
-        warnings=tuple(warnings(likelihood, fits, phi, verdict, second)),
+        density_sd_kg_m3=DENSITY.sd if is_unknown else first.density_sd_kg_m3,
+        density_assumed=is_unknown or first.density_assumed,
+        phi_of_force_deg=scaled,
+        law=law.name,
+        law_reason=law_reason,
+        second_opinion=opinion,
+        warnings=tuple(warnings(likelihood, fits, phi, verdict, opinion, legs, air)),
         records=tuple(fits),
         grid_deg=grid,
         density=density,
         covariance=likelihood.predictive_covariance(),
         leg_friction=likelihood.laws[0].leg_friction,
-        cohesion_pa=likelihood.cohesion if isinstance(library, Legs) else None,
+        cohesion_pa=likelihood.cohesion if isinstance(law, Legs) else None,
         provenance={
             "terraphi": importlib.metadata.version("terraphi"),
-            "law_hash": library.hash,
+            "law_hash": law.hash,
             "gain": [record.gain for record in records],
-            "noise": [[float(one) for one in record.noise] for record in records],
+            "noise": [[float(sd) for sd in record.noise] for record in records],
             "seconds": round(time.perf_counter() - began, 3),
-            **({"calibration": likelihood.calibration.model_dump(mode="json")}
-               if likelihood.calibration else {}),
+            **({"calibration": calibration.model_dump(mode="json")} if calibration else {}),
         },
-    )  # fmt: skip
+    )
 
 
-def _phi_of_force(likelihood: Likelihood) -> dict[str, float | None] | None:
-    """Angles by half and by twice the force, unless its scale was measured."""
-    given = all(record.scale_given for record in likelihood.records)
-    if given or not likelihood.measured:
-        return None
-    return dict(zip(("half", "twice"), likelihood.at_scaled_forces([0.5, 2.0]), strict=True))
+def _disagreement_deg(likelihood: Likelihood, opinion: dict[str, Any]) -> float:
+    """Standard deviation that makes up for another opinion [deg]; 0 if that is not far away.
+
+    With it the two differ by :data:`UNUSUAL` of their common standard deviation.
+    """
+    if likelihood.library.convention != "plane_strain" or likelihood.beyond is not None:
+        return 0.0
+    separation_deg = opinion["median"] - float(likelihood.least_squares[0])
+    variance = float(likelihood.sd[0]) ** 2 + opinion["sd"] ** 2
+    return math.sqrt(max((separation_deg / UNUSUAL) ** 2 - variance, 0.0))
 
 
-def _fits(likelihood: Likelihood, middle: FloatArray, ci95: tuple[float, float]) -> list[RecordFit]:
+def _record_fits(
+    likelihood: Likelihood, median: FloatArray, ci95: tuple[float, float]
+) -> list[RecordFit]:
     """Each record with the curve at the median, and the curves at the ends of the 95 % interval."""
-    points = np.append(np.clip(ci95, *likelihood.ends), middle)[:, None]
+    points = np.append(np.clip(ci95, *likelihood.ends), median)[:, None]
     curves = likelihood.curves(points)
-    slope = likelihood.slope(middle)
-    tangent = np.vstack([curves[2] - slope @ middle, slope.T])
-    found = []
-    for record, part, whole, shift in zip(
+    slope = likelihood.slope(median)
+    tangent = np.vstack([curves[2] - slope @ median, slope.T])
+    fits = []
+    for record, part, stroke, shift in zip(
         likelihood.records, likelihood.parts, likelihood.coverage, likelihood.shift_deg, strict=True
     ):
-        low, high, curve = (one.reshape(len(record.channels), -1) for one in curves[:, part])
-        span, error = whole.span, likelihood.errors[record.leg]
+        low, high, curve = (row.reshape(len(record.channels), -1) for row in curves[:, part])
+        span = stroke.span
         size = np.sqrt(np.square(record.data - curve).mean(axis=1)) / span
         noise = record.noise_covariance.diagonal().reshape(size.size, -1).mean(axis=1) / span**2
         limit = SIMULATED if isinstance(likelihood.library, Legs) else None
         if not record.simulated:
-            several = SEVERAL if len(likelihood.records) > 1 else 1.0
-            limit = math.hypot(error.nrmsd_limit * several, math.sqrt(noise.max()))
-        found.append(
+            limit = likelihood.errors[record.rig.leg].nrmsd_limit
+            limit = math.hypot(limit * (SEVERAL if len(likelihood.records) > 1 else 1.0),
+                               math.sqrt(noise.max()))  # fmt: skip
+        fits.append(
             RecordFit(
-                source=record.source, rig=record.rig,
+                source=record.source, rig=record.rig, limit=limit, shift_deg=float(shift),
                 simulated=record.simulated, n_readings=len(record.history.position),
                 n_left_out=record.n_left_out, theta_deg=record.theta_deg, data=record.data,
                 curve=curve, tangent=tangent[:, part].reshape(-1, *curve.shape),
                 band=np.stack([np.minimum(low, high), np.maximum(low, high)]),
                 nrmsd=dict(zip(record.channels, size.tolist(), strict=True)),
-                shift_deg=float(shift),
-                limit=limit,
             )
         )  # fmt: skip
-    return found
-
-
-def _percent(share: float, *, digits: int = 0) -> str:
-    """A share as a percentage."""
-    return f"{100.0 * share:.{digits}f} %"
+    return fits
 
 
 def _verdict(
-    likelihood: Likelihood, fits: Sequence[RecordFit], middle: FloatArray, *, damaged: bool
-) -> tuple[Verdict, str, Edge | None]:
-    """Verdict, reason, and the end of the library beyond which φ lies."""
+    likelihood: Likelihood,
+    fits: Sequence[RecordFit],
+    legs: Sequence[Sequence[Reading]],
+    *,
+    damaged: bool,
+) -> Judgment:
+    """Verdict, reason, and the end of the law beyond which φ lies."""
     if damaged or any(record.damage for record in likelihood.records):
         return "misfit", "Misfit: the record is damaged. Do not use the angle.", None
-    misfit = _large_residual(likelihood, fits)
-    by_library = not likelihood.measured and not isinstance(likelihood.library, Legs)
-    if not misfit and likelihood.measured:
-        misfit = _other_leg(likelihood)
-    elif by_library:
-        misfit = _misfit(likelihood, middle)
-    edge = _edge(likelihood)
+    law, training = likelihood.library, "training soils" if likelihood.measured else "simulations"
+    by_chance = not likelihood.measured and not isinstance(law, Legs)
+    misfit = large_residual(fits, training)
+    if not misfit:
+        misfit = _unexplained(likelihood) if by_chance else _better_leg(likelihood, legs)
+    if likelihood.beyond is not None:
+        edge: Edge | None = "low" if likelihood.beyond[0] < likelihood.low[0] else "high"
+    else:
+        # By the forces alone, as angles of soil.
+        read = float(likelihood.least_squares[0])
+        offsets = [float(likelihood.offset(r, np.array(read))) for r in likelihood.records]
+        edge = "high" if read > likelihood.high[0] - max(offsets) else None
+        edge = "low" if read < likelihood.low[0] - min(offsets) else edge
     if edge is not None:
-        end, word = (likelihood.low[0], "below") if edge == "low" else (likelihood.high[0], "above")
+        end = (likelihood.low if edge == "low" else likelihood.high)[0]
         end -= float(likelihood.offset(likelihood.records[0], end))
-        why = (
-            f"Out of range: φ lies {word} {end:.0f}°, the "
-            f"{'lower' if edge == 'low' else 'upper'} end of law {likelihood.library.name}."
-        )
-        return "out_of_range", f"{why} {misfit}".rstrip(), edge
+        verdict, where, _ = out_of_range(law.name, edge, end)
+        return verdict, f"{where} {misfit[1] if misfit else ''}".rstrip(), edge
     if misfit:
-        return "misfit", misfit, None
-    if by_library:
+        return misfit
+    if by_chance:
         return "consistent", "Consistent: noise and scatter explain the residual.", None
-    followed = " and ".join(f"{c} within {_percent(size)}" for c, size in worst_nrmsd(fits).items())
-    kind = "sand" if likelihood.measured else "simulations"
-    return (
-        "consistent",
-        f"Consistent: the model follows {followed} of the range, usual for {kind}.",
-        None,
-    )
+    return consistent(fits, "sand" if likelihood.measured else "simulations")
 
 
-def _large_residual(likelihood: Likelihood, fits: Sequence[RecordFit]) -> str:
-    """A sentence if a record differs from the model by more than soils or simulations do."""
-    origin = "training soils" if likelihood.measured else "simulations"
-    for fit, record, (_, span) in zip(fits, likelihood.records, likelihood.coverage, strict=True):
-        size = max(fit.nrmsd.values())
-        if fit.limit is not None and size > fit.limit:
-            apart = (fit.data - fit.curve) / span[:, None]
-            i, j = np.unravel_index(np.abs(apart).argmax(), apart.shape)
-            far = apart[i, j]
-            shown = f"{100.0 * far:+.0f} % of" if abs(far) < 2.0 else f"{far:+.1f} times"
-            return (
-                f"Misfit: {record.channels[i]} differs from the model by "
-                f"{shown} its range at {fit.theta_deg[j]:.0f}°. The "
-                f"residual is {_percent(size, digits=1)}; the limit is "
-                f"{_percent(fit.limit, digits=1)}, from {origin}. Do not use the angle."
-            )
-    return ""
-
-
-def _other_leg(likelihood: Likelihood) -> str:
-    """A sentence if another leg describes a record better."""
-    for record in likelihood.records:
-        if coverage_of(record) < LEAST_COVERAGE:
+def _better_leg(likelihood: Likelihood, legs: Sequence[Sequence[Reading]]) -> Judgment | None:
+    """Misfit if another leg describes a measured record better."""
+    for record, readings in zip(likelihood.records, legs, strict=True):
+        if not likelihood.measured or coverage_of(record) < LEAST_COVERAGE or not readings:
             continue
-        cohesion = likelihood.cohesion
-        sizes = {leg: residual(record.data, record, likelihood, leg, cohesion)
-                 for leg in likelihood.library.legs}  # fmt: skip
-        leg = min(sizes, key=lambda one: sizes[one])
-        if sizes[leg] < BETTER_LEG * sizes[record.leg]:
-            return (
-                f"Misfit: leg {leg} describes the record with a residual of "
-                f"{_percent(sizes[leg])}, leg {record.leg} with {_percent(sizes[record.leg])}. "
-                "Check the leg. Do not use the angle."
+        best = min(readings, key=lambda reading: reading.residual)
+        [given] = [reading for reading in readings if reading.leg == record.rig.leg]
+        if best.residual < BETTER_LEG * given.residual:
+            reason = (
+                f"Misfit: the residual is {100.0 * given.residual:.0f} % with leg {given.leg} and "
+                f"{100.0 * best.residual:.0f} % with leg {best.leg}. Check the leg. Do not use the "
+                "angle."
             )
-    return ""
+            return "misfit", reason, None
+    return None
 
 
-def _misfit(likelihood: Likelihood, middle: FloatArray) -> str:
-    """A sentence if noise and scatter do not explain a simulated record."""
+def _unexplained(likelihood: Likelihood) -> Judgment | None:
+    """Misfit if noise and scatter do not explain the residual of simulated records."""
     free = likelihood.data.size - 1
-    ratio = likelihood.chi2(middle) / free
+    ratio = likelihood.chi2(likelihood.least_squares) / free
     # Wilson & Hilferty 1931: the cube root of chi-square is nearly normal.
     deviate = (ratio ** (1.0 / 3.0) - 1.0 + 2.0 / (9.0 * free)) / math.sqrt(2.0 / (9.0 * free))
     if deviate <= FAR:
-        return ""
-    return (
-        f"Misfit: chi-square is {ratio:.1f} times its degrees of freedom; noise and scatter do not "
-        "explain the residual. Do not use the angle."
+        return None
+    reason = (
+        f"Misfit: chi-square is {ratio:.1f} times its degrees of freedom, more than noise and "
+        "scatter explain. Do not use the angle."
     )
-
-
-def _edge(likelihood: Likelihood) -> Edge | None:
-    """End of the library's range beyond which φ lies, by the forces alone."""
-    if likelihood.beyond is not None:
-        return "low" if likelihood.beyond[0] < likelihood.low[0] else "high"
-    read = float(likelihood.least_squares[0])
-    offsets = [float(likelihood.offset(r, np.array(read))) for r in likelihood.records]
-    if read < likelihood.low[0] - min(offsets):
-        return "low"
-    return "high" if read > likelihood.high[0] - max(offsets) else None
-
-
-def _plane_strain(phi: Estimate, scenario: Scenario) -> tuple[Estimate | None, str]:
-    """φ as that of Mohr-Coulomb soil in plane strain; quantiles map one to one."""
-    soil = scenario.soil
-
-    def convert(angle: float) -> float:
-        if scenario.convention == "rft3d":
-            if angle >= 45.0:
-                raise InputError(
-                    "resistive force theory yields at √J₂ = p tan φ, which has no plane-strain "
-                    "equivalent from φ = 45°"
-                )
-            return float(to_plane_strain(angle))
-        dilation = angle if soil.flow == "associated" else soil.dilation_angle_deg
-        return plane_strain_friction_angle_deg(
-            angle, soil.yield_criterion, dilation_angle_deg=dilation
-        )
-
-    try:
-        ends = [convert(one) for one in (*phi.ci68, *phi.ci95)]
-        sd = phi.sd * (ends[1] - ends[0]) / (phi.ci68[1] - phi.ci68[0])
-        return Estimate(convert(phi.median), sd, (ends[0], ends[1]), (ends[2], ends[3])), ""
-    except InputError as error:
-        return None, str(error)
-
-
-def _disagreement_deg(likelihood: Likelihood, own: Estimate, second: dict[str, Any]) -> float:
-    """Standard deviation that makes up for another opinion [deg]; 0 if that is not far away.
-
-    With it the two differ by :data:`UNUSUAL` of their common standard deviation.
-    """
-    convention = likelihood.library.scenario.convention
-    if convention != "plane_strain" or likelihood.beyond is not None:
-        return 0.0
-    apart = second["median"] - own.median
-    return math.sqrt(max((apart / UNUSUAL) ** 2 - own.sd**2 - second["sd"] ** 2, 0.0))
+    return "misfit", reason, None

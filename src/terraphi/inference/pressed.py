@@ -14,20 +14,17 @@ import math
 import time
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from terraphi.experiment.arrays import BoolArray, FloatArray, IntArray
 from terraphi.experiment.errors import InputError, nearest
-from terraphi.experiment.files import label_of
 from terraphi.experiment.priors import CONTACT_SD_M, CONTACT_SD_PART, DENSITY, FRICTION
-from terraphi.experiment.reading import read_pressed
 from terraphi.experiment.rig import Tool
 from terraphi.inference.answer import Answer, Estimate, RecordFit
 from terraphi.inference.estimator import least_squares, weights
-from terraphi.inference.records import density_doubts, density_with_sd, grain_size, roughness
+from terraphi.inference.records import PressedRecord, density_warnings, roughness
 from terraphi.inference.terms import ordered_budget, root_sum_square, term
 from terraphi.inference.verdict import Judgment, consistent, large_residual, out_of_range
 from terraphi.laws.foot import DEEPEST, LAWS, Foot
@@ -160,26 +157,16 @@ class _Fit(NamedTuple):
     """Slope of the mean φ by the force [deg/N], shape [n]."""
 
 
-def invert_pressed(
-    source: Any,
-    text: str,
-    *,
-    density: float | str | None = None,
-    law: Any = None,
-    columns: Any = None,
-    grain_size_mm: float | None = None,
-) -> Answer:
-    """Infer φ from a table of sinkage and force; raises InputError as :func:`invert` does."""
-    began, tool, name = time.perf_counter(), Tool.of(text), str(law or "foot")
+def invert_pressed(record: PressedRecord, law: Any = None) -> Answer:
+    """Infer φ from a record of a tool; raises InputError as :func:`invert` does."""
+    began, tool, name = time.perf_counter(), record.rig, str(law or "foot")
     if name not in LAWS:
         raise InputError(f"no law '{name}' of a tool; {nearest(name, tuple(LAWS))}")
-    table = read_pressed(source, math.pi * tool.radius**2, columns)
-    is_file = isinstance(source, str | Path)
-    label = label_of(source) if is_file else f"{type(source).__name__} ({text})"
+    table, label, density = record.table, record.source, record.density_kg_m3
     rho, rho_sd = DENSITY
     if density is not None:
-        rho, rho_sd = density_with_sd(density, label)
-    grains = grain_size(grain_size_mm, 2e3 * tool.radius, label) / (2e3 * tool.radius)
+        rho, rho_sd = density, record.density_sd_kg_m3
+    grains = record.grain_size_mm / (2e3 * tool.radius)
     z, force, used, notes = _virgin(table.sinkage, table.force, table.notes, label)
     press = _Press(tool, name, rho, z, force, roughness(force), grains)
     fit = _fit(press)
@@ -191,13 +178,13 @@ def invert_pressed(
     ends = np.array(estimate.ci95) - (level - read)
     ends = press.curve(np.stack([np.clip(ends, *press.ends), [fit.contact] * 2], -1))
     residual = float(np.sqrt(np.square(force - fit.model).mean()) / np.ptp(force))
-    record = RecordFit(
+    fitted = RecordFit(
         source=label, rig=tool, simulated=False, n_readings=used, n_left_out=table.rows - used,
         theta_deg=1e3 * z, data=force[None], curve=fit.model[None],
         band=(press.borne[fit.top] * ends)[:, None], nrmsd={"Fz": residual}, limit=LIMIT,
         tangent=np.stack([fit.model - fit.slope * level, fit.slope])[:, None],
     )  # fmt: skip
-    verdict, reason, edge = _verdict(press, fit, record, estimate.median, steady_sd)
+    verdict, reason, edge = _verdict(press, fit, fitted, estimate.median, steady_sd)
     is_sound = verdict == "consistent"
     scaled = _phi_of_force(press, fit, estimate.median) if is_sound else None
     if density is None:
@@ -209,8 +196,8 @@ def invert_pressed(
         verdict=verdict, reason=reason, edge=edge, budget_deg=budget,
         density_kg_m3=rho, density_sd_kg_m3=rho_sd, density_assumed=density is None, law=name,
         law_reason="" if law else "the default for tools", leg_friction=FRICTION.mean,
-        phi_of_force_deg=scaled, records=(record,), grid_deg=grid, density=posterior,
-        warnings=(*density_doubts(rho), *notes, *_warnings(press, fit, is_sound=is_sound)),
+        phi_of_force_deg=scaled, records=(fitted,), grid_deg=grid, density=posterior,
+        warnings=(*density_warnings(rho), *notes, *_warnings(press, fit, is_sound=is_sound)),
         covariance=press.error + angle_sd**2 * np.outer(fit.slope, fit.slope),
         provenance={
             "terraphi": importlib.metadata.version("terraphi"), "law_hash": LAWS[name].hash,

@@ -1,20 +1,21 @@
-r"""Records: measured or simulated forces as window means, and how a library's curve becomes alike.
+r"""Records: forces on one body, opened from a file, a name, a table or an object.
 
-A record has c channels: Fx and Fz, or the moment M about the hip in place of one of them or of
-both. It is compared with the library through m window means of each: 40 windows over |θ| ≤
-85°, as Xu & Wang have it, or those of them that the record covers. With x the readings, taken to be
-linear in between, the means are W x; a curve y known as means over 1° is read at the angles of the
-readings, R y, so that
+A record carries its body from here on: that of a leg (:class:`Record`) has forces over the leg
+angle θ and a rig, that of a tool (:class:`PressedRecord`) forces over sinkage and a plate or ball.
+
+A record of a leg has c channels: Fx and Fz, or the moment M about the hip in place of one of them
+or of both. Record and law are compared by m window means of each channel: 40 windows over |θ| ≤
+85° (Xu & Wang), or those of them that the record covers. With x the readings, linear in between,
+the means are W x. A law's curve y, means over 1°, is interpolated to the angles of the readings,
+R y, and averaged in the same windows:
 
     d = W x,    g = W R y,    cov(noise) = σ² W W'.
-
-Whatever the readings' spacing, both sides are averaged alike.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -22,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from terraphi.experiment.arrays import BoolArray, FloatArray
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import label_of, number_with_sd
 from terraphi.experiment.history import (
@@ -37,8 +38,8 @@ from terraphi.experiment.history import (
 from terraphi.experiment.leg import RotatingShape
 from terraphi.experiment.measurements import Measurement, measurement_of, open_forces
 from terraphi.experiment.priors import DENSITY_SD_PART, SENSOR_GAIN
-from terraphi.experiment.reading import ForceColumns, read_trials
-from terraphi.experiment.rig import LEG_NAMES, Rig
+from terraphi.experiment.reading import ForceColumns, Pressed, read_pressed, read_trials
+from terraphi.experiment.rig import LEG_NAMES, Rig, Tool
 from terraphi.experiment.scenario import Scenario
 
 FEWEST_WINDOWS = 9
@@ -174,30 +175,31 @@ class Record:
         Rounding to steps of q has the variance q²/12, one error for equal readings in a row.
         """
         weights = self._windows[1]
-        found = np.kron(np.diag(np.square(self.noise)), weights @ weights.T)
+        covariance = np.kron(np.diag(np.square(self.noise)), weights @ weights.T)
         m = len(weights)
         for i, (name, step) in enumerate(zip(self.channels, self.resolution, strict=True)):
             if step:
                 changes = np.abs(np.diff(self.history.channel(name))) > step / 2.0
                 runs = np.add.reduceat(weights, np.flatnonzero(np.append(True, changes)), axis=1)
-                found[i * m : (i + 1) * m, i * m : (i + 1) * m] += step**2 / 12.0 * runs @ runs.T
-        return found
+                block = slice(i * m, (i + 1) * m)
+                covariance[block, block] += step**2 / 12.0 * runs @ runs.T
+        return covariance
 
     def operator(self, theta_deg: FloatArray) -> FloatArray:
-        """W R: turns a curve of means over 1° at leg angles [deg] into window means, [m, n]."""
-        return self._windows[1] @ _interpolation(self.history.theta_deg, theta_deg)
+        """W R: window means of a curve given at leg angles [deg], shape [m, n].
 
-    def checked(self) -> Record:
-        """The same record; raises InputError if a force is constant or nearly nothing was read."""
-        for axis, name in zip(self.data, self.channels, strict=True):
-            if np.ptp(axis) <= 1e-9 * max(float(np.abs(self.data).max()), 1e-300):
-                raise InputError(
-                    f"{self.source}: {name} is the same at every angle; check the sensor"
-                )
-        return self
+        R interpolates linearly, and is constant beyond the ends.
+        """
+        readings = self.history.theta_deg
+        i = np.clip(np.searchsorted(theta_deg, readings) - 1, 0, len(theta_deg) - 2)
+        share = np.clip((readings - theta_deg[i]) / (theta_deg[i + 1] - theta_deg[i]), 0.0, 1.0)
+        interpolation, row = np.zeros((len(readings), len(theta_deg))), np.arange(len(readings))
+        interpolation[row, i] = 1.0 - share
+        interpolation[row, i + 1] += share
+        return self._windows[1] @ interpolation
 
     def binned(self) -> Record:
-        """The same record, averaged in equal bins of the leg angle if it is long."""
+        """The record averaged in equal bins of the leg angle, if it is long."""
         history, count = self.history, len(self.history.position)
         if count <= MOST_READINGS:
             return self
@@ -215,17 +217,7 @@ class Record:
             moment=means[-1] if moment else None,
         )
         factor = np.sqrt(means.shape[1] / count)
-        return replace(self, history=fewer, noise=tuple(factor * one for one in self.noise))
-
-    def without(self, mask: BoolArray, notes: Sequence[str], damage: Sequence[str]) -> Record:
-        """The same record without some readings (a mask of those to drop), with what is noted."""
-        return replace(
-            self,
-            history=self.history.chosen(~mask),
-            n_left_out=int(mask.sum()),
-            notes=(*self.notes, *notes),
-            damage=(*self.damage, *damage),
-        )
+        return replace(self, history=fewer, noise=tuple(factor * sd for sd in self.noise))
 
 
 def _hats(at: FloatArray, x: FloatArray) -> FloatArray:
@@ -239,88 +231,143 @@ def _hats(at: FloatArray, x: FloatArray) -> FloatArray:
     return total
 
 
-def _interpolation(at: FloatArray, x: FloatArray) -> FloatArray:
-    """Weights of samples at x in their linear interpolation at some places, constant beyond."""
-    i = np.clip(np.searchsorted(x, at) - 1, 0, len(x) - 2)
-    share = np.clip((at - x[i]) / (x[i + 1] - x[i]), 0.0, 1.0)
-    found = np.zeros((len(at), len(x)))
-    found[np.arange(len(at)), i] = 1.0 - share
-    found[np.arange(len(at)), i + 1] += share
-    return found
+@dataclass(frozen=True, eq=False)
+class PressedRecord:
+    """Force over sinkage of a tool that was pressed straight down.
 
-
-def with_body(source: Any) -> tuple[Any, Any]:
-    """Forces with the leg, rig or tool that they name, or ``None``.
-
-    ``"forces.csv@c"``, ``"forces.csv@rig.toml"``, ``"plate.csv@plate:60"``, or such a pair.
+    Attributes
+    ----------
+    source, density_kg_m3, density_sd_kg_m3, grain_size_mm
+        As of :class:`Record`; ``None`` is an unknown density.
+    rig
+        The plate or ball.
+    table
+        Sinkage and force in the order of time.
     """
-    if isinstance(source, str) and "@" in source and not Path(source).exists():
-        forces, _, own = source.rpartition("@")
-        if not _is_body(own):
-            raise InputError(
-                f"{source}: after @ comes a leg ({', '.join(LEG_NAMES)}), a rig (rig.toml) or a "
-                "tool (plate:60, ball:44)"
-            )
-        return forces, own
-    pair = isinstance(source, tuple) and len(source) == 2 and _is_body(source[1])
-    return source if pair else (source, None)
+
+    source: str
+    rig: Tool
+    table: Pressed
+    density_kg_m3: float | None = None
+    density_sd_kg_m3: float = 0.0
+    grain_size_mm: float = 0.0
 
 
-def _is_body(own: Any) -> bool:
-    """Whether this is a leg, a rig or a tool."""
-    if isinstance(own, str | Path):
-        return own in LEG_NAMES or Path(own).suffix == ".toml" or is_tool(own)
-    return isinstance(own, Rig | Mapping)
-
-
-def is_tool(own: Any) -> bool:
-    """Whether a body is a tool, such as ``"plate:60"``."""
-    return isinstance(own, str) and re.match(r"\w+:[\d.]", own) is not None
-
-
-def open_record(forces: Any, **options: Any) -> Record:
-    """The record of one stroke; as :func:`open_records`."""
-    found = open_records(forces, **options)
-    if len(found) > 1:
-        raise InputError(f"{found[0].source}: {len(found)} strokes, expected one")
-    return found[0]
+# -- opening -------------------------------------------------------------------------------------
 
 
 def open_records(
-    forces: Any, *, columns: Any = None, leg: str | None = None, rig: Any = None, **options: Any
-) -> list[Record]:
-    """Records from whatever forces come in, one for each stroke; tables are tared in air.
+    forces: Any,
+    *,
+    leg: str | None = None,
+    rig: Any = None,
+    tool: str | None = None,
+    columns: Any = None,
+    **options: Any,
+) -> list[Record | PressedRecord]:
+    """Open forces as records, one for each stroke of a leg or press of a tool.
+
+    Tables of legs are tared in air.
 
     Parameters
     ----------
     forces
         Path of a table or NetCDF, ``li2013:MEDIUM/LEG``, a measurement, a force history, a
-        DataFrame or an xarray Dataset.
+        DataFrame or an xarray Dataset; or a list of these. Each may name its body, as
+        ``"forces.csv@c"``, ``"forces.csv@rig.toml"``, ``"plate.csv@plate:60"`` or a pair.
+    leg, rig, tool
+        Body of the records that name none.
     columns
         Which columns of a table are what: a
-        :class:`~terraphi.experiment.reading.ForceColumns`, a mapping, or a TOML file.
-    leg, rig, options
+        :class:`~terraphi.experiment.reading.ForceColumns`, a mapping, or a TOML file. Where there
+        are legs, the columns are those of legs.
+    options
         As of :func:`record_of`.
 
     Raises
     ------
     InputError
-        If the forces, the rig or the density cannot be used.
+        If the forces, the body or the density cannot be used.
     """
+    sources = _sources(forces)
+    has_leg = tool is None and not all(isinstance(body, Tool) for _, body in sources)
+    excluded = {"leg": leg, "rig": rig, **options}
+    wrong = [name for name, value in excluded.items() if value is not None and not has_leg
+             and name not in ("density", "grain_size_mm")]  # fmt: skip
+    if tool is not None:
+        wrong += [f"@{body}" for _, body in sources if body is not None]
+        sources = [(source, Tool.of(tool)) for source, _ in sources]
+    if wrong:
+        raise InputError(f"a tool excludes {', '.join(wrong)}; leave out one or the other")
+    records: list[Record | PressedRecord] = []
+    for source, body in sources:
+        if isinstance(body, Tool):
+            given = {name: options.get(name) for name in ("density", "grain_size_mm")}
+            records.append(_pressed(source, body, None if has_leg else columns, **given))
+            continue
+        if isinstance(body, str) and body in LEG_NAMES:
+            apparatus = {"leg": body, "rig": rig}
+        else:
+            apparatus = {"leg": leg, "rig": rig} if body is None else {"leg": None, "rig": body}
+        measurements = _measurements(source, tared(columns, **apparatus))
+        records += [record_of(item, **apparatus, **options) for item in measurements]
+    return records
+
+
+def open_record(forces: Any, **options: Any) -> Record:
+    """Open the record of one stroke; as :func:`open_records`."""
+    record, *further = open_records(forces, **options)
+    if further or not isinstance(record, Record):
+        raise InputError(f"{record.source}: {1 + len(further)} records, expected one of a leg")
+    return record
+
+
+def _sources(forces: Any) -> list[tuple[Any, Any]]:
+    """Split forces into single sources, each with the leg, rig or tool that it names."""
+    body: Any = None
+    if isinstance(forces, tuple) and len(forces) == 2 and _is_body(forces[1]):
+        forces, body = forces
+    elif isinstance(forces, list | tuple):
+        if not forces:
+            raise InputError("no forces: the list is empty")
+        return [source for item in forces for source in _sources(item)]
+    elif isinstance(forces, str) and "@" in forces and not Path(forces).exists():
+        source, _, body = forces.rpartition("@")
+        if not _is_body(body):
+            raise InputError(
+                f"{forces}: after @ comes a leg ({', '.join(LEG_NAMES)}), a rig (rig.toml) or a "
+                "tool (plate:60, ball:44)"
+            )
+        forces = source
+    return [(forces, Tool.of(body) if is_tool(body) else body)]
+
+
+def _is_body(body: Any) -> bool:
+    """Whether this names a leg, a rig or a tool."""
+    if isinstance(body, str | Path):
+        return body in LEG_NAMES or Path(body).suffix == ".toml" or is_tool(body)
+    return isinstance(body, Rig | Tool | Mapping)
+
+
+def is_tool(body: Any) -> bool:
+    """Whether a body is written as a tool, such as ``"plate:60"``."""
+    return isinstance(body, str) and body.strip().lower().startswith(("plate:", "ball:"))
+
+
+def _measurements(forces: Any, columns: ForceColumns) -> list[Measurement]:
+    """Forces on a leg, with what their origin has of rig and soil."""
     if isinstance(forces, Measurement):
-        known = [forces]
-    elif isinstance(forces, ForceHistory):
-        known = [measurement_of(forces)]
-    elif isinstance(forces, str | Path):
-        known = open_forces(forces, tared(columns, rig, leg))
-    elif hasattr(forces, "to_dataframe") or hasattr(forces, "columns"):
-        known = list(map(measurement_of, read_trials(forces, tared(columns, rig, leg))))
-    else:
-        raise InputError(
-            f"forces of type {type(forces).__name__}; give a path, a shipped name, a ForceHistory, "
-            "a DataFrame or an xarray Dataset"
-        )
-    return [record_of(one, leg=leg, rig=rig, **options) for one in known]
+        return [forces]
+    if isinstance(forces, ForceHistory):
+        return [measurement_of(forces)]
+    if isinstance(forces, str | Path):
+        return open_forces(forces, columns)
+    if hasattr(forces, "to_dataframe") or hasattr(forces, "columns"):
+        return [measurement_of(history) for history in read_trials(forces, columns)]
+    raise InputError(
+        f"forces of type {type(forces).__name__}; give a path, a shipped name, a ForceHistory, "
+        "a DataFrame or an xarray Dataset"
+    )
 
 
 def tared(columns: Any, rig: Any = None, leg: str | None = None) -> ForceColumns:
@@ -331,8 +378,24 @@ def tared(columns: Any, rig: Any = None, leg: str | None = None) -> ForceColumns
     return given.model_copy(update=dict(zip(ends, Rig.of(rig, leg).air_deg(), strict=True)))
 
 
+def _pressed(
+    source: Any,
+    tool: Tool,
+    columns: Any,
+    density: float | str | None = None,
+    grain_size_mm: float | None = None,
+) -> PressedRecord:
+    """Open a table of sinkage and force."""
+    table = read_pressed(source, math.pi * tool.radius**2, columns)
+    is_file = isinstance(source, str | Path)
+    label = label_of(source) if is_file else f"{type(source).__name__} ({tool})"
+    mean, sd = (None, 0.0) if density is None else density_with_sd(density, label)
+    grains = grain_size(grain_size_mm, 2e3 * tool.radius, label)
+    return PressedRecord(label, tool, table, mean, sd, grains)
+
+
 def record_of(
-    known: Measurement,
+    measurement: Measurement,
     *,
     leg: str | None = None,
     rig: Any = None,
@@ -342,12 +405,12 @@ def record_of(
     grain_size_mm: float | None = None,
     simulated: bool | None = None,
 ) -> Record:
-    """The record of a measurement.
+    """Make the record of a measurement.
 
     Parameters
     ----------
-    known
-        Forces, with what is known of leg and soil.
+    measurement
+        Forces, with leg and soil where their origin has them.
     leg
         Shape of the leg; ``None``: that of the rig.
     rig
@@ -369,83 +432,89 @@ def record_of(
     Raises
     ------
     InputError
-        If the rig is not known, or forces, rig or density cannot be used.
+        If there is no rig, or forces, rig or density cannot be used.
     """
-    if leg is not None and leg not in LEG_NAMES:
-        raise InputError(f"unknown leg '{leg}'; {nearest(leg, tuple(LEG_NAMES))}")
-    source = known.rig if rig is None else rig
-    if source is None:
-        raise InputError(
-            f"{known.name}: the size of the leg is not known; add it in mm, as --leg "
-            f"{leg or 'straight'} --length 110 --width 40 --thickness 8 --hip-height 35±1, or "
-            f"--rig li2013 --leg {leg or 'straight'} for that of Li et al. (2013)"
-        )
-    history = known.history
-    made_by = known.scenario
-    stated = known.density_kg_m3 if density is None else density
-    mean, sd = (None, 0.0) if stated is None else density_with_sd(stated, known.name)
-    if made_by is not None and density is None:
-        sd = 0.0
+    name, scenario, raw = measurement.name, measurement.scenario, measurement.history
     excluded = {"sizes of the leg": rig, "gain": gain, "size of grains": grain_size_mm}
-    wrong = [name for name, value in excluded.items() if value is not None]
-    if made_by is not None and wrong:
+    wrong = [label for label, value in excluded.items() if value is not None]
+    if scenario is not None and wrong:
         raise InputError(
-            f"{known.name}: a simulation knows its rig, and has no sensor and no grains; leave out "
-            f"the {' and the '.join(wrong)}"
+            f"{name}: a simulation has a rig of its own, no sensor and no grains; leave out the "
+            f"{' and the '.join(wrong)}"
         )
-    rig = Rig.of(source, leg)
-    grains = grain_size(grain_size_mm, rig.width_mm, known.name)
+    if (scenario is not None or simulated) and raw.channels != FORCES:
+        raise InputError(f"{name}: Fx and Fz of a simulation are needed")
+    apparatus = _apparatus(measurement, rig, leg)
+    stated = measurement.density_kg_m3 if density is None else density
+    mean, sd = (None, 0.0) if stated is None else density_with_sd(stated, name)
     factor, gain_sd = SENSOR_GAIN.mean, None
     if gain is not None:
-        factor, gain_sd = with_sd(
-            f"{known.name}: gain", gain, "it as 1.05 or 1.05±0.01", (0.1, 10.0)
-        )
-    scale_given = None not in (gain_sd, stated) and number_with_sd(str(stated))[1] is not None
-    gain_sd = SENSOR_GAIN.sd if gain_sd is None else gain_sd / factor
-    if factor != 1.0:
-        history = history.scaled(1.0 / factor)
-    few, channels = len(history.theta_deg) < 12, history.channels
-    sensor = tuple(0.0 if few else roughness(history.channel(name)) for name in channels)
-    coarse = known.history.provenance.get("resolution", {})
-    steps = np.array([coarse.get(n, resolution(known.history.channel(n))) for n in channels])
-    steps /= factor
-    if noise is not None and not history.axes:
-        raise InputError(f"{known.name}: noise is that of forces, and there is a moment alone")
-    if noise is not None:
-        given = tuple(noise) if isinstance(noise, list | tuple) else (noise, noise)
-        numbers = len(given) == 2 and all(isinstance(one, int | float) for one in given)
-        if not numbers or not all(0.0 <= one <= np.ptp(history.force) for one in given):
-            raise InputError(
-                f"noise = {noise!r}; give one number of newtons, or one for each force, from 0 to "
-                f"{np.ptp(history.force):.3g} N, the range of the forces"
-            )
-        of_forces = dict(zip(FORCES, given, strict=True))
-        pairs = zip(history.channels, sensor, strict=True)
-        sensor = tuple(of_forces.get(name, one) for name, one in pairs)
-    if (made_by is not None or simulated) and history.channels != FORCES:
-        raise InputError(f"{known.name}: Fx and Fz of a simulation are needed")
+        factor, gain_sd = with_sd(f"{name}: gain", gain, "it as 1.05 or 1.05±0.01", (0.1, 10.0))
+    has_scale = None not in (gain_sd, stated) and number_with_sd(str(stated))[1] is not None
+    channels, measured = raw.channels, raw.provenance.get("resolution", {})
+    steps = {key: measured.get(key, resolution(raw.channel(key))) / factor for key in channels}
+    coarse = " and ".join(
+        f"{key} to {step:.2g} {CHANNEL_UNITS[key]}" for key, step in steps.items() if step
+    )
+    rounded = [f"Readings are rounded, {coarse}: the interval includes that."] if coarse else []
+    history = raw if factor == 1.0 else raw.scaled(1.0 / factor)
     return Record(
-        source=label_of(known.name),
+        source=label_of(name),
         history=history,
-        rig=rig,
+        rig=apparatus,
         density_kg_m3=mean,
-        density_sd_kg_m3=sd,
-        density_assumed=known.density_assumed and density is None,
-        scenario=made_by,
-        simulated=made_by is not None if simulated is None else simulated,
-        measurement=str(history.provenance.get("measurement", "")),
-        notes=(*history.provenance.get("reading", ()), *_rounded(history, steps)),
-        noise=sensor,
-        resolution=tuple(steps.tolist()),
+        density_sd_kg_m3=0.0 if scenario is not None and density is None else sd,
+        density_assumed=measurement.density_assumed and density is None,
+        scenario=scenario,
+        simulated=scenario is not None if simulated is None else simulated,
+        measurement=str(raw.provenance.get("measurement", "")),
+        notes=(*raw.provenance.get("reading", ()), *rounded),
+        noise=_noise(history, noise, name),
+        resolution=tuple(steps.values()),
         gain=factor,
-        gain_sd=gain_sd,
-        scale_given=scale_given,
-        grain_size_mm=grains,
+        gain_sd=SENSOR_GAIN.sd if gain_sd is None else gain_sd / factor,
+        scale_given=has_scale,
+        grain_size_mm=grain_size(grain_size_mm, apparatus.width_mm, name),
     )
 
 
-def density_doubts(density: float) -> list[str]:
-    """A sentence if no dry soil is likely to have a bulk density [kg/m³]."""
+def _apparatus(measurement: Measurement, rig: Any, leg: str | None) -> Rig:
+    """The rig that is given, or that of the measurement, with the leg that is given."""
+    if leg is not None and leg not in LEG_NAMES:
+        raise InputError(f"unknown leg '{leg}'; {nearest(leg, tuple(LEG_NAMES))}")
+    rig = measurement.rig if rig is None else rig
+    if rig is None:
+        raise InputError(
+            f"{measurement.name}: the size of the leg is not known; add it in mm, as --leg "
+            f"{leg or 'straight'} --length 110 --width 40 --thickness 8 --hip-height 35±1, or "
+            f"--rig li2013 --leg {leg or 'straight'} for that of Li et al. (2013)"
+        )
+    return Rig.of(rig, leg)
+
+
+def _noise(
+    history: ForceHistory, noise: float | tuple[float, float] | None, name: str
+) -> tuple[float, ...]:
+    """Standard deviation of a reading of each channel: as given, else from the roughness [N]."""
+    is_short, channels = len(history.theta_deg) < 12, history.channels
+    rough = {key: 0.0 if is_short else roughness(history.channel(key)) for key in channels}
+    if noise is None:
+        return tuple(rough.values())
+    if not history.axes:
+        raise InputError(f"{name}: noise is that of forces, and there is a moment alone")
+    given = tuple(noise) if isinstance(noise, list | tuple) else (noise, noise)
+    numbers = len(given) == 2 and all(isinstance(sd, int | float) for sd in given)
+    if not numbers or not all(0.0 <= sd <= np.ptp(history.force) for sd in given):
+        raise InputError(
+            f"noise = {noise!r}; give one number of newtons, or one for each force, from 0 to "
+            f"{np.ptp(history.force):.3g} N, the range of the forces"
+        )
+    of_forces = dict(zip(FORCES, given, strict=True))
+    return tuple(of_forces.get(key, sd) for key, sd in rough.items())
+
+
+def density_warnings(density: float) -> list[str]:
+    """Warn of a bulk density that hardly any dry soil has [kg/m³]."""
     least, most = USUAL_DENSITY
     if least <= density <= most:
         return []
@@ -473,7 +542,7 @@ def with_sd(
         raise InputError(f"{what} = '{text}'; give {form}") from None
     if not (ends[0] <= mean <= ends[1] and 0.0 <= (sd or 0.0) < mean):
         raise InputError(
-            f"{what} = {text}; give {form}, from {ends[0]:g} to {ends[1]:g} and above its own ±"
+            f"{what} = {text}; give {form}, from {ends[0]:g} to {ends[1]:g}, with ± below the value"
         )
     return mean, sd
 
@@ -494,13 +563,5 @@ def grain_size(given: float | str | None, width_mm: float, name: str) -> float:
 
 
 def roughness(values: FloatArray) -> float:
-    """Noise of readings, from their second differences, of which it leaves √6."""
+    """Noise of readings, from their second differences, in which noise is √6 times as large."""
     return float(1.4826 * np.median(np.abs(np.diff(values, n=2))) / np.sqrt(6.0))
-
-
-def _rounded(history: ForceHistory, steps: FloatArray) -> list[str]:
-    """A sentence if channels are rounded."""
-    pairs = zip(history.channels, steps, strict=True)
-    coarse = [f"{name} to {step:.2g} {CHANNEL_UNITS[name]}" for name, step in pairs if step]
-    listed = " and ".join(coarse)
-    return [f"Readings are rounded, {listed}: the interval includes that."] if coarse else []

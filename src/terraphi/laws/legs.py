@@ -164,6 +164,7 @@ class Legs(FittedLaw):
     AXES = AXES
     PLACES = PLACES
     HYPER = (1, len(AXES) + 1)
+    convention = "plane_strain"
 
     name: str = NAME
     caveat: str = ""
@@ -299,7 +300,7 @@ class Legs(FittedLaw):
         """Contents and origin, JSON-able."""
         return {
             "name": self.name, "model": self.scenario.model,
-            "dimensions": self.scenario.dimensions, "convention": self.scenario.convention,
+            "dimensions": self.scenario.dimensions, "convention": self.convention,
             "phi_deg": list(PHI_DEG), "legs": self.legs, "cases": len(self.x),
             "ranges": {leg: self.ranges(leg) for leg in self.legs},
             "density_kg_m3": DENSITY, "leg_friction": FRICTION.mean,

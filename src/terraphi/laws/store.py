@@ -128,6 +128,11 @@ class Library(Result):
         return self._first_history.coordinate
 
     @property
+    def convention(self) -> str:
+        """Meaning of its friction angle: a yield criterion, or ``rft3d``."""
+        return self.scenario.convention
+
+    @property
     def legs(self) -> list[str]:
         """Shapes of its legs, sorted."""
         return sorted({case.scenario.leg.shape for case in self.cases if case.history})

@@ -39,7 +39,7 @@ them. Angles of the shipped records are within 1e-4° of those by forty."""
 class Theory:
     """The law of all legs."""
 
-    name, caveat = "rft3d", ""
+    name, caveat, convention = "rft3d", "", "rft3d"
     legs = ("c", "reversed_c", "straight")
     """Shapes of its legs, sorted."""
     hash = hashlib.sha256(
