@@ -458,8 +458,7 @@ class ForceHistory(Result):
         values, coordinate = read(file, cls.VARIABLES), file.attrs.coordinate
         position = positions(values, coordinate)
         axes = tuple(axis for axis in "xyz" if values[f"F{axis}"] is not None)
-        force = np.empty((len(position), len(axes)))
-        for i, axis in enumerate(axes):
-            force[:, i] = values[f"F{axis}"]
+        nothing = np.empty((len(position), 0))
+        force = np.column_stack([nothing, *(values[f"F{axis}"] for axis in axes)])
         origin = file.attrs.provenance.model_dump(exclude_unset=True)
         return cls(position, force, coordinate, axes, origin, values["M"])

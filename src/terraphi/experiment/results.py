@@ -28,7 +28,7 @@ class Variable(NamedTuple):
     """A variable of a result and of its file."""
 
     name: str
-    """Name in the file; of a variable in a group, after the group and a slash."""
+    """Name in the file."""
     dims: str
     """Names of its dimensions, with spaces between."""
     unit: str = ""
@@ -55,8 +55,8 @@ class Variable(NamedTuple):
         return values if self.column is None else values[..., self.column]
 
 
-def groups_of(variables: Iterable[Variable], values: Mapping[str, Any]) -> dict[str, xr.Dataset]:
-    """Datasets of variables by group, with units and names; of variables that have values.
+def dataset_of(variables: Iterable[Variable], values: Mapping[str, Any]) -> xr.Dataset:
+    """Dataset of those variables that have values, with their units and ``long_name``.
 
     Parameters
     ----------
@@ -67,38 +67,38 @@ def groups_of(variables: Iterable[Variable], values: Mapping[str, Any]) -> dict[
     """
     import xarray as xr
 
-    groups: dict[str, xr.Dataset] = {}
+    data: dict[str, Any] = {}
+    coordinates: dict[str, Any] = {}
     for variable in variables:
         if values.get(variable.name) is None:
             continue
-        group, _, name = variable.name.rpartition("/")
         array = np.asarray(values[variable.name], str if variable.words else None)
         stated = {"units": variable.unit, "long_name": variable.text}
-        entry = variable.dims.split(), array, {key: word for key, word in stated.items() if word}
-        dataset = groups.setdefault(group, xr.Dataset())
-        if variable.coordinate:
-            groups[group] = dataset.assign_coords({name: entry})
-        else:
-            dataset[name] = entry
-        if variable.packed:
-            groups[group][name].encoding = PACKED
-    return groups
+        stated = {key: text for key, text in stated.items() if text}
+        encoding = PACKED if variable.packed else None
+        part = coordinates if variable.coordinate else data
+        part[variable.name] = (variable.dims.split(), array, stated, encoding)
+    return xr.Dataset(data, coordinates)
 
 
 def read(file: NetcdfFile[Any], variables: Iterable[Variable]) -> dict[str, Any]:
-    """Values of variables of a file, by name; raises ValueError as :class:`NetcdfFile` does."""
-    values: dict[str, Any] = {}
+    """Values by field, of several variables as columns; ``None`` where an optional one is missing.
+
+    Raises ValueError if a variable is missing, of another type or shape, or not finite.
+    """
+    fields: dict[str, list[Any]] = {}
     for variable in variables:
+        name, dims, values = variable.name, variable.dims.split(), None
         if variable.derived:
             continue
-        name, dims = variable.name, variable.dims.split()
-        if variable.optional and name not in file.variables:
-            values[name] = None
-        elif variable.words:
-            values[name] = file.texts(name, *dims)
-        else:
-            values[name] = file.numbers(name, *dims, finite=not variable.holes)
-    return values
+        if name in file.variables or not variable.optional:
+            values = (
+                file.texts(name, *dims)
+                if variable.words
+                else file.numbers(name, *dims, finite=not variable.holes)
+            )
+        fields.setdefault(variable.field or name, []).append(values)
+    return {name: np.column_stack(v) if len(v) > 1 else v[0] for name, v in fields.items()}
 
 
 class Shown:
@@ -142,20 +142,17 @@ class Result(Shown):
 
     def _attributes(self) -> dict[str, Any]:
         """Attributes of the file: numbers and words as they are, everything else as JSON."""
-        stated: dict[str, Any] = {"terraphi_file": self.KIND}
-        if self.SCHEMA is not None:
-            stated["terraphi_schema"] = self.SCHEMA
+        stated: dict[str, Any] = {"terraphi_file": self.KIND, "terraphi_schema": self.SCHEMA}
         for name, info in self.ATTRIBUTES.model_fields.items():
             value = getattr(self, name)
             value = value() if callable(value) else value
             plain = isinstance(value, str | float)
-            value = dict(value) if isinstance(value, Mapping) else value
-            stated[info.alias or name] = value if plain else json.dumps(value)
+            stated[info.alias or name] = value if plain else json.dumps(value, default=dict)
         return stated
 
     def to_xarray(self) -> xr.Dataset:
         """Variables as a Dataset, with units, as in the NetCDF."""
-        return groups_of(self.VARIABLES, self._variables())[""]
+        return dataset_of(self.VARIABLES, self._variables())
 
     def to_netcdf(self, path: Path | str) -> None:
         """Write a self-describing NetCDF-4; raises InputError if the place cannot be written."""
@@ -188,15 +185,4 @@ class Result(Shown):
     @classmethod
     def _of_file(cls, file: NetcdfFile[Any]) -> Self:
         """A result from the variables and attributes of a file; raises ValueError."""
-        columns: dict[str, list[Any]] = {}
-        values = read(file, cls.VARIABLES)
-        for variable in cls.VARIABLES:
-            if variable.name in values:
-                columns.setdefault(variable.field or variable.name, []).append(
-                    values[variable.name]
-                )
-        fields = {
-            name: np.column_stack(parts) if len(parts) > 1 else parts[0]
-            for name, parts in columns.items()
-        }
-        return cls(**fields, **dict(file.attrs))
+        return cls(**read(file, cls.VARIABLES), **dict(file.attrs))

@@ -128,9 +128,7 @@ class RecordSummary:
     shift_deg: float = 0.0
     limit: float | None = None
     rig: Rig | Tool
-    nrmsd: Mapping[Annotated[str, Field(pattern="^(Fx|Fz|M)$")], float] = field(
-        default_factory=dict
-    )
+    nrmsd: Mapping[Channel, float] = field(default_factory=dict)
 
     @property
     def coordinate(self) -> str:

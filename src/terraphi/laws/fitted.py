@@ -97,13 +97,13 @@ class FittedLaw(Result):
     def _of_file(cls, file: NetcdfFile[LawAttributes]) -> Self:
         """A law; raises ValueError if the file is of another law."""
         numbers = read(file, cls.VARIABLES)
-        axes, places = numbers.pop("axis"), numbers.pop("place")
+        axes, places = numbers.pop("AXES"), numbers.pop("PLACES")
         if axes != cls.AXES:
             raise ValueError(f"it is over {', '.join(axes)}, not {', '.join(cls.AXES)}")
         if not np.array_equal(places, cls.PLACES):
             raise ValueError("its places are those of another version")
-        numbers["hyper"] = file.numbers("hyper", *cls.HYPER)
-        return cls(**numbers, **dict(file.attrs))
+        del numbers["hyperparameters"]
+        return cls(**numbers, hyper=file.numbers("hyper", *cls.HYPER), **dict(file.attrs))
 
     def _lines(self) -> list[str]:
         cases = f"{len(self.depth)} cases over {', '.join(self.AXES)}"

@@ -17,7 +17,7 @@ from terraphi.experiment.arrays import count, seed_from
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import path_of
 from terraphi.experiment.outputs import output_folder
-from terraphi.experiment.results import Shown, Variable, groups_of
+from terraphi.experiment.results import Shown, Variable, dataset_of
 from terraphi.terrain import inputs, slopes
 from terraphi.terrain.field import Field, degrees_per_z, fit, tangent
 
@@ -83,7 +83,7 @@ class SlopeMap(Shown):
         """Layers over y and x [m], with their units."""
         on_grid = [Variable(name, "y x", unit, about) for name, (about, unit) in LAYERS.items()]
         places = {"y": self.dem.y, "x": self.dem.x, "crs": str(self.dem.crs)}
-        return groups_of(on_grid, self.layers)[""].assign_coords(places)
+        return dataset_of(on_grid, self.layers).assign_coords(places)
 
     def _lines(self) -> list[str]:
         return in_words(self.summary)
