@@ -493,12 +493,10 @@ class Likelihood:
         if len(self._cohesions) == 1:
             return Cohesion(float(self._cohesions[0]), 0.0, 0.0)
         along, fine = self._even_steps(self._cohesions)
-        i = np.clip(np.searchsorted(along, fine, "right") - 1, 0, len(along) - 2)
-        share = ((fine - along[i]) / (along[i + 1] - along[i]))[:, None]
         # Between two cohesions the residual is nearly linear, and its square may be near zero.
         residuals = np.array([best.residual[0] for best in self._by_cohesion]) / self.span
-        squares = np.square((1.0 - share) * residuals[i] + share * residuals[i + 1])
-        c, weight = self._likely_cohesions(fine, squares.mean(axis=1))
+        squares = np.mean([np.interp(fine, along, row) ** 2 for row in residuals.T], axis=0)
+        c, weight = self._likely_cohesions(fine, squares)
         mean = float(weight @ c)
         phi = np.interp(fine, along, [best.x[0, 0] for best in self._by_cohesion])
         at_mean = np.interp(np.log1p(mean / EVENLY), fine, phi)
@@ -633,7 +631,8 @@ class Likelihood:
             covariances["noise"][part, part] += record.noise_covariance
         if self.measured:
             curve = self.curves(self.least_squares[None])[0]
-            # A change of the curve that looks like another φ.
+            # One cause moves all windows together: its covariance is e e', with e a part of the
+            # curve if it scales the forces, or of the slope if it looks like another φ.
             slope = self.slope(self.least_squares)[:, 0]
             errors = {name: (sds, slope) for name, sds in self._angle_sds().items()}
             errors["density"] = self.density_sd, curve
@@ -667,6 +666,8 @@ class Likelihood:
         The law's interpolation between its simulations; of measured records a standard deviation of
         the leg's friction and of the hip's height; of simulated ones the scatter between seeds.
         """
+        # The law has each error as a factor F [2 theta, k] of its forces: k independent causes, one
+        # standard deviation each. Read as the record reads forces, F is B, and the covariance B B'.
         scatter, errors = np.zeros((self.data.size, self.data.size)), []
         for i, (record, law, part) in enumerate(
             zip(self.records, self.laws, self.parts, strict=True)
