@@ -68,9 +68,10 @@ PLATE_DENSITY = 1330.0
 SPANS = ((1e-3, 5e-3), (5e-3, 12e-3), (12e-3, 20e-3), (20e-3, 28e-3))
 """Of their sinkage [m]."""
 DRIFT = (
-    "Measured plates: under soil of one φ that keeps its volume the pressure over ρ g z falls with "
-    "the depth, for the surface bears too. Theirs begins at nothing, and its slope doubles: φ read "
-    "with one law rises. Soil that is compacted as it flows does the same until it is compacted."
+    "Measured plates: in soil of one φ that keeps its volume, the pressure over ρ g z falls with "
+    "the depth, because the surface bears, too. The pressure under the measured plates begins at "
+    "zero and its slope doubles, so φ by one law rises. Soil that is compacted as it flows behaves "
+    "like this until it is compacted."
 )
 RECTANGLES = pages.ROOT / "data" / "foot_rectangles.csv"
 SLENDER, AREA_RADIUS, OF_PHI, EDGE = (1, 2, 4), 0.024, 30.0, 3e-3
@@ -408,18 +409,17 @@ def rectangles() -> list[tuple[str, ...]]:
 
 
 def draw(tables: Tables) -> Figure:
-    """Lift straight down over the depth, by φ, of both feet."""
-    figure = Figure(figsize=(10.0, 3.8), layout="constrained")
-    for axes, (shape, (nodes, force)) in zip(
-        figure.subplots(1, len(tables), squeeze=False)[0], tables.items(), strict=True
-    ):
-        for k, phi in enumerate(nodes["phi_deg"]):
-            for i, line in enumerate(("--", "-")):
-                label = f"{phi:g}°" if i else None
-                axes.plot(RATIO, force[i, k, 0, :, 1], line, color=f"C{k}", lw=1.0, label=label)
-        axes.set(xlabel="depth / R", ylabel="lift / ρ g R³", yscale="log", title=NAMES[shape],
-                 ylim=(1.0, None))  # fmt: skip
-        axes.legend(frameon=False, fontsize="x-small", title="dashed: μ 0.2")
+    """Draw the lift straight down over the depth, at three angles and μ = 0.5, for both feet."""
+    figure = Figure(figsize=(6.4, 3.8), layout="constrained")
+    panels = figure.subplots(1, len(tables), squeeze=False, sharey=True)[0]
+    for axes, (shape, (nodes, force)) in zip(panels, tables.items(), strict=True):
+        for k in (1, 3, 5):
+            label = f"φ = {nodes['phi_deg'][k]:g}°" if axes is panels[0] else None
+            axes.plot(RATIO, force[1, k, 0, :, 1], color=f"C{k // 2}", label=label)
+        axes.set(xlabel="depth / R", yscale="log", title=NAMES[shape], ylim=(1.0, None))
+    panels[0].set_ylabel("lift / ρ g R³")
+    figure.suptitle("How does the lift on a foot grow with depth and φ?")
+    figure.legend(loc="outside lower center", ncols=3, frameon=False)
     return figure
 
 
@@ -441,14 +441,14 @@ def main() -> None:
         widest = max(map(len, rows), default=1)
         header = ("change", *["lift"] * (widest - 1))
         listed = (", ".join(f"{v:g}" for v in axes[key]) for key in ("phi_deg", "tilt_deg"))
-        told = (
-            "The {}: φ {}°, μ 0.2 and 0.5, {}° from the vertical, to five radii; soil of 36° and "
-            "more grows as that of 36° beyond {:g} radii."
+        simulated = (
+            "The {} was simulated at φ {}°, μ 0.2 and 0.5, {}° from the vertical, down to five "
+            "radii. Beyond {:g} radii the law of soil of more than 36° grows as that of 36°."
         ).format(NAMES[shape], *listed, LAST)
-        parts += [told, pages.table(header, [(*r, *[""] * (widest - len(r))) for r in rows])]
+        parts += [simulated, pages.table(header, [(*r, *[""] * (widest - len(r))) for r in rows])]
         factors = zip(axes["phi_deg"], np.exp(log[:, 50]), sd[:, 50], strict=True)
         text = ", ".join(f"{f:.2f} ± {100 * s:.0f} % at {phi:g}°" for phi, f, s in factors)
-        parts.append(f"One radius deep forces are multiplied by {text}.")
+        parts.append(f"One radius deep the law multiplies the forces by {text}.")
 
     write_law(tables)
 
@@ -467,15 +467,15 @@ def main() -> None:
         (
             f"Lift on rectangles over that on a disc of their area (radius {1e3 * AREA_RADIUS:g} "
             f"mm, φ {OF_PHI:g}°, 0.3 to 1.5 radii deep), and by Vesić's shape factors. `--tool "
-            "plate:38x25` takes what is between, with half its logarithm as error."
+            "plate:38x25` takes a value between both, with half its logarithm as error."
         ),
         pages.table(header, rectangles()),
     ]
     parts.append(
-        f"Feet in loose grains whose φ a shear cell measured find {WEAKER_DEG:g}° less by the "
-        "simulated forces ([plates](plates.md)). So at φ the law has the force that was "
-        f"simulated at φ − {WEAKER_DEG:g}°; the numbers above are of simulated φ, those of plates "
-        "of the law."
+        f"In loose grains whose φ a shear cell measured, the simulated forces give {WEAKER_DEG:g}° "
+        "less ([plates](plates.md)). So the force of the law at φ is that simulated at "
+        f"φ − {WEAKER_DEG:g}°. φ of the plates above is that of the law, φ elsewhere on this page "
+        "that of the simulation."
     )
     alt = "lift on a ball and a disc over depth, by simulated friction angle"
     pages.write(out, "foot", "The simulated law of a foot", parts, draw(tables), alt)

@@ -142,7 +142,9 @@ def draw(hits: dict[tuple[str, str], Hit]) -> Figure:
         axes.axhline(0.0, color="0.7", lw=0.6)
         axes.set(xlabel="depth / R", ylabel="(F − F slow) / ρ π R² v²",
                  title=WORDS[name[0]].format(name[1:]))  # fmt: skip
-    left.legend(frameon=False, fontsize="small")
+    figure.suptitle("Does the momentum of the moving soil explain the extra force of fast balls?")
+    figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=5,
+                  frameon=False)  # fmt: skip
     return figure
 
 

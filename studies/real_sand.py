@@ -66,7 +66,7 @@ def summary(answers: list[dict[str, Any]]) -> list[str]:
 
 def draw(answers: list[dict[str, Any]]) -> Figure:
     """Intervals of 68 and 95 % by medium and leg, and the angles of repose."""
-    figure = Figure(figsize=(8.0, 3.6), layout="constrained")
+    figure = Figure(figsize=(6.4, 3.8), layout="constrained")
     axes = figure.subplots()
     media = list(dict.fromkeys(a["medium"] for a in answers))
     for a in answers:
@@ -83,8 +83,8 @@ def draw(answers: list[dict[str, Any]]) -> Figure:
         axes.plot([], [], "o", color=colour, label=leg)
     axes.plot([], [], color="grey", label="angle of repose")
     axes.set_xticks(range(len(media)), media)
-    axes.set_ylabel("friction angle [deg]")
-    axes.legend(frameon=False, fontsize="small", ncols=4)
+    axes.set(ylabel="φ [deg]", title="Do three legs in one medium find one angle?")
+    figure.legend(loc="outside lower center", ncols=4, frameon=False)
     return figure
 
 

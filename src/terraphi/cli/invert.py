@@ -15,6 +15,8 @@ from terraphi.view.console import Table, present, progress_bar
 
 SOME_FAILED = 1
 """Exit status where some records of a table cannot be used."""
+FILES = ("answer.json", "answer.nc", "answer.png")
+"""Files of an answer; without Matplotlib there is no picture."""
 
 
 @click.command()
@@ -24,21 +26,15 @@ SOME_FAILED = 1
 @click.option("--noise", type=Float(), help="Noise [N].  [default: estimated]")
 @click.option("--calibration", type=PATH, help="File of 'terraphi calibrate'.")
 @click.option("--critical", metavar="DEG[±SD]", help="Critical φ: a bound; if dense, the peak.")
-@click.option(
-    "--simulated/--measured", default=None, help="What FORCES are.  [default: as in FORCES]"
-)
+@click.option("--simulated/--measured", default=None, help="Origin.  [default: as in FORCES]")
 @click.option("--out", type=PATH, help="Folder for answer.json, .nc and .png.")
 @click.option("--table", type=PATH, help="CSV to write; without FORCES, to read.")
 @click.option("-v", "--verbose", is_flag=True, help="Print all warnings, and tables.")
 @json_option
 def invert(
-    forces: tuple[str, ...],
-    out: Path | None,
-    table: Path | None,
-    verbose: bool,
-    as_json: bool,
+    forces: tuple[str, ...], out: Path | None, table: Path | None, verbose: bool, as_json: bool,
     **options: Any,
-) -> None:
+) -> None:  # fmt: skip
     """Infer the friction angle from FORCES.
 
     FORCES, of one soil: leg angle (0 downward) and forces (x forward, z up) in a table or NetCDF;
@@ -54,28 +50,25 @@ def invert(
     if table is not None:
         if forces and out is not None:
             raise InputError("--table and --out exclude each other; give one of them")
-        rows = [{"forces": one} for one in forces] or read_manifest(table)
+        rows = [{"forces": path} for path in forces] or read_manifest(table)
         tabulate(rows, table if forces else out, as_json, options)
         return
     if not forces:
         raise InputError("no forces; give FORCES, or a CSV of records by --table")
-    files = [f"answer.{one}" for one in ("json", "nc", "png")]
     if out is not None:
-        check_folder(out, kind="answer", names=files)
+        check_folder(out, kind="answer", names=FILES)
     answer = inversion.invert(list(forces), **with_rig(options))
-    written = []
+    parts = parts_of(answer, verbose=verbose)
     if out is not None:
         answer.save(out)
-        made = [name for name in files if (out / name).exists()]
-        written.append(f"Written: {out}/{', '.join(made)}")
-    parts = parts_of(answer, verbose=verbose)
-    present(answer.as_dict(), *parts, *written, as_json=as_json)
+        parts.append(f"Written: {out}/{', '.join(f for f in FILES if (out / f).exists())}")
+    present(answer.as_dict(), *parts, as_json=as_json)
 
 
 def tabulate(
     rows: list[dict[str, Any]], table: Path | None, as_json: bool, options: dict[str, Any]
 ) -> None:
-    """Invert records one by one and write a row for each; exit status 1 if one failed."""
+    """Invert each record and write a row for it; end with exit status 1 if one failed."""
     from terraphi.inference.answer import Answer
     from terraphi.inference.manifest import invert_rows
     from terraphi.view.answers import check_table, table_of_answers, write_table
@@ -83,17 +76,17 @@ def tabulate(
     if table is not None:
         check_table(table)
     with progress_bar("inverting") as report:
-        found = invert_rows(rows, options, report)
-    failed = [str(one) for one in found if isinstance(one, InputError)]
+        answers = invert_rows(rows, options, report)
+    failed = [str(answer) for answer in answers if isinstance(answer, InputError)]
     if failed and len(failed) == len(rows):
         raise InputError(failed[0])
-    cells, counts = write_table(rows, found, table)
+    cells, counts = write_table(rows, answers, table)
     for sentence in failed:
         click.echo(f"Failed: {sentence}", err=True)
     verdicts = ", ".join(f"{count} {name}" for name, count in counts.items())
-    assumed = sum(isinstance(one, Answer) and one.density_assumed for one in found)
+    assumed = sum(isinstance(answer, Answer) and answer.density_assumed for answer in answers)
     guess = f"; the density of {assumed} is assumed" if assumed else ""
-    copied = dict.fromkeys(name for one in rows for name in one.get("notes", {}))
+    copied = dict.fromkeys(name for row in rows for name in row.get("notes", {}))
     data = {"rows": cells} if table is None else {"table": str(table)}
     present(
         {**data, "records": len(rows), "verdicts": counts},
@@ -117,8 +110,8 @@ def tabulate(
 def calibrate(forces: tuple[str, ...], phi: str, out: Path, as_json: bool, **options: Any) -> None:
     """Learn the offset of your apparatus from soils of known angle.
 
-    FORCES, repeats, were measured in one soil of angle --phi, in the convention of the law (plane
-    strain for legs). 'invert --calibration FILE' then gives narrower intervals.
+    FORCES are repeats in one soil. --phi is its angle in the convention of the law (plane strain
+    for legs). 'invert --calibration FILE' then gives narrower intervals.
 
     Example: terraphi calibrate li2013:poppy_loose/straight --phi 36±2 --out poppy.toml
     """
@@ -134,16 +127,16 @@ def calibrate(forces: tuple[str, ...], phi: str, out: Path, as_json: bool, **opt
         mean, sd = 0.0, None
     if sd is None or not 0.0 <= sd < 90.0:
         raise InputError(f"--phi {phi}: give mean and standard deviation, such as 36±2")
-    found = run(list(forces), mean, sd, **with_rig(options))
-    found.save(out)
+    calibration = run(list(forces), mean, sd, **with_rig(options))
+    calibration.save(out)
     rows = [
-        (one.source, one.leg, f"{one.phi_deg:g} ± {one.phi_sd_deg:g}", f"{one.read_deg:.1f}")
-        for one in found.soils
+        (soil.source, soil.leg, f"{soil.phi_deg:g} ± {soil.phi_sd_deg:g}", f"{soil.read_deg:.1f}")
+        for soil in calibration.soils
     ]
-    header = ("soil", "leg", "known φ [deg]", f"by {found.library} [deg]")
-    warnings = list(found.warnings())
-    data = {"file": str(out), **found.model_dump(mode="json"), "warnings": warnings}
-    lines = [*(f"Warning: {one}" for one in warnings), f"Written: {out}"]
+    header = ("soil", "leg", "known φ [deg]", f"by {calibration.library} [deg]")
+    warnings = list(calibration.warnings())
+    data = {"file": str(out), **calibration.model_dump(mode="json"), "warnings": warnings}
+    lines = [*(f"Warning: {warning}" for warning in warnings), f"Written: {out}"]
     present(data, Table("", header, rows), *lines, as_json=as_json)
 
 
@@ -161,7 +154,7 @@ def demo(out: Path, as_json: bool) -> None:
 
     answers, picture = run(out)
     present(
-        {"answers": [one.as_dict() for one in answers], "picture": picture},
+        {"answers": [answer.as_dict() for answer in answers], "picture": picture},
         f"Simulated with φ = {TRUTH_DEG:g}°, then inverted; and two measured soils.\n",
         *(f"{headline(answer)}\n{answer.reason}\n" for answer in answers),
         f"Picture: {picture}\nYour own: terraphi invert {out}/forces.csv --rig {out}/rig.toml "

@@ -30,25 +30,15 @@ def library() -> None:
 @rig_options
 @click.option("--out", type=PATH, required=True, help="NetCDF file to make.")
 @click.option("--workers", type=click.IntRange(min=1), help="Processes.  [default: all cores]")
-@click.option(
-    "--cluster",
-    metavar="ADDRESS",
-    help="Dask scheduler to simulate on, such as tcp://127.0.0.1:8786.",
-)
+@click.option("--cluster", metavar="ADDRESS", help="Dask scheduler, as tcp://127.0.0.1:8786.")
 @json_option
 def library_build(
-    plan: str | None,
-    out: Path,
-    workers: int | None,
-    cluster: str | None,
-    as_json: bool,
-    **options: Any,
+    plan: str | None, out: Path, workers: int | None, cluster: str | None, as_json: bool, **rig: Any
 ) -> None:
-    """Simulate all cases of PLAN, a TOML file or the name of a shipped plan, or of a rig of yours.
+    """Simulate all cases of a PLAN (a TOML file or the name of a shipped plan), or of your rig.
 
-    Of a rig bed, cells and steps follow from its sizes.
-
-    After an interruption the same command continues. 'terraphi keys plan' lists the keys of a plan.
+    'terraphi keys plan' lists the keys of a plan. For a rig, bed, cells and steps follow from its
+    sizes. After an interruption the same command continues.
 
     Example: terraphi library build wide.toml --out wide.nc --workers 4
 
@@ -61,7 +51,7 @@ def library_build(
     from terraphi.laws.plan import Plan
 
     check_file(out, kind="library")
-    given = with_rig(options)
+    given = with_rig(rig)
     if (plan is None) == (given["rig"] is None) or (plan and given["leg"]):
         raise InputError("give a PLAN, or a rig by --leg with its four sizes, or by --rig FILE")
     chosen = Plan.load(plan) if plan is not None else Plan.of_rig(Rig.of(**given))
@@ -82,20 +72,15 @@ def library_list(as_json: bool) -> None:
     """
     from terraphi.laws.legs import shipped_laws
 
-    found = [one.summary() for one in shipped_laws()]
+    summaries = [law.summary() for law in shipped_laws()]
     rows = [
-        (
-            one["name"],
-            f"{one['model']}, {one['dimensions']}-D",
-            "{:g} to {:g}".format(*one["phi_deg"]),
-            one["convention"],
-            ", ".join(one["legs"]),
-            str(one["cases"]),
-        )
-        for one in found
-    ]
+        (law["name"], f"{law['model']}, {law['dimensions']}-D",
+         "{:g} to {:g}".format(*law["phi_deg"]), law["convention"], ", ".join(law["legs"]),
+         str(law["cases"]))
+        for law in summaries
+    ]  # fmt: skip
     header = ("library", "model", "φ [deg]", "φ means", "legs", "cases")
-    present({"libraries": found}, Table("", header, rows), as_json=as_json)
+    present({"libraries": summaries}, Table("", header, rows), as_json=as_json)
 
 
 @library.command("show")
@@ -111,9 +96,9 @@ def library_show(name: str, as_json: bool) -> None:
     print_library(stored(name), as_json)
 
 
-def print_library(found: LawOfLegs, as_json: bool) -> None:
+def print_library(law: LawOfLegs, as_json: bool) -> None:
     """Print the summary of a library, with its plan as JSON alone."""
-    summary = found.summary()
-    every = {**summary, **summary["provenance"]}
-    shown = {k: v for k, v in every.items() if v is not None and k not in ("provenance", "plan")}
+    summary = law.summary()
+    values = {**summary, **summary["provenance"]}
+    shown = {k: v for k, v in values.items() if v is not None and k not in ("provenance", "plan")}
     present(summary, shown, as_json=as_json)

@@ -19,12 +19,8 @@ NAMES = (
 
 @click.command()
 @click.argument("name", required=False, metavar="[NAME]", type=click.Choice(NAMES))
-@choice(
-    "--library",
-    ("paper", "paper-code"),
-    "paper",
-    "Model: the paper's text, or its public code (recovery, phi_sensitivity, k0, surrogate).",
-)
+@choice("--library", ("paper", "paper-code"), "paper",
+        "Text of the paper, or its code (recovery, phi_sensitivity, k0, surrogate).")  # fmt: skip
 @click.option("--out", type=PATH, help="Folder for data.json and figures.")
 @json_option
 def paper(name: str | None, library: str, out: Path | None, as_json: bool) -> None:
@@ -54,24 +50,24 @@ def paper(name: str | None, library: str, out: Path | None, as_json: bool) -> No
     last = None
     with progress_bar("computing") as report:
         if name is None:
-            found, last = numbers.number_by_number(lambda done: report(done, 1.0))
+            results, last = numbers.number_by_number(lambda done: report(done, 1.0))
         else:
-            one = numbers.run(name, library=library, progress=lambda done: report(done, 1.0))
-            found = {name: one}
-    data: dict[str, Any] = {name: one.data for name, one in found.items()}
+            result = numbers.run(name, library=library, progress=lambda done: report(done, 1.0))
+            results = {name: result}
+    data: dict[str, Any] = {name: result.data for name, result in results.items()}
     data = data[name] if name is not None else data
     if out is not None:
         with output_folder(out, kind="paper", last="data.json") as made:
             made.joinpath("data.json").write_text(as_text(data), encoding="utf-8")
-            for one in found.values():
-                for figure, drawn in one.figures.items():
+            for result in results.values():
+                for figure, drawn in result.figures.items():
                     drawn().savefig(made.joinpath(f"{figure}.png"), dpi=300)
     parts: list[str | Table] = []
-    for one in found.values():
-        parts.append(Table(**one.data["table"]))
-        if one.compared and last is None:
-            parts.append(Table("", ("quantity", "ours", "Xu & Wang"), one.compared))
-        parts += [f"{note}\n" for note in one.notes]
+    for result in results.values():
+        parts.append(Table(**result.data["table"]))
+        if result.compared and last is None:
+            parts.append(Table("", ("quantity", "ours", "Xu & Wang"), result.compared))
+        parts += [f"{note}\n" for note in result.notes]
     parts += [] if last is None else [Table(**last)]
     parts += [] if out is None else [f"Written: {out}"]
     present(data, *parts, as_json=as_json)

@@ -23,13 +23,8 @@ FRAMES, LONG_S = 100, 30.0
 
 @click.command()
 @click.argument("scenario")
-@click.option(
-    "--set",
-    "changes",
-    multiple=True,
-    metavar="KEY=VALUE",
-    help="Change a key of the scenario, as soil.friction_angle_deg=30; may be repeated.",
-)
+@click.option("--set", "changes", multiple=True, metavar="KEY=VALUE",
+              help="Change a key, as soil.friction_angle_deg=30; may be repeated.")  # fmt: skip
 @click.option("--out", type=PATH, help="NetCDF file for the forces.")
 @click.option("--vtk", type=PATH, help="Folder for particles and leg, for ParaView.")
 @json_option
@@ -40,7 +35,7 @@ def simulate(
 
     Presets: quick (seconds), sand3d, paper-1 and paper-code-1 (hours).
 
-    With --out an interrupted simulation continues by the same command, with the same result to the
+    With --out the same command continues an interrupted simulation, with the same result to the
     last bit. 'terraphi keys' lists the keys of a scenario.
 
     Example: terraphi simulate quick --set leg.shape="c" --out quick.nc
@@ -62,12 +57,8 @@ def simulate(
     announce([chosen])
     kept = forward.Checkpoint(out.with_name(f"{out.name}.checkpoint")) if out else None
     with progress_bar("simulating") as report:
-        history = forward.simulate(
-            chosen,
-            progress=lambda fraction: report(fraction, 1.0),
-            checkpoint=kept,
-            observe=observe,
-        )
+        history = forward.simulate(chosen, progress=lambda fraction: report(fraction, 1.0),
+                                   checkpoint=kept, observe=observe)  # fmt: skip
     if out is not None and kept is not None:
         history.to_netcdf(out)
         kept.path.unlink(missing_ok=True)
@@ -76,15 +67,15 @@ def simulate(
 
 
 def announce(scenarios: Sequence[Scenario], workers: int = 1) -> None:
-    """Print what looks like a mistake in scenarios, and how long they take.
+    """Print warnings about scenarios, and how long they take.
 
     Raises InputError if the compiler that they need is not installed.
     """
     from terraphi.forward.forecast import forecast
 
-    if any(one.model == "mpm" for one in scenarios):
+    if any(scenario.model == "mpm" for scenario in scenarios):
         importlib.import_module("terraphi.forward.compiled")
-    for warning in dict.fromkeys(text for one in scenarios for text in one.warnings()):
+    for warning in dict.fromkeys(text for scenario in scenarios for text in scenario.warnings()):
         click.echo(f"terraphi: {warning}", err=True)
     expected = forecast(scenarios)
     if sys.stderr.isatty() or expected.core_seconds > LONG_S:
@@ -95,10 +86,10 @@ def changed(scenario: Scenario, changes: tuple[str, ...]) -> Scenario:
     """A scenario with the keys of ``--set`` replaced; raises InputError if one cannot be."""
     from terraphi.experiment.documents import value_of
 
-    found: dict[str, Any] = {}
+    replaced: dict[str, Any] = {}
     for change in changes:
         key, given, text = change.partition("=")
         if not given:
             raise InputError(f"--set {change}: give KEY=VALUE, such as leg.shape=c")
-        found[key] = value_of(text)
-    return scenario.replace("--set", **found)
+        replaced[key] = value_of(text)
+    return scenario.replace("--set", **replaced)

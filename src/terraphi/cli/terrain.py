@@ -14,10 +14,9 @@ from terraphi.view.console import present, progress_bar
 
 SIMULATOR = click.Choice(shared.SIMULATORS)
 dp_type_option = click.option(
-    "--dp-type",
-    type=click.Choice(shared.DP_TYPES),
+    "--dp-type", type=click.Choice(shared.DP_TYPES),
     help="Cone of geotaichi.  [default: MiddleCircumscribed]",
-)
+)  # fmt: skip
 seed_option = click.option(
     "--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True, help="Seed of draws."
 )
@@ -27,16 +26,12 @@ seed_option = click.option(
 @click.argument("answer", metavar="ANSWER|SOIL")
 @click.option("--to", required=True, type=SIMULATOR, help="The simulator.")
 @density_option
-@choice("--match", shared.MATCHES, "plane-strain", "Stress path in which both are as strong.")
+@choice("--match", shared.MATCHES, "plane-strain", "Stress path of equal strength.")
 @dp_type_option
-@click.option(
-    "--draws",
-    type=click.IntRange(0, 100_000),
-    default=0,
-    help="Draws of the posterior.  [default: 0]",
-)
+@click.option("--draws", type=click.IntRange(0, 100_000), default=0, show_default=True,
+              help="Draws of the posterior.")  # fmt: skip
 @seed_option
-@click.option("--anyway", is_flag=True, help="Export a misfit, or what is out of range.")
+@click.option("--anyway", is_flag=True, help="Export a misfit or an angle out of range.")
 @click.option("--out", type=PATH, help="A .py, .json, .csv or (newton, isaaclab) .usda file.")
 @json_option
 def export(answer: str, out: Path | None, as_json: bool, **options: Any) -> None:
@@ -49,11 +44,11 @@ def export(answer: str, out: Path | None, as_json: bool, **options: Any) -> None
     """
     from terraphi.terrain import export as exports
 
-    found = exports.export(answer, out=out, **options)
+    exported = exports.export(answer, out=out, **options)
     if out is None:
-        click.echo(exports.text(found, "json" if as_json else "python"), nl=False)
+        click.echo(exports.text(exported, "json" if as_json else "python"), nl=False)
         return
-    present(found, exports.headline(found), f"Written: {out}", as_json=as_json)
+    present(exported, exports.headline(exported), f"Written: {out}", as_json=as_json)
 
 
 @click.command()
@@ -63,9 +58,9 @@ def export(answer: str, out: Path | None, as_json: bool, **options: Any) -> None
 @dp_type_option
 @json_option
 def convert(value: str, from_: str | None, as_json: bool, **options: Any) -> None:
-    """Print the friction angle that acts where a simulator's friction is VALUE, or the reverse.
+    """Convert the friction VALUE of a simulator to a friction angle, or a SOIL to such a value.
 
-    SOIL is as of 'terraphi export': an angle as 33±2, a name, or an answer.
+    SOIL is an angle as 33±2, a name as 'loose dry sand', or an answer.
 
     Example: terraphi convert 0.68 --from newton --to genesis
 
@@ -75,25 +70,17 @@ def convert(value: str, from_: str | None, as_json: bool, **options: Any) -> Non
     from terraphi.terrain.simulators import converted_in_words
 
     number = value if from_ is None else Float().convert(value, None, None)
-    found = converted(number, from_=from_, **options)
-    present(found, *converted_in_words(found), as_json=as_json)
+    converted_value = converted(number, from_=from_, **options)
+    present(converted_value, *converted_in_words(converted_value), as_json=as_json)
 
 
 @click.command()
 @click.argument("name", metavar="SIMULATOR", type=click.Choice(shared.TUNED))
 @click.option("--voxel", required=True, type=Float(), metavar="M", help="Size of a grid cell.")
-@click.option(
-    "--foot",
-    required=True,
-    metavar="disc:M|ball:M|FILE",
-    help="Radius of a disc or ball, or a closed mesh in OBJ (metres, z up).",
-)
-@click.option(
-    "--phi",
-    required=True,
-    metavar="DEG[±SD]|ANSWER",
-    help="Friction angle in plane strain, or the folder of an answer.",
-)
+@click.option("--foot", required=True, metavar="disc:M|ball:M|FILE",
+              help="Radius of a disc or ball, or a closed mesh in OBJ (metres, z up).")  # fmt: skip
+@click.option("--phi", required=True, metavar="DEG[±SD]|ANSWER",
+              help="Friction angle in plane strain, or the folder of an answer.")  # fmt: skip
 @density_option
 @click.option(
     "--surface-friction", type=Float(), default=FRICTION.mean, show_default=True,
@@ -102,18 +89,18 @@ def convert(value: str, from_: str | None, as_json: bool, **options: Any) -> Non
 @click.option("--depth", type=Float(), metavar="M", help="Largest sinkage.  [default: radius / 2]")
 @click.option(
     "--time-step", type=Float(), default=0.01, show_default=True, metavar="S",
-    help="Of Newton; its force depends on it.",
+    help="Time step of Newton, which changes its force.",
 )  # fmt: skip
 @click.option(
     "--finer", type=click.IntRange(0, 4), default=2, show_default=True,
-    help="Finer voxels to try where no friction does.",
+    help="Finer voxels to try if no friction fits.",
 )  # fmt: skip
 @click.option(
     "--draws", type=click.IntRange(0, 2000), default=64, show_default=True,
     help="Draws of friction.",
 )  # fmt: skip
 @seed_option
-@click.option("--anyway", is_flag=True, help="Write a file although no friction does.")
+@click.option("--anyway", is_flag=True, help="Write a file even if no friction fits.")
 @click.option("--out", type=PATH, help="A .py, .json, .csv or (newton, isaaclab) .usda file.")
 @json_option
 def tune(name: str, out: Path | None, as_json: bool, **options: Any) -> None:
@@ -127,28 +114,21 @@ def tune(name: str, out: Path | None, as_json: bool, **options: Any) -> None:
     from terraphi.terrain import tune as tuning
 
     with progress_bar("pressing") as report:
-        found = tuning.tune(name, out=out, progress=report, **options)
+        tuned = tuning.tune(name, out=out, progress=report, **options)
     written = [] if out is None else [f"Written: {out}"]
-    present(found, *tuning.in_words(found), *written, as_json=as_json)
+    present(tuned, *tuning.in_words(tuned), *written, as_json=as_json)
 
 
 @click.command("map")
 @click.argument("points", type=PATH)
 @click.option("--dem", required=True, type=PATH, help="Elevations: a GeoTIFF in metres.")
 @click.option("--out", required=True, type=PATH, help="Folder for the maps.")
-@click.option(
-    "--start",
-    metavar="X,Y,BEARING",
-    help="Where the walk of footfalls began, in the DEM's coordinates [m], and its first heading, "
-    "clockwise from north [deg].",
-)
-@click.option(
-    "--prior",
-    multiple=True,
-    metavar="KEY=PRIOR",
-    help="LOW:HIGH, MEAN+-SD or VALUE of cohesion_Pa, root_cohesion_Pa, root_loss, depth_m "
-    "(normal to the slope), wetness or density_kg_m3; may be repeated.",
-)
+@click.option("--start", metavar="X,Y,BEARING",
+              help="Start of the walk in the DEM's coordinates [m], and its first heading, "
+              "clockwise from north [deg].")  # fmt: skip
+@click.option("--prior", multiple=True, metavar="KEY=PRIOR",
+              help="LOW:HIGH, MEAN+-SD or VALUE of cohesion_Pa, root_cohesion_Pa, root_loss, "
+              "depth_m (normal to the slope), wetness or density_kg_m3; repeatable.")  # fmt: skip
 @click.option("--wetness", type=PATH, help="Raster of the saturated share, 0 to 1.")
 @click.option("--covariate", type=PATH, help="Raster on which φ may depend, as burn severity.")
 @click.option(
@@ -159,10 +139,9 @@ def tune(name: str, out: Path | None, as_json: bool, **options: Any) -> None:
 def slope_map(points: Path, dem: Path, out: Path, as_json: bool, **options: Any) -> None:
     """Map the probability that slopes slide, from friction angles at POINTS.
 
-    POINTS is a CSV with the columns x_m,y_m,phi_deg,sd_deg and, if known, shared_sd_deg (of an
-    error that all points share), in the coordinate system of the DEM; or the NetCDF or CSV of
-    'terraphi footfalls', with --start. A foot probes centimetres and slopes fail at metres: see
-    the page on maps.
+    POINTS is a CSV in the coordinate system of the DEM, with the columns x_m,y_m,phi_deg,sd_deg
+    and, if known, shared_sd_deg (of an error that all points share). Or it is the NetCDF or CSV of
+    'terraphi footfalls', with --start. A foot probes centimetres; slopes fail at metres.
 
     Example: terraphi map points.csv --dem dem.tif --out slopes
     """
@@ -172,7 +151,7 @@ def slope_map(points: Path, dem: Path, out: Path, as_json: bool, **options: Any)
     names = [*(f"{name}.tif" for name in LAYERS), SUMMARY, PICTURE]
     check_folder(out, kind=KIND, names=names)
     with progress_bar("mapping") as report:
-        found = map_slopes(points, dem, progress=report, **options)
-    found.save(out)
+        slopes = map_slopes(points, dem, progress=report, **options)
+    slopes.save(out)
     written = f"Written: {out}/{', '.join(names)}"
-    present(found.summary, *in_words(found.summary), written, as_json=as_json)
+    present(slopes.summary, *in_words(slopes.summary), written, as_json=as_json)

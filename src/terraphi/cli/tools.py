@@ -26,23 +26,18 @@ def report(results: tuple[str, ...], out: Path, robot: str, as_json: bool) -> No
     """
     from terraphi.view.page import report as written
 
-    found = written(results, out, robot=robot)
-    data = {"report": str(out), "results": [headline for _, headline in found]}
-    present(data, *map(": ".join, found), f"Written: {out}", as_json=as_json)
+    headlines = written(results, out, robot=robot)
+    data = {"report": str(out), "results": [headline for _, headline in headlines]}
+    present(data, *map(": ".join, headlines), f"Written: {out}", as_json=as_json)
 
 
 @click.command()
-@click.option(
-    "--port",
-    type=click.IntRange(0, 65535),
-    default=8321,
-    show_default=True,
-    help="Port on 127.0.0.1.",
-)
+@click.option("--port", type=click.IntRange(0, 65535), default=8321, show_default=True,
+              help="Port on 127.0.0.1.")  # fmt: skip
 def app(port: int) -> None:
-    """Serve a local page that answers whatever is dropped on it.
+    """Serve a local page for your files: drop one on it.
 
-    Forces on a leg (CSV, NetCDF) give an answer, a robot's log its foot forces and footfalls.
+    Forces on a leg (CSV, NetCDF) give an answer. A robot's log gives foot forces and footfalls.
 
     Example: terraphi app
     """
@@ -64,8 +59,9 @@ def doctor(as_json: bool) -> None:
 
     checks = examine()
     sound = all(check.sound for check in checks)
-    rows = [(one.name, "ok" if one.sound else "problem", one.found) for one in checks]
-    data = {"sound": sound, "checks": [check._asdict() for check in checks]}
+    rows = [(check.name, "ok" if check.sound else "problem", check.detail) for check in checks]
+    listed = [dict(zip(("name", "sound", "found"), check, strict=True)) for check in checks]
+    data = {"sound": sound, "checks": listed}
     present(data, Table("", ("check", "state", "found"), rows), as_json=as_json)
     if not sound:
         sys.exit(1)
@@ -73,16 +69,14 @@ def doctor(as_json: bool) -> None:
 
 @click.command()
 @click.argument(
-    "document",
+    "document", metavar="[DOCUMENT]", default="scenario",
     type=click.Choice(("scenario", "plan", "robot", "forces", "tool", "columns")),
-    default="scenario",
-    metavar="[DOCUMENT]",
-)
+)  # fmt: skip
 @json_option
 def keys(document: str, as_json: bool) -> None:
-    """List the keys of a TOML file.
+    """List the keys of a TOML file, with unit, default, choices and meaning.
 
-    With unit, default, choices and meaning. DOCUMENT is scenario (default), plan, robot, forces
+    DOCUMENT is scenario (default), plan, robot, forces
     (for invert --columns), or columns (of a robot's log).
 
     Example: terraphi keys plan

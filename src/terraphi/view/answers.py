@@ -39,11 +39,11 @@ ACTIONS = {
     "more readings": ("noise",),
     "a library with more cases": ("emulator",),
 }
-"""What narrows the interval, and which terms it removes."""
+"""Measurements that narrow the interval, and the terms that they remove."""
 
 
 def headline(answer: Answer) -> str:
-    """What was inverted, and φ: two lines."""
+    """Format the source of an answer, and φ: two lines."""
     rigs = "; ".join(map(str, answer.rigs))
     source = answer.source if len(answer.records) < 3 else f"{len(answer.records)} records"
     assumed = " (assumed)" if answer.density_assumed else ""
@@ -57,7 +57,7 @@ def headline(answer: Answer) -> str:
 
 
 def in_words(answer: Answer) -> list[str]:
-    """Angle, verdict, what the interval comes from, and all warnings: a line each."""
+    """Format angle, verdict, terms of the interval and all warnings, a line each."""
     lines = [*headline(answer).splitlines(), answer.reason]
     plane = answer.phi_plane_strain
     if plane is not None and answer.convention != "plane_strain":
@@ -89,7 +89,7 @@ def in_words(answer: Answer) -> list[str]:
 
 
 def parts_of(answer: Answer, *, verbose: bool = False) -> list[str | Table]:
-    """An answer for a terminal: ten lines; or, ``verbose``, all warnings and the tables."""
+    """Format an answer for a terminal: ten lines, or ``verbose`` all warnings and the tables."""
     lines = in_words(answer)
     bold = 1 if len(headline(answer).splitlines()) > 1 else 0
     lines[bold] = click.style(lines[bold], bold=True)
@@ -113,28 +113,28 @@ def tables(answer: Answer) -> list[Table]:
     ]
     records = [
         (
-            one.source, str(one.rig), str(one.n_readings), str(one.n_left_out),
-            ", ".join(f"{name} {size:.1%}" for name, size in one.nrmsd.items()),
-            f"{one.shift_deg:+.1f}°",
+            record.source, str(record.rig), str(record.n_readings), str(record.n_left_out),
+            ", ".join(f"{name} {size:.1%}" for name, size in record.nrmsd.items()),
+            f"{record.shift_deg:+.1f}°",
         )
-        for one in answer.records
+        for record in answer.records
     ]  # fmt: skip
-    found = [
+    parts = [
         Table("Parameters", ("key", "median", "sd", "68 %", "95 %"), parameters),
         Table("Standard deviation of φ by term", ("term", "[deg]", "size is"), terms),
         Table(
             "Records",
             ("source", "rig", "readings", "left out", "residuals", "shift of θ"),
             records,
-            "Residuals: root mean square over the range of the force. A positive shift: the forces "
-            "come later than the model's.",
+            "Residuals: root mean square over the range of the force. Shift of θ: positive if "
+            "forces come later than in the model.",
         ),
     ]
-    return [table for table in found if table.rows]
+    return [table for table in parts if table.rows]
 
 
 def _terms(answer: Answer) -> str:
-    """Terms of the interval, those of the model together, the largest first."""
+    """Format the terms of the interval, largest first, with those of the model in one."""
     from terraphi.experiment.rig import Tool
 
     squares: Counter[str] = Counter()
@@ -151,22 +151,23 @@ def _terms(answer: Answer) -> str:
 
 
 def _advice(answer: Answer, digits: int) -> str:
-    """What narrows the interval most, and to what at best."""
+    """Name the measurement that narrows the interval most, and the ± that is left."""
     budget = answer.budget_deg
-    left = {
+    sd_without = {
         action: math.sqrt(sum(sd**2 for name, sd in budget.items() if name not in removed))
         for action, removed in ACTIONS.items()
         if "calibrate" not in action or "calibration" not in answer.provenance
     }
-    action = min(left, key=lambda one: left[one])
-    return f"To ± {left[action]:.{digits}f}° at best: {action}."
+    action = min(sd_without, key=sd_without.__getitem__)
+    return f"To ± {sd_without[action]:.{digits}f}° at best: {action}."
 
 
-def _rounded(one: Estimate) -> tuple[str, str, str, str]:
-    """Median, standard deviation, 68 and 95 % interval in the digits that they deserve."""
-    digits = max(0, 1 - math.floor(math.log10(max(one.sd, 1e-12))))
-    inner, outer = (f"{low:.{digits}f} to {high:.{digits}f}" for low, high in (one.ci68, one.ci95))
-    return f"{one.median:.{digits}f}", f"{one.sd:.{digits}f}", inner, outer
+def _rounded(estimate: Estimate) -> tuple[str, str, str, str]:
+    """Format median, standard deviation and intervals with two digits of the ±."""
+    digits = max(0, 1 - math.floor(math.log10(max(estimate.sd, 1e-12))))
+    ends = (estimate.ci68, estimate.ci95)
+    inner, outer = (f"{low:.{digits}f} to {high:.{digits}f}" for low, high in ends)
+    return f"{estimate.median:.{digits}f}", f"{estimate.sd:.{digits}f}", inner, outer
 
 
 # -- many answers --------------------------------------------------------------------------------
@@ -183,7 +184,7 @@ def check_table(path: Path) -> None:
 
 
 def write_table(
-    rows: Sequence[dict[str, Any]], found: Sequence[Answer | InputError], path: Path | None
+    rows: Sequence[dict[str, Any]], answers: Sequence[Answer | InputError], path: Path | None
 ) -> tuple[list[dict[str, Any]], dict[str, int]]:
     """Write a row for each record as CSV, if there is a path.
 
@@ -206,35 +207,35 @@ def write_table(
     from terraphi.experiment.tables import write_csv
 
     written = []
-    for given, one in zip(rows, found, strict=True):
+    for given, answer in zip(rows, answers, strict=True):
         cells = {"source": str(given["forces"])}
-        if isinstance(one, InputError):
-            known = {"leg": given.get("leg", ""), "density_kg_m3": given.get("density", "")}
-            cells |= {"verdict": "failed", "reason": str(one), **known}
+        if isinstance(answer, InputError):
+            options = {"leg": given.get("leg", ""), "density_kg_m3": given.get("density", "")}
+            cells |= {"verdict": "failed", "reason": str(answer), **options}
         else:
-            cells |= row(one)
+            cells |= row(answer)
         written.append(cells | given.get("notes", {}))
     if path is not None:
-        names = dict.fromkeys([*COLUMNS, *(name for one in written for name in one)])
+        names = dict.fromkeys([*COLUMNS, *(name for cells in written for name in cells)])
         write_csv(path, pd.DataFrame(written, columns=[*names]))
-    return written, dict(Counter(str(one["verdict"]).replace("_", " ") for one in written))
+    return written, dict(Counter(str(cells["verdict"]).replace("_", " ") for cells in written))
 
 
 def table_of_answers(rows: Sequence[dict[str, Any]]) -> Table:
     """Angle, interval and verdict of each record."""
     shown = []
-    for one in rows:
+    for cells in rows:
         phi, ends = "", ""
-        if one.get("phi_deg"):
-            phi = f"{float(one['phi_deg']):.1f}"
-            ends = f"{float(one['ci95_low_deg']):.0f} to {float(one['ci95_high_deg']):.0f}"
-        verdict = str(one["verdict"]).replace("_", " ")
-        shown.append((one["source"], one.get("leg", ""), phi, ends, verdict))
+        if cells.get("phi_deg"):
+            phi = f"{float(cells['phi_deg']):.1f}"
+            ends = f"{float(cells['ci95_low_deg']):.0f} to {float(cells['ci95_high_deg']):.0f}"
+        verdict = str(cells["verdict"]).replace("_", " ")
+        shown.append((cells["source"], cells.get("leg", ""), phi, ends, verdict))
     return Table("", ("source", "leg", "φ [deg]", "95 %", "verdict"), shown)
 
 
 def row(answer: Answer) -> dict[str, Any]:
-    """An answer by column, but for its source."""
+    """Format an answer by column, without its source."""
     phi, plane = answer.parameters.get(PHI), answer.phi_plane_strain
     ends = [] if phi is None else [phi.median, phi.sd, *phi.ci68, *phi.ci95]
     rounded = [f"{value:.6g}" for value in ends] or [""] * 6

@@ -355,10 +355,10 @@ def prepare() -> None:
     from terraphi.inference.inversion import invert
 
     sys.modules["dask"] = None  # type: ignore[assignment]  # xarray loads all of it to write a file
-    found = invert("li2013:yuma/straight")
-    page.render([of_answer(found)])
+    answer = invert("li2013:yuma/straight")
+    page.render([of_answer(answer)])
     with tempfile.TemporaryDirectory() as place:
-        write_files(found, Path(place))
+        write_files(answer, Path(place))
 
 
 def work(job: dict[str, Any]) -> None:
@@ -383,8 +383,8 @@ def work(job: dict[str, Any]) -> None:
         else:
             (folder / "files").mkdir()
             options = {key: job[key] for key in ("leg", *SIZES, "density", "law", "robot")}
-            found = answers(file, name, columns, **options)
-            reply = page.drawn(found)
+            sections = answers(file, name, columns, **options)
+            reply = page.drawn(sections)
             files = {path.name: path.read_bytes() for path in folder.glob("files/*")}
             files = {"report.html": page.document(name, **reply).encode(), **files}
             reply["files"] = {key: base64.b64encode(f).decode() for key, f in files.items()}
@@ -410,15 +410,15 @@ def look(file: str, columns: dict[str, Any]) -> dict[str, Any]:
         history = read_trials(table, columns)[0]
     except InputError as error:
         return {**reply, "wrong": str(error).removeprefix("Table: ")}
-    found = measurement_of(history)
+    record = measurement_of(history)
     read = {"θ [deg]": history.theta_deg}
     for name in history.channels:
         read[f"{name} [{CHANNEL_UNITS[name]}]"] = history.channel(name)
     ranges = ", ".join(f"{n} from {v.min():.3g} to {v.max():.3g}" for n, v in read.items())
     reply["read"] = [f"{len(history.position)} readings: {ranges}."]
     reply["read"] += history.provenance.get("reading", [])
-    rig = None if found.rig is None else found.rig.model_dump()
-    return {**reply, "rig": rig, "density": found.density_kg_m3}
+    rig = None if record.rig is None else record.rig.model_dump()
+    return {**reply, "rig": rig, "density": record.density_kg_m3}
 
 
 def answers(
@@ -438,7 +438,7 @@ def answers(
 
         options = with_rig(sizes)
         measured = open_forces(file, tared(columns, options.get("rig")))
-        measured = [replace(one, name=one.name.replace(file, name)) for one in measured]
+        measured = [replace(record, name=record.name.replace(file, name)) for record in measured]
         answer = invert(measured, density=density, law=law, **options)
         write_files(answer, folder)
         return [of_answer(answer)]
@@ -447,10 +447,10 @@ def answers(
     from terraphi.robot.footfalls import footfalls
     from terraphi.robot.results import foot_forces
 
-    found = foot_forces(file, robot=robot or "go2")
-    forces = of_foot_forces(found, name)
+    foot_log = foot_forces(file, robot=robot or "go2")
+    forces = of_foot_forces(foot_log, name)
     try:
-        walked = footfalls(found.log, robot=found.robot, density=density, law=law or "foot")
+        walked = footfalls(foot_log.log, robot=foot_log.robot, density=density, law=law or "foot")
     except InputError as error:
         why = f"No footfalls: {str(error).removeprefix('the log: ')}."
         return [forces._replace(lines=[*forces.lines, why])]
@@ -463,11 +463,11 @@ def write_files(answer: Answer, folder: Path) -> None:
     import pandas as pd
 
     rows = []
-    for one in answer.records:
-        columns: dict[str, Any] = {"record": one.source, "theta_deg": one.theta_deg}
-        curves = {"": one.data, "_model": one.curve}
-        curves |= {"_low": one.band[0], "_high": one.band[1]}
-        for i, force in enumerate(one.nrmsd):
+    for record in answer.records:
+        columns: dict[str, Any] = {"record": record.source, "theta_deg": record.theta_deg}
+        curves = {"": record.data, "_model": record.curve}
+        curves |= {"_low": record.band[0], "_high": record.band[1]}
+        for i, force in enumerate(record.nrmsd):
             unit = "N_m" if force == "M" else "N"
             columns |= {f"{force}{kind}_{unit}": curve[i] for kind, curve in curves.items()}
         rows.append(pd.DataFrame(columns))

@@ -60,9 +60,9 @@ class Table:
         """
         rows = [[visible(str(cell)) for cell in row] for row in (self.header, *self.rows)]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        widest, whole = widths.index(max(widths)), sum(widths) + 2 * len(widths) - 2
-        if whole > width:
-            widths[widest] = min(widths[widest], max(20, int(widths[widest] + width - whole)))
+        widest, total = widths.index(max(widths)), sum(widths) + 2 * len(widths) - 2
+        if total > width:
+            widths[widest] = min(widths[widest], max(20, int(widths[widest] + width - total)))
         lines = []
         for row in rows:
             parts = [[cell] for cell in row]

@@ -1,4 +1,4 @@
-"""Whether this installation works: versions, kernels, shipped files, folders."""
+"""Check this installation: versions, kernels, shipped files, folders."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ FOLDER = Path(__file__).parents[1]
 
 
 class Check(NamedTuple):
-    """One check: its name, whether it passed, and what was found."""
+    """Result of a check: name, success, and a sentence."""
 
     name: str
     sound: bool
-    found: str
+    detail: str
 
 
 def examine() -> list[Check]:
@@ -42,7 +42,7 @@ def examine() -> list[Check]:
 
 def _packages() -> Check:
     """Versions of the required packages, and of those of the extras that are installed."""
-    found, wrong = [], []
+    versions, wrong = [], []
     for requirement in map(Requirement, importlib.metadata.requires("terraphi") or []):
         name, specifier = requirement.name, requirement.specifier
         try:
@@ -54,8 +54,8 @@ def _packages() -> Check:
         if not specifier.contains(version, prereleases=True):
             wrong.append(f"{name} {version}, but {specifier} is needed")
         elif requirement.marker is None:
-            found.append(f"{name} {version}")
-    return Check("packages", not wrong, "; ".join(wrong or [", ".join(found)]))
+            versions.append(f"{name} {version}")
+    return Check("packages", not wrong, "; ".join(wrong or [", ".join(versions)]))
 
 
 def _tried(name: str, check: Callable[[], str]) -> Check:

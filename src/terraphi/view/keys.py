@@ -46,7 +46,7 @@ def tables(document: str) -> list[Table]:
     for model, place in _walk(schema, "", "", models):
         if document == "scenario" or not re.match(r"scenario\b", place):
             places.setdefault(model, []).append(place)
-    found = []
+    key_tables = []
     for model, names in places.items():
         part = models.get(model, schema)
         keys = [
@@ -60,17 +60,17 @@ def tables(document: str) -> list[Table]:
         )
         about = " ".join(part["description"].partition("\n\n")[0].split())
         if keys:
-            found.append(Table(f"{title}: {about}", HEADER, keys))
-    return found
+            key_tables.append(Table(f"{title}: {about}", HEADER, keys))
+    return key_tables
 
 
 def as_dict(document: str) -> dict[str, Any]:
     """Tables of a document, JSON-able."""
-    found = [
-        {"table": one.title, "keys": [dict(zip(HEADER, row, strict=True)) for row in one.rows]}
-        for one in tables(document)
+    listed = [
+        {"table": table.title, "keys": [dict(zip(HEADER, row, strict=True)) for row in table.rows]}
+        for table in tables(document)
     ]
-    return {"document": document, "tables": found}
+    return {"document": document, "tables": listed}
 
 
 def _walk(
@@ -92,12 +92,12 @@ def _parts(value: Schema) -> list[Schema]:
 
 def _models(value: Schema) -> list[tuple[str, bool]]:
     """Models that a value may be, and whether it is a list of them."""
-    found = []
+    models = []
     for part in _parts(value):
         name = part.get("items", part).get("$ref", "").rpartition("/")[2]
         if name and name != "JsonValue":
-            found.append((name, "items" in part))
-    return found
+            models.append((name, "items" in part))
+    return models
 
 
 def _row(name: str, value: Schema, *, required: bool) -> tuple[str, ...]:
@@ -138,5 +138,5 @@ def _toml(value: Any) -> str:
     if value is None:
         return "not given"
     if isinstance(value, float):
-        return re.sub(r"e([+-])0*", lambda found: "e" + found[1].strip("+"), f"{value:g}")
+        return re.sub(r"e([+-])0*", lambda match: "e" + match[1].strip("+"), f"{value:g}")
     return json.dumps(value, ensure_ascii=False)

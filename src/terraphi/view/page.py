@@ -60,13 +60,13 @@ def report(results: Any, path: Path | str, *, robot: str = "go2") -> list[tuple[
     if out.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"{out}: a report is written as HTML; name it {out.stem}.html")
     check_file(out)
-    found = sections(results if isinstance(results, list | tuple) else [results], robot=robot)
-    if not found:
+    shown = sections(results if isinstance(results, list | tuple) else [results], robot=robot)
+    if not shown:
         raise InputError("no results to report")
-    content = render(found)
+    content = render(shown)
     with atomic_write(out) as temporary:
         temporary.write_text(content, encoding="utf-8")
-    return [(one.title, one.headline) for one in found]
+    return [(section.title, section.headline) for section in shown]
 
 
 def sections(results: Sequence[Any], *, robot: str = "go2") -> list[Section]:
@@ -77,27 +77,27 @@ def sections(results: Sequence[Any], *, robot: str = "go2") -> list[Section]:
     InputError
         If one of them cannot be used.
     """
-    every: list[Any] = []
-    for one in results:
-        files = Path(one).glob("*/answer.nc") if isinstance(one, str | Path) else ()
-        every += sorted(file.parent for file in files) or [one]
-    return [section_of(one, robot=robot) for one in every]
+    sources: list[Any] = []
+    for result in results:
+        files = Path(result).glob("*/answer.nc") if isinstance(result, str | Path) else ()
+        sources += sorted(file.parent for file in files) or [result]
+    return [section_of(result, robot=robot) for result in sources]
 
 
-def render(found: Sequence[Section]) -> str:
+def render(shown: Sequence[Section]) -> str:
     """HTML of a page with some sections; raises InputError if a package is missing."""
-    return document(", ".join(one.title for one in found), **drawn(found))
+    return document(", ".join(section.title for section in shown), **drawn(shown))
 
 
-def drawn(found: Sequence[Section]) -> dict[str, Any]:
+def drawn(shown: Sequence[Section]) -> dict[str, Any]:
     """HTML of some sections (``html``), and their ``plots`` by the element that they go to."""
     plots = {
         f"plot-{i}-{j}": {"data": part.traces, "layout": part.layout}
-        for i, section in enumerate(found)
+        for i, section in enumerate(shown)
         for j, part in enumerate(section.parts)
         if isinstance(part, Plot)
     }
-    return {"html": load_template("sections.html").render(sections=found), "plots": plots}
+    return {"html": load_template("sections.html").render(sections=shown), "plots": plots}
 
 
 def document(title: str, html: str, plots: Mapping[str, Any]) -> str:
@@ -145,9 +145,9 @@ def _breakable(text: str) -> Any:
     """Text whose lines break after the separators of long names, not inside a part of one."""
     from markupsafe import Markup, escape
 
-    whole = re.sub(r" (?=%)|(?<=±) ", "&nbsp;", str(escape(visible(text))))
-    whole = whole.replace("3-D", "3&#8209;D")
-    named = re.sub(r"[^\s&;]{16,}", lambda m: re.sub(r"[/:](?=\w)", r"\g<0><wbr>", m[0]), whole)
+    escaped = re.sub(r" (?=%)|(?<=±) ", "&nbsp;", str(escape(visible(text))))
+    escaped = escaped.replace("3-D", "3&#8209;D")
+    named = re.sub(r"[^\s&;]{16,}", lambda m: re.sub(r"[/:](?=\w)", r"\g<0><wbr>", m[0]), escaped)
     return Markup(re.sub(r"[^\s&;/:<>]{24,}", lambda m: m[0].replace("_", "_<wbr>"), named))
 
 
@@ -159,7 +159,7 @@ def digest(script: str) -> str:
 def embedded(data: Any) -> str:
     """JSON that can stand inside a script element."""
     text = json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
-    text = HIDDEN.sub(lambda found: f"\\\\u{ord(found[0]):04x}", text)
+    text = HIDDEN.sub(lambda match: f"\\\\u{ord(match[0]):04x}", text)
     for character in "<>&":
         text = text.replace(character, f"\\u{ord(character):04x}")
     return text

@@ -38,16 +38,16 @@ def save(
 def footfalls_table(summary: dict[str, Any], most: int = MOST_FOOTFALLS) -> Table:
     """Place, sinkage, φ and verdict of the first footfalls of a summary."""
     rows = []
-    for one in summary["footfalls"][:most]:
-        phi = one["phi_deg"]
+    for footfall in summary["footfalls"][:most]:
+        phi = footfall["phi_deg"]
         median, half = "-", "-"
         if phi is not None:
             median = f"{phi['median']:.1f}"
             half = f"{0.5 * (phi['ci68'][1] - phi['ci68'][0]):.1f}"
         rows.append(
             (
-                median, half, one["verdict"], f"{one['t_s']:.2f}", one["foot"],
-                f"{one['x_m']:.2f}", f"{one['y_m']:.2f}", f"{one['sinkage_mm']:.1f}",
+                median, half, footfall["verdict"], f"{footfall['t_s']:.2f}", footfall["foot"],
+                f"{footfall['x_m']:.2f}", f"{footfall['y_m']:.2f}", f"{footfall['sinkage_mm']:.1f}",
             )
         )  # fmt: skip
     more = len(summary["footfalls"]) - len(rows)
@@ -76,10 +76,13 @@ def feet_table(summary: Mapping[str, Any], title: str) -> Table:
     rows = [
         (
             name,
-            str(one["stances"]),
-            *("–" if one[key] is None else f"{one[key]:{form}}" for key, form in digits.items()),
+            str(stance["stances"]),
+            *(
+                "–" if stance[key] is None else f"{stance[key]:{form}}"
+                for key, form in digits.items()
+            ),
         )
-        for name, one in {**feet, "all feet": summary["pooled"]}.items()
+        for name, stance in {**feet, "all feet": summary["pooled"]}.items()
     ]
     header = ("foot", "stances", "duration [s]", "peak Fz [N]", "peak Fx [N]")
     return Table(title, header, rows, "Duration and signed peaks of the mean stance.")
@@ -99,10 +102,10 @@ def stance_figure(result: RobotForces) -> Figure:
             axes.fill_between(pooled.part, mean - spread, mean + spread, **band)
             axes.plot(pooled.part, mean, color="black", lw=2, label=f"all, {pooled.count} stances")
         for foot, (colour, style) in LOOKS.items():
-            one = result.feet[foot]
-            if one.count:
-                look = {"color": colour, "lw": 1.0, "label": f"{foot}, {one.count} stances"}
-                axes.plot(one.part, one.mean[:, column], style, **look)
+            stance = result.feet[foot]
+            if stance.count:
+                look = {"color": colour, "lw": 1.0, "label": f"{foot}, {stance.count} stances"}
+                axes.plot(stance.part, stance.mean[:, column], style, **look)
         axes.axhline(0.0, color=GREY, lw=0.6)
         peak = pooled.peak(name)
         title = "no stances" if peak is None else f"peak of the mean {peak:.1f} N"

@@ -151,8 +151,8 @@ def _of_file(source: Path | str, kind: str, robot: str) -> Section:
     if kind == "answer":
         from terraphi.inference.answer import Answer
 
-        found, warning = of_answer(Answer.load(path)), changed(path)
-        return found._replace(lines=[warning, *found.lines]) if warning else found
+        section, warning = of_answer(Answer.load(path)), changed(path)
+        return section._replace(lines=[warning, *section.lines]) if warning else section
     if kind == "forces":
         from terraphi.inference.inversion import invert
 
@@ -199,9 +199,9 @@ def of_answer(answer: Answer) -> Section:
             ]
             label = CHANNELS[force]
             parts.append(Plot(f"{force}{where}", traces, axes(record.along, label)))
-            apart = record.data[i] - record.curve[i]
-            span = math.sqrt(np.square(apart).mean()) / (nrmsd or math.inf)
-            share = 100.0 * apart / max(span, 1e-300)
+            residual = record.data[i] - record.curve[i]
+            span = math.sqrt(np.square(residual).mean()) / (nrmsd or math.inf)
+            share = 100.0 * residual / max(span, 1e-300)
             residuals.append(line(theta, share, force, (BLUE, ORANGE, GREEN)[i]))
         if record.limit is not None:
             size = np.full(len(record.theta_deg), 100.0 * record.limit)
@@ -228,11 +228,11 @@ def of_answer(answer: Answer) -> Section:
 def _posterior(answer: Answer) -> list[Plot]:
     """Posterior density of φ, the 68 % interval shaded."""
     grid, density = answer.posterior
-    seen = density > 1e-4 * density.max()
+    visible = density > 1e-4 * density.max()
     inside = (grid >= answer.phi.ci68[0]) & (grid <= answer.phi.ci68[1])
     traces = [
         band(grid[inside], 0.0 * grid[inside], density[inside], "68 %", PALE_BLUE),
-        line(grid[seen], density[seen], "posterior", BLUE),
+        line(grid[visible], density[visible], "posterior", BLUE),
     ]
     label = f"φ [deg], {CONVENTIONS.get(answer.convention, answer.convention)}"
     return [Plot("Friction angle", traces, axes(label, "density [1/deg]"))]
@@ -255,7 +255,7 @@ def of_library(library: Library) -> Section:
             for case in library.cases
             if case.history and case.scenario.leg.shape == leg
         ]
-        curves.sort(key=lambda one: one[0])
+        curves.sort(key=lambda curve: curve[0])
         for force, label in FORCES.items():
             traces = []
             for phi, history in curves:
@@ -267,7 +267,7 @@ def of_library(library: Library) -> Section:
             parts.append(
                 Plot(f"{force}, {LEG_NAMES.get(leg, leg)}", traces, axes(where, label), note)
             )
-    known = summary.pop("provenance")
+    provenance = summary.pop("provenance")
     contents = {key: value for key, value in summary.items() if value not in ("", [], {}, None)}
     parts.append(Table("Contents", ("", ""), pairs(contents)))
     headline = (
@@ -276,7 +276,7 @@ def of_library(library: Library) -> Section:
     )
     lines = [text for text in (library.description, library.caveat) if text]
     status = "bad" if summary["failures"] else ""
-    return Section("library", library.name, headline, lines, parts, pairs(known), status)
+    return Section("library", library.name, headline, lines, parts, pairs(provenance), status)
 
 
 def of_simulation(history: ForceHistory, name: str = "forces") -> Section:
@@ -323,12 +323,12 @@ def position_label(history: ForceHistory) -> str:
 # -- robots and slopes ---------------------------------------------------------------------------
 
 
-def of_foot_forces(found: Any, name: str = "foot forces") -> Section:
+def of_foot_forces(result: Any, name: str = "foot forces") -> Section:
     """Foot forces over time with the stances, and the mean stance, from memory or a file."""
     from terraphi.robot.joint_log import FEET
     from terraphi.robot.results import RobotForces
 
-    file = found.as_file() if isinstance(found, RobotForces) else found
+    file = result.as_file() if isinstance(result, RobotForces) else result
     summary = file.attrs.summary
     time, force = file.numbers("time", "time"), file.numbers("force", "time", 4, 3, finite=False)
     begins = file.numbers("stance_begin", "stance")
@@ -354,9 +354,9 @@ def of_foot_forces(found: Any, name: str = "foot forces") -> Section:
             ]
             colours = (BLUE, ORANGE, GREEN, PURPLE)
             traces += [
-                line(part, one[:, k], foot, colour)
-                for foot, one, colour in zip(FEET, each, colours, strict=True)
-                if np.isfinite(one).any()
+                line(part, stance[:, k], foot, colour)
+                for foot, stance, colour in zip(FEET, each, colours, strict=True)
+                if np.isfinite(stance).any()
             ]
             layout = axes("part of the stance [-]", FORCES[axis])
             parts.append(Plot(f"Mean stance, {axis}", traces, layout))
@@ -370,23 +370,23 @@ def of_foot_forces(found: Any, name: str = "foot forces") -> Section:
     return Section("foot forces", name, headline, lines, parts, origin)
 
 
-def of_footfalls(found: FootfallMap, name: str = "footfalls") -> Section:
+def of_footfalls(walk: FootfallMap, name: str = "footfalls") -> Section:
     """Friction angles of footfalls on the ground and along the path."""
-    usable, place = found.usable, found.place
-    counts = ", ".join(f"{count} {verdict}" for verdict, count in found.counts().items())
+    usable, place = walk.usable, walk.place
+    counts = ", ".join(f"{count} {verdict}" for verdict, count in walk.counts().items())
     parts: list[Plot | Picture | Table] = []
     headline = f"None of {len(usable)} footfalls determines φ"
     if usable.any():
-        phi, s = found.path_phi, found.path[:, 0]
-        wide, narrow = found.path_absolute_sd, found.path_relative_sd
+        phi, s = walk.path_phi, walk.path[:, 0]
+        wide, narrow = walk.path_absolute_sd, walk.path_relative_sd
         x, y = place[:, :2].T
-        path = points(found.path[:, 1], found.path[:, 2], "path, footfalls pooled", BLUE)
+        path = points(walk.path[:, 1], walk.path[:, 2], "path, footfalls pooled", BLUE)
         each = points(x[usable], y[usable], "footfall", BLUE)
-        every = np.concatenate([phi, found.phi[usable]])
-        scale = {"colorscale": "Viridis", "cmin": every.min(), "cmax": every.max()}
+        angles = np.concatenate([phi, walk.phi[usable]])
+        scale = {"colorscale": "Viridis", "cmin": angles.min(), "cmax": angles.max()}
         bar = {"showscale": True, "colorbar": {"title": {"text": "φ [deg]"}, "thickness": 14}}
         path["marker"] |= {"color": numbers(phi), "size": 8, "symbol": "square", **scale}
-        each["marker"] |= {"color": numbers(found.phi[usable]), "size": 9, **scale, **bar}
+        each["marker"] |= {"color": numbers(walk.phi[usable]), "size": 9, **scale, **bar}
         each["marker"]["line"] = {"color": "#1b1f24", "width": 1}
         plan = [path, each, points(x[~usable], y[~usable], "refused", GREY, symbol="x")]
         layout = axes("x, along the first heading [m]", "y [m]")
@@ -404,10 +404,10 @@ def of_footfalls(found: FootfallMap, name: str = "footfalls") -> Section:
             f"φ = {' to '.join(ends)}° ± {np.median(wide):.1f}° along {s[-1]:.1f} m; "
             f"differences between places ± {np.median(narrow):.1f}°"
         )
-    parts.append(footfalls_table(found.as_dict(), MOST_ROWS))
-    lines = [f"Footfalls: {counts}.", *(f"{capital(note)}." for note in found.warnings)]
+    parts.append(footfalls_table(walk.as_dict(), MOST_ROWS))
+    lines = [f"Footfalls: {counts}.", *(f"{capital(note)}." for note in walk.warnings)]
     status = "" if usable.any() else "bad"
-    return Section("footfalls", name, headline, lines, parts, pairs(found.provenance), status)
+    return Section("footfalls", name, headline, lines, parts, pairs(walk.provenance), status)
 
 
 def of_map(folder: Path) -> Section:
@@ -477,10 +477,10 @@ def escaped(text: str) -> str:
 
 def pairs(data: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
     """Nested values as pairs of a dotted name and words."""
-    found: list[tuple[str, str]] = []
+    listed: list[tuple[str, str]] = []
     for key, value in data.items():
         if isinstance(value, Mapping) and value:
-            found += pairs(value, f"{prefix}{key}.")
+            listed += pairs(value, f"{prefix}{key}.")
         else:
-            found.append((f"{prefix}{key}", words(value)))
-    return found
+            listed.append((f"{prefix}{key}", words(value)))
+    return listed
