@@ -13,9 +13,9 @@ import pytest
 
 HEAD = """# Verification
 
-Problems whose answers are known, solved by the solvers that the leg uses. `make verify` runs them
-and writes this page. A check passes if what is found differs from what is expected by no more than
-is allowed, relative to it where that is in percent; the number behind that says why so much.
+The solvers of the leg solve problems with known answers. `make verify` runs them and writes this
+page. A check passes if the difference from the expected value is within the tolerance. The number
+in brackets refers to the reason for the tolerance.
 """
 COLUMNS = "| problem | quantity | expected | found | off by | allowed |"
 

@@ -1,8 +1,8 @@
 """Collapse of a column.
 
-A round column of soil is let go on a rough floor, in three dimensions, and spreads. Fits to
-measurements know no φ, what is computed does: φ = 30° by Matsuoka and Nakai, ψ = 0, r₀/Δx = 12.
-Run-out is that of 99.9 % of the mass.
+A round column of soil is let go on a rough floor, in three dimensions, and spreads. Soil of φ = 30°
+(Matsuoka and Nakai, ψ = 0, r₀/Δx = 12) is compared with fits to measurements, which do not include
+φ. Run-out is that of 99.9 % of the mass.
 """
 
 from __future__ import annotations

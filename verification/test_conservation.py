@@ -1,7 +1,7 @@
 """Conservation.
 
-What must not change, or only by what is accounted for. The force on a leg is the momentum that the
-contact takes out of the soil; if these pass, none of it goes astray.
+Mass and momentum are conserved, apart from terms that are counted. The force on a leg is the
+momentum that contact takes out of the soil, so these checks cover it.
 """
 
 from __future__ import annotations

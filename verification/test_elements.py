@@ -1,6 +1,6 @@
 """Element tests.
 
-One material point, driven along a strain path by the stress updates of the solvers, in two
+One material point is driven along a strain path by the stress updates of the solvers, in two
 dimensions and in three.
 """
 

@@ -1,10 +1,10 @@
 """Limit loads.
 
-A plate that moves the soil must meet the force that plasticity theory says, or φ inferred from
-forces means something else. The plate is a leg in plane strain with contact at the nodes within
-half a cell. Loads are read in the first geometry, for which the exact ones hold: the soil is so
-stiff that the plate has reached its limit load before anything has visibly moved. The last row of
-the passive wall goes on, to where a leg's force history has its plateau.
+A plate that moves the soil must meet the limit load of plasticity theory, or φ inferred from forces
+has another meaning. The plate is a leg in plane strain with contact at the nodes within half a
+cell. Loads are compared before the geometry changes: the soil is so stiff that the plate reaches
+its limit load before it has visibly moved. The last row of the passive wall is the plateau of a
+leg's force history.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 r"""Order of convergence.
 
-Smooth solutions in elastic soil on finer and finer grids, step and grid refined together. Second
-order means that halving the cells quarters the error, until the integration by particles sets a
-floor. Positions are those at the end of a step, velocities those half a step before it. Stresses
-are compared in their means around the nodes.
+Smooth solutions in elastic soil are computed on finer and finer grids, with step and grid refined
+together. At second order half the cell size gives a quarter of the error, until the integration by
+particles sets a floor. Positions are those at the end of a step, velocities those half a step
+before it. Stresses are compared in their means around the nodes.
 """
 
 from __future__ import annotations

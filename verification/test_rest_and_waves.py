@@ -1,7 +1,7 @@
 """Soil at rest and waves.
 
-The bed that every simulation begins with, left alone; the same bed made elastic and loaded by its
-own weight; standing waves of small amplitude in elastic, undamped soil.
+Soil at rest: the bed of every simulation, and the same bed made elastic and loaded by its own
+weight. Waves: standing waves of small amplitude in elastic, undamped soil.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Three dimensions.
 
-Smooth round footings on soil of one φ with associated flow, whose exact loads slip lines give; a
-wall as narrow as a leg over one in plane strain; and whether soil that is sheared bears its
+Smooth round footings on soil of one φ with associated flow are compared with exact loads by slip
+lines, and a wall as narrow as a leg with one in plane strain. Sheared soil is compared with its
 strength. Kernel, contact, phases and damping are those of preset `sand3d`.
 """
 

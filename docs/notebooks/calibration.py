@@ -3,7 +3,7 @@ A soil of known φ → a narrower interval
 =======================================
 
 A soil whose friction angle you measured takes off a part of the error of model and apparatus.
-:doc:`/how-to/calibrate` says what counts.
+:doc:`/how-to/calibrate` has the steps.
 """
 
 # %%

@@ -3,7 +3,7 @@ My CSV → φ
 ==========
 
 A table as an instrument exports it, read and inverted.
-:doc:`/how-to/own-forces` says what the table must hold.
+:doc:`/how-to/own-forces` describes the table.
 """
 
 # %%

@@ -2,7 +2,7 @@
 A leg of my own
 ===============
 
-Five sizes make a rig. :doc:`/how-to/own-leg` says what counts.
+Five sizes make a rig. :doc:`/how-to/own-leg` describes them.
 """
 
 # %%
@@ -34,7 +34,7 @@ record = terraphi.ForceHistory(truth.position, truth.force + noise)
 # A rough angle at once
 # ---------------------
 # Resistive force theory needs no simulations: law ``rft3d`` covers any rig in a fraction
-# of a second. ``simulated=True`` says that the model is exact.
+# of a second. With ``simulated=True`` the model is exact.
 
 options = {"rig": rig, "density": "1650±1", "law": "rft3d"}
 answer = terraphi.invert(record, **options, simulated=True)

@@ -3,7 +3,7 @@ My robot's log → φ under each footfall
 ======================================
 
 Foot forces from joint torques, and φ along the path of a walk.
-:doc:`/how-to/footfalls` says what the numbers mean.
+:doc:`/how-to/footfalls` explains the numbers.
 """
 
 # %%

@@ -69,7 +69,7 @@ for command in (
 
 
 def main() -> None:
-    """Run the command line; whatever goes wrong is one sentence on standard error."""
+    """Run the command line; print any error as one sentence on standard error."""
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:  # closed by who started us
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), mode))
@@ -82,7 +82,7 @@ def main() -> None:
         return write(CONTROL.sub(lambda m: f"\\u{ord(m[0]):04x}", text))  # as JSON has them
 
     sys.stdout.write = escaped  # type: ignore[method-assign]
-    if not sys.warnoptions:  # they name our source, and mean nothing to a user
+    if not sys.warnoptions:  # they name lines of our source
         warnings.simplefilter("ignore", RuntimeWarning)
     received: list[int] = []
 

@@ -1,4 +1,4 @@
-"""A local page that answers whatever is dropped on it: forces on a leg, or a robot's log.
+"""A local page for forces on a leg or a robot's log: drop a file on it to get an answer.
 
 The server listens on the loopback address alone. It refuses requests with another host name
 (against DNS rebinding), and all requests without the token of the address that it prints: other
@@ -65,7 +65,7 @@ LONGEST_NAME = 80
 MOST_MEMORY, MOST_FILE, MOST_CPU_S = 6 << 30, 500 << 20, 600
 """Address space [byte], largest file [byte] and processor time [s] of the process that reads."""
 LOOK_SECONDS = 0.5
-"""How often that process looks whether the app is still there [s]; chosen."""
+"""Interval at which that process checks that the app runs [s]; chosen."""
 HEADERS = {
     "x-content-type-options": "nosniff",
     "x-frame-options": "DENY",
@@ -223,7 +223,7 @@ def corners(leg: str) -> str:
 async def reply_to(
     request: Request, readers: Readers, limits: Limits, place: Path | None = None
 ) -> bytes:
-    """What an upload holds or its answer, as JSON; raises RefusedError."""
+    """Return the contents of an upload, or its answer, as JSON; raises RefusedError."""
     query = request.query_params
     last = query.get("name", "").replace("\\", "/").rpartition("/")[2]
     name = "".join(letter for letter in last if letter.isprintable())[-LONGEST_NAME:] or "file"
@@ -322,7 +322,7 @@ class Readers:
 def read_files(app: int) -> None:
     """Do the jobs that standard input names, a line each, in copies of this process.
 
-    It and its copies end with the app, the process of that number, even if that is killed.
+    This process and its copies end with the app (its process number), even if the app is killed.
     """
 
     def look_for_app(_number: int, _frame: object) -> None:
@@ -396,7 +396,7 @@ def work(job: dict[str, Any]) -> None:
 
 
 def look(file: str, columns: dict[str, Any]) -> dict[str, Any]:
-    """Kind of a file; of a table of forces, its columns, their guesses, and what is read so."""
+    """Return the kind of a file; for a table of forces its columns, their guesses and readings."""
     from terraphi.experiment.measurements import measurement_of
     from terraphi.experiment.reading import preview, read_trials
     from terraphi.experiment.tables import read_table
@@ -425,10 +425,10 @@ def answers(
     file: str, name: str, columns: dict[str, Any], *,
     density: str | None, law: str | None, robot: str | None, **sizes: str | None,
 ) -> list[Section]:  # fmt: skip
-    """Sections for a dropped file: an inversion, footfalls and foot forces of a log, or a result.
+    """Make sections for a dropped file: an inversion, footfalls and foot forces, or a result.
 
-    Law and robot are names, or files of this machine. What can be downloaded goes to the folder
-    ``files`` next to the file.
+    Law and robot are names, or files of this machine. Files to download go to the folder ``files``
+    next to the dropped file.
     """
     kind, folder = kind_of(file), Path(file).parent / "files"
     if kind in ("forces", "simulation"):

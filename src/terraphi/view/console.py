@@ -47,7 +47,7 @@ class Table:
 
     @property
     def numeric(self) -> list[bool]:
-        """Whether each column holds numbers alone, and so is aligned to the right."""
+        """True for columns of numbers alone, which are aligned to the right."""
         return [
             bool(self.rows) and all(_NUMBER.fullmatch(str(row[i])) for row in self.rows)
             for i in range(len(self.header))
@@ -84,7 +84,7 @@ def as_text(data: Any) -> str:
 
 
 def present(data: Any, *parts: str | Table | Mapping[str, Any], as_json: bool) -> None:
-    """Print data as JSON, or else what people read: text, tables, names with their values."""
+    """Print data as JSON, or else texts, tables, and names with their values."""
     if as_json:
         click.echo(as_text(data))
         return
@@ -133,7 +133,7 @@ def words(value: Any) -> str:
 
 @contextmanager
 def progress_bar(description: str) -> Iterator[Callable[[float, float], None]]:
-    """Time left on a terminal; elsewhere a line each minute, whether or not work was reported.
+    """Print the time left on a terminal, elsewhere a line each minute.
 
     Yields
     ------

@@ -1,4 +1,4 @@
-"""Pictures and tables of robots and slopes, in colours that colour-blind readers tell apart."""
+"""Pictures and tables of robots, in colors that are safe for color-blind people."""
 
 from __future__ import annotations
 

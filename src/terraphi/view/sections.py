@@ -83,7 +83,7 @@ class Section(NamedTuple):
 
 
 def kind_of(source: Path | str) -> str:
-    """What a file, a folder or the name of a shipped library is.
+    """Recognize the kind of a file, of a folder or of the name of a shipped library.
 
     Returns
     -------
@@ -94,7 +94,7 @@ def kind_of(source: Path | str) -> str:
     Raises
     ------
     InputError
-        If it is not there, or nothing that a report can show.
+        If it is missing, or a report cannot show it.
     """
     from terraphi.laws.store import Library
 
@@ -121,7 +121,7 @@ def kind_of(source: Path | str) -> str:
 
 
 def section_of(result: Any, *, robot: str = "go2") -> Section:
-    """The section of a result, in memory or a file; raises InputError if it cannot be used.
+    """Make the section of a result in memory or in a file; raises InputError if it cannot be used.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def section_of(result: Any, *, robot: str = "go2") -> Section:
     """
     if isinstance(result, str | Path):
         return _of_file(result, kind_of(result), robot)
-    # By name, so that no package is loaded whose result this is not.
+    # By the name of the class, so that no other package is loaded.
     kinds: dict[str, Callable[[Any], Section]] = {
         "Answer": of_answer, "ForceHistory": of_simulation, "Library": of_library,
         "RobotForces": of_foot_forces, "FootfallMap": of_footfalls,
@@ -181,7 +181,7 @@ def _of_file(source: Path | str, kind: str, robot: str) -> Section:
 
 
 def of_answer(answer: Answer) -> Section:
-    """φ and verdict, forces with the model's curves, posterior, terms of the interval."""
+    """Show φ, verdict, forces with the model's curves, posterior, and terms of the interval."""
     about, angle, *lines = in_words(answer)
     source, _, about = about.partition(" · ")
     angle, *more = angle.split("    ")
@@ -242,7 +242,7 @@ def _posterior(answer: Answer) -> list[Plot]:
 
 
 def of_library(library: Library) -> Section:
-    """Force curves and peaks of each leg over the friction angle."""
+    """Show the force curves of each leg over the friction angle."""
     from matplotlib import colormaps
     from matplotlib.colors import to_hex
 
@@ -280,7 +280,7 @@ def of_library(library: Library) -> Section:
 
 
 def of_simulation(history: ForceHistory, name: str = "forces") -> Section:
-    """Both forces of a simulation along its path."""
+    """Show the forces of a simulation along its path."""
     scenario = scenario_of(history, name)
     plots = [
         Plot(
@@ -324,7 +324,7 @@ def position_label(history: ForceHistory) -> str:
 
 
 def of_foot_forces(result: Any, name: str = "foot forces") -> Section:
-    """Foot forces over time with the stances, and the mean stance, from memory or a file."""
+    """Show foot forces over time and the mean stance, from memory or a file."""
     from terraphi.robot.joint_log import FEET
     from terraphi.robot.results import RobotForces
 
@@ -371,7 +371,7 @@ def of_foot_forces(result: Any, name: str = "foot forces") -> Section:
 
 
 def of_footfalls(walk: FootfallMap, name: str = "footfalls") -> Section:
-    """Friction angles of footfalls on the ground and along the path."""
+    """Show friction angles of footfalls on the ground and along the path."""
     usable, place = walk.usable, walk.place
     counts = ", ".join(f"{count} {verdict}" for verdict, count in walk.counts().items())
     parts: list[Plot | Picture | Table] = []
@@ -411,7 +411,7 @@ def of_footfalls(walk: FootfallMap, name: str = "footfalls") -> Section:
 
 
 def of_map(folder: Path) -> Section:
-    """Sentences and picture of a slope map."""
+    """Show sentences and picture of a slope map."""
     from terraphi.terrain.map import KIND, SUMMARY
     from terraphi.terrain.map import in_words as sentences
 
