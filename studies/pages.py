@@ -41,15 +41,18 @@ def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 def excerpt(
     out: Path, name: str, header: Sequence[str], rows: Iterable[Sequence[object]],
-    shown: Sequence[str],
+    shown: Sequence[str], filled: str = "",
 ) -> str:  # fmt: skip
     """Write a table to NAME.csv, and format some of its columns for the page.
 
-    In the file a unit that all cells of a column share stands in the header.
+    The page leaves out rows without a value in the column ``filled``. In the file a unit that all
+    cells of a column share stands in the header.
     """
     cells = [[str(cell) for cell in row] for row in rows]
     columns = dict(zip(header, map(list, zip(*cells, strict=True)), strict=True))
-    page = table(shown, zip(*(columns[key] for key in shown), strict=True))
+    selected = [header.index(key) for key in shown]
+    page = table(shown, [[row[k] for k in selected] for row in cells
+                         if not filled or row[header.index(filled)]])  # fmt: skip
     plain = {}
     for key, column in columns.items():
         shared = [s for s in UNITS if all(re.fullmatch(rf"({NUMBER}{s})?", c) for c in column)]
@@ -59,7 +62,7 @@ def excerpt(
     with (out / f"{name}.csv").open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerows([[*plain], *zip(*plain.values(), strict=True)])
-    return f"{page}\n\nAll columns: [{name}.csv]({name}.csv)."
+    return f"{page}\n\nAll {'rows and ' * bool(filled)}columns: [{name}.csv]({name}.csv)."
 
 
 def write(

@@ -111,11 +111,12 @@ def main() -> None:
         (
             "Friction is that between grains: sliding / rolling. Shear cells give the critical φ "
             "in plane strain, with the standard deviation between beds and their number. Fine, "
-            "coarse and stiff grains, and other rates, use the cells of the same loose soil."
+            "coarse and stiff grains, and other rates, use the cells of the same loose soil; only "
+            "the file lists them."
         ),
         pages.excerpt(out, "grain_records", cells_of, listed(),
                       ("soil", "grains", "friction", "volume fraction", "critical φ",
-                       "learned from")),
+                       "learned from"), "critical φ"),
         (
             "The next records were not used to learn the error of law `legs`. φ is given without "
             "and with `--grain-size`, and in brackets less the angle of the shear cells."

@@ -535,6 +535,24 @@ def main() -> None:
     page(options.out, law, readings, rows)
 
 
+def damp_soils(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """Write the section on damp and contracting soils: their shear cells and records."""
+    return [
+        "## Damp and contracting soil",
+        (
+            "Soil B with bridges of liquid between its grains (*moist*, *damp*). *Contracting* "
+            "soil was poured with such bridges, of which a tenth remains, so it is looser than its "
+            "critical state. Nothing is learned from these soils. Shear cells under 0.5 and 1.5 "
+            "kPa give φ and c. The last two columns are under 1.5 and 0.5 kPa."
+        ),
+        cells(),
+        pages.table(
+            ("record", "critical", "φ without the size", "95 %", "c", "names moisture"),
+            [(row[0], row[1], row[4], row[6], row[7], row[10]) for row in listed(rows)],
+        ),
+    ]  # fmt: skip
+
+
 def page(out: Path, law: Legs, readings: Sequence[Reading], rows: Sequence[dict[str, Any]]) -> None:
     """Write the page, and a CSV of all records."""
     damp = [r for r in rows if r["soil"].endswith(APART)]
@@ -596,18 +614,7 @@ def page(out: Path, law: Legs, readings: Sequence[Reading], rows: Sequence[dict[
             ("leg", "each mm of grains", "offset_deg", "soil_sd_deg", "leg_sd_deg", "nrmsd_limit"),
         ),
         other_rigs(readings),
-        "## Damp and contracting soil",
-        (
-            "Soil B with bridges of liquid between its grains (*moist*, *damp*). *Contracting* "
-            "soil was poured with such bridges, of which a tenth remains, so it is looser than its "
-            "critical state. Nothing is learned from these soils. Shear cells under 0.5 and 1.5 "
-            "kPa give φ and c. The last two columns are under 1.5 and 0.5 kPa."
-        ),
-        cells(),
-        pages.table(
-            ("record", "critical", "φ without the size", "95 %", "c", "names moisture"),
-            [(row[0], row[1], row[4], row[6], row[7], row[10]) for row in listed(damp)],
-        ),
+        *damp_soils(damp),
     ]  # fmt: skip
     figure = draw(dry)
     figure.savefig(out / "grains.png", dpi=150)
