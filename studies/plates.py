@@ -477,7 +477,7 @@ def main() -> None:
         by_law(out, grains, off),
         (
             "By soil, with grains of the size they have: φ by law less critical φ, mean of the "
-            "three feet."
+            "three feet. In the picture grains are coarse, and bars are the range over the feet."
         ),
         by_soil(out, strength, phi, off),
         "## What else changes φ",
