@@ -324,7 +324,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[tuple[str, str]]:
         ("the same, on rigs other than Li's", by_leg(rigs, "fine_deg")),
         ("half-width of the 68 % interval", f"{np.median(widths):.1f}°"),
         (
-            "true angle within 68 %, by the terms that grains have",
+            "true angle within 68 %, without terms that grains do not have",
             share(loose, [one < 1.0 for one in apart]),
         ),
         ("the same, 95 %", share(loose, [one < 1.96 for one in apart])),
@@ -414,7 +414,7 @@ def cells() -> str:
             " / ".join(f"{share:.0%}" for share in one.mobilized),
         ))  # fmt: skip
     return pages.table(("soil", "critical φ", "c", "volume fraction", "shrinks by",
-                        "of the friction at 5 % strain"), rows)  # fmt: skip
+                        "friction at 5 % strain over critical"), rows)  # fmt: skip
 
 
 def of_parts(law: Legs, readings: Sequence[Reading]) -> list[tuple[str, ...]]:
@@ -543,7 +543,8 @@ def damp_soils(rows: Sequence[dict[str, Any]]) -> list[str]:
             "Soil B with bridges of liquid between its grains (*moist*, *damp*). *Contracting* "
             "soil was poured with such bridges, of which a tenth remains, so it is looser than its "
             "critical state. Nothing is learned from these soils. Shear cells under 0.5 and 1.5 "
-            "kPa give φ and c. The last two columns are under 1.5 and 0.5 kPa."
+            "kPa give φ and c. The last two columns are under 1.5 and 0.5 kPa: the loss of volume "
+            "in shear, and the friction that is mobilized at a strain of 5 %."
         ),
         cells(),
         pages.table(
