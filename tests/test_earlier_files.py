@@ -7,6 +7,7 @@ its numbers as JSON, of which arrays are the SHA-256 of their values.
 from __future__ import annotations
 
 import hashlib
+import html
 import json
 import sys
 from collections.abc import Callable, Mapping
@@ -114,6 +115,15 @@ def test_earlier_files_are_read_with_the_numbers_that_were_written(path: Path) -
     written = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
     now = json.loads(json.dumps(numbers_of(READERS[path.name](path)), default=str))
     assert differences(now, written) == []
+
+
+@pytest.mark.parametrize("name", [n for n in READERS if n not in ("forces.nc", "map")])
+def test_results_show_themselves_in_five_lines_without_arrays(name: str) -> None:
+    result = READERS[name](next(DATA.glob(f"*/{name}")))
+    shown = repr(result)
+    assert 1 <= len(shown.splitlines()) <= 5
+    assert "array" not in shown
+    assert result._repr_html_().startswith(f"<pre>{html.escape(shown)}</pre>")
 
 
 # -- writing --------------------------------------------------------------------------------------

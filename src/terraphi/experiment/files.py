@@ -96,9 +96,9 @@ def read_text(path: Path) -> str:
 def check_is_file(path: Path, expected: str = "a file") -> None:
     """Raise InputError, which says what is expected, if there is no regular file on disk."""
     if not path.is_file():
-        found = "is a folder" if path.is_dir() else "no such file"
-        found = "is a pipe or device; save it to a file first" if is_there(path) else found
-        raise InputError(f"{path}: {found}; expected {expected}")
+        state = "is a folder" if path.is_dir() else "no such file"
+        state = "is a pipe or device; save it to a file first" if is_there(path) else state
+        raise InputError(f"{path}: {state}; expected {expected}")
 
 
 def path_of(name: str, value: Any) -> Path:
@@ -476,18 +476,18 @@ def netcdf_kind(path: Path) -> str:
     check_is_file(path)
     try:
         with h5py.File(path) as file:
-            groups, seen, size = [file], {h5py.h5o.get_info(file.id).addr}, 0
+            groups, addresses, size = [file], {h5py.h5o.get_info(file.id).addr}, 0
             while groups:
                 group = groups.pop()
                 for name in group:
                     where = f"{path}: '{group.name.rstrip('/')}/{name}'"
                     # Asked before it is opened: an external link opens another file, or a pipe.
                     linked = not isinstance(group.get(name, getlink=True), h5py.HardLink)
-                    if linked or (address := h5py.h5o.get_info(group[name].id).addr) in seen:
+                    if linked or (address := h5py.h5o.get_info(group[name].id).addr) in addresses:
                         raise InputError(f"{where} is a link; write it without links")
-                    seen.add(address)
+                    addresses.add(address)
                     item = group[name]
-                    if len(seen) > ITEMS or item.name.count("/") > NESTING:
+                    if len(addresses) > ITEMS or item.name.count("/") > NESTING:
                         more = f"more than {ITEMS} variables or {NESTING} groups within another"
                         raise InputError(f"{path}: has {more}; name a file of terraphi")
                     size += _memory(item, where) if isinstance(item, h5py.Dataset) else 0

@@ -431,7 +431,7 @@ class Answer(Result, AnswerSummary):
         from terraphi.experiment.history import force_label
 
         figure = figure or NewFigure(figsize=(10.0, 3.4), layout="constrained")
-        panels = dict.fromkeys((name, one.along) for one in self.records for name in one.nrmsd)
+        panels = dict.fromkeys((name, r.along) for r in self.records for name in r.nrmsd)
         *of_channels, of_phi = figure.subplots(1, 1 + len(panels))
         several = len(self.rigs) > 1
         for axes, (name, along) in zip(of_channels, panels, strict=True):
@@ -458,11 +458,11 @@ class Answer(Result, AnswerSummary):
         low, high = self.phi.ci68
         inside = (grid >= low) & (grid <= high)
         of_phi.fill_between(grid[inside], density[inside], color=colour, alpha=0.3, lw=0)
-        seen = grid[density > 1e-4 * density.max()]
+        shown = grid[density > 1e-4 * density.max()]
         of_phi.set(
             xlabel=f"φ [deg], {self.convention.replace('_', ' ')}",
             ylabel="posterior density [1/deg]",
-            xlim=(seen[0], seen[-1]),
+            xlim=(shown[0], shown[-1]),
             ylim=(0.0, None),
             title=f"φ = {str(self.phi).partition('    ')[0]}"
             if sound
@@ -474,8 +474,9 @@ class Answer(Result, AnswerSummary):
 
     def _over_windows(self, name: str) -> FloatArray:
         """An array of the records, those of all of them one after the other, shape [..., n]."""
-        each = [getattr(record, name) for record in self.records]
-        return np.concatenate([one.reshape(*one.shape[:-2], -1) for one in each], axis=-1)
+        arrays = [getattr(record, name) for record in self.records]
+        flat = [array.reshape(*array.shape[:-2], -1) for array in arrays]
+        return np.concatenate(flat, axis=-1)
 
     def _by_record(self, name: str, values: FloatArray, *over: str) -> Any:
         """A Dataset with a variable for each record, from values over all windows, [..., n]."""
@@ -530,7 +531,9 @@ class Answer(Result, AnswerSummary):
         logs = logs - 0.5 * ((data - curves) @ inverse) ** 2 / precision
         likelihood = self._by_record("force", logs, *over)
         if len(self.records) > 1:  # ArviZ compares what is one variable
-            number = np.repeat(range(len(self.records)), [one.data.size for one in self.records])
+            number = np.repeat(
+                range(len(self.records)), [record.data.size for record in self.records]
+            )
             places = {"record": ("window", number)}
             likelihood = xr.Dataset({"force": ((*over, "window"), logs)}, places)
         predicted = self._by_record("force", curves + error, *over)

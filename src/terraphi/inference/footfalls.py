@@ -401,9 +401,9 @@ class FootfallMap(Result):
         ):
             axes.fill_between(s, phi - sd, phi + sd, color=colour, alpha=alpha, lw=0, label=label)
         axes.plot(s, phi, color="C0", lw=1.5)
-        apart = np.square(self.place[usable, None, :2] - self.path[None, :, 1:]).sum(axis=2)
+        distance2 = np.square(self.place[usable, None, :2] - self.path[None, :, 1:]).sum(axis=2)
         axes.errorbar(
-            s[apart.argmin(axis=1)], self.phi[usable], self.sd[usable], fmt="o", ms=3, lw=0.6,
+            s[distance2.argmin(axis=1)], self.phi[usable], self.sd[usable], fmt="o", ms=3, lw=0.6,
             color="C1", label="footfalls, usable", zorder=1, alpha=0.7,
         )  # fmt: skip
         axes.legend(fontsize="small", frameon=False)

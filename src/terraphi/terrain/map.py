@@ -92,8 +92,8 @@ class SlopeMap(Shown):
         """Four maps with the points, hatched where the field extrapolates."""
         from terraphi.experiment.figure import Figure as NewFigure
 
-        every = max(1, -(-max(self.dem.height.shape) // MOST_PIXELS))
-        thin = (slice(None, None, every), slice(None, None, every))
+        step = max(1, -(-max(self.dem.height.shape) // MOST_PIXELS))
+        thin = (slice(None, None, step), slice(None, None, step))
         x, y, half = self.dem.x, self.dem.y, 0.5 * self.dem.cell
         extent = (x[0] - half, x[-1] + half, y[-1] - half, y[0] + half)
         on_map: dict[str, Any] = {"extent": extent, "origin": "upper"}
@@ -135,11 +135,11 @@ class SlopeMap(Shown):
         with output_folder(Path(folder), kind=KIND, last=SUMMARY) as place:
             for name, (about, unit) in LAYERS.items():
                 layer = self.layers[name]
-                whole = layer.dtype == np.uint8
+                is_integer = layer.dtype == np.uint8
                 with rasterio.open(
                     place / f"{name}.tif", "w", driver="GTiff", count=1, dtype=layer.dtype,
-                    nodata=255 if whole else np.nan, compress="deflate",
-                    predictor=2 if whole else 3, **grid,
+                    nodata=255 if is_integer else np.nan, compress="deflate",
+                    predictor=2 if is_integer else 3, **grid,
                 ) as file:  # fmt: skip
                     file.write(layer, 1)
                     file.set_band_description(1, about)
@@ -314,7 +314,7 @@ def in_words(summary: Mapping[str, Any]) -> list[str]:
     if slope > STEEP_DEG:
         sentences.append("Such steep terrain is rare: check that the elevations are in metres.")
     usual = slopes.priors_of(())
-    guessed = [key for key, one in summary["priors"].items() if one == usual[key]]
+    guessed = [key for key, prior in summary["priors"].items() if prior == usual[key]]
     if guessed:
         sentences.append(f"Not measured, wide default priors: {', '.join(guessed)}.")
     return sentences
