@@ -36,6 +36,7 @@ from terraphi.inference.terms import TERMS, Term
 from terraphi.laws.foot import LAWS, Foot
 from terraphi.laws.law import CENTRE_DEG
 from terraphi.laws.legs import shipped_legs
+from terraphi.view.answers import ACTIONS
 
 DRAWS = 200
 QUANTILES = norm.ppf((np.arange(DRAWS) + 0.5) / DRAWS)
@@ -354,3 +355,9 @@ def test_the_contraction_of_soils_drawn_from_its_prior_is_as_uncertain_as_stated
         stated.append([answer.budget_deg[name] for name in ("contraction", "model: course")])
     variance = np.square(stated).sum(axis=1)
     assert np.mean(np.square(errors)) == pytest.approx(np.mean(variance), rel=0.3)  # 15 % of an SD
+
+
+def test_names_of_terms_in_advice_and_tests_are_in_the_table() -> None:
+    """A renamed term would silently be advised against no more."""
+    advised = {name for names in ACTIONS.values() for name in names}
+    assert advised | {*OF_LEGS} | {*SHARED_BY} <= TERMS.keys()
