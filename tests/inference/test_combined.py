@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import terraphi
+from terraphi.experiment.rig import Rig
 from terraphi.inference.answer import Answer, Estimate
 from terraphi.inference.combined import combined
 from terraphi.inference.manifest import read_manifest
@@ -157,7 +158,8 @@ def test_a_table_names_the_rig_of_a_file_in_its_folder(tmp_path: Path) -> None:
 def test_what_differs_between_bodies_is_stated_of_none() -> None:
     names = ("straight", "c", "disc_60")
     leg, bent, plate = (GRAINS / f"B-loose_{name}_1.csv" for name in names)
-    given = {"rig": "li2013", "leg": "straight", "density": 1415}
+    rough = Rig.of("li2013", "straight").model_copy(update={"leg_friction": 0.4})
+    given = {"rig": rough, "leg": "straight", "density": 1415}
     joint = terraphi.invert([leg, f"{bent}@c", f"{plate}@plate:60"], **given)
     alone = [terraphi.invert(leg, **given),
              terraphi.invert(plate, tool="plate:60", density=1415)]  # fmt: skip
