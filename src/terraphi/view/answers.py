@@ -51,7 +51,7 @@ def headline(answer: Answer) -> str:
     if PHI in answer.parameters and answer.verdict != "out_of_range":
         which = CONVENTIONS.get(answer.convention, answer.convention)
         if answer.convention == "plane_strain" and not all(r.simulated for r in answer.records):
-            which += ": critical of loose soil, between critical and peak of dense"
+            which += "; critical angle if loose, critical to peak if dense"
         lines.append(f"φ = {answer.phi}    {which}")
     return "\n".join(lines)
 
