@@ -16,7 +16,7 @@ from terraphi.forward.body import Path
 from terraphi.forward.driver import path_of_steps, step_count
 from terraphi.forward.ledger import empty_audit, empty_reaction
 from terraphi.forward.mpm.lattice import lattice_of
-from terraphi.forward.mpm.solver import MpmSolver, settle
+from terraphi.forward.mpm.solver import MpmSolver, end_phase
 from terraphi.paper.plane.bed import Particles
 from terraphi.paper.plane.solver import PlaneSolver
 
@@ -150,7 +150,7 @@ def part_of_bed(scenario, kept):
     inside, count = kept(solver.fields(soil)[0]), len(soil.mass)
     parts = {k: v[inside] for k, v in soil._asdict().items() if len(v) == count}
     soil = soil._replace(**parts)
-    settle(soil, lattice, np.zeros_like(soil.velocity), np.zeros((4, lattice.nodes)))
+    end_phase(soil, lattice, np.zeros_like(soil.velocity), np.zeros((4, lattice.nodes)))
     return soil
 
 

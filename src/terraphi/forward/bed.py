@@ -1,4 +1,4 @@
-"""What the beds of both dimensions have in common: a particle in each sub-cell, at rest."""
+"""Beds of two and three dimensions: a particle in each sub-cell, at rest."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ def sub_cells(scenario: Scenario) -> tuple[tuple[int, ...], FloatArray]:
     """
     bed, numerics = scenario.bed, scenario.numerics
     side = numerics.cell_size / numerics.particles_per_cell_side
-    left, right = bed.soil_span
-    columns, rows = round((right - left) / side), round(bed.height / side)
-    width, height = (right - left) / columns, bed.height / rows
+    first, last = bed.soil_span
+    columns, rows = round((last - first) / side), round(bed.height / side)
+    width, height = (last - first) / columns, bed.height / rows
     if scenario.dimensions == 2:
         return (columns, rows), np.array([width, height])
     across = scenario.cells_across * numerics.particles_per_cell_side

@@ -25,7 +25,7 @@ class Intruder(NamedTuple):
     """Outline of a body in the plane of motion."""
 
     plate: bool
-    """Whether the outline is a rectangle rather than a centre line with round ends."""
+    """True if the outline is a rectangle, not a centre line with round ends."""
     chord: float
     """[m]; shorter than the leg's own if contact leaves out its tip."""
     half_thickness: float
@@ -33,9 +33,9 @@ class Intruder(NamedTuple):
     curvature: float
     """[1/m]."""
     lean_sine: float
-    """Of the angle from the leg's own chord to this one: 0 unless an arc's tip is left out [-]."""
+    """Sine of the angle from the leg's chord to this one; 0 unless an arc's tip is left out [-]."""
     lean_cosine: float
-    """[-]."""
+    """Its cosine [-]."""
     reach: float
     """No smaller than the largest distance of the outline from the hip [m]."""
     friction: float
@@ -43,7 +43,7 @@ class Intruder(NamedTuple):
 
 
 class Path(NamedTuple):
-    """Where the leg is at some steps, as the kernels take it."""
+    """Places of the leg at some steps, as the kernels take them."""
 
     poses: FloatArray
     """Hip x, z [m], θ [rad], hip velocity x, z [m/s], angular rate [rad/s] at the start of each
@@ -55,7 +55,7 @@ class Path(NamedTuple):
 
 
 class Pose(NamedTuple):
-    """Where a body is at a step and how it moves."""
+    """Place and motion of a body at a step."""
 
     hip_x: float
     """[m]."""

@@ -66,7 +66,7 @@ class State(NamedTuple):
     audit: Any
     """The soil's momentum so far, :class:`~terraphi.forward.ledger.Audit`."""
     impulse: Any
-    """What the soil did to the leg, as :func:`~terraphi.forward.ledger.empty_reaction` has it."""
+    """Impulses of the soil on the leg, as of :func:`~terraphi.forward.ledger.empty_reaction`."""
     held: Any
     """Number of steps in each bin of the history [-], shape [bin]."""
     step: int
@@ -174,7 +174,7 @@ class Keeper:
 
 
 def fitting(scenario: Scenario, kernel: str) -> dict[str, Any]:
-    """What the result depends on to the last bit, by name; JSON-able."""
+    """Everything that the last bit of a result depends on, by name; JSON-able."""
     import llvmlite.binding
     import numba
 

@@ -1,4 +1,4 @@
-"""How kernels are compiled: one decorator, and a cache that never serves old code.
+"""Compilation of kernels: one decorator, and a cache that never serves old code.
 
 Numba looks only at the file of the outermost function, not at those of the functions that it has
 inlined; a change to the latter would silently be ignored. So machine code lies in a folder named
@@ -41,9 +41,9 @@ OPTIONS: dict[str, Any] = {
 _FOLDER = Path(__file__).parent
 _EXPERIMENT, _PLANE = (_FOLDER.parent / name for name in ("experiment", "paper/plane"))
 _SOURCES = [*sorted(_FOLDER.rglob("*.py")), *sorted(_PLANE.glob("*.py")), _EXPERIMENT / "leg.py"]
-"""What is compiled, here and below."""
+"""Sources of the compiled functions."""
 _GIVEN = [_EXPERIMENT / f"{name}.py" for name in ("motion", "scenario", "soil")]
-"""What makes the numbers that the kernels are called with."""
+"""Sources of the numbers that the kernels are called with."""
 _NAME = "terraphi-kernels-"
 _UNUSED = 7 * 86400.0
 """Time after which machine code of other sources is removed [s]."""
@@ -123,12 +123,12 @@ def _read_at() -> list[int]:
 
 
 def _is_as_written(module: ModuleType) -> bool:
-    """Whether the functions of a module are those of its file, which may have changed since."""
+    """True if the functions of a module are those of its file, which may have changed since."""
     file = Path(str(module.__file__))
     now = compile(file.read_text(encoding="utf-8"), str(file), "exec", dont_inherit=True)
     codes = [constant for constant in now.co_consts if isinstance(constant, CodeType)]
-    known = {name: f.__code__ for name, f in inspect.getmembers(module, inspect.isfunction)}
-    return all(known.get(code.co_name, code) == code for code in codes)
+    functions = {name: f.__code__ for name, f in inspect.getmembers(module, inspect.isfunction)}
+    return all(functions.get(code.co_name, code) == code for code in codes)
 
 
 def _place_of_cache() -> Path | None:
@@ -139,8 +139,8 @@ def _place_of_cache() -> Path | None:
     """
     chosen = getattr(numba.config, "CACHE_DIR", "")
     # Path.home raises for users without one.
-    own = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))  # noqa: PTH111
-    for parent in [Path(chosen)] if chosen else [_FOLDER / "__pycache__", own / "terraphi"]:
+    user_cache = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))  # noqa: PTH111
+    for parent in [Path(chosen)] if chosen else [_FOLDER / "__pycache__", user_cache / "terraphi"]:
         place = parent / (_NAME + _digest(_SOURCES)[:16])
         try:
             place.mkdir(parents=True, exist_ok=True)
@@ -148,10 +148,10 @@ def _place_of_cache() -> Path | None:
             os.utime(place)  # it is used
         except OSError:
             continue
-        for other in parent.glob(_NAME + "*"):
+        for folder in parent.glob(_NAME + "*"):
             with suppress(OSError):  # another process may remove it, too
-                if other.stat().st_mtime < time.time() - _UNUSED:
-                    shutil.rmtree(other)
+                if folder.stat().st_mtime < time.time() - _UNUSED:
+                    shutil.rmtree(folder)
         return place
     return None
 

@@ -36,7 +36,7 @@ class Solver(Protocol):
     """A kernel with its constants and working memory, as the driver and an observer use it."""
 
     width: float
-    """What impulses are multiplied by: in plane strain the leg's width [m], else 1."""
+    """Factor of the impulses: in plane strain the leg's width [m], else 1."""
 
     @property
     def ledger_rows(self) -> tuple[str, ...]:
@@ -52,7 +52,7 @@ class Solver(Protocol):
         """Places (x, y, z) [m] of the particles, and their fields by name."""
 
     def provenance(self, state: State) -> dict[str, Any]:
-        """What only this solver adds to the provenance of a history."""
+        """Part of a history's provenance that this solver alone has."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class Snapshot:
 
     @property
     def pose(self) -> Poses:
-        """Where the leg is; each array has one row. Its velocities are not sped up."""
+        """Place of the leg; each array has one row. Its velocities are not sped up."""
         return self.scenario.motion.poses(np.array([self.time * self.scenario.numerics.speed_up]))
 
 
@@ -210,7 +210,7 @@ def block_length(scenario: Scenario) -> int:
 
 
 def path_of_steps(scenario: Scenario, indices: NDArray[np.int64], bin_count: int) -> Path:
-    """Where the leg is at some steps, of the given indices, in a history of ``bin_count`` bins."""
+    """Places of the leg at steps of the given indices, in a history of ``bin_count`` bins."""
     speed_up, time_step = scenario.numerics.speed_up, scenario.numerics.time_step
     start = indices.astype(np.float64) * time_step * speed_up
     pose = scenario.motion.poses(start)

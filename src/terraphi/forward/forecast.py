@@ -39,7 +39,7 @@ class Forecast(NamedTuple):
     simulations: int
     """Number of simulations."""
     particles: float
-    """Of the largest one; 0 for resistive force theory."""
+    """Number in the largest simulation; 0 for resistive force theory."""
     core_seconds: float
     """Time for all of them, one after another on one core [s]."""
     bytes: float
@@ -47,50 +47,52 @@ class Forecast(NamedTuple):
 
     def sentence(self, workers: int = 1) -> str:
         """The forecast as a sentence, for ``workers`` cores."""
-        some = "1 simulation" if self.simulations == 1 else f"{self.simulations:,} simulations"
+        number = "1 simulation" if self.simulations == 1 else f"{self.simulations:,} simulations"
         size = f" of {self.particles:,.0f} particles" if self.particles else ""
         memory = self.bytes * min(workers, self.simulations) / 1e9
         cores = "1 core" if workers == 1 else f"{workers} cores"
         return (
-            f"forecast: {some}{size}: {lasting(self.core_seconds / workers)} on {cores}, "
+            f"forecast: {number}{size}: {lasting(self.core_seconds / workers)} on {cores}, "
             f"{memory:.1f} GB of memory"
         )
 
 
 def forecast(scenarios: Iterable[Scenario]) -> Forecast:
     """Time and memory that some simulations, or none, will need."""
-    each = [_of_one(scenario) for scenario in scenarios]
+    costs = [_of_one(scenario) for scenario in scenarios]
     return Forecast(
-        len(each),
-        max((one.particles for one in each), default=0.0),
-        sum(one.core_seconds for one in each),
-        max((one.bytes for one in each), default=0.0),
+        len(costs),
+        max((cost.particles for cost in costs), default=0.0),
+        sum(cost.core_seconds for cost in costs),
+        max((cost.bytes for cost in costs), default=0.0),
     )
 
 
 def refuse_what_cannot_fit(scenario: Scenario) -> None:
     """Raise InputError for a simulation of over a year, or of more memory than there is."""
-    one, memory = _of_one(scenario), machine_bytes()
-    size = f"{one.particles:.2g} particles and {bin_count(scenario.motion):.2g} bins of the history"
-    if one.bytes > memory:
+    cost, memory = _of_one(scenario), machine_bytes()
+    size = (
+        f"{cost.particles:.2g} particles and {bin_count(scenario.motion):.2g} bins of the history"
+    )
+    if cost.bytes > memory:
         raise InputError(
-            f"{size} would take {one.bytes / 1e9:,.0f} GB of memory, and this machine has "
+            f"{size} would take {cost.bytes / 1e9:,.0f} GB of memory, and this machine has "
             f"{memory / 1e9:,.0f} GB; lower numerics.cells or shorten the motion"
         )
-    if one.core_seconds > YEAR:
+    if cost.core_seconds > YEAR:
         raise InputError(
-            f"{size} would take {lasting(one.core_seconds)}; lower numerics.cells, shorten the "
+            f"{size} would take {lasting(cost.core_seconds)}; lower numerics.cells, shorten the "
             "motion, or raise its speed, numerics.speed_up or numerics.time_step"
         )
 
 
 def machine_bytes() -> float:
     """Memory that this process may use at most [byte]."""
-    whole = float(os.sysconf("SC_PAGE_SIZE")) * float(os.sysconf("SC_PHYS_PAGES"))
+    physical = float(os.sysconf("SC_PAGE_SIZE")) * float(os.sysconf("SC_PHYS_PAGES"))
     try:  # of a container
-        return min(whole, float(Path("/sys/fs/cgroup/memory.max").read_text()))
+        return min(physical, float(Path("/sys/fs/cgroup/memory.max").read_text()))
     except (OSError, ValueError):
-        return whole
+        return physical
 
 
 def lasting(seconds: float) -> str:

@@ -1,4 +1,4 @@
-"""The momentum of the soil, followed step by step: what changed it, and what is unaccounted for."""
+"""The momentum of the soil step by step: causes of its changes, and the unexplained remainder."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.forward.compiled import kernel
 
 LEDGER_ROWS = ("gravity", "leg", "walls", "damping", "relief")
-"""What changes the soil's momentum, in the order of the ledger's rows."""
+"""Causes of changes of the soil's momentum, in the order of the ledger's rows."""
 
 
 class Audit(NamedTuple):
@@ -52,7 +52,7 @@ def write_books(audit: Audit, impulses: FloatArray, momentum: tuple[float, float
 
 
 def empty_reaction(bins: int) -> FloatArray:
-    """What the soil did to the leg in each bin of a history, before the first step, shape [bin, 4].
+    """Zero impulses of the soil on the leg, a row for each bin of a history, shape [bin, 4].
 
     In two dimensions the impulse (x, z) as the contact counts it, and as the soil received it
     [kg/s]; in three the impulse (x, z) [N s] and its moment about the hip [N m s], and nothing.

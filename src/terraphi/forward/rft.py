@@ -345,8 +345,8 @@ def unit_stress(
     normal, direction = xp.broadcast_arrays(normal, direction)
     count, parts = normal.shape[0], []
     for first in range(0, max(count, 1), AT_ONCE if xp is np else max(count, 1)):
-        some = slice(first, first + AT_ONCE if xp is np else count)
-        n, v = normal[some, :].T, direction[some, :].T
+        block = slice(first, first + AT_ONCE if xp is np else count)
+        n, v = normal[block, :].T, direction[block, :].T
         along = xp.sum(n * v, axis=0)
         # A face that looks sideways counts as looking up, as it does in the paper (n_z >= 0).
         turn = xp.where(n[-1, :] >= 0.0, -xp.ones_like(along), xp.ones_like(along))
@@ -354,13 +354,13 @@ def unit_stress(
         if fade > GRAZING:
             share = 0.5 - 0.5 / fade * xp.abs(n[-1, :])
             if xp is not np:
-                other = _side_stress(xp, n, v, along, -turn, surface_friction)
-                stress = stress + xp.clip(share, 0.0, 0.5) * (other - stress)
+                other_side = _side_stress(xp, n, v, along, -turn, surface_friction)
+                stress = stress + xp.clip(share, 0.0, 0.5) * (other_side - stress)
             elif (near := np.flatnonzero(share > 0.0)).size:
-                other = _side_stress(
+                other_side = _side_stress(
                     xp, n[:, near], v[:, near], along[near], -turn[near], surface_friction
                 )
-                stress[:, near] += share[near] * (other - stress[:, near])
+                stress[:, near] += share[near] * (other_side - stress[:, near])
         parts.append((stress * xp.clip(along / fade, 0.0, 1.0)).T)
     return xp.concat(parts, axis=0)
 

@@ -49,17 +49,17 @@ class FieldSeries:
         chosen = np.linspace(0, len(ends) - 1, min(frames, len(ends))).round().astype(int)
         self._steps = [ends[i] for i in chosen]
 
-    def __call__(self, seen: Snapshot) -> None:
+    def __call__(self, snapshot: Snapshot) -> None:
         """Write a frame if it is time for one; raises InputError if the disk is full."""
-        if seen.step not in self._steps:
+        if snapshot.step not in self._steps:
             return
-        number, pose = self._steps.index(seen.step), seen.pose
-        about = {"TimeValue": np.array([seen.time]), "theta_deg": np.degrees(pose.theta)}
-        points, data = seen.solver.fields(seen.soil)
-        outline = np.insert(pose.placed(seen.scenario.leg.outline())[0], 1, 0.0, axis=1)
+        number, pose = self._steps.index(snapshot.step), snapshot.pose
+        about = {"TimeValue": np.array([snapshot.time]), "theta_deg": np.degrees(pose.theta)}
+        points, data = snapshot.solver.fields(snapshot.soil)
+        outline = np.insert(pose.placed(snapshot.scenario.leg.outline())[0], 1, 0.0, axis=1)
         write_grid(self._folder / _frame("particles", number), points, VERTEX, data, about)
         write_grid(self._folder / _frame("leg", number), outline, POLYGON, {}, about)
-        time_step = seen.scenario.numerics.time_step
+        time_step = snapshot.scenario.numerics.time_step
         for name in ("particles", "leg"):
             sets = "".join(
                 f'<DataSet timestep="{step * time_step!r}" part="0" file="{_frame(name, k)}"/>'

@@ -98,8 +98,10 @@ def build(
             reason = next(iter(failures.values()))
             raise InputError(f"plan '{plan.name}': every case failed, the first with: {reason}")
         cases = [Case(s, finished.get(s.hash), failures.get(s.hash, "")) for s in wanted]
-        known = {"plan": plan.model_dump(mode="json"), **software(plan.scenario)}
-        library = Library(plan.name, tuple(cases), plan.description, plan.caveat, provenance=known)
+        provenance = {"plan": plan.model_dump(mode="json"), **software(plan.scenario)}
+        library = Library(
+            plan.name, tuple(cases), plan.description, plan.caveat, provenance=provenance
+        )
         library.save(path)
         shutil.rmtree(folder, ignore_errors=True)  # the library is whole
     return library
@@ -151,9 +153,9 @@ def _outcomes(
 
 def _finished(path: Path, folder: Path, wanted: list[Scenario]) -> dict[str, ForceHistory]:
     """Histories by the present version of the model in a library and a folder, by scenario hash."""
-    found = {}
+    histories = {}
     if path.exists():
-        found = {c.scenario.hash: c.history for c in Library.load(path).cases if c.history}
+        histories = {c.scenario.hash: c.history for c in Library.load(path).cases if c.history}
     for file in sorted(folder.glob("*.nc")):
         try:
             history = ForceHistory.from_netcdf(file)
@@ -161,11 +163,12 @@ def _finished(path: Path, folder: Path, wanted: list[Scenario]) -> dict[str, For
             log.warning("%s; it will be simulated again", error)
         else:
             if history.provenance.get("scenario_hash") == file.stem:
-                found[file.stem] = history
+                histories[file.stem] = history
     return {
-        s.hash: found[s.hash]
+        s.hash: histories[s.hash]
         for s in wanted
-        if s.hash in found and found[s.hash].provenance.get("model_version") == model_version(s)
+        if s.hash in histories
+        and histories[s.hash].provenance.get("model_version") == model_version(s)
     }
 
 

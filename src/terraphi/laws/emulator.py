@@ -8,7 +8,8 @@ a(x) is the size of the forces and b(x) that of their scatter, exponentials of p
 u_k are mean and principal components of the curves over their size. Each weight w_k is a Gaussian
 process with a quadratic mean, a Matérn 5/2 kernel and a nugget, n_k, the scatter between particle
 seeds; hyperparameters maximise the restricted likelihood (Rasmussen & Williams 2006, section 2.7).
-e is scatter outside the components, seen in the part of each curve that the others cannot describe:
+e is scatter outside the components, estimated from the part of each curve that the other curves
+cannot describe:
 its size is smooth over θ, and its correlation a function of the distance in θ, from the mean
 periodogram.
 """
@@ -76,8 +77,8 @@ class Emulator:
     def _size(self) -> FloatArray:
         """Coefficients of ln a(x)."""
         rms = np.sqrt(np.square(self.curves.force).mean(axis=(1, 2)))
-        found, *_ = np.linalg.lstsq(self._basis(self.curves.x), np.log(rms), rcond=None)
-        return np.asarray(found)
+        coefficients, *_ = np.linalg.lstsq(self._basis(self.curves.x), np.log(rms), rcond=None)
+        return np.asarray(coefficients)
 
     def size(self, x: FloatArray) -> FloatArray:
         """Size a(x) of the forces [N], shape [k, key] -> [k]."""
@@ -88,16 +89,16 @@ class Emulator:
         """Mean z0 [2 theta], components u [k, 2 theta] and weights w of the cases [case, k]."""
         z = self.curves.force.reshape(len(self.curves.x), -1) / self.size(self.curves.x)[:, None]
         mean = z.mean(axis=0)
-        left, values, u = np.linalg.svd(z - mean, full_matrices=False)
+        case_vectors, values, u = np.linalg.svd(z - mean, full_matrices=False)
         kept = np.square(values) > LEAST * np.square(values).sum()
-        return mean, u[kept], (left * values)[:, kept]
+        return mean, u[kept], (case_vectors * values)[:, kept]
 
     @cached_property
     def _processes(self) -> list[Process]:
         """A fitted process for each component."""
         weights = self._components[2]
         t = (self.curves.x - self._scale[0]) / self._scale[1]
-        rough = self.roughness(self.curves.x) if self._scatters else np.ones(len(t))
+        rough = self.scatter_size(self.curves.x) if self._scatters else np.ones(len(t))
         return fitted(t, self._basis(self.curves.x), weights, rough)
 
     @cached_property
@@ -109,46 +110,48 @@ class Emulator:
 
     @property
     def _scatters(self) -> bool:
-        """Whether simulations differ by their particle seed."""
+        """True if simulations differ by their particle seed."""
         return self.curves.scenario.model == "mpm"
 
     @cached_property
-    def _rest(self) -> FloatArray:
+    def _leave_one_out_residual(self) -> FloatArray:
         """Residual of each curve outside the span of the others, over a(x) [-], [case, 2 theta]."""
         count = len(self.curves.x)
         z = self.curves.force.reshape(count, -1) / self.size(self.curves.x)[:, None]
-        rest = np.empty_like(z)
+        residual = np.empty_like(z)
         for i in range(count):
-            others = np.delete(z, i, axis=0)
-            _, values, u = np.linalg.svd(others - others.mean(axis=0), full_matrices=False)
-            apart = z[i] - others.mean(axis=0)
+            remaining = np.delete(z, i, axis=0)
+            mean = remaining.mean(axis=0)
+            _, values, u = np.linalg.svd(remaining - mean, full_matrices=False)
             u = u[values > 1e-6 * values[0]]
-            rest[i] = apart - (apart @ u.T) @ u
-        return rest
+            residual[i] = (z[i] - mean) - ((z[i] - mean) @ u.T) @ u
+        return residual
 
     @cached_property
-    def _roughness(self) -> FloatArray:
+    def _log_scatter_size(self) -> FloatArray:
         """Coefficients of ln b(x)."""
-        rms = np.sqrt(np.square(self._rest).mean(axis=1))
-        found, *_ = np.linalg.lstsq(self._basis(self.curves.x), np.log(rms + 1e-12), rcond=None)
-        return np.asarray(found)
+        rms = np.sqrt(np.square(self._leave_one_out_residual).mean(axis=1))
+        coefficients, *_ = np.linalg.lstsq(
+            self._basis(self.curves.x), np.log(rms + 1e-12), rcond=None
+        )
+        return np.asarray(coefficients)
 
-    def roughness(self, x: FloatArray) -> FloatArray:
+    def scatter_size(self, x: FloatArray) -> FloatArray:
         """Size b(x) of the scatter over that of the forces [-], shape [k, key] -> [k]."""
-        return np.exp(self._basis(x) @ self._roughness)
+        return np.exp(self._basis(x) @ self._log_scatter_size)
 
     @cached_property
-    def _outside(self) -> FloatArray:
+    def _unexplained_covariance(self) -> FloatArray:
         """Covariance of the scatter outside the components, over (a b)² [-], [2 theta, 2 theta]."""
         theta = self.curves.theta_deg
-        rest = self._rest / self.roughness(self.curves.x)[:, None]
-        rest = rest.reshape(len(rest), 2, theta.size)
+        residual = self._leave_one_out_residual / self.scatter_size(self.curves.x)[:, None]
+        residual = residual.reshape(len(residual), 2, theta.size)
         near = np.exp(-0.5 * np.square((theta[:, None] - theta) / SMOOTH_DEG))
         near /= near.sum(axis=1, keepdims=True)
-        sd = np.sqrt(np.square(rest).mean(axis=0) @ near.T)
+        sd = np.sqrt(np.square(residual).mean(axis=0) @ near.T)
         sd = np.maximum(sd, 1e-3 * sd.max())
         # Zeros behind each row, so that its end is not taken for the neighbour of its beginning.
-        spectrum = np.square(np.abs(np.fft.rfft(rest / sd, 2 * theta.size)))
+        spectrum = np.square(np.abs(np.fft.rfft(residual / sd, 2 * theta.size)))
         correlation = np.fft.irfft(spectrum.mean(axis=(0, 1)))[: theta.size]
         lag = np.abs(np.subtract.outer(np.arange(theta.size), np.arange(theta.size)))
         toeplitz = (correlation / correlation[0])[lag]
@@ -182,8 +185,8 @@ class Emulator:
             return np.zeros((2 * self.curves.theta_deg.size,) * 2)
         u = self._components[1]
         nugget = np.concatenate([process.nugget for process in self._processes])
-        size = self.size(x[None])[0] * self.roughness(x[None])[0]
-        return np.asarray(np.square(size) * ((u.T * nugget) @ u + self._outside))
+        size = self.size(x[None])[0] * self.scatter_size(x[None])[0]
+        return np.asarray(np.square(size) * ((u.T * nugget) @ u + self._unexplained_covariance))
 
 
 @functools.lru_cache(maxsize=16)
@@ -221,9 +224,9 @@ class Process:
         inverse = np.linalg.inv(_kernel(t, t, lengths) + np.diag(nugget)).astype(np.float64)
         spread = np.linalg.inv(basis.T @ inverse @ basis).astype(np.float64)
         beta = spread @ basis.T @ inverse @ weights
-        rest = weights - basis @ beta
-        solved = inverse @ rest
-        sigma2 = (rest * solved).sum(axis=0) / max(len(t) - basis.shape[1], 1)
+        residual = weights - basis @ beta
+        solved = inverse @ residual
+        sigma2 = (residual * solved).sum(axis=0) / max(len(t) - basis.shape[1], 1)
         return cls(t, lengths, beta, solved, inverse, basis, spread, sigma2, noise)
 
     def mean(self, t: FloatArray, basis: FloatArray) -> FloatArray:
@@ -238,15 +241,15 @@ class Process:
     def variance(self, t: FloatArray, basis: FloatArray) -> FloatArray:
         """Variance of the weights, without the nugget, shape [k, key] -> [k, weight]."""
         cross = _kernel(t, self.t, self.lengths)
-        lack = basis - cross @ self.inverse @ self.basis
-        known = np.einsum("ki,ki->k", cross @ self.inverse, cross)
-        of_mean = np.einsum("ki,ij,kj->k", lack, self.spread, lack)
-        return np.maximum(1.0 - known + of_mean, 0.0)[:, None] * self.sigma2
+        unexplained_trend = basis - cross @ self.inverse @ self.basis
+        explained = np.einsum("ki,ki->k", cross @ self.inverse, cross)
+        of_mean = np.einsum("ki,ij,kj->k", unexplained_trend, self.spread, unexplained_trend)
+        return np.maximum(1.0 - explained + of_mean, 0.0)[:, None] * self.sigma2
 
 
-def _kernel(one: FloatArray, other: FloatArray, lengths: FloatArray) -> FloatArray:
+def _kernel(first: FloatArray, second: FloatArray, lengths: FloatArray) -> FloatArray:
     """Matérn correlation of order 5/2, shape [..., k, n]: smooth, but not infinitely so."""
-    a, b = one / lengths, other / lengths
+    a, b = first / lengths, second / lengths
     squared = np.square(a).sum(axis=-1)[..., None] + np.square(b).sum(axis=-1)[..., None, :]
     squared = np.maximum(squared - 2.0 * a @ b.swapaxes(-1, -2), 0.0)
     lag = np.sqrt(5.0 * squared)
@@ -272,18 +275,18 @@ def fitted(
         roots, vectors = np.linalg.eigh(_kernel(t, t, np.full(t.shape[1], length)) / scale)
         for noise in NUGGETS / np.median(rough) ** 2:
             each = _restricted(np.maximum(roots, 0.0) + noise, vectors, f, w)
-            value = np.array([each[own].sum() for own in columns])
+            value = np.array([each[column].sum() for column in columns])
             better = value > best
             best = np.where(better, value, best)
             chosen[better] = np.log([*[length] * t.shape[1], noise])
     if t.shape[1] > 1:
         chosen = np.array([
-            _refined(t, f, w[:, own], scale, start)
-            for own, start in zip(columns, chosen, strict=True)
+            _refined(t, f, w[:, column], scale, start)
+            for column, start in zip(columns, chosen, strict=True)
         ])  # fmt: skip
     return [
-        Process.of(t, basis, weights[:, own], np.exp(one[:-1]), float(np.exp(one[-1])), rough)
-        for own, one in zip(columns, chosen, strict=True)
+        Process.of(t, basis, weights[:, column], lengths[:-1], float(lengths[-1]), rough)
+        for column, lengths in zip(columns, np.exp(chosen), strict=True)
     ]
 
 
@@ -312,10 +315,10 @@ def _refined(
         from scipy.optimize import minimize
 
     free = len(w) - basis.shape[1]
-    apart = np.square(t[:, None] - t)
+    squared_distance = np.square(t[:, None] - t)
 
     def loss(p: FloatArray) -> tuple[float, FloatArray]:
-        squared = apart / np.exp(2.0 * p[:-1])
+        squared = squared_distance / np.exp(2.0 * p[:-1])
         lag = np.sqrt(5.0 * squared.sum(axis=-1))
         decay = np.exp(-lag) / scale
         a = _kernel(t, t, np.exp(p[:-1])) / scale + np.exp(p[-1]) * np.eye(len(w))
@@ -323,13 +326,13 @@ def _refined(
         trend = inverse @ basis
         normal = basis.T @ trend
         projected = inverse - trend @ np.linalg.solve(normal, trend.T)
-        rest = projected @ w
+        projected_w = projected @ w
         # Without noise A is nearly singular, and rounding decides its sign.
-        sigma2 = np.maximum((w * rest).sum(axis=0) / free, 1e-300)
+        sigma2 = np.maximum((w * projected_w).sum(axis=0) / free, 1e-300)
         volume = np.linalg.slogdet(a)[1] + np.linalg.slogdet(normal)[1]
         value = (free * np.log(sigma2) + volume).sum()
         # By the elements of A, and these by the logarithm of each length and of the nugget.
-        by_a = w.shape[1] * projected - (rest / sigma2) @ rest.T
+        by_a = w.shape[1] * projected - (projected_w / sigma2) @ projected_w.T
         by_length = np.einsum("ij,ijk->k", by_a * 5.0 / 3.0 * (1.0 + lag) * decay, squared)
         return 0.5 * value, 0.5 * np.append(by_length, np.exp(p[-1]) * np.trace(by_a))
 
@@ -337,5 +340,4 @@ def _refined(
     high = np.full_like(start, np.log(20.0 * LENGTHS[-1]))
     low[-1], high[-1] = start[-1] - 10.0, start[-1] + 10.0
     bounds = list(zip(low, high, strict=True))
-    found = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds)
-    return np.asarray(found.x)
+    return np.asarray(minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds).x)

@@ -68,7 +68,7 @@ MOVED = (2.3, 1.2)
 """a and b of :func:`moved_mass` [-], by balls of 44 mm (``docs/landing.md``); other diameters and
 discs were not tried."""
 BEYOND_DEG, BEYOND_FRICTION = 3.0, 0.15
-"""How far outside its table of angles [deg] and frictions the simulated law is continued."""
+"""Range outside its table of angles [deg] and frictions to which the simulated law is continued."""
 
 
 @dataclass(frozen=True)
@@ -174,9 +174,9 @@ def simulated_force(
     ratio, turn, phi = np.broadcast_arrays(np.asarray(depth) / foot.radius, descent, phi_deg)
     place = phi - first
     unit = interpolated(table, place, _row(turn), ratio / step)
-    known = (place >= -BEYOND_DEG) & (place <= len(table) - 1 + BEYOND_DEG)
-    met = np.where(known, ratio > 0.0, np.nan)
-    return np.asarray(density * GRAVITY * foot.radius**3 * met[..., None] * unit)
+    in_range = (place >= -BEYOND_DEG) & (place <= len(table) - 1 + BEYOND_DEG)
+    is_in_soil = np.where(in_range, ratio > 0.0, np.nan)
+    return np.asarray(density * GRAVITY * foot.radius**3 * is_in_soil[..., None] * unit)
 
 
 def resistive_force(
@@ -282,8 +282,10 @@ def bearing_factors(
     passive = np.tan(0.25 * np.pi + 0.5 * phi) ** 2
     n_q = np.exp(np.pi * np.tan(phi)) * passive
     if name == "meyerhof":
-        both = (1.0 + 0.1 * passive) * (1.0 + 0.1 * np.sqrt(passive) * ratio)
-        return np.asarray(n_q * both), np.asarray((n_q - 1.0) * np.tan(1.4 * phi) * both)
+        shape_and_depth = (1.0 + 0.1 * passive) * (1.0 + 0.1 * np.sqrt(passive) * ratio)
+        return np.asarray(n_q * shape_and_depth), np.asarray(
+            (n_q - 1.0) * np.tan(1.4 * phi) * shape_and_depth
+        )
     k = np.where(ratio <= 1.0, ratio, np.arctan(ratio))
     d_q = 1.0 + 2.0 * np.tan(phi) * (1.0 - np.sin(phi)) ** 2 * k
     if name == "hansen":
@@ -337,7 +339,7 @@ class FootCases(FittedLaw):
 
 @lru_cache(maxsize=1)
 def simulated_cases() -> FootCases:
-    """Those that are shipped, kept for the next call.
+    """Shipped cases of law ``foot``, kept for the next call.
 
     The friction is that of the surface [-], φ that of the simulated soil [deg], the tilt that of
     the motion from the vertical [deg], and the flatness 0 for a ball, 1 for a disc.
@@ -352,11 +354,11 @@ def simulated_table(shape: str, surface_friction: float) -> tuple[float, float, 
     The force has the shape [φ, descent, depth, 2], with a degree from one φ to the next.
     """
     law = simulated_cases()
-    own, ratio = law.x[:, 3] == (shape == "disc"), law.PLACES
-    friction, angles, tilt_deg = (np.unique(column) for column in law.x[own, :3].T)
+    of_shape, ratio = law.x[:, 3] == (shape == "disc"), law.PLACES
+    friction, angles, tilt_deg = (np.unique(column) for column in law.x[of_shape, :3].T)
     angles -= law.model_error[shape]["offset_deg"]
     counts = friction.size, angles.size, tilt_deg.size, 2, ratio.size
-    stored = law.force[own].reshape(counts).swapaxes(-1, -2)
+    stored = law.force[of_shape].reshape(counts).swapaxes(-1, -2)
     low, high = friction[0] - BEYOND_FRICTION, friction[-1] + BEYOND_FRICTION
     if not low - 1e-9 <= surface_friction <= high + 1e-9:
         raise InputError(
@@ -367,9 +369,9 @@ def simulated_table(shape: str, surface_friction: float) -> tuple[float, float, 
     by_angle = interpolated(stored, np.asarray(place * (len(friction) - 1)))
     # Over φ: the logarithm of the lift, and the horizontal force over it.
     lift = np.maximum(by_angle[..., 1], 1e-12)
-    whole = np.arange(angles[0], angles[-1] + 0.5)
+    degrees = np.arange(angles[0], angles[-1] + 0.5)
     lift, along = (
-        _cubic_spline(angles, values, whole) for values in (np.log(lift), by_angle[..., 0] / lift)
+        _cubic_spline(angles, values, degrees) for values in (np.log(lift), by_angle[..., 0] / lift)
     )
     force = np.stack([along * np.exp(lift), np.exp(lift)], axis=-1)  # [φ, tilt, ratio, 2]
     # Over the angle from the vertical: the lift is even, the horizontal force odd.
@@ -390,11 +392,11 @@ def simulated_table(shape: str, surface_friction: float) -> tuple[float, float, 
     last = 0.5 * np.pi - turned[-1]
     rows, depths = np.flatnonzero(last - 1e-9 > DESCENTS), np.maximum(ratio, ratio[1]) / DEPTHS[1]
     theory = resistive_table(shape, surface_friction)[..., :2]
-    there, lowest = (
+    at_descent, lowest = (
         interpolated(theory, *np.meshgrid(_row(turn), depths, indexing="ij"))
         for turn in (DESCENTS[rows], np.array([last]))
     )
-    table[:, rows] *= there / lowest
+    table[:, rows] *= at_descent / lowest
     return float(angles[0]), float(ratio[1]), table
 
 
@@ -424,16 +426,18 @@ def interpolated(table: FloatArray, *places: Any) -> Any:
 
     Linear between nodes; beyond the first and the last as between the two that are next.
     """
-    xp, rest = namespace(places[0]), table.shape[len(places) :]
-    rows = like(places[0], table.reshape(-1, *rest))
+    xp, tail = namespace(places[0]), table.shape[len(places) :]
+    rows = like(places[0], table.reshape(-1, *tail))
     corners: list[tuple[Any, Any]] = [(0, 1.0)]  # row of the table, and its share
     for place, count in zip(places, table.shape, strict=False):
         low = whole(xp.clip(place, 0, count - 2))
         part = place - like(place, low)
         ends = (low, 1.0 - part), (low + 1, part)
-        corners = [(at * count + row, share * own) for at, share in corners for row, own in ends]
-    found = 0.0
+        corners = [
+            (at * count + row, share * weight) for at, share in corners for row, weight in ends
+        ]
+    total = 0.0
     for at, share in corners:
-        wide = xp.reshape(share, (*share.shape, *(1 for _ in rest)))
-        found = found + wide * xp.take(rows, at, axis=0)
-    return found
+        wide = xp.reshape(share, (*share.shape, *(1 for _ in tail)))
+        total = total + wide * xp.take(rows, at, axis=0)
+    return total

@@ -1,4 +1,4 @@
-r"""The law of a leg: forces over the friction angle, what is uncertain of them, and where it holds.
+r"""The law of a leg: forces over the friction angle, their uncertainty, and their range.
 
 Slow dry soil under gravity gives F = ρ g L³ f(θ; φ, μ, ratios of the rig), so that a library of one
 rig is the law of all rigs with its proportions, and a law may have these ratios as further axes.
@@ -21,8 +21,8 @@ from terraphi.laws.emulator import Emulator, emulator_of
 from terraphi.laws.store import PHI, Library
 
 SIMILAR = {"leg.width": 0.02, "motion.hip.1": 0.015, "leg.half_thickness": 0.015}
-"""How far a rig may be from the library's: in the width over it, in the height of the hip and in
-the thickness over the length. Each moves φ by at most 0.5° (2 mm of Li's hip by 1°, 10 % of force
+"""Largest differences of a rig from the library's: width over the library's, height of the hip and
+thickness over the length. Each moves φ by at most 0.5° (2 mm of Li's hip by 1°, 10 % of force
 by 1.6 to 2°), which is less than what is assumed of sizes that were not measured."""
 CENTRE_DEG = 27.0
 """Friction angle at which an offset is given [deg]."""
@@ -33,12 +33,12 @@ STEP = 1e-3
 
 
 class ModelError(Strict):
-    """How real soils differ from the law of one leg."""
+    """Error of the law of one leg on real soils."""
 
     offset_deg: float = 0.0
     """Mean of φ_read − ψ [deg]."""
     of_size_deg: float = 0.0
-    """What it grows by for each mm of grain diameter, on a leg as wide as Li's [deg]."""
+    """Its growth with each mm of grain diameter, on a leg as wide as Li's [deg]."""
     common_sd_deg: float = Field(3.0, ge=0)
     """Standard deviation of b, common to all soils of one apparatus [deg]."""
     soil_sd_deg: float = Field(4.0, ge=0)
@@ -46,7 +46,7 @@ class ModelError(Strict):
     leg_sd_deg: float = Field(2.0, ge=0)
     """Standard deviation of l, between legs in one soil [deg]."""
     covariance: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0))
-    """Of the errors of offset_deg at CENTRE_DEG [deg] and of its slope over φ [-]."""
+    """Covariance of the errors of offset_deg at CENTRE_DEG [deg] and of its slope over φ [-]."""
     phi_deg: tuple[float, float] | None = None
     """Smallest and largest angle of the soils that the offset was learned from [deg]."""
     shift_deg: float = 0.0
@@ -56,9 +56,11 @@ class ModelError(Strict):
     training: tuple[str, ...] = ()
     """Records that this was learned from."""
 
-    def offset_covariance(self, one: FloatArray, other: FloatArray) -> FloatArray:
+    def offset_covariance(self, first_deg: FloatArray, second_deg: FloatArray) -> FloatArray:
         """Covariance of the offset's error between angles ψ, as angles of the soil [deg²]."""
-        first, second = (np.stack([np.ones_like(x), x - CENTRE_DEG], -1) for x in (one, other))
+        first, second = (
+            np.stack([np.ones_like(x), x - CENTRE_DEG], -1) for x in (first_deg, second_deg)
+        )
         return np.asarray(first @ np.array(self.covariance) @ second.T)
 
     def offset_sd_at(self, phi_deg: float) -> float:
@@ -68,7 +70,7 @@ class ModelError(Strict):
 
 
 class LegLaw(ABC):
-    """Forces on the leg of a rig, over the friction angle and whatever else a law varies."""
+    """Forces on the leg of a rig, over the friction angle and other parameters of a law."""
 
     keys: tuple[str, ...]
     """Dotted scenario keys of the parameters x."""
@@ -82,7 +84,7 @@ class LegLaw(ABC):
     """Friction of the leg that the forces are for [-]."""
     _arm: FloatArray | None = None
     most_cohesion: float = 0.0
-    """Largest cohesion c / (ρ g L) that the law knows [-]; 0: it is of dry soil."""
+    """Largest cohesion c / (ρ g L) of the law [-]; 0: it is of dry soil."""
 
     @abstractmethod
     def within(self, x: FloatArray, cohesion: float) -> FloatArray:
@@ -107,7 +109,7 @@ class LegLaw(ABC):
         return np.zeros((2 * self.theta_deg.size,) * 2)
 
     def modes(self, _x: FloatArray, _cohesion: float) -> dict[str, FloatArray]:
-        """What else is uncertain at a point [N], by cause: factors [2 theta, k]."""
+        """Factors of further covariances at a point [N], by cause, shape [2 theta, k] each."""
         return {}
 
     def of_hip(self, _x: FloatArray, _cohesion: float) -> FloatArray | None:
@@ -162,20 +164,20 @@ class LibraryLaw(LegLaw):
 
 
 def is_similar(rig: Rig, leg: Rig | None, varied: Iterable[str] = ()) -> bool:
-    """Whether a rig has the proportions of a simulated leg, apart from scenario keys that vary."""
+    """True if a rig has the proportions of a simulated leg, but for ``varied`` scenario keys."""
     if leg is None:
         return True
-    own, simulated = rig.ratios, leg.ratios
-    apart = {
-        "leg.width": abs(own.width / simulated.width - 1.0),
-        "motion.hip.1": abs(own.hip_height - simulated.hip_height),
-        "leg.half_thickness": abs(own.thickness - simulated.thickness),
+    ratios, simulated = rig.ratios, leg.ratios
+    differences = {
+        "leg.width": abs(ratios.width / simulated.width - 1.0),
+        "motion.hip.1": abs(ratios.hip_height - simulated.hip_height),
+        "leg.half_thickness": abs(ratios.thickness - simulated.thickness),
     }
-    return all(apart[key] <= SIMILAR[key] for key in apart if key not in varied)
+    return all(differences[key] <= SIMILAR[key] for key in differences if key not in varied)
 
 
 def remedy(rig: Rig) -> str:
-    """What to do for a rig that no shipped law covers."""
+    """Advice for a rig that no shipped law covers."""
     sizes = rig.sizes_mm.items()
     options = " ".join(f"--{key[:-3].replace('_', '-')} {size:g}" for key, size in sizes)
     return (
@@ -202,7 +204,7 @@ def leg_law(library: Library, rig: Rig, *, strict: bool = True) -> LegLaw:
     rig
         The apparatus.
     strict
-        Whether the rig must have the proportions of the library's leg.
+        True if the rig must have the proportions of the library's leg.
 
     Raises
     ------

@@ -157,7 +157,7 @@ class Legs(FittedLaw):
     ----------
     name, caveat
         Of the library of one's own that was joined to it.
-    own
+    joined_rigs
         Rigs of that library, a rig for each of its cases, which are the last.
     """
 
@@ -168,17 +168,17 @@ class Legs(FittedLaw):
 
     name: str = NAME
     caveat: str = ""
-    own: tuple[Rig, ...] = ()
+    joined_rigs: tuple[Rig, ...] = ()
 
     @property
     def _design(self) -> slice:
         """The cases that scales and components are of."""
-        return slice(len(self.x) - len(self.own))
+        return slice(len(self.x) - len(self.joined_rigs))
 
     # -- the process -----------------------------------------------------------------------------
 
     def _coordinates(self, x: FloatArray, depth: FloatArray) -> FloatArray:
-        """What the process is smooth in, shape [k, axis]."""
+        """Coordinates in which the process is smooth, shape [k, axis]."""
         phi, mu, width, height, thickness, cohesion, cells, curvature = x.T
         passive = np.square(np.tan(np.radians(45.0 + 0.5 * phi)))
         damp = np.log1p(40.0 * cohesion / (passive * depth))
@@ -211,7 +211,7 @@ class Legs(FittedLaw):
 
     @cached_property
     def process(self) -> Process:
-        """That of the size and the weights."""
+        """Process of the size and the weights."""
         t, basis = self._standard(self.x, self.depth)
         y, rough = self._components[2], self.x[:, AXES.index("cells")] ** ROUGHER
         if self.hyper is None:
@@ -220,7 +220,7 @@ class Legs(FittedLaw):
 
     @property
     def hyperparameters(self) -> FloatArray:
-        """Those of the process, as ``hyper``."""
+        """Hyperparameters of the process, as ``hyper``."""
         return np.array([[*self.process.lengths, self.process.noise]])
 
     def __call__(self, x: FloatArray, depth: FloatArray) -> FloatArray:
@@ -237,7 +237,7 @@ class Legs(FittedLaw):
         size = np.exp(self.process.mean(*at)[:, 0])
         return np.stack([
             sd[0][:, None, None] * force,
-            *((size * one)[:, None, None] * mode for one, mode in zip(sd[1:], u, strict=True)),
+            *((size * a)[:, None, None] * mode for a, mode in zip(sd[1:], u, strict=True)),
         ])  # fmt: skip
 
     def left_out(self) -> tuple[FloatArray, FloatArray]:
@@ -247,38 +247,42 @@ class Legs(FittedLaw):
         (Rasmussen & Williams 2006, section 5.4.2, for the blocks of a partition).
         """
         process, basis = self.process, self._standard(self.x, self.depth)[1]
-        apart, sd = np.zeros((2, *self._components[2].shape))
+        residual, sd = np.zeros((2, *self._components[2].shape))
         group = np.unique(np.delete(self.x, AXES.index("cells"), axis=1).round(5),
                           axis=0, return_inverse=True)[1].ravel()  # fmt: skip
         trend = process.inverse @ basis
         precision = process.inverse - trend @ process.spread @ trend.T
-        rest = precision @ self._components[2]
-        for block in (np.flatnonzero(group == one) for one in range(group.max() + 1)):
+        weighted = precision @ self._components[2]
+        for block in (np.flatnonzero(group == index) for index in range(group.max() + 1)):
             covariance = np.linalg.inv(precision[np.ix_(block, block)])
-            apart[block] = covariance @ rest[block]
+            residual[block] = covariance @ weighted[block]
             sd[block] = np.sqrt(np.outer(np.diag(covariance), process.sigma2))
-        return apart, sd
+        return residual, sd
 
     def scatter(self, x: FloatArray, depth: FloatArray) -> FloatArray:
-        """Factor of what a simulation differs by from the law's mean [-], [k, 2, place].
+        """Factor of the covariance of a simulation about the law's mean [-], [k, 2, place].
 
         By its particle seed, as the nugget has it, and by the shape that the components lack, as
         the cases in cells near those of the rule have it.
         """
         mean, u, y = self._components
         size = np.sqrt(np.square(self.force).mean(axis=(1, 2)))
-        rest = self.force.reshape(len(y), -1) / size[:, None] - mean - y[:, 1:] @ u
-        rest = rest[self.x[:, AXES.index("cells")] < NEAR_RULE]
+        unexplained = self.force.reshape(len(y), -1) / size[:, None] - mean - y[:, 1:] @ u
+        unexplained = unexplained[self.x[:, AXES.index("cells")] < NEAR_RULE]
         force = self(x, depth)[0].ravel()
         sd = x[0, AXES.index("cells")] ** ROUGHER * np.sqrt(self.process.nugget)
-        own = float(np.sqrt(np.square(force).mean()))
-        rows = [sd[:1] * force[None], own * sd[1:, None] * u, own / np.sqrt(len(rest)) * rest]
+        rms = float(np.sqrt(np.square(force).mean()))
+        rows = [
+            sd[:1] * force[None],
+            rms * sd[1:, None] * u,
+            rms / np.sqrt(len(unexplained)) * unexplained,
+        ]
         return np.vstack(rows).reshape(-1, *self.force.shape[1:])
 
     # -- contents and file -----------------------------------------------------------------------
 
     def of(self, leg: str) -> NDArray[np.bool_]:
-        """Which cases are of a shape of leg, shape [case]."""
+        """True for cases of a shape of leg, shape [case]."""
         return np.asarray(self.x[:, AXES.index("curvature")] == CURVATURES[leg])
 
     @property
@@ -312,7 +316,7 @@ class Legs(FittedLaw):
 
         A library that was joined stays in its own file.
         """
-        if self.own:
+        if self.joined_rigs:
             raise InputError(f"law legs with library {self.name}: keep the library's own file")
         super().save(path)
 
@@ -323,12 +327,12 @@ class Legs(FittedLaw):
             self,
             x=np.vstack([self.x, x]), depth=np.append(self.depth, depth),
             force=np.concatenate([self.force, force]), hyper=self.hyperparameters,
-            name=library.name, caveat=library.caveat, own=rigs,
+            name=library.name, caveat=library.caveat, joined_rigs=rigs,
             provenance=self.provenance | {"joined": dict(library.provenance)},
         )  # fmt: skip
 
     def error_of(self, leg: str) -> ModelError:
-        """How real soils differ from the law of a leg."""
+        """Error of the law of a leg on real soils."""
         where = f"law {self.name}, model_error.{leg}"
         return strictly(self.model_error.get(leg, {}), ModelError, where)
 
@@ -345,7 +349,10 @@ class Legs(FittedLaw):
             If there is no such leg, or a ratio of the rig lies outside the cases.
         """
         check_friction(rig)
-        if any(rig.leg == own.leg and is_similar(rig, own) for own in self.own):
+        if any(
+            rig.leg == joined_rig.leg and is_similar(rig, joined_rig)
+            for joined_rig in self.joined_rigs
+        ):
             return RatioLaw(self, rig, cells)
         if rig.leg not in self.legs:
             raise InputError(f"law {NAME} has no {LEG_NAMES[rig.leg]} yet; {remedy(rig)}")
@@ -428,7 +435,7 @@ class RatioLaw(LegLaw):
         return np.asarray(errors.reshape(len(errors), -1).T)
 
     def scatter(self, x: FloatArray, cohesion: float) -> FloatArray:
-        """Covariance of what a simulation differs by from the law's mean."""
+        """Covariance of a simulation about the law's mean."""
         x, depth, forces = self._at(np.clip(x, *self.bounds), cohesion)
         factor = forces(self._law.scatter(x, depth))
         flat = factor.reshape(len(factor), -1)
@@ -552,8 +559,8 @@ def forces(
         raise InputError(f"phi_deg and density are numbers here: {error}") from None
     given = dict(at or {})
     if PHI not in of_rig.keys or set(given) != {*of_rig.keys} - {PHI}:
-        others = sorted({*of_rig.keys} - {PHI})
-        raise InputError(f"law {law.name}: at has {sorted(given)}; expected the keys {others}")
+        other_keys = sorted({*of_rig.keys} - {PHI})
+        raise InputError(f"law {law.name}: at has {sorted(given)}; expected the keys {other_keys}")
     i, x = of_rig.keys.index(PHI), np.empty((phi.size, len(of_rig.keys)))
     for k, key in enumerate(of_rig.keys):
         x[:, k] = phi if key == PHI else given[key]
@@ -579,14 +586,14 @@ def forces(
     force = heavier * of_rig(x, cohesion)
     dims = ("phi_deg", "force", "theta_deg")
     slope = heavier * (upper - lower) / (after - before)[:, None, None]
-    found: dict[Any, Any] = {
+    variables: dict[Any, Any] = {
         "forces": (dims, force, {"units": "N"}), "slope": (dims, slope, {"units": "N/deg"}),
     }  # fmt: skip
     if of_rig.arm is not None:
         moment = (of_rig.arm * force).sum(axis=1)
-        found["moment"] = (("phi_deg", "theta_deg"), moment, {"units": "N m"})
+        variables["moment"] = (("phi_deg", "theta_deg"), moment, {"units": "N m"})
     return xr.Dataset(
-        found,
+        variables,
         {"phi_deg": phi, "force": ["Fx", "Fz"], "theta_deg": of_rig.theta_deg},
         {"law": law.name, "rig": str(apparatus), "density_kg_m3": heavier * of_rig.density,
          "cohesion_Pa": cohesion_pa},
@@ -675,17 +682,21 @@ def law_named(name: Path | str) -> LawOfLegs:
     >>> terraphi.law("legs").legs
     ['c', 'reversed_c', 'straight']
     """
-    found = stored(name)
-    law = nearest_law(found.scenario)
-    if not (isinstance(found, Library) and isinstance(law, Legs)):
-        return found
-    alike = set(differences(found.scenario, law.scenario)) <= VARIED
-    of_phi = all(found.keys(leg) == (PHI,) for leg in found.legs)
-    return law.joined(found) if alike and of_phi and _whole(found) else found
+    stored_law = stored(name)
+    law = nearest_law(stored_law.scenario)
+    if not (isinstance(stored_law, Library) and isinstance(law, Legs)):
+        return stored_law
+    is_same_soil = set(differences(stored_law.scenario, law.scenario)) <= VARIED
+    varies_phi_alone = all(stored_law.keys(leg) == (PHI,) for leg in stored_law.legs)
+    return (
+        law.joined(stored_law)
+        if is_same_soil and varies_phi_alone and _begins_and_ends_in_air(stored_law)
+        else stored_law
+    )
 
 
-def _whole(library: Library) -> bool:
-    """Whether the paths of a library begin and end in the air."""
+def _begins_and_ends_in_air(library: Library) -> bool:
+    """True if the paths of a library begin and end in the air."""
     for scenario, history, _ in library.cases:
         rig = Rig.of_scenario(scenario)
         if history is not None and rig is not None:

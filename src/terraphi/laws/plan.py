@@ -67,7 +67,7 @@ class More(Strict):
 
 
 class Plan(Strict):
-    """What a library is to contain.
+    """The simulations that a library is made of.
 
     Examples
     --------
@@ -79,11 +79,11 @@ class Plan(Strict):
     name: str = Field(min_length=1)
     """Name of the library."""
     description: str = ""
-    """What it is for."""
+    """Purpose of the library."""
     caveat: str = ""
     """A warning that goes with every answer from it, at most 25 words."""
     scenario: Scenario = Field(default_factory=Scenario)
-    """What all cases share."""
+    """Scenario from which the cases differ by the keys below."""
     sweep: dict[str, list[JsonValue]] = Field(default_factory=dict)
     """Dotted scenario key to its values; the cases are all combinations, the first key slowest."""
     more: list[More] = Field(default_factory=list)
@@ -108,7 +108,9 @@ class Plan(Strict):
         """Each sweep with its first particle seed."""
         seed = self.scenario.numerics.seed
         first = [(self.sweep, seed)]
-        return first + [(one.sweep, seed if one.seed is None else one.seed) for one in self.more]
+        return first + [
+            (more.sweep, seed if more.seed is None else more.seed) for more in self.more
+        ]
 
     @property
     def count(self) -> int:
@@ -144,12 +146,12 @@ class Plan(Strict):
                 change = {**dict(zip(sweep, values, strict=True)), **point}
                 changes.append({**change, "numerics.seed": seed + i} if self.vary_seed else change)
         source = f"plan '{self.name}'"
-        found = [self.scenario.replace(source, **change) for change in changes]
-        if len({case.hash for case in found}) < len(found):
+        scenarios = [self.scenario.replace(source, **change) for change in changes]
+        if len({case.hash for case in scenarios}) < len(scenarios):
             raise InputError(
                 f"plan '{self.name}': a case comes twice; drop one, or set vary_seed = true"
             )
-        return found
+        return scenarios
 
     @classmethod
     def of_rig(cls, rig: Rig) -> Plan:
@@ -174,7 +176,7 @@ class Plan(Strict):
                 f"hip_height_mm = {rig.hip_height_mm:g} is {rig.ratios.hip_height:.2f} of the "
                 f"length; at most {HIGHEST:g} can be simulated"
             )
-        first, *others = RIG_ANGLES_DEG
+        first, *further = RIG_ANGLES_DEG
         scenario = similar_scenario(
             rig.leg, rig.ratios, friction_angle_deg=first, leg_friction=rig.leg_friction
         )
@@ -182,7 +184,7 @@ class Plan(Strict):
             name=f"{rig.leg}-{rig.length_mm:g}",
             description=str(rig),
             scenario=scenario,
-            sweep={"soil.friction_angle_deg": [first, *others]},
+            sweep={"soil.friction_angle_deg": [first, *further]},
             vary_seed=True,
         )
 

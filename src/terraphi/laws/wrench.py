@@ -70,7 +70,7 @@ FADE = 0.05
 """Sine of the angle over which the stress on a face goes from one side of the vertical to the
 other, and on which a face that begins to lead gets its force [-]; chosen."""
 SPACING, LEVEL = float(DESCENTS[1] - DESCENTS[0]), len(DESCENTS) // 2
-"""Of :data:`~terraphi.laws.foot.DESCENTS` [rad], and its row of level motion."""
+"""Step of :data:`~terraphi.laws.foot.DESCENTS` [rad], and its row of level motion."""
 LOWEST = 33
 """Row of :data:`~terraphi.laws.foot.DESCENTS` of the lowest direction for which the ratios are
 computed, 9°; motions below it have those. There a level face begins to lead (:data:`FADE`)."""
@@ -163,7 +163,7 @@ class Mesh:
         same = np.unique(each.reshape(-1, 3), axis=0, return_inverse=True)[1].reshape(-1, 3)
         same = same[(same != np.roll(same, 1, axis=1)).all(axis=1)]
         edges = np.stack([same, np.roll(same, -1, axis=1)], axis=-1).reshape(-1, 2)
-        there, back = (np.unique(one, axis=0) for one in (edges, edges[:, ::-1]))
+        there, back = (np.unique(pairs, axis=0) for pairs in (edges, edges[:, ::-1]))
         if len(there) < len(edges) or not np.array_equal(there, back):
             raise InputError(
                 "mesh: the surface is not closed, has a face twice, or one whose corners run the "
@@ -179,7 +179,9 @@ class Mesh:
             a, b, c = each[large].swapaxes(0, 1)
             ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
             quarters = ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
-            each = np.concatenate([each[~large], *(np.stack(one, axis=1) for one in quarters)])
+            each = np.concatenate(
+                [each[~large], *(np.stack(quarter, axis=1) for quarter in quarters)]
+            )
             if len(each) > MOST_FACES:
                 raise InputError(
                     f"mesh: more than {MOST_FACES} faces with edges of {most:g} m; give longest"
@@ -192,10 +194,10 @@ class Mesh:
         keep = twice > 0.0
         if not keep.any():
             raise InputError("mesh: no triangle has an area")
-        found = cls(each[keep].mean(axis=1), cross[keep] / twice[keep, None], 0.5 * twice[keep])
-        if found.areas @ np.vecdot(found.normals, found.points) <= 0.0:
+        solid = cls(each[keep].mean(axis=1), cross[keep] / twice[keep, None], 0.5 * twice[keep])
+        if solid.areas @ np.vecdot(solid.normals, solid.points) <= 0.0:
             raise InputError("mesh: turned inside out; order corners counterclockwise from outside")
-        return found
+        return solid
 
     @cached_property
     def reach(self) -> float:
@@ -431,20 +433,20 @@ def _of_mesh(
     if xp is np:  # Feet in the air cost nothing.
         near = np.flatnonzero(each["surface"] - place[:, 2] > -mesh.reach)
         if near.size < len(place):
-            some = {key: value[near] for key, value in each.items()}
-            parts = _of_mesh(mesh, place[near], moving[near], surface_friction, fade, **some)
-            whole = [np.zeros((len(place), *part.shape[1:])) for part in parts]
-            for target, part in zip(whole, parts, strict=True):
+            submerged = {key: value[near] for key, value in each.items()}
+            parts = _of_mesh(mesh, place[near], moving[near], surface_friction, fade, **submerged)
+            results = [np.zeros((len(place), *part.shape[1:])) for part in parts]
+            for target, part in zip(results, parts, strict=True):
                 target[near] = part
-            return whole[0], whole[1], whole[2]
-    points, normals, areas = (like(place, one) for one in (mesh.points, mesh.normals, mesh.areas))
+            return results[0], results[1], results[2]
+    points, normals, areas = (like(place, x) for x in (mesh.points, mesh.normals, mesh.areas))
     if place.shape[-1] == 7:
         rows = xp.reshape(_rotation(xp, place[:, 3:]), (-1, 3))
         points, normals = (
             xp.permute_dims(
-                xp.reshape(rows @ one.T, (place.shape[0], 3, points.shape[0])), (0, 2, 1)
+                xp.reshape(rows @ vectors.T, (place.shape[0], 3, points.shape[0])), (0, 2, 1)
             )
-            for one in (points, normals)
+            for vectors in (points, normals)
         )
     return _sum_of_faces(
         place[:, None, :3] + points, normals, areas, moving[:, None, :3], points,
@@ -541,13 +543,13 @@ def wrench(
         normals = xp.reshape(normals, (-1, *last))
     velocities = _each("velocities", velocities, points, lead, *last, unit="m/s")
     arms = flat - _each("about", about, points, lead, 3, unit="m")[:, None, :]
-    found, moment, _ = _sum_of_faces(
+    total, moment, _ = _sum_of_faces(
         flat, normals, numbers("areas", areas, points, shape=last[:1], **AREA), velocities, arms,
         None, surface_friction=surface_friction, law=law,
         rest_speed=_number("rest_speed", rest_speed, low=TINY, unit="m/s"),
         mobilized=_mobilized(mobilization, sheared, points), **soil,
     )  # fmt: skip
-    return xp.reshape(found, (*lead, 3)), xp.reshape(moment, (*lead, 3))
+    return xp.reshape(total, (*lead, 3)), xp.reshape(moment, (*lead, 3))
 
 
 def _mobilized(mobilization: Any, sheared: Any, points: Any) -> Any:
@@ -576,13 +578,13 @@ def _sum_of_faces(
     feet, faces = points.shape[:2]
     depths = surface[:, None] - points[:, :, 2]
     deepest = xp.clip(xp.max(depths, axis=1), 0.0, None)
-    each = [xp.broadcast_to(one, points.shape) for one in (normals, velocities, arms)]
+    each = [xp.broadcast_to(x, points.shape) for x in (normals, velocities, arms)]
     areas = xp.broadcast_to(areas, depths.shape)
     # NumPy computes the faces that are submerged only, the others have no force.
     at = np.nonzero(depths > 0.0) if xp is np else None
     owner = at[0] if at else None
-    n, v, arm = (one[at] if at else xp.reshape(one, (-1, 3)) for one in each)
-    depth, area = (one[at] if at else xp.reshape(one, (-1,)) for one in (depths, areas))
+    n, v, arm = (x[at] if at else xp.reshape(x, (-1, 3)) for x in each)
+    depth, area = (x[at] if at else xp.reshape(x, (-1,)) for x in (depths, areas))
     depth = xp.clip(depth, 0.0, None)
 
     def total(values: Any) -> Any:
@@ -610,10 +612,10 @@ def _sum_of_faces(
     if mobilized is not None:
         mobilized = mobilized[at] if at else xp.reshape(mobilized, (-1,))
     if owner is not None:
-        some = np.flatnonzero(leading > 0.0)
-        n, v, arm, direction = n[some], v[some], arm[some], direction[some]
-        owner, depth, area, speed = owner[some], depth[some], area[some], speed[some]
-        leading, mobilized = leading[some], None if mobilized is None else mobilized[some]
+        kept = np.flatnonzero(leading > 0.0)
+        n, v, arm, direction = n[kept], v[kept], arm[kept], direction[kept]
+        owner, depth, area, speed = owner[kept], depth[kept], area[kept], speed[kept]
+        leading, mobilized = leading[kept], None if mobilized is None else mobilized[kept]
     mu = xp.sin(math.pi / 180.0 * phi_deg)  # tan φ_rft = sin φ
     cubic, square, linear = SCALE_POLYNOMIAL
     stress = density * GRAVITY * mu * (linear + mu * (square + mu * cubic))
@@ -628,7 +630,7 @@ def _sum_of_faces(
             base, normal, mean, deepest, descent, phi_deg, surface_friction=surface_friction,
         )  # fmt: skip
         scales = *[spread(drag)] * 2, spread(lift)
-        axes = [(f * scale, *rest) for (f, *rest), scale in zip(axes, scales, strict=True)]
+        axes = [(f * scale, n, v) for (f, n, v), scale in zip(axes, scales, strict=True)]
     if law == "foot" or mobilized is not None:
         axes = _bounded(xp, axes, surface_friction, mobilized)
     (fx, *_), (fy, *_), (fz, *_) = axes
@@ -646,7 +648,7 @@ def _footprint(base: Any, normal: Any, deepest: Any) -> tuple[Any, Any, Any]:
     """
     xp = namespace(base)
     bent = 1.0 - _norm(xp, normal) / xp.clip(base, TINY, None)
-    radius, deepest = (xp.clip(one, TINY, None) for one in (xp.sqrt(base / math.pi), deepest))
+    radius, deepest = (xp.clip(value, TINY, None) for value in (xp.sqrt(base / math.pi), deepest))
     of_ball = xp.where(deepest < radius, 0.5 * (radius**2 / deepest + deepest), radius)
     level = 1.0 - xp.minimum(deepest, of_ball) / of_ball  # cosine of the rim's polar angle
     expected = (1.0 - level) * (1.0 + 2.0 * level) / (3.0 * (1.0 + level))
@@ -674,8 +676,8 @@ def _ratios(
         if shape == "ball":  # what is flat or on edge is no ball, whatever it points down with
             round_feet = (roundness[:, 0] > FLAT) & (base > TINY)
             _warn_deep(xp, xp.where(round_feet, ratio, 0.0 * ratio))
-        found = interpolated(table, phi_deg - first, turn - LOWEST, ratio / step)
-        scale = scale + share * found / ratio[:, None]
+        law_force = interpolated(table, phi_deg - first, turn - LOWEST, ratio / step)
+        scale = scale + share * law_force / ratio[:, None]
     return scale[:, 0], scale[:, 1]
 
 
@@ -725,7 +727,7 @@ def _bounded_sums(shape: str, surface_friction: float, depths: FloatArray) -> Fl
     levels, ring = np.unique(height, return_inverse=True)
     submerged = np.maximum(depths[:, None] - levels, 0.0)
     descents = DESCENTS[LOWEST:]
-    found = np.empty((descents.size, depths.size, PROPORTIONS.size, 2))
+    sums = np.empty((descents.size, depths.size, PROPORTIONS.size, 2))
     for i, turn in enumerate(descents.tolist()):
         direction = np.broadcast_to([math.cos(turn), 0.0, -math.sin(turn)], normal.shape)
         pushed = area[:, None] * unit_stress(normal, direction, surface_friction, fade=FADE)
@@ -733,13 +735,13 @@ def _bounded_sums(shape: str, surface_friction: float, depths: FloatArray) -> Fl
             scaled = (pushed * [level, level, 1.0]).T
             axes = list(zip(scaled, normal.T, direction.T, strict=True))
             (x, *_), _, (z, *_) = _bounded(np, axes, surface_friction)
-            found[i, :, j] = submerged @ np.stack([np.bincount(ring, x), np.bincount(ring, z)]).T
-    return found
+            sums[i, :, j] = submerged @ np.stack([np.bincount(ring, x), np.bincount(ring, z)]).T
+    return sums
 
 
 @lru_cache(maxsize=8)
 def _foot_table(shape: str, surface_friction: float) -> tuple[float, float, FloatArray]:
-    """As :func:`~terraphi.laws.foot.simulated_table`, with the moment over ρ g R⁴ as a third."""
+    """Force of :func:`~terraphi.laws.foot.simulated_table`, and the moment over ρ g R⁴ as third."""
     first, step, law = simulated_table(shape, surface_friction)
     places = np.indices(law.shape[1:3], dtype=np.float64) * [[[1.0]], [[step / DEPTHS[1]]]]
     theory = interpolated(resistive_table(shape, surface_friction), *places)

@@ -42,7 +42,7 @@ IN_YUMA = {
 Points = Mapping[str, tuple[FloatArray, FloatArray]]
 SNAPSHOTS_DEG = (-60.0, -30.0, 0.0, 40.0)
 SPEED_UP = 10.0
-"""Of the simulations for the snapshots: forces differ by 3 to 4 % from those at the true speed."""
+"""Speed-up for the snapshots: forces differ by 3 to 4 % from those at the true speed."""
 
 
 def panels(
@@ -62,8 +62,8 @@ def legend(axes: Axes, ncols: int) -> None:
 
 def curve(axes: Axes, history: ForceHistory, force: str, **look: Any) -> None:
     """One force of a history, ``Fx`` or ``Fz``, over the leg angle."""
-    seen = history.observation(angles=171)
-    axes.plot(seen.theta_deg, getattr(seen, force), **look)
+    observation = history.observation(angles=171)
+    axes.plot(observation.theta_deg, getattr(observation, force), **look)
     axes.axhline(0.0, color=GREY, lw=0.6)
     axes.set(xlim=(-88.0, 88.0), xticks=range(-80, 81, 40), xlabel=THETA, ylabel=FORCE[force])
 
@@ -81,22 +81,22 @@ def histories(by_phi: Mapping[float, ForceHistory]) -> Figure:
 
 def peaks(data: Mapping[str, Any], printed: Mapping[float, tuple[float, float]]) -> Figure:
     """Peak forces and their leg angles over φ, next to the peaks that the paper prints."""
-    figure, ((left, right),) = panels(1, 2, (8.4, 3.4))
+    figure, ((forces, angles),) = panels(1, 2, (8.4, 3.4))
     tops = np.array(list(printed.values())).T
     for force, style, ends in zip(("Fz", "Fx"), ("bo-", "rs-"), tops, strict=True):
-        left.plot(data["phi_deg"], data[f"peak_{force}_N"], style, ms=4, label=force)
-        right.plot(data["phi_deg"], data[f"theta_peak_{force}_deg"], style, ms=4)
-        left.plot(list(printed), ends, style[:2], mfc="none", ms=7, label=f"{force}, Xu & Wang")
-    left.set(xlabel=PHI, ylabel="peak force [N]", ylim=(0.0, None))
-    right.set(xlabel=PHI, ylabel="leg angle of the peak [deg]")
-    legend(left, 4)
+        forces.plot(data["phi_deg"], data[f"peak_{force}_N"], style, ms=4, label=force)
+        angles.plot(data["phi_deg"], data[f"theta_peak_{force}_deg"], style, ms=4)
+        forces.plot(list(printed), ends, style[:2], mfc="none", ms=7, label=f"{force}, Xu & Wang")
+    forces.set(xlabel=PHI, ylabel="peak force [N]", ylim=(0.0, None))
+    angles.set(xlabel=PHI, ylabel="leg angle of the peak [deg]")
+    legend(forces, 4)
     return figure
 
 
-def legs(found: Mapping[str, Mapping[str, ForceHistory]]) -> Figure:
+def legs(by_leg: Mapping[str, Mapping[str, ForceHistory]]) -> Figure:
     """Forces on several legs: a column a leg, a row a force."""
-    figure, grid = panels(2, len(found), (9.6, 5.4), sharex=True)
-    for column, (leg, models) in zip(grid.T, found.items(), strict=True):
+    figure, grid = panels(2, len(by_leg), (9.6, 5.4), sharex=True)
+    for column, (leg, models) in zip(grid.T, by_leg.items(), strict=True):
         for axes, force in zip(column, FORCE, strict=True):
             for model, (label, color, style) in IN_YUMA.items():
                 marker = {"marker": ".", "ms": 3} if style == "none" else {}
@@ -173,18 +173,18 @@ def residuals(lags_deg: FloatArray, rho: FloatArray, length_deg: float) -> Figur
 
 def walkers(steps_deg: FloatArray, truth_deg: float, exact: Posterior, burn_in: int) -> Figure:
     """Traces of an ensemble's walkers [deg], shape [walker, step], and both posteriors."""
-    figure, ((left, right),) = panels(1, 2, (9.6, 3.6), width_ratios=(1.6, 1.0))
-    left.plot(steps_deg.T, color=BLUE, lw=0.3, alpha=0.35)
-    left.axvspan(0, burn_in, color=GREY, alpha=0.25, lw=0)
-    left.axhline(truth_deg, color=ORANGE, lw=1.2, ls="--")
-    left.set(xlim=(0, steps_deg.shape[1]), xlabel="step (grey: burn-in)", ylabel=PHI)
+    figure, ((traces, density),) = panels(1, 2, (9.6, 3.6), width_ratios=(1.6, 1.0))
+    traces.plot(steps_deg.T, color=BLUE, lw=0.3, alpha=0.35)
+    traces.axvspan(0, burn_in, color=GREY, alpha=0.25, lw=0)
+    traces.axhline(truth_deg, color=ORANGE, lw=1.2, ls="--")
+    traces.set(xlim=(0, steps_deg.shape[1]), xlabel="step (grey: burn-in)", ylabel=PHI)
     drawn = steps_deg[:, burn_in:].ravel()
-    right.hist(drawn, 80, density=True, color=BLUE, alpha=0.4, label="emcee")
-    right.plot(exact.phi_deg, exact.density, color="black", lw=1.2, label="quadrature")
-    right.axvline(truth_deg, color=ORANGE, lw=1.2, ls="--", label="truth")
-    right.axvspan(*exact.interval(0.68), color=GREY, alpha=0.25, lw=0, label="68 % interval")
-    right.set(xlim=exact.interval(0.998), yticks=[], xlabel=PHI, ylabel="posterior density")
-    legend(right, 4)
+    density.hist(drawn, 80, density=True, color=BLUE, alpha=0.4, label="emcee")
+    density.plot(exact.phi_deg, exact.density, color="black", lw=1.2, label="quadrature")
+    density.axvline(truth_deg, color=ORANGE, lw=1.2, ls="--", label="truth")
+    density.axvspan(*exact.interval(0.68), color=GREY, alpha=0.25, lw=0, label="68 % interval")
+    density.set(xlim=exact.interval(0.998), yticks=[], xlabel=PHI, ylabel="posterior density")
+    legend(density, 4)
     return figure
 
 
@@ -221,45 +221,45 @@ def soil_around(
     scenario: Scenario, shapes: Iterable[str], progress: Callable[[float], None]
 ) -> dict[str, tuple[Scenario, list[Moment]]]:
     """Simulate legs of several shapes, and keep the soil when each first reaches some angles."""
-    found: dict[str, tuple[Scenario, list[Moment]]] = {}
+    by_shape: dict[str, tuple[Scenario, list[Moment]]] = {}
     count = len(shapes := list(shapes))
     for number, shape in enumerate(shapes):
         sped_up = scenario.replace(**{"leg.shape": shape, "numerics.speed_up": SPEED_UP})
         kept: list[Moment] = []
 
-        def observe(seen: Snapshot, kept: list[Moment] = kept) -> None:
-            theta, soil = float(seen.pose.theta[0]), cast(Any, seen.soil)
+        def observe(snapshot: Snapshot, kept: list[Moment] = kept) -> None:
+            theta, soil = float(snapshot.pose.theta[0]), cast(Any, snapshot.soil)
             if len(kept) < len(SNAPSHOTS_DEG) and np.degrees(theta) >= SNAPSHOTS_DEG[len(kept)]:
                 speed = np.linalg.norm(soil.velocity, axis=1) / SPEED_UP
-                hip, points = seen.pose.hip[0].copy(), soil.position.copy()
+                hip, points = snapshot.pose.hip[0].copy(), soil.position.copy()
                 kept.append(Moment(theta, hip, points, speed, soil.weight.copy()))
 
         def along(done: float, number: int = number) -> None:
             progress((number + done) / count)
 
         simulate(sped_up, progress=along, observe=observe)
-        found[shape] = sped_up, kept
-    return found
+        by_shape[shape] = sped_up, kept
+    return by_shape
 
 
-def snapshots(found: Mapping[str, tuple[Scenario, Sequence[Moment]]]) -> Figure:
+def snapshots(by_leg: Mapping[str, tuple[Scenario, Sequence[Moment]]]) -> Figure:
     """Particles around several legs: a row a leg, a column an angle; pale: faded by the relief."""
-    columns = max(len(kept) for _, kept in found.values())
-    size = (3.0 * columns + 1.0, 2.2 * len(found) + 0.3)
-    figure, grid = panels(len(found), columns, size, sharex=True, sharey=True)
+    columns = max(len(kept) for _, kept in by_leg.values())
+    size = (3.0 * columns + 1.0, 2.2 * len(by_leg) + 0.3)
+    figure, grid = panels(len(by_leg), columns, size, sharex=True, sharey=True)
     shown: Any = None
-    for row, (leg, (scenario, kept)) in zip(grid, found.items(), strict=True):
+    for row, (leg, (scenario, kept)) in zip(grid, by_leg.items(), strict=True):
         tip, bed = scenario.motion.top_speed(scenario.leg.reach()), scenario.bed
-        for axes, one in zip(row, kept, strict=True):
+        for axes, moment in zip(row, kept, strict=True):
             look: dict[str, Any] = {"cmap": COLORMAP, "vmin": 0.0, "vmax": 1.0, "lw": 0, "s": 0.6}
-            faded: Any = np.maximum(one.weight, 0.25)
-            place = 1e3 * one.points.T
-            shown = axes.scatter(*place, c=one.speed / tip, alpha=faded, rasterized=True, **look)
-            corners = placed(scenario.leg.outline(), one.hip, np.array([one.theta]))[0]
+            faded: Any = np.maximum(moment.weight, 0.25)
+            place = 1e3 * moment.points.T
+            shown = axes.scatter(*place, c=moment.speed / tip, alpha=faded, rasterized=True, **look)
+            corners = placed(scenario.leg.outline(), moment.hip, np.array([moment.theta]))[0]
             axes.add_patch(Polygon(1e3 * corners, facecolor="white", edgecolor="black"))
-            axes.plot(*(1e3 * one.hip), "k+")
+            axes.plot(*(1e3 * moment.hip), "k+")
             axes.set_title(
-                f"{leg.replace('_', ' ')}, θ = {np.degrees(one.theta):+.0f}°", fontsize=9
+                f"{leg.replace('_', ' ')}, θ = {np.degrees(moment.theta):+.0f}°", fontsize=9
             )
             axes.set(xlabel="x [mm]", ylabel="z [mm]", aspect="equal")
             axes.set(ylim=(60.0, 1e3 * bed.surface + 85.0))

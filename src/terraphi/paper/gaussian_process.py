@@ -51,9 +51,9 @@ class Hyperparameters(NamedTuple):
     noise_variance: float
 
 
-def squared_exponential(one: FloatArray, other: FloatArray, length: float) -> FloatArray:
+def squared_exponential(first: FloatArray, second: FloatArray, length: float) -> FloatArray:
     """exp(-(x - x')² / 2 ℓ²), shapes [k] and [l] -> [k, l]."""
-    return np.exp(-0.5 * np.square(one[:, None] - other) / length**2)
+    return np.exp(-0.5 * np.square(first[:, None] - second) / length**2)
 
 
 class GaussianProcess:
@@ -129,8 +129,8 @@ class GaussianProcess:
             return cls(phi_deg, theta_deg, force, Hyperparameters(*np.exp(logarithms).tolist()))
 
         def objective(logarithms: FloatArray) -> tuple[float, FloatArray]:
-            known = at(logarithms)
-            return -known.log_marginal_likelihood(), -known.gradient()
+            process = at(logarithms)
+            return -process.log_marginal_likelihood(), -process.gradient()
 
         spans = [float(np.ptp(phi_deg)), float(np.ptp(theta_deg))]
         shortest = [0.5 * float(np.diff(phi_deg).min()), shortest_theta_length_deg]
@@ -164,12 +164,15 @@ class GaussianProcess:
         by_eigenvalue = 0.5 * (np.square(self.W) - inverse)
         d_phi = self.k_phi * np.square(self.phi_deg[:, None] - self.phi_deg) / h.phi_length_deg**2
         d_theta = self.k_theta * np.square(self.theta_deg[:, None] - self.theta_deg)
-        left = self.U.T @ d_phi @ self.U
-        right = self.V.T @ d_theta @ self.V / h.theta_length_deg**2
+        by_phi_matrix = self.U.T @ d_phi @ self.U
+        by_theta_matrix = self.V.T @ d_theta @ self.V / h.theta_length_deg**2
         # yᵀ K⁻¹ dK K⁻¹ y - tr(K⁻¹ dK) where one factor changes and the other stays diagonal.
-        by_phi = np.sum(left @ self.W * self.W * self.b) - np.diag(left) @ inverse @ self.b
-        by_theta = np.sum(self.W @ right * (self.a[:, None] * self.W))
-        by_theta -= self.a @ inverse @ np.diag(right)
+        by_phi = (
+            np.sum(by_phi_matrix @ self.W * self.W * self.b)
+            - np.diag(by_phi_matrix) @ inverse @ self.b
+        )
+        by_theta = np.sum(self.W @ by_theta_matrix * (self.a[:, None] * self.W))
+        by_theta -= self.a @ inverse @ np.diag(by_theta_matrix)
         by_lengths = 0.5 * h.signal_variance * np.array([by_phi, by_theta])
         by_noise = h.noise_variance * np.sum(by_eigenvalue)
         return np.array([np.sum(self.signal * by_eigenvalue), *by_lengths, by_noise])

@@ -113,12 +113,12 @@ def as_table(title: str, records: Iterable[Json], columns: str) -> Json:
 
 
 class Case(NamedTuple):
-    """A simulation: what it is of, and its forces."""
+    """A simulation: its settings, and its forces."""
 
     about: Json
     history: ForceHistory
     applied: ForceHistory | None = None
-    """What the code's contact applied to the soil; ``history`` is what it counted."""
+    """Forces that the code's contact applied to the soil; ``history`` has those that it counted."""
 
     @property
     def phi_deg(self) -> float:
@@ -129,14 +129,14 @@ class Case(NamedTuple):
 @cache
 def library_cases(name: str) -> tuple[Case, ...]:
     """Cases of the straight leg in library ``paper`` or ``paper-code``."""
-    found = []
+    cases = []
     for case in Library.load(name).cases:
         soil, history = case.scenario.soil, case.history
         assert history is not None
         about = {"phi_deg": soil.friction_angle_deg, "leg": case.scenario.leg.shape}
         about |= {"speed_up": case.scenario.numerics.speed_up}
-        found.append(Case(about, history, history.applied()))
-    return tuple(found)
+        cases.append(Case(about, history, history.applied()))
+    return tuple(cases)
 
 
 @cache
@@ -145,18 +145,18 @@ def read(name: str) -> tuple[tuple[Case, ...], list[Json]]:
     with h5netcdf.File(str(files("terraphi") / "data" / "paper" / f"{name}.nc"), "r") as file:
         values = {key: np.asarray(v[...], dtype=np.float64) for key, v in file.variables.items()}
         cases, groups = (json.loads(file.attrs.get(key, "[]")) for key in ("cases", "groups"))
-    found = []
+    parsed = []
     for about, force, applied in zip(cases, values["force"], values["applied"], strict=True):
         missing = bool(np.isnan(applied).any())
-        other = None if missing else ForceHistory(values["theta_applied"], applied)
-        found.append(Case(about, ForceHistory(values["theta"], force), other))
-    return tuple(found), groups
+        applied_history = None if missing else ForceHistory(values["theta_applied"], applied)
+        parsed.append(Case(about, ForceHistory(values["theta"], force), applied_history))
+    return tuple(parsed), groups
 
 
 def means(history: ForceHistory) -> FloatArray:
     """Means over 1° [N] at whole degrees within |θ| < 85°, shape [theta, 2]."""
-    whole = np.arange(-WINDOW_DEG + 1.0, WINDOW_DEG)
-    return history.means(np.radians(whole), math.radians(0.5))[:, ::-1]
+    degrees = np.arange(-WINDOW_DEG + 1.0, WINDOW_DEG)
+    return history.means(np.radians(degrees), math.radians(0.5))[:, ::-1]
 
 
 def nrmsd_percent(reference: ForceHistory, other: ForceHistory) -> FloatArray:
@@ -201,7 +201,7 @@ def by_force(values: Iterable[Any]) -> Json:
     return dict(zip(FORCES, (None if v is None else float(v) for v in values), strict=True))
 
 
-def both(values: Iterable[float], unit: str, digits: str = ".1f") -> str:
+def force_pair(values: Iterable[float], unit: str, digits: str = ".1f") -> str:
     """(F_z, F_x) as text, such as ``8.6 / 10.2 N``."""
     return " / ".join(f"{value:{digits}}" for value in values) + unit
 
@@ -211,7 +211,7 @@ def compared_forces(
 ) -> list[tuple[str, str, str]]:
     """Peaks by φ [deg] and the angle of first resistance [deg] next to the paper's."""
     peaks = [
-        (f"peaks Fz / Fx at {phi:g}°", both(tops_N[phi], " N"), both(printed, " N"))
+        (f"peaks Fz / Fx at {phi:g}°", force_pair(tops_N[phi], " N"), force_pair(printed, " N"))
         for phi, printed in PEAKS_N.items()
     ]
     first = "leg angle of first resistance (ours: median)"
@@ -225,9 +225,9 @@ def compared_forces(
 def surrogate_of(library: str) -> Surrogate:
     """The two Gaussian processes, fitted to a library."""
     cases = library_cases(library)
-    seen = [case.history.observation() for case in cases]
-    vectors = np.stack([one.vector for one in seen])
-    return Surrogate.fit([case.phi_deg for case in cases], seen[0].theta_deg, vectors)
+    observations = [case.history.observation() for case in cases]
+    vectors = np.stack([observation.vector for observation in observations])
+    return Surrogate.fit([case.phi_deg for case in cases], observations[0].theta_deg, vectors)
 
 
 class HeldOut(NamedTuple):
@@ -237,9 +237,9 @@ class HeldOut(NamedTuple):
     data: FloatArray
     """d [N], shape [truth, 2 theta]."""
     mean: FloatArray
-    """Of the surrogate [N], same shape."""
+    """Mean of the surrogate [N], same shape."""
     residuals: FloatArray
-    """Of F_x, then of F_z, over each curve's peak-to-peak [-], shape [2, truth, theta]."""
+    """Residuals of F_x, then F_z, over each curve's peak-to-peak [-], shape [2, truth, theta]."""
 
 
 @cache
@@ -255,7 +255,7 @@ def held_out(library: str) -> HeldOut:
 
 @cache
 def posteriors(library: str) -> list[Posterior]:
-    """Those of the truths of a library, by quadrature."""
+    """Posteriors of the truths of a library, by quadrature."""
     fitted = surrogate_of(library)
     phi = np.linspace(*fitted.phi_bounds_deg, paper.NODES)
     curves, theta = fitted.mean(phi), fitted.Fx.theta_deg
@@ -269,9 +269,9 @@ def verdict(exact: Posterior, data: FloatArray, fitted: Surrogate) -> str:
     margin = 0.5 * float(np.diff(fitted.Fx.phi_deg).max())
     if max(exact.mass(low, low + margin), exact.mass(high - margin, high)) > EDGE_MASS:
         return "out_of_range"
-    apart = (fitted.mean(exact.median) - data).reshape(2, -1)
-    off = rms(apart, 1) / np.ptp(data.reshape(2, -1), axis=1)
-    return "misfit" if off.max() > NRMSD_LIMIT else "consistent"
+    residual = (fitted.mean(exact.median) - data).reshape(2, -1)
+    nrmsd = rms(residual, 1) / np.ptp(data.reshape(2, -1), axis=1)
+    return "misfit" if nrmsd.max() > NRMSD_LIMIT else "consistent"
 
 
 def recovery(
@@ -281,8 +281,8 @@ def recovery(
     fitted, truths = surrogate_of(library), held_out(library)
     cases: list[Json] = []
     figures = {"recovery": partial(draw.recovery, cases)}
-    every = zip(truths.phi_deg.tolist(), truths.data, posteriors(library), strict=True)
-    for phi, data, exact in every:
+    truth_cases = zip(truths.phi_deg.tolist(), truths.data, posteriors(library), strict=True)
+    for phi, data, exact in truth_cases:
         case = {"phi_true_deg": phi, "phi_median_deg": exact.median}
         case |= {"ci68": exact.interval(0.68), "ci95": exact.interval(0.95)}
         case["verdict"] = verdict(exact, data, fitted)
@@ -297,8 +297,8 @@ def recovery(
     inside = ((low <= truths.phi_deg) & (truths.phi_deg <= high)).sum(axis=1).tolist()
     summary: Json = dict(zip(("inside68", "inside95"), inside, strict=True))
     off = np.abs([case["phi_median_deg"] - case["phi_true_deg"] for case in cases])
-    for name, some in (("abs_error", off), ("ci68_half_width", 0.5 * (high - low)[0])):
-        summary[f"{name}_deg"] = {"median": float(np.median(some)), "max": float(some.max())}
+    for name, values in (("abs_error", off), ("ci68_half_width", 0.5 * (high - low)[0])):
+        summary[f"{name}_deg"] = {"median": float(np.median(values)), "max": float(values.max())}
     notes = []
     if draws:
         rhat, errors = (max(c[k] for c in cases) for k in ("emcee_rhat", "medians_apart_in_errors"))
@@ -315,7 +315,7 @@ def recovery(
 
 
 def by_emcee(draws: FloatArray, exact_deg: float) -> Json:
-    """What emcee makes of a posterior whose median is known."""
+    """Median, interval and convergence by emcee, next to the exact median."""
     median, error = float(np.median(draws)), paper.median_standard_error(draws)
     return {
         "emcee_median_deg": median,
@@ -347,8 +347,8 @@ def surrogate(library: str = TEXT) -> Result:
         lengths = {"phi_length_deg": phi_length, "theta_length_deg": theta_length}
         parameters[force] = {**lengths, "noise_N": math.sqrt(process.noise_variance)}
     fx, fz = (100.0 * rms(truths.residuals, (1, 2))).tolist()
-    seen = np.stack([case.history.observation().vector for case in library_cases(library)])
-    points = {"library": (fitted.Fx.phi_deg, seen), "held out": (truths.phi_deg, truths.data)}
+    vectors = np.stack([case.history.observation().vector for case in library_cases(library)])
+    points = {"library": (fitted.Fx.phi_deg, vectors), "held out": (truths.phi_deg, truths.data)}
     lags, rho = paper.residual_autocorrelation(theta, residuals)
     return Result(
         {
@@ -378,10 +378,10 @@ def intervals() -> Result:
     models = []
     for library, model in ((TEXT, "its text"), (CODE, "its code")):
         first, *_, last = (peaks_N(case.history) for case in library_cases(library))
-        found = recovery(library, draws=False).data
-        one = {"model": model, "residual_percent": 100.0 * float(rms(held_out(library).residuals))}
-        one |= {key: found[key] for key in ("ci68_half_width_deg", "inside68")}
-        models.append({**one, "peaks_grow_by": by_force(last / first)})
+        summary = recovery(library, draws=False).data
+        row = {"model": model, "residual_percent": 100.0 * float(rms(held_out(library).residuals))}
+        row |= {key: summary[key] for key in ("ci68_half_width_deg", "inside68")}
+        models.append({**row, "peaks_grow_by": by_force(last / first)})
     sigma = paper.residual_covariance(surrogate_of(TEXT).Fx.theta_deg)
     condition, chance = float(np.linalg.cond(sigma)), 0.68**14
     width, grow = "ci68_half_width_deg", "peaks_grow_by"
@@ -405,14 +405,14 @@ def phi_sensitivity(library: str = TEXT) -> Result:
     """Forces on the straight leg and their peaks over the friction angle."""
     by_phi = {case.phi_deg: case.history for case in library_cases(library)}
     records: list[Json] = [{"phi_deg": p, "peaks": peaks_and_angles(h)} for p, h in by_phi.items()]
-    seen = [history.observation() for history in by_phi.values()]
+    observations = [history.observation() for history in by_phi.values()]
     data: Json = {"library": library, "yield": "paper", "phi_deg": list(by_phi)}
     data |= {"peaks_increase": {}, "share_of_angles_monotone": {}}
     for force in FORCES:
-        data[f"peak_{force}_N"] = tops = [one["peaks"][f"{force}_N"] for one in records]
-        data[f"theta_peak_{force}_deg"] = [one["peaks"][f"theta_{force}_deg"] for one in records]
+        data[f"peak_{force}_N"] = tops = [row["peaks"][f"{force}_N"] for row in records]
+        data[f"theta_peak_{force}_deg"] = [row["peaks"][f"theta_{force}_deg"] for row in records]
         data["peaks_increase"][force] = bool(np.all(np.diff(tops) > 0.0))
-        signs = np.sign(np.diff([getattr(one, force) for one in seen], axis=0))
+        signs = np.sign(np.diff([getattr(row, force) for row in observations], axis=0))
         monotone = np.abs(signs.sum(axis=0)) == len(signs)
         data["share_of_angles_monotone"][force] = float(np.mean(monotone))
     data["theta_engages_deg"] = [engagement_deg(history) for history in by_phi.values()]
@@ -420,11 +420,11 @@ def phi_sensitivity(library: str = TEXT) -> Result:
     compared = compared_forces({p: peaks_N(by_phi[p]) for p in PEAKS_N}, data["theta_engages_deg"])
     shares = data["share_of_angles_monotone"].values()
     what = "leg angle of the peaks Fz / Fx (ours: median)"
-    compared.insert(2, (what, both(angles, "°", ".0f"), "about -50 / 0°"))
+    compared.insert(2, (what, force_pair(angles, "°", ".0f"), "about -50 / 0°"))
     return Result(
         data,
         (records, f"phi_deg {PEAKS}"),
-        [f"Fz / Fx are monotone in φ at {both(shares, '', '.0%')} of the leg angles."],
+        [f"Fz / Fx are monotone in φ at {force_pair(shares, '', '.0%')} of the leg angles."],
         compared,
         {
             "forces-phi": partial(draw.histories, by_phi),
@@ -451,20 +451,19 @@ def forces_in_yuma(leg: str) -> dict[str, ForceHistory]:
         models[model] = case.history
         if case.applied is not None:
             # They are kept by the degree; lines between them give windows at every degree.
-            theta, known = case.history.position, case.applied
-            lines = [np.interp(theta, known.position, force) for force in known.force.T]
-            applied = replace(case.history, force=np.stack(lines, axis=1))
-            models[f"{model}_applied"] = applied
+            theta, by_degree = case.history.position, case.applied
+            lines = [np.interp(theta, by_degree.position, force) for force in by_degree.force.T]
+            models[f"{model}_applied"] = replace(case.history, force=np.stack(lines, axis=1))
     return models
 
 
 def benchmark() -> Result:
     """Three legs at 35°: our models, and two resistive force theories, against Yuma sand."""
-    found = {leg: forces_in_yuma(leg) for leg in NRMSD_MPM}
+    by_leg = {leg: forces_in_yuma(leg) for leg in NRMSD_MPM}
     data: Json = {"library": TEXT, "phi_deg": PHI_DEG, "yield": "paper"}
-    data |= {"nrmsd_percent": {leg: {} for leg in found}, "peaks": {leg: {} for leg in found}}
+    data |= {"nrmsd_percent": {leg: {} for leg in by_leg}, "peaks": {leg: {} for leg in by_leg}}
     records = []
-    for leg, models in found.items():
+    for leg, models in by_leg.items():
         for model, history in models.items():
             data["peaks"][leg][model] = peaks = peaks_and_angles(history)
             nrmsd = by_force(nrmsd_percent(models["measured"], history))
@@ -472,15 +471,17 @@ def benchmark() -> Result:
                 data["nrmsd_percent"][leg][model] = nrmsd
             records.append({"leg": leg, "model": model, "nrmsd_percent": nrmsd, "peaks": peaks})
     compared = []
-    for leg, (model, printed) in itertools.product(found, PRINTED.items()):
-        ours = both(data["nrmsd_percent"][leg][model].values(), " %")
-        compared.append((f"leg {leg}, {model}: NRMSD Fz / Fx", ours, both(printed[leg], " %")))
+    for leg, (model, printed) in itertools.product(by_leg, PRINTED.items()):
+        ours = force_pair(data["nrmsd_percent"][leg][model].values(), " %")
+        compared.append(
+            (f"leg {leg}, {model}: NRMSD Fz / Fx", ours, force_pair(printed[leg], " %"))
+        )
     return Result(
         data,
         (records, f"leg model nrmsd_percent.Fz nrmsd_percent.Fx {PEAKS}"),
         ["The φ of rft3d is the parameter of an empirical law; library 'rft3d' fits it."],
         compared,
-        {"legs": partial(draw.legs, found)},
+        {"legs": partial(draw.legs, by_leg)},
     )
 
 
@@ -507,7 +508,7 @@ def k0(library: str = TEXT) -> Result:
 
 
 def yields(phi_deg: float, k0_at_rest: float) -> bool:
-    """Whether σ and K0 σ lie beyond the paper's yield surface: |1 - K0| / (1 + K0) > sin φ_eff."""
+    """True if σ and K0 σ lie beyond the paper's yield surface: |1 - K0| / (1 + K0) > sin φ_eff."""
     soil = Soil(friction_angle_deg=phi_deg, yield_criterion="paper")
     sine = math.sin(math.radians(soil.plane_strain_friction_angle_deg))
     return abs(1.0 - k0_at_rest) / (1.0 + k0_at_rest) > sine
@@ -533,7 +534,9 @@ def sensitivity() -> Result:
     base = cases[seeds["cases"][seeds["base"]]]
     base_N, runs = peaks_N(base.history), [cases[i].history for i in seeds["cases"]]
     scatter = scatter_percent(runs, base_N)
-    tolerance = {k: np.maximum(LEAST_TOLERANCE, SCATTERS * one) for k, one in scatter.items()}
+    tolerance = {
+        k: np.maximum(LEAST_TOLERANCE, SCATTERS * percent) for k, percent in scatter.items()
+    }
     data: Json = {
         "plan": "sensitivity",
         "base": {**base.about, "peaks": peaks_and_angles(base.history)},
@@ -547,25 +550,26 @@ def sensitivity() -> Result:
         tops = np.stack([peaks_N(cases[i].history) for i in group["cases"]])
         lines: list[Json] = []
         for value, i, top in zip(group["values"], group["cases"], tops, strict=True):
-            apart = nrmsd_percent(reference.history, cases[i].history)
+            nrmsd = nrmsd_percent(reference.history, cases[i].history)
             change = 100.0 * (top / peaks_N(reference.history) - 1.0)
-            moves = np.any([apart > tolerance["nrmsd"], np.abs(change) > tolerance["peak"]])
+            moves = np.any([nrmsd > tolerance["nrmsd"], np.abs(change) > tolerance["peak"]])
             line = {"value": value, **cases[i].about, "moves": bool(moves)}
             line["peaks"] = peaks_and_angles(cases[i].history)
             line["peak_change_percent"] = by_force(100.0 * (top / base_N - 1.0))
             line["change_from_reference_percent"] = by_force(change)
-            line["nrmsd_percent"] = None if cases[i] is reference else by_force(apart)
+            line["nrmsd_percent"] = None if cases[i] is reference else by_force(nrmsd)
             lines.append(line)
             moved += [f"{group['setting']} {value}"] if moves else []
-            rows.append({**line, "setting": group["setting"], "nrmsd": by_force(apart)})
+            rows.append({**line, "setting": group["setting"], "nrmsd": by_force(nrmsd)})
         about = {"setting": group["setting"], "reference": group["values"][group["reference"]]}
         data["groups"][group["key"]] = {**about, "cases": lines}
-    nrmsd, peak = both(tolerance["nrmsd"], " %"), both(tolerance["peak"], " %")
+    least = [force_pair(tolerance[key], " %") for key in ("nrmsd", "peak")]
+    limits = f"{least[0]} (NRMSD) or {least[1]} (peaks)"
     return Result(
         data,
         (rows, f"setting value nrmsd.Fz nrmsd.Fx {PEAKS} moves"),
         [
-            f"A case moves the forces if it is more than {nrmsd} (NRMSD) or {peak} (peaks) away.",
+            f"A case moves the forces if it is more than {limits} away.",
             f"The forces are moved by: {', '.join(moved)}.",
         ],
     )
@@ -616,8 +620,8 @@ def counted_and_applied(case: Case) -> Json:
 def figures(*, progress: Progress = lambda _: None) -> Result:
     """The figures of the paper's simulations and inversions; the snapshots take ten minutes."""
     parts = {name: run(name) for name in ("phi_sensitivity", "benchmark", "surrogate", "recovery")}
-    whole = ("study", "about")
-    data = {n: {k: v for k, v in p.data.items() if k not in whole} for n, p in parts.items()}
+    described = ("study", "about")
+    data = {n: {k: v for k, v in p.data.items() if k not in described} for n, p in parts.items()}
     drawn = {name: made for part in parts.values() for name, made in part.figures.items()}
     library = Library.load(TEXT).cases
     straight = next(c.scenario for c in library if c.scenario.soil.friction_angle_deg == PHI_DEG)
@@ -652,24 +656,30 @@ def run(name: str, *, library: str = TEXT, progress: Progress = lambda _: None) 
         raise InputError(f"library '{library}': {name} has {' and '.join(libraries)}")
     options: Json = {"library": library} if len(libraries) > 1 else {}
     options |= {"progress": progress} if name in ("recovery", "figures") else {}
-    found = RESULTS[name](**options)
+    result = RESULTS[name](**options)
     about = (RESULTS[name].__doc__ or "").partition("\n")[0]
     compared = [
-        {"what": what, "ours": ours, "paper": paper} for what, ours, paper in found.compared
+        {"what": what, "ours": ours, "paper": paper} for what, ours, paper in result.compared
     ]
-    more = {"notes": found.notes, "beside_paper": compared, "table": as_table(about, *found.table)}
-    found.data.update({"study": name, "about": about, **{k: v for k, v in more.items() if v}})
-    return found
+    more = {
+        "notes": result.notes,
+        "beside_paper": compared,
+        "table": as_table(about, *result.table),
+    }
+    result.data.update({"study": name, "about": about, **{k: v for k, v in more.items() if v}})
+    return result
 
 
 def number_by_number(progress: Progress = lambda _: None) -> tuple[dict[str, Result], Json]:
     """All results but the figures; and all that the paper prints, next to both models."""
-    found = {name: run(name, progress=progress) for name in RESULTS if name != "figures"}
+    results = {name: run(name, progress=progress) for name in RESULTS if name != "figures"}
     code = [recovery(CODE, draws=False), *(RESULTS[name](CODE) for name in BY_LIBRARY[1:])]
-    ours = {what: value for one in code for what, value, _ in one.compared}
-    lines = [line for name, one in found.items() if name != "prototype" for line in one.compared]
+    ours = {what: value for result in code for what, value, _ in result.compared}
+    lines = [
+        line for name, result in results.items() if name != "prototype" for line in result.compared
+    ]
     rows = [
         {"quantity": what, "paper": printed, "text": text, "code": ours.get(what, "")}
         for what, text, printed in lines
     ]
-    return found, as_table("The paper, number by number", rows, "quantity paper text code")
+    return results, as_table("The paper, number by number", rows, "quantity paper text code")

@@ -36,7 +36,7 @@ PLATE = Foot(0.05, "disc")
 """Plate whose sinkage gives Bekker's parameters."""
 LEG_FRICTION_ABOUT = "that of the library's leg, unless it was inferred; None: unknown"
 SINKAGE = 0.02
-"""Of the plate [m], in which the law is linear."""
+"""Sinkage of the plate [m], in which the law is linear."""
 JANOSI = (0.010, 0.025)
 """Janosi's K of sand, from firm to loose [m] (Wong, 2008, Theory of Ground Vehicles)."""
 
@@ -108,7 +108,7 @@ def export(
     of_soil = soil(answer, density=density, anyway=anyway)
     phi, (chosen, densities) = of_soil.phi.as_dict(), of_soil.draws(draws, rng=seed)
     values = _summary(lambda angle: target.from_angle(angle, match), phi, chosen)
-    found = {
+    parameters = {
         **described(target),
         "caution": of_soil.caution,
         "matched": match,
@@ -127,19 +127,19 @@ def export(
         "source": {**of_soil.origin, "draws_seed": seed},
     }
     if to == "chrono-scm":
-        found |= bekker(phi, chosen, of_soil.density, seed=seed)
+        parameters |= bekker(phi, chosen, of_soil.density, seed=seed)
     if to == "rft3d":
         about = "[N/m³] ξ_n, which all stresses per depth are proportional to"
         scale = _summary(
             lambda a: float(stress_scale(target.from_angle(a), of_soil.density)), phi, chosen
         )
         plane = {**_summary(float, phi, chosen), "about": "[deg] φ in plane strain, of wrench"}
-        found |= {"XI_N": {**scale, "about": about}, "PHI_PLANE_STRAIN_DEG": plane}
-    for name in {"BEKKER_KPHI", "XI_N"} & found.keys():  # in proportion to each draw's density
-        drawn = np.array(found[name]["draws"]) * densities / of_soil.density
-        found[name]["draws"] = drawn.round(6).tolist()
-    write(found, path)
-    return found
+        parameters |= {"XI_N": {**scale, "about": about}, "PHI_PLANE_STRAIN_DEG": plane}
+    for name in {"BEKKER_KPHI", "XI_N"} & parameters.keys():  # in proportion to each draw's density
+        drawn = np.array(parameters[name]["draws"]) * densities / of_soil.density
+        parameters[name]["draws"] = drawn.round(6).tolist()
+    write(parameters, path)
+    return parameters
 
 
 def file_for(out: Path | str | None, to: str) -> Path | None:
@@ -155,16 +155,16 @@ def file_for(out: Path | str | None, to: str) -> Path | None:
     return path
 
 
-def write(found: Mapping[str, Any], path: Path | None) -> None:
-    """Write what was found to a file of :func:`file_for`, if there is one."""
+def write(parameters: Mapping[str, Any], path: Path | None) -> None:
+    """Write the parameters to a file of :func:`file_for`, if there is one."""
     if path is not None:
-        content = text(found, FORMATS[path.suffix])
+        content = text(parameters, FORMATS[path.suffix])
         with atomic_write(path) as temporary:
             temporary.write_text(content, encoding="utf-8")
 
 
 def described(to: Simulator) -> dict[str, Any]:
-    """What a module says of its simulator, whatever the soil."""
+    """Entries on a simulator that do not depend on the soil."""
     return {
         "made": f"{SIGNATURE} {importlib.metadata.version('terraphi')}",
         "to": to.name,
@@ -229,95 +229,100 @@ def _summary(
 ) -> dict[str, Any]:
     """A function of φ at the median, the ends of the intervals and the draws."""
     ends = {name: [round(of(float(end)), 6) for end in phi[name]] for name in ("ci68", "ci95")}
-    draws = [round(of(float(one)), 6) for one in draws_deg]
+    draws = [round(of(float(angle)), 6) for angle in draws_deg]
     return {"median": round(of(float(phi["median"])), 6), **ends, "draws": draws}
 
 
-def text(found: Mapping[str, Any], form: str) -> str:
-    """Content of a file in a form of :data:`FORMATS`, from what :func:`export` found."""
+def text(parameters: Mapping[str, Any], form: str) -> str:
+    """Content of a file in a form of :data:`FORMATS`, from a result of :func:`export`."""
     if form == "json":
-        return json.dumps(found, indent=2, ensure_ascii=False) + "\n"
+        return json.dumps(parameters, indent=2, ensure_ascii=False) + "\n"
     if form == "usda":
         return (
-            f"#usda 1.0\n(\n    doc = {json.dumps(_about(found), ensure_ascii=False)}\n)\n\n"
+            f"#usda 1.0\n(\n    doc = {json.dumps(_about(parameters), ensure_ascii=False)}\n)\n\n"
             'def Material "Soil" (\n'
             '    prepend apiSchemas = ["PhysicsMaterialAPI", "NewtonMPMMaterialAPI"]\n)\n{\n'
-            f"    float physics:density = {found['density_kg_m3']}\n"
-            f"    float newton:mpm:internalFriction = {found['value']:.6f}\n}}\n"
+            f"    float physics:density = {parameters['density_kg_m3']}\n"
+            f"    float newton:mpm:internalFriction = {parameters['value']:.6f}\n}}\n"
         )
     if form == "csv":
         rows = {
-            f"{found['parameter']} [{found['unit'] or '-'}]": {**found, "median": found["value"]},
-            "density_factor [-]": found.get("density_factor"),
-            "phi_plane_strain [deg]": found["phi_plane_strain_deg"],
-            **{name: found[name] for name in filter(str.isupper, found)},
+            f"{parameters['parameter']} [{parameters['unit'] or '-'}]": {
+                **parameters,
+                "median": parameters["value"],
+            },
+            "density_factor [-]": parameters.get("density_factor"),
+            "phi_plane_strain [deg]": parameters["phi_plane_strain_deg"],
+            **{name: parameters[name] for name in filter(str.isupper, parameters)},
         }
         table = [["quantity", "median", "low68", "high68", "low95", "high95"]]
         table += [
             [name, row["median"], *row["ci68"], *row["ci95"]] for name, row in rows.items() if row
         ]
-        table.append(["density [kg/m3]", found["density_kg_m3"], "", "", "", ""])
-        table += [["draw", value, "", "", "", ""] for value in found["draws"]]
-        if found["caution"]:
-            table.append(["caution", found["caution"], "", "", "", ""])
+        table.append(["density [kg/m3]", parameters["density_kg_m3"], "", "", "", ""])
+        table += [["draw", value, "", "", "", ""] for value in parameters["draws"]]
+        if parameters["caution"]:
+            table.append(["caution", parameters["caution"], "", "", "", ""])
         written = io.StringIO()
         csv.writer(written, lineterminator="\n").writerows(table)
         return written.getvalue()
-    constants = {found["parameter"].upper(): found["value"], "DRAWS": found["draws"]}
-    constants |= {"DENSITY": found["density_kg_m3"]}
-    constants |= {"DENSITY_DRAWS": found["density_draws_kg_m3"]}
-    constants |= {"LEG_FRICTION": found["leg_friction_assumed"]}
-    if found["dp_type"]:
-        constants["DP_TYPE"] = found["dp_type"]
-    for name in filter(str.isupper, found):
-        constants |= {name: found[name]["median"], f"{name}_DRAWS": found[name]["draws"]}
+    constants = {parameters["parameter"].upper(): parameters["value"], "DRAWS": parameters["draws"]}
+    constants |= {"DENSITY": parameters["density_kg_m3"]}
+    constants |= {"DENSITY_DRAWS": parameters["density_draws_kg_m3"]}
+    constants |= {"LEG_FRICTION": parameters["leg_friction_assumed"]}
+    if parameters["dp_type"]:
+        constants["DP_TYPE"] = parameters["dp_type"]
+    for name in filter(str.isupper, parameters):
+        constants |= {name: parameters[name]["median"], f"{name}_DRAWS": parameters[name]["draws"]}
     lines = "\n".join(f"{name} = {value!r}" for name, value in constants.items())
-    return f'"""{_quoted(_about(found))}"""\n\n{lines}\n\n\n{USES[found["to"]]}'
+    return f'"""{_quoted(_about(parameters))}"""\n\n{lines}\n\n\n{USES[parameters["to"]]}'
 
 
-def headline(found: Mapping[str, Any]) -> str:
+def headline(parameters: Mapping[str, Any]) -> str:
     """The parameter in a sentence."""
-    caution = f" CAUTION: {found['caution']}" if found["caution"] else ""
-    phi = found["phi_plane_strain_deg"]["median"]
-    value = interval_in_words(found)
-    return f"{found['title']}: {value}, for φ {phi:.1f} deg in plane strain.{caution}"
+    caution = f" CAUTION: {parameters['caution']}" if parameters["caution"] else ""
+    phi = parameters["phi_plane_strain_deg"]["median"]
+    value = interval_in_words(parameters)
+    return f"{parameters['title']}: {value}, for φ {phi:.1f} deg in plane strain.{caution}"
 
 
-def interval_in_words(found: Mapping[str, Any]) -> str:
+def interval_in_words(parameters: Mapping[str, Any]) -> str:
     """The parameter with its interval."""
-    value, low, high = (in_words(v, found["unit"]) for v in (found["value"], *found["ci95"]))
-    return f"{found['parameter']} {value}, 95 %: {low} to {high}"
+    value, low, high = (
+        in_words(v, parameters["unit"]) for v in (parameters["value"], *parameters["ci95"])
+    )
+    return f"{parameters['parameter']} {value}, 95 %: {low} to {high}"
 
 
-def _about(found: Mapping[str, Any]) -> str:
+def _about(parameters: Mapping[str, Any]) -> str:
     """Docstring of the module."""
-    phi, lost = found["phi_plane_strain_deg"], found["draws_without_equivalent"]
-    source, (low, high) = found["source"], phi["ci95"]
+    phi, lost = parameters["phi_plane_strain_deg"], parameters["draws_without_equivalent"]
+    source, (low, high) = parameters["source"], phi["ci95"]
     matched = {
-        "plane-strain": f"Matched in plane strain: {found['formula']}.",
+        "plane-strain": f"Matched in plane strain: {parameters['formula']}.",
         "triaxial": "Matched in triaxial compression: stronger than φ in plane strain.",
-    }.get(found["matched"], f"Tuned to {found['matched']}.")
-    density = "given" if found["density_assumed"] is False else "assumed"
+    }.get(parameters["matched"], f"Tuned to {parameters['matched']}.")
+    density = "given" if parameters["density_assumed"] is False else "assumed"
     lines = [
-        f"Soil for {found['title']}; {found['made']}.\n",
-        f"CAUTION: {found['caution']}" if found["caution"] else "",
+        f"Soil for {parameters['title']}; {parameters['made']}.\n",
+        f"CAUTION: {parameters['caution']}" if parameters["caution"] else "",
         "From {answer}: {record}, law {law}.".format_map(source)
         if "answer" in source
         else "{soil}, {source}.".format_map(source),
         f"φ {phi['median']:.1f} deg in plane strain, 95 %: {low:.1f} to {high:.1f}.",
-        f"{interval_in_words(found)}; it means: {found['meaning']}.",
+        f"{interval_in_words(parameters)}; it means: {parameters['meaning']}.",
         matched,
         "Without dilation and cohesion, as the soil of the law.",
-        f"DRAWS go with DENSITY_DRAWS: {found['draws_go_to']}." if found["draws"] else "",
+        f"DRAWS go with DENSITY_DRAWS: {parameters['draws_go_to']}." if parameters["draws"] else "",
         f"{lost:.1%} of the draws have no equivalent: left out, or at the limit." if lost else "",
         f"DENSITY [kg/m³] was {density}.",
-        f"LEG_FRICTION is {found.get('leg_friction_about', LEG_FRICTION_ABOUT)}.",
+        f"LEG_FRICTION is {parameters.get('leg_friction_about', LEG_FRICTION_ABOUT)}.",
     ]
-    for name in filter(str.isupper, found):
-        median, (low, high) = found[name]["median"], found[name]["ci95"]
-        about = found[name]["about"]
+    for name in filter(str.isupper, parameters):
+        median, (low, high) = parameters[name]["median"], parameters[name]["ci95"]
+        about = parameters[name]["about"]
         lines.append(f"{name} {median:.3g}, 95 %: {low:.3g} to {high:.3g}, {about}.")
-    return "\n".join(filter(None, [*lines, f"Not inferred: {found['not_inferred']}.\n"]))
+    return "\n".join(filter(None, [*lines, f"Not inferred: {parameters['not_inferred']}.\n"]))
 
 
 def _quoted(content: str) -> str:

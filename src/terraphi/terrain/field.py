@@ -54,12 +54,12 @@ little of its variance."""
 
 
 def to_logit(phi_deg: Any) -> Any:
-    """Z of a friction angle [deg]."""
+    """Value z of a friction angle [deg]."""
     return logit(np.tan(np.radians(phi_deg)) / STEEPEST)
 
 
 def tangent(z: Any) -> Any:
-    """Tan φ of z."""
+    """Tangent of φ, from z."""
     return STEEPEST * expit(z)
 
 
@@ -178,27 +178,29 @@ def fit(points: pd.DataFrame, covariates: FloatArray, ground: Elevation, *, seed
         + ConstantKernel(EFFECT_SD**2, "fixed") * OfCovariates(0.0, "fixed")
     )
     phi_deg = points["phi_deg"].to_numpy()
-    own = (points["sd_deg"].to_numpy() / degrees_per_z(phi_deg)) ** 2
+    variance = (points["sd_deg"].to_numpy() / degrees_per_z(phi_deg)) ** 2
     inputs = np.column_stack([points["x_m"] - x0, points["y_m"] - y0, covariates])
     z = to_logit(phi_deg) - to_logit(CENTRE_DEG)
-    inputs, z, own = _merged(inputs, z, own, step)
-    process = GaussianProcessRegressor(kernel, alpha=own, n_restarts_optimizer=2, random_state=seed)
+    inputs, z, variance = _merged(inputs, z, variance, step)
+    process = GaussianProcessRegressor(
+        kernel, alpha=variance, n_restarts_optimizer=2, random_state=seed
+    )
     with warnings.catch_warnings():
         # A value at its bound is a result here.
         warnings.simplefilter("ignore", ConvergenceWarning)
         process.fit(inputs, z)
-    found = process.kernel_.get_params()
-    short = found["k2__k1__k1__noise_level"]
+    fitted = process.kernel_.get_params()
+    short = fitted["k2__k1__k1__noise_level"]
     # At least two nodes a side, on a map of one strip too.
     counts = np.maximum(np.ceil(np.array([width, height]) / step - 1e-9), 1.0) + 1.0
     x, y = (step * np.arange(count) for count in counts)
     nodes = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     # An effect is the change of z at the first node with one standard deviation of a covariate.
     n, count = len(nodes), covariates.shape[1]
-    asked = np.zeros((n + count, 2 + count))
-    asked[:n, :2] = nodes
-    asked[n:, 2:] = np.eye(count)
-    mean, covariance = process.predict(asked, return_cov=True)
+    query = np.zeros((n + count, 2 + count))
+    query[:n, :2] = nodes
+    query[n:, 2:] = np.eye(count)
+    mean, covariance = process.predict(query, return_cov=True)
     covariance -= short * np.eye(n + count)
     mean[n:] -= mean[0]
     covariance[n:] -= covariance[0]
@@ -208,7 +210,7 @@ def fit(points: pd.DataFrame, covariates: FloatArray, ground: Elevation, *, seed
     shared_sd_deg = np.sqrt(np.square(points["shared_sd_deg"]).mean())
     common[:n] = shared_sd_deg / degrees_per_z(np.degrees(np.arctan(tangent(mean[:n]))))
     covariance += np.outer(common, common)
-    length, process_sd = found["k1__k2__length_scale"], np.sqrt(found["k1__k1__constant_value"])
+    length, process_sd = fitted["k1__k2__length_scale"], np.sqrt(fitted["k1__k1__constant_value"])
     learnt = {"length_m": length, "process_sd": process_sd, "short_sd": np.sqrt(short)}
     return Field(x0 + x, y0 + y, mean, covariance, {name: float(v) for name, v in learnt.items()})
 

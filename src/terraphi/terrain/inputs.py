@@ -1,4 +1,4 @@
-"""What a map is made from: elevations and other rasters, and points at which φ is known."""
+"""Inputs of a map: elevations and other rasters, and points at which φ was measured."""
 
 from __future__ import annotations
 
@@ -202,7 +202,7 @@ FEWEST = 3
 
 
 class Start(NamedTuple):
-    """Where a walk began [m], and the compass bearing of its first heading [deg]."""
+    """Start of a walk [m], and the compass bearing of its first heading [deg]."""
 
     x_m: float
     y_m: float
@@ -273,34 +273,34 @@ def read_points(
     usable = table[table["verdict"] == "usable"] if walk else table
     if len(usable) < FEWEST:
         raise InputError(f"{path}: {len(usable)} of {len(table)} points usable; needed: {FEWEST}")
-    found = usable[list(COLUMNS)].apply(_real)
+    placed = usable[list(COLUMNS)].apply(_real)
     for name, (low, high) in COLUMNS.items():
-        bad = ~found[name].between(low, high, inclusive="left")
+        bad = ~placed[name].between(low, high, inclusive="left")
         if bad.any():
-            where = f"{path}, {bad.idxmax()}: {name} = {found[name][bad.idxmax()]:g}"
+            where = f"{path}, {bad.idxmax()}: {name} = {placed[name][bad.idxmax()]:g}"
             raise InputError(f"{where}, expected {low:g} to {high:g}")
     if walk:
         # The shared error of a walk is one number; that it scales with φ is no information on φ.
-        found[SHARED] = found[SHARED].mean()
+        placed[SHARED] = placed[SHARED].mean()
     if start is not None:
         bearing = np.radians(start.bearing_deg)
-        ahead, left = found["x_m"], found["y_m"]
-        found["x_m"] = start.x_m + ahead * np.sin(bearing) - left * np.cos(bearing)
-        found["y_m"] = start.y_m + ahead * np.cos(bearing) + left * np.sin(bearing)
-    places = found["x_m"].to_numpy(), found["y_m"].to_numpy()
-    found["row"], found["column"] = rasterio.transform.rowcol(dem.transform, *places)
-    inside = found["row"].between(0, dem.y.size - 1) & found["column"].between(0, dem.x.size - 1)
+        ahead, to_left = placed["x_m"], placed["y_m"]
+        placed["x_m"] = start.x_m + ahead * np.sin(bearing) - to_left * np.cos(bearing)
+        placed["y_m"] = start.y_m + ahead * np.cos(bearing) + to_left * np.sin(bearing)
+    places = placed["x_m"].to_numpy(), placed["y_m"].to_numpy()
+    placed["row"], placed["column"] = rasterio.transform.rowcol(dem.transform, *places)
+    inside = placed["row"].between(0, dem.y.size - 1) & placed["column"].between(0, dem.x.size - 1)
     if not inside.all():
-        first = found.loc[inside.idxmin()]
+        first = placed.loc[inside.idxmin()]
         place = f"({first['x_m']:.7g}, {first['y_m']:.7g}) is outside {dem.source}"
         covers = f"{dem.x[0]:.7g} to {dem.x[-1]:.7g}, {dem.y[-1]:.7g} to {dem.y[0]:.7g} m"
         remedy = "project degrees to metres, or place footfalls with --start"
         raise InputError(f"{path}, {first.name}: {place} ({covers}); {remedy}")
-    level = pd.Series(dem.slope[found["row"], found["column"]], found.index)
+    level = pd.Series(dem.slope[placed["row"], placed["column"]], placed.index)
     if level.isna().any():
         where = f"{path}, {level.isna().idxmax()}"
         raise InputError(f"{where}: {dem.source} has no elevation there, or in a cell next to it")
-    return found, len(table) - len(found)
+    return placed, len(table) - len(placed)
 
 
 def _real(column: pd.Series) -> pd.Series:

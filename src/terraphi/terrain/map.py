@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from terraphi.experiment.arrays import count, seed_from
+from terraphi.experiment.arrays import BoolArray, FloatArray, count, seed_from
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import path_of
 from terraphi.experiment.outputs import output_folder
@@ -209,42 +209,22 @@ def map_slopes(
     seed, draws = seed_from(seed, rng), count("draws", draws, 1, MOST_DRAWS)
     start = None if start is None else inputs.start_from(start)
     ground = inputs.read_elevation(path_of("dem", dem))
-    known, left_out = inputs.read_points(points, ground, start)
+    friction, left_out = inputs.read_points(points, ground, start)
     priors = slopes.priors_of([prior] if isinstance(prior, str) else prior)
-    named, layer, wet = ["elevation", "slope"], [ground.height, ground.slope], None
-    if covariate is not None:
-        path = path_of("covariate", covariate)
-        named.append(path.stem)
-        layer.append(inputs.read_layer(path, ground, known))
-    if wetness is not None:
-        wet = inputs.read_layer(path_of("wetness", wetness), ground, known)
-        least, most = float(np.nanmin(wet)), float(np.nanmax(wet))
-        if not 0.0 <= least <= most <= 1.0:
-            raise InputError(f"{wetness}: values from {least:g} to {most:g}, expected 0 to 1")
-    covariates = np.stack(layer, axis=-1)
-    there = np.isfinite(covariates).all(axis=-1) & (wet is None or np.isfinite(wet))
-    middle = covariates[there].mean(axis=0, dtype=np.float64)
-    sd = covariates[there].std(axis=0, dtype=np.float64)
-    # On a plane the slope varies by rounding alone.
-    varies = sd > 1e-4 * np.maximum(1.0, np.abs(middle))
-    covariates = ((covariates - middle) / np.where(varies, sd, np.inf)).astype(np.float32)
-    at_points = covariates[known["row"], known["column"]].astype(np.float64)
-    field = fit(known, at_points, ground, seed=seed)
-
-    sample = slopes.Sample.of(priors, slopes.SAMPLES, seed)
+    named, covariates, wet, has_data = _layers(ground, friction, covariate, wetness)
+    at_points = covariates[friction["row"], friction["column"]].astype(np.float64)
+    field = fit(friction, at_points, ground, seed=seed)
     # A Sobol sequence is even at powers of two.
-    joint = slopes.Sample.of(priors, 1 << max(draws - 1, 1).bit_length(), seed + 1)
+    power_of_two = 1 << max(draws - 1, 1).bit_length()
+    sample = slopes.Sample.of(priors, slopes.SAMPLES, seed)
+    joint = slopes.Sample.of(priors, power_of_two, seed + 1)
     drawn = field.draws(joint.normal.size, seed).astype(np.float32).T
-    from scipy.spatial import cKDTree
+    is_far = _extrapolation(field, friction, at_points, ground)
 
-    tree = cKDTree(known[["x_m", "y_m"]].to_numpy())
-    far = min(field.learnt["length_m"], FARTHEST * max(np.ptp(ground.x), np.ptp(ground.y)))
-    slack = BEYOND * np.ptp(at_points, axis=0) + 1e-6
-    low, high = at_points.min(axis=0) - slack, at_points.max(axis=0) + slack
-    layers = {name: np.full(there.shape, np.nan, np.float32) for name in LAYERS}
-    layers["extrapolated"] = np.full(there.shape, 255, np.uint8)
+    layers = {name: np.full(has_data.shape, np.nan, np.float32) for name in LAYERS}
+    layers["extrapolated"] = np.full(has_data.shape, 255, np.uint8)
     area = np.zeros(joint.normal.size)
-    rows, columns = np.nonzero(there)
+    rows, columns = np.nonzero(has_data)
     for first in range(0, rows.size, BLOCK):
         progress(first, rows.size)
         cell = rows[first : first + BLOCK], columns[first : first + BLOCK]
@@ -259,43 +239,108 @@ def map_slopes(
         layers["p_unstable"][cell] = slopes.unstable(mean, sd, a, b)
         layers["phi_median"][cell] = phi = np.degrees(np.arctan(tangent(mean)))
         layers["phi_sd"][cell] = degrees_per_z(phi) * sd
-        alone = tree.query(np.column_stack([x, y]), distance_upper_bound=far)[0] == np.inf
-        layers["extrapolated"][cell] = alone | ((terrain < low) | (terrain > high)).any(axis=1)
+        layers["extrapolated"][cell] = is_far(x, y, terrain)
+        # The unstable area needs joint draws: neighboring cells share their errors.
         a, b = joint.terms(theta, m)
         area += (a + b * tangent(weights.astype(np.float32) @ drawn) < 1.0).sum(axis=0)
     progress(rows.size, rows.size)
-
-    steep = np.degrees(ground.slope[there])
-    ends = np.quantile(area / rows.size, [0.5, 0.025, 0.975]).tolist()
     summary = {
         "terraphi_file": KIND,
         "terraphi": importlib.metadata.version("terraphi"),
         "points": str(points) if isinstance(points, str | Path) else type(points).__name__,
-        "points_used": len(known),
+        "points_used": len(friction),
         "points_left_out": left_out,
-        "dem": ground.source,
-        "crs": ground.crs.to_string(),
-        "cells": int(rows.size),
-        "cell_m": ground.cell,
-        "slope_deg": {"median": float(np.median(steep)), "largest": float(steep.max())},
-        "phi_deg": {
-            "median_of_points": float(known["phi_deg"].median()),
-            "median_of_map": float(np.median(layers["phi_median"][there])),
-        },
+        **_statistics(ground, friction, layers, has_data),
         "field": {**field.learnt, "covariates": named},
         "priors": priors,
         "wetness": str(wetness) if wetness else "prior",
         "covariate": str(covariate) if covariate else None,
-        "unstable_area_share": {"median": ends[0], "ci95": ends[1:]},
-        "mean_p_unstable": float(np.mean(layers["p_unstable"][there])),
-        "mean_phi_share": float(np.mean(layers["phi_share"][there])),
-        "extrapolated_share": float((layers["extrapolated"][there] == 1).mean()),
+        **_shares(area, layers, has_data),
         "draws": int(area.size),
         "seed": seed,
         "start": None if start is None else start._asdict(),
         "seconds": time.perf_counter() - began,
     }
-    return SlopeMap(ground, known, field, layers, summary)
+    return SlopeMap(ground, friction, field, layers, summary)
+
+
+def _layers(
+    ground: inputs.Elevation, points: pd.DataFrame, covariate: Any, wetness: Any
+) -> tuple[list[str], inputs.Float32, inputs.Float32 | None, BoolArray]:
+    """Names and values of the covariates, m of each cell or ``None``, and cells that have all.
+
+    Covariates have mean 0 and standard deviation 1 over the map, shape [row, column, covariate]; 0
+    where one does not vary.
+    """
+    named, layers, wet = ["elevation", "slope"], [ground.height, ground.slope], None
+    if covariate is not None:
+        path = path_of("covariate", covariate)
+        named.append(path.stem)
+        layers.append(inputs.read_layer(path, ground, points))
+    if wetness is not None:
+        wet = inputs.read_layer(path_of("wetness", wetness), ground, points)
+        least, most = float(np.nanmin(wet)), float(np.nanmax(wet))
+        if not 0.0 <= least <= most <= 1.0:
+            raise InputError(f"{wetness}: values from {least:g} to {most:g}, expected 0 to 1")
+    covariates = np.stack(layers, axis=-1)
+    has_data = np.isfinite(covariates).all(axis=-1)
+    if wet is not None:
+        has_data &= np.isfinite(wet)
+    middle = covariates[has_data].mean(axis=0, dtype=np.float64)
+    sd = covariates[has_data].std(axis=0, dtype=np.float64)
+    # On a plane the slope varies by rounding alone.
+    varies = sd > 1e-4 * np.maximum(1.0, np.abs(middle))
+    scaled = (covariates - middle) / np.where(varies, sd, np.inf)
+    return named, np.asarray(scaled, np.float32), wet, has_data
+
+
+def _extrapolation(
+    field: Field, points: pd.DataFrame, at_points: FloatArray, ground: inputs.Elevation
+) -> Callable[[FloatArray, FloatArray, FloatArray], BoolArray]:
+    """Test of cells (x, y [m], covariates) for being far from the points, or beyond their range."""
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(points[["x_m", "y_m"]].to_numpy())
+    far = min(field.learnt["length_m"], FARTHEST * max(np.ptp(ground.x), np.ptp(ground.y)))
+    slack = BEYOND * np.ptp(at_points, axis=0) + 1e-6
+    low, high = at_points.min(axis=0) - slack, at_points.max(axis=0) + slack
+
+    def is_far(x: FloatArray, y: FloatArray, terrain: FloatArray) -> BoolArray:
+        distance = tree.query(np.column_stack([x, y]), distance_upper_bound=far)[0]
+        return np.asarray((distance == np.inf) | ((terrain < low) | (terrain > high)).any(axis=1))
+
+    return is_far
+
+
+def _statistics(
+    ground: inputs.Elevation, points: pd.DataFrame, layers: Mapping[str, Any], has_data: BoolArray
+) -> dict[str, Any]:
+    """Numbers of the grid, its slopes and φ, JSON-able."""
+    steep = np.degrees(ground.slope[has_data])
+    return {
+        "dem": ground.source,
+        "crs": ground.crs.to_string(),
+        "cells": int(has_data.sum()),
+        "cell_m": ground.cell,
+        "slope_deg": {"median": float(np.median(steep)), "largest": float(steep.max())},
+        "phi_deg": {
+            "median_of_points": float(points["phi_deg"].median()),
+            "median_of_map": float(np.median(layers["phi_median"][has_data])),
+        },
+    }
+
+
+def _shares(
+    unstable_cells: FloatArray, layers: Mapping[str, Any], has_data: BoolArray
+) -> dict[str, Any]:
+    """Shares of the map, JSON-able; of the unstable cells of each draw, an interval."""
+    median, *ends = np.quantile(unstable_cells / has_data.sum(), [0.5, 0.025, 0.975]).tolist()
+    return {
+        "unstable_area_share": {"median": median, "ci95": ends},
+        "mean_p_unstable": float(np.mean(layers["p_unstable"][has_data])),
+        "mean_phi_share": float(np.mean(layers["phi_share"][has_data])),
+        "extrapolated_share": float((layers["extrapolated"][has_data] == 1).mean()),
+    }
 
 
 def in_words(summary: Mapping[str, Any]) -> list[str]:

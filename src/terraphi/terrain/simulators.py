@@ -1,4 +1,4 @@
-r"""What simulators call friction, and which friction angle acts in each: one table.
+r"""Friction parameters of simulators, and the friction angle that acts in each: one table.
 
 Each of them bounds shear by pressure in one way or another, so one number brings them together: the
 ratio :math:`q = \sqrt{J_2}/p` at yield, with :math:`p = -\tfrac13 \mathrm{tr}\,\sigma`. In plane
@@ -97,8 +97,8 @@ def ratio_of_angle(phi_deg: float, match: Match = "plane-strain") -> float:
 
 def angle_of_ratio(ratio: float, match: Match = "plane-strain") -> float | None:
     """Inverse of :func:`ratio_of_angle` [deg]; ``None`` for a cone stronger than any angle."""
-    found = _arcsine(ratio) if match == "plane-strain" else COMPRESSION.value(ratio)
-    return None if math.isnan(found) else found
+    angle = _arcsine(ratio) if match == "plane-strain" else COMPRESSION.value(ratio)
+    return None if math.isnan(angle) else angle
 
 
 @dataclass(frozen=True)
@@ -140,11 +140,11 @@ class Simulator:
         """
         if self.name in ("chrono-scm", "rft3d") and match == "triaxial":
             raise InputError(f"{self.name} has no triaxial compression: leave out --match triaxial")
-        found = self.law.value(ratio_of_angle(phi_deg, match))
-        if math.isnan(found):
+        parameter = self.law.value(ratio_of_angle(phi_deg, match))
+        if math.isnan(parameter):
             soil = f"{phi_deg:.1f} deg in {match.replace('-', ' ')}"
             raise InputError(f"{self.title}: cannot be as strong as {soil}; use another dpType")
-        return found
+        return parameter
 
 
 def in_words(value: float, unit: str) -> str:
@@ -193,7 +193,7 @@ _TABLE = (
     ),
 )
 # fmt: on
-SIMULATORS = {one.name: one for one in _TABLE}
+SIMULATORS = {entry.name: entry for entry in _TABLE}
 NAMES = (*SIMULATORS, "mujoco")
 
 
@@ -219,15 +219,15 @@ def simulator(name: str, *, dp_type: str | None = None) -> Simulator:
         )
     if name not in SIMULATORS:
         raise InputError(f"unknown simulator '{name}'; {nearest(name, NAMES)}")
-    found = SIMULATORS[name]
+    entry = SIMULATORS[name]
     if name != "geotaichi":
         if dp_type is not None:
             raise InputError(f"dp_type {dp_type}: only geotaichi has this option; leave it out")
-        return found
+        return entry
     cone = dp_type or "MiddleCircumscribed"
     if cone not in CONES:
         raise InputError(f"unknown dpType '{cone}'; {nearest(cone, CONES)}")
-    return replace(found, title=f"{found.title} with dpType {cone}", law=CONES[cone], dp_type=cone)
+    return replace(entry, title=f"{entry.title} with dpType {cone}", law=CONES[cone], dp_type=cone)
 
 
 def convert(
@@ -285,7 +285,7 @@ def convert(
         expected = f"{given.title} expects {least:g} to {most:g}{unit}"
         raise InputError(f"{given.parameter} = {value!r}: {expected}")
     ratio = given.law.ratio(number)
-    found: dict[str, Any] = {
+    result: dict[str, Any] = {
         "from": from_,
         "parameter": given.parameter,
         "given": number,
@@ -295,30 +295,30 @@ def convert(
         "phi_triaxial_deg": None if from_ == "chrono-scm" else angle_of_ratio(ratio, "triaxial"),
     }
     if to is None:
-        return found
-    wanted = simulator(to, dp_type=dp_type if to == "geotaichi" else None)
-    other = wanted.law.value(ratio)
-    if math.isnan(other):
+        return result
+    target = simulator(to, dp_type=dp_type if to == "geotaichi" else None)
+    value_there = target.law.value(ratio)
+    if math.isnan(value_there):
         strength = f"{given.parameter} {in_words(number, given.unit)} of {from_}"
-        raise InputError(f"{wanted.title}: cannot be as strong as {strength}")
-    found |= {"to": to, "to_parameter": wanted.parameter, "to_unit": wanted.unit}
-    return found | {"value": other}
+        raise InputError(f"{target.title}: cannot be as strong as {strength}")
+    result |= {"to": to, "to_parameter": target.parameter, "to_unit": target.unit}
+    return result | {"value": value_there}
 
 
-def converted_in_words(found: dict[str, Any]) -> list[str]:
+def converted_in_words(converted: dict[str, Any]) -> list[str]:
     """Result of :func:`convert`, a sentence each."""
-    if "from" not in found:
+    if "from" not in converted:
         from terraphi.terrain.export import headline
 
-        return [headline(found), f"It means {found['meaning']}."]
-    sentences = ["{from}: {parameter} {given:g} means {meaning}.".format_map(found)]
+        return [headline(converted), f"It means {converted['meaning']}."]
+    sentences = ["{from}: {parameter} {given:g} means {meaning}.".format_map(converted)]
     for name, path in {"plane_strain": "plane strain", "triaxial": "triaxial compression"}.items():
-        phi = found[f"phi_{name}_deg"]
+        phi = converted[f"phi_{name}_deg"]
         if phi is not None:
             sentences.append(f"In {path} it acts as a friction angle of {phi:.1f} deg.")
-        elif found["from"] != "chrono-scm":
+        elif converted["from"] != "chrono-scm":
             sentences.append(f"In {path} it is stronger than any friction angle.")
-    if "to" in found:
-        value = in_words(found["value"], found["to_unit"])
-        sentences.append(f"The same in {found['to']}: {found['to_parameter']} {value}.")
+    if "to" in converted:
+        value = in_words(converted["value"], converted["to_unit"])
+        sentences.append(f"The same in {converted['to']}: {converted['to_parameter']} {value}.")
     return sentences

@@ -45,8 +45,8 @@ QUANTITIES = {
     "wetness": (0.0, 1.0, "0:1"),  # share of the thickness that is saturated
     "density_kg_m3": (1000.0, 2600.0, "1600:2000"),  # bulk, of the layer
 }
-"""What the forces on a foot do not determine: bounds, and the prior where none is given, which is
-wide and a guess."""
+"""Quantities that forces on a foot do not determine: bounds, and the default prior, which is a wide
+guess."""
 
 
 def priors_of(given: Sequence[str]) -> dict[str, dict[str, Any]]:
@@ -69,7 +69,7 @@ def priors_of(given: Sequence[str]) -> dict[str, dict[str, Any]]:
     InputError
         If a key is unknown, or a number cannot be read or is outside the bounds of the quantity.
     """
-    found = {key: _prior(usual) for key, (_, _, usual) in QUANTITIES.items()}
+    priors = {key: _prior(usual) for key, (_, _, usual) in QUANTITIES.items()}
     if not isinstance(given, Sequence) or not all(isinstance(text, str) for text in given):
         raise InputError("prior: give texts as 'wetness=0.3+-0.2'")
     for text in given:
@@ -77,15 +77,15 @@ def priors_of(given: Sequence[str]) -> dict[str, dict[str, Any]]:
         if key not in QUANTITIES:
             raise InputError(f"prior '{text}': unknown key; {nearest(key, QUANTITIES)}")
         try:
-            found[key] = _prior(value)
+            priors[key] = _prior(value)
         except ValueError:
             expected = "KEY=LOW:HIGH, KEY=MEAN+-SD (SD above 0) or KEY=VALUE"
             raise InputError(f"prior '{text}': expected {expected}") from None
         low, high = QUANTITIES[key][:2]
-        ends = [number for name, number in found[key].items() if name not in ("kind", "sd")]
+        ends = [number for name, number in priors[key].items() if name not in ("kind", "sd")]
         if not all(low <= end <= high for end in ends):
             raise InputError(f"prior '{text}': {key} lies between {low:g} and {high:g}")
-    return found
+    return priors
 
 
 def _prior(value: str) -> dict[str, Any]:
@@ -141,14 +141,16 @@ class Sample:
 
         even = Sobol(len(QUANTITIES) + 1, rng=np.random.default_rng(seed)).random(count)
         even = np.clip(even, 1e-9, 1.0 - 1e-9)
-        one = {key: quantiles(key, priors[key], even[:, i + 1]) for i, key in enumerate(QUANTITIES)}
-        cohesion = one["cohesion_Pa"] + (1.0 - one["root_loss"]) * one["root_cohesion_Pa"]
-        weight = one["density_kg_m3"] * GRAVITY * one["depth_m"]
-        lightness = WATER / one["density_kg_m3"]
-        return cls(ndtri(even[:, 0]), cohesion / weight, one["wetness"], lightness)
+        drawn = {
+            key: quantiles(key, priors[key], even[:, i + 1]) for i, key in enumerate(QUANTITIES)
+        }
+        cohesion = drawn["cohesion_Pa"] + (1.0 - drawn["root_loss"]) * drawn["root_cohesion_Pa"]
+        weight = drawn["density_kg_m3"] * GRAVITY * drawn["depth_m"]
+        lightness = WATER / drawn["density_kg_m3"]
+        return cls(ndtri(even[:, 0]), cohesion / weight, drawn["wetness"], lightness)
 
     def terms(self, theta: Any, wetness: Any = None) -> tuple[Any, Any]:
-        """A and B of F = A + B tan φ, shape [cell, sample].
+        """Coefficients A and B of F = A + B tan φ, shape [cell, sample] each.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""A soil for a simulator: φ in plane strain and bulk density, with what is uncertain of both.
+"""A soil for a simulator: φ in plane strain and bulk density, with their uncertainty.
 
 From a table of sands, from numbers with their errors, or from an answer.
 """
@@ -34,7 +34,7 @@ AGREEMENT_DEG = 0.01
 MOST_DRAWS = 100_000
 """Draws of an export at most."""
 LEAST_DENSITY = 0.1
-"""Of a draw of the density, over the mean [-]; chosen, so that none is negative."""
+"""Least density of a draw over the mean [-]; chosen, so that none is negative."""
 MOST_SDS = 3.0
 """Standard deviations from the mean at which draws of φ end [-]; chosen, so that those of the table
 are within law ``foot``, which ends at 55°."""
@@ -94,7 +94,7 @@ class SoilDistribution:
     density, density_sd
         Bulk density and its standard deviation [kg/m³].
     density_assumed
-        Whether it is an assumption, not a measurement.
+        True if it is an assumption, not a measurement.
     correlation
         Between φ and density [-]: forces that determine φ give less of it if the soil is heavier.
     leg_friction
@@ -164,9 +164,9 @@ class SoilDistribution:
         rng = generator(rng)
         there = self.phi_values[np.isfinite(self.phi_values)]
         phi = rng.choice(there, n, replace=n > there.size)
-        apart = (phi - there.mean()) / max(float(there.std()), 1e-9)
-        own = np.sqrt(1.0 - self.correlation**2) * rng.standard_normal(n)
-        density = self.density + self.density_sd * (self.correlation * apart + own)
+        deviation = (phi - there.mean()) / max(float(there.std()), 1e-9)
+        independent = np.sqrt(1.0 - self.correlation**2) * rng.standard_normal(n)
+        density = self.density + self.density_sd * (self.correlation * deviation + independent)
         return Draws(phi, np.maximum(density, LEAST_DENSITY * self.density))
 
     def export(self, to: str, **options: Any) -> dict[str, Any]:
@@ -241,7 +241,7 @@ def soil(
         Bulk density [kg/m³], as ``1600`` (± 5 %) or ``"1600±40"``; by default that of the table,
         or that of :mod:`~terraphi.experiment.priors`. An answer has its own.
     anyway
-        Whether an answer whose verdict is not ``consistent`` is accepted.
+        True if an answer is accepted whose verdict is not ``consistent`` is accepted.
 
     Raises
     ------
@@ -308,8 +308,8 @@ def _normal(mean: float, sd: float) -> FloatArray:
     """Equally probable values of a normal distribution, none beyond :data:`MOST_SDS`."""
     normal = NormalDist(0.0, 1.0)
     share = (np.arange(QUANTILES) + 0.5) / QUANTILES
-    apart = np.array([normal.inv_cdf(p) for p in share.tolist()])
-    return mean + sd * np.clip(apart, -MOST_SDS, MOST_SDS)
+    deviates = np.array([normal.inv_cdf(p) for p in share.tolist()])
+    return mean + sd * np.clip(deviates, -MOST_SDS, MOST_SDS)
 
 
 def _of_answer(what: Any, *, anyway: bool) -> SoilDistribution:
@@ -333,7 +333,7 @@ def _of_answer(what: Any, *, anyway: bool) -> SoilDistribution:
             raise InputError(f"{read.source}: {caution} To export it all the same, add --anyway")
     caution = ". ".join(filter(None, [changed(Path(read.source)), caution]))
     phi = answer["phi_plane_strain_deg"]
-    records = [one["source"] for one in answer.get("records", ())]
+    records = [record["source"] for record in answer.get("records", ())]
     inferred = answer.get("parameters", {}).get("leg.friction")
     density = float(answer["density_kg_m3"])
     sd = answer.get("density_sd_kg_m3")
@@ -361,13 +361,16 @@ def _of_answer(what: Any, *, anyway: bool) -> SoilDistribution:
 
 def _check(read: StoredAnswer) -> None:
     """Refuse medians and intervals that do not belong together, as of an answer edited by hand."""
-    angles = (read.answer[name] for name in ANGLES)
-    own, given = (np.array([one["median"], *one["ci68"], *one["ci95"]]) for one in angles)
-    expected = _to_plane_strain(read, own)
+    estimates = (read.answer[name] for name in ANGLES)
+    stated, given = (
+        np.array([estimate["median"], *estimate["ci68"], *estimate["ci95"]])
+        for estimate in estimates
+    )
+    expected = _to_plane_strain(read, stated)
     if read.answer["phi_deg"].get("yield") in EXACT and not np.allclose(
         expected, given, rtol=0.0, atol=AGREEMENT_DEG
     ):
-        pair = f"phi_deg {own[0]:.1f} is {expected[0]:.1f} in plane strain"
+        pair = f"phi_deg {stated[0]:.1f} is {expected[0]:.1f} in plane strain"
         raise InputError(f"{read.source}: {pair}, found {given[0]:.1f}; invert again")
 
 

@@ -27,7 +27,7 @@ from contextlib import redirect_stdout
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -40,9 +40,9 @@ from terraphi.inference.records import density_with_sd
 from terraphi.laws.foot import LAWS, Foot
 from terraphi.laws.wrench import Mesh, angles_deg, force
 from terraphi.terrain.export import described, file_for, interval_in_words, write
+from terraphi.terrain.simulators import Simulator, simulator
 from terraphi.terrain.simulators import in_words as value_in_words
-from terraphi.terrain.simulators import simulator
-from terraphi.terrain.soils import soil
+from terraphi.terrain.soils import SoilDistribution, soil
 
 THIRDS, PLACES = 3, 3
 """Parts of the depth, and places of the surface in its voxel at which each friction is tried."""
@@ -68,7 +68,7 @@ PACE = 0.2
 
 @dataclass(frozen=True)
 class Sole:
-    """What is pressed: a closed surface of triangles, its lowest point at the origin's height.
+    """The foot, a closed surface of triangles, with its lowest point at the origin's height.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class Sole:
     vertices, faces
         [m], shape [vertex, 3]; indices, shape [face, 3], counterclockwise from outside.
     foot
-        What the law knows it as: a disc, a ball or the faces of a mesh.
+        Its form in the law: a disc, a ball or the faces of a mesh.
     radius
         Of the circle with the area of the sole from below [m].
     """
@@ -365,8 +365,90 @@ class Fit:
 
     @property
     def fits(self) -> bool:
-        """Whether a friction has the soil's force over sinkage within the law's own error."""
+        """True if a friction has the soil's force over sinkage within the law's own error."""
         return not self.at_limit and max(self.residual, self.scatter) <= self.tolerance
+
+
+class Comparison(NamedTuple):
+    """Forces at the frictions tried so far, compared with the soil's.
+
+    Attributes
+    ----------
+    nodes, forces
+        q tried, increasing, shape [q]; mean force at each [N], shape [q, place, part].
+    curve, logs
+        Log force at the values ln q of ``logs``, shape [fine q, part].
+    log_force
+        Log force over ln q, a monotone spline through the means over places.
+    weights
+        Of each part, with a sum of 1 [-].
+    scatter
+        Draws of the error of log force by the place of the surface, shape [draw, part].
+    best, drawn
+        Index into ``logs`` of the q nearest to the soil's forces, and to each draw of them.
+    """
+
+    nodes: FloatArray
+    forces: FloatArray
+    logs: FloatArray
+    curve: FloatArray
+    log_force: Callable[[Any], FloatArray]
+    weights: FloatArray
+    scatter: FloatArray
+    best: int
+    drawn: IntArray
+
+    @classmethod
+    def of(
+        cls, runs: dict[float, FloatArray], target: FloatArray, targets: FloatArray,
+        rng: np.random.Generator,
+    ) -> Comparison:  # fmt: skip
+        """Compare runs, q to forces [place, part]; raises InputError without any force."""
+        from scipy.interpolate import PchipInterpolator
+
+        nodes = np.array(sorted(runs))
+        forces = np.array([runs[node] for node in nodes])
+        means = np.maximum(forces.mean(axis=1), 1e-3 * target)
+        if not np.isfinite(forces).all() or not (forces > 0.0).any():
+            raise InputError("the foot felt no force, or one that is no number: take finer voxels")
+        # Deviations of single places, of which a mean over places has 1/√PLACES.
+        freedom = len(nodes) * (PLACES - 1)
+        deviations = ((forces - forces.mean(axis=1, keepdims=True)) / means[:, None]).reshape(
+            -1, len(target)
+        ) / math.sqrt(freedom * PLACES)
+        variance = np.square(deviations).sum(axis=0)
+        weights = 1.0 / (variance + 0.1**2)  # no part is better than a tenth
+        weights /= weights.sum()
+        logs = np.linspace(np.log(nodes[0]), np.log(nodes[-1]), 801)
+        log_force = PchipInterpolator(np.log(nodes), np.log(means))
+        curve = log_force(logs)
+        # The variance of the places is itself an estimate: Student's t.
+        scatter = rng.standard_normal((len(targets), len(deviations))) @ deviations
+        scatter /= np.sqrt(rng.chisquare(freedom, (len(targets), 1)) / freedom)
+        rows = np.vstack([np.log(target), np.log(targets) - scatter])
+        nearest_q = np.array([np.argmin(np.square(curve - row) @ weights) for row in rows])
+        return cls(
+            nodes, forces, logs, curve, log_force, weights, scatter, int(nearest_q[0]),
+            nearest_q[1:],
+        )  # fmt: skip
+
+    def next_q(self, limits: tuple[float, float]) -> list[float]:
+        """The q to try next, within limits: farther out, or at the best one; none if all is known.
+
+        Draws at an end of what was tried need a q beyond it, and the best one a neighbor.
+        """
+        nodes, last, (low, high) = self.nodes, len(self.logs) - 1, limits
+        is_inside = 0 < self.best < last
+        if len(nodes) >= NODES and is_inside:
+            return []
+        first_draw, last_draw = np.quantile(self.drawn, [0.025, 0.975])
+        if last_draw >= last and nodes[-1] < high * 0.999:
+            return [min(nodes[-1] * STEP, high)]
+        if first_draw <= 0 and nodes[0] > low * 1.001:
+            return [max(nodes[0] / STEP, low)]
+        if is_inside and np.min(np.abs(np.log(nodes) - self.logs[self.best])) > CLOSE:
+            return [float(np.exp(self.logs[self.best]))]
+        return []
 
 
 def fit(
@@ -389,7 +471,7 @@ def fit(
     target
         The soil's, shape [part].
     targets
-        Draws of it, with all that is not known of the soil, shape [draw, part].
+        Draws of it, with all that is uncertain about the soil, shape [draw, part].
     tolerance
         Error of the law in log force.
     start
@@ -406,72 +488,123 @@ def fit(
     InputError
         If the foot feels no force.
     """
-    from scipy.interpolate import PchipInterpolator
-
-    low, high = limits
-    start = min(max(start, low), high)
+    start = min(max(start, limits[0]), limits[1])
+    waiting = [start, min(start * STEP, limits[1])]
     runs: dict[float, FloatArray] = {}
-    waiting = [start, min(start * STEP, high)]
-    wanted, wanted_draws = np.log(target), np.log(targets)
     rng = np.random.default_rng(seed)
     while True:
         for ratio in waiting:
             runs[ratio] = np.array([press(ratio, place) for place in range(PLACES)])
             report(PLACES * len(runs), PLACES * max(len(runs) + 1, 4))
-        nodes = np.array(sorted(runs))
-        forces = np.array([runs[node] for node in nodes])  # [node, place, part]
-        means = np.maximum(forces.mean(axis=1), 1e-3 * target)
-        if not np.isfinite(forces).all() or not (forces > 0.0).any():
-            raise InputError("the foot felt no force, or one that is no number: take finer voxels")
-        # Deviations of single places, of which a mean over places has 1/√PLACES.
-        freedom = len(nodes) * (PLACES - 1)
-        deviations = ((forces - forces.mean(axis=1, keepdims=True)) / means[:, None]).reshape(
-            -1, len(target)
-        ) / math.sqrt(freedom * PLACES)
-        variance = np.square(deviations).sum(axis=0)
-        weights = 1.0 / (variance + 0.1**2)  # no part is better than a tenth
-        weights /= weights.sum()
-        logs = np.linspace(np.log(nodes[0]), np.log(nodes[-1]), 801)
-        between = PchipInterpolator(np.log(nodes), np.log(means))  # [q, part]
-        curve = between(logs)
-        scatter = rng.standard_normal((len(targets), len(deviations))) @ deviations
-        scatter /= np.sqrt(rng.chisquare(freedom, (len(targets), 1)) / freedom)
-
-        rows = np.vstack([wanted, wanted_draws - scatter])
-        nearest_q = np.array([np.argmin(np.square(curve - row) @ weights) for row in rows])
-        chosen, drawn = nearest_q[0], nearest_q[1:]
-        ends = np.quantile(drawn, [0.025, 0.975])
-        last = len(logs) - 1
-        near = np.min(np.abs(np.log(nodes) - logs[chosen]))
-        if ends[1] >= last and nodes[-1] < high * 0.999:
-            waiting = [min(nodes[-1] * STEP, high)]
-        elif ends[0] <= 0 and nodes[0] > low * 1.001:
-            waiting = [max(nodes[0] / STEP, low)]
-        elif 0 < chosen < last and near > CLOSE:
-            waiting = [float(np.exp(logs[chosen]))]
-        else:
+        compared = Comparison.of(runs, target, targets, rng)
+        waiting = compared.next_q(limits)
+        if not waiting:
             break
-        if len(runs) >= NODES and 0 < chosen < last:
-            break
-    inside = (drawn > 0) & (drawn < last)
-    residual, levels = curve[chosen] - wanted, forces.mean(axis=2)
+    best, drawn, last = compared.best, compared.drawn, len(compared.logs) - 1
+    levels = compared.forces.mean(axis=2)
     level = np.maximum(levels.mean(axis=1), 1e-3 * target.mean())
-    own = between(math.log(start))
-    shortfall = (wanted_draws - scatter - own) @ weights
-    limit = {0: "low", last: "high"}.get(int(chosen), "")
+    at_start = compared.log_force(math.log(start))
+    shortfall = (np.log(targets) - compared.scatter - at_start) @ compared.weights
+    residual = compared.curve[best] - np.log(target)
     return Fit(
-        float(np.exp(logs[chosen])),
-        np.exp(logs[drawn]),
-        1.0 - float(inside.mean()),
+        float(np.exp(compared.logs[best])),
+        np.exp(compared.logs[drawn]),
+        1.0 - float(((drawn > 0) & (drawn < last)).mean()),
         np.exp(shortfall),
-        np.exp(curve[chosen]),
-        np.exp(own),
-        math.sqrt(float(np.square(residual) @ weights)),
+        np.exp(compared.curve[best]),
+        np.exp(at_start),
+        math.sqrt(float(np.square(residual) @ compared.weights)),
         float(np.sqrt(np.mean(np.var(levels, axis=1, ddof=1) / level**2))),
         tolerance,
         PLACES * len(runs),
-        limit,
+        {0: "low", last: "high"}.get(best, ""),
     )
+
+
+class Load(NamedTuple):
+    """Mean force of the soil on the foot in each part of the depth, by law ``foot``.
+
+    Attributes
+    ----------
+    force, draws
+        At the median φ [N], shape [part]; draws of it, shape [draw, part].
+    phi_deg, density
+        The draws of φ in plane strain [deg] and of the density [kg/m³] behind them, shape [draw].
+    tolerance
+        The law's own error in log force.
+    """
+
+    force: FloatArray
+    draws: FloatArray
+    phi_deg: FloatArray
+    density: FloatArray
+    tolerance: float
+
+    @classmethod
+    def of(
+        cls, press: Press, ground: SoilDistribution, *, is_rigid: bool, rng: np.random.Generator
+    ) -> Load:
+        """Load on a foot, with all that is uncertain about the soil and the law.
+
+        ``is_rigid``: the simulator's force is in proportion to the density, as the law's is. So is
+        that of Newton's rigid soil. Genesis' is elastic: twice the density gave 1.4 times the force
+        (voxels of 30 mm). It keeps the density of the presses. Raises InputError if φ is outside
+        the law.
+        """
+        sole, middle = press.sole, ground.phi.median
+        low, high = angles_deg(press.surface_friction)
+        if not low <= middle <= high:
+            raise InputError(
+                f"φ = {middle:g}: law 'foot' was simulated for {low:g} to {high:g} deg"
+            )
+        degrees = np.arange(low, high + 0.5)
+        depths = press.depth * (np.arange(THIRDS * FINE) + 0.5) / (THIRDS * FINE)
+        forces = sole.force(
+            depths, degrees, density=ground.density, surface_friction=press.surface_friction
+        )
+        logs = np.log(forces.reshape(-1, THIRDS, FINE).mean(axis=2))
+
+        def law(phi_deg: FloatArray) -> FloatArray:
+            """Mean force in each part of the depth, shape [φ, part]; NaN outside the table."""
+            rows = [np.interp(phi_deg, degrees, row, np.nan, np.nan) for row in logs.T]
+            return np.exp(np.stack(rows, axis=-1))
+
+        law_sd = LAWS["foot"].sd_deg
+        drawn = ground.draws(SAMPLES, rng=rng)
+        # Beyond the law's table its ends: without these draws the others would have another median.
+        angles = drawn.phi_deg + rng.normal(0.0, law_sd, SAMPLES)
+        draws, density = law(np.clip(angles, low, high)), drawn.density
+        if isinstance(sole.foot, Mesh):  # a quarter of log force where a mesh is half round; chosen
+            thirds = np.linspace(0.0, press.depth, THIRDS + 1)[1:]
+            roundness = sole.foot.footprint(thirds)[1]
+            shape_sd = float((roundness * (1.0 - roundness)).max())
+            draws *= np.exp(rng.normal(0.0, shape_sd, (SAMPLES, 1)))
+        if not is_rigid:
+            draws *= (density / ground.density)[:, None]
+            density = np.full(SAMPLES, ground.density)
+        steps = np.diff(np.log(law(middle + law_sd * np.array([-1.0, 0.0, 1.0]))), axis=0)
+        force = law(np.array([middle]))[0]
+        return cls(force, draws, drawn.phi_deg, density, float(np.nanmean(steps)))
+
+
+def _press_of(
+    sole: Sole, voxel: float, depth: float | None, density: float, surface_friction: float,
+    time_step: float, seed: int,
+) -> Press:  # fmt: skip
+    """A press within what can be simulated; raises InputError."""
+    radius = sole.radius
+    deepest = 0.5 * radius if depth is None else depth
+    bounds = {
+        "voxel": (voxel, 0.05 * radius, 2.0 * radius),
+        "depth": (deepest, 0.05 * radius, 2.0 * radius),
+        "density": (density, 500.0, 3000.0),
+        # Two steps of Newton at least in each part of the depth.
+        "time_step": (time_step, 1e-4, 0.5 * deepest / THIRDS / PACE / math.sqrt(GRAVITY * radius)),
+    }
+    for what, (value, least, most) in bounds.items():
+        if not least <= value <= most:
+            raise InputError(f"{what} = {value:g}: {least:.3g} to {most:.3g} are accepted here")
+    return Press(sole, voxel, deepest, density, surface_friction, time_step, seed=seed)
 
 
 def tune(
@@ -548,62 +681,16 @@ def tune(
     ground = soil(phi, anyway=anyway)
     if density is not None:
         mean, sd = density_with_sd(density, "tune")
-        own: dict[str, Any] = {
-            "density": mean,
-            "density_sd": sd,
-            "density_assumed": False,
-            "correlation": 0.0,
-        }
-        ground = replace(ground, **own)
-    sole, middle = Sole.of(foot), ground.phi.median
-    radius = sole.radius
-    deepest = 0.5 * radius if depth is None else depth
-    bounds = {
-        "voxel": (voxel, 0.05 * radius, 2.0 * radius),
-        "depth": (deepest, 0.05 * radius, 2.0 * radius),
-        "density": (ground.density, 500.0, 3000.0),
-        # Two steps of Newton at least in each part of the depth.
-        "time_step": (time_step, 1e-4, 0.5 * deepest / THIRDS / PACE / math.sqrt(GRAVITY * radius)),
-    }
-    for what, (value, least, most) in bounds.items():
-        if not least <= value <= most:
-            raise InputError(f"{what} = {value:g}: {least:.3g} to {most:.3g} are accepted here")
-    press = Press(sole, voxel, deepest, ground.density, surface_friction, time_step, seed=seed)
-    edges = np.linspace(0.0, deepest, THIRDS + 1)
-
-    # Mean force in each part of the depth, shape [φ, part], at whole degrees.
-    low, high = angles_deg(surface_friction)
-    if not low <= middle <= high:
-        raise InputError(f"φ = {middle:g}: law 'foot' was simulated for {low:g} to {high:g} deg")
-    every = np.arange(low, high + 0.5)
-    depths = deepest * (np.arange(THIRDS * FINE) + 0.5) / (THIRDS * FINE)
-    forces = sole.force(depths, every, density=ground.density, surface_friction=surface_friction)
-    logs = np.log(forces.reshape(-1, THIRDS, FINE).mean(axis=2))
-
-    def law(phi_deg: FloatArray) -> FloatArray:
-        """Mean force in each part of the depth, shape [φ, part]; NaN outside the table."""
-        rows = [np.interp(phi_deg, every, row, np.nan, np.nan) for row in logs.T]
-        return np.exp(np.stack(rows, axis=-1))
-
-    rng, law_sd = np.random.default_rng(seed), LAWS["foot"].sd_deg
-    drawn = ground.draws(SAMPLES, rng=rng)
-    # Beyond the law's table its ends: without these draws the others would have another median.
-    angles = drawn.phi_deg + rng.normal(0.0, law_sd, SAMPLES)
-    target, targets = law(np.array([middle]))[0], law(np.clip(angles, low, high))
-    if isinstance(sole.foot, Mesh):  # a quarter of log force where a mesh is half round; chosen
-        roundness = sole.foot.footprint(edges[1:])[1]
-        unknown = float((roundness * (1.0 - roundness)).max())
-        targets *= np.exp(rng.normal(0.0, unknown, (SAMPLES, 1)))
-    # Newton's soil is rigid, so that its force is in proportion to the density, as the law's is.
-    # Genesis' is elastic: twice the density gave 1.4 times the force (voxels of 30 mm). It keeps
-    # the density of the presses.
-    densities = drawn.density
-    if not is_newton:
-        targets *= (densities / ground.density)[:, None]
-        densities = np.full(SAMPLES, ground.density)
-    tolerance = float(
-        np.nanmean(np.diff(np.log(law(middle + law_sd * np.array([-1.0, 0.0, 1.0]))), axis=0))
+        ground = replace(
+            ground, density=mean, density_sd=sd, density_assumed=False, correlation=0.0
+        )
+    press = _press_of(
+        Sole.of(foot), voxel, depth, ground.density, surface_friction, time_step, seed
     )
+    rng = np.random.default_rng(seed)
+    load = Load.of(press, ground, is_rigid=is_newton, rng=rng)
+    ratio_of_soil = math.sin(math.radians(ground.phi.median))
+    edges = np.linspace(0.0, press.depth, THIRDS + 1)
 
     def fitted(press: Press) -> Fit:
         def forces(ratio: float, place: int) -> FloatArray:
@@ -614,12 +701,12 @@ def tune(
             return np.array([force[part == k].mean() for k in range(THIRDS)])
 
         return fit(
-            forces, target, targets, tolerance=tolerance, start=math.sin(math.radians(middle)),
+            forces, load.force, load.draws, tolerance=load.tolerance, start=ratio_of_soil,
             limits=(LEAST, MOST if is_newton else 1.7), seed=seed, report=progress,
         )  # fmt: skip
 
-    found, finest, would = fitted(press), press, None
-    for _ in range(0 if found.fits else finer):
+    best, finest, would = fitted(press), press, None
+    for _ in range(0 if best.fits else finer):
         smaller = replace(finest, voxel=finest.voxel / FINER)
         if smaller.particles > MOST_PARTICLES:
             break
@@ -627,56 +714,66 @@ def tune(
         if fitted(finest).fits:
             would = finest.voxel
             break
-
-    values = np.array([to.law.value(q) for q in found.draws])
+    reason = _reason(to.title, best, load.force, press, finest.voxel, would)
     chosen = rng.choice(SAMPLES, draws) if draws else np.empty(0, dtype=np.int64)
-    summary = _summary(values, to.law.value(found.ratio))
+    result = {
+        **_result(to, press, ground, load, best, chosen),
+        "reason": reason,
+        "caution": " ".join(filter(None, ["" if best.fits else reason, ground.caution])),
+        "voxel_that_does": would,
+        "finest_voxel_tried": finest.voxel,
+    }
+    if path is not None and not (best.fits or anyway):
+        raise InputError(f"{reason} To write a file all the same, add --anyway")
+    write(result, path)
+    return result
+
+
+def _result(
+    to: Simulator, press: Press, ground: SoilDistribution, load: Load, best: Fit, chosen: IntArray
+) -> dict[str, Any]:
+    """Numbers of :func:`tune`, JSON-able; ``chosen`` are the draws to list."""
+    is_newton = to.name != "genesis"
     package = "newton" if is_newton else "genesis-world"
     try:
         version = importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
         version = "of unknown version"
-    reason = _reason(to.title, found, target, press, finest.voxel, would)
-    result = {
+    values = np.array([to.law.value(q) for q in best.draws])
+    summary = _summary(values, to.law.value(best.ratio))
+    phi = ground.phi.median
+    return {
         **described(to),
         "package": package,
         "version": version,
-        "matched": f"force over sinkage of {sole.name} to {1e3 * deepest:.3g} mm, with "
-        f"voxels of {1e3 * voxel:.3g} mm in {package} {version}",
+        "matched": f"force over sinkage of {press.sole.name} to {1e3 * press.depth:.3g} mm, with "
+        f"voxels of {1e3 * press.voxel:.3g} mm in {package} {version}",
         "value": summary.pop("median"),
         **summary,
         "draws": values[chosen].round(6).tolist(),
-        "density_draws_kg_m3": densities[chosen].round(3).tolist(),
-        "draws_without_equivalent": found.lost,
-        "verdict": "carries" if found.fits else "no value",
-        "reason": reason,
-        "caution": " ".join(filter(None, ["" if found.fits else reason, ground.caution])),
-        "residual": round(found.residual, 4),
-        "scatter": round(found.scatter, 4),
-        "tolerance": round(tolerance, 4),
-        "own_value": round(to.law.value(math.sin(math.radians(middle))), 6),
-        "carried": round(1.0 / float(np.median(found.factor)), 4),
-        "density_factor": _summary(found.factor) if is_newton else None,
-        "law_N": np.round(target, 4).tolist(),
-        "forces_N": np.round(found.forces, 4).tolist(),
-        "forces_own_N": np.round(found.carried, 4).tolist(),
-        "presses": found.presses,
-        "phi_plane_strain_deg": _summary(drawn.phi_deg, middle),
+        "density_draws_kg_m3": load.density[chosen].round(3).tolist(),
+        "draws_without_equivalent": best.lost,
+        "verdict": "carries" if best.fits else "no value",
+        "residual": round(best.residual, 4),
+        "scatter": round(best.scatter, 4),
+        "tolerance": round(load.tolerance, 4),
+        "own_value": round(to.law.value(math.sin(math.radians(phi))), 6),
+        "carried": round(1.0 / float(np.median(best.factor)), 4),
+        "density_factor": _summary(best.factor) if is_newton else None,
+        "law_N": np.round(load.force, 4).tolist(),
+        "forces_N": np.round(best.forces, 4).tolist(),
+        "forces_own_N": np.round(best.carried, 4).tolist(),
+        "presses": best.presses,
+        "phi_plane_strain_deg": _summary(load.phi_deg, phi),
         "density_kg_m3": ground.density,
         "density_assumed": ground.density_assumed,
-        "leg_friction_assumed": surface_friction,
+        "leg_friction_assumed": press.surface_friction,
         "leg_friction_about": "that between foot and soil, as given",
-        "voxel_m": voxel,
-        "voxel_that_does": would,
-        "finest_voxel_tried": finest.voxel,
-        "depth_m": deepest,
-        "time_step_s": time_step if is_newton else None,
-        "source": {"answer": ground.name, "record": sole.name, "law": "foot"},
+        "voxel_m": press.voxel,
+        "depth_m": press.depth,
+        "time_step_s": press.time_step if is_newton else None,
+        "source": {"answer": ground.name, "record": press.sole.name, "law": "foot"},
     }
-    if path is not None and not (found.fits or anyway):
-        raise InputError(f"{reason} To write a file all the same, add --anyway")
-    write(result, path)
-    return result
 
 
 def _summary(values: FloatArray, middle: float | None = None) -> dict[str, Any]:
@@ -687,24 +784,24 @@ def _summary(values: FloatArray, middle: float | None = None) -> dict[str, Any]:
 
 
 def _reason(
-    title: str, found: Fit, target: FloatArray, press: Press, finest: float, would: float | None
+    title: str, fit: Fit, target: FloatArray, press: Press, finest: float, would: float | None
 ) -> str:
     """The verdict in a sentence, with the finest voxel that was tried and the one that does."""
     voxel = f"voxels of {1e3 * press.voxel:.3g} mm"
-    if found.fits:
+    if fit.fits:
         return (
             f"{title} with {voxel} carries {press.sole.name} as the soil does, within "
-            f"{found.residual:.0%} over the depth and {found.scatter:.0%} between places of the "
-            f"surface in its voxel (the law's own error: {found.tolerance:.0%})."
+            f"{fit.residual:.0%} over the depth and {fit.scatter:.0%} between places of the "
+            f"surface in its voxel (the law's own error: {fit.tolerance:.0%})."
         )
-    by_part = ", ".join(f"{ratio - 1:+.0%}" for ratio in found.forces / target)
-    if found.at_limit:
-        end = "largest" if found.at_limit == "high" else "least"
+    by_part = ", ".join(f"{ratio - 1:+.0%}" for ratio in fit.forces / target)
+    if fit.at_limit:
+        end = "largest" if fit.at_limit == "high" else "least"
         why = f"at the {end} that was tried the forces are off by {by_part}"
-    elif found.residual <= found.tolerance:
+    elif fit.residual <= fit.tolerance:
         why = (
-            f"the force differs by ± {found.scatter:.0%} with the place of the surface in its "
-            f"voxel, more than by the law's own error ({found.tolerance:.0%})"
+            f"the force differs by ± {fit.scatter:.0%} with the place of the surface in its "
+            f"voxel, more than by the law's own error ({fit.tolerance:.0%})"
         )
     else:
         why = f"at the best one the forces of the thirds of the depth are off by {by_part}"
@@ -716,18 +813,20 @@ def _reason(
     return f"No friction does with {voxel}: {why}. {remedy}"
 
 
-def in_words(found: dict[str, Any]) -> list[str]:
+def in_words(tuned: dict[str, Any]) -> list[str]:
     """Result of :func:`tune`, a sentence each."""
-    factor, lost = found["density_factor"], found["draws_without_equivalent"]
-    own = value_in_words(found["own_value"], found["unit"])
-    carried = f"With the soil's own {own} the grid carries {found['carried']:.0%} of the load"
+    factor, lost = tuned["density_factor"], tuned["draws_without_equivalent"]
+    soil_friction = value_in_words(tuned["own_value"], tuned["unit"])
+    carried = (
+        f"With the soil's own {soil_friction} the grid carries {tuned['carried']:.0%} of the load"
+    )
     if factor:
         low, high = factor["ci95"]
         carried += f": density times {factor['median']:.2f} makes up for it, 95 %: {low:.2f} to "
         carried += f"{high:.2f}"
-    tuned = f"{interval_in_words(found)} ({found['presses']} presses)."
+    value = f"{interval_in_words(tuned)} ({tuned['presses']} presses)."
     beyond = [f"No friction reaches {lost:.0%} of the draws: the interval ends there."]
-    return [found["reason"], tuned, *(beyond if lost > 0.005 else []), f"{carried}."]
+    return [tuned["reason"], value, *(beyond if lost > 0.005 else []), f"{carried}."]
 
 
 def _turned(foot: Foot) -> tuple[FloatArray, IntArray]:

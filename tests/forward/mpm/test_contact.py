@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from terraphi.experiment.leg import frame_axes
 from terraphi.forward.body import Pose
-from terraphi.forward.mpm.contact import contact_of, distance_to_body, touch
+from terraphi.forward.mpm.contact import contact_force, contact_of, distance_to_body
 from terraphi.forward.mpm.lattice import lattice_of, positions
 
 MASS = 1e-3
@@ -36,7 +36,7 @@ def met(body, theta: float, overlap: float, *, rate: float = 3.0) -> SimpleNames
 
     def touched(past, slip=(0.0, 0.0, 0.0)) -> tuple[np.ndarray, ...]:
         """Force of the plate on soil that moves past it, arm and slip."""
-        found = touch(tuple(place), tuple(own + past), tuple(slip), MASS, body, pose)
+        found = contact_force(tuple(place), tuple(own + past), tuple(slip), MASS, body, pose)
         return tuple(map(np.array, found))
 
     def force(past, slip=(0.0, 0.0, 0.0)) -> np.ndarray:

@@ -18,7 +18,7 @@ from terraphi.forward.mpm.bed import geostatic_bed
 from terraphi.forward.mpm.lattice import LANES, lattice_of, positions
 from terraphi.forward.mpm.nodes import phase_of
 from terraphi.forward.mpm.plasticity import material_of
-from terraphi.forward.mpm.solver import begin_phase, settle, step
+from terraphi.forward.mpm.solver import begin_phase, end_phase, step
 
 BODIES = {
     "straight": {},
@@ -215,11 +215,11 @@ def test_a_thrown_grain_is_held_back_and_a_breakdown_is_told(space, grains, cell
     soil.cell[flying] = 16 * lattice.layer + 3 * lattice.row + 9
     soil.offset[flying] = 0.1
     shift, grid = np.zeros((3, lattice.nodes)), np.zeros((4, lattice.nodes))
-    settle(soil, lattice, shift, grid)
+    end_phase(soil, lattice, shift, grid)
     before = positions(lattice, soil.cell, soil.offset)
     shift[0, 14 * lattice.layer :] = cells * lattice.cell_size
     soil.velocity[0, 14 * lattice.layer :] = 2.0
-    lost = settle(soil, lattice, shift, grid)
+    lost = end_phase(soil, lattice, shift, grid)
     if not held:
         assert lost == flying[-1]
         return

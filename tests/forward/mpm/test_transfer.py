@@ -7,8 +7,8 @@ import pytest
 
 from terraphi.forward.mpm.bed import cells_of, geostatic_bed
 from terraphi.forward.mpm.lattice import lattice_of, place_of, positions
-from terraphi.forward.mpm.solver import settle
-from terraphi.forward.mpm.transfer import push, renew
+from terraphi.forward.mpm.solver import end_phase
+from terraphi.forward.mpm.transfer import remap, scatter_force
 
 
 @pytest.fixture(name="bed")
@@ -47,12 +47,12 @@ def test_affine_fields_survive_and_carry_particles(bed) -> None:
     soil.velocity[:] = a + b @ node
     before = positions(lattice, soil.cell, soil.offset)
     still, grid = np.zeros((3, lattice.nodes)), np.zeros((4, lattice.nodes))
-    assert renew(soil, lattice, still, grid) == -1
+    assert remap(soil, lattice, still, grid) == -1
     # Compared as momenta, for nodes on the fringe hold hardly any mass.
     most = np.abs(grid[0]).max() * np.abs(soil.velocity).max()
     np.testing.assert_allclose(grid[1:], grid[0] * soil.velocity, atol=1e-12 * most)
     moves = 0.002 * c + 0.01 * d @ node
-    assert renew(soil, lattice, moves, grid) == -1
+    assert remap(soil, lattice, moves, grid) == -1
     after = positions(lattice, soil.cell, soil.offset)
     np.testing.assert_allclose(after, before + 0.002 * c.T + 0.01 * before @ d.T, atol=1e-12)
     assert np.ptp(after - before, axis=0).min() > 1e-4
@@ -68,7 +68,7 @@ def test_a_field_that_its_mirror_image_continues_survives_at_the_plane(space, si
     plane, first = side * 4 * lattice.cell_size, (1, lattice.count_y - 3)[side]
     field = np.stack([1.0 + 2.0 * x - 3.0 * z, 7.0 * (y - plane), 5.0 * x + z])
     soil.velocity[:] = field
-    assert settle(soil, lattice, np.zeros_like(field), np.zeros((4, lattice.nodes))) == -1
+    assert end_phase(soil, lattice, np.zeros_like(field), np.zeros((4, lattice.nodes))) == -1
     row = nodes % lattice.layer // lattice.row
     heavy = soil.node_mass > 1e-3 * soil.node_mass.max()
     near = heavy & ((row == first) | (row == first + 1))
@@ -80,7 +80,7 @@ def test_mass_and_both_momenta_are_conserved(bed) -> None:
     soil, lattice, node = bed
     soil.velocity[:] = np.random.default_rng(1).normal(size=soil.velocity.shape)
     still, grid = np.zeros((3, lattice.nodes)), np.ones((4, lattice.nodes))
-    renew(soil, lattice, still, grid)
+    remap(soil, lattice, still, grid)
     given = grid[0] * soil.velocity
     assert grid[0].sum() == pytest.approx(soil.mass.sum())
     np.testing.assert_allclose(grid[1:].sum(axis=1), given.sum(axis=1), rtol=1e-10)
@@ -94,6 +94,6 @@ def test_a_force_that_acts_beside_a_particle_has_its_moment(bed) -> None:
     given, arm = rng.normal(size=3), rng.uniform(-0.3, 0.3, 3)
     at = positions(lattice, soil.cell[:1], soil.offset[:1])[0] + arm * lattice.cell_size
     force = np.zeros((3, lattice.nodes))
-    push(force, soil.cell[0], tuple(soil.offset[0]), tuple(given), tuple(arm), lattice)
+    scatter_force(force, soil.cell[0], tuple(soil.offset[0]), tuple(given), tuple(arm), lattice)
     np.testing.assert_allclose(force.sum(axis=1), given)
     np.testing.assert_allclose(np.cross(node, force, axis=0).sum(axis=1), np.cross(at, given))

@@ -1,4 +1,4 @@
-"""The bed of soil before anything moves, and all that is kept of it between two phases."""
+"""The bed of soil before anything moves, and its state between two phases."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Soil(NamedTuple):
     node_mass: NDArray[Any]
     """[kg], shape [node]."""
     velocity: NDArray[Any]
-    """Of the nodes (x, y, z) [m/s], shape [3, node]."""
+    """Velocities of the nodes (x, y, z) [m/s], shape [3, node]."""
 
 
 def geostatic_bed(scenario: Scenario, dtype: DTypeLike = np.float64) -> Soil:
@@ -91,7 +91,7 @@ def cells_of(lattice: Lattice, position: FloatArray) -> tuple[NDArray[np.int32],
 
 
 def _outside_leg(scenario: Scenario, position: FloatArray) -> NDArray[np.bool_]:
-    """Which particles are outside the leg where it starts.
+    """True for particles outside the leg where it starts, shape [particle].
 
     One that overlaps, closer to the leg than its radius, would be shot out: it is moved to where it
     just touches.

@@ -47,7 +47,7 @@ class Contact(NamedTuple):
     half_width: float
     """Half its extent across the plane, or the cylinder's radius [m]."""
     radius: float
-    """Of a particle [m]."""
+    """Half the side of a particle [m]."""
     stiffness: float
     """Force per overlap [N/m]."""
     time_step: float
@@ -140,7 +140,7 @@ def distance_in_space(contact: Contact, place: Three, pose: Pose) -> tuple[float
 
 
 @kernel
-def touch(
+def contact_force(
     place: Three, speed: Three, slip: Three, mass: float, contact: Contact, pose: Pose
 ) -> tuple[Three, Three, Three]:
     """Force of a body on a particle.
@@ -179,25 +179,25 @@ def touch(
     stiffness = contact.stiffness
     dashpot = 2.0 * DAMPING * math.sqrt(stiffness * mass)
     # The dashpot is at most as large as the spring's force, so that contact begins softly.
-    push = stiffness * overlap
-    press = push + min(max(-dashpot * normal, -push), push)
+    spring = stiffness * overlap
+    pressure = spring + min(max(-dashpot * normal, -spring), spring)
     # The elastic slip grows by what the soil slides, and stays in the surface, which may turn.
     along = added(along, -normal, out)
     slip = added(slip, contact.time_step, along)
     slip = added(slip, -dot(slip, out), out)
     # Coulomb: beyond μ times the pressure the spring slips; below, spring and dashpot together
     # are held to that limit.
-    most = contact.outline.friction * press
-    held = stiffness * math.sqrt(dot(slip, slip))
-    if held > most:
-        slip = scaled(most / held, slip)
+    limit = contact.outline.friction * pressure
+    elastic = stiffness * math.sqrt(dot(slip, slip))
+    if elastic > limit:
+        slip = scaled(limit / elastic, slip)
         rub = scaled(-stiffness, slip)
     else:
         rub = added(scaled(-stiffness, slip), -dashpot, along)
         length = math.sqrt(dot(rub, rub))
-        if length > most:
-            rub = scaled(most / length, rub)
-    return added(rub, press, out), scaled(-distance, out), slip
+        if length > limit:
+            rub = scaled(limit / length, rub)
+    return added(rub, pressure, out), scaled(-distance, out), slip
 
 
 @kernel

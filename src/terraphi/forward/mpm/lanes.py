@@ -8,16 +8,27 @@ and nine moments,
     A = Δx ∇v,    B = Δx² ∇∇v    (x, y, z;  xx, yy, zz, xy, xz, yz),
 
 so that the gradient at a particle, an offset r [cell] from the middle, is A + B r. The moments are
-found once for all particles of a cell, from 27 nodes, an axis at a time: value (W), slope (D) and
-second slope (H) of the spline over z, y and x are each a sum over three nodes. The forces go the
-same way back: a cell's sums of stress and of stress times offset, then an axis at a time.
+computed once a cell, from 27 nodes, an axis at a time: value (W), slope (D) and second slope (H) of
+the spline over z, y and x are each a sum over three nodes. The forces go the same way back: a
+cell's sums of stress and of stress times offset, then an axis at a time.
 
 All that passes between the stages lies in one array, ``work``, in rows: a row has one number for
 each cell of a block, or for each node that they reach.
 
-    nodes ── load ──► VELOCITY ── gather_across ──► ACROSS ── gather_along ──► MOMENT, RATE
-                                                                                  │ strain
-    nodes ◄── give_across ── BACK ◄── give_along ── SUM ◄── press_middle ── SUM ◄─┘
+    nodes ─── load ───► VELOCITY ── gather_across ──► ACROSS ── gather_along ──► MOMENT, RATE
+                                                                                     │ strain
+    nodes ◄─ scatter_across ─ BACK ◄─ scatter_along ─ SUM ◄─ add_mean_moments ─ SUM ◄┘
+
+    first row   rows  what each row has
+    VELOCITY      27  v_x (z, y) = (-,-) (-,0) (-,+) (0,-) … (+,+), then v_y, v_z
+    ACROSS        18  v_x: WW DW WD HW WH DD, then v_y, v_z
+    MOMENT        27  v_x: A_X A_Y A_Z B_XX B_YY B_ZZ B_XY B_XZ B_YZ, then v_y, v_z
+    SUM           24  Σσ: XX YY ZZ XY XZ YZ, then Σσr: (x y z) of XX, of YY, … of YZ
+    BACK           6  one component of the force: WW DW WD HW WH DD
+    MIDDLE         3  x y z
+    RATE           1
+    SWELL          3  number, swelling, yielding
+    SHARE          1
 
 The loops over ``lanes`` are what the compiler turns into vector instructions. It does so only if
 their length is an argument, if all indices are unsigned and all arrays flat, if nothing branches,
@@ -57,36 +68,51 @@ Index: TypeAlias = Any
 """An unsigned integer of 64 bits."""
 
 # Numba makes a float of an unsigned and a signed integer, so indices take unsigned ones alone.
-ONE, TWO, THREE, FOUR, FIVE, SIX, SEVEN, EIGHT, NINE = (np.uint64(n) for n in range(1, 10))
+ONE, TWO, THREE = (np.uint64(n) for n in range(1, 4))
 ROW = LANES + LANES
 """Length of a row of ``work``."""
-VELOCITY = np.uint64(0)
-"""27 rows: component, then node (z, y) of the window."""
-ACROSS = np.uint64(27) * ROW
-"""18 rows: component, then (W W, D W, W D, H W, W H, D D) over (y, z)."""
-MOMENT = np.uint64(45) * ROW
-"""27 rows: component, then the nine moments times the time step [-]."""
-SUMS = np.uint64(24)
-SUM = np.uint64(72) * ROW + MARGIN
-"""24 rows: six stresses, then for each its product with the offset (x, y, z) [Pa], with zeros
-before and behind."""
-BACK = np.uint64(96) * ROW
-"""6 rows of forces on their way back: (W W, D W, W D, H W, W H, D D) over (y, z)."""
-MIDDLE = np.uint64(102) * ROW
-"""3 rows: mean offset of a cell's particles (x, y, z) [cell]."""
-RATE = np.uint64(105) * ROW
-"""1 row: volumetric strain there [-]."""
-SWELL = np.uint64(106) * ROW
-"""3 rows: of each cell number, swelling and yielding, as ``plain.Cells`` has them [-]."""
-SHARE = np.uint64(109) * ROW
-"""1 row: change of the mean stress that a cell's particles share [Pa]."""
-WORK = np.uint64(110) * ROW + ROW
+
+
+def _rows(count: int, first: int = 0, step: int = 1) -> tuple[Index, ...]:
+    """Places of rows in ``work``, as constants of the kernels."""
+    return tuple(np.uint64(first + step * n) * ROW for n in range(count))
+
+
+# Groups of rows: the module's drawing has what they hold.
+(VELOCITY, ACROSS, MOMENT, _SUM, BACK, MIDDLE, RATE, SWELL, SHARE, _END) = (
+    np.uint64(n) * ROW for n in (0, 27, 45, 72, 96, 102, 105, 106, 109, 110)
+)
+SUM = _SUM + MARGIN
+"""Begins with zeros, as it ends: :func:`scatter_along` reads two cells beyond either end."""
+WORK = _END + ROW
+"""Length of ``work``."""
+
+LAYER = THREE * ROW
+"""From a layer of nodes (z) to the next in VELOCITY."""
+NODE_ROWS = np.uint64(9) * ROW
+"""From a component to the next in VELOCITY, and in MOMENT."""
+ACROSS_ROWS = np.uint64(6) * ROW
+"""From a component to the next in ACROSS."""
+WW, DW, WD, HW, WH, DD = _rows(6)
+"""Value W, slope D or second slope H of the splines over y, then over z; in ACROSS and BACK."""
+A_X, A_Y, A_Z, B_XX, B_YY, B_ZZ, B_XY, B_XZ, B_YZ = _rows(9)
+"""Moments of a velocity component times the time step [-], in MOMENT."""
+XX, YY, ZZ, XY, XZ, YZ = _rows(6)
+"""Sums of each stress over the particles of a cell [Pa], in SUM."""
+R_XX, R_YY, R_ZZ, R_XY, R_XZ, R_YZ = _rows(6, first=6, step=3)
+"""Sums of each stress times the offset (x, y, z) [Pa cell], three rows each, in SUM."""
+X_ROW, Y_ROW, Z_ROW = _rows(3)
+"""Components of an offset, in MIDDLE and in the three rows of a stress."""
+NUMBER, SWELLING, YIELDING = _rows(3)
+"""Sums over the particles of a cell, as ``plain.Cells`` has them [-], in SWELL."""
 
 _FIELD = [np.uint64(field) * LANES for field in range(packing.FIELDS)]
 X, Y, Z, SXX, SYY, SZZ, SXY, SXZ, SYZ, STRAIN, VOLUME = _FIELD
 FIELDS = np.uint64(packing.FIELDS) * LANES
-XX, YY, ZZ, XY, XZ, YZ = (np.uint64(n) for n in range(6))
-"""Order of the stresses among the sums."""
+FACES_X, FACES_Y, FACES_Z = (XX, XY, XZ), (XY, YY, YZ), (XZ, YZ, ZZ)
+"""Stresses on the faces across x, y and z that act along x, along y and along z."""
+ARMS_X, ARMS_Y, ARMS_Z = (R_XX, R_XY, R_XZ), (R_XY, R_YY, R_YZ), (R_XZ, R_YZ, R_ZZ)
+"""Sums of these stresses times the offset."""
 
 _F = np.float32
 ZERO, HALF, UNIT, DOUBLE = (_F(n) for n in (0.0, 0.5, 1.0, 2.0))
@@ -128,7 +154,7 @@ class FastStrain:
         scale = np.float32(time_step / self._lattice.cell_size)
         grid = (self._lattice, soil.velocity, force, self._work)
         top = used // self._lattice.layer
-        strain(self._packets, *grid, *self._laws, scale, self._area, top, LANES)
+        strain_particles(self._packets, *grid, *self._laws, scale, self._area, top, LANES)
 
     def end(self, soil: Soil) -> None:
         """Write stresses back."""
@@ -137,7 +163,7 @@ class FastStrain:
 
 
 @entry
-def strain(
+def strain_particles(
     packets: Packets,
     lattice: Lattice,
     velocity: Nodes,
@@ -166,7 +192,7 @@ def strain(
     laws, held
         Constants, and those with the mean stress held.
     sharing
-        Whether the particles of a cell share their plastic changes of volume.
+        True if the particles of a cell share their plastic changes of volume.
     scale
         Time over Δx [s/m], in single precision.
     area
@@ -205,7 +231,7 @@ def strain(
                     gather_along(work, component, scale, lanes)
                 rate_of_cells(work, lanes)
                 # Strain, packet after packet; each adds its stress to the sums of its cells.
-                for i in range(SUM - MARGIN, SUM - MARGIN + SUMS * ROW):
+                for i in range(_SUM, BACK):
                     work[i] = ZERO
                 if sharing:
                     strain_sharing(packets.state, work, first, last, lanes, laws, held)
@@ -213,10 +239,10 @@ def strain(
                     for packet in range(first, last):
                         strain_packet(packets.state, work, packet, lanes, laws)
                 # Sums to forces, the same way back, one component after the other.
-                press_middle(work, lanes)
-                lay_down(work, fx, at, (XX, XY, XZ), area, row, layer, wide)
-                lay_down(work, fy, at, (XY, YY, YZ), area, row, layer, wide)
-                lay_down(work, fz, at, (XZ, YZ, ZZ), area, row, layer, wide)
+                add_mean_moments(work, lanes)
+                scatter_forces(work, fx, at, FACES_X, ARMS_X, area, row, layer, wide)
+                scatter_forces(work, fy, at, FACES_Y, ARMS_Y, area, row, layer, wide)
+                scatter_forces(work, fz, at, FACES_Z, ARMS_Z, area, row, layer, wide)
 
 
 @kernel
@@ -251,7 +277,7 @@ def load(work: Work, velocity: Nodes, at: Index, row: Index, layer: Index, wide:
         for c in range(THREE):
             for b in range(THREE):
                 node = at + c * layer + b * row
-                to = VELOCITY + ((component * THREE + c) * THREE + b) * ROW
+                to = VELOCITY + component * NODE_ROWS + c * LAYER + b * ROW
                 for i in range(wide):
                     work[to + i] = speed[node + i]
 
@@ -268,19 +294,19 @@ def spline(work: Work, at: Index, step: Index) -> tuple[Any, Any, Any]:
 def gather_across(work: Work, component: Index, wide: Index) -> None:
     """Sums over y and z of a velocity component, at every x that a block reaches."""
     wide_vectors()
-    v, to = VELOCITY + component * NINE * ROW, ACROSS + component * SIX * ROW
+    v, to = VELOCITY + component * NODE_ROWS, ACROSS + component * ACROSS_ROWS
     for i in range(wide):
-        # Over y in each of three layers, then over z.
+        # Over y in each of three layers of nodes, three rows apart, then over z.
         w0, d0, h0 = spline(work, v + i, ROW)
-        w1, d1, h1 = spline(work, v + THREE * ROW + i, ROW)
-        w2, d2, h2 = spline(work, v + SIX * ROW + i, ROW)
-        # W W, D W, W D, H W, W H, D D: no more are needed, for moments are at most second ones.
-        work[to + i] = SIDE * (w0 + w2) + CENTRE * w1
-        work[to + ROW + i] = SIDE * (d0 + d2) + CENTRE * d1
-        work[to + TWO * ROW + i] = HALF * (w2 - w0)
-        work[to + THREE * ROW + i] = SIDE * (h0 + h2) + CENTRE * h1
-        work[to + FOUR * ROW + i] = w0 + w2 - DOUBLE * w1
-        work[to + FIVE * ROW + i] = HALF * (d2 - d0)
+        w1, d1, h1 = spline(work, v + LAYER + i, ROW)
+        w2, d2, h2 = spline(work, v + LAYER + LAYER + i, ROW)
+        # No other products are needed, for the moments are second derivatives at most.
+        work[to + WW + i] = SIDE * (w0 + w2) + CENTRE * w1
+        work[to + DW + i] = SIDE * (d0 + d2) + CENTRE * d1
+        work[to + WD + i] = HALF * (w2 - w0)
+        work[to + HW + i] = SIDE * (h0 + h2) + CENTRE * h1
+        work[to + WH + i] = w0 + w2 - DOUBLE * w1
+        work[to + DD + i] = HALF * (d2 - d0)
 
 
 @kernel
@@ -291,49 +317,50 @@ def gather_along(work: Work, component: Index, scale: Any, lanes: Index) -> None
     that in x is D of W W, that in y is W of D W, that in xy is D of D W, and so on.
     """
     wide_vectors()
-    v, to = ACROSS + component * SIX * ROW, MOMENT + component * NINE * ROW
+    v, to = ACROSS + component * ACROSS_ROWS, MOMENT + component * NODE_ROWS
     # In two loops, as one would need more registers than there are.
     for i in range(lanes):
-        _, d, h = spline(work, v + i, ONE)
-        work[to + i], work[to + THREE * ROW + i] = scale * d, scale * h
-        w, d, _ = spline(work, v + ROW + i, ONE)
-        work[to + ROW + i], work[to + SIX * ROW + i] = scale * w, scale * d
-        w, d, _ = spline(work, v + TWO * ROW + i, ONE)
-        work[to + TWO * ROW + i], work[to + SEVEN * ROW + i] = scale * w, scale * d
+        _, d, h = spline(work, v + WW + i, ONE)
+        work[to + A_X + i], work[to + B_XX + i] = scale * d, scale * h
+        w, d, _ = spline(work, v + DW + i, ONE)
+        work[to + A_Y + i], work[to + B_XY + i] = scale * w, scale * d
+        w, d, _ = spline(work, v + WD + i, ONE)
+        work[to + A_Z + i], work[to + B_XZ + i] = scale * w, scale * d
+    # What has no derivative in x is a value over x.
     for i in range(lanes):
-        yy, _, _ = spline(work, v + THREE * ROW + i, ONE)
-        zz, _, _ = spline(work, v + FOUR * ROW + i, ONE)
-        yz, _, _ = spline(work, v + FIVE * ROW + i, ONE)
-        work[to + FOUR * ROW + i] = scale * yy
-        work[to + FIVE * ROW + i] = scale * zz
-        work[to + EIGHT * ROW + i] = scale * yz
+        yy, _, _ = spline(work, v + HW + i, ONE)
+        zz, _, _ = spline(work, v + WH + i, ONE)
+        yz, _, _ = spline(work, v + DD + i, ONE)
+        work[to + B_YY + i] = scale * yy
+        work[to + B_ZZ + i] = scale * zz
+        work[to + B_YZ + i] = scale * yz
 
 
 @kernel
 def rate_of_cells(work: Work, lanes: Index) -> None:
     """Volumetric strain at the mean offset of each cell's particles, which is their mean."""
     wide_vectors()
-    # tr(L) at the mean offset: L is linear in r, so this is the mean of the particles' own.
+    # tr(L) at the mean offset: L is linear in r, so this is the mean over the particles (B-bar).
     for i in range(lanes):
-        x, y, z = work[MIDDLE + i], work[MIDDLE + ROW + i], work[MIDDLE + TWO * ROW + i]
+        x, y, z = work[MIDDLE + X_ROW + i], work[MIDDLE + Y_ROW + i], work[MIDDLE + Z_ROW + i]
         m = MOMENT + i
         dxx, _, _ = strain_of(work, m, x, y, z)
-        _, dyy, _ = strain_of(work, m + NINE * ROW, x, y, z)
-        _, _, dzz = strain_of(work, m + NINE * TWO * ROW, x, y, z)
+        _, dyy, _ = strain_of(work, m + NODE_ROWS, x, y, z)
+        _, _, dzz = strain_of(work, m + NODE_ROWS + NODE_ROWS, x, y, z)
         work[RATE + i] = dxx + dyy + dzz
 
 
 @kernel
-def press_middle(work: Work, lanes: Index) -> None:
+def add_mean_moments(work: Work, lanes: Index) -> None:
     """Let the mean stress act at the mean offset, the transpose of :func:`rate_of_cells`."""
     wide_vectors()
     for i in range(lanes):
-        mean = THIRD * (work[SUM + i] + work[SUM + ROW + i] + work[SUM + TWO * ROW + i])
-        x, y, z = work[MIDDLE + i], work[MIDDLE + ROW + i], work[MIDDLE + TWO * ROW + i]
-        to = SUM + SIX * ROW + i  # the moments of σ_xx, σ_yy and σ_zz
-        add_moments(work, to, mean, x, y, z)
-        add_moments(work, to + THREE * ROW, mean, x, y, z)
-        add_moments(work, to + SIX * ROW, mean, x, y, z)
+        # A cell has one volumetric strain, so its mean stress p acts as one: Σ p r = p Σ r.
+        mean = THIRD * (work[SUM + XX + i] + work[SUM + YY + i] + work[SUM + ZZ + i])
+        x, y, z = work[MIDDLE + X_ROW + i], work[MIDDLE + Y_ROW + i], work[MIDDLE + Z_ROW + i]
+        add_moments(work, SUM + R_XX + i, mean, x, y, z)
+        add_moments(work, SUM + R_YY + i, mean, x, y, z)
+        add_moments(work, SUM + R_ZZ + i, mean, x, y, z)
 
 
 @kernel
@@ -342,11 +369,12 @@ def strain_of(work: Work, at: Index, x: Any, y: Any, z: Any) -> tuple[Any, Any, 
 
     ``at`` is where its first moment stands in ``work``.
     """
-    xy, xz, yz = work[at + SIX * ROW], work[at + SEVEN * ROW], work[at + EIGHT * ROW]
+    # A + B r, with B symmetric: mixed derivatives do not depend on their order.
+    xy, xz, yz = work[at + B_XY], work[at + B_XZ], work[at + B_YZ]
     return (
-        work[at] + work[at + THREE * ROW] * x + xy * y + xz * z,
-        work[at + ROW] + xy * x + work[at + FOUR * ROW] * y + yz * z,
-        work[at + TWO * ROW] + xz * x + yz * y + work[at + FIVE * ROW] * z,
+        work[at + A_X] + work[at + B_XX] * x + xy * y + xz * z,
+        work[at + A_Y] + xy * x + work[at + B_YY] * y + yz * z,
+        work[at + A_Z] + xz * x + yz * y + work[at + B_ZZ] * z,
     )
 
 
@@ -380,38 +408,41 @@ def predicted(state: Work, work: Work, at: Index, i: Index, laws: Material) -> S
     m = MOMENT + i
     # Velocity gradient times the step at the particle, row by row.
     dxx, axy, axz = strain_of(work, m, x, y, z)
-    ayx, dyy, ayz = strain_of(work, m + NINE * ROW, x, y, z)
-    azx, azy, dzz = strain_of(work, m + NINE * TWO * ROW, x, y, z)
+    ayx, dyy, ayz = strain_of(work, m + NODE_ROWS, x, y, z)
+    azx, azy, dzz = strain_of(work, m + NODE_ROWS + NODE_ROWS, x, y, z)
     strains = (dxx, axy, axz, ayx, dyy, ayz, azx, azy, dzz)
     return jaumann_predictor(stress_of(state, at, ZERO), strains, work[RATE + i], laws, HALF)
 
 
 @kernel
-def settle(state: Work, work: Work, at: Index, i: Index, trial: Six, laws: Material) -> None:
+def return_and_sum(
+    state: Work, work: Work, at: Index, i: Index, trial: Six, laws: Material
+) -> None:
     """Return a trial stress [Pa] of a particle, keep it, and add it to the sums of its cell."""
     # The return of `plain`, in single precision and without branches.
-    made, slip, _ = return_to_surface(trial, state[at + STRAIN], laws, SINGLE_PRECISION)
-    xx, yy, zz, xy, xz, yz = made
-    keep(state, at, made)
+    stress, slip, _ = return_to_surface(trial, state[at + STRAIN], laws, SINGLE_PRECISION)
+    xx, yy, zz, xy, xz, yz = stress
+    keep(state, at, stress)
     state[at + STRAIN] += slip
     # An empty lane has no volume, and adds nothing.
     full, to = state[at + VOLUME], SUM + i
     xx, yy, zz, xy, xz, yz = full * xx, full * yy, full * zz, full * xy, full * xz, full * yz
-    work[to] += xx
-    work[to + ROW] += yy
-    work[to + TWO * ROW] += zz
-    work[to + THREE * ROW] += xy
-    work[to + FOUR * ROW] += xz
-    work[to + FIVE * ROW] += yz
-    # The mean stress is one for a cell, and acts in its middle: see press_middle.
+    work[to + XX] += xx
+    work[to + YY] += yy
+    work[to + ZZ] += zz
+    work[to + XY] += xy
+    work[to + XZ] += xz
+    work[to + YZ] += yz
+    # Only the deviator acts at the particle's place; the mean stress follows for the whole cell
+    # in add_mean_moments.
     mean = THIRD * (xx + yy + zz)
     x, y, z = state[at + X], state[at + Y], state[at + Z]
-    add_moments(work, to + SIX * ROW, xx - mean, x, y, z)
-    add_moments(work, to + NINE * ROW, yy - mean, x, y, z)
-    add_moments(work, to + (SIX + SIX) * ROW, zz - mean, x, y, z)
-    add_moments(work, to + (NINE + SIX) * ROW, xy, x, y, z)
-    add_moments(work, to + (NINE + NINE) * ROW, xz, x, y, z)
-    add_moments(work, to + (NINE + NINE + THREE) * ROW, yz, x, y, z)
+    add_moments(work, to + R_XX, xx - mean, x, y, z)
+    add_moments(work, to + R_YY, yy - mean, x, y, z)
+    add_moments(work, to + R_ZZ, zz - mean, x, y, z)
+    add_moments(work, to + R_XY, xy, x, y, z)
+    add_moments(work, to + R_XZ, xz, x, y, z)
+    add_moments(work, to + R_YZ, yz, x, y, z)
 
 
 @kernel
@@ -420,7 +451,7 @@ def strain_packet(state: Work, work: Work, packet: Index, lanes: Index, laws: Ma
     wide_vectors()
     for i in range(lanes):
         at = packet * FIELDS + i
-        settle(state, work, at, i, predicted(state, work, at, i, laws), laws)
+        return_and_sum(state, work, at, i, predicted(state, work, at, i, laws), laws)
 
 
 @kernel
@@ -450,10 +481,11 @@ def swell_packet(
         clamped = (trial[0] - over, trial[1] - over, trial[2] - over, trial[3], trial[4], trial[5])
         _, _, most = return_to_surface(clamped, strain, held, SINGLE_PRECISION)
         # 1 + b = e / ẽ where both yield, else 1; the inner choice keeps 0 / 0 from being computed.
-        both = alone * most > ZERO
-        work[SWELL + i] += full
-        work[SWELL + ROW + i] += full * most
-        work[SWELL + TWO * ROW + i] += full * (most / (alone if both else UNIT) if both else UNIT)
+        yields = alone * most > ZERO
+        slope = most / (alone if yields else UNIT) if yields else UNIT
+        work[SWELL + NUMBER + i] += full
+        work[SWELL + SWELLING + i] += full * most
+        work[SWELL + YIELDING + i] += full * slope
 
 
 @kernel
@@ -462,8 +494,8 @@ def share(work: Work, lanes: Index, laws: Material) -> None:
     wide_vectors()
     for i in range(lanes):
         # s -= (n s + K Σ e) / Σ (1 + b), as in `plain`; a cell without soil keeps s = 0.
-        number, swelling = work[SWELL + i], work[SWELL + ROW + i]
-        slope = work[SWELL + TWO * ROW + i]
+        number, swelling = work[SWELL + NUMBER + i], work[SWELL + SWELLING + i]
+        slope = work[SWELL + YIELDING + i]
         slope = slope if number > ZERO else UNIT
         work[SHARE + i] -= (number * work[SHARE + i] + laws.bulk_modulus * swelling) / slope
 
@@ -474,53 +506,57 @@ def return_packet(state: Work, work: Work, packet: Index, lanes: Index, held: Ma
     wide_vectors()
     for i in range(lanes):
         at = packet * FIELDS + i
-        settle(state, work, at, i, stress_of(state, at, work[SHARE + i]), held)
+        return_and_sum(state, work, at, i, stress_of(state, at, work[SHARE + i]), held)
 
 
 @kernel
 def add_moments(work: Work, to: Index, stress: Any, x: Any, y: Any, z: Any) -> None:
     """Add a stress times the offset to three rows."""
-    work[to] += stress * x
-    work[to + ROW] += stress * y
-    work[to + TWO * ROW] += stress * z
+    work[to + X_ROW] += stress * x
+    work[to + Y_ROW] += stress * y
+    work[to + Z_ROW] += stress * z
 
 
 @kernel
-def give_along(work: Work, x: Index, y: Index, z: Index, scale: Any, wide: Index) -> None:
+def scatter_along(
+    work: Work, faces: tuple[Index, Index, Index], arms: tuple[Index, Index, Index], scale: Any,
+    wide: Index,
+) -> None:  # fmt: skip
     """Forces that a row of cells gives along x, still to be spread over y and z.
 
-    The transpose of :func:`gather_along`; ``x``, ``y``, ``z`` say which of the six stresses act on
-    the faces across x, y and z, ``scale`` is minus volume over Δx [m²].
+    The transpose of :func:`gather_along`. ``faces`` are the rows of the stresses on the faces
+    across x, y and z, ``arms`` those of their products with the offset; ``scale`` is minus volume
+    over Δx [m²].
     """
     wide_vectors()
     s = SUM - TWO  # node i of the window is the last of cell i - 2, the first of cell i
     # Rows of Σ σ, and of Σ σ r, of the stresses on the faces across x, y and z.
-    xs, ys, zs = s + x * ROW, s + y * ROW, s + z * ROW
-    xm = s + (SIX + THREE * x) * ROW
-    ym = s + (SIX + THREE * y) * ROW
-    zm = s + (SIX + THREE * z) * ROW
+    xs, ys, zs = s + faces[0], s + faces[1], s + faces[2]
+    xm, ym, zm = s + arms[0], s + arms[1], s + arms[2]
     for i in range(wide):
-        # W W: the slope of σ's sum and the second slope of its moment along x.
+        # W W: the slope of σ's sum and the second slope of its moment along x. Seen from a node
+        # the cells lie the other way round, so that slopes change their sign.
         _, d, _ = spline(work, xs + i, ONE)
-        _, _, h = spline(work, xm + i, ONE)
-        work[BACK + i] = scale * (h - d)
-        p, q = xm + ROW + i, ym + i  # the moments of x in y and of y in x
+        _, _, h = spline(work, xm + X_ROW + i, ONE)
+        work[BACK + WW + i] = scale * (h - d)
+        # D W: Σ σ_y itself, and the slope along x of the moments of x in y and of y in x.
+        p, q = xm + Y_ROW + i, ym + X_ROW + i
         bent = work[p] + work[q] - work[p + TWO] - work[q + TWO]
-        work[BACK + ROW + i] = scale * (spline(work, ys + i, ONE)[0] + HALF * bent)
+        work[BACK + DW + i] = scale * (spline(work, ys + i, ONE)[0] + HALF * bent)
         # W D: the same for z, as D W above for y.
-        p, q = xm + TWO * ROW + i, zm + i
+        p, q = xm + Z_ROW + i, zm + X_ROW + i
         bent = work[p] + work[q] - work[p + TWO] - work[q + TWO]
-        work[BACK + TWO * ROW + i] = scale * (spline(work, zs + i, ONE)[0] + HALF * bent)
+        work[BACK + WD + i] = scale * (spline(work, zs + i, ONE)[0] + HALF * bent)
     for i in range(wide):
-        # H W, W H and D D: moments within y and z.
-        both = spline(work, ym + TWO * ROW + i, ONE)[0] + spline(work, zm + ROW + i, ONE)[0]
-        work[BACK + THREE * ROW + i] = scale * spline(work, ym + ROW + i, ONE)[0]
-        work[BACK + FOUR * ROW + i] = scale * spline(work, zm + TWO * ROW + i, ONE)[0]
-        work[BACK + FIVE * ROW + i] = scale * both
+        # H W, W H and D D: moments within y and z, values over x.
+        mixed = spline(work, ym + Z_ROW + i, ONE)[0] + spline(work, zm + Y_ROW + i, ONE)[0]
+        work[BACK + HW + i] = scale * spline(work, ym + Y_ROW + i, ONE)[0]
+        work[BACK + WH + i] = scale * spline(work, zm + Z_ROW + i, ONE)[0]
+        work[BACK + DD + i] = scale * mixed
 
 
 @kernel
-def give_across(
+def scatter_across(
     work: Work, force: Work, at: Index, y: tuple[Any, Any, Any], z: tuple[Any, Any, Any],
     wide: Index,
 ) -> None:  # fmt: skip
@@ -530,29 +566,27 @@ def give_across(
     ww, dw, wd = y[0] * z[0], y[1] * z[0], y[0] * z[1]
     hw, wh, dd = y[2] * z[0], y[0] * z[2], y[1] * z[1]
     for i in range(wide):
-        first = ww * work[BACK + i] + dw * work[BACK + ROW + i]
-        second = wd * work[BACK + TWO * ROW + i] + hw * work[BACK + THREE * ROW + i]
-        third = wh * work[BACK + FOUR * ROW + i] + dd * work[BACK + FIVE * ROW + i]
+        first = ww * work[BACK + WW + i] + dw * work[BACK + DW + i]
+        second = wd * work[BACK + WD + i] + hw * work[BACK + HW + i]
+        third = wh * work[BACK + WH + i] + dd * work[BACK + DD + i]
         force[at + i] += first + second + third
 
 
 @kernel
-def lay_down(
+def scatter_forces(
     work: Work,
     force: Work,
     at: Index,
-    stresses: tuple[Index, Index, Index],
+    faces: tuple[Index, Index, Index],
+    arms: tuple[Index, Index, Index],
     area: Any,
     row: Index,
     layer: Index,
     wide: Index,
 ) -> None:
-    """Add one component of a block's forces to its nodes.
-
-    ``stresses`` says which of the six act on the faces across x, y and z.
-    """
-    give_along(work, stresses[0], stresses[1], stresses[2], area, wide)
+    """Add one component of a block's forces to its nodes; arguments as of its two steps."""
+    scatter_along(work, faces, arms, area, wide)
     # To the nine rows (z, y) of the window that load read.
     for c in range(THREE):
         for b in range(THREE):
-            give_across(work, force, at + c * layer + b * row, SPLINES[b], SPLINES[c], wide)
+            scatter_across(work, force, at + c * layer + b * row, SPLINES[b], SPLINES[c], wide)

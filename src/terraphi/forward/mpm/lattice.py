@@ -66,8 +66,8 @@ def positions(
     lattice: Lattice, cell: NDArray[np.int32], offset: NDArray[Any]
 ) -> NDArray[np.float64]:
     """Places of particles (x, y, z) [m], shape [particle, 3], from cells and offsets [cell]."""
-    k, rest = np.divmod(cell.astype(np.int64), lattice.layer)
-    j, i = np.divmod(rest, lattice.row)
+    k, in_layer = np.divmod(cell.astype(np.int64), lattice.layer)
+    j, i = np.divmod(in_layer, lattice.row)
     node = np.stack([i, j - 0.5, k], axis=1)
     return np.asarray((node + offset.astype(np.float64)) * lattice.cell_size)
 
@@ -75,6 +75,7 @@ def positions(
 @kernel
 def place_of(lattice: Lattice, cell: int, x: float, y: float, z: float) -> Three:
     """Place (x, y, z) [m] of a cell and an offset [cell]."""
+    # Layer, row and column of the cell's node; rows lie half a cell off the plane of symmetry.
     k = cell // lattice.layer
     j = (cell - k * lattice.layer) // lattice.row
     i = cell - k * lattice.layer - j * lattice.row

@@ -48,20 +48,20 @@ class Phase(NamedTuple):
     """g [m/s²]."""
     damping: float
     """Factor on velocities each step [-]."""
-    lead: float
-    """Share of a step's change by which forces of the stress lead it [-]."""
-    left: float
-    """Left wall x [m]."""
-    right: float
-    """Right wall x [m]."""
+    damping_share: float
+    """Share of a step's change of the stress's forces that is added to them [-]."""
+    first_x: float
+    """Place of the wall behind, where x is least [m]."""
+    last_x: float
+    """Place of the wall ahead [m]."""
     floor: float
     """Floor z [m]."""
     rough: bool
-    """Whether soil that presses on the floor sticks."""
+    """True if soil that presses on the floor sticks."""
     least_mass: float
     """Least inertia of a node [kg]."""
     mass: float
-    """Of the soil of the grid [kg]."""
+    """Mass of the soil of the grid [kg]."""
     per_mass: NDArray[Any]
     """1 over a node's inertia, 0 where there is no soil [1/kg], shape [node]."""
     share: NDArray[Any]
@@ -76,17 +76,17 @@ class Phase(NamedTuple):
     near: NDArray[np.int64]
     """Particles near the leg, shape [particle]; the first ``counts[3]`` count."""
     force: Nodes
-    """Of stress and leg on the nodes [N], shape [3, node]."""
+    """Forces of stress and leg on the nodes [N], shape [3, node]."""
     before: Nodes
     """Force of the stress at the step before [N]."""
     shift: Nodes
-    """How far the nodes have moved in the phase [m]."""
+    """Displacements of the nodes in the phase [m]."""
 
 
 def phase_of(scenario: Scenario, soil: Soil) -> Phase:
     """Constants of a scenario and its soil, with working memory."""
     bed, numerics, lattice = scenario.bed, scenario.numerics, lattice_of(scenario)
-    count, real, whole = lattice.nodes, soil.velocity.dtype, np.int64
+    count, real = lattice.nodes, soil.velocity.dtype
     slack = ON_WALL * numerics.cell_size
     return Phase(
         lattice,
@@ -102,16 +102,16 @@ def phase_of(scenario: Scenario, soil: Soil) -> Phase:
         LEAST_MASS * scenario.soil.density * math.pow(numerics.cell_size, 3),
         float(soil.mass.sum(dtype=np.float64)),
         *(np.zeros(count, real) for _ in range(2)),
-        *(np.zeros(size, whole) for size in (count, count, 4, soil.cell.size)),
+        *(np.zeros(size, np.int64) for size in (count, count, 4, soil.cell.size)),
         *(np.zeros((3, count), real) for _ in range(3)),
     )
 
 
 @kernel
-def take_over(soil: Soil, lattice: Lattice, grid: FloatArray) -> None:
+def grid_velocities(soil: Soil, lattice: Lattice, grid: FloatArray) -> None:
     """Make velocities of masses and momenta, those of the images included.
 
-    ``grid`` is as :func:`~terraphi.forward.mpm.transfer.renew` leaves it; changed.
+    ``grid`` is as :func:`~terraphi.forward.mpm.transfer.remap` leaves it; changed.
     """
     # What the splines gave to images belongs to the nodes that they mirror.
     fold(grid[:1], lattice, lattice.nodes)
@@ -156,8 +156,8 @@ def fold(nodes: Nodes, lattice: Lattice, used: int) -> None:
 
 
 @kernel
-def weigh(soil: Soil, phase: Phase) -> None:
-    """Find inertia, light nodes and wall nodes of a phase."""
+def inertia_and_lists(soil: Soil, phase: Phase) -> None:
+    """Fill in the inertia of the nodes of a phase, and list its light nodes and wall nodes."""
     lattice = phase.lattice
     light, wall, used = 0, 0, 0
     for q in range(lattice.nodes):
@@ -177,7 +177,7 @@ def weigh(soil: Soil, phase: Phase) -> None:
             phase.light[light] = q
             light += 1
         x, _, z = place_of(lattice, q, 0.0, 0.0, 0.0)
-        if x <= phase.left or x >= phase.right or z <= phase.floor:
+        if x <= phase.first_x or x >= phase.last_x or z <= phase.floor:
             phase.wall[wall] = q
             wall += 1
     phase.counts[0], phase.counts[1] = light, wall
@@ -196,8 +196,10 @@ def momentum(soil: Soil) -> tuple[float, float]:
 
 
 @kernel
-def lead(force: NDArray[Any], before: NDArray[Any], share: Any, count: np.uint64) -> None:
-    """Let forces of the first nodes lead their stress, f + share (f - f of the step before).
+def stiffness_damping(
+    force: NDArray[Any], before: NDArray[Any], share: Any, count: np.uint64
+) -> None:
+    """Damp in proportion to stiffness: the first nodes get f + share (f - f of the step before).
 
     Places and weights are held for a phase, so that this is the force of the stress and of share Δt
     times its rate: damping in proportion to the tangent stiffness, whose ratio at the angular
@@ -242,7 +244,7 @@ def step(soil: Soil, phase: Phase, impulses: FloatArray) -> None:
     lattice, force = phase.lattice, phase.force
     used, time_step = phase.counts[2], phase.time_step
     fold(force, lattice, used)
-    # Gravity pulls at the whole mass; what light nodes do not get of it is entered apart.
+    # Gravity pulls at the whole mass; what light nodes do not get of it has a row of its own.
     impulses[0, 1] -= phase.mass * phase.gravity * time_step
     # A light node gets share m of what its force asks for: Δt (share - 1) f is missing.
     for number in range(phase.counts[0]):
@@ -276,9 +278,9 @@ def walls(soil: Soil, phase: Phase, impulses: FloatArray) -> None:
         px, pz = float(velocity[0, q]), float(velocity[2, q])
         vx, vz = px, pz
         # Walls are one-sided: soil may leave them, and stops where it would enter.
-        if x <= phase.left:
+        if x <= phase.first_x:
             vx = max(vx, 0.0)
-        if x >= phase.right:
+        if x >= phase.last_x:
             vx = min(vx, 0.0)
         if z <= phase.floor and vz <= 0.0:
             vz = 0.0

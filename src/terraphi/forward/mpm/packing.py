@@ -78,10 +78,10 @@ def _fill(
     soil: Soil,
     lattice: Lattice,
     count: NDArray[np.int64],
-    left: NDArray[np.int64],
+    unplaced: NDArray[np.int64],
     made: Packets,
 ) -> None:
-    """Put the particles into their packets; ``left``, as ``count`` at first, is used up."""
+    """Put the particles into their packets; ``unplaced``, as ``count`` at first, is used up."""
     state = made.state
     for p in range(soil.cell.size):
         # From the cell's number to its layer, row and column, and to its block and lane.
@@ -91,8 +91,8 @@ def _fill(
         i = cell - k * lattice.layer - j * lattice.row - 1
         block = (k * lattice.count_y + j) * lattice.blocks + i // _WIDTH
         # The next free packet of the block in this cell's lane.
-        left[cell] -= 1
-        packet, lane = made.first[block] + left[cell], i % _WIDTH
+        unplaced[cell] -= 1
+        packet, lane = made.first[block] + unplaced[cell], i % _WIDTH
         made.owner[packet * _WIDTH + lane] = p
         at = packet * FIELDS * _WIDTH + lane
         for axis in range(3):

@@ -24,7 +24,7 @@ with e_p(m) the change of volume of particle p if it yields at a mean stress m t
 the tip of the surface, that at the tip, where the whole deviatoric stress goes. A few Newton steps
 from s = 0 find it, with the slope Σ(1 + b_p), 1 + b_p = e_p(m) / ẽ_p, ẽ_p being the change of a
 particle that is alone, so that m falls by K ẽ_p; b_p is 0 where that one does not yield or comes
-apart. If all particles are alike, or the same ones yield throughout, one step is exact. Each
+apart. If all particles are equal, or the same ones yield throughout, one step is exact. Each
 particle then returns to the surface at its mean stress m_p + s.
 """
 
@@ -86,14 +86,14 @@ class PlainStrain:
 
     def strain(self, soil: Soil, force: Nodes, time_step: float, _used: int) -> None:
         """Strain them for a time [s] and add the forces of their stress to the nodes [N]."""
-        strain(soil, self._lattice, force, self._cells, *self._constants, time_step)
+        strain_particles(soil, self._lattice, force, self._cells, *self._constants, time_step)
 
     def end(self, soil: Soil) -> None:
         """Give the particles back: nothing to do."""
 
 
 @entry
-def strain(
+def strain_particles(
     soil: Soil,
     lattice: Lattice,
     force: Nodes,
@@ -117,7 +117,7 @@ def strain(
     material, held
         Constants; ``held`` are those of soil whose plastic changes of volume leave its mean stress.
     sharing
-        Whether the particles of a cell share their plastic changes of volume.
+        True if the particles of a cell share their plastic changes of volume.
     volume
         Of a particle [m³].
     time_step
@@ -139,10 +139,10 @@ def strain(
         share(soil, cells, material, held)
     # Back to the yield surface.
     for p in range(soil.cell.size):
-        settle(soil, cells, held if sharing else material, p)
+        return_and_sum(soil, cells, held if sharing else material, p)
     # Forces on the nodes, the transpose of how strains came from their velocities.
     for p in range(soil.cell.size):
-        push_nodes(soil, lattice, force, cells, volume, p)
+        scatter_force(soil, lattice, force, cells, volume, p)
 
 
 @kernel
@@ -198,7 +198,7 @@ def predict(
 ) -> None:
     """Put the trial stress of a particle in the place of its stress."""
     cell, dt, stress = soil.cell[p], time_step, soil.stress
-    # Own distortion, Δt L; its trace is replaced by the cell's mean in the predictor (B-bar).
+    # Distortion of the particle, Δt L; the predictor takes the cell's mean for its trace (B-bar).
     x, y, z = gradient(soil.velocity, cell, offset_of(soil, p), lattice)
     strains = (
         dt * x[0], dt * x[1], dt * x[2],
@@ -217,7 +217,7 @@ def predict(
 
 
 @kernel
-def shared(soil: Soil, cells: Cells, p: int) -> Six:
+def shared_trial(soil: Soil, cells: Cells, p: int) -> Six:
     """Trial stress of a particle with its cell's share [Pa]."""
     more, stress = cells.share[soil.cell[p]], soil.stress
     xx, yy, zz = stress[p, 0] + more, stress[p, 1] + more, stress[p, 2] + more
@@ -231,7 +231,7 @@ def share(soil: Soil, cells: Cells, material: Material, held: Material) -> None:
     cells.yielding[:] = 0.0
     for p in range(soil.cell.size):
         # ẽ: what the particle would gain by itself. e: what it gains at its mean stress.
-        trial = shared(soil, cells, p)
+        trial = shared_trial(soil, cells, p)
         _, _, alone = return_mapping(trial, soil.strain[p], material)
         # Beyond the tip no return at a held mean stress exists: take the one just short of it.
         xx, yy, zz, xy, xz, yz = trial
@@ -245,14 +245,14 @@ def share(soil: Soil, cells: Cells, material: Material, held: Material) -> None:
     # Newton: s -= (n s + K Σ e) / Σ (1 + b).
     for q in range(cells.share.size):
         if cells.number[q] > 0.0:
-            left = cells.number[q] * cells.share[q] + material.bulk_modulus * cells.swelling[q]
-            cells.share[q] -= left / cells.yielding[q]
+            residual = cells.number[q] * cells.share[q] + material.bulk_modulus * cells.swelling[q]
+            cells.share[q] -= residual / cells.yielding[q]
 
 
 @kernel
-def settle(soil: Soil, cells: Cells, material: Material, p: int) -> None:
+def return_and_sum(soil: Soil, cells: Cells, material: Material, p: int) -> None:
     """Return the trial stress of a particle; its mean stress is added to the cell's."""
-    stress, slipped, _ = return_mapping(shared(soil, cells, p), soil.strain[p], material)
+    stress, slipped, _ = return_mapping(shared_trial(soil, cells, p), soil.strain[p], material)
     # Its deviator is its own; of its mean stress only the cell's sum acts on the nodes.
     for c in range(6):
         soil.stress[p, c] = stress[c]
@@ -261,7 +261,7 @@ def settle(soil: Soil, cells: Cells, material: Material, p: int) -> None:
 
 
 @kernel
-def push_nodes(
+def scatter_force(
     soil: Soil, lattice: Lattice, force: Nodes, cells: Cells, volume: float, p: int
 ) -> None:
     """Add the forces of one particle's stress to the nodes, with the cell's mean stress."""

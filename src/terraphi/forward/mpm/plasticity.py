@@ -58,7 +58,7 @@ vanishes. With t the mean stress at the tip the surface is
 1/x being the largest root of s² u³ - u - q = 0. The return is radial: the deviatoric stress shrinks
 without turning, and m falls by K sin ψ times the increment of κ. It is the plainest of smooth flow
 rules; tests of sand with three different stresses fit another one (Lade and Duncan, 1975, J.
-Geotech. Eng. Div. ASCE 101, 1037). Which of the two surfaces is taken is worth 1 to 2° of φ on a
+Geotech. Eng. Div. ASCE 101, 1037). The choice of surface changes φ by 1 to 2° on a
 leg: docs, *Three dimensions*.
 
 The new tensor has the old directions. With new principal values a quadratic polynomial of the
@@ -98,8 +98,8 @@ Four = tuple[Any, Any, Any, Any]
 SURFACES = ("mohr_coulomb", "matsuoka_nakai")
 """Names of the yield surfaces."""
 SHORT_OF_TIP = 1e-5
-"""How far short of the tip a mean stress beyond it is put, lest rounding put it beyond, as a share
-of the stress [-]."""
+"""Distance from the tip at which a mean stress beyond it is put, over the size of the stress [-];
+rounding might put it beyond."""
 
 
 class Material(NamedTuple):
@@ -132,7 +132,7 @@ class Material(NamedTuple):
 
     @property
     def swells(self) -> bool:
-        """Whether yielding changes its volume."""
+        """True if yielding changes the soil's volume."""
         return self.sin_dilation != 0.0
 
 
@@ -154,9 +154,9 @@ class Trial(NamedTuple):
 
 
 class Precision(NamedTuple):
-    """How a kernel computes: Python's own numbers in one of single precision would be doubles."""
+    """Numbers in a kernel's precision; Python's own would be doubles in a kernel of singles."""
 
-    one: Any
+    unit: Any
     """1 [-]."""
     smallest: Any
     """Keeps quotients of vanishing stresses from being no numbers [Pa]."""
@@ -216,12 +216,14 @@ def jaumann_predictor(
         σ + (Wσ - σW) + λ tr(D) 1 + 2 G D [Pa].
     """
     xx, yy, zz, xy, xz, yz = stress
+    # L Δt = D + W: the diagonal is D's, each pair of the others makes a shear and a turn.
     dxx, axy, axz, ayx, dyy, ayz, azx, azy, dzz = strain
     shear, bulk = material.shear_modulus, material.bulk_modulus
     wxy, wxz, wyz = half * (axy - ayx), half * (axz - azx), half * (ayz - azy)
     double = shear + shear
     # λ v + 2 G (v - tr)/3 = K v - (K - λ) tr
     even = bulk * volumetric - (bulk - material.lame_lambda) * (dxx + dyy + dzz)
+    # Half of the diagonal of Wσ - σW, whose trace is zero; W is antisymmetric.
     tx, ty, tz = wxy * xy + wxz * xz, wyz * yz - wxy * xy, wxz * xz + wyz * yz
     return (
         xx + even + double * dxx + (tx + tx),
@@ -248,13 +250,15 @@ def with_gaps(deviator: Six, even: Any, slope: Any, bend: Any) -> Six:
 
 
 @kernel
-def softened(strain: Any, material: Material, one: Any) -> tuple[Any, Any]:
-    """Mobilised sin φ and sin ψ at a plastic shear strain [-]; ``one`` in its precision."""
-    left = one - material.per_softening * strain
-    left = left if left > one - one else one - one
+def softened(strain: Any, material: Material, unit: Any) -> tuple[Any, Any]:
+    """Mobilised sin φ and sin ψ at a plastic shear strain [-]; ``unit`` is 1 in its precision."""
+    zero = unit - unit
+    # From 1 at the peak to 0 in the critical state, along a line.
+    peak_share = unit - material.per_softening * strain
+    peak_share = peak_share if peak_share > zero else zero
     return (
-        material.sin_critical + left * (material.sin_friction - material.sin_critical),
-        left * material.sin_dilation,
+        material.sin_critical + peak_share * (material.sin_friction - material.sin_critical),
+        peak_share * material.sin_dilation,
     )
 
 
@@ -265,7 +269,7 @@ def cosine_of_two_thirds(s: float) -> float:
 
 
 DOUBLE_PRECISION = Precision(1.0, 1e-12, cosine_of_two_thirds)
-"""Of the plain kernel."""
+"""Precision of the plain kernel."""
 
 
 @kernel
@@ -291,10 +295,10 @@ def mohr_coulomb(
         Mean stress and both gaps after the return [Pa], and the plastic change of volume [-], 0
         beyond the tip.
     """
-    one = precision.one
-    zero, two, three = one - one, one + one, one + one + one
+    unit = precision.unit
+    zero, two, three = unit - unit, unit + unit, unit + unit + unit
     mean, high, low = trial.mean, trial.high, trial.low
-    plus, minus, gain, loss = one + sin_phi, one - sin_phi, one + sin_psi, one - sin_psi
+    plus, minus, gain, loss = unit + sin_phi, unit - sin_phi, unit + sin_psi, unit - sin_psi
     double = two * material.shear_modulus
     # f of the face of (σ₁, σ₃), eq. 2. An elastic state has no excess: what follows leaves it.
     excess = plus * trial.first - minus * (trial.first - high - low) - material.strength
@@ -327,26 +331,26 @@ def matsuoka_nakai(
     trial: Trial, sin_phi: Any, sin_psi: Any, material: Material, precision: Precision
 ) -> Four:
     """Return to the surface of Matsuoka and Nakai, as :func:`mohr_coulomb`."""
-    one = precision.one
-    zero, two, three = one - one, one + one, one + one + one
-    half, mean, radius = one / two, trial.mean, trial.radius
+    unit = precision.unit
+    zero, two, three = unit - unit, unit + unit, unit + unit + unit
+    half, mean, radius = unit / two, trial.mean, trial.radius
     # The slope x, eq. 7; cos(⅓ arccos c) is that of ⅔ of the half angle, of which √(½(1 + c)) is
     # the cosine.
     cosine = half * sin_phi * (three - sin_phi * sin_phi) * trial.cosine
-    cosine = precision.cosine(math.sqrt(half * (one + cosine)))
+    cosine = precision.cosine(math.sqrt(half * (unit + cosine)))
     slope = half * math.sqrt(three) * sin_phi / cosine
     excess = radius - slope * (material.tip - mean)
     excess = excess if excess > zero else zero
     # A slip takes its share of √J₂, and K sin ψ times itself of m, until both meet eq. 6.
     shear = two * material.shear_modulus / (trial.high + trial.low)
     slip = excess / (shear * radius + slope * material.bulk_modulus * sin_psi)
-    swelling, left = sin_psi * slip, one - shear * slip
+    swelling, shrink = sin_psi * slip, unit - shear * slip
     new = mean - material.bulk_modulus * swelling
-    # No deviatoric stress is left at the tip; beyond it the soil comes apart.
-    apart = new > material.tip
-    beyond = left < zero or apart
-    new, left = material.tip if beyond else new, zero if beyond else left
-    return new, left * trial.high, left * trial.low, zero if apart else swelling
+    # No deviatoric stress remains at the tip; beyond it the soil comes apart.
+    is_torn = new > material.tip
+    beyond = shrink < zero or is_torn
+    new, shrink = material.tip if beyond else new, zero if beyond else shrink
+    return new, shrink * trial.high, shrink * trial.low, zero if is_torn else swelling
 
 
 @kernel
@@ -377,9 +381,9 @@ def return_to_surface(
     float
         Plastic change of volume [-]; 0 where the soil comes apart, its mean stress beyond the tip.
     """
-    one, smallest = precision.one, precision.smallest
-    zero, two, three = one - one, one + one, one + one + one
-    half, third = one / two, one / three
+    unit, smallest = precision.unit, precision.smallest
+    zero, two, three = unit - unit, unit + unit, unit + unit + unit
+    half, third = unit / two, unit / three
     xx, yy, zz, xy, xz, yz = trial
     mean = third * (xx + yy + zz)
     xx, yy, zz = xx - mean, yy - mean, zz - mean
@@ -388,29 +392,29 @@ def return_to_surface(
     j3 = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
     radius = math.sqrt(j2)
     cosine = three * half * math.sqrt(three) * j3 / (j2 * radius)
-    cosine = cosine if cosine < one else one
-    cosine = cosine if cosine > -one else -one
+    cosine = cosine if cosine < unit else unit
+    cosine = cosine if cosine > -unit else -unit
     # Gaps between principal values, eq. 1: cos θ is ``up``, cos(60° - θ) is ``down``.
-    up = precision.cosine(math.sqrt(half * (one + cosine)))
-    down = precision.cosine(math.sqrt(half * (one - cosine)))
+    up = precision.cosine(math.sqrt(half * (unit + cosine)))
+    down = precision.cosine(math.sqrt(half * (unit - cosine)))
     size = two * third * math.sqrt(three) * radius
     high, low = size * (two * up - down), size * (two * down - up)
     # Equal principal stresses have no gap: a tiny one keeps the quotients below finite.
     high, low = high if high > smallest else smallest, low if low > smallest else smallest
-    sin_phi, sin_psi = softened(strain, material, one)
+    sin_phi, sin_psi = softened(strain, material, unit)
     state = Trial(mean, radius, cosine, mean + size * up, high, low)
     if len(material.surface) == 0:
-        made = mohr_coulomb(state, sin_phi, sin_psi, material, precision)
+        returned = mohr_coulomb(state, sin_phi, sin_psi, material, precision)
     else:
-        made = matsuoka_nakai(state, sin_phi, sin_psi, material, precision)
-    new_mean, new_high, new_low, swelling = made
+        returned = matsuoka_nakai(state, sin_phi, sin_psi, material, precision)
+    new_mean, new_high, new_low, swelling = returned
     # New principal values as a polynomial of the old, eq. 8.
     slope_high, slope_low = new_high / high, new_low / low
     bend = (slope_high - slope_low) / (high + low)
     slope, even = slope_high - bend * (size * down), new_mean - bend * (two * third) * j2
     stress = with_gaps((xx, yy, zz, xy, xz, yz), even, slope, bend)
     # κ grows by the loss of σ₁ - σ₃ over 2 G.
-    slip = material.per_slip * (high * (one - slope_high) + low * (one - slope_low))
+    slip = material.per_slip * (high * (unit - slope_high) + low * (unit - slope_low))
     return stress, slip if slip > zero else zero, swelling
 
 

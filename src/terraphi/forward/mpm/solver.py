@@ -32,7 +32,7 @@ from terraphi.forward.mpm.lanes import FastStrain
 from terraphi.forward.mpm.lattice import HALVES, Lattice, lattice_of, positions
 from terraphi.forward.mpm.nodes import Phase, phase_of
 from terraphi.forward.mpm.plain import PlainStrain
-from terraphi.forward.mpm.transfer import Nodes, gather, offset_of, press, renew
+from terraphi.forward.mpm.transfer import Nodes, contact_forces, gather, offset_of, remap
 
 FloatArray = NDArray[np.float64]
 
@@ -56,7 +56,9 @@ class MpmSolver:
     def bed(self) -> Soil:
         """Soil before the first step; everything rests."""
         soil = geostatic_bed(self._scenario, self._precision)
-        settle(soil, self._lattice, np.zeros((3, self._lattice.nodes), self._precision), self._grid)
+        end_phase(
+            soil, self._lattice, np.zeros((3, self._lattice.nodes), self._precision), self._grid
+        )
         return soil
 
     def advance(self, soil: Soil, path: Path, impulse: FloatArray, audit: Audit) -> int:
@@ -82,7 +84,7 @@ class MpmSolver:
             phase.force[:] = 0.0
             strainer.end(soil)
             write_books(audit, HALVES * impulses, momentum)
-            lost = int(settle(soil, phase.lattice, phase.shift, self._grid))
+            lost = int(end_phase(soil, phase.lattice, phase.shift, self._grid))
             if lost >= 0:
                 return lost
         return -1
@@ -126,13 +128,13 @@ def begin_phase(soil: Soil, phase: Phase, pose: FloatArray, audit: Audit) -> tup
     tuple
         Momentum of the whole soil (x, z) [kg m/s].
     """
-    nodes.weigh(soil, phase)
+    nodes.inertia_and_lists(soil, phase)
     x, z = nodes.momentum(soil)
     momentum = (HALVES * x, HALVES * z)
     close_books(audit, audit.impulses, momentum)
     particles = (soil.cell, soil.offset, soil.slip)
-    found = near_leg(phase.lattice, *particles, phase.contact, pose_of(pose), phase.near)
-    phase.counts[3] = found
+    phase.counts[3] = near_leg(phase.lattice, *particles, phase.contact, pose_of(pose), phase.near)
+    # Places lead the velocities by half a step (velocity Verlet).
     half = 0.5 * phase.time_step
     for axis in range(3):
         for q in range(phase.lattice.nodes):
@@ -170,39 +172,44 @@ def step(
         On the soil of the grid, rows as in the ledger [N s]; added to.
     """
     force, shift = phase.force, phase.shift
+    # Forces of the stress are there already; those of the damping and the leg come on top.
     used, real, dt = np.uint64(phase.counts[2]), soil.velocity.dtype.type, phase.time_step
-    if phase.lead > 0.0:
+    if phase.damping_share > 0.0:
         for axis in range(3):
-            nodes.lead(force[axis], phase.before[axis], real(phase.lead), used)
+            nodes.stiffness_damping(
+                force[axis], phase.before[axis], real(phase.damping_share), used
+            )
     near = phase.near[: phase.counts[3]]
-    fx, fz, m = press(soil, phase.lattice, shift, force, near, phase.contact, pose_of(pose))
+    fx, fz, m = contact_forces(
+        soil, phase.lattice, shift, force, near, phase.contact, pose_of(pose)
+    )
     impulses[1, 0] += dt * fx
     impulses[1, 1] += dt * fz
     # The other half of the soil does the same to the leg.
-    both = HALVES * dt
-    enter_reaction(impulse, bin_, (both * fx, both * fz), (both * m, 0.0))
+    leg_dt = HALVES * dt
+    enter_reaction(impulse, bin_, (leg_dt * fx, leg_dt * fz), (leg_dt * m, 0.0))
     nodes.step(soil, phase, impulses)
     for axis in range(3):
         nodes.carry(shift[axis], soil.velocity[axis], real(time_step), used)
 
 
 @entry
-def settle(soil: Soil, lattice: Lattice, shift: Nodes, grid: FloatArray) -> int:
+def end_phase(soil: Soil, lattice: Lattice, shift: Nodes, grid: FloatArray) -> int:
     """Move the particles by the nodes' displacements [m] and hand their momenta to a fresh grid.
 
     ``grid`` is working memory, shape [4, node]. Returns the index of the first particle to leave
     the grid, or -1.
     """
-    lost = renew(soil, lattice, shift, grid)
+    lost = remap(soil, lattice, shift, grid)
     if lost < 0:
-        nodes.take_over(soil, lattice, grid)
+        nodes.grid_velocities(soil, lattice, grid)
     return lost
 
 
 @entry
 def velocities(soil: Soil, lattice: Lattice) -> FloatArray:
     """Velocities of the particles (x, y, z) [m/s], shape [particle, 3]."""
-    found = np.zeros((soil.cell.size, 3))
+    velocity = np.zeros((soil.cell.size, 3))
     for p in range(soil.cell.size):
-        found[p] = gather(soil.velocity, soil.cell[p], offset_of(soil, p), lattice)
-    return found
+        velocity[p] = gather(soil.velocity, soil.cell[p], offset_of(soil, p), lattice)
+    return velocity

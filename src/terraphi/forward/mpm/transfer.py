@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from terraphi.forward.body import Pose
 from terraphi.forward.compiled import kernel
 from terraphi.forward.mpm.bed import Soil
-from terraphi.forward.mpm.contact import Contact, scaled, touch
+from terraphi.forward.mpm.contact import Contact, contact_force, scaled
 from terraphi.forward.mpm.lattice import Lattice, Three, place_of
 
 FloatArray = NDArray[np.float64]
@@ -34,7 +34,7 @@ Nodes = NDArray[Any]
 THROWN_OF = 10_000
 """One grain may be thrown in a phase, and another for every so many particles."""
 FARTHEST = 10.0
-"""How far such a grain may fly [cell]."""
+"""Longest flight of such a grain [cell]."""
 
 
 @kernel
@@ -69,7 +69,9 @@ def gather(nodes: Nodes, cell: int, place: Three, lattice: Lattice) -> Three:
 
 
 @kernel
-def push(force: Nodes, cell: int, place: Three, given: Three, arm: Three, lattice: Lattice) -> None:
+def scatter_force(
+    force: Nodes, cell: int, place: Three, given: Three, arm: Three, lattice: Lattice
+) -> None:
     """Give a force [N], acting ``arm`` [cell] from a place, to the nodes' forces.
 
     The moment goes with it as the affine part of a momentum does: node i gets N (1 + 4 arm · r).
@@ -91,7 +93,7 @@ def push(force: Nodes, cell: int, place: Three, given: Three, arm: Three, lattic
 
 
 @kernel
-def press(
+def contact_forces(
     soil: Soil,
     lattice: Lattice,
     shift: Nodes,
@@ -100,7 +102,7 @@ def press(
     contact: Contact,
     pose: Pose,
 ) -> Three:
-    """Let the leg push the particles that it touches.
+    """Push the particles that the leg touches, and scatter the forces to the nodes.
 
     Parameters
     ----------
@@ -129,7 +131,7 @@ def press(
         speed = gather(soil.velocity, cell, at, lattice)
         moved = gather(shift, cell, at, lattice)
         x, y, z = place_of(lattice, cell, at[0], at[1], at[2])
-        given, arm, slip = touch(
+        given, arm, slip = contact_force(
             (x + moved[0], y + moved[1], z + moved[2]),
             speed,
             (float(soil.slip[p, 0]), float(soil.slip[p, 1]), float(soil.slip[p, 2])),
@@ -140,7 +142,7 @@ def press(
         # The spring's slip is kept for the next step; zero if the particle has left the leg.
         soil.slip[p, 0], soil.slip[p, 1], soil.slip[p, 2] = slip[0], slip[1], slip[2]
         if given[0] != 0.0 or given[1] != 0.0 or given[2] != 0.0:
-            push(force, cell, at, given, scaled(per_cell, arm), lattice)
+            scatter_force(force, cell, at, given, scaled(per_cell, arm), lattice)
             total_x += given[0]
             total_z += given[2]
             # r × F about +y, with r from the hip to where the force acts.
@@ -206,7 +208,7 @@ def scatter(
 
 
 @kernel
-def renew(soil: Soil, lattice: Lattice, shift: Nodes, grid: FloatArray) -> int:
+def remap(soil: Soil, lattice: Lattice, shift: Nodes, grid: FloatArray) -> int:
     """End a phase: move the particles and give their masses and momenta to the grid.
 
     A particle may move from its cell into the next, no farther. A grain that is thrown, where the
@@ -231,7 +233,7 @@ def renew(soil: Soil, lattice: Lattice, shift: Nodes, grid: FloatArray) -> int:
         Index of the first particle to leave the grid, or -1.
     """
     grid[:] = 0.0
-    held, most = 0, 1 + soil.cell.size // THROWN_OF
+    thrown, most = 0, 1 + soil.cell.size // THROWN_OF
     row, layer, per_cell = lattice.row, lattice.layer, 1.0 / lattice.cell_size
     for p in range(soil.cell.size):
         cell, at = soil.cell[p], offset_of(soil, p)
@@ -243,9 +245,9 @@ def renew(soil: Soil, lattice: Lattice, shift: Nodes, grid: FloatArray) -> int:
         z = at[2] + moved[2] * per_cell
         # Written so that a place that is not a number counts as outside.
         if not (abs(x) < 1.5 and abs(y) < 1.5 and abs(z) < 1.5):
-            held += 1
+            thrown += 1
             near = abs(x) < FARTHEST and abs(y) < FARTHEST and abs(z) < FARTHEST
-            if not near or held > most:
+            if not near or thrown > most:
                 return p
             x = min(max(x, -1.4999), 1.4999)
             y = min(max(y, -1.4999), 1.4999)

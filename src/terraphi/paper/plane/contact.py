@@ -153,9 +153,9 @@ def _box(intruder: Intruder, s: float, m: float) -> float:
 @kernel
 def against_walls(vx: float, vz: float, x: float, z: float, model: Model) -> Two:
     """Velocity of a node at (x, z) [m] after the one-sided walls of the box [m/s]."""
-    if x <= model.left:
+    if x <= model.first_x:
         vx = max(vx, 0.0)
-    if x >= model.right:
+    if x >= model.last_x:
         vx = min(vx, 0.0)
     if z <= model.floor and vz <= 0.0:
         vz = 0.0

@@ -30,15 +30,15 @@ class Model(NamedTuple):
     band: float
     """Distance from the leg within which nodes are in contact [m]."""
     unbalanced: bool
-    """Whether contact is that of the paper's prototype."""
-    left: float
-    """Left wall x [m]."""
-    right: float
-    """Right wall x [m]."""
+    """True if contact is that of the paper's prototype."""
+    first_x: float
+    """Place of the wall behind, where x is least [m]."""
+    last_x: float
+    """Place of the wall ahead [m]."""
     floor: float
     """Floor z [m]."""
     rough: bool
-    """Whether soil that presses on the floor sticks to it."""
+    """True if soil that presses on the floor sticks to it."""
     relief_distance: float
     """Displacement beyond which a particle fades [m]; inf where there is no relief."""
     relief_rate: float
@@ -66,8 +66,8 @@ def model_of(scenario: Scenario) -> Model:
         turning=1.0 if numerics.stress_rate == "jaumann" else 0.0,
         band=numerics.contact_band_cells * numerics.cell_size,
         unbalanced=numerics.contact == "unbalanced",
-        left=bed.left,
-        right=bed.left + bed.width,
+        first_x=bed.left,
+        last_x=bed.left + bed.width,
         floor=bed.floor,
         rough=bed.floor_friction == "rough",
         relief_distance=relief.distance if fades else math.inf,

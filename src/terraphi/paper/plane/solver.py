@@ -1,4 +1,4 @@
-"""What the driver needs of the solver in plane strain."""
+"""The solver in plane strain, as the driver uses it."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class PlaneSolver:
         }
 
     def provenance(self, state: State) -> dict[str, Any]:
-        """What the leg applied to the soil if its contact counts something else."""
+        """Forces that the leg applied to the soil if its contact counts other ones."""
         scenario = self._scenario
         if scenario.numerics.contact != "unbalanced":
             return {}
