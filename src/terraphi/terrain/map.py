@@ -266,7 +266,7 @@ def map_slopes(
 
 def _layers(
     ground: inputs.Elevation, points: pd.DataFrame, covariate: Any, wetness: Any
-) -> tuple[list[str], inputs.Float32, inputs.Float32 | None, BoolArray]:
+) -> tuple[list[str], Any, Any, BoolArray]:
     """Names and values of the covariates, m of each cell or ``None``, and cells that have all.
 
     Covariates have mean 0 and standard deviation 1 over the map, shape [row, column, covariate]; 0
@@ -283,7 +283,7 @@ def _layers(
         if not 0.0 <= least <= most <= 1.0:
             raise InputError(f"{wetness}: values from {least:g} to {most:g}, expected 0 to 1")
     covariates = np.stack(layers, axis=-1)
-    has_data = np.isfinite(covariates).all(axis=-1)
+    has_data = np.asarray(np.isfinite(covariates).all(axis=-1))
     if wet is not None:
         has_data &= np.isfinite(wet)
     middle = covariates[has_data].mean(axis=0, dtype=np.float64)
