@@ -76,9 +76,11 @@ class Emulator:
     @cached_property
     def _size(self) -> FloatArray:
         """Coefficients of ln a(x)."""
-        rms = np.sqrt(np.square(self.curves.force).mean(axis=(1, 2)))
-        coefficients, *_ = np.linalg.lstsq(self._basis(self.curves.x), np.log(rms), rcond=None)
-        return np.asarray(coefficients)
+        return self._log_polynomial(np.sqrt(np.square(self.curves.force).mean(axis=(1, 2))))
+
+    def _log_polynomial(self, sizes: FloatArray) -> FloatArray:
+        """Coefficients of the polynomials nearest to the logarithm of a size of each case."""
+        return np.asarray(np.linalg.lstsq(self._basis(self.curves.x), np.log(sizes), rcond=None)[0])
 
     def size(self, x: FloatArray) -> FloatArray:
         """Size a(x) of the forces [N], shape [k, key] -> [k]."""
@@ -131,10 +133,7 @@ class Emulator:
     def _log_scatter_size(self) -> FloatArray:
         """Coefficients of ln b(x)."""
         rms = np.sqrt(np.square(self._leave_one_out_residual).mean(axis=1))
-        coefficients, *_ = np.linalg.lstsq(
-            self._basis(self.curves.x), np.log(rms + 1e-12), rcond=None
-        )
-        return np.asarray(coefficients)
+        return self._log_polynomial(rms + 1e-12)
 
     def scatter_size(self, x: FloatArray) -> FloatArray:
         """Size b(x) of the scatter over that of the forces [-], shape [k, key] -> [k]."""

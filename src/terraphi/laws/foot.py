@@ -123,15 +123,9 @@ class FootLaw:
         return simulated_cases().hash if self.name == "foot" else ""
 
     def force(
-        self,
-        foot: Foot,
-        depth: ArrayLike,
-        descent: ArrayLike,
-        *,
-        friction_angle_deg: ArrayLike,
-        density: float,
-        surface_friction: float,
-    ) -> FloatArray:
+        self, foot: Foot, depth: ArrayLike, descent: ArrayLike, *, friction_angle_deg: ArrayLike,
+        density: float, surface_friction: float,
+    ) -> FloatArray:  # fmt: skip
         """Force of the soil on a foot that moves.
 
         Parameters
@@ -222,14 +216,9 @@ def inertial_force(
 
 
 def bearing_capacity(
-    name: str,
-    foot: Foot,
-    depth: ArrayLike,
-    descent: ArrayLike,
-    phi_deg: ArrayLike,
-    density: float,
+    name: str, foot: Foot, depth: ArrayLike, descent: ArrayLike, phi_deg: ArrayLike, density: float,
     _mu: float,
-) -> FloatArray:
+) -> FloatArray:  # fmt: skip
     """Bearing capacity of a circular footing that stands for the foot, with one set of factors.
 
     A ball of radius R with its lowest point at depth z touches the soil over a circle of radius

@@ -53,22 +53,8 @@ from terraphi.experiment.rig import (
 from terraphi.experiment.scenario import GRAVITY, Scenario
 from terraphi.laws.emulator import Process, fitted
 from terraphi.laws.fitted import KIND, FittedLaw
-from terraphi.laws.law import (
-    STEP,
-    LegLaw,
-    ModelError,
-    check_friction,
-    is_similar,
-    leg_law,
-    remedy,
-)
-from terraphi.laws.store import (
-    PHI,
-    Library,
-    differences,
-    nearest_library,
-    shipped_library,
-)
+from terraphi.laws.law import STEP, LegLaw, ModelError, check_friction, is_similar, leg_law, remedy
+from terraphi.laws.store import PHI, Library, differences, nearest_library, shipped_library
 from terraphi.laws.theory import Theory
 
 if TYPE_CHECKING:

@@ -18,12 +18,7 @@ from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.documents import located, shipped_names
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import NetcdfFile
-from terraphi.experiment.history import (
-    COORDINATES,
-    ForceHistory,
-    force_variables,
-    positions,
-)
+from terraphi.experiment.history import COORDINATES, ForceHistory, force_variables, positions
 from terraphi.experiment.results import Result, Variable, read
 from terraphi.experiment.rig import contact_deg
 from terraphi.experiment.scenario import Scenario

@@ -21,13 +21,7 @@ from terraphi.experiment.priors import FRICTION
 from terraphi.forward.rft import stress_scale
 from terraphi.inference.answer import Answer, StoredAnswer
 from terraphi.laws.foot import LAWS, Foot
-from terraphi.terrain.simulators import (
-    MATCHES,
-    Match,
-    Simulator,
-    in_words,
-    simulator,
-)
+from terraphi.terrain.simulators import MATCHES, Match, Simulator, in_words, simulator
 from terraphi.terrain.soils import SoilDistribution, soil
 
 FORMATS = {".py": "python", ".json": "json", ".csv": "csv", ".usda": "usda"}

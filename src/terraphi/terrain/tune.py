@@ -286,8 +286,7 @@ def genesis(press: Press, friction_angle: float) -> tuple[FloatArray, FloatArray
             ),
         )
         bed = scene.add_entity(
-            morph=gs.morphs.Box(lower=(-half, -half, -deep), upper=(half, half, top)),
-            material=sand,
+            morph=gs.morphs.Box(lower=(-half, -half, -deep), upper=(half, half, top)), material=sand
         )
         scene.build()
     link = foot.links[0].idx

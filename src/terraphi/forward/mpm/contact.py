@@ -202,14 +202,9 @@ def contact_force(
 
 @kernel
 def near_leg(
-    lattice: Lattice,
-    cell: NDArray[np.int32],
-    offset: NDArray[Any],
-    slip: NDArray[Any],
-    contact: Contact,
-    pose: Pose,
-    near: NDArray[np.int64],
-) -> int:
+    lattice: Lattice, cell: NDArray[np.int32], offset: NDArray[Any], slip: NDArray[Any],
+    contact: Contact, pose: Pose, near: NDArray[np.int64],
+) -> int:  # fmt: skip
     """List the particles that may touch a body during a phase; the others forget their slip.
 
     Parameters

@@ -164,19 +164,9 @@ class FastStrain:
 
 @entry
 def strain_particles(
-    packets: Packets,
-    lattice: Lattice,
-    velocity: Nodes,
-    force: Nodes,
-    work: Work,
-    laws: Material,
-    held: Material,
-    sharing: bool,
-    scale: Any,
-    area: Any,
-    top: int,
-    lanes: Index,
-) -> None:
+    packets: Packets, lattice: Lattice, velocity: Nodes, force: Nodes, work: Work, laws: Material,
+    held: Material, sharing: bool, scale: Any, area: Any, top: int, lanes: Index,
+) -> None:  # fmt: skip
     """Strain the particles for a time and add the forces of their new stress to the nodes.
 
     Parameters
@@ -574,16 +564,9 @@ def scatter_across(
 
 @kernel
 def scatter_forces(
-    work: Work,
-    force: Work,
-    at: Index,
-    faces: tuple[Index, Index, Index],
-    arms: tuple[Index, Index, Index],
-    area: Any,
-    row: Index,
-    layer: Index,
-    wide: Index,
-) -> None:
+    work: Work, force: Work, at: Index, faces: tuple[Index, Index, Index],
+    arms: tuple[Index, Index, Index], area: Any, row: Index, layer: Index, wide: Index,
+) -> None:  # fmt: skip
     """Add one component of a block's forces to its nodes; arguments as of its two steps."""
     scatter_along(work, faces, arms, area, wide)
     # To the nine rows (z, y) of the window that load read.

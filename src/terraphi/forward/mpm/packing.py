@@ -75,12 +75,9 @@ def pack(soil: Soil, lattice: Lattice) -> Packets:
 
 @entry
 def _fill(
-    soil: Soil,
-    lattice: Lattice,
-    count: NDArray[np.int64],
-    unplaced: NDArray[np.int64],
+    soil: Soil, lattice: Lattice, count: NDArray[np.int64], unplaced: NDArray[np.int64],
     made: Packets,
-) -> None:
+) -> None:  # fmt: skip
     """Put the particles into their packets; ``unplaced``, as ``count`` at first, is used up."""
     state = made.state
     for p in range(soil.cell.size):

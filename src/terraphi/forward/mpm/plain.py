@@ -94,16 +94,9 @@ class PlainStrain:
 
 @entry
 def strain_particles(
-    soil: Soil,
-    lattice: Lattice,
-    force: Nodes,
-    cells: Cells,
-    material: Material,
-    held: Material,
-    sharing: bool,
-    volume: float,
-    time_step: float,
-) -> None:
+    soil: Soil, lattice: Lattice, force: Nodes, cells: Cells, material: Material, held: Material,
+    sharing: bool, volume: float, time_step: float,
+) -> None:  # fmt: skip
     """Strain the particles for a time and add the forces of their new stress to the nodes.
 
     Parameters

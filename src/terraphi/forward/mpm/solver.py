@@ -144,14 +144,9 @@ def begin_phase(soil: Soil, phase: Phase, pose: FloatArray, audit: Audit) -> tup
 
 @entry
 def step(
-    soil: Soil,
-    phase: Phase,
-    pose: FloatArray,
-    time_step: float,
-    bin_: int,
-    impulse: FloatArray,
+    soil: Soil, phase: Phase, pose: FloatArray, time_step: float, bin_: int, impulse: FloatArray,
     impulses: FloatArray,
-) -> None:
+) -> None:  # fmt: skip
     """Let the leg push, change the nodes' velocities by a step and carry the nodes along.
 
     Parameters

@@ -94,14 +94,9 @@ def scatter_force(
 
 @kernel
 def contact_forces(
-    soil: Soil,
-    lattice: Lattice,
-    shift: Nodes,
-    force: Nodes,
-    near: NDArray[np.int64],
-    contact: Contact,
-    pose: Pose,
-) -> Three:
+    soil: Soil, lattice: Lattice, shift: Nodes, force: Nodes, near: NDArray[np.int64],
+    contact: Contact, pose: Pose,
+) -> Three:  # fmt: skip
     """Push the particles that the leg touches, and scatter the forces to the nodes.
 
     Parameters
@@ -180,14 +175,9 @@ def affine_velocity(
 
 @kernel
 def scatter(
-    grid: FloatArray,
-    cell: int,
-    place: Three,
-    mass: float,
-    velocity: Three,
-    affine: tuple[Three, Three, Three],
-    lattice: Lattice,
-) -> None:
+    grid: FloatArray, cell: int, place: Three, mass: float, velocity: Three,
+    affine: tuple[Three, Three, Three], lattice: Lattice,
+) -> None:  # fmt: skip
     """Give mass and momentum of a particle to the grid (mass, then momenta; shape [4, node])."""
     wx, wy, wz = weights(place[0]), weights(place[1]), weights(place[2])
     # m_i += N m and (m v)_i += N m (v + Δx C r), r in cells.

@@ -21,13 +21,8 @@ from terraphi.paper.plane.transfer import grid_to_particle, particles_to_grid
 
 @kernel
 def advance(
-    soil: Particles,
-    grid: Grid,
-    model: Model,
-    path: Path,
-    impulse: FloatArray,
-    audit: Audit,
-) -> int:
+    soil: Particles, grid: Grid, model: Model, path: Path, impulse: FloatArray, audit: Audit,
+) -> int:  # fmt: skip
     """Run the kernel over a block of steps, changing its array arguments in place.
 
     Parameters
