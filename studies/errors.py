@@ -2,18 +2,20 @@
 
     python studies/errors.py
 
-    reading − φ = offset(leg) + size(leg) (d/w)^p + slope (φ − 27°) + soil + soil × leg + rig
-                  + kind of grains or code + bed + error of the shear cell + error of its protocol
+    reading − φ = offset(leg) + size(leg) (d/w)^p + slope ln(w/D) + slope (φ − 27°)
+                  + soil + soil × leg + rig + kind of grains or code + bed
+                  + error of the shear cell + error of its protocol
 
-by restricted maximum likelihood (REML). d is the diameter of the grains, w the width of the leg. A
-reading is the angle by the law without any offset. Five readings treat the cohesion differently
-(:data:`READINGS`). Beds scatter in proportion to d/w. In the measured media of Li et al. φ is free:
-the differences between their legs determine offsets. Angles of repose of loose media less 0.8° are
-critical angles within 1.3°: tilting beds of seven simulated soils begin to flow so much later.
+by restricted maximum likelihood (REML). d is the diameter of the grains, w the width of the leg, D
+the depth that it reaches; instead of d/w there may be d/D. A reading is the angle by the law
+without any offset, with one of four cohesions (:data:`READINGS`). Beds scatter in proportion to
+d/w. In the measured media of Li et al. φ is free: the differences between their legs determine
+offsets. Angles of repose of loose media less 0.8° are critical angles within 1.3°: tilting beds of
+seven simulated soils begin to flow so much later.
 
-A form (reading, power p, slope) is chosen by the soils left out of the training records, inside of
-each left-out loop. Printed are the components, the forms and the distance of three legs in one
-medium. ``benchmarks/phi_bench.py`` compares the model with simpler formulas.
+A form (reading, d/w or d/D, p, slopes) is chosen by soils and rigs that are left out of what is
+learned from, inside of each left-out loop. Printed are the components, the forms and the distance
+of three legs in one medium. ``benchmarks/phi_bench.py`` compares the model with simpler formulas.
 """
 
 from __future__ import annotations
@@ -241,9 +243,10 @@ class Form(NamedTuple):
 
 READINGS = ("averaged c", "c = 0", "c = ½ρgd", "c = ρgd")
 SIZES = (("w", 0.0), ("w", 0.5), ("w", 1.0), ("D", 0.5), ("D", 1.0))
-FORMS = [Form(reading, *size, False, False) for reading, size in itertools.product(READINGS, SIZES)]
-SLOPES = tuple(itertools.product((False, True), repeat=2))
-"""Slopes over φ and ln(w/D): looked for in the best form without."""
+FORMS = [
+    Form(reading, *size, False, breadth)
+    for reading, size, breadth in itertools.product(READINGS, SIZES, (False, True))
+]
 LEGS = tuple(pages.LEGS)
 
 
@@ -388,9 +391,8 @@ def choose(rows: Sequence[Record], forms: Sequence[Form] = FORMS) -> Model:
     """The model of the form that reads left-out soils and rigs best; of a single form, that."""
     if len(forms) == 1:
         return Model(rows, forms[0])
-    form = min((Model(rows, form) for form in forms), key=Model.left_out).form
-    slopes = [form._replace(slope=a, breadth=b) for a, b in SLOPES]
-    return min((Model(rows, form) for form in slopes), key=Model.left_out)
+    best = min((Model(rows, form) for form in forms), key=Model.left_out)
+    return min(best, Model(rows, best.form._replace(slope=True)), key=Model.left_out)
 
 
 # -- transfer ------------------------------------------------------------------------------------
@@ -506,7 +508,8 @@ def of_components(model: Model) -> str:
     labels = [*itertools.product(causes, LEGS), ("ln(w/D)", ""), (f"φ, for {WIDE_DEG:g}°", "")]
     places = [*range(len(labels) - 2), -2, -1]
     for (cause, leg), i in zip(labels, places, strict=True):
-        rows.append((f"{cause} {leg}", f"{mean[i]:+.2f}°", f"± {covariance[i, i] ** 0.5:.2f}°"))
+        if covariance[i, i] < 0.99 * WIDE_DEG**2:
+            rows.append((f"{cause} {leg}", f"{mean[i]:+.2f}°", f"± {covariance[i, i] ** 0.5:.2f}°"))
     return pages.table(("component", "value", "68 %"), rows)
 
 
@@ -525,8 +528,7 @@ def main() -> None:
     with threadpool_limits(1):
         chosen = choose([*rows, *measured_rows])
         print(f"# {label(chosen.form)}\n\n{of_components(chosen)}\n")
-        best = [chosen.form._replace(slope=a, breadth=b) for a, b in SLOPES[1:]]
-        candidates = [[form] for form in [*FORMS, *best]]
+        candidates = [[form] for form in [*FORMS, chosen.form._replace(slope=True)]]
         for forms in [list(FORMS), *candidates]:
             scores = evaluate(partial(terraphi_method, forms=forms), parts)
             form = chosen.form if len(forms) > 1 else forms[0]
