@@ -258,9 +258,9 @@ def test_options_and_logs_that_cannot_be() -> None:
         ({"law": "rtf"}, "law 'rtf' is unknown"),
         ({"anchors": ["phi=34"]}, "anchor 'phi=34'"),
         ({"anchors": ["x=0:1,phi=95±1"]}, "from 15 to 50 degrees"),
-        ({"density": 1.55}, "density '1.55'"),
-        ({"density": "heavy"}, "density 'heavy'"),
-        ({"density": "1550±900"}, "at most 30 %"),
+        ({"density": 1.55}, "density = 1.55"),
+        ({"density": "heavy"}, "density = 'heavy'"),
+        ({"density": "1550±900"}, "at most 30%"),
         ({"robot": replace(GO2, foot_radius=0.0)}, "flat soles are not supported"),
     ):
         with pytest.raises(InputError, match=words):

@@ -115,7 +115,7 @@ def test_finds_joint_friction_and_takes_it_off() -> None:
     rough = walked(coulomb=0.5, viscous=0.1, inertia=0.02)
     found = estimate(rough.log, robot=GO2)
     assert found.friction is not None
-    assert found.friction.found.all()
+    assert found.friction.determined.all()
     np.testing.assert_allclose(found.friction.coulomb, 0.5, atol=0.03)
     np.testing.assert_allclose(found.friction.viscous, 0.1, atol=0.01)
     np.testing.assert_allclose(found.friction.inertia, 0.02, atol=0.001)
@@ -156,7 +156,7 @@ def test_uncertainty_is_the_scatter_of_friction_whose_sign_is_unknown() -> None:
 def test_robot_that_stands_has_no_friction_to_show() -> None:
     found = estimate(standing(), robot=GO2)
     assert found.friction is not None
-    assert not found.friction.found.any()
+    assert not found.friction.determined.any()
     assert np.isfinite(found.force).all()
     assert np.isfinite(found.sigma).all()
     assert any("too little swing" in line for line in found.provenance["assumed"])
@@ -226,10 +226,10 @@ def with_value(name: str, at: tuple[int, ...], value: float) -> JointLog:
         (standing(0), {}, "no samples; at least 1"),
         (broken(velocity=np.zeros((200, 12))), {}, r"velocity has shape \(200, 12\), expected"),
         (broken(quaternion=None), {}, "no attitude, which frame 'world' needs"),
-        (with_value("torque", (7, 2, 1), np.nan), {}, "torque is not a number at sample 7"),
-        (with_value("angle", (9, 0, 0), np.inf), {}, "angle is not a number at sample 9"),
-        (with_value("time", (5,), 0.0), {}, "at sample 5; it should increase"),
-        (broken(quaternion=np.zeros((200, 4))), {}, "quaternion at sample 0 has not the length 1"),
+        (with_value("torque", (7, 2, 1), np.nan), {}, r"not a finite number \(1\)"),
+        (with_value("angle", (9, 0, 0), np.inf), {}, r"not a finite number \(1\)"),
+        (with_value("time", (5,), 0.0), {}, r"time ran backwards \(1\)"),
+        (broken(quaternion=np.zeros((200, 4))), {}, r"attitude is not a unit quaternion"),
     ],
 )
 def test_unusable_input_is_refused_in_one_sentence(

@@ -1,4 +1,4 @@
-"""Checks of whether a log and the model of its robot can both be right, every ten seconds.
+"""Checks of a log against the model of its robot, part by part.
 
 Over whole strides the ground pushes up with the robot's weight and pushes it nowhere; the attitude
 turns as the gyroscope does, and feet that stand move as one rigid body, turned likewise. In swing
@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from terraphi.experiment.arrays import BoolArray, FloatArray
+from terraphi.experiment.arrays import BoolArray, FloatArray, IntArray
 from terraphi.experiment.scenario import GRAVITY
 from terraphi.robot.forces import LEAST_LEVER, FootForces, SensorErrors, estimate
 from terraphi.robot.friction import BEARING_SHARE, GUARD_S, LAG_STEP_S, REVERSAL_RATE
@@ -27,68 +27,72 @@ from terraphi.robot.model import Quadruped
 from terraphi.robot.stance import HELD_S, Stance, find_stances
 from terraphi.robot.touchdowns import STANCE_SD
 
+# Lengths of the parts that are checked.
 CHECK_S, PART_S = 10.0, 5.0
-"""Parts of a log that are checked: the first, and each after it [s]. Eight strides of a slow walk,
-in each of which a foot swings for over a hundred samples of 500 Hz; and half of that, for less is
-refused with it, and it ends sooner (walks of 5 and 6 s in ``tests/robot/test_checks.py``)."""
+"""Length of the first part, and of each after it [s]. Eight strides of a slow walk, in each of
+which a foot swings for over a hundred samples of 500 Hz; and half of that, so that less is refused
+together with a fault (walks of 5 and 6 s in ``tests/robot/test_checks.py``)."""
 LEAST_REST_S = 1.0
-"""A rest shorter than this after the last such part is not checked [s] (chosen)."""
+"""Shortest rest after the last such part that is checked [s] (chosen)."""
+
+# Limits of the checks. Where no other source is named: between sound walks with errors of sensors
+# and wrong logs of ``tests/robot/test_checks.py``.
 MOST_WEIGHTS = 3.0
-"""Number of weights beyond which forces are those of another unit: the geometric mean of 1 and of
-the 10 of kgf cm, the nearest one."""
+"""Load of the feet over the weight above which forces are in another unit [-]: the geometric mean
+of 1 and of the 10 of kgf cm, the nearest one."""
 BELIEVABLE_LIFT = 1.4
-"""Factor by which what the feet bear may differ from the weight, either way, before the finding is
-grave [-]: no payload and no gain of the motors explains more."""
+"""Factor between the load of the feet and the weight, either way, from which on a finding is grave
+[-]: no payload and no gain of the motors explains more."""
 EXPLAINED = 0.6
-"""Another order of the legs, or another reading of the attitude, explains what contradicts if it
-leaves less than this part of it [-] (sound and wrong logs in ``tests/robot/test_checks.py``)."""
+"""Part of a contradiction that another order of the legs, or another reading of the attitude, may
+leave to be its explanation [-]."""
 MOST_OFF = 0.05
-"""Roll moment of legs in the right order, over the weight and the leg's length, at most [-] (a walk
-of which fore and rear legs are exchanged, ``tests/robot/test_checks.py``)."""
+"""Largest roll moment of legs in the right order, over weight and leg's length [-]."""
 MOMENT_SD = 0.004
-"""Moments over the weight that are no gain's [m]: a hundredth of a leg (test as above)."""
+"""Moments over the weight that are no gain's [m]: a hundredth of a leg."""
 LEAST_TURNING = 0.08
-"""A trunk that turns less than this [rad/s] (median) does not show whether they agree: a
-gyroscope's bias, and the attitude's noise, are a few hundredths."""
-SOMEWHAT_UNLIKE = 0.3
+"""Median rate of turning below which attitude and gyroscope are not compared [rad/s]: a gyroscope's
+bias, and the attitude's noise, are a few hundredths."""
+DISAGREEMENT = 0.3
 """Part of the turning by which attitude and gyroscope disagree [-] if another reading explains it;
 above :data:`EXPLAINED` one of them is wrong. Sound ones disagree by 0.5 at most, even if the
-attitude is 20 ms late in a trot (``tests/robot/test_checks.py``)."""
+attitude is 20 ms late in a trot."""
 CLOCK_OFF = 0.03
-"""Part by which velocities may differ from the rate of the angles [-]: 0.001 on simulated walks
-with errors of sensors; ``tests/robot/test_checks.py`` has clocks that are off."""
+"""Largest relative difference of velocities from the rate of the angles [-]; 0.001 on sound
+walks."""
 STILL, MOVES = 0.1, 0.3
-"""Standard deviations of a joint's angle or torque over that of the same joint of the other legs
-[-]: below the first it stands still, above the second it moves. On sound walks, of which one spares
-a leg, all are above 0.6 (``tests/robot/test_checks.py``)."""
+"""Standard deviation of a joint's angle or torque, over that of the same joint of the other legs,
+below which it stands still and above which it moves [-]. On sound walks, of which one spares a leg,
+all are above 0.6."""
 HOLD_S, MOST_HELD = 0.5, 3
-"""Time over which no torque of a sound motor stays one number [s], 0.012 on sound walks; and joints
-of which it may at once, those of a leg, for all are held where a robot stands (chosen)."""
+"""Longest time for which the torque of a sound motor stays one number [s], 0.012 on sound walks;
+and most joints of which it may at once: those of a leg, for a standing robot holds all (chosen)."""
 JUMP = 0.1
-"""Change of an angle from one sample to the next that its velocity does not explain [rad], at
-least. On sound walks with errors of sensors it is 0.016 at most, where legs are exchanged or an
-encoder changes its sign 0.2 to 2 (test as above)."""
+"""Change of an angle between samples that its velocity does not explain [rad]: 0.016 at most on
+sound walks, 0.2 to 2 where legs are exchanged or an encoder changes its sign."""
 REVERSED = -0.5
 """Gain of a torque in swing below which its sign is wrong [-]: halfway from that of a dead motor,
 0, to −1."""
+_SAMPLES = 1250
+"""Most samples on which orders of the legs are compared."""
+
 REFUSED = "refused"
 """A finding with which a log is refused: feet that pull, or bear the weight several times over."""
-_SAMPLES = 1250
 
 
 class Finding(NamedTuple):
-    """What looks wrong in a log or in the model of its robot."""
+    """Something wrong in a log or in the model of its robot."""
 
     about: str
     text: str
     grave: bool = False
     """Directions of forces and places of feet are useless with it."""
     remedy: str = ""
-    """What to do, if it is so in the whole log."""
+    """Remedy, if the finding is in the whole log."""
     changes: bool = False
-    """Grave if it is not so in the whole log."""
+    """Grave if the finding is not in the whole log."""
     since: float = -math.inf
-    """When it began [s], if it did within the part and that is known."""
+    """Begin of the fault [s], if it lies within the part and is known."""
 
 
 class Checked(NamedTuple):
@@ -98,7 +102,7 @@ class Checked(NamedTuple):
     end: float
     findings: tuple[Finding, ...]
     open: tuple[str, ...] = ()
-    """Kinds of findings of which the part shows neither that it has them nor that it has not."""
+    """Kinds of findings that the part can neither show nor exclude."""
 
 
 def recorded(time: FloatArray) -> FloatArray:
@@ -178,12 +182,12 @@ def balance(
     """
     feet = [stance.foot for stance in stances]
     begins = [s.begin for s in stances if s.foot == max(FEET, key=feet.count)]
-    known = np.isfinite(forces.force).all(axis=(1, 2))
+    rows = np.isfinite(forces.force).all(axis=(1, 2))
     if len(begins) > 1:
-        known &= (forces.time >= begins[0]) & (forces.time < begins[-1])
-    if not known.any():
+        rows &= (forces.time >= begins[0]) & (forces.time < begins[-1])
+    if not rows.any():
         return None
-    x, y, z = forces.force[known].sum(axis=1, dtype=np.float64).mean(axis=0) / weight
+    x, y, z = forces.force[rows].sum(axis=1, dtype=np.float64).mean(axis=0) / weight
     return float(z), float(np.hypot(x, y))
 
 
@@ -270,8 +274,8 @@ def _torques(log: JointLog, forces: FootForces) -> list[Finding]:
     if abs(lag) > LAG_STEP_S:
         late = f"{abs(1e3 * lag):.0f} ms {'late' if lag > 0.0 else 'early'}"
         text = f"torques are {late} against the motion, by the swing of the legs"
-        whole = 1e3 * (lag + log.report.get("lag_s", 0.0))
-        remedy = f": correct it with --lag {whole:.0f}"
+        total_ms = 1e3 * (lag + log.report.get("lag_s", 0.0))
+        remedy = f": correct it with --lag {total_ms:.0f}"
         # Twice the step, for a lag that does not change may be found in some parts only.
         findings.append(Finding("lag", text, False, remedy, abs(lag) > 2.0 * LAG_STEP_S))
     gain = np.array(forces.provenance["torque_gain"], dtype=np.float64)
@@ -298,8 +302,8 @@ def _motion(
         return [*weight, *attitude]  # with a wrong attitude, feet that stand seem to slide
     legs = _legs(log, robot)
     if attitude and legs:
-        both = f"{attitude[0].text}; or, if they are right, {legs[0].text}"
-        attitude, legs = [], [Finding("legs", both, True)]
+        text = f"{attitude[0].text}; or, if they are right, {legs[0].text}"
+        attitude, legs = [], [Finding("legs", text, True)]
     clock = _clock(log)
     if legs or weight or mean is None or forces.frame == "body":
         return [*weight, *attitude, *legs, *clock]
@@ -346,33 +350,34 @@ def _attitude(log: JointLog) -> list[Finding]:
 
     if log.quaternion is None or log.angular_velocity is None or len(log.time) < 3:
         return []
-    every = max(1, round(AVERAGE_S / float(np.median(np.diff(log.time)))))
-    quaternion = np.asarray(log.quaternion[::every], float)
-    step = np.diff(log.time[::every])
+    stride = max(1, round(AVERAGE_S / float(np.median(np.diff(log.time)))))
+    quaternion = np.asarray(log.quaternion[::stride], float)
+    step = np.diff(log.time[::stride])
     if not len(step):
         return []
     # Mean of the gyroscope's readings from one of these samples to the next.
     rate = np.asarray(log.angular_velocity, float)
-    angle = cumulative_trapezoid(rate, log.time, axis=0, initial=0.0)[::every]
+    angle = cumulative_trapezoid(rate, log.time, axis=0, initial=0.0)[::stride]
     felt = np.diff(angle, axis=0) / step[:, None]
-    whole = step < 2.0 * float(np.median(step))
+    without_gap = step < 2.0 * float(np.median(step))
 
-    def unlike(quaternion: FloatArray, felt: FloatArray) -> tuple[float, float]:
-        turned, own = body_rate(quaternion, step)[whole], felt[whole]
-        own = own + np.median(turned - own, axis=0)
+    def disagreement(quaternion: FloatArray, felt: FloatArray) -> tuple[float, float]:
+        """Difference of the two over the rate of turning [-], and that rate [rad/s]."""
+        turned, spun = body_rate(quaternion, step)[without_gap], felt[without_gap]
+        spun = spun + np.median(turned - spun, axis=0)
         # Medians, for a filter may correct its heading in a jump.
-        sizes = [np.linalg.norm(v, axis=1) for v in (turned - own, turned, own)]
+        sizes = [np.linalg.norm(v, axis=1) for v in (turned - spun, turned, spun)]
         off, turning, spinning = np.median(sizes, axis=1).tolist()
         return off / max(turning, spinning, 1e-12), max(turning, spinning)
 
-    off, turning = unlike(quaternion, felt)
-    if turning < LEAST_TURNING or off < SOMEWHAT_UNLIKE:
+    off, turning = disagreement(quaternion, felt)
+    if turning < LEAST_TURNING or off < DISAGREEMENT:
         return []
     conjugate, last = quaternion * np.array([1.0, -1.0, -1.0, -1.0]), quaternion[:, [3, 0, 1, 2]]
-    both = body_rate(quaternion, step), felt
-    sizes = [float(np.median(np.abs(v - np.median(v, axis=0)))) for v in both]
+    rates = body_rate(quaternion, step), felt
+    sizes = [float(np.median(np.abs(v - np.median(v, axis=0)))) for v in rates]
     factor = sizes[0] / max(sizes[1], 1e-12)
-    others = [
+    readings = [
         ("the quaternion is that of the world in the body's frame (conjugate)", conjugate, felt),
         ("the quaternion comes as x, y, z, w (w first is expected)", last, felt),
         ("the gyroscope is in degrees per second, not rad/s", quaternion, np.radians(felt)),
@@ -380,16 +385,15 @@ def _attitude(log: JointLog) -> list[Finding]:
     ]
     if 0.1 < factor < 10.0:
         words = f"times, or the gyroscope's readings, are multiplied by {factor:.2g}"
-        others.append((words, quaternion, factor * felt))
-    left = {words: unlike(*other)[0] for words, *other in others}
-    best = min(left.values())
-    disagree = f"attitude and gyroscope disagree by {off:.0%} of how the robot turns"
+        readings.append((words, quaternion, factor * felt))
+    residual = {words: disagreement(*reading)[0] for words, *reading in readings}
+    best = min(residual.values())
+    text = f"attitude and gyroscope disagree by {off:.0%} of how the robot turns"
     if best < EXPLAINED * min(off, 1.0):
         # At small tilts, a conjugate and reversed signs are hard to tell apart.
-        causes = ", or ".join(words for words, value in left.items() if value < best + 0.1)
-        text = f"{disagree}, and by {best:.0%} if {causes}; check the IMU"
-        return [Finding("attitude", text, True)]
-    text = f"{disagree}: check the IMU's axes, units and clock"
+        causes = ", or ".join(words for words, value in residual.items() if value < best + 0.1)
+        return [Finding("attitude", f"{text}, and by {best:.0%} if {causes}; check the IMU", True)]
+    text = f"{text}: check the IMU's axes, units and clock"
     return [Finding("attitude", text)] if off > EXPLAINED else []
 
 
@@ -398,12 +402,12 @@ def _spin(log: JointLog) -> FloatArray:
     if log.angular_velocity is not None:
         return np.asarray(log.angular_velocity, float)
     assert log.quaternion is not None, "checked before"
-    every = max(1, round(AVERAGE_S / float(np.median(np.diff(log.time)))))
-    time = log.time[::every]
+    stride = max(1, round(AVERAGE_S / float(np.median(np.diff(log.time)))))
+    time = log.time[::stride]
     if len(time) < 2:
         return np.zeros((len(log.time), 3))
-    rate, middle = body_rate(log.quaternion[::every], np.diff(time)), 0.5 * (time[1:] + time[:-1])
-    return np.stack([np.interp(log.time, middle, each) for each in rate.T], axis=1)
+    rate, middle = body_rate(log.quaternion[::stride], np.diff(time)), 0.5 * (time[1:] + time[:-1])
+    return np.stack([np.interp(log.time, middle, axis) for axis in rate.T], axis=1)
 
 
 def _legs(log: JointLog, robot: Quadruped) -> list[Finding]:
@@ -417,76 +421,89 @@ def _legs(log: JointLog, robot: Quadruped) -> list[Finding]:
     if log.angular_velocity is None and log.quaternion is None:
         return []
     # Forces of a leg with a straight knee are not known, least of all of another leg's angles.
-    every = np.arange(0, len(log.time), max(1, len(log.time) // _SAMPLES))
-    lever = Legs(robot, log.angle[every]).force_per_torque()[1]
-    every = every[(lever > LEAST_LEVER * robot.leg_length).all(axis=1)]
-    angle, velocity, torque = (
-        np.asarray(v[every], float) for v in (log.angle, log.velocity, log.torque)
-    )
-    spin = _spin(log)[every]
-    count, feet, weight = len(angle), np.arange(len(FEET)), robot.mass * GRAVITY
-    turn = np.broadcast_to(np.eye(3), (count, 3, 3))
-    if log.quaternion is not None:
-        turn = rotation(log.quaternion[every])
-    arm = -robot.foot_radius * turn[:, None, 2, :]
-    # Of each foot with what each leg logs, shape [sample, foot, leg, …]: velocities of the balls'
-    # lowest points, as seen from a world in which the body turns in its place; upward forces over
-    # the robot's weight; moments about the trunk's origin over it, of weight and of each torque.
-    speeds, bears = np.empty((count, 4, 4, 3)), np.empty((count, 4, 4))
-    moments = np.empty((count, 4, 4, 4, 3))
-    for shift in feet:
-        legs = np.roll(feet, shift)
-        found = Legs(robot, angle[:, legs], 0.0 * velocity, 0.0 * velocity)
-        speed = np.einsum("sfij,sfj->sfi", found.jacobian(arm), velocity[:, legs])
-        speeds[:, feet, legs] = speed + np.cross(spin[:, None], found.place + arm)
-        inverse = np.nan_to_num(found.force_per_torque()[0]) / weight
-        own = np.einsum("sfij,sfj->sfi", inverse, found.torque[0])
-        each = np.swapaxes(-inverse * torque[:, legs, None], -1, -2)
-        forces = np.concatenate([own[:, :, None], each], axis=2)
-        moments[:, feet, legs] = np.cross(found.place[:, :, None], forces)
-        bears[:, feet, legs] = np.einsum("sj,sfkj->sf", turn[:, 2], forces)
-    load = np.maximum(bears - BEARING_SHARE, 0.0)
+    rows = np.arange(0, len(log.time), max(1, len(log.time) // _SAMPLES))
+    lever = Legs(robot, log.angle[rows]).force_per_torque()[1]
+    rows = rows[(lever > LEAST_LEVER * robot.leg_length).all(axis=1)]
+    speeds, load, moments = _swapped(log, robot, rows)
+    feet = np.arange(len(FEET))
     if not np.any(np.count_nonzero(load[:, feet, feet], axis=1) > 1):
         return []
 
-    def unlike(order: tuple[int, ...]) -> FloatArray:
+    def residuals(order: tuple[int, ...]) -> FloatArray:
+        """Root mean squares of sliding [m/s], and of roll and pitch moments over the weight [m]."""
         # Root mean square speed of loaded feet against their mean, weighted by load.
         share = load[:, feet, order]
         several = np.count_nonzero(share, axis=1) > 1
         share = share[several] / share[several].sum(axis=1, keepdims=True)
         speed = speeds[:, feet, order][several]
         speed -= np.sum(share[..., None] * speed, axis=1, keepdims=True)
-        left = [float(np.sqrt(np.sum(share[..., None] * speed**2) / len(speed)))]
+        sizes = [float(np.sqrt(np.sum(share[..., None] * speed**2) / len(speed)))]
         chosen = moments[:, feet, order]
         chosen = chosen - chosen.mean(axis=0)
         for axis in range(2):
-            whole = chosen[..., axis].sum(axis=(1, 2))
-            per = chosen[:, :, 1:, axis].reshape(count, -1)
-            ridge = count * (MOMENT_SD / SensorErrors.gain) ** 2 * np.eye(per.shape[1])
-            lost = per.T @ whole
-            rest = whole @ whole - lost @ np.linalg.solve(per.T @ per + ridge, lost)
-            left.append(math.sqrt(max(float(rest), 0.0) / count))
-        return np.array(left)
+            # What gains of the torques explain, by ridge regression, is taken off.
+            total = chosen[..., axis].sum(axis=(1, 2))
+            by_gain = chosen[:, :, 1:, axis].reshape(len(rows), -1)
+            ridge = len(rows) * (MOMENT_SD / SensorErrors.gain) ** 2 * np.eye(by_gain.shape[1])
+            lost = by_gain.T @ total
+            off = total @ total - lost @ np.linalg.solve(by_gain.T @ by_gain + ridge, lost)
+            sizes.append(math.sqrt(max(float(off), 0.0) / len(rows)))
+        return np.array(sizes)
 
-    orders = {order: unlike(order) for order in itertools.permutations(feet.tolist())}
+    orders = {order: residuals(order) for order in itertools.permutations(feet.tolist())}
     # Where no order balances the moments, something else turns the robot: sliding alone counts.
-    balanced = min(left[1] for left in orders.values()) < MOST_OFF * robot.leg_length[0]
-    products = {o: float(np.prod(left if balanced else left[:1])) for o, left in orders.items()}
-    own, mirror = orders[0, 1, 2, 3], orders[1, 0, 3, 2]
-    least, sound = min(products.values()), min(products[0, 1, 2, 3], products[1, 0, 3, 2])
+    balanced = min(sizes[1] for sizes in orders.values()) < MOST_OFF * robot.leg_length[0]
+    products = {o: float(np.prod(v if balanced else v[:1])) for o, v in orders.items()}
+    as_logged, mirror = (0, 1, 2, 3), (1, 0, 3, 2)
+    slide = orders[as_logged][0]
+    least, sound = min(products.values()), min(products[as_logged], products[mirror])
     likely = [order for order in orders if EXPLAINED * products[order] <= least]
     if least > EXPLAINED * sound:
-        likely = [(1, 0, 3, 2)] if mirror[0] < EXPLAINED * own[0] else []
-    if not likely or own[0] < STANCE_SD:
+        likely = [mirror] if orders[mirror][0] < EXPLAINED * slide else []
+    if not likely or slide < STANCE_SD:
         return []
     likely.sort(key=products.__getitem__)
     moved = [
         ", ".join(f"{FEET[j]} for {FEET[i]}" for i, j in enumerate(order) if i != j)
         for order in likely
     ]
-    words = " or ".join(each for each in moved if len(each) == len(moved[0]))
+    words = " or ".join(swaps for swaps in moved if len(swaps) == len(moved[0]))
     text = (
-        f"feet that stand slide at {own[0]:.2g} m/s, and fit better if legs were exchanged: "
+        f"feet that stand slide at {slide:.2g} m/s, and fit better if legs were exchanged: "
         f"{words}; check the order of the joints"
     )
     return [Finding("legs", text, True)]
+
+
+def _swapped(
+    log: JointLog, robot: Quadruped, rows: IntArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Speeds, loads and moments of each foot with what each leg logs, [sample, foot, leg, ...].
+
+    Velocities of the balls' lowest points in a world in which the body turns in its place [m/s];
+    upward forces over the robot's weight, less :data:`~terraphi.robot.friction.BEARING_SHARE`;
+    moments about the trunk's origin over the weight [m], those of the weight and of each torque.
+    """
+    angle, velocity, torque = (
+        np.asarray(v[rows], float) for v in (log.angle, log.velocity, log.torque)
+    )
+    spin = _spin(log)[rows]
+    count, feet, weight = len(rows), np.arange(len(FEET)), robot.mass * GRAVITY
+    turn = np.broadcast_to(np.eye(3), (count, 3, 3))
+    if log.quaternion is not None:
+        turn = rotation(log.quaternion[rows])
+    arm = -robot.foot_radius * turn[:, None, 2, :]
+    speeds, bears = np.empty((count, 4, 4, 3)), np.empty((count, 4, 4))
+    moments = np.empty((count, 4, 4, 4, 3))
+    for shift in feet:
+        order = np.roll(feet, shift)
+        legs = Legs(robot, angle[:, order], 0.0 * velocity, 0.0 * velocity)
+        speed = np.einsum("sfij,sfj->sfi", legs.jacobian(arm), velocity[:, order])
+        speeds[:, feet, order] = speed + np.cross(spin[:, None], legs.place + arm)
+        inverse = np.nan_to_num(legs.force_per_torque()[0]) / weight
+        by_weight = np.einsum("sfij,sfj->sfi", inverse, legs.torque[0])
+        by_torque = np.swapaxes(-inverse * torque[:, order, None], -1, -2)
+        forces = np.concatenate([by_weight[:, :, None], by_torque], axis=2)
+        moments[:, feet, order] = np.cross(legs.place[:, :, None], forces)
+        bears[:, feet, order] = np.einsum("sj,sfkj->sf", turn[:, 2], forces)
+    return speeds, np.maximum(bears - BEARING_SHARE, 0.0), moments

@@ -47,14 +47,14 @@ class JointFriction:
         [N m s/rad].
     inertia
         Of the rotor, seen from the joint [kg m²].
-    found
+    determined
         True where there was enough swing to find them; they are zero elsewhere.
     """
 
     coulomb: FloatArray
     viscous: FloatArray
     inertia: FloatArray
-    found: BoolArray
+    determined: BoolArray
 
     def torque(self, velocity: FloatArray) -> FloatArray:
         """Torque lost to friction at joint velocities [rad/s], rotor's inertia excluded [N m]."""
@@ -225,6 +225,7 @@ def low_pass(
         Filtered sum, shape [sample, ...].
     """
     step = np.diff(time)
+    # The mean of both directions has the gain K² / (K² + ω²) and no delay.
     forward = lagged(step, gain, values, slopes, gap)
     back = lagged(step[::-1], gain, values[::-1], slopes[::-1], gap)[::-1]
     # Next to a gap, and at the record's ends, only the side with a past is of use.
@@ -241,6 +242,7 @@ def lagged(
 
     It solves y[k] = decay[k] y[k−1] + added[k] for all samples.
     """
+    # ẏ = K (x − y) with x linear over a step has y[k] = e^{−KΔt} y[k−1] + its integral.
     decay = np.exp(-gain * step)
     # Weights of the value at the step's near and far end, from the integral over the step.
     near = 1.0 - (1.0 - decay) / (gain * step)

@@ -12,11 +12,12 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError, nearest
-from terraphi.experiment.files import label_of, number_with_sd
-from terraphi.experiment.priors import DENSITY_SD_PART, ROBOT_MASS_SD_PART
-from terraphi.experiment.scenario import GRAVITY, LIMITS
+from terraphi.experiment.files import label_of
+from terraphi.experiment.priors import ROBOT_MASS_SD_PART
+from terraphi.experiment.scenario import GRAVITY
 from terraphi.inference.footfalls import FootfallMap, infer
 from terraphi.inference.pool import Anchor, Normal
+from terraphi.inference.records import density_with_sd
 from terraphi.inference.touchdowns import TORQUES, Prior, Touchdowns
 from terraphi.laws.foot import LAWS
 from terraphi.robot.checks import faulty_spans, within
@@ -40,6 +41,8 @@ SMOOTH_PATH_S = 0.6
 the map [s]: half a stride of a walk."""
 AVERAGED_S = 0.05
 """Time over which forces are averaged to one weighing [s]: a tenth of a stride (chosen)."""
+MOST_DENSITY_SD = 0.3
+"""Largest relative standard deviation of the density [-]; φ is linear in it no further (chosen)."""
 RESTS_PART, STRIDE_S = 0.8, 1.6
 """Part of the usual load of all feet below which the body rests on the ground [-], and the time
 over which loads are averaged, the stride of a slow walk [s]. In ten simulated walks of five gaits
@@ -141,7 +144,12 @@ class Options(NamedTuple):
             )
         full = replace(prior or Prior(), radius=body.foot_radius)
         if density is not None:
-            mean, sd = _density(str(density))
+            mean, sd = density_with_sd(density, "the soil")
+            if not 0.0 < sd <= MOST_DENSITY_SD * mean:
+                raise InputError(
+                    f"density {density}: give a standard deviation above 0 and at most "
+                    f"{MOST_DENSITY_SD:.0%} of the density"
+                )
             full = replace(full, density=mean, density_sd=sd)
         if full.law_sd_deg is None:
             full = replace(full, law_sd_deg=LAWS[law].sd_deg)
@@ -311,6 +319,7 @@ def calibrate_on_weight(
     expected = mass * (GRAVITY + lift_acceleration)
     rows = np.column_stack([lift.sum(axis=1) - expected, errors, expected])[is_known]
     time = time[is_known]
+    # Means over AVERAGED_S, each a weighing; those while the robot is lifted or falls are left out.
     number = np.floor((time - time[0]) / AVERAGED_S).astype(np.int64)
     starts = np.flatnonzero(np.diff(number, prepend=-1))
     counts = np.diff(np.append(starts, len(rows)))
@@ -322,25 +331,11 @@ def calibrate_on_weight(
     precision = np.diag(np.append(sd, ROBOT_MASS_SD_PART) ** -2.0)
     noise, inverse = 0.1 * weight, precision
     mean: FloatArray = np.zeros(TORQUES + 1)
+    # Ridge regression; the noise follows from the residuals. More than MOST_INDEPENDENT weighings
+    # count as that many.
     for _ in range(3):
         share = min(1.0, MOST_INDEPENDENT / len(off)) / noise**2
         inverse = share * design.T @ design + precision
         mean = np.asarray(share * np.linalg.solve(inverse, design.T @ off))
         noise = float(spread(off - design @ mean))
     return Normal(mean[:-1], np.asarray(np.linalg.inv(inverse)[:-1, :-1]))
-
-
-def _density(text: str) -> tuple[float, float]:
-    """Mean and standard deviation of a density such as ``1550±80``, ``1550+-80`` or ``1550``."""
-    low, high, _ = LIMITS["soil.density"]
-    try:
-        mean, sd = number_with_sd(text)
-        sd = DENSITY_SD_PART * mean if sd is None else sd
-        if low <= mean <= high and 0.0 < sd <= 0.3 * mean:
-            return mean, sd
-    except ValueError:
-        pass
-    raise InputError(
-        f"density '{text}': expected kg/m³ such as 1550 or 1550±80, from {low:g} to {high:g}, "
-        "its standard deviation above 0 and at most 30 % of it"
-    )

@@ -32,8 +32,9 @@ from terraphi.robot.estimators import (
     upward,
 )
 from terraphi.robot.friction import Survey, survey
-from terraphi.robot.joint_log import FEET, GAP_STEPS, JOINTS, SHAPES, JointLog, joint_names
+from terraphi.robot.joint_log import FEET, GAP_STEPS, JOINTS, JointLog, joint_names
 from terraphi.robot.legs import rotation
+from terraphi.robot.logs.samples import unsound
 from terraphi.robot.model import Quadruped
 
 SingleArray = NDArray[np.float32]
@@ -81,7 +82,7 @@ class SensorErrors:
         if friction is None:
             return np.full((len(FEET), len(JOINTS)), self.coulomb_Nm)
         error = self.friction_part * np.maximum(friction.coulomb, self.coulomb_Nm)
-        return np.where(friction.found, error, self.coulomb_Nm)
+        return np.where(friction.determined, error, self.coulomb_Nm)
 
 
 @dataclass(frozen=True, repr=False)
@@ -177,14 +178,17 @@ def estimate(
     Raises
     ------
     InputError
-        If the log has the wrong shape, is empty, runs backwards, holds something that is not a
-        number or angles in degrees, lacks the attitude that ``world`` takes, or an
-        option is unknown.
+        If the log has the wrong shape, is empty, holds samples that no sensor sends, lacks the
+        attitude that ``world`` takes, or an option is unknown.
     """
     for name, value, names in (("estimator", estimator, ESTIMATORS), ("frame", frame, FRAMES)):
         if value not in names:
             raise InputError(f"{name} '{value}' is unknown; {nearest(value, names)}")
-    _check_log(log, frame)
+    if bad := unsound(log):
+        reasons = ", ".join(f"{reason} ({count})" for reason, count in bad.items())
+        raise InputError(f"unsound samples: {reasons}; leave them out")
+    if log.quaternion is None and frame != "body":
+        raise InputError(f"the log has no attitude, which frame '{frame}' needs; use 'body'")
     given = friction if isinstance(friction, JointFriction) else None
     log, broken = (log, []) if given else without_broken_accelerometer(log)
     # A frame or two are read as well: of a robot at rest, for they hold no accelerations.
@@ -237,8 +241,8 @@ def _torque_noise(overview: Survey, errors: SensorErrors) -> tuple[FloatArray, F
     usual = np.median(overview.residual[swung[:, 0]], axis=0) if swung.any() else overview.noise
     noise = np.where(swung, overview.residual, usual)
     # Friction that was not found shows in the torques of a foot that swings, and in their spread.
-    found = False if overview.friction is None else overview.friction.found
-    lost = np.where(swung & ~np.asarray(found), 0.0, errors.friction_sd(overview.friction))
+    determined = False if overview.friction is None else overview.friction.determined
+    lost = np.where(swung & ~np.asarray(determined), 0.0, errors.friction_sd(overview.friction))
     return noise, lost
 
 
@@ -295,31 +299,6 @@ def _heading_deg(log: JointLog) -> float | None:
     return math.degrees(math.atan2(y, x))
 
 
-def _check_log(log: JointLog, frame: Frame) -> None:
-    count = len(log.time)
-    if not count:
-        raise InputError("the log has no samples; at least 1 is needed")
-    for name, shape in {"time": (), **SHAPES}.items():
-        values = getattr(log, name)
-        if values is None or name == "foot_counts":
-            continue
-        if values.shape != (count, *shape):
-            raise InputError(f"{name} has shape {values.shape}, expected {(count, *shape)}")
-        bad = ~np.isfinite(values.reshape(count, -1)).all(axis=1)
-        if bad.any():
-            raise InputError(f"{name} is not a number at sample {int(bad.argmax())}")
-    back = np.flatnonzero(np.diff(log.time) <= 0.0)
-    if back.size:
-        raise InputError(f"time runs backwards at sample {back[0] + 1}; it should increase")
-    if log.quaternion is None:
-        if frame != "body":
-            raise InputError(f"the log has no attitude, which frame '{frame}' needs; use 'body'")
-        return
-    off = np.abs(np.linalg.norm(log.quaternion, axis=1) - 1.0)
-    if off.max() > 0.3:
-        raise InputError(f"the quaternion at sample {int(off.argmax())} has not the length 1")
-
-
 def without_broken_accelerometer(log: JointLog) -> tuple[JointLog, list[str]]:
     """Drop accelerations whose mean is not gravity, pointing up; return the log and remarks."""
     if log.acceleration is None:
@@ -350,8 +329,8 @@ def _assumed(log: JointLog, robot: Quadruped, overview: Survey, broken: list[str
     }
     assumed = [*broken, *(text for text, lacks in lacking.items() if lacks)]
     lost = overview.friction
-    if lost is not None and not (lost.found | ~robot.there).all():
-        unknown = joint_names(~lost.found & robot.there)
-        whose = ", ".join(unknown) if lost.found.any() else "any joint"
+    if lost is not None and not (lost.determined | ~robot.there).all():
+        unknown = joint_names(~lost.determined & robot.there)
+        whose = ", ".join(unknown) if lost.determined.any() else "any joint"
         assumed.append(f"too little swing to find the friction of {whose}")
     return assumed

@@ -92,6 +92,7 @@ def clear_of_ground(
     """
     if np.quantile(lift.max(axis=1), 0.9) <= BEARING_SHARE * weight:
         return np.ones(lift.shape, dtype=bool)
+    # Heights above the load-weighted mean of the bearing feet, of each sample.
     load = np.maximum(lift / weight - BEARING_SHARE, 0.0)
     total = load.sum(axis=1, keepdims=True)
     is_loaded = total[:, 0] > 0.0
@@ -137,22 +138,23 @@ def fit_friction(
     JointFriction
     """
     numbers = np.zeros((4, 3, 3))
-    found = np.zeros((4, 3), dtype=bool)
+    determined = np.zeros((4, 3), dtype=bool)
     for i, j in itertools.product(range(4), range(3)):
         chosen = swing[:, i] & sure[:, i, j]
         if chosen.sum() < LEAST_SWING:
             chosen = swing[:, i]
         x, y = terms[chosen, i, j], -residual[chosen, i, j]
         if len(y) >= LEAST_SWING and np.sqrt(np.mean(x[:, 1] ** 2)) >= REVERSAL_RATE:
-            numbers[i, j], found[i, j] = _robust(x, y), True
+            numbers[i, j], determined[i, j] = _robust(x, y), True
     coulomb, viscous, inertia = np.moveaxis(numbers, -1, 0)
-    return JointFriction(coulomb, viscous, inertia, found)
+    return JointFriction(coulomb, viscous, inertia, determined)
 
 
 def _robust(x: FloatArray, y: FloatArray) -> FloatArray:
     """Huber's regression by reweighting, with no coefficient below zero."""
     from scipy.optimize import nnls
 
+    # Iteratively reweighted least squares; weight 1 within k σ, k σ/|e| beyond.
     weight, solution = np.ones(len(y)), np.zeros(x.shape[1])
     for _ in range(12):
         root = np.sqrt(weight)

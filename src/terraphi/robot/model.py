@@ -1,7 +1,7 @@
 """A quadruped from its URDF or MJCF, read by MuJoCo.
 
-A robot of one's own needs its URDF or MJCF and nothing of ours. A small TOML next to it
-(:class:`RobotFile`) adds what the model lacks, such as the numbering of the motors.
+A robot needs its URDF or MJCF. A small TOML next to it (:class:`RobotFile`) adds what the model
+lacks, such as the numbering of the motors.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ if TYPE_CHECKING:
 UNUSED = {"asset", "keyframe", "size", "visual"}
 """Elements of an MJCF that neither kinematics nor masses need."""
 STRETCH_STEPS = 19
-"""Angles of thigh and of calf that are tried to stretch a leg: 10° apart over half a turn, so that
-the foot of a leg of 0.4 m is found within 4 cm of where it stands, a fifth of a Go2's half-base
-(robots in ``tests/robot/test_any_robot.py``)."""
+"""Number of angles of thigh and of calf that are tried to stretch a leg: 10° apart over half a
+turn, so that the foot of a leg of 0.4 m is found within 4 cm of where it stands, a fifth of a Go2's
+half-base (robots in ``tests/robot/test_any_robot.py``)."""
 Positive = Annotated[float, Field(gt=0)]
 Vector = tuple[float, float, float]
 
 
 class RobotFile(Strict):
-    """A robot: its model, and what the model does not hold."""
+    """A robot: the file of its model, and values that the model lacks."""
 
     model: str
     """URDF or MJCF of the robot, a path from the folder of this file."""
@@ -94,9 +94,9 @@ class Quadruped:
     joint_order
         The joints in the order in which the motors are numbered.
     order_assumed
-        Whether that order is a guess.
+        True if that order is a guess.
     notes
-        What was guessed, or looks wrong, in the model.
+        Warnings: guesses, and what looks wrong in the model.
     """
 
     model: mujoco.MjModel
@@ -116,7 +116,7 @@ class Quadruped:
 
     @property
     def there(self) -> BoolArray:
-        """Which joints the legs have, shape [foot, joint]."""
+        """Mask of the joints that the legs have, shape [foot, joint]."""
         return np.asarray(self.joint >= 0)
 
     @property
@@ -148,21 +148,21 @@ class Quadruped:
             path = shipped_file("robots", str(source), ".toml")
         if path.suffix.lower() in {".urdf", ".xml", ".mjcf"}:
             return _loaded(path, RobotFile(model=path.name))
-        own = parse_toml(path, RobotFile)
-        return _loaded(path.parent / own.model, own, str(path))
+        settings = parse_toml(path, RobotFile)
+        return _loaded(path.parent / settings.model, settings, str(path))
 
 
-def _loaded(path: Path, own: RobotFile, toml: str = "") -> Quadruped:
+def _loaded(path: Path, settings: RobotFile, toml: str = "") -> Quadruped:
     import mujoco
 
     check_is_file(path)
     with unpacking(f"{path}: it", [path]):
         model, title = _compiled(read_bytes(path), str(path))
         data = mujoco.MjData(model)
-    joint, notes = _leg_joints(model, data, own.joints, toml or str(path))
+    joint, notes = _leg_joints(model, data, settings.joints, toml or str(path))
     names = [name for name, there in zip(JOINT_NAMES, (joint >= 0).ravel(), strict=True) if there]
     alias = dict(zip((model.joint(int(i)).name for i in joint[joint >= 0]), names, strict=True))
-    order = tuple(alias.get(name, name) for name in own.joint_order or names)
+    order = tuple(alias.get(name, name) for name in settings.joint_order or names)
     if sorted(order) != sorted(names):
         raise InputError(f"{toml}: joint_order: {', '.join(names)} are expected, each once")
     data.qpos[:] = model.qpos0
@@ -173,22 +173,22 @@ def _loaded(path: Path, own: RobotFile, toml: str = "") -> Quadruped:
     place = data.xpos[body] + np.einsum("fij,fj->fi", data.xmat[body].reshape(-1, 3, 3), offset)
     thigh, knee = data.xanchor[joint[:, 1]], data.xanchor[joint[:, 2]]
     length = np.linalg.norm(knee - thigh, axis=-1) + np.linalg.norm(place - knee, axis=-1)
-    if own.foot_radius is None and radius[0] > 0.0:
+    if settings.foot_radius is None and radius[0] > 0.0:
         notes.append(f"foot_radius taken from the model's sphere: {1e3 * radius[0]:g} mm")
     return Quadruped(
         model=model,
         joint=joint,
         foot=body,
         foot_offset=offset,
-        name=own.name or title,
-        source=own.source or label_of(path),
-        mass=own.mass or float(model.body_mass.sum()),
+        name=settings.name or title,
+        source=settings.source or label_of(path),
+        mass=settings.mass or float(model.body_mass.sum()),
         leg_length=length,
-        foot_radius=float(radius[0]) if own.foot_radius is None else own.foot_radius,
-        torque_limit=own.torque_limit or _limits(model, joint),
-        imu=own.imu or _imu(model, data),
+        foot_radius=float(radius[0]) if settings.foot_radius is None else settings.foot_radius,
+        torque_limit=settings.torque_limit or _limits(model, joint),
+        imu=settings.imu or _imu(model, data),
         joint_order=order,
-        order_assumed=own.joint_order is None,
+        order_assumed=settings.joint_order is None,
         notes=tuple(notes),
     )
 
@@ -341,9 +341,9 @@ def _leg_joints(
             ) from error
         placed = joint
     if missing:
-        words = zip(FEET, placed[:, -1], strict=True)
-        found = ", ".join(f"{foot} ends with '{model.joint(int(i)).name}'" for foot, i in words)
-        return placed, [f"legs recognized by their places, not by names: {found}"]
+        calves = zip(FEET, placed[:, -1], strict=True)
+        text = ", ".join(f"{foot} ends with '{model.joint(int(i)).name}'" for foot, i in calves)
+        return placed, [f"legs recognized by their places, not by names: {text}"]
     for row in np.sort(joint[:, first:]):
         for i, above in zip(row, [5, *model.jnt_dofadr[row[:-1]]], strict=True):
             if model.dof_parentid[model.jnt_dofadr[i]] != above:
@@ -393,9 +393,9 @@ def _joints_by_place(model: mujoco.MjModel, data: mujoco.MjData) -> IntArray:
             ]  # fmt: skip
             at = model.body_parentid[at]
         chains.append(tuple(chain))
-    ends = {one for one in chains if not any(one == c[: len(one)] != c for c in chains)}
-    legs = [sorted(one for one in ends if len(one) == count) for count in (3, 2)]
-    four = next((each for each in legs if len(each) == len(FEET)), None)
+    ends = {chain for chain in chains if not any(chain == c[: len(chain)] != c for c in chains)}
+    legs = [sorted(chain for chain in ends if len(chain) == count) for count in (3, 2)]
+    four = next((four for four in legs if len(four) == len(FEET)), None)
     data.qpos[:] = model.qpos0
     data.qpos[:7] = (0, 0, 0, 1, 0, 0, 0)
     mujoco.mj_kinematics(model, data)
@@ -404,12 +404,13 @@ def _joints_by_place(model: mujoco.MjModel, data: mujoco.MjData) -> IntArray:
             f"it has {_legs_in_words(data, ends)}, not four of two or three with a ball at the end "
             "(bipeds and flat soles are not supported)"
         )
+    # Order hip, thigh, calf within each leg, by the axes.
     along = np.abs(data.xaxis[:, 0])
     joint = np.full((len(FEET), len(JOINTS)), -1)
-    for row, one in zip(joint, four, strict=True):
-        row[-len(one) :] = one
-        if len(one) == len(JOINTS) and along[one[1]] > max(along[one[0]], math.sqrt(0.5)):
-            row[:2] = one[1], one[0]
+    for row, leg in zip(joint, four, strict=True):
+        row[-len(leg) :] = leg
+        if len(leg) == len(JOINTS) and along[leg[1]] > max(along[leg[0]], math.sqrt(0.5)):
+            row[:2] = leg[1], leg[0]
     ends_of = [_foot(model, data, int(model.jnt_bodyid[row[2]]), "it")[:2] for row in joint]
     feet, offset = (np.array(column) for column in zip(*ends_of, strict=True))
     limited = model.jnt_limited[joint][..., None].astype(bool)
@@ -418,6 +419,7 @@ def _joints_by_place(model: mujoco.MjModel, data: mujoco.MjData) -> IntArray:
     if np.any(joint[:, 0] >= 0):  # within its range, if zero is not
         hip = np.clip(middle[:, 0, 0], *span[:, 0].T)
         data.qpos[model.jnt_qposadr[joint[:, 0]]] = hip
+    # Try angles of thigh and calf; the deepest foot below its thigh, over the leg's length.
     drops, places = [], []
     for thigh, calf in itertools.product(np.linspace(0.0, 1.0, STRETCH_STEPS), repeat=2):
         part = np.array([thigh, calf])
@@ -480,13 +482,13 @@ def _foot(
             # A sphere that is a little off its frame belongs to the foot's frame nevertheless.
             return body, model.geom_pos[ball].copy(), float(model.geom_size[ball, 0])
         return body, np.zeros(3), 0.0
-    own = [g for g in balls if model.geom_bodyid[g] == calf]
-    if not own:
+    balls = [g for g in balls if model.geom_bodyid[g] == calf]
+    if not balls:
         raise InputError(
             f"{source}: nothing is fixed to body '{model.body(calf).name}'; add a foot: a link "
             "fixed to it, or a sphere at its end as a collision"
         )
-    ball = max(own, key=lambda g: np.linalg.norm(model.geom_pos[g]))
+    ball = max(balls, key=lambda g: np.linalg.norm(model.geom_pos[g]))
     return calf, model.geom_pos[ball].copy(), float(model.geom_size[ball, 0])
 
 

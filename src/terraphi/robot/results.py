@@ -16,16 +16,8 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import label_of
 from terraphi.experiment.results import Result, Variable
 from terraphi.experiment.scenario import GRAVITY
-from terraphi.robot.checks import (
-    REFUSED,
-    Checked,
-    balance,
-    check,
-    check_parts,
-    grave,
-    parts,
-    warnings_of,
-)
+from terraphi.robot import checks
+from terraphi.robot.checks import Checked
 from terraphi.robot.estimators import Estimator
 from terraphi.robot.forces import DEFAULT_ESTIMATOR, FootForces, Frame, estimate
 from terraphi.robot.friction import BEARING_SHARE, MOST_LAG_S
@@ -41,10 +33,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ASKEW_DEG = 15.0
-"""Heading from the world's x above which a note says what Fx means [deg]: its cosine is 0.97."""
+"""Heading from the world's x above which there is a warning about Fx [deg]: its cosine is 0.97."""
 GREY = "0.4"
 PLOTTED_S = 7.0
-"""Part of a log that a picture shows [s]."""
+"""Length of the part of a log that a picture shows [s]."""
 
 
 class ForcesAttributes(BaseModel):
@@ -123,12 +115,17 @@ class RobotForces(Result):
     def warnings(self) -> tuple[str, ...]:
         """Warnings."""
         dropped = left_out(self.report["dropped"])
-        return (*self.report.get("notes", ()), *warnings_of(self.checked), *dropped, *self.remarks)
+        return (
+            *self.report.get("notes", ()),
+            *checks.warnings_of(self.checked),
+            *dropped,
+            *self.remarks,
+        )
 
     @property
     def grave(self) -> tuple[str, ...]:
-        """Why neither directions of forces nor places of feet can be used, if in the whole log."""
-        findings = grave(self.checked)
+        """Findings in the whole log by which forces and places of feet are useless."""
+        findings = checks.grave(self.checked)
         return tuple(finding.text for finding in findings[0]) if all(findings) else ()
 
     def summary(self) -> dict[str, Any]:
@@ -296,7 +293,7 @@ def foot_forces(
     except InputError as error:
         raise InputError(f"{source}: {error}" if source else str(error)) from error
     stances = find_stances(forces.time, forces.force, rise_N=BEARING_SHARE * weight)
-    mean = balance(forces, stances, weight)
+    mean = checks.balance(forces, stances, weight)
     report = {"dropped": {}, "source": source, **describe(log.time), **log.report, "lag_s": lag_s}
     report["dropped"] = dict(dropped + Counter(report["dropped"]))
     return RobotForces(
@@ -318,12 +315,12 @@ def _checked(
     log: JointLog, robot: Quadruped, forces: FootForces, options: dict[str, Any]
 ) -> tuple[Checked, ...]:
     """Check a log, part by part; raise InputError if all of them refuse it."""
-    pieces = parts(log.time)
+    pieces = checks.parts(log.time)
     if len(pieces) == 1:
-        checked = [check(log, robot, forces)]
+        checked = [checks.check(log, robot, forces)]
     else:
-        checked = check_parts(log, robot, pieces, **options)
-    reasons = [f.text for part in checked for f in part.findings if f.about == REFUSED]
+        checked = checks.check_parts(log, robot, pieces, **options)
+    reasons = [f.text for part in checked for f in part.findings if f.about == checks.REFUSED]
     if len(reasons) == len(checked):
         raise InputError(reasons[0])
     return tuple(checked)
@@ -342,7 +339,7 @@ def _sensor_correlation(log: JointLog, forces: FootForces) -> dict[str, float]:
 
 
 def left_out(dropped: Mapping[str, int]) -> list[str]:
-    """A note of samples that were left out, if there are any."""
+    """Warning about samples that were left out, if there are any."""
     reasons = ", ".join(f"{reason} ({count})" for reason, count in sorted(dropped.items()))
     return [f"{sum(dropped.values())} samples are left out: {reasons}"] if dropped else []
 

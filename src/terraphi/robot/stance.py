@@ -178,6 +178,7 @@ def _bounds(time: FloatArray, lift: Forces, rise_N: float) -> list[tuple[int, in
 
     if len(time) < 3:
         return []
+    # Two thresholds with hysteresis: a run above the lower one that once exceeds the upper one.
     rise = max(rise_N, RISE_PART * float(np.quantile(lift, 0.95)))
     width = round(SMOOTH_S / float(np.median(np.diff(time))))
     smooth = running_mean(lift[:, None], min(width // 2, (len(lift) - 1) // 2))[:, 0]
@@ -198,11 +199,13 @@ def _bounds(time: FloatArray, lift: Forces, rise_N: float) -> list[tuple[int, in
     # Outside the record: the foot stood when it began, or when it ended.
     good = (first >= 0) & (last < len(lift))
     first, last = first[good], last[good]
+    # Too long, or across a gap without samples.
     breaks = np.concatenate([[0], np.cumsum(np.diff(time) > HELD_S)])
     duration = time[last] - time[first]
     good = (duration <= LONGEST_S) & (breaks[first] == breaks[last])
     first, last = first[good], last[good]
     if len(first):
+        # A short blow of a leg's inertia is no stance: its impulse is small.
         total = cumulative_trapezoid(lift.astype(np.float64), time, initial=0.0)
         impulse = total[last] - total[first]
         great = impulse >= RISE_PART * np.quantile(impulse, 0.95)

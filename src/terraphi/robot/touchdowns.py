@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.arrays import FloatArray, IntArray
 from terraphi.experiment.scenario import GRAVITY
 from terraphi.inference.touchdowns import FEWEST, Prior, Touchdowns
 from terraphi.laws.foot import Foot, moved_mass
@@ -112,13 +112,14 @@ def track(
     from scipy.linalg import solveh_banded
     from scipy.ndimage import uniform_filter1d
 
-    turn, trunk_own = trunk_motion(log, robot)
+    turn, measured = trunk_motion(log, robot)
     place = np.einsum("sij,sfj->sfi", turn, place)
     step = np.diff(log.time)
+    # Velocity of the trunk by each foot, if that stood still: −Δp/Δt.
     apparent = -np.diff(place, axis=0) / step[:, None, None]
     felt = np.zeros((len(log.time), 3))
     if log.acceleration is not None:
-        felt = np.einsum("sij,sj->si", turn, trunk_own.specific_force)
+        felt = np.einsum("sij,sj->si", turn, measured.specific_force)
         felt[:, 2] -= GRAVITY
         half = max(1, round(BIAS_S / float(np.median(step))) // 2)
         felt -= running_mean(felt, half) if bias is None else bias
@@ -127,11 +128,13 @@ def track(
     between = 0.5 * (step[1:] + step[:-1])
     stiff = 1.0 / (sd * between) ** 2
     change = felt[1:-1] * between[:, None]
+    # Weight w/σ_v² of a foot at both ends of a step, by its load.
     bearing = np.clip(np.nan_to_num(load) / (BEARING_SHARE * robot.mass * GRAVITY), 0.0, 1.0)
     bearing = np.minimum(bearing[1:], bearing[:-1]) ** 2 / STANCE_SD**2
     weight = bearing
     velocity = np.zeros((len(step), 3))
     for _ in range(ROUNDS):
+        # Normal equations: rows k couple to k − 1 and k + 1 by the accelerometer only.
         diagonal = weight.sum(axis=1) + 1e-3
         diagonal[1:] += stiff
         diagonal[:-1] += stiff
@@ -207,7 +210,8 @@ def _touchdown(
     lift, place = forces.force[:, foot, 2].astype(np.float64), motion.feet[:, foot]
     half = max(1, round(0.5 * SMOOTH_S / step))
     start = int(np.searchsorted(time, stance.begin))
-    # The surface is where the foot first met force after it had been aloft.
+    # The surface is where the foot first met force after it had been aloft. A stance begins later,
+    # where its force has risen above a threshold.
     early = np.arange(np.searchsorted(time, stance.begin - WINDOW_S), start)
     aloft = early[(lift[early] < TOUCH_N) & (place[early, 2] > place[start, 2])]
     if len(aloft):
@@ -220,12 +224,8 @@ def _touchdown(
     rows = np.arange(first, max(min(last, len(time) - half - 1), first))
     short = len(rows) < 2
     rows = np.array([start]) if short else rows
-    before, after = np.maximum(rows - half, 0), np.minimum(rows + half, len(time) - 1)
-    velocity = (place[after] - place[before]) / (time[after] - time[before])[:, None]
-    down, force = -velocity[:, 2], lift[rows]
-    drop = place[start, 2] - place[rows, 2]
-    span = time[after] - time[before]
-    acceleration = 4.0 * (2.0 * place[rows, 2] - place[before, 2] - place[after, 2]) / span**2
+    velocity, acceleration = _rates(time, place, rows, half)
+    down, force, drop = -velocity[:, 2], lift[rows], place[start, 2] - place[rows, 2]
     fastest = maximum_filter1d(
         np.where(rows >= start, down, 0.0), max(1, round(0.5 * WINDOW_S / step))
     )
@@ -236,6 +236,7 @@ def _touchdown(
     force = np.nan_to_num(force)
     good &= (force > 0.9 * np.maximum.accumulate(force) - TOUCH_N) | (rows < start)
     last = int(rows[good][-1] if good.any() else rows[-1])
+    # Thinned to at most POINTS samples, then padded by repeating the last one.
     chosen = np.flatnonzero(rows <= last)
     if len(chosen) > POINTS:
         chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, POINTS).round().astype(int))]
@@ -261,6 +262,19 @@ def _touchdown(
     }
 
 
+def _rates(
+    time: FloatArray, place: FloatArray, rows: IntArray, half: int
+) -> tuple[FloatArray, FloatArray]:
+    """Velocity [m/s] and downward acceleration [m/s²] at rows, by central differences.
+
+    Over ``half`` samples to both sides, fewer at the ends.
+    """
+    before, after = np.maximum(rows - half, 0), np.minimum(rows + half, len(time) - 1)
+    span = np.maximum(time[after] - time[before], 1e-9)
+    curvature = 4.0 * (2.0 * place[rows, 2] - place[before, 2] - place[after, 2]) / span**2
+    return (place[after] - place[before]) / span[:, None], curvature
+
+
 def _yielding(
     time: FloatArray, place: FloatArray, lift: FloatArray, half: int, landing: float
 ) -> dict[str, float]:
@@ -270,16 +284,14 @@ def _yielding(
     """
     force, drop = running_mean(np.nan_to_num(lift)[:, None], half)[:, 0], place[0, 2] - place[:, 2]
     peak = max(float(force.max()), 1e-6)
+    # Work on the way down and back: dissipated by soil, returned by an elastic ground.
     high = np.flatnonzero(force >= LOADED * peak)
     work = 0.5 * (force[1:] + force[:-1]) * np.diff(drop)
     loading, unloading = work[: high[0]].sum(), -work[high[-1] :].sum()
     # A foot that goes down steeply and fast, deeper than where the force was largest so far: soil
     # bears more there. What the soil's inertia no longer adds to a foot that slows is no loss.
     index = np.arange(len(force))
-    before, after = np.maximum(index - half, 0), np.minimum(index + half, len(force) - 1)
-    velocity = (place[after] - place[before]) / np.maximum(time[after] - time[before], 1e-9)[
-        :, None
-    ]
+    velocity, _ = _rates(time, place, index, half)
     speed, down = np.linalg.norm(velocity, axis=1), -velocity[:, 2]
     most = np.maximum.accumulate(force)
     at = np.maximum.accumulate(np.where(force == most, index, 0))
