@@ -160,7 +160,7 @@ class FootfallMap(Result):
     path_phi, path_relative_sd, path_absolute_sd
         Map of φ on the path [deg], shape [point]; not a number if no footfall is usable.
     shared
-        What all footfalls share, by name: mean, standard deviation and its share of φ's.
+        Errors shared by all footfalls, by name: mean, standard deviation and its share of φ's.
     by_law
         Mean φ of the usable footfalls by the law, and by a second one [deg].
     warnings
@@ -223,7 +223,7 @@ class FootfallMap(Result):
 
     @property
     def usable(self) -> BoolArray:
-        """Which footfalls determine φ, shape [footfall]."""
+        """Mask of the footfalls that determine φ, shape [footfall]."""
         return np.array([verdict == USABLE for verdict in self.verdict], dtype=bool)
 
     @property
@@ -240,7 +240,7 @@ class FootfallMap(Result):
         return self._frame("footfall").rename(columns={"time_s": "t_s"}).drop(columns="chi2")
 
     def as_dict(self) -> dict[str, Any]:
-        """What ``terraphi footfalls --json`` prints; null where there is no number.
+        """Answer as ``terraphi footfalls --json`` prints it; null where there is no number.
 
         ``phi_deg`` of a footfall holds its absolute bands, ``phi_relative_deg`` those against the
         other footfalls of the walk, without what soil, foot, law and sensors add to all of them.
@@ -500,7 +500,7 @@ def infer(
         by_law |= {name: float(phi.mean()) + learned for name, phi in second.items()}
         contradicted = [
             f"the anchor of {anchor.phi_deg:g} ± {anchor.sd_deg:g}° is {off:.1f} standard "
-            "deviations from what footfalls, law and other anchors give: check it"
+            "deviations off φ by the footfalls, the law and other anchors: check it"
             for anchor, off in zip(anchors, pooled.surprise, strict=True) if off > CONTRADICTED
         ]  # fmt: skip
     sinkage = surface_depth(fits, verdict)
@@ -607,18 +607,18 @@ def _limits_of_the_law(
     rise = np.linalg.lstsq(np.stack([x, y, np.ones_like(x)], axis=-1), z)[0][:2]
     if (slope := math.degrees(math.atan(float(np.linalg.norm(rise))))) > LEVEL_DEG:
         notes.append(
-            f"the ground is inclined by {slope:.0f}°: the law is of level ground, and soil on a "
+            f"the ground is inclined by {slope:.0f}°; the law is for level ground, and soil on a "
             "slope bears less"
         )
     if law == "foot" and (deep := fits.sinkage[usable] > DEEPEST * prior.radius).any():
         notes.append(
             f"{int(deep.sum())} of {len(deep)} usable feet sank deeper than {DEEPEST:g} "
-            "radii, where law foot was not simulated: their φ is less sure than stated"
+            "radii, where law foot was not simulated: their φ is less certain than stated"
         )
     if law == "foot" and prior.exponent < SLOW_GROWTH:
         notes.append(
             f"forces grow slower with depth than in dry sand, by a power of {prior.exponent:.2f}: "
-            "damp soil does so, and reads up to 8° too high; feet that land fast do, too"
+            "if the soil is damp, φ may be up to 8° too high; feet that land fast do so, too"
         )
     return notes
 
@@ -630,17 +630,17 @@ def _limits_of_the_path(
     notes = []
     if comes_back(path):
         notes.append(
-            f"the path comes back to itself: prints of before are recognized within "
-            f"{1e3 * NEAR_RADII * prior.radius:.0f} mm, if the odometry is as good as that"
+            f"the path comes back to itself: earlier prints are recognized within "
+            f"{1e3 * NEAR_RADII * prior.radius:.0f} mm, if the odometry is as accurate"
         )
     if not (verdict == USABLE).any():
         hard = 2 * np.count_nonzero(verdict == SHALLOW) > len(verdict)
-        why = "hard ground, on which feet hardly sink" if hard else "the map is empty"
+        why = "feet hardly sink, as on hard ground" if hard else "the map is empty"
         notes.append(f"no footfall is usable: {why}")
     elif not anchored:
         notes.append(
-            "no anchor: only differences along the path are as sure as the relative band, and "
-            f"their scale is unsure by {scale_sd:.0%}"
+            "no anchor: the relative band holds for differences along the path only, and their "
+            f"scale is uncertain by {scale_sd:.0%}"
         )
     return notes
 
@@ -710,24 +710,24 @@ def _ground_notes(touchdowns: Touchdowns, fits: Fit, verdict: NDArray[np.str_]) 
     notes = []
     if returned > WALK_RETURNED:
         notes.append(
-            f"the ground gives back {returned:.0%} of the work that feet do on it, soil a few per "
-            "cent: it is a mat, foam or floor, and has no φ"
+            f"the ground returns {returned:.0%} of the work of the feet, soil a few percent: it is "
+            "a mat, foam or floor, and has no φ"
         )
     if broken > WALK_BROKEN:
         notes.append(
             f"feet lose {broken:.0%} of their force while they go deeper: a crust breaks, as on "
-            "snow, and φ is not that of sand"
+            "snow, and φ is not that of the soil"
         )
     if hard := int((verdict == HARD).sum()):
         notes.append(
-            f"{hard} of {len(verdict)} feet ended on something harder than the soil above it: how "
-            "deep is the soil?"
+            f"{hard} of {len(verdict)} feet ended on harder ground below the soil: check how deep "
+            "the soil is"
         )
     misfits = int((verdict == MISFIT).sum())
     if misfits > MOST_MISFITS * len(verdict):
         notes.append(
-            f"the law does not fit {misfits} of {len(verdict)} footfalls: was the ground trodden "
-            "before, or is it stony, layered or damp?"
+            f"the law does not fit {misfits} of {len(verdict)} footfalls: check whether the ground "
+            "was trodden before, or is stony, layered or damp"
         )
     return notes
 

@@ -313,17 +313,17 @@ def without_broken_accelerometer(log: JointLog) -> tuple[JointLog, list[str]]:
         return log, []
     text = ", ".join(f"{value:.1f}" for value in mean)
     return replace(log, acceleration=None), [
-        f"accelerometer ignored: its mean is ({text}) m/s², {GRAVITY:g} upward is expected"
+        f"accelerometer ignored: its mean is ({text}) m/s²; {GRAVITY:g} upward is expected"
     ]
 
 
 def _assumed(log: JointLog, robot: Quadruped, overview: Survey, broken: list[str]) -> list[str]:
     """Sentences about assumptions in the place of what the log lacks."""
     lacking = {
-        "no attitude: gravity is taken along the body's z": log.quaternion is None,
-        "no accelerometer: the trunk is taken to be unaccelerated": log.acceleration is None,
-        "no gyroscope: the trunk is taken not to turn": log.angular_velocity is None,
-        "legs of two joints: the force across their plane is taken to be zero": (
+        "no attitude: gravity is assumed along the body's z": log.quaternion is None,
+        "no accelerometer: the trunk is assumed to be unaccelerated": log.acceleration is None,
+        "no gyroscope: the trunk is assumed not to turn": log.angular_velocity is None,
+        "legs of two joints: the force across their plane is assumed to be zero": (
             not robot.there.all()
         ),
     }

@@ -352,15 +352,14 @@ def _leg_joints(
     if np.array_equal(joint, placed):
         return joint, []
     where = {int(row[2]): foot for row, foot in zip(placed, FEET, strict=True)}
-    wrong = [
-        f"{model.joint(int(row[2])).name}, named {foot}, is at {where.get(int(row[2]), 'no foot')}"
-        for row, foot in zip(joint, FEET, strict=True) if where.get(int(row[2])) != foot
-    ]  # fmt: skip
-    wrong += [
-        f"the hip and thigh of {foot} have each other's axes"
-        for row, other, foot in zip(joint, placed, FEET, strict=True)
-        if row[2] == other[2] and tuple(row) != tuple(other)
-    ]
+    wrong = []
+    for foot, named, row in zip(FEET, joint, placed, strict=True):
+        calf = int(named[2])
+        if where.get(calf) != foot:
+            corner = where.get(calf, "no foot")
+            wrong.append(f"{model.joint(calf).name}, named {foot}, is at {corner}")
+        elif tuple(named) != tuple(row):
+            wrong.append(f"the hip and thigh of {foot} have each other's axes")
     return joint, [f"names and places of the legs disagree: {'; '.join(wrong)}"] if wrong else []
 
 

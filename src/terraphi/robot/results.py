@@ -360,7 +360,7 @@ def _remarks(
         seconds, begin = max(holes)
         notes.append(
             f"gaps without samples: {len(holes)}, the longest of {seconds:.2f} s at {begin:.2f} s; "
-            "what feet did there is missing"
+            "stances there are missing"
         )
     notes += forces.provenance["assumed"]
     counts = forces.saturated.sum(axis=0).tolist()
@@ -382,6 +382,6 @@ def _remarks(
     if robot.order_assumed and "motors" in report:
         order = ", ".join(report["motors"])
         notes.append(
-            f"motors are taken to be numbered {order}: if not, set joint_order of the robot's TOML"
+            f"motors are assumed to be numbered {order}; joint_order in the robot's TOML sets it"
         )
     return [*notes, *robot.notes]

@@ -128,6 +128,8 @@ def track(
     between = 0.5 * (step[1:] + step[:-1])
     stiff = 1.0 / (sd * between) ** 2
     change = felt[1:-1] * between[:, None]
+    # The mean over five samples, so that the encoders' steps do not look like motion.
+    smooth = uniform_filter1d(apparent, 5, axis=0, mode="constant")
     # Weight w/σ_v² of a foot at both ends of a step, by its load.
     bearing = np.clip(np.nan_to_num(load) / (BEARING_SHARE * robot.mass * GRAVITY), 0.0, 1.0)
     bearing = np.minimum(bearing[1:], bearing[:-1]) ** 2 / STANCE_SD**2
@@ -143,10 +145,10 @@ def track(
         right[:-1] -= stiff[:, None] * change
         banded = np.stack([diagonal, np.append(-stiff, 0.0)])
         velocity = solveh_banded(banded, right, lower=True)
-        # The mean over five samples, so that the encoders' steps do not look like motion.
-        off = uniform_filter1d(velocity[:, None] - apparent, 5, axis=0, mode="constant")
-        off = np.linalg.norm(off, axis=-1)
-        weight = bearing / (1.0 + (off / STANCE_SD) ** 2) ** 2
+        # Geman and McClure's weight, of the squared speed of a foot against the ground.
+        off = uniform_filter1d(velocity, 5, axis=0, mode="constant")[:, None] - smooth
+        off = np.einsum("kfi,kfi->kf", off, off)
+        weight = bearing / (1.0 + off / STANCE_SD**2) ** 2
     trunk = np.concatenate([np.zeros((1, 3)), np.cumsum(velocity * step[:, None], axis=0)])
     return Motion(trunk, trunk[:, None] + place, felt[:, 2])
 

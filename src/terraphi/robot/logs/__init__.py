@@ -19,7 +19,7 @@ from terraphi.robot.logs.bags import read_bag
 from terraphi.robot.logs.columns import Columns, read_columns
 from terraphi.robot.logs.samples import joint_log
 
-FORMATS = "CSV, Parquet, MCAP, a ROS 1 bag, the folder of a rosbag2 or of a GrandTour mission"
+FORMATS = "CSV, Parquet, MCAP, a ROS 1 bag or the folder of a rosbag2"
 
 
 def read_log(
