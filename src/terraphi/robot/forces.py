@@ -34,7 +34,7 @@ from terraphi.robot.estimators import (
 from terraphi.robot.friction import Survey, survey
 from terraphi.robot.joint_log import FEET, GAP_STEPS, JOINTS, JointLog, joint_names
 from terraphi.robot.legs import rotation
-from terraphi.robot.logs.samples import unsound
+from terraphi.robot.logs.samples import sound
 from terraphi.robot.model import Quadruped
 
 SingleArray = NDArray[np.float32]
@@ -184,7 +184,7 @@ def estimate(
     for name, value, names in (("estimator", estimator, ESTIMATORS), ("frame", frame, FRAMES)):
         if value not in names:
             raise InputError(f"{name} '{value}' is unknown; {nearest(value, names)}")
-    if bad := unsound(log):
+    if bad := sound(log)[1]:
         reasons = ", ".join(f"{reason} ({count})" for reason, count in bad.items())
         raise InputError(f"unsound samples: {reasons}; leave them out")
     if log.quaternion is None and frame != "body":

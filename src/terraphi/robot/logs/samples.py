@@ -82,7 +82,7 @@ def joint_log(
         If no sample is sound, if over half are not for one reason, or if the units are wrong.
     """
     refuse_if_hopeless(path, dropped, len(values["stamp"]))
-    values = of_sensors(values, dropped)
+    values = _of_sensors(values, dropped)
     refuse_if_hopeless(path, dropped, len(values["stamp"]))
     time, facts_of_time = seconds(values.pop("stamp"), values.pop("recorded", None), clock)
     notes = [*facts["notes"], *facts_of_time.get("notes", ())]
@@ -113,26 +113,7 @@ def sound(log: JointLog) -> tuple[JointLog, Counter[str]]:
     Raises
     ------
     InputError
-        As of :func:`columns_of`.
-    """
-    values = columns_of(log)
-    dropped: Counter[str] = Counter()
-    values = of_sensors({"stamp": values.pop("time"), **values}, dropped)
-    if "quaternion" in values and not values["quaternion"].any():  # none is an attitude
-        dropped[ATTITUDE] += len(values["stamp"])
-        values = {name: column[:0] for name, column in values.items()}
-    if (np.diff(values["stamp"]) > 0.0).all():
-        return replace(log, time=values.pop("stamp"), **values), +dropped
-    keep, lost = increasing(values["stamp"])
-    values = {name: column[keep] for name, column in values.items()}
-    return replace(log, time=values.pop("stamp"), **values), +(dropped + lost)
-
-
-def columns_of(log: JointLog) -> dict[str, Any]:
-    """Columns of a log in double precision, those that it has; copies.
-
-    Raises InputError if it is no JointLog, has no samples, or a column is no array of numbers of
-    its shape.
+        If it is no JointLog, has no samples, or a column is no array of numbers of its shape.
     """
     if not isinstance(log, JointLog):
         raise InputError(f"samples of type {type(log).__name__}; give them as a JointLog")
@@ -146,14 +127,16 @@ def columns_of(log: JointLog) -> dict[str, Any]:
             raise InputError(f"{name} has shape {column.shape}, expected {(count, *shape)}")
     if not len(values["time"]):
         raise InputError("there are no samples; at least 1 is needed")
-    return values
-
-
-def unsound(log: JointLog) -> Counter[str]:
-    """Number of samples of a log that no sensor can have sent, by reason."""
-    values, dropped = columns_of(log), Counter[str]()
-    values = of_sensors({"stamp": values.pop("time"), **values}, dropped)
-    return +(dropped + increasing(values["stamp"])[1])
+    dropped: Counter[str] = Counter()
+    values = _of_sensors({"stamp": values.pop("time"), **values}, dropped)
+    if "quaternion" in values and not values["quaternion"].any():  # none is an attitude
+        dropped[ATTITUDE] += len(values["stamp"])
+        values = {name: column[:0] for name, column in values.items()}
+    if (np.diff(values["stamp"]) > 0.0).all():
+        return replace(log, time=values.pop("stamp"), **values), +dropped
+    keep, lost = increasing(values["stamp"])
+    values = {name: column[keep] for name, column in values.items()}
+    return replace(log, time=values.pop("stamp"), **values), +(dropped + lost)
 
 
 def _numbers(name: str, column: Any) -> FloatArray:
@@ -167,7 +150,7 @@ def _numbers(name: str, column: Any) -> FloatArray:
     return values.astype(np.float64)
 
 
-def of_sensors(values: dict[str, Any], dropped: Counter[str]) -> dict[str, Any]:
+def _of_sensors(values: dict[str, Any], dropped: Counter[str]) -> dict[str, Any]:
     """Samples whose numbers can be those of sensors; the others are counted."""
     finite = np.isfinite(values["stamp"].astype(np.float64))
     for name in values.keys() - {"stamp", "recorded"}:
