@@ -96,10 +96,10 @@ class Touchdowns(NamedTuple):
     force
         Upward force on the foot [N].
     per_error
-        What errors of the leg's torques add to it [N]: of the gains of its three joints, and
-        friction of 1 N m in them; shape [touchdown, sample, 6].
+        Change of the force per error of the leg's torques [N]: of the gains of its three joints,
+        and friction of 1 N m in them; shape [touchdown, sample, 6].
     used
-        Whether the sample is there, and the foot is going down in it.
+        True where the sample exists and the foot is going down.
     torn
         Samples are missing, or come too slowly for a touch-down; shape [touchdown].
     saturated
@@ -156,8 +156,8 @@ class Prior:
     shape
         Of the foot.
     drop_sd
-        Of the way that feet go down, as the odometry has it, relative [-]: standing feet give
-        way a little while the load moves over, and the attitude errs.
+        Of the odometry's drop of the feet, relative [-]: standing feet give way a little while the
+        load moves over, and the attitude errs.
     law_sd_deg
         Of the law's offset [deg]; not given: the law's own.
     exponent, exponent_sd

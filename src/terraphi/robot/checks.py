@@ -1,10 +1,10 @@
 """Checks of a log against the model of its robot, part by part.
 
 Over whole strides the ground pushes up with the robot's weight and pushes it nowhere; the attitude
-turns as the gyroscope does, and feet that stand move as one rigid body, turned likewise. In swing
-the torques are those of the motion; angles go on steadily, and no reading stands still in a leg
-that walks. Torques in another unit, an attitude that is another's, legs in another order, a dead
-motor and a stuck encoder break one of these, and mostly not the others.
+turns as the gyroscope does, and feet that stand move as one rigid body that turns the same way. In
+swing the torques are those of the motion; angles go on steadily, and no reading stands still in a
+leg that walks. Torques in another unit, an attitude that is another's, legs in another order, a
+dead motor and a stuck encoder break one of these, and mostly not the others.
 """
 
 from __future__ import annotations
@@ -137,11 +137,11 @@ def warnings_of(checked: Sequence[Checked]) -> list[str]:
         last = ([*have, None]).index(None, first) - 1
         # Of all parts the middle one: the robot may stand in the first and in the last.
         finding = have[(len(have) - 1) // 2] if all(have) else have[last]
-        assert finding is not None, "one of those that have it"
+        assert finding is not None, "chosen among those with the finding"
         text, more = finding.text + finding.remedy, sum(map(bool, have)) - (last + 1 - first)
         if not all(have):
             text = f"from {able[first].begin:.0f} to {able[last].end:.0f} s: {finding.text}"
-            text += f"; {more} of {len(have)} later parts likewise" * (more > 0)
+            text += f"; {more} of {len(have)} later parts, too" * (more > 0)
         notes.append(text)
     return notes
 

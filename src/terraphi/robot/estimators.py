@@ -181,7 +181,7 @@ def leg_inertia(part: Signals, gap: float) -> FloatArray:
 
 
 def _needed(motion: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """What motion needs without joint accelerations, and what these add between samples.
+    """Forces of a motion without joint accelerations, and rates that these add between samples.
 
     M q̈ between samples: the change of momentum M q̇ less the integral of (dM/dt) q̇ by the
     trapezoidal rule.

@@ -1,4 +1,4 @@
-"""What a walking robot recorded, whatever the format of its log."""
+"""Records of a walking robot, independent of the format of its log."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SHAPES: dict[str, tuple[int, ...]] = {
     "acceleration": (3,),
     "foot_counts": (len(FEET),),
 }
-"""Columns of a JointLog besides its time, and the shape of a sample of each."""
+"""Columns of a JointLog without its time, and the shape of a sample of each."""
 GAP_STEPS = 3.5
 """Steps longer than this many median steps are gaps [-], over which no filter remembers and no
 reading is interpolated: single lost samples are none (``tests/robot/test_forces.py``)."""

@@ -49,7 +49,7 @@ class RobotFile(Strict):
     name: str = ""
     """Name of the robot."""
     source: str = ""
-    """Where the numbers come from."""
+    """Source of the numbers."""
     mass: float | None = Field(None, gt=0)
     """Mass of the whole robot with its payload [kg]. Not given: the model's."""
     foot_radius: float | None = Field(None, ge=0)
@@ -460,7 +460,7 @@ def _foot(
 ) -> tuple[int, FloatArray, float]:
     """Body, place in it and radius of the foot below a calf.
 
-    That is the farthest of the bodies fixed to the calf, by their names if they say so, or else
+    The farthest body that is fixed to the calf, of those named as a foot if there are any; or else
     the farthest sphere of the calf.
     """
     import mujoco

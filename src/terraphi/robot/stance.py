@@ -1,4 +1,4 @@
-"""Stances: when a foot stood, and the mean course of its forces.
+"""Stances of the feet, and the mean course of their forces.
 
 A stance is the interval around a peak of the vertical force, from its zero crossing before to the
 one after. An estimated force wavers around zero while the foot is in the air, so a stance has to
@@ -68,12 +68,12 @@ class Stance:
 
     @property
     def begin(self) -> float:
-        """When the foot touched the ground [s]."""
+        """Time of touch-down [s]."""
         return float(self.time[0])
 
     @property
     def end(self) -> float:
-        """When the foot left the ground [s]."""
+        """Time of lift-off [s]."""
         return float(self.time[-1])
 
     @property

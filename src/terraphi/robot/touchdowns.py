@@ -1,4 +1,4 @@
-r"""Where the feet are, and when they load virgin soil.
+r"""Odometry of the feet, and the touch-downs in which they load virgin soil.
 
 **Odometry.** A log holds how the feet move against the trunk and how the trunk is turned, not
 where it is. Between two samples a foot that stands still gives the trunk's velocity, v = −Δp/Δt
@@ -45,21 +45,21 @@ STANCE_SD = 0.01
 """Of the velocity of a foot that stands, and the scale beyond which it does not stand [m/s]: a foot
 that sinks passes it at once (test as above)."""
 ROUNDS = 8
-"""Of reweighting."""
+"""Rounds of reweighting."""
 BIAS_S = 6.0
-"""Over this time the trunk does not accelerate on average: what remains is a bias [s]. A few
+"""Time over which the trunk does not accelerate on average, so that the mean is a bias [s]. A few
 strides: at 1 m/s a change of speed by a third leaves a sixth of :data:`ACCELERATION_SD`."""
 WINDOW_S = 0.4
 """Longest loading that is used [s], rests in it included, and how long before its stance a foot may
-have come down; after it, sinking and drift cannot be told apart."""
+have come down; after it, sinking and drift cannot be separated."""
 TOUCH_N = 2.5
-"""A foot that bears less is in the air [N]: a few standard deviations of forces in swing
+"""Force below which a foot is in the air [N]: a few standard deviations of forces in swing
 (``tests/robot/test_touchdowns.py``)."""
 POINTS = 64
 """Most samples of a touch-down; longer ones are thinned (memory)."""
 GOES_ON = 0.25
-"""A foot rests that goes down slower than this part [-] of its fastest within half of
-:data:`WINDOW_S`: after a rest, a slow loading counts again (``tests/robot/test_touchdowns.py``)."""
+"""Part of its fastest descent within half of :data:`WINDOW_S` below which a foot rests [-]: after a
+rest, a slow loading counts again (``tests/robot/test_touchdowns.py``)."""
 LOADED = 0.7
 """Part of the largest force of a stance at which its loading ends and its unloading begins [-]."""
 BREAK_M, BREAK_SPEED, BREAK_STEEP, BREAK_PART = 0.002, 0.15, 0.87, 0.15
@@ -78,7 +78,7 @@ class Motion(NamedTuple):
     feet
         Places of the balls' centres [m], shape [sample, foot, 3].
     lift_acceleration
-        Of the trunk, upward, as the accelerometer has it [m/s²], shape [sample]; zero without one.
+        Of the trunk, upward, by the accelerometer [m/s²], shape [sample]; zero without one.
     """
 
     trunk: FloatArray
@@ -154,12 +154,10 @@ def track(
 
 
 def sensitivity(log: JointLog, forces: FootForces) -> FloatArray:
-    """What errors of the torques add to the upward forces [N], shape [sample, foot, 6].
+    """Upward force per error of the torques [N], shape [sample, foot, 6].
 
-    Those of the gains of hip, thigh and calf, and unknown Coulomb torques of 1 N m in them.
-
-    With f = J⁻ᵀ(h − τ): a gain error g of a joint adds −J⁻ᵀτ g, and friction c left in it
-    −J⁻ᵀ sign(q̇) c.
+    Errors of the gains of hip, thigh and calf, and Coulomb torques of 1 N m left in them. With f =
+    J⁻ᵀ(h − τ): a gain error g of a joint adds −J⁻ᵀτ g, and friction c left in it −J⁻ᵀ sign(q̇) c.
     """
     row = np.nan_to_num(forces.lift_per_torque)
     sign = smooth_sign(np.asarray(log.velocity))
@@ -205,7 +203,7 @@ def _touchdown(
     step: float,
     landing: float,
 ) -> dict[str, Any]:
-    """Fields of one touch-down; the places of samples that it lacks repeat its last."""
+    """Cut one touch-down out of its stance; samples that it lacks repeat its last."""
     from scipy.ndimage import maximum_filter1d
 
     time, foot = log.time, FEET.index(stance.foot)
@@ -280,7 +278,7 @@ def _rates(
 def _yielding(
     time: FloatArray, place: FloatArray, lift: FloatArray, half: int, landing: float
 ) -> dict[str, float]:
-    """Fields of one touch-down, from its whole stance, by which ground that is no soil differs.
+    """Fields by which ground that is not soil differs, from the whole stance of a touch-down.
 
     ``landing`` is the force of the soil's inertia over the square of the speed [kg/m].
     """

@@ -51,7 +51,7 @@ def typestore() -> Any:
 
 
 Raw = Iterable[tuple[int, bytes]]
-"""When messages were recorded [ns], and messages in the wire format of ROS 2."""
+"""Times of recording [ns], and messages in the wire format of ROS 2."""
 
 
 def decoded(messages: Raw, kind: str, dropped: Counter[str]) -> Iterator[tuple[int, Any]]:
@@ -182,7 +182,7 @@ def joint_order(
         If a joint is missing, stands twice or is not known; the message does not name the file.
     """
     index: dict[str, int] = {}
-    hint = "say which twelve are meant (--joint-names; in Python joint_names)"
+    hint = "name the twelve (--joint-names; in Python joint_names)"
     for name in wanted or ():
         if name not in names or list(wanted or ()).count(name) > 1:
             raise InputError(f"joint '{name}' is not once in the messages; {nearest(name, names)}")

@@ -91,7 +91,7 @@ NAMED = OWN.model_copy(
         for group in ("angle", "velocity", "torque")
     }
 )
-"""The same with the joints' names in the robot's model."""
+"""Terraphi's names, with the joints called as in the robot's model."""
 
 
 def read_columns(
