@@ -241,9 +241,9 @@ def _torque_noise(overview: Survey, errors: SensorErrors) -> tuple[FloatArray, F
     usual = np.median(overview.residual[swung[:, 0]], axis=0) if swung.any() else overview.noise
     noise = np.where(swung, overview.residual, usual)
     # Friction that was not found shows in the torques of a foot that swings, and in their spread.
-    determined = False if overview.friction is None else overview.friction.determined
-    lost = np.where(swung & ~np.asarray(determined), 0.0, errors.friction_sd(overview.friction))
-    return noise, lost
+    friction = overview.friction
+    shows = swung if friction is None else swung & ~friction.determined
+    return noise, np.where(shows, 0.0, errors.friction_sd(friction))
 
 
 def _chunk(

@@ -132,10 +132,9 @@ def sound(log: JointLog) -> tuple[JointLog, Counter[str]]:
     if "quaternion" in values and not values["quaternion"].any():  # none is an attitude
         dropped[ATTITUDE] += len(values["stamp"])
         values = {name: column[:0] for name, column in values.items()}
-    if (np.diff(values["stamp"]) > 0.0).all():
-        return replace(log, time=values.pop("stamp"), **values), +dropped
     keep, lost = increasing(values["stamp"])
-    values = {name: column[keep] for name, column in values.items()}
+    if not keep.all():
+        values = {name: column[keep] for name, column in values.items()}
     return replace(log, time=values.pop("stamp"), **values), +(dropped + lost)
 
 
@@ -240,25 +239,19 @@ def seconds(
     """
     if clock == "time_s" or recorded is None:
         return stamp.astype(np.float64), {"clock": clock}
-    time, facts = _of_messages(stamp, recorded, clock)
+    facts: dict[str, Any] = {"clock": clock}
+    if len(stamp) > 1 and np.mean(np.diff(stamp) == 0) > STALLED:
+        facts["notes"] = [f"the messages' {clock} stands still; times are those of recording"]
+        stamp, clock, facts["clock"] = recorded, "header stamp", "recording time"
+    if clock == "tick":
+        # Differences modulo 2³² of the smallest size: forwards over a wrap, else backwards.
+        steps = np.diff(stamp.astype(np.uint32)).view(np.int32).astype(np.int64)
+        time = (stamp[0] + np.concatenate([[0], np.cumsum(steps)])) / 1e3
+    else:
+        time, facts["start_ns"] = (stamp - stamp[0]) / 1e9, int(stamp[0])
     # Differences from the first, for a double is not precise to the nanosecond in 2026.
     late = np.median((recorded - recorded[0]) / 1e9 - (time - time[0]))
     return time, facts | {"recorded_ns": int(recorded[0]) + round(1e9 * float(late - time[0]))}
-
-
-def _of_messages(
-    stamp: NDArray[Any], recorded: NDArray[np.int64], clock: Clock
-) -> tuple[FloatArray, dict[str, Any]]:
-    """Times and facts of :func:`seconds`, but for when they were recorded."""
-    notes = []
-    if len(stamp) > 1 and np.mean(np.diff(stamp) == 0) > STALLED:
-        notes = [f"the messages' {clock} stands still; times are those of recording"]
-    elif clock == "tick":
-        # Differences modulo 2³² of the smallest size: forwards over a wrap, else backwards.
-        steps = np.diff(stamp.astype(np.uint32)).view(np.int32).astype(np.int64)
-        return (stamp[0] + np.concatenate([[0], np.cumsum(steps)])) / 1e3, {"clock": clock}
-    used, name = (recorded, "recording time") if notes else (stamp, clock)
-    return (used - used[0]) / 1e9, {"clock": name, "start_ns": int(used[0]), "notes": notes}
 
 
 def increasing(time: FloatArray) -> tuple[BoolArray, Counter[str]]:
@@ -276,6 +269,8 @@ def increasing(time: FloatArray) -> tuple[BoolArray, Counter[str]]:
         Reasons and numbers of those that go.
     """
     keep = np.ones(len(time), dtype=bool)
+    if (np.diff(time) > 0).all():
+        return keep, Counter()
     keep[1:] &= np.diff(time) != 0
     repeated, t = int((~keep).sum()), time[keep]
     highest = np.maximum.accumulate(np.concatenate([[-np.inf], t[:-1]]))
