@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 import terraphi
+from terraphi.experiment.priors import FRICTION
 from terraphi.laws.foot import LAWS, Foot
 
 DATA = Path(__file__).parents[2] / "studies" / "data"
@@ -22,7 +23,7 @@ def pressed(phi: float, contraction: float = 0.0) -> pd.DataFrame:
     z = np.linspace(0.0, 0.06, 121)
     force = LAWS["foot"].force(
         Foot(0.0755, "disc"), z, 0.5 * np.pi, friction_angle_deg=phi, density=1500.0,
-        surface_friction=0.5,
+        surface_friction=FRICTION.mean,
     )[:, 1]  # fmt: skip
     force *= 1.0 - contraction * np.exp(-z / (2.0 * 0.0755))
     return pd.DataFrame({"sinkage_mm": 1e3 * z, "force_N": force})
