@@ -14,7 +14,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "studies" / "grains"))
 import table
 
 import terraphi
-from terraphi.experiment.leg import Leg, LegShape, frame_axes
+from terraphi.experiment.bodies import OUTLINES
+from terraphi.experiment.leg import Leg, frame_axes
 from terraphi.experiment.measurements import measurement, names
 from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, save
 
@@ -23,7 +24,7 @@ HIP_MM, REACH_MM = 20.0, 105.0
 """Height of the hip above the surface, and half the width of the picture [mm]."""
 THETA_DEG = -50.0
 SAND = "li2013:yuma/straight"
-LEGS: dict[LegShape, str] = {"straight": BLUE, "c": ORANGE, "reversed_c": GREEN}
+LEGS = dict(zip(OUTLINES, (BLUE, ORANGE, GREEN), strict=True))
 MEDIA = {
     "glass03_loose": "glass beads,\nloose",
     "glass03_close": "glass beads,\nclose",

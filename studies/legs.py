@@ -48,10 +48,10 @@ from scipy.stats import qmc
 
 import pages
 import terraphi
+from terraphi.experiment.bodies import OUTLINES
 from terraphi.experiment.history import ForceHistory
-from terraphi.experiment.leg import RotatingShape
-from terraphi.experiment.rig import LEG_NAMES, Ratios, similar_scenario
 from terraphi.experiment.rig import SIMULATED_LENGTH as LENGTH
+from terraphi.experiment.rig import Ratios, similar_scenario
 from terraphi.experiment.scenario import GRAVITY
 from terraphi.forward import Checkpoint, model_version
 from terraphi.forward.forecast import forecast
@@ -71,7 +71,7 @@ BOX = {
     "cohesion": (0.0, 1.0),
 }
 """Bounds of what the sequence draws; of cohesion its square root over the largest."""
-SHAPES: tuple[RotatingShape, ...] = ("straight", "c", "reversed_c")
+SHAPES = tuple(OUTLINES)
 COARSE = 1.6
 """Size of the cell of most cases over that of the rule [-]; of the first 130, as of `coarse.csv`,
 and of the truths it is 1.25."""
@@ -99,7 +99,7 @@ class Case:
 
     number: int
     """Place in the sequence; Li's legs follow from 1000 on."""
-    shape: RotatingShape
+    shape: str
     phi_deg: float
     mu: float
     """Friction of the leg [-]."""
@@ -159,7 +159,7 @@ def truths() -> Iterator[Case]:
         yield one if k % USUAL == 0 else replace(one, cells=COARSE)
 
 
-def of_point(number: int, shape: RotatingShape, p: dict[str, float], *, damp: bool) -> Case:
+def of_point(number: int, shape: str, p: dict[str, float], *, damp: bool) -> Case:
     """The case at a point of the box."""
     return Case(
         number,
@@ -253,7 +253,7 @@ def known(simulated: Simulated) -> tuple[np.ndarray, float, np.ndarray]:
     ratios = Ratios(*given[2:5])
     depth, at = legs.reach(shape, ratios)[2], legs.places_deg(shape, ratios)
     size = legs.unit_of_force(legs.DENSITY, LENGTH, ratios, depth)
-    x = [*given, cell / legs.cells_of(ratios, depth), legs.CURVATURES[shape]]
+    x = [*given, cell / legs.cells_of(ratios, depth), OUTLINES[shape].curvature]
     return np.array(x), depth, np.array([np.interp(at, theta, row) for row in force]) / size
 
 
@@ -298,7 +298,7 @@ def accuracy(law: legs.Legs) -> str:
             if errors.size:
                 rms = np.sqrt(np.mean(errors**2))
                 shown = (f"{np.median(errors):.1f} %", f"{rms:.1f} %", f"{errors.max():.0f} %")
-                rows.append((LEG_NAMES[leg], name, f"{errors.size}", *shown))
+                rows.append((OUTLINES[leg].label, name, f"{errors.size}", *shown))
     header = ("leg", "friction and thickness", "cases", "median", "root mean square", "largest")
     return (
         f"The law was fitted to {len(law.x)} simulations. The table has the error of the size of "
@@ -358,10 +358,10 @@ def page(law: legs.Legs) -> None:
     """Write the page: errors of cases left out, and of simulations that were never fitted."""
     truths = list(judged(law))
     rows = []
-    shapes = {curvature: leg for leg, curvature in legs.CURVATURES.items()}
+    shapes = {outline.curvature: leg for leg, outline in OUTLINES.items()}
     groups = {t.kind: [u for u in truths if u.kind == t.kind] for t in truths}
     groups |= {
-        f"others, {LEG_NAMES[leg]}": [t for t in truths if t.kind != "Li's legs"
+        f"others, {OUTLINES[leg].label}": [t for t in truths if t.kind != "Li's legs"
                                       and shapes[t.x[-1]] == leg] for leg in law.legs
     }  # fmt: skip
     for name, group in groups.items():
@@ -399,9 +399,9 @@ def draw(law: legs.Legs, truths: list[Truth]) -> Figure:
     axes.axhspan(-1.0, 1.0, color="0.93", lw=0, label="± 1°")
     axes.axhline(0.0, color="0.5", lw=0.8)
     for leg, marker in zip(law.legs, ("o", "^", "s"), strict=False):
-        points = [t for t in truths if t.x[-1] == legs.CURVATURES[leg]]
+        points = [t for t in truths if t.x[-1] == OUTLINES[leg].curvature]
         axes.plot([t.x[0] for t in points], [t.phi_deg for t in points], marker, ms=6,
-                  color=pages.LEGS[leg], label=LEG_NAMES[leg])  # fmt: skip
+                  color=pages.LEGS[leg], label=OUTLINES[leg].label)  # fmt: skip
     axes.set(xlabel="φ of the simulation [deg]", ylabel="φ by the law less that [deg]",
              title="How well does law legs find φ of new simulations?")  # fmt: skip
     figure.legend(loc="outside lower center", ncols=4, frameon=False)

@@ -10,10 +10,12 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from terraphi.experiment.bodies import OUTLINES
+
 ROOT = Path(__file__).parent
 LIBRARIES = ROOT / "data" / "libraries"
 DOCS = ROOT.parent / "docs"
-LEGS = {"straight": "#0072b2", "c": "#d55e00", "reversed_c": "#009e73"}
+LEGS = dict(zip(OUTLINES, ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00"), strict=False))
 """Shapes of legs, and their colours in all pictures."""
 WIDEST = 6
 """Columns of a table on a page; wider tables go into a CSV file next to it."""

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 import pages
 import terraphi
-from terraphi.experiment.rig import LEG_NAMES
+from terraphi.experiment.bodies import OUTLINES
 
 BASE = "sand3d-simulated.nc"
 VARIANTS = {
@@ -101,7 +101,7 @@ def draw(found: list[Change]) -> Figure:
     for leg, colour in pages.LEGS.items():
         finer = [c for c in found if c.variant == DRAWN and c.leg == leg]
         axes.plot([c.phi_deg for c in finer], [c.degrees.mean() for c in finer], "o-",
-                  color=colour, label=LEG_NAMES[leg])  # fmt: skip
+                  color=colour, label=OUTLINES[leg].label)  # fmt: skip
     axes.set(xlabel="φ [deg]", ylabel="change of the force, as φ [deg]",
              title=f"How much do {DRAWN}, not 5 mm, change φ?")  # fmt: skip
     figure.legend(loc="outside lower center", ncols=3, frameon=False)
@@ -127,7 +127,7 @@ def main() -> None:
                 for strong in (False, True)
             )
             if of_leg:
-                short.append((variant, LEG_NAMES[leg], low, high))
+                short.append((variant, OUTLINES[leg].label, low, high))
     link = pages.excerpt(out, "resolution", header, rows, ("changed",)).rpartition("\n\n")[2]
     parts = [
         (

@@ -22,7 +22,7 @@ import table
 
 import pages
 import terraphi
-from terraphi.experiment.rig import LEG_NAMES
+from terraphi.experiment.bodies import OUTLINES
 from terraphi.laws.legs import Legs
 
 CELLS = {"shear": "large, 1.5 kPa", "firm": "small, 1.5 kPa", "light": "small, 0.5 kPa"}
@@ -93,7 +93,7 @@ def unlearned(law: Legs) -> Iterator[tuple[str, ...]]:
             for given in (None, diameter)
         )  # fmt: skip
         yield (
-            name, LEG_NAMES[record.leg], f"{diameter / record.rig.width_mm:.2f}",
+            name, OUTLINES[record.leg].label, f"{diameter / record.rig.width_mm:.2f}",
             f"{critical:.1f}°",
             *(f"{one.phi.median:.1f} ± {one.phi.sd:.1f} ({one.phi.median - critical:+.1f}°)"
               for one in (plain, sized)),

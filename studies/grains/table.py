@@ -41,9 +41,10 @@ import run
 
 import pages
 import terraphi
+from terraphi.experiment.bodies import OUTLINES
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import measurement, names
-from terraphi.experiment.rig import LEG_NAMES, LI2013, Rig
+from terraphi.experiment.rig import LI2013, Rig
 from terraphi.inference.checks import without_faults
 from terraphi.inference.likelihood import Likelihood
 from terraphi.inference.records import Record, open_record
@@ -442,7 +443,7 @@ def of_parts(law: Legs, readings: Sequence[Reading]) -> list[tuple[str, ...]]:
                 ))  # fmt: skip
                 likelihood = Likelihood([record], learned)
                 error = float(likelihood.least_squares[0]) - reading.critical_deg
-                key = what, LEG_NAMES[reading.leg]
+                key = what, OUTLINES[reading.leg].label
                 errors.setdefault(key, []).append((error, float(likelihood.sd[0])))
     rows = []
     for key, pairs in errors.items():
@@ -463,7 +464,7 @@ def other_rigs(readings: Sequence[Reading]) -> str:
             rest = [one for one in readings
                     if one.leg == rig.leg and one.loose and one not in own]  # fmt: skip
             apart = [Line.of(rest).rest(one) for one in own]
-            rows.append((f"{rig.name}: {LEG_NAMES[rig.leg]}",
+            rows.append((f"{rig.name}: {OUTLINES[rig.leg].label}",
                          ", ".join(f"{one:+.1f}°" for one in apart)))  # fmt: skip
     return pages.table(("rig", "error, effect of grain size removed"), rows)
 
@@ -491,7 +492,7 @@ def draw(rows: Sequence[dict[str, Any]]) -> Figure:
     ends = loose.get_xlim()
     loose.plot(ends, ends, color="grey", lw=0.8)
     for leg, colour in pages.LEGS.items():
-        loose.plot([], [], "o", color=colour, label=LEG_NAMES[leg])
+        loose.plot([], [], "o", color=colour, label=OUTLINES[leg].label)
     loose.plot([], [], "o", color="grey", mfc="w", label="other rigs")
     figure.legend(loc="outside lower center", ncols=4, frameon=False)
     loose.set(xlabel="critical φ of the shear cell [deg]", ylabel="φ, effect of size removed [deg]",
@@ -610,7 +611,7 @@ def page(out: Path, law: Legs, readings: Sequence[Reading], rows: Sequence[dict[
         ),
         pages.excerpt(
             out, "grains_offsets", ("leg", "each mm of grains", *numbers),
-            [(LEG_NAMES[leg], f"{slopes[leg]:+.2f}°", *(f"{error[key]:g}" for key in numbers))
+            [(OUTLINES[leg].label, f"{slopes[leg]:+.2f}°", *(f"{error[key]:g}" for key in numbers))
              for leg, error in law.model_error.items()],
             ("leg", "each mm of grains", "offset_deg", "soil_sd_deg", "leg_sd_deg", "nrmsd_limit"),
         ),

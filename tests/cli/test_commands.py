@@ -22,7 +22,6 @@ from terraphi.cli import options
 from terraphi.cli.main import cli
 from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.leg import LEG_SHAPES
 from terraphi.experiment.measurements import names
 from terraphi.inference import inversion
 from terraphi.inference.calibration import Calibration, CalibrationSoil
@@ -76,7 +75,6 @@ def test_help_loads_neither_numpy_nor_pydantic() -> None:
 
 
 def test_choices_are_those_of_the_modules() -> None:
-    assert set(options.LEGS) == {leg for leg in LEG_SHAPES if leg != "plate"}
     assert tuple(LAWS) == options.LAWS
 
 

@@ -9,10 +9,13 @@ from typing import Any
 import click
 
 from terraphi.cli.options import PATH, Float, json_option, record_options
+from terraphi.experiment.bodies import TOOLS
 from terraphi.experiment.errors import InputError
 from terraphi.view.answers import headline, parts_of
 from terraphi.view.console import Table, present, progress_bar
 
+FORMS = dict.fromkeys(f"{tool.keyword}:MM" for tool in TOOLS.values())
+TWO = [f"{tool.keyword}:MMxMM" for tool in TOOLS.values() if len(tool.sizes) > 1]
 SOME_FAILED = 1
 """Exit status where some records of a table cannot be used."""
 FILES = ("answer.json", "answer.nc", "answer.png")
@@ -22,7 +25,7 @@ FILES = ("answer.json", "answer.nc", "answer.png")
 @click.command()
 @click.argument("forces", nargs=-1, metavar="[FORCES...]")
 @record_options
-@click.option("--tool", metavar="plate:MM|ball:MM", help="Pressed in; plate:MMxMM as well.")
+@click.option("--tool", metavar="|".join(FORMS), help=f"Pressed in; {', '.join(TWO)} as well.")
 @click.option("--noise", type=Float(), help="Noise [N].  [default: estimated]")
 @click.option("--calibration", type=PATH, help="File of 'terraphi calibrate'.")
 @click.option("--critical", metavar="DEG[±SD]", help="Critical φ: a bound; if dense, the peak.")

@@ -9,10 +9,10 @@ from typing import Any
 
 import click
 
+from terraphi.experiment.bodies import OUTLINES
 from terraphi.experiment.priors import FRICTION, HIP_HEIGHT_SD_MM, SENSOR_GAIN
 
 # The same words stand in the modules that take them, which are too slow to import for --help.
-LEGS = ("straight", "c", "reversed_c")
 ESTIMATORS = ("quasi_static", "momentum_observer")
 LAWS = ("foot", "rft", "meyerhof", "vesic", "hansen")
 FRAMES = ("world", "body")
@@ -57,7 +57,7 @@ def choice(name: str, choices: Sequence[str], default: str, text: str) -> Callab
 
 
 rig_options = option_group(
-    click.option("--leg", type=click.Choice(LEGS), help="Shape of the leg."),
+    click.option("--leg", type=click.Choice([*OUTLINES]), help="Shape of the leg."),
     click.option("--length", metavar="MM", help="From the hip to the outermost tip."),
     click.option("--width", metavar="MM", help="Of the leg, across the plane of motion."),
     click.option("--thickness", metavar="MM", help="Of the leg."),

@@ -11,23 +11,42 @@ lines serve NumPy here and, compiled, the contact of the material point method.
 
 from __future__ import annotations
 
+import itertools
 import math
-from typing import Literal, NamedTuple, Self, get_args
+from collections.abc import Iterable
+from typing import Annotated, NamedTuple, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, WithJsonSchema, model_validator
+from pydantic_core import PydanticKnownError
 
 from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.bodies import OUTLINES
 from terraphi.experiment.documents import Strict
 
-RotatingShape = Literal["straight", "c", "reversed_c"]
-"""Legs that rotate about a hip."""
-LegShape = Literal["straight", "c", "reversed_c", "plate"]
-LEG_SHAPES: tuple[LegShape, ...] = get_args(LegShape)
-"""Outlines, drawn out across the plane of motion; the other bodies are for 3-D only."""
-BodyShape = Literal["straight", "c", "reversed_c", "plate", "sphere", "cylinder"]
-CURVES = {"straight": 0.0, "c": 1.0, "reversed_c": -1.0}
-"""Legs of constant thickness with round ends to their curvature [1 / half the chord]."""
+SOLID = ("sphere", "cylinder")
+"""Bodies for three dimensions only; others are drawn out across the plane of motion."""
+OTHER_BODIES = ("plate", *SOLID)
+"""Bodies that do not rotate about a hip."""
+
+
+def one_of(*tables: Iterable[str]) -> tuple[AfterValidator, WithJsonSchema]:
+    """Type of a name that stands in a table when it is checked, as a ``Literal`` of its names."""
+
+    def check(name: str) -> str:
+        names = [*itertools.chain(*tables)]
+        if name not in names:
+            expected = " or ".join([", ".join(map(repr, names[:-1])), repr(names[-1])])
+            raise PydanticKnownError("literal_error", {"expected": expected})
+        return name
+
+    schema = {"enum": [*itertools.chain(*tables)], "type": "string"}
+    return AfterValidator(check), WithJsonSchema(schema)
+
+
+RotatingShape = Annotated[str, *one_of(OUTLINES)]
+"""A leg that rotates about a hip."""
+BodyShape = Annotated[str, *one_of(OUTLINES, OTHER_BODIES)]
 
 Distance = tuple[float, float, float]
 """Signed distance [m] and the components of the unit normal along s and m [-]."""
@@ -148,19 +167,24 @@ class Leg(Strict):
 
     @model_validator(mode="after")
     def _is_thinner_than_long(self) -> Self:
-        if self.shape in CURVES and 2.0 * self.half_thickness >= self.chord:
+        if self.shape in OUTLINES and 2.0 * self.half_thickness >= self.chord:
             raise ValueError(f"half_thickness = {self.half_thickness:g} m is not below chord / 2")
         return self
 
     @property
     def curvature(self) -> float:
-        """Signed curvature κ of the center line [1/m]: 0, or ±1/R with R half the chord."""
-        return 2.0 * CURVES.get(self.shape, 0.0) / self.chord
+        """Signed curvature κ of the center line [1/m]: 0, or at most that of a semicircle."""
+        return 2.0 * math.sin(self.half_angle) / self.chord
+
+    @property
+    def half_angle(self) -> float:
+        """Half the angle that the center line turns by [rad], with the sign of its curvature."""
+        return math.asin(OUTLINES[self.shape].curvature) if self.shape in OUTLINES else 0.0
 
     @property
     def length(self) -> float:
         """Length of the center line [m]."""
-        return 0.5 * math.pi * self.chord if self.curvature else self.chord
+        return 2.0 * self.half_angle / self.curvature if self.curvature else self.chord
 
     def chord_without(self, inset: float) -> tuple[float, float]:
         """Chord of the leg whose center line ends before the tip, on the same line.
@@ -179,9 +203,10 @@ class Leg(Strict):
         """
         if not self.curvature:
             return self.chord - inset, 0.0
-        # The chord of an arc of angle π - β is 2 R cos(β / 2), and turns by β / 2 about the hip.
+        # The chord of an arc of angle 2 (α - β) is 2 R sin(α - β), and turns by β about the hip.
         lean = 0.5 * inset * self.curvature
-        return self.chord * math.cos(lean), lean
+        shorter = math.cos(lean) - math.sin(lean) / math.tan(self.half_angle)
+        return self.chord * shorter, lean
 
     def signed_distance(
         self, points: FloatArray, *, inset: float = 0.0
@@ -235,11 +260,11 @@ class Leg(Strict):
             return Panels(centre, tangent, np.full(panels, self.chord / panels))
         radius = 1.0 / abs(self.curvature)
         side = math.copysign(1.0, self.curvature)
-        angle = math.pi * (1.0 - fraction)
-        middle, arc = [0.5 * self.chord, 0.0], [np.cos(angle), side * np.sin(angle)]
-        centre = middle + radius * np.stack(arc, axis=1)
+        angle = 0.5 * math.pi + abs(self.half_angle) * (1.0 - 2.0 * fraction)
+        arc = [np.cos(angle), side * (np.sin(angle) - math.cos(self.half_angle))]
+        centre = [0.5 * self.chord, 0.0] + radius * np.stack(arc, axis=1)
         tangent = np.stack([np.sin(angle), -side * np.cos(angle)], axis=1)
-        return Panels(centre, tangent, np.full(panels, math.pi * radius / panels))
+        return Panels(centre, tangent, np.full(panels, self.length / panels))
 
     def outline(self, panels: int = 60) -> FloatArray:
         """Corners of a polygon that follows the outline, in the leg's frame.
@@ -265,9 +290,8 @@ class Leg(Strict):
             return np.array([[0.0, -half], [self.chord, -half], [self.chord, half], [0.0, half]])
         line = self.centre_line(panels)
         normal = half * np.stack([-line.tangent[:, 1], line.tangent[:, 0]], axis=1)
-        # The round ends point along the chord or, of a semicircle, across it.
-        aside = -0.5 * math.pi * CURVES[self.shape]
-        ends = ((self.chord, aside), (0.0, aside or math.pi))
+        # The round ends point along the center line: along the chord or, of a semicircle, across.
+        ends = ((self.chord, -self.half_angle), (0.0, math.pi + self.half_angle))
         turn = np.linspace(-0.5 * math.pi, 0.5 * math.pi, panels // 3 + 1)
         tip, hip = (
             np.stack([at + half * np.cos(angle + turn), half * np.sin(angle + turn)], axis=1)
@@ -277,7 +301,7 @@ class Leg(Strict):
 
     def reach(self) -> float:
         """Largest distance of the outline from the hip [m]."""
-        if self.shape in CURVES:
+        if self.shape in OUTLINES:
             return self.chord + self.half_thickness
         return float(np.hypot(*self.outline().T).max())
 

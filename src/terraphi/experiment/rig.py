@@ -14,16 +14,17 @@ import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, Self, get_args
+from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.bodies import OUTLINES, TOOLS, ToolShape
 from terraphi.experiment.documents import Strict, parse_toml, refuse
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import number_with_sd, plain_number
-from terraphi.experiment.leg import Leg, RotatingShape
+from terraphi.experiment.leg import Leg, RotatingShape, one_of
 from terraphi.experiment.motion import placed
 from terraphi.experiment.priors import FRICTION, HIP_HEIGHT_SD_MM
 from terraphi.experiment.scenario import GRAVITY, Scenario
@@ -45,10 +46,6 @@ AIR_MARGIN_DEG = 5.0
 """Angle beyond the last touch of level soil from which on a leg is taken to be in air [deg]."""
 BEFORE_DEG, AFTER_DEG = 20.0, 10.0
 """Angles simulated before the first contact and after the last [deg]."""
-
-
-LEG_NAMES = {"straight": "straight leg", "c": "C leg", "reversed_c": "reversed C leg"}
-"""Shapes of legs in words."""
 
 
 class Ratios(NamedTuple):
@@ -151,7 +148,7 @@ class Rig(Strict):
             f"{round(v, 1):g}" for v in (self.length_mm, self.width_mm, self.thickness_mm)
         )
         height = f"hip {round(self.hip_height_mm, 1):g} mm above the soil"
-        return f"{LEG_NAMES[self.leg]} {sizes} mm, {height}"
+        return f"{OUTLINES[self.leg].label} {sizes} mm, {height}"
 
     @classmethod
     def of_scenario(cls, scenario: Scenario) -> Self | None:
@@ -161,7 +158,7 @@ class Rig(Strict):
         the material point method adds their round end.
         """
         leg, motion = scenario.leg, scenario.motion
-        if motion.kind != "rotation" or leg.shape not in get_args(RotatingShape):
+        if motion.kind != "rotation" or leg.shape not in OUTLINES:
             return None
         ends_round = scenario.model == "mpm" and scenario.dimensions == 3
         length = leg.reach() if ends_round else leg.chord
@@ -201,7 +198,7 @@ class Rig(Strict):
         if isinstance(rig, Mapping):
             return cls(**{**rig, **({} if leg is None else {"leg": leg})})
         if leg is None:
-            raise InputError("rig li2013 has three legs; give --leg straight, c or reversed_c")
+            raise InputError(f"rig li2013 lacks its leg; give --leg {', '.join(OUTLINES)}")
         return cls(leg=leg, **LI2013)
 
 
@@ -256,52 +253,47 @@ def with_rig(options: Mapping[str, Any]) -> dict[str, Any]:
 
 
 class Tool(Strict):
-    """A plate, by diameter or two sides, or a ball, in millimeters."""
+    """A body pressed in, of a shape of :data:`~terraphi.experiment.bodies.TOOLS`."""
 
-    leg: Literal["disc", "rectangle", "ball"]
+    leg: Annotated[str, *one_of(TOOLS)]
     """Its shape; named as that of a rig, so that answers treat both alike."""
-    size_mm: tuple[float, ...] = Field(min_length=1, max_length=2)
+    size_mm: tuple[float, ...] = Field(min_length=1)
     """Diameter, or both sides [mm]."""
 
     @classmethod
     def of(cls, text: str) -> Self:
         """Parse ``plate:151``, ``plate:38x25`` or ``ball:44``; raises InputError."""
-        number = r"(\d+\.?\d*|\.\d+)"
-        found = re.fullmatch(rf"(plate|ball):{number}(?:[x×]{number})?", str(text).strip().lower())
-        sizes = tuple(float(one) for one in found.groups()[1:] if one) if found else ()
-        if not found or (found[1] == "ball" and len(sizes) > 1) or not all(
-            1.0 <= size <= 5000.0 for size in sizes
-        ):  # fmt: skip
-            raise InputError(
-                f"tool '{text}'; give plate:151 (diameter in mm), plate:38x25 (sides in mm) or "
-                "ball:44, each of 1 to 5000 mm"
-            )
+        keyword, _, numbers = str(text).strip().lower().partition(":")
+        try:
+            sizes = tuple(plain_number(number) for number in re.split("[x×]", numbers))
+        except ValueError:
+            sizes = ()
+        shapes = [name for name, shape in TOOLS.items()
+                  if (shape.keyword, len(shape.sizes)) == (keyword, len(sizes))]  # fmt: skip
+        if not shapes or not all(1.0 <= size <= 5000.0 for size in sizes):
+            forms = " or ".join(shape.form for shape in TOOLS.values())
+            raise InputError(f"tool '{text}'; give {forms}, such as plate:151, of 1 to 5000 mm")
         if max(sizes) > SLENDER * min(sizes):
             raise InputError(
                 f"tool '{text}': sides up to {SLENDER:g} to 1 are known; a longer plate bears as a "
                 "strip does, which law foot has not"
             )
-        shape = "ball" if found[1] == "ball" else "rectangle" if len(sizes) > 1 else "disc"
-        return cls.model_validate({"leg": shape, "size_mm": sizes})
+        return cls(leg=shapes[0], size_mm=sizes)
+
+    @property
+    def shape(self) -> ToolShape:
+        """What the force on it is computed by."""
+        return TOOLS[self.leg]
 
     @property
     def radius(self) -> float:
-        """Radius, of a rectangle that of the disc of equal area [m]."""
-        if len(self.size_mm) > 1:
-            return 1e-3 * math.sqrt(math.prod(self.size_mm) / math.pi)
-        return 5e-4 * self.size_mm[0]
+        """Radius of the disc or ball that bears as it does, but for :attr:`factor` [m]."""
+        return 1e-3 * self.shape.radius(*self.size_mm)
 
     @property
-    def over_disc(self) -> float:
-        """Force on a rectangle over that on the disc of equal area [-].
-
-        The geometric mean of Vesić's shape factors (1973, after De Beer), 0.955 (B/L)^0.2 within
-        11 % at φ of 25 to 40° and depths of 0.3 to 2 radii up to L = 5 B, and of simulations, 1.00,
-        0.93 and 0.89 at L/B of 1, 2 and 4 (``docs/foot.md``). Half its logarithm is their distance
-        from it.
-        """
-        slender = min(self.size_mm) / max(self.size_mm)
-        return 0.98 * slender**0.15 if len(self.size_mm) > 1 else 1.0
+    def factor(self) -> float:
+        """Force over that on the disc or ball of :attr:`radius` [-]."""
+        return self.shape.factor(*self.size_mm)
 
     @property
     def sizes_mm(self) -> dict[str, float]:

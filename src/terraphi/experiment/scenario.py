@@ -17,8 +17,9 @@ from typing import Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from terraphi.experiment.bodies import OUTLINES
 from terraphi.experiment.documents import Strict, located, parse_toml, refuse, strictly
-from terraphi.experiment.leg import LEG_SHAPES, Leg
+from terraphi.experiment.leg import SOLID, Leg
 from terraphi.experiment.motion import Motion, Rotation, bin_count
 from terraphi.experiment.soil import Soil
 
@@ -305,7 +306,7 @@ class Scenario(Strict):
         refuse(
             {
                 f"leg.shape = '{shape}' is for model = 'mpm' in dimensions = 3; take one of "
-                f"{', '.join(LEG_SHAPES)}": shape not in LEG_SHAPES,
+                f"{', '.join([*OUTLINES, 'plate'])}": shape in SOLID,
                 f"soil.dilation_angle_deg = {psi:g} < 0 is for dimensions = 3": psi < 0.0,
             }
         )
@@ -316,7 +317,7 @@ class Scenario(Strict):
         breadth = self.bed.breadth or 0.0
         travel = numerics.steps_per_phase * numerics.time_step * self.sped_up_leg_speed
         cells = travel / numerics.cell_size
-        tipless = leg.shape not in LEG_SHAPES
+        tipless = leg.shape in SOLID
         # Contact begins at the hip, so that the soil must not reach it.
         hip = self.motion.poses_at(np.array(self.motion.span)).hip[:, 1].min()
         inset = f"numerics.tip_inset_cells = {numerics.tip_inset_cells:g}"

@@ -24,12 +24,13 @@ from pydantic import (
 )
 
 from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.bodies import OUTLINES
 from terraphi.experiment.documents import parse_json
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import NetcdfFile, read_bytes, write_netcdf
 from terraphi.experiment.outputs import output_folder
 from terraphi.experiment.results import Result
-from terraphi.experiment.rig import LEG_NAMES, Rig, Tool
+from terraphi.experiment.rig import Rig, Tool
 from terraphi.laws.store import PHI
 
 if TYPE_CHECKING:
@@ -440,7 +441,7 @@ class Answer(Result, AnswerSummary):
                     continue
                 i, theta, rig = list(record.nrmsd).index(name), record.theta_deg, record.rig
                 colour = f"C{self.rigs.index(rig) % 10}"
-                body = str(rig) if isinstance(rig, Tool) else LEG_NAMES[rig.leg]
+                body = str(rig) if isinstance(rig, Tool) else OUTLINES[rig.leg].label
                 axes.plot(theta, record.curve[i], color=colour, label=body if several else "model")
                 axes.fill_between(
                     theta, *record.band[:, i], color=colour, alpha=0.2, lw=0, label="95 % of φ"

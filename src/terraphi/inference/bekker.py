@@ -57,9 +57,9 @@ def bekker(records: Sequence[RecordFit]) -> Bekker | None:
     sizes, logs, weights = [], [], []
     for record in records:
         tool = record.rig
-        if not isinstance(tool, Tool) or tool.leg == "ball":
+        if not isinstance(tool, Tool) or tool.shape.foot == "ball":
             continue
-        b = tool.radius if tool.leg == "disc" else 1e-3 * min(tool.size_mm)
+        b = tool.radius if len(tool.size_mm) == 1 else 1e-3 * min(tool.size_mm)
         z, p = 1e-3 * record.theta_deg, 1e-3 * record.data[0] / (math.pi * tool.radius**2)
         borne = p > 0.0
         if borne.sum() >= FEWEST:

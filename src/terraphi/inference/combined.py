@@ -16,8 +16,9 @@ from typing import NamedTuple
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.bodies import OUTLINES
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.rig import LEG_NAMES, Rig
+from terraphi.experiment.rig import Rig
 from terraphi.inference.answer import Answer, Estimate, Verdict, decimals
 from terraphi.inference.checks import densities
 from terraphi.inference.terms import Sharer, is_shared, ordered_budget, term
@@ -208,6 +209,6 @@ def _warnings(answers: Sequence[Answer]) -> tuple[str, ...]:
 
 def _name(answer: Answer) -> str:
     """The record of an answer, or the legs of several."""
-    legs = dict.fromkeys(LEG_NAMES[rig.leg] for rig in answer.rigs if isinstance(rig, Rig))
+    legs = dict.fromkeys(OUTLINES[rig.leg].label for rig in answer.rigs if isinstance(rig, Rig))
     several = len(answer.records) > 1 and legs
     return f"{', '.join(legs)} ({len(answer.records)} records)" if several else answer.source

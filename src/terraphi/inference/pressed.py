@@ -92,12 +92,12 @@ class _Press:
 
     def curve(self, x: FloatArray, mu: float = FRICTION.mean) -> FloatArray:
         """The law's force [N] at (φ, z₀), [k, 2] -> [k, n]."""
-        foot = Foot(self.tool.radius, "ball" if self.tool.leg == "ball" else "disc")
+        foot = Foot(self.tool.radius, self.tool.shape.foot)
         force = LAWS[self.law].force(
             foot, self.z + x[:, 1:], 0.5 * np.pi, friction_angle_deg=x[:, :1],
             density=self.density, surface_friction=mu,
         )  # fmt: skip
-        return np.asarray(self.tool.over_disc * force[..., 1])
+        return np.asarray(self.tool.factor * force[..., 1])
 
     @cached_property
     def ends(self) -> tuple[float, float]:
@@ -253,7 +253,7 @@ def _budget(press: _Press, fit: _Fit, density_sd: float) -> dict[str, float]:
         "density": density_sd * fit.model,
         "surface friction": press.borne[fit.top] * (rougher - smoother) * FRICTION.sd / 0.2,
         "depth": DEEP_SD * np.maximum(press.z / press.tool.radius - DEEPEST, 0.0) * fit.model,
-        "rectangle": 0.5 * math.log(press.tool.over_disc) * fit.model,
+        "rectangle": 0.5 * math.log(press.tool.factor) * fit.model,
     }
     sds = {name: abs(float(fit.row @ error)) for name, error in errors.items()}
     # By fits anew: a disc bears at once where it touches, which is not linear in the contact.

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.bodies import OUTLINES
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import label_of, number_with_sd
 from terraphi.experiment.history import (
@@ -39,7 +40,7 @@ from terraphi.experiment.leg import RotatingShape
 from terraphi.experiment.measurements import Measurement, measurement_of, open_forces
 from terraphi.experiment.priors import DENSITY_SD_PART, SENSOR_GAIN
 from terraphi.experiment.reading import ForceColumns, Pressed, read_pressed, read_trials
-from terraphi.experiment.rig import LEG_NAMES, Rig, Tool
+from terraphi.experiment.rig import Rig, Tool
 from terraphi.experiment.scenario import Scenario
 
 FEWEST_WINDOWS = 9
@@ -305,7 +306,7 @@ def open_records(
             given = {name: options.get(name) for name in ("density", "grain_size_mm")}
             records.append(_pressed(source, body, None if has_leg else columns, **given))
             continue
-        if isinstance(body, str) and body in LEG_NAMES:
+        if isinstance(body, str) and body in OUTLINES:
             apparatus = {"leg": body, "rig": rig}
         else:
             apparatus = {"leg": leg, "rig": rig} if body is None else {"leg": None, "rig": body}
@@ -335,7 +336,7 @@ def _sources(forces: Any) -> list[tuple[Any, Any]]:
         source, _, body = forces.rpartition("@")
         if not _is_body(body):
             raise InputError(
-                f"{forces}: after @ comes a leg ({', '.join(LEG_NAMES)}), a rig (rig.toml) or a "
+                f"{forces}: after @ comes a leg ({', '.join(OUTLINES)}), a rig (rig.toml) or a "
                 "tool (plate:60, ball:44)"
             )
         forces = source
@@ -345,7 +346,7 @@ def _sources(forces: Any) -> list[tuple[Any, Any]]:
 def _is_body(body: Any) -> bool:
     """Whether this names a leg, a rig or a tool."""
     if isinstance(body, str | Path):
-        return body in LEG_NAMES or Path(body).suffix == ".toml" or is_tool(body)
+        return body in OUTLINES or Path(body).suffix == ".toml" or is_tool(body)
     return isinstance(body, Rig | Tool | Mapping)
 
 
@@ -480,8 +481,8 @@ def record_of(
 
 def _apparatus(measurement: Measurement, rig: Any, leg: str | None) -> Rig:
     """The rig that is given, or that of the measurement, with the leg that is given."""
-    if leg is not None and leg not in LEG_NAMES:
-        raise InputError(f"unknown leg '{leg}'; {nearest(leg, tuple(LEG_NAMES))}")
+    if leg is not None and leg not in OUTLINES:
+        raise InputError(f"unknown leg '{leg}'; {nearest(leg, tuple(OUTLINES))}")
     rig = measurement.rig if rig is None else rig
     if rig is None:
         raise InputError(

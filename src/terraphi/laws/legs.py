@@ -36,6 +36,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.bodies import OUTLINES
 from terraphi.experiment.documents import shipped_file, strictly
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import netcdf_kind
@@ -43,7 +44,6 @@ from terraphi.experiment.priors import FRICTION
 from terraphi.experiment.rig import (
     CELLS_ACROSS,
     CELLS_DEEP,
-    LEG_NAMES,
     SIMULATED_LENGTH,
     Ratios,
     Rig,
@@ -75,8 +75,6 @@ DENSITY = 1650.0
 AXES = ("phi_deg", "mu", "width", "hip_height", "thickness", "cohesion", "cells", "curvature")
 """Parameters of a case: φ [deg], friction of the leg [-], ratios to its length [-], c/(ρ g L) [-],
 the size of the cell over that of the rule [-], and the curvature of the leg."""
-CURVATURES = {"straight": 0.0, "c": 1.0, "reversed_c": -1.0}
-"""By shape of leg [-]."""
 PLACES = np.linspace(-1.12, 1.12, 113)
 """Places s of the curves; beyond them there is no force."""
 FADES = 0.06
@@ -104,7 +102,7 @@ def reach(leg: str, ratios: Ratios) -> tuple[float, float, float]:
     In soil is what reaches half a thickness deep, which the end at a low hip does not.
     """
     theta = np.arange(-260.0, 201.0)
-    body = leg_of(leg, ratios, SIMULATED_LENGTH)  # type: ignore[arg-type]
+    body = leg_of(leg, ratios, SIMULATED_LENGTH)
     low = swept(body, ratios.hip_height * SIMULATED_LENGTH, theta)[..., 1].min(axis=1)
     low += body.half_thickness + 1e-9
     deepest, air = int(low.argmin()), np.flatnonzero(low >= 0.0)
@@ -269,12 +267,12 @@ class Legs(FittedLaw):
 
     def of(self, leg: str) -> NDArray[np.bool_]:
         """True for cases of a shape of leg, shape [case]."""
-        return np.asarray(self.x[:, AXES.index("curvature")] == CURVATURES[leg])
+        return np.asarray(self.x[:, AXES.index("curvature")] == OUTLINES[leg].curvature)
 
     @property
     def legs(self) -> list[str]:
         """Shapes of its legs, sorted."""
-        return sorted(leg for leg in CURVATURES if self.of(leg).any())
+        return sorted(leg for leg in OUTLINES if self.of(leg).any())
 
     @property
     def scenario(self) -> Scenario:
@@ -341,7 +339,7 @@ class Legs(FittedLaw):
         ):
             return RatioLaw(self, rig, cells)
         if rig.leg not in self.legs:
-            raise InputError(f"law {NAME} has no {LEG_NAMES[rig.leg]} yet; {remedy(rig)}")
+            raise InputError(f"law {NAME} has no {OUTLINES[rig.leg].label} yet; {remedy(rig)}")
         ranges = self.ranges(rig.leg)
         low, high = ranges["cells"]
         if not low <= cells <= high:
@@ -389,7 +387,7 @@ class RatioLaw(LegLaw):
         first, last, depth = reach(rig.leg, ratios)
         mu = rig.leg_friction + rougher
         row = [0.0, mu, ratios.width, ratios.hip_height, ratios.thickness, cohesion,
-               self._cells, CURVATURES[rig.leg]]  # fmt: skip
+               self._cells, OUTLINES[rig.leg].curvature]  # fmt: skip
         x = np.tile(row, (len(phi_deg), 1))
         x[:, 0] = phi_deg
         s = (2.0 * self.theta_deg - first - last) / (last - first)
@@ -607,7 +605,7 @@ def cases_of(library: Library) -> Cases:
         size = unit_of_force(soil.density, rig.length, ratios, depth)
         cohesion = soil.cohesion / (soil.density * GRAVITY * rig.length)
         x.append([soil.friction_angle_deg, scenario.leg.friction, *ratios, cohesion,
-                  cells_in(scenario, rig), CURVATURES[rig.leg]])  # fmt: skip
+                  cells_in(scenario, rig), OUTLINES[rig.leg].curvature])  # fmt: skip
         depths.append(depth)
         # Beyond the path there is no force.
         means = history.means(np.clip(at, *history.position[[0, -1]]), np.radians(0.5))

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.bodies import OUTLINES
 from terraphi.experiment.priors import FRICTION
 from terraphi.experiment.rig import Rig
 from terraphi.experiment.scenario import Scenario
@@ -40,12 +41,15 @@ class Theory:
     """The law of all legs."""
 
     name, caveat, convention = "rft3d", "", "rft3d"
-    legs = ("c", "reversed_c", "straight")
-    """Shapes of its legs, sorted."""
     hash = hashlib.sha256(
         np.concatenate([SCALE_POLYNOMIAL, SPACE_COEFFICIENTS.ravel(), PHI_DEG]).tobytes()
     ).hexdigest()
     """SHA-256 of all that changes an answer, hexadecimal."""
+
+    @property
+    def legs(self) -> list[str]:
+        """Shapes of its legs, sorted."""
+        return sorted(OUTLINES)
 
     @property
     def scenario(self) -> Scenario:
@@ -70,7 +74,7 @@ class Theory:
         return {
             "name": self.name, "description": "3-D resistive force theory for a leg of any size",
             "model": base.model, "dimensions": base.dimensions, "convention": base.convention,
-            "phi_deg": list(PHI_DEG), "legs": list(self.legs), "cases": 0,
+            "phi_deg": list(PHI_DEG), "legs": self.legs, "cases": 0,
             "density_kg_m3": base.soil.density, "leg_friction": base.leg.friction,
             "provenance": {"source": "Agarwal et al. (2023)"},
         }  # fmt: skip

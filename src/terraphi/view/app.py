@@ -27,12 +27,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from terraphi.experiment.bodies import OUTLINES
 from terraphi.experiment.errors import InputError, needing
 from terraphi.experiment.files import temporary_folder
 from terraphi.experiment.history import CHANNEL_UNITS
-from terraphi.experiment.leg import CURVES, Leg, frame_axes
+from terraphi.experiment.leg import Leg, frame_axes
 from terraphi.experiment.reading import ForceColumns
-from terraphi.experiment.rig import LEG_NAMES, LI2013, SIZES, with_rig
+from terraphi.experiment.rig import LI2013, SIZES, with_rig
 from terraphi.experiment.tables import write_csv
 from terraphi.view import page
 from terraphi.view.sections import (
@@ -170,7 +171,7 @@ def application(token: str, limits: Limits, place: Path | None) -> Starlette:
         plotly=packed,
         roles=page.embedded(ROLES),
         units={name: units[name]["anyOf"][0]["enum"] for name in ("theta_unit", "unit")},
-        legs={leg: (LEG_NAMES[leg], corners(leg)) for leg in CURVES},
+        legs={leg: (outline, corners(leg)) for leg, outline in OUTLINES.items()},
         li2013=LI2013,
         suffixes=",".join(SUFFIXES),
         megabytes=limits.bytes // 1_000_000,

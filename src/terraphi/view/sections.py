@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from terraphi.experiment.bodies import OUTLINES
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import as_written, netcdf_kind, read_bytes
 from terraphi.experiment.history import CHANNEL_UNITS, ForceHistory
 from terraphi.experiment.measurements import scenario_of
 from terraphi.experiment.outputs import changed
-from terraphi.experiment.rig import LEG_NAMES
 from terraphi.view.answers import CONVENTIONS, in_words, tables
 from terraphi.view.console import Table, words
 from terraphi.view.plots import (
@@ -264,9 +264,7 @@ def of_library(library: Library) -> Section:
                 traces.append(line(x, y, f"φ = {phi:g}°", colour) | {"showlegend": False})
             note = f"Dark to light: φ = {low:g} to {high:g}°."
             where = position_label(curves[0][1])
-            parts.append(
-                Plot(f"{force}, {LEG_NAMES.get(leg, leg)}", traces, axes(where, label), note)
-            )
+            parts.append(Plot(f"{force}, {OUTLINES[leg].label}", traces, axes(where, label), note))
     provenance = summary.pop("provenance")
     contents = {key: value for key, value in summary.items() if value not in ("", [], {}, None)}
     parts.append(Table("Contents", ("", ""), pairs(contents)))
@@ -296,7 +294,7 @@ def of_simulation(history: ForceHistory, name: str = "forces") -> Section:
     headline = capital(", ".join(f"peak {n} {p:.1f} {CHANNEL_UNITS[n]}" for n, p in peaks.items()))
     if scenario is not None:
         leg, phi = scenario.leg.shape, scenario.soil.friction_angle_deg
-        headline += f"; {LEG_NAMES.get(leg, leg)}, φ = {phi:g}°"
+        headline += f"; {OUTLINES[leg].label}, φ = {phi:g}°"
     parts: list[Plot | Picture | Table] = [*plots, Table("In numbers", ("", ""), pairs(summary))]
     return Section("simulation", name, headline, [], parts, pairs(history.provenance))
 

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from terraphi.experiment.leg import LEG_SHAPES, Leg
+from terraphi.experiment.bodies import OUTLINES
+from terraphi.experiment.leg import Leg
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward.body import Pose, distance_to_leg, intruder_of
 from terraphi.forward.driver import simulate
@@ -99,7 +100,7 @@ def test_floor_holds_soil_that_presses_and_lets_it_lift_off(vx, vz):
 # -- outlines -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("shape", LEG_SHAPES)
+@pytest.mark.parametrize("shape", [*OUTLINES, "plate"])
 def test_distance_is_that_of_the_leg(shape):
     leg = Leg(shape=shape)
     intruder = intruder_of(leg)

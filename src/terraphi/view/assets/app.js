@@ -161,11 +161,12 @@ const sizes = () => by("rig").querySelectorAll("[data-li]");
 // From the side as it hangs, with its end faces round; from the front beside it.
 function sketch() {
   const [length, width, thick, height] = [...sizes()].map(({ value }) => Number(value));
-  const chord = length - thick / 2, sweep = { c: 0, reversed_c: 1 }[form.elements.leg.value];
+  const chord = length - thick / 2;
+  const bend = Number(form.querySelector("[name=leg]:checked")?.dataset.curvature ?? 0), radius = chord / 2 / Math.abs(bend);
   by("drawing").replaceChildren();
   if (!(length > 0 && width > 0 && thick > 0 && chord > 0 && height < length)) return;
   const from = -0.6 * length, far = 0.7 * length + width, top = -0.15 * length;
-  const middle = sweep === undefined ? `L0 ${chord}` : `A${chord / 2} ${chord / 2} 0 0 ${sweep} 0 ${chord}`;
+  const middle = bend === 0 ? `L0 ${chord}` : `A${radius} ${radius} 0 0 ${bend > 0 ? 0 : 1} 0 ${chord}`;
   const shapes = [
     ["rect", { x: from, y: height, width: far - from, height: 1.2 * length - height, fill: "#e8dcc5" }],
     ["path", { d: `M0 0${middle}`, fill: "none", stroke: "#0072B2", "stroke-width": thick, "stroke-linecap": "round" }],
