@@ -33,7 +33,7 @@ from numpy.typing import ArrayLike
 from terraphi.experiment.arrays import FloatArray, like, namespace
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
-from terraphi.experiment.leg import frame_axes
+from terraphi.experiment.leg import Leg, frame_axes
 from terraphi.experiment.motion import Poses, bin_centres
 from terraphi.experiment.scenario import GRAVITY, Scenario
 
@@ -144,7 +144,43 @@ def leg_force(scenario: Scenario, poses: Poses) -> tuple[FloatArray, FloatArray]
     ndarray
         Moment [N m], positive in the direction of increasing θ, shape [pose].
     """
-    line = scenario.leg.centre_line(scenario.rft.panels)
+    soil, bed, rft = scenario.soil, scenario.bed, scenario.rft
+
+    def stress(tangent: FloatArray, direction: FloatArray) -> FloatArray:
+        """Both laws are proportional to the soil's weight."""
+        if scenario.dimensions == 2:
+            per_depth = stress_per_depth_2d(tangent, direction, medium=rft.medium, scale=rft.scale)
+        else:
+            per_depth = face_stress_per_depth_3d(
+                tangent, direction, friction_angle_deg=soil.friction_angle_deg,
+                density=soil.density, surface_friction=scenario.leg.friction,
+            )  # fmt: skip
+        return per_depth * (bed.gravity / GRAVITY)
+
+    return sheet_force(scenario.leg, poses, stress, surface=bed.surface, panels=rft.panels)
+
+
+def sheet_force(
+    leg: Leg,
+    poses: Poses,
+    stress: Callable[[FloatArray, FloatArray], FloatArray],
+    *,
+    surface: float,
+    panels: int = 200,
+) -> tuple[FloatArray, FloatArray]:
+    """Sum a stress per depth over the center line of a leg: force and moment of :func:`leg_force`.
+
+    Parameters
+    ----------
+    stress
+        Stress per depth [Pa/m] on elements with a tangent and a direction of motion, shape
+        [element, 2] each.
+    surface
+        Height of the free surface [m].
+    panels
+        Number of elements.
+    """
+    line = leg.centre_line(panels)
     along, motion = (axis[:, None, :] for axis in frame_axes(poses.theta))
 
     def turned(vectors: FloatArray) -> FloatArray:
@@ -158,31 +194,25 @@ def leg_force(scenario: Scenario, poses: Poses) -> tuple[FloatArray, FloatArray]
     speed = np.linalg.norm(velocity, axis=-1, keepdims=True)
     # An element that happens to stand still has no direction, and feels nothing here.
     direction = np.divide(velocity, speed, out=np.zeros_like(velocity), where=speed > 0.0)
-    depth = scenario.bed.surface - (poses.hip[:, None, 1] + arm[..., 1])
+    depth = surface - (poses.hip[:, None, 1] + arm[..., 1])
     submerged = depth > 0.0
     tangent, direction = turned(line.tangent)[submerged], direction[submerged]
     per_depth = np.zeros((*submerged.shape, 2))
-    if scenario.dimensions == 2:
-        per_depth[submerged] = stress_per_depth_2d(
-            tangent, direction, medium=scenario.rft.medium, scale=scenario.rft.scale
-        )
-    else:
-        normal = np.stack([tangent[:, 1], -tangent[:, 0]], axis=-1)
-        # A sheet has two faces; the one that leads is the one whose normal goes with the motion.
-        normal *= np.where(np.vecdot(normal, direction) >= 0.0, 1.0, -1.0)[:, None]
-        per_depth[submerged] = stress_per_depth_3d(
-            normal,
-            direction,
-            friction_angle_deg=scenario.soil.friction_angle_deg,
-            density=scenario.soil.density,
-            surface_friction=scenario.leg.friction,
-        )
-    area_depth = np.where(submerged, depth, 0.0) * line.length * scenario.leg.width
-    # Both laws are proportional to the soil's weight.
-    area_depth *= scenario.bed.gravity / GRAVITY
+    per_depth[submerged] = stress(tangent, direction)
+    area_depth = np.where(submerged, depth, 0.0) * line.length * leg.width
     pushed = area_depth[..., None] * per_depth
     moment = arm[..., 1] * pushed[..., 0] - arm[..., 0] * pushed[..., 1]
     return pushed.sum(axis=1), moment.sum(axis=1)
+
+
+def face_stress_per_depth_3d(
+    tangent: FloatArray, direction: FloatArray, **options: float
+) -> FloatArray:
+    """Stress per depth on the leading faces of a thin sheet, as :func:`stress_per_depth_3d`."""
+    normal = np.stack([tangent[:, 1], -tangent[:, 0]], axis=-1)
+    # A sheet has two faces; the one that leads is the one whose normal goes with the motion.
+    normal *= np.where(np.vecdot(normal, direction) >= 0.0, 1.0, -1.0)[:, None]
+    return np.asarray(stress_per_depth_3d(normal, direction, **options))
 
 
 def stress_per_depth_2d(

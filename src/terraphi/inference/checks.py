@@ -408,9 +408,10 @@ def _assumed(likelihood: Likelihood, i: int) -> Iterator[str]:
         )
     if record.simulated and record.scenario is None and likelihood.laws[i].most_cohesion:
         yield "The simulated forces have no scenario: dry soil is assumed."
-    shipped = record.measurement and measurement(record.measurement).density_kg_m3 == density
-    if likelihood.measured and not shipped:  # the seeds of Li et al. are light
-        yield from density_warnings(density)
+    unusual = density_warnings(density) if likelihood.measured else []
+    if unusual and record.measurement and measurement(record.measurement).density_kg_m3 == density:
+        unusual = []  # the seeds of Li et al. are light
+    yield from unusual
     if record.density_kg_m3 is None or record.density_assumed:
         yield (f"The density {density:g} kg/m³ is assumed; an error of 10 % moves φ by about 1°.")
 

@@ -29,7 +29,6 @@ from terraphi.inference.checks import (
     warnings,
     without_faults,
 )
-from terraphi.inference.combined import combined
 from terraphi.inference.likelihood import (
     LEAST_COVERAGE,
     Likelihood,
@@ -151,8 +150,11 @@ def invert(
         forces, leg=leg, rig=rig, tool=tool, density=density, grain_size_mm=grain_size_mm,
         columns=columns, noise=noise, gain=gain, simulated=simulated,
     )  # fmt: skip
-    answers = _answers(records, law, calibration, began)
-    answer = combined(answers) if len(answers) > 1 else answers[0]
+    answer, *further = _answers(records, law, calibration, began)
+    if further:
+        from terraphi.inference.combined import combined
+
+        answer = combined([answer, *further])
     return answer if critical is None else with_critical(answer, critical)
 
 
@@ -172,7 +174,7 @@ def _answers(
         from threadpoolctl import threadpool_limits
 
         law, reason = _law_for(legs, law)
-        calibration = _opened(calibration, law, legs)
+        calibration = None if calibration is None else _opened(calibration, law, legs)
         # The offset of law legs is that of one rig alone, so that answers of different rigs are
         # joined by their angles. In one fit, which shared a cohesion, grains were read 4° wrong.
         by_rig = isinstance(law, Legs) and not all(record.simulated for record in legs)
@@ -194,13 +196,11 @@ def _answers(
 
 
 def _opened(
-    calibration: Calibration | Path | str | None, law: LawOfLegs, records: Sequence[Record]
-) -> Calibration | None:
+    calibration: Calibration | Path | str, law: LawOfLegs, records: Sequence[Record]
+) -> Calibration:
     """A calibration from memory or its file, that is of a law and the gains of records."""
     if isinstance(calibration, str | Path):
         calibration = Calibration.load(calibration)
-    if calibration is None:
-        return None
     if not isinstance(calibration, Calibration):
         raise InputError(
             f"calibration of type {type(calibration).__name__}; give the result of calibrate, or a "
@@ -281,8 +281,8 @@ def critical_posterior(
     posterior = joint.sum(axis=1)
     ends = np.arange(0.0, 90.1, 0.1)
     peak, _ = np.histogram(grid[:, None] - above + excess, ends, weights=joint, density=True)
-    whole = np.trapezoid(posterior, grid)
-    return np.asarray(posterior / whole), Estimate.of_density(0.5 * (ends[1:] + ends[:-1]), peak)
+    posterior /= np.trapezoid(posterior, grid)
+    return posterior, Estimate.of_density(0.5 * (ends[1:] + ends[:-1]), peak)
 
 
 def calibrate(
@@ -370,8 +370,8 @@ def _calibration_soil(
                              error.offset_sd_at(read), rig_sd, phi_sd_deg, sd)  # fmt: skip
     if abs(read - phi_deg) > limit:
         raise InputError(
-            f"{record.source}: the law reads φ {read - phi_deg:+.0f}° from phi = {phi_deg:g}°, and "
-            f"at most {limit:.0f}° are accepted; check phi (in "
+            f"{record.source}: forces and angle disagree by {read - phi_deg:+.0f}°, at most "
+            f"{limit:.0f}° are accepted; check phi = {phi_deg:g}° (in "
             f"{law.convention.replace('_', ' ')}), the density and the leg"
         )
     return CalibrationSoil(

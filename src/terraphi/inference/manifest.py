@@ -42,21 +42,21 @@ def read_manifest(path: Path) -> list[dict[str, Any]]:
     table, _ = read_cells(path)
     rows = [*table.values()]
     names = [*rows[0]] if rows else ["file"]
-    known = ("file", *OPTIONS)
+    columns = ("file", *OPTIONS)
     wrong = [] if "file" in names else ["no column 'file'"]
     wrong += ["column 'library' is 'law' now; rename it"] if "library" in names else []
-    for name in (name for name in names if name not in known):
-        hint = nearest(name, known)
+    for name in (name for name in names if name not in columns):
+        hint = nearest(name, columns)
         if hint.startswith("did"):
             wrong.append(f"unknown column '{name}'; {hint}")
-    wrong += [f"row {i} names no file" for i, one in enumerate(rows, 1) if not one.get("file", "-")]
+    wrong += [f"row {i} names no file" for i, row in enumerate(rows, 1) if not row.get("file", "-")]
     if not rows:
         wrong.append("no rows")
     wrong += [f"column '{name}' is one of the answers'; rename it" for name in names
-              if name in COLUMNS and name not in known]  # fmt: skip
+              if name in COLUMNS and name not in columns]  # fmt: skip
     if wrong:
-        raise InputError(f"{path}: {'; '.join(wrong)}; expected {','.join(known)}")
-    return [_row(path.parent, one) for one in rows]
+        raise InputError(f"{path}: {'; '.join(wrong)}; expected {','.join(columns)}")
+    return [_row(path.parent, row) for row in rows]
 
 
 def _row(folder: Path, cells: dict[str, str]) -> dict[str, Any]:
@@ -65,8 +65,8 @@ def _row(folder: Path, cells: dict[str, str]) -> dict[str, Any]:
     def placed(text: str) -> str:
         if (folder / text).is_file():
             return str(folder / text)
-        name, at, own = text.rpartition("@")  # forces.csv@c, forces.csv@rig.toml
-        return f"{placed(name)}@{placed(own)}" if at else text
+        name, at, body = text.rpartition("@")  # forces.csv@c, forces.csv@rig.toml
+        return f"{placed(name)}@{placed(body)}" if at else text
 
     given: dict[str, Any] = {key: placed(cells[key]) for key in OPTIONS if cells.get(key)}
     for key in given.keys() - TEXTS:
@@ -96,20 +96,20 @@ def invert_rows(
     progress
         Called with the number of finished records and of all.
     """
-    whole = []
+    complete = []
     for row in rows:
-        own = {key: value for key, value in row.items() if key != "notes"}
-        # A row with sizes of its own has the whole rig, and a tool none.
-        tool = "tool" in own or is_tool(str(own["forces"]).rpartition("@")[2])
-        of_leg = ("leg", "leg_friction") if tool else ()
-        several = ("rig", *SIZES, *of_leg) if tool or own.keys() & {"rig", *SIZES} else ()
-        whole.append({k: v for k, v in options.items() if k not in several} | own)
+        given = {key: value for key, value in row.items() if key != "notes"}
+        # Sizes in a row replace the rig of all rows, and a tool has no rig.
+        has_tool = "tool" in given or is_tool(str(given["forces"]).rpartition("@")[2])
+        replaced = {"rig", *SIZES} if has_tool or given.keys() & {"rig", *SIZES} else set()
+        replaced |= {"leg", "leg_friction"} if has_tool else set()
+        complete.append({k: v for k, v in options.items() if k not in replaced} | given)
     count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     with workers(min(count or 1, len(rows)) if len(rows) >= LEAST_ROWS else 1) as pool:
 
         def counted(function: Any, rows: Any) -> Any:
-            for done, one in enumerate((map if pool is None else pool.map)(function, rows), 1):
-                yield one
+            for done, answer in enumerate((map if pool is None else pool.map)(function, rows), 1):
+                yield answer
                 progress(done, len(rows))
 
-        return invert_many(whole, map_=counted)
+        return invert_many(complete, map_=counted)

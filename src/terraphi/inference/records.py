@@ -142,10 +142,10 @@ class Record:
         gaps = np.diff(inside)
         if gaps.size and gaps.max() > WIDEST_GAP_DEG:
             at = int(gaps.argmax())
-            left = f" ({self.n_left_out} were left out as faulty)" if self.n_left_out else ""
+            faulty = f" ({self.n_left_out} were left out as faulty)" if self.n_left_out else ""
             raise InputError(
                 f"{self.source}: no reading between {inside[at]:.1f} and {inside[at + 1]:.1f} deg"
-                f"{left}; gaps of at most {WIDEST_GAP_DEG:g} deg are accepted"
+                f"{faulty}; gaps of at most {WIDEST_GAP_DEG:g} deg are accepted"
             )
         weights = (_hats(high[kept], theta) - _hats(low[kept], theta)) / (high - low)[kept, None]
         return centre[kept], weights

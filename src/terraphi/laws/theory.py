@@ -20,10 +20,18 @@ from numpy.typing import ArrayLike
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.bodies import OUTLINES
+from terraphi.experiment.leg import Leg
+from terraphi.experiment.motion import Poses
 from terraphi.experiment.priors import FRICTION
 from terraphi.experiment.rig import Rig
 from terraphi.experiment.scenario import Scenario
-from terraphi.forward.rft import SCALE_POLYNOMIAL, SPACE_COEFFICIENTS, leg_force, stress_scale
+from terraphi.forward.rft import (
+    SCALE_POLYNOMIAL,
+    SPACE_COEFFICIENTS,
+    face_stress_per_depth_3d,
+    sheet_force,
+    stress_scale,
+)
 from terraphi.laws.law import LegLaw
 from terraphi.laws.store import PHI, THETA_DEG, lever_arm
 
@@ -32,6 +40,9 @@ if TYPE_CHECKING:
 
 PHI_DEG = (15.0, 50.0)
 """Smallest and largest friction angle [deg]; chosen: those of sand, with room at either end."""
+DENSITY, ALUMINUM, REFERENCE_DEG = 1650.0, 0.40, 35.0
+"""Density [kg/m³], friction of the leg [-] and φ [deg] that the curve is made with, those of
+scenario ``quick``; the scale of φ and density cancels."""
 WITHIN_DEG = np.array([-0.25, 0.25])
 """Angles about a whole degree at which forces are averaged [deg]: the theory jumps at 0°, between
 them. Angles of the shipped records are within 1e-4° of those by forty."""
@@ -87,26 +98,23 @@ class TheoryLaw(LegLaw):
     bounds = np.array(PHI_DEG[:1]), np.array(PHI_DEG[1:])
 
     def __init__(self, rig: Rig) -> None:
-        base = Theory().scenario
         # Of aluminum on poppy seeds it was measured, and stands where the rig's is assumed.
         is_assumed = (rig.leg_friction, rig.leg_friction_sd) == FRICTION
-        self.leg_friction = base.leg.friction if is_assumed else rig.leg_friction
-        scenario = base.replace(
-            **{
-                "leg.shape": rig.leg,
-                "leg.chord": rig.length,
-                "leg.width": 1e-3 * rig.width_mm,
-                "leg.half_thickness": 5e-4 * rig.thickness_mm,
-                "leg.friction": self.leg_friction,
-                "motion.hip.1": base.bed.surface + 1e-3 * rig.hip_height_mm,
-            }
-        )
+        self.leg_friction, self.density = ALUMINUM if is_assumed else rig.leg_friction, DENSITY
+        leg = Leg(shape=rig.leg, chord=rig.length, width=1e-3 * rig.width_mm,
+                  half_thickness=5e-4 * rig.thickness_mm, friction=self.leg_friction)  # fmt: skip
         theta = np.radians(np.add.outer(THETA_DEG, WITHIN_DEG))
-        force, moment = leg_force(scenario, scenario.motion.poses_at(theta.ravel()))
+        still = np.zeros((theta.size, 2))
+        hip = still + np.array([0.0, 1e-3 * rig.hip_height_mm])
+        poses = Poses(hip, theta.ravel(), still, np.ones(theta.size))
+        stress = functools.partial(
+            face_stress_per_depth_3d, friction_angle_deg=REFERENCE_DEG, density=DENSITY,
+            surface_friction=self.leg_friction,
+        )  # fmt: skip
+        force, moment = sheet_force(leg, poses, stress, surface=0.0)
         curve = np.column_stack([force, moment]).reshape(*theta.shape, 3).mean(axis=1).T
-        self.density, phi = scenario.soil.density, scenario.soil.friction_angle_deg
         # Fx, Fz and the moment about the hip over their common scale, shape [3, theta].
-        self._curve = curve / stress_scale(phi, self.density)
+        self._curve = curve / stress_scale(REFERENCE_DEG, DENSITY)
 
     @functools.cached_property
     def arm(self) -> FloatArray:
