@@ -80,7 +80,7 @@ def without_baseline(
     in_air, span = air[first], np.maximum(np.ptp(values, axis=0), 1e-12)
     time, theta = np.linspace(0.0, 1.0, count), np.radians(theta_deg)
     design = np.stack([time**0, time, np.sin(theta), np.cos(theta)], axis=1)
-    known = (np.add.reduceat(design, first) / size[:, None])[in_air]
+    means = (np.add.reduceat(design, first) / size[:, None])[in_air]
     read = (np.add.reduceat(values / span, first) / size[:, None])[in_air]
     resting = time[first[in_air]][still[first[in_air]]]
     loaded = np.append(time[~air], 0.5)
@@ -88,38 +88,38 @@ def without_baseline(
     rests = [end for end, those in ends.items() if those.any()]
     best, least, solved, weighed = ZERO, np.inf, np.zeros((1, len(span))), True
     for terms in (ZERO, WEIGHT, DRIFT)[: 3 if len(rests) > 1 else 2] if len(read) else ():
-        weights = np.linalg.pinv(known[:, terms])
-        apart = np.square(read - known[:, terms] @ weights @ read).sum(axis=0)
-        sd = np.sqrt(max(apart.max() / max(len(read) - len(terms), 1), SCATTER**2))
+        weights = np.linalg.pinv(means[:, terms])
+        residual = np.square(read - means[:, terms] @ weights @ read).sum(axis=0)
+        sd = np.sqrt(max(residual.max() / max(len(read) - len(terms), 1), SCATTER**2))
         spread = np.einsum("nk,kl,nl->n", design[:, terms], weights @ weights.T, design[:, terms])
         error = sd * np.sqrt(spread.max())
-        if np.linalg.matrix_rank(known[:, terms]) < len(terms) or error > OFFSET / 2.0:
+        if np.linalg.matrix_rank(means[:, terms]) < len(terms) or error > OFFSET / 2.0:
             weighed &= terms is not WEIGHT
             continue
-        fit = len(read) * np.log(apart / len(read) + UNEXPLAINED**2).sum()
+        fit = len(read) * np.log(residual / len(read) + UNEXPLAINED**2).sum()
         criterion = fit + len(terms) * len(span) * np.log(len(read))
-        if criterion < least and apart.max() < SMOOTH**2 * len(read):
+        if criterion < least and residual.max() < SMOOTH**2 * len(read):
             best, least, solved = terms, criterion, weights @ read * span
-    found = design[:, best] @ solved
-    size = np.sqrt(np.square(known[:, best] @ solved / span).mean(axis=0))
+    baseline = design[:, best] @ solved
+    size = np.sqrt(np.square(means[:, best] @ solved / span).mean(axis=0))
     if not (
         np.isfinite(least) and (rests or (len(read) >= FEWEST_STRETCHES and size.max() > OFFSET))
     ):
         return values, []
-    every = np.zeros((design.shape[1], len(span)))
-    every[best] = solved
+    coefficients = np.zeros((design.shape[1], len(span)))
+    coefficients[best] = solved
 
     def sizes(of: FloatArray) -> str:
         each = zip(channels, of, strict=True)
         return ", ".join(f"{name} {size:+.2f} {CHANNEL_UNITS[name]}" for name, size in each)
 
     by = f"the rest in air at the {' and the '.join(rests)}" if rests else "the angles in air"
-    notes = [f"Tared by {by}: {sizes(every[0])}."]
+    notes = [f"Tared by {by}: {sizes(coefficients[0])}."]
     if best == DRIFT:
-        notes.append(f"A drift is taken off, linear between the rests: {sizes(every[1])}.")
+        notes.append(f"A drift is taken off, linear between the rests: {sizes(coefficients[1])}.")
     if best == WEIGHT:
-        amplitude = np.hypot(*every[2:])
+        amplitude = np.hypot(*coefficients[2:])
         notes.append(f"The leg's own weight is taken off, a sine of θ in air: {sizes(amplitude)}.")
     elif not weighed:
         notes.append("The leg's own weight is taken to be subtracted: too few angles in air.")
-    return values - found, notes
+    return values - baseline, notes

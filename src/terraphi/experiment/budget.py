@@ -50,8 +50,8 @@ def unpacking(what: str, files: list[Path]) -> Iterator[None]:
         before = {kind: resource.getrlimit(kind) for kind in limits}
         try:
             for kind, (soft, hard) in before.items():
-                known = [end for end in (soft, hard) if end != resource.RLIM_INFINITY]
-                resource.setrlimit(kind, (min([limits[kind], *known]), hard))
+                finite = [end for end in (soft, hard) if end != resource.RLIM_INFINITY]
+                resource.setrlimit(kind, (min([limits[kind], *finite]), hard))
             yield
         except (MemoryError, OSError) as error:
             if isinstance(error, OSError) and error.errno != errno.EFBIG:

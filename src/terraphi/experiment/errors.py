@@ -27,7 +27,7 @@ of surrogate pairs."""
 
 def visible(text: str) -> str:
     """A text whose hidden characters are escaped as ``ascii`` escapes them."""
-    return HIDDEN.sub(lambda found: ascii(found[0])[1:-1], text)
+    return HIDDEN.sub(lambda match: ascii(match[0])[1:-1], text)
 
 
 def printable(text: str) -> str:
@@ -125,17 +125,17 @@ def _keys_at(model: type[Any], path: tuple[Any, ...]) -> list[str]:
         inside = [m.model_fields[part].annotation for m in models if part in m.model_fields]
         branch = [m for m in models if m.__name__.lower() == part]
         models = _models(inside) or branch or models
-    return [name for found in models for name in found.model_fields]
+    return [name for branch_model in models for name in branch_model.model_fields]
 
 
 def _models(types: Iterable[Any]) -> list[type[BaseModel]]:
     """Pydantic models that some type annotations mention."""
     from pydantic import BaseModel
 
-    found: list[type[BaseModel]] = []
+    models: list[type[BaseModel]] = []
     for item in types:
         if isinstance(item, type) and issubclass(item, BaseModel):
-            found.append(item)
+            models.append(item)
         else:
-            found += _models(get_args(item))
-    return found
+            models += _models(get_args(item))
+    return models

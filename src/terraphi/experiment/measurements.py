@@ -87,18 +87,18 @@ def measurement(name: str) -> Measurement:
     history = _shipped(name)
     table = tomllib.loads(shipped_file(COLLECTION, "media", ".toml").read_text(encoding="utf-8"))
     medium, _, leg = name.partition(":")[2].partition("/")
-    known, source = table["media"][medium], table["citation"]
+    facts, source = table["media"][medium], table["citation"]
     provenance = {**history.provenance, "measurement": name, "source": source}
-    if "density" in known:
-        provenance["density_kg_m3"] = known["density"]
+    if "density" in facts:
+        provenance["density_kg_m3"] = facts["density"]
     return Measurement(
         name=name,
         history=replace(history, provenance=provenance),
         rig=Rig.of(COLLECTION, leg),
-        medium=known["label"],
-        density_kg_m3=known.get("density", known.get("assumed_density")),
-        density_assumed="density" not in known,
-        angle_of_repose_deg=known.get("angle_of_repose_deg"),
+        medium=facts["label"],
+        density_kg_m3=facts.get("density", facts.get("assumed_density")),
+        density_assumed="density" not in facts,
+        angle_of_repose_deg=facts.get("angle_of_repose_deg"),
         source=source,
     )
 
@@ -154,8 +154,8 @@ def open_forces(source: str | Path, columns: Any = None) -> list[Measurement]:
         histories = read_trials(path, columns)
     name = "standard input" if text == "-" else text
     return [
-        measurement_of(one, name if len(histories) == 1 else f"{name}, stroke {i}")
-        for i, one in enumerate(histories, start=1)
+        measurement_of(history, name if len(histories) == 1 else f"{name}, stroke {i}")
+        for i, history in enumerate(histories, start=1)
     ]
 
 
@@ -198,8 +198,8 @@ def scenario_of(history: ForceHistory, name: str) -> Scenario | None:
 
     Raises InputError if it cannot be read.
     """
-    known = history.provenance.get("scenario")
+    content = history.provenance.get("scenario")
     try:
-        return None if known is None else strictly(known, Scenario, f"{name}, scenario")
+        return None if content is None else strictly(content, Scenario, f"{name}, scenario")
     except InputError as error:
         raise InputError(f"{error}; simulate it again, or give its forces alone") from error

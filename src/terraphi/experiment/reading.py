@@ -117,8 +117,8 @@ class Columns(Strict):
         if isinstance(given, str):
             pairs = [pair.partition("=") for pair in re.split("[,;]", given)]
             given = {key.strip(): value_of(text) for key, _, text in pairs}
-        known = {k: value for k, value in dict(given or {}).items() if value is not None}
-        return strictly(known, cls, "columns")
+        options = {k: value for k, value in dict(given or {}).items() if value is not None}
+        return strictly(options, cls, "columns")
 
 
 class PressColumns(Columns):
@@ -246,56 +246,56 @@ def read_forces(source: Any, **columns: Any) -> ForceHistory:
     >>> terraphi.read_forces(pd.DataFrame(table), fz="lift", unit="kgf")
     ForceHistory(171 samples, theta -85 to 85 deg, Fx 4.9 to 4.9 N, Fz 9.81 to 9.81 N)
     """
-    found = read_trials(source, columns)
-    if len(found) > 1:
+    histories = read_trials(source, columns)
+    if len(histories) > 1:
         raise InputError(
-            f"{_name(source)}: {len(found)} strokes; give the table to invert, which takes them "
-            "as trials, or cut it into files of one stroke"
+            f"{_name(source)}: {len(histories)} strokes; give the table to invert, which takes "
+            "them as trials, or cut it into files of one stroke"
         )
-    return found[0]
+    return histories[0]
 
 
 def read_trials(
     source: Any, columns: ForceColumns | Mapping[str, Any] | Path | str | None = None
 ) -> list[ForceHistory]:
     """Forces of each stroke in which θ grows, of a ``Table`` or what :func:`read_forces` takes."""
-    found = _LegTable(source, ForceColumns.of(columns))
-    name, table = found.source, found.table
-    found.refuse_wrong()
-    theta, values, steps = found.values()
-    known: dict[str, Any] = {}
-    if found.given.model_fields_set <= {"air_before_deg", "air_after_deg"} and (
-        {*CSV_COLUMNS} == {*found.names.values()}
+    reader = _LegTable(source, ForceColumns.of(columns))
+    name, table = reader.source, reader.table
+    reader.refuse_wrong()
+    theta, values, steps = reader.values()
+    ours: dict[str, Any] = {}
+    if reader.given.model_fields_set <= {"air_before_deg", "air_after_deg"} and (
+        {*CSV_COLUMNS} == {*reader.names.values()}
     ):
-        known = origin(Path(name), table.comments, table.frame[list(CSV_COLUMNS)].to_numpy())
-    if not known:
-        values = found.tared(theta, values)
-    strokes = found.strokes(theta, found.forces(values))
-    unit = found.unit(f"f{found.axes[-1]}")[0] if found.axes else "N"
+        ours = origin(Path(name), table.comments, table.frame[list(CSV_COLUMNS)].to_numpy())
+    if not ours:
+        values = reader.tared(theta, values)
+    strokes = reader.strokes(theta, reader.forces(values))
+    unit = reader.unit(f"f{reader.axes[-1]}")[0] if reader.axes else "N"
     file = "standard input" if name == "-" else Path(name).name
     about: dict[str, Any] = {
         "force_unit": "" if unit == "N" else unit,
         "resolution": steps if any(steps.values()) else {},
-        "columns": found.changes,
+        "columns": reader.changes,
     }
     histories = []
     for i, which in enumerate(strokes):
         position, rows = _increasing(theta[which], values[which])
         if i == 0 and len(position) < len(which):
-            found.notes.append(
+            reader.notes.append(
                 f"Rows are averaged in bins of {BIN_DEG:g}°: {len(which)} become {len(position)}."
             )
-        moment = rows[:, -1].copy() if "M" in found.channels else None
+        moment = rows[:, -1].copy() if "M" in reader.channels else None
         if moment is not None and np.trapezoid(moment, position) > 0.0:
             moment = -moment  # soil resists the leg, so that this is the motor's
         about["file"] = f"{file} (stroke {i + 1})" if len(strokes) > 1 else file
-        about["reading"] = found.notes if i == 0 else []
-        provenance = known | {key: value for key, value in about.items() if value}
-        force = rows[:, : len(found.axes)].copy()
+        about["reading"] = reader.notes if i == 0 else []
+        provenance = ours | {key: value for key, value in about.items() if value}
+        force = rows[:, : len(reader.axes)].copy()
         histories.append(
-            ForceHistory(np.radians(position), force, "theta", found.axes, provenance, moment)
+            ForceHistory(np.radians(position), force, "theta", reader.axes, provenance, moment)
         )
-    found.refuse_other_zero(histories[0])
+    reader.refuse_other_zero(histories[0])
     return histories
 
 
@@ -324,15 +324,15 @@ def preview(
     InputError
         If it holds no rows of numbers, or an option is wrong.
     """
-    found = _LegTable(source, ForceColumns.of(columns))
-    table = found.table
-    written = [table.units.get(name) or unit for name, (_, unit) in found.parts.items()]
+    reader = _LegTable(source, ForceColumns.of(columns))
+    table = reader.table
+    written = [table.units.get(name) or unit for name, (_, unit) in reader.parts.items()]
     return Preview(
-        list(found.parts),
+        list(reader.parts),
         [unit_named(unit or "") for unit in written],
         table.frame.head(PREVIEW_ROWS).to_numpy().tolist(),
-        found.names,
-        {role: found.like(role) for role in LEG if role not in found.names},
+        reader.names,
+        {role: reader.like(role) for role in LEG if role not in reader.names},
     )
 
 
@@ -374,14 +374,16 @@ class _Reading(Generic[Given]):
             hint = f"it fits {' and '.join(map(repr, same))}" if same else hint
             self.wrong.append(f"no column '{column[:40]}' for {role}; {hint[:200]}")
 
-    def guess(self, role: str, found: list[str]) -> bool:
+    def guess(self, role: str, columns: list[str]) -> bool:
         """Take the only column that fits a role, or complain about several; False of none."""
-        if len(found) == 1:
-            self.names[role] = found[0]
-        elif found:
-            listed = " or ".join(f"'{name[:40]}'" for name in found[:4])
-            self.wrong.append(f"{_WORDS[role]} may be {listed}; add --columns '{role}={found[0]}'")
-        return bool(found)
+        if len(columns) == 1:
+            self.names[role] = columns[0]
+        elif columns:
+            listed = " or ".join(f"'{name[:40]}'" for name in columns[:4])
+            self.wrong.append(
+                f"{_WORDS[role]} may be {listed}; add --columns '{role}={columns[0]}'"
+            )
+        return bool(columns)
 
     def like(self, role: str) -> list[str]:
         """Columns whose names fit a role."""
@@ -390,16 +392,16 @@ class _Reading(Generic[Given]):
             name: re.sub(r"[\W_]+", "", bare.lower())
             for name, (bare, _) in self.parts.items() if name not in taken
         }  # fmt: skip
-        found = [name for name, text in plain.items() if re.fullmatch(_NAMES[role], text)]
-        if role in _LOOSE and not found:
-            found = [name for name, text in plain.items() if re.search(_LOOSE[role], text)]
-        if role == "theta" and not found:  # the one whose unit is that of an angle
-            found = [
+        columns = [name for name, text in plain.items() if re.fullmatch(_NAMES[role], text)]
+        if role in _LOOSE and not columns:
+            columns = [name for name, text in plain.items() if re.search(_LOOSE[role], text)]
+        if role == "theta" and not columns:  # the one whose unit is that of an angle
+            columns = [
                 name for name, text in plain.items()
                 if unit_named(self.written(name) or "") in KINDS["angle"]
                 and not re.search(OTHER_ANGLE, text)
             ]  # fmt: skip
-        return found
+        return columns
 
     def written(self, column: str) -> str | None:
         """Unit of a column as the table has it."""
@@ -445,23 +447,23 @@ class _LegTable(_Reading[ForceColumns]):
         super().__init__(source, given)
         self.channels: list[str] = []
         guessed, lacking = [], []
-        own = dict(zip(("theta", "fx", "fz"), CSV_COLUMNS, strict=True))
+        our_names = dict(zip(("theta", "fx", "fz"), CSV_COLUMNS, strict=True))
         along = "theta" if given.rate_deg_s is None else "time"
         for role in (along, "fx", "fz", "moment"):
             column = getattr(given, role)
             if column is not None:
                 self.take(role, column)
-            elif own.get(role) in self.parts:
-                self.names[role] = own[role]
+            elif our_names.get(role) in self.parts:
+                self.names[role] = our_names[role]
             elif role == "moment":  # not needed: only if there is no doubt
-                found = [name for name in self.like(role) if name not in self.table.words]
-                if len(self.like(role)) == 1 and found:
-                    self.names[role] = found[0]
+                unambiguous = [name for name in self.like(role) if name not in self.table.words]
+                if len(self.like(role)) == 1 and unambiguous:
+                    self.names[role] = unambiguous[0]
                     if math.isnan(self.unit(role)[1]):
                         del self.names[role]
             elif not self.guess(role, self.like(role)):
                 lacking.append(role)
-            if role in self.names and column is None and self.names[role] != own.get(role):
+            if role in self.names and column is None and self.names[role] != our_names.get(role):
                 guessed.append(f"{_WORDS[role]} from '{self.names[role]}' [{self.unit(role)[0]}]")
         if "moment" in self.names and {"fx", "fz"} & {*lacking}:
             lacking = self._without_forces(lacking)
@@ -479,9 +481,10 @@ class _LegTable(_Reading[ForceColumns]):
 
     def _without_forces(self, lacking: list[str]) -> list[str]:
         """Roles that still lack a column where the moment may stand for forces; noted."""
-        rest = [name for name in self.parts if name not in self.names.values()]
-        rest = [n for n in rest if not re.fullmatch(f"{NO_FORCE}|{_NAMES['time']}", n.lower())]
-        if rest and self.given.moment is None:
+        further = [name for name in self.parts if name not in self.names.values()]
+        no_force = f"{NO_FORCE}|{_NAMES['time']}"
+        further = [name for name in further if not re.fullmatch(no_force, name.lower())]
+        if further and self.given.moment is None:
             return lacking
         without = [_WORDS[role] for role in lacking if role != "theta"]
         beware = "" if len(without) == 1 else " It cannot show a wrong leg or a wrong scale."
@@ -534,17 +537,17 @@ class _LegTable(_Reading[ForceColumns]):
             along = (given.rate_deg_s or 1.0) * self.column("time")
         theta = given.theta_sign * (along + given.theta_offset_deg)
         needed = [v for role, v in columns.items() if role != "moment" or len(self.axes) < 2]
-        whole = np.asarray(np.isfinite([theta, *needed]).all(axis=0))
-        if not whole.any():
+        full = np.asarray(np.isfinite([theta, *needed]).all(axis=0))
+        if not full.any():
             self.refuse("no row has all that is needed; check the columns")
-        if not whole.all():
-            first = self.table.place(int(np.flatnonzero(~whole)[0]))
+        if not full.all():
+            first = self.table.place(int(np.flatnonzero(~full)[0]))
             self.notes.append(
-                f"{(~whole).sum()} of {len(whole)} rows lack a number and are left out, the first "
+                f"{(~full).sum()} of {len(full)} rows lack a number and are left out, the first "
                 f"at {first}."
             )
-        rows, theta = np.flatnonzero(whole), theta[whole]
-        values = np.column_stack(list(columns.values()))[whole]
+        rows, theta = np.flatnonzero(full), theta[full]
+        values = np.column_stack(list(columns.values()))[full]
         self.channels = [*(f"F{axis}" for axis in self.axes), "M"][: len(columns)]
         if not np.isfinite(values).all():
             self.notes.append("The moment lacks numbers, and is not used.")
@@ -658,11 +661,11 @@ class _LegTable(_Reading[ForceColumns]):
 
     def strokes(self, theta: FloatArray, force: FloatArray) -> list[Any]:
         """Rows of each stroke in which θ grows."""
-        every = np.arange(len(theta))
+        rows = np.arange(len(theta))
         if _scattered(theta):
-            return [every]
+            return [rows]
         moving = ~at_rest(theta)
-        every, theta, force = every[moving], theta[moving], force[moving]
+        rows, theta, force = rows[moving], theta[moving], force[moving]
         turns = _turns(theta)
         pieces = [slice(a, b + 1) for a, b in pairwise(turns)]
         pieces = [p for p in pieces if p.stop - p.start > FEWEST_ROWS]  # not where it jumps back
@@ -670,7 +673,7 @@ class _LegTable(_Reading[ForceColumns]):
         down = [p for p in pieces if theta[p][0] - theta[p][-1] >= LEAST_STROKE_DEG]
         up, down = (up, down) if up else (down, [])
         if not up or (not down and _covered(theta, up) > 0.9 * sum(np.ptp(theta[p]) for p in up)):
-            return [every]  # one stroke, or parts of one
+            return [rows]  # one stroke, or parts of one
 
         def size(of: list[slice]) -> float:
             return float(np.median([np.sqrt(np.square(force[p]).mean()) for p in of]))
@@ -684,7 +687,7 @@ class _LegTable(_Reading[ForceColumns]):
             self.notes.append("The leg goes forth and back; the way back is left out.")
         if len(up) > 1:
             self.notes.append(f"{len(up)} strokes in one table, taken as trials in one soil.")
-        return [every[p] for p in up]
+        return [rows[p] for p in up]
 
     def refuse_other_zero(self, history: ForceHistory) -> None:
         """Complain about an angle that is not zero where the leg hangs down.
@@ -736,27 +739,27 @@ def read_pressed(source: Any, area: float, columns: Any = None) -> Pressed:
     InputError
         With what is wrong with the table.
     """
-    found = _PressTable(source, PressColumns.of(columns))
-    found.refuse_wrong()
-    role = "force" if "force" in found.names else "pressure"
-    sinkage, force = found.column("sinkage"), found.column(role)
+    reader = _PressTable(source, PressColumns.of(columns))
+    reader.refuse_wrong()
+    role = "force" if "force" in reader.names else "pressure"
+    sinkage, force = reader.column("sinkage"), reader.column(role)
     force = force * (area if role == "pressure" else 1.0)
-    whole = np.isfinite(sinkage) & np.isfinite(force)
-    if not whole.all():
-        found.notes.append(f"{(~whole).sum()} of {len(whole)} rows lack a number and are left out.")
-    sinkage, force = sinkage[whole], force[whole]
+    full = np.isfinite(sinkage) & np.isfinite(force)
+    if not full.all():
+        reader.notes.append(f"{(~full).sum()} of {len(full)} rows lack a number and are left out.")
+    sinkage, force = sinkage[full], force[full]
     if len(force) < FEWEST_ROWS or np.ptp(force) == 0.0 or np.ptp(sinkage) == 0.0:
-        found.refuse(f"{len(force)} rows with a sinkage and a force; {FEWEST_ROWS} that differ "
+        reader.refuse(f"{len(force)} rows with a sinkage and a force; {FEWEST_ROWS} that differ "
                      "are needed")  # fmt: skip
     if force[np.abs(force).argmax()] < 0.0:  # the soil presses up
         force = -force
-        found.notes.append("The force is negative in the soil: its sign is turned.")
+        reader.notes.append("The force is negative in the soil: its sign is turned.")
     course = float(np.corrcoef(sinkage, force)[0, 1])
     # A force that falls with depth, as of a hard layer, decides nothing: the larger end is below.
     if course < -0.5 or (course < 0.5 and -sinkage.min() > sinkage.max()):
         sinkage = -sinkage
-        found.notes.append("The sinkage is negative in the soil: its sign is turned.")
-    return Pressed(sinkage, force, len(whole), found.notes)
+        reader.notes.append("The sinkage is negative in the soil: its sign is turned.")
+    return Pressed(sinkage, force, len(full), reader.notes)
 
 
 class _PressTable(_Reading[PressColumns]):

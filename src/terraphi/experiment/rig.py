@@ -226,19 +226,19 @@ def with_rig(options: Mapping[str, Any]) -> dict[str, Any]:
     InputError
         If some of the sizes or the leg are missing, or there is a rig as well.
     """
-    others = {key: v for key, v in options.items() if key not in (*SIZES, "leg_friction")}
+    remaining = {key: v for key, v in options.items() if key not in (*SIZES, "leg_friction")}
     friction = {"leg_friction": f} if (f := options.get("leg_friction")) is not None else {}
     sizes = {key: options[key] for key in SIZES if options.get(key) is not None}
     if not sizes:
         if not friction:
-            return others
-        if others.get("rig") is None:
+            return remaining
+        if remaining.get("rig") is None:
             raise InputError("--leg-friction goes with a rig; add its sizes, or --rig li2013")
-        rig = Rig.of(others["rig"], others.get("leg")).model_dump(exclude={"leg_friction_sd"})
-        return {**others, "rig": Rig(**{**rig, **friction})}
+        rig = Rig.of(remaining["rig"], remaining.get("leg")).model_dump(exclude={"leg_friction_sd"})
+        return {**remaining, "rig": Rig(**{**rig, **friction})}
     flags = {key: f"--{key.replace('_', '-')}" for key in ("leg", *SIZES)}
     lacking = [flag for key, flag in flags.items() if options.get(key) is None]
-    if others.get("rig") is not None:
+    if remaining.get("rig") is not None:
         raise InputError(f"--rig has all sizes; leave out {flags[next(iter(sizes))]}")
     if lacking:
         raise InputError(f"the sizes of a rig go together; add {', '.join(lacking)}")
@@ -249,7 +249,7 @@ def with_rig(options: Mapping[str, Any]) -> dict[str, Any]:
         }
     except ValueError as error:
         raise InputError(f"sizes of the rig: {error}; give millimeters") from None
-    return {**others, "rig": Rig(leg=options["leg"], **numbers, **friction)}
+    return {**remaining, "rig": Rig(leg=options["leg"], **numbers, **friction)}
 
 
 class Tool(Strict):

@@ -440,14 +440,14 @@ class Scenario(Strict):
     def warnings(self) -> list[str]:
         """Values that can be simulated and are probably a mistake, a sentence each."""
         values = {key: attrgetter(key)(self) for key in LIMITS}
-        found = [
+        sentences = [
             f"{key} = {values[key]:g} is unusual: in {unit}, mostly {least:g} to {most:g}"
             for key, (least, most, unit) in LIMITS.items() if not least <= values[key] <= most
         ]  # fmt: skip
         soil, damping = self.soil, self.numerics.stiffness_damping
         undamped = (self.model, self.dimensions) == ("mpm", 3) and damping < ENOUGH
         if undamped and soil.friction_angle_deg > SHAKEN_DEG[soil.yield_surface]:
-            found.append(
+            sentences.append(
                 f"undamped soil of {soil.friction_angle_deg:g}° shakes and carries less than its "
                 "strength; set numerics.stiffness_damping = 0.25"
             )
@@ -455,11 +455,11 @@ class Scenario(Strict):
         height_mm = 1e3 * (poses.placed(self.leg.outline())[..., 1] - self.bed.surface)
         low, first = height_mm.min(), height_mm[0].min()
         if low > 0.0:
-            found.append(f"the leg stays {low:.3g} mm above the soil; lower motion.hip")
+            sentences.append(f"the leg stays {low:.3g} mm above the soil; lower motion.hip")
         elif first < 0.0:
             why = f"the leg starts {-first:.3g} mm deep in the soil, so its first forces are off"
-            found.append(why)
-        return found
+            sentences.append(why)
+        return sentences
 
     def replace(self, source: str = "scenario", /, **changes: Any) -> Scenario:
         """Copy with some dotted keys replaced, checked anew.

@@ -229,7 +229,7 @@ def write_csv(path: Path, frame: Any, *, first: str = "", float_format: str | No
 
     def cell(value: Any) -> Any:
         text = visible(value) if isinstance(value, str) else ""
-        number = any(one.fullmatch(text) for one in (*_NUMBER.values(), _MISSING))
+        number = any(pattern.fullmatch(text) for pattern in (*_NUMBER.values(), _MISSING))
         return f"'{text}" if _FORMULA.match(text) and not number else text or value
 
     safe = frame.rename(columns=cell).apply(lambda column: column.map(cell))
@@ -364,9 +364,9 @@ def _dialect(lines: list[str]) -> tuple[str | None, str]:
 
     def score(dialect: tuple[str | None, str]) -> float:
         rows = [_cells(line, dialect[0]) for line in lines]
-        found = [_numbers(row, dialect[1]) for row in rows]
+        counts = [_numbers(row, dialect[1]) for row in rows]
         cells = sum(len([cell for cell in row if not _MISSING.fullmatch(cell)]) for row in rows)
-        return float(sum(found)) * sum(found) / max(cells, 1)
+        return float(sum(counts)) * sum(counts) / max(cells, 1)
 
     return max(_DIALECTS, key=score)  # of equals the first
 
@@ -380,19 +380,23 @@ def _header(
     last = [cell for cell in rows[-1] if cell not in ("", "-")] if len(rows) > 1 else []
     if last and 2 * sum(unit_named(cell) is not None for cell in last) >= len(last):
         units = rows.pop()
-    found = rows[-1] if rows else []
+    cells = rows[-1] if rows else []
     if not rows and comments:  # as numpy.savetxt writes it
         line = comments[-1].lstrip(" #%/")
-        splits = [_cells(line, one) for one in (separator, "\t", ";", ",", None)]
+        splits = [
+            _cells(line, separator_tried) for separator_tried in (separator, "\t", ";", ",", None)
+        ]
         splits.append(re.split(r"\s{2,}", line.strip()))
-        found = next((one for one in splits if len(one) == width), [])
+        cells = next(
+            (separator_tried for separator_tried in splits if len(separator_tried) == width), []
+        )
     names: list[str] = []
     for i in range(width):
-        name = found[i].strip() if i < len(found) else ""
+        name = cells[i].strip() if i < len(cells) else ""
         name = name or f"column {i + 1}"
         names.append(name if name not in names else f"{name} ({i + 1})")
     units_by_name = {name: unit for name, unit in zip(names, units, strict=False) if unit}
-    return names, units_by_name, len(found)
+    return names, units_by_name, len(cells)
 
 
 def _numeric(
@@ -412,11 +416,11 @@ def _numeric(
             words.setdefault(name, []).append((f"{kind} {lines[i]}", text))
         return float("nan")
 
-    found = {
+    columns = {
         name: frame[name].to_numpy(np.float64, na_value=np.nan)
         if name in numbers
         else np.array([number(name, i, cell) for i, cell in enumerate(frame[name])], np.float64)
         for name in frame.columns
     }
-    found = {name: np.where(np.abs(v) < LARGEST, v, np.nan) for name, v in found.items()}
-    return Table(type(frame)(found), units, lines, kind, words, comments)
+    columns = {name: np.where(np.abs(v) < LARGEST, v, np.nan) for name, v in columns.items()}
+    return Table(type(frame)(columns), units, lines, kind, words, comments)
