@@ -38,7 +38,7 @@ def test_information_of_the_parts_adds_up_to_that_of_the_whole(sand3d: Library) 
     # Each is taken at the best angle of its part.
     assert sum(shares) == pytest.approx(1.0, abs=0.1)
     whole = open_record("li2013:yuma/straight")
-    assert Likelihood([whole], sand3d).strokes[0].share == 1.0
+    assert Likelihood([whole], sand3d).coverage[0].share == 1.0
 
 
 @pytest.mark.parametrize("window", [(-80, 80), (-60, 60), (-60, 0), (-40, 0), (-20, 40), (0, 85)])
