@@ -71,7 +71,7 @@ def test_block_on_an_incline(slope_deg):
 
 # -- walls ----------------------------------------------------------------------------------------
 
-BOX = model_of(Scenario())._replace(left=0.1, right=0.9, floor=0.2)
+BOX = model_of(Scenario())._replace(first_x=0.1, last_x=0.9, floor=0.2)
 
 
 def walled(vx, vz, x, z, *, rough=True):

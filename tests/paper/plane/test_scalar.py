@@ -28,7 +28,7 @@ def test_free_fall_without_walls(coarse, steps, far_away):
     scenario = coarse(**far_away, **{"numerics.damping_rate": 0.0})
     soil = geostatic_bed(scenario)
     soil.stress[:] = 0.0
-    nowhere = model_of(scenario)._replace(left=-9.0, right=9.0, floor=-9.0)
+    nowhere = model_of(scenario)._replace(first_x=-9.0, last_x=9.0, floor=-9.0)
     start, count, dt = soil.position.copy(), 200, 5e-5
     fallen = steps(scenario, count, soil=soil, model=nowhere)
     np.testing.assert_allclose(soil.velocity[:, 1], -GRAVITY * count * dt, rtol=1e-11)
@@ -48,7 +48,7 @@ def test_damping_alone_is_a_decay_of_its_rate(coarse, steps, far_away):
     soil = geostatic_bed(scenario)
     soil.stress[:] = 0.0
     soil.velocity[:] = [0.01, 0.02]
-    nowhere = model_of(scenario)._replace(left=-9.0, right=9.0, floor=-9.0, gravity=0.0)
+    nowhere = model_of(scenario)._replace(first_x=-9.0, last_x=9.0, floor=-9.0, gravity=0.0)
     steps(scenario, 100, soil=soil, model=nowhere)
     factor = 0.997 ** (100 * 5e-5 / 8e-6 / 20.0)
     np.testing.assert_allclose(soil.velocity, np.tile([0.01, 0.02], (len(soil.mass), 1)) * factor)
@@ -86,7 +86,7 @@ def test_pic_loses_the_spin_that_apic_keeps(coarse, steps, far_away):
         arm = soil.position - [0.15, 0.09]
         soil.velocity[:] = 0.5 * arm @ [[0.0, 1.0], [-1.0, 0.0]]
         before = soil.mass @ (arm[:, 0] * soil.velocity[:, 1] - arm[:, 1] * soil.velocity[:, 0])
-        nowhere = model_of(scenario)._replace(left=-9.0, right=9.0, floor=-9.0, gravity=0.0)
+        nowhere = model_of(scenario)._replace(first_x=-9.0, last_x=9.0, floor=-9.0, gravity=0.0)
         steps(scenario, 1, soil=soil, model=nowhere)
         arm = soil.position - [0.15, 0.09]
         after = soil.mass @ (arm[:, 0] * soil.velocity[:, 1] - arm[:, 1] * soil.velocity[:, 0])
