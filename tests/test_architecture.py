@@ -1,10 +1,13 @@
-"""Folders import only from those above them, and a command loads only what it needs."""
+"""Folders import only from those above them, a command loads only what it needs, and code stays
+readable: no pronoun is the name of a value, and no function is longer than 70 lines.
+"""
 
 from __future__ import annotations
 
 import ast
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -14,6 +17,10 @@ FOLDERS = (
     "experiment", "forward", "laws", "inference", "robot", "terrain", "view",
     "paper", "cli",
 )  # fmt: skip
+PRONOUNS = {
+    "alike", "apart", "both", "every", "found", "known", "one", "others", "own", "seen", "some", "whole",
+}  # fmt: skip
+LONGEST = 70
 HEAVY = {"distributed", "emcee", "h5py", "matplotlib", "numba", "pandas", "scipy", "xarray"}
 
 
@@ -37,17 +44,16 @@ def imported(tree: ast.AST) -> set[str]:
 def test_folder_imports_only_from_those_above(folder: str) -> None:
     allowed = set(FOLDERS[: FOLDERS.index(folder) + 1])
     wrong = {
-        path.relative_to(SOURCE).as_posix(): found
+        path.relative_to(SOURCE).as_posix(): folders
         for path in sorted((SOURCE / folder).rglob("*.py"))
         if path.name != "__main__.py"
-        and (found := imported(ast.parse(path.read_text(encoding="utf-8"))) - allowed)
+        and (folders := imported(ast.parse(path.read_text(encoding="utf-8"))) - allowed)
     }
     assert not wrong
 
 
 def test_every_folder_has_its_place() -> None:
-    found = {path.name for path in SOURCE.iterdir() if (path / "__init__.py").is_file()}
-    assert found <= set(FOLDERS)
+    assert {path.parent.name for path in SOURCE.glob("*/__init__.py")} <= set(FOLDERS)
 
 
 @pytest.mark.parametrize(
@@ -58,3 +64,42 @@ def test_import_stays_light(module: str, heavy: set[str]) -> None:
     code = f"import sys, {module}; print(*sorted({heavy!r} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == []
+
+
+def names_given(tree: ast.AST) -> Iterator[str]:
+    """Names of the variables and arguments of a module."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            yield node.id
+        elif isinstance(node, ast.arg):
+            yield node.arg
+
+
+def lines_of_code(function: ast.FunctionDef, text: list[str]) -> int:
+    """Lines of a function without blank lines, comments and its docstring."""
+    docstring = ast.get_docstring(function, clean=False)
+    lines = (line.strip() for line in text[function.lineno - 1 : function.end_lineno])
+    code = sum(bool(line) and not line.startswith("#") for line in lines)
+    return code - sum(bool(line.strip()) for line in (docstring or "").splitlines())
+
+
+def test_no_pronoun_is_the_name_of_a_value() -> None:
+    wrong = {
+        f"{file.relative_to(SOURCE).as_posix()}: {name}"
+        for file in SOURCE.rglob("*.py")
+        for name in names_given(ast.parse(file.read_text(encoding="utf-8")))
+        if name.strip("_") in PRONOUNS
+    }
+    assert not wrong
+
+
+def test_functions_fit_a_screen() -> None:
+    long: dict[str, int] = {}
+    for file in SOURCE.rglob("*.py"):
+        text = file.read_text(encoding="utf-8")
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.FunctionDef):
+                lines = lines_of_code(node, text.splitlines())
+                if lines > LONGEST:
+                    long[f"{file.relative_to(SOURCE).as_posix()}: {node.name}"] = lines
+    assert not long
