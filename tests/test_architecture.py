@@ -18,7 +18,7 @@ FOLDERS = (
     "paper", "cli",
 )  # fmt: skip
 PRONOUNS = {
-    "alike", "apart", "both", "every", "found", "known", "one", "others", "own", "seen", "some", "whole",
+    "alike", "apart", "both", "found", "known", "one", "others", "own", "seen", "some", "whole",
 }  # fmt: skip
 LONGEST = 70
 HEAVY = {"distributed", "emcee", "h5py", "matplotlib", "numba", "pandas", "scipy", "xarray"}

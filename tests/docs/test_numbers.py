@@ -9,7 +9,7 @@ import pytest
 
 import legs
 from terraphi.experiment import baseline, budget, reading
-from terraphi.experiment.priors import FRICTION
+from terraphi.experiment.priors import FOOT_FRICTION, FRICTION
 from terraphi.inference import checks, footfalls, inversion, likelihood, pressed, records
 from terraphi.inference.manifest import LEAST_ROWS
 from terraphi.inference.touchdowns import PHI_RANGE, Prior
@@ -71,7 +71,7 @@ NUMBERS = [
     (HOW_TO + "footfalls.md", r"φ is (\d+) or (\d+)°", [*PHI_RANGE]),
     (HOW_TO + "footfalls.md", r"prior of (\d+) ± (\d+)°", [Prior().phi_deg, Prior().phi_sd_deg]),
     (HOW_TO + "footfalls.md", r"taken as (\d+(?:\.\d+)?) ± (\d+(?:\.\d+)?)",
-     [FRICTION.mean, round(FRICTION.sd, 2)]),
+     [FOOT_FRICTION.mean, round(FOOT_FRICTION.sd, 2)]),
 ]  # fmt: skip
 """Page, an expression that finds numbers in it, and what they are in the code."""
 

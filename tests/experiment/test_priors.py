@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from terraphi.experiment.priors import DENSITY, FRICTION
+from terraphi.experiment.priors import DENSITY, FOOT_FRICTION, FRICTION
 
 SOURCE = Path(__file__).parents[2] / "src" / "terraphi"
 ASSUMED = re.compile(
@@ -23,6 +23,7 @@ EXEMPT = {
     ("experiment/leg.py", "friction"),  # of a simulated leg
     ("laws/legs.py", "density"),  # of the soil that the law was simulated with
     ("laws/law.py", "friction"),  # ends of what the law was simulated with
+    ("laws/theory.py", "density"),  # of the poses that the law is scaled from
     ("robot/friction.py", "gain_sd"),  # threshold of a fit
 }
 """Modules and values that assume nothing about a measurement."""
@@ -105,6 +106,12 @@ def test_friction_covers_steel_on_sand() -> None:
     for part, most in ((0.54, 1.0), (0.76, 2.0)):
         friction = math.tan(math.radians(part * 33.0))
         assert abs(friction - FRICTION.mean) < most * FRICTION.sd
+
+
+def test_friction_of_a_foot_is_between_polished_steel_and_soil_on_soil() -> None:
+    """Published limits: 0.1 to 0.2 for polished steel, the soil's own friction for rough bodies."""
+    low, high = (FOOT_FRICTION.mean + k * math.sqrt(3.0) * FOOT_FRICTION.sd for k in (-1.0, 1.0))
+    assert 0.1 <= low < FRICTION.mean < high <= math.tan(math.radians(33.0))
 
 
 def test_density_covers_uniform_sand() -> None:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from terraphi.experiment.priors import FRICTION
+from terraphi.experiment.priors import FOOT_FRICTION
 from terraphi.inference.footfalls import FootfallMap
 from terraphi.inference.touchdowns import Prior
 from terraphi.robot.footfalls import calibrate_on_weight, footfalls
@@ -94,7 +94,7 @@ def test_what_is_shared_is_as_large_as_its_parts(clean: tuple[Truth, FootfallMap
     """The absolute interval holds every prior that nothing in the log can narrow."""
     found, prior = clean[1], Prior()
     sd = {name: found.shared[name]["sd"] for name in ("density_kg_m3", "surface_friction")}
-    assert sd == pytest.approx({"density_kg_m3": 80.0, "surface_friction": FRICTION.sd})
+    assert sd == pytest.approx({"density_kg_m3": 80.0, "surface_friction": FOOT_FRICTION.sd})
     assert found.shared["foot_radius_mm"]["sd"] == pytest.approx(1e3 * prior.radius_sd)
     assert found.shared["law_offset_deg"]["worth_deg"] == pytest.approx(2.6)  # docs/plates.md
     parts = [found.shared[name]["worth_deg"] for name in found.shared if name != "field"]

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from terraphi.experiment.priors import FRICTION
+from terraphi.experiment.priors import FOOT_FRICTION
 from terraphi.laws.foot import LAWS, Foot, moved_mass
 from terraphi.robot.joint_log import JointLog
 from terraphi.robot.legs import Legs, TrunkMotion
@@ -156,7 +156,7 @@ class LawWalk(Walk):
 
     gait: str = "three"
     density: float = 1550.0
-    surface_friction: float = FRICTION.mean
+    surface_friction: float = FOOT_FRICTION.mean
     exponent: float = 0.0
     """Added to the law's power of depth."""
     contact: float = 0.4

@@ -11,7 +11,7 @@ import pytest
 
 import terraphi as package
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.priors import FRICTION
+from terraphi.experiment.priors import FOOT_FRICTION
 from terraphi.inference.inversion import SHARE, invert
 from terraphi.laws.foot import LAWS, Foot
 from terraphi.terrain.export import export
@@ -109,7 +109,7 @@ def test_force_is_that_of_the_law_in_plane_strain() -> None:
     force, _ = sand.force(foot, place, down)
     expected = LAWS["foot"].force(
         foot, 0.022, math.pi / 2, friction_angle_deg=42.0, density=1800.0,
-        surface_friction=FRICTION.mean,
+        surface_friction=FOOT_FRICTION.mean,
     )  # fmt: skip
     np.testing.assert_allclose(force, [[0.0, 0.0, expected[1]], [0.0, 0.0, 0.0]], atol=1e-9)
     for name in SANDS:

@@ -9,7 +9,7 @@ import click
 
 from terraphi.cli import options as shared
 from terraphi.cli.options import PATH, Float, choice, density_option, json_option
-from terraphi.experiment.priors import FRICTION
+from terraphi.experiment.priors import FOOT_FRICTION
 from terraphi.view.console import present, progress_bar
 
 SIMULATOR = click.Choice(shared.SIMULATORS)
@@ -83,7 +83,7 @@ def convert(value: str, from_: str | None, as_json: bool, **options: Any) -> Non
               help="Friction angle in plane strain, or the folder of an answer.")  # fmt: skip
 @density_option
 @click.option(
-    "--surface-friction", type=Float(), default=FRICTION.mean, show_default=True,
+    "--surface-friction", type=Float(), default=FOOT_FRICTION.mean, show_default=True,
     help="Foot on soil.",
 )  # fmt: skip
 @click.option("--depth", type=Float(), metavar="M", help="Largest sinkage.  [default: radius / 2]")

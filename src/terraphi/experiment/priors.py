@@ -29,11 +29,14 @@ mixed-grained sands, too. Porous or light grains are outside: poppy seeds have 6
 DENSITY_SD_PART = 0.05
 """Standard deviation of a density given without one, over it [-]; chosen."""
 FRICTION = Assumption(0.30, 0.0866)
-"""Coulomb friction between dry soil and a leg, foot or plate [-]: uniform on 0.15 to 0.45. Smooth
+"""Coulomb friction between dry soil and a leg or a plate [-]: uniform on 0.15 to 0.45. Smooth
 steel on sand has 0.54 of the friction angle, rusted steel 0.76 (Potyondy 1961, Géotechnique
 11:339): 0.32 and 0.47 at a critical angle of 33°. Polished steel goes down to 0.1, and friction
-grows with the roughness over the grain size (Uesugi & Kishida 1986, Soils and Foundations 26:139).
-Rubber is rougher."""
+grows with the roughness over the grain size (Uesugi & Kishida 1986, Soils and Foundations
+26:139)."""
+FOOT_FRICTION = Assumption(0.40, 0.1155)
+"""Coulomb friction between dry soil and a robot's foot of rubber [-]: uniform on 0.2 to 0.6, from
+polished steel to soil on soil, which no surface exceeds (Uesugi & Kishida 1986); chosen."""
 SENSOR_GAIN = Assumption(1.0, 0.02)
 """Gain of a load cell [-]; chosen."""
 HIP_HEIGHT_SD_MM = 2.0

@@ -27,8 +27,8 @@ from terraphi.experiment.arrays import BoolArray, FloatArray, IntArray
 from terraphi.experiment.priors import (
     DENSITY,
     DROP_SD_PART,
+    FOOT_FRICTION,
     FOOT_RADIUS_SD_M,
-    FRICTION,
     ODOMETRY_DRIFT_SD,
     TOUCHDOWN_DEPTH_SD_M,
 )
@@ -177,8 +177,8 @@ class Prior:
     drift_sd: float = ODOMETRY_DRIFT_SD
     density: float = DENSITY.mean
     density_sd: float = DENSITY.sd
-    surface_friction: float = FRICTION.mean
-    surface_friction_sd: float = FRICTION.sd
+    surface_friction: float = FOOT_FRICTION.mean
+    surface_friction_sd: float = FOOT_FRICTION.sd
     radius: float = 0.022
     radius_sd: float = FOOT_RADIUS_SD_M
     shape: str = "ball"

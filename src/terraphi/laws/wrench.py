@@ -51,7 +51,7 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray, like, namespace, numbers
 from terraphi.experiment.errors import InputError, nearest
-from terraphi.experiment.priors import FRICTION
+from terraphi.experiment.priors import FOOT_FRICTION
 from terraphi.experiment.scenario import GRAVITY, LIMITS
 from terraphi.forward.rft import SCALE_POLYNOMIAL, unit_stress
 from terraphi.laws.foot import (
@@ -222,7 +222,7 @@ def force(
     *,
     phi_deg: Any,
     density: Any,
-    surface_friction: float = FRICTION.mean,
+    surface_friction: float = FOOT_FRICTION.mean,
     surface: Any = 0.0,
     rest_speed: float = 0.01,
     held: tuple[Any, Any] | None = None,

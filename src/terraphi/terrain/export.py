@@ -17,7 +17,7 @@ from terraphi.experiment.arrays import FloatArray, seed_from
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import atomic_write
 from terraphi.experiment.outputs import SIGNATURE, check_file
-from terraphi.experiment.priors import FRICTION
+from terraphi.experiment.priors import FOOT_FRICTION
 from terraphi.forward.rft import stress_scale
 from terraphi.inference.answer import Answer, StoredAnswer
 from terraphi.laws.foot import LAWS, Foot
@@ -203,7 +203,7 @@ def bekker(
     def stiffness(phi_deg: float) -> float:
         force = LAWS["rft"].force(
             PLATE, SINKAGE, math.pi / 2, friction_angle_deg=phi_deg, density=density,
-            surface_friction=FRICTION.mean,
+            surface_friction=FOOT_FRICTION.mean,
         )  # fmt: skip
         return float(force[1] / (np.pi * PLATE.radius**2 * SINKAGE))
 

@@ -19,7 +19,7 @@ from terraphi.experiment.arrays import FloatArray, count, generator
 from terraphi.experiment.errors import GUESSED, InputError, nearest
 from terraphi.experiment.files import number_with_sd
 from terraphi.experiment.outputs import changed
-from terraphi.experiment.priors import DENSITY, FRICTION
+from terraphi.experiment.priors import DENSITY, FOOT_FRICTION
 from terraphi.experiment.scenario import LIMITS
 from terraphi.experiment.soil import cone_slope
 from terraphi.forward.rft import to_plane_strain
@@ -215,7 +215,7 @@ class SoilDistribution:
         from terraphi.laws.wrench import force
 
         soil = {"phi_deg": self.phi.median, "density": self.density,
-                "surface_friction": FRICTION.mean}  # fmt: skip
+                "surface_friction": FOOT_FRICTION.mean}  # fmt: skip
         return force(foot, pose, velocity, **{**soil, **options})
 
 

@@ -34,7 +34,7 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray, IntArray
 from terraphi.experiment.errors import InputError, nearest, needing
 from terraphi.experiment.files import plain_number
-from terraphi.experiment.priors import FRICTION
+from terraphi.experiment.priors import FOOT_FRICTION
 from terraphi.experiment.scenario import GRAVITY
 from terraphi.inference.records import density_with_sd
 from terraphi.laws.foot import LAWS, Foot
@@ -613,7 +613,7 @@ def tune(
     foot: str | Path,
     phi: Any,
     density: float | str | None = None,
-    surface_friction: float = FRICTION.mean,
+    surface_friction: float = FOOT_FRICTION.mean,
     depth: float | None = None,
     time_step: float = 0.01,
     finer: int = 2,

@@ -80,13 +80,13 @@ def _kernels() -> str:
 
 def _laws() -> str:
     """Read the shipped laws of legs and those of feet, of each shape."""
-    from terraphi.experiment.priors import DENSITY, FRICTION
+    from terraphi.experiment.priors import DENSITY, FOOT_FRICTION
     from terraphi.laws.foot import LAWS, Foot
     from terraphi.laws.legs import shipped_laws
 
     legs = [f"{law.name} ({law.summary()['cases']})" for law in shipped_laws()]
     sand = {"friction_angle_deg": 30.0, "density": DENSITY.mean,
-            "surface_friction": FRICTION.mean}  # fmt: skip
+            "surface_friction": FOOT_FRICTION.mean}  # fmt: skip
     for law, foot in itertools.product(LAWS.values(), (Foot(0.02), Foot(0.02, "disc"))):
         law.force(foot, 0.01, 0.5 * math.pi, **sand)
     return f"of legs: {', '.join(legs)}; of feet: {', '.join(LAWS)}"
