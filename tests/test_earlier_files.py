@@ -117,13 +117,13 @@ def test_earlier_files_are_read_with_the_numbers_that_were_written(path: Path) -
     assert differences(now, written) == []
 
 
-@pytest.mark.parametrize("name", [n for n in READERS if n not in ("forces.nc", "map")])
-def test_results_show_themselves_in_five_lines_without_arrays(name: str) -> None:
-    result = READERS[name](next(DATA.glob(f"*/{name}")))
-    shown = repr(result)
-    assert 1 <= len(shown.splitlines()) <= 5
-    assert "array" not in shown
-    assert result._repr_html_().startswith(f"<pre>{html.escape(shown)}</pre>")
+def test_results_show_themselves_in_five_lines_without_arrays() -> None:
+    for name in READERS.keys() - {"forces.nc", "map"}:
+        result = READERS[name](next(DATA.glob(f"*/{name}")))
+        shown = repr(result)
+        assert 1 <= len(shown.splitlines()) <= 5
+        assert "array" not in shown
+        assert result._repr_html_().startswith(f"<pre>{html.escape(shown)}</pre>")
 
 
 # -- writing --------------------------------------------------------------------------------------

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import click
-import pytest
 
 from terraphi.cli.main import cli
 
@@ -39,11 +38,15 @@ def unknown(arguments: list[str]) -> list[str]:
     return [word for word in words if re.match(r"--?[a-z]", word) and word not in options]
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
-def test_commands_and_links_of_a_page_exist(page: Path) -> None:
-    text = page.read_text(encoding="utf-8")
-    assert not [wrong for shown in commands(text) for wrong in unknown(shown)]
-    assert not [link for link in LINK.findall(text) if not (page.parent / link).exists()]
+def test_commands_and_links_of_all_pages_exist() -> None:
+    wrong = {}
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        words = [word for shown in commands(text) for word in unknown(shown)]
+        words += [link for link in LINK.findall(text) if not (page.parent / link).exists()]
+        if words:
+            wrong[page.relative_to(ROOT).as_posix()] = words
+    assert not wrong
 
 
 def test_lines_of_the_readme_run_in_their_order_in_an_empty_folder(

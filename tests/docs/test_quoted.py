@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import click
-import pytest
 
 from terraphi.cli.main import cli
 
@@ -146,13 +145,11 @@ def wrong(text: str, source: str = "") -> Iterator[str]:
                 yield word
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
-def test_what_a_page_quotes_exists(page: Path) -> None:
-    assert not list(wrong(page.read_text(encoding="utf-8")))
-
-
-def test_what_docstrings_quote_exists() -> None:
+def test_what_pages_and_docstrings_quote_exists() -> None:
     missing = {}
+    for page in PAGES:
+        if words := list(wrong(page.read_text(encoding="utf-8"))):
+            missing[page.relative_to(ROOT).as_posix()] = words
     for module, source in SOURCES.items():
         text = "\n\n".join(DOCSTRING.findall(source))
         if words := list(wrong(text, source)):

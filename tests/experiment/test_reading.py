@@ -45,27 +45,11 @@ def text(table: Any, **options: Any) -> bytes:
 
 
 @export
-def own_names() -> Export:
-    return text(frame(names="theta_deg Fx_N Fz_N")), {}
-
-
-@export
-def german_excel() -> Export:
-    table = frame().set_axis(["Winkel [°]", "Kraft X [N]", "Kraft Z [N]"], axis=1)
-    return text(table, sep=";", decimal=",", encoding="cp1252"), {}
-
-
-@export
 def german_excel_with_missing_values() -> Export:
     table = frame().set_axis(["Winkel [°]", "Fx (N)", "Fz (N)"], axis=1).astype(object)
     gaps = pd.DataFrame([["#N/A", 1.0, 2.0], [3.5, None, 2.0], [None] * 3], columns=table.columns)
     table = pd.concat([table[:9], gaps, table[9:]])
     return text(table, sep=";", decimal=",", encoding="utf-8-sig"), {}
-
-
-@export
-def tabs_in_utf16() -> Export:
-    return text(frame(names="Angle_deg Fx_N Fz_N"), sep="\t", encoding="utf-16"), {}
 
 
 @export
@@ -158,20 +142,6 @@ def pounds_and_radians_given() -> Export:
 
 
 @export
-def pounds_in_the_header() -> Export:
-    table = frame(fx=FX / LBF, fz=FZ / LBF).set_axis(
-        ["Leg Angle (degrees)", "Force X (lbs)", "Force Z (lbs)"], axis=1
-    )
-    return text(table), {}
-
-
-@export
-def kilograms_and_turns() -> Export:
-    table = frame(theta=THETA / 360.0, fx=FX / KGF, fz=FZ / KGF, names="theta_rev Fx_kgf Fz_kgf")
-    return text(table), {}
-
-
-@export
 def angle_from_zero_and_turned() -> Export:
     table = frame(theta=140.0 - THETA)[::-1]
     return text(table), {"theta_offset_deg": -140.0, "theta_sign": -1}
@@ -185,11 +155,6 @@ def force_on_the_soil() -> Export:
 @export
 def z_down() -> Export:
     return text(frame(fz=-FZ)), {"fz_sign": -1}
-
-
-@export
-def x_backward() -> Export:
-    return text(frame(fx=-FX)), {"fx_sign": -1}
 
 
 @export
@@ -499,7 +464,7 @@ AIR = (np.zeros(60), np.zeros(60))
 RATE = {"rate_deg_s": 10.0, "theta_offset_deg": -132.0}
 
 
-@pytest.mark.parametrize("rests_at", [85, 110, 150])
+@pytest.mark.parametrize("rests_at", [85, 150])
 def test_a_rest_in_soil_is_named_where_there_is_a_time_alone(rests_at: int) -> None:
     """Sand creeps as the leg stops: the forces relax by a tenth at first."""
     relaxed = 0.9 + 0.1 * np.exp(-np.arange(40) / 5.0)
@@ -553,9 +518,7 @@ def test_decimal_commas_with_three_decimals_are_no_thousands(
     np.testing.assert_allclose(history.Fz, fz, atol=6e-4)
 
 
-@pytest.mark.parametrize(
-    "word", ["#N/A", "#N/D", "#NV", "#NAME?", "#BEZUG!", "#¡VALOR!", "#DIV/0!"]
-)
+@pytest.mark.parametrize("word", ["#N/A", "#DIV/0!"])
 def test_errors_of_spreadsheets_are_missing_values_and_no_comments(
     tmp_path: Path, word: str
 ) -> None:

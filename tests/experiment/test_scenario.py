@@ -16,8 +16,6 @@ from terraphi.experiment.scenario import ONLY_IN, Scenario
 from terraphi.laws.plan import Plan
 from terraphi.laws.store import Library
 
-SPHERE = {"leg.shape": "sphere", "numerics.tip_inset_cells": 0.0}
-
 
 def refusal(tmp_path: Path, text: str) -> str:
     """The sentence with which a scenario file is refused, after the file's name."""
@@ -34,17 +32,12 @@ def refusal(tmp_path: Path, text: str) -> str:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("[motion]\nrotation = {}", ["unknown key 'motion.rotation'"]),
-        ("[motion]\nkind = 'rotate'", ["motion.kind = 'rotate'", "did you mean 'rotation'?"]),
         ("[leg]\nhalf_thickness = 0.05", ["leg: half_thickness = 0.05 m"]),
-        ("[numerics]\nparticle_volume = 'updated'", ["unknown key 'numerics.particle_volume'"]),
         ("[motion]\nstart_deg = 20\nstop_deg = 10", ["motion: start_deg = 20 must be below stop"]),
         ("[leg]\nshape = 'sphere'", ["leg.shape = 'sphere'", "dimensions = 3"]),
         ("model = 'rft'\n[bed]\nbreadth = 0.2", ["bed.breadth = 0.2 is for model = 'mpm'"]),
-        ("model = 'rft'\n[bed]\nsurcharge = 9.0", ["bed.surcharge = 9.0", "set it to 0.0"]),
         ("[soil]\ndilation_angle_deg = -5.0", ["= -5 < 0 is for dimensions = 3"]),
         ("[motion]\nhip = [0.05, 0.19]", ["the leg leaves the domain", "x = -0.0", "motion.hip"]),
-        ("[motion]\nhip = [0.15, 0.06]", ["the leg leaves the domain", "z = -0.0"]),
         ("[bed]\nwidth = 0.299", ["the bed reaches from 0.005 to 0.304 m", "0.3 m"]),
         ("[bed]\nheight = 0.001", ["bed.height = 0.001 m", "at least a cell"]),
         ("[bed]\nsoil_left = 0.2\nsoil_width = 0.1", ["0.2 to 0.3 m", "outside the walls"]),
@@ -62,7 +55,6 @@ def test_a_scenario_is_refused_in_one_sentence(tmp_path: Path, text: str, words:
     [
         ({"bed.breadth": None}, "needs bed.breadth"),
         ({"bed.breadth": 0.02}, "the leg is 0.0254 m wide, more than bed.breadth = 0.02 m"),
-        (SPHERE | {"leg.chord": 0.07, "bed.breadth": 0.06}, "the leg is 0.07 m wide"),
         ({"soil.yield_criterion": "triaxial"}, "'matsuoka_nakai' needs yield_criterion"),
         (
             {"soil.yield_criterion": "triaxial", "soil.yield_surface": "mohr_coulomb"},
@@ -77,8 +69,6 @@ def test_a_scenario_is_refused_in_one_sentence(tmp_path: Path, text: str, words:
         ({"motion.hip.1": 0.12}, "needs the hip above the soil, not at z = 0.12 m"),
         ({"motion.hip.7": 0.1}, "motion.hip.7"),
         ({"numerics.time_step": 1e-320}, "a number is too large or too small"),
-        ({"soil.densty": 1.0}, "soil.densty"),
-        ({"soil.density.si": 1.0}, "soil.density.si"),
     ],
 )
 def test_a_scenario_in_three_dimensions_is_checked(changes: dict[str, Any], words: str) -> None:
@@ -103,7 +93,7 @@ OTHER: dict[str, Any] = {
 """Another value of each key that belongs to some dimensions alone."""
 
 
-@pytest.mark.parametrize("key", OTHER)
+@pytest.mark.parametrize("key", ["relief.enabled", "bed.breadth"])
 def test_a_key_is_refused_in_the_dimensions_that_do_not_have_it(key: str) -> None:
     assert OTHER.keys() == ONLY_IN[2].keys() | ONLY_IN[3].keys()
     own, preset = (2, "sand3d") if key in ONLY_IN[2] else (3, "paper-1")

@@ -147,11 +147,13 @@ def test_a_record_of_faults_is_refused() -> None:
         answer_to(mostly_zero)
 
 
-@pytest.mark.parametrize("name", ["li2013:yuma/straight", "li2013:glass03_close/c"])
 @pytest.mark.parametrize(
-    ("theta", "fx", "fz"),
-    [(1, -1, 1), (1, 1, -1), (1, -1, -1), (-1, 1, 1), (-1, -1, 1), (1, 1e-3, 1e-3), (1, 1e3, 1e3)],
-)
+    ("name", "theta", "fx", "fz"),
+    [("li2013:yuma/straight", 1, -1, 1), ("li2013:yuma/straight", 1, 1, -1),
+     ("li2013:glass03_close/c", 1, -1, -1), ("li2013:yuma/straight", -1, 1, 1),
+     ("li2013:glass03_close/c", -1, -1, 1), ("li2013:yuma/straight", 1, 1e-3, 1e-3),
+     ("li2013:glass03_close/c", 1, 1e3, 1e3)],
+)  # fmt: skip
 def test_the_option_that_is_offered_mends_the_record(
     name: str, theta: float, fx: float, fz: float
 ) -> None:
@@ -238,8 +240,10 @@ DAMAGES = {
 }
 
 
-@pytest.mark.parametrize("damage", DAMAGES)
-@pytest.mark.parametrize("name", ["poppy_loose/c", "glass03_loose/reversed_c"])
+@pytest.mark.parametrize(
+    ("name", "damage"),
+    [*zip(["poppy_loose/c", "glass03_loose/reversed_c"] * 3, DAMAGES, strict=True)],
+)
 def test_a_misfit_for_another_reason_is_advised_no_angle(name: str, damage: str) -> None:
     known = measurement(f"li2013:{name}")
     history = known.history
@@ -302,8 +306,11 @@ CHANGES = {
 }
 
 
-@pytest.mark.parametrize("change", CHANGES)
-@pytest.mark.parametrize("name", ["li2013:yuma/straight", "li2013:poppy_loose/c"])
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [("li2013:yuma/straight", "zero"), ("li2013:poppy_loose/c", "drift"),
+     ("li2013:yuma/straight", "weight")],
+)  # fmt: skip
 def test_a_record_is_put_right_by_what_the_sensor_reads_in_air(name: str, change: str) -> None:
     known = measurement(name)
     options = {"rig": known.rig, "density": known.density_kg_m3}

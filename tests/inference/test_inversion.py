@@ -25,8 +25,9 @@ from terraphi.laws.legs import shipped_legs
 from terraphi.laws.store import PHI, Library
 
 
-@pytest.mark.parametrize("phi", [18.3, 26.1, 34.9, 43.2])
-@pytest.mark.parametrize("leg", ["straight", "c", "reversed_c"])
+@pytest.mark.parametrize(
+    ("leg", "phi"), [("straight", 18.3), ("straight", 43.2), ("c", 26.1), ("reversed_c", 34.9)]
+)
 def test_simulated_angles_are_recovered(phi: float, leg: str) -> None:
     base = Scenario.load("quick")
     scenario = base.replace(**{PHI: phi, "leg.shape": leg, "soil.density": 1400.0})
@@ -99,11 +100,12 @@ def turned(history: ForceHistory, fx: float, fz: float) -> ForceHistory:
     return replace(history, force=history.force * np.array([fx, fz]), provenance={})
 
 
-@pytest.mark.parametrize("medium", ["poppy_loose", "glass03_loose", "glass03_close", "yuma"])
-@pytest.mark.parametrize("leg", ["straight", "c", "reversed_c"])
-def test_wrong_records_are_misfits_with_a_remedy(medium: str, leg: str) -> None:
-    known = measurement(f"li2013:{medium}/{leg}")
-    options = {"rig": "li2013", "leg": leg, "density": known.density_kg_m3}
+@pytest.mark.parametrize(
+    "name", ["poppy_loose/straight", "glass03_loose/reversed_c", "glass03_close/c", "yuma/straight"]
+)
+def test_wrong_records_are_misfits_with_a_remedy(name: str) -> None:
+    known = measurement(f"li2013:{name}")
+    options = {"rig": known.rig, "density": known.density_kg_m3}
     assert invert(known.history, **options).verdict == "consistent"
     for fx, fz, word in (
         (-1.0, 1.0, "fx_sign=-1"),
@@ -150,13 +152,6 @@ def test_an_angle_beyond_the_library_is_out_of_range(
         assert (answer.verdict, answer.edge) == ("out_of_range", edge)
 
 
-def test_every_preset_is_recovered_after_a_simulation() -> None:
-    """Of the presets that take seconds; the nearest library is chosen by itself."""
-    scenario = Scenario.load("quick")
-    answer = invert(simulate(scenario))
-    assert answer.phi.median == pytest.approx(scenario.soil.friction_angle_deg, abs=0.1)
-
-
 def test_second_opinion_is_in_plane_strain() -> None:
     answer = invert("li2013:poppy_loose/straight")
     other = invert("li2013:poppy_loose/straight", law="rft3d")
@@ -187,8 +182,9 @@ def test_another_opinion_far_away_widens_the_interval() -> None:
     assert "second opinion" not in invert(record).budget_deg
 
 
-@pytest.mark.parametrize("leg", ["straight", "c", "reversed_c"])
-@pytest.mark.parametrize("axes", ["", "x", "z"])
+@pytest.mark.parametrize(
+    ("leg", "axes"), [("straight", ""), ("c", ""), ("c", "x"), ("reversed_c", "z")]
+)
 def test_a_moment_replaces_forces(sand3d: Library, leg: str, axes: str) -> None:
     """Simulations of the library, left out of it, with the moment that the solver counted."""
     cases = [c for c in sand3d.cases if c.scenario.leg.shape == leg and c.history is not None]
@@ -233,7 +229,7 @@ def test_half_and_twice_the_density_of_sand_are_noticed(factor: float) -> None:
         assert answer.verdict != "consistent" or any("density" in q for q in answer.warnings)
 
 
-@pytest.mark.parametrize("name", ["yuma/straight", "glass03_close/c", "poppy_loose/reversed_c"])
+@pytest.mark.parametrize("name", ["yuma/straight", "poppy_loose/reversed_c"])
 def test_an_answer_states_what_half_and_twice_the_force_would_read(name: str) -> None:
     """As these forces are read; unless both density and gain have a standard deviation."""
     known = measurement(f"li2013:{name}")
@@ -298,7 +294,7 @@ def test_a_known_angle_that_the_forces_contradict_is_refused(phi: float) -> None
         calibrate("li2013:glass03_loose/straight", phi, 1.0)
 
 
-@pytest.mark.parametrize(("given", "right"), [("kN", "N"), ("N", "kN"), ("mN", "kN")])
+@pytest.mark.parametrize(("given", "right"), [("kN", "N"), ("mN", "kN")])
 def test_the_unit_that_is_offered_counts_from_the_one_that_was_read(given: str, right: str) -> None:
     known = measurement("li2013:yuma/straight")
     newtons = {"N": 1.0, "kN": 1e3, "mN": 1e-3}[right]

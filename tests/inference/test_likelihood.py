@@ -31,7 +31,7 @@ from terraphi.laws.law import ModelError
 from terraphi.laws.legs import shipped_legs
 from terraphi.laws.store import PHI, Case, Library
 
-RECORDS = [name for name in names() if name.startswith("li2013:")]
+RECORDS = names()[::3]
 
 
 @pytest.mark.parametrize("name", RECORDS)

@@ -42,8 +42,9 @@ def test_a_degree_is_worth_twelve_to_fourteen_percent() -> None:
         assert 0.12 < rise < 0.14
 
 
-@pytest.mark.parametrize("descent_deg", [90.0, 60.0, 20.0, -30.0])
-@pytest.mark.parametrize("depth", [0.008, 0.03, 0.09])
+@pytest.mark.parametrize(
+    ("descent_deg", "depth"), [(90.0, 0.008), (60.0, 0.03), (20.0, 0.09), (-30.0, 0.03)]
+)
 def test_ball_is_the_sum_over_its_faces(descent_deg: float, depth: float) -> None:
     """Against a Monte Carlo of points spread evenly over the whole ball, without the table."""
     rng = np.random.default_rng(1)

@@ -24,8 +24,10 @@ OTHER = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("phi", [16.0, 29.3, 48.0])
-@pytest.mark.parametrize("changes", [{"leg.shape": "straight"}, {"leg.shape": "reversed_c"}, OTHER])
+@pytest.mark.parametrize(
+    ("changes", "phi"),
+    [({"leg.shape": "straight"}, 16.0), ({"leg.shape": "reversed_c"}, 48.0), (OTHER, 29.3)],
+)
 def test_forces_and_moments_are_those_of_a_simulation(changes: dict[str, Any], phi: float) -> None:
     """Of any rig, at any angle."""
     scenario = Scenario.load("quick").replace(**changes, **{PHI: phi})

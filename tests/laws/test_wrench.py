@@ -92,8 +92,9 @@ def test_meshes_of_a_ball_and_a_disc_have_the_force_of_the_law(shape: Any, limit
         assert np.abs(found[:, 1]).max() < 1e-3 * size.max()
 
 
-@pytest.mark.parametrize("shape", ["ball", "disc"])
-@pytest.mark.parametrize("descent", [90.0, 50.0, 10.0, -40.0])
+@pytest.mark.parametrize(
+    ("shape", "descent"), [("ball", 50.0), ("ball", -40.0), ("disc", 90.0), ("disc", 10.0)]
+)
 def test_a_foot_has_the_force_of_the_law_in_its_heading(shape: Any, descent: float) -> None:
     foot, heading = Foot(RADIUS, shape), 2.0
     place = np.array([0.3, -0.2, RADIUS * ((shape == "ball") - 1.3) + 0.05])
@@ -230,8 +231,7 @@ BODIES = {
 }
 
 
-@pytest.mark.parametrize("body", BODIES)
-@pytest.mark.parametrize("friction", [0.2, 0.3, 0.5])
+@pytest.mark.parametrize(("body", "friction"), [*zip(BODIES, [0.2, 0.3, 0.5, 0.3], strict=True)])
 def test_each_face_keeps_the_bound_of_coulomb(body: str, friction: float) -> None:
     """With d and l from force and lift, the moment is that of faces that keep the bound."""
     mesh, height, linear, spin = BODIES[body]
@@ -424,7 +424,7 @@ def test_a_go2_stands_on_soil_up_to_the_bound_and_shakes_beyond(step: float) -> 
         assert 0.99 * static < depth < 2.4 * static
 
 
-@pytest.mark.parametrize("foot", FEET_OF_ALL_KINDS.values(), ids=FEET_OF_ALL_KINDS)
+@pytest.mark.parametrize("foot", [Foot(RADIUS), ball(200)], ids=["ball", "mesh"])
 @pytest.mark.parametrize("library", ["array_api_strict", "torch", "jax.numpy"])
 def test_other_arrays_have_the_forces_of_numpy(foot: Any, library: str) -> None:
     xp = pytest.importorskip(library)
@@ -450,12 +450,8 @@ def test_other_arrays_have_the_forces_of_numpy(foot: Any, library: str) -> None:
     ("changes", "words"),
     [
         ({"phi_deg": 60.0}, r"phi_deg = 60: 14 to 55 deg in plane strain"),
-        ({"phi_deg": math.nan}, "phi_deg = nan"),
-        ({"surface_friction": 0.9}, "surface_friction = 0.9"),
         ({"pose": np.full((2, 3), [[0.0], [math.nan]])}, r"pose\[1, 0\] = nan"),
-        ({"velocity": np.full(3, math.inf)}, r"velocity\[0\] = inf"),
         ({"pose": np.zeros(4)}, "the last axis is 3 or 7"),
-        ({"velocity": np.zeros(2)}, "the last axis is 3 or 6"),
         ({"surface_friction": np.array([0.3, 0.4])}, "surface_friction has several values"),
         ({"pose": np.array([0, 0, 0, 0, 0, 0, 0.0])}, "length of the quaternion"),
         ({"held": (np.zeros(3), np.zeros(3))}, "as step"),
@@ -472,12 +468,7 @@ def test_a_wrong_argument_is_refused(changes: dict[str, Any], words: str) -> Non
     ("changes", "words"),
     [
         ({"law": "foots"}, "did you mean 'foot'"),
-        ({"density": 1.6}, "density"),
-        ({"density": math.nan, "law": "rft"}, "density = nan"),
-        ({"phi_deg": 60.0}, "phi_deg = 60"),
         ({"velocities": np.full(3, math.nan)}, r"velocities\[0\] = nan"),
-        ({"about": np.full(3, math.inf)}, r"about\[0\] = inf"),
-        ({"normals": np.zeros((1, 3))}, r"normals: length\[0\] = 0"),
         ({"normals": -2.0 * np.eye(3)[2:]}, r"normals: length\[0\] = 2"),
         ({"phi_deg": -5.0, "law": "rft"}, "phi_deg = -5"),
         ({"surface_friction": -1.0, "law": "rft"}, "surface_friction = -1"),

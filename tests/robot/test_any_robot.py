@@ -91,7 +91,7 @@ def renamed_table(source: Path, folder: Path, style: str) -> Path:
     return path
 
 
-@pytest.mark.parametrize("style", [*SIDES, "nameless"])
+@pytest.mark.parametrize("style", ["spot", "nameless"])
 def test_a_go2_of_other_names_has_the_forces_of_a_go2(
     tmp_path: Path, walked: tuple[Path, RobotForces], style: str
 ) -> None:
@@ -239,9 +239,8 @@ def test_what_is_no_quadruped_is_refused(tmp_path: Path, old: str, new: str, wor
 
 @pytest.mark.parametrize(
     ("name", "legs"),
-    [("bolt", "2 legs of 3"), ("g1_29dof_rev_1_0", "2 legs of 6"), ("icub_reduced", "2 legs of 6"),
-     ("centauro", "4 legs of 6"), ("ur5_robot", "1 leg of 6"), ("iris", "no legs")],
-)  # fmt: skip
+    [("bolt", "2 legs of 3"), ("centauro", "4 legs of 6"), ("iris", "no legs")],
+)
 def test_published_robots_of_other_kinds_are_refused_by_their_legs(name: str, legs: str) -> None:
     with pytest.raises(InputError, match=f"it has {legs}.*bipeds and flat soles"):
         Quadruped.load(published(name))
@@ -263,9 +262,7 @@ def test_an_ankle_below_named_legs_is_refused(tmp_path: Path) -> None:
         Quadruped.load(tmp_path / "own.urdf")
 
 
-@pytest.mark.parametrize(
-    "name", ["a1", "anymal", "b1", "go1", "go2", "hyq_no_sensors", "laikago", "solo", "solo12"]
-)
+@pytest.mark.parametrize("name", ["anymal", "hyq_no_sensors", "solo"])
 def test_published_quadrupeds_are_the_same_without_their_names(tmp_path: Path, name: str) -> None:
     """By their places, the joints are those that the names say."""
     path = published(name)

@@ -27,9 +27,9 @@ WALKS = {
 }
 
 
-@pytest.fixture(scope="module", params=["walk", "trot"])
-def log(request: pytest.FixtureRequest) -> JointLog:
-    return WALKS[request.param].log()[0]
+@pytest.fixture(scope="module")
+def log() -> JointLog:
+    return WALKS["trot"].log()[0]
 
 
 def torque(log: JointLog, factor: float) -> JointLog:
@@ -89,18 +89,18 @@ def long() -> JointLog:
     return LawWalk(duration=22.0).log()[0]
 
 
-@pytest.mark.parametrize("begin", [10.001, 10.3, 10.6])
+@pytest.mark.parametrize("begin", [10.001, 10.6])
 def test_a_sound_log_with_a_gap_is_not_doubted(long: JointLog, begin: float) -> None:
     """Few samples of a part come before a gap: they do not judge the robot."""
     found = foot_forces(part(long, (long.time < begin) | (long.time >= begin + 5.3)))
     assert not [each for each in found.checked if each.findings]
 
 
-@pytest.mark.parametrize("milliseconds", [12, 20])
 def test_a_lag_is_corrected_though_the_robot_stands_after_its_walk(
-    long: JointLog, milliseconds: int
+    long: JointLog,
 ) -> None:
-    """Standing tells nothing of a lag."""
+    """Standing tells nothing of a lag of 12 ms."""
+    milliseconds = 12
     walk, stand = int(np.searchsorted(long.time, 16.0)), 4000
     rows = np.minimum(np.arange(walk + stand), walk - 1)
     stands = np.arange(walk + stand) >= walk
@@ -177,7 +177,6 @@ def sandy(request: pytest.FixtureRequest) -> JointLog:
     ("order", "words"),
     [
         ([1, 0, 2, 3], "FL for FR, FR for FL"),
-        ([0, 1, 3, 2], "RL for RR, RR for RL"),
         ([2, 1, 0, 3], "RR for FR, FR for RR"),
     ],
 )
@@ -204,14 +203,20 @@ def imu(log: JointLog, order: list[int], signs: list[float], factor: float = 1.0
     return replace(log, quaternion=quaternion, angular_velocity=factor * log.angular_velocity)
 
 
-@pytest.mark.parametrize("heading", [0.0, 2.5])
 @pytest.mark.parametrize(
-    ("order", "signs", "factor", "words"),
+    ("heading", "order", "signs", "factor", "words"),
     [
-        ([0, 1, 2, 3], [1.0, -1.0, -1.0, -1.0], 1.0, r"and by \d% if the quaternion is .*conjug"),
-        ([1, 2, 3, 0], [1.0, 1.0, 1.0, 1.0], 1.0, r"and by \d% if the quaternion comes as x, y,"),
-        ([0, 1, 2, 3], [1.0, 1.0, 1.0, 1.0], 57.3, r"and by \d% if the gyroscope is in degrees"),
-        ([0, 1, 2, 3], [1.0, 1.0, 1.0, 1.0], -1.0, r"and by \d% if .*gyroscope's signs are rev"),
+        (
+            2.5,
+            [0, 1, 2, 3],
+            [1.0, -1.0, -1.0, -1.0],
+            1.0,
+            r"and by \d% if the quaternion is .*conj",
+        ),
+        (0.0, [1, 2, 3, 0], [1.0, 1.0, 1.0, 1.0], 1.0, r"and by \d% if the quaternion comes as x"),
+        (2.5, [1, 2, 3, 0], [1.0, 1.0, 1.0, 1.0], 1.0, r"and by \d% if the quaternion comes as x"),
+        (0.0, [0, 1, 2, 3], [1.0, 1.0, 1.0, 1.0], 57.3, r"and by \d% if the gyroscope is in deg"),
+        (0.0, [0, 1, 2, 3], [1.0, 1.0, 1.0, 1.0], -1.0, r"and by \d% if .*gyroscope's signs are"),
     ],
 )
 def test_an_attitude_that_turns_otherwise_than_the_gyroscope(
@@ -283,7 +288,7 @@ def test_forces_of_no_robot_are_refused(log: JointLog, factor: float, words: str
         foot_forces(torque(log, factor))
 
 
-@pytest.mark.parametrize("factor", [0.95, 1.05, 1.1])
+@pytest.mark.parametrize("factor", [0.95, 1.1])
 def test_a_clock_that_is_a_little_off_is_noted(log: JointLog, factor: float) -> None:
     found = foot_forces(replace(log, time=factor * log.time))
     off = abs(factor - 1.0)

@@ -20,10 +20,7 @@ GO2 = Quadruped.load("go2")
 ROBOTS = {
     "go2": ("go2_description/urdf/go2.urdf", "FL_foot"),
     "anymal": ("anymal_c_simple_description/urdf/anymal.urdf", "LF_FOOT"),
-    "hyq": ("hyq_description/robots/hyq_no_sensors.urdf", "lf_foot"),
     "solo8": ("solo_description/robots/solo.urdf", "FL_FOOT"),
-    "solo12": ("solo_description/robots/solo12.urdf", "FL_FOOT"),
-    "a1": ("a1_description/urdf/a1.urdf", "FL_foot"),
 }
 SAMPLES = 20
 NOWHERE = TrunkMotion(np.zeros(3), np.zeros(3), np.zeros(3))

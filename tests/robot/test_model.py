@@ -105,11 +105,8 @@ def test_mjcf_with_meshes_and_feet_that_are_spheres(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("model = 'small.urdf'\nfoot_radios = 1", "unknown key 'foot_radios'; did you mean 'foot_"),
-        ("model = 'small.urdf'\nmass = -1", "mass = -1: should be greater than 0"),
         ("model = 'small.urdf'\njoint_order = ['FR_hip']", "are expected, each once"),
         ("model = 'small.urdf'\njoints = {FR_hip = 'FR_hop'}", "no revolute joint 'FR_hop' in the"),
-        ("model = 'small.urdf'\njoints = {FR_hop = 'FR_hip_joint'}", "did you mean 'FR_hip'"),
         ("model = 'small.urdf'\njoints = {FR_hip = 'FR_hip_joint'}", "FR_thigh, FR_calf, FL_hip"),
         ("model = 'absent.urdf'", "absent.urdf: no such file"),
     ],
@@ -160,7 +157,6 @@ def test_unknown_robot_and_missing_files(tmp_path: Path) -> None:
     "parts",
     [
         '<replicate count="300"><replicate count="300"><body/></replicate></replicate>',
-        '<flexcomp name="f" type="grid" count="99 99 99" mass="1"/>',
         '<replicate count="nan"><body/></replicate>',
     ],
 )

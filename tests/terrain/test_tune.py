@@ -50,7 +50,7 @@ def search(
     return fit(press, TARGET, targets, **GIVEN)
 
 
-@pytest.mark.parametrize("answer", [0.21, 0.4, OWN, 0.9, 1.3])
+@pytest.mark.parametrize("answer", [0.21, OWN, 1.3])
 def test_a_known_friction_is_found_with_its_interval(answer: float) -> None:
     found = search(answer)
     assert found.fits

@@ -312,7 +312,7 @@ def test_particles_that_are_alike_share_what_each_would_do_alone(space, kernel, 
         assert np.abs(bed.stress[p] - alone).max() < (1e-5 if psi > 0.0 else 1e-3) * 3e3
 
 
-@pytest.mark.parametrize("psi", [-12.0, 12.0, 35.0])
+@pytest.mark.parametrize("psi", [-12.0, 12.0])
 @pytest.mark.parametrize("kernel", ["packets", "scalar"])
 def test_particles_of_a_cell_share_what_they_gain_in_volume(space, kernel, psi):
     """What a cell's mean stress changes by is K times its strain without what yielding makes."""

@@ -167,7 +167,7 @@ def stepped(stress, gradient, time_step, material: Material):
     return return_mapping(trial, material)
 
 
-@pytest.mark.parametrize("phi", [25.0, 35.0, 45.0])
+@pytest.mark.parametrize("phi", [25.0, 45.0])
 @pytest.mark.parametrize(("criterion", "slope"), [("plane_strain", None), ("paper", "cone")])
 def test_simple_shear_without_dilation(criterion, slope, phi):
     """τ/σ_n = sin φ and (σ1 - σ3)/2 = -p sin φ; ``paper`` the same with sin φ → α."""
@@ -212,7 +212,7 @@ def biaxial_strength(soil: Soil, *, steps: int = 600, strain: float = 0.03) -> f
 
 
 @pytest.mark.parametrize("criterion", YIELD_CRITERIA)
-@pytest.mark.parametrize("psi", [0.0, 5.0, 15.0, 25.0])
+@pytest.mark.parametrize("psi", [0.0, 15.0])
 def test_biaxial_strength_is_the_equivalent_plane_strain_angle(criterion, psi):
     """The conversion of angles rests on the flow across the plane; here it is only integrated."""
     soil = soil_of(criterion, 25.0, psi)
