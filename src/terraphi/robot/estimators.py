@@ -96,7 +96,6 @@ class Signals(NamedTuple):
     """[N m], shape [sample, foot, joint]."""
     turn: FloatArray
     """Rotation from the trunk's to the world's frame, shape [sample, 3, 3]."""
-    trunk: TrunkMotion
     slopes: FloatArray
     """Joint accelerations between the samples [rad/s²], shape [sample − 1, foot, joint]."""
     legs: Legs
@@ -113,7 +112,7 @@ def signals(log: JointLog, robot: Quadruped, part: slice, *, moving: bool = True
     after, before = np.concatenate([slopes, none]), np.concatenate([none, slopes])
     accelerations = (0.0 * before, after, before) if moving else ()
     legs = Legs(robot, angle, velocity, *accelerations, trunk=trunk)
-    return Signals(time, velocity, torque, turn, trunk, slopes, legs)
+    return Signals(time, velocity, torque, turn, slopes, legs)
 
 
 def upward(turn: FloatArray, inverse: FloatArray) -> FloatArray:

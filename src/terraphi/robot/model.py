@@ -380,18 +380,12 @@ def _joints_by_place(model: mujoco.MjModel, data: mujoco.MjData) -> IntArray:
     """
     import mujoco
 
-    chains: list[tuple[int, ...]] = []
+    chains: list[tuple[int, ...]] = [()]  # of hinges from the trunk to each body
     for body in range(1, model.nbody):
-        chain: list[int] = []
-        at = body
-        while at > 0:
-            first, count = model.body_jntadr[at], model.body_jntnum[at]
-            chain[:0] = [
-                i for i in range(first, first + count)
-                if model.jnt_type[i] == mujoco.mjtJoint.mjJNT_HINGE
-            ]  # fmt: skip
-            at = model.body_parentid[at]
-        chains.append(tuple(chain))
+        first, count = model.body_jntadr[body], model.body_jntnum[body]
+        joints = range(first, first + count)
+        hinges = (i for i in joints if model.jnt_type[i] == mujoco.mjtJoint.mjJNT_HINGE)
+        chains.append((*chains[model.body_parentid[body]], *hinges))
     ends = {chain for chain in chains if not any(chain == c[: len(chain)] != c for c in chains)}
     legs = [sorted(chain for chain in ends if len(chain) == count) for count in (3, 2)]
     four = next((four for four in legs if len(four) == len(FEET)), None)

@@ -284,9 +284,7 @@ def foot_forces(
         torque = np.stack(late, axis=1).reshape(log.torque.shape)
         log = replace(log, torque=torque, report={**log.report, "lag_s": lag_s})
     weight = body.mass * GRAVITY
-    options: dict[str, Any] = {
-        "estimator": estimator, "frame": frame, "contact_part": contact_part
-    }  # fmt: skip
+    options: Any = {"estimator": estimator, "frame": frame, "contact_part": contact_part}
     try:
         forces = estimate(log, robot=body, **options)
         checked = _checked(log, body, forces, options)
@@ -328,14 +326,12 @@ def _checked(
 
 def _sensor_correlation(log: JointLog, forces: FootForces) -> dict[str, float]:
     """Correlation of each foot sensor that ever changes with the vertical force."""
+    import pandas as pd
+
     if log.foot_counts is None:
         return {}
-    correlations = {}
-    for foot, counts, lift in zip(FEET, log.foot_counts.T, forces.force[..., 2].T, strict=True):
-        counts, lift = (values[np.isfinite(lift)] for values in (counts, lift))
-        if lift.size > 1 and np.ptp(counts) > 0 and np.ptp(lift) > 0:
-            correlations[foot] = float(np.corrcoef(counts, lift)[0, 1])
-    return correlations
+    counts, lifts = (pd.DataFrame(v, columns=FEET) for v in (log.foot_counts, forces.lift))
+    return {foot: float(value) for foot, value in counts.corrwith(lifts).dropna().items()}
 
 
 def left_out(dropped: Mapping[str, int]) -> list[str]:

@@ -15,11 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.arrays import FloatArray, IntArray
 from terraphi.robot.joint_log import FEET
 
 Forces = FloatArray | NDArray[np.float32]
-IntArray = NDArray[np.int64]
 
 AXES = ("x", "y", "z")
 POINTS = 101

@@ -10,7 +10,7 @@ TOML (:class:`Columns`) names the columns of other tables, such as those of an S
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import pi, prod
+from math import prod, radians
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,11 +19,10 @@ import numpy as np
 from terraphi.experiment.documents import Strict
 from terraphi.experiment.errors import InputError, nearest, needing
 from terraphi.experiment.tables import read_table, table_of
+from terraphi.experiment.units import ANGLE, TIME
 from terraphi.robot.joint_log import JOINT_NAMES, SHAPES
 
 Names = str | tuple[str, ...]
-_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-_RADIANS = {"rad": 1.0, "deg": pi / 180.0}
 
 
 class Columns(Strict):
@@ -74,24 +73,15 @@ class Columns(Strict):
 
 OWN = Columns(
     time="time_s",
-    angle="{foot}_{joint}_angle_rad",
-    torque="{foot}_{joint}_torque_Nm",
-    velocity="{foot}_{joint}_velocity_rad_s",
+    angle="{name}_angle_rad",
+    torque="{name}_torque_Nm",
+    velocity="{name}_velocity_rad_s",
     quaternion=tuple(f"quaternion_{part}" for part in "wxyz"),
     angular_velocity=tuple(f"angular_velocity_{axis}_rad_s" for axis in "xyz"),
     acceleration=tuple(f"acceleration_{axis}_m_s2" for axis in "xyz"),
     foot_counts="{foot}_foot_counts",
 )
-"""Terraphi's own names."""
-
-
-NAMED = OWN.model_copy(
-    update={
-        group: getattr(OWN, group).replace("{foot}_{joint}", "{name}")
-        for group in ("angle", "velocity", "torque")
-    }
-)
-"""Terraphi's names, with the joints called as in the robot's model."""
+"""Terraphi's own names, with the joints called ``FR_hip`` or as in the robot's model."""
 
 
 def read_columns(
@@ -104,7 +94,7 @@ def read_columns(
     path
         The file.
     columns
-        Which of its columns are what; ``None`` for :data:`OWN` or :data:`NAMED`.
+        Which of its columns are what; ``None`` for :data:`OWN`.
     motors
         Which joint each motor moves; of joints that no motor moves, all is zero.
     own_names
@@ -123,10 +113,10 @@ def read_columns(
     table = _table(path)
     table.columns = header = [str(name).strip().strip('"') for name in table.columns]
     named = columns or OWN
-    if columns is None and {*NAMED.group("angle", motors, own_names)} <= {*header}:
-        named = NAMED
-    scale = {"time": _SECONDS[named.time_unit]}
-    scale |= dict.fromkeys(("angle", "velocity"), _RADIANS[named.angle_unit])
+    if columns is None and not {*OWN.group("angle", motors, own_names)} <= {*header}:
+        own_names = ()
+    angle = radians(ANGLE[named.angle_unit])
+    scale = {"time": TIME[named.time_unit], "angle": angle, "velocity": angle}
     values: dict[str, Any] = {}
     for group, shape in {"time": (), **SHAPES}.items():
         names = [named.time] if group == "time" else named.group(group, motors, own_names)
