@@ -210,7 +210,9 @@ def damaged(content: bytes) -> bytes:
 )
 def test_a_damaged_netcdf_is_refused(tmp_path: Path, spoil: object) -> None:
     file = tmp_path / "x.nc"
-    write_netcdf(dataset(), file, encoding={"a": {"zlib": True}})
+    packed = dataset()
+    packed["a"].encoding = {"zlib": True}
+    write_netcdf(packed, file)
     assert opened(file).variables["a"][0] == dataset()["a"].values[0]
     file.write_bytes(spoil(file.read_bytes()))  # type: ignore[operator]
     with pytest.raises(InputError, match=r"x\.nc: not a whole NetCDF file"):

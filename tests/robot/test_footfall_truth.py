@@ -13,7 +13,7 @@ import pytest
 from terraphi.experiment.priors import FOOT_FRICTION
 from terraphi.inference.footfalls import FootfallMap
 from terraphi.inference.touchdowns import Prior
-from terraphi.robot.footfalls import calibrate_on_weight, footfalls
+from terraphi.robot.footfalls import Course, calibrate_on_weight, footfalls
 from terraphi.robot.forces import SensorErrors, estimate
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.model import Quadruped
@@ -161,7 +161,9 @@ def test_a_gain_is_found_from_the_weight_while_the_trunk_bobs() -> None:
     gain = np.zeros((len(time), 4, 6))
     gain[:, :, 2] = true
     sd = np.repeat([SensorErrors.gain, SensorErrors.coulomb_Nm], 12)
-    found = calibrate_on_weight(time, true * [1.1, 1.0, 1.0, 1.0], 2.5 * wave, gain, sd, mass=mass)
+    lift, trunk = true * [1.1, 1.0, 1.0, 1.0], np.zeros((len(time), 3))
+    course = Course(time, lift, 2.5 * wave, gain, trunk)
+    found = calibrate_on_weight(course, sd, mass=mass)
     assert found.mean[2] - found.mean[5] == pytest.approx(0.1, abs=0.01)
     assert found.mean[2] == pytest.approx(0.1, abs=0.03)  # less what the mass may be off by
     assert found.covariance[2, 2] < SensorErrors.gain**2

@@ -70,7 +70,7 @@ def test_a_walk_on_sand_tells_its_field(walked: Any, found: FootfallMap) -> None
     # Feet under which soil gives way slide; that is no zero of a joint.
     assert not any("slide" in note for note in found.warnings)
     truth = walk.sand.phi(found.path[:, 1:] + recording.position[0, :2])
-    # The sand has a friction of 0.5, the prior a mean of 0.3.
+    # The sand has a friction of 0.5, the prior a mean of 0.4.
     assert np.sqrt(np.mean((found.path_phi - truth) ** 2)) < 1.1
     assert np.all(np.abs(found.path_phi - truth) < 2.0 * found.path_absolute_sd)
 

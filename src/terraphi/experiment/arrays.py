@@ -33,8 +33,8 @@ def seed_from(seed: int, rng: Any) -> int:
 
 def count(name: str, value: Any, low: int, high: int) -> int:
     """A whole number between two ends; raises InputError."""
-    kinds = int, np.integer
-    if isinstance(value, bool) or not isinstance(value, kinds) or not low <= int(value) <= high:
+    is_whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not is_whole or not low <= int(value) <= high:
         raise InputError(f"{name} = {value!r:.60}; {low} to {high} are accepted")
     return int(value)
 
@@ -156,7 +156,7 @@ def like(reference: Any, values: Any) -> Any:
     return xp.asarray(values, dtype=reference.dtype, **place)  # what JAX traces has no device
 
 
-def whole(places: Any) -> Any:
-    """Numbers cut to whole ones, as indices; in 32 bits, which JAX has too."""
-    xp = namespace(places)
-    return places.astype(np.int64) if xp is np else xp.astype(places, xp.int32)
+def block_means(values: FloatArray, first: IntArray) -> FloatArray:
+    """Means over the rows from each first one to the next, shape [block, ...]."""
+    count = np.diff(np.append(first, len(values)))
+    return np.asarray((np.add.reduceat(values, first).T / count).T)

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from terraphi.experiment.arrays import BoolArray, FloatArray
+from terraphi.experiment.arrays import BoolArray, FloatArray, block_means
 from terraphi.experiment.history import CHANNEL_UNITS
 
 REST_DEG, FEWEST_ROWS, LONGER = 0.5, 10, 5.0
@@ -76,12 +76,10 @@ def without_baseline(
     still, count = at_rest(theta_deg), len(theta_deg)
     group = np.where(still, 1e3, 0.0) + np.floor(theta_deg / STRETCH_DEG)
     first = np.flatnonzero(np.append(True, (np.diff(group) != 0.0) | np.diff(air)))
-    size = np.diff([*first, count])
     in_air, span = air[first], np.maximum(np.ptp(values, axis=0), 1e-12)
     time, theta = np.linspace(0.0, 1.0, count), np.radians(theta_deg)
     design = np.stack([time**0, time, np.sin(theta), np.cos(theta)], axis=1)
-    means = (np.add.reduceat(design, first) / size[:, None])[in_air]
-    read = (np.add.reduceat(values / span, first) / size[:, None])[in_air]
+    means, read = (block_means(rows, first)[in_air] for rows in (design, values / span))
     resting = time[first[in_air]][still[first[in_air]]]
     loaded = np.append(time[~air], 0.5)
     ends = {"start": resting < loaded.min(), "end": resting > loaded.max()}

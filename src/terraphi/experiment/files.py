@@ -540,7 +540,7 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         return dict(file.attrs), variables
 
 
-def write_netcdf(dataset: Any, path: Path, *, encoding: Any = None) -> None:
+def write_netcdf(dataset: Any, path: Path) -> None:
     """Write a NetCDF-4 file, whole or not at all.
 
     Parameters
@@ -549,8 +549,6 @@ def write_netcdf(dataset: Any, path: Path, *, encoding: Any = None) -> None:
         An ``xarray.Dataset`` or ``xarray.DataTree``.
     path
         The file to make or replace.
-    encoding
-        As in ``xarray.Dataset.to_netcdf``.
 
     Raises
     ------
@@ -560,6 +558,6 @@ def write_netcdf(dataset: Any, path: Path, *, encoding: Any = None) -> None:
     # Made in memory: on a full disk HDF5 raises anything, and may take the interpreter down when
     # it tries again to close the file.
     buffer = io.BytesIO()
-    dataset.to_netcdf(buffer, engine="h5netcdf", encoding=encoding)
+    dataset.to_netcdf(buffer, engine="h5netcdf")
     with atomic_write(path) as temporary:
         temporary.write_bytes(buffer.getvalue())

@@ -16,7 +16,7 @@ from typing import Any, Generic, Literal, NamedTuple, NoReturn, Self, TypeVar
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from terraphi.experiment.arrays import BoolArray, FloatArray, IntArray
+from terraphi.experiment.arrays import BoolArray, FloatArray, IntArray, block_means
 from terraphi.experiment.baseline import at_rest, without_baseline
 from terraphi.experiment.documents import Strict, parse_toml, refuse, strictly, value_of
 from terraphi.experiment.errors import GUESSED, InputError, nearest
@@ -40,8 +40,6 @@ LEAST_DEG = 7.0
 """Largest angle of a record below which its angles must be radians [deg]."""
 HEAVIEST_DEG = (-60.0, 35.0)
 """Where half of the squared force has passed [deg]: -43 to 8 in the shipped measurements."""
-PREVIEW_ROWS = 6
-"""Rows of a preview."""
 CHANGED = ("theta_sign", "theta_offset_deg", "fx_sign", "fz_sign", "sensor_angle_deg", "force_on")
 """Options that change numbers, but for those of units."""
 IN_SOIL, BETWEEN_DEG = 0.3, 20.0
@@ -330,7 +328,7 @@ def preview(
     return Preview(
         list(reader.parts),
         [unit_named(unit or "") for unit in written],
-        table.frame.head(PREVIEW_ROWS).to_numpy().tolist(),
+        table.frame.head(6).to_numpy().tolist(),
         reader.names,
         {role: reader.like(role) for role in LEG if role not in reader.names},
     )
@@ -481,10 +479,9 @@ class _LegTable(_Reading[ForceColumns]):
 
     def _without_forces(self, lacking: list[str]) -> list[str]:
         """Roles that still lack a column where the moment may stand for forces; noted."""
-        further = [name for name in self.parts if name not in self.names.values()]
-        no_force = f"{NO_FORCE}|{_NAMES['time']}"
-        further = [name for name in further if not re.fullmatch(no_force, name.lower())]
-        if further and self.given.moment is None:
+        free, no_force = {*self.parts} - {*self.names.values()}, f"{NO_FORCE}|{_NAMES['time']}"
+        may_be_forces = not all(re.fullmatch(no_force, name.lower()) for name in free)
+        if may_be_forces and self.given.moment is None:
             return lacking
         without = [_WORDS[role] for role in lacking if role != "theta"]
         beware = "" if len(without) == 1 else " It cannot show a wrong leg or a wrong scale."
@@ -624,11 +621,8 @@ class _LegTable(_Reading[ForceColumns]):
                     f"evenly; {remedy}"
                 )
         for each in contacts:
-            _, first, count = np.unique(
-                np.floor(time[each] * abs(rate) / PAUSE_BIN_DEG), return_index=True,
-                return_counts=True,
-            )  # fmt: skip
-            means = np.add.reduceat(force[each], first) / count[:, None]
+            first = _bins(time[each] * abs(rate) / PAUSE_BIN_DEG)
+            means = block_means(force[each], first)
             bins = round(PAUSE_DEG / PAUSE_BIN_DEG)
             if len(means) < bins:
                 continue
@@ -672,7 +666,9 @@ class _LegTable(_Reading[ForceColumns]):
         up = [p for p in pieces if theta[p][-1] - theta[p][0] >= LEAST_STROKE_DEG]
         down = [p for p in pieces if theta[p][0] - theta[p][-1] >= LEAST_STROKE_DEG]
         up, down = (up, down) if up else (down, [])
-        if not up or (not down and _covered(theta, up) > 0.9 * sum(np.ptp(theta[p]) for p in up)):
+        path = np.linspace(theta.min(), theta.max(), 1000)
+        passed = np.array([(theta[p].min() <= path) & (path <= theta[p].max()) for p in up])
+        if not up or (not down and passed.any(axis=0).sum() > 0.9 * passed.sum()):
             return [rows]  # one stroke, or parts of one
 
         def size(of: list[slice]) -> float:
@@ -850,12 +846,9 @@ def _turns(theta: FloatArray) -> list[int]:
     return [*turns, len(theta) - 1]
 
 
-def _covered(theta: FloatArray, pieces: list[slice]) -> float:
-    """Part of the path that any of the pieces covers [deg]."""
-    ends = np.array(sorted((theta[p].min(), theta[p].max()) for p in pieces)).reshape(-1, 2)
-    reached = np.maximum.accumulate(ends[:, 1])
-    starts = np.maximum(ends[:, 0], np.concatenate([[-np.inf], reached[:-1]]))
-    return float(np.maximum(ends[:, 1] - starts, 0.0).sum())
+def _bins(position: FloatArray) -> IntArray:
+    """First row of each bin of width 1, of positions in order."""
+    return np.flatnonzero(np.diff(np.floor(position), prepend=-np.inf))
 
 
 def _increasing(theta: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -866,8 +859,5 @@ def _increasing(theta: FloatArray, values: FloatArray) -> tuple[FloatArray, Floa
     theta, values = theta[order], values[order]
     if np.all(np.diff(theta) > 0.1 * BIN_DEG):
         return theta, values
-    _, first, count = np.unique(
-        np.floor(theta / BIN_DEG + 0.5), return_index=True, return_counts=True
-    )
-    means = np.add.reduceat(np.column_stack([theta, values]), first) / count[:, None]
+    means = block_means(np.column_stack([theta, values]), _bins(theta / BIN_DEG + 0.5))
     return means[:, 0], means[:, 1:]

@@ -123,8 +123,8 @@ class Shown:
         return f"<pre>{html.escape(repr(self))}</pre>{rows}"
 
 
-class Result(Shown):
-    """Base of results with files: from declared variables to NetCDF, and back."""
+class Written(Shown):
+    """Base of results with files: from declared variables to NetCDF."""
 
     KIND: ClassVar[str]
     """Attribute ``terraphi_file`` of the file."""
@@ -165,12 +165,6 @@ class Result(Shown):
         return pd.DataFrame({v.name: v.of(self) for v in self.VARIABLES if v.dims == dims})
 
     @classmethod
-    def load(cls, path: Path | str) -> Self:
-        """Read a NetCDF of :meth:`to_netcdf`; raises InputError if it is not whole."""
-        with cls.opened(path) as file:
-            return cls._of_file(file)
-
-    @classmethod
     def opened(cls, path: Path | str) -> AbstractContextManager[NetcdfFile[Any]]:
         """Variables and attributes of a file, as of ``open_netcdf``."""
         return open_netcdf(
@@ -181,6 +175,16 @@ class Result(Shown):
         """Variables and attributes as a file of this result has them, without writing one."""
         variables = {name: np.asarray(values) for name, values in self._variables().items()}
         return NetcdfFile(self.ATTRIBUTES.model_validate(self._attributes()), variables)
+
+
+class Result(Written):
+    """Base of results that are read back from their files."""
+
+    @classmethod
+    def load(cls, path: Path | str) -> Self:
+        """Read a NetCDF of :meth:`to_netcdf`; raises InputError if it is not whole."""
+        with cls.opened(path) as file:
+            return cls._of_file(file)
 
     @classmethod
     def _of_file(cls, file: NetcdfFile[Any]) -> Self:

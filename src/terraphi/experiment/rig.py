@@ -137,9 +137,8 @@ class Rig(Strict):
 
     def air_deg(self) -> tuple[float, float]:
         """Angles below and above which the leg is clear of the soil [deg]."""
-        first, last = contact_deg(
-            leg_of(self.leg, self.ratios, self.length), 1e-3 * self.hip_height_mm
-        )
+        leg = leg_of(self.leg, self.ratios, self.length)
+        first, last = contact_deg(leg, 1e-3 * self.hip_height_mm)
         return first - AIR_MARGIN_DEG, last + AIR_MARGIN_DEG
 
     def __str__(self) -> str:

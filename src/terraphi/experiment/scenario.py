@@ -317,7 +317,6 @@ class Scenario(Strict):
         breadth = self.bed.breadth or 0.0
         travel = numerics.steps_per_phase * numerics.time_step * self.sped_up_leg_speed
         cells = travel / numerics.cell_size
-        tipless = leg.shape in SOLID
         # Contact begins at the hip, so that the soil must not reach it.
         hip = self.motion.poses_at(np.array(self.motion.span)).hip[:, 1].min()
         inset = f"numerics.tip_inset_cells = {numerics.tip_inset_cells:g}"
@@ -336,7 +335,7 @@ class Scenario(Strict):
         if self.tip_inset > 0.0:
             refuse(
                 {
-                    f"{inset}, but a {leg.shape} has no tip; set it to 0": tipless,
+                    f"{inset}, but a {leg.shape} has no tip; set it to 0": leg.shape in SOLID,
                     f"{inset} is more than the leg's length": self.tip_inset >= leg.length,
                     f"{inset} needs the hip above the soil, not at z = {hip:g} m": hip
                     < self.bed.surface,
@@ -414,8 +413,7 @@ class Scenario(Strict):
     @property
     def hip_height(self) -> float:
         """Height of the leg's frame above the free surface at the start [m]."""
-        start = self.motion.poses(np.zeros(1)).hip[0, 1]
-        return float(start) - self.bed.surface
+        return float(self.motion.poses(np.zeros(1)).hip[0, 1]) - self.bed.surface
 
     @property
     def convention(self) -> str:

@@ -383,20 +383,14 @@ def _header(
     cells = rows[-1] if rows else []
     if not rows and comments:  # as numpy.savetxt writes it
         line = comments[-1].lstrip(" #%/")
-        splits = [
-            _cells(line, separator_tried) for separator_tried in (separator, "\t", ";", ",", None)
-        ]
+        splits = [_cells(line, sign) for sign in (separator, "\t", ";", ",", None)]
         splits.append(re.split(r"\s{2,}", line.strip()))
-        cells = next(
-            (separator_tried for separator_tried in splits if len(separator_tried) == width), []
-        )
+        cells = next((split for split in splits if len(split) == width), [])
     names: list[str] = []
     for i in range(width):
-        name = cells[i].strip() if i < len(cells) else ""
-        name = name or f"column {i + 1}"
+        name = (cells[i].strip() if i < len(cells) else "") or f"column {i + 1}"
         names.append(name if name not in names else f"{name} ({i + 1})")
-    units_by_name = {name: unit for name, unit in zip(names, units, strict=False) if unit}
-    return names, units_by_name, len(cells)
+    return names, {k: unit for k, unit in zip(names, units, strict=False) if unit}, len(cells)
 
 
 def _numeric(

@@ -48,7 +48,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from terraphi.experiment.arrays import FloatArray, like, namespace, numbers, whole
+from terraphi.experiment.arrays import FloatArray, like, namespace, numbers
 from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.scenario import GRAVITY
@@ -419,7 +419,8 @@ def interpolated(table: FloatArray, *places: Any) -> Any:
     rows = like(places[0], table.reshape(-1, *tail))
     corners: list[tuple[Any, Any]] = [(0, 1.0)]  # row of the table, and its share
     for place, count in zip(places, table.shape, strict=False):
-        low = whole(xp.clip(place, 0, count - 2))
+        low = xp.clip(place, 0, count - 2)
+        low = low.astype(np.int64) if xp is np else xp.astype(low, xp.int32)  # which JAX has too
         part = place - like(place, low)
         ends = (low, 1.0 - part), (low + 1, part)
         corners = [

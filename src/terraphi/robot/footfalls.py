@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.arrays import FloatArray, block_means
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import label_of
 from terraphi.experiment.priors import ROBOT_MASS_SD_PART
@@ -166,8 +166,14 @@ class Course(NamedTuple):
 
     Attributes
     ----------
-    time, lift, acceleration, per_error
-        Arguments of :func:`calibrate_on_weight`.
+    time
+        [s], shape [sample].
+    lift
+        Upward forces on the feet [N], shape [sample, foot]; not a number where unknown.
+    acceleration
+        Of the centre of mass, upward [m/s²], shape [sample].
+    per_error
+        Upward force per error of each torque (:func:`~terraphi.robot.touchdowns.sensitivity`).
     trunk
         Place of the trunk [m], shape [sample, 3].
     """
@@ -209,9 +215,7 @@ def infer_walk(
     sd = torque_sd(analysis.forces)
     answer = infer(
         landings._replace(faulty=within(landings.begin, spans)),
-        calibrate_on_weight(
-            course.time, lift, course.acceleration, course.per_error, sd, mass=mass
-        ),
+        calibrate_on_weight(course._replace(lift=lift), sd, mass=mass),
         path_of(course.trunk, course.time),
         prior=options.prior,
         law=options.law,
@@ -274,15 +278,7 @@ def path_of(trunk: FloatArray, time: FloatArray) -> FloatArray:
     return np.column_stack([s, *(np.interp(s, length, column) for column in smooth.T)])
 
 
-def calibrate_on_weight(
-    time: FloatArray,
-    lift: FloatArray,
-    lift_acceleration: FloatArray,
-    per_error: FloatArray,
-    sd: FloatArray,
-    *,
-    mass: float,
-) -> Normal:
+def calibrate_on_weight(course: Course, sd: FloatArray, *, mass: float) -> Normal:
     """Errors of the torques from the robot's weight: at every moment Σ F_z = m (g + a_z).
 
     The upward forces are linear in errors of the torques' gains and in friction that was not taken
@@ -291,14 +287,8 @@ def calibrate_on_weight(
 
     Parameters
     ----------
-    time
-        [s], shape [sample].
-    lift
-        Upward forces on the feet [N], shape [sample, foot]; not a number where unknown.
-    lift_acceleration
-        Of the centre of mass [m/s²], shape [sample].
-    per_error
-        Upward force per error of each torque (:func:`~terraphi.robot.touchdowns.sensitivity`).
+    course
+        Forces and motion over time.
     sd
         Prior standard deviations of gains [-] and friction [N m], shape [24].
     mass
@@ -311,19 +301,18 @@ def calibrate_on_weight(
         stand on its feet.
     """
     prior, weight = Normal(np.zeros(TORQUES), np.diag(sd**2)), mass * GRAVITY
-    is_known = np.isfinite(lift).all(axis=1)
+    is_known = np.isfinite(course.lift).all(axis=1)
     if is_known.sum() < 2:
         return prior
-    errors = np.hstack([part.reshape(-1, 12) for part in np.split(per_error, 2, axis=-1)])
+    errors = np.hstack([part.reshape(-1, 12) for part in np.split(course.per_error, 2, axis=-1)])
     # The last column is the relative error of the mass itself.
-    expected = mass * (GRAVITY + lift_acceleration)
-    rows = np.column_stack([lift.sum(axis=1) - expected, errors, expected])[is_known]
-    time = time[is_known]
+    expected = mass * (GRAVITY + course.acceleration)
+    rows = np.column_stack([course.lift.sum(axis=1) - expected, errors, expected])[is_known]
+    time = course.time[is_known]
     # Means over AVERAGED_S, each a weighing; those while the robot is lifted or falls are left out.
     number = np.floor((time - time[0]) / AVERAGED_S).astype(np.int64)
     starts = np.flatnonzero(np.diff(number, prepend=-1))
-    counts = np.diff(np.append(starts, len(rows)))
-    rows = np.add.reduceat(rows, starts) / counts[:, None]
+    rows = block_means(rows, starts)
     bears = np.abs(rows[:, 0]) < 0.4 * weight
     if bears.sum() < 20 or bears.mean() < 0.5:
         return prior

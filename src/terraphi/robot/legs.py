@@ -99,20 +99,17 @@ class Legs:
         needed = np.empty_like(qacc)
         place, turn = np.empty((count, 4, 3)), np.empty((count, 4, 9))
         anchor, axis = (np.empty((count, model.njnt, 3)) for _ in range(2))
-        q, v, a = data.qpos, data.qvel, data.qacc
-        xpos, xmat, xanchor, xaxis = data.xpos, data.xmat, data.xanchor, data.xaxis
         for i in range(count):
-            q[:] = qpos[i]
+            data.qpos[:] = qpos[i]
             mujoco.mj_kinematics(model, data)
-            xpos.take(robot.foot, 0, place[i], "clip")  # the default mode buffers the output
-            xmat.take(robot.foot, 0, turn[i], "clip")
-            anchor[i], axis[i] = xanchor, xaxis
+            place[i], turn[i] = data.xpos[robot.foot], data.xmat[robot.foot]
+            anchor[i], axis[i] = data.xanchor, data.xaxis
             if accelerations:
-                v[:] = qvel[i]
+                data.qvel[:] = qvel[i]
                 mujoco.mj_comPos(model, data)
                 mujoco.mj_comVel(model, data)
             for k in range(len(accelerations)):
-                a[:] = qacc[k, i]
+                data.qacc[:] = qacc[k, i]
                 mujoco.mj_rne(model, data, 1, needed[k, i])
         turned = np.einsum("sfij,fj->sfi", turn.reshape(-1, 4, 3, 3), robot.foot_offset)
         self.place = place + turned

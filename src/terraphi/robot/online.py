@@ -32,7 +32,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.arrays import FloatArray, block_means
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.scenario import GRAVITY
 from terraphi.inference import footfalls as inference
@@ -278,7 +278,8 @@ class Footfalls:
         per_error = sensitivity(log, forces)
         size = max(1, round(batch.AVERAGED_S / float(np.median(np.diff(time)))))
         course = batch.course_of(log, robot, forces, motion, per_error)
-        self._course.append(batch.Course(*(_means(column[new], size) for column in course)))
+        first = np.arange(0, new.stop - new.start, size)
+        self._course.append(batch.Course(*(block_means(column[new], first) for column in course)))
         stances = [
             stance for stance
             in find_stances(time, forces.force, rise_N=BEARING_SHARE * robot.mass * GRAVITY)
@@ -341,11 +342,3 @@ class Footfalls:
 def _final(time: FloatArray, margin_s: float) -> int:
     """Number of samples that are a margin [s], and two samples for differences, before the end."""
     return max(int(np.searchsorted(time, time[-1] - margin_s)) - 2, 0)
-
-
-def _means(values: FloatArray, size: int) -> FloatArray:
-    """Means of ``size`` rows each, of fewer at the end."""
-    starts = np.arange(0, len(values), size)
-    counts = np.diff(np.append(starts, len(values)))
-    sums = np.add.reduceat(values, starts, axis=0)
-    return np.asarray(sums / counts.reshape(-1, *(1,) * (values.ndim - 1)))

@@ -14,7 +14,7 @@ from pydantic import BaseModel, Json
 
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import label_of
-from terraphi.experiment.results import Result, Variable
+from terraphi.experiment.results import Variable, Written
 from terraphi.experiment.scenario import GRAVITY
 from terraphi.robot import checks
 from terraphi.robot.checks import Checked
@@ -47,7 +47,7 @@ class ForcesAttributes(BaseModel):
 
 
 @dataclass(frozen=True, repr=False)
-class RobotForces(Result):
+class RobotForces(Written):
     """Foot forces of a log, their stances and mean stances.
 
     Attributes
@@ -114,13 +114,8 @@ class RobotForces(Result):
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings."""
-        dropped = left_out(self.report["dropped"])
-        return (
-            *self.report.get("notes", ()),
-            *checks.warnings_of(self.checked),
-            *dropped,
-            *self.remarks,
-        )
+        of_log = [*self.report.get("notes", ()), *checks.warnings_of(self.checked)]
+        return (*of_log, *left_out(self.report["dropped"]), *self.remarks)
 
     @property
     def grave(self) -> tuple[str, ...]:

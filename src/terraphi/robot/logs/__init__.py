@@ -78,8 +78,7 @@ def read_log(
     bag = path.is_dir() or path.suffix in {".bag", ".mcap", ".db3"}
     if not path.is_dir():
         check_is_file(path, FORMATS)
-    useless: dict[str, object] = {} if bag else {"topic": topic, "joint names": joint_names}
-    useless |= {"columns": named} if bag else {}
+    useless = {"columns": named} if bag else {"topic": topic, "joint names": joint_names}
     for name, value in useless.items():
         if value is not None:
             raise InputError(f"{path}: has no use for {name}; leave the {name} out")
