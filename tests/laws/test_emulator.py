@@ -29,27 +29,6 @@ def test_unseen_simulations_of_an_exact_model_are_predicted(rft3d: Library, leg:
         assert np.abs(apart).max() < 2e-3 * np.ptp(truth)
 
 
-def test_two_parameters_are_predicted(rft3d: Library) -> None:
-    rng = np.random.default_rng(3)
-    base = rft3d.cases[0].scenario
-    points = np.column_stack([rng.uniform(20.0, 45.0, 30), rng.uniform(0.2, 0.6, 30)])
-
-    def case(phi: float, friction: float) -> Case:
-        scenario = base.replace(
-            **{"soil.friction_angle_deg": float(phi), "leg.friction": float(friction)}
-        )
-        return Case(scenario, simulate(scenario))
-
-    library = Library("two", tuple(case(*point) for point in points))
-    curves = library.curves("straight")
-    assert curves.keys == ("soil.friction_angle_deg", "leg.friction")
-    emulator = Emulator(curves)
-    truth = Library("one", (*library.cases, case(32.0, 0.4))).cases[-1].history
-    means = truth.means(np.radians(curves.theta_deg), np.radians(0.5)).T
-    apart = emulator(np.array([[32.0, 0.4]]))[0] - means
-    assert np.sqrt(np.square(apart).mean()) < 0.01 * np.ptp(means)
-
-
 def test_process_is_that_of_scikit_learn() -> None:
     """Universal kriging is the limit of a process whose polynomial has a large prior variance.
 
@@ -150,7 +129,7 @@ def test_scatter_and_intervals_hold_in_drawn_worlds() -> None:
         noise = [0.02 * law(a) * np.convolve(rng.standard_normal(125), np.ones(5) / 5**0.5, "valid")
                  for a in phi]  # fmt: skip
         force = np.stack([law(a) + e for a, e in zip(phi, noise, strict=True)])
-        curves = Curves(("soil.friction_angle_deg",), phi[:, None], theta, force, base)
+        curves = Curves(phi[:, None], theta, force, base)
         emulator = Emulator(curves)
         x = np.array([rng.uniform(18.0, 47.0)])
         apart = (law(x[0]) - emulator(x[None])[0]).ravel()

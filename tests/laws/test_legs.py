@@ -370,7 +370,7 @@ def test_a_moment_is_no_larger_than_a_force_at_the_tip_and_cohesion_adds() -> No
         ({"phi_deg": 5.0}, "friction_angle_deg 10 to 55; found"),
         ({"density": 1.0}, "density = 1 kg"),
         ({"cohesion_pa": 1e5}, "cohesion_pa = 100000"),
-        ({"leg": None}, "three legs"),
+        ({"leg": None}, "lacks its leg"),
     ],
 )
 def test_forces_outside_a_law_are_refused(options: dict[str, Any], words: str) -> None:

@@ -394,7 +394,7 @@ class Standing:
                 speed[i] = spatial[3:]
             held = force(
                 Foot(FOOT_RADIUS), data.xpos[feet], speed, phi_deg=phi_deg, density=1550.0,
-                held=held, step=step, stiffness=stiffness,
+                surface_friction=0.4, held=held, step=step, stiffness=stiffness,
             )  # fmt: skip
             data.xfrc_applied[feet, :3], data.xfrc_applied[feet, 3:] = held
             mujoco.mj_step2(model, data)

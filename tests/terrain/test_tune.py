@@ -182,7 +182,9 @@ def test_an_answer_that_is_a_misfit_is_tuned_if_wanted(monkeypatch) -> None:
 
 def test_genesis_gets_its_angle(monkeypatch) -> None:
     monkeypatch.setitem(ENGINES, "genesis", synthetic(30.0))
-    found = tune("genesis", voxel=0.03, foot="ball:0.022", phi=33.0, density=1600.0)
+    found = tune(
+        "genesis", voxel=0.03, foot="ball:0.022", phi=33.0, density=1600.0, surface_friction=0.5
+    )
     assert found["density_factor"] is None
     assert found["value"] == pytest.approx(30.0, rel=0.01)
     assert found["own_value"] == pytest.approx(simulator("genesis").from_angle(33.0), abs=1e-6)

@@ -91,7 +91,6 @@ from terraphi.inference.records import Record
 from terraphi.inference.terms import Sharer, is_shared, ordered_budget, term
 from terraphi.laws.law import STEP, LegLaw, ModelError
 from terraphi.laws.legs import LawOfLegs, Legs, law_of
-from terraphi.laws.store import PHI
 
 SHIFT_DEG = 15.0
 """Largest shift of the leg angle of measured records [deg]: chosen. C legs have 11 to 15° in grains
@@ -226,12 +225,6 @@ class Likelihood:
         self.disagreement_deg = disagreement_deg
         self.measured = not all(record.simulated for record in records)
         self.laws = [self._law(record, library) for record in records]
-        if any(law.keys != (PHI,) for law in self.laws):
-            further = ", ".join(sorted({*self.laws[0].keys} - {PHI}))
-            raise InputError(
-                f"law {library.name} varies {further}, too, and φ alone is inferred; build it over "
-                f"{PHI} alone"
-            )
         self.density = [record.density_kg_m3 or DENSITY.mean for record in records]
         self._ratio = np.array(self.density) / [law.density for law in self.laws]
         ends = np.cumsum([0, *(r.data.size for r in records)])

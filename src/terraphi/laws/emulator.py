@@ -1,6 +1,6 @@
 r"""Force curves between the cases of a library: principal components, a Gaussian process each.
 
-With y(x) the curves (Fx, Fz) of a leg as one vector over the leg angle, and x the parameters,
+With y(x) the curves (Fx, Fz) of a leg as one vector over the leg angle, and x the friction angle,
 
     y(x) = a(x) [ z0 + sum_k w_k(x) u_k + b(x) e ],
 
@@ -21,14 +21,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import needing
 from terraphi.laws.store import Curves, Library
 
 LENGTHS = np.geomspace(0.15, 8.0, 16)
-"""Correlation lengths that are tried, in units of the half range of a parameter [-]."""
+"""Correlation lengths that are tried, in units of the half range of φ [-]."""
 NUGGETS = np.geomspace(1e-8, 1e2, 24)
 """Nuggets that are tried, over the variance of the process [-]."""
 SMOOTH_DEG = 5.0
@@ -39,7 +38,7 @@ LEAST = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Emulator:
-    """Forces of one leg over the parameters that a library varies.
+    """Forces of one leg over the friction angle.
 
     Attributes
     ----------
@@ -53,25 +52,20 @@ class Emulator:
 
     @cached_property
     def _scale(self) -> tuple[FloatArray, FloatArray]:
-        """Centre and half range of each parameter."""
+        """Centre and half range of φ [deg], shape [1] each."""
         low, high = self.bounds
         return 0.5 * (low + high), 0.5 * (high - low)
 
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Smallest and largest value of each parameter."""
+        """Smallest and largest friction angle [deg], shape [1] each."""
         return self.curves.x.min(axis=0), self.curves.x.max(axis=0)
 
     def _basis(self, x: FloatArray) -> FloatArray:
-        """Polynomials of the mean: constant, linear and, with cases enough, quadratic, [k, q]."""
+        """Polynomials of the mean: constant, linear and, of ten cases, quadratic, [k, q]."""
         t = (x - self._scale[0]) / self._scale[1]
-        return np.hstack([np.ones((len(t), 1)), t, t[:, self._curved] ** 2])
-
-    @cached_property
-    def _curved(self) -> NDArray[np.bool_]:
-        """Parameters of which the mean has a square: of three values or more, with cases enough."""
-        enough = len(self.curves.x) > 3 * (1 + 2 * self.curves.x.shape[1])
-        return np.array([enough and np.unique(column).size > 2 for column in self.curves.x.T])
+        is_curved = len(self.curves.x) > 9 and np.unique(self.curves.x).size > 2
+        return np.asarray(t ** np.arange(3 if is_curved else 2))
 
     @cached_property
     def _size(self) -> FloatArray:
@@ -83,7 +77,7 @@ class Emulator:
         return np.asarray(np.linalg.lstsq(self._basis(self.curves.x), np.log(sizes), rcond=None)[0])
 
     def size(self, x: FloatArray) -> FloatArray:
-        """Size a(x) of the forces [N], shape [k, key] -> [k]."""
+        """Size a(x) of the forces [N], shape [k, 1] -> [k]."""
         return np.exp(self._basis(x) @ self._size)
 
     @cached_property
@@ -102,13 +96,6 @@ class Emulator:
         t = (self.curves.x - self._scale[0]) / self._scale[1]
         rough = self.scatter_size(self.curves.x) if self._scatters else np.ones(len(t))
         return fitted(t, self._basis(self.curves.x), weights, rough)
-
-    @cached_property
-    def _stacked(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Lengths [k, 1, key], solved weights [k, case] and polynomials [k, q] of all."""
-        each = self._processes
-        lengths = np.stack([process.lengths for process in each])[:, None]
-        return lengths, np.hstack([p.solved for p in each]).T, np.hstack([p.beta for p in each]).T
 
     @property
     def _scatters(self) -> bool:
@@ -136,7 +123,7 @@ class Emulator:
         return self._log_polynomial(rms + 1e-12)
 
     def scatter_size(self, x: FloatArray) -> FloatArray:
-        """Size b(x) of the scatter over that of the forces [-], shape [k, key] -> [k]."""
+        """Size b(x) of the scatter over that of the forces [-], shape [k, 1] -> [k]."""
         return np.exp(self._basis(x) @ self._log_scatter_size)
 
     @cached_property
@@ -159,18 +146,15 @@ class Emulator:
     # -- prediction ------------------------------------------------------------------------------
 
     def __call__(self, x: FloatArray) -> FloatArray:
-        """Forces (Fx, Fz) at parameters [N], shape [k, key] -> [k, 2, theta].
+        """Forces (Fx, Fz) at friction angles [N], shape [k, 1] -> [k, 2, theta].
 
-        Beyond the range of a parameter the forces continue in proportion to exp(ln a) and with the
-        mean of each weight, which grows uncertain there.
+        Beyond the range of φ the forces continue in proportion to exp(ln a) and with the mean of
+        each weight, which grows uncertain there.
         """
         mean, u, _ = self._components
-        t = (x - self._scale[0]) / self._scale[1]
-        lengths, solved, beta = self._stacked
-        weights = self._basis(x) @ beta.T
-        weights += np.einsum("pkn,pn->kp", _kernel(t, self._processes[0].t, lengths), solved)
-        force = self.size(x)[:, None] * (mean + weights @ u)
-        return force.reshape(len(x), 2, -1)
+        t, basis = (x - self._scale[0]) / self._scale[1], self._basis(x)
+        weights = np.hstack([process.mean(t, basis) for process in self._processes])
+        return (self.size(x)[:, None] * (mean + weights @ u)).reshape(len(x), 2, -1)
 
     def interpolation(self, x: FloatArray) -> FloatArray:
         """Factor F of the emulator's own covariance F F' at one point [N], shape [2 theta, k]."""

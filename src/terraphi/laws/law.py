@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
 
 import numpy as np
 from pydantic import Field
@@ -18,9 +17,9 @@ from terraphi.experiment.documents import Strict
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.rig import Rig
 from terraphi.laws.emulator import Emulator, emulator_of
-from terraphi.laws.store import PHI, Library
+from terraphi.laws.store import Library
 
-SIMILAR = {"leg.width": 0.02, "motion.hip.1": 0.015, "leg.half_thickness": 0.015}
+SIMILAR = (0.02, 0.015, 0.015)
 """Largest differences of a rig from the library's: width over the library's, height of the hip and
 thickness over the length. Each moves φ by at most 0.5° (2 mm of Li's hip by 1°, 10 % of force
 by 1.6 to 2°), which is less than what is assumed of sizes that were not measured."""
@@ -29,7 +28,7 @@ CENTRE_DEG = 27.0
 FRICTION = (0.1, 0.6)
 """Frictions of a leg that laws know [-]: those that were simulated."""
 STEP = 1e-3
-"""Step of numerical derivatives, of a parameter's range [-]."""
+"""Step of numerical derivatives, of the range of φ [-]."""
 
 
 class ModelError(Strict):
@@ -70,12 +69,10 @@ class ModelError(Strict):
 
 
 class LegLaw(ABC):
-    """Forces on the leg of a rig, over the friction angle and other parameters of a law."""
+    """Forces on the leg of a rig, over friction angles x [deg], shape [k, 1] or [1]."""
 
-    keys: tuple[str, ...]
-    """Dotted scenario keys of the parameters x."""
     bounds: tuple[FloatArray, FloatArray]
-    """Smallest and largest value of each parameter."""
+    """Smallest and largest friction angle [deg], shape [1] each."""
     theta_deg: FloatArray
     """Leg angles of the forces [deg], shape [theta]."""
     density: float
@@ -88,7 +85,7 @@ class LegLaw(ABC):
 
     @abstractmethod
     def within(self, x: FloatArray, cohesion: float) -> FloatArray:
-        """Forces (Fx, Fz) [N] at parameters within the bounds, [k, key] -> [k, 2, theta]."""
+        """Forces (Fx, Fz) [N] at angles within the bounds, [k, 1] -> [k, 2, theta]."""
 
     @property
     def arm(self) -> FloatArray | None:
@@ -117,25 +114,18 @@ class LegLaw(ABC):
         return None
 
     def __call__(self, x: FloatArray, cohesion: float = 0.0) -> FloatArray:
-        """Forces (Fx, Fz) [N], [k, key] -> [k, 2, theta]; linear in φ beyond its ends.
+        """Forces (Fx, Fz) [N], [k, 1] -> [k, 2, theta]; linear in φ beyond its ends.
 
         The cohesion is c / (ρ g L) [-].
         """
-        if PHI not in self.keys:
-            return self.within(x, cohesion)
-        i = self.keys.index(PHI)
-        low, high = (float(ends[i]) for ends in self.bounds)
-        x = x.astype(np.float64)
-        beyond = x[:, i] - np.clip(x[:, i], low, high)
-        x[:, i] -= beyond
-        force = self.within(x, cohesion)
+        beyond = x - np.clip(x, *self.bounds)
+        inside = x - beyond
+        force = self.within(inside, cohesion)
         out = np.flatnonzero(beyond)
         if out.size:
-            step = STEP * (high - low)
-            inner = x[out]
-            inner[:, i] -= np.sign(beyond[out]) * step
-            slope = (force[out] - self.within(inner, cohesion)) / step
-            force[out] += np.abs(beyond[out])[:, None, None] * slope
+            step = STEP * (self.bounds[1] - self.bounds[0])
+            inner = self.within(inside[out] - np.sign(beyond[out]) * step, cohesion)
+            force[out] += np.abs(beyond[out])[..., None] * ((force[out] - inner) / step)
         return force
 
 
@@ -145,7 +135,7 @@ class LibraryLaw(LegLaw):
     def __init__(self, emulator: Emulator, longer: float) -> None:
         curves = emulator.curves
         self.emulator, self._scale = emulator, longer**3
-        self.keys, self.bounds, self.theta_deg = curves.keys, emulator.bounds, curves.theta_deg
+        self.bounds, self.theta_deg = emulator.bounds, curves.theta_deg
         self.density = curves.scenario.soil.density
         self.leg_friction = curves.scenario.leg.friction
         self._arm = None if curves.arm is None else longer * curves.arm
@@ -163,17 +153,15 @@ class LibraryLaw(LegLaw):
         return self._scale**2 * self.emulator.scatter(np.clip(x, *self.bounds))
 
 
-def is_similar(rig: Rig, leg: Rig | None, varied: Iterable[str] = ()) -> bool:
-    """True if a rig has the proportions of a simulated leg, but for ``varied`` scenario keys."""
-    if leg is None:
-        return True
+def is_similar(rig: Rig, leg: Rig) -> bool:
+    """True if a rig has the proportions of a simulated leg."""
     ratios, simulated = rig.ratios, leg.ratios
-    differences = {
-        "leg.width": abs(ratios.width / simulated.width - 1.0),
-        "motion.hip.1": abs(ratios.hip_height - simulated.hip_height),
-        "leg.half_thickness": abs(ratios.thickness - simulated.thickness),
-    }
-    return all(differences[key] <= SIMILAR[key] for key in differences if key not in varied)
+    differences = (
+        ratios.width / simulated.width - 1.0,
+        ratios.hip_height - simulated.hip_height,
+        ratios.thickness - simulated.thickness,
+    )
+    return bool((np.abs(differences) <= SIMILAR).all())
 
 
 def remedy(rig: Rig) -> str:
@@ -213,7 +201,7 @@ def leg_law(library: Library, rig: Rig, *, strict: bool = True) -> LegLaw:
     """
     emulator = emulator_of(library, rig.leg)
     simulated = Rig.of_scenario(emulator.curves.scenario)
-    if strict and not is_similar(rig, simulated, emulator.curves.keys):
+    if strict and simulated is not None and not is_similar(rig, simulated):
         raise InputError(
             f"library {library.name} is of a {simulated}, and this leg has other proportions; "
             f"{remedy(rig)}"

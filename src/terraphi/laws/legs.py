@@ -54,7 +54,14 @@ from terraphi.experiment.scenario import GRAVITY, Scenario
 from terraphi.laws.emulator import Process, fitted
 from terraphi.laws.fitted import KIND, FittedLaw
 from terraphi.laws.law import STEP, LegLaw, ModelError, check_friction, is_similar, leg_law, remedy
-from terraphi.laws.store import PHI, Library, differences, nearest_library, shipped_library
+from terraphi.laws.store import (
+    PHI,
+    AnyLaw,
+    Library,
+    differences,
+    nearest_library,
+    shipped_library,
+)
 from terraphi.laws.theory import Theory
 
 if TYPE_CHECKING:
@@ -130,7 +137,7 @@ def cells_of(ratios: Ratios, depth: float) -> float:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Legs(FittedLaw):
+class Legs(AnyLaw, FittedLaw):
     """The law of all legs that there are cases of.
 
     Forces are over ρ g w D², the depth D of a case over the length L. Without hyperparameters (one
@@ -320,10 +327,6 @@ class Legs(FittedLaw):
         where = f"law {self.name}, model_error.{leg}"
         return strictly(self.model_error.get(leg, {}), ModelError, where)
 
-    def forces(self, rig: Any, phi_deg: ArrayLike, **options: Any) -> xr.Dataset:
-        """Forces on the leg of a rig and their slope with φ, as :func:`forces` has them."""
-        return forces(self, rig, phi_deg, **options)
-
     def law(self, rig: Rig, cells: float = 1.0) -> LegLaw:
         """The law of a rig, in cells of a size over that of the rule [-].
 
@@ -333,10 +336,7 @@ class Legs(FittedLaw):
             If there is no such leg, or a ratio of the rig lies outside the cases.
         """
         check_friction(rig)
-        if any(
-            rig.leg == joined_rig.leg and is_similar(rig, joined_rig)
-            for joined_rig in self.joined_rigs
-        ):
+        if any(rig.leg == joined.leg and is_similar(rig, joined) for joined in self.joined_rigs):
             return RatioLaw(self, rig, cells)
         if rig.leg not in self.legs:
             raise InputError(f"law {NAME} has no {OUTLINES[rig.leg].label} yet; {remedy(rig)}")
@@ -360,7 +360,6 @@ class Legs(FittedLaw):
 class RatioLaw(LegLaw):
     """The law of a rig."""
 
-    keys = (PHI,)
     density = DENSITY
     most_cohesion = MOST_COHESION
 
@@ -489,7 +488,6 @@ def forces(
     leg: str | None = None,
     density: float | None = None,
     cohesion_pa: float = 0.0,
-    at: Mapping[str, float] | None = None,
 ) -> xr.Dataset:
     """Forces on the leg of a rig by a law, and their slope with φ.
 
@@ -509,8 +507,6 @@ def forces(
         Bulk density [kg/m³]; forces are in proportion to it. By default that of the law's soil.
     cohesion_pa
         Cohesion [Pa], where the law knows it.
-    at
-        Values of a library's other parameters, by their dotted scenario keys.
 
     Returns
     -------
@@ -521,8 +517,7 @@ def forces(
     Raises
     ------
     InputError
-        If the law is not for this rig, an angle, friction or cohesion is outside it, or a
-        parameter is missing.
+        If the law is not for this rig, or an angle, friction or cohesion is outside it.
 
     Examples
     --------
@@ -541,18 +536,10 @@ def forces(
         density = None if density is None else float(density)
     except (TypeError, ValueError) as error:
         raise InputError(f"phi_deg and density are numbers here: {error}") from None
-    given = dict(at or {})
-    if PHI not in of_rig.keys or set(given) != {*of_rig.keys} - {PHI}:
-        other_keys = sorted({*of_rig.keys} - {PHI})
-        raise InputError(f"law {law.name}: at has {sorted(given)}; expected the keys {other_keys}")
-    i, x = of_rig.keys.index(PHI), np.empty((phi.size, len(of_rig.keys)))
-    for k, key in enumerate(of_rig.keys):
-        x[:, k] = phi if key == PHI else given[key]
-    low, high = of_rig.bounds
-    if phi.ndim != 1 or not ((x >= low) & (x <= high)).all():
-        ranges = [f"{key} {a:g} to {b:g}" for key, a, b in zip(of_rig.keys, low, high, strict=True)]
+    (low,), (high,) = of_rig.bounds
+    if phi.ndim != 1 or not ((phi >= low) & (phi <= high)).all():
         raise InputError(
-            f"law {law.name} is for {', '.join(ranges)}; found phi_deg = {phi.tolist()}"
+            f"law {law.name} is for {PHI} {low:g} to {high:g}; found phi_deg = {phi.tolist()}"
         )
     if not (density is None or 100.0 <= density <= 10_000.0):
         raise InputError(f"density = {density:g} kg/m³; 100 to 10000 kg/m³ are accepted")
@@ -561,15 +548,11 @@ def forces(
     if not 0.0 <= cohesion <= of_rig.most_cohesion:
         most = cohesion_pa / cohesion * of_rig.most_cohesion if cohesion else 0.0
         raise InputError(f"cohesion_pa = {cohesion_pa:g}: law {law.name} is for 0 to {most:g} Pa")
-    ends, step = [], STEP * (high[i] - low[i])
-    for side in (-step, step):
-        moved = x.copy()
-        moved[:, i] = np.clip(phi + side, low[i], high[i])
-        ends.append((moved[:, i], of_rig(moved, cohesion)))
-    (before, lower), (after, upper) = ends
-    force = heavier * of_rig(x, cohesion)
+    step = STEP * (high - low)
+    before, after = (np.clip(phi + side, low, high) for side in (-step, step))
+    lower, force, upper = (heavier * of_rig(x[:, None], cohesion) for x in (before, phi, after))
     dims = ("phi_deg", "force", "theta_deg")
-    slope = heavier * (upper - lower) / (after - before)[:, None, None]
+    slope = (upper - lower) / (after - before)[:, None, None]
     variables: dict[Any, Any] = {
         "forces": (dims, force, {"units": "N"}), "slope": (dims, slope, {"units": "N/deg"}),
     }  # fmt: skip

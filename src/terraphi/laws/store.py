@@ -60,12 +60,10 @@ class Case(NamedTuple):
 
 
 class Curves(NamedTuple):
-    """Force curves of one leg over the parameters that a library varies."""
+    """Force curves of one leg over the friction angle."""
 
-    keys: tuple[str, ...]
-    """Dotted scenario keys of the parameters."""
     x: FloatArray
-    """Their values, shape [case, key]."""
+    """Friction angles [deg], shape [case, 1]."""
     theta_deg: FloatArray
     """Leg angles [deg], shape [theta]."""
     force: FloatArray
@@ -76,8 +74,19 @@ class Curves(NamedTuple):
     """(a, b) [m] with M = a Fx + b Fz, the moment about the hip, shape [2, theta]; or ``None``."""
 
 
+class AnyLaw:
+    """A law of legs, of whatever kind."""
+
+    def forces(self, rig: Any, phi_deg: ArrayLike, **options: Any) -> xr.Dataset:
+        """Forces on the leg of a rig and their slope with φ: `~terraphi.laws.legs.forces`."""
+        from terraphi.laws.legs import forces
+
+        law: Any = self
+        return forces(law, rig, phi_deg, **options)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class Library(Result):
+class Library(AnyLaw, Result):
     """Simulations of a plan.
 
     Attributes
@@ -146,12 +155,6 @@ class Library(Result):
                     digest.update(np.asarray(array, np.float32).tobytes())
         return digest.hexdigest()
 
-    def forces(self, rig: Any, phi_deg: ArrayLike, **options: Any) -> xr.Dataset:
-        """Forces on the leg of a rig and their slope with φ: `~terraphi.laws.legs.forces`."""
-        from terraphi.laws.legs import forces
-
-        return forces(self, rig, phi_deg, **options)
-
     @property
     def phi_deg_by_leg(self) -> dict[str, tuple[float, float]]:
         """Smallest and largest friction angle of each leg [deg]."""
@@ -217,20 +220,28 @@ class Library(Result):
         return figure
 
     def keys(self, leg: str) -> tuple[str, ...]:
-        """Dotted scenario keys of the numbers that vary among the cases of a leg."""
-        return _varied(self._of(leg))
+        """Dotted keys of numbers in which cases of a leg differ, but for the particle seed."""
+        first, *further = [_flat(case.scenario) for case in self._of(leg)]
+        return tuple(
+            key
+            for key, value in first.items()
+            if key != "numerics.seed"
+            and isinstance(value, int | float)
+            and any(leaves.get(key) != value for leaves in further)
+        )
 
     def _of(self, leg: str) -> list[Case]:
         """Simulations of a leg that succeeded."""
         return [case for case in self.cases if case.history and case.scenario.leg.shape == leg]
 
     def curves(self, leg: str) -> Curves:
-        """Force curves of one leg over the parameters that vary.
+        """Force curves of one leg over the friction angle.
 
         Raises
         ------
         InputError
-            If the library lacks the leg, has too few cases of it, or is not one of rotating legs.
+            If the library lacks the leg, has too few cases of it, varies more than φ, or is not one
+            of rotating legs.
         """
         chosen = self._of(leg)
         if not chosen:
@@ -243,17 +254,18 @@ class Library(Result):
                 f"library '{self.name}' has no friction angle to infer: it needs rotating legs in "
                 "a material point method or in three-dimensional resistive force theory"
             )
-        keys = self.keys(leg)
-        if PHI not in keys:
-            raise InputError(f"library '{self.name}' does not vary {PHI} on leg '{leg}'")
-        if len(chosen) < 2 * len(keys) + 1:
+        if self.keys(leg) != (PHI,):
+            raise InputError(
+                f"library '{self.name}' varies {', '.join(self.keys(leg)) or 'nothing'} on leg "
+                f"'{leg}', and φ alone is inferred; build it over {PHI} alone"
+            )
+        if len(chosen) < 3:
             raise InputError(
                 f"library '{self.name}' has {len(chosen)} cases of leg '{leg}', too few to "
-                f"interpolate over {', '.join(keys)}"
+                "interpolate over φ"
             )
-        leaves = [_flat(case.scenario) for case in chosen]
-        x = np.array([[leaf[key] for key in keys] for leaf in leaves], float)
-        order = np.lexsort(x.T[::-1])
+        x = np.array([[case.scenario.soil.friction_angle_deg] for case in chosen])
+        order = np.argsort(x[:, 0], kind="stable")
         span = chosen[0].history
         assert span is not None
         low, high = np.degrees(span.position[[0, -1]])
@@ -266,7 +278,7 @@ class Library(Result):
         means = [_one_degree_means(chosen[i].history, theta, air[inside | air]) for i in order]
         force, moments = np.stack([m[:2] for m in means]), [m for m in means if len(m) > 2]
         arm = lever_arm(moments) if moments else None
-        return Curves(keys, x[order], theta, force, first, arm)
+        return Curves(x[order], theta, force, first, arm)
 
     # -- files -----------------------------------------------------------------------------------
 
@@ -390,18 +402,6 @@ def lever_arm(curves: list[FloatArray]) -> FloatArray:
     normal = np.einsum("cit,cjt,st->sij", each[:, :2], each, near)
     ridge = 1e-6 * np.trace(normal[:, :, :2], axis1=1, axis2=2).max() * np.eye(2)
     return np.linalg.solve(normal[:, :, :2] + ridge, normal[:, :, 2:])[:, :, 0].T
-
-
-def _varied(cases: list[Case]) -> tuple[str, ...]:
-    """Dotted keys of numbers in which cases differ, but for the particle seed."""
-    flat = [_flat(case.scenario) for case in cases]
-    return tuple(
-        key
-        for key, value in flat[0].items()
-        if key != "numerics.seed"
-        and isinstance(value, int | float)
-        and any(other.get(key) != value for other in flat)
-    )
 
 
 def _flat(value: Any, name: str = "") -> dict[str, Any]:

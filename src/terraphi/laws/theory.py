@@ -13,10 +13,9 @@ from __future__ import annotations
 
 import functools
 import hashlib
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.bodies import OUTLINES
@@ -33,10 +32,7 @@ from terraphi.forward.rft import (
     stress_scale,
 )
 from terraphi.laws.law import LegLaw
-from terraphi.laws.store import PHI, THETA_DEG, lever_arm
-
-if TYPE_CHECKING:
-    import xarray as xr
+from terraphi.laws.store import THETA_DEG, AnyLaw, lever_arm
 
 PHI_DEG = (15.0, 50.0)
 """Smallest and largest friction angle [deg]; chosen: those of sand, with room at either end."""
@@ -48,7 +44,7 @@ WITHIN_DEG = np.array([-0.25, 0.25])
 them. Angles of the shipped records are within 1e-4° of those by forty."""
 
 
-class Theory:
+class Theory(AnyLaw):
     """The law of all legs."""
 
     name, caveat, convention = "rft3d", "", "rft3d"
@@ -73,12 +69,6 @@ class Theory:
         """The law of a rig, kept for the next record."""
         return TheoryLaw(rig)
 
-    def forces(self, rig: Any, phi_deg: ArrayLike, **options: Any) -> xr.Dataset:
-        """Forces on the leg of a rig and their slope with φ: `~terraphi.laws.legs.forces`."""
-        from terraphi.laws.legs import forces
-
-        return forces(self, rig, phi_deg, **options)
-
     def summary(self) -> dict[str, Any]:
         """Contents and origin, JSON-able."""
         base = self.scenario
@@ -94,7 +84,7 @@ class Theory:
 class TheoryLaw(LegLaw):
     """The law of a rig."""
 
-    keys, theta_deg = (PHI,), THETA_DEG
+    theta_deg = THETA_DEG
     bounds = np.array(PHI_DEG[:1]), np.array(PHI_DEG[1:])
 
     def __init__(self, rig: Rig) -> None:

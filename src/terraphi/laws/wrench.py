@@ -156,8 +156,6 @@ class Mesh:
             raise InputError(
                 "mesh: give corners [corner, 3] and triangles [face, 3] of whole numbers"
             )
-        if longest is not None:
-            longest = _number("longest", longest, TINY, "m")
         each = corners[index.astype(np.int64)]
         # A closed surface passes each edge once in either direction; equal corners are one.
         same = np.unique(each.reshape(-1, 3), axis=0, return_inverse=True)[1].reshape(-1, 3)
@@ -170,9 +168,8 @@ class Mesh:
                 "other way than its neighbors'; give one solid, its corners counterclockwise seen "
                 "from outside"
             )
-        most = (
-            FINE * float(np.ptp(each.reshape(-1, 3), axis=0).max()) if longest is None else longest
-        )
+        most = FINE * float(np.ptp(each.reshape(-1, 3), axis=0).max())
+        most = most if longest is None else _number("longest", longest, TINY, "m")
         while (
             large := (np.linalg.norm(each - each[:, (1, 2, 0)], axis=2) > most).any(axis=1)
         ).any():
@@ -294,16 +291,11 @@ def force(
     if place.shape[-1] == 7:
         numbers("pose: length of the quaternion", _norm(xp, place[:, 3:]), low=1e-6)
     moving = _each("velocity", velocity, pose, lead, velocity.shape[-1])
-    surface_friction = _friction(surface_friction, "foot")
-    soil = _soil(
-        pose, lead, "foot", surface_friction, phi_deg=phi_deg, density=density, surface=surface
-    )
+    soil = _soil(pose, lead, "foot", surface_friction, phi_deg, density, surface)
     before = _before(held, step, stiffness, pose, lead) if held is not None else None
     fade = TINY if held is not None else rest_speed
-    given = place, moving, surface_friction, fade
-    force_, moment, deep = (
-        _of_foot(foot, *given, **soil) if isinstance(foot, Foot) else _of_mesh(foot, *given, **soil)
-    )
+    body_force: Any = _of_foot if isinstance(foot, Foot) else _of_mesh
+    force_, moment, deep = body_force(foot, place, moving, fade, **soil)
     if before is not None:
         travel = _norm(xp, moving[:, :3])
         if moving.shape[-1] == 6 and isinstance(foot, Mesh):
@@ -351,7 +343,7 @@ def unit_normals(normals: Any, points: Any) -> Any:
     return normals
 
 
-def _friction(surface_friction: Any, law: str) -> float:
+def _friction(surface_friction: Any) -> float:
     """The friction of all feet [-]; raises InputError."""
     ends = LIMITS["leg.friction"][:2]
     values = numbers("surface_friction", surface_friction, low=ends[0], high=ends[1])
@@ -363,8 +355,6 @@ def _friction(surface_friction: Any, law: str) -> float:
         raise InputError("surface_friction is traced or empty; give a number") from None
     if several:
         raise InputError("surface_friction has several values; give one, and call once for each")
-    if law == "foot":
-        angles_deg(friction)
     return friction
 
 
@@ -375,13 +365,18 @@ def angles_deg(surface_friction: float) -> tuple[float, float]:
 
 
 def _soil(
-    places: Any, lead: tuple[int, ...], law: str, surface_friction: float, *,
-    phi_deg: Any, density: Any, surface: Any,
+    places: Any, lead: tuple[int, ...], law: str, surface_friction: Any, phi_deg: Any, density: Any,
+    surface: Any,
 ) -> dict[str, Any]:  # fmt: skip
-    """φ, density and surface of each foot of an array of places, [foot]; raises InputError."""
-    angles = angles_deg(surface_friction) if law == "foot" else LIMITS["soil.friction_angle_deg"]
+    """Friction, and φ, density and surface of each foot of an array of places, [foot].
+
+    Raises InputError.
+    """
+    friction = _friction(surface_friction)
+    angles = angles_deg(friction) if law == "foot" else LIMITS["soil.friction_angle_deg"]
     low, high, unit = LIMITS["soil.density"]
     return {
+        "surface_friction": friction,
         "phi_deg": _each("phi_deg", phi_deg, places, lead, low=angles[0], high=angles[1],
                          unit=f"deg in plane strain by law '{law}'"),
         "density": _each("density", density, places, lead, low=low, high=high, unit=unit),
@@ -400,8 +395,8 @@ def _warn_deep(xp: Any, ratio: Any) -> None:
 
 
 def _of_foot(
-    foot: Foot, place: Any, moving: Any, surface_friction: float, fade: float, *,
-    phi_deg: Any, density: Any, surface: Any,
+    foot: Foot, place: Any, moving: Any, fade: float, *, surface_friction: float, phi_deg: Any,
+    density: Any, surface: Any,
 ) -> tuple[Any, Any, Any]:  # fmt: skip
     """Force, moment and depth of balls or discs, shape [foot, 3], [foot, 3] and [foot]."""
     xp = namespace(place)
@@ -426,7 +421,7 @@ def _of_foot(
 
 
 def _of_mesh(
-    mesh: Mesh, place: Any, moving: Any, surface_friction: float, fade: float, **each: Any
+    mesh: Mesh, place: Any, moving: Any, fade: float, surface_friction: float, **each: Any
 ) -> tuple[Any, Any, Any]:
     """Force, moment and depth of meshes, shape [foot, 3], [foot, 3] and [foot]."""
     xp = namespace(place)
@@ -434,7 +429,7 @@ def _of_mesh(
         near = np.flatnonzero(each["surface"] - place[:, 2] > -mesh.reach)
         if near.size < len(place):
             submerged = {key: value[near] for key, value in each.items()}
-            parts = _of_mesh(mesh, place[near], moving[near], surface_friction, fade, **submerged)
+            parts = _of_mesh(mesh, place[near], moving[near], fade, surface_friction, **submerged)
             results = [np.zeros((len(place), *part.shape[1:])) for part in parts]
             for target, part in zip(results, parts, strict=True):
                 target[near] = part
@@ -534,10 +529,7 @@ def wrench(
     if points.ndim < 2 or points.shape[-2] == 0:
         raise InputError(f"points of shape {tuple(points.shape)}; give [..., face, 3]")
     xp, (lead, last) = namespace(points), (tuple(points.shape[:-2]), tuple(points.shape[-2:]))
-    surface_friction = _friction(surface_friction, law)
-    soil = _soil(
-        points, lead, law, surface_friction, phi_deg=phi_deg, density=density, surface=surface
-    )
+    soil = _soil(points, lead, law, surface_friction, phi_deg, density, surface)
     flat, normals = xp.reshape(points, (-1, *last)), unit_normals(normals, points)
     if normals.ndim != 2:
         normals = xp.reshape(normals, (-1, *last))
@@ -545,8 +537,7 @@ def wrench(
     arms = flat - _each("about", about, points, lead, 3, unit="m")[:, None, :]
     total, moment, _ = _sum_of_faces(
         flat, normals, numbers("areas", areas, points, shape=last[:1], **AREA), velocities, arms,
-        None, surface_friction=surface_friction, law=law,
-        rest_speed=_number("rest_speed", rest_speed, low=TINY, unit="m/s"),
+        None, law=law, rest_speed=_number("rest_speed", rest_speed, low=TINY, unit="m/s"),
         mobilized=_mobilized(mobilization, sheared, points), **soil,
     )  # fmt: skip
     return xp.reshape(total, (*lead, 3)), xp.reshape(moment, (*lead, 3))

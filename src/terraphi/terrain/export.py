@@ -260,16 +260,17 @@ def text(parameters: Mapping[str, Any], form: str) -> str:
         written = io.StringIO()
         csv.writer(written, lineterminator="\n").writerows(table)
         return written.getvalue()
-    constants = {parameters["parameter"].upper(): parameters["value"], "DRAWS": parameters["draws"]}
-    constants |= {"DENSITY": parameters["density_kg_m3"]}
-    constants |= {"DENSITY_DRAWS": parameters["density_draws_kg_m3"]}
-    constants |= {"LEG_FRICTION": parameters["leg_friction_assumed"]}
+    keys = {parameters["parameter"].upper(): "value", "DRAWS": "draws", "DENSITY": "density_kg_m3"}
+    keys |= {"DENSITY_DRAWS": "density_draws_kg_m3", "LEG_FRICTION": "leg_friction_assumed"}
+    constants = {name: parameters[key] for name, key in keys.items()}
     if parameters["dp_type"]:
         constants["DP_TYPE"] = parameters["dp_type"]
     for name in filter(str.isupper, parameters):
         constants |= {name: parameters[name]["median"], f"{name}_DRAWS": parameters[name]["draws"]}
     lines = "\n".join(f"{name} = {value!r}" for name, value in constants.items())
-    return f'"""{_quoted(_about(parameters))}"""\n\n{lines}\n\n\n{USES[parameters["to"]]}'
+    # Safe between the quotation marks of a docstring.
+    about = [repr(line)[1:-1].replace('"', '\\"') for line in _about(parameters).split("\n")]
+    return '"""' + "\n".join(about) + f'"""\n\n{lines}\n\n\n{USES[parameters["to"]]}'
 
 
 def headline(parameters: Mapping[str, Any]) -> str:
@@ -317,12 +318,6 @@ def _about(parameters: Mapping[str, Any]) -> str:
         about = parameters[name]["about"]
         lines.append(f"{name} {median:.3g}, 95 %: {low:.3g} to {high:.3g}, {about}.")
     return "\n".join(filter(None, [*lines, f"Not inferred: {parameters['not_inferred']}.\n"]))
-
-
-def _quoted(content: str) -> str:
-    """A text that is safe between the quotation marks of a docstring."""
-    lines = (repr(line)[1:-1].replace('"', '\\"') for line in content.split("\n"))
-    return "\n".join(lines)
 
 
 NEWTON = '''def set_friction(model, value=FRICTION, particles=slice(None)):

@@ -250,12 +250,11 @@ def map_slopes(
         "points": str(points) if isinstance(points, str | Path) else type(points).__name__,
         "points_used": len(friction),
         "points_left_out": left_out,
-        **_statistics(ground, friction, layers, has_data),
+        **_statistics(ground, friction, layers, has_data, area),
         "field": {**field.learnt, "covariates": named},
         "priors": priors,
         "wetness": str(wetness) if wetness else "prior",
         "covariate": str(covariate) if covariate else None,
-        **_shares(area, layers, has_data),
         "draws": int(area.size),
         "seed": seed,
         "start": None if start is None else start._asdict(),
@@ -313,10 +312,15 @@ def _extrapolation(
 
 
 def _statistics(
-    ground: inputs.Elevation, points: pd.DataFrame, layers: Mapping[str, Any], has_data: BoolArray
-) -> dict[str, Any]:
-    """Numbers of the grid, its slopes and φ, JSON-able."""
+    ground: inputs.Elevation, points: pd.DataFrame, layers: Mapping[str, Any], has_data: BoolArray,
+    unstable_cells: FloatArray,
+) -> dict[str, Any]:  # fmt: skip
+    """Numbers of the grid, its slopes and φ, and shares of the map, JSON-able.
+
+    The share of the unstable cells, of each draw, has an interval.
+    """
     steep = np.degrees(ground.slope[has_data])
+    median, *ends = np.quantile(unstable_cells / has_data.sum(), [0.5, 0.025, 0.975]).tolist()
     return {
         "dem": ground.source,
         "crs": ground.crs.to_string(),
@@ -327,15 +331,6 @@ def _statistics(
             "median_of_points": float(points["phi_deg"].median()),
             "median_of_map": float(np.median(layers["phi_median"][has_data])),
         },
-    }
-
-
-def _shares(
-    unstable_cells: FloatArray, layers: Mapping[str, Any], has_data: BoolArray
-) -> dict[str, Any]:
-    """Shares of the map, JSON-able; of the unstable cells of each draw, an interval."""
-    median, *ends = np.quantile(unstable_cells / has_data.sum(), [0.5, 0.025, 0.975]).tolist()
-    return {
         "unstable_area_share": {"median": median, "ci95": ends},
         "mean_p_unstable": float(np.mean(layers["p_unstable"][has_data])),
         "mean_phi_share": float(np.mean(layers["phi_share"][has_data])),

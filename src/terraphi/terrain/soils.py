@@ -264,9 +264,12 @@ def soil(
     if isinstance(what, Real):
         what = f"{float(what):g}"
     name, sand = str(what), SANDS.get(what) if isinstance(what, str) else None
-    if sand is None and (phi is not None or _is_angle(what)):
-        given = str(what if phi is None else phi).strip()
-        name, sand = f"φ = {given}°", Sand(_angle(given), DENSITY, "given")
+    given = str(what if phi is None else phi).strip()
+    angle = _angle(given) if sand is None and isinstance(what, str | None) else None
+    if angle is not None:
+        name, sand = f"φ = {given}°", Sand(angle, DENSITY, "given")
+    elif phi is not None:
+        raise InputError(f"phi = '{given}'; give degrees in plane strain as 33 or 33±2")
     if sand is None:
         if density is not None:
             raise InputError("an answer has its density; leave it out")
@@ -282,20 +285,13 @@ def soil(
     )
 
 
-def _is_angle(text: Any) -> bool:
-    try:
-        return isinstance(text, str) and bool(number_with_sd(text))
-    except ValueError:
-        return False
-
-
-def _angle(text: str) -> tuple[float, float]:
-    """Mean and standard deviation of φ [deg]; raises InputError."""
+def _angle(text: str) -> tuple[float, float] | None:
+    """Mean and standard deviation of φ [deg], ``None`` of another text; raises InputError."""
     low, high, _ = LIMITS["soil.friction_angle_deg"]
     try:
         mean, sd = number_with_sd(text)
     except ValueError:
-        raise InputError(f"phi = '{text}'; give degrees in plane strain as 33 or 33±2") from None
+        return None
     sd = sd or 0.0
     if not (low <= mean <= high and 0.0 <= sd <= 0.25 * mean):
         raise InputError(

@@ -155,6 +155,21 @@ class Press:
     place: float = 0.5
     seed: int = 0
 
+    def __post_init__(self) -> None:
+        """Check what can be simulated; raises InputError."""
+        radius = self.sole.radius
+        slowest = 0.5 * self.depth / THIRDS / self.speed
+        bounds = {
+            "voxel": (self.voxel, 0.05 * radius, 2.0 * radius),
+            "depth": (self.depth, 0.05 * radius, 2.0 * radius),
+            "density": (self.density, 500.0, 3000.0),
+            # Two steps of Newton at least in each part of the depth.
+            "time_step": (self.time_step, 1e-4, slowest),
+        }
+        for what, (value, least, most) in bounds.items():
+            if not least <= value <= most:
+                raise InputError(f"{what} = {value:g}: {least:.3g} to {most:.3g} are accepted here")
+
     @property
     def speed(self) -> float:
         """Downward [m/s]."""
@@ -368,86 +383,27 @@ class Fit:
         return not self.at_limit and max(self.residual, self.scatter) <= self.tolerance
 
 
-class Comparison(NamedTuple):
-    """Forces at the frictions tried so far, compared with the soil's.
+def _next_q(
+    nodes: FloatArray, logs: FloatArray, best: int, drawn: IntArray, limits: tuple[float, float]
+) -> list[float]:
+    """The q to try next, within limits: farther out, or at the best one; none if all is known.
 
-    Attributes
-    ----------
-    nodes, forces
-        q tried, increasing, shape [q]; mean force at each [N], shape [q, place, part].
-    curve, logs
-        Log force at the values ln q of ``logs``, shape [fine q, part].
-    log_force
-        Log force over ln q, a monotone spline through the means over places.
-    weights
-        Of each part, with a sum of 1 [-].
-    scatter
-        Draws of the error of log force by the place of the surface, shape [draw, part].
-    best, drawn
-        Index into ``logs`` of the q nearest to the soil's forces, and to each draw of them.
+    Draws at an end of what was tried need a q beyond it, and the best one a neighbor. ``best`` and
+    ``drawn`` are indices into ln q, ``logs``, of the q nearest to the soil's forces, and to each
+    draw of them.
     """
-
-    nodes: FloatArray
-    forces: FloatArray
-    logs: FloatArray
-    curve: FloatArray
-    log_force: Callable[[Any], FloatArray]
-    weights: FloatArray
-    scatter: FloatArray
-    best: int
-    drawn: IntArray
-
-    @classmethod
-    def of(
-        cls, runs: dict[float, FloatArray], target: FloatArray, targets: FloatArray,
-        rng: np.random.Generator,
-    ) -> Comparison:  # fmt: skip
-        """Compare runs, q to forces [place, part]; raises InputError without any force."""
-        from scipy.interpolate import PchipInterpolator
-
-        nodes = np.array(sorted(runs))
-        forces = np.array([runs[node] for node in nodes])
-        means = np.maximum(forces.mean(axis=1), 1e-3 * target)
-        if not np.isfinite(forces).all() or not (forces > 0.0).any():
-            raise InputError("the foot felt no force, or one that is no number: take finer voxels")
-        # Deviations of single places, of which a mean over places has 1/√PLACES.
-        freedom = len(nodes) * (PLACES - 1)
-        deviations = ((forces - forces.mean(axis=1, keepdims=True)) / means[:, None]).reshape(
-            -1, len(target)
-        ) / math.sqrt(freedom * PLACES)
-        variance = np.square(deviations).sum(axis=0)
-        weights = 1.0 / (variance + 0.1**2)  # no part is better than a tenth
-        weights /= weights.sum()
-        logs = np.linspace(np.log(nodes[0]), np.log(nodes[-1]), 801)
-        log_force = PchipInterpolator(np.log(nodes), np.log(means))
-        curve = log_force(logs)
-        # The variance of the places is itself an estimate: Student's t.
-        scatter = rng.standard_normal((len(targets), len(deviations))) @ deviations
-        scatter /= np.sqrt(rng.chisquare(freedom, (len(targets), 1)) / freedom)
-        rows = np.vstack([np.log(target), np.log(targets) - scatter])
-        nearest_q = np.array([np.argmin(np.square(curve - row) @ weights) for row in rows])
-        return cls(
-            nodes, forces, logs, curve, log_force, weights, scatter, int(nearest_q[0]),
-            nearest_q[1:],
-        )  # fmt: skip
-
-    def next_q(self, limits: tuple[float, float]) -> list[float]:
-        """The q to try next, within limits: farther out, or at the best one; none if all is known.
-
-        Draws at an end of what was tried need a q beyond it, and the best one a neighbor.
-        """
-        nodes, last, (low, high) = self.nodes, len(self.logs) - 1, limits
-        is_inside = 0 < self.best < last
-        if len(nodes) >= NODES and is_inside:
-            return []
-        first_draw, last_draw = np.quantile(self.drawn, [0.025, 0.975])
-        if last_draw >= last and nodes[-1] < high * 0.999:
-            return [min(nodes[-1] * STEP, high)]
-        if first_draw <= 0 and nodes[0] > low * 1.001:
-            return [max(nodes[0] / STEP, low)]
-        if is_inside and np.min(np.abs(np.log(nodes) - self.logs[self.best])) > CLOSE:
-            return [float(np.exp(self.logs[self.best]))]
+    last, (low, high) = len(logs) - 1, limits
+    is_inside = 0 < best < last
+    if len(nodes) >= NODES and is_inside:
         return []
+    first_draw, last_draw = np.quantile(drawn, [0.025, 0.975])
+    if last_draw >= last and nodes[-1] < high * 0.999:
+        return [min(nodes[-1] * STEP, high)]
+    if first_draw <= 0 and nodes[0] > low * 1.001:
+        return [max(nodes[0] / STEP, low)]
+    if is_inside and np.min(np.abs(np.log(nodes) - logs[best])) > CLOSE:
+        return [float(np.exp(logs[best]))]
+    return []
 
 
 def fit(
@@ -487,6 +443,8 @@ def fit(
     InputError
         If the foot feels no force.
     """
+    from scipy.interpolate import PchipInterpolator
+
     start = min(max(start, limits[0]), limits[1])
     waiting = [start, min(start * STEP, limits[1])]
     runs: dict[float, FloatArray] = {}
@@ -495,28 +453,46 @@ def fit(
         for ratio in waiting:
             runs[ratio] = np.array([press(ratio, place) for place in range(PLACES)])
             report(PLACES * len(runs), PLACES * max(len(runs) + 1, 4))
-        compared = Comparison.of(runs, target, targets, rng)
-        waiting = compared.next_q(limits)
+        nodes = np.array(sorted(runs))
+        forces = np.array([runs[node] for node in nodes])  # [q, place, part]
+        means = np.maximum(forces.mean(axis=1), 1e-3 * target)
+        if not np.isfinite(forces).all() or not (forces > 0.0).any():
+            raise InputError("the foot felt no force, or one that is no number: take finer voxels")
+        # Deviations of single places, of which a mean over places has 1/√PLACES.
+        freedom = len(nodes) * (PLACES - 1)
+        deviations = (forces - forces.mean(axis=1, keepdims=True)) / means[:, None]
+        deviations = deviations.reshape(-1, len(target)) / math.sqrt(freedom * PLACES)
+        weights = 1.0 / (np.square(deviations).sum(axis=0) + 0.1**2)  # no part within a tenth
+        weights /= weights.sum()
+        # Log force over ln q: a monotone spline through the means over places.
+        logs = np.linspace(np.log(nodes[0]), np.log(nodes[-1]), 801)
+        log_force = PchipInterpolator(np.log(nodes), np.log(means))
+        curve = log_force(logs)
+        # The variance of the places is itself an estimate: Student's t.
+        scatter = rng.standard_normal((len(targets), len(deviations))) @ deviations
+        scatter /= np.sqrt(rng.chisquare(freedom, (len(targets), 1)) / freedom)
+        rows = np.vstack([np.log(target), np.log(targets) - scatter])
+        best, *nearest_q = [int(np.argmin(np.square(curve - row) @ weights)) for row in rows]
+        drawn, last = np.array(nearest_q), len(logs) - 1
+        waiting = _next_q(nodes, logs, best, drawn, limits)
         if not waiting:
             break
-    best, drawn, last = compared.best, compared.drawn, len(compared.logs) - 1
-    levels = compared.forces.mean(axis=2)
+    levels = forces.mean(axis=2)
     level = np.maximum(levels.mean(axis=1), 1e-3 * target.mean())
-    at_start = compared.log_force(math.log(start))
-    shortfall = (np.log(targets) - compared.scatter - at_start) @ compared.weights
-    residual = compared.curve[best] - np.log(target)
+    at_start = log_force(math.log(start))
+    residual = curve[best] - np.log(target)
     return Fit(
-        float(np.exp(compared.logs[best])),
-        np.exp(compared.logs[drawn]),
-        1.0 - float(((drawn > 0) & (drawn < last)).mean()),
-        np.exp(shortfall),
-        np.exp(compared.curve[best]),
-        np.exp(at_start),
-        math.sqrt(float(np.square(residual) @ compared.weights)),
-        float(np.sqrt(np.mean(np.var(levels, axis=1, ddof=1) / level**2))),
-        tolerance,
-        PLACES * len(runs),
-        {0: "low", last: "high"}.get(best, ""),
+        ratio=float(np.exp(logs[best])),
+        draws=np.exp(logs[drawn]),
+        lost=1.0 - float(((drawn > 0) & (drawn < last)).mean()),
+        factor=np.exp((np.log(targets) - scatter - at_start) @ weights),
+        forces=np.exp(curve[best]),
+        carried=np.exp(at_start),
+        residual=math.sqrt(float(np.square(residual) @ weights)),
+        scatter=float(np.sqrt(np.mean(np.var(levels, axis=1, ddof=1) / level**2))),
+        tolerance=tolerance,
+        presses=PLACES * len(runs),
+        at_limit={0: "low", last: "high"}.get(best, ""),
     )
 
 
@@ -584,26 +560,6 @@ class Load(NamedTuple):
         steps = np.diff(np.log(law(middle + law_sd * np.array([-1.0, 0.0, 1.0]))), axis=0)
         force = law(np.array([middle]))[0]
         return cls(force, draws, drawn.phi_deg, density, float(np.nanmean(steps)))
-
-
-def _press_of(
-    sole: Sole, voxel: float, depth: float | None, density: float, surface_friction: float,
-    time_step: float, seed: int,
-) -> Press:  # fmt: skip
-    """A press within what can be simulated; raises InputError."""
-    radius = sole.radius
-    deepest = 0.5 * radius if depth is None else depth
-    bounds = {
-        "voxel": (voxel, 0.05 * radius, 2.0 * radius),
-        "depth": (deepest, 0.05 * radius, 2.0 * radius),
-        "density": (density, 500.0, 3000.0),
-        # Two steps of Newton at least in each part of the depth.
-        "time_step": (time_step, 1e-4, 0.5 * deepest / THIRDS / PACE / math.sqrt(GRAVITY * radius)),
-    }
-    for what, (value, least, most) in bounds.items():
-        if not least <= value <= most:
-            raise InputError(f"{what} = {value:g}: {least:.3g} to {most:.3g} are accepted here")
-    return Press(sole, voxel, deepest, density, surface_friction, time_step, seed=seed)
 
 
 def tune(
@@ -683,9 +639,9 @@ def tune(
         ground = replace(
             ground, density=mean, density_sd=sd, density_assumed=False, correlation=0.0
         )
-    press = _press_of(
-        Sole.of(foot), voxel, depth, ground.density, surface_friction, time_step, seed
-    )
+    sole = Sole.of(foot)
+    depth = 0.5 * sole.radius if depth is None else depth
+    press = Press(sole, voxel, depth, ground.density, surface_friction, time_step, seed=seed)
     rng = np.random.default_rng(seed)
     load = Load.of(press, ground, is_rigid=is_newton, rng=rng)
     ratio_of_soil = math.sin(math.radians(ground.phi.median))
