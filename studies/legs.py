@@ -48,6 +48,7 @@ from scipy.stats import qmc
 
 import pages
 import terraphi
+from restricted import hyperparameters
 from terraphi.experiment.bodies import OUTLINES
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.rig import SIMULATED_LENGTH as LENGTH
@@ -266,12 +267,12 @@ def fit() -> None:
         sets.append(legs.cases_of(library)[:3])
     every, deep, force = (np.concatenate(each) for each in zip(*sets, strict=True))
     law = legs.Legs(every, deep, force.astype(np.float32).astype(float))
+    law = replace(law, hyper=hyperparameters(*law.training))
     apart, sd = law.left_out()
     others = ~usual(law)
     scale = float(np.sqrt(np.mean(np.square(apart / sd)[others])))
     law = replace(
         law,
-        hyper=law.hyperparameters,
         error_scale=round(max(scale, 1.0), 2),
         model_error=legs.Legs.load(LAW).model_error if LAW.exists() else {},
         provenance={"cases": {leg: int(law.of(leg).sum()) for leg in law.legs},

@@ -9,9 +9,10 @@ from scipy.stats import multivariate_normal
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 
+from restricted import hyperparameters
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
-from terraphi.laws.emulator import Emulator, Process, _kernel, fitted
+from terraphi.laws.emulator import Emulator, Process, fitted, matern
 from terraphi.laws.store import Case, Curves, Library
 
 
@@ -49,7 +50,7 @@ def test_process_is_that_of_scikit_learn() -> None:
     rival = GaussianProcessRegressor(kernel, alpha=scatter, optimizer=None)
     rival.fit(t, (w - basis @ process.beta)[:, 0])
     mean, sd = rival.predict(new, return_std=True)
-    ours = _kernel(new, t, process.lengths) @ process.solved
+    ours = matern(new, t, process.lengths) @ process.solved
     np.testing.assert_allclose(ours[:, 0], mean, atol=1e-8)
     assert np.all(process.variance(new, f)[:, 0] > np.square(sd) - 1e-12)
     # And with a prior of large variance on the polynomial the variance is the same.
@@ -71,7 +72,7 @@ def test_variance_of_a_process_is_unbiased_with_few_cases() -> None:
     rng = np.random.default_rng(0)
     t = rng.uniform(-1.0, 1.0, (14, 2))
     basis, lengths = np.hstack([np.ones((14, 1)), t, t**2]), np.array([0.5, 0.8])
-    covariance = _kernel(t, t, lengths) + 0.1 * np.eye(14)
+    covariance = matern(t, t, lengths) + 0.1 * np.eye(14)
     weights = np.linalg.cholesky(covariance) @ rng.standard_normal((14, 4000))
     trend = basis @ [[2.0], [1.0], [0.0], [3.0], [1.0]]
     process = Process.of(t, basis, trend + weights, lengths, 0.1)
@@ -88,7 +89,8 @@ def test_weights_that_share_a_process_have_the_largest_sum_of_likelihoods() -> N
     )
     w += rough[:, None] * rng.normal(size=w.shape) * [0.05, 2.0]
     basis = np.hstack([np.ones((40, 1)), t])
-    (process,) = fitted(t, basis, w, rough, shared=True)
+    best_hyper = hyperparameters(t, basis, w, rough)[0]
+    process = Process.of(t, basis, w, best_hyper[:-1], float(best_hyper[-1]), rough)
     free = null_space(basis.T)
 
     def likelihood(lengths: np.ndarray, noise: float) -> float:
@@ -107,8 +109,9 @@ def test_weights_that_share_a_process_have_the_largest_sum_of_likelihoods() -> N
     for factor in (0.9, 1.1):
         assert likelihood(process.lengths, factor * process.noise) < best
     # Each weight has a variance of its own, in proportion to its square.
-    again = fitted(t, basis, w * [1.0, 10.0], rough, shared=True)[0]
-    np.testing.assert_allclose(again.lengths, process.lengths, rtol=1e-3)
+    again_hyper = hyperparameters(t, basis, w * [1.0, 10.0], rough)[0]
+    np.testing.assert_allclose(again_hyper[:-1], process.lengths, rtol=1e-3)
+    again = Process.of(t, basis, w * [1.0, 10.0], again_hyper[:-1], float(again_hyper[-1]), rough)
     np.testing.assert_allclose(again.sigma2, process.sigma2 * [1.0, 100.0], rtol=1e-2)
 
 

@@ -23,7 +23,6 @@ from functools import cached_property
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.errors import needing
 from terraphi.laws.store import Curves, Library
 
 LENGTHS = np.geomspace(0.15, 8.0, 16)
@@ -204,7 +203,7 @@ class Process:
     ) -> Process:  # fmt: skip
         """The process of known lengths [key] and λ, for weights [case, weight]."""
         nugget = noise * np.square(rough) * np.ones(len(t))
-        inverse = np.linalg.inv(_kernel(t, t, lengths) + np.diag(nugget)).astype(np.float64)
+        inverse = np.linalg.inv(matern(t, t, lengths) + np.diag(nugget)).astype(np.float64)
         spread = np.linalg.inv(basis.T @ inverse @ basis).astype(np.float64)
         beta = spread @ basis.T @ inverse @ weights
         residual = weights - basis @ beta
@@ -214,7 +213,7 @@ class Process:
 
     def mean(self, t: FloatArray, basis: FloatArray) -> FloatArray:
         """Weights at other parameters, shape [k, key] -> [k, weight]."""
-        return np.asarray(basis @ self.beta + _kernel(t, self.t, self.lengths) @ self.solved)
+        return np.asarray(basis @ self.beta + matern(t, self.t, self.lengths) @ self.solved)
 
     @property
     def nugget(self) -> FloatArray:
@@ -223,14 +222,14 @@ class Process:
 
     def variance(self, t: FloatArray, basis: FloatArray) -> FloatArray:
         """Variance of the weights, without the nugget, shape [k, key] -> [k, weight]."""
-        cross = _kernel(t, self.t, self.lengths)
+        cross = matern(t, self.t, self.lengths)
         unexplained_trend = basis - cross @ self.inverse @ self.basis
         explained = np.einsum("ki,ki->k", cross @ self.inverse, cross)
         of_mean = np.einsum("ki,ij,kj->k", unexplained_trend, self.spread, unexplained_trend)
         return np.maximum(1.0 - explained + of_mean, 0.0)[:, None] * self.sigma2
 
 
-def _kernel(first: FloatArray, second: FloatArray, lengths: FloatArray) -> FloatArray:
+def matern(first: FloatArray, second: FloatArray, lengths: FloatArray) -> FloatArray:
     """Matérn correlation of order 5/2, shape [..., k, n]: smooth, but not infinitely so."""
     a, b = first / lengths, second / lengths
     squared = np.square(a).sum(axis=-1)[..., None] + np.square(b).sum(axis=-1)[..., None, :]
@@ -240,40 +239,28 @@ def _kernel(first: FloatArray, second: FloatArray, lengths: FloatArray) -> Float
 
 
 def fitted(
-    t: FloatArray, basis: FloatArray, weights: FloatArray, rough: FloatArray, *,
-    shared: bool = False,
-) -> list[Process]:  # fmt: skip
-    """A process for each column of weights, or one that all share, by the restricted likelihood.
+    t: FloatArray, basis: FloatArray, weights: FloatArray, rough: FloatArray
+) -> list[Process]:
+    """A process of one parameter for each column of weights, by the restricted likelihood.
 
-    It is looked for on a grid, then refined. The nugget of a case goes with the square of its
-    roughness b; dividing everything by b makes it the same for all. For one parameter the grid over
-    (length, nugget) is enough; for several, the best isotropic length is where the length of each
-    is looked for.
+    It is looked for on a grid of length and nugget. The nugget of a case goes with the square of
+    its roughness b; dividing everything by b makes it the same for all.
     """
     f, w, scale = basis / rough[:, None], weights / rough[:, None], np.outer(rough, rough)
-    columns = np.split(np.arange(w.shape[1]), 1 if shared else w.shape[1])
-    best = np.full(len(columns), -np.inf)
-    chosen = np.zeros((len(columns), 1 + t.shape[1]))
+    best, chosen = np.full(w.shape[1], -np.inf), np.zeros((w.shape[1], 2))
     for length in LENGTHS:
-        roots, vectors = np.linalg.eigh(_kernel(t, t, np.full(t.shape[1], length)) / scale)
+        roots, vectors = np.linalg.eigh(matern(t, t, np.array([length])) / scale)
         for noise in NUGGETS / np.median(rough) ** 2:
-            each = _restricted(np.maximum(roots, 0.0) + noise, vectors, f, w)
-            value = np.array([each[column].sum() for column in columns])
+            value = restricted_log_likelihood(np.maximum(roots, 0.0) + noise, vectors, f, w)
             better = value > best
-            best = np.where(better, value, best)
-            chosen[better] = np.log([*[length] * t.shape[1], noise])
-    if t.shape[1] > 1:
-        chosen = np.array([
-            _refined(t, f, w[:, column], scale, start)
-            for column, start in zip(columns, chosen, strict=True)
-        ])  # fmt: skip
+            best[better], chosen[better] = value[better], (length, noise)
     return [
-        Process.of(t, basis, weights[:, column], lengths[:-1], float(lengths[-1]), rough)
-        for column, lengths in zip(columns, np.exp(chosen), strict=True)
+        Process.of(t, basis, weights[:, [k]], chosen[k, :1], float(chosen[k, 1]), rough)
+        for k in range(len(chosen))
     ]
 
 
-def _restricted(
+def restricted_log_likelihood(
     roots: FloatArray, vectors: FloatArray, basis: FloatArray, weights: FloatArray
 ) -> FloatArray:
     """Restricted log-likelihood of each column, with its variance profiled out, [column]."""
@@ -284,43 +271,3 @@ def _restricted(
     sigma2 = (np.square(w - f @ beta) / roots[:, None]).sum(axis=0) / free
     volume = np.log(roots).sum() + np.linalg.slogdet(normal)[1]
     return -0.5 * (free * np.log(sigma2 + 1e-300) + volume)
-
-
-def _refined(
-    t: FloatArray, basis: FloatArray, w: FloatArray, scale: FloatArray, start: FloatArray
-) -> FloatArray:
-    """Log lengths and log nugget of the largest restricted likelihood of all columns of w.
-
-    With P = A⁻¹ − A⁻¹F(F'A⁻¹F)⁻¹F'A⁻¹ and σ² = w'Pw / (n − q), the derivative of that of a column
-    by a parameter is [(Pw)' ∂A (Pw) / σ² − tr(P ∂A)] / 2.
-    """
-    with needing("a law made of this library", "SciPy", extra="simulate"):
-        from scipy.optimize import minimize
-
-    free = len(w) - basis.shape[1]
-    squared_distance = np.square(t[:, None] - t)
-
-    def loss(p: FloatArray) -> tuple[float, FloatArray]:
-        squared = squared_distance / np.exp(2.0 * p[:-1])
-        lag = np.sqrt(5.0 * squared.sum(axis=-1))
-        decay = np.exp(-lag) / scale
-        a = _kernel(t, t, np.exp(p[:-1])) / scale + np.exp(p[-1]) * np.eye(len(w))
-        inverse = np.linalg.inv(a)
-        trend = inverse @ basis
-        normal = basis.T @ trend
-        projected = inverse - trend @ np.linalg.solve(normal, trend.T)
-        projected_w = projected @ w
-        # Without noise A is nearly singular, and rounding decides its sign.
-        sigma2 = np.maximum((w * projected_w).sum(axis=0) / free, 1e-300)
-        volume = np.linalg.slogdet(a)[1] + np.linalg.slogdet(normal)[1]
-        value = (free * np.log(sigma2) + volume).sum()
-        # By the elements of A, and these by the logarithm of each length and of the nugget.
-        by_a = w.shape[1] * projected - (projected_w / sigma2) @ projected_w.T
-        by_length = np.einsum("ij,ijk->k", by_a * 5.0 / 3.0 * (1.0 + lag) * decay, squared)
-        return 0.5 * value, 0.5 * np.append(by_length, np.exp(p[-1]) * np.trace(by_a))
-
-    low = np.full_like(start, np.log(LENGTHS[0]))
-    high = np.full_like(start, np.log(20.0 * LENGTHS[-1]))
-    low[-1], high[-1] = start[-1] - 10.0, start[-1] + 10.0
-    bounds = list(zip(low, high, strict=True))
-    return np.asarray(minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds).x)

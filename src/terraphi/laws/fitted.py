@@ -39,7 +39,7 @@ class FittedLaw(Result):
     force
         In the law's unit at :attr:`PLACES` [-], shape [case, 2, place].
     hyper
-        Numbers of the process between the cases, shape [1, number]; ``None``: not known yet.
+        Numbers of the process between the cases, shape [1, number]; none of a table.
     error_scale
         Errors of cases that are left out over the process's own standard deviation, root mean
         square [-]: standard deviations are so much larger.
@@ -65,28 +65,23 @@ class FittedLaw(Result):
         Variable("x", "case axis"),
         Variable("depth", "case"),
         Variable("force", "case channel place", packed=True),
-        Variable("hyper", "process number", field="hyperparameters"),
+        Variable("hyper", "process number"),
     )
 
     x: FloatArray
     depth: FloatArray
     force: FloatArray
-    hyper: FloatArray | None = None
+    hyper: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
     error_scale: float = 1.0
     model_error: dict[str, dict[str, Any]] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def hyperparameters(self) -> FloatArray:
-        """Those of the process, as ``hyper``; none of a table."""
-        return np.empty((0, 0)) if self.hyper is None else self.hyper
 
     @cached_property
     def hash(self) -> str:
         """SHA-256 of all that changes an answer, hexadecimal: as precise as a file keeps it."""
         words = json.dumps([self.AXES, self.model_error], sort_keys=True)
         digest = hashlib.sha256(words.encode())
-        arrays = self.x, self.depth, self.PLACES, self.force, self.hyperparameters
+        arrays = self.x, self.depth, self.PLACES, self.force, self.hyper
         for array in (*arrays, self.error_scale):
             digest.update(np.asarray(array, np.float32).tobytes())
         return digest.hexdigest()
@@ -102,8 +97,8 @@ class FittedLaw(Result):
             raise ValueError(f"it is over {', '.join(axes)}, not {', '.join(cls.AXES)}")
         if not np.array_equal(places, cls.PLACES):
             raise ValueError("its places are those of another version")
-        del numbers["hyperparameters"]
-        return cls(**numbers, hyper=file.numbers("hyper", *cls.HYPER), **dict(file.attrs))
+        numbers["hyper"] = file.numbers("hyper", *cls.HYPER)
+        return cls(**numbers, **dict(file.attrs))
 
     def _lines(self) -> list[str]:
         cases = f"{len(self.depth)} cases over {', '.join(self.AXES)}"

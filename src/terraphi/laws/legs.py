@@ -51,7 +51,7 @@ from terraphi.experiment.rig import (
     swept,
 )
 from terraphi.experiment.scenario import GRAVITY, Scenario
-from terraphi.laws.emulator import Process, fitted
+from terraphi.laws.emulator import Process
 from terraphi.laws.fitted import KIND, FittedLaw
 from terraphi.laws.law import STEP, LegLaw, ModelError, check_friction, is_similar, leg_law, remedy
 from terraphi.laws.store import (
@@ -140,9 +140,8 @@ def cells_of(ratios: Ratios, depth: float) -> float:
 class Legs(AnyLaw, FittedLaw):
     """The law of all legs that there are cases of.
 
-    Forces are over ρ g w D², the depth D of a case over the length L. Without hyperparameters (one
-    correlation length for each axis, over its standard deviation, and a nugget) they are fitted at
-    first use.
+    Forces are over ρ g w D², the depth D of a case over the length L. Hyperparameters are one
+    correlation length for each axis, over its standard deviation, and a nugget.
 
     Attributes
     ----------
@@ -200,19 +199,17 @@ class Legs(AnyLaw, FittedLaw):
         u = np.linalg.svd(z[self._design] - mean, full_matrices=False)[2][:MODES]
         return mean, u, np.column_stack([np.log(size), (z - mean) @ u.T])
 
+    @property
+    def training(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Coordinates, polynomials, size and weights of the cases, and roughness, [case, …]."""
+        rough = self.x[:, AXES.index("cells")] ** ROUGHER
+        return *self._standard(self.x, self.depth), self._components[2], rough
+
     @cached_property
     def process(self) -> Process:
         """Process of the size and the weights."""
-        t, basis = self._standard(self.x, self.depth)
-        y, rough = self._components[2], self.x[:, AXES.index("cells")] ** ROUGHER
-        if self.hyper is None:
-            return fitted(t, basis, y, rough, shared=True)[0]
+        t, basis, y, rough = self.training
         return Process.of(t, basis, y, self.hyper[0, :-1], float(self.hyper[0, -1]), rough)
-
-    @property
-    def hyperparameters(self) -> FloatArray:
-        """Hyperparameters of the process, as ``hyper``."""
-        return np.array([[*self.process.lengths, self.process.noise]])
 
     def __call__(self, x: FloatArray, depth: FloatArray) -> FloatArray:
         """Forces over ρ g w D² [-], shape [k, axis], [k] -> [k, 2, place]."""
@@ -317,7 +314,7 @@ class Legs(AnyLaw, FittedLaw):
         return replace(
             self,
             x=np.vstack([self.x, x]), depth=np.append(self.depth, depth),
-            force=np.concatenate([self.force, force]), hyper=self.hyperparameters,
+            force=np.concatenate([self.force, force]),
             name=library.name, caveat=library.caveat, joined_rigs=rigs,
             provenance=self.provenance | {"joined": dict(library.provenance)},
         )  # fmt: skip

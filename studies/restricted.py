@@ -1,0 +1,81 @@
+"""Correlation lengths and nugget of a Gaussian process whose weights share them.
+
+Law `legs` is fitted so, by `legs.py --fit`: by the largest sum of the restricted likelihoods of all
+weights, each with a variance of its own.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import minimize
+
+from terraphi.laws.emulator import LENGTHS, NUGGETS, matern, restricted_log_likelihood
+
+FloatArray = np.ndarray
+
+
+def hyperparameters(
+    t: FloatArray, basis: FloatArray, weights: FloatArray, rough: FloatArray
+) -> FloatArray:
+    """Correlation length of each coordinate, and the nugget, shape [1, axis + 1].
+
+    From the best one of a grid of lengths that are equal in all directions.
+
+    Parameters
+    ----------
+    t, basis
+        Standardized coordinates of the cases, shape [case, axis], and polynomials of the mean
+        there, [case, q].
+    weights
+        Shape [case, weight].
+    rough
+        Roughness b of each case, shape [case]: its nugget goes with b².
+    """
+    # Divided by b, the nugget is the same for all cases.
+    f, w, scale = basis / rough[:, None], weights / rough[:, None], np.outer(rough, rough)
+    best, start = -np.inf, np.zeros(1 + t.shape[1])
+    for length in LENGTHS:
+        roots, vectors = np.linalg.eigh(matern(t, t, np.full(t.shape[1], length)) / scale)
+        for nugget in NUGGETS / np.median(rough) ** 2:
+            spectrum = np.maximum(roots, 0.0) + nugget
+            value = restricted_log_likelihood(spectrum, vectors, f, w).sum()
+            if value > best:
+                best, start = value, np.log([*[length] * t.shape[1], nugget])
+    return np.exp(refined(t, f, w, scale, start))[None]
+
+
+def refined(
+    t: FloatArray, basis: FloatArray, w: FloatArray, scale: FloatArray, start: FloatArray
+) -> FloatArray:
+    """Log lengths and log nugget of the largest restricted likelihood of all columns of w.
+
+    With P = A⁻¹ − A⁻¹F(F'A⁻¹F)⁻¹F'A⁻¹ and σ² = w'Pw / (n − q), the derivative of that of a column
+    by a parameter is [(Pw)' ∂A (Pw) / σ² − tr(P ∂A)] / 2.
+    """
+    free = len(w) - basis.shape[1]
+    squared_distance = np.square(t[:, None] - t)
+
+    def loss(p: FloatArray) -> tuple[float, FloatArray]:
+        squared = squared_distance / np.exp(2.0 * p[:-1])
+        lag = np.sqrt(5.0 * squared.sum(axis=-1))
+        decay = np.exp(-lag) / scale
+        a = matern(t, t, np.exp(p[:-1])) / scale + np.exp(p[-1]) * np.eye(len(w))
+        inverse = np.linalg.inv(a)
+        trend = inverse @ basis
+        normal = basis.T @ trend
+        projected = inverse - trend @ np.linalg.solve(normal, trend.T)
+        projected_w = projected @ w
+        # Without noise A is nearly singular, and rounding decides its sign.
+        sigma2 = np.maximum((w * projected_w).sum(axis=0) / free, 1e-300)
+        volume = np.linalg.slogdet(a)[1] + np.linalg.slogdet(normal)[1]
+        value = (free * np.log(sigma2) + volume).sum()
+        # By the elements of A, and these by the logarithm of each length and of the nugget.
+        by_a = w.shape[1] * projected - (projected_w / sigma2) @ projected_w.T
+        by_length = np.einsum("ij,ijk->k", by_a * 5.0 / 3.0 * (1.0 + lag) * decay, squared)
+        return 0.5 * value, 0.5 * np.append(by_length, np.exp(p[-1]) * np.trace(by_a))
+
+    low = np.full_like(start, np.log(LENGTHS[0]))
+    high = np.full_like(start, np.log(20.0 * LENGTHS[-1]))
+    low[-1], high[-1] = start[-1] - 10.0, start[-1] + 10.0
+    bounds = list(zip(low, high, strict=True))
+    return np.asarray(minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds).x)
