@@ -37,8 +37,9 @@ help:
 demo: $(RUN)
 	$(BIN)/terraphi demo --out demo-output
 
+# Neighboring tests share fixtures and compiled kernels: each process begins with a half in order.
 test: lint
-	$(BIN)/pytest -n $(WORKERS)
+	$(BIN)/pytest -n $(WORKERS) --dist worksteal
 
 # The numerical tests as on processors with AVX2 at most, and with neither: Numba and OpenBLAS are
 # held to those. Nothing else than x86 knows these names.

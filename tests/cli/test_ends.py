@@ -91,6 +91,34 @@ def test_all_processes_end_and_only_what_resumes_stays(
     assert not any((tmp_path / "tmp").iterdir())
 
 
+DROPPED = """
+import os, signal, time
+from terraphi.cli.main import cli, main
+
+class Resource:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGTERM)
+
+def work():
+    Resource()
+    time.sleep(600.0)
+
+cli.commands["doctor"].callback = lambda **_: work()
+main()
+"""
+"""A command that is told to end while Python finalizes an object, where exceptions are dropped."""
+
+
+def test_a_signal_in_a_finalizer_ends_the_command() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", DROPPED, "doctor"], text=True, capture_output=True, timeout=120.0,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}, check=False,
+    )  # fmt: skip
+    assert done.returncode == 143
+    assert SENTENCE in done.stderr
+    assert "Traceback" not in done.stderr
+
+
 def test_the_same_command_clears_what_it_left_when_it_was_killed(tmp_path: Path, terraphi) -> None:
     running = started(tmp_path, INVERT)
     running.kill()

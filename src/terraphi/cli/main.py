@@ -86,15 +86,23 @@ def main() -> None:
         warnings.simplefilter("ignore", RuntimeWarning)
     received: list[int] = []
 
+    def raise_later(dropped: sys.UnraisableHookArgs) -> None:
+        # Python drops what a signal raises in a finalizer or a callback, and prints its stack.
+        if issubclass(dropped.exc_type, KeyboardInterrupt):
+            signal.setitimer(signal.ITIMER_REAL, 0.01)
+
     def interrupt(number: int, _frame: object) -> None:
         received.append(number)
-        sys.unraisablehook = lambda _: None  # what was half made ends without a stack
+        sys.unraisablehook = raise_later
         raise KeyboardInterrupt
 
     def hang_up(_number: int, _frame: object) -> None:  # which the app's server does not know
         signal.raise_signal(signal.SIGTERM)
 
-    handlers = {signal.SIGHUP: hang_up, signal.SIGINT: interrupt, signal.SIGTERM: interrupt}
+    handlers = {
+        signal.SIGHUP: hang_up, signal.SIGINT: interrupt, signal.SIGTERM: interrupt,
+        signal.SIGALRM: interrupt,
+    }  # fmt: skip
     for number, handler in handlers.items():
         if signal.getsignal(number) != signal.SIG_IGN:  # as with nohup
             signal.signal(number, handler)
