@@ -70,7 +70,7 @@ def rft3d() -> Library:
     base = Scenario.load("quick").replace(**few)
     legs, angles = ("straight", "c", "reversed_c"), np.linspace(15.0, 50.0, 15).tolist()
     cases = [base.replace(**{PHI: phi, "leg.shape": leg}) for leg in legs for phi in angles]
-    return Library("simulated", tuple(Case(one, simulate(one)) for one in cases))
+    return Library("simulated", tuple(Case(case, simulate(case)) for case in cases))
 
 
 @pytest.fixture(scope="session")

@@ -46,15 +46,15 @@ main()
 def base_packages() -> set[str]:
     """Packages that the dependencies of the project bring, without its extras."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    found: set[str] = set()
+    result: set[str] = set()
     waiting = [*project["dependencies"]]
     while waiting:
-        one = Requirement(waiting.pop())
-        name = one.name.lower().replace("_", "-")
-        if name not in found and (one.marker is None or one.marker.evaluate({"extra": ""})):
-            found.add(name)
+        item = Requirement(waiting.pop())
+        name = item.name.lower().replace("_", "-")
+        if name not in result and (item.marker is None or item.marker.evaluate({"extra": ""})):
+            result.add(name)
             waiting += metadata.requires(name) or []
-    return found
+    return result
 
 
 @pytest.fixture(scope="module")
@@ -65,9 +65,9 @@ def absent() -> set[str]:
         module: {name.lower().replace("_", "-") for name in names}
         for module, names in metadata.packages_distributions().items()
     }
-    found = {module for module, names in owners.items() if not names & kept}
-    assert found >= HEAVY
-    return found
+    result = {module for module, names in owners.items() if not names & kept}
+    assert result >= HEAVY
+    return result
 
 
 def ran(folder: Path, absent: set[str], *command: str) -> subprocess.CompletedProcess[str]:
@@ -91,13 +91,13 @@ def test_the_base_inverts_as_the_whole(tmp_path: Path, absent: set[str]) -> None
         done = ran(tmp_path, absent, "invert", *forces, *words, "--json", "--out", "answer")
         assert done.returncode == 0, done.stderr
         assert "'terraphi[plot]'" in done.stderr
-        whole = terraphi.invert(str(tmp_path / forces[0]), **options)
+        answer = terraphi.invert(str(tmp_path / forces[0]), **options)
         phi = json.loads(done.stdout)["phi_deg"]
-        assert phi["median"] == pytest.approx(whole.phi.median, abs=1e-6)
-        assert phi["ci95"] == pytest.approx(whole.phi.ci95, abs=1e-6)
+        assert phi["median"] == pytest.approx(answer.phi.median, abs=1e-6)
+        assert phi["ci95"] == pytest.approx(answer.phi.ci95, abs=1e-6)
         saved = terraphi.Answer.load(tmp_path / "answer")
-        assert saved.phi.median == pytest.approx(whole.phi.median, abs=1e-6)
-        assert {one.name for one in (tmp_path / "answer").glob("answer.*")} == {
+        assert saved.phi.median == pytest.approx(answer.phi.median, abs=1e-6)
+        assert {item.name for item in (tmp_path / "answer").glob("answer.*")} == {
             "answer.json", "answer.nc",
         }  # fmt: skip
 
@@ -141,6 +141,6 @@ def test_spline_is_that_of_scipy(count: int) -> None:
     nodes = np.sort(rng.uniform(17.0, 52.0, count))
     values = rng.standard_normal((count, 3, 2))
     places = np.linspace(nodes[0], nodes[-1], 50)
-    found = foot._cubic_spline(nodes, values, places)
+    result = foot._cubic_spline(nodes, values, places)
     # Rounding grows with the condition of the basis, which close nodes make large.
-    np.testing.assert_allclose(found, CubicSpline(nodes, values)(places), atol=1e-9)
+    np.testing.assert_allclose(result, CubicSpline(nodes, values)(places), atol=1e-9)

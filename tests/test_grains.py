@@ -53,8 +53,8 @@ def test_volume_of_a_clump_by_points_at_random(clump: str) -> None:
     balls = engine.spheres(clump)
     points = np.random.default_rng(1).uniform(-0.9, 0.9, (400_000, 3))
     assert np.abs(balls[:, :3]).max() + balls[0, 3] < 0.9
-    apart = np.linalg.norm(points[:, None] - balls[:, :3], axis=2)
-    share = float((apart < balls[:, 3]).any(axis=1).mean())
+    difference = np.linalg.norm(points[:, None] - balls[:, :3], axis=2)
+    share = float((difference < balls[:, 3]).any(axis=1).mean())
     error = 1.8**3 * math.sqrt(share / 400_000)
     assert share * 1.8**3 == pytest.approx(math.pi / 6.0, abs=3.0 * error)
 
@@ -144,7 +144,7 @@ def test_law_learned_from_the_records_that_are_flagged_so() -> None:
     """Those of other shapes, sizes and contacts are there and left alone."""
     learned = {name for name, soil, *_ in table.records() if soil.endswith("-loose")}
     law = Legs.load(table.LAW)
-    assert learned == {name for one in law.model_error.values() for name in one["training"]}
+    assert learned == {name for item in law.model_error.values() for name in item["training"]}
     assert not learned & {name for name, *_ in table.records(learn=False)}
 
 

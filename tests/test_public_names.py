@@ -56,8 +56,8 @@ def results(log: Path) -> list[Any]:
 
 
 def test_no_repr_prints_an_array(results: list[Any]) -> None:
-    for one in results:
-        shown = repr(one)
+    for result in results:
+        shown = repr(result)
         assert "array" not in shown
         assert len(shown.splitlines()) <= 6
 

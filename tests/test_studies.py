@@ -34,8 +34,8 @@ def made(diameter: float, law: plates.Law, phi: float, *, shape: str = "disc") -
 def test_fit_of_a_plate_finds_angle_and_first_contact(phi: float, short: float) -> None:
     law = plates.law_of("rft")
     test = made(0.06, law, phi)
-    found, misfit = plates.fitted(test._replace(sinkage=test.sinkage - short), law)
-    assert found == pytest.approx(phi, abs=0.2)  # the first contact is held to its prior
+    result, misfit = plates.fitted(test._replace(sinkage=test.sinkage - short), law)
+    assert result == pytest.approx(phi, abs=0.2)  # the first contact is held to its prior
     assert misfit < 0.02
 
 
@@ -76,20 +76,20 @@ def test_mesh_of_a_foot_is_its_shape(shape: str, volume: float, tmp_path: Path) 
 
 def readings(rng: np.random.Generator, of_size: float) -> list[table.Reading]:
     """Forty soils on three legs, in grains of three sizes, which the C does not feel."""
-    every = []
+    values = []
     for i, phi in enumerate(rng.uniform(20.0, 36.0, 40)):
         of_soil = 2.0 * rng.standard_normal() + 0.6 * rng.standard_normal()
         for leg, offset in OFFSETS.items():
             for size in (4.0, 6.0, 9.0):
                 excess = offset + of_size * size * (leg != "c") + of_soil
                 read = phi + excess + 0.8 * rng.standard_normal()
-                every.append(
+                values.append(
                     table.Reading(
                         f"{i}/{leg}/{size}", f"{i}-loose", leg, SimpleNamespace(leg=leg), phi,
                         phi + 2.0, size, read, 0.5, 0.1,
                     )
                 )  # fmt: skip
-    return every
+    return values
 
 
 OFFSETS = {"straight": 1.0, "c": -4.0, "reversed_c": 2.0}
@@ -97,12 +97,12 @@ OFFSETS = {"straight": 1.0, "c": -4.0, "reversed_c": 2.0}
 
 def test_offset_and_spread_are_learnt_as_they_were_made() -> None:
     """What grows with the size of grains is found where it is, and soils and legs apart."""
-    known = readings(np.random.default_rng(2), 0.5)
-    found, lines = table.learn(known), table.lines(known)
+    reference = readings(np.random.default_rng(2), 0.5)
+    result, lines = table.learn(reference), table.lines(reference)
     assert lines["c"].of_size == pytest.approx(0.0, abs=0.15)
     assert lines["straight"].of_size == pytest.approx(0.5, abs=0.15)
     for leg, offset in OFFSETS.items():
-        error = ModelError.model_validate(found[leg])
+        error = ModelError.model_validate(result[leg])
         assert error.offset_deg == pytest.approx(offset, abs=1.5)
         assert error.soil_sd_deg == pytest.approx(2.0, rel=0.3)  # that of shear cells taken off
         assert error.leg_sd_deg == pytest.approx(0.8, rel=0.2)
@@ -110,11 +110,11 @@ def test_offset_and_spread_are_learnt_as_they_were_made() -> None:
 
 def test_error_of_an_offset_is_its_scatter_over_other_soils() -> None:
     rng = np.random.default_rng(4)
-    found = [
+    result = [
         ModelError.model_validate(table.learn(readings(rng, 0.5))["straight"]) for _ in range(60)
     ]
-    stated = np.sqrt(np.mean([one.covariance[0][0] for one in found]))
-    assert stated == pytest.approx(np.std([one.offset_deg for one in found]), rel=0.3)
+    stated = np.sqrt(np.mean([item.covariance[0][0] for item in result]))
+    assert stated == pytest.approx(np.std([item.offset_deg for item in result]), rel=0.3)
 
 
 def test_cells_under_two_loads_find_cohesion_and_angle(tmp_path: Path) -> None:
@@ -128,21 +128,21 @@ def test_cells_under_two_loads_find_cohesion_and_angle(tmp_path: Path) -> None:
         head = "# grains\n# density 1375 kg/m3, volume fraction 0.55\nstrain,rise,tau,sigma,top"
         path = tmp_path / f"S-damp_{kind}_1.csv"
         np.savetxt(path, rows, delimiter=",", header=head, comments="")
-    found = table.elements.cohesive(tmp_path, "S-damp")
-    assert found.phi_deg == pytest.approx(30.0, abs=0.01)
-    assert found.cohesion_pa == pytest.approx(cohesion, abs=0.1)
-    np.testing.assert_allclose(found.shrinks, 0.02, atol=2e-4)
-    np.testing.assert_allclose(found.mobilized, 0.5, atol=0.02)
+    result = table.elements.cohesive(tmp_path, "S-damp")
+    assert result.phi_deg == pytest.approx(30.0, abs=0.01)
+    assert result.cohesion_pa == pytest.approx(cohesion, abs=0.1)
+    np.testing.assert_allclose(result.shrinks, 0.02, atol=2e-4)
+    np.testing.assert_allclose(result.mobilized, 0.5, atol=0.02)
 
 
 def test_damages_differ_from_each_other_and_from_the_record() -> None:
     theta = np.linspace(-90.0, 90.0, 181)
-    whole = theta, np.cos(np.radians(theta + 10.0)), 2.0 * np.cos(np.radians(theta - 20.0))
-    every = [
+    full = theta, np.cos(np.radians(theta + 10.0)), 2.0 * np.cos(np.radians(theta - 20.0))
+    values = [
         (d.density, d.leg, d.size, *(x[np.argsort(d.theta)].round(6).tobytes() for x in d[1:4]))
-        for d in (corruptions.Damaged("", *whole), *corruptions.damages(*whole))
+        for d in (corruptions.Damaged("", *full), *corruptions.damages(*full))
     ]
-    assert len(every) == len({*every}) > 170
+    assert len(values) == len({*values}) > 170
 
 
 @pytest.mark.slow

@@ -40,8 +40,8 @@ def dist(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def wheel(dist: Path) -> Path:
-    (found,) = dist.glob("*.whl")
-    return found
+    (result,) = dist.glob("*.whl")
+    return result
 
 
 @pytest.fixture
@@ -68,7 +68,7 @@ def run(tmp_path: Path) -> Callable[..., str]:
 def contents(wheel: Path) -> dict[str, int]:
     """CRC of each file in a wheel."""
     with zipfile.ZipFile(wheel) as archive:
-        return {one.filename: one.CRC for one in archive.infolist()}
+        return {item.filename: item.CRC for item in archive.infolist()}
 
 
 def test_wheel_is_small_and_holds_every_file_of_the_package(wheel: Path) -> None:
@@ -93,7 +93,7 @@ def test_base_inverts_calibrates_and_exports(
 ) -> None:
     run("python", "-m", "pip", "install", "--quiet", wheel)
     listed = json.loads(run("python", "-m", "pip", "list", "--format=json"))
-    assert not {one["name"].lower() for one in listed} & {*EXTRAS}
+    assert not {entry["name"].lower() for entry in listed} & {*EXTRAS}
     place = run("python", "-c", "import terraphi; print(terraphi.__file__)").strip()
     assert Path(place).is_relative_to(tmp_path / "environment")
     forces, rig = tmp_path / "elsewhere" / "forces.csv", ("--rig", "li2013", "--leg", "c")

@@ -127,8 +127,8 @@ def test_invert_prints_angle_and_verdict_within_ten_lines(terraphi: Terraphi) ->
 
 def test_invert_out_writes_what_python_reads(terraphi: Terraphi, tmp_path: Path) -> None:
     assert terraphi("invert", MEASURED, *QUICK, "--out", "o").status == 0
-    found = {path.name for path in (tmp_path / "o").iterdir()}
-    assert {"answer.json", "answer.nc", "answer.png"} <= found
+    result = {path.name for path in (tmp_path / "o").iterdir()}
+    assert {"answer.json", "answer.nc", "answer.png"} <= result
     answer = json.loads((tmp_path / "o" / "answer.json").read_text())
     read = package.Answer.load(tmp_path / "o")
     assert read.phi.median == pytest.approx(answer["phi_deg"]["median"])
@@ -279,8 +279,18 @@ def test_the_raw_file_of_a_lab_is_one_command(terraphi: Terraphi, tmp_path: Path
 
 
 def test_a_calibration_narrows_the_interval(terraphi: Terraphi) -> None:
-    known = ("calibrate", MEASURED, "--phi", "36±1", "--soil", "seeds", "--out", "c.toml", "--json")
-    soil = json.loads(terraphi(*known).out)["soils"][0]
+    reference = (
+        "calibrate",
+        MEASURED,
+        "--phi",
+        "36±1",
+        "--soil",
+        "seeds",
+        "--out",
+        "c.toml",
+        "--json",
+    )
+    soil = json.loads(terraphi(*reference).out)["soils"][0]
     assert (soil["soil"], soil["phi_deg"], soil["phi_sd_deg"]) == ("seeds", 36.0, 1.0)
     before = json.loads(terraphi("invert", "li2013:yuma/c", "--json").out)["phi_deg"]
     calibrated = ("invert", "li2013:yuma/c", "--calibration", "c.toml", "--json")
@@ -321,7 +331,7 @@ def test_a_library_is_built_listed_shown_and_used(terraphi: Terraphi, tmp_path: 
     answer = json.loads(terraphi("invert", MEASURED, "--law", "l.nc", "--json").out)
     assert answer["law"] == "small"
     listed = json.loads(terraphi("library", "list", "--json").out)["libraries"]
-    assert [one["name"] for one in listed][:2] == ["legs", "rft3d"]
+    assert [entry["name"] for entry in listed][:2] == ["legs", "rft3d"]
 
 
 @pytest.mark.parametrize(
@@ -345,11 +355,11 @@ def test_a_missing_compiler_is_named_before_the_forecast(
 
 def test_the_demo_recovers_the_angle(terraphi: Terraphi, tmp_path: Path) -> None:
     ran = terraphi("demo", "--out", "d", "--json")
-    known, *sands = json.loads(ran.out)["answers"]
-    low, high = known["phi_deg"]["ci95"]
+    reference, *sands = json.loads(ran.out)["answers"]
+    low, high = reference["phi_deg"]["ci95"]
     assert low <= 33.0 <= high
-    assert known["verdict"] == "consistent"
-    assert [one["law"] for one in sands] == ["legs", "legs"]
+    assert reference["verdict"] == "consistent"
+    assert [sand["law"] for sand in sands] == ["legs", "legs"]
     assert (tmp_path / "d" / "demo.png").stat().st_size > 20_000
     ran = terraphi("report", "d", "--out", "r.html", "--json")
     assert len(json.loads(ran.out)["results"]) == 3

@@ -86,15 +86,17 @@ def make_files(folder: Path) -> None:
     scenario = terraphi.Scenario.load(folder / "scenario.toml")
     terraphi.simulate(scenario).to_netcdf(folder / "simulation.nc")
     angles = [{"leg.shape": "c", "soil.friction_angle_deg": phi} for phi in (20.0, 30.0, 40.0)]
-    cases = [Case(one, terraphi.simulate(one)) for one in (scenario.replace(**x) for x in angles)]
+    cases = [
+        Case(item, terraphi.simulate(item)) for item in (scenario.replace(**x) for x in angles)
+    ]
     terraphi.Library("small", tuple(cases)).save(folder / "library.nc")
     shutil.copy(quick.parents[1] / "laws" / "legs.nc", folder / "law.nc")
-    place, one = np.linspace(0.0, 10.0, 8), np.ones(8)
+    place, item = np.linspace(0.0, 10.0, 8), np.ones(8)
     walk = FootfallMap(
         time=place, foot=("FR", "FL", "RR", "RL") * 2, place=np.column_stack([place, place, place]),
-        sinkage=0.02 * one, phi=30.0 + one, sd=one, shared_sd=3.0 * one, misfit=one,
-        verdict=("usable",) * 8, path=np.column_stack([place, place, place]), path_phi=30.0 + one,
-        path_relative_sd=one, path_absolute_sd=3.0 * one, shared={"density": 1.0},
+        sinkage=0.02 * item, phi=30.0 + item, sd=item, shared_sd=3.0 * item, misfit=item,
+        verdict=("usable",) * 8, path=np.column_stack([place, place, place]), path_phi=30.0 + item,
+        path_relative_sd=item, path_absolute_sd=3.0 * item, shared={"density": 1.0},
         by_law={"rft": 31.0}, warnings=("a note",), provenance={"law": "foot"},
     )  # fmt: skip
     walk.to_netcdf(folder / "footfalls.nc")
@@ -148,10 +150,10 @@ def spoil_json(text: str, rng: random.Random) -> str:
 
     def walk(value: Any) -> None:
         items = value.items() if isinstance(value, dict) else enumerate(value)
-        for key, one in items:
+        for key, item in items:
             places.append((value, key))
-            if isinstance(one, dict | list):
-                walk(one)
+            if isinstance(item, dict | list):
+                walk(item)
 
     if not isinstance(content, dict | list) or rng.random() < 0.1:
         return json.dumps(odd_value(rng))
@@ -226,8 +228,8 @@ def make_foreign(file: h5py.File, name: str, way: str) -> None:
     del file[name]
     if way == "external":
         data.tofile(place / "private")
-        whole = [("private", 0, data.nbytes)]
-        file.create_dataset(name, data.shape, data.dtype, external=whole)
+        full = [("private", 0, data.nbytes)]
+        file.create_dataset(name, data.shape, data.dtype, external=full)
     elif way in ("virtual", "linked"):
         with h5py.File(place / "private", "w") as private:
             private["x"] = data
@@ -365,7 +367,7 @@ def ending(line: str, *, sound: bool = False) -> Ending:
         resource.setrlimit(resource.RLIMIT_AS, limits)
         signal.signal(signal.SIGPROF, before)
         sys.argv = given
-    lines = [one for one in err.getvalue().splitlines() if one]
+    lines = [item for item in err.getvalue().splitlines() if item]
     if "Traceback" in err.getvalue():
         return Ending("stack", err.getvalue())
     if status == 2 and len(lines) == 1 and lines[0].startswith("terraphi: "):

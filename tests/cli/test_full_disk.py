@@ -113,8 +113,8 @@ def cache(work: Callable[..., Any]) -> Callable[..., Any]:
 
 def tree(folder: Path) -> dict[str, bytes | None]:
     """Content of each file; none of folders."""
-    found = sorted(folder.rglob("*"))
-    return {str(p.relative_to(folder)): p.read_bytes() if p.is_file() else None for p in found}
+    result = sorted(folder.rglob("*"))
+    return {str(p.relative_to(folder)): p.read_bytes() if p.is_file() else None for p in result}
 
 
 def restore(folder: Path, content: dict[str, bytes | None]) -> None:
@@ -145,8 +145,8 @@ def test_a_command_whose_nth_write_fails_leaves_what_was_there(
     (tmp_path / "p.toml").write_text(PLAN)
     nothing = tree(tmp_path)
     assert terraphi(*command).status == 0
-    whole = tree(tmp_path)
-    earlier = {file: text and text + b"\n" * (".nc" not in file) for file, text in whole.items()}
+    full = tree(tmp_path)
+    earlier = {file: text and text + b"\n" * (".nc" not in file) for file, text in full.items()}
     before = earlier if again else nothing
     statuses = []
     while True:
@@ -163,7 +163,7 @@ def test_a_command_whose_nth_write_fails_leaves_what_was_there(
         cases = [file for file in after if file.startswith(CASES)]
         after = {file: text for file, text in after.items() if file not in {*rest, *cases}}
         if ran.status == 0:
-            assert [*after] == [*whole]
+            assert [*after] == [*full]
             continue
         assert ran.status == 2
         assert [line[:9] for line in ran.err.splitlines()] == ["terraphi:"]
@@ -171,7 +171,7 @@ def test_a_command_whose_nth_write_fails_leaves_what_was_there(
         for case in (tmp_path / CASES).glob("[!.]*"):
             ForceHistory.from_netcdf(case)
         if lasts:  # nothing can be restored, and each file is whole, or the last is missing
-            assert all(text in (before.get(file), whole[file]) for file, text in after.items())
+            assert all(text in (before.get(file), full[file]) for file, text in after.items())
             assert {*before} - {*after} <= LAST
         elif rest:  # in a folder that may be new
             assert files(after) == files(before)
@@ -179,6 +179,6 @@ def test_a_command_whose_nth_write_fails_leaves_what_was_there(
             assert after == before
         if (tmp_path / CASES).exists():
             assert terraphi(*command).status == 0
-            assert {*whole} <= {*tree(tmp_path)}
+            assert {*full} <= {*tree(tmp_path)}
     assert statuses.count(2) > 3
     assert ran.status == 0

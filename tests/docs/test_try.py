@@ -149,7 +149,9 @@ def test_page_asks_for_everything_from_elsewhere_with_its_hash(refused: str) -> 
     text = (DOCS / "try.md").read_text(encoding="utf-8")
     (pyodide,) = re.findall(r'data-pyodide="([^"]*)"', text)
     hashes = json.loads(re.findall(r"data-integrity='([^']*)'", text)[0])
-    assert all(len(base64.b64decode(one.removeprefix("sha384-"))) == 48 for one in hashes.values())
+    assert all(
+        len(base64.b64decode(item.removeprefix("sha384-"))) == 48 for item in hashes.values()
+    )
     given = {**hashes, refused: "refused"} if refused else hashes
     about = {
         "page": (DOCS / "_static" / "try.js").read_text(encoding="utf-8"),
@@ -162,15 +164,22 @@ def test_page_asks_for_everything_from_elsewhere_with_its_hash(refused: str) -> 
         check=True,
         timeout=60,
     )
-    found = json.loads(done.stdout)
-    asked = {url: known for url, known in found["seen"] if not url.startswith("https://docs.ex")}
+    content = json.loads(done.stdout)
+    asked = {
+        url: reference
+        for url, reference in content["seen"]
+        if not url.startswith("https://docs.ex")
+    }
     if refused:
-        assert f"{refused} cannot be loaded" in found["shown"]
-        assert asked.items() <= {pyodide + name: known for name, known in given.items()}.items()
+        assert f"{refused} cannot be loaded" in content["shown"]
+        assert (
+            asked.items()
+            <= {pyodide + name: reference for name, reference in given.items()}.items()
+        )
     else:
         # What has no hash is not even asked for.
-        assert "unknown.js cannot be loaded" in found["shown"]
-        expected = {pyodide + name: known for name, known in hashes.items()}
+        assert "unknown.js cannot be loaded" in content["shown"]
+        expected = {pyodide + name: reference for name, reference in hashes.items()}
         assert asked == {**expected, f"{pyodide}numpy.whl": "sha256-of-numpy"}
 
 
@@ -219,10 +228,10 @@ def test_page_answers_as_the_command_line_and_sends_nothing(site: str, record: P
         page.wait_for_function(
             "document.getElementById('try-answer').dataset.answer", timeout=300_000
         )
-        found = page.evaluate("document.getElementById('try-answer').dataset.answer")
+        result = page.evaluate("document.getElementById('try-answer').dataset.answer")
         shown = page.text_content("#try-answer")
         browser.close()
-    check(json.loads(found), record, density="1650±50")
+    check(json.loads(result), record, density="1650±50")
     printed = "\n".join(in_words(terraphi.invert(record, rig=RIG, density="1650±50")))
     assert shown.partition(" ")[2] == printed.partition(" ")[2]  # but for the folder
     assert {(method, data) for method, _, data in requests} == {("GET", None)}

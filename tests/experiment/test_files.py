@@ -168,20 +168,20 @@ class Anything(BaseModel, extra="allow"):
 
 
 def opened(file: Path, *, kind: str = "thing", schema: int = 3) -> NetcdfFile[Anything]:
-    with open_netcdf(file, Anything, kind=kind, schema=schema) as found:
-        return found
+    with open_netcdf(file, Anything, kind=kind, schema=schema) as result:
+        return result
 
 
 def same_as_xarray(file: Path) -> None:
     """Compare names and their order, values to the last bit, and attributes."""
-    with xr.open_dataset(file, engine="h5netcdf") as known:
-        kind, schema = known.attrs["terraphi_file"], known.attrs["terraphi_schema"]
-        found = opened(file, kind=kind, schema=schema)
-        attributes = found.attrs.model_dump()
+    with xr.open_dataset(file, engine="h5netcdf") as reference:
+        kind, schema = reference.attrs["terraphi_file"], reference.attrs["terraphi_schema"]
+        result = opened(file, kind=kind, schema=schema)
+        attributes = result.attrs.model_dump()
         attributes.pop("coordinates", None)  # which xarray makes of variables
-        assert attributes == known.attrs
-        for name in map(str, known.variables):
-            ours, theirs = found.variables[name], known[name].values
+        assert attributes == reference.attrs
+        for name in map(str, reference.variables):
+            ours, theirs = result.variables[name], reference[name].values
             assert ours.shape == theirs.shape
             assert np.array_equal(ours, theirs, equal_nan=theirs.dtype.kind == "f")
 
@@ -306,11 +306,11 @@ def test_no_other_file_is_opened_be_it_a_pipe_that_never_ends(tmp_path: Path) ->
             make(file)
     other.unlink()
     os.mkfifo(other)
-    found = subprocess.run(
+    result = subprocess.run(
         [sys.executable, "-c", KINDS, *ways], cwd=tmp_path, capture_output=True, text=True,
         env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}, check=True, timeout=60.0,
     )  # fmt: skip
-    assert [line.partition(": '/b' ")[0] for line in found.stdout.splitlines()] == [*ways]
+    assert [line.partition(": '/b' ")[0] for line in result.stdout.splitlines()] == [*ways]
 
 
 @pytest.mark.parametrize(
@@ -330,9 +330,9 @@ def test_a_variable_that_is_not_as_expected_is_refused(tmp_path: Path, content: 
                 raw["b"].dims[0].attach_scale(raw["i"])
 
     def read() -> None:
-        with open_netcdf(file, Anything, kind="thing", schema=3) as found:
-            assert found.numbers("a", "i").shape == (3,)
-            found.numbers("b", "i")
+        with open_netcdf(file, Anything, kind="thing", schema=3) as result:
+            assert result.numbers("a", "i").shape == (3,)
+            result.numbers("b", "i")
 
     with pytest.raises(InputError, match=r"x\.nc: not (a whole NetCDF|as this .*'b')"):
         read()
@@ -369,9 +369,9 @@ def test_a_pipe_is_read_until_its_writer_ends_and_nothing_else_that_is_no_file(
     monkeypatch.setattr(files, "SILENCE", 2.0)
     writer = threading.Thread(target=write)
     writer.start()
-    found = read_bytes(pipe)
+    result = read_bytes(pipe)
     writer.join()
-    assert found == content + b"end"
+    assert result == content + b"end"
     for device in ("/dev/zero", "/dev/urandom"):
         assert stat.S_ISCHR(Path(device).stat().st_mode)
         with pytest.raises(InputError, match="is a device"):

@@ -71,9 +71,9 @@ def test_columns_come_in_any_order_with_quotes_spaces_and_a_byte_order_mark(
         f'# "my\n #leg, {{}}\n\n,,\n{HEADER}# half way\n-10,2,3\n10,4,5\n'.encode(),
     ):
         file.write_bytes(content)
-        found = read_forces(file)
-        assert found.theta_deg == pytest.approx([-10.0, 10.0])
-        assert found.force.tolist() == [[2.0, 3.0], [4.0, 5.0]]
+        history = read_forces(file)
+        assert history.theta_deg == pytest.approx([-10.0, 10.0])
+        assert history.force.tolist() == [[2.0, 3.0], [4.0, 5.0]]
 
 
 # -- where forces come from ----------------------------------------------------------------------
@@ -91,10 +91,10 @@ def made() -> ForceHistory:
 def test_a_simulation_keeps_its_origin_through_a_csv(made: ForceHistory, tmp_path: Path) -> None:
     file = tmp_path / "s.csv"
     made.to_csv(file)
-    [found] = open_forces(file)
-    assert found.history.provenance == {**made.provenance, "file": "s.csv"}
-    assert (found.rig.leg, found.density_kg_m3, found.medium) == ("c", 1500.0, "simulated (rft)")
-    found.history.to_csv(tmp_path / "t.csv")
+    [result] = open_forces(file)
+    assert result.history.provenance == {**made.provenance, "file": "s.csv"}
+    assert (result.rig.leg, result.density_kg_m3, result.medium) == ("c", 1500.0, "simulated (rft)")
+    result.history.to_csv(tmp_path / "t.csv")
     assert (tmp_path / "t.csv").read_bytes() == file.read_bytes()
     table = pd.read_csv(file, comment="#")
     assert table["Fz_N"].to_numpy() == pytest.approx(made.Fz, rel=5e-6)
@@ -103,8 +103,8 @@ def test_a_simulation_keeps_its_origin_through_a_csv(made: ForceHistory, tmp_pat
 def test_a_shipped_record_keeps_its_leg_and_density_through_a_csv(tmp_path: Path) -> None:
     shipped = measurement("li2013:poppy_loose/c")
     shipped.history.to_csv(tmp_path / "p.csv")
-    [found] = open_forces(tmp_path / "p.csv")
-    assert (found.rig.leg, found.density_kg_m3, found.source) == ("c", 638.0, shipped.source)
+    [result] = open_forces(tmp_path / "p.csv")
+    assert (result.rig.leg, result.density_kg_m3, result.source) == ("c", 638.0, shipped.source)
 
 
 @pytest.mark.parametrize(
@@ -117,9 +117,9 @@ def test_what_was_changed_by_hand_counts_as_measured(
     made.to_csv(file)
     file.write_text(file.read_text().replace(old, new, 1))
     with caplog.at_level(logging.WARNING):
-        [found] = open_forces(file)
-    assert found.history.provenance == {"file": "s.csv"}
-    assert (found.rig, found.density_kg_m3) == (None, None)
+        [result] = open_forces(file)
+    assert result.history.provenance == {"file": "s.csv"}
+    assert (result.rig, result.density_kg_m3) == (None, None)
     assert "s.csv: the comment on the origin of these forces does not fit" in caplog.text
 
 

@@ -36,11 +36,11 @@ def bumps(theta_deg: np.ndarray) -> np.ndarray:
 
 
 def test_a_line_is_its_value_at_the_angles_of_the_paper() -> None:
-    seen = history_of(lambda t: 2.0 * t + 1.0, lambda t: 0 * t - 1.2).observation()
-    assert seen.theta_deg == pytest.approx(-85.0 + 170.0 / 39.0 * np.arange(40))
-    assert seen.Fx == pytest.approx(2.0 * seen.theta_deg + 1.0, abs=1e-10)
-    assert seen.Fz == pytest.approx(-1.2, rel=1e-12)
-    assert (seen.vector == np.concatenate([seen.Fx, seen.Fz])).all()
+    observation = history_of(lambda t: 2.0 * t + 1.0, lambda t: 0 * t - 1.2).observation()
+    assert observation.theta_deg == pytest.approx(-85.0 + 170.0 / 39.0 * np.arange(40))
+    assert observation.Fx == pytest.approx(2.0 * observation.theta_deg + 1.0, abs=1e-10)
+    assert observation.Fz == pytest.approx(-1.2, rel=1e-12)
+    assert (observation.vector == np.concatenate([observation.Fx, observation.Fz])).all()
 
 
 @settings(max_examples=30, deadline=None)
@@ -56,7 +56,10 @@ def test_means_of_irregular_samples_are_exact(steps: list[float], seed: int) -> 
     history = ForceHistory(x, values[:, :2], coordinate="time", moment=values[:, 2])
     centre, half = rng.uniform(0.2 * x[-1], 0.8 * x[-1]), rng.uniform(0.05, 0.2) * x[-1]
     windows = np.array([centre])
-    found = [*history.means(windows, half)[0], *history.means(windows, half, values=history.moment)]
+    result = [
+        *history.means(windows, half)[0],
+        *history.means(windows, half, values=history.moment),
+    ]
     kinks = x[(x > centre - half) & (x < centre + half)]
     for i in range(3):
         total, _ = quad(
@@ -66,17 +69,17 @@ def test_means_of_irregular_samples_are_exact(steps: list[float], seed: int) -> 
             points=kinks,
             limit=200,
         )
-        assert found[i] == pytest.approx(total / (2.0 * half), abs=1e-9)
+        assert result[i] == pytest.approx(total / (2.0 * half), abs=1e-9)
 
 
 def test_windows_are_cut_at_both_ends_of_the_record() -> None:
     """Over -85°..: the first window keeps its inner half, whose mean lies a quarter further in."""
     theta = np.linspace(-85.0, 85.0, 1701)
     history = history_of(lambda t: t, lambda t: 0 * t + 1.0, theta)
-    seen = history.observation()
+    observation = history.observation()
     quarter = 85.0 / 39.0 / 2.0
-    assert seen.Fx[[0, -1]] == pytest.approx([-85.0 + quarter, 85.0 - quarter])
-    assert seen.Fx[1:-1] == pytest.approx(seen.theta_deg[1:-1], abs=1e-10)
+    assert observation.Fx[[0, -1]] == pytest.approx([-85.0 + quarter, 85.0 - quarter])
+    assert observation.Fx[1:-1] == pytest.approx(observation.theta_deg[1:-1], abs=1e-10)
     with pytest.raises(ValueError, match="outside the recorded range"):
         history.means(np.array([10.0]), 0.1)
 
@@ -97,10 +100,10 @@ def test_peaks_on_one_degree_means() -> None:
 @given(st.floats(0.1, 3.0), st.integers(-60, 60))
 def test_a_peak_is_the_first_of_a_plateau(height: float, first: int) -> None:
     """Whatever round-off does to the means over equal readings."""
-    found = history_of(
+    result = history_of(
         lambda theta: height * ((theta > first - 0.9) & (theta < first + 12.0)), bumps
     ).peaks()
-    assert (found.Fx, found.theta_Fx_deg) == (pytest.approx(height), first + 0.0)
+    assert (result.Fx, result.theta_Fx_deg) == (pytest.approx(height), first + 0.0)
 
 
 def test_the_largest_force_of_a_path_keeps_its_sign() -> None:
@@ -183,13 +186,13 @@ def test_netcdf_there_and_back_bit_by_bit(
 ) -> None:
     history = random_history(coordinate, axes, moment)
     history.to_netcdf(tmp_path / "x.nc")
-    found = ForceHistory.from_netcdf(tmp_path / "x.nc")
-    assert found.position.tobytes() == history.position.tobytes()
-    assert found.force.tobytes() == history.force.tobytes()
-    assert (found.coordinate, found.axes) == (coordinate, axes)
-    assert found.provenance == history.provenance
-    assert (found.moment is not None) == moment
-    assert not moment or found.moment.tobytes() == history.moment.tobytes()  # type: ignore[union-attr]
+    result = ForceHistory.from_netcdf(tmp_path / "x.nc")
+    assert result.position.tobytes() == history.position.tobytes()
+    assert result.force.tobytes() == history.force.tobytes()
+    assert (result.coordinate, result.axes) == (coordinate, axes)
+    assert result.provenance == history.provenance
+    assert (result.moment is not None) == moment
+    assert not moment or result.moment.tobytes() == history.moment.tobytes()  # type: ignore[union-attr]
 
 
 def test_a_netcdf_describes_itself_and_needs_degrees_alone(tmp_path: Path) -> None:
@@ -202,8 +205,8 @@ def test_a_netcdf_describes_itself_and_needs_degrees_alone(tmp_path: Path) -> No
         assert plain["M"].attrs["units"] == "N m"
         assert plain["Fx"].dims == ("theta_deg",)
         plain.load().drop_vars("theta").to_netcdf(tmp_path / "y.nc", engine="h5netcdf")
-    found = ForceHistory.from_netcdf(tmp_path / "y.nc")
-    assert found.position == pytest.approx(history.position, rel=1e-15)
+    result = ForceHistory.from_netcdf(tmp_path / "y.nc")
+    assert result.position == pytest.approx(history.position, rel=1e-15)
 
 
 @pytest.mark.parametrize("gone", [["Fx"], ["theta", "theta_deg"], ["provenance"]])
@@ -232,12 +235,12 @@ def test_csv_there_and_back(tmp_path: Path) -> None:
     theta = np.concatenate([BINS_DEG[:900], BINS_DEG[900] + np.arange(10) * 1e-5])
     history = history_of(bumps, lambda t: 1e-3 * bumps(-t), theta)
     history.to_csv(tmp_path / "x.csv")
-    found = read_forces(tmp_path / "x.csv")
-    assert found.position == pytest.approx(history.position, abs=1e-11)
-    assert found.force == pytest.approx(history.force, rel=5e-6)
-    assert found.provenance == {"file": "x.csv"}
+    result = read_forces(tmp_path / "x.csv")
+    assert result.position == pytest.approx(history.position, abs=1e-11)
+    assert result.force == pytest.approx(history.force, rel=5e-6)
+    assert result.provenance == {"file": "x.csv"}
     # What was read is written the same.
-    found.to_csv(tmp_path / "y.csv")
+    result.to_csv(tmp_path / "y.csv")
     assert (tmp_path / "y.csv").read_bytes() == (tmp_path / "x.csv").read_bytes()
     with pytest.raises(InputError, match=r"z\.nc: cannot be written"):
         history.to_netcdf(tmp_path / "absent" / "z.nc")
@@ -258,8 +261,8 @@ def test_observation_and_moment_are_linear_in_the_force(factor: float, sign: flo
 
 def test_a_part_of_a_history_keeps_its_ends() -> None:
     theta = np.arange(-90.0, 91.0)
-    whole = ForceHistory(np.radians(theta), np.stack([theta, -theta], axis=1), moment=theta)
-    kept = whole.between(*np.radians([-85.0, 85.0]))
+    full_history = ForceHistory(np.radians(theta), np.stack([theta, -theta], axis=1), moment=theta)
+    kept = full_history.between(*np.radians([-85.0, 85.0]))
     assert kept.theta_deg == pytest.approx(np.arange(-85.0, 86.0))
     assert kept.Fx == pytest.approx(kept.theta_deg)
     assert kept.moment == pytest.approx(kept.theta_deg)

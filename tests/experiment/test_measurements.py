@@ -45,15 +45,15 @@ def test_peaks_are_those_of_the_figures(name: str) -> None:
 def test_every_measurement_is_whole() -> None:
     assert len(names()) == 12
     for name in names():
-        found = measurement(name)
-        assert (found.name, found.history.provenance["measurement"]) == (name, name)
-        assert name.endswith(f"/{found.rig.leg}")
-        assert found.medium
-        assert "10.1126/science.1229163" in found.source
-        for history in (found.history, reference_rft(name)):
+        record = measurement(name)
+        assert (record.name, record.history.provenance["measurement"]) == (name, name)
+        assert name.endswith(f"/{record.rig.leg}")
+        assert record.medium
+        assert "10.1126/science.1229163" in record.source
+        for history in (record.history, reference_rft(name)):
             assert history.theta_deg == pytest.approx(np.arange(-132.0, 133.0))
             assert np.isfinite(history.observation().vector).all()
-        assert not np.array_equal(found.history.force, reference_rft(name).force)
+        assert not np.array_equal(record.history.force, reference_rft(name).force)
 
 
 @pytest.mark.parametrize("medium", ["yuma", "poppy_loose", "glass03_close", "glass03_loose"])
@@ -66,11 +66,11 @@ def test_no_force_where_the_straight_leg_is_out(medium: str) -> None:
 
 
 def test_what_is_known_of_the_media() -> None:
-    known = {"yuma": (1650, True, None), "poppy_loose": (638, False, 36)}
-    known |= {"glass03_loose": (1450, False, 25), "glass03_close": (1550, False, 35)}
-    for medium, facts in known.items():
-        one = measurement(f"li2013:{medium}/c")
-        assert (one.density_kg_m3, one.density_assumed, one.angle_of_repose_deg) == facts
+    reference = {"yuma": (1650, True, None), "poppy_loose": (638, False, 36)}
+    reference |= {"glass03_loose": (1450, False, 25), "glass03_close": (1550, False, 35)}
+    for medium, facts in reference.items():
+        record = measurement(f"li2013:{medium}/c")
+        assert (record.density_kg_m3, record.density_assumed, record.angle_of_repose_deg) == facts
 
 
 def test_names_that_are_wrong_are_answered_by_the_nearest() -> None:
@@ -88,9 +88,9 @@ def test_forces_open_with_what_is_known_of_them(tmp_path: Path) -> None:
     [shipped] = open_forces("li2013:yuma/c")
     assert (shipped.rig.leg, shipped.density_assumed) == ("c", True)
     (tmp_path / "own.csv").write_text("theta_deg,Fx_N,Fz_N\n-90,0,0\n0,1,2\n90,0,0\n")
-    [own] = open_forces(tmp_path / "own.csv")
-    assert own.history.Fz.tolist() == [0.0, 2.0, 0.0]
-    assert (own.rig, own.density_kg_m3) == (None, None)
+    [reference] = open_forces(tmp_path / "own.csv")
+    assert reference.history.Fz.tolist() == [0.0, 2.0, 0.0]
+    assert (reference.rig, reference.density_kg_m3) == (None, None)
     scenario = {"model": "rft", "dimensions": 3, "leg": {"shape": "c"}, "soil": {"density": 1400.0}}
     simulate(Scenario.model_validate(scenario)).to_netcdf(tmp_path / "c.nc")
     [made] = open_forces(tmp_path / "c.nc")

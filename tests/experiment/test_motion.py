@@ -105,8 +105,8 @@ def test_a_translation() -> None:
     assert not poses.rate.any()
     assert (poses.velocity == [0.03, -0.04]).all()
     assert motion.coordinates(time) == pytest.approx([0.0, 0.01, 0.02])
-    for one, other in zip(motion.poses_at(0.05 * time), poses, strict=True):
-        assert one == pytest.approx(other)
+    for first, other in zip(motion.poses_at(0.05 * time), poses, strict=True):
+        assert first == pytest.approx(other)
 
 
 def test_bins_divide_the_path_evenly() -> None:
@@ -149,5 +149,5 @@ def test_motions_that_cannot_be(content: dict[str, object], named: str) -> None:
 def test_poses_at_angles_are_the_poses_at_their_times(motion: Rotation) -> None:
     by_time = motion.poses(np.linspace(0.0, motion.duration, 9))
     by_angle = motion.poses_at(by_time.theta)
-    for one, other in zip(by_angle, by_time, strict=True):
-        assert one == pytest.approx(other, rel=1e-9, abs=1e-12)
+    for first, other in zip(by_angle, by_time, strict=True):
+        assert first == pytest.approx(other, rel=1e-9, abs=1e-12)

@@ -232,11 +232,11 @@ def groups_of_thousands_and_minus_signs() -> Export:
 def test_every_export_gives_the_same_forces(name: str, tmp_path: Path) -> None:
     content, options = EXPORTS[name]()
     (tmp_path / "x.csv").write_bytes(content)
-    found = read_forces(tmp_path / "x.csv", **options)
-    assert found.theta_deg == pytest.approx(THETA, abs=1e-6)
-    assert found.Fx == pytest.approx(FX, abs=1e-6)
-    assert found.Fz == pytest.approx(FZ, abs=1e-6)
-    notes = " ".join(found.provenance.get("reading", []))
+    history = read_forces(tmp_path / "x.csv", **options)
+    assert history.theta_deg == pytest.approx(THETA, abs=1e-6)
+    assert history.Fx == pytest.approx(FX, abs=1e-6)
+    assert history.Fz == pytest.approx(FZ, abs=1e-6)
+    notes = " ".join(history.provenance.get("reading", []))
     lost = {"german_excel_with_missing_values": "2 of 267", "stroke_forth_and_back": "way back"}
     assert lost.get(name, "") in notes
 
@@ -275,9 +275,9 @@ def test_any_mixture_of_habits_gives_the_same_forces(
     file = tmp_path_factory.getbasetemp() / "habits.csv"
     encodings = ("utf-8", "utf-8-sig", "utf-16") + (() if "θ" in content else ("cp1252",))
     file.write_bytes(content.encode(choose(*encodings)))
-    found = read_forces(file)
-    assert found.theta_deg == pytest.approx(THETA, abs=1e-6)
-    assert np.abs(found.force - SHIPPED.force).max() < 1e-6
+    history = read_forces(file)
+    assert history.theta_deg == pytest.approx(THETA, abs=1e-6)
+    assert np.abs(history.force - SHIPPED.force).max() < 1e-6
 
 
 def test_tables_in_memory_give_the_same_forces() -> None:
@@ -287,19 +287,19 @@ def test_tables_in_memory_give_the_same_forces() -> None:
         {"theta": ("theta", np.radians(THETA), {"units": "rad"})},
     )
     for source in (table, table.set_index("theta_deg"), table.astype(str), dataset):
-        found = read_forces(source)
-        assert found.theta_deg == pytest.approx(THETA, abs=1e-6)
-        assert np.abs(found.force - SHIPPED.force).max() < 1e-6
+        history = read_forces(source)
+        assert history.theta_deg == pytest.approx(THETA, abs=1e-6)
+        assert np.abs(history.force - SHIPPED.force).max() < 1e-6
 
 
 def test_jitter_of_the_encoder_is_averaged() -> None:
     rng, theta = np.random.default_rng(0), np.linspace(-90.0, 90.0, 20_000)
     fx, fz = 5.0 * np.cos(np.radians(theta)), np.sin(np.radians(2.0 * theta))
-    found = read_forces(frame(theta + 0.05 * rng.standard_normal(theta.size), fx, fz))
-    assert 700 < found.position.size < 730
+    history = read_forces(frame(theta + 0.05 * rng.standard_normal(theta.size), fx, fz))
+    assert 700 < history.position.size < 730
     # 28 readings a bin, each off by 0.05° times a slope of 0.09 N/°: 0.0008 N, and five times that.
-    assert found.Fx == pytest.approx(5.0 * np.cos(found.position), abs=4e-3)
-    assert found.Fz == pytest.approx(np.sin(2.0 * found.position), abs=4e-3)
+    assert history.Fx == pytest.approx(5.0 * np.cos(history.position), abs=4e-3)
+    assert history.Fz == pytest.approx(np.sin(2.0 * history.position), abs=4e-3)
 
 
 @pytest.mark.parametrize("back", [False, True])
@@ -309,12 +309,12 @@ def test_strokes_are_trials(back: bool) -> None:
         tables.append(frame(fx=gain * FX, fz=gain * FZ))
         if back:
             tables.append(frame(fx=0.2 * FX, fz=0.2 * FZ)[::-1])
-    found = read_trials(pd.concat(tables))
-    assert len(found) == 3
-    for gain, one in zip((1.0, 0.9, 1.1), found, strict=True):
-        inside = np.abs(one.theta_deg) < 90.0
-        expected = gain * np.interp(one.theta_deg, THETA, FX)
-        assert one.Fx[inside] == pytest.approx(expected[inside], abs=1e-6)
+    trials = read_trials(pd.concat(tables))
+    assert len(trials) == 3
+    for gain, item in zip((1.0, 0.9, 1.1), trials, strict=True):
+        inside = np.abs(item.theta_deg) < 90.0
+        expected = gain * np.interp(item.theta_deg, THETA, FX)
+        assert item.Fx[inside] == pytest.approx(expected[inside], abs=1e-6)
     with pytest.raises(InputError, match="3 strokes"):
         read_forces(pd.concat(tables))
 
@@ -322,10 +322,10 @@ def test_strokes_are_trials(back: bool) -> None:
 def test_glitches_of_the_encoder_are_left_out() -> None:
     theta = THETA.copy()
     theta[[50, 120, 190]] = [-999.0, 400.0, 0.0]
-    found = read_forces(frame(theta))
+    history = read_forces(frame(theta))
     kept = np.delete(np.arange(N), [50, 120, 190])
-    assert found.theta_deg == pytest.approx(THETA[kept])
-    assert found.Fz == pytest.approx(FZ[kept])
+    assert history.theta_deg == pytest.approx(THETA[kept])
+    assert history.Fz == pytest.approx(FZ[kept])
 
 
 def test_turns_of_a_rotating_leg_are_trials() -> None:
@@ -333,10 +333,10 @@ def test_turns_of_a_rotating_leg_are_trials() -> None:
     angle = (theta + 180.0) % 360.0 - 180.0
     inside = np.abs(angle) < 132.0
     table = frame(theta, *(np.where(inside, np.interp(angle, THETA, f), 0.0) for f in (FX, FZ)))
-    found = read_trials(table)
-    assert len(found) == 3
-    for one in found:
-        assert one.between(*np.radians([-90.0, 90.0])).Fz == pytest.approx(FZ[42:-42], abs=1e-6)
+    trials = read_trials(table)
+    assert len(trials) == 3
+    for item in trials:
+        assert item.between(*np.radians([-90.0, 90.0])).Fz == pytest.approx(FZ[42:-42], abs=1e-6)
 
 
 def test_a_moment_may_replace_forces() -> None:
@@ -347,16 +347,16 @@ def test_a_moment_may_replace_forces() -> None:
     more = alone.assign(A=FX, B=FZ)
     with pytest.raises(InputError, match="moment="):
         read_forces(more)
-    found = read_forces(more, moment="torque")
-    assert found.channels == ("M",)
-    assert found.channel("M") == pytest.approx(-FZ)
+    history = read_forces(more, moment="torque")
+    assert history.channels == ("M",)
+    assert history.channel("M") == pytest.approx(-FZ)
 
 
 def test_the_moment_comes_along() -> None:
     """As that of the soil, which resists, whether it was given so or as the motor's."""
     for sign in (1.0, -1.0):
-        found = read_forces(frame().assign(**{"M [N mm]": sign * 1e3 * FZ}))
-        assert found.moment == pytest.approx(-FZ)
+        history = read_forces(frame().assign(**{"M [N mm]": sign * 1e3 * FZ}))
+        assert history.moment == pytest.approx(-FZ)
     for other in ("M [kg]", "torque [A]"):  # not a moment, and no reason to refuse the table
         assert read_forces(frame().assign(**{other: 1.0})).moment is None
 
@@ -364,13 +364,13 @@ def test_the_moment_comes_along() -> None:
 def test_units_are_those_of_scipy() -> None:
     pound, foot, inch = constants.lbf, constants.foot, constants.inch
     ours = {**FORCE, **MOMENT, **{name: np.radians(value) for name, value in ANGLE.items()}}
-    known = {
+    reference = {
         "lbf": pound, "ozf": pound / 16, "kgf": constants.kgf, "dyn": constants.dyn,
         "N mm": 1e-3, "N cm": 1e-2, "kgf cm": constants.kgf / 100, "kgf m": constants.kgf,
         "lbf ft": pound * foot, "lbf in": pound * inch, "ozf in": pound / 16 * inch,
         "deg": constants.degree, "rad": 1.0, "rev": 2 * np.pi, "gon": np.pi / 200, "mrad": 1e-3,
     }  # fmt: skip
-    assert {name: ours[name] for name in known} == pytest.approx(known, rel=1e-9)
+    assert {name: ours[name] for name in reference} == pytest.approx(reference, rel=1e-9)
     for written, name in (
         ("°", "deg"), ("Lbs", "lbf"), ("N·m", "N m"), ("mN", "mN"), ("MN", "MN"), ("KN", "kN"),
         ("Newton", "N"), ("[µs]", "us"), ("foo", None), ("", None),
@@ -400,8 +400,8 @@ def test_an_impossible_angle_is_refused_with_the_option_that_mends_it(
     with pytest.raises(InputError) as caught:
         read_forces(table)
     offered = str(caught.value).partition("--columns ")[2]
-    found = dict(pair.split("=") for pair in offered.split(","))
-    assert {key: float(v) if key != "theta_unit" else v for key, v in found.items()} == remedy
+    result = dict(pair.split("=") for pair in offered.split(","))
+    assert {key: float(v) if key != "theta_unit" else v for key, v in result.items()} == remedy
     assert read_forces(table, **remedy).theta_deg == pytest.approx(THETA, abs=1e-6)
 
 
@@ -448,9 +448,9 @@ def test_a_scale_and_a_turn_are_checked(given: dict[str, Any]) -> None:
 def test_the_steps_of_a_coarse_load_cell_turn_with_it() -> None:
     """Steps of 0.5 and 0.2 N are errors of q/√12 along its axes, independent of each other."""
     coarse = frame(fx=0.5 * np.round(FX / 0.5), fz=0.2 * np.round(FZ / 0.2))
-    found = read_forces(coarse, sensor_angle_deg=30.0).provenance["resolution"]
+    history = read_forces(coarse, sensor_angle_deg=30.0).provenance["resolution"]
     expected = np.sqrt([0.75 * 0.25 + 0.25 * 0.04, 0.25 * 0.25 + 0.75 * 0.04])
-    assert [found["Fx"], found["Fz"]] == pytest.approx(expected, rel=1e-3)
+    assert [history["Fx"], history["Fz"]] == pytest.approx(expected, rel=1e-3)
 
 
 def timed(*pieces: tuple[Any, Any]) -> Any:
@@ -524,6 +524,6 @@ def test_errors_of_spreadsheets_are_missing_values_and_no_comments(
 ) -> None:
     rows = [f"{word if t == 0 else t},{t},{t + 1}" for t in range(-80, 81, 4)]
     (tmp_path / "x.csv").write_text("\n".join(["# N/A is missing", "theta_deg,Fx_N,Fz_N", *rows]))
-    found = read_forces(tmp_path / "x.csv")
-    assert len(found.position) == len(rows) - 1
-    assert any("1 of 41 rows" in note for note in found.provenance["reading"])
+    history = read_forces(tmp_path / "x.csv")
+    assert len(history.position) == len(rows) - 1
+    assert any("1 of 41 rows" in note for note in history.provenance["reading"])

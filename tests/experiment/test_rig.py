@@ -27,12 +27,12 @@ def test_forces_on_similar_rigs_go_with_the_cube_of_their_length(leg: str) -> No
     for size in (1.0, factor):
         body = {key: size * getattr(small.leg, key) for key in ("chord", "half_thickness", "width")}
         surface = 0.170
-        one = terraphi.Scenario.load("quick").replace(
+        item = terraphi.Scenario.load("quick").replace(
             **{f"leg.{key}": value for key, value in body.items()},
             **{"leg.shape": leg, "motion.hip.1": surface + size * small.hip_height},
         )
-        assert one.bed.surface == pytest.approx(surface)
-        forces.append(leg_force(one, one.motion.poses_at(theta)))
+        assert item.bed.surface == pytest.approx(surface)
+        forces.append(leg_force(item, item.motion.poses_at(theta)))
     assert factor * small.leg.reach() == pytest.approx(0.110)
     for i, power in enumerate((3, 4)):
         np.testing.assert_allclose(forces[1][i], factor**power * forces[0][i], rtol=1e-6)

@@ -96,9 +96,9 @@ OTHER: dict[str, Any] = {
 @pytest.mark.parametrize("key", ["relief.enabled", "bed.breadth"])
 def test_a_key_is_refused_in_the_dimensions_that_do_not_have_it(key: str) -> None:
     assert OTHER.keys() == ONLY_IN[2].keys() | ONLY_IN[3].keys()
-    own, preset = (2, "sand3d") if key in ONLY_IN[2] else (3, "paper-1")
+    reference, preset = (2, "sand3d") if key in ONLY_IN[2] else (3, "paper-1")
     base = Scenario.load(preset).replace(**{"soil.yield_criterion": "plane_strain"})
-    with pytest.raises(InputError, match=rf"{key} = .* is for dimensions = {own}"):
+    with pytest.raises(InputError, match=rf"{key} = .* is for dimensions = {reference}"):
         base.replace(**{key: OTHER[key]})
 
 
@@ -175,11 +175,11 @@ def test_whatever_bears_on_the_result_is_part_of_the_hash() -> None:
     of_space = {"bed.breadth": 0.1, "soil.critical_friction_angle_deg": 30.0} | {
         f"numerics.{key}": 1e-3 for key in ("tip_inset_cells", "remap_interval")
     }
-    found = [plane, space, Scenario(model="rft"), Scenario(model="rft", dimensions=3)]
-    found += [plane.replace(**{key: value}) for key, value in of_plane.items()]
-    found += [space.replace(**{key: value}) for key, value in of_space.items()]
-    found.append(plane.replace(motion=low | {"start": [0.14, 0.26]}))
-    assert len({scenario.hash for scenario in found}) == len(found)
+    result = [plane, space, Scenario(model="rft"), Scenario(model="rft", dimensions=3)]
+    result += [plane.replace(**{key: value}) for key, value in of_plane.items()]
+    result += [space.replace(**{key: value}) for key, value in of_space.items()]
+    result.append(plane.replace(motion=low | {"start": [0.14, 0.26]}))
+    assert len({scenario.hash for scenario in result}) == len(result)
 
 
 # -- values that are probably a mistake --------------------------------------------------------
@@ -199,6 +199,6 @@ def test_mistakes_are_warned_of() -> None:
         (quick, {"motion.start_deg": 0.0}, "the leg starts 59.4 mm deep in the soil"),
         (sand, {"soil.friction_angle_deg": 40.0, "numerics.stiffness_damping": 0.0}, "shakes"),
     ):
-        (found,) = scenario.replace(**changes).warnings()
-        assert words in found
+        (result,) = scenario.replace(**changes).warnings()
+        assert words in result
     assert sand.replace(**{"numerics.stiffness_damping": 0.0}).warnings() == []

@@ -29,8 +29,8 @@ def test_the_papers_angles_are_these_in_plane_strain(paper: float, plane_strain:
     ("triaxial", "plane_strain"), [(25, 34.6), (30, 43.9), (35, 55.0), (40, 70.8)]
 )
 def test_triaxial_without_dilation(triaxial: float, plane_strain: float) -> None:
-    found = plane_strain_friction_angle_deg(triaxial, "triaxial")
-    assert found == pytest.approx(plane_strain, abs=0.05)
+    result = plane_strain_friction_angle_deg(triaxial, "triaxial")
+    assert result == pytest.approx(plane_strain, abs=0.05)
 
 
 def test_triaxial_associated_is_the_matching_of_drucker_and_prager() -> None:
@@ -85,8 +85,8 @@ def sheared_to_its_limit(alpha: float, beta: float, poisson_ratio: float) -> flo
                 [-mean @ stiffness @ flow, mean @ stiffness @ swell],
             ]
         )
-        known = np.array([normal @ stiffness @ squeeze, mean @ stiffness @ squeeze])
-        multiplier, swelling = np.linalg.solve(matrix, -known)
+        reference = np.array([normal @ stiffness @ squeeze, mean @ stiffness @ squeeze])
+        multiplier, swelling = np.linalg.solve(matrix, -reference)
         return stiffness @ (squeeze + swelling * swell - multiplier * flow)
 
     def yields(_: float, stress: np.ndarray) -> float:

@@ -26,7 +26,7 @@ def _scenario(space):
     return scenario
 
 
-@pytest.fixture(name="whole", scope="module")
+@pytest.fixture(name="uninterrupted", scope="module")
 def _whole(scenario):
     """The run that nothing has stopped."""
     return simulate(scenario)
@@ -40,7 +40,9 @@ def stop(_fraction: float) -> None:
     raise StopError
 
 
-def test_a_run_stopped_after_every_block_ends_in_the_same_bits(scenario, whole, tmp_path) -> None:
+def test_a_run_stopped_after_every_block_ends_in_the_same_bits(
+    scenario, uninterrupted, tmp_path
+) -> None:
     kept, times = Checkpoint(tmp_path / "c", every=0.0), 0
     while True:
         try:
@@ -49,19 +51,19 @@ def test_a_run_stopped_after_every_block_ends_in_the_same_bits(scenario, whole, 
         except StopError:
             times += 1
     assert history.provenance["resumed_at_step"] == [400, 800]
-    assert np.array_equal(history.force, whole.force)
-    assert np.array_equal(history.moment, whole.moment)
+    assert np.array_equal(history.force, uninterrupted.force)
+    assert np.array_equal(history.moment, uninterrupted.moment)
     for key in ("impulse_kg_m_s", "momentum_mismatch", "particles", "steps"):
-        assert history.provenance[key] == whole.provenance[key]
+        assert history.provenance[key] == uninterrupted.provenance[key]
     assert history.provenance["seconds"]["all"] > 0.0
     assert [file.name for file in tmp_path.iterdir()] == ["c"]
 
 
 def test_without_leave_to_write_nothing_is_kept_and_nothing_changes(
-    scenario, whole, tmp_path
+    scenario, uninterrupted, tmp_path
 ) -> None:
     kept = Checkpoint(tmp_path / "c", every=1e9)
-    assert np.array_equal(simulate(scenario, checkpoint=kept).force, whole.force)
+    assert np.array_equal(simulate(scenario, checkpoint=kept).force, uninterrupted.force)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -75,7 +77,7 @@ simulate(in_space(**{changes}), checkpoint=Checkpoint(Path({path!r}), every=0.0)
 """
 
 
-def test_a_run_killed_at_any_time_ends_in_the_same_bits(scenario, whole, tmp_path) -> None:
+def test_a_run_killed_at_any_time_ends_in_the_same_bits(scenario, uninterrupted, tmp_path) -> None:
     path = tmp_path / "c"
     tests = os.path.dirname(__file__)  # noqa: PTH120
     code = RUN.format(tests=tests, changes=DAMPED, path=str(path))
@@ -86,7 +88,7 @@ def test_a_run_killed_at_any_time_ends_in_the_same_bits(scenario, whole, tmp_pat
         running.send_signal(signal.SIGKILL)
     again = simulate(scenario, checkpoint=Checkpoint(path))
     assert again.provenance["resumed_at_step"][0] % 400 == 0
-    assert np.array_equal(again.force, whole.force)
+    assert np.array_equal(again.force, uninterrupted.force)
 
 
 @pytest.fixture(name="kept")

@@ -36,25 +36,25 @@ def test_the_place_of_machine_code_is_that_of_the_sources(sources, monkeypatch):
     place = compiled._place_of_cache()
     assert place.parent == sources[0].parent / "__pycache__"
     assert compiled._place_of_cache() == place
-    found = {place}
+    result = {place}
     for source in sources:
         source.write_text("value = 99\n")
-        found.add(compiled._place_of_cache())
+        result.add(compiled._place_of_cache())
     monkeypatch.setattr(compiled.numba, "__version__", "0.0.1")
-    found.add(compiled._place_of_cache())
-    assert len(found) == 5
-    assert all(each.is_dir() for each in found)
+    result.add(compiled._place_of_cache())
+    assert len(result) == 5
+    assert all(each.is_dir() for each in result)
 
 
 def test_sources_that_cannot_have_a_cache_beside_them_have_it_elsewhere(sources, monkeypatch):
     (sources[0].parent / "__pycache__").write_text("a file where the folder would be")
-    own = sources[2].parent / "own"
-    assert compiled._place_of_cache().parent == own / "terraphi"
-    (own / "terraphi").rename(own / "away")
-    (own / "terraphi").write_text("here too")
+    reference = sources[2].parent / "own"
+    assert compiled._place_of_cache().parent == reference / "terraphi"
+    (reference / "terraphi").rename(reference / "away")
+    (reference / "terraphi").write_text("here too")
     assert compiled._place_of_cache() is None
-    monkeypatch.setattr(numba.config, "CACHE_DIR", str(own / "chosen"))
-    assert compiled._place_of_cache().parent == own / "chosen"
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(reference / "chosen"))
+    assert compiled._place_of_cache().parent == reference / "chosen"
 
 
 def test_machine_code_of_other_sources_goes_when_nobody_has_used_it_for_long(sources):
@@ -168,7 +168,7 @@ def test_bits_do_not_depend_on_what_was_compiled_before(tmp_path):
         "x = np.random.default_rng(1).uniform(0.5, 1.5, 50); "
         "print([[w.hex() for w in transfer.weights(float(v))] for v in x])"
     )
-    found = []
+    result = []
     for number, code in enumerate((run, first + run)):
         environment = {
             **os.environ,
@@ -176,8 +176,8 @@ def test_bits_do_not_depend_on_what_was_compiled_before(tmp_path):
             "NUMBA_CACHE_DIR": str(tmp_path / str(number)),
         }
         command = [sys.executable, "-c", code]
-        found.append(subprocess.run(command, env=environment, capture_output=True, check=True))
-    assert found[0].stdout == found[1].stdout
+        result.append(subprocess.run(command, env=environment, capture_output=True, check=True))
+    assert result[0].stdout == result[1].stdout
 
 
 def test_options_keep_numbers_that_are_not_numbers():

@@ -28,10 +28,10 @@ def test_memory_is_that_of_the_arrays_at_least(space) -> None:
 
 
 def test_several_add_up_and_share_the_cores() -> None:
-    one = Scenario.model_validate({"model": "rft"})
-    two = forecast([one, one])
-    assert two.core_seconds == 2.0 * forecast([one]).core_seconds
-    assert two.bytes == forecast([one]).bytes
+    first = Scenario.model_validate({"model": "rft"})
+    two = forecast([first, first])
+    assert two.core_seconds == 2.0 * forecast([first]).core_seconds
+    assert two.bytes == forecast([first]).bytes
     assert forecast([]).core_seconds == 0.0
 
 

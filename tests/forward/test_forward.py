@@ -20,15 +20,15 @@ RFT = Scenario.model_validate({"name": "a", "model": "rft", "numerics": {"seed":
 
 def test_history_says_where_it_comes_from(tmp_path: Path) -> None:
     history = forward.simulate(RFT)
-    known = json.loads(json.dumps(dict(history.provenance)))
-    assert Scenario.model_validate(known["scenario"]) == RFT
-    assert known["scenario_hash"] == RFT.hash
-    assert (known["model"], known["model_version"], known["seed"]) == ("rft", "rft-1", 7)
-    assert known["numpy"] == np.__version__
-    assert {"terraphi", "python", "machine", "seconds", "panels"} <= set(known)
-    assert "numba" not in known
+    content = json.loads(json.dumps(dict(history.provenance)))
+    assert Scenario.model_validate(content["scenario"]) == RFT
+    assert content["scenario_hash"] == RFT.hash
+    assert (content["model"], content["model_version"], content["seed"]) == ("rft", "rft-1", 7)
+    assert content["numpy"] == np.__version__
+    assert {"terraphi", "python", "machine", "seconds", "panels"} <= set(content)
+    assert "numba" not in content
     history.to_netcdf(tmp_path / "a.nc")
-    assert ForceHistory.from_netcdf(tmp_path / "a.nc").provenance == known
+    assert ForceHistory.from_netcdf(tmp_path / "a.nc").provenance == content
 
 
 def test_resistive_force_theory_keeps_nothing_and_has_nothing_to_show(tmp_path: Path) -> None:

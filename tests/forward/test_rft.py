@@ -55,8 +55,8 @@ def test_element_in_two_dimensions(beta: float, gamma: float, reverse: bool) -> 
     tangent = sign * np.array([[math.cos(beta), -math.sin(beta)]])
     direction = np.array([[-math.cos(gamma), -math.sin(gamma)]])
     generic = (0.206, 0.169, 0.212, 0.358, 0.055, -0.124, 0.253, 0.007, 0.088)
-    found = rft.stress_per_depth_2d(tangent, direction, medium="generic")[0]
-    assert found == pytest.approx(np.multiply(plane_law(beta, gamma, generic), 1e6), abs=1e-3)
+    result = rft.stress_per_depth_2d(tangent, direction, medium="generic")[0]
+    assert result == pytest.approx(np.multiply(plane_law(beta, gamma, generic), 1e6), abs=1e-3)
 
 
 def space_law(
@@ -102,14 +102,14 @@ def test_element_in_three_dimensions(a: float, b: float, c: float, d: float, mu:
         expected: Any = (0.0, 0.0, 0.0)
     else:
         expected = space_law(normal, velocity, mu)
-    found = rft.stress_per_depth_3d(
+    result = rft.stress_per_depth_3d(
         normal[None],
         velocity[None],
         friction_angle_deg=30.0,
         density=1500.0,
         surface_friction=mu,
     )[0]
-    assert found / rft.stress_scale(30.0, 1500.0) == pytest.approx(expected, abs=1e-9)
+    assert result / rft.stress_scale(30.0, 1500.0) == pytest.approx(expected, abs=1e-9)
 
 
 def test_stress_scale_at_a_friction_of_one() -> None:

@@ -67,19 +67,19 @@ def test_a_polygon_is_one_cell(tmp_path) -> None:
 
 def test_a_run_that_was_stopped_goes_on_with_its_frames(space, tmp_path) -> None:
     scenario = space.scenario(**{"motion.stop_deg": -35.0})
-    series, seen = FieldSeries(tmp_path / "f", scenario, frames=3), []
+    series, observed = FieldSeries(tmp_path / "f", scenario, frames=3), []
 
     def look(snapshot) -> None:
         series(snapshot)
-        seen.append(snapshot.step)
-        if len(seen) == 2:
+        observed.append(snapshot.step)
+        if len(observed) == 2:
             raise KeyboardInterrupt
 
     kept = Checkpoint(tmp_path / "c", every=0.0)
     with pytest.raises(KeyboardInterrupt):
         simulate(scenario, checkpoint=kept, observe=look)
     simulate(scenario, checkpoint=kept, observe=look)
-    time_step, steps = scenario.numerics.time_step, seen[-1]
+    time_step, steps = scenario.numerics.time_step, observed[-1]
     for name in ("particles", "leg"):
         root = ET.parse(tmp_path / "f" / f"{name}.pvd").getroot()
         sets = root.findall("Collection/DataSet")

@@ -41,9 +41,9 @@ def test_what_is_written_is_read_back(answer: Answer, tmp_path: Path) -> None:
     answer.save(tmp_path / "answer")
     again = Answer.load(tmp_path / "answer")
     assert again.as_dict() == json.loads(json.dumps(answer.as_dict()))
-    for one, other in zip(again.records, answer.records, strict=True):
+    for first, other in zip(again.records, answer.records, strict=True):
         for name in ("theta_deg", "data", "curve", "band", "tangent"):
-            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+            np.testing.assert_array_equal(getattr(first, name), getattr(other, name))
     np.testing.assert_array_equal(again.covariance, answer.covariance)
     assert {file.name for file in (tmp_path / "answer").iterdir()} >= {
         "answer.json", "answer.nc", "answer.png",
@@ -89,10 +89,10 @@ def test_arviz_summarises_the_same_posterior(answer: Answer) -> None:
 
 def test_arviz_has_the_observed_forces_over_the_leg_angle(answer: Answer) -> None:
     record = answer.records[0]
-    seen = answer.to_inference_data()["observed_data"]["force"]
-    assert list(seen["component"].values) == list(record.nrmsd)
-    np.testing.assert_array_equal(seen["theta_deg"], record.theta_deg)
-    np.testing.assert_array_equal(seen.sel(component="Fz"), record.data[1])
+    observed = answer.to_inference_data()["observed_data"]["force"]
+    assert list(observed["component"].values) == list(record.nrmsd)
+    np.testing.assert_array_equal(observed["theta_deg"], record.theta_deg)
+    np.testing.assert_array_equal(observed.sel(component="Fz"), record.data[1])
 
 
 def test_predicted_forces_are_those_of_the_law_at_the_draws(answer: Answer) -> None:
@@ -103,8 +103,8 @@ def test_predicted_forces_are_those_of_the_law_at_the_draws(answer: Answer) -> N
     curves = likelihood.curves(np.array([[answer.phi.median - 1.0], [answer.phi.median + 1.0]]))
     slope = 0.5 * (curves[1] - curves[0])
     size = np.sqrt(answer.covariance.diagonal())
-    apart = (predicted.mean(axis=0) - curves.mean(axis=0)) / size
-    assert np.abs(apart).max() < 0.1
+    difference = (predicted.mean(axis=0) - curves.mean(axis=0)) / size
+    assert np.abs(difference).max() < 0.1
     expected = answer.covariance + phi.var() * np.outer(slope, slope)
     unit = np.outer(size, size)
     np.testing.assert_allclose(np.cov(predicted.T) / unit, expected / unit, atol=0.15)
@@ -114,14 +114,16 @@ def test_log_likelihood_is_that_of_a_window_given_the_others(answer: Answer) -> 
     """By conditioning the joint normal distribution, window for window."""
     groups = answer.to_inference_data()
     phi = float(groups["posterior"]["soil.friction_angle_deg"][1, 7])
-    known = groups["log_likelihood"]["force"][1, 7].values.ravel()
+    reference = groups["log_likelihood"]["force"][1, 7].values.ravel()
     level, slope = answer.records[0].tangent.reshape(2, -1)
-    apart = answer.records[0].data.ravel() - level - slope * phi
+    difference = answer.records[0].data.ravel() - level - slope * phi
     for i in (0, 17, 41, 79):
-        rest = np.arange(apart.size) != i
+        rest = np.arange(difference.size) != i
         row = np.linalg.solve(answer.covariance[np.ix_(rest, rest)], answer.covariance[rest, i])
         sd = math.sqrt(answer.covariance[i, i] - row @ answer.covariance[rest, i])
-        assert known[i] == pytest.approx(norm.logpdf(apart[i], row @ apart[rest], sd), abs=1e-6)
+        assert reference[i] == pytest.approx(
+            norm.logpdf(difference[i], row @ difference[rest], sd), abs=1e-6
+        )
 
 
 @pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::DeprecationWarning")
@@ -144,8 +146,8 @@ def test_several_records_are_compared_as_one(tmp_path: Path) -> None:
     several = invert(["li2013:yuma/straight", "li2013:yuma/c"])
     groups = several.to_inference_data()
     for i, record in enumerate(several.records):
-        seen = groups["observed_data"][f"force_{i}"].sel({f"component_{i}": "Fx"})
-        np.testing.assert_array_equal(seen, record.data[0])
+        observed = groups["observed_data"][f"force_{i}"].sel({f"component_{i}": "Fx"})
+        np.testing.assert_array_equal(observed, record.data[0])
         assert groups["posterior_predictive"][f"force_{i}"].shape[2:] == record.data.shape
     logs = groups["log_likelihood"]["force"]
     assert np.bincount(logs["record"]).tolist() == [r.data.size for r in several.records]
@@ -165,13 +167,13 @@ def test_quantiles_are_those_of_the_density(answer: Answer) -> None:
 
 
 def test_json_holds_plain_values_and_the_keys_that_programs_rely_on(answer: Answer) -> None:
-    known = json.loads(json.dumps(answer.as_dict()))
-    assert set(known["phi_deg"]) == {"median", "sd", "ci68", "ci95", "yield"}
+    content = json.loads(json.dumps(answer.as_dict()))
+    assert set(content["phi_deg"]) == {"median", "sd", "ci68", "ci95", "yield"}
     assert {
         "phi_plane_strain_deg", "verdict", "reason", "edge", "nrmsd", "budget_deg", "density_kg_m3",
         "n_angles", "law", "second_opinion", "warnings", "provenance",
-    } <= set(known)  # fmt: skip
-    assert known["nrmsd"].keys() == {"Fx", "Fz"}
+    } <= set(content)  # fmt: skip
+    assert content["nrmsd"].keys() == {"Fx", "Fz"}
 
 
 def test_reprs_are_short_and_show_no_array(answer: Answer) -> None:

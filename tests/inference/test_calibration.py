@@ -61,7 +61,7 @@ def test_a_repeat_that_reads_more_takes_off_more(data: st.DataObject, more: floa
         data.draw(st.lists(kind, min_size=n, max_size=n)) for kind in (READ, SD, SD)
     )
     raised = [*reads[:-1], reads[-1] + more]
-    lower, higher = (correction(in_one_soil(one, sds, rig_sds))[0] for one in (reads, raised))
+    lower, higher = (correction(in_one_soil(item, sds, rig_sds))[0] for item in (reads, raised))
     assert higher >= lower - 1e-6
 
 
@@ -78,21 +78,21 @@ def test_repeats_are_worth_no_more_than_a_soil_without_error(
     at = float(np.mean(reads))
     line = np.array([[1.0, 28.0 - 27.0], [1.0, at - 27.0]]) @ np.sqrt(ERROR.covariance)
     shared = ERROR.common_sd_deg**2 + np.mean(np.square(rig_sds)) + line @ line.T
-    own = ERROR.soil_sd_deg**2 + ERROR.leg_sd_deg**2 - BED_SD_DEG**2
-    least = shared[0, 0] - shared[0, 1] ** 2 / (shared[1, 1] + own)
+    reference = ERROR.soil_sd_deg**2 + ERROR.leg_sd_deg**2 - BED_SD_DEG**2
+    least = shared[0, 0] - shared[0, 1] ** 2 / (shared[1, 1] + reference)
     assert least - 1e-4 <= sd**2 <= shared[0, 0] + 1e-9
 
 
 def test_soils_are_told_apart_by_name_and_repeats_that_disagree_are_named() -> None:
     """Two soils of equal angles count twice; beds that differ by 5° are no repeats."""
-    one = in_one_soil([30.0, 30.0], [1.0, 1.0], [0.0, 0.0])
+    first = in_one_soil([30.0, 30.0], [1.0, 1.0], [0.0, 0.0])
     named = [
-        soil.model_copy(update={"soil": name}) for soil, name in zip(one.soils, "ab", strict=True)
+        soil.model_copy(update={"soil": name}) for soil, name in zip(first.soils, "ab", strict=True)
     ]
     two = Calibration(library="x", library_hash="", soils=named)
-    assert correction(two)[1] < correction(one)[1] - 0.05
-    assert not [*one.warnings(), *two.warnings()]
+    assert correction(two)[1] < correction(first)[1] - 0.05
+    assert not [*first.warnings(), *two.warnings()]
     assert [*in_one_soil([30.0, 25.0, 30.0], [1.0] * 3, [0.0] * 3).warnings()]
     with pytest.raises(ValueError, match="one angle"):
         Calibration(library="x", library_hash="", soils=[
-            one.soils[0], one.soils[1].model_copy(update={"phi_deg": 30.0})])  # fmt: skip
+            first.soils[0], first.soils[1].model_copy(update={"phi_deg": 30.0})])  # fmt: skip

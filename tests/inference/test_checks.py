@@ -23,10 +23,10 @@ NAME = "li2013:poppy_loose/straight"
 
 
 def damaged(change) -> ForceHistory:
-    known = measurement(NAME)
-    force = known.history.force.copy()
-    change(np.degrees(known.history.position), force)
-    return replace(known.history, force=force, provenance={})
+    record = measurement(NAME)
+    force = record.history.force.copy()
+    change(np.degrees(record.history.position), force)
+    return replace(record.history, force=force, provenance={})
 
 
 def answer_to(change):
@@ -76,9 +76,9 @@ def test_zeros_in_soil_are_dropouts_and_those_in_air_are_not() -> None:
 def test_zeros_of_a_sensor_that_starts_late_in_the_soil_are_dropouts() -> None:
     record = open_record("li2013:yuma/straight")
     part = replace(record, history=record.history.chosen(record.history.theta_deg > -40.0))
-    found = with_zeros(part, np.arange(len(part.history.theta_deg)) < 4)
-    assert has_dropouts(found)
-    assert found.history.theta_deg[0] == part.history.theta_deg[4]
+    result = with_zeros(part, np.arange(len(part.history.theta_deg)) < 4)
+    assert has_dropouts(result)
+    assert result.history.theta_deg[0] == part.history.theta_deg[4]
 
 
 def dropouts(theta, force):
@@ -110,12 +110,15 @@ def test_faults_that_hide_readings_are_left_out(change) -> None:
 
 def test_held_values_are_left_out() -> None:
     """On the lift of the C, which changes fast."""
-    known = measurement("li2013:glass03_close/c")
-    force, theta = known.history.force.copy(), np.degrees(known.history.position)
+    reference = measurement("li2013:glass03_close/c")
+    force, theta = reference.history.force.copy(), np.degrees(reference.history.position)
     inside = (theta > -58) & (theta < -50)
     force[inside, 1] = force[np.flatnonzero(inside)[0], 1]
     record = open_record(
-        replace(known.history, force=force, provenance={}), rig="li2013", leg="c", density=1550.0
+        replace(reference.history, force=force, provenance={}),
+        rig="li2013",
+        leg="c",
+        density=1550.0,
     )
     assert without_faults(record).n_left_out >= inside.sum() - 2
 
@@ -157,8 +160,8 @@ def test_a_record_of_faults_is_refused() -> None:
 def test_the_option_that_is_offered_mends_the_record(
     name: str, theta: float, fx: float, fz: float
 ) -> None:
-    known = measurement(name)
-    history, options = known.history, {"rig": known.rig, "density": known.density_kg_m3}
+    record = measurement(name)
+    history, options = record.history, {"rig": record.rig, "density": record.density_kg_m3}
     columns = {"theta": theta * history.theta_deg, "Fx": fx * history.Fx, "Fz": fz * history.Fz}
     answer = invert(pd.DataFrame(columns), **options)
     assert answer.verdict != "consistent"
@@ -180,7 +183,7 @@ def turned_cell(history: ForceHistory, angle_deg: float) -> pd.DataFrame:
 
 
 def advice(answer) -> list[str]:
-    return [one for one in answer.warnings if "--columns" in one or "--leg" in one]
+    return [warning for warning in answer.warnings if "--columns" in warning or "--leg" in warning]
 
 
 @pytest.mark.parametrize(
@@ -188,8 +191,8 @@ def advice(answer) -> list[str]:
 )
 def test_a_turned_load_cell_is_named_with_its_angle(name: str, angle: float) -> None:
     """Within 10°: real soil differs from the model by so much of a turn."""
-    known = measurement(f"li2013:{name}")
-    table, options = turned_cell(known.history, angle), {"rig": known.rig, "density": 1500.0}
+    record = measurement(f"li2013:{name}")
+    table, options = turned_cell(record.history, angle), {"rig": record.rig, "density": 1500.0}
     answer = invert(table, **options)
     assert answer.verdict != "consistent"
     [offer] = advice(answer)
@@ -198,7 +201,7 @@ def test_a_turned_load_cell_is_named_with_its_angle(name: str, angle: float) -> 
     assert key == "sensor_angle_deg"
     assert float(value) == pytest.approx(angle, abs=10.0)
     assert invert(table, columns=offered, **options).verdict == "consistent"
-    plain = invert(replace(known.history, provenance={}), **options)
+    plain = invert(replace(record.history, provenance={}), **options)
     right = invert(table, columns={"sensor_angle_deg": angle}, **options)
     assert right.phi.median == pytest.approx(plain.phi.median, abs=1e-4)
 
@@ -206,8 +209,8 @@ def test_a_turned_load_cell_is_named_with_its_angle(name: str, angle: float) -> 
 @pytest.mark.parametrize("scale", [0.5, 1.6])
 def test_a_wrong_scale_of_the_angle_is_named(scale: float) -> None:
     """About its own zero, which an offset was given for."""
-    known = measurement("li2013:poppy_loose/straight")
-    history, options = known.history, {"rig": known.rig, "density": known.density_kg_m3}
+    record = measurement("li2013:poppy_loose/straight")
+    history, options = record.history, {"rig": record.rig, "density": record.density_kg_m3}
     table = turned_cell(history, 0.0).assign(theta_deg=scale * history.theta_deg + 20.0)
     answer = invert(table, columns={"theta_offset_deg": -20.0}, **options)
     [offer] = advice(answer)
@@ -221,13 +224,13 @@ def test_a_wrong_scale_of_the_angle_is_named(scale: float) -> None:
 
 def test_no_reading_is_advised_where_two_fit() -> None:
     """Behind the hip a reversed C has much the forces before it, of the other sign of Fz."""
-    known = measurement("li2013:glass03_close/reversed_c")
-    flipped = replace(known.history, force=known.history.force * [1.0, -1.0], provenance={})
-    answer = invert(flipped, rig=known.rig, density=known.density_kg_m3)
+    record = measurement("li2013:glass03_close/reversed_c")
+    flipped = replace(record.history, force=record.history.force * [1.0, -1.0], provenance={})
+    answer = invert(flipped, rig=record.rig, density=record.density_kg_m3)
     assert answer.verdict != "consistent"
     assert not advice(answer)
-    [both] = [one for one in answer.warnings if "fz_sign=-1" in one]
-    assert "theta_sign=-1" in both
+    [pair] = [warning for warning in answer.warnings if "fz_sign=-1" in warning]
+    assert "theta_sign=-1" in pair
 
 
 DAMAGES = {
@@ -245,32 +248,36 @@ DAMAGES = {
     [*zip(["poppy_loose/c", "glass03_loose/reversed_c"] * 3, DAMAGES, strict=True)],
 )
 def test_a_misfit_for_another_reason_is_advised_no_angle(name: str, damage: str) -> None:
-    known = measurement(f"li2013:{name}")
-    history = known.history
+    record = measurement(f"li2013:{name}")
+    history = record.history
     theta, x, z = DAMAGES[damage](history.theta_deg, history.Fx, history.Fz)
     table = pd.DataFrame({"theta_deg": theta, "Fx_N": x, "Fz_N": z})
-    answer = invert(table, rig=known.rig, density=known.density_kg_m3)
-    assert not any("sensor_angle" in one or "theta_scale" in one for one in answer.warnings)
+    answer = invert(table, rig=record.rig, density=record.density_kg_m3)
+    assert not any(
+        "sensor_angle" in warning or "theta_scale" in warning for warning in answer.warnings
+    )
 
 
 @pytest.mark.parametrize("given", [{"force_on": "soil"}, {"fx_sign": -1}, {"theta_sign": -1}])
 def test_an_option_that_was_given_wrongly_is_turned_back(given: dict) -> None:
-    known = measurement("li2013:yuma/straight")
-    history = known.history
+    record = measurement("li2013:yuma/straight")
+    history = record.history
     columns = {"theta": history.theta_deg, "Fx": history.Fx, "Fz": history.Fz}
     answer = invert(
-        pd.DataFrame(columns), rig=known.rig, density=known.density_kg_m3, columns=given
+        pd.DataFrame(columns), rig=record.rig, density=record.density_kg_m3, columns=given
     )
-    [offer] = [one for one in answer.warnings if "--columns" in one]
+    [offer] = [warning for warning in answer.warnings if "--columns" in warning]
     key, _, value = offer.partition("--columns ")[2].partition(":")[0].partition("=")
-    assert {key: value} == {one: {"soil": "leg", -1: "1"}[old] for one, old in given.items()}
+    assert {key: value} == {
+        warning: {"soil": "leg", -1: "1"}[old] for warning, old in given.items()
+    }
 
 
 def test_of_two_legs_that_fit_the_one_that_other_physics_confirms_is_offered() -> None:
     """By `reversed_c` the record is consistent too, at 43 instead of 30°."""
     answer = invert("li2013:yuma/straight", leg="c")
     assert answer.verdict == "misfit"
-    assert any("--leg straight" in one for one in answer.warnings)
+    assert any("--leg straight" in warning for warning in answer.warnings)
 
 
 @pytest.mark.parametrize(("chord", "begins"), [(0.0762, False), (0.045, True)])
@@ -280,7 +287,7 @@ def test_a_short_leg_is_noticed(chord: float, begins: bool) -> None:
     answer = invert(
         ForceHistory(made.position, made.force), rig="li2013", leg="straight", density=1650
     )
-    assert any("Contact begins" in one for one in answer.warnings) == begins
+    assert any("Contact begins" in warning for warning in answer.warnings) == begins
 
 
 def logged(name: str, change) -> pd.DataFrame:
@@ -291,7 +298,9 @@ def logged(name: str, change) -> pd.DataFrame:
     history = measurement(name).history
     moving = np.arange(-132.0, 132.0, 0.5)
     theta = np.concatenate([np.full(75, -132.0), moving, np.full(75, 132.0)])
-    force = np.stack([np.interp(theta, history.theta_deg, one) for one in history.force.T], axis=1)
+    force = np.stack(
+        [np.interp(theta, history.theta_deg, item) for item in history.force.T], axis=1
+    )
     force[:75] = force[-75:] = 0.0
     force += 0.02 * np.random.default_rng(0).standard_normal(force.shape)
     force += change(np.linspace(0.0, 1.0, len(theta))[:, None], np.radians(theta)[:, None])
@@ -312,9 +321,9 @@ CHANGES = {
      ("li2013:yuma/straight", "weight")],
 )  # fmt: skip
 def test_a_record_is_put_right_by_what_the_sensor_reads_in_air(name: str, change: str) -> None:
-    known = measurement(name)
-    options = {"rig": known.rig, "density": known.density_kg_m3}
-    plain = invert(known.history, **options)
+    record = measurement(name)
+    options = {"rig": record.rig, "density": record.density_kg_m3}
+    plain = invert(record.history, **options)
     answer = invert(logged(name, CHANGES[change]), **options)
     assert answer.verdict == "consistent"
     assert answer.phi.median == pytest.approx(plain.phi.median, abs=0.8)
@@ -324,8 +333,8 @@ def test_a_record_is_put_right_by_what_the_sensor_reads_in_air(name: str, change
 
 @pytest.mark.parametrize("name", ["li2013:yuma/straight", "li2013:poppy_loose/reversed_c"])
 def test_a_good_record_is_left_as_it_is(name: str) -> None:
-    known = measurement(name)
-    history, options = known.history, {"rig": known.rig, "density": known.density_kg_m3}
+    record = measurement(name)
+    history, options = record.history, {"rig": record.rig, "density": record.density_kg_m3}
     table = {"theta_deg": history.theta_deg, "Fx_N": history.Fx, "Fz_N": history.Fz}
     answer = invert(pd.DataFrame(table), **options)
     plain = invert(replace(history, provenance={}), **options)
@@ -339,8 +348,8 @@ def test_forces_of_another_leg_in_soil_are_not_taken_for_air() -> None:
 
 @pytest.mark.parametrize("name", names()[::4])
 def test_a_coarse_sensor_widens_the_interval(name: str) -> None:
-    known = measurement(name)
-    history, options = known.history, {"rig": known.rig, "density": known.density_kg_m3}
+    record = measurement(name)
+    history, options = record.history, {"rig": record.rig, "density": record.density_kg_m3}
     plain = invert(replace(history, provenance={}), **options)
     rounded = replace(history, force=0.5 * np.round(history.force / 0.5), provenance={})
     answer = invert(rounded, **options)

@@ -50,9 +50,9 @@ def test_two_answers_have_the_posterior_of_their_common_angle(plate: Answer) -> 
 
 def test_answers_far_apart_are_a_misfit_and_one_misfit_spoils_all(plate: Answer) -> None:
     low, high = normal(plate, 22.0, 2.0, 0.0, "legs"), normal(plate, 34.0, 2.0, 0.0, "foot")
-    apart = combined([low, high])
-    assert apart.verdict == "misfit"
-    assert apart.phi.ci95[0] < 22.0 < 34.0 < apart.phi.ci95[1]
+    difference = combined([low, high])
+    assert difference.verdict == "misfit"
+    assert difference.phi.ci95[0] < 22.0 < 34.0 < difference.phi.ci95[1]
     assert combined([low, replace(low, verdict="misfit")]).verdict == "misfit"
     with pytest.raises(terraphi.InputError, match="plane strain"):
         combined([low, replace(low, convention="rft3d")])
@@ -60,10 +60,10 @@ def test_answers_far_apart_are_a_misfit_and_one_misfit_spoils_all(plate: Answer)
 
 def test_what_answers_share_is_not_widened_by_their_disagreement(plate: Answer) -> None:
     """It cancels in their difference, so that the difference says nothing of it."""
-    apart = [normal(plate, phi, 0.8, 2.5, "foot") for phi in (30.0, 32.2)]
-    joint = combined(apart)
+    difference = [normal(plate, phi, 0.8, 2.5, "foot") for phi in (30.0, 32.2)]
+    joint = combined(difference)
     assert joint.verdict == "consistent"
-    assert 2.5 < joint.phi.sd < 1.2 * apart[0].phi.sd
+    assert 2.5 < joint.phi.sd < 1.2 * difference[0].phi.sd
 
 
 @pytest.mark.parametrize("term", ["gain", "cohesion"])
@@ -97,8 +97,8 @@ def test_leg_plate_and_ball_in_one_soil_narrow_its_angle(soil: str, tmp_path: Pa
         level, slope = record.tangent
         curve = level + slope * joint.phi.median
         predicted = groups["posterior_predictive"][f"force_{i}"]
-        apart = (predicted.mean(("chain", "draw")) - curve) / predicted.std(("chain", "draw"))
-        assert np.abs(apart).max() < 0.1
+        difference = (predicted.mean(("chain", "draw")) - curve) / predicted.std(("chain", "draw"))
+        assert np.abs(difference).max() < 0.1
 
 
 @pytest.mark.parametrize("soil", CRITICAL_DEG)
@@ -109,9 +109,9 @@ def test_legs_of_two_shapes_read_what_lies_between_them(soil: str) -> None:
     joint = terraphi.invert([straight, f"{bent}@c"], leg="straight", **given)
     alone = [terraphi.invert(straight, leg="straight", **given),
              terraphi.invert(bent, leg="c", **given)]  # fmt: skip
-    angles = [one.phi.median for one in alone]
+    angles = [answer.phi.median for answer in alone]
     assert min(angles) - 0.1 < joint.phi.median < max(angles) + 0.1
-    assert joint.phi.sd < min(one.phi.sd for one in alone)
+    assert joint.phi.sd < min(answer.phi.sd for answer in alone)
     assert joint.phi.median == pytest.approx(CRITICAL_DEG[soil], abs=2.5)
     assert [record.rig.leg for record in joint.records] == ["straight", "c"]
     assert joint.cohesion_pa is None  # each leg has its own
@@ -139,10 +139,10 @@ def test_two_rigs_of_one_shape_narrow_the_angle() -> None:
     given = {"rig": "li2013", "leg": "straight", "density": "1418±10"}
     joint = terraphi.invert([forces[0], (forces[1], long)], **given)
     alone = [terraphi.invert(forces[0], **given), terraphi.invert((forces[1], long), **given)]
-    assert joint.phi.sd < min(one.phi.sd for one in alone)
+    assert joint.phi.sd < min(answer.phi.sd for answer in alone)
     assert joint.phi.median == pytest.approx(CRITICAL_DEG["B"], abs=2.5)
     # One offset, one soil, one moisture and one apparatus: not the half of two independent errors.
-    assert joint.phi.sd > 1.1 * min(one.phi.sd for one in alone) / np.sqrt(2.0)
+    assert joint.phi.sd > 1.1 * min(answer.phi.sd for answer in alone) / np.sqrt(2.0)
 
 
 def test_a_table_names_the_rig_of_a_file_in_its_folder(tmp_path: Path) -> None:
@@ -165,7 +165,7 @@ def test_what_differs_between_bodies_is_stated_of_none() -> None:
              terraphi.invert(plate, tool="plate:60", density=1415)]  # fmt: skip
     assert alone[0].leg_friction != alone[1].leg_friction
     assert joint.leg_friction is None
-    assert all(one.source in joint.reason for one in alone)
+    assert all(answer.source in joint.reason for answer in alone)
 
 
 def test_a_density_that_is_exact_is_so_for_all_bodies() -> None:

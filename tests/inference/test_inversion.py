@@ -51,9 +51,9 @@ def test_intervals_hold_truths_drawn_from_the_library(sand3d: Library, leg: str)
         values, vectors = np.linalg.eigh(scatter)
         error = vectors @ (np.sqrt(values.clip(0.0)) * rng.standard_normal(len(values)))
         force = emulator(x[None])[0] + error.reshape(2, -1)
-        one = replace(record, simulated=True, noise=(0.0, 0.0),
+        item = replace(record, simulated=True, noise=(0.0, 0.0),
                       history=replace(record.history, force=force.T))  # fmt: skip
-        likelihood = Likelihood([one], sand3d)
+        likelihood = Likelihood([item], sand3d)
         best = likelihood.least_squares
         sd = likelihood.sd[0]
         inside.append(abs(best[0] - x[0]) / sd)
@@ -65,34 +65,36 @@ def test_intervals_hold_truths_drawn_from_the_library(sand3d: Library, leg: str)
 @pytest.mark.parametrize("name", ["li2013:poppy_loose/straight", "li2013:yuma/c"])
 def test_units_density_and_thinning_leave_the_angle(name: str) -> None:
     """Forces over density decide φ but for the cohesion, which is likely to be so many pascals."""
-    plain, known = invert(name), measurement(name)
-    density = 1.3 * known.density_kg_m3
-    heavier = invert(known.history.scaled(1.3), rig=known.rig, density=density)
+    plain, reference = invert(name), measurement(name)
+    density = 1.3 * reference.density_kg_m3
+    heavier = invert(reference.history.scaled(1.3), rig=reference.rig, density=density)
     assert heavier.phi.median == pytest.approx(plain.phi.median, abs=0.3)
     dry = [
-        invert(history, rig=known.rig, density=d, law="rft3d").phi.median
+        invert(history, rig=reference.rig, density=d, law="rft3d").phi.median
         for history, d in (
-            (known.history, known.density_kg_m3),
-            (known.history.scaled(1.3), density),
+            (reference.history, reference.density_kg_m3),
+            (reference.history.scaled(1.3), density),
         )
     ]
     assert dry[1] == pytest.approx(dry[0], abs=1e-4)
     thinned = replace(
-        known.history, position=known.history.position[::2], force=known.history.force[::2]
+        reference.history,
+        position=reference.history.position[::2],
+        force=reference.history.force[::2],
     )
-    sparse = invert(thinned, rig=known.rig, density=known.density_kg_m3)
+    sparse = invert(thinned, rig=reference.rig, density=reference.density_kg_m3)
     assert sparse.phi.median == pytest.approx(plain.phi.median, abs=0.3)
 
 
 def test_the_gain_of_a_sensor_is_taken_off_and_counted() -> None:
     """An error of it is worth what one of the density is."""
-    known = measurement("li2013:poppy_loose/straight")
+    record = measurement("li2013:poppy_loose/straight")
     options = {"rig": "li2013", "leg": "straight", "density": "638±0"}
-    plain = invert(known.history, gain="1±0.05", **options)
-    louder = invert(known.history.scaled(1.2), gain="1.2±0.06", **options)
+    plain = invert(record.history, gain="1±0.05", **options)
+    louder = invert(record.history.scaled(1.2), gain="1.2±0.06", **options)
     assert louder.phi.median == pytest.approx(plain.phi.median, abs=1e-4)
     assert louder.phi.sd == pytest.approx(plain.phi.sd, rel=1e-4)
-    dense = invert(known.history, gain="1±0", rig="li2013", leg="straight", density="638±31.9")
+    dense = invert(record.history, gain="1±0", rig="li2013", leg="straight", density="638±31.9")
     assert plain.budget_deg["gain"] == pytest.approx(dense.budget_deg["density"], rel=1e-9)
 
 
@@ -104,15 +106,15 @@ def turned(history: ForceHistory, fx: float, fz: float) -> ForceHistory:
     "name", ["poppy_loose/straight", "glass03_loose/reversed_c", "glass03_close/c", "yuma/straight"]
 )
 def test_wrong_records_are_misfits_with_a_remedy(name: str) -> None:
-    known = measurement(f"li2013:{name}")
-    options = {"rig": known.rig, "density": known.density_kg_m3}
-    assert invert(known.history, **options).verdict == "consistent"
+    record = measurement(f"li2013:{name}")
+    options = {"rig": record.rig, "density": record.density_kg_m3}
+    assert invert(record.history, **options).verdict == "consistent"
     for fx, fz, word in (
         (-1.0, 1.0, "fx_sign=-1"),
         (1.0, -1.0, "fz_sign=-1"),
         (-1.0, -1.0, "force_on=soil"),
     ):
-        answer = invert(turned(known.history, fx, fz), **options)
+        answer = invert(turned(record.history, fx, fz), **options)
         assert answer.verdict != "consistent"
         assert any(word in question for question in answer.warnings)
 
@@ -121,13 +123,13 @@ def test_a_wrong_leg_is_a_misfit_in_nearly_all_records() -> None:
     """Of 24, one may pass: Yuma sand on the straight leg, given as the reversed C."""
     passed = []
     for name in names():
-        known = measurement(name)
-        for other in {"straight", "c", "reversed_c"} - {known.rig.leg}:
+        record = measurement(name)
+        for other in {"straight", "c", "reversed_c"} - {record.rig.leg}:
             answer = invert(
-                replace(known.history, provenance={}),
+                replace(record.history, provenance={}),
                 rig="li2013",
                 leg=other,
-                density=known.density_kg_m3,
+                density=record.density_kg_m3,
             )
             if answer.verdict == "consistent":
                 passed.append((name, other))
@@ -176,8 +178,8 @@ def test_another_opinion_far_away_widens_the_interval() -> None:
     record = "li2013:poppy_loose/straight"
     answer = invert(record, law=replace(shipped_legs(), model_error={"straight": error | sure}))
     other = answer.second_opinion
-    both = np.hypot(answer.phi.sd, other["sd"])
-    assert abs(answer.phi.median - other["median"]) == pytest.approx(1.96 * both, rel=0.03)
+    pair = np.hypot(answer.phi.sd, other["sd"])
+    assert abs(answer.phi.median - other["median"]) == pytest.approx(1.96 * pair, rel=0.03)
     assert "second opinion" in answer.budget_deg
     assert "second opinion" not in invert(record).budget_deg
 
@@ -189,12 +191,12 @@ def test_a_moment_replaces_forces(sand3d: Library, leg: str, axes: str) -> None:
     """Simulations of the library, left out of it, with the moment that the solver counted."""
     cases = [c for c in sand3d.cases if c.scenario.leg.shape == leg and c.history is not None]
     for phi in (25.0, 35.0):
-        own = next(c for c in cases if c.scenario.soil.friction_angle_deg == phi)
-        others = tuple(c for c in sand3d.cases if c is not own)
-        plain = replace(sand3d, cases=others)
-        columns = [own.history.axes.index(axis) for axis in axes]
-        history = replace(own.history, force=own.history.force[:, columns], axes=tuple(axes),
-                          provenance={})  # fmt: skip
+        reference = next(c for c in cases if c.scenario.soil.friction_angle_deg == phi)
+        remaining = tuple(c for c in sand3d.cases if c is not reference)
+        plain = replace(sand3d, cases=remaining)
+        columns = [reference.history.axes.index(axis) for axis in axes]
+        force = reference.history.force[:, columns]
+        history = replace(reference.history, force=force, axes=tuple(axes), provenance={})
         answer = invert(history, rig="li2013", leg=leg, density=1650, law=plain)
         assert set(answer.nrmsd) == {*(f"F{axis}" for axis in axes), "M"}
         assert answer.phi.median == pytest.approx(phi, abs=1.0)
@@ -208,37 +210,37 @@ def test_a_moment_that_the_forces_do_not_have_is_noticed() -> None:
     history = replace(simulate(base.replace(**{PHI: 30.0})), provenance={})
     longer = replace(history, moment=1.5 * history.moment)
     plain, other = (
-        invert(one, rig="li2013", leg="straight", density=1650, law="rft3d").warnings
-        for one in (history, longer)
+        invert(first, rig="li2013", leg="straight", density=1650, law="rft3d").warnings
+        for first in (history, longer)
     )
-    assert any("moment" in one for one in other)
-    assert not any("moment" in one for one in plain)
+    assert any("moment" in first for first in other)
+    assert not any("moment" in first for first in plain)
     pounds = replace(history, force=history.force / 4.448)
-    found = invert(pounds, rig="li2013", leg="straight", density=1650, law="rft3d").warnings
-    assert any("--columns unit=lbf" in one for one in found)
+    answer = invert(pounds, rig="li2013", leg="straight", density=1650, law="rft3d").warnings
+    assert any("--columns unit=lbf" in first for first in answer)
 
 
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 def test_half_and_twice_the_density_of_sand_are_noticed(factor: float) -> None:
     for name in names():
-        known = measurement(name)
-        if known.density_kg_m3 < 1000.0:
+        record = measurement(name)
+        if record.density_kg_m3 < 1000.0:
             continue  # poppy seeds
-        history = replace(known.history, provenance={})
-        answer = invert(history, rig=known.rig, density=factor * known.density_kg_m3)
+        history = replace(record.history, provenance={})
+        answer = invert(history, rig=record.rig, density=factor * record.density_kg_m3)
         assert answer.verdict != "consistent" or any("density" in q for q in answer.warnings)
 
 
 @pytest.mark.parametrize("name", ["yuma/straight", "poppy_loose/reversed_c"])
 def test_an_answer_states_what_half_and_twice_the_force_would_read(name: str) -> None:
     """As these forces are read; unless both density and gain have a standard deviation."""
-    known = measurement(f"li2013:{name}")
-    assert known.density_kg_m3 is not None
-    given = {"rig": known.rig, "density": f"{known.density_kg_m3}±30"}
-    stated = invert(replace(known.history, provenance={}), **given).phi_of_force_deg
+    record = measurement(f"li2013:{name}")
+    assert record.density_kg_m3 is not None
+    given = {"rig": record.rig, "density": f"{record.density_kg_m3}±30"}
+    stated = invert(replace(record.history, provenance={}), **given).phi_of_force_deg
     assert stated is not None
     for key, factor in (("half", 0.5), ("twice", 2.0)):
-        forces = replace(known.history.scaled(factor), provenance={})
+        forces = replace(record.history.scaled(factor), provenance={})
         answer = invert(forces, **given, gain="1±0.01")
         assert answer.phi_of_force_deg is None
         assert stated[key] == pytest.approx(answer.phi.median, abs=1.3)
@@ -258,11 +260,11 @@ def test_a_hip_that_the_forces_contradict_is_named(higher: float) -> None:
 
 
 def test_the_hip_of_measured_records_is_not_doubted_and_a_wrong_one_is() -> None:
-    known = measurement("li2013:poppy_loose/straight")
-    rig = Rig.of(known.rig, "straight")
+    record = measurement("li2013:poppy_loose/straight")
+    rig = Rig.of(record.rig, "straight")
     for hip, count in ((20.0, 0), (12.0, 1)):
         given = rig.model_copy(update={"hip_height_mm": hip})
-        answer = invert(replace(known.history, provenance={}), rig=given, density=638)
+        answer = invert(replace(record.history, provenance={}), rig=given, density=638)
         assert sum("fit a hip" in sentence for sentence in answer.warnings) == count
 
 
@@ -280,8 +282,8 @@ def test_a_record_is_no_repeat_of_itself() -> None:
 
 def test_calibrating_with_one_s_own_answer_centres_there(tmp_path) -> None:
     record = "li2013:glass03_loose/straight"
-    found = calibrate(record, 25.0, 1.0)
-    found.save(tmp_path / "rig.toml")
+    calibration = calibrate(record, 25.0, 1.0)
+    calibration.save(tmp_path / "rig.toml")
     answer = invert(record, calibration=tmp_path / "rig.toml")
     plain = invert(record)
     assert abs(answer.phi.median - 25.0) <= abs(plain.phi.median - 25.0)
@@ -296,10 +298,13 @@ def test_a_known_angle_that_the_forces_contradict_is_refused(phi: float) -> None
 
 @pytest.mark.parametrize(("given", "right"), [("kN", "N"), ("mN", "kN")])
 def test_the_unit_that_is_offered_counts_from_the_one_that_was_read(given: str, right: str) -> None:
-    known = measurement("li2013:yuma/straight")
+    record = measurement("li2013:yuma/straight")
     newtons = {"N": 1.0, "kN": 1e3, "mN": 1e-3}[right]
-    columns = {"theta [deg]": known.history.theta_deg, f"Fx [{given}]": known.history.Fx / newtons,
-               f"Fz [{given}]": known.history.Fz / newtons}  # fmt: skip
+    columns = {
+        "theta [deg]": record.history.theta_deg,
+        f"Fx [{given}]": record.history.Fx / newtons,
+        f"Fz [{given}]": record.history.Fz / newtons,
+    }
     answer = invert(pd.DataFrame(columns), rig="li2013", leg="straight", density=1650)
     assert any(f"unit={right}:" in question for question in answer.warnings)
 
@@ -313,26 +318,26 @@ def test_what_a_law_reads_too_high_is_taken_off() -> None:
         for more in (0.0, 2.5)
     )
     record = "li2013:glass03_loose/straight"
-    plain, lower = (invert(record, law=one) for one in (usual, high))
+    plain, lower = (invert(record, law=item) for item in (usual, high))
     assert lower.phi.median == pytest.approx(plain.phi.median - 2.5, abs=0.05)
-    reads = [calibrate(record, 25.0, 1.0, law=one).soils[0].read_deg for one in (usual, high)]
+    reads = [calibrate(record, 25.0, 1.0, law=item).soils[0].read_deg for item in (usual, high)]
     assert reads == pytest.approx([plain.phi.median, lower.phi.median], abs=0.2)
 
 
 def test_a_stroke_that_begins_in_the_soil_is_not_taken_for_untared() -> None:
     """A C dips in before −90°: its record may begin there with a force."""
-    known = measurement("li2013:yuma/c")
-    history = known.history.between(-85.0, 90.0)
+    record = measurement("li2013:yuma/c")
+    history = record.history.between(-85.0, 90.0)
     answer = invert(
-        replace(history, provenance={}), rig="li2013", leg="c", density=known.density_kg_m3
+        replace(history, provenance={}), rig="li2013", leg="c", density=record.density_kg_m3
     )
     assert answer.verdict == "consistent"
     assert answer.phi.median == pytest.approx(invert("li2013:yuma/c").phi.median, abs=0.3)
 
 
 def test_a_wrong_leg_that_fits_is_doubted_by_the_second_opinion() -> None:
-    known = measurement("li2013:yuma/straight")
-    record = replace(known.history, provenance={})
+    reference = measurement("li2013:yuma/straight")
+    record = replace(reference.history, provenance={})
     right, wrong = (
         invert(record, rig="li2013", leg=leg, density=1650.0) for leg in ("straight", "reversed_c")
     )
@@ -433,8 +438,8 @@ def test_simulations_of_other_physics_are_refused_by_the_law_of_legs() -> None:
 def test_the_right_leg_is_right_at_all_angles(phi: float) -> None:
     """Forces of the law itself on a reversed C, whose offset is 5°."""
     law = shipped_legs()
-    own = law.law(Rig.of("li2013", "reversed_c"))
-    history = ForceHistory(np.radians(own.theta_deg), own(np.array([[phi]]))[0].T)
+    rig_law = law.law(Rig.of("li2013", "reversed_c"))
+    history = ForceHistory(np.radians(rig_law.theta_deg), rig_law(np.array([[phi]]))[0].T)
     answer = invert(history, rig="li2013", leg="reversed_c", density="1650±10")
     assert answer.verdict == "consistent"
     soil = phi - law.error_of("reversed_c").offset_deg
@@ -443,8 +448,8 @@ def test_the_right_leg_is_right_at_all_angles(phi: float) -> None:
 
 def test_the_end_of_a_law_is_named_as_an_angle_of_soil() -> None:
     law = shipped_legs()
-    own = law.law(Rig.of("li2013", "reversed_c"))
-    history = ForceHistory(np.radians(own.theta_deg), own(np.array([[8.0]]))[0].T)
+    rig_law = law.law(Rig.of("li2013", "reversed_c"))
+    history = ForceHistory(np.radians(rig_law.theta_deg), rig_law(np.array([[8.0]]))[0].T)
     answer = invert(history, rig="li2013", leg="reversed_c", density="1650±10")
     assert (answer.verdict, answer.edge) == ("out_of_range", "low")
     end = 10.0 - law.error_of("reversed_c").offset_deg

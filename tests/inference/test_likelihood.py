@@ -49,8 +49,8 @@ def test_best_angle_and_shift_are_those_of_least_squares(sand3d: Library, name: 
     likelihood = Likelihood([record], sand3d)
     bounds = ((12.0, 48.0), (-15.0, 15.0))
     best = differential_evolution(loss, bounds, seed=0, tol=1e-8)
-    found = np.array([likelihood.least_squares[0], likelihood.shift_deg[0]])
-    assert loss(found) <= best.fun * 1.001
+    result = np.array([likelihood.least_squares[0], likelihood.shift_deg[0]])
+    assert loss(result) <= best.fun * 1.001
     assert invert(name, law=sand3d).phi.median == pytest.approx(best.x[0], abs=0.05)
 
 
@@ -59,9 +59,9 @@ def test_a_turned_zero_of_the_angle_is_found_and_moves_nothing(sand3d: Library) 
     plain = open_record("li2013:poppy_loose/straight")
     history = plain.history
     late = replace(plain, history=replace(history, position=history.position + np.radians(5.0)))
-    one, other = (Likelihood([record], sand3d) for record in (plain, late))
-    assert other.shift_deg[0] == pytest.approx(one.shift_deg[0] + 5.0, abs=0.4)
-    assert other.least_squares[0] == pytest.approx(one.least_squares[0], abs=0.3)
+    first, other = (Likelihood([record], sand3d) for record in (plain, late))
+    assert other.shift_deg[0] == pytest.approx(first.shift_deg[0] + 5.0, abs=0.4)
+    assert other.least_squares[0] == pytest.approx(first.least_squares[0], abs=0.3)
 
 
 def test_at_the_largest_shift_the_angle_is_the_best_with_it(sand3d: Library) -> None:
@@ -92,12 +92,12 @@ def test_squares_of_the_budget_are_the_variance() -> None:
 
 def test_density_is_worth_what_forces_in_proportion_to_it_make() -> None:
     """A density known to 10 % instead of exactly: as far as scaling the forces by 10 % moves φ."""
-    known, wide, other = (
+    reference, wide, other = (
         invert("li2013:poppy_loose/straight", density=density, law="rft3d")
         for density in ("638±0", "638±63.8", "606.1±0")
     )
-    added = np.sqrt(wide.phi.sd**2 - known.phi.sd**2)
-    assert added == pytest.approx(2.0 * abs(other.phi.median - known.phi.median), rel=0.1)
+    added = np.sqrt(wide.phi.sd**2 - reference.phi.sd**2)
+    assert added == pytest.approx(2.0 * abs(other.phi.median - reference.phi.median), rel=0.1)
 
 
 @pytest.mark.parametrize("leg", ["straight", "c"])
@@ -125,15 +125,15 @@ def test_terms_are_what_their_causes_do_to_the_forces(leg: str) -> None:
         "hip height": rig.hip_height_sd_mm * slope("hip_height_mm", 1.5),
     }
     for name, sd in expected.items():
-        found = np.sqrt(np.diag(likelihood.terms[name]))
-        np.testing.assert_allclose(found, abs(sd), atol=0.05 * abs(sd).max(), err_msg=name)
+        result = np.sqrt(np.diag(likelihood.terms[name]))
+        np.testing.assert_allclose(result, abs(sd), atol=0.05 * abs(sd).max(), err_msg=name)
 
 
 def test_noise_is_worth_what_it_does(
     rft3d: Library, history_at: Callable[..., ForceHistory]
 ) -> None:
     """The standard deviation from noise is the scatter of angles over noisy copies of a record."""
-    found = [
+    result = [
         invert(
             history_at(33.0, noise=0.3, seed=s),
             rig="li2013",
@@ -144,29 +144,31 @@ def test_noise_is_worth_what_it_does(
         )
         for s in range(40)
     ]
-    spread = np.std([one.phi.median for one in found])
-    assert found[0].phi.sd == pytest.approx(spread, rel=0.3)
-    assert np.mean([one.phi.median for one in found]) == pytest.approx(33.0, abs=3 * spread / 6.0)
+    spread = np.std([item.phi.median for item in result])
+    assert result[0].phi.sd == pytest.approx(spread, rel=0.3)
+    assert np.mean([item.phi.median for item in result]) == pytest.approx(
+        33.0, abs=3 * spread / 6.0
+    )
 
 
 def test_records_of_one_soil_share_what_they_share() -> None:
     """Another reading of the same record removes its noise alone, another leg its leg's error."""
-    one = invert("li2013:poppy_loose/straight")
+    answer = invert("li2013:poppy_loose/straight")
     twice = invert(["li2013:poppy_loose/straight"] * 2)
     legs = invert(["li2013:poppy_loose/straight", "li2013:poppy_loose/c"])
-    assert twice.phi.sd == pytest.approx(one.phi.sd, rel=0.02)
-    assert legs.phi.sd < one.phi.sd
+    assert twice.phi.sd == pytest.approx(answer.phi.sd, rel=0.02)
+    assert legs.phi.sd < answer.phi.sd
     errors = [shipped_legs().error_of(leg) for leg in ("straight", "c")]
-    both = {
+    pair = {
         name: [getattr(error, f"{field}_sd_deg") for error in errors]
         for name, field in (("apparatus", "common"), ("soil", "soil"), ("leg", "leg"))
     }
     # With weights that add up to 1 what is shared stays between both, and what is not is less.
     for name in ("apparatus", "soil"):
         share = legs.budget_deg[f"model: {name}"]
-        assert 0.98 * min(both[name]) < share < 1.02 * max(both[name])
-    assert legs.budget_deg["model: leg"] < 0.95 * min(both["leg"])
-    assert twice.budget_deg["model: leg"] == pytest.approx(both["leg"][0], rel=0.02)
+        assert 0.98 * min(pair[name]) < share < 1.02 * max(pair[name])
+    assert legs.budget_deg["model: leg"] < 0.95 * min(pair["leg"])
+    assert twice.budget_deg["model: leg"] == pytest.approx(pair["leg"][0], rel=0.02)
 
 
 def test_known_soils_narrow_and_shift() -> None:
@@ -192,9 +194,9 @@ def test_known_soils_narrow_and_shift() -> None:
 @pytest.mark.parametrize("leg", ["straight", "c", "reversed_c"])
 def test_a_known_soil_narrows_most_where_its_leg_is_the_record_s(leg: str) -> None:
     """Height of the hip and friction of the leg stay; and no interval is wider than without."""
-    known = calibrate("li2013:glass03_loose/straight", 25.0, 1.0)
+    calibration = calibrate("li2013:glass03_loose/straight", 25.0, 1.0)
     record = f"li2013:poppy_loose/{leg}"
-    ratio = invert(record, calibration=known).phi.sd / invert(record).phi.sd
+    ratio = invert(record, calibration=calibration).phi.sd / invert(record).phi.sd
     assert ratio < (0.9 if leg == "straight" else 1.0)
 
 
@@ -203,18 +205,18 @@ def test_a_soil_that_the_model_reads_rightly_moves_no_leg(leg: str) -> None:
     """Known as what the library reads off it, by another leg or the same."""
     record = "li2013:glass03_loose/straight"
     read = calibrate(record, 25.0, 1.0).soils[0].read_deg
-    known = calibrate(record, read, 1.0)
-    plain, moved = (invert(f"li2013:yuma/{leg}", calibration=one) for one in (None, known))
+    calibration = calibrate(record, read, 1.0)
+    plain, moved = (invert(f"li2013:yuma/{leg}", calibration=item) for item in (None, calibration))
     assert moved.phi.median == pytest.approx(plain.phi.median, abs=0.02)
 
 
 def test_a_calibration_is_refused_by_a_library_of_other_forces(sand3d: Library) -> None:
     """With all forces half as large again φ would be read 4° lower."""
-    known = calibrate("li2013:glass03_loose/straight", 25.0, 1.0, law=sand3d)
+    calibration = calibrate("li2013:glass03_loose/straight", 25.0, 1.0, law=sand3d)
     cases = tuple(c._replace(history=c.history and c.history.scaled(1.5)) for c in sand3d.cases)
     scaled = replace(sand3d, cases=cases)
     with pytest.raises(InputError, match="calibration is for law 'sand3d'"):
-        invert("li2013:yuma/straight", law=scaled, calibration=known)
+        invert("li2013:yuma/straight", law=scaled, calibration=calibration)
 
 
 def test_calibration_is_the_posterior_of_its_normal_model() -> None:
@@ -226,13 +228,13 @@ def test_calibration_is_the_posterior_of_its_normal_model() -> None:
         CalibrationSoil(soil="B", leg="c", rig="c", phi_deg=25.0, read_deg=29.5, **soil),
         CalibrationSoil(soil="B", leg="straight", rig="s", phi_deg=25.0, read_deg=28.5, **soil),
     ]
-    known = Calibration(library="x", library_hash="", soils=soils)
-    mean, sd = known.common(error, "c", "c", np.array(30.0))
+    calibration = Calibration(library="x", library_hash="", soils=soils)
+    mean, sd = calibration.common(error, "c", "c", np.array(30.0))
     b = np.linspace(-20.0, 20.0, 40_001)
     log_p = -0.5 * b**2 / 9.0
-    for apart, legs in ((3.0, 1), (4.0, 2)):
+    for difference, legs in ((3.0, 1), (4.0, 2)):
         variance = 2.0**2 + 1.2**2 / legs + 1.5**2 + 0.5**2
-        log_p -= 0.5 * (apart - b) ** 2 / variance
+        log_p -= 0.5 * (difference - b) ** 2 / variance
     p = np.exp(log_p - log_p.max())
     p /= p.sum()
     assert mean == pytest.approx(float(p @ b), abs=1e-3)
@@ -250,34 +252,34 @@ def test_a_calibration_determines_the_offset_at_its_own_angle() -> None:
         read_sd_deg=0.2, rig_sd_deg=0.4,
     )  # fmt: skip
     phi = np.array([25.0, 40.0])
-    known = Calibration(library="x", library_hash="", soils=[soil])
+    calibration = Calibration(library="x", library_hash="", soils=[soil])
     rng = np.random.default_rng(3)
     line = rng.multivariate_normal([0.0, 0.0], error.covariance, 400_000)
-    common, own = rng.normal(0.0, 1.5, len(line)), rng.normal(0.0, 0.4, len(line))
+    common, reference = rng.normal(0.0, 1.5, len(line)), rng.normal(0.0, 0.4, len(line))
     at = common + line[:, :1].T + line[:, 1:].T * (np.array([26.5, *phi])[:, None] - 27.0)
-    weight = np.exp(-0.5 * (1.5 - at[0] - own) ** 2 / (0.6**2 + 0.3**2 + 0.5**2 + 0.2**2))
+    weight = np.exp(-0.5 * (1.5 - at[0] - reference) ** 2 / (0.6**2 + 0.3**2 + 0.5**2 + 0.2**2))
     weight /= weight.sum()
     # Another rig of the shape shares all but what is wrong with this one.
-    for rig, sought in (("low", at[1:] + own), ("high", at[1:])):
-        mean, sd = known.common(error, "c", rig, phi)
+    for rig, sought in (("low", at[1:] + reference), ("high", at[1:])):
+        mean, sd = calibration.common(error, "c", rig, phi)
         np.testing.assert_allclose(mean, sought @ weight, atol=0.02)
         np.testing.assert_allclose(sd**2, np.square(sought - mean[:, None]) @ weight, rtol=0.02)
 
 
 def test_a_calibration_says_nothing_of_another_rig() -> None:
-    known = calibrate("li2013:glass03_loose/straight", 25.0, 1.0)
+    calibration = calibrate("li2013:glass03_loose/straight", 25.0, 1.0)
     forces = measurement("li2013:yuma/straight").history
     high = Rig(leg="straight", length_mm=80, width_mm=30, thickness_mm=6, hip_height_mm="24±1")
-    own = Rig.of("li2013", "straight")
-    rough = own.model_copy(update={"leg_friction": 0.5})
-    for rig, gain, of_rig in ((own, "1±0.02", False), (high, "1.1±0.02", True),
+    ensemble = Rig.of("li2013", "straight")
+    rough = ensemble.model_copy(update={"leg_friction": 0.5})
+    for rig, gain, of_rig in ((ensemble, "1±0.02", False), (high, "1.1±0.02", True),
                               (rough, "1.1±0.02", True)):  # fmt: skip
-        options = {"density": "1650±50", "gain": gain, "calibration": known}
+        options = {"density": "1650±50", "gain": gain, "calibration": calibration}
         budget = invert(forces, rig=rig, **options).budget_deg
         for term in ("hip height", "leg friction", "gain"):
             assert (term in budget) == of_rig
     with pytest.raises(InputError, match="the same --gain"):
-        invert(forces, rig=own, gain="1.1±0.02", calibration=known)
+        invert(forces, rig=ensemble, gain="1.1±0.02", calibration=calibration)
 
 
 def test_quadrature_resolves_a_narrow_peak(
@@ -335,8 +337,8 @@ def test_cohesion_is_averaged_as_by_brute_force(name: str) -> None:
             curve = likelihood.curves(p[:1][None], p[1:], number * unit)[0]
             return (likelihood.data - curve) / likelihood.span
 
-        found = least_squares(apart, start, bounds=([0.5, -15.0], [67.0, 15.0]), diff_step=1e-4)
-        start, phi[i], squares[i] = found.x, found.x[0], np.square(found.fun).mean()
+        result = least_squares(apart, start, bounds=([0.5, -15.0], [67.0, 15.0]), diff_step=1e-4)
+        start, phi[i], squares[i] = result.x, result.x[0], np.square(result.fun).mean()
     low, high = record.rig.air_deg()
     in_soil = 2 * np.sum((low <= record.theta_deg) & (record.theta_deg <= high))
     weight = (squares + RIDGE**2) ** (-0.5 * in_soil / WINDOWS_PER_RESIDUAL)

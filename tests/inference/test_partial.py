@@ -37,40 +37,43 @@ def test_information_of_the_parts_adds_up_to_that_of_the_whole(sand3d: Library) 
         shares.append(share)
     # Each is taken at the best angle of its part.
     assert sum(shares) == pytest.approx(1.0, abs=0.1)
-    whole = open_record("li2013:yuma/straight")
-    assert Likelihood([whole], sand3d).coverage[0].share == 1.0
+    full = open_record("li2013:yuma/straight")
+    assert Likelihood([full], sand3d).coverage[0].share == 1.0
 
 
 @pytest.mark.parametrize("window", [(-80, 80), (-60, 60), (-60, 0), (-40, 0), (-20, 40), (0, 85)])
 def test_a_part_gives_the_angle_of_the_whole_within_its_own_share(window: tuple[int, int]) -> None:
-    apart = []
+    difference = []
     for name in names():
-        known = measurement(name)
-        whole = invert(known)
-        part = invert(cut(name, *window), rig=known.rig, density=known.density_kg_m3)
+        record = measurement(name)
+        answer = invert(record)
+        part = invert(cut(name, *window), rig=record.rig, density=record.density_kg_m3)
         missing = np.hypot(
             *(part.budget_deg.get(term, 0.0) for term in ("missing angles", "cohesion"))
         )
-        assert part.phi.sd > 0.8 * whole.phi.sd  # other terms change too
+        assert part.phi.sd > 0.8 * answer.phi.sd  # other terms change too
         if part.verdict == "consistent":
-            apart.append(abs(part.phi.median - whole.phi.median) / max(missing, 0.3))
+            difference.append(abs(part.phi.median - answer.phi.median) / max(missing, 0.3))
     # Of twelve normal deviates the root mean square is below 1.55 with 99.5 % probability.
-    assert len(apart) >= 11
-    assert np.sqrt(np.mean(np.square(apart))) < 1.55
+    assert len(difference) >= 11
+    assert np.sqrt(np.mean(np.square(difference))) < 1.55
 
 
 @pytest.mark.parametrize("leg", ["straight", "c", "reversed_c"])
 def test_intervals_of_parts_and_of_a_torque_hold_the_angle_of_grains(leg: str) -> None:
     """Grains of 6 mm act like a cohesion; the angles are those of shear cells."""
-    apart, errors = [], []
+    difference, errors = [], []
     for soil, true in (("A", 19.8), ("B", 25.9), ("C", 31.3), ("E", 29.6)):
         table = np.loadtxt(GRAINS / f"{soil}-loose_{leg}_1.csv", delimiter=",", skiprows=3)
         theta, force, moment = np.radians(table[:, 0]), table[:, 1:3], table[:, 3]
-        whole = ForceHistory(theta, force)
+        full_history = ForceHistory(theta, force)
         torque = ForceHistory(theta, force[:, :0], axes=(), moment=moment)
-        for history in (torque, *(whole.between(*np.radians(w)) for w in ((-60, 20), (-20, 60)))):
+        for history in (
+            torque,
+            *(full_history.between(*np.radians(w)) for w in ((-60, 20), (-20, 60))),
+        ):
             answer = invert(history, rig="li2013", leg=leg, density="1415±20", grain_size_mm=6.0)
             errors.append(answer.phi.median - true)
-            apart.append(errors[-1] / answer.phi.sd)
-    assert np.mean(np.abs(apart) < 1.96) >= 11 / 12
+            difference.append(errors[-1] / answer.phi.sd)
+    assert np.mean(np.abs(difference) < 1.96) >= 11 / 12
     assert abs(np.mean(errors)) < 2.0  # as of dry soil + 3 to + 11°

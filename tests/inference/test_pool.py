@@ -36,64 +36,66 @@ def problem() -> tuple[Observed, Normal, np.ndarray]:
 
 
 def test_bands_are_the_exact_posterior() -> None:
-    seen, shared, path = problem()
-    found = pool(seen, shared, path, [], mean=32.0, mean_sd=8.0)
+    observed, shared, path = problem()
+    pooled = pool(observed, shared, path, [], mean=32.0, mean_sd=8.0)
     # Footfalls first determine the errors of the torques, by the normal equations.
-    each, before = seen.shared[:, :N], np.linalg.inv(shared.covariance[:N, :N])
-    field = covariance(seen.place, seen.place, *FIELD, 8.0) + seen.sd**2 * np.eye(24)
+    each, before = observed.shared[:, :N], np.linalg.inv(shared.covariance[:N, :N])
+    field = covariance(observed.place, observed.place, *FIELD, 8.0) + observed.sd**2 * np.eye(24)
     weighted = each.T @ np.linalg.inv(field)
-    off = seen.phi - 32.0 - seen.shared[:, N:] @ shared.mean[N:]
+    off = observed.phi - 32.0 - observed.shared[:, N:] @ shared.mean[N:]
     torques = np.linalg.inv(before + weighted @ each)
     shared.mean[:N] = torques @ (before @ shared.mean[:N] + weighted @ off)
     shared.covariance[:N, :N] = torques
-    every = np.concatenate([path, seen.place])
-    prior = covariance(every, every, *FIELD, 8.0)
+    values = np.concatenate([path, observed.place])
+    prior = covariance(values, values, *FIELD, 8.0)
     p = len(path)
     rows = np.hstack([np.zeros((24, p)), np.eye(24)])
-    noise = seen.sd**2 * np.eye(24)
+    noise = observed.sd**2 * np.eye(24)
     gain = prior @ rows.T @ np.linalg.inv(rows @ prior @ rows.T + noise)
-    mean = 32.0 + gain @ (seen.phi - seen.shared @ shared.mean - 32.0)
-    moves = (gain @ seen.shared)[:p]
+    mean = 32.0 + gain @ (observed.phi - observed.shared @ shared.mean - 32.0)
+    moves = (gain @ observed.shared)[:p]
     left = (prior - gain @ rows @ prior)[:p, :p]
     # Of what is shared, the relative band holds what differs from the mean of the path.
-    apart = (np.eye(p) - np.full((p, p), 1.0 / p)) @ moves
-    unlike = apart @ shared.covariance @ apart.T
+    difference = (np.eye(p) - np.full((p, p), 1.0 / p)) @ moves
+    unlike = difference @ shared.covariance @ difference.T
     everything = moves @ shared.covariance @ moves.T
-    assert found.path_phi == pytest.approx(mean[:p])
-    assert found.path_relative_sd == pytest.approx(np.sqrt(np.diag(left + unlike)))
-    assert found.path_absolute_sd == pytest.approx(np.sqrt(np.diag(left + everything)))
-    assert found.shared[0] == pytest.approx(shared.mean)
-    assert np.all(found.path_absolute_sd > found.path_relative_sd)
-    each = seen.shared - seen.shared.mean(axis=0)
-    own = seen.sd**2 + np.diag(each @ shared.covariance @ each.T)
-    assert found.sd == pytest.approx(np.sqrt(own))
-    everything = np.diag(seen.shared @ shared.covariance @ seen.shared.T)
-    whole = np.maximum(own, seen.sd**2 + everything)
-    assert np.hypot(found.sd, found.shared_sd) == pytest.approx(np.sqrt(whole))
+    assert pooled.path_phi == pytest.approx(mean[:p])
+    assert pooled.path_relative_sd == pytest.approx(np.sqrt(np.diag(left + unlike)))
+    assert pooled.path_absolute_sd == pytest.approx(np.sqrt(np.diag(left + everything)))
+    assert pooled.shared[0] == pytest.approx(shared.mean)
+    assert np.all(pooled.path_absolute_sd > pooled.path_relative_sd)
+    each = observed.shared - observed.shared.mean(axis=0)
+    reference = observed.sd**2 + np.diag(each @ shared.covariance @ each.T)
+    assert pooled.sd == pytest.approx(np.sqrt(reference))
+    everything = np.diag(observed.shared @ shared.covariance @ observed.shared.T)
+    full = np.maximum(reference, observed.sd**2 + everything)
+    assert np.hypot(pooled.sd, pooled.shared_sd) == pytest.approx(np.sqrt(full))
 
 
 def test_an_anchor_of_some_doubt_is_weighed_by_its_variance() -> None:
-    seen, shared, path = problem()
-    free = pool(seen, shared, path, [], mean=32.0, mean_sd=8.0)
+    observed, shared, path = problem()
+    free = pool(observed, shared, path, [], mean=32.0, mean_sd=8.0)
     held = pool(
-        seen, shared, path, [(Anchor(0.0, 0.5, 30.0, 0.5), path[:1])], mean=32.0, mean_sd=8.0
+        observed, shared, path, [(Anchor(0.0, 0.5, 30.0, 0.5), path[:1])], mean=32.0, mean_sd=8.0
     )
-    own, given = free.path_absolute_sd[0] ** 2, 0.5**2
-    mean = (free.path_phi[0] * given + 30.0 * own) / (own + given)
+    reference, given = free.path_absolute_sd[0] ** 2, 0.5**2
+    mean = (free.path_phi[0] * given + 30.0 * reference) / (reference + given)
     assert held.path_phi[0] == pytest.approx(mean)
-    assert held.path_absolute_sd[0] == pytest.approx(np.sqrt(own * given / (own + given)))
+    assert held.path_absolute_sd[0] == pytest.approx(
+        np.sqrt(reference * given / (reference + given))
+    )
 
 
 def test_an_anchor_takes_what_is_shared_away() -> None:
     """All are high by the law's offset: a sure anchor tells by how much, and the map follows."""
-    seen, _, path = problem()
+    observed, _, path = problem()
     only = np.zeros((M, M))
     only[SHARED.index("law_offset_deg"), SHARED.index("law_offset_deg")] = 9.0
-    seen = seen._replace(shared=np.tile(np.eye(M)[SHARED.index("law_offset_deg")], (24, 1)))
+    observed = observed._replace(shared=np.tile(np.eye(M)[SHARED.index("law_offset_deg")], (24, 1)))
     shared = Normal(np.zeros(M), only)
-    free = pool(seen, shared, path, [], mean=32.0, mean_sd=8.0)
+    free = pool(observed, shared, path, [], mean=32.0, mean_sd=8.0)
     anchor = Anchor(0.0, 0.5, float(free.path_phi[0]) - 4.0, 0.01)
-    held = pool(seen, shared, path, [(anchor, path[:1])], mean=32.0, mean_sd=8.0)
+    held = pool(observed, shared, path, [(anchor, path[:1])], mean=32.0, mean_sd=8.0)
     assert free.path_absolute_sd == pytest.approx(np.hypot(free.path_relative_sd, 3.0), rel=1e-3)
     assert held.path_phi == pytest.approx(free.path_phi - 4.0, abs=0.1)
     assert held.phi == pytest.approx(free.phi - 4.0, abs=0.1)
@@ -109,11 +111,13 @@ def test_feet_teach_the_gains_that_differ_between_them() -> None:
     phi = np.where(np.arange(40) % 2, 33.0, 33.6)
     sd = np.zeros(M)
     sd[[2, 5]] = 0.1
-    seen = Observed(phi, np.full(40, 0.1), shared, place)
-    found = pool(seen, Normal(np.zeros(M), np.diag(sd**2)), place[:3], [], mean=32.0, mean_sd=8.0)
-    assert found.shared[0][2] - found.shared[0][5] == pytest.approx(0.1, abs=0.01)
-    assert np.ptp(found.phi) < 0.1
-    assert found.shared_sd.min() > 0.2  # what both have in common is not known
+    observation = Observed(phi, np.full(40, 0.1), shared, place)
+    pooled = pool(
+        observation, Normal(np.zeros(M), np.diag(sd**2)), place[:3], [], mean=32.0, mean_sd=8.0
+    )
+    assert pooled.shared[0][2] - pooled.shared[0][5] == pytest.approx(0.1, abs=0.01)
+    assert np.ptp(pooled.phi) < 0.1
+    assert pooled.shared_sd.min() > 0.2  # what both have in common is not known
 
 
 def test_two_anchors_find_the_scale_of_differences() -> None:
@@ -125,12 +129,19 @@ def test_two_anchors_find_the_scale_of_differences() -> None:
     sd[column] = 1.0
     shared = np.zeros((60, M))
     shared[:, column] = phi - phi.mean()
-    seen = Observed(phi, np.full(60, 0.05), shared, place)
+    observation = Observed(phi, np.full(60, 0.05), shared, place)
     path = place[::6]
     anchors = [(Anchor(a, a, float(true[i]), 0.05), place[[i]]) for a, i in ((0.0, 0), (1.5, 30))]
     free, held = (
-        pool(seen, Normal(np.zeros(M), np.diag(sd**2)), path, known, mean=32.0, mean_sd=8.0)
-        for known in ([], anchors)
+        pool(
+            observation,
+            Normal(np.zeros(M), np.diag(sd**2)),
+            path,
+            reference,
+            mean=32.0,
+            mean_sd=8.0,
+        )
+        for reference in ([], anchors)
     )
     assert np.abs(free.path_phi - true[::6]).max() > 0.5
     assert held.path_phi == pytest.approx(true[::6], abs=0.1)
@@ -144,22 +155,24 @@ def test_what_is_learned_of_the_field_is_what_it_was_drawn_from() -> None:
     place = np.column_stack([np.linspace(0.0, 40.0, 240), np.zeros(240)])
     field = covariance(place, place, 2.0, 2.5, 8.0) + 0.3**2 * np.eye(240)
     phi = 35.0 + np.linalg.cholesky(field - 8.0**2) @ rng.normal(size=240)
-    seen = Observed(phi, np.full(240, 0.3), np.zeros((240, M)), place)
-    found = pool(seen, Normal(np.zeros(M), np.eye(M)), place[:2], [], mean=32.0, mean_sd=8.0)
-    assert found.field["length_m"] == pytest.approx(2.5, rel=0.3)
-    assert found.field["amplitude_deg"] == pytest.approx(2.0, rel=0.3)
-    assert found.field["scatter_deg"] == pytest.approx(0.3)
-    assert found.sd == pytest.approx(found.field["scatter_deg"])
+    observation = Observed(phi, np.full(240, 0.3), np.zeros((240, M)), place)
+    pooled = pool(
+        observation, Normal(np.zeros(M), np.eye(M)), place[:2], [], mean=32.0, mean_sd=8.0
+    )
+    assert pooled.field["length_m"] == pytest.approx(2.5, rel=0.3)
+    assert pooled.field["amplitude_deg"] == pytest.approx(2.0, rel=0.3)
+    assert pooled.field["scatter_deg"] == pytest.approx(0.3)
+    assert pooled.sd == pytest.approx(pooled.field["scatter_deg"])
 
 
 def test_an_anchor_that_contradicts_is_told_from_one_that_agrees() -> None:
-    seen, shared, path = problem()
-    free = pool(seen, shared, path, [], mean=32.0, mean_sd=8.0)
+    observed, shared, path = problem()
+    free = pool(observed, shared, path, [], mean=32.0, mean_sd=8.0)
     there, sd = free.path_phi[0], free.path_absolute_sd[0]
 
     def surprise(*known: float) -> np.ndarray:
         anchors = [(Anchor(0.0, 0.5, phi, 0.2), path[i : i + 1]) for i, phi in enumerate(known)]
-        return pool(seen, shared, path, anchors, mean=32.0, mean_sd=8.0).surprise
+        return pool(observed, shared, path, anchors, mean=32.0, mean_sd=8.0).surprise
 
     assert surprise(there).max() < 1e-6
     assert surprise(there + 3.0 * np.hypot(sd, 0.2)) == pytest.approx([3.0])

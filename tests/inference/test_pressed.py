@@ -36,7 +36,7 @@ def test_own_curves_return_their_angle(phi: float, contraction: float) -> None:
     low, high = answer.phi.ci95
     assert low < phi < high
     assert answer.verdict == "consistent"
-    assert any("compacts" in one for one in answer.warnings) == (contraction > 0.0)
+    assert any("compacts" in warning for warning in answer.warnings) == (contraction > 0.0)
 
 
 def test_columns_units_signs_and_unloading_do_not_matter(tmp_path: Path) -> None:
@@ -53,7 +53,7 @@ def test_columns_units_signs_and_unloading_do_not_matter(tmp_path: Path) -> None
     for variant in variants:
         answer = terraphi.invert(variant.reset_index(drop=True), tool="plate:151", density=1500)
         assert answer.phi.median == pytest.approx(expected.phi.median, abs=0.01)
-    assert any("unloading" in one for one in answer.warnings)
+    assert any("unloading" in warning for warning in answer.warnings)
     answer.save(tmp_path / "answer")
     assert terraphi.Answer.load(tmp_path / "answer").phi.median == answer.phi.median
 
@@ -174,9 +174,9 @@ def test_bekkers_numbers_are_those_of_the_pressure(n: float, k_c: float, k_phi: 
     assert answer.bekker.k_c == pytest.approx(k_c, rel=0.02)
     assert answer.bekker.k_phi == pytest.approx(k_phi, rel=0.02)
     assert answer.as_dict()["bekker_kN_m"]["k_phi"] == answer.bekker.k_phi
-    one = terraphi.invert(plates[0], density=1500).bekker
-    assert one.k == {"30": pytest.approx(k_c / 0.03 + k_phi, rel=0.01)}
-    assert one.k_c is one.k_phi is None
+    item = terraphi.invert(plates[0], density=1500).bekker
+    assert item.k == {"30": pytest.approx(k_c / 0.03 + k_phi, rel=0.01)}
+    assert item.k_c is item.k_phi is None
     assert terraphi.invert(plates[3], density=1500).bekker is None
 
 

@@ -24,15 +24,15 @@ def record(theta_deg: np.ndarray, force: np.ndarray, **more: object) -> Record:
 def test_means_are_integrals_of_the_line_between_readings() -> None:
     rng = np.random.default_rng(0)
     theta = np.sort(rng.uniform(-90.0, 90.0, 150))
-    one = record(theta, rng.standard_normal((150, 2)))
+    stroke = record(theta, rng.standard_normal((150, 2)))
     half = 85.0 / 39.0
     for i in (3, 20, 35):
-        centre = one.theta_deg[i]
+        centre = stroke.theta_deg[i]
         low, high = max(centre - half, theta[0]), min(centre + half, theta[-1])
         kinks = theta[(theta > low) & (theta < high)]
-        integral = quad(lambda t: np.interp(t, theta, one.history.Fx), low, high,
+        integral = quad(lambda t: np.interp(t, theta, stroke.history.Fx), low, high,
                         points=kinks, limit=200)[0]  # fmt: skip
-        assert one.data[0, i] == pytest.approx(integral / (high - low), abs=1e-7)
+        assert stroke.data[0, i] == pytest.approx(integral / (high - low), abs=1e-7)
 
 
 def test_a_curve_is_read_as_the_record_was() -> None:
@@ -40,20 +40,20 @@ def test_a_curve_is_read_as_the_record_was() -> None:
     curve_theta = np.arange(-90.0, 91.0)
     curve = np.stack([3.0 + 0.02 * curve_theta, np.cos(np.radians(curve_theta))])
     force = np.stack([np.interp(theta, curve_theta, row) for row in curve], axis=1)
-    one = record(theta, force)
-    np.testing.assert_allclose(curve @ one.operator(curve_theta).T, one.data, atol=1e-10)
+    stroke = record(theta, force)
+    np.testing.assert_allclose(curve @ stroke.operator(curve_theta).T, stroke.data, atol=1e-10)
 
 
 def test_covariance_of_noise_is_that_of_noisy_readings() -> None:
     theta, rng = np.arange(-88.0, 88.1, 0.8), np.random.default_rng(2)
-    one = record(theta, np.zeros((len(theta), 2)) + 1.0, noise=(0.3, 0.1))
-    seen = []
+    stroke = record(theta, np.zeros((len(theta), 2)) + 1.0, noise=(0.3, 0.1))
+    observed = []
     for _ in range(4000):
         noise = rng.standard_normal((len(theta), 2)) * [0.3, 0.1]
-        seen.append(replace(one, history=replace(one.history, force=noise)).data.ravel())
-    sample = np.cov(np.array(seen).T)
-    np.testing.assert_allclose(np.diag(sample), np.diag(one.noise_covariance), rtol=0.12)
-    assert np.abs(sample - one.noise_covariance).max() < 0.1 * np.diag(sample).max()
+        observed.append(replace(stroke, history=replace(stroke.history, force=noise)).data.ravel())
+    sample = np.cov(np.array(observed).T)
+    np.testing.assert_allclose(np.diag(sample), np.diag(stroke.noise_covariance), rtol=0.12)
+    assert np.abs(sample - stroke.noise_covariance).max() < 0.1 * np.diag(sample).max()
 
 
 def test_covariance_of_rounding_is_that_of_rounded_readings() -> None:
@@ -63,11 +63,11 @@ def test_covariance_of_rounding_is_that_of_rounded_readings() -> None:
     for _ in range(400):
         level = np.cumsum(rng.uniform(1.0, 2.0, (12, 2)), axis=0)
         exact = np.repeat(level, 20, axis=0)[: len(theta)]
-        one = record(
+        stroke = record(
             theta, step * np.round(exact / step), noise=(0.0, 0.0), resolution=(step, step)
         )
-        errors.append((one.data - record(theta, exact).data).ravel())
-        stated.append(one.noise_covariance)
+        errors.append((stroke.data - record(theta, exact).data).ravel())
+        stated.append(stroke.noise_covariance)
     sample, expected = np.cov(np.array(errors).T), np.mean(stated, axis=0)
     np.testing.assert_allclose(np.diag(sample).mean(), np.diag(expected).mean(), rtol=0.1)
     assert np.abs(sample - expected).max() < 0.3 * np.diag(expected).max()
@@ -87,22 +87,22 @@ def test_long_records_keep_their_means_and_noise() -> None:
     theta, rng = np.linspace(-90.0, 90.0, 50_000), np.random.default_rng(4)
     force = np.stack([np.cos(np.radians(theta)), np.sin(np.radians(theta))], axis=1)
     force += 0.1 * rng.standard_normal(force.shape)
-    whole = record(theta, force, noise=(0.1, 0.1))
-    whole = replace(whole, history=replace(whole.history, moment=force[:, 0] ** 2))
-    short = whole.binned()
+    full = record(theta, force, noise=(0.1, 0.1))
+    full = replace(full, history=replace(full.history, moment=force[:, 0] ** 2))
+    short = full.binned()
     assert len(short.history.position) <= 4000
-    np.testing.assert_allclose(whole.data, short.data, atol=2e-3)
-    noise = np.diag(whole.noise_covariance)
+    np.testing.assert_allclose(full.data, short.data, atol=2e-3)
+    noise = np.diag(full.noise_covariance)
     np.testing.assert_allclose(np.diag(short.noise_covariance), noise, rtol=0.05)
-    moments = [one.means(one.history.moment) for one in (whole, short)]
+    moments = [item.means(item.history.moment) for item in (full, short)]
     np.testing.assert_allclose(*moments, atol=2e-3)
 
 
 def test_partial_records_use_the_windows_that_they_cover() -> None:
     theta = np.arange(-60.0, 0.1, 0.5)
-    one = record(theta, np.ones((len(theta), 2)))
-    assert -62.0 <= one.theta_deg[0] < one.theta_deg[-1] <= 2.0
-    assert 12 <= one.theta_deg.size <= 15
+    stroke = record(theta, np.ones((len(theta), 2)))
+    assert -62.0 <= stroke.theta_deg[0] < stroke.theta_deg[-1] <= 2.0
+    assert 12 <= stroke.theta_deg.size <= 15
     with pytest.raises(InputError, match="40 deg"):
         _ = record(np.arange(-20.0, 0.1, 0.5), np.ones((41, 2))).theta_deg
     gap = np.concatenate([np.arange(-80.0, -50.0, 0.5), np.arange(-20.0, 60.0, 0.5)])
@@ -113,8 +113,8 @@ def test_partial_records_use_the_windows_that_they_cover() -> None:
 def test_a_table_is_a_record_and_rows_need_no_order() -> None:
     theta = np.arange(-90.0, 90.1, 1.0)
     table = pd.DataFrame({"theta_deg": theta, "Fx_N": np.cos(np.radians(theta)), "Fz_N": 1.0})
-    one, other = (open_record(t, rig="li2013", leg="straight") for t in (table, table.iloc[::-1]))
-    np.testing.assert_allclose(one.data, other.data)
+    first, other = (open_record(t, rig="li2013", leg="straight") for t in (table, table.iloc[::-1]))
+    np.testing.assert_allclose(first.data, other.data)
     with pytest.raises(InputError, match="no column of Fz"):
         open_record(table.drop(columns="Fz_N"), rig="li2013", leg="straight")
 
@@ -124,5 +124,5 @@ def test_a_table_is_a_record_and_rows_need_no_order() -> None:
     [(1500.0, 1500.0, 75.0), ("1500±30", 1500.0, 30.0), ("1500", 1500.0, 75.0)],
 )
 def test_density_has_five_percent_unless_said(given: float | str, mean: float, sd: float) -> None:
-    one = open_record("li2013:poppy_loose/c", density=given)
-    assert (one.density_kg_m3, one.density_sd_kg_m3) == pytest.approx((mean, sd))
+    item = open_record("li2013:poppy_loose/c", density=given)
+    assert (item.density_kg_m3, item.density_sd_kg_m3) == pytest.approx((mean, sd))

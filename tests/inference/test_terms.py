@@ -84,7 +84,7 @@ class Legs:
                 (0.0, step * np.eye(2)[1]),
             )
         ]
-        slope = np.vstack([(one - self.data) / step for one in moved]).T
+        slope = np.vstack([(item - self.data) / step for item in moved]).T
         span = np.repeat(np.concatenate([record.span] * 2), record.theta_deg.size)
         self.span = span
         self.weights = np.linalg.pinv(slope / span[:, None]) / span
@@ -96,8 +96,8 @@ class Legs:
         base = self.likelihood.shift_deg
         for force, shifts in zip(forces, shift + base, strict=True):
             each = [
-                (force @ record.operator(law.theta_deg + one).T).ravel()
-                for record, one in zip(self.records, shifts, strict=True)
+                (force @ record.operator(law.theta_deg + item).T).ravel()
+                for record, item in zip(self.records, shifts, strict=True)
             ]
             rows.append(np.concatenate(each))
         return np.array(rows)

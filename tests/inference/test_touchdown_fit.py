@@ -33,7 +33,7 @@ def pressed(phi: float = 34.0, *, level: float = 0.003, seed: int | None = 0) ->
     time = np.arange(0.0, 0.08, 0.002)[None]
     drop = 0.025 * np.sin(0.5 * np.pi * time / 0.08)
     still = np.zeros_like(time)
-    seen = Touchdowns(
+    observed = Touchdowns(
         foot=np.array([2]), begin=np.zeros(1), place=np.zeros((1, 3)), time=time, drop=drop,
         descent=np.full_like(time, 1.4), speed=still, acceleration=still, force=still,
         per_error=np.zeros((*time.shape, 6)),
@@ -41,28 +41,30 @@ def pressed(phi: float = 34.0, *, level: float = 0.003, seed: int | None = 0) ->
         faulty=np.zeros(1, bool),
         returned=np.zeros(1), peak=np.ones(1), deepest=drop.max(axis=1), broken=np.zeros(1),
     )  # fmt: skip
-    force = predicted(LAWS["rft"], PRIOR, seen, np.array([[phi, level, 0.0]]))
-    seen = seen._replace(force=force, per_error=force[..., None] * [1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+    force = predicted(LAWS["rft"], PRIOR, observed, np.array([[phi, level, 0.0]]))
+    observed = observed._replace(
+        force=force, per_error=force[..., None] * [1.0, 1.0, 1.0, 0.0, 0.0, 0.0]
+    )
     if seed is not None:
-        lower = np.linalg.cholesky(noise_covariance(seen, PRIOR)[0])
+        lower = np.linalg.cholesky(noise_covariance(observed, PRIOR)[0])
         noise = lower @ np.random.default_rng(seed).normal(size=force.shape[1])
-        seen = seen._replace(force=force + 0.5 * noise)
-    return seen
+        observed = observed._replace(force=force + 0.5 * noise)
+    return observed
 
 
 def test_laplace_agrees_with_quadrature() -> None:
-    seen = pressed()
-    found = fit(seen, "rft", PRIOR)
-    weight = np.linalg.inv(noise_covariance(seen, PRIOR)[0])
-    half = 4.0 * max(1.0, 1.0 / np.sqrt(found.misfit[0])) * found.sd[0]
+    touchdown = pressed()
+    fitted = fit(touchdown, "rft", PRIOR)
+    weight = np.linalg.inv(noise_covariance(touchdown, PRIOR)[0])
+    half = 4.0 * max(1.0, 1.0 / np.sqrt(fitted.misfit[0])) * fitted.sd[0]
     axes = [
-        found.phi[0] + np.linspace(-half, half, 41),
+        fitted.phi[0] + np.linspace(-half, half, 41),
         0.003 + np.linspace(-0.012, 0.012, 61),
         np.linspace(-0.035, 0.035, 21),
     ]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    repeated = Touchdowns(*(np.repeat(column, len(grid), axis=0) for column in seen))
-    left = seen.force - predicted(LAWS["rft"], PRIOR, repeated, grid)
+    repeated = Touchdowns(*(np.repeat(column, len(grid), axis=0) for column in touchdown))
+    left = touchdown.force - predicted(LAWS["rft"], PRIOR, repeated, grid)
     # φ's prior is the pooling's: here only level and drift have one.
     off = grid[:, 1:] / [PRIOR.level_sd, PRIOR.drift_sd]
     chi = np.einsum("nk,kl,nl->n", left, weight, left)
@@ -76,8 +78,8 @@ def test_laplace_agrees_with_quadrature() -> None:
         return mean, np.sqrt(mass @ (grid[:, 0] - mean) ** 2)
 
     mean, sd = moments(1.0)
-    assert found.phi[0] == pytest.approx(mean, abs=0.15 * sd)
-    assert found.sd[0] == pytest.approx(moments(found.misfit[0])[1], rel=0.1)
+    assert fitted.phi[0] == pytest.approx(mean, abs=0.15 * sd)
+    assert fitted.sd[0] == pytest.approx(moments(fitted.misfit[0])[1], rel=0.1)
 
 
 def test_the_inertia_gives_the_impulse_that_its_mass_takes_up() -> None:
@@ -85,13 +87,13 @@ def test_the_inertia_gives_the_impulse_that_its_mass_takes_up() -> None:
     time = np.linspace(0.0, 0.05, 4001)[None]
     turn = 0.4 * np.pi * time / 0.05
     drop, rate = 0.03 * np.sin(turn), 0.4 * np.pi / 0.05
-    seen = pressed(seed=None)._replace(
+    observed = pressed(seed=None)._replace(
         time=time, drop=drop, descent=np.full_like(time, 0.5 * np.pi),
         speed=0.03 * rate * np.cos(turn), acceleration=-(rate**2) * drop,
     )  # fmt: skip
-    impulse = np.trapezoid(inertia(PRIOR, seen, drop), time)[0]
+    impulse = np.trapezoid(inertia(PRIOR, observed, drop), time)[0]
     mass = moved_mass(Foot(PRIOR.radius), drop, PRIOR.density)[0]
-    momentum = (mass * seen.speed)[0]
+    momentum = (mass * observed.speed)[0]
     assert impulse == pytest.approx(momentum[-1] - momentum[0], rel=1e-3)
     assert 2.0 < mass[0, -1] / (PRIOR.density * np.pi * PRIOR.radius**3) < 4.0
 
@@ -100,7 +102,7 @@ def test_the_inertia_gives_the_impulse_that_its_mass_takes_up() -> None:
 @pytest.mark.parametrize("landing", ["l0.5", "l1"])
 def test_a_ball_that_lands_in_grains_reads_what_a_slow_one_does(soil: str, landing: str) -> None:
     slow, hit = (landed(f"{soil}-loose_ball_44_{name}1.csv") for name in ("", f"{landing}_"))
-    read = [fit(seen, "foot", prior).phi[0] for seen, prior in (slow, hit)]
+    read = [fit(observed, "foot", prior).phi[0] for observed, prior in (slow, hit)]
     assert read[1] == pytest.approx(read[0], abs=2.0)
     # Without the inertia it does not.
     still = hit[0]._replace(acceleration=0.0 * hit[0].speed, speed=0.0 * hit[0].speed)
@@ -113,12 +115,14 @@ def landed(name: str) -> tuple[Touchdowns, Prior]:
     density = float(path.read_text().splitlines()[1].split()[2])
     rows = np.loadtxt(path, delimiter=",", skiprows=3)
     rows = rows[(rows[:, 0] > 0.0) & (rows[:, 0] < 25.0)]
-    part = [rows[some].mean(axis=0) for some in np.array_split(np.arange(len(rows)), 24)]
+    part = [
+        rows[part_value].mean(axis=0) for part_value in np.array_split(np.arange(len(rows)), 24)
+    ]
     depth, _, force, *moving = np.transpose(part)
     speed, acceleration = moving or (np.full(24, 0.03), np.zeros(24))
     drop = 1e-3 * depth[None]
     gaps = np.diff(drop[0]) / (0.5 * (speed[1:] + speed[:-1]))
-    seen = Touchdowns(
+    touchdown = Touchdowns(
         foot=np.array([0]), begin=np.zeros(1), place=np.zeros((1, 3)),
         time=np.append(0.0, np.cumsum(gaps))[None], drop=drop,
         descent=np.full((1, 24), 0.5 * np.pi), speed=speed[None], acceleration=acceleration[None],
@@ -128,7 +132,7 @@ def landed(name: str) -> tuple[Touchdowns, Prior]:
         returned=np.zeros(1), peak=np.ones(1), deepest=drop.max(axis=1), broken=np.zeros(1),
     )  # fmt: skip
     prior = replace(PRIOR, density=density, surface_friction=0.35, level_sd=2e-3, drift_sd=1e-4)
-    return seen, prior
+    return touchdown, prior
 
 
 def test_a_misfit_counts_once_and_the_prior_of_phi_not_at_all() -> None:
@@ -136,23 +140,23 @@ def test_a_misfit_counts_once_and_the_prior_of_phi_not_at_all() -> None:
     quiet, exact = pressed(seed=1), pressed(seed=None)
     loud = quiet._replace(force=exact.force + 2.0 * (quiet.force - exact.force))
     prior = replace(PRIOR, level_sd=1.0, drift_sd=1.0)  # nothing but noise counts
-    one, two = (fit(each, "rft", prior) for each in (quiet, loud))
-    assert two.misfit[0] / one.misfit[0] == pytest.approx(4.0, rel=0.2)
-    assert two.sd[0] / one.sd[0] == pytest.approx(2.0, rel=0.15)
+    first, two = (fit(each, "rft", prior) for each in (quiet, loud))
+    assert two.misfit[0] / first.misfit[0] == pytest.approx(4.0, rel=0.2)
+    assert two.sd[0] / first.sd[0] == pytest.approx(2.0, rel=0.15)
     sure = fit(loud, "rft", replace(prior, phi_deg=40.0, phi_sd_deg=0.5))
     assert sure.phi[0] == pytest.approx(two.phi[0], abs=0.05 * two.sd[0])
     assert sure.sd[0] == pytest.approx(two.sd[0], rel=0.01)
 
 
 def test_what_is_shared_moves_the_answer_as_told() -> None:
-    seen = pressed(seed=None)
-    found = fit(seen, "rft", PRIOR)
-    assert found.phi[0] == pytest.approx(34.0, abs=0.1)
+    touchdown = pressed(seed=None)
+    fitted = fit(touchdown, "rft", PRIOR)
+    assert fitted.phi[0] == pytest.approx(34.0, abs=0.1)
 
     def moved(**changed: float) -> float:
-        return float(fit(seen, "rft", replace(PRIOR, **changed)).phi[0] - found.phi[0])
+        return float(fit(touchdown, "rft", replace(PRIOR, **changed)).phi[0] - fitted.phi[0])
 
-    told = dict(zip(PRIOR.shared(), found.shared[0, TORQUES:], strict=True))
+    told = dict(zip(PRIOR.shared(), fitted.shared[0, TORQUES:], strict=True))
     # If the truth is above what is assumed, φ̂ is off by S; to assume more takes it back.
     assert moved(density=1.03 * PRIOR.density) == pytest.approx(
         -0.03 * PRIOR.density * told["density_kg_m3"], rel=0.1
@@ -162,25 +166,31 @@ def test_what_is_shared_moves_the_answer_as_told() -> None:
     )
     assert moved(radius=0.0222) == pytest.approx(-0.2 * told["foot_radius_mm"], rel=0.15)
     # What reads the way down too large, and a law that grows otherwise with depth.
-    deeper = fit(seen._replace(drop=1.02 * seen.drop), "rft", PRIOR).phi[0] - found.phi[0]
+    deeper = (
+        fit(touchdown._replace(drop=1.02 * touchdown.drop), "rft", PRIOR).phi[0] - fitted.phi[0]
+    )
     assert deeper == pytest.approx(0.02 * told["odometry_drop"], rel=0.15)
     state = np.array([[34.0, 0.003, 0.0]])
-    force = predicted(LAWS["rft"], replace(PRIOR, exponent=0.05), seen, state)
-    depth = seen.drop + 0.003  # an exponent does nothing at the radius
-    np.testing.assert_allclose(force, seen.force * (depth / PRIOR.radius) ** 0.05)
-    steeper = fit(seen._replace(force=force), "rft", PRIOR).phi[0] - found.phi[0]
+    force = predicted(LAWS["rft"], replace(PRIOR, exponent=0.05), touchdown, state)
+    depth = touchdown.drop + 0.003  # an exponent does nothing at the radius
+    np.testing.assert_allclose(force, touchdown.force * (depth / PRIOR.radius) ** 0.05)
+    steeper = fit(touchdown._replace(force=force), "rft", PRIOR).phi[0] - fitted.phi[0]
     assert steeper == pytest.approx(0.05 * told["law_exponent"], rel=0.15)
-    louder = fit(seen._replace(force=1.02 * seen.force), "rft", PRIOR).phi[0] - found.phi[0]
-    gains = found.shared[0, 6:9].sum()
+    louder = (
+        fit(touchdown._replace(force=1.02 * touchdown.force), "rft", PRIOR).phi[0] - fitted.phi[0]
+    )
+    gains = fitted.shared[0, 6:9].sum()
     assert louder == pytest.approx(gains * 0.02 / 3.0, rel=0.1)
 
 
 def test_what_is_shared_is_the_scatter_of_angles_when_it_is_drawn() -> None:
     """Of 200 touch-downs in one soil, each with another density, friction, radius, drop or law."""
-    seen, prior = pressed(seed=None), replace(PRIOR, exponent_sd=0.03)
-    touchdowns, state = picked(seen, np.zeros(200, int)), np.array([[34.0, 0.003, 0.0]])
+    observed, prior = pressed(seed=None), replace(PRIOR, exponent_sd=0.03)
+    touchdowns, state = picked(observed, np.zeros(200, int)), np.array([[34.0, 0.003, 0.0]])
     spread = norm.ppf((np.arange(200) + 0.5) / 200)
-    per_unit = dict(zip(prior.shared(), fit(seen, "rft", prior).shared[0, TORQUES:], strict=True))
+    per_unit = dict(
+        zip(prior.shared(), fit(observed, "rft", prior).shared[0, TORQUES:], strict=True)
+    )
     fields = {"density_kg_m3": "density", "surface_friction": "surface_friction",
               "foot_radius_mm": "radius", "law_exponent": "exponent"}  # fmt: skip
     for name, (_, sd) in prior.shared().items():
@@ -189,8 +199,8 @@ def test_what_is_shared_is_the_scatter_of_angles_when_it_is_drawn() -> None:
         elif name in fields:
             key, unit = fields[name], 1e-3 if name.endswith("_mm") else 1.0
             forces = [
-                predicted(LAWS["rft"], replace(prior, **{key: getattr(prior, key) + unit * one}),
-                          seen, state)[0] for one in sd * spread
+                predicted(LAWS["rft"], replace(prior, **{key: getattr(prior, key) + unit * item}),
+                          observed, state)[0] for item in sd * spread
             ]  # fmt: skip
             drawn = touchdowns._replace(force=np.array(forces))
         else:  # of angles themselves, or between places
@@ -201,41 +211,42 @@ def test_what_is_shared_is_the_scatter_of_angles_when_it_is_drawn() -> None:
 
 def test_the_interval_of_a_touchdown_is_the_scatter_of_drawn_ones() -> None:
     """Level, drift and noise as the fit expects them."""
-    seen, rng = pressed(seed=None), np.random.default_rng(4)
-    touchdowns = picked(seen, np.zeros(400, int))
+    observed, rng = pressed(seed=None), np.random.default_rng(4)
+    touchdowns = picked(observed, np.zeros(400, int))
     state = np.column_stack([np.full(400, 34.0), *(0.004 * rng.normal(size=(2, 400)))])
     prior = replace(PRIOR, level_sd=0.004, drift_sd=0.004)
     force = predicted(LAWS["rft"], prior, touchdowns, state)
-    lower = np.linalg.cholesky(noise_covariance(seen._replace(force=force[:1]), prior)[0])
+    lower = np.linalg.cholesky(noise_covariance(observed._replace(force=force[:1]), prior)[0])
     drawn = touchdowns._replace(force=force + rng.normal(size=force.shape) @ lower.T)
-    found = fit(drawn, "rft", prior)
-    assert np.std((found.phi - 34.0) / found.sd) == pytest.approx(1.0, rel=0.15)
+    fitted = fit(drawn, "rft", prior)
+    assert np.std((fitted.phi - 34.0) / fitted.sd) == pytest.approx(1.0, rel=0.15)
 
 
 def test_growth_with_depth_is_learnt_from_the_courses_of_force() -> None:
     """Sand whose resistance grows slower with depth than the law's by a power of 0.3."""
     levels = np.linspace(0.0, 0.006, 30)
     each = [pressed(40.4, level=level, seed=i) for i, level in enumerate(levels)]
-    seen = Touchdowns._make(map(np.concatenate, zip(*each, strict=True)))
-    depth = np.maximum(seen.drop + 0.003, 1e-4)
-    softer = seen._replace(force=seen.force * (depth / PRIOR.radius) ** -0.3)
-    assert learn_exponent(seen, "rft", PRIOR).exponent == pytest.approx(0.0, abs=0.08)
-    found = learn_exponent(softer, "rft", PRIOR)
-    assert found.exponent == pytest.approx(-0.3, abs=0.08)
-    assert fit(softer, "rft", found).phi.mean() == pytest.approx(40.4, abs=0.8)
+    touchdown = Touchdowns._make(map(np.concatenate, zip(*each, strict=True)))
+    depth = np.maximum(touchdown.drop + 0.003, 1e-4)
+    softer = touchdown._replace(force=touchdown.force * (depth / PRIOR.radius) ** -0.3)
+    assert learn_exponent(touchdown, "rft", PRIOR).exponent == pytest.approx(0.0, abs=0.08)
+    result = learn_exponent(softer, "rft", PRIOR)
+    assert result.exponent == pytest.approx(-0.3, abs=0.08)
+    assert fit(softer, "rft", result).phi.mean() == pytest.approx(40.4, abs=0.8)
 
 
 def walked(soil: str, phi: np.ndarray, *, exponent: float = 0.0) -> FootfallMap:
     """Footfalls by law foot on soil of a law, φ given for each, every 0.2 m."""
     count = len(phi)
     state = np.stack([phi, np.full(count, 0.003), np.zeros(count)], axis=-1)
-    one = pressed(seed=None)
-    seen = Touchdowns._make(np.repeat(column, count, axis=0) for column in one)
+    touchdown = pressed(seed=None)
+    observed = Touchdowns._make(np.repeat(column, count, axis=0) for column in touchdown)
     place = np.column_stack([0.2 * np.arange(count), np.zeros((count, 2))])
-    force = predicted(LAWS[soil], replace(PRIOR, exponent=exponent), seen, state)
-    seen = seen._replace(place=place, force=force, deepest=np.full(count, 0.03))
+    force = predicted(LAWS[soil], replace(PRIOR, exponent=exponent), observed, state)
+    observed = observed._replace(place=place, force=force, deepest=np.full(count, 0.03))
+    shared = Normal(np.zeros(TORQUES), 1e-6 * np.eye(TORQUES))
     return infer(
-        seen, Normal(np.zeros(TORQUES), 1e-6 * np.eye(TORQUES)), place[:, [0, 0, 1]], prior=PRIOR,
+        observed, shared, place[:, [0, 0, 1]], prior=PRIOR,
         law="foot", anchors=[], feet=("FR", "FL", "RR", "RL"), notes=[], provenance={},
     )  # fmt: skip
 
@@ -246,34 +257,34 @@ def test_differences_between_places_are_inside_their_interval(
 ) -> None:
     """Law foot reads differences on soil of rft too small: by its growth with depth it is known."""
     phi = 40.0 + 2.0 * np.sin(np.arange(24.0))
-    found = walked(soil, phi)
-    assert found.usable.all()
-    slope = np.polyfit(phi, found.phi, 1)[0]
+    footfall_map = walked(soil, phi)
+    assert footfall_map.usable.all()
+    slope = np.polyfit(phi, footfall_map.phi, 1)[0]
     assert read[0] < slope < read[1]
-    apart = np.abs((found.phi - found.phi.mean()) - (phi - phi.mean()))
-    assert np.all(apart < 1.96 * found.sd)
+    difference = np.abs((footfall_map.phi - footfall_map.phi.mean()) - (phi - phi.mean()))
+    assert np.all(difference < 1.96 * footfall_map.sd)
     # The error of the scale is about as large as stated, or there is none.
-    assert found.sd.max() < 2.0 * max(apart.max(), 0.2)
+    assert footfall_map.sd.max() < 2.0 * max(difference.max(), 0.2)
 
 
 @pytest.mark.parametrize(("exponent", "noted"), [(-0.45, True), (-0.2, False)])
 def test_soil_that_grows_slower_with_depth_than_dry_sand_is_noted(
     exponent: float, noted: bool
 ) -> None:
-    found = walked("foot", np.full(12, 36.0), exponent=exponent)
-    assert found.shared["law_exponent"]["mean"] == pytest.approx(exponent, abs=0.05)
-    assert any("damp" in note for note in found.warnings) == noted
+    footfall_map = walked("foot", np.full(12, 36.0), exponent=exponent)
+    assert footfall_map.shared["law_exponent"]["mean"] == pytest.approx(exponent, abs=0.05)
+    assert any("damp" in note for note in footfall_map.warnings) == noted
 
 
 def test_noise_has_its_three_parts() -> None:
-    seen = pressed(seed=None)
-    still = np.zeros_like(seen.time)
+    touchdown = pressed(seed=None)
+    still = np.zeros_like(touchdown.time)
     for force, speed in ((0.0, 0.0), (100.0, 0.0), (0.0, 2.0)):
-        one = seen._replace(force=still + force, speed=still + speed)
+        item = touchdown._replace(force=still + force, speed=still + speed)
         # What it takes to set the soil below the foot in motion is known to 30 %.
-        hit = 0.3 * inertia(PRIOR, one, one.drop)[0]
+        hit = 0.3 * inertia(PRIOR, item, item.drop)[0]
         sd = np.sqrt(1.5**2 + (0.04 * force) ** 2 + hit**2)
-        matrix = noise_covariance(one, PRIOR)[0]
+        matrix = noise_covariance(item, PRIOR)[0]
         assert np.sqrt(np.diag(matrix)) == pytest.approx(sd, rel=1e-5)
         assert matrix[0, 4] == pytest.approx(sd[0] * sd[4] * np.exp(-1.0))  # 8 ms apart
         assert (hit.max() > 3.0) == (speed > 0.0)

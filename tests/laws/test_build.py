@@ -40,11 +40,11 @@ def forces(library: Library) -> list[np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Library:
+def complete(tmp_path_factory: pytest.TempPathFactory) -> Library:
     return build(PLAN, tmp_path_factory.mktemp("whole") / "library.nc")
 
 
-def test_an_interrupted_build_goes_on(whole: Library, tmp_path: Path, monkeypatch) -> None:
+def test_an_interrupted_build_goes_on(complete: Library, tmp_path: Path, monkeypatch) -> None:
     calls, run = [], module.run_case
 
     def stopping(*given: str):
@@ -61,8 +61,8 @@ def test_an_interrupted_build_goes_on(whole: Library, tmp_path: Path, monkeypatc
     library = build(PLAN, tmp_path / "library.nc")
     assert len(calls) == 5
     assert not (tmp_path / "library.nc.cases").exists()
-    for one, other in zip(forces(library), forces(whole), strict=True):
-        np.testing.assert_array_equal(one, other)
+    for first, other in zip(forces(library), forces(complete), strict=True):
+        np.testing.assert_array_equal(first, other)
     build(PLAN, tmp_path / "library.nc")
     assert len(calls) == 5
 
@@ -83,27 +83,27 @@ def test_a_longer_plan_keeps_what_is_there(tmp_path: Path, monkeypatch) -> None:
 
 
 @pytest.mark.slow
-def test_processes_give_the_same(whole: Library, tmp_path: Path) -> None:
+def test_processes_give_the_same(complete: Library, tmp_path: Path) -> None:
     with workers(2) as pool:
         library = build(PLAN, tmp_path / "library.nc", executor=pool)
-    for one, other in zip(forces(library), forces(whole), strict=True):
-        np.testing.assert_array_equal(one, other)
+    for first, other in zip(forces(library), forces(complete), strict=True):
+        np.testing.assert_array_equal(first, other)
 
 
-def test_any_executor_gives_the_same(whole: Library, tmp_path: Path) -> None:
-    seen: list[tuple[int, int]] = []
+def test_any_executor_gives_the_same(complete: Library, tmp_path: Path) -> None:
+    observed: list[tuple[int, int]] = []
     with ThreadPoolExecutor(2) as pool:
         library = build(
-            PLAN, tmp_path / "library.nc", executor=pool, progress=lambda *n: seen.append(n)
+            PLAN, tmp_path / "library.nc", executor=pool, progress=lambda *n: observed.append(n)
         )
-    assert seen[0] == (0, 4)
-    assert seen[-1] == (4, 4)
-    for one, other in zip(forces(library), forces(whole), strict=True):
-        np.testing.assert_array_equal(one, other)
+    assert observed[0] == (0, 4)
+    assert observed[-1] == (4, 4)
+    for first, other in zip(forces(library), forces(complete), strict=True):
+        np.testing.assert_array_equal(first, other)
 
 
 @pytest.mark.slow
-def test_a_dask_cluster_gives_the_same(whole: Library, tmp_path: Path) -> None:
+def test_a_dask_cluster_gives_the_same(complete: Library, tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
     with (
         distributed.LocalCluster(
@@ -112,8 +112,8 @@ def test_a_dask_cluster_gives_the_same(whole: Library, tmp_path: Path) -> None:
         cluster(local.scheduler_address) as executor,
     ):
         library = build(PLAN, tmp_path / "library.nc", executor=executor)
-    for one, other in zip(forces(library), forces(whole), strict=True):
-        np.testing.assert_array_equal(one, other)
+    for first, other in zip(forces(library), forces(complete), strict=True):
+        np.testing.assert_array_equal(first, other)
 
 
 def test_failures_are_kept_and_tried_again(tmp_path: Path, monkeypatch) -> None:

@@ -26,8 +26,8 @@ def test_unseen_simulations_of_an_exact_model_are_predicted(rft3d: Library, leg:
         unseen = Library("one", (Case(scenario, simulate(scenario)),))
         theta = emulator.curves.theta_deg
         truth = unseen.cases[0].history.means(np.radians(theta), np.radians(0.5)).T
-        apart = emulator(np.array([[phi]]))[0] - truth
-        assert np.abs(apart).max() < 2e-3 * np.ptp(truth)
+        difference = emulator(np.array([[phi]]))[0] - truth
+        assert np.abs(difference).max() < 2e-3 * np.ptp(truth)
 
 
 def test_process_is_that_of_scikit_learn() -> None:
@@ -97,9 +97,9 @@ def test_weights_that_share_a_process_have_the_largest_sum_of_likelihoods() -> N
         kernel = Matern(lengths, nu=2.5)(t) + noise * np.diag(rough**2)
         covariance = free.T @ kernel @ free
         sums = 0.0
-        for one in (free.T @ w).T:
-            sigma2 = one @ np.linalg.solve(covariance, one) / len(one)
-            sums += multivariate_normal(cov=sigma2 * covariance).logpdf(one)
+        for item in (free.T @ w).T:
+            sigma2 = item @ np.linalg.solve(covariance, item) / len(item)
+            sums += multivariate_normal(cov=sigma2 * covariance).logpdf(item)
         return sums
 
     best = likelihood(process.lengths, process.noise)
@@ -121,8 +121,10 @@ def test_scatter_and_intervals_hold_in_drawn_worlds() -> None:
     phi = np.linspace(15.0, 50.0, 15)
     base = Scenario.load("sand3d")
     inside, ratios = [], []
-    apart = np.abs(np.subtract.outer(np.arange(121), np.arange(121)))
-    correlation = np.clip(1.0 - apart / 5.0, 0.0, 1.0)  # of the mean of five in a row, times √5
+    difference = np.abs(np.subtract.outer(np.arange(121), np.arange(121)))
+    correlation = np.clip(
+        1.0 - difference / 5.0, 0.0, 1.0
+    )  # of the mean of five in a row, times √5
 
     def law(angle: float) -> np.ndarray:
         lift = np.exp(0.05 * angle) * np.exp(-0.5 * np.square((theta + 40.0 - 0.3 * angle) / 25.0))
@@ -135,11 +137,11 @@ def test_scatter_and_intervals_hold_in_drawn_worlds() -> None:
         curves = Curves(phi[:, None], theta, force, base)
         emulator = Emulator(curves)
         x = np.array([rng.uniform(18.0, 47.0)])
-        apart = (law(x[0]) - emulator(x[None])[0]).ravel()
+        difference = (law(x[0]) - emulator(x[None])[0]).ravel()
         factor = emulator.interpolation(x)
         # Along the leading direction of its own uncertainty.
         u, s, _ = np.linalg.svd(factor, full_matrices=False)
-        inside.append(abs(u[:, 0] @ apart) < 1.96 * s[0])
+        inside.append(abs(u[:, 0] @ difference) < 1.96 * s[0])
         size = 0.02 * law(x[0]).ravel()
         drawn = np.tile(correlation, (2, 2)) * np.outer(size, size)
         slope = (emulator(x[None] + 0.5) - emulator(x[None] - 0.5)).ravel()

@@ -32,8 +32,8 @@ def lift(law: str, foot: Foot, depth: float, phi: float, descent: float = math.p
 
 @pytest.mark.parametrize(("phi", "sinkage_mm"), [(28, 53), (32, 34), (36, 23), (40, 17)])
 def test_sinkage_under_75_newtons(phi: float, sinkage_mm: float) -> None:
-    found = brentq(lambda z: lift("rft", BALL, z, phi) - 75.0, 1e-4, 0.2)
-    assert 1e3 * found == pytest.approx(sinkage_mm, abs=0.7)
+    result = brentq(lambda z: lift("rft", BALL, z, phi) - 75.0, 1e-4, 0.2)
+    assert 1e3 * result == pytest.approx(sinkage_mm, abs=0.7)
 
 
 def test_a_degree_is_worth_twelve_to_fourteen_percent() -> None:
@@ -59,9 +59,9 @@ def test_ball_is_the_sum_over_its_faces(descent_deg: float, depth: float) -> Non
     area = 4.0 * math.pi * BALL.radius**2 / len(normal)
     expected = (alpha * below[:, None]).sum(axis=0)[[0, 2]] * area
     phi = in_plane_strain(34.0)
-    found = LAWS["rft"].force(BALL, depth, descent, friction_angle_deg=phi, **SAND)
+    total_force = LAWS["rft"].force(BALL, depth, descent, friction_angle_deg=phi, **SAND)
     size = np.linalg.norm(expected)
-    assert np.linalg.norm(found - expected) < 0.015 * size + 0.01
+    assert np.linalg.norm(total_force - expected) < 0.015 * size + 0.01
 
 
 # Textbook tables of N_q and N_γ: the factors that every table prints to these digits.
@@ -133,11 +133,11 @@ def test_smooth_ball_bears_what_a_smooth_footing_does(phi: float, n: float, n_q:
         area = 2.0 * ratio - ratio**2  # over π R²
         base = ratio * (3.0 - ratio) / (3.0 * (2.0 - ratio))
         expected = math.pi * area * (math.sqrt(area) * n + base * n_q)
-        found = LAWS["foot"].force(
+        total_force = LAWS["foot"].force(
             Foot(1.0), ratio, math.pi / 2, friction_angle_deg=phi + 2.0, density=1.0 / 9.81,
             surface_friction=0.1,
         )  # fmt: skip
-        assert found[1] == pytest.approx(expected, rel=0.25)
+        assert total_force[1] == pytest.approx(expected, rel=0.25)
 
 
 @pytest.mark.parametrize("shape", SIMULATED)

@@ -53,7 +53,7 @@ def theory(rig: Rig, phi_deg: float, mu: float = 0.3) -> np.ndarray:
 
 def rig_of(x: np.ndarray, length_mm: float = 80.0) -> Rig:
     """Rig of a width, height of the hip and thickness over the length."""
-    width, height, thickness = (float(length_mm * one) for one in x)
+    width, height, thickness = (float(length_mm * item) for item in x)
     return Rig(leg="straight", length_mm=length_mm, width_mm=width, thickness_mm=thickness,
                hip_height_mm=height, hip_height_sd_mm=0.0)  # fmt: skip
 
@@ -79,22 +79,22 @@ def exact() -> Legs:
 def test_a_known_law_is_met_between_its_cases(exact: Legs) -> None:
     """Size and shape of the forces on rigs and frictions that it has not seen."""
     rng = np.random.default_rng(5)
-    apart, stated = [], []
+    difference, stated = [], []
     for _ in range(25):
         rig = rig_of(rng.uniform([0.2, 0.05, 0.04], [0.9, 0.55, 0.13]), float(rng.uniform(40, 200)))
         phi, mu = rng.uniform(16.0, 40.0), rng.uniform(0.15, 0.55)
         law = exact.law(rig.model_copy(update={"leg_friction": mu}))
-        found = law(np.array([[phi]]))[0] / (law.density * GRAVITY * rig.length**3)
+        result = law(np.array([[phi]]))[0] / (law.density * GRAVITY * rig.length**3)
         truth = np.array([np.interp(law.theta_deg, THETA, row) for row in theory(rig, phi, mu)])
         size = np.sqrt(np.square(truth).mean())
-        apart.append(np.sqrt(np.square(found - truth).mean()) / size)
+        difference.append(np.sqrt(np.square(result - truth).mean()) / size)
         factor = law.interpolation(np.array([phi]), 0.0)
-        own = np.sqrt(np.square(factor).sum(axis=1).mean())
-        stated.append(own / (law.density * GRAVITY * rig.length**3 * size))
-    assert np.median(apart) < 0.04
-    assert np.max(apart) < 0.15
+        reference = np.sqrt(np.square(factor).sum(axis=1).mean())
+        stated.append(reference / (law.density * GRAVITY * rig.length**3 * size))
+    assert np.median(difference) < 0.04
+    assert np.max(difference) < 0.15
     # The stated error is that of the smooth part; jumps of this law where a face turns are not.
-    assert 0.2 < np.median(stated) / np.median(apart) < 2.0
+    assert 0.2 < np.median(stated) / np.median(difference) < 2.0
 
 
 def test_forces_grow_with_the_cube_of_the_length() -> None:
@@ -105,11 +105,11 @@ def test_forces_grow_with_the_cube_of_the_length() -> None:
     law = shipped_legs().law(Rig(**small))
     theta = np.radians(law.theta_deg)
     force = law(np.array([[31.0]]))[0].T
-    one = invert(ForceHistory(theta, force), rig=small, density="1650±0", noise=0.02)
+    answer = invert(ForceHistory(theta, force), rig=small, density="1650±0", noise=0.02)
     other = invert(ForceHistory(theta, 8.0 * force), rig=large, density="1650±0", noise=0.16)
-    assert one.law == other.law == "legs"
-    assert other.phi.median == pytest.approx(one.phi.median, abs=1e-3)
-    assert other.phi.sd == pytest.approx(one.phi.sd, rel=1e-3)
+    assert answer.law == other.law == "legs"
+    assert other.phi.median == pytest.approx(answer.phi.median, abs=1e-3)
+    assert other.phi.sd == pytest.approx(answer.phi.sd, rel=1e-3)
 
 
 def test_resistive_force_theory_is_of_the_record_s_own_rig() -> None:
@@ -143,14 +143,14 @@ def test_the_moment_alone_is_read_in_any_size(length: float) -> None:
     ratio = length / 76.2
     rig = Rig(leg="straight", length_mm=length, width_mm=25.4 * ratio, thickness_mm=6.4 * ratio,
               hip_height_mm=20.0 * ratio, hip_height_sd_mm=0.5 * ratio)  # fmt: skip
-    own = Theory().law(rig)
-    force = own(np.array([[25.0]]))[0]
-    theta, arm = np.radians(own.theta_deg), own.arm
+    rig_law = Theory().law(rig)
+    force = rig_law(np.array([[25.0]]))[0]
+    theta, arm = np.radians(rig_law.theta_deg), rig_law.arm
     options = {"rig": rig, "density": "1650±1", "law": "legs"}
-    both = invert(ForceHistory(theta, force.T), **options)
+    answer = invert(ForceHistory(theta, force.T), **options)
     moment = ForceHistory(theta, np.zeros((theta.size, 0)), axes=(), moment=(arm * force).sum(0))
     alone = invert(moment, **options)
-    assert alone.phi.median == pytest.approx(both.phi.median, abs=2.5)
+    assert alone.phi.median == pytest.approx(answer.phi.median, abs=2.5)
 
 
 @pytest.mark.parametrize(("length", "density"), [(80.0, 1500.0), (160.0, 1700.0)])
@@ -174,27 +174,30 @@ def test_the_hash_changes_with_all_that_changes_an_answer() -> None:
         {"model_error": {"straight": {"offset_deg": 1.0}}}, {"force": 1.1 * law.force},
         {"hyper": 0.5 * law.hyper}, {"error_scale": 2.0 * law.error_scale},
     ]  # fmt: skip
-    others = [replace(law, **change) for change in changes]
-    assert len({law.hash, *(other.hash for other in others)}) == 1 + len(others)
+    remaining = [replace(law, **change) for change in changes]
+    assert len({law.hash, *(other.hash for other in remaining)}) == 1 + len(remaining)
 
 
 @pytest.mark.parametrize("leg", ["straight", "c", "reversed_c"])
 def test_it_is_the_law_of_li_s_leg_there(sand3d: Library, leg: str) -> None:
     """As large as the simulations of that leg in the same cells, at angles between them."""
     rig = Rig.of("li2013", leg)
-    own = leg_law(sand3d, rig)
+    rig_law = leg_law(sand3d, rig)
     for phi in (18.0, 27.0, 36.0, 45.0):
-        expected, found = own(np.array([[phi]]))[0], shipped_legs().law(rig)(np.array([[phi]]))[0]
-        i = np.searchsorted(shipped_legs().law(rig).theta_deg, own.theta_deg)
-        error = np.sqrt(np.square(found[:, i] - expected).mean())
+        expected, result = (
+            rig_law(np.array([[phi]]))[0],
+            shipped_legs().law(rig)(np.array([[phi]]))[0],
+        )
+        i = np.searchsorted(shipped_legs().law(rig).theta_deg, rig_law.theta_deg)
+        error = np.sqrt(np.square(result[:, i] - expected).mean())
         assert error < 0.06 * np.ptp(expected, axis=1).max()
 
 
 def test_cases_are_predicted_by_the_others_as_well_as_it_says() -> None:
-    apart, sd = shipped_legs().left_out()
-    assert np.median(np.abs(apart[:, 0])) < 0.03
-    assert 0.6 < np.mean(np.abs(apart) < sd) < 0.76
-    assert 0.9 < np.mean(np.abs(apart) < 1.96 * sd) < 0.99
+    difference, sd = shipped_legs().left_out()
+    assert np.median(np.abs(difference[:, 0])) < 0.03
+    assert 0.6 < np.mean(np.abs(difference) < sd) < 0.76
+    assert 0.9 < np.mean(np.abs(difference) < 1.96 * sd) < 0.99
 
 
 def damp_cases() -> list[list[float]]:
@@ -283,12 +286,12 @@ def test_simulations_of_one_s_own_leg_join_the_law() -> None:
     joined, rig = shipped_legs().joined(library), Rig.of_scenario(library.scenario)
     with pytest.raises(InputError, match="width over length"):
         shipped_legs().law(rig)
-    own = leg_law(library, rig)
+    rig_law = leg_law(library, rig)
     for phi in (25.0, 30.0, 35.0):
-        expected, found = (law(np.array([[phi]]))[0] for law in (own, joined.law(rig)))
-        i = np.searchsorted(joined.law(rig).theta_deg, own.theta_deg)
-        apart = np.sqrt(np.square(found[:, i] - expected).mean())
-        assert apart < 0.03 * np.ptp(expected)
+        expected, result = (law(np.array([[phi]]))[0] for law in (rig_law, joined.law(rig)))
+        i = np.searchsorted(joined.law(rig).theta_deg, rig_law.theta_deg)
+        difference = np.sqrt(np.square(result[:, i] - expected).mean())
+        assert difference < 0.03 * np.ptp(expected)
     with pytest.raises(InputError, match="width over length"):
         joined.law(rig.model_copy(update={"width_mm": 1.2 * rig.width_mm}))
     li = Rig.of("li2013", "straight")
@@ -333,8 +336,8 @@ def test_a_leg_that_other_shapes_may_not_have_is_answered() -> None:
     leg = max(thickest, key=lambda one: thickest[one])
     thickness = 50.0 * (thickest[leg] + min(thickest.values()))
     rig = Rig(leg=leg, length_mm=100, width_mm=40, thickness_mm=thickness, hip_height_mm=30)
-    own = law.law(rig)
-    history = ForceHistory(np.radians(own.theta_deg), own(np.array([[30.0]]))[0].T)
+    rig_law = law.law(rig)
+    history = ForceHistory(np.radians(rig_law.theta_deg), rig_law(np.array([[30.0]]))[0].T)
     assert invert(history, rig=rig, density="1600±10").verdict == "consistent"
 
 
@@ -347,13 +350,13 @@ def test_forces_of_a_rig_and_their_slope_are_those_of_the_theory(exact: Legs) ->
     unit = 1500.0 * GRAVITY * 0.11**3
     for i, angle in enumerate(phi):
         below, at, above = (
-            unit * np.array([np.interp(curves.theta_deg, THETA, row) for row in theory(rig, one)])
-            for one in (angle - 2.0, angle, angle + 2.0)
+            unit * np.array([np.interp(curves.theta_deg, THETA, row) for row in theory(rig, item)])
+            for item in (angle - 2.0, angle, angle + 2.0)
         )
         slope = (above - below) / 4.0
-        for found, expected in ((curves.forces[i], at), (curves.slope[i], slope)):
+        for result, expected in ((curves.forces[i], at), (curves.slope[i], slope)):
             rms = np.sqrt(np.square(expected).mean())
-            assert float(np.sqrt(np.square(found - expected).mean())) < 0.08 * rms
+            assert float(np.sqrt(np.square(result - expected).mean())) < 0.08 * rms
 
 
 def test_a_moment_is_no_larger_than_a_force_at_the_tip_and_cohesion_adds() -> None:

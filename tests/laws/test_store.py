@@ -19,7 +19,9 @@ from terraphi.laws.store import PHI, Case, Library, differences, nearest_library
 def small() -> Library:
     base = Scenario.load("quick")
     scenarios = [base.replace(**{PHI: phi}) for phi in (40.0, 20.0, 30.0)]
-    return Library("small", tuple(Case(one, simulate(one)) for one in scenarios), "three angles")
+    return Library(
+        "small", tuple(Case(scenario, simulate(scenario)) for scenario in scenarios), "three angles"
+    )
 
 
 def test_a_file_is_read_back(small: Library, tmp_path: Path) -> None:
@@ -30,17 +32,17 @@ def test_a_file_is_read_back(small: Library, tmp_path: Path) -> None:
     assert again.hash == library.hash
     assert again.summary() == library.summary()
     assert [case.failure for case in again.cases] == ["", "", "", "it broke down"]
-    for one, other in zip(again.cases[:3], library.cases[:3], strict=True):
-        np.testing.assert_allclose(one.history.force, other.history.force, rtol=1e-6, atol=1e-9)
+    for first, other in zip(again.cases[:3], library.cases[:3], strict=True):
+        np.testing.assert_allclose(first.history.force, other.history.force, rtol=1e-6, atol=1e-9)
 
 
 def test_whatever_changes_an_answer_changes_the_hash(small: Library) -> None:
     scaled = small.cases[-1]._replace(history=small.cases[-1].history.scaled(1.5))
-    others = [
+    remaining = [
         replace(small, cases=(*small.cases[:-1], scaled)),
         replace(small, cases=small.cases[:-1]),
     ]
-    assert len({small.hash, *(other.hash for other in others)}) == 1 + len(others)
+    assert len({small.hash, *(other.hash for other in remaining)}) == 1 + len(remaining)
     assert replace(small, description="in other words").hash == small.hash
 
 

@@ -84,8 +84,8 @@ def test_the_friction_of_a_leg_is_that_measured_unless_it_is_given() -> None:
 
 
 def test_a_calibration_by_former_simulations_is_refused() -> None:
-    known = calibrate("li2013:yuma/straight", 27.0, 1.0, law="rft3d")
-    assert invert("li2013:poppy_loose/straight", law="rft3d", calibration=known).phi.sd > 0.0
-    former = known.model_copy(update={"library_hash": "0" * 64})
+    calibration = calibrate("li2013:yuma/straight", 27.0, 1.0, law="rft3d")
+    assert invert("li2013:poppy_loose/straight", law="rft3d", calibration=calibration).phi.sd > 0.0
+    former = calibration.model_copy(update={"library_hash": "0" * 64})
     with pytest.raises(InputError, match="calibrate again"):
         invert("li2013:poppy_loose/straight", law="rft3d", calibration=former)

@@ -76,20 +76,20 @@ def test_meshes_of_a_ball_and_a_disc_have_the_force_of_the_law(shape: Any, limit
     Friction on a flat sole is at most μ_s times the lift, where the law's drag goes beyond it.
     """
     mesh, foot = (ball() if shape == "ball" else disc()), Foot(RADIUS, shape)
-    phi, ratio = (one.ravel() for one in np.meshgrid(PHI, DEPTHS))
+    phi, ratio = (grid.ravel() for grid in np.meshgrid(PHI, DEPTHS))
     place = np.zeros((phi.size, 3))
     place[:, 2] = RADIUS * ((shape == "ball") - ratio)
     for mu, descent in itertools.product((0.2, 0.35, 0.5), (90.0, 75.0, 45.0, 20.0, 10.0)):
         soil = {"density": 1600.0, "surface_friction": mu}
-        found, _ = force(mesh, place, going(descent), phi_deg=phi, **soil)
+        result, _ = force(mesh, place, going(descent), phi_deg=phi, **soil)
         expected = LAWS["foot"].force(
             foot, ratio * RADIUS, math.radians(descent), friction_angle_deg=phi, **soil
         )
         if shape == "disc":
             expected[:, 0] = np.maximum(expected[:, 0], -mu * expected[:, 1])
         size = np.linalg.norm(expected, axis=1)
-        assert (np.linalg.norm(found[:, [0, 2]] - expected, axis=1) < limit * size).all()
-        assert np.abs(found[:, 1]).max() < 1e-3 * size.max()
+        assert (np.linalg.norm(result[:, [0, 2]] - expected, axis=1) < limit * size).all()
+        assert np.abs(result[:, 1]).max() < 1e-3 * size.max()
 
 
 @pytest.mark.parametrize(
@@ -98,25 +98,25 @@ def test_meshes_of_a_ball_and_a_disc_have_the_force_of_the_law(shape: Any, limit
 def test_a_foot_has_the_force_of_the_law_in_its_heading(shape: Any, descent: float) -> None:
     foot, heading = Foot(RADIUS, shape), 2.0
     place = np.array([0.3, -0.2, RADIUS * ((shape == "ball") - 1.3) + 0.05])
-    found, moment = force(foot, place, going(descent, heading), surface=0.05, **SAND)
+    result, moment = force(foot, place, going(descent, heading), surface=0.05, **SAND)
     along, lift = LAWS["foot"].force(
         foot, 1.3 * RADIUS, math.radians(descent), friction_angle_deg=33.0, density=1600.0,
         surface_friction=0.4,
     )  # fmt: skip
     expected = [along * math.cos(heading), along * math.sin(heading), lift]
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(result, expected, rtol=1e-9, atol=1e-9)
     # What turns a ball is friction, which acts against its motion below its center.
     ahead = np.array([math.cos(heading), math.sin(heading), 0.0])
     turning = moment @ np.cross([0.0, 0.0, 1.0], ahead)
     assert np.linalg.norm(moment) == pytest.approx(abs(turning), abs=1e-12)
-    assert abs(turning) <= 0.4 * RADIUS * np.linalg.norm(found) * (shape == "ball") + 1e-12
+    assert abs(turning) <= 0.4 * RADIUS * np.linalg.norm(result) * (shape == "ball") + 1e-12
 
 
 def test_resistive_force_theory_is_the_plain_sum_over_faces() -> None:
     mesh, velocity = ball(1000), going(50.0, 1.0)
     points = mesh.points + np.array([0.1, 0.2, 0.6 * RADIUS])
     about = np.array([0.1, 0.0, 0.3])
-    found, moment = wrench(
+    result, moment = wrench(
         points, mesh.normals, mesh.areas, velocity, law="rft", about=about, **SAND
     )
     alpha = stress_per_depth_3d(
@@ -126,7 +126,7 @@ def test_resistive_force_theory_is_the_plain_sum_over_faces() -> None:
     each = alpha * (np.maximum(-points[:, 2], 0.0) * mesh.areas)[:, None]
     size = np.linalg.norm(each.sum(axis=0))
     # Faces that hardly lead or are nearly upright differ, where the published law jumps.
-    np.testing.assert_allclose(found, each.sum(axis=0), atol=0.02 * size)
+    np.testing.assert_allclose(result, each.sum(axis=0), atol=0.02 * size)
     torque = np.cross(points - about, each).sum(axis=0)
     np.testing.assert_allclose(moment, torque, atol=0.02 * np.linalg.norm(torque))
 
@@ -150,14 +150,16 @@ def test_wrenches_of_many_feet_are_those_of_each() -> None:
     velocity, about = rng.standard_normal((7, 4, 30, 3)), rng.standard_normal((7, 4, 3))
     soil = {**SAND, "phi_deg": rng.uniform(25.0, 40.0, (7, 4)),
             "density": rng.uniform(1400.0, 1700.0, (7, 4))}  # fmt: skip
-    found, moment = wrench(points, mesh.normals, mesh.areas, velocity, about=about, **soil)
-    assert found.shape == moment.shape == (7, 4, 3)
-    own = {**soil, "phi_deg": soil["phi_deg"][2, 3], "density": soil["density"][2, 3]}
-    one = wrench(points[2, 3], mesh.normals, mesh.areas, velocity[2, 3], about=about[2, 3], **own)
-    np.testing.assert_allclose(one, (found[2, 3], moment[2, 3]), rtol=1e-12)
+    result, moment = wrench(points, mesh.normals, mesh.areas, velocity, about=about, **soil)
+    assert result.shape == moment.shape == (7, 4, 3)
+    reference = {**soil, "phi_deg": soil["phi_deg"][2, 3], "density": soil["density"][2, 3]}
+    first = wrench(
+        points[2, 3], mesh.normals, mesh.areas, velocity[2, 3], about=about[2, 3], **reference
+    )
+    np.testing.assert_allclose(first, (result[2, 3], moment[2, 3]), rtol=1e-12)
     # About another point it differs by the force times the distance.
     _, other = wrench(points, mesh.normals, mesh.areas, velocity, **soil)
-    np.testing.assert_allclose(other, moment + np.cross(about, found), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(other, moment + np.cross(about, result), rtol=1e-9, atol=1e-12)
 
 
 def test_a_pose_is_the_mesh_turned_and_moved() -> None:
@@ -168,14 +170,14 @@ def test_a_pose_is_the_mesh_turned_and_moved() -> None:
         quaternion /= np.linalg.norm(quaternion)
         place, turn = rng.uniform(-0.05, 0.03, 3), np.zeros(9)
         mujoco.mju_quat2Mat(turn, quaternion)
-        arms, normals = (one @ turn.reshape(3, 3).T for one in (mesh.points, mesh.normals))
+        arms, normals = (vectors @ turn.reshape(3, 3).T for vectors in (mesh.points, mesh.normals))
         expected = wrench(
             place + arms, normals, mesh.areas, linear + np.cross(spin, arms), about=place, **SAND
         )
-        found = force(
+        total_force = force(
             mesh, np.concatenate([place, quaternion]), np.concatenate([linear, spin]), **SAND
         )
-        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(total_force, expected, rtol=1e-9, atol=1e-9)
 
 
 def test_a_mesh_of_triangles_has_the_faces_and_faces_outward() -> None:
@@ -237,7 +239,7 @@ def test_each_face_keeps_the_bound_of_coulomb(body: str, friction: float) -> Non
     mesh, height, linear, spin = BODIES[body]
     about, scale = np.array([0.0, 0.0, height]), 1600.0 * 9.81
     points, velocities = mesh.points + about, np.cross(spin, mesh.points) + linear
-    found, moment = wrench(
+    result, moment = wrench(
         points, mesh.normals, mesh.areas, velocities, about=about, phi_deg=30.0, density=1600.0,
         surface_friction=friction, rest_speed=1e-6,
     )  # fmt: skip
@@ -251,10 +253,10 @@ def test_each_face_keeps_the_bound_of_coulomb(body: str, friction: float) -> Non
         return bounded_faces(stress * [d, d, lift], mesh.normals, velocities, friction)
 
     def missing(ratios: np.ndarray) -> np.ndarray:
-        return faces(ratios).sum(axis=0)[[0, 2]] - found[[0, 2]]
+        return faces(ratios).sum(axis=0)[[0, 2]] - result[[0, 2]]
 
     ratios = least_squares(missing, [20.0, 30.0], x_scale="jac", xtol=1e-14, ftol=1e-14).x
-    size = np.linalg.norm(found)
+    size = np.linalg.norm(result)
     assert np.abs(missing(ratios)).max() < 1e-6 * size
     torque = np.cross(mesh.points, faces(ratios)).sum(axis=0)
     np.testing.assert_allclose(moment, torque, atol=2e-4 * size * mesh.reach)
@@ -263,7 +265,7 @@ def test_each_face_keeps_the_bound_of_coulomb(body: str, friction: float) -> Non
 def test_friction_on_a_plate_keeps_the_bound_and_is_mobilized_by_shearing() -> None:
     """A face alone: its friction is bounded, and times 1 - exp(-j/K)."""
     turn, descent = np.radians([60.0, 30.0, 5.0, -20.0]), np.radians([85.0, 60.0, 30.0, 10.0])
-    tilt, down = (one.ravel() for one in np.meshgrid(turn, descent))
+    tilt, down = (grid.ravel() for grid in np.meshgrid(turn, descent))
     normals = np.stack([np.sin(tilt), 0.0 * tilt, -np.cos(tilt)], axis=1)
     velocities = np.stack([np.cos(down), 0.0 * down, -np.sin(down)], axis=1)
     plates = (np.tile([0.0, 0.0, -0.02], (tilt.size, 1, 1)), normals[:, None], [1e-3],
@@ -301,7 +303,7 @@ def test_traced_arrays_have_the_same_force() -> None:
         )  # fmt: skip
 
     phi = np.array([30.0, 32.0, 34.0, 36.0])
-    given = [jax.numpy.asarray(one) for one in (pose, velocity, phi)]
+    given = [jax.numpy.asarray(item) for item in (pose, velocity, phi)]
     traced = jax.jit(moved)(*given, tuple(map(jax.numpy.asarray, held)))
     np.testing.assert_allclose(traced[0], moved(pose, velocity, phi, held)[0], rtol=1e-4)
 
@@ -337,11 +339,11 @@ def test_soil_takes_energy_and_gives_numbers_everywhere(foot: Any) -> None:
         pose[0, 3:] = 0.0, 1.0, 0.0, 0.0
         velocity = speed * np.array([*rng.standard_normal((47, 3)), *(0.0, 0.0, 1.0) * np.array(
             [[1.0], [-1.0], [0.0]])])  # fmt: skip
-        found, moment = force(foot, pose, velocity, **SAND)
-        assert np.isfinite([found, moment]).all()
-        assert (np.vecdot(found, velocity) <= 1e-12).all()
-        assert not found.any() or (speed > 0.0 and height < 0.06)
-        held = force(foot, pose, velocity, held=(found, moment), step=0.002, stiffness=2e4, **SAND)
+        result, moment = force(foot, pose, velocity, **SAND)
+        assert np.isfinite([result, moment]).all()
+        assert (np.vecdot(result, velocity) <= 1e-12).all()
+        assert not result.any() or (speed > 0.0 and height < 0.06)
+        held = force(foot, pose, velocity, held=(result, moment), step=0.002, stiffness=2e4, **SAND)
         assert np.isfinite(held).all()
         assert not np.any(held) or height < 0.06
 
@@ -436,14 +438,22 @@ def test_other_arrays_have_the_forces_of_numpy(foot: Any, library: str) -> None:
     soil = {"phi_deg": rng.uniform(20.0, 45.0, 300), "density": 1600.0}
     expected = force(foot, pose, velocity, **soil)
     soil["phi_deg"] = xp.asarray(soil["phi_deg"])
-    found = force(foot, xp.asarray(pose), xp.asarray(velocity), **soil)
+    total_force = force(foot, xp.asarray(pose), xp.asarray(velocity), **soil)
     again = force(
-        foot, xp.asarray(pose), xp.asarray(velocity), held=found, step=0.01, stiffness=2e4, **soil
+        foot,
+        xp.asarray(pose),
+        xp.asarray(velocity),
+        held=total_force,
+        step=0.01,
+        stiffness=2e4,
+        **soil,
     )
-    for one, other, numpy in zip(found, again, expected, strict=True):
-        assert type(one) is type(other) is type(xp.asarray(pose))
-        exact = 1e-9 if np.asarray(one).dtype == np.float64 else 1e-4  # JAX's default is single
-        np.testing.assert_allclose(np.asarray(one), numpy, atol=exact * np.abs(numpy).max() + 1e-12)
+    for first, other, numpy in zip(total_force, again, expected, strict=True):
+        assert type(first) is type(other) is type(xp.asarray(pose))
+        exact = 1e-9 if np.asarray(first).dtype == np.float64 else 1e-4  # JAX's default is single
+        np.testing.assert_allclose(
+            np.asarray(first), numpy, atol=exact * np.abs(numpy).max() + 1e-12
+        )
 
 
 @pytest.mark.parametrize(
@@ -488,8 +498,8 @@ def test_what_cannot_be_a_foot_is_refused() -> None:
     faces = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
     assert Mesh.of(corners, faces).areas.sum() == pytest.approx(0.052)
     # Corners that are not merged are no opening; a tube is, though its areas cancel.
-    apart = np.arange(faces.size).reshape(faces.shape)
-    assert Mesh.of(corners[faces].reshape(-1, 3), apart).areas.sum() == pytest.approx(0.052)
+    difference = np.arange(faces.size).reshape(faces.shape)
+    assert Mesh.of(corners[faces].reshape(-1, 3), difference).areas.sum() == pytest.approx(0.052)
     for mesh, match in [
         ((corners, faces[:, ::-1]), "inside out"),
         ((corners, faces[1:]), "not closed"),

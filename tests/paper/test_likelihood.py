@@ -86,8 +86,8 @@ def test_exact_fit_is_finite_and_the_best() -> None:
 def test_correlation_length_is_recovered_from_residuals(length_deg: float) -> None:
     factor = np.linalg.cholesky(kernel(length_deg) + 1e-9 * np.eye(40))
     residuals = np.random.default_rng(5).standard_normal((400, 40)) @ factor.T
-    found = residual_correlation_length_deg(THETA, residuals)
-    assert found == pytest.approx(length_deg, rel=0.05)
+    result = residual_correlation_length_deg(THETA, residuals)
+    assert result == pytest.approx(length_deg, rel=0.05)
 
 
 def test_white_residuals_have_less_than_half_the_spacing() -> None:
@@ -127,9 +127,9 @@ def test_draws_are_those_of_the_posterior_and_seeds_decide() -> None:
     low, median, high = np.quantile(draws, [0.16, 0.5, 0.84])
     assert abs(median - 33.97) < 4.0 * median_standard_error(draws)
     assert 0.5 * (high - low) == pytest.approx(0.3, rel=0.05)
-    one, same, other = (sample(normal(30.0, 1.0), steps=20, seed=seed) for seed in (3, 3, 4))
-    np.testing.assert_array_equal(one, same)
-    assert not np.array_equal(one, other)
+    first, same, other = (sample(normal(30.0, 1.0), steps=20, seed=seed) for seed in (3, 3, 4))
+    np.testing.assert_array_equal(first, same)
+    assert not np.array_equal(first, other)
 
 
 # -- convergence -----------------------------------------------------------------------------------
@@ -179,8 +179,8 @@ def test_median_standard_error_is_the_scatter_of_medians(coefficient: float) -> 
     ids=["agree", "stuck apart", "of other spread", "drift"],
 )
 def test_rhat_equals_arviz_with_one_walker_and_sees_what_is_wrong(change) -> None:
-    one = change(autoregressive(0.5, (4, 1, 1000)))
-    assert split_rhat(one) == pytest.approx(float(arviz.rhat(one[:, 0])), rel=1e-6)
+    item = change(autoregressive(0.5, (4, 1, 1000)))
+    assert split_rhat(item) == pytest.approx(float(arviz.rhat(item[:, 0])), rel=1e-6)
     draws = change(autoregressive(0.5, (4, 16, 1000)))
     if np.array_equal(draws, autoregressive(0.5, (4, 16, 1000))):
         assert split_rhat(draws) == pytest.approx(1.0, abs=2e-3)

@@ -41,8 +41,8 @@ def test_deviation_of_a_constant_offset() -> None:
 def test_published_deviations_of_the_authors_own_theory(leg: str) -> None:
     # Xu & Wang print these for the resistive force theory of Li et al. in Yuma sand.
     name = f"li2013:yuma/{leg}"
-    found = numbers.nrmsd_percent(measurement(name).history, reference_rft(name))
-    assert found == pytest.approx(numbers.NRMSD_RFT[leg], abs=1.5)
+    result = numbers.nrmsd_percent(measurement(name).history, reference_rft(name))
+    assert result == pytest.approx(numbers.NRMSD_RFT[leg], abs=1.5)
 
 
 def test_peaks_and_first_resistance() -> None:
@@ -69,17 +69,17 @@ def test_stresses_at_rest_that_the_yield_surface_excludes(
 def test_scatter_is_that_of_all_pairs_of_seeds() -> None:
     # Peaks 1 % above and below the base's: the three pairs are 1, 1 and 2 % apart.
     runs = [bumps(5.0 * factor, 5.0 * factor) for factor in (1.0, 1.01, 0.99)]
-    found = numbers.scatter_percent(runs, numbers.peaks_N(runs[0]))
-    assert found["peak"] == pytest.approx([math.sqrt(2.0)] * 2, rel=1e-3)
+    result = numbers.scatter_percent(runs, numbers.peaks_N(runs[0]))
+    assert result["peak"] == pytest.approx([math.sqrt(2.0)] * 2, rel=1e-3)
 
 
 def test_applied_forces_are_a_share_of_those_counted() -> None:
     counted = bumps(7.0, 5.0)
     about = {"name": "", "model": "its code", "phi_deg": 25.0, "speed_up": 1.0}
     case = numbers.Case(about, counted, ForceHistory(THETA, 0.5 * counted.force))
-    found = numbers.counted_and_applied(case)
-    assert found["share_of_peaks"] == pytest.approx({"Fz": 0.5, "Fx": 0.5}, rel=1e-3)
-    assert found["share_of_path"] == pytest.approx({"Fz": 0.5, "Fx": 0.5}, rel=1e-3)
+    result = numbers.counted_and_applied(case)
+    assert result["share_of_peaks"] == pytest.approx({"Fz": 0.5, "Fx": 0.5}, rel=1e-3)
+    assert result["share_of_path"] == pytest.approx({"Fz": 0.5, "Fx": 0.5}, rel=1e-3)
 
 
 # -- results ---------------------------------------------------------------------------------------
@@ -152,21 +152,21 @@ def test_peaks_grow_with_phi_and_engagement_is_where_the_band_meets_the_soil(
 
 
 def test_emcee_agrees_with_quadrature_on_a_truth(monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = numbers.held_out("paper")
-    at = whole.phi_deg == numbers.WALKERS_DEG
-    one = whole._replace(phi_deg=whole.phi_deg[at], data=whole.data[at])
+    full = numbers.held_out("paper")
+    at = full.phi_deg == numbers.WALKERS_DEG
+    item = full._replace(phi_deg=full.phi_deg[at], data=full.data[at])
     (exact,) = (p for p, here in zip(numbers.posteriors("paper"), at, strict=True) if here)
-    monkeypatch.setattr(numbers, "held_out", lambda _: one)
+    monkeypatch.setattr(numbers, "held_out", lambda _: item)
     monkeypatch.setattr(numbers, "posteriors", lambda _: [exact])
     # Of the paper's 4000 steps 1600, 1000 of them burn-in, are enough for the bounds below.
     monkeypatch.setattr(numbers.paper, "sample", partial(numbers.paper.sample, steps=1600))
-    found = numbers.recovery()
-    (case,) = found.data["cases"]
+    result = numbers.recovery()
+    (case,) = result.data["cases"]
     assert case["emcee_rhat"] < 1.01
     assert case["medians_apart_in_errors"] < 3.0
     assert 0.0 < case["emcee_autocorrelation_steps"] < 60.0
-    assert set(found.figures) == {"recovery", "walkers"}
-    assert len(found.figures["walkers"]().axes) == 2
+    assert set(result.figures) == {"recovery", "walkers"}
+    assert len(result.figures["walkers"]().axes) == 2
 
 
 def test_unknown_results_and_libraries_are_refused() -> None:
@@ -180,7 +180,7 @@ def test_unknown_results_and_libraries_are_refused() -> None:
 
 
 def test_figures_show_what_was_computed(results: dict[str, numbers.Result]) -> None:
-    drawn = {n: f() for one in results.values() for n, f in one.figures.items()}
+    drawn = {n: f() for item in results.values() for n, f in item.figures.items()}
     names = "recovery legs forces-phi peaks-phi surrogate-surfaces surrogate-slices residuals"
     assert set(drawn) == set(names.split())
     cases = results["recovery"].data["cases"]
@@ -194,9 +194,9 @@ def test_snapshots_are_taken_as_the_leg_reaches_its_angles(
     scenario = coarse(**{"motion.start_deg": -100.0, "motion.stop_deg": -40.0})
     monkeypatch.setattr(draw, "SNAPSHOTS_DEG", (-90.0, -60.0))
     monkeypatch.setattr(draw, "SPEED_UP", 20.0)
-    found = draw.soil_around(scenario, ["straight"], lambda _: None)
-    _, taken = found["straight"]
+    result = draw.soil_around(scenario, ["straight"], lambda _: None)
+    _, taken = result["straight"]
     assert [np.degrees(m.theta) for m in taken] == pytest.approx([-90.0, -60.0], abs=25.0)
     assert all(np.degrees(m.theta) >= wanted for m, wanted in zip(taken, (-90, -60), strict=True))
     assert np.abs(taken[1].points - taken[0].points).max() > 1e-3
-    assert len(draw.snapshots(found).axes) == 3
+    assert len(draw.snapshots(result).axes) == 3

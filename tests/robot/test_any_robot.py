@@ -98,11 +98,11 @@ def test_a_go2_of_other_names_has_the_forces_of_a_go2(
     source, truth = walked
     robot = Quadruped.load(go2_like(tmp_path, style))
     assert robot.own_names == tuple(names_like(style))
-    found = foot_forces(renamed_table(source, tmp_path, style), robot=robot)
+    robot_forces = foot_forces(renamed_table(source, tmp_path, style), robot=robot)
     # Forces are single; the order of legs in the tree changes the order of MuJoCo's sums.
-    np.testing.assert_allclose(found.forces.force, truth.forces.force, rtol=1e-5, atol=1e-4)
-    assert [s.foot for s in found.stances] == [s.foot for s in truth.stances]
-    assert any("by their places" in note for note in found.warnings) == (style == "nameless")
+    np.testing.assert_allclose(robot_forces.forces.force, truth.forces.force, rtol=1e-5, atol=1e-4)
+    assert [s.foot for s in robot_forces.stances] == [s.foot for s in truth.stances]
+    assert any("by their places" in note for note in robot_forces.warnings) == (style == "nameless")
 
 
 @pytest.mark.parametrize("order_given", [True, False])
@@ -122,10 +122,12 @@ def test_an_assumed_order_of_motors_is_noted(
     listed = f"joint_order = {[names[i] for i in order]}" if order_given else ""
     model = go2_like(tmp_path, "nameless").name
     (tmp_path / "own.toml").write_text(f"model = '{model}'\n{listed}")
-    found = foot_forces(tmp_path / "walk.mcap", robot=tmp_path / "own.toml")
+    robot_forces = foot_forces(tmp_path / "walk.mcap", robot=tmp_path / "own.toml")
     # Messages are single.
-    np.testing.assert_allclose(found.forces.force, walked[1].forces.force, rtol=1e-3, atol=0.02)
-    assert any("numbered FR_hip, FR_thigh" in note for note in found.warnings) != order_given
+    np.testing.assert_allclose(
+        robot_forces.forces.force, walked[1].forces.force, rtol=1e-3, atol=0.02
+    )
+    assert any("numbered FR_hip, FR_thigh" in note for note in robot_forces.warnings) != order_given
 
 
 def test_joint_states_by_the_names_of_the_model(tmp_path: Path) -> None:
@@ -133,8 +135,8 @@ def test_joint_states_by_the_names_of_the_model(tmp_path: Path) -> None:
     names = names_like("nameless")
     rows = LOGS["joint_states"]([names[i] for i in order], np.append(order, 12)[:12])
     path = LOGS["bag"](tmp_path / "bag", {"/joint_states": (JOINT_STATE, rows)})
-    found = read_log(path, own_names=names)
-    np.testing.assert_array_equal(found.torque, LOGS["log"].torque)
+    joint_log = read_log(path, own_names=names)
+    np.testing.assert_array_equal(joint_log.torque, LOGS["log"].torque)
     with pytest.raises(InputError, match="'j"):
         read_log(path)
 
@@ -166,7 +168,7 @@ def test_a_urdf_without_names_by_its_tree(tmp_path: Path) -> None:
     (tmp_path / "own.urdf").write_text(text.replace('xyz="0 0 -0.25"', 'xyz="0.25 0 0"'))
     robot = Quadruped.load(tmp_path / "own.urdf")
     assert dict(zip(JOINT_NAMES, robot.own_names, strict=True)) == {
-        name.removesuffix("_joint"): own for name, own in names.items()
+        name.removesuffix("_joint"): reference for name, reference in names.items()
     }
     assert robot.foot_radius == 0.02
     assert any("sphere: 20 mm" in note for note in robot.notes)
@@ -266,10 +268,10 @@ def test_an_ankle_below_named_legs_is_refused(tmp_path: Path) -> None:
 def test_published_quadrupeds_are_the_same_without_their_names(tmp_path: Path, name: str) -> None:
     """By their places, the joints are those that the names say."""
     path = published(name)
-    text, known = path.read_text(), Quadruped.load(path)
-    assert not any("disagree" in note for note in known.notes)
-    for number, joint in enumerate(known.own_names):
+    text, reference = path.read_text(), Quadruped.load(path)
+    assert not any("disagree" in note for note in reference.notes)
+    for number, joint in enumerate(reference.own_names):
         text = re.sub(f'joint="{joint}"|name="{joint}"', f'name="j{number}"', text)
     (tmp_path / "own.urdf").write_text(text)
     robot = Quadruped.load(tmp_path / "own.urdf")
-    assert robot.own_names == tuple(f"j{number}" for number in range(len(known.own_names)))
+    assert robot.own_names == tuple(f"j{number}" for number in range(len(reference.own_names)))

@@ -43,9 +43,9 @@ def legs(log: JointLog, order: list[int]) -> JointLog:
 
 @pytest.mark.parametrize("name", WALKS)
 def test_a_sound_log_is_not_doubted(name: str) -> None:
-    found = foot_forces(WALKS[name].log()[0])
-    assert found.warnings == ()
-    assert found.summary()["lift_over_weight"] == pytest.approx(1.0, abs=0.03)
+    robot_forces = foot_forces(WALKS[name].log()[0])
+    assert robot_forces.warnings == ()
+    assert robot_forces.summary()["lift_over_weight"] == pytest.approx(1.0, abs=0.03)
 
 
 def test_parts_cover_a_log_and_faults_those_before_them() -> None:
@@ -75,8 +75,8 @@ def test_parts_cover_a_log_and_faults_those_before_them() -> None:
 
 
 def late(log: JointLog, seconds: float) -> JointLog:
-    every = [np.interp(log.time - seconds, log.time, t) for t in log.torque.reshape(-1, 12).T]
-    return replace(log, torque=np.stack(every, axis=1).reshape(-1, 4, 3))
+    values = [np.interp(log.time - seconds, log.time, t) for t in log.torque.reshape(-1, 12).T]
+    return replace(log, torque=np.stack(values, axis=1).reshape(-1, 4, 3))
 
 
 def part(log: JointLog, chosen: np.ndarray) -> JointLog:
@@ -92,8 +92,8 @@ def long() -> JointLog:
 @pytest.mark.parametrize("begin", [10.001, 10.6])
 def test_a_sound_log_with_a_gap_is_not_doubted(long: JointLog, begin: float) -> None:
     """Few samples of a part come before a gap: they do not judge the robot."""
-    found = foot_forces(part(long, (long.time < begin) | (long.time >= begin + 5.3)))
-    assert not [each for each in found.checked if each.findings]
+    robot_forces = foot_forces(part(long, (long.time < begin) | (long.time >= begin + 5.3)))
+    assert not [each for each in robot_forces.checked if each.findings]
 
 
 def test_a_lag_is_corrected_though_the_robot_stands_after_its_walk(
@@ -115,9 +115,9 @@ def test_a_lag_is_corrected_though_the_robot_stands_after_its_walk(
         angular_velocity=angular_velocity,
         torque=log.torque + noise * stands[:, None, None],
     )
-    found = foot_forces(late(log, 1e-3 * milliseconds))
-    assert faulty_spans(found.checked) == []
-    notes = " | ".join(found.warnings)
+    robot_forces = foot_forces(late(log, 1e-3 * milliseconds))
+    assert faulty_spans(robot_forces.checked) == []
+    notes = " | ".join(robot_forces.warnings)
     lag = re.search(r"^torques are (\d+) ms late .* correct it with --lag (\d+)", notes)
     assert lag, notes
     assert abs(int(lag[2]) - milliseconds) <= 2
@@ -126,16 +126,16 @@ def test_a_lag_is_corrected_though_the_robot_stands_after_its_walk(
 def test_late_torques_are_found_in_swing_and_taken_back(log: JointLog) -> None:
     """20 ms late torques move φ by 5°; a trailing mean of 50 ms is late by half of that."""
     notes = " | ".join(foot_forces(late(log, 0.02)).warnings)
-    found = re.search(r"torques are (\d+) ms late .* correct it with --lag (\d+)", notes)
-    assert found, notes
-    assert found[1] == found[2]
-    assert float(found[1]) == pytest.approx(20.0, abs=4.0)
+    result = re.search(r"torques are (\d+) ms late .* correct it with --lag (\d+)", notes)
+    assert result, notes
+    assert result[1] == result[2]
+    assert float(result[1]) == pytest.approx(20.0, abs=4.0)
     assert "torques are" not in " ".join(foot_forces(late(log, 0.02), lag_s=0.02).warnings)
     mean = replace(log, torque=uniform_filter1d(log.torque, 25, axis=0, origin=12))
     notes = " | ".join(foot_forces(mean).warnings)
-    found = re.search(r"torques are (\d+) ms late", notes)
-    assert found, notes
-    assert float(found[1]) == pytest.approx(24.0, abs=8.0)
+    result = re.search(r"torques are (\d+) ms late", notes)
+    assert result, notes
+    assert float(result[1]) == pytest.approx(24.0, abs=8.0)
 
 
 @pytest.mark.parametrize("reading", [0.0, None])
@@ -144,8 +144,8 @@ def test_a_motor_that_dies_within_a_part_is_named(log: JointLog, reading: float 
     dies = log.time > log.time[0] + 3.5
     dead = log.torque.copy()
     dead[dies, 1, 2] = dead[~dies][-1, 1, 2] if reading is None else reading
-    found = foot_forces(replace(log, torque=dead)).grave
-    assert any("FL_calf" in text and "stands still" in text for text in found), found
+    robot_forces = foot_forces(replace(log, torque=dead)).grave
+    assert any("FL_calf" in text and "stands still" in text for text in robot_forces), robot_forces
 
 
 @pytest.mark.parametrize(
@@ -182,8 +182,8 @@ def sandy(request: pytest.FixtureRequest) -> JointLog:
 )
 def test_one_pair_of_legs_exchanged_on_sand(sandy: JointLog, order: list[int], words: str) -> None:
     assert not any("exchanged" in note for note in foot_forces(sandy).warnings)
-    found = foot_forces(legs(sandy, order)).grave
-    assert any("exchanged" in note and words in note for note in found), found
+    robot_forces = foot_forces(legs(sandy, order)).grave
+    assert any("exchanged" in note and words in note for note in robot_forces), robot_forces
 
 
 def turned(log: JointLog, heading: float) -> JointLog:
@@ -227,9 +227,9 @@ def test_an_attitude_that_turns_otherwise_than_the_gyroscope(
         with pytest.raises(InputError, match="^attitude and gyroscope.*" + words):
             foot_forces(wrong)
         return
-    found = foot_forces(wrong)
-    assert re.search(words, found.grave[0]), found.grave
-    assert not any("exchanged" in note or "zeros" in note for note in found.warnings)
+    robot_forces = foot_forces(wrong)
+    assert re.search(words, robot_forces.grave[0]), robot_forces.grave
+    assert not any("exchanged" in note or "zeros" in note for note in robot_forces.warnings)
 
 
 @pytest.mark.parametrize(
@@ -242,9 +242,9 @@ def test_an_attitude_that_turns_otherwise_than_the_gyroscope(
 def test_an_imu_that_no_known_slip_explains_is_a_note(
     log: JointLog, order: list[int], signs: list[float], factor: float
 ) -> None:
-    found = foot_forces(imu(log, order, signs, factor))
-    assert any(note.startswith("attitude and gyroscope disagree") for note in found.warnings)
-    assert not any(re.search(r"and by \d+% if", note) for note in found.warnings)
+    robot_forces = foot_forces(imu(log, order, signs, factor))
+    assert any(note.startswith("attitude and gyroscope disagree") for note in robot_forces.warnings)
+    assert not any(re.search(r"and by \d+% if", note) for note in robot_forces.warnings)
 
 
 @pytest.mark.parametrize("stretch", [2.0, 0.5])
@@ -254,9 +254,9 @@ def test_times_of_another_unit_are_found_without_velocities(
     """Attitude and gyroscope disagree by the factor by which the clock is off."""
     time = stretch * sandy.time
     wrong = replace(sandy, time=time, velocity=np.gradient(sandy.angle, time, axis=0))
-    found = " | ".join(foot_forces(wrong).grave)
-    factor = re.search(r"times, or .* multiplied by (\S+)[;,]", found)
-    assert factor, found
+    result = " | ".join(foot_forces(wrong).grave)
+    factor = re.search(r"times, or .* multiplied by (\S+)[;,]", result)
+    assert factor, result
     assert float(factor[1]) == pytest.approx(1.0 / stretch, rel=0.1)
 
 
@@ -290,9 +290,9 @@ def test_forces_of_no_robot_are_refused(log: JointLog, factor: float, words: str
 
 @pytest.mark.parametrize("factor", [0.95, 1.1])
 def test_a_clock_that_is_a_little_off_is_noted(log: JointLog, factor: float) -> None:
-    found = foot_forces(replace(log, time=factor * log.time))
+    robot_forces = foot_forces(replace(log, time=factor * log.time))
     off = abs(factor - 1.0)
-    assert any(f"joint velocities are {off:.0%}" in note for note in found.warnings)
+    assert any(f"joint velocities are {off:.0%}" in note for note in robot_forces.warnings)
 
 
 @pytest.mark.parametrize("order", [[1, 0, 2, 3], [0, 1, 3, 2]])

@@ -69,67 +69,67 @@ def worn(log: JointLog) -> JointLog:
 
 def test_a_walk_by_the_law_gives_its_footfalls_back(clean: tuple[Truth, FootfallMap]) -> None:
     """Each foot, time, place, depth and φ; the law is exact, so φ errs by noise alone."""
-    true, found = clean
-    assert found.usable.all()
-    assert found.foot == true.foot
-    assert found.time == pytest.approx(true.time, abs=0.04)
-    assert found.place == pytest.approx(true.place, abs=2e-3)
+    true, result = clean
+    assert result.usable.all()
+    assert result.foot == true.foot
+    assert result.time == pytest.approx(true.time, abs=0.04)
+    assert result.place == pytest.approx(true.place, abs=2e-3)
     # The loading that is used ends a little before the foot comes to rest.
-    assert found.sinkage == pytest.approx(0.975 * true.sinkage, rel=0.02)
-    assert found.phi == pytest.approx(true.phi, abs=0.3)
-    apart = found.phi - true.phi
-    assert np.std(apart) < 0.1
-    assert np.all(np.abs(apart - apart.mean()) < 2.0 * found.sd)
-    assert found.by_law["foot"] == pytest.approx(found.phi.mean())
+    assert result.sinkage == pytest.approx(0.975 * true.sinkage, rel=0.02)
+    assert result.phi == pytest.approx(true.phi, abs=0.3)
+    difference = result.phi - true.phi
+    assert np.std(difference) < 0.1
+    assert np.all(np.abs(difference - difference.mean()) < 2.0 * result.sd)
+    assert result.by_law["foot"] == pytest.approx(result.phi.mean())
     # No motor is off, and soil pushes where it is taken to: another place looks like gains of 0.02.
-    gains = np.reshape(found.shared["torque_gain"]["mean"], (4, 3))
+    gains = np.reshape(result.shared["torque_gain"]["mean"], (4, 3))
     assert np.all(np.abs(gains[:, CALF]) < 0.02)
     # Of the map: at the path's points, φ as the field has it.
-    x, y = found.path[:, 1:].T
+    x, y = result.path[:, 1:].T
     field = LawWalk().phi(np.column_stack([x, y]))
-    assert np.all(np.abs(found.path_phi - field) < 2.0 * found.path_absolute_sd)
+    assert np.all(np.abs(result.path_phi - field) < 2.0 * result.path_absolute_sd)
 
 
 def test_what_is_shared_is_as_large_as_its_parts(clean: tuple[Truth, FootfallMap]) -> None:
     """The absolute interval holds every prior that nothing in the log can narrow."""
-    found, prior = clean[1], Prior()
-    sd = {name: found.shared[name]["sd"] for name in ("density_kg_m3", "surface_friction")}
+    result, prior = clean[1], Prior()
+    sd = {name: result.shared[name]["sd"] for name in ("density_kg_m3", "surface_friction")}
     assert sd == pytest.approx({"density_kg_m3": 80.0, "surface_friction": FOOT_FRICTION.sd})
-    assert found.shared["foot_radius_mm"]["sd"] == pytest.approx(1e3 * prior.radius_sd)
-    assert found.shared["law_offset_deg"]["worth_deg"] == pytest.approx(2.6)  # docs/plates.md
-    parts = [found.shared[name]["worth_deg"] for name in found.shared if name != "field"]
-    assert found.shared_sd.mean() == pytest.approx(np.sqrt(np.sum(np.square(parts))), rel=0.05)
+    assert result.shared["foot_radius_mm"]["sd"] == pytest.approx(1e3 * prior.radius_sd)
+    assert result.shared["law_offset_deg"]["worth_deg"] == pytest.approx(2.6)  # docs/plates.md
+    parts = [result.shared[name]["worth_deg"] for name in result.shared if name != "field"]
+    assert result.shared_sd.mean() == pytest.approx(np.sqrt(np.sum(np.square(parts))), rel=0.05)
 
 
 def test_gains_that_are_off_are_found_and_taken_off() -> None:
     walk = LawWalk(duration=8.0)
     true, log = truth_of(walk), worn(walk.log()[0])
-    found = footfalls(log, density="1550±80")
-    gains = found.shared["torque_gain"]
+    footfall_map = footfalls(log, density="1550±80")
+    gains = footfall_map.shared["torque_gain"]
     for (foot, joint), gain in GAINS.items():
         i = 3 * FEET.index(foot) + joint
         assert gains["mean"][i] == pytest.approx(gain, abs=2.0 * gains["sd"][i])
         assert np.sign(gains["mean"][i]) == np.sign(gain)
         assert abs(gains["mean"][i]) > 0.5 * abs(gain)
-    apart = found.phi - true.phi
-    assert np.all(np.abs(apart - apart.mean()) < 2.5 * found.sd)
-    assert np.std(apart) < 0.3
+    difference = footfall_map.phi - true.phi
+    assert np.all(np.abs(difference - difference.mean()) < 2.5 * footfall_map.sd)
+    assert np.std(difference) < 0.3
 
 
 def test_a_law_that_grows_slower_with_depth_is_learned() -> None:
     """Its exponent is found, and φ stays right."""
     walk = LawWalk(duration=6.0, exponent=-0.3)
-    true, found = truth_of(walk), footfalls(walk.log()[0], density="1550±80")
-    exponent = found.shared["law_exponent"]
+    true, result = truth_of(walk), footfalls(walk.log()[0], density="1550±80")
+    exponent = result.shared["law_exponent"]
     assert exponent["mean"] == pytest.approx(-0.3, abs=2.0 * exponent["sd"])
-    assert found.phi == pytest.approx(true.phi, abs=0.3)
+    assert result.phi == pytest.approx(true.phi, abs=0.3)
 
 
 def test_a_denser_soil_has_a_smaller_angle_by_the_law(clean: tuple[Truth, FootfallMap]) -> None:
     """The law is in proportion to the density: φ falls until a tenth of the force is gone."""
     walk = LawWalk(duration=8.0)
-    found = footfalls(walk.log()[0], density="1705±80")
-    for phi, sinkage, before in zip(found.phi, clean[0].sinkage, clean[1].phi, strict=True):
+    footfall_map = footfalls(walk.log()[0], density="1705±80")
+    for phi, sinkage, before in zip(footfall_map.phi, clean[0].sinkage, clean[1].phi, strict=True):
         force = walk._law(0.8 * sinkage, np.array([phi, before]))
         assert force[1] / force[0] == pytest.approx(1.1, abs=0.02)
 
@@ -137,8 +137,8 @@ def test_a_denser_soil_has_a_smaller_angle_by_the_law(clean: tuple[Truth, Footfa
 def test_errors_of_torques_move_the_forces_as_stated() -> None:
     """Gains and friction, each by the difference of two estimates."""
     log = LawWalk(duration=3.0).log()[0]
-    one = estimate(log, robot=GO2, friction=False)
-    per = sensitivity(log, one)
+    estimated_forces = estimate(log, robot=GO2, friction=False)
+    per = sensitivity(log, estimated_forces)
     for joint in range(3):
         gain, lost = np.ones(3), np.zeros(3)
         gain[joint], lost[joint] = 1.05, 0.1
@@ -147,7 +147,7 @@ def test_errors_of_torques_move_the_forces_as_stated() -> None:
             (log.torque * gain, joint, 0.05), (log.torque + friction, 3 + joint, 0.1)
         ):  # fmt: skip
             two = estimate(replace(log, torque=torque), robot=GO2, friction=False)
-            moved = (two.force - one.force)[..., 2].astype(float)
+            moved = (two.force - estimated_forces.force)[..., 2].astype(float)
             stated = size * per[..., column]
             assert np.std(moved - stated) < 0.15 * np.std(moved) + 1e-3
 
@@ -163,7 +163,7 @@ def test_a_gain_is_found_from_the_weight_while_the_trunk_bobs() -> None:
     sd = np.repeat([SensorErrors.gain, SensorErrors.coulomb_Nm], 12)
     lift, trunk = true * [1.1, 1.0, 1.0, 1.0], np.zeros((len(time), 3))
     course = Course(time, lift, 2.5 * wave, gain, trunk)
-    found = calibrate_on_weight(course, sd, mass=mass)
-    assert found.mean[2] - found.mean[5] == pytest.approx(0.1, abs=0.01)
-    assert found.mean[2] == pytest.approx(0.1, abs=0.03)  # less what the mass may be off by
-    assert found.covariance[2, 2] < SensorErrors.gain**2
+    result = calibrate_on_weight(course, sd, mass=mass)
+    assert result.mean[2] - result.mean[5] == pytest.approx(0.1, abs=0.01)
+    assert result.mean[2] == pytest.approx(0.1, abs=0.03)  # less what the mass may be off by
+    assert result.covariance[2, 2] < SensorErrors.gain**2

@@ -52,27 +52,27 @@ def walked() -> tuple[Any, Any, JointLog]:
 
 
 @pytest.fixture(scope="module")
-def found(walked: tuple[Any, Any, JointLog]) -> FootfallMap:
+def trot_map(walked: tuple[Any, Any, JointLog]) -> FootfallMap:
     return footfalls(walked[2], density="1550±80")
 
 
-def test_a_trot_weighs_its_motors_with_the_inertia_of_its_legs(found: FootfallMap) -> None:
+def test_a_trot_weighs_its_motors_with_the_inertia_of_its_legs(trot_map: FootfallMap) -> None:
     """Gains of the calves' torques are known to 2 % then, and to 3.4 % if legs have no inertia."""
-    sd = np.reshape(found.shared["torque_gain"]["sd"], (4, 3))
+    sd = np.reshape(trot_map.shared["torque_gain"]["sd"], (4, 3))
     assert sd[:, 2].max() < 0.027
     assert sd[:, 1].max() < 0.09
 
 
 @pytest.mark.slow
-def test_a_walk_on_sand_tells_its_field(walked: Any, found: FootfallMap) -> None:
+def test_a_walk_on_sand_tells_its_field(walked: Any, trot_map: FootfallMap) -> None:
     walk, recording, _ = walked
-    assert found.usable.sum() > 20
+    assert trot_map.usable.sum() > 20
     # Feet under which soil gives way slide; that is no zero of a joint.
-    assert not any("slide" in note for note in found.warnings)
-    truth = walk.sand.phi(found.path[:, 1:] + recording.position[0, :2])
+    assert not any("slide" in note for note in trot_map.warnings)
+    truth = walk.sand.phi(trot_map.path[:, 1:] + recording.position[0, :2])
     # The sand has a friction of 0.5, the prior a mean of 0.4.
-    assert np.sqrt(np.mean((found.path_phi - truth) ** 2)) < 1.1
-    assert np.all(np.abs(found.path_phi - truth) < 2.0 * found.path_absolute_sd)
+    assert np.sqrt(np.mean((trot_map.path_phi - truth) ** 2)) < 1.1
+    assert np.all(np.abs(trot_map.path_phi - truth) < 2.0 * trot_map.path_absolute_sd)
 
 
 def heavy_robot() -> str:
@@ -111,9 +111,9 @@ def test_a_slope_is_noted(slope_deg: float) -> None:
     assert log.quaternion is not None
     level = Rotation.from_quat(log.quaternion, scalar_first=True)
     uphill = Rotation.from_euler("y", -slope_deg, degrees=True) * level
-    found = footfalls(replace(log, quaternion=uphill.as_quat(scalar_first=True)))
-    assert found.usable.any()
-    assert any("inclined" in note for note in found.warnings) == (slope_deg > 0.0)
+    footfall_map = footfalls(replace(log, quaternion=uphill.as_quat(scalar_first=True)))
+    assert footfall_map.usable.any()
+    assert any("inclined" in note for note in footfall_map.warnings) == (slope_deg > 0.0)
 
 
 @pytest.mark.slow
@@ -127,10 +127,12 @@ def test_another_robot_on_sand(tmp_path: Path) -> None:
     friction = Prior.surface_friction
     walk = world_walk("rft", "trot", friction=friction, seed=1, duration=4.0, robot=file)
     recording = walk.run()
-    found = footfalls(sand_log(recording, seed=1, gain_sd=0.03), robot=file, law="rft")
-    assert found.usable.sum() > 10
-    truth = walk.sand.phi(found.place[:, :2] + recording.position[0, :2])[found.usable]
-    assert np.sqrt(np.mean((found.phi[found.usable] - truth) ** 2)) < 0.9
+    footfall_map = footfalls(sand_log(recording, seed=1, gain_sd=0.03), robot=file, law="rft")
+    assert footfall_map.usable.sum() > 10
+    truth = walk.sand.phi(footfall_map.place[:, :2] + recording.position[0, :2])[
+        footfall_map.usable
+    ]
+    assert np.sqrt(np.mean((footfall_map.phi[footfall_map.usable] - truth) ** 2)) < 0.9
 
 
 @pytest.mark.slow
@@ -143,21 +145,21 @@ def test_a_mat_is_no_sand(stiffness: float) -> None:
 
     walk = sand_walk("trot", seed=2, duration=3.0)
     walk = replace(walk, sand=Elastic(surface=walk.sand.surface, stiffness=stiffness))
-    found = footfalls(sand_log(walk.run(), seed=2))
-    assert len(found.verdict) > 15
-    assert found.verdict.count(ELASTIC) > 0.8 * len(found.verdict)
-    assert not found.usable.any()
+    footfall_map = footfalls(sand_log(walk.run(), seed=2))
+    assert len(footfall_map.verdict) > 15
+    assert footfall_map.verdict.count(ELASTIC) > 0.8 * len(footfall_map.verdict)
+    assert not footfall_map.usable.any()
 
 
 @pytest.mark.slow
-def test_files_come_back(found: FootfallMap, tmp_path: Path) -> None:
+def test_files_come_back(trot_map: FootfallMap, tmp_path: Path) -> None:
     place = tmp_path / "soil.nc"
-    found.to_netcdf(place)
-    assert FootfallMap.load(place).as_dict() == json.loads(json.dumps(found.as_dict()))
+    trot_map.to_netcdf(place)
+    assert FootfallMap.load(place).as_dict() == json.loads(json.dumps(trot_map.as_dict()))
     features = json.loads(place.with_suffix(".geojson").read_text())["features"]
     assert (
         len(features)
-        == len(found.verdict)
+        == len(trot_map.verdict)
         == len(place.with_suffix(".csv").read_text().splitlines()) - 2
     )
 
@@ -168,11 +170,11 @@ def test_the_map_begins_along_the_first_heading() -> None:
     heading = Rotation.from_euler("z", 70.0, degrees=True)
     turned = (heading * Rotation.from_quat(np.roll(log.quaternion, -1, axis=1))).as_quat()
     other = replace(log, quaternion=np.roll(turned, 1, axis=1))
-    one, two = (footfalls(each) for each in (log, other))
-    assert one.path[-1, 1] > 0.2
-    assert abs(one.path[-1, 2]) < 0.05
-    np.testing.assert_allclose(two.path, one.path, atol=1e-3)
-    np.testing.assert_allclose(two.place, one.place, atol=1e-3)
+    first, two = (footfalls(each) for each in (log, other))
+    assert first.path[-1, 1] > 0.2
+    assert abs(first.path[-1, 2]) < 0.05
+    np.testing.assert_allclose(two.path, first.path, atol=1e-3)
+    np.testing.assert_allclose(two.place, first.place, atol=1e-3)
 
 
 def test_of_two_feet_in_one_place_the_second_is_refused() -> None:
@@ -182,13 +184,13 @@ def test_of_two_feet_in_one_place_the_second_is_refused() -> None:
     places = np.column_stack([x, np.zeros((7, 2))])
     fair = {"torn": np.zeros(7, bool), "saturated": np.zeros(7, bool), "place": places}
     fair |= {"returned": np.zeros(7), "broken": np.zeros(7), "faulty": np.zeros(7, bool)}
-    seen = SimpleNamespace(foot=feet, used=np.ones((7, 20), bool), **fair)
-    found = SimpleNamespace(
+    observed = SimpleNamespace(foot=feet, used=np.ones((7, 20), bool), **fair)
+    result = SimpleNamespace(
         phi=np.array([32.0] * 6 + [50.0]), sinkage=np.full(7, 0.02), gained=np.full(7, 0.01),
         misfit=np.ones(7), borne=np.ones(7),
     )  # fmt: skip
     expected = [USABLE, USABLE, PRINT, PRINT, USABLE, TRODDEN, EDGE]
-    assert verdicts(seen, found, 0.022).tolist() == expected
+    assert verdicts(observed, result, 0.022).tolist() == expected
 
 
 def test_a_robot_that_lies_down_is_carried() -> None:
@@ -222,16 +224,16 @@ def test_an_accelerometer_that_is_ignored_does_not_matter() -> None:
     log = Walk(duration=4.0, sinkage=0.03).log()[0]
     assert log.acceleration is not None
     broken = replace(log, acceleration=-log.acceleration)
-    found, without = (footfalls(each) for each in (broken, replace(log, acceleration=None)))
-    assert any("accelerometer ignored" in note for note in found.warnings)
-    assert len(found.verdict) > 3
+    result, without = (footfalls(each) for each in (broken, replace(log, acceleration=None)))
+    assert any("accelerometer ignored" in note for note in result.warnings)
+    assert len(result.verdict) > 3
     for name in ("place", "sinkage", "misfit", "path"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(without, name))
+        np.testing.assert_array_equal(getattr(result, name), getattr(without, name))
 
 
 def test_a_foot_that_hardly_goes_down_is_shallow_and_in_time() -> None:
-    found = footfalls(Walk(duration=5.0, sinkage=0.0).log()[0])
-    assert set(found.verdict) == {SHALLOW}
+    footfall_map = footfalls(Walk(duration=5.0, sinkage=0.0).log()[0])
+    assert set(footfall_map.verdict) == {SHALLOW}
     slow = Walk(duration=5.0, sinkage=0.03).log()[0]
     thin = JointLog(**{name: getattr(slow, name)[::10] for name in COLUMNS})
     assert set(footfalls(thin).verdict) == {TORN}

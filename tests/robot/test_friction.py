@@ -25,11 +25,11 @@ def lift_error(found: FootForces, true: np.ndarray) -> float:
 @pytest.mark.parametrize("sinkage", [0.0, 0.025])
 def test_feet_that_scratch_the_soil_do_not_swing(sinkage: float) -> None:
     log, force = Walk(sinkage=sinkage).log()
-    found = estimate(log, robot=GO2)
-    assert found.friction is not None
-    np.testing.assert_allclose(found.friction.coulomb[:, 1:], 0.2, atol=0.05)
-    assert lift_error(found, force) < 0.6
-    assert lift_error(found, force) < 0.5 * lift_error(
+    estimated_forces = estimate(log, robot=GO2)
+    assert estimated_forces.friction is not None
+    np.testing.assert_allclose(estimated_forces.friction.coulomb[:, 1:], 0.2, atol=0.05)
+    assert lift_error(estimated_forces, force) < 0.6
+    assert lift_error(estimated_forces, force) < 0.5 * lift_error(
         estimate(log, robot=GO2, friction=False), force
     )
 

@@ -88,25 +88,29 @@ def test_a_mission_is_the_log_it_was(
     tmp_path: Path, log: JointLog, compressed: bool, tarred: bool
 ) -> None:
     codec = pytest.importorskip("numcodecs").Blosc() if compressed else None
-    found = read_mission(mission(tmp_path / "2024-11-11-12-42-47", log, codec=codec, tarred=tarred))
-    np.testing.assert_allclose(found.time, log.time, atol=3e-7)  # of a double since 1970
+    joint_log = read_mission(
+        mission(tmp_path / "2024-11-11-12-42-47", log, codec=codec, tarred=tarred)
+    )
+    np.testing.assert_allclose(joint_log.time, log.time, atol=3e-7)  # of a double since 1970
     for name in ("angle", "velocity", "torque", "acceleration"):
-        np.testing.assert_allclose(getattr(found, name), getattr(log, name), atol=1e-4)
-    assert found.quaternion is not None
-    assert found.angular_velocity is not None
+        np.testing.assert_allclose(getattr(joint_log, name), getattr(log, name), atol=1e-4)
+    assert joint_log.quaternion is not None
+    assert joint_log.angular_velocity is not None
     # States come every other sample, and none after the last but one.
-    np.testing.assert_allclose(found.quaternion[:-1], log.quaternion[:-1], atol=1e-5)
-    np.testing.assert_allclose(found.angular_velocity[:-1], log.angular_velocity[:-1], atol=1e-3)
-    assert found.report["topic"] == "anymal_state_actuator"
+    np.testing.assert_allclose(joint_log.quaternion[:-1], log.quaternion[:-1], atol=1e-5)
+    np.testing.assert_allclose(
+        joint_log.angular_velocity[:-1], log.angular_velocity[:-1], atol=1e-3
+    )
+    assert joint_log.report["topic"] == "anymal_state_actuator"
 
 
 def test_a_mission_with_joints_alone(tmp_path: Path, log: JointLog) -> None:
     folder = mission(tmp_path / "m", log)
     for topic in ("anymal_state_state_estimator", "anymal_imu"):
         (folder / "data" / f"{topic}.tar").unlink()
-    found = read_mission(folder)
-    assert found.quaternion is None
-    np.testing.assert_array_equal(found.torque, log.torque)
+    joint_log = read_mission(folder)
+    assert joint_log.quaternion is None
+    np.testing.assert_array_equal(joint_log.torque, log.torque)
 
 
 @pytest.mark.parametrize(

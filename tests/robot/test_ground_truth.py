@@ -54,13 +54,13 @@ def walk(simulation: Any) -> Run:
     return run(simulation, physics=physics, seed=1, duration=5.0)
 
 
-def rmse_in_stance(found: RobotForces, truth: Any) -> np.ndarray:
+def rmse_in_stance(estimated: RobotForces, truth: Any) -> np.ndarray:
     """Root mean square error per axis [N], shape [3]."""
-    force, time = found.forces.force, found.forces.time
+    force, time = estimated.forces.force, estimated.forces.time
     true = np.empty(force.shape)
     for place in np.ndindex(4, 3):
-        own = (slice(None), *place)
-        true[own] = np.interp(time, truth.time, truth.force[own])
+        reference = (slice(None), *place)
+        true[reference] = np.interp(time, truth.time, truth.force[reference])
     loaded = true[:, :, 2] > LOADED
     return np.sqrt(np.nanmean((force - true)[loaded] ** 2, axis=0))
 
@@ -97,14 +97,14 @@ def test_truth_has_the_stances_of_its_gait(walk: Run) -> None:
 def test_logs_give_the_forces_and_the_mean_stance(
     walk: Run, log: str, estimator: Any, limit: float
 ) -> None:
-    found = foot_forces(getattr(walk, log), estimator=estimator)
-    assert rmse_in_stance(found, walk.truth).max() < limit
-    assert numbers(found.stances) == numbers(walk.stances)
+    robot_forces = foot_forces(getattr(walk, log), estimator=estimator)
+    assert rmse_in_stance(robot_forces, walk.truth).max() < limit
+    assert numbers(robot_forces.stances) == numbers(walk.stances)
     truth = Ensemble.of(walk.stances)
-    assert found.pooled.peak("z") == pytest.approx(truth.peak("z"), rel=0.05)
+    assert robot_forces.pooled.peak("z") == pytest.approx(truth.peak("z"), rel=0.05)
     if estimator == "momentum_observer":
-        assert found.pooled.peak("x") == pytest.approx(truth.peak("x"), rel=0.05)
-    assert found.pooled.duration == pytest.approx(truth.duration, abs=0.02)
+        assert robot_forces.pooled.peak("x") == pytest.approx(truth.peak("x"), rel=0.05)
+    assert robot_forces.pooled.duration == pytest.approx(truth.duration, abs=0.02)
 
 
 @pytest.mark.parametrize(("gait", "word"), [("stand", "stands still"), ("hang", "hangs")])

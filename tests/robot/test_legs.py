@@ -72,10 +72,10 @@ def drawn(pair: Pair, seed: int = 0) -> dict[str, np.ndarray]:
 
 
 def put(pair: Pair, values: np.ndarray, size: int, first: int) -> np.ndarray:
-    found = np.zeros(size)
+    result = np.zeros(size)
     there = pair.columns >= 0
-    found[pair.columns[there] + first] = values[there]
-    return found
+    result[pair.columns[there] + first] = values[there]
+    return result
 
 
 def test_kinematics_equal_pinocchio(pair: Pair, pinocchio: Any) -> None:
@@ -97,10 +97,10 @@ def test_kinematics_equal_pinocchio(pair: Pair, pinocchio: Any) -> None:
                 model, data, q, frame, pinocchio.LOCAL_WORLD_ALIGNED
             )
             for j, column in enumerate(pair.columns[f]):
-                own = np.zeros(6) if column < 0 else six[:, column]
-                turned = own[:3] + np.cross(own[3:], ball)
+                reference = np.zeros(6) if column < 0 else six[:, column]
+                turned = reference[:3] + np.cross(reference[3:], ball)
                 np.testing.assert_allclose(matrices[i, f, :, j], turned, atol=1e-9)
-                turned = turned + np.cross(own[3:], arm)
+                turned = turned + np.cross(reference[3:], arm)
                 np.testing.assert_allclose(shifted[i, f, :, j], turned, atol=1e-9)
 
 
@@ -117,14 +117,14 @@ def test_torques_equal_pinocchio_on_a_moving_trunk(pair: Pair, pinocchio: Any) -
         for k, joints in enumerate((m["acceleration"][i], none[i])):
             v, a = put(pair, m["velocity"][i], model.nv, 0), put(pair, joints, model.nv, 0)
             v[3:6], a[:3], a[3:6] = m["w"][i], m["linear"][i], m["alpha"][i]
-            every = pinocchio.rnea(model, data, q, v, a)
-            own = every[pair.columns[there]]
+            values = pinocchio.rnea(model, data, q, v, a)
+            reference = values[pair.columns[there]]
             # MuJoCo before 3.14 differs by up to 2e-6 N m.
-            np.testing.assert_allclose(legs.torque[k, i][there], own, rtol=1e-9, atol=1e-5)
-            whole = legs.inertia[k, i] + pair.robot.mass * trunk.specific_force[i]
+            np.testing.assert_allclose(legs.torque[k, i][there], reference, rtol=1e-9, atol=1e-5)
+            full = legs.inertia[k, i] + pair.robot.mass * trunk.specific_force[i]
             # The shipped model's trunk has its centre of mass a millimetre off the URDF's.
             tolerance = 0.5 if pair.robot.name == GO2.name else 1e-7
-            np.testing.assert_allclose(whole, every[:3], atol=tolerance)
+            np.testing.assert_allclose(full, values[:3], atol=tolerance)
     assert pair.robot.mass == pytest.approx(pinocchio.computeTotalMass(model), abs=1e-9)
 
 
@@ -143,15 +143,17 @@ def test_forces_of_a_robot_that_stands_come_out(pair: Pair) -> None:
     torque = legs.torque[0] - np.einsum("sfij,sfi->sfj", matrix, force)
     attitude = np.tile([1.0, 0.0, 0.0, 0.0], (300, 1))
     log = JointLog(0.002 * np.arange(300), angle, none, torque, attitude)
-    found = estimate(log, robot=robot)
-    np.testing.assert_allclose(found.force, force, atol=1e-3)
-    assert np.isfinite(found.sigma).all()
-    two = any("across their plane" in line for line in found.provenance["assumed"])
+    estimated_forces = estimate(log, robot=robot)
+    np.testing.assert_allclose(estimated_forces.force, force, atol=1e-3)
+    assert np.isfinite(estimated_forces.sigma).all()
+    two = any("across their plane" in line for line in estimated_forces.provenance["assumed"])
     assert two == (not there.all())
     # A gain of one per cent adds what footfalls take it to add.
     more = estimate(replace(log, torque=1.01 * log.torque), robot=robot).force[..., 2]
-    added = sensitivity(log, found)[..., :3].sum(axis=-1)
-    np.testing.assert_allclose(100.0 * (more - found.force[..., 2]), added, rtol=1e-2, atol=0.1)
+    added = sensitivity(log, estimated_forces)[..., :3].sum(axis=-1)
+    np.testing.assert_allclose(
+        100.0 * (more - estimated_forces.force[..., 2]), added, rtol=1e-2, atol=0.1
+    )
 
 
 def test_power_of_the_torques_is_the_rate_of_kinetic_energy() -> None:
@@ -177,8 +179,8 @@ def test_accelerometer_away_from_the_origin() -> None:
     measured = TrunkMotion(
         np.array([[-0.9, 0.2, 9.81]]), np.array([[0.0, 0.0, 3.0]]), np.array([[0.0, 0.0, 2.0]])
     )
-    found = measured.moved(np.array([0.1, 0.0, 0.0])).specific_force
-    np.testing.assert_allclose(found, [[0.0, 0.0, 9.81]], atol=1e-12)
+    result = measured.moved(np.array([0.1, 0.0, 0.0])).specific_force
+    np.testing.assert_allclose(result, [[0.0, 0.0, 9.81]], atol=1e-12)
 
 
 def test_inverse_transpose_and_lever() -> None:
@@ -192,5 +194,5 @@ def test_inverse_transpose_and_lever() -> None:
     assert np.all(lever[:5] < 1e-12)
     good = smallest > 1e-3
     product = np.swapaxes(inverse, -1, -2) @ matrix
-    whole = np.broadcast_to(np.eye(3), product[good].shape)
-    np.testing.assert_allclose(product[good], whole, rtol=0, atol=1e-9)
+    full = np.broadcast_to(np.eye(3), product[good].shape)
+    np.testing.assert_allclose(product[good], full, rtol=0, atol=1e-9)

@@ -88,8 +88,8 @@ Rows = Iterator[tuple[int, Any]]
 
 def changed(**columns: np.ndarray) -> JointLog:
     """The walking log with some columns replaced, which may break it."""
-    every = {name: getattr(log, name) for name in ("time", *SHAPES)}
-    return JointLog(**(every | columns))
+    values = {name: getattr(log, name) for name in ("time", *SHAPES)}
+    return JointLog(**(values | columns))
 
 
 def refused(path: Path, *words: str, **options: Any) -> None:
@@ -111,9 +111,9 @@ def test_every_format_comes_back(tmp_path: Path, name: str) -> None:
     if name == "log.parquet":
         pytest.importorskip("pyarrow")
     WRITERS[name](tmp_path / name, log)
-    found = read_log(tmp_path / name)
-    assert_same(found, log, rounding=NINE_DIGITS if name == "log.csv" else ROUNDING)
-    report = found.report
+    joint_log = read_log(tmp_path / name)
+    assert_same(joint_log, log, rounding=NINE_DIGITS if name == "log.csv" else ROUNDING)
+    report = joint_log.report
     assert report["topic"] == ("/lowstate" if name in BAGS else None)
     assert report["clock"] == ("tick" if name in BAGS else "time_s")
     assert (report["samples"], report["dropped"], report["gaps"]) == (len(log.time), {}, [])
@@ -125,9 +125,9 @@ def test_motors_in_another_order_give_the_same_log(tmp_path: Path) -> None:
     joints = ("angle", "velocity", "torque")
     other = replace(log, **{name: getattr(log, name)[:, [1, 0, 3, 2]] for name in joints})
     write_mcap(tmp_path / "a.mcap", other)
-    found = read_log(tmp_path / "a.mcap", motors=order)
+    joint_log = read_log(tmp_path / "a.mcap", motors=order)
     for name in joints:
-        np.testing.assert_array_equal(getattr(found, name), getattr(log, name))
+        np.testing.assert_array_equal(getattr(joint_log, name), getattr(log, name))
 
 
 def test_tables_lack_what_is_optional_and_stand_in_any_order(tmp_path: Path) -> None:
@@ -136,12 +136,12 @@ def test_tables_lack_what_is_optional_and_stand_in_any_order(tmp_path: Path) -> 
     lines = (tmp_path / "log.csv").read_text().splitlines()
     turned = "\r\n".join(",".join(reversed(line.split(","))) for line in lines)
     (tmp_path / "turned.csv").write_bytes(b"\xef\xbb\xbf" + turned.encode() + b"\r\n")
-    found = read_log(tmp_path / "turned.csv")
-    np.testing.assert_allclose(found.angle, log.angle, rtol=NINE_DIGITS)
-    assert found.quaternion is None
+    joint_log = read_log(tmp_path / "turned.csv")
+    np.testing.assert_allclose(joint_log.angle, log.angle, rtol=NINE_DIGITS)
+    assert joint_log.quaternion is None
     # Central differences of 0.5 sin(7t): error 7²/6 step² of the amplitude, and rounding/step.
-    np.testing.assert_allclose(found.velocity[1:-1], log.velocity[1:-1], atol=1e-3)
-    assert "central differences" in found.report["notes"][0]
+    np.testing.assert_allclose(joint_log.velocity[1:-1], log.velocity[1:-1], atol=1e-3)
+    assert "central differences" in joint_log.report["notes"][0]
 
 
 # -- other programs and robots -------------------------------------------------------------------
@@ -197,9 +197,9 @@ def test_joints_of_any_order_and_of_an_arm(tmp_path: Path) -> None:
     words = [name.split("_") for name in JOINT_NAMES]
     names = [*(f"{legs[foot]}_{joints[joint]}" for foot, joint in words), "arm_1"]
     rows = joint_states([names[i] for i in order], order)
-    found = read_log(bag(tmp_path / "bag", {"/joint_states": (JOINT_STATE, rows)}))
-    np.testing.assert_array_equal(found.angle, log.angle)
-    np.testing.assert_array_equal(found.torque, log.torque)
+    joint_log = read_log(bag(tmp_path / "bag", {"/joint_states": (JOINT_STATE, rows)}))
+    np.testing.assert_array_equal(joint_log.angle, log.angle)
+    np.testing.assert_array_equal(joint_log.torque, log.torque)
 
 
 def test_imu_of_the_same_bag_goes_with_the_joints(tmp_path: Path) -> None:
@@ -210,12 +210,12 @@ def test_imu_of_the_same_bag_goes_with_the_joints(tmp_path: Path) -> None:
         "/imu/data": (IMU, imu_states(worn)),
         "/camera/imu/data": (IMU, imu_states(SWAY, oriented=False)),
     }
-    found = read_log(bag(tmp_path / "bag", topics))
+    joint_log = read_log(bag(tmp_path / "bag", topics))
     expected = [np.interp(log.time - 7e-4, log.time, c) for c in SWAY.T]
-    sense = np.sign(found.quaternion[:, :1])
-    np.testing.assert_allclose(sense * found.quaternion, np.stack(expected, axis=1), atol=2e-5)
-    np.testing.assert_allclose(found.acceleration, [[0.0, 0.0, 9.81]] * 200)
-    notes = found.report["notes"]
+    sense = np.sign(joint_log.quaternion[:, :1])
+    np.testing.assert_allclose(sense * joint_log.quaternion, np.stack(expected, axis=1), atol=2e-5)
+    np.testing.assert_allclose(joint_log.acceleration, [[0.0, 0.0, 9.81]] * 200)
+    notes = joint_log.report["notes"]
     assert any("/camera/imu/data" in note for note in notes)
 
 
@@ -232,15 +232,15 @@ def test_a_bag_of_ros_1_is_that_of_ros_2(tmp_path: Path) -> None:
             connection = writer.add_connection(name, kind, typestore=store)
             for i, (stamp, message) in enumerate(rows):
                 head, *rest = (getattr(message, f.name) for f in fields(message))
-                own = store.types["std_msgs/msg/Header"](i, head.stamp, head.frame_id)
-                raw = store.serialize_ros1(store.types[kind](own, *rest), kind)
+                reference = store.types["std_msgs/msg/Header"](i, head.stamp, head.frame_id)
+                raw = store.serialize_ros1(store.types[kind](reference, *rest), kind)
                 writer.write(connection, stamp, raw if i != 50 else raw[:20])
-    found, other = read_log(path), read_log(bag(tmp_path / "new", topics))  # type: ignore[arg-type]
-    assert found.report["dropped"] == {"not a message of its type": 1}
+    result, other = read_log(path), read_log(bag(tmp_path / "new", topics))  # type: ignore[arg-type]
+    assert result.report["dropped"] == {"not a message of its type": 1}
     kept = np.arange(200) != 50
     for name in ("time", "angle", "velocity", "torque", "acceleration"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(other, name)[kept])
-    np.testing.assert_allclose(found.quaternion, other.quaternion[kept], atol=2e-5)
+        np.testing.assert_array_equal(getattr(result, name), getattr(other, name)[kept])
+    np.testing.assert_allclose(result.quaternion, other.quaternion[kept], atol=2e-5)
 
 
 @pytest.mark.parametrize(
@@ -257,10 +257,10 @@ def test_imu_that_does_not_measure_or_was_not_there(
         "/joint_states": (JOINT_STATE, joint_states(list(URDF_NAMES), EVERY)),
         "/imu": (IMU, imu_states(SWAY, **options)),
     }
-    found = read_log(bag(tmp_path / "bag", topics))
-    assert found.quaternion is None
-    assert (found.acceleration is not None) == left
-    assert words in " ".join(found.report["notes"])
+    joint_log = read_log(bag(tmp_path / "bag", topics))
+    assert joint_log.quaternion is None
+    assert (joint_log.acceleration is not None) == left
+    assert words in " ".join(joint_log.report["notes"])
 
 
 SDK = """
@@ -291,10 +291,10 @@ def test_csv_of_an_sdk_by_a_map_of_its_columns(tmp_path: Path) -> None:
     motors = [*JOINT_NAMES[3:6], *JOINT_NAMES[:3], *JOINT_NAMES[6:]]
     (tmp_path / "columns.toml").write_text(SDK)
     sdk_csv(tmp_path / "log.csv", motors)
-    found = read_log(tmp_path / "log.csv", columns=tmp_path / "columns.toml", motors=motors)
-    np.testing.assert_allclose(found.time, log.time, atol=1e-9)
+    joint_log = read_log(tmp_path / "log.csv", columns=tmp_path / "columns.toml", motors=motors)
+    np.testing.assert_allclose(joint_log.time, log.time, atol=1e-9)
     for name in ("angle", "velocity", "torque", "quaternion"):
-        np.testing.assert_allclose(getattr(found, name), getattr(log, name), atol=1e-7)
+        np.testing.assert_allclose(getattr(joint_log, name), getattr(log, name), atol=1e-7)
 
 
 @pytest.mark.parametrize(
@@ -316,9 +316,9 @@ def test_robots_without_hips(tmp_path: Path) -> None:
     order = np.array([JOINT_NAMES.index(name) for name in TWO_JOINTS])
     rows = joint_states([URDF_NAMES[i] for i in order], order)
     path = bag(tmp_path / "bag", {"/joint_states": (JOINT_STATE, rows)})
-    found = read_log(path, motors=TWO_JOINTS)
-    np.testing.assert_array_equal(found.torque[..., 1:], log.torque[..., 1:])
-    assert not found.torque[..., 0].any()
+    joint_log = read_log(path, motors=TWO_JOINTS)
+    np.testing.assert_array_equal(joint_log.torque[..., 1:], log.torque[..., 1:])
+    assert not joint_log.torque[..., 0].any()
     # A robot of three joints asks for the hips.
     refused(path, "none for the FR hip")
 
@@ -375,9 +375,9 @@ def bomb(path: Path, size: int) -> None:
     packed = zeros_packed(size, struct.pack("<BQHIQQ", 5, size + 22, 1, 0, 1, 1))
     chunk = struct.pack("<QQQI", 1, 1, size + 31, 0) + text(b"zstd")
     chunk += struct.pack("<Q", len(packed)) + packed
-    whole = record(1, text(b"ros2") + text(b"")) + record(6, chunk)
+    full = record(1, text(b"ros2") + text(b"")) + record(6, chunk)
     magic = b"\x89MCAP0\r\n"
-    path.write_bytes(magic + whole + record(2, struct.pack("<QQI", 0, 0, 0)) + magic)
+    path.write_bytes(magic + full + record(2, struct.pack("<QQI", 0, 0, 0)) + magic)
 
 
 on_linux = pytest.mark.skipif(
@@ -391,7 +391,7 @@ def test_what_unpacks_without_end_is_refused(
     tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(budget, "LEAST_UNPACKED", 50_000_000)
-    before = [resource.getrlimit(one) for one in (resource.RLIMIT_AS, resource.RLIMIT_FSIZE)]
+    before = [resource.getrlimit(limit) for limit in (resource.RLIMIT_AS, resource.RLIMIT_FSIZE)]
     path = tmp_path / "log.mcap"
     if kind == "chunk":
         bomb(path, 400_000_000)
@@ -410,7 +410,7 @@ def test_what_unpacks_without_end_is_refused(
         about = re.sub("compression_mode: .*", "compression_mode: FILE", about)
         (path / "metadata.yaml").write_text(about)
     refused(path, "GB when it is unpacked")
-    after = [resource.getrlimit(one) for one in (resource.RLIMIT_AS, resource.RLIMIT_FSIZE)]
+    after = [resource.getrlimit(limit) for limit in (resource.RLIMIT_AS, resource.RLIMIT_FSIZE)]
     assert after == before
 
 
@@ -445,9 +445,9 @@ def test_a_database_that_takes_too_long_is_refused(
 def test_a_log_that_was_cut_off_is_refused(tmp_path: Path, name: str) -> None:
     WRITERS[name](tmp_path / name, log)
     file = tmp_path / name / "sqlite.db3" if name == "sqlite" else tmp_path / name
-    whole = file.read_bytes()
+    full = file.read_bytes()
     for part in (0.3, 0.8):
-        file.write_bytes(whole[: int(part * len(whole))])
+        file.write_bytes(full[: int(part * len(full))])
         refused(tmp_path / name, "copy")
 
 
@@ -480,23 +480,23 @@ def test_unsound_samples_are_dropped_and_counted(tmp_path: Path, name: str) -> N
     time[150:] += 0.5
     wrong = changed(angle=angle, torque=torque, quaternion=quaternion, time=time)
     WRITERS[name](tmp_path / name, wrong)
-    found = read_log(tmp_path / name)
-    assert found.report["dropped"] == {
+    joint_log = read_log(tmp_path / name)
+    assert joint_log.report["dropped"] == {
         "not a finite number": 3,
         "joint angle beyond a full turn": 1, "attitude is not a unit quaternion": 2,
         "repeated time": 1,
     } | ({"time ran backwards": 1} if name == "log.csv" else {})  # fmt: skip
-    assert len(found.time) == len(log.time) - sum(found.report["dropped"].values())
-    [gap] = found.report["gaps"]
+    assert len(joint_log.time) == len(log.time) - sum(joint_log.report["dropped"].values())
+    [gap] = joint_log.report["gaps"]
     assert (gap["start_s"], gap["end_s"]) == pytest.approx((time[149], time[150]))
 
 
 def test_clock_set_back_keeps_the_longest_run(tmp_path: Path) -> None:
     time = np.concatenate([log.time[:70] + 3.0, log.time[70:]])
     write_csv(tmp_path / "log.csv", changed(time=time))
-    found = read_log(tmp_path / "log.csv")
-    assert found.report["dropped"] == {"time ran backwards": 70}
-    np.testing.assert_allclose(found.time, log.time[70:], rtol=1e-14)
+    joint_log = read_log(tmp_path / "log.csv")
+    assert joint_log.report["dropped"] == {"time ran backwards": 70}
+    np.testing.assert_allclose(joint_log.time, log.time[70:], rtol=1e-14)
     write_csv(tmp_path / "log.csv", changed(time=log.time[::-1]))
     refused(tmp_path / "log.csv", "199 of 200 samples: time ran backwards")
 
@@ -504,9 +504,9 @@ def test_clock_set_back_keeps_the_longest_run(tmp_path: Path) -> None:
 def test_tick_wraps(tmp_path: Path) -> None:
     time = (2**32 - 101) / 1e3 + 0.002 * np.arange(len(log.time))
     write_mcap(tmp_path / "log.mcap", changed(time=time))
-    found = read_log(tmp_path / "log.mcap")
-    assert found.report["dropped"] == {}
-    np.testing.assert_allclose(found.time, time, rtol=1e-12)
+    joint_log = read_log(tmp_path / "log.mcap")
+    assert joint_log.report["dropped"] == {}
+    np.testing.assert_allclose(joint_log.time, time, rtol=1e-12)
 
 
 def test_tick_that_stands_still() -> None:

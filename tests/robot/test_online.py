@@ -37,13 +37,13 @@ def streamed(
     log: JointLog, size: int, *, map_s: float | None = None, **options: Any
 ) -> tuple[Footfalls, list[Footfall]]:
     """Hand over a log in pieces of a size, with a map at a time [s]."""
-    walk, found = Footfalls(**options), []
+    walk, result = Footfalls(**options), []
     for start in range(0, len(log.time), size):
         if map_s is not None and log.time[start] > map_s:
             walk.map()
             map_s = None
-        found += walk.update(part(log, start, start + size))
-    return walk, found
+        result += walk.update(part(log, start, start + size))
+    return walk, result
 
 
 @pytest.fixture(scope="module")
@@ -68,43 +68,43 @@ def test_footfalls_are_those_of_the_whole_log(
 
     Before a map, the law's growth with depth and gains of the torques are those of the prior.
     """
-    _, found = online
-    known = batch.time < DURATION - 2.5
-    assert [f.foot for f in found[: known.sum()]] == [
-        foot for foot, early in zip(batch.foot, known, strict=True) if early
+    _, result = online
+    reference = batch.time < DURATION - 2.5
+    assert [f.foot for f in result[: reference.sum()]] == [
+        foot for foot, early in zip(batch.foot, reference, strict=True) if early
     ]
-    found = found[: known.sum()]
-    assert [f.time for f in found] == pytest.approx(batch.time[known], abs=0.004)
-    assert [f.verdict for f in found] == list(np.array(batch.verdict)[known])
-    places = np.array([f.place for f in found])
-    np.testing.assert_allclose(places[:, :2], batch.place[known, :2], atol=1e-3)
+    result = result[: reference.sum()]
+    assert [f.time for f in result] == pytest.approx(batch.time[reference], abs=0.004)
+    assert [f.verdict for f in result] == list(np.array(batch.verdict)[reference])
+    places = np.array([f.place for f in result])
+    np.testing.assert_allclose(places[:, :2], batch.place[reference, :2], atol=1e-3)
     # The depth at touch-down depends on the law's growth with depth, not yet learned.
-    np.testing.assert_allclose(places[:, 2], batch.place[known, 2], atol=3e-3)
-    np.testing.assert_allclose([f.sinkage for f in found], batch.sinkage[known], atol=3e-3)
-    apart = np.array([f.phi for f in found]) - batch.phi[known]
-    learned = np.array([f.time > MAP_S for f in found])
+    np.testing.assert_allclose(places[:, 2], batch.place[reference, 2], atol=3e-3)
+    np.testing.assert_allclose([f.sinkage for f in result], batch.sinkage[reference], atol=3e-3)
+    difference = np.array([f.phi for f in result]) - batch.phi[reference]
+    learned = np.array([f.time > MAP_S for f in result])
     assert learned.sum() > 5
-    assert np.abs(apart[learned]).max() < 0.5
-    assert np.all(np.abs(apart) < [f.shared_sd for f in found])
+    assert np.abs(difference[learned]).max() < 0.5
+    assert np.all(np.abs(difference) < [f.shared_sd for f in result])
 
 
 def test_the_map_is_that_of_the_whole_log(
     online: tuple[Footfalls, list[Footfall]], batch: FootfallMap
 ) -> None:
-    found = online[0].map()
+    slope_map = online[0].map()
     pairs = [
-        (i, j) for i in range(len(found.time)) for j in range(len(batch.time))
-        if found.foot[i] == batch.foot[j] and abs(found.time[i] - batch.time[j]) < 0.05
+        (i, j) for i in range(len(slope_map.time)) for j in range(len(batch.time))
+        if slope_map.foot[i] == batch.foot[j] and abs(slope_map.time[i] - batch.time[j]) < 0.05
     ]  # fmt: skip
-    assert len(pairs) == len(found.time) > 30
-    own, other = np.array(pairs).T
-    np.testing.assert_allclose(found.phi[own], batch.phi[other], atol=0.3)
-    np.testing.assert_allclose(found.sd[own], batch.sd[other], rtol=0.15)
-    np.testing.assert_allclose(found.shared_sd[own], batch.shared_sd[other], rtol=0.02)
-    there = np.interp(found.path[:, 0], batch.path[:, 0], batch.path_phi)
-    np.testing.assert_allclose(found.path_phi, there, atol=0.15)
+    assert len(pairs) == len(slope_map.time) > 30
+    reference, other = np.array(pairs).T
+    np.testing.assert_allclose(slope_map.phi[reference], batch.phi[other], atol=0.3)
+    np.testing.assert_allclose(slope_map.sd[reference], batch.sd[other], rtol=0.15)
+    np.testing.assert_allclose(slope_map.shared_sd[reference], batch.shared_sd[other], rtol=0.02)
+    there = np.interp(slope_map.path[:, 0], batch.path[:, 0], batch.path_phi)
+    np.testing.assert_allclose(slope_map.path_phi, there, atol=0.15)
     # The scale of differences of φ follows from them, and is written in percent.
-    assert [re.sub(r"\d+%", "", note) for note in found.warnings] == [
+    assert [re.sub(r"\d+%", "", note) for note in slope_map.warnings] == [
         re.sub(r"\d+%", "", note) for note in batch.warnings
     ]
 
@@ -112,11 +112,11 @@ def test_the_map_is_that_of_the_whole_log(
 def test_the_length_of_samples_does_not_matter(
     log: JointLog, online: tuple[Footfalls, list[Footfall]]
 ) -> None:
-    _, found = streamed(log, 400, density="1550±80")
-    for one, other in zip(found, online[1], strict=False):
-        assert one.foot == other.foot
+    _, result = streamed(log, 400, density="1550±80")
+    for first, other in zip(result, online[1], strict=False):
+        assert first.foot == other.foot
         if other.time < MAP_S - 2.0:  # answered before the map
-            assert one.phi == pytest.approx(other.phi, abs=0.2)
+            assert first.phi == pytest.approx(other.phi, abs=0.2)
 
 
 def test_places_do_not_depend_on_what_comes_later() -> None:
@@ -126,16 +126,18 @@ def test_places_do_not_depend_on_what_comes_later() -> None:
     end = int(np.searchsorted(log.time, 3.0))
     last = int(np.searchsorted(log.time, 3.0 - LAG_S))
     lift, bias = forces.force[:, :, 2].astype(float), np.zeros(3)
-    whole = track(log, GO2, forces.place, lift, bias=bias)
+    full = track(log, GO2, forces.place, lift, bias=bias)
     early = track(part(log, 0, end), GO2, forces.place[:end], lift[:end], bias=bias)
-    np.testing.assert_allclose(early.trunk[:last], whole.trunk[:last], atol=2e-6)
+    np.testing.assert_allclose(early.trunk[:last], full.trunk[:last], atol=2e-6)
 
 
 def test_known_friction_gives_the_same_forces() -> None:
     log = Walk(duration=3.0).log()[0]
-    whole = estimate(log, robot=GO2)
-    again = estimate(part(log, 500, 1000), robot=GO2, friction=whole.friction or True)
-    np.testing.assert_allclose(again.force[20:-20], whole.force[520:980], rtol=1e-5, atol=1e-4)
+    estimated_forces = estimate(log, robot=GO2)
+    again = estimate(part(log, 500, 1000), robot=GO2, friction=estimated_forces.friction or True)
+    np.testing.assert_allclose(
+        again.force[20:-20], estimated_forces.force[520:980], rtol=1e-5, atol=1e-4
+    )
 
 
 def test_after_a_map_what_it_learned_is_used(log: JointLog, batch: FootfallMap) -> None:
@@ -158,9 +160,9 @@ def test_after_a_map_what_it_learned_is_used(log: JointLog, batch: FootfallMap) 
 def test_gaps(log: JointLog) -> None:
     """Samples of seconds and of a minute are lost: the rest is answered, and places go on."""
     time = log.time + 3.0 * (log.time > 11.0) + 60.0 * (log.time > 13.0)
-    walk, found = streamed(replace(log, time=time), 200)
-    assert [f.verdict for f in found].count("usable") > 30
-    assert {int(f.time > 14.0) + int(f.time > 76.0) for f in found} == {0, 1, 2}
+    walk, result = streamed(replace(log, time=time), 200)
+    assert [f.verdict for f in result].count("usable") > 30
+    assert {int(f.time > 14.0) + int(f.time > 76.0) for f in result} == {0, 1, 2}
     assert np.isfinite(walk.map().path_phi).all()
 
 
@@ -172,7 +174,9 @@ def test_parts_checked_are_those_of_the_batch(log: JointLog, begin: float, lost:
     walk, _ = streamed(dead, 300)
     assert walk._start
     each = [walk._start.checked, foot_forces(dead, contact_part=0.4).checked]
-    online, batch = ([(c.begin, c.end, {f.about for f in c.findings}) for c in one] for one in each)
+    online, batch = (
+        [(c.begin, c.end, {f.about for f in c.findings}) for c in item] for item in each
+    )
     assert online == batch[: len(online)]
     assert len(batch) - len(online) <= 1  # the last one ends with the log
     assert "dead" in online[-1][2]
@@ -190,13 +194,13 @@ def test_samples_that_no_sensor_sends_are_left_out(
     quaternion[7000] = 0.0
     time[7100] = time[7099]
     unsound = replace(log, torque=torque, quaternion=quaternion, time=time)
-    walk, found = streamed(unsound, 50, density="1550±80")
-    whole = footfalls(unsound, density="1550±80")
-    assert whole.foot == batch.foot
-    early = [[f.foot for f in each if f.time < DURATION - 2.5] for each in (found, online[1])]
+    walk, result = streamed(unsound, 50, density="1550±80")
+    footfall_map = footfalls(unsound, density="1550±80")
+    assert footfall_map.foot == batch.foot
+    early = [[f.foot for f in each if f.time < DURATION - 2.5] for each in (result, online[1])]
     assert early[0] == early[1]
-    assert list(whole.verdict).count(TORN) <= 1
-    left_out = [n for n in whole.warnings if "22 samples are left out" in n]
+    assert list(footfall_map.verdict).count(TORN) <= 1
+    left_out = [n for n in footfall_map.warnings if "22 samples are left out" in n]
     assert left_out
     assert left_out == [n for n in walk.warnings if "samples" in n]
 
@@ -267,12 +271,12 @@ def test_faults_that_begin_after_the_first_ten_seconds(
     wrong = replace(log, **FAULTS[words](log, rest))
     walk = copy.deepcopy(warm)
     assert not [note for note in walk.warnings if "from" in note]
-    found = [
+    result = [
         f for start in range(5001, 8000, 100) for f in walk.update(part(wrong, start, start + 100))
     ]
     notes = [note for note in walk.warnings if re.search(f"^from 10 to 1[56] s: .*({words})", note)]
     assert len(notes) == 1, walk.warnings
-    assert found[-1].verdict == FAULTY
+    assert result[-1].verdict == FAULTY
     # The same in the batch, which also has the last five seconds.
     analysis = foot_forces(wrong, contact_part=0.4)
     assert not analysis.grave
@@ -283,12 +287,12 @@ def test_a_fault_costs_no_footfalls_before_it() -> None:
     """A motor dead from 11 s on, found from 15 s on: those of the first 10 s are as without it."""
     log = LawWalk(duration=20.0).log()[0]
     dead = replace(log, **times(log, slice(5500, None), 0.0))
-    found, first = footfalls(dead), footfalls(part(log, 0, 5000))
-    faulty = np.array(found.verdict) == FAULTY
-    np.testing.assert_array_equal(faulty, found.time >= 10.0)
-    early = found.time < 9.0
+    result, first = footfalls(dead), footfalls(part(log, 0, 5000))
+    faulty = np.array(result.verdict) == FAULTY
+    np.testing.assert_array_equal(faulty, result.time >= 10.0)
+    early = result.time < 9.0
     assert early.sum() > 20
-    np.testing.assert_allclose(found.phi[early], first.phi[: early.sum()], atol=0.3)
+    np.testing.assert_allclose(result.phi[early], first.phi[: early.sum()], atol=0.3)
 
 
 def test_what_cannot_be_is_refused(log: JointLog) -> None:

@@ -48,14 +48,14 @@ def made_log(force: np.ndarray, *, counts: bool = True) -> JointLog:
 
 
 @pytest.fixture(scope="module")
-def found() -> RobotForces:
+def pulse_forces() -> RobotForces:
     return foot_forces(made_log(pulses(STEP * np.arange(5000))), estimator="quasi_static")
 
 
-def test_summary_has_the_agreed_keys(found: RobotForces) -> None:
+def test_summary_has_the_agreed_keys(pulse_forces: RobotForces) -> None:
     # Single precision.
-    assert found.forces.force == pytest.approx(pulses(STEP * np.arange(5000)), abs=1e-3)
-    summary = json.loads(json.dumps(found.summary()))
+    assert pulse_forces.forces.force == pytest.approx(pulses(STEP * np.arange(5000)), abs=1e-3)
+    summary = json.loads(json.dumps(pulse_forces.summary()))
     assert set(summary) >= KEYS
     assert (summary["samples"], summary["dropped"]) == (5000, 0)
     assert summary["rate_hz"] == pytest.approx(500.0)
@@ -72,12 +72,12 @@ def test_summary_has_the_agreed_keys(found: RobotForces) -> None:
     assert min(summary["foot_sensor_correlation"].values()) > 0.99
 
 
-def test_a_hole_is_named_with_its_place_and_a_short_one_is_not(found: RobotForces) -> None:
-    time = found.log.time - found.log.time[0]
-    begin = f"at {found.log.time[time < 1.0][-1]:.2f} s"
+def test_a_hole_is_named_with_its_place_and_a_short_one_is_not(pulse_forces: RobotForces) -> None:
+    time = pulse_forces.log.time - pulse_forces.log.time[0]
+    begin = f"at {pulse_forces.log.time[time < 1.0][-1]:.2f} s"
     for length, named in ((0.3, True), (0.03, False)):
         kept = (time < 1.0) | (time >= 1.0 + length)
-        warnings = foot_forces(cut(found.log, kept)).warnings
+        warnings = foot_forces(cut(pulse_forces.log, kept)).warnings
         assert any("without samples" in text and begin in text for text in warnings) == named
 
 
@@ -87,31 +87,31 @@ def test_a_hole_is_named_with_its_place_and_a_short_one_is_not(found: RobotForce
 def test_no_stances_are_explained(load: float, word: str, tmp_path: Path) -> None:
     force = np.zeros((2000, 4, 3))
     force[:, :, 2] = load
-    found = foot_forces(made_log(force), estimator="quasi_static")
-    summary = found.summary()
+    robot_forces = foot_forces(made_log(force), estimator="quasi_static")
+    summary = robot_forces.summary()
     assert summary["pooled"] == {
         "stances": 0, "mean_duration_s": None, "mean_peak_Fz_N": None, "mean_peak_Fx_N": None,
     }  # fmt: skip
     assert any(word in note for note in summary["warnings"])
     json.dumps(summary, allow_nan=False)
-    found.to_netcdf(tmp_path / "still.nc")
+    robot_forces.to_netcdf(tmp_path / "still.nc")
 
 
 def test_file_has_labelled_axes_and_knows_where_it_comes_from(
-    found: RobotForces, tmp_path: Path
+    pulse_forces: RobotForces, tmp_path: Path
 ) -> None:
-    found.to_netcdf(tmp_path / "forces.nc")
+    pulse_forces.to_netcdf(tmp_path / "forces.nc")
     with xr.open_dataset(tmp_path / "forces.nc", engine="h5netcdf") as opened:
         data = opened.load()
     assert data.force.dims == ("time", "foot", "axis")
     assert data.stance_count.values.tolist() == [25, 24, 24, 25]
-    assert data.stance_foot.values.tolist() == [stance.foot for stance in found.stances]
-    assert data.stance_begin.values.tolist() == [stance.begin for stance in found.stances]
-    assert data.stance_end.values.tolist() == [stance.end for stance in found.stances]
+    assert data.stance_foot.values.tolist() == [stance.foot for stance in pulse_forces.stances]
+    assert data.stance_begin.values.tolist() == [stance.begin for stance in pulse_forces.stances]
+    assert data.stance_end.values.tolist() == [stance.end for stance in pulse_forces.stances]
     assert float(data.pooled_mean.sel(axis="z").max()) == pytest.approx(76.0, rel=2e-3)
     provenance = json.loads(data.attrs["provenance"])
     assert {"terraphi", "robot", "log"} <= set(provenance)
-    assert json.loads(data.attrs["summary"]) == json.loads(json.dumps(found.summary()))
+    assert json.loads(data.attrs["summary"]) == json.loads(json.dumps(pulse_forces.summary()))
 
 
 def test_the_command_writes_its_file_and_figures(terraphi: Any, tmp_path: Path) -> None:

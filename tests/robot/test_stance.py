@@ -39,10 +39,12 @@ def test_bounds_and_numbers_are_those_of_the_walk() -> None:
     stances = find_stances(*walk(), rise_N=12.0)
     assert counts(stances) == WHOLE
     for foot, first in (("FR", 0.1), ("FL", 0.3)):
-        own = [stance for stance in stances if stance.foot == foot]
-        begin = np.array([stance.begin for stance in own])
-        assert begin == pytest.approx(first + PERIOD * np.arange(len(own)), abs=1.5 * STEP)
-        assert np.array([s.duration for s in own]) == pytest.approx(PERIOD * DUTY, abs=2.5 * STEP)
+        reference = [stance for stance in stances if stance.foot == foot]
+        begin = np.array([stance.begin for stance in reference])
+        assert begin == pytest.approx(first + PERIOD * np.arange(len(reference)), abs=1.5 * STEP)
+        assert np.array([s.duration for s in reference]) == pytest.approx(
+            PERIOD * DUTY, abs=2.5 * STEP
+        )
     assert sorted(stance.begin for stance in stances) == [stance.begin for stance in stances]
 
 
@@ -54,10 +56,10 @@ def test_noise_makes_and_breaks_no_stance(sigma: float) -> None:
     assert counts(stances) == WHOLE
     # Noise crosses zero a little inside a slow rise: 80 N sin(π t/0.2 s) reaches 2σ at t = 8 ms.
     truth = Ensemble.of(find_stances(time, force, rise_N=12.0))
-    found = Ensemble.of(stances)
-    assert found.peak("z") == pytest.approx(PEAK, rel=0.03)
-    assert found.peak("x") == pytest.approx(-0.2 * PEAK, rel=0.05)
-    assert found.duration == pytest.approx(truth.duration, abs=0.02)
+    ensemble = Ensemble.of(stances)
+    assert ensemble.peak("z") == pytest.approx(PEAK, rel=0.03)
+    assert ensemble.peak("x") == pytest.approx(-0.2 * PEAK, rel=0.05)
+    assert ensemble.duration == pytest.approx(truth.duration, abs=0.02)
 
 
 def test_a_swing_that_never_comes_down_to_the_level_parts_stances_all_the_same() -> None:
@@ -69,9 +71,9 @@ def test_a_swing_that_never_comes_down_to_the_level_parts_stances_all_the_same()
     stances = find_stances(time, noisy, rise_N=12.0)
     assert counts(stances) == WHOLE
     for foot in FEET:
-        own = [stance for stance in stances if stance.foot == foot]
-        assert all(one.end <= other.begin for one, other in pairwise(own))
-        assert max(stance.duration for stance in own) < 1.7 * PERIOD * DUTY
+        reference = [stance for stance in stances if stance.foot == foot]
+        assert all(first.end <= other.begin for first, other in pairwise(reference))
+        assert max(stance.duration for stance in reference) < 1.7 * PERIOD * DUTY
 
 
 def test_stances_that_touch_are_parted_where_the_force_is_least() -> None:
@@ -81,8 +83,10 @@ def test_stances_that_touch_are_parted_where_the_force_is_least() -> None:
     # A swing of FR that never comes down to the level, with its least force at 4.6 periods.
     dip = 3.2 + 20.0 * np.abs(time - (0.1 + 4.6 * PERIOD))
     force[swing, 0, 2] = np.maximum(force[swing, 0, 2], dip[swing])
-    own = [stance for stance in find_stances(time, force, rise_N=12.0) if stance.foot == "FR"]
-    meeting = [(one.end, other.begin) for one, other in pairwise(own) if one.end == other.begin]
+    reference = [stance for stance in find_stances(time, force, rise_N=12.0) if stance.foot == "FR"]
+    meeting = [
+        (first.end, other.begin) for first, other in pairwise(reference) if first.end == other.begin
+    ]
     assert meeting == [pytest.approx((0.1 + 4.6 * PERIOD,) * 2, abs=STEP)]
 
 
@@ -125,9 +129,9 @@ def test_ensemble_has_the_mean_and_spread_of_its_stances() -> None:
     course = np.sin(np.pi * (time - 3.0) / 0.2)[:, None] * [-10.0, 0.0, 70.0]
     first = Stance("FR", time, course)
     second = Stance("RL", time + 1.0, 1.2 * course)
-    found = Ensemble.of([first, second])
-    assert (found.count, found.duration) == (2, pytest.approx(0.2))
-    assert found.mean == pytest.approx(1.1 * course)
+    ensemble = Ensemble.of([first, second])
+    assert (ensemble.count, ensemble.duration) == (2, pytest.approx(0.2))
+    assert ensemble.mean == pytest.approx(1.1 * course)
     # Standard deviation of a and 1.2 a: 0.2 a/√2.
-    assert found.spread == pytest.approx(np.abs(0.2 * course) / np.sqrt(2.0))
-    assert (found.peak("x"), found.peak("z")) == (pytest.approx(-11.0), pytest.approx(77.0))
+    assert ensemble.spread == pytest.approx(np.abs(0.2 * course) / np.sqrt(2.0))
+    assert (ensemble.peak("x"), ensemble.peak("z")) == (pytest.approx(-11.0), pytest.approx(77.0))

@@ -51,12 +51,12 @@ def test_other_readers_have_the_footfalls_at_the_times_of_the_log(
         "phi_deg": walk.phi, "ci95_low_deg": low, "ci95_high_deg": high, "y_m": walk.place[:, 1],
         "sinkage_m": walk.sinkage, "relative_sd_deg": walk.sd,
     }.items():  # fmt: skip
-        found = [getattr(row, name) for _, row in rows]
-        np.testing.assert_allclose(found, column, atol=1e-4, err_msg=name)
+        result = [getattr(row, name) for _, row in rows]
+        np.testing.assert_allclose(result, column, atol=1e-4, err_msg=name)
     recorded = np.array([at for at, _ in rows]) - EPOCH_NS
     np.testing.assert_allclose(recorded / 1e9, walk.time, atol=2e-6)
-    with (folder / "walk.mcap").open("rb") as one, (folder / "soil.mcap").open("rb") as other:
-        log, topic = (make_reader(file).get_summary().statistics for file in (one, other))
+    with (folder / "walk.mcap").open("rb") as first, (folder / "soil.mcap").open("rb") as other:
+        log, topic = (make_reader(file).get_summary().statistics for file in (first, other))
     assert log.message_start_time <= topic.message_start_time
     assert topic.message_end_time <= log.message_end_time
     assert topic.message_count == len(walk.time)
@@ -72,8 +72,8 @@ def test_clocks_that_count_from_elsewhere_are_brought_to_that_of_recording(tmp_p
     named, ticks, table = (
         read_log(tmp_path / name) for name in ("named.mcap", "ticks.mcap", "walk.csv")
     )
-    for one in (named, ticks):
-        assert abs(one.report["recorded_ns"] - EPOCH_NS) < 1000
+    for item in (named, ticks):
+        assert abs(item.report["recorded_ns"] - EPOCH_NS) < 1000
     assert "recorded_ns" not in table.report
 
 

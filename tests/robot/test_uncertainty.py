@@ -36,8 +36,8 @@ def covered(priors: SensorErrors) -> float:
         lost = priors.coulomb_Nm * row[12:24].reshape(4, 3) * np.tanh(log.velocity / 0.02)
         roll, pitch = np.radians(priors.attitude_deg * row[24:])
         worn = replace(tilted(log, roll, pitch), torque=(log.torque + lost) * gain)
-        found = estimate(worn, robot=GO2, friction=False, priors=priors)
-        inside.append((np.abs(found.force - force) < found.sigma)[loaded])
+        estimated_forces = estimate(worn, robot=GO2, friction=False, priors=priors)
+        inside.append((np.abs(estimated_forces.force - force) < estimated_forces.sigma)[loaded])
     if not (priors.gain or priors.coulomb_Nm):  # a tilt of the axes leaves F_z as it is
         inside = [each[:, :2] for each in inside]
     return float(np.mean(np.concatenate(inside)))

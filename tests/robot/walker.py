@@ -63,10 +63,10 @@ class Walk:
             axis=1,
         )
         roll, pitch = 0.03 * np.sin(turn + 1.0), 0.02 * np.sin(2 * turn) + 0.02
-        zero, one = np.zeros_like(time), np.ones_like(time)
-        about_x = [[one, zero, zero], [zero, np.cos(roll), -np.sin(roll)],
+        zero, item = np.zeros_like(time), np.ones_like(time)
+        about_x = [[item, zero, zero], [zero, np.cos(roll), -np.sin(roll)],
                    [zero, np.sin(roll), np.cos(roll)]]  # fmt: skip
-        about_y = [[np.cos(pitch), zero, np.sin(pitch)], [zero, one, zero],
+        about_y = [[np.cos(pitch), zero, np.sin(pitch)], [zero, item, zero],
                    [-np.sin(pitch), zero, np.cos(pitch)]]  # fmt: skip
         rx, ry = (np.moveaxis(np.array(m), -1, 0) for m in (about_x, about_y))
         return place, ry @ rx
@@ -97,8 +97,8 @@ class Walk:
 
     def _angles(self, time: np.ndarray) -> np.ndarray:
         place, turn = self._pose(time)
-        seen = np.einsum("sji,sfj->sfi", turn, self._feet(time) - place[:, None]) - HIP
-        x, y, z = np.moveaxis(seen, -1, 0)
+        observed = np.einsum("sji,sfj->sfi", turn, self._feet(time) - place[:, None]) - HIP
+        x, y, z = np.moveaxis(observed, -1, 0)
         side = THIGH[:, 1]
         down = -np.sqrt(y**2 + z**2 - side**2)
         hip = np.arctan2(z, y) - np.arctan2(down, side)
@@ -143,8 +143,8 @@ class Walk:
         at = np.array(GO2.imu)
         at_imu = felt + np.cross(faster, at) + np.cross(spin, np.cross(spin, at))
         noisy = torque + rng.normal(0.0, self.torque_noise, torque.shape)
-        seen = rate + rng.normal(0.0, self.velocity_noise, rate.shape)
-        return JointLog(time, angle, seen, noisy, _quaternion(turn), spin, at_imu), force
+        observed = rate + rng.normal(0.0, self.velocity_noise, rate.shape)
+        return JointLog(time, angle, observed, noisy, _quaternion(turn), spin, at_imu), force
 
 
 @dataclass(frozen=True)

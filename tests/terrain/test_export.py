@@ -48,14 +48,14 @@ def read(draws: Any = (), source: str = "answer", **changes: Any) -> Told:
 @pytest.mark.parametrize("name", [name for name in NAMES if name != "mujoco"])
 def test_the_module_sets_the_parameter_in_the_simulator(name, tmp_path, monkeypatch) -> None:
     to = simulator(name)
-    found = export(read([25.0, 30.0, 35.0]), to=name, draws=3)
+    parameters = export(read([25.0, 30.0, 35.0]), to=name, draws=3)
     path = tmp_path / "soil.py"
-    path.write_text(text(found, "python"), encoding="utf-8")
+    path.write_text(text(parameters, "python"), encoding="utf-8")
     made = runpy.run_path(str(path))
     value = to.from_angle(30.0)
     assert made[to.parameter.upper()] == pytest.approx(value, abs=1e-6)
     assert sorted(made["DRAWS"]) == pytest.approx([to.from_angle(p) for p in (25.0, 30.0, 35.0)])
-    assert found["density_assumed"]
+    assert parameters["density_assumed"]
     assert set_by(name, made, monkeypatch) == pytest.approx(value, abs=1e-6)
 
 
@@ -87,10 +87,10 @@ def set_by(name: str, made: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> 
         # The module's φ is the law's; its ξ is that of resistive force theory.
         disc, moving = Foot(0.018, "disc"), ([0.0, 0.0, -0.02], [0.0, 0.0, -1.0])
         soil = made["soil"](surface_friction=0.4)
-        found, _ = force(disc, *moving, **soil)
+        result, _ = force(disc, *moving, **soil)
         plane = {"friction_angle_deg": 30.0, "density": 1600.0, "surface_friction": 0.4}
         pressed = LAWS["foot"].force(disc, 0.02, np.pi / 2, **plane)
-        assert found[2] == pytest.approx(pressed[1], rel=1e-6)
+        assert result[2] == pytest.approx(pressed[1], rel=1e-6)
         assert made["XI_N"] == pytest.approx(stress_scale(made["FRICTION_ANGLE_DEG"], 1600.0))
         return made["FRICTION_ANGLE_DEG"]
     assert made["material"](1e7, 0.3)["dpType"] == "MiddleCircumscribed"
@@ -99,8 +99,8 @@ def set_by(name: str, made: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_bekker_is_near_bearing_capacity_and_published_sand() -> None:
     draws = np.random.default_rng(0).normal(30.0, 2.0, 500)
-    found = bekker(SUMMARY, draws, 1650.0)
-    pressure = found["BEKKER_KPHI"]["median"] * 0.02 ** found["BEKKER_N"]["median"]
+    result = bekker(SUMMARY, draws, 1650.0)
+    pressure = result["BEKKER_KPHI"]["median"] * 0.02 ** result["BEKKER_N"]["median"]
     # Rough strip of 10 cm, 2 cm deep: N_γ 14.75 by characteristics (Martin, 2004), N_q 18.4.
     capacity = 1650.0 * 9.81 * (0.5 * 0.1 * 14.75 + 0.02 * 18.4)
     assert pressure == pytest.approx(capacity, rel=0.3)
@@ -109,9 +109,9 @@ def test_bekker_is_near_bearing_capacity_and_published_sand() -> None:
     sand = bekker({"median": 28.0, "ci68": [], "ci95": []}, np.empty(0), 1550.0)
     assert sand["BEKKER_KPHI"]["median"] * 0.02 == pytest.approx(wong, rel=0.4)
     twice = bekker(SUMMARY, draws, 3300.0)["BEKKER_KPHI"]
-    assert np.array(twice["draws"]) == pytest.approx(2.0 * np.array(found["BEKKER_KPHI"]["draws"]))
-    assert found["BEKKER_KPHI"]["ci95"][0] < found["BEKKER_KPHI"]["ci68"][0]
-    assert "NOT inferred" in found["JANOSI_SHEAR"]["about"]
+    assert np.array(twice["draws"]) == pytest.approx(2.0 * np.array(result["BEKKER_KPHI"]["draws"]))
+    assert result["BEKKER_KPHI"]["ci95"][0] < result["BEKKER_KPHI"]["ci68"][0]
+    assert "NOT inferred" in result["JANOSI_SHEAR"]["about"]
 
 
 @pytest.mark.parametrize(
@@ -120,10 +120,10 @@ def test_bekker_is_near_bearing_capacity_and_published_sand() -> None:
 )
 def test_foreign_text_stays_text_in_the_module(name) -> None:
     changes = {"source": name, "law": name, "verdict": "misfit", "reason": name}
-    one = Told(name, answer(**changes), np.empty(0))
-    tree = ast.parse(text(export(one, to="newton", anyway=True), "python"))
+    item = Told(name, answer(**changes), np.empty(0))
+    tree = ast.parse(text(export(item, to="newton", anyway=True), "python"))
     clean = ast.parse(text(export(read(), to="newton"), "python"))
-    kinds = [[type(node) for node in one.body] for one in (tree, clean)]
+    kinds = [[type(node) for node in item.body] for item in (tree, clean)]
     assert kinds[0] == kinds[1]
     assert f"From {name}: {name}, law {name}." in (ast.get_docstring(tree, clean=False) or "")
 
@@ -141,19 +141,19 @@ def test_draws_are_converted_to_plane_strain() -> None:
         ends = turned[[0, 2]].tolist()
         plane = {"median": turned[1], "ci68": ends, "ci95": ends}
         angle = {"median": 35.0, "ci68": [30.0, 44.0], "ci95": [30.0, 44.0], "yield": criterion}
-        one = read(np.degrees(phi), phi_deg=angle, phi_plane_strain_deg=plane)
-        assert in_plane_strain(one) == pytest.approx(turned, nan_ok=True)
-        found = export(one, to="newton", draws=9)
-        assert found["draws_without_equivalent"] == (0.25 if criterion == "rft" else 0.0)
+        item = read(np.degrees(phi), phi_deg=angle, phi_plane_strain_deg=plane)
+        assert in_plane_strain(item) == pytest.approx(turned, nan_ok=True)
+        parameters = export(item, to="newton", draws=9)
+        assert parameters["draws_without_equivalent"] == (0.25 if criterion == "rft" else 0.0)
         plane["median"] = 20.0
         with pytest.raises(InputError, match="leave out --draws"):
-            in_plane_strain(one)
+            in_plane_strain(item)
 
 
 def test_export_of_a_folder(terraphi, tmp_path) -> None:
-    found = dataclasses.replace(invert("li2013:yuma/straight"), **MISFIT)
-    found.save(tmp_path / "answer")
-    phi = found.phi_draws()
+    result = dataclasses.replace(invert("li2013:yuma/straight"), **MISFIT)
+    result.save(tmp_path / "answer")
+    phi = result.phi_draws()
     base = ("export", "answer", "--to", "newton", "--draws", "5")
     assert "--anyway" in terraphi(*base).err
     assert terraphi(*base, "--anyway", "--out", "soil.py").status == 0
@@ -226,5 +226,5 @@ def test_convert(terraphi) -> None:
     ran = terraphi("convert", "0.68", "--from", "newton", "--to", "genesis")
     assert "42.8 deg" in ran.out
     assert "29.5 deg" in ran.out
-    found = json.loads(terraphi("convert", "0.68", "--from", "newton", "--json").out)
-    assert found["phi_plane_strain_deg"] == pytest.approx(42.8, abs=0.05)
+    content = json.loads(terraphi("convert", "0.68", "--from", "newton", "--json").out)
+    assert content["phi_plane_strain_deg"] == pytest.approx(42.8, abs=0.05)

@@ -40,21 +40,21 @@ def test_dry_and_cohesionless_it_is_the_distribution_of_phi(hill, points) -> Non
     x, y = walked(0)
     path = points(x, y, np.full(x.size, 31.0), 0.05, 2.0)
     for slope_deg in (28.0, 32.0):
-        found = map_slopes(path, hill(slope_deg), prior=DRY)
-        middle = {name: layer[20:40, 20:40].mean() for name, layer in found.layers.items()}
+        slope_map = map_slopes(path, hill(slope_deg), prior=DRY)
+        middle = {name: layer[20:40, 20:40].mean() for name, layer in slope_map.layers.items()}
         assert middle["p_unstable"] == pytest.approx(norm.cdf(slope_deg, 31.0, 2.0), abs=0.01)
         assert middle["phi_share"] == pytest.approx(1.0, abs=1e-6)
         assert middle["phi_sd"] == pytest.approx(2.0, rel=0.03)
         ratio = np.tan(np.radians(31.0)) / np.tan(np.radians(slope_deg))
         assert middle["fs_median"] == pytest.approx(ratio, rel=0.01)
-        area = found.summary["unstable_area_share"]["median"]
+        area = slope_map.summary["unstable_area_share"]["median"]
         assert area == pytest.approx(float(slope_deg > 31.0), abs=0.02)
     # Two strata on one slope.
     phi = np.where(x < 30.0, 26.0, 40.0) + np.random.default_rng(3).normal(0.0, 1.0, x.size)
-    found = map_slopes(points(x, y, phi, 1.0), hill(33.0), prior=DRY)
-    assert found.layers["p_unstable"][10:50, 8:20].min() > 0.95
-    assert found.layers["p_unstable"][10:50, 40:52].max() < 0.05
-    low, high = found.summary["unstable_area_share"]["ci95"]
+    slope_map = map_slopes(points(x, y, phi, 1.0), hill(33.0), prior=DRY)
+    assert slope_map.layers["p_unstable"][10:50, 8:20].min() > 0.95
+    assert slope_map.layers["p_unstable"][10:50, 40:52].max() < 0.05
+    low, high = slope_map.summary["unstable_area_share"]["ci95"]
     assert low < 0.5 < high < low + 0.3
 
 
@@ -63,7 +63,8 @@ def test_a_shared_error_widens_the_map_and_moves_nothing(hill, points) -> None:
     phi = 42.0 + np.random.default_rng(3).normal(0.0, 0.3, x.size)
     maps = [map_slopes(points(x, y, phi, 0.3, shared), hill(33.0, n=60)) for shared in (0.0, 3.9)]
     (median, sd), (again, wider) = (
-        [one.layers[name][20:40, 20:40].mean() for name in ("phi_median", "phi_sd")] for one in maps
+        [slope_map.layers[name][20:40, 20:40].mean() for name in ("phi_median", "phi_sd")]
+        for slope_map in maps
     )
     assert (median, again) == pytest.approx((42.0, 42.0), abs=0.3)
     assert wider == pytest.approx(np.hypot(sd, 3.9), rel=0.1)
@@ -83,26 +84,29 @@ def test_lattice_and_draws_are_those_of_scikit_learn(hill, points, monkeypatch) 
     heights = 0.5 * (n - rows) + 3.0 * np.sin(columns / 9.0) + 2.0 * np.sin(rows / 5.0)
     x, y = walked(2, count=30)
     phi = 30.0 + 3.0 * np.sin(x / 12.0) + np.random.default_rng(4).normal(0.0, 1.0, x.size)
-    found = map_slopes(points(x, y, phi, 1.0), hill(heights=heights), draws=64)
+    slope_map = map_slopes(points(x, y, phi, 1.0), hill(heights=heights), draws=64)
     (process,) = kept
     # Inputs of the process at some cells: place, both covariates standardized.
     cells = [(10, 15), (12, 18), (30, 31), (50, 5)]
-    layers = [found.dem.height.astype(float), found.dem.slope.astype(float)]
-    scaled = [(one - one.mean()) / one.std() for one in layers]
+    layers = [slope_map.dem.height.astype(float), slope_map.dem.slope.astype(float)]
+    scaled = [(layer - layer.mean()) / layer.std() for layer in layers]
     asked = np.array(
-        [[found.dem.x[c], found.dem.y[r], scaled[0][r, c], scaled[1][r, c]] for r, c in cells]
+        [
+            [slope_map.dem.x[c], slope_map.dem.y[r], scaled[0][r, c], scaled[1][r, c]]
+            for r, c in cells
+        ]
     )
     mean, covariance = process.predict(asked, return_cov=True)
-    short = found.field.learnt["short_sd"] ** 2
+    short = slope_map.field.learnt["short_sd"] ** 2
     sd = np.sqrt(np.diag(covariance) - short)
-    z = to_logit(np.array([found.layers["phi_median"][cell] for cell in cells]))
+    z = to_logit(np.array([slope_map.layers["phi_median"][cell] for cell in cells]))
     assert z == pytest.approx(mean + to_logit(30.0), abs=0.05 * sd.mean())
     tan = STEEPEST / (1 + np.exp(-z))
-    shown = np.array([found.layers["phi_sd"][cell] for cell in cells])
+    shown = np.array([slope_map.layers["phi_sd"][cell] for cell in cells])
     wanted = np.degrees(tan * (1 - tan / STEEPEST) / (1 + tan**2)) * sd
     assert shown == pytest.approx(wanted, rel=0.05)
     # Draws of the lattice, correlated as the process is between two of its nodes.
-    lattice = found.field
+    lattice = slope_map.field
     drawn = lattice.draws(4096, 3)
     a, b = 10 * lattice.x.size + 12, 11 * lattice.x.size + 20
     at = np.array([[lattice.x[i % lattice.x.size], lattice.y[i // lattice.x.size], 0.0, 0.0]
@@ -115,28 +119,28 @@ def test_lattice_and_draws_are_those_of_scikit_learn(hill, points, monkeypatch) 
 def test_merged_points_give_the_field_of_all_of_them(hill, points, monkeypatch) -> None:
     x, y = walked(2, count=300)
     phi = 30.0 + 3.0 * np.sin(x / 12.0) + np.random.default_rng(4).normal(0.0, 1.5, x.size)
-    known = points(x, y, phi, np.random.default_rng(5).uniform(0.5, 2.0, x.size))
-    whole = map_slopes(known, hill(), draws=8).layers
+    reference = points(x, y, phi, np.random.default_rng(5).uniform(0.5, 2.0, x.size))
+    slope_map = map_slopes(reference, hill(), draws=8).layers
     monkeypatch.setattr(field, "POINTS", 150)
-    merged = map_slopes(known, hill(), draws=8).layers
-    shift = (merged["phi_median"] - whole["phi_median"]) / whole["phi_sd"]
+    merged = map_slopes(reference, hill(), draws=8).layers
+    shift = (merged["phi_median"] - slope_map["phi_median"]) / slope_map["phi_sd"]
     assert np.nanmax(np.abs(shift)) < 1.0
     assert np.sqrt(np.nanmean(shift**2)) < 0.25
-    assert np.nanmean(merged["phi_sd"] / whole["phi_sd"]) == pytest.approx(1.0, abs=0.1)
+    assert np.nanmean(merged["phi_sd"] / slope_map["phi_sd"]) == pytest.approx(1.0, abs=0.1)
 
 
 def test_many_points_do_not_take_the_square_of_memory(hill, points, monkeypatch) -> None:
     monkeypatch.setattr(field, "POINTS", 40)
     x, y = walked(3, count=3000)
     ground = read_elevation(hill())
-    known, _ = read_points(points(x, y, 30.0 + np.sin(x / 9.0)), ground)
+    reference, _ = read_points(points(x, y, 30.0 + np.sin(x / 9.0)), ground)
     tracemalloc.start()
-    found = field.fit(known, np.zeros((len(known), 1)), ground)
+    fitted = field.fit(reference, np.zeros((len(reference), 1)), ground)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 200e6  # a matrix of all pairs takes 72 MB, and the search a dozen
-    nodes = found.mean[: found.x.size * found.y.size].reshape(found.y.size, -1)
-    expected = to_logit(30.0 + np.sin(found.x / 9.0))
+    nodes = fitted.mean[: fitted.x.size * fitted.y.size].reshape(fitted.y.size, -1)
+    expected = to_logit(30.0 + np.sin(fitted.x / 9.0))
     assert nodes[10] == pytest.approx(expected, abs=0.1)  # 1.6 degrees
 
 
@@ -262,24 +266,24 @@ def test_footfalls_are_placed_where_the_walk_began(hill, tmp_path, bearing) -> N
     x, y = walked(0, count=8)
     phi = np.full(8, 30.0)
     phi[1] = np.nan
-    n, one = np.full(8, 1.0), np.zeros(1)
+    n, item = np.full(8, 1.0), np.zeros(1)
     verdict = ("usable", "too little sinkage", "saturated", *["usable"] * 5)
     # Northward is ahead, and west is left; or eastward is, and north.
     ahead, left = (y, -x) if bearing == 0.0 else (x, y)
     walk = FootfallMap(
         time=n, foot=("FR",) * 8, place=np.column_stack([ahead, left, n]), sinkage=n, phi=phi, sd=n,
-        shared_sd=n, misfit=n, verdict=verdict, path=np.zeros((1, 3)), path_phi=one,
-        path_relative_sd=one, path_absolute_sd=one, shared={}, by_law={},
+        shared_sd=n, misfit=n, verdict=verdict, path=np.zeros((1, 3)), path_phi=item,
+        path_relative_sd=item, path_absolute_sd=item, shared={}, by_law={},
     )  # fmt: skip
     walk.to_netcdf(tmp_path / "walk.nc")
     ground = read_elevation(hill(left=5e5))
     for name in ("walk.nc", "walk.csv"):
-        found, left_out = read_points(tmp_path / name, ground, Start(5e5, 0.0, bearing))
+        result, left_out = read_points(tmp_path / name, ground, Start(5e5, 0.0, bearing))
         assert left_out == 2
-        assert found["x_m"].to_numpy() == pytest.approx(5e5 + np.delete(x, [1, 2]), abs=1e-4)
-        assert found["y_m"].to_numpy() == pytest.approx(np.delete(y, [1, 2]), abs=1e-4)
+        assert result["x_m"].to_numpy() == pytest.approx(5e5 + np.delete(x, [1, 2]), abs=1e-4)
+        assert result["y_m"].to_numpy() == pytest.approx(np.delete(y, [1, 2]), abs=1e-4)
         cells = np.floor(60 - np.delete(y, [1, 2])), np.floor(np.delete(x, [1, 2]))
-        assert (cells == found[["row", "column"]].to_numpy().T).all()
+        assert (cells == result[["row", "column"]].to_numpy().T).all()
 
 
 def test_nothing_is_fetched_from_the_network(terraphi, hill, points, tmp_path, monkeypatch) -> None:
@@ -371,11 +375,11 @@ def test_public_map_takes_what_python_has_and_is_what_is_saved(
 ) -> None:
     x, y = np.meshgrid(np.arange(10.0, 60.0, 10.0), np.arange(10.0, 60.0, 10.0))
     path, dem = points(x.ravel(), y.ravel(), 33.0 + 0.05 * x.ravel(), 1.0), hill(33.0)
-    found = terraphi.map(str(path), str(dem), prior="cohesion_Pa=0:500", seed=5, draws=16)
+    slope_map = terraphi.map(str(path), str(dem), prior="cohesion_Pa=0:500", seed=5, draws=16)
     again = terraphi.map(pd.read_csv(path), dem, prior=["cohesion_Pa=0:500"], rng=5, draws=16)
-    layers = found.to_xarray()
+    layers = slope_map.to_xarray()
     assert again.to_xarray().identical(layers)
-    found.save(tmp_path / "slopes")
+    slope_map.save(tmp_path / "slopes")
     for name, layer in layers.items():
         with rasterio.open(tmp_path / "slopes" / f"{name}.tif") as file:
             np.testing.assert_array_equal(file.read(1), layer)

@@ -65,8 +65,8 @@ def radial_return(slope: float) -> Mapping:
 
     def update(stress: Any, strain: np.ndarray) -> tuple[Any, np.ndarray]:
         p, s, tau = parts(elastic(-PRESSURE * np.eye(3) if stress is None else stress, strain))
-        found = s * min(1.0, slope * p / max(tau, 1e-12)) - p * np.eye(3)
-        return found, found
+        result = s * min(1.0, slope * p / max(tau, 1e-12)) - p * np.eye(3)
+        return result, result
 
     return update
 
@@ -147,9 +147,9 @@ def test_element_tests_yield_at_the_intended_angle(name) -> None:
 
 def test_conversion_there_and_back() -> None:
     for name in [*MAPPINGS, "chrono-scm"]:
-        one = simulator(name.partition(" ")[0], dp_type=name.partition(" ")[2] or None)
+        item = simulator(name.partition(" ")[0], dp_type=name.partition(" ")[2] or None)
         for phi in (10.0, 33.3, 55.0):
-            assert angle_of_ratio(one.law.ratio(one.from_angle(phi))) == pytest.approx(phi)
+            assert angle_of_ratio(item.law.ratio(item.from_angle(phi))) == pytest.approx(phi)
     for match in MATCHES:
         assert angle_of_ratio(ratio_of_angle(33.3, match), match) == pytest.approx(33.3)
     # The guide of Chrono has 35 deg as tan φ.

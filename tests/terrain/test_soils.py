@@ -44,12 +44,12 @@ def test_the_table_follows_from_its_sources(
 
 
 def test_draws_have_the_moments_of_the_soil() -> None:
-    found = soil(phi="33±2", density="1600±40")
-    phi, density = found.draws(100_000, rng=np.random.default_rng(1))
+    result = soil(phi="33±2", density="1600±40")
+    phi, density = result.draws(100_000, rng=np.random.default_rng(1))
     assert (phi.mean(), phi.std()) == pytest.approx((33.0, 2.0), abs=0.02)
     assert (density.mean(), density.std()) == pytest.approx((1600.0, 40.0), abs=0.5)
     assert abs(np.corrcoef(phi, density)[0, 1]) < 0.02
-    again = found.draws(100_000, rng=1)
+    again = result.draws(100_000, rng=1)
     np.testing.assert_array_equal(again.phi_deg, phi)
     exact = soil(phi=30).draws(5, rng=0)
     assert exact.phi_deg.tolist() == [30.0] * 5
@@ -73,13 +73,13 @@ def test_an_angle_a_name_and_an_answer_take_one_path(terraphi: Any) -> None:
     loose = soil("loose dry sand")
     same = [export("33±2", to="newton"), convert("33±2", to="newton"), loose.newton(),
             soil(loose).newton(), package.export(loose, to="newton")]  # fmt: skip
-    for one in same:
-        assert one["value"] == pytest.approx(math.sin(math.radians(33.0)), abs=1e-6)
-        assert one["ci95"] == pytest.approx(
+    for item in same:
+        assert item["value"] == pytest.approx(math.sin(math.radians(33.0)), abs=1e-6)
+        assert item["ci95"] == pytest.approx(
             [math.sin(math.radians(33.0 + s * 1.96 * 2.0)) for s in (-1, 1)], abs=2e-4
         )
     assert loose.genesis()["to"] == "genesis"
-    assert [loose.chrono(one)["to"] for one in ("crm", "scm")] == ["chrono-crm", "chrono-scm"]
+    assert [loose.chrono(item)["to"] for item in ("crm", "scm")] == ["chrono-crm", "chrono-scm"]
     assert loose.rft()["PHI_PLANE_STRAIN_DEG"]["median"] == pytest.approx(33.0)
     ran = terraphi("export", "33+-2", "--density", "1600±40", "--to", "newton", "--draws", "3",
                    "--out", "soil.json", "--json")  # fmt: skip
@@ -91,9 +91,11 @@ def test_an_angle_a_name_and_an_answer_take_one_path(terraphi: Any) -> None:
 
 @pytest.mark.parametrize(("to", "name"), [("rft3d", "XI_N"), ("chrono-scm", "BEKKER_KPHI")])
 def test_draws_of_stiffness_have_the_density_of_their_draw(to: str, name: str) -> None:
-    found = export(soil(phi="33±0", density="1600±100"), to=to, draws=200)
-    drawn = np.array(found[name]["draws"]) / found[name]["median"]
-    np.testing.assert_allclose(drawn, np.array(found["density_draws_kg_m3"]) / 1600.0, rtol=1e-5)
+    parameters = export(soil(phi="33±0", density="1600±100"), to=to, draws=200)
+    drawn = np.array(parameters[name]["draws"]) / parameters[name]["median"]
+    np.testing.assert_allclose(
+        drawn, np.array(parameters["density_draws_kg_m3"]) / 1600.0, rtol=1e-5
+    )
     assert np.ptp(drawn) > 0.1
 
 
@@ -113,9 +115,9 @@ def test_force_is_that_of_the_law_in_plane_strain() -> None:
     )  # fmt: skip
     np.testing.assert_allclose(force, [[0.0, 0.0, expected[1]], [0.0, 0.0, 0.0]], atol=1e-9)
     for name in SANDS:
-        every = soil(name).draws(4096, rng=0)
-        found, _ = sand.force(foot, np.zeros((4096, 3)), down, **every._asdict())
-        assert (found[:, 2] > 0.0).all()
+        values = soil(name).draws(4096, rng=0)
+        result, _ = sand.force(foot, np.zeros((4096, 3)), down, **values._asdict())
+        assert (result[:, 2] > 0.0).all()
     drawn = sand.draws(2, rng=0)
     other, _ = sand.force(foot, place[[0, 0]], down, **drawn._asdict())
     rising = np.diff(other[:, 2] / drawn.density)[0] * np.diff(drawn.phi_deg)[0]

@@ -52,21 +52,21 @@ def search(
 
 @pytest.mark.parametrize("answer", [0.21, OWN, 1.3])
 def test_a_known_friction_is_found_with_its_interval(answer: float) -> None:
-    found = search(answer)
-    assert found.fits
-    assert found.ratio == pytest.approx(answer, rel=0.01)
+    result = search(answer)
+    assert result.fits
+    assert result.ratio == pytest.approx(answer, rel=0.01)
     # Errors of log force divided by the exponent.
-    assert np.std(np.log(found.draws)) == pytest.approx(0.1, rel=0.15)
-    assert np.median(found.factor) == pytest.approx((answer / OWN) ** 3, rel=0.02)
-    assert found.presses <= 18
+    assert np.std(np.log(result.draws)) == pytest.approx(0.1, rel=0.15)
+    assert np.median(result.factor) == pytest.approx((answer / OWN) ** 3, rel=0.02)
+    assert result.presses <= 18
 
 
 def test_intervals_cover_noise_as_often_as_they_say() -> None:
     """Of the friction, and of what the soil carries with its own, whose draws add nothing."""
     hits = []
     for seed in range(100):
-        found = search(0.8, noise=0.4, spread=0.0, seed=seed)
-        ends = np.quantile([found.draws, found.factor], [0.025, 0.975], axis=1)
+        result = search(0.8, noise=0.4, spread=0.0, seed=seed)
+        ends = np.quantile([result.draws, result.factor], [0.025, 0.975], axis=1)
         truth = np.array([0.8, (0.8 / OWN) ** 3])
         hits.append((ends[0] <= truth) & (truth <= ends[1]))
     covered = np.mean(hits, axis=0)
@@ -78,10 +78,10 @@ def test_an_engine_that_cannot_bear_the_load_has_no_value() -> None:
     def press(ratio: float, _place: int) -> np.ndarray:
         return 0.3 * TARGET * ratio / (0.5 + ratio)
 
-    found = fit(press, TARGET, TARGET[None] * np.ones((500, 1)), **GIVEN)
-    assert not found.fits
-    assert found.at_limit == "high"
-    assert found.lost == 1.0
+    fitted = fit(press, TARGET, TARGET[None] * np.ones((500, 1)), **GIVEN)
+    assert not fitted.fits
+    assert fitted.at_limit == "high"
+    assert fitted.lost == 1.0
     weak = fit(lambda q, _: 50 * TARGET * (1 + q), TARGET, TARGET[None], **GIVEN)
     assert weak.at_limit == "low"
     assert np.median(weak.factor) == pytest.approx(1 / (50 * (1 + OWN)), rel=0.01)
@@ -91,30 +91,30 @@ def test_another_curve_of_force_over_sinkage_has_no_value() -> None:
     def press(ratio: float, _place: int) -> np.ndarray:
         return TARGET * [0.2, 1.0, 5.0] * (ratio / 0.6) ** 3
 
-    found = fit(press, TARGET, TARGET[None] * np.ones((500, 1)), **GIVEN)
-    assert found.ratio == pytest.approx(0.6, rel=0.02)
-    assert not found.fits
-    assert found.residual == pytest.approx(math.log(5) * math.sqrt(2 / 3), rel=0.02)
+    fitted = fit(press, TARGET, TARGET[None] * np.ones((500, 1)), **GIVEN)
+    assert fitted.ratio == pytest.approx(0.6, rel=0.02)
+    assert not fitted.fits
+    assert fitted.residual == pytest.approx(math.log(5) * math.sqrt(2 / 3), rel=0.02)
 
 
 def test_a_force_that_depends_on_the_place_in_the_voxel_has_no_value() -> None:
     def press(ratio: float, place: int) -> np.ndarray:
         return TARGET * (0.4, 1.0, 1.6)[place] * (ratio / 0.6) ** 3
 
-    found = fit(press, TARGET, TARGET[None] * np.ones((500, 1)), **GIVEN)
-    assert found.ratio == pytest.approx(0.6, rel=0.01)
-    assert found.residual < 0.01
-    assert found.scatter == pytest.approx(0.6)
-    assert not found.fits
+    fitted = fit(press, TARGET, TARGET[None] * np.ones((500, 1)), **GIVEN)
+    assert fitted.ratio == pytest.approx(0.6, rel=0.01)
+    assert fitted.residual < 0.01
+    assert fitted.scatter == pytest.approx(0.6)
+    assert not fitted.fits
 
 
 def test_a_friction_without_force_does_not_hide_the_scatter() -> None:
     def press(ratio: float, place: int) -> np.ndarray:
         return TARGET * (0.2, 1.0, 1.8)[place] * (ratio / 0.4) ** 3 * (ratio > 0.35)
 
-    found = fit(press, TARGET, TARGET[None] * np.ones((500, 1)), **GIVEN)
-    assert found.scatter > found.tolerance
-    assert not found.fits
+    fitted = fit(press, TARGET, TARGET[None] * np.ones((500, 1)), **GIVEN)
+    assert fitted.scatter > fitted.tolerance
+    assert not fitted.fits
 
 
 def test_a_foot_that_feels_nothing_is_refused() -> None:
@@ -143,17 +143,17 @@ def test_the_command_writes_what_the_simulators_read(tmp_path, monkeypatch) -> N
     for file in files:
         ran = CliRunner().invoke(cli, [*args, "--out", str(file), "--json"], catch_exceptions=False)
         assert ran.exit_code == 0, ran.output
-    found = json.loads(files[3].read_text())
-    assert found["value"] == pytest.approx(0.7, rel=0.01)
-    assert found["carried"] == pytest.approx((OWN / 0.7) ** 2, rel=0.03)
-    assert found["verdict"] == "carries"
-    assert f"newton:mpm:internalFriction = {found['value']:.6f}" in files[0].read_text()
+    content = json.loads(files[3].read_text())
+    assert content["value"] == pytest.approx(0.7, rel=0.01)
+    assert content["carried"] == pytest.approx((OWN / 0.7) ** 2, rel=0.03)
+    assert content["verdict"] == "carries"
+    assert f"newton:mpm:internalFriction = {content['value']:.6f}" in files[0].read_text()
     module = runpy.run_path(str(files[1]))
-    assert (module["FRICTION"], module["DRAWS"]) == (found["value"], found["draws"])
+    assert (module["FRICTION"], module["DRAWS"]) == (content["value"], content["draws"])
     rows = list(csv.reader(files[2].read_text().splitlines()))
     assert {len(row) for row in rows} == {6}
-    assert float(rows[1][1]) == found["value"]
-    assert [float(row[1]) for row in rows if row[0] == "draw"] == found["draws"]
+    assert float(rows[1][1]) == content["value"]
+    assert [float(row[1]) for row in rows if row[0] == "draw"] == content["draws"]
 
 
 def test_draws_beyond_the_law_do_not_move_the_others(monkeypatch) -> None:
@@ -165,8 +165,8 @@ def test_draws_beyond_the_law_do_not_move_the_others(monkeypatch) -> None:
         return depth, force * (value / math.sin(math.radians(54.0))) ** 2
 
     monkeypatch.setitem(ENGINES, "newton", engine)
-    found = tune("newton", voxel=0.03, foot="disc:0.05", phi="54±6", density=1600.0)
-    assert found["carried"] == pytest.approx(1.0, abs=0.1)
+    parameters = tune("newton", voxel=0.03, foot="disc:0.05", phi="54±6", density=1600.0)
+    assert parameters["carried"] == pytest.approx(1.0, abs=0.1)
 
 
 def test_an_answer_that_is_a_misfit_is_tuned_if_wanted(monkeypatch) -> None:
@@ -182,21 +182,21 @@ def test_an_answer_that_is_a_misfit_is_tuned_if_wanted(monkeypatch) -> None:
 
 def test_genesis_gets_its_angle(monkeypatch) -> None:
     monkeypatch.setitem(ENGINES, "genesis", synthetic(30.0))
-    found = tune(
+    parameters = tune(
         "genesis", voxel=0.03, foot="ball:0.022", phi=33.0, density=1600.0, surface_friction=0.5
     )
-    assert found["density_factor"] is None
-    assert found["value"] == pytest.approx(30.0, rel=0.01)
-    assert found["own_value"] == pytest.approx(simulator("genesis").from_angle(33.0), abs=1e-6)
+    assert parameters["density_factor"] is None
+    assert parameters["value"] == pytest.approx(30.0, rel=0.01)
+    assert parameters["own_value"] == pytest.approx(simulator("genesis").from_angle(33.0), abs=1e-6)
 
 
 def test_a_grid_that_is_too_coarse_is_told_which_voxel_does(tmp_path, monkeypatch) -> None:
     monkeypatch.setitem(ENGINES, "newton", synthetic(0.7, coarse=0.021))
     options: dict[str, Any] = {"voxel": 0.03, "foot": "disc:0.05", "phi": "33±2"}
-    found = tune("newton", **options)
-    assert found["verdict"] == "no value"
-    assert found["voxel_that_does"] == pytest.approx(0.02)
-    assert "20 mm do" in found["reason"]
+    parameters = tune("newton", **options)
+    assert parameters["verdict"] == "no value"
+    assert parameters["voxel_that_does"] == pytest.approx(0.02)
+    assert "20 mm do" in parameters["reason"]
     out = tmp_path / "soil.py"
     with pytest.raises(InputError, match="--anyway"):
         tune("newton", **options, out=out)
@@ -204,9 +204,9 @@ def test_a_grid_that_is_too_coarse_is_told_which_voxel_does(tmp_path, monkeypatc
     tune("newton", **options, out=out, anyway=True)
     assert "CAUTION: No friction does" in runpy.run_path(str(out))["__doc__"]
     monkeypatch.setitem(ENGINES, "newton", synthetic(0.7, coarse=0.001))
-    found = tune("newton", **options)
-    assert found["voxel_that_does"] is None
-    assert found["finest_voxel_tried"] < 0.03
+    parameters = tune("newton", **options)
+    assert parameters["voxel_that_does"] is None
+    assert parameters["finest_voxel_tried"] < 0.03
 
 
 def test_an_interval_is_as_wide_as_that_of_the_soil(monkeypatch) -> None:
@@ -225,18 +225,18 @@ def test_an_interval_is_as_wide_as_that_of_the_soil(monkeypatch) -> None:
 def test_the_density_s_error_widens_genesis_and_goes_with_newton_s_draws(monkeypatch) -> None:
     """A rigid soil is as much too heavy as the simulated one; an elastic one is not."""
     options: dict[str, Any] = {"voxel": 0.03, "foot": "disc:0.05", "phi": 33.0, "draws": 400}
-    widths, found = {}, {}
+    widths, result = {}, {}
     for name, strength in (("newton", 0.7), ("genesis", 30.0)):
         monkeypatch.setitem(ENGINES, name, synthetic(strength))
         for sd in (0, 480):
-            found[name, sd] = tune(name, **options, density=f"1600±{sd}")
-            low, high = (math.log(end) for end in found[name, sd]["ci68"])
+            result[name, sd] = tune(name, **options, density=f"1600±{sd}")
+            low, high = (math.log(end) for end in result[name, sd]["ci68"])
             widths[name, sd] = high - low
     assert widths["newton", 480] == widths["newton", 0]
-    drawn = np.array(found["newton", 480]["density_draws_kg_m3"])
+    drawn = np.array(result["newton", 480]["density_draws_kg_m3"])
     assert (drawn.mean(), drawn.std()) == pytest.approx((1600.0, 480.0), rel=0.1)
-    assert set(found["genesis", 480]["density_draws_kg_m3"]) == {1600.0}
-    law = found["genesis", 0]["tolerance"]
+    assert set(result["genesis", 480]["density_draws_kg_m3"]) == {1600.0}
+    law = result["genesis", 0]["tolerance"]
     ratio = math.hypot(law, 0.3) / law
     assert widths["genesis", 480] / widths["genesis", 0] == pytest.approx(ratio, rel=0.1)
 
@@ -339,9 +339,9 @@ def test_the_event_of_isaac_lab_draws_for_the_environments_that_are_reset(monkey
         "verdict": "consistent", "density_kg_m3": 1600.0, "law": "foot",
     }  # fmt: skip
     stored = StoredAnswer("answer", answer, np.linspace(28.0, 32.0, 51))
-    found = export(stored, to="isaaclab", draws=8)
+    parameters = export(stored, to="isaaclab", draws=8)
     module: dict[str, Any] = {}
-    exec(text(found, "python"), module)
+    exec(text(parameters, "python"), module)
     world = torch.tensor([-1, 0, 0, 1, 1, 2, 2], dtype=torch.int32)
     friction = torch.zeros(7)
     model = SimpleNamespace(particle_world=world, mpm=SimpleNamespace(friction=friction))
@@ -361,9 +361,9 @@ def test_the_event_of_isaac_lab_draws_for_the_environments_that_are_reset(monkey
     assert friction[5] == friction[6]
     given = torch.tensor(module["DRAWS"])
     assert all((given - value).abs().min() < 1e-6 for value in friction[[1, 5]])
-    for every in (None, slice(None)):
+    for values in (None, slice(None)):
         friction.zero_()
-        module["draw_friction"](environment, every)
+        module["draw_friction"](environment, values)
         assert (friction[1:] > 0).all()
         assert friction[0] == 0.0
 

@@ -27,16 +27,16 @@ def footfalls() -> FootfallMap:
     count = 8
     s = np.linspace(0.0, 1.4, 15)
     verdict = ("usable",) * 6 + ("saturated",) * 2
-    known = np.where(np.arange(count) < 6, 1.0, np.nan)
+    reference = np.where(np.arange(count) < 6, 1.0, np.nan)
     return FootfallMap(
         time=np.arange(count) * 0.3,
         foot=tuple(FEET) * 2,
         place=np.column_stack([0.2 * np.arange(count), 0.1 * (-1.0) ** np.arange(count), s[:8]]),
         sinkage=np.full(count, 0.03),
-        phi=known * (30.0 + np.arange(count)),
-        sd=known * 0.5,
-        shared_sd=known * 3.0,
-        misfit=known,
+        phi=reference * (30.0 + np.arange(count)),
+        sd=reference * 0.5,
+        shared_sd=reference * 3.0,
+        misfit=reference,
         verdict=verdict,
         path=np.column_stack([s, s, 0.0 * s]),
         path_phi=30.0 + s,
@@ -56,13 +56,13 @@ def robot_forces() -> Any:
     force[:, :, 2] = 40.0 * (1.0 + np.sin(2.0 * np.pi * time)[:, None])
     part = np.linspace(0.0, 1.0, 21)
     mean = np.stack([0.0 * part, 0.0 * part, 80.0 * np.sin(np.pi * part)], axis=1)
-    one = SimpleNamespace(
+    item = SimpleNamespace(
         part=part, mean=mean, spread=0.1 * mean, count=3, peak=lambda axis: mean.max()
     )
     stances = [SimpleNamespace(foot=foot, begin=0.5, end=1.0) for foot in FEET]
     forces = SimpleNamespace(time=time, force=force, estimator="quasi_static", frame="world")
-    feet = dict.fromkeys(FEET, one)
-    return SimpleNamespace(forces=forces, stances=stances, feet=feet, pooled=one)
+    feet = dict.fromkeys(FEET, item)
+    return SimpleNamespace(forces=forces, stances=stances, feet=feet, pooled=item)
 
 
 @pytest.fixture(scope="session")

@@ -60,8 +60,8 @@ class Served:
         with contextlib.closing(connection):
             connection.request(method, path, body, headers)
             reply = connection.getresponse()
-            known = {name.lower(): value for name, value in reply.getheaders()}
-            return Reply(reply.status, known, reply.read().decode())
+            reference = {name.lower(): value for name, value in reply.getheaders()}
+            return Reply(reply.status, reference, reply.read().decode())
 
     def drop(self, body: Any, *, task: str = "answer", **options: str) -> Reply:
         query = urlencode({**USUAL, **options})
@@ -93,8 +93,8 @@ def running(limits: Limits) -> Iterator[Served]:
 @pytest.fixture(scope="module")
 def served(places: Path) -> Iterator[Served]:
     assert places.is_dir()
-    with running(Limits(bytes=MOST_BYTES, upload_seconds=3.0, header_seconds=2.0)) as one:
-        yield one
+    with running(Limits(bytes=MOST_BYTES, upload_seconds=3.0, header_seconds=2.0)) as item:
+        yield item
 
 
 @pytest.fixture(scope="module")
@@ -107,9 +107,9 @@ def forces(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 def test_dropped_forces_become_an_answer_and_nothing_stays(
     served: Served, forces: bytes, places: Path
 ) -> None:
-    found = served.drop(forces, name=f"../../etc/{HOSTILE}.csv", density="700±30")
-    assert found.status == 200, found.text
-    html = json.loads(found.text)["html"]
+    reply = served.drop(forces, name=f"../../etc/{HOSTILE}.csv", density="700±30")
+    assert reply.status == 200, reply.text
+    html = json.loads(reply.text)["html"]
     assert "Plane strain" in html
     assert "700 kg/m³" in html
     assert "<img" not in html
@@ -172,21 +172,21 @@ def test_a_preview_and_the_choices_in_it_read_what_the_reader_reads(
 
 def test_a_preview_of_what_cannot_be_guessed_has_the_cells(served: Served, places: Path) -> None:
     body = f"{HOSTILE},b\n1,2\n3,x\n".encode()
-    found = served.drop(body, task="look")
-    assert found.status == 200, found.text
-    reply = json.loads(found.text)
+    result = served.drop(body, task="look")
+    assert result.status == 200, result.text
+    reply = json.loads(result.text)
     assert reply["columns"] == [HOSTILE, "b"]
     assert reply["rows"] == [[1.0, 2.0], [3.0, None]]
     assert reply["roles"] == {}
-    assert found.headers["content-type"] == "application/json"
+    assert result.headers["content-type"] == "application/json"
     assert list(places.iterdir()) == []
 
 
 @pytest.mark.parametrize("columns", ['"/etc/passwd"', "{", '{"nope": "a"}'])
 def test_choices_that_are_none_are_refused(columns: str, served: Served, forces: bytes) -> None:
-    found = served.drop(forces, columns=columns)
-    assert found.status == 422
-    assert "root:" not in found.text
+    reply = served.drop(forces, columns=columns)
+    assert reply.status == 422
+    assert "root:" not in reply.text
 
 
 def test_what_a_killed_app_left_is_removed_at_the_next_start(
@@ -197,15 +197,15 @@ def test_what_a_killed_app_left_is_removed_at_the_next_start(
     dead.mkdir()
     (dead / "dropped.csv").write_text("somebody's forces")
     os.utime(dead, (0.0, 0.0))
-    found: list[str] = []
+    result: list[str] = []
 
     def ready(_: str) -> None:
-        found.extend(path.name for path in tmp_path.iterdir())
+        result.extend(path.name for path in tmp_path.iterdir())
         raise KeyboardInterrupt
 
     app.serve(0, ready=ready)
-    assert len(found) == 1
-    assert found[0] != dead.name
+    assert len(result) == 1
+    assert result[0] != dead.name
     assert list(tmp_path.iterdir()) == []
 
 
@@ -241,8 +241,8 @@ def test_a_log_is_read_with_the_robot_and_the_law_that_were_chosen(tmp_path: Pat
     job |= {"folder": str(tmp_path), "file": "dropped.csv", "task": "answer"}
     work(job | {"law": "rft", "robot": str(robot)})
     html = json.loads((tmp_path / "reply.json").read_text())["html"]
-    own = terraphi.footfalls(log, robot=robot, law="rft")
-    assert f"{own.path_phi.mean():.1f}" in html
+    footfall_map = terraphi.footfalls(log, robot=robot, law="rft")
+    assert f"{footfall_map.path_phi.mean():.1f}" in html
     assert "0.9 times the robot" not in html
     (tmp_path / "reply.json").unlink()
     shutil.rmtree(tmp_path / "files")
@@ -288,10 +288,10 @@ def test_another_user_of_the_machine_cannot_have_files_read(
     (tmp_path / "robot.toml").write_text("private = 1")
     query = urlencode({**USUAL, "name": "walk.csv", "robot": str(tmp_path / "robot.toml")})
     for task in ("look", "answer"):
-        found = served.ask("POST", f"/{task}?{query}", forces, **{"x-terraphi": token})
-        assert found.status == 403
-        assert "private" not in found.text
-        assert "token" in json.loads(found.text)["refused"]
+        reply = served.ask("POST", f"/{task}?{query}", forces, **{"x-terraphi": token})
+        assert reply.status == 403
+        assert "private" not in reply.text
+        assert "token" in json.loads(reply.text)["refused"]
     front = served.ask("GET", f"/?{urlencode({'token': token})}")
     assert front.status == 403
     assert TOKEN not in front.text
@@ -313,18 +313,18 @@ def test_headers_that_do_not_end_are_given_up_and_do_not_keep_others_out(
     with contextlib.ExitStack() as stack:
         slow = []
         for _ in range(300):
-            one = socket.create_connection(("127.0.0.1", served.port), timeout=60)
-            slow.append(stack.enter_context(one))
+            item = socket.create_connection(("127.0.0.1", served.port), timeout=60)
+            slow.append(stack.enter_context(item))
             with contextlib.suppress(OSError):  # closed already, as the one that waited longest
-                one.sendall(begun)
+                item.sendall(begun)
         assert served.ask("GET", f"/?token={TOKEN}").status == 200
         assert all(map(is_closed, slow))
 
 
 def test_a_further_request_on_a_connection_is_given_up_too(served: Served) -> None:
-    whole = f"GET /?token={TOKEN} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
+    full = f"GET /?token={TOKEN} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
     with socket.create_connection(("127.0.0.1", served.port), timeout=60) as slow:
-        slow.sendall(whole.encode())
+        slow.sendall(full.encode())
         reply = http.client.HTTPResponse(slow)
         reply.begin()
         assert len(reply.read()) > 100_000

@@ -23,18 +23,18 @@ HOSTILE = "</script><img src=x onerror=alert(1)>"
 
 
 def plots_of(page: str) -> dict[str, Any]:
-    found = re.search(r'<script type="application/json" id="plots">(.*?)</script>', page)
-    assert found is not None
-    plots: dict[str, Any] = json.loads(found[1])
+    result = re.search(r'<script type="application/json" id="plots">(.*?)</script>', page)
+    assert result is not None
+    plots: dict[str, Any] = json.loads(result[1])
     return plots
 
 
 def test_each_kind_of_result_is_recognised_and_drawn(results: dict[str, str]) -> None:
     assert {kind_of(source) for source in results.values()} == {*results}
-    found = sections(list(results.values()))
-    assert [one.kind for one in found] == [*results]
-    page = render(found)
-    for i, section in enumerate(found):
+    result = sections(list(results.values()))
+    assert [item.kind for item in result] == [*results]
+    page = render(result)
+    for i, section in enumerate(result):
         assert section.headline in page.replace("&#39;", "'").replace("&gt;", ">")
         plots = [j for j, part in enumerate(section.parts) if isinstance(part, Plot)]
         assert len(plots) >= 2
@@ -44,11 +44,11 @@ def test_each_kind_of_result_is_recognised_and_drawn(results: dict[str, str]) ->
 
 def test_an_answer_that_was_changed_is_shown_with_a_warning(answer: Answer, tmp_path: Path) -> None:
     answer.save(tmp_path / "a")
-    (whole,) = sections([str(tmp_path / "a")])
+    (full,) = sections([str(tmp_path / "a")])
     (tmp_path / "a" / "manifest.json").write_text("{")
     (broken,) = sections([str(tmp_path / "a")])
     assert "manifest.json is damaged" in broken.lines[0]
-    assert broken.lines[1:] == whole.lines
+    assert broken.lines[1:] == full.lines
 
 
 def test_a_folder_of_answers_stands_for_each(
@@ -57,7 +57,7 @@ def test_a_folder_of_answers_stands_for_each(
     for name in ("a", "b"):
         answer.save(tmp_path / name)
     monkeypatch.chdir(tmp_path)
-    assert [one.kind for one in sections(["."])] == ["answer"] * 2
+    assert [item.kind for item in sections(["."])] == ["answer"] * 2
 
 
 def test_residuals_are_drawn_against_the_limit_that_decides_the_verdict() -> None:
@@ -66,7 +66,7 @@ def test_residuals_are_drawn_against_the_limit_that_decides_the_verdict() -> Non
         (plot,) = (p for p in of_answer(answer).parts if p.title == "Residual")
         assert isinstance(plot, Plot)
         limit, *lines = plot.traces
-        sizes = [np.sqrt(np.square(one["y"]).mean()) for one in lines]
+        sizes = [np.sqrt(np.square(item["y"]).mean()) for item in lines]
         assert answer.verdict == verdict
         assert (max(sizes) > max(limit["y"])) == (verdict == "misfit")
         assert f"{max(sizes):.1f} %" in answer.reason or verdict == "consistent"

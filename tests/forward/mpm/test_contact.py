@@ -32,12 +32,12 @@ def met(body, theta: float, overlap: float, *, rate: float = 3.0) -> SimpleNames
     out = np.array([-math.cos(theta), 0.0, math.sin(theta)])
     place = hip + 0.03 * along + (0.004 + body.radius - overlap) * out
     # The tip moves along `out` when θ grows: a turn by +y × r.
-    own = speed + rate * np.cross([0.0, 1.0, 0.0], place - hip)
+    reference = speed + rate * np.cross([0.0, 1.0, 0.0], place - hip)
 
     def touched(past, slip=(0.0, 0.0, 0.0)) -> tuple[np.ndarray, ...]:
         """Force of the plate on soil that moves past it, arm and slip."""
-        found = contact_force(tuple(place), tuple(own + past), tuple(slip), MASS, body, pose)
-        return tuple(map(np.array, found))
+        result = contact_force(tuple(place), tuple(reference + past), tuple(slip), MASS, body, pose)
+        return tuple(map(np.array, result))
 
     def force(past, slip=(0.0, 0.0, 0.0)) -> np.ndarray:
         return touched(past, slip)[0]
@@ -51,31 +51,31 @@ ANGLES = st.floats(-3.1, 3.1)
 @settings(max_examples=50)
 @given(theta=ANGLES, overlap=st.floats(1e-6, 1e-4), rate=st.floats(-20.0, 20.0))
 def test_soil_that_moves_with_the_plate_feels_the_spring_alone(body, theta, overlap, rate) -> None:
-    seen = met(body, theta, overlap, rate=rate)
-    expected = body.stiffness * overlap * seen.out
+    observed = met(body, theta, overlap, rate=rate)
+    expected = body.stiffness * overlap * observed.out
     size = np.linalg.norm(expected)
-    force, arm, _ = seen.touched(np.zeros(3))
+    force, arm, _ = observed.touched(np.zeros(3))
     np.testing.assert_allclose(force, expected, atol=1e-6 * size)
     # It acts on the surface, not at the particle's centre.
-    np.testing.assert_allclose(arm, (overlap - body.radius) * seen.out, atol=1e-9)
+    np.testing.assert_allclose(arm, (overlap - body.radius) * observed.out, atol=1e-9)
     assert not met(body, theta, -1e-6).force(np.zeros(3)).any()
 
 
 @settings(max_examples=50)
 @given(theta=ANGLES, turn=ANGLES, speed=st.floats(1e-3, 3.0))
 def test_soil_that_slides_is_held_back_by_friction(body, theta, turn, speed) -> None:
-    seen = met(body, theta, 1e-5)
-    past = speed * (math.cos(turn) * seen.along + math.sin(turn) * np.array([0.0, 1.0, 0.0]))
-    force = seen.force(past)
+    observed = met(body, theta, 1e-5)
+    past = speed * (math.cos(turn) * observed.along + math.sin(turn) * np.array([0.0, 1.0, 0.0]))
+    force = observed.force(past)
     press = body.stiffness * 1e-5
-    assert force @ seen.out == pytest.approx(press, rel=1e-6)
-    rub = force - press * seen.out
+    assert force @ observed.out == pytest.approx(press, rel=1e-6)
+    rub = force - press * observed.out
     assert np.linalg.norm(rub) <= 0.4 * press * (1.0 + 1e-6)
     assert rub @ past < 0.0
     assert np.linalg.norm(np.cross(rub, past)) < 1e-6 * speed * press
     # Once it has slid far the spring is at its limit.
     slip = tuple(past / speed * 1e-3)
-    rub = seen.force(past, slip) - press * seen.out
+    rub = observed.force(past, slip) - press * observed.out
     np.testing.assert_allclose(rub, -0.4 * press * past / speed, atol=1e-6 * press)
 
 
@@ -83,23 +83,23 @@ def test_soil_that_slides_is_held_back_by_friction(body, theta, turn, speed) -> 
 @given(theta=ANGLES, turn=ANGLES, before=st.tuples(*[st.floats(-1e-6, 1e-6)] * 3))
 def test_a_spring_that_sticks_pulls_along_the_plate_alone(body, theta, turn, before) -> None:
     """Also after the plate has turned, so that the slip until then points out of it."""
-    seen = met(body, theta, 1e-5)
-    past = 1e-3 * (math.cos(turn) * seen.along + math.sin(turn) * np.array([0.0, 1.0, 0.0]))
-    force, _, slip = seen.touched(past, before)
-    in_plate = np.eye(3) - np.outer(seen.out, seen.out)
+    observed = met(body, theta, 1e-5)
+    past = 1e-3 * (math.cos(turn) * observed.along + math.sin(turn) * np.array([0.0, 1.0, 0.0]))
+    force, _, slip = observed.touched(past, before)
+    in_plate = np.eye(3) - np.outer(observed.out, observed.out)
     expected = in_plate @ before + body.time_step * past
     np.testing.assert_allclose(slip, expected, atol=1e-12)
     # 0.3 of the critical damping of a mass on that spring, 2 √(k m).
     damping = 0.6 * math.sqrt(body.stiffness * MASS)
     rub = -body.stiffness * expected - damping * past
     press = body.stiffness * 1e-5
-    np.testing.assert_allclose(force, press * seen.out + rub, atol=1e-6 * press)
+    np.testing.assert_allclose(force, press * observed.out + rub, atol=1e-6 * press)
 
 
 def test_the_dashpot_takes_energy_and_never_pulls(body) -> None:
-    seen = met(body, 0.4, 1e-5)
+    observed = met(body, 0.4, 1e-5)
     spring = body.stiffness * 1e-5
-    pushes = [seen.force(v * seen.out) @ seen.out for v in (-9.0, -1e-3, 1e-3, 9.0)]
+    pushes = [observed.force(v * observed.out) @ observed.out for v in (-9.0, -1e-3, 1e-3, 9.0)]
     assert pushes == sorted(pushes, reverse=True)
     assert pushes[0] == pytest.approx(2.0 * spring)
     assert pushes[1] > spring > pushes[2] > 0.0
@@ -114,8 +114,11 @@ def test_body_and_particle_have_their_sizes(space, body) -> None:
     hip, theta = np.array(scenario.motion.hip), math.radians(scenario.motion.start_deg)
     place = positions(lattice_of(scenario), soil.cell, soil.offset)
     flat = (place[:, [0, 2]] - hip) @ np.array(frame_axes(theta)).T
-    found = [distance_to_body(body, s, m, y) for (s, m), y in zip(flat, place[:, 1], strict=True)]
-    distance, normal = np.array([one[0] for one in found]), np.array([one[1] for one in found])
+    result = [distance_to_body(body, s, m, y) for (s, m), y in zip(flat, place[:, 1], strict=True)]
+    distance, normal = (
+        np.array([item[0] for item in result]),
+        np.array([item[1] for item in result]),
+    )
     assert distance.min() == pytest.approx(body.radius, rel=1e-6)
     assert (np.abs(normal[distance < 1.001 * body.radius, 2]) > 0.5).any()
     for y in (-0.02, 0.02):

@@ -152,9 +152,9 @@ def test_return_to_matsuoka_and_nakai_is_radial_and_ends_on_the_surface(
 
     def outside(tensor):
         """I₁ I₂ less its share of I₃, of stresses counted from the tip."""
-        one, two, three = tip - np.linalg.eigvalsh(tensor)
-        pairs = one * two + two * three + three * one
-        return ((one + two + three) * pairs - ratio * one * two * three) / scale**3
+        first, two, three = tip - np.linalg.eigvalsh(tensor)
+        pairs = first * two + two * three + three * first
+        return ((first + two + three) * pairs - ratio * first * two * three) / scale**3
 
     old, new = matrix(trial), matrix(made)
     if np.linalg.eigvalsh(old).max() < tip and outside(old) < -1e-9:
@@ -257,8 +257,12 @@ def radial_return(old, ground, sines, bulk):
     def outside(left):
         if at(left)[0] > tip:
             return 1e3
-        one, two, three = np.maximum(tip - at(left), 1e-12)
-        ratio = (one + two + three) * (one * two + two * three + three * one) / (one * two * three)
+        first, two, three = np.maximum(tip - at(left), 1e-12)
+        ratio = (
+            (first + two + three)
+            * (first * two + two * three + three * first)
+            / (first * two * three)
+        )
         return min(ratio, 1e3) - (9.0 - 3.0 * sines[0] ** 2) / (1.0 - sines[0] ** 2)
 
     if outside(1.0) <= 0.0:
@@ -297,7 +301,7 @@ def test_both_precisions_return_to_where_a_search_in_principal_stresses_ends(
         scale = np.abs(principal).max() + 1.0
         for material in (material_of(ground), held_mean(material_of(ground))):
             new, expected = search(old, ground, sines, material.bulk_modulus)
-            known = components(axes @ np.diag(new) @ axes.T)
+            reference = components(axes @ np.diag(new) @ axes.T)
             laws = lanes.laws_of(material)
             single = tuple(map(np.float32, trial)), np.float32(worn), laws, lanes.SINGLE_PRECISION
             for (made, slip, swelling), tolerance in (
@@ -305,7 +309,7 @@ def test_both_precisions_return_to_where_a_search_in_principal_stresses_ends(
                 (return_to_surface(*single), 1.5e-3),
             ):
                 rounding = tolerance * scale / shear
-                np.testing.assert_allclose(made, known, atol=tolerance * scale)
+                np.testing.assert_allclose(made, reference, atol=tolerance * scale)
                 sheared = (old[0] - old[2] - new[0] + new[2]) / (2.0 * shear)
                 assert slip == pytest.approx(sheared, abs=2.0 * rounding)
                 if new.mean() < material.tip - 1e-2 * scale:  # else it may come apart
@@ -336,15 +340,15 @@ def test_soil_is_compacted_by_half_of_sin_psi_over_the_softening_strain(surface,
 def test_softening_takes_the_strength_from_peak_to_critical_state():
     ground = soil(45.0, 15.0, critical_friction_angle_deg=33.0, softening_strain=0.1)
     material = material_of(ground)
-    stress, worn, seen = (-1e3, -1e3, -1e3, 0.0, 0.0, 0.0), 0.0, []
+    stress, worn, observed = (-1e3, -1e3, -1e3, 0.0, 0.0, 0.0), 0.0, []
     step = tuple(1e-4 * v for v in np.diag((-1.0, 0.0, 1.0)).ravel())
     for _ in range(1500):
         trial = jaumann_predictor(stress, step, 0.0, material, 0.5)
         stress, slip, _ = return_mapping(trial, worn, material)
         worn += slip
         low, high = min(stress[:3]), max(stress[:3])
-        seen.append((high - low) / -(high + low))
-    assert max(seen) == pytest.approx(math.sin(math.radians(45.0)), rel=0.01)
-    assert seen[-1] == pytest.approx(math.sin(math.radians(33.0)), rel=1e-6)
+        observed.append((high - low) / -(high + low))
+    assert max(observed) == pytest.approx(math.sin(math.radians(45.0)), rel=0.01)
+    assert observed[-1] == pytest.approx(math.sin(math.radians(33.0)), rel=1e-6)
     # Plastic shear is what the strain was but for its elastic part, for dilation has pressed it.
     assert worn == pytest.approx(0.3, rel=0.1)

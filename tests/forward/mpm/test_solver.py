@@ -113,11 +113,11 @@ def test_soil_gets_the_momenta_that_the_leg_counts(space, shape):
 def test_soil_that_has_moved_in_a_phase_is_met_where_it_is(space):
     """As if the leg had moved the other way."""
     up, turned = 2e-4, np.array([0, 0, 0.01, 0, 0, 0])
-    (*_, one, _), (*_, other, _) = (
+    (*_, first, _), (*_, other, _) = (
         stepped(space, turned, up), stepped(space, turned - [0, up, 0, 0, 0, 0])
     )  # fmt: skip
-    np.testing.assert_allclose(one, other, rtol=1e-9)
-    assert np.abs(one - stepped(space, turned)[3]).max() > 0.05 * np.abs(one).max()
+    np.testing.assert_allclose(first, other, rtol=1e-9)
+    assert np.abs(first - stepped(space, turned)[3]).max() > 0.05 * np.abs(first).max()
 
 
 @pytest.mark.parametrize("floor", ["rough", "smooth"])
@@ -232,10 +232,12 @@ def test_a_thrown_grain_is_held_back_and_a_breakdown_is_told(space, grains, cell
 
 
 def test_straight_leg_whose_tip_is_drawn_in_is_the_shorter_one(space):
-    own = space.scenario()
-    drawn_in = own.replace(**{"numerics.tip_inset_cells": 1.7})
-    short = own.replace(**{"leg.chord": own.leg.chord - 1.7 * own.numerics.cell_size})
-    impulses = [space.run(s, "packets", 50).impulse for s in (drawn_in, short, own)]
+    reference = space.scenario()
+    drawn_in = reference.replace(**{"numerics.tip_inset_cells": 1.7})
+    short = reference.replace(
+        **{"leg.chord": reference.leg.chord - 1.7 * reference.numerics.cell_size}
+    )
+    impulses = [space.run(s, "packets", 50).impulse for s in (drawn_in, short, reference)]
     np.testing.assert_allclose(impulses[0], impulses[1], rtol=1e-9)
     assert np.linalg.norm(impulses[2] - impulses[0]) > 0.1 * np.linalg.norm(impulses[2])
 
@@ -331,8 +333,8 @@ def test_particles_of_a_cell_share_what_they_gain_in_volume(space, kernel, psi):
     # All particles of a cell by the same, though they yield by different amounts.
     assert np.abs(change - of_cell).max() < 1e-3 * np.abs(of_cell).max()
     slip = np.bincount(bed.cell, bed.strain) / np.maximum(number, 1)
-    own = np.bincount(bed.cell, (bed.strain - slip[bed.cell]) ** 2)
-    assert np.sqrt(own.sum() / bed.cell.size) > 0.3 * slip[number > 0].mean()
+    reference = np.bincount(bed.cell, (bed.strain - slip[bed.cell]) ** 2)
+    assert np.sqrt(reference.sum() / bed.cell.size) > 0.3 * slip[number > 0].mean()
     gradients = [plain.gradient(bed.velocity, cell, tuple(offset), lattice)
                  for cell, offset in zip(bed.cell, bed.offset, strict=True)]  # fmt: skip
     rate = np.trace(np.array(gradients, float), axis1=1, axis2=2)
@@ -376,8 +378,8 @@ def test_distance_is_that_of_the_nearest_of_many_points(space, shape):
     for place in rng.uniform([-0.02, -0.04, -0.03], [0.08, 0.04, 0.03], (30, 3)):
         distance, normal = contact.distance_to_body(body, *place)
         assert np.linalg.norm(normal) == pytest.approx(1.0)
-        others = cloud[inside] if distance > 0.0 else cloud[~inside]
-        nearest = np.linalg.norm(others - place, axis=1).min()
+        remaining = cloud[inside] if distance > 0.0 else cloud[~inside]
+        nearest = np.linalg.norm(remaining - place, axis=1).min()
         assert nearest == pytest.approx(abs(distance), abs=4e-3)
         if abs(distance) > 1e-3:  # a step along the normal ends on the surface
             foot = place - distance * np.array(normal)
@@ -390,8 +392,8 @@ def test_the_lanes_are_vectors(space, register_use, kernel):
     soil, lattice = geostatic_bed(scenario, np.float32), lattice_of(scenario)
     state, work = packing.pack(soil, lattice).state, aligned_zeros(int(lanes.WORK), np.float32)
     laws = lanes.laws_of(material_of(scenario.soil))
-    both = (laws, laws) if kernel == "swell_packet" else (laws,)
-    used = register_use(getattr(lanes, kernel), state, work, np.uint64(0), LANES, *both)
+    pair = (laws, laws) if kernel == "swell_packet" else (laws,)
+    used = register_use(getattr(lanes, kernel), state, work, np.uint64(0), LANES, *pair)
     if not used:
         pytest.skip("no x86 assembly to look at")
     # The loop stands twice: for whole vectors, and for what may be left over.

@@ -36,8 +36,8 @@ def test_places_are_those_of_cells_and_offsets(bed) -> None:
     assert np.abs(offset).max() <= 0.5
     assert cell[0] % lattice.layer // lattice.row == 1  # the first row is an image
     np.testing.assert_allclose(positions(lattice, cell, offset), places, rtol=1e-12)
-    found = [place_of(lattice, c, *at) for c, at in zip(cell, offset, strict=True)]
-    np.testing.assert_allclose(found, places, rtol=1e-12)
+    result = [place_of(lattice, c, *at) for c, at in zip(cell, offset, strict=True)]
+    np.testing.assert_allclose(result, places, rtol=1e-12)
 
 
 def test_affine_fields_survive_and_carry_particles(bed) -> None:

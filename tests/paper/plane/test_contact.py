@@ -196,17 +196,22 @@ def test_the_soil_gets_what_is_applied(coarse, steps):
 def test_a_history_tells_what_was_applied(coarse):
     scenario = coarse(**PROTOTYPE)
     history = simulate(scenario)
-    known = history.provenance
-    assert "not balanced by design" in known["momentum"]
-    assert known["momentum_mismatch"] < 1e-10
-    seconds = known["steps"] * scenario.numerics.time_step
+    reference = history.provenance
+    assert "not balanced by design" in reference["momentum"]
+    assert reference["momentum_mismatch"] < 1e-10
+    seconds = reference["steps"] * scenario.numerics.time_step
     for key, mean in (
         ("counted_impulse_kg_m_s", history.force.mean(axis=0)),
-        ("applied_impulse_kg_m_s", [np.mean(known["applied_force"][k]) for k in ("x_N", "z_N")]),
+        (
+            "applied_impulse_kg_m_s",
+            [np.mean(reference["applied_force"][k]) for k in ("x_N", "z_N")],
+        ),
     ):
-        np.testing.assert_allclose(np.array(known[key]) / seconds, mean, rtol=0.02)
+        np.testing.assert_allclose(np.array(reference[key]) / seconds, mean, rtol=0.02)
     np.testing.assert_allclose(
-        known["applied_impulse_kg_m_s"], -np.array(known["impulse_kg_m_s"]["leg"]), rtol=1e-12
+        reference["applied_impulse_kg_m_s"],
+        -np.array(reference["impulse_kg_m_s"]["leg"]),
+        rtol=1e-12,
     )
     assert "applied_force" not in simulate(coarse()).provenance
 

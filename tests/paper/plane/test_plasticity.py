@@ -261,8 +261,8 @@ def test_response_does_not_depend_on_the_observer(stress, gradient, angle, soil)
     """Turning stress and strain rate together turns the answer, plastic or not."""
     q = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
     material = material_of(soil)
-    seen = q @ in_plane(stress) @ q.T
-    seen_stress = (seen[0, 0], seen[1, 1], seen[0, 1], stress[3])
+    observed = q @ in_plane(stress) @ q.T
+    seen_stress = (observed[0, 0], observed[1, 1], observed[0, 1], stress[3])
     seen_gradient = tuple((q @ np.reshape(gradient, (2, 2)) @ q.T).ravel())
     here = stepped(stress, gradient, 1e-5, material)
     there = stepped(seen_stress, seen_gradient, 1e-5, material)
