@@ -308,7 +308,7 @@ def test_no_other_file_is_opened_be_it_a_pipe_that_never_ends(tmp_path: Path) ->
     os.mkfifo(other)
     result = subprocess.run(
         [sys.executable, "-c", KINDS, *ways], cwd=tmp_path, capture_output=True, text=True,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}, check=True, timeout=60.0,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}, check=True, timeout=120.0,
     )  # fmt: skip
     assert [line.partition(": '/b' ")[0] for line in result.stdout.splitlines()] == [*ways]
 

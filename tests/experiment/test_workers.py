@@ -64,7 +64,7 @@ def test_workers_in_a_kernel_end_with_a_parent_that_is_killed(tmp_path: Path) ->
     time.sleep(0.2)
     running.kill()
     running.wait()
-    ended = time.monotonic() + 3.0
+    ended = time.monotonic() + 120.0
     while any(map(is_held, places)):
         assert time.monotonic() < ended
         time.sleep(0.05)
@@ -85,4 +85,4 @@ def test_workers_end_with_the_block(tmp_path: Path) -> None:
         interrupted()
     with pytest.raises(InputError, match="a worker died"), workers(2) as pool:
         pool.submit(os._exit, 1).result()  # type: ignore[union-attr]
-    assert time.monotonic() - began < 60.0
+    assert time.monotonic() - began < 300.0

@@ -56,7 +56,7 @@ class Served:
         self.port = port
 
     def ask(self, method: str, path: str, body: Any = None, **headers: str) -> Reply:
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=60)
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=120)
         with contextlib.closing(connection):
             connection.request(method, path, body, headers)
             reply = connection.getresponse()
@@ -261,7 +261,7 @@ def test_too_much_is_refused_whether_announced_or_not(served: Served, places: Pa
 
 def test_an_upload_that_stops_is_given_up(served: Served, places: Path) -> None:
     head = f"POST /answer?{urlencode(USUAL)} HTTP/1.1\r\nHost: 127.0.0.1\r\nx-terraphi: {TOKEN}\r\n"
-    with socket.create_connection(("127.0.0.1", served.port), timeout=60) as sending:
+    with socket.create_connection(("127.0.0.1", served.port), timeout=120) as sending:
         sending.sendall(f"{head}Content-Length: 100000\r\n\r\ntheta_deg,Fx".encode())
         reply = http.client.HTTPResponse(sending)
         reply.begin()
@@ -313,7 +313,7 @@ def test_headers_that_do_not_end_are_given_up_and_do_not_keep_others_out(
     with contextlib.ExitStack() as stack:
         slow = []
         for _ in range(300):
-            item = socket.create_connection(("127.0.0.1", served.port), timeout=60)
+            item = socket.create_connection(("127.0.0.1", served.port), timeout=120)
             slow.append(stack.enter_context(item))
             with contextlib.suppress(OSError):  # closed already, as the one that waited longest
                 item.sendall(begun)
@@ -323,7 +323,7 @@ def test_headers_that_do_not_end_are_given_up_and_do_not_keep_others_out(
 
 def test_a_further_request_on_a_connection_is_given_up_too(served: Served) -> None:
     full = f"GET /?token={TOKEN} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
-    with socket.create_connection(("127.0.0.1", served.port), timeout=60) as slow:
+    with socket.create_connection(("127.0.0.1", served.port), timeout=120) as slow:
         slow.sendall(full.encode())
         reply = http.client.HTTPResponse(slow)
         reply.begin()
@@ -387,7 +387,7 @@ def test_what_reads_a_file_ends_with_an_app_that_is_killed(tmp_path: Path) -> No
         time.sleep(0.05)
     app.kill()
     app.wait()
-    assert select.select([ended], [], [], 10.0)[0]  # the reader and its copy are gone
+    assert select.select([ended], [], [], 120.0)[0]  # the reader and its copy are gone
     os.close(ended)
 
 

@@ -35,9 +35,9 @@ def test_long_work_without_a_terminal_prints_lines_before_any_of_it_is_done(
     monkeypatch.setattr(console.click, "echo", lambda text, err: lines.put(text))
     before = threading.active_count()
     with console.progress_bar("simulating") as report:
-        assert lines.get(timeout=30.0).startswith("simulating: 0% after")
+        assert lines.get(timeout=120.0).startswith("simulating: 0% after")
         report(3, 4)
-        while not lines.get(timeout=30.0).startswith("simulating: 75% after"):
+        while not lines.get(timeout=120.0).startswith("simulating: 75% after"):
             pass
     assert threading.active_count() == before
 
