@@ -106,11 +106,10 @@ class GaussianProcess:
         force: ArrayLike,
         *,
         shortest_theta_length_deg: float = SHORTEST_THETA_LENGTH_DEG,
-        restarts: int = 3,
     ) -> GaussianProcess:
         """Condition at the hyperparameters of maximum marginal likelihood.
 
-        L-BFGS-B on the logarithms of the hyperparameters, from one heuristic start and some random
+        L-BFGS-B on the logarithms of the hyperparameters, from one heuristic start and three random
         ones. Lengths are at most ten times the span of the training angles, ℓ_φ at least half their
         spacing. Beyond the training angles the process returns to the mean: it does not
         extrapolate.
@@ -121,8 +120,6 @@ class GaussianProcess:
             As above; at least three friction angles.
         shortest_theta_length_deg
             Least ℓ_θ [deg].
-        restarts
-            Number of random starts.
         """
 
         def at(logarithms: FloatArray) -> GaussianProcess:
@@ -139,16 +136,12 @@ class GaussianProcess:
         # Forces vary slowly with φ and over some tens of degrees with θ; little of them is noise.
         heuristic = np.log([1.0, spans[0] / 2.0, spans[1] / 8.0, 1e-3]).clip(*bounds.T)
         low, high = bounds.T
-        starts = np.random.default_rng(0).uniform(low, high, (restarts, 4))
-        how: dict[str, Any] = {
-            "jac": True,
-            "bounds": bounds,
-            "options": {"ftol": 1e-13, "gtol": 1e-6},
-        }
+        starts = np.random.default_rng(0).uniform(low, high, (3, 4))
+        how: dict[str, Any] = {"jac": True, "options": {"ftol": 1e-13, "gtol": 1e-6}}
         # Threads cost matrices as small as these far more than they gain.
         with threadpool_limits(1, user_api="blas"):
             optima = [
-                minimize(objective, start, method="L-BFGS-B", **how)
+                minimize(objective, start, method="L-BFGS-B", bounds=bounds, **how)
                 for start in (heuristic, *starts)
             ]
             return at(min(optima, key=lambda optimum: float(optimum.fun)).x)
