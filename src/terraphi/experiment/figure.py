@@ -19,6 +19,5 @@ class Figure(figure.Figure):
         content = io.BytesIO()
         self.savefig(content, format="png", dpi=150)
         data = base64.b64encode(content.getvalue()).decode("ascii")
-        width = round(100.0 * self.get_figwidth())
-        style = f"width: {width}px; max-width: 100%"
+        style = f"width: {round(100.0 * self.get_figwidth())}px; max-width: 100%"
         return f'<img style="{style}" src="data:image/png;base64,{data}" alt="Figure">'

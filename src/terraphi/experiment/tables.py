@@ -233,12 +233,9 @@ def write_csv(path: Path, frame: Any, *, first: str = "", float_format: str | No
         return f"'{text}" if _FORMULA.match(text) and not number else text or value
 
     safe = frame.rename(columns=cell).apply(lambda column: column.map(cell))
-    with (
-        atomic_write(path) as temporary,
-        temporary.open("w", newline="", encoding="utf-8") as stream,
-    ):
-        stream.write(first)
-        safe.to_csv(stream, index=False, float_format=float_format, lineterminator="\n")
+    text = safe.to_csv(index=False, float_format=float_format, lineterminator="\n")
+    with atomic_write(path) as temporary:
+        temporary.write_text(first + text, encoding="utf-8", newline="")
 
 
 def write_force_table(path: Path, values: FloatArray, provenance: Mapping[str, Any]) -> None:

@@ -484,9 +484,7 @@ def _swapped(
     upward forces over the robot's weight, less :data:`~terraphi.robot.friction.BEARING_SHARE`;
     moments about the trunk's origin over the weight [m], those of the weight and of each torque.
     """
-    angle, velocity, torque = (
-        np.asarray(v[rows], float) for v in (log.angle, log.velocity, log.torque)
-    )
+    angle, velocity, torque = log.angle[rows], log.velocity[rows], log.torque[rows]
     spin = _spin(log)[rows]
     count, feet, weight = len(rows), np.arange(len(FEET)), robot.mass * GRAVITY
     turn = np.broadcast_to(np.eye(3), (count, 3, 3))

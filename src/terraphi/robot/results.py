@@ -202,14 +202,11 @@ class RobotForces(Written):
         return super()._attributes() | how
 
     def _lines(self) -> list[str]:
-        peak = self.pooled.peak("z")
+        count, peak = self.pooled.count, self.pooled.peak("z")
+        stances = f"{count} stances, peak of their mean Fz {peak:.0f} N" if count else "no stances"
         how = f"{self.forces.estimator}, {self.forces.frame} frame"
-        lines = [
-            f"{self.report['source'] or 'log'}: {self.report['duration_s']:.1f} s, {how}",
-            "no stances"
-            if peak is None
-            else f"{self.pooled.count} stances, peak of their mean Fz {peak:.0f} N",
-        ]
+        lines = [f"{self.report['source'] or 'log'}: {self.report['duration_s']:.1f} s, {how}"]
+        lines += [stances]
         if self.lift is not None:
             lines.append(f"mean load of the feet: {self.lift:.3f} of the weight")
         if self.warnings:
