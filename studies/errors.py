@@ -212,9 +212,9 @@ def fitted(record: Record) -> dict[str, float]:
     history = ForceHistory(np.radians(record.theta_deg), record.force_N)
     stroke = without_faults(open_record(history, rig=record.rig, density=f"{record.density}±0"))
     likelihood = Likelihood([stroke], law())
-    start = [float(likelihood.least_squares[0]), float(likelihood.shift_deg[0])]
-    low, high = (float(end[0]) for end in likelihood.ends)
-    theory = float(Likelihood([stroke], Theory()).least_squares[0])
+    start = [likelihood.least_squares, float(likelihood.shift_deg[0])]
+    low, high = likelihood.ends
+    theory = Likelihood([stroke], Theory()).least_squares
     angles = {"averaged c": start[0], "theory": theory}
 
     def residual(parameters: FloatArray, cohesion: float) -> FloatArray:

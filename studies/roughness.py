@@ -20,7 +20,7 @@ EXPONENTS = (1.0, 1.25, 1.5, 1.75)
 def log_densities(name: str) -> np.ndarray:
     """Of the residual of a record, for each exponent."""
     fitted = likelihood.Likelihood([open_record(name)], shipped_legs())
-    residual = fitted.data - fitted.curves(fitted.least_squares[None])[0]
+    residual = fitted.data - fitted.curves(fitted.least_squares)[0]
     found = []
     for exponent in EXPONENTS:
         likelihood.ROUGHNESS = exponent

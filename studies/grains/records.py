@@ -93,7 +93,7 @@ def unlearned(law: Legs) -> Iterator[tuple[str, ...]]:
             for given in (None, diameter)
         )  # fmt: skip
         yield (
-            name, OUTLINES[record.leg].label, f"{diameter / record.rig.width_mm:.2f}",
+            name, OUTLINES[record.rig.leg].label, f"{diameter / record.rig.width_mm:.2f}",
             f"{critical:.1f}°",
             *(f"{one.phi.median:.1f} ± {one.phi.sd:.1f} ({one.phi.median - critical:+.1f}°)"
               for one in (plain, sized)),

@@ -94,7 +94,7 @@ class Reading(NamedTuple):
     @property
     def leg(self) -> str:
         """Shape of the leg."""
-        return self.record.leg
+        return self.record.rig.leg
 
     @property
     def loose(self) -> bool:
@@ -143,8 +143,8 @@ def read(law: Legs, given: Sequence[tuple[str, str, str, Record, float]]) -> lis
     measured = functools.cache(lambda name: elements.measured(GRAINS, name))
     for name, soil, body, record, size in given:
         likelihood = Likelihood([record], law)
-        angle, shift = float(likelihood.least_squares[0]), float(likelihood.shift_deg[0])
-        apart = (likelihood.data - likelihood.curves(np.array([[angle]]))[0]) / likelihood.span
+        angle, shift = likelihood.least_squares, float(likelihood.shift_deg[0])
+        apart = (likelihood.data - likelihood.curves(angle)[0]) / likelihood.span
         nrmsd = np.sqrt(np.square(apart).reshape(2, -1).mean(axis=1)).max()
         loose = measured(f"{soil.split('-')[0]}-loose")
         peak = loose if soil.endswith(APART) else measured(soil)
@@ -442,9 +442,9 @@ def of_parts(law: Legs, readings: Sequence[Reading]) -> list[tuple[str, ...]]:
                     grain_size_mm=diameter,
                 ))  # fmt: skip
                 likelihood = Likelihood([record], learned)
-                error = float(likelihood.least_squares[0]) - reading.critical_deg
+                error = likelihood.least_squares - reading.critical_deg
                 key = what, OUTLINES[reading.leg].label
-                errors.setdefault(key, []).append((error, float(likelihood.sd[0])))
+                errors.setdefault(key, []).append((error, likelihood.sd))
     rows = []
     for key, pairs in errors.items():
         error, sd = np.array(pairs).T

@@ -55,18 +55,19 @@ def test_what_is_written_is_read_back(answer: Answer, tmp_path: Path) -> None:
 def test_answers_of_version_0_3_are_read_with_their_warnings(
     answer: Answer, tmp_path: Path
 ) -> None:
-    """Their warnings are called ``questions``."""
+    """Their warnings are called ``questions``, and the law ``library``; JSON is marked."""
     answer = replace(answer, warnings=("Check it.", "Is the soil dry?"))
     text = json.dumps(answer.as_dict())
     assert text.count('"warnings"') == 1
     old = text.replace('"warnings"', '"questions"')
-    (tmp_path / "old.json").write_text(old)
+    (tmp_path / "old.json").write_text(old.replace('"law"', '"library"'))
     answer.to_netcdf(tmp_path / "old.nc")
     with h5py.File(tmp_path / "old.nc", "r+") as file:
         file.attrs["answer"] = old
     assert Answer.load(tmp_path / "old.nc").warnings == answer.warnings
-    for name in ("old.json", "old.nc"):
-        assert soil(str(tmp_path / name)).caution == " ".join(answer.warnings)
+    of_json, of_netcdf = (soil(str(tmp_path / name)).caution for name in ("old.json", "old.nc"))
+    assert of_netcdf == " ".join(answer.warnings)
+    assert of_json == f"{of_netcdf} The answer is of version 0.3: invert again."
 
 
 @pytest.mark.parametrize("most", [10_000, 60_000])

@@ -43,7 +43,8 @@ def test_intervals_hold_truths_drawn_from_the_library(sand3d: Library, leg: str)
     emulator, rng = Emulator(sand3d.curves(leg)), np.random.default_rng(7)
     theta = emulator.curves.theta_deg
     rig = Rig.of("li2013", leg)
-    record = open_record(ForceHistory(np.radians(theta), np.ones((len(theta), 2))), rig=rig)
+    history = ForceHistory(np.radians(theta), np.ones((len(theta), 2)))
+    record = open_record(history, rig=rig, density=1650)
     inside = []
     for _ in range(200):
         x = np.array([rng.uniform(18.0, 47.0)])
@@ -55,8 +56,8 @@ def test_intervals_hold_truths_drawn_from_the_library(sand3d: Library, leg: str)
                       history=replace(record.history, force=force.T))  # fmt: skip
         likelihood = Likelihood([item], sand3d)
         best = likelihood.least_squares
-        sd = likelihood.sd[0]
-        inside.append(abs(best[0] - x[0]) / sd)
+        sd = likelihood.sd
+        inside.append(abs(best - x[0]) / sd)
     share68, share95 = np.mean(np.array(inside) < 0.9945), np.mean(np.array(inside) < 1.96)
     assert 0.58 < share68 < 0.78
     assert 0.90 < share95 <= 0.99

@@ -73,7 +73,7 @@ class Legs:
         self.likelihood = Likelihood(self.records, self.law)
         number = self.likelihood.cohesion / (1600.0 * 9.81 * self.rig.length)
         self.number = float(number)
-        self.phi = float(self.likelihood.least_squares[0])
+        self.phi = self.likelihood.least_squares
         self.data = self.means(self.rig, np.full(1, self.phi), np.zeros((1, 2)))
         step = 0.05
         moved = [
@@ -349,7 +349,7 @@ def test_the_contraction_of_soils_drawn_from_its_prior_is_as_uncertain_as_stated
         decay = rng.choice(EXPONENTS) * world.foot.radius
         answer = world.answer(share=course * (1.0 - lacking * np.exp(-world.z / decay)))
         # Of two angles, which compacting soil and other soil have, the mean is unbiased.
-        grid, density = answer.posterior
+        grid, density = answer.grid_deg, answer.density
         truth = 30.0 + COMPACTING_DEG * (lacking >= SIGNIFICANT)
         errors.append(np.trapezoid(grid * density, grid) - truth)
         stated.append([answer.budget_deg[name] for name in ("contraction", "model: course")])

@@ -218,7 +218,7 @@ def test_soil_with_cohesion_is_not_soil_of_a_larger_angle() -> None:
         history = ForceHistory(np.radians(np.arange(-84.0, 81.0, 4.0)), force)
         record = open_record(history, rig=rig, density="1650±0")
         likelihood = Likelihood([record], shipped_legs())
-        errors.append(likelihood.least_squares[0] - phi)
+        errors.append(likelihood.least_squares - phi)
         x = np.linspace(10.0, 55.0, 226)[:, None]
         curves = likelihood.curves(x, likelihood.shift_deg, 0.0)
         squares = np.square((likelihood.data - curves) / likelihood.span)

@@ -107,12 +107,12 @@ def footfalls(
 
     for file in filter(None, (mcap, *with_it)):
         check_file(file)
-    from terraphi.inference.footfalls import KIND
+    from terraphi.inference.footfalls import FootfallMap
     from terraphi.robot.footfalls import footfalls as find
     from terraphi.view import plots
 
     if out is not None:
-        check_file(out, kind=KIND)
+        check_file(out, kind=FootfallMap.KIND)
     walk = find(log, density=density, anchors=anchors, **options)
     summary, written = walk.as_dict(), []
     if out is not None:

@@ -98,6 +98,9 @@ class Estimate:
 
 Verdict = Literal["consistent", "misfit", "out_of_range"]
 Edge = Literal["low", "high"]
+Name = Annotated[str, Field(validation_alias=AliasChoices("law", "library"))]
+RENAMED = {"questions": "warnings", "library": "law", "library_reason": "law_reason"}
+"""Keys of version 0.3, and what they are called since."""
 Channel = Annotated[str, Field(pattern="^(Fx|Fz|M)$")]
 
 
@@ -184,16 +187,12 @@ def worst_nrmsd(fits: Sequence[RecordFit]) -> dict[str, float]:
 
 
 class Opinion(BaseModel, strict=True):
-    """What another law says of φ [deg]."""
+    """φ by another law [deg]."""
 
-    law: str
+    law: Name
     median: float
     sd: float
     force_size_deg: float | None = None
-
-
-def _opinion(given: Mapping[str, Any]) -> dict[str, Any]:
-    return Opinion.model_validate(given).model_dump()
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -241,7 +240,7 @@ class AnswerSummary:
     verdict: Verdict
     reason: str
     edge: Edge | None = None
-    law: str
+    law: Name
     law_reason: str = ""
     density_kg_m3: Annotated[float, Field(gt=0.0, lt=1e5)]
     density_sd_kg_m3: Annotated[float, Field(ge=0.0, lt=1e5)] | None = None
@@ -252,9 +251,11 @@ class AnswerSummary:
     phi_peak: Estimate | None = None
     phi_of_force_deg: Mapping[str, float | None] | None = None
     budget_deg: Mapping[str, float] = field(default_factory=dict)
-    second_opinion: Annotated[Mapping[str, Any], AfterValidator(_opinion)] | None = None
+    second_opinion: Annotated[
+        Mapping[str, Any], AfterValidator(lambda given: Opinion.model_validate(given).model_dump())
+    ] | None = None  # fmt: skip
     provenance: Mapping[str, Any] = field(default_factory=dict)
-    warnings: Annotated[  # version 0.3 wrote questions
+    warnings: Annotated[
         tuple[str, ...], Field(validation_alias=AliasChoices("warnings", "questions"))
     ] = ()
     parameters: Mapping[str, Estimate] = field(default_factory=dict)
@@ -338,9 +339,7 @@ class Answer(Result, AnswerSummary):
 
     @property
     def phi(self) -> Estimate:
-        """Friction angle [deg], in the library's convention; raises ValueError if not inferred."""
-        if PHI not in self.parameters:
-            raise ValueError("the friction angle was not inferred")
+        """Friction angle [deg], in the library's convention."""
         return self.parameters[PHI]
 
     @property
@@ -365,11 +364,6 @@ class Answer(Result, AnswerSummary):
 
         return bekker(self.records)
 
-    @property
-    def posterior(self) -> tuple[FloatArray, FloatArray]:
-        """Angles [deg] and the density of φ there [1/deg], shape [k] each."""
-        return self.grid_deg, self.density
-
     def phi_draws(self) -> FloatArray:
         """Equally probable values of φ [deg], shape [draw]."""
         share = (np.arange(QUANTILES) + 0.5) / QUANTILES
@@ -379,10 +373,10 @@ class Answer(Result, AnswerSummary):
 
     def as_dict(self) -> dict[str, Any]:
         """What ``terraphi invert --json`` prints."""
-        phi, plane = self.parameters.get(PHI), self.phi_plane_strain
+        plane = self.phi_plane_strain
         stated = {part.name: getattr(self, part.name) for part in fields(AnswerSummary)}
         return {
-            "phi_deg": {**phi.as_dict(), "yield": self.convention} if phi else None,
+            "phi_deg": {**self.phi.as_dict(), "yield": self.convention},
             "phi_plane_strain_deg": plane.as_dict() if plane else None,
             "source": self.source,
             "rig": self.rigs[0].model_dump(),
@@ -408,11 +402,10 @@ class Answer(Result, AnswerSummary):
         assumed = " (assumed)" if self.density_assumed else ""
         rigs = "; ".join(map(str, self.rigs))
         lines = [f"{self.source}: {rigs}, {self.density_kg_m3:g} kg/m³{assumed}, {self.law}"]
-        inside = PHI in self.parameters and self.verdict != "out_of_range"
-        if inside:
+        if self.verdict != "out_of_range":
             lines.append(f"φ = {self.phi} ({self.convention})")
-        if inside and self.convention != "plane_strain" and self.phi_plane_strain is not None:
-            lines.append(f"as plane strain: φ = {self.phi_plane_strain}")
+            if self.convention != "plane_strain" and self.phi_plane_strain is not None:
+                lines.append(f"as plane strain: φ = {self.phi_plane_strain}")
         lines.append(self.reason)
         if self.warnings:
             lines.append(f"{len(self.warnings)} warnings in .warnings")
@@ -452,7 +445,7 @@ class Answer(Result, AnswerSummary):
             axes.legend(each.values(), each.keys(), frameon=False, fontsize="small")
             axes.set(xlabel=along, ylabel=force_label(name))
             axes.axhline(0.0, color="0.7", lw=0.5, zorder=0)
-        grid, density = self.posterior
+        grid, density = self.grid_deg, self.density
         sound = self.verdict == "consistent"
         colour = "C0" if sound else "0.6"
         of_phi.plot(grid, density, color=colour)
@@ -495,16 +488,14 @@ class Answer(Result, AnswerSummary):
             variables[f"{name}{end}"] = ((*over, component, along), shaped)
         return xr.Dataset(variables, places)
 
-    def _posterior(self) -> Mapping[str, FloatArray]:
-        """Draws by parameter, shape [chain, draw]."""
-        shuffled = np.random.default_rng(0).permutation(self.phi_draws())
-        return {PHI: shuffled.reshape(4, -1)}
+    def _chains(self) -> FloatArray:
+        """Values of φ in four chains, as ArviZ has them [deg], shape [chain, draw]."""
+        return np.random.default_rng(0).permutation(self.phi_draws()).reshape(4, -1)
 
     def _groups(self) -> dict[str, Any]:
         """Datasets in the layout of ArviZ, by group."""
         import xarray as xr
 
-        draws = {key: (("chain", "draw"), value) for key, value in self._posterior().items()}
         constant = self._by_record("curve", self._over_windows("curve"))
         for name, over in (("band", "bound"), ("tangent", "coefficient")):
             constant.update(self._by_record(name, self._over_windows(name), over))
@@ -512,7 +503,7 @@ class Answer(Result, AnswerSummary):
         constant["grid_deg"] = ("grid", self.grid_deg)
         constant["density"] = ("grid", self.density)
         return {
-            "posterior": xr.Dataset(draws),
+            "posterior": xr.Dataset({PHI: (("chain", "draw"), self._chains())}),
             "observed_data": self._by_record("force", self._over_windows("data")),
             "constant_data": constant,
         }
@@ -521,9 +512,9 @@ class Answer(Result, AnswerSummary):
         """Forces and log-likelihood at each draw of the posterior, by group of ArviZ."""
         import xarray as xr
 
-        draws, data, over = self._posterior(), self._over_windows("data"), ("chain", "draw")
-        x = np.stack([np.ones_like(draws[next(iter(draws))]), *draws.values()], axis=-1)
-        curves, rng = x @ self._over_windows("tangent"), np.random.default_rng(0)
+        phi, data, over = self._chains(), self._over_windows("data"), ("chain", "draw")
+        curves = np.stack([np.ones_like(phi), phi], axis=-1) @ self._over_windows("tangent")
+        rng = np.random.default_rng(0)
         error = rng.standard_normal(curves.shape) @ np.linalg.cholesky(self.covariance).T
         # A window given all others (Bürkner, Gabry & Vehtari 2021, Comput. Stat. 36:1243, eq. 15).
         inverse = np.linalg.inv(self.covariance)
@@ -612,16 +603,16 @@ class Answer(Result, AnswerSummary):
                 data=file.numbers(f"observed_data/force{end}", *dims),
                 curve=file.numbers(f"{at}curve{end}", *dims),
                 band=file.numbers(f"{at}band{end}", 2, *dims),
-                tangent=file.numbers(f"{at}tangent{end}", 1 + len(stated.parameters), *dims),
+                tangent=file.numbers(f"{at}tangent{end}", 2, *dims),
             )
             records.append(fit)
             size += fit.data.size
         grid, density = (file.numbers(at + name, "grid") for name in ("grid_deg", "density"))
-        if not (records and records[0].theta_deg.size and density.sum() > 0.0):
-            raise ValueError("no records, or no posterior")
         phi, plane = stated.phi_deg, stated.phi_plane_strain_deg
+        if not (records and records[0].theta_deg.size and density.sum() > 0.0 and phi):
+            raise ValueError("no records, or no posterior")
         return cls(
-            convention=phi.convention if phi else "",
+            convention=phi.convention,
             phi_plane_strain=plane.estimate if plane else None,
             records=tuple(records),
             grid_deg=grid,
@@ -683,8 +674,11 @@ class StoredAnswer(NamedTuple):
             if not (Path(answer).is_dir() or source.endswith(".nc")):
                 text = read_bytes(Path(answer))
                 parse_json(text, Stored, source)
-                written = json.loads(text)
-                written.setdefault("warnings", written.pop("questions", []))
+                stored = json.loads(text)
+                written = {RENAMED.get(key, key): value for key, value in stored.items()}
+                is_old = written.keys() != stored.keys()
+                old = ["The answer is of version 0.3: invert again."] * is_old
+                written["warnings"] = [*written.get("warnings", ()), *old]
                 return cls(source, written, np.zeros(0))
             answer = Answer.load(answer)
         if not isinstance(answer, Answer):
@@ -692,5 +686,4 @@ class StoredAnswer(NamedTuple):
                 f"answer of type {type(answer).__name__}; give an Answer, or the folder or file of "
                 "one"
             )
-        draws = answer.phi_draws() if PHI in answer.parameters else np.zeros(0)
-        return cls(source or answer.source, answer.as_dict(), draws)
+        return cls(source or answer.source, answer.as_dict(), answer.phi_draws())

@@ -354,7 +354,7 @@ def _displaced(likelihood: Likelihood, fits: Sequence[RecordFit], verdict: str) 
 
 def _unusual(likelihood: Likelihood, phi: Estimate, verdict: str) -> Iterator[str]:
     """Warn of an angle that the forces hardly determine, or that few soils have."""
-    if likelihood.sd[0] > np.ptp(likelihood.ends) / np.sqrt(12.0):
+    if likelihood.sd > np.ptp(likelihood.ends) / np.sqrt(12.0):
         yield "The forces carry almost no information on φ: the posterior equals the prior."
     is_measured = likelihood.measured
     for leg, error in likelihood.errors.items() if verdict == "consistent" and is_measured else ():
@@ -426,7 +426,7 @@ def densities(density: FloatArray, sd: FloatArray) -> list[str]:
 
 def _moisture(likelihood: Likelihood) -> Iterator[str]:
     """Warn if the soil has a cohesion, or if an unknown one would matter."""
-    cohesion, sd = likelihood.cohesion, likelihood.cohesion_sd
+    cohesion, sd, _ = likelihood.averaged
     if sd and cohesion > max(MOIST_PA, KNOWN * sd):
         check = "; if not, check the density and the unit of force" * (cohesion > COHESIVE_PA)
         yield (
@@ -610,12 +610,10 @@ def _other_readings(
 
 
 def _opinions_agree(likelihood: Likelihood, record: Record, leg: str) -> bool:
-    """Whether the law and resistive force theory give much the same angle by another leg."""
+    """True if the law and resistive force theory give much the same angle by another leg."""
     other = Likelihood([replace(record, rig=Rig.of(record.rig, leg))], likelihood.library)
     opinion = second_opinion(other)
-    if opinion is None:
-        return False
-    return bool(abs(opinion["median"] - other.least_squares[0]) <= FAR_APART_DEG)
+    return bool(opinion and abs(opinion["median"] - other.least_squares) <= FAR_APART_DEG)
 
 
 def misread(likelihood: Likelihood, i: int, legs: Sequence[Reading], verdict: str) -> Iterator[str]:
@@ -658,7 +656,8 @@ def _other_arm(likelihood: Likelihood, i: int) -> Iterator[str]:
 def _other_size(likelihood: Likelihood, i: int) -> Iterator[str]:
     """Warn of a contact that begins elsewhere than in the model, as of a leg of another length."""
     record, part = likelihood.records[i], likelihood.parts[i]
-    curve = likelihood.curves(likelihood.inside[None])[0, part].reshape(len(record.channels), -1)
+    best = np.clip(likelihood.least_squares, likelihood.low, likelihood.high)
+    curve = likelihood.curves(best)[0, part].reshape(len(record.channels), -1)
     begins = []
     for force in (record.data, curve):
         size = np.linalg.norm(force / np.ptp(force), axis=0)
@@ -717,16 +716,16 @@ def second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:
         other = Likelihood(likelihood.records, theory)
     except InputError:
         return None  # it does not cover the angles of the record
-    read = float(other.least_squares[0])
-    if not other.low[0] <= read <= min(other.high[0], 43.0):
+    read = other.least_squares
+    if not other.low <= read <= min(other.high, 43.0):
         return None  # beyond its range, or nearly without an equivalent in plane strain
     below, median, above = to_plane_strain(read + np.array([-1.0, 0.0, 1.0])).tolist()
-    phi = np.linspace(likelihood.low[0], likelihood.high[0], 71)
-    size = np.square(likelihood.curves(phi[:, None]) / likelihood.span).sum(axis=1)
+    phi = np.linspace(likelihood.low, likelihood.high, 71)
+    size = np.square(likelihood.curves(phi) / likelihood.span).sum(axis=1)
     measured = float(np.square(likelihood.data / likelihood.span).sum())
     return {
         "law": theory.name,
         "median": median,
-        "sd": float(other.sd[0]) * (above - below) / 2.0,
+        "sd": other.sd * (above - below) / 2.0,
         "force_size_deg": float(np.interp(measured, np.maximum.accumulate(size), phi)),
     }

@@ -73,7 +73,7 @@ def combined(answers: Sequence[Answer]) -> Answer:
     LookupError
         If the table of terms lacks a term of an answer.
     """
-    if any(a.convention != "plane_strain" or PHI not in a.parameters for a in answers):
+    if any(a.convention != "plane_strain" for a in answers):
         raise InputError("answers that are joined are of φ in plane strain; leave out --law")
     names = [*dict.fromkeys(name for answer in answers for name in answer.budget_deg)]
     phi, errors = np.array([answer.phi.median for answer in answers]), errors_of(answers, names)
@@ -148,6 +148,7 @@ def _merged(answers: Sequence[Answer], weight: FloatArray) -> Answer:
     for answer, start, end in zip(answers, ends[:-1], ends[1:], strict=True):
         covariance[start:end, start:end] = answer.covariance
     laws = dict.fromkeys(answer.law for answer in answers)
+    frictions, cohesions = zip(*((a.leg_friction, a.cohesion_pa) for a in answers), strict=True)
     return replace(
         first,
         edge=next((answer.edge for answer in answers if answer.edge), None),
@@ -155,8 +156,8 @@ def _merged(answers: Sequence[Answer], weight: FloatArray) -> Answer:
         law_reason=first.law_reason if len(laws) == 1 else "",
         second_opinion=None,
         phi_of_force_deg=_phi_of_force(answers, weight),
-        leg_friction=_common([answer.leg_friction for answer in answers]),
-        cohesion_pa=_common([answer.cohesion_pa for answer in answers]),
+        leg_friction=frictions[0] if len({*frictions}) == 1 else None,
+        cohesion_pa=cohesions[0] if len({*cohesions}) == 1 else None,
         density_assumed=any(answer.density_assumed for answer in answers),
         records=tuple(record for answer in answers for record in answer.records),
         covariance=covariance,
@@ -174,11 +175,6 @@ def _merged(answers: Sequence[Answer], weight: FloatArray) -> Answer:
             ],
         },
     )
-
-
-def _common(values: Sequence[float | None]) -> float | None:
-    """The value that all answers have; ``None`` if they differ."""
-    return values[0] if len({*values}) == 1 else None
 
 
 def _phi_of_force(answers: Sequence[Answer], weight: FloatArray) -> dict[str, float | None] | None:

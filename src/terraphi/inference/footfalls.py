@@ -109,7 +109,6 @@ CONTRADICTED = 2.0
 twenty is."""
 SECOND = {"rft": "foot"}
 """Law of a second opinion, for each law; else ``rft``, which has few terms and is fast."""
-KIND = "footfalls"
 GREY = "0.4"
 CI95 = 1.959964
 """Half-width of a normal 95 % interval over its standard deviation [-]; of a 68 % one it is 1."""
@@ -169,7 +168,7 @@ class FootfallMap(Result):
         Log, robot, priors and versions.
     """
 
-    KIND = KIND
+    KIND = "footfalls"
     SCHEMA = 2
     ATTRIBUTES = FootfallAttributes
     VARIABLES = (
@@ -588,12 +587,12 @@ def _shared_summary(pooled: Pooled, prior: Prior) -> dict[str, Any]:
     for name, part in (("torque_gain", slice(12)), ("joint_friction_Nm", slice(12, TORQUES))):
         mean, sd, terms = pooled.shared[:, part]
         worth = float(np.sqrt((terms**2).sum()))
-        shared[name] = {"mean": mean.tolist(), "sd": sd.tolist(), "worth_deg": worth,
-                        "source": TERMS[name].source}  # fmt: skip
+        shared[name] = {"mean": mean.tolist(), "sd": sd.tolist(), "worth_deg": worth}
     rows = pooled.shared[:, TORQUES:].T.tolist()
     for (name, (centre, _)), (off, sd, worth) in zip(prior.shared().items(), rows, strict=True):
-        shared[name] = {"mean": centre + off, "sd": sd, "worth_deg": worth,
-                        "source": TERMS[name].source}  # fmt: skip
+        shared[name] = {"mean": centre + off, "sd": sd, "worth_deg": worth}
+    for name, summary in shared.items():
+        summary["source"] = TERMS[name].source
     return shared | {"field": pooled.field}
 
 

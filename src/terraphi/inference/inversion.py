@@ -29,12 +29,7 @@ from terraphi.inference.checks import (
     warnings,
     without_faults,
 )
-from terraphi.inference.likelihood import (
-    LEAST_COVERAGE,
-    Likelihood,
-    coverage_of,
-    quadrature,
-)
+from terraphi.inference.likelihood import Likelihood, quadrature
 from terraphi.inference.records import PressedRecord, Record, open_records, with_sd
 from terraphi.inference.terms import root_sum_square, term
 from terraphi.inference.verdict import Judgment, consistent, large_residual, out_of_range
@@ -44,6 +39,8 @@ from terraphi.laws.store import PHI
 BETTER_LEG = 0.9
 """Residual by another leg over that by the record's own at which the leg is taken for wrong [-]:
 at least 0.95 in all training records."""
+LEAST_COVERAGE = 0.9
+"""Share of a stroke's information on φ that a comparison with other legs needs [-]; chosen."""
 FAR = 4.0
 """Standard deviations above which chance explains nothing (1 in 16,000) [-]: of chi-square of a
 simulated record, and of a calibration soil's known angle."""
@@ -242,7 +239,7 @@ def with_critical(answer: Answer, critical: float | str) -> Answer:
     sentence = f"φ is that of soil with {given}; by the forces alone it is {alone}."
     if excess < least:
         sentence = f"φ may be {given}, that of loose soil; by the forces alone it is {alone}."
-    density, peak = critical_posterior(*answer.posterior, (mean, sd))
+    density, peak = critical_posterior(answer.grid_deg, answer.density, (mean, sd))
     phi = Estimate.of_density(answer.grid_deg, density)
     narrower = phi.sd / answer.phi.sd
     return replace(
@@ -325,10 +322,9 @@ def calibrate(
     >>> after.phi.sd < terraphi.invert("li2013:yuma/straight").phi.sd
     True
     """
-    if not all(isinstance(angle, int | float) for angle in (phi_deg, phi_sd_deg)):
-        raise InputError(f"phi = {phi_deg!r} ± {phi_sd_deg!r}; give two numbers of degrees")
-    if not (0.0 < phi_deg < 90.0 and 0.0 <= phi_sd_deg < 90.0):
-        raise InputError(f"phi = {phi_deg:g} ± {phi_sd_deg:g}°; 0 to 90° are accepted")
+    numbers = all(isinstance(angle, int | float) for angle in (phi_deg, phi_sd_deg))
+    if not (numbers and 0.0 < phi_deg < 90.0 and 0.0 <= phi_sd_deg < 90.0):
+        raise InputError(f"phi = {phi_deg!r} ± {phi_sd_deg!r}; give two numbers from 0 to 90°")
     opened = open_records(
         forces, leg=leg, rig=rig, density=density, grain_size_mm=grain_size_mm, columns=columns,
         noise=noise, gain=gain,
@@ -357,12 +353,12 @@ def _calibration_soil(
     if not likelihood.measured:
         raise InputError(f"{record.source}: simulated forces calibrate nothing")
     best = likelihood.least_squares
-    fits = _record_fits(likelihood, best, (best[0], best[0]))
+    fits = _record_fits(likelihood, best, (best, best))
     legs = [leg_readings(likelihood, record)]
     verdict, reason, _ = _verdict(likelihood, fits, legs, damaged=bool(in_air(likelihood)))
     if verdict != "consistent":
         raise InputError(f"{record.source}: cannot calibrate with it. {reason}")
-    read, shares, error = float(best[0]), likelihood.budget(), likelihood.errors[record.rig.leg]
+    read, shares, error = best, likelihood.budget(), likelihood.errors[record.rig.leg]
     fixed = [name for name in shares if term(name).fixed]
     rig_sd = math.hypot(*(shares[name] for name in fixed))
     sd = root_sum_square(shares, *fixed, *(name for name in shares if name.startswith("model: ")))
@@ -440,7 +436,7 @@ def _answer(
         likelihood = Likelihood(records, law, calibration, disagreement_deg=wider)
     grid, density = quadrature(likelihood)
     phi = Estimate.of_density(grid, density)
-    fits = _record_fits(likelihood, np.array([phi.median]), phi.ci95)
+    fits = _record_fits(likelihood, phi.median, phi.ci95)
     air = in_air(likelihood)
     # The one search over legs: verdict and advice read it.
     legs = [leg_readings(likelihood, record) for record in records]
@@ -492,19 +488,18 @@ def _disagreement_deg(likelihood: Likelihood, opinion: dict[str, Any]) -> float:
     """
     if likelihood.library.convention != "plane_strain" or likelihood.beyond is not None:
         return 0.0
-    separation_deg = opinion["median"] - float(likelihood.least_squares[0])
-    variance = float(likelihood.sd[0]) ** 2 + opinion["sd"] ** 2
+    separation_deg = opinion["median"] - likelihood.least_squares
+    variance = likelihood.sd**2 + opinion["sd"] ** 2
     return math.sqrt(max((separation_deg / UNUSUAL) ** 2 - variance, 0.0))
 
 
 def _record_fits(
-    likelihood: Likelihood, median: FloatArray, ci95: tuple[float, float]
+    likelihood: Likelihood, median: float, ci95: tuple[float, float]
 ) -> list[RecordFit]:
     """Each record with the curve at the median, and the curves at the ends of the 95 % interval."""
-    points = np.append(np.clip(ci95, *likelihood.ends), median)[:, None]
-    curves = likelihood.curves(points)
+    curves = likelihood.curves([*np.clip(ci95, *likelihood.ends), median])
     slope = likelihood.slope(median)
-    tangent = np.vstack([curves[2] - slope @ median, slope.T])
+    tangent = np.stack([curves[2] - slope * median, slope])
     fits = []
     for record, part, stroke, shift in zip(
         likelihood.records, likelihood.parts, likelihood.coverage, likelihood.shift_deg, strict=True
@@ -547,16 +542,16 @@ def _verdict(
     if not misfit:
         misfit = _unexplained(likelihood) if by_chance else _better_leg(likelihood, legs)
     if likelihood.beyond is not None:
-        edge: Edge | None = "low" if likelihood.beyond[0] < likelihood.low[0] else "high"
+        edge: Edge | None = "low" if likelihood.beyond[0] < likelihood.low else "high"
     else:
         # By the forces alone, as angles of soil.
-        read = float(likelihood.least_squares[0])
+        read = likelihood.least_squares
         offsets = [float(likelihood.offset(r, np.array(read))) for r in likelihood.records]
-        edge = "high" if read > likelihood.high[0] - max(offsets) else None
-        edge = "low" if read < likelihood.low[0] - min(offsets) else edge
+        edge = "high" if read > likelihood.high - max(offsets) else None
+        edge = "low" if read < likelihood.low - min(offsets) else edge
     if edge is not None:
-        end = (likelihood.low if edge == "low" else likelihood.high)[0]
-        end -= float(likelihood.offset(likelihood.records[0], end))
+        end = likelihood.low if edge == "low" else likelihood.high
+        end -= float(likelihood.offset(likelihood.records[0], np.array(end)))
         verdict, where, _ = out_of_range(law.name, edge, end)
         return verdict, f"{where} {misfit[1] if misfit else ''}".rstrip(), edge
     if misfit:
@@ -568,8 +563,10 @@ def _verdict(
 
 def _better_leg(likelihood: Likelihood, legs: Sequence[Sequence[Reading]]) -> Judgment | None:
     """Misfit if another leg describes a measured record better."""
-    for record, readings in zip(likelihood.records, legs, strict=True):
-        if not likelihood.measured or coverage_of(record) < LEAST_COVERAGE or not readings:
+    for record, coverage, readings in zip(
+        likelihood.records, likelihood.coverage, legs, strict=True
+    ):
+        if not likelihood.measured or coverage.share < LEAST_COVERAGE or not readings:
             continue
         best = min(readings, key=lambda reading: reading.residual)
         [given] = [reading for reading in readings if reading.leg == record.rig.leg]
@@ -586,7 +583,8 @@ def _better_leg(likelihood: Likelihood, legs: Sequence[Sequence[Reading]]) -> Ju
 def _unexplained(likelihood: Likelihood) -> Judgment | None:
     """Misfit if noise and scatter do not explain the residual of simulated records."""
     free = likelihood.data.size - 1
-    ratio = likelihood.chi2(likelihood.least_squares) / free
+    residual = likelihood.data - likelihood.curves(likelihood.least_squares)[0]
+    ratio = float(residual @ np.linalg.solve(likelihood.covariance, residual)) / free
     # Wilson & Hilferty 1931: the cube root of chi-square is nearly normal.
     deviate = (ratio ** (1.0 / 3.0) - 1.0 + 2.0 / (9.0 * free)) / math.sqrt(2.0 / (9.0 * free))
     if deviate <= FAR:

@@ -78,6 +78,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
@@ -118,8 +119,6 @@ BEYOND_DEG, LIMITS_DEG = 12.0, (0.5, 80.0)
 [deg]; chosen."""
 FAR_OFF = 3.0
 """Factor between data and best curve at which no angle fits [-]: chosen."""
-LEAST_COVERAGE = 0.9
-"""Share of the windows in soil that a comparison with other legs needs [-]; chosen."""
 PART_DEG = 1.4
 """Standard deviation of φ by the missing part of a stroke at h = ½ [deg]."""
 NODES = 801
@@ -132,15 +131,6 @@ MOMENT_DEG = 0.9
 difference on legs in simulated grains, read as dry soil."""
 
 
-def coverage_of(record: Record) -> float:
-    """Share of the windows with the leg in soil that a record of both forces has; else 0 [-]."""
-    grid = np.linspace(-WINDOW_DEG, WINDOW_DEG, OBSERVATION_ANGLES)
-    first, last = record.rig.air_deg()
-    in_soil = grid[(first <= grid) & (grid <= last)].round(6)
-    measured = np.isin(in_soil, record.theta_deg.round(6))
-    return float(measured.mean()) if record.channels == FORCES else 0.0
-
-
 class Coverage(NamedTuple):
     """How much of a whole stroke a record has."""
 
@@ -148,15 +138,6 @@ class Coverage(NamedTuple):
     """Share h of the information on φ [-]."""
     span: FloatArray
     """Peak-to-peak of each channel over a whole stroke, by the record or the model, shape [c]."""
-
-
-class Cohesion(NamedTuple):
-    """Mean and standard deviation of the cohesion of a soil [Pa]."""
-
-    mean_pa: float
-    sd_pa: float
-    phi_sd_deg: float
-    """Standard deviation of φ about the angle at the mean [deg]."""
 
 
 def window_means(record: Record, force: FloatArray, law: LegLaw, shift_deg: float) -> FloatArray:
@@ -226,55 +207,61 @@ class Likelihood:
         self.measured = not all(record.simulated for record in records)
         self.laws = [self._law(record, library) for record in records]
         self.density = [record.density_kg_m3 or DENSITY.mean for record in records]
+        self.density_sd = np.array([
+            DENSITY.sd / DENSITY.mean if r.density_kg_m3 is None
+            else r.density_sd_kg_m3 / r.density_kg_m3 for r in records
+        ])  # fmt: skip
+        """Relative standard deviation of the density [-], shape [record]."""
         self._ratio = np.array(self.density) / [law.density for law in self.laws]
         ends = np.cumsum([0, *(r.data.size for r in records)])
         self.parts = [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
         self.data = np.concatenate([record.data.ravel() for record in records])
         self.span = np.concatenate([np.repeat(r.span, r.theta_deg.size) for r in records])
+        self._weight = np.diag(self.span**-2)
+        """A = diag(1/p²), p the peak-to-peak of each force, shape [n, n]."""
         # The record of each window mean.
         self._record_index = np.repeat(np.arange(len(records)), [r.data.size for r in records])
         self.errors: dict[str, ModelError] = {
-            r.leg: library.error_of(r.leg) if isinstance(library, Legs) else ModelError()
+            r.rig.leg: library.error_of(r.rig.leg) if isinstance(library, Legs) else ModelError()
             for r in records
         }
         # c / (ρ g L) of each record for a cohesion of 1 Pa.
         lengths = np.array([record.rig.length for record in records])
         self._per_pascal = 1.0 / (np.array(self.density) * GRAVITY * lengths)
-        self._simulated_cohesion = self._cohesion_of_simulations()
-        self.low = np.max([law.bounds[0] for law in self.laws], axis=0)
-        self.high = np.min([law.bounds[1] for law in self.laws], axis=0)
+        self._cohesions = self._fitted_cohesions()
+        # Largest δ of each record [deg]; of simulated ones 0.
+        self._most_shift = np.full(len(records), SHIFT_DEG if self.measured else 0.0)
+        self.low = max(float(law.bounds[0][0]) for law in self.laws)
+        self.high = min(float(law.bounds[1][0]) for law in self.laws)
+        self.ends = max(self.low - BEYOND_DEG, LIMITS_DEG[0]), min(self.high + BEYOND_DEG,
+                                                                   LIMITS_DEG[1])  # fmt: skip
+        soils = calibration.soils if calibration else []
+        self._calibrated = {name for soil in soils for name in (soil.leg, soil.rig)}
 
-    def _cohesion_of_simulations(self) -> float:
-        """Cohesion of the simulated soil [Pa]; 0 without simulations.
+    def _fitted_cohesions(self) -> FloatArray:
+        """Cohesions that φ is fitted at [Pa], from 0; of simulated soil that of its scenario.
 
-        Raises InputError if soils differ in it, or if it exceeds the law's range.
+        Laws of dry soil have 0 alone. Raises InputError if simulated soils differ in it, or if it
+        exceeds the law's range.
         """
-        cohesions = {0.0}
-        for record, law, number in zip(self.records, self.laws, self._per_pascal, strict=True):
-            if not record.simulated or record.scenario is None:
-                continue
-            cohesions = (cohesions - {0.0}) | {record.scenario.soil.cohesion}
-            most = law.most_cohesion / float(number)
-            if most and max(cohesions) > most:
-                raise InputError(
-                    f"{record.source}: its soil has a cohesion of {max(cohesions):g} Pa, and law "
-                    f"{self.library.name} is for {most:.0f} Pa at most on this leg"
-                )
-        if len(cohesions) > 1:
+        simulated = {
+            r.scenario.soil.cohesion: r.source for r in self.records if r.simulated and r.scenario
+        }
+        most = min(
+            law.most_cohesion / float(c) for law, c in zip(self.laws, self._per_pascal, strict=True)
+        )
+        cohesion = max(simulated, default=0.0)
+        if most and cohesion > most:
             raise InputError(
-                f"simulations of soils with a cohesion of {min(cohesions):g} and of "
-                f"{max(cohesions):g} Pa are not of one soil; infer each alone"
+                f"{simulated[cohesion]}: its soil has a cohesion of {cohesion:g} Pa, and law "
+                f"{self.library.name} is for {most:.0f} Pa at most on this leg"
             )
-        return max(cohesions)
-
-    @property
-    def density_sd(self) -> FloatArray:
-        """Relative standard deviation of the density [-], shape [record]."""
-        unknown = DENSITY.sd / DENSITY.mean
-        return np.array([
-            unknown if r.density_kg_m3 is None else r.density_sd_kg_m3 / r.density_kg_m3
-            for r in self.records
-        ])  # fmt: skip
+        if len(simulated) > 1:
+            raise InputError(
+                f"simulations of soils with a cohesion of {min(simulated):g} and of "
+                f"{cohesion:g} Pa are not of one soil; infer each alone"
+            )
+        return most * COHESIONS if self.measured and most else np.array([min(cohesion, most)])
 
     def prefix(self, record: Record) -> str:
         """Name of a record before a sentence on it, if there are several."""
@@ -301,21 +288,26 @@ class Likelihood:
         """Mean of φ as the law reads it off measured forces, minus φ of the soil [deg]."""
         if not self.measured:
             return np.zeros_like(phi_deg)
-        error, common = self.errors[record.leg], np.zeros_like(phi_deg)
+        error, common = self.errors[record.rig.leg], np.zeros_like(phi_deg)
         if self.calibration:
-            common, _ = self.calibration.common(error, record.leg, rig_name(record.rig), phi_deg)
+            common, _ = self.calibration.common(
+                error, record.rig.leg, rig_name(record.rig), phi_deg
+            )
         return np.asarray(error.offset_deg + self.of_size_deg(record) + common)
 
     def of_size_deg(self, record: Record) -> float:
         """Part of the offset that grows with the size of the grains [deg]."""
         grains = record.grain_size_mm * LI2013["width_mm"] / record.rig.width_mm
-        return self.errors[record.leg].of_size_deg * grains if self.measured else 0.0
+        return self.errors[record.rig.leg].of_size_deg * grains if self.measured else 0.0
 
     def curves(
-        self, x: FloatArray, shift_deg: FloatArray | None = None, cohesion: float | None = None
+        self,
+        phi_deg: ArrayLike,
+        shift_deg: FloatArray | None = None,
+        cohesion: float | None = None,
     ) -> FloatArray:
-        """Window means g(x) [N] at the best δ [deg] and c [Pa], or others, [k, 1] -> [k, n]."""
-        forces = self._forces(x, self.cohesion if cohesion is None else cohesion)
+        """Window means g [N] at k angles φ, at the best δ [deg] and c [Pa] or others, [k, n]."""
+        forces = self._forces(phi_deg, self.cohesion if cohesion is None else cohesion)
         return self._means(forces, self.shift_deg if shift_deg is None else shift_deg)
 
     def _means(self, forces: list[FloatArray], shift_deg: FloatArray) -> FloatArray:
@@ -332,31 +324,28 @@ class Likelihood:
         force = self._ratio[i] * rows.reshape(len(rows), 2, -1)
         return window_means(self.records[i], force, self.laws[i], self.shift_deg[i])
 
-    def _forces(self, x: FloatArray, cohesion: float) -> list[FloatArray]:
+    def _forces(self, phi_deg: ArrayLike, cohesion: float) -> list[FloatArray]:
         """Forces [N] on the leg of each record, in soil of its density and a cohesion [Pa].
 
-        Shape [k, 1] -> [k, 2, theta] each.
+        At k angles φ, shape [k, 2, theta] each.
         """
+        phi = np.reshape(np.asarray(phi_deg, np.float64), (-1, 1))
         forces: dict[tuple[Rig, float, float], FloatArray] = {}
         numbers = (cohesion * self._per_pascal).tolist()
         keys = [(r.rig, r.grain_size_mm, n) for r, n in zip(self.records, numbers, strict=True)]
         for record, law, key in zip(self.records, self.laws, keys, strict=True):
             if key not in forces:
-                forces[key] = law(self._read(record, x), key[-1])
+                forces[key] = law(phi + self.offset(record, phi), key[-1])
         return [ratio * forces[key] for key, ratio in zip(keys, self._ratio, strict=True)]
 
-    def _read(self, record: Record, x: FloatArray) -> FloatArray:
-        """φ as the law reads it off a record of soil of φ = x [deg]."""
-        return x + self.offset(record, x)
+    def slope(self, phi_deg: float) -> FloatArray:
+        """∂g/∂φ at an angle [N/deg], at the best δ and c, shape [n]."""
+        return self._slopes(phi_deg, self.shift_deg, self.cohesion)[:, 0]
 
-    def slope(self, x: FloatArray) -> FloatArray:
-        """∂g/∂φ at a point [N/deg], at the best δ and c, shape [1] -> [n, 1]."""
-        return self._slopes(x, self.shift_deg, self.cohesion)[:, :1]
-
-    def _slopes(self, x: FloatArray, shift_deg: FloatArray, cohesion: float) -> FloatArray:
+    def _slopes(self, phi_deg: float, shift_deg: FloatArray, cohesion: float) -> FloatArray:
         """∂g/∂φ and ∂g/∂δ of each record by central differences [N/deg], [n, 1 + record]."""
         step = STEP * (self.high - self.low)
-        forces = self._forces(x + step * np.array([[1.0], [-1.0], [0.0]]), cohesion)
+        forces = self._forces(phi_deg + step * np.array([1.0, -1.0, 0.0]), cohesion)
         above, below, _ = self._means(forces, shift_deg)
         middle = [force[-1:] for force in forces]
         later, earlier = (self._means(middle, shift_deg + h)[0] for h in (0.1, -0.1))
@@ -364,32 +353,15 @@ class Likelihood:
         of_shift = of_record * (later - earlier)[:, None] / 0.2
         return np.column_stack([(above - below) / (2.0 * step), of_shift])
 
-    @property
-    def _most_shift(self) -> FloatArray:
-        """Largest δ of each record [deg], shape [record]; of simulated ones 0."""
-        return np.full(len(self.records), SHIFT_DEG if self.measured else 0.0)
-
-    @cached_property
-    def _cohesions(self) -> FloatArray:
-        """Cohesions that φ is fitted at [Pa], from 0; of simulated soil that of its scenario.
-
-        Laws of dry soil have 0 alone.
-        """
-        pairs = zip(self.laws, self._per_pascal, strict=True)
-        most = min(law.most_cohesion / number for law, number in pairs)
-        if self.measured and most:
-            return most * COHESIONS
-        return np.array([min(self._simulated_cohesion, most)])
-
     # -- best point ------------------------------------------------------------------------------
 
     @property
-    def least_squares(self) -> FloatArray:
-        """φ of the smallest squared residual, each force over its peak-to-peak [deg], [1].
+    def least_squares(self) -> float:
+        """φ of the smallest squared residual, each force over its peak-to-peak [deg].
 
         It may lie up to 12° outside the law.
         """
-        return self._best.x[0, :1]
+        return float(self._best.x[0, 0])
 
     @property
     def shift_deg(self) -> FloatArray:
@@ -399,17 +371,7 @@ class Likelihood:
     @property
     def cohesion(self) -> float:
         """Mean cohesion of the soil [Pa]; 0 by laws of dry soil."""
-        return self._averaged.mean_pa
-
-    @property
-    def cohesion_sd(self) -> float:
-        """Standard deviation of the cohesion [Pa]; 0 where it is not averaged over."""
-        return self._averaged.sd_pa
-
-    @property
-    def inside(self) -> FloatArray:
-        """Best φ within the law, where slopes are those of simulations [deg], [1]."""
-        return np.clip(self.least_squares, self.low, self.high)
+        return self.averaged[0]
 
     @cached_property
     def coverage(self) -> list[Coverage]:
@@ -422,7 +384,8 @@ class Likelihood:
         if record.channels == FORCES and is_full:
             return Coverage(1.0, record.span)
         theta = np.radians(np.arange(-WINDOW_DEG - 3.0, WINDOW_DEG + 3.5))
-        force = self._forces(self.inside + np.array([[-1.0], [0.0], [1.0]]), self.cohesion)[i]
+        best = np.clip(self.least_squares, self.low, self.high)
+        force = self._forces(best + np.array([-1.0, 0.0, 1.0]), self.cohesion)[i]
         axes = record.history.axes
         still = ForceHistory(theta, np.zeros((theta.size, len(axes))), axes=axes, moment=0 * theta)
         stroke = replace(record, history=still)
@@ -471,8 +434,8 @@ class Likelihood:
         """Least squares at a cohesion [Pa]."""
         (low, high), most = self.ends, self._most_shift
         return least_squares(
-            lambda p, _: self.data - self.curves(p[:, :1], p[0, 1:], cohesion),
-            lambda p, _: self._slopes(p[0, :1], p[0, 1:], cohesion)[None],
+            lambda p, _: self.data - self.curves(p[:, 0], p[0, 1:], cohesion),
+            lambda p, _: self._slopes(p[0, 0], p[0, 1:], cohesion)[None],
             self._weight[None],
             start,
             bounds=(np.append(low, -most), np.append(high, most)),
@@ -481,10 +444,13 @@ class Likelihood:
         )
 
     @cached_property
-    def _averaged(self) -> Cohesion:
-        """Mean of the cohesion by its posterior, and the standard deviation of φ by it."""
+    def averaged(self) -> tuple[float, float, float]:
+        """Mean and standard deviation of the cohesion by its posterior [Pa], and of φ by it [deg].
+
+        The latter is about the angle at the mean; both are 0 at a single cohesion.
+        """
         if len(self._cohesions) == 1:
-            return Cohesion(float(self._cohesions[0]), 0.0, 0.0)
+            return float(self._cohesions[0]), 0.0, 0.0
         along, fine = self._even_steps(self._cohesions)
         # Between two cohesions the residual is nearly linear, and its square may be near zero.
         residuals = np.array([best.residual[0] for best in self._by_cohesion]) / self.span
@@ -495,7 +461,7 @@ class Likelihood:
         at_mean = np.interp(np.log1p(mean / EVENLY), fine, phi)
         sd, phi_sd = (math.sqrt(float(weight @ np.square(x))) for x in (c - mean, phi - at_mean))
         unit = float(np.mean(self._per_pascal))
-        return Cohesion(mean / unit, sd / unit, phi_sd)
+        return mean / unit, sd / unit, phi_sd
 
     def _even_steps(self, cohesions: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Cohesions [Pa] along the axis that is averaged over, and even steps from end to end."""
@@ -530,13 +496,13 @@ class Likelihood:
         :data:`WINDOWS_PER_RESIDUAL` windows is independent, and the residual with it, the root mean
         square over the ranges of both forces [-]. ``None`` where the law has no other hips.
         """
-        record, part, x = self.records[i], self.parts[i], self.least_squares
-        number = self.cohesion * float(self._per_pascal[i])
-        slope = self.laws[i].of_hip(self._read(record, x)[None], number)
+        part = self.parts[i]
+        slope = self.laws[i].of_hip(*self._by_law(i))
         if slope is None or self.cohesion == 0.0:
             return None
         curve, damp, dry = (
-            self.curves(x[None], cohesion=f * self.cohesion)[0, part] for f in (1, 1.3, 0.7)
+            self.curves(self.least_squares, cohesion=f * self.cohesion)[0, part]
+            for f in (1, 1.3, 0.7)
         )
         # Columns: φ, δ, the height of the hip, the cohesion.
         columns = np.column_stack([
@@ -558,9 +524,9 @@ class Likelihood:
         φ is read from a coarse grid of angles and cohesions, at the shift of the unscaled forces.
         The error of that grid for the unscaled forces is taken off.
         """
-        cohesions, (low, high) = self._cohesions[::EACH_COHESION], np.ravel(self.ends)
-        phi, fine_phi = np.linspace(low, high, COARSE), np.linspace(low, high, FINE)
-        forces = [self._forces(phi[:, None], cohesion) for cohesion in cohesions.tolist()]
+        cohesions = self._cohesions[::EACH_COHESION]
+        phi, fine_phi = np.linspace(*self.ends, COARSE), np.linspace(*self.ends, FINE)
+        forces = [self._forces(phi, cohesion) for cohesion in cohesions.tolist()]
         by_record = [np.concatenate(each) for each in zip(*forces, strict=True)]
         curves = self._means(by_record, self.shift_deg) / self.span
         curves, data = curves.reshape(-1, COARSE, len(self.data)), self.data / self.span
@@ -582,16 +548,10 @@ class Likelihood:
                 c, weight = self._likely_cohesions(fine, np.interp(fine, along, np.sqrt(best)) ** 2)
                 angle = np.interp(np.log1p(weight @ c / EVENLY), along, angle)
             angles.append(np.squeeze(angle))
-        answers = self.least_squares[0] + np.array(angles[1:]) - angles[0]
+        answers = self.least_squares + np.array(angles[1:]) - angles[0]
         by_law = answers + self.offset(self.records[0], answers)
-        in_range = (self.low[0] <= by_law) & (by_law <= self.high[0])
+        in_range = (self.low <= by_law) & (by_law <= self.high)
         return [phi if ok else None for phi, ok in zip(answers.tolist(), in_range, strict=True)]
-
-    @property
-    def ends(self) -> tuple[FloatArray, FloatArray]:
-        """Least and largest φ of the fit, up to 12° outside the law, [1]."""
-        low, high = self.low - BEYOND_DEG, self.high + BEYOND_DEG
-        return np.maximum(low, LIMITS_DEG[0]), np.minimum(high, LIMITS_DEG[1])
 
     @cached_property
     def beyond(self) -> tuple[float, float] | None:
@@ -600,14 +560,13 @@ class Likelihood:
         No angle fits if the best curve ends at the bound, or differs from the data by a factor of
         :data:`FAR_OFF`.
         """
-        best, low, high = (float(x[0]) for x in (self.least_squares, self.low, self.high))
-        least, most = (float(end[0]) for end in self.ends)
-        curve, data = self.curves(self.least_squares[None])[0] / self.span, self.data / self.span
+        best, (least, most) = self.least_squares, self.ends
+        curve, data = self.curves(best)[0] / self.span, self.data / self.span
         scale = float(curve @ data) / max(float(curve @ curve), 1e-12)
         if best >= most - 0.01 or scale > FAR_OFF:
-            return high, most
+            return self.high, most
         if best <= least + 0.01 or abs(scale) < 1.0 / FAR_OFF:
-            return least, low
+            return least, self.low
         return None
 
     # -- covariance ------------------------------------------------------------------------------
@@ -623,10 +582,10 @@ class Likelihood:
         for record, part in zip(self.records, self.parts, strict=True):
             covariances["noise"][part, part] += record.noise_covariance
         if self.measured:
-            curve = self.curves(self.least_squares[None])[0]
+            curve = self.curves(self.least_squares)[0]
             # One cause moves all windows together: its covariance is e e', with e a part of the
             # curve if it scales the forces, or of the slope if it looks like another φ.
-            slope = self.slope(self.least_squares)[:, 0]
+            slope = self.slope(self.least_squares)
             errors = {name: (sds, slope) for name, sds in self._angle_sds().items()}
             errors["density"] = self.density_sd, curve
             errors["gain"] = np.array([record.gain_sd for record in self.records]), curve
@@ -635,11 +594,11 @@ class Likelihood:
                 covariances[name] = np.outer(error, error)
         rigs = [rig_name(record.rig) for record in self.records]
         sharers = [
-            Sharer(i, rig, record.leg, self.library.name)
+            Sharer(i, rig, record.rig.leg, self.library.name)
             for i, (rig, record) in enumerate(zip(rigs, self.records, strict=True))
         ]
         # What a calibration of the rig includes is no further error of its records.
-        counts = np.array([not self._is_calibrated(rig=rig) for rig in rigs])
+        counts = np.array([rig not in self._calibrated for rig in rigs])
         windows = np.ix_(self._record_index, self._record_index)
         for name, covariance in covariances.items():
             together = is_shared(name, sharers)
@@ -648,10 +607,11 @@ class Likelihood:
             covariance *= together[windows]
         return {name: each for name, each in covariances.items() if each.any()}
 
-    def _is_calibrated(self, **wanted: str) -> bool:
-        """True if a calibration soil has such a leg or rig, whose error is then part of b."""
-        soils = self.calibration.soils if self.calibration else []
-        return any(all(getattr(s, k) == v for k, v in wanted.items()) for s in soils)
+    def _by_law(self, i: int) -> tuple[FloatArray, float]:
+        """Best φ as the law reads it off the i-th record [deg], shape [1], and c / (ρ g L)."""
+        phi = np.array([self.least_squares])
+        number = self.cohesion * float(self._per_pascal[i])
+        return phi + self.offset(self.records[i], phi), number
 
     def _law_errors(self) -> dict[str, FloatArray]:
         """Covariance of the law's errors as if all records shared them [N²], [n, n] each.
@@ -662,10 +622,8 @@ class Likelihood:
         # The law has each error as a factor F [2 theta, k] of its forces: k independent causes, one
         # standard deviation each. Read as the record reads forces, F is B, and the covariance B B'.
         scatter, errors = np.zeros((self.data.size, self.data.size)), []
-        for i, (record, law, part) in enumerate(
-            zip(self.records, self.laws, self.parts, strict=True)
-        ):
-            at = self._read(record, self.least_squares), self.cohesion * float(self._per_pascal[i])
+        for i, (law, part) in enumerate(zip(self.laws, self.parts, strict=True)):
+            at = self._by_law(i)
             factors = {"emulator": law.interpolation(*at)}
             factors |= law.modes(*at) if self.measured else {}
             errors.append({name: self._means_of(i, f.T) for name, f in factors.items()})
@@ -681,10 +639,10 @@ class Likelihood:
 
     def _angle_sds(self) -> dict[str, FloatArray]:
         """Standard deviation of φ by what looks like another angle [deg], shape [record] each."""
-        phi, calibration = float(self.least_squares[0]), self.calibration
+        phi, calibration = self.least_squares, self.calibration
         rows = []
         for record, coverage in zip(self.records, self.coverage, strict=True):
-            error, leg = self.errors[record.leg], record.leg
+            error, leg = self.errors[record.rig.leg], record.rig.leg
             apparatus = error.common_sd_deg
             if calibration:
                 apparatus = float(
@@ -696,13 +654,11 @@ class Likelihood:
                     "model: apparatus": apparatus,
                     "model: soil": error.soil_sd_deg,
                     "model: leg": error.leg_sd_deg,
-                    "model: offset": (
-                        0.0 if self._is_calibrated(leg=leg) else error.offset_sd_at(phi)
-                    ),
+                    "model: offset": 0.0 if leg in self._calibrated else error.offset_sd_at(phi),
                     "missing angles": PART_DEG * math.sqrt(missing),
                     "missing forces": MOMENT_DEG * (record.channels != FORCES),
                     "second opinion": self.disagreement_deg,
-                    "cohesion": self._averaged.phi_sd_deg,
+                    "cohesion": self.averaged[2],
                 }
             )
         return {name: np.array([row[name] for row in rows]) for name in rows[0]}
@@ -724,7 +680,7 @@ class Likelihood:
         stated = np.sum(
             [each.diagonal() for name, each in self.terms.items() if term(name).residual], axis=0
         )
-        residual = self.data - self.curves(self.least_squares[None])[0]
+        residual = self.data - self.curves(self.least_squares)[0]
         for record, part in zip(self.records, self.parts, strict=True):
             e = residual[part].reshape(len(record.channels), -1)
             lacking = np.square(e).mean(axis=1) - stated[part].reshape(e.shape).mean(axis=1)
@@ -737,49 +693,26 @@ class Likelihood:
         return covariance
 
     @cached_property
-    def _weights(self) -> FloatArray:
-        """Weights c of φ at the best point [deg/N], shape [1, n]."""
+    def weights(self) -> FloatArray:
+        """Weights c of φ at the best point [deg/N], shape [n]."""
         slope, shift = self._best.slope.copy(), np.abs(self.shift_deg)
         # A shift at its bound is not fitted.
         slope[0, :, 1:] *= shift < self._most_shift
-        return weights(slope, self._weight[None])[0][0, :1]
-
-    @property
-    def _weight(self) -> FloatArray:
-        """A = diag(1/p²), p the peak-to-peak of each force, shape [n, n]."""
-        return np.diag(self.span**-2)
+        return weights(slope, self._weight[None])[0][0, 0]
 
     @cached_property
-    def _variance(self) -> FloatArray:
-        """Variance V of φ [deg²], shape [1, 1]."""
-        return np.asarray(self._weights @ self.covariance @ self._weights.T)
-
-    def __call__(self, x: FloatArray) -> FloatArray:
-        """Log-likelihood up to a constant, shape [k, 1] -> [k]."""
-        deviation = x - self.least_squares
-        if not self.measured:
-            deviation = (self.curves(x) - self.data) @ self._weights.T
-        precision = np.linalg.pinv(self._variance)
-        return np.asarray(-0.5 * (deviation @ precision * deviation).sum(axis=1))
-
-    def chi2(self, x: FloatArray) -> float:
-        """Squared residual at a point, over all terms [-]."""
-        residual = self.data - self.curves(x[None])[0]
-        return float(residual @ np.linalg.solve(self.covariance, residual))
-
-    @property
-    def sd(self) -> FloatArray:
-        """Standard deviation of φ by all terms [deg], [1]."""
-        return np.sqrt(np.diag(self._variance))
+    def sd(self) -> float:
+        """Standard deviation √V of φ by all terms [deg]."""
+        return math.sqrt(float(self.weights @ self.covariance @ self.weights))
 
     def budget(self) -> dict[str, float]:
         """Share of each term in the standard deviation of φ [deg].
 
         With c the weights of the estimate it is √(c'C_t c); the squares add up to the variance.
         """
-        c = self._weights[0]
-        variances = {name: float(c @ covariance @ c) for name, covariance in self.terms.items()}
-        return ordered_budget({name: math.sqrt(max(v, 0.0)) for name, v in variances.items()})
+        c = self.weights
+        variances = {name: max(float(c @ term @ c), 0.0) for name, term in self.terms.items()}
+        return ordered_budget({name: math.sqrt(variance) for name, variance in variances.items()})
 
 
 def quadrature(likelihood: Likelihood) -> tuple[FloatArray, FloatArray]:
@@ -796,9 +729,12 @@ def quadrature(likelihood: Likelihood) -> tuple[FloatArray, FloatArray]:
     if likelihood.beyond is not None:
         low, high = likelihood.beyond
         return np.linspace(low, high, NODES), np.full(NODES, 1.0 / (high - low))
-    best, reach = likelihood.least_squares, 8.0 * likelihood.sd
-    low, high = (float(np.clip(best + way, *likelihood.ends)[0]) for way in (-reach, reach))
+    best, sd = likelihood.least_squares, likelihood.sd
+    low, high = np.clip([best - 8.0 * sd, best + 8.0 * sd], *likelihood.ends).tolist()
     grid = np.linspace(low, high, NODES)
-    value = likelihood(grid[:, None])
-    density = np.exp(value - value.max())
+    deviation = grid - best
+    if not likelihood.measured:
+        deviation = (likelihood.curves(grid) - likelihood.data) @ likelihood.weights
+    squares = np.square(deviation / sd)
+    density = np.exp(0.5 * (squares.min() - squares))
     return grid, density / np.trapezoid(density, grid)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from terraphi.experiment.documents import value_of
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.rig import SIZES
 from terraphi.experiment.tables import read_cells
@@ -72,10 +73,7 @@ def _row(folder: Path, cells: dict[str, str]) -> dict[str, Any]:
     for key in given.keys() - TEXTS:
         given[key] = given[key].replace(",", ".")  # as in 638,5
     if "noise" in given:
-        try:
-            given["noise"] = float(given["noise"])
-        except ValueError:
-            raise InputError(f"{cells['file']}: noise = {given['noise']!r} is no number") from None
+        given["noise"] = value_of(given["noise"])
     notes = {key: cell for key, cell in cells.items() if key not in ("file", *OPTIONS)}
     return {"forces": placed(cells["file"]), **given, "notes": notes}
 

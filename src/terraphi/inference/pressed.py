@@ -295,15 +295,13 @@ def _verdict(
     low, high = press.ends
     loosest = min(high - 0.1, LOOSE_DEG)
     if phi_deg > loosest:
-        return out_of_range(
-            press.law, "high", loosest,
-            "which is of loose soil; check diameter and unit; dense or cohesive soil bears more",
-        )  # fmt: skip
+        advice = (
+            "check the diameter and the unit; dense or cohesive soil bears more than loose soil"
+        )
+        return out_of_range(press.law, "high", loosest, advice)
     if fit.chance @ (fit.by_law < low + 0.1) > 0.5:
-        return out_of_range(
-            press.law, "low", low,
-            "check diameter and unit of the force, its sign and the zero of the sinkage",
-        )  # fmt: skip
+        advice = "check diameter and unit of the force, its sign and the zero of the sinkage"
+        return out_of_range(press.law, "low", low, advice)
     if misfit := large_residual([record], "loose grains"):
         return misfit
     deep = press.z > 0.5 * press.z[-1]

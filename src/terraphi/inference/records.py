@@ -36,7 +36,6 @@ from terraphi.experiment.history import (
     ForceHistory,
     resolution,
 )
-from terraphi.experiment.leg import RotatingShape
 from terraphi.experiment.measurements import Measurement, measurement_of, open_forces
 from terraphi.experiment.priors import DENSITY_SD_PART, SENSOR_GAIN
 from terraphi.experiment.reading import ForceColumns, Pressed, read_pressed, read_trials
@@ -112,11 +111,6 @@ class Record:
     gain_sd: float = 0.0
     scale_given: bool = False
     grain_size_mm: float = 0.0
-
-    @property
-    def leg(self) -> RotatingShape:
-        """Shape of the leg."""
-        return self.rig.leg
 
     @property
     def channels(self) -> tuple[str, ...]:

@@ -15,13 +15,12 @@ from terraphi.inference import COLUMNS
 from terraphi.view.console import Table
 
 if TYPE_CHECKING:
-    from terraphi.inference.answer import Answer, Estimate
+    from terraphi.inference.answer import Answer
 
 MOST_LINES = 10
 """Lines of an answer, without tables."""
 LEAST_SHARE = 0.1
 """Terms of the interval below this share of the largest are left out [-]."""
-PHI = "soil.friction_angle_deg"
 CONVENTIONS = {
     "plane_strain": "plane strain",
     "triaxial": "triaxial compression",
@@ -48,7 +47,7 @@ def headline(answer: Answer) -> str:
     source = answer.source if len(answer.records) < 3 else f"{len(answer.records)} records"
     assumed = " (assumed)" if answer.density_assumed else ""
     lines = [f"{source} · {rigs} · {answer.density_kg_m3:g} kg/m³{assumed} · law {answer.law}"]
-    if PHI in answer.parameters and answer.verdict != "out_of_range":
+    if answer.verdict != "out_of_range":
         which = CONVENTIONS.get(answer.convention, answer.convention)
         if answer.convention == "plane_strain" and not all(r.simulated for r in answer.records):
             which += "; critical angle if loose, critical to peak if dense"
@@ -82,10 +81,8 @@ def in_words(answer: Answer) -> list[str]:
         lines.append(
             f"  Half the force: {half}; twice: {twice}. Hang a known weight on the sensor."
         )
-    guesses = [sentence for sentence in answer.warnings if GUESSED in sentence]
-    warnings = [sentence for sentence in answer.warnings if sentence not in guesses]
-    lines += [f"  Warning: {sentence}" for sentence in warnings]
-    return lines + [f"  Note: {sentence}" for sentence in guesses]
+    lines += [f"  Warning: {sentence}" for sentence in answer.warnings if GUESSED not in sentence]
+    return lines + [f"  Note: {sentence}" for sentence in answer.warnings if GUESSED in sentence]
 
 
 def parts_of(answer: Answer, *, verbose: bool = False) -> list[str | Table]:
@@ -95,17 +92,15 @@ def parts_of(answer: Answer, *, verbose: bool = False) -> list[str | Table]:
     lines[bold] = click.style(lines[bold], bold=True)
     if verbose:
         return [*lines, "", *tables(answer)]
-    more = len(lines) - MOST_LINES
-    return (
-        [*lines[: MOST_LINES - 1], f"  {more + 1} more: -v prints them."] if more > 0 else [*lines]
-    )
+    if (more := len(lines) - MOST_LINES) > 0:
+        lines[MOST_LINES - 1 :] = [f"  {more + 1} more: -v prints them."]
+    return [*lines]
 
 
 def tables(answer: Answer) -> list[Table]:
-    """Parameters, terms of the interval and records."""
+    """Terms of the interval and records."""
     from terraphi.inference.terms import TERMS
 
-    parameters = [(key, *_rounded(estimate)) for key, estimate in answer.parameters.items()]
     # Answers by earlier versions have terms that the table has no more.
     terms = [
         (name, f"{sd:.2f}", TERMS[name].source if name in TERMS else "")
@@ -120,7 +115,6 @@ def tables(answer: Answer) -> list[Table]:
         for record in answer.records
     ]  # fmt: skip
     parts = [
-        Table("Parameters", ("key", "median", "sd", "68 %", "95 %"), parameters),
         Table("Standard deviation of φ by term", ("term", "[deg]", "size is"), terms),
         Table(
             "Records",
@@ -162,14 +156,6 @@ def _advice(answer: Answer, digits: int) -> str:
     return f"To ± {sd_without[action]:.{digits}f}° at best: {action}."
 
 
-def _rounded(estimate: Estimate) -> tuple[str, str, str, str]:
-    """Format median, standard deviation and intervals with two digits of the ±."""
-    digits = max(0, 1 - math.floor(math.log10(max(estimate.sd, 1e-12))))
-    ends = (estimate.ci68, estimate.ci95)
-    inner, outer = (f"{low:.{digits}f} to {high:.{digits}f}" for low, high in ends)
-    return f"{estimate.median:.{digits}f}", f"{estimate.sd:.{digits}f}", inner, outer
-
-
 # -- many answers --------------------------------------------------------------------------------
 
 
@@ -190,7 +176,7 @@ def write_table(
 
     Parameters
     ----------
-    rows, found
+    rows, answers
         Options of each record, with ``notes`` that are copied, and its answer.
     path
         The file.
@@ -236,9 +222,8 @@ def table_of_answers(rows: Sequence[dict[str, Any]]) -> Table:
 
 def row(answer: Answer) -> dict[str, Any]:
     """Format an answer by column, without its source."""
-    phi, plane = answer.parameters.get(PHI), answer.phi_plane_strain
-    ends = [] if phi is None else [phi.median, phi.sd, *phi.ci68, *phi.ci95]
-    rounded = [f"{value:.6g}" for value in ends] or [""] * 6
+    phi, plane = answer.phi, answer.phi_plane_strain
+    rounded = [f"{value:.6g}" for value in (phi.median, phi.sd, *phi.ci68, *phi.ci95)]
     return {
         "leg": ", ".join(
             dict.fromkeys(rig.leg if rig.sizes_mm else str(rig) for rig in answer.rigs)

@@ -92,19 +92,14 @@ def present(data: Any, *parts: str | Table | Mapping[str, Any], as_json: bool) -
         if isinstance(part, str):
             click.echo(part)
         elif isinstance(part, Table):
-            print_table(part)
+            if part.title:
+                click.secho(part.title, bold=True)
+            # In a file or a pipe lines are as long as they need to be.
+            width = shutil.get_terminal_size().columns if sys.stdout.isatty() else math.inf
+            click.echo(part.terminal(width))
+            click.echo(f"{part.note}\n" if part.note else "")
         else:
             print_pairs(part)
-
-
-def print_table(table: Table) -> None:
-    """Title, columns and note."""
-    if table.title:
-        click.secho(table.title, bold=True)
-    # In a file or a pipe lines are as long as they need to be.
-    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else math.inf
-    click.echo(table.terminal(width))
-    click.echo(f"{table.note}\n" if table.note else "")
 
 
 def print_pairs(pairs: Mapping[str, Any]) -> None:

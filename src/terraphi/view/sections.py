@@ -209,25 +209,7 @@ def of_answer(answer: Answer) -> Section:
             layout = axes(record.along, "data less model [% of range]")
             note = "The limit is that of the root mean square, from training soils."
             parts.append(Plot(f"Residual{where}", [limit, *residuals], layout, note, wide=True))
-    parts += _posterior(answer)
-    if answer.budget_deg:
-        names, values = zip(*[*answer.budget_deg.items()][::-1], strict=True)
-        bars = {"type": "bar", "orientation": "h", "x": numbers(values), "y": [*names]}
-        layout = axes("standard deviation of φ [deg]", "")
-        marker = {"marker": {"color": BLUE}}
-        parts.append(Plot("Terms of the interval", [bars | marker], layout))
-    # The parameter is in the headline, and the terms are drawn.
-    shown = {"Parameters", "Standard deviation of φ by term"}
-    parts += [table for table in tables(answer) if table.title not in shown]
-    status = "good" if answer.verdict == "consistent" else "bad"
-    origin = pairs(answer.as_dict()["provenance"])
-    sentences = [*map(capital, more[1:]), *lines, about]
-    return Section("answer", source, headline, sentences, parts, origin, status)
-
-
-def _posterior(answer: Answer) -> list[Plot]:
-    """Posterior density of φ, the 68 % interval shaded."""
-    grid, density = answer.posterior
+    grid, density = answer.grid_deg, answer.density
     visible = density > 1e-4 * density.max()
     inside = (grid >= answer.phi.ci68[0]) & (grid <= answer.phi.ci68[1])
     traces = [
@@ -235,7 +217,18 @@ def _posterior(answer: Answer) -> list[Plot]:
         line(grid[visible], density[visible], "posterior", BLUE),
     ]
     label = f"φ [deg], {CONVENTIONS.get(answer.convention, answer.convention)}"
-    return [Plot("Friction angle", traces, axes(label, "density [1/deg]"))]
+    parts.append(Plot("Friction angle", traces, axes(label, "density [1/deg]")))
+    if answer.budget_deg:
+        names, values = zip(*[*answer.budget_deg.items()][::-1], strict=True)
+        bars = {"type": "bar", "orientation": "h", "x": numbers(values), "y": [*names]}
+        layout = axes("standard deviation of φ [deg]", "")
+        marker = {"marker": {"color": BLUE}}
+        parts.append(Plot("Terms of the interval", [bars | marker], layout))
+    parts += tables(answer)[-1:]  # the terms are drawn
+    status = "good" if answer.verdict == "consistent" else "bad"
+    origin = pairs(answer.as_dict()["provenance"])
+    sentences = [*map(capital, more[1:]), *lines, about]
+    return Section("answer", source, headline, sentences, parts, origin, status)
 
 
 # -- simulations ---------------------------------------------------------------------------------
@@ -432,11 +425,11 @@ def numbers(values: ArrayLike) -> list[float | None]:
     return [float(f"{value:.6g}") if math.isfinite(value) else None for value in flat]
 
 
-def line(x: ArrayLike, y: ArrayLike, name: str, colour: str, *, dash: str = "solid") -> Trace:
+def line(x: ArrayLike, y: ArrayLike, name: str, colour: str) -> Trace:
     """A curve, thinned to a number of points."""
     step = max(1, np.size(x) // MOST_POINTS)
     x, y = np.asarray(x)[::step], np.asarray(y)[::step]
-    look = {"color": colour, "dash": dash, "width": 2}
+    look = {"color": colour, "width": 2}
     return {"mode": "lines", "x": numbers(x), "y": numbers(y), "name": escaped(name), "line": look}
 
 
@@ -449,13 +442,9 @@ def points(x: ArrayLike, y: ArrayLike, name: str, colour: str, *, symbol: str = 
 
 def band(x: ArrayLike, low: ArrayLike, high: ArrayLike, name: str, colour: str) -> Trace:
     """The area between two curves."""
-    there, back = np.asarray(x), np.asarray(x)[::-1]
-    outline = np.concatenate([np.asarray(high), np.asarray(low)[::-1]])
-    return {
-        "mode": "lines", "x": numbers(np.concatenate([there, back])), "y": numbers(outline),
-        "name": escaped(name), "fill": "toself", "fillcolor": colour, "line": {"width": 0},
-        "hoverinfo": "skip",
-    }  # fmt: skip
+    look = {"mode": "lines", "fill": "toself", "fillcolor": colour, "line": {"width": 0}}
+    place = {"x": [*numbers(x), *numbers(x)[::-1]], "y": [*numbers(high), *numbers(low)[::-1]]}
+    return {**look, **place, "name": escaped(name), "hoverinfo": "skip"}
 
 
 def axes(x: str, y: str) -> dict[str, Any]:
