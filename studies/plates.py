@@ -468,7 +468,8 @@ def main() -> None:
             "spheres that are simulated one by one. A shear cell measured the critical φ of these "
             "grains in plane strain. Grains are loose unless a row names another packing, and have "
             "6 mm or 8.8 mm (-coarse). Beds are 30 diameters wide. `terraphi invert --tool` gives "
-            "φ of feet that go straight down; it assumes their friction, which is 0.35."
+            "φ of feet that go straight down; it assumes a friction of 0.30, and that of these "
+            "feet is 0.35."
         ),
         (
             "The table has φ by each law less the measured φ, extrapolated to zero grain size by "

@@ -83,6 +83,8 @@ def test_new_tool_is_inverted() -> None:
     )
     assert square.phi.median == pytest.approx(rectangle.phi.median, abs=1e-9)
     assert square.phi.sd == pytest.approx(rectangle.phi.sd, abs=1e-9)
+    named = terraphi.invert([(table, "square:50")], density="1600±10")
+    assert named.phi.median == pytest.approx(square.phi.median, abs=1e-9)
 
 
 @pytest.mark.parametrize("text", ["square:50x60", "cube:50", "plate:0.5"])

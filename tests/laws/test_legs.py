@@ -280,7 +280,7 @@ def own_library(width: float, larger: float) -> Library:
     return Library("wide", tuple(cases))
 
 
-def test_simulations_of_one_s_own_leg_join_the_law() -> None:
+def test_simulations_of_one_s_own_leg_join_the_law(tmp_path: Path) -> None:
     """It has their forces, and between their angles what lies there; others stay as they are."""
     library = own_library(1.4, 1.15)
     joined, rig = shipped_legs().joined(library), Rig.of_scenario(library.scenario)
@@ -298,6 +298,10 @@ def test_simulations_of_one_s_own_leg_join_the_law() -> None:
     before, after = (law.law(li)(np.array([[30.0]])) for law in (shipped_legs(), joined))
     np.testing.assert_allclose(after, before, atol=0.01 * np.ptp(before))
     assert joined.error_of("straight") == shipped_legs().error_of("straight")
+    for write in (joined.save, joined.to_netcdf):
+        with pytest.raises(InputError, match="keep the library's own file"):
+            write(tmp_path / "joined.nc")
+    assert not [*tmp_path.iterdir()]
 
 
 def test_a_library_of_one_rig_is_read_with_the_law(tmp_path: Path) -> None:

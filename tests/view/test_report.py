@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 import pytest
 
-from terraphi import Answer, InputError, invert
+from terraphi import Answer, InputError, Scenario, invert, simulate
 from terraphi.inference.footfalls import FootfallMap
 from terraphi.view.console import Table
 from terraphi.view.page import render, sections
@@ -40,6 +40,17 @@ def test_each_kind_of_result_is_recognised_and_drawn(results: dict[str, str]) ->
         assert len(plots) >= 2
         assert all(f'id="plot-{i}-{j}"' in page for j in plots)
         assert {f"plot-{i}-{j}" for j in plots} <= plots_of(page).keys()
+
+
+def test_a_simulated_body_that_is_no_leg_is_named() -> None:
+    scenario = {
+        "name": "pressed", "model": "rft", "dimensions": 3,
+        "leg": {"shape": "plate", "chord": 0.04, "width": 0.02, "half_thickness": 0.001},
+        "motion": {"kind": "translation", "start": [0.15, 0.17], "orientation_deg": 90.0,
+                   "velocity": [0.0, -0.01], "distance": 0.03},
+    }  # fmt: skip
+    history = simulate(Scenario.model_validate(scenario))
+    assert "plate, φ = " in sections([history])[0].headline
 
 
 def test_an_answer_that_was_changed_is_shown_with_a_warning(answer: Answer, tmp_path: Path) -> None:

@@ -76,8 +76,8 @@ def doctor(as_json: bool) -> None:
 def keys(document: str, as_json: bool) -> None:
     """List the keys of a TOML file, with unit, default, choices and meaning.
 
-    DOCUMENT is scenario (default), plan, robot, forces
-    (for invert --columns), or columns (of a robot's log).
+    DOCUMENT is scenario (default), plan, robot, forces or tool (for invert
+    --columns), or columns (of a robot's log).
 
     Example: terraphi keys plan
     """

@@ -171,11 +171,6 @@ class Written(Shown):
             Path(path), cls.ATTRIBUTES, kind=cls.KIND, schema=cls.SCHEMA, remedy=cls.REMEDY
         )
 
-    def as_file(self) -> NetcdfFile[Any]:
-        """Variables and attributes as a file of this result has them, without writing one."""
-        variables = {name: np.asarray(values) for name, values in self._variables().items()}
-        return NetcdfFile(self.ATTRIBUTES.model_validate(self._attributes()), variables)
-
 
 class Result(Written):
     """Base of results that are read back from their files."""

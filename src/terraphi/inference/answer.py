@@ -35,6 +35,7 @@ from terraphi.laws.store import PHI
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray as xr
     from matplotlib.figure import Figure
 
     from terraphi.inference.bekker import Bekker
@@ -491,6 +492,10 @@ class Answer(Result, AnswerSummary):
     def _chains(self) -> FloatArray:
         """Values of φ in four chains, as ArviZ has them [deg], shape [chain, draw]."""
         return np.random.default_rng(0).permutation(self.phi_draws()).reshape(4, -1)
+
+    def to_xarray(self) -> xr.Dataset:
+        """Draws of φ as a Dataset [deg]; :meth:`to_inference_data` has all groups of the file."""
+        return self._groups()["posterior"]
 
     def _groups(self) -> dict[str, Any]:
         """Datasets in the layout of ArviZ, by group."""

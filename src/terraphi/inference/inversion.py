@@ -101,7 +101,7 @@ def invert(
         those of the legs.
     density
         Bulk density [kg/m³], as a number (± 5 %) or ``"1600±80"``; ``None``: from the forces' file,
-        else the library's.
+        else that of :mod:`~terraphi.experiment.priors`.
     grain_size_mm
         Mean diameter of the grains [mm], where they are not small compared with the leg or tool:
         what simulated grains of 4 to 9 mm raise φ by is taken off.

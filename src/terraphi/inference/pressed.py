@@ -298,7 +298,9 @@ def _verdict(
         advice = (
             "check the diameter and the unit; dense or cohesive soil bears more than loose soil"
         )
-        return out_of_range(press.law, "high", loosest, advice)
+        return out_of_range(
+            press.law, "high", loosest, advice, "the densest soil that tools can read"
+        )
     if fit.chance @ (fit.by_law < low + 0.1) > 0.5:
         advice = "check diameter and unit of the force, its sign and the zero of the sinkage"
         return out_of_range(press.law, "low", low, advice)

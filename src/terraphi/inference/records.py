@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.bodies import OUTLINES
+from terraphi.experiment.bodies import OUTLINES, TOOLS
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import label_of, number_with_sd
 from terraphi.experiment.history import (
@@ -331,22 +331,23 @@ def _sources(forces: Any) -> list[tuple[Any, Any]]:
         if not _is_body(body):
             raise InputError(
                 f"{forces}: after @ comes a leg ({', '.join(OUTLINES)}), a rig (rig.toml) or a "
-                "tool (plate:60, ball:44)"
+                f"tool ({', '.join(shape.form for shape in TOOLS.values())})"
             )
         forces = source
     return [(forces, Tool.of(body) if is_tool(body) else body)]
 
 
 def _is_body(body: Any) -> bool:
-    """Whether this names a leg, a rig or a tool."""
+    """True if this names a leg, a rig or a tool."""
     if isinstance(body, str | Path):
         return body in OUTLINES or Path(body).suffix == ".toml" or is_tool(body)
     return isinstance(body, Rig | Tool | Mapping)
 
 
 def is_tool(body: Any) -> bool:
-    """Whether a body is written as a tool, such as ``"plate:60"``."""
-    return isinstance(body, str) and body.strip().lower().startswith(("plate:", "ball:"))
+    """True if a body is written as a tool, such as ``"plate:60"``."""
+    keywords = tuple(f"{shape.keyword}:" for shape in TOOLS.values())
+    return isinstance(body, str) and body.strip().lower().startswith(keywords)
 
 
 def _measurements(forces: Any, columns: ForceColumns) -> list[Measurement]:

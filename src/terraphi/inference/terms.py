@@ -103,7 +103,7 @@ def term(name: str) -> Term:
 
 
 def is_shared(name: str, sharers: Sequence[Sharer]) -> BoolArray:
-    """Whether two records or answers have the same error of a term, shape [k, k]."""
+    """True where two records or answers have the same error of a term, shape [k, k]."""
     values = [getattr(sharer, term(name).key) for sharer in sharers]
     return np.equal.outer(*[np.array([values.index(value) for value in values])] * 2)
 

@@ -12,10 +12,12 @@ Judgment = tuple[Verdict, str, Edge | None]
 """Verdict, its reason in a sentence or more, and the end of the law beyond which φ lies."""
 
 
-def out_of_range(law: str, edge: Edge, end_deg: float, advice: str = "") -> Judgment:
-    """Verdict on φ beyond an end of a law [deg]."""
+def out_of_range(
+    law: str, edge: Edge, end_deg: float, advice: str = "", what: str = ""
+) -> Judgment:
+    """Verdict on φ beyond an end of a law [deg], or beyond what else limits the answer."""
     where, end = ("below", "lower") if edge == "low" else ("above", "upper")
-    reason = f"Out of range: φ lies {where} {end_deg:.0f}°, the {end} end of law {law}"
+    reason = f"Out of range: φ lies {where} {end_deg:.0f}°, {what or f'the {end} end of law {law}'}"
     return "out_of_range", f"{reason}{f'; {advice}' if advice else ''}.", edge
 
 

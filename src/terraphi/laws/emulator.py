@@ -9,9 +9,8 @@ u_k are mean and principal components of the curves over their size. Each weight
 process with a quadratic mean, a Matérn 5/2 kernel and a nugget, n_k, the scatter between particle
 seeds; hyperparameters maximise the restricted likelihood (Rasmussen & Williams 2006, section 2.7).
 e is scatter outside the components, estimated from the part of each curve that the other curves
-cannot describe:
-its size is smooth over θ, and its correlation a function of the distance in θ, from the mean
-periodogram.
+cannot describe. Its size is smooth over θ. Its correlation is a function of the distance in θ, from
+the mean periodogram.
 """
 
 from __future__ import annotations

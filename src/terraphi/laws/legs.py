@@ -299,14 +299,16 @@ class Legs(AnyLaw, FittedLaw):
             "provenance": dict(self.provenance),
         }  # fmt: skip
 
-    def save(self, path: Path | str) -> None:
+    def to_netcdf(self, path: Path | str) -> None:
         """Write one NetCDF-4 file; raises InputError if the place cannot be written.
 
         A library that was joined stays in its own file.
         """
         if self.joined_rigs:
             raise InputError(f"law legs with library {self.name}: keep the library's own file")
-        super().save(path)
+        super().to_netcdf(path)
+
+    save = to_netcdf
 
     def joined(self, library: Library) -> Legs:
         """The law with the cases of a library, of rigs of its own, among its own."""

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import BaseModel, Json
 
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import label_of
+from terraphi.experiment.files import NetcdfFile, label_of
 from terraphi.experiment.results import Variable, Written
 from terraphi.experiment.scenario import GRAVITY
 from terraphi.robot import checks
@@ -201,6 +201,11 @@ class RobotForces(Written):
         how = {"frame": self.forces.frame, "estimator": self.forces.estimator}
         return super()._attributes() | how
 
+    def as_file(self) -> NetcdfFile[Any]:
+        """Variables and attributes as a file of this result has them, without writing one."""
+        variables = {name: np.asarray(values) for name, values in self._variables().items()}
+        return NetcdfFile(self.ATTRIBUTES.model_validate(self._attributes()), variables)
+
     def _lines(self) -> list[str]:
         count, peak = self.pooled.count, self.pooled.peak("z")
         stances = f"{count} stances, peak of their mean Fz {peak:.0f} N" if count else "no stances"
@@ -323,6 +328,7 @@ def _sensor_correlation(log: JointLog, forces: FootForces) -> dict[str, float]:
     if log.foot_counts is None:
         return {}
     counts, lifts = (pd.DataFrame(v, columns=FEET) for v in (log.foot_counts, forces.lift))
+    counts = counts.loc[:, counts.nunique() > 1]
     return {foot: float(value) for foot, value in counts.corrwith(lifts).dropna().items()}
 
 

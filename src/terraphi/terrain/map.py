@@ -82,8 +82,8 @@ class SlopeMap(Shown):
     def to_xarray(self) -> xr.Dataset:
         """Layers over y and x [m], with their units."""
         on_grid = [Variable(name, "y x", unit, about) for name, (about, unit) in LAYERS.items()]
-        places = {"y": self.dem.y, "x": self.dem.x, "crs": str(self.dem.crs)}
-        return dataset_of(on_grid, self.layers).assign_coords(places)
+        grid = dataset_of(on_grid, self.layers).assign_coords(y=self.dem.y, x=self.dem.x)
+        return grid.assign_attrs(crs=str(self.dem.crs))
 
     def _lines(self) -> list[str]:
         return in_words(self.summary)
@@ -201,9 +201,9 @@ def map_slopes(
     Of the footfalls of a walk::
 
         walk = terraphi.footfalls("walk.csv", density="1550±80")
-        found = terraphi.map(walk, "dem.tif", start="500012,4000034,90", prior=["wetness=0"])
-        found.to_xarray()["p_unstable"].plot()
-        found.save("slopes")
+        slopes = terraphi.map(walk, "dem.tif", start="500012,4000034,90", prior=["wetness=0"])
+        slopes.to_xarray()["p_unstable"].plot()
+        slopes.save("slopes")
     """
     began = time.perf_counter()
     seed, draws = seed_from(seed, rng), count("draws", draws, 1, MOST_DRAWS)

@@ -241,7 +241,7 @@ def soil(
         Bulk density [kg/m³], as ``1600`` (± 5 %) or ``"1600±40"``; by default that of the table,
         or that of :mod:`~terraphi.experiment.priors`. An answer has its own.
     anyway
-        True if an answer is accepted whose verdict is not ``consistent`` is accepted.
+        True if an answer is accepted whose verdict is not ``consistent``.
 
     Raises
     ------

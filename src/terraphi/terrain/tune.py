@@ -155,7 +155,7 @@ class Press:
     place: float = 0.5
     seed: int = 0
 
-    def __post_init__(self) -> None:
+    def check(self) -> None:
         """Check what can be simulated; raises InputError."""
         radius = self.sole.radius
         slowest = 0.5 * self.depth / THIRDS / self.speed
@@ -642,6 +642,7 @@ def tune(
     sole = Sole.of(foot)
     depth = 0.5 * sole.radius if depth is None else depth
     press = Press(sole, voxel, depth, ground.density, surface_friction, time_step, seed=seed)
+    press.check()
     rng = np.random.default_rng(seed)
     load = Load.of(press, ground, is_rigid=is_newton, rng=rng)
     ratio_of_soil = math.sin(math.radians(ground.phi.median))

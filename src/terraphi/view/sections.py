@@ -257,7 +257,7 @@ def of_library(library: Library) -> Section:
                 traces.append(line(x, y, f"φ = {phi:g}°", colour) | {"showlegend": False})
             note = f"Dark to light: φ = {low:g} to {high:g}°."
             where = position_label(curves[0][1])
-            parts.append(Plot(f"{force}, {OUTLINES[leg].label}", traces, axes(where, label), note))
+            parts.append(Plot(f"{force}, {shape_label(leg)}", traces, axes(where, label), note))
     provenance = summary.pop("provenance")
     contents = {key: value for key, value in summary.items() if value not in ("", [], {}, None)}
     parts.append(Table("Contents", ("", ""), pairs(contents)))
@@ -287,9 +287,14 @@ def of_simulation(history: ForceHistory, name: str = "forces") -> Section:
     headline = capital(", ".join(f"peak {n} {p:.1f} {CHANNEL_UNITS[n]}" for n, p in peaks.items()))
     if scenario is not None:
         leg, phi = scenario.leg.shape, scenario.soil.friction_angle_deg
-        headline += f"; {OUTLINES[leg].label}, φ = {phi:g}°"
+        headline += f"; {shape_label(leg)}, φ = {phi:g}°"
     parts: list[Plot | Picture | Table] = [*plots, Table("In numbers", ("", ""), pairs(summary))]
     return Section("simulation", name, headline, [], parts, pairs(history.provenance))
+
+
+def shape_label(shape: str) -> str:
+    """Body of a simulation in words: a leg, or the name of another shape."""
+    return OUTLINES[shape].label if shape in OUTLINES else shape
 
 
 def curve(history: ForceHistory, force: str) -> tuple[Any, Any]:
