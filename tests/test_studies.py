@@ -85,7 +85,8 @@ def readings(rng: np.random.Generator, of_size: float) -> list[table.Reading]:
                 read = phi + excess + 0.8 * rng.standard_normal()
                 values.append(
                     table.Reading(
-                        f"{i}/{leg}/{size}", f"{i}-loose", leg, SimpleNamespace(leg=leg), phi,
+                        f"{i}/{leg}/{size}", f"{i}-loose", leg, SimpleNamespace(rig=SimpleNamespace(leg=leg)),
+                        phi,
                         phi + 2.0, size, read, 0.5, 0.1,
                     )
                 )  # fmt: skip

@@ -60,4 +60,4 @@ def test_lines_of_the_readme_run_in_their_order_in_an_empty_folder(
     for block in PYTHON.findall(text):
         exec(block, {})
     left = {path.name for path in tmp_path.iterdir()}
-    assert left >= {"demo-output", "answer", "soil.nc", "answer.png"}
+    assert left >= {"demo-output", "my-answer", "soil.nc", "answer.png"}

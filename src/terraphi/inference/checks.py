@@ -91,7 +91,7 @@ ONSET, LATE_DEG = 0.1, 11.0
 that another leg makes [deg]: at most 9° in the shipped records."""
 OTHER_ARM = 1.3
 """Factor between a moment and that of the forces that another leg makes: 0.91 to 1.27 in grains."""
-NEARLY_ALL = 0.995
+NEARLY_ALL = 0.98
 """Share of a stroke's information that counts as all of it [-]."""
 OF_SIZE_DEG = 0.5
 """What a mm of grain diameter adds to the angle from which an answer says so [deg]; chosen."""
@@ -383,7 +383,8 @@ def _assumed(likelihood: Likelihood, i: int) -> Iterator[str]:
             f"The readings are {spacing:.0f}° apart and miss peaks between them: record one at "
             f"least every {window_deg:.0f}°."
         )
-    if likelihood.measured and rig.hip_height_sd_mm > 0.0 and "hip height" not in likelihood.terms:
+    has_height = likelihood.calibration or "hip height" in likelihood.terms
+    if likelihood.measured and rig.hip_height_sd_mm > 0.0 and not has_height:
         yield (
             f"The interval leaves out the ± {rig.hip_height_sd_mm:g} mm of the hip height, whose "
             f"effect law {law.name} lacks."
@@ -601,7 +602,7 @@ def _other_readings(
         agreeing = [r for r in fitting if _opinions_agree(likelihood, record, r.leg)]
         fitting = agreeing if len(agreeing) == 1 else fitting
     best, options = fitting[0], [r.option for r in fitting]
-    falls = f"The residual would fall from {100.0 * given:.0f} to {100.0 * best.residual:.0f} %"
+    falls = f"The residual would fall to {100.0 * best.residual / given:.0f} % of its size"
     if len(fitting) == 1:
         yield f"{falls} with {best.option}: {best.check}."
     else:
