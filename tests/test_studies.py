@@ -83,11 +83,11 @@ def readings(rng: np.random.Generator, of_size: float) -> list[table.Reading]:
             for size in (4.0, 6.0, 9.0):
                 excess = offset + of_size * size * (leg != "c") + of_soil
                 read = phi + excess + 0.8 * rng.standard_normal()
+                record = SimpleNamespace(rig=SimpleNamespace(leg=leg))
                 values.append(
                     table.Reading(
-                        f"{i}/{leg}/{size}", f"{i}-loose", leg, SimpleNamespace(rig=SimpleNamespace(leg=leg)),
-                        phi,
-                        phi + 2.0, size, read, 0.5, 0.1,
+                        f"{i}/{leg}/{size}", f"{i}-loose", leg, record, phi, phi + 2.0, size,
+                        read, 0.5, 0.1,
                     )
                 )  # fmt: skip
     return values
