@@ -128,7 +128,7 @@ def numbers(
 
 
 def _inside(xp: Any, array: Any, low: float, high: float) -> bool:
-    """Whether all numbers are between two ends, or not known yet."""
+    """True if all numbers are between two ends, or not known yet."""
     if xp is np:  # a minimum of NaN is NaN
         return not array.size or bool(low <= array.min() and array.max() <= high)
     try:

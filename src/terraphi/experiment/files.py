@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 def is_there(path: Path) -> bool:
-    """Whether something can be read there: a file, a pipe, or ``-``, standard input."""
+    """True if something can be read there: a file, a pipe, or ``-``, standard input."""
     return str(path) == "-" or (path.exists() and not path.is_dir())
 
 

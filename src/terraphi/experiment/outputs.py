@@ -66,7 +66,7 @@ def check_file(path: Path, *, kind: str = "") -> None:
 
 
 def _is_ours(path: Path, kind: str) -> bool:
-    """Whether a file is empty or says that terraphi wrote it."""
+    """True if a file is empty or says that terraphi wrote it."""
     if not path.is_file() or not path.stat().st_size:
         return path.is_file()
     if not kind:

@@ -171,7 +171,7 @@ class ForceColumns(Columns):
     forward, as θ grows: Fx = Fx' cos α + Fz' sin α and Fz = Fz' cos α - Fx' sin α, with the signs
     of Fx' and Fz' put right."""
     force_on: Literal["leg", "soil"] = "leg"
-    """Whether the forces act on the leg or on the soil."""
+    """The body that the forces act on: the leg or the soil."""
     air_before_deg: float | None = None
     """Below this leg angle [deg] the leg is in air, and the forces are tared; -180 for not at all.
     If not given, `invert` takes that of the rig."""
@@ -818,7 +818,7 @@ def _contacts(along: FloatArray, force: FloatArray) -> list[IntArray]:
 
 
 def _scattered(theta: FloatArray) -> bool:
-    """Whether the rows have no order in the angle, or are too few to have one."""
+    """True if the rows have no order in the angle, or are too few to have one."""
     return len(theta) < 3 or bool(np.median(np.abs(np.diff(theta))) > SCATTERED_DEG)
 
 

@@ -105,11 +105,11 @@ class Shown:
     """Base of what shows itself at a prompt and in a notebook, without arrays."""
 
     def _lines(self) -> list[str]:
-        """What a prompt shows, without arrays; the first line names the result."""
+        """Lines for a prompt, without arrays; the first one names the result."""
         raise NotImplementedError
 
     def _table(self) -> pd.DataFrame | None:
-        """What a notebook shows below, if there is a table."""
+        """Table that a notebook shows below the lines, if there is one."""
         return None
 
     def __repr__(self) -> str:

@@ -155,7 +155,7 @@ class Relief(Strict):
     """Fading of soil that the leg has carried away (the paper's tail-phase relief), in 2-D."""
 
     enabled: bool = True
-    """Whether particles fade at all; only in a rotation."""
+    """True if particles fade at all; only in a rotation."""
     distance: float = Field(0.020, ge=0)
     """Displacement from its first place beyond which a particle fades once θ > 0 [m]."""
     rate: float = Field(2.0, ge=0)

@@ -204,7 +204,7 @@ class Soil(Strict):
 
     @property
     def softens(self) -> bool:
-        """Whether φ or ψ changes with the plastic shear strain."""
+        """True if φ or ψ changes with the plastic shear strain."""
         return self.critical_friction_angle_deg is not None or self.potential_angle_deg < 0.0
 
     @property

@@ -414,7 +414,7 @@ def _assumed(likelihood: Likelihood, i: int) -> Iterator[str]:
         unusual = []  # the seeds of Li et al. are light
     yield from unusual
     if record.density_kg_m3 is None or record.density_assumed:
-        yield (f"The density {density:g} kg/m³ is assumed; an error of 10 % moves φ by about 1°.")
+        yield f"The density {density:g} kg/m³ is assumed; an error of 10 % moves φ by about 1°."
 
 
 def densities(density: FloatArray, sd: FloatArray) -> list[str]:
