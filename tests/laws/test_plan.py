@@ -5,9 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-from scipy.stats import qmc
 
 from terraphi.experiment.documents import shipped_names
 from terraphi.experiment.errors import InputError
@@ -34,24 +32,6 @@ def test_a_sweep_is_all_combinations_with_seeds_of_their_own() -> None:
         ("straight", 25.0),
     ]
     assert [c.numerics.seed for c in cases] == [0, 1, 2, 3, 4, 5, 100]
-
-
-def test_a_sample_fills_its_box_and_goes_on() -> None:
-    keys = {"soil.friction_angle_deg": [20.0, 45.0], "leg.friction": [0.2, 0.6]}
-    few, many = (plan(sample={"keys": keys, "count": n}).cases() for n in (8, 32))
-    assert [c.hash for c in many[:8]] == [c.hash for c in few]
-    unit = np.array(
-        [[(c.soil.friction_angle_deg - 20.0) / 25.0, (c.leg.friction - 0.2) / 0.4] for c in many]
-    )
-    assert unit.min() >= -1e-6
-    assert unit.max() <= 1.0 + 1e-6
-    assert qmc.discrepancy(unit.clip(0.0, 1.0)) < 0.01
-
-
-def test_one_at_a_time_is_the_base_and_each_change() -> None:
-    cases = plan(one_at_a_time={"leg.friction": [0.2, 0.6], "soil.density": [1500.0]}).cases()
-    assert len(cases) == 4
-    assert [c.leg.friction for c in cases[1:3]] == [0.2, 0.6]
 
 
 @pytest.mark.parametrize(
