@@ -25,7 +25,7 @@ from scipy.optimize import least_squares
 import pages
 import terraphi
 from terraphi.experiment.priors import FRICTION
-from terraphi.forward.rft import stress_per_depth_3d, to_plane_strain
+from terraphi.forward.rft import stress_scale, to_plane_strain, unit_stress
 from terraphi.inference.pressed import LOOSE_DEG
 from terraphi.laws.foot import LAWS, Foot
 
@@ -333,13 +333,8 @@ def of_inclined_plates() -> list[tuple[str, ...]]:
         motion = np.stack([-np.cos(gamma), 0.0 * gamma, -np.sin(gamma)], axis=-1)
         normal = np.stack([-np.sin(beta), 0.0 * beta, -np.cos(beta)], axis=-1)
         normal *= np.where((normal * motion).sum(axis=1) >= -1e-9, 1.0, -1.0)[:, None]
-        forces = {
-            phi: stress_per_depth_3d(
-                normal, motion, friction_angle_deg=phi, density=1.0,
-                surface_friction=FRICTION.mean,
-            )[:, (0, 2)] / GRAVITY
-            for phi in np.arange(15.0, 45.0, 0.1)
-        }  # fmt: skip
+        unit = unit_stress(normal, motion, FRICTION.mean)[:, (0, 2)] / GRAVITY
+        forces = {phi: stress_scale(phi, 1.0) * unit for phi in np.arange(15.0, 45.0, 0.1)}
         best = min(forces, key=lambda phi: float(np.square(forces[phi] - measured_).sum()))
         rms = np.sqrt(np.square(forces[best] - measured_).mean(axis=0))
         share = rms / np.abs(measured_).max(axis=0)

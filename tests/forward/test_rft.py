@@ -102,14 +102,8 @@ def test_element_in_three_dimensions(a: float, b: float, c: float, d: float, mu:
         expected: Any = (0.0, 0.0, 0.0)
     else:
         expected = space_law(normal, velocity, mu)
-    result = rft.stress_per_depth_3d(
-        normal[None],
-        velocity[None],
-        friction_angle_deg=30.0,
-        density=1500.0,
-        surface_friction=mu,
-    )[0]
-    assert result / rft.stress_scale(30.0, 1500.0) == pytest.approx(expected, abs=1e-9)
+    result = rft.unit_stress(normal[None], velocity[None], mu)[0]
+    assert result == pytest.approx(expected, abs=1e-9)
 
 
 def test_stress_scale_at_a_friction_of_one() -> None:
@@ -222,17 +216,12 @@ def test_both_laws_are_blind_to_left_and_right(beta: float, gamma: float) -> Non
     tangent = np.array([[math.cos(beta), math.sin(beta)]])
     direction = np.array([[math.cos(gamma), math.sin(gamma)]])
     mirror = np.array([-1.0, 1.0])
-    options: dict[str, Any] = {
-        "friction_angle_deg": 30.0,
-        "density": 1500.0,
-        "surface_friction": 0.4,
-    }
     plane = rft.stress_per_depth_2d(tangent, direction, medium="poppy_close")
     mirrored = rft.stress_per_depth_2d(mirror * tangent, mirror * direction, medium="poppy_close")
     assert mirrored == pytest.approx(mirror * plane, abs=1e-3)
-    space = rft.stress_per_depth_3d(tangent, direction, **options)
-    mirrored = rft.stress_per_depth_3d(mirror * tangent, mirror * direction, **options)
-    assert mirrored == pytest.approx(mirror * space, abs=1e-3)
+    space = rft.unit_stress(tangent, direction, 0.4)
+    mirrored = rft.unit_stress(mirror * tangent, mirror * direction, 0.4)
+    assert mirrored == pytest.approx(mirror * space, abs=1e-9)
 
 
 @pytest.mark.parametrize("dimensions", [2, 3])

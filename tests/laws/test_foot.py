@@ -11,7 +11,7 @@ import pytest
 from scipy.optimize import brentq
 
 from terraphi.experiment.errors import InputError
-from terraphi.forward.rft import stress_per_depth_3d
+from terraphi.forward.rft import stress_scale, unit_stress
 from terraphi.laws.foot import LAWS, Foot, FootCases, bearing_factors, simulated_cases
 from terraphi.laws.legs import Legs
 
@@ -52,9 +52,7 @@ def test_ball_is_the_sum_over_its_faces(descent_deg: float, depth: float) -> Non
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     descent = math.radians(descent_deg)
     going = np.broadcast_to([math.cos(descent), 0.0, -math.sin(descent)], normal.shape)
-    alpha = stress_per_depth_3d(
-        normal, going, friction_angle_deg=34.0, density=1550.0, surface_friction=0.5
-    )
+    alpha = stress_scale(34.0, 1550.0) * unit_stress(normal, going, 0.5)
     below = np.maximum(depth - BALL.radius * (1.0 + normal[:, 2]), 0.0)
     area = 4.0 * math.pi * BALL.radius**2 / len(normal)
     expected = (alpha * below[:, None]).sum(axis=0)[[0, 2]] * area

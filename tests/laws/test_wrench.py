@@ -14,7 +14,7 @@ from go2.walk import POSTURE
 from scipy.optimize import brentq, least_squares
 
 from terraphi.experiment.errors import InputError
-from terraphi.forward.rft import stress_per_depth_3d, unit_stress
+from terraphi.forward.rft import from_plane_strain, stress_scale, unit_stress
 from terraphi.laws.foot import LAWS, Foot
 from terraphi.laws.wrench import FADE, Mesh, force, wrench
 from terraphi.robot.joint_log import FEET
@@ -119,10 +119,8 @@ def test_resistive_force_theory_is_the_plain_sum_over_faces() -> None:
     result, moment = wrench(
         points, mesh.normals, mesh.areas, velocity, law="rft", about=about, **SAND
     )
-    alpha = stress_per_depth_3d(
-        mesh.normals, velocity / 0.3, friction_angle_deg=math.degrees(math.atan(math.sin(
-            math.radians(33.0)))), density=1600.0, surface_friction=0.4,
-    )  # fmt: skip
+    scale = stress_scale(from_plane_strain(33.0), 1600.0)
+    alpha = scale * unit_stress(mesh.normals, velocity / 0.3, 0.4)
     each = alpha * (np.maximum(-points[:, 2], 0.0) * mesh.areas)[:, None]
     size = np.linalg.norm(each.sum(axis=0))
     # Faces that hardly lead or are nearly upright differ, where the published law jumps.

@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -60,7 +61,7 @@ dimensions [N/cm³], by medium: Li et al. (2013), supplement; ``generic`` needs 
 SCALE_POLYNOMIAL = (894.0, -386.0, 89.0)
 """Coefficients of μ³, μ², μ in ξ/(ρ g) [-]: Agarwal et al. (2023)."""
 
-# Coefficients of f1, f2, f3 on the twenty monomials of _monomials: Agarwal et al. (2023).
+# Coefficients of f1, f2, f3 on the twenty monomials of _side_stress: Agarwal et al. (2023).
 _F1 = (
     *(0.00212, -0.02320, -0.20890, -0.43083, -0.00259, 0.48872, -0.00415),
     *(0.07204, -0.02750, -0.08772, 0.01992, -0.45961, 0.40799),
@@ -144,20 +145,15 @@ def leg_force(scenario: Scenario, poses: Poses) -> tuple[FloatArray, FloatArray]
     ndarray
         Moment [N m], positive in the direction of increasing θ, shape [pose].
     """
-    soil, bed, rft = scenario.soil, scenario.bed, scenario.rft
-
-    def stress(tangent: FloatArray, direction: FloatArray) -> FloatArray:
-        """Both laws are proportional to the soil's weight."""
-        if scenario.dimensions == 2:
-            per_depth = stress_per_depth_2d(tangent, direction, medium=rft.medium, scale=rft.scale)
-        else:
-            per_depth = face_stress_per_depth_3d(
-                tangent, direction, friction_angle_deg=soil.friction_angle_deg,
-                density=soil.density, surface_friction=scenario.leg.friction,
-            )  # fmt: skip
-        return per_depth * (bed.gravity / GRAVITY)
-
-    return sheet_force(scenario.leg, poses, stress, surface=bed.surface, panels=rft.panels)
+    soil, rft, leg = scenario.soil, scenario.rft, scenario.leg
+    weight = scenario.bed.gravity / GRAVITY  # both laws are proportional to that of the soil
+    stress: Callable[[FloatArray, FloatArray], FloatArray]
+    if scenario.dimensions == 2:
+        stress = partial(stress_per_depth_2d, medium=rft.medium, scale=rft.scale * weight)
+    else:
+        scale = float(stress_scale(soil.friction_angle_deg, soil.density * weight))
+        stress = partial(sheet_stress, surface_friction=leg.friction, scale=scale)
+    return sheet_force(leg, poses, stress, surface=scenario.bed.surface, panels=rft.panels)
 
 
 def sheet_force(
@@ -182,37 +178,34 @@ def sheet_force(
     """
     line = leg.centre_line(panels)
     along, motion = (axis[:, None, :] for axis in frame_axes(poses.theta))
-
-    def turned(vectors: FloatArray) -> FloatArray:
-        """Vectors of the leg's frame as (x, z), shape [pose, panel, 2]."""
-        return np.asarray(vectors[None, :, :1] * along + vectors[None, :, 1:] * motion)
-
-    arm = turned(line.centre)  # from the hip
-    # When θ grows, a vector (s, m) of the leg's frame moves along (-m, s) of that frame.
-    sweep = turned(np.stack([-line.centre[:, 1], line.centre[:, 0]], axis=1))
+    # From the hip, and along the line, as (x, z), shape [pose, panel, 2].
+    arm, tangent = (
+        vectors[:, :1] * along + vectors[:, 1:] * motion for vectors in (line.centre, line.tangent)
+    )
+    # A point at r from the hip moves at θ̇ (r_z, -r_x), besides as the hip does.
+    sweep = np.stack([arm[..., 1], -arm[..., 0]], axis=-1)
     velocity = poses.velocity[:, None, :] + poses.rate[:, None, None] * sweep
     speed = np.linalg.norm(velocity, axis=-1, keepdims=True)
     # An element that happens to stand still has no direction, and feels nothing here.
     direction = np.divide(velocity, speed, out=np.zeros_like(velocity), where=speed > 0.0)
     depth = surface - (poses.hip[:, None, 1] + arm[..., 1])
     submerged = depth > 0.0
-    tangent, direction = turned(line.tangent)[submerged], direction[submerged]
     per_depth = np.zeros((*submerged.shape, 2))
-    per_depth[submerged] = stress(tangent, direction)
+    per_depth[submerged] = stress(tangent[submerged], direction[submerged])
     area_depth = np.where(submerged, depth, 0.0) * line.length * leg.width
     pushed = area_depth[..., None] * per_depth
     moment = arm[..., 1] * pushed[..., 0] - arm[..., 0] * pushed[..., 1]
     return pushed.sum(axis=1), moment.sum(axis=1)
 
 
-def face_stress_per_depth_3d(
-    tangent: FloatArray, direction: FloatArray, **options: float
+def sheet_stress(
+    tangent: FloatArray, direction: FloatArray, *, surface_friction: float, scale: float = 1.0
 ) -> FloatArray:
-    """Stress per depth on the leading faces of a thin sheet, as :func:`stress_per_depth_3d`."""
+    """Stress per depth on the leading faces of a thin sheet: a scale times :func:`unit_stress`."""
     normal = np.stack([tangent[:, 1], -tangent[:, 0]], axis=-1)
     # A sheet has two faces; the one that leads is the one whose normal goes with the motion.
     normal *= np.where(np.vecdot(normal, direction) >= 0.0, 1.0, -1.0)[:, None]
-    return np.asarray(stress_per_depth_3d(normal, direction, **options))
+    return np.asarray(scale * unit_stress(normal, direction, surface_friction))
 
 
 def stress_per_depth_2d(
@@ -296,15 +289,10 @@ def from_plane_strain(friction_angle_deg: ArrayLike) -> FloatArray:
     return np.asarray(np.degrees(np.arctan(np.sin(np.radians(friction_angle_deg)))))
 
 
-def stress_per_depth_3d(
-    normal: FloatArray,
-    direction: FloatArray,
-    *,
-    friction_angle_deg: float,
-    density: float,
-    surface_friction: float,
-) -> FloatArray:
-    r"""Stress per depth on leading faces in three dimensions.
+def unit_stress(
+    normal: Any, direction: Any, surface_friction: float, *, fade: float = GRAZING
+) -> Any:
+    r"""Stress per depth on leading faces in three dimensions, over ξ of :func:`stress_scale`.
 
     Agarwal et al. (2023), written with vectors in place of their angles β, γ, ψ: with
     :math:`\hat n` the normal of the element that points down (theirs has :math:`-\cos\beta` for a
@@ -316,51 +304,25 @@ def stress_per_depth_3d(
         \alpha = f_1 \hat n + f_2 \hat v + f_3 \hat g,
 
     each :math:`f_i` a cubic in :math:`x_1, x_2, x_3`. Of α, the part along the outward normal is
-    kept, and the part along the face is cut to :math:`\mu_s` times it (Coulomb); the sum is
-    multiplied by ξ.
+    kept, and the part along the face is cut to :math:`\mu_s` times it (Coulomb).
 
     Where a face turns through the vertical (:math:`x_2 = 0`), :math:`\hat n` and with it
     :math:`x_3` reverse. α would not change if there :math:`f_1` were odd and :math:`f_2`,
     :math:`f_3` even in :math:`x_3`. They were fitted without that condition, so the law jumps: on a
     vertical plate that moves level the pressure per depth is 0.192 ξ if it looks down a little and
     0.229 ξ if it looks up, so that Fx of the straight leg jumps by 18 % at θ = 0 (0.5 N of 3 N in
-    loose poppy seeds). The law is as published here; :func:`unit_stress` can make it continuous, as
+    loose poppy seeds). The law is as published here; ``fade`` can make it continuous, as
     :mod:`~terraphi.laws.wrench` does.
 
     Parameters
     ----------
     normal
-        Outward unit normals [-], shape [face, axis]; the last axis is z, up.
+        Outward unit normals [-], shape [face, axis]; the last axis is z, up. An array of NumPy, or
+        of another library of the array-API standard.
     direction
         Unit vectors of the velocity [-], shape [face, axis].
-    friction_angle_deg
-        φ of this law [deg].
-    density
-        Bulk density ρ [kg/m³].
     surface_friction
         Coulomb coefficient between intruder and soil μ_s [-].
-
-    Returns
-    -------
-    ndarray
-        α [N/m³], shape [face, axis]; zero where the face does not lead (n·v not positive). The
-        force on a face is α × depth × area.
-    """
-    scale = float(stress_scale(friction_angle_deg, density))
-    return scale * unit_stress(normal, direction, surface_friction)
-
-
-def unit_stress(
-    normal: Any, direction: Any, surface_friction: float, *, fade: float = GRAZING
-) -> Any:
-    """Stress per depth on faces over ξ [-], as of :func:`stress_per_depth_3d`.
-
-    Parameters
-    ----------
-    normal, direction
-        As there; arrays of NumPy, or of another library of the array-API standard.
-    surface_friction
-        Coulomb coefficient μ_s [-].
     fade
         Sine over which the law is made continuous [-]: on a face whose normal is so close to the
         level it goes over from that of faces that look up to that of faces that look down, and on
@@ -369,13 +331,14 @@ def unit_stress(
     Returns
     -------
     array
-        Shape [face, axis].
+        α/ξ [-], shape [face, axis]; zero where the face does not lead (n·v not positive). The force
+        on a face is ξ × α/ξ × depth × area.
     """
     xp = namespace(normal)
     normal, direction = xp.broadcast_arrays(normal, direction)
-    count, parts = normal.shape[0], []
-    for first in range(0, max(count, 1), AT_ONCE if xp is np else max(count, 1)):
-        block = slice(first, first + AT_ONCE if xp is np else count)
+    count, parts = max(normal.shape[0], 1), []
+    size = AT_ONCE if xp is np else count
+    for block in (slice(first, first + size) for first in range(0, count, size)):
         n, v = normal[block, :].T, direction[block, :].T
         along = xp.sum(n * v, axis=0)
         # A face that looks sideways counts as looking up, as it does in the paper (n_z >= 0).
@@ -398,7 +361,15 @@ def unit_stress(
 def _side_stress(xp: Any, n: Any, v: Any, along: Any, turn: Any, surface_friction: float) -> Any:
     """Stress over ξ [-], [axis, face], with each normal as it is (1) or reversed (-1)."""
     x1, x2, x3 = -v[-1, :], -turn * n[-1, :], turn * along
-    f = like(n, SPACE_COEFFICIENTS) @ _monomials(xp, x1, x2, x3)
+    s1, s2, s3 = x1 * x1, x2 * x2, x3 * x3
+    # The twenty monomials of degree three and less, in the order of the paper.
+    monomials = (
+        *(xp.ones_like(x1), x1, x2, x3, s1, s2, s3, x1 * x2, x2 * x3, x3 * x1),
+        *(x1 * s1, x2 * s2, x3 * s3),
+        *(x1 * s2, x2 * s1, x2 * s3, x3 * s2, x3 * s1, x1 * s3),
+        x1 * x2 * x3,
+    )
+    f = like(n, SPACE_COEFFICIENTS) @ xp.stack(monomials)
     f1, f2, f3 = f[0, :], f[1, :], f[2, :]
     down = -xp.stack([*([xp.zeros_like(f3)] * (n.shape[0] - 1)), f3])
     alpha = (f1 * turn) * n + f2 * v + down
@@ -408,16 +379,3 @@ def _side_stress(xp: Any, n: Any, v: Any, along: Any, turn: Any, surface_frictio
     size = xp.sqrt(xp.sum(alpha * alpha, axis=0))
     cut = xp.clip(surface_friction * xp.abs(pressure) / xp.clip(size, 1e-30, None), None, 1.0)
     return across + cut * alpha
-
-
-def _monomials(xp: Any, x1: Any, x2: Any, x3: Any) -> Any:
-    """The twenty monomials of degree three and less, in the order of the paper; [20, face]."""
-    s1, s2, s3 = x1 * x1, x2 * x2, x3 * x3
-    return xp.stack(
-        [
-            *(xp.ones_like(x1), x1, x2, x3, s1, s2, s3, x1 * x2, x2 * x3, x3 * x1),
-            *(x1 * s1, x2 * s2, x3 * s3),
-            *(x1 * s2, x2 * s1, x2 * s3, x3 * s2, x3 * s1, x1 * s3),
-            x1 * x2 * x3,
-        ]
-    )

@@ -27,8 +27,8 @@ from terraphi.experiment.scenario import Scenario
 from terraphi.forward.rft import (
     SCALE_POLYNOMIAL,
     SPACE_COEFFICIENTS,
-    face_stress_per_depth_3d,
     sheet_force,
+    sheet_stress,
     stress_scale,
 )
 from terraphi.laws.law import LegLaw
@@ -36,9 +36,8 @@ from terraphi.laws.store import THETA_DEG, AnyLaw, lever_arm
 
 PHI_DEG = (15.0, 50.0)
 """Smallest and largest friction angle [deg]; chosen: those of sand, with room at either end."""
-DENSITY, ALUMINUM, REFERENCE_DEG = 1650.0, 0.40, 35.0
-"""Density [kg/m³], friction of the leg [-] and φ [deg] that the curve is made with, those of
-scenario ``quick``; the scale of φ and density cancels."""
+DENSITY, ALUMINUM = 1650.0, 0.40
+"""Density [kg/m³] and friction of the leg [-], those of scenario ``quick``."""
 WITHIN_DEG = np.array([-0.25, 0.25])
 """Angles about a whole degree at which forces are averaged [deg]: the theory jumps at 0°, between
 them. Angles of the shipped records are within 1e-4° of those by forty."""
@@ -97,14 +96,11 @@ class TheoryLaw(LegLaw):
         still = np.zeros((theta.size, 2))
         hip = still + np.array([0.0, 1e-3 * rig.hip_height_mm])
         poses = Poses(hip, theta.ravel(), still, np.ones(theta.size))
-        stress = functools.partial(
-            face_stress_per_depth_3d, friction_angle_deg=REFERENCE_DEG, density=DENSITY,
-            surface_friction=self.leg_friction,
-        )  # fmt: skip
+        stress = functools.partial(sheet_stress, surface_friction=self.leg_friction)
         force, moment = sheet_force(leg, poses, stress, surface=0.0)
-        curve = np.column_stack([force, moment]).reshape(*theta.shape, 3).mean(axis=1).T
         # Fx, Fz and the moment about the hip over their common scale, shape [3, theta].
-        self._curve = curve / stress_scale(REFERENCE_DEG, DENSITY)
+        curve = np.column_stack([force, moment]).reshape(*theta.shape, 3)
+        self._curve = curve.mean(axis=1).T
 
     @functools.cached_property
     def arm(self) -> FloatArray:
