@@ -6,7 +6,6 @@ import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -49,29 +48,17 @@ def footfalls() -> FootfallMap:
 
 
 @pytest.fixture(scope="session")
-def robot_forces() -> Any:
-    """Foot forces as pictures need them."""
-    time = np.arange(0.0, 3.0, 0.01)
-    force = np.zeros((len(time), 4, 3))
-    force[:, :, 2] = 40.0 * (1.0 + np.sin(2.0 * np.pi * time)[:, None])
-    part = np.linspace(0.0, 1.0, 21)
-    mean = np.stack([0.0 * part, 0.0 * part, 80.0 * np.sin(np.pi * part)], axis=1)
-    item = SimpleNamespace(
-        part=part, mean=mean, spread=0.1 * mean, count=3, peak=lambda axis: mean.max()
-    )
-    stances = [SimpleNamespace(foot=foot, begin=0.5, end=1.0) for foot in FEET]
-    forces = SimpleNamespace(time=time, force=force, estimator="quasi_static", frame="world")
-    feet = dict.fromkeys(FEET, item)
-    return SimpleNamespace(forces=forces, stances=stances, feet=feet, pooled=item)
-
-
-@pytest.fixture(scope="session")
-def foot_forces_file(robot_forces: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def foot_forces_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A file of ``terraphi forces --out``, as far as a report reads it."""
     import json
 
     import xarray as xr
 
+    time = np.arange(0.0, 3.0, 0.01)
+    force = np.zeros((len(time), 4, 3))
+    force[:, :, 2] = 40.0 * (1.0 + np.sin(2.0 * np.pi * time)[:, None])
+    part = np.linspace(0.0, 1.0, 21)
+    mean = np.stack([0.0 * part, 0.0 * part, 80.0 * np.sin(np.pi * part)], axis=1)
     figures = {
         "stances": 3, "mean_duration_s": 0.5, "mean_peak_Fz_N": 80.0, "mean_peak_Fx_N": None,
     }  # fmt: skip
@@ -79,15 +66,16 @@ def foot_forces_file(robot_forces: Any, tmp_path_factory: pytest.TempPathFactory
         "feet": dict.fromkeys(FEET, figures), "pooled": figures, "duration_s": 3.0,
         "estimator": "quasi_static", "frame": "world", "warnings": ["no attitude"],
     }  # fmt: skip
-    pooled = robot_forces.pooled
     data = {
-        "force": (("time", "foot", "axis"), robot_forces.forces.force),
+        "force": (("time", "foot", "axis"), force),
+        "stance_foot": ("stance", list(FEET)),
         "stance_begin": ("stance", [0.5] * 4),
-        "stance_mean": (("foot", "part", "axis"), np.stack([pooled.mean] * 4)),
-        "pooled_mean": (("part", "axis"), pooled.mean),
-        "pooled_spread": (("part", "axis"), pooled.spread),
+        "stance_end": ("stance", [1.0] * 4),
+        "stance_mean": (("foot", "part", "axis"), np.stack([mean] * 4)),
+        "pooled_mean": (("part", "axis"), mean),
+        "pooled_spread": (("part", "axis"), 0.1 * mean),
     }
-    coordinates = {"time": robot_forces.forces.time, "foot": list(FEET), "part": pooled.part}
+    coordinates = {"time": time, "foot": list(FEET), "part": part}
     attributes = {
         "terraphi_file": "foot forces", "terraphi_schema": 1, "summary": json.dumps(summary),
         "provenance": json.dumps({"log": {"source": "walk.csv"}}),

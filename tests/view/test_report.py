@@ -2,31 +2,20 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
-import json
 import re
 from pathlib import Path
 from typing import Any
 
 import h5py
-import numpy as np
 import pytest
 
-from terraphi import Answer, InputError, Scenario, invert, simulate
+from terraphi import Answer, InputError, Scenario, simulate
 from terraphi.inference.footfalls import FootfallMap
 from terraphi.view.console import Table
 from terraphi.view.page import render, sections
-from terraphi.view.sections import Plot, Section, band, kind_of, line, of_answer, points
+from terraphi.view.sections import Picture, Section, kind_of
 
 HOSTILE = "</script><img src=x onerror=alert(1)>"
-
-
-def plots_of(page: str) -> dict[str, Any]:
-    result = re.search(r'<script type="application/json" id="plots">(.*?)</script>', page)
-    assert result is not None
-    plots: dict[str, Any] = json.loads(result[1])
-    return plots
 
 
 def test_each_kind_of_result_is_recognised_and_drawn(results: dict[str, str]) -> None:
@@ -34,12 +23,11 @@ def test_each_kind_of_result_is_recognised_and_drawn(results: dict[str, str]) ->
     result = sections(list(results.values()))
     assert [item.kind for item in result] == [*results]
     page = render(result)
-    for i, section in enumerate(result):
+    for section in result:
         assert section.headline in page.replace("&#39;", "'").replace("&gt;", ">")
-        plots = [j for j, part in enumerate(section.parts) if isinstance(part, Plot)]
-        assert len(plots) >= 2
-        assert all(f'id="plot-{i}-{j}"' in page for j in plots)
-        assert {f"plot-{i}-{j}" for j in plots} <= plots_of(page).keys()
+        pictures = [part.image for part in section.parts if isinstance(part, Picture)]
+        assert pictures
+        assert all(image in page for image in pictures)
 
 
 def test_a_simulated_body_that_is_no_leg_is_named() -> None:
@@ -71,55 +59,28 @@ def test_a_folder_of_answers_stands_for_each(
     assert [item.kind for item in sections(["."])] == ["answer"] * 2
 
 
-def test_residuals_are_drawn_against_the_limit_that_decides_the_verdict() -> None:
-    for leg, verdict in (("c", "consistent"), ("straight", "misfit")):
-        answer = invert("li2013:yuma/c", leg=leg)
-        (plot,) = (p for p in of_answer(answer).parts if p.title == "Residual")
-        assert isinstance(plot, Plot)
-        limit, *lines = plot.traces
-        sizes = [np.sqrt(np.square(item["y"]).mean()) for item in lines]
-        assert answer.verdict == verdict
-        assert (max(sizes) > max(limit["y"])) == (verdict == "misfit")
-        assert f"{max(sizes):.1f} %" in answer.reason or verdict == "consistent"
-
-
-def test_names_from_files_stay_text_and_scripts_are_those_of_the_policy() -> None:
-    plot = Plot(HOSTILE, [points([1.0], [2.0], HOSTILE, "black")], {"title": HOSTILE})
+def test_names_from_files_stay_text_and_no_script_runs() -> None:
     part = Table(HOSTILE, (HOSTILE,), [(HOSTILE,)], HOSTILE)
-    section = Section("answer", HOSTILE, HOSTILE, [HOSTILE], [plot, part], [(HOSTILE, HOSTILE)])
+    picture = Picture.of_png(HOSTILE, b"")
+    section = Section("answer", HOSTILE, HOSTILE, [HOSTILE], [picture, part], [(HOSTILE, HOSTILE)])
     page = render([section])
-    assert "<img" not in page
-    assert plots_of(page)["plot-0-0"]["data"][0]["name"].startswith("&lt;/script&gt;")
-    policy = re.search(r'http-equiv="Content-Security-Policy" content="([^"]+)"', page)
-    assert policy is not None
-    assert "default-src &#39;none&#39;" in policy[1]
-    (script,) = re.findall(r"<script>(.*?)</script>", page, re.DOTALL)
-    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    assert digest in policy[1].replace("&#43;", "+").replace("&#x2b;", "+")
+    assert "<img src=x" not in page
+    assert "<script" not in page
+    assert "default-src 'none'" in page
 
 
 def test_what_turns_the_direction_of_writing_is_escaped_in_a_page() -> None:
     name = "a\u202egpj.exe\u2028b\u2066"
-    plot = Plot(name, [points([1.0], [2.0], name, "black")], {"title": name})
-    section = Section("answer", name, name, [name], [plot, Table(name, (name,), [(name,)], name)], [
+    section = Section("answer", name, name, [name], [Table(name, (name,), [(name,)], name)], [
         (name, name)
     ])  # fmt: skip
-    page = render([section])
-    assert not set("\u202e\u2028\u2066") & {*page}
-    assert plots_of(page)["plot-0-0"]["data"][0]["name"] == r"a\u202egpj.exe\u2028b\u2066"
+    assert not set("\u202e\u2028\u2066") & {*render([section])}
 
 
 def test_a_page_loads_nothing_and_is_small(results: dict[str, str]) -> None:
     page = render(sections([results["answer"]]))
-    outside = page.split('id="plotly"')[0]
-    assert not re.search(r'(src|href)="(?!data:)', outside)
-    assert len(page) < 3_000_000
-
-
-def test_no_number_is_not_a_number_in_a_page() -> None:
-    assert line([0.0, 1.0], [np.nan, 2.0], "a", "black")["y"] == [None, 2.0]
-    area = band([0.0, 1.0], [1.0, 2.0], [3.0, 4.0], "a", "black")
-    assert (area["x"], area["y"]) == ([0.0, 1.0, 1.0, 0.0], [3.0, 4.0, 2.0, 1.0])
+    assert not re.search(r'(src|href)="(?!data:)', page)
+    assert len(page) < 1_000_000
 
 
 @pytest.mark.parametrize("name", ["a.bin", "a.nc", "folder"])
@@ -132,7 +93,7 @@ def test_what_is_no_result_is_refused(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("width", [360, 1280])
-def test_a_browser_draws_every_plot_offline(
+def test_a_browser_shows_every_picture_offline(
     width: int, browser: Any, results: dict[str, str], tmp_path: Path
 ) -> None:
     (tmp_path / "r.html").write_text(render(sections(list(results.values()))))
@@ -142,11 +103,7 @@ def test_a_browser_draws_every_plot_offline(
     page.on("pageerror", lambda error: trouble.append(str(error)))
     page.on("console", lambda one: trouble.append(one.text) if one.type != "log" else None)
     page.goto((tmp_path / "r.html").as_uri())
-    page.locator("html[data-drawn]").wait_for(state="attached")
-    drawn = page.evaluate(
-        "[...document.querySelectorAll('.drawing')].map(d => d.querySelectorAll("
-        "'.scatterlayer .js-line, .scatterlayer .point, .barlayer .point').length)"
-    )
+    drawn = page.evaluate("[...document.images].map(image => image.naturalWidth)")
     assert min(drawn) > 0
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     assert trouble == []

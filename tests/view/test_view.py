@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from terraphi import Scenario
-from terraphi.robot.results import RobotForces
+from terraphi.robot.results import RobotForces, forces_figure
 from terraphi.view import console, doctor
 from terraphi.view.console import Table
 from terraphi.view.keys import DOCUMENTS, tables
@@ -81,8 +81,9 @@ def test_doctor_finds_a_missing_package_and_a_broken_library(
     assert "cut short" in ran.out
 
 
-def test_pictures_of_robots_are_drawn(robot_forces: Any, footfalls: Any, tmp_path: Any) -> None:
-    figures = [RobotForces.plot(robot_forces), stance_figure(robot_forces), footfalls.plot()]
+def test_pictures_of_robots_are_drawn(foot_forces_file: Any, footfalls: Any, tmp_path: Any) -> None:
+    with RobotForces.opened(foot_forces_file) as file:
+        figures = [forces_figure(file), stance_figure(file), footfalls.plot()]
     assert [len(figure.axes) for figure in figures] == [8, 2, 3]
     for figure in figures:
         save(figure, tmp_path / "f.png", dpi=50)

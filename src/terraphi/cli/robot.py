@@ -66,7 +66,7 @@ def forces(
     if figures is not None:
         with output_folder(figures, kind="forces", last=PICTURES[-1]) as made:
             plots.save(foot_log.plot(), made / PICTURES[0])
-            plots.save(plots.stance_figure(foot_log), made / PICTURES[1])
+            plots.save(plots.stance_figure(foot_log.as_file()), made / PICTURES[1])
     summary = foot_log.summary()
     title = f"Force of the ground on the feet, {estimator}, {frame} frame"
     table = plots.feet_table(summary, title)

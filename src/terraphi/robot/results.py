@@ -154,31 +154,7 @@ class RobotForces(Written):
 
     def plot(self) -> Figure:
         """F_x and F_z of each foot over time, stances shaded, as a Matplotlib figure."""
-        from terraphi.experiment.figure import Figure as NewFigure
-
-        time, stances = self.forces.time, self.stances
-        first = stances[0].begin - 0.1 if stances else time[0]
-        start = max(min(first, time[-1] - PLOTTED_S), time[0])
-        shown = slice(*np.searchsorted(time, [start, start + PLOTTED_S]).tolist())
-        figure = NewFigure(figsize=(12.0, 9.0), layout="constrained")
-        grid = figure.subplots(4, 2, sharex=True, sharey="col")
-        for i, foot in enumerate(FEET):
-            for axes, column, label in zip(grid[i], (0, 2), ("$F_x$", "$F_z$"), strict=True):
-                force = self.forces.force[shown, i, column]
-                axes.plot(time[shown] - start, force, color="C0", lw=1.0)
-                for stance in stances:
-                    begin, end = stance.begin - start, stance.end - start
-                    if stance.foot == foot and end > 0.0 and begin < PLOTTED_S:
-                        axes.axvspan(begin, end, color=GREY, alpha=0.15, lw=0)
-                axes.axhline(0.0, color=GREY, lw=0.6)
-                axes.set_ylabel(f"{label} of {foot} [N]")
-        for axes in grid[-1]:
-            axes.set_xlabel(f"time after {start:.2f} s [s]")
-        if time[-1] > start:
-            grid[0, 0].set_xlim(0.0, min(PLOTTED_S, time[-1] - start))
-        how = f"{self.forces.estimator.replace('_', ' ')}, frame: {self.forces.frame}"
-        figure.suptitle(f"Force of the ground on each foot ({how}); stances shaded", fontsize=11)
-        return figure
+        return forces_figure(self.as_file())
 
     def _variables(self) -> dict[str, Any]:
         forces, stances, feet = self.forces, self.stances, self.feet.values()
@@ -223,6 +199,36 @@ class RobotForces(Written):
         import pandas as pd
 
         return pd.DataFrame({foot: mean.summary() for foot, mean in self.feet.items()}).T
+
+
+def forces_figure(file: NetcdfFile[Any]) -> Figure:
+    """F_x and F_z of each foot over time, stances shaded, from a file of foot forces."""
+    from terraphi.experiment.figure import Figure as NewFigure
+
+    time, forces = file.numbers("time", "time"), file.numbers("force", "time", 4, 3, finite=False)
+    begins, ends = (file.numbers(f"stance_{end}", "stance") for end in ("begin", "end"))
+    first = begins[0] - 0.1 if len(begins) else time[0]
+    start = max(min(first, time[-1] - PLOTTED_S), time[0])
+    shown = slice(*np.searchsorted(time, [start, start + PLOTTED_S]).tolist())
+    spans = zip(file.texts("stance_foot", "stance"), begins - start, ends - start, strict=True)
+    stances = [span for span in spans if span[2] > 0.0 and span[1] < PLOTTED_S]
+    figure = NewFigure(figsize=(12.0, 9.0), layout="constrained")
+    grid = figure.subplots(4, 2, sharex=True, sharey="col")
+    for i, foot in enumerate(FEET):
+        for axes, column, label in zip(grid[i], (0, 2), ("$F_x$", "$F_z$"), strict=True):
+            axes.plot(time[shown] - start, forces[shown, i, column], color="C0", lw=1.0)
+            for _, begin, end in (span for span in stances if span[0] == foot):
+                axes.axvspan(begin, end, color=GREY, alpha=0.15, lw=0)
+            axes.axhline(0.0, color=GREY, lw=0.6)
+            axes.set_ylabel(f"{label} of {foot} [N]")
+    for axes in grid[-1]:
+        axes.set_xlabel(f"time after {start:.2f} s [s]")
+    if time[-1] > start:
+        grid[0, 0].set_xlim(0.0, min(PLOTTED_S, time[-1] - start))
+    summary = file.attrs.summary
+    how = f"{summary['estimator'].replace('_', ' ')}, frame: {summary['frame']}"
+    figure.suptitle(f"Force of the ground on each foot ({how}); stances shaded", fontsize=11)
+    return figure
 
 
 def foot_forces(

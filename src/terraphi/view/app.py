@@ -14,6 +14,7 @@ import asyncio
 import base64
 import contextlib
 import json
+import math
 import os
 import secrets
 import signal
@@ -40,7 +41,6 @@ from terraphi.view.sections import (
     LOGS,
     Section,
     kind_of,
-    numbers,
     of_answer,
     of_foot_forces,
     of_footfalls,
@@ -163,12 +163,10 @@ def application(token: str, limits: Limits, place: Path | None) -> Starlette:
         from starlette.middleware.trustedhost import TrustedHostMiddleware
         from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, Response
         from starlette.routing import Route
-    script = page.asset("plots.js") + page.asset("app.js")
-    library, packed = page.plotly()
+    script = page.asset("app.js")
     units = ForceColumns.model_json_schema()["properties"]
     front = page.load_template("app.html").render(
         script=script,
-        plotly=packed,
         roles=page.embedded(ROLES),
         units={name: units[name]["anyOf"][0]["enum"] for name in ("theta_unit", "unit")},
         legs={leg: (outline, corners(leg)) for leg, outline in OUTLINES.items()},
@@ -177,7 +175,7 @@ def application(token: str, limits: Limits, place: Path | None) -> Starlette:
         megabytes=limits.bytes // 1_000_000,
     )
     policy = (
-        f"default-src 'none'; script-src {page.digest(script)} {library}; "
+        f"default-src 'none'; script-src {page.digest(script)}; "
         "style-src 'unsafe-inline'; connect-src 'self'; img-src data: blob:; base-uri 'none'; "
         "form-action 'none'; frame-ancestors 'none'"
     )
@@ -385,9 +383,9 @@ def work(job: dict[str, Any]) -> None:
             (folder / "files").mkdir()
             options = {key: job[key] for key in ("leg", *SIZES, "density", "law", "robot")}
             sections = answers(file, name, columns, **options)
-            reply = page.drawn(sections)
+            reply = {"html": page.drawn(sections)}
             files = {path.name: path.read_bytes() for path in folder.glob("files/*")}
-            files = {"report.html": page.document(name, **reply).encode(), **files}
+            files = {"report.html": page.document(name, reply["html"]).encode(), **files}
             reply["files"] = {key: base64.b64encode(f).decode() for key, f in files.items()}
         (folder / "reply.json").write_text(page.embedded(reply), encoding="utf-8")
     except InputError as error:
@@ -406,7 +404,8 @@ def look(file: str, columns: dict[str, Any]) -> dict[str, Any]:
         return {"kind": kind}
     table = read_table(Path(file))
     shown = preview(table, columns)
-    reply = {"kind": kind, **shown._asdict(), "rows": [numbers(row) for row in shown.rows]}
+    rows = [[None if math.isnan(cell) else cell for cell in row] for row in shown.rows]
+    reply = {"kind": kind, **shown._asdict(), "rows": rows}
     try:
         history = read_trials(table, columns)[0]
     except InputError as error:

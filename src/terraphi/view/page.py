@@ -1,19 +1,18 @@
 """Results in one HTML file that works offline and on a phone.
 
-The file contains Plotly, compressed, and unpacks it in the browser. A content security policy
-allows the scripts of the page alone, each by its hash, so that a name in a file stays text.
+A content security policy allows no script and nothing from elsewhere, so that a name in a file
+stays text.
 """
 
 from __future__ import annotations
 
 import base64
 import datetime as dt
-import gzip
 import hashlib
 import importlib.metadata
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,7 @@ from typing import Any
 from terraphi.experiment.errors import HIDDEN, InputError, needing, visible
 from terraphi.experiment.files import atomic_write
 from terraphi.experiment.outputs import check_file
-from terraphi.view.sections import Plot, Section, section_of
+from terraphi.view.sections import Section, section_of
 
 ASSETS = Path(__file__).with_name("assets")
 """Templates and scripts of the pages."""
@@ -85,34 +84,21 @@ def sections(results: Sequence[Any], *, robot: str = "go2") -> list[Section]:
 
 
 def render(shown: Sequence[Section]) -> str:
-    """HTML of a page with some sections; raises InputError if a package is missing."""
-    return document(", ".join(section.title for section in shown), **drawn(shown))
+    """A whole page with some sections; raises InputError if a package is missing."""
+    return document(", ".join(section.title for section in shown), drawn(shown))
 
 
-def drawn(shown: Sequence[Section]) -> dict[str, Any]:
-    """HTML of some sections (``html``), and their ``plots`` by the element that they go to."""
-    plots = {
-        f"plot-{i}-{j}": {"data": part.traces, "layout": part.layout}
-        for i, section in enumerate(shown)
-        for j, part in enumerate(section.parts)
-        if isinstance(part, Plot)
-    }
-    return {"html": load_template("sections.html").render(sections=shown), "plots": plots}
+def drawn(shown: Sequence[Section]) -> str:
+    """HTML of some sections."""
+    return str(load_template("sections.html").render(sections=shown))
 
 
-def document(title: str, html: str, plots: Mapping[str, Any]) -> str:
+def document(title: str, html: str) -> str:
     """A whole page from what :func:`drawn` returns; raises InputError if a package is missing."""
-    library, packed = plotly()
-    script = asset("plots.js") + asset("report.js")
     return str(
         load_template("report.html").render(
             title=title,
             html=html,
-            script=script,
-            plots=embedded(plots),
-            plotly=packed,
-            policy=f"default-src 'none'; script-src {digest(script)} {library}; "
-            "style-src 'unsafe-inline'; img-src data: blob:; base-uri 'none'; form-action 'none'",
             version=importlib.metadata.version("terraphi"),
             made=f"{dt.datetime.now().astimezone():%Y-%m-%d %H:%M %Z}",
         )
@@ -127,7 +113,7 @@ def asset(name: str) -> str:
 @cache
 def load_template(name: str) -> Any:
     """A template that escapes all values; raises InputError if Jinja2 is missing."""
-    with needing("a page", "Jinja2 and plotly", extra="report"):
+    with needing("a page", "Jinja2", extra="report"):
         from jinja2 import Environment, FileSystemLoader, StrictUndefined
     environment = Environment(
         loader=FileSystemLoader(ASSETS),
@@ -163,13 +149,3 @@ def embedded(data: Any) -> str:
     for character in "<>&":
         text = text.replace(character, f"\\u{ord(character):04x}")
     return text
-
-
-@cache
-def plotly() -> tuple[str, str]:
-    """Hash of the script of Plotly, and the script compressed in base64."""
-    with needing("a page", "Jinja2 and plotly", extra="report"):
-        from plotly.offline import get_plotlyjs
-    library: str = get_plotlyjs()
-    packed = gzip.compress(library.encode(), compresslevel=6, mtime=0)
-    return digest(library), base64.b64encode(packed).decode("ascii")

@@ -6,13 +6,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from terraphi.experiment.files import atomic_write
+from terraphi.experiment.files import NetcdfFile, atomic_write
 from terraphi.view.console import Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from terraphi.robot.results import RobotForces
 
 BLUE, ORANGE, GREEN, PURPLE, GREY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#666666"
 """Of Okabe & Ito."""
@@ -88,30 +86,33 @@ def feet_table(summary: Mapping[str, Any], title: str) -> Table:
     return Table(title, header, rows, "Duration and signed peaks of the mean stance.")
 
 
-def stance_figure(result: RobotForces) -> Figure:
-    """Mean stance over normalised time: all feet with the spread, and foot by foot."""
+def stance_figure(file: NetcdfFile[Any]) -> Figure:
+    """Mean stance over normalised time, from a file: all feet with the spread, and foot by foot."""
     from terraphi.experiment.figure import Figure as NewFigure
 
     figure = NewFigure(figsize=(10.0, 4.4), layout="constrained")
-    panels = figure.subplots(1, 2)
-    pooled = result.pooled
+    panels, summary = figure.subplots(1, 2), file.attrs.summary
+    count, part = summary["pooled"]["stances"], file.numbers("part", "part")
+    pooled, spreads = (
+        file.numbers(f"pooled_{name}", "part", 3, finite=False) for name in ("mean", "spread")
+    )
+    each = file.numbers("stance_mean", 4, "part", 3, finite=False)
     for axes, (name, (column, label)) in zip(panels, SHOWN.items(), strict=True):
-        if result.stances:
-            mean, spread = pooled.mean[:, column], pooled.spread[:, column]
+        if count:
+            mean, spread = pooled[:, column], spreads[:, column]
             band = {"color": GREY, "alpha": 0.3, "lw": 0, "label": "± one standard deviation"}
-            axes.fill_between(pooled.part, mean - spread, mean + spread, **band)
-            axes.plot(pooled.part, mean, color="black", lw=2, label=f"all, {pooled.count} stances")
-        for foot, (colour, style) in LOOKS.items():
-            stance = result.feet[foot]
-            if stance.count:
-                look = {"color": colour, "lw": 1.0, "label": f"{foot}, {stance.count} stances"}
-                axes.plot(stance.part, stance.mean[:, column], style, **look)
+            axes.fill_between(part, mean - spread, mean + spread, **band)
+            axes.plot(part, mean, color="black", lw=2, label=f"all, {count} stances")
+        for (foot, (colour, style)), course in zip(LOOKS.items(), each, strict=True):
+            if number := summary["feet"][foot]["stances"]:
+                look = {"color": colour, "lw": 1.0, "label": f"{foot}, {number} stances"}
+                axes.plot(part, course[:, column], style, **look)
         axes.axhline(0.0, color=GREY, lw=0.6)
-        peak = pooled.peak(name)
+        peak = summary["pooled"][f"mean_peak_F{name}_N"]
         title = "no stances" if peak is None else f"peak of the mean {peak:.1f} N"
         axes.set(xlim=(0.0, 1.0), xlabel="part of the stance [-]", ylabel=label)
         axes.set_title(title, fontsize=10)
-    if result.stances:
+    if count:
         entries = panels[1].get_legend_handles_labels()
         figure.legend(*entries, loc="outside lower center", ncols=3, frameon=False)
     return figure

@@ -136,7 +136,6 @@ async function open(dropped) {
   by("table").replaceChildren();
   by("answer").replaceChildren();
   by("name").textContent = file.name;
-  unpacked ??= unpack();
   const found = await send("look");
   if (!found) return;
   kind = found.kind;
@@ -203,7 +202,6 @@ async function answer() {
   box.append(made("p", {}, "Download: ", ...links.flatMap((link, i) => (i ? [", ", link] : [link]))));
   by("answer").focus({ preventScroll: true });
   by("answer").scrollIntoView();
-  await draw(found.plots);
 }
 
 // A file that misses its place would otherwise replace the page.

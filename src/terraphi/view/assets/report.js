@@ -1,1 +1,0 @@
-draw(JSON.parse(document.getElementById("plots").textContent));
