@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import itertools
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -30,6 +31,9 @@ if TYPE_CHECKING:
 
 PHI = "soil.friction_angle_deg"
 """Dotted scenario key of the friction angle."""
+SEED = frozenset({"numerics.seed", "name"})
+IGNORED = SEED | {PHI, "soil.density", "leg.shape"}
+"""Scenario keys in which a simulation may differ from a library's: φ, density, leg, seed, name."""
 ARM_DEG = 2.0
 """Width over which lever arms are smoothed [deg]."""
 REACH_DEG = 88.0
@@ -220,15 +224,10 @@ class Library(AnyLaw, Result):
         return figure
 
     def keys(self, leg: str) -> tuple[str, ...]:
-        """Dotted keys of numbers in which cases of a leg differ, but for the particle seed."""
-        first, *further = [_flat(case.scenario) for case in self._of(leg)]
-        return tuple(
-            key
-            for key, value in first.items()
-            if key != "numerics.seed"
-            and isinstance(value, int | float)
-            and any(leaves.get(key) != value for leaves in further)
-        )
+        """Dotted keys in which cases of a leg differ, but for the particle seed."""
+        first, *further = [case.scenario for case in self._of(leg)]
+        differing = (differences(first, other, ignored=SEED) for other in further)
+        return tuple(dict.fromkeys(itertools.chain(*differing)))
 
     def _of(self, leg: str) -> list[Case]:
         """Simulations of a leg that succeeded."""
@@ -243,7 +242,7 @@ class Library(AnyLaw, Result):
             If the library lacks the leg, has too few cases of it, varies more than φ, or is not one
             of rotating legs.
         """
-        chosen = self._of(leg)
+        chosen = sorted(self._of(leg), key=lambda case: case.scenario.soil.friction_angle_deg)
         if not chosen:
             raise InputError(
                 f"library '{self.name}' has no leg '{leg}'; it has {', '.join(self.legs)}"
@@ -265,20 +264,17 @@ class Library(AnyLaw, Result):
                 "interpolate over φ"
             )
         x = np.array([[case.scenario.soil.friction_angle_deg] for case in chosen])
-        order = np.argsort(x[:, 0], kind="stable")
-        span = chosen[0].history
-        assert span is not None
-        low, high = np.degrees(span.position[[0, -1]])
+        histories = [case.history for case in chosen if case.history]
+        low, high = np.degrees(histories[0].position[[0, -1]])
         inside = (low - 1e-9 <= THETA_DEG) & (high + 1e-9 >= THETA_DEG)
         # A path that ends in the air, short of what records have, is followed by air.
         begins, ends = contact_deg(first.leg, first.hip_height)
         air = (low > THETA_DEG) & (-REACH_DEG < low < begins)
         air |= (high < THETA_DEG) & (REACH_DEG > high > ends)
         theta = THETA_DEG[inside | air]
-        means = [_one_degree_means(chosen[i].history, theta, air[inside | air]) for i in order]
+        means = [_one_degree_means(history, theta, air[inside | air]) for history in histories]
         force, moments = np.stack([m[:2] for m in means]), [m for m in means if len(m) > 2]
-        arm = lever_arm(moments) if moments else None
-        return Curves(x[order], theta, force, first, arm)
+        return Curves(x, theta, force, first, lever_arm(moments) if moments else None)
 
     # -- files -----------------------------------------------------------------------------------
 
@@ -294,24 +290,27 @@ class Library(AnyLaw, Result):
         return tuple(shipped_names("libraries", ".nc"))
 
     def _variables(self) -> dict[str, Any]:
-        histories, first = [case.history for case in self.cases], self._first_history
-        if any(history and not _has_positions(history, first.position) for history in histories):
+        histories = [case.history for case in self.cases]
+        places = [history.position for history in histories if history]
+        if any(
+            place.shape != places[0].shape or not np.allclose(place, places[0], rtol=0.0, atol=1e-9)
+            for place in places
+        ):
             raise InputError(
                 f"library '{self.name}': the cases have forces at different positions; sweep "
                 "neither the span of the motion nor the dimensions"
             )
-        lost = np.full(first.force.shape, np.nan)
-        force = np.stack([history.force if history else lost for history in histories], axis=-1)
-        moments = [history.moment if history else None for history in histories]
-        moment = [lost[:, 0] if values is None else values for values in moments]
+        rows = [history._variables() if history else {} for history in histories]
+        lost = np.full(len(places[0]), np.nan)
+        forces = {
+            name: [lost if row.get(name) is None else row[name] for row in rows]
+            for name in ("Fx", "Fy", "Fz", "M")
+            if any(row.get(name) is not None for row in rows)
+        }
+        at = "theta_deg" if self.coordinate == "theta" else self.coordinate
         origins = [dict(history.provenance) if history else {} for history in histories]
-        angular = self.coordinate == "theta"
-        return {
-            "theta_deg" if angular else self.coordinate: (
-                first.theta_deg if angular else first.position
-            ),
-            **{f"F{axis}": force[:, i].T for i, axis in enumerate(first.axes)},
-            "M": None if all(values is None for values in moments) else moment,
+        return forces | {
+            at: self._first_history._variables()[at],
             "scenario": [case.scenario.model_dump_json() for case in self.cases],
             "failure": [case.failure for case in self.cases],
             "provenance": [json.dumps(origin) for origin in origins],
@@ -365,24 +364,13 @@ class Library(AnyLaw, Result):
         return cls(attrs.name, tuple(cases), attrs.description, attrs.caveat, attrs.provenance)
 
 
-def _has_positions(history: ForceHistory, position: FloatArray) -> bool:
-    """True if a history has its forces at some positions."""
-    return history.position.shape == position.shape and np.allclose(
-        history.position, position, rtol=0.0, atol=1e-9
-    )
-
-
-def _one_degree_means(
-    history: ForceHistory | None, theta_deg: FloatArray, air: BoolArray
-) -> FloatArray:
+def _one_degree_means(history: ForceHistory, theta_deg: FloatArray, air: BoolArray) -> FloatArray:
     """Mean (Fx, Fz) over 1° about leg angles [N], and M [N m] if known, shape [2 or 3, theta].
 
     Angles in the air, outside the history, have zeros.
     """
-    assert history is not None
-    values = np.stack([history.Fx, history.Fz], axis=1)
-    if history.moment is not None:
-        values = np.column_stack([values, history.moment])
+    moment = () if history.moment is None else (history.moment,)
+    values = np.column_stack([history.Fx, history.Fz, *moment])
     means = np.zeros((values.shape[1], theta_deg.size))
     centre = np.radians(theta_deg[~air])
     means[:, ~air] = history.means(centre, np.radians(0.5), values=values).T
@@ -405,23 +393,20 @@ def lever_arm(curves: list[FloatArray]) -> FloatArray:
 
 
 def _flat(value: Any, name: str = "") -> dict[str, Any]:
-    """Leaves of a scenario, and of nested dictionaries and lists in it, by dotted key."""
-    if isinstance(value, Scenario):
-        value = value.model_dump(mode="json")
+    """Leaves of nested dictionaries and lists, by dotted key."""
     if isinstance(value, list):
         value = dict(enumerate(value))
     if not isinstance(value, dict):
-        return {name: value}
-    leaves: dict[str, Any] = {}
-    for key, item in value.items():
-        leaves |= _flat(item, f"{name}.{key}" if name else key)
-    return leaves
+        return {name[1:]: value}
+    parts = (_flat(item, f"{name}.{key}") for key, item in value.items())
+    return {key: leaf for part in parts for key, leaf in part.items()}
 
 
-def differences(scenario: Scenario, other: Scenario) -> list[str]:
-    """Dotted keys in which two scenarios differ, apart from φ, density, leg shape and seed."""
-    ours, theirs = _flat(scenario), _flat(other)
-    ignored = {PHI, "soil.density", "leg.shape", "numerics.seed", "name"}
+def differences(
+    scenario: Scenario, other: Scenario, *, ignored: frozenset[str] = IGNORED
+) -> list[str]:
+    """Dotted keys in which two scenarios differ, apart from some."""
+    ours, theirs = (_flat(item.model_dump(mode="json")) for item in (scenario, other))
     return [
         k
         for k in {**ours, **theirs}
