@@ -125,7 +125,7 @@ def test_wrong_toml_is_refused_in_one_sentence(tmp_path: Path, text: str, words:
         (
             '"FR_calf_joint" type="revolute"',
             '"FR_calf_joint" type="fixed"',
-            "has 3 legs of 3",
+            "no joints FR_calf by the names of the model's 11",
         ),
         ("</robot>", "", "not valid XML"),
         ('<robot name="small">', "<sdf>", "outermost element is <sdf>"),

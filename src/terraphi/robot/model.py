@@ -6,14 +6,13 @@ lacks, such as the numbering of the motors.
 
 from __future__ import annotations
 
-import itertools
 import math
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
@@ -23,20 +22,13 @@ from terraphi.experiment.budget import PARTS, unpacking
 from terraphi.experiment.documents import Strict, parse_toml, shipped_file
 from terraphi.experiment.errors import InputError, nearest, needing
 from terraphi.experiment.files import check_is_file, is_there, label_of, read_bytes
-from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, joint_place
+from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, joint_names, joint_place
 
 with needing("a robot", "MuJoCo and SciPy", extra="robot"):
-    from scipy.spatial.transform import Rotation
-
-if TYPE_CHECKING:
     import mujoco
 
 UNUSED = {"asset", "keyframe", "size", "visual"}
 """Elements of an MJCF that neither kinematics nor masses need."""
-STRETCH_STEPS = 19
-"""Number of angles of thigh and of calf that are tried to stretch a leg: 10° apart over half a
-turn, so that the foot of a leg of 0.4 m is found within 4 cm of where it stands, a fifth of a Go2's
-half-base (robots in ``tests/robot/test_any_robot.py``)."""
 Positive = Annotated[float, Field(gt=0)]
 Vector = tuple[float, float, float]
 
@@ -63,7 +55,7 @@ class RobotFile(Strict):
     numbered."""
     joints: dict[str, str] | None = None
     """Table of the joints' names in the model, such as FR_hip = "RF_HAA". Not given: recognized by
-    their names, or else by their place in the tree."""
+    their names."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -153,21 +145,19 @@ class Quadruped:
 
 
 def _loaded(path: Path, settings: RobotFile, toml: str = "") -> Quadruped:
-    import mujoco
-
     check_is_file(path)
     with unpacking(f"{path}: it", [path]):
         model, title = _compiled(read_bytes(path), str(path))
         data = mujoco.MjData(model)
+    data.qpos[:] = model.qpos0
+    data.qpos[:7] = (0, 0, 0, 1, 0, 0, 0)
+    mujoco.mj_kinematics(model, data)
     joint, notes = _leg_joints(model, data, settings.joints, toml or str(path))
     names = [name for name, there in zip(JOINT_NAMES, (joint >= 0).ravel(), strict=True) if there]
     alias = dict(zip((model.joint(int(i)).name for i in joint[joint >= 0]), names, strict=True))
     order = tuple(alias.get(name, name) for name in settings.joint_order or names)
     if sorted(order) != sorted(names):
         raise InputError(f"{toml}: joint_order: {', '.join(names)} are expected, each once")
-    data.qpos[:] = model.qpos0
-    data.qpos[:7] = (0, 0, 0, 1, 0, 0, 0)
-    mujoco.mj_kinematics(model, data)
     feet = [_foot(model, data, int(model.jnt_bodyid[j]), str(path)) for j in joint[:, 2]]
     body, offset, radius = (np.array(column) for column in zip(*feet, strict=True))
     place = data.xpos[body] + np.einsum("fij,fj->fi", data.xmat[body].reshape(-1, 3, 3), offset)
@@ -195,8 +185,6 @@ def _loaded(path: Path, settings: RobotFile, toml: str = "") -> Quadruped:
 
 def _compiled(text: bytes, source: str) -> tuple[mujoco.MjModel, str]:
     """MuJoCo's model of a URDF or MJCF without meshes, and the robot's name."""
-    import mujoco
-
     try:
         root = ET.fromstring(text)
     except ET.ParseError as error:
@@ -208,34 +196,26 @@ def _compiled(text: bytes, source: str) -> tuple[mujoco.MjModel, str]:
         )
     name = root.get("name" if root.tag == "robot" else "model", "")
     try:
-        odd = _prepare_urdf(root) if root.tag == "robot" else _prepare_mjcf(root)
+        (_prepare_urdf if root.tag == "robot" else _prepare_mjcf)(root)
         model = mujoco.MjModel.from_xml_string(ET.tostring(root, encoding="unicode"))
     except (ValueError, KeyError, AttributeError) as error:
         why = " ".join(str(error).split())
         raise InputError(f"{source}: MuJoCo cannot read it: {why}") from error
-    for link, tensor in odd.items():
-        moments, axes = np.linalg.eigh(tensor)
-        axes[:, 0] *= np.linalg.det(axes)
-        body = model.body(link).id
-        model.body_sameframe[body] = 0  # its frame is not the placeholder's
-        model.body_inertia[body] = moments
-        model.body_iquat[body] = np.roll(Rotation.from_matrix(axes).as_quat(), 1)
     if not model.njnt or model.jnt_type[0] != mujoco.mjtJoint.mjJNT_FREE:
         raise InputError(f"{source}: the trunk's free joint is expected to be the first joint")
     model.opt.gravity[:] = 0.0  # it enters as part of the trunk's acceleration
     return model, name
 
 
-def _prepare_urdf(root: ET.Element) -> dict[str, FloatArray]:
+def _prepare_urdf(root: ET.Element) -> None:
     """Strip a URDF of meshes and free its trunk.
 
-    Returns the inertias that MuJoCo's compiler refuses, by link: rounded ones, and those of frames
-    without extent. They are given to the model when it is made, for its equations take them.
+    Inertias that no body has, as rounded ones and those of frames without extent, become spheres of
+    the same trace, or tiny ones.
     """
     for element in list(root):
         if element.tag not in {"link", "joint"}:
             root.remove(element)
-    odd: dict[str, FloatArray] = {}
     for link in root.iter("link"):
         for element in list(link):
             sphere = element.tag == "collision" and element.find("geometry/sphere") is not None
@@ -247,17 +227,8 @@ def _prepare_urdf(root: ET.Element) -> dict[str, FloatArray]:
             continue
         keys = [f"i{axes}" for axes in ("xx", "yy", "zz", "xy", "xz", "yz")]
         inertia.attrib.update({key: inertia.get(key, "0") for key in keys})
-        xx, yy, zz, xy, xz, yz = (float(inertia.attrib[key]) for key in keys)
-        tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        moments = np.linalg.eigvalsh(tensor)
         if not float(mass.attrib["value"]):
             link.remove(inertial)
-        elif moments[0] <= 0.0 or moments[0] + moments[1] < moments[2]:
-            origin = inertial.find("origin")
-            angles = ("0 0 0" if origin is None else origin.get("rpy", "0 0 0")).split()
-            turn = Rotation.from_euler("xyz", [float(angle) for angle in angles]).as_matrix()
-            odd[link.attrib["name"]] = turn @ tensor @ turn.T
-            inertia.attrib.update(ixx="1", iyy="1", izz="1", ixy="0", ixz="0", iyz="0")
     # What MuJoCo calls world does not move: the trunk hangs on it by a joint that is free.
     links = [link.attrib["name"] for link in root.iter("link")]
     children = {child.get("link") for child in root.iter("child")}
@@ -270,11 +241,13 @@ def _prepare_urdf(root: ET.Element) -> dict[str, FloatArray]:
         if joint.find("parent[@link='world']") is not None:
             joint.set("type", "floating")
     extension = ET.SubElement(root, "mujoco")
-    ET.SubElement(extension, "compiler", fusestatic="false", inertiafromgeom="false")
-    return odd
+    ET.SubElement(
+        extension, "compiler", fusestatic="false", inertiafromgeom="false", balanceinertia="true",
+        boundinertia="1e-12",
+    )  # fmt: skip
 
 
-def _prepare_mjcf(root: ET.Element) -> dict[str, FloatArray]:
+def _prepare_mjcf(root: ET.Element) -> None:
     """Strip an MJCF of meshes and looks, and free its trunk.
 
     Raises ValueError if it makes more copies of its parts than a robot has.
@@ -296,7 +269,6 @@ def _prepare_mjcf(root: ET.Element) -> dict[str, FloatArray]:
     kinds = [] if trunk is None else [joint.get("type") for joint in trunk.findall("joint")]
     if trunk is not None and trunk.find("freejoint") is None and "free" not in kinds:
         trunk.insert(0, ET.Element("freejoint"))
-    return {}
 
 
 def _leg_joints(
@@ -304,11 +276,9 @@ def _leg_joints(
 ) -> tuple[IntArray, list[str]]:
     """Numbers of the legs' joints, shape [foot, joint], −1 for hips that are not there; and notes.
 
-    By a table of names, or by the words in the names; where these do not name a whole quadruped,
-    by the tree and its geometry (:func:`_joints_by_place`), which otherwise checks the names.
+    By a table of names, or by the words in the names. Where the thighs hang on the trunk checks
+    which foot is which: x points forwards and y to the left, as in REP 103 of ROS.
     """
-    import mujoco
-
     hinges = {
         model.joint(i).name: i for i in range(model.njnt)
         if model.jnt_type[i] == mujoco.mjtJoint.mjJNT_HINGE
@@ -325,128 +295,30 @@ def _leg_joints(
             raise InputError(f"{source}: joints: no revolute joint '{name}' in the model; {hint}")
         joint.flat[JOINT_NAMES.index(key)] = hinges[name]
     first = 1 if np.all(joint[:, 0] < 0) else 0
-    missing = [
-        name for name, i in zip(JOINT_NAMES, joint.ravel(), strict=True)
-        if i < 0 and not (first and name.endswith("hip"))
-    ]  # fmt: skip
-    if missing and table is not None:
-        raise InputError(f"{source}: joints: {', '.join(missing)} missing")
-    try:
-        placed = _joints_by_place(model, data)
-    except InputError as error:
-        if missing:
-            raise InputError(
-                f"{source}: {str(error).removeprefix('it: ')}; or name the four legs' joints in "
-                "the table 'joints' of the robot's TOML"
-            ) from error
-        placed = joint
-    if missing:
-        calves = zip(FEET, placed[:, -1], strict=True)
-        text = ", ".join(f"{foot} ends with '{model.joint(int(i)).name}'" for foot, i in calves)
-        return placed, [f"legs recognized by their places, not by names: {text}"]
+    lacking = joint < 0
+    lacking[:, :first] = False
+    if missing := joint_names(lacking):
+        raise InputError(
+            f"{source}: no joints {', '.join(missing)} by the names of the model's "
+            f"{len(hinges)} revolute joints; name those of the four legs in the table 'joints' of "
+            "the robot's TOML (bipeds and flat soles are not supported)"
+        )
     for row in np.sort(joint[:, first:]):
         for i, above in zip(row, [5, *model.jnt_dofadr[row[:-1]]], strict=True):
             if model.dof_parentid[model.jnt_dofadr[i]] != above:
                 name = model.joint(i).name
                 raise InputError(f"{source}: '{name}' does not hang on the joint above it")
-    if np.array_equal(joint, placed):
-        return joint, []
-    where = {int(row[2]): foot for row, foot in zip(placed, FEET, strict=True)}
-    wrong = []
-    for foot, named, row in zip(FEET, joint, placed, strict=True):
-        calf = int(named[2])
-        if where.get(calf) != foot:
-            corner = where.get(calf, "no foot")
-            wrong.append(f"{model.joint(calf).name}, named {foot}, is at {corner}")
-        elif tuple(named) != tuple(row):
+    x, y = (data.xanchor[joint[:, 1], :2] - data.xanchor[joint[:, 1], :2].mean(axis=0)).T
+    corners = [FEET[corner] for corner in 2 * (x < 0.0) + (y > 0.0)]
+    abducts = np.abs(data.xaxis[joint[:, :2], 0])  # a hip turns about the trunk's x
+    wrong = [
+        f"{model.joint(int(row[2])).name}, named {foot}, is at {corner}"
+        for foot, corner, row in zip(FEET, corners, joint, strict=True) if foot != corner
+    ]  # fmt: skip
+    for foot, (hip, thigh) in zip(FEET, abducts, strict=True):
+        if not first and thigh > max(hip, math.sqrt(0.5)):
             wrong.append(f"the hip and thigh of {foot} have each other's axes")
     return joint, [f"names and places of the legs disagree: {'; '.join(wrong)}"] if wrong else []
-
-
-def _joints_by_place(model: mujoco.MjModel, data: mujoco.MjData) -> IntArray:
-    """Numbers of the legs' joints by the tree and its geometry, whatever they are called.
-
-    A leg is one of four chains of three (or two) hinges that end where no further hinge hangs. Its
-    last joint is the calf. Of the two before, the hip is the one whose axis is nearer to the
-    trunk's x, for abduction; the first, if neither. The trunk's x points forwards and its y to the
-    left, as in REP 103 of ROS. Thigh and calf stretch each leg downwards, as far as their ranges
-    allow: which foot is which follows from where it then stands. That the leg reaches down, not up
-    or aside, is the check that a trunk or an axis is not upside down.
-
-    Raises
-    ------
-    InputError
-        With half a sentence, if there are no four such legs.
-    """
-    import mujoco
-
-    chains: list[tuple[int, ...]] = [()]  # of hinges from the trunk to each body
-    for body in range(1, model.nbody):
-        first, count = model.body_jntadr[body], model.body_jntnum[body]
-        joints = range(first, first + count)
-        hinges = (i for i in joints if model.jnt_type[i] == mujoco.mjtJoint.mjJNT_HINGE)
-        chains.append((*chains[model.body_parentid[body]], *hinges))
-    ends = {chain for chain in chains if not any(chain == c[: len(chain)] != c for c in chains)}
-    legs = [sorted(chain for chain in ends if len(chain) == count) for count in (3, 2)]
-    four = next((four for four in legs if len(four) == len(FEET)), None)
-    data.qpos[:] = model.qpos0
-    data.qpos[:7] = (0, 0, 0, 1, 0, 0, 0)
-    mujoco.mj_kinematics(model, data)
-    if four is None:
-        raise InputError(
-            f"it has {_legs_in_words(data, ends)}, not four of two or three with a ball at the end "
-            "(bipeds and flat soles are not supported)"
-        )
-    # Order hip, thigh, calf within each leg, by the axes.
-    along = np.abs(data.xaxis[:, 0])
-    joint = np.full((len(FEET), len(JOINTS)), -1)
-    for row, leg in zip(joint, four, strict=True):
-        row[-len(leg) :] = leg
-        if len(leg) == len(JOINTS) and along[leg[1]] > max(along[leg[0]], math.sqrt(0.5)):
-            row[:2] = leg[1], leg[0]
-    ends_of = [_foot(model, data, int(model.jnt_bodyid[row[2]]), "it")[:2] for row in joint]
-    feet, offset = (np.array(column) for column in zip(*ends_of, strict=True))
-    limited = model.jnt_limited[joint][..., None].astype(bool)
-    middle = np.stack([model.qpos0[model.jnt_qposadr[joint]]] * 2, axis=-1)
-    span = np.where(limited, model.jnt_range[joint], middle + 0.5 * math.pi * np.array([-1.0, 1.0]))
-    if np.any(joint[:, 0] >= 0):  # within its range, if zero is not
-        hip = np.clip(middle[:, 0, 0], *span[:, 0].T)
-        data.qpos[model.jnt_qposadr[joint[:, 0]]] = hip
-    # Try angles of thigh and calf; the deepest foot below its thigh, over the leg's length.
-    drops, places = [], []
-    for thigh, calf in itertools.product(np.linspace(0.0, 1.0, STRETCH_STEPS), repeat=2):
-        part = np.array([thigh, calf])
-        data.qpos[model.jnt_qposadr[joint[:, 1:]]] = (
-            span[:, 1:, 0] + part * (span[:, 1:, 1] - span[:, 1:, 0])
-        )  # fmt: skip
-        mujoco.mj_kinematics(model, data)
-        place = np.einsum("fij,fj->fi", data.xmat[feet].reshape(-1, 3, 3), offset)
-        places.append(place + data.xpos[feet])
-        thighs, knees = data.xanchor[joint[:, 1]], data.xanchor[joint[:, 2]]
-        length = np.linalg.norm(knees - thighs, axis=1) + np.linalg.norm(places[-1] - knees, axis=1)
-        drops.append((thighs - places[-1])[:, 2] / length)
-    lowest, rows = np.argmax(drops, axis=0), np.arange(len(FEET))
-    if np.any(np.array(drops)[lowest, rows] < 0.5):
-        raise InputError("its legs do not reach below the trunk; z is expected to point up")
-    x, y = (stand := np.array(places)[lowest, rows][:, :2]).T - stand.mean(axis=0)[:, None]
-    foot = 2 * (x < 0.0) + (y > 0.0)
-    if len(set(foot.tolist())) < len(FEET):
-        raise InputError("its feet do not stand at four corners; x is expected to point forwards")
-    return np.asarray(joint[np.argsort(foot)])
-
-
-def _legs_in_words(data: mujoco.MjData, chains: Iterable[tuple[int, ...]]) -> str:
-    """Number of legs and of their joints, such as ``2 legs of 6 revolute joints``.
-
-    Of chains of joints, those that reach more than half as deep below the trunk as the deepest:
-    arms and heads end higher.
-    """
-    depth = {chain: -data.xanchor[chain[-1]][2] for chain in chains if chain}
-    least = max(0.0, 0.5 * max(depth.values(), default=0.0))
-    legs = sorted(len(chain) for chain in depth if depth[chain] > least)
-    joints = " or ".join(map(str, dict.fromkeys(legs)))
-    count = "1 leg" if len(legs) == 1 else f"{len(legs)} legs"
-    return f"{count} of {joints} revolute joints" if legs else "no legs"
 
 
 def _foot(
@@ -457,8 +329,6 @@ def _foot(
     The farthest body that is fixed to the calf, of those named as a foot if there are any; or else
     the farthest sphere of the calf.
     """
-    import mujoco
-
     fixed = [b for b in np.flatnonzero(model.body_weldid == calf).tolist() if b != calf]
     named = [b for b in fixed if re.search("foot|feet|toe", model.body(b).name, re.IGNORECASE)]
     balls = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE).tolist()
