@@ -4,8 +4,7 @@ The server listens on the loopback address alone. It refuses requests with anoth
 (against DNS rebinding), and all requests without the token of the address that it prints: other
 users of the machine can reach the port, and pages of other sites can send to it. A file goes to a
 temporary folder under a generated name. A process of its own with limits on time and memory reads
-it: a copy of one that has loaded the library, ``python -m terraphi.view.app``, so that no file
-meets what another left.
+it: a copy of one that has loaded the library, so that no file meets what another left.
 """
 
 from __future__ import annotations
@@ -17,12 +16,12 @@ import json
 import math
 import os
 import secrets
-import signal
 import socket
-import sys
 import tempfile
-from collections.abc import AsyncIterator, Callable
+from collections.abc import Callable
 from dataclasses import replace
+from multiprocessing import forkserver, get_context
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -36,6 +35,7 @@ from terraphi.experiment.leg import Leg, frame_axes
 from terraphi.experiment.reading import ForceColumns
 from terraphi.experiment.rig import LI2013, SIZES, with_rig
 from terraphi.experiment.tables import write_csv
+from terraphi.experiment.workers import end_with
 from terraphi.view import page
 from terraphi.view.sections import (
     LOGS,
@@ -55,6 +55,7 @@ if TYPE_CHECKING:
 
     from terraphi.inference.answer import Answer
 
+CONTEXT = get_context("forkserver")
 HOST = "127.0.0.1"
 SUFFIXES = (".nc", *LOGS)
 ROLES = {
@@ -65,8 +66,6 @@ LONGEST_NAME = 80
 """Letters of a file's name that are shown."""
 MOST_MEMORY, MOST_FILE, MOST_CPU_S = 6 << 30, 500 << 20, 600
 """Address space [byte], largest file [byte] and processor time [s] of the process that reads."""
-LOOK_SECONDS = 0.5
-"""Interval at which that process checks that the app runs [s]; chosen."""
 HEADERS = {
     "x-content-type-options": "nosniff",
     "x-frame-options": "DENY",
@@ -86,10 +85,6 @@ class Limits(NamedTuple):
     """For all work on it [s]."""
     upload_seconds: float = 60.0
     """Until it has come in [s]."""
-    header_seconds: float = 5.0
-    """Until the headers of a request have come in [s]."""
-    waiting: int = 64
-    """Connections whose headers have not come in."""
 
 
 class RefusedError(Exception):
@@ -142,13 +137,11 @@ def server(
     """
     with needing("the app", "Starlette and uvicorn", extra="app"):
         import uvicorn
-
-        from terraphi.view import guard
     limits = limits or Limits()
     config = uvicorn.Config(
         application(token, limits, place),
-        http=guard.protocol(limits.header_seconds, limits.waiting),
         ws="none",
+        lifespan="off",
         log_level="warning",
         server_header=False,
     )
@@ -179,15 +172,11 @@ def application(token: str, limits: Limits, place: Path | None) -> Starlette:
         "style-src 'unsafe-inline'; connect-src 'self'; img-src data: blob:; base-uri 'none'; "
         "form-action 'none'; frame-ancestors 'none'"
     )
-    readers = Readers(place)
+    one_at_a_time = asyncio.Lock()
 
-    @contextlib.asynccontextmanager
-    async def running(_: Starlette) -> AsyncIterator[None]:
-        await readers.start()
-        try:
-            yield
-        finally:
-            await readers.end()
+    os.environ |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    CONTEXT.set_forkserver_preload(["terraphi.view.prepared"])
+    forkserver.ensure_running()
 
     def allow(given: str) -> None:
         if not secrets.compare_digest(given.encode(), token.encode()):
@@ -203,14 +192,14 @@ def application(token: str, limits: Limits, place: Path | None) -> Starlette:
     async def dropped(request: Request) -> Response:
         try:
             allow(request.headers.get("x-terraphi", ""))
-            reply = await reply_to(request, readers, limits, place)
+            reply = await reply_to(request, one_at_a_time, limits, place)
             return Response(reply, media_type="application/json", headers=HEADERS)
         except RefusedError as refused:
             return JSONResponse({"refused": str(refused)}, refused.status, headers=HEADERS)
 
     tasks = [Route(f"/{task}", dropped, methods=["POST"]) for task in ("look", "answer")]
     hosts = Middleware(TrustedHostMiddleware, allowed_hosts=[HOST, "localhost"])
-    return Starlette(routes=[Route("/", home), *tasks], middleware=[hosts], lifespan=running)
+    return Starlette(routes=[Route("/", home), *tasks], middleware=[hosts])
 
 
 def corners(leg: str) -> str:
@@ -220,7 +209,7 @@ def corners(leg: str) -> str:
 
 
 async def reply_to(
-    request: Request, readers: Readers, limits: Limits, place: Path | None = None
+    request: Request, one_at_a_time: asyncio.Lock, limits: Limits, place: Path | None = None
 ) -> bytes:
     """Return the contents of an upload, or its answer, as JSON; raises RefusedError."""
     query = request.query_params
@@ -237,7 +226,8 @@ async def reply_to(
         task = request.url.path.strip("/")
         job = {"folder": made, "file": f"dropped{suffix}", "name": name, "task": task, **options}
         try:
-            await readers.read(job, limits.seconds)
+            async with one_at_a_time:
+                await read(job, limits.seconds)
         except TimeoutError:
             late = f"{name}: not done within {limits.seconds:g} s; use the command line"
             raise RefusedError(422, late) from None
@@ -265,99 +255,35 @@ async def _receive(request: Request, path: Path, name: str, limits: Limits) -> N
         raise RefusedError(408, f"{name}: the upload stopped; drop it again") from None
 
 
-class Readers:
-    """A process that has loaded what reading needs, and makes a copy of itself for each file."""
+async def read(job: dict[str, Any], most_seconds: float) -> None:
+    """Do a job of :func:`work` in a process of its own; raises TimeoutError if it takes too long.
 
-    def __init__(self, place: Path | None = None) -> None:
-        self._place = place or tempfile.gettempdir()
-        self._process: asyncio.subprocess.Process | None = None
-        self._one_at_a_time = asyncio.Lock()
-
-    async def start(self) -> asyncio.subprocess.Process:
-        """Start the process, unless it runs."""
-        if self._process is None or self._process.returncode is not None:
-            self._process = await asyncio.create_subprocess_exec(
-                *(sys.executable, "-m", "terraphi.view.app", str(os.getpid())),
-                stdin=asyncio.subprocess.PIPE,
-                stdout=asyncio.subprocess.PIPE,
-                stderr=asyncio.subprocess.DEVNULL,
-                start_new_session=True,  # so that its copies end with it
-                env={
-                    **os.environ,
-                    "TMPDIR": str(self._place),
-                    "OPENBLAS_NUM_THREADS": "1",
-                    "OMP_NUM_THREADS": "1",
-                },
-            )
-        return self._process
-
-    async def read(self, job: dict[str, Any], most_seconds: float) -> None:
-        """Do a job of :func:`work`; raises TimeoutError if it takes too long."""
-        async with self._one_at_a_time:
-            process = await self.start()
-            assert process.stdin is not None
-            assert process.stdout is not None
-            done = b""
-            try:
-                process.stdin.write(f"{json.dumps(job)}\n".encode())
-                async with asyncio.timeout(most_seconds):
-                    done = await process.stdout.readline()
-            finally:
-                if not done:
-                    await self.end()
-
-    async def end(self) -> None:
-        """End the process and its copies."""
-        process, self._process = self._process, None
-        if process is not None:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)
-            await process.communicate()
-
-
-# -- the process that reads files ----------------------------------------------------------------
-
-
-def read_files(app: int) -> None:
-    """Do the jobs that standard input names, a line each, in copies of this process.
-
-    This process and its copies end with the app (its process number), even if the app is killed.
+    The process ends with this one, even if this one is killed.
     """
-
-    def look_for_app(_number: int, _frame: object) -> None:
-        if os.getppid() != app:
-            os.killpg(0, signal.SIGKILL)
-
-    signal.signal(signal.SIGALRM, look_for_app)
-    signal.setitimer(signal.ITIMER_REAL, LOOK_SECONDS, LOOK_SECONDS)
-    prepare()
-    while line := sys.stdin.readline():
-        if child := os.fork():
-            os.waitpid(child, 0)
-            sys.stdout.write("done\n")
-            sys.stdout.flush()
-            continue
-        try:
-            null = os.open(os.devnull, os.O_RDWR)
-            for stream in range(3):
-                os.dup2(null, stream)
-            job = json.loads(line)
-            os.environ["TMPDIR"] = tempfile.tempdir = job["folder"]
-            limit_process()
-            work(job)
-        finally:
-            os._exit(0)
+    theirs, ours = CONTEXT.Pipe(duplex=False)
+    process = CONTEXT.Process(target=_read, args=(job, theirs))
+    await asyncio.to_thread(process.start)
+    try:
+        await asyncio.to_thread(process.join, most_seconds)
+        if process.is_alive():
+            raise TimeoutError
+    finally:
+        process.kill()
+        ours.close()
+        theirs.close()
 
 
-def prepare() -> None:
-    """Load what an answer needs, so that the copies of this process have it."""
-    from terraphi.inference.inversion import invert
+# -- the process that reads a file ---------------------------------------------------------------
 
-    sys.modules["dask"] = None  # type: ignore[assignment]  # xarray loads all of it to write a file
-    answer = invert("li2013:yuma/straight")
-    page.render([of_answer(answer)])
-    with tempfile.TemporaryDirectory() as place:
-        write_files(answer, Path(place))
+
+def _read(job: dict[str, Any], app: Connection) -> None:
+    end_with(app)
+    null = os.open(os.devnull, os.O_RDWR)
+    for stream in range(3):
+        os.dup2(null, stream)
+    os.environ["TMPDIR"] = tempfile.tempdir = job["folder"]
+    limit_process()
+    work(job)
 
 
 def work(job: dict[str, Any]) -> None:
@@ -486,7 +412,3 @@ def limit_process() -> None:
         }  # fmt: skip
         for what, most in limits.items():
             resource.setrlimit(what, (most, most))
-
-
-if __name__ == "__main__":
-    read_files(int(sys.argv[1]))
