@@ -12,19 +12,24 @@ all; times are those of the processor, and the best of several turns counts.
 from __future__ import annotations
 
 import argparse
+import sys
 import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward.bed import sub_cells
-from terraphi.forward.checkpoint import Kernel
 from terraphi.forward.driver import path_of_steps
 from terraphi.forward.ledger import empty_audit, empty_reaction
+from terraphi.forward.mpm.lanes import FastStrain
 from terraphi.forward.mpm.lattice import lattice_of
 from terraphi.forward.mpm.plasticity import material_of
 from terraphi.forward.mpm.solver import MpmSolver
+
+sys.path.append(str(Path(__file__).parents[1] / "verification"))
+from plain import PlainStrain
 
 try:
     import warp as wp
@@ -44,8 +49,8 @@ def main() -> None:
     steps = scenario.numerics.steps_per_phase
     rates: dict[str, list[float]] = {}
     runs: dict[str, Any] = {
-        "packets": (lambda n: seconds(scenario, "packets", n)[1], steps),
-        "plain": (lambda n: seconds(scenario, "scalar", n)[1], 4),
+        "packets": (lambda n: seconds(scenario, FastStrain, n)[1], steps),
+        "plain": (lambda n: seconds(scenario, PlainStrain, n)[1], 4),
     }
     if wp is not None:
         peer = Peer(scenario)
@@ -57,16 +62,16 @@ def main() -> None:
         for name, (take, count) in runs.items():
             rates.setdefault(name, []).append(count / take(count))
     best = {name: max(values) for name, values in rates.items()}
-    particles, _ = seconds(scenario, "packets", 1)
+    particles, _ = seconds(scenario, FastStrain, 1)
     print(f"packets_particle_steps_per_second {particles * best['packets']:.4g}")
     print(f"packets_per_plain {best['packets'] / best['plain']:.3f}")
     if wp is not None:
         print(f"packets_per_warp {best['packets'] / best['warp']:.3f}")
 
 
-def seconds(scenario: Scenario, kernel: Kernel, steps: int) -> tuple[int, float]:
+def seconds(scenario: Scenario, strainer: type[Any], steps: int) -> tuple[int, float]:
     """Number of particles, and processor time of some steps from the first on [s]."""
-    solver = MpmSolver(scenario, kernel)
+    solver = MpmSolver(scenario, strainer)
     soil, path = solver.bed(), path_of_steps(scenario, np.arange(steps), 1)
     impulse, audit = empty_reaction(1), empty_audit()
     began = time.process_time()
@@ -78,7 +83,7 @@ class Peer:
     """Warp's arrays for a scenario, with velocities that are linear in place."""
 
     def __init__(self, scenario: Scenario) -> None:
-        self.scenario, self.plain = scenario, MpmSolver(scenario, "scalar")
+        self.scenario, self.plain = scenario, MpmSolver(scenario, PlainStrain)
         self.soil = soil = self.plain.bed()
         material, lattice, self.law = material_of(scenario.soil), lattice_of(scenario), Law()
         node = np.arange(lattice.nodes)

@@ -35,9 +35,11 @@ def in_space(**changes: Any) -> Scenario:
 
 
 def solver_of(scenario: Scenario, kernel: str) -> Any:
+    from plain import PlainStrain
+    from terraphi.forward.mpm.lanes import FastStrain
     from terraphi.forward.mpm.solver import MpmSolver
 
-    return MpmSolver(scenario, kernel)
+    return MpmSolver(scenario, {"packets": FastStrain, "scalar": PlainStrain}[kernel])
 
 
 def run(scenario: Scenario, kernel: str, steps: int, *, prepare: Any = None) -> SimpleNamespace:

@@ -18,7 +18,7 @@ import time
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,10 +27,6 @@ from terraphi.experiment.files import atomic_write, check_is_file
 from terraphi.experiment.scenario import Scenario
 
 log = logging.getLogger(__name__)
-
-Kernel = Literal["packets", "scalar"]
-"""``scalar`` is the plain kernel, to be read; ``packets``, in three dimensions, is fast and gives
-the same but for roundings of single precision."""
 
 EVERY = 20.0
 """Least time between two checkpoints [s]."""

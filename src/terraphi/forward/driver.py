@@ -19,7 +19,7 @@ from terraphi.experiment.scenario import Scenario
 from terraphi.experiment.solvers import SOLVERS
 from terraphi.forward import forecast
 from terraphi.forward.body import Path
-from terraphi.forward.checkpoint import Checkpoint, Keeper, Kernel, State
+from terraphi.forward.checkpoint import Checkpoint, Keeper, State
 from terraphi.forward.ledger import Audit, empty_audit, empty_reaction
 from terraphi.forward.mpm.solver import MpmSolver
 
@@ -35,6 +35,8 @@ packs its particles anew at the start of each, and its roundings depend on that.
 class Solver(Protocol):
     """A kernel with its constants and working memory, as the driver and an observer use it."""
 
+    kernel: str
+    """Name of the kernel."""
     width: float
     """Factor of the impulses: in plane strain the leg's width [m], else 1."""
 
@@ -97,7 +99,6 @@ Observer: TypeAlias = Callable[[Snapshot], None]
 def simulate(
     scenario: Scenario,
     *,
-    kernel: Kernel = "packets",
     progress: Callable[[float], None] | None = None,
     checkpoint: Checkpoint | None = None,
     observe: Observer | None = None,
@@ -108,8 +109,6 @@ def simulate(
     ----------
     scenario
         A scenario of ``model = "mpm"``.
-    kernel
-        In three dimensions ``packets``, or ``scalar``: the plain one, many times slower.
     progress, checkpoint, observe
         As in :func:`terraphi.forward.simulate`.
 
@@ -128,12 +127,8 @@ def simulate(
         If the solution breaks down; the message says between which steps, and the likely cause.
     """
     began = time.perf_counter()
-    solver: Solver
-    if scenario.dimensions == 2:
-        solver, kernel = SOLVERS[2](scenario), "scalar"
-    else:
-        solver = MpmSolver(scenario, kernel)
-    keeper = Keeper(checkpoint, scenario, kernel)
+    solver: Solver = SOLVERS[2](scenario) if scenario.dimensions == 2 else MpmSolver(scenario)
+    keeper = Keeper(checkpoint, scenario, solver.kernel)
     centres, steps = bin_centres(scenario.motion), step_count(scenario)
     bins, length = len(centres), block_length(scenario)
     first = State(solver.bed(), empty_audit(), empty_reaction(bins), np.zeros(bins), 0)
@@ -157,7 +152,7 @@ def simulate(
     seconds = keeper.seconds + time.perf_counter() - began
     log.info("%d steps of %d particles in %.1f s", steps, len(state.soil.mass), seconds)
     provenance = {
-        "kernel": kernel,
+        "kernel": solver.kernel,
         "momentum_mismatch": float(state.audit.worst[0]),
         "impulse_kg_m_s": {
             row: [float(v) * solver.width for v in state.audit.ledger[i]]

@@ -1,9 +1,35 @@
-"""Strain of the particles and force of their stress, many particles at a time.
+r"""Strain of the particles and force of their stress, many particles at a time.
 
-The fast kernel: ``plain`` in single precision, for the packets of :mod:`~.packing`. Block by block,
-the velocities of its nodes are copied side by side, its particles strained, and the forces laid
-down on the nodes. Within a cell a component v of the velocity is taken as its value at the middle
-and nine moments,
+The fast kernel, in single precision, for the packets of :mod:`~.packing`; ``verification/plain.py``
+does the same for one particle after the other, to be read. With slopes G_i of the splines at a
+particle's place,
+
+.. math:: L_p = \sum_i v_i G_i^T, \qquad f_i = -\sum_p V_p \sigma_p G_i,
+
+so that the forces do on the nodes the work that the strains do on the stresses. The slopes are the
+splines' own as far as they are linear in the place within the cell.
+
+The volumetric strain is the mean over a cell's particles (B-bar; Hughes, 1980, doi
+10.1002/nme.1620150914), without which plastic flow at constant volume locks; their mean stress then
+acts on the nodes in the same way. That in the middle of the cell would do in full cells; in a
+half-empty one the soil is elsewhere, and a bed at rest carried 13 % too much near its floor.
+
+Its plastic changes of volume are shared too: the mean strain of a cell cannot give back what one
+particle alone gains, which would press that particle stiff, or loose. The mean stresses m_p of the
+n particles of a cell all change by the same s,
+
+.. math:: n s + K \sum_p e_p(m_p + s) = 0,
+
+with e_p(m) the change of volume of particle p if it yields at a mean stress m that is held; beyond
+the tip of the surface, that at the tip, where the whole deviatoric stress goes. A few Newton steps
+from s = 0 find it, with the slope Σ(1 + b_p), 1 + b_p = e_p(m) / ẽ_p, ẽ_p being the change of a
+particle that is alone, so that m falls by K ẽ_p; b_p is 0 where that one does not yield or comes
+apart. If all particles are equal, or the same ones yield throughout, one step is exact. Each
+particle then returns to the surface at its mean stress m_p + s.
+
+Block by block, the velocities of the nodes are copied side by side, the particles strained, and the
+forces laid down on the nodes. Within a cell a component v of the velocity is taken as its value at
+the middle and nine moments,
 
     A = Δx ∇v,    B = Δx² ∇∇v    (x, y, z;  xx, yy, zz, xy, xz, yz),
 
@@ -50,8 +76,8 @@ from terraphi.forward.mpm import packing
 from terraphi.forward.mpm.bed import Soil
 from terraphi.forward.mpm.lattice import LANES, MARGIN, Lattice, lattice_of
 from terraphi.forward.mpm.packing import Packets, pack, unpack
-from terraphi.forward.mpm.plain import SHARING_ROUNDS
 from terraphi.forward.mpm.plasticity import (
+    SHARING_ROUNDS,
     SHORT_OF_TIP,
     Material,
     Precision,
@@ -104,7 +130,7 @@ R_XX, R_YY, R_ZZ, R_XY, R_XZ, R_YZ = _rows(6, first=6, step=3)
 X_ROW, Y_ROW, Z_ROW = _rows(3)
 """Components of an offset, in MIDDLE and in the three rows of a stress."""
 NUMBER, SWELLING, YIELDING = _rows(3)
-"""Sums over the particles of a cell, as ``plain.Cells`` has them [-], in SWELL."""
+"""Sums over the particles of a cell: how many, Σ e and Σ (1 + b) [-], in SWELL."""
 
 _FIELD = [np.uint64(field) * LANES for field in range(packing.FIELDS)]
 X, Y, Z, SXX, SYY, SZZ, SXY, SXZ, SYZ, STRAIN, VOLUME = _FIELD
@@ -134,6 +160,8 @@ def laws_of(material: Material) -> Material:
 
 class FastStrain:
     """Strains the particles of a scenario and forces its nodes, with the kernel below."""
+
+    precision = np.float32
 
     def __init__(self, scenario: Scenario) -> None:
         material, self._lattice = material_of(scenario.soil), lattice_of(scenario)
@@ -409,7 +437,6 @@ def return_and_sum(
     state: Work, work: Work, at: Index, i: Index, trial: Six, laws: Material
 ) -> None:
     """Return a trial stress [Pa] of a particle, keep it, and add it to the sums of its cell."""
-    # The return of `plain`, in single precision and without branches.
     stress, slip, _ = return_to_surface(trial, state[at + STRAIN], laws, SINGLE_PRECISION)
     xx, yy, zz, xy, xz, yz = stress
     keep(state, at, stress)
@@ -457,7 +484,7 @@ def predict_packet(state: Work, work: Work, packet: Index, lanes: Index, laws: M
 def swell_packet(
     state: Work, work: Work, packet: Index, lanes: Index, laws: Material, held: Material
 ) -> None:
-    """Add the plastic changes of volume of a packet to the sums of its cells, as ``plain``."""
+    """Add the plastic changes of volume of a packet to the sums of its cells."""
     wide_vectors()
     for i in range(lanes):
         at = packet * FIELDS + i
@@ -483,7 +510,7 @@ def share(work: Work, lanes: Index, laws: Material) -> None:
     """Take a Newton step towards the change of mean stress that a cell's particles share."""
     wide_vectors()
     for i in range(lanes):
-        # s -= (n s + K Σ e) / Σ (1 + b), as in `plain`; a cell without soil keeps s = 0.
+        # s -= (n s + K Σ e) / Σ (1 + b), a cell without soil keeps s = 0.
         number, swelling = work[SWELL + NUMBER + i], work[SWELL + SWELLING + i]
         slope = work[SWELL + YIELDING + i]
         slope = slope if number > ZERO else UNIT

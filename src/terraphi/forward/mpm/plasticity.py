@@ -102,6 +102,10 @@ SHORT_OF_TIP = 1e-5
 rounding might put it beyond."""
 
 
+SHARING_ROUNDS = 3
+"""Newton steps with which a cell shares its plastic changes of volume."""
+
+
 class Material(NamedTuple):
     """Constants of the stress update, as the kernels take them."""
 
@@ -269,7 +273,7 @@ def cosine_of_two_thirds(s: float) -> float:
 
 
 DOUBLE_PRECISION = Precision(1.0, 1e-12, cosine_of_two_thirds)
-"""Precision of the plain kernel."""
+"""Of a stress by itself, and of the plain kernel that the fast one is tested against."""
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""Lagrangian phases, one after the other, with either kernel; what the driver needs of it.
+"""Lagrangian phases, one after the other; what the driver needs of them.
 
 Within a phase the particles keep their places on the grid, and so their weights. Their stress, the
 velocities of the nodes and the nodes' displacements go on as a velocity Verlet:
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward.body import Path, pose_of
-from terraphi.forward.checkpoint import Kernel, State
+from terraphi.forward.checkpoint import State
 from terraphi.forward.compiled import entry
 from terraphi.forward.ledger import LEDGER_ROWS, Audit, close_books, enter_reaction, write_books
 from terraphi.forward.mpm import nodes
@@ -31,34 +31,38 @@ from terraphi.forward.mpm.contact import near_leg
 from terraphi.forward.mpm.lanes import FastStrain
 from terraphi.forward.mpm.lattice import HALVES, Lattice, lattice_of, positions
 from terraphi.forward.mpm.nodes import Phase, phase_of
-from terraphi.forward.mpm.plain import PlainStrain
 from terraphi.forward.mpm.transfer import Nodes, contact_forces, gather, offset_of, remap
 
 FloatArray = NDArray[np.float64]
 
 
 class MpmSolver:
-    """A kernel with its constants and working memory, for the driver."""
+    """A kernel with its constants and working memory, for the driver.
 
-    width = 1.0
+    Parameters
+    ----------
+    scenario
+        Soil, leg and numerics.
+    strainer
+        Strains the particles; tests have another one.
+    """
+
+    kernel, width = "packets", 1.0
     ledger_rows = (*LEDGER_ROWS[:4], "light_nodes")
 
-    def __init__(self, scenario: Scenario, kernel: Kernel = "packets") -> None:
+    def __init__(self, scenario: Scenario, strainer: Any = FastStrain) -> None:
         if scenario.soil.tension_cutoff is not None:
             raise InputError("soil.tension_cutoff is for two dimensions only; leave it out")
         self._scenario, self._steps = scenario, scenario.numerics.steps_per_phase
-        self._precision = np.float32 if kernel == "packets" else np.float64
-        self.strainer = (FastStrain if kernel == "packets" else PlainStrain)(scenario)
+        self.strainer = strainer(scenario)
         self._lattice = lattice_of(scenario)
         self._grid = np.zeros((4, self._lattice.nodes))
         self._phase: Phase | None = None
 
     def bed(self) -> Soil:
         """Soil before the first step; everything rests."""
-        soil = geostatic_bed(self._scenario, self._precision)
-        end_phase(
-            soil, self._lattice, np.zeros((3, self._lattice.nodes), self._precision), self._grid
-        )
+        soil = geostatic_bed(self._scenario, self.strainer.precision)
+        end_phase(soil, self._lattice, np.zeros_like(soil.velocity), self._grid)
         return soil
 
     def advance(self, soil: Soil, path: Path, impulse: FloatArray, audit: Audit) -> int:

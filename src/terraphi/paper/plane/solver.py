@@ -24,7 +24,7 @@ APPLIED_BINS = 10
 class PlaneSolver:
     """The kernel with its constants and working memory, for the driver."""
 
-    ledger_rows = LEDGER_ROWS
+    kernel, ledger_rows = "scalar", LEDGER_ROWS
 
     def __init__(self, scenario: Scenario) -> None:
         self._scenario, self.width = scenario, scenario.leg.width

@@ -1,7 +1,8 @@
 r"""Strain of the particles and force of their stress, plainly: one particle after the other.
 
-The kernel to read, in double precision; ``lanes`` does the same for many particles at a time. With
-slopes G_i of the splines at a particle's place,
+The kernel to read, in double precision. :mod:`terraphi.forward.mpm.lanes` does the same for many
+particles at a time, and is tested against it; this one is slower by far, and no option of a
+simulation. With slopes G_i of the splines at a particle's place,
 
 .. math:: L_p = \sum_i v_i G_i^T, \qquad f_i = -\sum_p V_p \sigma_p G_i,
 
@@ -9,23 +10,7 @@ so that the forces do on the nodes the work that the strains do on the stresses.
 splines' own as far as they are linear in the place within the cell: gradient and second
 derivatives at its middle, shared by all its particles.
 
-The volumetric strain is the mean over a cell's particles (B-bar; Hughes, 1980, doi
-10.1002/nme.1620150914), without which plastic flow at constant volume locks; their mean stress then
-acts on the nodes in the same way. That in the middle of the cell would do in full cells; in a
-half-empty one the soil is elsewhere, and a bed at rest carried 13 % too much near its floor.
-
-Its plastic changes of volume are shared too: the mean strain of a cell cannot give back what one
-particle alone gains, which would press that particle stiff, or loose. The mean stresses m_p of the
-n particles of a cell all change by the same s,
-
-.. math:: n s + K \sum_p e_p(m_p + s) = 0,
-
-with e_p(m) the change of volume of particle p if it yields at a mean stress m that is held; beyond
-the tip of the surface, that at the tip, where the whole deviatoric stress goes. A few Newton steps
-from s = 0 find it, with the slope Σ(1 + b_p), 1 + b_p = e_p(m) / ẽ_p, ẽ_p being the change of a
-particle that is alone, so that m falls by K ẽ_p; b_p is 0 where that one does not yield or comes
-apart. If all particles are equal, or the same ones yield throughout, one step is exact. Each
-particle then returns to the surface at its mean stress m_p + s.
+Volumetric strain and mean stress are shared by the particles of a cell, as ``lanes`` explains.
 """
 
 from __future__ import annotations
@@ -41,6 +26,7 @@ from terraphi.forward.compiled import entry, kernel
 from terraphi.forward.mpm.bed import Soil
 from terraphi.forward.mpm.lattice import Lattice, Three, lattice_of
 from terraphi.forward.mpm.plasticity import (
+    SHARING_ROUNDS,
     SHORT_OF_TIP,
     Material,
     Six,
@@ -50,9 +36,6 @@ from terraphi.forward.mpm.plasticity import (
     return_mapping,
 )
 from terraphi.forward.mpm.transfer import Nodes, offset_of
-
-SHARING_ROUNDS = 3
-"""Newton steps with which a cell shares its plastic changes of volume."""
 
 
 class Cells(NamedTuple):
@@ -74,6 +57,8 @@ class Cells(NamedTuple):
 
 class PlainStrain:
     """Strains the particles of a scenario and forces its nodes, with the kernel below."""
+
+    precision = np.float64
 
     def __init__(self, scenario: Scenario) -> None:
         material, self._lattice = material_of(scenario.soil), lattice_of(scenario)
