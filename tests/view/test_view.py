@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import queue
 import re
-import threading
 import tomllib
 from typing import Any
 
@@ -12,7 +10,7 @@ import pytest
 
 from terraphi import Scenario
 from terraphi.robot.results import RobotForces, forces_figure
-from terraphi.view import console, doctor
+from terraphi.view import doctor
 from terraphi.view.console import Table
 from terraphi.view.keys import DOCUMENTS, tables
 from terraphi.view.plots import save, stance_figure
@@ -25,21 +23,6 @@ def test_the_widest_column_is_wrapped_and_no_word_is_lost() -> None:
     assert max(map(len, lines)) <= 60
     assert re.findall(r"word\d+", " ".join(lines)) == words
     assert lines[-1].split() == ["b", "short"]
-
-
-def test_long_work_without_a_terminal_prints_lines_before_any_of_it_is_done(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(console, "EVERY_S", 0.01)
-    lines: queue.Queue[str] = queue.Queue()
-    monkeypatch.setattr(console.click, "echo", lambda text, err: lines.put(text))
-    before = threading.active_count()
-    with console.progress_bar("simulating") as report:
-        assert lines.get(timeout=120.0).startswith("simulating: 0% after")
-        report(3, 4)
-        while not lines.get(timeout=120.0).startswith("simulating: 75% after"):
-            pass
-    assert threading.active_count() == before
 
 
 def test_every_key_has_a_meaning_and_every_number_a_unit() -> None:

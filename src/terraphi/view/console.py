@@ -9,9 +9,8 @@ import re
 import shutil
 import sys
 import textwrap
-import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,8 +18,8 @@ import click
 
 from terraphi.experiment.errors import visible
 
-PARTS, EVERY_S = 1000, 60.0
-"""Parts of a progress bar, and time between lines where there is none [s]."""
+PARTS = 1000
+"""Parts of a progress bar."""
 _NUMBER = re.compile(r"[-+−]?\d+(\.\d+)?( ?[%°]| N)?|[-–]?")
 
 
@@ -128,31 +127,15 @@ def words(value: Any) -> str:
 
 @contextmanager
 def progress_bar(description: str) -> Iterator[Callable[[float, float], None]]:
-    """Print the time left on a terminal, elsewhere a line each minute.
+    """Print the time left, on a terminal only.
 
     Yields
     ------
     callable
         To be called with the work done and all of it.
     """
-    if sys.stderr.isatty():
-        with click.progressbar(length=PARTS, label=description, file=sys.stderr) as bar:
-            yield lambda done, total: bar.update(round(PARTS * done / total) - bar.pos)
-        return
-    ended, share = threading.Event(), [0.0]
-
-    def print_lines() -> None:
-        for lines in itertools.count(1):
-            if ended.wait(EVERY_S):
-                return
-            passed = f"{lines * EVERY_S / 60.0:.0f} min"
-            with suppress(OSError):  # the reader has gone
-                click.echo(f"{description}: {share[0]:.0%} after {passed}", err=True)
-
-    thread = threading.Thread(target=print_lines, daemon=True)
-    thread.start()
-    try:
-        yield lambda done, total: share.__setitem__(0, done / total)
-    finally:
-        ended.set()
-        thread.join()
+    shown = sys.stderr.isatty()
+    with click.progressbar(
+        length=PARTS, label=description, file=sys.stderr, hidden=not shown
+    ) as bar:
+        yield lambda done, total: bar.update(round(PARTS * done / total) - bar.pos)
