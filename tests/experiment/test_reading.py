@@ -464,22 +464,6 @@ AIR = (np.zeros(60), np.zeros(60))
 RATE = {"rate_deg_s": 10.0, "theta_offset_deg": -132.0}
 
 
-@pytest.mark.parametrize("rests_at", [85, 150])
-def test_a_rest_in_soil_is_named_where_there_is_a_time_alone(rests_at: int) -> None:
-    """Sand creeps as the leg stops: the forces relax by a tenth at first."""
-    relaxed = 0.9 + 0.1 * np.exp(-np.arange(40) / 5.0)
-    rest = tuple(f[rests_at] * relaxed for f in (FX, FZ))
-    pieces = ((FX[:rests_at], FZ[:rests_at]), rest, (FX[rests_at:], FZ[rests_at:]))
-    with pytest.raises(InputError, match="rests in the soil") as caught:
-        read_trials(timed(*pieces), RATE)
-    words = str(caught.value).partition("change from ")[2].split()
-    begins, ends = float(words[0]), float(words[words.index("to") + 1])
-    assert 0.1 * rests_at <= begins < ends <= 0.1 * (rests_at + 42)
-    assert ends - begins > 1.5
-    [stroke] = read_trials(timed((FX, FZ)), RATE)
-    assert stroke.theta_deg == pytest.approx(THETA, abs=1e-6)
-
-
 def test_a_second_stroke_is_named_where_there_is_a_time_alone() -> None:
     with pytest.raises(InputError, match="meets the soil") as caught:
         read_trials(timed((FX, FZ), AIR, (-0.2 * FX[::-1], 0.2 * FZ[::-1]), AIR, (FX, FZ)), RATE)

@@ -51,9 +51,6 @@ USUAL_IN_SOIL_DEG, MOST_IN_SOIL_DEG = 110.0, 200.0
 UNEVEN_DEG = 7.0
 """Distance from a full turn at which a contact is no next one of a leg that turns evenly [deg]: 2 %
 of the turn, more than contacts of trials differ by; chosen."""
-PAUSE_DEG, PAUSE_BIN_DEG, PAUSE_RANGE = 10.0, 2.0, 0.02
-"""Path over whose means over bins [deg] no force in soil stays within a range, over the largest
-[-]: half the least of these records, 0.045."""
 NO_FORCE = r"#|row|nr|no|index|sample|test|comment|temp\w*"
 """Names of columns that are none of a force, where only a moment was found."""
 OTHER_ANGLE = (
@@ -581,7 +578,7 @@ class _LegTable(_Reading[ForceColumns]):
         order = np.argsort(along, kind="stable") if scattered else np.arange(len(theta))
         contacts = [order[each] for each in _contacts(along[order], force[order])]
         if "theta" not in self.names:
-            self._refuse_uneven(along, force, contacts, rows)
+            self._refuse_uneven(along, contacts, rows)
         longest = max((float(np.ptp(along[each])) for each in contacts), default=0.0)
         if longest > MOST_IN_SOIL_DEG:
             key, now = ("theta_scale", self.unit("theta")[1]) if "theta" in self.names else (
@@ -601,40 +598,21 @@ class _LegTable(_Reading[ForceColumns]):
             return theta - 360.0 * round(float(np.mean(along[contacts[0]])) / 360.0)
         return np.where(np.abs(theta) > 180.0, (theta + 180.0) % 360.0 - 180.0, theta)
 
-    def _refuse_uneven(
-        self, along: FloatArray, force: FloatArray, contacts: list[IntArray], rows: IntArray
-    ) -> None:
-        """Complain about times at which the leg rests in soil, or comes back too early or late."""
+    def _refuse_uneven(self, along: FloatArray, contacts: list[IntArray], rows: IntArray) -> None:
+        """Complain about times at which the leg comes back too early or late."""
         rate = self.given.theta_sign * (self.given.rate_deg_s or 1.0)
         time = along / rate - self.given.theta_offset_deg / abs(rate)
 
         def place(i: int) -> str:
             return f"{time[i]:.4g} s ({self.table.place(int(rows[i]))})"
 
-        remedy = "record the angle, or cut the table to one stroke without a rest"
         for before, after in pairwise(contacts):
             turn = (along[after[0]] - along[before[0]]) * self.given.theta_sign
             if turn > 0.0 and abs(turn - 360.0 * max(round(turn / 360.0), 1)) > UNEVEN_DEG:
                 self.refuse(
                     f"the leg meets the soil at {place(before[0])} and again at {place(after[0])}, "
                     f"{turn:.0f}° later at rate_deg_s = {abs(rate):g}, so that it does not turn "
-                    f"evenly; {remedy}"
-                )
-        for each in contacts:
-            first = _bins(time[each] * abs(rate) / PAUSE_BIN_DEG)
-            means = block_means(force[each], first)
-            bins = round(PAUSE_DEG / PAUSE_BIN_DEG)
-            if len(means) < bins:
-                continue
-            windows = np.lib.stride_tricks.sliding_window_view(means, bins, axis=0)
-            largest = float(np.quantile(np.linalg.norm(force[each], axis=1), 0.99))
-            still = np.linalg.norm(np.ptp(windows, axis=2), axis=1) < PAUSE_RANGE * largest
-            if still.any():
-                at = int(np.argmax(still))
-                end = at + int(np.argmin(np.append(still[at:], False))) + bins - 2
-                self.refuse(
-                    f"the forces do not change from {place(each[first[at]])} to "
-                    f"{place(each[first[end]])}, so that the leg rests in the soil; {remedy}"
+                    "evenly; record the angle, or cut the table to one stroke without a rest"
                 )
 
     def tared(self, theta: FloatArray, values: FloatArray) -> FloatArray:
