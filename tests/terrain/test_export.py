@@ -207,7 +207,7 @@ STRONG = {"phi_plane_strain_deg": None, "phi_plane_strain_reason": "too strong"}
         ({"questions": 5}, "--to newton", "questions = 5: should be a valid array"),
         ({"density_kg_m3": -5.0}, "--to newton", "density_kg_m3 = -5.0: should be greater than 0"),
         ({}, "--to newton --draws 3", "has no draws of the posterior"),
-        ({}, "--to newton --out soil.txt", "name a .py, .json, .csv or .usda"),
+        ({}, "--to newton --out soil.txt", "name a .py, .json or .usda"),
         ({}, "--to genesis --out soil.usda", "reads no materials in USD"),
         ({}, "--to newton --out mine.py", "not a file written by"),
     ],

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 import runpy
@@ -139,21 +138,17 @@ def test_the_command_writes_what_the_simulators_read(tmp_path, monkeypatch) -> N
     monkeypatch.setitem(ENGINES, "newton", synthetic(0.7))
     args = ["tune", "newton", "--voxel", "0.03", "--foot", "disc:0.05", "--phi", "33±2",
             "--density", "1600"]  # fmt: skip
-    files = [tmp_path / f"soil.{end}" for end in ("usda", "py", "csv", "json")]
+    files = [tmp_path / f"soil.{end}" for end in ("usda", "py", "json")]
     for file in files:
         ran = CliRunner().invoke(cli, [*args, "--out", str(file), "--json"], catch_exceptions=False)
         assert ran.exit_code == 0, ran.output
-    content = json.loads(files[3].read_text())
+    content = json.loads(files[2].read_text())
     assert content["value"] == pytest.approx(0.7, rel=0.01)
     assert content["carried"] == pytest.approx((OWN / 0.7) ** 2, rel=0.03)
     assert content["verdict"] == "carries"
     assert f"newton:mpm:internalFriction = {content['value']:.6f}" in files[0].read_text()
     module = runpy.run_path(str(files[1]))
     assert (module["FRICTION"], module["DRAWS"]) == (content["value"], content["draws"])
-    rows = list(csv.reader(files[2].read_text().splitlines()))
-    assert {len(row) for row in rows} == {6}
-    assert float(rows[1][1]) == content["value"]
-    assert [float(row[1]) for row in rows if row[0] == "draw"] == content["draws"]
 
 
 def test_draws_beyond_the_law_do_not_move_the_others(monkeypatch) -> None:
@@ -313,7 +308,7 @@ def test_unusable_input_is_one_sentence(tmp_path: Path) -> None:
         ({"depth": 1.0}, "depth = 1"),
         ({"time_step": 0.1}, "time_step = 0.1"),
         ({"surface_friction": 3.0}, "surface_friction"),
-        ({"out": tmp_path / "soil.txt"}, ".csv"),
+        ({"out": tmp_path / "soil.txt"}, ".usda"),
     ]:
         with pytest.raises(InputError, match=match):
             tune("newton", **{**options, **changed})

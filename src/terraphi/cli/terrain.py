@@ -32,7 +32,7 @@ seed_option = click.option(
               help="Draws of the posterior.")  # fmt: skip
 @seed_option
 @click.option("--anyway", is_flag=True, help="Export a misfit or an angle out of range.")
-@click.option("--out", type=PATH, help="A .py, .json, .csv or (newton, isaaclab) .usda file.")
+@click.option("--out", type=PATH, help="A .py, .json or (newton, isaaclab) .usda file.")
 @json_option
 def export(answer: str, out: Path | None, as_json: bool, **options: Any) -> None:
     """Write a Python module that sets an ANSWER or a SOIL in a simulator.
@@ -101,7 +101,7 @@ def convert(value: str, from_: str | None, as_json: bool, **options: Any) -> Non
 )  # fmt: skip
 @seed_option
 @click.option("--anyway", is_flag=True, help="Write a file even if no friction fits.")
-@click.option("--out", type=PATH, help="A .py, .json, .csv or (newton, isaaclab) .usda file.")
+@click.option("--out", type=PATH, help="A .py, .json or (newton, isaaclab) .usda file.")
 @json_option
 def tune(name: str, out: Path | None, as_json: bool, **options: Any) -> None:
     """Find the friction with which a simulator's grid carries a foot.

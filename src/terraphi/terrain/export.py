@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import importlib.metadata
-import io
 import json
 import math
 from collections.abc import Callable, Mapping
@@ -24,7 +22,7 @@ from terraphi.laws.foot import LAWS, Foot
 from terraphi.terrain.simulators import MATCHES, Match, Simulator, in_words, simulator
 from terraphi.terrain.soils import SoilDistribution, soil
 
-FORMATS = {".py": "python", ".json": "json", ".csv": "csv", ".usda": "usda"}
+FORMATS = {".py": "python", ".json": "json", ".usda": "usda"}
 """Suffix of a file to what is written into it."""
 PLATE = Foot(0.05, "disc")
 """Plate whose sinkage gives Bekker's parameters."""
@@ -72,7 +70,7 @@ def export(
     anyway
         Whether an answer whose verdict is not ``consistent`` is accepted.
     out
-        A Python module (``.py``), ``.json``, ``.csv`` or, of newton and isaaclab, ``.usda`` file.
+        A Python module (``.py``), ``.json`` or, of newton and isaaclab, ``.usda`` file.
 
     Returns
     -------
@@ -142,9 +140,9 @@ def file_for(out: Path | str | None, to: str) -> Path | None:
         return None
     path = Path(out)
     if path.suffix not in FORMATS:
-        raise InputError(f"{path}: name a .py, .json, .csv or .usda file")
+        raise InputError(f"{path}: name a .py, .json or .usda file")
     if path.suffix == ".usda" and to not in ("newton", "isaaclab"):
-        raise InputError(f"{to} reads no materials in USD: name a .py, .json or .csv file")
+        raise InputError(f"{to} reads no materials in USD: name a .py or .json file")
     check_file(path)
     return path
 
@@ -239,27 +237,6 @@ def text(parameters: Mapping[str, Any], form: str) -> str:
             f"    float physics:density = {parameters['density_kg_m3']}\n"
             f"    float newton:mpm:internalFriction = {parameters['value']:.6f}\n}}\n"
         )
-    if form == "csv":
-        rows = {
-            f"{parameters['parameter']} [{parameters['unit'] or '-'}]": {
-                **parameters,
-                "median": parameters["value"],
-            },
-            "density_factor [-]": parameters.get("density_factor"),
-            "phi_plane_strain [deg]": parameters["phi_plane_strain_deg"],
-            **{name: parameters[name] for name in filter(str.isupper, parameters)},
-        }
-        table = [["quantity", "median", "low68", "high68", "low95", "high95"]]
-        table += [
-            [name, row["median"], *row["ci68"], *row["ci95"]] for name, row in rows.items() if row
-        ]
-        table.append(["density [kg/m3]", parameters["density_kg_m3"], "", "", "", ""])
-        table += [["draw", value, "", "", "", ""] for value in parameters["draws"]]
-        if parameters["caution"]:
-            table.append(["caution", parameters["caution"], "", "", "", ""])
-        written = io.StringIO()
-        csv.writer(written, lineterminator="\n").writerows(table)
-        return written.getvalue()
     keys = {parameters["parameter"].upper(): "value", "DRAWS": "draws", "DENSITY": "density_kg_m3"}
     keys |= {"DENSITY_DRAWS": "density_draws_kg_m3", "LEG_FRICTION": "leg_friction_assumed"}
     constants = {name: parameters[key] for name, key in keys.items()}

@@ -612,7 +612,7 @@ def tune(
         Whether an answer that is a misfit or out of range is accepted, and a file is written
         although no friction has the soil's force over sinkage.
     out
-        A ``.py``, ``.json``, ``.csv`` or, of newton and isaaclab, ``.usda`` file to write.
+        A ``.py``, ``.json`` or, of newton and isaaclab, ``.usda`` file to write.
     progress
         Called with the presses done and an estimate of all.
 
