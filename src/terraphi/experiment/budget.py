@@ -17,9 +17,7 @@ UNPACKED, LEAST_UNPACKED = 50, 3 << 28
 """Memory that a file may take while it is unpacked, over its size [-], and that any file may take
 [byte]. A log of noise in MCAP takes 3 times its size; 1.5 million messages take the latter."""
 SECONDS = 600.0
-"""Longest time to wait for a pipe, and to read a bag [s]."""
-SILENCE = 2.0
-"""Time after which a pipe that no process writes to is given up [s]."""
+"""Longest time to read a bag [s]."""
 CELLS = 25_000_000
 """Largest raster; some ten arrays of its size are held in memory."""
 POINTS = 500

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import math
 import os
 import re
-import select
 import shutil
 import stat
 import sys
@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.budget import BYTES, ITEMS, NESTING, SECONDS, SILENCE
+from terraphi.experiment.budget import BYTES, ITEMS, NESTING
 from terraphi.experiment.errors import InputError, sentence_from_validation
 
 if TYPE_CHECKING:
@@ -38,17 +38,18 @@ def is_there(path: Path) -> bool:
 def read_bytes(path: Path) -> bytes:
     """All bytes of a file, a pipe, or standard input (``-``).
 
-    Raises InputError if it is something else, too large, or a pipe that nothing comes from.
+    Raises InputError if it is something else, or too large.
     """
     try:
         if str(path) == "-":
             content = sys.stdin.buffer.read(BYTES + 1)
         else:
-            handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
-            try:
-                content = _content(handle, path)
-            finally:
-                os.close(handle)
+            about = path.stat()
+            if not (stat.S_ISREG(about.st_mode) or stat.S_ISFIFO(about.st_mode)):
+                what = "folder" if path.is_dir() else "device"
+                raise InputError(f"{path}: is a {what}; name a file")
+            with path.open("rb") as stream:
+                content = stream.read(BYTES + 1)
     except InputError:
         raise
     except (OSError, ValueError) as error:  # a name with a null byte is a ValueError
@@ -57,32 +58,6 @@ def read_bytes(path: Path) -> bytes:
     if len(content) > BYTES:
         raise InputError(f"{path}: larger than {BYTES / 1e9:.2g} GB; cut it into parts")
     return content
-
-
-def _content(handle: int, path: Path) -> bytes:
-    """All bytes of a descriptor that does not block, or one more than there may be."""
-    about = os.fstat(handle)
-    if stat.S_ISREG(about.st_mode):
-        with os.fdopen(handle, "rb", closefd=False) as stream:
-            return stream.read() if about.st_size <= BYTES else bytes(BYTES + 1)
-    if not stat.S_ISFIFO(about.st_mode):
-        what = "folder" if stat.S_ISDIR(about.st_mode) else "device"
-        raise InputError(f"{path}: is a {what}; name a file")
-    content, end = bytearray(), time.monotonic() + SECONDS
-    while len(content) <= BYTES and time.monotonic() < end:
-        silent = not select.select([handle], [], [], SILENCE)[0]
-        try:
-            part = os.read(handle, 1 << 16)
-        except BlockingIOError:  # a process writes to it, slowly
-            continue
-        if silent and not part:
-            raise InputError(f"{path}: is a pipe that nothing writes to; name a file")
-        if not part:
-            return bytes(content)
-        content += part
-    if len(content) <= BYTES:
-        raise InputError(f"{path}: not read within {SECONDS:g} s; save it to a file first")
-    return bytes(content)
 
 
 def read_text(path: Path) -> str:
@@ -167,7 +142,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def atomic_files(target: Path, folder: Path, *, last: str, first: str = "") -> Iterator[Path]:
-    """Give a temporary folder, and move its files to another when they are whole, all or none.
+    """Give a temporary folder, and move its files to another when they are whole.
 
     Parameters
     ----------
@@ -198,40 +173,16 @@ def atomic_files(target: Path, folder: Path, *, last: str, first: str = "") -> I
             except InputError as error:  # named as it will be
                 raise InputError(str(error).replace(str(made), str(folder))) from error
             names = [file.name for file in made.iterdir() if file.is_file()]
-            _move(made, folder, sorted(names, key=lambda name: (name == last) - (name == first)))
+            names.sort(key=lambda name: (name == last) - (name == first))
+            if in_the_way := next((n for n in names if folder.joinpath(n).is_dir()), None):
+                raise OSError(errno.EISDIR, f"{in_the_way} is a folder")
+            if len(names) > 1:
+                folder.joinpath(last).unlink(missing_ok=True)  # gone if the moves are interrupted
+            for name in names:
+                made.joinpath(name).replace(folder / name)
     except OSError as error:
         reason = error.strerror or error
         raise InputError(f"{target}: cannot be written ({reason}); try another place") from error
-
-
-def _move(made: Path, folder: Path, names: list[str]) -> None:
-    """Move files to another folder; if it raises, those that were there before are there again."""
-    if len(names) < 2:  # one is replaced at once
-        for name in names:
-            made.joinpath(name).replace(folder / name)
-        return
-    earlier = made / "earlier"
-    earlier.mkdir()
-    for name in names:
-        if folder.joinpath(name).is_file():
-            try:  # takes no space
-                earlier.joinpath(name).hardlink_to(folder / name)
-            except (OSError, NotImplementedError):  # a file system without links
-                shutil.copy2(folder / name, earlier)
-    try:
-        folder.joinpath(names[-1]).unlink(missing_ok=True)  # gone if the process is killed
-        for name in names:
-            made.joinpath(name).replace(folder / name)
-    except BaseException:
-        for name in names:
-            if made.joinpath(name).exists() and folder.joinpath(name).exists():
-                continue  # not moved
-            with suppress(OSError):  # the others are still to be restored
-                if os.path.lexists(earlier / name):
-                    shutil.move(earlier / name, folder / name)
-                else:
-                    folder.joinpath(name).unlink(missing_ok=True)
-        raise
 
 
 def writable(path: Path) -> None:
