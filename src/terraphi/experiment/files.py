@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import errno
 import io
+import itertools
 import math
 import os
 import re
 import shutil
-import stat
 import sys
 import tempfile
 import time
@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, BinaryIO, Generic, TypeVar
 
 import numpy as np
 
@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
 
 # -- reading -------------------------------------------------------------------------------------
+
+PART = 1 << 20
+"""Part of a file that is read at a time [byte]."""
 
 
 def is_there(path: Path) -> bool:
@@ -42,19 +45,25 @@ def read_bytes(path: Path) -> bytes:
     """
     try:
         if str(path) == "-":
-            content = sys.stdin.buffer.read(BYTES + 1)
-        else:
-            about = path.stat()
-            if not (stat.S_ISREG(about.st_mode) or stat.S_ISFIFO(about.st_mode)):
-                what = "folder" if path.is_dir() else "device"
-                raise InputError(f"{path}: is a {what}; name a file")
-            with path.open("rb") as stream:
-                content = stream.read(BYTES + 1)
+            return _content(sys.stdin.buffer, path)
+        if not (path.is_file() or path.is_fifo()):
+            path.stat()  # none there
+            what = "folder" if path.is_dir() else "device"
+            raise InputError(f"{path}: is a {what}; name a file")
+        with path.open("rb") as stream:
+            return _content(stream, path)
     except InputError:
         raise
     except (OSError, ValueError) as error:  # a name with a null byte is a ValueError
         why = getattr(error, "strerror", "") or str(error)
         raise InputError(f"{path}: {why.lower()}") from error
+
+
+def _content(stream: BinaryIO, path: Path) -> bytes:
+    """All bytes of a stream; raises InputError if they are too many."""
+    # In parts: memory for all that may come would be taken at once.
+    parts = iter(lambda: stream.read(PART), b"")
+    content = b"".join(itertools.islice(parts, BYTES // PART + 1))
     if len(content) > BYTES:
         raise InputError(f"{path}: larger than {BYTES / 1e9:.2g} GB; cut it into parts")
     return content
