@@ -237,27 +237,16 @@ class Footfalls:
 
     def _extended(self, start: RobotForces, log: JointLog) -> tuple[Window, slice]:
         """Window with further samples, and which of them have their final motion now."""
-        robot, before, final, sure = self._options.robot, self._window, 0, 0
+        robot, before, final = self._options.robot, self._window, 0
         if before is not None:
             # What is older than the window goes; what is not final, or not checked, is younger.
             clock = recorded(np.append(before.log.time, log.time[0]))
-            old = int(np.searchsorted(clock, clock[-1] - CHECK_S))
-            kept = slice(min(old, before.final - 1), None)
-            log = joined([cut(before.log, kept), log])
-            before = Window(
-                log, cut(before.forces, kept), picked(before.motion, kept),
-                before.final - kept.start,
-            )  # fmt: skip
-            final, sure = before.final, _final(before.forces.time, MARGIN_S)
-        # Forces anew from where they were not final, with a margin before; all of them at first.
-        first = _final(log.time[: sure + 1], MARGIN_S)
+            old = min(int(np.searchsorted(clock, clock[-1] - CHECK_S)), before.final - 1)
+            log, final = joined([cut(before.log, slice(old, None)), log]), before.final - old
         forces = estimate(
-            cut(log, slice(first, None)), robot=robot, friction=start.forces.friction or True,
+            log, robot=robot, friction=start.forces.friction or True,
             contact_part=batch.CONTACT_PART,
         )  # fmt: skip
-        forces = cut(forces, slice(sure - first, None))
-        if before is not None:
-            forces = joined([cut(before.forces, slice(sure)), forces])
         # The odometry of the whole window goes on from the last place that is final.
         turn, trunk = trunk_motion(log, robot)
         late = log.time > log.time[-1] - BIAS_S
@@ -266,9 +255,11 @@ class Footfalls:
         motion = track(log, robot, forces.place, forces.lift, bias=bias)
         motion = batch.from_the_start(motion, start.log)
         if before is not None:
-            shift = before.motion.trunk[final - 1] - motion.trunk[final - 1]
+            shift = before.motion.trunk[before.final - 1] - motion.trunk[final - 1]
             motion = motion._replace(trunk=motion.trunk + shift, feet=motion.feet + shift)
-        end = _final(log.time, MARGIN_S + LAG_S)
+        # Samples that are a margin, and two for differences, before the end.
+        last = np.searchsorted(log.time, log.time[-1] - MARGIN_S - LAG_S)
+        end = max(int(last) - 2, 0)
         return Window(log, forces, motion, end), slice(final, end)
 
     def _answers(self, start: RobotForces, window: Window, new: slice) -> tuple[Footfall, ...]:
@@ -337,8 +328,3 @@ class Footfalls:
             Footfall(time, FEET[foot], tuple(place), *numbers)
             for time, foot, place, *numbers in zip(*(c.tolist() for c in columns), strict=True)
         )
-
-
-def _final(time: FloatArray, margin_s: float) -> int:
-    """Number of samples that are a margin [s], and two samples for differences, before the end."""
-    return max(int(np.searchsorted(time, time[-1] - margin_s)) - 2, 0)
