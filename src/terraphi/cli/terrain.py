@@ -92,10 +92,6 @@ def convert(value: str, from_: str | None, as_json: bool, **options: Any) -> Non
     help="Time step of Newton, which changes its force.",
 )  # fmt: skip
 @click.option(
-    "--finer", type=click.IntRange(0, 4), default=2, show_default=True,
-    help="Finer voxels to try if no friction fits.",
-)  # fmt: skip
-@click.option(
     "--draws", type=click.IntRange(0, 2000), default=64, show_default=True,
     help="Draws of friction.",
 )  # fmt: skip

@@ -33,7 +33,7 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray, IntArray
 from terraphi.experiment.errors import InputError, nearest, needing
-from terraphi.experiment.files import plain_number
+from terraphi.experiment.files import plain_number, read_text
 from terraphi.experiment.priors import FOOT_FRICTION
 from terraphi.experiment.scenario import GRAVITY
 from terraphi.inference.records import density_with_sd
@@ -57,8 +57,6 @@ NODES = 6
 """Frictions tried at most."""
 LEAST, MOST = 0.05, 2.0
 """Least and largest q [-]; Genesis' cone ends at √3, and is tried up to 1.7."""
-FINER, MOST_PARTICLES = 1.5, 60_000
-"""Where no friction does: ratio of the voxels that are tried next, and their particles at most."""
 WIDE, FLOOR = 3.0, 2.0
 """Half the bed's width and its depth below the deepest sinkage, over the foot's radius. Newton's
 force on a disc was within 10 % of that in a bed of 4 and 3."""
@@ -181,12 +179,6 @@ class Press:
         half = max(math.ceil(WIDE * self.sole.radius / self.voxel), 3) * self.voxel
         deep = math.ceil((FLOOR * self.sole.radius + self.depth) / self.voxel)
         return half, max(deep, 3) * self.voxel
-
-    @property
-    def particles(self) -> float:
-        """Particles of the bed, 27 in each voxel."""
-        half, deep = self.box
-        return 27 * 4 * half**2 * deep / self.voxel**3
 
 
 Engine = Callable[[Press, float], tuple[FloatArray, FloatArray]]
@@ -572,7 +564,6 @@ def tune(
     surface_friction: float = FOOT_FRICTION.mean,
     depth: float | None = None,
     time_step: float = 0.01,
-    finer: int = 2,
     draws: int = 64,
     seed: int = 0,
     anyway: bool = False,
@@ -604,8 +595,6 @@ def tune(
         Largest sinkage [m]; by default half the foot's radius.
     time_step
         Newton's [s], on which its force depends; Genesis takes its own.
-    finer
-        How many finer voxels are tried where no friction does.
     draws, seed
         How many draws of the friction are returned; seed of all draws and particles.
     anyway
@@ -621,8 +610,7 @@ def tune(
     dict
         ``parameter``, ``value``, ``ci68``, ``ci95``, ``draws``; ``density_factor`` with which the
         soil's own friction carries as much (Newton); ``residual``, ``scatter``; ``verdict``
-        (``carries`` or ``no value``) and its ``reason``; ``forces_N`` by depth;
-        ``voxel_that_does``, where one was tried for want of a value.
+        (``carries`` or ``no value``) and its ``reason``; ``forces_N`` by depth.
 
     Raises
     ------
@@ -661,23 +649,13 @@ def tune(
             limits=(LEAST, MOST if is_newton else 1.7), seed=seed, report=progress,
         )  # fmt: skip
 
-    best, finest, would = fitted(press), press, None
-    for _ in range(0 if best.fits else finer):
-        smaller = replace(finest, voxel=finest.voxel / FINER)
-        if smaller.particles > MOST_PARTICLES:
-            break
-        finest = smaller
-        if fitted(finest).fits:
-            would = finest.voxel
-            break
-    reason = _reason(to.title, best, load.force, press, finest.voxel, would)
+    best = fitted(press)
+    reason = _reason(to.title, best, load.force, press)
     chosen = rng.choice(SAMPLES, draws) if draws else np.empty(0, dtype=np.int64)
     result = {
         **_result(to, press, ground, load, best, chosen),
         "reason": reason,
         "caution": " ".join(filter(None, ["" if best.fits else reason, ground.caution])),
-        "voxel_that_does": would,
-        "finest_voxel_tried": finest.voxel,
     }
     if path is not None and not (best.fits or anyway):
         raise InputError(f"{reason} To write a file all the same, add --anyway")
@@ -739,10 +717,8 @@ def _summary(values: FloatArray, middle: float | None = None) -> dict[str, Any]:
     return {"median": round(center, 6), "ci68": ends[:2], "ci95": ends[2:]}
 
 
-def _reason(
-    title: str, fit: Fit, target: FloatArray, press: Press, finest: float, would: float | None
-) -> str:
-    """The verdict in a sentence, with the finest voxel that was tried and the one that does."""
+def _reason(title: str, fit: Fit, target: FloatArray, press: Press) -> str:
+    """The verdict in a sentence."""
     voxel = f"voxels of {1e3 * press.voxel:.3g} mm"
     if fit.fits:
         return (
@@ -761,12 +737,7 @@ def _reason(
         )
     else:
         why = f"at the best one the forces of the thirds of the depth are off by {by_part}"
-    remedy = "Take finer voxels."
-    if would is not None:
-        remedy = f"Voxels of {1e3 * would:.3g} mm do."
-    elif finest < press.voxel:
-        remedy = f"Take finer voxels; none down to {1e3 * finest:.3g} mm did here."
-    return f"No friction does with {voxel}: {why}. {remedy}"
+    return f"No friction does with {voxel}: {why}. Take finer voxels."
 
 
 def in_words(tuned: dict[str, Any]) -> list[str]:
@@ -787,29 +758,25 @@ def in_words(tuned: dict[str, Any]) -> list[str]:
 
 def _turned(foot: Foot) -> tuple[FloatArray, IntArray]:
     """A cylinder as high as its radius, or a ball: vertices and faces, its lowest point at zero."""
-    outline = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    from scipy.spatial import ConvexHull
+
+    far, height = np.array([1.0, 1.0]), np.array([0.0, 1.0])
     if foot.shape == "ball":
         turn = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 25)
-        outline = np.stack([np.cos(turn), 1.0 + np.sin(turn)], axis=-1)
-        outline[[0, -1], 0] = 0.0
+        far, height = np.cos(turn), 1.0 + np.sin(turn)
     sectors = 48
     # A facetted circle of the same area.
-    size = np.sqrt(2 * np.pi / sectors / np.sin(2 * np.pi / sectors))
+    far = far * np.sqrt(2 * np.pi / sectors / np.sin(2 * np.pi / sectors))
     around = 2 * np.pi * np.arange(sectors) / sectors
-    far, height = np.broadcast_arrays(*outline.T[..., None], around)[:2]
-    points = foot.radius * np.stack(
-        [size * far * np.cos(around), size * far * np.sin(around), height], -1
-    )
-    # Corners of each quadrilateral between two rings; one of its triangles is none at a pole.
-    ring = np.arange(height.size).reshape(height.shape)
-    ring[[0, -1]] = ring[[0, -1], :1]
-    low, high = ring[:-1], ring[1:]
-    next_low, next_high = np.roll(low, -1, axis=1), np.roll(high, -1, axis=1)
-    faces = np.stack([[low, next_low, next_high], [low, next_high, high]]).swapaxes(1, -1)
-    faces = faces.reshape(-1, 3)
-    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
-    used, faces = np.unique(faces, return_inverse=True)
-    return points.reshape(-1, 3)[used], faces.reshape(-1, 3)
+    x, y = far[:, None] * np.cos(around), far[:, None] * np.sin(around)
+    points = np.stack([x, y, np.broadcast_to(height[:, None], x.shape)], axis=-1).reshape(-1, 3)
+    points = foot.radius * np.unique(points.round(12), axis=0)
+    hull = ConvexHull(points)
+    faces, outward = hull.simplices.astype(np.int64), hull.equations[:, :3]
+    a, b, c = points[faces].swapaxes(0, 1)
+    inward = np.einsum("fi,fi->f", np.cross(b - a, c - a), outward) < 0.0
+    faces[inward] = faces[inward, ::-1]
+    return points, faces
 
 
 def _read_obj(path: Path) -> tuple[FloatArray, IntArray]:
@@ -822,11 +789,7 @@ def _read_obj(path: Path) -> tuple[FloatArray, IntArray]:
     """
     vertices: list[list[float]] = []
     faces: list[list[int]] = []
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as text ({type(error).__name__})") from error
-    for number, line in enumerate(lines, 1):
+    for number, line in enumerate(read_text(path).splitlines(), 1):
         key, *words = line.split() or [""]
         try:
             if key == "v":
