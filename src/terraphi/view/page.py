@@ -11,7 +11,6 @@ import datetime as dt
 import hashlib
 import importlib.metadata
 import json
-import re
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
@@ -123,18 +122,7 @@ def load_template(name: str) -> Any:
         lstrip_blocks=True,
         finalize=lambda value: visible(value) if type(value) is str else value,
     )
-    environment.filters["breakable"] = _breakable
     return environment.get_template(name)
-
-
-def _breakable(text: str) -> Any:
-    """Text whose lines break after the separators of long names, not inside a part of one."""
-    from markupsafe import Markup, escape
-
-    escaped = re.sub(r" (?=%)|(?<=±) ", "&nbsp;", str(escape(visible(text))))
-    escaped = escaped.replace("3-D", "3&#8209;D")
-    named = re.sub(r"[^\s&;]{16,}", lambda m: re.sub(r"[/:](?=\w)", r"\g<0><wbr>", m[0]), escaped)
-    return Markup(re.sub(r"[^\s&;/:<>]{24,}", lambda m: m[0].replace("_", "_<wbr>"), named))
 
 
 def digest(script: str) -> str:
