@@ -8,14 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import (
     measurement,
     names,
     open_forces,
-    reference_rft,
 )
+from terraphi.experiment.reading import read_forces
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
 
@@ -50,10 +51,11 @@ def test_every_measurement_is_whole() -> None:
         assert name.endswith(f"/{record.rig.leg}")
         assert record.medium
         assert "10.1126/science.1229163" in record.source
-        for history in (record.history, reference_rft(name)):
+        theory = read_forces(shipped_file("li2013", f"{name[7:].replace('/', '-')}-rft", ".csv"))
+        for history in (record.history, theory):
             assert history.theta_deg == pytest.approx(np.arange(-132.0, 133.0))
             assert np.isfinite(history.observation().vector).all()
-        assert not np.array_equal(record.history.force, reference_rft(name).force)
+        assert not np.array_equal(record.history.force, theory.force)
 
 
 @pytest.mark.parametrize("medium", ["yuma", "poppy_loose", "glass03_close", "glass03_loose"])
@@ -75,7 +77,7 @@ def test_what_is_known_of_the_media() -> None:
 
 def test_names_that_are_wrong_are_answered_by_the_nearest() -> None:
     with pytest.raises(InputError, match="did you mean 'li2013:poppy_loose/c'"):
-        reference_rft("li2013:poppy/c")
+        measurement("li2013:poppy/c")
     with pytest.raises(InputError, match="did you mean 'li2013:yuma/c'"):
         open_forces("li2013:juma/c")
     with pytest.raises(InputError, match="did you mean 'li2013:yuma/straight'"):

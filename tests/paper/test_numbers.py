@@ -10,9 +10,11 @@ from functools import partial
 import numpy as np
 import pytest
 
+from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
-from terraphi.experiment.measurements import measurement, reference_rft
+from terraphi.experiment.measurements import measurement
+from terraphi.experiment.reading import read_forces
 from terraphi.experiment.scenario import Scenario
 from terraphi.paper import figures as draw
 from terraphi.paper import numbers
@@ -41,7 +43,8 @@ def test_deviation_of_a_constant_offset() -> None:
 def test_published_deviations_of_the_authors_own_theory(leg: str) -> None:
     # Xu & Wang print these for the resistive force theory of Li et al. in Yuma sand.
     name = f"li2013:yuma/{leg}"
-    result = numbers.nrmsd_percent(measurement(name).history, reference_rft(name))
+    theory = read_forces(shipped_file("li2013", f"yuma-{leg}-rft", ".csv"))
+    result = numbers.nrmsd_percent(measurement(name).history, theory)
     assert result == pytest.approx(numbers.NRMSD_RFT[leg], abs=1.5)
 
 

@@ -84,7 +84,10 @@ def measurement(name: str) -> Measurement:
     >>> terraphi.measurement("li2013:poppy_loose/c").angle_of_repose_deg
     36.0
     """
-    history = _shipped(name)
+    if name not in names():
+        raise InputError(f"no shipped measurement '{name}'; {nearest(name, names())}")
+    file = name.partition(":")[2].replace("/", "-")
+    history = read_forces(shipped_file(COLLECTION, file, ".csv"))
     table = tomllib.loads(shipped_file(COLLECTION, "media", ".toml").read_text(encoding="utf-8"))
     medium, _, leg = name.partition(":")[2].partition("/")
     facts, source = table["media"][medium], table["citation"]
@@ -101,21 +104,6 @@ def measurement(name: str) -> Measurement:
         angle_of_repose_deg=facts.get("angle_of_repose_deg"),
         source=source,
     )
-
-
-def reference_rft(name: str) -> ForceHistory:
-    """The authors' own prediction for a shipped measurement, by resistive force theory.
-
-    It is the dashed curve of the source's figure. Raises InputError as :func:`measurement`.
-    """
-    return _shipped(name, "-rft")
-
-
-def _shipped(name: str, kind: str = "") -> ForceHistory:
-    if name not in names():
-        raise InputError(f"no shipped measurement '{name}'; {nearest(name, names())}")
-    file = name.partition(":")[2].replace("/", "-") + kind
-    return read_forces(shipped_file(COLLECTION, file, ".csv"))
 
 
 def open_forces(source: str | Path, columns: Any = None) -> list[Measurement]:
