@@ -376,7 +376,7 @@ def test_public_map_takes_what_python_has_and_is_what_is_saved(
     x, y = np.meshgrid(np.arange(10.0, 60.0, 10.0), np.arange(10.0, 60.0, 10.0))
     path, dem = points(x.ravel(), y.ravel(), 33.0 + 0.05 * x.ravel(), 1.0), hill(33.0)
     slope_map = terraphi.map(str(path), str(dem), prior="cohesion_Pa=0:500", seed=5, draws=16)
-    again = terraphi.map(pd.read_csv(path), dem, prior=["cohesion_Pa=0:500"], rng=5, draws=16)
+    again = terraphi.map(pd.read_csv(path), dem, prior=["cohesion_Pa=0:500"], seed=5, draws=16)
     layers = slope_map.to_xarray()
     assert again.to_xarray().identical(layers)
     slope_map.save(tmp_path / "slopes")
@@ -387,15 +387,3 @@ def test_public_map_takes_what_python_has_and_is_what_is_saved(
             assert (column, row) == (3.5, 7.5)
     with pytest.raises(terraphi.InputError, match="DataFrame, row 2: phi_deg"):
         terraphi.map(pd.read_csv(path).assign(phi_deg=[30.0, 30.0, 95.0] + [30.0] * 22), dem)
-
-
-def test_rng_is_a_seed_or_draws_one(hill, points) -> None:
-    path, dem = points(np.arange(10.0, 50.0, 10.0), 20.0, 33.0, 1.0), hill(33.0, n=60)
-    seeds = [
-        terraphi.map(path, dem, draws=16, rng=np.random.default_rng(3)).summary["seed"]
-        for _ in range(2)
-    ]
-    assert seeds[0] == seeds[1] == np.random.default_rng(3).integers(2**32)
-    for given in ({"seed": 1, "rng": 2}, {"rng": "three"}, {"rng": -1}):
-        with pytest.raises(terraphi.InputError, match="rng"):
-            terraphi.map(path, dem, **given)

@@ -148,7 +148,7 @@ def test_an_odd_value_of_a_map_has_an_answer_or_one_sentence(hill: Any) -> None:
             "phi_deg": rng.normal(33.0, 2.0, 8), "sd_deg": np.full(8, 2.0)}  # fmt: skip
     right = {
         "points": pandas.DataFrame(rows), "dem": hill(n=20), "start": None, "draws": 16, "seed": 0,
-        "prior": ["wetness=0.2"], "wetness": None, "covariate": None, "rng": None,
+        "prior": ["wetness=0.2"], "wetness": None, "covariate": None,
     }  # fmt: skip
     check(slope_map, right, lambda given: ((k, v) for k, v in ODD.items() if v is not given))
 

@@ -1,4 +1,4 @@
-"""The types of the arrays in this package, the check of numbers from outside, and seeds."""
+"""The types of the arrays in this package, and the check of numbers from outside."""
 
 from typing import Any
 
@@ -14,21 +14,8 @@ HUGE = 1e9
 """Largest number without a narrower range, as a place [m] or a speed [m/s]; chosen, so that a
 product of four is finite in single precision."""
 
-
-def seed_from(seed: int, rng: Any) -> int:
-    """Seed of draws, from ``seed`` or from ``rng`` as SPEC 7 has it.
-
-    An integer ``rng`` is the seed. From a Generator, BitGenerator or SeedSequence one is drawn, so
-    that a result can state it. Raises InputError if both are given or ``rng`` is something else.
-    """
-    seed = count("seed", seed, 0, 2**32 - 1)
-    if rng is None:
-        return seed
-    if seed:
-        raise InputError("seed and rng are both given; leave out seed")
-    if isinstance(rng, int | np.integer) and 0 <= rng < 2**32:
-        return int(rng)
-    return int(generator(rng).integers(2**32))
+MOST_SEED = 2**32 - 1
+"""Largest seed."""
 
 
 def count(name: str, value: Any, low: int, high: int) -> int:

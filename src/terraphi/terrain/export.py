@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from terraphi.experiment.arrays import FloatArray, seed_from
+from terraphi.experiment.arrays import MOST_SEED, FloatArray, count
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import atomic_write
 from terraphi.experiment.outputs import SIGNATURE, check_file
@@ -42,7 +42,6 @@ def export(
     dp_type: str | None = None,
     draws: int = 0,
     seed: int = 0,
-    rng: Any = None,
     anyway: bool = False,
     out: Path | str | None = None,
 ) -> dict[str, Any]:
@@ -64,9 +63,8 @@ def export(
         Cone of GeoTaichi: ``Circumscribed``, ``MiddleCircumscribed`` (default) or ``Inscribed``.
     draws
         Number of draws of the posterior.
-    seed, rng
-        Of the choice of draws: an integer, or as ``rng`` also a ``numpy.random.Generator``
-        (SPEC 7), from which a seed is drawn.
+    seed
+        Of the choice of draws.
     anyway
         Whether an answer whose verdict is not ``consistent`` is accepted.
     out
@@ -92,7 +90,7 @@ def export(
     >>> found["parameter"], len(found["draws"])
     ('friction_angle', 64)
     """
-    seed = seed_from(seed, rng)
+    seed = count("seed", seed, 0, MOST_SEED)
     target = simulator(to, dp_type=dp_type)
     if match not in MATCHES:
         raise InputError(f"unknown stress path '{match}'; {nearest(match, MATCHES)}")

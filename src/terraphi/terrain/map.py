@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from terraphi.experiment.arrays import BoolArray, FloatArray, count, seed_from
+from terraphi.experiment.arrays import MOST_SEED, BoolArray, FloatArray, count
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import path_of
 from terraphi.experiment.outputs import output_folder
@@ -159,7 +159,6 @@ def map_slopes(
     covariate: Path | str | None = None,
     draws: int = 128,
     seed: int = 0,
-    rng: Any = None,
     progress: Callable[[float, float], None] = lambda _done, _all: None,
 ) -> SlopeMap:
     """Map the stability of slopes from friction angles at points.
@@ -184,9 +183,8 @@ def map_slopes(
         Raster of a quantity on which φ may depend, such as burn severity, on the same grid.
     draws
         Joint draws of the field and all priors, for the unstable area.
-    seed, rng
-        Of all draws: an integer, or as ``rng`` also a ``numpy.random.Generator`` (SPEC 7),
-        from which a seed is drawn.
+    seed
+        Of all draws.
     progress
         Called with the work done and all of it.
 
@@ -206,7 +204,7 @@ def map_slopes(
         slopes.save("slopes")
     """
     began = time.perf_counter()
-    seed, draws = seed_from(seed, rng), count("draws", draws, 1, MOST_DRAWS)
+    seed, draws = count("seed", seed, 0, MOST_SEED), count("draws", draws, 1, MOST_DRAWS)
     start = None if start is None else inputs.start_from(start)
     ground = inputs.read_elevation(path_of("dem", dem))
     friction, left_out = inputs.read_points(points, ground, start)
