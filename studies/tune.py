@@ -54,7 +54,7 @@ def tuned(name: str, voxel: float, *, only_kept: bool) -> dict[str, Any]:
     try:
         return tune(
             name, voxel=voxel, foot=FOOT, phi=PHI, density=DENSITY, surface_friction=0.5,
-            depth=DEPTH, finer=0, draws=0,
+            depth=DEPTH, draws=0,
         )  # fmt: skip
     finally:
         ENGINES[name] = engine

@@ -10,9 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
-from terraphi.experiment.measurements import reference_rft
+from terraphi.experiment.reading import read_forces
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import rft
 
@@ -164,7 +165,8 @@ def test_check_numbers_of_the_straight_leg_in_loose_poppy_seeds() -> None:
 
 def deviation(name: str, **sections: Any) -> np.ndarray:
     """RMS distance from the authors' own curve on 1° means, Fx and Fz [N]."""
-    authors = reference_rft(name)
+    file = name.partition(":")[2].replace("/", "-")
+    authors = read_forces(shipped_file("li2013", f"{file}-rft", ".csv"))
     leg = {"shape": name.partition("/")[2]}
     ours = history(leg=leg, **sections).means(authors.position, math.radians(0.5))
     return np.sqrt(np.mean((ours - authors.force) ** 2, axis=0))
