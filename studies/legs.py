@@ -54,7 +54,8 @@ from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.rig import SIMULATED_LENGTH as LENGTH
 from terraphi.experiment.rig import Ratios, similar_scenario
 from terraphi.experiment.scenario import GRAVITY
-from terraphi.forward import Checkpoint, model_version
+from terraphi.forward import model_version
+from terraphi.forward.checkpoint import Checkpoint
 from terraphi.forward.forecast import forecast
 from terraphi.laws import legs
 from terraphi.laws.legs import AXES

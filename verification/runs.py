@@ -13,7 +13,8 @@ import numpy as np
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
 from terraphi.forward.body import Path
-from terraphi.forward.driver import path_of_steps, step_count
+from terraphi.forward.driver import path_of_steps
+from terraphi.forward.forecast import step_count
 from terraphi.forward.ledger import empty_audit, empty_reaction
 from terraphi.forward.mpm.lattice import lattice_of
 from terraphi.forward.mpm.solver import MpmSolver, end_phase

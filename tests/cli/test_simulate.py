@@ -36,10 +36,10 @@ stop_deg = {stop}
 """
 Terraphi = Callable[..., Any]
 RUN = """
-import terraphi.forward as forward
+from terraphi.forward import checkpoint
 from terraphi.cli.main import main
-once = forward.Checkpoint
-forward.Checkpoint = lambda path, **options: once(path, every=0.0, **options)
+once = checkpoint.Checkpoint
+checkpoint.Checkpoint = lambda path, **options: once(path, every=0.0, **options)
 main()
 """
 """The command, which writes its state after every block."""

@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 
 from terraphi.experiment.errors import InputError, SimulationError
-from terraphi.forward import Checkpoint, checkpoint, simulate
-from terraphi.forward.driver import BLOCK, step_count
+from terraphi.forward import checkpoint, simulate
+from terraphi.forward.checkpoint import Checkpoint
+from terraphi.forward.driver import BLOCK
+from terraphi.forward.forecast import step_count
 
 DAMPED = {"motion.stop_deg": -20.0, "numerics.stiffness_damping": 0.25}
 """Three blocks of steps."""
@@ -72,7 +74,8 @@ import sys
 sys.path.insert(0, {tests!r})
 from pathlib import Path
 from conftest import in_space
-from terraphi.forward import Checkpoint, simulate
+from terraphi.forward import simulate
+from terraphi.forward.checkpoint import Checkpoint
 simulate(in_space(**{changes}), checkpoint=Checkpoint(Path({path!r}), every=0.0))
 """
 

@@ -11,14 +11,15 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import forecast as module
 from terraphi.forward import simulate
-from terraphi.forward.forecast import forecast, particle_count, step_count
+from terraphi.forward.forecast import forecast, step_count
 
 
 def test_particles_and_steps_are_those_of_the_simulation(space) -> None:
     # At its start this leg is above the soil, so no particle is left out.
     scenario = space.scenario(**{**space.away, "motion.stop_deg": -179.0})
     made = simulate(scenario).provenance
-    assert (particle_count(scenario), step_count(scenario)) == (made["particles"], made["steps"])
+    assert forecast([scenario]).particles == made["particles"]
+    assert step_count(scenario) == made["steps"]
 
 
 def test_memory_is_that_of_the_arrays_at_least(space) -> None:

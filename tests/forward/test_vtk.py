@@ -11,7 +11,8 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from terraphi.forward import Checkpoint, simulate
+from terraphi.forward import simulate
+from terraphi.forward.checkpoint import Checkpoint
 from terraphi.forward.vtk import POLYGON, VERTEX, FieldSeries, write_grid
 
 CODES = {"Float32": "f", "Float64": "d", "Int64": "q", "UInt8": "B"}

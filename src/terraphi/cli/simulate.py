@@ -43,6 +43,7 @@ def simulate(
     from terraphi import forward
     from terraphi.experiment.outputs import check_file
     from terraphi.experiment.scenario import Scenario
+    from terraphi.forward import checkpoint
 
     chosen = changed(Scenario.load(scenario), changes)
     if out is not None:
@@ -55,7 +56,7 @@ def simulate(
 
         observe = FieldSeries(vtk, chosen, frames=FRAMES)
     announce([chosen])
-    kept = forward.Checkpoint(out.with_name(f"{out.name}.checkpoint")) if out else None
+    kept = checkpoint.Checkpoint(out.with_name(f"{out.name}.checkpoint")) if out else None
     with progress_bar("simulating") as report:
         history = forward.simulate(chosen, progress=lambda fraction: report(fraction, 1.0),
                                    checkpoint=kept, observe=observe)  # fmt: skip

@@ -14,15 +14,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.history import ForceHistory
-from terraphi.experiment.scenario import Scenario
-from terraphi.forward.checkpoint import Checkpoint
-from terraphi.forward.forecast import refuse_what_cannot_fit
 
 if TYPE_CHECKING:
+    from terraphi.experiment.history import ForceHistory
+    from terraphi.experiment.scenario import Scenario
+    from terraphi.forward.checkpoint import Checkpoint
     from terraphi.forward.driver import Observer
 
-__all__ = ["MODEL_VERSIONS", "Checkpoint", "model_version", "simulate", "software"]
+__all__ = ["MODEL_VERSIONS", "model_version", "simulate", "software"]
 
 MODEL_VERSIONS = {"mpm": 1, "mpm3d": 1, "rft": 1}
 """A number for each model, raised whenever the same scenario would give other forces."""
@@ -73,6 +72,9 @@ def simulate(
     >>> history.coordinate, len(history.position)
     ('theta', 2700)
     """
+    from terraphi.experiment.scenario import Scenario
+    from terraphi.forward.forecast import refuse_what_cannot_fit
+
     if not isinstance(scenario, Scenario | Path | str):
         raise InputError(f"scenario of type {type(scenario).__name__}; give a Scenario or its file")
     scenario = scenario if isinstance(scenario, Scenario) else Scenario.load(scenario)

@@ -17,9 +17,9 @@ from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.motion import Poses, bin_centres
 from terraphi.experiment.scenario import Scenario
 from terraphi.experiment.solvers import SOLVERS
-from terraphi.forward import forecast
 from terraphi.forward.body import Path
 from terraphi.forward.checkpoint import Checkpoint, Keeper, State
+from terraphi.forward.forecast import step_count
 from terraphi.forward.ledger import Audit, empty_audit, empty_reaction
 from terraphi.forward.mpm.solver import MpmSolver
 
@@ -191,11 +191,6 @@ def _breakdown(scenario: Scenario, before: int, after: int, steps: int, lost: in
         f"the solution broke down between steps {before} and {after} of {steps}: {what}; likely "
         f"cause: {cause}"
     )
-
-
-def step_count(scenario: Scenario) -> int:
-    """Number of steps that cover the motion; see :func:`terraphi.forward.forecast.step_count`."""
-    return int(forecast.step_count(scenario))
 
 
 def block_length(scenario: Scenario) -> int:

@@ -105,15 +105,10 @@ def lasting(seconds: float) -> str:
     return f"about {seconds / (size or 1.0):,.0f} {unit}"
 
 
-def particle_count(scenario: Scenario) -> float:
-    """Particles of the bed, those where the leg starts included, which will be left out."""
-    return float(math.prod(sub_cells(scenario)[0]))
-
-
-def step_count(scenario: Scenario) -> float:
-    """Steps that cover the motion; may be infinite."""
+def step_count(scenario: Scenario) -> int:
+    """Steps that cover the motion, 10¹⁸ at most."""
     steps = scenario.motion.duration / scenario.numerics.speed_up / scenario.numerics.time_step
-    return float(math.ceil(steps - 1e-9)) if math.isfinite(steps) else math.inf
+    return math.ceil(min(steps, 1e18) - 1e-9)
 
 
 def _of_one(scenario: Scenario) -> Forecast:
@@ -122,7 +117,8 @@ def _of_one(scenario: Scenario) -> Forecast:
     if scenario.model == "rft":
         seconds = bins * scenario.rft.panels / PANEL_RATE
         return Forecast(1, 0.0, seconds, room)
-    particles, dimensions = particle_count(scenario), scenario.dimensions
+    # Those where the leg starts will be left out.
+    particles, dimensions = float(math.prod(sub_cells(scenario)[0])), scenario.dimensions
     nodes = float((scenario.numerics.cells + 2) ** 2)
     if dimensions == 3:
         nodes *= scenario.cells_across + 2

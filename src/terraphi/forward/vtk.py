@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from terraphi.experiment.files import atomic_write, made_folder
 from terraphi.experiment.scenario import Scenario
-from terraphi.forward.driver import Snapshot, block_length, step_count
+from terraphi.forward.driver import Snapshot, block_length
+from terraphi.forward.forecast import step_count
 
 Array = NDArray[Any]
 

@@ -19,7 +19,8 @@ from terraphi.experiment.errors import InputError, needing
 from terraphi.experiment.files import folder_lock
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.scenario import Scenario
-from terraphi.forward import Checkpoint, model_version, simulate, software
+from terraphi.forward import model_version, simulate, software
+from terraphi.forward.checkpoint import Checkpoint
 from terraphi.laws.plan import Plan
 from terraphi.laws.store import Case, Library
 

@@ -14,7 +14,8 @@ import pytest
 
 from terraphi.experiment.errors import SimulationError
 from terraphi.experiment.scenario import GRAVITY
-from terraphi.forward.driver import path_of_steps, simulate, step_count
+from terraphi.forward.driver import path_of_steps, simulate
+from terraphi.forward.forecast import step_count
 from terraphi.laws.build import run_case
 
 
