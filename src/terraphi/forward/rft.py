@@ -270,9 +270,13 @@ def stress_scale(friction_angle_deg: ArrayLike, density: float) -> FloatArray:
     ndarray
         ξ [N/m³], of the same shape.
     """
-    mu = np.tan(np.radians(friction_angle_deg))
+    return np.asarray(scale_of_friction(np.tan(np.radians(friction_angle_deg)), density))
+
+
+def scale_of_friction(mu: Any, density: Any) -> Any:
+    """The same of an internal friction μ [-]; arrays of any library."""
     cubic, square, linear = SCALE_POLYNOMIAL
-    return np.asarray(density * GRAVITY * mu * (linear + mu * (square + mu * cubic)))
+    return density * GRAVITY * mu * (linear + mu * (square + mu * cubic))
 
 
 def to_plane_strain(friction_angle_deg: ArrayLike) -> FloatArray:

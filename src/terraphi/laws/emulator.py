@@ -103,16 +103,11 @@ class Emulator:
     @cached_property
     def _leave_one_out_residual(self) -> FloatArray:
         """Residual of each curve outside the span of the others, over a(x) [-], [case, 2 theta]."""
-        count = len(self.curves.x)
-        z = self.curves.force.reshape(count, -1) / self.size(self.curves.x)[:, None]
-        residual = np.empty_like(z)
-        for i in range(count):
-            remaining = np.delete(z, i, axis=0)
-            mean = remaining.mean(axis=0)
-            _, values, u = np.linalg.svd(remaining - mean, full_matrices=False)
-            u = u[values > 1e-6 * values[0]]
-            residual[i] = (z[i] - mean) - ((z[i] - mean) @ u.T) @ u
-        return residual
+        z = self.curves.force.reshape(len(self.curves.x), -1) / self.size(self.curves.x)[:, None]
+        z -= z.mean(axis=0)
+        # The least of all sums of curves in which one has the weight 1 and the others -1 together.
+        weights = np.linalg.pinv(z @ z.T, rcond=1e-12, hermitian=True)
+        return weights @ z / np.diag(weights)[:, None]
 
     @cached_property
     def _log_scatter_size(self) -> FloatArray:

@@ -366,17 +366,18 @@ def simulated_table(shape: str, surface_friction: float) -> tuple[float, float, 
     # Over the angle from the vertical: the lift is even, the horizontal force odd.
     turned = np.radians(tilt_deg)
     tilt = np.minimum(0.5 * np.pi - DESCENTS, turned[-1])
-    powers = 2 * np.arange(len(turned))
-    odd = 1 + powers[: len(turned) - 1]
-    lift = np.einsum(
-        "dt,ptr->pdr", tilt[:, None] ** powers @ np.linalg.inv(turned[:, None] ** powers),
-        force[..., 1],
-    )  # fmt: skip
-    along = np.einsum(
-        "dt,ptr->pdr", tilt[:, None] ** odd @ np.linalg.inv(turned[1:, None] ** odd),
-        force[:, 1:, :, 0],
-    )  # fmt: skip
-    table = np.stack([along, lift], axis=-1)
+    even = 2 * np.arange(len(turned))
+    table = np.stack(
+        [
+            np.einsum(
+                "dt,ptr->pdr",
+                tilt[:, None] ** powers @ np.linalg.inv(turned[first:, None] ** powers),
+                force[:, first:, :, axis],
+            )
+            for axis, first, powers in ((0, 1, 1 + even[:-1]), (1, 0, even))
+        ],
+        axis=-1,
+    )
     # Nearer to the horizontal: as by resistive force theory.
     last = 0.5 * np.pi - turned[-1]
     rows, depths = np.flatnonzero(last - 1e-9 > DESCENTS), np.maximum(ratio, ratio[1]) / DEPTHS[1]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import hashlib
 import itertools
 import json
 from collections.abc import Mapping
@@ -23,6 +22,7 @@ from terraphi.experiment.history import COORDINATES, ForceHistory, force_variabl
 from terraphi.experiment.results import Result, Variable, read
 from terraphi.experiment.rig import contact_deg
 from terraphi.experiment.scenario import Scenario
+from terraphi.laws.fitted import digest
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -151,13 +151,9 @@ class Library(AnyLaw, Result):
 
         Scenarios, forces and moments of the cases; not what only describes the library.
         """
-        words = [case.scenario.hash for case in self.cases]
-        digest = hashlib.sha256(json.dumps(words).encode())
-        for history in filter(None, (case.history for case in self.cases)):
-            for array in (history.position, history.force, history.moment):
-                if array is not None:
-                    digest.update(np.asarray(array, np.float32).tobytes())
-        return digest.hexdigest()
+        histories = filter(None, (case.history for case in self.cases))
+        arrays = ((h.position, h.force, () if h.moment is None else h.moment) for h in histories)
+        return digest([case.scenario.hash for case in self.cases], itertools.chain(*arrays))
 
     @property
     def phi_deg_by_leg(self) -> dict[str, tuple[float, float]]:

@@ -53,7 +53,7 @@ from terraphi.experiment.arrays import FloatArray, like, namespace, numbers
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.priors import FOOT_FRICTION
 from terraphi.experiment.scenario import GRAVITY, LIMITS
-from terraphi.forward.rft import SCALE_POLYNOMIAL, unit_stress
+from terraphi.forward.rft import scale_of_friction, unit_stress
 from terraphi.laws.foot import (
     BEYOND_DEG,
     DEEPEST,
@@ -348,9 +348,9 @@ def _friction(surface_friction: Any) -> float:
     ends = LIMITS["leg.friction"][:2]
     values = numbers("surface_friction", surface_friction, low=ends[0], high=ends[1])
     try:
-        flat = values if values.ndim == 0 else namespace(values).reshape(values, (-1,))
-        friction = float(flat if values.ndim == 0 else flat[0])
-        several = values.ndim > 0 and bool(namespace(values).any(flat != friction))
+        flat = namespace(values).reshape(values, (-1,))
+        friction = float(flat[0])
+        several = bool(namespace(values).any(flat != friction))
     except (TypeError, IndexError):
         raise InputError("surface_friction is traced or empty; give a number") from None
     if several:
@@ -414,10 +414,9 @@ def _of_foot(
     along, lift, turning = unit[:, 0], unit[:, 1], foot.radius * unit[:, 2:3]
     # The moment is about the level axis across the motion, left of it.
     across = xp.stack([-heading[:, 1], heading[:, 0], xp.zeros_like(depth)], axis=1)
-    forces = along * heading[:, 0], along * heading[:, 1], lift
-    speed = xp.clip(speed, TINY, None)
-    axes = _against(xp, [(f, f, moving[:, i] / speed) for i, f in enumerate(forces)])
-    return xp.stack([f for f, _, _ in axes], axis=1), turning * across, depth
+    forces = xp.stack([along * heading[:, 0], along * heading[:, 1], lift])
+    forces = _against(xp, forces, moving[:, :3].T / xp.clip(speed, TINY, None))
+    return forces.T, turning * across, depth
 
 
 def _of_mesh(
@@ -607,12 +606,9 @@ def _sum_of_faces(
         n, v, arm, direction = n[kept], v[kept], arm[kept], direction[kept]
         owner, depth, area, speed = owner[kept], depth[kept], area[kept], speed[kept]
         leading, mobilized = leading[kept], None if mobilized is None else mobilized[kept]
-    mu = xp.sin(math.pi / 180.0 * phi_deg)  # tan φ_rft = sin φ
-    cubic, square, linear = SCALE_POLYNOMIAL
-    stress = density * GRAVITY * mu * (linear + mu * (square + mu * cubic))
+    stress = scale_of_friction(xp.sin(math.pi / 180.0 * phi_deg), density)  # tan φ_rft = sin φ
     size = depth * area * xp.clip(speed / rest_speed, None, 1.0) * spread(stress)
-    unit = unit_stress(n, direction, surface_friction, fade=FADE)
-    axes = [(unit[:, i] * size, n[:, i], direction[:, i]) for i in range(3)]
+    forces = unit_stress(n, direction, surface_friction, fade=FADE).T * size
     if law == "foot":
         weight = area * xp.clip(leading, 0.0, None)
         vx, vy, vz = (total(weight * v[:, i]) for i in range(3))
@@ -620,12 +616,10 @@ def _sum_of_faces(
         drag, lift = _ratios(
             base, normal, mean, deepest, descent, phi_deg, surface_friction=surface_friction,
         )  # fmt: skip
-        scales = *[spread(drag)] * 2, spread(lift)
-        axes = [(f * scale, n, v) for (f, n, v), scale in zip(axes, scales, strict=True)]
+        forces = forces * xp.stack([*[spread(drag)] * 2, spread(lift)])
     if law == "foot" or mobilized is not None:
-        axes = _bounded(xp, axes, surface_friction, mobilized)
-    (fx, *_), (fy, *_), (fz, *_) = axes
-    x, y, z = arm[:, 0], arm[:, 1], arm[:, 2]
+        forces = _bounded(xp, forces, n.T, direction.T, surface_friction, mobilized)
+    (fx, fy, fz), (x, y, z) = ([part[i, :] for i in range(3)] for part in (forces, arm.T))
     rows = (fx, fy, fz, y * fz - z * fy, z * fx - x * fz, x * fy - y * fx)
     sums = xp.stack([total(row) for row in rows], axis=1)
     return sums[:, :3], sums[:, 3:], deepest
@@ -702,7 +696,7 @@ def _ratio_table(shape: str, surface_friction: float) -> tuple[float, float, Flo
     unit = sums[rows, columns, low]
     unit = unit + part[..., None] * (sums[rows, columns, low + 1] - unit)
     mu = np.sin(np.radians(first + np.arange(len(law))))
-    scale = np.polyval([*SCALE_POLYNOMIAL, 0.0], mu)[:, None, None]
+    scale = scale_of_friction(mu, 1.0 / GRAVITY)[:, None, None]
     lift = np.zeros(law.shape[:-1])
     np.divide(law[..., 1], unit[..., 1], out=lift, where=unit[..., 1] > 0.0)
     ratio = np.stack([proportion * lift, lift], axis=-1) * depths[:, None] / scale[..., None]
@@ -721,11 +715,10 @@ def _bounded_sums(shape: str, surface_friction: float, depths: FloatArray) -> Fl
     sums = np.empty((descents.size, depths.size, PROPORTIONS.size, 2))
     for i, turn in enumerate(descents.tolist()):
         direction = np.broadcast_to([math.cos(turn), 0.0, -math.sin(turn)], normal.shape)
-        pushed = area[:, None] * unit_stress(normal, direction, surface_friction, fade=FADE)
+        pushed = (area[:, None] * unit_stress(normal, direction, surface_friction, fade=FADE)).T
         for j, level in enumerate(PROPORTIONS.tolist()):
-            scaled = (pushed * [level, level, 1.0]).T
-            axes = list(zip(scaled, normal.T, direction.T, strict=True))
-            (x, *_), _, (z, *_) = _bounded(np, axes, surface_friction)
+            scaled = pushed * [[level], [level], [1.0]]
+            x, _, z = _bounded(np, scaled, normal.T, direction.T, surface_friction)
             sums[i, :, j] = submerged @ np.stack([np.bincount(ring, x), np.bincount(ring, z)]).T
     return sums
 
@@ -743,29 +736,28 @@ def _foot_table(shape: str, surface_friction: float) -> tuple[float, float, Floa
 
 
 def _bounded(
-    xp: Any, axes: list[tuple[Any, Any, Any]], friction: float, mobilized: Any = None
-) -> list[tuple[Any, Any, Any]]:
-    """Forces on faces that take energy, with no more friction than Coulomb's.
+    xp: Any, force: Any, normal: Any, motion: Any, friction: float, mobilized: Any = None
+) -> Any:
+    """Forces on faces that take energy, with no more friction than Coulomb's, shape [3, face].
 
-    Of each axis the force, the outward normal and the direction of motion, [face] each. No soil
-    pulls at a face, and friction is mobilized by a share of it.
+    ``normal`` is the outward one and ``motion`` the direction in which a face moves. No soil pulls
+    at a face, and friction is mobilized by a share of it.
     """
-    axes = _against(xp, axes)
-    pressure = xp.clip(-sum(f * n for f, n, _ in axes), 0.0, None)
-    along = [f + pressure * n for f, n, _ in axes]
-    size = xp.sqrt(sum(t * t for t in along))
+    force = _against(xp, force, motion)
+    pressure = xp.clip(-xp.sum(force * normal, axis=0), 0.0, None)
+    along = force + pressure * normal
+    size = xp.sqrt(xp.sum(along * along, axis=0))
     share = xp.clip(friction * pressure / xp.clip(size, TINY, None), None, 1.0)
     share = share if mobilized is None else share * mobilized
-    return [(t * share - pressure * n, n, v) for t, (_, n, v) in zip(along, axes, strict=True)]
+    return along * share - pressure * normal
 
 
-def _against(xp: Any, axes: list[tuple[Any, Any, Any]]) -> list[tuple[Any, Any, Any]]:
-    """Forces without what would drive a motion, for soil takes energy; of each axis as above.
+def _against(xp: Any, force: Any, motion: Any) -> Any:
+    """Forces without what would drive a motion, for soil takes energy, shape [3, face].
 
     Resistive force theory has such a part on faces that rise at some 10°.
     """
-    driving = xp.clip(sum(f * v for f, _, v in axes), 0.0, None)
-    return [(f - driving * v, n, v) for f, n, v in axes]
+    return force - xp.clip(xp.sum(force * motion, axis=0), 0.0, None) * motion
 
 
 def _norm(xp: Any, vectors: Any) -> Any:
