@@ -16,6 +16,7 @@ the mean periodogram.
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -48,35 +49,31 @@ class Emulator:
 
     # -- fitting ---------------------------------------------------------------------------------
 
-    @cached_property
-    def _scale(self) -> tuple[FloatArray, FloatArray]:
-        """Centre and half range of φ [deg], shape [1] each."""
-        low, high = self.bounds
-        return 0.5 * (low + high), 0.5 * (high - low)
-
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Smallest and largest friction angle [deg], shape [1] each."""
         return self.curves.x.min(axis=0), self.curves.x.max(axis=0)
 
-    def _basis(self, x: FloatArray) -> FloatArray:
-        """Polynomials of the mean: constant, linear and, of ten cases, quadratic, [k, q]."""
-        t = (x - self._scale[0]) / self._scale[1]
+    def _standard(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """φ from the center over the half range [k, 1], and polynomials of the mean [k, q].
+
+        These are constant, linear and, of ten cases, quadratic.
+        """
+        low, high = self.bounds
+        t = (x - 0.5 * (low + high)) / (0.5 * (high - low))
         is_curved = len(self.curves.x) > 9 and np.unique(self.curves.x).size > 2
-        return np.asarray(t ** np.arange(3 if is_curved else 2))
+        return t, np.asarray(t ** np.arange(3 if is_curved else 2))
+
+    def _exponential(self, sizes: FloatArray) -> Callable[[FloatArray], FloatArray]:
+        """Exponential of the polynomial nearest to the logarithm of a size of each case."""
+        polynomials = self._standard(self.curves.x)[1]
+        nearest = np.linalg.lstsq(polynomials, np.log(sizes), rcond=None)[0]
+        return lambda x: np.exp(self._standard(x)[1] @ nearest)
 
     @cached_property
-    def _size(self) -> FloatArray:
-        """Coefficients of ln a(x)."""
-        return self._log_polynomial(np.sqrt(np.square(self.curves.force).mean(axis=(1, 2))))
-
-    def _log_polynomial(self, sizes: FloatArray) -> FloatArray:
-        """Coefficients of the polynomials nearest to the logarithm of a size of each case."""
-        return np.asarray(np.linalg.lstsq(self._basis(self.curves.x), np.log(sizes), rcond=None)[0])
-
-    def size(self, x: FloatArray) -> FloatArray:
-        """Size a(x) of the forces [N], shape [k, 1] -> [k]."""
-        return np.exp(self._basis(x) @ self._size)
+    def size(self) -> Callable[[FloatArray], FloatArray]:
+        """Size a(x) of the forces [N], a function of φ: shape [k, 1] -> [k]."""
+        return self._exponential(np.sqrt(np.square(self.curves.force).mean(axis=(1, 2))))
 
     @cached_property
     def _components(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -90,10 +87,9 @@ class Emulator:
     @cached_property
     def _processes(self) -> list[Process]:
         """A fitted process for each component."""
-        weights = self._components[2]
-        t = (self.curves.x - self._scale[0]) / self._scale[1]
-        rough = self.scatter_size(self.curves.x) if self._scatters else np.ones(len(t))
-        return fitted(t, self._basis(self.curves.x), weights, rough)
+        rough = self.scatter_size if self._scatters else lambda x: np.ones(len(x))
+        x = self.curves.x
+        return fitted(*self._standard(x), self._components[2], rough(x))
 
     @property
     def _scatters(self) -> bool:
@@ -110,14 +106,10 @@ class Emulator:
         return weights @ z / np.diag(weights)[:, None]
 
     @cached_property
-    def _log_scatter_size(self) -> FloatArray:
-        """Coefficients of ln b(x)."""
+    def scatter_size(self) -> Callable[[FloatArray], FloatArray]:
+        """Size b(x) of the scatter over that of the forces [-], as :attr:`size`."""
         rms = np.sqrt(np.square(self._leave_one_out_residual).mean(axis=1))
-        return self._log_polynomial(rms + 1e-12)
-
-    def scatter_size(self, x: FloatArray) -> FloatArray:
-        """Size b(x) of the scatter over that of the forces [-], shape [k, 1] -> [k]."""
-        return np.exp(self._basis(x) @ self._log_scatter_size)
+        return self._exponential(rms + 1e-12)
 
     @cached_property
     def _unexplained_covariance(self) -> FloatArray:
@@ -145,14 +137,13 @@ class Emulator:
         each weight, which grows uncertain there.
         """
         mean, u, _ = self._components
-        t, basis = (x - self._scale[0]) / self._scale[1], self._basis(x)
-        weights = np.hstack([process.mean(t, basis) for process in self._processes])
+        weights = np.hstack([process.mean(*self._standard(x)) for process in self._processes])
         return (self.size(x)[:, None] * (mean + weights @ u)).reshape(len(x), 2, -1)
 
     def interpolation(self, x: FloatArray) -> FloatArray:
         """Factor F of the emulator's own covariance F F' at one point [N], shape [2 theta, k]."""
-        t = (x[None] - self._scale[0]) / self._scale[1]
-        variance = [process.variance(t, self._basis(x[None]))[0, 0] for process in self._processes]
+        at = self._standard(x[None])
+        variance = [process.variance(*at)[0, 0] for process in self._processes]
         return np.asarray((self.size(x[None])[0] * np.sqrt(variance)) * self._components[1].T)
 
     def scatter(self, x: FloatArray) -> FloatArray:
