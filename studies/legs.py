@@ -429,7 +429,7 @@ def main() -> None:
     if options.forecast:
         times = []
         for case in truths() if options.truths else cases():
-            one = forecast([scenario(case)])
+            one = forecast(scenario(case))
             times.append(one.core_seconds)
             print(f"{case}: {one.particles:,.0f} particles, {one.core_seconds / 60.0:.1f} minutes")
         print(f"{len(times)} cases, {sum(times) / 3600.0:.1f} hours of one core")

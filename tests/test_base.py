@@ -130,8 +130,7 @@ def test_what_is_missing_is_named_with_the_line_to_type(
     done = ran(tmp_path, absent, *command)
     assert done.returncode == 2
     assert done.stderr.rstrip().endswith(f"pip install 'terraphi[{extra}]'")
-    # A forecast may come before.
-    assert len([line for line in done.stderr.splitlines() if "forecast" not in line]) == 1
+    assert len(done.stderr.splitlines()) == 1
     assert not [*tmp_path.iterdir()]
 
 

@@ -18,22 +18,14 @@ def test_particles_and_steps_are_those_of_the_simulation(space) -> None:
     # At its start this leg is above the soil, so no particle is left out.
     scenario = space.scenario(**{**space.away, "motion.stop_deg": -179.0})
     made = simulate(scenario).provenance
-    assert forecast([scenario]).particles == made["particles"]
+    assert forecast(scenario).particles == made["particles"]
     assert step_count(scenario) == made["steps"]
 
 
 def test_memory_is_that_of_the_arrays_at_least(space) -> None:
     fine = space.scenario(**{"numerics.cells": 80, "numerics.time_step": 3e-5})
     arrays = sum(field.nbytes for field in space.solver(fine, "packets").bed())
-    assert arrays < forecast([fine]).bytes - module.BYTES_AT_REST < 8.0 * arrays
-
-
-def test_several_add_up_and_share_the_cores() -> None:
-    first = Scenario.model_validate({"model": "rft"})
-    two = forecast([first, first])
-    assert two.core_seconds == 2.0 * forecast([first]).core_seconds
-    assert two.bytes == forecast([first]).bytes
-    assert forecast([]).core_seconds == 0.0
+    assert arrays < forecast(fine).bytes - module.BYTES_AT_REST < 8.0 * arrays
 
 
 @pytest.mark.parametrize(

@@ -57,7 +57,7 @@ def library_build(
     chosen = Plan.load(plan) if plan is not None else Plan.of_rig(Rig.of(**given))
     count = min(workers or os.cpu_count() or 1, chosen.count)
     with builder.cluster(cluster) if cluster else processes(count) as executor:
-        announce(chosen.cases(), count)
+        announce(chosen.cases())
         with progress_bar("simulating") as report:
             made = builder.build(chosen, out, executor=executor, progress=report)
     print_library(made, as_json)

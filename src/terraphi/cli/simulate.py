@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,8 +16,8 @@ from terraphi.view.console import present, progress_bar
 if TYPE_CHECKING:
     from terraphi.experiment.scenario import Scenario
 
-FRAMES, LONG_S = 100, 30.0
-"""Frames of a VTK series, and time from which a forecast is printed on any output [s]."""
+FRAMES = 100
+"""Frames of a VTK series."""
 
 
 @click.command()
@@ -67,20 +66,15 @@ def simulate(
     present(summary, summary, as_json=as_json)
 
 
-def announce(scenarios: Sequence[Scenario], workers: int = 1) -> None:
-    """Print warnings about scenarios, and how long they take.
+def announce(scenarios: Sequence[Scenario]) -> None:
+    """Print warnings about scenarios.
 
     Raises InputError if the compiler that they need is not installed.
     """
-    from terraphi.forward.forecast import forecast
-
     if any(scenario.model == "mpm" for scenario in scenarios):
         importlib.import_module("terraphi.forward.compiled")
     for warning in dict.fromkeys(text for scenario in scenarios for text in scenario.warnings()):
         click.echo(f"terraphi: {warning}", err=True)
-    expected = forecast(scenarios)
-    if sys.stderr.isatty() or expected.core_seconds > LONG_S:
-        click.echo(expected.sentence(workers), err=True)
 
 
 def changed(scenario: Scenario, changes: tuple[str, ...]) -> Scenario:

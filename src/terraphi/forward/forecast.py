@@ -1,4 +1,4 @@
-"""Time and memory that simulations will need, estimated before they start.
+"""Time and memory that a simulation will need, estimated before it starts.
 
 The number of particles follows from bed and grid, that of steps from the motion. The time is good
 to 30 % where each simulation has a core with vectors of 512 bits to itself, and to a factor of two
@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -30,47 +29,22 @@ BYTES_AT_REST, BYTES_PER_BIN = 350e6, 200.0
 """Memory of a process (most of it taken by the compiler), and of each bin of the history [byte]."""
 YEAR = 365.25 * 86400.0
 """A year [s]."""
-_UNITS = ((YEAR, "years"), (86400.0, "days"), (3600.0, "hours"), (60.0, "minutes"), (0.0, "s"))
 
 
 class Forecast(NamedTuple):
-    """Rough time and memory that one simulation or several will need."""
+    """Rough time and memory that a simulation will need."""
 
-    simulations: int
-    """Number of simulations."""
     particles: float
-    """Number in the largest simulation; 0 for resistive force theory."""
+    """Number; 0 for resistive force theory."""
     core_seconds: float
-    """Time for all of them, one after another on one core [s]."""
+    """Time on one core [s]."""
     bytes: float
-    """Memory for the largest one [byte]."""
-
-    def sentence(self, workers: int = 1) -> str:
-        """The forecast as a sentence, for ``workers`` cores."""
-        number = "1 simulation" if self.simulations == 1 else f"{self.simulations:,} simulations"
-        size = f" of {self.particles:,.0f} particles" if self.particles else ""
-        memory = self.bytes * min(workers, self.simulations) / 1e9
-        cores = "1 core" if workers == 1 else f"{workers} cores"
-        return (
-            f"forecast: {number}{size}: {lasting(self.core_seconds / workers)} on {cores}, "
-            f"{memory:.1f} GB of memory"
-        )
-
-
-def forecast(scenarios: Iterable[Scenario]) -> Forecast:
-    """Time and memory that some simulations, or none, will need."""
-    costs = [_of_one(scenario) for scenario in scenarios]
-    return Forecast(
-        len(costs),
-        max((cost.particles for cost in costs), default=0.0),
-        sum(cost.core_seconds for cost in costs),
-        max((cost.bytes for cost in costs), default=0.0),
-    )
+    """Memory [byte]."""
 
 
 def refuse_what_cannot_fit(scenario: Scenario) -> None:
     """Raise InputError for a simulation of over a year, or of more memory than there is."""
-    cost, memory = _of_one(scenario), machine_bytes()
+    cost, memory = forecast(scenario), machine_bytes()
     size = (
         f"{cost.particles:.2g} particles and {bin_count(scenario.motion):.2g} bins of the history"
     )
@@ -81,8 +55,8 @@ def refuse_what_cannot_fit(scenario: Scenario) -> None:
         )
     if cost.core_seconds > YEAR:
         raise InputError(
-            f"{size} would take {lasting(cost.core_seconds)}; lower numerics.cells, shorten the "
-            "motion, or raise its speed, numerics.speed_up or numerics.time_step"
+            f"{size} would take {cost.core_seconds / YEAR:,.0f} years; lower numerics.cells, "
+            "shorten the motion, or raise its speed, numerics.speed_up or numerics.time_step"
         )
 
 
@@ -95,28 +69,19 @@ def machine_bytes() -> float:
         return physical
 
 
-def lasting(seconds: float) -> str:
-    """A time in words, in a unit that suits its size, such as ``"about 25 minutes"``."""
-    if not seconds < 1e4 * YEAR:
-        return "over 10,000 years"
-    if seconds < 1.0:
-        return "less than a second"
-    size, unit = next((size, unit) for size, unit in _UNITS if seconds >= 2.0 * size)
-    return f"about {seconds / (size or 1.0):,.0f} {unit}"
-
-
 def step_count(scenario: Scenario) -> int:
     """Steps that cover the motion, 10¹⁸ at most."""
     steps = scenario.motion.duration / scenario.numerics.speed_up / scenario.numerics.time_step
     return math.ceil(min(steps, 1e18) - 1e-9)
 
 
-def _of_one(scenario: Scenario) -> Forecast:
+def forecast(scenario: Scenario) -> Forecast:
+    """Time and memory that a simulation will need."""
     bins = float(bin_count(scenario.motion))
     room = BYTES_AT_REST + BYTES_PER_BIN * bins
     if scenario.model == "rft":
         seconds = bins * scenario.rft.panels / PANEL_RATE
-        return Forecast(1, 0.0, seconds, room)
+        return Forecast(0.0, seconds, room)
     # Those where the leg starts will be left out.
     particles, dimensions = float(math.prod(sub_cells(scenario)[0])), scenario.dimensions
     nodes = float((scenario.numerics.cells + 2) ** 2)
@@ -124,4 +89,4 @@ def _of_one(scenario: Scenario) -> Forecast:
         nodes *= scenario.cells_across + 2
     room += BYTES[dimensions]["particle"] * particles + BYTES[dimensions]["node"] * nodes
     seconds = particles * step_count(scenario) / RATE[dimensions]
-    return Forecast(1, particles, seconds, room)
+    return Forecast(particles, seconds, room)
