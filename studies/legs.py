@@ -55,7 +55,6 @@ from terraphi.experiment.rig import SIMULATED_LENGTH as LENGTH
 from terraphi.experiment.rig import Ratios, similar_scenario
 from terraphi.experiment.scenario import GRAVITY
 from terraphi.forward import model_version
-from terraphi.forward.checkpoint import Checkpoint
 from terraphi.forward.forecast import forecast
 from terraphi.laws import legs
 from terraphi.laws.legs import AXES
@@ -202,7 +201,7 @@ def line(case: Case) -> str:
     A case that breaks down has no forces.
     """
     one = scenario(case)
-    checkpoint = Checkpoint(FOLDER / f".{one.hash}.checkpoint")
+    checkpoint = FOLDER / f".{one.hash}.checkpoint"
     known = [
         *astuple(case), one.hash[:16], model_version(one), one.motion.start_deg,
         one.motion.stop_deg, f"{1e3 * one.numerics.cell_size:.4f}",
@@ -220,7 +219,7 @@ def line(case: Case) -> str:
         np.bincount(bins[inside], history.channel(name)[inside], ANGLES.size) / count
         for name in ("Fx", "Fz", "M")
     ]
-    checkpoint.path.unlink(missing_ok=True)
+    checkpoint.unlink(missing_ok=True)
     return ",".join([*map(str, known), *(f"{v:.5g}" for v in np.concatenate(means))]) + "\n"
 
 

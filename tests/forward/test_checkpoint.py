@@ -13,7 +13,6 @@ import pytest
 
 from terraphi.experiment.errors import InputError, SimulationError
 from terraphi.forward import checkpoint, simulate
-from terraphi.forward.checkpoint import Checkpoint
 from terraphi.forward.driver import BLOCK
 from terraphi.forward.forecast import step_count
 
@@ -34,6 +33,13 @@ def _whole(scenario):
     return simulate(scenario)
 
 
+@pytest.fixture(autouse=True)
+def _often(monkeypatch):
+    """Write the state after every block of steps."""
+    monkeypatch.setattr(checkpoint, "EVERY", 0.0)
+    monkeypatch.setattr(checkpoint, "DEAREST", np.inf)
+
+
 class StopError(Exception):
     """Stops a run."""
 
@@ -45,7 +51,7 @@ def stop(_fraction: float) -> None:
 def test_a_run_stopped_after_every_block_ends_in_the_same_bits(
     scenario, uninterrupted, tmp_path
 ) -> None:
-    kept, times = Checkpoint(tmp_path / "c", every=0.0), 0
+    kept, times = tmp_path / "c", 0
     while True:
         try:
             history = simulate(scenario, checkpoint=kept, progress=stop if times < 2 else None)
@@ -62,9 +68,10 @@ def test_a_run_stopped_after_every_block_ends_in_the_same_bits(
 
 
 def test_without_leave_to_write_nothing_is_kept_and_nothing_changes(
-    scenario, uninterrupted, tmp_path
+    scenario, uninterrupted, tmp_path, monkeypatch
 ) -> None:
-    kept = Checkpoint(tmp_path / "c", every=1e9)
+    monkeypatch.setattr(checkpoint, "EVERY", 1e9)
+    kept = tmp_path / "c"
     assert np.array_equal(simulate(scenario, checkpoint=kept).force, uninterrupted.force)
     assert list(tmp_path.iterdir()) == []
 
@@ -74,9 +81,9 @@ import sys
 sys.path.insert(0, {tests!r})
 from pathlib import Path
 from conftest import in_space
-from terraphi.forward import simulate
-from terraphi.forward.checkpoint import Checkpoint
-simulate(in_space(**{changes}), checkpoint=Checkpoint(Path({path!r}), every=0.0))
+from terraphi.forward import checkpoint, simulate
+checkpoint.EVERY, checkpoint.DEAREST = 0.0, float("inf")
+simulate(in_space(**{changes}), checkpoint=Path({path!r}))
 """
 
 
@@ -89,14 +96,14 @@ def test_a_run_killed_at_any_time_ends_in_the_same_bits(scenario, uninterrupted,
         while not path.exists() and running.poll() is None:
             time.sleep(0.005)
         running.send_signal(signal.SIGKILL)
-    again = simulate(scenario, checkpoint=Checkpoint(path))
+    again = simulate(scenario, checkpoint=path)
     assert again.provenance["resumed_at_step"][0] % 400 == 0
     assert np.array_equal(again.force, uninterrupted.force)
 
 
 @pytest.fixture(name="kept")
 def _kept(scenario, tmp_path):
-    kept = Checkpoint(tmp_path / "c", every=0.0)
+    kept = tmp_path / "c"
     with pytest.raises(StopError):
         simulate(scenario, checkpoint=kept, progress=stop)
     return kept
@@ -105,7 +112,7 @@ def _kept(scenario, tmp_path):
 @pytest.mark.parametrize("spoil", ["scenario", "software", "cut", "empty"])
 def test_a_checkpoint_that_does_not_fit(scenario, kept, spoil, monkeypatch, caplog, space) -> None:
     """It is ignored, with a word, and overwritten."""
-    content = kept.path.read_bytes()
+    content = kept.read_bytes()
     words = "not a whole checkpoint"
     if spoil == "scenario":
         scenario, words = space.scenario(**DAMPED, **{"leg.friction": 0.2}), "has scenario hash"
@@ -115,7 +122,7 @@ def test_a_checkpoint_that_does_not_fit(scenario, kept, spoil, monkeypatch, capl
         monkeypatch.setattr(checkpoint.importlib.metadata, "version", newer)
         words = "has numpy"
     else:
-        kept.path.write_bytes(content[: len(content) // 2] if spoil == "cut" else b"")
+        kept.write_bytes(content[: len(content) // 2] if spoil == "cut" else b"")
     with pytest.raises(StopError):
         simulate(scenario, checkpoint=kept, progress=stop)
     assert words in caplog.text
@@ -124,7 +131,7 @@ def test_a_checkpoint_that_does_not_fit(scenario, kept, spoil, monkeypatch, capl
 def test_a_file_of_another_kind_is_never_overwritten(scenario, tmp_path) -> None:
     (tmp_path / "c").write_text("my thesis")
     with pytest.raises(InputError, match="not a whole checkpoint"):
-        simulate(scenario, checkpoint=Checkpoint(tmp_path / "c", every=0.0))
+        simulate(scenario, checkpoint=tmp_path / "c")
     assert (tmp_path / "c").read_text() == "my thesis"
 
 

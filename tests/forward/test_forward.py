@@ -14,7 +14,6 @@ from terraphi import forward
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.scenario import Scenario
-from terraphi.forward import checkpoint
 
 RFT = Scenario.model_validate({"name": "a", "model": "rft", "numerics": {"seed": 7}})
 
@@ -33,7 +32,7 @@ def test_history_says_where_it_comes_from(tmp_path: Path) -> None:
 
 
 def test_resistive_force_theory_keeps_nothing_and_has_nothing_to_show(tmp_path: Path) -> None:
-    forward.simulate(RFT, checkpoint=checkpoint.Checkpoint(tmp_path / "c", every=0.0))
+    forward.simulate(RFT, checkpoint=tmp_path / "c")
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(InputError, match="model = 'rft' has no particles to look at"):
         forward.simulate(RFT, observe=print)

@@ -11,8 +11,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from terraphi.forward import simulate
-from terraphi.forward.checkpoint import Checkpoint
+from terraphi.forward import checkpoint, simulate
 from terraphi.forward.vtk import POLYGON, VERTEX, FieldSeries, write_grid
 
 CODES = {"Float32": "f", "Float64": "d", "Int64": "q", "UInt8": "B"}
@@ -66,7 +65,7 @@ def test_a_polygon_is_one_cell(tmp_path) -> None:
     assert (arrays["connectivity"], arrays["offsets"], arrays["types"]) == ([0, 1, 2], [3], [7])
 
 
-def test_a_run_that_was_stopped_goes_on_with_its_frames(space, tmp_path) -> None:
+def test_a_run_that_was_stopped_goes_on_with_its_frames(space, tmp_path, monkeypatch) -> None:
     scenario = space.scenario(**{"motion.stop_deg": -35.0})
     series, observed = FieldSeries(tmp_path / "f", scenario, frames=3), []
 
@@ -76,7 +75,9 @@ def test_a_run_that_was_stopped_goes_on_with_its_frames(space, tmp_path) -> None
         if len(observed) == 2:
             raise KeyboardInterrupt
 
-    kept = Checkpoint(tmp_path / "c", every=0.0)
+    kept = tmp_path / "c"
+    monkeypatch.setattr(checkpoint, "EVERY", 0.0)
+    monkeypatch.setattr(checkpoint, "DEAREST", np.inf)
     with pytest.raises(KeyboardInterrupt):
         simulate(scenario, checkpoint=kept, observe=look)
     simulate(scenario, checkpoint=kept, observe=look)

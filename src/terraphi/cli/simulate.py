@@ -42,7 +42,6 @@ def simulate(
     from terraphi import forward
     from terraphi.experiment.outputs import check_file
     from terraphi.experiment.scenario import Scenario
-    from terraphi.forward import checkpoint
 
     chosen = changed(Scenario.load(scenario), changes)
     if out is not None:
@@ -55,13 +54,13 @@ def simulate(
 
         observe = FieldSeries(vtk, chosen, frames=FRAMES)
     announce([chosen])
-    kept = checkpoint.Checkpoint(out.with_name(f"{out.name}.checkpoint")) if out else None
+    kept = out.with_name(f"{out.name}.checkpoint") if out else None
     with progress_bar("simulating") as report:
         history = forward.simulate(chosen, progress=lambda fraction: report(fraction, 1.0),
                                    checkpoint=kept, observe=observe)  # fmt: skip
     if out is not None and kept is not None:
         history.to_netcdf(out)
-        kept.path.unlink(missing_ok=True)
+        kept.unlink(missing_ok=True)
     summary = {**history.summary(), **({"out": str(out)} if out else {})}
     present(summary, summary, as_json=as_json)
 

@@ -18,7 +18,6 @@ from terraphi.experiment.errors import InputError
 if TYPE_CHECKING:
     from terraphi.experiment.history import ForceHistory
     from terraphi.experiment.scenario import Scenario
-    from terraphi.forward.checkpoint import Checkpoint
     from terraphi.forward.driver import Observer
 
 __all__ = ["MODEL_VERSIONS", "model_version", "simulate", "software"]
@@ -31,7 +30,7 @@ def simulate(
     scenario: Scenario | Path | str,
     *,
     progress: Callable[[float], None] | None = None,
-    checkpoint: Checkpoint | None = None,
+    checkpoint: Path | str | None = None,
     observe: Observer | None = None,
 ) -> ForceHistory:
     """Forces on the leg along its path, by the model that the scenario names.
@@ -43,10 +42,11 @@ def simulate(
     progress
         Called now and then with the fraction done, 0 to 1.
     checkpoint
-        File to which the state is written now and then. If it is there already and is of this
-        simulation, that goes on from it and ends in the same bits as if it had never stopped. The
-        file is left behind at the end: remove it once the history is safe. Resistive force theory
-        takes under a second and keeps nothing.
+        File to which the state is written now and then (every 20 s, or less often where that would
+        take more than a hundredth of the time). If it is there already and is of this simulation,
+        that goes on from it and ends in the same bits as if it had never stopped. The file is left
+        behind at the end: remove it once the history is safe. Resistive force theory takes under a
+        second and keeps nothing.
     observe
         Called with a :class:`~terraphi.forward.driver.Snapshot` at the start and after each block
         of steps.

@@ -16,7 +16,6 @@ import os
 import platform
 import time
 import zipfile
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,29 +28,9 @@ from terraphi.experiment.scenario import Scenario
 log = logging.getLogger(__name__)
 
 EVERY = 20.0
-"""Least time between two checkpoints [s]."""
+"""Least time between two checkpoints [s]; longer where writing takes more than the share below."""
 DEAREST = 0.01
 """Largest share of a run's time that may be spent on writing checkpoints [-]."""
-
-
-@dataclass(frozen=True)
-class Checkpoint:
-    """A file that holds the state of a simulation while it runs.
-
-    The simulation starts from what it finds there, if that fits, and leaves the file behind when
-    it ends: whoever asked for it removes it once the result is safe.
-
-    Attributes
-    ----------
-    path
-        The file.
-    every
-        Least time between two writings [s]; longer where writing takes more than a hundredth of
-        that. 0: after every block of steps, whatever it costs.
-    """
-
-    path: Path
-    every: float = EVERY
 
 
 class State(NamedTuple):
@@ -74,8 +53,8 @@ class Keeper:
 
     Parameters
     ----------
-    where
-        The checkpoint; ``None`` keeps nothing.
+    path
+        File of the checkpoint; ``None`` keeps nothing.
     scenario
         What is simulated.
     kernel
@@ -89,11 +68,11 @@ class Keeper:
         Time that the processes before this one have spent on the run [s].
     """
 
-    def __init__(self, where: Checkpoint | None, scenario: Scenario, kernel: str) -> None:
-        self._where = where
-        self._fitting = fitting(scenario, kernel) if where else {}
+    def __init__(self, path: Path | None, scenario: Scenario, kernel: str) -> None:
+        self._path = path
+        self._fitting = fitting(scenario, kernel) if path else {}
         self._began = self._last = time.perf_counter()
-        self._pause = where.every if where else 0.0
+        self._pause = EVERY
         self.resumed_at: list[int] = []
         self.seconds = 0.0
 
@@ -105,9 +84,9 @@ class Keeper:
         InputError
             If the file is no checkpoint. One of another run is ignored, with a warning.
         """
-        if self._where is None or not self._where.path.exists():
+        path = self._path
+        if path is None or not path.exists():
             return first
-        path = self._where.path
         check_is_file(path)
         try:
             # Opened here, because NumPy leaves a file open that it finds to be broken.
@@ -145,7 +124,7 @@ class Keeper:
     def offer(self, state: State) -> None:
         """Write a state if the last one was written long enough ago; on a full disk, warn."""
         began = time.perf_counter()
-        if self._where is None or began - self._last < self._pause:
+        if self._path is None or began - self._last < self._pause:
             return
         head = {
             "fitting": self._fitting,
@@ -157,7 +136,7 @@ class Keeper:
         arrays |= {f"audit.{name}": field for name, field in state.audit._asdict().items()}
         arrays |= {"impulse": state.impulse, "held": state.held}
         try:
-            with atomic_write(self._where.path) as temporary, temporary.open("wb") as stream:
+            with atomic_write(self._path) as temporary, temporary.open("wb") as stream:
                 np.savez(stream, head=np.array(json.dumps(head)), **arrays)
                 # On the disk before it takes the place of the one before.
                 stream.flush()
@@ -165,8 +144,7 @@ class Keeper:
         except InputError as error:
             log.warning("no checkpoint: %s", error)
         self._last = time.perf_counter()
-        if self._where.every > 0.0:
-            self._pause = max(self._where.every, (self._last - began) / DEAREST)
+        self._pause = max(EVERY, (self._last - began) / DEAREST)
 
 
 def fitting(scenario: Scenario, kernel: str) -> dict[str, Any]:

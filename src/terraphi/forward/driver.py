@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import pathlib
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,7 +19,7 @@ from terraphi.experiment.motion import Poses, bin_centres
 from terraphi.experiment.scenario import Scenario
 from terraphi.experiment.solvers import SOLVERS
 from terraphi.forward.body import Path
-from terraphi.forward.checkpoint import Checkpoint, Keeper, State
+from terraphi.forward.checkpoint import Keeper, State
 from terraphi.forward.forecast import step_count
 from terraphi.forward.ledger import Audit, empty_audit, empty_reaction
 from terraphi.forward.mpm.solver import MpmSolver
@@ -100,7 +101,7 @@ def simulate(
     scenario: Scenario,
     *,
     progress: Callable[[float], None] | None = None,
-    checkpoint: Checkpoint | None = None,
+    checkpoint: pathlib.Path | str | None = None,
     observe: Observer | None = None,
 ) -> ForceHistory:
     """Move the leg through the bed and record the forces.
@@ -128,7 +129,8 @@ def simulate(
     """
     began = time.perf_counter()
     solver: Solver = SOLVERS[2](scenario) if scenario.dimensions == 2 else MpmSolver(scenario)
-    keeper = Keeper(checkpoint, scenario, solver.kernel)
+    kept = None if checkpoint is None else pathlib.Path(checkpoint)
+    keeper = Keeper(kept, scenario, solver.kernel)
     centres, steps = bin_centres(scenario.motion), step_count(scenario)
     bins, length = len(centres), block_length(scenario)
     first = State(solver.bed(), empty_audit(), empty_reaction(bins), np.zeros(bins), 0)

@@ -20,7 +20,6 @@ from terraphi.experiment.files import folder_lock
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import model_version, simulate, software
-from terraphi.forward.checkpoint import Checkpoint
 from terraphi.laws.plan import Plan
 from terraphi.laws.store import Case, Library
 
@@ -126,7 +125,7 @@ def run_case(scenario_json: str, checkpoint: str) -> ForceHistory | str:
     """
     scenario, kept = Scenario.model_validate_json(scenario_json), Path(checkpoint)
     try:
-        return simulate(scenario, checkpoint=Checkpoint(kept) if kept.parent.is_dir() else None)
+        return simulate(scenario, checkpoint=kept if kept.parent.is_dir() else None)
     except (ArithmeticError, RuntimeError, ValueError) as error:
         return str(error)
 
