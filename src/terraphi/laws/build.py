@@ -80,9 +80,8 @@ def build(
         finished = _finished(path, folder, wanted)
         missing = [scenario for scenario in wanted if scenario.hash not in finished]
         failures: dict[str, str] = {}
-        done = len(wanted) - len(missing)
-        if progress is not None:
-            progress(done, len(wanted))
+        report, done = progress or (lambda *_: None), len(wanted) - len(missing)
+        report(done, len(wanted))
         for scenario, outcome in _outcomes(missing, folder.absolute(), executor):
             if isinstance(outcome, str):
                 failures[scenario.hash] = outcome
@@ -92,8 +91,7 @@ def build(
                 (folder / f"{scenario.hash}.checkpoint").unlink(missing_ok=True)
                 finished[scenario.hash] = outcome
             done += 1
-            if progress is not None:
-                progress(done, len(wanted))
+            report(done, len(wanted))
         if len(failures) == len(wanted):
             reason = next(iter(failures.values()))
             raise InputError(f"plan '{plan.name}': every case failed, the first with: {reason}")

@@ -271,16 +271,15 @@ def bearing_factors(
     passive = np.tan(0.25 * np.pi + 0.5 * phi) ** 2
     n_q = np.exp(np.pi * np.tan(phi)) * passive
     if name == "meyerhof":
-        shape_and_depth = (1.0 + 0.1 * passive) * (1.0 + 0.1 * np.sqrt(passive) * ratio)
-        return np.asarray(n_q * shape_and_depth), np.asarray(
-            (n_q - 1.0) * np.tan(1.4 * phi) * shape_and_depth
-        )
-    k = np.where(ratio <= 1.0, ratio, np.arctan(ratio))
-    d_q = 1.0 + 2.0 * np.tan(phi) * (1.0 - np.sin(phi)) ** 2 * k
-    if name == "hansen":
-        s_q, n_gamma = 1.0 + np.sin(phi), 1.5 * (n_q - 1.0) * np.tan(phi)
-    else:
-        s_q, n_gamma = 1.0 + np.tan(phi), 2.0 * (n_q + 1.0) * np.tan(phi)
+        # Shape and depth.
+        s_d = (1.0 + 0.1 * passive) * (1.0 + 0.1 * np.sqrt(passive) * ratio)
+        return np.asarray(n_q * s_d), np.asarray((n_q - 1.0) * np.tan(1.4 * phi) * s_d)
+    sine, tangent = np.sin(phi), np.tan(phi)
+    s_q, n_gamma = {
+        "hansen": (1.0 + sine, 1.5 * (n_q - 1.0) * tangent),
+        "vesic": (1.0 + tangent, 2.0 * (n_q + 1.0) * tangent),
+    }[name]
+    d_q = 1.0 + 2.0 * tangent * (1.0 - sine) ** 2 * np.where(ratio <= 1.0, ratio, np.arctan(ratio))
     return np.asarray(n_q * s_q * d_q), np.asarray(0.6 * n_gamma * np.ones_like(ratio))
 
 

@@ -349,11 +349,9 @@ class Library(AnyLaw, Result):
         cases: list[Case] = []
         texts = zip(values["scenario"], values["failure"], values["provenance"], strict=True)
         for i, (scenario, failure, origin) in enumerate(texts):
-            history = None
-            if not failure:
-                moment = None if moments is None or np.isnan(moments[i]).any() else moments[i]
-                numbers = position, force[i], attrs.coordinate, axes
-                history = ForceHistory(*numbers, {**json.loads(origin)}, moment)
+            moment = None if moments is None or np.isnan(moments[i]).any() else moments[i]
+            numbers = position, force[i], attrs.coordinate, axes, {**json.loads(origin)}, moment
+            history = None if failure else ForceHistory(*numbers)
             cases.append(Case(Scenario.model_validate_json(scenario), history, failure))
         if not any(case.history for case in cases):
             raise ValueError("no simulation in it succeeded")

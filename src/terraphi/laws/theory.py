@@ -27,9 +27,9 @@ from terraphi.experiment.scenario import Scenario
 from terraphi.forward.rft import (
     SCALE_POLYNOMIAL,
     SPACE_COEFFICIENTS,
+    scale_of_friction,
     sheet_force,
     sheet_stress,
-    stress_scale,
 )
 from terraphi.laws.law import LegLaw
 from terraphi.laws.store import THETA_DEG, AnyLaw, lever_arm
@@ -109,4 +109,5 @@ class TheoryLaw(LegLaw):
 
     def within(self, x: FloatArray, _cohesion: float) -> FloatArray:
         """Forces within the bounds."""
-        return stress_scale(x[:, 0], self.density)[:, None, None] * self._curve[:2]
+        scale = scale_of_friction(np.tan(np.radians(x[:, 0])), self.density)
+        return np.asarray(scale[:, None, None] * self._curve[:2])

@@ -145,17 +145,16 @@ class Mesh:
         """
         if triangles is None:
             mesh, triangles = getattr(mesh, "vertices", None), getattr(mesh, "faces", None)
+        expected = (
+            "mesh: give corners [corner, 3] and triangles [face, 3] of whole numbers, or an object "
+            "with vertices and faces"
+        )
         if mesh is None or triangles is None:
-            raise InputError(
-                "mesh: give corners [corner, 3] and triangles [face, 3], or an object with "
-                "vertices and faces"
-            )
+            raise InputError(expected)
         corners = numbers("mesh", mesh, last=(3,), unit="m")
         index = numbers("triangles", triangles, last=(3,), low=0, high=len(corners) - 1)
         if corners.ndim != 2 or index.ndim != 2 or (index % 1.0).any():
-            raise InputError(
-                "mesh: give corners [corner, 3] and triangles [face, 3] of whole numbers"
-            )
+            raise InputError(expected)
         each = corners[index.astype(np.int64)]
         # A closed surface passes each edge once in either direction; equal corners are one.
         same = np.unique(each.reshape(-1, 3), axis=0, return_inverse=True)[1].reshape(-1, 3)
@@ -568,14 +567,18 @@ def _sum_of_faces(
     feet, faces = points.shape[:2]
     depths = surface[:, None] - points[:, :, 2]
     deepest = xp.clip(xp.max(depths, axis=1), 0.0, None)
-    each = [xp.broadcast_to(x, points.shape) for x in (normals, velocities, arms)]
-    areas = xp.broadcast_to(areas, depths.shape)
     # NumPy computes the faces that are submerged only, the others have no force.
     at = np.nonzero(depths > 0.0) if xp is np else None
     owner = at[0] if at else None
-    n, v, arm = (x[at] if at else xp.reshape(x, (-1, 3)) for x in each)
-    depth, area = (x[at] if at else xp.reshape(x, (-1,)) for x in (depths, areas))
-    depth = xp.clip(depth, 0.0, None)
+
+    def flat(values: Any, *last: int) -> Any:
+        """A row for each face, of what there is for faces or feet and faces."""
+        values = xp.broadcast_to(values, (feet, faces, *last))
+        return values[at] if at else xp.reshape(values, (-1, *last))
+
+    n, v, arm = (flat(values, 3) for values in (normals, velocities, arms))
+    depth, area = xp.clip(flat(depths), 0.0, None), flat(areas)
+    mobilized = None if mobilized is None else flat(mobilized)
 
     def total(values: Any) -> Any:
         """Sum over the faces of each foot."""
@@ -599,8 +602,6 @@ def _sum_of_faces(
     speed = _norm(xp, v)
     direction = v / xp.clip(speed, TINY, None)[:, None]
     leading = xp.sum(n * direction, axis=1)
-    if mobilized is not None:
-        mobilized = mobilized[at] if at else xp.reshape(mobilized, (-1,))
     if owner is not None:
         kept = np.flatnonzero(leading > 0.0)
         n, v, arm, direction = n[kept], v[kept], arm[kept], direction[kept]
