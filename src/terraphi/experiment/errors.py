@@ -124,11 +124,11 @@ def _keys_at(model: type[Any], path: tuple[Any, ...]) -> list[str]:
     for part in path:
         inside = [m.model_fields[part].annotation for m in models if part in m.model_fields]
         branch = [m for m in models if m.__name__.lower() == part]
-        models = _models(inside) or branch or models
+        models = models_in(inside) or branch or models
     return [name for branch_model in models for name in branch_model.model_fields]
 
 
-def _models(types: Iterable[Any]) -> list[type[BaseModel]]:
+def models_in(types: Iterable[Any]) -> list[type[BaseModel]]:
     """Pydantic models that some type annotations mention."""
     from pydantic import BaseModel
 
@@ -137,5 +137,5 @@ def _models(types: Iterable[Any]) -> list[type[BaseModel]]:
         if isinstance(item, type) and issubclass(item, BaseModel):
             models.append(item)
         else:
-            models += _models(get_args(item))
+            models += models_in(get_args(item))
     return models

@@ -10,8 +10,11 @@ import json
 import re
 from collections.abc import Iterator
 from importlib import import_module
-from typing import Any
+from typing import Any, get_origin
 
+from pydantic import BaseModel
+
+from terraphi.experiment.errors import models_in
 from terraphi.view.console import Table
 
 DOCUMENTS = {
@@ -40,25 +43,23 @@ def tables(document: str) -> list[Table]:
     The scenario within a plan is left out: it has tables of its own.
     """
     module, name = DOCUMENTS[document]
-    schema = getattr(import_module(module), name).model_json_schema()
-    models = schema.get("$defs", {})
-    places: dict[str, list[str]] = {}
-    for model, place in _walk(schema, "", "", models):
+    places: dict[type[BaseModel], list[str]] = {}
+    for model, place in _walk(getattr(import_module(module), name), ""):
         if document == "scenario" or not re.match(r"scenario\b", place):
             places.setdefault(model, []).append(place)
     key_tables = []
     for model, names in places.items():
-        part = models.get(model, schema)
+        schema = model.model_json_schema()
         keys = [
-            _row(key, value, required=key in part.get("required", ()))
-            for key, value in part["properties"].items()
-            if not _models(value)
+            _row(key, value, required=key in schema.get("required", ()))
+            for key, value in schema["properties"].items()
+            if not models_in([model.model_fields[key].annotation])
         ]
-        kind = part["properties"].get("kind")
+        kind = schema["properties"].get("kind")
         title = ", ".join(map(_heading, names)) + (
             f' with kind = "{kind["default"]}"' if kind else ""
         )
-        about = " ".join(part["description"].partition("\n\n")[0].split())
+        about = " ".join(schema["description"].partition("\n\n")[0].split())
         if keys:
             key_tables.append(Table(f"{title}: {about}", HEADER, keys))
     return key_tables
@@ -73,31 +74,13 @@ def as_dict(document: str) -> dict[str, Any]:
     return {"document": document, "tables": listed}
 
 
-def _walk(
-    schema: Schema, model: str, place: str, models: dict[str, Schema]
-) -> Iterator[tuple[str, str]]:
-    """Every model that a document may hold, by its name in the schema, with its dotted place."""
+def _walk(model: type[BaseModel], place: str) -> Iterator[tuple[type[BaseModel], str]]:
+    """Every model that a document may hold, with its dotted place."""
     yield model, place
-    for name, value in schema["properties"].items():
-        inside = f"{place}.{name}" if place else name
-        for inner, many in _models(value):
-            yield from _walk(models[inner], inner, f"{inside}[]" if many else inside, models)
-
-
-def _parts(value: Schema) -> list[Schema]:
-    """Kinds of value that are allowed, without null."""
-    either = value.get("anyOf") or value.get("oneOf") or [value]
-    return [part for part in either if part.get("type") != "null"]
-
-
-def _models(value: Schema) -> list[tuple[str, bool]]:
-    """Models that a value may be, and whether it is a list of them."""
-    models = []
-    for part in _parts(value):
-        name = part.get("items", part).get("$ref", "").rpartition("/")[2]
-        if name and name != "JsonValue":
-            models.append((name, "items" in part))
-    return models
+    for name, field in model.model_fields.items():
+        many = "[]" * (get_origin(field.annotation) in (list, tuple))
+        for inner in models_in([field.annotation]):
+            yield from _walk(inner, f"{place}.{name}{many}".lstrip("."))
 
 
 def _row(name: str, value: Schema, *, required: bool) -> tuple[str, ...]:
@@ -107,7 +90,9 @@ def _row(name: str, value: Schema, *, required: bool) -> tuple[str, ...]:
         re.sub(r"\s*\[[^\]]+\]", "", meaning).replace("``None``", "not given").replace("``", "`")
     )
     default = "required" if required else _toml(value.get("default"))
-    return name, ", ".join(units), default, _allowed(_parts(value)[0]), plain
+    either = value.get("anyOf") or [value]
+    kind = next(part for part in either if part.get("type") != "null")
+    return name, ", ".join(units), default, _allowed(kind), plain
 
 
 def _allowed(value: Schema) -> str:
