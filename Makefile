@@ -16,6 +16,7 @@ DEV := $(VENV)/installed-dev
 # pip reads these for what it installs and for what it needs to build the package itself.
 PIP := PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt \
 	$(BIN)/python -m pip --disable-pip-version-check install --quiet
+RUFF = $(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/zizmor --offline --quiet .github
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
@@ -38,8 +39,12 @@ demo: $(RUN)
 	$(BIN)/terraphi demo --out demo-output
 
 # Neighboring tests share fixtures and compiled kernels: each process begins with a half in order.
-test: lint
-	$(BIN)/pytest -n $(WORKERS) --dist worksteal
+# Types are checked at the same time, so that no core waits; what is wrong with them comes last.
+test: $(DEV)
+	$(RUFF)
+	@$(BIN)/mypy > $(VENV)/mypy.txt 2>&1 & \
+	$(BIN)/pytest -n $(WORKERS) --dist worksteal; tests=$$?; \
+	wait $$!; types=$$?; cat $(VENV)/mypy.txt; exit $$((tests | types))
 
 # The numerical tests as on processors with AVX2 at most, and with neither: Numba and OpenBLAS are
 # held to those. Nothing else than x86 knows these names.
@@ -76,10 +81,8 @@ bench: $(DEV)
 	$(BIN)/python benchmarks/bench_inference.py
 
 lint: $(DEV)
-	$(BIN)/ruff check .
-	$(BIN)/ruff format --check .
+	$(RUFF)
 	$(BIN)/mypy
-	$(BIN)/zizmor --offline --quiet .github
 
 format: $(DEV)
 	$(BIN)/ruff check --fix .

@@ -113,10 +113,10 @@ def test_invert_prints_the_answer_of_python(terraphi: Terraphi) -> None:
 
 
 def test_invert_prints_angle_and_verdict_within_ten_lines(terraphi: Terraphi) -> None:
-    ran = terraphi("invert", *names())
+    ran = terraphi("invert", *names()[:4])
     first, phi, verdict, *rest = ran.out.splitlines()
     assert ran.status == 0
-    assert first.startswith("12 records")
+    assert first.startswith("4 records")
     assert first.endswith("law legs")
     assert phi.startswith("φ = ")
     assert "plane strain" in phi
@@ -350,18 +350,6 @@ def test_a_missing_compiler_is_named_before_a_simulation(
     assert status == 2
     assert "pip install 'terraphi[simulate]'" in err
     assert list(tmp_path.iterdir()) == []
-
-
-def test_the_demo_recovers_the_angle(terraphi: Terraphi, tmp_path: Path) -> None:
-    ran = terraphi("demo", "--out", "d", "--json")
-    reference, *sands = json.loads(ran.out)["answers"]
-    low, high = reference["phi_deg"]["ci95"]
-    assert low <= 33.0 <= high
-    assert reference["verdict"] == "consistent"
-    assert [sand["law"] for sand in sands] == ["legs", "legs"]
-    assert (tmp_path / "d" / "demo.png").stat().st_size > 20_000
-    ran = terraphi("report", "d", "--out", "r.html", "--json")
-    assert len(json.loads(ran.out)["results"]) == 3
 
 
 # -- refusals ------------------------------------------------------------------------------------

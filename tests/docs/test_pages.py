@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 from collections.abc import Callable
@@ -57,6 +58,15 @@ def test_lines_of_the_readme_run_in_their_order_in_an_empty_folder(
         ran = terraphi(*arguments)
         assert ran.status == 0, ran.err
         assert "isfit" not in ran.out
+    answers = [json.loads(path.read_text()) for path in Path("demo-output").glob("*/answer.json")]
+    reference = [answer for answer in answers if answer["law"] == "rft3d"]
+    assert sorted(answer["law"] for answer in answers) == ["legs", "legs", "rft3d"]
+    low, high = reference[0]["phi_deg"]["ci95"]
+    assert low <= 33.0 <= high
+    assert reference[0]["verdict"] == "consistent"
+    assert Path("demo-output", "demo.png").stat().st_size > 20_000
+    shown = terraphi("report", "demo-output", "--out", "r.html", "--json")
+    assert len(json.loads(shown.out)["results"]) == 3
     for block in PYTHON.findall(text):
         exec(block, {})
     left = {path.name for path in tmp_path.iterdir()}

@@ -27,7 +27,7 @@ LawWalk = runpy.run_path(str(Path(__file__).with_name("walker.py")))["LawWalk"]
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A walk whose tick counts from the robot's start, 5 s before the log."""
     folder = tmp_path_factory.mktemp("topic")
-    log = LawWalk(duration=10.0).log()[0]
+    log = LawWalk(duration=6.0).log()[0]
     write_mcap(folder / "walk.mcap", replace(log, time=log.time + 5.0))
     return folder
 
