@@ -14,7 +14,7 @@ from terraphi.inference import checks, footfalls, inversion, likelihood, pressed
 from terraphi.inference.manifest import LEAST_ROWS
 from terraphi.inference.touchdowns import PHI_RANGE, Prior
 from terraphi.laws import foot
-from terraphi.laws.legs import MODES, PHI_DEG, shipped_legs
+from terraphi.laws.legs import MODES, PHI_DEG
 from terraphi.laws.plan import RIG_ANGLES_DEG
 from terraphi.robot.checks import CHECK_S, PART_S
 from terraphi.robot.friction import MOST_LAG_S
@@ -25,7 +25,7 @@ from terraphi.view.app import MOST_MEMORY, Limits
 
 ROOT = Path(__file__).parents[2]
 EXPLANATION, HOW_TO = "docs/explanation/", "docs/how-to/"
-LIMITS, OFFSETS = Limits(), shipped_legs().model_error
+LIMITS = Limits()
 FRICTIONS = sorted({float(mu) for mu in foot.simulated_cases().x[:, 0]})
 
 NUMBERS = [
@@ -38,8 +38,9 @@ NUMBERS = [
     (EXPLANATION + "interval.md", r"up to ± (\d+)°, that is fitted", [likelihood.SHIFT_DEG]),
     (EXPLANATION + "interval.md", r"(\d+) degrees of freedom and a scale of (\d+) Pa",
      [likelihood.COHESION_DEGREES, likelihood.COHESION_PA]),
-    (EXPLANATION + "interval.md", r"cohesion above (\d+) Pa, a density outside (\d+) to (\d+)",
-     [checks.COHESIVE_PA, *records.USUAL_DENSITY]),
+    (EXPLANATION + "interval.md", r"cohesion above (\d+) Pa better \(and (\d+) ρ g d",
+     [checks.MOIST_PA, checks.LIKE_GRAINS]),
+    (EXPLANATION + "interval.md", r"a density outside (\d+) to (\d+)", [*records.USUAL_DENSITY]),
     (EXPLANATION + "interval.md", r"angle outside (\d+) to (\d+)°", [*checks.USUAL_DEG]),
     (EXPLANATION + "interval.md", r"more than (\d+(?:\.\d+)?)° later", [checks.LARGE_SHIFT_DEG]),
     (EXPLANATION + "model.md", r"friction \((\d+(?:\.\d+)?) and (\d+(?:\.\d+)?)\)", FRICTIONS),
@@ -53,8 +54,6 @@ NUMBERS = [
      [abs(checks.TURNS_DEG).min(), checks.TURNS_DEG.max()]),
     (HOW_TO + "own-forces.md", r"Angles above (\d+)° are out of range",
      [round(pressed.LOOSE_DEG)]),
-    (HOW_TO + "many.md", r"model's error, ± (\d+(?:\.\d+)?)°",
-     {round(offset["common_sd_deg"], 1) for offset in OFFSETS.values()}),
     (HOW_TO + "map.md", r"metres \(−(\d+) to (\d),000\)", [-HEIGHTS[0], HEIGHTS[1] / 1e3]),
     (HOW_TO + "map.md", r"mean over (\d+) points of a Sobol", [SAMPLES]),
     (HOW_TO + "go2-log.md", r"(\d+) ms at most", [1e3 * MOST_LAG_S]),

@@ -9,12 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from terraphi.inference.calibration import BED_SD_DEG, Calibration, CalibrationSoil
-from terraphi.laws.law import ModelError
+from terraphi.inference.calibration import Calibration, CalibrationSoil
+from terraphi.laws.model_error import ModelError
 
 ERROR = ModelError(
-    common_sd_deg=1.5, soil_sd_deg=0.7, leg_sd_deg=1.2, covariance=((0.7, 0.0), (0.0, 0.01))
-)
+    effects=("offset c", "breadth"), mean_deg=(0.0, 0.0), covariance_deg2=((2.9, 0.1), (0.1, 0.5)),
+    soil_sd_deg=0.7, leg_sd_deg=0.8, rig_sd_deg=0.5, bed_sd_deg=0.6,
+)  # fmt: skip
+ROW = (1.0, 0.3)
+BED_SD_DEG = 0.6
 READ = st.floats(22.0, 34.0)
 SD = st.floats(0.0, 3.0)
 
@@ -25,7 +28,7 @@ def in_one_soil(reads: Sequence[float], sds: Sequence[float], rig_sds: Sequence[
     soils = [
         CalibrationSoil(
             source="x", soil="sand", leg="c", rig="mine", phi_deg=28.0, phi_sd_deg=phi_sd,
-            read_deg=read, read_sd_deg=sd, rig_sd_deg=rig_sd,
+            read_deg=read, read_sd_deg=sd, rig_sd_deg=rig_sd, row=ROW, bed_sd_deg=BED_SD_DEG,
         )
         for read, sd, rig_sd in zip(reads, sds, rig_sds, strict=True)
     ]  # fmt: skip
@@ -33,9 +36,8 @@ def in_one_soil(reads: Sequence[float], sds: Sequence[float], rig_sds: Sequence[
 
 
 def correction(known: Calibration) -> tuple[float, float]:
-    """Mean and standard deviation of what the calibration takes off at 28° [deg]."""
-    mean, sd = known.common(ERROR, "c", "mine", np.array(28.0))
-    return float(mean), float(sd)
+    """Mean and standard deviation of what the calibration takes off [deg]."""
+    return known.offset(ERROR, "mine", np.array(ROW))
 
 
 @given(read=st.floats(25.0, 31.0), sd=SD, rig_sd=SD, data=st.data())
@@ -69,18 +71,17 @@ def test_a_repeat_that_reads_more_takes_off_more(data: st.DataObject, more: floa
 def test_repeats_are_worth_no_more_than_a_soil_without_error(
     data: st.DataObject, phi_sd: float
 ) -> None:
-    """Its angle is exact, and its beds all alike: what is left is the soil's and the leg's own."""
+    """Its angle is exact, and its bed is not: what is left is the soil's and the leg's own."""
     n = data.draw(st.integers(1, 50))
     reads, sds, rig_sds = (
         data.draw(st.lists(kind, min_size=n, max_size=n)) for kind in (READ, SD, SD)
     )
     _, sd = correction(in_one_soil(reads, sds, rig_sds, phi_sd))
-    at = float(np.mean(reads))
-    line = np.array([[1.0, 28.0 - 27.0], [1.0, at - 27.0]]) @ np.sqrt(ERROR.covariance)
-    shared = ERROR.common_sd_deg**2 + np.mean(np.square(rig_sds)) + line @ line.T
-    reference = ERROR.soil_sd_deg**2 + ERROR.leg_sd_deg**2 - BED_SD_DEG**2
-    least = shared[0, 0] - shared[0, 1] ** 2 / (shared[1, 1] + reference)
-    assert least - 1e-4 <= sd**2 <= shared[0, 0] + 1e-9
+    shared = ROW @ np.array(ERROR.covariance_deg2) @ ROW
+    shared += ERROR.rig_sd_deg**2 + np.mean(np.square(rig_sds))
+    reference = ERROR.soil_sd_deg**2 + ERROR.leg_sd_deg**2
+    least = shared - shared**2 / (shared + reference)
+    assert least - 1e-4 <= sd**2 <= shared + 1e-9
 
 
 def test_soils_are_told_apart_by_name_and_repeats_that_disagree_are_named() -> None:

@@ -21,7 +21,8 @@ from terraphi.inference.inversion import calibrate, critical_posterior, invert, 
 from terraphi.inference.likelihood import MOMENT_DEG, Likelihood
 from terraphi.inference.records import open_record
 from terraphi.laws.emulator import Emulator
-from terraphi.laws.legs import shipped_legs
+from terraphi.laws.legs import Legs, shipped_legs
+from terraphi.laws.model_error import FINE_MM, ModelError
 from terraphi.laws.store import PHI, Library
 
 
@@ -167,18 +168,23 @@ def test_second_opinion_is_in_plane_strain() -> None:
     assert other.phi_plane_strain.sd > 1.1 * other.phi.sd  # 1/√(1 - tan² φ) cos² φ is above 1
 
 
+def with_error(error: ModelError) -> Legs:
+    """The shipped law with another error on real soil."""
+    return replace(shipped_legs(), model_error={"legs": error.model_dump(mode="json")})
+
+
 def test_a_model_error_of_another_type_is_refused() -> None:
-    spoilt = replace(shipped_legs(), model_error={"straight": 5})
-    with pytest.raises(InputError, match=r"law legs, model_error\.straight"):
+    spoilt = replace(shipped_legs(), model_error={"legs": {"effects": 5}})
+    with pytest.raises(InputError, match=r"law legs, model_error"):
         invert("li2013:yuma/straight", law=spoilt)
 
 
 def test_another_opinion_far_away_widens_the_interval() -> None:
     """By as much as makes both opinions likely; sure of its offset, the law is 17° too high."""
-    error = shipped_legs().model_error["straight"] | {"offset_deg": -17.0}
-    sure = {"common_sd_deg": 0.5, "soil_sd_deg": 0.5, "leg_sd_deg": 0.5}
+    error = ModelError(mean_deg=(-17.0,), covariance_deg2=((0.25,),), soil_sd_deg=0.5,
+                       leg_sd_deg=0.5)  # fmt: skip
     record = "li2013:poppy_loose/straight"
-    answer = invert(record, law=replace(shipped_legs(), model_error={"straight": error | sure}))
+    answer = invert(record, law=with_error(error))
     other = answer.second_opinion
     pair = np.hypot(answer.phi.sd, other["sd"])
     assert abs(answer.phi.median - other["median"]) == pytest.approx(1.96 * pair, rel=0.03)
@@ -313,12 +319,10 @@ def test_the_unit_that_is_offered_counts_from_the_one_that_was_read(given: str, 
 
 def test_what_a_law_reads_too_high_is_taken_off() -> None:
     """From an answer, and from what a calibration has read."""
-    law = shipped_legs()
-    error = law.model_error["straight"]
-    usual, high = (
-        replace(law, model_error={"straight": error | {"offset_deg": error["offset_deg"] + more}})
-        for more in (0.0, 2.5)
-    )
+    error = shipped_legs().error
+    means = [(value + 2.5 * (name == "real soil"))
+             for name, value in zip(error.effects, error.mean_deg, strict=True)]  # fmt: skip
+    usual, high = map(with_error, (error, error.model_copy(update={"mean_deg": tuple(means)})))
     record = "li2013:glass03_loose/straight"
     plain, lower = (invert(record, law=item) for item in (usual, high))
     assert lower.phi.median == pytest.approx(plain.phi.median - 2.5, abs=0.05)
@@ -349,7 +353,7 @@ def test_a_wrong_leg_that_fits_is_doubted_by_the_second_opinion() -> None:
 
 
 def test_an_angle_beyond_the_soils_that_were_learned_from_is_said() -> None:
-    """And its interval is wider: forces of the law itself, as of measured ones."""
+    """Of forces of the law itself, as of measured ones."""
     answers, law = [], shipped_legs().law(Rig.of("li2013", "straight"))
     for phi in (27.0, 42.0):
         history = ForceHistory(np.radians(law.theta_deg), law(np.array([[phi]]))[0].T)
@@ -357,21 +361,20 @@ def test_an_angle_beyond_the_soils_that_were_learned_from_is_said() -> None:
     inside, outside = answers
     assert any("lies outside" in question for question in outside.warnings)
     assert not any("lies outside" in question for question in inside.warnings)
-    assert outside.budget_deg["model: offset"] > 1.5 * inside.budget_deg["model: offset"]
 
 
 @pytest.mark.parametrize(("leg", "width"), [("straight", 25.4), ("reversed_c", 50.8)])
 def test_large_grains_are_taken_off_where_their_size_is_known(leg: str, width: float) -> None:
     """In proportion to their diameter over the width of the leg; and it is said."""
-    law = shipped_legs()
-    error = law.model_error[leg] | {"of_size_deg": 0.5}
-    law = replace(law, model_error={leg: error})
+    # Of grains that are a quarter as wide as the leg.
+    law = with_error(ModelError(effects=(f"grains {leg}",), mean_deg=(3.0,)))
     rig = Rig.of("li2013", leg).model_copy(update={"width_mm": width})
-    history = replace(measurement(f"li2013:glass03_loose/{leg}").history, provenance={})
+    history = measurement(f"li2013:glass03_loose/{leg}").history.scaled(width / 25.4)
+    history = replace(history, provenance={})
     sand, grains = (
         invert(history, rig=rig, density=1450, law=law, grain_size_mm=d) for d in (None, 6)
     )
-    expected = sand.phi.median - 3.0 * 25.4 / width
+    expected = sand.phi.median - 3.0 * 25.4 / width * (1.0 - FINE_MM / 6.0)
     assert grains.phi.median == pytest.approx(expected, abs=0.1)
     assert any("grains of 6 mm" in question for question in grains.warnings)
 
@@ -418,15 +421,23 @@ def test_the_cohesion_of_a_simulated_soil_is_known() -> None:
     assert not any("cohesion" in question for question in answer.warnings)
     lighter = invert(simulated(150.0), density=1200.0)
     assert lighter.cohesion_pa == 150.0
-    # As measured forces it has the cohesion that they determine.
-    measured = invert(replace(simulated(150.0), provenance={}), rig="li2013", leg="straight",
-                    density=1650.0)  # fmt: skip
-    assert measured.cohesion_pa == pytest.approx(150.0, rel=0.3)
+    # As measured forces it has the cohesion that is given, or that they determine.
+    measured = replace(simulated(150.0), provenance={})
+    given = {"rig": "li2013", "leg": "straight", "density": 1650.0}
+    known, unknown, dry = (
+        invert(measured, **given, cohesion=c) for c in ("150±20", "unknown", None)
+    )
+    assert known.cohesion_pa == pytest.approx(150.0, abs=5.0)
+    assert unknown.cohesion_pa == pytest.approx(150.0, rel=0.3)
+    assert unknown.phi.median == pytest.approx(known.phi.median, abs=1.0)
+    assert dry.phi.median > known.phi.median + 2.0
+    assert any("damp" in question for question in dry.warnings)
+    assert not any("damp" in question for question in (*known.warnings, *unknown.warnings))
     with pytest.raises(InputError, match="2000 Pa"):
         invert(simulated(2000.0))
     with pytest.raises(InputError, match="400 Pa"):
         invert(simulated(400.0), density=900.0)
-    with pytest.raises(InputError, match="not of one soil"):
+    with pytest.raises(InputError, match="not one soil"):
         invert([simulated(150.0), simulated(100.0)])
 
 
@@ -444,8 +455,9 @@ def test_the_right_leg_is_right_at_all_angles(phi: float) -> None:
     history = ForceHistory(np.radians(rig_law.theta_deg), rig_law(np.array([[phi]]))[0].T)
     answer = invert(history, rig="li2013", leg="reversed_c", density="1650±10")
     assert answer.verdict == "consistent"
-    soil = phi - law.error_of("reversed_c").offset_deg
-    assert answer.phi.median == pytest.approx(soil, abs=0.6)
+    rig = Rig.of("li2013", "reversed_c")
+    soil = answer.phi.median
+    assert soil + law.error.offset(rig, 0.0, np.array(soil)) == pytest.approx(phi, abs=0.6)
 
 
 def test_the_end_of_a_law_is_named_as_an_angle_of_soil() -> None:
@@ -454,7 +466,7 @@ def test_the_end_of_a_law_is_named_as_an_angle_of_soil() -> None:
     history = ForceHistory(np.radians(rig_law.theta_deg), rig_law(np.array([[8.0]]))[0].T)
     answer = invert(history, rig="li2013", leg="reversed_c", density="1650±10")
     assert (answer.verdict, answer.edge) == ("out_of_range", "low")
-    end = 10.0 - law.error_of("reversed_c").offset_deg
+    end = 10.0 - law.error.offset(Rig.of("li2013", "reversed_c"), 0.0, np.array(15.0))
     assert f"below {end:.0f}°" in answer.reason
 
 

@@ -15,7 +15,7 @@ from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import measurement, names
 from terraphi.experiment.rig import Rig
 from terraphi.forward import simulate
-from terraphi.inference.calibration import Calibration, CalibrationSoil
+from terraphi.inference.calibration import Calibration, CalibrationSoil, rig_name
 from terraphi.inference.checks import without_faults
 from terraphi.inference.inversion import calibrate, invert
 from terraphi.inference.likelihood import (
@@ -27,8 +27,8 @@ from terraphi.inference.likelihood import (
 )
 from terraphi.inference.records import open_record
 from terraphi.laws.emulator import Emulator
-from terraphi.laws.law import ModelError
 from terraphi.laws.legs import shipped_legs
+from terraphi.laws.model_error import ModelError
 from terraphi.laws.store import PHI, Case, Library
 
 RECORDS = names()[::3]
@@ -78,12 +78,13 @@ def test_at_the_largest_shift_the_angle_is_the_best_with_it(sand3d: Library) -> 
 def test_squares_of_the_budget_are_the_variance() -> None:
     """And what looks like another angle is worth what the law says."""
     answer = invert("li2013:poppy_loose/straight")
-    error = shipped_legs().error_of("straight")
+    error = shipped_legs().error
+    row = error.row(Rig.of("li2013", "straight"), 0.0)
     for name, sd in (
-        ("apparatus", error.common_sd_deg),
         ("soil", error.soil_sd_deg),
         ("leg", error.leg_sd_deg),
-        ("offset", error.offset_sd_at(answer.phi.median)),
+        ("rig", error.rig_sd_deg),
+        ("offset", np.sqrt(row @ np.array(error.covariance_deg2) @ row)),
     ):
         assert answer.budget_deg[f"model: {name}"] == pytest.approx(sd, rel=0.05)
     total = np.sqrt(np.square(list(answer.budget_deg.values())).sum())
@@ -105,8 +106,8 @@ def test_terms_are_what_their_causes_do_to_the_forces(leg: str) -> None:
     """Another density, a rougher leg and a higher hip, each by a part of what is not known."""
     record, law = open_record(f"li2013:poppy_loose/{leg}", density="638±20"), shipped_legs()
     likelihood = Likelihood([record], law)
-    rig, x, error = record.rig, np.array([likelihood.least_squares]), law.error_of(leg)
-    x = x + error.offset_deg
+    rig, x = record.rig, np.array([likelihood.least_squares])
+    x = x + law.error.offset(rig, 0.0, x)
     number = likelihood.cohesion / (638.0 * 9.81 * rig.length)
 
     def means(**changed: float) -> np.ndarray:
@@ -159,25 +160,27 @@ def test_records_of_one_soil_share_what_they_share() -> None:
     legs = invert(["li2013:poppy_loose/straight", "li2013:poppy_loose/c"])
     assert twice.phi.sd == pytest.approx(answer.phi.sd, rel=0.02)
     assert legs.phi.sd < answer.phi.sd
-    errors = [shipped_legs().error_of(leg) for leg in ("straight", "c")]
-    pair = {
-        name: [getattr(error, f"{field}_sd_deg") for error in errors]
-        for name, field in (("apparatus", "common"), ("soil", "soil"), ("leg", "leg"))
-    }
-    # With weights that add up to 1 what is shared stays between both, and what is not is less.
-    for name in ("apparatus", "soil"):
-        share = legs.budget_deg[f"model: {name}"]
-        assert 0.98 * min(pair[name]) < share < 1.02 * max(pair[name])
-    assert legs.budget_deg["model: leg"] < 0.95 * min(pair["leg"])
-    assert twice.budget_deg["model: leg"] == pytest.approx(pair["leg"][0], rel=0.02)
+    error = shipped_legs().error
+    # With weights that add up to 1 what is shared stays, and what is not is less.
+    assert legs.budget_deg["model: soil"] == pytest.approx(error.soil_sd_deg, rel=0.02)
+    for name, sd in (("leg", error.leg_sd_deg), ("rig", error.rig_sd_deg)):
+        assert legs.budget_deg[f"model: {name}"] < 0.95 * sd
+        assert twice.budget_deg[f"model: {name}"] == pytest.approx(sd, rel=0.02)
+    rigs = [Rig.of("li2013", leg) for leg in ("straight", "c")]
+    x = np.mean([error.row(rig, 0.0) for rig in rigs], axis=0)
+    offset_sd = np.sqrt(x @ np.array(error.covariance_deg2) @ x)
+    assert legs.budget_deg["model: offset"] == pytest.approx(offset_sd, rel=0.1)
 
 
 def test_known_soils_narrow_and_shift() -> None:
+    rig = Rig.of("li2013", "straight")
+    row = tuple(shipped_legs().error.row(rig, 0.0).tolist())
+
     def with_soils(count: int, apart: float) -> Calibration:
         soils = [
             CalibrationSoil(
-                source="x", soil=f"{phi}", leg="straight", phi_deg=phi, phi_sd_deg=1.0,
-                read_deg=phi + apart, read_sd_deg=1.0,
+                source="x", soil=f"{phi}", leg="straight", rig=rig_name(rig), phi_deg=phi,
+                phi_sd_deg=1.0, read_deg=phi + apart, read_sd_deg=1.0, row=row,
             )
             for phi in 21.5 + 0.01 * np.arange(count)
         ]  # fmt: skip
@@ -223,50 +226,44 @@ def test_a_calibration_is_refused_by_a_library_of_other_forces(sand3d: Library) 
 
 
 def test_calibration_is_the_posterior_of_its_normal_model() -> None:
-    """Two soils; the second was read twice, by two legs, and shares all but their errors."""
-    error = ModelError(offset_deg=1.0, common_sd_deg=3.0, soil_sd_deg=2.0, leg_sd_deg=1.2)
-    soil = {"source": "x", "phi_sd_deg": 1.5, "read_sd_deg": 0.5}
-    soils = [
-        CalibrationSoil(soil="A", leg="c", rig="c", phi_deg=30.0, read_deg=33.0, **soil),
-        CalibrationSoil(soil="B", leg="c", rig="c", phi_deg=25.0, read_deg=29.5, **soil),
-        CalibrationSoil(soil="B", leg="straight", rig="s", phi_deg=25.0, read_deg=28.5, **soil),
-    ]
-    calibration = Calibration(library="x", library_hash="", soils=soils)
-    mean, sd = calibration.common(error, "c", "c", np.array(30.0))
-    b = np.linspace(-20.0, 20.0, 40_001)
-    log_p = -0.5 * b**2 / 9.0
-    for difference, legs in ((3.0, 1), (4.0, 2)):
-        variance = 2.0**2 + 1.2**2 / legs + 1.5**2 + 0.5**2
-        log_p -= 0.5 * (difference - b) ** 2 / variance
-    p = np.exp(log_p - log_p.max())
-    p /= p.sum()
-    assert mean == pytest.approx(float(p @ b), abs=1e-3)
-    assert sd == pytest.approx(float(np.sqrt(p @ (b - p @ b) ** 2)), abs=1e-3)
-
-
-def test_a_calibration_determines_the_offset_at_its_own_angle() -> None:
-    """Of the draws of b and of the line's error that agree with a soil of 25°, at 25 and at 40°."""
+    """Draws of all errors of the mixed model, weighted by what three records in two soils read."""
     error = ModelError(
-        common_sd_deg=1.5, soil_sd_deg=0.6, leg_sd_deg=0.3,
-        covariance=((0.64, 0.02), (0.02, 0.01)),
+        effects=("offset c", "offset straight", "breadth"), mean_deg=(1.0, 0.0, 0.0),
+        covariance_deg2=((2.0, 0.9, 0.1), (0.9, 3.0, 0.2), (0.1, 0.2, 0.6)), soil_sd_deg=0.8,
+        leg_sd_deg=0.7, rig_sd_deg=0.5, bed_sd_deg=0.6,
     )  # fmt: skip
-    soil = CalibrationSoil(
-        source="x", leg="c", rig="low", phi_deg=25.0, phi_sd_deg=0.5, read_deg=26.5,
-        read_sd_deg=0.2, rig_sd_deg=0.4,
-    )  # fmt: skip
-    phi = np.array([25.0, 40.0])
-    calibration = Calibration(library="x", library_hash="", soils=[soil])
-    rng = np.random.default_rng(3)
-    line = rng.multivariate_normal([0.0, 0.0], error.covariance, 400_000)
-    common, reference = rng.normal(0.0, 1.5, len(line)), rng.normal(0.0, 0.4, len(line))
-    at = common + line[:, :1].T + line[:, 1:].T * (np.array([26.5, *phi])[:, None] - 27.0)
-    weight = np.exp(-0.5 * (1.5 - at[0] - reference) ** 2 / (0.6**2 + 0.3**2 + 0.5**2 + 0.2**2))
+    rows = {"low": (1.0, 0.0, 0.4), "straight": (0.0, 1.0, -0.3), "high": (1.0, 0.0, -0.8)}
+    shared = {"source": "x", "phi_sd_deg": 0.5, "read_sd_deg": 0.4, "rig_sd_deg": 0.3}
+    read = [("A", "low", 33.0), ("B", "low", 29.5), ("B", "straight", 26.0)]
+    angles = {"A": 31.0, "B": 27.0}
+    soils = [
+        CalibrationSoil(
+            soil=soil, leg="straight" if rig == "straight" else "c", rig=rig, row=rows[rig],
+            phi_deg=angles[soil], read_deg=read_deg, bed_sd_deg=0.6, **shared,
+        )
+        for soil, rig, read_deg in read
+    ]  # fmt: skip
+    rng, n = np.random.default_rng(3), 400_000
+    effects = (
+        rng.multivariate_normal([0.0] * 3, error.covariance_deg2, n) @ np.array([*rows.values()]).T
+    )
+    of_rig = dict(
+        zip(rows, (effects + np.hypot(0.5, 0.3) * rng.normal(size=(n, 3))).T, strict=True)
+    )
+    # Of a soil: its own error, that of its angle, and that of the law and the density.
+    of_soil = {soil: np.hypot(0.8, np.hypot(0.5, 0.4)) * rng.normal(size=n) for soil in "AB"}
+    logs = np.zeros(n)
+    for soil, rig, read_deg in read:
+        rest = read_deg - angles[soil] - of_rig[rig] - of_soil[soil]
+        logs -= 0.5 * rest**2 / (0.7**2 + 0.6**2)
+    weight = np.exp(logs - logs.max())
     weight /= weight.sum()
+    calibration = Calibration(library="x", library_hash="", soils=soils)
     # Another rig of the shape shares all but what is wrong with this one.
-    for rig, sought in (("low", at[1:] + reference), ("high", at[1:])):
-        mean, sd = calibration.common(error, "c", rig, phi)
-        np.testing.assert_allclose(mean, sought @ weight, atol=0.02)
-        np.testing.assert_allclose(sd**2, np.square(sought - mean[:, None]) @ weight, rtol=0.02)
+    for rig, sought in (("low", of_rig["low"]), ("high", effects[:, 2])):
+        mean, sd = calibration.offset(error, rig, np.array(rows[rig]))
+        assert mean == pytest.approx(sought @ weight, abs=0.03)
+        assert sd == pytest.approx(np.sqrt(np.square(sought - mean) @ weight), rel=0.03)
 
 
 def test_a_calibration_says_nothing_of_another_rig() -> None:
@@ -329,7 +326,7 @@ def test_a_library_over_more_than_the_angle_is_refused(rft3d: Library) -> None:
 @pytest.mark.parametrize("name", ["yuma/straight", "glass03_close/c"])
 def test_cohesion_is_averaged_as_by_brute_force(name: str) -> None:
     """Even steps of c, SciPy's least squares at each, and its density of Student's t."""
-    record = without_faults(open_record(f"li2013:{name}"))
+    record = without_faults(open_record(f"li2013:{name}", cohesion="unknown"))
     likelihood = Likelihood([record], shipped_legs())
     unit = record.density_kg_m3 * 9.81 * record.rig.length
     c, start = np.linspace(0.0, 0.4, 121), [25.0, 5.0]

@@ -34,7 +34,6 @@ from terraphi.inference.pressed import (
 from terraphi.inference.records import open_record
 from terraphi.inference.terms import TERMS, Term
 from terraphi.laws.foot import LAWS, Foot
-from terraphi.laws.law import CENTRE_DEG
 from terraphi.laws.legs import shipped_legs
 from terraphi.view.answers import ACTIONS
 
@@ -63,8 +62,8 @@ class Legs:
             "hip_height_mm": "20±1.2", "leg_friction": 0.35, "leg_friction_sd": 0.05,
         })  # fmt: skip
         self.law, self.phi_deg = shipped_legs(), phi_deg
-        self.error = self.law.error_of(leg)
-        curve = self.law.forces(self.rig, phi_deg + self.error.offset_deg, density=1600.0)
+        self.error = self.law.error
+        curve = self.law.forces(self.rig, float(self.read(np.array(phi_deg))), density=1600.0)
         theta = np.arange(-85.0, 85.1, 0.5)
         force = [np.interp(theta, curve.theta_deg, row) for row in curve.forces.values[0]]
         table = pd.DataFrame({"theta_deg": theta, "Fx_N": force[0], "Fz_N": force[1]})
@@ -89,10 +88,14 @@ class Legs:
         self.span = span
         self.weights = np.linalg.pinv(slope / span[:, None]) / span
 
+    def read(self, phi_deg: np.ndarray) -> np.ndarray:
+        """What the law reads off a soil [deg]."""
+        return phi_deg + self.error.offset(self.rig, 0.0, phi_deg)
+
     def means(self, rig: Rig, phi: np.ndarray, shift: np.ndarray) -> np.ndarray:
         """Window means of both records [draw, n] at angles [draw] and further shifts [draw, 2]."""
         law, rows = self.law.law(rig), []
-        forces = 1600.0 / law.density * law((phi + self.error.offset_deg)[:, None], self.number)
+        forces = 1600.0 / law.density * law(self.read(phi)[:, None], self.number)
         base = self.likelihood.shift_deg
         for force, shifts in zip(forces, shift + base, strict=True):
             each = [
@@ -144,7 +147,7 @@ class Legs:
     def interpolated(self, rng: np.random.Generator) -> np.ndarray:
         """Of a law whose Gaussian process is off, by the same on both records."""
         law = self.law.law(self.rig)
-        x, depth, forces = law._at(np.array([self.phi + self.error.offset_deg]), self.number)
+        x, depth, forces = law._at(self.read(np.array([self.phi])), self.number)
         errors = 1600.0 / law.density * forces(self.law.errors(x, depth))[:, 0]
         each = np.array([
             np.concatenate([
@@ -157,10 +160,18 @@ class Legs:
 
 
 def offset(world: Legs, rng: np.random.Generator) -> np.ndarray:
-    """Errors of an offset whose height and slope over φ are known together."""
-    root = np.linalg.cholesky(np.array(world.error.covariance))
-    height, slope = root @ quantiles(rng, 2).T
-    return world.turned(height + slope * (world.phi - CENTRE_DEG))
+    """Errors of effects that are known together."""
+    root = np.linalg.cholesky(np.array(world.error.covariance_deg2) + 1e-9 * np.eye(10))
+    read_deg = float(world.read(np.array(world.phi)))
+    row = world.error.row(world.rig, 0.0, read_deg)
+    return world.turned(row @ root @ quantiles(rng, 10).T)
+
+
+def bed(world: Legs, rng: np.random.Generator) -> np.ndarray:
+    """Beds of both records, each by itself."""
+    sd, half = world.error.bed_sd(world.rig, 0.0), world.data.shape[-1] // 2
+    first, second = (world.turned(sd * q) for q in quantiles(rng, 2).T)
+    return np.hstack([first[:, :half], second[:, half:]])
 
 
 OF_LEGS: dict[str, Callable[[Legs, np.random.Generator], np.ndarray]] = {
@@ -171,9 +182,10 @@ OF_LEGS: dict[str, Callable[[Legs, np.random.Generator], np.ndarray]] = {
     "hip height": lambda world, rng: world.of_rig(rng, "hip_height_mm", 1.2),
     "leg friction": lambda world, rng: world.of_rig(rng, "leg_friction", 0.05),
     "model: offset": offset,
-    "model: apparatus": lambda w, rng: w.turned(w.error.common_sd_deg * quantiles(rng)[:, 0]),
     "model: soil": lambda w, rng: w.turned(w.error.soil_sd_deg * quantiles(rng)[:, 0]),
     "model: leg": lambda w, rng: w.turned(w.error.leg_sd_deg * quantiles(rng)[:, 0]),
+    "model: bed": bed,
+    "model: rig": lambda w, rng: w.turned(w.error.rig_sd_deg * quantiles(rng)[:, 0]),
 }
 
 
@@ -183,8 +195,7 @@ def test_terms_of_legs_are_the_scatter_of_angles_when_their_causes_are_drawn(
 ) -> None:
     world, rng = Legs(leg, phi_deg), np.random.default_rng(0)
     budget = world.likelihood.budget()
-    # The cohesion is averaged over by brute force in test_likelihood.py.
-    assert set(budget) - {"cohesion"} <= set(OF_LEGS)
+    assert set(budget) <= set(OF_LEGS)
     scatter = {
         name: float(np.std(world.angles(draw(world, rng)))) for name, draw in OF_LEGS.items()
     }
@@ -194,10 +205,11 @@ def test_terms_of_legs_are_the_scatter_of_angles_when_their_causes_are_drawn(
 
 SHARED_BY: dict[str, str] = {
     "density": "soil", "model: soil": "soil", "cohesion": "soil",
-    "model: apparatus": "law", "gain": "law", "leg friction": "law", "model: law": "law",
+    "gain": "law", "leg friction": "law", "model: law": "law",
     "model: compaction": "law", "surface friction": "law", "rectangle": "law",
-    "model: offset": "shape",
-    "model: leg": "record", "hip height": "record", "emulator": "record", "noise": "record",
+    "model: offset": "cause", "model: leg": "shape", "model: rig": "record",
+    "model: bed": "record", "grain size": "record",
+    "hip height": "record", "emulator": "record", "noise": "record",
     "model: course": "record", "contact": "record", "contraction": "record", "depth": "record",
     "missing angles": "record", "missing forces": "record", "second opinion": "record",
 }  # fmt: skip
@@ -212,14 +224,19 @@ def bodies() -> tuple[Answer, list[Answer]]:
     shapes = {"straight": "straight", "rig-long": long, "c": "c", "disc_60": "plate:60",
               "ball_44": "ball:44"}  # fmt: skip
     sources = [(GRAINS / f"B-loose_{name}_1.csv", body) for name, body in shapes.items()]
-    given = {"density": "1415±60", "leg": "straight", "rig": "li2013"}
+    given = {"density": "1415±60", "leg": "straight", "rig": "li2013", "grain_size_mm": 6.0}
+    given["cohesion"] = "unknown"
     alone = [terraphi.invert(source, **given) for source in sources[:3]]
-    alone += [terraphi.invert(source, density="1415±60") for source in sources[3:]]
+    of_soil = {"density": "1415±60", "grain_size_mm": 6.0}
+    alone += [terraphi.invert(source, **of_soil) for source in sources[3:]]
     return terraphi.invert(sources, **given), alone
 
 
 def shifts(alone: Sequence[Answer], name: str, rng: np.random.Generator) -> np.ndarray:
     """Errors of each answer by one term [deg], its causes drawn, shape [draw, answer]."""
+    if SHARED_BY[name] == "cause":
+        causes = [np.array(answer.offset_causes_deg or np.zeros(10)) for answer in alone]
+        return quantiles(rng, 10) @ np.array(causes).T
     keys = {
         "soil": [0] * len(alone), "law": [answer.law for answer in alone],
         "shape": ["straight", "straight", "c", "plate", "ball"], "record": range(len(alone)),

@@ -77,7 +77,10 @@ record_options = option_group(
     density_option,
     click.option(
         "--grain-size", "grain_size_mm", metavar="MM", type=Float(),
-        help="Mean diameter of coarse grains.  [default: 0]",
+        help="Mean diameter of the grains.  [default: that of sand]",
+    ),
+    click.option(
+        "--cohesion", metavar="PA[±SD]|unknown", help="Of damp soil.  [default: 0, dry]"
     ),
     click.option(
         "--columns", metavar="FILE|KEY=VALUE", multiple=True,

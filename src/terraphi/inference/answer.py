@@ -221,6 +221,9 @@ class AnswerSummary:
         libraries, which are of dry soil.
     budget_deg
         Standard deviation of φ by term of the likelihood, the largest first [deg].
+    offset_causes_deg
+        Standard deviation of φ by each independent cause of *model: offset* [deg]: answers by one
+        law share these causes. Empty where they are not known one by one.
     phi_peak
         Peak angle of dense soil [deg], where its critical angle was given; ``None`` if it is loose.
     phi_of_force_deg
@@ -249,6 +252,7 @@ class AnswerSummary:
     phi_plane_strain_reason: str = ""
     leg_friction: Annotated[float, Field(ge=0.0, lt=10.0)] | None = None
     cohesion_pa: Annotated[float, Field(ge=0.0, lt=1e9)] | None = None
+    offset_causes_deg: tuple[float, ...] = ()
     phi_peak: Estimate | None = None
     phi_of_force_deg: Mapping[str, float | None] | None = None
     budget_deg: Mapping[str, float] = field(default_factory=dict)
@@ -382,6 +386,7 @@ class Answer(Result, AnswerSummary):
             "source": self.source,
             "rig": self.rigs[0].model_dump(),
             **copy.deepcopy(stated),
+            "offset_causes_deg": [*self.offset_causes_deg],
             "phi_peak": self.phi_peak.as_dict() if self.phi_peak else None,
             "bekker_kN_m": numbers._asdict() if (numbers := self.bekker) else None,
             "nrmsd": self.nrmsd,

@@ -1,31 +1,25 @@
-r"""How real soils differ from a law's model, and calibration soils in the user's own apparatus.
+r"""Calibration soils in the user's own apparatus: further rows of the mixed model of real soil.
 
-The angle that a law reads off a record of measured forces is
+A calibration soil has a friction angle that was measured otherwise. Its record reads ψ, the law's
+mean offset taken off, and y_i = ψ_i − φ_i is normal about 0 with the covariance of the model
+(:mod:`~terraphi.laws.model_error`)
 
-    φ_read = ψ + offset,    ψ = φ + b + s + l.
+    K_ij = x_i'C x_j + [same rig] (r² + rig_i rig_j)
+           + [same soil] (s² + var(φ) + var(ψ) + [same leg] l²) + [i = j] e_i² / n_i,
 
-The offset is that of a shape of leg. Its error has a height and a slope over ψ, so that it grows
-away from the training soils. b is common to all soils in one apparatus, s belongs to the soil, and
-l to the leg or rig in it; each is normal about zero. They look like another angle, so that forces
-show none of them. They are learned from soils whose angle was measured otherwise, and stand in the
-law's file. The table :data:`~terraphi.inference.terms.TERMS` has them as model: offset, apparatus,
-soil and leg.
+with rig_i the standard deviation of ψ by what an apparatus keeps: the height of the hip, the
+friction of the leg and the gain of the sensor (the fixed terms of the table
+:data:`~terraphi.inference.terms.TERMS`). A record in another soil shares
 
-A calibration soil is such a soil in the user's own apparatus, which keeps the height of the hip,
-the friction of the leg and the gain of the sensor (the fixed terms of the table). Its
-y_i = ψ_i − φ_i is normal, and
+    k_i = x'C x_i + [same rig] (r² + rig rig_i)
 
-    k_ij = b² + [same rig] rig_i rig_j + [same shape of leg] o(ψ_i, ψ_j)
+with it. The mean and variance of its offset's error, of its rig's if that was calibrated, follow by
+conditioning on y (Rasmussen & Williams 2006, section 2.2).
 
-is what a record shares with it, o the covariance of the offset's error. Where i and j are one soil,
-s², var(φ), var(ψ) and of each rig l² are added. The mean and variance of b follow by conditioning
-on y (Rasmussen & Williams 2006, section 2.2); those of a calibrated shape include its offset's
-error, and those of a calibrated rig its own error.
-
-Repeats, records of one soil on one rig, are pooled first. Their y is the mean, and only the part of
-l² by which beds of one soil differ is divided by their number. Two repeats with independent errors
-of their standard deviations alone would explain a difference of 0.05° by an error of 3°. Two rigs
-in one soil share the smaller of their var(ψ).
+Repeats, records of one soil on one rig, are pooled first. Their y is the mean, and only the part by
+which beds of one soil differ is divided by their number n. Two repeats with independent errors of
+their standard deviations alone would explain a difference of 0.05° by an error of 3°. Two rigs in
+one soil share the smaller of their var(ψ).
 """
 
 from __future__ import annotations
@@ -47,14 +41,12 @@ from terraphi.experiment.errors import InputError, visible
 from terraphi.experiment.files import atomic_write
 from terraphi.experiment.outputs import SIGNATURE
 from terraphi.experiment.rig import Rig
-from terraphi.laws.law import ModelError
 from terraphi.laws.legs import LawOfLegs
+from terraphi.laws.model_error import ModelError
 
-BED_SD_DEG, MOST_BED_SD_DEG = 0.7, 1.1
-"""Standard deviation of ψ between beds of one soil on one leg [deg], a part of ``leg_sd_deg``. 27
-repeats in loose grains have 0.8 (6 mm) and 1.0 (8.8 mm), together 0.7 to 1.1 with 95 % confidence.
-The mean of repeats uses the smaller, because beds of fine sand differ less; the test of repeats
-uses the larger."""
+MOST_BED_SD_DEG = 1.1
+"""Largest standard deviation of ψ between beds of one soil on one leg [deg]: 27 repeats in loose
+grains have 0.8 (6 mm) and 1.0 (8.8 mm), together 0.7 to 1.1 with 95 % confidence."""
 DISAGREE = 1.96
 """Distance from the other repeats, over its standard deviation, that is warned of [-]: one sound
 repeat in twenty."""
@@ -91,6 +83,10 @@ class CalibrationSoil(Strict):
     """ψ: angle that the law reads off the record, minus the law's offset [deg]."""
     read_sd_deg: float = Field(ge=0, le=90)
     """Standard deviation of ψ by noise, density and the law [deg]."""
+    row: tuple[float, ...] = ()
+    """x: its row in the mixed model of the law's error, shape [effect]."""
+    bed_sd_deg: float = Field(0.0, ge=0, le=90)
+    """Standard deviation of ψ between beds [deg]."""
     rig_sd_deg: float = Field(0.0, ge=0, le=90)
     """Standard deviation of ψ by hip height, leg friction and gain, which the rig keeps [deg]."""
     gain: float = Field(1.0, gt=0)
@@ -176,48 +172,57 @@ class Calibration(Strict):
                     f"{soil.gain:g}; give the same --gain"
                 )
 
-    def common(
-        self, error: ModelError, leg: str, rig: str, phi_deg: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Mean and standard deviation of b at angles ψ, given the calibration soils [deg].
+    def offset(self, error: ModelError, rig: str, row: FloatArray) -> tuple[float, float]:
+        """Mean and standard deviation of the offset's error of a record [deg].
 
-        Where the shape of the leg was calibrated they are those of b and its offset's error
-        together, and where the rig was, those of its own error as well.
+        Those of a calibrated rig include the error of the rig and what the apparatus keeps.
+
+        Parameters
+        ----------
+        error
+            Of the law.
+        rig
+            Its :func:`rig_name`.
+        row
+            x of the record, shape [effect].
         """
-        legs, rigs, soils, phi, phi_sd, read, read_sd, rig_sd, count = self._pooled
-        on_leg, on_rig = legs == leg, (legs == leg) & (rigs == rig)
-        sd = math.sqrt(float(np.square(rig_sd[on_rig]).mean())) if on_rig.any() else 0.0
-        b = error.common_sd_deg**2
+        pooled = [self._pooled(records) for records in self.repeats]
+        first = [records[0] for records in self.repeats]
+        rows, sds = np.array([soil.row for soil in first]), np.array(pooled).T
+        if rows.shape[1] != row.size:
+            raise InputError("the calibration has no rows of the law's error; calibrate again")
+        read, read_sd, rig_sd, bed_sd = sds
+        causes, record_causes = rows @ error.root, row @ error.root
+        rigs, soils, legs = (
+            np.array([getattr(soil, key) for soil in first]) for key in ("rig", "soil", "leg")
+        )
         # K of the soils, y = read − phi.
-        same_leg = legs[:, None] == legs
-        same_rig = same_leg & (rigs[:, None] == rigs)
-        of_soil = error.soil_sd_deg**2 + phi_sd**2 + np.minimum.outer(read_sd, read_sd) ** 2
-        bed = min(BED_SD_DEG, error.leg_sd_deg)
-        total = b + same_leg * error.offset_covariance(read, read)
-        total += same_rig * np.outer(rig_sd, rig_sd) + (soils[:, None] == soils) * of_soil
-        total += np.diag(1e-6 + error.leg_sd_deg**2 - bed**2 * (1.0 - 1.0 / count))
-        # k between the record's angles and the soils, and conditioning on y.
-        flat = phi_deg.ravel()
-        across = b + on_leg * error.offset_covariance(flat, read) + on_rig * sd * rig_sd
-        solved = np.linalg.solve(total, across.T)
-        prior = b + sd**2 + on_leg.any() * np.diag(error.offset_covariance(flat, flat))
-        variance = np.maximum(prior - (across.T * solved).sum(axis=0), 0.0)
-        mean = ((read - phi) @ solved).reshape(phi_deg.shape)
-        return mean, np.sqrt(variance).reshape(phi_deg.shape)
+        same_soil, same_rig = soils[:, None] == soils, rigs[:, None] == rigs
+        of_soil = error.soil_sd_deg**2 + error.leg_sd_deg**2 * (legs[:, None] == legs)
+        of_soil = of_soil + np.minimum.outer(read_sd, read_sd) ** 2
+        of_soil += np.square([soil.phi_sd_deg for soil in first])
+        total = causes @ causes.T + same_soil * of_soil
+        total += same_rig * (error.rig_sd_deg**2 + np.outer(rig_sd, rig_sd))
+        total += np.diag(1e-6 + bed_sd**2)
+        # k between the record and the soils, and conditioning on y.
+        on_rig = rigs == rig
+        kept = math.sqrt(float(np.square(rig_sd[on_rig]).mean())) if on_rig.any() else 0.0
+        across = causes @ record_causes + on_rig * (error.rig_sd_deg**2 + kept * rig_sd)
+        solved = np.linalg.solve(total, across)
+        prior = record_causes @ record_causes
+        prior += on_rig.any() * (error.rig_sd_deg**2 + kept**2)
+        mean = float((read - [soil.phi_deg for soil in first]) @ solved)
+        return mean, math.sqrt(max(float(prior - across @ solved), 0.0))
 
-    @cached_property
-    def _pooled(self) -> list[FloatArray]:
-        """Leg, rig, soil, φ, its sd, mean ψ, its sd, that of the rig, and number of repeats."""
-        rows = []
-        for records in self.repeats:
-            first = records[0]
-            read, *variances = np.mean(
-                [(r.read_deg, r.read_sd_deg**2, r.rig_sd_deg**2) for r in records], axis=0
-            )
-            sds = np.sqrt(variances)
-            rows.append((first.leg, first.rig, first.soil, first.phi_deg, first.phi_sd_deg, read,
-                         *sds, len(records)))  # fmt: skip
-        return [np.array(column) for column in zip(*rows, strict=True)]
+    @staticmethod
+    def _pooled(records: list[CalibrationSoil]) -> tuple[float, ...]:
+        """Mean ψ of repeats, and its standard deviations by record, rig and beds [deg]."""
+        read, *variances = np.mean(
+            [(r.read_deg, r.read_sd_deg**2, r.rig_sd_deg**2, r.bed_sd_deg**2) for r in records],
+            axis=0,
+        )
+        variances[-1] /= len(records)
+        return read, *np.sqrt(variances)
 
     def save(self, path: Path | str) -> None:
         """Write a TOML file; raises InputError if the place cannot be written."""

@@ -79,10 +79,10 @@ USUAL_DEG = (18.0, 50.0)
 """Friction angles of dry soils in plane strain [deg]: from glass beads, 21 to 24° (Jop, Forterre &
 Pouliquen 2006, Nature 441:727), to dense quartz sand at its peak, 48° (Bolton 1986, Géotechnique
 36:65, table 1, whose critical angles are about 30 to 37°)."""
-MOIST_PA, COHESIVE_PA, KNOWN, MOIST_DEG = 20.0, 100.0, 1.5, 1.5
-"""Cohesions above which an answer names them, if they are so many standard deviations [-], and
-above which dry soil must be coarse [Pa]; standard deviation of φ by a cohesion above which an
-answer says so [deg]: chosen; grains of 4 mm act like 20 to 50 Pa, measured sands like 0 to 30."""
+MOIST_PA, LIKE_GRAINS, MOIST_DEG = 40.0, 2.0, 1.5
+"""Cohesion above which dry soil may be damp [Pa], and what grains of a size d add to it, over
+ρ g d; standard deviation of φ by a cohesion that an answer names [deg]. Dry media of Li et al.
+(2013) fit up to 24 Pa, dry grains of 4 to 9 mm of all shapes up to 1.7 ρ g d in 95 % of records."""
 LARGE_SHIFT_DEG = 8.5
 """Distance of the leg angle's shift from the usual one above which an answer says so [deg]: media
 of Li et al. (2013) have up to 8.2°."""
@@ -93,6 +93,9 @@ OTHER_ARM = 1.3
 """Factor between a moment and that of the forces that another leg makes: 0.91 to 1.27 in grains."""
 NEARLY_ALL = 0.98
 """Share of a stroke's information that counts as all of it [-]."""
+NEAR_DEG = 1.0
+"""Distance from the soils that the law's error was learned from within which it is known [deg];
+chosen."""
 OF_SIZE_DEG = 0.5
 """What a mm of grain diameter adds to the angle from which an answer says so [deg]; chosen."""
 HIP_MM, HIP_RESIDUAL, HIP_SURE = 4.0, 0.05, 2.58
@@ -334,7 +337,7 @@ def warnings(
 def _displaced(likelihood: Likelihood, fits: Sequence[RecordFit], verdict: str) -> Iterator[str]:
     """Warn of forces that come early or late, and of a hip of another height that fits better."""
     for fit in fits:
-        late = fit.shift_deg - likelihood.errors[fit.rig.leg].shift_deg
+        late = fit.shift_deg - likelihood.error.of_leg(fit.rig.leg).shift_deg
         if abs(late) > LARGE_SHIFT_DEG:
             yield (
                 f"{fit.source}: the forces come {abs(late):.0f}° "
@@ -342,9 +345,12 @@ def _displaced(likelihood: Likelihood, fits: Sequence[RecordFit], verdict: str) 
                 "of theta and the hip height."
             )
     for i, record in enumerate(likelihood.records if verdict == "consistent" else ()):
-        higher, sd, size = likelihood.hip_error(i) or (0.0, 0.0, 1.0)
+        free = likelihood.free_cohesion(i, with_hip=True)
+        if free is None:
+            continue
+        higher, sd = free.higher_mm, free.higher_sd_mm
         limit = max(HIP_MM, HIP_SURE * sd, UNUSUAL * record.rig.hip_height_sd_mm)
-        if size < HIP_RESIDUAL and abs(higher) > limit:
+        if free.residual < HIP_RESIDUAL and abs(higher) > limit:
             yield (
                 f"{likelihood.prefix(record)}The forces fit a hip {abs(higher):.0f} ± {sd:.0f} mm "
                 f"{'higher' if higher > 0 else 'lower'} than {record.rig.hip_height_mm:g} mm: "
@@ -357,12 +363,14 @@ def _unusual(likelihood: Likelihood, phi: Estimate, verdict: str) -> Iterator[st
     if likelihood.sd > np.ptp(likelihood.ends) / np.sqrt(12.0):
         yield "The forces carry almost no information on φ: the posterior equals the prior."
     is_measured = likelihood.measured
-    for leg, error in likelihood.errors.items() if verdict == "consistent" and is_measured else ():
-        if error.phi_deg and not error.phi_deg[0] <= phi.median <= error.phi_deg[1]:
+    for leg in dict.fromkeys(record.rig.leg for record in likelihood.records):
+        ends = likelihood.error.of_leg(leg).phi_deg
+        known = ends is None or ends[0] - NEAR_DEG <= phi.median <= ends[1] + NEAR_DEG
+        if verdict == "consistent" and is_measured and not known:
+            assert ends
             yield (
-                f"φ = {phi.median:.1f}° lies outside {error.phi_deg[0]:.1f} to "
-                f"{error.phi_deg[1]:.1f}°, where the offset of leg {leg} was learned: the error of "
-                f"the offset there is {error.offset_sd_at(phi.median):.1f}°."
+                f"φ = {phi.median:.1f}° lies outside {ends[0]:.1f} to {ends[1]:.1f}°, where the "
+                f"error of the law was learned on leg {leg}: it may be larger there."
             )
     low, high = USUAL_DEG
     if is_measured and not low <= phi.median <= high:
@@ -426,19 +434,22 @@ def densities(density: FloatArray, sd: FloatArray) -> list[str]:
 
 
 def _moisture(likelihood: Likelihood) -> Iterator[str]:
-    """Warn if the soil has a cohesion, or if an unknown one would matter."""
-    cohesion, sd, _ = likelihood.averaged
-    if sd and cohesion > max(MOIST_PA, KNOWN * sd):
-        check = "; if not, check the density and the unit of force" * (cohesion > COHESIVE_PA)
-        yield (
-            f"The forces fit a cohesion of {cohesion:.0f} ± {sd:.0f} Pa: check whether the soil is "
-            f"damp or its grains are large compared with the leg{check}."
-        )
-    elif likelihood.budget().get("cohesion", 0.0) > MOIST_DEG:
-        yield (
-            "Cohesion and friction cannot be separated in this record. If the soil is damp, or its "
-            "grains are large compared with the leg, φ may be lower."
-        )
+    """Warn of dry soil whose forces fit a cohesion better, or if an unknown one matters."""
+    if "cohesion" in likelihood.terms:
+        c, sd, phi_sd = likelihood.averaged
+        if phi_sd > MOIST_DEG:
+            yield f"φ is uncertain by {phi_sd:.1f}° because the cohesion is {c:.0f} ± {sd:.0f} Pa."
+        return
+    for i, record in enumerate(likelihood.records if likelihood.measured else ()):
+        free = likelihood.free_cohesion(i)
+        like_grains = LIKE_GRAINS * likelihood.density[i] * GRAVITY * 1e-3 * record.grain_size_mm
+        if free and free.cohesion_pa > record.cohesion_pa + MOIST_PA + like_grains:
+            size = "" if record.grain_size_mm else ", whether its grains are large (--grain-size)"
+            yield (
+                f"{likelihood.prefix(record)}The forces fit a cohesion of about "
+                f"{free.cohesion_pa:.0f} Pa better, and φ would be lower: check whether the soil "
+                f"is damp (--cohesion){size}, the density and the unit of force."
+            )
 
 
 # -- one search over legs and readings -----------------------------------------------------------
@@ -519,7 +530,7 @@ def _column_readings(likelihood: Likelihood, record: Record, given: float) -> It
         law, force = _forces(likelihood, record, record.rig.leg, usual=True)
     except InputError:
         return
-    limit, history = likelihood.errors[record.rig.leg].nrmsd_limit, record.history
+    limit, history = likelihood.error.nrmsd_limit(record.rig, record.grain_size_mm), record.history
     strict, loose = min(MUCH_BETTER * given, FITS * limit), min(BETTER * given, FITS * limit)
     read_as = history.provenance.get("columns", {})  # an option that was given is turned back
 
@@ -588,7 +599,9 @@ def _other_readings(
     if record.damage or not legs:
         return
     [given] = [reading.residual for reading in legs if reading.leg == record.rig.leg]
-    most = min(BETTER * given, FITS * likelihood.errors[record.rig.leg].nrmsd_limit)
+    most = min(
+        BETTER * given, FITS * likelihood.error.nrmsd_limit(record.rig, record.grain_size_mm)
+    )
     table = [*_column_readings(likelihood, record, given)]
     table += [r._replace(fits=most, proposed=most) for r in legs if r.leg != record.rig.leg]
     fitting = sorted((r for r in table if r.residual < r.fits), key=lambda r: r.residual)

@@ -37,7 +37,7 @@ class Errors(NamedTuple):
     sds: FloatArray
     """Standard deviation of φ by term [deg], shape [term, answer]."""
     shared: FloatArray
-    """Correlation of each term between answers, 0 or 1, shape [term, answer, answer]."""
+    """Correlation of each term between answers, shape [term, answer, answer]."""
     covariance: FloatArray
     """Covariance of the angles by which they are weighed [deg²], shape [answer, answer]."""
     alone: FloatArray
@@ -51,11 +51,28 @@ def errors_of(answers: Sequence[Answer], names: Sequence[str]) -> Errors:
     sds = sds.reshape(-1, k)
     sharers = [Sharer(i, a.rigs[0], a.rigs[0].leg, a.law) for i, a in enumerate(answers)]
     shared = np.array([is_shared(name, sharers) for name in names], float).reshape(-1, k, k)
+    causes = [answer.offset_causes_deg for answer in answers]
+    if "model: offset" in names:
+        shared[names.index("model: offset")] = _correlation(causes, [a.law for a in answers])
     variance = np.array([answer.phi.sd**2 for answer in answers])
     between = sds[:, :, None] * sds[:, None] * (shared - np.eye(k))
     between *= np.array([term(name).weighs for name in names], bool)[:, None, None]
     alone = variance - (np.square(sds) * between.any(axis=2)).sum(axis=0)
     return Errors(sds, shared, np.diag(variance) + between.sum(axis=0), np.maximum(alone, 0.0))
+
+
+def _correlation(causes: Sequence[tuple[float, ...]], laws: Sequence[str]) -> FloatArray:
+    """Correlation of the offset's errors of answers, shape [answer, answer].
+
+    Answers by one law share the independent causes of that error, each with its own size. Where the
+    causes are not known, the whole error is shared.
+    """
+    correlation = np.equal.outer(laws, laws).astype(float)
+    for i, j in np.argwhere(correlation):
+        if causes[i] and causes[j]:
+            a, b = np.array(causes[i]), np.array(causes[j])
+            correlation[i, j] = a @ b / math.sqrt(a @ a * (b @ b))
+    return correlation
 
 
 def combined(answers: Sequence[Answer]) -> Answer:

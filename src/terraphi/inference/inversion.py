@@ -71,6 +71,7 @@ def invert(
     tool: str | None = None,
     density: float | str | None = None,
     grain_size_mm: float | None = None,
+    cohesion: float | str | None = None,
     columns: Any = None,
     law: LawOfLegs | Path | str | None = None,
     noise: float | tuple[float, float] | None = None,
@@ -105,6 +106,9 @@ def invert(
     grain_size_mm
         Mean diameter of the grains [mm], where they are not small compared with the leg or tool:
         what simulated grains of 4 to 9 mm raise φ by is taken off.
+    cohesion
+        Cohesion of the soil [Pa], as a number, as ``"150±50"``, or ``"unknown"``; ``None``: dry.
+        Forces on a leg hardly tell cohesion from friction.
     columns
         Which columns of a table are what, as a mapping of the options of
         :func:`terraphi.read_forces`, or a TOML file of them; ``None``: guessed.
@@ -145,7 +149,7 @@ def invert(
     began = time.perf_counter()
     records = open_records(
         forces, leg=leg, rig=rig, tool=tool, density=density, grain_size_mm=grain_size_mm,
-        columns=columns, noise=noise, gain=gain, simulated=simulated,
+        cohesion=cohesion, columns=columns, noise=noise, gain=gain, simulated=simulated,
     )  # fmt: skip
     answer, *further = _answers(records, law, calibration, began)
     if further:
@@ -293,6 +297,7 @@ def calibrate(
     rig: Any = None,
     density: float | str | None = None,
     grain_size_mm: float | None = None,
+    cohesion: float | str | None = None,
     columns: Any = None,
     noise: float | tuple[float, float] | None = None,
     gain: float | str | None = None,
@@ -307,7 +312,7 @@ def calibrate(
         Friction angle in the library's convention and its standard deviation [deg].
     soil
         Name of the soil, by which calibrations of several soils, or of several days, are joined.
-    law, leg, rig, density, grain_size_mm, columns, noise, gain
+    law, leg, rig, density, grain_size_mm, cohesion, columns, noise, gain
         As of :func:`invert`.
 
     Raises
@@ -326,8 +331,8 @@ def calibrate(
     if not (numbers and 0.0 < phi_deg < 90.0 and 0.0 <= phi_sd_deg < 90.0):
         raise InputError(f"phi = {phi_deg!r} ± {phi_sd_deg!r}; give two numbers from 0 to 90°")
     opened = open_records(
-        forces, leg=leg, rig=rig, density=density, grain_size_mm=grain_size_mm, columns=columns,
-        noise=noise, gain=gain,
+        forces, leg=leg, rig=rig, density=density, grain_size_mm=grain_size_mm, cohesion=cohesion,
+        columns=columns, noise=noise, gain=gain,
     )  # fmt: skip
     records = [without_faults(record) for record in opened if isinstance(record, Record)]
     if len(records) < len(opened):
@@ -358,12 +363,12 @@ def _calibration_soil(
     verdict, reason, _ = _verdict(likelihood, fits, legs, damaged=bool(in_air(likelihood)))
     if verdict != "consistent":
         raise InputError(f"{record.source}: cannot calibrate with it. {reason}")
-    read, shares, error = best, likelihood.budget(), likelihood.errors[record.rig.leg]
+    read, shares, error = best, likelihood.budget(), likelihood.error
     fixed = [name for name in shares if term(name).fixed]
     rig_sd = math.hypot(*(shares[name] for name in fixed))
     sd = root_sum_square(shares, *fixed, *(name for name in shares if name.startswith("model: ")))
-    limit = FAR * math.hypot(error.common_sd_deg, error.soil_sd_deg, error.leg_sd_deg,
-                             error.offset_sd_at(read), rig_sd, phi_sd_deg, sd)  # fmt: skip
+    model = (shares[name] for name in shares if name.startswith("model: "))
+    limit = FAR * math.hypot(*model, rig_sd, phi_sd_deg, sd)
     if abs(read - phi_deg) > limit:
         raise InputError(
             f"{record.source}: forces and angle disagree by {read - phi_deg:+.0f}°, at most "
@@ -373,7 +378,8 @@ def _calibration_soil(
     return CalibrationSoil(
         source=visible(record.source), soil=soil, leg=record.rig.leg, rig=rig_name(record.rig),
         phi_deg=phi_deg, phi_sd_deg=phi_sd_deg, read_deg=read, read_sd_deg=sd, rig_sd_deg=rig_sd,
-        gain=record.gain,
+        row=tuple(likelihood.row(record, phi_deg).tolist()),
+        bed_sd_deg=error.bed_sd(record.rig, record.grain_size_mm), gain=record.gain,
     )  # fmt: skip
 
 
@@ -470,6 +476,7 @@ def _answer(
         covariance=likelihood.predictive_covariance(),
         leg_friction=likelihood.laws[0].leg_friction,
         cohesion_pa=likelihood.cohesion if isinstance(law, Legs) else None,
+        offset_causes_deg=likelihood.offset_causes_deg,
         provenance={
             "terraphi": importlib.metadata.version("terraphi"),
             "law_hash": law.hash,
@@ -510,7 +517,7 @@ def _record_fits(
         noise = record.noise_covariance.diagonal().reshape(size.size, -1).mean(axis=1) / span**2
         limit = SIMULATED if isinstance(likelihood.library, Legs) else None
         if not record.simulated:
-            limit = likelihood.errors[record.rig.leg].nrmsd_limit
+            limit = likelihood.error.nrmsd_limit(record.rig, record.grain_size_mm)
             limit = math.hypot(limit * (SEVERAL if len(likelihood.records) > 1 else 1.0),
                                math.sqrt(noise.max()))  # fmt: skip
         fits.append(

@@ -20,11 +20,11 @@ emulator                  of the curves between the law's simulations
 particle scatter          between seeds; simulated records only
 leg friction, hip height  (one standard deviation × ∂g of it)², measured records only, as all below
 density, gain             (relative standard deviation × g)²
-model: apparatus          (b ∂g/∂φ)²: what a laboratory's legs have in common
-model: soil, model: leg   (s ∂g/∂φ)², (l ∂g/∂φ)²: how soils and rigs differ
-model: offset             (∂g/∂φ × error of the leg's offset at φ)²
+model: soil, leg, rig,    (standard deviation × ∂g/∂φ)²: how real soils, legs in them, rigs and beds
+bed                       differ from the law (:mod:`~terraphi.laws.model_error`)
+model: offset             (∂g/∂φ × error of what the law reads too much on average)²
 cohesion                  (∂g/∂φ × standard deviation of φ over the likely cohesions)², see below
-missing angles            (∂g/∂φ × 1.4° √(1/h − 1))²: the record has the share h of a stroke, below
+missing angles            (∂g/∂φ × 1.8° √(1/h − 1))²: the record has the share h of a stroke, below
 missing forces            (∂g/∂φ × 0.9°)²: the record has the hip's moment in place of a force
 second opinion            (∂g/∂φ × disagreement)²: another physics gives an angle outside both
                           intervals
@@ -44,24 +44,23 @@ squares. Records with one angle have an angle between theirs; weighted by their 
 could lie outside (Peelle's puzzle).
 
 **Cohesion.** Forces determine the cohesion worse than φ, or not at all: 38° without cohesion fit
-legs in dry grains as well as 30° with 200 Pa. So it is averaged over. With S(c) the mean squared
-residual of the best φ and δ at the cohesion c,
+legs in dry grains as well as 30° with 200 Pa. So it is said: dry soil has none. A cohesion that is
+known with a standard deviation, or unknown, is averaged over. With S(c) the mean squared residual
+of the best φ and δ at the cohesion c,
 
     p(c | d) ∝ S(c)^(−ν/2) p(c),
 
 the marginal of a residual of unknown variance with ν independent values: the windows in soil over
-:data:`WINDOWS_PER_RESIDUAL`. p(c) is half of Student's t (:data:`COHESION_PA`): most soils are dry,
-and its tail allows for damp ones. φ and all curves are those at the mean of c, and the standard
-deviation of φ(c) is the term. The terms of the model include what dry grains differ by as well, so
-that intervals are rather wide.
+:data:`WINDOWS_PER_RESIDUAL`. p(c) is normal, or half of Student's t (:data:`COHESION_PA`) if c is
+unknown. φ and all curves are those at the mean of c, and the standard deviation of φ(c) is the
+term.
 
 **Parts of the stroke.** The windows of a record have the share
 
     h = Σ_record (∂g/∂φ / p)² / Σ_stroke (∂g/∂φ / p)²
 
 of the information on φ in a whole stroke. Real soils differ from the model by another angle at
-each θ, so that a part gives another φ than the whole. Shipped records, cut to 22 windows of 40° to
-160°, move by 1.4° √(1/h − 1) (root mean square) besides the term of the cohesion.
+each θ, so that a part gives another φ than the whole (:data:`PART_DEG`).
 
 All terms are taken at the best point, so that their size is no evidence on φ. Of measured records g
 is linear about that point: terms of degrees are known to first order only, and the curvature of g
@@ -84,33 +83,35 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import FORCES, OBSERVATION_ANGLES, WINDOW_DEG, ForceHistory
 from terraphi.experiment.priors import DENSITY
-from terraphi.experiment.rig import LI2013, Rig
+from terraphi.experiment.rig import Rig
 from terraphi.experiment.scenario import GRAVITY
 from terraphi.inference.calibration import Calibration, rig_name
 from terraphi.inference.estimator import Best, least_squares, weights
 from terraphi.inference.records import Record
 from terraphi.inference.terms import Sharer, is_shared, ordered_budget, term
-from terraphi.laws.law import STEP, LegLaw, ModelError
+from terraphi.laws.law import STEP, LegLaw
 from terraphi.laws.legs import LawOfLegs, Legs, law_of
+from terraphi.laws.model_error import MIDDLE_DEG, ModelError
 
 SHIFT_DEG = 15.0
 """Largest shift of the leg angle of measured records [deg]: chosen. C legs have 11 to 15° in grains
 and shipped media; with 20° their angles move by 0.1°."""
 COHESIONS = np.array([0.0, 0.025, 0.05, 0.0875, 0.125, 0.175, 0.25, 0.35, 0.475, 0.625, 0.8, 1.0])
-"""Cohesions at which φ is fitted, over the largest of the law [-]; chosen."""
+"""Unknown cohesions at which φ is fitted, over the largest of the law [-]; chosen."""
+ABOUT = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
+"""Known cohesions at which φ is fitted, in standard deviations from the mean [-]; chosen."""
 FINE, EVENLY = 400, 0.03
-"""Number of cohesions that are averaged over, in even steps of ln(1 + c / (0.03 ρ g L)), in which
-residual and angle are nearly linear."""
-EACH_COHESION, COARSE = 3, 13
-"""Grid for scaled forces: each third cohesion, and the number of angles. It reads shipped records
-within 1.2° of a fit to scaled forces, in a thirtieth of an answer's time."""
+"""Number of cohesions that are averaged over, in even steps of ln(1 + c / (0.03 ρ g L)) [-]."""
+ANGLES = 400
+"""Number of angles at which scaled forces are compared with the law."""
 COHESION_PA, COHESION_DEGREES = 40.0, 3
-"""Scale [Pa] and degrees of freedom of the cohesion's prior, half of a t distribution; chosen.
-Grains of 4 to 9 mm act like tens of pascals, and a little moisture gives sand hundreds. Loose
-grains left out are read nearly as well with 25 to 60 Pa and 2 to 5 degrees of freedom."""
+"""Scale [Pa] and degrees of freedom of an unknown cohesion's prior, half of a t distribution;
+chosen: a little moisture gives sand hundreds of pascals."""
 WINDOWS_PER_RESIDUAL = 7
 """Window means that carry one independent residual. Residuals in grains are correlated over 7
 windows of straight, 9 of C and 5 of reversed C legs."""
+COHESION_STEP = 0.05
+"""Step of derivatives with the cohesion, of the law's largest [-]."""
 RIDGE = 2e-3
 """Standard deviation added to each window mean, of peak-to-peak [-]: the emulator's largest error
 in unseen simulations of an exact model (tests/laws/test_emulator.py)."""
@@ -119,16 +120,34 @@ BEYOND_DEG, LIMITS_DEG = 12.0, (0.5, 80.0)
 [deg]; chosen."""
 FAR_OFF = 3.0
 """Factor between data and best curve at which no angle fits [-]: chosen."""
-PART_DEG = 1.4
-"""Standard deviation of φ by the missing part of a stroke at h = ½ [deg]."""
+PART_DEG = 1.8
+"""Standard deviation of φ by the missing part of a stroke at h = ½ [deg]: shipped records, cut to
+ten windows of 40° to 140°, move by 1.2° √(1/h − 1), and from 0° on by 2.6°. Chosen in between."""
 NODES = 801
 """Nodes of the quadrature, over eight standard deviations to either side."""
 ROUGHNESS = 1.5
 """Exponent of the correlation of a residual over θ [-]: residuals of the shipped records have a
 larger density by it than by 1 (12 of 12); 1.75 is better for 6 of 12 (``studies/roughness.py``)."""
 MOMENT_DEG = 0.9
-"""Standard deviation of φ by a moment minus φ by both forces [deg]: root mean square of that
-difference on legs in simulated grains, read as dry soil."""
+"""Standard deviation of φ by a moment minus φ by both forces [deg]: chosen."""
+TORQUE_DEG = {"straight": 0.3, "c": -0.9, "reversed_c": 3.0}
+"""Mean of φ by the torque alone minus φ by both forces, by leg [deg]: of 34 records of grains of
+three shapes, from which each differs by 0.4° (root mean square). The lever arms are those of
+resistive force theory."""
+
+
+class Free(NamedTuple):
+    """Hip and cohesion that fit a record best, to first order."""
+
+    higher_mm: float
+    """Correction of the height of the hip [mm]."""
+    higher_sd_mm: float
+    """Its standard deviation [mm], by a residual of which one in
+    :data:`WINDOWS_PER_RESIDUAL` windows is independent."""
+    residual: float
+    """Residual with it, root mean square over the ranges of both forces [-]."""
+    cohesion_pa: float
+    """Cohesion [Pa]."""
 
 
 class Coverage(NamedTuple):
@@ -221,10 +240,7 @@ class Likelihood:
         """A = diag(1/p²), p the peak-to-peak of each force, shape [n, n]."""
         # The record of each window mean.
         self._record_index = np.repeat(np.arange(len(records)), [r.data.size for r in records])
-        self.errors: dict[str, ModelError] = {
-            r.rig.leg: library.error_of(r.rig.leg) if isinstance(library, Legs) else ModelError()
-            for r in records
-        }
+        self.error = library.error if isinstance(library, Legs) else ModelError()
         # c / (ρ g L) of each record for a cohesion of 1 Pa.
         lengths = np.array([record.rig.length for record in records])
         self._per_pascal = 1.0 / (np.array(self.density) * GRAVITY * lengths)
@@ -236,32 +252,33 @@ class Likelihood:
         self.ends = max(self.low - BEYOND_DEG, LIMITS_DEG[0]), min(self.high + BEYOND_DEG,
                                                                    LIMITS_DEG[1])  # fmt: skip
         soils = calibration.soils if calibration else []
-        self._calibrated = {name for soil in soils for name in (soil.leg, soil.rig)}
+        self._calibrated = {soil.rig for soil in soils}
 
     def _fitted_cohesions(self) -> FloatArray:
-        """Cohesions that φ is fitted at [Pa], from 0; of simulated soil that of its scenario.
+        """Cohesions that φ is fitted at [Pa]; of simulated soil that of its scenario.
 
-        Laws of dry soil have 0 alone. Raises InputError if simulated soils differ in it, or if it
-        exceeds the law's range.
+        Raises InputError if records differ in it, or if it exceeds the law's range.
         """
-        simulated = {
-            r.scenario.soil.cohesion: r.source for r in self.records if r.simulated and r.scenario
-        }
+        simulated = self.records if not self.measured else ()
+        known = {(r.scenario.soil.cohesion, 0.0) for r in simulated if r.scenario}
+        known |= {(r.cohesion_pa, r.cohesion_sd_pa) for r in self.records if r not in simulated}
         most = min(
             law.most_cohesion / float(c) for law, c in zip(self.laws, self._per_pascal, strict=True)
         )
-        cohesion = max(simulated, default=0.0)
-        if most and cohesion > most:
+        if len(known) > 1:
+            texts = " and ".join(f"{mean:g}±{sd:g} Pa" for mean, sd in sorted(known))
+            raise InputError(f"soils with a cohesion of {texts} are not one soil; infer each alone")
+        [(mean, sd)] = known or {(0.0, 0.0)}
+        if not self.measured and not most:
+            return np.zeros(1)
+        if mean > most or (sd and not most):
             raise InputError(
-                f"{simulated[cohesion]}: its soil has a cohesion of {cohesion:g} Pa, and law "
+                f"{self.records[0].source}: its soil has a cohesion of {mean:g} Pa, and law "
                 f"{self.library.name} is for {most:.0f} Pa at most on this leg"
             )
-        if len(simulated) > 1:
-            raise InputError(
-                f"simulations of soils with a cohesion of {min(simulated):g} and of "
-                f"{cohesion:g} Pa are not of one soil; infer each alone"
-            )
-        return most * COHESIONS if self.measured and most else np.array([min(cohesion, most)])
+        if math.isinf(sd):
+            return most * COHESIONS
+        return np.unique(np.clip(mean + sd * ABOUT, 0.0, most)) if sd else np.array([mean])
 
     def prefix(self, record: Record) -> str:
         """Name of a record before a sentence on it, if there are several."""
@@ -288,17 +305,34 @@ class Likelihood:
         """Mean of φ as the law reads it off measured forces, minus φ of the soil [deg]."""
         if not self.measured:
             return np.zeros_like(phi_deg)
-        error, common = self.errors[record.rig.leg], np.zeros_like(phi_deg)
-        if self.calibration:
-            common, _ = self.calibration.common(
-                error, record.rig.leg, rig_name(record.rig), phi_deg
-            )
-        return np.asarray(error.offset_deg + self.of_size_deg(record) + common)
+        learned = self.error.offset(record.rig, record.grain_size_mm, phi_deg)
+        if record.channels == ("M",) and isinstance(self.library, Legs):
+            learned = learned + TORQUE_DEG.get(record.rig.leg, 0.0)
+        return learned + (self._calibrated_error(record)[0] if self.calibration else 0.0)
+
+    def row(self, record: Record, phi_deg: float) -> FloatArray:
+        """Row x of a record in the mixed model, at an angle of the soil [deg], shape [effect]."""
+        read_deg = phi_deg + float(
+            self.error.offset(record.rig, record.grain_size_mm, np.array(phi_deg))
+        )
+        return self.error.row(record.rig, record.grain_size_mm, read_deg)
+
+    def _calibrated_error(self, record: Record) -> tuple[float, float]:
+        """Mean and standard deviation of the offset's error by the calibration [deg].
+
+        The row is that of the angle that is in the middle of the soils of the calibration.
+        """
+        assert self.calibration
+        middle = float(np.mean([soil.phi_deg for soil in self.calibration.soils]))
+        return self.calibration.offset(self.error, rig_name(record.rig), self.row(record, middle))
 
     def of_size_deg(self, record: Record) -> float:
-        """Part of the offset that grows with the size of the grains [deg]."""
-        grains = record.grain_size_mm * LI2013["width_mm"] / record.rig.width_mm
-        return self.errors[record.rig.leg].of_size_deg * grains if self.measured else 0.0
+        """Part of the offset that comes with the size of the grains [deg]."""
+        if not self.measured:
+            return 0.0
+        sizes, middle = (record.grain_size_mm, 0.0), np.array(MIDDLE_DEG)
+        grains, fine = (float(self.error.offset(record.rig, size, middle)) for size in sizes)
+        return grains - fine
 
     def curves(
         self,
@@ -449,30 +483,34 @@ class Likelihood:
 
         The latter is about the angle at the mean; both are 0 at a single cohesion.
         """
-        if len(self._cohesions) == 1:
-            return float(self._cohesions[0]), 0.0, 0.0
-        along, fine = self._even_steps(self._cohesions)
-        # Between two cohesions the residual is nearly linear, and its square may be near zero.
+        c = self._cohesions
+        if len(c) == 1:
+            return float(c[0]), 0.0, 0.0
+        unit, first = 1.0 / float(np.mean(self._per_pascal)), self.records[0]
+        # Between two cohesions the residual is nearly linear along ln(1 + c / (EVENLY ρ g L)), and
+        # its square may be near zero.
+        along = np.log1p(c / (EVENLY * unit))
+        fine = np.linspace(along[0], along[-1], FINE)
         residuals = np.array([best.residual[0] for best in self._by_cohesion]) / self.span
         squares = np.mean([np.interp(fine, along, row) ** 2 for row in residuals.T], axis=0)
-        c, weight = self._likely_cohesions(fine, squares)
-        mean = float(weight @ c)
         phi = np.interp(fine, along, [best.x[0, 0] for best in self._by_cohesion])
-        at_mean = np.interp(np.log1p(mean / EVENLY), fine, phi)
-        sd, phi_sd = (math.sqrt(float(weight @ np.square(x))) for x in (c - mean, phi - at_mean))
-        unit = float(np.mean(self._per_pascal))
-        return mean / unit, sd / unit, phi_sd
+        c = EVENLY * unit * np.expm1(fine)
+        if math.isinf(first.cohesion_sd_pa):
+            prior = np.log1p(np.square(c / COHESION_PA) / COHESION_DEGREES)
+            prior *= -0.5 * (COHESION_DEGREES + 1)
+        else:
+            prior = -0.5 * np.square((c - first.cohesion_pa) / first.cohesion_sd_pa)
+        log = prior - 0.5 * self._independent_residuals * np.log(squares + RIDGE**2)
+        weight = np.exp(log - log.max()) * np.gradient(c)
+        weight /= weight.sum()
+        mean = float(weight @ c)
+        apart = c - mean, phi - np.interp(mean, c, phi)
+        sd, phi_sd = (math.sqrt(float(weight @ np.square(x))) for x in apart)
+        return mean, sd, phi_sd
 
-    def _even_steps(self, cohesions: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Cohesions [Pa] along the axis that is averaged over, and even steps from end to end."""
-        along = np.log1p(cohesions * np.mean(self._per_pascal) / EVENLY)
-        return along, np.linspace(0.0, along[-1], FINE)
-
-    def _likely_cohesions(
-        self, fine: FloatArray, squares: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Cohesions c / (ρ g L) and p(c | d), by the mean squared residual at each step."""
-        c, unit = EVENLY * np.expm1(fine), float(np.mean(self._per_pascal))
+    @property
+    def _independent_residuals(self) -> float:
+        """Number ν of independent residuals, by the windows in soil of different records."""
         # Repeats have the same residual by the law, so that they count once.
         windows = set()
         for record in self.records:
@@ -481,73 +519,52 @@ class Likelihood:
             in_soil = places[(low <= places) & (places <= high)].tolist()
             # Of Fx, Fz and the moment two give the third.
             windows |= {*itertools.product(record.channels[:2], in_soil)}
-        logs = len(windows) / WINDOWS_PER_RESIDUAL * np.log(squares + RIDGE**2)
-        tail = np.log1p(np.square(c / (COHESION_PA * unit)) / COHESION_DEGREES)
-        # The last term is dc over a step along the logarithm.
-        log = -0.5 * logs - 0.5 * (COHESION_DEGREES + 1) * tail + np.log(c + EVENLY)
-        weight = np.exp(log - log.max())
-        return c, weight / weight.sum()
+        return len(windows) / WINDOWS_PER_RESIDUAL
 
-    def hip_error(self, i: int) -> tuple[float, float, float] | None:
-        """Correction of the height of the hip that fits the i-th record best, to first order.
+    def free_cohesion(self, i: int, *, with_hip: bool = False) -> Free | None:
+        """Correction of the hip's height and cohesion that fit the i-th record best.
 
-        φ, δ and the cohesion are free as well, the cohesion not below 0. Returned are the
-        correction and its standard deviation [mm], by a residual of which one in
-        :data:`WINDOWS_PER_RESIDUAL` windows is independent, and the residual with it, the root mean
-        square over the ranges of both forces [-]. ``None`` where the law has no other hips.
+        To first order about the best point; φ and δ are free as well, and the cohesion is not
+        below 0. ``None`` where the law has no cohesion, or no other hips.
         """
-        part = self.parts[i]
-        slope = self.laws[i].of_hip(*self._by_law(i))
-        if slope is None or self.cohesion == 0.0:
+        part, law = self.parts[i], self.laws[i]
+        slope = law.of_hip(*self._by_law(i)) if with_hip else np.zeros((0, 1))
+        if slope is None or not law.most_cohesion:
             return None
+        step = COHESION_STEP * law.most_cohesion / float(self._per_pascal[i])
+        low = max(self.cohesion - step, 0.0)
         curve, damp, dry = (
-            self.curves(self.least_squares, cohesion=f * self.cohesion)[0, part]
-            for f in (1, 1.3, 0.7)
+            self.curves(self.least_squares, cohesion=c)[0, part]
+            for c in (self.cohesion, self.cohesion + step, low)
         )
         # Columns: φ, δ, the height of the hip, the cohesion.
         columns = np.column_stack([
-            self._best.slope[0, part][:, [0, 1 + i]], self._means_of(i, slope.T)[0],
-            (damp - dry) / (0.6 * self.cohesion),
+            self._best.slope[0, part][:, [0, 1 + i]],
+            *(self._means_of(i, slope.T) if with_hip else ()),
+            (damp - dry) / (self.cohesion + step - low),
         ]) / self.span[part, None]  # fmt: skip
         residuals = (self.data[part] - curve) / self.span[part]
         solution = np.linalg.lstsq(columns, residuals, rcond=None)[0]
-        if solution[-1] < -self.cohesion:
+        cohesion = self.cohesion + float(solution[-1])
+        if cohesion < 0.0:
             residuals, columns = residuals + self.cohesion * columns[:, -1], columns[:, :-1]
-            solution = np.linalg.lstsq(columns, residuals, rcond=None)[0]
+            solution, cohesion = np.linalg.lstsq(columns, residuals, rcond=None)[0], 0.0
         size = float(np.sqrt(np.square(residuals - columns @ solution).mean()))
+        if not with_hip:
+            return Free(0.0, 0.0, size, cohesion)
         variance = WINDOWS_PER_RESIDUAL * size**2 * np.linalg.pinv(columns.T @ columns)[2, 2]
-        return float(solution[2]), math.sqrt(variance), size
+        return Free(float(solution[2]), math.sqrt(variance), size, cohesion)
 
     def at_scaled_forces(self, factors: Sequence[float]) -> list[float | None]:
         """φ by forces that are larger by factors [deg]; ``None`` outside the law.
 
-        φ is read from a coarse grid of angles and cohesions, at the shift of the unscaled forces.
-        The error of that grid for the unscaled forces is taken off.
+        At the shift and the cohesion of the unscaled forces.
         """
-        cohesions = self._cohesions[::EACH_COHESION]
-        phi, fine_phi = np.linspace(*self.ends, COARSE), np.linspace(*self.ends, FINE)
-        forces = [self._forces(phi, cohesion) for cohesion in cohesions.tolist()]
-        by_record = [np.concatenate(each) for each in zip(*forces, strict=True)]
-        curves = self._means(by_record, self.shift_deg) / self.span
-        curves, data = curves.reshape(-1, COARSE, len(self.data)), self.data / self.span
-        # With |g| the size of a curve and s = g'd / |g| its likeness to the data, the squared
-        # residual at a factor f is d'd − 2 s |g| / f + (|g| / f)². ln |g| and s are nearly linear
-        # over φ between the angles of the grid.
-        size = np.linalg.norm(curves, axis=2)
-        size, likeness = (
-            np.array([np.interp(fine_phi, phi, row) for row in rows])
-            for rows in (np.log(size), curves @ data / size)
-        )
-        angles = []
-        for factor in (1.0, *factors):
-            scaled = np.exp(size) / factor
-            squares = (data @ data - 2.0 * scaled * likeness + scaled**2) / len(data)
-            best, angle = squares.min(axis=1), fine_phi[squares.argmin(axis=1)]
-            if len(cohesions) > 1:
-                along, fine = self._even_steps(cohesions)
-                c, weight = self._likely_cohesions(fine, np.interp(fine, along, np.sqrt(best)) ** 2)
-                angle = np.interp(np.log1p(weight @ c / EVENLY), along, angle)
-            angles.append(np.squeeze(angle))
+        phi = np.linspace(*self.ends, ANGLES)
+        curves, data = self.curves(phi) / self.span, self.data / self.span
+        # The squared residual at a factor f is d'd − 2 g'd / f + g'g / f².
+        likeness, size = curves @ data, np.square(curves).sum(axis=1)
+        angles = [phi[(size / f**2 - 2.0 * likeness / f).argmin()] for f in (1.0, *factors)]
         answers = self.least_squares + np.array(angles[1:]) - angles[0]
         by_law = answers + self.offset(self.records[0], answers)
         in_range = (self.low <= by_law) & (by_law <= self.high)
@@ -637,24 +654,33 @@ class Likelihood:
             covariances[name] = factor @ factor.T
         return covariances
 
+    @property
+    def offset_causes_deg(self) -> tuple[float, ...]:
+        """Error of the offset by independent causes, mean over the records [deg].
+
+        Empty of simulated records, and with a calibration, after which they are not known.
+        """
+        if not self.measured or self.calibration:
+            return ()
+        rows = [self.row(record, self.least_squares) for record in self.records]
+        return tuple((np.mean(rows, axis=0) @ self.error.root).tolist())
+
     def _angle_sds(self) -> dict[str, FloatArray]:
         """Standard deviation of φ by what looks like another angle [deg], shape [record] each."""
-        phi, calibration = self.least_squares, self.calibration
-        rows = []
+        rows, error = [], self.error
         for record, coverage in zip(self.records, self.coverage, strict=True):
-            error, leg = self.errors[record.rig.leg], record.rig.leg
-            apparatus = error.common_sd_deg
-            if calibration:
-                apparatus = float(
-                    calibration.common(error, leg, rig_name(record.rig), np.array(phi))[1]
-                )
+            is_calibrated = rig_name(record.rig) in self._calibrated
+            offset_sd = math.hypot(*(error.root.T @ self.row(record, self.least_squares)))
+            if self.calibration:
+                offset_sd = self._calibrated_error(record)[1]
             missing = 1.0 / min(max(coverage.share, 1e-3), 1.0) - 1.0
             rows.append(
                 {
-                    "model: apparatus": apparatus,
+                    "model: offset": offset_sd,
                     "model: soil": error.soil_sd_deg,
                     "model: leg": error.leg_sd_deg,
-                    "model: offset": 0.0 if leg in self._calibrated else error.offset_sd_at(phi),
+                    "model: rig": 0.0 if is_calibrated else error.rig_sd_deg,
+                    "model: bed": error.bed_sd(record.rig, record.grain_size_mm),
                     "missing angles": PART_DEG * math.sqrt(missing),
                     "missing forces": MOMENT_DEG * (record.channels != FORCES),
                     "second opinion": self.disagreement_deg,

@@ -17,10 +17,10 @@ from terraphi.inference.answer import Answer
 from terraphi.inference.inversion import invert_many
 from terraphi.inference.records import is_tool
 
-OPTIONS = ("leg", "rig", "tool", *SIZES, "leg_friction", "density", "grain_size_mm", "columns",
-           "law", "noise", "gain", "calibration", "critical")  # fmt: skip
+OPTIONS = ("leg", "rig", "tool", *SIZES, "leg_friction", "density", "grain_size_mm", "cohesion",
+           "columns", "law", "noise", "gain", "calibration", "critical")  # fmt: skip
 """Columns that are options of ``invert``, besides ``file``."""
-TEXTS = {"leg", "rig", "tool", "columns", "law", "calibration"}
+TEXTS = {"leg", "rig", "tool", "cohesion", "columns", "law", "calibration"}
 """Those that are no numbers."""
 LEAST_ROWS = 8
 """Records from which several processes are worth their start."""

@@ -52,6 +52,9 @@ USUAL_DENSITY = (1250.0, 2100.0)
 sand and simulated grains of this project have 1300."""
 SMALLEST_GRAIN_MM = 0.02
 """Least size of grains [mm], of coarse silt: a smaller number is one in meters."""
+MOST_COHESION_PA = 5000.0
+"""Largest cohesion that is accepted [Pa]: that of stiff clay in kPa would be a wrong unit; laws end
+below it."""
 LARGEST_GRAIN = 0.4
 """Largest diameter of grains over the width of a leg [-]: of those that were simulated 0.35."""
 
@@ -87,6 +90,9 @@ class Record:
         Step that the readings of each channel are rounded to [N], of a moment [N m]; 0 if fine.
     grain_size_mm
         Mean diameter of the grains [mm]; 0 of sand.
+    cohesion_pa, cohesion_sd_pa
+        Cohesion of measured soil [Pa], and its standard deviation, which is infinite of an unknown
+        one.
     gain, gain_sd
         What the forces were divided by, and its relative standard deviation [-].
     scale_given
@@ -111,6 +117,8 @@ class Record:
     gain_sd: float = 0.0
     scale_given: bool = False
     grain_size_mm: float = 0.0
+    cohesion_pa: float = 0.0
+    cohesion_sd_pa: float = 0.0
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -399,6 +407,7 @@ def record_of(
     noise: float | tuple[float, float] | None = None,
     gain: float | str | None = None,
     grain_size_mm: float | None = None,
+    cohesion: float | str | None = None,
     simulated: bool | None = None,
 ) -> Record:
     """Make the record of a measurement.
@@ -421,6 +430,8 @@ def record_of(
         What the sensor reads over the true force [-], as ``"1.05±0.01"``; ``None``: 1 ± 2 %.
     grain_size_mm
         Mean diameter of the grains [mm]; ``None``: small compared with the leg.
+    cohesion
+        Cohesion of measured soil [Pa], as a number, ``"150±50"`` or ``"unknown"``; ``None``: dry.
     simulated
         Whether the forces are a simulation's; ``None``: from their file. Their soil has the
         cohesion of their scenario, and none without one.
@@ -431,12 +442,13 @@ def record_of(
         If there is no rig, or forces, rig or density cannot be used.
     """
     name, scenario, raw = measurement.name, measurement.scenario, measurement.history
-    excluded = {"sizes of the leg": rig, "gain": gain, "size of grains": grain_size_mm}
+    excluded = {"sizes of the leg": rig, "gain": gain, "size of grains": grain_size_mm,
+                "cohesion": cohesion}  # fmt: skip
     wrong = [label for label, value in excluded.items() if value is not None]
     if scenario is not None and wrong:
         raise InputError(
-            f"{name}: a simulation has a rig of its own, no sensor and no grains; leave out the "
-            f"{' and the '.join(wrong)}"
+            f"{name}: a simulation has a rig and a soil of its own, no sensor and no grains; leave "
+            f"out the {' and the '.join(wrong)}"
         )
     if (scenario is not None or simulated) and raw.channels != FORCES:
         raise InputError(f"{name}: Fx and Fz of a simulation are needed")
@@ -452,6 +464,7 @@ def record_of(
     coarse = " and ".join(
         f"{key} to {step:.2g} {CHANNEL_UNITS[key]}" for key, step in steps.items() if step
     )
+    cohesion_pa, cohesion_sd_pa = _cohesion(cohesion, name)
     rounded = [f"Readings are rounded, {coarse}: the interval includes that."] if coarse else []
     history = raw if factor == 1.0 else raw.scaled(1.0 / factor)
     return Record(
@@ -471,6 +484,8 @@ def record_of(
         gain_sd=SENSOR_GAIN.sd if gain_sd is None else gain_sd / factor,
         scale_given=has_scale,
         grain_size_mm=grain_size(grain_size_mm, apparatus.width_mm, name),
+        cohesion_pa=cohesion_pa,
+        cohesion_sd_pa=cohesion_sd_pa,
     )
 
 
@@ -486,6 +501,24 @@ def _apparatus(measurement: Measurement, rig: Any, leg: str | None) -> Rig:
             f"--rig li2013 --leg {leg or 'straight'} for that of Li et al. (2013)"
         )
     return Rig.of(rig, leg)
+
+
+def _cohesion(given: float | str | None, name: str) -> tuple[float, float]:
+    """Cohesion and its standard deviation [Pa]; 0 of dry soil, infinite if unknown."""
+    if given is None:
+        return 0.0, 0.0
+    if str(given).strip().lower() == "unknown":
+        return 0.0, math.inf
+    try:
+        mean, sd = number_with_sd(str(given))
+    except ValueError:
+        mean, sd = -1.0, None
+    if not 0.0 <= mean <= MOST_COHESION_PA or not 0.0 <= (sd or 0.0) <= MOST_COHESION_PA:
+        raise InputError(
+            f"{name}: cohesion = {given}; give Pa as 0 (dry), 150 or 150±50, at most "
+            f"{MOST_COHESION_PA:g}, or unknown"
+        )
+    return mean, sd or 0.0
 
 
 def _noise(

@@ -49,12 +49,12 @@ TERMS: dict[str, Term] = {
     # The soil. All answers read too high in damp soil, but not by the same share.
     "density": Term("given", "soil"),
     "cohesion": Term("assumed", "soil", weighs=False),
-    # How real soils differ from the law of legs: b, s, l and the offset of terraphi.inference.
-    # calibration.
-    "model: apparatus": Term("learned", "law"),
+    # How real soils differ from the law of legs: terraphi.laws.model_error.
+    "model: offset": Term("learned", "law"),
     "model: soil": Term("learned", "soil"),
-    "model: leg": Term("learned", "rig"),
-    "model: offset": Term("learned", "leg"),
+    "model: leg": Term("learned", "leg"),
+    "model: rig": Term("learned", "rig"),
+    "model: bed": Term("learned", "record"),
     "missing angles": Term("learned", "record"),
     "missing forces": Term("learned", "record"),
     "second opinion": Term("assumed", "rig"),

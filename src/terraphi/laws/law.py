@@ -6,14 +6,11 @@ rig is the law of all rigs with its proportions, and a law may have these ratios
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 
 import numpy as np
-from pydantic import Field
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.documents import Strict
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.rig import Rig
 from terraphi.laws.emulator import Emulator, emulator_of
@@ -23,49 +20,10 @@ SIMILAR = (0.02, 0.015, 0.015)
 """Largest differences of a rig from the library's: width over the library's, height of the hip and
 thickness over the length. Each moves φ by at most 0.5° (2 mm of Li's hip by 1°, 10 % of force
 by 1.6 to 2°), which is less than what is assumed of sizes that were not measured."""
-CENTRE_DEG = 27.0
-"""Friction angle at which an offset is given [deg]."""
 FRICTION = (0.1, 0.6)
 """Frictions of a leg that laws know [-]: those that were simulated."""
 STEP = 1e-3
 """Step of numerical derivatives, of the range of φ [-]."""
-
-
-class ModelError(Strict):
-    """Error of the law of one leg on real soils."""
-
-    offset_deg: float = 0.0
-    """Mean of φ_read − ψ [deg]."""
-    of_size_deg: float = 0.0
-    """Its growth with each mm of grain diameter, on a leg as wide as Li's [deg]."""
-    common_sd_deg: float = Field(3.0, ge=0)
-    """Standard deviation of b, common to all soils of one apparatus [deg]."""
-    soil_sd_deg: float = Field(4.0, ge=0)
-    """Standard deviation of s, between soils [deg]."""
-    leg_sd_deg: float = Field(2.0, ge=0)
-    """Standard deviation of l, between legs in one soil [deg]."""
-    covariance: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0))
-    """Covariance of the errors of offset_deg at CENTRE_DEG [deg] and of its slope over φ [-]."""
-    phi_deg: tuple[float, float] | None = None
-    """Smallest and largest angle of the soils that the offset was learned from [deg]."""
-    shift_deg: float = 0.0
-    """Mean shift of the leg angle of training records [deg]."""
-    nrmsd_limit: float = Field(0.25, gt=0)
-    """Residual above which a record is a misfit [-]."""
-    training: tuple[str, ...] = ()
-    """Records that this was learned from."""
-
-    def offset_covariance(self, first_deg: FloatArray, second_deg: FloatArray) -> FloatArray:
-        """Covariance of the offset's error between angles ψ, as angles of the soil [deg²]."""
-        first, second = (
-            np.stack([np.ones_like(x), x - CENTRE_DEG], -1) for x in (first_deg, second_deg)
-        )
-        return np.asarray(first @ np.array(self.covariance) @ second.T)
-
-    def offset_sd_at(self, phi_deg: float) -> float:
-        """Standard deviation of the offset at an angle ψ, as an angle of the soil [deg]."""
-        at = np.array([phi_deg])
-        return math.sqrt(max(float(self.offset_covariance(at, at)[0, 0]), 0.0))
 
 
 class LegLaw(ABC):

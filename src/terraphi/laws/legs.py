@@ -53,7 +53,8 @@ from terraphi.experiment.rig import (
 from terraphi.experiment.scenario import GRAVITY, Scenario
 from terraphi.laws.emulator import Process
 from terraphi.laws.fitted import KIND, FittedLaw
-from terraphi.laws.law import STEP, LegLaw, ModelError, check_friction, is_similar, leg_law, remedy
+from terraphi.laws.law import STEP, LegLaw, check_friction, is_similar, leg_law, remedy
+from terraphi.laws.model_error import ModelError
 from terraphi.laws.store import (
     PHI,
     AnyLaw,
@@ -321,10 +322,10 @@ class Legs(AnyLaw, FittedLaw):
             provenance=self.provenance | {"joined": dict(library.provenance)},
         )  # fmt: skip
 
-    def error_of(self, leg: str) -> ModelError:
-        """Error of the law of a leg on real soils."""
-        where = f"law {self.name}, model_error.{leg}"
-        return strictly(self.model_error.get(leg, {}), ModelError, where)
+    @cached_property
+    def error(self) -> ModelError:
+        """How real soils differ from the law; raises InputError if the file's is none."""
+        return strictly(self.model_error.get(NAME, {}), ModelError, f"law {self.name}, model_error")
 
     def law(self, rig: Rig, cells: float = 1.0) -> LegLaw:
         """The law of a rig, in cells of a size over that of the rule [-].

@@ -29,7 +29,7 @@ CONVENTIONS = {
 }
 ACTIONS = {
     "soils of known angle in the same apparatus (terraphi calibrate)": (
-        *("model: apparatus", "model: offset", "hip height", "leg friction", "gain"),
+        *("model: offset", "model: rig", "hip height", "leg friction", "gain"),
     ),
     "a measured density (--density VALUE±SD)": ("density",),
     "a record with another leg": ("model: leg",),
