@@ -147,8 +147,9 @@ WORDS = (
     "A cell has the CRPS, a score of the stated distribution in degrees of which less is better, "
     "and the root mean square error. Soils weigh alike, and what is tested is left out of what is "
     "learned from. *terraphi* is what law `legs` reads, corrected by the mixed model of "
-    "`studies/errors.py`, whose form is chosen without the tested records; `terraphi invert` has "
-    "an older model of error. *formula* is φ = a + b d/w + s ln(mean F_x / ρ g w D²) for each leg. "
+    "`studies/errors.py`. `terraphi invert` has this model, fitted to all records, and reads dry "
+    "soil; a task may read the average over the cohesion where its training records prefer that. "
+    "*formula* is φ = a + b d/w + s ln(mean F_x / ρ g w D²) for each leg. "
     "In measured media the truth of a leg is the mean of what the other two legs read, so that a "
     "method that does not look at the forces has an error of 0."
 )

@@ -46,7 +46,6 @@ sys.path.insert(0, str(Path(__file__).parent / "grains"))
 import elements
 import records as cells
 import run
-import table
 
 import pages
 from terraphi.experiment.arrays import FloatArray
@@ -130,16 +129,15 @@ class Record:
 def grains() -> Iterator[Record]:
     """Records of legs in loose simulated grains, by both codes."""
     soils, truth = run.soils(), cache(cells.truth)
-    for learn in (True, False):
-        for name, soil, _, record, size in table.records(learn=learn):
-            if soil.endswith("-loose"):
-                kind = soils[soil].clump.split(" ")[0] or "spheres"
-                yield Record(
-                    name, f"{kind}/{soil[0]}", record.history.theta_deg, record.history.force,
-                    record.rig, float(record.density_kg_m3 or 0.0),
-                    size * record.rig.width_mm / 25.4, truth(soil),
-                )  # fmt: skip
-    folder = table.GRAINS / "second_engine"
+    for name, record in cells.records():
+        soil = cells.packing(name)
+        if soil.endswith("-loose"):
+            kind = soils[soil].clump.split(" ")[0] or "spheres"
+            yield Record(
+                name, f"{kind}/{soil[0]}", record.history.theta_deg, record.history.force,
+                record.rig, float(record.density_kg_m3 or 0.0), record.grain_size_mm, truth(soil),
+            )  # fmt: skip
+    folder = cells.GRAINS / "second_engine"
     _, ux, _, tau, sigma, *_, height = np.loadtxt(
         folder / "B_loose_shear.csv", delimiter=",", skiprows=1, unpack=True
     )
@@ -173,14 +171,14 @@ def media() -> Iterator[Record]:
 @cache
 def law() -> Legs:
     """Law `legs` without what was learned of its error."""
-    return replace(Legs.load(table.LAW), model_error={})
+    return replace(Legs.load(cells.LAW), model_error={})
 
 
 @cache
 def stored() -> tuple[bytes, dict[str, dict[str, float]]]:
     """Hash of law and code, and the readings that were made with any."""
     package = ROOT / "src" / "terraphi"
-    files = [table.LAW, *sorted(x for name in SOURCES for x in package.glob(f"{name}/*.py"))]
+    files = [cells.LAW, *sorted(x for name in SOURCES for x in package.glob(f"{name}/*.py"))]
     digest = hashlib.sha256(b"".join(path.read_bytes() for path in files)).digest()
     return digest, json.loads(CACHE.read_text()) if CACHE.exists() else {}
 
@@ -534,9 +532,9 @@ def main() -> None:
         if options.learn:
             if model.reading != READINGS[0]:
                 raise SystemExit(f"{model.reading} is better: the program reads dry soil")
-            shipped = Legs.load(table.LAW)
+            shipped = Legs.load(cells.LAW)
             error = {shipped.name: learned(model).model_dump(mode="json")}
-            replace(shipped, model_error=error).save(table.LAW)
+            replace(shipped, model_error=error).save(cells.LAW)
         print(f"# {model.reading}\n\n{of_components(model)}\n")
         observed, stated = legs_apart(rows, measured_rows)
     print(f"Legs in one medium are {observed:.2f}° apart, {stated:.2f}° as stated.")

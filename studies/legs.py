@@ -24,7 +24,7 @@ seconds to five minutes of one core a case.
 `--fit` makes `src/terraphi/data/laws/legs.nc` of these, of libraries of Li's legs, and of
 `coarse.csv`, an earlier design of straight legs in cells of 6.25 mm (means over 4°, μ = 0.3). It
 prints how well each case is predicted by the others. What real soils differ by is learned from
-grains (`grains/table.py --learn`).
+grains (`errors.py --learn`).
 
 `--truths` simulates fifty cases of another sequence, to which nothing is fitted, and `--page`
 writes how well the law meets them.

@@ -12,8 +12,13 @@ import pytest
 from scipy.stats import norm
 
 import errors
-from errors import Form, Model, Record
+from errors import Model, Record
+from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.rig import Rig
+from terraphi.inference.likelihood import Likelihood
+from terraphi.inference.records import open_record
+from terraphi.laws.legs import shipped_legs
+from terraphi.laws.model_error import MIDDLE_DEG, USUAL_BREADTH
 
 SPEC = importlib.util.spec_from_file_location(
     "phi_bench", Path(__file__).parents[1] / "benchmarks" / "phi_bench.py"
@@ -24,8 +29,8 @@ phi_bench = importlib.util.module_from_spec(SPEC)
 SPEC.loader.exec_module(phi_bench)
 
 THETA = np.linspace(-85.0, 85.0, 171)
-FORM = Form("made", "w", 1.0, True, False)
 OFFSETS = {"straight": 2.0, "c": -1.0, "reversed_c": 4.0}
+GRAINS_DEG, BREADTH_DEG, READING_DEG = 1.5, 2.0, 1.2
 SIZES = {"soil": 1.0, "soil × leg": 0.6, "rig": 0.8, "kind": 0.5, "bed": 0.7}
 
 
@@ -141,34 +146,57 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[Record]:
                 row = record(f"{kind}/{i}", leg, phi, width_mm=width, grain_size_mm=grains)
                 row = replace(row, name=f"{row.name}_{width}_{grains}", phi_sd_deg=0.0)
                 size = row.size / errors.USUAL_SIZE
-                error = offset + 1.5 * size + 0.1 * (phi - errors.MIDDLE_DEG)
+                breadth = float(np.log(width / (row.rig.length_mm - 20.0) / USUAL_BREADTH))
+                error = offset + GRAINS_DEG * size + BREADTH_DEG * breadth
                 error += effect("soil", i) + effect("soil × leg", (i, leg))
                 error += effect("rig", row.body) + effect("kind", kind)
                 error += size * SIZES["bed"] * float(rng.standard_normal())
-                readings[row.name] = {"made": phi + error}
+                # reading − φ = error + b (reading − 27°), solved for the reading.
+                b = READING_DEG * breadth / 10.0
+                reading = MIDDLE_DEG + (phi - MIDDLE_DEG + error) / (1.0 - b)
+                readings[row.name] = {"made": reading, "shift": 0.3, "nrmsd": 0.1}
                 rows.append(row)
     monkeypatch.setattr(errors, "readings", lambda row: readings[row.name])
     return rows
 
 
 def test_model_finds_the_components_that_made_the_readings(made: list[Record]) -> None:
-    model = Model(made, FORM)
+    model = Model(made, "made")
     for name, sd in SIZES.items():
         factor = 1.8 if name == "kind" else 1.4  # of kinds there are three
         assert sd / factor < model.sd_deg[name] < sd * factor
     mean, covariance = model.effects
-    truth = np.array([*OFFSETS.values(), 1.5, 1.5, 1.5, 0.1 * errors.WIDE_DEG])
-    fitted = [*range(6), -1]
-    z = (mean[fitted] - truth) / np.sqrt(np.diag(covariance)[fitted])
+    truth = [*OFFSETS.values(), *[GRAINS_DEG] * 3, 0.0, BREADTH_DEG, READING_DEG]
+    z = (mean[: len(truth)] - truth) / np.sqrt(np.diag(covariance)[: len(truth)])
     assert np.abs(z).max() < 3.0
+
+
+def test_balanced_design_has_the_components_of_the_analysis_of_variance(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """REML of a balanced design without priors is the analysis of variance (Searle, ch. 4)."""
+    rng, soils, beds = np.random.default_rng(5), 40, 6
+    rows = [record(f"spheres/{i}") for i in range(soils) for _ in range(beds)]
+    rows = [replace(row, name=str(k), phi_sd_deg=0.0) for k, row in enumerate(rows)]
+    error = 1.5 * rng.standard_normal((soils, 1)) + 0.8 * rng.standard_normal((soils, beds))
+    monkeypatch.setattr(
+        errors, "readings", lambda row: {"made": 28.0 + error.ravel()[int(row.name)]}
+    )
+    monkeypatch.setattr(errors, "PRIOR_LOG_SD", 30.0)
+    model = Model(rows, "made")
+    within = error.var(axis=1, ddof=1).mean()
+    between = error.mean(axis=1).var(ddof=1) - within / beds
+    assert model.sd_deg["bed"] ** 2 == pytest.approx(within, rel=1e-3)
+    # One leg: its errors are those of the soil.
+    of_soil = model.sd_deg["soil"] ** 2 + model.sd_deg["soil × leg"] ** 2
+    assert of_soil == pytest.approx(between, rel=1e-3)
 
 
 def test_soil_left_out_by_formula_is_that_left_out_by_learning_from_the_others(
     made: list[Record],
 ) -> None:
-    form = FORM._replace(slope=False)
-    model = Model(made, form)
-    rest = Model([row for row in made if row.letter != "7"], form)
+    model = Model(made, "made")
+    rest = Model([row for row in made if row.letter != "7"], "made")
     rest.log_sd, rest.sd_deg = model.log_sd, model.sd_deg
     test = [row for row in made if row.letter == "7"]
     phi, covariance = rest.predict(test)
@@ -177,3 +205,33 @@ def test_soil_left_out_by_formula_is_that_left_out_by_learning_from_the_others(
     error = variance @ (model.precision @ model.y)[group]
     np.testing.assert_allclose(phi - [row.phi_deg for row in test], error, atol=1e-6)
     np.testing.assert_allclose(covariance, variance, atol=1e-6)
+
+
+@pytest.mark.parametrize(("leg", "width_mm", "grain_size_mm"),
+                         [("straight", 40.0, 1.0), ("c", 20.0, 5.0)])  # fmt: skip
+def test_law_has_the_mean_and_deviation_of_the_model(
+    made: list[Record], monkeypatch: pytest.MonkeyPatch, leg: str, width_mm: float,
+    grain_size_mm: float,
+) -> None:  # fmt: skip
+    """A measured record of a new soil on a new rig, by the study and by the program."""
+    model, law = Model(made, "made"), shipped_legs()
+    law = replace(law, model_error={law.name: errors.learned(model).model_dump(mode="json")})
+    unlearned = replace(law, model_error={})
+    rig = Rig.of("li2013", leg).model_copy(update={"width_mm": width_mm, "hip_height_sd_mm": 0.0})
+    force = np.stack([3.0 * np.cos(np.radians(THETA - 10.0)),
+                      3.0 * np.sin(np.radians(THETA - 40.0))], axis=1)  # fmt: skip
+    stroke = open_record(ForceHistory(np.radians(THETA), force), rig=rig, density="1500±0",
+                         grain_size_mm=grain_size_mm)  # fmt: skip
+    reading = {"made": Likelihood([stroke], unlearned).least_squares}
+    row = Record("new", "measured/new", THETA, force, rig, 1500.0, grain_size_mm, None, 0.0)
+    others = errors.readings
+    monkeypatch.setattr(errors, "readings", lambda r: reading if r.name == "new" else others(r))
+    # What truths of one protocol share is an error of the truth, not of the law.
+    monkeypatch.setattr(errors, "PROTOCOL_SD_DEG", 0.0)
+    [phi], [[variance]] = model.predict([row])
+    likelihood = Likelihood([stroke], law)
+    assert abs(float(likelihood.offset(stroke, np.array(phi)))) > 1.0
+    # Rounding of the file, and terms below a hundredth of the largest.
+    assert likelihood.least_squares == pytest.approx(phi, abs=0.05)
+    sds = [sd for name, sd in likelihood.budget().items() if name.startswith("model: ")]
+    assert np.hypot.reduce(sds) == pytest.approx(np.sqrt(variance), abs=0.05)

@@ -15,7 +15,8 @@ import pytest
 import run
 import table
 
-from terraphi.laws.legs import Legs
+import errors
+from terraphi.laws.legs import shipped_legs
 
 SOIL = replace(run.soils()["I-loose"], spread=0.0)
 engine_is_there = pytest.mark.skipif(not shutil.which("liggghts"), reason="no LIGGGHTS")
@@ -140,12 +141,22 @@ def test_a_flat_clump_slides_where_friction_says(over: float, tmp_path: Path) ->
         assert speed == pytest.approx(acceleration * time, rel=0.05)
 
 
-def test_law_learned_from_the_records_that_are_flagged_so() -> None:
-    """Those of other shapes, sizes and contacts are there and left alone."""
-    learned = {name for name, soil, *_ in table.records() if soil.endswith("-loose")}
-    law = Legs.load(table.LAW)
-    assert learned == {name for item in law.model_error.values() for name in item["training"]}
-    assert not learned & {name for name, *_ in table.records(learn=False)}
+def test_law_is_learned_from_all_loose_grains() -> None:
+    """Those of other shapes, sizes, rigs and by another code, too."""
+    legs = shipped_legs().error.legs
+    names = {leg: {row.name for row in errors.grains() if row.rig.leg == leg} for leg in legs}
+    assert {leg: {*of_leg.training} for leg, of_leg in legs.items()} == names
+
+
+def test_a_soil_that_is_left_out_is_in_no_record_of_training(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of soil B another code has records, and legs on other rigs."""
+    reading = {"c = 0": 28.0, "shift": 0.0, "nrmsd": 0.1}
+    monkeypatch.setattr(errors, "readings", lambda row: reading)
+    without = table.law_without.__wrapped__("B").error.legs
+    expected = {row.name for row in table.loose() if row.letter != "B"}
+    assert {name for of_leg in without.values() for name in of_leg.training} == expected
 
 
 def test_queue_has_records_that_can_be_made(tmp_path: Path) -> None:

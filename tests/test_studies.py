@@ -5,18 +5,16 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
+import elements
 import numpy as np
 import pytest
-import table
 from scipy.spatial import ConvexHull
 
 import corruptions
 import plates
 import sheared_sands
 from terraphi.laws.foot import Foot
-from terraphi.laws.law import ModelError
 
 STUDIES = Path(plates.__file__).parent
 BALL, DISC = 4 / 3 * np.pi * 0.03**3, np.pi * 0.03**2 * 0.006
@@ -74,50 +72,6 @@ def test_mesh_of_a_foot_is_its_shape(shape: str, volume: float, tmp_path: Path) 
     assert area.sum() / 2 == pytest.approx(hull.area, rel=1e-6)  # closed
 
 
-def readings(rng: np.random.Generator, of_size: float) -> list[table.Reading]:
-    """Forty soils on three legs, in grains of three sizes, which the C does not feel."""
-    values = []
-    for i, phi in enumerate(rng.uniform(20.0, 36.0, 40)):
-        of_soil = 2.0 * rng.standard_normal() + 0.6 * rng.standard_normal()
-        for leg, offset in OFFSETS.items():
-            for size in (4.0, 6.0, 9.0):
-                excess = offset + of_size * size * (leg != "c") + of_soil
-                read = phi + excess + 0.8 * rng.standard_normal()
-                record = SimpleNamespace(rig=SimpleNamespace(leg=leg))
-                values.append(
-                    table.Reading(
-                        f"{i}/{leg}/{size}", f"{i}-loose", leg, record, phi, phi + 2.0, size,
-                        read, 0.5, 0.1,
-                    )
-                )  # fmt: skip
-    return values
-
-
-OFFSETS = {"straight": 1.0, "c": -4.0, "reversed_c": 2.0}
-
-
-def test_offset_and_spread_are_learnt_as_they_were_made() -> None:
-    """What grows with the size of grains is found where it is, and soils and legs apart."""
-    reference = readings(np.random.default_rng(2), 0.5)
-    result, lines = table.learn(reference), table.lines(reference)
-    assert lines["c"].of_size == pytest.approx(0.0, abs=0.15)
-    assert lines["straight"].of_size == pytest.approx(0.5, abs=0.15)
-    for leg, offset in OFFSETS.items():
-        error = ModelError.model_validate(result[leg])
-        assert error.offset_deg == pytest.approx(offset, abs=1.5)
-        assert error.soil_sd_deg == pytest.approx(2.0, rel=0.3)  # that of shear cells taken off
-        assert error.leg_sd_deg == pytest.approx(0.8, rel=0.2)
-
-
-def test_error_of_an_offset_is_its_scatter_over_other_soils() -> None:
-    rng = np.random.default_rng(4)
-    result = [
-        ModelError.model_validate(table.learn(readings(rng, 0.5))["straight"]) for _ in range(60)
-    ]
-    stated = np.sqrt(np.mean([item.covariance[0][0] for item in result]))
-    assert stated == pytest.approx(np.std([item.offset_deg for item in result]), rel=0.3)
-
-
 def test_cells_under_two_loads_find_cohesion_and_angle(tmp_path: Path) -> None:
     """Rows of Mohr and Coulomb's soil in its critical state, whose volume falls at first."""
     phi, cohesion, strain = np.radians(30.0), 80.0, 0.005 * (np.arange(140) + 0.5)
@@ -129,7 +83,7 @@ def test_cells_under_two_loads_find_cohesion_and_angle(tmp_path: Path) -> None:
         head = "# grains\n# density 1375 kg/m3, volume fraction 0.55\nstrain,rise,tau,sigma,top"
         path = tmp_path / f"S-damp_{kind}_1.csv"
         np.savetxt(path, rows, delimiter=",", header=head, comments="")
-    result = table.elements.cohesive(tmp_path, "S-damp")
+    result = elements.cohesive(tmp_path, "S-damp")
     assert result.phi_deg == pytest.approx(30.0, abs=0.01)
     assert result.cohesion_pa == pytest.approx(cohesion, abs=0.1)
     np.testing.assert_allclose(result.shrinks, 0.02, atol=2e-4)

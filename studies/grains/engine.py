@@ -77,7 +77,7 @@ class Soil:
     clump: str = ""
     """A name of CLUMPS; spheres have none."""
     learn: bool = True
-    """Whether errors of laws are learned from it."""
+    """Whether the error of law `foot` is learned from its feet."""
 
     @property
     def diameter(self) -> float:

@@ -1,4 +1,4 @@
-"""List the records of simulated grains, and read those that no law has learned from.
+"""List the records of simulated grains, and open them.
 
     python studies/grains/records.py
 
@@ -18,20 +18,48 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 import elements
 import run
-import table
 
 import pages
-import terraphi
-from terraphi.experiment.bodies import OUTLINES
-from terraphi.laws.legs import Legs
+from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.rig import LI2013, Rig
+from terraphi.inference.checks import without_faults
+from terraphi.inference.records import Record, open_record
 
+LAW = Path(__file__).parents[2] / "src" / "terraphi" / "data" / "laws" / "legs.nc"
+GRAINS = Path(__file__).parents[1] / "data" / "grains"
+OTHERS = ("slow", "narrow", "wide")
+"""Ends of the names of soils that are stirred at another rate, or have another grading."""
 CELLS = {"shear": "large, 1.5 kPa", "firm": "small, 1.5 kPa", "light": "small, 0.5 kPa"}
 """Shear cells and their loads."""
 
 
+def packing(name: str) -> str:
+    """Letter and packing of the soil of a record or a soil, such as ``B-loose``."""
+    return "-".join(name.partition("_")[0].split("-")[:2])
+
+
+def records() -> Iterator[tuple[str, Record]]:
+    """All records of legs by their names, of dry soil, with the size of its grains."""
+    rigs = {f"rig-{rig.name}": rig for rig in run.rigs()}
+    rigs |= {leg: run.Rig(leg) for leg in pages.LEGS}
+    soils = run.soils()
+    for path in sorted(GRAINS.glob("*.csv")):
+        name, body = path.stem.rsplit("_", 1)[0].split("_", 1)
+        if body not in rigs or name.endswith(OTHERS):
+            continue
+        sizes = {key: getattr(rigs[body], key) for key in LI2013}
+        rig = Rig(leg=rigs[body].leg, hip_height_sd_mm=0.0,
+                  leg_friction=soils[name].leg_friction, **sizes)  # fmt: skip
+        theta, force, density = run.load(path)
+        history = ForceHistory(np.radians(theta), np.asarray(force).T)
+        yield path.stem, without_faults(open_record(
+            history, rig=rig, density=f"{density:.1f}±0", grain_size_mm=soils[name].diameter_mm
+        ))  # fmt: skip
+
+
 def cells(soil: str, kind: str) -> list[float]:
     """Critical friction angle by each bed [deg]."""
-    paths = sorted(table.GRAINS.glob(f"{soil}_{kind}_*.csv"))
+    paths = sorted(GRAINS.glob(f"{soil}_{kind}_*.csv"))
     rows = [np.loadtxt(path, delimiter=",", skiprows=3, unpack=True) for path in paths]
     return [float(elements.critical(row[0], row[2] / row[3]).mean()) for row in rows]
 
@@ -41,10 +69,9 @@ def truth(name: str) -> float:
 
     By all cells of the loose soil at 1.5 kPa; of damp soil, by those under two loads.
     """
-    letter, packing, *_ = name.split("-")
-    if run.soils()[f"{letter}-{packing}"].attraction:
-        return elements.cohesive(table.GRAINS, f"{letter}-{packing}").phi_deg
-    soil = f"{letter}-loose"
+    if run.soils()[packing(name)].attraction:
+        return elements.cohesive(GRAINS, packing(name)).phi_deg
+    soil = f"{name[0]}-loose"
     return float(np.mean(cells(soil, "shear") + cells(soil, "firm")))
 
 
@@ -58,7 +85,7 @@ def means(values: list[float]) -> str:
 def bodies(soil: str) -> str:
     """What stirred or pressed a soil, and in how many beds."""
     counts: dict[str, int] = {}
-    for path in table.GRAINS.glob(f"{soil}_*_*.csv"):
+    for path in GRAINS.glob(f"{soil}_*_*.csv"):
         body = path.stem.removeprefix(f"{soil}_").rsplit("_", 1)[0]
         if body not in elements.TESTS:
             counts[body] = counts.get(body, 0) + 1
@@ -69,44 +96,21 @@ def bodies(soil: str) -> str:
 def listed() -> Iterator[tuple[str, ...]]:
     """A row for each soil that has a record or a cell."""
     for name, soil in run.soils().items():
-        paths = sorted(table.GRAINS.glob(f"{name}_*.csv"))
+        paths = sorted(GRAINS.glob(f"{name}_*.csv"))
         if paths:
             head = paths[0].read_text().split("volume fraction ")[1]
-            learned = soil.learn and "-loose" in name and not name.endswith(table.OTHERS)
             yield (
                 name, soil.words, f"{soil.sliding} / {soil.rolling}", head[:5],
                 means(cells(name, "shear") or ([] if soil.attraction else cells(name, "firm"))),
                 *(means(cells(name, kind)) for kind in CELLS), bodies(name),
-                "yes" if learned else "no",
             )  # fmt: skip
-
-
-def unlearned(law: Legs) -> Iterator[tuple[str, ...]]:
-    """A row for each record that nothing was learned from: φ of the cell and as it is read."""
-    soils = run.soils()
-    for name, soil, _, record, _ in table.records(learn=False):
-        diameter = soils[name.split("_")[0]].diameter_mm
-        density, critical = f"{record.density_kg_m3}±{record.density_sd_kg_m3}", truth(soil)
-        plain, sized = (
-            terraphi.invert(record.history, rig=record.rig, density=density, law=law,
-                            grain_size_mm=given)
-            for given in (None, diameter)
-        )  # fmt: skip
-        yield (
-            name, OUTLINES[record.rig.leg].label, f"{diameter / record.rig.width_mm:.2f}",
-            f"{critical:.1f}°",
-            *(f"{one.phi.median:.1f} ± {one.phi.sd:.1f} ({one.phi.median - critical:+.1f}°)"
-              for one in (plain, sized)),
-            f"{sized.cohesion_pa or 0.0:.0f} Pa", sized.verdict,
-        )  # fmt: skip
 
 
 def main() -> None:
     """Write the page."""
     out = pages.out_from(__doc__.splitlines()[0])
     cells_of = ("soil", "grains", "friction", "volume fraction", "critical φ", *CELLS.values(),
-                "records", "learned from")  # fmt: skip
-    of_records = ("record", "leg", "d/w", "critical φ", "φ", "φ with the size", "c", "verdict")
+                "records")  # fmt: skip
     parts = [
         (
             "Friction is that between grains: sliding / rolling. Shear cells give the critical φ "
@@ -115,14 +119,8 @@ def main() -> None:
             "the file lists them."
         ),
         pages.excerpt(out, "grain_records", cells_of, listed(),
-                      ("soil", "grains", "friction", "volume fraction", "critical φ",
-                       "learned from"), "critical φ"),
-        (
-            "The next records were not used to learn the error of law `legs`. φ is given without "
-            "and with `--grain-size`, and in brackets less the angle of the shear cells."
-        ),
-        pages.excerpt(out, "grain_records_unlearned", of_records, unlearned(Legs.load(table.LAW)),
-                      ("record", "critical φ", "φ", "φ with the size", "c", "verdict")),
+                      ("soil", "grains", "friction", "volume fraction", "critical φ"),
+                      "critical φ"),
     ]  # fmt: skip
     pages.write(out, "grain_records", "Simulated grains: what there is", parts,
                 script="grains/records.py")  # fmt: skip

@@ -54,8 +54,6 @@ class Rig:
     """Names of the soils that it stirs."""
     bed_mm: tuple[float, ...] = ()
     """Length, breadth and thickness of its bed, if they are given."""
-    learn: bool = True
-    """Whether errors of laws are learned from its records."""
 
     @property
     def half_angle(self) -> float:
