@@ -110,8 +110,10 @@ def main() -> None:
     parts = [
         (
             "`terraphi invert` on every record of Li et al. (2013). Law `legs` was not fitted to "
-            "these records. They were used only for the error of an apparatus, the error of a part "
-            "of a stroke, and the shift of θ from which an answer warns."
+            "these records, but the model of its error was: by the differences between legs in one "
+            "medium, and by angles of repose of loose media, from which critical angles differ by "
+            "some degrees. So legs agree better here than in a new medium "
+            "([benchmark](benchmark.md))."
         ),
         "\n".join(f"- {line}" for line in summary(answers)),
         pages.excerpt(out, "real_sand", header, rows, shown),

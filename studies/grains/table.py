@@ -282,18 +282,16 @@ def draw(rows: Sequence[Row]) -> Figure:
     """Inferred over measured angles, loose and packed."""
     figure = Figure(figsize=(9.0, 4.0), layout="constrained")
     left, right = figure.subplots(1, 2)
-    packs = sorted({row.packing for row in rows if not row.is_loose and row.peak_deg is not None})
+    rows = [row for row in rows if row.is_loose or row.peak_deg is not None]
+    packs = sorted({row.packing for row in rows if not row.is_loose})
     for row in rows:
         leg, phi = row.record.rig.leg, row.answer.phi
         colour, nudge = pages.LEGS[leg], 0.25 * (list(pages.LEGS).index(leg) - 1)
-        if row.is_loose:
-            axes, place = left, row.phi_deg + nudge
-        elif row.packing in packs:
+        axes, place = left, row.phi_deg + nudge
+        if not row.is_loose:
             axes, place = right, packs.index(row.packing) + 0.5 * nudge
             axes.plot([packs.index(row.packing)] * 2, [row.phi_deg, row.peak_deg], color="0.8",
                       lw=12, zorder=0, solid_capstyle="butt")  # fmt: skip
-        else:
-            continue
         axes.plot([place, place], phi.ci95, color=colour, lw=0.6)
         axes.plot([place, place], phi.ci68, color=colour, lw=2)
         mark = "o" if row.answer.verdict == "consistent" else "x"
@@ -319,8 +317,8 @@ def main() -> None:
         rows = [row_of(record) for record in (*loose(), *packed())]
         parts = sections(out, rows)
     draw(rows).savefig(out / "grains.png", dpi=150)
-    title = "Grains whose friction angle was measured"
-    pages.write(out, "grains", title, parts, script="grains/table.py")
+    pages.write(out, "grains", "Grains whose friction angle was measured", parts,
+                script="grains/table.py")  # fmt: skip
 
 
 def sections(out: Path, rows: Sequence[Row]) -> list[str]:
@@ -347,7 +345,7 @@ def sections(out: Path, rows: Sequence[Row]) -> list[str]:
     return [
         (
             "The truth on this page comes from our own simulations. A shear cell of the grains "
-            "measured their critical friction angle φ in plane strain, and legs on Li's and eight "
+            "measured their critical friction angle φ in plane strain, and legs on Li's and nine "
             "other rigs stirred them. Each soil, in all its packings and by both codes, is "
             "inverted with the model of the law's error that was fitted to all other soils. Grains "
             "of 4 to 9 mm are large for these legs; their size is given."
