@@ -726,8 +726,9 @@ def second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:
     if not likelihood.measured or isinstance(likelihood.library, Theory):
         return None
     theory = Theory()
+    dry = [replace(r, cohesion_pa=0.0, cohesion_sd_pa=0.0) for r in likelihood.records]
     try:
-        other = Likelihood(likelihood.records, theory)
+        other = Likelihood(dry, theory)
     except InputError:
         return None  # it does not cover the angles of the record
     read = other.least_squares
