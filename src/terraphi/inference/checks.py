@@ -365,8 +365,8 @@ def _unusual(likelihood: Likelihood, phi: Estimate, verdict: str) -> Iterator[st
     is_measured = likelihood.measured
     for leg in dict.fromkeys(record.rig.leg for record in likelihood.records):
         ends = likelihood.error.of_leg(leg).phi_deg
-        known = ends is None or ends[0] - NEAR_DEG <= phi.median <= ends[1] + NEAR_DEG
-        if verdict == "consistent" and is_measured and not known:
+        is_inside = ends is None or ends[0] - NEAR_DEG <= phi.median <= ends[1] + NEAR_DEG
+        if verdict == "consistent" and is_measured and not is_inside:
             assert ends
             yield (
                 f"φ = {phi.median:.1f}° lies outside {ends[0]:.1f} to {ends[1]:.1f}°, where the "

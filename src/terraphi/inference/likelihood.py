@@ -260,15 +260,15 @@ class Likelihood:
         Raises InputError if records differ in it, or if it exceeds the law's range.
         """
         simulated = self.records if not self.measured else ()
-        known = {(r.scenario.soil.cohesion, 0.0) for r in simulated if r.scenario}
-        known |= {(r.cohesion_pa, r.cohesion_sd_pa) for r in self.records if r not in simulated}
+        cohesions = {(r.scenario.soil.cohesion, 0.0) for r in simulated if r.scenario}
+        cohesions |= {(r.cohesion_pa, r.cohesion_sd_pa) for r in self.records if r not in simulated}
         most = min(
             law.most_cohesion / float(c) for law, c in zip(self.laws, self._per_pascal, strict=True)
         )
-        if len(known) > 1:
-            texts = " and ".join(f"{mean:g}±{sd:g} Pa" for mean, sd in sorted(known))
+        if len(cohesions) > 1:
+            texts = " and ".join(f"{mean:g}±{sd:g} Pa" for mean, sd in sorted(cohesions))
             raise InputError(f"soils with a cohesion of {texts} are not one soil; infer each alone")
-        [(mean, sd)] = known or {(0.0, 0.0)}
+        [(mean, sd)] = cohesions or {(0.0, 0.0)}
         if not self.measured and not most:
             return np.zeros(1)
         if mean > most or (sd and not most):
@@ -504,8 +504,8 @@ class Likelihood:
         weight = np.exp(log - log.max()) * np.gradient(c)
         weight /= weight.sum()
         mean = float(weight @ c)
-        apart = c - mean, phi - np.interp(mean, c, phi)
-        sd, phi_sd = (math.sqrt(float(weight @ np.square(x))) for x in apart)
+        deviations = c - mean, phi - np.interp(mean, c, phi)
+        sd, phi_sd = (math.sqrt(float(weight @ np.square(x))) for x in deviations)
         return mean, sd, phi_sd
 
     @property
