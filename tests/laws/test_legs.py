@@ -98,15 +98,18 @@ def test_a_known_law_is_met_between_its_cases(exact: Legs) -> None:
 
 
 def test_forces_grow_with_the_cube_of_the_length() -> None:
-    """The same record on a leg of twice the size, forces eight times as large."""
+    """The same record on a leg and grains of twice the size, forces eight times as large."""
     small = {"length_mm": 90.0, "width_mm": 40.0, "hip_height_mm": "30±1", **SIZES}
     large = {**{k: 2.0 * v for k, v in small.items() if isinstance(v, float)},
              "leg": "straight", "hip_height_mm": "60±2"}  # fmt: skip
     law = shipped_legs().law(Rig(**small))
     theta = np.radians(law.theta_deg)
     force = law(np.array([[31.0]]))[0].T
-    answer = invert(ForceHistory(theta, force), rig=small, density="1650±0", noise=0.02)
-    other = invert(ForceHistory(theta, 8.0 * force), rig=large, density="1650±0", noise=0.16)
+    answer, other = (
+        invert(ForceHistory(theta, size**3 * force), rig=rig, density="1650±0",
+               noise=0.02 * size**3, grain_size_mm=float(size))
+        for size, rig in ((1, small), (2, large))
+    )  # fmt: skip
     assert answer.law == other.law == "legs"
     assert other.phi.median == pytest.approx(answer.phi.median, abs=1e-3)
     assert other.phi.sd == pytest.approx(answer.phi.sd, rel=1e-3)
@@ -160,18 +163,20 @@ def test_a_cohesion_is_found_in_pascals(length: float, density: float) -> None:
               hip_height_mm=0.3 * length, hip_height_sd_mm=0.5)  # fmt: skip
     law, number = shipped_legs().law(rig), 0.08
     force = density / law.density * law(np.array([[29.0]]), number)[0].T
-    answer = invert(ForceHistory(np.radians(law.theta_deg), force), rig=rig, density=f"{density}±1")
+    answer = invert(ForceHistory(np.radians(law.theta_deg), force), rig=rig,
+                    density=f"{density}±1", cohesion="unknown")  # fmt: skip
     pascals = number * density * GRAVITY * rig.length
     assert answer.cohesion_pa == pytest.approx(pascals, rel=0.35)
     assert answer.cohesion_pa < pascals
-    read = answer.phi.median + shipped_legs().error_of("straight").offset_deg
+    median = answer.phi.median
+    read = median + float(shipped_legs().error.offset(rig, 0.0, np.array(median)))
     assert 0.0 < read - 29.0 < 2.0 * answer.budget_deg["cohesion"]
 
 
 def test_the_hash_changes_with_all_that_changes_an_answer() -> None:
     law = shipped_legs()
     changes = [
-        {"model_error": {"straight": {"offset_deg": 1.0}}}, {"force": 1.1 * law.force},
+        {"model_error": {"legs": {"soil_sd_deg": 1.0}}}, {"force": 1.1 * law.force},
         {"hyper": 0.5 * law.hyper}, {"error_scale": 2.0 * law.error_scale},
     ]  # fmt: skip
     remaining = [replace(law, **change) for change in changes]
@@ -209,20 +214,17 @@ def damp_cases() -> list[list[float]]:
 
 
 def test_soil_with_cohesion_is_not_soil_of_a_larger_angle() -> None:
-    """Simulations with a cohesion, read as dry and with it."""
-    errors, dry = [], []
+    """Simulations with a cohesion, read as dry and as of an unknown one."""
+    errors: list[float] = []
+    dry: list[float] = []
     for phi, width, height, _, *values in damp_cases():
         rig = Rig(leg="straight", length_mm=76.2, width_mm=1e3 * width, thickness_mm=6.4,
                   hip_height_mm=1e3 * height, hip_height_sd_mm=0.0)  # fmt: skip
         force = np.reshape(values, (2, -1)).T
         history = ForceHistory(np.radians(np.arange(-84.0, 81.0, 4.0)), force)
-        record = open_record(history, rig=rig, density="1650±0")
-        likelihood = Likelihood([record], shipped_legs())
-        errors.append(likelihood.least_squares - phi)
-        x = np.linspace(10.0, 55.0, 226)[:, None]
-        curves = likelihood.curves(x, likelihood.shift_deg, 0.0)
-        squares = np.square((likelihood.data - curves) / likelihood.span)
-        dry.append(x[squares.sum(axis=1).argmin(), 0] - phi)
+        for angles, cohesion in ((errors, "unknown"), (dry, "0")):
+            record = open_record(history, rig=rig, density="1650±0", cohesion=cohesion)
+            angles.append(Likelihood([record], shipped_legs()).least_squares - phi)
     assert len(errors) > 5
     assert np.sqrt(np.mean(np.square(errors))) < 0.45 * np.sqrt(np.mean(np.square(dry)))
 
@@ -233,7 +235,12 @@ def test_the_cohesion_does_not_depend_on_how_often_a_leg_is_read() -> None:
     law = shipped_legs().law(rig)
     force = law(np.array([[29.0]]), 0.08)[0].T
     fine, rough = (
-        invert(ForceHistory(np.radians(law.theta_deg[::n]), force[::n]), rig=rig, density="1650±1")
+        invert(
+            ForceHistory(np.radians(law.theta_deg[::n]), force[::n]),
+            rig=rig,
+            density="1650±1",
+            cohesion="unknown",
+        )
         for n in (1, 4)
     )
     assert rough.phi.median == pytest.approx(fine.phi.median, abs=0.3)
@@ -297,7 +304,7 @@ def test_simulations_of_one_s_own_leg_join_the_law(tmp_path: Path) -> None:
     li = Rig.of("li2013", "straight")
     before, after = (law.law(li)(np.array([[30.0]])) for law in (shipped_legs(), joined))
     np.testing.assert_allclose(after, before, atol=0.01 * np.ptp(before))
-    assert joined.error_of("straight") == shipped_legs().error_of("straight")
+    assert joined.error == shipped_legs().error
     for write in (joined.save, joined.to_netcdf):
         with pytest.raises(InputError, match="keep the library's own file"):
             write(tmp_path / "joined.nc")
