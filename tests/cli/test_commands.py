@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import inspect
 import json
 import shutil
 import subprocess
@@ -70,6 +71,23 @@ def test_help_loads_neither_numpy_nor_pydantic() -> None:
 
 def test_choices_are_those_of_the_modules() -> None:
     assert tuple(LAWS) == options.LAWS
+
+
+def test_defaults_of_options_are_those_of_python() -> None:
+    """Each option that a function has as well; those without a value leave it to the function."""
+    compared = 0
+    for name, command in cli.commands.items():
+        function = getattr(package, {"forces": "foot_forces"}.get(name, name), None)
+        if not callable(function):
+            continue
+        parameters = inspect.signature(function).parameters
+        given = command.make_context(name, [], resilient_parsing=True).params
+        for option in command.params:
+            value, own = given.get(option.name or ""), parameters.get(option.name or "")
+            if own is not None and value not in (None, False, ()):
+                assert value == own.default, (name, option.name)
+                compared += 1
+    assert compared > 10
 
 
 # -- ends -----------------------------------------------------------------------------------------

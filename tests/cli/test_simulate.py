@@ -72,7 +72,7 @@ def started_and_kept(folder: Path, *options: str) -> subprocess.Popen[str]:
         text=True,
         start_new_session=True,
     )
-    for _ in range(6000):
+    for _ in range(60_000):
         if (folder / "h.nc.checkpoint").exists() or started.poll() is not None:
             break
         time.sleep(0.01)

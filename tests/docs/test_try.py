@@ -162,7 +162,7 @@ def test_page_asks_for_everything_from_elsewhere_with_its_hash(refused: str) -> 
         capture_output=True,
         text=True,
         check=True,
-        timeout=60,
+        timeout=300,
     )
     content = json.loads(done.stdout)
     asked = {
