@@ -824,11 +824,6 @@ def _turns(theta: FloatArray) -> list[int]:
     return [*turns, len(theta) - 1]
 
 
-def _bins(position: FloatArray) -> IntArray:
-    """First row of each bin of width 1, of positions in order."""
-    return np.flatnonzero(np.diff(np.floor(position), prepend=-np.inf))
-
-
 def _increasing(theta: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Rows in the order of θ; averaged in bins if θ does not grow from row to row."""
     if np.all(np.diff(theta) > 0.0):
@@ -837,5 +832,6 @@ def _increasing(theta: FloatArray, values: FloatArray) -> tuple[FloatArray, Floa
     theta, values = theta[order], values[order]
     if np.all(np.diff(theta) > 0.1 * BIN_DEG):
         return theta, values
-    means = block_means(np.column_stack([theta, values]), _bins(theta / BIN_DEG + 0.5))
+    first = np.flatnonzero(np.diff(np.floor(theta / BIN_DEG + 0.5), prepend=-np.inf))
+    means = block_means(np.column_stack([theta, values]), first)
     return means[:, 0], means[:, 1:]
