@@ -113,15 +113,15 @@ def interval(axes: object, place: float, row: dict[str, Any]) -> None:
 
 def accuracy(figure: Any) -> None:
     """Draw answers for grains over their measured angle, and for measured media by leg."""
-    law = table.Legs.load(table.LAW)
     grains, media = figure.subplots(1, 2, sharey=True)
-    for row in table.answers(law, table.read(law, list(table.records()))):
-        if row["soil"].endswith("-loose"):
-            shift = row["fine_deg"] - row["phi_deg"]
-            fine = {key: np.array(row[key]) + shift for key in ("ci68", "ci95")}
-            interval(grains, row["phi_critical_deg"], {**row, **fine, "phi_deg": row["fine_deg"]})
+    for record in table.loose():
+        row = table.row_of(record)
+        interval(grains, record.phi_deg or 0.0, {
+            "leg": record.rig.leg, "ci68": row.answer.phi.ci68, "ci95": row.answer.phi.ci95,
+            "phi_deg": row.answer.phi.median, "verdict": row.answer.verdict,
+        })  # fmt: skip
     for name in names():
-        answer, known = terraphi.invert(name, law=law), measurement(name)
+        answer, known = terraphi.invert(name), measurement(name)
         place = list(MEDIA).index(name.partition(":")[2].partition("/")[0])
         interval(media, place, {
             "leg": known.rig.leg, "ci68": answer.phi.ci68, "ci95": answer.phi.ci95,

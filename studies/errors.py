@@ -5,30 +5,29 @@
     reading − φ = offset(leg) + size(leg) d/w + curve (d/w)^½ + (a + b reading) ln(w/D)
                   + soil + soil × leg + rig + kind of grains or code + bed
                   + error of the shear cell + error of its protocol
+                  + measured: errors of hip, friction, gain and density
 
 by restricted maximum likelihood (REML). d is the diameter of the grains, w the width of the leg, D
 the depth that it reaches; :mod:`terraphi.laws.model_error` has the row of a record. A reading is
-the angle by the law without any offset, of dry soil or with the cohesion averaged over. Beds
-scatter in proportion to d/w. In the measured media of Li et al. φ is free: the differences between
-their legs determine offsets. Angles of repose of loose media less 0.8° are critical angles within
-1.3°: tilting beds of seven simulated soils begin to flow so much later.
+the angle by the law without any offset, of dry soil. Beds scatter in proportion to d/w. In the
+measured media of Li et al. φ is free: the differences between their legs determine offsets. Angles
+of repose of loose media less 0.8° are critical angles within 1.3°: tilting beds of seven simulated
+soils begin to flow so much later.
 
 What is printed: the components, the effects, and the distance of three legs in one medium.
 ``--learn`` writes the model into the law's file, where real soil is another kind of grains, of
 which Li's media are the only ones; for each shape of leg also the range of φ, the usual shift and
 the limit of a misfit. ``benchmarks/phi_bench.py`` compares the model with simpler formulas.
 
-Dry readings (c = 0) transfer better than the average over c, which takes the C in tetrahedra 3.5°
-low, where c = 0 has 1.3°. The law changes too little with φ where legs are wide for their depth:
-that is b. The size of the grains may act with d/w or its root, by which fine sand differs by 1 to
-2°; legs two and three times as large will decide it, and the curve, within 2°, has this error.
+The law changes too little with φ where legs are wide for their depth: that is b. The size of the
+grains may act with d/w or its root, by which fine sand differs by 1 to 2°; legs two and three times
+as large will decide it, and the curve, within 2°, has this error.
 """
 
 from __future__ import annotations
 
 import argparse
 import hashlib
-import itertools
 import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -51,11 +50,12 @@ import pages
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import measurement, names
+from terraphi.experiment.priors import DENSITY_SD_PART
 from terraphi.experiment.rig import LI2013, Rig
 from terraphi.inference.checks import without_faults
 from terraphi.inference.likelihood import Likelihood
 from terraphi.inference.records import open_record
-from terraphi.laws.legs import LawOfLegs, Legs
+from terraphi.laws.legs import Legs
 from terraphi.laws.model_error import MIDDLE_DEG, USUAL_SIZE, ModelError, OfLeg
 from terraphi.laws.theory import Theory
 
@@ -186,9 +186,9 @@ def stored() -> tuple[bytes, dict[str, dict[str, float]]]:
 def readings(record: Record) -> dict[str, float]:
     """What is read off a record without an offset; it is kept on disk.
 
-    Angles by law `legs`, at a cohesion of 0 or averaged over it, and by resistive force theory; by
-    the first the shift of the leg angle [deg], the residual of the force that is met worse [-], and
-    the cohesion that fits best [Pa].
+    Angles by law `legs` and by resistive force theory; by the first the shift of the leg angle
+    [deg], the residual of the force that is met worse [-], and of measured records the standard
+    deviation of the angle by each of :data:`APPARATUS` [deg].
     """
     digest, angles = stored()
     parts = (record.rig.model_dump_json(), record.density, record.grain_size_mm)
@@ -203,28 +203,27 @@ def readings(record: Record) -> dict[str, float]:
 
 def fitted(record: Record) -> dict[str, float]:
     """What is read off a record, as `readings` returns it."""
+    is_measured = record.kind == "measured"
     history = ForceHistory(np.radians(record.theta_deg), record.force_N)
-
-    def likelihood(law: LawOfLegs, cohesion: str = "0") -> Likelihood:
-        stroke = open_record(history, rig=record.rig, density=f"{record.density}±0",
-                             cohesion=cohesion)  # fmt: skip
-        return Likelihood([without_faults(stroke)], law)
-
-    dry = likelihood(law())
-    residual = (dry.data - dry.curves(dry.least_squares)[0]) / dry.span
-    free = dry.free_cohesion(0)
+    density = f"{record.density}±{DENSITY_SD_PART * record.density if is_measured else 0.0}"
+    stroke = without_faults(open_record(history, rig=record.rig, density=density))
+    likelihood = Likelihood([stroke], law())
+    residual = (likelihood.data - likelihood.curves(likelihood.least_squares)[0]) / likelihood.span
+    budget = likelihood.budget() if is_measured else {}
     return {
-        "c = 0": dry.least_squares, "averaged c": likelihood(law(), "unknown").least_squares,
-        "theory": likelihood(Theory()).least_squares,
-        "shift": float(dry.shift_deg[0]), "free c": free.cohesion_pa if free else 0.0,
+        "read": likelihood.least_squares,
+        "theory": Likelihood([stroke], Theory()).least_squares,
+        "shift": float(likelihood.shift_deg[0]),
         "nrmsd": float(np.sqrt(np.square(residual).reshape(2, -1).mean(axis=1)).max()),
-    }  # fmt: skip
+        **{name: budget.get(name, 0.0) for name in APPARATUS},
+    }
 
 
 # -- the mixed model -----------------------------------------------------------------------------
 
 
-READINGS = ("c = 0", "averaged c")
+APPARATUS = ("hip height", "leg friction", "gain", "density")
+"""What is not known of measured records: the first three alike in all, the last in a soil."""
 LEGS = tuple(pages.LEGS)
 EFFECTS = (*(f"{cause} {leg}" for cause in ("offset", "grains") for leg in LEGS),
            "grains curve", "breadth", "breadth × reading")  # fmt: skip
@@ -249,15 +248,19 @@ def shared(rows: Sequence[Record]) -> tuple[FloatArray, FloatArray]:
     ])  # fmt: skip
     sd = np.array([row.phi_sd_deg for row in rows])
     protocol = alike([row.kind if row.kind in {"measured", "second code"} else "" for row in rows])
-    truth = np.outer(sd, sd) * alike([row.soil for row in rows]) + PROTOCOL_SD_DEG**2 * protocol
+    soils = alike([row.soil for row in rows])
+    truth = np.outer(sd, sd) * soils + PROTOCOL_SD_DEG**2 * protocol
+    for name in APPARATUS:
+        error = np.array([readings(row).get(name, 0.0) for row in rows])
+        truth += np.outer(error, error) * (soils if name == "density" else 1.0)
     return unit, truth
 
 
-def columns(rows: Sequence[Record], reading: str) -> FloatArray:
+def columns(rows: Sequence[Record]) -> FloatArray:
     """Columns of the effects and of the free angles, each of a standard deviation of 1°."""
     k = len(EFFECTS)
     names = ModelError(effects=EFFECTS, mean_deg=(0.0,) * k, covariance_deg2=((0.0,) * k,) * k)
-    x = np.array([names.row(r.rig, r.grain_size_mm, readings(r)[reading]) for r in rows])
+    x = np.array([names.row(r.rig, r.grain_size_mm, readings(r)["read"]) for r in rows])
     is_free = np.array([row.phi_deg is None for row in rows])
     free = np.unique(alike([row.soil for row in rows]) * is_free[:, None], axis=1)
     return np.hstack([PRIOR_OF_EFFECTS_DEG * x, WIDE_DEG * free])
@@ -272,12 +275,12 @@ class Model:
         Standard deviation of each component [deg].
     """
 
-    def __init__(self, rows: Sequence[Record], reading: str) -> None:
-        self.rows, self.reading = list(rows), reading
+    def __init__(self, rows: Sequence[Record]) -> None:
+        self.rows = list(rows)
         phi = [MIDDLE_DEG if row.phi_deg is None else row.phi_deg for row in rows]
         self.y = self._read(rows) - phi
         self._unit, truth = shared(rows)
-        self._columns = columns(rows, reading)
+        self._columns = columns(rows)
         # Fixed effects with a wide prior are integrated out, which is REML.
         self._fixed = truth + self._columns @ self._columns.T
         start, bounds = np.zeros(len(COMPONENTS)), [(-4.0, 3.0)] * len(COMPONENTS)
@@ -285,9 +288,10 @@ class Model:
         self.log_sd = best.x
         self.sd_deg = dict(zip(COMPONENTS, (PRIOR_SD_DEG * np.exp(best.x)).tolist(), strict=True))
 
-    def _read(self, rows: Sequence[Record]) -> FloatArray:
+    @staticmethod
+    def _read(rows: Sequence[Record]) -> FloatArray:
         """Readings [deg]."""
-        return np.array([readings(row)[self.reading] for row in rows])
+        return np.array([readings(row)["read"] for row in rows])
 
     def _variance(self, log_sd: FloatArray) -> FloatArray:
         """Covariance of the readings [deg²]."""
@@ -336,35 +340,10 @@ class Model:
         joint, n = [*self.rows, *rows], len(self.rows)
         unit, truth = shared(joint)
         x = columns([replace(row, phi_deg=row.phi_deg or MIDDLE_DEG) if i >= n else row
-                     for i, row in enumerate(joint)], self.reading)  # fmt: skip
+                     for i, row in enumerate(joint)])  # fmt: skip
         variance = np.tensordot(np.square([*self.sd_deg.values()]), unit, 1) + truth + x @ x.T
         gain = variance[n:, :n] @ self.precision
         return self._read(rows) - gain @ self.y, variance[n:, n:] - gain @ variance[:n, n:]
-
-    def left_out(self) -> float:
-        """Sum of the CRPS of left-out soils and of rigs that are left out with their soil [deg].
-
-        With the precision P of all, a group g is e_g = P_gg⁻¹ (P y)_g from its prediction by the
-        others, with the covariance P_gg⁻¹; components stay as they are.
-        """
-        letters, bodies = (np.array([getattr(r, k) for r in self.rows]) for k in ("letter", "body"))
-        sheared = [row for row in self.rows if row.kind != "measured"]
-        groups = {(row.letter, "") for row in sheared}
-        groups |= {(row.letter, row.body) for row in sheared if not row.usual}
-        outcomes: dict[bool, list[tuple[float, float, str]]] = {}
-        for letter, body in groups:
-            group = (letters == letter) | (bodies == body)
-            scored = ((letters == letter) & ((bodies == body) | (not body)))[group]
-            covariance = np.linalg.inv(self.precision[np.ix_(group, group)])
-            error, sd = covariance @ (self.precision @ self.y)[group], np.sqrt(np.diag(covariance))
-            triples = zip(error[scored], sd[scored], itertools.repeat(letter), strict=False)
-            outcomes.setdefault(bool(body), []).extend(triples)
-        return sum(score(triples)["crps"] for triples in outcomes.values())
-
-
-def choose(rows: Sequence[Record]) -> Model:
-    """The model of the reading by which left-out soils and rigs are read best."""
-    return min((Model(rows, reading) for reading in READINGS), key=Model.left_out)
 
 
 # -- transfer ------------------------------------------------------------------------------------
@@ -446,7 +425,7 @@ def evaluate(method: Method, parts: Sequence[Split]) -> dict[str, dict[str, floa
 
 def terraphi_method(train: list[Record], test: list[Record]) -> list[tuple[float, float]]:
     """φ of test records and its standard deviation, by the mixed model [deg]."""
-    phi, covariance = choose(train).predict(test)
+    phi, covariance = Model(train).predict(test)
     return list(zip(phi.tolist(), np.sqrt(np.diag(covariance)).tolist(), strict=True))
 
 
@@ -463,7 +442,7 @@ def legs_apart(rows: Sequence[Record], measured_rows: Sequence[Record]) -> Float
     for soil in soils:
         test = [row for row in measured_rows if row.soil == soil]
         train = [*rows, *(row for row in measured_rows if row.soil != soil)]
-        phi, covariance = choose(train).predict(test)
+        phi, covariance = Model(train).predict(test)
         mean = np.eye(len(test)) - 1.0 / len(test)
         squares += np.square(mean @ phi).sum(), np.trace(mean @ covariance)
     return np.sqrt(squares / (len(measured_rows) - len(soils)))
@@ -528,14 +507,12 @@ def main() -> None:
     options = parser.parse_args()
     with threadpool_limits(1):
         rows, measured_rows = list(grains()), list(media())
-        model = choose([*rows, *measured_rows])
+        model = Model([*rows, *measured_rows])
         if options.learn:
-            if model.reading != READINGS[0]:
-                raise SystemExit(f"{model.reading} is better: the program reads dry soil")
             shipped = Legs.load(cells.LAW)
             error = {shipped.name: learned(model).model_dump(mode="json")}
             replace(shipped, model_error=error).save(cells.LAW)
-        print(f"# {model.reading}\n\n{of_components(model)}\n")
+        print(f"{of_components(model)}\n")
         observed, stated = legs_apart(rows, measured_rows)
     print(f"Legs in one medium are {observed:.2f}° apart, {stated:.2f}° as stated.")
 

@@ -154,14 +154,14 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[Record]:
                 # reading − φ = error + b (reading − 27°), solved for the reading.
                 b = READING_DEG * breadth / 10.0
                 reading = MIDDLE_DEG + (phi - MIDDLE_DEG + error) / (1.0 - b)
-                readings[row.name] = {"made": reading, "shift": 0.3, "nrmsd": 0.1}
+                readings[row.name] = {"read": reading, "shift": 0.3, "nrmsd": 0.1}
                 rows.append(row)
     monkeypatch.setattr(errors, "readings", lambda row: readings[row.name])
     return rows
 
 
 def test_model_finds_the_components_that_made_the_readings(made: list[Record]) -> None:
-    model = Model(made, "made")
+    model = Model(made)
     for name, sd in SIZES.items():
         factor = 1.8 if name == "kind" else 1.4  # of kinds there are three
         assert sd / factor < model.sd_deg[name] < sd * factor
@@ -180,10 +180,10 @@ def test_balanced_design_has_the_components_of_the_analysis_of_variance(
     rows = [replace(row, name=str(k), phi_sd_deg=0.0) for k, row in enumerate(rows)]
     error = 1.5 * rng.standard_normal((soils, 1)) + 0.8 * rng.standard_normal((soils, beds))
     monkeypatch.setattr(
-        errors, "readings", lambda row: {"made": 28.0 + error.ravel()[int(row.name)]}
+        errors, "readings", lambda row: {"read": 28.0 + error.ravel()[int(row.name)]}
     )
     monkeypatch.setattr(errors, "PRIOR_LOG_SD", 30.0)
-    model = Model(rows, "made")
+    model = Model(rows)
     within = error.var(axis=1, ddof=1).mean()
     between = error.mean(axis=1).var(ddof=1) - within / beds
     assert model.sd_deg["bed"] ** 2 == pytest.approx(within, rel=1e-3)
@@ -195,8 +195,8 @@ def test_balanced_design_has_the_components_of_the_analysis_of_variance(
 def test_soil_left_out_by_formula_is_that_left_out_by_learning_from_the_others(
     made: list[Record],
 ) -> None:
-    model = Model(made, "made")
-    rest = Model([row for row in made if row.letter != "7"], "made")
+    model = Model(made)
+    rest = Model([row for row in made if row.letter != "7"])
     rest.log_sd, rest.sd_deg = model.log_sd, model.sd_deg
     test = [row for row in made if row.letter == "7"]
     phi, covariance = rest.predict(test)
@@ -214,7 +214,7 @@ def test_law_has_the_mean_and_deviation_of_the_model(
     grain_size_mm: float,
 ) -> None:  # fmt: skip
     """A measured record of a new soil on a new rig, by the study and by the program."""
-    model, law = Model(made, "made"), shipped_legs()
+    model, law = Model(made), shipped_legs()
     law = replace(law, model_error={law.name: errors.learned(model).model_dump(mode="json")})
     unlearned = replace(law, model_error={})
     rig = Rig.of("li2013", leg).model_copy(update={"width_mm": width_mm, "hip_height_sd_mm": 0.0})
@@ -222,7 +222,7 @@ def test_law_has_the_mean_and_deviation_of_the_model(
                       3.0 * np.sin(np.radians(THETA - 40.0))], axis=1)  # fmt: skip
     stroke = open_record(ForceHistory(np.radians(THETA), force), rig=rig, density="1500±0",
                          grain_size_mm=grain_size_mm)  # fmt: skip
-    reading = {"made": Likelihood([stroke], unlearned).least_squares}
+    reading = {"read": Likelihood([stroke], unlearned).least_squares}
     row = Record("new", "measured/new", THETA, force, rig, 1500.0, grain_size_mm, None, 0.0)
     others = errors.readings
     monkeypatch.setattr(errors, "readings", lambda r: reading if r.name == "new" else others(r))

@@ -152,7 +152,7 @@ def test_a_soil_that_is_left_out_is_in_no_record_of_training(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Of soil B another code has records, and legs on other rigs."""
-    reading = {"c = 0": 28.0, "shift": 0.0, "nrmsd": 0.1}
+    reading = {"read": 28.0, "shift": 0.0, "nrmsd": 0.1}
     monkeypatch.setattr(errors, "readings", lambda row: reading)
     without = table.law_without.__wrapped__("B").error.legs
     expected = {row.name for row in table.loose() if row.letter != "B"}

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from terraphi.inference.inversion import calibrate as calibrate
     from terraphi.inference.inversion import invert as invert
     from terraphi.inference.inversion import invert_many as invert_many
+    from terraphi.inference.next_measurement import next_measurements as next_measurements
+    from terraphi.inference.next_measurement import plan as plan
     from terraphi.laws.build import build as build
     from terraphi.laws.legs import law_named as law  # noqa: F401
     from terraphi.laws.plan import Plan as Plan
@@ -64,6 +66,8 @@ _PLACES = {
     "footfalls": "robot.footfalls",
     "invert": "inference.inversion",
     "invert_many": "inference.inversion",
+    "next_measurements": "inference.next_measurement",
+    "plan": "inference.next_measurement",
     "law": "laws.legs:law_named",
     "map": "terrain.map:map_slopes",
     "measurement": "experiment.measurements",

@@ -38,7 +38,7 @@ NUMBERS = [
     (EXPLANATION + "interval.md", r"up to ± (\d+)°, that is fitted", [likelihood.SHIFT_DEG]),
     (EXPLANATION + "interval.md", r"(\d+) degrees of freedom and a scale of (\d+) Pa",
      [likelihood.COHESION_DEGREES, likelihood.COHESION_PA]),
-    (EXPLANATION + "interval.md", r"cohesion above (\d+) Pa better \(and (\d+) ρ g d",
+    (EXPLANATION + "interval.md", r"cohesion above (\d+) Pa better \(and (\d+\.\d+) ρ g d",
      [checks.MOIST_PA, checks.LIKE_GRAINS]),
     (EXPLANATION + "interval.md", r"a density outside (\d+) to (\d+)", [*records.USUAL_DENSITY]),
     (EXPLANATION + "interval.md", r"angle outside (\d+) to (\d+)°", [*checks.USUAL_DEG]),

@@ -4,15 +4,25 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from terraphi.cli.options import PATH, Float, json_option, record_options
+from terraphi.cli.options import (
+    PATH,
+    Float,
+    json_option,
+    record_options,
+    rig_options,
+    soil_options,
+)
 from terraphi.experiment.bodies import TOOLS
 from terraphi.experiment.errors import InputError
 from terraphi.view.answers import headline, parts_of
 from terraphi.view.console import Table, present, progress_bar
+
+if TYPE_CHECKING:
+    from terraphi.inference.answer import Answer
 
 FORMS = dict.fromkeys(f"{tool.keyword}:MM" for tool in TOOLS.values())
 TWO = [f"{tool.keyword}:MMxMM" for tool in TOOLS.values() if len(tool.sizes) > 1]
@@ -65,7 +75,40 @@ def invert(
     if out is not None:
         answer.save(out)
         parts.append(f"Written: {out}/{', '.join(f for f in FILES if (out / f).exists())}")
-    present(answer.as_dict(), *parts, as_json=as_json)
+    present(answer.as_dict() | worth(answer), *parts, as_json=as_json)
+
+
+def worth(answer: Answer) -> dict[str, dict[str, float]]:
+    """For JSON: standard deviation of φ [deg] after each further measurement, best first."""
+    from terraphi.inference.next_measurement import next_measurements
+
+    return {"next_measurements_deg": {m.words: m.sd_deg for m in next_measurements(answer)}}
+
+
+@click.command()
+@click.option("--phi", type=Float(), default=30.0, show_default=True, help="Friction angle [deg].")
+@rig_options
+@soil_options
+@json_option
+def plan(phi: float, as_json: bool, **options: Any) -> None:
+    """Say how certain φ will be, and what narrows it, before any soil is touched.
+
+    For a rig in soil of some friction angle, by law 'legs'.
+
+    Example: terraphi plan --rig rig.toml --density 1600±80
+    """
+    from terraphi.experiment.rig import with_rig
+    from terraphi.inference.next_measurement import plan as run
+    from terraphi.view.answers import terms_of
+    from terraphi.view.answers import worth as in_words
+
+    answer = run(phi_deg=phi, **with_rig(options))
+    lines = [
+        f"{answer.rigs[0]}: φ = {phi:g}° would be known to ± {answer.phi.sd:.1f}°",
+        f"  ± is: {terms_of(answer)}",
+        *(f"  {line}" for line in in_words(answer, most=20).split("; ") if line),
+    ]
+    present(answer.as_dict() | worth(answer), *lines, as_json=as_json)
 
 
 def tabulate(

@@ -15,7 +15,7 @@ from contextlib import suppress
 
 import click
 
-from terraphi.cli.invert import calibrate, demo, invert
+from terraphi.cli.invert import calibrate, demo, invert, plan
 from terraphi.cli.library import library
 from terraphi.cli.paper import paper
 from terraphi.cli.robot import footfalls, forces
@@ -62,7 +62,7 @@ def cli() -> None:
 
 
 for command in (
-    *(demo, invert, calibrate, simulate, library, paper, forces, footfalls),
+    *(demo, invert, plan, calibrate, simulate, library, paper, forces, footfalls),
     *(export, convert, tune, slope_map, report, app, doctor, keys),
 ):
     cli.add_command(command)

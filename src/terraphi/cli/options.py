@@ -72,8 +72,7 @@ rig_options = option_group(
 density_option = click.option(
     "--density", metavar="KG_M3[±SD]", help="Bulk density, as 1600 (± 5 %) or 1600±80."
 )
-record_options = option_group(
-    rig_options,
+soil_options = option_group(
     density_option,
     click.option(
         "--grain-size", "grain_size_mm", metavar="MM", type=Float(),
@@ -82,6 +81,11 @@ record_options = option_group(
     click.option(
         "--cohesion", metavar="PA[±SD]|unknown", help="Of damp soil.  [default: 0, dry]"
     ),
+)  # fmt: skip
+"""What is known of the soil."""
+record_options = option_group(
+    rig_options,
+    soil_options,
     click.option(
         "--columns", metavar="FILE|KEY=VALUE", multiple=True,
         callback=lambda _context, _option, given: ",".join(given) or None,

@@ -27,18 +27,8 @@ CONVENTIONS = {
     "paper": "yield criterion of the paper",
     "rft3d": "angle of 3-D resistive force theory",
 }
-ACTIONS = {
-    "soils of known angle in the same apparatus (terraphi calibrate)": (
-        *("model: offset", "model: rig", "hip height", "leg friction", "gain"),
-    ),
-    "a measured density (--density VALUE±SD)": ("density",),
-    "a record with another leg": ("model: leg",),
-    "a record of the whole stroke": ("missing angles",),
-    "both forces": ("missing forces",),
-    "more readings": ("noise",),
-    "a library with more cases": ("emulator",),
-}
-"""Measurements that narrow the interval, and the terms that they remove."""
+MOST_MEASUREMENTS = 3
+"""Measurements that an answer names."""
 
 
 def headline(answer: Answer) -> str:
@@ -62,7 +52,9 @@ def in_words(answer: Answer) -> list[str]:
     if plane is not None and answer.convention != "plane_strain":
         lines.append(f"  In plane strain: φ = {plane}")
     if answer.budget_deg:
-        lines.append(f"  ± is: {_terms(answer)}")
+        lines.append(f"  ± is: {terms_of(answer)}")
+        if narrower := worth(answer):
+            lines.append(f"  Narrower: {narrower}. All: terraphi plan.")
     if answer.phi_peak is not None:
         lines.append(f"  Peak angle of the dense soil: {answer.phi_peak}")
     if answer.bekker is not None:
@@ -127,10 +119,8 @@ def tables(answer: Answer) -> list[Table]:
     return [table for table in parts if table.rows]
 
 
-def _terms(answer: Answer) -> str:
+def terms_of(answer: Answer) -> str:
     """Format the terms of the interval, largest first, with those of the model in one."""
-    from terraphi.experiment.rig import Tool
-
     squares: Counter[str] = Counter()
     for name, sd in answer.budget_deg.items():
         squares["model on real grains" if name.startswith("model") else name] += sd**2  # type: ignore[assignment]
@@ -138,22 +128,15 @@ def _terms(answer: Answer) -> str:
     most = max(terms.values())
     digits = 1 if most > 0.3 else 3
     named = [f"{n} {sd:.{digits}f}°" for n, sd in terms.items() if sd >= LEAST_SHARE * most]
-    # Simulated forces need no better measurement.
-    useless = any(r.simulated or isinstance(r.rig, Tool) for r in answer.records)
-    advice = "" if useless else f" {_advice(answer, digits)}"
-    return f"{', '.join(named)}.{advice}"
+    return f"{', '.join(named)}."
 
 
-def _advice(answer: Answer, digits: int) -> str:
-    """Name the measurement that narrows the interval most, and the ± that is left."""
-    budget = answer.budget_deg
-    sd_without = {
-        action: math.sqrt(sum(sd**2 for name, sd in budget.items() if name not in removed))
-        for action, removed in ACTIONS.items()
-        if "calibrate" not in action or "calibration" not in answer.provenance
-    }
-    action = min(sd_without, key=sd_without.__getitem__)
-    return f"To ± {sd_without[action]:.{digits}f}° at best: {action}."
+def worth(answer: Answer, most: int = MOST_MEASUREMENTS) -> str:
+    """Name the measurements that narrow the interval most, with the ± after each."""
+    from terraphi.inference.next_measurement import next_measurements
+
+    best = next_measurements(answer, further_records=most > MOST_MEASUREMENTS)[:most]
+    return "; ".join(f"± {each.sd_deg:.1f}° with {each.words}" for each in best)
 
 
 # -- many answers --------------------------------------------------------------------------------

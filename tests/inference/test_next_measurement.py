@@ -1,0 +1,68 @@
+"""What the next measurement buys, against answers with that measurement."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import terraphi
+from terraphi.experiment.bodies import OUTLINES
+from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.measurements import measurement
+from terraphi.experiment.rig import Rig
+
+SIBLING = {"yuma": "poppy_loose", "glass03_loose": "glass03_close", "poppy_loose": "yuma"}
+"""Another medium, to calibrate with."""
+
+
+@pytest.mark.parametrize("name", ["yuma/straight", "glass03_loose/c", "poppy_loose/reversed_c"])
+def test_after_each_measurement_the_interval_is_as_wide_as_was_said(name: str) -> None:
+    medium, _, leg = name.partition("/")
+    record = measurement(f"li2013:{name}")
+    rig, density = record.rig, record.density_kg_m3
+    assert rig is not None
+    given: dict[str, Any] = {"rig": rig, "density": density}
+    before = terraphi.invert(record.history, **given)
+    said = {each.words: each.sd_deg for each in terraphi.next_measurements(before)}
+    sibling = f"li2013:{SIBLING[medium]}/{leg}"
+    calibration = terraphi.calibrate(sibling, terraphi.invert(sibling).phi.median, 1.0)
+    after = {
+        "the hip's": {**given, "rig": rig.model_copy(update={"hip_height_sd_mm": 0.5})},
+        "friction": {**given, "rig": rig.model_copy(update={"leg_friction_sd": 0.03})},
+        "the density": {**given, "density": f"{density}±{0.01 * density}"},
+        "gain": {**given, "gain": "1±0.005"},
+        "known angle": {**given, "calibration": calibration},
+    }
+    answers = {key: terraphi.invert(record.history, **each) for key, each in after.items()}
+    other = "c" if leg == "straight" else "straight"
+    label = f"a {OUTLINES[other].label}"
+    answers[label] = terraphi.invert([f"li2013:{medium}/{x}" for x in (leg, other)])
+    for key, answer in answers.items():
+        [sd] = [sd for words, sd in said.items() if key in words] or [before.phi.sd]
+        assert answer.phi.sd == pytest.approx(sd, abs=0.1), key
+
+
+def test_a_plan_is_the_answer_that_comes() -> None:
+    """And a second height narrows it as it says."""
+    low = Rig.of("li2013", "straight")
+    high = low.model_copy(update={"hip_height_mm": 31.43})
+    answer = terraphi.plan(low, phi_deg=28.0, density="1600±80")
+    assert answer.phi.median == pytest.approx(28.0, abs=0.1)
+    measured = terraphi.invert("li2013:yuma/straight", density="1600±80")
+    assert answer.phi.sd == pytest.approx(measured.phi.sd, abs=0.1)
+    [said] = [m.sd_deg for m in terraphi.next_measurements(answer) if "hip at 31 mm" in m.words]
+    records = []
+    for rig in (low, high):
+        law = terraphi.law("legs")
+        read_deg = 28.0 + float(law.error.offset(rig, 0.0, np.array(28.0)))
+        curves = law.forces(rig, read_deg, density=1600.0)
+        theta = np.radians(curves.theta_deg.values)
+        records.append((ForceHistory(theta, curves.forces.values[0].T), rig))
+    assert terraphi.invert(records, density="1600±80").phi.sd == pytest.approx(said, abs=0.1)
+
+
+def test_what_cannot_be_narrowed_so_has_no_advice() -> None:
+    legs = [f"li2013:yuma/{leg}" for leg in ("straight", "c")]
+    assert not terraphi.next_measurements(terraphi.invert(legs))
