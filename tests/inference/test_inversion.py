@@ -296,6 +296,10 @@ def test_calibrating_with_one_s_own_answer_centres_there(tmp_path) -> None:
     plain = invert(record)
     assert abs(answer.phi.median - 25.0) <= abs(plain.phi.median - 25.0)
     assert answer.phi.sd < plain.phi.sd
+    # What stays as it is in the apparatus is part of what the calibration has read.
+    fixed = {"hip height", "leg friction"}
+    assert fixed <= set(plain.budget_deg)
+    assert not fixed & set(answer.budget_deg)
 
 
 @pytest.mark.parametrize("phi", [9.0, 50.0])
