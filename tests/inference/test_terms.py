@@ -337,9 +337,9 @@ def test_terms_of_tools_are_the_scatter_of_angles_when_their_causes_are_drawn(
 ) -> None:
     world, rng = Pressed(tool, phi_deg), np.random.default_rng(0)
     budget = world.answer().budget_deg
-    z = norm.ppf((np.arange(25) + 0.5) / 25)
+    z = norm.ppf((np.arange(9) + 0.5) / 9)
     z /= z.std()
-    courses = 1.0 + rng.standard_normal((200, world.z.size)) @ world.course.T
+    courses = 1.0 + rng.standard_normal((80, world.z.size)) @ world.course.T
     scatter = {
         "density": world.scatter(density=1500.0 + 75.0 * z),
         "model: course": world.scatter(share=courses),
@@ -356,6 +356,7 @@ def test_terms_of_tools_are_the_scatter_of_angles_when_their_causes_are_drawn(
     assert model == pytest.approx(LAWS["foot"].sd_deg)
 
 
+@pytest.mark.slow
 def test_the_contraction_of_soils_drawn_from_its_prior_is_as_uncertain_as_stated() -> None:
     """Loose soils that compact by an exponential share, with the law's course off as well."""
     world, rng = Pressed("plate:60", 30.0), np.random.default_rng(0)
