@@ -82,7 +82,7 @@ Pouliquen 2006, Nature 441:727), to dense quartz sand at its peak, 48° (Bolton 
 MOIST_PA, LIKE_GRAINS, MOIST_DEG = 40.0, 1.25, 1.5
 """Cohesion above which dry soil may be damp [Pa], and what grains of a size d add to it, over
 ρ g d; standard deviation of φ by a cohesion that an answer names [deg]. Dry media of Li et al.
-(2013) fit up to 24 Pa, dry grains of 4 to 9 mm pass the limit in 3 of 90 records, of which one is tetrahedra."""
+(2013) fit up to 24 Pa; dry grains of 4 to 9 mm pass the limit in 3 of 90 records."""
 LARGE_SHIFT_DEG = 8.5
 """Distance of the leg angle's shift from the usual one above which an answer says so [deg]: media
 of Li et al. (2013) have up to 8.2°."""
