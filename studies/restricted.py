@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import minimize
 
-from terraphi.laws.emulator import LENGTHS, NUGGETS, matern, restricted_log_likelihood
+from terraphi.laws.gp import LENGTHS, NUGGETS, matern, restricted_log_likelihood
 
 FloatArray = np.ndarray
 

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from terraphi.inference.next_measurement import next_measurements as next_measurements
     from terraphi.inference.next_measurement import plan as plan
     from terraphi.laws.build import build as build
-    from terraphi.laws.legs import law_named as law  # noqa: F401
+    from terraphi.laws.named import law_named as law  # noqa: F401
     from terraphi.laws.plan import Plan as Plan
     from terraphi.laws.store import Library as Library
     from terraphi.robot.footfalls import footfalls as footfalls
@@ -68,7 +68,7 @@ _PLACES = {
     "invert_many": "inference.inversion",
     "next_measurements": "inference.next_measurement",
     "plan": "inference.next_measurement",
-    "law": "laws.legs:law_named",
+    "law": "laws.named:law_named",
     "map": "terrain.map:map_slopes",
     "measurement": "experiment.measurements",
     "read_forces": "experiment.reading",

@@ -12,7 +12,8 @@ from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 from restricted import hyperparameters
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
-from terraphi.laws.emulator import Emulator, Process, fitted, matern
+from terraphi.laws.emulator import Emulator
+from terraphi.laws.gp import Process, fitted, matern
 from terraphi.laws.store import Case, Curves, Library
 
 

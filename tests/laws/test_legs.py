@@ -20,16 +20,16 @@ from terraphi.experiment.scenario import GRAVITY, Scenario
 from terraphi.forward.rft import from_plane_strain, leg_force
 from terraphi.inference.likelihood import Likelihood
 from terraphi.inference.records import open_record
-from terraphi.laws.law import LegLaw, leg_law
+from terraphi.laws.emulator import leg_law
+from terraphi.laws.law import LegLaw
 from terraphi.laws.legs import (
     PLACES,
     Legs,
     cells_in,
-    law_named,
     reach,
     shipped_legs,
-    stored,
 )
+from terraphi.laws.named import law_named, stored
 from terraphi.laws.store import Case, Library
 from terraphi.laws.theory import Theory
 

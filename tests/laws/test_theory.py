@@ -14,7 +14,7 @@ from terraphi.forward import simulate
 from terraphi.forward.rft import stress_scale
 from terraphi.inference.likelihood import Likelihood
 from terraphi.inference.records import open_record
-from terraphi.laws.legs import law_named
+from terraphi.laws.named import law_named
 from terraphi.laws.store import PHI, Library
 from terraphi.laws.theory import Theory
 

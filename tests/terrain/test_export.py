@@ -17,8 +17,8 @@ import pytest
 
 from terraphi.experiment.errors import InputError
 from terraphi.forward.rft import stress_scale
-from terraphi.inference.answer import StoredAnswer as Told
 from terraphi.inference.inversion import invert
+from terraphi.inference.stored import StoredAnswer as Told
 from terraphi.laws.foot import LAWS, Foot
 from terraphi.laws.wrench import force
 from terraphi.terrain.export import bekker, export, text

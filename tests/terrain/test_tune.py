@@ -19,7 +19,7 @@ from terraphi import invert
 from terraphi.cli.main import cli
 from terraphi.cli.options import TUNED
 from terraphi.experiment.errors import InputError
-from terraphi.inference.answer import StoredAnswer
+from terraphi.inference.stored import StoredAnswer
 from terraphi.laws.foot import LAWS, Foot
 from terraphi.terrain import tune as tuning
 from terraphi.terrain.export import export, text

@@ -70,7 +70,7 @@ def library_list(as_json: bool) -> None:
 
     Example: terraphi library list
     """
-    from terraphi.laws.legs import shipped_laws
+    from terraphi.laws.named import shipped_laws
 
     summaries = [law.summary() for law in shipped_laws()]
     rows = [
@@ -91,7 +91,7 @@ def library_show(name: str, as_json: bool) -> None:
 
     Example: terraphi library show rft3d
     """
-    from terraphi.laws.legs import stored
+    from terraphi.laws.named import stored
 
     print_library(stored(name), as_json)
 

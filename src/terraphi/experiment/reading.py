@@ -84,9 +84,9 @@ UNIT_KEYS = {
     "angle": "theta_unit", "force": "unit", "length": "sinkage_unit", "pressure": "pressure_unit",
 }  # fmt: skip
 """Option that names the unit of a kind."""
-_WORDS = {"theta": "theta", "fx": "Fx", "fz": "Fz"}
-_WORDS |= {role: f"the {role}" for role in ("moment", "time", *PRESSED)}
-_Unit = Literal["N", "kN", "mN", "MN", "lbf", "ozf", "kgf", "gf", "dyn"]
+WORDS = {"theta": "theta", "fx": "Fx", "fz": "Fz"}
+WORDS |= {role: f"the {role}" for role in ("moment", "time", *PRESSED)}
+ForceUnit = Literal["N", "kN", "mN", "MN", "lbf", "ozf", "kgf", "gf", "dyn"]
 
 
 class Columns(Strict):
@@ -116,23 +116,6 @@ class Columns(Strict):
         return strictly(options, cls, "columns")
 
 
-class PressColumns(Columns):
-    """Which columns of a table of a body pressed in are what, and their units."""
-
-    sinkage: str | None = None
-    """Column of the sinkage; if not given, it is guessed."""
-    force: str | None = None
-    """Column of the force; if not given, it is guessed."""
-    pressure: str | None = None
-    """Column of the pressure, in place of a force; if not given, it is guessed."""
-    sinkage_unit: Literal["mm", "cm", "m", "in", "ft"] | None = None
-    """Unit of the sinkage; if not given, that of the header."""
-    unit: _Unit | None = None
-    """Unit of the force; if not given, that of the header."""
-    pressure_unit: Literal["kPa", "Pa", "MPa", "bar", "psi"] | None = None
-    """Unit of the pressure; if not given, that of the header."""
-
-
 class ForceColumns(Columns):
     """Which columns of a table of forces are what, their units and their signs."""
 
@@ -148,7 +131,7 @@ class ForceColumns(Columns):
     """Column of the time, for `rate_deg_s`."""
     rate_deg_s: float | None = Field(None, gt=0)
     """Constant rate of the leg [deg/s], where the table has a time instead of an angle."""
-    unit: _Unit | None = None
+    unit: ForceUnit | None = None
     """Unit of the forces; if not given, that of the header, else N."""
     theta_unit: Literal["deg", "rad", "mrad", "rev", "gon"] | None = None
     """Unit of the angle; if not given, that of the header, else deg."""
@@ -335,7 +318,7 @@ def _name(source: Any) -> str:
     return str(source) if isinstance(source, str | Path) else type(source).__name__
 
 
-class _Reading(Generic[Given]):
+class ColumnReader(Generic[Given]):
     """One table and the columns that have a role in it; what was guessed, and what is wrong."""
 
     def __init__(self, source: Any, given: Given) -> None:
@@ -375,9 +358,7 @@ class _Reading(Generic[Given]):
             self.names[role] = columns[0]
         elif columns:
             listed = " or ".join(f"'{name[:40]}'" for name in columns[:4])
-            self.wrong.append(
-                f"{_WORDS[role]} may be {listed}; add --columns '{role}={columns[0]}'"
-            )
+            self.wrong.append(f"{WORDS[role]} may be {listed}; add --columns '{role}={columns[0]}'")
         return bool(columns)
 
     def like(self, role: str) -> list[str]:
@@ -434,7 +415,7 @@ class _Reading(Generic[Given]):
         return np.asarray(factor * self.table.frame[self.names[role]].to_numpy(np.float64))
 
 
-class _LegTable(_Reading[ForceColumns]):
+class _LegTable(ColumnReader[ForceColumns]):
     """A table of forces on a leg over its angle."""
 
     def __init__(self, source: Any, given: ForceColumns) -> None:
@@ -459,7 +440,7 @@ class _LegTable(_Reading[ForceColumns]):
             elif not self.guess(role, self.like(role)):
                 lacking.append(role)
             if role in self.names and column is None and self.names[role] != our_names.get(role):
-                guessed.append(f"{_WORDS[role]} from '{self.names[role]}' [{self.unit(role)[0]}]")
+                guessed.append(f"{WORDS[role]} from '{self.names[role]}' [{self.unit(role)[0]}]")
         if "moment" in self.names and {"fx", "fz"} & {*lacking}:
             lacking = self._without_forces(lacking)
         if lacking:
@@ -480,7 +461,7 @@ class _LegTable(_Reading[ForceColumns]):
         may_be_forces = not all(re.fullmatch(no_force, name.lower()) for name in free)
         if may_be_forces and self.given.moment is None:
             return lacking
-        without = [_WORDS[role] for role in lacking if role != "theta"]
+        without = [WORDS[role] for role in lacking if role != "theta"]
         beware = "" if len(without) == 1 else " It cannot show a wrong leg or a wrong scale."
         self.notes.append(f"The moment is used in place of {' and '.join(without)}.{beware}")
         return [role for role in lacking if role == "theta"]
@@ -497,7 +478,7 @@ class _LegTable(_Reading[ForceColumns]):
         if "moment" in self.names and {"fx", "fz"} & {*lacking}:
             more += f", or 'moment={self.names['moment']}' to do without a force"
         self.wrong.append(
-            f"no column of {', '.join(_WORDS[role] for role in lacking)} among {self.header}; add "
+            f"no column of {', '.join(WORDS[role] for role in lacking)} among {self.header}; add "
             f"--columns '{pairs}'{more}"
         )
 
@@ -690,87 +671,6 @@ class _LegTable(_Reading[ForceColumns]):
             f"{ends:.0f}°, but it is zero where the leg hangs down; add --columns "
             f"theta_offset_deg={offset:g}{turned}"
         )
-
-
-class Pressed(NamedTuple):
-    """A body pressed in, in the order of time."""
-
-    sinkage: FloatArray
-    """Positive into the soil, from the zero of the table [m]."""
-    force: FloatArray
-    """Up on the body [N]."""
-    rows: int
-    """Number of rows of the table."""
-    notes: list[str]
-    """What was guessed and left out."""
-
-
-def read_pressed(source: Any, area: float, columns: Any = None) -> Pressed:
-    """Read sinkage and force, or pressure on an area [m²]; columns, units and signs are guessed.
-
-    Raises
-    ------
-    InputError
-        With what is wrong with the table.
-    """
-    reader = _PressTable(source, PressColumns.of(columns))
-    reader.refuse_wrong()
-    role = "force" if "force" in reader.names else "pressure"
-    sinkage, force = reader.column("sinkage"), reader.column(role)
-    force = force * (area if role == "pressure" else 1.0)
-    full = np.isfinite(sinkage) & np.isfinite(force)
-    if not full.all():
-        reader.notes.append(f"{(~full).sum()} of {len(full)} rows lack a number and are left out.")
-    sinkage, force = sinkage[full], force[full]
-    if len(force) < FEWEST_ROWS or np.ptp(force) == 0.0 or np.ptp(sinkage) == 0.0:
-        reader.refuse(f"{len(force)} rows with a sinkage and a force; {FEWEST_ROWS} that differ "
-                     "are needed")  # fmt: skip
-    if force[np.abs(force).argmax()] < 0.0:  # the soil presses up
-        force = -force
-        reader.notes.append("The force is negative in the soil: its sign is turned.")
-    course = float(np.corrcoef(sinkage, force)[0, 1])
-    # A force that falls with depth, as of a hard layer, decides nothing: the larger end is below.
-    if course < -0.5 or (course < 0.5 and -sinkage.min() > sinkage.max()):
-        sinkage = -sinkage
-        reader.notes.append("The sinkage is negative in the soil: its sign is turned.")
-    return Pressed(sinkage, force, len(full), reader.notes)
-
-
-class _PressTable(_Reading[PressColumns]):
-    """A table of a body that is pressed in."""
-
-    def __init__(self, source: Any, given: PressColumns) -> None:
-        """Find sinkage and force, or the pressure."""
-        super().__init__(source, given)
-        chosen: dict[str, str] = given.model_dump(include=set(PRESSED), exclude_none=True)
-        if {"force", "pressure"} <= chosen.keys():
-            self.wrong.append("--columns names a force and a pressure; one of them is needed")
-        for role, column in chosen.items():
-            self.take(role, column)
-        for role in PRESSED if not self.wrong else ():
-            # One of force and pressure does; what is given goes first.
-            borne = {"force", "pressure"} - {role} if role != "sinkage" else set()
-            if role not in chosen and not borne & {*self.names}:
-                self.guess(role, self.like(role))
-        if not self.wrong and not ("sinkage" in self.names and len(self.names) > 1):
-            lacking = "force or pressure" if "sinkage" in self.names else "sinkage"
-            key = lacking.partition(" ")[0]
-            self.wrong.append(
-                f"no column of {lacking} among {self.header}; add --columns '{key}=NAME', or name "
-                "the columns such as sinkage_mm and force_N or pressure_kPa"
-            )
-        for role, name in self.names.items():
-            self.check(role)
-            key = UNIT_KEYS[PRESSED[role]]
-            if not (self.written(name) or getattr(given, key)):
-                unit = {"sinkage": "mm", "force": "N", "pressure": "kPa"}[role]
-                self.wrong.append(
-                    f"column '{name[:40]}' has no unit; add --columns {key}={unit}, or "
-                    f"name it such as {role}_{unit}"
-                )
-        guessed = [f"{_WORDS[k]} from '{n}'" for k, n in self.names.items() if k not in chosen]
-        if guessed:
-            self.notes.append(f"{GUESSED}{', '.join(guessed)}.")
 
 
 def _split(header: str) -> tuple[str, str | None]:

@@ -10,28 +10,22 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from pydantic import (
-    AfterValidator,
     AliasChoices,
-    BaseModel,
     ConfigDict,
     Field,
-    Json,
-    model_validator,
 )
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.bodies import OUTLINES
-from terraphi.experiment.documents import parse_json
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.files import NetcdfFile, read_bytes, write_netcdf
-from terraphi.experiment.outputs import output_folder
-from terraphi.experiment.results import Result
+from terraphi.experiment.files import write_netcdf
+from terraphi.experiment.results import Shown
 from terraphi.experiment.rig import Rig, Tool
-from terraphi.laws.store import PHI
+from terraphi.laws.law import PHI
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -100,8 +94,6 @@ class Estimate:
 Verdict = Literal["consistent", "misfit", "out_of_range"]
 Edge = Literal["low", "high"]
 Name = Annotated[str, Field(validation_alias=AliasChoices("law", "library"))]
-RENAMED = {"questions": "warnings", "library": "law", "library_reason": "law_reason"}
-"""Keys of version 0.3, and what they are called since."""
 Channel = Annotated[str, Field(pattern="^(Fx|Fz|M)$")]
 
 
@@ -176,7 +168,7 @@ class RecordFit(RecordSummary):
         return {**stated, "rig": self.rig.model_dump(), "nrmsd": dict(self.nrmsd)}
 
 
-def _endings(records: Sequence[Any]) -> list[str]:
+def endings(records: Sequence[Any]) -> list[str]:
     """Endings of the names of each record's variables; of one record there is none."""
     return [f"_{i}" for i in range(len(records))] if len(records) > 1 else [""]
 
@@ -185,15 +177,6 @@ def worst_nrmsd(fits: Sequence[RecordFit]) -> dict[str, float]:
     """Largest residual of any record by channel [-]."""
     names = dict.fromkeys(name for fit in fits for name in fit.nrmsd)
     return {n: max(fit.nrmsd[n] for fit in fits if n in fit.nrmsd) for n in names}
-
-
-class Opinion(BaseModel, strict=True):
-    """φ by another law [deg]."""
-
-    law: Name
-    median: float
-    sd: float
-    force_size_deg: float | None = None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -256,9 +239,7 @@ class AnswerSummary:
     phi_peak: Estimate | None = None
     phi_of_force_deg: Mapping[str, float | None] | None = None
     budget_deg: Mapping[str, float] = field(default_factory=dict)
-    second_opinion: Annotated[
-        Mapping[str, Any], AfterValidator(lambda given: Opinion.model_validate(given).model_dump())
-    ] | None = None  # fmt: skip
+    second_opinion: Mapping[str, Any] | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
     warnings: Annotated[
         tuple[str, ...], Field(validation_alias=AliasChoices("warnings", "questions"))
@@ -266,45 +247,8 @@ class AnswerSummary:
     parameters: Mapping[str, Estimate] = field(default_factory=dict)
 
 
-class StoredAngle(BaseModel, strict=True):
-    """A friction angle [deg] in some convention."""
-
-    median: float
-    sd: float = Field(0.0, ge=0.0)
-    ci68: tuple[float, float]
-    ci95: tuple[float, float]
-    convention: str = Field("", alias="yield")
-
-    @property
-    def estimate(self) -> Estimate:
-        """The angle without its convention."""
-        return Estimate(self.median, self.sd, self.ci68, self.ci95)
-
-    @model_validator(mode="after")
-    def _ordered(self) -> StoredAngle:
-        (low68, high68), (low95, high95) = self.ci68, self.ci95
-        if not 0.0 < low95 <= low68 <= self.median <= high68 <= high95 < 90.0:
-            raise ValueError("ci95, ci68 and median do not lie within each other, in 0 to 90 deg")
-        return self
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Stored(AnswerSummary):
-    """What :meth:`Answer.as_dict` wrote, as far as it is read back."""
-
-    phi_deg: StoredAngle | None
-    phi_plane_strain_deg: StoredAngle | None
-    records: list[RecordSummary] = field(default_factory=list)
-
-
-class AnswerAttributes(BaseModel):
-    """Attributes of an answer's file."""
-
-    answer: Json[Stored]
-
-
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class Answer(Result, AnswerSummary):
+class Answer(Shown, AnswerSummary):
     """What an inversion found.
 
     Attributes
@@ -333,7 +277,6 @@ class Answer(Result, AnswerSummary):
     """
 
     KIND = "answer"
-    ATTRIBUTES = AnswerAttributes
 
     convention: str
     phi_plane_strain: Estimate | None
@@ -365,6 +308,8 @@ class Answer(Result, AnswerSummary):
     @property
     def bekker(self) -> Bekker | None:
         """Numbers of the pressure-sinkage curve of plates; ``None`` without a plate."""
+        if not any(isinstance(rig, Tool) for rig in self.rigs):
+            return None
         from terraphi.inference.bekker import bekker
 
         return bekker(self.records)
@@ -486,7 +431,7 @@ class Answer(Result, AnswerSummary):
         variables: dict[str, Any] = {}
         places: dict[str, Any] = {}
         parts = np.split(values, ends[:-1], axis=-1)
-        for record, part, end in zip(self.records, parts, _endings(self.records), strict=True):
+        for record, part, end in zip(self.records, parts, endings(self.records), strict=True):
             component, along = f"component{end}", f"{record.coordinate}{end}"
             places[component], places[along] = list(record.nrmsd), record.theta_deg
             shaped = part.reshape(*part.shape[:-1], *record.data.shape)
@@ -589,8 +534,8 @@ class Answer(Result, AnswerSummary):
         text = json.dumps(self.as_dict(), default=str)
         return {"terraphi_file": self.KIND, "answer": text}
 
-    @classmethod
-    def load(cls, path: Path | str) -> Self:
+    @staticmethod
+    def load(path: Path | str) -> Answer:
         """Read an answer from its NetCDF, or from the folder of ``invert --out``.
 
         Raises
@@ -598,38 +543,10 @@ class Answer(Result, AnswerSummary):
         InputError
             If there is none, or it is not one of this version.
         """
-        path = Path(path)
-        return super().load(path / "answer.nc" if path.is_dir() else path)
+        from terraphi.inference.stored import read_answer
 
-    @classmethod
-    def _of_file(cls, file: NetcdfFile[AnswerAttributes]) -> Self:
-        stated, at, size = file.attrs.answer, "constant_data/", 0
-        records: list[RecordFit] = []
-        for record, end in zip(stated.records, _endings(stated.records), strict=True):
-            dims = len(record.nrmsd), f"{record.coordinate}{end}"
-            fit = RecordFit(
-                **vars(record),
-                theta_deg=file.numbers(f"observed_data/{dims[1]}", dims[1]),
-                data=file.numbers(f"observed_data/force{end}", *dims),
-                curve=file.numbers(f"{at}curve{end}", *dims),
-                band=file.numbers(f"{at}band{end}", 2, *dims),
-                tangent=file.numbers(f"{at}tangent{end}", 2, *dims),
-            )
-            records.append(fit)
-            size += fit.data.size
-        grid, density = (file.numbers(at + name, "grid") for name in ("grid_deg", "density"))
-        phi, plane = stated.phi_deg, stated.phi_plane_strain_deg
-        if not (records and records[0].theta_deg.size and density.sum() > 0.0 and phi):
-            raise ValueError("no records, or no posterior")
-        return cls(
-            convention=phi.convention,
-            phi_plane_strain=plane.estimate if plane else None,
-            records=tuple(records),
-            grid_deg=grid,
-            density=density,
-            covariance=file.numbers(f"{at}covariance", size, size),
-            **{part.name: getattr(stated, part.name) for part in fields(AnswerSummary)},
-        )
+        path = Path(path)
+        return read_answer(path / "answer.nc" if path.is_dir() else path)
 
     def save(self, folder: Path | str) -> None:
         """Write ``answer.json``, ``answer.nc`` and ``answer.png`` into a folder, all or none.
@@ -641,6 +558,8 @@ class Answer(Result, AnswerSummary):
         InputError
             If the folder cannot be written, or holds other things.
         """
+        from terraphi.experiment.outputs import output_folder
+
         with output_folder(Path(folder), kind="answer", last="answer.json") as place:
             self.to_netcdf(place / "answer.nc")
             try:
@@ -649,51 +568,3 @@ class Answer(Result, AnswerSummary):
                 log.warning("%s", error)
             text = json.dumps(self.as_dict(), indent=1, ensure_ascii=False, default=str)
             (place / "answer.json").write_text(text + "\n", encoding="utf-8")
-
-
-class StoredAnswer(NamedTuple):
-    """What a file or folder says about an inversion."""
-
-    source: str
-    """Its name."""
-    answer: dict[str, Any]
-    """As :meth:`Answer.as_dict` has it."""
-    draws_deg: FloatArray
-    """Draws of φ in the answer's convention [deg], shape [draw]; empty if the file has none."""
-
-    @classmethod
-    def of(cls, answer: Any) -> StoredAnswer:
-        """An answer without its curves, from memory or from a file.
-
-        Parameters
-        ----------
-        answer
-            An answer; the folder of ``terraphi invert --out``, its ``answer.nc``, or the output of
-            ``--json`` (``-``: standard input), which has no draws.
-
-        Raises
-        ------
-        InputError
-            If it is missing, damaged or no answer.
-        """
-        if isinstance(answer, StoredAnswer):
-            return answer
-        source = ""
-        if isinstance(answer, str | Path):
-            source = str(answer)
-            if not (Path(answer).is_dir() or source.endswith(".nc")):
-                text = read_bytes(Path(answer))
-                parse_json(text, Stored, source)
-                stored = json.loads(text)
-                written = {RENAMED.get(key, key): value for key, value in stored.items()}
-                is_old = written.keys() != stored.keys()
-                old = ["The answer is of version 0.3: invert again."] * is_old
-                written["warnings"] = [*written.get("warnings", ()), *old]
-                return cls(source, written, np.zeros(0))
-            answer = Answer.load(answer)
-        if not isinstance(answer, Answer):
-            raise InputError(
-                f"answer of type {type(answer).__name__}; give an Answer, or the folder or file of "
-                "one"
-            )
-        return cls(source or answer.source, answer.as_dict(), answer.phi_draws())

@@ -41,7 +41,6 @@ from terraphi.inference.likelihood import SHIFT_DEG, Likelihood, squared_residua
 from terraphi.inference.records import Record, density_warnings
 from terraphi.laws.law import LegLaw
 from terraphi.laws.legs import VARIED, LawOfLegs, law_of
-from terraphi.laws.store import Library, differences
 from terraphi.laws.theory import Theory
 
 LOADED = 0.05
@@ -637,6 +636,8 @@ def misread(likelihood: Likelihood, i: int, legs: Sequence[Reading], verdict: st
     """
     record, law = likelihood.records[i], likelihood.library
     if record.scenario is not None:
+        from terraphi.laws.store import Library, differences
+
         varied = set() if isinstance(law, Library) else VARIED
         keys = [k for k in differences(record.scenario, law.scenario) if k not in varied]
         if keys:

@@ -22,7 +22,7 @@ from terraphi.experiment.rig import Rig
 from terraphi.inference.answer import Answer, Estimate, Verdict, decimals
 from terraphi.inference.checks import densities
 from terraphi.inference.terms import Sharer, is_shared, ordered_budget, term
-from terraphi.laws.store import PHI
+from terraphi.laws.law import PHI
 
 DISAGREE = 1.96
 """Standard deviations of the difference of two answers above which they are a misfit [-]: one sound

@@ -33,8 +33,8 @@ from terraphi.inference.likelihood import Likelihood, quadrature
 from terraphi.inference.records import PressedRecord, Record, open_records, with_sd
 from terraphi.inference.terms import root_sum_square, term
 from terraphi.inference.verdict import Judgment, consistent, large_residual, out_of_range
-from terraphi.laws.legs import FORMER_NAME, LawOfLegs, Legs, law_named, nearest_law, shipped_legs
-from terraphi.laws.store import PHI
+from terraphi.laws.law import PHI
+from terraphi.laws.legs import FORMER_NAME, LawOfLegs, Legs, shipped_legs
 
 BETTER_LEG = 0.9
 """Residual by another leg over that by the record's own at which the leg is taken for wrong [-]:
@@ -417,14 +417,17 @@ def _law_for(
     records: Sequence[Record], law: LawOfLegs | Path | str | None
 ) -> tuple[LawOfLegs, str]:
     """The law to take, and why, if none was named."""
-    if isinstance(law, LawOfLegs):
-        return law, ""
-    if law is not None:
+    first = records[0].scenario
+    if isinstance(law, str | Path):
+        from terraphi.laws.named import law_named
+
         return law_named(law), "what sand3d is now" if str(law) == FORMER_NAME else ""
-    scenarios = [record.scenario for record in records]
-    if all(scenario is not None for scenario in scenarios):
-        assert scenarios[0] is not None
-        return nearest_law(scenarios[0]), "the nearest to the simulation"
+    if law is not None:
+        return law, ""
+    if first is not None and all(record.scenario is not None for record in records):
+        from terraphi.laws.named import nearest_law
+
+        return nearest_law(first), "the nearest to the simulation"
     return shipped_legs(), "the default for measured forces"
 
 

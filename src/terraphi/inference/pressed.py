@@ -28,7 +28,7 @@ from terraphi.inference.records import PressedRecord, density_warnings, roughnes
 from terraphi.inference.terms import ordered_budget, root_sum_square, term
 from terraphi.inference.verdict import Judgment, consistent, large_residual, out_of_range
 from terraphi.laws.foot import DEEPEST, LAWS, Foot
-from terraphi.laws.store import PHI
+from terraphi.laws.law import PHI
 
 WINDOWS = 40
 """Equal windows of sinkage."""

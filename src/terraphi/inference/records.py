@@ -19,7 +19,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -38,9 +38,12 @@ from terraphi.experiment.history import (
 )
 from terraphi.experiment.measurements import Measurement, measurement_of, open_forces
 from terraphi.experiment.priors import DENSITY_SD_PART, SENSOR_GAIN
-from terraphi.experiment.reading import ForceColumns, Pressed, read_pressed, read_trials
+from terraphi.experiment.reading import ForceColumns, read_trials
 from terraphi.experiment.rig import Rig, Tool
 from terraphi.experiment.scenario import Scenario
+
+if TYPE_CHECKING:
+    from terraphi.experiment.pressed_reading import Pressed
 
 FEWEST_WINDOWS = 9
 """Windows that a record must have: those within 40° of its path."""
@@ -390,6 +393,8 @@ def _pressed(
     grain_size_mm: float | None = None,
 ) -> PressedRecord:
     """Open a table of sinkage and force."""
+    from terraphi.experiment.pressed_reading import read_pressed
+
     table = read_pressed(source, math.pi * tool.radius**2, columns)
     is_file = isinstance(source, str | Path)
     label = label_of(source) if is_file else f"{type(source).__name__} ({tool})"

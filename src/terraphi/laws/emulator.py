@@ -23,12 +23,12 @@ from functools import cached_property
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.rig import Rig
+from terraphi.laws.gp import Process, fitted
+from terraphi.laws.law import LegLaw, is_similar, remedy
 from terraphi.laws.store import Curves, Library
 
-LENGTHS = np.geomspace(0.15, 8.0, 16)
-"""Correlation lengths that are tried, in units of the half range of φ [-]."""
-NUGGETS = np.geomspace(1e-8, 1e2, 24)
-"""Nuggets that are tried, over the variance of the process [-]."""
 SMOOTH_DEG = 5.0
 """Width of the mean by which the size of scatter is smoothed over the leg angle [deg]."""
 LEAST = 1e-9
@@ -162,97 +162,52 @@ def emulator_of(library: Library, leg: str) -> Emulator:
     return Emulator(library.curves(leg))
 
 
-@dataclass(frozen=True, eq=False)
-class Process:
-    """A Gaussian process with a polynomial mean, fitted to one weight or to several that share it.
+class LibraryLaw(LegLaw):
+    """The law of a library for a rig of its proportions, longer by a factor [-]."""
 
-    With A = K + λ diag(b²), K of unit variance, F the polynomials at the cases with coefficients β,
-    ``solved`` is A⁻¹(w − Fβ), ``inverse`` A⁻¹ and ``spread`` (F'A⁻¹F)⁻¹. Weights that share a
-    process have the same correlation lengths and λ, and each a variance of its own.
+    def __init__(self, emulator: Emulator, longer: float) -> None:
+        curves = emulator.curves
+        self.emulator, self._scale = emulator, longer**3
+        self.bounds, self.theta_deg = emulator.bounds, curves.theta_deg
+        self.density = curves.scenario.soil.density
+        self.leg_friction = curves.scenario.leg.friction
+        self._arm = None if curves.arm is None else longer * curves.arm
+
+    def within(self, x: FloatArray, _cohesion: float) -> FloatArray:
+        """Forces within the bounds."""
+        return self._scale * self.emulator(x)
+
+    def interpolation(self, x: FloatArray, _cohesion: float) -> FloatArray:
+        """Factor of the emulator's covariance."""
+        return self._scale * self.emulator.interpolation(np.clip(x, *self.bounds))
+
+    def scatter(self, x: FloatArray, _cohesion: float) -> FloatArray:
+        """Covariance of the emulator's scatter."""
+        return self._scale**2 * self.emulator.scatter(np.clip(x, *self.bounds))
+
+
+def leg_law(library: Library, rig: Rig, *, strict: bool = True) -> LegLaw:
+    """The law of a rig by a library of legs.
+
+    Parameters
+    ----------
+    library
+        Has the rig's leg.
+    rig
+        The apparatus.
+    strict
+        True if the rig must have the proportions of the library's leg.
+
+    Raises
+    ------
+    InputError
+        If the library lacks the leg, or its leg has other proportions.
     """
-
-    t: FloatArray
-    lengths: FloatArray
-    beta: FloatArray
-    solved: FloatArray
-    inverse: FloatArray
-    basis: FloatArray
-    spread: FloatArray
-    sigma2: FloatArray
-    noise: float
-
-    @classmethod
-    def of(
-        cls, t: FloatArray, basis: FloatArray, weights: FloatArray, lengths: FloatArray,
-        noise: float, rough: FloatArray | float = 1.0,
-    ) -> Process:  # fmt: skip
-        """The process of known lengths [key] and λ, for weights [case, weight]."""
-        nugget = noise * np.square(rough) * np.ones(len(t))
-        inverse = np.linalg.inv(matern(t, t, lengths) + np.diag(nugget)).astype(np.float64)
-        spread = np.linalg.inv(basis.T @ inverse @ basis).astype(np.float64)
-        beta = spread @ basis.T @ inverse @ weights
-        residual = weights - basis @ beta
-        solved = inverse @ residual
-        sigma2 = (residual * solved).sum(axis=0) / max(len(t) - basis.shape[1], 1)
-        return cls(t, lengths, beta, solved, inverse, basis, spread, sigma2, noise)
-
-    def mean(self, t: FloatArray, basis: FloatArray) -> FloatArray:
-        """Weights at other parameters, shape [k, key] -> [k, weight]."""
-        return np.asarray(basis @ self.beta + matern(t, self.t, self.lengths) @ self.solved)
-
-    @property
-    def nugget(self) -> FloatArray:
-        """Variance between particle seeds, over b², shape [weight]."""
-        return self.sigma2 * self.noise
-
-    def variance(self, t: FloatArray, basis: FloatArray) -> FloatArray:
-        """Variance of the weights, without the nugget, shape [k, key] -> [k, weight]."""
-        cross = matern(t, self.t, self.lengths)
-        unexplained_trend = basis - cross @ self.inverse @ self.basis
-        explained = np.einsum("ki,ki->k", cross @ self.inverse, cross)
-        of_mean = np.einsum("ki,ij,kj->k", unexplained_trend, self.spread, unexplained_trend)
-        return np.maximum(1.0 - explained + of_mean, 0.0)[:, None] * self.sigma2
-
-
-def matern(first: FloatArray, second: FloatArray, lengths: FloatArray) -> FloatArray:
-    """Matérn correlation of order 5/2, shape [..., k, n]: smooth, but not infinitely so."""
-    a, b = first / lengths, second / lengths
-    squared = np.square(a).sum(axis=-1)[..., None] + np.square(b).sum(axis=-1)[..., None, :]
-    squared = np.maximum(squared - 2.0 * a @ b.swapaxes(-1, -2), 0.0)
-    lag = np.sqrt(5.0 * squared)
-    return (1.0 + lag + 5.0 / 3.0 * squared) * np.exp(-lag)
-
-
-def fitted(
-    t: FloatArray, basis: FloatArray, weights: FloatArray, rough: FloatArray
-) -> list[Process]:
-    """A process of one parameter for each column of weights, by the restricted likelihood.
-
-    It is looked for on a grid of length and nugget. The nugget of a case goes with the square of
-    its roughness b; dividing everything by b makes it the same for all.
-    """
-    f, w, scale = basis / rough[:, None], weights / rough[:, None], np.outer(rough, rough)
-    best, chosen = np.full(w.shape[1], -np.inf), np.zeros((w.shape[1], 2))
-    for length in LENGTHS:
-        roots, vectors = np.linalg.eigh(matern(t, t, np.array([length])) / scale)
-        for noise in NUGGETS / np.median(rough) ** 2:
-            value = restricted_log_likelihood(np.maximum(roots, 0.0) + noise, vectors, f, w)
-            better = value > best
-            best[better], chosen[better] = value[better], (length, noise)
-    return [
-        Process.of(t, basis, weights[:, [k]], chosen[k, :1], float(chosen[k, 1]), rough)
-        for k in range(len(chosen))
-    ]
-
-
-def restricted_log_likelihood(
-    roots: FloatArray, vectors: FloatArray, basis: FloatArray, weights: FloatArray
-) -> FloatArray:
-    """Restricted log-likelihood of each column, with its variance profiled out, [column]."""
-    f, w = vectors.T @ basis, vectors.T @ weights
-    normal = f.T @ (f / roots[:, None])
-    beta = np.linalg.solve(normal, f.T @ (w / roots[:, None]))
-    free = len(w) - f.shape[1]
-    sigma2 = (np.square(w - f @ beta) / roots[:, None]).sum(axis=0) / free
-    volume = np.log(roots).sum() + np.linalg.slogdet(normal)[1]
-    return -0.5 * (free * np.log(sigma2 + 1e-300) + volume)
+    emulator = emulator_of(library, rig.leg)
+    simulated = Rig.of_scenario(emulator.curves.scenario)
+    if strict and simulated is not None and not is_similar(rig, simulated):
+        raise InputError(
+            f"library {library.name} is of a {simulated}, and this leg has other proportions; "
+            f"{remedy(rig)}"
+        )
+    return LibraryLaw(emulator, 1.0 if simulated is None else rig.length / simulated.length)

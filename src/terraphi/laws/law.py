@@ -7,15 +7,24 @@ rig is the law of all rigs with its proportions, and a law may have these ratios
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.rig import Rig
-from terraphi.laws.emulator import Emulator, emulator_of
-from terraphi.laws.store import Library
 
+if TYPE_CHECKING:
+    import xarray as xr
+    from numpy.typing import ArrayLike
+
+PHI = "soil.friction_angle_deg"
+"""Dotted scenario key of the friction angle."""
+THETA_DEG = np.arange(-90.0, 91.0)
+"""Leg angles [deg] of the curves that inference uses: means over 1° about whole degrees."""
+ARM_DEG = 2.0
+"""Width over which lever arms are smoothed [deg]."""
 SIMILAR = (0.02, 0.015, 0.015)
 """Largest differences of a rig from the library's: width over the library's, height of the hip and
 thickness over the length. Each moves φ by at most 0.5° (2 mm of Li's hip by 1°, 10 % of force
@@ -24,6 +33,17 @@ FRICTION = (0.1, 0.6)
 """Frictions of a leg that laws know [-]: those that were simulated."""
 STEP = 1e-3
 """Step of numerical derivatives, of the range of φ [-]."""
+
+
+class AnyLaw:
+    """A law of legs, of whatever kind."""
+
+    def forces(self, rig: Any, phi_deg: ArrayLike, **options: Any) -> xr.Dataset:
+        """Forces on the leg of a rig and their slope with φ: `~terraphi.laws.legs.forces`."""
+        from terraphi.laws.legs import forces
+
+        law: Any = self
+        return forces(law, rig, phi_deg, **options)
 
 
 class LegLaw(ABC):
@@ -87,30 +107,6 @@ class LegLaw(ABC):
         return force
 
 
-class LibraryLaw(LegLaw):
-    """The law of a library for a rig of its proportions, longer by a factor [-]."""
-
-    def __init__(self, emulator: Emulator, longer: float) -> None:
-        curves = emulator.curves
-        self.emulator, self._scale = emulator, longer**3
-        self.bounds, self.theta_deg = emulator.bounds, curves.theta_deg
-        self.density = curves.scenario.soil.density
-        self.leg_friction = curves.scenario.leg.friction
-        self._arm = None if curves.arm is None else longer * curves.arm
-
-    def within(self, x: FloatArray, _cohesion: float) -> FloatArray:
-        """Forces within the bounds."""
-        return self._scale * self.emulator(x)
-
-    def interpolation(self, x: FloatArray, _cohesion: float) -> FloatArray:
-        """Factor of the emulator's covariance."""
-        return self._scale * self.emulator.interpolation(np.clip(x, *self.bounds))
-
-    def scatter(self, x: FloatArray, _cohesion: float) -> FloatArray:
-        """Covariance of the emulator's scatter."""
-        return self._scale**2 * self.emulator.scatter(np.clip(x, *self.bounds))
-
-
 def is_similar(rig: Rig, leg: Rig) -> bool:
     """True if a rig has the proportions of a simulated leg."""
     ratios, simulated = rig.ratios, leg.ratios
@@ -140,28 +136,16 @@ def check_friction(rig: Rig) -> None:
         )
 
 
-def leg_law(library: Library, rig: Rig, *, strict: bool = True) -> LegLaw:
-    """The law of a rig by a library of legs.
+def lever_arm(curves: list[FloatArray]) -> FloatArray:
+    """(a, b) with M = a Fx + b Fz, from curves of (Fx, Fz, M) [3, theta], shape [2, theta].
 
-    Parameters
-    ----------
-    library
-        Has the rig's leg.
-    rig
-        The apparatus.
-    strict
-        True if the rig must have the proportions of the library's leg.
-
-    Raises
-    ------
-    InputError
-        If the library lacks the leg, or its leg has other proportions.
+    Where on the leg the soil presses depends little on φ: the moment of Li's legs is met within 1 %
+    of its range. Each angle has its own least squares, over the curves at neighbouring angles, all
+    of the same weight.
     """
-    emulator = emulator_of(library, rig.leg)
-    simulated = Rig.of_scenario(emulator.curves.scenario)
-    if strict and simulated is not None and not is_similar(rig, simulated):
-        raise InputError(
-            f"library {library.name} is of a {simulated}, and this leg has other proportions; "
-            f"{remedy(rig)}"
-        )
-    return LibraryLaw(emulator, 1.0 if simulated is None else rig.length / simulated.length)
+    each = np.stack([curve / np.sqrt(np.square(curve[:2]).mean()) for curve in curves])
+    steps = np.arange(each.shape[2])
+    near = np.exp(-0.5 * np.square((steps[:, None] - steps) / ARM_DEG))
+    normal = np.einsum("cit,cjt,st->sij", each[:, :2], each, near)
+    ridge = 1e-6 * np.trace(normal[:, :, :2], axis1=1, axis2=2).max() * np.eye(2)
+    return np.linalg.solve(normal[:, :, :2] + ridge, normal[:, :, 2:])[:, :, 0].T

@@ -30,7 +30,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,8 +38,7 @@ from numpy.typing import ArrayLike, NDArray
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.bodies import OUTLINES
 from terraphi.experiment.documents import shipped_file, strictly
-from terraphi.experiment.errors import InputError, nearest
-from terraphi.experiment.files import netcdf_kind
+from terraphi.experiment.errors import InputError
 from terraphi.experiment.priors import FRICTION
 from terraphi.experiment.rig import (
     CELLS_ACROSS,
@@ -51,22 +50,16 @@ from terraphi.experiment.rig import (
     swept,
 )
 from terraphi.experiment.scenario import GRAVITY, Scenario
-from terraphi.laws.emulator import Process
-from terraphi.laws.fitted import KIND, FittedLaw
-from terraphi.laws.law import STEP, LegLaw, check_friction, is_similar, leg_law, remedy
+from terraphi.laws.fitted import FittedLaw
+from terraphi.laws.gp import Process
+from terraphi.laws.law import PHI, STEP, AnyLaw, LegLaw, check_friction, is_similar, remedy
 from terraphi.laws.model_error import ModelError
-from terraphi.laws.store import (
-    PHI,
-    AnyLaw,
-    Library,
-    differences,
-    nearest_library,
-    shipped_library,
-)
 from terraphi.laws.theory import Theory
 
 if TYPE_CHECKING:
     import xarray as xr
+
+    from terraphi.laws.store import Library
 
 NAME = "legs"
 FORMER_NAME = "sand3d"
@@ -464,7 +457,7 @@ def cells_in(scenario: Scenario | None, rig: Rig) -> float:
     return scenario.numerics.cell_size / rig.length / cells_of(rig.ratios, depth)
 
 
-LawOfLegs = Legs | Theory | Library
+LawOfLegs: TypeAlias = "Legs | Theory | Library"
 """A law of any rig, or of those that are like a library's."""
 Cases = tuple[FloatArray, FloatArray, FloatArray, tuple[Rig, ...]]
 
@@ -472,11 +465,13 @@ Cases = tuple[FloatArray, FloatArray, FloatArray, tuple[Rig, ...]]
 def law_of(
     library: LawOfLegs, rig: Rig, scenario: Scenario | None, *, strict: bool = True
 ) -> LegLaw:
-    """The law of a rig, of a simulation in its cells; errors as of `~terraphi.laws.law.leg_law`."""
+    """The law of a rig, of a simulation in its cells; raises InputError if it covers neither."""
     if isinstance(library, Legs):
         return library.law(rig, cells_in(scenario, rig))
     if isinstance(library, Theory):
         return library.law(rig)
+    from terraphi.laws.emulator import leg_law
+
     return leg_law(library, rig, strict=strict)
 
 
@@ -602,73 +597,3 @@ def cases_of(library: Library) -> Cases:
 def shipped_legs() -> Legs:
     """The shipped law, kept for the next record."""
     return Legs.load(shipped_file("laws", NAME, ".nc"))
-
-
-def shipped_laws() -> list[LawOfLegs]:
-    """All shipped laws of legs."""
-    return [shipped_legs(), Theory(), *map(shipped_library, Library.names())]
-
-
-def nearest_law(scenario: Scenario) -> LawOfLegs:
-    """Law ``legs`` of legs that turn in three dimensions, or the most similar shipped law."""
-    if scenario.model == "rft":
-        return Theory()
-    turns = (scenario.model, scenario.dimensions, scenario.motion.kind) == ("mpm", 3, "rotation")
-    return shipped_legs() if turns else nearest_library(scenario)
-
-
-def stored(name: Path | str) -> LawOfLegs:
-    """A shipped law of legs by its name, or a law or library from a file; raises InputError."""
-    if str(name) in (NAME, FORMER_NAME):
-        return shipped_legs()
-    if str(name) == Theory.name:
-        return Theory()
-    if str(name) in Library.names():
-        return shipped_library(str(name))
-    path = Path(name)
-    if not path.suffix and not path.exists():
-        hint = nearest(str(name), (NAME, Theory.name, *Library.names()))
-        raise InputError(f"'{name}' is neither a file nor a law of legs; {hint}")
-    of_law = path.is_file() and netcdf_kind(path) == KIND
-    return Legs.load(path) if of_law else Library.load(name)
-
-
-def law_named(name: Path | str) -> LawOfLegs:
-    """A law of legs or a library, by its name or file.
-
-    Its method ``forces(rig, phi_deg)`` has the forces on a leg (:func:`forces`). A library over φ
-    alone of legs that turn through the soil of law ``legs`` is joined to it.
-
-    Raises
-    ------
-    InputError
-        If there is none.
-
-    Examples
-    --------
-    >>> terraphi.law("legs").legs
-    ['c', 'reversed_c', 'straight']
-    """
-    stored_law = stored(name)
-    law = nearest_law(stored_law.scenario)
-    if not (isinstance(stored_law, Library) and isinstance(law, Legs)):
-        return stored_law
-    is_same_soil = set(differences(stored_law.scenario, law.scenario)) <= VARIED
-    varies_phi_alone = all(stored_law.keys(leg) == (PHI,) for leg in stored_law.legs)
-    return (
-        law.joined(stored_law)
-        if is_same_soil and varies_phi_alone and _begins_and_ends_in_air(stored_law)
-        else stored_law
-    )
-
-
-def _begins_and_ends_in_air(library: Library) -> bool:
-    """True if the paths of a library begin and end in the air."""
-    for scenario, history, _ in library.cases:
-        rig = Rig.of_scenario(scenario)
-        if history is not None and rig is not None:
-            first, last, _ = reach(rig.leg, rig.ratios)
-            begins, ends = history.theta_deg[[0, -1]]
-            if begins > first + 1.0 or ends < last - 1.0:
-                return False
-    return True

@@ -23,23 +23,17 @@ from terraphi.experiment.results import Result, Variable, read
 from terraphi.experiment.rig import contact_deg
 from terraphi.experiment.scenario import Scenario
 from terraphi.laws.fitted import digest
+from terraphi.laws.law import PHI, THETA_DEG, AnyLaw, lever_arm
 
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
-    from numpy.typing import ArrayLike
 
-PHI = "soil.friction_angle_deg"
-"""Dotted scenario key of the friction angle."""
 SEED = frozenset({"numerics.seed", "name"})
 IGNORED = SEED | {PHI, "soil.density", "leg.shape"}
 """Scenario keys in which a simulation may differ from a library's: φ, density, leg, seed, name."""
-ARM_DEG = 2.0
-"""Width over which lever arms are smoothed [deg]."""
 REACH_DEG = 88.0
 """Angle [deg] that the windows of records, which end at 87.2°, do not reach."""
-THETA_DEG = np.arange(-90.0, 91.0)
-"""Leg angles [deg] of the curves that inference uses: means over 1° about whole degrees."""
 
 
 class LibraryAttributes(BaseModel):
@@ -76,17 +70,6 @@ class Curves(NamedTuple):
     """Scenario of the first case: density, yield criterion and all that is not varied."""
     arm: FloatArray | None = None
     """(a, b) [m] with M = a Fx + b Fz, the moment about the hip, shape [2, theta]; or ``None``."""
-
-
-class AnyLaw:
-    """A law of legs, of whatever kind."""
-
-    def forces(self, rig: Any, phi_deg: ArrayLike, **options: Any) -> xr.Dataset:
-        """Forces on the leg of a rig and their slope with φ: `~terraphi.laws.legs.forces`."""
-        from terraphi.laws.legs import forces
-
-        law: Any = self
-        return forces(law, rig, phi_deg, **options)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -369,21 +352,6 @@ def _one_degree_means(history: ForceHistory, theta_deg: FloatArray, air: BoolArr
     centre = np.radians(theta_deg[~air])
     means[:, ~air] = history.means(centre, np.radians(0.5), values=values).T
     return means
-
-
-def lever_arm(curves: list[FloatArray]) -> FloatArray:
-    """(a, b) with M = a Fx + b Fz, from curves of (Fx, Fz, M) [3, theta], shape [2, theta].
-
-    Where on the leg the soil presses depends little on φ: the moment of Li's legs is met within 1 %
-    of its range. Each angle has its own least squares, over the curves at neighbouring angles, all
-    of the same weight.
-    """
-    each = np.stack([curve / np.sqrt(np.square(curve[:2]).mean()) for curve in curves])
-    steps = np.arange(each.shape[2])
-    near = np.exp(-0.5 * np.square((steps[:, None] - steps) / ARM_DEG))
-    normal = np.einsum("cit,cjt,st->sij", each[:, :2], each, near)
-    ridge = 1e-6 * np.trace(normal[:, :, :2], axis1=1, axis2=2).max() * np.eye(2)
-    return np.linalg.solve(normal[:, :, :2] + ridge, normal[:, :, 2:])[:, :, 0].T
 
 
 def _flat(value: Any, name: str = "") -> dict[str, Any]:

@@ -31,8 +31,7 @@ from terraphi.forward.rft import (
     sheet_force,
     sheet_stress,
 )
-from terraphi.laws.law import LegLaw
-from terraphi.laws.store import THETA_DEG, AnyLaw, lever_arm
+from terraphi.laws.law import THETA_DEG, AnyLaw, LegLaw, lever_arm
 
 PHI_DEG = (15.0, 50.0)
 """Smallest and largest friction angle [deg]; chosen: those of sand, with room at either end."""

@@ -17,7 +17,8 @@ from terraphi.experiment.files import atomic_write
 from terraphi.experiment.outputs import SIGNATURE, check_file
 from terraphi.experiment.priors import FOOT_FRICTION
 from terraphi.forward.rft import stress_scale
-from terraphi.inference.answer import Answer, StoredAnswer
+from terraphi.inference.answer import Answer
+from terraphi.inference.stored import StoredAnswer
 from terraphi.laws.foot import LAWS, Foot
 from terraphi.terrain.simulators import MATCHES, Match, Simulator, in_words, simulator
 from terraphi.terrain.soils import SoilDistribution, soil

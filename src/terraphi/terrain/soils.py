@@ -23,8 +23,9 @@ from terraphi.experiment.priors import DENSITY, FOOT_FRICTION
 from terraphi.experiment.scenario import LIMITS
 from terraphi.experiment.soil import cone_slope
 from terraphi.forward.rft import to_plane_strain
-from terraphi.inference.answer import QUANTILES, Estimate, StoredAnswer
+from terraphi.inference.answer import QUANTILES, Estimate
 from terraphi.inference.records import density_with_sd
+from terraphi.inference.stored import StoredAnswer
 
 ANGLES = ("phi_deg", "phi_plane_strain_deg")
 EXACT = ("plane_strain", "rft3d")

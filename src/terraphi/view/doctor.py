@@ -82,7 +82,7 @@ def _laws() -> str:
     """Read the shipped laws of legs and those of feet, of each shape."""
     from terraphi.experiment.priors import DENSITY, FOOT_FRICTION
     from terraphi.laws.foot import LAWS, Foot
-    from terraphi.laws.legs import shipped_laws
+    from terraphi.laws.named import shipped_laws
 
     legs = [f"{law.name} ({law.summary()['cases']})" for law in shipped_laws()]
     sand = {"friction_angle_deg": 30.0, "density": DENSITY.mean,

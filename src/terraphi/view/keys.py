@@ -22,7 +22,7 @@ DOCUMENTS = {
     "plan": ("terraphi.laws.plan", "Plan"),
     "robot": ("terraphi.robot.model", "RobotFile"),
     "forces": ("terraphi.experiment.reading", "ForceColumns"),
-    "tool": ("terraphi.experiment.reading", "PressColumns"),
+    "tool": ("terraphi.experiment.pressed_reading", "PressColumns"),
     "columns": ("terraphi.robot.logs.columns", "Columns"),
 }
 """Kind of document to the module and the name of its model."""

@@ -1,0 +1,117 @@
+"""Force over sinkage of a body pressed in, from a table as people have it."""
+
+from __future__ import annotations
+
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.errors import GUESSED
+from terraphi.experiment.reading import (
+    FEWEST_ROWS,
+    PRESSED,
+    UNIT_KEYS,
+    WORDS,
+    ColumnReader,
+    Columns,
+    ForceUnit,
+)
+
+
+class PressColumns(Columns):
+    """Which columns of a table of a body pressed in are what, and their units."""
+
+    sinkage: str | None = None
+    """Column of the sinkage; if not given, it is guessed."""
+    force: str | None = None
+    """Column of the force; if not given, it is guessed."""
+    pressure: str | None = None
+    """Column of the pressure, in place of a force; if not given, it is guessed."""
+    sinkage_unit: Literal["mm", "cm", "m", "in", "ft"] | None = None
+    """Unit of the sinkage; if not given, that of the header."""
+    unit: ForceUnit | None = None
+    """Unit of the force; if not given, that of the header."""
+    pressure_unit: Literal["kPa", "Pa", "MPa", "bar", "psi"] | None = None
+    """Unit of the pressure; if not given, that of the header."""
+
+
+class Pressed(NamedTuple):
+    """A body pressed in, in the order of time."""
+
+    sinkage: FloatArray
+    """Positive into the soil, from the zero of the table [m]."""
+    force: FloatArray
+    """Up on the body [N]."""
+    rows: int
+    """Number of rows of the table."""
+    notes: list[str]
+    """What was guessed and left out."""
+
+
+def read_pressed(source: Any, area: float, columns: Any = None) -> Pressed:
+    """Read sinkage and force, or pressure on an area [m²]; columns, units and signs are guessed.
+
+    Raises
+    ------
+    InputError
+        With what is wrong with the table.
+    """
+    reader = _PressTable(source, PressColumns.of(columns))
+    reader.refuse_wrong()
+    role = "force" if "force" in reader.names else "pressure"
+    sinkage, force = reader.column("sinkage"), reader.column(role)
+    force = force * (area if role == "pressure" else 1.0)
+    full = np.isfinite(sinkage) & np.isfinite(force)
+    if not full.all():
+        reader.notes.append(f"{(~full).sum()} of {len(full)} rows lack a number and are left out.")
+    sinkage, force = sinkage[full], force[full]
+    if len(force) < FEWEST_ROWS or np.ptp(force) == 0.0 or np.ptp(sinkage) == 0.0:
+        reader.refuse(f"{len(force)} rows with a sinkage and a force; {FEWEST_ROWS} that differ "
+                     "are needed")  # fmt: skip
+    if force[np.abs(force).argmax()] < 0.0:  # the soil presses up
+        force = -force
+        reader.notes.append("The force is negative in the soil: its sign is turned.")
+    course = float(np.corrcoef(sinkage, force)[0, 1])
+    # A force that falls with depth, as of a hard layer, decides nothing: the larger end is below.
+    if course < -0.5 or (course < 0.5 and -sinkage.min() > sinkage.max()):
+        sinkage = -sinkage
+        reader.notes.append("The sinkage is negative in the soil: its sign is turned.")
+    return Pressed(sinkage, force, len(full), reader.notes)
+
+
+class _PressTable(ColumnReader[PressColumns]):
+    """A table of a body that is pressed in."""
+
+    def __init__(self, source: Any, given: PressColumns) -> None:
+        """Find sinkage and force, or the pressure."""
+        super().__init__(source, given)
+        chosen: dict[str, str] = given.model_dump(include=set(PRESSED), exclude_none=True)
+        if {"force", "pressure"} <= chosen.keys():
+            self.wrong.append("--columns names a force and a pressure; one of them is needed")
+        for role, column in chosen.items():
+            self.take(role, column)
+        for role in PRESSED if not self.wrong else ():
+            # One of force and pressure does; what is given goes first.
+            borne = {"force", "pressure"} - {role} if role != "sinkage" else set()
+            if role not in chosen and not borne & {*self.names}:
+                self.guess(role, self.like(role))
+        if not self.wrong and not ("sinkage" in self.names and len(self.names) > 1):
+            lacking = "force or pressure" if "sinkage" in self.names else "sinkage"
+            key = lacking.partition(" ")[0]
+            self.wrong.append(
+                f"no column of {lacking} among {self.header}; add --columns '{key}=NAME', or name "
+                "the columns such as sinkage_mm and force_N or pressure_kPa"
+            )
+        for role, name in self.names.items():
+            self.check(role)
+            key = UNIT_KEYS[PRESSED[role]]
+            if not (self.written(name) or getattr(given, key)):
+                unit = {"sinkage": "mm", "force": "N", "pressure": "kPa"}[role]
+                self.wrong.append(
+                    f"column '{name[:40]}' has no unit; add --columns {key}={unit}, or "
+                    f"name it such as {role}_{unit}"
+                )
+        guessed = [f"{WORDS[k]} from '{n}'" for k, n in self.names.items() if k not in chosen]
+        if guessed:
+            self.notes.append(f"{GUESSED}{', '.join(guessed)}.")
