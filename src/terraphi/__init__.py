@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from terraphi.forward import simulate as simulate
     from terraphi.forward.driver import Solver
     from terraphi.inference.answer import Answer as Answer
-    from terraphi.inference.inversion import calibrate as calibrate
+    from terraphi.inference.calibration import calibrate as calibrate
     from terraphi.inference.inversion import invert as invert
     from terraphi.inference.inversion import invert_many as invert_many
     from terraphi.inference.next_measurement import next_measurements as next_measurements
@@ -59,7 +59,7 @@ _PLACES = {
     "Soil": "experiment.soil",
     "Translation": "experiment.motion",
     "build": "laws.build",
-    "calibrate": "inference.inversion",
+    "calibrate": "inference.calibration",
     "convert": "terrain.simulators",
     "export": "terrain.export",
     "foot_forces": "robot.results",

@@ -17,7 +17,8 @@ from terraphi.experiment.rig import Rig
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
 from terraphi.inference.answer import Answer, Estimate
-from terraphi.inference.inversion import calibrate, critical_posterior, invert, invert_many
+from terraphi.inference.calibration import calibrate
+from terraphi.inference.inversion import critical_posterior, invert, invert_many
 from terraphi.inference.likelihood import MOMENT_DEG, Likelihood
 from terraphi.inference.records import open_record
 from terraphi.laws.emulator import Emulator

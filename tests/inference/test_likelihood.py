@@ -15,9 +15,9 @@ from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import measurement, names
 from terraphi.experiment.rig import Rig
 from terraphi.forward import simulate
-from terraphi.inference.calibration import Calibration, CalibrationSoil, rig_name
+from terraphi.inference.calibration import Calibration, CalibrationSoil, calibrate
 from terraphi.inference.checks import without_faults
-from terraphi.inference.inversion import calibrate, invert
+from terraphi.inference.inversion import invert
 from terraphi.inference.likelihood import (
     COHESION_PA,
     RIDGE,
@@ -25,7 +25,7 @@ from terraphi.inference.likelihood import (
     Likelihood,
     quadrature,
 )
-from terraphi.inference.records import open_record
+from terraphi.inference.records import open_record, rig_name
 from terraphi.laws.emulator import Emulator
 from terraphi.laws.legs import shipped_legs
 from terraphi.laws.model_error import ModelError

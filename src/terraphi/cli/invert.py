@@ -164,7 +164,7 @@ def calibrate(forces: tuple[str, ...], phi: str, out: Path, as_json: bool, **opt
     from terraphi.experiment.files import number_with_sd
     from terraphi.experiment.outputs import check_file
     from terraphi.experiment.rig import with_rig
-    from terraphi.inference.inversion import calibrate as run
+    from terraphi.inference.calibration import calibrate as run
 
     check_file(out)
     try:

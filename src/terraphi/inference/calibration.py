@@ -40,7 +40,11 @@ from terraphi.experiment.documents import Strict, parse_toml
 from terraphi.experiment.errors import InputError, visible
 from terraphi.experiment.files import atomic_write
 from terraphi.experiment.outputs import SIGNATURE
-from terraphi.experiment.rig import Rig
+from terraphi.inference.checks import in_air, leg_readings, without_faults
+from terraphi.inference.inversion import FAR, judge, law_for, record_fits
+from terraphi.inference.likelihood import Likelihood
+from terraphi.inference.records import Record, open_records, rig_name
+from terraphi.inference.terms import root_sum_square, term
 from terraphi.laws.legs import LawOfLegs
 from terraphi.laws.model_error import ModelError
 
@@ -50,11 +54,6 @@ grains have 0.8 (6 mm) and 1.0 (8.8 mm), together 0.7 to 1.1 with 95 % confidenc
 DISAGREE = 1.96
 """Distance from the other repeats, over its standard deviation, that is warned of [-]: one sound
 repeat in twenty."""
-
-
-def rig_name(rig: Rig) -> str:
-    """Name of a rig: the leg, its sizes and its friction."""
-    return f"{rig}, friction {rig.leg_friction:g}"
 
 
 def soil_name(name: Any) -> str:
@@ -74,7 +73,7 @@ class CalibrationSoil(Strict):
     leg: str
     """Shape of the leg."""
     rig: str = ""
-    """Its :func:`rig_name`."""
+    """Its :func:`~terraphi.inference.records.rig_name`."""
     phi_deg: float = Field(gt=0, lt=90)
     """Friction angle by another test [deg], in the law's convention."""
     phi_sd_deg: float = Field(ge=0, le=90)
@@ -182,7 +181,7 @@ class Calibration(Strict):
         error
             Of the law.
         rig
-            Its :func:`rig_name`.
+            Its :func:`~terraphi.inference.records.rig_name`.
         row
             x of the record, shape [effect].
         """
@@ -242,3 +241,100 @@ class Calibration(Strict):
     def load(cls, path: Path | str) -> Calibration:
         """Read a file of :meth:`save`; raises InputError if it is no calibration."""
         return parse_toml(Path(path), cls)
+
+
+def calibrate(
+    forces: Any,
+    phi_deg: float,
+    phi_sd_deg: float,
+    *,
+    soil: str = "",
+    law: LawOfLegs | Path | str | None = None,
+    leg: str | None = None,
+    rig: Any = None,
+    density: float | str | None = None,
+    grain_size_mm: float | None = None,
+    cohesion: float | str | None = None,
+    columns: Any = None,
+    noise: float | tuple[float, float] | None = None,
+    gain: float | str | None = None,
+) -> Calibration:
+    """Compare a library with soils of known friction angle in one's own apparatus.
+
+    Parameters
+    ----------
+    forces
+        As of :func:`invert`; the records of a list are of one soil.
+    phi_deg, phi_sd_deg
+        Friction angle in the library's convention and its standard deviation [deg].
+    soil
+        Name of the soil, by which calibrations of several soils, or of several days, are joined.
+    law, leg, rig, density, grain_size_mm, cohesion, columns, noise, gain
+        As of :func:`invert`.
+
+    Raises
+    ------
+    InputError
+        As :func:`invert` does.
+
+    Examples
+    --------
+    >>> calibration = terraphi.calibrate("li2013:poppy_loose/straight", 36.0, 1.0)
+    >>> after = terraphi.invert("li2013:yuma/straight", calibration=calibration)
+    >>> after.phi.sd < terraphi.invert("li2013:yuma/straight").phi.sd
+    True
+    """
+    numbers = all(isinstance(angle, int | float) for angle in (phi_deg, phi_sd_deg))
+    if not (numbers and 0.0 < phi_deg < 90.0 and 0.0 <= phi_sd_deg < 90.0):
+        raise InputError(f"phi = {phi_deg!r} ± {phi_sd_deg!r}; give two numbers from 0 to 90°")
+    opened = open_records(
+        forces, leg=leg, rig=rig, density=density, grain_size_mm=grain_size_mm, cohesion=cohesion,
+        columns=columns, noise=noise, gain=gain,
+    )  # fmt: skip
+    records = [without_faults(record) for record in opened if isinstance(record, Record)]
+    if len(records) < len(opened):
+        raise InputError("calibrate takes forces on legs; leave out those on tools")
+    leg_law, _ = law_for(records, law)
+    truth, soils = (phi_deg, phi_sd_deg, soil_name(soil)), []
+    for i, record in enumerate(records):
+        for earlier in records[:i]:
+            if record.rig == earlier.rig and np.array_equal(record.data, earlier.data):
+                raise InputError(
+                    f"{record.source}: has the forces of {earlier.source}; a repeat is another "
+                    "stroke"
+                )
+        soils.append(_calibration_soil(record, leg_law, *truth))
+    return Calibration(library=leg_law.name, library_hash=leg_law.hash, soils=soils)
+
+
+def _calibration_soil(
+    record: Record, law: LawOfLegs, phi_deg: float, phi_sd_deg: float, soil: str
+) -> CalibrationSoil:
+    """The angle that a law reads off a record in a soil of known angle; raises InputError."""
+    likelihood = Likelihood([record], law)
+    if not likelihood.measured:
+        raise InputError(f"{record.source}: simulated forces calibrate nothing")
+    best = likelihood.least_squares
+    fits = record_fits(likelihood, best, (best, best))
+    legs = [leg_readings(likelihood, record)]
+    verdict, reason, _ = judge(likelihood, fits, legs, damaged=bool(in_air(likelihood)))
+    if verdict != "consistent":
+        raise InputError(f"{record.source}: cannot calibrate with it. {reason}")
+    read, shares, error = best, likelihood.budget(), likelihood.error
+    fixed = [name for name in shares if term(name).fixed]
+    rig_sd = math.hypot(*(shares[name] for name in fixed))
+    sd = root_sum_square(shares, *fixed, *(name for name in shares if name.startswith("model: ")))
+    model = (shares[name] for name in shares if name.startswith("model: "))
+    limit = FAR * math.hypot(*model, rig_sd, phi_sd_deg, sd)
+    if abs(read - phi_deg) > limit:
+        raise InputError(
+            f"{record.source}: forces and angle disagree by {read - phi_deg:+.0f}°, at most "
+            f"{limit:.0f}° are accepted; check phi = {phi_deg:g}° (in "
+            f"{law.convention.replace('_', ' ')}), the density and the leg"
+        )
+    return CalibrationSoil(
+        source=visible(record.source), soil=soil, leg=record.rig.leg, rig=rig_name(record.rig),
+        phi_deg=phi_deg, phi_sd_deg=phi_sd_deg, read_deg=read, read_sd_deg=sd, rig_sd_deg=rig_sd,
+        row=tuple(likelihood.row(record, phi_deg).tolist()),
+        bed_sd_deg=error.bed_sd(record.rig, record.grain_size_mm), gain=record.gain,
+    )  # fmt: skip

@@ -9,16 +9,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from statistics import NormalDist
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.errors import InputError, visible
+from terraphi.experiment.errors import InputError
 from terraphi.experiment.priors import DENSITY
 from terraphi.experiment.rig import with_rig
 from terraphi.inference.answer import Answer, Edge, Estimate, RecordFit
-from terraphi.inference.calibration import Calibration, CalibrationSoil, rig_name, soil_name
 from terraphi.inference.checks import (
     UNUSUAL,
     Reading,
@@ -30,11 +29,13 @@ from terraphi.inference.checks import (
     without_faults,
 )
 from terraphi.inference.likelihood import Likelihood, quadrature
-from terraphi.inference.records import PressedRecord, Record, open_records, with_sd
-from terraphi.inference.terms import root_sum_square, term
+from terraphi.inference.records import PressedRecord, Record, open_records, rig_name, with_sd
 from terraphi.inference.verdict import Judgment, consistent, large_residual, out_of_range
 from terraphi.laws.law import PHI
 from terraphi.laws.legs import FORMER_NAME, LawOfLegs, Legs, shipped_legs
+
+if TYPE_CHECKING:
+    from terraphi.inference.calibration import Calibration
 
 BETTER_LEG = 0.9
 """Residual by another leg over that by the record's own at which the leg is taken for wrong [-]:
@@ -174,7 +175,7 @@ def _answers(
     if legs:
         from threadpoolctl import threadpool_limits
 
-        law, reason = _law_for(legs, law)
+        law, reason = law_for(legs, law)
         calibration = None if calibration is None else _opened(calibration, law, legs)
         # The offset of law legs is that of one rig alone, so that answers of different rigs are
         # joined by their angles. In one fit, which shared a cohesion, grains were read 4° wrong.
@@ -200,6 +201,8 @@ def _opened(
     calibration: Calibration | Path | str, law: LawOfLegs, records: Sequence[Record]
 ) -> Calibration:
     """A calibration from memory or its file, that is of a law and the gains of records."""
+    from terraphi.inference.calibration import Calibration
+
     if isinstance(calibration, str | Path):
         calibration = Calibration.load(calibration)
     if not isinstance(calibration, Calibration):
@@ -286,103 +289,6 @@ def critical_posterior(
     return posterior, Estimate.of_density(0.5 * (ends[1:] + ends[:-1]), peak)
 
 
-def calibrate(
-    forces: Any,
-    phi_deg: float,
-    phi_sd_deg: float,
-    *,
-    soil: str = "",
-    law: LawOfLegs | Path | str | None = None,
-    leg: str | None = None,
-    rig: Any = None,
-    density: float | str | None = None,
-    grain_size_mm: float | None = None,
-    cohesion: float | str | None = None,
-    columns: Any = None,
-    noise: float | tuple[float, float] | None = None,
-    gain: float | str | None = None,
-) -> Calibration:
-    """Compare a library with soils of known friction angle in one's own apparatus.
-
-    Parameters
-    ----------
-    forces
-        As of :func:`invert`; the records of a list are of one soil.
-    phi_deg, phi_sd_deg
-        Friction angle in the library's convention and its standard deviation [deg].
-    soil
-        Name of the soil, by which calibrations of several soils, or of several days, are joined.
-    law, leg, rig, density, grain_size_mm, cohesion, columns, noise, gain
-        As of :func:`invert`.
-
-    Raises
-    ------
-    InputError
-        As :func:`invert` does.
-
-    Examples
-    --------
-    >>> calibration = terraphi.calibrate("li2013:poppy_loose/straight", 36.0, 1.0)
-    >>> after = terraphi.invert("li2013:yuma/straight", calibration=calibration)
-    >>> after.phi.sd < terraphi.invert("li2013:yuma/straight").phi.sd
-    True
-    """
-    numbers = all(isinstance(angle, int | float) for angle in (phi_deg, phi_sd_deg))
-    if not (numbers and 0.0 < phi_deg < 90.0 and 0.0 <= phi_sd_deg < 90.0):
-        raise InputError(f"phi = {phi_deg!r} ± {phi_sd_deg!r}; give two numbers from 0 to 90°")
-    opened = open_records(
-        forces, leg=leg, rig=rig, density=density, grain_size_mm=grain_size_mm, cohesion=cohesion,
-        columns=columns, noise=noise, gain=gain,
-    )  # fmt: skip
-    records = [without_faults(record) for record in opened if isinstance(record, Record)]
-    if len(records) < len(opened):
-        raise InputError("calibrate takes forces on legs; leave out those on tools")
-    leg_law, _ = _law_for(records, law)
-    truth, soils = (phi_deg, phi_sd_deg, soil_name(soil)), []
-    for i, record in enumerate(records):
-        for earlier in records[:i]:
-            if record.rig == earlier.rig and np.array_equal(record.data, earlier.data):
-                raise InputError(
-                    f"{record.source}: has the forces of {earlier.source}; a repeat is another "
-                    "stroke"
-                )
-        soils.append(_calibration_soil(record, leg_law, *truth))
-    return Calibration(library=leg_law.name, library_hash=leg_law.hash, soils=soils)
-
-
-def _calibration_soil(
-    record: Record, law: LawOfLegs, phi_deg: float, phi_sd_deg: float, soil: str
-) -> CalibrationSoil:
-    """The angle that a law reads off a record in a soil of known angle; raises InputError."""
-    likelihood = Likelihood([record], law)
-    if not likelihood.measured:
-        raise InputError(f"{record.source}: simulated forces calibrate nothing")
-    best = likelihood.least_squares
-    fits = _record_fits(likelihood, best, (best, best))
-    legs = [leg_readings(likelihood, record)]
-    verdict, reason, _ = _verdict(likelihood, fits, legs, damaged=bool(in_air(likelihood)))
-    if verdict != "consistent":
-        raise InputError(f"{record.source}: cannot calibrate with it. {reason}")
-    read, shares, error = best, likelihood.budget(), likelihood.error
-    fixed = [name for name in shares if term(name).fixed]
-    rig_sd = math.hypot(*(shares[name] for name in fixed))
-    sd = root_sum_square(shares, *fixed, *(name for name in shares if name.startswith("model: ")))
-    model = (shares[name] for name in shares if name.startswith("model: "))
-    limit = FAR * math.hypot(*model, rig_sd, phi_sd_deg, sd)
-    if abs(read - phi_deg) > limit:
-        raise InputError(
-            f"{record.source}: forces and angle disagree by {read - phi_deg:+.0f}°, at most "
-            f"{limit:.0f}° are accepted; check phi = {phi_deg:g}° (in "
-            f"{law.convention.replace('_', ' ')}), the density and the leg"
-        )
-    return CalibrationSoil(
-        source=visible(record.source), soil=soil, leg=record.rig.leg, rig=rig_name(record.rig),
-        phi_deg=phi_deg, phi_sd_deg=phi_sd_deg, read_deg=read, read_sd_deg=sd, rig_sd_deg=rig_sd,
-        row=tuple(likelihood.row(record, phi_deg).tolist()),
-        bed_sd_deg=error.bed_sd(record.rig, record.grain_size_mm), gain=record.gain,
-    )  # fmt: skip
-
-
 def invert_many(
     rows: Sequence[Any], *, map_: Callable[..., Any] = map
 ) -> list[Answer | InputError]:
@@ -413,9 +319,7 @@ def _attempt(row: Any) -> Answer | InputError:
         return error if name in str(error) else InputError(f"{name}: {error}")
 
 
-def _law_for(
-    records: Sequence[Record], law: LawOfLegs | Path | str | None
-) -> tuple[LawOfLegs, str]:
+def law_for(records: Sequence[Record], law: LawOfLegs | Path | str | None) -> tuple[LawOfLegs, str]:
     """The law to take, and why, if none was named."""
     first = records[0].scenario
     if isinstance(law, str | Path):
@@ -445,11 +349,11 @@ def _answer(
         likelihood = Likelihood(records, law, calibration, disagreement_deg=wider)
     grid, density = quadrature(likelihood)
     phi = Estimate.of_density(grid, density)
-    fits = _record_fits(likelihood, phi.median, phi.ci95)
+    fits = record_fits(likelihood, phi.median, phi.ci95)
     air = in_air(likelihood)
     # The one search over legs: verdict and advice read it.
     legs = [leg_readings(likelihood, record) for record in records]
-    verdict, reason, edge = _verdict(likelihood, fits, legs, damaged=bool(air))
+    verdict, reason, edge = judge(likelihood, fits, legs, damaged=bool(air))
     plane, no_plane = plane_strain(phi, law)
     scaled = None
     if verdict == "consistent" and likelihood.measured and not all(r.scale_given for r in records):
@@ -503,7 +407,7 @@ def _disagreement_deg(likelihood: Likelihood, opinion: dict[str, Any]) -> float:
     return math.sqrt(max((separation_deg / UNUSUAL) ** 2 - variance, 0.0))
 
 
-def _record_fits(
+def record_fits(
     likelihood: Likelihood, median: float, ci95: tuple[float, float]
 ) -> list[RecordFit]:
     """Each record with the curve at the median, and the curves at the ends of the 95 % interval."""
@@ -536,7 +440,7 @@ def _record_fits(
     return fits
 
 
-def _verdict(
+def judge(
     likelihood: Likelihood,
     fits: Sequence[RecordFit],
     legs: Sequence[Sequence[Reading]],

@@ -74,7 +74,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -85,13 +85,15 @@ from terraphi.experiment.history import FORCES, OBSERVATION_ANGLES, WINDOW_DEG, 
 from terraphi.experiment.priors import DENSITY
 from terraphi.experiment.rig import Rig
 from terraphi.experiment.scenario import GRAVITY
-from terraphi.inference.calibration import Calibration, rig_name
 from terraphi.inference.estimator import Best, least_squares, weights
-from terraphi.inference.records import Record
+from terraphi.inference.records import Record, rig_name
 from terraphi.inference.terms import Sharer, is_shared, ordered_budget, term
 from terraphi.laws.law import STEP, LegLaw
 from terraphi.laws.legs import LawOfLegs, Legs, law_of
 from terraphi.laws.model_error import MIDDLE_DEG, ModelError
+
+if TYPE_CHECKING:
+    from terraphi.inference.calibration import Calibration
 
 SHIFT_DEG = 15.0
 """Largest shift of the leg angle of measured records [deg]: chosen. C legs have 11 to 15° in grains

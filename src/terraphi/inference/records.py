@@ -355,6 +355,11 @@ def _is_body(body: Any) -> bool:
     return isinstance(body, Rig | Tool | Mapping)
 
 
+def rig_name(rig: Rig) -> str:
+    """Name of a rig: the leg, its sizes and its friction."""
+    return f"{rig}, friction {rig.leg_friction:g}"
+
+
 def is_tool(body: Any) -> bool:
     """True if a body is written as a tool, such as ``"plate:60"``."""
     keywords = tuple(f"{shape.keyword}:" for shape in TOOLS.values())
