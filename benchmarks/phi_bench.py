@@ -30,7 +30,7 @@ from threadpoolctl import threadpool_limits
 import errors
 import pages
 from errors import Method, Record
-from terraphi.experiment.scenario import GRAVITY
+from terraphi.experiment.units import GRAVITY
 
 TASKS = {
     "soil": "another soil", "shape": "another shape", "rig": "another rig", "code": "another code",

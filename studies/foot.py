@@ -29,7 +29,8 @@ from matplotlib.figure import Figure
 
 import pages
 import terraphi
-from terraphi.experiment.scenario import GRAVITY, Scenario
+from terraphi.experiment.scenario import Scenario
+from terraphi.experiment.units import GRAVITY
 from terraphi.forward.driver import Snapshot
 from terraphi.laws.foot import LAWS, Foot, FootCases
 

@@ -53,7 +53,7 @@ from terraphi.experiment.bodies import OUTLINES
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.rig import SIMULATED_LENGTH as LENGTH
 from terraphi.experiment.rig import Ratios, similar_scenario
-from terraphi.experiment.scenario import GRAVITY
+from terraphi.experiment.units import GRAVITY
 from terraphi.forward import model_version
 from terraphi.forward.forecast import forecast
 from terraphi.laws import legs

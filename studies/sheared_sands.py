@@ -32,7 +32,7 @@ from scipy.optimize import brentq
 
 import pages
 import terraphi
-from terraphi.experiment.scenario import GRAVITY
+from terraphi.experiment.units import GRAVITY
 from terraphi.inference.inversion import critical_posterior
 from terraphi.inference.pressed import COMPACTING_DEG
 from terraphi.laws.foot import LAWS

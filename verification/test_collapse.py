@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from runs import Run, part_of_bed, sand3d
-from terraphi.experiment.scenario import GRAVITY, Scenario
+from terraphi.experiment.scenario import Scenario
+from terraphi.experiment.units import GRAVITY
 
 pytestmark = pytest.mark.slow
 

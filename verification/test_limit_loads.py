@@ -25,7 +25,8 @@ from exact import (
 )
 from runs import ELASTIC, ON_NODES, Run, at_end, benchmark, block_of, loaded, unchecked
 from terraphi.experiment.leg import Leg
-from terraphi.experiment.scenario import GRAVITY, Scenario
+from terraphi.experiment.scenario import Scenario
+from terraphi.experiment.units import GRAVITY
 
 pytestmark = pytest.mark.slow
 

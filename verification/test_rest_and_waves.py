@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from runs import ELASTIC, ON_NODES, Run, benchmark, elastic, floating, lame_mode
-from terraphi.experiment.scenario import GRAVITY
+from terraphi.experiment.units import GRAVITY
 from terraphi.forward.ledger import LEDGER_ROWS
 
 pytestmark = pytest.mark.slow

@@ -14,7 +14,8 @@ import pytest
 
 from exact import circular_footing, ovesen, surcharge_factor
 from runs import Run, at_end, loaded, sand3d
-from terraphi.experiment.scenario import GRAVITY, Scenario
+from terraphi.experiment.scenario import Scenario
+from terraphi.experiment.units import GRAVITY
 
 pytestmark = pytest.mark.slow
 

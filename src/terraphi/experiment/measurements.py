@@ -9,7 +9,7 @@ from __future__ import annotations
 import tomllib
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from terraphi.experiment.documents import shipped_file, shipped_names, strictly
 from terraphi.experiment.errors import InputError, nearest
@@ -17,7 +17,9 @@ from terraphi.experiment.files import is_there
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.reading import read_forces, read_trials
 from terraphi.experiment.rig import Rig
-from terraphi.experiment.scenario import Scenario
+
+if TYPE_CHECKING:
+    from terraphi.experiment.scenario import Scenario
 
 COLLECTION = "li2013"
 """Folder of the shipped measurements, and the first part of their names."""
@@ -187,7 +189,11 @@ def scenario_of(history: ForceHistory, name: str) -> Scenario | None:
     Raises InputError if it cannot be read.
     """
     content = history.provenance.get("scenario")
+    if content is None:
+        return None
+    from terraphi.experiment.scenario import Scenario
+
     try:
-        return None if content is None else strictly(content, Scenario, f"{name}, scenario")
+        return strictly(content, Scenario, f"{name}, scenario")
     except InputError as error:
         raise InputError(f"{error}; simulate it again, or give its forces alone") from error

@@ -14,7 +14,7 @@ import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -27,7 +27,10 @@ from terraphi.experiment.files import number_with_sd, plain_number
 from terraphi.experiment.leg import Leg, RotatingShape, one_of
 from terraphi.experiment.motion import placed
 from terraphi.experiment.priors import FRICTION, HIP_HEIGHT_SD_MM
-from terraphi.experiment.scenario import GRAVITY, Scenario
+from terraphi.experiment.units import GRAVITY
+
+if TYPE_CHECKING:
+    from terraphi.experiment.scenario import Scenario
 
 SIMULATED_LENGTH = 0.0762
 """Length of the leg in simulations [m]: that of Li et al. (2013)."""
@@ -375,6 +378,8 @@ def similar_scenario(
     InputError
         If a number is outside what can be simulated.
     """
+    from terraphi.experiment.scenario import Scenario
+
     base, length = Scenario.load("sand3d"), SIMULATED_LENGTH
     height = ratios.hip_height * length
     body = leg_of(leg, ratios, length).model_copy(update={"friction": leg_friction})

@@ -22,12 +22,11 @@ from terraphi.experiment.documents import Strict, located, parse_toml, refuse, s
 from terraphi.experiment.leg import SOLID, Leg
 from terraphi.experiment.motion import Motion, Rotation, bin_count
 from terraphi.experiment.soil import Soil
+from terraphi.experiment.units import GRAVITY
 
 Medium = Literal[
     "generic", "poppy_loose", "poppy_close", "glass03_loose", "glass03_close", "glass3_close"
 ]
-GRAVITY = 9.81
-"""Acceleration of gravity g [m/s²]."""
 PAPER_DAMPING_RATE = -math.log(0.997) / 8e-6
 """The paper multiplies grid velocities by 0.997 every 8 µs: a decay rate of 375.6 1/s."""
 COURANT_LIMIT = 0.9

@@ -1,10 +1,12 @@
-"""Units of force, angle, moment, time, length and pressure, as headers of tables have them."""
+"""Units of force, angle, moment, time, length and pressure, as headers of tables have them; g."""
 
 from __future__ import annotations
 
 import re
 from math import pi
 
+GRAVITY = 9.81
+"""Acceleration of gravity g [m/s²]."""
 FORCE = {
     "N": 1.0, "kN": 1e3, "mN": 1e-3, "MN": 1e6, "lbf": 4.4482216152605, "ozf": 0.27801385095378125,
     "kgf": 9.80665, "gf": 9.80665e-3, "dyn": 1e-5,

@@ -26,7 +26,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -36,7 +36,10 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.leg import Leg, frame_axes
 from terraphi.experiment.motion import Poses, bin_centres
-from terraphi.experiment.scenario import GRAVITY, Scenario
+from terraphi.experiment.units import GRAVITY
+
+if TYPE_CHECKING:
+    from terraphi.experiment.scenario import Scenario
 
 BLOCK = 512
 """Poses evaluated together; bounds the memory."""

@@ -32,9 +32,8 @@ from terraphi.experiment.measurements import measurement
 from terraphi.experiment.priors import DENSITY
 from terraphi.experiment.reading import sensor_turn
 from terraphi.experiment.rig import AIR_MARGIN_DEG, Rig
-from terraphi.experiment.scenario import GRAVITY
 from terraphi.experiment.soil import plane_strain_friction_angle_deg
-from terraphi.experiment.units import FORCE
+from terraphi.experiment.units import FORCE, GRAVITY
 from terraphi.forward.rft import to_plane_strain
 from terraphi.inference.answer import Estimate, RecordFit
 from terraphi.inference.likelihood import SHIFT_DEG, Likelihood, squared_residuals

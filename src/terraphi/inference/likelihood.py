@@ -84,7 +84,7 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import FORCES, OBSERVATION_ANGLES, WINDOW_DEG, ForceHistory
 from terraphi.experiment.priors import DENSITY
 from terraphi.experiment.rig import Rig
-from terraphi.experiment.scenario import GRAVITY
+from terraphi.experiment.units import GRAVITY
 from terraphi.inference.estimator import Best, least_squares, weights
 from terraphi.inference.records import Record, rig_name
 from terraphi.inference.terms import Sharer, is_shared, ordered_budget, term

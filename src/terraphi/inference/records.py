@@ -40,10 +40,10 @@ from terraphi.experiment.measurements import Measurement, measurement_of, open_f
 from terraphi.experiment.priors import DENSITY_SD_PART, SENSOR_GAIN
 from terraphi.experiment.reading import ForceColumns, read_trials
 from terraphi.experiment.rig import Rig, Tool
-from terraphi.experiment.scenario import Scenario
 
 if TYPE_CHECKING:
     from terraphi.experiment.pressed_reading import Pressed
+    from terraphi.experiment.scenario import Scenario
 
 FEWEST_WINDOWS = 9
 """Windows that a record must have: those within 40° of its path."""

@@ -51,7 +51,7 @@ from numpy.typing import ArrayLike
 from terraphi.experiment.arrays import FloatArray, like, namespace, numbers
 from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.scenario import GRAVITY
+from terraphi.experiment.units import GRAVITY
 from terraphi.forward.rft import from_plane_strain, stress_scale, unit_stress
 from terraphi.laws.fitted import FittedLaw
 

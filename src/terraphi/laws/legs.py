@@ -49,7 +49,7 @@ from terraphi.experiment.rig import (
     leg_of,
     swept,
 )
-from terraphi.experiment.scenario import GRAVITY, Scenario
+from terraphi.experiment.units import GRAVITY
 from terraphi.laws.fitted import FittedLaw
 from terraphi.laws.gp import Process
 from terraphi.laws.law import PHI, STEP, AnyLaw, LegLaw, check_friction, is_similar, remedy
@@ -59,6 +59,7 @@ from terraphi.laws.theory import Theory
 if TYPE_CHECKING:
     import xarray as xr
 
+    from terraphi.experiment.scenario import Scenario
     from terraphi.laws.store import Library
 
 NAME = "legs"
@@ -275,6 +276,8 @@ class Legs(AnyLaw, FittedLaw):
     @property
     def scenario(self) -> Scenario:
         """A scenario of its soil."""
+        from terraphi.experiment.scenario import Scenario
+
         return Scenario.load("sand3d")
 
     def ranges(self, leg: str) -> dict[str, tuple[float, float]]:

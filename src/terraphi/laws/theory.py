@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,7 +23,6 @@ from terraphi.experiment.leg import Leg
 from terraphi.experiment.motion import Poses
 from terraphi.experiment.priors import FRICTION
 from terraphi.experiment.rig import Rig
-from terraphi.experiment.scenario import Scenario
 from terraphi.forward.rft import (
     SCALE_POLYNOMIAL,
     SPACE_COEFFICIENTS,
@@ -32,6 +31,9 @@ from terraphi.forward.rft import (
     sheet_stress,
 )
 from terraphi.laws.law import THETA_DEG, AnyLaw, LegLaw, lever_arm
+
+if TYPE_CHECKING:
+    from terraphi.experiment.scenario import Scenario
 
 PHI_DEG = (15.0, 50.0)
 """Smallest and largest friction angle [deg]; chosen: those of sand, with room at either end."""
@@ -59,6 +61,8 @@ class Theory(AnyLaw):
     @property
     def scenario(self) -> Scenario:
         """A scenario of its soil."""
+        from terraphi.experiment.scenario import Scenario
+
         return Scenario.load("quick")
 
     @staticmethod

@@ -52,7 +52,8 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray, like, namespace, numbers
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.priors import FOOT_FRICTION
-from terraphi.experiment.scenario import GRAVITY, LIMITS
+from terraphi.experiment.scenario import LIMITS
+from terraphi.experiment.units import GRAVITY
 from terraphi.forward.rft import scale_of_friction, unit_stress
 from terraphi.laws.foot import (
     BEYOND_DEG,

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from terraphi.experiment.arrays import BoolArray, FloatArray, IntArray
-from terraphi.experiment.scenario import GRAVITY
+from terraphi.experiment.units import GRAVITY
 from terraphi.robot.forces import LEAST_LEVER, FootForces, SensorErrors, estimate
 from terraphi.robot.friction import BEARING_SHARE, GUARD_S, LAG_STEP_S, REVERSAL_RATE
 from terraphi.robot.joint_log import AVERAGE_S, FEET, JointLog, cut, joint_names

@@ -17,7 +17,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
-from terraphi.experiment.scenario import GRAVITY
+from terraphi.experiment.units import GRAVITY
 from terraphi.robot.joint_log import STANDSTILL, JointLog
 from terraphi.robot.legs import Legs, TrunkMotion, rotation
 from terraphi.robot.model import Quadruped

@@ -14,7 +14,7 @@ from terraphi.experiment.arrays import FloatArray, block_means
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import label_of
 from terraphi.experiment.priors import ROBOT_MASS_SD_PART
-from terraphi.experiment.scenario import GRAVITY
+from terraphi.experiment.units import GRAVITY
 from terraphi.inference.footfalls import FootfallMap, infer
 from terraphi.inference.pool import Anchor, Normal
 from terraphi.inference.records import density_with_sd

@@ -18,7 +18,7 @@ from terraphi.experiment.priors import (
     JOINT_FRICTION_SD_PART,
     TORQUE_GAIN_SD,
 )
-from terraphi.experiment.scenario import GRAVITY
+from terraphi.experiment.units import GRAVITY
 from terraphi.robot.estimators import (
     ESTIMATORS,
     OBSERVER_GAIN,

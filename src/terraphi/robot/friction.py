@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
-from terraphi.experiment.scenario import GRAVITY
+from terraphi.experiment.units import GRAVITY
 from terraphi.robot.estimators import (
     CHUNK,
     OBSERVER_GAIN,

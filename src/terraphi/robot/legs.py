@@ -14,7 +14,7 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import needing
-from terraphi.experiment.scenario import GRAVITY
+from terraphi.experiment.units import GRAVITY
 from terraphi.robot.model import Quadruped
 
 with needing("a robot", "MuJoCo and SciPy", extra="robot"):

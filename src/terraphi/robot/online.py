@@ -34,7 +34,7 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray, block_means
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.scenario import GRAVITY
+from terraphi.experiment.units import GRAVITY
 from terraphi.inference import footfalls as inference
 from terraphi.inference.footfalls import FootfallMap
 from terraphi.inference.pool import Anchor

@@ -15,7 +15,7 @@ from pydantic import BaseModel, Json
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import NetcdfFile, label_of
 from terraphi.experiment.results import Variable, Written
-from terraphi.experiment.scenario import GRAVITY
+from terraphi.experiment.units import GRAVITY
 from terraphi.robot import checks
 from terraphi.robot.checks import Checked
 from terraphi.robot.estimators import Estimator

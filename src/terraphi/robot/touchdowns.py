@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray, IntArray
-from terraphi.experiment.scenario import GRAVITY
+from terraphi.experiment.units import GRAVITY
 from terraphi.inference.touchdowns import FEWEST, Prior, Touchdowns
 from terraphi.laws.foot import Foot, moved_mass
 from terraphi.robot.estimators import smooth_sign, trunk_motion

@@ -23,7 +23,7 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError, nearest, needing
 from terraphi.experiment.files import number_with_sd, plain_number
-from terraphi.experiment.scenario import GRAVITY
+from terraphi.experiment.units import GRAVITY
 from terraphi.terrain.field import STEEPEST, tangent
 
 with needing("a map", "rasterio, scikit-learn and SciPy", extra="terrain"):

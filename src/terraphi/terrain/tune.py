@@ -35,7 +35,7 @@ from terraphi.experiment.arrays import FloatArray, IntArray
 from terraphi.experiment.errors import InputError, nearest, needing
 from terraphi.experiment.files import plain_number, read_text
 from terraphi.experiment.priors import FOOT_FRICTION
-from terraphi.experiment.scenario import GRAVITY
+from terraphi.experiment.units import GRAVITY
 from terraphi.inference.records import density_with_sd
 from terraphi.laws.foot import LAWS, Foot
 from terraphi.laws.wrench import Mesh, angles_deg, force
