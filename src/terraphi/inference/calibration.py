@@ -140,6 +140,8 @@ class Calibration(Strict):
             read, n = np.array([record.read_deg for record in records]), len(records)
             if n == 1:
                 continue
+            # From the mean of the n − 1 others: rᵢ − (Σ r − rᵢ) / (n − 1) = (rᵢ − r̄) n / (n − 1).
+            # Its variance is σ² n / (n − 1).
             distance = (read - read.mean()) * n / (n - 1)
             worst = int(np.abs(distance).argmax())
             limit = DISAGREE * MOST_BED_SD_DEG * math.sqrt(n / (n - 1))
@@ -191,6 +193,7 @@ class Calibration(Strict):
         if rows.shape[1] != row.size:
             raise InputError("the calibration has no rows of the law's error; calibrate again")
         read, read_sd, rig_sd, bed_sd = sds
+        # With C = R R', x_i'C x_j is the product of the causes R'x_i and R'x_j.
         causes, record_causes = rows @ error.root, row @ error.root
         rigs, soils, legs = (
             np.array([getattr(soil, key) for soil in first]) for key in ("rig", "soil", "leg")
@@ -208,6 +211,8 @@ class Calibration(Strict):
         kept = math.sqrt(float(np.square(rig_sd[on_rig]).mean())) if on_rig.any() else 0.0
         across = causes @ record_causes + on_rig * (error.rig_sd_deg**2 + kept * rig_sd)
         solved = np.linalg.solve(total, across)
+        # Variance before: the rig's error belongs to it only where that rig was calibrated; of
+        # another rig it is a term of its own.
         prior = record_causes @ record_causes
         prior += on_rig.any() * (error.rig_sd_deg**2 + kept**2)
         mean = float((read - [soil.phi_deg for soil in first]) @ solved)

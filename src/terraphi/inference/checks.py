@@ -169,6 +169,9 @@ def _dropouts(force: FloatArray, all_zero: BoolArray, load: float, in_soil: Bool
 
     Zeros up to an end of the record are dropouts if that end is in the soil; in air zero is right.
     """
+    # A zero is a dropout if the loaded readings next to it, before and after, exceed the limit: the
+    # smaller of the two sizes counts. Beyond the first and last loaded reading the same size is
+    # repeated, times 0 where that end of the record is in air.
     loaded = np.flatnonzero((force != 0.0) & ~all_zero)
     if loaded.size < 3:
         return np.zeros(len(force), dtype=bool)
@@ -183,6 +186,7 @@ def _held(force: FloatArray, span: float) -> BoolArray:
     """Runs of equal readings under load that end with a jump, as of a value that was held."""
     changes = np.abs(np.diff(force))
     held = np.zeros(len(force), dtype=bool)
+    # A sensor that holds its last value catches up with a jump of several of its smallest steps.
     quantum = float(min(changes[changes > 1e-12 * span], default=span))
     ends = np.flatnonzero(np.append(changes, np.inf) > 0.0)
     for first, last in zip(np.append(-1, ends[:-1]) + 1, ends, strict=True):
@@ -199,6 +203,8 @@ def _spikes(force: FloatArray, span: float, resolution: float) -> BoolArray:
     padded = np.pad(force, 3, mode="reflect")
     windows = np.lib.stride_tricks.sliding_window_view(padded, 7)
     distance = np.abs(force - np.median(windows, axis=1))
+    # Usual distances: the median one, as a standard deviation, or half the step between neighbours
+    # where the force is steep.
     usual = max(float(1.4826 * np.median(distance)), 1e-9 * span, resolution / np.sqrt(12.0))
     scale = np.maximum(usual, 0.5 * np.median(np.abs(np.diff(windows, axis=1)), axis=1))
     return np.asarray((distance > SPIKE * scale) & (distance > LARGE_SPIKE * span))
@@ -221,6 +227,7 @@ def _clipped(name: str, force: FloatArray, theta: FloatArray, resolution: float)
             continue
         up = abs(np.polyfit(theta[rise], force[rise], 1)[0])
         down = abs(np.polyfit(theta[fall], force[fall], 1)[0])
+        # Lines of slopes a and b over a flat top of width w meet w a b / (a + b) above it.
         hidden = (last - first) * up * down / max(up + down, 1e-12)
         if hidden > HIDDEN * np.ptp(force) + ROUND * resolution:
             return (
@@ -237,6 +244,8 @@ def _step(name: str, force: FloatArray, theta: FloatArray, resolution: float) ->
     width = max(3, int(2.0 / np.median(np.diff(theta))))
     if 2 * width >= len(force):
         return ""
+    # The means over 2° before and after a step differ by nearly the jump itself; those about a
+    # spike do not, and a slope has no jump that is large among its neighbours.
     means = np.convolve(force, np.ones(width) / width, "valid")
     jumps = means[width:] - means[:-width]
     sharp = np.abs(np.diff(force))[width - 1 : width - 1 + len(jumps)]
@@ -529,6 +538,8 @@ def _column_readings(likelihood: Likelihood, record: Record, given: float) -> It
     except InputError:
         return
     limit, history = likelihood.error.nrmsd_limit(record.rig, record.grain_size_mm), record.history
+    # Limits of a residual: a third, or 0.6, of that of the columns as they are, and twice the limit
+    # of a misfit at most.
     strict, loose = min(MUCH_BETTER * given, FITS * limit), min(BETTER * given, FITS * limit)
     read_as = history.provenance.get("columns", {})  # an option that was given is turned back
 
@@ -655,6 +666,7 @@ def _other_arm(likelihood: Likelihood, i: int) -> Iterator[str]:
     theta_deg = law.theta_deg + likelihood.shift_deg[i]
     arm = np.stack([np.interp(record.theta_deg, theta_deg, row) for row in law.arm])
     of_forces = (arm * record.data).sum(axis=0)
+    # Least squares of the measured moment on that of the forces, through the origin.
     factor = float(of_forces @ record.means(record.history.moment) / (of_forces @ of_forces))
     ratio = np.log(max(factor, 1e-3))
     if abs(ratio) > np.log(OTHER_ARM):
@@ -672,6 +684,7 @@ def _other_size(likelihood: Likelihood, i: int) -> Iterator[str]:
     record, part = likelihood.records[i], likelihood.parts[i]
     best = np.clip(likelihood.least_squares, likelihood.low, likelihood.high)
     curve = likelihood.curves(best)[0, part].reshape(len(record.channels), -1)
+    # Contact begins where the magnitude of the force passes a tenth of its largest.
     begins = []
     for force in (record.data, curve):
         size = np.linalg.norm(force / np.ptp(force), axis=0)
@@ -712,6 +725,7 @@ def plane_strain(phi: Estimate, law: LawOfLegs) -> tuple[Estimate | None, str]:
 
     try:
         ends = [convert(angle) for angle in (*phi.ci68, *phi.ci95)]
+        # To first order, by the ratio of the 68 % intervals.
         sd = phi.sd * (ends[1] - ends[0]) / (phi.ci68[1] - phi.ci68[0])
         return Estimate(convert(phi.median), sd, (ends[0], ends[1]), (ends[2], ends[3])), ""
     except InputError as error:
@@ -736,6 +750,8 @@ def second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:
         return None  # beyond its range, or nearly without an equivalent in plane strain
     below, median, above = to_plane_strain(read + np.array([-1.0, 0.0, 1.0])).tolist()
     phi = np.linspace(likelihood.low, likelihood.high, 71)
+    # φ at which Σ (g/p)² equals Σ (d/p)²: forces grow with φ, and a running maximum makes the
+    # table monotone for its inversion.
     size = np.square(likelihood.curves(phi) / likelihood.span).sum(axis=1)
     measured = float(np.square(likelihood.data / likelihood.span).sum())
     return {

@@ -54,6 +54,8 @@ def errors_of(answers: Sequence[Answer], names: Sequence[str]) -> Errors:
     causes = [answer.offset_causes_deg for answer in answers]
     if "model: offset" in names:
         shared[names.index("model: offset")] = _correlation(causes, [a.law for a in answers])
+    # Covariances between answers are products of the terms' standard deviations where the error is
+    # shared; the diagonal is each answer's whole variance.
     variance = np.array([answer.phi.sd**2 for answer in answers])
     between = sds[:, :, None] * sds[:, None] * (shared - np.eye(k))
     between *= np.array([term(name).weighs for name in names], bool)[:, None, None]
@@ -100,6 +102,8 @@ def combined(answers: Sequence[Answer]) -> Answer:
     weight /= weight.sum()
     median = float(weight @ phi)
     deviation = phi - median
+    # Birge's ratio √(χ² / (n − 1)): where answers differ by more than their errors, what no other
+    # answer shares is widened by it.
     birge = math.sqrt(max(float(deviation @ inverse @ deviation) / (len(phi) - 1), 1.0))
     widening = math.sqrt((birge**2 - 1.0) * float(weight**2 @ errors.alone))
     moved = weight * errors.sds

@@ -474,6 +474,8 @@ def infer(
     stretches = [anchor.stretch(path) for anchor in anchors]
     prior = _with_growth(touchdowns, law, prior)
     fits = fit(touchdowns, law, prior)
+    # Ground near an earlier print was moved, so that φ has a further error; in the print itself the
+    # footfall is refused.
     near_print, _ = trodden_before(touchdowns, BESIDE_RADII * prior.radius)
     fits = fits._replace(sd=np.hypot(fits.sd, BESIDE_SD_DEG * near_print))
     verdict = verdicts(touchdowns, fits, prior.radius)
@@ -540,6 +542,8 @@ def _with_growth(touchdowns: Touchdowns, law: str, prior: Prior) -> Prior:
     if prior.law_sd_deg is None:
         prior = replace(prior, law_sd_deg=LAWS[law].sd_deg)
     trodden, _ = trodden_before(touchdowns, NEAR_RADII * prior.radius)
+    # The exponent is learned on virgin ground, by feet that sank in and whose footfalls have no
+    # fault; a misfit may be due to the very growth that is learned.
     virgin = evenly(picked(touchdowns, ~trodden), MOST_FITTED)
     deep = np.isin(verdicts(virgin, fit(virgin, law, prior), prior.radius), (USABLE, MISFIT))
     return learn_exponent(picked(virgin, deep), law, prior) if deep.sum() >= FEWEST else prior
@@ -561,6 +565,8 @@ def _compare_laws(
     prior = replace(prior, other_law_sd=math.sqrt(likeness(prior, second_prior)))
     phi, sensitivity = fits.phi, fits.shared.copy()
     second = fit(touchdowns, name, second_prior).phi
+    # Errors that compare footfalls: a wrong slope of the law scales the deviations of φ from the
+    # mean; the other law, at its weight, adds those of its difference.
     for term, difference in (("law_slope", phi), ("other_law", phi - second)):
         column = TORQUES + list(prior.shared()).index(term)
         sensitivity[:, column] = difference - difference.mean()
@@ -588,6 +594,7 @@ def _shared_summary(pooled: Pooled, prior: Prior) -> dict[str, Any]:
         mean, sd, terms = pooled.shared[:, part]
         worth = float(np.sqrt((terms**2).sum()))
         shared[name] = {"mean": mean.tolist(), "sd": sd.tolist(), "worth_deg": worth}
+    # The pool has θ − θ₀: what is printed is θ.
     rows = pooled.shared[:, TORQUES:].T.tolist()
     for (name, (centre, _)), (off, sd, worth) in zip(prior.shared().items(), rows, strict=True):
         shared[name] = {"mean": centre + off, "sd": sd, "worth_deg": worth}
@@ -663,6 +670,8 @@ def verdicts(
         unsound = touchdowns.torn | touchdowns.faulty
         returned = walk_median(unsound, fits.gained, touchdowns.returned)
     trodden, printed = trodden_before(touchdowns, NEAR_RADII * radius)
+    # The order is that of causes: sensors and timing, ground that is no virgin soil, then the fit,
+    # which each of the causes before it can spoil.
     reasons = (
         (FAULTY, touchdowns.faulty),
         (TORN, touchdowns.torn),
@@ -739,6 +748,7 @@ def trodden_before(touchdowns: Touchdowns, reach: float) -> tuple[BoolArray, Boo
     from scipy.spatial import cKDTree
 
     trodden, printed = np.zeros((2, len(touchdowns.foot)), dtype=bool)
+    # Touch-downs are in the order of time, so that of a pair the larger number came later.
     near = cKDTree(touchdowns.place[:, :2]).query_pairs(reach, output_type="ndarray")
     first, second = near.min(axis=1), near.max(axis=1)
     trodden[second] = True

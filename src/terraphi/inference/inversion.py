@@ -276,13 +276,18 @@ def critical_posterior(
     critical
         Mean and standard deviation of φ_c [deg].
     """
+    # Forty equally likely shares, and forty relative densities. Of loose soil, whose peak is the
+    # critical angle, the excess of the peak is 0.
     middles = (np.arange(40) + 0.5) / 40.0
     shares = np.clip([NormalDist(*SHARE).inv_cdf(p) for p in middles.tolist()], *SHARE_ENDS)
     excess = np.maximum(LOOSEST_DEG + (DENSEST_DEG - LOOSEST_DEG) * middles, 0.0)
     above, excess = (shares[:, None] * excess).ravel(), np.tile(excess, shares.size)
+    # p(φ, share, density) ∝ p(φ | forces) N(φ − share · excess; φ_c): what the critical angle would
+    # have to be, at each of 1,600 pairs, shape [k, pair].
     mean, sd = critical[0], max(critical[1], grid[1] - grid[0])
     joint = density[:, None] * np.exp(-0.5 * ((grid[:, None] - above - mean) / sd) ** 2)
     posterior = joint.sum(axis=1)
+    # The peak is φ − share · excess + excess, with the same probabilities.
     ends = np.arange(0.0, 90.1, 0.1)
     peak, _ = np.histogram(grid[:, None] - above + excess, ends, weights=joint, density=True)
     posterior /= np.trapezoid(posterior, grid)
@@ -345,8 +350,14 @@ def _answer(
     """Posterior, verdict and warnings of records of one soil by one law."""
     likelihood = Likelihood(records, law, calibration)
     opinion = second_opinion(likelihood)
-    if opinion is not None and (wider := _disagreement_deg(likelihood, opinion)):
-        likelihood = Likelihood(records, law, calibration, disagreement_deg=wider)
+    if opinion and law.convention == "plane_strain" and likelihood.beyond is None:
+        # A term of this size leaves the two angles UNUSUAL of their common standard deviation
+        # apart; it is 0 where they already agree as well as that.
+        separation_deg = opinion["median"] - likelihood.least_squares
+        lacking = (separation_deg / UNUSUAL) ** 2 - likelihood.sd**2 - opinion["sd"] ** 2
+        if lacking > 0.0:
+            wider = math.sqrt(lacking)
+            likelihood = Likelihood(records, law, calibration, disagreement_deg=wider)
     grid, density = quadrature(likelihood)
     phi = Estimate.of_density(grid, density)
     fits = record_fits(likelihood, phi.median, phi.ci95)
@@ -395,22 +406,12 @@ def _answer(
     )
 
 
-def _disagreement_deg(likelihood: Likelihood, opinion: dict[str, Any]) -> float:
-    """Standard deviation that makes up for another opinion [deg]; 0 if that is not far away.
-
-    With it the two differ by :data:`UNUSUAL` of their common standard deviation.
-    """
-    if likelihood.library.convention != "plane_strain" or likelihood.beyond is not None:
-        return 0.0
-    separation_deg = opinion["median"] - likelihood.least_squares
-    variance = likelihood.sd**2 + opinion["sd"] ** 2
-    return math.sqrt(max((separation_deg / UNUSUAL) ** 2 - variance, 0.0))
-
-
 def record_fits(
     likelihood: Likelihood, median: float, ci95: tuple[float, float]
 ) -> list[RecordFit]:
     """Each record with the curve at the median, and the curves at the ends of the 95 % interval."""
+    # Curves at the ends of the interval and at the median, and the tangent there: predictions of
+    # an answer's file are g(median) + (φ − median) ∂g/∂φ, as value at 0° and slope.
     curves = likelihood.curves([*np.clip(ci95, *likelihood.ends), median])
     slope = likelihood.slope(median)
     tangent = np.stack([curves[2] - slope * median, slope])

@@ -185,6 +185,8 @@ def squared_residuals(
 
     p is the peak-to-peak of the data. Shapes: data [h, c, m], forces [k, 2, theta]; [h, shift, k].
     """
+    # Σ w (d − g)² = Σ w d² − 2 Σ w d g + Σ w g² with w = 1/p²: two matrix products give it for all
+    # data, shifts and angles at once. Differences of large sums may round below 0.
     largest = np.abs(data).max(axis=(1, 2))[:, None]
     span = np.maximum(np.ptp(data, axis=2), 1e-6 * largest)
     weight, flat = np.repeat(span**-2.0, data.shape[2], axis=1), data.reshape(len(data), -1)
@@ -247,7 +249,7 @@ class Likelihood:
         lengths = np.array([record.rig.length for record in records])
         self._per_pascal = 1.0 / (np.array(self.density) * GRAVITY * lengths)
         self._cohesions = self._fitted_cohesions()
-        # Largest δ of each record [deg]; of simulated ones 0.
+        # Largest δ of each record [deg]; of simulated ones 0, whose angle is exact.
         self._most_shift = np.full(len(records), SHIFT_DEG if self.measured else 0.0)
         self.low = max(float(law.bounds[0][0]) for law in self.laws)
         self.high = min(float(law.bounds[1][0]) for law in self.laws)
@@ -412,25 +414,30 @@ class Likelihood:
     @cached_property
     def coverage(self) -> list[Coverage]:
         """Part of a whole stroke that each record has, at the best point."""
-        return [self._coverage(i) for i in range(len(self.records))]
-
-    def _coverage(self, i: int) -> Coverage:
-        record = self.records[i]
-        is_full = record.theta_deg.size == OBSERVATION_ANGLES
-        if record.channels == FORCES and is_full:
-            return Coverage(1.0, record.span)
-        theta = np.radians(np.arange(-WINDOW_DEG - 3.0, WINDOW_DEG + 3.5))
-        best = np.clip(self.least_squares, self.low, self.high)
-        force = self._forces(best + np.array([-1.0, 0.0, 1.0]), self.cohesion)[i]
-        axes = record.history.axes
-        still = ForceHistory(theta, np.zeros((theta.size, len(axes))), axes=axes, moment=0 * theta)
-        stroke = replace(record, history=still)
-        means = window_means(stroke, force, self.laws[i], self.shift_deg[i])
-        below, curve, above = means.reshape(3, len(stroke.channels), -1)
-        span = record.span if is_full else np.maximum(record.span, np.ptp(curve, axis=1))
-        measured = np.isin(stroke.theta_deg.round(6), record.theta_deg.round(6))
-        information = np.square((above - below) / span[:, None])
-        return Coverage(float(information[:, measured].sum() / information.sum()), span)
+        coverage = []
+        for i, record in enumerate(self.records):
+            is_full = record.theta_deg.size == OBSERVATION_ANGLES
+            if record.channels == FORCES and is_full:
+                coverage.append(Coverage(1.0, record.span))
+                continue
+            # A record of the same channels over a whole stroke, whose windows read the law 1°
+            # below and above the best angle: their difference is proportional to ∂g/∂φ.
+            theta = np.radians(np.arange(-WINDOW_DEG - 3.0, WINDOW_DEG + 3.5))
+            axes = record.history.axes
+            zero = ForceHistory(theta, np.zeros((theta.size, len(axes))), axes=axes,
+                                moment=0 * theta)  # fmt: skip
+            stroke = replace(record, history=zero)
+            best = np.clip(self.least_squares, self.low, self.high)
+            force = self._forces(best + np.array([-1.0, 0.0, 1.0]), self.cohesion)[i]
+            means = window_means(stroke, force, self.laws[i], self.shift_deg[i])
+            below, curve, above = means.reshape(3, len(stroke.channels), -1)
+            # A part of a stroke may lack the peak, so that p is the model's where that is larger.
+            span = record.span if is_full else np.maximum(record.span, np.ptp(curve, axis=1))
+            measured = np.isin(stroke.theta_deg.round(6), record.theta_deg.round(6))
+            information = np.square((above - below) / span[:, None])
+            share = float(information[:, measured].sum() / information.sum())
+            coverage.append(Coverage(share, span))
+        return coverage
 
     @cached_property
     def _best(self) -> Best:
@@ -442,19 +449,8 @@ class Likelihood:
     @cached_property
     def _by_cohesion(self) -> list[Best]:
         """φ and δ of the smallest residual at each cohesion, each fit begun at the last."""
-        start, fits = self._start, []
-        settled = 1e-8 if len(self._cohesions) == 1 else 1e-4
-        for cohesion in self._cohesions.tolist():
-            fits.append(self._fitted(cohesion, start, settled))
-            start = fits[-1].x
-        return fits
-
-    @property
-    def _start(self) -> FloatArray:
-        """φ and δ of the smallest residual on a grid at the first cohesion, [1, 1 + record].
-
-        The residual has several minima.
-        """
+        # The squared residual has several minima, so that the first fit begins at the smallest
+        # value on a grid. All records have one φ, and each has the δ that is best at that φ.
         shifts = np.arange(-self._most_shift[0], self._most_shift[0] + 1.0)
         x = np.linspace(*self.ends, 257)
         squares = [
@@ -464,7 +460,13 @@ class Likelihood:
             )
         ]
         first = int(sum(each.min(axis=0) for each in squares).argmin())
-        return np.append(x[first], shifts[[int(each[:, first].argmin()) for each in squares]])[None]
+        best_shifts = shifts[[int(each[:, first].argmin()) for each in squares]]
+        start, fits = np.append(x[first], best_shifts)[None], []
+        settled = 1e-8 if len(self._cohesions) == 1 else 1e-4
+        for cohesion in self._cohesions.tolist():
+            fits.append(self._fitted(cohesion, start, settled))
+            start = fits[-1].x
+        return fits
 
     def _fitted(self, cohesion: float, start: FloatArray, settled: float = 1e-8) -> Best:
         """Least squares at a cohesion [Pa]."""
@@ -534,6 +536,7 @@ class Likelihood:
         if slope is None or not law.most_cohesion:
             return None
         step = COHESION_STEP * law.most_cohesion / float(self._per_pascal[i])
+        # The difference is central, or forward where the cohesion is next to 0.
         low = max(self.cohesion - step, 0.0)
         curve, damp, dry = (
             self.curves(self.least_squares, cohesion=c)[0, part]
@@ -549,11 +552,14 @@ class Likelihood:
         solution = np.linalg.lstsq(columns, residuals, rcond=None)[0]
         cohesion = self.cohesion + float(solution[-1])
         if cohesion < 0.0:
+            # The best cohesion that is allowed is 0: its column at −c goes to the residuals.
             residuals, columns = residuals + self.cohesion * columns[:, -1], columns[:, :-1]
             solution, cohesion = np.linalg.lstsq(columns, residuals, rcond=None)[0], 0.0
         size = float(np.sqrt(np.square(residuals - columns @ solution).mean()))
         if not with_hip:
             return Free(0.0, 0.0, size, cohesion)
+        # σ² (X'X)⁻¹ of the hip, the third column, with σ² of residuals that are independent in one
+        # of seven windows.
         variance = WINDOWS_PER_RESIDUAL * size**2 * np.linalg.pinv(columns.T @ columns)[2, 2]
         return Free(float(solution[2]), math.sqrt(variance), size, cohesion)
 
@@ -566,6 +572,8 @@ class Likelihood:
         curves, data = self.curves(phi) / self.span, self.data / self.span
         # The squared residual at a factor f is d'd − 2 g'd / f + g'g / f².
         likeness, size = curves @ data, np.square(curves).sum(axis=1)
+        # φ at each factor is that of the grid; its difference from φ at the factor 1 on the same
+        # grid is added to the estimate.
         angles = [phi[(size / f**2 - 2.0 * likeness / f).argmin()] for f in (1.0, *factors)]
         answers = self.least_squares + np.array(angles[1:]) - angles[0]
         by_law = answers + self.offset(self.records[0], answers)
@@ -580,6 +588,7 @@ class Likelihood:
         :data:`FAR_OFF`.
         """
         best, (least, most) = self.least_squares, self.ends
+        # The factor by which the best curve would have to be multiplied: g'd / g'g.
         curve, data = self.curves(best)[0] / self.span, self.data / self.span
         scale = float(curve @ data) / max(float(curve @ curve), 1e-12)
         if best >= most - 0.01 or scale > FAR_OFF:
@@ -675,6 +684,7 @@ class Likelihood:
             offset_sd = math.hypot(*(error.root.T @ self.row(record, self.least_squares)))
             if self.calibration:
                 offset_sd = self._calibrated_error(record)[1]
+            # 1/h − 1 is the variance of φ by the part of a stroke that is missing, over that at ½.
             missing = 1.0 / min(max(coverage.share, 1e-3), 1.0) - 1.0
             rows.append(
                 {
@@ -710,8 +720,10 @@ class Likelihood:
         )
         residual = self.data - self.curves(self.least_squares)[0]
         for record, part in zip(self.records, self.parts, strict=True):
+            # Mean square of e of each channel, less the mean variance that the terms state.
             e = residual[part].reshape(len(record.channels), -1)
             lacking = np.square(e).mean(axis=1) - stated[part].reshape(e.shape).mean(axis=1)
+            # Σ (second difference)² is four times the numerator of the equation above.
             unit = e / record.span[:, None]
             rough = np.square(np.diff(unit, n=2)).sum() / (4.0 * max(np.square(unit).sum(), 1e-300))
             theta = record.theta_deg
@@ -755,11 +767,14 @@ def quadrature(likelihood: Likelihood) -> tuple[FloatArray, FloatArray]:
         [deg] and [1/deg], shape [node] each.
     """
     if likelihood.beyond is not None:
+        # No angle fits: only the end of the law is determined beyond which φ lies.
         low, high = likelihood.beyond
         return np.linspace(low, high, NODES), np.full(NODES, 1.0 / (high - low))
     best, sd = likelihood.least_squares, likelihood.sd
     low, high = np.clip([best - 8.0 * sd, best + 8.0 * sd], *likelihood.ends).tolist()
     grid = np.linspace(low, high, NODES)
+    # Of measured records g is linear about the best point, so that c (d − g(φ)) is the best angle
+    # less φ; the curves of simulated records are exact, and are taken as they are.
     deviation = grid - best
     if not likelihood.measured:
         deviation = (likelihood.curves(grid) - likelihood.data) @ likelihood.weights

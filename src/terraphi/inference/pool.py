@@ -148,6 +148,7 @@ class Normal(NamedTuple):
 
     def given(self, data: FloatArray, rows: FloatArray, noise: FloatArray) -> Normal:
         """The distribution of x after data = rows x + e, e normal of covariance ``noise``."""
+        # The gain C R'(R C R' + N)⁻¹ of a Kalman filter.
         across = rows @ self.covariance
         gain = np.linalg.solve(across @ rows.T + noise, across).T
         mean = self.mean + gain @ (data - rows @ self.mean)
@@ -190,6 +191,8 @@ def pool(
     from scipy.linalg import block_diag
 
     # 1. Amplitude and length of the process, and errors of the torques, by some footfalls.
+    # Of θ the footfalls determine the errors of the torques alone: the other errors are taken off
+    # at their prior mean.
     subset = evenly(footfalls, MOST_FITTED)
     torques = subset.shared * (np.arange(subset.shared.shape[1]) < TORQUES)
     amplitude, length = _learned(subset, torques, shared, mean, mean_sd)
@@ -202,12 +205,15 @@ def pool(
     means = [np.full((1, len(points)), 1.0 / len(points)) for points in stretches]
     average = block_diag(np.eye(len(path)), *means)
     places = np.concatenate([path, *stretches])
+    # With Σ = L L' of the footfalls and K of averages and footfalls, L⁻¹K' gives both the weights
+    # K Σ⁻¹ of the footfalls and the variance K Σ⁻¹ K' that they take from the prior.
     lower = np.asarray(np.linalg.cholesky(_observed(subset, field)))
     half = _solve(lower, (average @ covariance(places, subset.place, *field)).T)
     weights = half.T @ _solve(lower, np.column_stack([subset.phi - mean, subset.shared]))
     prior = average @ covariance(places, places, *field) @ average.T
     phi, sensitivity, spread = mean + weights[:, 0], weights[:, 1:], prior - half.T @ half
     points = len(path)
+    # The mean sensitivity over the path moves all places alike, and is no part of a difference.
     differences = (sensitivity - sensitivity[:points].mean(axis=0))[:points]
     relative = np.diag(spread)[:points] + _spread(differences, shared.covariance)
     # 3. The joint distribution of these averages and θ, then given the anchors.
@@ -222,6 +228,8 @@ def pool(
     measured, sd = np.array([(a.phi_deg, a.sd_deg) for a, _ in anchors]).reshape(-1, 2).T
     rows = np.eye(len(phi), len(joint_covariance))[points:]
     after = before.given(measured, rows, np.diag(sd**2))
+    # Without the anchors both the map and the anchor err; the result has the anchor in it, so that
+    # its distance counts against the anchor's standard deviation alone.
     before_sd = np.sqrt(np.diag(rows @ before.covariance @ rows.T) + sd**2)
     surprise = np.maximum(
         np.abs(measured - rows @ before.mean) / before_sd, np.abs(measured - rows @ after.mean) / sd
@@ -271,12 +279,15 @@ def _learned(
     """Amplitude and length at the maximum of their marginal posterior."""
     from scipy.optimize import minimize
 
+    # Errors of the torques are integrated over: they add their covariance to that of the field.
     residual = footfalls.phi - mean - footfalls.shared @ shared.mean
     common = torques @ shared.covariance @ torques.T
 
     def cost(logs: FloatArray) -> float:
         amplitude, length = np.exp(logs) * MEDIANS
         matrix = _observed(footfalls, (amplitude, length, mean_sd)) + common
+        # −ln of the marginal posterior: ½ r'M⁻¹r + ½ ln |M| + ½ Σ (logs / 0.7)², with M = L L'
+        # and ½ ln |M| = Σ ln L_ii.
         lower = np.asarray(np.linalg.cholesky(matrix))
         half = _solve(lower, residual)
         prior = ((logs / LOG_SD) ** 2).sum()

@@ -174,6 +174,8 @@ def invert_pressed(record: PressedRecord, law: Any = None) -> Answer:
     steady_sd = root_sum_square(budget, "contraction", "model: compaction")
     grid, posterior = _posterior(press, fit, steady_sd)
     estimate = Estimate.of_density(grid, posterior)
+    # Curves are drawn at the likeliest node, at angles as the law reads them: φ of the soil less
+    # what is added where it compacts.
     level, read = fit.phi[fit.top], fit.by_law[fit.top]
     ends = np.array(estimate.ci95) - (level - read)
     ends = press.curve(np.stack([np.clip(ends, *press.ends), [fit.contact] * 2], -1))
@@ -216,6 +218,7 @@ def _fit(press: _Press) -> _Fit:
         return press.force - press.borne[rows] * press.curve(x)
 
     def slope(x: FloatArray, rows: IntArray) -> FloatArray:
+        # Central differences, a step within the angles of the law.
         inner = np.clip(x, [low + 0.01, -np.inf], [high - 0.01, np.inf])
         pairs = [(press.curve(inner + d) - press.curve(inner - d)) / (2.0 * d.sum())
                  for d in np.diag(1e-3 * scale)]  # fmt: skip
@@ -228,6 +231,7 @@ def _fit(press: _Press) -> _Fit:
         bounds=(np.array([low, -3.0 * sd]), np.array([high, 3.0 * sd])),
         scale=scale, precision=precision,
     )  # fmt: skip
+    # Weight of a node: exp(−χ²/2) of its residual and contact, times the prior exp(−A / A₀).
     cost = np.einsum("kn,nm,km->k", best.residual, inverse, best.residual)
     cost += (best.x[:, 1] / sd) ** 2 + 2.0 * NODES[:, 0] / PRIOR
     chance = np.exp(0.5 * (cost.min() - cost))
@@ -257,6 +261,7 @@ def _budget(press: _Press, fit: _Fit, density_sd: float) -> dict[str, float]:
     }
     sds = {name: abs(float(fit.row @ error)) for name, error in errors.items()}
     # By fits anew: a disc bears at once where it touches, which is not linear in the contact.
+    # The likeliest curve, moved by a standard deviation of the contact either way, is the data.
     higher, lower = (
         _fit(
             replace(press, force=press.borne[fit.top] * press.curve(x + np.array([0.0, z]))[0])
@@ -280,6 +285,8 @@ def _posterior(press: _Press, fit: _Fit, steady_sd: float) -> tuple[FloatArray, 
 
     ``steady_sd`` is the standard deviation at a node of soil that does not compact [deg].
     """
+    # Nodes of soil that compacts are wider: the standard deviation of what the law misses there is
+    # theirs alone. The grid reaches beyond the law, for offsets move φ out of it.
     low, high = press.ends
     sd = np.hypot(steady_sd, press.compaction_sd * COMPACT)
     grid = np.arange(max(low - 15.0, 0.5), min(high + 18.0, 80.0), 0.05)
@@ -306,6 +313,8 @@ def _verdict(
         return out_of_range(press.law, "low", low, advice)
     if misfit := large_residual([record], "loose grains"):
         return misfit
+    # One angle describes homogeneous soil at all depths; halves that disagree are layers, a wrong
+    # tool or a wrong surface.
     deep = press.z > 0.5 * press.z[-1]
     upper, lower = (_angle_of(press, fit, part=half) for half in (~deep, deep))
     if abs(lower - upper) > HALVES * steady_sd:
@@ -354,6 +363,7 @@ def _virgin(
     sinkage: FloatArray, force: FloatArray, notes: list[str], label: str
 ) -> tuple[FloatArray, FloatArray, int, list[str]]:
     """Means over windows of the readings deeper than any before, less what is read in air."""
+    # On virgin loading each reading is deeper than all before it.
     deepest = np.maximum.accumulate(np.append(-np.inf, sinkage))[:-1]
     virgin, notes = sinkage > deepest, list(notes)
     if (~virgin).any():

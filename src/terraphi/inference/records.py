@@ -134,6 +134,8 @@ class Record:
         theta = self.history.theta_deg
         centre = np.linspace(-WINDOW_DEG, WINDOW_DEG, OBSERVATION_ANGLES)
         half = WINDOW_DEG / (OBSERVATION_ANGLES - 1)
+        # Windows meet, each as wide as the spacing of their centres. One at an end of the record
+        # counts if at least half of it is covered, and is a mean over the covered part.
         low, high = np.maximum(centre - half, theta[0]), np.minimum(centre + half, theta[-1])
         first, last = np.searchsorted(theta, low), np.searchsorted(theta, high, side="right")
         kept = (high - low > 0.999 * half) & (last > first)
@@ -152,6 +154,7 @@ class Record:
                 f"{self.source}: no reading between {inside[at]:.1f} and {inside[at + 1]:.1f} deg"
                 f"{faulty}; gaps of at most {WIDEST_GAP_DEG:g} deg are accepted"
             )
+        # The mean is the integral between the ends of a window over the distance of these.
         weights = (_hats(high[kept], theta) - _hats(low[kept], theta)) / (high - low)[kept, None]
         return centre[kept], weights
 
@@ -185,6 +188,7 @@ class Record:
         m = len(weights)
         for i, (name, step) in enumerate(zip(self.channels, self.resolution, strict=True)):
             if step:
+                # Weights of equal readings in a row add up, for their rounding is one error.
                 changes = np.abs(np.diff(self.history.channel(name))) > step / 2.0
                 runs = np.add.reduceat(weights, np.flatnonzero(np.append(True, changes)), axis=1)
                 block = slice(i * m, (i + 1) * m)
@@ -209,6 +213,7 @@ class Record:
         history, count = self.history, len(self.history.position)
         if count <= MOST_READINGS:
             return self
+        # Means over bins have less noise by the root of the number of readings in each.
         low, high = history.position[[0, -1]]
         bins = min(MOST_READINGS, int(np.ceil(np.degrees(high - low) / 0.05)))
         at = np.minimum(((history.position - low) / (high - low) * bins).astype(int), bins - 1)
@@ -229,6 +234,8 @@ class Record:
 def _hats(at: FloatArray, x: FloatArray) -> FloatArray:
     """Integral from x[0] to some places of each reading's hat function, shape [place, reading]."""
     width = np.diff(x)
+    # Readings are joined by lines. On an interval of width h, of which the part p lies before the
+    # place, the hat of its right end has the integral h p²/2 and that of its left end h (p − p²/2).
     passed = np.clip((at[:, None] - x[:-1]) / width, 0.0, 1.0)
     rising, falling = 0.5 * width * passed**2, width * (passed - 0.5 * passed**2)
     total = np.zeros((at.size, x.size))

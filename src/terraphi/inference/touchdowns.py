@@ -301,6 +301,7 @@ def noise_covariance(touchdowns: Touchdowns, prior: Prior) -> FloatArray:
     Its standard deviation has a constant part, one that grows with the force, and one that grows
     with the soil's inertia.
     """
+    # cov(t, t') = σ(t) σ(t') exp(−|t − t'| / τ); the nugget keeps the matrix invertible.
     hit = INERTIA_PART * inertia(prior, touchdowns, np.maximum(touchdowns.drop, 0.0))
     sd = np.sqrt(NOISE_N**2 + (NOISE_PART * touchdowns.force) ** 2 + hit**2)
     lag = np.abs(touchdowns.time[:, :, None] - touchdowns.time[:, None, :])
@@ -381,6 +382,7 @@ def likeness(prior: Prior, other: Prior) -> float:
     Growth of the forces with φ cannot be learned, growth with depth can. The law whose growth with
     depth needs less correction is taken to be the likelier one for growth with φ.
     """
+    # By normal densities about an exponent of 0: that of the other law over the sum of both.
     variance = EXPONENT_SD**2 + prior.exponent_sd**2
     return float(1.0 / (1.0 + np.exp((other.exponent**2 - prior.exponent**2) / (2.0 * variance))))
 
@@ -434,6 +436,7 @@ def _mode(
         tried[rows] = state
         # All in one call, whose price for one touch-down is mostly that of the call.
         force, *moved = predicted(law, prior, part, state + STEPS[:, None])
+        # Central differences of STEPS. The drift w acts as the level z₀ does, times the time.
         by_phi, by_level = (moved[0] - moved[1]) / 0.2, (moved[2] - moved[3]) / 2e-4
         slope = np.stack([by_phi, by_level, by_level * part.time], axis=-1)
         slopes[rows] = np.where(part.used[..., None], slope, 0.0)
@@ -461,6 +464,7 @@ def _sensitivity(
     """
     state, residual, slope = best
     torques = np.zeros((len(state), TORQUES))
+    # A foot has three joints: their gains are 3 i, 3 i + 1, 3 i + 2, their frictions twelve later.
     joints = 3 * touchdowns.foot[:, None] + np.array([0, 1, 2, 12, 13, 14])
     by_joint = np.einsum("nl,nlk->nk", gain, touchdowns.per_error)
     np.put_along_axis(torques, joints, by_joint, axis=1)
@@ -488,6 +492,7 @@ def _sensitivity(
 def _gained(touchdowns: Touchdowns) -> FloatArray:
     """How far each foot goes down while its force rises from a sixth to five sixths of its end."""
     force = np.where(touchdowns.used, touchdowns.force, 0.0)
+    # Samples from a sixth of the largest force until the first one above five sixths.
     end = force.max(axis=1, keepdims=True, initial=0.0)
     rising = touchdowns.used & (force > end / 6.0)
     rising &= np.minimum.accumulate(force < 5.0 / 6.0 * end, axis=1)

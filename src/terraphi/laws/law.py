@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.errors import InputError
 from terraphi.experiment.rig import Rig
 
 if TYPE_CHECKING:
@@ -29,8 +28,6 @@ SIMILAR = (0.02, 0.015, 0.015)
 """Largest differences of a rig from the library's: width over the library's, height of the hip and
 thickness over the length. Each moves φ by at most 0.5° (2 mm of Li's hip by 1°, 10 % of force
 by 1.6 to 2°), which is less than what is assumed of sizes that were not measured."""
-FRICTION = (0.1, 0.6)
-"""Frictions of a leg that laws know [-]: those that were simulated."""
 STEP = 1e-3
 """Step of numerical derivatives, of the range of φ [-]."""
 
@@ -126,14 +123,6 @@ def remedy(rig: Rig) -> str:
         f"simulate it: terraphi library build --leg {rig.leg} {options}±{rig.hip_height_sd_mm:g} "
         "--out mine.nc; then add --law mine.nc. For a rough angle at once: --law rft3d"
     )
-
-
-def check_friction(rig: Rig) -> None:
-    """Raise InputError if the leg's friction is outside what was simulated."""
-    if not FRICTION[0] <= rig.leg_friction <= FRICTION[1]:
-        raise InputError(
-            f"leg_friction = {rig.leg_friction:g}; {FRICTION[0]:g} to {FRICTION[1]:g} are accepted"
-        )
 
 
 def lever_arm(curves: list[FloatArray]) -> FloatArray:

@@ -52,7 +52,7 @@ from terraphi.experiment.rig import (
 from terraphi.experiment.units import GRAVITY
 from terraphi.laws.fitted import FittedLaw
 from terraphi.laws.gp import Process
-from terraphi.laws.law import PHI, STEP, AnyLaw, LegLaw, check_friction, is_similar, remedy
+from terraphi.laws.law import PHI, STEP, AnyLaw, LegLaw, is_similar, remedy
 from terraphi.laws.model_error import ModelError
 from terraphi.laws.theory import Theory
 
@@ -89,6 +89,8 @@ quarter of the cases."""
 ROUGHER = 0.75
 """Power of the size of the cells with which the scatter of simulations grows [-]: of 0, 0.5, 0.75,
 1, 2 and 3 the likeliest."""
+FRICTIONS = (0.1, 0.6)
+"""Frictions of a leg that the law is for [-]: those that were simulated."""
 SHIFTED_DEG = np.arange(-105.0, 101.0)
 """Leg angles of the law [deg]: those of records, and what a shift brings there."""
 PHI_DEG = (10.0, 55.0)
@@ -331,7 +333,11 @@ class Legs(AnyLaw, FittedLaw):
         InputError
             If there is no such leg, or a ratio of the rig lies outside the cases.
         """
-        check_friction(rig)
+        least, most = FRICTIONS
+        if not least <= rig.leg_friction <= most:
+            raise InputError(
+                f"leg_friction = {rig.leg_friction:g}; {least:g} to {most:g} are accepted"
+            )
         if any(rig.leg == joined.leg and is_similar(rig, joined) for joined in self.joined_rigs):
             return RatioLaw(self, rig, cells)
         if rig.leg not in self.legs:
@@ -398,14 +404,10 @@ class RatioLaw(LegLaw):
 
         return x, np.full(len(x), depth), forces
 
-    def _forces(self, phi_deg: FloatArray, cohesion: float, **changed: float) -> FloatArray:
-        """Forces [N], shape [k, 2, theta]; of a changed rig as in :meth:`_at`."""
-        x, depth, forces = self._at(phi_deg, cohesion, **changed)
-        return forces(self._law(x, depth))
-
-    def within(self, x: FloatArray, cohesion: float) -> FloatArray:
-        """Forces within the bounds."""
-        return self._forces(x[:, 0], cohesion)
+    def within(self, x: FloatArray, cohesion: float, **changed: float) -> FloatArray:
+        """Forces within the bounds; of a changed rig as in :meth:`_at`."""
+        parameters, depth, forces = self._at(x[:, 0], cohesion, **changed)
+        return forces(self._law(parameters, depth))
 
     def interpolation(self, x: FloatArray, cohesion: float) -> FloatArray:
         """Factor of the covariance of the Gaussian process."""
@@ -427,8 +429,8 @@ class RatioLaw(LegLaw):
             "higher": (-min(0.02, self._rig.ratios.hip_height), 0.02),
         }
         below, above = steps[cause]
-        phi = np.clip(x, *self.bounds)
-        ends = [self._forces(phi, cohesion, **{cause: step}) for step in (below, above)]
+        phi = np.clip(x, *self.bounds)[:, None]
+        ends = [self.within(phi, cohesion, **{cause: step}) for step in (below, above)]
         return np.asarray((ends[1] - ends[0]).reshape(-1, 1) / (above - below))
 
     def of_hip(self, x: FloatArray, cohesion: float) -> FloatArray:
