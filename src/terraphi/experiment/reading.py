@@ -251,10 +251,16 @@ def read_trials(
     strokes = reader.strokes(theta, reader.forces(values))
     unit = reader.unit(f"f{reader.axes[-1]}")[0] if reader.axes else "N"
     file = "standard input" if name == "-" else Path(name).name
+    # Options that numbers were changed by, and degrees for a unit of the angle or of the time.
+    changes = reader.given.model_dump(exclude_defaults=True, include={*CHANGED})
+    if "theta" not in reader.names:
+        changes["rate_deg_s"] = reader.given.rate_deg_s
+    elif (scale := reader.unit("theta")[1]) != 1.0:
+        changes["theta_scale"] = scale
     about: dict[str, Any] = {
         "force_unit": "" if unit == "N" else unit,
         "resolution": steps if any(steps.values()) else {},
-        "columns": reader.changes,
+        "columns": changes,
     }
     histories = []
     for i, which in enumerate(strokes):
@@ -486,14 +492,6 @@ class _LegTable(ColumnReader[ForceColumns]):
         """Unit of a column and what it is in our own; of the angle its scale, if that is given."""
         scale = self.given.theta_scale if role == "theta" else None
         return super().unit(role) if scale is None else (f"{scale:g}°", scale)
-
-    @property
-    def changes(self) -> dict[str, Any]:
-        """Options that numbers were changed by, and degrees for a unit of the angle."""
-        changes = self.given.model_dump(exclude_defaults=True, include={*CHANGED})
-        along = self.unit("theta")[1] if "theta" in self.names else self.given.rate_deg_s
-        name = "theta_scale" if "theta" in self.names else "rate_deg_s"
-        return changes | ({} if along == 1.0 and name == "theta_scale" else {name: along})
 
     @property
     def axes(self) -> tuple[str, ...]:

@@ -29,13 +29,14 @@ from terraphi.inference.checks import (
     without_faults,
 )
 from terraphi.inference.likelihood import Likelihood, quadrature
-from terraphi.inference.records import PressedRecord, Record, open_records, rig_name, with_sd
+from terraphi.inference.records import Record, open_records, rig_name, with_sd
 from terraphi.inference.verdict import Judgment, consistent, large_residual, out_of_range
 from terraphi.laws.law import PHI
 from terraphi.laws.legs import FORMER_NAME, LawOfLegs, Legs, shipped_legs
 
 if TYPE_CHECKING:
     from terraphi.inference.calibration import Calibration
+    from terraphi.inference.pressed import PressedRecord
 
 BETTER_LEG = 0.9
 """Residual by another leg over that by the record's own at which the leg is taken for wrong [-]:
@@ -168,7 +169,7 @@ def _answers(
 ) -> list[Answer]:
     """Answers by law and body: legs, by law ``legs`` one for each rig, then tools one by one."""
     legs = [without_faults(record) for record in records if isinstance(record, Record)]
-    tools = [record for record in records if isinstance(record, PressedRecord)]
+    tools = [record for record in records if not isinstance(record, Record)]
     if calibration is not None and not legs:
         raise InputError("a tool excludes calibration; leave out one or the other")
     answers: list[Answer] = []

@@ -14,17 +14,20 @@ import math
 import time
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from terraphi.experiment.arrays import BoolArray, FloatArray, IntArray
 from terraphi.experiment.errors import InputError, nearest
+from terraphi.experiment.files import label_of
+from terraphi.experiment.pressed_reading import Pressed, read_pressed
 from terraphi.experiment.priors import CONTACT_SD_M, CONTACT_SD_PART, DENSITY, FRICTION
 from terraphi.experiment.rig import Tool
 from terraphi.inference.answer import Answer, Estimate, RecordFit
 from terraphi.inference.estimator import least_squares, weights
-from terraphi.inference.records import PressedRecord, density_warnings, roughness
+from terraphi.inference.records import density_warnings, density_with_sd, grain_size, roughness
 from terraphi.inference.terms import ordered_budget, root_sum_square, term
 from terraphi.inference.verdict import Judgment, consistent, large_residual, out_of_range
 from terraphi.laws.foot import DEEPEST, LAWS, Foot
@@ -74,6 +77,44 @@ FEWEST_AIR = 6
 TARED = 0.01
 """Force in air over the largest from which it is named [-]."""
 RANGE_DEG = np.arange(10.0, 55.5, 0.5)
+
+
+@dataclass(frozen=True, eq=False)
+class PressedRecord:
+    """Force over sinkage of a tool that was pressed straight down.
+
+    Attributes
+    ----------
+    source, density_kg_m3, density_sd_kg_m3, grain_size_mm
+        As of :class:`~terraphi.inference.records.Record`; ``None`` is an unknown density.
+    rig
+        The plate or ball.
+    table
+        Sinkage and force in the order of time.
+    """
+
+    source: str
+    rig: Tool
+    table: Pressed
+    density_kg_m3: float | None = None
+    density_sd_kg_m3: float = 0.0
+    grain_size_mm: float = 0.0
+
+
+def open_pressed(
+    source: Any,
+    tool: Tool,
+    columns: Any,
+    density: float | str | None = None,
+    grain_size_mm: float | None = None,
+) -> PressedRecord:
+    """Open a table of sinkage and force; raises InputError if it cannot be used."""
+    table = read_pressed(source, math.pi * tool.radius**2, columns)
+    is_file = isinstance(source, str | Path)
+    label = label_of(source) if is_file else f"{type(source).__name__} ({tool})"
+    mean, sd = (None, 0.0) if density is None else density_with_sd(density, label)
+    grains = grain_size(grain_size_mm, 2e3 * tool.radius, label)
+    return PressedRecord(label, tool, table, mean, sd, grains)
 
 
 @dataclass(frozen=True, eq=False)

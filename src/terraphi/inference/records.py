@@ -1,7 +1,8 @@
 r"""Records: forces on one body, opened from a file, a name, a table or an object.
 
 A record carries its body from here on: that of a leg (:class:`Record`) has forces over the leg
-angle θ and a rig, that of a tool (:class:`PressedRecord`) forces over sinkage and a plate or ball.
+angle θ and a rig, that of a tool (:class:`~terraphi.inference.pressed.PressedRecord`) forces over
+sinkage and a plate or ball.
 
 A record of a leg has c channels: Fx and Fz, or the moment M about the hip in place of one of them
 or of both. Record and law are compared by m window means of each channel: 40 windows over |θ| ≤
@@ -42,8 +43,8 @@ from terraphi.experiment.reading import ForceColumns, read_trials
 from terraphi.experiment.rig import Rig, Tool
 
 if TYPE_CHECKING:
-    from terraphi.experiment.pressed_reading import Pressed
     from terraphi.experiment.scenario import Scenario
+    from terraphi.inference.pressed import PressedRecord
 
 FEWEST_WINDOWS = 9
 """Windows that a record must have: those within 40° of its path."""
@@ -244,28 +245,6 @@ def _hats(at: FloatArray, x: FloatArray) -> FloatArray:
     return total
 
 
-@dataclass(frozen=True, eq=False)
-class PressedRecord:
-    """Force over sinkage of a tool that was pressed straight down.
-
-    Attributes
-    ----------
-    source, density_kg_m3, density_sd_kg_m3, grain_size_mm
-        As of :class:`Record`; ``None`` is an unknown density.
-    rig
-        The plate or ball.
-    table
-        Sinkage and force in the order of time.
-    """
-
-    source: str
-    rig: Tool
-    table: Pressed
-    density_kg_m3: float | None = None
-    density_sd_kg_m3: float = 0.0
-    grain_size_mm: float = 0.0
-
-
 # -- opening -------------------------------------------------------------------------------------
 
 
@@ -316,7 +295,9 @@ def open_records(
     for source, body in sources:
         if isinstance(body, Tool):
             given = {name: options.get(name) for name in ("density", "grain_size_mm")}
-            records.append(_pressed(source, body, None if has_leg else columns, **given))
+            from terraphi.inference.pressed import open_pressed
+
+            records.append(open_pressed(source, body, None if has_leg else columns, **given))
             continue
         if isinstance(body, str) and body in OUTLINES:
             apparatus = {"leg": body, "rig": rig}
@@ -395,24 +376,6 @@ def tared(columns: Any, rig: Any = None, leg: str | None = None) -> ForceColumns
     if rig is None or {*ends} & given.model_fields_set:
         return given
     return given.model_copy(update=dict(zip(ends, Rig.of(rig, leg).air_deg(), strict=True)))
-
-
-def _pressed(
-    source: Any,
-    tool: Tool,
-    columns: Any,
-    density: float | str | None = None,
-    grain_size_mm: float | None = None,
-) -> PressedRecord:
-    """Open a table of sinkage and force."""
-    from terraphi.experiment.pressed_reading import read_pressed
-
-    table = read_pressed(source, math.pi * tool.radius**2, columns)
-    is_file = isinstance(source, str | Path)
-    label = label_of(source) if is_file else f"{type(source).__name__} ({tool})"
-    mean, sd = (None, 0.0) if density is None else density_with_sd(density, label)
-    grains = grain_size(grain_size_mm, 2e3 * tool.radius, label)
-    return PressedRecord(label, tool, table, mean, sd, grains)
 
 
 def record_of(
