@@ -32,8 +32,6 @@ FRICTION_SD, HIP_SD_MM, DENSITY_SD_PART, GAIN_SD, KNOWN_SD_DEG = 0.03, 0.5, 0.01
 """Standard deviations that a careful measurement has: friction of the leg by a slide test [-],
 height of the hip [mm], density of a weighed bed [-], gain by a known weight [-], and the critical
 angle by shear tests [deg]; chosen."""
-GAIN_USUAL = 0.02
-"""Standard deviation of a gain that was not given [-]."""
 
 
 HIGHER = 0.15
@@ -58,8 +56,10 @@ def next_measurements(answer: Answer, *, further_records: bool = True) -> list[M
         Whether records of other legs in the same soil are among them, which takes a second.
     """
     rig, squares = answer.rigs[0], {name: sd**2 for name, sd in answer.budget_deg.items()}
-    if len(answer.rigs) > 1 or not isinstance(rig, Rig) or not answer.offset_causes_deg:
+    is_of_one_leg = len(answer.rigs) == 1 and isinstance(rig, Rig) and answer.offset_causes_deg
+    if not is_of_one_leg or answer.verdict != "consistent":
         return []
+    assert isinstance(rig, Rig)
 
     def without(names: Sequence[str], share: float = 0.0) -> float:
         """Standard deviation with a share of the standard deviation of some terms."""
@@ -67,7 +67,9 @@ def next_measurements(answer: Answer, *, further_records: bool = True) -> list[M
         return math.sqrt(max(sum(squares.values()) - removed, 0.0))
 
     density_sd = (answer.density_sd_kg_m3 or 0.0) / answer.density_kg_m3
-    gain_sd = answer.budget_deg.get("gain", 0.0) and GAIN_USUAL
+    # A gain scales the forces as a density does.
+    scale = answer.budget_deg.get("density", 0.0)
+    gain_sd = density_sd * answer.budget_deg.get("gain", 0.0) / scale if scale else 0.0
     removed = {
         "a record of the whole stroke": "missing angles", "both forces": "missing forces",
         "more readings": "noise", "a library of this rig with more cases": "emulator",
