@@ -37,7 +37,8 @@ def in_one_soil(reads: Sequence[float], sds: Sequence[float], rig_sds: Sequence[
 
 def correction(known: Calibration) -> tuple[float, float]:
     """Mean and standard deviation of what the calibration takes off [deg]."""
-    return known.offset(ERROR, "mine", np.array(ROW))
+    mean, causes = known.offset(ERROR, "mine", np.array(ROW))
+    return mean, float(np.hypot.reduce(causes))
 
 
 @given(read=st.floats(25.0, 31.0), sd=SD, rig_sd=SD, data=st.data())

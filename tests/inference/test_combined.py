@@ -185,3 +185,22 @@ def test_answers_without_a_budget_are_joined(plate: Answer) -> None:
     out = replace(plate, verdict="out_of_range", reason="Out of range: far.", budget_deg={})
     joint = combined([out, out])
     assert (joint.verdict, joint.budget_deg) == ("out_of_range", {})
+
+
+def test_tools_beside_legs_are_refused_in_damp_soil() -> None:
+    forces = [GRAINS / f"B-loose_{name}_1.csv" for name in ("straight", "disc_60")]
+    given = {"rig": "li2013", "leg": "straight", "density": 1415}
+    with pytest.raises(terraphi.InputError, match="dry soil"):
+        terraphi.invert([forces[0], f"{forces[1]}@plate:60"], cohesion=100, **given)
+
+
+def test_legs_share_the_error_that_a_calibration_leaves() -> None:
+    """As of draws of its causes; the joint answer is no wider than the calibrated leg alone."""
+    calibration = terraphi.calibrate("li2013:poppy_loose/straight", 33.0, 1.0)
+    records = [f"li2013:yuma/{leg}" for leg in ("straight", "c")]
+    alone = [terraphi.invert(record, calibration=calibration) for record in records]
+    joint = terraphi.invert(records, calibration=calibration)
+    assert joint.phi.sd <= min(answer.phi.sd for answer in alone) + 0.01
+    for answer in alone:
+        offset_sd = np.hypot.reduce(answer.offset_causes_deg)
+        assert answer.budget_deg["model: offset"] == pytest.approx(offset_sd, rel=0.05)

@@ -528,3 +528,28 @@ def test_loose_soil_has_no_peak() -> None:
 def test_critical_angles_that_cannot_be(critical: object, law: str | None, why: str) -> None:
     with pytest.raises(InputError, match=why):
         invert("li2013:yuma/straight", critical=critical, law=law)
+
+
+def test_the_order_of_a_torque_and_of_forces_does_not_matter() -> None:
+    """The torque alone has an offset of its own."""
+    curves = shipped_legs().forces("li2013", 34.0, leg="reversed_c", density=1600.0)
+    theta = np.radians(curves.theta_deg.values)
+    force, moment = curves.forces.values[0].T, curves.moment.values[0]
+    records = [ForceHistory(theta, force),
+               ForceHistory(theta, force[:, :0], axes=(), moment=moment)]  # fmt: skip
+    given = {"rig": "li2013", "leg": "reversed_c", "density": 1600.0}
+    first, second = (invert(item, **given) for item in (records, records[::-1]))
+    assert first.phi.median == pytest.approx(second.phi.median, abs=0.02)
+    assert first.phi.sd == pytest.approx(second.phi.sd, abs=0.02)
+
+
+def test_a_law_of_an_earlier_version_does_not_lose_its_error() -> None:
+    old = replace(shipped_legs(), model_error={"straight": {"offset_deg": -1.0}})
+    with pytest.raises(InputError, match="another version"):
+        invert("li2013:yuma/straight", law=old)
+
+
+def test_simulated_forces_without_a_scenario_have_no_cohesion() -> None:
+    history = measurement("li2013:yuma/straight").history
+    with pytest.raises(InputError, match="leave out the cohesion"):
+        invert(history, simulated=True, cohesion=300)

@@ -261,9 +261,14 @@ def test_calibration_is_the_posterior_of_its_normal_model() -> None:
     calibration = Calibration(library="x", library_hash="", soils=soils)
     # Another rig of the shape shares all but what is wrong with this one.
     for rig, sought in (("low", of_rig["low"]), ("high", effects[:, 2])):
-        mean, sd = calibration.offset(error, rig, np.array(rows[rig]))
+        mean, causes = calibration.offset(error, rig, np.array(rows[rig]))
         assert mean == pytest.approx(sought @ weight, abs=0.03)
-        assert sd == pytest.approx(np.sqrt(np.square(sought - mean) @ weight), rel=0.03)
+        sd = np.sqrt(np.square(sought - mean) @ weight)
+        assert np.hypot.reduce(causes) == pytest.approx(sd, rel=0.03)
+    errors = [calibration.offset(error, rig, np.array(rows[rig])) for rig in ("low", "high")]
+    pair = np.array([of_rig["low"], effects[:, 2]]) - [[mean] for mean, _ in errors]
+    covariance = (pair[0] * pair[1]) @ weight
+    assert errors[0][1] @ errors[1][1] == pytest.approx(covariance, abs=0.05)
 
 
 def test_a_calibration_says_nothing_of_another_rig() -> None:

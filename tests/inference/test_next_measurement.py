@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -66,3 +67,22 @@ def test_a_plan_is_the_answer_that_comes() -> None:
 def test_what_cannot_be_narrowed_so_has_no_advice() -> None:
     legs = [f"li2013:yuma/{leg}" for leg in ("straight", "c")]
     assert not terraphi.next_measurements(terraphi.invert(legs))
+
+
+@pytest.mark.parametrize("soil", [
+    {"cohesion": "200"}, {"cohesion": "100±30"}, {"gain": "1.2±0.01"}, {"grain_size_mm": 6.0},
+])  # fmt: skip
+def test_a_plan_is_of_the_soil_and_the_sensor_that_are_given(soil: dict[str, Any]) -> None:
+    answer = terraphi.plan("li2013", leg="straight", phi_deg=30.0, **soil)
+    assert answer.phi.median == pytest.approx(30.0, abs=0.3)
+    assert answer.verdict == "consistent"
+
+
+def test_a_bound_by_the_critical_angle_and_a_misfit_have_no_advice() -> None:
+    record = measurement("li2013:yuma/straight")
+    given = {"rig": record.rig, "density": record.density_kg_m3}
+    assert not terraphi.next_measurements(terraphi.invert(record.history, critical=28.0, **given))
+    tripled = replace(record.history, force=3.0 * record.history.force, provenance={})
+    answer = terraphi.invert(tripled, **given)
+    assert answer.verdict == "misfit"
+    assert not terraphi.next_measurements(answer)

@@ -208,7 +208,7 @@ SHARED_BY: dict[str, str] = {
     "model: compaction": "law", "surface friction": "law", "rectangle": "law",
     "model: offset": "cause", "model: leg": "shape", "model: rig": "record",
     "model: bed": "record", "grain size": "record",
-    "hip height": "record", "emulator": "record", "noise": "record",
+    "hip height": "law", "emulator": "record", "noise": "record",
     "model: course": "record", "contact": "record", "contraction": "record", "depth": "record",
     "missing angles": "record", "missing forces": "record", "second opinion": "record",
 }  # fmt: skip

@@ -75,10 +75,11 @@ def invert(
     if out is not None:
         answer.save(out)
         parts.append(f"Written: {out}/{', '.join(f for f in FILES if (out / f).exists())}")
-    present(answer.as_dict() | worth(answer), *parts, as_json=as_json)
+    data = answer.as_dict() | narrower(answer) if as_json else {}
+    present(data, *parts, as_json=as_json)
 
 
-def worth(answer: Answer) -> dict[str, dict[str, float]]:
+def narrower(answer: Answer) -> dict[str, dict[str, float]]:
     """For JSON: standard deviation of φ [deg] after each further measurement, best first."""
     from terraphi.inference.next_measurement import next_measurements
 
@@ -91,24 +92,25 @@ def worth(answer: Answer) -> dict[str, dict[str, float]]:
 @soil_options
 @json_option
 def plan(phi: float, as_json: bool, **options: Any) -> None:
-    """Say how certain φ will be, and what narrows it, before any soil is touched.
+    """Predict how certain φ will be, and what would narrow it.
 
-    For a rig in soil of some friction angle, by law 'legs'.
+    Of a rig in soil of some friction angle, by law 'legs', before any soil is touched.
 
     Example: terraphi plan --rig rig.toml --density 1600±80
     """
     from terraphi.experiment.rig import with_rig
     from terraphi.inference.next_measurement import plan as run
     from terraphi.view.answers import terms_of
-    from terraphi.view.answers import worth as in_words
 
     answer = run(phi_deg=phi, **with_rig(options))
+    after = narrower(answer)
     lines = [
         f"{answer.rigs[0]}: φ = {phi:g}° would be known to ± {answer.phi.sd:.1f}°",
         f"  ± is: {terms_of(answer)}",
-        *(f"  {line}" for line in in_words(answer, most=20).split("; ") if line),
+        *(f"  ± {sd:.1f}° with {words}" for words, sd in after["next_measurements_deg"].items()),
+        *(f"  Warning: {sentence}" for sentence in answer.warnings),
     ]
-    present(answer.as_dict() | worth(answer), *lines, as_json=as_json)
+    present(answer.as_dict() | after, *lines, as_json=as_json)
 
 
 def tabulate(

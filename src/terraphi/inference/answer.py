@@ -205,8 +205,8 @@ class AnswerSummary:
     budget_deg
         Standard deviation of φ by term of the likelihood, the largest first [deg].
     offset_causes_deg
-        Standard deviation of φ by each independent cause of *model: offset* [deg]: answers by one
-        law share these causes. Empty where they are not known one by one.
+        Error of φ by one standard deviation of each independent cause of *model: offset* [deg],
+        with its sign: answers by one law, and one calibration, share these causes.
     phi_peak
         Peak angle of dense soil [deg], where its critical angle was given; ``None`` if it is loose.
     phi_of_force_deg

@@ -173,10 +173,11 @@ class Calibration(Strict):
                     f"{soil.gain:g}; give the same --gain"
                 )
 
-    def offset(self, error: ModelError, rig: str, row: FloatArray) -> tuple[float, float]:
-        """Mean and standard deviation of the offset's error of a record [deg].
+    def offset(self, error: ModelError, rig: str, row: FloatArray) -> tuple[float, FloatArray]:
+        """Mean of the offset's error of a record, and its independent causes [deg].
 
-        Those of a calibrated rig include the error of the rig and what the apparatus keeps.
+        The error of a calibrated rig and what the apparatus keeps belong to it. A cause has the
+        size of one standard deviation, with the sign; all records share the causes, shape [cause].
 
         Parameters
         ----------
@@ -186,37 +187,40 @@ class Calibration(Strict):
             Its :func:`~terraphi.inference.records.rig_name`.
         row
             x of the record, shape [effect].
+
+        Raises
+        ------
+        InputError
+            If the calibration is one by an earlier version.
         """
-        pooled = [self._pooled(records) for records in self.repeats]
         first = [records[0] for records in self.repeats]
-        rows, sds = np.array([soil.row for soil in first]), np.array(pooled).T
-        if rows.shape[1] != row.size:
+        read, read_sd, rig_sd, bed_sd = np.array([self._pooled(r) for r in self.repeats]).T
+        if {len(soil.row) for soil in first} != {row.size}:
             raise InputError("the calibration has no rows of the law's error; calibrate again")
-        read, read_sd, rig_sd, bed_sd = sds
-        # With C = R R', x_i'C x_j is the product of the causes R'x_i and R'x_j.
-        causes, record_causes = rows @ error.root, row @ error.root
-        rigs, soils, legs = (
-            np.array([getattr(soil, key) for soil in first]) for key in ("rig", "soil", "leg")
+        soils, legs, on_rigs = (
+            np.array([getattr(soil, key) for soil in first]) for key in ("soil", "leg", "rig")
         )
+        # Effects z are those of the mixed model and one for each calibrated rig. S is their
+        # covariance, and E has a row for each soil.
+        rigs = np.unique(on_rigs)
+        is_on = on_rigs[:, None] == rigs
+        effects = np.hstack([np.array([soil.row for soil in first]), is_on])
+        kept = (is_on * rig_sd[:, None] ** 2).sum(axis=0) / is_on.sum(axis=0)
+        k = row.size
+        prior = np.diag(np.append(np.zeros(k), error.rig_sd_deg**2 + kept))
+        prior[:k, :k] = error.covariance_deg2
         # K of the soils, y = read − phi.
-        same_soil, same_rig = soils[:, None] == soils, rigs[:, None] == rigs
         of_soil = error.soil_sd_deg**2 + error.leg_sd_deg**2 * (legs[:, None] == legs)
         of_soil = of_soil + np.minimum.outer(read_sd, read_sd) ** 2
         of_soil += np.square([soil.phi_sd_deg for soil in first])
-        total = causes @ causes.T + same_soil * of_soil
-        total += same_rig * (error.rig_sd_deg**2 + np.outer(rig_sd, rig_sd))
+        total = effects @ prior @ effects.T + (soils[:, None] == soils) * of_soil
         total += np.diag(1e-6 + bed_sd**2)
-        # k between the record and the soils, and conditioning on y.
-        on_rig = rigs == rig
-        kept = math.sqrt(float(np.square(rig_sd[on_rig]).mean())) if on_rig.any() else 0.0
-        across = causes @ record_causes + on_rig * (error.rig_sd_deg**2 + kept * rig_sd)
-        solved = np.linalg.solve(total, across)
-        # Variance before: the rig's error belongs to it only where that rig was calibrated; of
-        # another rig it is a term of its own.
-        prior = record_causes @ record_causes
-        prior += on_rig.any() * (error.rig_sd_deg**2 + kept**2)
-        mean = float((read - [soil.phi_deg for soil in first]) @ solved)
-        return mean, math.sqrt(max(float(prior - across @ solved), 0.0))
+        # Mean and covariance of z given y; the record has the row (x, is on the rig).
+        gain = np.linalg.solve(total, effects @ prior).T
+        values, vectors = np.linalg.eigh(prior - gain @ effects @ prior)
+        of_record = np.append(row, rigs == rig)
+        mean = float(of_record @ gain @ (read - [soil.phi_deg for soil in first]))
+        return mean, of_record @ (vectors * np.sqrt(np.maximum(values, 0.0)))
 
     @staticmethod
     def _pooled(records: list[CalibrationSoil]) -> tuple[float, ...]:

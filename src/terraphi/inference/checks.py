@@ -83,7 +83,7 @@ MOIST_PA, LIKE_GRAINS, MOIST_DEG = 40.0, 1.25, 1.5
 (2013) fit up to 24 Pa; dry grains of 4 to 9 mm pass the limit in 3 of 90 records."""
 LARGE_SHIFT_DEG = 8.5
 """Distance of the leg angle's shift from the usual one above which an answer says so [deg]: media
-of Li et al. (2013) have up to 8.2°."""
+of Li et al. (2013) have up to 7.5°."""
 ONSET, LATE_DEG = 0.1, 11.0
 """Force over its largest at which contact has begun [-]; difference of that angle from the model's
 that another leg makes [deg]: at most 9° in the shipped records."""
@@ -412,7 +412,7 @@ def _assumed(likelihood: Likelihood, i: int) -> Iterator[str]:
             f"{100.0 * share:.0f} % of the information on φ of a whole stroke."
         )
     of_size_deg = likelihood.of_size_deg(record)
-    if grains and not of_size_deg:
+    if grains and not any(name.startswith("grains") for name in likelihood.error.effects):
         yield f"Law {law.name} has no correction for large grains."
     elif abs(of_size_deg) > 0.05:
         yield f"φ is corrected by {-of_size_deg:+.1f}° for grains of {grains:g} mm."

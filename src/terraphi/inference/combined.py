@@ -71,7 +71,7 @@ def _correlation(causes: Sequence[tuple[float, ...]], laws: Sequence[str]) -> Fl
     """
     correlation = np.equal.outer(laws, laws).astype(float)
     for i, j in np.argwhere(correlation):
-        if causes[i] and causes[j]:
+        if causes[i] and len(causes[i]) == len(causes[j]):
             a, b = np.array(causes[i]), np.array(causes[j])
             correlation[i, j] = a @ b / math.sqrt(a @ a * (b @ b))
     return correlation
@@ -177,6 +177,7 @@ def _merged(answers: Sequence[Answer], weight: FloatArray) -> Answer:
         law_reason=first.law_reason if len(laws) == 1 else "",
         second_opinion=None,
         phi_of_force_deg=_phi_of_force(answers, weight),
+        offset_causes_deg=_joint_causes(answers, weight),
         leg_friction=frictions[0] if len({*frictions}) == 1 else None,
         cohesion_pa=cohesions[0] if len({*cohesions}) == 1 else None,
         density_assumed=any(answer.density_assumed for answer in answers),
@@ -196,6 +197,14 @@ def _merged(answers: Sequence[Answer], weight: FloatArray) -> Answer:
             ],
         },
     )
+
+
+def _joint_causes(answers: Sequence[Answer], weight: FloatArray) -> tuple[float, ...]:
+    """Causes of the error of the offset of answers by one law; empty of several laws."""
+    causes = [answer.offset_causes_deg for answer in answers]
+    if len({answer.law for answer in answers}) > 1 or len({*map(len, causes)}) > 1:
+        return ()
+    return tuple((weight @ np.array(causes)).tolist())
 
 
 def _phi_of_force(answers: Sequence[Answer], weight: FloatArray) -> dict[str, float | None] | None:

@@ -110,7 +110,7 @@ def invert(
         what simulated grains of 4 to 9 mm raise φ by is taken off.
     cohesion
         Cohesion of the soil [Pa], as a number, as ``"150±50"``, or ``"unknown"``; ``None``: dry.
-        Forces on a leg hardly tell cohesion from friction.
+        Forces on a leg determine the cohesion worse than φ.
     columns
         Which columns of a table are what, as a mapping of the options of
         :func:`terraphi.read_forces`, or a TOML file of them; ``None``: guessed.
@@ -256,6 +256,7 @@ def with_critical(answer: Answer, critical: float | str) -> Answer:
         parameters={PHI: phi},
         phi_plane_strain=phi,
         phi_peak=peak if excess >= least else None,
+        provenance={**answer.provenance, "critical": [mean, sd]},
         # What half the force would read is of the forces alone.
         phi_of_force_deg=None,
         budget_deg={name: narrower * term for name, term in answer.budget_deg.items()},
@@ -400,6 +401,13 @@ def _answer(
             "terraphi": importlib.metadata.version("terraphi"),
             "law_hash": law.hash,
             "gain": [record.gain for record in records],
+            "soil": {
+                "grain_size_mm": first.grain_size_mm or None,
+                "gain": f"{first.gain}±{first.gain * first.gain_sd}",
+                "cohesion": "unknown"
+                if math.isinf(first.cohesion_sd_pa)
+                else f"{first.cohesion_pa}±{first.cohesion_sd_pa}",
+            },
             "noise": [[float(sd) for sd in record.noise] for record in records],
             "seconds": round(time.perf_counter() - began, 3),
             **({"calibration": calibration.model_dump(mode="json")} if calibration else {}),

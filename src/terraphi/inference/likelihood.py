@@ -44,9 +44,9 @@ squares. Records with one angle have an angle between theirs; weighted by their 
 could lie outside (Peelle's puzzle).
 
 **Cohesion.** Forces determine the cohesion worse than φ, or not at all: 38° without cohesion fit
-legs in dry grains as well as 30° with 200 Pa. So it is said: dry soil has none. A cohesion that is
-known with a standard deviation, or unknown, is averaged over. With S(c) the mean squared residual
-of the best φ and δ at the cohesion c,
+legs in dry grains as well as 30° with 200 Pa. So the user states it; dry soil has none. A cohesion
+that is known with a standard deviation, or unknown, is averaged over. With S(c) the mean squared
+residual of the best φ and δ at the cohesion c,
 
     p(c | d) ∝ S(c)^(−ν/2) p(c),
 
@@ -74,7 +74,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -83,7 +83,6 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import FORCES, OBSERVATION_ANGLES, WINDOW_DEG, ForceHistory
 from terraphi.experiment.priors import DENSITY
-from terraphi.experiment.rig import Rig
 from terraphi.experiment.units import GRAVITY
 from terraphi.inference.estimator import Best, least_squares, weights
 from terraphi.inference.records import Record, rig_name
@@ -275,14 +274,23 @@ class Likelihood:
         [(mean, sd)] = cohesions or {(0.0, 0.0)}
         if not self.measured and not most:
             return np.zeros(1)
-        if mean > most or (sd and not most):
+        if (mean or sd) and not most:
+            raise InputError(
+                f"law {self.library.name} is of soil without a cohesion; leave out the cohesion"
+            )
+        if mean > most:
             raise InputError(
                 f"{self.records[0].source}: its soil has a cohesion of {mean:g} Pa, and law "
                 f"{self.library.name} is for {most:.0f} Pa at most on this leg"
             )
         if math.isinf(sd):
             return most * COHESIONS
-        return np.unique(np.clip(mean + sd * ABOUT, 0.0, most)) if sd else np.array([mean])
+        if not sd:
+            return np.array([mean])
+        # A wide distribution is averaged over the whole range of the law.
+        is_wide = sd > 0.5 * mean
+        nodes = [mean, *(most * COHESIONS)] if is_wide else mean + sd * ABOUT
+        return np.unique(np.clip(nodes, 0.0, most))
 
     def prefix(self, record: Record) -> str:
         """Name of a record before a sentence on it, if there are several."""
@@ -321,14 +329,20 @@ class Likelihood:
         )
         return self.error.row(record.rig, record.grain_size_mm, read_deg)
 
-    def _calibrated_error(self, record: Record) -> tuple[float, float]:
-        """Mean and standard deviation of the offset's error by the calibration [deg].
+    def _calibrated_error(self, record: Record) -> tuple[float, FloatArray]:
+        """Mean of the offset's error by the calibration, and its causes [deg].
 
         The row is that of the angle that is in the middle of the soils of the calibration.
         """
         assert self.calibration
         middle = float(np.mean([soil.phi_deg for soil in self.calibration.soils]))
         return self.calibration.offset(self.error, rig_name(record.rig), self.row(record, middle))
+
+    def _offset_causes(self, record: Record) -> FloatArray:
+        """Error of the offset by independent causes, a standard deviation of each [deg]."""
+        if self.calibration:
+            return self._calibrated_error(record)[1]
+        return np.asarray(self.row(record, self.least_squares) @ self.error.root)
 
     def of_size_deg(self, record: Record) -> float:
         """Part of the offset that comes with the size of the grains [deg]."""
@@ -368,9 +382,12 @@ class Likelihood:
         At k angles φ, shape [k, 2, theta] each.
         """
         phi = np.reshape(np.asarray(phi_deg, np.float64), (-1, 1))
-        forces: dict[tuple[Rig, float, float], FloatArray] = {}
+        forces: dict[tuple[Any, ...], FloatArray] = {}
         numbers = (cohesion * self._per_pascal).tolist()
-        keys = [(r.rig, r.grain_size_mm, n) for r, n in zip(self.records, numbers, strict=True)]
+        keys = [
+            (r.rig, r.grain_size_mm, r.channels, n)
+            for r, n in zip(self.records, numbers, strict=True)
+        ]
         for record, law, key in zip(self.records, self.laws, keys, strict=True):
             if key not in forces:
                 forces[key] = law(phi + self.offset(record, phi), key[-1])
@@ -669,26 +686,22 @@ class Likelihood:
     def offset_causes_deg(self) -> tuple[float, ...]:
         """Error of the offset by independent causes, mean over the records [deg].
 
-        Empty of simulated records, and with a calibration, after which they are not known.
+        Empty of simulated records.
         """
-        if not self.measured or self.calibration:
+        if not self.measured:
             return ()
-        rows = [self.row(record, self.least_squares) for record in self.records]
-        return tuple((np.mean(rows, axis=0) @ self.error.root).tolist())
+        return tuple(np.mean([*map(self._offset_causes, self.records)], axis=0).tolist())
 
     def _angle_sds(self) -> dict[str, FloatArray]:
         """Standard deviation of φ by what looks like another angle [deg], shape [record] each."""
         rows, error = [], self.error
         for record, coverage in zip(self.records, self.coverage, strict=True):
             is_calibrated = rig_name(record.rig) in self._calibrated
-            offset_sd = math.hypot(*(error.root.T @ self.row(record, self.least_squares)))
-            if self.calibration:
-                offset_sd = self._calibrated_error(record)[1]
             # 1/h − 1 is the variance of φ by the part of a stroke that is missing, over that at ½.
             missing = 1.0 / min(max(coverage.share, 1e-3), 1.0) - 1.0
             rows.append(
                 {
-                    "model: offset": offset_sd,
+                    "model: offset": math.hypot(*self._offset_causes(record)),
                     "model: soil": error.soil_sd_deg,
                     "model: leg": error.leg_sd_deg,
                     "model: rig": 0.0 if is_calibrated else error.rig_sd_deg,

@@ -1,4 +1,4 @@
-"""What the next measurement buys: the standard deviation of φ with one thing known better.
+"""The standard deviation of φ after a further measurement.
 
 A term whose cause is measured shrinks with the standard deviation of that cause. A soil of known
 angle on the same rig is a further row of the mixed model (:mod:`~terraphi.inference.calibration`):
@@ -18,12 +18,13 @@ import numpy as np
 from terraphi.experiment.bodies import OUTLINES
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.measurements import measurement_of
 from terraphi.experiment.priors import DENSITY
 from terraphi.experiment.rig import Rig
 from terraphi.inference.answer import Answer
 from terraphi.inference.combined import combined
 from terraphi.inference.inversion import invert
-from terraphi.inference.records import density_with_sd
+from terraphi.inference.records import record_of
 from terraphi.inference.terms import TERMS
 from terraphi.laws.legs import NAME as LEGS
 from terraphi.laws.legs import shipped_legs
@@ -32,8 +33,6 @@ FRICTION_SD, HIP_SD_MM, DENSITY_SD_PART, GAIN_SD, KNOWN_SD_DEG = 0.03, 0.5, 0.01
 """Standard deviations that a careful measurement has: friction of the leg by a slide test [-],
 height of the hip [mm], density of a weighed bed [-], gain by a known weight [-], and the critical
 angle by shear tests [deg]; chosen."""
-
-
 HIGHER = 0.15
 """Raise of the hip for a second record, over the length of the leg [-]; chosen."""
 
@@ -46,18 +45,19 @@ class Measurement(NamedTuple):
 
 
 def next_measurements(answer: Answer, *, further_records: bool = True) -> list[Measurement]:
-    """What measurements would make of the standard deviation of φ, best first.
+    """Predict the standard deviation of φ after each further measurement, best first.
 
     Parameters
     ----------
     answer
-        Of one leg in measured soil, by :func:`terraphi.invert`; there is none for others.
+        A consistent one of one leg in measured soil, by :func:`terraphi.invert`, whose critical
+        angle was not given. For others there are none.
     further_records
         Whether records of other legs in the same soil are among them, which takes a second.
     """
     rig, squares = answer.rigs[0], {name: sd**2 for name, sd in answer.budget_deg.items()}
     is_of_one_leg = len(answer.rigs) == 1 and isinstance(rig, Rig) and answer.offset_causes_deg
-    if not is_of_one_leg or answer.verdict != "consistent":
+    if not is_of_one_leg or answer.verdict != "consistent" or "critical" in answer.provenance:
         return []
     assert isinstance(rig, Rig)
 
@@ -91,14 +91,15 @@ def next_measurements(answer: Answer, *, further_records: bool = True) -> list[M
     ]
     after += [Measurement(words, without([name])) for words, name in removed.items()]
     # Both records of a rig share the fixed terms, the law's offset and the error of the rig.
-    kept = [name for name in squares if TERMS[name].fixed]
-    kept += ["model: offset", "model: rig"]
-    shared = sum(squares.get(name, 0.0) for name in kept)
-    besides = sum(squares.values()) - shared + KNOWN_SD_DEG**2
-    calibrated = math.sqrt(sum(squares.values()) - shared**2 / (shared + besides))
-    words = f"a soil of known angle ± {KNOWN_SD_DEG:g}° on this rig (terraphi calibrate)"
-    after.append(Measurement(words, calibrated))
-    if further_records and answer.law == LEGS:
+    if "calibration" not in answer.provenance:
+        kept = [name for name in squares if TERMS[name].fixed]
+        kept += ["model: offset", "model: rig"]
+        in_common = sum(squares.get(name, 0.0) for name in kept)
+        all_of_known = sum(squares.values()) + KNOWN_SD_DEG**2
+        calibrated = math.sqrt(sum(squares.values()) - in_common**2 / all_of_known)
+        words = f"a soil of known angle ± {KNOWN_SD_DEG:g}° on this rig (terraphi calibrate)"
+        after.append(Measurement(words, calibrated))
+    if further_records and answer.law == LEGS and "calibration" not in answer.provenance:
         after += _further_records(answer, rig)
     now = math.sqrt(sum(squares.values()))
     better = [each for each in after if each.sd_deg < 0.99 * now]
@@ -107,7 +108,9 @@ def next_measurements(answer: Answer, *, further_records: bool = True) -> list[M
 
 def _further_records(answer: Answer, rig: Rig) -> Iterator[Measurement]:
     """The joint answer with another leg in the same soil, where the law has it."""
-    soil = f"{answer.density_kg_m3}±{answer.density_sd_kg_m3 or 0.0}"
+    soil = answer.provenance["soil"] | {
+        "density": f"{answer.density_kg_m3}±{answer.density_sd_kg_m3 or 0.0}"
+    }
     high = rig.hip_height_mm + HIGHER * rig.length_mm
     other_shapes = [leg for leg in OUTLINES if leg != rig.leg]
     rigs = {f"a {OUTLINES[leg].label} in the same soil": rig.model_copy(update={"leg": leg})
@@ -117,15 +120,24 @@ def _further_records(answer: Answer, rig: Rig) -> Iterator[Measurement]:
     )
     for words, further in rigs.items():
         with suppress(InputError):
-            second = plan(further, phi_deg=answer.phi.median, density=soil)
+            second = plan(further, phi_deg=answer.phi.median, **soil)
             yield Measurement(words, combined([answer, second]).phi.sd)
 
 
-def plan(rig: Any, *, phi_deg: float = 30.0, leg: str | None = None, **soil: Any) -> Answer:
-    """The answer that a rig is going to give in soil of some friction angle.
+def plan(
+    rig: Any,
+    *,
+    phi_deg: float = 30.0,
+    leg: str | None = None,
+    density: float | str | None = None,
+    grain_size_mm: float | None = None,
+    cohesion: float | str | None = None,
+    gain: float | str | None = None,
+) -> Answer:
+    """Invert the forces that law ``legs`` predicts for a rig in soil of some friction angle.
 
-    Its forces are those of law ``legs``. What :func:`next_measurements` says of it is known before
-    any soil is touched.
+    The answer shows how certain φ will be on the rig, and :func:`next_measurements` what would
+    narrow it.
 
     Parameters
     ----------
@@ -133,8 +145,8 @@ def plan(rig: Any, *, phi_deg: float = 30.0, leg: str | None = None, **soil: Any
         As of :func:`terraphi.invert`.
     phi_deg
         Friction angle in plane strain [deg].
-    soil
-        ``density``, ``grain_size_mm``, ``cohesion`` and ``gain`` of :func:`terraphi.invert`.
+    density, grain_size_mm, cohesion, gain
+        As of :func:`terraphi.invert`. Soil of unknown cohesion is planned as dry.
 
     Raises
     ------
@@ -147,11 +159,23 @@ def plan(rig: Any, *, phi_deg: float = 30.0, leg: str | None = None, **soil: Any
     >>> terraphi.next_measurements(answer)[0].sd_deg < answer.phi.sd
     True
     """
-    law, apparatus, density = shipped_legs(), Rig.of(rig, leg), soil.get("density")
-    mean = DENSITY.mean if density is None else density_with_sd(density, "plan")[0]
-    grain_size_mm = float(soil.get("grain_size_mm") or 0.0)
-    offset_deg = float(law.error.offset(apparatus, grain_size_mm, np.array(phi_deg)))
-    curves = law.forces(apparatus, phi_deg + offset_deg, density=mean)
-    theta = curves.theta_deg.values
-    history = ForceHistory(np.radians(theta), curves.forces.values[0].T)
+    law, apparatus = shipped_legs(), Rig.of(rig, leg)
+    theta = np.radians(np.arange(-132.0, 132.5))
+    still = ForceHistory(theta, np.zeros((theta.size, 2)))
+    soil: dict[str, Any] = {
+        "density": density,
+        "grain_size_mm": grain_size_mm,
+        "cohesion": cohesion,
+        "gain": gain,
+    }
+    # The soil as an inversion reads it: its record of no forces.
+    record = record_of(measurement_of(still, "plan"), rig=apparatus, **soil)
+    offset_deg = float(law.error.offset(apparatus, record.grain_size_mm, np.array(phi_deg)))
+    curves = law.forces(
+        apparatus, phi_deg + offset_deg, density=record.density_kg_m3 or DENSITY.mean,
+        cohesion_pa=record.cohesion_pa,
+    )  # fmt: skip
+    # Forces come as late as those of other records of this shape.
+    theta = np.radians(curves.theta_deg.values + law.error.of_leg(apparatus.leg).shift_deg)
+    history = ForceHistory(theta, record.gain * curves.forces.values[0].T)
     return invert(history, rig=apparatus, simulated=False, **soil)

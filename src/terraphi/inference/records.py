@@ -291,6 +291,9 @@ def open_records(
         sources = [(source, Tool.of(tool)) for source, _ in sources]
     if wrong:
         raise InputError(f"a tool excludes {', '.join(wrong)}; leave out one or the other")
+    has_tool = any(isinstance(body, Tool) for _, body in sources)
+    if has_leg and has_tool and options.get("cohesion") is not None:
+        raise InputError("tools are inverted in dry soil alone; leave out the cohesion")
     records: list[Record | PressedRecord] = []
     for source, body in sources:
         if isinstance(body, Tool):
@@ -430,6 +433,9 @@ def record_of(
             f"{name}: a simulation has a rig and a soil of its own, no sensor and no grains; leave "
             f"out the {' and the '.join(wrong)}"
         )
+    if simulated and cohesion is not None:
+        raise InputError(f"{name}: simulated forces without a scenario are of dry soil; leave out "
+                         "the cohesion")  # fmt: skip
     if (scenario is not None or simulated) and raw.channels != FORCES:
         raise InputError(f"{name}: Fx and Fz of a simulation are needed")
     apparatus = _apparatus(measurement, rig, leg)

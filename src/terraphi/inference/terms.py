@@ -42,9 +42,9 @@ TERMS: dict[str, Term] = {
     "noise": Term("given", "record", residual=True),
     "emulator": Term("learned", "rig", residual=True),
     "particle scatter": Term("learned", "record", residual=True),
-    # The apparatus. Legs of one laboratory have one surface and one sensor.
+    # The apparatus. Legs of one laboratory have one surface, one sensor and one hip.
     "leg friction": Term("given", "law", fixed=True),
-    "hip height": Term("given", "rig", fixed=True),
+    "hip height": Term("given", "law", fixed=True),
     "gain": Term("given", "law", fixed=True),
     # The soil. All answers read too high in damp soil, but not by the same share.
     "density": Term("given", "soil"),

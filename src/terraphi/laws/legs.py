@@ -322,7 +322,13 @@ class Legs(AnyLaw, FittedLaw):
 
     @cached_property
     def error(self) -> ModelError:
-        """How real soils differ from the law; raises InputError if the file's is none."""
+        """How real soils differ from the law.
+
+        Raises InputError if the file has none of this form.
+        """
+        if self.model_error and NAME not in self.model_error:
+            raise InputError(f"law {self.name}: its error on real soil is by another version of "
+                             "terraphi; make the law again")  # fmt: skip
         return strictly(self.model_error.get(NAME, {}), ModelError, f"law {self.name}, model_error")
 
     def law(self, rig: Rig, cells: float = 1.0) -> LegLaw:

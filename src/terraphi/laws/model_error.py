@@ -36,7 +36,7 @@ over depth [-] for which those of breadth are 0: of most simulated records, on t
 
 FINE_MM = 0.35
 """Diameter of sand whose grains are not known, and the smallest that counts [mm]: the geometric
-mean of sand, which has 0.063 to 2 mm (ISO 14688-1). Half and twice of it move φ by 0.2°."""
+mean of sand, which has 0.063 to 2 mm (ISO 14688-1). Twice of it moves φ by 0.2 to 0.4°."""
 
 
 def relative_size(rig: Rig, grain_size_mm: float) -> float:
@@ -68,7 +68,7 @@ class OfLeg(Strict):
     nrmsd_limit: float = Field(0.25, gt=0)
     """Residual above which a record in fine soil is a misfit [-]."""
     nrmsd_of_size: float = Field(0.0, ge=0)
-    """Its growth with the grains, up to :data:`USUAL_SIZE` [-]."""
+    """Its growth with the grains, for a size of :data:`USUAL_SIZE` [-]."""
     training: tuple[str, ...] = ()
     """Names of the records."""
 

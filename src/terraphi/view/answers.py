@@ -53,8 +53,8 @@ def in_words(answer: Answer) -> list[str]:
         lines.append(f"  In plane strain: φ = {plane}")
     if answer.budget_deg:
         lines.append(f"  ± is: {terms_of(answer)}")
-        if narrower := worth(answer):
-            lines.append(f"  Narrower: {narrower}. All: terraphi plan.")
+        if narrower := narrower_by(answer):
+            lines.append(f"  Narrower: {narrower}.")
     if answer.phi_peak is not None:
         lines.append(f"  Peak angle of the dense soil: {answer.phi_peak}")
     if answer.bekker is not None:
@@ -90,7 +90,8 @@ def parts_of(answer: Answer, *, verbose: bool = False) -> list[str | Table]:
 
 
 def tables(answer: Answer) -> list[Table]:
-    """Terms of the interval and records."""
+    """Terms of the interval, records, and measurements that narrow the interval."""
+    from terraphi.inference.next_measurement import next_measurements
     from terraphi.inference.terms import TERMS
 
     # Answers by earlier versions have terms that the table has no more.
@@ -116,6 +117,8 @@ def tables(answer: Answer) -> list[Table]:
             "forces come later than in the model.",
         ),
     ]
+    after = [(each.words, f"{each.sd_deg:.1f}") for each in next_measurements(answer)]
+    parts.append(Table("± of φ after a further measurement", ("measurement", "[deg]"), after))
     return [table for table in parts if table.rows]
 
 
@@ -131,11 +134,11 @@ def terms_of(answer: Answer) -> str:
     return f"{', '.join(named)}."
 
 
-def worth(answer: Answer, most: int = MOST_MEASUREMENTS) -> str:
+def narrower_by(answer: Answer) -> str:
     """Name the measurements that narrow the interval most, with the ± after each."""
     from terraphi.inference.next_measurement import next_measurements
 
-    best = next_measurements(answer, further_records=most > MOST_MEASUREMENTS)[:most]
+    best = next_measurements(answer, further_records=False)[:MOST_MEASUREMENTS]
     return "; ".join(f"± {each.sd_deg:.1f}° with {each.words}" for each in best)
 
 
