@@ -33,8 +33,6 @@ FRICTION_SD, HIP_SD_MM, DENSITY_SD_PART, GAIN_SD, KNOWN_SD_DEG = 0.03, 0.5, 0.01
 """Standard deviations that a careful measurement has: friction of the leg by a slide test [-],
 height of the hip [mm], density of a weighed bed [-], gain by a known weight [-], and the critical
 angle by shear tests [deg]; chosen."""
-HIGHER = 0.15
-"""Raise of the hip for a second record, over the length of the leg [-]; chosen."""
 
 
 class Measurement(NamedTuple):
@@ -111,16 +109,10 @@ def _further_records(answer: Answer, rig: Rig) -> Iterator[Measurement]:
     soil = answer.provenance["soil"] | {
         "density": f"{answer.density_kg_m3}±{answer.density_sd_kg_m3 or 0.0}"
     }
-    high = rig.hip_height_mm + HIGHER * rig.length_mm
-    other_shapes = [leg for leg in OUTLINES if leg != rig.leg]
-    rigs = {f"a {OUTLINES[leg].label} in the same soil": rig.model_copy(update={"leg": leg})
-            for leg in other_shapes}  # fmt: skip
-    rigs[f"this leg with its hip at {high:.0f} mm in the same soil"] = rig.model_copy(
-        update={"hip_height_mm": high}
-    )
-    for words, further in rigs.items():
+    for leg in [leg for leg in OUTLINES if leg != rig.leg]:
         with suppress(InputError):
-            second = plan(further, phi_deg=answer.phi.median, **soil)
+            second = plan(rig.model_copy(update={"leg": leg}), phi_deg=answer.phi.median, **soil)
+            words = f"a {OUTLINES[leg].label} in the same soil"
             yield Measurement(words, combined([answer, second]).phi.sd)
 
 
