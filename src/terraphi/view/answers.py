@@ -47,14 +47,17 @@ def headline(answer: Answer) -> str:
 
 def in_words(answer: Answer) -> list[str]:
     """Format angle, verdict, terms of the interval and all warnings, a line each."""
+    from terraphi.inference.next_measurement import next_measurements
+
     lines = [*headline(answer).splitlines(), answer.reason]
     plane = answer.phi_plane_strain
     if plane is not None and answer.convention != "plane_strain":
         lines.append(f"  In plane strain: φ = {plane}")
     if answer.budget_deg:
         lines.append(f"  ± is: {terms_of(answer)}")
-        if narrower := narrower_by(answer):
-            lines.append(f"  Narrower: {narrower}.")
+        if best := next_measurements(answer, further_records=False)[:MOST_MEASUREMENTS]:
+            after = (f"± {each.sd_deg:.1f}° with {each.words}" for each in best)
+            lines.append(f"  Narrower: {'; '.join(after)}.")
     if answer.phi_peak is not None:
         lines.append(f"  Peak angle of the dense soil: {answer.phi_peak}")
     if answer.bekker is not None:
@@ -132,14 +135,6 @@ def terms_of(answer: Answer) -> str:
     digits = 1 if most > 0.3 else 3
     named = [f"{n} {sd:.{digits}f}°" for n, sd in terms.items() if sd >= LEAST_SHARE * most]
     return f"{', '.join(named)}."
-
-
-def narrower_by(answer: Answer) -> str:
-    """Name the measurements that narrow the interval most, with the ± after each."""
-    from terraphi.inference.next_measurement import next_measurements
-
-    best = next_measurements(answer, further_records=False)[:MOST_MEASUREMENTS]
-    return "; ".join(f"± {each.sd_deg:.1f}° with {each.words}" for each in best)
 
 
 # -- many answers --------------------------------------------------------------------------------
