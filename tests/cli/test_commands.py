@@ -23,7 +23,7 @@ from terraphi.cli.main import cli
 from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.measurements import names
-from terraphi.inference import inversion
+from terraphi.inference import calibration
 from terraphi.inference.calibration import Calibration, CalibrationSoil
 from terraphi.inference.footfalls import FootfallMap
 from terraphi.inference.manifest import read_manifest
@@ -482,7 +482,7 @@ def test_a_soil_of_hidden_letters_is_refused_before_the_work(
     text = (tmp_path / "c.toml").read_text()
     assert Calibration.load("c.toml").soils[0].soil == "sand ü"
     with monkeypatch.context() as patch:
-        patch.setattr(inversion, "_calibration_soil", None)
+        patch.setattr(calibration, "_calibration_soil", None)
         status, out, err = terraphi(*arguments, soil)
     assert (status, out, err.count("\n")) == (2, "", 1)
     assert f"soil = {soil!r};" in err
