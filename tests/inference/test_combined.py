@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -204,3 +205,26 @@ def test_legs_share_the_error_that_a_calibration_leaves() -> None:
     for answer in alone:
         offset_sd = np.hypot.reduce(answer.offset_causes_deg)
         assert answer.budget_deg["model: offset"] == pytest.approx(offset_sd, rel=0.05)
+
+
+def test_records_of_two_soils_on_one_rig_are_named() -> None:
+    """Repeats in one soil are not."""
+    given = {"rig": "li2013", "leg": "straight", "density": 1460, "grain_size_mm": 8.8}
+    b, other_bed, a = (
+        GRAINS / f"{name}.csv"
+        for name in ("B-loose-coarse_straight_1", "B-loose-coarse_straight_2",
+                     "A-loose-coarse_straight_1")
+    )  # fmt: skip
+    repeats, soils = (terraphi.invert(pair, **given) for pair in ([b, other_bed], [b, a]))
+    assert not any("of one soil" in text for text in repeats.warnings)
+    [warning] = [text for text in soils.warnings if "of one soil" in text]
+    alone = [terraphi.invert(forces, **given).phi.median for forces in (a, b)]
+    said = [float(angle) for angle in re.findall(r"(\d+)°", warning)]
+    assert said == pytest.approx(alone, abs=1.0)  # to first order
+
+
+def test_a_misfit_hides_what_half_the_force_would_be(plate: Answer) -> None:
+    sound = replace(plate, phi_of_force_deg={"half": 20.0, "twice": 35.0})
+    spoilt = replace(sound, verdict="misfit", reason="Misfit: far.")
+    assert combined([sound, sound]).phi_of_force_deg
+    assert combined([sound, spoilt]).phi_of_force_deg is None

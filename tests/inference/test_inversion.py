@@ -385,7 +385,8 @@ def test_large_grains_are_taken_off_where_their_size_is_known(leg: str, width: f
 
 
 @pytest.mark.parametrize(
-    ("size", "why"), [(20, "grain_size_mm = 20"), (0.006, "0.02 to"), ("six", "is no number")]
+    ("size", "why"),
+    [(20, "grain_size_mm = 20"), (0, "0.02 to"), (0.006, "0.02 to"), ("six", "is no number")],
 )
 def test_sizes_of_grains_that_cannot_be(size: object, why: str) -> None:
     with pytest.raises(InputError, match=why):

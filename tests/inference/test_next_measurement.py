@@ -56,7 +56,7 @@ def test_what_cannot_be_narrowed_so_has_no_advice() -> None:
 
 
 @pytest.mark.parametrize("soil", [
-    {"cohesion": "200"}, {"cohesion": "100±30"}, {"gain": "1.2±0.01"}, {"grain_size_mm": 6.0},
+    {"cohesion": "200"}, {"gain": "1.2±0.01"}, {"grain_size_mm": 6.0},
 ])  # fmt: skip
 def test_a_plan_is_of_the_soil_and_the_sensor_that_are_given(soil: dict[str, Any]) -> None:
     answer = terraphi.plan("li2013", leg="straight", phi_deg=30.0, **soil)
@@ -72,3 +72,13 @@ def test_a_bound_by_the_critical_angle_and_a_misfit_have_no_advice() -> None:
     answer = terraphi.invert(tripled, **given)
     assert answer.verdict == "misfit"
     assert not terraphi.next_measurements(answer)
+
+
+@pytest.mark.parametrize(
+    ("given", "why"),
+    [({"cohesion": "unknown"}, "number of Pa"), ({"cohesion": "150±50"}, "number of Pa"),
+     ({"phi_deg": 60.0}, "phi = 60")],
+)  # fmt: skip
+def test_plans_that_cannot_be_made(given: dict[str, Any], why: str) -> None:
+    with pytest.raises(terraphi.InputError, match=why):
+        terraphi.plan("li2013", leg="straight", **given)

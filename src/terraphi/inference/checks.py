@@ -94,8 +94,12 @@ NEARLY_ALL = 0.98
 NEAR_DEG = 1.0
 """Distance from the soils that the law's error was learned from within which it is known [deg];
 chosen."""
-OF_SIZE_DEG = 0.5
-"""What a mm of grain diameter adds to the angle from which an answer says so [deg]; chosen."""
+OF_SIZE_DEG, COARSE_MM = 0.6, 6.0
+"""What a mm of grain diameter adds to the angle from which an answer says so [deg], as a mean up to
+coarse grains [mm]; chosen."""
+REPEATS_DEG = 3.0
+"""Largest difference of φ between records of one soil on one rig [deg]: beds of loose grains of 6
+to 9 mm differ by 0.7 to 1.1° (standard deviation), so that one pair in twenty differs by more."""
 HIP_MM, HIP_RESIDUAL, HIP_SURE = 4.0, 0.05, 2.58
 """Error of the hip's height above which an answer names it [mm], and over its standard deviation,
 one in a hundred [-]; residual of both forces below which it is looked for [-]. In the records of Li
@@ -335,6 +339,7 @@ def warnings(
         yield from (f"{likelihood.prefix(record)}{text}" for text in _assumed(likelihood, i))
         if i == 0:
             yield from _moisture(likelihood)
+            yield from _repeats(likelihood)
     if law.caveat:
         yield f"Law {law.name}: {law.caveat}"
     # What was done with the readings.
@@ -416,7 +421,7 @@ def _assumed(likelihood: Likelihood, i: int) -> Iterator[str]:
         yield f"Law {law.name} has no correction for large grains."
     elif abs(of_size_deg) > 0.05:
         yield f"φ is corrected by {-of_size_deg:+.1f}° for grains of {grains:g} mm."
-    per_mm = likelihood.of_size_deg(replace(record, grain_size_mm=1.0))
+    per_mm = likelihood.of_size_deg(replace(record, grain_size_mm=COARSE_MM)) / COARSE_MM
     if not grains and per_mm > OF_SIZE_DEG:
         yield (
             f"Fine grains are assumed: each mm of grain diameter raises φ by {per_mm:.1f}° on this "
@@ -440,6 +445,20 @@ def densities(density: FloatArray, sd: FloatArray) -> list[str]:
     return [f"The records have densities {ends} and are inverted as one soil: check that they are."]
 
 
+def _repeats(likelihood: Likelihood) -> Iterator[str]:
+    """Warn if records of one soil on one rig have angles far from each other."""
+    if len(likelihood.records) < 2 or not likelihood.measured:
+        return
+    angles = likelihood.angle_of_each()
+    low, high = int(angles.argmin()), int(angles.argmax())
+    if angles[high] - angles[low] > REPEATS_DEG:
+        names = [likelihood.records[i].source for i in (low, high)]
+        yield (
+            f"{names[0]} alone has about {angles[low]:.0f}°, {names[1]} {angles[high]:.0f}°: check "
+            "whether both are of one soil at one density."
+        )
+
+
 def _moisture(likelihood: Likelihood) -> Iterator[str]:
     """Warn of dry soil whose forces fit a cohesion better, or if an unknown one matters."""
     if "cohesion" in likelihood.terms:
@@ -455,7 +474,7 @@ def _moisture(likelihood: Likelihood) -> Iterator[str]:
             yield (
                 f"{likelihood.prefix(record)}The forces fit a cohesion of about "
                 f"{free.cohesion_pa:.0f} Pa better, and φ would be lower: check whether the soil "
-                f"is damp (--cohesion){size}, the density and the unit of force."
+                f"is damp (--cohesion){size}, the hip height, the density and the unit of force."
             )
 
 

@@ -209,7 +209,8 @@ def _joint_causes(answers: Sequence[Answer], weight: FloatArray) -> tuple[float,
 
 def _phi_of_force(answers: Sequence[Answer], weight: FloatArray) -> dict[str, float | None] | None:
     """φ by half and by twice the force [deg], answers whose force has a measured scale as is."""
-    if not any(answer.phi_of_force_deg for answer in answers):
+    is_sound = all(answer.verdict == "consistent" for answer in answers)
+    if not is_sound or not any(answer.phi_of_force_deg for answer in answers):
         return None
     scaled: dict[str, float | None] = {}
     for key in ("half", "twice"):

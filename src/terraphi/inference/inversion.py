@@ -33,6 +33,7 @@ from terraphi.inference.records import Record, open_records, rig_name, with_sd
 from terraphi.inference.verdict import Judgment, consistent, large_residual, out_of_range
 from terraphi.laws.law import PHI
 from terraphi.laws.legs import FORMER_NAME, LawOfLegs, Legs, shipped_legs
+from terraphi.laws.model_error import FINE_MM
 
 if TYPE_CHECKING:
     from terraphi.inference.calibration import Calibration
@@ -482,7 +483,10 @@ def judge(
         return misfit
     if by_chance:
         return "consistent", "Consistent: noise and scatter explain the residual.", None
-    return consistent(fits, "sand" if likelihood.measured else "simulations")
+    if not likelihood.measured:
+        return consistent(fits, "simulations")
+    grains = max(record.grain_size_mm for record in likelihood.records)
+    return consistent(fits, f"grains of {grains:g} mm" if grains >= FINE_MM else "sand")
 
 
 def _better_leg(likelihood: Likelihood, legs: Sequence[Sequence[Reading]]) -> Judgment | None:

@@ -542,6 +542,15 @@ class Likelihood:
             windows |= {*itertools.product(record.channels[:2], in_soil)}
         return len(windows) / WINDOWS_PER_RESIDUAL
 
+    def angle_of_each(self) -> FloatArray:
+        """φ of each record by itself, to first order about the best point [deg], shape [record]."""
+        curve, angles = self.curves(self.least_squares)[0], []
+        for i, part in enumerate(self.parts):
+            columns = self._best.slope[0, part][:, [0, 1 + i]] / self.span[part, None]
+            residual = (self.data[part] - curve[part]) / self.span[part]
+            angles.append(np.linalg.lstsq(columns, residual, rcond=None)[0][0])
+        return self.least_squares + np.array(angles)
+
     def free_cohesion(self, i: int, *, with_hip: bool = False) -> Free | None:
         """Correction of the hip's height and cohesion that fit the i-th record best.
 

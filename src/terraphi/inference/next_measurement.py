@@ -27,7 +27,7 @@ from terraphi.inference.inversion import invert
 from terraphi.inference.records import record_of
 from terraphi.inference.terms import TERMS
 from terraphi.laws.legs import NAME as LEGS
-from terraphi.laws.legs import shipped_legs
+from terraphi.laws.legs import PHI_DEG, shipped_legs
 
 FRICTION_SD, HIP_SD_MM, DENSITY_SD_PART, GAIN_SD, KNOWN_SD_DEG = 0.03, 0.5, 0.01, 0.005, 1.0
 """Standard deviations that a careful measurement has: friction of the leg by a slide test [-],
@@ -138,12 +138,13 @@ def plan(
     phi_deg
         Friction angle in plane strain [deg].
     density, grain_size_mm, cohesion, gain
-        As of :func:`terraphi.invert`. Soil of unknown cohesion is planned as dry.
+        As of :func:`terraphi.invert`; the cohesion without a standard deviation.
 
     Raises
     ------
     InputError
-        If the law does not have the rig, or the angle.
+        If the law does not have the rig, or the angle, or if the cohesion is uncertain: what forces
+        determine of it depends on the residual that they are going to have.
 
     Examples
     --------
@@ -151,7 +152,7 @@ def plan(
     >>> terraphi.next_measurements(answer)[0].sd_deg < answer.phi.sd
     True
     """
-    law, apparatus = shipped_legs(), Rig.of(rig, leg)
+    law = shipped_legs()
     theta = np.radians(np.arange(-132.0, 132.5))
     still = ForceHistory(theta, np.zeros((theta.size, 2)))
     soil: dict[str, Any] = {
@@ -161,8 +162,14 @@ def plan(
         "gain": gain,
     }
     # The soil as an inversion reads it: its record of no forces.
-    record = record_of(measurement_of(still, "plan"), rig=apparatus, **soil)
+    record = record_of(measurement_of(still, "plan"), rig=rig, leg=leg, **soil)
+    apparatus = record.rig
+    if record.cohesion_sd_pa:
+        raise InputError("a plan is for a cohesion that is known; give it as a number of Pa")
     offset_deg = float(law.error.offset(apparatus, record.grain_size_mm, np.array(phi_deg)))
+    if not PHI_DEG[0] <= phi_deg + offset_deg <= PHI_DEG[1]:
+        low, high = (end - offset_deg for end in PHI_DEG)
+        raise InputError(f"phi = {phi_deg:g}: law legs is for about {low:.0f} to {high:.0f}° here")
     curves = law.forces(
         apparatus, phi_deg + offset_deg, density=record.density_kg_m3 or DENSITY.mean,
         cohesion_pa=record.cohesion_pa,

@@ -569,7 +569,7 @@ def grain_size(given: float | str | None, width_mm: float, name: str) -> float:
     except (TypeError, ValueError):
         raise InputError(f"{name}: grain_size_mm = {given!r} is no number") from None
     largest = LARGEST_GRAIN * width_mm
-    if grains and not SMALLEST_GRAIN_MM <= grains <= largest:
+    if given is not None and not SMALLEST_GRAIN_MM <= grains <= largest:
         raise InputError(
             f"{name}: grain_size_mm = {grains:g}; {SMALLEST_GRAIN_MM:g} to {largest:.3g} mm are "
             f"accepted on a body {width_mm:g} mm wide"

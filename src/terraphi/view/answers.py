@@ -36,7 +36,10 @@ def headline(answer: Answer) -> str:
     rigs = "; ".join(map(str, answer.rigs))
     source = answer.source if len(answer.records) < 3 else f"{len(answer.records)} records"
     assumed = " (assumed)" if answer.density_assumed else ""
-    lines = [f"{source} · {rigs} · {answer.density_kg_m3:g} kg/m³{assumed} · law {answer.law}"]
+    damp = f" · cohesion {answer.cohesion_pa:.0f} Pa" if answer.cohesion_pa else ""
+    lines = [
+        f"{source} · {rigs} · {answer.density_kg_m3:g} kg/m³{assumed}{damp} · law {answer.law}"
+    ]
     if answer.verdict != "out_of_range":
         which = CONVENTIONS.get(answer.convention, answer.convention)
         if answer.convention == "plane_strain" and not all(r.simulated for r in answer.records):
@@ -99,7 +102,15 @@ def tables(answer: Answer) -> list[Table]:
 
     # Answers by earlier versions have terms that the table has no more.
     terms = [
-        (name, f"{sd:.2f}", TERMS[name].source if name in TERMS else "")
+        (
+            name,
+            f"{sd:.2f}",
+            "assumed"
+            if name == "density" and answer.density_assumed
+            else TERMS[name].source
+            if name in TERMS
+            else "",
+        )
         for name, sd in answer.budget_deg.items()
     ]
     records = [
