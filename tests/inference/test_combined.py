@@ -220,7 +220,7 @@ def test_records_of_two_soils_on_one_rig_are_named() -> None:
     [warning] = [text for text in soils.warnings if "of one soil" in text]
     alone = [terraphi.invert(forces, **given).phi.median for forces in (a, b)]
     said = [float(angle) for angle in re.findall(r"(\d+)°", warning)]
-    assert said == pytest.approx(alone, abs=1.0)  # to first order
+    assert said == pytest.approx(alone, abs=2.0)  # to first order
 
 
 def test_a_misfit_hides_what_half_the_force_would_be(plate: Answer) -> None:
