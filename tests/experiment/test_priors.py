@@ -23,7 +23,6 @@ EXEMPT = {
     ("experiment/leg.py", "friction"),  # of a simulated leg
     ("laws/legs.py", "density"),  # of the soil that the law was simulated with
     ("laws/theory.py", "density"),  # cancels with the scale of the law
-    ("laws/law.py", "friction"),  # ends of what the law was simulated with
     ("laws/theory.py", "density"),  # of the poses that the law is scaled from
     ("robot/friction.py", "gain_sd"),  # threshold of a fit
 }

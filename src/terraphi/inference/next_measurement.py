@@ -29,9 +29,9 @@ from terraphi.inference.terms import TERMS
 from terraphi.laws.legs import NAME as LEGS
 from terraphi.laws.legs import PHI_DEG, shipped_legs
 
-FRICTION_SD, HIP_SD_MM, DENSITY_SD_PART, GAIN_SD, KNOWN_SD_DEG = 0.03, 0.5, 0.01, 0.005, 1.0
-"""Standard deviations that a careful measurement has: friction of the leg by a slide test [-],
-height of the hip [mm], density of a weighed bed [-], gain by a known weight [-], and the critical
+SLIDE_TEST, HIP_MM, WEIGHED_BED, KNOWN_WEIGHT, SHEARED_DEG = 0.03, 0.5, 0.01, 0.005, 1.0
+"""Standard deviations after a careful measurement: friction of the leg by a slide test [-], height
+of the hip [mm], density of a weighed bed over it [-], gain by a known weight [-], and the critical
 angle by shear tests [deg]; chosen."""
 
 
@@ -67,20 +67,21 @@ def next_measurements(answer: Answer, *, further_records: bool = True) -> list[M
     density_sd = (answer.density_sd_kg_m3 or 0.0) / answer.density_kg_m3
     # A gain scales the forces as a density does.
     scale = answer.budget_deg.get("density", 0.0)
-    gain_sd = density_sd * answer.budget_deg.get("gain", 0.0) / scale if scale else 0.0
+    of_sensor = density_sd * answer.budget_deg.get("gain", 0.0) / scale if scale else 0.0
     removed = {
         "a record of the whole stroke": "missing angles", "both forces": "missing forces",
         "more readings": "noise", "a library of this rig with more cases": "emulator",
         "a known cohesion": "cohesion",
     }  # fmt: skip
     measured = [
-        (f"the hip's height known to ± {HIP_SD_MM:g} mm", "hip height", HIP_SD_MM,
+        (f"the hip's height known to ± {HIP_MM:g} mm", "hip height", HIP_MM,
          rig.hip_height_sd_mm),
-        (f"the leg's friction known to ± {FRICTION_SD:g} (slide test)", "leg friction", FRICTION_SD,
+        (f"the leg's friction known to ± {SLIDE_TEST:g} (slide test)", "leg friction", SLIDE_TEST,
          rig.leg_friction_sd),
-        (f"the density known to ± {100 * DENSITY_SD_PART:g} %", "density", DENSITY_SD_PART,
+        (f"the density known to ± {100 * WEIGHED_BED:g} %", "density", WEIGHED_BED,
          density_sd),
-        (f"the gain known to ± {100 * GAIN_SD:g} % (a known weight)", "gain", GAIN_SD, gain_sd),
+        (f"the gain known to ± {100 * KNOWN_WEIGHT:g} % (a known weight)", "gain", KNOWN_WEIGHT,
+         of_sensor),
     ]  # fmt: skip
     after = [
         Measurement(words, without([name], sd / usual))
@@ -93,9 +94,9 @@ def next_measurements(answer: Answer, *, further_records: bool = True) -> list[M
         kept = [name for name in squares if TERMS[name].fixed]
         kept += ["model: offset", "model: rig"]
         in_common = sum(squares.get(name, 0.0) for name in kept)
-        all_of_known = sum(squares.values()) + KNOWN_SD_DEG**2
+        all_of_known = sum(squares.values()) + SHEARED_DEG**2
         calibrated = math.sqrt(sum(squares.values()) - in_common**2 / all_of_known)
-        words = f"a soil of known angle ± {KNOWN_SD_DEG:g}° on this rig (terraphi calibrate)"
+        words = f"a soil of known angle ± {SHEARED_DEG:g}° on this rig (terraphi calibrate)"
         after.append(Measurement(words, calibrated))
     if further_records and answer.law == LEGS and "calibration" not in answer.provenance:
         after += _further_records(answer, rig)
