@@ -62,6 +62,8 @@ ROLES = {
     "theta": "leg angle θ", "fx": "force Fx", "fz": "force Fz", "moment": "moment at the hip",
     "time": "time",
 }  # fmt: skip
+LONGEST_FOLDER = 60
+"""Bytes of a temporary folder in which a socket of multiprocessing has its name: that adds 32."""
 LONGEST_NAME = 80
 """Letters of a file's name that are shown."""
 MOST_MEMORY, MOST_FILE, MOST_CPU_S = 6 << 30, 500 << 20, 600
@@ -176,7 +178,12 @@ def application(token: str, limits: Limits, place: Path | None) -> Starlette:
 
     os.environ |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     CONTEXT.set_forkserver_preload(["terraphi.view.prepared"])
+    # The server's socket lies in a temporary folder, and its path has at most 103 bytes on macOS.
+    usual = tempfile.tempdir
+    if len(os.fsencode(tempfile.gettempdir())) > LONGEST_FOLDER:
+        tempfile.tempdir = "/tmp"
     forkserver.ensure_running()
+    tempfile.tempdir = usual
 
     def allow(given: str) -> None:
         if not secrets.compare_digest(given.encode(), token.encode()):
