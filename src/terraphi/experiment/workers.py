@@ -43,9 +43,14 @@ def workers(count: int) -> Iterator[Executor | None]:
         # Cancelled first and ended then: the pool's thread fails (before Python 3.12) if it finds
         # cancelled tasks when workers end. It cancels them only while the pool is referred to.
         thread = getattr(pool, "_executor_manager_thread", None)
+        results = getattr(pool, "_result_queue", None)
         pool.shutdown(wait=False, cancel_futures=True)
         ours.close()
         theirs.close()
+        # A worker may end in the midst of a result. The thread waits for the rest as long as this
+        # process can write into that pipe, too.
+        if results is not None:
+            results._writer.close()
         if thread is not None:  # none before the first task
             thread.join()
 
