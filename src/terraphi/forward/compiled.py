@@ -35,6 +35,7 @@ Kernel = TypeVar("Kernel", bound=Callable[..., object])
 OPTIONS: dict[str, Any] = {
     "error_model": "numpy",
     "fastmath": {"contract", "nsz", "reassoc"},
+    "no_cfunc_wrapper": True,  # for C, one more copy of each kernel to compile
     "nogil": True,
 }
 """Numba's options for all kernels."""

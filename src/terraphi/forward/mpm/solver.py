@@ -210,5 +210,6 @@ def velocities(soil: Soil, lattice: Lattice) -> FloatArray:
     """Velocities of the particles (x, y, z) [m/s], shape [particle, 3]."""
     velocity = np.zeros((soil.cell.size, 3))
     for p in range(soil.cell.size):
-        velocity[p] = gather(soil.velocity, soil.cell[p], offset_of(soil, p), lattice)
+        x, y, z = gather(soil.velocity, soil.cell[p], offset_of(soil, p), lattice)
+        velocity[p, 0], velocity[p, 1], velocity[p, 2] = x, y, z
     return velocity
