@@ -334,21 +334,24 @@ class Pressed:
 def test_terms_of_tools_are_the_scatter_of_angles_when_their_causes_are_drawn(
     tool: str, phi_deg: float
 ) -> None:
-    world, rng = Pressed(tool, phi_deg), np.random.default_rng(0)
+    world = Pressed(tool, phi_deg)
     budget = world.answer().budget_deg
     z = norm.ppf((np.arange(9) + 0.5) / 9)
     z /= z.std()
-    courses = 1.0 + rng.standard_normal((80, world.z.size)) @ world.course.T
+    # Ten modes have 93 % of the variance of a course; each moves the angle by itself.
+    modes, sizes, _ = np.linalg.svd(world.course)
+    courses = (modes * sizes)[:, :10].T
+    courses *= np.linalg.norm(sizes) / np.linalg.norm(sizes[:10])
     scatter = {
         "density": world.scatter(density=1500.0 + 75.0 * z),
-        "model: course": world.scatter(share=courses),
+        "model: course": np.sqrt(10.0) * world.scatter(share=1.0 + np.vstack([courses, -courses])),
         # Half of the error, for the law ends at 0.65.
         "surface friction": 2.0 * world.scatter(friction=FRICTION.mean + 0.5 * FRICTION.sd * z),
     }
     for name, sd in scatter.items():
         assert sd == pytest.approx(budget[name], rel=0.15), name
     # A plate bears at once where it touches, so that its angle is not linear in the contact.
-    z = norm.ppf((np.arange(25) + 0.5) / 25)
+    z = norm.ppf((np.arange(15) + 0.5) / 15)
     z /= z.std()
     contact = world.scatter(contact=max(CONTACT_SD_M, CONTACT_SD_PART * world.foot.radius) * z)
     assert contact == pytest.approx(budget.get("contact", 0.0), abs=0.1)

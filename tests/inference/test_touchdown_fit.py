@@ -184,10 +184,11 @@ def test_what_is_shared_moves_the_answer_as_told() -> None:
 
 
 def test_what_is_shared_is_the_scatter_of_angles_when_it_is_drawn() -> None:
-    """Of 200 touch-downs in one soil, each with another density, friction, radius, drop or law."""
+    """Of 41 touch-downs in one soil, each with another density, friction, radius, drop or law."""
     observed, prior = pressed(seed=None), replace(PRIOR, exponent_sd=0.03)
-    touchdowns, state = picked(observed, np.zeros(200, int)), np.array([[34.0, 0.003, 0.0]])
-    spread = norm.ppf((np.arange(200) + 0.5) / 200)
+    touchdowns, state = picked(observed, np.zeros(41, int)), np.array([[34.0, 0.003, 0.0]])
+    spread = norm.ppf((np.arange(41) + 0.5) / 41)
+    spread /= spread.std()
     per_unit = dict(
         zip(prior.shared(), fit(observed, "rft", prior).shared[0, TORQUES:], strict=True)
     )
