@@ -20,7 +20,7 @@ RUFF = $(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/zizmor --of
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test test-processors test-oldest test-slow verify docs bench lint format install clean distclean
+.PHONY: help demo test test-processors test-oldest test-slow verify docs bench benchmark lint format install clean distclean
 
 help:
 	@echo 'make demo       friction angle from a measured force history, and a picture in demo-output/'
@@ -30,6 +30,7 @@ help:
 	@echo 'make test-slow  the checks that take longer'
 	@echo 'make verify     problems with known answers, and docs/verification.md (an hour)'
 	@echo 'make docs       the documentation, in docs/_build/html/index.html'
+	@echo 'make benchmark  angles of other soils, rigs and codes beside those of baselines'
 	@echo 'make bench      speed of kernels and inversions, as ratios'
 	@echo 'make lint       lint and type-check only'
 	@echo 'make format     put the code into the house format'
@@ -74,6 +75,10 @@ verify: $(DEV)
 docs: $(DEV)
 	$(BIN)/sphinx-build -W --keep-going -q -b html docs docs/_build/html
 	@echo 'Built: docs/_build/html/index.html'
+
+# Fails if a baseline reads other soils, shapes, rigs or codes better than terraphi.
+benchmark: $(DEV)
+	$(BIN)/python benchmarks/phi_bench.py --check
 
 # Results depend on what else the machine does: the ratios are what to look at.
 bench: $(DEV)

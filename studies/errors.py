@@ -358,7 +358,11 @@ def crps(error: FloatArray, sd: FloatArray) -> FloatArray:
     return np.asarray(sd * (z * (2.0 * norm.cdf(z) - 1.0) + 2.0 * norm.pdf(z) - np.pi**-0.5))
 
 
-def score(outcomes: Sequence[tuple[float, float, str]]) -> dict[str, float]:
+Outcome = tuple[float, float, str]
+"""Error and its standard deviation [deg], and the soil."""
+
+
+def score(outcomes: Sequence[Outcome]) -> dict[str, float]:
     """CRPS, RMS, bias, z and coverage of errors with their SD and soil, soils weighing alike."""
     error, sd = np.array([outcome[:2] for outcome in outcomes]).T
     same = alike([soil for _, _, soil in outcomes])
@@ -404,12 +408,12 @@ def splits(rows: Sequence[Record], measured_rows: Sequence[Record]) -> Iterator[
 Method = Callable[[list[Record], list[Record]], Sequence[tuple[float, float]]]
 
 
-def evaluate(method: Method, parts: Sequence[Split]) -> dict[str, dict[str, float]]:
-    """Scores of a method by task; it does not see what is to be inferred.
+def predictions(method: Method, parts: Sequence[Split]) -> dict[str, list[Outcome]]:
+    """Error, standard deviation and soil by task; a method does not see what is to be inferred.
 
     In measured media the truth of a leg is the mean of what the other legs read.
     """
-    outcomes: dict[str, list[tuple[float, float, str]]] = {}
+    outcomes: dict[str, list[Outcome]] = {}
     for task, train, test in parts:
         hidden = [replace(row, phi_deg=None, phi_sd_deg=CELL_SD_DEG) for row in test]
         phi, sd = np.array(method(train, hidden), float).reshape(len(test), 2).T
@@ -420,7 +424,12 @@ def evaluate(method: Method, parts: Sequence[Split]) -> dict[str, dict[str, floa
             truth = np.array([row.phi_deg for row in test], float)
         soils = [row.soil for row in test]
         outcomes.setdefault(task, []).extend(zip(phi - truth, sd, soils, strict=True))
-    return {task: score(triples) for task, triples in outcomes.items()}
+    return outcomes
+
+
+def evaluate(method: Method, parts: Sequence[Split]) -> dict[str, dict[str, float]]:
+    """Scores of a method by task."""
+    return {task: score(outcomes) for task, outcomes in predictions(method, parts).items()}
 
 
 def terraphi_method(train: list[Record], test: list[Record]) -> list[tuple[float, float]]:

@@ -81,6 +81,21 @@ def test_scores_weigh_soils_alike() -> None:
     assert exact["crps"] == pytest.approx(np.pi**-0.5, abs=0.03)  # E|x - x'| / 2
 
 
+def test_a_method_is_better_if_it_is_in_most_soils() -> None:
+    soils = ["A", "A", "B", "C", "D"]
+    ours = [(2.0, 1.0, soil) for soil in soils]
+    some = [
+        (error, 1.0, soil) for error, soil in zip((0.0, 4.0, 3.0, 1.0, 1.9), soils, strict=True)
+    ]
+    every = [
+        (error, 1.0, soil) for error, soil in zip((1.0, 1.2, 1.3, 0.9, 1.1), soils, strict=True)
+    ]
+    assert phi_bench.chance(ours, some) > 0.3
+    assert phi_bench.chance(ours, every) < 0.01
+    assert phi_bench.chance(every, ours) == 1.0
+    assert phi_bench.chance(ours[:2], every[:2]) == 1.0  # of one soil
+
+
 def test_no_soil_is_learned_from_and_tested() -> None:
     media = [record(f"measured/m{i}", leg) for i in range(2) for leg in OFFSETS]
     parts = list(errors.splits(some_records(), media))
