@@ -44,6 +44,22 @@ def test_a_curve_is_read_as_the_record_was() -> None:
     np.testing.assert_allclose(curve @ stroke.operator(curve_theta).T, stroke.data, atol=1e-10)
 
 
+@pytest.mark.parametrize("readings", [60, 900])
+def test_windows_of_shifted_curves_are_those_of_their_readings(readings: int) -> None:
+    """The plain form: each curve is interpolated to the readings, and averaged as these are."""
+    rng = np.random.default_rng(6)
+    theta = np.sort(np.append(rng.uniform(-92.0, 92.0, readings), np.arange(-90.0, 91.0, 4.0)))
+    stroke = record(theta, np.ones((len(theta), 2)))
+    curve_theta, shifts = np.sort(rng.uniform(-89.0, 95.0, 120)), np.array([-15.0, 0.0, 3.7])
+    expected = [
+        [stroke.means(np.interp(theta, curve_theta + shift, hat)) for hat in np.eye(120)]
+        for shift in shifts
+    ]
+    operators = stroke.operator(curve_theta, shifts)
+    np.testing.assert_allclose(operators, np.swapaxes(expected, 1, 2), atol=1e-13)
+    np.testing.assert_array_equal(stroke.operator(curve_theta, 3.7), operators[2])
+
+
 def test_covariance_of_noise_is_that_of_noisy_readings() -> None:
     theta, rng = np.arange(-88.0, 88.1, 0.8), np.random.default_rng(2)
     stroke = record(theta, np.zeros((len(theta), 2)) + 1.0, noise=(0.3, 0.1))

@@ -188,17 +188,17 @@ def _dropouts(force: FloatArray, all_zero: BoolArray, load: float, in_soil: Bool
 
 def _held(force: FloatArray, span: float) -> BoolArray:
     """Runs of equal readings under load that end with a jump, as of a value that was held."""
-    changes = np.abs(np.diff(force))
-    held = np.zeros(len(force), dtype=bool)
+    changes = np.append(np.abs(np.diff(force)), np.inf)
     # A sensor that holds its last value catches up with a jump of several of its smallest steps.
-    quantum = float(min(changes[changes > 1e-12 * span], default=span))
-    ends = np.flatnonzero(np.append(changes, np.inf) > 0.0)
-    for first, last in zip(np.append(-1, ends[:-1]) + 1, ends, strict=True):
-        long = last - first + 1 >= HELD and last + 1 < len(force)
-        is_loaded = abs(force[first]) > LOADED * span
-        is_loaded &= bool(force.min() < force[first] < force.max())
-        if long and is_loaded and changes[last] > JUMP * quantum:
-            held[first + 1 : last + 1] = True
+    quantum = changes[changes > 1e-12 * span].min(initial=span)
+    last = np.flatnonzero(changes > 0.0)
+    first = np.append(0, last[:-1] + 1)
+    value, length = force[first], last - first + 1
+    is_held = (length >= HELD) & (last + 1 < len(force)) & (changes[last] > JUMP * quantum)
+    is_held &= (np.abs(value) > LOADED * span) & (force.min() < value) & (value < force.max())
+    # The first reading of a run is right.
+    held = np.repeat(is_held, length)
+    held[first] = False
     return held
 
 

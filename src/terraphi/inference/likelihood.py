@@ -160,11 +160,13 @@ class Coverage(NamedTuple):
     """Peak-to-peak of each channel over a whole stroke, by the record or the model, shape [c]."""
 
 
-def window_means(record: Record, force: FloatArray, law: LegLaw, shift_deg: float) -> FloatArray:
-    """Forces [N] over the angles of a law, as a record reads them at a shift.
+def window_means(
+    record: Record, force: FloatArray, law: LegLaw, shift_deg: FloatArray | float
+) -> FloatArray:
+    """Forces [N] over the angles of a law, as a record reads them at shifts of shape [...].
 
-    Shape [..., 2, theta] -> [..., c m]. Raises InputError if the record has a moment and the law no
-    lever arms.
+    Shape [k, 2, theta] -> [..., k, c m]. Raises InputError if the record has a moment and the law
+    no lever arms.
     """
     if record.channels != FORCES:
         if law.arm is None:
@@ -173,8 +175,9 @@ def window_means(record: Record, force: FloatArray, law: LegLaw, shift_deg: floa
             )
         rows = {"Fx": force[..., 0, :], "Fz": force[..., 1, :], "M": (force * law.arm).sum(axis=-2)}
         force = np.stack([rows[name] for name in record.channels], axis=-2)
-    means = force @ record.operator(law.theta_deg + shift_deg).T
-    return np.asarray(means.reshape(*means.shape[:-2], -1))
+    operator = record.operator(law.theta_deg, shift_deg).swapaxes(-1, -2)
+    means = force.reshape(-1, force.shape[-1]) @ operator
+    return np.asarray(means.reshape(*operator.shape[:-2], len(force), -1))
 
 
 def squared_residuals(
@@ -189,7 +192,7 @@ def squared_residuals(
     largest = np.abs(data).max(axis=(1, 2))[:, None]
     span = np.maximum(np.ptp(data, axis=2), 1e-6 * largest)
     weight, flat = np.repeat(span**-2.0, data.shape[2], axis=1), data.reshape(len(data), -1)
-    curves = np.stack([window_means(record, force, law, shift) for shift in shifts])
+    curves = window_means(record, force, law, shifts)
     squares = (weight * flat**2).sum(axis=1)[:, None, None]
     squares = squares - 2.0 * np.tensordot(weight * flat, curves, axes=(1, 2))
     squares += np.tensordot(weight, np.square(curves), axes=(1, 2))
@@ -363,13 +366,12 @@ class Likelihood:
         return self._means(forces, self.shift_deg if shift_deg is None else shift_deg)
 
     def _means(self, forces: list[FloatArray], shift_deg: FloatArray) -> FloatArray:
-        """Window means of the forces on each record's leg [N], [k, 2, theta] each -> [k, n]."""
-        return np.hstack([
-            window_means(record, force, law, shift)
-            for record, force, law, shift in zip(
-                self.records, forces, self.laws, shift_deg, strict=True
-            )
-        ])  # fmt: skip
+        """Window means of the forces on each record's leg [N], [k, 2, theta] each.
+
+        Shape [..., record] of the shifts for [..., k, n].
+        """
+        of_records = zip(self.records, forces, self.laws, shift_deg.T, strict=True)
+        return np.concatenate([window_means(*of_record) for of_record in of_records], axis=-1)
 
     def _means_of(self, i: int, rows: FloatArray) -> FloatArray:
         """Window means of the i-th record [N] of forces by its law [N], [k, 2 theta] -> [k, m]."""
@@ -401,9 +403,8 @@ class Likelihood:
         """∂g/∂φ and ∂g/∂δ of each record by central differences [N/deg], [n, 1 + record]."""
         step = STEP * (self.high - self.low)
         forces = self._forces(phi_deg + step * np.array([1.0, -1.0, 0.0]), cohesion)
-        above, below, _ = self._means(forces, shift_deg)
-        middle = [force[-1:] for force in forces]
-        later, earlier = (self._means(middle, shift_deg + h)[0] for h in (0.1, -0.1))
+        shifts = shift_deg + np.array([[0.0], [0.1], [-0.1]])
+        (above, below, _), (*_, later), (*_, earlier) = self._means(forces, shifts)
         of_record = np.eye(len(self.records))[self._record_index]
         of_shift = of_record * (later - earlier)[:, None] / 0.2
         return np.column_stack([(above - below) / (2.0 * step), of_shift])

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.arrays import FloatArray, IntArray
 from terraphi.experiment.bodies import OUTLINES, TOOLS
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import label_of, number_with_sd
@@ -196,18 +196,31 @@ class Record:
                 covariance[block, block] += step**2 / 12.0 * runs @ runs.T
         return covariance
 
-    def operator(self, theta_deg: FloatArray) -> FloatArray:
-        """W R: window means of a curve given at leg angles [deg], shape [m, n].
+    @cached_property
+    def _entries(self) -> tuple[IntArray, IntArray, FloatArray]:
+        """Weights that are not 0: window, reading and weight, shape [entry] each."""
+        weights = self._windows[1]
+        window, reading = np.nonzero(weights)
+        return window, reading, weights[window, reading]
 
-        R interpolates linearly, and is constant beyond the ends.
+    def operator(self, theta_deg: FloatArray, shift_deg: FloatArray | float = 0.0) -> FloatArray:
+        """W R: window means of a curve given at leg angles [deg] that comes late by shifts [deg].
+
+        R interpolates linearly, and is constant beyond the ends. Shape [n] and [...] for
+        [..., m, n].
         """
-        readings = self.history.theta_deg
-        i = np.clip(np.searchsorted(theta_deg, readings) - 1, 0, len(theta_deg) - 2)
-        share = np.clip((readings - theta_deg[i]) / (theta_deg[i + 1] - theta_deg[i]), 0.0, 1.0)
-        interpolation, row = np.zeros((len(readings), len(theta_deg))), np.arange(len(readings))
-        interpolation[row, i] = 1.0 - share
-        interpolation[row, i + 1] += share
-        return self._windows[1] @ interpolation
+        window, reading, weight = self._entries
+        shifts = np.asarray(shift_deg)
+        # A reading lies between two angles of the curve, to which its weight goes by its distance
+        # from either. Windows have few readings each, so that W R is summed up from its entries.
+        at = self.history.theta_deg[reading] - shifts.reshape(-1, 1)
+        i = np.clip(np.searchsorted(theta_deg, at) - 1, 0, len(theta_deg) - 2)
+        share = np.clip((at - theta_deg[i]) / np.diff(theta_deg)[i], 0.0, 1.0)
+        shape = len(at), self.theta_deg.size, len(theta_deg)
+        place = np.ravel_multi_index((np.arange(len(at))[:, None], window, i), shape).ravel()
+        total = np.bincount(place, (weight * (1.0 - share)).ravel(), math.prod(shape))
+        total += np.bincount(place + 1, (weight * share).ravel(), math.prod(shape))
+        return np.asarray(total.reshape(*shifts.shape, *shape[1:]), np.float64)
 
     def binned(self) -> Record:
         """The record averaged in equal bins of the leg angle, if it is long."""
