@@ -36,7 +36,7 @@ from terraphi.experiment.budget import BYTES, unpacking
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import check_is_file
 from terraphi.robot.joint_log import FEET, JointLog
-from terraphi.robot.logs.bags import MEASURED, add_imu
+from terraphi.robot.logs.messages import MEASURED, add_imu
 from terraphi.robot.logs.samples import joint_log
 
 ACTUATORS, STATE, IMU = "anymal_state_actuator", "anymal_state_state_estimator", "anymal_imu"

@@ -11,31 +11,30 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
 import click
-from rosbags.rosbag2 import Reader
+from rosbags.highlevel import AnyReader
 
-from terraphi import Footfalls
+from terraphi import Footfalls, JointLog, Messages
 from terraphi.inference.footfalls import USABLE
-from terraphi.robot.joint_log import JOINT_NAMES, JointLog
-from terraphi.robot.logs.bags import LOW_STATE, low_states
+from terraphi.robot.logs.bags import IMU, JOINT_STATE, LOW_STATE, typestore
 
 MESSAGES = 50
 """Messages that are handed over together."""
 
 
 def samples(bag: Path) -> Iterator[JointLog]:
-    """The LowState messages of a bag, a few at a time."""
-    with Reader(bag) as reader:
-        states = [c for c in reader.connections if c.msgtype == LOW_STATE]
-        messages = ((stamp, raw) for _, stamp, raw in reader.messages(states))
-        while some := list(itertools.islice(messages, MESSAGES)):
-            columns = low_states(some, JOINT_NAMES, Counter())
-            del columns["recorded"]
-            yield JointLog(1e-3 * columns.pop("stamp"), **columns)
+    """The messages of a bag as a subscriber has them, a few at a time."""
+    kinds = (LOW_STATE, JOINT_STATE, IMU)
+    messages = Messages()
+    with AnyReader([bag], default_typestore=typestore()) as reader:
+        chosen = [c for c in reader.connections if c.msgtype in kinds]
+        received = (reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages(chosen))
+        while some := list(itertools.islice(received, MESSAGES)):
+            if piece := messages.take(*some):
+                yield piece
 
 
 @click.command()
@@ -54,10 +53,13 @@ def main(bag: Path, density: str | None, out: Path | None) -> None:
             spent, read, footfalls = spent + took, read + len(piece.time), footfalls + len(new)
         if not first and new:
             first, spent, read, footfalls = took, 0.0, 0, 0
-        for one in new:
-            answer = f"φ = {one.phi:.1f}° ± {one.sd:.1f}°" if one.verdict == USABLE else one.verdict
-            x, y, _ = one.place
-            click.echo(f"{one.time:8.2f} s  {one.foot}  x {x:5.2f} m  y {y:5.2f} m  {answer}")
+        for footfall in new:
+            is_usable, (x, y, _) = footfall.verdict == USABLE, footfall.place
+            answer = f"φ = {footfall.phi:.1f}° ± {footfall.sd:.1f}°"
+            click.echo(
+                f"{footfall.time:8.2f} s  {footfall.foot}  x {x:5.2f} m  y {y:5.2f} m  "
+                f"{answer if is_usable else footfall.verdict}"
+            )
     begin = time.process_time()
     found = walk.map()
     click.echo(repr(found))

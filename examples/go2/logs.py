@@ -16,8 +16,9 @@ import pandas as pd
 
 from terraphi.experiment.files import atomic_write
 from terraphi.robot.joint_log import JOINT_NAMES, SHAPES, JointLog
-from terraphi.robot.logs.bags import JOINT_STATE, LOW_STATE, MOTORS, URDF_NAMES, typestore
+from terraphi.robot.logs.bags import JOINT_STATE, LOW_STATE, typestore
 from terraphi.robot.logs.columns import OWN
+from terraphi.robot.logs.messages import MOTORS, URDF_NAMES
 
 Message = Literal["lowstate", "jointstate"]
 TYPES = {"lowstate": LOW_STATE, "jointstate": JOINT_STATE}

@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from terraphi.laws.plan import Plan as Plan
     from terraphi.laws.store import Library as Library
     from terraphi.robot.footfalls import footfalls as footfalls
+    from terraphi.robot.joint_log import JointLog as JointLog
+    from terraphi.robot.logs.messages import Messages as Messages
     from terraphi.robot.online import Footfalls as Footfalls
     from terraphi.robot.results import foot_forces as foot_forces
     from terraphi.terrain.export import export as export
@@ -49,8 +51,10 @@ _PLACES = {
     "Footfalls": "robot.online",
     "ForceHistory": "experiment.history",
     "InputError": "experiment.errors",
+    "JointLog": "robot.joint_log",
     "Leg": "experiment.leg",
     "Library": "laws.store",
+    "Messages": "robot.logs.messages",
     "Plan": "laws.plan",
     "Rig": "experiment.rig",
     "Rotation": "experiment.motion",

@@ -11,27 +11,27 @@ import struct
 from collections.abc import Callable, Iterator
 from dataclasses import fields, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import zstandard
 from go2.logs import EPOCH_NS, write_csv, write_mcap, write_parquet, write_rosbag2
+from rosbags.highlevel import AnyReader
 from rosbags.rosbag1 import Writer as OldWriter
 from rosbags.rosbag2 import Writer
 from rosbags.typesys import Stores, get_typestore
 
+import terraphi
 from terraphi.experiment import budget
 from terraphi.experiment.errors import InputError
-from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, SHAPES, JointLog
+from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, SHAPES, JointLog, arrays, joined
 from terraphi.robot.logs import bags, read_log
-from terraphi.robot.logs.bags import (
-    IMU,
-    JOINT_STATE,
-    URDF_NAMES,
-    typestore,
-)
-from terraphi.robot.logs.samples import seconds
+from terraphi.robot.logs.bags import IMU, JOINT_STATE, typestore
+from terraphi.robot.logs.messages import URDF_NAMES
+from terraphi.robot.logs.samples import seconds, sound
+from terraphi.robot.model import Quadruped
 
 
 def walking(samples: int = 200, *, step_s: float = 0.002, start_s: float = 5.0) -> JointLog:
@@ -530,3 +530,76 @@ def test_topics_and_options_that_do_not_fit(tmp_path: Path) -> None:
     path = bag(tmp_path / "m", {"/joint_states": (JOINT_STATE, joint_states(names, EVERY))})
     refused(path, "'m0' is not known", "--joint-names")
     np.testing.assert_array_equal(read_log(path, joint_names=names).angle, log.angle)
+
+
+def received(path: Path) -> Iterator[Any]:
+    with AnyReader([path], default_typestore=typestore()) as reader:
+        for connection, _, raw in reader.messages():
+            yield reader.deserialize(raw, connection.msgtype)
+
+
+@pytest.mark.parametrize("message", ["lowstate", "jointstate"])
+def test_messages_one_by_one_give_the_numbers_of_the_bag(tmp_path: Path, message: str) -> None:
+    if message == "lowstate":
+        write_mcap(path := tmp_path / "walk.mcap", log)
+    else:
+        topics = {"/joint_states": (JOINT_STATE, joint_states(list(URDF_NAMES), EVERY)),
+                  "/imu": (IMU, imu_states(SWAY))}  # fmt: skip
+        path = bag(tmp_path / "walk", topics)
+    whole, stream, pieces = read_log(path), terraphi.Messages(), []
+    for number, item in enumerate(received(path)):
+        # Joint states are lost, and every tenth message of any kind comes twice.
+        if not (number % 50 in (24, 25) and not hasattr(item, "linear_acceleration")):
+            again = 2 if number % 10 == 5 else 1
+            pieces += [piece for piece in (stream.take(item) for _ in range(again)) if piece]
+    streamed, _ = sound(joined(pieces))
+    at = np.rint((streamed.time - streamed.time[0]) / 0.002).astype(int)
+    assert 0.9 * len(whole.time) < len(at) < len(whole.time)
+    assert (np.diff(at) > 0).all()
+    for name in set(arrays(streamed)) - {"time"}:
+        if (column := getattr(whole, name)) is not None:
+            np.testing.assert_allclose(getattr(streamed, name), column[at], atol=1e-6, err_msg=name)
+    at_once = JointLog.from_messages(received(path))
+    np.testing.assert_allclose(at_once.angle, whole.angle[: len(at_once.time)], atol=1e-6)
+    assert len(at_once.time) >= len(whole.time) - 1
+
+
+def at_second(second: int) -> SimpleNamespace:
+    return SimpleNamespace(stamp=SimpleNamespace(sec=second, nanosec=0))
+
+
+def state(second: int, names: list[str]) -> SimpleNamespace:
+    some = np.arange(float(len(names)))
+    return SimpleNamespace(
+        header=at_second(second), name=names, position=some, velocity=some, effort=some
+    )
+
+
+def imu(second: int) -> SimpleNamespace:
+    none = np.zeros(9)
+    up = SimpleNamespace(x=0.0, y=0.0, z=9.81)
+    return SimpleNamespace(
+        header=at_second(second),
+        orientation=SimpleNamespace(w=1.0, x=0.0, y=0.0, z=0.0), orientation_covariance=none,
+        angular_velocity=SimpleNamespace(x=0.0, y=0.0, z=0.0), angular_velocity_covariance=none,
+        linear_acceleration=up, linear_acceleration_covariance=none,
+    )  # fmt: skip
+
+
+def test_joints_of_something_else_are_left_out_and_a_stream_of_them_is_refused() -> None:
+    legs = [f"{joint}_joint" for joint in Quadruped.load("go2").joint_order]
+    stream = terraphi.Messages()
+    assert stream.take(imu(0), imu(2), state(1, ["gripper"])) is None
+    log = stream.take(state(1, ["gripper", *legs[::-1]]))
+    assert log is not None
+    np.testing.assert_allclose(log.torque.ravel(), np.arange(12.0, 0.0, -1.0))
+    assert stream.left_out.total() == 1
+    with pytest.raises(InputError, match="gripper"):
+        terraphi.Messages().take(imu(0), imu(9), *(state(1, ["gripper"]) for _ in range(200)))
+
+
+def test_what_is_no_message_of_a_robot_is_named() -> None:
+    with pytest.raises(InputError, match="SimpleNamespace; give LowState, JointState and Imu"):
+        terraphi.Messages().take(SimpleNamespace(data="hello"))
+    with pytest.raises(InputError, match="IMU"):
+        JointLog.from_messages([state(1, ["gripper"])])

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, TypeVar
 
 import numpy as np
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
+from terraphi.experiment.errors import InputError
 
 FEET = ("FR", "FL", "RR", "RL")
 """Feet in the order of the Go2's motors: front right, front left, rear right, rear left."""
@@ -71,6 +72,36 @@ class JointLog:
     acceleration: FloatArray | None = None
     foot_counts: FloatArray | None = None
     report: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def from_messages(
+        cls,
+        messages: Iterable[Any],
+        *,
+        robot: Any = "go2",
+        joint_names: Sequence[str] | None = None,
+    ) -> JointLog:
+        """Samples of messages of ROS: of LowState, or of JointState and Imu, joints by name.
+
+        Parameters
+        ----------
+        messages
+            Deserialized ones, in the order in which they came. For those of a robot that walks, a
+            few at a time, take :class:`~terraphi.robot.logs.messages.Messages`.
+        robot, joint_names
+            As of that class.
+
+        Raises
+        ------
+        InputError
+            If they make no sample, or are of another type.
+        """
+        from terraphi.robot.logs.messages import Messages
+
+        log = Messages(robot, joint_names=joint_names).take(*messages)
+        if log is None:
+            raise InputError("no joint state with readings of an IMU before and after it")
+        return log
 
 
 Record = TypeVar("Record", bound=Any)

@@ -1,0 +1,300 @@
+"""Messages of ROS with a robot's joint states and IMU: columns of a JointLog, as they come.
+
+``unitree_go/msg/LowState`` (Go2, B2) numbers its motors, of which the first twelve are the legs'.
+``sensor_msgs/msg/JointState`` names its joints and may list them in any order;
+``sensor_msgs/msg/Imu`` goes with it. Any object with the fields of a message will do, such as those
+of ``rclpy`` and ``rosbags``.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from terraphi.experiment.errors import InputError, nearest
+from terraphi.robot.joint_log import GAP_STEPS, JOINT_NAMES, SHAPES, JointLog, joint_place
+from terraphi.robot.model import Quadruped
+
+MEASURED = ("quaternion", "angular_velocity", "acceleration")
+"""Columns of a JointLog that an Imu message has."""
+MOTORS = len(JOINT_NAMES)
+URDF_NAMES = tuple(f"{name}_joint" for name in JOINT_NAMES)
+"""Names of the joints in Unitree's robot descriptions, in the order of a JointLog."""
+FOREIGN = "joints of something else"
+Received = Iterable[tuple[int, Any]]
+"""Times of recording [ns], and messages."""
+WAIT_NS, MOST_FOREIGN = 10**9, 100
+"""Time for which a JointState waits for an Imu [ns], and messages without the legs' joints after
+which a stream without others is refused; chosen."""
+
+
+def low_states(messages: Received, motors: Sequence[str]) -> dict[str, Any]:
+    """Columns of a JointLog from LowState messages, ``stamp`` (the tick) and ``recorded`` [ns].
+
+    ``motors`` are the joints that the first twelve motors move.
+    """
+    stamps, rows = [], []
+    for recorded, state in messages:
+        stamps.append((state.tick, recorded))
+        imu, legs = state.imu_state, state.motor_state[:MOTORS]
+        numbers = [number for m in legs for number in (m.q, m.dq, m.tau_est)]
+        numbers += [*imu.quaternion, *imu.gyroscope, *imu.accelerometer, *state.foot_force]
+        rows.append(np.array(numbers, dtype=np.float32))
+    table = np.array(rows, dtype=np.float64).reshape(-1, 3 * MOTORS + 14)
+    order = [list(motors).index(name) for name in JOINT_NAMES]
+    joints = table[:, : 3 * MOTORS].reshape(-1, MOTORS, 3)[:, order].reshape(-1, 4, 3, 3)
+    columns = [*np.moveaxis(joints, -1, 0), *np.split(table[:, 3 * MOTORS :], [4, 7, 10], axis=1)]
+    return dict(zip(SHAPES, columns, strict=True)) | _times(stamps)
+
+
+def _times(stamps: list[tuple[int, int]]) -> dict[str, Any]:
+    stamp, recorded = np.array(stamps, dtype=np.int64).reshape(-1, 2).T
+    return {"stamp": stamp, "recorded": recorded}
+
+
+def _stamp(message: Any) -> int:
+    """Header stamp [ns]."""
+    return int(message.header.stamp.sec) * 10**9 + int(message.header.stamp.nanosec)
+
+
+_FIELDS = {"angle": "position", "velocity": "velocity", "torque": "effort"}
+
+
+def joint_states(
+    messages: Received,
+    joint_names: Sequence[str] | None,
+    joints: Sequence[str],
+    own_names: Sequence[str],
+    dropped: Counter[str],
+) -> dict[str, Any]:
+    """Columns of a JointLog from JointState messages, ``stamp`` (header) and ``recorded`` [ns].
+
+    ``joint_names`` and ``joints`` as in :func:`joint_order`; ``own_names``, of the robot's model,
+    if the messages have them all. Messages without the joints, or with other columns than the first
+    ones, are left out.
+
+    Raises
+    ------
+    InputError
+        If no message has the legs' joints and their efforts.
+    """
+    orders: dict[tuple[str, ...], list[int] | None] = {}
+    columns: tuple[str, ...] = ()
+    refusal, stamps, rows = "", [], []
+    for recorded, message in messages:
+        names = tuple(message.name)
+        if names not in orders:
+            model_names = own_names if own_names and {*own_names} <= {*names} else None
+            try:
+                orders[names] = joint_order(names, joint_names or model_names, joints)
+            except InputError as error:
+                orders[names], refusal = None, refusal or str(error)
+        order = orders[names]
+        present = tuple(c for c, f in _FIELDS.items() if len(getattr(message, f)) == len(names))
+        complete = {"angle", "torque"} <= {*present} and present == (columns or present)
+        if order is None or not complete:
+            dropped[FOREIGN] += 1
+            continue
+        columns = present
+        stamps.append((_stamp(message), recorded))
+        # Joints that are not there have the last place, which is zero.
+        rows.append([np.append(getattr(message, _FIELDS[c]), 0.0)[order] for c in present])
+    if orders and not rows:
+        raise InputError(refusal or "the joint states carry no efforts, and forces need torques")
+    table = np.array(rows, dtype=np.float64).reshape(len(rows), len(columns), 4, 3)
+    return {name: table[:, k] for k, name in enumerate(columns)} | _times(stamps)
+
+
+def imu_readings(messages: Received) -> dict[str, Any]:
+    """Columns of a JointLog from Imu messages, ``stamp`` (header) and ``recorded`` [ns].
+
+    Its axes are taken to be the body's. A quantity that it does not measure, by a covariance of −1,
+    is not a number.
+    """
+    stamps, rows = [], []
+    for recorded, message in messages:
+        q, w, a = message.orientation, message.angular_velocity, message.linear_acceleration
+        parts = (
+            ([q.w, q.x, q.y, q.z], message.orientation_covariance),
+            ([w.x, w.y, w.z], message.angular_velocity_covariance),
+            ([a.x, a.y, a.z], message.linear_acceleration_covariance),
+        )
+        stamps.append((_stamp(message), recorded))
+        rows.append([v if of[0] != -1.0 else np.nan for part, of in parts for v in part])
+    columns = np.split(np.array(rows, dtype=np.float64).reshape(-1, 10), [4, 7], axis=1)
+    return dict(zip(MEASURED, columns, strict=True)) | _times(stamps)
+
+
+def joint_order(
+    names: Sequence[str], wanted: Sequence[str] | None, joints: Sequence[str]
+) -> list[int]:
+    """Indices of the twelve joints in a message's list of names; −1 where there is none.
+
+    Parameters
+    ----------
+    names
+        Names in the message.
+    wanted
+        Names of the legs' joints, FR, FL, RR, RL × hip, thigh, calf; ``None`` goes by patterns.
+    joints
+        Those that the robot has, as ``FR_hip``.
+
+    Raises
+    ------
+    InputError
+        If a joint is missing, stands twice or is not known; the message does not name the file.
+    """
+    index: dict[str, int] = {}
+    hint = "name the twelve (--joint-names; in Python joint_names)"
+    for name in wanted or ():
+        if name not in names or list(wanted or ()).count(name) > 1:
+            raise InputError(f"joint '{name}' is not once in the messages; {nearest(name, names)}")
+    if wanted is not None:
+        legs = [joint for joint in JOINT_NAMES if joint in joints]
+        index = dict(zip(legs, map(list(names).index, wanted), strict=True))
+    for i, place in enumerate(map(joint_place, names if wanted is None else ())):
+        joint = place and JOINT_NAMES[3 * place[0] + place[1]]
+        if joint and index.setdefault(joint, i) != i:
+            pair = f"joints '{names[index[joint]][:60]}' and '{names[i][:60]}'"
+            raise InputError(f"{pair} both look like the {joint.replace('_', ' ')}; {hint}")
+    missing = [joint.replace("_", " ") for joint in joints if joint not in index]
+    if missing:
+        unknown = [f", and '{name[:60]}' is not known" for name in names if not joint_place(name)]
+        raise InputError(
+            f"{len(names)} joints, and none for the {missing[0]}{(unknown or [''])[0]}; expected "
+            f"twelve named like {URDF_NAMES[0]}, or {hint}"
+        )
+    return [index[joint] if joint in joints else -1 for joint in JOINT_NAMES]
+
+
+def add_imu(
+    values: dict[str, Any], imu: dict[str, Any], topics: Sequence[str], notes: list[str]
+) -> None:
+    """Add the readings of an IMU to joint states, linearly between its messages.
+
+    Samples without a message nearby become NaN; a quantity that half of them lack is left out.
+    """
+    clock = "stamp" if np.ptp(values["stamp"]) else "recorded"
+    start = values[clock][0]
+    at = (values[clock] - start) / 1e9
+    times, order = np.unique((imu[clock] - start) / 1e9, return_index=True)
+    for name in MEASURED:
+        measured = np.isfinite(imu[name][order]).all(axis=1)
+        time, column = times[measured], imu[name][order][measured]
+        if len(time) < 2:
+            continue
+        reach = GAP_STEPS * float(np.median(np.diff(time)))
+        nearest = np.rint(np.interp(at, time, np.arange(len(time)))).astype(int)
+        near = np.abs(at - time[nearest]) <= reach
+        if near.mean() < 0.5:
+            notes.append(f"{name} of {topics[0]}: stamps do not overlap with those of the joints")
+            continue
+        if name == "quaternion":  # q and −q are the same attitude
+            sense = np.where(np.sum(column[1:] * column[:-1], axis=1) < 0.0, -1.0, 1.0)
+            column = column * np.cumprod(np.concatenate([[1.0], sense]))[:, None]
+        values[name] = np.stack([np.interp(at, time, c) for c in column.T], axis=1)
+        values[name][~near] = np.nan
+    if len(topics) > 1:
+        notes.append(f"attitude from {topics[0]}; also there, not read: {', '.join(topics[1:])}")
+
+
+class Messages:
+    """A robot's messages as they come, and the samples that they complete.
+
+    A LowState is a sample by itself. A JointState becomes one when an Imu of a later stamp has
+    come, whose readings are interpolated linearly to its own stamp, as in a bag.
+
+    Parameters
+    ----------
+    robot
+        The robot, or its name, TOML, URDF or MJCF.
+    joint_names
+        Of a JointState, as of :func:`~terraphi.robot.logs.read_log`.
+
+    Attributes
+    ----------
+    left_out
+        Number of JointState messages that became no sample, by reason.
+
+    Notes
+    -----
+    In a node of ROS, with one function for both topics::
+
+        messages, walk = terraphi.Messages("go2"), terraphi.Footfalls()
+
+        def receive(message):
+            if samples := messages.take(message):
+                for footfall in walk.update(samples):
+                    print(footfall.foot, footfall.phi, footfall.verdict)
+    """
+
+    def __init__(
+        self, robot: Quadruped | Path | str = "go2", *, joint_names: Sequence[str] | None = None
+    ) -> None:
+        self._robot = robot if isinstance(robot, Quadruped) else Quadruped.load(robot)
+        self._joint_names = joint_names
+        self._states: list[tuple[int, Any]] = []
+        self._imus: list[tuple[int, Any]] = []
+        self._measured: tuple[str, ...] | None = None
+        """What the Imu messages measure; all samples have the same columns."""
+        self.left_out: Counter[str] = Counter()
+
+    def take(self, *messages: Any) -> JointLog | None:
+        """Take the next messages; the samples that are complete now, or ``None``.
+
+        Their times are those of the robot's clock [s]: of ticks, or since 1970 of header stamps.
+
+        Raises
+        ------
+        InputError
+            If a message is of another type, or none has the legs' joints, velocities and efforts.
+        """
+        motors, complete = self._robot.joint_order, []
+        for message in messages:
+            if hasattr(message, "motor_state"):
+                complete.append((0, message))
+            elif hasattr(message, "effort"):
+                self._states.append((_stamp(message), message))
+            elif hasattr(message, "linear_acceleration"):
+                self._imus.append((_stamp(message), message))
+            else:
+                kind = type(message).__name__
+                raise InputError(f"message of type {kind}; give LowState, JointState and Imu")
+        if complete:
+            values = low_states(complete, motors)
+            return JointLog(1e-3 * values["stamp"], **{name: values[name] for name in SHAPES})
+        return self._with_imu(motors)
+
+    def _with_imu(self, motors: Sequence[str]) -> JointLog | None:
+        """Samples of the joint states before the last reading of the IMU."""
+        if not self._states or len(self._imus) < 2:
+            return None
+        last = max(stamp for stamp, _ in self._imus)
+        ready = [pair for pair in self._states if pair[0] <= last]
+        if not ready:
+            return None
+        newest = max(stamp for stamp, _ in self._states)
+        self._states = [pair for pair in self._states if last < pair[0]]
+        try:
+            values = joint_states(
+                ready, self._joint_names, motors, self._robot.own_names, self.left_out
+            )
+        except InputError:
+            if self._measured is None and self.left_out[FOREIGN] > MOST_FOREIGN:
+                raise
+            return None
+        if "velocity" not in values:
+            raise InputError("the joint states carry no velocities, and samples need them")
+        add_imu(values, imu_readings(self._imus), ["the Imu messages"], [])
+        self._imus = [pair for pair in self._imus if pair[0] > min(last, newest) - WAIT_NS]
+        if self._measured is None:
+            self._measured = tuple(name for name in MEASURED if name in values)
+        stamp = values["stamp"]
+        for name in self._measured:
+            values.setdefault(name, np.full((len(stamp), *SHAPES[name]), np.nan))
+        columns = ("angle", "velocity", "torque", *self._measured)
+        return JointLog(1e-9 * stamp, **{name: values[name] for name in columns})
