@@ -10,6 +10,7 @@ Legs of one shape and one set of ratios are therefore simulated once, at one len
 
 from __future__ import annotations
 
+import functools
 import math
 import re
 from collections.abc import Mapping
@@ -331,6 +332,7 @@ def swept(leg: Leg, hip_height: float, theta_deg: FloatArray) -> FloatArray:
     return placed(leg.outline(), np.array([0.0, hip_height]), np.radians(theta_deg))
 
 
+@functools.lru_cache(maxsize=32)
 def contact_deg(leg: Leg, hip_height: float) -> tuple[float, float]:
     """First and last angle at which a leg reaches into level soil [deg], to a degree.
 

@@ -510,8 +510,7 @@ def _better_leg(likelihood: Likelihood, legs: Sequence[Sequence[Reading]]) -> Ju
 
 def _unexplained(likelihood: Likelihood) -> Judgment | None:
     """Misfit if noise and scatter do not explain the residual of simulated records."""
-    free = likelihood.data.size - 1
-    residual = likelihood.data - likelihood.curves(likelihood.least_squares)[0]
+    free, residual = likelihood.data.size - 1, likelihood.residual
     ratio = float(residual @ np.linalg.solve(likelihood.covariance, residual)) / free
     # Wilson & Hilferty 1931: the cube root of chi-square is nearly normal.
     deviate = (ratio ** (1.0 / 3.0) - 1.0 + 2.0 / (9.0 * free)) / math.sqrt(2.0 / (9.0 * free))

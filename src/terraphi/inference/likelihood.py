@@ -323,7 +323,7 @@ class Likelihood:
         learned = self.error.offset(record.rig, record.grain_size_mm, phi_deg)
         if record.channels == ("M",) and isinstance(self.library, Legs):
             learned = learned + TORQUE_DEG.get(record.rig.leg, 0.0)
-        return learned + (self._calibrated_error(record)[0] if self.calibration else 0.0)
+        return learned + (self._calibrated_errors[record][0] if self.calibration else 0.0)
 
     def row(self, record: Record, phi_deg: float) -> FloatArray:
         """Row x of a record in the mixed model, at an angle of the soil [deg], shape [effect]."""
@@ -332,19 +332,25 @@ class Likelihood:
         )
         return self.error.row(record.rig, record.grain_size_mm, read_deg)
 
-    def _calibrated_error(self, record: Record) -> tuple[float, FloatArray]:
-        """Mean of the offset's error by the calibration, and its causes [deg].
+    @cached_property
+    def _calibrated_errors(self) -> dict[Record, tuple[float, FloatArray]]:
+        """Mean of the offset's error by the calibration, and its causes, by record [deg].
 
         The row is that of the angle that is in the middle of the soils of the calibration.
         """
         assert self.calibration
         middle = float(np.mean([soil.phi_deg for soil in self.calibration.soils]))
-        return self.calibration.offset(self.error, rig_name(record.rig), self.row(record, middle))
+        return {
+            record: self.calibration.offset(
+                self.error, rig_name(record.rig), self.row(record, middle)
+            )
+            for record in self.records
+        }
 
     def _offset_causes(self, record: Record) -> FloatArray:
         """Error of the offset by independent causes, a standard deviation of each [deg]."""
         if self.calibration:
-            return self._calibrated_error(record)[1]
+            return self._calibrated_errors[record][1]
         return np.asarray(self.row(record, self.least_squares) @ self.error.root)
 
     def of_size_deg(self, record: Record) -> float:
@@ -423,6 +429,11 @@ class Likelihood:
     def shift_deg(self) -> FloatArray:
         """δ of each record at that φ [deg], shape [record]; positive if the forces come late."""
         return self._best.x[0, 1:]
+
+    @property
+    def residual(self) -> FloatArray:
+        """Residual d − g at the best point [N], shape [n]."""
+        return self._best.residual[0]
 
     @property
     def cohesion(self) -> float:
@@ -545,11 +556,11 @@ class Likelihood:
 
     def angle_of_each(self) -> FloatArray:
         """φ of each record by itself, to first order about the best point [deg], shape [record]."""
-        curve, angles = self.curves(self.least_squares)[0], []
-        for i, part in enumerate(self.parts):
-            columns = self._best.slope[0, part][:, [0, 1 + i]] / self.span[part, None]
-            residual = (self.data[part] - curve[part]) / self.span[part]
-            angles.append(np.linalg.lstsq(columns, residual, rcond=None)[0][0])
+        slope, residual = self._best.slope[0] / self.span[:, None], self.residual / self.span
+        angles = [
+            np.linalg.lstsq(slope[part][:, [0, 1 + i]], residual[part], rcond=None)[0][0]
+            for i, part in enumerate(self.parts)
+        ]
         return self.least_squares + np.array(angles)
 
     def free_cohesion(self, i: int, *, with_hip: bool = False) -> Free | None:
@@ -565,9 +576,9 @@ class Likelihood:
         step = COHESION_STEP * law.most_cohesion / float(self._per_pascal[i])
         # The difference is central, or forward where the cohesion is next to 0.
         low = max(self.cohesion - step, 0.0)
-        curve, damp, dry = (
+        damp, dry = (
             self.curves(self.least_squares, cohesion=c)[0, part]
-            for c in (self.cohesion, self.cohesion + step, low)
+            for c in (self.cohesion + step, low)
         )
         # Columns: φ, δ, the height of the hip, the cohesion.
         columns = np.column_stack([
@@ -575,7 +586,7 @@ class Likelihood:
             *(self._means_of(i, slope.T) if with_hip else ()),
             (damp - dry) / (self.cohesion + step - low),
         ]) / self.span[part, None]  # fmt: skip
-        residuals = (self.data[part] - curve) / self.span[part]
+        residuals = self.residual[part] / self.span[part]
         solution = np.linalg.lstsq(columns, residuals, rcond=None)[0]
         cohesion = self.cohesion + float(solution[-1])
         if cohesion < 0.0:
@@ -616,7 +627,7 @@ class Likelihood:
         """
         best, (least, most) = self.least_squares, self.ends
         # The factor by which the best curve would have to be multiplied: g'd / g'g.
-        curve, data = self.curves(best)[0] / self.span, self.data / self.span
+        curve, data = (self.data - self.residual) / self.span, self.data / self.span
         scale = float(curve @ data) / max(float(curve @ curve), 1e-12)
         if best >= most - 0.01 or scale > FAR_OFF:
             return self.high, most
@@ -637,10 +648,9 @@ class Likelihood:
         for record, part in zip(self.records, self.parts, strict=True):
             covariances["noise"][part, part] += record.noise_covariance
         if self.measured:
-            curve = self.curves(self.least_squares)[0]
             # One cause moves all windows together: its covariance is e e', with e a part of the
             # curve if it scales the forces, or of the slope if it looks like another φ.
-            slope = self.slope(self.least_squares)
+            curve, slope = self.data - self.residual, self._best.slope[0, :, 0]
             errors = {name: (sds, slope) for name, sds in self._angle_sds().items()}
             errors["density"] = self.density_sd, curve
             errors["gain"] = np.array([record.gain_sd for record in self.records]), curve
@@ -741,10 +751,9 @@ class Likelihood:
         stated = np.sum(
             [each.diagonal() for name, each in self.terms.items() if term(name).residual], axis=0
         )
-        residual = self.data - self.curves(self.least_squares)[0]
         for record, part in zip(self.records, self.parts, strict=True):
             # Mean square of e of each channel, less the mean variance that the terms state.
-            e = residual[part].reshape(len(record.channels), -1)
+            e = self.residual[part].reshape(len(record.channels), -1)
             lacking = np.square(e).mean(axis=1) - stated[part].reshape(e.shape).mean(axis=1)
             # Σ (second difference)² is four times the numerator of the equation above.
             unit = e / record.span[:, None]

@@ -98,8 +98,8 @@ def next_measurements(answer: Answer, *, further_records: bool = True) -> list[M
         calibrated = math.sqrt(sum(squares.values()) - in_common**2 / all_of_known)
         words = f"a soil of known angle ± {SHEARED_DEG:g}° on this rig (terraphi calibrate)"
         after.append(Measurement(words, calibrated))
-    if further_records and answer.law == LEGS and "calibration" not in answer.provenance:
-        after += _further_records(answer, rig)
+        if further_records and answer.law == LEGS:
+            after += _further_records(answer, rig)
     now = math.sqrt(sum(squares.values()))
     better = [each for each in after if each.sd_deg < 0.99 * now]
     return sorted(better, key=lambda each: each.sd_deg)

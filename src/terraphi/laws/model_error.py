@@ -115,9 +115,9 @@ class ModelError(Strict):
 
         With φ_read − φ = a + b (φ_read − 27°) it is (a + b (φ − 27°)) / (1 − b).
         """
-        a, further = (float(self.row(rig, grain_size_mm, MIDDLE_DEG + more) @ self.mean_deg)
-                      for more in (0.0, 1.0))  # fmt: skip
-        b = further - a
+        row, mean = effects(rig, grain_size_mm), dict(zip(self.effects, self.mean_deg, strict=True))
+        a = sum(value * mean.get(name, 0.0) for name, value in row.items())
+        b = 0.1 * row["breadth"] * mean.get("breadth × reading", 0.0)
         return np.asarray((a + b * (phi_deg - MIDDLE_DEG)) / (1.0 - b))
 
     @cached_property
