@@ -1,6 +1,6 @@
 """φ under footfalls while a robot walks: read a bag as a stream, as a node on the robot would.
 
-    python examples/go2_walk.py --out walk --gait walk --period 1.2 --speed 0.12 --format mcap
+    python examples/go2_walk.py --out walk --gait walk --period 1.2 --duration 20 --format mcap
     python examples/online.py walk/realistic.mcap --density 1550±80
 
 Fifty messages of a bag (0.1 s of a Go2) at a time go to ``Footfalls.update``, and each footfall is

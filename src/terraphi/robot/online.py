@@ -1,7 +1,8 @@
 """Footfalls of a robot that walks: samples in, the footfalls that are over out, a map at any time.
 
 The functions of :func:`terraphi.footfalls` run on a window, the last
-:data:`~terraphi.robot.checks.CHECK_S` of the log. Differences from the whole log:
+:data:`~terraphi.robot.checks.CHECK_S` of the log; forces and velocities are those of new samples,
+and the rest of the window keeps its own. Differences from the whole log:
 
 - **Friction** of the joints comes from the first :data:`~terraphi.robot.checks.CHECK_S`, in which
   the robot has to walk. No footfall is answered before; those of that time are answered then.
@@ -51,8 +52,9 @@ from terraphi.robot.results import RobotForces, foot_forces, left_out
 from terraphi.robot.stance import LIFT_S, find_stances
 from terraphi.robot.touchdowns import BIAS_S, Motion, sensitivity, touchdowns, track
 
-STEP_S = 1.0
-"""Samples are taken up in pieces of this length [s]; for shorter ones the margins cost more."""
+STEP_S, FEWEST = 0.5, 3
+"""Samples are taken up in pieces of this length [s], with a third of a second before them, and of
+these so many at least; for shorter ones that margin costs more."""
 LAG_S = 0.25
 """Time after which a velocity of the odometry does not depend on later samples [s]: seven times the
 34 ms in which an accelerometer of :data:`~terraphi.robot.touchdowns.ACCELERATION_SD` forgets a foot
@@ -88,6 +90,8 @@ class Window(NamedTuple):
     log: JointLog
     forces: FootForces
     motion: Motion
+    felt: FloatArray
+    """Specific force of the trunk in the world's axes [m/s²], shape [sample, 3]."""
     final: int
 
 
@@ -237,34 +241,44 @@ class Footfalls:
 
     def _extended(self, start: RobotForces, log: JointLog) -> tuple[Window, slice]:
         """Window with further samples, and which of them have their final motion now."""
-        robot, before, final = self._options.robot, self._window, 0
+        robot, before, final, first, kept = self._options.robot, self._window, 0, 0, slice(0)
         if before is not None:
             # What is older than the window goes; what is not final, or not checked, is younger.
             clock = recorded(np.append(before.log.time, log.time[0]))
-            old = min(int(np.searchsorted(clock, clock[-1] - CHECK_S)), before.final - 1)
-            log, final = joined([cut(before.log, slice(old, None)), log]), before.final - old
+            old = min(int(np.searchsorted(clock, clock[-1] - CHECK_S)), before.final - FEWEST)
+            kept = slice(max(old, 0), before.final)
+            log = joined([cut(before.log, slice(kept.start, None)), log])
+            final = kept.stop - kept.start
+            # Forces and velocities of new samples depend on none older than this one.
+            reach = log.time[final - 1] - MARGIN_S - LAG_S
+            first = min(int(np.searchsorted(log.time, reach)), max(final - FEWEST, 0))
+        tail, new = cut(log, slice(first, None)), slice(final - first, None)
         forces = estimate(
-            log, robot=robot, friction=start.forces.friction or True,
+            tail, robot=robot, friction=start.forces.friction or True,
             contact_part=batch.CONTACT_PART,
         )  # fmt: skip
-        # The odometry of the whole window goes on from the last place that is final.
-        turn, trunk = trunk_motion(log, robot)
-        late = log.time > log.time[-1] - BIAS_S
-        bias = np.einsum("sij,sj->i", turn[late], trunk.specific_force[late]) / late.sum()
-        bias -= [0.0, 0.0, GRAVITY]
-        motion = track(log, robot, forces.place, forces.lift, bias=bias)
+        turn, trunk = trunk_motion(tail, robot)
+        felt = np.einsum("sij,sj->si", turn, trunk.specific_force)
+        if before is not None:
+            felt = np.concatenate([before.felt[kept], felt[new]])
+        bias = felt[log.time > log.time[-1] - BIAS_S].mean(axis=0) - [0.0, 0.0, GRAVITY]
+        motion = track(tail, robot, forces.place, forces.lift, bias=bias)
         motion = batch.from_the_start(motion, start.log)
         if before is not None:
-            shift = before.motion.trunk[before.final - 1] - motion.trunk[final - 1]
+            # The odometry goes on from the last place that is final.
+            shift = before.motion.trunk[kept.stop - 1] - motion.trunk[new.start - 1]
             motion = motion._replace(trunk=motion.trunk + shift, feet=motion.feet + shift)
+            pairs = zip(before.motion, motion, strict=True)
+            motion = Motion(*(np.concatenate([a[kept], b[new]]) for a, b in pairs))
+            forces = joined([cut(before.forces, kept), cut(forces, new)])
         # Samples that are a margin, and two for differences, before the end.
         last = np.searchsorted(log.time, log.time[-1] - MARGIN_S - LAG_S)
         end = max(int(last) - 2, 0)
-        return Window(log, forces, motion, end), slice(final, end)
+        return Window(log, forces, motion, felt, end), slice(final, end)
 
     def _answers(self, start: RobotForces, window: Window, new: slice) -> tuple[Footfall, ...]:
         """Footfalls whose stances have ended; the course of the new samples is kept for the map."""
-        log, forces, motion, final = window
+        log, forces, motion, _, final = window
         robot, time = self._options.robot, log.time
         per_error = sensitivity(log, forces)
         size = max(1, round(batch.AVERAGED_S / float(np.median(np.diff(time)))))
