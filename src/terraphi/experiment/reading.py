@@ -245,7 +245,11 @@ def read_trials(
     if reader.given.model_fields_set <= {"air_before_deg", "air_after_deg"} and (
         {*CSV_COLUMNS} == {*reader.names.values()}
     ):
-        ours = origin(Path(name), table.comments, table.frame[list(CSV_COLUMNS)].to_numpy())
+        ours = origin(
+            Path(name),
+            table.comments,
+            np.column_stack([table.columns[name] for name in CSV_COLUMNS]),
+        )
     if not ours:
         values = reader.tared(theta, values)
     strokes = reader.strokes(theta, reader.forces(values))
@@ -314,7 +318,7 @@ def preview(
     return Preview(
         list(reader.parts),
         [unit_named(unit or "") for unit in written],
-        table.frame.head(6).to_numpy().tolist(),
+        np.column_stack([*table.columns.values()])[:6].tolist(),
         reader.names,
         {role: reader.like(role) for role in LEG if role not in reader.names},
     )
@@ -336,7 +340,7 @@ class ColumnReader(Generic[Given]):
         self.names: dict[str, str] = {}
         self.wrong: list[str] = []
         self.notes: list[str] = []
-        self.parts = {name: _split(str(name)) for name in self.table.frame.columns}
+        self.parts = {name: _split(str(name)) for name in self.table.columns}
         self.header = ", ".join(f"'{name[:30]}'" for name in [*self.parts][:8])
 
     def refuse(self, sentence: str) -> NoReturn:
@@ -418,7 +422,7 @@ class ColumnReader(Generic[Given]):
     def column(self, role: str) -> FloatArray:
         """A column in the first unit of its kind."""
         _, factor = self.unit(role)
-        return np.asarray(factor * self.table.frame[self.names[role]].to_numpy(np.float64))
+        return np.asarray(factor * self.table.columns[self.names[role]])
 
 
 class _LegTable(ColumnReader[ForceColumns]):

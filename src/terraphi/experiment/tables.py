@@ -39,7 +39,10 @@ _DIALECTS = [(sep, decimal) for sep in ("\t", ";", ",", "|", None) for decimal i
 """Separator (``None``: spaces) and decimal sign, the more usual first."""
 _ERROR = r"#(\w/\w|n[av]|[¡¿]?\w[\w/]*[!?])(?![^\s,;|])"
 """Cell that a spreadsheet writes where it found no value, such as ``#N/A`` or ``#BEZUG!``."""
-_MISSING = re.compile(rf"-{{0,2}}|\?|nan|n/?a|n\.a\.|null|none|[-+]?inf|{_ERROR}", re.I)
+_MISSING = re.compile(
+    rf"-{{0,2}}|\?|-?nan|n/?a|<na>|n\.a\.|null|none|[-+]?inf(inity)?|-?1\.#(ind|qnan)|{_ERROR}",
+    re.I,
+)
 """Cells that hold no number."""
 _COMMENT = re.compile(rf"\s*((?!{_ERROR})#|%|//)", re.I)
 _ODD = frozenset(("", *"#%/ ,;\t"))
@@ -59,6 +62,8 @@ LONGEST_LINE = csv.field_size_limit() // 4
 """Letters of a line; four may be one cell, in which the package csv accepts four times as many."""
 _SAMPLE = 100
 """Lines that the separator is judged by, from the end of the file."""
+_SHORT = 20_000
+"""Cells up to which a table is read without pandas, whose import takes half a second."""
 _HEAD = 100_000
 """Letters that are looked at to see whether a file is text."""
 _CONTROL = re.compile(r"[^\t\n\r\f\x1a\x20-\x7e\x80-\U0010ffff]")
@@ -70,8 +75,8 @@ class Table:
 
     Attributes
     ----------
-    frame
-        A ``pandas.DataFrame`` of floats; NaN where a cell holds no number.
+    columns
+        Numbers of each column by its name, shape [row]; NaN where a cell holds no number.
     units
         Units that stand in a row of their own or in the column's attributes, by column.
     lines, kind
@@ -82,7 +87,7 @@ class Table:
         Lines of comment, whole.
     """
 
-    frame: Any
+    columns: dict[str, FloatArray]
     units: dict[str, str] = field(default_factory=dict)
     lines: Any = ()
     kind: str = "line"
@@ -102,8 +107,6 @@ def read_table(path: Path) -> Table:
     InputError
         If it is not text, or holds no rows of numbers.
     """
-    import pandas as pd
-
     lines = _without_breaks(_lines(path))
     odd = [line[:1] in _ODD for line in lines]  # most lines of a long log are not
     kept = [
@@ -133,24 +136,51 @@ def read_table(path: Path) -> Table:
                 f"{path}, line {kept[i] + 1}: {len(row)} cells under {named} names; with decimal "
                 "commas, separate cells by semicolons"
             )
-    body = io.BytesIO("\n".join([lines[i] for i in kept[first:]]).encode())
+    places, body = np.array(kept[first:]) + 1, [lines[i] for i in kept[first:]]
     del lines
+    if len(body) * width > _SHORT:
+        cells = _long_columns(path, body, places, separator, decimal, width)
+    else:
+        rows = [_cells(line, separator) for line in body]
+        for place, row in zip(places, rows, strict=True):
+            if len(row) > width:
+                raise InputError(
+                    f"{path}: Expected {width} fields in line {place}, saw {len(row)}; each row "
+                    "needs as many cells as the header"
+                )
+        cells = [*itertools.islice(itertools.zip_longest(*rows, fillvalue=""), width)]
+    return _numeric(dict(zip(names, cells, strict=True)), units, places, "line", comments, decimal)
+
+
+def _long_columns(
+    path: Path, body: list[str], places: Any, separator: str | None, decimal: str, width: int
+) -> list[Any]:
+    """Columns of a long table by pandas; raises InputError of rows with too many cells."""
+    import pandas as pd
+
     # From 3.1 on pandas reads floats exactly unasked.
     exact = {} if Version(pd.__version__) >= Version("3.1") else {"float_precision": "round_trip"}
     try:
         frame = pd.read_csv(
-            body, sep=separator or r"\s+", decimal=decimal, header=None,
-            names=range(width), index_col=False, skipinitialspace=True, low_memory=False,
-            skip_blank_lines=False, on_bad_lines="error",
+            io.BytesIO("\n".join(body).encode()), sep=separator or r"\s+", decimal=decimal,
+            header=None, names=range(width), index_col=False, skipinitialspace=True,
+            low_memory=False, skip_blank_lines=False, on_bad_lines="error",
             **exact,
         )  # fmt: skip
     except ValueError as error:  # pandas' own errors are among them
         why = " ".join(str(error).split()).removeprefix("Error tokenizing data. C error: ")
-        why = re.sub(r"line (\d+)", lambda m: f"line {kept[first + int(m[1]) - 1] + 1}", why)
+        why = re.sub(r"line (\d+)", lambda m: f"line {places[int(m[1]) - 1]}", why)
         raise InputError(f"{path}: {why}; each row needs as many cells as the header") from error
-    frame.columns = names
-    places = np.array(kept[first:]) + 1
-    return _numeric(frame, units, places, "line", comments, decimal)
+    return _of_frame(frame)
+
+
+def _of_frame(frame: Any) -> list[Any]:
+    """Columns of a DataFrame: numbers as floats, all others as they are."""
+    numbers = set(frame.select_dtypes("number").columns)
+    return [
+        frame[name].to_numpy(np.float64, na_value=np.nan) if name in numbers else frame[name]
+        for name in frame.columns
+    ]
 
 
 def read_cells(path: Path) -> tuple[dict[str, dict[str, str]], list[str]]:
@@ -201,7 +231,8 @@ def table_of(frame: Any) -> Table:
     if any(name is not None for name in frame.index.names):
         frame = frame.reset_index()
     frame = frame.set_axis([str(name).strip() for name in frame.columns], axis=1)
-    return _numeric(frame, units, np.arange(len(frame)), "row", (), ".")
+    columns = dict(zip(frame.columns, _of_frame(frame), strict=True))
+    return _numeric(columns, units, np.arange(len(frame)), "row", (), ".")
 
 
 def write_csv(path: Path, frame: Any, *, first: str = "", float_format: str | None = None) -> None:
@@ -391,12 +422,11 @@ def _header(
 
 
 def _numeric(
-    frame: Any, units: dict[str, str], lines: Any, kind: str, comments: tuple[str, ...],
-    decimal: str,
+    cells: Mapping[str, Any], units: dict[str, str], lines: Any, kind: str,
+    comments: tuple[str, ...], decimal: str,
 ) -> Table:  # fmt: skip
     """Columns as floats, with what is no number set aside."""
     words: dict[str, list[tuple[str, str]]] = {}
-    numbers = set(frame.select_dtypes("number").columns)
 
     def number(name: str, i: int, cell: Any) -> float:
         text = str(cell).strip().replace("\u2212", "-")
@@ -408,10 +438,10 @@ def _numeric(
         return float("nan")
 
     columns = {
-        name: frame[name].to_numpy(np.float64, na_value=np.nan)
-        if name in numbers
-        else np.array([number(name, i, cell) for i, cell in enumerate(frame[name])], np.float64)
-        for name in frame.columns
+        name: column
+        if isinstance(column, np.ndarray)
+        else np.array([number(name, i, cell) for i, cell in enumerate(column)], np.float64)
+        for name, column in cells.items()
     }
     columns = {name: np.where(np.abs(v) < LARGEST, v, np.nan) for name, v in columns.items()}
-    return Table(type(frame)(columns), units, lines, kind, words, comments)
+    return Table(columns, units, lines, kind, words, comments)

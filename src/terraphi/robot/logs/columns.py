@@ -145,14 +145,14 @@ def read_columns(
 
 def _table(path: Path) -> Any:
     """The table as numbers; cells that are none become NaN."""
-    if path.suffix != ".parquet":
-        return read_table(path).frame
     import pandas as pd
 
+    if path.suffix != ".parquet":
+        return pd.DataFrame(read_table(path).columns)
     try:
         with needing(f"{path}: reading Parquet", "the package pyarrow", extra="parquet"):
             table = pd.read_parquet(path)
     except (OSError, ValueError) as error:  # pandas' own errors are among them
         why = " ".join(str(error).split())
         raise InputError(f"{path}: cannot be read as a table ({why}); copy it again") from error
-    return table_of(table).frame
+    return pd.DataFrame(table_of(table).columns)
