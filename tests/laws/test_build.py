@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import os
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from terraphi.experiment.errors import InputError
+from terraphi.experiment.files import file_lock, folder_lock
 from terraphi.experiment.workers import workers
 from terraphi.laws import build as module
-from terraphi.laws.build import build, cluster
+from terraphi.laws.build import build, build_share, cluster
 from terraphi.laws.plan import Plan
 from terraphi.laws.store import Library
 
@@ -80,6 +82,76 @@ def test_a_longer_plan_keeps_what_is_there(tmp_path: Path, monkeypatch) -> None:
     )
     assert len(build(more, tmp_path / "library.nc").cases) == 6
     assert len(calls) == 2
+
+
+def test_shares_give_the_library_of_one_run(complete: Library, tmp_path: Path, terraphi) -> None:
+    """One is killed in its midst, one is done twice, and another process has a case."""
+    path, folder = tmp_path / "library.nc", tmp_path / "library.nc.cases"
+    with pytest.raises(KeyboardInterrupt):
+        build_share(PLAN, path, (1, 2), progress=lambda done, _: stop(done))
+    assert len(list(folder.glob("*.nc"))) == 1
+    with file_lock(folder / f"{PLAN.cases()[3].hash}.lock") as free:
+        assert free
+        assert build_share(PLAN, path, (2, 2)) == 1
+        # Other shares may come, but no build.
+        with folder_lock(folder, shared=True), pytest.raises(InputError, match="another process"):
+            build(PLAN, path)
+    assert build_share(PLAN, path, (2, 2)) == 0
+    assert {file.suffix for file in folder.iterdir()} == {".nc"}
+    assert len(list(folder.glob("*.nc"))) == 3
+    library = build(PLAN, path)
+    assert not folder.exists()
+    for first, other in zip(forces(library), forces(complete), strict=True):
+        np.testing.assert_array_equal(first, other)
+
+
+def stop(done: int) -> None:
+    if done == 1:
+        raise KeyboardInterrupt
+
+
+def test_a_share_by_the_command(terraphi) -> None:
+    Path("p.toml").write_text(
+        'name = "one"\n[sweep]\n"soil.friction_angle_deg" = [20.0, 30.0, 40.0]\n'
+        '[scenario]\nmodel = "rft"\ndimensions = 3\n'
+    )
+    command = ("library", "build", "p.toml", "--out", "l.nc", "--workers", "1")
+    shared = terraphi(*command, "--share", "2/2", "--json")
+    assert json.loads(shared.out) == {"share": "2/2", "cases": 1, "lacking": 0}
+    for wrong in ("0/2", "3/2", "two"):
+        refused = terraphi(*command, "--share", wrong)
+        assert refused.status == 2
+        assert "--share" in refused.err
+    assert terraphi(*command).status == 0
+    assert len(Library.load("l.nc").cases) == 3
+
+
+class Killed(Executor):
+    """A cluster whose worker is killed in each second case."""
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def submit(self, work, /, *given, **options):
+        self.count += 1
+        future: Future = Future()
+        if self.count % 2:
+            future.set_exception(MemoryError("worker killed"))
+        else:
+            future.set_result(work(*given, **options))
+        return future
+
+
+def test_a_worker_of_a_cluster_that_is_killed_is_a_failed_case(
+    complete: Library, tmp_path: Path
+) -> None:
+    library = build(PLAN, tmp_path / "library.nc", executor=Killed())
+    assert [case.failure for case in library.cases if case.history is None] == [
+        "MemoryError: worker killed"
+    ] * 2
+    again = build(PLAN, tmp_path / "library.nc")
+    for first, other in zip(forces(again), forces(complete), strict=True):
+        np.testing.assert_allclose(first, other, atol=1e-5)  # in single precision in a file
 
 
 @pytest.mark.slow

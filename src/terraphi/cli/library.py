@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,14 +32,17 @@ def library() -> None:
 @click.option("--out", type=PATH, required=True, help="NetCDF file to make.")
 @click.option("--workers", type=click.IntRange(min=1), help="Processes.  [default: all cores]")
 @click.option("--cluster", metavar="ADDRESS", help="Dask scheduler, as tcp://127.0.0.1:8786.")
+@click.option("--share", metavar="K/N", help="Simulate every Nth case alone, from the Kth on.")
 @json_option
 def library_build(
-    plan: str | None, out: Path, workers: int | None, cluster: str | None, as_json: bool, **rig: Any
-) -> None:
+    plan: str | None, out: Path, workers: int | None, cluster: str | None, share: str | None,
+    as_json: bool, **rig: Any,
+) -> None:  # fmt: skip
     """Simulate all cases of a PLAN (a TOML file or the name of a shipped plan), or of your rig.
 
     'terraphi keys plan' lists the keys of a plan. For a rig, bed, cells and steps follow from its
-    sizes. After an interruption the same command continues.
+    sizes. After an interruption the same command continues. With --share, many machines work at one
+    library; the command without it gathers their cases.
 
     Example: terraphi library build wide.toml --out wide.nc --workers 4
 
@@ -55,12 +59,32 @@ def library_build(
     if (plan is None) == (given["rig"] is None) or (plan and given["leg"]):
         raise InputError("give a PLAN, or a rig by --leg with its four sizes, or by --rig FILE")
     chosen = Plan.load(plan) if plan is not None else Plan.of_rig(Rig.of(**given))
-    count = min(workers or os.cpu_count() or 1, chosen.count)
+    (number, of), lacking, made = share_of(share), 0, None
+    count = min(workers or os.cpu_count() or 1, -(-chosen.count // of))
     with builder.cluster(cluster) if cluster else processes(count) as executor:
-        announce(chosen.cases())
+        announce(chosen.cases()[number - 1 :: of])
         with progress_bar("simulating") as report:
-            made = builder.build(chosen, out, executor=executor, progress=report)
-    print_library(made, as_json)
+            if share is None:
+                made = builder.build(chosen, out, executor=executor, progress=report)
+            else:
+                lacking = builder.build_share(
+                    chosen, out, (number, of), executor=executor, progress=report
+                )
+    if made is not None:
+        print_library(made, as_json)
+    else:
+        cases = len(range(number - 1, chosen.count, of))
+        words = f"Share {share}: {cases - lacking} of {cases} cases are there; the same command "
+        words += "tries the others again, and without --share it gathers all."
+        present({"share": share, "cases": cases, "lacking": lacking}, words, as_json=as_json)
+
+
+def share_of(text: str | None) -> tuple[int, int]:
+    """Number of a share and of all shares, of ``K/N``; the whole without one."""
+    match = re.fullmatch(r"([1-9][0-9]{0,5})/([1-9][0-9]{0,5})", text or "1/1")
+    if match is None or int(match[1]) > int(match[2]):
+        raise InputError(f"--share {text}; give K/N, such as 3/16 for the third of sixteen")
+    return int(match[1]), int(match[2])
 
 
 @library.command("list")

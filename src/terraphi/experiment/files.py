@@ -240,14 +240,14 @@ def kept_folder(path: Path) -> Iterator[None]:
 
 
 @contextmanager
-def folder_lock(folder: Path) -> Iterator[None]:
+def folder_lock(folder: Path, *, shared: bool = False) -> Iterator[None]:
     """Lock a folder, made if needed, during the block; raises InputError if another process has it.
 
-    A process that is killed gives the lock up.
+    A process that is killed gives the lock up. Processes with a ``shared`` lock may work together.
     """
     with kept_folder(folder), opened_folder(folder) as handle:
         try:
-            lock(handle)
+            lock(handle, shared=shared)
         except BlockingIOError as error:
             raise InputError(f"{folder}: another process works here; wait for it") from error
         except OSError:  # a file system without locks
@@ -255,11 +255,28 @@ def folder_lock(folder: Path) -> Iterator[None]:
         yield
 
 
-def lock(handle: int) -> None:
-    """Lock an open folder; raises OSError if another process has it. Browsers have no locks."""
+@contextmanager
+def file_lock(path: Path) -> Iterator[bool]:
+    """Lock a file, made for this alone, during the block; false if another process has it."""
+    with path.open("ab") as file:
+        try:
+            lock(file.fileno())
+        except BlockingIOError:
+            yield False
+            return
+        except OSError:  # a file system without locks
+            pass
+        try:
+            yield True
+        finally:
+            path.unlink(missing_ok=True)
+
+
+def lock(handle: int, *, shared: bool = False) -> None:
+    """Lock an open file or folder; raises OSError if another has it. Browsers have no locks."""
     import fcntl
 
-    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    fcntl.flock(handle, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 While ``FILE.nc`` is being built, finished cases lie in the folder ``FILE.nc.cases``, one force
 history each, named by the hash of its scenario, with the checkpoints of the cases that are running.
 The same command continues there after a kill. The folder goes when the library is written.
+Processes on many machines can each simulate a share of the cases into it; a build gathers them.
 """
 
 from __future__ import annotations
@@ -10,13 +11,13 @@ from __future__ import annotations
 import logging
 import shutil
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future, as_completed
-from contextlib import contextmanager
+from concurrent.futures import BrokenExecutor, Executor, Future, as_completed
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 from terraphi.experiment.errors import InputError, needing
-from terraphi.experiment.files import folder_lock
+from terraphi.experiment.files import file_lock, folder_lock
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import model_version, simulate, software
@@ -78,20 +79,7 @@ def build(
     folder = path.with_name(path.name + ".cases")
     with folder_lock(folder):
         finished = _finished(path, folder, wanted)
-        missing = [scenario for scenario in wanted if scenario.hash not in finished]
-        failures: dict[str, str] = {}
-        report, done = progress or (lambda *_: None), len(wanted) - len(missing)
-        report(done, len(wanted))
-        for scenario, outcome in _outcomes(missing, folder.absolute(), executor):
-            if isinstance(outcome, str):
-                failures[scenario.hash] = outcome
-                log.warning("φ = %g°: %s", scenario.soil.friction_angle_deg, outcome)
-            else:
-                outcome.to_netcdf(folder / f"{scenario.hash}.nc")
-                (folder / f"{scenario.hash}.checkpoint").unlink(missing_ok=True)
-                finished[scenario.hash] = outcome
-            done += 1
-            report(done, len(wanted))
+        failures = _simulate(wanted, finished, folder, executor, progress)
         if len(failures) == len(wanted):
             reason = next(iter(failures.values()))
             raise InputError(f"plan '{plan.name}': every case failed, the first with: {reason}")
@@ -103,6 +91,69 @@ def build(
         library.save(path)
         shutil.rmtree(folder, ignore_errors=True)  # the library is whole
     return library
+
+
+def build_share(
+    plan: Plan | Path | str,
+    path: Path | str,
+    share: tuple[int, int],
+    *,
+    executor: Executor | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> int:
+    """Simulate a share of a plan's cases into FILE.nc.cases, while other shares do theirs.
+
+    Parameters
+    ----------
+    plan, path, executor, progress
+        As of :func:`build`, which gathers the cases of all shares into the library.
+    share
+        Number K of the share, from 1 to N, and N: the cases K, K + N, K + 2 N and so on. A case
+        that another process simulates now is left to it.
+
+    Returns
+    -------
+    int
+        Cases of the share that failed or were left to others.
+
+    Raises
+    ------
+    InputError
+        If there is no such share, or a build of the library is running.
+    """
+    plan = plan if isinstance(plan, Plan) else Plan.load(plan)
+    path, (number, count) = Path(path), share
+    if not 1 <= number <= count:
+        raise InputError(f"share {number}/{count}; give 1/N to N/N")
+    folder = path.with_name(path.name + ".cases")
+    wanted = plan.cases()[number - 1 :: count]
+    with folder_lock(folder, shared=True), ExitStack() as locks:
+        free = [s for s in wanted if locks.enter_context(file_lock(folder / f"{s.hash}.lock"))]
+        finished = _finished(path, folder, free)
+        failures = _simulate(free, finished, folder, executor, progress)
+    return len(failures) + len(wanted) - len(free)
+
+
+def _simulate(
+    wanted: list[Scenario], finished: dict[str, ForceHistory], folder: Path,
+    executor: Executor | None, progress: Callable[[int, int], None] | None,
+) -> dict[str, str]:  # fmt: skip
+    """Simulate what is not finished, and add it there and to the folder; reasons of failures."""
+    missing = [scenario for scenario in wanted if scenario.hash not in finished]
+    failures: dict[str, str] = {}
+    report, done = progress or (lambda *_: None), len(wanted) - len(missing)
+    report(done, len(wanted))
+    for scenario, outcome in _outcomes(missing, folder.absolute(), executor):
+        if isinstance(outcome, str):
+            failures[scenario.hash] = outcome
+            log.warning("φ = %g°: %s", scenario.soil.friction_angle_deg, outcome)
+        else:
+            outcome.to_netcdf(folder / f"{scenario.hash}.nc")
+            (folder / f"{scenario.hash}.checkpoint").unlink(missing_ok=True)
+            finished[scenario.hash] = outcome
+        done += 1
+        report(done, len(wanted))
+    return failures
 
 
 def run_case(scenario_json: str, checkpoint: str) -> ForceHistory | str:
@@ -143,7 +194,13 @@ def _outcomes(
     }
     try:
         for future in as_completed(running):
-            yield running[future], future.result()
+            try:
+                outcome = future.result()
+            except BrokenExecutor:  # a pool of this machine ends with its worker
+                raise
+            except Exception as error:  # of a cluster: its worker was killed, or out of memory
+                outcome = f"{type(error).__name__}: {error}"
+            yield running[future], outcome
     finally:
         for future in running:
             future.cancel()
