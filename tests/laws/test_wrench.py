@@ -260,8 +260,7 @@ def test_each_face_keeps_the_bound_of_coulomb(body: str, friction: float) -> Non
     np.testing.assert_allclose(moment, torque, atol=2e-4 * size * mesh.reach)
 
 
-def test_friction_on_a_plate_keeps_the_bound_and_is_mobilized_by_shearing() -> None:
-    """A face alone: its friction is bounded, and times 1 - exp(-j/K)."""
+def test_friction_on_a_plate_keeps_the_bound() -> None:
     turn, descent = np.radians([60.0, 30.0, 5.0, -20.0]), np.radians([85.0, 60.0, 30.0, 10.0])
     tilt, down = (grid.ravel() for grid in np.meshgrid(turn, descent))
     normals = np.stack([np.sin(tilt), 0.0 * tilt, -np.cos(tilt)], axis=1)
@@ -275,11 +274,6 @@ def test_friction_on_a_plate_keeps_the_bound_and_is_mobilized_by_shearing() -> N
     assert (pressure >= 0.0).all()
     assert (np.linalg.norm(friction, axis=1) <= 0.3 * pressure + 1e-9).all()
     assert (np.linalg.norm(friction, axis=1) > 0.29 * pressure)[pressure > 0.0].any()
-    sheared = np.linspace(0.0, 0.03, tilt.size)
-    half, _ = wrench(*plates, mobilization=0.01, sheared=sheared[:, None], **soil)
-    share = 1.0 - np.exp(-sheared / 0.01)
-    expected = share[:, None] * friction - pressure[:, None] * normals
-    np.testing.assert_allclose(half, expected, atol=1e-9)
 
 
 def test_a_foot_deeper_than_was_simulated_is_warned_of() -> None:
@@ -460,7 +454,7 @@ def test_other_arrays_have_the_forces_of_numpy(foot: Any, library: str) -> None:
         ({"phi_deg": 60.0}, r"phi_deg = 60: 14 to 55 deg in plane strain"),
         ({"pose": np.full((2, 3), [[0.0], [math.nan]])}, r"pose\[1, 0\] = nan"),
         ({"pose": np.zeros(4)}, "the last axis is 3 or 7"),
-        ({"surface_friction": np.array([0.3, 0.4])}, "surface_friction has several values"),
+        ({"surface_friction": np.array([0.3, 0.4])}, r"surface_friction of shape \(2,\): expected"),
         ({"pose": np.array([0, 0, 0, 0, 0, 0, 0.0])}, "length of the quaternion"),
         ({"held": (np.zeros(3), np.zeros(3))}, "as step"),
         ({"foot": 0.022}, "foot of type float"),
@@ -480,7 +474,6 @@ def test_a_wrong_argument_is_refused(changes: dict[str, Any], words: str) -> Non
         ({"normals": -2.0 * np.eye(3)[2:]}, r"normals: length\[0\] = 2"),
         ({"phi_deg": -5.0, "law": "rft"}, "phi_deg = -5"),
         ({"surface_friction": -1.0, "law": "rft"}, "surface_friction = -1"),
-        ({"mobilization": 0.01}, "sheared"),
     ],
 )
 def test_faces_have_the_checks_of_feet(changes: dict[str, Any], words: str) -> None:

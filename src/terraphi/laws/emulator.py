@@ -66,6 +66,7 @@ class Emulator:
 
     def _exponential(self, sizes: FloatArray) -> Callable[[FloatArray], FloatArray]:
         """Exponential of the polynomial nearest to the logarithm of a size of each case."""
+        # Of the logarithm, so that a size stays positive and errors are relative.
         polynomials = self._standard(self.curves.x)[1]
         nearest = np.linalg.lstsq(polynomials, np.log(sizes), rcond=None)[0]
         return lambda x: np.exp(self._standard(x)[1] @ nearest)
@@ -78,6 +79,8 @@ class Emulator:
     @cached_property
     def _components(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Mean z0 [2 theta], components u [k, 2 theta] and weights w of the cases [case, k]."""
+        # With a(x) divided out the curves differ by shape alone. Z − z0 = U S V': the rows of V'
+        # are the components, the columns of U S the weights.
         z = self.curves.force.reshape(len(self.curves.x), -1) / self.size(self.curves.x)[:, None]
         mean = z.mean(axis=0)
         case_vectors, values, u = np.linalg.svd(z - mean, full_matrices=False)
@@ -101,7 +104,8 @@ class Emulator:
         """Residual of each curve outside the span of the others, over a(x) [-], [case, 2 theta]."""
         z = self.curves.force.reshape(len(self.curves.x), -1) / self.size(self.curves.x)[:, None]
         z -= z.mean(axis=0)
-        # The least of all sums of curves in which one has the weight 1 and the others -1 together.
+        # What no combination of the others has is scatter between seeds: the least of all sums of
+        # curves in which one has the weight 1 and the others -1 together.
         weights = np.linalg.pinv(z @ z.T, rcond=1e-12, hermitian=True)
         return weights @ z / np.diag(weights)[:, None]
 
@@ -117,6 +121,8 @@ class Emulator:
         theta = self.curves.theta_deg
         residual = self._leave_one_out_residual / self.scatter_size(self.curves.x)[:, None]
         residual = residual.reshape(len(residual), 2, theta.size)
+        # There are far fewer curves than angles, so that their covariance itself would be of low
+        # rank: the variance is smoothed over θ, and the correlation depends on the lag alone.
         near = np.exp(-0.5 * np.square((theta[:, None] - theta) / SMOOTH_DEG))
         near /= near.sum(axis=1, keepdims=True)
         sd = np.sqrt(np.square(residual).mean(axis=0) @ near.T)
@@ -125,6 +131,7 @@ class Emulator:
         spectrum = np.square(np.abs(np.fft.rfft(residual / sd, 2 * theta.size)))
         correlation = np.fft.irfft(spectrum.mean(axis=(0, 1)))[: theta.size]
         lag = np.abs(np.subtract.outer(np.arange(theta.size), np.arange(theta.size)))
+        # By Wiener and Khinchin: the correlation is the transform of the mean power spectrum.
         toeplitz = (correlation / correlation[0])[lag]
         return np.kron(np.eye(2), toeplitz) * np.outer(sd.ravel(), sd.ravel())
 
@@ -142,6 +149,7 @@ class Emulator:
 
     def interpolation(self, x: FloatArray) -> FloatArray:
         """Factor F of the emulator's own covariance F F' at one point [N], shape [2 theta, k]."""
+        # Weights are independent: a column a(x) σ_k(x) u_k for each component.
         at = self._standard(x[None])
         variance = [process.variance(*at)[0, 0] for process in self._processes]
         return np.asarray((self.size(x[None])[0] * np.sqrt(variance)) * self._components[1].T)

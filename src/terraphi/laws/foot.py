@@ -198,6 +198,8 @@ def moved_mass(
     """
     size, reach = moved or MOVED
     ratio = np.maximum(np.asarray(depth, dtype=np.float64), 0.0) / foot.radius
+    # With u = z / (b R): d/dz [z (1 + u⁴)^(-1/4)] = (1 + u⁴)^(-5/4). So m is at first a cylinder
+    # under the foot, a times as high as the depth, and deeper one of the height a b R.
     growth = size * density * math.pi * foot.radius**2 * (ratio > 0.0)
     slower = 1.0 + (ratio / reach) ** 4
     return growth * ratio * foot.radius * slower**-0.25, growth * slower**-1.25
@@ -305,6 +307,9 @@ def resistive_table(shape: str, mu: float) -> FloatArray:
 
     Along the motion and up; about the level axis across the motion, left of it. The disc has none.
     """
+    # The theory's stress is α(n, v) times the depth, and α depends on the direction alone. So the
+    # force over depth is the sum over rings of Σ α A times the depth of the ring's centre: one
+    # evaluation of α for each direction serves all depths.
     height, normal, area = foot_faces(shape)
     levels, ring = np.unique(height, return_inverse=True)
     force = np.empty((len(DESCENTS), len(DEPTHS), 3))
@@ -341,6 +346,8 @@ def simulated_table(shape: str, surface_friction: float) -> tuple[float, float, 
 
     The force has the shape [φ, descent, depth, 2], with a degree from one φ to the next.
     """
+    # The cases of a shape are a full grid over friction, φ and tilt. Its φ is that of the simulated
+    # soil; less the offset it is the one at which feet in loose grains agree.
     law = simulated_cases()
     of_shape, ratio = law.x[:, 3] == (shape == "disc"), law.PLACES
     friction, angles, tilt_deg = (np.unique(column) for column in law.x[of_shape, :3].T)
@@ -353,6 +360,7 @@ def simulated_table(shape: str, surface_friction: float) -> tuple[float, float, 
             f"surface_friction = {surface_friction:g}: law 'foot' was simulated for "
             f"{friction[0]:g} to {friction[-1]:g}; give {low:.2g} to {high:.2g}, or take law 'rft'"
         )
+    # Over the friction: linear, also somewhat beyond the table.
     place = (surface_friction - friction[0]) / (friction[-1] - friction[0])
     by_angle = interpolated(stored, np.asarray(place * (len(friction) - 1)))
     # Over φ: the logarithm of the lift, and the horizontal force over it.
@@ -362,7 +370,8 @@ def simulated_table(shape: str, surface_friction: float) -> tuple[float, float, 
         _cubic_spline(angles, values, degrees) for values in (np.log(lift), by_angle[..., 0] / lift)
     )
     force = np.stack([along * np.exp(lift), np.exp(lift)], axis=-1)  # [φ, tilt, ratio, 2]
-    # Over the angle from the vertical: the lift is even, the horizontal force odd.
+    # Over the angle from the vertical: the lift is even, the horizontal force odd. Each is the
+    # polynomial through all simulated tilts, by the inverse of their matrix of powers.
     turned = np.radians(tilt_deg)
     tilt = np.minimum(0.5 * np.pi - DESCENTS, turned[-1])
     even = 2 * np.arange(len(turned))
@@ -415,6 +424,8 @@ def interpolated(table: FloatArray, *places: Any) -> Any:
 
     Linear between nodes; beyond the first and the last as between the two that are next.
     """
+    # The 2ᵏ corners of the cell that each place lies in, k axes one after the other: flat index of
+    # the row and product of the shares. Shares beyond 0 to 1 continue the table.
     xp, tail = namespace(places[0]), table.shape[len(places) :]
     rows = like(places[0], table.reshape(-1, *tail))
     corners: list[tuple[Any, Any]] = [(0, 1.0)]  # row of the table, and its share

@@ -43,6 +43,9 @@ class Process:
         noise: float, rough: FloatArray | float = 1.0,
     ) -> Process:  # fmt: skip
         """The process of known lengths [key] and λ, for weights [case, weight]."""
+        # Generalized least squares for the mean, β = (F'A⁻¹F)⁻¹ F'A⁻¹ w (eq. 2.42), and the
+        # restricted estimate of the variance, σ² = r'A⁻¹r / (n − q). A⁻¹ itself is kept, of at most
+        # a thousand cases: the errors of cases that are left out need it.
         nugget = noise * np.square(rough) * np.ones(len(t))
         inverse = np.linalg.inv(matern(t, t, lengths) + np.diag(nugget)).astype(np.float64)
         spread = np.linalg.inv(basis.T @ inverse @ basis).astype(np.float64)
@@ -63,6 +66,8 @@ class Process:
 
     def variance(self, t: FloatArray, basis: FloatArray) -> FloatArray:
         """Variance of the weights, without the nugget, shape [k, key] -> [k, weight]."""
+        # Eq. 2.42: σ² [1 − k'A⁻¹k + R'(F'A⁻¹F)⁻¹R] with R = f − F'A⁻¹k: what the cases leave of
+        # the process, and the uncertainty of the mean's coefficients, which grows away from them.
         cross = matern(t, self.t, self.lengths)
         unexplained_trend = basis - cross @ self.inverse @ self.basis
         explained = np.einsum("ki,ki->k", cross @ self.inverse, cross)
@@ -72,6 +77,8 @@ class Process:
 
 def matern(first: FloatArray, second: FloatArray, lengths: FloatArray) -> FloatArray:
     """Matérn correlation of order 5/2, shape [..., k, n]: smooth, but not infinitely so."""
+    # (1 + √5 r + 5 r²/3) exp(−√5 r), eq. 4.17. |a − b|² = a² + b² − 2 a'b is one matrix product;
+    # rounding may make it negative where both are equal.
     a, b = first / lengths, second / lengths
     squared = np.square(a).sum(axis=-1)[..., None] + np.square(b).sum(axis=-1)[..., None, :]
     squared = np.maximum(squared - 2.0 * a @ b.swapaxes(-1, -2), 0.0)
@@ -88,6 +95,8 @@ def fitted(
     its roughness b; dividing everything by b makes it the same for all.
     """
     f, w, scale = basis / rough[:, None], weights / rough[:, None], np.outer(rough, rough)
+    # A/bb' = K/bb' + λ 1 has the eigenvectors of K/bb' for all λ, so that one decomposition serves
+    # all nuggets. The grid takes the place of a search: the likelihood may have several maxima.
     best, chosen = np.full(w.shape[1], -np.inf), np.zeros((w.shape[1], 2))
     for length in LENGTHS:
         roots, vectors = np.linalg.eigh(matern(t, t, np.array([length])) / scale)
@@ -105,6 +114,7 @@ def restricted_log_likelihood(
     roots: FloatArray, vectors: FloatArray, basis: FloatArray, weights: FloatArray
 ) -> FloatArray:
     """Restricted log-likelihood of each column, with its variance profiled out, [column]."""
+    # −½ [(n − q) ln σ² + ln |A| + ln |F'A⁻¹F|] with A = V diag(roots) V', all in the basis V.
     f, w = vectors.T @ basis, vectors.T @ weights
     normal = f.T @ (f / roots[:, None])
     beta = np.linalg.solve(normal, f.T @ (w / roots[:, None]))

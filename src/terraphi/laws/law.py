@@ -42,6 +42,17 @@ class AnyLaw:
         law: Any = self
         return forces(law, rig, phi_deg, **options)
 
+    def summary(self) -> dict[str, Any]:
+        """Contents and origin, JSON-able."""
+        law: Any = self
+        base = law.scenario
+        return {
+            "name": law.name, "model": base.model, "dimensions": base.dimensions,
+            "convention": law.convention, "phi_deg": list(law.phi_deg), "legs": law.legs,
+            "density_kg_m3": base.soil.density, "leg_friction": base.leg.friction,
+            "provenance": dict(law.provenance),
+        }  # fmt: skip
+
 
 class LegLaw(ABC):
     """Forces on the leg of a rig, over friction angles x [deg], shape [k, 1] or [1]."""
@@ -93,6 +104,8 @@ class LegLaw(ABC):
 
         The cohesion is c / (ρ g L) [-].
         """
+        # F(φ_end) + (φ − φ_end) F'(φ_end), the slope from a step inward: a posterior reaches beyond
+        # the cases, where what was fitted to them has no meaning.
         beyond = x - np.clip(x, *self.bounds)
         inside = x - beyond
         force = self.within(inside, cohesion)
@@ -132,6 +145,8 @@ def lever_arm(curves: list[FloatArray]) -> FloatArray:
     of its range. Each angle has its own least squares, over the curves at neighbouring angles, all
     of the same weight.
     """
+    # Minimize Σ_s w(s − t) Σ_curves (M − a Fx − b Fz)² at each angle t, w a Gaussian: the normal
+    # equations of all angles are solved at once. The ridge holds where both forces vanish, in air.
     each = np.stack([curve / np.sqrt(np.square(curve[:2]).mean()) for curve in curves])
     steps = np.arange(each.shape[2])
     near = np.exp(-0.5 * np.square((steps[:, None] - steps) / ARM_DEG))

@@ -39,7 +39,6 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.bodies import OUTLINES
 from terraphi.experiment.documents import shipped_file, strictly
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.priors import FRICTION
 from terraphi.experiment.rig import (
     CELLS_ACROSS,
     CELLS_DEEP,
@@ -105,10 +104,13 @@ def reach(leg: str, ratios: Ratios) -> tuple[float, float, float]:
 
     In soil is what reaches half a thickness deep, which the end at a low hip does not.
     """
+    # Lowest point of the leg over the level at which contact counts, by whole degrees [m].
     theta = np.arange(-260.0, 201.0)
     body = leg_of(leg, ratios, SIMULATED_LENGTH)
     low = swept(body, ratios.hip_height * SIMULATED_LENGTH, theta)[..., 1].min(axis=1)
     low += body.half_thickness + 1e-9
+    # The stroke is the contact around the deepest angle. It begins and ends where that height
+    # passes zero, linear within a degree.
     deepest, air = int(low.argmin()), np.flatnonzero(low >= 0.0)
     before, after = air[air < deepest][-1], air[air > deepest][0]
     begins = np.interp(0.0, -low[before : before + 2], theta[before : before + 2])
@@ -151,7 +153,7 @@ class Legs(AnyLaw, FittedLaw):
     AXES = AXES
     PLACES = PLACES
     HYPER = (1, len(AXES) + 1)
-    convention = "plane_strain"
+    convention, phi_deg = "plane_strain", PHI_DEG
 
     name: str = NAME
     caveat: str = ""
@@ -167,6 +169,8 @@ class Legs(AnyLaw, FittedLaw):
     def _coordinates(self, x: FloatArray, depth: FloatArray) -> FloatArray:
         """Coordinates in which the process is smooth, shape [k, axis]."""
         phi, mu, width, height, thickness, cohesion, cells, curvature = x.T
+        # ln √K in place of φ, for forces grow with φ much as passive earth pressure does. Cohesion
+        # counts over the weight of the soil that is pushed: c / (K ρ g D), with D = depth L.
         passive = np.square(np.tan(np.radians(45.0 + 0.5 * phi)))
         damp = np.log1p(40.0 * cohesion / (passive * depth))
         return np.stack([
@@ -183,12 +187,15 @@ class Legs(AnyLaw, FittedLaw):
     def _standard(self, x: FloatArray, depth: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Standardized coordinates [k, axis], and polynomials of the mean [k, q]."""
         t = (self._coordinates(x, depth) - self._scale[0]) / self._scale[1]
+        # A coordinate that is the same in all cases would repeat the constant of the mean.
         varied = np.ptp(self.x[self._design], axis=0) > 0.0
         return t, np.hstack([np.ones((len(t), 1)), t[:, varied], t[:, :1] ** 2])
 
     @cached_property
     def _components(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """z_0 [2 place], u [k, 2 place] and y of the cases [case, 1 + k]."""
+        # A curve is its size times its shape z. Components are the right singular vectors of the
+        # shapes less their mean, those of the design alone: a joined library does not turn them.
         flat = self.force.reshape(len(self.x), -1)
         size = np.sqrt(np.square(flat).mean(axis=1))
         z = flat / size[:, None]
@@ -216,6 +223,7 @@ class Legs(AnyLaw, FittedLaw):
 
     def errors(self, x: FloatArray, depth: FloatArray) -> FloatArray:
         """Forces of one standard deviation of each weight [-], [mode, k, 2, place]."""
+        # To first order δF = F δy_0 + exp(y_0) Σ u_k δy_k; the errors of the y are independent.
         at = self._standard(x, depth)
         sd = self.error_scale * np.sqrt(self.process.variance(*at)).T
         force, u = self(x, depth), self._components[1].reshape(MODES, 2, -1)
@@ -235,6 +243,9 @@ class Legs(AnyLaw, FittedLaw):
         residual, sd = np.zeros((2, *self._components[2].shape))
         group = np.unique(np.delete(self.x, AXES.index("cells"), axis=1).round(5),
                           axis=0, return_inverse=True)[1].ravel()  # fmt: skip
+        # Q = A⁻¹ − A⁻¹F (F'A⁻¹F)⁻¹ F'A⁻¹ is the precision of the data with the mean's coefficients
+        # unknown. A block b that is left out is off its prediction by Q_bb⁻¹ (Q y)_b, and has the
+        # covariance σ² Q_bb⁻¹: one inverse serves all blocks.
         trend = process.inverse @ basis
         precision = process.inverse - trend @ process.spread @ trend.T
         weighted = precision @ self._components[2]
@@ -251,12 +262,14 @@ class Legs(AnyLaw, FittedLaw):
         the cases in cells near those of the rule have it.
         """
         mean, u, y = self._components
+        # What the components leave of each case, over its size; coarse cells scatter more.
         size = np.sqrt(np.square(self.force).mean(axis=(1, 2)))
         unexplained = self.force.reshape(len(y), -1) / size[:, None] - mean - y[:, 1:] @ u
         unexplained = unexplained[self.x[:, AXES.index("cells")] < NEAR_RULE]
         force = self(x, depth)[0].ravel()
         sd = x[0, AXES.index("cells")] ** ROUGHER * np.sqrt(self.process.nugget)
         rms = float(np.sqrt(np.square(force).mean()))
+        # Rows: the seed's change of the size, of each weight, and each case's unexplained shape.
         rows = [
             sd[:1] * force[None],
             rms * sd[1:, None] * u,
@@ -289,14 +302,8 @@ class Legs(AnyLaw, FittedLaw):
 
     def summary(self) -> dict[str, Any]:
         """Contents and origin, JSON-able."""
-        return {
-            "name": self.name, "model": self.scenario.model,
-            "dimensions": self.scenario.dimensions, "convention": self.convention,
-            "phi_deg": list(PHI_DEG), "legs": self.legs, "cases": len(self.x),
-            "ranges": {leg: self.ranges(leg) for leg in self.legs},
-            "density_kg_m3": DENSITY, "leg_friction": FRICTION.mean,
-            "provenance": dict(self.provenance),
-        }  # fmt: skip
+        ranges = {leg: self.ranges(leg) for leg in self.legs}
+        return super().summary() | {"cases": len(self.x), "ranges": ranges}
 
     def to_netcdf(self, path: Path | str) -> None:
         """Write one NetCDF-4 file; raises InputError if the place cannot be written.
@@ -397,6 +404,7 @@ class RatioLaw(LegLaw):
                self._cells, OUTLINES[rig.leg].curvature]  # fmt: skip
         x = np.tile(row, (len(phi_deg), 1))
         x[:, 0] = phi_deg
+        # From places s to leg angles θ, linear between places.
         s = (2.0 * self.theta_deg - first - last) / (last - first)
         i = np.clip(np.searchsorted(PLACES, s) - 1, 0, PLACES.size - 2)
         share = (s - PLACES[i]) / (PLACES[i + 1] - PLACES[i])
@@ -434,6 +442,7 @@ class RatioLaw(LegLaw):
             "rougher": (-0.05, 0.05),
             "higher": (-min(0.02, self._rig.ratios.hip_height), 0.02),
         }
+        # Central differences, but that a hip cannot be below the soil.
         below, above = steps[cause]
         phi = np.clip(x, *self.bounds)[:, None]
         ends = [self.within(phi, cohesion, **{cause: step}) for step in (below, above)]
@@ -549,11 +558,13 @@ def forces(
         )
     if not (density is None or 100.0 <= density <= 10_000.0):
         raise InputError(f"density = {density:g} kg/m³; 100 to 10000 kg/m³ are accepted")
+    # Forces go with the density, and a cohesion counts over the weight: c / (ρ g L).
     heavier = 1.0 if density is None else density / of_rig.density
     cohesion = cohesion_pa / (heavier * of_rig.density * GRAVITY * apparatus.length)
     if not 0.0 <= cohesion <= of_rig.most_cohesion:
         most = cohesion_pa / cohesion * of_rig.most_cohesion if cohesion else 0.0
         raise InputError(f"cohesion_pa = {cohesion_pa:g}: law {law.name} is for 0 to {most:g} Pa")
+    # A slope across two neighbors; at an end of the range it is one-sided.
     step = STEP * (high - low)
     before, after = (np.clip(phi + side, low, high) for side in (-step, step))
     lower, force, upper = (heavier * of_rig(x[:, None], cohesion) for x in (before, phi, after))
@@ -596,7 +607,7 @@ def cases_of(library: Library) -> Cases:
         x.append([soil.friction_angle_deg, scenario.leg.friction, *ratios, cohesion,
                   cells_in(scenario, rig), OUTLINES[rig.leg].curvature])  # fmt: skip
         depths.append(depth)
-        # Beyond the path there is no force.
+        # Means over 1° about each place. Beyond the path there is no force.
         means = history.means(np.clip(at, *history.position[[0, -1]]), np.radians(0.5))
         inside = (history.position[0] <= at) & (at <= history.position[-1])
         forces.append(np.where(inside[:, None], means, 0.0).T / size)

@@ -49,6 +49,8 @@ def effects(rig: Rig, grain_size_mm: float) -> dict[str, float]:
 
     Effects that are absent are 0. ``breadth × reading`` is for each 10° of the reading above that.
     """
+    # Grains count by their diameter over the width, linearly for each shape and by its square root
+    # for all of them. The breadth is the width over the depth of the leg, as a logarithm.
     size = relative_size(rig, grain_size_mm)
     depth_mm = rig.length_mm - rig.hip_height_mm
     breadth = math.log(rig.width_mm / depth_mm / USUAL_BREADTH)
@@ -115,6 +117,8 @@ class ModelError(Strict):
 
         With φ_read − φ = a + b (φ_read − 27°) it is (a + b (φ − 27°)) / (1 − b).
         """
+        # Only the breadth acts with the reading. The equation for the reading,
+        # φ_read = φ + a + b (φ_read − 27°), is solved for φ_read − φ.
         row, mean = effects(rig, grain_size_mm), dict(zip(self.effects, self.mean_deg, strict=True))
         a = sum(value * mean.get(name, 0.0) for name, value in row.items())
         b = 0.1 * row["breadth"] * mean.get("breadth × reading", 0.0)
@@ -123,6 +127,8 @@ class ModelError(Strict):
     @cached_property
     def root(self) -> FloatArray:
         """Square root R of the covariance C = R R' of the effects [deg], shape [effect, cause]."""
+        # By eigenvectors, for a covariance of few soils may be singular, and its least eigenvalue
+        # negative by rounding. A column is a cause that answers by one law share.
         values, vectors = np.linalg.eigh(np.array(self.covariance_deg2))
         return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 

@@ -147,27 +147,24 @@ class Library(AnyLaw, Result):
         }
         return {leg: (min(values), max(values)) for leg, values in angles.items()}
 
+    @property
+    def phi_deg(self) -> tuple[float, float]:
+        """Smallest and largest friction angle of all legs [deg]."""
+        low, high = zip(*self.phi_deg_by_leg.values(), strict=True)
+        return min(low), max(high)
+
     def summary(self) -> dict[str, Any]:
         """Contents and origin, JSON-able."""
         first = self.scenario
-        ranges = self.phi_deg_by_leg
-        return {
-            "name": self.name,
+        numerics = first.numerics if first.model == "mpm" else None
+        return super().summary() | {
             "description": self.description,
             "caveat": self.caveat,
-            "convention": first.convention,
-            "phi_deg": [min(r[0] for r in ranges.values()), max(r[1] for r in ranges.values())],
-            "phi_deg_by_leg": {leg: list(ends) for leg, ends in ranges.items()},
-            "legs": self.legs,
+            "phi_deg_by_leg": {leg: list(ends) for leg, ends in self.phi_deg_by_leg.items()},
             "cases": len(self.cases),
             "failures": {c.scenario.hash: c.failure for c in self.cases if c.failure},
-            "density_kg_m3": first.soil.density,
-            "model": first.model,
-            "dimensions": first.dimensions,
-            "leg_friction": first.leg.friction,
-            "cell_mm": 1e3 * first.numerics.cell_size if first.model == "mpm" else None,
-            "speed_up": first.numerics.speed_up if first.model == "mpm" else None,
-            "provenance": dict(self.provenance),
+            "cell_mm": None if numerics is None else 1e3 * numerics.cell_size,
+            "speed_up": None if numerics is None else numerics.speed_up,
         }
 
     def _lines(self) -> list[str]:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -47,7 +47,8 @@ them. Angles of the shipped records are within 1e-4° of those by forty."""
 class Theory(AnyLaw):
     """The law of all legs."""
 
-    name, caveat, convention = "rft3d", "", "rft3d"
+    name, caveat, convention, phi_deg = "rft3d", "", "rft3d", PHI_DEG
+    provenance: ClassVar = {"source": "Agarwal et al. (2023)"}
     hash = hashlib.sha256(
         np.concatenate([SCALE_POLYNOMIAL, SPACE_COEFFICIENTS.ravel(), PHI_DEG]).tobytes()
     ).hexdigest()
@@ -73,14 +74,8 @@ class Theory(AnyLaw):
 
     def summary(self) -> dict[str, Any]:
         """Contents and origin, JSON-able."""
-        base = self.scenario
-        return {
-            "name": self.name, "description": "3-D resistive force theory for a leg of any size",
-            "model": base.model, "dimensions": base.dimensions, "convention": base.convention,
-            "phi_deg": list(PHI_DEG), "legs": self.legs, "cases": 0,
-            "density_kg_m3": base.soil.density, "leg_friction": base.leg.friction,
-            "provenance": {"source": "Agarwal et al. (2023)"},
-        }  # fmt: skip
+        about = "3-D resistive force theory for a leg of any size"
+        return super().summary() | {"description": about, "cases": 0}
 
 
 class TheoryLaw(LegLaw):
@@ -95,6 +90,8 @@ class TheoryLaw(LegLaw):
         self.leg_friction, self.density = ALUMINUM if is_assumed else rig.leg_friction, DENSITY
         leg = Leg(shape=rig.leg, chord=rig.length, width=1e-3 * rig.width_mm,
                   half_thickness=5e-4 * rig.thickness_mm, friction=self.leg_friction)  # fmt: skip
+        # Of a velocity the theory takes the direction alone: any rate will do, here 1 rad/s about a
+        # hip at rest, with the surface of the soil at z = 0.
         theta = np.radians(np.add.outer(THETA_DEG, WITHIN_DEG))
         still = np.zeros((theta.size, 2))
         hip = still + np.array([0.0, 1e-3 * rig.hip_height_mm])
@@ -108,6 +105,7 @@ class TheoryLaw(LegLaw):
     @functools.cached_property
     def arm(self) -> FloatArray:
         """Lever arms, which the scale leaves as they are."""
+        # A ratio of moment to force, in which ξ cancels: one curve is enough for all φ.
         return lever_arm([self._curve])
 
     def within(self, x: FloatArray, _cohesion: float) -> FloatArray:

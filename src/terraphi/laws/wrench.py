@@ -173,6 +173,7 @@ class Mesh:
         while (
             large := (np.linalg.norm(each - each[:, (1, 2, 0)], axis=2) > most).any(axis=1)
         ).any():
+            # A triangle becomes four by the middles of its edges, similar to it and half as long.
             a, b, c = each[large].swapaxes(0, 1)
             ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
             quarters = ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
@@ -297,6 +298,8 @@ def force(
     body_force: Any = _of_foot if isinstance(foot, Foot) else _of_mesh
     force_, moment, deep = body_force(foot, place, moving, fade, **soil)
     if before is not None:
+        # f ← F + (f − F) exp(−k |Δx| / max(|f|, |F|)) of the module's head; in the air nothing is
+        # kept. A mesh that turns moves its farthest face by |ω| times its reach.
         travel = _norm(xp, moving[:, :3])
         if moving.shape[-1] == 6 and isinstance(foot, Mesh):
             travel = travel + foot.reach * _norm(xp, moving[:, 3:])
@@ -345,17 +348,11 @@ def unit_normals(normals: Any, points: Any) -> Any:
 
 def _friction(surface_friction: Any) -> float:
     """The friction of all feet [-]; raises InputError."""
-    ends = LIMITS["leg.friction"][:2]
-    values = numbers("surface_friction", surface_friction, low=ends[0], high=ends[1])
+    low, high, _ = LIMITS["leg.friction"]
     try:
-        flat = namespace(values).reshape(values, (-1,))
-        friction = float(flat[0])
-        several = bool(namespace(values).any(flat != friction))
-    except (TypeError, IndexError):
-        raise InputError("surface_friction is traced or empty; give a number") from None
-    if several:
-        raise InputError("surface_friction has several values; give one, and call once for each")
-    return friction
+        return float(numbers("surface_friction", surface_friction, shape=(), low=low, high=high))
+    except TypeError:
+        raise InputError("surface_friction is traced; give a number") from None
 
 
 def angles_deg(surface_friction: float) -> tuple[float, float]:
@@ -410,6 +407,7 @@ def _of_foot(
     unit = interpolated(table, phi_deg - first, turn, ratio / step)
     size = density * GRAVITY * foot.radius**3 * xp.clip(speed / fade, None, 1.0)
     unit = unit * (size * like(place, depth > 0.0))[:, None]
+    # The table has the force in the plane of the motion: turn it into the heading.
     heading = moving[:, :2] / xp.clip(level, TINY, None)[:, None]
     along, lift, turning = unit[:, 0], unit[:, 1], foot.radius * unit[:, 2:3]
     # The moment is about the level axis across the motion, left of it.
@@ -462,8 +460,6 @@ def wrench(
     surface: Any = 0.0,
     about: Any = (0.0, 0.0, 0.0),
     rest_speed: float = 0.01,
-    mobilization: float = 0.0,
-    sheared: Any = None,
 ) -> tuple[Any, Any]:
     """Force and moment of soil on the faces of many feet, whose places are known already.
 
@@ -491,11 +487,6 @@ def wrench(
         What the moment is about [m], shape [..., 3] or [3].
     rest_speed
         Below it the force falls with the speed to zero [m/s].
-    mobilization
-        Shear displacement K over which friction on a face develops [m]: it is the full one times
-        1 − exp(−j/K) (Janosi & Hanamoto, 1961). By default all of it is there at once.
-    sheared
-        Shear displacement j of each face since it met the soil [m], shape [..., face].
 
     Returns
     -------
@@ -536,33 +527,18 @@ def wrench(
     arms = flat - _each("about", about, points, lead, 3, unit="m")[:, None, :]
     total, moment, _ = _sum_of_faces(
         flat, normals, numbers("areas", areas, points, shape=last[:1], **AREA), velocities, arms,
-        None, law=law, rest_speed=_number("rest_speed", rest_speed, low=TINY, unit="m/s"),
-        mobilized=_mobilized(mobilization, sheared, points), **soil,
+        None, law=law, rest_speed=_number("rest_speed", rest_speed, low=TINY, unit="m/s"), **soil,
     )  # fmt: skip
     return xp.reshape(total, (*lead, 3)), xp.reshape(moment, (*lead, 3))
-
-
-def _mobilized(mobilization: Any, sheared: Any, points: Any) -> Any:
-    """Share of the friction of each face that is there [-], shape [foot, face]; None if all is."""
-    length = float(_number("mobilization", mobilization, unit="m"))
-    if (length > 0.0) != (sheared is not None):
-        raise InputError("mobilization, sheared: give both [m], or neither")
-    if sheared is None:
-        return None
-    xp, faces = namespace(points), tuple(points.shape[:-1])
-    way = numbers("sheared", sheared, points, shape=faces, low=0.0, unit="m")
-    return xp.reshape(-xp.expm1(-way / length), (-1, faces[-1]))
 
 
 def _sum_of_faces(
     points: Any, normals: Any, areas: Any, velocities: Any, arms: Any, spin: Any, *,
     surface_friction: float, law: str, rest_speed: float, phi_deg: Any, density: Any, surface: Any,
-    mobilized: Any = None,
 ) -> tuple[Any, Any, Any]:  # fmt: skip
     """Force, moment and greatest depth of feet, from arrays [foot, face, 3]; others [foot].
 
-    ``spin`` is the angular velocity [foot, 3], or ``None``; ``mobilized`` the share of the friction
-    [foot, face], or ``None``.
+    ``spin`` is the angular velocity [foot, 3], or ``None``.
     """
     xp = namespace(points)
     feet, faces = points.shape[:2]
@@ -579,7 +555,6 @@ def _sum_of_faces(
 
     n, v, arm = (flat(values, 3) for values in (normals, velocities, arms))
     depth, area = xp.clip(flat(depths), 0.0, None), flat(areas)
-    mobilized = None if mobilized is None else flat(mobilized)
 
     def total(values: Any) -> Any:
         """Sum over the faces of each foot."""
@@ -591,10 +566,13 @@ def _sum_of_faces(
         """A foot's number for each of its faces."""
         return values[owner] if owner is not None else xp.repeat(values, faces)
 
+    # A face at r moves at v + ω × r.
     if spin is not None:
         wx, wy, wz = (spread(spin[:, i]) for i in range(3))
         x, y, z = arm[:, 0], arm[:, 1], arm[:, 2]
         v = v + xp.stack([wy * z - wz * y, wz * x - wx * z, wx * y - wy * x], axis=1)
+    # Before any face is dropped: projected area, mean depth and mean normal of what is submerged
+    # and faces down, from which follow the footprint and the roundness.
     area = area * like(depth, depth > 0.0)
     facing_down = area * xp.clip(-n[:, 2], 0.0, None)
     base = total(facing_down)
@@ -603,14 +581,17 @@ def _sum_of_faces(
     speed = _norm(xp, v)
     direction = v / xp.clip(speed, TINY, None)[:, None]
     leading = xp.sum(n * direction, axis=1)
+    # Only faces that lead feel the soil. NumPy drops the others; traced arrays keep their shape.
     if owner is not None:
         kept = np.flatnonzero(leading > 0.0)
         n, v, arm, direction = n[kept], v[kept], arm[kept], direction[kept]
-        owner, depth, area, speed = owner[kept], depth[kept], area[kept], speed[kept]
-        leading, mobilized = leading[kept], None if mobilized is None else mobilized[kept]
+        owner, depth, area = owner[kept], depth[kept], area[kept]
+        speed, leading = speed[kept], leading[kept]
     stress = scale_of_friction(xp.sin(math.pi / 180.0 * phi_deg), density)  # tan φ_rft = sin φ
     size = depth * area * xp.clip(speed / rest_speed, None, 1.0) * spread(stress)
     forces = unit_stress(n, direction, surface_friction, fade=FADE).T * size
+    # To the level of law foot: drag and lift by their ratios, which depend on where the foot as a
+    # whole goes, by the mean velocity of its leading faces; then each face to Coulomb's bound.
     if law == "foot":
         weight = area * xp.clip(leading, 0.0, None)
         vx, vy, vz = (total(weight * v[:, i]) for i in range(3))
@@ -619,8 +600,7 @@ def _sum_of_faces(
             base, normal, mean, deepest, descent, phi_deg, surface_friction=surface_friction,
         )  # fmt: skip
         forces = forces * xp.stack([*[spread(drag)] * 2, spread(lift)])
-    if law == "foot" or mobilized is not None:
-        forces = _bounded(xp, forces, n.T, direction.T, surface_friction, mobilized)
+        forces = _bounded(xp, forces, n.T, direction.T, surface_friction)
     (fx, fy, fz), (x, y, z) = ([part[i, :] for i in range(3)] for part in (forces, arm.T))
     rows = (fx, fy, fz, y * fz - z * fy, z * fx - x * fz, x * fy - y * fx)
     sums = xp.stack([total(row) for row in rows], axis=1)
@@ -633,6 +613,9 @@ def _footprint(base: Any, normal: Any, deepest: Any) -> tuple[Any, Any, Any]:
     From its projected area [m²], its sum of normals weighted by that [m²] and its depth [m]. The
     ball touches the soil over a circle of the radius with its cap that deep.
     """
+    # Weighted by projected area, cos θ sin θ dθ, the mean normal of a spherical cap has the length
+    # 2 (1 + c + c²) / (3 (1 + c)), with c the cosine of its rim's polar angle. One less that is
+    # ``expected`` of a ball of this area and depth; the mesh has ``bent``.
     xp = namespace(base)
     bent = 1.0 - _norm(xp, normal) / xp.clip(base, TINY, None)
     radius, deepest = (xp.clip(value, TINY, None) for value in (xp.sqrt(base / math.pi), deepest))
@@ -687,6 +670,7 @@ def _ratio_table(shape: str, surface_friction: float) -> tuple[float, float, Flo
     # is negative. It falls with d/l, until all faces slide.
     turned, wanted = (np.arctan2(each[..., 1], -each[..., 0]) for each in (sums, law))
     wanted = np.maximum(wanted, turned.min(axis=-1))
+    # Bracket the wanted direction between two of the proportions that were summed, and interpolate.
     low = np.count_nonzero(turned > wanted[..., None] + 1e-9, axis=-1) - 1
     low = np.clip(low, 0, PROPORTIONS.size - 2)
     low[:, -1] = low[:, -2]  # Straight down nothing drags: as three degrees from it.
@@ -737,20 +721,18 @@ def _foot_table(shape: str, surface_friction: float) -> tuple[float, float, Floa
     return first, step, np.concatenate([law, (lift * theory[..., 2])[..., None]], axis=-1)
 
 
-def _bounded(
-    xp: Any, force: Any, normal: Any, motion: Any, friction: float, mobilized: Any = None
-) -> Any:
+def _bounded(xp: Any, force: Any, normal: Any, motion: Any, friction: float) -> Any:
     """Forces on faces that take energy, with no more friction than Coulomb's, shape [3, face].
 
     ``normal`` is the outward one and ``motion`` the direction in which a face moves. No soil pulls
-    at a face, and friction is mobilized by a share of it.
+    at a face.
     """
+    # f = −p n + t with p = max(−f·n, 0): |t| is cut to μ p.
     force = _against(xp, force, motion)
     pressure = xp.clip(-xp.sum(force * normal, axis=0), 0.0, None)
     along = force + pressure * normal
     size = xp.sqrt(xp.sum(along * along, axis=0))
     share = xp.clip(friction * pressure / xp.clip(size, TINY, None), None, 1.0)
-    share = share if mobilized is None else share * mobilized
     return along * share - pressure * normal
 
 
