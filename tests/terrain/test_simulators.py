@@ -12,12 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from terraphi.cli import options
 from terraphi.experiment.errors import InputError
 from terraphi.terrain.simulators import (
     CONES,
     MATCHES,
-    NAMES,
     angle_of_ratio,
     convert,
     ratio_of_angle,
@@ -158,12 +156,6 @@ def test_conversion_there_and_back() -> None:
     # A cone through triaxial compression above 42.2 deg has no equal in plane strain.
     assert convert(42.3, from_="genesis")["phi_plane_strain_deg"] is None
     assert convert(42.1, from_="genesis")["phi_plane_strain_deg"] > 80.0
-
-
-def test_choices_of_the_command_line_are_those_of_the_table() -> None:
-    assert options.SIMULATORS == NAMES
-    assert options.MATCHES == MATCHES
-    assert tuple(CONES) == options.DP_TYPES
 
 
 @pytest.mark.parametrize(

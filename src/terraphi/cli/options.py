@@ -16,11 +16,7 @@ from terraphi.experiment.priors import FRICTION, HIP_HEIGHT_SD_MM, SENSOR_GAIN
 ESTIMATORS = ("quasi_static", "momentum_observer")
 LAWS = ("foot", "rft", "meyerhof", "vesic", "hansen")
 FRAMES = ("world", "body")
-SIMULATORS = ("genesis", "newton", "isaaclab", "chrono-crm", "chrono-scm", "geotaichi", "rft3d",
-              "mujoco")  # fmt: skip
 TUNED = ("newton", "isaaclab", "genesis")
-MATCHES = ("plane-strain", "triaxial")
-DP_TYPES = ("Circumscribed", "MiddleCircumscribed", "Inscribed")
 
 PATH = click.Path(path_type=Path)
 

@@ -7,14 +7,14 @@ from typing import Any
 
 import click
 
-from terraphi.cli import options as shared
-from terraphi.cli.options import PATH, Float, choice, density_option, json_option
+from terraphi.cli.options import PATH, TUNED, Float, choice, density_option, json_option
 from terraphi.experiment.priors import FOOT_FRICTION
+from terraphi.terrain.simulators import CONES, MATCHES, NAMES
 from terraphi.view.console import present, progress_bar
 
-SIMULATOR = click.Choice(shared.SIMULATORS)
+SIMULATOR = click.Choice(NAMES)
 dp_type_option = click.option(
-    "--dp-type", type=click.Choice(shared.DP_TYPES),
+    "--dp-type", type=click.Choice([*CONES]),
     help="Cone of geotaichi.  [default: MiddleCircumscribed]",
 )  # fmt: skip
 seed_option = click.option(
@@ -26,7 +26,7 @@ seed_option = click.option(
 @click.argument("answer", metavar="ANSWER|SOIL")
 @click.option("--to", required=True, type=SIMULATOR, help="The simulator.")
 @density_option
-@choice("--match", shared.MATCHES, "plane-strain", "Stress path of equal strength.")
+@choice("--match", MATCHES, "plane-strain", "Stress path of equal strength.")
 @dp_type_option
 @click.option("--draws", type=click.IntRange(0, 100_000), default=0, show_default=True,
               help="Draws of the posterior.")  # fmt: skip
@@ -75,7 +75,7 @@ def convert(value: str, from_: str | None, as_json: bool, **options: Any) -> Non
 
 
 @click.command()
-@click.argument("name", metavar="SIMULATOR", type=click.Choice(shared.TUNED))
+@click.argument("name", metavar="SIMULATOR", type=click.Choice(TUNED))
 @click.option("--voxel", required=True, type=Float(), metavar="M", help="Size of a grid cell.")
 @click.option("--foot", required=True, metavar="disc:M|ball:M|FILE",
               help="Radius of a disc or ball, or a closed mesh in OBJ (metres, z up).")  # fmt: skip

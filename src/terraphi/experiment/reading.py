@@ -11,7 +11,7 @@ import re
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Generic, Literal, NamedTuple, NoReturn, Self, TypeVar
+from typing import Any, Generic, Literal, NoReturn, Self, TypeVar
 
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
@@ -287,25 +287,17 @@ def read_trials(
     return histories
 
 
-class Preview(NamedTuple):
-    """First rows of a table, and what its columns are taken for."""
-
-    columns: list[str]
-    """Names of all columns."""
-    units: list[str | None]
-    """Unit of each in the table, by our name; ``None`` where there is none."""
-    rows: list[list[float]]
-    """Cells of the first rows; NaN where there is no number."""
-    roles: dict[str, str]
-    """Column of each role that is given or guessed: theta or time, fx, fz, moment."""
-    candidates: dict[str, list[str]]
-    """Columns that may have a role of which none was chosen."""
-
-
 def preview(
     source: Any, columns: ForceColumns | Mapping[str, Any] | Path | str | None = None
-) -> Preview:
+) -> dict[str, Any]:
     """First rows of a table and the guesses of :func:`read_forces`, whether it refuses it or not.
+
+    Returns
+    -------
+    dict
+        ``columns``: all names; ``units``: by our names, ``None`` where there is none; ``rows``:
+        cells, NaN where there is no number; ``roles``: column of each role that is given or guessed
+        (theta or time, fx, fz, moment); ``candidates``: columns of each role that has none.
 
     Raises
     ------
@@ -315,13 +307,13 @@ def preview(
     reader = _LegTable(source, ForceColumns.of(columns))
     table = reader.table
     written = [table.units.get(name) or unit for name, (_, unit) in reader.parts.items()]
-    return Preview(
-        list(reader.parts),
-        [unit_named(unit or "") for unit in written],
-        np.column_stack([*table.columns.values()])[:6].tolist(),
-        reader.names,
-        {role: reader.like(role) for role in LEG if role not in reader.names},
-    )
+    return {
+        "columns": list(reader.parts),
+        "units": [unit_named(unit or "") for unit in written],
+        "rows": np.column_stack([*table.columns.values()])[:6].tolist(),
+        "roles": reader.names,
+        "candidates": {role: reader.like(role) for role in LEG if role not in reader.names},
+    }
 
 
 def _name(source: Any) -> str:

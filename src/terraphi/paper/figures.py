@@ -18,6 +18,7 @@ from terraphi.experiment.history import WINDOW_DEG, ForceHistory
 from terraphi.experiment.motion import placed
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
+from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,8 +27,6 @@ if TYPE_CHECKING:
     from terraphi.paper.gaussian_process import Surrogate
     from terraphi.paper.likelihood import Posterior
 
-# Of Okabe & Ito: distinct for color-blind readers.
-BLUE, ORANGE, GREEN, PURPLE, GREY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#666666"
 COLORMAP = "viridis"
 PHI, THETA = "friction angle φ of the paper [deg]", "leg angle θ [deg]"
 FORCE = {"Fx": "$F_x$ [N], forward", "Fz": "$F_z$ [N], up"}

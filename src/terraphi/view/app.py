@@ -158,7 +158,7 @@ def application(token: str, limits: Limits, place: Path | None) -> Starlette:
         from starlette.middleware.trustedhost import TrustedHostMiddleware
         from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, Response
         from starlette.routing import Route
-    script = page.asset("app.js")
+    script = page.ASSETS.joinpath("app.js").read_text(encoding="utf-8")
     units = ForceColumns.model_json_schema()["properties"]
     front = page.load_template("app.html").render(
         script=script,
@@ -337,8 +337,8 @@ def look(file: str, columns: dict[str, Any]) -> dict[str, Any]:
         return {"kind": kind}
     table = read_table(Path(file))
     shown = preview(table, columns)
-    rows = [[None if math.isnan(cell) else cell for cell in row] for row in shown.rows]
-    reply = {"kind": kind, **shown._asdict(), "rows": rows}
+    rows = [[None if math.isnan(cell) else cell for cell in row] for row in shown["rows"]]
+    reply = {"kind": kind, **shown, "rows": rows}
     try:
         history = read_trials(table, columns)[0]
     except InputError as error:

@@ -104,11 +104,6 @@ def document(title: str, html: str) -> str:
     )
 
 
-def asset(name: str) -> str:
-    """Text of a script."""
-    return ASSETS.joinpath(name).read_text(encoding="utf-8")
-
-
 @cache
 def load_template(name: str) -> Any:
     """A template that escapes all values; raises InputError if Jinja2 is missing."""
