@@ -99,7 +99,7 @@ def positions(values: Mapping[str, Any], coordinate: str) -> FloatArray:
     raise ValueError(f"no variable '{coordinate}'")
 
 
-class Origin(BaseModel, strict=True, extra="allow"):
+class ProvenanceSchema(BaseModel, strict=True, extra="allow"):
     """Types of those entries of a history's provenance that are read back."""
 
     file: str = ""
@@ -115,7 +115,7 @@ class HistoryAttributes(BaseModel):
     """Attributes of a file of ours with a history."""
 
     coordinate: Literal["theta", "displacement", "time"]
-    provenance: Json[Origin]
+    provenance: Json[ProvenanceSchema]
 
 
 class Observation(NamedTuple):

@@ -283,42 +283,37 @@ def force(
     pose = numbers("pose", pose, last=(3, 7), unit="m")
     velocity = numbers("velocity", velocity, pose, last=(3, 6), unit="m/s")
     rest_speed = _number("rest_speed", rest_speed, low=TINY, unit="m/s")
-    if held is not None and (step is None or stiffness is None):
-        raise InputError(
-            "held: give the time since then as step [s], and stiffness [N/m], below 2 m / step²"
-        )
     xp, lead = namespace(pose), tuple(pose.shape[:-1])
     place = xp.reshape(pose, (-1, pose.shape[-1]))
     if place.shape[-1] == 7:
         numbers("pose: length of the quaternion", _norm(xp, place[:, 3:]), low=1e-6)
     moving = _each("velocity", velocity, pose, lead, velocity.shape[-1])
     soil = _soil(pose, lead, "foot", surface_friction, phi_deg, density, surface)
-    before = _before(held, step, stiffness, pose, lead) if held is not None else None
     fade = TINY if held is not None else rest_speed
     body_force: Any = _of_foot if isinstance(foot, Foot) else _of_mesh
     force_, moment, deep = body_force(foot, place, moving, fade, **soil)
-    if before is not None:
+    if held is not None:
+        if step is None or stiffness is None:
+            raise InputError(
+                "held: give the time since then as step [s], and stiffness [N/m], below 2 m / step²"
+            )
+        if not isinstance(held, tuple | list) or len(held) != 2:
+            kind = type(held).__name__
+            raise InputError(f"held is {kind}; give force and moment of the step before")
+        before = [_each("held", values, pose, lead, 3) for values in held]
+        stride = _number("stiffness", stiffness, unit="N/m") * _number("step", step, unit="s")
         # f ← F + (f − F) exp(−k |Δx| / max(|f|, |F|)) of the module's head; in the air nothing is
         # kept. A mesh that turns moves its farthest face by |ω| times its reach.
         travel = _norm(xp, moving[:, :3])
         if moving.shape[-1] == 6 and isinstance(foot, Mesh):
             travel = travel + foot.reach * _norm(xp, moving[:, 3:])
         size = xp.maximum(_norm(xp, before[0]), _norm(xp, force_))
-        kept = xp.exp(-before[2] * travel / xp.clip(size, TINY, None))
+        kept = xp.exp(-stride * travel / xp.clip(size, TINY, None))
         kept = xp.where(deep > 0.0, kept, xp.zeros_like(kept))[:, None]
         force_, moment = (
-            law + kept * (last - law)
-            for law, last in zip((force_, moment), before[:2], strict=True)
+            law + kept * (last - law) for law, last in zip((force_, moment), before, strict=True)
         )
     return xp.reshape(force_, (*lead, 3)), xp.reshape(moment, (*lead, 3))
-
-
-def _before(held: Any, step: Any, stiffness: Any, pose: Any, lead: tuple[int, ...]) -> Any:
-    """Force and moment of the step before, [foot, 3] each, and the stiffness times the step."""
-    if not isinstance(held, tuple | list) or len(held) != 2:
-        raise InputError(f"held is {type(held).__name__}; give force and moment of the step before")
-    stride = _number("stiffness", stiffness, unit="N/m") * _number("step", step, unit="s")
-    return *(_each("held", values, pose, lead, 3) for values in held), stride
 
 
 def _number(name: str, value: Any, low: float = 0.0, unit: str = "") -> Any:

@@ -633,23 +633,20 @@ def tune(
     press.check()
     rng = np.random.default_rng(seed)
     load = Load.of(press, ground, is_rigid=is_newton, rng=rng)
-    ratio_of_soil = math.sin(math.radians(ground.phi.median))
     edges = np.linspace(0.0, press.depth, THIRDS + 1)
 
-    def fitted(press: Press) -> Fit:
-        def forces(ratio: float, place: int) -> FloatArray:
-            here = replace(press, place=(place + 0.5) / PLACES, seed=seed + place)
-            with redirect_stdout(sys.stderr):  # which simulators write to
-                sinkage, force = ENGINES[name](here, to.law.value(ratio))
-            part = np.searchsorted(edges, sinkage - 1e-9) - 1
-            return np.array([force[part == k].mean() for k in range(THIRDS)])
+    def forces(ratio: float, place: int) -> FloatArray:
+        here = replace(press, place=(place + 0.5) / PLACES, seed=seed + place)
+        with redirect_stdout(sys.stderr):  # which simulators write to
+            sinkage, force = ENGINES[name](here, to.law.value(ratio))
+        part = np.searchsorted(edges, sinkage - 1e-9) - 1
+        return np.array([force[part == k].mean() for k in range(THIRDS)])
 
-        return fit(
-            forces, load.force, load.draws, tolerance=load.tolerance, start=ratio_of_soil,
-            limits=(LEAST, MOST if is_newton else 1.7), seed=seed, report=progress,
-        )  # fmt: skip
-
-    best = fitted(press)
+    best = fit(
+        forces, load.force, load.draws, tolerance=load.tolerance,
+        start=math.sin(math.radians(ground.phi.median)),
+        limits=(LEAST, MOST if is_newton else 1.7), seed=seed, report=progress,
+    )  # fmt: skip
     reason = _reason(to.title, best, load.force, press)
     chosen = rng.choice(SAMPLES, draws) if draws else np.empty(0, dtype=np.int64)
     result = {
