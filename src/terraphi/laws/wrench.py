@@ -297,10 +297,11 @@ def force(
             raise InputError(
                 "held: give the time since then as step [s], and stiffness [N/m], below 2 m / step²"
             )
-        if not isinstance(held, tuple | list) or len(held) != 2:
-            kind = type(held).__name__
+        before: Any = held
+        if not isinstance(before, tuple | list) or len(before) != 2:
+            kind = type(before).__name__
             raise InputError(f"held is {kind}; give force and moment of the step before")
-        before = [_each("held", values, pose, lead, 3) for values in held]
+        before = [_each("held", values, pose, lead, 3) for values in before]
         stride = _number("stiffness", stiffness, unit="N/m") * _number("step", step, unit="s")
         # f ← F + (f − F) exp(−k |Δx| / max(|f|, |F|)) of the module's head; in the air nothing is
         # kept. A mesh that turns moves its farthest face by |ω| times its reach.
