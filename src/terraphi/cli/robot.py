@@ -93,13 +93,16 @@ def footfalls(
 
     Example: terraphi footfalls walk.mcap --density 1550±80 --out soil.nc
     """
-    from terraphi.experiment.files import atomic_files
+    from terraphi.experiment.files import atomic_files, writable
 
+    if out is not None:
+        writable(out)
     with_it = [out.with_suffix(suffix) for suffix in WITH_IT] if out else []
     for file in filter(None, (out, mcap, *with_it)):
         if file.exists() and Path(log).exists() and file.samefile(log):
             more = f", and --out {out} writes {file.name} too" if file in with_it else ""
             raise InputError(f"{file}: is the log{more}; name another file")
+    # Only after this what takes a second to load.
     from terraphi.experiment.outputs import SIGNATURE, check_file
 
     for file in filter(None, (mcap, *with_it)):
