@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from terraphi.laws.plan import Plan as Plan
     from terraphi.laws.store import Library as Library
     from terraphi.robot.footfalls import footfalls as footfalls
+    from terraphi.robot.footfalls import footfalls_many as footfalls_many
     from terraphi.robot.joint_log import JointLog as JointLog
     from terraphi.robot.logs.messages import Messages as Messages
     from terraphi.robot.online import Footfalls as Footfalls
@@ -68,6 +69,7 @@ _PLACES = {
     "export": "terrain.export",
     "foot_forces": "robot.results",
     "footfalls": "robot.footfalls",
+    "footfalls_many": "robot.footfalls",
     "invert": "inference.inversion",
     "invert_many": "inference.inversion",
     "next_measurements": "inference.next_measurement",

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from go2.logs import write_csv
 from scipy.spatial.transform import Rotation
@@ -288,3 +289,31 @@ def test_the_command_writes_its_files(terraphi: Any) -> None:
     for suffix in (".nc", ".png", ".csv", ".geojson"):
         assert Path("soil.nc").with_suffix(suffix).exists()
     assert terraphi("footfalls", "log.csv", "--density", "heavy").status == 2
+
+
+@pytest.mark.parametrize("name", ["day.csv", "day.parquet"])
+def test_a_table_of_many_logs_has_the_footfalls_of_each_and_the_reason_of_a_bad_one(
+    name: str, terraphi: Any
+) -> None:
+    if name.endswith(".parquet"):
+        pytest.importorskip("pyarrow")
+    for duration in (4.0, 5.0):
+        write_csv(Path(f"{duration:.0f}.csv"), LawWalk(duration=duration).log()[0])
+    Path("bad.csv").write_text("no,log\n1,2\n")
+    logs = ("4.csv", "bad.csv", "5.csv")
+    ran = terraphi("footfalls", *logs, "--density", "1550±80", "--table", name, "--json")
+    assert ran.status == 1
+    assert ran.err.startswith("Failed: bad.csv: ")
+    table = pd.read_csv(name, comment="#") if name.endswith(".csv") else pd.read_parquet(name)
+    assert list(dict.fromkeys(table["log"])) == list(logs)
+    assert table[table["log"] == "bad.csv"]["reason"].str.startswith("bad.csv: ").all()
+    for log in ("4.csv", "5.csv"):
+        alone = footfalls(log, density="1550±80").summary()
+        rows = table[table["log"] == log]
+        assert list(rows["verdict"]) == list(alone["verdict"])
+        np.testing.assert_allclose(rows["phi_deg"], alone["phi_deg"], atol=1e-4)
+    assert json.loads(ran.out)["verdicts"] == table["verdict"].value_counts().to_dict()
+    again = terraphi("footfalls", "4.csv", "--density", "1550±80", "--table", name)
+    assert again.status == 0, again.err  # what it wrote itself is replaced
+    for wrong in (["--table", "t.txt"], ["--table", name, "--out", "o.nc"], ["5.csv"]):
+        assert terraphi("footfalls", "4.csv", *wrong).status == 2

@@ -10,6 +10,7 @@ import click
 
 from terraphi.cli.options import (
     PATH,
+    SOME_FAILED,
     Float,
     json_option,
     record_options,
@@ -26,8 +27,6 @@ if TYPE_CHECKING:
 
 FORMS = dict.fromkeys(f"{tool.keyword}:MM" for tool in TOOLS.values())
 TWO = [f"{tool.keyword}:MMxMM" for tool in TOOLS.values() if len(tool.sizes) > 1]
-SOME_FAILED = 1
-"""Exit status where some records of a table cannot be used."""
 FILES = ("answer.json", "answer.nc", "answer.png")
 """Files of an answer; without Matplotlib there is no picture."""
 

@@ -19,6 +19,8 @@ FRAMES = ("world", "body")
 TUNED = ("newton", "isaaclab", "genesis")
 
 PATH = click.Path(path_type=Path)
+SOME_FAILED = 1
+"""Exit status where some records or logs of a table cannot be used."""
 
 
 class Float(click.types.FloatParamType):

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import importlib
+import os
+import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 
 from terraphi.cli import options as shared
-from terraphi.cli.options import PATH, Float, choice, json_option, option_group
-from terraphi.experiment.errors import InputError
+from terraphi.cli.options import PATH, SOME_FAILED, Float, choice, json_option, option_group
+from terraphi.experiment.errors import InputError, needing
 from terraphi.experiment.priors import DENSITY
 from terraphi.view.console import present
 
 PICTURES = ("forces.png", "stance.png")
+TABLES = (".csv", ".parquet")
 WITH_IT = (".csv", ".geojson", ".png")
 """Endings of the files that go with the NetCDF of footfalls."""
 log_options = option_group(
-    click.argument("log"),
     click.option("--robot", default="go2", show_default=True,
                  help="Name, URDF, MJCF or TOML of the robot."),
     click.option("--topic", help="Topic of a bag.  [default: that of the joint states]"),
@@ -33,10 +37,11 @@ log_options = option_group(
                  callback=lambda _context, _option, value: 1e-3 * value,
                  help="Delay of the torques [ms].  [default: 0]"),
 )  # fmt: skip
-"""Argument and options of commands that read a robot's log."""
+"""Options of commands that read a robot's log."""
 
 
 @click.command()
+@click.argument("log")
 @log_options
 @choice("--estimator", shared.ESTIMATORS, "momentum_observer",
         "Method; quasi_static is that of the paper.")  # fmt: skip
@@ -76,6 +81,7 @@ def forces(
 
 
 @click.command()
+@click.argument("logs", nargs=-1, required=True, metavar="LOG...")
 @log_options
 @click.option("--density", metavar="KG_M3[±SD]", help=f"Bulk density.  [default: {DENSITY}]")
 @click.option("--anchor", "anchors", multiple=True, metavar="[x=A:B,]phi=P±SD",
@@ -84,15 +90,29 @@ def forces(
         "Force law: simulated, resistive force theory, or bearing capacity.")  # fmt: skip
 @click.option("--out", type=PATH, help=f"NetCDF file; {', '.join(WITH_IT)} are written next to it.")
 @click.option("--mcap", type=PATH, help="MCAP of φ, for Foxglove and Rerun.")
+@click.option("--table", type=PATH, help="CSV or Parquet of the footfalls of all LOGs.")
 @json_option
 def footfalls(
-    log: str, density: str | None, anchors: tuple[str, ...], out: Path | None, mcap: Path | None,
-    as_json: bool, **options: Any,
+    logs: tuple[str, ...], density: str | None, anchors: tuple[str, ...], out: Path | None,
+    mcap: Path | None, table: Path | None, as_json: bool, **options: Any,
 ) -> None:  # fmt: skip
     """Friction angle under every footfall of a robot's LOG, and along its path.
 
+    With --table, each of many logs by itself; a log that cannot be used has a row with the reason.
+
     Example: terraphi footfalls walk.mcap --density 1550±80 --out soil.nc
+
+    Example: terraphi footfalls day/*.mcap --density 1550±80 --table day.csv
     """
+    options |= {"density": density, "anchors": anchors}
+    if table is not None:
+        if out is not None or mcap is not None:
+            raise InputError("--table excludes --out and --mcap, which are of one log")
+        tabulate(logs, table, as_json, options)
+        return
+    if len(logs) > 1:
+        raise InputError(f"{len(logs)} logs; give one, or --table for a table of all")
+    [log] = logs
     from terraphi.experiment.files import atomic_files, writable
 
     if out is not None:
@@ -113,7 +133,7 @@ def footfalls(
 
     if out is not None:
         check_file(out, kind=FootfallMap.KIND)
-    walk = find(log, density=density, anchors=anchors, **options)
+    walk = find(log, **options)
     summary, written = walk.as_dict(), []
     if out is not None:
         with atomic_files(out, out.parent, last=out.name) as place:
@@ -128,3 +148,43 @@ def footfalls(
     names = {"footfalls": "counts", "φ by law [deg]": "by_law_deg", "warnings": "warnings"}
     values = {name: summary[key] for name, key in names.items()}
     present(summary, plots.footfalls_table(summary), *path, values, *written, as_json=as_json)
+
+
+def tabulate(logs: Sequence[str], table: Path, as_json: bool, options: dict[str, Any]) -> None:
+    """Write the footfalls of many logs; end with exit status 1 if one cannot be used."""
+    from terraphi.experiment.files import atomic_write
+    from terraphi.experiment.outputs import SIGNATURE, check_file
+    from terraphi.experiment.tables import write_csv
+    from terraphi.experiment.workers import workers
+    from terraphi.robot.footfalls import footfalls_many, table_of
+
+    if table.suffix not in TABLES:
+        raise InputError(f"{table}: name a file that ends in {' or '.join(TABLES)}")
+    if any(table.exists() and Path(log).exists() and table.samefile(log) for log in logs):
+        raise InputError(f"{table}: is one of the logs; name another file")
+    check_file(table)
+    if table.suffix == ".parquet":
+        with needing(f"{table}: writing Parquet", "the package pyarrow", extra="parquet"):
+            importlib.import_module("pyarrow")
+    with workers(min(len(logs), os.cpu_count() or 1)) as executor:
+        walks = footfalls_many(logs, map_=executor.map if executor else map, **options)
+    failed = [str(walk) for walk in walks if isinstance(walk, InputError)]
+    if len(failed) == len(logs):
+        raise InputError(failed[0])
+    rows = table_of(logs, walks)
+    if table.suffix == TABLES[0]:
+        write_csv(table, rows, first=f"# {SIGNATURE}: footfalls of logs\n", float_format="%.4f")
+    else:
+        rows.attrs["comment"] = SIGNATURE
+        with atomic_write(table) as temporary:
+            rows.to_parquet(temporary)
+    for sentence in failed:
+        click.echo(f"Failed: {sentence}", err=True)
+    counts = rows["verdict"].value_counts().to_dict()
+    verdicts = ", ".join(f"{count} {name}" for name, count in counts.items())
+    present(
+        {"table": str(table), "logs": len(logs), "verdicts": counts},
+        f"{len(logs)} logs: {verdicts}", f"Written: {table}", as_json=as_json,
+    )  # fmt: skip
+    if failed:
+        sys.exit(SOME_FAILED)

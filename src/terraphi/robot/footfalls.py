@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from terraphi.experiment.arrays import FloatArray, block_means
 from terraphi.experiment.errors import InputError, nearest
@@ -117,6 +119,49 @@ def footfalls(
     landings = touchdowns(log, forces, motion, analysis.stances, per_error, radius=body.foot_radius)
     course = course_of(log, body, forces, motion, per_error)
     return infer_walk(options, analysis, course, landings, name, notes_of(analysis))
+
+
+def footfalls_many(
+    logs: Sequence[Path | str], *, map_: Callable[..., Any] = map, **options: Any
+) -> list[FootfallMap | InputError]:
+    """Footfalls of many logs, each by itself; one that cannot be used gives its error.
+
+    Parameters
+    ----------
+    logs
+        Files or folders.
+    map_
+        Applies a function to each log, such as that of an executor.
+    **options
+        Of :func:`footfalls`.
+
+    Examples
+    --------
+    >>> walks = terraphi.footfalls_many(["walk.csv", "lost.csv"], density="1550±80")
+    >>> [type(walk).__name__ for walk in walks]
+    ['FootfallMap', 'InputError']
+    """
+    return list(map_(partial(_attempt, options=options), logs))
+
+
+def _attempt(log: Path | str, options: dict[str, Any]) -> FootfallMap | InputError:
+    """Footfalls of a log, or why there are none."""
+    try:
+        return footfalls(log, **options)
+    except InputError as error:
+        name = label_of(log)
+        return error if name in str(error) else InputError(f"{name}: {error}")
+
+
+def table_of(logs: Sequence[Path | str], walks: Sequence[FootfallMap | InputError]) -> pd.DataFrame:
+    """A row for each footfall of many logs, and one with the reason for a log without any."""
+    frames = [
+        pd.DataFrame({"verdict": ["failed"], "reason": [str(walk)]})
+        if isinstance(walk, InputError) else walk.summary().assign(reason="")
+        for walk in walks
+    ]  # fmt: skip
+    rows = pd.concat(frames, keys=list(map(label_of, logs)), names=["log", None])
+    return rows.reset_index("log").reset_index(drop=True)
 
 
 class Options(NamedTuple):
