@@ -16,7 +16,7 @@ from typing import Any, Generic, Literal, NoReturn, Self, TypeVar
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from terraphi.experiment.arrays import BoolArray, FloatArray, IntArray, block_means
+from terraphi.experiment.arrays import FloatArray, IntArray, block_means
 from terraphi.experiment.baseline import at_rest, without_baseline
 from terraphi.experiment.documents import Strict, parse_toml, refuse, strictly, value_of
 from terraphi.experiment.errors import GUESSED, InputError, nearest
@@ -528,7 +528,10 @@ class _LegTable(ColumnReader[ForceColumns]):
             turn = sensor_turn(given.sensor_angle_deg)
             values[:, :2] = values[:, :2] @ turn.T
             steps[:2] = np.sqrt(turn**2 @ steps[:2] ** 2)
-        kept = ~_glitches(theta)
+        kept = np.ones(len(theta), dtype=bool)
+        if not _scattered(theta):  # an angle that jumps away and is back in the next row
+            around = np.median(np.stack([theta[:-2], theta[1:-1], theta[2:]]), axis=0)
+            kept[1:-1] = np.abs((theta[1:-1] - around + 180.0) % 360.0 - 180.0) <= TURN_DEG
         if not kept.all():
             self.notes.append(f"{(~kept).sum()} rows in which the angle jumps are left out.")
         theta, values = theta[kept], values[kept]
@@ -692,15 +695,6 @@ def _contacts(along: FloatArray, force: FloatArray) -> list[IntArray]:
 def _scattered(theta: FloatArray) -> bool:
     """True if the rows have no order in the angle, or are too few to have one."""
     return len(theta) < 3 or bool(np.median(np.abs(np.diff(theta))) > SCATTERED_DEG)
-
-
-def _glitches(theta: FloatArray) -> BoolArray:
-    """Rows in which the angle jumps away and is back in the next, shape [row]."""
-    jumps = np.zeros(len(theta), dtype=bool)
-    if not _scattered(theta):
-        around = np.median(np.stack([theta[:-2], theta[1:-1], theta[2:]]), axis=0)
-        jumps[1:-1] = np.abs((theta[1:-1] - around + 180.0) % 360.0 - 180.0) > TURN_DEG
-    return jumps
 
 
 def _turns(theta: FloatArray) -> list[int]:
