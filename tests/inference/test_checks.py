@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import terraphi
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import measurement, names
@@ -359,3 +360,87 @@ def test_a_coarse_sensor_widens_the_interval(name: str) -> None:
     assert answer.verdict == plain(name).verdict
     difference = abs(answer.phi.median - plain(name).phi.median)
     assert difference < 2.5 * answer.budget_deg["noise"]
+
+
+def grains_frame(name: str) -> pd.DataFrame:
+    table = np.loadtxt(GRAINS / f"{name}.csv", delimiter=",", skiprows=3)[:, :3]
+    return pd.DataFrame(table, columns=["theta_deg", "Fx_N", "Fz_N"])
+
+
+@pytest.mark.parametrize("share", [0.5, 0.65])
+@pytest.mark.parametrize(
+    ("name", "leg"), [("C-loose_straight_1", "straight"), ("B-loose_c_1", "c"),
+                      ("E-loose_reversed_c_1", "reversed_c")],
+)  # fmt: skip
+def test_a_ceiling_is_seen_though_the_forces_of_rough_soil_fall_below_it(
+    name: str, leg: str, share: float
+) -> None:
+    frame = grains_frame(name)
+    given = {"rig": "li2013", "leg": leg, "density": 1400, "grain_size_mm": 6.0}
+    assert not any("saturates" in text for text in invert(frame, **given).warnings)
+    frame["Fx_N"] = frame["Fx_N"].clip(upper=share * frame["Fx_N"].max())
+    answer = invert(frame, **given)
+    assert answer.verdict == "misfit"
+    assert "saturates" in answer.warnings[0]
+
+
+@pytest.mark.parametrize("name", ["B-loose_straight_1", "B-loose_straight_2", "A-loose_straight_1"])
+def test_a_sensor_without_its_zero_is_named_and_no_leg(name: str) -> None:
+    """In air its readings are all the same: they are its zero, and no values that were held."""
+    frame = grains_frame(name)
+    frame["Fx_N"] += 0.7
+    frame["Fz_N"] -= 1.3
+    answer = invert(frame, rig="li2013", leg="straight", density="1418±30", grain_size_mm=6.0)
+    assert answer.verdict == "misfit"
+    assert "in air" in answer.warnings[0]
+    assert "reversed_c" not in answer.reason
+    assert not any("cohesion" in text for text in answer.warnings)
+
+
+def test_stated_angles_in_air_tare_a_record_or_are_refused() -> None:
+    frame = grains_frame("B-loose_straight_1")
+    given = {"rig": "li2013", "leg": "straight", "density": "1418±30", "grain_size_mm": 6.0}
+    right = invert(frame, **given).phi.median
+    frame["Fx_N"] += 0.7
+    frame["Fz_N"] -= 1.3
+    answer = invert(frame, columns={"air_before_deg": -81.0}, **given)
+    assert answer.verdict == "consistent"
+    assert answer.phi.median == pytest.approx(right, abs=0.3)
+    for angle, why in ((-120.0, "no reading is there"), (60.0, "not those of air")):
+        with pytest.raises(InputError, match=why):
+            invert(frame, columns={"air_before_deg": angle}, **given)
+
+
+def test_tools_have_usual_angles_too() -> None:
+    frame = pd.read_csv(GRAINS / "B-loose_disc_60_1.csv", comment="#")
+    right = invert(frame, tool="plate:60", density="1416±30", grain_size_mm=6.0)
+    assert not any("unusual" in text for text in right.warnings)
+    frame["Fz_N"] /= 4.448  # lbf, labelled N
+    wrong = invert(frame, tool="plate:60", density="1416±30", grain_size_mm=6.0)
+    assert any("unusual for dry soil" in text for text in wrong.warnings)
+
+
+def test_two_soils_as_one_are_a_misfit_on_one_leg() -> None:
+    given = {"rig": "li2013", "leg": "straight", "density": "1418±30", "grain_size_mm": 6.0}
+    pair = [GRAINS / f"{soil}-loose_straight_1.csv" for soil in "BC"]
+    assert invert(pair, **given).verdict == "misfit"
+    same = [GRAINS / f"B-loose_straight_{seed}.csv" for seed in (1, 2)]
+    assert invert(same, **given).verdict == "consistent"
+
+
+def test_grains_of_a_calibration_that_a_record_does_not_state_are_named() -> None:
+    given = {"rig": "li2013", "leg": "straight", "density": "1400±30"}
+    file = GRAINS / "B-loose_straight_1.csv"
+    calibration = terraphi.calibrate(file, 26.8, 1.0, grain_size_mm=6.0, **given)
+    other = {"forces": GRAINS / "C-loose_straight_1.csv", "calibration": calibration, **given}
+    assert any("grains of 6 mm" in text for text in invert(**other).warnings)
+    stated = invert(**other, grain_size_mm=6.0)
+    assert not any("grains of 6 mm, and" in text for text in stated.warnings)
+
+
+def test_a_cohesion_without_its_error_is_known_to_a_third() -> None:
+    given = {"rig": "li2013", "leg": "straight", "density": "1418±30", "grain_size_mm": 6.0}
+    file = GRAINS / "B-loose_straight_1.csv"
+    bare, stated = (invert(file, cohesion=c, **given).phi for c in ("150", "150±50"))
+    assert (bare.median, bare.sd) == pytest.approx((stated.median, stated.sd))
+    assert bare.sd > invert(file, cohesion="150±0", **given).phi.sd + 0.1

@@ -76,8 +76,7 @@ def test_a_bound_by_the_critical_angle_and_a_misfit_have_no_advice() -> None:
 
 @pytest.mark.parametrize(
     ("given", "why"),
-    [({"cohesion": "unknown"}, "number of Pa"), ({"cohesion": "150±50"}, "number of Pa"),
-     ({"phi_deg": 60.0}, "phi = 60")],
+    [({"cohesion": "unknown"}, "PA±SD"), ({"phi_deg": 60.0}, "phi = 60")],
 )  # fmt: skip
 def test_plans_that_cannot_be_made(given: dict[str, Any], why: str) -> None:
     with pytest.raises(terraphi.InputError, match=why):

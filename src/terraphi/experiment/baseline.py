@@ -53,7 +53,13 @@ def at_rest(theta_deg: FloatArray) -> BoolArray:
 
 
 def without_baseline(
-    theta_deg: FloatArray, values: FloatArray, air: BoolArray, channels: Sequence[str]
+    theta_deg: FloatArray,
+    values: FloatArray,
+    air: BoolArray,
+    channels: Sequence[str],
+    *,
+    fewest: int = FEWEST_STRETCHES,
+    least: float = OFFSET,
 ) -> tuple[FloatArray, list[str]]:
     """Take off what a sensor reads in air, if there was a rest or it is more than good ones read.
 
@@ -67,6 +73,9 @@ def without_baseline(
         Rows in which the leg is clear of the soil, shape [row].
     channels
         Name of each channel, such as ``Fx``.
+    fewest, least
+        Stretches in air, and force in air of peak-to-peak [-], from which a record without a rest
+        is tared.
 
     Returns
     -------
@@ -84,7 +93,7 @@ def without_baseline(
     loaded = np.append(time[~air], 0.5)
     ends = {"start": resting < loaded.min(), "end": resting > loaded.max()}
     rests = [end for end, those in ends.items() if those.any()]
-    best, least, solved, weighed = ZERO, np.inf, np.zeros((1, len(span))), True
+    best, lowest, solved, weighed = ZERO, np.inf, np.zeros((1, len(span))), True
     for terms in (ZERO, WEIGHT, DRIFT)[: 3 if len(rests) > 1 else 2] if len(read) else ():
         weights = np.linalg.pinv(means[:, terms])
         residual = np.square(read - means[:, terms] @ weights @ read).sum(axis=0)
@@ -96,13 +105,11 @@ def without_baseline(
             continue
         fit = len(read) * np.log(residual / len(read) + UNEXPLAINED**2).sum()
         criterion = fit + len(terms) * len(span) * np.log(len(read))
-        if criterion < least and residual.max() < SMOOTH**2 * len(read):
-            best, least, solved = terms, criterion, weights @ read * span
+        if criterion < lowest and residual.max() < SMOOTH**2 * len(read):
+            best, lowest, solved = terms, criterion, weights @ read * span
     baseline = design[:, best] @ solved
     size = np.sqrt(np.square(means[:, best] @ solved / span).mean(axis=0))
-    if not (
-        np.isfinite(least) and (rests or (len(read) >= FEWEST_STRETCHES and size.max() > OFFSET))
-    ):
+    if not (np.isfinite(lowest) and (rests or (len(read) >= fewest and size.max() > least))):
         return values, []
     coefficients = np.zeros((design.shape[1], len(span)))
     coefficients[best] = solved

@@ -41,6 +41,8 @@ SENSOR_GAIN = Assumption(1.0, 0.02)
 """Gain of a load cell [-]; chosen."""
 HIP_HEIGHT_SD_MM = 2.0
 """Height of a leg's hip [mm]; chosen."""
+COHESION_SD_PART = 1.0 / 3.0
+"""Cohesion that is given without its error, over it [-]; chosen."""
 CONTACT_SD_M, CONTACT_SD_PART = 1e-3, 0.03
 """Sinkage of a plate at first contact [m], and over its radius [-]; the larger counts; chosen."""
 

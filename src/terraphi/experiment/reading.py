@@ -601,9 +601,23 @@ class _LegTable(ColumnReader[ForceColumns]):
             air |= theta < low
         if high is not None:
             air |= theta > high
-        if _scattered(theta) or not air.any():
+        if _scattered(theta):
             return values
-        values, notes = without_baseline(theta, values, air, self.channels)
+        # Angles that the user has stated are believed, even if they are few.
+        stated = [
+            f"{name} = {value:g}"
+            for name, value in (("air_before_deg", low), ("air_after_deg", high))
+            if value is not None and abs(value) < 180.0 and name in self.given.model_fields_set
+        ]
+        fewest: dict[str, Any] = {"fewest": 1, "least": 0.0} if stated else {}
+        notes: list[str] = []
+        if air.any():
+            values, notes = without_baseline(theta, values, air, self.channels, **fewest)
+        if stated and not notes:
+            why = "readings there are not those of air" if air.any() else "no reading is there"
+            self.refuse(
+                f"{' and '.join(stated)}, and {why}; give the angles in air, or leave it out"
+            )
         self.notes += notes
         return values
 

@@ -359,7 +359,7 @@ class Answer(Shown, AnswerSummary):
                 lines.append(f"as plane strain: φ = {self.phi_plane_strain}")
         lines.append(self.reason)
         if self.warnings:
-            lines.append(f"{len(self.warnings)} warnings in .warnings")
+            lines.append(f"warnings in .warnings: {len(self.warnings)}")
         return lines
 
     _table = summary

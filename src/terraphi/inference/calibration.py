@@ -88,6 +88,8 @@ class CalibrationSoil(Strict):
     """Standard deviation of ψ between beds [deg]."""
     rig_sd_deg: float = Field(0.0, ge=0, le=90)
     """Standard deviation of ψ by hip height, leg friction and gain, which the rig keeps [deg]."""
+    grain_size_mm: float = Field(0.0, ge=0)
+    """Mean diameter of its grains; 0 in fine sand."""
     gain: float = Field(1.0, gt=0)
     """Gain of the sensor that its forces were divided by [-]."""
 
@@ -346,4 +348,5 @@ def _calibration_soil(
         phi_deg=phi_deg, phi_sd_deg=phi_sd_deg, read_deg=read, read_sd_deg=sd, rig_sd_deg=rig_sd,
         row=tuple(likelihood.row(record, phi_deg).tolist()),
         bed_sd_deg=error.bed_sd(record.rig, record.grain_size_mm), gain=record.gain,
+        grain_size_mm=record.grain_size_mm,
     )  # fmt: skip

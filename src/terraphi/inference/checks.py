@@ -38,8 +38,10 @@ from terraphi.forward.rft import to_plane_strain
 from terraphi.inference.answer import Estimate, RecordFit
 from terraphi.inference.likelihood import SHIFT_DEG, Likelihood, squared_residuals
 from terraphi.inference.records import Record, density_warnings
+from terraphi.inference.verdict import USUAL_DEG, unusual
 from terraphi.laws.law import LegLaw
 from terraphi.laws.legs import VARIED, LawOfLegs, law_of
+from terraphi.laws.model_error import FINE_MM
 from terraphi.laws.theory import Theory
 
 LOADED = 0.05
@@ -54,6 +56,11 @@ LARGE_SPIKE = 0.15
 CLIPPED, SLOPE_DEG, HIDDEN, ROUND = 3, 5.0, 0.02, 4.0
 """Equal largest readings in a row that may be a clipped top; path on either side of it [deg]; rise
 that it must hide, of peak-to-peak and more of steps of rounding: a round top hides up to three."""
+CEILING, CEILING_OVER = 6, 4.0
+"""Readings of one largest value that are a clipped top whatever lies between them, and how many
+times those of each of the next three steps below [-]. Of 99 records of grains and 12 of Li et al.,
+rounded to 0 to 4 % of the largest, none has both; clipped at 70 % of it 94 % have.
+"""
 STEP = 0.2
 """Jump between neighbouring readings that is a step, of peak-to-peak [-]."""
 STEP_SPACING_DEG = 1.5
@@ -73,10 +80,6 @@ TURNS_DEG = np.array([a for a in range(-135, 136, 5) if abs(a) >= 20], dtype=np.
 ones are near the forces on the soil."""
 SCALES = np.array([s for s in np.geomspace(0.35, 2.85, 43).round(2) if abs(np.log(s)) > 0.22])
 """Scales of θ that are tried [-], 5 % apart: the reader refuses larger ones."""
-USUAL_DEG = (18.0, 50.0)
-"""Friction angles of dry soils in plane strain [deg]: from glass beads, 21 to 24° (Jop, Forterre &
-Pouliquen 2006, Nature 441:727), to dense quartz sand at its peak, 48° (Bolton 1986, Géotechnique
-36:65, table 1, whose critical angles are about 30 to 37°)."""
 MOIST_PA, LIKE_GRAINS, MOIST_DEG = 40.0, 1.25, 1.5
 """Cohesion above which dry soil may be damp [Pa], and what grains of a size d add to it, over
 ρ g d; standard deviation of φ by a cohesion that an answer names [deg]. Dry media of Li et al.
@@ -132,13 +135,15 @@ def without_faults(record: Record) -> Record:
     bad = np.zeros(len(theta), dtype=bool)
     all_zero = np.all([force == 0.0 for force in forces.values()], axis=0)
     steps = dict(zip(record.channels, record.resolution, strict=True))
-    first, last = np.array(record.rig.air_deg()) + (AIR_MARGIN_DEG + LATE_DEG) * np.array([1, -1])
+    ends = np.array(record.rig.air_deg())
+    in_air = (theta < ends[0]) | (theta > ends[1])
+    first, last = ends + (AIR_MARGIN_DEG + LATE_DEG) * np.array([1, -1])
     in_soil = np.array([theta[0] > first, theta[-1] < last])
     for name, force in forces.items():
         span, load = float(np.ptp(force)), LOADED * (largest["M"] if name == "M" else of_forces)
         faults = {
             "dropouts": _dropouts(force, all_zero, max(load, 1.01 * steps[name]), in_soil),
-            "held values": _held(force, span),
+            "held values": _held(force, span) & ~in_air,  # there a sensor without its zero rests
             "spikes": _spikes(force, span, steps[name]),
         }
         for kind, faulty in faults.items():
@@ -222,9 +227,18 @@ def _clipped(name: str, force: FloatArray, theta: FloatArray, resolution: float)
     """
     for end in (force.max(), force.min()):
         at = np.flatnonzero(force == end)
-        if at.size < CLIPPED or abs(end) < 0.2 * np.ptp(force) or np.any(np.diff(at) > 1):
+        if at.size < CLIPPED or abs(end) < 0.2 * np.ptp(force):
             continue
         first, last = theta[at[0]], theta[at[-1]]
+        # Forces of rough soil fall below a ceiling in between. Few readings are just below it,
+        # where those at a round top become fewer step by step.
+        step = max(resolution, 1e-3 * float(np.ptp(force)))
+        below = np.floor(np.abs(force - end) / step + 1e-9)
+        nearby = np.max([np.count_nonzero(below == k) for k in (1, 2, 3)])
+        if at.size >= max(CEILING, CEILING_OVER * float(nearby)):
+            return _saturated(name, end, first, last)
+        if np.any(np.diff(at) > 1):
+            continue
         rise = (theta >= first - SLOPE_DEG) & (theta <= first)
         fall = (theta >= last) & (theta <= last + SLOPE_DEG)
         if rise.sum() < 3 or fall.sum() < 3:
@@ -234,11 +248,15 @@ def _clipped(name: str, force: FloatArray, theta: FloatArray, resolution: float)
         # Lines of slopes a and b over a flat top of width w meet w a b / (a + b) above it.
         hidden = (last - first) * up * down / max(up + down, 1e-12)
         if hidden > HIDDEN * np.ptp(force) + ROUND * resolution:
-            return (
-                f"{name} stays at its extreme, {end:.3g} N, from {first:.0f} to {last:.0f}°: check "
-                "whether the sensor saturates."
-            )
+            return _saturated(name, end, first, last)
     return ""
+
+
+def _saturated(name: str, end: float, first: float, last: float) -> str:
+    return (
+        f"{name} stays at its extreme, {end:.3g} N, from {first:.0f} to {last:.0f}°: check "
+        "whether the sensor saturates."
+    )
 
 
 def _step(name: str, force: FloatArray, theta: FloatArray, resolution: float) -> str:
@@ -314,6 +332,8 @@ def warnings(
         for i, readings in enumerate(legs):
             for sentence in misread(likelihood, i, readings, verdict):
                 yield f"{likelihood.prefix(records[i])}{sentence}"
+    if likelihood.calibration is not None:
+        yield from _other_grains(likelihood)
     separation_deg, theory = 0.0, ""
     if opinion and law.convention == "plane_strain":
         separation_deg = abs(opinion["median"] - phi.median)
@@ -338,12 +358,23 @@ def warnings(
     for i, record in enumerate(records):
         yield from (f"{likelihood.prefix(record)}{text}" for text in _assumed(likelihood, i))
         if i == 0:
-            yield from _moisture(likelihood)
+            yield from () if air else _moisture(likelihood)
             yield from _repeats(likelihood)
     if law.caveat:
         yield f"Law {law.name}: {law.caveat}"
     # What was done with the readings.
     yield from (f"{likelihood.prefix(r)}{text}" for r in records for text in r.notes)
+
+
+def _other_grains(likelihood: Likelihood) -> Iterator[str]:
+    """Warn if the size of large grains was given for the calibration alone."""
+    assert likelihood.calibration
+    largest = max(soil.grain_size_mm for soil in likelihood.calibration.soils)
+    if largest >= FINE_MM and not any(r.grain_size_mm for r in likelihood.records):
+        yield (
+            f"The calibration is of grains of {largest:g} mm, and fine sand is assumed here: give "
+            "--grain-size if these are as large."
+        )
 
 
 def _displaced(likelihood: Likelihood, fits: Sequence[RecordFit], verdict: str) -> Iterator[str]:
@@ -357,7 +388,7 @@ def _displaced(likelihood: Likelihood, fits: Sequence[RecordFit], verdict: str) 
                 "of theta and the hip height."
             )
     for i, record in enumerate(likelihood.records if verdict == "consistent" else ()):
-        free = likelihood.free_cohesion(i, with_hip=True)
+        free = likelihood.free_cohesion(i, with_hip=True) if "Fx" in record.channels else None
         if free is None:
             continue
         higher, sd = free.higher_mm, free.higher_sd_mm
@@ -384,12 +415,8 @@ def _unusual(likelihood: Likelihood, phi: Estimate, verdict: str) -> Iterator[st
                 f"φ = {phi.median:.1f}° lies outside {ends[0]:.1f} to {ends[1]:.1f}°, where the "
                 f"error of the law was learned on leg {leg}: it may be larger there."
             )
-    low, high = USUAL_DEG
-    if is_measured and not low <= phi.median <= high:
-        yield (
-            f"φ = {phi.median:.0f}° is unusual for dry soil ({low:g} to {high:g}°): check the "
-            "density, the unit of force and the leg."
-        )
+    if is_measured:
+        yield from unusual(phi.median, "leg")
 
 
 def _assumed(likelihood: Likelihood, i: int) -> Iterator[str]:

@@ -425,7 +425,7 @@ def record_fits(
     curves = likelihood.curves([*np.clip(ci95, *likelihood.ends), median])
     slope = likelihood.slope(median)
     tangent = np.stack([curves[2] - slope * median, slope])
-    fits = []
+    fits, rigs = [], {rig_name(record.rig) for record in likelihood.records}
     for record, part, stroke, shift in zip(
         likelihood.records, likelihood.parts, likelihood.coverage, likelihood.shift_deg, strict=True
     ):
@@ -436,7 +436,7 @@ def record_fits(
         limit = SIMULATED if isinstance(likelihood.library, Legs) else None
         if not record.simulated:
             limit = likelihood.error.nrmsd_limit(record.rig, record.grain_size_mm)
-            limit = math.hypot(limit * (SEVERAL if len(likelihood.records) > 1 else 1.0),
+            limit = math.hypot(limit * (SEVERAL if len(rigs) > 1 else 1.0),
                                math.sqrt(noise.max()))  # fmt: skip
         fits.append(
             RecordFit(

@@ -165,8 +165,8 @@ def plan(
     # The soil as an inversion reads it: its record of no forces.
     record = record_of(measurement_of(still, "plan"), rig=rig, leg=leg, **soil)
     apparatus = record.rig
-    if record.cohesion_sd_pa:
-        raise InputError("a plan is for a cohesion that is known; give it as a number of Pa")
+    if math.isinf(record.cohesion_sd_pa):
+        raise InputError("a plan is for a cohesion that is known; give it as PA±SD")
     offset_deg = float(law.error.offset(apparatus, record.grain_size_mm, np.array(phi_deg)))
     if not PHI_DEG[0] <= phi_deg + offset_deg <= PHI_DEG[1]:
         low, high = (end - offset_deg for end in PHI_DEG)

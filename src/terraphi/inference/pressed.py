@@ -29,7 +29,7 @@ from terraphi.inference.answer import Answer, Estimate, RecordFit
 from terraphi.inference.estimator import least_squares, weights
 from terraphi.inference.records import density_warnings, density_with_sd, grain_size, roughness
 from terraphi.inference.terms import ordered_budget, root_sum_square, term
-from terraphi.inference.verdict import Judgment, consistent, large_residual, out_of_range
+from terraphi.inference.verdict import Judgment, consistent, large_residual, out_of_range, unusual
 from terraphi.laws.foot import DEEPEST, LAWS, Foot
 from terraphi.laws.law import PHI
 
@@ -240,7 +240,9 @@ def invert_pressed(record: PressedRecord, law: Any = None) -> Answer:
         density_kg_m3=rho, density_sd_kg_m3=rho_sd, density_assumed=density is None, law=name,
         law_reason="" if law else "the default for tools", leg_friction=FRICTION.mean,
         phi_of_force_deg=scaled, records=(fitted,), grid_deg=grid, density=posterior,
-        warnings=(*density_warnings(rho), *notes, *_warnings(press, fit, is_sound=is_sound)),
+        warnings=(*density_warnings(rho), *notes, *unusual(estimate.median, "size of the tool"),
+            *_warnings(press, fit, is_sound=is_sound),
+        ),
         covariance=press.error + angle_sd**2 * np.outer(fit.slope, fit.slope),
         provenance={
             "terraphi": importlib.metadata.version("terraphi"), "law_hash": LAWS[name].hash,

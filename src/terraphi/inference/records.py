@@ -38,7 +38,7 @@ from terraphi.experiment.history import (
     resolution,
 )
 from terraphi.experiment.measurements import Measurement, measurement_of, open_forces
-from terraphi.experiment.priors import DENSITY_SD_PART, SENSOR_GAIN
+from terraphi.experiment.priors import COHESION_SD_PART, DENSITY_SD_PART, SENSOR_GAIN
 from terraphi.experiment.reading import ForceColumns, read_trials
 from terraphi.experiment.rig import Rig, Tool
 
@@ -306,7 +306,7 @@ def open_records(
         raise InputError(f"a tool excludes {', '.join(wrong)}; leave out one or the other")
     has_tool = any(isinstance(body, Tool) for _, body in sources)
     if has_leg and has_tool and options.get("cohesion") is not None:
-        raise InputError("tools are inverted in dry soil alone; leave out the cohesion")
+        raise InputError("a tool is inverted as in dry soil; leave out the cohesion")
     records: list[Record | PressedRecord] = []
     for source, body in sources:
         if isinstance(body, Tool):
@@ -391,7 +391,9 @@ def tared(columns: Any, rig: Any = None, leg: str | None = None) -> ForceColumns
     given, ends = ForceColumns.of(columns), ("air_before_deg", "air_after_deg")
     if rig is None or {*ends} & given.model_fields_set:
         return given
-    return given.model_copy(update=dict(zip(ends, Rig.of(rig, leg).air_deg(), strict=True)))
+    of_rig = given.model_copy(update=dict(zip(ends, Rig.of(rig, leg).air_deg(), strict=True)))
+    of_rig.model_fields_set.difference_update(ends)  # not stated by the user
+    return of_rig
 
 
 def record_of(
@@ -517,7 +519,7 @@ def _cohesion(given: float | str | None, name: str) -> tuple[float, float]:
             f"{name}: cohesion = {given}; give Pa as 0 (dry), 150 or 150±50, at most "
             f"{MOST_COHESION_PA:g}, or unknown"
         )
-    return mean, sd or 0.0
+    return mean, COHESION_SD_PART * mean if sd is None else sd
 
 
 def _noise(

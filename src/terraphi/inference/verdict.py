@@ -8,6 +8,10 @@ import numpy as np
 
 from terraphi.inference.answer import Edge, RecordFit, Verdict, worst_nrmsd
 
+USUAL_DEG = (18.0, 50.0)
+"""Friction angles of dry soils in plane strain [deg]: from glass beads, 21 to 24° (Jop, Forterre &
+Pouliquen 2006, Nature 441:727), to dense quartz sand at its peak, 48° (Bolton 1986, Géotechnique
+36:65, table 1, whose critical angles are about 30 to 37°)."""
 Judgment = tuple[Verdict, str, Edge | None]
 """Verdict, its reason in a sentence or more, and the end of the law beyond which φ lies."""
 
@@ -52,3 +56,12 @@ def consistent(fits: Sequence[RecordFit], usual: str) -> Judgment:
     )
     reason = f"Consistent: the model follows {sizes} of the range, usual for {usual}."
     return "consistent", reason, None
+
+
+def unusual(phi_deg: float, body: str) -> list[str]:
+    """Warn of an angle in plane strain that few dry soils have [deg], read by a leg or a tool."""
+    low, high = USUAL_DEG
+    if low <= phi_deg <= high:
+        return []
+    sentence = f"φ = {phi_deg:.0f}° is unusual for dry soil ({low:g} to {high:g}°)"
+    return [f"{sentence}: check the density, the unit of force and the {body}."]

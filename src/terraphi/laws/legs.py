@@ -367,7 +367,7 @@ class Legs(AnyLaw, FittedLaw):
             if not low <= value <= high:
                 raise InputError(
                     f"law {NAME} is for {name.replace('_', ' ')} over length from {low:.3g} to "
-                    f"{high:.3g}, and this leg has {value:.3g}; {remedy(rig)}"
+                    f"{high:.3g}, and this leg has {value:.4g}; {remedy(rig)}"
                 )
         return RatioLaw(self, rig, cells)
 
