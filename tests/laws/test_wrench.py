@@ -260,7 +260,8 @@ def test_each_face_keeps_the_bound_of_coulomb(body: str, friction: float) -> Non
     np.testing.assert_allclose(moment, torque, atol=2e-4 * size * mesh.reach)
 
 
-def test_friction_on_a_plate_keeps_the_bound() -> None:
+def test_friction_on_a_plate_keeps_the_bound_and_is_mobilized_by_shearing() -> None:
+    """A face alone: its friction is bounded, and times 1 - exp(-j/K)."""
     turn, descent = np.radians([60.0, 30.0, 5.0, -20.0]), np.radians([85.0, 60.0, 30.0, 10.0])
     tilt, down = (grid.ravel() for grid in np.meshgrid(turn, descent))
     normals = np.stack([np.sin(tilt), 0.0 * tilt, -np.cos(tilt)], axis=1)
@@ -274,6 +275,11 @@ def test_friction_on_a_plate_keeps_the_bound() -> None:
     assert (pressure >= 0.0).all()
     assert (np.linalg.norm(friction, axis=1) <= 0.3 * pressure + 1e-9).all()
     assert (np.linalg.norm(friction, axis=1) > 0.29 * pressure)[pressure > 0.0].any()
+    sheared = np.linspace(0.0, 0.03, tilt.size)
+    half, _ = wrench(*plates, mobilization=0.01, sheared=sheared[:, None], **soil)
+    share = 1.0 - np.exp(-sheared / 0.01)
+    expected = share[:, None] * friction - pressure[:, None] * normals
+    np.testing.assert_allclose(half, expected, atol=1e-9)
 
 
 def test_a_foot_deeper_than_was_simulated_is_warned_of() -> None:
@@ -474,6 +480,7 @@ def test_a_wrong_argument_is_refused(changes: dict[str, Any], words: str) -> Non
         ({"normals": -2.0 * np.eye(3)[2:]}, r"normals: length\[0\] = 2"),
         ({"phi_deg": -5.0, "law": "rft"}, "phi_deg = -5"),
         ({"surface_friction": -1.0, "law": "rft"}, "surface_friction = -1"),
+        ({"mobilization": 0.01}, "sheared"),
     ],
 )
 def test_faces_have_the_checks_of_feet(changes: dict[str, Any], words: str) -> None:

@@ -456,6 +456,8 @@ def wrench(
     surface: Any = 0.0,
     about: Any = (0.0, 0.0, 0.0),
     rest_speed: float = 0.01,
+    mobilization: float = 0.0,
+    sheared: Any = None,
 ) -> tuple[Any, Any]:
     """Force and moment of soil on the faces of many feet, whose places are known already.
 
@@ -483,6 +485,11 @@ def wrench(
         What the moment is about [m], shape [..., 3] or [3].
     rest_speed
         Below it the force falls with the speed to zero [m/s].
+    mobilization
+        Shear displacement K over which friction on a face develops [m]: it is the full one times
+        1 − exp(−j/K) (Janosi & Hanamoto, 1961). By default all of it is there at once.
+    sheared
+        Shear displacement j of each face since it met the soil [m], shape [..., face].
 
     Returns
     -------
@@ -523,18 +530,33 @@ def wrench(
     arms = flat - _each("about", about, points, lead, 3, unit="m")[:, None, :]
     total, moment, _ = _sum_of_faces(
         flat, normals, numbers("areas", areas, points, shape=last[:1], **AREA), velocities, arms,
-        None, law=law, rest_speed=_number("rest_speed", rest_speed, low=TINY, unit="m/s"), **soil,
+        None, law=law, rest_speed=_number("rest_speed", rest_speed, low=TINY, unit="m/s"),
+        mobilized=_mobilized(mobilization, sheared, points), **soil,
     )  # fmt: skip
     return xp.reshape(total, (*lead, 3)), xp.reshape(moment, (*lead, 3))
+
+
+def _mobilized(mobilization: Any, sheared: Any, points: Any) -> Any:
+    """Share of the friction of each face that is there [-], shape [foot, face]; None if all is."""
+    length = float(_number("mobilization", mobilization, unit="m"))
+    if (length > 0.0) != (sheared is not None):
+        raise InputError("mobilization, sheared: give both [m], or neither")
+    if sheared is None:
+        return None
+    xp, faces = namespace(points), tuple(points.shape[:-1])
+    way = numbers("sheared", sheared, points, shape=faces, low=0.0, unit="m")
+    return xp.reshape(-xp.expm1(-way / length), (-1, faces[-1]))
 
 
 def _sum_of_faces(
     points: Any, normals: Any, areas: Any, velocities: Any, arms: Any, spin: Any, *,
     surface_friction: float, law: str, rest_speed: float, phi_deg: Any, density: Any, surface: Any,
+    mobilized: Any = None,
 ) -> tuple[Any, Any, Any]:  # fmt: skip
     """Force, moment and greatest depth of feet, from arrays [foot, face, 3]; others [foot].
 
-    ``spin`` is the angular velocity [foot, 3], or ``None``.
+    ``spin`` is the angular velocity [foot, 3], or ``None``; ``mobilized`` the share of the friction
+    [foot, face], or ``None``.
     """
     xp = namespace(points)
     feet, faces = points.shape[:2]
@@ -551,6 +573,7 @@ def _sum_of_faces(
 
     n, v, arm = (flat(values, 3) for values in (normals, velocities, arms))
     depth, area = xp.clip(flat(depths), 0.0, None), flat(areas)
+    mobilized = None if mobilized is None else flat(mobilized)
 
     def total(values: Any) -> Any:
         """Sum over the faces of each foot."""
@@ -581,8 +604,8 @@ def _sum_of_faces(
     if owner is not None:
         kept = np.flatnonzero(leading > 0.0)
         n, v, arm, direction = n[kept], v[kept], arm[kept], direction[kept]
-        owner, depth, area = owner[kept], depth[kept], area[kept]
-        speed, leading = speed[kept], leading[kept]
+        owner, depth, area, speed = owner[kept], depth[kept], area[kept], speed[kept]
+        leading, mobilized = leading[kept], None if mobilized is None else mobilized[kept]
     stress = scale_of_friction(xp.sin(math.pi / 180.0 * phi_deg), density)  # tan φ_rft = sin φ
     size = depth * area * xp.clip(speed / rest_speed, None, 1.0) * spread(stress)
     forces = unit_stress(n, direction, surface_friction, fade=FADE).T * size
@@ -596,7 +619,7 @@ def _sum_of_faces(
             base, normal, mean, deepest, descent, phi_deg, surface_friction=surface_friction,
         )  # fmt: skip
         forces = forces * xp.stack([*[spread(drag)] * 2, spread(lift)])
-        forces = _bounded(xp, forces, n.T, direction.T, surface_friction)
+        forces = _bounded(xp, forces, n.T, direction.T, surface_friction, mobilized)
     (fx, fy, fz), (x, y, z) = ([part[i, :] for i in range(3)] for part in (forces, arm.T))
     rows = (fx, fy, fz, y * fz - z * fy, z * fx - x * fz, x * fy - y * fx)
     sums = xp.stack([total(row) for row in rows], axis=1)
@@ -717,11 +740,13 @@ def _foot_table(shape: str, surface_friction: float) -> tuple[float, float, Floa
     return first, step, np.concatenate([law, (lift * theory[..., 2])[..., None]], axis=-1)
 
 
-def _bounded(xp: Any, force: Any, normal: Any, motion: Any, friction: float) -> Any:
+def _bounded(
+    xp: Any, force: Any, normal: Any, motion: Any, friction: float, mobilized: Any = None
+) -> Any:
     """Forces on faces that take energy, with no more friction than Coulomb's, shape [3, face].
 
     ``normal`` is the outward one and ``motion`` the direction in which a face moves. No soil pulls
-    at a face.
+    at a face, and friction is mobilized by a share of it.
     """
     # f = −p n + t with p = max(−f·n, 0): |t| is cut to μ p.
     force = _against(xp, force, motion)
@@ -729,6 +754,7 @@ def _bounded(xp: Any, force: Any, normal: Any, motion: Any, friction: float) -> 
     along = force + pressure * normal
     size = xp.sqrt(xp.sum(along * along, axis=0))
     share = xp.clip(friction * pressure / xp.clip(size, TINY, None), None, 1.0)
+    share = share if mobilized is None else share * mobilized
     return along * share - pressure * normal
 
 
