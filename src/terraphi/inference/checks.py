@@ -232,7 +232,7 @@ def _clipped(name: str, force: FloatArray, theta: FloatArray, resolution: float)
         first, last = theta[at[0]], theta[at[-1]]
         # Forces of rough soil fall below a ceiling in between. Few readings are just below it,
         # where those at a round top become fewer step by step.
-        step = max(resolution, 1e-3 * float(np.ptp(force)))
+        step = max(resolution, 1e-3 * float(np.ptp(force)), 1e-300)
         below = np.floor(np.abs(force - end) / step + 1e-9)
         nearby = np.max([np.count_nonzero(below == k) for k in (1, 2, 3)])
         if at.size >= max(CEILING, CEILING_OVER * float(nearby)):
