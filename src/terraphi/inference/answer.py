@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
+COMMON = ("model", "95 % of φ", "data")
+"""Labels in a picture that all bodies have."""
 QUANTILES = 4000
 """Equally probable values that stand for a posterior by quadrature where draws are wanted."""
 
@@ -380,22 +382,36 @@ class Answer(Shown, AnswerSummary):
         *of_channels, of_phi = figure.subplots(1, 1 + len(panels))
         several = len(self.rigs) > 1
         for axes, (name, along) in zip(of_channels, panels, strict=True):
+            drawn: set[str] = set()
             for record in self.records:
                 if name not in record.nrmsd or record.along != along:
                     continue
                 i, theta, rig = list(record.nrmsd).index(name), record.theta_deg, record.rig
                 colour = f"C{self.rigs.index(rig) % 10}"
                 body = str(rig) if isinstance(rig, Tool) else OUTLINES[rig.leg].label
+                # Strokes of one leg have one band; data of several legs have their colours.
+                if str(rig) not in drawn:
+                    band = record.band[:, i]
+                    axes.fill_between(
+                        theta, *band, color=colour, alpha=0.2, lw=0, label="95 % of φ"
+                    )
+                drawn.add(str(rig))
                 axes.plot(theta, record.curve[i], color=colour, label=body if several else "model")
-                axes.fill_between(
-                    theta, *record.band[:, i], color=colour, alpha=0.2, lw=0, label="95 % of φ"
-                )
-                axes.plot(theta, record.data[i], ".", color="black", ms=3, label="data")
+                dots = colour if several else "black"
+                axes.plot(theta, record.data[i], ".", color=dots, ms=4, mec="black", mew=0.4,
+                          label="data")  # fmt: skip
             handles, labels = axes.get_legend_handles_labels()
             each = dict(zip(labels, handles, strict=True))
-            axes.legend(each.values(), each.keys(), frameon=False, fontsize="small")
+            # Legs first, then what all have.
+            names = [*(key for key in each if key not in COMMON), *(k for k in COMMON if k in each)]
+            axes.legend([each[key] for key in names], names, frameon=False, fontsize="small")
             axes.set(xlabel=along, ylabel=force_label(name))
             axes.axhline(0.0, color="0.7", lw=0.5, zorder=0)
+            # A wide band is cut off, so that the data fill the picture.
+            rows = [line.get_ydata() for line in axes.get_lines()[:-1]]
+            low, high = min(map(np.min, rows)), max(map(np.max, rows))
+            ends = np.array([low, high]) + (high - low) * np.array([-0.6, 0.6])
+            axes.set_ylim(*np.clip(axes.get_ylim(), *ends))
         grid, density = self.grid_deg, self.density
         sound = self.verdict == "consistent"
         colour = "C0" if sound else "0.6"
