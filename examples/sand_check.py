@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 from go2.control import HEIGHT
 from go2.model import GO2_MASS
-from go2.sand import Crust, Elastic, Sand, Trodden
+from go2.sand import Crust, Elastic, Ground, Sand, Trodden
 from go2.walk import Recording, Walk
 from sand_walk import GAITS, sand_log, sand_walk
 
@@ -64,8 +64,13 @@ GROUNDS: dict[str, Sand] = {
     "hard layer": Elastic(stiffness=1e5, cover=0.02),
     "crust": Crust(),
     "trodden": Trodden(),
+    "clay": Ground(strength=8e3),
+    "layer": Ground(stiffness=4e3),
+    "clay under a crust": Ground(strength=8e3, crust_N=40.0, thickness=0.004),
+    "displaced": Ground(lifting=102.0),
 }
-"""Ground that is no dry virgin sand, or not only: no footfall may be usable without a note."""
+"""Ground that is no dry virgin sand, or not only: no footfall may be usable without a note.
+The last one is sand of 40° by Archimedes' law: nearly all should be."""
 HELD_BACK = ("slow", "limp")
 """Gaits that walk in the first world only."""
 ANCHOR_M, ANCHOR_SD = 0.5, 1.0 / 3.0
@@ -146,7 +151,7 @@ def score(walk: Walk, recording: Recording, seed: int) -> dict[str, float]:
     numbers = {"footfalls": len(usable), "usable": int(usable.sum()), "s_per_min": spent}
     numbers["s_per_min"] *= 60.0 / float(log.time[-1] - log.time[0])
     numbers["notes"] = len(found.warnings) - 2  # of the density, and that there is no anchor
-    if walk.sand is None or isinstance(walk.sand, Elastic | Crust) or not usable.any():
+    if walk.sand is None or isinstance(walk.sand, Elastic | Crust | Ground) or not usable.any():
         return numbers
     start = recording.position[0, :2]
     truth = walk.sand.phi(found.path[:, 1:] + start)

@@ -222,6 +222,47 @@ class Crust(Sand):
         return np.stack([-0.6 * up * np.cos(descent), up], axis=-1)
 
 
+@dataclass(frozen=True)
+class Ground(Sand):
+    """Ground by another formula than a law's: sums of parts that yield for good, the same anywhere.
+
+    Attributes
+    ----------
+    lifting
+        K of sand whose lift is K ρ g times the volume displaced (Archimedes' law for grains) [-].
+    strength, hardening
+        Undrained shear strength of clay [Pa] and its growth with depth [Pa/m]; it bears nine times
+        that on the area of contact.
+    stiffness, power
+        Of a layer whose force is k R (z/R)^n: k [N/m] and n [-].
+    crust_N, thickness
+        Force at which a crust on top breaks, and its depth by then [m].
+    """
+
+    lifting: float = 0.0
+    strength: float = 0.0
+    hardening: float = 0.0
+    stiffness: float = 0.0
+    power: float = 1.0
+    crust_N: float = 0.0
+    thickness: float = 0.006
+
+    def lift(self, depth: FloatArray, descent: FloatArray, phi: FloatArray) -> FloatArray:
+        """Force of such ground."""
+        del phi
+        z, size = np.maximum(depth, 0.0), self.radius
+        cap = np.minimum(z, size)
+        area = np.pi * cap * (2.0 * size - cap)
+        volume = np.pi * cap**2 * (size - cap / 3.0) + np.pi * size**2 * (z - cap)
+        up = self.lifting * self.density * 9.81 * volume
+        up += 9.0 * (self.strength + self.hardening * z) * area
+        up += self.stiffness * size * (z / size) ** self.power
+        if self.crust_N:
+            up = np.where(z < self.thickness, self.crust_N * z / self.thickness, up)
+        up = np.where(descent > -1e-3, up, 0.0)
+        return np.stack([-0.6 * up * np.cos(descent), up], axis=-1)
+
+
 class SandForces:
     """Pushes the feet of one simulation."""
 

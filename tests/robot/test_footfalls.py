@@ -19,6 +19,8 @@ from terraphi.experiment.errors import InputError
 from terraphi.inference.footfalls import (
     EDGE,
     ELASTIC,
+    HARD,
+    MISFIT,
     PRINT,
     SHALLOW,
     TORN,
@@ -185,6 +187,7 @@ def test_of_two_feet_in_one_place_the_second_is_refused() -> None:
     places = np.column_stack([x, np.zeros((7, 2))])
     fair = {"torn": np.zeros(7, bool), "saturated": np.zeros(7, bool), "place": places}
     fair |= {"returned": np.zeros(7), "broken": np.zeros(7), "faulty": np.zeros(7, bool)}
+    fair["deepest"] = np.full(7, 0.02)
     observed = SimpleNamespace(foot=feet, used=np.ones((7, 20), bool), **fair)
     result = SimpleNamespace(
         phi=np.array([32.0] * 6 + [50.0]), sinkage=np.full(7, 0.02), gained=np.full(7, 0.01),
@@ -192,6 +195,28 @@ def test_of_two_feet_in_one_place_the_second_is_refused() -> None:
     )  # fmt: skip
     expected = [USABLE, USABLE, PRINT, PRINT, USABLE, TRODDEN, EDGE]
     assert verdicts(observed, result, 0.022).tolist() == expected
+
+
+def test_a_misfit_and_a_hard_layer_are_judged_by_the_rest_of_the_walk() -> None:
+    """A law fits 20 footfalls a little badly and one not at all; feet stop at a layer, or not."""
+    count, rng = 21, np.random.default_rng(0)
+    still = {name: np.zeros(count) for name in ("returned", "broken")}
+    still |= {name: np.zeros(count, bool) for name in ("torn", "saturated", "faulty")}
+    place = np.column_stack([np.arange(count), np.zeros((count, 2))])
+    observed = SimpleNamespace(
+        foot=np.zeros(count, int), place=place, used=np.ones((count, 20), bool),
+        deepest=np.append(np.full(20, 0.05), 0.03), **still,
+    )  # fmt: skip
+    result = SimpleNamespace(
+        phi=np.full(count, 32.0), gained=np.full(count, 0.01), borne=np.ones(count),
+        misfit=np.append(rng.lognormal(0.7, 0.4, 20), 12.0),
+    )  # fmt: skip
+    assert (result.misfit[:20] > 2.0).sum() > 5
+    assert verdicts(observed, result, 0.022).tolist() == [USABLE] * 20 + [MISFIT]
+    result.borne[[0, 20]] = 1.5  # one foot stopped as deep as others, one far above
+    assert verdicts(observed, result, 0.022).tolist() == [HARD] + [USABLE] * 19 + [MISFIT]
+    result.borne[:10] = 1.5  # on such ground, what is usual is no measure
+    assert (verdicts(observed, result, 0.022)[10:] == MISFIT).sum() > 3
 
 
 def test_a_robot_that_lies_down_is_carried() -> None:

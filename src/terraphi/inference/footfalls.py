@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from terraphi.experiment.files import NetcdfFile, atomic_files, atomic_write
 from terraphi.experiment.outputs import SIGNATURE
 from terraphi.experiment.results import Result, Variable
 from terraphi.experiment.tables import write_csv
+from terraphi.inference.grounds import without_angle
 from terraphi.inference.pool import Anchor, Normal, Observed, Pooled, pool
 from terraphi.inference.records import density_warnings
 from terraphi.inference.terms import TERMS
@@ -51,8 +52,10 @@ TRODDEN, PRINT = "not virgin ground", "print of a fore foot"
 TORN, SATURATED, EDGE = "timing unreliable", "saturated", "at a prior's edge"
 FAULTY = "log contradicts the robot"
 ELASTIC, CRUST, HARD = "ground springs back", "a crust broke", "hard ground below"
+NO_ANGLE = "no friction angle"
 VERDICTS = (
-    USABLE, SHALLOW, ELASTIC, CRUST, HARD, PRINT, TRODDEN, MISFIT, TORN, SATURATED, EDGE, FAULTY
+    USABLE, SHALLOW, ELASTIC, NO_ANGLE, CRUST, HARD, PRINT, TRODDEN, MISFIT, TORN, SATURATED, EDGE,
+    FAULTY,
 )  # fmt: skip
 """Verdicts of footfalls."""
 
@@ -66,9 +69,15 @@ NEAR_RADII, BESIDE_RADII, BESIDE_SD_DEG = 1.5, 3.0, 1.5
 ground nearer than the second has been moved, which adds a standard deviation to φ [deg]. In
 simulated grains balls of 44 mm read φ + 7.9° in their own print, + 3.5° at one radius from it, +
 0.5° at 1.5 and −0.9 to + 1.5° from 2 to 3."""
-WORST_MISFIT = 2.0
-"""χ² over the degrees of freedom above which a law does not fit [-]; 0.1 to 0.4 on simulated walks,
-with noise twice as large as usual included."""
+FAIR_MISFIT, WORST_MISFIT, MISFIT_SDS = 2.0, 6.0, 2.5
+"""χ² over the degrees of freedom below which a law fits, above which it does not, and between both
+how many standard deviations of ln χ² a footfall may lie above the median of its walk [-]. By the
+right law it is 0.1 to 0.4; in uniform sand of another law the median is 0.5 to 2.6 and ln χ²
+scatters by 0.6, without a relation to the error of φ. The scatter is that of the better half."""
+MOST_TROUBLED = 0.25
+"""Part of the feet under which a crust, hard ground or an edge of φ shows, from which on a walk's
+misfits are no measure of what is usual [-]: 0.67 on a track that was walked before, 0.05 on sand of
+four laws."""
 MOST_RETURNED, WALK_RETURNED = 0.35, 0.15
 """Work that the ground gives back at the end of a stance over what the loading put in, above which
 a footfall is on elastic ground, and the median above which a whole walk is [-]. Elastic ground
@@ -81,15 +90,17 @@ MOST_BROKEN, WALK_BROKEN = 0.4, 0.15
 and the median above which a walk is on a crust [-]. 80 walks on simulated sand: 0.34 at most and
 medians of 0; by Hansen's formula, whose resistance falls at a depth of one breadth, medians of 0.1.
 Crusts that break at 25, 40 and 60 N: medians of 0.2, 0.3 to 0.5 and 0.6 to 0.7."""
-MOST_BORNE = 1.2
+MOST_BORNE, DEEPER_M, MOST_DEEPER = 1.2, 0.003, 0.2
 """Force that the ground bears at the deepest point of a stance, over what the law that fits the
-loading gives there, above which something hard lies below [-]. On simulated sand of the assumed law
-and others one of about 2,500 usable footfalls has 1.4, the others 1.07 at most; on a hard layer
-under 20 to 30 mm of sand the median of a walk is 1.2, where its feet reach it."""
+loading gives there, above which something hard lies below [-], if no more than a part of the feet
+[-] go deeper by so much [m]. On simulated sand of the assumed law and others one of about 2,500
+usable footfalls has 1.4, the others 1.07 at most; on a hard layer under 20 to 30 mm of sand the
+median of a walk is 1.2, where its feet reach it."""
 MOST_MISFITS = 0.2
-"""Part of the footfalls that the law does not fit, above which there is a warning [-]. On virgin
-sand of five laws ``examples/sand_check.py`` has 0 to 12 %, but for one of eight walks by Meyerhof's
-formula (28 %); on a track that was walked before 27 to 50 %."""
+"""Part of the footfalls that the law does not fit well, above which there is a warning [-]. On
+virgin sand of five laws ``examples/sand_check.py`` has 0 to 12 %, but for one of eight walks by
+Meyerhof's formula (28 %); on a track that was walked before 27 to 50 %, as in sand of Archimedes'
+law."""
 SLOW_GROWTH = -0.35
 """Exponent of a walk, by law ``foot``, below which forces grow slower with depth than those of dry
 sand that is stepped on slowly [-]: −0.1 to 0.1 on simulated dry sand, −0.18 in grains, −0.31 on
@@ -478,7 +489,7 @@ def infer(
     # footfall is refused.
     near_print, _ = trodden_before(touchdowns, BESIDE_RADII * prior.radius)
     fits = fits._replace(sd=np.hypot(fits.sd, BESIDE_SD_DEG * near_print))
-    verdict = verdicts(touchdowns, fits, prior.radius)
+    verdict, ground = _judged(touchdowns, fits, law, prior)
     usable = verdict == USABLE
     footfall_phi, path_phi = np.full((3, len(verdict)), np.nan), np.full((3, len(path)), np.nan)
     shared: dict[str, Any] = {}
@@ -506,7 +517,7 @@ def infer(
         ]  # fmt: skip
     sinkage = surface_depth(fits, verdict)
     warnings = [
-        *_ground_notes(touchdowns, fits, verdict), *contradicted,
+        *ground, *_ground_notes(touchdowns, fits, verdict), *contradicted,
         *density_warnings(prior.density),
         *notes, *_limits_of_the_law(touchdowns, fits, usable, law, prior),
         *_limits_of_the_path(path, verdict, prior, scale_sd, anchored=bool(anchors)),
@@ -530,6 +541,16 @@ def infer(
             "terraphi": importlib.metadata.version("terraphi"),
         },
     )  # fmt: skip
+
+
+def _judged(
+    touchdowns: Touchdowns, fits: Fit, law: str, prior: Prior
+) -> tuple[NDArray[np.str_], list[str]]:
+    """Verdicts, and a sentence on the ground of the whole walk if it has no friction angle."""
+    verdict = verdicts(touchdowns, fits, prior.radius)
+    sank = np.isin(verdict, (USABLE, MISFIT, HARD, EDGE))
+    ground = without_angle(picked(touchdowns, sank), law, prior) if sank.any() else ""
+    return (np.where(sank, NO_ANGLE, verdict), [ground]) if ground else (verdict, [])
 
 
 def surface_depth(fits: Fit, verdict: NDArray[np.str_]) -> FloatArray:
@@ -651,8 +672,59 @@ def _limits_of_the_path(
     return notes
 
 
+class Typical(NamedTuple):
+    """What is usual in a walk, with which its footfalls are compared.
+
+    Attributes
+    ----------
+    returned
+        Median work returned by the ground [-].
+    misfit
+        χ² over the degrees of freedom above which the law does not fit [-].
+    deep
+        Drop that few feet exceed [m].
+    """
+
+    returned: float = 0.0
+    misfit: float = FAIR_MISFIT
+    deep: float = -math.inf
+
+    @classmethod
+    def of(cls, rows: FloatArray) -> Typical:
+        """Usual values of rows of :func:`traits`, those of feet that sank in.
+
+        Feet that hardly sink stand on hard ground, which a walk may cross before and after the
+        soil. Fewer than :data:`FEWEST_TYPICAL` have none.
+        """
+        sound, gained, returned, misfit, deepest, troubled = rows.T
+        sank = (sound > 0.0) & (gained >= LEAST_GAINED)
+        if sank.sum() < FEWEST_TYPICAL:
+            return cls()
+        low, median = np.percentile(np.log(np.maximum(misfit[sank], 1e-6)), (16.0, 50.0))
+        most = math.exp(median + MISFIT_SDS * (median - low))
+        one_soil = troubled[sank].mean() < MOST_TROUBLED
+        return cls(
+            float(np.median(returned[sank])),
+            min(max(most, FAIR_MISFIT), WORST_MISFIT) if one_soil else FAIR_MISFIT,
+            float(np.quantile(deepest[sank], 1.0 - MOST_DEEPER)) - DEEPER_M,
+        )
+
+
+def traits(touchdowns: Touchdowns, fits: Fit) -> FloatArray:
+    """What :class:`Typical` is learned from, shape [footfall, 6].
+
+    Whether log and timing are sound, how far the foot went down under load [m], work returned,
+    misfit, deepest drop [m], and whether a crust, hard ground or a prior's edge shows.
+    """
+    troubled = (touchdowns.broken > MOST_BROKEN) | (fits.borne > MOST_BORNE)
+    return np.column_stack([
+        ~(touchdowns.torn | touchdowns.faulty), fits.gained, touchdowns.returned, fits.misfit,
+        touchdowns.deepest, troubled | np.isin(fits.phi, PHI_RANGE),
+    ])  # fmt: skip
+
+
 def verdicts(
-    touchdowns: Touchdowns, fits: Fit, radius: float, *, returned: float | None = None
+    touchdowns: Touchdowns, fits: Fit, radius: float, *, typical: Typical | None = None
 ) -> NDArray[np.str_]:
     """Verdict of each footfall: the first reason against it, else :data:`USABLE`.
 
@@ -662,14 +734,13 @@ def verdicts(
         The touch-downs of a log, in the order of time, and their fit.
     radius
         Of the foot [m].
-    returned
-        Median work returned by the ground of the whole walk [-] (:func:`walk_median`); by default
-        that of these touch-downs.
+    typical
+        What is usual in the whole walk; by default in these touch-downs.
     """
-    if returned is None:
-        unsound = touchdowns.torn | touchdowns.faulty
-        returned = walk_median(unsound, fits.gained, touchdowns.returned)
+    if typical is None:
+        typical = Typical.of(traits(touchdowns, fits))
     trodden, printed = trodden_before(touchdowns, NEAR_RADII * radius)
+    springs = (touchdowns.returned > MOST_RETURNED) | (typical.returned > WALK_RETURNED)
     # The order is that of causes: sensors and timing, ground that is no virgin soil, then the fit,
     # which each of the causes before it can spoil.
     reasons = (
@@ -677,13 +748,13 @@ def verdicts(
         (TORN, touchdowns.torn),
         (SATURATED, touchdowns.saturated),
         (SHALLOW, (fits.gained < LEAST_GAINED) | (touchdowns.used.sum(axis=1) < FEWEST)),
-        (ELASTIC, (touchdowns.returned > MOST_RETURNED) | (returned > WALK_RETURNED)),
+        (ELASTIC, springs),
         (CRUST, touchdowns.broken > MOST_BROKEN),
-        (HARD, fits.borne > MOST_BORNE),
+        (HARD, (fits.borne > MOST_BORNE) & (touchdowns.deepest >= typical.deep)),
         (PRINT, printed),
         (TRODDEN, trodden),
         (EDGE, np.isin(fits.phi, PHI_RANGE)),
-        (MISFIT, fits.misfit > WORST_MISFIT),
+        (MISFIT, fits.misfit > typical.misfit),
     )
     words = [word for word, _ in reasons]
     return np.select([holds for _, holds in reasons], words, USABLE)
@@ -699,22 +770,11 @@ def comes_back(path: FloatArray) -> bool:
     return bool(np.any(np.abs(path[second, 0] - path[first, 0]) > 4.0 * near))
 
 
-def walk_median(torn: BoolArray, gained: FloatArray, values: FloatArray) -> float:
-    """Median of values over the touch-downs whose timing is reliable and that sank in.
-
-    0 if they are fewer than :data:`FEWEST_TYPICAL`. Feet that hardly sink stand on hard ground,
-    which a walk may cross before and after the soil.
-    """
-    sound = ~torn & (gained >= LEAST_GAINED)
-    return float(np.median(values[sound])) if sound.sum() >= FEWEST_TYPICAL else 0.0
-
-
 def _ground_notes(touchdowns: Touchdowns, fits: Fit, verdict: NDArray[np.str_]) -> list[str]:
     """Warnings about ground that is not soil, or not only soil."""
-    unsound = touchdowns.torn | touchdowns.faulty
-    returned, broken = (
-        walk_median(unsound, fits.gained, part) for part in (touchdowns.returned, touchdowns.broken)
-    )
+    returned = Typical.of(traits(touchdowns, fits)).returned
+    sank = ~(touchdowns.torn | touchdowns.faulty) & (fits.gained >= LEAST_GAINED)
+    broken = np.median(touchdowns.broken[sank]) if sank.sum() >= FEWEST_TYPICAL else 0.0
     notes = []
     if returned > WALK_RETURNED:
         notes.append(
@@ -731,11 +791,11 @@ def _ground_notes(touchdowns: Touchdowns, fits: Fit, verdict: NDArray[np.str_]) 
             f"{hard} of {len(verdict)} feet ended on harder ground below the soil: check how deep "
             "the soil is"
         )
-    misfits = int((verdict == MISFIT).sum())
+    misfits = int(((fits.misfit > FAIR_MISFIT) & np.isin(verdict, (USABLE, MISFIT))).sum())
     if misfits > MOST_MISFITS * len(verdict):
         notes.append(
-            f"the law does not fit {misfits} of {len(verdict)} footfalls: check whether the ground "
-            "was trodden before, or is stony, layered or damp"
+            f"the law does not fit {misfits} of {len(verdict)} footfalls well: check whether the "
+            "ground was trodden before, or is stony, layered or damp"
         )
     return notes
 

@@ -110,7 +110,8 @@ class Touchdowns(NamedTuple):
         Work that the ground gives back at the end of the stance, over what the loading put in [-],
         shape [touchdown].
     peak, deepest
-        Of the whole stance: largest force [N] and largest drop [m], shape [touchdown].
+        Of the whole stance: largest force less the soil's inertia [N] and largest drop [m], shape
+        [touchdown].
     broken
         Largest part of the force that is lost while the foot goes deeper [-], shape [touchdown];
         what the soil's inertia adds to a landing does not count.

@@ -132,9 +132,8 @@ class Footfalls:
         self._over = dict.fromkeys(FEET, -math.inf)
         """End of each foot's last stance that was answered [s]."""
         self._fitted: list[tuple[Touchdowns, Fit]] = []
-        self._brief: FloatArray = np.zeros((0, 5))
-        """Of each footfall x, y [m], whether its timing is torn or its log faulty, depth gained
-        [m] and work returned [-]."""
+        self._brief: FloatArray = np.zeros((0, 8))
+        """Of each footfall x, y [m] and :func:`~terraphi.inference.footfalls.traits`."""
         self._course: list[batch.Course] = []
         """Means over :data:`~terraphi.robot.footfalls.AVERAGED_S`, a course for each piece."""
         self._map: FootfallMap | None = None
@@ -321,14 +320,15 @@ class Footfalls:
         distance = np.linalg.norm(self._brief[:, None, :2] - places, axis=-1).min(axis=1)
         near = [self._fitted[k] for k in np.flatnonzero(distance < reach)]
         self._fitted += [(picked(landings, [i]), picked(fits, [i])) for i in range(count)]
-        unsound = landings.torn | landings.faulty
-        brief = np.column_stack([places, unsound, fits.gained, landings.returned])
+        brief = np.hstack([places, inference.traits(landings, fits)])
         self._brief = np.vstack([self._brief, brief])
-        torn, gained, returned = self._brief[:, 2:].T
-        median = inference.walk_median(torn > 0.0, gained, returned)
         near_landings, near_fits = map(stacked, zip(*near, (landings, fits), strict=True))
-        verdict = inference.verdicts(near_landings, near_fits, prior.radius, returned=median)
-        verdict = verdict[-count:]
+        verdict = inference.verdicts(
+            near_landings, near_fits, prior.radius,
+            typical=inference.Typical.of(self._brief[:, 2:]),
+        )[-count:]  # fmt: skip
+        if self._map is not None and inference.NO_ANGLE in self._map.verdict:
+            verdict[verdict == inference.USABLE] = inference.NO_ANGLE
         moved = inference.trodden_before(near_landings, reach)[0][-count:]
         sinkage = inference.surface_depth(fits, verdict)
         usable = np.where(verdict == inference.USABLE, 1.0, np.nan)

@@ -301,7 +301,7 @@ def _yielding(
     lost = most - force - np.maximum(landing * (speed[at] ** 2 - speed**2), 0.0)
     return {
         "returned": float(unloading / max(loading, 1e-4 * peak)),
-        "peak": peak,
+        "peak": max(float((force - landing * speed**2).max()), 1e-6),
         "deepest": float(drop.max()),
         "broken": float(np.where(breaks, lost / np.maximum(most, 1e-6), 0.0).max()),
     }
