@@ -13,11 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from pydantic import (
-    AliasChoices,
-    ConfigDict,
-    Field,
-)
+from pydantic import AliasChoices, ConfigDict, Field
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.bodies import OUTLINES

@@ -196,7 +196,12 @@ class Calibration(Strict):
             If the calibration is one by an earlier version.
         """
         first = [records[0] for records in self.repeats]
-        read, read_sd, rig_sd, bed_sd = np.array([self._pooled(r) for r in self.repeats]).T
+        # Mean ψ of repeats, and its variances by record, rig and beds.
+        pooled = [
+            np.mean([(r.read_deg, r.read_sd_deg**2, r.rig_sd_deg**2, r.bed_sd_deg**2 / len(records))
+                     for r in records], axis=0) for records in self.repeats
+        ]  # fmt: skip
+        read, read_variance, rig_variance, bed_variance = np.array(pooled).T
         if {len(soil.row) for soil in first} != {row.size}:
             raise InputError("the calibration has no rows of the law's error; calibrate again")
         soils, legs, on_rigs = (
@@ -207,16 +212,16 @@ class Calibration(Strict):
         rigs = np.unique(on_rigs)
         is_on = on_rigs[:, None] == rigs
         effects = np.hstack([np.array([soil.row for soil in first]), is_on])
-        kept = (is_on * rig_sd[:, None] ** 2).sum(axis=0) / is_on.sum(axis=0)
+        kept = rig_variance @ is_on / is_on.sum(axis=0)
         k = row.size
         prior = np.diag(np.append(np.zeros(k), error.rig_sd_deg**2 + kept))
         prior[:k, :k] = error.covariance_deg2
         # K of the soils, y = read − phi.
         of_soil = error.soil_sd_deg**2 + error.leg_sd_deg**2 * (legs[:, None] == legs)
-        of_soil = of_soil + np.minimum.outer(read_sd, read_sd) ** 2
+        of_soil = of_soil + np.minimum.outer(read_variance, read_variance)
         of_soil += np.square([soil.phi_sd_deg for soil in first])
         total = effects @ prior @ effects.T + (soils[:, None] == soils) * of_soil
-        total += np.diag(1e-6 + bed_sd**2)
+        total += np.diag(1e-6 + bed_variance)
         # Mean and covariance of z given y; the record has the row (x, is on the rig).
         gain = np.linalg.solve(total, effects @ prior).T
         values, vectors = np.linalg.eigh(prior - gain @ effects @ prior)
@@ -224,27 +229,13 @@ class Calibration(Strict):
         mean = float(of_record @ gain @ (read - [soil.phi_deg for soil in first]))
         return mean, of_record @ (vectors * np.sqrt(np.maximum(values, 0.0)))
 
-    @staticmethod
-    def _pooled(records: list[CalibrationSoil]) -> tuple[float, ...]:
-        """Mean ψ of repeats, and its standard deviations by record, rig and beds [deg]."""
-        read, *variances = np.mean(
-            [(r.read_deg, r.read_sd_deg**2, r.rig_sd_deg**2, r.bed_sd_deg**2) for r in records],
-            axis=0,
-        )
-        variances[-1] /= len(records)
-        return read, *np.sqrt(variances)
-
     def save(self, path: Path | str) -> None:
         """Write a TOML file; raises InputError if the place cannot be written."""
-        lines = [
-            f"# {SIGNATURE}: a calibration",
-            f'library = "{self.library}"',
-            f'library_hash = "{self.library_hash}"',
-        ]
-        for soil in self.soils:
-            lines += ["", "[[soils]]"]
-            for key, value in soil.model_dump().items():
-                lines.append(f"{key} = {json.dumps(value, ensure_ascii=False)}")
+        head = self.model_dump(exclude={"soils"})
+        lines = [f"# {SIGNATURE}: a calibration"]
+        for title, part in [("", head), *(("[[soils]]", s.model_dump()) for s in self.soils)]:
+            lines += ["", title] if title else []
+            lines += [f"{k} = {json.dumps(v, ensure_ascii=False)}" for k, v in part.items()]
         with atomic_write(Path(path)) as temporary:
             temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
@@ -325,13 +316,13 @@ def _calibration_soil(
     likelihood = Likelihood([record], law)
     if not likelihood.measured:
         raise InputError(f"{record.source}: simulated forces calibrate nothing")
-    best = likelihood.least_squares
-    fits = record_fits(likelihood, best, (best, best))
+    read = likelihood.least_squares
+    fits = record_fits(likelihood, read, (read, read))
     legs = [leg_readings(likelihood, record)]
     verdict, reason, _ = judge(likelihood, fits, legs, damaged=bool(in_air(likelihood)))
     if verdict != "consistent":
         raise InputError(f"{record.source}: cannot calibrate with it. {reason}")
-    read, shares, error = best, likelihood.budget(), likelihood.error
+    shares, error = likelihood.budget(), likelihood.error
     fixed = [name for name in shares if term(name).fixed]
     rig_sd = math.hypot(*(shares[name] for name in fixed))
     sd = root_sum_square(shares, *fixed, *(name for name in shares if name.startswith("model: ")))

@@ -11,6 +11,7 @@ verdict and the advice read that one table. A warning is a sentence with one rem
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -405,18 +406,17 @@ def _unusual(likelihood: Likelihood, phi: Estimate, verdict: str) -> Iterator[st
     """Warn of an angle that the forces hardly determine, or that few soils have."""
     if likelihood.sd > np.ptp(likelihood.ends) / np.sqrt(12.0):
         yield "The forces carry almost no information on φ: the posterior equals the prior."
-    is_measured = likelihood.measured
+    if not likelihood.measured:
+        return
     for leg in dict.fromkeys(record.rig.leg for record in likelihood.records):
-        ends = likelihood.error.of_leg(leg).phi_deg
-        is_inside = ends is None or ends[0] - NEAR_DEG <= phi.median <= ends[1] + NEAR_DEG
-        if verdict == "consistent" and is_measured and not is_inside:
-            assert ends
+        low, high = likelihood.error.of_leg(leg).phi_deg or (-np.inf, np.inf)
+        is_inside = low - NEAR_DEG <= phi.median <= high + NEAR_DEG
+        if verdict == "consistent" and not is_inside:
             yield (
-                f"φ = {phi.median:.1f}° lies outside {ends[0]:.1f} to {ends[1]:.1f}°, where the "
+                f"φ = {phi.median:.1f}° lies outside {low:.1f} to {high:.1f}°, where the "
                 f"error of the law was learned on leg {leg}: it may be larger there."
             )
-    if is_measured:
-        yield from unusual(phi.median, "leg")
+    yield from unusual(phi.median, "leg")
 
 
 def _assumed(likelihood: Likelihood, i: int) -> Iterator[str]:
@@ -571,7 +571,7 @@ def _residuals(
     """
     shifts = np.arange(-SHIFT_DEG, SHIFT_DEG + 1.0, 3.0) if measured else np.zeros(1)
     squares = squared_residuals(record, data, force, law, shifts)
-    return list(np.sqrt(squares.min(axis=(1, 2)) / data[0].size).tolist())
+    return [math.sqrt(least / data[0].size) for least in squares.min(axis=(1, 2)).tolist()]
 
 
 def _column_readings(likelihood: Likelihood, record: Record, given: float) -> Iterator[Reading]:
@@ -606,14 +606,14 @@ def _column_readings(likelihood: Likelihood, record: Record, given: float) -> It
         on: -np.eye(2),
     }
     axes = signs | {"fx=FZ_COLUMN,fz=FX_COLUMN": cell @ np.eye(2)[::-1] @ cell.T}
-    for option, size in zip(axes, sizes(axes.values()), strict=True):
-        yield Reading(f"--columns {option}", size, strict, strict)
     # The sign of θ, alone or with that of a force.
     reversed_path = replace(history, position=-history.position[::-1], force=history.force[::-1],
                             moment=None)  # fmt: skip
     turned = {theta: np.eye(2)} | {f"{option},{theta}": sign for option, sign in signs.items()}
-    for option, size in zip(turned, sizes(turned.values(), reversed_path), strict=True):
-        yield Reading(f"--columns {option}", size, strict, strict, changes=1 + (option != theta))
+    for options, path in ((axes, history), (turned, reversed_path)):
+        for option, size in zip(options, sizes(options.values(), path), strict=True):
+            changes = 1 + option.endswith(f",{theta}")
+            yield Reading(f"--columns {option}", size, strict, strict, changes=changes)
 
     read_in = history.provenance.get("force_unit", "N")
     units = {u: FORCE[u] / FORCE[read_in] * np.eye(2) for u in UNITS if u != read_in}

@@ -372,28 +372,17 @@ def _answer(
     scaled = None
     if verdict == "consistent" and likelihood.measured and not all(r.scale_given for r in records):
         scaled = dict(zip(("half", "twice"), likelihood.at_scaled_forces([0.5, 2.0]), strict=True))
-    first, density_kg_m3 = records[0], likelihood.density[0]
-    is_unknown = first.density_kg_m3 is None
+    first, is_unknown = records[0], records[0].density_kg_m3 is None
     return Answer(
-        parameters={PHI: phi},
-        convention=law.convention,
-        phi_plane_strain=plane,
-        phi_plane_strain_reason=no_plane,
-        verdict=verdict,
-        reason=reason,
-        edge=edge,
+        parameters={PHI: phi}, convention=law.convention, phi_plane_strain=plane,
+        phi_plane_strain_reason=no_plane, verdict=verdict, reason=reason, edge=edge,
         budget_deg=likelihood.budget() if likelihood.beyond is None else {},
-        density_kg_m3=density_kg_m3,
+        density_kg_m3=likelihood.density[0],
         density_sd_kg_m3=DENSITY.sd if is_unknown else first.density_sd_kg_m3,
         density_assumed=is_unknown or first.density_assumed,
-        phi_of_force_deg=scaled,
-        law=law.name,
-        law_reason=law_reason,
-        second_opinion=opinion,
+        phi_of_force_deg=scaled, law=law.name, law_reason=law_reason, second_opinion=opinion,
         warnings=tuple(warnings(likelihood, fits, phi, verdict, opinion, legs, air)),
-        records=tuple(fits),
-        grid_deg=grid,
-        density=density,
+        records=tuple(fits), grid_deg=grid, density=density,
         covariance=likelihood.predictive_covariance(),
         leg_friction=likelihood.laws[0].leg_friction,
         cohesion_pa=likelihood.cohesion if isinstance(law, Legs) else None,
@@ -413,7 +402,7 @@ def _answer(
             "seconds": round(time.perf_counter() - began, 3),
             **({"calibration": calibration.model_dump(mode="json")} if calibration else {}),
         },
-    )
+    )  # fmt: skip
 
 
 def record_fits(

@@ -81,7 +81,7 @@ from numpy.typing import ArrayLike
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.history import FORCES, OBSERVATION_ANGLES, WINDOW_DEG, ForceHistory
+from terraphi.experiment.history import FORCES, WINDOW_DEG, ForceHistory
 from terraphi.experiment.priors import DENSITY
 from terraphi.experiment.units import GRAVITY
 from terraphi.inference.estimator import Best, least_squares, weights
@@ -237,6 +237,7 @@ class Likelihood:
             else r.density_sd_kg_m3 / r.density_kg_m3 for r in records
         ])  # fmt: skip
         """Relative standard deviation of the density [-], shape [record]."""
+        # Forces in soil of a record's density over those of its law.
         self._ratio = np.array(self.density) / [law.density for law in self.laws]
         ends = np.cumsum([0, *(r.data.size for r in records)])
         self.parts = [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
@@ -257,8 +258,8 @@ class Likelihood:
         self.high = min(float(law.bounds[1][0]) for law in self.laws)
         self.ends = max(self.low - BEYOND_DEG, LIMITS_DEG[0]), min(self.high + BEYOND_DEG,
                                                                    LIMITS_DEG[1])  # fmt: skip
-        soils = calibration.soils if calibration else []
-        self._calibrated = {soil.rig for soil in soils}
+        rigs = {soil.rig for soil in calibration.soils} if calibration else set()
+        self._is_calibrated = np.array([rig_name(record.rig) in rigs for record in records])
 
     def _fitted_cohesions(self) -> FloatArray:
         """Cohesions that φ is fitted at [Pa]; of simulated soil that of its scenario.
@@ -347,11 +348,13 @@ class Likelihood:
             for record in self.records
         }
 
-    def _offset_causes(self, record: Record) -> FloatArray:
-        """Error of the offset by independent causes, a standard deviation of each [deg]."""
+    @cached_property
+    def _offset_causes(self) -> FloatArray:
+        """Error of the offset by a standard deviation of each cause [deg], [record, cause]."""
         if self.calibration:
-            return self._calibrated_errors[record][1]
-        return np.asarray(self.row(record, self.least_squares) @ self.error.root)
+            return np.array([self._calibrated_errors[record][1] for record in self.records])
+        rows = np.array([self.row(record, self.least_squares) for record in self.records])
+        return rows @ self.error.root
 
     def of_size_deg(self, record: Record) -> float:
         """Part of the offset that comes with the size of the grains [deg]."""
@@ -445,10 +448,6 @@ class Likelihood:
         """Part of a whole stroke that each record has, at the best point."""
         coverage = []
         for i, record in enumerate(self.records):
-            is_full = record.theta_deg.size == OBSERVATION_ANGLES
-            if record.channels == FORCES and is_full:
-                coverage.append(Coverage(1.0, record.span))
-                continue
             # A record of the same channels over a whole stroke, whose windows read the law 1°
             # below and above the best angle: their difference is proportional to ∂g/∂φ.
             theta = np.radians(np.arange(-WINDOW_DEG - 3.0, WINDOW_DEG + 3.5))
@@ -461,8 +460,9 @@ class Likelihood:
             means = window_means(stroke, force, self.laws[i], self.shift_deg[i])
             below, curve, above = means.reshape(3, len(stroke.channels), -1)
             # A part of a stroke may lack the peak, so that p is the model's where that is larger.
-            span = record.span if is_full else np.maximum(record.span, np.ptp(curve, axis=1))
             measured = np.isin(stroke.theta_deg.round(6), record.theta_deg.round(6))
+            is_full = measured.all()
+            span = record.span if is_full else np.maximum(record.span, np.ptp(curve, axis=1))
             information = np.square((above - below) / span[:, None])
             share = float(information[:, measured].sum() / information.sum())
             coverage.append(Coverage(share, span))
@@ -657,18 +657,16 @@ class Likelihood:
             for name, (sds, change) in errors.items():
                 error = sds[self._record_index] * change
                 covariances[name] = np.outer(error, error)
-        rigs = [rig_name(record.rig) for record in self.records]
         sharers = [
-            Sharer(i, rig, record.rig.leg, self.library.name)
-            for i, (rig, record) in enumerate(zip(rigs, self.records, strict=True))
+            Sharer(i, rig_name(record.rig), record.rig.leg, self.library.name)
+            for i, record in enumerate(self.records)
         ]
-        # What a calibration of the rig includes is no further error of its records.
-        counts = np.array([rig not in self._calibrated for rig in rigs])
         windows = np.ix_(self._record_index, self._record_index)
         for name, covariance in covariances.items():
             together = is_shared(name, sharers)
             if term(name).fixed:
-                together &= np.outer(counts, counts)
+                # What a calibration of the rig includes is no further error of its records.
+                together &= ~np.logical_or.outer(self._is_calibrated, self._is_calibrated)
             covariance *= together[windows]
         return {name: each for name, each in covariances.items() if each.any()}
 
@@ -710,29 +708,24 @@ class Likelihood:
         """
         if not self.measured:
             return ()
-        return tuple(np.mean([*map(self._offset_causes, self.records)], axis=0).tolist())
+        return tuple(self._offset_causes.mean(axis=0).tolist())
 
     def _angle_sds(self) -> dict[str, FloatArray]:
         """Standard deviation of φ by what looks like another angle [deg], shape [record] each."""
-        rows, error = [], self.error
-        for record, coverage in zip(self.records, self.coverage, strict=True):
-            is_calibrated = rig_name(record.rig) in self._calibrated
-            # 1/h − 1 is the variance of φ by the part of a stroke that is missing, over that at ½.
-            missing = 1.0 / min(max(coverage.share, 1e-3), 1.0) - 1.0
-            rows.append(
-                {
-                    "model: offset": math.hypot(*self._offset_causes(record)),
-                    "model: soil": error.soil_sd_deg,
-                    "model: leg": error.leg_sd_deg,
-                    "model: rig": 0.0 if is_calibrated else error.rig_sd_deg,
-                    "model: bed": error.bed_sd(record.rig, record.grain_size_mm),
-                    "missing angles": PART_DEG * math.sqrt(missing),
-                    "missing forces": MOMENT_DEG * (record.channels != FORCES),
-                    "second opinion": self.disagreement_deg,
-                    "cohesion": self.averaged[2],
-                }
-            )
-        return {name: np.array([row[name] for row in rows]) for name in rows[0]}
+        records, error, each = self.records, self.error, np.ones(len(self.records))
+        # 1/h − 1 is the variance of φ by the part of a stroke that is missing, over that at ½.
+        share = np.clip([coverage.share for coverage in self.coverage], 1e-3, 1.0)
+        return {
+            "model: offset": np.linalg.norm(self._offset_causes, axis=1),
+            "model: soil": error.soil_sd_deg * each,
+            "model: leg": error.leg_sd_deg * each,
+            "model: rig": error.rig_sd_deg * ~self._is_calibrated,
+            "model: bed": np.array([error.bed_sd(r.rig, r.grain_size_mm) for r in records]),
+            "missing angles": PART_DEG * np.sqrt(1.0 / share - 1.0),
+            "missing forces": MOMENT_DEG * np.array([r.channels != FORCES for r in records]),
+            "second opinion": self.disagreement_deg * each,
+            "cohesion": self.averaged[2] * each,
+        }
 
     @cached_property
     def covariance(self) -> FloatArray:

@@ -9,7 +9,7 @@ P² / (P + R). A further record in the same soil is one by the law, joined to th
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
 from typing import Any, NamedTuple
 
@@ -59,20 +59,11 @@ def next_measurements(answer: Answer, *, further_records: bool = True) -> list[M
         return []
     assert isinstance(rig, Rig)
 
-    def without(names: Sequence[str], share: float = 0.0) -> float:
-        """Standard deviation with a share of the standard deviation of some terms."""
-        removed = (1.0 - share**2) * sum(squares.get(name, 0.0) for name in names)
-        return math.sqrt(max(sum(squares.values()) - removed, 0.0))
-
+    variance = sum(squares.values())
     density_sd = (answer.density_sd_kg_m3 or 0.0) / answer.density_kg_m3
     # A gain scales the forces as a density does.
     scale = answer.budget_deg.get("density", 0.0)
     of_sensor = density_sd * answer.budget_deg.get("gain", 0.0) / scale if scale else 0.0
-    removed = {
-        "a record of the whole stroke": "missing angles", "both forces": "missing forces",
-        "more readings": "noise", "a library of this rig with more cases": "emulator",
-        "a known cohesion": "cohesion",
-    }  # fmt: skip
     measured = [
         (f"the hip's height known to ± {HIP_MM:g} mm", "hip height", HIP_MM,
          rig.hip_height_sd_mm),
@@ -82,26 +73,27 @@ def next_measurements(answer: Answer, *, further_records: bool = True) -> list[M
          density_sd),
         (f"the gain known to ± {100 * KNOWN_WEIGHT:g} % (a known weight)", "gain", KNOWN_WEIGHT,
          of_sensor),
+        ("a record of the whole stroke", "missing angles", 0.0, 1.0),
+        ("both forces", "missing forces", 0.0, 1.0), ("more readings", "noise", 0.0, 1.0),
+        ("a library of this rig with more cases", "emulator", 0.0, 1.0),
+        ("a known cohesion", "cohesion", 0.0, 1.0),
     ]  # fmt: skip
     after = [
-        Measurement(words, without([name], sd / usual))
+        Measurement(words, math.sqrt(variance - (1.0 - (sd / usual) ** 2) * squares.get(name, 0.0)))
         for words, name, sd, usual in measured
         if usual > sd
     ]
-    after += [Measurement(words, without([name])) for words, name in removed.items()]
     # Both records of a rig share the fixed terms, the law's offset and the error of the rig.
     if "calibration" not in answer.provenance:
         kept = [name for name in squares if TERMS[name].fixed]
         kept += ["model: offset", "model: rig"]
         in_common = sum(squares.get(name, 0.0) for name in kept)
-        all_of_known = sum(squares.values()) + SHEARED_DEG**2
-        calibrated = math.sqrt(sum(squares.values()) - in_common**2 / all_of_known)
+        calibrated = math.sqrt(variance - in_common**2 / (variance + SHEARED_DEG**2))
         words = f"a soil of known angle ± {SHEARED_DEG:g}° on this rig (terraphi calibrate)"
         after.append(Measurement(words, calibrated))
         if further_records and answer.law == LEGS:
             after += _further_records(answer, rig)
-    now = math.sqrt(sum(squares.values()))
-    better = [each for each in after if each.sd_deg < 0.99 * now]
+    better = [each for each in after if each.sd_deg < 0.99 * math.sqrt(variance)]
     return sorted(better, key=lambda each: each.sd_deg)
 
 
@@ -156,12 +148,8 @@ def plan(
     law = shipped_legs()
     theta = np.radians(np.arange(-132.0, 132.5))
     still = ForceHistory(theta, np.zeros((theta.size, 2)))
-    soil: dict[str, Any] = {
-        "density": density,
-        "grain_size_mm": grain_size_mm,
-        "cohesion": cohesion,
-        "gain": gain,
-    }
+    soil: dict[str, Any] = {"density": density, "grain_size_mm": grain_size_mm,
+                            "cohesion": cohesion, "gain": gain}  # fmt: skip
     # The soil as an inversion reads it: its record of no forces.
     record = record_of(measurement_of(still, "plan"), rig=rig, leg=leg, **soil)
     apparatus = record.rig

@@ -47,11 +47,6 @@ class StoredAngle(BaseModel, strict=True):
     ci95: tuple[float, float]
     convention: str = Field("", alias="yield")
 
-    @property
-    def estimate(self) -> Estimate:
-        """The angle without its convention."""
-        return Estimate(self.median, self.sd, self.ci68, self.ci95)
-
     @model_validator(mode="after")
     def _ordered(self) -> StoredAngle:
         (low68, high68), (low95, high95) = self.ci68, self.ci95
@@ -106,7 +101,7 @@ def _answer_of(file: NetcdfFile[AnswerAttributes]) -> Answer:
         raise ValueError("no records, or no posterior")
     return Answer(
         convention=phi.convention,
-        phi_plane_strain=plane.estimate if plane else None,
+        phi_plane_strain=Estimate(**plane.model_dump(exclude={"convention"})) if plane else None,
         records=tuple(records),
         grid_deg=grid,
         density=density,
