@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import measurement, names
@@ -18,7 +20,7 @@ from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
 from terraphi.inference.answer import Answer, Estimate
 from terraphi.inference.calibration import calibrate
-from terraphi.inference.inversion import critical_posterior, invert, invert_many
+from terraphi.inference.inversion import critical_posterior, invert, invert_many, law_for
 from terraphi.inference.likelihood import MOMENT_DEG, Likelihood
 from terraphi.inference.records import open_record
 from terraphi.laws.emulator import Emulator
@@ -554,3 +556,14 @@ def test_simulated_forces_without_a_scenario_have_no_cohesion() -> None:
     history = measurement("li2013:yuma/straight").history
     with pytest.raises(InputError, match="leave out the cohesion"):
         invert(history, simulated=True, cohesion=300)
+
+
+def test_the_law_of_a_file_is_kept_until_the_file_changes(tmp_path: Path) -> None:
+    records, path = [open_record("li2013:yuma/c")], tmp_path / "law.nc"
+    laws = []
+    for name, changed_ns in (("paper", 1), ("paper", 1), ("paper-code", 2)):
+        path.write_bytes(shipped_file("libraries", name, ".nc").read_bytes())
+        os.utime(path, ns=(changed_ns, changed_ns))
+        laws.append(law_for(records, path)[0])
+    assert laws[0] is laws[1]
+    assert laws[2].hash != laws[0].hash

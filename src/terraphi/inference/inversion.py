@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.metadata
 import math
 import time
@@ -327,13 +328,20 @@ def _attempt(row: Any) -> Answer | InputError:
         return error if name in str(error) else InputError(f"{name}: {error}")
 
 
+@functools.lru_cache(maxsize=4)
+def _law_named(name: Path | str, _changed_ns: int) -> LawOfLegs:
+    """A law by its name or its file, kept for the next record until the file changes."""
+    from terraphi.laws.named import law_named
+
+    return law_named(name)
+
+
 def law_for(records: Sequence[Record], law: LawOfLegs | Path | str | None) -> tuple[LawOfLegs, str]:
     """The law to take, and why, if none was named."""
     first = records[0].scenario
     if isinstance(law, str | Path):
-        from terraphi.laws.named import law_named
-
-        return law_named(law), "what sand3d is now" if str(law) == FORMER_NAME else ""
+        changed_ns = Path(law).stat().st_mtime_ns if Path(law).is_file() else 0
+        return _law_named(law, changed_ns), "what sand3d is now" if str(law) == FORMER_NAME else ""
     if law is not None:
         return law, ""
     if first is not None and all(record.scenario is not None for record in records):
@@ -412,7 +420,7 @@ def record_fits(
     # Curves at the ends of the interval and at the median, and the tangent there: predictions of
     # an answer's file are g(median) + (φ − median) ∂g/∂φ, as value at 0° and slope.
     curves = likelihood.curves([*np.clip(ci95, *likelihood.ends), median])
-    slope = likelihood.slope(median)
+    slope = likelihood.slopes(median, likelihood.shift_deg, likelihood.cohesion)[:, 0]
     tangent = np.stack([curves[2] - slope * median, slope])
     fits, rigs = [], {rig_name(record.rig) for record in likelihood.records}
     for record, part, stroke, shift in zip(

@@ -404,11 +404,7 @@ class Likelihood:
                 forces[key] = law(phi + self.offset(record, phi), key[-1])
         return [ratio * forces[key] for key, ratio in zip(keys, self._ratio, strict=True)]
 
-    def slope(self, phi_deg: float) -> FloatArray:
-        """∂g/∂φ at an angle [N/deg], at the best δ and c, shape [n]."""
-        return self._slopes(phi_deg, self.shift_deg, self.cohesion)[:, 0]
-
-    def _slopes(self, phi_deg: float, shift_deg: FloatArray, cohesion: float) -> FloatArray:
+    def slopes(self, phi_deg: float, shift_deg: FloatArray, cohesion: float) -> FloatArray:
         """∂g/∂φ and ∂g/∂δ of each record by central differences [N/deg], [n, 1 + record]."""
         step = STEP * (self.high - self.low)
         forces = self._forces(phi_deg + step * np.array([1.0, -1.0, 0.0]), cohesion)
@@ -464,7 +460,7 @@ class Likelihood:
             is_full = measured.all()
             span = record.span if is_full else np.maximum(record.span, np.ptp(curve, axis=1))
             information = np.square((above - below) / span[:, None])
-            share = float(information[:, measured].sum() / information.sum())
+            share = float((information * measured).sum() / information.sum())
             coverage.append(Coverage(share, span))
         return coverage
 
@@ -502,7 +498,7 @@ class Likelihood:
         (low, high), most = self.ends, self._most_shift
         return least_squares(
             lambda p, _: self.data - self.curves(p[:, 0], p[0, 1:], cohesion),
-            lambda p, _: self._slopes(p[0, 0], p[0, 1:], cohesion)[None],
+            lambda p, _: self.slopes(p[0, 0], p[0, 1:], cohesion)[None],
             self._weight[None],
             start,
             bounds=(np.append(low, -most), np.append(high, most)),
