@@ -30,7 +30,7 @@ help:
 	@echo 'make test-slow  the checks that take longer'
 	@echo 'make verify     problems with known answers, and docs/verification.md (an hour)'
 	@echo 'make docs       the documentation, in docs/_build/html/index.html'
-	@echo 'make benchmark  angles of other soils, rigs and codes beside those of baselines'
+	@echo 'make benchmark  angles of other soils, rigs and codes, compared with baselines'
 	@echo 'make bench      speed of kernels and inversions, as ratios'
 	@echo 'make lint       lint and type-check only'
 	@echo 'make format     put the code into the house format'

@@ -134,10 +134,10 @@ LEVEL = 0.05
 
 
 def chance(ours: Sequence[Outcome], others: Sequence[Outcome]) -> float:
-    """Probability that another method is as much better as it is, if none is; 1 if it is worse.
+    """Probability of a difference as large, if there is none; 1 if the other method is worse.
 
-    By Student's t of the differences of CRPS, each the mean of a soil: records of one soil share
-    their errors. Of one soil nothing can be said.
+    By Student's t, two-sided, of the differences of CRPS, each the mean of a soil: records of one
+    soil share their errors. Of one soil nothing can be said.
     """
     tables = [
         pd.DataFrame(outcomes, columns=["error", "sd", "soil"]) for outcomes in (ours, others)
@@ -147,7 +147,7 @@ def chance(ours: Sequence[Outcome], others: Sequence[Outcome]) -> float:
     soils = pd.Series(difference).groupby(tables[0]["soil"]).mean()
     if soils.mean() <= 0.0 or len(soils) < 2:
         return 1.0
-    return float(ttest_1samp(soils, 0.0).pvalue)
+    return float(ttest_1samp(soils, 0.0).pvalue) if np.ptp(soils) > 1e-9 else 0.0
 
 
 def page(scores: dict[str, dict[str, dict[str, float]]]) -> str:
@@ -175,8 +175,8 @@ WORDS = (
     "method that does not look at the forces has an error of 0."
 )
 SMALLER = (
-    "Baselines with a smaller CRPS than terraphi, and the probability that this is chance by a "
-    "t-test over soils, 1 where there is one soil:"
+    "Baselines with a smaller CRPS than terraphi, and the probability of a difference as large if "
+    "there is none, by a two-sided t-test over soils (1 where there is one soil):"
 )
 
 

@@ -1,4 +1,4 @@
-"""What a law of legs reads beside the truth, over the size of the grains, down to fine sand.
+"""Errors of what a law of legs reads, over the size of the grains, down to fine sand.
 
     python studies/fine_grains.py [--out docs]
 
@@ -23,26 +23,26 @@ from terraphi.laws.model_error import MIDDLE_DEG
 
 SIZES = (0.0, 0.02, 0.06, 0.12, 0.17, 0.24, 0.35)
 """Diameter of the grains over the leg's width [-]; sand of 0.25 to 0.5 mm has 0.01 to 0.02."""
-ALIKE = 0.02
+SAME_BREADTH = 0.02
 """Difference of the breadth of legs of the same proportions [-]."""
 WORDS = """\
 Large grains under a narrow leg read as soil of a larger angle. Law `legs` takes this off by the \
 size of the grains (`--grain-size`), and takes sand as fine. A cell of the table is the mean of \
 what the law reads less the friction angle of the soil at 27°, and its standard deviation by the \
 effects of the mixed model; scatter between soils and rigs comes on top ([what was learned]\
-(grains.md#what-was-learned)). For the first column nothing was simulated: it is the model's \
-straight line and curve carried on, and the offset of φ in fine sand rests on it.
+(grains.md#what-was-learned)). For the first column nothing was simulated: there the model \
+is extrapolated, and φ in fine sand rests on it.
 
-The model also learns from the media of Li et al. (2013), where three legs should agree: they hold \
-the curves of the C and the reversed C below the points.
+The model also learns from the media of Li et al. (2013), where three legs should agree: for them \
+the curves of the C and the reversed C are below the points.
 
-Legs twice as large in the same grains test it: with half the size, straight legs read {drop} \
-lower in soils B and C, where the model expects {expected}. {legs}"""
+Legs twice as large in the same grains test it: with half the size, {drop}, where the \
+model expects {expected} for straight legs. {missing}"""
 PICTURE = (
     "Read less true angle over the size of the grains for three legs; diamonds are legs twice as "
     "large in the same grains"
 )
-LEGS = "No C or reversed C twice as large was simulated yet."
+MISSING = "Of {legs} none twice as large was simulated yet."
 
 
 def points(leg: str) -> list[tuple[str, float, float]]:
@@ -52,7 +52,7 @@ def points(leg: str) -> list[tuple[str, float, float]]:
         (row.name, row.size, errors.readings(row)["read"] - (row.phi_deg or np.nan))
         for row in errors.grains()
         if row.rig.leg == leg and row.kind == "spheres"
-        and abs(row.rig.ratios.width - of_li.ratios.width) < ALIKE
+        and abs(row.rig.ratios.width - of_li.ratios.width) < SAME_BREADTH
     ]  # fmt: skip
 
 
@@ -95,17 +95,20 @@ def main() -> None:
             usual = [e for name, _, e in of_leg if name.startswith(f"{soil}-loose_{leg}_")]
             doubled = [e for name, _, e in of_leg if name.startswith(f"{soil}-loose_rig-double_")]
             if doubled:
-                drops.append(np.mean(usual) - np.mean(doubled))
+                change = np.mean(usual) - np.mean(doubled)
+                drops.append((leg, f"a {leg} leg reads {change:.1f}° lower in soil {soil}"))
     grid[0].set_ylabel("read less true φ [deg]")
     figure.savefig(out / "fine_grains.png", dpi=110)
     header = ("leg", *(f"d/w = {size:g}" for size in np.array(SIZES)[[0, 1, 3, 5, 6]]))
     of_model = curve("straight", np.array([0.236, 0.118]))[0]
-    drop = " and ".join(f"{value:.1f}°" for value in drops)
+    drop = " and ".join(words for _, words in drops)
+    others = [leg for leg in [*pages.LEGS][:3] if leg not in {leg for leg, _ in drops}]
+    missing = MISSING.format(legs=" and ".join(others)).replace("_", " ") if others else ""
     text = "\n\n".join([
         "# Fine grains",
         "All grains are our own simulations of loose spheres; no leg was tried in sheared sand.",
         pages.table(header, rows),
-        WORDS.format(drop=drop, expected=f"{of_model[0] - of_model[1]:.1f}°", legs=LEGS),
+        WORDS.format(drop=drop, expected=f"{of_model[0] - of_model[1]:.1f}°", missing=missing),
         f"![{PICTURE}](fine_grains.png)",
         "Written by `python studies/fine_grains.py`.",
     ])  # fmt: skip

@@ -401,6 +401,8 @@ def test_stated_angles_in_air_tare_a_record_or_are_refused() -> None:
     frame = grains_frame("B-loose_straight_1")
     given = {"rig": "li2013", "leg": "straight", "density": "1418±30", "grain_size_mm": 6.0}
     right = invert(frame, **given).phi.median
+    tared = invert(frame, columns={"air_before_deg": -81.0}, **given)  # it was zero there
+    assert tared.phi.median == pytest.approx(right, abs=1e-6)
     frame["Fx_N"] += 0.7
     frame["Fz_N"] -= 1.3
     answer = invert(frame, columns={"air_before_deg": -81.0}, **given)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -152,6 +152,26 @@ def test_a_worker_of_a_cluster_that_is_killed_is_a_failed_case(
     again = build(PLAN, tmp_path / "library.nc")
     for first, other in zip(forces(again), forces(complete), strict=True):
         np.testing.assert_allclose(first, other, atol=1e-5)  # in single precision in a file
+
+
+class Lost(Executor):
+    """A cluster whose scheduler is lost."""
+
+    def submit(self, work, /, *given, **options):
+        future: Future = Future()
+        future.set_exception(CancelledError())
+        return future
+
+
+def test_a_lost_cluster_ends_the_build_and_nothing_is_lost(tmp_path: Path) -> None:
+    with pytest.raises(CancelledError):
+        build(PLAN, tmp_path / "library.nc", executor=Lost())
+    assert not (tmp_path / "library.nc").exists()
+
+
+def test_a_share_without_cases_has_nothing_to_do(tmp_path: Path) -> None:
+    assert build_share(PLAN, tmp_path / "library.nc", (7, 9)) == 0
+    assert not any(tmp_path.iterdir())
 
 
 @pytest.mark.slow

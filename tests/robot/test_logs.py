@@ -564,22 +564,20 @@ def test_messages_one_by_one_give_the_numbers_of_the_bag(tmp_path: Path, message
     assert len(at_once.time) >= len(whole.time) - 1
 
 
-def at_second(second: int) -> SimpleNamespace:
-    return SimpleNamespace(stamp=SimpleNamespace(sec=second, nanosec=0))
+def at_ms(ms: int) -> SimpleNamespace:
+    return SimpleNamespace(stamp=SimpleNamespace(sec=ms // 1000, nanosec=ms % 1000 * 10**6))
 
 
-def state(second: int, names: list[str]) -> SimpleNamespace:
+def state(ms: int, names: list[str]) -> SimpleNamespace:
     some = np.arange(float(len(names)))
-    return SimpleNamespace(
-        header=at_second(second), name=names, position=some, velocity=some, effort=some
-    )
+    return SimpleNamespace(header=at_ms(ms), name=names, position=some, velocity=some, effort=some)
 
 
-def imu(second: int) -> SimpleNamespace:
+def imu(ms: int) -> SimpleNamespace:
     none = np.zeros(9)
     up = SimpleNamespace(x=0.0, y=0.0, z=9.81)
     return SimpleNamespace(
-        header=at_second(second),
+        header=at_ms(ms),
         orientation=SimpleNamespace(w=1.0, x=0.0, y=0.0, z=0.0), orientation_covariance=none,
         angular_velocity=SimpleNamespace(x=0.0, y=0.0, z=0.0), angular_velocity_covariance=none,
         linear_acceleration=up, linear_acceleration_covariance=none,
@@ -603,3 +601,35 @@ def test_what_is_no_message_of_a_robot_is_named() -> None:
         terraphi.Messages().take(SimpleNamespace(data="hello"))
     with pytest.raises(InputError, match="IMU"):
         JointLog.from_messages([state(1, ["gripper"])])
+
+
+def legs_state(ms: int) -> SimpleNamespace:
+    return state(ms, [f"{joint}_joint" for joint in Quadruped.load("go2").joint_order])
+
+
+def test_an_imu_that_begins_later_is_used_from_then_on() -> None:
+    stream = terraphi.Messages()
+    assert all(stream.take(legs_state(ms)) is None for ms in range(0, 1900, 10))
+    logs = [
+        stream.take(item)
+        for item in (imu(2005), legs_state(2006), imu(2010), legs_state(2011), imu(2015))
+    ]
+    taken = [log for log in logs if log is not None]
+    assert sum(len(log.time) for log in taken) == 2
+    assert all(log.quaternion is not None for log in taken)
+    assert stream.left_out.total() > 0
+
+
+def test_messages_without_a_partner_do_not_pile_up() -> None:
+    stream = terraphi.Messages()
+    for ms in range(0, 9000, 20):
+        assert stream.take(legs_state(ms)) is None
+    assert stream.left_out.total() > 390
+
+
+def test_why_messages_make_no_log_is_said() -> None:
+    around = [imu(0), state(1, ["a", "b"]), imu(2)]
+    with pytest.raises(InputError, match="2 joints, and none for"):
+        JointLog.from_messages(around)
+    with pytest.raises(InputError, match="clocks of their own"):
+        terraphi.Messages().take(legs_state(1), SimpleNamespace(motor_state=[]))

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 import re
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from terraphi.cli.options import PATH, json_option, rig_options
+from terraphi.cli.options import PATH, SOME_FAILED, json_option, rig_options
 from terraphi.cli.simulate import announce
 from terraphi.experiment.errors import InputError
 from terraphi.view.console import Table, present, progress_bar
@@ -32,7 +33,7 @@ def library() -> None:
 @click.option("--out", type=PATH, required=True, help="NetCDF file to make.")
 @click.option("--workers", type=click.IntRange(min=1), help="Processes.  [default: all cores]")
 @click.option("--cluster", metavar="ADDRESS", help="Dask scheduler, as tcp://127.0.0.1:8786.")
-@click.option("--share", metavar="K/N", help="Simulate every Nth case alone, from the Kth on.")
+@click.option("--share", metavar="K/N", help="Simulate the cases K, K+N, ... alone.")
 @json_option
 def library_build(
     plan: str | None, out: Path, workers: int | None, cluster: str | None, share: str | None,
@@ -60,7 +61,7 @@ def library_build(
         raise InputError("give a PLAN, or a rig by --leg with its four sizes, or by --rig FILE")
     chosen = Plan.load(plan) if plan is not None else Plan.of_rig(Rig.of(**given))
     (number, of), lacking, made = share_of(share), 0, None
-    count = min(workers or os.cpu_count() or 1, -(-chosen.count // of))
+    count = min(workers or os.cpu_count() or 1, len(range(number - 1, chosen.count, of)) or 1)
     with builder.cluster(cluster) if cluster else processes(count) as executor:
         announce(chosen.cases()[number - 1 :: of])
         with progress_bar("simulating") as report:
@@ -74,9 +75,14 @@ def library_build(
         print_library(made, as_json)
     else:
         cases = len(range(number - 1, chosen.count, of))
-        words = f"Share {share}: {cases - lacking} of {cases} cases are there; the same command "
-        words += "tries the others again, and without --share it gathers all."
-        present({"share": share, "cases": cases, "lacking": lacking}, words, as_json=as_json)
+        words = f"Share {share}: {cases - lacking} of {cases} cases are there; "
+        again = (
+            "the same command tries the others again" if lacking else "without --share it gathers"
+        )
+        data = {"share": share, "cases": cases, "lacking": lacking}
+        present(data, f"{words}{again}.", as_json=as_json)
+        if lacking:
+            sys.exit(SOME_FAILED)
 
 
 def share_of(text: str | None) -> tuple[int, int]:

@@ -77,7 +77,8 @@ soil_options = option_group(
         help="Mean diameter of the grains.  [default: that of sand]",
     ),
     click.option(
-        "--cohesion", metavar="PA[±SD]|unknown", help="Of damp soil.  [default: 0, dry]"
+        "--cohesion", metavar="PA[±SD]|unknown",
+        help="Of damp soil; without ±SD a third.  [default: 0, dry]",
     ),
 )  # fmt: skip
 """What is known of the soil."""

@@ -109,7 +109,7 @@ def without_baseline(
             best, lowest, solved = terms, criterion, weights @ read * span
     baseline = design[:, best] @ solved
     size = np.sqrt(np.square(means[:, best] @ solved / span).mean(axis=0))
-    if not (np.isfinite(lowest) and (rests or (len(read) >= fewest and size.max() > least))):
+    if not (np.isfinite(lowest) and (rests or (len(read) >= fewest and size.max() >= least))):
         return values, []
     coefficients = np.zeros((design.shape[1], len(span)))
     coefficients[best] = solved

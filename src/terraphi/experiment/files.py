@@ -266,6 +266,13 @@ def file_lock(path: Path) -> Iterator[bool]:
             return
         except OSError:  # a file system without locks
             pass
+        try:  # whoever had it may have removed it since it was opened here
+            is_there = os.path.samestat(os.fstat(file.fileno()), path.stat())
+        except FileNotFoundError:
+            is_there = False
+        if not is_there:
+            yield False
+            return
         try:
             yield True
         finally:

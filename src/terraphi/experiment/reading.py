@@ -601,14 +601,18 @@ class _LegTable(ColumnReader[ForceColumns]):
             air |= theta < low
         if high is not None:
             air |= theta > high
-        if _scattered(theta):
-            return values
         # Angles that the user has stated are believed, even if they are few.
         stated = [
             f"{name} = {value:g}"
             for name, value in (("air_before_deg", low), ("air_after_deg", high))
             if value is not None and abs(value) < 180.0 and name in self.given.model_fields_set
         ]
+        if _scattered(theta):
+            if stated:
+                self.notes.append(
+                    f"{' and '.join(stated)}: not used, for the angles go to and fro."
+                )
+            return values
         fewest: dict[str, Any] = {"fewest": 1, "least": 0.0} if stated else {}
         notes: list[str] = []
         if air.any():

@@ -131,13 +131,12 @@ def plan(
     phi_deg
         Friction angle in plane strain [deg].
     density, grain_size_mm, cohesion, gain
-        As of :func:`terraphi.invert`; the cohesion without a standard deviation.
+        As of :func:`terraphi.invert`; the cohesion may not be unknown.
 
     Raises
     ------
     InputError
-        If the law does not have the rig, or the angle, or if the cohesion is uncertain: what forces
-        determine of it depends on the residual that they are going to have.
+        If the law does not have the rig, or the angle, or if the cohesion is unknown.
 
     Examples
     --------
@@ -154,7 +153,7 @@ def plan(
     record = record_of(measurement_of(still, "plan"), rig=rig, leg=leg, **soil)
     apparatus = record.rig
     if math.isinf(record.cohesion_sd_pa):
-        raise InputError("a plan is for a cohesion that is known; give it as PA±SD")
+        raise InputError("a plan needs a cohesion; give PA±SD")
     offset_deg = float(law.error.offset(apparatus, record.grain_size_mm, np.array(phi_deg)))
     if not PHI_DEG[0] <= phi_deg + offset_deg <= PHI_DEG[1]:
         low, high = (end - offset_deg for end in PHI_DEG)

@@ -11,8 +11,8 @@ from __future__ import annotations
 import logging
 import shutil
 from collections.abc import Callable, Iterator
-from concurrent.futures import BrokenExecutor, Executor, Future, as_completed
-from contextlib import ExitStack, contextmanager
+from concurrent.futures import Executor, Future, as_completed
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -126,11 +126,14 @@ def build_share(
     if not 1 <= number <= count:
         raise InputError(f"share {number}/{count}; give 1/N to N/N")
     folder = path.with_name(path.name + ".cases")
-    wanted = plan.cases()[number - 1 :: count]
+    if not (wanted := plan.cases()[number - 1 :: count]):
+        return 0
     with folder_lock(folder, shared=True), ExitStack() as locks:
         free = [s for s in wanted if locks.enter_context(file_lock(folder / f"{s.hash}.lock"))]
         finished = _finished(path, folder, free)
         failures = _simulate(free, finished, folder, executor, progress)
+    with suppress(OSError):  # empty where the library has all cases
+        folder.rmdir()
     return len(failures) + len(wanted) - len(free)
 
 
@@ -196,10 +199,12 @@ def _outcomes(
         for future in as_completed(running):
             try:
                 outcome = future.result()
-            except BrokenExecutor:  # a pool of this machine ends with its worker
-                raise
-            except Exception as error:  # of a cluster: its worker was killed, or out of memory
-                outcome = f"{type(error).__name__}: {error}"
+            except Exception as error:
+                # Of a cluster, whose worker was killed or ran out of memory: of this case alone.
+                kind = type(error).__name__
+                if not isinstance(error, MemoryError) and kind != "KilledWorker":
+                    raise
+                outcome = f"{kind}: {error}"
             yield running[future], outcome
     finally:
         for future in running:

@@ -344,11 +344,17 @@ def unit_normals(normals: Any, points: Any) -> Any:
 
 def _friction(surface_friction: Any) -> float:
     """The friction of all feet [-]; raises InputError."""
-    low, high, _ = LIMITS["leg.friction"]
+    ends = LIMITS["leg.friction"][:2]
+    values = numbers("surface_friction", surface_friction, low=ends[0], high=ends[1])
     try:
-        return float(numbers("surface_friction", surface_friction, shape=(), low=low, high=high))
-    except TypeError:
-        raise InputError("surface_friction is traced; give a number") from None
+        flat = namespace(values).reshape(values, (-1,))
+        friction = float(flat[0])
+        several = bool(namespace(values).any(flat != friction))
+    except (TypeError, IndexError):
+        raise InputError("surface_friction is traced or empty; give a number") from None
+    if several:
+        raise InputError("surface_friction has several values; give one, and call once for each")
+    return friction
 
 
 def angles_deg(surface_friction: float) -> tuple[float, float]:
@@ -619,6 +625,7 @@ def _sum_of_faces(
             base, normal, mean, deepest, descent, phi_deg, surface_friction=surface_friction,
         )  # fmt: skip
         forces = forces * xp.stack([*[spread(drag)] * 2, spread(lift)])
+    if law == "foot" or mobilized is not None:
         forces = _bounded(xp, forces, n.T, direction.T, surface_friction, mobilized)
     (fx, fy, fz), (x, y, z) = ([part[i, :] for i in range(3)] for part in (forces, arm.T))
     rows = (fx, fy, fz, y * fz - z * fy, z * fx - x * fz, x * fy - y * fx)

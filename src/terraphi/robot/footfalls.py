@@ -155,11 +155,13 @@ def _attempt(log: Path | str, options: dict[str, Any]) -> FootfallMap | InputErr
 
 def table_of(logs: Sequence[Path | str], walks: Sequence[FootfallMap | InputError]) -> pd.DataFrame:
     """A row for each footfall of many logs, and one with the reason for a log without any."""
-    frames = [
-        pd.DataFrame({"verdict": ["failed"], "reason": [str(walk)]})
-        if isinstance(walk, InputError) else walk.summary().assign(reason="")
-        for walk in walks
-    ]  # fmt: skip
+    frames = []
+    for walk in walks:
+        frame = pd.DataFrame() if isinstance(walk, InputError) else walk.summary().assign(reason="")
+        reason = str(walk) if isinstance(walk, InputError) else "no footfall"
+        frames.append(
+            frame if len(frame) else pd.DataFrame({"verdict": ["failed"], "reason": [reason]})
+        )
     rows = pd.concat(frames, keys=list(map(label_of, logs)), names=["log", None])
     return rows.reset_index("log").reset_index(drop=True)
 

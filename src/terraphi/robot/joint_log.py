@@ -10,7 +10,6 @@ from typing import Any, TypeVar
 import numpy as np
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
-from terraphi.experiment.errors import InputError
 
 FEET = ("FR", "FL", "RR", "RL")
 """Feet in the order of the Go2's motors: front right, front left, rear right, rear left."""
@@ -98,9 +97,10 @@ class JointLog:
         """
         from terraphi.robot.logs.messages import Messages
 
-        log = Messages(robot, joint_names=joint_names).take(*messages)
+        stream = Messages(robot, joint_names=joint_names)
+        log = stream.take(*messages)
         if log is None:
-            raise InputError("no joint state with readings of an IMU before and after it")
+            raise stream.reason
         return log
 
 

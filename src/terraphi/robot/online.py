@@ -53,8 +53,8 @@ from terraphi.robot.stance import LIFT_S, find_stances
 from terraphi.robot.touchdowns import BIAS_S, Motion, sensitivity, touchdowns, track
 
 STEP_S, FEWEST = 0.5, 3
-"""Samples are taken up in pieces of this length [s], with a third of a second before them, and of
-these so many at least; for shorter ones that margin costs more."""
+"""Samples are taken up in pieces of this length [s], computed with a third of a second before them,
+of three samples at least; in shorter pieces that margin would cost more than they do."""
 LAG_S = 0.25
 """Time after which a velocity of the odometry does not depend on later samples [s]: seven times the
 34 ms in which an accelerometer of :data:`~terraphi.robot.touchdowns.ACCELERATION_SD` forgets a foot

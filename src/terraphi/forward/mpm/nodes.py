@@ -264,8 +264,8 @@ def step(soil: Soil, phase: Phase, impulses: FloatArray) -> None:
         x, z = momentum(soil)
         impulses[3, 0] += (phase.damping - 1.0) * x
         impulses[3, 1] += (phase.damping - 1.0) * z
-        # Number by number: of whole arrays Numba compiles what it says of shapes that differ, which
-        # takes longer than all kernels together.
+        # Number by number: for whole arrays Numba also compiles its error of different shapes,
+        # which takes as long as half of the kernels.
         for axis in range(3):
             for q in range(lattice.nodes):
                 soil.velocity[axis, q] *= real(phase.damping)

@@ -24,7 +24,7 @@ MEASURED = ("quaternion", "angular_velocity", "acceleration")
 MOTORS = len(JOINT_NAMES)
 URDF_NAMES = tuple(f"{name}_joint" for name in JOINT_NAMES)
 """Names of the joints in Unitree's robot descriptions, in the order of a JointLog."""
-FOREIGN = "joints of something else"
+FOREIGN, ALONE = "joints of something else", "no Imu within a second"
 Received = Iterable[tuple[int, Any]]
 """Times of recording [ns], and messages."""
 WAIT_NS, MOST_FOREIGN = 10**9, 100
@@ -241,6 +241,8 @@ class Messages:
         self._imus: list[tuple[int, Any]] = []
         self._measured: tuple[str, ...] | None = None
         """What the Imu messages measure; all samples have the same columns."""
+        self._refusal: InputError | None = None
+        """Why no joint state was taken so far."""
         self.left_out: Counter[str] = Counter()
 
     def take(self, *messages: Any) -> JointLog | None:
@@ -251,7 +253,8 @@ class Messages:
         Raises
         ------
         InputError
-            If a message is of another type, or none has the legs' joints, velocities and efforts.
+            If a message is of another type, the robot has not the motors of a LowState, or a
+            hundred messages have not the legs' joints, velocities and efforts.
         """
         motors, complete = self._robot.joint_order, []
         for message in messages:
@@ -264,35 +267,57 @@ class Messages:
             else:
                 kind = type(message).__name__
                 raise InputError(f"message of type {kind}; give LowState, JointState and Imu")
+        if complete and self._states:
+            raise InputError("LowState and JointState have clocks of their own; give one of them")
+        if complete and len(motors) != MOTORS:
+            raise InputError(f"a LowState has {MOTORS} motors, and the robot {len(motors)}")
         if complete:
             values = low_states(complete, motors)
             return JointLog(1e-3 * values["stamp"], **{name: values[name] for name in SHAPES})
         return self._with_imu(motors)
 
+    @property
+    def reason(self) -> InputError:
+        """Why there is no sample yet."""
+        waits = "no joint state with readings of an IMU before and after it"
+        return self._refusal or InputError(waits)
+
     def _with_imu(self, motors: Sequence[str]) -> JointLog | None:
-        """Samples of the joint states before the last reading of the IMU."""
-        if not self._states or len(self._imus) < 2:
-            return None
-        last = max(stamp for stamp, _ in self._imus)
-        ready = [pair for pair in self._states if pair[0] <= last]
-        if not ready:
-            return None
-        newest = max(stamp for stamp, _ in self._states)
-        self._states = [pair for pair in self._states if last < pair[0]]
+        """Samples of the joint states between the first and the last reading of the IMU."""
+        stamps = [stamp for stamp, _ in self._imus]
+        ready: list[tuple[int, Any]] = []
+        if len(stamps) > 1:
+            first = min(stamps) - GAP_STEPS * float(np.median(np.diff(np.sort(stamps))))
+            ready = [pair for pair in self._states if first <= pair[0] <= max(stamps)]
+            self._states = [pair for pair in self._states if max(stamps) < pair[0]]
+        log = self._samples(ready, motors) if ready else None
+        # Neither waits for long: what has no partner is left out.
+        newest = max((stamp for stamp, _ in (*self._states, *self._imus)), default=0)
+        count = len(self._states)
+        self._states = [pair for pair in self._states if pair[0] >= newest - WAIT_NS]
+        self._imus = [pair for pair in self._imus if pair[0] >= newest - WAIT_NS]
+        self.left_out[ALONE] += count - len(self._states)
+        return log
+
+    def _samples(self, ready: Received, motors: Sequence[str]) -> JointLog | None:
+        """Joint states with the IMU's readings at their stamps; ``None`` if none is of the legs."""
         try:
             values = joint_states(
                 ready, self._joint_names, motors, self._robot.own_names, self.left_out
             )
-        except InputError:
+        except InputError as error:
             if self._measured is None and self.left_out[FOREIGN] > MOST_FOREIGN:
                 raise
+            self._refusal = error
             return None
         if "velocity" not in values:
             raise InputError("the joint states carry no velocities, and samples need them")
-        add_imu(values, imu_readings(self._imus), ["the Imu messages"], [])
-        self._imus = [pair for pair in self._imus if pair[0] > min(last, newest) - WAIT_NS]
+        readings = imu_readings(self._imus)
         if self._measured is None:
-            self._measured = tuple(name for name in MEASURED if name in values)
+            self._measured = tuple(
+                n for n in MEASURED if np.isfinite(readings[n]).all(axis=1).any()
+            )
+        add_imu(values, readings, ["the Imu messages"], [])
         stamp = values["stamp"]
         for name in self._measured:
             values.setdefault(name, np.full((len(stamp), *SHAPES[name]), np.nan))
