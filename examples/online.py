@@ -10,6 +10,7 @@ printed when it is over. At the end comes the map, and what it all took.
 from __future__ import annotations
 
 import itertools
+import math
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,7 +18,7 @@ from pathlib import Path
 import click
 from rosbags.highlevel import AnyReader
 
-from terraphi import Footfalls, JointLog, Messages
+from terraphi import Footfalls, InputError, JointLog, Messages
 from terraphi.inference.footfalls import USABLE
 from terraphi.robot.logs.bags import IMU, JOINT_STATE, LOW_STATE, typestore
 
@@ -55,21 +56,27 @@ def main(bag: Path, density: str | None, out: Path | None) -> None:
             first, spent, read, footfalls = took, 0.0, 0, 0
         for footfall in new:
             is_usable, (x, y, _) = footfall.verdict == USABLE, footfall.place
-            answer = f"φ = {footfall.phi:.1f}° ± {footfall.sd:.1f}°"
+            sd = math.hypot(footfall.sd, footfall.shared_sd)
+            answer = f"φ = {footfall.phi:.1f}° ± {sd:.1f}°"
             click.echo(
                 f"{footfall.time:8.2f} s  {footfall.foot}  x {x:5.2f} m  y {y:5.2f} m  "
                 f"{answer if is_usable else footfall.verdict}"
             )
     begin = time.process_time()
-    found = walk.map()
-    click.echo(repr(found))
+    try:
+        soil = walk.map()
+    except InputError as error:
+        raise click.ClickException(str(error)) from error
+    click.echo(repr(soil))
+    for warning in soil.warnings:
+        click.echo(f"Warning: {warning}")
     of_map = time.process_time() - begin
     click.echo(
         f"CPU: first footfalls {first:.2f} s, then {1e3 * spent / max(footfalls, 1):.1f} ms each "
         f"({1e6 * spent / max(read, 1):.0f} µs a sample); map {of_map:.2f} s"
     )
     if out is not None:
-        found.to_netcdf(out)
+        soil.to_netcdf(out)
 
 
 if __name__ == "__main__":

@@ -226,7 +226,7 @@ def with_value(name: str, at: tuple[int, ...], value: float) -> JointLog:
         (standing(), {"estimator": "momentum"}, "did you mean 'momentum_observer'"),
         (standing(0), {}, "no samples; at least 1"),
         (broken(velocity=np.zeros((200, 12))), {}, r"velocity has shape \(200, 12\), expected"),
-        (broken(quaternion=None), {}, "no attitude, which frame 'world' needs"),
+        (broken(quaternion=None), {}, "no attitude .quaternion., which forces in the world need"),
         (with_value("torque", (7, 2, 1), np.nan), {}, r"not a finite number \(1\)"),
         (with_value("time", (5,), 0.0), {}, r"time ran backwards \(1\)"),
         (broken(quaternion=np.zeros((200, 4))), {}, r"attitude is not a unit quaternion"),

@@ -10,9 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from terraphi.inference.footfalls import NO_ANGLE
+from terraphi.inference.footfalls import NO_ANGLE, USABLE
 from terraphi.laws.foot import LAWS, Foot
 from terraphi.robot.footfalls import footfalls
+from terraphi.robot.joint_log import cut
+from terraphi.robot.online import Footfalls
 
 RADIUS = 0.022
 GroundWalk = runpy.run_path(str(Path(__file__).with_name("walker.py")))["GroundWalk"]
@@ -88,3 +90,20 @@ def test_sand_of_another_law_is_usable(ground: Callable, phi_deg: float | None) 
     if phi_deg is not None:
         assert result.phi[result.usable].mean() == pytest.approx(phi_deg, abs=2.0)
     assert result.phi[result.usable].std() < 0.9
+
+
+def test_a_robot_that_walks_on_clay_has_no_angle_from_the_first_footfalls_on() -> None:
+    log = GroundWalk(duration=13.0, ground=clay(6.5e3)).log()[0]
+    walk, footfalls_so_far = Footfalls(density=1550), []
+    for start in range(0, len(log.time), 500):
+        footfalls_so_far += walk.update(cut(log, slice(start, start + 500)))
+    assert len(footfalls_so_far) > 30
+    assert not any(footfall.verdict == USABLE for footfall in footfalls_so_far)
+    assert any("clay" in text for text in walk.warnings)
+    assert walk.map().verdict.count(NO_ANGLE) > 30
+
+
+def test_too_few_footfalls_to_know_the_ground_are_noted() -> None:
+    log = GroundWalk(duration=3.0, ground=clay(6.5e3)).log()[0]
+    result = footfalls(log, density=1550)
+    assert "too few to tell sand from clay" in result.warnings[0]

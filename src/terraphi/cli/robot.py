@@ -180,11 +180,10 @@ def tabulate(logs: Sequence[str], table: Path, as_json: bool, options: dict[str,
             rows.to_parquet(temporary)
     for sentence in failed:
         click.echo(f"Failed: {sentence}", err=True)
-    counts = rows["verdict"].value_counts().to_dict()
+    counts = rows[rows["reason"] == ""]["verdict"].value_counts().to_dict()
     verdicts = ", ".join(f"{count} {name}" for name, count in counts.items())
-    present(
-        {"table": str(table), "logs": len(logs), "verdicts": counts},
-        f"{len(logs)} logs: {verdicts}", f"Written: {table}", as_json=as_json,
-    )  # fmt: skip
+    data = {"table": str(table), "logs": len(logs), "failed": len(failed), "verdicts": counts}
+    words = f"{len(logs)} logs, {len(failed)} failed; {sum(counts.values())} footfalls: {verdicts}"
+    present(data, words, f"Written: {table}", as_json=as_json)
     if failed:
         sys.exit(SOME_FAILED)

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError
 
 
-LONGEST = 300
+LONGEST = 400
 """Letters of a message."""
 GUESSED = "Guessed "
 """Beginning of the sentence that names what was guessed of a table; it is no warning."""

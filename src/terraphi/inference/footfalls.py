@@ -8,6 +8,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
@@ -21,7 +22,7 @@ from terraphi.experiment.files import NetcdfFile, atomic_files, atomic_write
 from terraphi.experiment.outputs import SIGNATURE
 from terraphi.experiment.results import Result, Variable
 from terraphi.experiment.tables import write_csv
-from terraphi.inference.grounds import without_angle
+from terraphi.inference import grounds
 from terraphi.inference.pool import Anchor, Normal, Observed, Pooled, pool
 from terraphi.inference.records import density_warnings
 from terraphi.inference.terms import TERMS
@@ -107,6 +108,9 @@ sand that is stepped on slowly [-]: −0.1 to 0.1 on simulated dry sand, −0.18
 that of ``depth^0.7``; −0.38 and −0.43 in sand of a cohesion of 200 Pa, which reads 7 to 8° high,
 and −0.36 to −0.45 on that of Meyerhof's formula, which does too; feet that land in grains at 0.5 to
 1.5 m/s have −0.69 and read right (``docs/landing.md``)."""
+GAP_M, GAP_FEET = 0.25, 3
+"""Length of a stretch of the path [m], and refused footfalls on it, from which a warning names it;
+chosen."""
 FEWEST_TYPICAL = 5
 """Footfalls that a median of a walk needs (chosen)."""
 BACK_M = 0.3
@@ -483,13 +487,13 @@ def infer(
         Warnings about the log, and its origin.
     """
     stretches = [anchor.stretch(path) for anchor in anchors]
-    prior = _with_growth(touchdowns, law, prior)
+    prior = with_growth(touchdowns, law, prior)
     fits = fit(touchdowns, law, prior)
     # Ground near an earlier print was moved, so that φ has a further error; in the print itself the
     # footfall is refused.
     near_print, _ = trodden_before(touchdowns, BESIDE_RADII * prior.radius)
     fits = fits._replace(sd=np.hypot(fits.sd, BESIDE_SD_DEG * near_print))
-    verdict, ground = _judged(touchdowns, fits, law, prior)
+    verdict, ground = judged(touchdowns, fits, law, prior)
     usable = verdict == USABLE
     footfall_phi, path_phi = np.full((3, len(verdict)), np.nan), np.full((3, len(path)), np.nan)
     shared: dict[str, Any] = {}
@@ -521,6 +525,7 @@ def infer(
         *density_warnings(prior.density),
         *notes, *_limits_of_the_law(touchdowns, fits, usable, law, prior),
         *_limits_of_the_path(path, verdict, prior, scale_sd, anchored=bool(anchors)),
+        *_gaps(path, touchdowns.place, verdict),
     ]  # fmt: skip
     return FootfallMap(
         time=touchdowns.begin,
@@ -543,14 +548,36 @@ def infer(
     )  # fmt: skip
 
 
-def _judged(
+def judged(
     touchdowns: Touchdowns, fits: Fit, law: str, prior: Prior
 ) -> tuple[NDArray[np.str_], list[str]]:
     """Verdicts, and a sentence on the ground of the whole walk if it has no friction angle."""
     verdict = verdicts(touchdowns, fits, prior.radius)
     sank = np.isin(verdict, (USABLE, MISFIT, HARD, EDGE))
-    ground = without_angle(picked(touchdowns, sank), law, prior) if sank.any() else ""
+    compared = grounds.slow(picked(touchdowns, sank), prior)
+    if (count := len(compared.foot)) < FEWEST:
+        few = f"{count} slow footfalls are too few to tell sand from clay or a mat"
+        return verdict, [f"{few}; {FEWEST} are needed"] if (verdict == USABLE).any() else []
+    ground = grounds.without_angle(compared, law, prior)
     return (np.where(sank, NO_ANGLE, verdict), [ground]) if ground else (verdict, [])
+
+
+def _gaps(path: FloatArray, place: FloatArray, verdict: NDArray[np.str_]) -> list[str]:
+    """Warn of stretches of the path without a usable footfall on which the ground was refused."""
+    from scipy.spatial import cKDTree
+
+    nearest = cKDTree(path[:, 1:]).query(place[:, :2])[1]
+    s, usable = path[nearest, 0], verdict == USABLE
+    refused = np.sort(s[np.isin(verdict, (SHALLOW, ELASTIC, NO_ANGLE))])
+    ends = np.concatenate([[path[0, 0]], np.sort(s[usable]), [path[-1, 0]]])
+    stretches = [
+        f"{low:.1f} to {high:.1f} m" for low, high in pairwise(ends.tolist())
+        if high - low > GAP_M and np.count_nonzero((refused > low) & (refused < high)) >= GAP_FEET
+    ]  # fmt: skip
+    if not stretches or not usable.any():
+        return []
+    where = " and ".join(stretches)
+    return [f"no footfall from {where} along the path is usable: φ there is that of its ends"]
 
 
 def surface_depth(fits: Fit, verdict: NDArray[np.str_]) -> FloatArray:
@@ -558,7 +585,7 @@ def surface_depth(fits: Fit, verdict: NDArray[np.str_]) -> FloatArray:
     return np.where(verdict == SHALLOW, fits.gained, fits.sinkage)
 
 
-def _with_growth(touchdowns: Touchdowns, law: str, prior: Prior) -> Prior:
+def with_growth(touchdowns: Touchdowns, law: str, prior: Prior) -> Prior:
     """Add the law's error to the prior, and its growth with depth if enough feet sink in."""
     if prior.law_sd_deg is None:
         prior = replace(prior, law_sd_deg=LAWS[law].sd_deg)

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.inference.touchdowns import FEWEST, Prior, Touchdowns, evenly, fit, inertia, picked
+from terraphi.inference.touchdowns import Prior, Touchdowns, evenly, fit, inertia, picked
 from terraphi.laws.foot import Foot, FootLaw
 
 SANDS = ("foot", "rft", "hansen")
@@ -76,25 +76,27 @@ def strength(phi_deg: ArrayLike) -> FloatArray:
 RIVALS = {"clay": _rival("clay", _contact), "layer": _rival("layer", _linear)}
 
 
+def slow(touchdowns: Touchdowns, prior: Prior) -> Touchdowns:
+    """Touch-downs that tell one kind of ground from another, :data:`MOST_COMPARED` at most."""
+    hit = np.abs(inertia(prior, touchdowns, np.maximum(touchdowns.drop, 0.0)))
+    parts = [(touchdowns.used * part).sum(axis=1) for part in (hit, touchdowns.force)]
+    return evenly(picked(touchdowns, parts[0] <= MOST_INERTIA * parts[1]), MOST_COMPARED)
+
+
 def without_angle(touchdowns: Touchdowns, law: str, prior: Prior) -> str:
     """What the ground is, if it is no sand: a sentence, else an empty string.
 
     Parameters
     ----------
     touchdowns
-        Those of one walk on virgin ground, feet that sank in.
+        Those of one walk on virgin ground, feet that sank in, of :func:`slow`.
     law, prior
         Law by which the walk is read, and its prior with the exponent that was learned.
     """
-    hit = np.abs(inertia(prior, touchdowns, np.maximum(touchdowns.drop, 0.0)))
-    parts = [(touchdowns.used * part).sum(axis=1) for part in (hit, touchdowns.force)]
-    slow = evenly(picked(touchdowns, parts[0] <= MOST_INERTIA * parts[1]), MOST_COMPARED)
-    if len(slow.foot) < FEWEST:
-        return ""
 
     def cost(name: str) -> FloatArray:
         exponent = max(prior.exponent, LEAST_EXPONENT) if name == law else 0.0
-        costs = fit(slow, RIVALS.get(name, name), replace(prior, exponent=exponent)).cost
+        costs = fit(touchdowns, RIVALS.get(name, name), replace(prior, exponent=exponent)).cost
         return np.log(np.maximum(costs, 1e-6))
 
     # Each kind of ground by its best law over the walk; then footfall by footfall, whose noise
@@ -106,7 +108,7 @@ def without_angle(touchdowns: Touchdowns, law: str, prior: Prior) -> str:
     if float(np.median(by_rival[best] - sand)) > -enough:
         return ""
     size = UNITS[best] * float(
-        np.median(strength(fit(slow, RIVALS[best], replace(prior, exponent=0.0)).phi))
+        np.median(strength(fit(touchdowns, RIVALS[best], replace(prior, exponent=0.0)).phi))
     )
     kind = {
         "clay": f"clay, turf or other cohesive soil (shear strength {1e-3 * size:.0f} kPa)",

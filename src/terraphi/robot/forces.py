@@ -188,7 +188,10 @@ def estimate(
         reasons = ", ".join(f"{reason} ({count})" for reason, count in bad.items())
         raise InputError(f"unsound samples: {reasons}; leave them out")
     if log.quaternion is None and frame != "body":
-        raise InputError(f"the log has no attitude, which frame '{frame}' needs; use 'body'")
+        raise InputError(
+            "the log has no attitude (quaternion), which forces in the world need; add it, or take "
+            "forces in the frame 'body'"
+        )
     given = friction if isinstance(friction, JointFriction) else None
     log, broken = (log, []) if given else without_broken_accelerometer(log)
     # A frame or two are read as well: of a robot at rest, for they hold no accelerations.

@@ -39,6 +39,7 @@ from terraphi.experiment.units import GRAVITY
 from terraphi.inference import footfalls as inference
 from terraphi.inference.footfalls import FootfallMap
 from terraphi.inference.pool import Anchor
+from terraphi.inference.touchdowns import FEWEST as FEWEST_COMPARED
 from terraphi.inference.touchdowns import TORQUES, Fit, Prior, Touchdowns, fit, picked, stacked
 from terraphi.robot import footfalls as batch
 from terraphi.robot.checks import CHECK_S, PART_S, check_parts, grave, parts, recorded
@@ -137,6 +138,9 @@ class Footfalls:
         self._course: list[batch.Course] = []
         """Means over :data:`~terraphi.robot.footfalls.AVERAGED_S`, a course for each piece."""
         self._map: FootfallMap | None = None
+        self._ground, self._compared_at = "", FEWEST_COMPARED
+        """What the ground is if it has no friction angle, and at how many footfalls it is next
+        compared; their number doubles."""
 
     def update(self, samples: JointLog) -> tuple[Footfall, ...]:
         """Take the next samples; return the footfalls that are over, in the order of time.
@@ -204,7 +208,18 @@ class Footfalls:
         """Warnings so far, of samples that were left out and of parts that were checked."""
         start = self._start
         notes = left_out(self._left_out) if start is None else self._notes(start)
-        return (*self._options.notes, *notes)
+        return (*self._options.notes, *filter(None, [self._ground]), *notes)
+
+    def _in_time(self) -> list[Touchdowns]:
+        """All touch-downs so far."""
+        return sorted((row for row, _ in self._fitted), key=lambda row: float(row.begin[0]))
+
+    def _compared(self) -> str:
+        """What the ground of all footfalls so far is, if it has no friction angle."""
+        rows, law = stacked(self._in_time()), self._options.law
+        prior = inference.with_growth(rows, law, self._options.prior)
+        verdict, notes = inference.judged(rows, fit(rows, law, prior), law, prior)
+        return notes[0] if inference.NO_ANGLE in verdict else ""
 
     def _notes(self, start: RobotForces) -> list[str]:
         report = {**start.report, "dropped": self._left_out}
@@ -231,11 +246,13 @@ class Footfalls:
         if self._start is None or self._window is None or not self._fitted:
             raise InputError(f"no footfall yet; the first come after {CHECK_S:g} s of walking")
         start = self._checked(self._start, self._window.log, to_end=True)
-        rows = sorted((row for row, _ in self._fitted), key=lambda row: float(row.begin[0]))
+        rows = self._in_time()
         self._map = batch.infer_walk(
             self._options, start, stacked(self._course), stacked(rows), "online",
             self._notes(start),
         )  # fmt: skip
+        is_sand = inference.NO_ANGLE not in self._map.verdict
+        self._ground = "" if is_sand else self._map.warnings[len(self._options.notes)]
         return self._map
 
     def _extended(self, start: RobotForces, log: JointLog) -> tuple[Window, slice]:
@@ -327,8 +344,11 @@ class Footfalls:
             near_landings, near_fits, prior.radius,
             typical=inference.Typical.of(self._brief[:, 2:]),
         )[-count:]  # fmt: skip
-        if self._map is not None and inference.NO_ANGLE in self._map.verdict:
-            verdict[verdict == inference.USABLE] = inference.NO_ANGLE
+        if len(self._fitted) >= self._compared_at:
+            self._compared_at = 2 * len(self._fitted)
+            self._ground = self._compared()
+        if self._ground:
+            verdict[np.isin(verdict, (inference.USABLE, inference.MISFIT))] = inference.NO_ANGLE
         moved = inference.trodden_before(near_landings, reach)[0][-count:]
         sinkage = inference.surface_depth(fits, verdict)
         usable = np.where(verdict == inference.USABLE, 1.0, np.nan)
