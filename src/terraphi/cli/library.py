@@ -61,9 +61,10 @@ def library_build(
         raise InputError("give a PLAN, or a rig by --leg with its four sizes, or by --rig FILE")
     chosen = Plan.load(plan) if plan is not None else Plan.of_rig(Rig.of(**given))
     (number, of), lacking, made = share_of(share), 0, None
-    count = min(workers or os.cpu_count() or 1, len(range(number - 1, chosen.count, of)) or 1)
+    cases = chosen.cases()[number - 1 :: of]
+    count = min(workers or os.cpu_count() or 1, len(cases) or 1)
     with builder.cluster(cluster) if cluster else processes(count) as executor:
-        announce(chosen.cases()[number - 1 :: of])
+        announce(cases)
         with progress_bar("simulating") as report:
             if share is None:
                 made = builder.build(chosen, out, executor=executor, progress=report)
@@ -74,12 +75,12 @@ def library_build(
     if made is not None:
         print_library(made, as_json)
     else:
-        cases = len(range(number - 1, chosen.count, of))
-        words = f"Share {share}: {cases - lacking} of {cases} cases are there; "
+        total = len(cases)
+        words = f"Share {share}: {total - lacking} of {total} cases are there; "
         again = (
             "the same command tries the others again" if lacking else "without --share it gathers"
         )
-        data = {"share": share, "cases": cases, "lacking": lacking}
+        data = {"share": share, "cases": total, "lacking": lacking}
         present(data, f"{words}{again}.", as_json=as_json)
         if lacking:
             sys.exit(SOME_FAILED)

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.inference.touchdowns import Prior, Touchdowns, evenly, fit, inertia, picked
+from terraphi.inference.touchdowns import Fit, Prior, Touchdowns, evenly, fit, inertia, picked
 from terraphi.laws.foot import Foot, FootLaw
 
 SANDS = ("foot", "rft", "hansen")
@@ -94,22 +94,22 @@ def without_angle(touchdowns: Touchdowns, law: str, prior: Prior) -> str:
         Law by which the walk is read, and its prior with the exponent that was learned.
     """
 
-    def cost(name: str) -> FloatArray:
-        exponent = max(prior.exponent, LEAST_EXPONENT) if name == law else 0.0
-        costs = fit(touchdowns, RIVALS.get(name, name), replace(prior, exponent=exponent)).cost
-        return np.log(np.maximum(costs, 1e-6))
+    def fitted(named: str | FootLaw) -> Fit:
+        exponent = max(prior.exponent, LEAST_EXPONENT) if named == law else 0.0
+        return fit(touchdowns, named, replace(prior, exponent=exponent))
+
+    def cost(of: Fit) -> FloatArray:
+        return np.log(np.maximum(of.cost, 1e-6))
 
     # Each kind of ground by its best law over the walk; then footfall by footfall, whose noise
     # differs.
-    sand = min((cost(name) for name in {law, *SANDS}), key=np.mean)
-    by_rival = {name: cost(name) for name in RIVALS}
-    best = min(by_rival, key=lambda name: float(by_rival[name].mean()))
+    sand = min((cost(fitted(name)) for name in {law, *SANDS}), key=np.mean)
+    rivals = {name: fitted(rival) for name, rival in RIVALS.items()}
+    best = min(rivals, key=lambda name: float(cost(rivals[name]).mean()))
     enough = 0.0 if law == "foot" and prior.exponent < NO_SAND else BEST_BY
-    if float(np.median(by_rival[best] - sand)) > -enough:
+    if float(np.median(cost(rivals[best]) - sand)) > -enough:
         return ""
-    size = UNITS[best] * float(
-        np.median(strength(fit(touchdowns, RIVALS[best], replace(prior, exponent=0.0)).phi))
-    )
+    size = UNITS[best] * float(np.median(strength(rivals[best].phi)))
     kind = {
         "clay": f"clay, turf or other cohesive soil (shear strength {1e-3 * size:.0f} kPa)",
         "layer": f"a mat, foam, snow or clay (its force grows by {1e-3 * size:.1f} N/mm)",

@@ -7,10 +7,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from terraphi.experiment.arrays import FloatArray, block_means
 from terraphi.experiment.errors import InputError, nearest
@@ -32,6 +31,9 @@ from terraphi.robot.model import Quadruped
 from terraphi.robot.results import RobotForces, foot_forces
 from terraphi.robot.stance import running_mean
 from terraphi.robot.touchdowns import Motion, sensitivity, touchdowns, track
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 CONTACT_PART = 0.4
 """Depth of the soil's push below the centre of a sunk ball, over the radius [-]: by resistive force
@@ -155,6 +157,8 @@ def _attempt(log: Path | str, options: dict[str, Any]) -> FootfallMap | InputErr
 
 def table_of(logs: Sequence[Path | str], walks: Sequence[FootfallMap | InputError]) -> pd.DataFrame:
     """A row for each footfall of many logs, and one with the reason for a log without any."""
+    import pandas as pd
+
     frames = []
     for walk in walks:
         frame = pd.DataFrame() if isinstance(walk, InputError) else walk.summary().assign(reason="")
