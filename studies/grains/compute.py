@@ -32,6 +32,8 @@ def make(stem: str, work: Path, out: Path) -> None:
         elements.test(name, body, seed, work, out)
     elif body in bodies:
         run.record(soil, bodies[body], seed, work, out)
+    elif body.startswith("wheel"):
+        run.rolled(soil, body, seed, work, out)
     else:
         run.pressed(soil, body, seed, work, out)
 

@@ -32,6 +32,8 @@ GRAVITY = 9.81
 LIQUID, VISCOSITY, REACH = 1.0, 1e-3, 1.1
 """Liquid on damp grains [% of their volume], its viscosity [Pa s], and distance of centers over the
 sum of radii up to which bridges are sought [-]; they break at a gap of a sixth of a radius."""
+ROOM = 0.1
+"""Height above grains that are let fall [m]."""
 SIZES = 5
 """Sizes of clumps, evenly spread: LIGGGHTS has one of each template."""
 SPARSE = 0.2
@@ -51,8 +53,8 @@ CLUMPS = {
     ],
 }  # fmt: skip
 """Centers of the spheres of a clump over their radius."""
-POINTS, RIM, DISC = 500, 32, 0.006
-"""Corners of a ball's mesh and of a disc's rim, and a disc's thickness [m]."""
+POINTS, RIM, DISC, PANELS = 500, 32, 0.006, 96
+"""Corners of a ball's mesh and of a disc's rim, a disc's thickness [m], panels of a wheel's rim."""
 
 
 @dataclass(frozen=True)
@@ -221,7 +223,7 @@ def clumps(
     low = soil.diameter * (1.0 + soil.spread)
     high = low + thickness * 0.58 / SPARSE
     end = low if walls else 0.0
-    empty = f"region box block {x0} {x1} {y0} {y1} -0.001 {high + 0.06:.6g} units box"
+    empty = f"region box block {x0} {x1} {y0} {y1} -0.001 {high + ROOM:.6g} units box"
     fill = f"region fill block {x0 + end} {x1 - end} {y0} {y1} {low} {high} units box"
     pour = f"""{templates(soil, seed)}{fill}
 fix pour all insert/pack seed {prime(10 * seed + SIZES + 1)} distributiontemplate sizes &
@@ -249,7 +251,7 @@ def lattice(soil: Soil, seed: int, box: tuple[float, ...], thickness: float, pat
     lines = [
         "grains\n",
         f"{x.size} atoms\n2 atom types",
-        f"{x0} {x1} xlo xhi\n{y0} {y1} ylo yhi\n-0.001 {largest * layers + 0.06:.6g} zlo zhi",
+        f"{x0} {x1} xlo xhi\n{y0} {y1} ylo yhi\n-0.001 {largest * layers + ROOM:.6g} zlo zhi",
         "\nAtoms\n",
     ]
     grains = enumerate(zip(diameter, x, y, z, strict=True), 1)
@@ -372,6 +374,43 @@ def foot_mesh(shape: str, radius: float, low: tuple[float, float], path: Path) -
     write_mesh(points[ConvexHull(points).simplices], path)
 
 
+def wheel_mesh(
+    rim: float, width: float, lugs: tuple[int, float], at: tuple[float, float], path: Path
+) -> None:
+    """Write a wheel about an axle at (x, z) [m] as STL; lugs by their number and height [m].
+
+    A lug is as thick as a :data:`PANELS`-th part of the rim.
+    """
+    count, height = lugs
+    panels = PANELS if not count else count * max(round(PANELS / count), 3)
+    turn = 2.0 * math.pi / panels * np.arange(panels + 1)
+    each = np.arange(panels)
+    is_lug = (each % (panels // count) == 0) if count else each < 0
+    triangles: list[Sequence[Sequence[float]]] = []
+
+    def quad(a: float, b: float, inner: float, outer: float, y: Sequence[float]) -> None:
+        """Two triangles of a patch between two angles, radii and widths."""
+        p, q, r, s = ((at[0] + R * math.sin(t), w, at[1] - R * math.cos(t)) for t, R, w in (
+            (a, inner, y[0]), (b, outer, y[1]), (b, outer, y[2]), (a, inner, y[3])))  # fmt: skip
+        triangles.extend([(p, q, r), (p, r, s)])
+
+    edges = np.linspace(-0.5, 0.5, 5) * width
+    for k in range(panels):
+        a, b, radius = turn[k], turn[k + 1], rim + height * is_lug[k]
+        for left, right in itertools.pairwise(edges):
+            quad(a, b, radius, radius, (left, left, right, right))
+            if is_lug[k]:  # its two flanks
+                quad(a, a, rim, radius, (left, left, right, right))
+                quad(b, b, rim, radius, (left, left, right, right))
+        for y in (edges[0], edges[-1]):  # the sides, from half the radius on
+            p, q, r, s = (
+                (at[0] + R * math.sin(t), y, at[1] - R * math.cos(t))
+                for t, R in ((a, 0.5 * rim), (b, 0.5 * rim), (b, radius), (a, radius))
+            )
+            triangles += [(p, q, r), (p, r, s)]
+    write_mesh(triangles, path)
+
+
 def write_mesh(triangles: Iterable[Sequence[Sequence[float]]], path: Path) -> None:
     """Write triangles [m] as STL."""
     lines = ["solid body"]
@@ -406,6 +445,33 @@ thermo_modify flush yes
 run {steps}
 """
     )
+
+
+def rolling(
+    soil: Soil, box: tuple[float, ...], at: tuple[float, float], turn: float, speed: float,
+    sinking: FloatArray, steps: Sequence[int], every: int,
+) -> str:  # fmt: skip
+    """The wheel of body.stl rolls along x, in stages of a vertical velocity each.
+
+    It turns by ``turn`` [rad/s] about its axle at (x, z), which goes with it.
+    """
+    stages, (x, z) = "", at
+    for down, count in zip(sinking.tolist(), steps, strict=True):
+        stages += f"""fix travel all move/mesh mesh body linear {speed:.8g} 0 {down:.8g}
+fix spin all move/mesh mesh body rotate origin {x:.8g} 0 {z:.8g} axis 0 1 0 &
+  period {2.0 * math.pi / turn:.8g}
+run {count}
+unfix spin
+unfix travel
+"""
+        x, z = x + speed * count * soil.time_step, z + down * count * soil.time_step
+    begin, _, _ = moved(soil, box, at, "", steps=0, every=every).partition("fix move")
+    return f"""{begin}fix mean all ave/time 1 {every} {every} f_body[1] f_body[2] f_body[3] &
+  f_body[5] file body.txt
+thermo 5000
+thermo_style custom step atoms ke cpu
+thermo_modify flush yes
+{stages}"""
 
 
 def means(soil: Soil, folder: Path) -> tuple[FloatArray, FloatArray]:

@@ -35,6 +35,12 @@ SPEED, DEEPEST, EVERY = 0.03, 1.5, 5e-4
 [m]."""
 LANDED = 0.025
 """Last depth of a foot that lands [m]: what a Go2 of 15 kg sinks in loose sand."""
+TRAVEL, SUNK, PATH = 0.1, (0.17, 0.3), (0.6, 1.5, 0.4, 1.7)
+"""Speed of a wheel's axle [m/s], its two depths over its radius, and the ways over which it is let
+down, rolls, is let down again and rolls over its radius [-]."""
+WHEEL_BED, WHEEL_EVERY = (7.4, 0.25, 1.0), 2e-3
+"""Length of a wheel's bed, what is beside the wheel, and thickness, over its radius [-]; way of the
+means [m]."""
 
 
 @dataclass(frozen=True)
@@ -183,6 +189,52 @@ def pressed(soil: engine.Soil, name: str, seed: int, work: Path, out: Path) -> P
         lines = [f"{line},{v:.4f},{a:.3f}" for line, v, a in zip(lines, *more, strict=True)]
     words = name.replace("_", " ")
     write(path, soil, seed, fraction, words, [f"depth_mm,Fx_N,Fz_N{moved}", *lines])
+    return path
+
+
+def rolled(soil: engine.Soil, name: str, seed: int, work: Path, out: Path) -> Path:
+    """Pour the bed of a wheel unless it is there, roll it, and write the forces; the file.
+
+    A wheel is named by its diameter and width [mm], after a + its lugs, number and height [mm], and
+    its slip 1 - v / (w R) with R to the lugs' tips: ``wheel_120x25_s0.2``, ``wheel_120x25+12x6_s0``.
+    The axle moves level at two depths, one after the other.
+    """
+    path = out / f"{soil.name}_{name}_{seed}.csv"
+    if path.exists():
+        return path
+    _, size, slip = name.split("_")
+    body, _, grousers = size.partition("+")
+    diameter, width = (1e-3 * float(value) for value in body.split("x"))
+    count, height = (float(value) for value in grousers.split("x")) if grousers else (0.0, 0.0)
+    rim = 0.5 * diameter
+    reach, slip = rim + 1e-3 * height, float(slip.removeprefix("s"))
+    length, thickness = WHEEL_BED[0] * rim, WHEEL_BED[2] * rim
+    breadth = width + 2.0 * WHEEL_BED[1] * rim
+    sizes = "x".join(f"{1e3 * value:.0f}" for value in (length, breadth, thickness))
+    folder = work / f"{soil.name}_{sizes}_{seed}"
+    box = (-0.5 * length, 0.5 * length, -0.5 * breadth, 0.5 * breadth, 0.0)
+    engine.bed(soil, seed, box, thickness, folder)
+    surface, fraction = engine.layering(soil, engine.dump(folder / "bed.dump"), length * breadth)
+    clear = 0.5 * soil.diameter
+    at = (-0.5 * length + 1.15 * rim, surface + clear + reach)
+    engine.wheel_mesh(rim, width, (int(count), 1e-3 * height), at, folder / "body.stl")
+    ways = np.array(PATH) * rim
+    falls = np.array([SUNK[0] * rim + clear, 0.0, (SUNK[1] - SUNK[0]) * rim, 0.0])
+    deck = engine.rolling(
+        soil, box, at, TRAVEL / (reach * (1.0 - slip)), TRAVEL, -falls / ways * TRAVEL,
+        [round(way / TRAVEL / soil.time_step) for way in ways],
+        round(WHEEL_EVERY / TRAVEL / soil.time_step),
+    )  # fmt: skip
+    engine.run(deck, folder, name)
+    time, (fx, _, fz, moment) = engine.means(soil, folder)
+    travel = TRAVEL * time
+    depth = np.interp(travel, np.append(0.0, ways.cumsum()), np.append(0.0, falls.cumsum())) - clear
+    rows = zip(1e3 * travel, 1e3 * depth, fx, fz, -moment, strict=True)
+    lines = [f"{x:.1f},{z:.2f},{f:.4f},{w:.4f},{m:.6f}" for x, z, f, w, m in rows]
+    words = f"wheel of {1e3 * diameter:g} x {1e3 * width:g} mm"
+    words += f" with {count:.0f} lugs of {height:g} mm" if grousers else ""
+    head = "travel_mm,sinkage_mm,pull_N,load_N,torque_Nm"
+    write(path, soil, seed, fraction, f"{words} at a slip of {slip:g}", [head, *lines])
     return path
 
 
