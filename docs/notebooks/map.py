@@ -43,7 +43,7 @@ walk.to_csv(folder / "points.csv", index=False)
 # Dry soil without roots. What is not known of the slope has a wide default.
 
 options = "--prior cohesion_Pa=0:500 --prior root_cohesion_Pa=0 --prior wetness=0"
-command = f"-m terraphi.cli map points.csv --dem dem.tif --out slopes {options}".split()
+command = f"-m terraphi map points.csv --dem dem.tif --out slopes {options}".split()
 done = subprocess.run([sys.executable, *command], cwd=folder, check=True, capture_output=True)
 print(done.stdout.decode())
 

@@ -196,7 +196,7 @@ def rolled(soil: engine.Soil, name: str, seed: int, work: Path, out: Path) -> Pa
     """Pour the bed of a wheel unless it is there, roll it, and write the forces; the file.
 
     A wheel is named by its diameter and width [mm], after a + its lugs, number and height [mm], and
-    its slip 1 - v / (w R) with R to the lugs' tips: ``wheel_120x25_s0.2``, ``wheel_120x25+12x6_s0``.
+    its slip 1 - v / (w R), R to the lugs' tips: ``wheel_120x25_s0.2``, ``wheel_120x25+12x6_s0``.
     The axle moves level at two depths, one after the other.
     """
     path = out / f"{soil.name}_{name}_{seed}.csv"

@@ -113,7 +113,7 @@ def test_any_error_is_one_sentence_and_its_stack_is_there_if_wanted(
     "line", ["keys | head -c 1", "keys > /dev/full", "keys >&- 2>&- <&-", "invert - <&-"]
 )
 def test_closed_and_full_streams_end_without_a_stack(line: str) -> None:
-    command = f"{sys.executable} -m terraphi.cli {line}"
+    command = f"{sys.executable} -m terraphi {line}"
     done = subprocess.run(command, shell=True, capture_output=True, text=True)
     assert len(done.stderr.splitlines()) <= 1
     assert done.stderr[:10] in ("", "terraphi: ")

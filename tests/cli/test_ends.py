@@ -49,7 +49,7 @@ def started(folder: Path, command: list[str]) -> subprocess.Popen[str]:
     (folder / "tmp").mkdir()
     places = {"TMPDIR": str(folder / "tmp"), "PYTHONPATH": os.pathsep.join(sys.path)}
     running = subprocess.Popen(
-        [sys.executable, *(("-c", RUN) if command == INVERT else ("-m", "terraphi.cli")), *command],
+        [sys.executable, *(("-c", RUN) if command == INVERT else ("-m", "terraphi")), *command],
         cwd=folder, env={**os.environ, **places}, text=True, start_new_session=True,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, preexec_fn=accept_signals,
     )  # fmt: skip

@@ -25,8 +25,8 @@ from terraphi.view.console import Table, present, progress_bar
 if TYPE_CHECKING:
     from terraphi.inference.answer import Answer
 
-FORMS = dict.fromkeys(f"{tool.keyword}:MM" for tool in TOOLS.values())
-TWO = [f"{tool.keyword}:MMxMM" for tool in TOOLS.values() if len(tool.sizes) > 1]
+FORMS = dict.fromkeys(f"{tool.keyword}:SIZE" for tool in TOOLS.values())
+TWO = [tool.form.lower() for tool in TOOLS.values()]
 FILES = ("answer.json", "answer.nc", "answer.png")
 """Files of an answer; without Matplotlib there is no picture."""
 
@@ -34,7 +34,7 @@ FILES = ("answer.json", "answer.nc", "answer.png")
 @click.command()
 @click.argument("forces", nargs=-1, metavar="[FORCES...]")
 @record_options
-@click.option("--tool", metavar="|".join(FORMS), help=f"Pressed in; {', '.join(TWO)} as well.")
+@click.option("--tool", metavar="|".join(FORMS), help=f"No leg: {', '.join(TWO)}.")
 @click.option("--noise", type=Float(), help="Noise [N].  [default: estimated]")
 @click.option("--calibration", type=PATH, help="File of 'terraphi calibrate'.")
 @click.option("--critical", metavar="DEG[±SD]", help="Critical φ: a bound; if dense, the peak.")

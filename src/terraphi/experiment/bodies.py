@@ -30,14 +30,14 @@ OUTLINES = {
 
 
 class ToolShape(NamedTuple):
-    """A body whose force is that on a foot, a disc or a ball, times a factor."""
+    """A body whose force is that on a foot, a disc or a ball, times a factor; or a wheel."""
 
     keyword: str
     """Word before the sizes, such as ``plate`` in ``plate:38x25``."""
     sizes: tuple[str, ...]
     """Names of the sizes [mm]."""
-    foot: Literal["disc", "ball"]
-    """Shape of that foot."""
+    foot: Literal["disc", "ball"] | None
+    """Shape of that foot; ``None`` of a wheel, which rolls."""
     radius: Callable[..., float]
     """Radius of that foot, of the sizes [mm]."""
     factor: Callable[..., float] = lambda *_sizes: 1.0
@@ -46,7 +46,9 @@ class ToolShape(NamedTuple):
     @property
     def form(self) -> str:
         """Form in which a user writes it, such as ``plate:SIDExSIDE``."""
-        return f"{self.keyword}:{'x'.join(size.upper() for size in self.sizes)}"
+        sizes = [size.upper() for size in self.sizes]
+        lugs = f"+lugs:{'x'.join(sizes[2:])}" if sizes[2:] else ""
+        return f"{self.keyword}:{'x'.join(sizes[:2])}{lugs}"
 
 
 TOOLS = {
@@ -59,5 +61,9 @@ TOOLS = {
         lambda a, b: 0.98 * (min(a, b) / max(a, b)) ** 0.15,
     ),
     "ball": ToolShape("ball", ("diameter",), "ball", lambda diameter: 0.5 * diameter),
+    "wheel": ToolShape("wheel", ("diameter", "width"), None, lambda d, _: 0.5 * d),
+    "lugged wheel": ToolShape(
+        "wheel", ("diameter", "width", "number", "height"), None, lambda d, _w, _n, h: 0.5 * d + h
+    ),
 }  # fmt: skip
-"""Bodies pressed in, by name."""
+"""Bodies pressed in, and wheels, by name."""

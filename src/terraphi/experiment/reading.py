@@ -73,19 +73,36 @@ _NAMES = {
     r"|last",
     "pressure": r"p|q|pressure|(normal|contact|ground|plate|vertical)(pressure|stress)|stress|druck"
     r"|spannung|bearingpressure",
+    "travel": r"x|travel|distance|way|weg|fahrweg|odometer",
+    "slip": r"s|i|slip(rate|ratio)?|schlupf",
+    "wheel_speed": r"(wheel|rim|circumferential)(speed|velocity)|omegar|wr|umfangsgeschwindigkeit",
+    "rotation": r"omega|ω|w|angular(speed|velocity|rate)|rotation(al)?(rate|speed)?|rpm|drehzahl",
+    "travel_speed": r"v|vx|(travel|forward|vehicle|ground|carriage|rover)?(speed|velocity)",
+    "load": r"fz|fn|w|(normal|vertical|wheel)?(load|weight)|(normal|vertical)force|radlast|last",
+    "pull": r"fx|dp|pull|drawbar(pull|force)?|netpull|(net)?traction|zugkraft"
+    r"|(horizontal|longitudinal|tractive|forward)force",
+    "torque": r"my|ty|(wheel|motor|drive|driving|input)?torque|moment|drehmoment|mt",
+    "side": r"fy|side(force)?|lateral(force)?|seitenkraft",
+    "side_slip": r"beta|β|sideslip(angle)?|slipangle|skewangle|schräglaufwinkel",
 }
 """Names of columns, without units, signs and case."""
 _LOOSE = {"theta": "theta|angle|winkel|θ", "fx": "fx|forcex|xforce", "fz": "fz|forcez|zforce"}
 LEG = {"theta": "angle", "fx": "force", "fz": "force", "time": "time", "moment": "moment"}
 PRESSED = {"sinkage": "length", "force": "force", "pressure": "pressure"}
-"""Kinds of the columns of a leg, and of a body that is pressed in."""
-KIND = LEG | PRESSED
+WHEEL = {
+    "time": "time", "travel": "length", "side_slip": "angle", "slip": "share",
+    "wheel_speed": "speed", "rotation": "rate", "travel_speed": "speed", "load": "force",
+    "sinkage": "length", "pull": "force", "torque": "moment", "side": "force",
+}  # fmt: skip
+"""Kinds of the columns of a leg, of a body that is pressed in, and of a wheel."""
+KIND = LEG | PRESSED | WHEEL
 UNIT_KEYS = {
     "angle": "theta_unit", "force": "unit", "length": "sinkage_unit", "pressure": "pressure_unit",
+    "share": "slip_unit",
 }  # fmt: skip
 """Option that names the unit of a kind."""
 WORDS = {"theta": "theta", "fx": "Fx", "fz": "Fz"}
-WORDS |= {role: f"the {role}" for role in ("moment", "time", *PRESSED)}
+WORDS |= {role: f"the {role.replace('_', ' ')}" for role in ("moment", *PRESSED, *WHEEL)}
 ForceUnit = Literal["N", "kN", "mN", "MN", "lbf", "ozf", "kgf", "gf", "dyn"]
 
 

@@ -256,18 +256,19 @@ def with_rig(options: Mapping[str, Any]) -> dict[str, Any]:
 
 
 class Tool(Strict):
-    """A body pressed in, of a shape of :data:`~terraphi.experiment.bodies.TOOLS`."""
+    """A body pressed in or a wheel, of a shape of :data:`~terraphi.experiment.bodies.TOOLS`."""
 
     leg: Annotated[str, *one_of(TOOLS)]
     """Its shape; named as that of a rig, so that answers treat both alike."""
     size_mm: tuple[float, ...] = Field(min_length=1)
-    """Diameter, or both sides [mm]."""
+    """Diameter, or both sides; of a wheel diameter and width, number and height of lugs [mm]."""
 
     @classmethod
     def of(cls, text: str) -> Self:
-        """Parse ``plate:151``, ``plate:38x25`` or ``ball:44``; raises InputError."""
+        """Parse ``plate:151``, ``ball:44``, ``wheel:314x165+lugs:30x10``; raises InputError."""
         keyword, _, numbers = str(text).strip().lower().partition(":")
         try:
+            numbers = re.sub(r"\+(lugs:)?", "x", numbers) if keyword == "wheel" else numbers
             sizes = tuple(plain_number(number) for number in re.split("[x×]", numbers))
         except ValueError:
             sizes = ()
@@ -276,7 +277,14 @@ class Tool(Strict):
         if not shapes or not all(1.0 <= size <= 5000.0 for size in sizes):
             forms = " or ".join(shape.form for shape in TOOLS.values())
             raise InputError(f"tool '{text}'; give {forms}, such as plate:151, of 1 to 5000 mm")
-        if max(sizes) > SLENDER * min(sizes):
+        if keyword == "wheel":
+            rim, _, *lugs = sizes
+            if lugs and (lugs[0] % 1.0 or not 3 <= lugs[0] <= 200 or lugs[1] > 0.25 * rim):
+                raise InputError(
+                    f"tool '{text}': after +lugs: come their number, 3 to 200, and their height, "
+                    "up to a quarter of the diameter [mm]"
+                )
+        elif max(sizes) > SLENDER * min(sizes):
             raise InputError(
                 f"tool '{text}': sides up to {SLENDER:g} to 1 are known; a longer plate bears as a "
                 "strip does, which law foot has not"
@@ -290,7 +298,10 @@ class Tool(Strict):
 
     @property
     def radius(self) -> float:
-        """Radius of the disc or ball that bears as it does, but for :attr:`factor` [m]."""
+        """Radius of the disc or ball that bears as it does, but for :attr:`factor` [m].
+
+        Of a wheel that to the tips of its lugs.
+        """
         return 1e-3 * self.shape.radius(*self.size_mm)
 
     @property

@@ -57,7 +57,7 @@ def bekker(records: Sequence[RecordFit]) -> Bekker | None:
     sizes, logs, weights = [], [], []
     for record in records:
         tool = record.rig
-        if not isinstance(tool, Tool) or tool.shape.foot == "ball":
+        if not isinstance(tool, Tool) or tool.shape.foot != "disc":
             continue
         b = tool.radius if len(tool.size_mm) == 1 else 1e-3 * min(tool.size_mm)
         z, p = 1e-3 * record.theta_deg, 1e-3 * record.data[0] / (math.pi * tool.radius**2)

@@ -25,6 +25,7 @@ from terraphi.experiment.files import label_of
 from terraphi.experiment.pressed_reading import Pressed, read_pressed
 from terraphi.experiment.priors import CONTACT_SD_M, CONTACT_SD_PART, DENSITY, FRICTION
 from terraphi.experiment.rig import Tool
+from terraphi.experiment.wheel_reading import Rolled, read_rolled
 from terraphi.inference.answer import Answer, Estimate, RecordFit
 from terraphi.inference.estimator import least_squares, weights
 from terraphi.inference.records import density_warnings, density_with_sd, grain_size, roughness
@@ -81,7 +82,7 @@ RANGE_DEG = np.arange(10.0, 55.5, 0.5)
 
 @dataclass(frozen=True, eq=False)
 class PressedRecord:
-    """Force over sinkage of a tool that was pressed straight down.
+    """Force over sinkage of a tool that was pressed straight down, or rows of a wheel.
 
     Attributes
     ----------
@@ -90,12 +91,12 @@ class PressedRecord:
     rig
         The plate or ball.
     table
-        Sinkage and force in the order of time.
+        Sinkage and force in the order of time; of a wheel its slip and load as well.
     """
 
     source: str
     rig: Tool
-    table: Pressed
+    table: Pressed | Rolled
     density_kg_m3: float | None = None
     density_sd_kg_m3: float = 0.0
     grain_size_mm: float = 0.0
@@ -109,7 +110,10 @@ def open_pressed(
     grain_size_mm: float | None = None,
 ) -> PressedRecord:
     """Open a table of sinkage and force; raises InputError if it cannot be used."""
-    table = read_pressed(source, math.pi * tool.radius**2, columns)
+    table = (
+        read_pressed(source, math.pi * tool.radius**2, columns) if tool.shape.foot
+        else read_rolled(source, tool.radius, columns)
+    )  # fmt: skip
     is_file = isinstance(source, str | Path)
     label = label_of(source) if is_file else f"{type(source).__name__} ({tool})"
     mean, sd = (None, 0.0) if density is None else density_with_sd(density, label)
@@ -133,7 +137,7 @@ class _Press:
 
     def curve(self, x: FloatArray, mu: float = FRICTION.mean) -> FloatArray:
         """The law's force [N] at (φ, z₀), [k, 2] -> [k, n]."""
-        foot = Foot(self.tool.radius, self.tool.shape.foot)
+        foot = Foot(self.tool.radius, self.tool.shape.foot or "disc")
         force = LAWS[self.law].force(
             foot, self.z + x[:, 1:], 0.5 * np.pi, friction_angle_deg=x[:, :1],
             density=self.density, surface_friction=mu,
@@ -204,6 +208,10 @@ def invert_pressed(record: PressedRecord, law: Any = None) -> Answer:
     if name not in LAWS:
         raise InputError(f"no law '{name}' of a tool; {nearest(name, tuple(LAWS))}")
     table, label, density = record.table, record.source, record.density_kg_m3
+    if isinstance(table, Rolled):
+        from terraphi.inference.rolled import invert_rolled
+
+        return invert_rolled(record, law)
     rho, rho_sd = DENSITY
     if density is not None:
         rho, rho_sd = density, record.density_sd_kg_m3

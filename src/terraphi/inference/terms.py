@@ -65,6 +65,7 @@ TERMS: dict[str, Term] = {
     "contraction": Term("learned", "record"),
     "surface friction": Term("assumed", "law"),
     "rectangle": Term("learned", "law"),
+    "slip": Term("learned", "law"),
     "contact": Term("assumed", "record"),
     "depth": Term("assumed", "record"),
     "grain size": Term("learned", "record"),

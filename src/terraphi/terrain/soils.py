@@ -19,7 +19,7 @@ from terraphi.experiment.arrays import FloatArray, count, generator
 from terraphi.experiment.errors import GUESSED, InputError, nearest
 from terraphi.experiment.files import number_with_sd
 from terraphi.experiment.outputs import changed
-from terraphi.experiment.priors import DENSITY, FOOT_FRICTION
+from terraphi.experiment.priors import DENSITY, FOOT_FRICTION, FRICTION
 from terraphi.experiment.scenario import LIMITS
 from terraphi.experiment.soil import cone_slope
 from terraphi.forward.rft import to_plane_strain
@@ -169,6 +169,56 @@ class SoilDistribution:
         independent = np.sqrt(1.0 - self.correlation**2) * rng.standard_normal(n)
         density = self.density + self.density_sd * (self.correlation * deviation + independent)
         return Draws(phi, np.maximum(density, LEAST_DENSITY * self.density))
+
+    def wheel(
+        self, diameter_mm: float, width_mm: float, load_N: float, slip: Any, *,
+        lugs: tuple[int, float] = (0, 0.0), surface_friction: float = FRICTION.mean,
+        draws: int = 0, rng: np.random.Generator | int | None = None,
+    ) -> dict[str, FloatArray]:  # fmt: skip
+        """Sinkage, pull and torque of a rigid wheel, by law ``foot`` over its rim.
+
+        Parameters
+        ----------
+        diameter_mm, width_mm
+            Of the rim [mm].
+        load_N
+            Vertical load [N].
+        slip
+            1 − v / (ω R) of a driven wheel, ω R / v − 1 of a braked one [-]; a number or an array.
+        lugs
+            Their number and height [mm].
+        surface_friction
+            Between rim and soil [-].
+        draws
+            How many soils are drawn; 0: the median φ and the mean density.
+        rng
+            A generator, or the seed of one.
+
+        Returns
+        -------
+        dict
+            ``sinkage_mm``, ``pull_N``, ``torque_Nm`` of the shape of ``slip``, of draws after one
+            axis for these; NaN where the wheel sinks in deeper than the law has. The sinkages are
+            those of soil in which wheels are read right: φ with the error of wheels in grains.
+
+        Raises
+        ------
+        InputError
+            If a size, the load or the slip is no wheel's, or beyond the law.
+
+        Examples
+        --------
+        >>> rolling = terraphi.soil("loose dry sand").wheel(200, 80, 40.0, [0.1, 0.3])
+        >>> bool(rolling["sinkage_mm"][1] > rolling["sinkage_mm"][0] > 0.0)
+        True
+        """
+        from terraphi.laws.wheel import Wheel, rolling
+
+        body = Wheel(5e-4 * diameter_mm, 1e-3 * width_mm, int(lugs[0]), 1e-3 * lugs[1])
+        soils = self.draws(draws, rng=rng) if draws else Draws(
+            np.array([self.phi.median]), np.array([self.density]))  # fmt: skip
+        results = rolling(body, load_N, slip, *soils, surface_friction=surface_friction)
+        return {name: value if draws else value[0] for name, value in results.items()}
 
     def export(self, to: str, **options: Any) -> dict[str, Any]:
         """Parameters of a simulator, as :func:`~terraphi.terrain.export.export` has them."""

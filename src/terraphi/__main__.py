@@ -1,4 +1,4 @@
-"""``python -m terraphi.cli``."""
+"""``python -m terraphi``."""
 
 from terraphi.cli.main import main
 

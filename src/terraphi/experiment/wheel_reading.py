@@ -1,0 +1,203 @@
+"""A wheel's slip, load and sinkage, and what else was measured, from a table as people have it."""
+
+from __future__ import annotations
+
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.errors import GUESSED
+from terraphi.experiment.reading import (
+    UNIT_KEYS,
+    WHEEL,
+    WORDS,
+    ColumnReader,
+    Columns,
+    ForceUnit,
+)
+
+SPEEDS = ("wheel_speed", "rotation", "travel_speed")
+"""Columns from which the slip follows."""
+NEEDED = ("slip", "load", "sinkage")
+"""Values without which a row is no use."""
+PERCENT = 1.5
+"""Largest slip above which it must be in percent [-]."""
+
+
+class WheelColumns(Columns):
+    """Which columns of a table of a wheel are what, and their units."""
+
+    slip: str | None = None
+    """Column of the slip; if not given, it is guessed, or follows from both speeds."""
+    slip_is: Literal["driven", "travel"] | None = None
+    """How a slip below zero is defined: `driven`, 1 - v / (ω R) as above zero, without an end; or
+    `travel`, ω R / v - 1, of which -1 is a locked wheel."""
+    wheel_speed: str | None = None
+    """Column of the speed of the rim, ω R."""
+    rotation: str | None = None
+    """Column of the rate of rotation ω, in place of the speed of the rim."""
+    travel_speed: str | None = None
+    """Column of the speed v at which the wheel travels."""
+    load: str | None = None
+    """Column of the vertical load on the wheel."""
+    sinkage: str | None = None
+    """Column of the sinkage of the rim, with lugs of their tips."""
+    pull: str | None = None
+    """Column of the drawbar pull, negative where the wheel is pushed or towed."""
+    torque: str | None = None
+    """Column of the torque that drives the wheel."""
+    side: str | None = None
+    """Column of the side force."""
+    side_slip: str | None = None
+    """Column of the angle of side slip, between where the wheel points and where it moves."""
+    travel: str | None = None
+    """Column of the way travelled."""
+    time: str | None = None
+    """Column of the time."""
+    slip_unit: Literal["1", "%"] | None = None
+    """Unit of the slip; if not given, that of the header, else 1."""
+    sinkage_unit: Literal["mm", "cm", "m", "in", "ft"] | None = None
+    """Unit of the sinkage; if not given, that of the header."""
+    unit: ForceUnit | None = None
+    """Unit of the forces; if not given, that of the header."""
+
+
+class Rolled(NamedTuple):
+    """Rows of a wheel."""
+
+    values: dict[str, FloatArray]
+    """By name, shape [row] each: ``slip``, 1 − v / (ω R) of a driven wheel and ω R / v − 1 of a
+    braked one [-]; ``load`` [N]; ``sinkage`` [m]; ``side_slip`` [deg]; where they were measured
+    ``pull`` and ``side`` [N], ``torque`` [N m], ``travel`` [m], ``time`` [s]."""
+    rows: int
+    """Number of rows of the table."""
+    notes: list[str]
+    """What was guessed and left out."""
+
+
+def read_rolled(source: Any, radius: float, columns: Any = None) -> Rolled:
+    """Read the rows of a wheel of a radius to its lugs' tips [m]; columns and units are guessed.
+
+    Raises
+    ------
+    InputError
+        With what is wrong with the table.
+    """
+    reader = _WheelTable(source, WheelColumns.of(columns))
+    reader.refuse_wrong()
+    values = {role: reader.column(role) for role in reader.names}
+    if "slip" not in values:
+        values["slip"] = reader.slip_of_speeds(values, radius)
+    full = np.asarray(np.isfinite([values[role] for role in NEEDED]).all(axis=0))
+    if not full.all():
+        reader.notes.append(f"{(~full).sum()} of {full.size} rows lack a number and are left out.")
+    if not full.any():
+        reader.refuse("no row has a slip, a load and a sinkage")
+    values = {role: column[full] for role, column in values.items() if role not in SPEEDS}
+    if "slip" in reader.names:
+        values["slip"] = reader.checked_slip(values["slip"])
+    reader.check_numbers(values, radius)
+    values["side_slip"] = np.nan_to_num(values.get("side_slip", np.zeros(int(full.sum()))))
+    return Rolled(values, full.size, reader.notes)
+
+
+class _WheelTable(ColumnReader[WheelColumns]):
+    """A table of a wheel."""
+
+    def __init__(self, source: Any, given: WheelColumns) -> None:
+        """Find the columns: as given, or by their names."""
+        super().__init__(source, given)
+        chosen: dict[str, str] = given.model_dump(include={*WHEEL}, exclude_none=True)
+        for role, column in chosen.items():
+            self.take(role, column)
+        for role in WHEEL if not self.wrong else ():
+            if role not in chosen and not (role in SPEEDS and "slip" in self.names):
+                self.guess(role, self.like(role))
+        self._ask()
+        for role, name in self.names.items():
+            self.check(role)
+            unit = {"sinkage": "mm", "load": "N"}.get(role)
+            key = UNIT_KEYS.get(WHEEL[role], "")
+            if unit and not (self.written(name) or getattr(given, key)):
+                self.wrong.append(
+                    f"column '{name[:40]}' has no unit; add --columns {key}={unit}, or name it "
+                    f"such as {role}_{unit}"
+                )
+        guessed = [f"{WORDS[k]} from '{n}'" for k, n in self.names.items() if k not in chosen]
+        if guessed:
+            self.notes.append(f"{GUESSED}{', '.join(guessed)}.")
+
+    def _ask(self) -> None:
+        """Complain about what is missing."""
+        if self.wrong:
+            return
+        rim = "wheel_speed" in self.names or "rotation" in self.names
+        if "slip" not in self.names and not (rim and "travel_speed" in self.names):
+            self.wrong.append(
+                f"no column of the slip among {self.header}, nor of the speeds of wheel and travel;"
+                " add --columns 'slip=NAME', or 'rotation=NAME,travel_speed=NAME'"
+            )
+        if "load" not in self.names:
+            self.wrong.append(
+                f"no column of the load among {self.header}; add --columns 'load=NAME', or name it "
+                "such as load_N"
+            )
+        if "sinkage" not in self.names:
+            without = "; load, slip and torque show the friction of the rim, not that of the soil"
+            self.wrong.append(
+                f"no column of the sinkage among {self.header}; add --columns 'sinkage=NAME', or "
+                f"name it such as sinkage_mm{without if 'torque' in self.names else ''}"
+            )
+
+    def slip_of_speeds(self, values: dict[str, FloatArray], radius: float) -> FloatArray:
+        """Slip from the speed of the rim and that of travel [-]."""
+        rim = values["wheel_speed"] if "wheel_speed" in values else radius * values["rotation"]
+        travel = values["travel_speed"]
+        if np.nanmedian(rim) < 0.0 and np.nanmedian(travel) < 0.0:
+            rim, travel = -rim, -travel
+        still = np.maximum(rim, travel) < 1e-6
+        fastest = np.where(still, np.nan, np.maximum(rim, travel))
+        if "rotation" in values:
+            self.notes.append(f"The rim's speed is the rotation times {1e3 * radius:g} mm.")
+        return np.asarray((rim - travel) / fastest)
+
+    def checked_slip(self, slip: FloatArray) -> FloatArray:
+        """Slip as the law has it [-]; raises InputError if its definition is in doubt."""
+        name = self.names["slip"][:40]
+        if np.abs(slip).max() > PERCENT and self.unit("slip")[0] == "1" and slip.max() > 1.0:
+            self.refuse(
+                f"column '{name}' reaches {slip.max():g}, which must be percent; add --columns "
+                "slip_unit=%"
+            )
+        if slip.max() > 1.0:
+            self.refuse(f"column '{name}' reaches {slip.max():g}; a driven wheel's slip is below 1")
+        if (slip < 0.0).any() and self.given.slip_is is None:
+            self.refuse(
+                f"column '{name}' falls to {slip.min():g}; add --columns slip_is=driven for "
+                "1 - v/(ωR) below zero as well, or slip_is=travel for ωR/v - 1"
+            )
+        if self.given.slip_is == "driven":
+            # 1 − v/(ωR) = s gives ωR/v − 1 = 1/(1 − s) − 1.
+            return np.where(slip < 0.0, 1.0 / (1.0 - slip) - 1.0, slip)
+        if slip.min() < -1.0:
+            self.refuse(f"column '{name}' falls to {slip.min():g}; ωR/v - 1 is -1 when locked")
+        if self.given.slip_is is None:
+            self.notes.append("Slip is taken as 1 - v/(ωR).")
+        return slip
+
+    def check_numbers(self, values: dict[str, FloatArray], radius: float) -> None:
+        """Complain about loads and sinkages that no wheel has."""
+        load = values["load"]
+        if (load <= 0.0).all():
+            self.refuse("the load is negative; give it positive, as what the soil carries")
+        if (load <= 0.0).any():
+            self.refuse(f"the load is {load.min():g} N in {(load <= 0).sum()} rows; remove them")
+        sunk = values["sinkage"]
+        if (sunk >= radius).any():
+            self.refuse(
+                f"the sinkage reaches {1e3 * sunk.max():.4g} mm, beyond the radius of "
+                f"{1e3 * radius:g} mm; check its unit, its zero and the wheel"
+            )
+        if (sunk <= 0.0).all():
+            self.refuse("the sinkage is negative; give it positive into the soil")

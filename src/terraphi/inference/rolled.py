@@ -1,0 +1,359 @@
+r"""The friction angle from a wheel: load at a sinkage and a slip, by law ``foot`` over the rim.
+
+Each row i is read for itself, φ_i: the angle at which the rim carries the load
+(:mod:`~terraphi.laws.wheel`), less what wheels in grains of known φ read too much. Rows of one
+wheel have errors in common. So φ is their mean by generalized least squares, with the covariance
+
+.. math::
+    C_{ij} = u_i u_j (K_{ij} + \tau^2 \delta_{ij})
+             + \sum_t \frac{\partial\varphi_i}{\partial t}
+               \frac{\partial\varphi_j}{\partial t} s_t^2,
+
+u = ∂φ/∂ln W, K the error of the law's course over depth, τ the scatter of the rows, and t what all
+rows share: the zero of the sinkage and the effect of the slip. Terms that move all rows alike do
+not weigh, and come on top.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import math
+import time
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from terraphi.experiment.arrays import BoolArray, FloatArray, block_means
+from terraphi.experiment.errors import InputError, nearest
+from terraphi.experiment.priors import DENSITY, FRICTION
+from terraphi.experiment.rig import Tool
+from terraphi.experiment.wheel_reading import Rolled
+from terraphi.inference.answer import Answer, Estimate, RecordFit
+from terraphi.inference.pressed import LOOSE_DEG, SHAPE_LENGTH, SHAPE_SD, PressedRecord
+from terraphi.inference.records import density_warnings
+from terraphi.inference.terms import ordered_budget, root_sum_square
+from terraphi.inference.verdict import Judgment, consistent, large_residual, out_of_range, unusual
+from terraphi.laws.law import PHI
+from terraphi.laws.wheel import DEEPEST, FRICTIONS, WHEEL_ERROR, Wheel, wheel_forces
+from terraphi.laws.wrench import angles_deg
+
+MOST_ROWS = 300
+"""Rows up to which each is read; more are averaged in blocks, in their order."""
+LEAST_SCATTER = 0.05
+"""Scatter of ln W of rows that are few, or agree better [-]; chosen."""
+MAD = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation [-]."""
+ZERO_SD_M = 1e-3
+"""Zero of the sinkage [m]; chosen."""
+GRAIN_SD = 0.25
+"""Error of the half grain that is added to the sinkage, over the diameter [-]; chosen."""
+MOST_SIDE = 45.0
+"""Largest side slip of rows that are read [deg]; chosen."""
+SLIPS = (-0.5, 0.6)
+"""Least and largest slip of rows that are read [-]: beyond, a wheel pushes or digs, and nothing was
+learned there."""
+LIMIT = 0.3
+"""Residual of the load above which a record is a misfit, over the load itself or its range where
+that is larger [-]; chosen."""
+FULL_SLIP = 0.35
+"""Slip from which on the torque shows the friction of rim and soil [-]."""
+FRICTION_SD = 0.05
+"""Standard deviation of the friction by the torque [-]; chosen."""
+MOST_TORQUE = 1.2
+"""Torque over that of the roughest rim up to which the friction is taken from it [-]; chosen."""
+STEP_DEG = 2.0
+"""Step of the angles whose loads are computed [deg]: ln W is interpolated between them."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Roll:
+    """Rows of a wheel, and the law that they are read by."""
+
+    wheel: Wheel
+    density: float
+    rows: dict[str, FloatArray]
+    """Of :class:`~terraphi.experiment.wheel_reading.Rolled`."""
+    sinkage: FloatArray
+    """With what grains add [m], shape [row]."""
+    friction: float = FRICTION.mean
+    law: str = "foot"
+
+    @cached_property
+    def angles(self) -> FloatArray:
+        """Angles of the law [deg]."""
+        low = max(angles_deg(friction)[0] for friction in FRICTIONS)
+        high = min(angles_deg(friction)[1] for friction in FRICTIONS)
+        return np.linspace(low, high, round((high - low) / STEP_DEG) + 1)
+
+    @cached_property
+    def by_friction(self) -> FloatArray:
+        """Ln of the load [N] at each of FRICTIONS and each angle, shape [friction, row, angle]."""
+        return np.stack([self.at(0.0, friction) for friction in FRICTIONS])
+
+    @cached_property
+    def loads(self) -> FloatArray:
+        """Ln of the load [N] at each angle, shape [row, angle]."""
+        i = int(np.clip(np.searchsorted(FRICTIONS, self.friction) - 1, 0, len(FRICTIONS) - 2))
+        part = (self.friction - FRICTIONS[i]) / (FRICTIONS[i + 1] - FRICTIONS[i])
+        return np.asarray((1.0 - part) * self.by_friction[i] + part * self.by_friction[i + 1])
+
+    def at(self, moved: float, friction: float) -> FloatArray:
+        """Ln of the load at each angle, the rim moved down [m], shape [row, angle]."""
+        z = np.clip(self.sinkage + moved, 1e-5, DEEPEST * self.wheel.reach)
+        forces = wheel_forces(
+            self.wheel, z[:, None], self.rows["slip"][:, None], phi_deg=self.angles,
+            density=self.density, surface_friction=friction,
+            side_slip_deg=self.rows["side_slip"][:, None], law=self.law,
+        )  # fmt: skip
+        return np.log(np.maximum(forces.load, 1e-12))
+
+    def read(self, loads: FloatArray, factor: float = 1.0) -> FloatArray:
+        """φ of each row by ln of the load at each angle [deg]; beyond the law, its ends."""
+        measured = np.log(factor * self.rows["load"])
+        pairs = zip(measured, np.maximum.accumulate(loads, axis=1), strict=True)
+        return np.array([np.interp(w, row, self.angles) for w, row in pairs])
+
+
+@dataclass(frozen=True, eq=False)
+class _Mean:
+    """φ of all rows, with the slopes of each row's reading."""
+
+    phi: FloatArray
+    """Of each row, less what grains read too much [deg]."""
+    weight: FloatArray
+    mean: float
+    scatter: float
+    """τ [-]."""
+    by_load: FloatArray
+    """u [deg]."""
+    slopes: dict[str, FloatArray]
+    """Error of φ of each row by one standard deviation of what rows share [deg]."""
+    course: FloatArray
+    """Covariance of the course [deg²], shape [row, row]."""
+
+
+def invert_rolled(record: PressedRecord, law: Any = None) -> Answer:
+    """Infer φ from a record of a wheel; raises InputError as :func:`invert` does."""
+    began, tool = time.perf_counter(), record.rig
+    name = str(law or "foot")
+    if name not in ("foot", "rft"):
+        raise InputError(f"no law '{name}' of a wheel; {nearest(name, ('foot', 'rft'))}")
+    assert isinstance(record.table, Rolled)
+    rows, notes = _usable(record.table, record.source)
+    rho, rho_sd = (DENSITY if record.density_kg_m3 is None
+                   else (record.density_kg_m3, record.density_sd_kg_m3))  # fmt: skip
+    wheel = wheel_of(tool)
+    grain = 1e-3 * record.grain_size_mm
+    roll = _Roll(wheel, rho, rows, rows["sinkage"] + 0.5 * grain, law=name)
+    friction, friction_sd = _friction(roll)
+    roll = replace(roll, friction=friction)
+    fit = _mean(roll, grain, friction_sd)
+    budget = _budget(fit, rho_sd / rho)
+    sd = root_sum_square(budget)
+    phi = fit.mean
+    grid = np.arange(max(phi - 6.0 * sd, 0.5), min(phi + 6.0 * sd, 85.0), 0.05)
+    posterior = np.exp(-0.5 * ((grid - phi) / sd) ** 2)
+    posterior /= np.trapezoid(posterior, grid)
+    estimate = Estimate.of_density(grid, posterior)
+    fitted = _record_fit(record, roll, fit, estimate)
+    verdict, reason, edge = _verdict(roll, fit, fitted)
+    is_sound = verdict == "consistent"
+    if record.density_kg_m3 is None:
+        notes = [f"The density {rho:g} kg/m³ is assumed.", *notes]
+    if friction_sd < FRICTION.sd:
+        notes.append(f"The torque shows a friction of {friction:.2f} between rim and soil.")
+    return Answer(
+        parameters={PHI: estimate}, convention="plane_strain", phi_plane_strain=estimate,
+        verdict=verdict, reason=reason, edge=edge, budget_deg=budget,
+        density_kg_m3=rho, density_sd_kg_m3=rho_sd, density_assumed=record.density_kg_m3 is None,
+        law=name, law_reason="" if law else "the default for wheels", leg_friction=friction,
+        phi_of_force_deg=_phi_of_force(roll, fit) if is_sound else None, records=(fitted,),
+        grid_deg=grid, density=posterior,
+        warnings=(
+            *_contradictions(roll, fit), *density_warnings(rho), *notes,
+            *unusual(estimate.median, "size of the wheel"),
+        ),
+        covariance=np.diag((fit.scatter * rows["load"]) ** 2),
+        provenance={
+            "terraphi": importlib.metadata.version("terraphi"),
+            "seconds": round(time.perf_counter() - began, 3),
+        },
+    )  # fmt: skip
+
+
+def wheel_of(tool: Tool) -> Wheel:
+    """The wheel of a tool of that shape."""
+    diameter, width, *lugs = tool.size_mm
+    number, height = lugs or (0.0, 0.0)
+    return Wheel(5e-4 * diameter, 1e-3 * width, int(number), 1e-3 * height)
+
+
+def _usable(table: Rolled, label: str) -> tuple[dict[str, FloatArray], list[str]]:
+    """Rows within what the law has, averaged in blocks where they are many; notes on the rest."""
+    notes, values = list(table.notes), table.values
+    slip, sunk = values["slip"], values["sinkage"] > 0.0
+    inside = (slip >= SLIPS[0]) & (slip <= SLIPS[1]) & (np.abs(values["side_slip"]) <= MOST_SIDE)
+    if not (inside & sunk).any():
+        raise InputError(
+            f"{label}: no row with a slip between {SLIPS[0]:g} and {SLIPS[1]:g} at a side slip "
+            f"below {MOST_SIDE:g}°; a wheel that is locked or digs in pushes a mound, of which "
+            "nothing was learned"
+        )
+    if not inside.all():
+        notes.append(
+            f"{(~inside).sum()} of {inside.size} rows are left out: slip beyond {SLIPS[0]:g} and "
+            f"{SLIPS[1]:g}, or side slip beyond {MOST_SIDE:g}°."
+        )
+    if not sunk.all():
+        notes.append(f"{(~sunk).sum()} rows without a sinkage are left out.")
+    kept = {name: value[inside & sunk] for name, value in values.items()}
+    if (count := kept["slip"].size) > MOST_ROWS:
+        first = np.unique(np.linspace(0, count, MOST_ROWS, endpoint=False).astype(int))
+        means = block_means(np.stack(list(kept.values()), axis=1), first)
+        kept = dict(zip(kept, means.T, strict=True))
+    return kept, notes
+
+
+def _friction(roll: _Roll) -> tuple[float, float]:
+    """Friction between rim and soil, by the torque of rows that slip fully, with its error [-]."""
+    torque = roll.rows.get("torque", np.full(roll.sinkage.size, math.nan))
+    slips = (roll.rows["slip"] >= FULL_SLIP) & np.isfinite(torque)
+    if not slips.any() or roll.wheel.carries:
+        return FRICTION
+    # T / (W R) at the angle at which the rim carries the load hardly depends on that angle.
+    ratio = float(np.median(torque[slips] / (roll.rows["load"][slips] * roll.wheel.reach)))
+    middle = np.full(int(slips.sum()), 32.0)
+    model = []
+    for friction in FRICTIONS:
+        forces = wheel_forces(
+            roll.wheel, roll.sinkage[slips], roll.rows["slip"][slips], phi_deg=middle,
+            density=roll.density, surface_friction=friction,
+        )  # fmt: skip
+        model.append(float(np.median(forces.torque / (forces.load * roll.wheel.reach))))
+    if not 0.5 * model[0] <= ratio <= MOST_TORQUE * model[-1]:
+        return FRICTION
+    return float(np.interp(ratio, model, FRICTIONS)), FRICTION_SD
+
+
+def _mean(roll: _Roll, grain: float, friction_sd: float) -> _Mean:
+    """φ of the rows by generalized least squares; ``grain`` is the diameter [m]."""
+    step, middle, ends = 2e-4, FRICTIONS[1], (FRICTIONS[0], FRICTIONS[-1])
+    phi = roll.read(roll.loads)
+    by_load = (roll.read(roll.loads, 1.02) - roll.read(roll.loads, 0.98)) / math.log(1.02 / 0.98)
+    by_depth = (roll.read(roll.at(step, middle)) - roll.read(roll.at(-step, middle))) / (2.0 * step)
+    rough, smooth = (roll.read(roll.by_friction[i]) for i in (-1, 0))
+    by_friction = (rough - smooth) / (ends[1] - ends[0])
+    slip = roll.rows["slip"]
+    phi = phi - WHEEL_ERROR.of(slip)
+    slopes = {
+        "contact": by_depth * math.hypot(ZERO_SD_M, GRAIN_SD * grain),
+        "slip": WHEEL_ERROR.slip_sd_deg * slip,
+        "surface friction": by_friction * friction_sd,
+    }
+    shared = sum(np.outer(slope, slope) for slope in slopes.values())
+    z, rows = roll.sinkage, np.outer(by_load, by_load)
+    distance = np.abs(np.log(z[:, None] / z))
+    course = SHAPE_SD**2 * np.exp(-distance / SHAPE_LENGTH) * rows
+    scatter, weight = LEAST_SCATTER, np.full(z.size, 1.0 / z.size)
+    for _ in range(3):  # τ and the mean determine each other
+        inverse = np.linalg.inv(shared + course + scatter**2 * rows * np.eye(z.size))
+        weight = inverse.sum(axis=0) / inverse.sum()
+        residual = (phi - weight @ phi) / np.maximum(by_load, 1e-3)
+        if z.size > 2:
+            scatter = max(MAD * float(np.median(np.abs(residual))), LEAST_SCATTER)
+    return _Mean(phi, weight, float(weight @ phi), scatter, by_load, slopes, course)
+
+
+def _budget(fit: _Mean, density_sd: float) -> dict[str, float]:
+    """Standard deviation of φ by term [deg]; that of the density is relative [-]."""
+    w = fit.weight
+    return ordered_budget({
+        **{name: abs(float(w @ slope)) for name, slope in fit.slopes.items()},
+        "noise": fit.scatter * float(np.linalg.norm(w * fit.by_load)),
+        "model: course": math.sqrt(float(w @ fit.course @ w)),
+        "density": density_sd * abs(float(w @ fit.by_load)),
+        "model: soil": WHEEL_ERROR.soil_deg,
+        "model: law": WHEEL_ERROR.law_deg,
+    })  # fmt: skip
+
+
+def _record_fit(record: PressedRecord, roll: _Roll, fit: _Mean, estimate: Estimate) -> RecordFit:
+    """The rows over their sinkage, and the law's loads at one φ for all of them."""
+    order = np.argsort(roll.sinkage, kind="stable")
+    loads = roll.loads[order]
+    law = (fit.mean - fit.phi + roll.read(roll.loads))[order]  # φ as the law reads each row
+
+    def curve(moved: float) -> FloatArray:
+        pairs = zip(law + moved, loads, strict=True)
+        return np.exp([np.interp(phi, roll.angles, row) for phi, row in pairs])
+
+    model, data = curve(0.0), roll.rows["load"][order]
+    ends = [curve(end - estimate.median) for end in estimate.ci95]
+    size = max(float(np.ptp(data)), float(data.mean()))
+    slope = (curve(0.1) - curve(-0.1)) / 0.2
+    return RecordFit(
+        source=record.source, rig=record.rig, simulated=False, n_readings=record.table.rows,
+        theta_deg=1e3 * roll.rows["sinkage"][order], data=data[None], curve=model[None],
+        band=np.array(ends)[:, None],
+        nrmsd={"Fz": float(np.sqrt(np.mean((data - model) ** 2))) / size}, limit=LIMIT,
+        tangent=np.stack([model - slope * estimate.median, slope])[:, None],
+    )  # fmt: skip
+
+
+def _verdict(roll: _Roll, fit: _Mean, record: RecordFit) -> Judgment:
+    """Verdict, its reason, and the end of the law beyond which φ lies."""
+    raw = roll.read(roll.loads)
+    low, high = roll.angles[0] + 0.1, roll.angles[-1] - 0.1
+    advice = "check diameter, width, load and sinkage, their units and the zero of the sinkage"
+    if np.median(raw) >= high or fit.mean > LOOSE_DEG:
+        end = min(LOOSE_DEG, high)
+        return out_of_range("foot", "high", end, advice, "the densest soil that wheels can read")
+    if np.median(raw) <= low:
+        return out_of_range("foot", "low", low, advice)
+    if misfit := large_residual([record], "wheels in grains"):
+        return misfit
+    return consistent([record], "wheels in loose soil")
+
+
+def _phi_of_force(roll: _Roll, fit: _Mean) -> dict[str, float | None]:
+    """φ that half and twice the load would be read as [deg]; ``None`` outside of the law."""
+    now = roll.read(roll.loads)
+    scaled: dict[str, float | None] = {}
+    for name, factor in (("half", 0.5), ("twice", 2.0)):
+        rows = roll.read(roll.loads, factor)
+        inside = (rows > roll.angles[0]) & (rows < roll.angles[-1])
+        phi = fit.mean + float(fit.weight @ (rows - now))
+        scaled[name] = phi if inside[fit.weight > 0.0].all() and phi < LOOSE_DEG else None
+    return scaled
+
+
+def _contradictions(roll: _Roll, fit: _Mean) -> list[str]:
+    """Sentences on pull and torque that contradict each other, or the soil."""
+    rows, reach = roll.rows, roll.wheel.reach
+    sentences = []
+    if "torque" in rows:
+        ratio = float(np.nanmedian(np.abs(rows["torque"]) / (rows["load"] * reach)))
+        most = math.tan(math.radians(fit.mean + 2.0 * WHEEL_ERROR.law_deg))
+        if ratio > most:
+            sentences.append(
+                f"The torque is {ratio:.2f} of load times radius, more than soil of this angle can "
+                f"bear ({most:.2f}): check its unit, gear and zero, and the load."
+            )
+    if "torque" in rows and "pull" in rows:
+        # What the wheel pulls over its way is less than what the motor gives: P v ≤ T ω.
+        power = rows["torque"] / reach - rows["pull"] * (1.0 - np.maximum(rows["slip"], 0.0))
+        driven: BoolArray = (rows["slip"] > 0.0) & np.isfinite(power)
+        if driven.any() and float(np.median((power / rows["load"])[driven])) < -0.02:
+            sentences.append(
+                "The wheel pulls more than its torque gives: check the signs and units of both."
+            )
+    if "pull" in rows:
+        ratio = float(np.nanmax(rows["pull"] / rows["load"]))
+        if ratio > math.tan(math.radians(fit.mean + 2.0 * WHEEL_ERROR.law_deg)):
+            sentences.append(
+                f"The pull is up to {ratio:.2f} of the load, more than soil of this angle bears: "
+                "check the units of both."
+            )
+    return sentences

@@ -1,0 +1,304 @@
+r"""Force of soil on a rigid wheel that rolls, slips or is braked over level ground.
+
+Law ``foot`` on the rim (:func:`~terraphi.laws.wrench.wrench`), with Coulomb's bound on each face.
+Angles are counted from the lowest point of the rim to the front::
+
+            |-> v            A point of the rim at θ is at R (sin θ, −cos θ) from the axle, and
+       _____|_____           moves at (v − ω R cos θ, −ω R sin θ). So it presses on the soil,
+      /     |     \          n · v > 0, where θ > 0, from where the rim meets the soil at θ₁:
+     |   ω  +------|-> x     cos θ₁ = 1 − z / R.
+      \     |\ θ₁ /          Behind its lowest point it leaves the soil, whose rebound is left out.
+    ___\____|_\__/____ z = 0
+        \___|__\/
+
+*Slip* s is 1 − v / (ω R) of a wheel that is driven, and ω R / v − 1 of one that is braked (s < 0),
+so that −1 is a locked wheel. Friction develops over the shear displacement
+
+.. math::
+    j = R\,[(\theta_1 - \theta) - (1 - s)(\sin\theta_1 - \sin\theta)], \qquad 1 - e^{-j/K}
+
+(Janosi & Hanamoto 1961; Wong & Reece 1967, J. Terramechanics 4:81). *Lugs* that stand close carry
+the soil between them along: the wheel then has the radius to their tips, and the soil's friction.
+
+The load that a rim carries at a given sinkage depends on φ, little on the friction and hardly on K.
+Pull and torque at a given sinkage do not depend on φ: they show the friction.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from terraphi.experiment.arrays import FloatArray, numbers
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.priors import DENSITY, FRICTION
+from terraphi.experiment.scenario import LIMITS
+from terraphi.laws.wrench import angles_deg, wrench
+
+FACES = 320
+"""Faces of the rim between both ends of :data:`DEEPEST`. Those behind the lowest point do not
+press, and belong to the footprint."""
+DEEPEST = 0.6
+"""Largest sinkage over the radius [-]; chosen."""
+STEEPEST = 0.95
+"""Largest slip, driven or braked [-]; chosen: at a locked wheel the soil before it moves along."""
+MOBILIZATION = 0.003
+"""K, shear displacement over which friction develops [m]: 2 to 3 mm meet the pull and torque of a
+smooth wheel on sand at slips of 0.1 to 0.6 (Ding et al. 2011), and grains of 6 mm had 3 mm."""
+CLOSE = 3.0
+"""Largest distance of lugs over their height at which they carry the soil between them along [-]:
+the passive wedge before a plate is that long, 1 / tan(45° − φ/2) = 1.7 to 2.2, and a part of the
+soil behind it; chosen."""
+FRICTIONS = (0.15, 0.35, 0.6)
+"""Frictions whose forces are interpolated [-]."""
+POINTS = 60
+"""Depths between which a sinkage is sought."""
+NODES = 9
+"""Angles between which many soils are interpolated."""
+TINY = 1e-12
+STILL = 1e-9
+"""Speed over that of the rim below which a face stands [-]: the law has no rate."""
+
+
+class WheelError(NamedTuple):
+    """What φ by load, sinkage and slip is wrong by, in grains of known φ [deg]."""
+
+    offset_deg: float
+    """What it reads too much at no slip."""
+    slip_deg: float
+    """What it reads too much more at a slip of one."""
+    slip_sd_deg: float
+    soil_deg: float
+    """Standard deviation between soils."""
+    law_deg: float
+    """Standard deviation of the offset."""
+
+    def of(self, slip: Any) -> Any:
+        """What φ is read too much at a slip [deg]."""
+        return self.offset_deg + self.slip_deg * slip
+
+
+WHEEL_ERROR = WheelError(3.0, 5.0, 5.0, 1.4, 1.5)
+
+
+@dataclass(frozen=True)
+class Wheel:
+    """A rigid wheel.
+
+    Attributes
+    ----------
+    radius, width
+        Of the rim, without lugs [m].
+    lugs, lug_height
+        Number of straight lugs across the rim, and how far they stand out [m].
+
+    Raises
+    ------
+    InputError
+        If a size is no wheel's.
+    """
+
+    radius: float
+    width: float
+    lugs: int = 0
+    lug_height: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the sizes."""
+        for name, value in (("radius", self.radius), ("width", self.width)):
+            numbers(name, value, shape=(), low=5e-3, high=2.0, unit="m")
+        numbers("lug_height", self.lug_height, shape=(), low=0.0, high=0.5 * self.radius, unit="m")
+        if (self.lugs > 0) != (self.lug_height > 0.0) or not 0 <= self.lugs <= 200:
+            raise InputError("lugs: give their number, up to 200, and their height, or neither")
+
+    @property
+    def reach(self) -> float:
+        """Radius to the tips of the lugs [m]."""
+        return self.radius + self.lug_height
+
+    @property
+    def carries(self) -> bool:
+        """True if lugs carry the soil between them along."""
+        return self.lugs > 0 and 2.0 * math.pi * self.reach / self.lugs <= CLOSE * self.lug_height
+
+
+class WheelForces(NamedTuple):
+    """Forces of the soil on a wheel, of the shape of what they were asked for."""
+
+    pull: Any
+    """Forward [N]: drawbar pull, negative where the wheel must be pushed."""
+    load: Any
+    """Up [N]."""
+    torque: Any
+    """That the motor needs [N m], negative of a brake."""
+    side: Any
+    """To the left, against a drift to the right [N]."""
+
+
+def wheel_forces(
+    wheel: Wheel,
+    sinkage: ArrayLike,
+    slip: ArrayLike,
+    *,
+    phi_deg: ArrayLike,
+    density: float,
+    surface_friction: float = FRICTION.mean,
+    mobilization: float = MOBILIZATION,
+    side_slip_deg: ArrayLike = 0.0,
+    law: str = "foot",
+) -> WheelForces:
+    """Forces of soil on a wheel at a given sinkage.
+
+    Parameters
+    ----------
+    wheel
+        The wheel.
+    sinkage
+        Of its lowest point, with lugs of their tips, below the undisturbed surface [m].
+    slip
+        As above [-].
+    phi_deg
+        φ in plane strain [deg].
+    density
+        Bulk density [kg/m³].
+    surface_friction
+        Between rim and soil [-]; of close lugs that of the soil, tan φ, counts.
+    mobilization
+        K [m]; 0: all friction at once.
+    side_slip_deg
+        Angle by which the wheel moves to the right of where it points [deg].
+    law
+        Level of the forces on a face: ``foot``, or ``rft``, resistive force theory as published.
+
+    Returns
+    -------
+    WheelForces
+        Of the common shape of sinkage, slip, φ and side slip.
+
+    Raises
+    ------
+    InputError
+        If the sinkage is beyond :data:`DEEPEST` radii, the wheel is locked, or φ or the friction is
+        outside of law ``foot``.
+    """
+    z, s, phi, side = np.broadcast_arrays(
+        *(np.asarray(v, dtype=np.float64) for v in (sinkage, slip, phi_deg, side_slip_deg))
+    )
+    numbers("sinkage", z, low=0.0, high=DEEPEST * wheel.reach, unit="m")
+    numbers("slip", s, low=-STEEPEST, high=STEEPEST)
+    numbers("side_slip_deg", side, low=-60.0, high=60.0, unit="deg")
+    low, high = LIMITS["leg.friction"][:2]
+    friction = np.tan(np.radians(phi)) if wheel.carries else numbers(
+        "surface_friction", surface_friction, shape=(), low=low, high=high)  # fmt: skip
+    # Between tables of few frictions: the forces are nearly straight over it.
+    at = np.interp(friction, FRICTIONS, np.arange(len(FRICTIONS)))
+    places = z.ravel(), s.ravel(), phi.ravel(), side.ravel()
+    rows = np.zeros((z.size, 4))
+    for i, node in enumerate(FRICTIONS):
+        share = np.broadcast_to(np.maximum(1.0 - np.abs(at - i), 0.0), z.shape).ravel()
+        if share.any():
+            rows += share[:, None] * _rim(wheel, *places, density, node, mobilization, law)
+    return WheelForces(*(rows[:, i].reshape(z.shape) for i in range(4)))
+
+
+def rolling(
+    wheel: Wheel, load: float, slip: ArrayLike, phi_deg: FloatArray, density: FloatArray, *,
+    surface_friction: float = FRICTION.mean,
+) -> dict[str, FloatArray]:  # fmt: skip
+    """Sinkage [mm], pull [N] and torque [N m] of a wheel under a load, in several soils.
+
+    Parameters
+    ----------
+    wheel, surface_friction
+        As of :func:`wheel_forces`.
+    load
+        [N].
+    slip
+        [-], any shape.
+    phi_deg, density
+        φ in plane strain [deg] and bulk density [kg/m³], shape [soil].
+
+    Returns
+    -------
+    dict
+        ``sinkage_mm``, ``pull_N``, ``torque_Nm``, shape [soil, ...]; NaN where the wheel would sink
+        in deeper than :data:`DEEPEST` radii. φ is raised by what wheels in grains read too much.
+
+    Raises
+    ------
+    InputError
+        As :func:`wheel_forces`; or if the load is none.
+    """
+    load = float(numbers("load", load, shape=(), low=TINY, unit="N"))
+    slips = numbers("slip", slip, low=-STEEPEST, high=STEEPEST)
+    each = slips.ravel()
+    low, high = angles_deg(FRICTIONS[1])
+    depths = np.geomspace(1e-3, DEEPEST, POINTS) * wheel.reach
+    read = np.clip(phi_deg[:, None] + WHEEL_ERROR.of(each), low, high)
+    nodes = np.linspace(read.min(), read.max() + 1e-3, NODES)
+    forces = wheel_forces(
+        wheel, depths, each[:, None, None], phi_deg=nodes[:, None], density=DENSITY.mean,
+        surface_friction=surface_friction,
+    )  # fmt: skip
+    # Forces go with the density. Over φ their logarithm is nearly straight.
+    borne = np.log(np.maximum(np.maximum.accumulate(forces.load, axis=-1), TINY))
+    at = (read - nodes[0]) / (nodes[1] - nodes[0])
+    index = np.clip(at.astype(int), 0, NODES - 2)
+    part = (at - index)[..., None]
+    row = np.arange(each.size)
+    result = np.empty((3, *read.shape))
+    curve = (1.0 - part) * borne[row, index] + part * borne[row, index + 1]
+    for i, rho in enumerate(density.tolist()):
+        for j in range(each.size):
+            depth = float(
+                np.interp(
+                    math.log(load * DENSITY.mean / rho), curve[i, j], np.log(depths), right=np.nan
+                )
+            )
+            ratios = [
+                np.interp(
+                    math.exp(depth), depths, force[j, index[i, j]] / forces.load[j, index[i, j]]
+                )
+                for force in (forces.pull, forces.torque)
+            ]
+            result[:, i, j] = 1e3 * math.exp(depth), load * ratios[0], load * ratios[1]
+    names = ("sinkage_mm", "pull_N", "torque_Nm")
+    return {
+        name: values.reshape(-1, *slips.shape) for name, values in zip(names, result, strict=True)
+    }
+
+
+def _rim(
+    wheel: Wheel, sinkage: FloatArray, slip: FloatArray, phi_deg: FloatArray, side: FloatArray,
+    density: float, friction: float, mobilization: float, law: str,
+) -> FloatArray:  # fmt: skip
+    """Pull, load, torque and side force of rows, shape [row, 4]."""
+    radius = wheel.reach
+    theta = ((2.0 * np.arange(FACES) + 1.0) / FACES - 1.0) * math.acos(1.0 - DEEPEST)
+    sine, cosine = np.sin(theta), np.cos(theta)
+    area = np.full(FACES, (theta[1] - theta[0]) * radius * wheel.width)
+    normals = np.stack([sine, 0.0 * sine, -cosine], axis=-1)
+    # Speeds over the larger of v and ω R; the law has none of its own.
+    speed = np.where(slip >= 0.0, 1.0 - slip, 1.0)[:, None]
+    turning = np.where(slip >= 0.0, 1.0, 1.0 + slip)[:, None]
+    drift = -speed * np.tan(np.radians(side))[:, None] + 0.0 * sine
+    velocities = np.stack([speed - turning * cosine, drift, -turning * sine], axis=-1)
+    axle = np.stack([0.0 * sinkage, 0.0 * sinkage, radius - sinkage], axis=-1)
+    shear: dict[str, Any] = {}
+    if mobilization > 0.0:
+        # Way of the rim past the soil since it came in at θ₁, across as well.
+        start = np.arccos(1.0 - sinkage / radius)[:, None]
+        along = turning * (start - theta) - speed * (np.sin(start) - sine)
+        time = np.maximum(start - theta, 0.0) / np.maximum(turning, 1.0 - STEEPEST)
+        sheared = radius * np.where(theta < start, np.hypot(along, drift * time), 0.0)
+        shear = {"mobilization": mobilization, "sheared": sheared}
+    force, moment = wrench(
+        radius * normals + axle[:, None], normals, area, velocities, phi_deg=phi_deg,
+        density=density, surface_friction=friction, law=law, about=axle, rest_speed=STILL,
+        **shear,
+    )  # fmt: skip
+    return np.stack([force[:, 0], force[:, 2], -moment[:, 1], force[:, 1]], axis=-1)

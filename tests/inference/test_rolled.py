@@ -1,0 +1,138 @@
+"""φ from a wheel's slip, load and sinkage."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import terraphi
+from terraphi.experiment.errors import InputError
+from terraphi.experiment.priors import FRICTION
+from terraphi.laws.foot import LAWS, Foot
+from terraphi.laws.wheel import Wheel, rolling
+
+DATA = Path(__file__).parents[2] / "studies" / "data"
+TOOL, WHEEL = "wheel:300x150", Wheel(0.15, 0.15)
+
+
+def rows(phi: float, density: float = 1600.0, load: float = 100.0) -> pd.DataFrame:
+    """A wheel under one load at several slips, in soil of the law."""
+    slip = np.array([0.05, 0.1, 0.2, 0.3, 0.4])
+    each = rolling(WHEEL, load, slip, np.array([phi]), np.array([density]))
+    table = {"slip": slip, "load_N": load, "sinkage_mm": each["sinkage_mm"][0]}
+    table |= {"pull_N": each["pull_N"][0], "torque_Nm": each["torque_Nm"][0]}
+    return pd.DataFrame(table)
+
+
+@pytest.mark.parametrize("phi", [28.0, 34.0])
+def test_own_rows_return_their_angle(phi: float) -> None:
+    answer = terraphi.invert(rows(phi), tool=TOOL, density="1600±1")
+    assert answer.phi.median == pytest.approx(phi, abs=0.3)
+    assert answer.verdict == "consistent"
+    assert not any("check" in warning for warning in answer.warnings)
+
+
+def test_names_units_and_definitions_of_slip_do_not_matter(tmp_path: Path) -> None:
+    table = rows(32.0)[["slip", "load_N", "sinkage_mm"]]
+    expected = terraphi.invert(table, tool=TOOL, density=1600).phi.median
+    omega = 1.5
+    speeds = pd.DataFrame({
+        "omega [rad/s]": omega, "v [mm/s]": 150.0 * omega * (1.0 - table.slip),
+        "Fz [N]": table.load_N, "z [cm]": 0.1 * table.sinkage_mm,
+    })  # fmt: skip
+    percent = pd.DataFrame({
+        "Slip [%]": 100.0 * table.slip, "wheel load [kN]": 1e-3 * table.load_N,
+        "sinkage [m]": 1e-3 * table.sinkage_mm,
+    })  # fmt: skip
+    for variant in (speeds, percent):
+        answer = terraphi.invert(variant, tool=TOOL, density=1600)
+        assert answer.phi.median == pytest.approx(expected, abs=0.05)
+    table.to_csv(tmp_path / "wheel.csv", index=False)
+    answer = terraphi.invert(f"{tmp_path}/wheel.csv@{TOOL}", density=1600)
+    assert answer.phi.median == pytest.approx(expected, abs=0.05)
+    answer.save(tmp_path / "answer")
+    assert terraphi.Answer.load(tmp_path / "answer").phi.median == answer.phi.median
+
+
+def test_braked_slip_needs_its_definition() -> None:
+    table = rows(32.0).iloc[:3]
+    braked = table.assign(slip=[-0.1, -0.25, 0.1])
+    with pytest.raises(InputError, match="slip_is"):
+        terraphi.invert(braked, tool=TOOL)
+    travel = terraphi.invert(braked, tool=TOOL, columns="slip_is=travel")
+    driven = braked.assign(slip=[1.0 - 1.0 / 0.9, 1.0 - 1.0 / 0.75, 0.1])
+    same = terraphi.invert(driven, tool=TOOL, columns="slip_is=driven")
+    assert same.phi.median == pytest.approx(travel.phi.median, abs=1e-6)
+
+
+def test_more_load_at_a_sinkage_is_a_larger_angle_and_more_weight_a_smaller() -> None:
+    table = rows(30.0)
+    base = terraphi.invert(table, tool=TOOL, density=1600)
+    heavier = terraphi.invert(table.assign(load_N=1.3 * table.load_N), tool=TOOL, density=1600)
+    denser = terraphi.invert(table, tool=TOOL, density=1900)
+    assert denser.phi.median < base.phi.median < heavier.phi.median
+    assert heavier.phi.median - base.phi.median == pytest.approx(2.2, abs=1.2)
+
+
+def test_rows_that_contradict_each_other_are_a_misfit() -> None:
+    table = rows(30.0)
+    crossed = table.assign(sinkage_mm=table.sinkage_mm.to_numpy()[::-1])
+    assert terraphi.invert(crossed, tool=TOOL, density=1600).verdict == "misfit"
+
+
+def test_a_torque_that_no_soil_bears_is_named() -> None:
+    table = rows(30.0)
+    answer = terraphi.invert(table.assign(torque_Nm=10.0 * table.torque_Nm), tool=TOOL)
+    assert "torque" in answer.warnings[0]
+
+
+def test_joint_answer_with_a_plate_of_the_same_soil() -> None:
+    z = np.linspace(1e-3, 0.06, 60)
+    force = LAWS["foot"].force(
+        Foot(0.0755, "disc"), z, 0.5 * np.pi, friction_angle_deg=31.0, density=1550.0,
+        surface_friction=FRICTION.mean,
+    )[:, 1]  # fmt: skip
+    plate = pd.DataFrame({"sinkage_mm": 1e3 * z, "force_N": force})
+    answer = terraphi.invert([(rows(30.0), TOOL), (plate, "plate:151")], density=1550)
+    assert len(answer.records) == 2
+    assert answer.phi.sd < terraphi.invert(rows(30.0), tool=TOOL, density=1550).phi.sd
+
+
+def test_published_wheel_is_within_the_interval() -> None:
+    """Ding et al. (2011): a smooth wheel on sand whose angle is printed as 31.9°."""
+    path = DATA / "wheels" / "ding2011_smooth.csv"
+    answer = terraphi.invert(path, tool="wheel:314.7x165", density=1605)
+    low, high = answer.phi.ci95
+    assert answer.verdict == "consistent"
+    assert low < 31.9 < high
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"slip": [5, 10, 20, 30, 40]}, "slip_unit"),
+        ({"load_N": -100.0}, "load"),
+        ({"sinkage_mm": 160.0}, "radius"),
+        ({"slip": 0.9}, "slip"),
+    ],
+)
+def test_bad_rows_are_one_sentence(change: dict[str, object], words: str) -> None:
+    with pytest.raises(InputError, match=words) as raised:
+        terraphi.invert(rows(30.0).assign(**change), tool=TOOL)
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize("column", ["slip", "load_N", "sinkage_mm"])
+def test_a_column_that_lacks_is_named(column: str) -> None:
+    table = rows(30.0)[["slip", "load_N", "sinkage_mm"]].drop(columns=column)
+    with pytest.raises(InputError, match=column.partition("_")[0]):
+        terraphi.invert(table, tool=TOOL)
+
+
+@pytest.mark.parametrize("text", ["wheel:300", "wheel:300x150+lugs:2x10", "wheel:300x150+30x100"])
+def test_a_wheel_that_is_none(text: str) -> None:
+    with pytest.raises(InputError, match="tool"):
+        terraphi.invert(rows(30.0), tool=text)

@@ -1,0 +1,112 @@
+"""Forces on a wheel: against a mesh that turns, energy, similarity and bounds."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import terraphi
+from terraphi.experiment.errors import InputError
+from terraphi.laws.wheel import DEEPEST, Wheel, rolling, wheel_forces
+from terraphi.laws.wrench import Mesh, force
+
+WHEEL = Wheel(0.1, 0.05)
+SOIL = {"phi_deg": 34.0, "density": 1600.0, "surface_friction": 0.35}
+
+
+def rim(wheel: Wheel, panels: int = 720) -> Mesh:
+    """All faces of a rim, about its axle."""
+    turn = 2.0 * np.pi / panels * np.arange(panels)
+    normals = np.stack([np.sin(turn), 0.0 * turn, -np.cos(turn)], axis=1)
+    areas = np.full(panels, 2.0 * np.pi / panels * wheel.radius * wheel.width)
+    return Mesh(wheel.radius * normals, normals, areas)
+
+
+@pytest.mark.parametrize("slip", [-0.4, 0.0, 0.2, 0.5])
+@pytest.mark.parametrize("depth", [0.1, 0.4])
+def test_a_mesh_that_turns_has_the_same_forces(slip: float, depth: float) -> None:
+    # Speeds of the rim and of the axle; ω about +y rolls a wheel toward +x.
+    turning, travel = (1.0, 1.0 - slip) if slip >= 0.0 else (1.0 + slip, 1.0)
+    z = depth * WHEEL.radius
+    pose = [0.0, 0.0, WHEEL.radius - z]
+    velocity = [travel, 0.0, 0.0, 0.0, turning / WHEEL.radius, 0.0]
+    f, m = force(rim(WHEEL), [*pose, 1.0, 0.0, 0.0, 0.0], velocity, rest_speed=1e-6, **SOIL)
+    ours = wheel_forces(WHEEL, z, slip, mobilization=0.0, **SOIL)
+    size = float(ours.load)
+    assert f[2] == pytest.approx(size, rel=0.02)
+    assert f[0] == pytest.approx(float(ours.pull), abs=0.02 * size)
+    assert -m[1] == pytest.approx(float(ours.torque), abs=0.02 * size * WHEEL.radius)
+
+
+def test_soil_takes_energy_and_keeps_coulombs_bound() -> None:
+    slip = np.linspace(-0.9, 0.9, 19)
+    turning = np.where(slip >= 0.0, 1.0, 1.0 + slip)
+    travel = np.where(slip >= 0.0, 1.0 - slip, 1.0)
+    for mobilization in (0.0, 0.003):
+        each = wheel_forces(WHEEL, 0.02, slip, mobilization=mobilization, **SOIL)
+        power = each.pull * travel - each.torque / WHEEL.radius * turning
+        assert (power <= 1e-9 * each.load).all()
+        assert (np.abs(each.torque) <= 0.35 * 1.3 * each.load * WHEEL.radius).all()
+
+
+def test_forces_grow_as_the_cube_of_the_size() -> None:
+    small = wheel_forces(WHEEL, 0.02, 0.2, mobilization=0.003, **SOIL)
+    large = wheel_forces(Wheel(0.3, 0.15), 0.06, 0.2, mobilization=0.009, **SOIL)
+    assert large.load == pytest.approx(27.0 * small.load, rel=1e-6)
+    assert large.torque == pytest.approx(81.0 * small.torque, rel=1e-6)
+
+
+def test_side_slip_is_even_in_pull_and_odd_in_side_force() -> None:
+    right, left = (wheel_forces(WHEEL, 0.02, 0.2, side_slip_deg=a, **SOIL) for a in (15.0, -15.0))
+    assert right.load == pytest.approx(left.load)
+    assert right.side == pytest.approx(-left.side)
+    assert right.side > 0.0
+
+
+def test_friction_develops_over_its_length() -> None:
+    lengths = (0.0, 1e-4, 3e-3, 3e-2)
+    torques = [float(wheel_forces(WHEEL, 0.02, 0.3, mobilization=k, **SOIL).torque)
+               for k in lengths]  # fmt: skip
+    assert torques[0] == pytest.approx(torques[1], rel=0.02)
+    assert torques == sorted(torques, reverse=True)
+
+
+def test_close_lugs_have_the_friction_of_the_soil() -> None:
+    smooth = Wheel(0.11, 0.05)
+    lugged = Wheel(0.1, 0.05, lugs=40, lug_height=0.01)
+    few = Wheel(0.1, 0.05, lugs=6, lug_height=0.01)
+    rough = wheel_forces(smooth, 0.02, 0.4, **{**SOIL, "surface_friction": 0.6})
+    assert wheel_forces(lugged, 0.02, 0.4, **{**SOIL, "phi_deg": math.degrees(math.atan(0.6))},
+                        ).torque > wheel_forces(few, 0.02, 0.4, **SOIL).torque  # fmt: skip
+    at = {**SOIL, "phi_deg": math.degrees(math.atan(0.6))}
+    assert wheel_forces(lugged, 0.02, 0.4, **at).load == pytest.approx(
+        wheel_forces(smooth, 0.02, 0.4, **{**at, "surface_friction": 0.6}).load
+    )
+    assert rough.torque > 0.0
+
+
+def test_sinkage_carries_the_load() -> None:
+    soil = np.array([30.0, 36.0]), np.array([1500.0, 1700.0])
+    sunk = rolling(WHEEL, 30.0, [0.0, 0.2, 0.4], *soil)["sinkage_mm"]
+    assert (sunk[0] > sunk[1]).all()
+    assert (np.diff(sunk, axis=1) > 0.0).all()
+    assert np.isnan(rolling(WHEEL, 1e5, 0.2, *soil)["sinkage_mm"]).all()
+
+
+def test_a_soil_has_a_wheel_with_draws() -> None:
+    sand = terraphi.soil("loose dry sand")
+    one, many = sand.wheel(200, 80, 40.0, 0.2), sand.wheel(200, 80, 40.0, 0.2, draws=200, rng=1)
+    assert one["sinkage_mm"].shape == ()
+    assert many["sinkage_mm"].shape == (200,)
+    assert np.nanmedian(many["sinkage_mm"]) == pytest.approx(float(one["sinkage_mm"]), rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("sinkage", "slip", "side"),
+    [(DEEPEST * 0.1 + 0.01, 0.2, 0.0), (0.02, 1.0, 0.0), (0.02, -1.0, 0.0), (0.02, 0.2, 90.0)],
+)
+def test_beyond_the_law_is_refused(sinkage: float, slip: float, side: float) -> None:
+    with pytest.raises(InputError):
+        wheel_forces(WHEEL, sinkage, slip, side_slip_deg=side, **SOIL)
