@@ -212,3 +212,18 @@ def test_half_and_twice_the_force_are_what_the_answer_says() -> None:
             table.assign(Fz_N=factor * table["Fz_N"]), tool="plate:60", density=1412
         )
         assert scaled.phi.median == pytest.approx(stated[name], abs=1.5), name
+
+
+def test_friction_of_a_tool_is_that_of_the_law(tmp_path: Path) -> None:
+    z = np.linspace(1e-3, 0.06, 80)
+    rough = LAWS["foot"].force(
+        Foot(0.05), z, 0.5 * np.pi, friction_angle_deg=32.0, density=1500.0, surface_friction=0.5,
+    )[:, 1]  # fmt: skip
+    path = tmp_path / "ball.csv"
+    pd.DataFrame({"sinkage_mm": 1e3 * z, "force_N": rough}).to_csv(path, index=False)
+    [known] = terraphi.invert_many(
+        [{"forces": str(path), "tool": "ball:100", "density": 1500, "leg_friction": "0.5±0.05"}]
+    )
+    assumed = terraphi.invert(path, tool="ball:100", density=1500)
+    assert abs(known.phi.median - 32.0) < abs(assumed.phi.median - 32.0)
+    assert known.budget_deg["surface friction"] < assumed.budget_deg["surface friction"]

@@ -63,7 +63,10 @@ rig_options = option_group(
         "--hip-height", metavar="MM[±SD]",
         help=f"Above the soil.  [default SD: {HIP_HEIGHT_SD_MM:g}]",
     ),
-    click.option("--leg-friction", metavar="MU[±SD]", help=f"On soil.  [default: {FRICTION}]"),
+    click.option(
+        "--friction", "--leg-friction", "leg_friction", metavar="MU[±SD]",
+        help=f"Of leg or tool on soil.  [default: {FRICTION}]",
+    ),
     click.option("--rig", metavar="FILE|li2013", help="All of these in TOML, or Li et al. (2013)."),
 )  # fmt: skip
 """A rig: its leg and four sizes, or a file."""

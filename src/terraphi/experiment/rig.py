@@ -63,6 +63,19 @@ class Ratios(NamedTuple):
     """t / L [-]."""
 
 
+def with_sds(content: Any, **pairs: tuple[str, str]) -> Any:
+    """Keys of a table with the numbers of ``35±1``, by the key of the SD and an example of each."""
+    for key, (sd_key, example) in pairs.items() if isinstance(content, dict) else ():
+        text = content.get(key)
+        if isinstance(text, str):
+            try:
+                mean, sd = number_with_sd(text)
+            except ValueError:
+                raise ValueError(f"{key} = '{text}'; give it as {example}") from None
+            content = {**content, key: mean, **({} if sd is None else {sd_key: sd})}
+    return content
+
+
 class Rig(Strict):
     """A leg and the height of its hip, in millimeters as people measure them.
 
@@ -95,17 +108,8 @@ class Rig(Strict):
     @model_validator(mode="before")
     @classmethod
     def _parse_sd(cls, content: Any) -> Any:
-        pairs = (("hip_height_mm", "hip_height_sd_mm", "35±1"),
-                 ("leg_friction", "leg_friction_sd", "0.35±0.05"))  # fmt: skip
-        for key, sd_key, example in pairs if isinstance(content, dict) else ():
-            text = content.get(key)
-            if isinstance(text, str):
-                try:
-                    mean, sd = number_with_sd(text)
-                except ValueError:
-                    raise ValueError(f"{key} = '{text}'; give it as {example}") from None
-                content = {**content, key: mean, **({} if sd is None else {sd_key: sd})}
-        return content
+        return with_sds(content, hip_height_mm=("hip_height_sd_mm", "35±1"),
+                        leg_friction=("leg_friction_sd", "0.35±0.05"))  # fmt: skip
 
     @model_validator(mode="after")
     def _reaches_soil(self) -> Self:
@@ -235,8 +239,12 @@ def with_rig(options: Mapping[str, Any]) -> dict[str, Any]:
     if not sizes:
         if not friction:
             return remaining
+        if remaining.get("tool") is not None:
+            tool = Tool.of(remaining["tool"])
+            values = {**tool.model_dump(exclude={"friction_sd"}), "friction": f}
+            return {**remaining, "tool": Tool(**values)}
         if remaining.get("rig") is None:
-            raise InputError("--leg-friction goes with a rig; add its sizes, or --rig li2013")
+            raise InputError("--friction goes with a rig or --tool; add its sizes, or --rig li2013")
         rig = Rig.of(remaining["rig"], remaining.get("leg")).model_dump(exclude={"leg_friction_sd"})
         return {**remaining, "rig": Rig(**{**rig, **friction})}
     flags = {key: f"--{key.replace('_', '-')}" for key in ("leg", *SIZES)}
@@ -262,10 +270,21 @@ class Tool(Strict):
     """Its shape; named as that of a rig, so that answers treat both alike."""
     size_mm: tuple[float, ...] = Field(min_length=1)
     """Diameter, or both sides; of a wheel diameter and width, number and height of lugs [mm]."""
+    friction: float = Field(FRICTION.mean, ge=0.05, le=0.65)
+    """Coulomb friction between tool and soil [-]; with its standard deviation as ``"0.35±0.1"``."""
+    friction_sd: float = Field(FRICTION.sd, ge=0, le=1)
+    """Standard deviation of that friction [-]."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _parse_sd(cls, content: Any) -> Any:
+        return with_sds(content, friction=("friction_sd", "0.35±0.05"))
 
     @classmethod
-    def of(cls, text: str) -> Self:
+    def of(cls, text: str | Self) -> Self:
         """Parse ``plate:151``, ``ball:44``, ``wheel:314x165+lugs:30x10``; raises InputError."""
+        if isinstance(text, cls):
+            return text
         keyword, _, numbers = str(text).strip().lower().partition(":")
         try:
             numbers = re.sub(r"\+(lugs:)?", "x", numbers) if keyword == "wheel" else numbers

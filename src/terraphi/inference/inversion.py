@@ -100,10 +100,11 @@ def invert(
         ``"forces.csv@rig.toml"`` or ``(table, rig)``; different rigs are joined by their angles.
     tool
         ``plate:151``, ``plate:38x25`` or ``ball:44`` [mm] in place of a leg: a body pressed
-        straight down, with the columns sinkage and force or pressure. ``law`` is then one
-        of feet. Of records of several bodies in one soil, those of tools are named such as
-        ``"plate.csv@plate:151"``, or ``(table, "plate:151")``; ``law`` and ``columns`` are then
-        those of the legs.
+        straight down, with the columns sinkage and force or pressure; or
+        ``wheel:314x165+lugs:30x10``, a wheel, with the columns slip, load and sinkage; or a
+        :class:`~terraphi.experiment.rig.Tool`. ``law`` is then one of feet. Of records of several
+        bodies in one soil, those of tools are named such as ``"plate.csv@plate:151"``, or
+        ``(table, "plate:151")``; ``law`` and ``columns`` are then those of the legs.
     density
         Bulk density [kg/m³], as a number (± 5 %) or ``"1600±80"``; ``None``: from the forces' file,
         else that of :mod:`~terraphi.experiment.priors`.

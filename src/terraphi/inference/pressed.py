@@ -23,8 +23,9 @@ from terraphi.experiment.arrays import BoolArray, FloatArray, IntArray
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import label_of
 from terraphi.experiment.pressed_reading import Pressed, read_pressed
-from terraphi.experiment.priors import CONTACT_SD_M, CONTACT_SD_PART, DENSITY, FRICTION
+from terraphi.experiment.priors import CONTACT_SD_M, CONTACT_SD_PART, DENSITY
 from terraphi.experiment.rig import Tool
+from terraphi.experiment.scenario import LIMITS
 from terraphi.experiment.wheel_reading import Rolled, read_rolled
 from terraphi.inference.answer import Answer, Estimate, RecordFit
 from terraphi.inference.estimator import least_squares, weights
@@ -75,6 +76,8 @@ LIMIT = 0.15
 """Residual above which a record is a misfit, over the range of the force [-]."""
 FEWEST_AIR = 6
 """Readings in air that a zero needs (chosen)."""
+ROUGHER = 0.1
+"""Difference of the friction by which its effect is found [-]."""
 TARED = 0.01
 """Force in air over the largest from which it is named [-]."""
 RANGE_DEG = np.arange(10.0, 55.5, 0.5)
@@ -135,12 +138,12 @@ class _Press:
     grains: float = 0.0
     """Diameter of the grains over that of the body [-]."""
 
-    def curve(self, x: FloatArray, mu: float = FRICTION.mean) -> FloatArray:
-        """The law's force [N] at (φ, z₀), [k, 2] -> [k, n]."""
+    def curve(self, x: FloatArray, rougher: float = 0.0) -> FloatArray:
+        """The law's force [N] at (φ, z₀), [k, 2] -> [k, n], on a surface so much rougher [-]."""
         foot = Foot(self.tool.radius, self.tool.shape.foot or "disc")
         force = LAWS[self.law].force(
             foot, self.z + x[:, 1:], 0.5 * np.pi, friction_angle_deg=x[:, :1],
-            density=self.density, surface_friction=mu,
+            density=self.density, surface_friction=self.tool.friction + rougher,
         )  # fmt: skip
         return np.asarray(self.tool.factor * force[..., 1])
 
@@ -246,7 +249,7 @@ def invert_pressed(record: PressedRecord, law: Any = None) -> Answer:
         parameters={PHI: estimate}, convention="plane_strain", phi_plane_strain=estimate,
         verdict=verdict, reason=reason, edge=edge, budget_deg=budget,
         density_kg_m3=rho, density_sd_kg_m3=rho_sd, density_assumed=density is None, law=name,
-        law_reason="" if law else "the default for tools", leg_friction=FRICTION.mean,
+        law_reason="" if law else "the default for tools", leg_friction=tool.friction,
         phi_of_force_deg=scaled, records=(fitted,), grid_deg=grid, density=posterior,
         warnings=(*density_warnings(rho), *notes, *unusual(estimate.median, "size of the tool"),
             *_warnings(press, fit, is_sound=is_sound),
@@ -302,11 +305,14 @@ def _fit(press: _Press) -> _Fit:
 def _budget(press: _Press, fit: _Fit, density_sd: float) -> dict[str, float]:
     """Standard deviation of φ by term [deg]; that of the density is relative [-]."""
     x = np.array([[fit.by_law[fit.top], fit.contact]])
-    rougher, smoother = (press.curve(x, mu=FRICTION.mean + step)[0] for step in (0.1, -0.1))
+    low, high, _ = LIMITS["leg.friction"]
+    ends = np.clip(press.tool.friction + np.array([-ROUGHER, ROUGHER]), low, high)
+    smoother, rougher = (press.curve(x, end - press.tool.friction)[0] for end in ends)
+    rougher = (rougher - smoother) / float(np.ptp(ends))
     # Errors of the force [N], one standard deviation over depth.
     errors = {
         "density": density_sd * fit.model,
-        "surface friction": press.borne[fit.top] * (rougher - smoother) * FRICTION.sd / 0.2,
+        "surface friction": press.tool.friction_sd * rougher * press.borne[fit.top],
         "depth": DEEP_SD * np.maximum(press.z / press.tool.radius - DEEPEST, 0.0) * fit.model,
         "rectangle": 0.5 * math.log(press.tool.factor) * fit.model,
     }

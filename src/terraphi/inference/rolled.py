@@ -77,8 +77,8 @@ class _Roll:
     """Of :class:`~terraphi.experiment.wheel_reading.Rolled`."""
     sinkage: FloatArray
     """With what grains add [m], shape [row]."""
-    friction: float = FRICTION.mean
-    law: str = "foot"
+    friction: float
+    law: str
 
     @cached_property
     def angles(self) -> FloatArray:
@@ -146,8 +146,9 @@ def invert_rolled(record: PressedRecord, law: Any = None) -> Answer:
                    else (record.density_kg_m3, record.density_sd_kg_m3))  # fmt: skip
     wheel = wheel_of(tool)
     grain = 1e-3 * record.grain_size_mm
-    roll = _Roll(wheel, rho, rows, rows["sinkage"] + 0.5 * grain, law=name)
-    friction, friction_sd = _friction(roll)
+    roll = _Roll(wheel, rho, rows, rows["sinkage"] + 0.5 * grain, tool.friction, name)
+    given = (tool.friction, tool.friction_sd)
+    friction, friction_sd = (_friction(roll) or given) if given == FRICTION else given
     roll = replace(roll, friction=friction)
     fit = _mean(roll, grain, friction_sd)
     budget = _budget(fit, rho_sd / rho)
@@ -162,7 +163,7 @@ def invert_rolled(record: PressedRecord, law: Any = None) -> Answer:
     is_sound = verdict == "consistent"
     if record.density_kg_m3 is None:
         notes = [f"The density {rho:g} kg/m³ is assumed.", *notes]
-    if friction_sd < FRICTION.sd:
+    if (friction, friction_sd) != given:
         notes.append(f"The torque shows a friction of {friction:.2f} between rim and soil.")
     return Answer(
         parameters={PHI: estimate}, convention="plane_strain", phi_plane_strain=estimate,
@@ -216,12 +217,12 @@ def _usable(table: Rolled, label: str) -> tuple[dict[str, FloatArray], list[str]
     return kept, notes
 
 
-def _friction(roll: _Roll) -> tuple[float, float]:
+def _friction(roll: _Roll) -> tuple[float, float] | None:
     """Friction between rim and soil, by the torque of rows that slip fully, with its error [-]."""
     torque = roll.rows.get("torque", np.full(roll.sinkage.size, math.nan))
     slips = (roll.rows["slip"] >= FULL_SLIP) & np.isfinite(torque)
     if not slips.any() or roll.wheel.carries:
-        return FRICTION
+        return None
     # T / (W R) at the angle at which the rim carries the load hardly depends on that angle.
     ratio = float(np.median(torque[slips] / (roll.rows["load"][slips] * roll.wheel.reach)))
     middle = np.full(int(slips.sum()), 32.0)
@@ -233,7 +234,7 @@ def _friction(roll: _Roll) -> tuple[float, float]:
         )  # fmt: skip
         model.append(float(np.median(forces.torque / (forces.load * roll.wheel.reach))))
     if not 0.5 * model[0] <= ratio <= MOST_TORQUE * model[-1]:
-        return FRICTION
+        return None
     return float(np.interp(ratio, model, FRICTIONS)), FRICTION_SD
 
 
