@@ -70,13 +70,13 @@ def doctor(as_json: bool) -> None:
 @click.command()
 @click.argument(
     "document", metavar="[DOCUMENT]", default="scenario",
-    type=click.Choice(("scenario", "plan", "robot", "forces", "tool", "columns")),
+    type=click.Choice(("scenario", "plan", "robot", "forces", "tool", "wheel", "columns")),
 )  # fmt: skip
 @json_option
 def keys(document: str, as_json: bool) -> None:
     """List the keys of a TOML file, with unit, default, choices and meaning.
 
-    DOCUMENT is scenario (default), plan, robot, forces or tool (for invert
+    DOCUMENT is scenario (default), plan, robot, forces, tool or wheel (for invert
     --columns), or columns (of a robot's log).
 
     Example: terraphi keys plan

@@ -34,6 +34,8 @@ steel on sand has 0.54 of the friction angle, rusted steel 0.76 (Potyondy 1961, 
 11:339): 0.32 and 0.47 at a critical angle of 33°. Polished steel goes down to 0.1, and friction
 grows with the roughness over the grain size (Uesugi & Kishida 1986, Soils and Foundations
 26:139)."""
+FRICTION_BY_TORQUE_SD = 0.05
+"""Standard deviation of a wheel's friction by its torque [-]; chosen."""
 FOOT_FRICTION = Assumption(0.40, 0.1155)
 """Coulomb friction between dry soil and a robot's foot of rubber [-]: uniform on 0.2 to 0.6, from
 polished steel to soil on soil, which no surface exceeds (Uesugi & Kishida 1986); chosen."""

@@ -24,7 +24,7 @@ LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
 """Meters."""
 PRESSURE = {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "bar": 1e5, "psi": 6894.757293168}
 """Pascals."""
-SHARE = {"1": 1.0, "%": 0.01}
+SHARE = {"part": 1.0, "%": 0.01}
 """A part of one."""
 SPEED = {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "m/min": 1.0 / 60.0, "km/h": 1.0 / 3.6}
 """Meters per second."""
@@ -39,7 +39,7 @@ _OTHER_NAMES = {
     "u": "rev", "sec": "s", "secs": "s", "second": "s", "seconds": "s", "sek": "s", "msec": "ms",
     "µs": "us", "μs": "us", "ft lb": "lbf ft", "ft lbf": "lbf ft", "in lb": "lbf in",
     "in lbf": "lbf in", "oz": "ozf", "lb in": "lbf in", "lb ft": "lbf ft", "kg cm": "kgf cm",
-    "kg m": "kgf m", "percent": "%", "-": "1", "1/min": "rpm", "r/min": "rpm", "m s-1": "m/s",
+    "kg m": "kgf m", "percent": "%", "1/min": "rpm", "r/min": "rpm", "m s-1": "m/s",
     "°/s": "deg/s",
 }  # fmt: skip
 """Other names, in lower case. *Grad* is German for degree; a grade is ``gon``."""

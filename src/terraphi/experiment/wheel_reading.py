@@ -55,8 +55,8 @@ class WheelColumns(Columns):
     """Column of the way travelled."""
     time: str | None = None
     """Column of the time."""
-    slip_unit: Literal["1", "%"] | None = None
-    """Unit of the slip; if not given, that of the header, else 1."""
+    slip_unit: Literal["part", "%"] | None = None
+    """Unit of the slip, a part of one or percent; if not given, that of the header, else a part."""
     sinkage_unit: Literal["mm", "cm", "m", "in", "ft"] | None = None
     """Unit of the sinkage; if not given, that of the header."""
     unit: ForceUnit | None = None
@@ -150,6 +150,11 @@ class _WheelTable(ColumnReader[WheelColumns]):
                 f"name it such as sinkage_mm{without if 'torque' in self.names else ''}"
             )
 
+    def written(self, column: str) -> str | None:
+        """Unit of a column as the table has it; of a slip in parts of one there is none."""
+        unit = super().written(column)
+        return None if unit in ("-", "1", "m/m") else unit
+
     def slip_of_speeds(self, values: dict[str, FloatArray], radius: float) -> FloatArray:
         """Slip from the speed of the rim and that of travel [-]."""
         rim = values["wheel_speed"] if "wheel_speed" in values else radius * values["rotation"]
@@ -165,7 +170,7 @@ class _WheelTable(ColumnReader[WheelColumns]):
     def checked_slip(self, slip: FloatArray) -> FloatArray:
         """Slip as the law has it [-]; raises InputError if its definition is in doubt."""
         name = self.names["slip"][:40]
-        if np.abs(slip).max() > PERCENT and self.unit("slip")[0] == "1" and slip.max() > 1.0:
+        if np.abs(slip).max() > PERCENT and self.unit("slip")[0] == "part" and slip.max() > 1.0:
             self.refuse(
                 f"column '{name}' reaches {slip.max():g}, which must be percent; add --columns "
                 "slip_unit=%"

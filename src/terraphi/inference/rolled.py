@@ -27,7 +27,7 @@ import numpy as np
 
 from terraphi.experiment.arrays import BoolArray, FloatArray, block_means
 from terraphi.experiment.errors import InputError, nearest
-from terraphi.experiment.priors import DENSITY, FRICTION
+from terraphi.experiment.priors import DENSITY, FRICTION, FRICTION_BY_TORQUE_SD
 from terraphi.experiment.rig import Tool
 from terraphi.experiment.wheel_reading import Rolled
 from terraphi.inference.answer import Answer, Estimate, RecordFit
@@ -59,8 +59,6 @@ LIMIT = 0.3
 that is larger [-]; chosen."""
 FULL_SLIP = 0.35
 """Slip from which on the torque shows the friction of rim and soil [-]."""
-FRICTION_SD = 0.05
-"""Standard deviation of the friction by the torque [-]; chosen."""
 MOST_TORQUE = 1.2
 """Torque over that of the roughest rim up to which the friction is taken from it [-]; chosen."""
 STEP_DEG = 2.0
@@ -235,7 +233,7 @@ def _friction(roll: _Roll) -> tuple[float, float] | None:
         model.append(float(np.median(forces.torque / (forces.load * roll.wheel.reach))))
     if not 0.5 * model[0] <= ratio <= MOST_TORQUE * model[-1]:
         return None
-    return float(np.interp(ratio, model, FRICTIONS)), FRICTION_SD
+    return float(np.interp(ratio, model, FRICTIONS)), FRICTION_BY_TORQUE_SD
 
 
 def _mean(roll: _Roll, grain: float, friction_sd: float) -> _Mean:

@@ -23,6 +23,7 @@ DOCUMENTS = {
     "robot": ("terraphi.robot.model", "RobotFile"),
     "forces": ("terraphi.experiment.reading", "ForceColumns"),
     "tool": ("terraphi.experiment.pressed_reading", "PressColumns"),
+    "wheel": ("terraphi.experiment.wheel_reading", "WheelColumns"),
     "columns": ("terraphi.robot.logs.columns", "Columns"),
 }
 """Kind of document to the module and the name of its model."""
