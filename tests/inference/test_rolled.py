@@ -9,12 +9,12 @@ import pandas as pd
 import pytest
 
 import terraphi
+from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.priors import FRICTION
 from terraphi.laws.foot import LAWS, Foot
 from terraphi.laws.wheel import Wheel, rolling
 
-DATA = Path(__file__).parents[2] / "studies" / "data"
 TOOL, WHEEL = "wheel:300x150", Wheel(0.15, 0.15)
 
 
@@ -103,7 +103,7 @@ def test_joint_answer_with_a_plate_of_the_same_soil() -> None:
 
 def test_published_wheel_is_within_the_interval() -> None:
     """Ding et al. (2011): a smooth wheel on sand whose angle is printed as 31.9°."""
-    path = DATA / "wheels" / "ding2011_smooth.csv"
+    path = shipped_file("examples", "wheel", ".csv")
     answer = terraphi.invert(path, tool="wheel:314.7x165", density=1605)
     low, high = answer.phi.ci95
     assert answer.verdict == "consistent"

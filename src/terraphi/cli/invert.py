@@ -206,6 +206,8 @@ def demo(out: Path, as_json: bool) -> None:
         *(f"{headline(answer)}\n{answer.reason}\n" for answer in answers),
         f"Picture: {picture}\nYour own: terraphi invert {out}/forces.csv --rig {out}/rig.toml "
         f"--density KG_M3, with your files in place of these.\nA robot's log: terraphi footfalls "
-        f"{out}/walk.csv --density KG_M3",
+        f"{out}/walk.csv --density KG_M3\nA plate: terraphi invert {out}/plate.csv --tool plate:60 "
+        f"--density 1412\nA wheel: terraphi invert {out}/wheel.csv --tool wheel:314.7x165 "
+        "--density 1605",
         as_json=as_json,
     )

@@ -187,8 +187,6 @@ class _WheelTable(ColumnReader[WheelColumns]):
             return np.where(slip < 0.0, 1.0 / (1.0 - slip) - 1.0, slip)
         if slip.min() < -1.0:
             self.refuse(f"column '{name}' falls to {slip.min():g}; ωR/v - 1 is -1 when locked")
-        if self.given.slip_is is None:
-            self.notes.append("Slip is taken as 1 - v/(ωR).")
         return slip
 
     def check_numbers(self, values: dict[str, FloatArray], radius: float) -> None:

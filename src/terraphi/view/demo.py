@@ -26,9 +26,10 @@ SOILS = {"yuma": "li2013:yuma/straight", "poppy": "li2013:poppy_loose/straight"}
 
 
 def run(out: Path) -> tuple[list[Answer], str]:
-    """Invert three records; write answers, picture, a table with its rig, and a log into a folder.
+    """Invert three records; write answers, picture, and tables to try into a folder.
 
-    The log is that of a Go2 on simulated sand of 41 to 42° (``studies/demo_walk.py``).
+    The walk is that of a Go2 on simulated sand of 41 to 42° (``studies/demo_walk.py``), the plate
+    was pressed into simulated grains, the wheel is published (Ding et al. 2011).
 
     Returns
     -------
@@ -50,8 +51,9 @@ def run(out: Path) -> tuple[list[Answer], str]:
     lines = [f"{key} = {json.dumps(value)}\n" for key, value in sizes.items()]
     with atomic_write(out / "rig.toml") as temporary:
         temporary.write_text("".join(lines), encoding="utf-8")
-    with atomic_write(out / "walk.csv") as temporary:
-        shutil.copyfile(shipped_file("robots", "walk", ".csv"), temporary)
+    for folder, name in (("robots", "walk"), ("examples", "plate"), ("examples", "wheel")):
+        with atomic_write(out / f"{name}.csv") as temporary:
+            shutil.copyfile(shipped_file(folder, name, ".csv"), temporary)
     try:
         from terraphi.experiment.figure import Figure
     except InputError as error:  # without Matplotlib
