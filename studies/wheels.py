@@ -26,7 +26,7 @@ import terraphi
 from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.rig import Tool
 from terraphi.inference.rolled import wheel_of
-from terraphi.laws.wheel import WHEEL_ERROR, wheel_forces
+from terraphi.laws.wheel import WHEEL_ERROR, beyond, wheel_forces
 
 SETTLED = 0.5
 """Way after a change of depth that is left out, over the radius of the wheel [-]."""
@@ -122,7 +122,7 @@ def learned(rows: list[Wheeled]) -> float:
     rows = [row for row in rows if LEARNED[0] <= row.slip <= LEARNED[1]]
     errors: dict[str, list[float]] = {}
     for row in rows:
-        error = row.read_deg - row.truth_deg - WHEEL_ERROR.slip_deg * row.slip
+        error = row.read_deg - row.truth_deg - WHEEL_ERROR.slip_deg * beyond(row.slip)
         errors.setdefault(row.soil, []).append(error)
     return float(np.mean([np.mean(each) for each in errors.values()]))
 
@@ -166,7 +166,7 @@ def drawn(rows: list[Wheeled], errors: list[float]) -> Figure:
     table, by_foot, by_rft = published()
     right.plot(table.slip, table.sinkage_mm, "ko", label="measured")
     for law, answer in (("foot", by_foot), ("rft", by_rft)):
-        read = answer.phi.median + float(WHEEL_ERROR.of(table.slip.mean()))
+        read = answer.phi.median + WHEEL_ERROR.offset_deg
         right.plot(table.slip, sinkages(table, read, law), label=f"law {law}, one φ")
     right.set(xlabel="slip", ylabel="sinkage [mm]", title="a published wheel (Ding et al. 2011)")
     right.legend(fontsize="small")
@@ -179,7 +179,7 @@ def main() -> None:
     rows = wheels()
     print(f"offset {learned(rows):.2f} deg at a slope of {WHEEL_ERROR.slip_deg:g}")
     errors = [
-        row.read_deg - row.truth_deg - WHEEL_ERROR.slip_deg * row.slip
+        row.read_deg - row.truth_deg - WHEEL_ERROR.slip_deg * beyond(row.slip)
         - learned([other for other in rows if other.soil != row.soil])
         for row in rows
     ]  # fmt: skip

@@ -55,6 +55,8 @@ the passive wedge before a plate is that long, 1 / tan(45° − φ/2) = 1.7 to 2
 soil behind it; chosen."""
 FRICTIONS = (0.15, 0.35, 0.6)
 """Frictions whose forces are interpolated [-]."""
+LITTLE = 0.2
+"""Slip up to which readings in grains are level [-]."""
 POINTS = 60
 """Depths between which a sinkage is sought."""
 NODES = 9
@@ -68,9 +70,9 @@ class WheelError(NamedTuple):
     """What φ by load, sinkage and slip is wrong by, in grains of known φ [deg]."""
 
     offset_deg: float
-    """What it reads too much at no slip."""
+    """What it reads too much up to a slip of :data:`LITTLE`."""
     slip_deg: float
-    """What it reads too much more at a slip of one."""
+    """What it reads too much more for each unit of slip beyond."""
     slip_sd_deg: float
     soil_deg: float
     """Standard deviation between soils."""
@@ -79,14 +81,19 @@ class WheelError(NamedTuple):
 
     def of(self, slip: Any) -> Any:
         """What φ is read too much at a slip [deg]."""
-        return self.offset_deg + self.slip_deg * slip
+        return self.offset_deg + self.slip_deg * beyond(slip)
 
 
-WHEEL_ERROR = WheelError(2.1, 5.0, 6.0, 1.4, 1.5)
+def beyond(slip: Any) -> Any:
+    """Slip, driven or braked, beyond :data:`LITTLE` [-]."""
+    return np.maximum(np.abs(slip) - LITTLE, 0.0)
+
+
+WHEEL_ERROR = WheelError(3.0, 5.0, 7.0, 1.4, 1.5)
 """Learned from wheels in loose grains, half a grain added to the sinkage (``studies/wheels.py``).
-There φ rises by 12° a unit of slip from 0.2 to 0.5; on the sand of Ding et al. (2011) it falls by
-2°. Why is not known: the slope is between both. Soils differ as for feet; the error of the offset
-is chosen."""
+There φ is level to a slip of 0.2 and then rises by 12° a unit; on the sand of Ding et al. (2011) it
+falls by 2°. Why is not known: the slope is between both. Soils differ as for feet; the error of the
+offset is chosen."""
 
 
 @dataclass(frozen=True)
