@@ -15,7 +15,7 @@ from scipy.optimize import brentq, least_squares
 
 from terraphi.experiment.errors import InputError
 from terraphi.forward.rft import from_plane_strain, stress_scale, unit_stress
-from terraphi.laws.foot import LAWS, Foot
+from terraphi.laws.foot import LAWS, Foot, inertial_force
 from terraphi.laws.wrench import FADE, Mesh, force, wrench
 from terraphi.robot.joint_log import FEET
 
@@ -98,7 +98,9 @@ def test_meshes_of_a_ball_and_a_disc_have_the_force_of_the_law(shape: Any, limit
 def test_a_foot_has_the_force_of_the_law_in_its_heading(shape: Any, descent: float) -> None:
     foot, heading = Foot(RADIUS, shape), 2.0
     place = np.array([0.3, -0.2, RADIUS * ((shape == "ball") - 1.3) + 0.05])
-    result, moment = force(foot, place, going(descent, heading), surface=0.05, **SAND)
+    result, moment = force(
+        foot, place, going(descent, heading), surface=0.05, inertia=False, **SAND
+    )
     along, lift = LAWS["foot"].force(
         foot, 1.3 * RADIUS, math.radians(descent), friction_angle_deg=33.0, density=1600.0,
         surface_friction=0.4,
@@ -313,7 +315,7 @@ def test_traced_arrays_have_the_same_force() -> None:
 def test_a_flat_sole_bears_as_a_disc_of_its_area_and_changes_steadily_with_its_tilt() -> None:
     sole, size = box((0.1, 0.06, 0.03), 20), math.sqrt(0.006 / math.pi)
     flat, _ = force(sole, [0.0, 0.0, -0.005], going(90.0), **SAND)
-    disc_, _ = force(Foot(size, "disc"), [0.0, 0.0, -0.02], going(90.0), **SAND)
+    disc_, _ = force(Foot(size, "disc"), [0.0, 0.0, -0.02], going(90.0), inertia=False, **SAND)
     assert flat[2] == pytest.approx(disc_[2], rel=1e-3)
     half = 0.5 * np.radians(np.linspace(-20.0, 20.0, 401))
     pose = np.stack([0 * half, 0 * half, 0 * half - 0.005, np.cos(half), 0 * half, np.sin(half),
@@ -348,6 +350,35 @@ def test_soil_takes_energy_and_gives_numbers_everywhere(foot: Any) -> None:
         held = force(foot, pose, velocity, held=(result, moment), step=0.002, stiffness=2e4, **SAND)
         assert np.isfinite(held).all()
         assert not np.any(held) or height < 0.06
+
+
+@pytest.mark.parametrize("shape", ["ball", "disc"])
+@pytest.mark.parametrize("is_held", [False, True])
+def test_few_feet_have_the_force_of_many(shape: Any, is_held: bool) -> None:
+    rng = np.random.default_rng(3)
+    pose, velocity = rng.uniform(-0.03, 0.03, (16, 3)), rng.normal(0.0, 0.5, (16, 3))
+    velocity[0] = 0.0
+    before = rng.normal(0.0, 5.0, (2, 16, 3))
+    held = {"held": tuple(before), "step": 0.002, "stiffness": 3e3} if is_held else {}
+    many = {**SAND, "phi_deg": np.full(16, SAND["phi_deg"])}
+    few = force(Foot(RADIUS, shape), pose, velocity, **held, **SAND)
+    for ours, theirs in zip(few, force(Foot(RADIUS, shape), pose, velocity, **held, **many),
+                            strict=True):  # fmt: skip
+        np.testing.assert_allclose(ours, theirs, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("shape", ["ball", "disc"])
+def test_a_foot_that_lands_feels_the_momentum_of_the_soil(shape: Any) -> None:
+    foot, place = Foot(RADIUS, shape), np.array([0.0, 0.0, (shape == "ball") * RADIUS - 0.015])
+    for speed in (0.02, 2.0):
+        down = np.array([0.0, 0.0, -speed])
+        landing, static = (force(foot, place, down, inertia=on, **SAND)[0][2]
+                           for on in (True, False))  # fmt: skip
+        pushed = inertial_force(foot, 0.015, speed, 0.0, SAND["density"])
+        assert landing - static == pytest.approx(float(pushed), rel=1e-9)
+    rising, still = (force(foot, place, np.array([0.0, 0.0, 1.0]), inertia=on, **SAND)[0]
+                     for on in (True, False))  # fmt: skip
+    assert (rising == still).all()
 
 
 def test_what_is_held_follows_the_law_and_stays_at_rest() -> None:

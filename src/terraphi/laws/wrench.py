@@ -41,6 +41,7 @@ results are of the same library, type and device.
 
 from __future__ import annotations
 
+import itertools
 import math
 import warnings
 from dataclasses import dataclass
@@ -60,6 +61,7 @@ from terraphi.laws.foot import (
     DEEPEST,
     DEPTHS,
     DESCENTS,
+    MOVED,
     Foot,
     foot_faces,
     interpolated,
@@ -88,6 +90,11 @@ UNIT = 0.01
 """Error of the length of a unit normal [-]; chosen, for normals that were rounded."""
 FLAT = 0.01
 """Roundness below which a mesh is flat [-]; chosen, for a warning alone."""
+FASTEST, HUGE = 10.0, 1e9
+"""Speed [m/s] beyond which a landing has its inertia, and largest plain number; chosen. Balls that
+the inertia was learned from hit at up to 1.5 m/s."""
+FEW, AIR = 16, [0.0] * 6
+"""Feet up to which plain numbers are faster than arrays, and the force on one in air."""
 TINY = 1e-12
 """Least length [m], speed [m/s], area [m²] or force [N] that is divided by."""
 AREA: dict[str, Any] = {"low": 0.0, "high": 4.0 * LARGEST**2, "unit": "m²"}
@@ -226,6 +233,7 @@ def force(
     held: tuple[Any, Any] | None = None,
     step: float | None = None,
     stiffness: float | None = None,
+    inertia: bool = True,
 ) -> tuple[Any, Any]:
     """Force and moment of soil on feet, by law ``foot``.
 
@@ -253,6 +261,9 @@ def force(
     stiffness
         Of soil that holds a foot, k [N/m]; below 2 m over the square of ``step`` it is stable (see
         the module).
+    inertia
+        Whether a ball or disc that goes down feels the momentum of the soil that it sets in motion,
+        v² dm/dz (:func:`~terraphi.laws.foot.moved_mass`). Meshes do not.
 
     Returns
     -------
@@ -280,6 +291,11 @@ def force(
     """
     if not isinstance(foot, Foot | Mesh):
         raise InputError(f"foot of type {type(foot).__name__}; give a Foot or a Mesh")
+    if isinstance(foot, Foot) and (
+        few := _of_few(foot, pose, velocity, phi_deg, density, surface_friction, surface,
+                       rest_speed, held, step, stiffness, inertia)
+    ):  # fmt: skip
+        return few
     pose = numbers("pose", pose, last=(3, 7), unit="m")
     velocity = numbers("velocity", velocity, pose, last=(3, 6), unit="m/s")
     rest_speed = _number("rest_speed", rest_speed, low=TINY, unit="m/s")
@@ -292,6 +308,12 @@ def force(
     fade = TINY if held is not None else rest_speed
     body_force: Any = _of_foot if isinstance(foot, Foot) else _of_mesh
     force_, moment, deep = body_force(foot, place, moving, fade, **soil)
+    if inertia and isinstance(foot, Foot):
+        size, reach = MOVED
+        fall = xp.clip(-moving[:, 2], 0.0, FASTEST) * like(place, deep > 0.0)
+        slower = 1.0 + (xp.clip(deep, 0.0, None) / (reach * foot.radius)) ** 4
+        push = size * math.pi * foot.radius**2 * soil["density"] * fall**2 * slower**-1.25
+        force_ = force_ + xp.stack([0.0 * push, 0.0 * push, push], axis=1)
     if held is not None:
         if step is None or stiffness is None:
             raise InputError(
@@ -315,6 +337,98 @@ def force(
             law + kept * (last - law) for law, last in zip((force_, moment), before, strict=True)
         )
     return xp.reshape(force_, (*lead, 3)), xp.reshape(moment, (*lead, 3))
+
+
+def _of_few(
+    foot: Foot, pose: Any, velocity: Any, phi_deg: Any, density: Any, friction: Any, surface: Any,
+    rest_speed: Any, held: Any, step: Any, stiffness: Any, inertia: bool,
+) -> tuple[FloatArray, FloatArray] | None:  # fmt: skip
+    """Force and moment on up to :data:`FEW` balls or discs in one soil, as :func:`force`.
+
+    ``None`` where the arguments are others or wrong. It is the same arithmetic on plain numbers: an
+    operation on an array of four costs as much as on one of a thousand.
+    """
+    plain = (phi_deg, density, friction, surface, rest_speed)
+    if type(pose) is not np.ndarray or not all(
+        type(value) in (float, int) and -HUGE < value < HUGE for value in plain
+    ):
+        return None
+    if not (type(velocity) is np.ndarray and pose.dtype == velocity.dtype == np.float64
+            and 1 <= pose.ndim <= 2 and 3 <= pose.size <= 3 * FEW and pose.shape[-1] == 3
+            and velocity.shape == pose.shape):  # fmt: skip
+        return None
+    places, velocities = pose.reshape(-1, 3).tolist(), velocity.reshape(-1, 3).tolist()
+    before: list[Any] = [None] * len(places)
+    stride = 0.0
+    if held is not None:
+        if not (type(held) is tuple and len(held) == 2 and type(step) is type(stiffness) is float
+                and step >= 0.0 and stiffness >= 0.0
+                and all(type(each) is np.ndarray and each.dtype == np.float64
+                        and each.shape == pose.shape for each in held)):  # fmt: skip
+            return None
+        before = np.concatenate([each.reshape(-1, 3) for each in held], axis=1).tolist()
+        stride = stiffness * step
+    try:
+        low, high = angles_deg(friction)
+    except InputError:
+        return None
+    least, most, _ = LIMITS["soil.density"]
+    each_number = itertools.chain(*places, *velocities, *(row or () for row in before))
+    if not (low <= phi_deg <= high and least <= density <= most and TINY <= rest_speed
+            and stride < HUGE and all(-HUGE < x < HUGE for x in each_number)):  # fmt: skip
+        return None
+    soil = (float(phi_deg), float(density), float(friction))
+    fade, down = TINY if held is not None else rest_speed, surface
+    down += foot.radius if foot.shape == "ball" else 0.0
+    results = []
+    for place, moving, last in zip(places, velocities, before, strict=True):
+        depth = down - place[2]
+        now = _of_one(foot, depth, moving, fade, *soil, inertia=inertia) if depth > 0.0 else AIR
+        if last is not None and depth > 0.0:
+            size = max(math.hypot(*last[:3]), math.hypot(*now[:3]), TINY)
+            kept = math.exp(-stride * math.hypot(*moving) / size)
+            now = [law + kept * (was - law) for law, was in zip(now, last, strict=True)]
+        results.append(now)
+    rows = np.array(results)
+    return rows[:, :3].reshape(pose.shape), rows[:, 3:].reshape(pose.shape)
+
+
+def _of_one(
+    foot: Foot, depth: float, moving: list[float], fade: float, phi_deg: float, density: float,
+    friction: float, *, inertia: bool,
+) -> list[float]:  # fmt: skip
+    """Force and moment on one ball or disc that is so deep [m], as :func:`_of_foot`."""
+    vx, vy, vz = moving
+    level, speed, radius = math.hypot(vx, vy), math.hypot(vx, vy, vz), foot.radius
+    first, spacing, table = _foot_table(foot.shape, friction)
+    if depth > DEEPEST * radius:
+        _warn_deep(np, np.array([depth / radius]))
+    # Linear in the cell over φ, direction and depth, whose eight corners have three numbers each;
+    # shares beyond 0 to 1 continue it.
+    x, y, z = phi_deg - first, math.atan2(-vz, level) / SPACING + LEVEL, depth / radius / spacing
+    counts = table.shape
+    i, j = min(max(int(x), 0), counts[0] - 2), min(max(int(y), 0), counts[1] - 2)
+    k = min(int(z), counts[2] - 2)
+    x, y, z = x - i, y - j, z - k
+    q = table[i : i + 2, j : j + 2, k : k + 2].ravel().tolist()
+    a, b, c, d = (1.0 - x) * (1.0 - y), (1.0 - x) * y, x * (1.0 - y), x * y
+    size = density * GRAVITY * radius**3 * min(speed / fade, 1.0)
+    along, lift, turning = [
+        size * (
+            (1.0 - z) * (a * q[n] + b * q[n + 6] + c * q[n + 12] + d * q[n + 18])
+            + z * (a * q[n + 3] + b * q[n + 9] + c * q[n + 15] + d * q[n + 21])
+        )
+        for n in (0, 1, 2)
+    ]  # fmt: skip
+    hx, hy = vx / max(level, TINY), vy / max(level, TINY)
+    fx, fy, fz = along * hx, along * hy, lift
+    drives = max(fx * vx + fy * vy + fz * vz, 0.0) / max(speed, TINY) ** 2
+    fx, fy, fz = fx - drives * vx, fy - drives * vy, fz - drives * vz
+    if inertia and vz < 0.0:
+        push, reach = MOVED
+        slower = 1.0 + (depth / (reach * radius)) ** 4
+        fz += push * math.pi * radius**2 * density * max(vz, -FASTEST) ** 2 * slower**-1.25
+    return [fx, fy, fz, -turning * radius * hy, turning * radius * hx, 0.0]
 
 
 def _number(name: str, value: Any, low: float = 0.0, unit: str = "") -> Any:

@@ -131,7 +131,7 @@ class Sole:
         phi, height = np.broadcast_arrays(np.asarray(phi_deg)[:, None], height)
         lift, _ = force(
             self.foot, np.multiply.outer(height, [0.0, 0.0, 1.0]), [0.0, 0.0, -1.0], phi_deg=phi,
-            density=density, surface_friction=surface_friction,
+            density=density, surface_friction=surface_friction, inertia=False,
         )  # fmt: skip
         return np.asarray(lift[..., 2])
 
