@@ -75,7 +75,7 @@ def test_recovers_forces_of_a_swaying_trot(truth: Any) -> None:
 def test_quasi_static_leaves_out_the_weight_of_the_legs() -> None:
     still = standing()
     none = np.zeros_like(still.angle)
-    heavy = replace(still, torque=still.torque + Legs(GO2, still.angle, none, none).torque[0])
+    heavy = replace(still, torque=still.torque + Legs(GO2, still.angle, none).torque)
     robot = replace(GO2, foot_radius=0.0)
     expected = np.broadcast_to([0.0, 0.0, 40.0], none.shape)
     np.testing.assert_allclose(estimate(heavy, robot=robot).force, expected, atol=1e-4)

@@ -109,19 +109,21 @@ def test_torques_equal_pinocchio_on_a_moving_trunk(pair: Pair, pinocchio: Any) -
     data = model.createData()
     trunk = TrunkMotion(m["linear"] + np.array([0.0, 0.0, 9.81]), m["w"], m["alpha"])
     none = np.zeros_like(m["angle"])
-    legs = Legs(pair.robot, m["angle"], m["velocity"], m["acceleration"], none, trunk=trunk)
+    legs = Legs(pair.robot, m["angle"], m["velocity"], trunk=trunk)
     there = pair.columns >= 0
     for i in range(SAMPLES):
         q = put(pair, m["angle"][i], model.nq, 1)
         q[6] = 1.0
-        for k, joints in enumerate((m["acceleration"][i], none[i])):
+        for joints in (m["acceleration"][i], none[i]):
             v, a = put(pair, m["velocity"][i], model.nv, 0), put(pair, joints, model.nv, 0)
             v[3:6], a[:3], a[3:6] = m["w"][i], m["linear"][i], m["alpha"][i]
             values = pinocchio.rnea(model, data, q, v, a)
             reference = values[pair.columns[there]]
             # MuJoCo before 3.14 differs by up to 2e-6 N m.
-            np.testing.assert_allclose(legs.torque[k, i][there], reference, rtol=1e-9, atol=1e-5)
-            full = legs.inertia[k, i] + pair.robot.mass * trunk.specific_force[i]
+            torque = legs.torque[i] + np.einsum("fij,fj->fi", legs.mass[i], joints)
+            np.testing.assert_allclose(torque[there], reference, rtol=1e-9, atol=1e-5)
+            beyond = legs.force[i] + np.einsum("fji,fj->i", legs.momentum[i], joints)
+            full = beyond + pair.robot.mass * trunk.specific_force[i]
             # The shipped model's trunk has its centre of mass a millimetre off the URDF's.
             tolerance = 0.5 if pair.robot.name == GO2.name else 1e-7
             np.testing.assert_allclose(full, values[:3], atol=tolerance)
@@ -133,14 +135,14 @@ def test_forces_of_a_robot_that_stands_come_out(pair: Pair) -> None:
     robot, there = pair.robot, pair.columns >= 0
     angle = np.tile(np.array([0.05, 0.7, -1.4]) * there, (300, 1, 1))
     none = np.zeros_like(angle)
-    legs = Legs(robot, angle, none, none)
+    legs = Legs(robot, angle, none)
     matrix = legs.jacobian(np.array([0.0, 0.0, -robot.foot_radius]))
     force = np.tile([3.0, 2.0, robot.mass * 9.81 / 4.0], (300, 4, 1))
     if not there.all():
         across = np.cross(matrix[..., 1], matrix[..., 2])
         across /= np.linalg.norm(across, axis=-1, keepdims=True)
         force = force - np.sum(force * across, axis=-1, keepdims=True) * across
-    torque = legs.torque[0] - np.einsum("sfij,sfi->sfj", matrix, force)
+    torque = legs.torque - np.einsum("sfij,sfi->sfj", matrix, force)
     attitude = np.tile([1.0, 0.0, 0.0, 0.0], (300, 1))
     log = JointLog(0.002 * np.arange(300), angle, none, torque, attitude)
     estimated_forces = estimate(log, robot=robot)
@@ -160,12 +162,13 @@ def test_power_of_the_torques_is_the_rate_of_kinetic_energy() -> None:
     rng = np.random.default_rng(5)
     q = rng.uniform(-2.5, 2.5, (40, 4, 3))
     v, a = rng.normal(scale=6.0, size=q.shape), rng.normal(scale=80.0, size=q.shape)
-    power = np.sum(Legs(GO2, q, v, a, trunk=NOWHERE).torque[0] * v, axis=-1)
+    legs = Legs(GO2, q, v, trunk=NOWHERE)
+    power = np.sum((legs.torque + np.einsum("sfij,sfj->sfi", legs.mass, a)) * v, axis=-1)
 
     def energy(t: float) -> np.ndarray:
         faster = v + a * t
-        legs = Legs(GO2, q + v * t + 0.5 * a * t**2, 0.0 * v, faster, trunk=NOWHERE)
-        return 0.5 * np.sum(faster * legs.torque[0], axis=-1)  # ½ vᵀ M v
+        mass = Legs(GO2, q + v * t + 0.5 * a * t**2, v, trunk=NOWHERE).mass
+        return 0.5 * np.einsum("sfi,sfij,sfj->sf", faster, mass, faster)
 
     # Central difference with Richardson's extrapolation: error of fourth order in the step.
     step = 2e-4

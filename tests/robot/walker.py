@@ -135,11 +135,12 @@ class Walk:
         faster = np.gradient(spin, time, axis=0)
         felt = _second(lambda t: self._pose(t)[0], time) + np.array([0.0, 0.0, GRAVITY])
         felt = np.einsum("sji,sj->si", turn, felt)
-        legs = Legs(GO2, angle, rate, second, trunk=TrunkMotion(felt, spin, faster))
+        legs = Legs(GO2, angle, rate, trunk=TrunkMotion(felt, spin, faster))
         force = self.force(time)
         arm = -self.contact * GO2.foot_radius * turn[:, None, 2, :]
         pushed = np.einsum("sji,sfj->sfi", turn, force)
-        torque = legs.torque[0] - np.einsum("sfij,sfi->sfj", legs.jacobian(arm), pushed)
+        torque = legs.torque + np.einsum("sfij,sfj->sfi", legs.mass, second)
+        torque -= np.einsum("sfij,sfi->sfj", legs.jacobian(arm), pushed)
         torque += self.coulomb * np.tanh(rate / 0.01) + self.viscous * rate + self.inertia * second
         at = np.array(GO2.imu)
         at_imu = felt + np.cross(faster, at) + np.cross(spin, np.cross(spin, at))

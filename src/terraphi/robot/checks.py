@@ -495,11 +495,11 @@ def _swapped(
     moments = np.empty((count, 4, 4, 4, 3))
     for shift in feet:
         order = np.roll(feet, shift)
-        legs = Legs(robot, angle[:, order], 0.0 * velocity, 0.0 * velocity)
+        legs = Legs(robot, angle[:, order], 0.0 * velocity)
         speed = np.einsum("sfij,sfj->sfi", legs.jacobian(arm), velocity[:, order])
         speeds[:, feet, order] = speed + np.cross(spin[:, None], legs.place + arm)
         inverse = np.nan_to_num(legs.force_per_torque()[0]) / weight
-        by_weight = np.einsum("sfij,sfj->sfi", inverse, legs.torque[0])
+        by_weight = np.einsum("sfij,sfj->sfi", inverse, legs.torque)
         by_torque = np.swapaxes(-inverse * torque[:, order, None], -1, -2)
         forces = np.concatenate([by_weight[:, :, None], by_torque], axis=2)
         moments[:, feet, order] = np.cross(legs.place[:, :, None], forces)

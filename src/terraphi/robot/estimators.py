@@ -99,7 +99,7 @@ class Signals(NamedTuple):
     slopes: FloatArray
     """Joint accelerations between the samples [rad/s²], shape [sample − 1, foot, joint]."""
     legs: Legs
-    """With the torques of no acceleration and of those after and before each sample."""
+    """Kinematics and, if asked for, equations of motion."""
 
 
 def signals(log: JointLog, robot: Quadruped, part: slice, *, moving: bool = True) -> Signals:
@@ -108,10 +108,7 @@ def signals(log: JointLog, robot: Quadruped, part: slice, *, moving: bool = True
     time, angle, velocity, torque = (np.asarray(getattr(log, n)[part], float) for n in names)
     turn, trunk = trunk_motion(log, robot, part)
     slopes = np.diff(velocity, axis=0) / np.diff(time).reshape(-1, 1, 1)
-    none = np.zeros((1, 4, 3))
-    after, before = np.concatenate([slopes, none]), np.concatenate([none, slopes])
-    accelerations = (0.0 * before, after, before) if moving else ()
-    legs = Legs(robot, angle, velocity, *accelerations, trunk=trunk)
+    legs = Legs(robot, angle, velocity if moving else None, trunk=trunk)
     return Signals(time, velocity, torque, turn, slopes, legs)
 
 
@@ -165,8 +162,8 @@ def contact_torque(
     """
     if estimator == "quasi_static":
         return -part.torque
-    values, rate = _needed(part.legs.torque)
-    values -= part.torque
+    values = part.legs.torque - part.torque
+    rate = np.einsum("sfij,sfj->sfi", _between(part.legs.mass), part.slopes)
     if friction is not None:
         rate += friction.inertia * part.slopes
         values += friction.torque(part.velocity)
@@ -175,18 +172,18 @@ def contact_torque(
 
 def leg_inertia(part: Signals, gap: float) -> FloatArray:
     """Upward force that the legs' motion against the trunk needs [N], shape [sample]."""
-    force = low_pass(part.time, OBSERVER_GAIN, *_needed(part.legs.inertia), gap)
+    rate = np.einsum("sfji,sfj->si", _between(part.legs.momentum), part.slopes)
+    force = low_pass(part.time, OBSERVER_GAIN, part.legs.force, rate, gap)
     return np.asarray(np.einsum("si,si->s", part.turn[:, 2], force))
 
 
-def _needed(motion: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Forces of a motion without joint accelerations, and rates that these add between samples.
+def _between(values: FloatArray) -> FloatArray:
+    """Means from each sample to the next.
 
-    M q̈ between samples: the change of momentum M q̇ less the integral of (dM/dt) q̇ by the
-    trapezoidal rule.
+    M q̈ between samples, the change of momentum M q̇ less the integral of (dM/dt) q̇ by the
+    trapezoidal rule, is the mean of M times the change of q̇.
     """
-    still, after, before = motion
-    return still.copy(), 0.5 * ((after - still)[:-1] + (before - still)[1:])
+    return 0.5 * (values[1:] + values[:-1])
 
 
 def friction_terms(part: Signals, gap: float) -> FloatArray:

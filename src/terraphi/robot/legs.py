@@ -1,4 +1,4 @@
-"""Kinematics and equations of motion of the legs on a moving trunk, by MuJoCo.
+"""Kinematics and equations of motion of the legs on a moving trunk, for all samples at once.
 
 A leg obeys M(q) q̈ + h(q, q̇, trunk) = τ + Jᵀ f: joint torques τ of the motors, force f of the
 ground on the foot. The trunk's motion enters through its angular velocity ω, angular acceleration α
@@ -15,10 +15,9 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import needing
 from terraphi.experiment.units import GRAVITY
-from terraphi.robot.model import Quadruped
+from terraphi.robot.model import Links, Quadruped
 
 with needing("a robot", "MuJoCo and SciPy", extra="robot"):
-    import mujoco
     from scipy.spatial.transform import Rotation
 
 
@@ -53,10 +52,10 @@ class Legs:
     ----------
     robot
         Geometry and masses.
-    angle, velocity
-        Joint angles [rad] and velocities [rad/s], shape [sample, foot, joint].
-    *accelerations
-        Of the joints [rad/s²], same shape; none, one or several for the same angles.
+    angle
+        Joint angles [rad], shape [sample, foot, joint].
+    velocity
+        Joint velocities [rad/s], same shape; without them there are no equations of motion.
     trunk
         Motion of the trunk.
 
@@ -65,11 +64,15 @@ class Legs:
     place
         Centres of the feet's balls [m], shape [sample, foot, 3].
     torque
-        M(q) q̈ + h for each of the accelerations, the feet touching nothing [N m], shape
-        [acceleration, sample, foot, joint].
-    inertia
-        Force that the whole robot's motion needs beyond that of a rigid one, mass times the
-        trunk's specific force [N], shape [acceleration, sample, 3].
+        h, the torques of a motion without joint accelerations, the feet touching nothing [N m],
+        shape [sample, foot, joint].
+    mass
+        M(q) [kg m²], shape [sample, foot, joint, joint].
+    force
+        Force that this motion of the whole robot needs beyond that of a rigid one, mass times the
+        trunk's specific force [N], shape [sample, 3].
+    momentum
+        Force for a joint acceleration, ∂(momentum)/∂q̇ [kg m], shape [sample, foot, joint, 3].
     """
 
     def __init__(
@@ -77,47 +80,81 @@ class Legs:
         robot: Quadruped,
         angle: FloatArray,
         velocity: FloatArray | None = None,
-        *accelerations: FloatArray,
+        *,
         trunk: TrunkMotion = REST,
     ) -> None:
-        model, there, joint = robot.model, robot.there, robot.joint
-        data = mujoco.MjData(model)
-        count, dof = len(angle), model.jnt_dofadr[joint[there]]
-        qpos = np.tile(model.qpos0, (count, 1))
-        qpos[:, :7] = (0, 0, 0, 1, 0, 0, 0)
-        qpos[:, model.jnt_qposadr[joint[there]]] = angle[:, there]
-        # The trunk's velocity does not matter; its specific force stands for acceleration and
-        # gravity.
-        qvel = np.zeros((count, model.nv))
-        qvel[:, 3:6] = trunk.angular_velocity
-        qacc = np.zeros((len(accelerations), count, model.nv))
-        qacc[..., :3], qacc[..., 3:6] = trunk.specific_force, trunk.angular_acceleration
+        links, self._there = robot.links, robot.there
+        # NumPy runs along the last axis: inside, components come first and samples last, as in
+        # [3, foot, sample] of vectors and [3, 3, foot, sample] of matrices.
+        theta = np.where(self._there, angle, 0.0).T - links.angle[..., None]
+        # Links are parallel to the trunk at the reference angles. A link is turned by the product
+        # of the rotations of the joints above it, about their axes at the reference angles.
+        arms = np.diff(links.anchor, axis=0, prepend=0.0)[..., None]
+        places = np.empty((3, 4, *theta.shape[1:]))
+        axes = np.empty((3, *theta.shape))
+        turn, place, turns = np.eye(3)[..., None, None], np.zeros((3, 4, 1)), []
+        for j, axis in enumerate(links.axis[..., None]):
+            places[:, j] = place = place + _turned(turn, arms[j])
+            axes[:, j] = _turned(turn, axis)
+            turn = _product(turn, _rotation(axis, theta[j]))
+            turns.append(turn)
+        places[:, 3] = place + _turned(turn, arms[3])
+        self.place = places[:, 3].T
+        # [component, joint, foot, sample] becomes [sample, foot, joint, component].
+        self._anchor, self._axis = places[:, :3].T, axes.T
         if velocity is not None:
-            qvel[:, dof] = velocity[:, there]
-        for k, acceleration in enumerate(accelerations):
-            qacc[k][:, dof] = acceleration[:, there]
-        needed = np.empty_like(qacc)
-        place, turn = np.empty((count, 4, 3)), np.empty((count, 4, 9))
-        anchor, axis = (np.empty((count, model.njnt, 3)) for _ in range(2))
-        for i in range(count):
-            data.qpos[:] = qpos[i]
-            mujoco.mj_kinematics(model, data)
-            place[i], turn[i] = data.xpos[robot.foot], data.xmat[robot.foot]
-            anchor[i], axis[i] = data.xanchor, data.xaxis
-            if accelerations:
-                data.qvel[:] = qvel[i]
-                mujoco.mj_comPos(model, data)
-                mujoco.mj_comVel(model, data)
-            for k in range(len(accelerations)):
-                data.qacc[:] = qacc[k, i]
-                mujoco.mj_rne(model, data, 1, needed[k, i])
-        turned = np.einsum("sfij,fj->sfi", turn.reshape(-1, 4, 3, 3), robot.foot_offset)
-        self.place = place + turned
-        self._anchor, self._axis = anchor[:, joint], np.where(there[..., None], axis[:, joint], 0.0)
-        self._there = there
-        self.torque = np.zeros((len(accelerations), count, 4, 3))
-        self.torque[..., there] = needed[..., dof]
-        self.inertia = needed[..., :3] - model.body_mass.sum() * qacc[..., :3]
+            rate = np.where(self._there, velocity, 0.0).T
+            self._move(links, turns, places, axes, rate, trunk)
+
+    def _move(
+        self,
+        links: Links,
+        turns: list[FloatArray],
+        places: FloatArray,
+        axes: FloatArray,
+        rate: FloatArray,
+        trunk: TrunkMotion,
+    ) -> None:
+        """Sum up the equations of motion, link by link.
+
+        The angular velocity ω and acceleration α of a body make one matrix, A = [α×] + [ω×]²: what
+        is at r from a point of the body is accelerated by A r more than that point. A body of mass
+        m and second moments S about its centre, which feels a, needs the force f = m a and the
+        moment n of which [n×] = A S − (A S)ᵀ. By the principle of virtual power the joint i above
+        it, with axis k, gives the torque J·f + k·n, where J = k × (centre − joint) is what the
+        centre moves by; and M has the terms m J_i·J_j + k_i·(tr S − S) k_j.
+        """
+        felt, spin, faster = (np.atleast_2d(vector).T[:, None] for vector in trunk)
+        motion = _motion(spin, faster)
+        lever = _turned(motion, links.trunk_center[:, None, None])
+        force = links.trunk_mass * (felt + lever)[:, 0]
+        torque, mass = np.zeros(rate.shape), np.zeros((3, *rate.shape))
+        momentum, last = np.zeros(axes.shape), np.zeros((3, 1, 1))
+        for j, turn in enumerate(turns):
+            # The motion of the link that this joint carries, without accelerations of joints.
+            felt = felt + _turned(motion, places[:, j] - last)
+            relative, last = axes[:, j] * rate[j], places[:, j]
+            faster = faster + _cross(spin, relative)
+            spin = spin + relative
+            motion = _motion(spin, faster)
+            arm = _turned(turn, (links.center - links.anchor[:3])[j][..., None])
+            spread = _product(turn, links.spread[j][..., None])
+            spread = _product(spread, np.swapaxes(turn, 0, 1))
+            needed = links.mass[j][:, None] * (felt + _turned(motion, arm))
+            moment = _axial(_product(motion, spread))
+            # What each joint from the trunk to this one gives for it, and to M.
+            above = axes[:, : j + 1]
+            moves = _cross(above, (last + arm)[:, None] - places[:, : j + 1])
+            torque[: j + 1] += _dot(moves, needed) + _dot(above, moment)
+            weighed = links.mass[j][:, None] * moves
+            turned = np.trace(spread) * above - np.einsum("ab...,bi...->ai...", spread, above)
+            mass[: j + 1, : j + 1] += np.einsum("ai...,aj...->ij...", weighed, moves)
+            mass[: j + 1, : j + 1] += np.einsum("ai...,aj...->ij...", turned, above)
+            momentum[:, : j + 1] += weighed
+            force = force + needed.sum(axis=1)
+        total = links.trunk_mass + links.mass.sum()
+        self.torque, self.mass, self.momentum = torque.T, mass.T, momentum.T
+        self.force = force.T - total * trunk.specific_force
 
     def jacobian(self, offset: FloatArray | None = None) -> FloatArray:
         """∂position/∂angle of the feet [m/rad], shape [sample, foot, 3, joint].
@@ -155,6 +192,46 @@ class Legs:
             across = across / np.maximum(size, 1e-12) * np.sqrt(size)  # as long as the others
             matrix[..., 0] = np.where(self._there[:, :1], matrix[..., 0], across)
         return inverse_transpose(matrix)
+
+
+def _turned(matrix: FloatArray, vector: FloatArray) -> FloatArray:
+    return np.asarray(np.einsum("ij...,j...->i...", matrix, vector))
+
+
+def _product(left: FloatArray, right: FloatArray) -> FloatArray:
+    return np.asarray(np.einsum("ij...,jk...->ik...", left, right))
+
+
+def _dot(left: FloatArray, right: FloatArray) -> FloatArray:
+    return np.asarray(np.einsum("ij...,i...->j...", left, right))
+
+
+def _cross(left: FloatArray, right: FloatArray) -> FloatArray:
+    return np.stack([left[i - 2] * right[i - 1] - left[i - 1] * right[i - 2] for i in range(3)])
+
+
+def _cross_matrix(vector: FloatArray) -> FloatArray:
+    """The matrices [v×], of which [v×] r = v × r."""
+    x, y, z = vector
+    none = np.zeros_like(x)
+    return np.array([[none, -z, y], [z, none, -x], [-y, x, none]])
+
+
+def _axial(matrix: FloatArray) -> FloatArray:
+    """The vectors v of which [v×] is a matrix less its transpose."""
+    return np.stack([matrix[i - 1, i - 2] - matrix[i - 2, i - 1] for i in range(3)])
+
+
+def _rotation(axis: FloatArray, angle: FloatArray) -> FloatArray:
+    """Rotations about axes k by Rodrigues' formula, 1 + sin θ [k×] + (1 − cos θ) [k×]²."""
+    k, unit = _cross_matrix(axis), np.eye(3)[..., None, None]
+    return np.asarray(unit + np.sin(angle) * k + (1.0 - np.cos(angle)) * _product(k, k))
+
+
+def _motion(spin: FloatArray, faster: FloatArray) -> FloatArray:
+    """The matrices A = [α×] + [ω×]²."""
+    cross = _cross_matrix(spin)
+    return np.asarray(_cross_matrix(faster) + _product(cross, cross))
 
 
 def inverse_transpose(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -11,8 +11,9 @@ import re
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -56,6 +57,30 @@ class RobotFile(Strict):
     joints: dict[str, str] | None = None
     """Table of the joints' names in the model, such as FR_hip = "RF_HAA". Not given: recognized by
     their names."""
+
+
+class Links(NamedTuple):
+    """Rigid bodies of a quadruped at the model's reference angles, in the frame of the trunk.
+
+    A link is a hip, thigh or calf and whatever hangs on it; joints that are no leg's do not move.
+    """
+
+    angle: FloatArray
+    """Reference angles [rad], shape [joint, foot]."""
+    anchor: FloatArray
+    """Points on the axes of the joints, and centres of the feet's balls [m], shape [4, 3, foot]."""
+    axis: FloatArray
+    """Directions of the axes [-], shape [joint, 3, foot]; zero for a joint that is not there."""
+    mass: FloatArray
+    """Masses [kg], shape [joint, foot]."""
+    center: FloatArray
+    """Centres of mass [m], shape [joint, 3, foot]."""
+    spread: FloatArray
+    """Second moments of mass about these, ∫ r rᵀ dm [kg m²], shape [joint, 3, 3, foot]."""
+    trunk_mass: float
+    """Mass of the trunk with what hangs on it but no leg [kg]."""
+    trunk_center: FloatArray
+    """Its centre [m], shape [3]."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -116,6 +141,42 @@ class Quadruped:
         """Names of the joints in the model, foot by foot, without hips that are not there."""
         return tuple(self.model.joint(int(i)).name for i in self.joint[self.there])
 
+    @cached_property
+    def links(self) -> Links:
+        """The rigid bodies that move against each other."""
+        model, data, there = self.model, _at_reference(self.model), self.there
+        # Each body moves with the next leg joint above it, or with the trunk (12); what hangs on
+        # neither is the world's (13). MuJoCo numbers parents first.
+        carried = {int(model.jnt_bodyid[i]): k for k, i in enumerate(self.joint.flat) if i >= 0}
+        carried[int(model.jnt_bodyid[0])], link = 12, np.full(model.nbody, 13)
+        for body in range(1, model.nbody):
+            link[body] = carried.get(body, link[model.body_parentid[body]])
+        of_link = (link == np.arange(14)[:, None]).astype(np.float64)
+        mass = of_link @ model.body_mass
+        center = (of_link * model.body_mass) @ data.xipos / np.maximum(mass, 1e-12)[:, None]
+        # ∫ r rᵀ dm of a body about its link's centre is R (½ tr I − I) Rᵀ + m d dᵀ, of its
+        # principal moments I about axes R, and the distance d of its centre from the link's.
+        turn, inertia = data.ximat.reshape(-1, 3, 3), model.body_inertia
+        along = 0.5 * inertia.sum(axis=1, keepdims=True) - inertia
+        away = data.xipos - center[link]
+        moments = np.einsum("bij,bj,bkj->bik", turn, along, turn)
+        moments += np.einsum("b,bi,bj->bij", model.body_mass, away, away)
+        spread = np.einsum("lb,bij->lij", of_link, moments)
+        # A hip that is not there stands where the thigh turns, and does not turn.
+        joint = np.where(there, self.joint, self.joint[:, 1:2])
+        balls = _balls(data, self.foot, self.foot_offset)
+        anchor = np.concatenate([data.xanchor[joint], balls[:, None]], axis=1)
+        return Links(
+            angle=model.qpos0[model.jnt_qposadr[joint]].T,
+            anchor=np.moveaxis(anchor, 0, -1),
+            axis=np.moveaxis(data.xaxis[joint] * there[..., None], 0, -1),
+            mass=mass[:12].reshape(4, 3).T,
+            center=np.moveaxis(center[:12].reshape(4, 3, 3), 0, -1),
+            spread=np.moveaxis(spread[:12].reshape(4, 3, 3, 3), 0, -1),
+            trunk_mass=float(mass[12]),
+            trunk_center=center[12],
+        )
+
     @classmethod
     def load(cls, source: Path | str) -> Quadruped:
         """Load a shipped robot by its name, or one from a URDF, MJCF or TOML file.
@@ -148,10 +209,7 @@ def _loaded(path: Path, settings: RobotFile, toml: str = "") -> Quadruped:
     check_is_file(path)
     with unpacking(f"{path}: it", [path]):
         model, title = _compiled(read_bytes(path), str(path))
-        data = mujoco.MjData(model)
-    data.qpos[:] = model.qpos0
-    data.qpos[:7] = (0, 0, 0, 1, 0, 0, 0)
-    mujoco.mj_kinematics(model, data)
+        data = _at_reference(model)
     joint, notes = _leg_joints(model, data, settings.joints, toml or str(path))
     names = [name for name, there in zip(JOINT_NAMES, (joint >= 0).ravel(), strict=True) if there]
     alias = dict(zip((model.joint(int(i)).name for i in joint[joint >= 0]), names, strict=True))
@@ -160,7 +218,7 @@ def _loaded(path: Path, settings: RobotFile, toml: str = "") -> Quadruped:
         raise InputError(f"{toml}: joint_order: {', '.join(names)} are expected, each once")
     feet = [_foot(model, data, int(model.jnt_bodyid[j]), str(path)) for j in joint[:, 2]]
     body, offset, radius = (np.array(column) for column in zip(*feet, strict=True))
-    place = data.xpos[body] + np.einsum("fij,fj->fi", data.xmat[body].reshape(-1, 3, 3), offset)
+    place = _balls(data, body, offset)
     thigh, knee = data.xanchor[joint[:, 1]], data.xanchor[joint[:, 2]]
     length = np.linalg.norm(knee - thigh, axis=-1) + np.linalg.norm(place - knee, axis=-1)
     if settings.foot_radius is None and radius[0] > 0.0:
@@ -181,6 +239,21 @@ def _loaded(path: Path, settings: RobotFile, toml: str = "") -> Quadruped:
         order_assumed=settings.joint_order is None,
         notes=tuple(notes),
     )
+
+
+def _at_reference(model: mujoco.MjModel) -> mujoco.MjData:
+    """Places and directions at the model's reference angles, in the frame of the trunk."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = model.qpos0
+    data.qpos[:7] = (0, 0, 0, 1, 0, 0, 0)
+    mujoco.mj_kinematics(model, data)
+    return data
+
+
+def _balls(data: mujoco.MjData, body: IntArray, offset: FloatArray) -> FloatArray:
+    """Centres of the feet's balls in the frame of the trunk [m], shape [foot, 3]."""
+    turn = data.xmat[body].reshape(-1, 3, 3)
+    return np.asarray(data.xpos[body] + np.einsum("fij,fj->fi", turn, offset))
 
 
 def _compiled(text: bytes, source: str) -> tuple[mujoco.MjModel, str]:
