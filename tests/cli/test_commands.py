@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import inspect
 import json
-import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -466,7 +465,9 @@ def test_a_file_name_that_is_not_utf8_is_escaped_in_results(terraphi: Terraphi) 
     pd.DataFrame({"sinkage_mm": depth, "force_N": depth}).to_csv(name, index=False)
     assert terraphi("invert", name, "--tool", "plate:60", "--out", "p").status == 0
     assert package.Answer.load("p").source == escaped
-    shutil.copy(shipped_file("robots", "walk", ".csv"), name)
+    # The first of four seconds, the least that has footfalls.
+    lines = shipped_file("robots", "walk", ".csv").read_text().splitlines(keepends=True)
+    Path(name).write_text("".join(lines[:900]))
     assert terraphi("footfalls", name, "--out", "w.nc").status == 0
     assert FootfallMap.load("w.nc").provenance["log"] == escaped
     assert terraphi("forces", name, "--out", "f.nc").status == 0

@@ -433,7 +433,7 @@ def test_values_in_other_files_and_unusual_filters_are_refused_by_every_reader(
 
 
 @pytest.mark.parametrize(("count", "seed"), [
-    (56, 0), pytest.param(500, 1000, marks=pytest.mark.slow),
+    (28, 0), pytest.param(500, 1000, marks=pytest.mark.slow),
 ])  # fmt: skip
 def test_damaged_files_end_with_a_sentence(files: Path, count: int, seed: int) -> None:
     bad = [(number, file, line, end) for number, file, line, end in endings(files, count, seed)

@@ -242,7 +242,7 @@ def test_every_export_gives_the_same_forces(name: str, tmp_path: Path) -> None:
     assert lost.get(name, "") in notes
 
 
-@settings(max_examples=150)
+@settings(max_examples=75)
 @given(data=st.data())
 def test_any_mixture_of_habits_gives_the_same_forces(
     data: st.DataObject, tmp_path_factory: pytest.TempPathFactory

@@ -41,7 +41,7 @@ def test_simulated_angles_are_recovered(phi: float, leg: str) -> None:
     assert answer.phi.median == pytest.approx(phi, abs=0.05)
 
 
-@pytest.mark.parametrize("count", [48, pytest.param(200, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [24, pytest.param(200, marks=pytest.mark.slow)])
 def test_intervals_hold_truths_drawn_from_the_library(sand3d: Library, count: int) -> None:
     """Of so many records a leg with particle scatter, 68 and 95 % intervals hold as many."""
     inside, rng = [], np.random.default_rng(7)

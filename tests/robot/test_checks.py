@@ -89,7 +89,7 @@ def long() -> JointLog:
     return LawWalk(duration=22.0).log()[0]
 
 
-@pytest.mark.parametrize("begin", [10.001, 10.6])
+@pytest.mark.parametrize("begin", [10.001, pytest.param(10.6, marks=pytest.mark.slow)])
 def test_a_sound_log_with_a_gap_is_not_doubted(long: JointLog, begin: float) -> None:
     """Few samples of a part come before a gap: they do not judge the robot."""
     robot_forces = foot_forces(part(long, (long.time < begin) | (long.time >= begin + 5.3)))

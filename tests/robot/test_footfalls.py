@@ -322,24 +322,23 @@ def test_a_table_of_many_logs_has_the_footfalls_of_each_and_the_reason_of_a_bad_
 ) -> None:
     if name.endswith(".parquet"):
         pytest.importorskip("pyarrow")
-    for duration in (4.0, 5.0):
+    for duration in (3.0, 4.0):
         write_csv(Path(f"{duration:.0f}.csv"), LawWalk(duration=duration).log()[0])
     Path("bad.csv").write_text("no,log\n1,2\n")
-    logs = ("4.csv", "bad.csv", "5.csv")
+    logs = ("3.csv", "bad.csv", "4.csv")
     ran = terraphi("footfalls", *logs, "--density", "1550±80", "--table", name, "--json")
     assert ran.status == 1
     assert ran.err.startswith("Failed: bad.csv: ")
     table = pd.read_csv(name, comment="#") if name.endswith(".csv") else pd.read_parquet(name)
     assert list(dict.fromkeys(table["log"])) == list(logs)
     assert table[table["log"] == "bad.csv"]["reason"].str.startswith("bad.csv: ").all()
-    for log in ("4.csv", "5.csv"):
-        alone = footfalls(log, density="1550±80").summary()
-        rows = table[table["log"] == log]
-        assert list(rows["verdict"]) == list(alone["verdict"])
-        np.testing.assert_allclose(rows["phi_deg"], alone["phi_deg"], atol=1e-4)
+    alone = footfalls("4.csv", density="1550±80").summary()
+    rows = table[table["log"] == "4.csv"]
+    assert list(rows["verdict"]) == list(alone["verdict"])
+    np.testing.assert_allclose(rows["phi_deg"], alone["phi_deg"], atol=1e-4)
     counts = table["verdict"].value_counts().to_dict()
     assert json.loads(ran.out)["verdicts"] | {"failed": 1} == counts
-    again = terraphi("footfalls", "4.csv", "--density", "1550±80", "--table", name)
+    again = terraphi("footfalls", "3.csv", "--density", "1550±80", "--table", name)
     assert again.status == 0, again.err  # what it wrote itself is replaced
-    for wrong in (["--table", "t.txt"], ["--table", name, "--out", "o.nc"], ["5.csv"]):
-        assert terraphi("footfalls", "4.csv", *wrong).status == 2
+    for wrong in (["--table", "t.txt"], ["--table", name, "--out", "o.nc"], ["4.csv"]):
+        assert terraphi("footfalls", "3.csv", *wrong).status == 2

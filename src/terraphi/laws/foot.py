@@ -424,21 +424,20 @@ def interpolated(table: FloatArray, *places: Any) -> Any:
 
     Linear between nodes; beyond the first and the last as between the two that are next.
     """
-    # The 2ᵏ corners of the cell that each place lies in, k axes one after the other: flat index of
-    # the row and product of the shares. Shares beyond 0 to 1 continue the table.
+    # The 2ᵏ corners of the cell that each place lies in, by their rows in the flat table; then one
+    # axis after the other, the last first, a + s (b − a) between the ends of that axis. A share s
+    # beyond 0 to 1 continues the table.
     xp, tail = namespace(places[0]), table.shape[len(places) :]
     rows = like(places[0], table.reshape(-1, *tail))
-    corners: list[tuple[Any, Any]] = [(0, 1.0)]  # row of the table, and its share
+    shares, steps, first = [], [0], 0
     for place, count in zip(places, table.shape, strict=False):
         low = xp.clip(place, 0, count - 2)
         low = low.astype(np.int64) if xp is np else xp.astype(low, xp.int32)  # which JAX has too
-        part = place - like(place, low)
-        ends = (low, 1.0 - part), (low + 1, part)
-        corners = [
-            (at * count + row, share * weight) for at, share in corners for row, weight in ends
-        ]
-    total = 0.0
-    for at, share in corners:
-        wide = xp.reshape(share, (*share.shape, *(1 for _ in tail)))
-        total = total + wide * xp.take(rows, at, axis=0)
-    return total
+        share = place - like(place, low)
+        shares.append(xp.reshape(share, (*share.shape, *(1 for _ in tail))))
+        first, steps = first * count + low, [count * at + end for at in steps for end in (0, 1)]
+    corners = [xp.take(rows, first + at, axis=0) for at in steps]
+    for share in reversed(shares):
+        pairs = zip(corners[::2], corners[1::2], strict=True)
+        corners = [low + share * (high - low) for low, high in pairs]
+    return corners[0]
