@@ -374,7 +374,7 @@ def _of_few(
         return None
     least, most, _ = LIMITS["soil.density"]
     each_number = itertools.chain(*places, *velocities, *(row or () for row in before))
-    if not (low <= phi_deg <= high and least <= density <= most and TINY <= rest_speed
+    if not (low <= phi_deg <= high and least <= density <= most and rest_speed >= TINY
             and stride < HUGE and all(-HUGE < x < HUGE for x in each_number)):  # fmt: skip
         return None
     soil = (float(phi_deg), float(density), float(friction))
