@@ -89,7 +89,7 @@ def beyond(slip: Any) -> Any:
     return np.maximum(np.abs(slip) - LITTLE, 0.0)
 
 
-WHEEL_ERROR = WheelError(3.0, 5.0, 7.0, 1.4, 1.5)
+WHEEL_ERROR = WheelError(2.8, 5.0, 7.0, 1.4, 1.5)
 """Learned from wheels in loose grains, half a grain added to the sinkage (``studies/wheels.py``).
 There φ is level to a slip of 0.2 and then rises by 12° a unit; on the sand of Ding et al. (2011) it
 falls by 2°. Why is not known: the slope is between both. Soils differ as for feet; the error of the
