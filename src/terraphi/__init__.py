@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from terraphi.inference.inversion import invert_many as invert_many
     from terraphi.inference.next_measurement import next_measurements as next_measurements
     from terraphi.inference.next_measurement import plan as plan
+    from terraphi.inference.rolled import phi_along as phi_along
     from terraphi.laws.build import build as build
     from terraphi.laws.named import law_named as law  # noqa: F401
     from terraphi.laws.plan import Plan as Plan
@@ -73,6 +74,7 @@ _PLACES = {
     "invert": "inference.inversion",
     "invert_many": "inference.inversion",
     "next_measurements": "inference.next_measurement",
+    "phi_along": "inference.rolled",
     "plan": "inference.next_measurement",
     "law": "laws.named:law_named",
     "map": "terrain.map:map_slopes",

@@ -77,6 +77,18 @@ def test_more_load_at_a_sinkage_is_a_larger_angle_and_more_weight_a_smaller() ->
     assert heavier.phi.median - base.phi.median == pytest.approx(2.2, abs=1.2)
 
 
+def test_phi_along_the_way_follows_the_soil() -> None:
+    halves = [rows(phi).iloc[[1, 2]] for phi in (28.0, 34.0)]
+    table = pd.concat([half for half in halves for _ in range(20)], ignore_index=True)
+    table["time_s"] = np.arange(len(table), dtype=float)
+    order = np.r_[0:40, 40:80]
+    along = terraphi.phi_along(table.iloc[order], TOOL, density=1600)
+    first, last = (along["phi_deg"][part].mean() for part in (slice(40), slice(40, None)))
+    assert last - first == pytest.approx(6.0, abs=0.7)
+    assert (along["sd_relative_deg"] < along["sd_deg"]).all()
+    assert (along["time_s"] == table.time_s).all()
+
+
 def test_rows_that_contradict_each_other_are_a_misfit() -> None:
     table = rows(30.0)
     crossed = table.assign(sinkage_mm=table.sinkage_mm.to_numpy()[::-1])

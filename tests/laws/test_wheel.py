@@ -9,7 +9,7 @@ import pytest
 
 import terraphi
 from terraphi.experiment.errors import InputError
-from terraphi.laws.wheel import DEEPEST, Wheel, rolling, wheel_forces
+from terraphi.laws.wheel import DEEPEST, Wheel, bekker_wong, rolling, wheel_forces
 from terraphi.laws.wrench import Mesh, force
 
 WHEEL = Wheel(0.1, 0.05)
@@ -101,6 +101,17 @@ def test_a_soil_has_a_wheel_with_draws() -> None:
     assert one["sinkage_mm"].shape == ()
     assert many["sinkage_mm"].shape == (200,)
     assert np.nanmedian(many["sinkage_mm"]) == pytest.approx(float(one["sinkage_mm"]), rel=0.05)
+
+
+def test_bekkers_numbers_carry_the_law_s_load() -> None:
+    """By Bekker's closed form, W = b k √(2R) z^(n + ½) (1 − n/3), for small sinkages."""
+    numbers = bekker_wong(WHEEL, 33.0, 1600.0)
+    assert numbers.residual < 0.05
+    z = 0.06 * WHEEL.radius
+    closed = WHEEL.width * numbers.k * math.sqrt(2.0 * WHEEL.radius) * z ** (numbers.n + 0.5)
+    closed *= 1.0 - numbers.n / 3.0
+    sunk = rolling(WHEEL, closed, 0.1, np.array([33.0]), np.array([1600.0]))["sinkage_mm"]
+    assert float(sunk[0]) == pytest.approx(1e3 * z, rel=0.1)
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ import math
 import time
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -132,54 +132,106 @@ class _Mean:
     """Covariance of the course [deg²], shape [row, row]."""
 
 
-def invert_rolled(record: PressedRecord, law: Any = None) -> Answer:
-    """Infer φ from a record of a wheel; raises InputError as :func:`invert` does."""
-    began, tool = time.perf_counter(), record.rig
-    name = str(law or "foot")
+class _Opened(NamedTuple):
+    """A record as it is read."""
+
+    roll: _Roll
+    fit: _Mean
+    density_sd: float
+    """Over the density [-]."""
+    notes: list[str]
+
+
+def _opened(record: PressedRecord, law: Any) -> _Opened:
+    """Read the rows of a record; raises InputError."""
+    name, tool = str(law or "foot"), record.rig
     if name not in ("foot", "rft"):
         raise InputError(f"no law '{name}' of a wheel; {nearest(name, ('foot', 'rft'))}")
-    assert isinstance(record.table, Rolled)
+    if not isinstance(record.table, Rolled):
+        raise InputError(f"{record.source}: rows of {tool}, not of a wheel")
     rows, notes = _usable(record.table, record.source)
     rho, rho_sd = (DENSITY if record.density_kg_m3 is None
                    else (record.density_kg_m3, record.density_sd_kg_m3))  # fmt: skip
-    wheel = wheel_of(tool)
+    if record.density_kg_m3 is None:
+        notes = [f"The density {rho:g} kg/m³ is assumed.", *notes]
     grain = 1e-3 * record.grain_size_mm
-    roll = _Roll(wheel, rho, rows, rows["sinkage"] + 0.5 * grain, tool.friction, name)
-    given = (tool.friction, tool.friction_sd)
-    friction, friction_sd = (_friction(roll) or given) if given == FRICTION else given
-    roll = replace(roll, friction=friction)
-    fit = _mean(roll, grain, friction_sd)
-    budget = _budget(fit, rho_sd / rho)
-    sd = root_sum_square(budget)
-    phi = fit.mean
+    roll = _Roll(wheel_of(tool), rho, rows, rows["sinkage"] + 0.5 * grain, tool.friction, name)
+    friction, friction_sd = tool.friction, tool.friction_sd
+    if (friction, friction_sd) == FRICTION and (shown := _friction(roll)):
+        friction, friction_sd = shown
+        notes.append(f"The torque shows a friction of {friction:.2f} between rim and soil.")
+        roll = replace(roll, friction=friction)
+    return _Opened(roll, _mean(roll, grain, friction_sd), rho_sd / rho, notes)
+
+
+def invert_rolled(record: PressedRecord, law: Any = None) -> Answer:
+    """Infer φ from a record of a wheel; raises InputError as :func:`invert` does."""
+    began = time.perf_counter()
+    roll, fit, density_sd, notes = _opened(record, law)
+    budget = _budget(fit, density_sd)
+    sd, phi, rho = root_sum_square(budget), fit.mean, roll.density
     grid = np.arange(max(phi - 6.0 * sd, 0.5), min(phi + 6.0 * sd, 85.0), 0.05)
     posterior = np.exp(-0.5 * ((grid - phi) / sd) ** 2)
     posterior /= np.trapezoid(posterior, grid)
     estimate = Estimate.of_density(grid, posterior)
     fitted = _record_fit(record, roll, fit, estimate)
     verdict, reason, edge = _verdict(roll, fit, fitted)
-    is_sound = verdict == "consistent"
-    if record.density_kg_m3 is None:
-        notes = [f"The density {rho:g} kg/m³ is assumed.", *notes]
-    if (friction, friction_sd) != given:
-        notes.append(f"The torque shows a friction of {friction:.2f} between rim and soil.")
     return Answer(
         parameters={PHI: estimate}, convention="plane_strain", phi_plane_strain=estimate,
-        verdict=verdict, reason=reason, edge=edge, budget_deg=budget,
-        density_kg_m3=rho, density_sd_kg_m3=rho_sd, density_assumed=record.density_kg_m3 is None,
-        law=name, law_reason="" if law else "the default for wheels", leg_friction=friction,
-        phi_of_force_deg=_phi_of_force(roll, fit) if is_sound else None, records=(fitted,),
-        grid_deg=grid, density=posterior,
+        verdict=verdict, reason=reason, edge=edge, budget_deg=budget, density_kg_m3=rho,
+        density_sd_kg_m3=density_sd * rho, density_assumed=record.density_kg_m3 is None,
+        law=roll.law, law_reason="" if law else "the default for wheels",
+        leg_friction=roll.friction, records=(fitted,), grid_deg=grid, density=posterior,
+        phi_of_force_deg=_phi_of_force(roll, fit) if verdict == "consistent" else None,
         warnings=(
             *_contradictions(roll, fit), *density_warnings(rho), *notes,
             *unusual(estimate.median, "size of the wheel"),
         ),
-        covariance=np.diag((fit.scatter * rows["load"]) ** 2),
+        covariance=np.diag((fit.scatter * roll.rows["load"]) ** 2),
         provenance={
             "terraphi": importlib.metadata.version("terraphi"),
             "seconds": round(time.perf_counter() - began, 3),
         },
     )  # fmt: skip
+
+
+def phi_along(forces: Any, tool: Tool | str, **options: Any) -> dict[str, FloatArray]:
+    """φ along the way of a wheel, row by row; long logs in blocks, :data:`MOST_ROWS` at most.
+
+    Parameters
+    ----------
+    forces, tool
+        As of :func:`terraphi.invert`.
+    **options
+        Its ``density``, ``grain_size_mm``, ``columns`` and ``law``.
+
+    Returns
+    -------
+    dict
+        Shape [row] each: ``phi_deg``; ``sd_relative_deg`` by what differs from row to row, for
+        differences along the way; ``sd_deg`` by all errors; what the table has of ``time_s``,
+        ``travel_m``, ``slip``, ``load_N`` and ``sinkage_mm``.
+
+    Raises
+    ------
+    InputError
+        As :func:`terraphi.invert`.
+    """
+    from terraphi.inference.pressed import open_pressed
+
+    law = options.pop("law", None)
+    options = {"columns": None, **options}
+    roll, fit, density_sd, _ = _opened(open_pressed(forces, Tool.of(tool), **options), law)
+    alone = fit.by_load * math.hypot(fit.scatter, SHAPE_SD)
+    slopes = np.array([*fit.slopes.values()])
+    relative = np.sqrt(alone**2 + np.square(slopes - (slopes @ fit.weight)[:, None]).sum(axis=0))
+    common = (density_sd * fit.by_load, WHEEL_ERROR.soil_deg, WHEEL_ERROR.law_deg)
+    variance = alone**2 + np.square(slopes).sum(axis=0) + sum(np.square(x) for x in common)
+    names = {"time": ("time_s", 1.0), "travel": ("travel_m", 1.0), "slip": ("slip", 1.0),
+             "load": ("load_N", 1.0), "sinkage": ("sinkage_mm", 1e3)}  # fmt: skip
+    given = {name: factor * roll.rows[role] for role, (name, factor) in names.items()
+             if role in roll.rows}  # fmt: skip
+    return {**given, "phi_deg": fit.phi, "sd_relative_deg": relative, "sd_deg": np.sqrt(variance)}
 
 
 def wheel_of(tool: Tool) -> Wheel:

@@ -283,6 +283,56 @@ def rolling(
     }
 
 
+class BekkerWong(NamedTuple):
+    """What a wheel model of Bekker, Wong and Reece wants, for one wheel in one soil."""
+
+    n: float
+    """Exponent of the sinkage [-]."""
+    k: float
+    """k_c / b + k_φ [N/m^(n+2)]."""
+    cohesion_pa: float
+    """c [Pa]: none."""
+    phi_deg: float
+    """φ in plane strain [deg]."""
+    shear_m: float
+    """K, over which friction develops [m]."""
+    residual: float
+    """Root mean square of ln of the load by these numbers over that of law ``foot`` [-]."""
+
+
+def bekker_wong(wheel: Wheel, phi_deg: float, density: float) -> BekkerWong:
+    """Fit p = k zⁿ under a rim to law ``foot``, at sinkages of 3 to 30 % of the radius.
+
+    Parameters
+    ----------
+    wheel
+        The wheel, without lugs' effect on the sinkage.
+    phi_deg, density
+        φ in plane strain [deg] and bulk density [kg/m³].
+
+    Notes
+    -----
+    W = b R ∫ k (R (cos θ − cos θ₁))ⁿ cos θ dθ from 0 to θ₁ (Bekker 1969; Wong, *Theory of Ground
+    Vehicles*). The numbers hold for this wheel: Bekker's k depends on the size.
+    """
+    radius = wheel.reach
+    depth = np.linspace(0.03, 0.3, 20) * radius
+    read = min(phi_deg + WHEEL_ERROR.offset_deg, angles_deg(FRICTIONS[1])[1])
+    load = wheel_forces(wheel, depth, 0.1, phi_deg=read, density=density).load
+    start = np.arccos(1.0 - depth / radius)
+    theta = start[:, None] * np.linspace(0.0, 1.0, 200)
+    below = radius * (np.cos(theta) - np.cos(start)[:, None])
+    fits = []
+    for n in np.arange(0.2, 1.8, 0.01).tolist():
+        unit = wheel.width * radius * np.trapezoid(
+            np.maximum(below, 0.0) ** n * np.cos(theta), theta, axis=1
+        )  # fmt: skip
+        ratio = np.log(load / unit)
+        fits.append((float(ratio.std()), n, float(np.exp(ratio.mean()))))
+    residual, n, k = min(fits)
+    return BekkerWong(n, k, 0.0, phi_deg, MOBILIZATION, residual)
+
+
 def _rim(
     wheel: Wheel, sinkage: FloatArray, slip: FloatArray, phi_deg: FloatArray, side: FloatArray,
     density: float, friction: float, mobilization: float, law: str,

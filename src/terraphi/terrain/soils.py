@@ -220,6 +220,29 @@ class SoilDistribution:
         results = rolling(body, load_N, slip, *soils, surface_friction=surface_friction)
         return {name: value if draws else value[0] for name, value in results.items()}
 
+    def bekker_wong(self, diameter_mm: float, width_mm: float) -> dict[str, float]:
+        """Bekker's and Wong's numbers of a wheel model, fitted to :meth:`wheel`, for this wheel.
+
+        Parameters
+        ----------
+        diameter_mm, width_mm
+            Of the rim [mm].
+
+        Returns
+        -------
+        dict
+            By the names of :class:`~terraphi.laws.wheel.BekkerWong`.
+
+        Raises
+        ------
+        InputError
+            If a size is no wheel's.
+        """
+        from terraphi.laws.wheel import Wheel, bekker_wong
+
+        wheel = Wheel(5e-4 * diameter_mm, 1e-3 * width_mm)
+        return bekker_wong(wheel, self.phi.median, self.density)._asdict()
+
     def export(self, to: str, **options: Any) -> dict[str, Any]:
         """Parameters of a simulator, as :func:`~terraphi.terrain.export.export` has them."""
         from terraphi.terrain.export import export
