@@ -127,8 +127,10 @@ class RecordSummary:
 
     @property
     def coordinate(self) -> str:
-        """Name of what the forces are over: ``theta_deg``, or ``sinkage_mm`` of a tool."""
-        return "sinkage_mm" if isinstance(self.rig, Tool) else "theta_deg"
+        """Name of what the forces are over: ``theta_deg``, ``sinkage_mm`` or a wheel's ``slip``."""
+        if not isinstance(self.rig, Tool):
+            return "theta_deg"
+        return "sinkage_mm" if self.rig.shape.foot else "slip"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -138,7 +140,8 @@ class RecordFit(RecordSummary):
     Attributes
     ----------
     theta_deg
-        Leg angles of the window means [deg], or the sinkage of a tool [mm], shape [m].
+        Leg angles of the window means [deg], the sinkage of a tool [mm] or the slip of a wheel [-],
+        shape [m].
     data, curve
         Channels of the record and of the model, shape [c, m]: Fx and Fz [N], or M [N m] in place
         of one of them or of both, as ``nrmsd`` names them.
@@ -158,7 +161,14 @@ class RecordFit(RecordSummary):
     @property
     def along(self) -> str:
         """Label of ``theta_deg``."""
-        return "sinkage [mm]" if isinstance(self.rig, Tool) else "leg angle θ [deg]"
+        labels = {"theta_deg": "leg angle θ [deg]", "sinkage_mm": "sinkage [mm]"}
+        return labels.get(self.coordinate, self.coordinate)
+
+    def place(self, j: int) -> str:
+        """Where the j-th mean is, such as ``at -30°``."""
+        value = self.theta_deg[j]
+        units = {"theta_deg": f"at {value:.0f}°", "sinkage_mm": f"at {value:.0f} mm"}
+        return units.get(self.coordinate, f"at a slip of {value:.2g}")
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and words, without the forces."""

@@ -331,8 +331,8 @@ def _budget(fit: _Mean, density_sd: float) -> dict[str, float]:
 
 
 def _record_fit(record: PressedRecord, roll: _Roll, fit: _Mean, estimate: Estimate) -> RecordFit:
-    """The rows over their sinkage, and the law's loads at one φ for all of them."""
-    order = np.argsort(roll.sinkage, kind="stable")
+    """The rows over their slip, and the law's loads at one φ for all of them."""
+    order = np.argsort(roll.rows["slip"], kind="stable")
     loads = roll.loads[order]
     law = (fit.mean - fit.phi + roll.read(roll.loads))[order]  # φ as the law reads each row
 
@@ -346,7 +346,7 @@ def _record_fit(record: PressedRecord, roll: _Roll, fit: _Mean, estimate: Estima
     slope = (curve(0.1) - curve(-0.1)) / 0.2
     return RecordFit(
         source=record.source, rig=record.rig, simulated=False, n_readings=record.table.rows,
-        theta_deg=1e3 * roll.rows["sinkage"][order], data=data[None], curve=model[None],
+        theta_deg=roll.rows["slip"][order], data=data[None], curve=model[None],
         band=np.array(ends)[:, None],
         nrmsd={"Fz": float(np.sqrt(np.mean((data - model) ** 2))) / size}, limit=LIMIT,
         tangent=np.stack([model - slope * estimate.median, slope])[:, None],

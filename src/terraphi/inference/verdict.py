@@ -40,10 +40,9 @@ def large_residual(fits: Sequence[RecordFit], origin: str) -> Judgment | None:
         i, j = np.unravel_index(np.abs(residual).argmax(), residual.shape)
         largest = residual[i, j]
         shown = f"{100.0 * largest:+.0f} % of" if abs(largest) < 2.0 else f"{largest:+.1f} times"
-        unit = "°" if fit.coordinate == "theta_deg" else " mm"
         return "misfit", (
-            f"Misfit: {[*fit.nrmsd][i]} differs from the model by {shown} its range at "
-            f"{fit.theta_deg[j]:.0f}{unit}. The residual is {100.0 * sizes.max():.1f} %; the limit "
+            f"Misfit: {[*fit.nrmsd][i]} differs from the model by {shown} its range "
+            f"{fit.place(int(j))}. The residual is {100.0 * sizes.max():.1f} %; the limit "
             f"is {100.0 * fit.limit:.1f} %, from {origin}. Do not use the angle."
         ), None  # fmt: skip
     return None
