@@ -36,7 +36,7 @@ from terraphi.inference.records import density_warnings
 from terraphi.inference.terms import ordered_budget, root_sum_square
 from terraphi.inference.verdict import Judgment, consistent, large_residual, out_of_range, unusual
 from terraphi.laws.law import PHI
-from terraphi.laws.wheel import DEEPEST, FRICTIONS, WHEEL_ERROR, Wheel, beyond, wheel_forces
+from terraphi.laws.wheel import DEEPEST, FRICTIONS, WHEEL_ERROR, Wheel, wheel_forces
 from terraphi.laws.wrench import angles_deg
 
 MOST_ROWS = 300
@@ -300,7 +300,7 @@ def _mean(roll: _Roll, grain: float, friction_sd: float) -> _Mean:
     phi = phi - WHEEL_ERROR.of(slip)
     slopes = {
         "contact": by_depth * math.hypot(ZERO_SD_M, GRAIN_SD * grain),
-        "slip": WHEEL_ERROR.slip_sd_deg * beyond(slip),
+        "slip": WHEEL_ERROR.sd_by_slip(slip),
         "surface friction": by_friction * friction_sd,
     }
     shared = sum(np.outer(slope, slope) for slope in slopes.values())

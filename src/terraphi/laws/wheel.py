@@ -71,9 +71,12 @@ class WheelError(NamedTuple):
 
     offset_deg: float
     """What it reads too much up to a slip of :data:`LITTLE`."""
-    slip_deg: float
+    driven_deg: float
     """What it reads too much more for each unit of slip beyond."""
-    slip_sd_deg: float
+    driven_sd_deg: float
+    braked_deg: float
+    """What it reads too much more for each unit of slip below zero."""
+    braked_sd_deg: float
     soil_deg: float
     """Standard deviation between soils."""
     law_deg: float
@@ -81,19 +84,21 @@ class WheelError(NamedTuple):
 
     def of(self, slip: Any) -> Any:
         """What φ is read too much at a slip [deg]."""
-        return self.offset_deg + self.slip_deg * beyond(slip)
+        driven, braked = np.maximum(slip - LITTLE, 0.0), np.maximum(-slip, 0.0)
+        return self.offset_deg + self.driven_deg * driven + self.braked_deg * braked
+
+    def sd_by_slip(self, slip: Any) -> Any:
+        """Standard deviation of what the slip adds, one cause for either direction [deg]."""
+        driven, braked = np.maximum(slip - LITTLE, 0.0), np.maximum(-slip, 0.0)
+        return self.driven_sd_deg * driven + self.braked_sd_deg * braked
 
 
-def beyond(slip: Any) -> Any:
-    """Slip, driven or braked, beyond :data:`LITTLE` [-]."""
-    return np.maximum(np.abs(slip) - LITTLE, 0.0)
-
-
-WHEEL_ERROR = WheelError(2.8, 5.0, 7.0, 1.4, 1.5)
+WHEEL_ERROR = WheelError(2.8, 5.0, 7.0, 10.0, 10.0, 1.4, 1.5)
 """Learned from wheels in loose grains, half a grain added to the sinkage (``studies/wheels.py``).
-There φ is level to a slip of 0.2 and then rises by 12° a unit; on the sand of Ding et al. (2011) it
-falls by 2°. Why is not known: the slope is between both. Soils differ as for feet; the error of the
-offset is chosen."""
+There φ is level to a slip of 0.2 and then rises by 12° a unit, and by 10° toward braked wheels,
+which push a mound. On the sand of Ding et al. (2011) it falls by 2° a unit of driven slip: why is
+not known, and the slope is between both. Soils differ as for feet; the error of the offset is
+chosen."""
 
 
 @dataclass(frozen=True)

@@ -66,6 +66,12 @@ SANDS = {
     "loose dry sand": Sand((33.0, 2.0), (1510.0, 80.0), _QUARTZ),
     "medium dense dry sand": Sand((37.0, 3.0), (1655.0, 80.0), _QUARTZ),
     "dense dry sand": Sand((42.0, 4.0), (1800.0, 60.0), _QUARTZ),
+    # φ_c = 42° − 17° R with the roundness R of the grains, e_max = 0.554 + 0.154/R, e_min = 0.359
+    # + 0.082/R (Cho, Dodds & Santamarina 2006, J. Geotech. Geoenviron. Eng. 132:591), at R of
+    # 0.7 ± 0.1 and 0.25 ± 0.1; loose is a relative density of 0.3. The rest of the error of φ, 2°,
+    # is that of the quartz sands.
+    "loose rounded sand": Sand((30.1, 2.6), (1570.0, 60.0), "Cho, Dodds & Santamarina (2006)"),
+    "loose crushed sand": Sand((37.8, 2.6), (1310.0, 120.0), "Cho, Dodds & Santamarina (2006)"),
     # τ/σ = 0.38 in steady flow on inclines and a volume fraction of 0.60 of glass, 2450 kg/m³
     # (Jop, Forterre & Pouliquen, Nature 441 (2006) 727): asin 0.38 = 22.3°. Errors are chosen.
     "loose glass beads": Sand((22.3, 1.5), (1470.0, 40.0), "Jop, Forterre & Pouliquen (2006)"),
@@ -306,7 +312,8 @@ def soil(
     ----------
     what
         A name of the table (``loose dry sand``, ``medium dense dry sand``, ``dense dry sand``,
-        ``loose glass beads``), φ as ``33`` or ``"33±2"``, or an answer: an
+        ``loose rounded sand``, ``loose crushed sand``, ``loose glass beads``), φ as ``33`` or
+        ``"33±2"``, or an answer: an
         :class:`~terraphi.Answer`, the folder of ``terraphi invert --out``, its ``answer.nc``, or
         the output of ``--json``.
     phi
