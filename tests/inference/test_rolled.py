@@ -95,10 +95,29 @@ def test_rows_that_contradict_each_other_are_a_misfit() -> None:
     assert terraphi.invert(crossed, tool=TOOL, density=1600).verdict == "misfit"
 
 
-def test_a_torque_that_no_soil_bears_is_named() -> None:
+@pytest.mark.parametrize("column", ["torque_Nm", "pull_N"])
+def test_a_torque_or_pull_that_no_soil_bears_is_a_misfit(column: str) -> None:
     table = rows(30.0)
-    answer = terraphi.invert(table.assign(torque_Nm=10.0 * table.torque_Nm), tool=TOOL)
-    assert "torque" in answer.warnings[0]
+    wrong = table.assign(**{column: 0.9 * table.load_N * (0.15 if column == "torque_Nm" else 1.0)})
+    assert terraphi.invert(wrong, tool=TOOL).verdict == "misfit"
+
+
+def test_a_pull_of_the_other_sign_is_named() -> None:
+    path = shipped_file("examples", "wheel", ".csv")
+    table = pd.read_csv(path, comment="#")
+    answer = terraphi.invert(table.assign(pull_N=-table.pull_N), tool="wheel:314.7x165")
+    assert any("pull differs" in warning for warning in answer.warnings)
+    assert not any("pull" in w for w in terraphi.invert(path, tool="wheel:314.7x165").warnings[:1])
+
+
+def test_rows_deeper_than_the_law_are_left_out() -> None:
+    table = rows(30.0)
+    deep = table.assign(sinkage_mm=[*table.sinkage_mm[:4], 120.0])
+    answer = terraphi.invert(deep, tool=TOOL, density=1600)
+    assert answer.phi.median == pytest.approx(30.0, abs=0.5)
+    assert any("deeper" in warning for warning in answer.warnings)
+    with pytest.raises(InputError, match="deeper"):
+        terraphi.invert(table.assign(sinkage_mm=120.0), tool=TOOL)
 
 
 def test_joint_answer_with_a_plate_of_the_same_soil() -> None:

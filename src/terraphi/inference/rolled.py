@@ -41,6 +41,8 @@ from terraphi.laws.wrench import angles_deg
 
 MOST_ROWS = 300
 """Rows up to which each is read; more are averaged in blocks, in their order."""
+LEAST_BY_LOAD_DEG = 4.0
+"""Least change of φ with ln of the load [deg]: inside the law it is 5 to 9."""
 LEAST_SCATTER = 0.05
 """Scatter of ln W of rows that are few, or agree better [-]; chosen."""
 MAD = 1.4826
@@ -61,6 +63,9 @@ FULL_SLIP = 0.35
 """Slip from which on the torque shows the friction of rim and soil [-]."""
 MOST_TORQUE = 1.2
 """Torque over that of the roughest rim up to which the friction is taken from it [-]; chosen."""
+SLACK, OTHER_PULL = 0.02, 0.25
+"""Power over load and speed [-] by which a pull may exceed the torque's, and difference of the pull
+over the load from the law's above which it is named; wheels in grains have up to 0.22; chosen."""
 STEP_DEG = 2.0
 """Step of the angles whose loads are computed [deg]: ln W is interpolated between them."""
 
@@ -149,7 +154,7 @@ def _opened(record: PressedRecord, law: Any) -> _Opened:
         raise InputError(f"no law '{name}' of a wheel; {nearest(name, ('foot', 'rft'))}")
     if not isinstance(record.table, Rolled):
         raise InputError(f"{record.source}: rows of {tool}, not of a wheel")
-    rows, notes = _usable(record.table, record.source)
+    rows, notes = _usable(record.table, wheel_of(tool), record.source)
     rho, rho_sd = (DENSITY if record.density_kg_m3 is None
                    else (record.density_kg_m3, record.density_sd_kg_m3))  # fmt: skip
     if record.density_kg_m3 is None:
@@ -241,7 +246,7 @@ def wheel_of(tool: Tool) -> Wheel:
     return Wheel(5e-4 * diameter, 1e-3 * width, int(number), 1e-3 * height)
 
 
-def _usable(table: Rolled, label: str) -> tuple[dict[str, FloatArray], list[str]]:
+def _usable(table: Rolled, wheel: Wheel, label: str) -> tuple[dict[str, FloatArray], list[str]]:
     """Rows within what the law has, averaged in blocks where they are many; notes on the rest."""
     notes, values = list(table.notes), table.values
     slip, sunk = values["slip"], values["sinkage"] > 0.0
@@ -258,7 +263,14 @@ def _usable(table: Rolled, label: str) -> tuple[dict[str, FloatArray], list[str]
             f"{SLIPS[1]:g}, or side slip beyond {MOST_SIDE:g}°."
         )
     if not sunk.all():
-        notes.append(f"{(~sunk).sum()} rows without a sinkage are left out.")
+        notes.append(f"{(~sunk).sum()} of {sunk.size} rows lack a sinkage and are left out.")
+    deep = values["sinkage"] > DEEPEST * wheel.reach
+    if deep.any():
+        most = f"{1e3 * DEEPEST * wheel.reach:.0f} mm, {DEEPEST:g} of the radius"
+        if deep[inside & sunk].all():
+            raise InputError(f"{label}: the wheel sinks in deeper than {most}; check its diameter")
+        notes.append(f"{deep.sum()} of {deep.size} rows are deeper than {most}, and left out.")
+        inside &= ~deep
     kept = {name: value[inside & sunk] for name, value in values.items()}
     if (count := kept["slip"].size) > MOST_ROWS:
         first = np.unique(np.linspace(0, count, MOST_ROWS, endpoint=False).astype(int))
@@ -293,6 +305,7 @@ def _mean(roll: _Roll, grain: float, friction_sd: float) -> _Mean:
     step, middle, ends = 2e-4, FRICTIONS[1], (FRICTIONS[0], FRICTIONS[-1])
     phi = roll.read(roll.loads)
     by_load = (roll.read(roll.loads, 1.02) - roll.read(roll.loads, 0.98)) / math.log(1.02 / 0.98)
+    by_load = np.maximum(by_load, LEAST_BY_LOAD_DEG)  # beyond the law the angle is its end
     by_depth = (roll.read(roll.at(step, middle)) - roll.read(roll.at(-step, middle))) / (2.0 * step)
     rough, smooth = (roll.read(roll.by_friction[i]) for i in (-1, 0))
     by_friction = (rough - smooth) / (ends[1] - ends[0])
@@ -311,7 +324,7 @@ def _mean(roll: _Roll, grain: float, friction_sd: float) -> _Mean:
     for _ in range(3):  # τ and the mean determine each other
         inverse = np.linalg.inv(shared + course + scatter**2 * rows * np.eye(z.size))
         weight = inverse.sum(axis=0) / inverse.sum()
-        residual = (phi - weight @ phi) / np.maximum(by_load, 1e-3)
+        residual = (phi - weight @ phi) / by_load
         if z.size > 2:
             scatter = max(MAD * float(np.median(np.abs(residual))), LEAST_SCATTER)
     return _Mean(phi, weight, float(weight @ phi), scatter, by_load, slopes, course)
@@ -363,6 +376,18 @@ def _verdict(roll: _Roll, fit: _Mean, record: RecordFit) -> Judgment:
         return out_of_range("foot", "high", end, advice, "the densest soil that wheels can read")
     if np.median(raw) <= low:
         return out_of_range("foot", "low", low, advice)
+    # Soil bears no more shear over normal force than tan φ; a wheel that drives pulls less than its
+    # torque over the radius.
+    most = math.tan(math.radians(fit.mean + 2.0 * WHEEL_ERROR.law_deg))
+    scale = {"torque": roll.rows["load"] * roll.wheel.reach, "pull": roll.rows["load"]}
+    for name, size in scale.items():
+        ratio = float(np.nanmedian(roll.rows.get(name, 0.0 * size) / size))
+        if ratio > most:
+            over = "load" if name == "pull" else "load times radius"
+            return "misfit", (
+                f"Misfit: the {name} is {ratio:.2f} of {over}, and soil of this angle bears "
+                f"{most:.2f}; check units, gear and zero of both. Do not use the angle."
+            ), None  # fmt: skip
     if misfit := large_residual([record], "wheels in grains"):
         return misfit
     return consistent([record], "wheels in loose soil")
@@ -381,30 +406,28 @@ def _phi_of_force(roll: _Roll, fit: _Mean) -> dict[str, float | None]:
 
 
 def _contradictions(roll: _Roll, fit: _Mean) -> list[str]:
-    """Sentences on pull and torque that contradict each other, or the soil."""
+    """Sentences on a pull that contradicts the torque, or the law."""
     rows, reach = roll.rows, roll.wheel.reach
-    sentences = []
+    sentences: list[str] = []
+    if "pull" not in rows:
+        return sentences
     if "torque" in rows:
-        ratio = float(np.nanmedian(np.abs(rows["torque"]) / (rows["load"] * reach)))
-        most = math.tan(math.radians(fit.mean + 2.0 * WHEEL_ERROR.law_deg))
-        if ratio > most:
-            sentences.append(
-                f"The torque is {ratio:.2f} of load times radius, more than soil of this angle can "
-                f"bear ({most:.2f}): check its unit, gear and zero, and the load."
-            )
-    if "torque" in rows and "pull" in rows:
         # What the wheel pulls over its way is less than what the motor gives: P v ≤ T ω.
         power = rows["torque"] / reach - rows["pull"] * (1.0 - np.maximum(rows["slip"], 0.0))
         driven: BoolArray = (rows["slip"] > 0.0) & np.isfinite(power)
-        if driven.any() and float(np.median((power / rows["load"])[driven])) < -0.02:
+        if driven.any() and float(np.median((power / rows["load"])[driven])) < -SLACK:
             sentences.append(
                 "The wheel pulls more than its torque gives: check the signs and units of both."
             )
-    if "pull" in rows:
-        ratio = float(np.nanmax(rows["pull"] / rows["load"]))
-        if ratio > math.tan(math.radians(fit.mean + 2.0 * WHEEL_ERROR.law_deg)):
-            sentences.append(
-                f"The pull is up to {ratio:.2f} of the load, more than soil of this angle bears: "
-                "check the units of both."
-            )
+    phi = np.clip(fit.mean + WHEEL_ERROR.of(rows["slip"]), roll.angles[0], roll.angles[-1])
+    law = wheel_forces(
+        roll.wheel, roll.sinkage, rows["slip"], phi_deg=phi, density=roll.density,
+        surface_friction=roll.friction, side_slip_deg=rows["side_slip"],
+    )  # fmt: skip
+    apart = float(np.nanmedian(rows["pull"] / rows["load"] - law.pull / law.load))
+    if abs(apart) > OTHER_PULL:
+        sentences.append(
+            f"The pull differs from the law's by {apart:+.2f} of the load: check its sign, unit "
+            "and zero, and the friction of the rim."
+        )
     return sentences
