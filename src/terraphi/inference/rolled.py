@@ -424,10 +424,10 @@ def _contradictions(roll: _Roll, fit: _Mean) -> list[str]:
         roll.wheel, roll.sinkage, rows["slip"], phi_deg=phi, density=roll.density,
         surface_friction=roll.friction, side_slip_deg=rows["side_slip"],
     )  # fmt: skip
-    apart = float(np.nanmedian(rows["pull"] / rows["load"] - law.pull / law.load))
-    if abs(apart) > OTHER_PULL:
+    difference = float(np.nanmedian(rows["pull"] / rows["load"] - law.pull / law.load))
+    if abs(difference) > OTHER_PULL:
         sentences.append(
-            f"The pull differs from the law's by {apart:+.2f} of the load: check its sign, unit "
-            "and zero, and the friction of the rim."
+            f"The pull differs from the law's by {difference:+.2f} of the load: check its sign, "
+            "unit and zero, and the friction of the rim."
         )
     return sentences
