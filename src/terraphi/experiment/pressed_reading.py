@@ -7,12 +7,9 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.errors import GUESSED
 from terraphi.experiment.reading import (
     FEWEST_ROWS,
     PRESSED,
-    UNIT_KEYS,
-    WORDS,
     ColumnReader,
     Columns,
     ForceUnit,
@@ -86,16 +83,9 @@ class _PressTable(ColumnReader[PressColumns]):
     def __init__(self, source: Any, given: PressColumns) -> None:
         """Find sinkage and force, or the pressure."""
         super().__init__(source, given)
-        chosen: dict[str, str] = given.model_dump(include=set(PRESSED), exclude_none=True)
-        if {"force", "pressure"} <= chosen.keys():
-            self.wrong.append("--columns names a force and a pressure; one of them is needed")
-        for role, column in chosen.items():
-            self.take(role, column)
-        for role in PRESSED if not self.wrong else ():
-            # One of force and pressure does; what is given goes first.
-            borne = {"force", "pressure"} - {role} if role != "sinkage" else set()
-            if role not in chosen and not borne & {*self.names}:
-                self.guess(role, self.like(role))
+        # One of force and pressure does; what is given goes first.
+        either = {"force", "pressure"}
+        chosen = self.find(PRESSED, lambda role: role in either and bool(either & {*self.names}))
         if not self.wrong and not ("sinkage" in self.names and len(self.names) > 1):
             lacking = "force or pressure" if "sinkage" in self.names else "sinkage"
             key = lacking.partition(" ")[0]
@@ -103,15 +93,4 @@ class _PressTable(ColumnReader[PressColumns]):
                 f"no column of {lacking} among {self.header}; add --columns '{key}=NAME', or name "
                 "the columns such as sinkage_mm and force_N or pressure_kPa"
             )
-        for role, name in self.names.items():
-            self.check(role)
-            key = UNIT_KEYS[PRESSED[role]]
-            if not (self.written(name) or getattr(given, key)):
-                unit = {"sinkage": "mm", "force": "N", "pressure": "kPa"}[role]
-                self.wrong.append(
-                    f"column '{name[:40]}' has no unit; add --columns {key}={unit}, or "
-                    f"name it such as {role}_{unit}"
-                )
-        guessed = [f"{WORDS[k]} from '{n}'" for k, n in self.names.items() if k not in chosen]
-        if guessed:
-            self.notes.append(f"{GUESSED}{', '.join(guessed)}.")
+        self.settle(chosen, {"sinkage": "mm", "force": "N", "pressure": "kPa"})

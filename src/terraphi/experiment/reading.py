@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Generic, Literal, NoReturn, Self, TypeVar
@@ -427,6 +427,33 @@ class ColumnReader(Generic[Given]):
                 f"column '{column[:40]}': '{self.written(column)}' is no known unit of {kind}; "
                 f"{remedy}, one of {', '.join(KINDS[kind])}{scale}"
             )
+
+    def find(self, roles: Iterable[str], is_taken: Callable[[str], bool]) -> set[str]:
+        """Take the columns that are given, and guess the others unless they are not needed.
+
+        Returns the roles whose columns are given.
+        """
+        chosen: dict[str, str] = self.given.model_dump(include={*roles}, exclude_none=True)
+        for role, column in chosen.items():
+            self.take(role, column)
+        for role in roles if not self.wrong else ():
+            if role not in chosen and not is_taken(role):
+                self.guess(role, self.like(role))
+        return {*chosen}
+
+    def settle(self, chosen: set[str], units: Mapping[str, str]) -> None:
+        """Check all columns, ask for the units of some, and note those that were guessed."""
+        for role, name in self.names.items():
+            self.check(role)
+            key = UNIT_KEYS.get(KIND[role], "")
+            if role in units and not (self.written(name) or getattr(self.given, key)):
+                self.wrong.append(
+                    f"column '{name[:40]}' has no unit; add --columns {key}={units[role]}, or "
+                    f"name it such as {role}_{units[role]}"
+                )
+        guessed = [f"{WORDS[k]} from '{n}'" for k, n in self.names.items() if k not in chosen]
+        if guessed:
+            self.notes.append(f"{GUESSED}{', '.join(guessed)}.")
 
     def column(self, role: str) -> FloatArray:
         """A column in the first unit of its kind."""

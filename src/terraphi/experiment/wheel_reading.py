@@ -7,11 +7,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.errors import GUESSED
 from terraphi.experiment.reading import (
-    UNIT_KEYS,
     WHEEL,
-    WORDS,
     ColumnReader,
     Columns,
     ForceUnit,
@@ -108,25 +105,9 @@ class _WheelTable(ColumnReader[WheelColumns]):
     def __init__(self, source: Any, given: WheelColumns) -> None:
         """Find the columns: as given, or by their names."""
         super().__init__(source, given)
-        chosen: dict[str, str] = given.model_dump(include={*WHEEL}, exclude_none=True)
-        for role, column in chosen.items():
-            self.take(role, column)
-        for role in WHEEL if not self.wrong else ():
-            if role not in chosen and not (role in SPEEDS and "slip" in self.names):
-                self.guess(role, self.like(role))
+        chosen = self.find(WHEEL, lambda role: role in SPEEDS and "slip" in self.names)
         self._ask()
-        for role, name in self.names.items():
-            self.check(role)
-            unit = {"sinkage": "mm", "load": "N"}.get(role)
-            key = UNIT_KEYS.get(WHEEL[role], "")
-            if unit and not (self.written(name) or getattr(given, key)):
-                self.wrong.append(
-                    f"column '{name[:40]}' has no unit; add --columns {key}={unit}, or name it "
-                    f"such as {role}_{unit}"
-                )
-        guessed = [f"{WORDS[k]} from '{n}'" for k, n in self.names.items() if k not in chosen]
-        if guessed:
-            self.notes.append(f"{GUESSED}{', '.join(guessed)}.")
+        self.settle(chosen, {"sinkage": "mm", "load": "N"})
 
     def _ask(self) -> None:
         """Complain about what is missing."""

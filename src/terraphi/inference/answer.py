@@ -53,6 +53,10 @@ def quantiles(
     return np.interp(share, cumulated / cumulated[-1], grid)
 
 
+STEP_DEG = 0.05
+"""Step of the grid of a normal posterior [deg]."""
+
+
 @dataclass(frozen=True)
 class Estimate:
     """Median, standard deviation and equal-tailed intervals of a parameter, in its unit."""
@@ -87,6 +91,13 @@ class Estimate:
         low, high = self.ci95
         shown = f"{self.median:.{digits}f}° ± {half:.{max(digits, 1)}f}°"
         return f"{shown}    95 %: {low:.{digits}f} to {high:.{digits}f}°"
+
+
+def normal_density(median: float, sd: float) -> tuple[FloatArray, FloatArray]:
+    """Normal density of φ [1/deg] on a grid [deg] over six standard deviations."""
+    grid = np.arange(max(median - 6.0 * sd, 0.5), min(median + 6.0 * sd, 85.0), STEP_DEG)
+    density = np.exp(-0.5 * ((grid - median) / sd) ** 2)
+    return grid, np.asarray(density / np.trapezoid(density, grid))
 
 
 Verdict = Literal["consistent", "misfit", "out_of_range"]

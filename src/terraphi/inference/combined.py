@@ -19,7 +19,7 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.bodies import OUTLINES
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.rig import Rig
-from terraphi.inference.answer import Answer, Estimate, Verdict, decimals
+from terraphi.inference.answer import Answer, Estimate, Verdict, decimals, normal_density
 from terraphi.inference.checks import densities
 from terraphi.inference.terms import Sharer, is_shared, ordered_budget, term
 from terraphi.laws.law import PHI
@@ -27,8 +27,6 @@ from terraphi.laws.law import PHI
 DISAGREE = 1.96
 """Standard deviations of the difference of two answers above which they are a misfit [-]: one sound
 pair in twenty, and fewer in grains, whose intervals hold more than they claim."""
-STEP_DEG = 0.05
-"""Step of the grid of the joint posterior [deg]."""
 
 
 class Errors(NamedTuple):
@@ -116,9 +114,7 @@ def combined(answers: Sequence[Answer]) -> Answer:
     budget = dict(zip(names, np.sqrt(variances).tolist(), strict=True))
     if widening > 0.0:
         budget["disagreement"] = widening
-    grid = np.arange(max(median - 6.0 * sd, 0.5), min(median + 6.0 * sd, 85.0), STEP_DEG)
-    density = np.exp(-0.5 * ((grid - median) / sd) ** 2)
-    density /= np.trapezoid(density, grid)
+    grid, density = normal_density(median, sd)
     estimate = Estimate.of_density(grid, density)
     verdict, reason = _verdict(answers, errors.covariance, decimals((median - sd, median + sd)),
                                is_widened=widening > 0.0)  # fmt: skip

@@ -30,7 +30,7 @@ from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.priors import DENSITY, FRICTION, FRICTION_BY_TORQUE_SD
 from terraphi.experiment.rig import Tool
 from terraphi.experiment.wheel_reading import Rolled
-from terraphi.inference.answer import Answer, Estimate, RecordFit
+from terraphi.inference.answer import Answer, Estimate, RecordFit, normal_density
 from terraphi.inference.pressed import LOOSE_DEG, SHAPE_LENGTH, SHAPE_SD, PressedRecord
 from terraphi.inference.records import density_warnings
 from terraphi.inference.terms import ordered_budget, root_sum_square
@@ -174,10 +174,8 @@ def invert_rolled(record: PressedRecord, law: Any = None) -> Answer:
     began = time.perf_counter()
     roll, fit, density_sd, notes = _opened(record, law)
     budget = _budget(fit, density_sd)
-    sd, phi, rho = root_sum_square(budget), fit.mean, roll.density
-    grid = np.arange(max(phi - 6.0 * sd, 0.5), min(phi + 6.0 * sd, 85.0), 0.05)
-    posterior = np.exp(-0.5 * ((grid - phi) / sd) ** 2)
-    posterior /= np.trapezoid(posterior, grid)
+    rho = roll.density
+    grid, posterior = normal_density(fit.mean, root_sum_square(budget))
     estimate = Estimate.of_density(grid, posterior)
     fitted = _record_fit(record, roll, fit, estimate)
     verdict, reason, edge = _verdict(roll, fit, fitted)
