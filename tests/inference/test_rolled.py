@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,8 @@ from terraphi.experiment.priors import FRICTION
 from terraphi.laws.foot import LAWS, Foot
 from terraphi.laws.wheel import Wheel, rolling
 
+GRAINS = Path(__file__).parents[2] / "studies" / "data" / "grains"
+CRITICAL_DEG = {"A": 19.8, "B": 25.9, "C": 31.3}
 TOOL, WHEEL = "wheel:300x150", Wheel(0.15, 0.15)
 
 
@@ -139,6 +142,20 @@ def test_published_wheel_is_within_the_interval() -> None:
     low, high = answer.phi.ci95
     assert answer.verdict == "consistent"
     assert low < 31.9 < high
+
+
+@pytest.mark.parametrize("soil", CRITICAL_DEG)
+def test_wheels_in_grains_lie_within_the_interval(soil: str) -> None:
+    for path in GRAINS.glob(f"{soil}-loose_wheel_120x25_s*_1.csv"):
+        density = float(re.findall(r"density (\d+)", path.read_text(encoding="utf-8"))[0])
+        table = pd.read_csv(path, comment="#")
+        table = table[(table.sinkage_mm - table.sinkage_mm.max()).abs() < 0.01].iloc[15:]
+        slip = float(re.findall(r"_s([-.0-9]+)_", path.name)[0])
+        row = table[["load_N", "sinkage_mm"]].mean().to_frame().T.assign(slip=slip)
+        answer = terraphi.invert(row, tool="wheel:120x25", density=density, grain_size_mm=6,
+                                 columns="slip_is=travel")  # fmt: skip
+        low, high = answer.phi.ci95
+        assert low < CRITICAL_DEG[soil] < high
 
 
 @pytest.mark.parametrize(
