@@ -10,7 +10,6 @@ printed when it is over. At the end comes the map, and what it all took.
 from __future__ import annotations
 
 import itertools
-import math
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -44,24 +43,21 @@ def samples(bag: Path) -> Iterator[JointLog]:
 @click.option("--out", type=click.Path(path_type=Path), help="NetCDF file for the map.")
 def main(bag: Path, density: str | None, out: Path | None) -> None:
     """Print footfalls of a BAG as they come, and the map of all."""
-    walk, spent, read, footfalls = Footfalls(density=density), 0.0, 0, 0
-    first = 0.0  # what the checks and the friction of the joints take, once
-    for piece in samples(bag):
-        begin = time.process_time()
-        new = walk.update(piece)
-        took = time.process_time() - begin
-        if first or new:
-            spent, read, footfalls = spent + took, read + len(piece.time), footfalls + len(new)
-        if not first and new:
-            first, spent, read, footfalls = took, 0.0, 0, 0
+    walk, calls, count = Footfalls(density=density), [0.0], 0
+    for piece in itertools.chain(samples(bag), [None]):
+        begin = time.perf_counter()
+        new = walk.wait() if piece is None else walk.update(piece)
+        if piece is not None:
+            calls.append(time.perf_counter() - begin)
+        count += len(new)
         for footfall in new:
             is_usable, (x, y, _) = footfall.verdict == USABLE, footfall.place
-            sd = math.hypot(footfall.sd, footfall.shared_sd)
-            answer = f"φ = {footfall.phi:.1f}° ± {sd:.1f}°"
+            answer = f"φ = {footfall.phi:.1f}° ± {footfall.absolute_sd:.1f}°"
             click.echo(
                 f"{footfall.time:8.2f} s  {footfall.foot}  x {x:5.2f} m  y {y:5.2f} m  "
                 f"{answer if is_usable else footfall.verdict}"
             )
+    spent = time.process_time()
     begin = time.process_time()
     try:
         soil = walk.map()
@@ -72,8 +68,8 @@ def main(bag: Path, density: str | None, out: Path | None) -> None:
         click.echo(f"Warning: {warning}")
     of_map = time.process_time() - begin
     click.echo(
-        f"CPU: first footfalls {first:.2f} s, then {1e3 * spent / max(footfalls, 1):.1f} ms each "
-        f"({1e6 * spent / max(read, 1):.0f} µs a sample); map {of_map:.2f} s"
+        f"{len(calls) - 1} calls, the longest of {1e3 * max(calls):.1f} ms; CPU "
+        f"{1e3 * spent / max(count, 1):.0f} ms a footfall with the start, map {of_map:.1f} s"
     )
     if out is not None:
         soil.to_netcdf(out)

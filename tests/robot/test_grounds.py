@@ -96,7 +96,7 @@ def test_a_robot_that_walks_on_clay_has_no_angle_from_the_first_footfalls_on() -
     log = GroundWalk(duration=13.0, ground=clay(6.5e3)).log()[0]
     walk, footfalls_so_far = Footfalls(density=1550), []
     for start in range(0, len(log.time), 500):
-        footfalls_so_far += walk.update(cut(log, slice(start, start + 500)))
+        footfalls_so_far += walk.update(cut(log, slice(start, start + 500)), wait=True)
     assert len(footfalls_so_far) > 30
     assert not any(footfall.verdict == USABLE for footfall in footfalls_so_far)
     assert any("clay" in text for text in walk.warnings)

@@ -2,7 +2,9 @@
 
 The functions of :func:`terraphi.footfalls` run on a window, the last
 :data:`~terraphi.robot.checks.CHECK_S` of the log; forces and velocities are those of new samples,
-and the rest of the window keeps its own. Differences from the whole log:
+and the rest of the window keeps its own. A thread of its own does all this (:class:`Walk`), in
+steps of :data:`STEP_S` of the log and one after the other: what comes out does not depend on how
+samples are handed over, nor on when. Differences from the whole log:
 
 - **Friction** of the joints comes from the first :data:`~terraphi.robot.checks.CHECK_S`, in which
   the robot has to walk. No footfall is answered before; those of that time are answered then.
@@ -15,21 +17,23 @@ and the rest of the window keeps its own. Differences from the whole log:
   :data:`LAG_S` after that, when the observer and the odometry have forgotten later samples. The
   accelerometer's bias is the mean over the last :data:`~terraphi.robot.touchdowns.BIAS_S`.
 - **Stances** have their thresholds from the window.
-- **Gains, the law's growth with depth and the map** take all footfalls. :meth:`Footfalls.map`
-  learns them by the batch's inference; :meth:`Footfalls.update` uses what the last map learned, and
-  the prior before.
+- **Gains, the law's growth with depth and the ground** are learned from all footfalls so far by the
+  batch's inference, at 10, 20, 40, … footfalls and with each :meth:`Footfalls.map`.
 
-Memory grows by 5 kB a second and 7 kB a footfall.
+Of the last :data:`MOST_KEPT` footfalls the loading is kept, for the map.
 """
 
 from __future__ import annotations
 
+import hashlib
 import math
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Sequence
-from dataclasses import replace
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -39,27 +43,37 @@ from terraphi.experiment.units import GRAVITY
 from terraphi.inference import footfalls as inference
 from terraphi.inference.footfalls import FootfallMap
 from terraphi.inference.pool import Anchor
-from terraphi.inference.touchdowns import FEWEST as FEWEST_COMPARED
-from terraphi.inference.touchdowns import TORQUES, Fit, Prior, Touchdowns, fit, picked, stacked
+from terraphi.inference.touchdowns import FEWEST as FEWEST_LEARNED
+from terraphi.inference.touchdowns import TORQUES, Prior, Touchdowns, fit, picked, stacked
+from terraphi.laws.foot import LAWS
 from terraphi.robot import footfalls as batch
+from terraphi.robot import state
 from terraphi.robot.checks import CHECK_S, PART_S, check_parts, grave, parts, recorded
 from terraphi.robot.estimators import MARGIN_S, trunk_motion
 from terraphi.robot.forces import FootForces, estimate, without_broken_accelerometer
 from terraphi.robot.friction import BEARING_SHARE
-from terraphi.robot.joint_log import FEET, JointLog, arrays, cut, joined
+from terraphi.robot.joint_log import FEET, SHAPES, JointLog, arrays, cut, joined
+from terraphi.robot.legs import rotation
 from terraphi.robot.logs.samples import BACKWARDS, REPEATED, sound
 from terraphi.robot.model import Quadruped
 from terraphi.robot.results import RobotForces, foot_forces, left_out
-from terraphi.robot.stance import LIFT_S, find_stances
+from terraphi.robot.stance import LIFT_S, Ensemble, find_stances
 from terraphi.robot.touchdowns import BIAS_S, Motion, sensitivity, touchdowns, track
 
 STEP_S, FEWEST = 0.5, 3
-"""Samples are taken up in pieces of this length [s], computed with a third of a second before them,
-of three samples at least; in shorter pieces that margin would cost more than they do."""
+"""Samples are computed in steps of this length [s], with a third of a second before them, of three
+samples at least; in shorter steps that margin would cost more than they do."""
 LAG_S = 0.25
 """Time after which a velocity of the odometry does not depend on later samples [s]: seven times the
 34 ms in which an accelerometer of :data:`~terraphi.robot.touchdowns.ACCELERATION_SD` forgets a foot
 that stands (``tests/robot/test_online.py``)."""
+MOST_KEPT, MOST_LEARNED = 4000, 500
+"""Footfalls whose loading is kept for the map, 28 MB, and the last ones from which a walk without
+anchors learns by itself, in two seconds (chosen)."""
+MOST_WAITING = 1200
+"""Half seconds of a log that wait for the thread at most; only then a caller waits (chosen)."""
+OWN_FRAME = "start"
+"""Frame of places without poses: from the trunk's first place, x along the first heading."""
 
 
 class Footfall(NamedTuple):
@@ -71,8 +85,10 @@ class Footfall(NamedTuple):
         As in :class:`~terraphi.inference.footfalls.FootfallMap`; the place in x, y, z [m].
     phi, sd, shared_sd
         φ, its standard deviation against other footfalls, and that shared by all, from errors of
-        soil, foot, law and torques that the last map left open [deg]; not a number where it was
+        soil, foot, law and torques that are left open so far [deg]; not a number where it was
         refused.
+    frame
+        Name of the place's frame: that of the poses, or :data:`OWN_FRAME`.
     """
 
     time: float
@@ -83,6 +99,31 @@ class Footfall(NamedTuple):
     sd: float
     shared_sd: float
     verdict: str
+    frame: str = OWN_FRAME
+
+    @property
+    def absolute_sd(self) -> float:
+        """Standard deviation of φ with all that is shared [deg]."""
+        return math.hypot(self.sd, self.shared_sd)
+
+
+class Poses(NamedTuple):
+    """Poses of the trunk by a localization.
+
+    Attributes
+    ----------
+    time
+        On the log's clock [s], shape [pose].
+    position, quaternion
+        [m], shape [pose, 3], and (w, x, y, z), shape [pose, 4], in a frame with z up.
+    frame
+        Name of the frame, such as ``odom`` or ``map``.
+    """
+
+    time: FloatArray
+    position: FloatArray
+    quaternion: FloatArray
+    frame: str
 
 
 class Window(NamedTuple):
@@ -94,6 +135,14 @@ class Window(NamedTuple):
     felt: FloatArray
     """Specific force of the trunk in the world's axes [m/s²], shape [sample, 3]."""
     final: int
+
+
+class Learned(NamedTuple):
+    """The law's growth with depth, and mean and standard deviation of θ − θ₀."""
+
+    exponent: float
+    mean: FloatArray
+    sd: FloatArray
 
 
 class Footfalls:
@@ -113,6 +162,9 @@ class Footfalls:
             for footfall in walk.update(samples):
                 print(footfall.foot, footfall.phi, footfall.verdict)
         walk.map().to_netcdf("soil.nc")
+
+    One thread computes everything, in the order of the calls. Only :meth:`wait`, :meth:`map` and
+    :meth:`state` wait for it.
     """
 
     def __init__(
@@ -124,114 +176,56 @@ class Footfalls:
         prior: Prior | None = None,
         anchors: Sequence[Anchor | str] | str = (),
     ) -> None:
-        self._options = batch.Options.of(robot, density, law, prior, anchors)
-        self._pending: list[JointLog] = []
+        self._walk = Walk(batch.Options.of(robot, density, law, prior, anchors))
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="footfalls")
+        self._jobs: deque[Future[list[Footfall]]] = deque()
+        self._ready: list[Footfall] = []
+        self._pieces: list[JointLog] = []
+        self._poses: list[Poses] = []
+        self._dropped: Counter[str] = Counter()
         self._columns: list[str] = []
-        self._left_out: Counter[str] = Counter()
-        self._start: RobotForces | None = None
-        self._window: Window | None = None
-        self._over = dict.fromkeys(FEET, -math.inf)
-        """End of each foot's last stance that was answered [s]."""
-        self._fitted: list[tuple[Touchdowns, Fit]] = []
-        self._brief: FloatArray = np.zeros((0, 8))
-        """Of each footfall x, y [m] and :func:`~terraphi.inference.footfalls.traits`."""
-        self._course: list[batch.Course] = []
-        """Means over :data:`~terraphi.robot.footfalls.AVERAGED_S`, a course for each piece."""
-        self._map: FootfallMap | None = None
-        self._ground, self._compared_at = "", FEWEST_COMPARED
-        """What the ground is if it has no friction angle, and at how many footfalls it is next
-        compared; their number doubles."""
+        self._end = -math.inf
+        """Time of the last sample [s]."""
 
-    def update(self, samples: JointLog) -> tuple[Footfall, ...]:
-        """Take the next samples; return the footfalls that are over, in the order of time.
+    def update(
+        self, samples: JointLog, *, poses: Poses | None = None, wait: bool = False
+    ) -> tuple[Footfall, ...]:
+        """Take the next samples; return footfalls that are over, in the order of time.
 
         Parameters
         ----------
         samples
             Those after the last ones, with attitude; one or more. Unsound ones are left out.
+        poses
+            Of the trunk by a localization, from the first seconds on and whenever there are new
+            ones: footfalls and map are in their frame.
+        wait
+            Wait for the thread, so that what is returned depends on the samples alone. Otherwise a
+            footfall is returned by the first call after it was computed.
 
         Raises
         ------
         InputError
             If the samples do not follow or cannot be used: then none is taken. If those of the
             first :data:`~terraphi.robot.checks.CHECK_S` contradict the robot: then the next ones
-            are the first.
+            are the first, and this may be raised by a later call.
         """
+        self._collect(wait=False)
         samples = self._following(samples)
-        if not len(samples.time):
-            return ()
-        self._pending.append(samples)
-        start = self._start
-        step = CHECK_S if start is None else STEP_S
-        if samples.time[-1] - self._pending[0].time[0] < step:
-            return ()
-        log, self._pending = replace(joined(self._pending), report={}), []
-        if start is None:
-            if np.ptp(recorded(log.time)) < CHECK_S:
-                self._pending = [log]
-                return ()
-            first = cut(log, parts(log.time)[0])
-            start = foot_forces(first, robot=self._options.robot, contact_part=batch.CONTACT_PART)
-            if start.grave:
-                raise InputError(f"no footfall can be read: {start.grave[0]}")
-            start = replace(start, log=without_broken_accelerometer(first)[0])
-        if start.log.acceleration is None:
-            log = replace(log, acceleration=None)
-        window, new = self._extended(start, log)
-        self._window, self._start = window, self._checked(start, window.log)
-        return self._answers(self._start, window, new)
+        if poses is not None:
+            self._poses.append(poses)
+        if len(samples.time):
+            self._pieces.append(samples)
+            self._end = float(samples.time[-1])
+            if self._end - self._pieces[0].time[0] >= STEP_S:
+                self._hand_over()
+        self._collect(wait=wait)
+        return self._returned()
 
-    def _following(self, samples: JointLog) -> JointLog:
-        """Sound samples that follow those before; the others are counted."""
-        samples, dropped = sound(samples)
-        if samples.quaternion is None:
-            raise InputError("samples have no attitude, which footfalls need; give quaternions")
-        columns = arrays(samples)
-        if self._columns not in ([], columns):
-            raise InputError("samples have other columns than those before; give all the same")
-        last = self._pending[-1] if self._pending else self._window and self._window.log
-        if last is not None and len(samples.time) and samples.time[0] <= (end := last.time[-1]):
-            if samples.time[-1] <= end:
-                raise InputError(
-                    f"samples begin at {samples.time[0]:g} s, and those before end at {end:g} s; "
-                    "they should follow"
-                )
-            dropped[REPEATED] += int((samples.time == end).sum())
-            dropped[BACKWARDS] += int((samples.time < end).sum())
-            samples = cut(samples, slice(int(np.searchsorted(samples.time, end, "right")), None))
-        self._left_out += dropped
-        self._columns = columns if len(samples.time) else self._columns
-        return samples
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Warnings so far, of samples that were left out and of parts that were checked."""
-        start = self._start
-        notes = left_out(self._left_out) if start is None else self._notes(start)
-        return (*self._options.notes, *filter(None, [self._ground]), *notes)
-
-    def _in_time(self) -> list[Touchdowns]:
-        """All touch-downs so far."""
-        return sorted((row for row, _ in self._fitted), key=lambda row: float(row.begin[0]))
-
-    def _compared(self) -> str:
-        """What the ground of all footfalls so far is, if it has no friction angle."""
-        rows, law = stacked(self._in_time()), self._options.law
-        prior = inference.with_growth(rows, law, self._options.prior)
-        verdict, notes = inference.judged(rows, fit(rows, law, prior), law, prior)
-        return notes[0] if inference.NO_ANGLE in verdict else ""
-
-    def _notes(self, start: RobotForces) -> list[str]:
-        report = {**start.report, "dropped": self._left_out}
-        return batch.notes_of(replace(start, report=report))
-
-    def _checked(self, start: RobotForces, log: JointLog, *, to_end: bool = False) -> RobotForces:
-        """Check the parts of the log that are over, or all of it; return the start with them."""
-        first = int(np.searchsorted(log.time, start.checked[-1].end, side="right"))
-        pieces = parts(log.time, first, PART_S) if first < len(log.time) else []
-        over = [piece for piece in pieces if to_end or piece.stop < len(log.time)]
-        checked = check_parts(log, self._options.robot, over, contact_part=batch.CONTACT_PART)
-        return replace(start, checked=(*start.checked, *checked))
+    def wait(self) -> tuple[Footfall, ...]:
+        """Wait for the thread; return the footfalls that no call has returned yet."""
+        self._collect(wait=True)
+        return self._returned()
 
     def map(self) -> FootfallMap:
         """All footfalls so far together, as :func:`terraphi.footfalls` has them.
@@ -243,21 +237,274 @@ class Footfalls:
         InputError
             If there is no footfall yet, or an anchor lies off the path.
         """
-        if self._start is None or self._window is None or not self._fitted:
-            raise InputError(f"no footfall yet; the first come after {CHECK_S:g} s of walking")
-        start = self._checked(self._start, self._window.log, to_end=True)
-        rows = self._in_time()
-        self._map = batch.infer_walk(
-            self._options, start, stacked(self._course), stacked(rows), "online",
-            self._notes(start),
+        return self.submit_map().result()
+
+    def submit_map(self) -> Future[FootfallMap]:
+        """Begin a map; its ``result()`` is that of :meth:`map`, and ``done()`` tells when."""
+        return self._thread.submit(self._walk.map)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings so far, of samples that were left out and of parts that were checked."""
+        return self._walk.warnings()
+
+    def state(self) -> bytes:
+        """All that :meth:`restore` needs to go on as if nothing had stopped."""
+        self._hand_over()
+        self._collect(wait=True)
+        mine = {name: vars(self)[name] for name in ("_ready", "_columns", "_end")}
+        walk = {name: value for name, value in vars(self._walk).items() if name != "options"}
+        if (start := self._walk.start) is not None:  # whose robot is that of the options
+            walk["start"] = replace(start, robot=cast(Any, None))
+        return state.packed([mine, walk], self._walk.fingerprint())
+
+    @classmethod
+    def restore(cls, data: bytes, **options: Any) -> Footfalls:
+        """A walk from its :meth:`state`; the options are those with which it began.
+
+        Raises
+        ------
+        InputError
+            If the data are no state, or one of another version or of other options.
+        """
+        new = cls(**options)
+        mine, walk = state.unpacked(data, new._walk.fingerprint())
+        vars(new).update(mine)
+        vars(new._walk).update(walk)
+        return new
+
+    def _hand_over(self) -> None:
+        """Give the thread the samples that it has not."""
+        if self._pieces:
+            take = self._walk.take
+            job = self._thread.submit(take, self._pieces, self._poses, self._dropped)
+            self._jobs.append(job)
+            self._pieces, self._poses, self._dropped = [], [], Counter()
+
+    def _collect(self, *, wait: bool) -> None:
+        """Take up what the thread has finished; its errors are raised here, each once."""
+        while self._jobs and (wait or self._jobs[0].done() or len(self._jobs) > MOST_WAITING):
+            self._ready += self._jobs.popleft().result()
+
+    def _returned(self) -> tuple[Footfall, ...]:
+        ready, self._ready = tuple(self._ready), []
+        return ready
+
+    def _following(self, samples: JointLog) -> JointLog:
+        """A copy of the samples that follow those before; the others are counted."""
+        names = arrays(samples) if isinstance(samples, JointLog) else []
+        values = {name: getattr(samples, name) for name in names}
+        length = values["time"].shape[:1] if "time" in values and "torque" in values else (0,)
+        if length != (0,) and all(
+            column.shape == (*length, *SHAPES.get(name, ())) and column.dtype == np.float64
+            for name, column in values.items()
+        ):  # what ``sound`` does besides takes ten times as long, and is left to the thread
+            samples = JointLog(**{name: column.copy() for name, column in values.items()})
+        else:
+            samples, dropped = sound(samples)
+            self._dropped += dropped
+        if samples.quaternion is None:
+            raise InputError("samples have no attitude, which footfalls need; give quaternions")
+        if self._columns not in ([], columns := arrays(samples)):
+            raise InputError("samples have other columns than those before; give all the same")
+        if len(samples.time) and samples.time[0] <= self._end:
+            if samples.time[-1] <= self._end:
+                raise InputError(
+                    f"samples begin at {samples.time[0]:g} s, and those before end at "
+                    f"{self._end:g} s; they should follow"
+                )
+            self._dropped[REPEATED] += int((samples.time == self._end).sum())
+            self._dropped[BACKWARDS] += int((samples.time < self._end).sum())
+            first = int(np.searchsorted(samples.time, self._end, "right"))
+            samples = cut(samples, slice(first, None))
+        self._columns = columns if len(samples.time) else self._columns
+        return samples
+
+
+@dataclass
+class Walk:
+    """A walk so far; its fields are replaced, not changed, and by one thread only.
+
+    Attributes
+    ----------
+    options
+        Of the walk.
+    pending
+        Samples that make no step yet.
+    dropped
+        Samples that were left out, by reason.
+    start
+        Analysis of the first :data:`~terraphi.robot.checks.CHECK_S`, with all checks so far and
+        without what only batches need.
+    window
+        The last samples.
+    over
+        End of each foot's last stance that was answered [s].
+    rows
+        Touch-downs so far, the last :data:`MOST_KEPT`.
+    count
+        Number of touch-downs so far.
+    trace
+        Of each touch-down so far x, y [m], foot and
+        :func:`~terraphi.inference.footfalls.traits`, shape [touchdown, 9].
+    course
+        Means over :data:`~terraphi.robot.footfalls.AVERAGED_S`, a course for each step.
+    learned
+        By the last map.
+    ground
+        What the ground is if it has no friction angle.
+    learn_at
+        Number of touch-downs at which a walk next learns; it doubles.
+    poses
+        The last ones by a localization.
+    """
+
+    options: batch.Options
+    pending: JointLog | None = None
+    dropped: Counter[str] = field(default_factory=Counter)
+    start: RobotForces | None = None
+    window: Window | None = None
+    over: dict[str, float] = field(default_factory=lambda: dict.fromkeys(FEET, -math.inf))
+    rows: list[Touchdowns] = field(default_factory=list)
+    count: int = 0
+    trace: FloatArray = field(default_factory=lambda: np.zeros((0, 9)))
+    course: list[batch.Course] = field(default_factory=list)
+    learned: Learned | None = None
+    ground: str = ""
+    learn_at: int = FEWEST_LEARNED
+    poses: Poses | None = None
+
+    def fingerprint(self) -> str:
+        """Hash of the options, by which a state is recognized."""
+        robot, prior, law, anchors, _ = self.options
+        values = robot.name, robot.mass, prior, law, LAWS[law].hash, anchors
+        return hashlib.sha256(repr(values).encode()).hexdigest()[:16]
+
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings so far; any thread may call it."""
+        start = self.start
+        notes = left_out(self.dropped) if start is None else self._notes(start)
+        if self.count > MOST_KEPT:
+            notes += [f"the map has the last footfalls, {MOST_KEPT} at most, of {self.count}"]
+        return (*self.options.notes, *filter(None, [self.ground]), *notes)
+
+    def _notes(self, start: RobotForces) -> list[str]:
+        return batch.notes_of(replace(start, report={**start.report, "dropped": self.dropped}))
+
+    def take(
+        self, pieces: list[JointLog], poses: list[Poses], dropped: Counter[str]
+    ) -> list[Footfall]:
+        """Take the next samples and poses; return the footfalls that are over."""
+        samples, unsound = sound(joined(pieces))
+        self.dropped = self.dropped + dropped + unsound
+        if poses:
+            self._localize(poses)
+        self.pending = samples if self.pending is None else joined([self.pending, samples])
+        answers: list[Footfall] = []
+        while (log := self._next(self.pending)) is not None:
+            start = self.start or self._begin(log)
+            log = log if start.log.acceleration is not None else replace(log, acceleration=None)
+            window, new = self._extended(start, log)
+            self.window, self.start = window, self._checked(start, window.log)
+            answers += self._answers(self.start, window, new)
+        return answers
+
+    def _next(self, log: JointLog) -> JointLog | None:
+        """The samples of the next step, taken off the pending ones; ``None`` if they are few."""
+        if not len(log.time):
+            return None
+        clock, size = (log.time, STEP_S) if self.start else (recorded(log.time), CHECK_S)
+        # The check of the first part knows its end by the sample after it.
+        stop = int(np.searchsorted(clock, clock[0] + size)) + (self.start is None)
+        if stop > len(log.time) - (self.start is not None):
+            return None
+        self.pending = cut(log, slice(stop, None))
+        return cut(log, slice(stop))
+
+    def _begin(self, log: JointLog) -> RobotForces:
+        """Check the first part of a walk and find the friction of its joints."""
+        first = cut(log, parts(log.time)[0])
+        start = foot_forces(first, robot=self.options.robot, contact_part=batch.CONTACT_PART)
+        if start.grave:
+            raise InputError(f"no footfall can be read: {start.grave[0]}")
+        early = np.searchsorted(first.time, first.time[0] + batch.SMOOTH_PATH_S, side="right")
+        return replace(
+            start, log=cut(without_broken_accelerometer(first)[0], slice(int(early))),
+            forces=cut(start.forces, slice(1)), stances=(), feet={}, pooled=Ensemble.of(()),
         )  # fmt: skip
-        is_sand = inference.NO_ANGLE not in self._map.verdict
-        self._ground = "" if is_sand else self._map.warnings[len(self._options.notes)]
-        return self._map
+
+    def _localize(self, poses: list[Poses]) -> None:
+        """Keep the last poses."""
+        before = [self.poses] if self.poses else []
+        frames = {each.frame for each in (*before, *poses)}
+        if len(frames) > 1 or (self.count and not before):
+            names = " and ".join(sorted(frames if len(frames) > 1 else {OWN_FRAME, *frames}))
+            raise InputError(f"footfalls in {names}; give poses of one frame from the start on")
+        shapes = [tuple(np.shape(c) for c in pose[:3]) for pose in poses]
+        if any(
+            shape != ((n := len(p.time),), (n, 3), (n, 4))
+            for shape, p in zip(shapes, poses, strict=True)
+        ):
+            raise InputError(f"poses of shapes {shapes}; expected [pose], [pose, 3] and [pose, 4]")
+        time, position, quaternion = (
+            np.concatenate([pose[k] for pose in (*before, *poses)]) for k in range(3)
+        )
+        last = time >= time.max() - CHECK_S
+        self.poses = Poses(time[last], position[last], quaternion[last], frames.pop())
+
+    def _placed(self, time: FloatArray, place: FloatArray, start: RobotForces) -> FloatArray:
+        """Places at some times in the frame of the poses, if there are any [m], shape [any, 3]."""
+        if self.poses is None or self.window is None:
+            return place
+        # From the nearest pose on by the odometry of the legs, turned by what the two headings are
+        # apart there; headings and places in the plane are complex numbers.
+        log, motion = self.window.log, self.window.motion
+        nearest = np.abs(self.poses.time - time[:, None]).argmin(axis=1)
+        at, position = self.poses.time[nearest], self.poses.position[nearest]
+        assert log.quaternion is not None, "checked before"
+        assert start.log.quaternion is not None, "checked before"
+        first = heading(start.log.quaternion).mean()
+        ours = np.interp(at, log.time, heading(log.quaternion)) / first
+        turn = heading(self.poses.quaternion[nearest]) / ours
+        trunk = np.stack([np.interp(at, log.time, column) for column in motion.trunk.T], axis=1)
+        x, y, z = (place - trunk).T
+        across = (x + 1j * y) * turn / np.abs(turn)
+        return np.asarray(position + np.stack([across.real, across.imag, z], axis=1))
+
+    def _checked(self, start: RobotForces, log: JointLog, *, to_end: bool = False) -> RobotForces:
+        """Check the parts of the log that are over, or all of it; return the start with them."""
+        first = int(np.searchsorted(log.time, start.checked[-1].end, side="right"))
+        pieces = parts(log.time, first, PART_S) if first < len(log.time) else []
+        over = [piece for piece in pieces if to_end or piece.stop < len(log.time)]
+        checked = check_parts(log, self.options.robot, over, contact_part=batch.CONTACT_PART)
+        return replace(start, checked=(*start.checked, *checked))
+
+    def map(self) -> FootfallMap:
+        """All footfalls so far together."""
+        if self.start is None or self.window is None or not self.rows:
+            raise InputError(f"no footfall yet; the first come after {CHECK_S:g} s of walking")
+        return self._infer(self._checked(self.start, self.window.log, to_end=True))
+
+    def _infer(self, start: RobotForces, *, last: int = MOST_KEPT) -> FootfallMap:
+        """Infer φ of the last footfalls together, and learn from it."""
+        rows = stacked(self.rows)
+        rows = picked(rows, np.argsort(rows.begin, kind="stable")[-last:])
+        options, course = self.options, stacked(self.course)
+        answer = batch.infer_walk(options, start, course, rows, "online", self._notes(start))
+        if answer.usable.any():
+            names = ("torque_gain", "joint_friction_Nm", *(shared := options.prior.shared()))
+            mean, sd = (np.hstack([answer.shared[n][key] for n in names]) for key in ("mean", "sd"))
+            mean[TORQUES:] -= [centre for centre, _ in shared.values()]
+            exponent = answer.shared["law_exponent"]["mean"]
+            self.learned = Learned(exponent, mean, sd)
+        is_sand = inference.NO_ANGLE not in answer.verdict
+        self.ground = "" if is_sand else answer.warnings[len(options.notes)]
+        frame = OWN_FRAME if self.poses is None else self.poses.frame
+        return replace(answer, provenance={**answer.provenance, "frame": frame})
 
     def _extended(self, start: RobotForces, log: JointLog) -> tuple[Window, slice]:
         """Window with further samples, and which of them have their final motion now."""
-        robot, before, final, first, kept = self._options.robot, self._window, 0, 0, slice(0)
+        robot, before, final, first, kept = self.options.robot, self.window, 0, 0, slice(0)
         if before is not None:
             # What is older than the window goes; what is not final, or not checked, is younger.
             clock = recorded(np.append(before.log.time, log.time[0]))
@@ -292,73 +539,85 @@ class Footfalls:
         end = max(int(last) - 2, 0)
         return Window(log, forces, motion, felt, end), slice(final, end)
 
-    def _answers(self, start: RobotForces, window: Window, new: slice) -> tuple[Footfall, ...]:
+    def _answers(self, start: RobotForces, window: Window, new: slice) -> list[Footfall]:
         """Footfalls whose stances have ended; the course of the new samples is kept for the map."""
         log, forces, motion, _, final = window
-        robot, time = self._options.robot, log.time
+        robot, time = self.options.robot, log.time
         per_error = sensitivity(log, forces)
         size = max(1, round(batch.AVERAGED_S / float(np.median(np.diff(time)))))
         course = batch.course_of(log, robot, forces, motion, per_error)
         first = np.arange(0, new.stop - new.start, size)
-        self._course.append(batch.Course(*(block_means(column[new], first) for column in course)))
+        course = batch.Course(*(block_means(column[new], first) for column in course))
+        self.course.append(course._replace(trunk=self._placed(course.time, course.trunk, start)))
         stances = [
             stance for stance
             in find_stances(time, forces.force, rise_N=BEARING_SHARE * robot.mass * GRAVITY)
-            if stance.begin >= self._over[stance.foot] and stance.end < time[final - 1] - LIFT_S
+            if stance.begin >= self.over[stance.foot] and stance.end < time[final - 1] - LIFT_S
         ]  # fmt: skip
         if not stances:
-            return ()
-        self._over |= {stance.foot: stance.end for stance in stances}
+            return []
+        self.over |= {stance.foot: stance.end for stance in stances}
         landings = touchdowns(log, forces, motion, stances, per_error, radius=robot.foot_radius)
-        landings = landings._replace(faulty=landings.faulty | bool(grave(start.checked)[-1]))
-        return self._fit(start, landings)
+        place = self._placed(landings.begin + landings.time[:, -1], landings.place, start)
+        faulty = landings.faulty | bool(grave(start.checked)[-1])
+        return self._fit(start, landings._replace(place=place, faulty=faulty))
 
-    def _learned(self, start: RobotForces) -> tuple[Prior, FloatArray, FloatArray]:
-        """Prior with the law's growth with depth; mean and standard deviation of θ − θ₀."""
-        prior = self._options.prior
-        shared = prior.shared()
-        if self._map is None or not self._map.usable.any():
-            sd = np.append(batch.torque_sd(start.forces), [sd for _, sd in shared.values()])
-            return prior, np.zeros(len(sd)), sd
-        learned = self._map.shared
-        names = ("torque_gain", "joint_friction_Nm", *shared)
-        mean, sd = (np.hstack([learned[name][key] for name in names]) for key in ("mean", "sd"))
-        mean[TORQUES:] -= [centre for centre, _ in shared.values()]
-        return replace(prior, exponent=learned["law_exponent"]["mean"]), mean, sd
+    def _keep(self, start: RobotForces, landings: Touchdowns) -> None:
+        """Keep touch-downs for the map, and learn from all when their number has doubled."""
+        self.rows.append(landings)
+        self.count += len(landings.foot)
+        if sum(len(rows.foot) for rows in self.rows) > MOST_KEPT:
+            rows = picked(stacked(self.rows), slice(MOST_KEPT // 4, None))
+            begin = rows.begin.min()
+            self.rows, course = [rows], [part for part in self.course if part.time[-1] > begin]
+            self.course = [stacked(course)]
+        if self.count >= self.learn_at:
+            self.learn_at = 2 * self.count
+            with suppress(InputError):  # an anchor lies ahead
+                self._infer(start, last=MOST_KEPT if self.options.anchors else MOST_LEARNED)
 
-    def _fit(self, start: RobotForces, landings: Touchdowns) -> tuple[Footfall, ...]:
-        """Fit touch-downs with what the last map has learned, and give each its verdict."""
-        prior, mean, theta_sd = self._learned(start)
-        if self._fitted:  # the fit begins where the last one ended
-            prior = replace(prior, phi_deg=float(self._fitted[-1][1].phi[0]))
-        fits, count = fit(landings, self._options.law, prior), len(landings.foot)
-        # The verdict needs those of the footfalls before that are near, and medians of the walk.
+    def _fit(self, start: RobotForces, landings: Touchdowns) -> list[Footfall]:
+        """Fit touch-downs with what was learned, and give each its verdict."""
+        self._keep(start, landings)
+        prior, count = self.options.prior, len(landings.foot)
+        if self.learned is None:
+            sd = np.append(batch.torque_sd(start.forces), [sd for _, sd in prior.shared().values()])
+            learned = Learned(prior.exponent, np.zeros(len(sd)), sd)
+        else:
+            learned = self.learned
+        fits = fit(landings, self.options.law, replace(prior, exponent=learned.exponent))
+        # The verdict needs places and feet of those before that are near, and medians of the walk.
         reach, places = inference.BESIDE_RADII * prior.radius, landings.place[:, :2]
-        distance = np.linalg.norm(self._brief[:, None, :2] - places, axis=-1).min(axis=1)
-        near = [self._fitted[k] for k in np.flatnonzero(distance < reach)]
-        self._fitted += [(picked(landings, [i]), picked(fits, [i])) for i in range(count)]
-        brief = np.hstack([places, inference.traits(landings, fits)])
-        self._brief = np.vstack([self._brief, brief])
-        near_landings, near_fits = map(stacked, zip(*near, (landings, fits), strict=True))
+        distance = np.linalg.norm(self.trace[:, None, :2] - places, axis=-1).min(axis=1)
+        near = self.trace[distance < reach]
+        traits = inference.traits(landings, fits)
+        self.trace = np.vstack([self.trace, np.column_stack([places, landings.foot, traits])])
+        first = np.zeros(len(near), int)
+        all_ = stacked([picked(landings, first), landings])
+        all_.place[: len(near), :2], all_.foot[: len(near)] = near[:, :2], near[:, 2]
         verdict = inference.verdicts(
-            near_landings, near_fits, prior.radius,
-            typical=inference.Typical.of(self._brief[:, 2:]),
+            all_, stacked([picked(fits, first), fits]), prior.radius,
+            typical=inference.Typical.of(self.trace[:, 3:]),
         )[-count:]  # fmt: skip
-        if len(self._fitted) >= self._compared_at:
-            self._compared_at = 2 * len(self._fitted)
-            self._ground = self._compared()
-        if self._ground:
+        if self.ground:
             verdict[np.isin(verdict, (inference.USABLE, inference.MISFIT))] = inference.NO_ANGLE
-        moved = inference.trodden_before(near_landings, reach)[0][-count:]
+        moved = inference.trodden_before(all_, reach)[0][-count:]
         sinkage = inference.surface_depth(fits, verdict)
         usable = np.where(verdict == inference.USABLE, 1.0, np.nan)
         columns = (
             landings.begin, landings.foot, landings.place + np.outer(sinkage, [0.0, 0.0, 1.0]),
-            sinkage, usable * (fits.phi - fits.shared @ mean),
+            sinkage, usable * (fits.phi - fits.shared @ learned.mean),
             usable * np.hypot(fits.sd, inference.BESIDE_SD_DEG * moved),
-            usable * np.sqrt(np.square(fits.shared) @ np.square(theta_sd)), verdict,
+            usable * np.sqrt(np.square(fits.shared) @ np.square(learned.sd)), verdict,
         )  # fmt: skip
-        return tuple(
-            Footfall(time, FEET[foot], tuple(place), *numbers)
+        frame = OWN_FRAME if self.poses is None else self.poses.frame
+        return [
+            Footfall(time, FEET[foot], tuple(place), *numbers)._replace(frame=frame)
             for time, foot, place, *numbers in zip(*(c.tolist() for c in columns), strict=True)
-        )
+        ]
+
+
+def heading(quaternion: FloatArray) -> Any:
+    """Direction of the trunk's x in the plane as a complex number, shape [pose]."""
+    x, y = rotation(quaternion)[:, :2, 0].T
+    return x + 1j * y
