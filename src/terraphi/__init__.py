@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from terraphi.robot.online import Footfalls as Footfalls
     from terraphi.robot.results import foot_forces as foot_forces
     from terraphi.terrain.export import export as export
+    from terraphi.terrain.layers import write as layers  # noqa: F401
     from terraphi.terrain.map import map_slopes as map  # noqa: A004, F401
     from terraphi.terrain.simulators import convert as convert
     from terraphi.terrain.soils import soil as soil
@@ -77,6 +78,7 @@ _PLACES = {
     "phi_along": "inference.rolled",
     "plan": "inference.next_measurement",
     "law": "laws.named:law_named",
+    "layers": "terrain.layers:write",
     "map": "terrain.map:map_slopes",
     "measurement": "experiment.measurements",
     "read_forces": "experiment.reading",

@@ -90,11 +90,13 @@ def forces(
         "Force law: simulated, resistive force theory, or bearing capacity.")  # fmt: skip
 @click.option("--out", type=PATH, help=f"NetCDF file; {', '.join(WITH_IT)} are written next to it.")
 @click.option("--mcap", type=PATH, help="MCAP of φ, for Foxglove and Rerun.")
+@click.option("--layers", type=PATH,
+              help="φ and sinkage on a grid: a .tif, or a folder for a bag of ROS 2.")  # fmt: skip
 @click.option("--table", type=PATH, help="CSV or Parquet of the footfalls of all LOGs.")
 @json_option
 def footfalls(
     logs: tuple[str, ...], density: str | None, anchors: tuple[str, ...], out: Path | None,
-    mcap: Path | None, table: Path | None, as_json: bool, **options: Any,
+    mcap: Path | None, layers: Path | None, table: Path | None, as_json: bool, **options: Any,
 ) -> None:  # fmt: skip
     """Friction angle under every footfall of a robot's LOG, and along its path.
 
@@ -106,19 +108,19 @@ def footfalls(
     """
     options |= {"density": density, "anchors": anchors}
     if table is not None:
-        if out is not None or mcap is not None:
-            raise InputError("--table excludes --out and --mcap, which are of one log")
+        if out or mcap or layers:
+            raise InputError("--table excludes --out, --mcap and --layers, which are of one log")
         tabulate(logs, table, as_json, options)
         return
     if len(logs) > 1:
         raise InputError(f"{len(logs)} logs; give one, or --table for a table of all")
     [log] = logs
-    from terraphi.experiment.files import atomic_files, writable
+    from terraphi.experiment.files import atomic_files, makeable, writable
 
     if out is not None:
         writable(out)
     with_it = [out.with_suffix(suffix) for suffix in WITH_IT] if out else []
-    for file in filter(None, (out, mcap, *with_it)):
+    for file in filter(None, (out, mcap, layers, *with_it)):
         if file.exists() and Path(log).exists() and file.samefile(log):
             more = f", and --out {out} writes {file.name} too" if file in with_it else ""
             raise InputError(f"{file}: is the log{more}; name another file")
@@ -133,6 +135,8 @@ def footfalls(
 
     if out is not None:
         check_file(out, kind=FootfallMap.KIND)
+    if layers is not None:
+        (check_file if layers.suffix == ".tif" else makeable)(layers)
     walk = find(log, **options)
     summary, written = walk.as_dict(), []
     if out is not None:
@@ -144,6 +148,11 @@ def footfalls(
     if mcap is not None:
         walk.to_mcap(mcap)
         written.append(f"Written: {mcap}; open it together with the log")
+    if layers is not None:
+        from terraphi.terrain.layers import write
+
+        write(walk, layers)
+        written.append(f"Written: {layers}")
     path = [plots.path_table(summary["path"])] if walk.usable.any() else []
     names = {"footfalls": "counts", "φ by law [deg]": "by_law_deg", "warnings": "warnings"}
     values = {name: summary[key] for name, key in names.items()}

@@ -1,0 +1,1 @@
+"""A node for ROS 2 that publishes φ under the footfalls of a walking robot."""
