@@ -12,6 +12,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import h5py
+import mujoco
 import numpy as np
 import pytest
 
@@ -45,7 +46,7 @@ def read(draws: Any = (), source: str = "answer", **changes: Any) -> Told:
     return Told(source, answer(**changes), np.asarray(draws, dtype=float))
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if name != "mujoco"])
+@pytest.mark.parametrize("name", NAMES)
 def test_the_module_sets_the_parameter_in_the_simulator(name, tmp_path, monkeypatch) -> None:
     to = simulator(name)
     parameters = export(read([25.0, 30.0, 35.0]), to=name, draws=3)
@@ -57,6 +58,25 @@ def test_the_module_sets_the_parameter_in_the_simulator(name, tmp_path, monkeypa
     assert sorted(made["DRAWS"]) == pytest.approx([to.from_angle(p) for p in (25.0, 30.0, 35.0)])
     assert parameters["density_assumed"]
     assert set_by(name, made, monkeypatch) == pytest.approx(value, abs=1e-6)
+
+
+def rest_on_soil(made: dict[str, Any]) -> None:
+    """A sphere of 2 kg comes to rest between where the soil bears it and twice as deep."""
+    model = mujoco.MjModel.from_xml_string("""<mujoco><option timestep="0.002"/><worldbody><body
+        name="ball"><freejoint/><geom name="foot" type="sphere" size="0.03" mass="2"/></body>
+        </worldbody></mujoco>""")
+    data = mujoco.MjData(model)
+    data.qpos[2] = 0.035
+    sand = made["Soil"](model, ["foot"])
+    for _ in range(1500):
+        sand.push(model, data)
+        mujoco.mj_step(model, data)
+    depth = 0.03 - data.qpos[2]
+    load = [LAWS["foot"].force(Foot(0.03), z, np.pi / 2, friction_angle_deg=30.0, density=1600.0,
+                               surface_friction=0.4)[1] for z in (depth, 0.5 * depth)]  # fmt: skip
+    assert np.abs(data.qvel).max() < 0.02
+    assert load[1] < 2.0 * 9.81 < 1.05 * load[0]
+    assert sand.held[0][0, 2] == pytest.approx(2.0 * 9.81, rel=0.02)
 
 
 def set_by(name: str, made: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> float:
@@ -83,6 +103,9 @@ def set_by(name: str, made: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> 
         assert given[:4] == [made["BEKKER_KPHI"], 0.0, made["BEKKER_N"], 0.0]
         assert given[5:] == [made["JANOSI_SHEAR"], 1e8, 3e4]
         return given[4]
+    if name == "mujoco":
+        rest_on_soil(made)
+        return made["Soil"].__init__.__defaults__[1]
     if name == "rft3d":
         # The module's φ is the law's; its ξ is that of resistive force theory.
         disc, moving = Foot(0.018, "disc"), ([0.0, 0.0, -0.02], [0.0, 0.0, -1.0])

@@ -161,7 +161,8 @@ def test_conversion_there_and_back() -> None:
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: simulator("mujoco"), "mujoco has no soil"),
+        (lambda: convert(0.6, from_="mujoco"), "mujoco has no soil"),
+        (lambda: convert("33±2", to="mujoco"), "mujoco has no soil"),
         (lambda: simulator("newtom"), "did you mean 'newton'"),
         (lambda: simulator("geotaichi").from_angle(65.0), "another dpType"),
         (lambda: simulator("chrono-scm").from_angle(30.0, "triaxial"), "no triaxial compression"),

@@ -57,7 +57,7 @@ def export(
         Bulk density of a soil that has none of its own [kg/m³], as ``"1600±40"``.
     to
         The simulator: ``genesis``, ``newton``, ``isaaclab``, ``chrono-crm``, ``chrono-scm``,
-        ``geotaichi`` or ``rft3d``.
+        ``geotaichi``, ``rft3d`` or ``mujoco``.
     match
         Stress path along which it is as strong as the soil: ``plane-strain`` or ``triaxial``.
     dp_type
@@ -363,6 +363,60 @@ USES = {
     """Keywords of force and wrench of terraphi.laws.wrench; φ is that of plane strain."""
     soil = {"phi_deg": phi_deg, "density": density}
     return soil if surface_friction is None else {**soil, "surface_friction": surface_friction}
+''',
+    "mujoco": '''class Soil:
+    """Soil under feet that are spheres of one size: push before each mj_step.
+
+        soil = Soil(model, ["FL_foot", "FR_foot", "RL_foot", "RR_foot"])  # names of geoms
+        soil.push(model, data)
+        mujoco.mj_step(model, data)
+
+    The feet touch nothing else then: leave a floor out, or below. The surface is level. damping is
+    that of a foot in soil [N s/m], 0 for the soil's alone.
+    """
+
+    def __init__(self, model, feet, surface=0.0, phi_deg=FRICTION_ANGLE_DEG, density=DENSITY,
+                 surface_friction=LEG_FRICTION, damping=20.0):
+        import numpy as np
+        from terraphi.laws.foot import Foot
+
+        self.geoms = [model.geom(name).id for name in feet]
+        radii = model.geom_size[self.geoms, 0]
+        if (model.geom_type[self.geoms] != 2).any() or np.ptp(radii) > 1e-6:
+            raise ValueError("feet are spheres of one size")
+        model.geom_contype[self.geoms] = model.geom_conaffinity[self.geoms] = 0
+        self.foot, self.held = Foot(float(radii[0])), (np.zeros((len(feet), 3)),) * 2
+        self.soil = {"phi_deg": phi_deg, "density": density, "surface": surface}
+        if surface_friction is not None:
+            self.soil["surface_friction"] = surface_friction
+        self.stiffness, self.damping = None, damping
+
+    def push(self, model, data):
+        """Put the soil's forces into data.qfrc_applied, in place of what was there."""
+        import mujoco
+        import numpy as np
+        from terraphi.laws.wrench import force
+
+        n = len(self.geoms)
+        jacobian, spatial, velocity = np.zeros((3 * n, model.nv)), np.zeros(6), np.zeros((n, 3))
+        for update in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_comVel):
+            update(model, data)  # mj_step leaves those of before it
+        for i, geom in enumerate(self.geoms):
+            mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_GEOM, geom, spatial, 0)
+            velocity[i] = spatial[3:]
+            mujoco.mj_jacGeom(model, data, jacobian[3 * i : 3 * i + 3], None, geom)
+        step = model.opt.timestep
+        if self.stiffness is None:  # half of the bound k h^2 < 2 m, m the least mass of a foot
+            mujoco.mj_forward(model, data)
+            inverse = np.zeros_like(jacobian)
+            mujoco.mj_solveM(model, data, inverse, jacobian)
+            least = 1.0 / np.linalg.eigvalsh(jacobian @ inverse.T)[-1]
+            self.stiffness = float(least / step**2)
+        self.held = force(self.foot, data.geom_xpos[self.geoms], velocity, held=self.held,
+                          step=float(step), stiffness=self.stiffness, **self.soil)
+        in_soil = np.linalg.norm(self.held[0], axis=1, keepdims=True) > 0.0
+        total = self.held[0] - self.damping * in_soil * velocity
+        data.qfrc_applied[:] = jacobian.T @ total.ravel()
 ''',
 }
 """Functions of the exported module that hand the constants to the simulator."""

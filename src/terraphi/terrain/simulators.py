@@ -81,6 +81,9 @@ RESISTIVE = SHEARED_PLANE._replace(
     meaning="√J2 ≤ p tan φ, without dilation: the soil that ξ was fitted to (Agarwal et al., 2023)",
     formula="tan φ_rft = sin φ",
 )
+PLANE_STRAIN = Law(
+    "law foot of terraphi on each foot", "φ itself", _arcsine, _sine,
+)  # fmt: skip
 CONES = {"Circumscribed": COMPRESSION, "MiddleCircumscribed": EXTENSION, "Inscribed": INSCRIBED}
 """Cones of GeoTaichi, by its ``dpType``."""
 
@@ -138,7 +141,7 @@ class Simulator:
         InputError
             If the simulator cannot be that strong, or has no such stress path.
         """
-        if self.name in ("chrono-scm", "rft3d") and match == "triaxial":
+        if self.name in ("chrono-scm", "rft3d", "mujoco") and match == "triaxial":
             raise InputError(f"{self.name} has no triaxial compression: leave out --match triaxial")
         parameter = self.law.value(ratio_of_angle(phi_deg, match))
         if math.isnan(parameter):
@@ -191,10 +194,15 @@ _TABLE = (
         RESISTIVE, "the friction of your own foot on the soil, for LEG_FRICTION",
         "a call each",
     ),
+    Simulator(
+        "mujoco", "MuJoCo, spheres as feet in soil", "friction_angle_deg", "deg", PLANE_STRAIN,
+        "the friction of your own foot on the soil, for LEG_FRICTION; damping of the joints",
+        "a Soil each",
+    ),
 )
 # fmt: on
 SIMULATORS = {entry.name: entry for entry in _TABLE}
-NAMES = (*SIMULATORS, "mujoco")
+NAMES = tuple(SIMULATORS)
 
 
 def simulator(name: str, *, dp_type: str | None = None) -> Simulator:
@@ -210,13 +218,8 @@ def simulator(name: str, *, dp_type: str | None = None) -> Simulator:
     Raises
     ------
     InputError
-        If there is none of that name, it has no soil, or has no such cone.
+        If there is none of that name, or it has no such cone.
     """
-    if name == "mujoco":
-        raise InputError(
-            "mujoco has no soil: its friction is that of two rigid bodies, which does not follow "
-            "from a soil's friction angle; measure it between foot and ground"
-        )
     if name not in SIMULATORS:
         raise InputError(f"unknown simulator '{name}'; {nearest(name, NAMES)}")
     entry = SIMULATORS[name]
@@ -271,6 +274,11 @@ def convert(
     >>> round(terraphi.convert("33±2", to="newton")["value"], 3)
     0.545
     """
+    if "mujoco" in (from_, to):
+        raise InputError(
+            "mujoco has no soil: its friction is that of two rigid bodies, which does not follow "
+            "from a soil's friction angle; 'terraphi export SOIL --to mujoco' puts soil under feet"
+        )
     if from_ is None:
         from terraphi.terrain.export import export
 
