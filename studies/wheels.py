@@ -56,7 +56,8 @@ slip of −0.3, for they push a mound. Nothing was learned beyond −0.5 and 0.6
 and contradictions: pull without torque, torque that no soil bears. Friction develops over 3 mm \
 here; in sand handbooks have 10 to 25 mm.
 - **Lugs** closer than three times their height count as a rough rim of the radius to their \
-tips. No lugged wheel was tried.
+tips; from six times on the rim bears the load, and the lugs cut in. So read, a wheel with twelve \
+lugs of 6 mm in soil B has errors of {lugs}.
 - **Load, slip and torque without a sinkage** are refused: they determine the friction of the \
 rim."""
 MEANS = ("slip", "soil A, 20°", "soil B, 26°", "soil C, 31°", "stated ±", "by rft, mean")
@@ -199,7 +200,8 @@ def means(rows: list[Wheeled], errors: list[float]) -> list[tuple[str, ...]]:
 def main() -> None:
     """Print what is learned, and write the page."""
     out = pages.out_from(__doc__.splitlines()[0])
-    rows = wheels()
+    every = wheels()
+    rows = [row for row in every if "+" not in row.name]
     print(f"offset {learned(rows):.2f} deg")
     errors = [
         row.read_deg - row.truth_deg - by_slip(row.slip)

@@ -73,18 +73,19 @@ def test_friction_develops_over_its_length() -> None:
     assert torques == sorted(torques, reverse=True)
 
 
-def test_close_lugs_have_the_friction_of_the_soil() -> None:
-    smooth = Wheel(0.11, 0.05)
-    lugged = Wheel(0.1, 0.05, lugs=40, lug_height=0.01)
-    few = Wheel(0.1, 0.05, lugs=6, lug_height=0.01)
-    rough = wheel_forces(smooth, 0.02, 0.4, **{**SOIL, "surface_friction": 0.6})
-    assert wheel_forces(lugged, 0.02, 0.4, **{**SOIL, "phi_deg": math.degrees(math.atan(0.6))},
-                        ).torque > wheel_forces(few, 0.02, 0.4, **SOIL).torque  # fmt: skip
-    at = {**SOIL, "phi_deg": math.degrees(math.atan(0.6))}
-    assert wheel_forces(lugged, 0.02, 0.4, **at).load == pytest.approx(
-        wheel_forces(smooth, 0.02, 0.4, **{**at, "surface_friction": 0.6}).load
+def test_close_lugs_have_the_friction_of_the_soil_and_far_ones_cut_in() -> None:
+    phi = math.degrees(math.atan(0.6))
+    close, far = (
+        Wheel(0.1, 0.05, lugs=40, lug_height=0.01),
+        Wheel(0.1, 0.05, lugs=8, lug_height=0.01),
     )
-    assert rough.torque > 0.0
+    rough = wheel_forces(Wheel(0.11, 0.05), 0.02, 0.4, phi_deg=phi, density=1600.0,
+                         surface_friction=0.6)  # fmt: skip
+    lugged = wheel_forces(close, 0.02, 0.4, phi_deg=phi, density=1600.0, surface_friction=0.3)
+    assert lugged.load == pytest.approx(rough.load)
+    assert lugged.torque == pytest.approx(rough.torque)
+    plain = wheel_forces(WHEEL, 0.01, 0.4, **SOIL)
+    assert wheel_forces(far, 0.02, 0.4, **SOIL).load == pytest.approx(plain.load)
 
 
 def test_sinkage_carries_the_load() -> None:

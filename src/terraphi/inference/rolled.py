@@ -281,7 +281,7 @@ def _friction(roll: _Roll) -> tuple[float, float] | None:
     """Friction between rim and soil, by the torque of rows that slip fully, with its error [-]."""
     torque = roll.rows.get("torque", np.full(roll.sinkage.size, math.nan))
     slips = (roll.rows["slip"] >= FULL_SLIP) & np.isfinite(torque)
-    if not slips.any() or roll.wheel.carries:
+    if not slips.any() or roll.wheel.carried > 0.0:
         return None
     # T / (W R) at the angle at which the rim carries the load hardly depends on that angle.
     ratio = float(np.median(torque[slips] / (roll.rows["load"][slips] * roll.wheel.reach)))
