@@ -227,11 +227,16 @@ def main() -> None:
         foot=by_foot.phi.median, sd=by_foot.phi.sd, rft=by_rft.phi.median,
     )  # fmt: skip
     pages.excerpt(out, "wheels", header, cells, header[:6])
+    lugs = [
+        f"{row.read_deg - row.truth_deg - float(WHEEL_ERROR.of(row.slip)):+.1f}°"
+        for row in every
+        if "+" in row.name
+    ]
     parts = [
         words,
         pages.table(MEANS, means(rows, errors)),
         "All: [wheels.csv](wheels.csv).",
-        LIMITS,
+        LIMITS.format(lugs=" and ".join(lugs)),
     ]
     pages.write(out, "wheels", "Wheels", parts, drawn(rows, errors), PICTURE)
 
