@@ -465,7 +465,7 @@ def test_a_file_name_that_is_not_utf8_is_escaped_in_results(terraphi: Terraphi) 
     pd.DataFrame({"sinkage_mm": depth, "force_N": depth}).to_csv(name, index=False)
     assert terraphi("invert", name, "--tool", "plate:60", "--out", "p").status == 0
     assert package.Answer.load("p").source == escaped
-    # The first of four seconds, the least that has footfalls.
+    # The first 3.6 s of eight have footfalls.
     lines = shipped_file("robots", "walk", ".csv").read_text().splitlines(keepends=True)
     Path(name).write_text("".join(lines[:900]))
     assert terraphi("footfalls", name, "--out", "w.nc").status == 0
