@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,12 +9,12 @@ import click
 
 from terraphi.cli.options import (
     PATH,
-    SOME_FAILED,
     Float,
     json_option,
     record_options,
     rig_options,
     soil_options,
+    some_may_fail,
 )
 from terraphi.experiment.bodies import TOOLS
 from terraphi.experiment.errors import InputError
@@ -124,27 +123,21 @@ def tabulate(
         check_table(table)
     with progress_bar("inverting") as report:
         answers = invert_rows(rows, options, report)
-    failed = [str(answer) for answer in answers if isinstance(answer, InputError)]
-    if failed and len(failed) == len(rows):
-        raise InputError(failed[0])
-    cells, counts = write_table(rows, answers, table)
-    for sentence in failed:
-        click.echo(f"Failed: {sentence}", err=True)
-    verdicts = ", ".join(f"{count} {name}" for name, count in counts.items())
-    assumed = sum(isinstance(answer, Answer) and answer.density_assumed for answer in answers)
-    guess = f"; the density of {assumed} is assumed" if assumed else ""
-    copied = dict.fromkeys(name for row in rows for name in row.get("notes", {}))
-    data = {"rows": cells} if table is None else {"table": str(table)}
-    present(
-        {**data, "records": len(rows), "verdicts": counts},
-        *([table_of_answers(cells)] if table is None else []),
-        f"{len(rows)} records: {verdicts}{guess}",
-        *([f"Columns copied, and not used: {', '.join(copied)}"] if copied else []),
-        *([f"Written: {table}"] if table is not None else []),
-        as_json=as_json,
-    )
-    if failed:
-        sys.exit(SOME_FAILED)
+    with some_may_fail(answers):
+        cells, counts = write_table(rows, answers, table)
+        verdicts = ", ".join(f"{count} {name}" for name, count in counts.items())
+        assumed = sum(isinstance(answer, Answer) and answer.density_assumed for answer in answers)
+        guess = f"; the density of {assumed} is assumed" if assumed else ""
+        copied = dict.fromkeys(name for row in rows for name in row.get("notes", {}))
+        data = {"rows": cells} if table is None else {"table": str(table)}
+        present(
+            {**data, "records": len(rows), "verdicts": counts},
+            *([table_of_answers(cells)] if table is None else []),
+            f"{len(rows)} records: {verdicts}{guess}",
+            *([f"Columns copied, and not used: {', '.join(copied)}"] if copied else []),
+            *([f"Written: {table}"] if table is not None else []),
+            as_json=as_json,
+        )
 
 
 @click.command()

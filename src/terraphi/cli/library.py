@@ -77,9 +77,8 @@ def library_build(
     else:
         total = len(cases)
         words = f"Share {share}: {total - lacking} of {total} cases are there; "
-        again = (
-            "the same command tries the others again" if lacking else "without --share it gathers"
-        )
+        again = "without --share it gathers"
+        again = "the same command tries the others again" if lacking else again
         data = {"share": share, "cases": total, "lacking": lacking}
         present(data, f"{words}{again}.", as_json=as_json)
         if lacking:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import click
 
 from terraphi.experiment.bodies import OUTLINES
+from terraphi.experiment.errors import InputError
 from terraphi.experiment.priors import FRICTION, HIP_HEIGHT_SD_MM, SENSOR_GAIN
 
 # The same words stand in the modules that take them, which are too slow to import for --help.
@@ -35,6 +38,22 @@ class Float(click.types.FloatParamType):
 
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+
+
+@contextmanager
+def some_may_fail(results: Sequence[Any]) -> Iterator[int]:
+    """Print the errors among results before a block, give their number, and end with status 1.
+
+    Raises InputError if all of them are errors.
+    """
+    failed = [str(result) for result in results if isinstance(result, InputError)]
+    if failed and len(failed) == len(results):
+        raise InputError(failed[0])
+    for sentence in failed:
+        click.echo(f"Failed: {sentence}", err=True)
+    yield len(failed)
+    if failed:
+        sys.exit(SOME_FAILED)
 
 
 def option_group(*each: Callable[..., Any]) -> Callable[..., Any]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import os
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ from typing import Any
 import click
 
 from terraphi.cli import options as shared
-from terraphi.cli.options import PATH, SOME_FAILED, Float, choice, json_option, option_group
+from terraphi.cli.options import PATH, Float, choice, json_option, option_group, some_may_fail
 from terraphi.experiment.errors import InputError, needing
 from terraphi.experiment.priors import DENSITY
 from terraphi.view.console import present
@@ -177,22 +176,16 @@ def tabulate(logs: Sequence[str], table: Path, as_json: bool, options: dict[str,
             importlib.import_module("pyarrow")
     with workers(min(len(logs), os.cpu_count() or 1)) as executor:
         walks = footfalls_many(logs, map_=executor.map if executor else map, **options)
-    failed = [str(walk) for walk in walks if isinstance(walk, InputError)]
-    if len(failed) == len(logs):
-        raise InputError(failed[0])
-    rows = table_of(logs, walks)
-    if table.suffix == TABLES[0]:
-        write_csv(table, rows, first=f"# {SIGNATURE}: footfalls of logs\n", float_format="%.4f")
-    else:
-        rows.attrs["comment"] = SIGNATURE
-        with atomic_write(table) as temporary:
-            rows.to_parquet(temporary)
-    for sentence in failed:
-        click.echo(f"Failed: {sentence}", err=True)
-    counts = rows[rows["reason"] == ""]["verdict"].value_counts().to_dict()
-    verdicts = ", ".join(f"{count} {name}" for name, count in counts.items())
-    data = {"table": str(table), "logs": len(logs), "failed": len(failed), "verdicts": counts}
-    words = f"{len(logs)} logs, {len(failed)} failed; {sum(counts.values())} footfalls: {verdicts}"
-    present(data, words, f"Written: {table}", as_json=as_json)
-    if failed:
-        sys.exit(SOME_FAILED)
+    with some_may_fail(walks) as failed:
+        rows = table_of(logs, walks)
+        if table.suffix == TABLES[0]:
+            write_csv(table, rows, first=f"# {SIGNATURE}: footfalls of logs\n", float_format="%.4f")
+        else:
+            rows.attrs["comment"] = SIGNATURE
+            with atomic_write(table) as temporary:
+                rows.to_parquet(temporary)
+        counts = rows[rows["reason"] == ""]["verdict"].value_counts().to_dict()
+        verdicts = ", ".join(f"{count} {name}" for name, count in counts.items())
+        data = {"table": str(table), "logs": len(logs), "failed": failed, "verdicts": counts}
+        words = f"{len(logs)} logs, {failed} failed; {sum(counts.values())} footfalls: {verdicts}"
+        present(data, words, f"Written: {table}", as_json=as_json)

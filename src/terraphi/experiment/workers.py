@@ -8,13 +8,16 @@ from __future__ import annotations
 import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
+from typing import TypeVar
 
 from terraphi.experiment.errors import InputError
+
+Made = TypeVar("Made")
 
 
 @contextmanager
@@ -53,6 +56,14 @@ def workers(count: int) -> Iterator[Executor | None]:
             results._writer.close()
         if thread is not None:  # none before the first task
             thread.join()
+
+
+def attempt(source: str, make: Callable[[], Made]) -> Made | InputError:
+    """What is made of a source, or why it cannot be used: an error that names the source."""
+    try:
+        return make()
+    except InputError as error:
+        return error if source in str(error) else InputError(f"{source}: {error}")
 
 
 def end_with(parent: Connection) -> None:

@@ -322,11 +322,10 @@ def invert_many(
 
 def _attempt(row: Any) -> Answer | InputError:
     """An answer, or why there is none."""
-    try:
-        return invert(**with_rig(row)) if isinstance(row, dict) else invert(row)
-    except InputError as error:
-        name = str(row["forces"]) if isinstance(row, dict) else str(row)
-        return error if name in str(error) else InputError(f"{name}: {error}")
+    from terraphi.experiment.workers import attempt
+
+    named = row if isinstance(row, dict) else {"forces": row}
+    return attempt(str(named["forces"]), lambda: invert(**with_rig(named)))
 
 
 @functools.lru_cache(maxsize=4)

@@ -365,10 +365,7 @@ class Likelihood:
         return grains - fine
 
     def curves(
-        self,
-        phi_deg: ArrayLike,
-        shift_deg: FloatArray | None = None,
-        cohesion: float | None = None,
+        self, phi_deg: ArrayLike, shift_deg: FloatArray | None = None, cohesion: float | None = None
     ) -> FloatArray:
         """Window means g [N] at k angles φ, at the best δ [deg] and c [Pa] or others, [k, n]."""
         forces = self._forces(phi_deg, self.cohesion if cohesion is None else cohesion)

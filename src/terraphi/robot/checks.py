@@ -117,6 +117,8 @@ def parts(time: FloatArray, first: int = 0, size: float = CHECK_S) -> list[slice
     ``first`` is the first sample that has not been checked, and ``size`` the length of the part
     that begins there [s]. The last part may overlap the one before.
     """
+    # By the clock of what was recorded, so that a part next to a gap is as long as any other. What
+    # is left at the end is checked together with samples before it: too short a rest has no stride.
     pieces: list[slice] = []
     clock = recorded(time)
     while (stop := int(np.searchsorted(clock, clock[first] + size))) < len(clock):
@@ -133,6 +135,7 @@ def warnings_of(checked: Sequence[Checked]) -> list[str]:
     for about in dict.fromkeys(finding.about for part in checked for finding in part.findings):
         able = [part for part in checked if about not in part.open]
         have = [next((f for f in part.findings if f.about == about), None) for part in able]
+        # The first run of parts that have it, from `first` to `last`; later ones are counted.
         first = next(i for i, finding in enumerate(have) if finding)
         last = ([*have, None]).index(None, first) - 1
         # Of all parts the middle one: the robot may stand in the first and in the last.
@@ -222,6 +225,8 @@ def check_parts(
 
 def _jumps(log: JointLog) -> list[Finding]:
     """Angles that jump, as where joints are exchanged while the robot walks."""
+    # The way that the velocities at both ends give, (q̇₁ + q̇₂) Δt / 2, against the change of the
+    # angle. Over a gap the velocity is not known, so that no jump is looked for.
     step = np.diff(log.time)[:, None, None]
     way = 0.5 * step * (log.velocity[1:] + log.velocity[:-1])
     off = np.where(step <= GUARD_S, np.abs(np.diff(log.angle, axis=0) - way), 0.0)
@@ -236,6 +241,7 @@ def _still(log: JointLog, robot: Quadruped) -> list[Finding]:
     """Angles that stand still while torques change, and torques while angles do."""
     if np.median(np.sqrt(np.mean(log.velocity**2, axis=0))) < 2.0 * REVERSAL_RATE:
         return []  # the robot does not walk
+    # Each joint against the same joint of the other legs: 1 in a leg that does what they do.
     deviations = (log.angle.std(axis=0), log.torque.std(axis=0))
     angle, torque = (sd / np.maximum(np.median(sd, axis=0), 1e-12) for sd in deviations)
     stuck, dead = (angle < STILL) & (torque > MOVES), (torque < STILL) & (angle > MOVES)
@@ -260,6 +266,7 @@ def _longest_hold(time: FloatArray, values: FloatArray) -> tuple[FloatArray, Flo
     """Longest time over which each reading stays one number [s], and its begin; [foot, joint]."""
     seconds, since = np.zeros((2, *values.shape[1:]))
     changes = np.diff(values, axis=0) != 0.0
+    # A run of equal values goes from the sample after one change to the next change.
     for foot, joint in np.ndindex(seconds.shape):
         ends = np.concatenate([[0], np.flatnonzero(changes[:, foot, joint]) + 1, [len(time)]])
         spans = time[ends[1:] - 1] - time[ends[:-1]]
@@ -373,6 +380,8 @@ def _attitude(log: JointLog) -> list[Finding]:
     off, turning = disagreement(quaternion, felt)
     if turning < LEAST_TURNING or off < DISAGREEMENT:
         return []
+    # Slips that are common, each tried on the log: the one that makes both agree is named. The
+    # factor of a clock, or of the gyroscope, is that of the spreads of both rates.
     conjugate, last = quaternion * np.array([1.0, -1.0, -1.0, -1.0]), quaternion[:, [3, 0, 1, 2]]
     rates = body_rate(quaternion, step), felt
     sizes = [float(np.median(np.abs(v - np.median(v, axis=0)))) for v in rates]
@@ -450,6 +459,7 @@ def _legs(log: JointLog, robot: Quadruped) -> list[Finding]:
             sizes.append(math.sqrt(max(float(off), 0.0) / len(rows)))
         return np.array(sizes)
 
+    # All 24 orders are tried, for what each leg logs was computed at each foot's place before.
     orders = {order: residuals(order) for order in itertools.permutations(feet.tolist())}
     # Where no order balances the moments, something else turns the robot: sliding alone counts.
     balanced = min(sizes[1] for sizes in orders.values()) < MOST_OFF * robot.leg_length[0]
@@ -493,11 +503,15 @@ def _swapped(
     arm = -robot.foot_radius * turn[:, None, 2, :]
     speeds, bears = np.empty((count, 4, 4, 3)), np.empty((count, 4, 4))
     moments = np.empty((count, 4, 4, 4, 3))
+    # In four turns of the order each foot once has the angles, velocities and torques of each leg.
     for shift in feet:
         order = np.roll(feet, shift)
         legs = Legs(robot, angle[:, order], 0.0 * velocity)
+        # The point at p of a trunk that turns in its place, and moves its legs, has J q̇ + ω × p.
         speed = np.einsum("sfij,sfj->sfi", legs.jacobian(arm), velocity[:, order])
         speeds[:, feet, order] = speed + np.cross(spin[:, None], legs.place + arm)
+        # f = J⁻ᵀ(h − τ), with the weight of the leg h and the torque of each joint by themselves,
+        # so that an error of each gain has its column. Moments are p × f.
         inverse = np.nan_to_num(legs.force_per_torque()[0]) / weight
         by_weight = np.einsum("sfij,sfj->sfi", inverse, legs.torque)
         by_torque = np.swapaxes(-inverse * torque[:, order, None], -1, -2)

@@ -132,6 +132,8 @@ def trunk_motion(
         turn = rotation(log.quaternion[part])
     if log.angular_velocity is not None:
         w = np.asarray(log.angular_velocity[part], dtype=np.float64)
+    # Angular acceleration by differences; the accelerometer feels it in proportion to its distance
+    # from the trunk's origin, which is taken off.
     alpha = np.asarray(np.gradient(w, time, axis=0)) if len(time) > 2 else zero
     if log.acceleration is None:
         return turn, TrunkMotion(GRAVITY * turn[:, 2, :], w, alpha)
@@ -162,6 +164,9 @@ def contact_torque(
     """
     if estimator == "quasi_static":
         return -part.torque
+    # Jᵀf = M q̈ + h + friction − τ. What depends on angles and velocities is known at the samples
+    # and linear between them; what is in proportion to q̈ is constant between two samples, as q̇ is
+    # linear there.
     values = part.legs.torque - part.torque
     rate = np.einsum("sfij,sfj->sfi", _between(part.legs.mass), part.slopes)
     if friction is not None:

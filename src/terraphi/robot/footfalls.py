@@ -16,6 +16,7 @@ from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import label_of
 from terraphi.experiment.priors import ROBOT_MASS_SD_PART
 from terraphi.experiment.units import GRAVITY
+from terraphi.experiment.workers import attempt
 from terraphi.inference.footfalls import FootfallMap, infer
 from terraphi.inference.pool import Anchor, Normal
 from terraphi.inference.records import density_with_sd
@@ -148,11 +149,7 @@ def footfalls_many(
 
 def _attempt(log: Path | str, options: dict[str, Any]) -> FootfallMap | InputError:
     """Footfalls of a log, or why there are none."""
-    try:
-        return footfalls(log, **options)
-    except InputError as error:
-        name = label_of(log)
-        return error if name in str(error) else InputError(f"{name}: {error}")
+    return attempt(label_of(log), lambda: footfalls(log, **options))
 
 
 def table_of(logs: Sequence[Path | str], walks: Sequence[FootfallMap | InputError]) -> pd.DataFrame:
@@ -301,6 +298,7 @@ def carried_s(time: FloatArray, lift: FloatArray) -> float:
     step = float(np.median(np.diff(time)))
     half = max(1, round(0.5 * STRIDE_S / step))
     is_finite, loads = np.isfinite(lift), np.nan_to_num(lift)
+    # Mean over a stride of those samples that are known, where half of them are.
     shares, sums = (running_mean(v[:, None], half)[half:-half, 0] for v in (is_finite, loads))
     mean = (sums / np.maximum(shares, 1e-9))[shares > 0.5]
     # Against the log's own level: gains of the torques are off.
@@ -311,6 +309,7 @@ def from_the_start(motion: Motion, log: JointLog) -> Motion:
     """Turn the motion so that x is the robot's first heading."""
     assert log.quaternion is not None, "checked when the log was read"
     early = log.time <= log.time[0] + SMOOTH_PATH_S
+    # The mean direction (x, y) of the trunk's forward axis over the ground becomes (1, 0).
     x, y = rotation(log.quaternion[early])[:, :2, 0].mean(axis=0)
     size = math.hypot(x, y)
     back = np.array([[x, y, 0.0], [-y, x, 0.0], [0.0, 0.0, size]]) / size
@@ -322,6 +321,8 @@ def path_of(trunk: FloatArray, time: FloatArray) -> FloatArray:
     from scipy.ndimage import uniform_filter1d
 
     width = max(1, round(SMOOTH_PATH_S / float(np.median(np.diff(time)))))
+    # The trunk sways once a stride: without a mean over strides the path would be longer than the
+    # way. Its length s is the sum of the steps, and its points are even in s.
     smooth = uniform_filter1d(trunk[:, :2], 2 * width, axis=0, mode="nearest")
     length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(smooth, axis=0).T))])
     count = int(np.clip(length[-1] / PATH_STEP + 1, 1, MOST_POINTS))

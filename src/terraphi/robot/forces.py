@@ -211,6 +211,7 @@ def estimate(
         )
         for wide, inner in chunks(log.time)
     ]  # fmt: skip
+    # Parts with margins on both sides, which the filters need, are cut and joined again.
     columns = map(np.concatenate, zip(*parts, strict=True))
     fields = ("force", "sigma", "flagged", "saturated", "place", "lift_per_torque", "leg_inertia")
     return FootForces(
@@ -274,6 +275,7 @@ def _chunk(
         inverse = turn[:, None] @ inverse
     with np.errstate(over="ignore", invalid="ignore"):  # where a knee is singular
         force = np.einsum("sfij,sfj->sfi", inverse, torque)
+        # f = J⁻ᵀ τ with independent errors of the torques: var f_i = Σ_j (J⁻ᵀ)_ij² var τ_j.
         variance = np.einsum("sfij,sfj->sfi", inverse**2, variance)
         if not robot.there.all():  # legs of two joints feel no force across their plane
             across = inverse[..., 0] / np.linalg.norm(inverse[..., 0], axis=-1, keepdims=True)
@@ -285,6 +287,7 @@ def _chunk(
             x, y, z = np.moveaxis(np.square(math.radians(errors.attitude_deg) * force), -1, 0)
             variance += np.stack([z, z, x + y], axis=-1)
         force_sigma = np.asarray([force, np.sqrt(variance)], dtype=np.float32)
+    # Where the knee is straight, a small error of a torque is a large one of the force.
     near_singular = lever < LEAST_LEVER * robot.leg_length
     force_sigma[:, near_singular] = np.nan
     limit = SATURATED * np.array(robot.torque_limit or (np.inf,) * 3)

@@ -219,6 +219,8 @@ def lag_and_gain(
     # Friction's regressors, orthonormal, and the torque of the motion without friction, of each.
     frictions = {(i, j): np.linalg.qr(terms[swing[:, i], i, j])[0] for i, j in joints}
     models = {(i, j): torque[swing[:, i], i, j] + shifted(0.0, i, j) for i, j in joints}
+    # Of each lag the part of the difference that friction cannot explain, e − Q Qᵀ e; large ones
+    # are cut off, so that a blow counts no more than three standard deviations.
     for i, j in joints:
         axes, model = frictions[i, j], models[i, j]
         for k, lag in enumerate(lags):
@@ -229,6 +231,8 @@ def lag_and_gain(
     if 0 < k < len(lags) - 1:  # the vertex of a parabola through three costs
         before, least, after = cost[k - 1 : k + 2]
         lag = float(lags[k] + 0.5 * step * (before - after) / (before - 2.0 * least + after))
+    # Gain by least squares, late = gain · model + e, both without what friction explains; its
+    # variance is var(e) / |model|², with independent e every GUARD_S alone.
     for i, j in joints:
         axes = frictions[i, j]
         model, late = (v - axes @ (axes.T @ v) for v in (models[i, j], shifted(lag, i, j)))

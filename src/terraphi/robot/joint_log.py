@@ -167,6 +167,8 @@ def joint_place(name: str) -> tuple[int, int] | None:
         Indices into :data:`~terraphi.robot.joint_log.FEET` and
         :data:`~terraphi.robot.joint_log.JOINTS`; ``None`` if the name means neither or several.
     """
+    # Words become meanings, then each meaning is counted: a foot is named whole, as FL, or by an
+    # end and a side, as "front left". Anything that leaves two feet, or two joints, means none.
     words = []
     for word in re.findall(r"[a-z]+|\d+", name.lower()):  # LFHAA is LF and HAA
         joined = re.fullmatch(f"({_KNOWN})+", word)
@@ -176,6 +178,7 @@ def joint_place(name: str) -> tuple[int, int] | None:
     feet = [foot for foot in FEET if foot in meant]
     feet += [end + side[0].upper() for end in ("F", "R") if end in meant for side in sides]
     joints = [joint for joint in JOINTS if joint in meant]
+    # Spot calls its thigh hip_y; the Go2's motors are numbers.
     if joints == ["hip"] and meant & _SWINGS:
         joints = ["thigh"]
     if not joints and words and words[-1] in {"0", "1", "2"}:

@@ -220,6 +220,7 @@ def _loaded(path: Path, settings: RobotFile, toml: str = "") -> Quadruped:
     body, offset, radius = (np.array(column) for column in zip(*feet, strict=True))
     place = _balls(data, body, offset)
     thigh, knee = data.xanchor[joint[:, 1]], data.xanchor[joint[:, 2]]
+    # Thigh and calf stretched out; without a hip's offset, which does not lift the foot.
     length = np.linalg.norm(knee - thigh, axis=-1) + np.linalg.norm(place - knee, axis=-1)
     if settings.foot_radius is None and radius[0] > 0.0:
         notes.append(f"foot_radius taken from the model's sphere: {1e3 * radius[0]:g} mm")
@@ -325,6 +326,7 @@ def _prepare_mjcf(root: ET.Element) -> None:
 
     Raises ValueError if it makes more copies of its parts than a robot has.
     """
+    # An element with a count multiplies what is in it: a kilobyte could ask for a billion parts.
     copies = {root: 1.0}
     for parent in root.iter():
         for element in parent:
@@ -376,12 +378,15 @@ def _leg_joints(
             f"{len(hinges)} revolute joints; name those of the four legs in the table 'joints' of "
             "the robot's TOML (bipeds and flat soles are not supported)"
         )
+    # A leg is a chain: the dof above its first joint is the trunk's last (5), and above each other
+    # one that of the joint before. Its equations of motion rest on that.
     for row in np.sort(joint[:, first:]):
         for i, above in zip(row, [5, *model.jnt_dofadr[row[:-1]]], strict=True):
             if model.dof_parentid[model.jnt_dofadr[i]] != above:
                 name = model.joint(i).name
                 raise InputError(f"{source}: '{name}' does not hang on the joint above it")
     x, y = (data.xanchor[joint[:, 1], :2] - data.xanchor[joint[:, 1], :2].mean(axis=0)).T
+    # Rear is behind the middle of the thighs and left is to its left: FR, FL, RR, RL are 0 to 3.
     corners = [FEET[corner] for corner in 2 * (x < 0.0) + (y > 0.0)]
     abducts = np.abs(data.xaxis[joint[:, :2], 0])  # a hip turns about the trunk's x
     wrong = [
@@ -412,6 +417,7 @@ def _foot(
                 f"'{model.body(calf).name}'; a ball at the calf's end is expected: flat soles on "
                 "ankles, and wheels, are not supported"
             )
+    # The sole of a leg is far from the knee: of several bodies that are fixed there, the farthest.
     if named or fixed:
         body = max(named or fixed, key=lambda b: np.linalg.norm(data.xpos[b] - data.xpos[calf]))
         for ball in (g for g in balls if model.geom_bodyid[g] == body):
@@ -434,6 +440,7 @@ def _limits(model: mujoco.MjModel, joint: Any) -> Vector | None:
     for i in range(model.nu):
         if model.actuator_forcelimited[i]:
             force[model.actuator_trnid[i, 0]] = model.actuator_forcerange[i, 1]
+    # A hip that is not there limits nothing; of the feet, the weakest one counts.
     each = np.where(joint >= 0, force[joint], force[joint[:, 1:]].max(axis=1, keepdims=True))
     hip, thigh, calf = each.min(axis=0).tolist()
     return (hip, thigh, calf) if min(hip, thigh, calf) > 0.0 else None

@@ -111,6 +111,7 @@ class Ensemble:
         if not stances:
             empty = np.full((POINTS, len(AXES)), np.nan)
             return cls(part, empty, empty, 0, float("nan"))
+        # Each stance by 101 points of its own duration, so that short and long ones are averaged.
         each = [
             [np.interp(s.begin + part * s.duration, s.time, f) for f in s.force.T] for s in stances
         ]
@@ -222,11 +223,13 @@ def _crossings(
     One level [N] applies before the run, the other after it. If the force does not fall that low
     between two runs, they are split at its lowest value there.
     """
+    # Running index of the last sample at or below the level, and of the next one from behind.
     down = np.where(lift <= touch, np.arange(len(lift)), -1)
     before = np.maximum.accumulate(down)
     up = np.where(lift <= leave, np.arange(len(lift)), len(lift))
     after = np.minimum.accumulate(up[::-1])[::-1]
     first, last = before[starts], after[ends]
+    # Two stances that meet: the force between them did not come down to the level.
     for i in np.flatnonzero((first[1:] < ends[:-1]) | (last[:-1] >= starts[1:])).tolist():
         parting = ends[i] + int(lift[ends[i] : starts[i + 1]].argmin())
         first[i + 1], last[i] = max(first[i + 1], parting), min(last[i], parting)

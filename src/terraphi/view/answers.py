@@ -101,18 +101,9 @@ def tables(answer: Answer) -> list[Table]:
     from terraphi.inference.terms import TERMS
 
     # Answers by earlier versions have terms that the table has no more.
-    terms = [
-        (
-            name,
-            f"{sd:.2f}",
-            "assumed"
-            if name == "density" and answer.density_assumed
-            else TERMS[name].source
-            if name in TERMS
-            else "",
-        )
-        for name, sd in answer.budget_deg.items()
-    ]
+    sources = dict.fromkeys(answer.budget_deg, "") | {n: term.source for n, term in TERMS.items()}
+    sources |= {"density": "assumed"} if answer.density_assumed else {}
+    terms = [(name, f"{sd:.2f}", sources[name]) for name, sd in answer.budget_deg.items()]
     records = [
         (
             record.source, str(record.rig), str(record.n_readings), str(record.n_left_out),
@@ -215,11 +206,10 @@ def table_of_answers(rows: Sequence[dict[str, Any]]) -> Table:
 def row(answer: Answer) -> dict[str, Any]:
     """Format an answer by column, without its source."""
     phi, plane = answer.phi, answer.phi_plane_strain
+    legs = dict.fromkeys(rig.leg if rig.sizes_mm else str(rig) for rig in answer.rigs)
     rounded = [f"{value:.6g}" for value in (phi.median, phi.sd, *phi.ci68, *phi.ci95)]
     return {
-        "leg": ", ".join(
-            dict.fromkeys(rig.leg if rig.sizes_mm else str(rig) for rig in answer.rigs)
-        ),
+        "leg": ", ".join(legs),
         **dict(zip(COLUMNS[2:8], rounded, strict=True)),
         "yield": answer.convention,
         "phi_plane_strain_deg": "" if plane is None else f"{plane.median:.6g}",

@@ -57,9 +57,8 @@ def tables(document: str) -> list[Table]:
             if not models_in([model.model_fields[key].annotation])
         ]
         kind = schema["properties"].get("kind")
-        title = ", ".join(map(_heading, names)) + (
-            f' with kind = "{kind["default"]}"' if kind else ""
-        )
+        title = ", ".join(map(_heading, names))
+        title += f' with kind = "{kind["default"]}"' if kind else ""
         about = " ".join(schema["description"].partition("\n\n")[0].split())
         if keys:
             key_tables.append(Table(f"{title}: {about}", HEADER, keys))
@@ -87,13 +86,11 @@ def _walk(model: type[BaseModel], place: str) -> Iterator[tuple[type[BaseModel],
 def _row(name: str, value: Schema, *, required: bool) -> tuple[str, ...]:
     meaning = " ".join(value.get("description", "").split())
     units = dict.fromkeys(re.findall(r"\[([^\]]+)\]", meaning))
-    plain = (
-        re.sub(r"\s*\[[^\]]+\]", "", meaning).replace("``None``", "not given").replace("``", "`")
-    )
+    plain = re.sub(r"\s*\[[^\]]+\]", "", meaning).replace("``None``", "not given")
     default = "required" if required else _toml(value.get("default"))
     either = value.get("anyOf") or [value]
     kind = next(part for part in either if part.get("type") != "null")
-    return name, ", ".join(units), default, _allowed(kind), plain
+    return name, ", ".join(units), default, _allowed(kind), plain.replace("``", "`")
 
 
 def _allowed(value: Schema) -> str:

@@ -37,17 +37,13 @@ def footfalls_table(summary: dict[str, Any], most: int = MOST_FOOTFALLS) -> Tabl
     """Place, sinkage, φ and verdict of the first footfalls of a summary."""
     rows = []
     for footfall in summary["footfalls"][:most]:
-        phi = footfall["phi_deg"]
-        median, half = "-", "-"
-        if phi is not None:
-            median = f"{phi['median']:.1f}"
-            half = f"{0.5 * (phi['ci68'][1] - phi['ci68'][0]):.1f}"
-        rows.append(
-            (
-                median, half, footfall["verdict"], f"{footfall['t_s']:.2f}", footfall["foot"],
-                f"{footfall['x_m']:.2f}", f"{footfall['y_m']:.2f}", f"{footfall['sinkage_mm']:.1f}",
-            )
-        )  # fmt: skip
+        angle = ["-", "-"]
+        if phi := footfall["phi_deg"]:
+            low, high = phi["ci68"]
+            angle = [f"{phi['median']:.1f}", f"{0.5 * (high - low):.1f}"]
+        numbers = {"x_m": ".2f", "y_m": ".2f", "sinkage_mm": ".1f"}
+        row = [*angle, footfall["verdict"], f"{footfall['t_s']:.2f}", footfall["foot"]]
+        rows.append([*row, *(f"{footfall[key]:{form}}" for key, form in numbers.items())])
     more = len(summary["footfalls"]) - len(rows)
     header = ("φ [deg]", "±", "verdict", "t [s]", "foot", "x [m]", "y [m]", "sinkage [mm]")
     note = "±: 68 %, absolute." + (f" {more} more are in the files." if more else "")
@@ -71,17 +67,11 @@ def feet_table(summary: Mapping[str, Any], title: str) -> Table:
     """Stances of each foot and of all, with the duration and signed peaks of the mean one."""
     feet = {f"{name} ({foot})": summary["feet"][foot] for foot, name in FOOT_NAMES.items()}
     digits = {"mean_duration_s": ".3f", "mean_peak_Fz_N": ".1f", "mean_peak_Fx_N": ".1f"}
-    rows = [
-        (
-            name,
-            str(stance["stances"]),
-            *(
-                "–" if stance[key] is None else f"{stance[key]:{form}}"
-                for key, form in digits.items()
-            ),
-        )
-        for name, stance in {**feet, "all feet": summary["pooled"]}.items()
-    ]
+    rows = []
+    for name, stance in {**feet, "all feet": summary["pooled"]}.items():
+        numbers = [(stance[key], form) for key, form in digits.items()]
+        cells = ("–" if value is None else f"{value:{form}}" for value, form in numbers)
+        rows.append([name, str(stance["stances"]), *cells])
     header = ("foot", "stances", "duration [s]", "peak Fz [N]", "peak Fx [N]")
     return Table(title, header, rows, "Duration and signed peaks of the mean stance.")
 
