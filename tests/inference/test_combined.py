@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -78,17 +79,27 @@ def test_a_sensor_or_moisture_is_wrong_by_the_same_for_all_legs(plate: Answer, t
     assert joint.phi.sd == pytest.approx(np.hypot(0.8 / np.sqrt(2), 0.6), abs=0.01)
 
 
-@pytest.mark.parametrize("soil", CRITICAL_DEG)
-def test_leg_plate_and_ball_in_one_soil_narrow_its_angle(soil: str, tmp_path: Path) -> None:
+@cache
+def leg_plate_and_ball(soil: str) -> tuple[Answer, Answer]:
+    """Joint answer of three bodies in one soil, and that of the leg alone."""
     legs = GRAINS / f"{soil}-loose_straight_1.csv"
     plate = GRAINS / f"{soil}-loose_disc_60_1.csv"
     ball = GRAINS / f"{soil}-loose_ball_44_1.csv"
     given = {"rig": "li2013", "leg": "straight", "density": "1415±30", "grain_size_mm": 6.0}
     joint = terraphi.invert([legs, f"{plate}@plate:60", (ball, "ball:44")], **given)
-    alone = terraphi.invert(legs, **given)
+    return joint, terraphi.invert(legs, **given)
+
+
+@pytest.mark.parametrize("soil", CRITICAL_DEG)
+def test_leg_plate_and_ball_in_one_soil_narrow_its_angle(soil: str) -> None:
+    joint, alone = leg_plate_and_ball(soil)
     assert joint.phi.median == pytest.approx(CRITICAL_DEG[soil], abs=2.0 * joint.phi.sd)
     assert joint.phi.sd < 0.95 * alone.phi.sd
     assert joint.verdict == "consistent"
+
+
+def test_a_joint_answer_is_read_back_with_its_predictions(tmp_path: Path) -> None:
+    joint, _ = leg_plate_and_ball(next(iter(CRITICAL_DEG)))
     joint.save(tmp_path / "answer")
     stored = terraphi.Answer.load(tmp_path / "answer")
     assert [record.rig for record in stored.records] == [record.rig for record in joint.records]

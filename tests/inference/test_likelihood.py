@@ -34,7 +34,9 @@ from terraphi.laws.store import PHI, Case, Library
 RECORDS = names()[::3]
 
 
-@pytest.mark.parametrize("name", RECORDS)
+@pytest.mark.parametrize(
+    "name", [*RECORDS[::3], *(pytest.param(n, marks=pytest.mark.slow) for n in RECORDS[1:3])]
+)
 def test_best_angle_and_shift_are_those_of_least_squares(sand3d: Library, name: str) -> None:
     """No term of the likelihood pulls: SciPy finds the same from the library's curves."""
     record = open_record(name)

@@ -15,7 +15,10 @@ SIBLING = {"yuma": "poppy_loose", "glass03_loose": "glass03_close", "poppy_loose
 """Another medium, to calibrate with."""
 
 
-@pytest.mark.parametrize("name", ["yuma/straight", "glass03_loose/c", "poppy_loose/reversed_c"])
+@pytest.mark.parametrize("name", [
+    "yuma/straight", "glass03_loose/c", pytest.param("poppy_loose/reversed_c",
+                                                     marks=pytest.mark.slow),
+])  # fmt: skip
 def test_after_each_measurement_the_interval_is_as_wide_as_was_said(name: str) -> None:
     medium, _, leg = name.partition("/")
     record = measurement(f"li2013:{name}")

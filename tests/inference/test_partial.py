@@ -48,7 +48,10 @@ def whole(name: str) -> Answer:
     return invert(measurement(name))
 
 
-@pytest.mark.parametrize("window", [(-80, 80), (-60, 60), (-60, 0), (-40, 0), (-20, 40), (0, 85)])
+@pytest.mark.parametrize("window", [
+    (-60, 60), (-60, 0), (-20, 40), (0, 85), pytest.param((-80, 80), marks=pytest.mark.slow),
+    pytest.param((-40, 0), marks=pytest.mark.slow),
+])  # fmt: skip
 def test_a_part_gives_the_angle_of_the_whole_within_its_own_share(window: tuple[int, int]) -> None:
     difference = []
     for name in names():

