@@ -41,10 +41,11 @@ demo: $(RUN)
 
 # Neighboring tests share fixtures and compiled kernels: each process begins with a half in order.
 # Types are checked at the same time, so that no core waits; what is wrong with them comes last.
+# Of pytest's plugins xdist alone is loaded: it would rewrite the assertions in all their modules.
 test: $(DEV)
 	$(RUFF)
 	@$(BIN)/mypy > $(VENV)/mypy.txt 2>&1 & \
-	$(BIN)/pytest -n $(WORKERS) --dist worksteal; tests=$$?; \
+	PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 $(BIN)/pytest -p xdist -n $(WORKERS) --dist worksteal; tests=$$?; \
 	wait $$!; types=$$?; cat $(VENV)/mypy.txt; exit $$((tests | types))
 
 # The numerical tests as on processors with AVX2 at most, and with neither: Numba and OpenBLAS are

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import fcntl
+import importlib
 import os
 import pickle
 import sys
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -77,6 +79,14 @@ def terraphi(
         return Ran(status, *capsys.readouterr())
 
     return run
+
+
+@pytest.fixture(scope="session")
+def arviz() -> Any:
+    """ArviZ, whose import takes seconds: no worker without these tests pays for it."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return importlib.import_module("arviz")
 
 
 @pytest.fixture(scope="session")

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import math
 import resource
-import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,14 +24,6 @@ from terraphi.laws.legs import shipped_legs
 from terraphi.terrain.soils import soil
 
 mpl.use("agg")
-
-
-@pytest.fixture(scope="module")
-def arviz() -> Any:
-    """ArviZ, whose import takes seconds: no worker without these tests pays for it."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return importlib.import_module("arviz")
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import arviz
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -178,7 +177,7 @@ def test_median_standard_error_is_the_scatter_of_medians(coefficient: float) -> 
     ],
     ids=["agree", "stuck apart", "of other spread", "drift"],
 )
-def test_rhat_equals_arviz_with_one_walker_and_sees_what_is_wrong(change) -> None:
+def test_rhat_equals_arviz_with_one_walker_and_sees_what_is_wrong(change, arviz) -> None:
     item = change(autoregressive(0.5, (4, 1, 1000)))
     assert split_rhat(item) == pytest.approx(float(arviz.rhat(item[:, 0])), rel=1e-6)
     draws = change(autoregressive(0.5, (4, 16, 1000)))
