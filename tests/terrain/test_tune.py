@@ -247,6 +247,7 @@ def test_a_mesh_of_a_disc_or_ball_has_its_force(shape: Any, tmp_path: Path) -> N
 
 def test_a_mesh_between_ball_and_disc_widens_the_interval(tmp_path, monkeypatch) -> None:
     monkeypatch.setitem(ENGINES, "newton", synthetic(0.7))
+    monkeypatch.setattr(tuning, "FINE", 8)  # a mesh takes its time at each depth
     ball, widths, flatness = Sole.of("ball:0.04"), [], []
     for height in (1.0, 0.35):
         file = write_obj(tmp_path / "sole.obj", ball.vertices * [1, 1, height], ball.faces)
