@@ -221,9 +221,10 @@ def test_friction_of_a_tool_is_that_of_the_law(tmp_path: Path) -> None:
     )[:, 1]  # fmt: skip
     path = tmp_path / "ball.csv"
     pd.DataFrame({"sinkage_mm": 1e3 * z, "force_N": rough}).to_csv(path, index=False)
-    [known] = terraphi.invert_many(
-        [{"forces": str(path), "tool": "ball:100", "density": 1500, "leg_friction": "0.5±0.05"}]
-    )
+    row = {"forces": f"{path}@ball:100", "density": 1500, "leg_friction": "0.5±0.05"}
+    [measured] = terraphi.invert_many([row])
     assumed = terraphi.invert(path, tool="ball:100", density=1500)
-    assert abs(known.phi.median - 32.0) < abs(assumed.phi.median - 32.0)
-    assert known.budget_deg["surface friction"] < assumed.budget_deg["surface friction"]
+    assert abs(measured.phi.median - 32.0) < abs(assumed.phi.median - 32.0)
+    assert measured.budget_deg["surface friction"] < assumed.budget_deg["surface friction"]
+    for friction in ("0.05", "0.65"):
+        assert terraphi.invert(path, tool="ball:100", friction=friction).phi.sd > 0.0

@@ -84,12 +84,45 @@ def test_phi_along_the_way_follows_the_soil() -> None:
     halves = [rows(phi).iloc[[1, 2]] for phi in (28.0, 34.0)]
     table = pd.concat([half for half in halves for _ in range(20)], ignore_index=True)
     table["time_s"] = np.arange(len(table), dtype=float)
-    order = np.r_[0:40, 40:80]
-    along = terraphi.phi_along(table.iloc[order], TOOL, density=1600)
+    with pytest.warns(UserWarning, match="Guessed"):
+        along = terraphi.phi_along(table, TOOL, density=1600)
     first, last = (along["phi_deg"][part].mean() for part in (slice(40), slice(40, None)))
     assert last - first == pytest.approx(6.0, abs=0.7)
     assert (along["sd_relative_deg"] < along["sd_deg"]).all()
+    assert along["sd_relative_deg"].max() < 1.6
     assert (along["time_s"] == table.time_s).all()
+
+
+def test_a_mean_lies_within_its_rows_and_an_outlier_moves_little() -> None:
+    rng = np.random.default_rng(4)
+    table = pd.concat([rows(30.0)] * 40, ignore_index=True)
+    noisy = table.assign(sinkage_mm=table.sinkage_mm + rng.normal(0.0, 0.5, len(table)))
+    answer = terraphi.invert(noisy, tool=TOOL, density=1600)
+    assert answer.phi.median == pytest.approx(30.0, abs=0.7)
+    assert answer.verdict == "consistent"
+    spiked = table.iloc[:10].copy()
+    spiked.loc[3, "sinkage_mm"] = 0.5
+    assert terraphi.invert(spiked, tool=TOOL, density=1600).phi.median == pytest.approx(
+        30.0, abs=0.7
+    )
+
+
+def test_columns_with_gaps_and_the_sign_of_the_torque() -> None:
+    table = pd.concat([rows(31.0)] * 60, ignore_index=True)
+    gaps = table.assign(torque_Nm=np.where(np.arange(len(table)) % 2, table.torque_Nm, np.nan))
+    whole, part = (terraphi.invert(t, tool=TOOL, density=1600) for t in (table, gaps))
+    assert part.phi.median == pytest.approx(whole.phi.median, abs=0.3)
+    brakes = table.drop(columns="pull_N").assign(torque_Nm=-table.torque_Nm)
+    assert any("brakes" in text for text in terraphi.invert(brakes, tool=TOOL).warnings)
+
+
+@pytest.mark.parametrize("friction", ["0.05±0.02", "0.65±0.05", "0.3"])
+def test_a_stated_friction_is_kept(friction: str) -> None:
+    table = rows(31.0)
+    answer = terraphi.invert(table, tool=TOOL, friction=friction, density=1600)
+    assert answer.leg_friction == float(friction.partition("±")[0])
+    with pytest.raises(InputError, match="friction"):
+        terraphi.invert("li2013:yuma/c", friction=friction)
 
 
 def test_rows_that_contradict_each_other_are_a_misfit() -> None:
@@ -146,7 +179,9 @@ def test_published_wheel_is_within_the_interval() -> None:
 
 @pytest.mark.parametrize("soil", CRITICAL_DEG)
 def test_wheels_in_grains_lie_within_the_interval(soil: str) -> None:
-    for path in GRAINS.glob(f"{soil}-loose_wheel_120x25_s*_1.csv"):
+    paths = [*GRAINS.glob(f"{soil}-loose_wheel_120x25_s*_1.csv")]
+    assert len(paths) >= 4
+    for path in paths:
         density = float(re.findall(r"density (\d+)", path.read_text(encoding="utf-8"))[0])
         table = pd.read_csv(path, comment="#")
         table = table[(table.sinkage_mm - table.sinkage_mm.max()).abs() < 0.01].iloc[15:]

@@ -65,6 +65,24 @@ def test_side_slip_is_even_in_pull_and_odd_in_side_force() -> None:
     assert right.side > 0.0
 
 
+@pytest.mark.parametrize("slip", [-0.7, -0.5, 0.3])
+def test_shear_displacement_is_the_way_of_the_rim_past_the_soil(slip: float) -> None:
+    """Torque with friction by a sum over time, of a point of the rim from where it comes in."""
+    turning, travel = (1.0, 1.0 - slip) if slip >= 0.0 else (1.0 + slip, 1.0)
+    depth, length = 0.02, 0.004
+    start = math.acos(1.0 - depth / WHEEL.radius)
+    # The ratio of the torque to that of full friction, by shares of the friction over the rim.
+    full = wheel_forces(WHEEL, depth, slip, mobilization=0.0, **SOIL)
+    theta = np.linspace(start, 0.0, 4000)
+    step = (theta[0] - theta[1]) / turning
+    along = np.cumsum(turning - travel * np.cos(theta)) * step * WHEEL.radius
+    share = -np.expm1(-np.abs(along) / length)
+    part = wheel_forces(WHEEL, depth, slip, mobilization=length, **SOIL)
+    ratio = float(part.torque / full.torque)
+    assert share.min() - 0.01 <= ratio <= share.max() + 0.01
+    assert ratio == pytest.approx(share[theta < 0.7 * start].mean(), abs=0.2)
+
+
 def test_friction_develops_over_its_length() -> None:
     lengths = (0.0, 1e-4, 3e-3, 3e-2)
     torques = [float(wheel_forces(WHEEL, 0.02, 0.3, mobilization=k, **SOIL).torque)
@@ -90,6 +108,10 @@ def test_close_lugs_have_the_friction_of_the_soil_and_far_ones_cut_in() -> None:
 
 def test_sinkage_carries_the_load() -> None:
     soil = np.array([30.0, 36.0]), np.array([1500.0, 1700.0])
+    ends = rolling(WHEEL, 30.0, [-0.5, 0.6], np.array([15.0, 52.0]), np.array([1500.0, 1700.0]))
+    assert np.isfinite(ends["pull_N"][1]).all()
+    with pytest.raises(InputError, match="slip"):
+        rolling(WHEEL, 30.0, [], *soil)
     sunk = rolling(WHEEL, 30.0, [0.0, 0.2, 0.4], *soil)["sinkage_mm"]
     assert (sunk[0] > sunk[1]).all()
     assert (np.diff(sunk, axis=1) > 0.0).all()

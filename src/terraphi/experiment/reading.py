@@ -68,29 +68,32 @@ _NAMES = {
     "time": r"t|time|zeit|timestamp|elapsed(time)?|(time|zeit)s?",
     "moment": r"m|my|moment|torque|(hip|joint|motor)(moment|torque)|drehmoment|ty|moment[yh]",
     "sinkage": r"sinkage|depth|penetration(depth)?|displacement|travel|position|z|s|tiefe"
-    r"|einsinkung|weg|settlement|einsinktiefe|indentation",
+    r"|einsinkung|weg|settlement|einsinktiefe|indentation|(wheel|rut)sinkage[hz]?|enfoncement",
     "force": r"f|fz|force|load|(normal|vertical|plate|contact)(force|load)|(force|load)z|kraft"
     r"|last",
     "pressure": r"p|q|pressure|(normal|contact|ground|plate|vertical)(pressure|stress)|stress|druck"
     r"|spannung|bearingpressure",
     "travel": r"x|travel|distance|way|weg|fahrweg|odometer",
-    "slip": r"s|i|slip(rate|ratio)?|schlupf",
+    "slip": r"s|i|(slip|schlupf|glissement)(rate|ratio)?[si]?",
     "wheel_speed": r"(wheel|rim|circumferential)(speed|velocity)|omegar|wr|umfangsgeschwindigkeit",
-    "rotation": r"omega|ω|w|angular(speed|velocity|rate)|rotation(al)?(rate|speed)?|rpm|drehzahl",
-    "travel_speed": r"v|vx|(travel|forward|vehicle|ground|carriage|rover)?(speed|velocity)",
-    "load": r"fz|fn|w|(normal|vertical|wheel)?(load|weight)|(normal|vertical)force|radlast|last",
+    "rotation": r"omega|ω|angular(speed|velocity|rate)|rotation(al)?(rate|speed)?|rpm|drehzahl"
+    r"|wheelrotation",
+    "travel_speed": r"v|vx|(travel|forward|vehicle|ground|carriage|rover)?(speed|velocity)"
+    r"|(fahr)?geschwindigkeit",
+    "load": r"(normal|vertical|wheel|axle)?(load|weight)[wn]?|fz|fn|w|(normal|vertical)force"
+    r"|radlast|last|vertikalkraft|charge",
     "pull": r"fx|dp|pull|drawbar(pull|force)?|netpull|(net)?traction|zugkraft"
     r"|(horizontal|longitudinal|tractive|forward)force",
-    "torque": r"my|ty|(wheel|motor|drive|driving|input)?torque|moment|drehmoment|mt",
+    "torque": r"my|ty|(wheel|motor|drive|driving|input)?torque|moment|drehmoment|mt|couple",
     "side": r"fy|side(force)?|lateral(force)?|seitenkraft",
-    "side_slip": r"beta|β|sideslip(angle)?|slipangle|skewangle|schräglaufwinkel",
+    "side_slip": r"beta|β|sideslip(angle)?|slipangle|skew(angle)?|skid(angle)?|schräglaufwinkel",
 }
 """Names of columns, without units, signs and case."""
 _LOOSE = {"theta": "theta|angle|winkel|θ", "fx": "fx|forcex|xforce", "fz": "fz|forcez|zforce"}
 LEG = {"theta": "angle", "fx": "force", "fz": "force", "time": "time", "moment": "moment"}
 PRESSED = {"sinkage": "length", "force": "force", "pressure": "pressure"}
 WHEEL = {
-    "time": "time", "travel": "length", "side_slip": "angle", "slip": "share",
+    "time": "time", "travel": "way", "side_slip": "angle", "slip": "share",
     "wheel_speed": "speed", "rotation": "rate", "travel_speed": "speed", "load": "force",
     "sinkage": "length", "pull": "force", "torque": "moment", "side": "force",
 }  # fmt: skip
@@ -98,7 +101,7 @@ WHEEL = {
 KIND = LEG | PRESSED | WHEEL
 UNIT_KEYS = {
     "angle": "theta_unit", "force": "unit", "length": "sinkage_unit", "pressure": "pressure_unit",
-    "share": "slip_unit",
+    "share": "slip_unit", "speed": "speed_unit", "rate": "rotation_unit",
 }  # fmt: skip
 """Option that names the unit of a kind."""
 WORDS = {"theta": "theta", "fx": "Fx", "fz": "Fz"}
@@ -737,6 +740,8 @@ def _split(header: str) -> tuple[str, str | None]:
     match = re.fullmatch(r"(.*?)\s*[\[({<]\s*([^\])}>]*)\s*[\])}>]", header)
     if match and match[1]:
         return match[1].strip(), match[2] or None
+    if match := re.fullmatch(r"(.+?)[_\s](m|cm|mm|rad|deg)_s", header):  # such as v_m_s
+        return match[1], f"{match[2]}/s"
     for pattern in (r"(.+?)\s+in\s+(.+)", r"(.+?)\s*[/,]\s*(.+)", r"(.+?)[_\s]+([^_\s]+)"):
         match = re.fullmatch(pattern, header)
         if match and unit_named(match[2]) and match[2] not in ("h", "u", "g"):

@@ -223,6 +223,8 @@ SIZES = ("length", "width", "thickness", "hip_height")
 def with_rig(options: Mapping[str, Any]) -> dict[str, Any]:
     """Options with a rig in place of the sizes that are given one by one, if any are.
 
+    A friction without a rig is that of tools, ``friction``.
+
     Parameters
     ----------
     options
@@ -239,12 +241,10 @@ def with_rig(options: Mapping[str, Any]) -> dict[str, Any]:
     if not sizes:
         if not friction:
             return remaining
-        if remaining.get("tool") is not None:
-            tool = Tool.of(remaining["tool"])
-            values = {**tool.model_dump(exclude={"friction_sd"}), "friction": f}
-            return {**remaining, "tool": Tool(**values)}
         if remaining.get("rig") is None:
-            raise InputError("--friction goes with a rig or --tool; add its sizes, or --rig li2013")
+            if {"tool", "forces"} & {*options}:
+                return {**remaining, "friction": f}
+            raise InputError("--friction goes with a rig; add its sizes, or --rig li2013")
         rig = Rig.of(remaining["rig"], remaining.get("leg")).model_dump(exclude={"leg_friction_sd"})
         return {**remaining, "rig": Rig(**{**rig, **friction})}
     flags = {key: f"--{key.replace('_', '-')}" for key in ("leg", *SIZES)}
@@ -332,6 +332,13 @@ class Tool(Strict):
     def sizes_mm(self) -> dict[str, float]:
         """Nothing of what a rig has."""
         return {}
+
+    def on(self, friction: float | str | None) -> Self:
+        """The tool with a friction, unless that is ``None``."""
+        if friction is None:
+            return self
+        given = self.model_dump(exclude={"friction", "friction_sd"})
+        return type(self)(**given, friction=friction)
 
     def __str__(self) -> str:
         """Shape and size, such as ``disc 151 mm``."""

@@ -31,7 +31,14 @@ SPEED = {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "m/min": 1.0 / 60.0, "km/h": 1.
 RATE = {"rad/s": 1.0, "deg/s": pi / 180.0, "rpm": pi / 30.0}
 """Radians per second."""
 KINDS = {"force": FORCE, "angle": ANGLE, "moment": MOMENT, "time": TIME}
-KINDS |= {"length": LENGTH, "pressure": PRESSURE, "share": SHARE, "speed": SPEED, "rate": RATE}
+KINDS |= {
+    "length": LENGTH,
+    "way": LENGTH,
+    "pressure": PRESSURE,
+    "share": SHARE,
+    "speed": SPEED,
+    "rate": RATE,
+}
 _OTHER_NAMES = {
     "newton": "N", "newtons": "N", "lb": "lbf", "lbs": "lbf", "pound": "lbf", "pounds": "lbf",
     "kp": "kgf", "kg": "kgf", "g": "gf", "°": "deg", "º": "deg", "degree": "deg", "degrees": "deg",
@@ -39,7 +46,7 @@ _OTHER_NAMES = {
     "u": "rev", "sec": "s", "secs": "s", "second": "s", "seconds": "s", "sek": "s", "msec": "ms",
     "µs": "us", "μs": "us", "ft lb": "lbf ft", "ft lbf": "lbf ft", "in lb": "lbf in",
     "in lbf": "lbf in", "oz": "ozf", "lb in": "lbf in", "lb ft": "lbf ft", "kg cm": "kgf cm",
-    "kg m": "kgf m", "percent": "%", "1/min": "rpm", "r/min": "rpm", "m s-1": "m/s",
+    "kg m": "kgf m", "percent": "%", "u/min": "rpm", "1/min": "rpm", "r/min": "rpm", "m s-1": "m/s",
     "°/s": "deg/s",
 }  # fmt: skip
 """Other names, in lower case. *Grad* is German for degree; a grade is ``gon``."""

@@ -6,7 +6,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.reading import (
     WHEEL,
     ColumnReader,
@@ -19,7 +19,11 @@ SPEEDS = ("wheel_speed", "rotation", "travel_speed")
 NEEDED = ("slip", "load", "sinkage")
 """Values without which a row is no use."""
 PERCENT = 1.5
-"""Largest slip above which it must be in percent [-]."""
+"""Median of the slip's size above which it must be in percent [-]."""
+EITHER = 0.05
+"""Slip below zero up to which both definitions are alike, within 0.0025 [-]."""
+MOST_WRONG = 0.5
+"""Share of rows with a fault above which a table is refused [-]; chosen."""
 
 
 class WheelColumns(Columns):
@@ -52,6 +56,10 @@ class WheelColumns(Columns):
     """Column of the way travelled."""
     time: str | None = None
     """Column of the time."""
+    speed_unit: Literal["m/s", "cm/s", "mm/s", "m/min", "km/h"] | None = None
+    """Unit of both speeds; if not given, that of the header."""
+    rotation_unit: Literal["rad/s", "deg/s", "rpm"] | None = None
+    """Unit of the rotation; if not given, that of the header."""
     slip_unit: Literal["part", "%"] | None = None
     """Unit of the slip, a part of one or percent; if not given, that of the header, else a part."""
     sinkage_unit: Literal["mm", "cm", "m", "in", "ft"] | None = None
@@ -87,15 +95,24 @@ def read_rolled(source: Any, radius: float, columns: Any = None) -> Rolled:
     if "slip" not in values:
         values["slip"] = reader.slip_of_speeds(values, radius)
     full = np.asarray(np.isfinite([values[role] for role in NEEDED]).all(axis=0))
-    if not full.all():
-        reader.notes.append(f"{(~full).sum()} of {full.size} rows lack a number and are left out.")
     if not full.any():
         reader.refuse("no row has a slip, a load and a sinkage")
-    values = {role: column[full] for role, column in values.items() if role not in SPEEDS}
     if "slip" in reader.names:
-        values["slip"] = reader.checked_slip(values["slip"])
-    reader.check_numbers(values, radius)
-    values["side_slip"] = np.nan_to_num(values.get("side_slip", np.zeros(int(full.sum()))))
+        values["slip"] = reader.checked_slip(values["slip"], full)
+    # What no wheel has is left out where it is rare, as a spike of a sensor.
+    wrong = reader.wrong_rows(values, radius)
+    kept = full & ~wrong
+    faults = {"lack a number": ~full, "have what no wheel has": full & wrong}
+    for fault, which in faults.items():
+        if which.any():
+            reader.notes.append(f"{which.sum()} of {full.size} rows {fault} and are left out.")
+    unused = [name for name in reader.parts if name not in reader.names.values()]
+    if unused:
+        reader.notes.append(f"Not used: {', '.join(unused[:8])}.")
+    if "side" in reader.names and "side_slip" not in reader.names:
+        reader.notes.append("A side force without an angle of side slip: taken as none.")
+    values = {role: column[kept] for role, column in values.items() if role not in SPEEDS}
+    values["side_slip"] = np.nan_to_num(values.get("side_slip", np.zeros(int(kept.sum()))))
     return Rolled(values, full.size, reader.notes)
 
 
@@ -107,7 +124,8 @@ class _WheelTable(ColumnReader[WheelColumns]):
         super().__init__(source, given)
         chosen = self.find(WHEEL, lambda role: role in SPEEDS and "slip" in self.names)
         self._ask()
-        self.settle(chosen, {"sinkage": "mm", "load": "N"})
+        units = {"sinkage": "mm", "load": "N", "rotation": "rad/s"}
+        self.settle(chosen, units | dict.fromkeys(("wheel_speed", "travel_speed"), "m/s"))
 
     def _ask(self) -> None:
         """Complain about what is missing."""
@@ -148,40 +166,35 @@ class _WheelTable(ColumnReader[WheelColumns]):
             self.notes.append(f"The rim's speed is the rotation times {1e3 * radius:g} mm.")
         return np.asarray((rim - travel) / fastest)
 
-    def checked_slip(self, slip: FloatArray) -> FloatArray:
+    def checked_slip(self, slip: FloatArray, full: BoolArray) -> FloatArray:
         """Slip as the law has it [-]; raises InputError if its definition is in doubt."""
-        name = self.names["slip"][:40]
-        if np.abs(slip).max() > PERCENT and self.unit("slip")[0] == "part" and slip.max() > 1.0:
+        name, there = self.names["slip"][:40], slip[full]
+        if np.median(np.abs(there)) > PERCENT and self.unit("slip")[0] == "part":
             self.refuse(
-                f"column '{name}' reaches {slip.max():g}, which must be percent; add --columns "
+                f"column '{name}' reaches {there.max():g}, which must be percent; add --columns "
                 "slip_unit=%"
             )
-        if slip.max() > 1.0:
-            self.refuse(f"column '{name}' reaches {slip.max():g}; a driven wheel's slip is below 1")
-        if (slip < 0.0).any() and self.given.slip_is is None:
+        if there.min() < -EITHER and self.given.slip_is is None:
             self.refuse(
-                f"column '{name}' falls to {slip.min():g}; add --columns slip_is=driven for "
+                f"column '{name}' falls to {there.min():g}; add --columns slip_is=driven for "
                 "1 - v/(ωR) below zero as well, or slip_is=travel for ωR/v - 1"
             )
         if self.given.slip_is == "driven":
             # 1 − v/(ωR) = s gives ωR/v − 1 = 1/(1 − s) − 1.
             return np.where(slip < 0.0, 1.0 / (1.0 - slip) - 1.0, slip)
-        if slip.min() < -1.0:
-            self.refuse(f"column '{name}' falls to {slip.min():g}; ωR/v - 1 is -1 when locked")
         return slip
 
-    def check_numbers(self, values: dict[str, FloatArray], radius: float) -> None:
-        """Complain about loads and sinkages that no wheel has."""
-        load = values["load"]
-        if (load <= 0.0).all():
-            self.refuse("the load is negative; give it positive, as what the soil carries")
-        if (load <= 0.0).any():
-            self.refuse(f"the load is {load.min():g} N in {(load <= 0).sum()} rows; remove them")
-        sunk = values["sinkage"]
-        if (sunk >= radius).any():
-            self.refuse(
-                f"the sinkage reaches {1e3 * sunk.max():.4g} mm, beyond the radius of "
-                f"{1e3 * radius:g} mm; check its unit, its zero and the wheel"
-            )
-        if (sunk <= 0.0).all():
-            self.refuse("the sinkage is negative; give it positive into the soil")
+    def wrong_rows(self, values: dict[str, FloatArray], radius: float) -> BoolArray:
+        """Rows that no wheel has, shape [row]; raises InputError if they are most of them."""
+        load, sunk, slip = (values[role] for role in ("load", "sinkage", "slip"))
+        sentences = {
+            "the load is negative; give it positive, as what the soil carries": load <= 0.0,
+            f"the sinkage reaches {1e3 * np.nanmax(sunk):.4g} mm, beyond the radius of "
+            f"{1e3 * radius:g} mm; check its unit, its zero and the wheel": sunk >= radius,
+            "the sinkage is negative; give it positive into the soil": sunk <= 0.0,
+            "the slip is beyond -1 and 1; check its unit and definition": np.abs(slip) > 1.0,
+        }
+        for sentence, wrong in sentences.items():
+            if wrong.mean() > MOST_WRONG:
+                self.refuse(sentence)
+        return np.asarray(np.any([*sentences.values()], axis=0))

@@ -427,6 +427,7 @@ class Answer(Shown, AnswerSummary):
             # A wide band is cut off, so that the data fill the picture.
             rows = [line.get_ydata() for line in axes.get_lines()[:-1]]
             low, high = min(map(np.min, rows)), max(map(np.max, rows))
+            low = min(low, 0.0) if along == "slip" else low  # a load is the same at each
             ends = np.array([low, high]) + (high - low) * np.array([-0.6, 0.6])
             axes.set_ylim(*np.clip(axes.get_ylim(), *ends))
         grid, density = self.grid_deg, self.density

@@ -73,6 +73,7 @@ def invert(
     leg: str | None = None,
     rig: Any = None,
     tool: str | None = None,
+    friction: float | str | None = None,
     density: float | str | None = None,
     grain_size_mm: float | None = None,
     cohesion: float | str | None = None,
@@ -105,6 +106,9 @@ def invert(
         :class:`~terraphi.experiment.rig.Tool`. ``law`` is then one of feet. Of records of several
         bodies in one soil, those of tools are named such as ``"plate.csv@plate:151"``, or
         ``(table, "plate:151")``; ``law`` and ``columns`` are then those of the legs.
+    friction
+        Coulomb friction between soil and tools [-], as ``"0.5±0.05"``; that of a leg belongs to its
+        rig.
     density
         Bulk density [kg/m³], as a number (± 5 %) or ``"1600±80"``; ``None``: from the forces' file,
         else that of :mod:`~terraphi.experiment.priors`.
@@ -153,8 +157,9 @@ def invert(
     """
     began = time.perf_counter()
     records = open_records(
-        forces, leg=leg, rig=rig, tool=tool, density=density, grain_size_mm=grain_size_mm,
-        cohesion=cohesion, columns=columns, noise=noise, gain=gain, simulated=simulated,
+        forces, leg=leg, rig=rig, tool=tool, friction=friction, density=density,
+        grain_size_mm=grain_size_mm, cohesion=cohesion, columns=columns, noise=noise, gain=gain,
+        simulated=simulated,
     )  # fmt: skip
     answer, *further = _answers(records, law, calibration, began)
     if further:

@@ -100,7 +100,7 @@ def invert_rows(
         # Sizes in a row replace the rig of all rows, and a tool has no rig.
         has_tool = "tool" in given or is_tool(str(given["forces"]).rpartition("@")[2])
         replaced = {"rig", *SIZES} if has_tool or given.keys() & {"rig", *SIZES} else set()
-        replaced |= {"leg", "leg_friction", "cohesion"} if has_tool else set()
+        replaced |= {"leg", "cohesion"} if has_tool else set()
         complete.append({k: v for k, v in options.items() if k not in replaced} | given)
     count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     with workers(min(count or 1, len(rows)) if len(rows) >= LEAST_ROWS else 1) as pool:

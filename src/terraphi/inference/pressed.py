@@ -25,7 +25,6 @@ from terraphi.experiment.files import label_of
 from terraphi.experiment.pressed_reading import Pressed, read_pressed
 from terraphi.experiment.priors import CONTACT_SD_M, CONTACT_SD_PART, DENSITY
 from terraphi.experiment.rig import Tool
-from terraphi.experiment.scenario import LIMITS
 from terraphi.experiment.wheel_reading import Rolled, read_rolled
 from terraphi.inference.answer import Answer, Estimate, RecordFit
 from terraphi.inference.estimator import least_squares, weights
@@ -78,6 +77,8 @@ FEWEST_AIR = 6
 """Readings in air that a zero needs (chosen)."""
 ROUGHER = 0.1
 """Difference of the friction by which its effect is found [-]."""
+FRICTIONS = (0.05, 0.65)
+"""Frictions that law ``foot`` has [-]."""
 TARED = 0.01
 """Force in air over the largest from which it is named [-]."""
 RANGE_DEG = np.arange(10.0, 55.5, 0.5)
@@ -305,8 +306,7 @@ def _fit(press: _Press) -> _Fit:
 def _budget(press: _Press, fit: _Fit, density_sd: float) -> dict[str, float]:
     """Standard deviation of φ by term [deg]; that of the density is relative [-]."""
     x = np.array([[fit.by_law[fit.top], fit.contact]])
-    low, high, _ = LIMITS["leg.friction"]
-    ends = np.clip(press.tool.friction + np.array([-ROUGHER, ROUGHER]), low, high)
+    ends = np.clip(press.tool.friction + np.array([-ROUGHER, ROUGHER]), *FRICTIONS)
     smoother, rougher = (press.curve(x, end - press.tool.friction)[0] for end in ends)
     rougher = (rougher - smoother) / float(np.ptp(ends))
     # Errors of the force [N], one standard deviation over depth.

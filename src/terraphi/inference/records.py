@@ -268,6 +268,7 @@ def open_records(
     rig: Any = None,
     tool: str | None = None,
     columns: Any = None,
+    friction: float | str | None = None,
     **options: Any,
 ) -> list[Record | PressedRecord]:
     """Open forces as records, one for each stroke of a leg or press of a tool.
@@ -286,6 +287,8 @@ def open_records(
         Which columns of a table are what: a
         :class:`~terraphi.experiment.reading.ForceColumns`, a mapping, or a TOML file. Where there
         are legs, the columns are those of legs.
+    friction
+        Coulomb friction between soil and tools [-]; that of a leg belongs to its rig.
     options
         As of :func:`record_of`.
 
@@ -305,6 +308,8 @@ def open_records(
     if wrong:
         raise InputError(f"a tool excludes {', '.join(wrong)}; leave out one or the other")
     has_tool = any(isinstance(body, Tool) for _, body in sources)
+    if friction is not None and not has_tool:
+        raise InputError("--friction goes with a rig or a tool; add its sizes, or --rig li2013")
     if has_leg and has_tool and options.get("cohesion") is not None:
         raise InputError("a tool is inverted as in dry soil; leave out the cohesion")
     records: list[Record | PressedRecord] = []
@@ -313,7 +318,8 @@ def open_records(
             given = {name: options.get(name) for name in ("density", "grain_size_mm")}
             from terraphi.inference.pressed import open_pressed
 
-            records.append(open_pressed(source, body, None if has_leg else columns, **given))
+            of_tool = None if has_leg else columns
+            records.append(open_pressed(source, body.on(friction), of_tool, **given))
             continue
         if isinstance(body, str) and body in OUTLINES:
             apparatus = {"leg": body, "rig": rig}

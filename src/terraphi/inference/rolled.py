@@ -2,7 +2,8 @@ r"""The friction angle from a wheel: load at a sinkage and a slip, by law ``foot
 
 Each row i is read for itself, φ_i: the angle at which the rim carries the load
 (:mod:`~terraphi.laws.wheel`), less what wheels in grains of known φ read too much. Rows of one
-wheel have errors in common. So φ is their mean by generalized least squares, with the covariance
+wheel have errors in common. So φ is their mean with weights 1 / C_ii, and its error that of the
+covariance
 
 .. math::
     C_{ij} = u_i u_j (K_{ij} + \tau^2 \delta_{ij})
@@ -19,6 +20,7 @@ from __future__ import annotations
 import importlib.metadata
 import math
 import time
+import warnings
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -26,20 +28,32 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from terraphi.experiment.arrays import BoolArray, FloatArray, block_means
-from terraphi.experiment.errors import InputError, nearest
-from terraphi.experiment.priors import DENSITY, FRICTION, FRICTION_BY_TORQUE_SD
+from terraphi.experiment.errors import GUESSED, InputError, nearest
+from terraphi.experiment.priors import DENSITY, FRICTION_BY_TORQUE_SD
 from terraphi.experiment.rig import Tool
 from terraphi.experiment.wheel_reading import Rolled
 from terraphi.inference.answer import Answer, Estimate, RecordFit, normal_density
 from terraphi.inference.pressed import LOOSE_DEG, SHAPE_LENGTH, SHAPE_SD, PressedRecord
 from terraphi.inference.records import density_warnings
 from terraphi.inference.terms import ordered_budget, root_sum_square
-from terraphi.inference.verdict import Judgment, consistent, large_residual, out_of_range, unusual
+from terraphi.inference.verdict import Judgment, large_residual, out_of_range, unusual
 from terraphi.laws.law import PHI
-from terraphi.laws.wheel import DEEPEST, FRICTIONS, WHEEL_ERROR, Wheel, wheel_forces
+from terraphi.laws.wheel import (
+    DEEPEST,
+    FRICTIONS,
+    SLIPS,
+    THEORY_ERROR,
+    WHEEL_ERROR,
+    Wheel,
+    WheelError,
+    WheelForces,
+    wheel_forces,
+)
 from terraphi.laws.wrench import angles_deg
 
-MOST_ROWS = 300
+SHOWN = 40
+"""Points of a picture."""
+MOST_ROWS = 120
 """Rows up to which each is read; more are averaged in blocks, in their order."""
 LEAST_BY_LOAD_DEG = 4.0
 """Least change of φ with ln of the load [deg]: inside the law it is 5 to 9."""
@@ -53,10 +67,7 @@ GRAIN_SD = 0.25
 """Error of the half grain that is added to the sinkage, over the diameter [-]; chosen."""
 MOST_SIDE = 45.0
 """Largest side slip of rows that are read [deg]; chosen."""
-SLIPS = (-0.5, 0.6)
-"""Least and largest slip of rows that are read [-]: beyond, a wheel pushes or digs, and nothing was
-learned there."""
-LIMIT = 0.3
+LIMIT = 0.2
 """Residual of the load above which a record is a misfit, over the load itself or its range where
 that is larger [-]; chosen."""
 FULL_SLIP = 0.35
@@ -66,6 +77,9 @@ MOST_TORQUE = 1.2
 SLACK, OTHER_PULL = 0.02, 0.25
 """Power over load and speed [-] by which a pull may exceed the torque's, and difference of the pull
 over the load from the law's above which it is named; wheels in grains have up to 0.22; chosen."""
+DRIVEN, OTHER_TORQUE = 0.1, 0.15
+"""Slip from which on a wheel is driven for sure, and torque over load times radius above the
+friction of the rim from which on it is named [-]; chosen."""
 STEP_DEG = 2.0
 """Step of the angles whose loads are computed [deg]: ln W is interpolated between them."""
 
@@ -82,6 +96,11 @@ class _Roll:
     """With what grains add [m], shape [row]."""
     friction: float
     law: str
+
+    @property
+    def error(self) -> WheelError:
+        """Of the law."""
+        return WHEEL_ERROR if self.law == "foot" else THEORY_ERROR
 
     @cached_property
     def angles(self) -> FloatArray:
@@ -105,12 +124,19 @@ class _Roll:
     def at(self, moved: float, friction: float) -> FloatArray:
         """Ln of the load at each angle, the rim moved down [m], shape [row, angle]."""
         z = np.clip(self.sinkage + moved, 1e-5, DEEPEST * self.wheel.reach)
+        slip, side = self.rows["slip"], self.rows["side_slip"]
         forces = wheel_forces(
-            self.wheel, z[:, None], self.rows["slip"][:, None], phi_deg=self.angles,
-            density=self.density, surface_friction=friction,
-            side_slip_deg=self.rows["side_slip"][:, None], law=self.law,
+            self.wheel, z[:, None], slip[:, None], phi_deg=self.angles, density=self.density,
+            surface_friction=friction, side_slip_deg=side[:, None], law=self.law,
         )  # fmt: skip
         return np.log(np.maximum(forces.load, 1e-12))
+
+    def forces(self, phi_deg: FloatArray, friction: float) -> WheelForces:
+        """Forces on each row's wheel at angles of their own [deg]."""
+        return wheel_forces(
+            self.wheel, self.sinkage, self.rows["slip"], phi_deg=phi_deg, density=self.density,
+            surface_friction=friction, side_slip_deg=self.rows["side_slip"], law=self.law,
+        )  # fmt: skip
 
     def read(self, loads: FloatArray, factor: float = 1.0) -> FloatArray:
         """φ of each row by ln of the load at each angle [deg]; beyond the law, its ends."""
@@ -160,11 +186,21 @@ def _opened(record: PressedRecord, law: Any) -> _Opened:
     if record.density_kg_m3 is None:
         notes = [f"The density {rho:g} kg/m³ is assumed.", *notes]
     grain = 1e-3 * record.grain_size_mm
-    roll = _Roll(wheel_of(tool), rho, rows, rows["sinkage"] + 0.5 * grain, tool.friction, name)
+    wheel = wheel_of(tool)
+    sinkage = np.minimum(rows["sinkage"] + 0.5 * grain, DEEPEST * wheel.reach)
+    roll = _Roll(wheel, rho, rows, sinkage, tool.friction, name)
+    # A row that no angle of the law explains tells nothing about the others.
+    read = roll.read(roll.loads)
+    beyond = (read <= roll.angles[0]) | (read >= roll.angles[-1])
+    if beyond.any() and beyond.mean() < 0.5:
+        notes.append(f"{beyond.sum()} of {beyond.size} rows are beyond the law and left out.")
+        rows = {role: column[~beyond] for role, column in rows.items()}
+        roll = _Roll(wheel, rho, rows, sinkage[~beyond], tool.friction, name)
     friction, friction_sd = tool.friction, tool.friction_sd
-    if (friction, friction_sd) == FRICTION and (shown := _friction(roll)):
+    is_given = "friction" in tool.model_fields_set
+    if not is_given and (shown := _friction(roll)):
         friction, friction_sd = shown
-        notes.append(f"The torque shows a friction of {friction:.2f} between rim and soil.")
+        notes.append(f"{GUESSED}the friction of the rim from the torque: {friction:.2f}.")
         roll = replace(roll, friction=friction)
     return _Opened(roll, _mean(roll, grain, friction_sd), rho_sd / rho, notes)
 
@@ -173,7 +209,7 @@ def invert_rolled(record: PressedRecord, law: Any = None) -> Answer:
     """Infer φ from a record of a wheel; raises InputError as :func:`invert` does."""
     began = time.perf_counter()
     roll, fit, density_sd, notes = _opened(record, law)
-    budget = _budget(fit, density_sd)
+    budget = _budget(fit, density_sd, roll.error)
     rho = roll.density
     grid, posterior = normal_density(fit.mean, root_sum_square(budget))
     estimate = Estimate.of_density(grid, posterior)
@@ -190,7 +226,7 @@ def invert_rolled(record: PressedRecord, law: Any = None) -> Answer:
             *_contradictions(roll, fit), *density_warnings(rho), *notes,
             *unusual(estimate.median, "size of the wheel"),
         ),
-        covariance=np.diag((fit.scatter * roll.rows["load"]) ** 2),
+        covariance=np.diag((fit.scatter * fitted.data[0]) ** 2),
         provenance={
             "terraphi": importlib.metadata.version("terraphi"),
             "seconds": round(time.perf_counter() - began, 3),
@@ -212,29 +248,46 @@ def phi_along(forces: Any, tool: Tool | str, **options: Any) -> dict[str, FloatA
     -------
     dict
         Shape [row] each: ``phi_deg``; ``sd_relative_deg`` by what differs from row to row, for
-        differences along the way; ``sd_deg`` by all errors; what the table has of ``time_s``,
-        ``travel_m``, ``slip``, ``load_N`` and ``sinkage_mm``.
+        differences along the way; ``sd_deg`` by all errors, these NaN beyond the law; what the
+        table has of ``time_s``, ``travel_m``, ``slip``, ``load_N`` and ``sinkage_mm``.
 
     Raises
     ------
     InputError
         As :func:`terraphi.invert`.
+
+    Warns
+    -----
+    UserWarning
+        With the warnings of the answer, and its reason if the verdict is not ``consistent``.
     """
     from terraphi.inference.pressed import open_pressed
 
     law = options.pop("law", None)
-    options = {"columns": None, **options}
-    roll, fit, density_sd, _ = _opened(open_pressed(forces, Tool.of(tool), **options), law)
-    alone = fit.by_load * math.hypot(fit.scatter, SHAPE_SD)
+    record = open_pressed(forces, Tool.of(tool), **{"columns": None, **options})
+    roll, fit, density_sd, _ = _opened(record, law)
+    answer = invert_rolled(record, law)
+    for sentence in (answer.reason, *answer.warnings)[answer.verdict == "consistent" :]:
+        warnings.warn(sentence, stacklevel=2)
+    # By neighbors, for φ may change along the way.
+    steps = np.diff(fit.phi / fit.by_load)
+    scatter = MAD * float(np.median(np.abs(steps))) / math.sqrt(2.0) if steps.size else fit.scatter
+    alone = fit.by_load * max(scatter, LEAST_SCATTER)
+    course = SHAPE_SD * fit.by_load
     slopes = np.array([*fit.slopes.values()])
     relative = np.sqrt(alone**2 + np.square(slopes - (slopes @ fit.weight)[:, None]).sum(axis=0))
-    common = (density_sd * fit.by_load, WHEEL_ERROR.soil_deg, WHEEL_ERROR.law_deg)
-    variance = alone**2 + np.square(slopes).sum(axis=0) + sum(np.square(x) for x in common)
+    common = (density_sd * fit.by_load, roll.error.soil_deg, roll.error.law_deg)
+    variance = (
+        alone**2 + course**2 + np.square(slopes).sum(axis=0) + sum(np.square(x) for x in common)
+    )
     names = {"time": ("time_s", 1.0), "travel": ("travel_m", 1.0), "slip": ("slip", 1.0),
              "load": ("load_N", 1.0), "sinkage": ("sinkage_mm", 1e3)}  # fmt: skip
     given = {name: factor * roll.rows[role] for role, (name, factor) in names.items()
              if role in roll.rows}  # fmt: skip
-    return {**given, "phi_deg": fit.phi, "sd_relative_deg": relative, "sd_deg": np.sqrt(variance)}
+    read = roll.read(roll.loads)
+    inside = (read > roll.angles[0]) & (read < roll.angles[-1]) & (fit.phi <= LOOSE_DEG)
+    angles = np.where(inside, [fit.phi, relative, np.sqrt(variance)], math.nan)
+    return given | dict(zip(("phi_deg", "sd_relative_deg", "sd_deg"), angles, strict=True))
 
 
 def wheel_of(tool: Tool) -> Wheel:
@@ -247,21 +300,27 @@ def wheel_of(tool: Tool) -> Wheel:
 def _usable(table: Rolled, wheel: Wheel, label: str) -> tuple[dict[str, FloatArray], list[str]]:
     """Rows within what the law has, averaged in blocks where they are many; notes on the rest."""
     notes, values = list(table.notes), table.values
-    slip, sunk = values["slip"], values["sinkage"] > 0.0
+    slip, sunk = values["slip"], np.ones(values["slip"].size, dtype=bool)
     inside = (slip >= SLIPS[0]) & (slip <= SLIPS[1]) & (np.abs(values["side_slip"]) <= MOST_SIDE)
     if not (inside & sunk).any():
         raise InputError(
             f"{label}: no row with a slip between {SLIPS[0]:g} and {SLIPS[1]:g} at a side slip "
-            f"below {MOST_SIDE:g}°; a wheel that is locked or digs in pushes a mound, of which "
-            "nothing was learned"
+            f"below {MOST_SIDE:g}°: it is {slip.min():.2g} to {slip.max():.2g}; a wheel that is "
+            "locked or digs in pushes a mound, of which nothing was learned"
         )
     if not inside.all():
         notes.append(
             f"{(~inside).sum()} of {inside.size} rows are left out: slip beyond {SLIPS[0]:g} and "
             f"{SLIPS[1]:g}, or side slip beyond {MOST_SIDE:g}°."
         )
-    if not sunk.all():
-        notes.append(f"{(~sunk).sum()} of {sunk.size} rows lack a sinkage and are left out.")
+    if (cut := sunk & (values["sinkage"] <= wheel.bare)).any():
+        if cut[inside & sunk].all():
+            raise InputError(
+                f"{label}: the lugs alone are in the soil, up to {1e3 * wheel.bare:.0f} mm; a "
+                "sinkage is that of their tips"
+            )
+        notes.append(f"{cut.sum()} of {cut.size} rows have the lugs alone in soil: left out.")
+        sunk &= ~cut
     deep = values["sinkage"] > DEEPEST * wheel.reach
     if deep.any():
         most = f"{1e3 * DEEPEST * wheel.reach:.0f} mm, {DEEPEST:g} of the radius"
@@ -272,7 +331,10 @@ def _usable(table: Rolled, wheel: Wheel, label: str) -> tuple[dict[str, FloatArr
     kept = {name: value[inside & sunk] for name, value in values.items()}
     if (count := kept["slip"].size) > MOST_ROWS:
         first = np.unique(np.linspace(0, count, MOST_ROWS, endpoint=False).astype(int))
-        means = block_means(np.stack(list(kept.values()), axis=1), first)
+        columns = np.stack(list(kept.values()), axis=1)
+        there = block_means(np.isfinite(columns).astype(float), first)
+        with np.errstate(invalid="ignore"):  # a block without a torque has none
+            means = block_means(np.nan_to_num(columns), first) / there
         kept = dict(zip(kept, means.T, strict=True))
     return kept, notes
 
@@ -285,16 +347,14 @@ def _friction(roll: _Roll) -> tuple[float, float] | None:
         return None
     # T / (W R) at the angle at which the rim carries the load hardly depends on that angle.
     ratio = float(np.median(torque[slips] / (roll.rows["load"][slips] * roll.wheel.reach)))
-    middle = np.full(int(slips.sum()), 32.0)
+    middle = np.full(roll.sinkage.size, 32.0)
     model = []
     for friction in FRICTIONS:
-        forces = wheel_forces(
-            roll.wheel, roll.sinkage[slips], roll.rows["slip"][slips], phi_deg=middle,
-            density=roll.density, surface_friction=friction,
-        )  # fmt: skip
-        model.append(float(np.median(forces.torque / (forces.load * roll.wheel.reach))))
+        forces = roll.forces(middle, friction)
+        each = forces.torque / (forces.load * roll.wheel.reach)
+        model.append(float(np.median(each[slips])))
     if not 0.5 * model[0] <= ratio <= MOST_TORQUE * model[-1]:
-        return None
+        return None  # named by _contradictions
     return float(np.interp(ratio, model, FRICTIONS)), FRICTION_BY_TORQUE_SD
 
 
@@ -308,27 +368,28 @@ def _mean(roll: _Roll, grain: float, friction_sd: float) -> _Mean:
     rough, smooth = (roll.read(roll.by_friction[i]) for i in (-1, 0))
     by_friction = (rough - smooth) / (ends[1] - ends[0])
     slip = roll.rows["slip"]
-    phi = phi - WHEEL_ERROR.of(slip)
+    phi = phi - roll.error.of(slip)
     slopes = {
         "contact": by_depth * math.hypot(ZERO_SD_M, GRAIN_SD * grain),
-        "slip": WHEEL_ERROR.sd_by_slip(slip),
+        "slip": roll.error.sd_by_slip(slip),
         "surface friction": by_friction * friction_sd,
     }
-    shared = sum(np.outer(slope, slope) for slope in slopes.values())
     z, rows = roll.sinkage, np.outer(by_load, by_load)
     distance = np.abs(np.log(z[:, None] / z))
     course = SHAPE_SD**2 * np.exp(-distance / SHAPE_LENGTH) * rows
-    scatter, weight = LEAST_SCATTER, np.full(z.size, 1.0 / z.size)
-    for _ in range(3):  # τ and the mean determine each other
-        inverse = np.linalg.inv(shared + course + scatter**2 * rows * np.eye(z.size))
-        weight = inverse.sum(axis=0) / inverse.sum()
-        residual = (phi - weight @ phi) / by_load
-        if z.size > 2:
-            scatter = max(MAD * float(np.median(np.abs(residual))), LEAST_SCATTER)
+    scatter = LEAST_SCATTER
+    if z.size > 2:
+        residual = (phi - np.median(phi)) / by_load
+        scatter = max(MAD * float(np.median(np.abs(residual))), LEAST_SCATTER)
+    # Best weights of rows that share most of their error have both signs, and a few rows decide.
+    # Those of independent rows cost little, and the mean lies within the rows.
+    own = course.diagonal() + (scatter * by_load) ** 2
+    weight = 1.0 / (own + sum(np.square(slope) for slope in slopes.values()))
+    weight /= weight.sum()
     return _Mean(phi, weight, float(weight @ phi), scatter, by_load, slopes, course)
 
 
-def _budget(fit: _Mean, density_sd: float) -> dict[str, float]:
+def _budget(fit: _Mean, density_sd: float, error: WheelError) -> dict[str, float]:
     """Standard deviation of φ by term [deg]; that of the density is relative [-]."""
     w = fit.weight
     return ordered_budget({
@@ -336,8 +397,8 @@ def _budget(fit: _Mean, density_sd: float) -> dict[str, float]:
         "noise": fit.scatter * float(np.linalg.norm(w * fit.by_load)),
         "model: course": math.sqrt(float(w @ fit.course @ w)),
         "density": density_sd * abs(float(w @ fit.by_load)),
-        "model: soil": WHEEL_ERROR.soil_deg,
-        "model: law": WHEEL_ERROR.law_deg,
+        "model: soil": error.soil_deg,
+        "model: law": error.law_deg,
     })  # fmt: skip
 
 
@@ -354,12 +415,18 @@ def _record_fit(record: PressedRecord, roll: _Roll, fit: _Mean, estimate: Estima
     model, data = curve(0.0), roll.rows["load"][order]
     ends = [curve(end - estimate.median) for end in estimate.ci95]
     size = max(float(np.ptp(data)), float(data.mean()))
+    nrmsd = float(np.sqrt(np.mean((data - model) ** 2))) / size
     slope = (curve(0.1) - curve(-0.1)) / 0.2
+    # A long log is shown by means over neighboring slips.
+    groups = np.array_split(np.arange(order.size), min(order.size, SHOWN))
+    slips, data, model, low, high, slope = (
+        np.array([row[group].mean() for group in groups])
+        for row in (roll.rows["slip"][order], data, model, *ends, slope)
+    )
     return RecordFit(
         source=record.source, rig=record.rig, simulated=False, n_readings=record.table.rows,
-        theta_deg=roll.rows["slip"][order], data=data[None], curve=model[None],
-        band=np.array(ends)[:, None],
-        nrmsd={"Fz": float(np.sqrt(np.mean((data - model) ** 2))) / size}, limit=LIMIT,
+        theta_deg=slips, data=data[None], curve=model[None], band=np.array([[low], [high]]),
+        nrmsd={"Fz": nrmsd}, limit=LIMIT,
         tangent=np.stack([model - slope * estimate.median, slope])[:, None],
     )  # fmt: skip
 
@@ -371,16 +438,17 @@ def _verdict(roll: _Roll, fit: _Mean, record: RecordFit) -> Judgment:
     advice = "check diameter, width, load and sinkage, their units and the zero of the sinkage"
     if np.median(raw) >= high or fit.mean > LOOSE_DEG:
         end = min(LOOSE_DEG, high)
-        return out_of_range("foot", "high", end, advice, "the densest soil that wheels can read")
+        return out_of_range(roll.law, "high", end, advice, "the densest soil that wheels can read")
     if np.median(raw) <= low:
-        return out_of_range("foot", "low", low, advice)
+        return out_of_range(roll.law, "low", low, advice)
     # Soil bears no more shear over normal force than tan φ; a wheel that drives pulls less than its
     # torque over the radius.
-    most = math.tan(math.radians(fit.mean + 2.0 * WHEEL_ERROR.law_deg))
+    most = math.tan(math.radians(fit.mean + 2.0 * roll.error.law_deg))
     scale = {"torque": roll.rows["load"] * roll.wheel.reach, "pull": roll.rows["load"]}
     for name, size in scale.items():
-        ratio = float(np.nanmedian(roll.rows.get(name, 0.0 * size) / size))
-        if ratio > most:
+        ratios = roll.rows.get(name, 0.0 * size) / size
+        ratios = np.abs(ratios[np.isfinite(ratios)])
+        if ratios.size and (ratio := float(np.median(ratios))) > most:
             over = "load" if name == "pull" else "load times radius"
             return "misfit", (
                 f"Misfit: the {name} is {ratio:.2f} of {over}, and soil of this angle bears "
@@ -388,7 +456,9 @@ def _verdict(roll: _Roll, fit: _Mean, record: RecordFit) -> Judgment:
             ), None  # fmt: skip
     if misfit := large_residual([record], "wheels in grains"):
         return misfit
-    return consistent([record], "wheels in loose soil")
+    within = 100.0 * record.nrmsd["Fz"]
+    reason = f"Consistent: the law follows the load within {within:.0f} %, usual for wheels."
+    return "consistent", reason, None
 
 
 def _phi_of_force(roll: _Roll, fit: _Mean) -> dict[str, float | None]:
@@ -407,21 +477,27 @@ def _contradictions(roll: _Roll, fit: _Mean) -> list[str]:
     """Sentences on a pull that contradicts the torque, or the law."""
     rows, reach = roll.rows, roll.wheel.reach
     sentences: list[str] = []
+    driven: BoolArray = rows["slip"] > DRIVEN
+    if "torque" in rows and driven.any():
+        ratio = float(np.nanmedian((rows["torque"] / (rows["load"] * reach))[driven]))
+        if ratio < -SLACK:
+            sentences.append("The torque brakes a wheel that slips forward: check its sign.")
+        elif ratio > roll.friction + OTHER_TORQUE:
+            sentences.append(
+                f"The torque is {ratio:.2f} of load times radius, and a rim of a friction of "
+                f"{roll.friction:.2f} bears less: check the diameter, and the unit of the torque."
+            )
     if "pull" not in rows:
         return sentences
-    if "torque" in rows:
+    if "torque" in rows and driven.any():
         # What the wheel pulls over its way is less than what the motor gives: P v ≤ T ω.
         power = rows["torque"] / reach - rows["pull"] * (1.0 - np.maximum(rows["slip"], 0.0))
-        driven: BoolArray = (rows["slip"] > 0.0) & np.isfinite(power)
-        if driven.any() and float(np.median((power / rows["load"])[driven])) < -SLACK:
+        if float(np.nanmedian((power / rows["load"])[driven])) < -SLACK:
             sentences.append(
                 "The wheel pulls more than its torque gives: check the signs and units of both."
             )
-    phi = np.clip(fit.mean + WHEEL_ERROR.of(rows["slip"]), roll.angles[0], roll.angles[-1])
-    law = wheel_forces(
-        roll.wheel, roll.sinkage, rows["slip"], phi_deg=phi, density=roll.density,
-        surface_friction=roll.friction, side_slip_deg=rows["side_slip"],
-    )  # fmt: skip
+    phi = np.clip(fit.mean + roll.error.of(rows["slip"]), roll.angles[0], roll.angles[-1])
+    law = roll.forces(phi, roll.friction)
     difference = float(np.nanmedian(rows["pull"] / rows["load"] - law.pull / law.load))
     if abs(difference) > OTHER_PULL:
         sentences.append(

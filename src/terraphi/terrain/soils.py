@@ -178,7 +178,7 @@ class SoilDistribution:
 
     def wheel(
         self, diameter_mm: float, width_mm: float, load_N: float, slip: Any, *,
-        lugs: tuple[int, float] = (0, 0.0), surface_friction: float = FRICTION.mean,
+        lugs: tuple[int, float] = (0, 0.0), surface_friction: float | None = None,
         draws: int = 0, rng: np.random.Generator | int | None = None,
     ) -> dict[str, FloatArray]:  # fmt: skip
         """Sinkage, pull and torque of a rigid wheel, by law ``foot`` over its rim.
@@ -194,7 +194,7 @@ class SoilDistribution:
         lugs
             Their number and height [mm].
         surface_friction
-            Between rim and soil [-].
+            Between rim and soil [-], 0.05 to 0.65; by default that of an answer, or 0.3.
         draws
             How many soils are drawn; 0: the median φ and the mean density.
         rng
@@ -203,9 +203,9 @@ class SoilDistribution:
         Returns
         -------
         dict
-            ``sinkage_mm``, ``pull_N``, ``torque_Nm`` of the shape of ``slip``, of draws after one
-            axis for these; NaN where the wheel sinks in deeper than the law has. The sinkages are
-            those of soil in which wheels are read right: φ with the error of wheels in grains.
+            ``sinkage_mm`` (of the lugs' tips), ``pull_N``, ``torque_Nm`` of the shape of ``slip``,
+            of draws after one axis for these; NaN where the wheel sinks in deeper than the law has.
+            The sinkages are those at which wheels are read right: φ with their error in grains.
 
         Raises
         ------
@@ -220,6 +220,10 @@ class SoilDistribution:
         """
         from terraphi.laws.wheel import Wheel, rolling
 
+        if np.shape(lugs) != (2,) or lugs[0] % 1:
+            raise InputError(f"lugs = {lugs}; give their number and height [mm], as (30, 10)")
+        if surface_friction is None:
+            surface_friction = FRICTION.mean if self.leg_friction is None else self.leg_friction
         body = Wheel(5e-4 * diameter_mm, 1e-3 * width_mm, int(lugs[0]), 1e-3 * lugs[1])
         soils = self.draws(draws, rng=rng) if draws else Draws(
             np.array([self.phi.median]), np.array([self.density]))  # fmt: skip
