@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -84,12 +85,13 @@ def test_phi_along_the_way_follows_the_soil() -> None:
     halves = [rows(phi).iloc[[1, 2]] for phi in (28.0, 34.0)]
     table = pd.concat([half for half in halves for _ in range(20)], ignore_index=True)
     table["time_s"] = np.arange(len(table), dtype=float)
-    with pytest.warns(UserWarning, match="Guessed"):
+    with warnings.catch_warnings(record=True) as caught:
         along = terraphi.phi_along(table, TOOL, density=1600)
     first, last = (along["phi_deg"][part].mean() for part in (slice(40), slice(40, None)))
     assert last - first == pytest.approx(6.0, abs=0.7)
     assert (along["sd_relative_deg"] < along["sd_deg"]).all()
     assert along["sd_relative_deg"].max() < 1.6
+    assert any("Misfit" in str(warning.message) for warning in caught)
     assert (along["time_s"] == table.time_s).all()
 
 

@@ -65,7 +65,7 @@ def test_side_slip_is_even_in_pull_and_odd_in_side_force() -> None:
     assert right.side > 0.0
 
 
-@pytest.mark.parametrize("slip", [-0.7, -0.5, 0.3])
+@pytest.mark.parametrize("slip", [-0.7, 0.3, 0.6])
 def test_shear_displacement_is_the_way_of_the_rim_past_the_soil(slip: float) -> None:
     """Torque with friction by a sum over time, of a point of the rim from where it comes in."""
     turning, travel = (1.0, 1.0 - slip) if slip >= 0.0 else (1.0 + slip, 1.0)

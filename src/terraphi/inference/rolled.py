@@ -383,8 +383,8 @@ def _mean(roll: _Roll, grain: float, friction_sd: float) -> _Mean:
         scatter = max(MAD * float(np.median(np.abs(residual))), LEAST_SCATTER)
     # Best weights of rows that share most of their error have both signs, and a few rows decide.
     # Those of independent rows cost little, and the mean lies within the rows.
-    own = course.diagonal() + (scatter * by_load) ** 2
-    weight = 1.0 / (own + sum(np.square(slope) for slope in slopes.values()))
+    alone = course.diagonal() + (scatter * by_load) ** 2
+    weight = 1.0 / (alone + sum(np.square(slope) for slope in slopes.values()))
     weight /= weight.sum()
     return _Mean(phi, weight, float(weight @ phi), scatter, by_load, slopes, course)
 
