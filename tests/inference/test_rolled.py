@@ -86,6 +86,7 @@ def test_phi_along_the_way_follows_the_soil() -> None:
     table = pd.concat([half for half in halves for _ in range(20)], ignore_index=True)
     table["time_s"] = np.arange(len(table), dtype=float)
     with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
         along = terraphi.phi_along(table, TOOL, density=1600)
     first, last = (along["phi_deg"][part].mean() for part in (slice(40), slice(40, None)))
     assert last - first == pytest.approx(6.0, abs=0.7)
