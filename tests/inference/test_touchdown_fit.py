@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from terraphi.inference.touchdowns import (
     fit,
     inertia,
     learn_exponent,
+    learn_level,
     noise_covariance,
     picked,
     predicted,
@@ -234,6 +236,26 @@ def test_growth_with_depth_is_learnt_from_the_courses_of_force() -> None:
     result = learn_exponent(softer, "rft", PRIOR)
     assert result.exponent == pytest.approx(-0.3, abs=0.08)
     assert fit(softer, "rft", result).phi.mean() == pytest.approx(40.4, abs=0.8)
+
+
+def test_levels_of_a_walk_are_learned_from_it_and_shared() -> None:
+    """Feet that first meet force 5 ± 1 mm deep, on sand of one angle."""
+    observed, rng = pressed(seed=None), np.random.default_rng(3)
+    levels = rng.normal(0.005, 0.001, 60)
+    touchdown = picked(observed, np.zeros(60, int))
+    state = np.column_stack([np.full(60, 36.0), levels, np.zeros(60)])
+    force = predicted(LAWS["rft"], PRIOR, touchdown, state)
+    lower = np.linalg.cholesky(noise_covariance(observed._replace(force=force[:1]), PRIOR)[0])
+    touchdown = touchdown._replace(force=force + rng.normal(size=force.shape) @ lower.T)
+    prior = learn_level(touchdown, "rft", PRIOR)
+    assert prior.level == pytest.approx(0.005, abs=0.0005)
+    # The scatter of levels, and the prior's 10 mm, which count as one more touch-down.
+    assert prior.level_sd == pytest.approx(math.sqrt(0.001**2 + 0.01**2 / 61.0), rel=0.2)
+    each, common = (fit(touchdown, "rft", some).phi for some in (PRIOR, prior))
+    assert common.std() < 0.95 * each.std()
+    assert common.mean() == pytest.approx(36.0, abs=0.2)
+    # One touch-down says little of others.
+    assert learn_level(picked(touchdown, [0]), "rft", PRIOR).level_sd > 0.005
 
 
 def walked(soil: str, phi: np.ndarray, *, exponent: float = 0.0) -> FootfallMap:

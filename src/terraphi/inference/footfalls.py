@@ -37,6 +37,7 @@ from terraphi.inference.touchdowns import (
     evenly,
     fit,
     learn_exponent,
+    learn_level,
     likeness,
     picked,
 )
@@ -488,10 +489,6 @@ def infer(
     stretches = [anchor.stretch(path) for anchor in anchors]
     prior = with_growth(touchdowns, law, prior)
     fits = fit(touchdowns, law, prior)
-    # Ground near an earlier print was moved, so that φ has a further error; in the print itself the
-    # footfall is refused.
-    near_print, _ = trodden_before(touchdowns, BESIDE_RADII * prior.radius)
-    fits = fits._replace(sd=np.hypot(fits.sd, BESIDE_SD_DEG * near_print))
     verdict, ground = judged(touchdowns, fits, law, prior)
     usable = verdict == USABLE
     footfall_phi, path_phi = np.full((3, len(verdict)), np.nan), np.full((3, len(path)), np.nan)
@@ -499,10 +496,17 @@ def infer(
     by_law: dict[str, float] = {}
     scale_sd, contradicted = prior.slope_sd, []
     if usable.any():
-        sound, sound_fits = picked(touchdowns, usable), picked(fits, usable)
-        prior, second, sensitivity, scale_sd = _compare_laws(sound, sound_fits, law, prior)
+        # Levels of one walk are alike; verdicts leave each footfall its own.
+        sound, wide = picked(touchdowns, usable), prior
+        prior = learn_level(evenly(sound, MOST_FITTED), law, prior)
+        fits = fit(touchdowns, law, prior)._replace(misfit=fits.misfit, borne=fits.borne)
+        sound_fits = picked(fits, usable)
+        prior, second, sensitivity, scale_sd = _compare_laws(sound, sound_fits, law, prior, wide)
+        # Ground near an earlier print was moved, so that φ has a further error.
+        near_print, _ = trodden_before(touchdowns, BESIDE_RADII * prior.radius)
+        sd = np.hypot(sound_fits.sd, BESIDE_SD_DEG * near_print[usable])
         pooled = pool(
-            Observed(sound_fits.phi, sound_fits.sd, sensitivity, sound.place[:, :2]),
+            Observed(sound_fits.phi, sd, sensitivity, sound.place[:, :2]),
             _shared_errors(torques, prior), path[:, 1:], list(zip(anchors, stretches, strict=True)),
             mean=prior.phi_deg, mean_sd=prior.phi_sd_deg,
         )  # fmt: skip
@@ -597,18 +601,18 @@ def with_growth(touchdowns: Touchdowns, law: str, prior: Prior) -> Prior:
 
 
 def _compare_laws(
-    touchdowns: Touchdowns, fits: Fit, law: str, prior: Prior
+    touchdowns: Touchdowns, fits: Fit, law: str, prior: Prior, wide: Prior
 ) -> tuple[Prior, dict[str, FloatArray], FloatArray, float]:
     """Compare usable footfalls with a second law, whose growth with φ is another.
 
-    Returns the prior with the second law's weight, φ by that law [deg], the sensitivities with the
-    columns ``law_slope`` and ``other_law`` filled in, and the relative standard deviation of the
-    scale of differences of φ [-].
+    ``wide`` is the prior before levels of the walk were learned. Returns the prior with the second
+    law's weight, φ by that law [deg], the sensitivities with the columns ``law_slope`` and
+    ``other_law`` filled in, and the relative standard deviation of the scale of differences of φ.
     """
     name = SECOND.get(law, "rft")
-    second_prior = learn_exponent(
-        evenly(touchdowns, MOST_FITTED), name, replace(prior, exponent=0.0)
-    )
+    some = evenly(touchdowns, MOST_FITTED)
+    second_prior = learn_exponent(some, name, replace(wide, exponent=0.0))
+    second_prior = learn_level(some, name, second_prior)
     prior = replace(prior, other_law_sd=math.sqrt(likeness(prior, second_prior)))
     phi, sensitivity = fits.phi, fits.shared.copy()
     second = fit(touchdowns, name, second_prior).phi

@@ -17,6 +17,7 @@ follows from the same linearisation, φ̂ = φ + S (θ − θ₀) + e, and is le
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, TypeVar
@@ -63,6 +64,9 @@ EXPONENT_SD = 0.1
 MOST_FITTED = 120
 """Most footfalls from which shared quantities are learned, evenly chosen: model errors would
 otherwise be taken for certainty in a long log (chosen)."""
+LEVEL_ROUNDS, LEVEL_STEPS = 3, 60
+"""Linearizations, and steps of expectation and maximization in each, after which the scatter of
+levels of a walk changes by less than a tenth (chosen)."""
 FEWEST = 10
 """Fewest samples of a touch-down while the foot goes down, for a fit of three quantities; fewest
 touch-downs from which a law's growth with depth is learned."""
@@ -145,8 +149,10 @@ class Prior:
     ----------
     phi_deg, phi_sd_deg
         Of the friction angle in plane strain [deg].
-    level_sd, drift_sd
-        Of the depth at touch-down [m] and of the odometry's drift [m/s], about zero.
+    level, level_sd
+        Of the depth at touch-down [m].
+    drift_sd
+        Of the odometry's drift [m/s], about zero.
     density, density_sd
         Bulk density [kg/m³].
     surface_friction, surface_friction_sd
@@ -174,6 +180,7 @@ class Prior:
 
     phi_deg: float = 32.0
     phi_sd_deg: float = 8.0
+    level: float = 0.0
     level_sd: float = TOUCHDOWN_DEPTH_SD_M
     drift_sd: float = ODOMETRY_DRIFT_SD
     density: float = DENSITY.mean
@@ -189,6 +196,11 @@ class Prior:
     exponent_sd: float = 0.2
     slope_sd: float = 0.1
     other_law_sd: float = 0.0
+
+    @property
+    def state(self) -> FloatArray:
+        """Means of φ [deg], of the depth at touch-down [m] and of the drift [m/s]."""
+        return np.array([self.phi_deg, self.level, 0.0])
 
     @property
     def foot(self) -> Foot:
@@ -214,6 +226,8 @@ TORQUES = 24
 """Errors of the torques of twelve joints: gains [-], then Coulomb friction [N m]."""
 STEPS = np.array([[0, 0, 0], [0.1, 0, 0], [-0.1, 0, 0], [0, 1e-4, 0], [0, -1e-4, 0]])
 """Of φ [deg], z₀ [m] and w [m/s], for forces and their differences."""
+FREE_PHI = np.array([1e-6, 1.0, 1.0])
+"""Parts of the precisions of φ, z₀, w in a fit: a trace of φ's for touch-downs without samples."""
 CHANGES = {
     "surface_friction": ("surface_friction", 0.05, 1.0),
     "foot_radius_mm": ("radius", 2e-4, 1e3),
@@ -377,6 +391,45 @@ def learn_exponent(touchdowns: Touchdowns, law: str, prior: Prior) -> Prior:
     return replace(prior, exponent=float(best), exponent_sd=LEARNED_SD)
 
 
+def learn_level(touchdowns: Touchdowns, law: str, prior: Prior) -> Prior:
+    """Prior with the mean and the scatter of the depth at touch-down over a walk.
+
+    Empirical Bayes: φ and z₀ of the touch-downs scatter normally about means of the walk, and the
+    prior before counts as one more touch-down. The drift keeps its prior: within a short landing it
+    looks like another growth of the force with depth.
+
+    Parameters
+    ----------
+    touchdowns
+        Those of one walk, one or more, each deep enough for a fit.
+    law, prior
+        As in :func:`fit`.
+    """
+    learned = prior
+    for _ in range(LEVEL_ROUNDS):
+        sd, best, _, misfit, scaled = _solved(touchdowns, LAWS[law], learned)
+        state, _, slope = best
+        # The likelihood alone about its mode, ½ x'Λx − h'x: at the mode its slope is the prior's.
+        information = np.einsum("nki,nkl,nlj->nij", slope, scaled, slope)
+        off = (state - learned.state) * sd**-2 * FREE_PHI
+        towards = np.einsum("nij,nj->ni", information, state) + off / misfit[:, None]
+        # Expectation of each state given the walk's mean and variance, then both given the states.
+        count = len(state) + 1.0
+        mean, variance = learned.state, np.square(sd)
+        first_mean, first_variance = prior.state, np.square([sd[0], prior.level_sd, sd[2]])
+        for _ in range(LEVEL_STEPS):
+            posterior = np.linalg.inv(information + np.diag(1.0 / variance))
+            x = np.einsum("nij,nj->ni", posterior, towards + mean / variance)
+            mean[:2] = (x.sum(axis=0) + first_mean)[:2] / count
+            square = np.einsum("nii->ni", posterior) + np.square(x - mean)
+            variance[:2] = (square.sum(axis=0) + first_variance)[:2] / count
+        # The fit takes the noise as assumed: where the law's misfit is larger, by Birge's ratio of
+        # the walk, levels get as much less freedom.
+        level_sd = math.sqrt(variance[1] / max(float(np.median(misfit)), 1.0))
+        learned = replace(prior, level=float(mean[1]), level_sd=level_sd)
+    return learned
+
+
 def likeness(prior: Prior, other: Prior) -> float:
     """Weight of another law compared with the walk's, from the exponents learned for each [-].
 
@@ -389,18 +442,13 @@ def likeness(prior: Prior, other: Prior) -> float:
 
 
 def _fit(touchdowns: Touchdowns, law: FootLaw, prior: Prior) -> Fit:
-    weight = np.asarray(np.linalg.inv(noise_covariance(touchdowns, prior)))
-    sd = np.array([prior.phi_sd_deg, prior.level_sd, prior.drift_sd])
-    precision = sd**-2 * [1e-6, 1.0, 1.0]  # a trace for touch-downs without samples
-    best = _mode(touchdowns, law, prior, weight, sd, precision)
-    state, residual, slope = best
+    sd, best, weight, misfit, scaled = _solved(touchdowns, law, prior)
+    state, _, slope = best
+    precision = sd**-2 * FREE_PHI
     # A prediction that rises by D lets the mode move by −c D.
     gain = weights(slope, weight, precision)[0][:, 0]
-    chi = np.einsum("nk,nkl,nl->n", residual, weight, residual)
     count = touchdowns.used.sum(axis=1)
-    misfit = chi / np.maximum(count - 2.0, 1.0)
-    # Birge's ratio is of the noise: what is known of the drop and its drift beforehand stays.
-    scaled = weight / np.maximum(misfit, 1e-6)[:, None, None]
+    off = np.square((state - prior.state)[:, 1:] / sd[1:]).sum(axis=1)
     depth = np.where(touchdowns.used, _depth(touchdowns, state), -np.inf)
     sinkage = depth.max(axis=1, initial=-np.inf)
     # The law at the deepest point of the whole stance, where the foot rests.
@@ -416,10 +464,23 @@ def _fit(touchdowns: Touchdowns, law: FootLaw, prior: Prior) -> Fit:
         sinkage=np.where(np.isfinite(sinkage), sinkage, 0.0),
         gained=_gained(touchdowns),
         misfit=misfit,
-        cost=(chi + np.square(state[:, 1:] / sd[1:]).sum(axis=1)) / np.maximum(count, 1),
+        cost=(misfit * np.maximum(count - 2.0, 1.0) + off) / np.maximum(count, 1),
         borne=touchdowns.peak / np.maximum(bears, NOISE_N),
         shared=_sensitivity(touchdowns, law, prior, best, gain),
     )
+
+
+def _solved(
+    touchdowns: Touchdowns, law: FootLaw, prior: Prior
+) -> tuple[FloatArray, Best, FloatArray, FloatArray, FloatArray]:
+    """Standard deviations of the prior, mode, weights [N⁻²], misfit [-], and scaled weights."""
+    weight = np.asarray(np.linalg.inv(noise_covariance(touchdowns, prior)))
+    sd = np.array([prior.phi_sd_deg, prior.level_sd, prior.drift_sd])
+    best = _mode(touchdowns, law, prior, weight, sd, sd**-2 * FREE_PHI)
+    chi = np.einsum("nk,nkl,nl->n", best.residual, weight, best.residual)
+    misfit = np.maximum(chi / np.maximum(touchdowns.used.sum(axis=1) - 2.0, 1.0), 1e-6)
+    # Birge's ratio is of the noise: what is known of the drop and its drift beforehand stays.
+    return sd, best, weight, misfit, weight / misfit[:, None, None]
 
 
 def _mode(
@@ -427,7 +488,7 @@ def _mode(
     precision: FloatArray,
 ) -> Best:  # fmt: skip
     """φ [deg], z₀ [m] and w [m/s] of the mode, residuals there [N], and slopes of the law."""
-    mean = np.array([prior.phi_deg, 0.0, 0.0])
+    mean = prior.state
     # The last states that were tried with the slopes there, and the slopes of those that are best.
     tried = np.full((len(touchdowns.foot), 3), np.nan)
     slopes, best_slopes = np.zeros((2, *touchdowns.drop.shape, 3))

@@ -138,9 +138,11 @@ class Window(NamedTuple):
 
 
 class Learned(NamedTuple):
-    """The law's growth with depth, and mean and standard deviation of θ − θ₀."""
+    """Growth with depth, levels at touch-down, and mean and standard deviation of θ − θ₀."""
 
     exponent: float
+    level: float
+    level_sd: float
     mean: FloatArray
     sd: FloatArray
 
@@ -495,8 +497,9 @@ class Walk:
             names = ("torque_gain", "joint_friction_Nm", *(shared := options.prior.shared()))
             mean, sd = (np.hstack([answer.shared[n][key] for n in names]) for key in ("mean", "sd"))
             mean[TORQUES:] -= [centre for centre, _ in shared.values()]
-            exponent = answer.shared["law_exponent"]["mean"]
-            self.learned = Learned(exponent, mean, sd)
+            fitted = answer.provenance["prior"]
+            growth = (fitted[key] for key in ("exponent", "level", "level_sd"))
+            self.learned = Learned(*growth, mean, sd)
         is_sand = inference.NO_ANGLE not in answer.verdict
         self.ground = "" if is_sand else answer.warnings[len(options.notes)]
         frame = OWN_FRAME if self.poses is None else self.poses.frame
@@ -582,10 +585,11 @@ class Walk:
         prior, count = self.options.prior, len(landings.foot)
         if self.learned is None:
             sd = np.append(batch.torque_sd(start.forces), [sd for _, sd in prior.shared().values()])
-            learned = Learned(prior.exponent, np.zeros(len(sd)), sd)
+            learned = Learned(prior.exponent, prior.level, prior.level_sd, np.zeros(len(sd)), sd)
         else:
             learned = self.learned
-        fits = fit(landings, self.options.law, replace(prior, exponent=learned.exponent))
+        levels = {"level": learned.level, "level_sd": learned.level_sd}
+        fits = fit(landings, self.options.law, replace(prior, exponent=learned.exponent, **levels))
         # The verdict needs places and feet of those before that are near, and medians of the walk.
         reach, places = inference.BESIDE_RADII * prior.radius, landings.place[:, :2]
         distance = np.linalg.norm(self.trace[:, None, :2] - places, axis=-1).min(axis=1)
