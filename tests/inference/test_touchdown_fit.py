@@ -290,6 +290,16 @@ def test_differences_between_places_are_inside_their_interval(
     assert footfall_map.sd.max() < 2.0 * max(difference.max(), 0.2)
 
 
+def test_the_other_law_is_inside_the_absolute_interval_where_it_fits_as_well() -> None:
+    """Law foot reads sand of rft 5° high or more at 30°; forces grow with depth as by rft."""
+    footfall_map = walked("rft", np.full(12, 30.0))
+    off = footfall_map.phi - 30.0
+    assert np.all(off > 1.96 * LAWS["foot"].sd_deg)
+    assert np.all(off < 1.96 * footfall_map.absolute_sd)
+    # Between places of one walk it is no error.
+    assert footfall_map.sd.max() < 1.0
+
+
 @pytest.mark.parametrize(("exponent", "noted"), [(-0.45, True), (-0.2, False)])
 def test_soil_that_grows_slower_with_depth_than_dry_sand_is_noted(
     exponent: float, noted: bool

@@ -496,17 +496,11 @@ def infer(
     by_law: dict[str, float] = {}
     scale_sd, contradicted = prior.slope_sd, []
     if usable.any():
-        # Levels of one walk are alike; verdicts leave each footfall its own.
-        sound, wide = picked(touchdowns, usable), prior
-        prior = learn_level(evenly(sound, MOST_FITTED), law, prior)
-        fits = fit(touchdowns, law, prior)._replace(misfit=fits.misfit, borne=fits.borne)
-        sound_fits = picked(fits, usable)
+        wide, (prior, fits) = prior, _with_levels(touchdowns, fits, usable, law, prior)
+        sound, sound_fits = picked(touchdowns, usable), picked(fits, usable)
         prior, second, sensitivity, scale_sd = _compare_laws(sound, sound_fits, law, prior, wide)
-        # Ground near an earlier print was moved, so that φ has a further error.
-        near_print, _ = trodden_before(touchdowns, BESIDE_RADII * prior.radius)
-        sd = np.hypot(sound_fits.sd, BESIDE_SD_DEG * near_print[usable])
         pooled = pool(
-            Observed(sound_fits.phi, sd, sensitivity, sound.place[:, :2]),
+            Observed(sound_fits.phi, sound_fits.sd, sensitivity, sound.place[:, :2]),
             _shared_errors(torques, prior), path[:, 1:], list(zip(anchors, stretches, strict=True)),
             mean=prior.phi_deg, mean_sd=prior.phi_sd_deg,
         )  # fmt: skip
@@ -600,6 +594,18 @@ def with_growth(touchdowns: Touchdowns, law: str, prior: Prior) -> Prior:
     return learn_exponent(picked(virgin, deep), law, prior) if deep.sum() >= FEWEST else prior
 
 
+def _with_levels(
+    touchdowns: Touchdowns, fits: Fit, usable: BoolArray, law: str, prior: Prior
+) -> tuple[Prior, Fit]:
+    """Learn levels from usable footfalls, and fit again; verdicts leave each footfall its own."""
+    prior = learn_level(evenly(picked(touchdowns, usable), MOST_FITTED), law, prior)
+    shared = fit(touchdowns, law, prior)
+    # Ground near an earlier print was moved, so that φ has a further error.
+    near_print, _ = trodden_before(touchdowns, BESIDE_RADII * prior.radius)
+    sd = np.hypot(shared.sd, BESIDE_SD_DEG * near_print)
+    return prior, shared._replace(sd=sd, misfit=fits.misfit, borne=fits.borne)
+
+
 def _compare_laws(
     touchdowns: Touchdowns, fits: Fit, law: str, prior: Prior, wide: Prior
 ) -> tuple[Prior, dict[str, FloatArray], FloatArray, float]:
@@ -610,21 +616,20 @@ def _compare_laws(
     ``other_law`` filled in, and the relative standard deviation of the scale of differences of φ.
     """
     name = SECOND.get(law, "rft")
-    some = evenly(touchdowns, MOST_FITTED)
-    second_prior = learn_exponent(some, name, replace(wide, exponent=0.0))
-    second_prior = learn_level(some, name, second_prior)
+    sample = evenly(touchdowns, MOST_FITTED)
+    second_prior = learn_exponent(sample, name, replace(wide, exponent=0.0))
+    second_prior = learn_level(sample, name, second_prior)
     prior = replace(prior, other_law_sd=math.sqrt(likeness(prior, second_prior)))
     phi, sensitivity = fits.phi, fits.shared.copy()
     second = fit(touchdowns, name, second_prior).phi
-    # Errors that compare footfalls: a wrong slope of the law scales the deviations of φ from the
-    # mean; the other law, at its weight, adds those of its difference.
-    for term, difference in (("law_slope", phi), ("other_law", phi - second)):
-        column = TORQUES + list(prior.shared()).index(term)
-        sensitivity[:, column] = difference - difference.mean()
+    # A wrong slope of the law scales the deviations of φ from the mean; the other law, at its
+    # weight, adds its difference, to differences between places and to the level of the walk.
+    deviation, difference = phi - phi.mean(), phi - second
+    for term, column in (("law_slope", deviation), ("other_law", difference)):
+        sensitivity[:, TORQUES + list(prior.shared()).index(term)] = column
     # By how much the other law makes differences larger or smaller: the slope of a regression, for
     # on uniform soil the two laws differ by their noise.
-    deviation = phi - phi.mean()
-    stretch = abs(float(deviation @ (phi - second))) / max(float(deviation @ deviation), 1e-9)
+    stretch = abs(float(deviation @ difference)) / max(float(deviation @ deviation), 1e-9)
     scale_sd = math.hypot(prior.slope_sd, prior.other_law_sd * stretch)
     return prior, {name: second}, sensitivity, scale_sd
 
