@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 from go2.control import HEIGHT
 from go2.model import GO2_MASS
-from go2.sand import Crust, Elastic, Ground, Sand, Trodden
+from go2.sand import Crust, Displaced, Elastic, Ground, Sand, Trodden
 from go2.walk import Recording, Walk
 from sand_walk import GAITS, sand_log, sand_walk
 
@@ -67,10 +67,10 @@ GROUNDS: dict[str, Sand] = {
     "clay": Ground(strength=8e3),
     "layer": Ground(stiffness=4e3),
     "clay under a crust": Ground(strength=8e3, crust_N=40.0, thickness=0.004),
-    "displaced": Ground(lifting=102.0),
+    "displaced": Displaced(),
 }
 """Ground that is no dry virgin sand, or not only: no footfall may be usable without a note.
-The last one is sand of 40° by Archimedes' law: nearly all should be."""
+The last one is sand by Archimedes' law: nearly all should be."""
 HELD_BACK = ("slow", "limp")
 """Gaits that walk in the first world only."""
 ANCHOR_M, ANCHOR_SD = 0.5, 1.0 / 3.0

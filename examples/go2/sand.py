@@ -126,8 +126,7 @@ class Sand:
             force[..., 0] = -0.6 * force[..., 1] * np.cos(descent)
         force *= (np.maximum(depth, 1e-4)[..., None] / self.radius) ** self.exponent
         if self.cohesion:
-            tan, sin = np.tan(np.radians(phi)), np.sin(np.radians(phi))
-            n_q = np.exp(np.pi * tan) * (1.0 + sin) / (1.0 - sin)
+            tan, n_q = np.tan(np.radians(phi)), _bearing(phi)
             cap = np.clip(depth, 0.0, self.radius)
             deep = np.arctan(np.maximum(depth, 0.0) / (2.0 * self.radius))
             bears = ((n_q - 1.0) / tan + n_q) * (1.0 + 0.4 * deep)
@@ -223,13 +222,39 @@ class Crust(Sand):
 
 
 @dataclass(frozen=True)
+class Displaced(Sand):
+    """Sand by Archimedes' law for grains: the lift is K(φ) ρ g times the volume displaced.
+
+    Attributes
+    ----------
+    lifting
+        K of sand of 40° [-]; it grows with φ as the bearing factor N_q does.
+    """
+
+    lifting: float = 102.0
+
+    def lift(self, depth: FloatArray, descent: FloatArray, phi: FloatArray) -> FloatArray:
+        """Force of such sand."""
+        z, size = np.maximum(depth, 0.0), self.radius
+        cap = np.minimum(z, size)
+        volume = np.pi * cap**2 * (size - cap / 3.0) + np.pi * size**2 * (z - cap)
+        up = self.lifting * _bearing(phi) / _bearing(40.0) * self.density * 9.81 * volume
+        up = np.where(descent > -1e-3, up, 0.0)
+        return np.stack([-0.6 * up * np.cos(descent), up], axis=-1)
+
+
+def _bearing(phi_deg: FloatArray | float) -> FloatArray:
+    """Bearing factor N_q."""
+    sin = np.sin(np.radians(phi_deg))
+    return np.exp(np.pi * np.tan(np.radians(phi_deg))) * (1.0 + sin) / (1.0 - sin)
+
+
+@dataclass(frozen=True)
 class Ground(Sand):
     """Ground by another formula than a law's: sums of parts that yield for good, the same anywhere.
 
     Attributes
     ----------
-    lifting
-        K of sand whose lift is K ρ g times the volume displaced (Archimedes' law for grains) [-].
     strength, hardening
         Undrained shear strength of clay [Pa] and its growth with depth [Pa/m]; it bears nine times
         that on the area of contact.
@@ -239,7 +264,6 @@ class Ground(Sand):
         Force at which a crust on top breaks, and its depth by then [m].
     """
 
-    lifting: float = 0.0
     strength: float = 0.0
     hardening: float = 0.0
     stiffness: float = 0.0
@@ -253,9 +277,7 @@ class Ground(Sand):
         z, size = np.maximum(depth, 0.0), self.radius
         cap = np.minimum(z, size)
         area = np.pi * cap * (2.0 * size - cap)
-        volume = np.pi * cap**2 * (size - cap / 3.0) + np.pi * size**2 * (z - cap)
-        up = self.lifting * self.density * 9.81 * volume
-        up += 9.0 * (self.strength + self.hardening * z) * area
+        up = 9.0 * (self.strength + self.hardening * z) * area
         up += self.stiffness * size * (z / size) ** self.power
         if self.crust_N:
             up = np.where(z < self.thickness, self.crust_N * z / self.thickness, up)
