@@ -498,8 +498,8 @@ class Walk:
             mean, sd = (np.hstack([answer.shared[n][key] for n in names]) for key in ("mean", "sd"))
             mean[TORQUES:] -= [centre for centre, _ in shared.values()]
             fitted = answer.provenance["prior"]
-            growth = (fitted[key] for key in ("exponent", "level", "level_sd"))
-            self.learned = Learned(*growth, mean, sd)
+            level, level_sd = fitted["level"], fitted["level_sd"]
+            self.learned = Learned(fitted["exponent"], level, level_sd, mean, sd)
         is_sand = inference.NO_ANGLE not in answer.verdict
         self.ground = "" if is_sand else answer.warnings[len(options.notes)]
         frame = OWN_FRAME if self.poses is None else self.poses.frame
@@ -588,8 +588,10 @@ class Walk:
             learned = Learned(prior.exponent, prior.level, prior.level_sd, np.zeros(len(sd)), sd)
         else:
             learned = self.learned
-        levels = {"level": learned.level, "level_sd": learned.level_sd}
-        fits = fit(landings, self.options.law, replace(prior, exponent=learned.exponent, **levels))
+        prior = replace(
+            prior, exponent=learned.exponent, level=learned.level, level_sd=learned.level_sd
+        )
+        fits = fit(landings, self.options.law, prior)
         # The verdict needs places and feet of those before that are near, and medians of the walk.
         reach, places = inference.BESIDE_RADII * prior.radius, landings.place[:, :2]
         distance = np.linalg.norm(self.trace[:, None, :2] - places, axis=-1).min(axis=1)
