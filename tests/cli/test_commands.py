@@ -426,6 +426,8 @@ def test_a_mistake_is_one_sentence_that_names_the_remedy(
         ("# made with terraphi\nt", ("--mcap", "walk.csv"), "walk.csv: is the log"),
         ("t", ("--out", "other.nc"), "other.png: is there"),
         ("t", ("--out", "."), ".: is a folder; name a file"),
+        ("t", ("--layers", "."), ".: holds 'other.png', not written by terraphi"),
+        ("t", ("--layers", "walk.csv"), "walk.csv: is the log"),
     ],
 )
 def test_files_in_the_way_of_footfalls_are_named_before_anything_is_loaded(

@@ -87,7 +87,9 @@ def test_command_never_replaces_a_log(
     assert "is the log" in refused.err
     assert log.read_bytes() == before
     for _ in range(2):  # but what it wrote itself
-        made = terraphi("footfalls", str(log), "--density", "1550±80", "--mcap", "soil.mcap")
+        out = ("--mcap", "soil.mcap", "--layers", "layers")
+        made = terraphi("footfalls", str(log), "--density", "1550±80", *out)
         assert made.status == 0, made.err
     walk.to_mcap(folder / "python.mcap")
     assert Path("soil.mcap").read_bytes() == (folder / "python.mcap").read_bytes()
+    assert Path("layers/metadata.yaml").is_file()

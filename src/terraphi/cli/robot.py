@@ -114,7 +114,7 @@ def footfalls(
     if len(logs) > 1:
         raise InputError(f"{len(logs)} logs; give one, or --table for a table of all")
     [log] = logs
-    from terraphi.experiment.files import atomic_files, makeable, writable
+    from terraphi.experiment.files import atomic_files, writable
 
     if out is not None:
         writable(out)
@@ -124,9 +124,12 @@ def footfalls(
             more = f", and --out {out} writes {file.name} too" if file in with_it else ""
             raise InputError(f"{file}: is the log{more}; name another file")
     # Only after this what takes a second to load.
-    from terraphi.experiment.outputs import SIGNATURE, check_file
+    from terraphi.experiment.outputs import SIGNATURE, check_file, check_folder
 
-    for file in filter(None, (mcap, *with_it)):
+    bag = layers if layers and layers.suffix != ".tif" else None
+    if bag is not None:
+        check_folder(bag, kind="layers")
+    for file in filter(None, (mcap, None if bag else layers, *with_it)):
         check_file(file)
     from terraphi.inference.footfalls import FootfallMap
     from terraphi.robot.footfalls import footfalls as find
@@ -134,8 +137,6 @@ def footfalls(
 
     if out is not None:
         check_file(out, kind=FootfallMap.KIND)
-    if layers is not None:
-        (check_file if layers.suffix == ".tif" else makeable)(layers)
     walk = find(log, **options)
     summary, written = walk.as_dict(), []
     if out is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -25,7 +26,7 @@ from terraphi.laws.foot import LAWS
 from terraphi.robot.checks import faulty_spans, within
 from terraphi.robot.forces import FootForces, SensorErrors, without_broken_accelerometer
 from terraphi.robot.friction import spread
-from terraphi.robot.joint_log import FEET, JointLog
+from terraphi.robot.joint_log import FEET, JointLog, cut, joined
 from terraphi.robot.legs import rotation
 from terraphi.robot.logs.columns import Columns
 from terraphi.robot.model import Quadruped
@@ -121,6 +122,9 @@ def footfalls(
     per_error = sensitivity(log, forces)
     landings = touchdowns(log, forces, motion, analysis.stances, per_error, radius=body.foot_radius)
     course = course_of(log, body, forces, motion, per_error)
+    # Inference takes half a gigabyte for an hour more if it has the forces of all samples.
+    analysis = replace(analysis, forces=joined([cut(forces, slice(1))]), stances=())
+    del log, forces, motion, per_error
     return infer_walk(options, analysis, course, landings, name, notes_of(analysis))
 
 
@@ -356,15 +360,15 @@ def calibrate_on_weight(course: Course, sd: FloatArray, *, mass: float) -> Norma
     is_known = np.isfinite(course.lift).all(axis=1)
     if is_known.sum() < 2:
         return prior
-    errors = np.hstack([part.reshape(-1, 12) for part in np.split(course.per_error, 2, axis=-1)])
-    # The last column is the relative error of the mass itself.
+    # Gains of all joints, then frictions; the last one is the relative error of the mass itself.
+    errors = (course.per_error[:, i, 3 * k + j] for k, i, j in np.ndindex(2, 4, 3))
     expected = mass * (GRAVITY + course.acceleration)
-    rows = np.column_stack([course.lift.sum(axis=1) - expected, errors, expected])[is_known]
+    columns = itertools.chain([course.lift.sum(axis=1) - expected], errors, [expected])
     time = course.time[is_known]
     # Means over AVERAGED_S, each a weighing; those while the robot is lifted or falls are left out.
     number = np.floor((time - time[0]) / AVERAGED_S).astype(np.int64)
     starts = np.flatnonzero(np.diff(number, prepend=-1))
-    rows = block_means(rows, starts)
+    rows = np.stack([block_means(column[is_known], starts) for column in columns], axis=1)
     bears = np.abs(rows[:, 0]) < 0.4 * weight
     if bears.sum() < 20 or bears.mean() < 0.5:
         return prior

@@ -146,7 +146,7 @@ def _numbers(name: str, column: Any) -> FloatArray:
     if values.dtype.kind not in "iuf":
         kind = getattr(column, "dtype", type(column).__name__)
         raise InputError(f"{name} is of type {kind}; give an array of numbers")
-    return values.astype(np.float64)
+    return values.astype(np.float64, copy=False)
 
 
 def _of_sensors(values: dict[str, Any], dropped: Counter[str]) -> dict[str, Any]:
