@@ -36,6 +36,8 @@ JUDGES = ("I-loose",)
 """Soils that nothing is learned from: other shapes of grains."""
 MIDDLE_MM = 14.0
 """Between both depths [mm]."""
+COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
+"""Of soils."""
 DING = "wheel:314.7x165"
 WORDS = """\
 A wheel of 120 by 25 mm rolled through loose spheres of 6 mm, made by one code, at a constant \
@@ -188,17 +190,21 @@ def drawn(rows: list[Wheeled], errors: list[float]) -> Figure:
     """Errors over the slip, and the published wheel's sinkage over its slip."""
     figure = Figure(figsize=(10.0, 3.8), layout="constrained")
     left, right = figure.subplots(1, 2)
-    for soil, color in zip(sorted({row.soil for row in rows}), pages.LEGS.values(), strict=False):
-        for depth, marker in (("shallow", "o"), ("deep", "s")):
+    soils = sorted({row.soil for row in rows})
+    for soil, color in zip(soils, COLORS, strict=True):
+        for is_deep in (False, True):
             points = [
                 (row.slip, error) for row, error in zip(rows, errors, strict=True)
-                if row.soil == soil and (row.depth_mm > MIDDLE_MM) == (depth == "deep")
+                if row.soil == soil and (row.depth_mm > MIDDLE_MM) == is_deep
             ]  # fmt: skip
-            left.plot(*np.array(points).T, marker, color=color, label=f"{soil}, {depth}")
+            shape = color if is_deep else "none"
+            label = f"{'dimers' if soil in JUDGES else soil[0]}{', deeper' if is_deep else ''}"
+            left.plot(*np.array(points).T, "o", color=color, mfc=shape, label=label)
     left.axhline(0.0, color="0.4", lw=0.8)
     left.set(xlabel="slip", ylabel="φ less that of a shear cell [deg]",
              title="wheels in simulated grains")  # fmt: skip
-    left.legend(fontsize="small", ncols=2)
+    left.set_ylim(top=left.get_ylim()[1] + 3.0)
+    left.legend(fontsize="small", ncols=4, loc="upper center")
     table, by_foot, by_rft = published()
     right.plot(table.slip, table.sinkage_mm, "ko", label="measured")
     for law, answer in (("foot", by_foot), ("rft", by_rft)):
