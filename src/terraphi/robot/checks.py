@@ -183,6 +183,8 @@ def balance(
 
     1 and 0 are expected; ``None`` if no sample has the forces of all feet.
     """
+    # Between the first and the last touch-down of the foot that has most of them lie whole strides,
+    # over which the momentum of the trunk comes back to what it was.
     feet = [stance.foot for stance in stances]
     begins = [s.begin for s in stances if s.foot == max(FEET, key=feet.count)]
     rows = np.isfinite(forces.force).all(axis=(1, 2))

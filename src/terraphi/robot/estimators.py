@@ -198,6 +198,8 @@ def friction_terms(part: Signals, gap: float) -> FloatArray:
     """
     sign, none = smooth_sign(part.velocity), np.zeros_like(part.velocity)
     terms = (sign, none[1:]), (part.velocity, none[1:]), (none, part.slopes)
+    # Regressors pass the observer's filter as the torques do, so that both sides of the regression
+    # are smoothed alike.
     columns = [low_pass(part.time, OBSERVER_GAIN, *term, gap) for term in terms]
     return np.stack(columns, axis=-1)
 

@@ -111,6 +111,7 @@ def clear_of_ground(
 def away_from(event: BoolArray, time: FloatArray) -> BoolArray:
     """Mask of samples further than :data:`GUARD_S` from an event; shape [sample, ...]."""
     when = time.reshape(-1, *(1,) * (event.ndim - 1))
+    # Time since the last event before each sample, and until the next one after it.
     since = when - np.maximum.accumulate(np.where(event, when, -np.inf), axis=0)
     until = np.minimum.accumulate(np.where(event, when, np.inf)[::-1], axis=0)[::-1] - when
     return np.asarray(np.minimum(since, until) > GUARD_S)

@@ -238,6 +238,7 @@ def _crossings(
 
 def running_mean(values: Forces, half: int) -> FloatArray:
     """Mean over so many samples to both sides, over as many as there are at the ends."""
+    # Sums up to both ends of each window, one less the other.
     total = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, 0, np.float64)])
     centre = np.arange(len(values))
     low, high = np.maximum(centre - half, 0), np.minimum(centre + half + 1, len(values))

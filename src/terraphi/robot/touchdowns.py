@@ -273,6 +273,7 @@ def _rates(
 
     Over ``half`` samples to both sides, fewer at the ends.
     """
+    # A parabola through three places has the acceleration (p₋ − 2 p + p₊) / h², h half of the span.
     before, after = np.maximum(rows - half, 0), np.minimum(rows + half, len(time) - 1)
     span = np.maximum(time[after] - time[before], 1e-9)
     curvature = 4.0 * (2.0 * place[rows, 2] - place[before, 2] - place[after, 2]) / span**2
