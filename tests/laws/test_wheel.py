@@ -120,10 +120,12 @@ def test_sinkage_carries_the_load() -> None:
 
 def test_a_soil_has_a_wheel_with_draws() -> None:
     sand = terraphi.soil("loose dry sand")
-    one, many = sand.wheel(200, 80, 40.0, 0.2), sand.wheel(200, 80, 40.0, 0.2, draws=200, rng=1)
-    assert one["sinkage_mm"].shape == ()
+    median, many = sand.wheel(200, 80, 40.0, 0.2), sand.wheel(200, 80, 40.0, 0.2, draws=200, rng=1)
+    lugged = sand.wheel(200, 80, 40.0, 0.2, lugs=(12, 10))  # tips are deeper than a rim
+    assert lugged["sinkage_mm"] > median["sinkage_mm"] + 5.0
+    assert median["sinkage_mm"].shape == ()
     assert many["sinkage_mm"].shape == (200,)
-    assert np.nanmedian(many["sinkage_mm"]) == pytest.approx(float(one["sinkage_mm"]), rel=0.05)
+    assert np.nanmedian(many["sinkage_mm"]) == pytest.approx(float(median["sinkage_mm"]), rel=0.05)
 
 
 def test_bekkers_numbers_carry_the_law_s_load() -> None:
