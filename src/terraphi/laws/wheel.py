@@ -271,9 +271,9 @@ def rolling(
         raise InputError("slip: give a number, or an array of them")
     each = slips.ravel()
     low, high = angles_deg(FRICTIONS[1])
-    depths = (
-        wheel.bare + np.geomspace(1e-3, DEEPEST - wheel.bare / wheel.reach, POINTS) * wheel.reach
-    )
+    deepest = DEEPEST * wheel.reach
+    depths = wheel.bare + np.geomspace(1e-3 * wheel.reach, deepest - wheel.bare, POINTS)
+    depths = np.minimum(depths, deepest)  # but for rounding
     read = np.clip(phi_deg[:, None] + WHEEL_ERROR.of(each), low, high - WIDTH_DEG)
     nodes = np.linspace(read.min(), read.max() + WIDTH_DEG, NODES)
     forces = wheel_forces(
