@@ -102,6 +102,12 @@ class _Roll:
         """Of the law."""
         return WHEEL_ERROR if self.law == "foot" else THEORY_ERROR
 
+    @property
+    def too_much_deg(self) -> FloatArray:
+        """What the law reads too much in grains, shape [row]."""
+        roughness = self.wheel.roughness(self.friction)
+        return np.asarray(self.error.of(self.rows["slip"], roughness))
+
     @cached_property
     def angles(self) -> FloatArray:
         """Angles of the law [deg]."""
@@ -368,7 +374,7 @@ def _mean(roll: _Roll, grain: float, friction_sd: float) -> _Mean:
     rough, smooth = (roll.read(roll.by_friction[i]) for i in (-1, 0))
     by_friction = (rough - smooth) / (ends[1] - ends[0])
     slip = roll.rows["slip"]
-    phi = phi - roll.error.of(slip)
+    phi = phi - roll.too_much_deg
     slopes = {
         "contact": by_depth * math.hypot(ZERO_SD_M, GRAIN_SD * grain),
         "slip": roll.error.sd_by_slip(slip),
@@ -496,7 +502,7 @@ def _contradictions(roll: _Roll, fit: _Mean) -> list[str]:
             sentences.append(
                 "The wheel pulls more than its torque gives: check the signs and units of both."
             )
-    phi = np.clip(fit.mean + roll.error.of(rows["slip"]), roll.angles[0], roll.angles[-1])
+    phi = np.clip(fit.mean + roll.too_much_deg, roll.angles[0], roll.angles[-1])
     law = roll.forces(phi, roll.friction)
     difference = float(np.nanmedian(rows["pull"] / rows["load"] - law.pull / law.load))
     if abs(difference) > OTHER_PULL:

@@ -62,6 +62,8 @@ SLIPS = (-0.5, 0.6)
 digs."""
 LITTLE = 0.2
 """Slip up to which readings in grains are level [-]."""
+SMOOTH, LUGGED = 0.35, 0.9
+"""Friction of the rims in grains, and roughness that stands for lugs [-]."""
 POINTS = 60
 """Depths between which a sinkage is sought."""
 NODES, WIDTH_DEG = 9, 1e-3
@@ -77,7 +79,9 @@ class WheelError(NamedTuple):
     offset_deg: float
     """What it reads too much up to a slip of :data:`LITTLE`."""
     driven_deg: float
-    """What it reads too much more for each unit of slip beyond."""
+    """What it reads too much more for each unit of slip beyond, at a roughness of SMOOTH."""
+    by_roughness_deg: float
+    """Change of that for each unit of roughness."""
     driven_sd_deg: float
     braked_deg: float
     """What it reads too much more for each unit of slip below zero."""
@@ -87,10 +91,11 @@ class WheelError(NamedTuple):
     law_deg: float
     """Standard deviation of the offset."""
 
-    def of(self, slip: Any) -> Any:
-        """What φ is read too much at a slip [deg]."""
+    def of(self, slip: Any, roughness: float) -> Any:
+        """What φ is read too much at a slip [deg]; roughness as :meth:`Wheel.roughness`."""
         driven, braked = np.maximum(slip - LITTLE, 0.0), np.maximum(-slip, 0.0)
-        return self.offset_deg + self.driven_deg * driven + self.braked_deg * braked
+        rise = self.driven_deg + self.by_roughness_deg * max(roughness - SMOOTH, 0.0)
+        return self.offset_deg + rise * driven + self.braked_deg * braked
 
     def sd_by_slip(self, slip: Any) -> Any:
         """Standard deviation of what the slip adds, one cause for either direction [deg]."""
@@ -98,13 +103,14 @@ class WheelError(NamedTuple):
         return self.driven_sd_deg * driven + self.braked_sd_deg * braked
 
 
-WHEEL_ERROR = WheelError(2.8, 8.0, 4.5, 13.0, 13.0, 1.4, 1.5)
+WHEEL_ERROR = WheelError(2.8, 12.5, -45.0, 6.0, 13.0, 13.0, 1.4, 1.5)
 """Learned from wheels in loose grains, half a grain added to the sinkage (``studies/wheels.py``,
-which prints these numbers). There φ is level to a slip of 0.2 and then rises by 12° a unit, and by
-13° toward braked wheels, which push a mound. On the sand of Ding et al. (2011) it rises by 3° a
-unit of driven slip: why less is not known, and the slope is between both. Soils differ as for feet;
-the error of the offset is chosen."""
-THEORY_ERROR = WheelError(0.0, 0.0, 12.0, 0.0, 13.0, 1.4, 5.8)
+which prints these numbers). There φ is level to a slip of 0.2 and then rises by 12.5° a unit under
+a rim of a friction of 0.35, and falls by 12° with lugs; on the sand of Ding et al. (2011) it rises
+by 3.5° a unit, with a friction of 0.55: a smooth rim slides over the soil, a rough one digs, as the
+law has it. It rises by 13° toward braked wheels, which push a mound. Soils differ as for feet; the
+error of the offset is chosen."""
+THEORY_ERROR = WheelError(0.0, 0.0, 0.0, 12.0, 0.0, 13.0, 1.4, 5.8)
 """Of resistive force theory, from which nothing is taken off; soil and law as for feet."""
 
 
@@ -142,6 +148,10 @@ class Wheel:
     def reach(self) -> float:
         """Radius to the tips of the lugs [m]."""
         return self.radius + self.lug_height
+
+    def roughness(self, friction: float) -> float:
+        """How rough the wheel is: the friction of its rim, :data:`LUGGED` with lugs [-]."""
+        return LUGGED if self.lugs else friction
 
     @property
     def carried(self) -> float:
@@ -274,7 +284,8 @@ def rolling(
     deepest = DEEPEST * wheel.reach
     depths = wheel.bare + np.geomspace(1e-3 * wheel.reach, deepest - wheel.bare, POINTS)
     depths = np.minimum(depths, deepest)  # but for rounding
-    read = np.clip(phi_deg[:, None] + WHEEL_ERROR.of(each), low, high - WIDTH_DEG)
+    too_much = WHEEL_ERROR.of(each, wheel.roughness(surface_friction))
+    read = np.clip(phi_deg[:, None] + too_much, low, high - WIDTH_DEG)
     nodes = np.linspace(read.min(), read.max() + WIDTH_DEG, NODES)
     forces = wheel_forces(
         wheel, depths, each[:, None, None], phi_deg=nodes[:, None], density=DENSITY.mean,
