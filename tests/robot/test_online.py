@@ -14,6 +14,7 @@ import pytest
 
 from terraphi.experiment.errors import InputError
 from terraphi.inference.footfalls import FAULTY, TORN, FootfallMap
+from terraphi.robot import online as module
 from terraphi.robot import state
 from terraphi.robot.footfalls import footfalls
 from terraphi.robot.forces import estimate
@@ -121,6 +122,23 @@ def test_the_length_of_samples_does_not_matter(
     result = walk.update(part(log, WARM, stop), wait=wait)
     walk = Footfalls.restore(walk.state(), **OPTIONS)
     assert (*result, *streamed(walk, part(log, stop), size)) == tuple(online[1])
+
+
+def test_memory_is_bounded(
+    log: JointLog, warm: bytes, online: tuple[Footfalls, list[Footfall]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """The map has the last footfalls; those that are returned are the same."""
+    monkeypatch.setattr(module, "MOST_KEPT", 36)
+    walk = Footfalls.restore(warm, **OPTIONS)
+    result = streamed(walk, part(log, WARM, 7000), 500)
+    assert result == online[1][: len(result)]
+    assert any(f"the last footfalls, 36 at most, of {len(result)}" in n for n in walk.warnings)
+    kept = walk.map()
+    assert 27 <= len(kept.time) <= 36
+    assert set(kept.time) < {f.time for f in result}
+    assert kept.time.max() == max(f.time for f in result)
+    assert kept.path[-1, 0] < online[0].map().path[-1, 0]
 
 
 def test_a_state_is_recognized(warm: bytes, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -278,9 +278,8 @@ class Footfalls:
     def _hand_over(self) -> None:
         """Give the thread the samples that it has not."""
         if self._pieces:
-            take = self._walk.take
-            job = self._thread.submit(take, self._pieces, self._poses, self._dropped)
-            self._jobs.append(job)
+            job = self._pieces, self._poses, self._dropped
+            self._jobs.append(self._thread.submit(lambda: self._walk.take(*job)))
             self._pieces, self._poses, self._dropped = [], [], Counter()
 
     def _collect(self, *, wait: bool) -> None:
@@ -583,11 +582,9 @@ class Walk:
         """Fit touch-downs with what was learned, and give each its verdict."""
         self._keep(start, landings)
         prior, count = self.options.prior, len(landings.foot)
-        if self.learned is None:
-            sd = np.append(batch.torque_sd(start.forces), [sd for _, sd in prior.shared().values()])
-            learned = Learned(prior.exponent, prior.level, prior.level_sd, np.zeros(len(sd)), sd)
-        else:
-            learned = self.learned
+        sd = np.append(batch.torque_sd(start.forces), [sd for _, sd in prior.shared().values()])
+        none = np.zeros(len(sd))
+        learned = self.learned or Learned(prior.exponent, prior.level, prior.level_sd, none, sd)
         prior = replace(
             prior, exponent=learned.exponent, level=learned.level, level_sd=learned.level_sd
         )
