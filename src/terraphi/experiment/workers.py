@@ -47,6 +47,9 @@ def workers(count: int) -> Iterator[Executor | None]:
         # cancelled tasks when workers end. It cancels them only while the pool is referred to.
         thread = getattr(pool, "_executor_manager_thread", None)
         results = getattr(pool, "_result_queue", None)
+        usual = threading.excepthook
+        # It may find one all the same, where a worker ends in between; nobody waits for it then.
+        threading.excepthook = lambda args: None if args.thread is thread else usual(args)
         pool.shutdown(wait=False, cancel_futures=True)
         ours.close()
         theirs.close()
@@ -56,6 +59,7 @@ def workers(count: int) -> Iterator[Executor | None]:
             results._writer.close()
         if thread is not None:  # none before the first task
             thread.join()
+        threading.excepthook = usual
 
 
 def attempt(source: str, make: Callable[[], Made]) -> Made | InputError:
