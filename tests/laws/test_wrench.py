@@ -291,7 +291,7 @@ def test_friction_on_a_plate_keeps_the_bound_and_is_mobilized_by_shearing() -> N
 def test_a_foot_deeper_than_was_simulated_is_warned_of() -> None:
     for foot, radius in ((Foot(RADIUS), RADIUS), (ball(200), RADIUS)):
         force(foot, [0.0, 0.0, -3.5 * radius], going(90.0), **SAND)
-        with pytest.warns(UserWarning, match="radii deep"):
+        with pytest.warns(UserWarning, match="deeper than 5"):
             force(foot, [0.0, 0.0, -1000.0 * radius], going(90.0), **SAND)
 
 

@@ -499,10 +499,10 @@ def _soil(
 
 def _warn_deep(xp: Any, ratio: Any) -> None:
     """Warn of feet deeper than law ``foot`` was simulated, from depths over their radius [-]."""
-    if xp is np and ratio.size and (deepest := float(ratio.max())) > DEEPEST:
-        warnings.warn(
-            f"a foot is {deepest:.3g} of its radii deep; law 'foot' was simulated to {DEEPEST:g}, "
-            "and its forces are continued from there",
+    if xp is np and ratio.size and float(ratio.max()) > DEEPEST:
+        warnings.warn(  # one text, so that it is shown once
+            f"a foot is deeper than {DEEPEST:g} of its radii, to which law 'foot' was simulated; "
+            "its forces are continued from there",
             stacklevel=4,
         )
 

@@ -33,7 +33,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple, Self, cast
 
 import numpy as np
 
@@ -70,8 +70,12 @@ that stands (``tests/robot/test_online.py``)."""
 MOST_KEPT, MOST_LEARNED = 4000, 500
 """Footfalls whose loading is kept for the map, 28 MB, and the last ones from which a walk without
 anchors learns by itself, in two seconds (chosen)."""
+LATE = "poses that begin after the first footfall"
+"""Reason for which poses are left out."""
 MOST_WAITING = 1200
 """Half seconds of a log that wait for the thread at most; only then a caller waits (chosen)."""
+KEPT = ("_ready", "_columns", "_end", "_frame", "_poses", "_dropped")
+"""What a state has of what the thread does not know yet."""
 OWN_FRAME = "start"
 """Frame of places without poses: from the trunk's first place, x along the first heading."""
 
@@ -188,6 +192,20 @@ class Footfalls:
         self._columns: list[str] = []
         self._end = -math.inf
         """Time of the last sample [s]."""
+        self._frame = ""
+        """Frame of the poses so far; empty without any."""
+
+    def __enter__(self) -> Self:
+        """Itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close it."""
+        self.close()
+
+    def close(self) -> None:
+        """End the thread after what it does now; samples that wait for it are lost."""
+        self._thread.shutdown(wait=False, cancel_futures=True)
 
     def update(
         self, samples: JointLog, *, poses: Poses | None = None, wait: bool = False
@@ -208,14 +226,14 @@ class Footfalls:
         Raises
         ------
         InputError
-            If the samples do not follow or cannot be used: then none is taken. If those of the
-            first :data:`~terraphi.robot.checks.CHECK_S` contradict the robot: then the next ones
-            are the first, and this may be raised by a later call.
+            If samples or poses do not follow or cannot be used: then none is taken. If those of
+            the first :data:`~terraphi.robot.checks.CHECK_S` contradict the robot: then the next
+            ones are the first. A later call may raise this, which takes its own samples all the
+            same.
         """
-        self._collect(wait=False)
         samples = self._following(samples)
         if poses is not None:
-            self._poses.append(poses)
+            self._poses.append(self._sound_poses(poses, samples))
         if len(samples.time):
             self._pieces.append(samples)
             self._end = float(samples.time[-1])
@@ -254,11 +272,15 @@ class Footfalls:
         """All that :meth:`restore` needs to go on as if nothing had stopped."""
         self._hand_over()
         self._collect(wait=True)
-        mine = {name: vars(self)[name] for name in ("_ready", "_columns", "_end")}
-        walk = {name: value for name, value in vars(self._walk).items() if name != "options"}
-        if (start := self._walk.start) is not None:  # whose robot is that of the options
-            walk["start"] = replace(start, robot=cast(Any, None))
-        return state.packed([mine, walk], self._walk.fingerprint())
+        mine = {name: vars(self)[name] for name in KEPT}
+
+        def packed() -> bytes:
+            walk = {name: value for name, value in vars(self._walk).items() if name != "options"}
+            if (start := self._walk.start) is not None:  # whose robot is that of the options
+                walk["start"] = replace(start, robot=cast(Any, None))
+            return state.packed([mine, walk], self._walk.fingerprint())
+
+        return self._thread.submit(packed).result()  # after maps that were begun
 
     @classmethod
     def restore(cls, data: bytes, **options: Any) -> Footfalls:
@@ -296,9 +318,15 @@ class Footfalls:
         names = arrays(samples) if isinstance(samples, JointLog) else []
         values = {name: getattr(samples, name) for name in names}
         length = values["time"].shape[:1] if "time" in values and "torque" in values else (0,)
-        if length != (0,) and all(
-            column.shape == (*length, *SHAPES.get(name, ())) and column.dtype == np.float64
-            for name, column in values.items()
+        time = values.get("time", np.zeros(0))
+        if (
+            length != (0,)
+            and np.isfinite(time).all()
+            and (np.diff(time) > 0.0).all()
+            and all(
+                column.shape == (*length, *SHAPES.get(name, ())) and column.dtype == np.float64
+                for name, column in values.items()
+            )
         ):  # what ``sound`` does besides takes ten times as long, and is left to the thread
             samples = JointLog(**{name: column.copy() for name, column in values.items()})
         else:
@@ -320,6 +348,30 @@ class Footfalls:
             samples = cut(samples, slice(first, None))
         self._columns = columns if len(samples.time) else self._columns
         return samples
+
+    def _sound_poses(self, poses: Poses, samples: JointLog) -> Poses:
+        """Poses in the frame and on the clock of those before, without those without numbers."""
+        if not isinstance(poses, Poses):
+            raise InputError(f"poses of type {type(poses).__name__}; give terraphi's Poses")
+        end = float(samples.time[-1]) if len(samples.time) else self._end
+        columns = [np.asarray(column, dtype=np.float64) for column in poses[:3]]
+        n, shapes = columns[0].size, [column.shape for column in columns]
+        if shapes != [(n,), (n, 3), (n, 4)]:
+            raise InputError(f"poses of shapes {shapes}; expected [pose], [pose, 3] and [pose, 4]")
+        if self._frame not in ("", poses.frame):
+            raise InputError(f"poses in {poses.frame}, and in {self._frame} before; give one frame")
+        there = np.isfinite(np.column_stack(columns)).all(axis=1)
+        there &= np.linalg.norm(columns[2], axis=1) > 0.5
+        if not there.all():
+            self._dropped["poses that are no numbers"] += int((~there).sum())
+        time, position, quaternion = (column[there] for column in columns)
+        if time.size and not end - CHECK_S < time.max() < end + 6.0 * CHECK_S:
+            raise InputError(
+                f"poses of {time.min():g} to {time.max():g} s, and samples to {end:g} s: both need "
+                "one clock"
+            )
+        self._frame = poses.frame
+        return Poses(time, position, quaternion, poses.frame)
 
 
 @dataclass
@@ -398,9 +450,9 @@ class Walk:
         """Take the next samples and poses; return the footfalls that are over."""
         samples, unsound = sound(joined(pieces))
         self.dropped = self.dropped + dropped + unsound
-        if poses:
-            self._localize(poses)
         self.pending = samples if self.pending is None else joined([self.pending, samples])
+        if any(len(each.time) for each in poses):
+            self._localize(poses)
         answers: list[Footfall] = []
         while (log := self._next(self.pending)) is not None:
             start = self.start or self._begin(log)
@@ -435,23 +487,19 @@ class Walk:
         )  # fmt: skip
 
     def _localize(self, poses: list[Poses]) -> None:
-        """Keep the last poses."""
+        """Keep the poses from a check before the samples that wait on."""
+        if self.count and self.poses is None:
+            # Places of one walk are in one frame: of the start, once a footfall was answered.
+            self.dropped = self.dropped + Counter({LATE: sum(len(each.time) for each in poses)})
+            return
         before = [self.poses] if self.poses else []
-        frames = {each.frame for each in (*before, *poses)}
-        if len(frames) > 1 or (self.count and not before):
-            names = " and ".join(sorted(frames if len(frames) > 1 else {OWN_FRAME, *frames}))
-            raise InputError(f"footfalls in {names}; give poses of one frame from the start on")
-        shapes = [tuple(np.shape(c) for c in pose[:3]) for pose in poses]
-        if any(
-            shape != ((n := len(p.time),), (n, 3), (n, 4))
-            for shape, p in zip(shapes, poses, strict=True)
-        ):
-            raise InputError(f"poses of shapes {shapes}; expected [pose], [pose, 3] and [pose, 4]")
         time, position, quaternion = (
             np.concatenate([pose[k] for pose in (*before, *poses)]) for k in range(3)
         )
-        last = time >= time.max() - CHECK_S
-        self.poses = Poses(time[last], position[last], quaternion[last], frames.pop())
+        waiting = self.pending
+        first = time.min() if waiting is None or not len(waiting.time) else waiting.time[0]
+        late = time >= min(first, time.max()) - CHECK_S
+        self.poses = Poses(time[late], position[late], quaternion[late], poses[0].frame)
 
     def _placed(self, time: FloatArray, place: FloatArray, start: RobotForces) -> FloatArray:
         """Places at some times in the frame of the poses, if there are any [m], shape [any, 3]."""
@@ -570,9 +618,9 @@ class Walk:
         self.count += len(landings.foot)
         if sum(len(rows.foot) for rows in self.rows) > MOST_KEPT:
             rows = picked(stacked(self.rows), slice(MOST_KEPT // 4, None))
-            begin = rows.begin.min()
-            self.rows, course = [rows], [part for part in self.course if part.time[-1] > begin]
-            self.course = [stacked(course)]
+            self.rows, course = [rows], stacked(self.course)
+            late = course.time > rows.begin.min()
+            self.course = [batch.Course(*(column[late] for column in course))]
         if self.count >= self.learn_at:
             self.learn_at = 2 * self.count
             with suppress(InputError):  # an anchor lies ahead

@@ -371,12 +371,14 @@ USES = {
         soil.push(model, data)
         mujoco.mj_step(model, data)
 
-    The feet touch nothing else then: leave a floor out, or below. The surface is level. damping is
-    that of a foot in soil [N s/m], 0 for the soil's alone.
+    The feet touch nothing else by themselves then: leave a floor and contact pairs out. The
+    surface is level. The soil holds a foot as a spring of stiffness [N/m], by default half of what
+    the step allows: with feet of a few grams and steps of 4 ms that is soft, and they sink in too
+    deep. damping [N s/m] may be added to it.
     """
 
     def __init__(self, model, feet, surface=0.0, phi_deg=FRICTION_ANGLE_DEG, density=DENSITY,
-                 surface_friction=LEG_FRICTION, damping=20.0):
+                 surface_friction=LEG_FRICTION, stiffness=None, damping=0.0):
         import numpy as np
         from terraphi.laws.foot import Foot
 
@@ -389,10 +391,10 @@ USES = {
         self.soil = {"phi_deg": phi_deg, "density": density, "surface": surface}
         if surface_friction is not None:
             self.soil["surface_friction"] = surface_friction
-        self.stiffness, self.damping = None, damping
+        self.stiffness, self.damping, self.time, self.added = stiffness, damping, -1.0, 0.0
 
     def push(self, model, data):
-        """Put the soil's forces into data.qfrc_applied, in place of what was there."""
+        """Add the soil's forces to data.qfrc_applied, in place of those of the step before."""
         import mujoco
         import numpy as np
         from terraphi.laws.wrench import force
@@ -412,11 +414,16 @@ USES = {
             mujoco.mj_solveM(model, data, inverse, jacobian)
             least = 1.0 / np.linalg.eigvalsh(jacobian @ inverse.T)[-1]
             self.stiffness = float(least / step**2)
+        if data.time <= self.time:  # the simulation was reset, and has no forces of before
+            self.held, self.added = (np.zeros((n, 3)),) * 2, 0.0
+        self.time = data.time
         self.held = force(self.foot, data.geom_xpos[self.geoms], velocity, held=self.held,
                           step=float(step), stiffness=self.stiffness, **self.soil)
         in_soil = np.linalg.norm(self.held[0], axis=1, keepdims=True) > 0.0
         total = self.held[0] - self.damping * in_soil * velocity
-        data.qfrc_applied[:] = jacobian.T @ total.ravel()
+        now = jacobian.T @ total.ravel()
+        data.qfrc_applied += now - self.added
+        self.added = now
 ''',
 }
 """Functions of the exported module that hand the constants to the simulator."""

@@ -25,6 +25,8 @@ from terraphi.experiment.errors import InputError, nearest
 
 Match = Literal["plane-strain", "triaxial"]
 MATCHES: tuple[Match, ...] = get_args(Match)
+FOOT_DEG = (14.0, 55.0)
+"""Angles of law ``foot`` (:func:`~terraphi.laws.wrench.angles_deg`) [deg]."""
 LEAST_DEG = 2.0
 """No soil has less [deg]; an angle in radians is below."""
 
@@ -143,6 +145,10 @@ class Simulator:
         """
         if self.name in ("chrono-scm", "rft3d", "mujoco") and match == "triaxial":
             raise InputError(f"{self.name} has no triaxial compression: leave out --match triaxial")
+        if self.name == "mujoco" and not FOOT_DEG[0] <= phi_deg <= FOOT_DEG[1]:
+            raise InputError(
+                f"φ = {phi_deg:.1f}°; law foot has {FOOT_DEG[0]:g} to {FOOT_DEG[1]:g}°"
+            )
         parameter = self.law.value(ratio_of_angle(phi_deg, match))
         if math.isnan(parameter):
             soil = f"{phi_deg:.1f} deg in {match.replace('-', ' ')}"
