@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +12,7 @@ import numpy as np
 import pytest
 
 from terraphi.experiment.errors import InputError
-from terraphi.inference.footfalls import SHALLOW, USABLE, FootfallMap
+from terraphi.inference.footfalls import FAULTY, SHALLOW, TORN, USABLE, FootfallMap
 from terraphi.terrain import layers
 
 CELL = 0.1
@@ -39,7 +42,10 @@ def at(values: np.ndarray, x: float, y: float, corner: Any) -> float:
 
 def check(values: dict[str, np.ndarray], corner: Any) -> None:
     """Means of cells by hand."""
-    read = {name: [at(v, *place[:2], corner) for place in PLACES[1:]] for name, v in values.items()}
+    read = {
+        name: [at(v, place[0], place[1], corner) for place in PLACES[1:]]
+        for name, v in values.items()
+    }
     assert read["phi"] == pytest.approx([35.0, 40.0, np.nan], nan_ok=True)
     own = np.hypot(0.3, 0.4) / 2.0
     sd = [np.hypot(own, 2.0), np.hypot(1.0, 2.0), np.nan]
@@ -94,6 +100,7 @@ def test_a_geotiff_lies_where_the_walk_was(
 ) -> None:
     """With a first heading to the north, x of the walk is north and y is west."""
     rasterio = pytest.importorskip("rasterio")
+    walk = replace(walk, provenance={})
     layers.write(walk, tmp_path / "soil.tif", cell=CELL, start=start, crs=start and "EPSG:32633")
     with rasterio.open(tmp_path / "soil.tif") as file:
         assert file.descriptions == tuple(layers.LAYERS)
@@ -103,6 +110,105 @@ def test_a_geotiff_lies_where_the_walk_was(
             assert read == pytest.approx(phi, nan_ok=True)
 
 
-def test_what_cannot_be_drawn_is_refused(walk: FootfallMap) -> None:
-    with pytest.raises(InputError, match=r"cells of 0\.0001 m along the map; give larger ones"):
-        layers.grid(walk, 1e-4)
+def read_bag(path: Path) -> dict[str, tuple[int, Any]]:
+    """Time in the bag [ns] and message, by topic."""
+    from rosbags.highlevel import AnyReader
+
+    with AnyReader([path]) as reader:
+        return {
+            c.topic: (time, reader.deserialize(raw, c.msgtype))
+            for c, time, raw in reader.messages()
+        }
+
+
+def points_of(cloud: Any) -> np.ndarray:
+    kind: Any = np.dtype([(field.name, "<f4") for field in cloud.fields])
+    return np.frombuffer(cloud.data.tobytes(), kind)
+
+
+def test_feet_that_were_not_read_have_no_sinkage(walk: FootfallMap, tmp_path: Path) -> None:
+    """A torn and a faulty footfall, whose 0.0 m is no depth, beside and without a sound one."""
+    walk = replace(
+        walk, verdict=(USABLE, TORN, FAULTY, SHALLOW), sinkage=np.array([0.02, 0.0, 0.0, 0.001])
+    )
+    values, corner = layers.grid(walk, CELL)
+    read = [at(values["sinkage"], place[0], place[1], corner) for place in PLACES]
+    assert read == pytest.approx([0.02, 0.02, np.nan, 0.001], nan_ok=True)
+    layers.write(walk, tmp_path / "soil", cell=CELL)
+    _, cloud = read_bag(tmp_path / "soil")["/terraphi/footfall_points"]
+    assert points_of(cloud)["sinkage"] == pytest.approx([0.02, np.nan, np.nan, 0.001], nan_ok=True)
+
+
+def test_headers_have_the_clock_of_the_robot(walk: FootfallMap, tmp_path: Path) -> None:
+    """A robot that was started at 1000 s by its own clock, recorded by another at 5000 s."""
+    log = {"start_ns": 1000 * 10**9, "recorded_ns": 5000 * 10**9}
+    walk = replace(walk, provenance={"forces": {"log": log}})
+    layers.write(walk, tmp_path / "soil", cell=CELL)
+    for time, message in read_bag(tmp_path / "soil").values():
+        assert time == 5002 * 10**9
+        assert message.header.stamp.sec == 1002
+
+
+def test_a_footfall_without_a_place_is_left_out(walk: FootfallMap) -> None:
+    place = walk.place.copy()
+    place[0, 1], place[3] = np.nan, np.nan
+    values, corner = layers.grid(replace(walk, place=place), CELL)
+    assert at(values["phi"], PLACES[1][0], PLACES[1][1], corner) == 36.0
+    assert np.isfinite(values["usable"]).sum() == 2
+    with pytest.raises(InputError, match="no footfall"):
+        layers.grid(replace(walk, place=np.full((4, 3), np.nan)))
+
+
+@pytest.mark.parametrize(
+    ("cell", "sentence"),
+    [
+        (1e-4, r"cells of 0\.0001 m, at most 1\.6e\+07; give larger ones"),
+        (1e-320, "give larger ones"),
+        (0.0, r"cells of 0\.0 m; give the length of an edge"),
+        (-0.1, "give the length of an edge"),
+        (math.nan, "give the length of an edge"),
+        (math.inf, "give the length of an edge"),
+        ("0.05", "give the length of an edge"),
+    ],
+)
+def test_cells_that_cannot_be_drawn_are_refused(
+    walk: FootfallMap, cell: Any, sentence: str
+) -> None:
+    with pytest.raises(InputError, match=sentence):
+        layers.grid(walk, cell)
+
+
+@pytest.mark.parametrize("name", ["soil.TIF", "soil.tiff"])
+def test_the_case_of_an_ending_does_not_matter(
+    walk: FootfallMap, tmp_path: Path, name: str
+) -> None:
+    pytest.importorskip("rasterio")
+    layers.write(walk, tmp_path / name, cell=CELL)
+    assert (tmp_path / name).is_file()
+
+
+def test_a_wrong_coordinate_system_is_one_sentence(walk: FootfallMap, tmp_path: Path) -> None:
+    pytest.importorskip("rasterio")
+    for crs in ("EPSG:1", "nowhere"):
+        with pytest.raises(InputError, match=f"crs '{crs}': no coordinate system; give one such"):
+            layers.write(walk, tmp_path / "soil.tif", cell=CELL, crs=crs)
+
+
+def test_a_start_is_for_places_from_the_start(walk: FootfallMap, tmp_path: Path) -> None:
+    """Poses of a localization have a place of their own, which a start would shift again."""
+    from terraphi.terrain.inputs import Start, read_points
+
+    start: Any = Start(500012.0, 4000034.0, 0.0)
+    with pytest.raises(InputError, match="places in the frame 'odom', not from the walk's start"):
+        layers.write(walk, tmp_path / "soil.tif", start=start)
+    nothing: Any = None
+    with pytest.raises(InputError, match="places in the frame 'odom', not from the walk's start"):
+        read_points(walk, nothing, start)
+
+
+def test_what_is_missing_is_said_before_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "rasterio", None)
+    with pytest.raises(InputError, match=r"soil.TIF: writing GeoTIFF needs rasterio"):
+        layers.check(tmp_path / "soil.TIF")

@@ -124,13 +124,14 @@ def footfalls(
             more = f", and --out {out} writes {file.name} too" if file in with_it else ""
             raise InputError(f"{file}: is the log{more}; name another file")
     # Only after this what takes a second to load.
-    from terraphi.experiment.outputs import SIGNATURE, check_file, check_folder
+    from terraphi.experiment.outputs import SIGNATURE, check_file
 
-    bag = layers if layers and layers.suffix != ".tif" else None
-    if bag is not None:
-        check_folder(bag, kind="layers")
-    for file in filter(None, (mcap, None if bag else layers, *with_it)):
+    for file in filter(None, (mcap, *with_it)):
         check_file(file)
+    if layers is not None:
+        from terraphi.terrain.layers import check
+
+        check(layers)
     from terraphi.inference.footfalls import FootfallMap
     from terraphi.robot.footfalls import footfalls as find
     from terraphi.view import plots

@@ -220,6 +220,14 @@ def start_from(start: Start | str) -> Start:
     return Start(x, y, bearing)
 
 
+def check_frame(walk: FootfallMap, name: str) -> None:
+    """Raise InputError if footfalls, which a start is to place, are not relative to their own."""
+    if (frame := walk.provenance.get("frame", "start")) != "start":
+        raise InputError(
+            f"{name}: places in the frame '{frame}', not from the walk's start; give no start"
+        )
+
+
 def read_points(
     points: Any, dem: Elevation, start: Start | None = None
 ) -> tuple[pd.DataFrame, int]:
@@ -256,6 +264,8 @@ def read_points(
     if isinstance(path, Path) and path.suffix == ".nc":
         points = FootfallMap.load(path)
     if isinstance(points, FootfallMap):
+        if start is not None:
+            check_frame(points, str(path))
         table = points.summary().rename(index=lambda row: f"footfall {row}")
     elif isinstance(path, Path):
         table = _csv(path, dem)

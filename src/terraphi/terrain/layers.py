@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
 import math
+import os
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,8 +15,8 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError, needing
 from terraphi.experiment.files import atomic_write
-from terraphi.experiment.outputs import SIGNATURE, check_file, output_folder
-from terraphi.inference.footfalls import LAST_STAMP, FootfallMap
+from terraphi.experiment.outputs import SIGNATURE, check_file, check_folder, output_folder
+from terraphi.inference.footfalls import FAULTY, LAST_STAMP, SHALLOW, TORN, FootfallMap
 
 if TYPE_CHECKING:
     from terraphi.terrain.inputs import Start
@@ -22,12 +25,12 @@ LAYERS = {
     "phi": ("mean friction angle of the usable footfalls, in plane strain", "degree"),
     "phi_sd": ("standard deviation of phi, absolute", "degree"),
     "usable": ("share of the footfalls that are usable", "1"),
-    "sinkage": ("mean depth of the feet at the end of the loading", "m"),
+    "sinkage": ("mean depth of the feet at the end of the loading, of those with a fit", "m"),
 }
 """Layers, what each is and its unit; not a number in cells without such a footfall."""
-CELL, MOST_CELLS = 0.05, 4000
-"""Edge of a cell [m], two radii of a Go2's foot, and most cells along an edge of the grid."""
-KIND, BAG = "layers", "metadata.yaml"
+CELL, MOST_CELLS = 0.05, 16_000_000
+"""Edge of a cell [m], two radii of a Go2's foot, and most cells of the grid."""
+KIND, BAG, GEOTIFF = "layers", "metadata.yaml", (".tif", ".tiff")
 GRID, CLOUD = "grid_map_msgs/msg/GridMap", "sensor_msgs/msg/PointCloud2"
 TOPICS = {"/terraphi/soil": GRID, "/terraphi/footfall_points": CLOUD}
 DEFINITIONS = {
@@ -55,15 +58,25 @@ def grid(walk: FootfallMap, cell: float = CELL) -> tuple[dict[str, FloatArray], 
     Raises
     ------
     InputError
-        If there is no footfall, or the grid would have more than :data:`MOST_CELLS` along an edge.
+        If there is no footfall with a place, the edge of a cell is no length, or the grid would
+        have more than :data:`MOST_CELLS`.
     """
+    walk = _placed(walk)
     if not len(walk.time):
         raise InputError("no footfall, of which layers could be made")
-    numbers = np.floor(walk.place[:, :2] / cell).astype(np.int64)
+    if not (isinstance(cell, int | float | np.number) and 0.0 < cell < math.inf):
+        raise InputError(f"cells of {cell!s:.40} m; give the length of an edge, such as {CELL:g}")
+    with np.errstate(over="ignore", invalid="ignore"):
+        places = walk.place[:, :2] / cell
+        size = float(np.prod(np.ptp(places, axis=0) + 1.0))
+    # Beyond 2⁵³ the number of a cell is not exact.
+    if not (size <= MOST_CELLS and np.abs(places).max() < 2.0**53):
+        raise InputError(
+            f"{size:.3g} cells of {cell:g} m, at most {MOST_CELLS:g}; give larger ones"
+        )
+    numbers = np.floor(places).astype(np.int64)
     first = numbers.min(axis=0)
     shape = np.ptp(numbers, axis=0) + 1
-    if shape.max() > MOST_CELLS:
-        raise InputError(f"{shape.max()} cells of {cell:g} m along the map; give larger ones")
 
     def total(values: Any) -> FloatArray:
         sums = np.zeros(shape)
@@ -71,12 +84,29 @@ def grid(walk: FootfallMap, cell: float = CELL) -> tuple[dict[str, FloatArray], 
         return sums
 
     usable = walk.usable
+    fitted = np.isfinite(walk.sinkage)
     feet, good = total(1.0), total(usable)
     with np.errstate(invalid="ignore"):  # 0/0 in cells without a footfall
         phi, shared = (total(np.where(usable, v, 0.0)) / good for v in (walk.phi, walk.shared_sd))
         separate = np.sqrt(total(np.where(usable, walk.sd**2, 0.0))) / good
-        values = phi, np.hypot(separate, shared), good / feet, total(walk.sinkage) / feet
+        sinkage = total(np.where(fitted, walk.sinkage, 0.0)) / total(fitted)
+        values = phi, np.hypot(separate, shared), good / feet, sinkage
     return dict(zip(LAYERS, values, strict=True)), first * cell
+
+
+def _placed(walk: FootfallMap) -> FootfallMap:
+    """The footfalls that have a place; without a fit, their sinkage is not a number."""
+    rows = np.flatnonzero(np.isfinite(walk.place).all(axis=1))
+    verdict = np.array(walk.verdict, dtype=str)
+    # A footfall that could not be fitted has a sinkage of zero.
+    unread = np.isin(verdict, (FAULTY, TORN)) | ((verdict != SHALLOW) & (walk.sinkage == 0.0))
+    sinkage = np.where(unread, np.nan, walk.sinkage)
+    columns = {name: getattr(walk, name)[rows] for name in ("time", "place", "phi", "sd")}
+    return replace(
+        walk, **columns, sinkage=sinkage[rows], shared_sd=walk.shared_sd[rows],
+        misfit=walk.misfit[rows], foot=tuple(walk.foot[row] for row in rows),
+        verdict=tuple(walk.verdict[row] for row in rows),
+    )  # fmt: skip
 
 
 def messages(
@@ -114,6 +144,7 @@ def messages(
         data = values[::-1, ::-1].astype(np.float32).ravel(order="F")
         return new("std_msgs/msg/Float32MultiArray", layout=layout, data=array(data))
 
+    walk = _placed(walk)
     seconds, rest = divmod(min(max(stamp_ns, 0), LAST_STAMP * 10**9), 10**9)
     stamp = new("builtin_interfaces/msg/Time", sec=seconds, nanosec=rest)
     frame = frame or walk.provenance.get("frame", "start")
@@ -144,18 +175,31 @@ def messages(
     return dict(zip(TOPICS, (soil, cloud), strict=True))
 
 
+def check(out: Path) -> None:
+    """Raise InputError if layers cannot be written to a place; to be called before the work."""
+    if out.suffix.lower() in GEOTIFF:
+        with needing(f"{out}: writing GeoTIFF", "rasterio", extra="terrain"):
+            importlib.import_module("rasterio")
+        check_file(out)
+        return
+    with needing(f"{out}: writing a bag", "rosbags", extra="robot"):
+        importlib.import_module("rosbags.rosbag2")
+    check_folder(out, kind=KIND)
+
+
 def write(
     walk: FootfallMap, out: Path | str, *, cell: float = CELL, frame: str = "",
     start: Start | str | None = None, crs: str | None = None,
 ) -> None:  # fmt: skip
-    """Write the layers of a walk: a GeoTIFF if the name ends in ``.tif``, else a bag of ROS 2.
+    """Write the layers of a walk: a GeoTIFF by the name's ending, else a bag of ROS 2.
 
     Parameters
     ----------
     walk
         The footfalls.
     out
-        File, or folder of a bag with MCAP inside, which has the topics of :data:`TOPICS`.
+        File with an ending of :data:`GEOTIFF`, or folder of a bag with MCAP inside, which has the
+        topics of :data:`TOPICS`.
     cell
         Edge of a cell [m].
     frame
@@ -167,26 +211,35 @@ def write(
     Raises
     ------
     InputError
-        If there is no footfall, or the place cannot be written.
+        If there is no footfall, the place cannot be written, ``crs`` is no coordinate system, or
+        there is a start and the footfalls are in another frame.
     """
-    if Path(out).suffix == ".tif":
+    check(Path(out))
+    if start is not None:
+        from terraphi.terrain.inputs import check_frame
+
+        check_frame(walk, str(out))
+    if Path(out).suffix.lower() in GEOTIFF:
         _write_geotiff(walk, Path(out), cell, start, crs)
         return
-    with needing(f"{out}: writing a bag", "rosbags", extra="robot"):
-        from rosbags.rosbag2 import StoragePlugin, Writer
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store: Any = get_typestore(Stores.ROS2_HUMBLE)
     for name, text in DEFINITIONS.items():
         store.register(get_types_from_msg(text, name))
     log = walk.provenance.get("forces", {}).get("log", {})
-    last = round(1e9 * float(np.max(walk.time, initial=0.0))) + log.get("recorded_ns", 0)
-    made = messages(walk, store.types.__getitem__, cell=cell, frame=frame, stamp_ns=last)
+    # Headers have the robot's clock, as its own messages, and the bag that of the recording.
+    last, recorded = round(1e9 * float(np.max(walk.time, initial=0.0))), log.get("recorded_ns", 0)
+    stamp = last + log.get("start_ns", recorded)
+    made = messages(walk, store.types.__getitem__, cell=cell, frame=frame, stamp_ns=stamp)
     with output_folder(Path(out), kind=KIND, last=BAG) as place:
         with Writer(place / KIND, version=8, storage_plugin=StoragePlugin.MCAP) as bag:
             for topic, kind in TOPICS.items():
                 connection = bag.add_connection(topic, kind, typestore=store)
-                bag.write(connection, max(last, 0), store.serialize_cdr(made[topic], kind))
+                bag.write(
+                    connection, max(last + recorded, 0), store.serialize_cdr(made[topic], kind)
+                )
         for file in place.joinpath(KIND).iterdir():
             file.rename(place / file.name)
         place.joinpath(KIND).rmdir()
@@ -196,12 +249,17 @@ def _write_geotiff(
     walk: FootfallMap, out: Path, cell: float, start: Start | str | None, crs: str | None
 ) -> None:
     """Write a band for each layer, turned and shifted to the start of the walk."""
-    with needing(f"{out}: writing GeoTIFF", "rasterio", extra="terrain"):
-        import rasterio
+    import rasterio
 
-        from terraphi.terrain.inputs import start_from
+    from terraphi.terrain.inputs import OFFLINE, start_from
 
-    check_file(out)
+    os.environ.update(OFFLINE)
+    try:
+        with rasterio.Env():  # without it, GDAL prints its errors
+            system = None if crs is None else rasterio.crs.CRS.from_user_input(crs)
+    except (rasterio.errors.CRSError, TypeError, ValueError) as error:
+        expected = "no coordinate system; give one such as EPSG:32633"
+        raise InputError(f"crs '{crs!s:.60}': {expected}") from error
     layers, (x, y) = grid(walk, cell)
     bands = np.stack([layer.T[::-1] for layer in layers.values()]).astype(np.float32)
     count, height, width = bands.shape
@@ -219,7 +277,7 @@ def _write_geotiff(
     with (
         atomic_write(out) as temporary,
         rasterio.open(
-            temporary, "w", driver="GTiff", count=count, height=height, width=width, crs=crs,
+            temporary, "w", driver="GTiff", count=count, height=height, width=width, crs=system,
             transform=transform, dtype="float32", nodata=np.nan, compress="deflate",
         ) as file,
     ):  # fmt: skip
