@@ -35,8 +35,11 @@ class Node:
         self.callbacks: dict[str, Callable[..., None]] = {}
         self.published: dict[str, Any] = {}
 
-    def declare_parameter(self, name: str, value: Any) -> Any:
-        return SimpleNamespace(value=self.parameters.get(name, value))
+    def declare_parameter(self, name: str, value: Any, descriptor: Any = None) -> Any:
+        given = self.parameters.get(name, value)
+        if type(given) is not type(value) and not getattr(descriptor, "dynamic_typing", False):
+            raise TypeError(f"{name} is of {type(given)}")  # as rclpy's InvalidParameterType
+        return SimpleNamespace(value=given)
 
     def create_subscription(self, kind: Any, topic: str, callback: Any, qos: Any) -> None:
         assert isinstance(kind, type)
@@ -56,7 +59,15 @@ class Node:
         self.callbacks["timer"] = callback
 
     def get_logger(self) -> Any:
-        return SimpleNamespace(info=self.lines.append, warning=self.lines.append)
+        add = self.lines.append
+        return SimpleNamespace(info=add, warning=add, error=add)
+
+    def destroy_node(self) -> None:
+        self.lines.append("destroyed")
+
+
+class ExternalShutdownException(Exception):  # noqa: N818
+    """That of rclpy."""
 
 
 def as_numpy(message: Any) -> None:
@@ -73,7 +84,14 @@ def node_class(monkeypatch: pytest.MonkeyPatch) -> Any:
         vars(made).update(members)
         monkeypatch.setitem(sys.modules, name, made)
 
-    module("rclpy")
+    def spin(node: Node) -> None:
+        raise ExternalShutdownException
+
+    monkeypatch.setattr(Node, "parameters", {})
+    module("rclpy", init=lambda: None, spin=spin, try_shutdown=lambda: None)
+    module("rclpy.executors", ExternalShutdownException=ExternalShutdownException)
+    module("rcl_interfaces")
+    module("rcl_interfaces.msg", ParameterDescriptor=SimpleNamespace)
     module("rclpy.node", Node=Node)
     module("rclpy.qos", qos_profile_sensor_data=None)
     module("rosidl_runtime_py")
@@ -108,9 +126,7 @@ def message(kind: str, time: float) -> Any:
     )  # fmt: skip
 
 
-def test_the_node_publishes_footfalls(
-    node_class: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_the_node_publishes_footfalls(node_class: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Messages of half a second go to the walk with their poses; its map is published."""
     numbers, path = np.array([38.0]), np.zeros((1, 3))
     soil = FootfallMap(
@@ -134,7 +150,6 @@ def test_the_node_publishes_footfalls(
 
     monkeypatch.setattr(Footfalls, "update", update)
     monkeypatch.setattr(Footfalls, "submit_map", submit_map)
-    Node.parameters = {"density": "1550±80", "state": str(tmp_path / "walk.state")}
     node = node_class()
     for k in range(250):
         node.callbacks["imu"](message("imu", 0.002 * k + 0.001))
@@ -156,9 +171,94 @@ def test_the_node_publishes_footfalls(
     assert grid.header.frame_id == cloud.header.frame_id == "odom"
     assert grid.data[grid.layers.index("phi")].data.tolist() == [38.0]
     assert np.frombuffer(cloud.data, "<f4")[:4].tolist() == [1.0, 2.0, 0.0, 38.0]
+
+
+def test_messages_reach_a_walk(node_class: Any, tmp_path: Path) -> None:
+    """Of the types of ROS; a walk goes on from the state, with the options that were given."""
+    file = tmp_path / "walk.state"
+    Node.parameters = {"density": "1550±80", "state": str(file)}
+    node = node_class()
+    for k in range(300):
+        for kind, late in (("imu", 0.001), ("joint_states", 0.002)):
+            node.callbacks[kind](typed(kind, message(kind, 0.002 * k + late)))
+    assert not node.lines
     node.save()
-    assert terraphi.Footfalls.restore((tmp_path / "walk.state").read_bytes(), density="1550±80")
-    node_class()  # from the state
+    assert [each.name for each in tmp_path.iterdir()] == [file.name]
+    restored = node_class().walk  # from the state
+    prior, expected = (walk._walk.options.prior for walk in (restored, node.walk))
+    assert prior == expected
+    assert prior.density == pytest.approx(1550.0)
+    assert restored._end == node.walk._end > 0.59
+    assert len(restored._walk.pending.time) > 250
+    with pytest.raises(terraphi.InputError, match="state of another robot, density"):
+        terraphi.Footfalls.restore(file.read_bytes(), density="1400")
+
+
+def typed(kind: str, content: Any) -> Any:
+    """A message with types of ROS, of what it contains."""
+    types, header = STORE.types, content.header
+    at = types["builtin_interfaces/msg/Time"](header.stamp.sec, header.stamp.nanosec)
+    header = types["std_msgs/msg/Header"](at, header.frame_id)
+    if kind == "joint_states":
+        joints = content.name, content.position, content.velocity, content.effort
+        return types["sensor_msgs/msg/JointState"](header, *joints)
+
+    def vector(part: Any) -> Any:
+        return types["geometry_msgs/msg/Vector3"](part.x, part.y, part.z)
+
+    turn, none = content.orientation, np.zeros(9)
+    return types["sensor_msgs/msg/Imu"](
+        header, types["geometry_msgs/msg/Quaternion"](turn.x, turn.y, turn.z, turn.w), none,
+        vector(content.angular_velocity), none, vector(content.linear_acceleration), none,
+    )  # fmt: skip
+
+
+def test_parameters_may_be_numbers(node_class: Any) -> None:
+    """As ``-p density:=1550 -p period:=10 -p cell:=1`` gives them."""
+    Node.parameters = {"density": 1550, "period": 10, "cell": 1}
+    node = node_class()
+    assert node.cell == 1.0
+    assert node.walk._walk.options.prior.density == pytest.approx(1550.0)
+
+
+def test_a_fault_ends_neither_the_node_nor_its_maps(
+    node_class: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """In a message, in a map and in the state; the last state stays."""
+    file = tmp_path / "walk.state"
+    Node.parameters = {"state": str(file)}
+    node = node_class()
+    node.save()
+    before = file.read_bytes()
+
+    def fail(*_: Any, **__: Any) -> Any:
+        raise ZeroDivisionError("a fault")
+
+    def submit_map(walk: Footfalls) -> Future[FootfallMap]:
+        future: Future[FootfallMap] = Future()
+        future.set_exception(ZeroDivisionError("no soil"))
+        return future
+
+    monkeypatch.setattr(Footfalls, "submit_map", submit_map)
+    node.callbacks["timer"]()
+    first = node.map
+    node.callbacks["timer"]()
+    assert node.map is not first
+    monkeypatch.setattr(Footfalls, "update", fail)
+    monkeypatch.setattr(node.messages, "take", lambda _: 1)
+    node.callbacks["imu"](message("imu", 0.1))
+    monkeypatch.setattr(Footfalls, "state", fail)
+    node.save()
+    assert [line.partition(":")[2].count("(") for line in node.lines] == [1, 1, 1]
+    assert file.read_bytes() == before
+    assert [each.name for each in tmp_path.iterdir()] == [file.name]
+
+
+def test_a_shutdown_from_outside_saves(node_class: Any, tmp_path: Path) -> None:
+    file = tmp_path / "walk.state"
+    Node.parameters = {"state": str(file)}
+    sys.modules["terraphi_footfalls.node"].main()
+    assert terraphi.Footfalls.restore(file.read_bytes())._end < 0.0
 
 
 def test_the_package_is_whole() -> None:
@@ -173,5 +273,5 @@ def test_the_package_is_whole() -> None:
     depends = {item.text for item in package.findall("exec_depend")}
     node = (PACKAGE / str(name) / "node.py").read_text()
     used = {kind.partition("/")[0] for kind in (GRID, CLOUD, "nav_msgs/msg/Odometry")}
-    assert used | {"rclpy", "rosidl_runtime_py"} <= depends
+    assert used | {"rclpy", "rcl_interfaces", "rosidl_runtime_py"} <= depends
     assert "nav_msgs/msg/Odometry" in node

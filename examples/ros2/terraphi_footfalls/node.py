@@ -11,17 +11,21 @@ phi_sd, usable and sinkage as ``soil`` (grid_map_msgs/GridMap) and as ``footfall
 from __future__ import annotations
 
 import array
+import os
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import rclpy
+from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from rosidl_runtime_py.utilities import get_message
 
 import terraphi
+from terraphi.inference.footfalls import FootfallMap
 from terraphi.robot.online import Poses
 from terraphi.terrain.layers import TOPICS, messages
 
@@ -37,9 +41,15 @@ class FootfallNode(Node):
     def __init__(self) -> None:
         super().__init__("terraphi_footfalls")
         defaults = {"robot": "go2", "density": "", "cell": 0.05, "period": 10.0, "state": ""}
-        given = {name: self.declare_parameter(name, v).value for name, v in defaults.items()}
+        # On a command line density:=1550 and period:=10 are whole numbers.
+        any_kind = ParameterDescriptor(dynamic_typing=True)
+        given = {
+            name: str(self.declare_parameter(name, value, any_kind).value)
+            for name, value in defaults.items()
+        }
         options = {"robot": given["robot"], "density": given["density"] or None}
-        self.cell, self.state = given["cell"], Path(given["state"]) if given["state"] else None
+        self.cell = float(given["cell"])
+        self.state = Path(given["state"]) if given["state"] else None
         self.messages = terraphi.Messages(given["robot"])
         if self.state is not None and self.state.exists():
             self.walk = terraphi.Footfalls.restore(self.state.read_bytes(), **options)
@@ -58,19 +68,22 @@ class FootfallNode(Node):
             topic: self.create_publisher(get_message(kind), Path(topic).name, 1)
             for topic, kind in TOPICS.items()
         }
-        self.create_timer(given["period"], self.publish)
+        self.create_timer(float(given["period"]), self.publish)
 
     def receive(self, message: Any) -> None:
         """Take a JointState or an Imu; log the footfalls that are over."""
-        stamp = message.header.stamp
-        self.stamp_ns = stamp.sec * 10**9 + stamp.nanosec
         try:
+            stamp = message.header.stamp
+            self.stamp_ns = stamp.sec * 10**9 + stamp.nanosec
             samples = self.messages.take(message)
             if samples is None:
                 return
             footfalls = self.walk.update(samples, poses=self._poses())
         except terraphi.InputError as error:
             self.get_logger().warning(str(error))
+            return
+        except Exception as error:  # the node goes on with the next message
+            self.get_logger().error(f"a message was lost: {error!r}")
             return
         for footfall in footfalls:
             answer = f"{footfall.phi:.1f} ± {footfall.absolute_sd:.1f} deg, {footfall.verdict}"
@@ -81,25 +94,42 @@ class FootfallNode(Node):
 
     def publish(self) -> None:
         """Publish the map that is ready, and begin the next one."""
-        if self.map is not None and self.map.done():
-            try:
-                new = messages(
-                    self.map.result(), get_message, cell=self.cell, stamp_ns=self.stamp_ns,
-                    array=lambda values: array.array(values.dtype.char, values.tobytes()),
-                )  # fmt: skip
-            except terraphi.InputError as error:  # no footfall yet
-                self.get_logger().info(str(error))
-            else:
-                for topic, message in new.items():
-                    self.publishers_of[topic].publish(message)
+        if self.map is not None and not self.map.done():
+            return
+        try:
+            if self.map is not None:
+                self._send(self.map.result())
+        except terraphi.InputError as error:  # no footfall yet
+            self.get_logger().info(str(error))
+        except Exception as error:
+            self.get_logger().error(f"no map: {error!r}")
+        finally:
             self.map = None
-        if self.map is None:
+        try:
             self.map = self.walk.submit_map()
+        except Exception as error:
+            self.get_logger().error(f"no map: {error!r}")
+
+    def _send(self, walk: FootfallMap) -> None:
+        """Publish a map."""
+        new = messages(
+            walk, get_message, cell=self.cell, stamp_ns=self.stamp_ns,
+            array=lambda values: array.array(values.dtype.char, values.tobytes()),
+        )  # fmt: skip
+        for topic, message in new.items():
+            self.publishers_of[topic].publish(message)
 
     def save(self) -> None:
-        """Write the state, if a file is named."""
-        if self.state is not None:
-            self.state.write_bytes(self.walk.state())
+        """Write the state, if a file is named: whole, or not at all."""
+        if self.state is None:
+            return
+        temporary = self.state.with_name(f".{self.state.name}.{os.getpid()}")
+        try:
+            temporary.write_bytes(self.walk.state())
+            temporary.replace(self.state)
+        except Exception as error:
+            self.get_logger().error(f"{self.state}: was not written: {error!r}")
+            temporary.unlink(missing_ok=True)
 
     def _poses(self) -> Poses | None:
         """Poses since the last call."""
@@ -123,7 +153,7 @@ def main() -> None:
     node = FootfallNode()
     try:
         rclpy.spin(node)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
         node.save()
