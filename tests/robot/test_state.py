@@ -1,0 +1,109 @@
+"""Bytes that are no state of a walk, one sentence each."""
+
+from __future__ import annotations
+
+import io
+import json
+import zlib
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from terraphi.experiment.errors import InputError
+from terraphi.robot import state
+from terraphi.robot.footfalls import Options
+from terraphi.robot.model import Quadruped
+from terraphi.robot.online import Footfalls, Poses
+
+
+def changed(data: bytes, change: Callable[[Any, dict[str, Any]], None]) -> bytes:
+    """A state with other content."""
+    with np.load(io.BytesIO(data)) as file:
+        columns = {name: file[name] for name in file.files}
+    content = json.loads(str(columns.pop("state")))
+    change(content["value"]["list"], columns)
+    file = io.BytesIO()
+    np.savez_compressed(file, state=json.dumps(content), **columns)
+    return file.getvalue()
+
+
+def named(parts: Any, part: int, name: str, value: Any) -> None:
+    """Set an entry of one of the two mappings of a state."""
+    rows = parts[part]["dict"]
+    rows[:] = [row for row in rows if row[0] != name] + [[name, value]]
+
+
+@pytest.fixture(scope="module")
+def data() -> bytes:
+    """A walk that has poses only."""
+    walk = Footfalls()
+    walk._walk.poses = Poses(np.zeros(1), np.zeros((1, 3)), np.ones((1, 4)), "odom")
+    return walk.state()
+
+
+def test_the_unchanged_state_is_one(data: bytes) -> None:
+    restored = Footfalls.restore(changed(data, lambda _parts, _columns: None))
+    assert restored._walk.poses is not None
+    assert restored._walk.poses.frame == "odom"
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda parts, _: named(parts, 0, "update", 1),  # a method
+        lambda parts, _: named(parts, 1, "take", 1),
+        lambda parts, _: named(parts, 1, "options", None),
+        lambda parts, _: named(parts, 0, "_end", "late"),
+        lambda parts, _: named(parts, 0, "_ready", {"list": [1]}),
+        lambda parts, _: named(parts, 1, "count", {"list": []}),
+        lambda parts, _: named(parts, 1, "count", 1.5),
+        lambda parts, _: named(parts, 1, "window", {"Poses": {}}),
+        lambda parts, _: named(parts, 1, "window", {"Unknown": {}}),
+        lambda parts, _: named(parts, 1, "window", {"array": "array9"}),
+        lambda parts, _: named(parts, 1, "ground", {"Counter": [[{"list": []}, 1]]}),
+        lambda parts, _: parts.pop(),
+        lambda _, columns: columns.update(array0=np.array(["a"])),
+        lambda _, columns: columns.update(array0=np.array(1.0)),
+    ],
+)  # fmt: skip
+def test_other_content_is_refused(data: bytes, change: Callable[..., None]) -> None:
+    with pytest.raises(InputError, match="no state of a walk; give the bytes that state"):
+        Footfalls.restore(changed(data, change))
+
+
+def test_other_bytes_are_refused(data: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of other types, cut off, with a bit turned anywhere, and a plain array."""
+    file = io.BytesIO()
+    np.save(file, np.zeros(3))
+    several: list[Any] = [b"", b"PK", data[:100], data[:-9], file.getvalue(), "text", None, 3]
+    turned = bytearray(data)
+    for place in range(30, len(data), 97):
+        turned[place] ^= 0x55
+        several.append(bytes(turned))
+    for bad in several:
+        with pytest.raises(InputError, match="state of "):
+            Footfalls.restore(bad)
+
+    def load(*_: Any, **__: Any) -> Any:
+        raise zlib.error("invalid distance")
+
+    monkeypatch.setattr(np, "load", load)
+    with pytest.raises(InputError, match="no state of a walk"):
+        Footfalls.restore(data)
+
+
+def test_the_fingerprint_has_the_geometry_of_the_robot() -> None:
+    """Feet that are 50 mm lower, or another radius, are those of another robot."""
+    go2 = Quadruped.load("go2")
+    lower = replace(go2, foot_offset=go2.foot_offset - [0.0, 0.0, 0.05])
+    round_ = replace(go2, foot_radius=0.03)
+
+    def options(robot: Quadruped) -> Options:
+        return Options.of(robot, "1550±80", "foot", None, ())
+
+    prints = [state.fingerprint_of(options(robot)) for robot in (go2, lower, round_)]
+    assert len(set(prints)) == 3
+    assert state.fingerprint_of(options(Quadruped.load("go2"))) == prints[0]
