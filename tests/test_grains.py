@@ -166,7 +166,12 @@ def test_queue_has_records_that_can_be_made(tmp_path: Path) -> None:
     for stem in queue:
         name, body, seed = stem.split("_", 1)[0], *stem.split("_", 1)[1].rsplit("_", 1)
         assert name in soils
-        assert body in bodies | {*elements.TESTS} or run.foot_of(body)[0].radius > 0.0
+        if body.startswith("wheel"):
+            diameter, _, (_, height), slip = run.wheel_of(body)
+            assert 0.0 <= height < 0.5 * diameter
+            assert -1.0 < slip < 1.0
+        else:
+            assert body in bodies | {*elements.TESTS} or run.foot_of(body)[0].radius > 0.0
         assert int(seed) > 0
     (tmp_path / f"{queue[0]}.csv").touch()
     assert list(compute.missing(tmp_path, {queue[2]})) == [queue[1], *queue[3:]]

@@ -202,12 +202,8 @@ def rolled(soil: engine.Soil, name: str, seed: int, work: Path, out: Path) -> Pa
     path = out / f"{soil.name}_{name}_{seed}.csv"
     if path.exists():
         return path
-    _, size, slip = name.split("_")
-    body, _, grousers = size.partition("+")
-    diameter, width = (1e-3 * float(value) for value in body.split("x"))
-    count, height = (float(value) for value in grousers.split("x")) if grousers else (0.0, 0.0)
-    rim = 0.5 * diameter
-    reach, slip = rim + 1e-3 * height, float(slip.removeprefix("s"))
+    diameter, width, (count, height), slip = wheel_of(name)
+    rim, reach = 0.5 * diameter, 0.5 * diameter + height
     length, thickness = WHEEL_BED[0] * rim, WHEEL_BED[2] * rim
     breadth = width + 2.0 * WHEEL_BED[1] * rim
     sizes = "x".join(f"{1e3 * value:.0f}" for value in (length, breadth, thickness))
@@ -217,7 +213,7 @@ def rolled(soil: engine.Soil, name: str, seed: int, work: Path, out: Path) -> Pa
     surface, fraction = engine.layering(soil, engine.dump(folder / "bed.dump"), length * breadth)
     clear = 0.5 * soil.diameter
     at = (-0.5 * length + 1.15 * rim, surface + clear + reach)
-    engine.wheel_mesh(rim, width, (int(count), 1e-3 * height), at, folder / "body.stl")
+    engine.wheel_mesh(rim, width, (count, height), at, folder / "body.stl")
     ways = np.array(PATH) * rim
     falls = np.array([SUNK[0] * rim + clear, 0.0, (SUNK[1] - SUNK[0]) * rim, 0.0])
     deck = engine.rolling(
@@ -232,10 +228,19 @@ def rolled(soil: engine.Soil, name: str, seed: int, work: Path, out: Path) -> Pa
     rows = zip(1e3 * travel, 1e3 * depth, fx, fz, -moment, strict=True)
     lines = [f"{x:.1f},{z:.2f},{f:.4f},{w:.4f},{m:.6f}" for x, z, f, w, m in rows]
     words = f"wheel of {1e3 * diameter:g} x {1e3 * width:g} mm"
-    words += f" with {count:.0f} lugs of {height:g} mm" if grousers else ""
+    words += f" with {count} lugs of {1e3 * height:g} mm" if count else ""
     head = "travel_mm,sinkage_mm,pull_N,load_N,torque_Nm"
     write(path, soil, seed, fraction, f"{words} at a slip of {slip:g}", [head, *lines])
     return path
+
+
+def wheel_of(name: str) -> tuple[float, float, tuple[int, float], float]:
+    """Diameter and width of a wheel, number and height of its lugs [m], and its slip [-]."""
+    _, size, slip = name.split("_")
+    body, _, lugs = size.partition("+")
+    diameter, width = (1e-3 * float(value) for value in body.split("x"))
+    count, height = lugs.split("x") if lugs else ("0", "0")
+    return diameter, width, (int(count), 1e-3 * float(height)), float(slip.removeprefix("s"))
 
 
 def foot_of(name: str) -> tuple[Foot, float, float, bool]:
