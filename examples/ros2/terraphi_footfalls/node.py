@@ -57,7 +57,7 @@ class FootfallNode(Node):
             self.walk = terraphi.Footfalls(**options)
         self.poses: list[Any] = []
         self.map: Future[Any] | None = None
-        self.stamp_ns = 0
+        self.stamp_ns, self.logged = 0, set[str]()
         for kind, topic, callback in (
             ("sensor_msgs/msg/JointState", "joint_states", self.receive),
             ("sensor_msgs/msg/Imu", "imu", self.receive),
@@ -86,14 +86,20 @@ class FootfallNode(Node):
             self.get_logger().error(f"a message was lost: {error!r}")
             return
         for footfall in footfalls:
-            answer = f"{footfall.phi:.1f} ± {footfall.absolute_sd:.1f} deg, {footfall.verdict}"
+            answer = footfall.verdict
+            if footfall.phi == footfall.phi:  # not one that was refused
+                answer = f"{footfall.phi:.1f} ± {footfall.absolute_sd:.1f} deg, {answer}"
             x, y, _ = footfall.place
             self.get_logger().info(
                 f"{footfall.foot} at {x:.2f}, {y:.2f} {footfall.frame}: {answer}"
             )
 
     def publish(self) -> None:
-        """Publish the map that is ready, and begin the next one."""
+        """Publish the map that is ready, and begin the next one; log new warnings."""
+        for warning in self.walk.warnings:
+            if warning not in self.logged:
+                self.logged.add(warning)
+                self.get_logger().warning(warning)
         if self.map is not None and not self.map.done():
             return
         try:

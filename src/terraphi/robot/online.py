@@ -25,7 +25,6 @@ Of the last :data:`MOST_KEPT` footfalls the loading is kept, for the map.
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections import Counter, deque
 from collections.abc import Sequence
@@ -45,7 +44,6 @@ from terraphi.inference.footfalls import FootfallMap
 from terraphi.inference.pool import Anchor
 from terraphi.inference.touchdowns import FEWEST as FEWEST_LEARNED
 from terraphi.inference.touchdowns import TORQUES, Prior, Touchdowns, fit, picked, stacked
-from terraphi.laws.foot import LAWS
 from terraphi.robot import footfalls as batch
 from terraphi.robot import state
 from terraphi.robot.checks import CHECK_S, PART_S, check_parts, grave, parts, recorded
@@ -429,9 +427,7 @@ class Walk:
 
     def fingerprint(self) -> str:
         """Hash of the options, by which a state is recognized."""
-        robot, prior, law, anchors, _ = self.options
-        values = robot.name, robot.mass, prior, law, LAWS[law].hash, anchors
-        return hashlib.sha256(repr(values).encode()).hexdigest()[:16]
+        return state.fingerprint_of(self.options)
 
     def warnings(self) -> tuple[str, ...]:
         """Warnings so far; any thread may call it."""
