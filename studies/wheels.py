@@ -57,8 +57,10 @@ its slips together, {rft:.0f}° by `rft`. Bekker's law with handbook numbers of 
 measured."""
 LIMITS = """\
 - **Slip.** From a slip of 0.2 to 0.5 φ rises by {driven:.0f}° in grains under a smooth rim, and \
-by {ding:.0f}° on that sand, whose rim is rough: a smooth rim slides, a rough one digs. The answer \
-takes this off by the friction, and lugs count as rough as can be. Braked wheels read \
+by {ding:.0f}° on that sand, whose rim is rough: a smooth rim slides, a rough one digs. The \
+answer takes this off by the friction that the torque shows, and lugs count as rough as can be. \
+(In soil B a rim of a friction of 0.5 has the torque of one of 0.35, {torque:.2f} of load times radius, \
+for round grains roll on it, and reads the same φ within {rough:.1f}°.) Braked wheels read \
 {braked:.0f}° more at a slip of −0.3, for they push a mound. Nothing was learned beyond −0.5 \
 and 0.6.
 - **Pull and torque** do not depend on φ at a given sinkage. They show the friction of the rim, \
@@ -233,11 +235,18 @@ def means(rows: list[Wheeled], errors: list[float]) -> list[tuple[str, ...]]:
     return lines
 
 
+def by_friction(rough: list[Wheeled], rows: list[Wheeled]) -> float:
+    """Largest difference of φ between rims of two frictions in soil B [deg]."""
+    same = {(row.slip, round(row.depth_mm)): row.read_deg for row in rows if row.soil == "B-loose"}
+    return max(abs(row.read_deg - same[row.slip, round(row.depth_mm)]) for row in rough)
+
+
 def main() -> None:
     """Print what is learned, and write the page."""
     out = pages.out_from(__doc__.splitlines()[0])
     all_rows = wheels()
-    rows = [row for row in all_rows if "+" not in row.name]
+    rows = [row for row in all_rows if "+" not in row.name and "leg" not in row.soil]
+    rough = [row for row in all_rows if "rough-leg" in row.soil and row.slip == 0.5]
     driven, braked = slopes(rows)
     table, by_foot, by_rft = published()
     of_ding = published_slope(table)
@@ -278,7 +287,12 @@ def main() -> None:
         pages.table(MEANS, means(rows, errors)),
         "All: [wheels.csv](wheels.csv).",
         LIMITS.format(
-            lugs=", ".join(lugs), driven=0.3 * driven, ding=0.3 * of_ding, braked=0.3 * braked
+            lugs=", ".join(lugs),
+            driven=0.3 * driven,
+            ding=0.3 * of_ding,
+            braked=0.3 * braked,
+            torque=np.mean([row.torque for row in rough]),
+            rough=by_friction(rough, rows),
         ),
     ]
     pages.write(out, "wheels", "Wheels", parts, drawn(rows, errors), PICTURE)
