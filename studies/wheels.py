@@ -59,8 +59,8 @@ LIMITS = """\
 - **Slip.** From a slip of 0.2 to 0.5 φ rises by {driven:.0f}° in grains under a smooth rim, and \
 by {ding:.0f}° on that sand, whose rim is rough: a smooth rim slides, a rough one digs. The \
 answer takes this off by the friction that the torque shows, and lugs count as rough as can be. \
-(In soil B a rim of a friction of 0.5 has the torque of one of 0.35, {torque:.2f} of load times radius, \
-for round grains roll on it, and reads the same φ within {rough:.1f}°.) Braked wheels read \
+(In soil B a rim of a friction of 0.5 has the torque of one of 0.35, {torque:.2f} of load times \
+radius, for round grains roll on it, and reads the same φ within {rough:.1f}°.) Braked wheels read \
 {braked:.0f}° more at a slip of −0.3, for they push a mound. Nothing was learned beyond −0.5 \
 and 0.6.
 - **Pull and torque** do not depend on φ at a given sinkage. They show the friction of the rim, \
