@@ -48,7 +48,7 @@ def workers(count: int) -> Iterator[Executor | None]:
         thread = getattr(pool, "_executor_manager_thread", None)
         results = getattr(pool, "_result_queue", None)
         usual = threading.excepthook
-        # It may find one all the same, where a worker ends in between; nobody waits for it then.
+        # It may find one all the same, where a worker ends in between: its error is of no use then.
         threading.excepthook = lambda args: None if args.thread is thread else usual(args)
         pool.shutdown(wait=False, cancel_futures=True)
         ours.close()

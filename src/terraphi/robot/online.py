@@ -502,7 +502,7 @@ class Walk:
         if self.poses is None or self.window is None:
             return place
         # From the nearest pose on by the odometry of the legs, turned by what the two headings are
-        # apart there; headings and places in the plane are complex numbers.
+        # apart there; headings and horizontal places are complex numbers.
         log, motion = self.window.log, self.window.motion
         nearest = np.abs(self.poses.time - time[:, None]).argmin(axis=1)
         at, position = self.poses.time[nearest], self.poses.position[nearest]
@@ -665,6 +665,6 @@ class Walk:
 
 
 def heading(quaternion: FloatArray) -> Any:
-    """Direction of the trunk's x in the plane as a complex number, shape [pose]."""
+    """Horizontal direction of the trunk's x as a complex number, shape [pose]."""
     x, y = rotation(quaternion)[:, :2, 0].T
     return x + 1j * y
