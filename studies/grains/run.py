@@ -39,8 +39,8 @@ TRAVEL, SUNK, PATH = 0.1, (0.17, 0.3), (0.6, 1.5, 0.4, 1.7)
 """Speed of a wheel's axle [m/s], its two depths over its radius, and the ways over which it is let
 down, rolls, is let down again and rolls over its radius [-]."""
 WHEEL_BED, WHEEL_EVERY = (7.4, 0.25, 1.0), 2e-3
-"""Length of a wheel's bed, soil on either side of the wheel, and thickness, over its radius [-]; way
-of the means [m]."""
+"""Length of a wheel's bed, soil on either side of the wheel, and thickness, over its radius [-];
+way of the means [m]."""
 
 
 @dataclass(frozen=True)
