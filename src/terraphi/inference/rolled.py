@@ -127,6 +127,12 @@ class _Roll:
         part = (self.friction - FRICTIONS[i]) / (FRICTIONS[i + 1] - FRICTIONS[i])
         return np.asarray((1.0 - part) * self.by_friction[i] + part * self.by_friction[i + 1])
 
+    def rougher(self, friction: float) -> _Roll:
+        """The same rows on a rim of another friction, whose loads are interpolated as before."""
+        other = replace(self, friction=friction)
+        vars(other)["by_friction"] = self.by_friction  # as cached_property keeps it
+        return other
+
     def at(self, moved: float, friction: float) -> FloatArray:
         """Ln of the load at each angle, the rim moved down [m], shape [row, angle]."""
         z = np.clip(self.sinkage + moved, 1e-5, DEEPEST * self.wheel.reach)
@@ -207,14 +213,19 @@ def _opened(record: PressedRecord, law: Any) -> _Opened:
     if not is_given and (shown := _friction(roll)):
         friction, friction_sd = shown
         notes.append(f"{GUESSED}the friction of the rim from the torque: {friction:.2f}.")
-        roll = replace(roll, friction=friction)
+        roll = roll.rougher(friction)
     return _Opened(roll, _mean(roll, grain, friction_sd), rho_sd / rho, notes)
 
 
 def invert_rolled(record: PressedRecord, law: Any = None) -> Answer:
     """Infer φ from a record of a wheel; raises InputError as :func:`invert` does."""
     began = time.perf_counter()
-    roll, fit, density_sd, notes = _opened(record, law)
+    return _answer(record, _opened(record, law), law, began)
+
+
+def _answer(record: PressedRecord, opened: _Opened, law: Any, began: float) -> Answer:
+    """The answer of a record as it was read."""
+    roll, fit, density_sd, notes = opened
     budget = _budget(fit, density_sd, roll.error)
     rho = roll.density
     grid, posterior = normal_density(fit.mean, root_sum_square(budget))
@@ -271,8 +282,9 @@ def phi_along(forces: Any, tool: Tool | str, **options: Any) -> dict[str, FloatA
 
     law = options.pop("law", None)
     record = open_pressed(forces, Tool.of(tool), **{"columns": None, **options})
-    roll, fit, density_sd, _ = _opened(record, law)
-    answer = invert_rolled(record, law)
+    began, opened = time.perf_counter(), _opened(record, law)
+    roll, fit, density_sd, _ = opened
+    answer = _answer(record, opened, law, began)
     for sentence in (answer.reason, *answer.warnings)[answer.verdict == "consistent" :]:
         warnings.warn(sentence, stacklevel=2)
     # By neighbors, for φ may change along the way.

@@ -309,10 +309,8 @@ def force(
     body_force: Any = _of_foot if isinstance(foot, Foot) else _of_mesh
     force_, moment, deep = body_force(foot, place, moving, fade, **soil)
     if inertia and isinstance(foot, Foot):
-        size, reach = MOVED
         fall = xp.clip(-moving[:, 2], 0.0, FASTEST) * like(place, deep > 0.0)
-        slower = 1.0 + (xp.clip(deep, 0.0, None) / (reach * foot.radius)) ** 4
-        push = size * math.pi * foot.radius**2 * soil["density"] * fall**2 * slower**-1.25
+        push = _landing(foot, xp.clip(deep, 0.0, None), fall, soil["density"])
         force_ = force_ + xp.stack([0.0 * push, 0.0 * push, push], axis=1)
     if held is not None:
         if step is None or stiffness is None:
@@ -393,6 +391,16 @@ def _of_few(
     return rows[:, :3].reshape(pose.shape), rows[:, 3:].reshape(pose.shape)
 
 
+def _landing(foot: Foot, depth: Any, fall: Any, density: Any) -> Any:
+    """Momentum that a falling foot gives the soil in a second, v² dm/dz of ``moved_mass`` [N].
+
+    Of numbers or arrays of any library: the depth [m], the speed downward [m/s] and the density.
+    """
+    size, reach = MOVED
+    slower = 1.0 + (depth / (reach * foot.radius)) ** 4
+    return size * math.pi * foot.radius**2 * density * fall**2 * slower**-1.25
+
+
 def _of_one(
     foot: Foot, depth: float, moving: list[float], fade: float, phi_deg: float, density: float,
     friction: float, *, inertia: bool,
@@ -425,9 +433,7 @@ def _of_one(
     drives = max(fx * vx + fy * vy + fz * vz, 0.0) / max(speed, TINY) ** 2
     fx, fy, fz = fx - drives * vx, fy - drives * vy, fz - drives * vz
     if inertia and vz < 0.0:
-        push, reach = MOVED
-        slower = 1.0 + (depth / (reach * radius)) ** 4
-        fz += push * math.pi * radius**2 * density * max(vz, -FASTEST) ** 2 * slower**-1.25
+        fz += _landing(foot, depth, min(-vz, FASTEST), density)
     return [fx, fy, fz, -turning * radius * hy, turning * radius * hx, 0.0]
 
 
