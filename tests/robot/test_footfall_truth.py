@@ -134,6 +134,40 @@ def test_a_denser_soil_has_a_smaller_angle_by_the_law(clean: tuple[Truth, Footfa
         assert force[1] / force[0] == pytest.approx(1.1, abs=0.02)
 
 
+@pytest.mark.parametrize(("slope_deg", "bears"), [(10.0, 0.92), (-10.0, 0.85), (15.0, 0.85)])
+def test_a_slope_that_weakens_the_soil_is_taken_off(slope_deg: float, bears: float) -> None:
+    """By 8 % or 15 % at 10°, 15 % at 15°: φ is right within 2.5 of the errors that are stated."""
+    walk = LawWalk(duration=8.0, slope=np.radians(slope_deg), bears=bears)
+    true, result = truth_of(walk), footfalls(walk.log()[0], density="1550±80")
+    effect = result.shared["ground_slope"]
+    assert any(f"inclined by {abs(slope_deg):.0f} ± 1°" in note for note in result.warnings)
+    assert result.usable.all()
+    assert result.phi.mean() == pytest.approx(true.phi.mean(), abs=2.5 * effect["worth_deg"])
+    assert np.log(bears) == pytest.approx(effect["mean"], abs=2.5 * effect["sd"])
+
+
+def test_level_ground_is_not_called_inclined(clean: tuple[Truth, FootfallMap]) -> None:
+    effect = clean[1].shared["ground_slope"]
+    assert not any("inclined" in note for note in clean[1].warnings)
+    assert abs(effect["mean"]) + effect["worth_deg"] < 0.02
+
+
+@pytest.mark.parametrize("swings", [True, False])
+def test_rotors_are_part_of_the_torques(swings: bool) -> None:
+    """Inertia of 0.01 kg m² left out is −2° of φ; swing finds it, or else the model has it."""
+    walk = LawWalk(duration=8.0, inertia=0.01)
+    log, phi = walk.log()[0], truth_of(walk).phi.mean()
+    with pytest.MonkeyPatch.context() as patch:
+        if not swings:
+            patch.setattr("terraphi.robot.friction.LEAST_SWING", 10**6)
+        given = replace(GO2, armature=np.full((4, 3), 0.01))
+        found = footfalls(log, robot=given, density="1550±80")
+        assert found.phi.mean() == pytest.approx(phi, abs=0.3)
+        if not swings:
+            lost = footfalls(log, density="1550±80")
+            assert lost.phi[lost.usable].mean() < phi - 1.2
+
+
 def test_errors_of_torques_move_the_forces_as_stated() -> None:
     """Gains and friction, each by the difference of two estimates."""
     log = LawWalk(duration=3.0).log()[0]

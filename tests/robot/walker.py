@@ -49,6 +49,14 @@ class Walk:
     torque_noise: float = 0.05
     velocity_noise: float = 0.01
     seed: int = 0
+    slope: float = 0.0
+    """By which x goes uphill [rad]; places, poses and forces are in axes of the ground."""
+
+    @property
+    def tilt(self) -> np.ndarray:
+        """Axes of the ground in the world, as columns; the rows are the world's in the ground's."""
+        sin, cos = np.sin(self.slope), np.cos(self.slope)
+        return np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]])
 
     def _phase(self, time: np.ndarray) -> np.ndarray:
         return time[:, None] / self.period + np.array(PHASES[self.gait])
@@ -133,7 +141,7 @@ class Walk:
         slope = _first(lambda t: self._pose(t)[1], time)
         spin = _vector(np.swapaxes(turn, 1, 2) @ slope)
         faster = np.gradient(spin, time, axis=0)
-        felt = _second(lambda t: self._pose(t)[0], time) + np.array([0.0, 0.0, GRAVITY])
+        felt = _second(lambda t: self._pose(t)[0], time) + GRAVITY * self.tilt[2]
         felt = np.einsum("sji,sj->si", turn, felt)
         legs = Legs(GO2, angle, rate, trunk=TrunkMotion(felt, spin, faster))
         force = self.force(time)
@@ -146,7 +154,8 @@ class Walk:
         at_imu = felt + np.cross(faster, at) + np.cross(spin, np.cross(spin, at))
         noisy = torque + rng.normal(0.0, self.torque_noise, torque.shape)
         observed = rate + rng.normal(0.0, self.velocity_noise, rate.shape)
-        return JointLog(time, angle, observed, noisy, _quaternion(turn), spin, at_imu), force
+        attitude = _quaternion(self.tilt @ turn)
+        return JointLog(time, angle, observed, noisy, attitude, spin, at_imu), force
 
 
 @dataclass(frozen=True)
@@ -161,6 +170,8 @@ class LawWalk(Walk):
     surface_friction: float = FOOT_FRICTION.mean
     exponent: float = 0.0
     """Added to the law's power of depth."""
+    bears: float = 1.0
+    """Force over that of level ground at equal ways down; feet go down vertically."""
     contact: float = 0.4
 
     @property
@@ -173,7 +184,8 @@ class LawWalk(Walk):
         return np.asarray(40.0 + 2.0 * np.sin(4.0 * place[..., 0] + place[..., 1]))
 
     def _law(self, depth: np.ndarray, phi: np.ndarray) -> np.ndarray:
-        lift = LAWS["foot"].force(
+        depth = depth / np.cos(self.slope)
+        lift = self.bears * LAWS["foot"].force(
             Foot(GO2.foot_radius), depth, 0.5 * np.pi, friction_angle_deg=phi,
             density=self.density, surface_friction=self.surface_friction,
         )[..., 1]  # fmt: skip
@@ -188,6 +200,11 @@ class LawWalk(Walk):
         force = self._law(depth, angle[:, None])
         each = [np.interp(MASS * GRAVITY / 3.0, row, depth) for row in force]
         return np.asarray(CubicSpline(angle, each)(self.phi(place)))
+
+    def _feet(self, time: np.ndarray) -> np.ndarray:
+        feet = super()._feet(time)
+        feet[..., 0] += np.tan(self.slope) * np.minimum(feet[..., 2] - GO2.foot_radius, 0.0)
+        return feet
 
     def _pose(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         turn = super()._pose(time)[1]
@@ -207,7 +224,8 @@ class LawWalk(Walk):
         goes = (stand > 1.0 - self.ramp) & (stand < 1.0)
         load = np.where(goes, third - np.where(comes, load, 0.0).sum(axis=1, keepdims=True), load)
         # Fore and rear feet push against each other.
-        return np.stack([load * [0.2, 0.2, -0.2, -0.2], 0.0 * load, load], axis=-1)
+        push = np.stack([load * [0.2, 0.2, -0.2, -0.2], 0.0 * load, load], axis=-1)
+        return np.asarray(push @ self.tilt)
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import needing
 from terraphi.experiment.files import NetcdfFile, atomic_files, atomic_write
 from terraphi.experiment.outputs import SIGNATURE
+from terraphi.experiment.priors import ATTITUDE_SD_DEG
 from terraphi.experiment.results import Result, Variable
 from terraphi.experiment.tables import write_csv
 from terraphi.inference import grounds
@@ -106,8 +107,7 @@ SLOW_GROWTH = -0.35
 """Exponent of a walk, by law ``foot``, below which forces grow slower with depth than those of dry
 sand that is stepped on slowly [-]: −0.1 to 0.1 on simulated dry sand, −0.18 in grains, −0.31 on
 that of ``depth^0.7``; −0.38 and −0.43 in sand of a cohesion of 200 Pa, which reads 7 to 8° high,
-and −0.36 to −0.45 on that of Meyerhof's formula, which does too; feet that land in grains at 0.5 to
-1.5 m/s have −0.69 and read right (``docs/landing.md``)."""
+and −0.36 to −0.45 on that of Meyerhof's formula, which does too."""
 GAP_M, GAP_FEET = 0.25, 3
 """Length of a stretch of the path [m], and refused footfalls on it, from which a warning names it;
 chosen."""
@@ -116,9 +116,13 @@ FEWEST_TYPICAL = 5
 BACK_M = 0.3
 """Distance of the trunk from its former path below which feet may tread in their own prints [m]: a
 robot's width."""
-LEVEL_DEG = 5.0
-"""Inclination of the ground above which there is a warning [deg]: 1.4° at most on simulated level
-sand."""
+SLOPE_LOSS, SLOPE_LOSS_SD = 2.3, 0.5
+"""Logarithm of the upward force of level ground over that of ground inclined by β, over tan²β [-],
+and its standard deviation as a part of it. Balls that sink vertically to one and a half radii have
+2.6 to 2.9 in the material point method with gravity turned (φ of 29 and 36°, β of 10 and 20°), and
+in two beds of loose grains 2.5 at 10 and 1.4 at 20°; 15 % less force at 10° is 5."""
+INCLINED_SDS = 2.0
+"""Standard deviations above which an inclination is noted [-]."""
 CONTRADICTED = 2.0
 """Standard deviations from the rest above which an anchor is doubted [-]; one sound anchor in
 twenty is."""
@@ -490,7 +494,11 @@ def infer(
     prior = with_growth(touchdowns, law, prior)
     fits = fit(touchdowns, law, prior)
     verdict, ground = judged(touchdowns, fits, law, prior)
-    usable = verdict == USABLE
+    usable, sinkage = verdict == USABLE, surface_depth(fits, verdict)
+    place = touchdowns.place + np.outer(sinkage, [0.0, 0.0, 1.0])
+    slope = inclination(place[~touchdowns.faulty])
+    incline, incline_sd = slope.effect()
+    prior = replace(prior, incline=incline, incline_sd=incline_sd)
     footfall_phi, path_phi = np.full((3, len(verdict)), np.nan), np.full((3, len(path)), np.nan)
     shared: dict[str, Any] = {}
     by_law: dict[str, float] = {}
@@ -516,18 +524,17 @@ def infer(
             "deviations off φ by the footfalls, the law and other anchors: check it"
             for anchor, off in zip(anchors, pooled.surprise, strict=True) if off > CONTRADICTED
         ]  # fmt: skip
-    sinkage = surface_depth(fits, verdict)
     warnings = [
         *ground, *_ground_notes(touchdowns, fits, verdict), *contradicted,
         *density_warnings(prior.density),
-        *notes, *_limits_of_the_law(touchdowns, fits, usable, law, prior),
+        *notes, *slope.notes(prior), *_limits_of_the_law(fits, usable, law, prior),
         *_limits_of_the_path(path, verdict, prior, scale_sd, anchored=bool(anchors)),
         *_gaps(path, touchdowns.place, verdict),
     ]  # fmt: skip
     return FootfallMap(
         time=touchdowns.begin,
         foot=tuple(feet[i] for i in touchdowns.foot),
-        place=touchdowns.place + np.outer(sinkage, [0.0, 0.0, 1.0]),
+        place=place,
         sinkage=sinkage,
         **dict(zip(("phi", "sd", "shared_sd"), footfall_phi, strict=True)),
         **dict(zip(("path_phi", "path_relative_sd", "path_absolute_sd"), path_phi, strict=True)),
@@ -635,12 +642,16 @@ def _compare_laws(
 
 
 def _shared_errors(torques: Normal, prior: Prior) -> Normal:
-    """Joint distribution of θ − θ₀: torques, then :meth:`Prior.shared`, which are independent."""
+    """Joint distribution of θ − θ₀: torques, then :meth:`Prior.shared`, which are independent.
+
+    Footfalls are fitted as on level ground; what its slope takes is the mean of that error.
+    """
     sd = np.array([sd for _, sd in prior.shared().values()])
+    mean = np.where(np.array(list(prior.shared())) == "ground_slope", prior.incline, 0.0)
     covariance = np.zeros((len(sd) + TORQUES,) * 2)
     covariance[:TORQUES, :TORQUES] = torques.covariance
     covariance[TORQUES:, TORQUES:] = np.diag(sd**2)
-    return Normal(np.append(torques.mean, 0.0 * sd), covariance)
+    return Normal(np.append(torques.mean, mean), covariance)
 
 
 def _shared_summary(pooled: Pooled, prior: Prior) -> dict[str, Any]:
@@ -659,19 +670,48 @@ def _shared_summary(pooled: Pooled, prior: Prior) -> dict[str, Any]:
     return shared | {"field": pooled.field}
 
 
-def _limits_of_the_law(
-    touchdowns: Touchdowns, fits: Fit, usable: BoolArray, law: str, prior: Prior
-) -> list[str]:
-    """Warnings where the law was not simulated or not tested: slopes, depth, growth with depth."""
+class Inclination(NamedTuple):
+    """Inclination of the plane through the footfalls, and its standard deviation [rad]."""
+
+    angle: float
+    sd: float
+
+    def effect(self) -> tuple[float, float]:
+        """Mean and standard deviation of what it does to the logarithm of forces."""
+        # The square of a noisy angle is too large by its variance.
+        tan, spread = math.tan(self.angle), math.tan(self.sd)
+        loss = SLOPE_LOSS * max(tan**2 - spread**2, 0.0)
+        sd = math.hypot(SLOPE_LOSS_SD * loss, SLOPE_LOSS * (2.0 * tan + spread) * spread)
+        return -loss, sd
+
+    def notes(self, prior: Prior) -> list[str]:
+        """A sentence if the ground is not level by more than the error."""
+        if self.angle < INCLINED_SDS * self.sd:
+            return []
+        angle, sd = np.degrees(self)
+        text = f"the ground is inclined by {angle:.0f} ± {sd:.0f}°: φ is corrected for the "
+        return [f"{text}{1.0 - math.exp(prior.incline):.0%} less that it bears"]
+
+
+def inclination(place: FloatArray) -> Inclination:
+    """Inclination of the plane through places [m], shape [footfall, 3]."""
+    if len(place) < FEWEST_TYPICAL:
+        return Inclination(0.0, math.radians(ATTITUDE_SD_DEG))
+    # z = a x + b y + c by least squares; where x, y lie on a line it is level across that.
+    design = np.column_stack([place[:, :2] - place[:, :2].mean(axis=0), np.ones(len(place))])
+    inverse = np.linalg.inv(design.T @ design + np.diag([1e-3, 1e-3, 0.0]))
+    rise = inverse @ (design.T @ place[:, 2])
+    off = place[:, 2] - design @ rise
+    size = max(float(np.linalg.norm(rise[:2])), 1e-9)
+    along = np.append(rise[:2] / size, 0.0)
+    variance = along @ inverse @ along * (off @ off) / (len(place) - 3)
+    sd = math.hypot(math.sqrt(variance), math.radians(ATTITUDE_SD_DEG))
+    return Inclination(math.atan(size), sd)
+
+
+def _limits_of_the_law(fits: Fit, usable: BoolArray, law: str, prior: Prior) -> list[str]:
+    """Warnings where the law was not simulated or not tested: depth, growth with depth."""
     notes = []
-    # Inclination of the plane through places where feet met the ground.
-    x, y, z = touchdowns.place[~touchdowns.faulty].T
-    rise = np.linalg.lstsq(np.stack([x, y, np.ones_like(x)], axis=-1), z)[0][:2]
-    if (slope := math.degrees(math.atan(float(np.linalg.norm(rise))))) > LEVEL_DEG:
-        notes.append(
-            f"the ground is inclined by {slope:.0f}°; the law is for level ground, and soil on a "
-            "slope bears less"
-        )
     if law == "foot" and (deep := fits.sinkage[usable] > DEEPEST * prior.radius).any():
         notes.append(
             f"{int(deep.sum())} of {len(deep)} usable feet sank deeper than {DEEPEST:g} "
@@ -680,7 +720,7 @@ def _limits_of_the_law(
     if law == "foot" and prior.exponent < SLOW_GROWTH:
         notes.append(
             f"forces grow slower with depth than in dry sand, by a power of {prior.exponent:.2f}: "
-            "if the soil is damp, φ may be up to 8° too high; feet that land fast do so, too"
+            "if the soil is damp, φ may be up to 8° too high"
         )
     return notes
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.inference.touchdowns import Fit, Prior, Touchdowns, evenly, fit, inertia, picked
+from terraphi.inference.touchdowns import Fit, Prior, Touchdowns, evenly, fit, is_slow, picked
 from terraphi.laws.foot import Foot, FootLaw
 
 SANDS = ("foot", "rft", "hansen")
@@ -37,9 +37,6 @@ NO_SAND = -0.55
 """Exponent of a walk below which no sand's forces grow [-], so that a rival that fits no worse is
 enough: −0.52 at least on simulated sand, damp sand of 200 Pa included; −0.6 and less on clay and
 layers."""
-MOST_INERTIA = 0.3
-"""Part of the force that is the soil's inertia above which a footfall is not compared [-]: errors
-of the mass that moves, 30 %, look like another growth with depth."""
 MOST_COMPARED = 40
 """Most footfalls that are compared, evenly chosen (time)."""
 MEAN_DEG, FOLD_DEG = 32.0, 7.0
@@ -78,9 +75,7 @@ RIVALS = {"clay": _rival("clay", _contact), "layer": _rival("layer", _linear)}
 
 def slow(touchdowns: Touchdowns, prior: Prior) -> Touchdowns:
     """Touch-downs that tell one kind of ground from another, :data:`MOST_COMPARED` at most."""
-    hit = np.abs(inertia(prior, touchdowns, np.maximum(touchdowns.drop, 0.0)))
-    parts = [(touchdowns.used * part).sum(axis=1) for part in (hit, touchdowns.force)]
-    return evenly(picked(touchdowns, parts[0] <= MOST_INERTIA * parts[1]), MOST_COMPARED)
+    return evenly(picked(touchdowns, is_slow(touchdowns, prior)), MOST_COMPARED)
 
 
 def without_angle(touchdowns: Touchdowns, law: str, prior: Prior) -> str:

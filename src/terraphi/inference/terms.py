@@ -80,6 +80,7 @@ TERMS: dict[str, Term] = {
     "law_exponent": Term("learned", "law"),
     "law_slope": Term("learned", "law"),
     "other_law": Term("assumed", "law"),
+    "ground_slope": Term("learned", "soil"),
     # Joint answers.
     "disagreement": Term("learned", "record"),
 }

@@ -118,8 +118,9 @@ def away_from(event: BoolArray, time: FloatArray) -> BoolArray:
 
 
 def fit_friction(
-    residual: FloatArray, terms: FloatArray, swing: BoolArray, sure: BoolArray
-) -> JointFriction:
+    residual: FloatArray, terms: FloatArray, swing: BoolArray, sure: BoolArray,
+    armature: FloatArray | float = 0.0,
+) -> JointFriction:  # fmt: skip
     """Fit the joint friction to the torques in swing.
 
     Parameters
@@ -133,6 +134,8 @@ def fit_friction(
     sure
         Samples to prefer, in which the joint keeps moving one way, shape [sample, foot, joint]; a
         joint that has too few of them is given all of its swing.
+    armature
+        Inertia of the rotors where swing does not determine it [kg m²], shape [foot, joint].
 
     Returns
     -------
@@ -148,7 +151,7 @@ def fit_friction(
         if len(y) >= LEAST_SWING and np.sqrt(np.mean(x[:, 1] ** 2)) >= REVERSAL_RATE:
             numbers[i, j], determined[i, j] = _robust(x, y), True
     coulomb, viscous, inertia = np.moveaxis(numbers, -1, 0)
-    return JointFriction(coulomb, viscous, inertia, determined)
+    return JointFriction(coulomb, viscous, np.where(determined, inertia, armature), determined)
 
 
 def _robust(x: FloatArray, y: FloatArray) -> FloatArray:
@@ -305,7 +308,7 @@ def survey(
             & clear_of_ground(part.legs.place[inner], part.turn[inner][:, 2], lift, weight=weight)
             for (part, inner), lift in zip(windows, lifts, strict=True)
         ])  # fmt: skip
-        lost = fit_friction(torque, terms, swing, sure)
+        lost = fit_friction(torque, terms, swing, sure, robot.armature)
         numbers = np.stack([lost.coulomb, lost.viscous, lost.inertia], axis=-1)
         return lost, swing, torque + np.sum(numbers * terms, axis=-1)
 

@@ -31,6 +31,7 @@ with needing("a robot", "MuJoCo and SciPy", extra="robot"):
 UNUSED = {"asset", "keyframe", "size", "visual"}
 """Elements of an MJCF that neither kinematics nor masses need."""
 Positive = Annotated[float, Field(gt=0)]
+Inertia = Annotated[float, Field(ge=0)]
 Vector = tuple[float, float, float]
 
 
@@ -49,6 +50,9 @@ class RobotFile(Strict):
     """Radius of the foot's ball [m]. Not given: that of the model's sphere."""
     torque_limit: tuple[Positive, Positive, Positive] | None = None
     """Largest torque of hip, thigh and calf [N m]. Not given: the model's."""
+    armature: tuple[Inertia, Inertia, Inertia] | None = None
+    """Inertia of the rotors of hip, thigh and calf, seen from the joint [kg m²]. Not given: the
+    model's. It counts where a log has too little swing to find it."""
     imu: Vector | None = None
     """Place of the accelerometer in the frame of the trunk [m]. Not given: the model's."""
     joint_order: tuple[str, ...] | None = None
@@ -106,6 +110,8 @@ class Quadruped:
         Of the foot's ball [m]; 0 if unknown.
     torque_limit
         Largest torque of hip, thigh and calf [N m]; ``None`` if unknown.
+    armature
+        Inertia of the rotors seen from the joints [kg m²], shape [foot, joint].
     imu
         Place of the accelerometer in the frame of the trunk [m].
     joint_order
@@ -124,6 +130,7 @@ class Quadruped:
     source: str
     mass: float
     leg_length: FloatArray
+    armature: FloatArray
     foot_radius: float = 0.0
     torque_limit: Vector | None = None
     imu: Vector = (0.0, 0.0, 0.0)
@@ -233,6 +240,9 @@ def _loaded(path: Path, settings: RobotFile, toml: str = "") -> Quadruped:
         source=settings.source or label_of(path),
         mass=settings.mass or float(model.body_mass.sum()),
         leg_length=length,
+        armature=_armature(model, joint)
+        if settings.armature is None
+        else np.tile(settings.armature, (len(FEET), 1)),
         foot_radius=float(radius[0]) if settings.foot_radius is None else settings.foot_radius,
         torque_limit=settings.torque_limit or _limits(model, joint),
         imu=settings.imu or _imu(model, data),
@@ -444,6 +454,11 @@ def _limits(model: mujoco.MjModel, joint: Any) -> Vector | None:
     each = np.where(joint >= 0, force[joint], force[joint[:, 1:]].max(axis=1, keepdims=True))
     hip, thigh, calf = each.min(axis=0).tolist()
     return (hip, thigh, calf) if min(hip, thigh, calf) > 0.0 else None
+
+
+def _armature(model: mujoco.MjModel, joint: IntArray) -> FloatArray:
+    """Inertia of the rotors [kg m²], shape [foot, joint]; none of a joint that is not there."""
+    return np.where(joint >= 0, model.dof_armature[model.jnt_dofadr[joint]], 0.0)
 
 
 def _imu(model: mujoco.MjModel, data: mujoco.MjData) -> Vector:

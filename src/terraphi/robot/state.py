@@ -34,7 +34,7 @@ def fingerprint_of(options: Options) -> str:
     # Sums of another processor may differ in the last digits.
     numbers = [
         (np.round(np.asarray(part, dtype=np.float64), 9) + 0.0).tolist()
-        for part in (*robot.links, robot.leg_length, robot.foot_radius, robot.imu)
+        for part in (*robot.links, robot.leg_length, robot.armature, robot.foot_radius, robot.imu)
     ]
     values = (
         robot.name, robot.mass, numbers, robot.torque_limit, robot.joint_order, prior, law,
