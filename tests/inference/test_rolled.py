@@ -196,6 +196,49 @@ def test_wheels_in_grains_lie_within_the_interval(soil: str) -> None:
         assert low < CRITICAL_DEG[soil] < high
 
 
+def test_without_a_sinkage_pull_and_torque_determine_a_wide_angle() -> None:
+    table = rows(32.0).drop(columns="sinkage_mm")
+    answer = terraphi.invert(table, tool=TOOL, density=1600)
+    deep = rows(32.0)["sinkage_mm"].median()
+    depths = re.findall(r"law has (\d+) to (\d+) mm", " ".join(answer.warnings))[0]
+    assert answer.phi.median == pytest.approx(32.0, abs=1.5)
+    assert 3.0 < answer.phi.sd < 7.0
+    assert float(depths[0]) < deep < float(depths[1])
+    with pytest.raises(InputError, match="sinkage"):
+        terraphi.phi_along(table, TOOL)
+
+
+@pytest.mark.parametrize("column", ["pull_N", "torque_Nm"])
+def test_pull_or_torque_alone_leave_the_prior(column: str) -> None:
+    """The mean of a uniform angle from 18 to 50° is 34°, its standard deviation 9.2°."""
+    table = rows(24.0)[["slip", "load_N", column]]
+    answer = terraphi.invert(table, tool=TOOL, density=1600)
+    assert answer.phi.sd > 6.5
+    assert answer.phi.ci95[0] < 22.0
+    assert answer.phi.ci95[1] > 43.0
+    assert any("posterior equals the prior" in text for text in answer.warnings)
+
+
+def test_a_pull_above_the_torque_is_no_angle() -> None:
+    """P v ≤ T ω: at a small slip the pull is less than the torque over the radius."""
+    table = rows(30.0).drop(columns="sinkage_mm").iloc[:2]
+    wrong = table.assign(pull_N=table.torque_Nm / 0.15 + 0.2 * table.load_N)
+    assert terraphi.invert(wrong, tool=TOOL).verdict == "misfit"
+
+
+@pytest.mark.parametrize("soil", CRITICAL_DEG)
+def test_wheels_in_grains_without_a_sinkage(soil: str) -> None:
+    for path in GRAINS.glob(f"{soil}-loose_wheel_120x25_s0*_1.csv"):
+        density = float(re.findall(r"density (\d+)", path.read_text(encoding="utf-8"))[0])
+        table = pd.read_csv(path, comment="#")
+        table = table[(table.sinkage_mm - table.sinkage_mm.max()).abs() < 0.01].iloc[15:]
+        row = table[["load_N", "pull_N", "torque_Nm"]].mean().to_frame().T
+        row["slip"] = float(re.findall(r"_s([.0-9]+)_", path.name)[0])
+        answer = terraphi.invert(row, tool="wheel:120x25", density=density)
+        low, high = answer.phi.ci95
+        assert low < CRITICAL_DEG[soil] < high
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

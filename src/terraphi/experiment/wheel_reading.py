@@ -16,8 +16,8 @@ from terraphi.experiment.reading import (
 
 SPEEDS = ("wheel_speed", "rotation", "travel_speed")
 """Columns from which the slip follows."""
-NEEDED = ("slip", "load", "sinkage")
-"""Values without which a row is no use."""
+MEASURED = ("pull", "torque")
+"""Values that stand in for a sinkage that was not measured."""
 PERCENT = 1.5
 """Median of the slip's size above which it must be in percent [-]."""
 EITHER = 0.05
@@ -73,8 +73,8 @@ class Rolled(NamedTuple):
 
     values: dict[str, FloatArray]
     """By name, shape [row] each: ``slip``, 1 − v / (ω R) of a driven wheel and ω R / v − 1 of a
-    braked one [-]; ``load`` [N]; ``sinkage`` [m]; ``side_slip`` [deg]; where they were measured
-    ``pull`` and ``side`` [N], ``torque`` [N m], ``travel`` [m], ``time`` [s]."""
+    braked one [-]; ``load`` [N]; ``sinkage`` [m], NaN if there is none; ``side_slip`` [deg]; where
+    they were measured ``pull`` and ``side`` [N], ``torque`` [N m], ``travel`` [m], ``time`` [s]."""
     rows: int
     """Number of rows of the table."""
     notes: list[str]
@@ -94,9 +94,12 @@ def read_rolled(source: Any, radius: float, columns: Any = None) -> Rolled:
     values = {role: reader.column(role) for role in reader.names}
     if "slip" not in values:
         values["slip"] = reader.slip_of_speeds(values, radius)
-    full = np.asarray(np.isfinite([values[role] for role in NEEDED]).all(axis=0))
+    needed = ("sinkage",) if "sinkage" in values else [r for r in MEASURED if r in values]
+    numeric = [values[role] for role in ("slip", "load", *needed)]
+    full = np.asarray(np.isfinite(numeric).all(axis=0))
     if not full.any():
-        reader.refuse("no row has a slip, a load and a sinkage")
+        reader.refuse(f"no row has a slip, a load and a {' and a '.join(needed)}")
+    values.setdefault("sinkage", np.full(full.size, np.nan))
     if "slip" in reader.names:
         values["slip"] = reader.checked_slip(values["slip"], full)
     # What no wheel has is left out where it is rare, as a spike of a sensor.
@@ -142,11 +145,10 @@ class _WheelTable(ColumnReader[WheelColumns]):
                 f"no column of the load among {self.header}; add --columns 'load=NAME', or name it "
                 "such as load_N"
             )
-        if "sinkage" not in self.names:
-            without = "; load, slip and torque show the friction of the rim, not that of the soil"
+        if not {"sinkage", *MEASURED} & {*self.names}:
             self.wrong.append(
                 f"no column of the sinkage among {self.header}; add --columns 'sinkage=NAME', or "
-                f"name it such as sinkage_mm{without if 'torque' in self.names else ''}"
+                "name it such as sinkage_mm; without one, pull_N and torque_Nm are needed"
             )
 
     def written(self, column: str) -> str | None:
@@ -189,7 +191,7 @@ class _WheelTable(ColumnReader[WheelColumns]):
         load, sunk, slip = (values[role] for role in ("load", "sinkage", "slip"))
         sentences = {
             "the load is negative; give it positive, as what the soil carries": load <= 0.0,
-            f"the sinkage reaches {1e3 * np.nanmax(sunk):.4g} mm, beyond the radius of "
+            f"the sinkage reaches {1e3 * np.fmax.reduce(sunk):.4g} mm, beyond the radius of "
             f"{1e3 * radius:g} mm; check its unit, its zero and the wheel": sunk >= radius,
             "the sinkage is negative; give it positive into the soil": sunk <= 0.0,
             "the slip is beyond -1 and 1; check its unit and definition": np.abs(slip) > 1.0,

@@ -192,7 +192,7 @@ def _opened(record: PressedRecord, law: Any) -> _Opened:
         raise InputError(f"no law '{name}' of a wheel; {nearest(name, ('foot', 'rft'))}")
     if not isinstance(record.table, Rolled):
         raise InputError(f"{record.source}: rows of {tool}, not of a wheel")
-    rows, notes = _usable(record.table, wheel_of(tool), record.source)
+    rows, notes = usable(record.table, wheel_of(tool), record.source)
     rho, rho_sd = (DENSITY if record.density_kg_m3 is None
                    else (record.density_kg_m3, record.density_sd_kg_m3))  # fmt: skip
     if record.density_kg_m3 is None:
@@ -220,6 +220,10 @@ def _opened(record: PressedRecord, law: Any) -> _Opened:
 def invert_rolled(record: PressedRecord, law: Any = None) -> Answer:
     """Infer φ from a record of a wheel; raises InputError as :func:`invert` does."""
     began = time.perf_counter()
+    if isinstance(record.table, Rolled) and np.isnan(record.table.values["sinkage"]).all():
+        from terraphi.inference.resisted import invert_resisted
+
+        return invert_resisted(record, law)
     return _answer(record, _opened(record, law), law, began)
 
 
@@ -282,6 +286,8 @@ def phi_along(forces: Any, tool: Tool | str, **options: Any) -> dict[str, FloatA
 
     law = options.pop("law", None)
     record = open_pressed(forces, Tool.of(tool), **{"columns": None, **options})
+    if isinstance(record.table, Rolled) and np.isnan(record.table.values["sinkage"]).all():
+        raise InputError(f"{record.source}: φ along the way needs a sinkage")
     began, opened = time.perf_counter(), _opened(record, law)
     roll, fit, density_sd, _ = opened
     answer = _answer(record, opened, law, began)
@@ -315,7 +321,9 @@ def wheel_of(tool: Tool) -> Wheel:
     return Wheel(5e-4 * diameter, 1e-3 * width, int(number), 1e-3 * height)
 
 
-def _usable(table: Rolled, wheel: Wheel, label: str) -> tuple[dict[str, FloatArray], list[str]]:
+def usable(
+    table: Rolled, wheel: Wheel, label: str, most: int = MOST_ROWS
+) -> tuple[dict[str, FloatArray], list[str]]:
     """Rows within what the law has, averaged in blocks where they are many; notes on the rest."""
     notes, values = list(table.notes), table.values
     slip, sunk = values["slip"], np.ones(values["slip"].size, dtype=bool)
@@ -341,14 +349,14 @@ def _usable(table: Rolled, wheel: Wheel, label: str) -> tuple[dict[str, FloatArr
         sunk &= ~cut
     deep = values["sinkage"] > DEEPEST * wheel.reach
     if deep.any():
-        most = f"{1e3 * DEEPEST * wheel.reach:.0f} mm, {DEEPEST:g} of the radius"
+        limit = f"{1e3 * DEEPEST * wheel.reach:.0f} mm, {DEEPEST:g} of the radius"
         if deep[inside & sunk].all():
-            raise InputError(f"{label}: the wheel sinks in deeper than {most}; check its diameter")
-        notes.append(f"{deep.sum()} of {deep.size} rows are deeper than {most}, and left out.")
+            raise InputError(f"{label}: the wheel sinks in deeper than {limit}; check its diameter")
+        notes.append(f"{deep.sum()} of {deep.size} rows are deeper than {limit}, and left out.")
         inside &= ~deep
     kept = {name: value[inside & sunk] for name, value in values.items()}
-    if (count := kept["slip"].size) > MOST_ROWS:
-        first = np.unique(np.linspace(0, count, MOST_ROWS, endpoint=False).astype(int))
+    if (count := kept["slip"].size) > most:
+        first = np.unique(np.linspace(0, count, most, endpoint=False).astype(int))
         columns = np.stack(list(kept.values()), axis=1)
         there = block_means(np.isfinite(columns).astype(float), first)
         with np.errstate(invalid="ignore"):  # a block without a torque has none

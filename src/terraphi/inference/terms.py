@@ -66,6 +66,7 @@ TERMS: dict[str, Term] = {
     "surface friction": Term("assumed", "law"),
     "rectangle": Term("learned", "law"),
     "slip": Term("learned", "law"),
+    "resistance": Term("learned", "law"),
     "contact": Term("assumed", "record"),
     "depth": Term("assumed", "record"),
     "grain size": Term("learned", "record"),

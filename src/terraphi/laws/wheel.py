@@ -248,7 +248,7 @@ def wheel_forces(
 
 
 def rolling(
-    wheel: Wheel, load: float, slip: ArrayLike, phi_deg: FloatArray, density: FloatArray, *,
+    wheel: Wheel, load: ArrayLike, slip: ArrayLike, phi_deg: FloatArray, density: FloatArray, *,
     surface_friction: float = FRICTION.mean,
 ) -> dict[str, FloatArray]:  # fmt: skip
     """Sinkage of the lugs' tips [mm], pull [N] and torque [N m] of a wheel in several soils.
@@ -257,10 +257,8 @@ def rolling(
     ----------
     wheel, surface_friction
         As of :func:`wheel_forces`.
-    load
-        [N].
-    slip
-        [-], any shape.
+    load, slip
+        [N] and [-], of one shape or numbers.
     phi_deg, density
         φ in plane strain [deg] and bulk density [kg/m³], shape [soil].
 
@@ -275,8 +273,10 @@ def rolling(
     InputError
         As :func:`wheel_forces`; if the load is none, or a slip is beyond :data:`SLIPS`.
     """
-    load = float(numbers("load", load, shape=(), low=TINY, unit="N"))
-    slips = numbers("slip", slip, low=SLIPS[0], high=SLIPS[1])
+    loads, slips = np.broadcast_arrays(
+        numbers("load", load, low=TINY, unit="N"),
+        numbers("slip", slip, low=SLIPS[0], high=SLIPS[1]),
+    )
     if not slips.size:
         raise InputError("slip: give a number, or an array of them")
     each = slips.ravel()
@@ -300,19 +300,16 @@ def rolling(
     result = np.empty((3, *read.shape))
     curve = (1.0 - part) * borne[row, index] + part * borne[row, index + 1]
     for i, rho in enumerate(density.tolist()):
-        for j in range(each.size):
-            depth = float(
-                np.interp(
-                    math.log(load * DENSITY.mean / rho), curve[i, j], np.log(depths), right=np.nan
-                )
-            )
+        for j, load_j in enumerate(loads.ravel().tolist()):
+            borne_j = math.log(load_j * DENSITY.mean / rho)
+            depth = float(np.interp(borne_j, curve[i, j], np.log(depths), right=np.nan))
             ratios = [
                 np.interp(
                     math.exp(depth), depths, force[j, index[i, j]] / forces.load[j, index[i, j]]
                 )
                 for force in (forces.pull, forces.torque)
             ]
-            result[:, i, j] = 1e3 * math.exp(depth), load * ratios[0], load * ratios[1]
+            result[:, i, j] = 1e3 * math.exp(depth), load_j * ratios[0], load_j * ratios[1]
     names = ("sinkage_mm", "pull_N", "torque_Nm")
     return {
         name: values.reshape(-1, *slips.shape) for name, values in zip(names, result, strict=True)
