@@ -496,9 +496,7 @@ def infer(
     verdict, ground = judged(touchdowns, fits, law, prior)
     usable, sinkage = verdict == USABLE, surface_depth(fits, verdict)
     place = touchdowns.place + np.outer(sinkage, [0.0, 0.0, 1.0])
-    slope = inclination(place[~touchdowns.faulty])
-    incline, incline_sd = slope.effect()
-    prior = replace(prior, incline=incline, incline_sd=incline_sd)
+    prior = (slope := inclination(place[~touchdowns.faulty])).added_to(prior)
     footfall_phi, path_phi = np.full((3, len(verdict)), np.nan), np.full((3, len(path)), np.nan)
     shared: dict[str, Any] = {}
     by_law: dict[str, float] = {}
@@ -676,13 +674,13 @@ class Inclination(NamedTuple):
     angle: float
     sd: float
 
-    def effect(self) -> tuple[float, float]:
-        """Mean and standard deviation of what it does to the logarithm of forces."""
+    def added_to(self, prior: Prior) -> Prior:
+        """Prior with what it does to the logarithm of forces."""
         # The square of a noisy angle is too large by its variance.
         tan, spread = math.tan(self.angle), math.tan(self.sd)
         loss = SLOPE_LOSS * max(tan**2 - spread**2, 0.0)
         sd = math.hypot(SLOPE_LOSS_SD * loss, SLOPE_LOSS * (2.0 * tan + spread) * spread)
-        return -loss, sd
+        return replace(prior, incline=-loss, incline_sd=sd)
 
     def notes(self, prior: Prior) -> list[str]:
         """A sentence if the ground is not level by more than the error."""

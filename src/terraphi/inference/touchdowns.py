@@ -417,16 +417,16 @@ def learn_exponent(touchdowns: Touchdowns, law: str, prior: Prior) -> Prior:
     bend = max(float((below + above - 2.0 * at).sum()), 1e-9) / EXPONENT_STEP**2
     count, square = len(slow.foot), float(np.square((above - below) / (2.0 * EXPONENT_STEP)).sum())
     each = (count**2 * square / bend**2 + EACH_SD**2) / (count + 1)
-    own, known = 1.0 / (LEARNED_SD**2 + each / count), 1.0 / usual_sd**2
-    mean = (own * float(best) + known * usual) / (own + known)
-    return replace(prior, exponent=mean, exponent_sd=(own + known) ** -0.5)
+    precision, before = 1.0 / (LEARNED_SD**2 + each / count), 1.0 / usual_sd**2
+    mean = (precision * float(best) + before * usual) / (precision + before)
+    return replace(prior, exponent=mean, exponent_sd=(precision + before) ** -0.5)
 
 
 def is_slow(touchdowns: Touchdowns, prior: Prior) -> BoolArray:
     """Mask of touch-downs whose forces are hardly the soil's inertia, shape [touchdown]."""
     hit = np.abs(inertia(prior, touchdowns, np.maximum(touchdowns.drop, 0.0)))
-    part, whole = ((touchdowns.used * each).sum(axis=1) for each in (hit, touchdowns.force))
-    return np.asarray(part <= MOST_INERTIA * whole)
+    part, total = ((touchdowns.used * each).sum(axis=1) for each in (hit, touchdowns.force))
+    return np.asarray(part <= MOST_INERTIA * total)
 
 
 def learn_level(touchdowns: Touchdowns, law: str, prior: Prior) -> Prior:
