@@ -186,17 +186,16 @@ def decomposition(results: dict[str, dict[str, list[Outcome]]]) -> str:
 
 
 CODE = (
-    "The grains are our own, simulated by LIGGGHTS, a discrete element code; *another code* is a "
-    "program of ours. Only the media of the last column were measured."
+    "All grains are our own simulations, by LIGGGHTS but for *another code*, a program of ours. "
+    "Only the last column was measured."
 )
 WORDS = (
-    "A cell has the CRPS, a score of the stated distribution in degrees of which less is better, "
-    "and the root mean square error. Soils weigh alike, and what is tested is left out of what is "
-    "learned from. *terraphi* is what law `legs` reads, corrected by the mixed model of "
-    "`studies/errors.py`, which `terraphi invert` has, fitted to all records. "
-    "*formula* is φ = a + b d/w + s ln(mean F_x / ρ g w D²) for each leg. "
-    "In measured media the truth of a leg is the mean of what the other two legs read, so that a "
-    "method that does not look at the forces has an error of 0."
+    "A cell has the CRPS [deg], of which less is better, and the root mean square error. Soils "
+    "weigh alike, and what is tested is left out of what is learned from. *terraphi* is what law "
+    "`legs` reads, corrected by the mixed model of `studies/errors.py`, which `terraphi invert` "
+    "has, fitted to all records. *formula* is φ = a + b d/w + s ln(mean F_x / ρ g w D²) for each "
+    "leg. In measured media the truth of a leg is the mean of the other two, so that a constant "
+    "has no error."
 )
 WHY = (
     "The program errs within a soil, between its legs, rigs and beds. Less weight on the vertical "
@@ -205,8 +204,8 @@ WHY = (
     "`terraphi invert` weights both forces alike."
 )
 SMALLER = (
-    "Baselines with a smaller CRPS than terraphi, and the probability of a difference as large if "
-    "there is none, by a two-sided t-test over soils (1 where there is one soil):"
+    "Baselines with a smaller CRPS than terraphi, and p by a two-sided t-test over soils (1 where "
+    "there is one soil):"
 )
 
 
