@@ -1,13 +1,12 @@
-"""Particles and leg as two series of VTK files, which ParaView opens.
+"""Particles and leg as two series of VTK files, which ParaView and PyVista open.
 
-XML files of the kind ``UnstructuredGrid``, with their numbers in base64, and ``Collection`` files
-that give each frame its time (https://docs.vtk.org, "XML file formats").
+Binary files of the legacy kind, and for each series a table in JSON that gives its frames their
+times (https://docs.vtk.org, "VTK file formats"; ParaView's ``.vtk.series``).
 """
 
 from __future__ import annotations
 
-import base64
-import sys
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -27,7 +26,7 @@ VERTEX, POLYGON = 1, 7
 
 
 class FieldSeries:
-    """Observer that writes ``particles.pvd`` and ``leg.pvd`` with their frames into a folder.
+    """Observer that writes ``particles.vtk.series`` and ``leg.vtk.series`` with their frames.
 
     Coordinates are those of the physics: x forward, z up, in two dimensions y = 0. SI units; times,
     velocities and speeds are those of the simulation, in which the leg is sped up. A simulation
@@ -55,77 +54,59 @@ class FieldSeries:
         if snapshot.step not in self._steps:
             return
         number, pose = self._steps.index(snapshot.step), snapshot.pose
-        about = {"TimeValue": np.array([snapshot.time]), "theta_deg": np.degrees(pose.theta)}
         points, data = snapshot.solver.fields(snapshot.soil)
         outline = np.insert(pose.placed(snapshot.scenario.leg.outline())[0], 1, 0.0, axis=1)
-        write_grid(self._folder / _frame("particles", number), points, VERTEX, data, about)
-        write_grid(self._folder / _frame("leg", number), outline, POLYGON, {}, about)
         time_step = snapshot.scenario.numerics.time_step
-        for name in ("particles", "leg"):
-            sets = "".join(
-                f'<DataSet timestep="{step * time_step!r}" part="0" file="{_frame(name, k)}"/>'
+        for name, *grid in (("particles", points, data), ("leg", outline, {})):
+            title = f"terraphi: {name}, leg angle {np.degrees(pose.theta[0]):.6g} deg"
+            write_grid(self._folder / _frame(name, number), title, *grid, cell=name == "leg")
+            frames = [
+                {"name": _frame(name, k), "time": step * time_step}
                 for k, step in enumerate(self._steps[: number + 1])
                 if (self._folder / _frame(name, k)).exists()
-            )
-            _write(self._folder / f"{name}.pvd", "Collection", sets)
+            ]
+            with atomic_write(self._folder / f"{name}.vtk.series") as temporary:
+                series = {"file-series-version": "1.0", "files": frames}
+                temporary.write_text(json.dumps(series, indent=1))
+
+
+def _frame(name: str, number: int) -> str:
+    return f"{name}_{number:04d}.vtk"
 
 
 def write_grid(
-    path: Path, points: Array, kind: int, data: Mapping[str, Array], about: Mapping[str, Array]
+    path: Path, title: str, points: Array, data: Mapping[str, Array], *, cell: bool = False
 ) -> None:
-    """Write points, each a cell of its own (``VERTEX``) or corners of one (``POLYGON``).
+    """Write points, each by itself or all as the corners of one ``cell``, in single precision.
 
     Parameters
     ----------
     path
-        The file, ``.vtu``.
+        The file, ``.vtk``.
+    title
+        Its second line.
     points
         (x, y, z) [m], shape [point, 3].
-    kind
-        Kind of the cells.
     data
         Scalars of shape [point] and vectors of shape [point, 3], by name.
-    about
-        Values for the whole file, shape [value], by name; ``TimeValue`` is its time [s].
+    cell
+        True if the points are corners of a polygon.
     """
     count = len(points)
-    ends = np.arange(1, count + 1) if kind == VERTEX else np.array([count])
-    cells = {
-        "connectivity": np.arange(count),
-        "offsets": ends,
-        "types": np.full(len(ends), kind, np.uint8),
-    }
-    fields = "".join(_array(k, v, f' NumberOfTuples="{len(v)}"') for k, v in about.items())
-    _write(
-        path,
-        "UnstructuredGrid",
-        f"<FieldData>{fields}</FieldData>"
-        f'<Piece NumberOfPoints="{count}" NumberOfCells="{len(ends)}">'
-        f"<Points>{_array('points', points)}</Points>"
-        f"<Cells>{''.join(_array(k, v) for k, v in cells.items())}</Cells>"
-        f"<PointData>{''.join(_array(k, v) for k, v in data.items())}</PointData></Piece>",
-    )
+    # A row for each cell: how many points it has, and which.
+    rows = np.arange(count)[None] if cell else np.arange(count)[:, None]
+    cells = np.insert(rows, 0, rows.shape[1], axis=1)
+    with atomic_write(path) as temporary, temporary.open("wb") as stream:
 
+        def write(head: str, values: Array, kind: str = ">f4") -> None:
+            stream.write(f"{head}\n".encode() + values.astype(kind).tobytes() + b"\n")
 
-def _frame(name: str, number: int) -> str:
-    return f"{name}_{number:04d}.vtu"
-
-
-def _array(name: str, values: Array, more: str = "") -> str:
-    """An array: its number of bytes and its bytes, in one run of base64."""
-    values = np.ascontiguousarray(values)
-    kind = values.dtype.name.capitalize().replace("Ui", "UI")
-    if values.ndim == 2:
-        more += f' NumberOfComponents="{values.shape[1]}"'
-    content = np.uint64(values.nbytes).tobytes() + values.tobytes()
-    text = base64.b64encode(content).decode("ascii")
-    return f'<DataArray type="{kind}" Name="{name}" format="binary"{more}>{text}</DataArray>'
-
-
-def _write(path: Path, kind: str, content: str) -> None:
-    order = f"{sys.byteorder.capitalize()}Endian"
-    with atomic_write(path) as temporary:
-        temporary.write_text(
-            f'<?xml version="1.0"?>\n<VTKFile type="{kind}" version="1.0" byte_order="{order}" '
-            f'header_type="UInt64"><{kind}>{content}</{kind}></VTKFile>\n'
+        stream.write(
+            f"# vtk DataFile Version 3.0\n{title}\nBINARY\nDATASET UNSTRUCTURED_GRID\n".encode()
         )
+        write(f"POINTS {count} float", points)
+        write(f"CELLS {len(cells)} {cells.size}", cells, ">i4")
+        write(f"CELL_TYPES {len(cells)}", np.full(len(cells), POLYGON if cell else VERTEX), ">i4")
+        stream.write(f"POINT_DATA {count}\nFIELD fields {len(data)}\n".encode())
+        for name, values in data.items():
+            write(f"{name} {values.size // count} {count} float", values)
