@@ -13,7 +13,7 @@ from terraphi.view.console import Table, as_text, present, progress_bar
 
 NAMES = (
     *("recovery", "benchmark", "sensitivity", "phi_sensitivity", "k0", "prototype", "surrogate"),
-    *("intervals", "figures"),
+    "figures",
 )
 
 
@@ -36,7 +36,6 @@ def paper(name: str | None, library: str, out: Path | None, as_json: bool) -> No
     surrogate        the two Gaussian processes on cases held out
     sensitivity      what moves the simulated forces
     prototype        what the contact of the paper's code counts and applies
-    intervals        why the paper's intervals are as wide as they are
     figures          its figures, ready to print (13 minutes)
 
     Example: terraphi paper recovery --out recovery

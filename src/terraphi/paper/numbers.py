@@ -373,31 +373,6 @@ def surrogate(library: str = TEXT) -> Result:
     )
 
 
-def intervals() -> Result:
-    """Why the paper's intervals are as wide as they are: they are those of its code."""
-    models = []
-    for library, model in ((TEXT, "its text"), (CODE, "its code")):
-        first, *_, last = (peaks_N(case.history) for case in library_cases(library))
-        summary = recovery(library, draws=False).data
-        row = {"model": model, "residual_percent": 100.0 * float(rms(held_out(library).residuals))}
-        row |= {key: summary[key] for key in ("ci68_half_width_deg", "inside68")}
-        models.append({**row, "peaks_grow_by": by_force(last / first)})
-    sigma = paper.residual_covariance(surrogate_of(TEXT).Fx.theta_deg)
-    condition, chance = float(np.linalg.cond(sigma)), 0.68**14
-    width, grow = "ci68_half_width_deg", "peaks_grow_by"
-    why = (
-        f"Right 68 % intervals contain 14 of 14 truths with probability {chance:.4f}: the paper's "
-        f"are too wide. Σ has no nugget (condition number {condition:.0e}), so a rough residual "
-        "inflates the scale s. By its code residuals are larger, for counted forces jump as "
-        "particles enter the contact band, and forces grow less with φ: both widen the intervals."
-    )
-    return Result(
-        {"models": models, "condition_number": condition, "probability_14_of_14": chance},
-        (models, f"model {width}.median {width}.max residual_percent {grow}.Fz {grow}.Fx"),
-        [why],
-    )
-
-
 # -- forces ----------------------------------------------------------------------------------------
 
 
@@ -635,7 +610,7 @@ def figures(*, progress: Progress = lambda _: None) -> Result:
     )
 
 
-_ALL = (recovery, benchmark, sensitivity, phi_sensitivity, k0, prototype, surrogate, intervals)
+_ALL = (recovery, benchmark, sensitivity, phi_sensitivity, k0, prototype, surrogate)
 RESULTS: dict[str, Callable[..., Result]] = {made.__name__: made for made in (*_ALL, figures)}
 BY_LIBRARY = ("recovery", "phi_sensitivity", "k0", "surrogate")
 """Results of either library."""
