@@ -41,7 +41,6 @@ results are of the same library, type and device.
 
 from __future__ import annotations
 
-import itertools
 import math
 import warnings
 from dataclasses import dataclass
@@ -346,49 +345,43 @@ def _of_few(
     ``None`` where the arguments are others or wrong. It is the same arithmetic on plain numbers: an
     operation on an array of four costs as much as on one of a thousand.
     """
-    plain = (phi_deg, density, friction, surface, rest_speed)
-    if type(pose) is not np.ndarray or not all(
-        type(value) in (float, int) and -HUGE < value < HUGE for value in plain
-    ):
+    if held is None:
+        step = stiffness = 0.0
+    elif not (type(held) is tuple and len(held) == 2):
         return None
-    if not (type(velocity) is np.ndarray and pose.dtype == velocity.dtype == np.float64
-            and 1 <= pose.ndim <= 2 and 3 <= pose.size <= 3 * FEW and pose.shape[-1] == 3
-            and velocity.shape == pose.shape):  # fmt: skip
+    arrays = (pose, velocity, *(held or ()))
+    plain = (phi_deg, density, friction, surface, rest_speed, step, stiffness)
+    if not (
+        all(type(number) in (float, int) and -HUGE < number < HUGE for number in plain)
+        and all(type(a) is np.ndarray and a.dtype == np.float64 and a.shape == pose.shape
+                for a in arrays)
+        and 1 <= pose.ndim <= 2 and 3 <= pose.size <= 3 * FEW and pose.shape[-1] == 3
+    ):  # fmt: skip
         return None
-    places, velocities = pose.reshape(-1, 3).tolist(), velocity.reshape(-1, 3).tolist()
-    before: list[Any] = [None] * len(places)
-    stride = 0.0
-    if held is not None:
-        if not (type(held) is tuple and len(held) == 2 and type(step) is type(stiffness) is float
-                and step >= 0.0 and stiffness >= 0.0
-                and all(type(each) is np.ndarray and each.dtype == np.float64
-                        and each.shape == pose.shape for each in held)):  # fmt: skip
-            return None
-        before = np.concatenate([each.reshape(-1, 3) for each in held], axis=1).tolist()
-        stride = stiffness * step
+    rows = np.concatenate([a.reshape(-1, 3) for a in arrays], axis=1)
     try:
         low, high = angles_deg(friction)
     except InputError:
         return None
     least, most, _ = LIMITS["soil.density"]
-    each_number = itertools.chain(*places, *velocities, *(row or () for row in before))
     if not (low <= phi_deg <= high and least <= density <= most and rest_speed >= TINY
-            and stride < HUGE and all(-HUGE < x < HUGE for x in each_number)):  # fmt: skip
+            and min(step, stiffness) >= 0.0 and step * stiffness < HUGE
+            and abs(rows).max() < HUGE):  # fmt: skip
         return None
     soil = (float(phi_deg), float(density), float(friction))
     fade, down = TINY if held is not None else rest_speed, surface
     down += foot.radius if foot.shape == "ball" else 0.0
     results = []
-    for place, moving, last in zip(places, velocities, before, strict=True):
-        depth = down - place[2]
+    for row in rows.tolist():
+        depth, moving, last = down - row[2], row[3:6], row[6:]
         now = _of_one(foot, depth, moving, fade, *soil, inertia=inertia) if depth > 0.0 else AIR
-        if last is not None and depth > 0.0:
+        if last and depth > 0.0:
             size = max(math.hypot(*last[:3]), math.hypot(*now[:3]), TINY)
-            kept = math.exp(-stride * math.hypot(*moving) / size)
+            kept = math.exp(-step * stiffness * math.hypot(*moving) / size)
             now = [law + kept * (was - law) for law, was in zip(now, last, strict=True)]
         results.append(now)
-    rows = np.array(results)
-    return rows[:, :3].reshape(pose.shape), rows[:, 3:].reshape(pose.shape)
+    wrenches = np.array(results)
+    return wrenches[:, :3].reshape(pose.shape), wrenches[:, 3:].reshape(pose.shape)
 
 
 def _landing(foot: Foot, depth: Any, fall: Any, density: Any) -> Any:
