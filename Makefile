@@ -53,7 +53,7 @@ test: $(DEV)
 NUMERICAL := tests/forward/mpm
 test-processors: $(DEV)
 	NUMBA_CPU_NAME=x86-64-v3 NUMBA_CPU_FEATURES= OPENBLAS_CORETYPE=Haswell \
-		$(BIN)/pytest -n $(WORKERS) $(NUMERICAL) tests/laws/test_emulator.py
+		$(BIN)/pytest -n $(WORKERS) $(NUMERICAL) tests/laws/test_gp.py
 	NUMBA_CPU_NAME=x86-64 NUMBA_CPU_FEATURES= OPENBLAS_CORETYPE=Nehalem \
 		$(BIN)/pytest -n $(WORKERS) $(NUMERICAL)
 

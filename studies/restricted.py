@@ -9,9 +9,14 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import minimize
 
-from terraphi.laws.gp import LENGTHS, NUGGETS, matern, restricted_log_likelihood
+from terraphi.laws.gp import matern
 
 FloatArray = np.ndarray
+
+LENGTHS = np.geomspace(0.15, 8.0, 16)
+"""Correlation lengths that are tried, in units of the half range of φ [-]."""
+NUGGETS = np.geomspace(1e-8, 1e2, 24)
+"""Nuggets that are tried, over the variance of the process [-]."""
 
 
 def hyperparameters(
@@ -79,3 +84,17 @@ def refined(
     low[-1], high[-1] = start[-1] - 10.0, start[-1] + 10.0
     bounds = list(zip(low, high, strict=True))
     return np.asarray(minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds).x)
+
+
+def restricted_log_likelihood(
+    roots: FloatArray, vectors: FloatArray, basis: FloatArray, weights: FloatArray
+) -> FloatArray:
+    """Restricted log-likelihood of each column, with its variance profiled out, [column]."""
+    # −½ [(n − q) ln σ² + ln |A| + ln |F'A⁻¹F|] with A = V diag(roots) V', all in the basis V.
+    f, w = vectors.T @ basis, vectors.T @ weights
+    normal = f.T @ (f / roots[:, None])
+    beta = np.linalg.solve(normal, f.T @ (w / roots[:, None]))
+    free = len(w) - f.shape[1]
+    sigma2 = (np.square(w - f @ beta) / roots[:, None]).sum(axis=0) / free
+    volume = np.log(roots).sum() + np.linalg.slogdet(normal)[1]
+    return -0.5 * (free * np.log(sigma2 + 1e-300) + volume)

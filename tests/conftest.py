@@ -18,10 +18,8 @@ from hypothesis import settings
 from threadpoolctl import threadpool_limits
 
 from terraphi.experiment.history import ForceHistory
-from terraphi.experiment.scenario import Scenario
-from terraphi.forward import simulate
-from terraphi.laws.emulator import Emulator
-from terraphi.laws.store import PHI, Case, Library
+from terraphi.experiment.rig import Rig
+from terraphi.laws.theory import Theory
 
 # Tests run side by side, and their small matrices gain nothing from threads.
 assert np.ones(1) @ np.ones(1) == 1.0  # loads the library that is limited
@@ -90,34 +88,17 @@ def arviz() -> Any:
 
 
 @pytest.fixture(scope="session")
-def sand3d() -> Library:
-    """Simulations of the legs of Li et al. (2013), which no law is made of alone."""
-    data = Path(__file__).parents[1] / "studies" / "data" / "libraries"
-    return Library.load(data / "sand3d-simulated.nc")
-
-
-@pytest.fixture(scope="session")
-def rft3d() -> Library:
-    """Simulations of an exact model, for what is made of simulations."""
-    few = {"rft.panels": 50, "motion.start_deg": -100.0, "motion.stop_deg": 100.0}
-    base = Scenario.load("quick").replace(**few)
-    legs, angles = ("straight", "c", "reversed_c"), np.linspace(15.0, 50.0, 15).tolist()
-    cases = [base.replace(**{PHI: phi, "leg.shape": leg}) for leg in legs for phi in angles]
-    return Library("simulated", tuple(Case(case, simulate(case)) for case in cases))
-
-
-@pytest.fixture(scope="session")
-def history_at(rft3d: Library) -> Callable[..., ForceHistory]:
+def history_at() -> Callable[..., ForceHistory]:
     """A record as resistive force theory has it, read every so many degrees, with noise."""
 
     def make(
         phi_deg: float, leg: str = "straight", *, every: float = 0.5, noise: float = 0.0,
         seed: int = 0, span: tuple[float, float] = (-90.0, 90.0), density: float = 1650.0,
     ) -> ForceHistory:  # fmt: skip
-        emulator = Emulator(rft3d.curves(leg))
+        law = Theory().law(Rig.of("li2013", leg))
         theta = np.arange(span[0], span[1] + 1e-9, every)
-        curve = emulator(np.array([[phi_deg]]))[0] * density / 1650.0
-        force = np.stack([np.interp(theta, emulator.curves.theta_deg, row) for row in curve], 1)
+        curve = law(np.array([[phi_deg]]))[0] * density / law.density
+        force = np.stack([np.interp(theta, law.theta_deg, row) for row in curve], 1)
         force += noise * np.random.default_rng(seed).standard_normal(force.shape)
         return ForceHistory(np.radians(theta), force)
 

@@ -11,7 +11,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import measurement, names
@@ -23,7 +22,6 @@ from terraphi.inference.calibration import calibrate
 from terraphi.inference.inversion import critical_posterior, invert, invert_many, law_for
 from terraphi.inference.likelihood import MOMENT_DEG, Likelihood
 from terraphi.inference.records import open_record
-from terraphi.laws.emulator import Emulator
 from terraphi.laws.legs import Legs, shipped_legs
 from terraphi.laws.model_error import FINE_MM, ModelError
 from terraphi.laws.store import PHI, Library
@@ -42,23 +40,24 @@ def test_simulated_angles_are_recovered(phi: float, leg: str) -> None:
 
 
 @pytest.mark.parametrize("count", [24, pytest.param(200, marks=pytest.mark.slow)])
-def test_intervals_hold_truths_drawn_from_the_library(sand3d: Library, count: int) -> None:
+def test_intervals_hold_truths_drawn_from_the_law(count: int) -> None:
     """Of so many records a leg with particle scatter, 68 and 95 % intervals hold as many."""
     inside, rng = [], np.random.default_rng(7)
     for leg in ("straight", "c", "reversed_c"):
-        emulator = Emulator(sand3d.curves(leg))
-        theta = emulator.curves.theta_deg
+        law = shipped_legs().law(Rig.of("li2013", leg))
+        theta = law.theta_deg
         history = ForceHistory(np.radians(theta), np.ones((len(theta), 2)))
         record = open_record(history, rig=Rig.of("li2013", leg), density=1650)
         for _ in range(count):
             x = np.array([rng.uniform(18.0, 47.0)])
-            scatter = emulator.scatter(x) + emulator.interpolation(x) @ emulator.interpolation(x).T
+            factor = law.interpolation(x, 0.0)
+            scatter = law.scatter(x, 0.0) + factor @ factor.T
             values, vectors = np.linalg.eigh(scatter)
             error = vectors @ (np.sqrt(values.clip(0.0)) * rng.standard_normal(len(values)))
-            force = emulator(x[None])[0] + error.reshape(2, -1)
+            force = law(x[None])[0] + error.reshape(2, -1)
             item = replace(record, simulated=True, noise=(0.0, 0.0),
                           history=replace(record.history, force=force.T))  # fmt: skip
-            likelihood = Likelihood([item], sand3d)
+            likelihood = Likelihood([item], shipped_legs())
             inside.append(abs(likelihood.least_squares - x[0]) / likelihood.sd)
     share68, share95 = np.mean(np.array(inside) < 0.9945), np.mean(np.array(inside) < 1.96)
     assert 0.58 < share68 < 0.78
@@ -198,21 +197,22 @@ def test_another_opinion_far_away_widens_the_interval() -> None:
 @pytest.mark.parametrize(
     ("leg", "axes"), [("straight", ""), ("c", ""), ("c", "x"), ("reversed_c", "z")]
 )
-def test_a_moment_replaces_forces(sand3d: Library, leg: str, axes: str) -> None:
-    """Simulations of the library, left out of it, with the moment that the solver counted."""
-    cases = [c for c in sand3d.cases if c.scenario.leg.shape == leg and c.history is not None]
+def test_a_moment_replaces_forces(leg: str, axes: str) -> None:
+    """Simulations that the law was not fitted to, with the moment that the solver counted."""
+    data = Path(__file__).parents[2] / "studies" / "data" / "libraries" / "sand3d-simulated.nc"
+    cases = [c for c in Library.load(data).cases if c.scenario.leg.shape == leg]
+    plain = replace(shipped_legs(), model_error={})
     for phi in (25.0, 35.0):
         reference = next(c for c in cases if c.scenario.soil.friction_angle_deg == phi)
-        remaining = tuple(c for c in sand3d.cases if c is not reference)
-        plain = replace(sand3d, cases=remaining)
         columns = [reference.history.axes.index(axis) for axis in axes]
         force = reference.history.force[:, columns]
         history = replace(reference.history, force=force, axes=tuple(axes), provenance={})
         answer = invert(history, rig="li2013", leg=leg, density=1650, law=plain)
         assert set(answer.nrmsd) == {*(f"F{axis}" for axis in axes), "M"}
-        assert answer.phi.median == pytest.approx(phi, abs=1.0)
+        # The law is read in other cells than those of the simulations.
+        assert answer.phi.median == pytest.approx(phi, abs=2.5 if axes == "z" else 1.0)
         assert answer.budget_deg["missing forces"] == pytest.approx(MOMENT_DEG, rel=0.05)
-        assert max(answer.nrmsd.values()) < 0.05
+        assert max(answer.nrmsd.values()) < 0.08
 
 
 def test_a_moment_that_the_forces_do_not_have_is_noticed() -> None:
@@ -561,8 +561,8 @@ def test_simulated_forces_without_a_scenario_have_no_cohesion() -> None:
 def test_the_law_of_a_file_is_kept_until_the_file_changes(tmp_path: Path) -> None:
     records, path = [open_record("li2013:yuma/c")], tmp_path / "law.nc"
     laws = []
-    for name, changed_ns in (("paper", 1), ("paper", 1), ("paper-code", 2)):
-        path.write_bytes(shipped_file("libraries", name, ".nc").read_bytes())
+    for error_scale, changed_ns in ((1.0, 1), (1.0, 1), (2.0, 2)):
+        replace(shipped_legs(), error_scale=error_scale).save(path)
         os.utime(path, ns=(changed_ns, changed_ns))
         laws.append(law_for(records, path)[0])
     assert laws[0] is laws[1]

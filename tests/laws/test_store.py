@@ -1,4 +1,4 @@
-"""Libraries: files read back to the last bit that they keep, curves, and the nearest library."""
+"""Libraries: files read back to the last bit that they keep, and what their scenarios differ in."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
-from terraphi.laws.store import PHI, Case, Library, differences, nearest_library
+from terraphi.laws.store import PHI, Case, Library, differences
 
 
 @pytest.fixture(scope="module")
@@ -55,20 +55,7 @@ def test_an_origin_that_is_no_table_is_refused(small: Library, tmp_path: Path, v
         Library.load(tmp_path / "library.nc")
 
 
-def test_curves_are_sorted_means_of_the_histories(small: Library) -> None:
-    curves = small.curves("straight")
-    assert curves.x[:, 0].tolist() == [20.0, 30.0, 40.0]
-    history = small.cases[1].history
-    for theta, force in zip(curves.theta_deg, curves.force[0].T, strict=True):
-        near = np.abs(history.theta_deg - theta) < 0.45
-        np.testing.assert_allclose(force, history.force[near].mean(axis=0), atol=0.02)
-
-
-def test_what_cannot_be_inferred_is_refused(small: Library, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="straight"):
-        small.curves("c")
-    with pytest.raises(InputError, match="too few"):
-        replace(small, cases=small.cases[:2]).curves("straight")
+def test_what_is_no_library_is_refused(tmp_path: Path) -> None:
     (tmp_path / "text.nc").write_text("theta_deg,Fx_N,Fz_N")
     with pytest.raises(InputError, match=r"text\.nc"):
         Library.load(tmp_path / "text.nc")
@@ -77,8 +64,7 @@ def test_what_cannot_be_inferred_is_refused(small: Library, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("name", Library.names())
-def test_a_simulation_of_a_library_finds_it(name: str) -> None:
-    library = Library.load(name)
-    scenario = library.cases[0].scenario.replace(**{PHI: 33.3})
-    assert nearest_library(scenario).name == name
-    assert differences(scenario, library.cases[0].scenario) == []
+def test_a_simulation_of_a_library_differs_from_it_by_nothing(name: str) -> None:
+    scenario = Library.load(name).scenario
+    assert differences(scenario.replace(**{PHI: 33.3}), scenario) == []
+    assert differences(scenario.replace(**{"soil.k0": 0.4}), scenario) == ["soil.k0"]

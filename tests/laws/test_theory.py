@@ -12,10 +12,8 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
 from terraphi.forward.rft import stress_scale
-from terraphi.inference.likelihood import Likelihood
-from terraphi.inference.records import open_record
 from terraphi.laws.named import law_named
-from terraphi.laws.store import PHI, Library
+from terraphi.laws.store import PHI
 from terraphi.laws.theory import Theory
 
 OTHER = {
@@ -42,16 +40,6 @@ def test_forces_and_moments_are_those_of_a_simulation(changes: dict[str, Any], p
     moment = history.means(centre, half, values=history.moment[:, None])[:, 0]
     np.testing.assert_allclose((arm * force).sum(axis=0), moment, atol=0.01 * np.ptp(moment))
     assert invert(history).phi.median == pytest.approx(phi, abs=2e-3)
-
-
-@pytest.mark.parametrize("name", ["yuma/straight", "poppy_loose/c", "glass03_loose/reversed_c"])
-def test_a_record_is_read_as_by_a_library_of_simulations(rft3d: Library, name: str) -> None:
-    """Angle, shift and standard deviation, alone and next to law ``legs``."""
-    record = open_record(f"li2013:{name}")
-    closed, curves = (Likelihood([record], law) for law in (Theory(), rft3d))
-    assert closed.least_squares == pytest.approx(curves.least_squares, abs=0.01)
-    assert closed.shift_deg == pytest.approx(curves.shift_deg, abs=0.02)
-    assert closed.sd == pytest.approx(curves.sd, rel=1e-3)
 
 
 def test_forces_are_in_proportion_to_density_and_scale() -> None:

@@ -16,7 +16,7 @@ from terraphi.experiment.errors import InputError
 from terraphi.view.console import Table, present, progress_bar
 
 if TYPE_CHECKING:
-    from terraphi.laws.legs import LawOfLegs
+    from terraphi.laws.law import AnyLaw
 
 
 @click.group()
@@ -100,9 +100,9 @@ def library_list(as_json: bool) -> None:
 
     Example: terraphi library list
     """
-    from terraphi.laws.named import shipped_laws
+    from terraphi.laws.named import shipped
 
-    summaries = [law.summary() for law in shipped_laws()]
+    summaries = [law.summary() for law in shipped()]
     rows = [
         (law["name"], f"{law['model']}, {law['dimensions']}-D",
          "{:g} to {:g}".format(*law["phi_deg"]), law["convention"], ", ".join(law["legs"]),
@@ -126,7 +126,7 @@ def library_show(name: str, as_json: bool) -> None:
     print_library(stored(name), as_json)
 
 
-def print_library(law: LawOfLegs, as_json: bool) -> None:
+def print_library(law: AnyLaw, as_json: bool) -> None:
     """Print the summary of a library, with its plan as JSON alone."""
     summary = law.summary()
     values = {**summary, **summary["provenance"]}

@@ -45,6 +45,7 @@ from terraphi.inference.inversion import FAR, judge, law_for, record_fits
 from terraphi.inference.likelihood import Likelihood
 from terraphi.inference.records import Record, open_records, rig_name
 from terraphi.inference.terms import root_sum_square, term
+from terraphi.laws.law import AnyLaw
 from terraphi.laws.legs import LawOfLegs
 from terraphi.laws.model_error import ModelError
 
@@ -251,7 +252,7 @@ def calibrate(
     phi_sd_deg: float,
     *,
     soil: str = "",
-    law: LawOfLegs | Path | str | None = None,
+    law: AnyLaw | Path | str | None = None,
     leg: str | None = None,
     rig: Any = None,
     density: float | str | None = None,

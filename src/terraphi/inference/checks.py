@@ -33,7 +33,6 @@ from terraphi.experiment.measurements import measurement
 from terraphi.experiment.priors import DENSITY
 from terraphi.experiment.reading import sensor_turn
 from terraphi.experiment.rig import AIR_MARGIN_DEG, Rig
-from terraphi.experiment.soil import plane_strain_friction_angle_deg
 from terraphi.experiment.units import FORCE, GRAVITY
 from terraphi.forward.rft import to_plane_strain
 from terraphi.inference.answer import Estimate, RecordFit
@@ -554,7 +553,7 @@ def _forces(
     the leg in these sizes.
     """
     rig = Rig.of(record.rig, leg)
-    law = law_of(likelihood.library, rig, record.scenario, strict=False)
+    law = law_of(likelihood.library, rig, record.scenario)
     density = record.density_kg_m3 or DENSITY.mean
     number = cohesion / (density * GRAVITY * rig.length)
     low, high = law.bounds[0][0], law.bounds[1][0]
@@ -694,10 +693,9 @@ def misread(likelihood: Likelihood, i: int, legs: Sequence[Reading], verdict: st
     """
     record, law = likelihood.records[i], likelihood.library
     if record.scenario is not None:
-        from terraphi.laws.store import Library, differences
+        from terraphi.laws.store import differences
 
-        varied = set() if isinstance(law, Library) else VARIED
-        keys = [k for k in differences(record.scenario, law.scenario) if k not in varied]
+        keys = [k for k in differences(record.scenario, law.scenario) if k not in VARIED]
         if keys:
             listed = ", ".join(keys[:3]) + (", …" if len(keys) > 3 else "")
             yield f"The simulation differs from law {law.name} in {listed}: φ may be wrong."
@@ -709,7 +707,7 @@ def misread(likelihood: Likelihood, i: int, legs: Sequence[Reading], verdict: st
 def _other_arm(likelihood: Likelihood, i: int) -> Iterator[str]:
     """Warn of a moment about the hip that is not that of the forces, with the model's arms."""
     record, law = likelihood.records[i], likelihood.laws[i]
-    if record.channels != FORCES or record.history.moment is None or law.arm is None:
+    if record.channels != FORCES or record.history.moment is None:
         return
     theta_deg = law.theta_deg + likelihood.shift_deg[i]
     arm = np.stack([np.interp(record.theta_deg, theta_deg, row) for row in law.arm])
@@ -756,28 +754,15 @@ def plane_strain(phi: Estimate, law: LawOfLegs) -> tuple[Estimate | None, str]:
     """
     if law.convention == "plane_strain":
         return phi, ""
-    soil = law.scenario.soil
-
-    def convert(angle: float) -> float:
-        if law.convention == "rft3d":
-            if angle >= 45.0:
-                raise InputError(
-                    "resistive force theory yields at √J₂ = p tan φ, which has no plane-strain "
-                    "equivalent from φ = 45°"
-                )
-            return float(to_plane_strain(angle))
-        dilation = angle if soil.flow == "associated" else soil.dilation_angle_deg
-        return plane_strain_friction_angle_deg(
-            angle, soil.yield_criterion, dilation_angle_deg=dilation
+    if max(phi.ci95) >= 45.0:
+        return None, (
+            "resistive force theory yields at √J₂ = p tan φ, which has no plane-strain equivalent "
+            "from φ = 45°"
         )
-
-    try:
-        ends = [convert(angle) for angle in (*phi.ci68, *phi.ci95)]
-        # To first order, by the ratio of the 68 % intervals.
-        sd = phi.sd * (ends[1] - ends[0]) / (phi.ci68[1] - phi.ci68[0])
-        return Estimate(convert(phi.median), sd, (ends[0], ends[1]), (ends[2], ends[3])), ""
-    except InputError as error:
-        return None, str(error)
+    median, *ends = to_plane_strain([phi.median, *phi.ci68, *phi.ci95]).tolist()
+    # To first order, by the ratio of the 68 % intervals.
+    sd = phi.sd * (ends[1] - ends[0]) / (phi.ci68[1] - phi.ci68[0])
+    return Estimate(median, sd, (ends[0], ends[1]), (ends[2], ends[3])), ""
 
 
 def second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:

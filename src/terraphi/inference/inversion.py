@@ -39,6 +39,7 @@ from terraphi.laws.model_error import FINE_MM
 if TYPE_CHECKING:
     from terraphi.inference.calibration import Calibration
     from terraphi.inference.pressed import PressedRecord
+    from terraphi.laws.law import AnyLaw
 
 BETTER_LEG = 0.9
 """Residual by another leg over that by the record's own at which the leg is taken for wrong [-]:
@@ -78,7 +79,7 @@ def invert(
     grain_size_mm: float | None = None,
     cohesion: float | str | None = None,
     columns: Any = None,
-    law: LawOfLegs | Path | str | None = None,
+    law: AnyLaw | Path | str | None = None,
     noise: float | tuple[float, float] | None = None,
     gain: float | str | None = None,
     calibration: Calibration | Path | str | None = None,
@@ -122,8 +123,8 @@ def invert(
         Which columns of a table are what, as a mapping of the options of
         :func:`terraphi.read_forces`, or a TOML file of them; ``None``: guessed.
     law
-        Library, file or shipped name; ``None``: ``legs``, and for forces that were simulated
-        otherwise the library whose scenario is nearest.
+        A law, its file or its name, or a library, which is joined to law ``legs``; ``None``:
+        ``legs``, and for forces that resistive force theory simulated ``rft3d``.
     noise
         Standard deviation of one reading [N], of both forces or of each; ``None``: from the
         readings' roughness.
@@ -171,7 +172,7 @@ def invert(
 
 def _answers(
     records: Sequence[Record | PressedRecord],
-    law: LawOfLegs | Path | str | None,
+    law: AnyLaw | Path | str | None,
     calibration: Calibration | Path | str | None,
     began: float,
 ) -> list[Answer]:
@@ -334,25 +335,25 @@ def _attempt(row: Any) -> Answer | InputError:
 
 
 @functools.lru_cache(maxsize=4)
-def _law_named(name: Path | str, _changed_ns: int) -> LawOfLegs:
+def _law_named(name: Path | str | AnyLaw, _changed_ns: int) -> LawOfLegs:
     """A law by its name or its file, kept for the next record until the file changes."""
     from terraphi.laws.named import law_named
 
     return law_named(name)
 
 
-def law_for(records: Sequence[Record], law: LawOfLegs | Path | str | None) -> tuple[LawOfLegs, str]:
+def law_for(records: Sequence[Record], law: AnyLaw | Path | str | None) -> tuple[LawOfLegs, str]:
     """The law to take, and why, if none was named."""
     first = records[0].scenario
     if isinstance(law, str | Path):
         changed_ns = Path(law).stat().st_mtime_ns if Path(law).is_file() else 0
         return _law_named(law, changed_ns), "what sand3d is now" if str(law) == FORMER_NAME else ""
     if law is not None:
-        return law, ""
+        return _law_named(law, 0), ""
     if first is not None and all(record.scenario is not None for record in records):
-        from terraphi.laws.named import nearest_law
+        from terraphi.laws.named import law_of_simulation
 
-        return nearest_law(first), "the nearest to the simulation"
+        return law_of_simulation(first), "the nearest to the simulation"
     return shipped_legs(), "the default for measured forces"
 
 

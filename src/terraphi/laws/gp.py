@@ -1,7 +1,7 @@
 """A Gaussian process with a polynomial mean, for weights that are known at cases.
 
-Libraries and law ``legs`` interpolate their curves by it (:mod:`~terraphi.laws.emulator`,
-:mod:`~terraphi.laws.legs`): Rasmussen & Williams 2006, sections 2.2 and 2.7.
+Law ``legs`` interpolates its curves by it (:mod:`~terraphi.laws.legs`): Rasmussen & Williams 2006,
+sections 2.2 and 2.7.
 """
 
 from __future__ import annotations
@@ -11,11 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
-
-LENGTHS = np.geomspace(0.15, 8.0, 16)
-"""Correlation lengths that are tried, in units of the half range of φ [-]."""
-NUGGETS = np.geomspace(1e-8, 1e2, 24)
-"""Nuggets that are tried, over the variance of the process [-]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,41 +79,3 @@ def matern(first: FloatArray, second: FloatArray, lengths: FloatArray) -> FloatA
     squared = np.maximum(squared - 2.0 * a @ b.swapaxes(-1, -2), 0.0)
     lag = np.sqrt(5.0 * squared)
     return (1.0 + lag + 5.0 / 3.0 * squared) * np.exp(-lag)
-
-
-def fitted(
-    t: FloatArray, basis: FloatArray, weights: FloatArray, rough: FloatArray
-) -> list[Process]:
-    """A process of one parameter for each column of weights, by the restricted likelihood.
-
-    It is looked for on a grid of length and nugget. The nugget of a case goes with the square of
-    its roughness b; dividing everything by b makes it the same for all.
-    """
-    f, w, scale = basis / rough[:, None], weights / rough[:, None], np.outer(rough, rough)
-    # A/bb' = K/bb' + λ 1 has the eigenvectors of K/bb' for all λ, so that one decomposition serves
-    # all nuggets. The grid takes the place of a search: the likelihood may have several maxima.
-    best, chosen = np.full(w.shape[1], -np.inf), np.zeros((w.shape[1], 2))
-    for length in LENGTHS:
-        roots, vectors = np.linalg.eigh(matern(t, t, np.array([length])) / scale)
-        for noise in NUGGETS / np.median(rough) ** 2:
-            value = restricted_log_likelihood(np.maximum(roots, 0.0) + noise, vectors, f, w)
-            better = value > best
-            best[better], chosen[better] = value[better], (length, noise)
-    return [
-        Process.of(t, basis, weights[:, [k]], chosen[k, :1], float(chosen[k, 1]), rough)
-        for k in range(len(chosen))
-    ]
-
-
-def restricted_log_likelihood(
-    roots: FloatArray, vectors: FloatArray, basis: FloatArray, weights: FloatArray
-) -> FloatArray:
-    """Restricted log-likelihood of each column, with its variance profiled out, [column]."""
-    # −½ [(n − q) ln σ² + ln |A| + ln |F'A⁻¹F|] with A = V diag(roots) V', all in the basis V.
-    f, w = vectors.T @ basis, vectors.T @ weights
-    normal = f.T @ (f / roots[:, None])
-    beta = np.linalg.solve(normal, f.T @ (w / roots[:, None]))
-    free = len(w) - f.shape[1]
-    sigma2 = (np.square(w - f @ beta) / roots[:, None]).sum(axis=0) / free
-    volume = np.log(roots).sum() + np.linalg.slogdet(normal)[1]
-    return -0.5 * (free * np.log(sigma2 + 1e-300) + volume)

@@ -38,9 +38,9 @@ class AnyLaw:
     def forces(self, rig: Any, phi_deg: ArrayLike, **options: Any) -> xr.Dataset:
         """Forces on the leg of a rig and their slope with φ: `~terraphi.laws.legs.forces`."""
         from terraphi.laws.legs import forces
+        from terraphi.laws.named import law_named
 
-        law: Any = self
-        return forces(law, rig, phi_deg, **options)
+        return forces(law_named(self), rig, phi_deg, **options)
 
     def summary(self) -> dict[str, Any]:
         """Contents and origin, JSON-able."""
@@ -65,21 +65,17 @@ class LegLaw(ABC):
     """Bulk density that the forces are for [kg/m³]; they are in proportion to it."""
     leg_friction: float
     """Friction of the leg that the forces are for [-]."""
-    _arm: FloatArray | None = None
     most_cohesion: float = 0.0
     """Largest cohesion c / (ρ g L) of the law [-]; 0: it is of dry soil."""
+
+    @property
+    @abstractmethod
+    def arm(self) -> FloatArray:
+        """(a, b) [m] with M = a Fx + b Fz, the moment about the hip, shape [2, theta]."""
 
     @abstractmethod
     def within(self, x: FloatArray, cohesion: float) -> FloatArray:
         """Forces (Fx, Fz) [N] at angles within the bounds, [k, 1] -> [k, 2, theta]."""
-
-    @property
-    def arm(self) -> FloatArray | None:
-        """(a, b) [m] with M = a Fx + b Fz, the moment about the hip, shape [2, theta].
-
-        ``None``: the law has no moment.
-        """
-        return self._arm
 
     # An exact law of a rig has no errors of its own.
 

@@ -6,7 +6,7 @@ With D the depth that a leg reaches in level soil, F is compared with ρ g w D²
 
 θ_1 and θ_2 the first and last angle at which the leg reaches into level soil, z_0 and u_k mean and
 principal components of the curves over their root mean square. The size y_0 and the weights y_k
-share a Gaussian process (:mod:`~terraphi.laws.emulator`) over
+share a Gaussian process (:mod:`~terraphi.laws.gp`) over
 
     ½ ln K,  μ,  ln w/L,  h/L,  ln t/L,  ln(1 + 40 c/(K ρ g D)),  Δx over the rule's
 
@@ -477,22 +477,14 @@ def cells_in(scenario: Scenario | None, rig: Rig) -> float:
     return scenario.numerics.cell_size / rig.length / cells_of(rig.ratios, depth)
 
 
-LawOfLegs: TypeAlias = "Legs | Theory | Library"
-"""A law of any rig, or of those that are like a library's."""
+LawOfLegs: TypeAlias = Legs | Theory
+"""A law of legs."""
 Cases = tuple[FloatArray, FloatArray, FloatArray, tuple[Rig, ...]]
 
 
-def law_of(
-    library: LawOfLegs, rig: Rig, scenario: Scenario | None, *, strict: bool = True
-) -> LegLaw:
+def law_of(law: LawOfLegs, rig: Rig, scenario: Scenario | None) -> LegLaw:
     """The law of a rig, of a simulation in its cells; raises InputError if it covers neither."""
-    if isinstance(library, Legs):
-        return library.law(rig, cells_in(scenario, rig))
-    if isinstance(library, Theory):
-        return library.law(rig)
-    from terraphi.laws.emulator import leg_law
-
-    return leg_law(library, rig, strict=strict)
+    return law.law(rig, cells_in(scenario, rig)) if isinstance(law, Legs) else law.law(rig)
 
 
 def forces(
@@ -511,7 +503,7 @@ def forces(
     Parameters
     ----------
     law
-        A law or library; as a method ``law.forces(rig, phi_deg)``.
+        A law; as a method ``law.forces(rig, phi_deg)``.
     rig
         A :class:`~terraphi.Rig`, its keys, a TOML file, or ``li2013``.
     phi_deg
@@ -527,7 +519,7 @@ def forces(
     -------
     xarray.Dataset
         ``forces`` [N] and ``slope`` [N/deg], with the coordinates ``phi_deg``, ``force`` (``Fx``,
-        ``Fz``) and ``theta_deg``; and ``moment`` about the hip [N m], where the law has it.
+        ``Fz``) and ``theta_deg``; and ``moment`` about the hip [N m].
 
     Raises
     ------
@@ -572,10 +564,8 @@ def forces(
     slope = (upper - lower) / (after - before)[:, None, None]
     variables: dict[Any, Any] = {
         "forces": (dims, force, {"units": "N"}), "slope": (dims, slope, {"units": "N/deg"}),
+        "moment": (dims[::2], (of_rig.arm * force).sum(axis=1), {"units": "N m"}),
     }  # fmt: skip
-    if of_rig.arm is not None:
-        moment = (of_rig.arm * force).sum(axis=1)
-        variables["moment"] = (("phi_deg", "theta_deg"), moment, {"units": "N m"})
     return xr.Dataset(
         variables,
         {"phi_deg": phi, "force": ["Fx", "Fz"], "theta_deg": of_rig.theta_deg},

@@ -1,76 +1,86 @@
-"""Laws of legs by their names and files, and the one that is nearest to a simulation."""
+"""Laws of legs by their names and files, and the one that a simulation is read with."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any, cast
 
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import netcdf_kind
 from terraphi.experiment.rig import Rig
 from terraphi.experiment.scenario import Scenario
 from terraphi.laws.fitted import KIND
-from terraphi.laws.law import PHI
+from terraphi.laws.law import PHI, AnyLaw
 from terraphi.laws.legs import FORMER_NAME, NAME, VARIED, LawOfLegs, Legs, reach, shipped_legs
-from terraphi.laws.store import Library, differences, nearest_library, shipped_library
+from terraphi.laws.store import Library, differences
 from terraphi.laws.theory import Theory
 
 
-def shipped_laws() -> list[LawOfLegs]:
-    """All shipped laws of legs."""
-    return [shipped_legs(), Theory(), *map(shipped_library, Library.names())]
+def shipped() -> list[LawOfLegs | Library]:
+    """All shipped laws of legs, and libraries."""
+    return [stored(name) for name in (NAME, Theory.name, *Library.names())]
 
 
-def nearest_law(scenario: Scenario) -> LawOfLegs:
-    """Law ``legs`` of legs that turn in three dimensions, or the most similar shipped law."""
+def law_of_simulation(scenario: Scenario) -> LawOfLegs:
+    """Law ``legs`` of legs that turn in three dimensions, ``rft3d`` of resistive force theory.
+
+    Raises InputError for any other simulation.
+    """
     if scenario.model == "rft":
         return Theory()
-    turns = (scenario.model, scenario.dimensions, scenario.motion.kind) == ("mpm", 3, "rotation")
-    return shipped_legs() if turns else nearest_library(scenario)
+    if (scenario.dimensions, scenario.motion.kind) != (3, "rotation"):
+        raise InputError(
+            f"no law has the forces of this simulation ({scenario.dimensions}-D, "
+            f"{scenario.motion.kind}); legs that turn in three dimensions have one, and "
+            "'terraphi paper' infers angles in two"
+        )
+    return shipped_legs()
 
 
-def stored(name: Path | str) -> LawOfLegs:
-    """A shipped law of legs by its name, or a law or library from a file; raises InputError."""
+def stored(name: Path | str) -> LawOfLegs | Library:
+    """A law of legs or a library, by its name or from a file; raises InputError."""
     if str(name) in (NAME, FORMER_NAME):
         return shipped_legs()
     if str(name) == Theory.name:
         return Theory()
-    if str(name) in Library.names():
-        return shipped_library(str(name))
     path = Path(name)
-    if not path.suffix and not path.exists():
+    if not path.suffix and not path.exists() and str(name) not in Library.names():
         hint = nearest(str(name), (NAME, Theory.name, *Library.names()))
         raise InputError(f"'{name}' is neither a file nor a law of legs; {hint}")
     of_law = path.is_file() and netcdf_kind(path) == KIND
     return Legs.load(path) if of_law else Library.load(name)
 
 
-def law_named(name: Path | str) -> LawOfLegs:
-    """A law of legs or a library, by its name or file.
+def law_named(name: Path | str | AnyLaw) -> LawOfLegs:
+    """A law of legs by its name or file; a library is joined to law ``legs``.
 
-    Its method ``forces(rig, phi_deg)`` has the forces on a leg (:func:`forces`). A library over φ
-    alone of legs that turn through the soil of law ``legs`` is joined to it.
+    Its method ``forces(rig, phi_deg)`` has the forces on a leg (:func:`forces`).
 
     Raises
     ------
     InputError
-        If there is none.
+        If there is none, or a library is not over φ alone, of legs that turn through the soil of
+        law ``legs`` from air to air.
 
     Examples
     --------
     >>> terraphi.law("legs").legs
     ['c', 'reversed_c', 'straight']
     """
-    stored_law = stored(name)
-    law = nearest_law(stored_law.scenario)
-    if not (isinstance(stored_law, Library) and isinstance(law, Legs)):
-        return stored_law
-    is_same_soil = set(differences(stored_law.scenario, law.scenario)) <= VARIED
-    varies_phi_alone = all(stored_law.keys(leg) == (PHI,) for leg in stored_law.legs)
-    return (
-        law.joined(stored_law)
-        if is_same_soil and varies_phi_alone and _begins_and_ends_in_air(stored_law)
-        else stored_law
-    )
+    law: Any = name if isinstance(name, AnyLaw) else stored(name)
+    if not isinstance(law, Library):
+        return cast("LawOfLegs", law)
+    legs = shipped_legs()
+    differing = [key for key in differences(law.scenario, legs.scenario) if key not in VARIED]
+    varies_phi_alone = all(law.keys(leg) == (PHI,) for leg in law.legs)
+    if differing or not varies_phi_alone or not _begins_and_ends_in_air(law):
+        differs = f" (another {', '.join(differing[:3])})" if differing else ""
+        raise InputError(
+            f"library {law.name}{differs} cannot join law {NAME}: it must be of legs that turn "
+            "through the soil of that law in three dimensions, from air to air, and vary φ alone; "
+            "'terraphi library build --rig' makes one"
+        )
+    return legs.joined(law)
 
 
 def _begins_and_ends_in_air(library: Library) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import itertools
 import json
 from collections.abc import Mapping
@@ -14,16 +13,14 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self
 import numpy as np
 from pydantic import BaseModel, Json
 
-from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.documents import located, shipped_names
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import NetcdfFile
 from terraphi.experiment.history import COORDINATES, ForceHistory, force_variables, positions
 from terraphi.experiment.results import Result, Variable, read
-from terraphi.experiment.rig import contact_deg
 from terraphi.experiment.scenario import Scenario
 from terraphi.laws.fitted import digest
-from terraphi.laws.law import PHI, THETA_DEG, AnyLaw, lever_arm
+from terraphi.laws.law import PHI, AnyLaw
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -32,8 +29,6 @@ if TYPE_CHECKING:
 SEED = frozenset({"numerics.seed", "name"})
 IGNORED = SEED | {PHI, "soil.density", "leg.shape"}
 """Scenario keys in which a simulation may differ from a library's: φ, density, leg, seed, name."""
-REACH_DEG = 88.0
-"""Angle [deg] that the windows of records, which end at 87.2°, do not reach."""
 
 
 class LibraryAttributes(BaseModel):
@@ -55,21 +50,6 @@ class Case(NamedTuple):
     """Its forces; ``None`` if the simulation failed."""
     failure: str = ""
     """Why it failed; empty if it did not."""
-
-
-class Curves(NamedTuple):
-    """Force curves of one leg over the friction angle."""
-
-    x: FloatArray
-    """Friction angles [deg], shape [case, 1]."""
-    theta_deg: FloatArray
-    """Leg angles [deg], shape [theta]."""
-    force: FloatArray
-    """(Fx, Fz) [N], shape [case, 2, theta]."""
-    scenario: Scenario
-    """Scenario of the first case: density, yield criterion and all that is not varied."""
-    arm: FloatArray | None = None
-    """(a, b) [m] with M = a Fx + b Fz, the moment about the hip, shape [2, theta]; or ``None``."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -209,49 +189,6 @@ class Library(AnyLaw, Result):
         """Simulations of a leg that succeeded."""
         return [case for case in self.cases if case.history and case.scenario.leg.shape == leg]
 
-    def curves(self, leg: str) -> Curves:
-        """Force curves of one leg over the friction angle.
-
-        Raises
-        ------
-        InputError
-            If the library lacks the leg, has too few cases of it, varies more than φ, or is not one
-            of rotating legs.
-        """
-        chosen = sorted(self._of(leg), key=lambda case: case.scenario.soil.friction_angle_deg)
-        if not chosen:
-            raise InputError(
-                f"library '{self.name}' has no leg '{leg}'; it has {', '.join(self.legs)}"
-            )
-        first = chosen[0].scenario
-        if (first.model, first.dimensions) == ("rft", 2) or first.motion.kind != "rotation":
-            raise InputError(
-                f"library '{self.name}' has no friction angle to infer: it needs rotating legs in "
-                "a material point method or in three-dimensional resistive force theory"
-            )
-        if self.keys(leg) != (PHI,):
-            raise InputError(
-                f"library '{self.name}' varies {', '.join(self.keys(leg)) or 'nothing'} on leg "
-                f"'{leg}', and φ alone is inferred; build it over {PHI} alone"
-            )
-        if len(chosen) < 3:
-            raise InputError(
-                f"library '{self.name}' has {len(chosen)} cases of leg '{leg}', too few to "
-                "interpolate over φ"
-            )
-        x = np.array([[case.scenario.soil.friction_angle_deg] for case in chosen])
-        histories = [case.history for case in chosen if case.history]
-        low, high = np.degrees(histories[0].position[[0, -1]])
-        inside = (low - 1e-9 <= THETA_DEG) & (high + 1e-9 >= THETA_DEG)
-        # A path that ends in the air, short of what records have, is followed by air.
-        begins, ends = contact_deg(first.leg, first.hip_height)
-        air = (low > THETA_DEG) & (-REACH_DEG < low < begins)
-        air |= (high < THETA_DEG) & (REACH_DEG > high > ends)
-        theta = THETA_DEG[inside | air]
-        means = [_one_degree_means(history, theta, air[inside | air]) for history in histories]
-        force, moments = np.stack([m[:2] for m in means]), [m for m in means if len(m) > 2]
-        return Curves(x, theta, force, first, lever_arm(moments) if moments else None)
-
     # -- files -----------------------------------------------------------------------------------
 
     @staticmethod
@@ -338,19 +275,6 @@ class Library(AnyLaw, Result):
         return cls(attrs.name, tuple(cases), attrs.description, attrs.caveat, attrs.provenance)
 
 
-def _one_degree_means(history: ForceHistory, theta_deg: FloatArray, air: BoolArray) -> FloatArray:
-    """Mean (Fx, Fz) over 1° about leg angles [N], and M [N m] if known, shape [2 or 3, theta].
-
-    Angles in the air, outside the history, have zeros.
-    """
-    moment = () if history.moment is None else (history.moment,)
-    values = np.column_stack([history.Fx, history.Fz, *moment])
-    means = np.zeros((values.shape[1], theta_deg.size))
-    centre = np.radians(theta_deg[~air])
-    means[:, ~air] = history.means(centre, np.radians(0.5), values=values).T
-    return means
-
-
 def _flat(value: Any, name: str = "") -> dict[str, Any]:
     """Leaves of nested dictionaries and lists, by dotted key."""
     if isinstance(value, list):
@@ -373,15 +297,3 @@ def differences(
         and k not in ignored
         and not (scenario.model == "rft" and k.startswith("relief."))
     ]
-
-
-@functools.cache
-def shipped_library(name: str) -> Library:
-    """A shipped library, kept for the next record."""
-    return Library.load(name)
-
-
-def nearest_library(scenario: Scenario) -> Library:
-    """The shipped library whose scenario differs least from a simulation's."""
-    libraries = map(shipped_library, Library.names())
-    return min(libraries, key=lambda library: len(differences(scenario, library.scenario)))

@@ -82,9 +82,9 @@ def _laws() -> str:
     """Read the shipped laws of legs and those of feet, of each shape."""
     from terraphi.experiment.priors import DENSITY, FOOT_FRICTION
     from terraphi.laws.foot import LAWS, Foot
-    from terraphi.laws.named import shipped_laws
+    from terraphi.laws.named import shipped
 
-    legs = [f"{law.name} ({law.summary()['cases']})" for law in shipped_laws()]
+    legs = [f"{law.name} ({law.summary()['cases']})" for law in shipped()]
     sand = {"friction_angle_deg": 30.0, "density": DENSITY.mean,
             "surface_friction": FOOT_FRICTION.mean}  # fmt: skip
     for law, foot in itertools.product(LAWS.values(), (Foot(0.02), Foot(0.02, "disc"))):
