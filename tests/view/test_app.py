@@ -132,6 +132,25 @@ def test_an_answer_comes_with_its_files(served: Served, forces: bytes) -> None:
     assert base64.b64decode(files["report.html"]).startswith(b"<!doctype html>")
 
 
+@pytest.mark.parametrize(("name", "tool"), [("plate", "plate:60"), ("wheel", "wheel:314.7x165")])
+def test_a_table_of_a_tool_is_inverted_as_on_the_command_line(
+    name: str, tool: str, served: Served, tmp_path: Path
+) -> None:
+    file = Path(app.__file__).parents[1] / "data" / "examples" / f"{name}.csv"
+    options = {"name": f"{name}.csv", "tool": tool, "density": "1600±80", "leg_friction": "0.4"}
+    options |= dict.fromkeys(("leg", *SIZES), "")
+    read = json.loads(served.drop(file.read_bytes(), task="look", **options).text)["read"]
+    assert "sinkage from" in read[0]
+    files = json.loads(served.drop(file.read_bytes(), **options).text)["files"]
+    answer = invert(file, tool=tool, density="1600±80", friction="0.4")
+    table = pd.read_csv(io.BytesIO(base64.b64decode(files["fit.csv"])))
+    (tmp_path / "answer.nc").write_bytes(base64.b64decode(files["answer.nc"]))
+    column = "sinkage_mm" if name == "plate" else "slip"
+    np.testing.assert_allclose(table[column], answer.records[0].theta_deg, rtol=1e-4, atol=1e-6)
+    stored = terraphi.Answer.load(tmp_path / "answer.nc")
+    assert stored.phi.median == pytest.approx(answer.phi.median, abs=1e-6)
+
+
 def exported(kind: str) -> bytes:
     """A shipped measurement as somebody's program writes it."""
     history = measurement("li2013:yuma/c").history
@@ -384,6 +403,23 @@ def test_a_file_dropped_in_a_browser_ends_in_its_page(
     page.get_by_label("straight leg").check()
     page.get_by_role("button", name="Sizes of Li").click()
     page.get_by_label("Length, hip to tip").press("Enter")
+    page.locator("#answer img").wait_for(state="attached")
+    assert page.locator(".headline").inner_text().startswith("φ = ")
+    assert trouble == []
+
+
+@pytest.mark.slow
+def test_a_plate_in_a_browser_needs_no_leg(browser: Any, served: Served) -> None:
+    page = browser.new_page()
+    trouble: list[str] = []
+    page.on("pageerror", lambda error: trouble.append(str(error)))
+    page.goto(f"http://127.0.0.1:{served.port}/?token={TOKEN}")
+    page.set_input_files("#file", Path(app.__file__).parents[1] / "data" / "examples" / "plate.csv")
+    page.get_by_label("Its sizes [mm]").fill("plate:60")
+    page.get_by_label("Its sizes [mm]").press("Tab")
+    page.locator("#read").get_by_text("Read, in SI").wait_for()
+    assert not page.locator("#rig").is_visible()
+    page.get_by_role("button", name="Find").click()
     page.locator("#answer img").wait_for(state="attached")
     assert page.locator(".headline").inner_text().startswith("φ = ")
     assert trouble == []

@@ -33,7 +33,7 @@ from terraphi.experiment.files import temporary_folder
 from terraphi.experiment.history import CHANNEL_UNITS
 from terraphi.experiment.leg import Leg, frame_axes
 from terraphi.experiment.reading import ForceColumns
-from terraphi.experiment.rig import LI2013, SIZES, with_rig
+from terraphi.experiment.rig import LI2013, SIZES, Tool, with_rig
 from terraphi.experiment.tables import write_csv
 from terraphi.experiment.workers import end_with
 from terraphi.view import page
@@ -62,6 +62,9 @@ ROLES = {
     "theta": "leg angle θ", "fx": "force Fx", "fz": "force Fz", "moment": "moment at the hip",
     "time": "time",
 }  # fmt: skip
+OPTIONS = ("leg", *SIZES, "leg_friction", "tool", "density", "grain_size_mm", "cohesion",
+           "critical", "law", "robot")  # fmt: skip
+"""Choices next to the columns: options of ``invert`` and the robot."""
 LONGEST_FOLDER = 60
 """Bytes of a temporary folder in which a socket of multiprocessing has its name: that adds 32."""
 LONGEST_NAME = 80
@@ -225,8 +228,7 @@ async def reply_to(
     suffix = Path(name).suffix.lower()
     if suffix not in SUFFIXES:
         raise RefusedError(415, f"{name}: expected a file of {', '.join(SUFFIXES)}")
-    names = ("leg", *SIZES, "density", "columns", "robot", "law")
-    options = {key: query.get(key) or None for key in names}
+    options = {key: query.get(key) or None for key in (*OPTIONS, "columns")}
     with tempfile.TemporaryDirectory(dir=place, prefix="dropped-") as made:
         folder = Path(made)
         await _receive(request, folder / f"dropped{suffix}", name, limits)
@@ -300,7 +302,7 @@ def work(job: dict[str, Any]) -> None:
     ----------
     job
         ``folder`` and ``file`` in it, the ``name`` that was dropped, the ``task`` (look, answer);
-        ``leg``, its sizes [mm], ``density``, ``law``, ``robot`` and, as JSON, ``columns``.
+        :data:`OPTIONS` and, as JSON, ``columns``.
     """
     folder, name = Path(job["folder"]), job["name"]
     file = str(folder / job["file"])
@@ -311,10 +313,10 @@ def work(job: dict[str, Any]) -> None:
     try:
         columns = {**json.loads(job["columns"] or "{}")}
         if job["task"] == "look":
-            reply = look(file, columns)
+            reply = look(file, columns, job.get("tool"))
         else:
             (folder / "files").mkdir()
-            options = {key: job[key] for key in ("leg", *SIZES, "density", "law", "robot")}
+            options = {key: job[key] for key in OPTIONS if job.get(key) is not None}
             sections = answers(file, name, columns, **options)
             reply = {"html": page.drawn(sections)}
             files = {path.name: path.read_bytes() for path in folder.glob("files/*")}
@@ -327,7 +329,7 @@ def work(job: dict[str, Any]) -> None:
         (folder / "refused.txt").write_text(sentence, encoding="utf-8")
 
 
-def look(file: str, columns: dict[str, Any]) -> dict[str, Any]:
+def look(file: str, columns: dict[str, Any], tool: str | None = None) -> dict[str, Any]:
     """Return the kind of a file; for a table of forces its columns, their guesses and readings."""
     from terraphi.experiment.measurements import measurement_of
     from terraphi.experiment.reading import preview, read_trials
@@ -335,6 +337,15 @@ def look(file: str, columns: dict[str, Any]) -> dict[str, Any]:
 
     if (kind := kind_of(file)) != "forces":
         return {"kind": kind}
+    if tool:
+        from terraphi.inference.pressed import open_pressed
+
+        of_tool = open_pressed(file, Tool.of(tool), columns).table
+        values = getattr(of_tool, "values", None) or {key: getattr(of_tool, key)
+                                                      for key in ("sinkage", "force")}  # fmt: skip
+        ends = [f"{key} from {np.nanmin(v):.3g} to {np.nanmax(v):.3g}" for key, v in values.items()
+                if np.isfinite(v).any()]  # fmt: skip
+        return {"kind": kind, "read": [f"Read, in SI: {', '.join(ends)}.", *of_tool.notes]}
     table = read_table(Path(file))
     shown = preview(table, columns)
     rows = [[None if math.isnan(cell) else cell for cell in row] for row in shown["rows"]]
@@ -354,14 +365,11 @@ def look(file: str, columns: dict[str, Any]) -> dict[str, Any]:
     return {**reply, "rig": rig, "density": record.density_kg_m3}
 
 
-def answers(
-    file: str, name: str, columns: dict[str, Any], *,
-    density: str | None, law: str | None, robot: str | None, **sizes: str | None,
-) -> list[Section]:  # fmt: skip
+def answers(file: str, name: str, columns: dict[str, Any], **options: str) -> list[Section]:
     """Make sections for a dropped file: an inversion, footfalls and foot forces, or a result.
 
-    Law and robot are names, or files of this machine. Files to download go to the folder ``files``
-    next to the dropped file.
+    Options are of :data:`OPTIONS`; law and robot are names, or files of this machine. Files to
+    download go to the folder ``files`` next to the dropped file.
     """
     kind, folder = kind_of(file), Path(file).parent / "files"
     if kind in ("forces", "simulation"):
@@ -369,10 +377,16 @@ def answers(
         from terraphi.inference.inversion import invert
         from terraphi.inference.records import tared
 
-        options = with_rig(sizes)
-        measured = open_forces(file, tared(columns, options.get("rig")))
-        measured = [replace(record, name=record.name.replace(file, name)) for record in measured]
-        answer = invert(measured, density=density, law=law, **options)
+        options.pop("robot", None)
+        given = with_rig({**options, "forces": file})
+        if "tool" in options:
+            answer = invert(**given, columns=columns)
+            named = tuple(replace(record, source=name) for record in answer.records)
+            answer = replace(answer, records=named)
+        else:
+            measured = open_forces(given.pop("forces"), tared(columns, given.get("rig")))
+            measured = [replace(part, name=part.name.replace(file, name)) for part in measured]
+            answer = invert(measured, **given)
         write_files(answer, folder)
         return [of_answer(answer)]
     if kind != "log":
@@ -380,10 +394,11 @@ def answers(
     from terraphi.robot.footfalls import footfalls
     from terraphi.robot.results import foot_forces
 
-    foot_log = foot_forces(file, robot=robot or "go2")
+    foot_log = foot_forces(file, robot=options.get("robot", "go2"))
     forces = of_foot_forces(foot_log, name)
     try:
-        walked = footfalls(foot_log.log, robot=foot_log.robot, density=density, law=law or "foot")
+        density, law = options.get("density"), options.get("law", "foot")
+        walked = footfalls(foot_log.log, robot=foot_log.robot, density=density, law=law)
     except InputError as error:
         why = f"No footfalls: {str(error).removeprefix('the log: ')}."
         return [forces._replace(lines=[*forces.lines, why])]
@@ -397,7 +412,7 @@ def write_files(answer: Answer, folder: Path) -> None:
 
     rows = []
     for record in answer.records:
-        columns: dict[str, Any] = {"record": record.source, "theta_deg": record.theta_deg}
+        columns: dict[str, Any] = {"record": record.source, record.coordinate: record.theta_deg}
         curves = {"": record.data, "_model": record.curve}
         curves |= {"_low": record.band[0], "_high": record.band[1]}
         for i, force in enumerate(record.nrmsd):

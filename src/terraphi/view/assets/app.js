@@ -12,7 +12,10 @@ function made(tag, properties, ...inside) {
 
 // -- talking to the server ---------------------------------------------------------------------
 
+const tool = () => form.elements.tool.value.trim();
+
 function columns() {
+  if (tool()) return Object.fromEntries(form.elements.tool_columns.value.split(",").filter(Boolean).map((pair) => pair.split("=").map((text) => text.trim())));
   const found = {};
   for (const select of document.querySelectorAll("#table select")) if (select.value) found[select.value] = select.dataset.column;
   for (const { name, value } of by("reading").querySelectorAll("[name]")) {
@@ -26,11 +29,9 @@ async function send(task) {
   const tell = () => { by("status").textContent = `${task === "look" ? "Reading" : "Working"}: ${Math.round((Date.now() - began) / 1000)} s`; };
   const tick = setInterval(tell, 500);
   tell();
-  const { leg, length, width, thickness, hip_height, hip_sd, density, sd, law, robot } = Object.fromEntries(new FormData(form));
-  const query = {
-    name: file.name, columns: JSON.stringify(columns()), leg: leg || "", length, width, thickness, law, robot,
-    hip_height: hip_height && hip_sd ? `${hip_height}±${hip_sd}` : hip_height, density: density && sd ? `${density}±${sd}` : density,
-  };
+  const { sd, hip_sd, tool_columns, ...query } = Object.fromEntries(new FormData(form));
+  for (const [key, more] of [["hip_height", hip_sd], ["density", sd]]) if (query[key] && more) query[key] += `±${more}`;
+  Object.assign(query, { name: file.name, columns: JSON.stringify(columns()) });
   let found = { refused: "The file did not arrive: it may be too large, or the app has been stopped." };
   try {
     const answer = await fetch(`/${task}?${new URLSearchParams(query)}`, { method: "POST", body: file, headers: { "x-terraphi": token } });
@@ -74,7 +75,8 @@ function apply(option, value) {
   if (option === "leg") form.elements.leg.value = value;
   else for (const pair of value.split(",")) {
     const [key, text] = pair.split("=");
-    if (key in roles) take(key, text);
+    if (tool()) form.elements.tool_columns.value += `${form.elements.tool_columns.value && ","}${pair}`;
+    else if (key in roles) take(key, text);
     else if (form.elements[key]) form.elements[key].value = text;
   }
   if (option === "leg" || (by("answer").childElementCount && form.checkValidity())) answer();
@@ -101,6 +103,9 @@ function ask(...inside) {
 }
 
 function show(found) {
+  by("read").replaceChildren(...(found.read || []).map((text) => made("div", {}, text)));
+  by("questions").replaceChildren();
+  if (!found.candidates) return; // of a tool
   const taken = columns(), questions = [], lacking = [];
   for (const [role, text] of Object.entries(roles)) {
     const may = (found.candidates[role] || []).filter((name) => !Object.values(taken).includes(name));
@@ -121,10 +126,12 @@ function show(found) {
   }
   by("questions").replaceChildren(...questions);
   if (questions.length) alarm("");
-  by("read").replaceChildren(...(found.read || []).map((text) => made("div", {}, text)));
 }
 
 async function look() {
+  // A tool has neither leg nor roles of columns.
+  for (const part of [by("reading"), by("rig")]) part.hidden = part.disabled = Boolean(tool());
+  for (const select of document.querySelectorAll("#table select")) select.hidden = Boolean(tool());
   const found = await send("look");
   if (found?.kind === "forces") show(found);
 }
@@ -142,6 +149,7 @@ async function open(dropped) {
   form.hidden = !["forces", "log"].includes(kind);
   by("forces").hidden = by("forces").inert = kind !== "forces";
   by("robot").hidden = kind !== "log";
+  for (const label of document.querySelectorAll(".of-forces")) label.hidden = kind !== "forces";
   form.noValidate = kind !== "forces"; // what is hidden is required of forces alone
   if (kind !== "forces") { answer(); return; }
   tabulate(found);
@@ -219,5 +227,5 @@ form.addEventListener("change", (event) => {
   const { value, dataset } = event.target;
   by("answer").replaceChildren(); // it was for other choices
   if (dataset.column && value) take(value, dataset.column);
-  if (event.target.closest("#table, #reading")) look();
+  if (event.target.closest("#table, #reading") || event.target.name.startsWith("tool")) look();
 });
