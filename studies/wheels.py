@@ -58,9 +58,10 @@ under it at no slip (c N_c), and φ be far lower; `--cohesion` is refused. Bekke
 handbook numbers of dry sand (n = 1.1, k_φ = 1528 kN/m³·¹, k_c = 0.99 kN/m²·¹) has a sinkage of \
 12 mm at no slip, where 5 mm were measured."""
 LIMITS = """\
-- **Slip.** From a slip of 0.2 to 0.5 φ rises by {driven:.0f}° in grains under a smooth rim, and \
-by {ding:.0f}° on that sand, whose rim is rough: a smooth rim slides, a rough one digs. The \
-answer takes this off by the friction that the torque shows, and lugs count as rough as can be. \
+- **Slip.** From a slip of 0.2 to 0.5 φ changes by {driven:+.1f}° in grains under a smooth rim, \
+by {ding:+.1f}° on that sand, whose rim is rough, and by {under_lugs:+.1f}° under lugs: a smooth \
+rim slides, a rough one digs. The answer takes this off by the friction that the torque shows; \
+lugs count as the roughest rim. \
 Rims of 0.2, 0.35 and 0.5 read the same φ within {rough:.1f}°. Braked wheels read \
 {braked:.0f}° more at a slip of −0.3, for they push a mound. Nothing was learned beyond −0.5 \
 and 0.6. A term in place of these slopes, in which the soil takes up the part 1.2 μ of the rim's \
@@ -166,6 +167,17 @@ def slopes(rows: list[Wheeled]) -> tuple[float, float]:
     return (mean(0.5) - mean(LITTLE)) / (0.5 - LITTLE), (mean(-0.3) - mean(0.0)) / 0.3
 
 
+def lugged_slope(rows: list[Wheeled]) -> float:
+    """Rise of the error under lugs from a slip of LITTLE to 0.5 [deg a unit]."""
+    low, high = (
+        np.mean(
+            [row.read_deg - row.truth_deg for row in rows if "+" in row.name and row.slip == slip]
+        )
+        for slip in (LITTLE, 0.5)
+    )
+    return float(high - low) / (0.5 - LITTLE)
+
+
 def published_slope(table: pd.DataFrame) -> float:
     """Rise of φ of that wheel over driven slips from LITTLE on, by least squares [deg a unit]."""
     rows = table[table.slip >= LITTLE]
@@ -269,7 +281,10 @@ def main() -> None:
     driven, braked = slopes(rows)
     table, by_foot, by_rft = published()
     of_ding = published_slope(table)
-    by_roughness = (of_ding - driven) / (0.55 - SMOOTH)
+    of_lugs = lugged_slope(all_rows)
+    # Least squares through the smooth rim, over both rougher ones.
+    rougher = np.array([0.55, LUGGED]) - SMOOTH
+    by_roughness = float(rougher @ (np.array([of_ding, of_lugs]) - driven) / (rougher @ rougher))
     print(
         f"WHEEL_ERROR: {learned(rows):.1f}, {driven:.1f}, {by_roughness:.0f}, braked {braked:.1f}"
     )
@@ -310,6 +325,7 @@ def main() -> None:
             lugs=", ".join(lugs),
             driven=0.3 * driven,
             ding=0.3 * of_ding,
+            under_lugs=0.3 * of_lugs,
             braked=0.3 * braked,
             rough=by_friction([row for row in all_rows if "-leg" in row.soil], rows),
             bias=np.mean(unsunk),

@@ -36,7 +36,7 @@ COMMANDS = {
     "answer/answer.json": ("export FILE --to chrono-scm --anyway",),
     "answer/manifest.json": ("report answer --out r.html",),
     "simulation.nc": ("report FILE --out r.html", "invert FILE --law rft3d"),
-    "library.nc": ("library show FILE", f"{INVERT} FILE", "report FILE --out r.html"),
+    "library.nc": ("library show FILE", "report FILE --out r.html"),
     "footfalls.nc": ("report FILE --out r.html", WALKED),
     "forces.nc": ("report FILE --out r.html",),
     "law.nc": (f"{INVERT} FILE",),
