@@ -71,7 +71,7 @@ and contradictions: pull without torque, torque that no soil bears.
 - **Lugs** closer than three times their height count as a rough rim of the radius to their \
 tips; from six times on the rim bears the load, and the lugs cut in; between, in part. They add \
 pull that is not in the law. So read, wheels with twelve and 36 \
-lugs of 6 mm in soil B have errors of {lugs} (slips of 0.2 and 0.5, two depths).
+lugs of 6 mm in soils A, B and C have errors of {lugs} (slips of 0.2 and 0.5, two depths).
 - **Without a sinkage** torque and pull together show the resistance, and by it φ: here with \
 errors of {bias:+.1f} and {rms:.1f}°, stated ± {stated:.1f}° ({inside:.0f} % within 95 %). Pull \
 or torque alone show the friction of the rim: the answer is the prior, 18 to 50°."""

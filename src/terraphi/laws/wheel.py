@@ -103,7 +103,7 @@ class WheelError(NamedTuple):
         return self.driven_sd_deg * driven + self.braked_sd_deg * braked
 
 
-WHEEL_ERROR = WheelError(2.9, 12.6, -39.0, 6.0, 13.4, 13.0, 1.4, 1.5)
+WHEEL_ERROR = WheelError(2.8, 12.6, -39.0, 6.0, 13.4, 13.0, 1.4, 1.5)
 """Learned from wheels in loose grains, half a grain added to the sinkage (``studies/wheels.py``,
 which prints these numbers). There φ is level to a slip of 0.2 and then rises by 12.6° a unit under
 a rim of a friction of 0.35, and falls by 6° with lugs; on the sand of Ding et al. (2011), with a
