@@ -80,6 +80,11 @@ class Rolled(NamedTuple):
     notes: list[str]
     """What was guessed and left out."""
 
+    @property
+    def has_sinkage(self) -> bool:
+        """True if the sinkage of a row was measured."""
+        return bool(np.isfinite(self.values["sinkage"]).any())
+
 
 def read_rolled(source: Any, radius: float, columns: Any = None) -> Rolled:
     """Read the rows of a wheel of a radius to its lugs' tips [m]; columns and units are guessed.

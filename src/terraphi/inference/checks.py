@@ -38,7 +38,7 @@ from terraphi.forward.rft import to_plane_strain
 from terraphi.inference.answer import Estimate, RecordFit
 from terraphi.inference.likelihood import SHIFT_DEG, Likelihood, squared_residuals
 from terraphi.inference.records import Record, density_warnings
-from terraphi.inference.verdict import USUAL_DEG, unusual
+from terraphi.inference.verdict import LITTLE_KNOWN, USUAL_DEG, unusual
 from terraphi.laws.law import LegLaw
 from terraphi.laws.legs import VARIED, LawOfLegs, law_of
 from terraphi.laws.model_error import FINE_MM
@@ -406,7 +406,7 @@ def _displaced(likelihood: Likelihood, fits: Sequence[RecordFit], verdict: str) 
 def _unusual(likelihood: Likelihood, phi: Estimate, verdict: str) -> Iterator[str]:
     """Warn of an angle that the forces hardly determine, or that few soils have."""
     if likelihood.sd > np.ptp(likelihood.ends) / np.sqrt(12.0):
-        yield "The forces carry almost no information on φ: the posterior equals the prior."
+        yield LITTLE_KNOWN
     if not likelihood.measured:
         return
     for leg in dict.fromkeys(record.rig.leg for record in likelihood.records):

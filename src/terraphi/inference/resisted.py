@@ -30,7 +30,7 @@ from terraphi.inference.pressed import PressedRecord
 from terraphi.inference.records import density_warnings
 from terraphi.inference.rolled import LIMIT, usable, wheel_of
 from terraphi.inference.terms import ordered_budget, root_sum_square
-from terraphi.inference.verdict import USUAL_DEG, Judgment, large_residual
+from terraphi.inference.verdict import LITTLE_KNOWN, USUAL_DEG, Judgment, large_residual
 from terraphi.laws.law import PHI
 from terraphi.laws.wheel import FRICTIONS, WHEEL_ERROR, Wheel, rolling
 
@@ -51,7 +51,6 @@ STRAIGHT_DEG = 5.0
 """Largest side slip [deg]; chosen."""
 LEAST_SLOPE = 1e-4
 """Least change of D with φ that is divided by [1/deg]."""
-LITTLE_KNOWN = "The forces carry almost no information on φ: the posterior equals the prior."
 DEEP = "the wheel would sink in deeper than law foot has at all angles; check load and diameter"
 CONTRADICTION = 2.5
 """Difference from the nearest angle's resistance over its error that is a misfit [-]; chosen."""

@@ -220,7 +220,7 @@ def _opened(record: PressedRecord, law: Any) -> _Opened:
 def invert_rolled(record: PressedRecord, law: Any = None) -> Answer:
     """Infer φ from a record of a wheel; raises InputError as :func:`invert` does."""
     began = time.perf_counter()
-    if isinstance(record.table, Rolled) and np.isnan(record.table.values["sinkage"]).all():
+    if isinstance(record.table, Rolled) and not record.table.has_sinkage:
         from terraphi.inference.resisted import invert_resisted
 
         return invert_resisted(record, law)
@@ -286,7 +286,7 @@ def phi_along(forces: Any, tool: Tool | str, **options: Any) -> dict[str, FloatA
 
     law = options.pop("law", None)
     record = open_pressed(forces, Tool.of(tool), **{"columns": None, **options})
-    if isinstance(record.table, Rolled) and np.isnan(record.table.values["sinkage"]).all():
+    if isinstance(record.table, Rolled) and not record.table.has_sinkage:
         raise InputError(f"{record.source}: φ along the way needs a sinkage")
     began, opened = time.perf_counter(), _opened(record, law)
     roll, fit, density_sd, _ = opened

@@ -12,6 +12,7 @@ USUAL_DEG = (18.0, 50.0)
 """Friction angles of dry soils in plane strain [deg]: from glass beads, 21 to 24° (Jop, Forterre &
 Pouliquen 2006, Nature 441:727), to dense quartz sand at its peak, 48° (Bolton 1986, Géotechnique
 36:65, table 1, whose critical angles are about 30 to 37°)."""
+LITTLE_KNOWN = "The forces carry almost no information on φ: the posterior equals the prior."
 Judgment = tuple[Verdict, str, Edge | None]
 """Verdict, its reason in a sentence or more, and the end of the law beyond which φ lies."""
 
