@@ -13,9 +13,8 @@ import pytest
 
 HEAD = """# Verification
 
-The solvers of the leg solve problems with known answers. `make verify` runs them and writes this
-page. A check passes if the difference from the expected value is within the tolerance. The number
-in brackets refers to the reason for the tolerance.
+`make verify` solves problems with known answers and writes this page. The number in brackets is
+the reason for the tolerance. A row without a problem belongs to the one above.
 """
 COLUMNS = "| problem | quantity | expected | found | off by | allowed |"
 
@@ -30,11 +29,11 @@ def check(request, record_property):
         off = (found - expected) / (1.0 if absolute else abs(expected))
         low, high = sense != "at_most", sense != "at_least"
         passed = math.isfinite(off) and not (low and off < -within) and not (high and off > within)
-        share = f"{off:+.2g}" if absolute else f"{100.0 * off:+.2g} %"
-        sign = {"equal": "±", "at_most": "up to +", "at_least": "down to −"}[sense]
+        share = f"{off:+.2g}" if absolute else f"{100.0 * off:+.2g}%"
+        sign = {"equal": "±", "at_most": "≤", "at_least": "≥−"}[sense]
         cells = [
             problem, quantity, f"{expected:.4g}", f"{found:.4g}", share,
-            sign + (f"{within:.3g}" if absolute else f"{100.0 * within:.3g} %"), why,
+            sign + (f"{within:.3g}" if absolute else f"{100.0 * within:.3g}%"), why,
         ]  # fmt: skip
         record_property("check", cells)
         if not passed:
@@ -98,8 +97,11 @@ class Page:
         reasons = list(dict.fromkeys(cells[-1] for cells in rows))
         lines = [f"## {title.rstrip('.')}", "", " ".join(text.split()), "", COLUMNS]
         lines.append("| --- " * 6 + "|")
-        for *cells, why in rows:
-            lines.append(f"| {' | '.join(cells)} [{reasons.index(why) + 1}] |")
+        above = ""
+        for problem, *cells, why in rows:
+            shown = ["" if problem == above else problem, *cells]
+            lines.append(f"| {' | '.join(shown)} [{reasons.index(why) + 1}] |")
+            above = problem
         lines += ["", *(f"{i}. {why[:1].upper()}{why[1:]}." for i, why in enumerate(reasons, 1))]
         failed = ["", f"**{Path(file).name} failed: see the run.**"] if file in self.failed else []
         return "\n".join([*lines, *failed, ""])
