@@ -221,7 +221,7 @@ def main() -> None:
             "warning that the whole record does not have. *Inside*: the angle stays within the "
             "95 % interval of the whole record. *Silent*: it does not, without a warning."
         ),
-        pages.table(("damage", "number", *columns), rows),
+        pages.table(("damage", *columns), [(kind, *numbers) for kind, _, *numbers in rows]),
         (
             f"Silent are {silent} of {total} ({silent / total:.1%}); with the right sizes of the "
             f"leg {right} of {of_right} ({right / of_right:.1%})."

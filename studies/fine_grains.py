@@ -26,23 +26,21 @@ SIZES = (0.0, 0.02, 0.06, 0.12, 0.17, 0.24, 0.35)
 SAME_BREADTH = 0.02
 """Difference of the breadth of legs of the same proportions [-]."""
 WORDS = """\
-Large grains under a narrow leg read as soil of a larger angle. Law `legs` takes this off by the \
-size of the grains (`--grain-size`), and takes sand as fine. A cell of the table is the mean of \
-what the law reads less the friction angle of the soil at 27°, and its standard deviation by the \
-effects of the mixed model; scatter between soils and rigs comes on top ([what was learned]\
-(grains.md#what-was-learned)). For the first column nothing was simulated: there the model \
-is extrapolated, and φ in fine sand rests on it.
+Large grains under a narrow leg raise φ. `--grain-size` removes this effect. The table has the \
+error of φ without that, at 27°, and its standard deviation by the \
+[mixed model](grains.md#what-was-learned), over the diameter d of the grains and the width w of \
+the leg. At d/w = 0 nothing was simulated: the model is extrapolated, and φ in fine sand rests on \
+it.
 
-The model also learns from the media of Li et al. (2013), where three legs should agree: for them \
-the curves of the C and the reversed C are below the points.
+The curves of the C and the reversed C are below the points, because the model also learns from \
+the media of Li et al. (2013), where three legs should agree.
 
-Legs twice as large in the same grains test it: with half the size, {drop}, where the \
-model expects {expected} for straight legs. {missing}"""
+Legs twice as large in the same grains test the model: {drop}, where the model expects {expected} \
+for straight legs."""
 PICTURE = (
     "Read less true angle over the size of the grains for three legs; diamonds are legs twice as "
     "large in the same grains"
 )
-MISSING = "Of {legs} none twice as large was simulated yet."
 
 
 def points(leg: str) -> list[tuple[str, float, float]]:
@@ -96,19 +94,16 @@ def main() -> None:
             doubled = [e for name, _, e in of_leg if name.startswith(f"{soil}-loose_rig-double_")]
             if doubled:
                 change = np.mean(usual) - np.mean(doubled)
-                drops.append((leg, f"a {leg} leg reads {change:.1f}° lower in soil {soil}"))
+                drops.append(f"a {leg} leg has {change:.1f}° less in soil {soil}")
     grid[0].set_ylabel("read less true φ [deg]")
     figure.savefig(out / "fine_grains.png", dpi=110)
     header = ("leg", *(f"d/w = {size:g}" for size in np.array(SIZES)[[0, 1, 3, 5, 6]]))
     of_model = curve("straight", np.array([0.236, 0.118]))[0]
-    drop = " and ".join(words for _, words in drops)
-    others = [leg for leg in [*pages.LEGS][:3] if leg not in {leg for leg, _ in drops}]
-    missing = MISSING.format(legs=" and ".join(others)).replace("_", " ") if others else ""
     text = "\n\n".join([
         "# Fine grains",
         "All grains are our own simulations of loose spheres; no leg was tried in sheared sand.",
         pages.table(header, rows),
-        WORDS.format(drop=drop, expected=f"{of_model[0] - of_model[1]:.1f}°", missing=missing),
+        WORDS.format(drop=", ".join(drops), expected=f"{of_model[0] - of_model[1]:.1f}°"),
         f"![{PICTURE}](fine_grains.png)",
         "Written by `python studies/fine_grains.py`.",
     ])  # fmt: skip

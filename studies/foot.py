@@ -11,17 +11,14 @@ they are not used: a shallow dent of a ball is a round footing of radius √(2Rz
 with the power 3/2 of the depth. Cases on other numerics (plan `foot-numerics`) give factors for
 more particles, smaller cells and stiffer soil, with their errors.
 
-The page has these factors, and what the law makes of slopes of the measured plates. `plates.py`
-compares the law with grains.
+The page has these factors. `plates.py` compares the law with grains and measured plates.
 """
 
 from __future__ import annotations
 
 import contextlib
-import csv
 import itertools
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -32,7 +29,7 @@ import terraphi
 from terraphi.experiment.scenario import Scenario
 from terraphi.experiment.units import GRAVITY
 from terraphi.forward.driver import Snapshot
-from terraphi.laws.foot import LAWS, Foot, FootCases
+from terraphi.laws.foot import FootCases
 
 RATIO = np.linspace(0.0, 5.0, 251)
 """Depths over the radius of the table."""
@@ -64,21 +61,10 @@ HELD = ("foot-stiff",)
 """Libraries whose bed lies on a floor that holds it."""
 DEEP = "foot-deep"
 """The library that goes to five radii."""
-PLATE_DENSITY = 1330.0
-"""Of the sand that plates were pressed into [kg/m³]."""
-SPANS = ((1e-3, 5e-3), (5e-3, 12e-3), (12e-3, 20e-3), (20e-3, 28e-3))
-"""Of their sinkage [m]."""
-DRIFT = (
-    "Measured plates: in soil of one φ that keeps its volume, the pressure over ρ g z falls with "
-    "the depth, because the surface bears, too. The pressure under the measured plates begins at "
-    "zero and its slope doubles, so φ by one law rises. Soil that is compacted as it flows behaves "
-    "like this until it is compacted."
-)
 RECTANGLES = pages.ROOT / "data" / "foot_rectangles.csv"
 SLENDER, AREA_RADIUS, OF_PHI, EDGE = (1, 2, 4), 0.024, 30.0, 3e-3
 """Sides' ratios of plates that have the area of a disc of a radius [m], φ of the soil [deg], and by
 how much a grid of 6 mm widens a body at each edge: half a cell [m]."""
-COMPACTED_AT = (0.4, 0.6, 0.8, 1.0, 1.5)
 LAW = pages.ROOT.parent / "src" / "terraphi" / "data" / "laws" / "foot.nc"
 
 
@@ -323,49 +309,6 @@ def write_law(tables: Tables) -> None:
     ).save(LAW)  # fmt: skip
 
 
-def slopes(law: Callable[[float, float, np.ndarray], np.ndarray]) -> list[tuple[str, ...]]:
-    """Slopes of the pressure over ρ g of measured plates, shallow and deep, and φ of each."""
-    path = pages.ROOT / "data" / "plates" / "measured.csv"
-    with path.open(encoding="utf-8", newline="") as file:
-        table = list(csv.DictReader(file))
-    rows = []
-    for diameter in ("60", "100"):
-        own = [r for r in table if r["diameter_mm"] == diameter]
-        depth = np.array([float(r["sinkage_mm"]) for r in own]) / 1e3
-        radius = float(diameter) / 2e3
-        area = math.pi * radius**2
-        pressure = np.array([float(r["force_N"]) for r in own]) / (area * PLATE_DENSITY * GRAVITY)
-        for low, high in SPANS:
-            near = (depth >= low) & (depth < high)
-            if near.sum() < 6:
-                continue
-            slope, level = np.polyfit(depth[near], pressure[near], 1)
-            angles, middle = np.arange(20.0, 45.0, 0.1), np.array([low, high])
-            steep = [np.diff(law(radius, phi, middle))[0] / (high - low) for phi in angles]
-            size = [law(radius, phi, middle).mean() for phi in angles]
-            rows.append(
-                (
-                    f"{diameter} mm", f"{1e3 * low:g} to {1e3 * high:g} mm", f"{slope:.0f}",
-                    f"{level / radius:.1f} R", f"{np.interp(slope, steep, angles):.1f}°",
-                    f"{np.interp(pressure[near].mean(), size, angles):.1f}°",
-                )
-            )  # fmt: skip
-    return rows
-
-
-def compacted(cases: list[Case]) -> list[tuple[str, ...]]:
-    """Pressure over ρ g z under discs in soil of 36° that flow compacts, at depths over R."""
-    discs = [
-        c for c in cases if (c.shape, c.phi, c.tilt, c.friction) == ("cylinder", 36.0, 0.0, 0.5)
-    ]
-    usual = [c for c in discs if (c.cells, c.particles) == (3.0, 4)]
-    rows = [np.searchsorted(RATIO, depth) for depth in COMPACTED_AT]
-    return [
-        (f"ψ = {c.dilation:g}°", *(f"{c.force[k, 1] / (math.pi * RATIO[k]):.0f}" for k in rows))
-        for c in sorted(usual, key=lambda c: -c.dilation)
-    ]
-
-
 def rectangles() -> list[tuple[str, ...]]:
     """Lift on plates over that on a disc of their area, mean from 0.3 to 1.5 radii; simulated once.
 
@@ -453,16 +396,6 @@ def main() -> None:
 
     write_law(tables)
 
-    def law(radius: float, phi: float, depth: np.ndarray) -> np.ndarray:
-        force = LAWS["foot"].force(Foot(radius, "disc"), depth, 0.5 * np.pi, density=1.0,
-                                   friction_angle_deg=phi, surface_friction=0.5)[:, 1]  # fmt: skip
-        return np.asarray(force / (math.pi * radius**2 * GRAVITY))
-
-    header = ("plate", "sinkage", "slope of p/ρg", "p/ρg at no sinkage", "φ of the slope",
-              "φ of the pressure")  # fmt: skip
-    parts += [DRIFT, pages.table(header, slopes(law))]
-    header = ("disc, φ = 36°", *(f"p/ρgz at {depth:g} R" for depth in COMPACTED_AT))
-    parts.append(pages.table(header, compacted(cases)))
     header = ("L/B", "simulated", "for bodies as wide as the grid makes them", "Vesić", "taken")
     parts += [
         (
@@ -475,8 +408,7 @@ def main() -> None:
     parts.append(
         f"In loose grains whose φ a shear cell measured, the simulated forces give {WEAKER_DEG:g}° "
         "less ([plates](plates.md)). So the force of the law at φ is that simulated at "
-        f"φ − {WEAKER_DEG:g}°. φ of the plates above is that of the law, φ elsewhere on this page "
-        "that of the simulation."
+        f"φ − {WEAKER_DEG:g}°. φ on this page is that of the simulation."
     )
     alt = "lift on a ball and a disc over depth, by simulated friction angle"
     pages.write(out, "foot", "The simulated law of a foot", parts, draw(tables), alt)

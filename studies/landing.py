@@ -90,29 +90,6 @@ def moved(hits: list[Hit]) -> np.ndarray:
     return np.asarray(least_squares(residual, (3.0, 1.0)).x)
 
 
-def jointly(hits: dict[tuple[str, str], Hit], slow: dict[str, Hit]) -> list[np.ndarray]:
-    """The same with φ and an exponent of each soil, in all soils and in each of them alone."""
-
-    def off(p: np.ndarray, soils: Sequence[str]) -> np.ndarray:
-        found = [(p[3::2] - usual) / usual_sd]
-        for soil, phi, exponent in zip(soils, p[2::2], p[3::2], strict=True):
-            for hit in (slow[soil], *(hits[soil, name] for name in HITS)):
-                law = laws.LAWS["foot"].force(
-                    laws.Foot(RADIUS), hit.depth, 0.5 * np.pi, friction_angle_deg=phi,
-                    density=hit.density, surface_friction=FRICTION,
-                )[:, 1] * (hit.depth / RADIUS) ** exponent  # fmt: skip
-                inertia = inertia_of(hit, (float(p[0]), float(p[1])))
-                found.append((hit.force - law - inertia) / (NOISE_N + NOISE_PART * hit.force))
-        return np.concatenate(found)
-
-    usual, usual_sd = touchdowns.GROWTH["foot"]
-    groups = [SOILS, *((soil,) for soil in SOILS)]
-    return [
-        least_squares(off, [3.0, 1.0, *([28.0, 0.0] * len(some))], args=[some]).x[:2]
-        for some in groups
-    ]
-
-
 def touched(hits: Sequence[Hit], *, inertia: bool = True) -> touchdowns.Touchdowns:
     """Records as touch-downs of a robot, their forces in soil of :data:`DENSITY`."""
     depth, speed, acceleration = (
@@ -191,7 +168,6 @@ def main() -> None:
         name: touchdowns.learn_exponent(touched(some), "foot", WALK)
         for name, some in (("slow", slow), ("landed", landed))
     }
-    together = jointly(hits, {soil: read(soil, "") for soil in SOILS})
     change = np.abs(phi_deg(landed, grown["landed"]) - phi_deg(landed, WALK))
     parts = [
         (
@@ -205,10 +181,7 @@ def main() -> None:
         (
             f"Root mean square: {rms[True]:.1f}° with inertia, {rms[False]:.1f}° without. Both "
             "numbers of the mass were fitted to these records. Another bed of the same soil "
-            "changes φ by about 1°. Fitted together with φ and an exponent of each soil, they are "
-            f"{together[0][0]:.1f} and {together[0][1]:.1f}, in each soil alone "
-            f"{', '.join(f'{size:.1f}' for size, _ in together[1:])} at the surface. Other "
-            "diameters and discs were not tried."
+            "changes φ by about 1°. Other diameters and discs were not tried."
         ),
         (
             "A walk also fits an exponent that corrects the law's growth with depth, from feet "

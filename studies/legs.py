@@ -303,8 +303,8 @@ def accuracy(law: legs.Legs) -> str:
     header = ("leg", "friction and thickness", "cases", "median", "root mean square", "largest")
     return (
         f"The law was fitted to {len(law.x)} simulations. The table has the error of the size of "
-        "the forces where each simulation is predicted from the others. (Simulations that differ "
-        "from it only by the size of the cells are left out, too.)\n\n"
+        "the forces where each simulation is predicted from the others (but those that differ from "
+        "it only by the size of the cells).\n\n"
         f"{pages.table(header, rows)}\n\n"
         f"Of these errors {np.mean(z < 1.0):.0%} are within one and {np.mean(z < 1.96):.0%} within "
         "1.96 standard deviations of the Gaussian process. The law multiplies this standard "
@@ -382,8 +382,8 @@ def page(law: legs.Legs) -> None:
         accuracy(law),
         (
             "The next table has simulations to which nothing was fitted: Li's legs, and legs at "
-            "random points of the same ranges. *Near an end* means that one parameter is at an end "
-            "of its range. The law finds φ by least squares, with all other parameters given."
+            "random points of the same ranges (*near an end*: one parameter is at an end). The law "
+            "finds φ by least squares, with all other parameters given."
         ),
         pages.table(header, rows),
     ]

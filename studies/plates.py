@@ -41,7 +41,7 @@ FIRST = 1e-3
 DOWN_TO_MM = (8.0, 16.0)
 DRAWN = {"foot": "law foot", "rft": "resistive force theory",
          "hansen": "bearing capacity (Hansen)"}  # fmt: skip
-"""Laws in the picture and in tables of the page; the files have all."""
+"""Laws in the picture."""
 COLOURS = ("#0072b2", "#d55e00", "#009e73")
 PLATE, GRAVITY = (0.0381, 0.0254), 9.81
 MEDIA = {
@@ -290,8 +290,7 @@ def by_soil(out: Path, strength: Mapping[str, float], phi: Mapping[str, float],
         for keys in [[f"{soil} {foot}" for foot in FEET]]
     ]  # fmt: skip
     header = ("soil", "critical φ", "peak", *(f"lift: {foot}" for foot in FEET.values()), *off)
-    shown = ("soil", "critical φ", "peak", *DRAWN)
-    return pages.excerpt(out, "plates_soils", header, rows, shown)
+    return pages.excerpt(out, "plates_soils", header, rows, (*header[:3], "foot"))
 
 
 def by_setting(out: Path, tests: dict[str, list[Test]], strength: Mapping[str, float],
@@ -311,7 +310,7 @@ def by_setting(out: Path, tests: dict[str, list[Test]], strength: Mapping[str, f
     seeds = [np.var([log_strength(t) for t in each], ddof=1) for each in tests.values() if each[1:]]
     rows.append(("another bed (SD)", f"{np.sqrt(np.mean(seeds)):.0%}", *[""] * len(off)))
     header = ("what differs", "F / ρgR³", *off)
-    return pages.excerpt(out, "plates_settings", header, rows, (*header[:2], *DRAWN))
+    return pages.excerpt(out, "plates_settings", header, rows, (*header[:2], "foot"))
 
 
 def inclined(medium: str) -> dict[tuple[float, float], tuple[float, float]]:
@@ -472,14 +471,15 @@ def main() -> None:
         ),
         by_law(out, grains, off),
         (
-            "By soil, with grains of the size they have: φ by law less critical φ, mean of the "
-            "three feet. In the picture grains are coarse, and bars are the range over the feet."
+            "By soil, with grains of the size they have: φ by law `foot` less critical φ, mean of "
+            "the three feet. In the picture grains are coarse, and bars are the range over the "
+            "feet."
         ),
         by_soil(out, strength, phi, off),
         "## What else changes φ",
         (
-            "Change of the lift, and of φ by each law. One bed scatters by the last row. Changes "
-            "smaller than that are not significant. Grains have 6 mm unless a row names a size."
+            "Change of the lift, and of φ by law `foot`. The last row is the scatter between beds. "
+            "Grains have 6 mm unless a row names a size."
         ),
         by_setting(out, grains, strength, off),
         "## Measured plates",
@@ -496,12 +496,11 @@ def main() -> None:
             (*of_motions[:4], "level plate, foot", "level plate, rft"),
         ),
         (
-            "Stress per depth over ρ g on the same plate, flat and pressed down, and upright and "
-            "moved along. The Fourier coefficients of resistive force theory are 5 to "
-            "28 % lower than the measured values pressed down and 14 to 25 % higher moved along."
+            "Its stress per depth is next to that of simulated plates in "
+            "[plates_stress.csv](plates_stress.csv)."
         ),
-        pages.table(compared, of_small_plates()),
     ]  # fmt: skip
+    pages.excerpt(out, "plates_stress", compared, of_small_plates(), compared)
     alt = "φ by laws foot, rft and hansen less φ of the shear cell, over φ, for six loose soils"
     pages.write(out, "plates", "Plates and feet pressed in", parts, draw(off, one_size), alt)
 

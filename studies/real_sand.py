@@ -106,14 +106,13 @@ def main() -> None:
         for a in answers
     ]
     header = ("medium", "leg", "repose", "φ", "68 %", "95 %", "NRMSD Fx / Fz", "verdict")
-    shown = ("medium", "leg", "repose", "φ", "95 %", "verdict")
+    shown = ("medium", "leg", "repose", "φ", "95 %")
     parts = [
         (
             "`terraphi invert` on every record of Li et al. (2013). Law `legs` was not fitted to "
             "these records, but the model of its error was: by the differences between legs in one "
-            "medium, and by angles of repose of loose media, from which critical angles differ by "
-            "some degrees. So legs agree better here than in a new medium "
-            "([benchmark](benchmark.md))."
+            "medium, and by angles of repose of loose media. So legs agree better here than in a "
+            "new medium ([benchmark](benchmark.md))."
         ),
         "\n".join(f"- {line}" for line in summary(answers)),
         pages.excerpt(out, "real_sand", header, rows, shown),

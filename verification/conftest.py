@@ -16,7 +16,7 @@ HEAD = """# Verification
 `make verify` solves problems with known answers and writes this page. The number in brackets is
 the reason for the tolerance. A row without a problem belongs to the one above.
 """
-COLUMNS = "| problem | quantity | expected | found | off by | allowed |"
+COLUMNS = "| problem | quantity | expected | off by | allowed |"
 
 
 @pytest.fixture
@@ -32,12 +32,12 @@ def check(request, record_property):
         share = f"{off:+.2g}" if absolute else f"{100.0 * off:+.2g}%"
         sign = {"equal": "±", "at_most": "≤", "at_least": "≥−"}[sense]
         cells = [
-            problem, quantity, f"{expected:.4g}", f"{found:.4g}", share,
+            problem, quantity, f"{expected:.4g}", share,
             sign + (f"{within:.3g}" if absolute else f"{100.0 * within:.3g}%"), why,
         ]  # fmt: skip
         record_property("check", cells)
         if not passed:
-            missed.append(f"{problem}, {quantity}: {found:.6g}, not {expected:.6g} {cells[5]}")
+            missed.append(f"{problem}, {quantity}: {found:.6g}, not {expected:.6g} {cells[4]}")
 
     yield compare
     if missed:
@@ -96,7 +96,7 @@ class Page:
         rows = [cells for _, found in sorted(self.rows[file].items()) for cells in found]
         reasons = list(dict.fromkeys(cells[-1] for cells in rows))
         lines = [f"## {title.rstrip('.')}", "", " ".join(text.split()), "", COLUMNS]
-        lines.append("| --- " * 6 + "|")
+        lines.append("| --- " * 5 + "|")
         above = ""
         for problem, *cells, why in rows:
             shown = ["" if problem == above else problem, *cells]
