@@ -59,6 +59,7 @@ def bekker(records: Sequence[RecordFit]) -> Bekker | None:
         tool = record.rig
         if not isinstance(tool, Tool) or tool.shape.foot != "disc":
             continue
+        # p = F / (π R²), of a rectangle R is the radius of a disc of its area.
         b = tool.radius if len(tool.size_mm) == 1 else 1e-3 * min(tool.size_mm)
         z, p = 1e-3 * record.theta_deg, 1e-3 * record.data[0] / (math.pi * tool.radius**2)
         borne = p > 0.0
@@ -73,6 +74,7 @@ def bekker(records: Sequence[RecordFit]) -> Bekker | None:
     # One exponent, and one ln k for each size.
     rows = np.column_stack([log_z, np.eye(size.size)[of_size]])
     n, *log_k = np.linalg.lstsq(weight[:, None] * rows, weight * log_p, rcond=None)[0].tolist()
+    # k = k_c (1/b) + k_φ is a line over 1/b.
     k = np.exp(log_k)
     k_c, k_phi = np.polyfit(1.0 / size, k, 1).tolist() if size.size > 1 else (None, None)
     return Bekker(n, {f"{1e3 * b:g}": v for b, v in zip(size.tolist(), k.tolist(), strict=True)},

@@ -217,13 +217,16 @@ class Calibration(Strict):
         k = row.size
         prior = np.diag(np.append(np.zeros(k), error.rig_sd_deg**2 + kept))
         prior[:k, :k] = error.covariance_deg2
-        # K of the soils, y = read − phi.
+        # y = read − φ = E z + e, where e is independent between soils. Records of one soil share
+        # its error and that of φ, records of one leg in it that of soil × leg, and of the errors of
+        # two readings the smaller.
         of_soil = error.soil_sd_deg**2 + error.leg_sd_deg**2 * (legs[:, None] == legs)
         of_soil = of_soil + np.minimum.outer(read_variance, read_variance)
         of_soil += np.square([soil.phi_sd_deg for soil in first])
         total = effects @ prior @ effects.T + (soils[:, None] == soils) * of_soil
         total += np.diag(1e-6 + bed_variance)
-        # Mean and covariance of z given y; the record has the row (x, is on the rig).
+        # Mean and covariance of z given y, by Gaussian conditioning: G = S E' K⁻¹, z = G y and
+        # S − G E S. The record has the row (x, is on the rig).
         gain = np.linalg.solve(total, effects @ prior).T
         values, vectors = np.linalg.eigh(prior - gain @ effects @ prior)
         of_record = np.append(row, rigs == rig)
@@ -323,6 +326,8 @@ def _calibration_soil(
     verdict, reason, _ = judge(likelihood, fits, legs, damaged=bool(in_air(likelihood)))
     if verdict != "consistent":
         raise InputError(f"{record.source}: cannot calibrate with it. {reason}")
+    # A calibration removes from other records on the rig only what the rig keeps (`rig_sd`), not
+    # the errors of this record (`sd`).
     shares, error = likelihood.budget(), likelihood.error
     fixed = [name for name in shares if term(name).fixed]
     rig_sd = math.hypot(*(shares[name] for name in fixed))

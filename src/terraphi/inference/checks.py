@@ -557,6 +557,7 @@ def _forces(
     density = record.density_kg_m3 or DENSITY.mean
     number = cohesion / (density * GRAVITY * rig.length)
     low, high = law.bounds[0][0], law.bounds[1][0]
+    # Columns are judged by angles of real soil alone: at any angle some curve resembles any forces.
     if usual:
         ends = np.array(USUAL_DEG)
         low, high = np.clip(ends + likelihood.offset(record, ends), low, high)

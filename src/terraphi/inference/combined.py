@@ -70,6 +70,7 @@ def _correlation(causes: Sequence[tuple[float, ...]], laws: Sequence[str]) -> Fl
     correlation = np.equal.outer(laws, laws).astype(float)
     for i, j in np.argwhere(correlation):
         if causes[i] and len(causes[i]) == len(causes[j]):
+            # The errors are Σ aₖ ξₖ and Σ bₖ ξₖ, with causes ξ of unit variance.
             a, b = np.array(causes[i]), np.array(causes[j])
             correlation[i, j] = a @ b / math.sqrt(a @ a * (b @ b))
     return correlation
@@ -94,6 +95,7 @@ def combined(answers: Sequence[Answer]) -> Answer:
         raise InputError("answers that are joined are of φ in plane strain; leave out --law")
     names = [*dict.fromkeys(name for answer in answers for name in answer.budget_deg)]
     phi, errors = np.array([answer.phi.median for answer in answers]), errors_of(answers, names)
+    # Generalized least squares of one angle: w = C⁻¹1 / (1'C⁻¹1), of variance w'Cw.
     inverse = np.linalg.inv(errors.covariance)
     # An answer that shares most of its error with a better one has the weight 0, not less.
     weight = np.maximum(inverse.sum(axis=1), 0.0)
@@ -104,6 +106,7 @@ def combined(answers: Sequence[Answer]) -> Answer:
     # answer shares is widened by it.
     birge = math.sqrt(max(float(deviation @ inverse @ deviation) / (len(phi) - 1), 1.0))
     widening = math.sqrt((birge**2 - 1.0) * float(weight**2 @ errors.alone))
+    # Variance of the mean by each term: Σᵢⱼ wᵢ σᵢ ρᵢⱼ σⱼ wⱼ.
     moved = weight * errors.sds
     variances = np.einsum("ti,tij,tj->t", moved, errors.shared, moved)
     # A term that does not weigh is each answer's in the covariance, and one error in the interval.
@@ -143,6 +146,7 @@ def _verdict(
         for answer in answers
     )
     phi, variance = np.array([answer.phi.median for answer in answers]), covariance.diagonal()
+    # The difference of two answers has the variance Cᵢᵢ + Cⱼⱼ − 2 Cᵢⱼ.
     pairs = np.triu_indices(len(phi), 1)
     sd = np.sqrt((variance[:, None] + variance - 2.0 * covariance)[pairs])
     if (np.abs(phi[:, None] - phi)[pairs] / sd).max() > DISAGREE:

@@ -80,6 +80,7 @@ def least_squares(
     costs, damping = cost(x, errors, weight), np.full(len(x), DAMPING)
     for _ in range(ROUNDS):
         at, s, of_rows = x[rows], slope(x[rows], rows), weight[rows]
+        # Normal equations of the linear problem about x: (S'WS + P) δ = S'W (d − g) − P (x − m).
         weighted = s.swapaxes(1, 2) @ of_rows
         normal = weighted @ s + precision * np.eye(len(scale))
         gradient = (weighted @ errors[rows, :, None])[..., 0]
@@ -90,12 +91,16 @@ def least_squares(
         fixed |= normal.diagonal(axis1=1, axis2=2) == 0.0
         normal[fixed[:, :, None] | fixed[:, None, :]] = 0.0
         normal += np.where(fixed, 1.0, 0.0)[:, :, None] * np.eye(len(scale))
+        # Marquardt: λ times the diagonal turns the step from that of Gauss and Newton towards the
+        # gradient, in the scale of each parameter.
         damped = normal * (1.0 + damping[rows, None, None] * np.eye(len(scale)))
         step = np.linalg.solve(damped, np.where(fixed, 0.0, gradient)[..., None])[..., 0]
         tried = np.clip(at + step, low, high)
         moves = np.abs((tried - at) / scale).max(axis=1) > settled
         new_errors = residual(tried, rows)
         new_costs = cost(tried, new_errors, of_rows)
+        # A step is taken if it lowers the cost, and damped more otherwise; problems whose step is
+        # small are left out from here on.
         better = new_costs <= costs[rows]
         improved = rows[better]
         x[improved], errors[improved] = tried[better], new_errors[better]
@@ -113,6 +118,7 @@ def weights(
     """Weights c and (S'WS + P)⁻¹, shape [problem, key, datum] and [problem, key, key]."""
     weighted = slope.swapaxes(1, 2) @ weight
     normal = weighted @ slope + precision * np.eye(slope.shape[2])
+    # Scaled to a unit diagonal before it is inverted, for φ, shift and cohesion differ by decades.
     size = np.sqrt(np.maximum(normal.diagonal(axis1=1, axis2=2), 1e-300))
     unit = 1.0 / (size[:, :, None] * size[:, None, :])
     # A parameter that nothing depends on has no weights.

@@ -47,6 +47,7 @@ UNITS = {"clay": 8e3, "layer": 5e3}
 
 
 def _contact(foot: Foot, depth: FloatArray) -> FloatArray:
+    # The circle in which a ball meets the surface: π z (2R − z), full from z = R on.
     cap = np.minimum(depth, foot.radius)
     return 9.0 * UNITS["clay"] * math.pi * cap * (2.0 * foot.radius - cap)
 
@@ -90,6 +91,7 @@ def without_angle(touchdowns: Touchdowns, law: str, prior: Prior) -> str:
     """
 
     def fitted(named: str | FootLaw) -> Fit:
+        # The walk's law may grow with depth as it was learned, but no slower than in any sand.
         exponent = max(prior.exponent, LEAST_EXPONENT) if named == law else 0.0
         return fit(touchdowns, named, replace(prior, exponent=exponent))
 

@@ -395,6 +395,7 @@ class Likelihood:
         shifts = shift_deg + np.array([[0.0], [0.1], [-0.1]])
         (above, below, _), (*_, later), (*_, earlier) = self._means(forces, shifts)
         of_record = np.eye(len(self.records))[self._record_index]
+        # The shift of one record does not move the others.
         of_shift = of_record * (later - earlier)[:, None] / 0.2
         return np.column_stack([(above - below) / (2.0 * step), of_shift])
 
@@ -513,6 +514,7 @@ class Likelihood:
             prior *= -0.5 * (COHESION_DEGREES + 1)
         else:
             prior = -0.5 * np.square((c - first.cohesion_pa) / first.cohesion_sd_pa)
+        # ln p(c | d) = ln p(c) − ν/2 ln S(c): ν residuals of a size that is not known.
         log = prior - 0.5 * self._independent_residuals * np.log(squares + RIDGE**2)
         weight = np.exp(log - log.max()) * np.gradient(c)
         weight /= weight.sum()

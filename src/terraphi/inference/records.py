@@ -185,6 +185,7 @@ class Record:
         Rounding to steps of q has the variance q²/12, one error for equal readings in a row.
         """
         weights = self._windows[1]
+        # Readings have independent errors of one size a channel: cov(W e) = σ² W W'.
         covariance = np.kron(np.diag(np.square(self.noise)), weights @ weights.T)
         m = len(weights)
         for i, (name, step) in enumerate(zip(self.channels, self.resolution, strict=True)):
@@ -297,6 +298,7 @@ def open_records(
     InputError
         If the forces, the body or the density cannot be used.
     """
+    # Options of legs do not go with tools alone, nor a friction of tools with legs alone.
     sources = _sources(forces)
     has_leg = tool is None and not all(isinstance(body, Tool) for _, body in sources)
     excluded = {"leg": leg, "rig": rig, **options}
@@ -465,7 +467,9 @@ def record_of(
     factor, gain_sd = SENSOR_GAIN.mean, None
     if gain is not None:
         factor, gain_sd = with_sd(f"{name}: gain", gain, "it as 1.05 or 1.05±0.01", (0.1, 10.0))
+    # Only where density and gain were both measured is the scale of the forces certain.
     has_scale = None not in (gain_sd, stated) and number_with_sd(str(stated))[1] is not None
+    # Steps of rounding: as the table had them before it was averaged, else from the readings.
     channels, measured = raw.channels, raw.provenance.get("resolution", {})
     steps = {key: measured.get(key, resolution(raw.channel(key))) / factor for key in channels}
     coarse = " and ".join(
@@ -600,4 +604,6 @@ def grain_size(given: float | str | None, width_mm: float, name: str) -> float:
 
 def roughness(values: FloatArray) -> float:
     """Noise of readings, from their second differences, in which noise is √6 times as large."""
+    # Forces are smooth from reading to reading: e₁ − 2 e₂ + e₃ has the variance 6 σ². The median
+    # absolute value over 0.6745 is a standard deviation that spikes do not raise.
     return float(1.4826 * np.median(np.abs(np.diff(values, n=2))) / np.sqrt(6.0))
