@@ -392,8 +392,8 @@ def test_a_moment_is_no_larger_than_a_force_at_the_tip_and_cohesion_adds() -> No
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"phi_deg": 5.0}, "friction_angle_deg 10 to 55; found"),
-        ({"density": 1.0}, "density = 1 kg"),
+        ({"phi_deg": 5.0}, "10 to 55 deg by law legs"),
+        ({"density": 1.0}, "density = 1: 100 to 10000 kg"),
         ({"cohesion_pa": 1e5}, "cohesion_pa = 100000"),
         ({"leg": None}, "lacks its leg"),
     ],

@@ -30,15 +30,8 @@ SPEED = {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "m/min": 1.0 / 60.0, "km/h": 1.
 """Meters per second."""
 RATE = {"rad/s": 1.0, "deg/s": pi / 180.0, "rpm": pi / 30.0}
 """Radians per second."""
-KINDS = {"force": FORCE, "angle": ANGLE, "moment": MOMENT, "time": TIME}
-KINDS |= {
-    "length": LENGTH,
-    "way": LENGTH,
-    "pressure": PRESSURE,
-    "share": SHARE,
-    "speed": SPEED,
-    "rate": RATE,
-}
+KINDS = {"force": FORCE, "angle": ANGLE, "moment": MOMENT, "time": TIME, "length": LENGTH}
+KINDS |= {"way": LENGTH, "pressure": PRESSURE, "share": SHARE, "speed": SPEED, "rate": RATE}
 _OTHER_NAMES = {
     "newton": "N", "newtons": "N", "lb": "lbf", "lbs": "lbf", "pound": "lbf", "pounds": "lbf",
     "kp": "kgf", "kg": "kgf", "g": "gf", "°": "deg", "º": "deg", "degree": "deg", "degrees": "deg",

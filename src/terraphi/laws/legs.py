@@ -35,7 +35,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.arrays import FloatArray, numbers
 from terraphi.experiment.bodies import OUTLINES
 from terraphi.experiment.documents import shipped_file, strictly
 from terraphi.experiment.errors import InputError
@@ -51,7 +51,7 @@ from terraphi.experiment.rig import (
 from terraphi.experiment.units import GRAVITY
 from terraphi.laws.fitted import FittedLaw
 from terraphi.laws.gp import Process
-from terraphi.laws.law import PHI, STEP, AnyLaw, LegLaw, is_similar, remedy
+from terraphi.laws.law import STEP, AnyLaw, LegLaw, is_similar, remedy
 from terraphi.laws.model_error import ModelError
 from terraphi.laws.theory import Theory
 
@@ -538,20 +538,12 @@ def forces(
 
     apparatus = Rig.of(rig, leg)
     of_rig = law_of(law, apparatus, None)
-    try:
-        phi = np.atleast_1d(np.asarray(phi_deg, dtype=np.float64))
-        density = None if density is None else float(density)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"phi_deg and density are numbers here: {error}") from None
     (low,), (high,) = of_rig.bounds
-    if phi.ndim != 1 or not ((phi >= low) & (phi <= high)).all():
-        raise InputError(
-            f"law {law.name} is for {PHI} {low:g} to {high:g}; found phi_deg = {phi.tolist()}"
-        )
-    if not (density is None or 100.0 <= density <= 10_000.0):
-        raise InputError(f"density = {density:g} kg/m³; 100 to 10000 kg/m³ are accepted")
+    phi = numbers("phi_deg", phi_deg, low=low, high=high, unit=f"deg by law {law.name}").ravel()
     # Forces go with the density, and a cohesion counts over the weight: c / (ρ g L).
-    heavier = 1.0 if density is None else density / of_rig.density
+    given = of_rig.density if density is None else density
+    heavier = float(numbers("density", given, shape=(), low=100.0, high=1e4, unit="kg/m³"))
+    heavier /= of_rig.density
     cohesion = cohesion_pa / (heavier * of_rig.density * GRAVITY * apparatus.length)
     if not 0.0 <= cohesion <= of_rig.most_cohesion:
         most = cohesion_pa / cohesion * of_rig.most_cohesion if cohesion else 0.0
