@@ -14,7 +14,7 @@ import pytest
 HEAD = """# Verification
 
 `make verify` solves problems with known answers and writes this page. The number in brackets is
-the reason for the tolerance. A row without a problem belongs to the one above.
+the reason for the tolerance. An empty cell is as the one above.
 """
 COLUMNS = "| problem | quantity | expected | off by | allowed |"
 
@@ -97,11 +97,12 @@ class Page:
         reasons = list(dict.fromkeys(cells[-1] for cells in rows))
         lines = [f"## {title.rstrip('.')}", "", " ".join(text.split()), "", COLUMNS]
         lines.append("| --- " * 5 + "|")
-        above = ""
-        for problem, *cells, why in rows:
-            shown = ["" if problem == above else problem, *cells]
-            lines.append(f"| {' | '.join(shown)} [{reasons.index(why) + 1}] |")
-            above = problem
+        above = ["", ""]
+        for *cells, why in rows:
+            pairs = zip(cells[:2], above, strict=True)
+            named = ["" if cell == old else cell for cell, old in pairs]
+            lines.append(f"| {' | '.join([*named, *cells[2:]])} [{reasons.index(why) + 1}] |")
+            above = cells[:2]
         lines += ["", *(f"{i}. {why[:1].upper()}{why[1:]}." for i, why in enumerate(reasons, 1))]
         failed = ["", f"**{Path(file).name} failed: see the run.**"] if file in self.failed else []
         return "\n".join([*lines, *failed, ""])

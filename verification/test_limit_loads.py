@@ -2,9 +2,8 @@
 
 A plate that moves the soil must meet the limit load of plasticity theory, or φ inferred from forces
 has another meaning. The plate is a leg in plane strain with contact at the nodes within half a
-cell. Loads are compared before the geometry changes: the soil is so stiff that the plate reaches
-its limit load before it has visibly moved. The last row of the passive wall is the plateau of a
-leg's force history.
+cell. The soil is so stiff that the plate reaches its limit load before it has visibly moved. The
+last row of the passive wall is the plateau of a leg's force history.
 """
 
 from __future__ import annotations

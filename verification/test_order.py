@@ -2,8 +2,7 @@ r"""Order of convergence.
 
 Smooth solutions in elastic soil are computed on finer and finer grids, with step and grid refined
 together. At second order half the cell size gives a quarter of the error, until the integration by
-particles sets a floor. Positions are those at the end of a step, velocities those half a step
-before it. Stresses are compared in their means around the nodes.
+particles sets a floor.
 """
 
 from __future__ import annotations
@@ -232,7 +231,7 @@ def test_errors_fall_with_the_order_of_the_scheme(check, problem, errors, cells,
     coarse, fine = errors(cells), errors(2 * cells)
     for quantity, error in fine.items():
         check(
-            problem, f"order of the {quantity}, {cells}² → {2 * cells}² cells, error {error:.1e}",
+            problem, f"order of {quantity}, {cells}² → {2 * cells}², error {error:.1e}",
             expected=order, found=math.log2(coarse[quantity] / error), within=0.2, absolute=True,
             sense="at_least", why=why,
         )  # fmt: skip

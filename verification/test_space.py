@@ -1,8 +1,8 @@
 """Three dimensions.
 
 Smooth round footings on soil of one φ with associated flow are compared with exact loads by slip
-lines, and a wall as narrow as a leg with one in plane strain. Sheared soil is compared with its
-strength. Kernel, contact, phases and damping are those of preset `sand3d`.
+lines, a wall as narrow as a leg with one in plane strain, and sheared soil with its strength, by
+the numerics of preset `sand3d`.
 """
 
 from __future__ import annotations

@@ -376,9 +376,9 @@ def sections(out: Path, rows: Sequence[Row]) -> list[str]:
         pages.table(("what is wrong", "consistent, without a warning"), wrong(law, usual)),
         "## What was learned",
         (
-            "Standard deviations between soils, legs in a soil, rigs, kinds of grains, and beds, "
-            "and the effects of leg, grains and rig on φ, of the model that law `legs` has "
-            "(`studies/errors.py`). *Grains* is the effect of grains of 6 mm on a leg of 25.4 mm, "
+            "The [model of the error](explanation/interval.md#the-offset-what-soils-add) of law "
+            "`legs`: standard deviations between soils, legs in a soil, rigs, kinds of grains, and "
+            "beds, and effects on φ. *Grains* is the effect of grains of 6 mm on a leg of 25.4 mm, "
             "in proportion to their size over the width; *grains curve* is that with the root of "
             "it. *Breadth* is for each unit of the logarithm of width over depth."
         ),
