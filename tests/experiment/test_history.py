@@ -17,6 +17,7 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.reading import read_forces
 from terraphi.experiment.scenario import Scenario
+from terraphi.paper.likelihood import observe
 
 BINS_DEG = np.arange(-134.95, 135.0, 0.1)
 Force = Callable[[np.ndarray], np.ndarray]
@@ -36,7 +37,7 @@ def bumps(theta_deg: np.ndarray) -> np.ndarray:
 
 
 def test_a_line_is_its_value_at_the_angles_of_the_paper() -> None:
-    observation = history_of(lambda t: 2.0 * t + 1.0, lambda t: 0 * t - 1.2).observation()
+    observation = observe(history_of(lambda t: 2.0 * t + 1.0, lambda t: 0 * t - 1.2))
     assert observation.theta_deg == pytest.approx(-85.0 + 170.0 / 39.0 * np.arange(40))
     assert observation.Fx == pytest.approx(2.0 * observation.theta_deg + 1.0, abs=1e-10)
     assert observation.Fz == pytest.approx(-1.2, rel=1e-12)
@@ -76,7 +77,7 @@ def test_windows_are_cut_at_both_ends_of_the_record() -> None:
     """Over -85°..: the first window keeps its inner half, whose mean lies a quarter further in."""
     theta = np.linspace(-85.0, 85.0, 1701)
     history = history_of(lambda t: t, lambda t: 0 * t + 1.0, theta)
-    observation = history.observation()
+    observation = observe(history)
     quarter = 85.0 / 39.0 / 2.0
     assert observation.Fx[[0, -1]] == pytest.approx([-85.0 + quarter, 85.0 - quarter])
     assert observation.Fx[1:-1] == pytest.approx(observation.theta_deg[1:-1], abs=1e-10)
@@ -114,34 +115,6 @@ def test_the_largest_force_of_a_path_keeps_its_sign() -> None:
     with pytest.raises(ValueError, match="no whole degree"):
         early.peaks()
     assert early.summary()["peak_Fz_N"] == 1.0
-
-
-# -- records that cannot be inverted -----------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("theta_deg", "words"),
-    [
-        (np.arange(-90.0, 1.0), "theta covers -90.0 to 0.0 deg"),
-        (np.linspace(-85.0, 85.0, 39), "39 angles within ±85 deg, gaps up to 4.5 deg"),
-        (np.r_[-90.0:-29.0, 1.0:91.0], "gaps up to 31.0 deg; ±85 deg, 40 angles and"),
-    ],
-)
-def test_records_that_do_not_cover_the_window(theta_deg: np.ndarray, words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        history_of(bumps, bumps, theta_deg).observation()
-
-
-def test_a_record_that_ends_anywhere_near_the_window_s_end_is_refused_or_used() -> None:
-    """Wherever it ends there is an answer, and it is one of the two."""
-    edge = 85.0 - 85.0 / 39.0
-    for end in edge + np.array([-1e-3, -1e-12, 0.0, 1e-12, 1e-3, 1e-2, 0.5]):
-        history = history_of(bumps, bumps, np.linspace(-end, end, 300))
-        if end < edge + 5e-3:
-            with pytest.raises(InputError, match="theta covers"):
-                history.observation()
-        else:
-            assert np.isfinite(history.observation().vector).all()
 
 
 @pytest.mark.parametrize(
@@ -250,12 +223,12 @@ def test_csv_there_and_back(tmp_path: Path) -> None:
 
 
 @given(factor=st.floats(0.01, 3.0), sign=st.sampled_from([-1.0, 1.0]))
-def test_observation_and_moment_are_linear_in_the_force(factor: float, sign: float) -> None:
+def test_means_and_moment_are_linear_in_the_force(factor: float, sign: float) -> None:
     plain = history_of(bumps, lambda t: bumps(-t), np.linspace(-90, 90, 200))
     history = ForceHistory(plain.position, plain.force, moment=0.1 * plain.Fx)
     scaled = history.scaled(sign * factor)
-    expected = sign * factor * history.observation().vector
-    assert scaled.observation().vector == pytest.approx(expected)
+    expected = sign * factor * observe(history).vector
+    assert observe(scaled).vector == pytest.approx(expected)
     assert scaled.moment == pytest.approx(0.1 * scaled.Fx)
 
 

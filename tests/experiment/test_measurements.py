@@ -54,7 +54,6 @@ def test_every_measurement_is_whole() -> None:
         theory = read_forces(shipped_file("li2013", f"{name[7:].replace('/', '-')}-rft", ".csv"))
         for history in (record.history, theory):
             assert history.theta_deg == pytest.approx(np.arange(-132.0, 133.0))
-            assert np.isfinite(history.observation().vector).all()
         assert not np.array_equal(record.history.force, theory.force)
 
 

@@ -1,4 +1,4 @@
-"""Forces on a leg as a function of its angle, and the observation vector made of them.
+"""Forces on a leg as a function of its angle.
 
 Signs are those of Li et al. (2013): x forward, z up; ``Fz > 0`` lifts and ``Fx > 0`` thrusts
 forward; the force is the soil's on the leg. Its moment about the hip is positive where it drives
@@ -116,22 +116,6 @@ class HistoryAttributes(BaseModel):
 
     coordinate: Literal["theta", "displacement", "time"]
     provenance: Json[ProvenanceSchema]
-
-
-class Observation(NamedTuple):
-    """Window means of a history at M angles, the data of an inversion."""
-
-    theta_deg: FloatArray
-    """Angles θ_j [deg], shape [M]."""
-    Fx: FloatArray
-    """Mean forward force over ± half a spacing around each angle [N], shape [M]."""
-    Fz: FloatArray
-    """Mean vertical force [N], shape [M]."""
-
-    @property
-    def vector(self) -> FloatArray:
-        """D = [Fx(θ_1..M), Fz(θ_1..M)] [N], shape [2M]."""
-        return np.concatenate([self.Fx, self.Fz])
 
 
 class Peaks(NamedTuple):
@@ -319,45 +303,6 @@ class ForceHistory(Result):
 
         return np.asarray(((integral(high) - integral(low)) / (high - low)).T)
 
-    def observation(self, *, angles: int = OBSERVATION_ANGLES) -> Observation:
-        """Observation vector of the paper: M means over |θ| ≤ window.
-
-        Parameters
-        ----------
-        angles
-            M; the angles are ``linspace(-window, window, M)``.
-
-        Raises
-        ------
-        InputError
-            If the record does not cover the window, has a wide gap in it, fewer angles than
-            there are windows, or no force at all.
-        """
-        half_deg = WINDOW_DEG / (angles - 1)
-        theta_deg = self.theta_deg
-        inside = np.abs(theta_deg) <= WINDOW_DEG
-        file = f"{self.provenance['file']}: " if "file" in self.provenance else ""
-        low, high = theta_deg[[0, -1]]
-        gap = np.diff(np.clip(theta_deg, -WINDOW_DEG, WINDOW_DEG)).max(initial=0.0)
-        # A record may stop short of the window's ends if it leaves half a mean.
-        missing = max(low + WINDOW_DEG, WINDOW_DEG - high) > 0.999 * half_deg
-        if missing or inside.sum() < angles or gap > WIDEST_GAP_DEG:
-            raise InputError(
-                f"{file}theta covers {low:.1f} to {high:.1f} deg with {inside.sum()} angles within "
-                f"±{WINDOW_DEG:g} deg, gaps up to {gap:.1f} deg; ±{WINDOW_DEG:g} deg, {angles} "
-                f"angles and gaps of at most {WIDEST_GAP_DEG:g} deg are needed"
-            )
-        for axis, values in zip(self.axes, self.force[inside].T, strict=True):
-            if not values.any():
-                raise InputError(f"{file}F{axis} is zero at every angle; is the sensor connected?")
-        centre = np.linspace(-WINDOW_DEG, WINDOW_DEG, angles)
-        return Observation(centre, *self._means_xz(centre, half_deg).T)
-
-    def _means_xz(self, centre_deg: FloatArray, half_deg: float) -> FloatArray:
-        """Mean forces along x and z [N], shape [window, 2]."""
-        force = self.means(np.radians(centre_deg), math.radians(half_deg))
-        return force[:, [self.axes.index("x"), self.axes.index("z")]]
-
     def peaks(self) -> Peaks:
         """Peak thrust and lift on 1° means at whole degrees within |θ| ≤ window [deg].
 
@@ -370,7 +315,8 @@ class ForceHistory(Result):
         theta = theta[(theta >= self.theta_deg[0]) & (theta <= self.theta_deg[-1])]
         if theta.size == 0:
             raise ValueError(f"the history has no whole degree within ±{WINDOW_DEG:g} deg")
-        force = self._means_xz(theta, 0.5)
+        force = self.means(np.radians(theta), math.radians(0.5))
+        force = force[:, [self.axes.index("x"), self.axes.index("z")]]
         # The first of those that differ by round-off alone.
         slack = 1e-9 * np.abs(force).max(axis=0)
         first = (force >= force.max(axis=0) - slack).argmax(axis=0)

@@ -18,6 +18,7 @@ from terraphi.experiment.history import WINDOW_DEG, ForceHistory
 from terraphi.experiment.motion import placed
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
+from terraphi.paper.likelihood import observe
 from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE
 
 if TYPE_CHECKING:
@@ -61,7 +62,7 @@ def legend(axes: Axes, ncols: int) -> None:
 
 def curve(axes: Axes, history: ForceHistory, force: str, **look: Any) -> None:
     """One force of a history, ``Fx`` or ``Fz``, over the leg angle."""
-    observation = history.observation(angles=171)
+    observation = observe(history, 171)
     axes.plot(observation.theta_deg, getattr(observation, force), **look)
     axes.axhline(0.0, color=GREY, lw=0.6)
     axes.set(xlim=(-88.0, 88.0), xticks=range(-80, 81, 40), xlabel=THETA, ylabel=FORCE[force])

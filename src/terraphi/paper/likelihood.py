@@ -21,12 +21,15 @@ the same size, inflates s, and widens the posterior: the paper's intervals are t
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.history import OBSERVATION_ANGLES, WINDOW_DEG, ForceHistory
 from terraphi.paper.gaussian_process import squared_exponential
 
 CORRELATION_LENGTH_DEG = 6.0
@@ -38,6 +41,29 @@ RELATIVE_RESOLUTION = 1e-10
 NODES = 40001
 """Friction angles of the quadrature: 0.0005° apart over the 20° of the paper's library."""
 ENSEMBLES, WALKERS, STEPS, BURN_IN = 4, 32, 4000, 1000
+
+
+class Observation(NamedTuple):
+    """Window means of a history at M angles, the data of an inversion."""
+
+    theta_deg: FloatArray
+    """Angles θ_j [deg], shape [M]."""
+    Fx: FloatArray
+    """Mean forward force over ± half a spacing around each angle [N], shape [M]."""
+    Fz: FloatArray
+    """Mean vertical force [N], shape [M]."""
+
+    @property
+    def vector(self) -> FloatArray:
+        """D = [Fx(θ_1..M), Fz(θ_1..M)] [N], shape [2M]."""
+        return np.concatenate([self.Fx, self.Fz])
+
+
+def observe(history: ForceHistory, angles: int = OBSERVATION_ANGLES) -> Observation:
+    """Means of (Fx, Fz) over M windows that meet, at ``linspace(-85°, 85°, M)``."""
+    centre = np.linspace(-WINDOW_DEG, WINDOW_DEG, angles)
+    means = history.means(np.radians(centre), math.radians(WINDOW_DEG / (angles - 1)))
+    return Observation(centre, *means.T)
 
 
 def residual_covariance(theta_deg: FloatArray) -> FloatArray:

@@ -225,7 +225,7 @@ def compared_forces(
 def surrogate_of(library: str) -> Surrogate:
     """The two Gaussian processes, fitted to a library."""
     cases = library_cases(library)
-    observations = [case.history.observation() for case in cases]
+    observations = [paper.observe(case.history) for case in cases]
     vectors = np.stack([observation.vector for observation in observations])
     return Surrogate.fit([case.phi_deg for case in cases], observations[0].theta_deg, vectors)
 
@@ -247,7 +247,7 @@ def held_out(library: str) -> HeldOut:
     """The truths of a library, and its surrogate there."""
     truths, _ = read(f"{library}-truths")
     phi = np.array([truth.phi_deg for truth in truths])
-    data = np.stack([truth.history.observation().vector for truth in truths])
+    data = np.stack([paper.observe(truth.history).vector for truth in truths])
     mean = surrogate_of(library).mean(phi)
     span = np.ptp(np.stack(np.hsplit(data, 2)), axis=2, keepdims=True)
     return HeldOut(phi, data, mean, np.stack(np.hsplit(data - mean, 2)) / span)
@@ -347,7 +347,7 @@ def surrogate(library: str = TEXT) -> Result:
         lengths = {"phi_length_deg": phi_length, "theta_length_deg": theta_length}
         parameters[force] = {**lengths, "noise_N": math.sqrt(process.noise_variance)}
     fx, fz = (100.0 * rms(truths.residuals, (1, 2))).tolist()
-    vectors = np.stack([case.history.observation().vector for case in library_cases(library)])
+    vectors = np.stack([paper.observe(case.history).vector for case in library_cases(library)])
     points = {"library": (fitted.Fx.phi_deg, vectors), "held out": (truths.phi_deg, truths.data)}
     lags, rho = paper.residual_autocorrelation(theta, residuals)
     return Result(
@@ -380,7 +380,7 @@ def phi_sensitivity(library: str = TEXT) -> Result:
     """Forces on the straight leg and their peaks over the friction angle."""
     by_phi = {case.phi_deg: case.history for case in library_cases(library)}
     records: list[Json] = [{"phi_deg": p, "peaks": peaks_and_angles(h)} for p, h in by_phi.items()]
-    observations = [history.observation() for history in by_phi.values()]
+    observations = [paper.observe(history) for history in by_phi.values()]
     data: Json = {"library": library, "yield": "paper", "phi_deg": list(by_phi)}
     data |= {"peaks_increase": {}, "share_of_angles_monotone": {}}
     for force in FORCES:
