@@ -486,20 +486,14 @@ def main() -> None:
         measured_plates(),
         "## A plate at all inclinations",
         (
-            "Li et al. (2013), Table S5, measured the stress per depth on a plate of 38 by 25 mm "
-            "at six inclinations that moves along, down and between. Resistive force theory is "
-            "fitted with one φ for all motions in a medium. Other laws are fitted to the level "
-            "plate only, as a disc of the same area down to 25 mm. φ of `rft` is in plane strain."
-        ),
-        pages.excerpt(
-            out, "plates_inclined", of_motions, of_inclined_plates(),
-            (*of_motions[:4], "level plate, foot", "level plate, rft"),
-        ),
-        (
-            "Its stress per depth is next to that of simulated plates in "
-            "[plates_stress.csv](plates_stress.csv)."
+            "Li et al. (2013), Table S5, measured the stress on a plate of 38 by 25 mm at six "
+            "inclinations. [plates_inclined.csv](plates_inclined.csv) has φ by resistive force "
+            "theory, one for all motions in a medium, and by each law for the level plate as a "
+            "disc of its area. [plates_stress.csv](plates_stress.csv) compares the stress with "
+            "that on simulated plates."
         ),
     ]  # fmt: skip
+    pages.excerpt(out, "plates_inclined", of_motions, of_inclined_plates(), of_motions[:1])
     pages.excerpt(out, "plates_stress", compared, of_small_plates(), compared)
     alt = "φ by laws foot, rft and hansen less φ of the shear cell, over φ, for six loose soils"
     pages.write(out, "plates", "Plates and feet pressed in", parts, draw(off, one_size), alt)

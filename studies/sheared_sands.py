@@ -290,10 +290,10 @@ def main() -> None:
     parts = [
         (
             "Others sheared these sands, and pressed plates and a footing into them. φ is in plane "
-            "strain. The angle expected of loose sand is its critical angle; dense sand lies "
-            "between critical and peak. Three drained triaxial tests of loose Cullinan sand give a "
-            f"critical angle of {truth[0]:.1f} ± {truth[1]:.1f}° in plane strain. The densities "
-            "of its loosest plates are not published; 1350 kg/m³ is assumed."
+            "strain. The angle expected of loose sand is its critical angle. Three drained "
+            "triaxial tests of loose Cullinan sand give a critical angle of "
+            f"{truth[0]:.1f} ± {truth[1]:.1f}° in plane strain. The densities of its loosest "
+            "plates are not published; 1350 kg/m³ is assumed."
         ),
         pages.excerpt(
             out, "sheared_sands_plates", of_plates,
