@@ -54,7 +54,18 @@ def read_pressed(source: Any, area: float, columns: Any = None) -> Pressed:
     InputError
         With what is wrong with the table.
     """
-    reader = _PressTable(source, PressColumns.of(columns))
+    reader = ColumnReader(source, PressColumns.of(columns))
+    # One of force and pressure does; what is given goes first.
+    either = {"force", "pressure"}
+    chosen = reader.find(PRESSED, lambda role: role in either and bool(either & {*reader.names}))
+    if not reader.wrong and not ("sinkage" in reader.names and len(reader.names) > 1):
+        lacking = "force or pressure" if "sinkage" in reader.names else "sinkage"
+        reader.wrong.append(
+            f"no column of {lacking} among {reader.header}; add --columns "
+            f"'{lacking.partition(' ')[0]}=NAME', or name the columns such as sinkage_mm and "
+            "force_N or pressure_kPa"
+        )
+    reader.settle(chosen, {"sinkage": "mm", "force": "N", "pressure": "kPa"})
     reader.refuse_wrong()
     role = "force" if "force" in reader.names else "pressure"
     sinkage, force = reader.column("sinkage"), reader.column(role)
@@ -75,22 +86,3 @@ def read_pressed(source: Any, area: float, columns: Any = None) -> Pressed:
         sinkage = -sinkage
         reader.notes.append("The sinkage is negative in the soil: its sign is turned.")
     return Pressed(sinkage, force, len(full), reader.notes)
-
-
-class _PressTable(ColumnReader[PressColumns]):
-    """A table of a body that is pressed in."""
-
-    def __init__(self, source: Any, given: PressColumns) -> None:
-        """Find sinkage and force, or the pressure."""
-        super().__init__(source, given)
-        # One of force and pressure does; what is given goes first.
-        either = {"force", "pressure"}
-        chosen = self.find(PRESSED, lambda role: role in either and bool(either & {*self.names}))
-        if not self.wrong and not ("sinkage" in self.names and len(self.names) > 1):
-            lacking = "force or pressure" if "sinkage" in self.names else "sinkage"
-            key = lacking.partition(" ")[0]
-            self.wrong.append(
-                f"no column of {lacking} among {self.header}; add --columns '{key}=NAME', or name "
-                "the columns such as sinkage_mm and force_N or pressure_kPa"
-            )
-        self.settle(chosen, {"sinkage": "mm", "force": "N", "pressure": "kPa"})
