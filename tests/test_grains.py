@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import run
 import table
+import yade
 
 import errors
 from terraphi.laws.legs import shipped_legs
@@ -175,3 +176,23 @@ def test_queue_has_records_that_can_be_made(tmp_path: Path) -> None:
         assert int(seed) > 0
     (tmp_path / f"{queue[0]}.csv").touch()
     assert list(compute.missing(tmp_path, {queue[2]})) == [queue[1], *queue[3:]]
+
+
+def test_second_code_begins_with_the_same_spheres_in_a_cell_that_holds_them(tmp_path: Path) -> None:
+    soil, box = run.soils()["B-loose"], (-0.06, 0.06, -0.04, 0.04)
+    task = yade.packed(soil, 1, box, 0.05, tmp_path, walls=True)
+    grains, fixed = (np.load(tmp_path / f"{name}.npy") for name in ("grains", "fixed"))
+    lines = (tmp_path / "lattice.data").read_text().splitlines()
+    assert f"{len(grains)} atoms" in lines
+    assert len(fixed) == task["fixed"]
+    centers, radii = grains[:, 1:4], 0.5 * grains[:, :1]
+    assert (centers - radii > 0.0).all()
+    assert (centers + radii < task["size"]).all()
+    apart = np.linalg.norm(centers[:, None] - fixed[:, 1:4], axis=2)
+    assert (apart > radii + 0.5 * fixed[:, 0]).all()
+    # Mindlin's stiffness k = 8 G* a, where Hertz's contact of radius a bears F = 4 E* a³ / 3 R*.
+    poisson, reduced = engine.POISSON, 0.25 * soil.diameter
+    plane, shear = soil.youngs / 2.0 / (1.0 - poisson**2), soil.youngs / 4.0 / (1.0 + poisson)
+    a = (0.75 * yade.PRESSURE * soil.diameter**2 * reduced / plane) ** (1.0 / 3.0)
+    k = 8.0 * shear / (2.0 - poisson) * a
+    assert task["stiffness"] == pytest.approx(k * reduced**2)
