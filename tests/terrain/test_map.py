@@ -16,7 +16,7 @@ from scipy.stats import norm, truncnorm
 import terraphi
 from terraphi.experiment.errors import InputError
 from terraphi.inference.footfalls import FootfallMap
-from terraphi.terrain import field, slopes
+from terraphi.terrain import field, inputs, slopes
 from terraphi.terrain.slopes import Sample, priors_of
 
 rasterio = pytest.importorskip("rasterio")
@@ -88,7 +88,8 @@ def test_lattice_and_draws_are_those_of_scikit_learn(hill, points, monkeypatch) 
     (process,) = kept
     # Inputs of the process at some cells: place, both covariates standardized.
     cells = [(10, 15), (12, 18), (30, 31), (50, 5)]
-    layers = [slope_map.dem.height.astype(float), slope_map.dem.slope.astype(float)]
+    whole = slice(0, n)
+    layers = [layer(whole).astype(float) for layer in (slope_map.dem.read, slope_map.dem.slope)]
     scaled = [(layer - layer.mean()) / layer.std() for layer in layers]
     asked = np.array(
         [
@@ -105,28 +106,61 @@ def test_lattice_and_draws_are_those_of_scikit_learn(hill, points, monkeypatch) 
     shown = np.array([slope_map.layers["phi_sd"][cell] for cell in cells])
     wanted = np.degrees(tan * (1 - tan / STEEPEST) / (1 + tan**2)) * sd
     assert shown == pytest.approx(wanted, rel=0.05)
-    # Draws of the lattice, correlated as the process is between two of its nodes.
-    lattice = slope_map.field
-    drawn = lattice.draws(4096, 3)
-    a, b = 10 * lattice.x.size + 12, 11 * lattice.x.size + 20
-    at = np.array([[lattice.x[i % lattice.x.size], lattice.y[i // lattice.x.size], 0.0, 0.0]
-                   for i in (a, b)])  # fmt: skip
-    wanted = process.predict(at, return_cov=True)[1] - short * np.eye(2)
-    assert np.cov(drawn[:, a], drawn[:, b]) == pytest.approx(wanted, rel=0.1)
+    # Joint draws, in which two cells are correlated as in the process.
+    fitted = field.fit(slope_map.points, scaled_at(slope_map, scaled), slope_map.dem, draws=4096)
+    here = fitted.window(slope_map.dem.x, slope_map.dem.y)
+    covariates = np.array([[layer[cell] for cell in cells] for layer in scaled])
+    drawn = here.draws(slice(None))[:, *zip(*cells, strict=True)].T + (
+        covariates.T @ here.drawn_effects
+    )
+    wanted = covariance - short * np.eye(len(cells))
+    assert drawn.mean(axis=1) == pytest.approx(mean + to_logit(30.0), abs=0.1 * sd.mean())
+    assert np.cov(drawn) == pytest.approx(wanted, abs=0.08 * wanted.max())
+
+
+def scaled_at(slope_map: Any, scaled: list[Any]) -> Any:
+    """Standardized covariates at the points of a map."""
+    cells = slope_map.points["row"], slope_map.points["column"]
+    return np.stack([layer[cells] for layer in scaled], axis=-1)
 
 
 @pytest.mark.slow
-def test_merged_points_give_the_field_of_all_of_them(hill, points, monkeypatch) -> None:
-    x, y = walked(2, count=300)
-    phi = 30.0 + 3.0 * np.sin(x / 12.0) + np.random.default_rng(4).normal(0.0, 1.5, x.size)
+def test_neighborhoods_give_the_field_of_all_points(hill, points, monkeypatch) -> None:
+    x, y = walked(2, n=240, count=300)
+    phi = 30.0 + 3.0 * np.sin(x / 30.0) + np.random.default_rng(4).normal(0.0, 1.5, x.size)
     reference = points(x, y, phi, np.random.default_rng(5).uniform(0.5, 2.0, x.size))
-    slope_map = map_slopes(reference, hill(), draws=8).layers
+    all_points = map_slopes(reference, hill(n=240), draws=16)
     monkeypatch.setattr(field, "POINTS", 150)
-    merged = map_slopes(reference, hill(), draws=8).layers
-    shift = (merged["phi_median"] - slope_map["phi_median"]) / slope_map["phi_sd"]
+    near = map_slopes(reference, hill(n=240), draws=16)
+    assert near.field.reach < 60.0
+    sd = all_points.layers["phi_sd"]
+    shift = (near.layers["phi_median"] - all_points.layers["phi_median"]) / sd
     assert np.nanmax(np.abs(shift)) < 1.0
     assert np.sqrt(np.nanmean(shift**2)) < 0.25
-    assert np.nanmean(merged["phi_sd"] / slope_map["phi_sd"]) == pytest.approx(1.0, abs=0.1)
+    assert np.nanmean(near.layers["phi_sd"] / sd) == pytest.approx(1.0, abs=0.1)
+    areas = [made.summary["unstable_area_share"]["median"] for made in (near, all_points)]
+    assert areas[0] == pytest.approx(areas[1], abs=0.03)
+
+
+def test_windows_and_stripes_give_the_map_of_a_single_one(hill, points, monkeypatch) -> None:
+    x, y = walked(3)
+    rng = np.random.default_rng(6)
+    heights = np.add.outer(np.linspace(40.0, 0.0, 60), 3.0 * np.sin(np.arange(60) / 7.0))
+    heights[50:, :9] = -9999.0
+    given = (
+        points(x, np.clip(y, 12.0, None), 30.0 + rng.normal(0.0, 2.0, x.size)),
+        hill(heights=heights),
+    )
+    single = terraphi.map(*given, seed=3)
+    monkeypatch.setattr(inputs, "STRIPE", 16)
+    cut = terraphi.map(*given, seed=3)
+    for name, layer in cut.layers.items():
+        # The posterior is interpolated between other nodes.
+        np.testing.assert_allclose(layer, single.layers[name], atol=5e-3, rtol=2e-3)
+    for name in ("cells", "mean_p_unstable", "mean_phi_share", "extrapolated_share"):
+        assert cut.summary[name] == pytest.approx(single.summary[name], abs=1e-4)
+    areas = [made.summary["unstable_area_share"]["ci95"] for made in (cut, single)]
+    assert areas[0] == pytest.approx(areas[1], abs=2e-3)
 
 
 def test_many_points_do_not_take_the_square_of_memory(hill, points, monkeypatch) -> None:
@@ -136,17 +170,19 @@ def test_many_points_do_not_take_the_square_of_memory(hill, points, monkeypatch)
     reference, _ = read_points(points(x, y, 30.0 + np.sin(x / 9.0)), ground)
     tracemalloc.start()
     fitted = field.fit(reference, np.zeros((len(reference), 1)), ground)
+    middle = slice(22, 38)
+    mean = fitted.window(ground.x[middle], ground.y[middle]).mean
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 200e6  # a matrix of all pairs takes 72 MB, and the search a dozen
-    nodes = fitted.mean[: fitted.x.size * fitted.y.size].reshape(fitted.y.size, -1)
-    expected = to_logit(30.0 + np.sin(fitted.x / 9.0))
-    assert nodes[10] == pytest.approx(expected, abs=0.1)  # 1.6 degrees
+    expected = to_logit(30.0 + np.sin(ground.x[middle] / 9.0))
+    assert mean[8] == pytest.approx(expected, abs=0.1)  # 1.6 degrees
 
 
 def test_slope_of_an_inclined_plane(hill) -> None:
     heights = np.add.outer(0.4 * np.arange(20), 0.3 * np.arange(20))
-    assert np.tan(read_elevation(hill(heights=heights)).slope) == pytest.approx(0.5, rel=1e-5)
+    dem = read_elevation(hill(heights=heights))
+    assert np.tan(dem.slope(slice(0, 20))) == pytest.approx(0.5, rel=1e-5)
 
 
 def test_infinite_slope_against_arithmetic_by_hand() -> None:

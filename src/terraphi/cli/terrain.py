@@ -147,7 +147,6 @@ def slope_map(points: Path, dem: Path, out: Path, as_json: bool, **options: Any)
     names = [*(f"{name}.tif" for name in LAYERS), SUMMARY, PICTURE]
     check_folder(out, kind=KIND, names=names)
     with progress_bar("mapping") as report:
-        slopes = map_slopes(points, dem, progress=report, **options)
-    slopes.save(out)
+        slopes = map_slopes(points, dem, out=out, progress=report, **options)
     written = f"Written: {out}/{', '.join(names)}"
     present(slopes.summary, *in_words(slopes.summary), written, as_json=as_json)

@@ -18,11 +18,9 @@ UNPACKED, LEAST_UNPACKED = 50, 3 << 28
 [byte]. A log of noise in MCAP takes 3 times its size; 1.5 million messages take the latter."""
 SECONDS = 600.0
 """Longest time to read a bag [s]."""
-CELLS = 25_000_000
-"""Largest raster; some ten arrays of its size are held in memory."""
 POINTS = 500
-"""Points that the field of a map is inferred from: 10 s of processor time; time grows as their
-cube. More are merged in cells: 1,000 points merged move φ by at most 0.34 of its error."""
+"""Points from which the field of a map is inferred, and a window of it: 10 s of processor time for
+all; time grows as their cube. The length is inferred from so many of more, drawn at random."""
 PARTS = 10_000
 """Elements of a robot's model, copies counted; the Go2 has some 200."""
 ITEMS, NESTING = 4_000, 3

@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 import re
 import warnings
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,7 +16,6 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.budget import CELLS
 from terraphi.experiment.errors import InputError, nearest, needing
 from terraphi.experiment.files import check_is_file, path_of, plain_number
 from terraphi.experiment.tables import read_cells
@@ -34,45 +34,109 @@ EARTH = 6_371_008.8
 """Mean radius [m]."""
 LARGEST = 1e30
 """Largest value of a raster."""
+STRIPE = 256
+"""Rows of a raster that are in memory together."""
 OFFLINE = {
+    "GDAL_CACHEMAX": "128",  # [MB]; by default a twentieth of the memory
     "PROJ_NETWORK": "OFF",
     "GDAL_SKIP": "VRT WMS WCS WFS WMTS HTTP OGCAPI STACIT STACTA",
     "CPL_VSIL_CURL_ALLOWED_EXTENSIONS": "none",
 }
-"""Settings of GDAL and PROJ for the whole process: nothing is fetched."""
+"""Settings of GDAL and PROJ for the whole process: nothing is fetched, and little is kept."""
 
 
 @dataclass(frozen=True, eq=False)
-class Elevation:
-    """A digital elevation model on an upright grid.
+class Raster:
+    """First band of a GeoTIFF, which is read by stripes of rows.
 
     Attributes
     ----------
-    source
+    path
         Its file.
-    height
-        Elevation [m], shape [row, column]; not a number where there is none.
+    shape
+        Rows and columns.
+    crs, transform
+        Coordinate system, and affine map from column and row to x and y, of rasterio.
+    low, high
+        Least and largest value; not a number if there is none.
+    unit
+        Of the values; may be empty.
+    """
+
+    path: Path
+    shape: tuple[int, int]
+    crs: Any
+    transform: Any
+    low: float
+    high: float
+    unit: str
+
+    @classmethod
+    def of(cls, path: Path) -> Raster:
+        """A raster, read once for the range of its values.
+
+        Raises
+        ------
+        InputError
+            If it cannot be read, or has several bands, complex numbers or huge ones.
+        """
+        with _opened(path) as file:
+            if file.count > 1:
+                raise InputError(f"{path}: has {file.count} bands, expected one; extract it")
+            if np.dtype(file.dtypes[0]).kind not in "iuf":
+                raise InputError(f"{path}: its values are {file.dtypes[0]}, expected real numbers")
+            raster = cls(path, file.shape, file.crs, file.transform, np.nan, np.nan,
+                         file.units[0] or "")  # fmt: skip
+        ends = np.array([(np.fmin.reduce(part, None), np.fmax.reduce(part, None))
+                         for part in map(raster.read, raster.stripes())])  # fmt: skip
+        low, high = np.fmin.reduce(ends[:, 0]), np.fmax.reduce(ends[:, 1])
+        if max(-low, high) > LARGEST:
+            raise InputError(f"{path}: has values beyond {LARGEST:g}; mark them as nodata")
+        return replace(raster, low=float(low), high=float(high))
+
+    def stripes(self) -> Iterator[slice]:
+        """Rows of each stripe, from the top."""
+        rows = self.shape[0]
+        return (slice(first, min(first + STRIPE, rows)) for first in range(0, rows, STRIPE))
+
+    def read(self, rows: slice) -> Float32:
+        """Values in some rows; not a number where there is none."""
+        return read_band(self.path, rows)
+
+
+@dataclass(frozen=True, eq=False)
+class Elevation(Raster):
+    """A digital elevation model [m] on an upright grid.
+
+    Attributes
+    ----------
     x, y
         Centres of columns (increasing) and rows (decreasing) [m], shape [column], [row].
     cell
         Side of a cell [m].
-    crs, transform
-        Coordinate system, and affine map from column and row to x and y, of rasterio.
     """
 
-    source: str
-    height: Float32
     x: FloatArray
     y: FloatArray
     cell: float
-    crs: Any
-    transform: Any
 
-    @cached_property
-    def slope(self) -> Float32:
-        """Steepest inclination θ [rad], by central differences; shape [row, column]."""
-        down, across = np.gradient(self.height, self.y, self.x)
-        return np.arctan(np.hypot(down, across)).astype(np.float32)
+    def slope(self, rows: slice) -> Float32:
+        """Steepest inclination θ of some rows [rad], by central differences."""
+        # With a row more at either end, the differences are those of the whole model.
+        first, last = max(rows.start - 1, 0), min(rows.stop + 1, self.shape[0])
+        slopes = np.gradient(self.read(slice(first, last)), self.cell)
+        steepest = np.arctan(np.hypot(*slopes)).astype(np.float32)
+        return np.asarray(steepest[rows.start - first : rows.stop - first])
+
+    def at(self, layer: Callable[[slice], Float32], points: pd.DataFrame) -> FloatArray:
+        """Values of a layer, such as :meth:`slope`, at points, shape [point]."""
+        row, column = points["row"].to_numpy(), points["column"].to_numpy()
+        values = np.empty(row.size)
+        for rows in self.stripes():
+            there = (row >= rows.start) & (row < rows.stop)
+            if there.any():
+                values[there] = layer(rows)[row[there] - rows.start, column[there]]
+        return values
 
 
 def read_elevation(path: Path) -> Elevation:
@@ -90,7 +154,8 @@ def read_elevation(path: Path) -> Elevation:
         unit, or cells that are not upright squares; if it is too large, or has no elevations,
         a single one, or some that no place on earth has.
     """
-    height, crs, transform, unit = _read(path)
+    raster = Raster.of(path)
+    crs = raster.crs
     if crs is None:
         raise InputError(f"{path}: no coordinate system; set one, as with gdal_edit -a_srs")
     metres = "project it to metres, as with gdalwarp -t_srs"
@@ -99,16 +164,16 @@ def read_elevation(path: Path) -> Elevation:
     name, factor = crs.linear_units_factor
     if abs(factor - 1.0) > 1e-9:
         raise InputError(f"{path}: its coordinates are in {name}; {metres}")
-    if unit.lower() not in METRES:
-        raise InputError(f"{path}: its elevations are in {unit}, expected metres; convert them")
-    a, b, c, d, e, f = tuple(transform)[:6]
+    if raster.unit.lower() not in METRES:
+        unit = f"{raster.unit}, expected metres; convert them"
+        raise InputError(f"{path}: its elevations are in {unit}")
+    a, b, c, d, e, f = tuple(raster.transform)[:6]
     if b or d or a <= 0.0 or abs(a + e) > 1e-6 * a:
         north_up = "squares with north up; resample it, as with gdalwarp -tr"
         raise InputError(f"{path}: its cells are {abs(a):g} by {abs(e):g} m, expected {north_up}")
-    rows, columns = height.shape
-    if min(rows, columns) < 3 or not np.isfinite(height).any():
+    (rows, columns), low, high = raster.shape, raster.low, raster.high
+    if min(rows, columns) < 3 or np.isnan(low):
         raise InputError(f"{path}: has no elevations, or fewer than 3 by 3 cells")
-    low, high = float(np.nanmin(height)), float(np.nanmax(height))
     if low == high or not HEIGHTS[0] <= low <= high <= HEIGHTS[1]:
         expected = f"different ones within {HEIGHTS[0]:g} to {HEIGHTS[1]:g} m"
         raise InputError(f"{path}: elevations from {low:g} to {high:g} m, expected {expected}")
@@ -120,7 +185,7 @@ def read_elevation(path: Path) -> Elevation:
         much = " by ".join(f"{part:.3g}" for part in stretch)
         utm = "project it to its UTM zone, as with gdalwarp -t_srs"
         raise InputError(f"{path}: its coordinates are {much} m for 1 m on the ground; {utm}")
-    return Elevation(str(path), height, x, y, a, crs, transform)
+    return Elevation(**vars(raster), x=x, y=y, cell=a)
 
 
 def _stretch(crs: Any, x: float, y: float) -> FloatArray:
@@ -140,26 +205,41 @@ def _stretch(crs: Any, x: float, y: float) -> FloatArray:
     return np.asarray(1000.0 / np.linalg.norm(place[:, 1::2] - place[:, ::2], axis=0))
 
 
-def read_layer(path: Path, on: Elevation, points: pd.DataFrame) -> Float32:
-    """Read another raster on the grid of an elevation model, shape [row, column].
+def read_layer(path: Path, on: Elevation, points: pd.DataFrame) -> Raster:
+    """Another raster on the grid of an elevation model.
 
     Raises
     ------
     InputError
         If it cannot be read, has another grid or coordinate system, or no data at some points.
     """
-    layer, crs, transform, _ = _read(path)
-    if crs != on.crs:
-        raise InputError(f"{path}: its coordinate system is {crs}; project it to {on.crs}")
-    if layer.shape != on.height.shape or not transform.almost_equals(on.transform, 1e-6):
-        raise InputError(f"{path}: its grid is not that of {on.source}; resample it to that")
-    if not np.isfinite(layer[points["row"], points["column"]]).all():
+    layer = Raster.of(path)
+    if layer.crs != on.crs:
+        raise InputError(f"{path}: its coordinate system is {layer.crs}; project it to {on.crs}")
+    if layer.shape != on.shape or not layer.transform.almost_equals(on.transform, 1e-6):
+        raise InputError(f"{path}: its grid is not that of {on.path}; resample it to that")
+    if not np.isfinite(on.at(layer.read, points)).all():
         raise InputError(f"{path}: has no data at some of the points; fill it there")
     return layer
 
 
-def _read(path: Path) -> tuple[Float32, Any, Any, str]:
-    """First band with nodata as not a number; coordinate system, transform and unit."""
+def read_band(path: Path, rows: slice | None = None, *, step: int = 1) -> Float32:
+    """First band of a GeoTIFF, each ``step``-th row and column; not a number where it has none."""
+    with _opened(path) as file:
+        first, last = (0, file.height) if rows is None else (rows.start, rows.stop)
+        band = file.read(
+            1, window=((first, last), (0, file.width)), masked=True,
+            out_shape=(-(-(last - first) // step), -(-file.width // step)),
+        ).astype(np.float64)  # fmt: skip
+    band = band.filled(np.nan)
+    band[~np.isfinite(band)] = np.nan
+    with np.errstate(over="ignore"):  # infinite is beyond LARGEST
+        return np.asarray(band, np.float32)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """An open GeoTIFF; raises InputError."""
     os.environ.update(OFFLINE)
     with needing("a map", "rasterio, scikit-learn and SciPy", extra="terrain"):
         import rasterio
@@ -170,18 +250,7 @@ def _read(path: Path) -> tuple[Float32, Any, Any, str]:
             warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
             file = rasterio.open(path, driver="GTiff")
         with file:
-            if file.width * file.height > CELLS:
-                size = f"{file.width} by {file.height} cells, at most {CELLS:g} in all"
-                raise InputError(f"{path}: {size}; cut a part, as with gdal_translate -projwin")
-            if file.count > 1:
-                raise InputError(f"{path}: has {file.count} bands, expected one; extract it")
-            if np.dtype(file.dtypes[0]).kind not in "iuf":
-                raise InputError(f"{path}: its values are {file.dtypes[0]}, expected real numbers")
-            band = file.read(1, masked=True).astype(np.float64).filled(np.nan)
-            band[~np.isfinite(band)] = np.nan
-            if np.nanmax(np.abs(band), initial=0.0) > LARGEST:
-                raise InputError(f"{path}: has values beyond {LARGEST:g}; mark them as nodata")
-            return band.astype(np.float32), file.crs, file.transform, file.units[0] or ""
+            yield file
     except rasterio.errors.RasterioError as error:
         raise InputError(f"{path}: cannot be read as a GeoTIFF ({error})") from error
 
@@ -302,14 +371,14 @@ def read_points(
     inside = placed["row"].between(0, dem.y.size - 1) & placed["column"].between(0, dem.x.size - 1)
     if not inside.all():
         first = placed.loc[inside.idxmin()]
-        place = f"({first['x_m']:.7g}, {first['y_m']:.7g}) is outside {dem.source}"
+        place = f"({first['x_m']:.7g}, {first['y_m']:.7g}) is outside {dem.path}"
         covers = f"{dem.x[0]:.7g} to {dem.x[-1]:.7g}, {dem.y[-1]:.7g} to {dem.y[0]:.7g} m"
         remedy = "project degrees to metres, or place footfalls with --start"
         raise InputError(f"{path}, {first.name}: {place} ({covers}); {remedy}")
-    level = pd.Series(dem.slope[placed["row"], placed["column"]], placed.index)
+    level = pd.Series(dem.at(dem.slope, placed), placed.index)
     if level.isna().any():
         where = f"{path}, {level.isna().idxmax()}"
-        raise InputError(f"{where}: {dem.source} has no elevation there, or in a cell next to it")
+        raise InputError(f"{where}: {dem.path} has no elevation there, or in a cell next to it")
     return placed, len(table) - len(placed)
 
 

@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import importlib.metadata
+import itertools
 import json
+import math
+import shutil
+import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+import weakref
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -46,8 +53,10 @@ BEYOND = 0.1
 """Share of the points' range of a covariate by which a cell may lie outside."""
 MOST_DRAWS = 4096
 """Joint draws at most."""
-BLOCK = 4096
-"""Cells computed together; bounds the memory."""
+BLOCK = 256
+"""Cells computed together, whose samples stay in a processor's cache."""
+BIN_DEG = 0.01
+"""Bins of angles, of which medians over the map are found [deg]."""
 
 MOST_PIXELS = 800
 """Along the longer side of a picture; larger maps are thinned."""
@@ -59,6 +68,34 @@ PANELS = (
 )
 
 
+class Layers(Mapping[str, Any]):
+    """Maps in a folder, by the names of :data:`LAYERS`, each read when it is asked for."""
+
+    def __init__(self, folder: Path, *, temporary: bool = False) -> None:
+        self.folder = folder
+        if temporary:
+            weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+
+    def __getitem__(self, name: str) -> Any:
+        """Shape [row, column]."""
+        import rasterio
+
+        with rasterio.open(self.path(name)) as file:
+            return file.read(1)
+
+    def path(self, name: str) -> Path:
+        """File of a layer."""
+        return self.folder / f"{name}.tif"
+
+    def __iter__(self) -> Iterator[str]:
+        """Names."""
+        return iter(LAYERS)
+
+    def __len__(self) -> int:
+        """How many there are."""
+        return len(LAYERS)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class SlopeMap(Shown):
     """Maps on the grid of an elevation model.
@@ -68,7 +105,8 @@ class SlopeMap(Shown):
     dem, points, field
         Where they come from.
     layers
-        By the names of :data:`LAYERS`, shape [row, column].
+        By the names of :data:`LAYERS`, shape [row, column]; each is read from its file when it is
+        asked for.
     summary
         Numbers, priors, seeds and versions; JSON-able.
     """
@@ -76,7 +114,7 @@ class SlopeMap(Shown):
     dem: inputs.Elevation
     points: pd.DataFrame
     field: Field
-    layers: Mapping[str, Any]
+    layers: Layers
     summary: Mapping[str, Any]
 
     def to_xarray(self) -> xr.Dataset:
@@ -92,20 +130,20 @@ class SlopeMap(Shown):
         """Four maps with the points, hatched where the field extrapolates."""
         from terraphi.experiment.figure import Figure as NewFigure
 
-        step = max(1, -(-max(self.dem.height.shape) // MOST_PIXELS))
-        thin = (slice(None, None, step), slice(None, None, step))
+        step = max(1, -(-max(self.dem.shape) // MOST_PIXELS))
         x, y, half = self.dem.x, self.dem.y, 0.5 * self.dem.cell
         extent = (x[0] - half, x[-1] + half, y[-1] - half, y[0] + half)
         on_map: dict[str, Any] = {"extent": extent, "origin": "upper"}
-        height = np.ma.masked_invalid(self.dem.height[thin])
-        beyond = (self.layers["extrapolated"][thin] == 1).astype(float)
+        height = np.ma.masked_invalid(inputs.read_band(self.dem.path, step=step))
+        shown = {name: inputs.read_band(self.layers.path(name), step=step) for name in LAYERS}
+        beyond = (shown["extrapolated"] == 1.0).astype(float)
         size = 5.2 * min(max((extent[3] - extent[2]) / (extent[1] - extent[0]), 0.4), 2.0)
         figure = NewFigure(figsize=(11.0, 1.7 * size + 0.6), layout="constrained")
         grid = figure.subplots(2, 2, sharex=True, sharey=True)
         for axes, (name, title, colours, (low, high)) in zip(grid.flat, PANELS, strict=True):
-            values = np.ma.masked_invalid(self.layers[name][thin])
-            shown = axes.imshow(values, cmap=colours, vmin=low, vmax=high, **on_map)
-            figure.colorbar(shown, ax=axes, shrink=0.8)
+            values = np.ma.masked_invalid(shown[name])
+            image = axes.imshow(values, cmap=colours, vmin=low, vmax=high, **on_map)
+            figure.colorbar(image, ax=axes, shrink=0.8)
             if min(height.shape) > 1 and height.min() < height.max():
                 axes.contour(height, 10, colors="black", linewidths=0.4, alpha=0.6, **on_map)
             if beyond.any():
@@ -128,25 +166,16 @@ class SlopeMap(Shown):
         InputError
             If the folder cannot be written, or holds other things.
         """
-        import rasterio
-
-        grid = {"crs": self.dem.crs, "transform": self.dem.transform}
-        grid |= dict(zip(("height", "width"), self.dem.height.shape, strict=True))
         with output_folder(Path(folder), kind=KIND, last=SUMMARY) as place:
-            for name, (about, unit) in LAYERS.items():
-                layer = self.layers[name]
-                is_integer = layer.dtype == np.uint8
-                with rasterio.open(
-                    place / f"{name}.tif", "w", driver="GTiff", count=1, dtype=layer.dtype,
-                    nodata=255 if is_integer else np.nan, compress="deflate",
-                    predictor=2 if is_integer else 3, **grid,
-                ) as file:  # fmt: skip
-                    file.write(layer, 1)
-                    file.set_band_description(1, about)
-                    file.update_tags(1, unit=unit)
-            text = json.dumps(self.summary, indent=2, ensure_ascii=False)
-            place.joinpath(SUMMARY).write_text(text, encoding="utf-8")
-            self.plot().savefig(place / PICTURE, dpi=150)
+            for name in LAYERS:
+                shutil.copy(self.layers.path(name), place)
+            self._describe(place)
+
+    def _describe(self, folder: Path) -> None:
+        """Write summary and picture."""
+        text = json.dumps(self.summary, indent=2, ensure_ascii=False)
+        folder.joinpath(SUMMARY).write_text(text, encoding="utf-8")
+        self.plot().savefig(folder / PICTURE, dpi=150)
 
 
 def map_slopes(
@@ -159,6 +188,7 @@ def map_slopes(
     covariate: Path | str | None = None,
     draws: int = 128,
     seed: int = 0,
+    out: Path | str | None = None,
     progress: Callable[[float, float], None] = lambda _done, _all: None,
 ) -> SlopeMap:
     """Map the stability of slopes from friction angles at points.
@@ -185,6 +215,9 @@ def map_slopes(
         Joint draws of the field and all priors, for the unstable area.
     seed
         Of all draws.
+    out
+        Folder for the maps, as of :meth:`SlopeMap.save`; by default they are in a temporary one, as
+        long as the result is there.
     progress
         Called with the work done and all of it.
 
@@ -196,6 +229,8 @@ def map_slopes(
 
     Notes
     -----
+    Rasters are read and written by stripes of rows, so that memory does not grow with them.
+
     Of the footfalls of a walk::
 
         walk = terraphi.footfalls("walk.csv", density="1550±80")
@@ -209,130 +244,257 @@ def map_slopes(
     ground = inputs.read_elevation(path_of("dem", dem))
     friction, left_out = inputs.read_points(points, ground, start)
     priors = slopes.priors_of([prior] if isinstance(prior, str) else prior)
-    named, covariates, wet, has_data = _layers(ground, friction, covariate, wetness)
-    at_points = covariates[friction["row"], friction["column"]].astype(np.float64)
-    field = fit(friction, at_points, ground, seed=seed)
+    terrain = Terrain.of(ground, friction, covariate, wetness)
     # A Sobol sequence is even at powers of two.
     power_of_two = 1 << max(draws - 1, 1).bit_length()
-    sample = slopes.Sample.of(priors, slopes.SAMPLES, seed)
-    joint = slopes.Sample.of(priors, power_of_two, seed + 1)
-    drawn = field.draws(joint.normal.size, seed).astype(np.float32).T
-    is_far = _extrapolation(field, friction, at_points, ground)
-
-    layers = {name: np.full(has_data.shape, np.nan, np.float32) for name in LAYERS}
-    layers["extrapolated"] = np.full(has_data.shape, 255, np.uint8)
-    area = np.zeros(joint.normal.size)
-    rows, columns = np.nonzero(has_data)
-    for first in range(0, rows.size, BLOCK):
-        progress(first, rows.size)
-        cell = rows[first : first + BLOCK], columns[first : first + BLOCK]
-        x, y, terrain = ground.x[cell[1]], ground.y[cell[0]], covariates[cell]
-        theta = ground.slope[cell].astype(np.float64)
-        m = None if wet is None else wet[cell]
-        weights = field.weights(x, y, terrain)
-        mean, sd = field.at(weights)
-        a, b = sample.terms(theta, m)
-        median, layers["phi_share"][cell] = slopes.spread(mean, sd, sample.normal, a, b)
-        layers["fs_median"][cell] = np.minimum(median, LARGEST)
-        layers["p_unstable"][cell] = slopes.unstable(mean, sd, a, b)
-        layers["phi_median"][cell] = phi = np.degrees(np.arctan(tangent(mean)))
-        layers["phi_sd"][cell] = degrees_per_z(phi) * sd
-        layers["extrapolated"][cell] = is_far(x, y, terrain)
-        # The unstable area needs joint draws: neighboring cells share their errors.
-        a, b = joint.terms(theta, m)
-        area += (a + b * tangent(weights.astype(np.float32) @ drawn) < 1.0).sum(axis=0)
-    progress(rows.size, rows.size)
-    summary = {
-        "terraphi_file": KIND,
-        "terraphi": importlib.metadata.version("terraphi"),
-        "points": str(points) if isinstance(points, str | Path) else type(points).__name__,
-        "points_used": len(friction),
-        "points_left_out": left_out,
-        **_statistics(ground, friction, layers, has_data, area),
-        "field": {**field.learnt, "covariates": named},
-        "priors": priors,
-        "wetness": str(wetness) if wetness else "prior",
-        "covariate": str(covariate) if covariate else None,
-        "draws": int(area.size),
-        "seed": seed,
-        "start": None if start is None else start._asdict(),
-        "seconds": time.perf_counter() - began,
-    }
-    return SlopeMap(ground, friction, field, layers, summary)
+    field = fit(friction, terrain.at_points(), ground, draws=power_of_two, seed=seed)
+    samples = slopes.Sample.of(priors, slopes.SAMPLES, seed).single()
+    joint = slopes.Sample.of(priors, power_of_two, seed + 1).single()
+    with ExitStack() as stack:
+        if out is None:
+            place = Path(tempfile.mkdtemp(prefix="terraphi-"))
+        else:
+            place = stack.enter_context(output_folder(Path(out), kind=KIND, last=SUMMARY))
+        layers = Layers(place, temporary=out is None)
+        numbers = _write(Windows(terrain, field, samples, joint), place, progress)
+        summary = {
+            "terraphi_file": KIND,
+            "terraphi": importlib.metadata.version("terraphi"),
+            "points": str(points) if isinstance(points, str | Path) else type(points).__name__,
+            "points_used": len(friction),
+            "points_left_out": left_out,
+            **numbers,
+            "field": {**field.learnt, "covariates": terrain.names},
+            "priors": priors,
+            "wetness": str(wetness) if wetness else "prior",
+            "covariate": str(covariate) if covariate else None,
+            "draws": power_of_two,
+            "seed": seed,
+            "start": None if start is None else start._asdict(),
+            "seconds": time.perf_counter() - began,
+        }
+        made = SlopeMap(ground, friction, field, layers, summary)
+        if out is not None:
+            made._describe(place)
+    return made if out is None else replace(made, layers=Layers(Path(out)))
 
 
-def _layers(
-    ground: inputs.Elevation, points: pd.DataFrame, covariate: Any, wetness: Any
-) -> tuple[list[str], Any, Any, BoolArray]:
-    """Names and values of the covariates, m of each cell or ``None``, and cells that have all.
+class Part(NamedTuple):
+    """Cells of the map that lie together: a stripe, a window, or those that have data."""
 
-    Covariates have mean 0 and standard deviation 1 over the map, shape [row, column, covariate]; 0
-    where one does not vary.
-    """
-    named, layers, wet = ["elevation", "slope"], [ground.height, ground.slope], None
-    if covariate is not None:
-        path = path_of("covariate", covariate)
-        named.append(path.stem)
-        layers.append(inputs.read_layer(path, ground, points))
-    if wetness is not None:
-        wet = inputs.read_layer(path_of("wetness", wetness), ground, points)
-        least, most = float(np.nanmin(wet)), float(np.nanmax(wet))
-        if not 0.0 <= least <= most <= 1.0:
-            raise InputError(f"{wetness}: values from {least:g} to {most:g}, expected 0 to 1")
-    covariates = np.stack(layers, axis=-1)
-    has_data = np.asarray(np.isfinite(covariates).all(axis=-1))
-    if wet is not None:
-        has_data &= np.isfinite(wet)
-    middle = covariates[has_data].mean(axis=0, dtype=np.float64)
-    sd = covariates[has_data].std(axis=0, dtype=np.float64)
-    # On a plane the slope varies by rounding alone.
-    varies = sd > 1e-4 * np.maximum(1.0, np.abs(middle))
-    scaled = (covariates - middle) / np.where(varies, sd, np.inf)
-    return named, np.asarray(scaled, np.float32), wet, has_data
+    covariates: FloatArray
+    """Of mean 0 and standard deviation 1 over the map, shape [covariate, row, column]."""
+    theta: FloatArray
+    """Inclination [rad], shape [row, column]."""
+    wetness: FloatArray | None
+    """m of each cell, shape [row, column]; ``None``: by its prior."""
+
+    def has_data(self) -> BoolArray:
+        """True for cells that have all, shape [row, column]."""
+        good = np.isfinite(self.covariates).all(axis=0)
+        return np.asarray(good if self.wetness is None else good & np.isfinite(self.wetness))
+
+    def cut(self, *cells: Any) -> Part:
+        """Some rows and columns of it, or cells by a mask of all."""
+        wet = None if self.wetness is None else self.wetness[cells]
+        return Part(self.covariates[:, *cells], self.theta[cells], wet)
 
 
-def _extrapolation(
-    field: Field, points: pd.DataFrame, at_points: FloatArray, ground: inputs.Elevation
-) -> Callable[[FloatArray, FloatArray, FloatArray], BoolArray]:
-    """Test of cells (x, y [m], covariates) for being far from the points, or beyond their range."""
-    from scipy.spatial import cKDTree
+class Terrain(NamedTuple):
+    """Covariates of a map and m, which are read by stripes."""
 
-    tree = cKDTree(points[["x_m", "y_m"]].to_numpy())
-    far = min(field.learnt["length_m"], FARTHEST * max(np.ptp(ground.x), np.ptp(ground.y)))
-    slack = BEYOND * np.ptp(at_points, axis=0) + 1e-6
-    low, high = at_points.min(axis=0) - slack, at_points.max(axis=0) + slack
+    ground: inputs.Elevation
+    points: pd.DataFrame
+    names: list[str]
+    """Of the covariates."""
+    layers: list[Callable[[slice], Any]]
+    """Reads a covariate in some rows."""
+    wetness: Callable[[slice], Any] | None
+    middle: Any = 0.0
+    """Mean of each covariate over the map, shape [covariate, 1, 1]."""
+    scale: Any = 1.0
+    """Standard deviation of each; infinite where it does not vary."""
 
-    def is_far(x: FloatArray, y: FloatArray, terrain: FloatArray) -> BoolArray:
-        distance = tree.query(np.column_stack([x, y]), distance_upper_bound=far)[0]
-        return np.asarray((distance == np.inf) | ((terrain < low) | (terrain > high)).any(axis=1))
+    @classmethod
+    def of(
+        cls, ground: inputs.Elevation, points: pd.DataFrame, covariate: Any, wetness: Any
+    ) -> Terrain:
+        """Read all once; raises InputError."""
+        names, read_wetness = ["elevation", "slope"], None
+        layers: list[Any] = [ground.read, ground.slope]
+        if covariate is not None:
+            path = path_of("covariate", covariate)
+            names.append(path.stem)
+            layers.append(inputs.read_layer(path, ground, points).read)
+        if wetness is not None:
+            wet = inputs.read_layer(path_of("wetness", wetness), ground, points)
+            if not 0.0 <= wet.low <= wet.high <= 1.0:
+                between = f"values from {wet.low:g} to {wet.high:g}, expected 0 to 1"
+                raise InputError(f"{wetness}: {between}")
+            read_wetness = wet.read
+        terrain = cls(ground, points, names, layers, read_wetness)
+        sums = np.zeros((3, len(names)))
+        for part in map(terrain.read, ground.stripes()):
+            values = part.covariates[:, part.has_data()].astype(np.float64)
+            sums += [np.full(len(names), values.shape[1]), values.sum(1), (values**2).sum(1)]
+        middle = sums[1] / sums[0]
+        sd = np.sqrt(np.maximum(sums[2] / sums[0] - middle**2, 0.0))
+        # On a plane the slope varies by rounding alone.
+        scale = np.where(sd > 1e-4 * np.maximum(1.0, np.abs(middle)), sd, np.inf)
+        return terrain._replace(middle=middle[:, None, None], scale=scale[:, None, None])
 
-    return is_far
+    def read(self, rows: slice) -> Part:
+        """A stripe."""
+        layers = np.stack([layer(rows) for layer in self.layers])
+        scaled = ((layers - self.middle) / self.scale).astype(np.float32)
+        return Part(scaled, layers[1], None if self.wetness is None else self.wetness(rows))
+
+    def at_points(self) -> FloatArray:
+        """Covariates at the points, of mean 0 and standard deviation 1, [point, covariate]."""
+        values = np.stack([self.ground.at(layer, self.points) for layer in self.layers])
+        return np.asarray((values - self.middle[..., 0]) / self.scale[..., 0]).T
 
 
-def _statistics(
-    ground: inputs.Elevation, points: pd.DataFrame, layers: Mapping[str, Any], has_data: BoolArray,
-    unstable_cells: FloatArray,
-) -> dict[str, Any]:  # fmt: skip
-    """Numbers of the grid, its slopes and φ, and shares of the map, JSON-able.
+class Windows:
+    """Windows of a map, which are computed by themselves."""
+
+    def __init__(
+        self, terrain: Terrain, field: Field, samples: slopes.Sample, joint: slopes.Sample
+    ) -> None:
+        from scipy.spatial import cKDTree
+
+        self.terrain, self.field, self.samples, self.joint = terrain, field, samples, joint
+        self.tree = cKDTree(terrain.points[["x_m", "y_m"]].to_numpy())
+        ground, at_points = terrain.ground, terrain.at_points()
+        self.far = min(field.learnt["length_m"], FARTHEST * ground.cell * max(ground.shape))
+        slack = BEYOND * np.ptp(at_points, axis=0) + 1e-6
+        ends = at_points.min(axis=0) - slack, at_points.max(axis=0) + slack
+        self.low, self.high = (end[:, None, None] for end in ends)
+
+    def stripe(self, rows: slice, pool: Executor) -> tuple[Part, dict[str, Any], FloatArray]:
+        """A stripe, its layers, shape [row, column], and its unstable cells, shape [draw]."""
+        part, ground = self.terrain.read(rows), self.terrain.ground
+        high, wide = part.theta.shape
+        layers: dict[str, Any] = {
+            name: np.full((high, wide), np.nan, np.float32) for name in LAYERS
+        }
+        layers["extrapolated"] = np.full((high, wide), 255, np.uint8)
+        side = int(max(min(self.field.reach / ground.cell, inputs.STRIPE), 1.0))
+
+        def window(first: tuple[int, int]) -> FloatArray:
+            cells = slice(first[0], first[0] + side), slice(first[1], first[1] + side)
+            x, y = ground.x[cells[1]], ground.y[rows][cells[0]]
+            return self.window(x, y, part.cut(*cells), {k: v[cells] for k, v in layers.items()})
+
+        corners = itertools.product(range(0, high, side), range(0, wide, side))
+        return part, layers, np.sum(list(pool.map(window, corners)), axis=0)
+
+    def window(
+        self, x: FloatArray, y: FloatArray, part: Part, into: Mapping[str, Any]
+    ) -> FloatArray:
+        """Fill the layers of a window; its unstable cells in each joint draw, shape [draw].
+
+        ``x`` and ``y`` are the centres of its columns and rows [m].
+        """
+        has_data, unstable = part.has_data(), np.zeros(self.joint.normal.size)
+        if not has_data.any():
+            return unstable
+        here = self.field.window(x, y)
+        z_mean, z_sd = here.at(part.covariates)
+        into["extrapolated"][has_data] = self.is_far(x, y, part.covariates)[has_data]
+        step = max(BLOCK // x.size, 1)
+        for rows in (slice(first, first + step) for first in range(0, y.size, step)):
+            good = has_data[rows]
+            mean, sd, cells = z_mean[rows][good], z_sd[rows][good], part.cut(rows).cut(good)
+            a, b = self.samples.terms(cells.theta, cells.wetness)
+            median, share = slopes.spread(mean, sd, self.samples.normal, a, b)
+            phi = np.degrees(np.arctan(tangent(mean)))
+            values = {
+                "p_unstable": slopes.unstable(mean, sd, a, b),
+                "fs_median": np.minimum(median, LARGEST),
+                "phi_share": share,
+                "phi_median": phi,
+                "phi_sd": degrees_per_z(phi) * sd,
+            }
+            for name, value in values.items():
+                into[name][rows][good] = value
+            # The unstable area needs joint draws: neighboring cells share their errors.
+            z = here.draws(rows)[:, good].T + cells.covariates.T @ here.drawn_effects
+            a, b = self.joint.terms(cells.theta, cells.wetness)
+            unstable += (a + b * tangent(z) < 1.0).sum(axis=0)
+        return unstable
+
+    def is_far(self, x: FloatArray, y: FloatArray, covariates: FloatArray) -> BoolArray:
+        """True for cells far from the points, or beyond their range, shape [row, column]."""
+        beyond = ((covariates < self.low) | (covariates > self.high)).any(axis=0)
+        # A window whose middle is nearer than this, or farther, by half its diagonal is all so.
+        half = 0.5 * math.hypot(np.ptp(x), np.ptp(y))
+        distance = self.tree.query([0.5 * (x[0] + x[-1]), 0.5 * (y[0] + y[-1])])[0]
+        if abs(distance - self.far) > half:
+            return np.asarray(beyond | (distance > self.far))
+        places = np.stack(np.meshgrid(x, y), axis=-1)
+        return np.asarray(
+            beyond | (self.tree.query(places, distance_upper_bound=self.far)[0] == np.inf)
+        )
+
+
+def _write(
+    windows: Windows, folder: Path, progress: Callable[[float, float], None]
+) -> dict[str, Any]:
+    """Write a GeoTIFF of each layer; numbers of the grid, its slopes and φ, and shares of the map.
 
     The share of the unstable cells, of each draw, has an interval.
     """
-    steep = np.degrees(ground.slope[has_data])
-    median, *ends = np.quantile(unstable_cells / has_data.sum(), [0.5, 0.025, 0.975]).tolist()
+    import rasterio
+
+    ground = windows.terrain.ground
+    rows, columns = ground.shape
+    sums: Any = dict.fromkeys(("cells", "unstable", "p_unstable", "phi_share", "extrapolated"), 0.0)
+    bins, steepest = np.zeros((2, round(90.0 / BIN_DEG) + 1), np.int64), 0.0
+    with ExitStack() as stack, ThreadPoolExecutor() as pool:
+        files = {}
+        for name, (about, unit) in LAYERS.items():
+            marks = name == "extrapolated"
+            files[name] = stack.enter_context(rasterio.open(
+                folder / f"{name}.tif", "w", driver="GTiff", height=rows, width=columns, count=1,
+                dtype="uint8" if marks else "float32", nodata=255 if marks else np.nan,
+                crs=ground.crs, transform=ground.transform, compress="deflate", zlevel=1,
+                predictor=2 if marks else 3, tiled=True, blockxsize=inputs.STRIPE,
+                blockysize=inputs.STRIPE, bigtiff="if_safer",
+            ))  # fmt: skip
+            files[name].set_band_description(1, about)
+            files[name].update_tags(1, unit=unit)
+        for stripe in ground.stripes():
+            progress(stripe.start, rows)
+            part, layers, unstable = windows.stripe(stripe, pool)
+            for name, file in files.items():
+                file.write(layers[name], 1, window=((stripe.start, stripe.stop), (0, columns)))
+            good = part.has_data()
+            slope_deg = np.degrees(part.theta[good])
+            steepest = max(steepest, float(slope_deg.max(initial=0.0)))
+            for counts, angles in zip(bins, (slope_deg, layers["phi_median"][good]), strict=True):
+                counts += np.bincount((angles / BIN_DEG).astype(np.int64), minlength=counts.size)
+            sums["cells"] += slope_deg.size
+            sums["unstable"] = sums["unstable"] + unstable
+            for name in ("p_unstable", "phi_share", "extrapolated"):
+                sums[name] += layers[name][good].sum(dtype=np.float64)
+    progress(rows, rows)
+    cells, points = sums["cells"], windows.terrain.points
+    median, *ends = np.quantile(sums["unstable"] / cells, [0.5, 0.025, 0.975]).tolist()
+    slope, phi = (
+        BIN_DEG * (0.5 + float(np.searchsorted(np.cumsum(counts), 0.5 * cells))) for counts in bins
+    )
     return {
-        "dem": ground.source,
+        "dem": str(ground.path),
         "crs": ground.crs.to_string(),
-        "cells": int(has_data.sum()),
+        "cells": int(cells),
         "cell_m": ground.cell,
-        "slope_deg": {"median": float(np.median(steep)), "largest": float(steep.max())},
-        "phi_deg": {
-            "median_of_points": float(points["phi_deg"].median()),
-            "median_of_map": float(np.median(layers["phi_median"][has_data])),
-        },
+        "slope_deg": {"median": slope, "largest": steepest},
+        "phi_deg": {"median_of_points": float(points["phi_deg"].median()), "median_of_map": phi},
         "unstable_area_share": {"median": median, "ci95": ends},
-        "mean_p_unstable": float(np.mean(layers["p_unstable"][has_data])),
-        "mean_phi_share": float(np.mean(layers["phi_share"][has_data])),
-        "extrapolated_share": float((layers["extrapolated"][has_data] == 1).mean()),
+        "mean_p_unstable": sums["p_unstable"] / cells,
+        "mean_phi_share": sums["phi_share"] / cells,
+        "extrapolated_share": sums["extrapolated"] / cells,
     }
 
 

@@ -27,7 +27,7 @@ from terraphi.experiment.units import GRAVITY
 from terraphi.terrain.field import STEEPEST, tangent
 
 with needing("a map", "rasterio, scikit-learn and SciPy", extra="terrain"):
-    from scipy.special import logit, ndtr, ndtri
+    from scipy.special import ndtr, ndtri
 
 WATER = 1000.0
 """Density of water [kg/m³]."""
@@ -164,6 +164,10 @@ class Sample:
         carried = 1.0 - wet * self.lightness
         return self.strength / np.sin(steep), carried / np.tan(steep)
 
+    def single(self) -> Sample:
+        """In single precision, for a quarter of the time."""
+        return Sample(*(values.astype(np.float32) for values in vars(self).values()))
+
 
 def unstable(mean: Any, sd: Any, a: Any, b: Any) -> Any:
     """Probability that F < 1, shape [cell]; exact in φ, a mean over the samples of the rest.
@@ -176,8 +180,27 @@ def unstable(mean: Any, sd: Any, a: Any, b: Any) -> Any:
         Of :meth:`Sample.terms`.
     """
     # Neutrally buoyant soil (b = 0) is unstable at every φ, or at none.
-    critical = np.clip((1.0 - a) / np.maximum(b * STEEPEST, 1e-12), 1e-12, 1.0 - 1e-12)
-    return ndtr((logit(critical) - mean[:, None]) / sd[:, None]).mean(axis=1)
+    critical = np.clip((1.0 - a) / np.maximum(b * STEEPEST, 1e-12), 1e-7, 1.0 - 1e-7)
+    deviate = np.log(critical / (1.0 - critical)) - mean[:, None]
+    deviate /= sd[:, None]
+    return normal_share(deviate).mean(axis=1)
+
+
+def normal_share(x: Any) -> Any:
+    """Cumulative normal distribution within 2e-5, in the array itself and a fifth of SciPy's time.
+
+    Its logit is odd and nearly a line; by three odd powers with the least largest error.
+    """
+    np.clip(x, -8.0, 8.0, out=x)
+    square = x * x
+    power = square * 6.33573e-4
+    power -= 0.0736052
+    power *= square
+    power -= 1.59543
+    power *= x
+    np.exp(power, out=power)
+    power += 1.0
+    return np.reciprocal(power, out=power)
 
 
 def spread(mean: Any, sd: Any, normal: FloatArray, a: Any, b: Any) -> tuple[Any, Any]:
@@ -189,4 +212,6 @@ def spread(mean: Any, sd: Any, normal: FloatArray, a: Any, b: Any) -> tuple[Any,
     friction = tangent(mean[:, None] + sd[:, None] * normal)
     factor = a + b * friction
     share = b.mean(axis=1) ** 2 * friction.var(axis=1) / np.maximum(factor.var(axis=1), 1e-30)
-    return np.median(factor, axis=1), np.clip(share, 0.0, 1.0)
+    half = factor.shape[1] // 2
+    factor.partition([half - 1, half], axis=1)
+    return factor[:, half - 1 : half + 1].mean(axis=1), np.clip(share, 0.0, 1.0)
