@@ -16,7 +16,7 @@ from terraphi.inference.inversion import SHARE, invert
 from terraphi.laws.foot import LAWS, Foot
 from terraphi.terrain.export import export
 from terraphi.terrain.simulators import convert
-from terraphi.terrain.soils import SANDS, soil
+from terraphi.terrain.soils import named, soil
 
 
 @pytest.mark.parametrize(
@@ -31,7 +31,7 @@ def test_the_table_follows_from_its_sources(
     name: str, relative_density: float | None, porosity: tuple[float, float]
 ) -> None:
     """Bolton's I_R in plane strain at low pressure, and densities from porosities, anew."""
-    (phi, sd), (density, _), _ = SANDS[name]
+    (phi, sd), (density, _), *_ = named()[name]
     above, error = 0.0, 0.0
     if relative_density is not None:
         rise = 5.0 * (relative_density * (10.0 - math.log(150.0)) - 1.0)
@@ -53,6 +53,19 @@ def test_draws_have_the_moments_of_the_soil() -> None:
     np.testing.assert_array_equal(again.phi_deg, phi)
     exact = soil(phi=30).draws(5, rng=0)
     assert exact.phi_deg.tolist() == [30.0] * 5
+
+
+def test_a_use_is_the_mixture_of_its_soils() -> None:
+    parts = [soil(name).draws(50_000, rng=i) for i, name in enumerate(
+        ("loose crushed sand", "loose crushed stone", "loose gravel"))]  # fmt: skip
+    phi, density = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
+    quarry = soil("quarry").draws(100_000, rng=9)
+    assert (quarry.phi_deg.mean(), quarry.phi_deg.std()) == pytest.approx(
+        (phi.mean(), phi.std()), abs=0.1
+    )
+    assert quarry.density.std() == pytest.approx(density.std(), rel=0.02)
+    expected = np.corrcoef(phi, density)[0, 1]
+    assert np.corrcoef(*quarry)[0, 1] == pytest.approx(expected, abs=0.03)
 
 
 def test_draws_of_an_answer_agree_with_its_forces() -> None:
@@ -114,7 +127,7 @@ def test_force_is_that_of_the_law_in_plane_strain() -> None:
         surface_friction=FOOT_FRICTION.mean,
     )  # fmt: skip
     np.testing.assert_allclose(force, [[0.0, 0.0, expected[1]], [0.0, 0.0, 0.0]], atol=1e-9)
-    for name in SANDS:
+    for name in named():
         values = soil(name).draws(4096, rng=0)
         result, _ = sand.force(foot, np.zeros((4096, 3)), down, **values._asdict())
         assert (result[:, 2] > 0.0).all()
@@ -129,6 +142,8 @@ def test_force_is_that_of_the_law_in_plane_strain() -> None:
     [
         (lambda: soil(), "give its name"),
         (lambda: soil("loos dry sand"), "did you mean 'loose dry sand'"),
+        (lambda: soil("snow"), "snow is no soil here: its bonds"),
+        (lambda: soil("JSC-1A"), "cohesion"),
         (lambda: soil(phi="nan"), "phi = nan; 5 to 60"),
         (lambda: soil(phi="33±20"), "a quarter"),
         (lambda: soil(invert("li2013:yuma/c"), density=1600), "an answer has its density"),

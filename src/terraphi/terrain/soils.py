@@ -5,9 +5,10 @@ From a table of sands, from numbers with their errors, or from an answer.
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property, partialmethod
+from functools import cache, cached_property, partialmethod
 from numbers import Real
 from pathlib import Path
 from statistics import NormalDist
@@ -16,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray, count, generator
+from terraphi.experiment.documents import DATA
 from terraphi.experiment.errors import GUESSED, InputError, nearest
 from terraphi.experiment.files import number_with_sd
 from terraphi.experiment.outputs import changed
@@ -42,41 +44,39 @@ are within law ``foot``, which ends at 55°."""
 
 
 class Sand(NamedTuple):
-    """An entry of the table: means and standard deviations, and where they come from."""
+    """An entry of ``data/soils.toml``: means and standard deviations, and where they come from."""
 
     phi: tuple[float, float]
-    """φ in plane strain [deg] that carries the load: critical of loose soil, between critical and
-    peak of dense soil."""
+    """φ in plane strain [deg] that carries the load."""
     density: tuple[float, float]
     """Bulk density [kg/m³]."""
     source: str
+    correlation: float = 0.0
+    """Between φ and density [-]."""
 
 
-# Quartz sand shears at constant volume at 33° (Bolton, 1986, within 1° by mineral; 30 to 36° by
-# grading and roundness: Dołżyk-Szypcio, Geosciences 10 (2020) 29), one angle in plane strain and
-# triaxial compression (Schanz & Vermeer, 1996). Dense sand peaks 5 I_R above it in plane strain,
-# I_R = I_D (10 − ln p') − 1 with p' of 150 kPa below that pressure: 5 I_D − 1 (Bolton, 1986, 1987).
-# What carries a foot lies 0.57 ± 0.18 of the way up (`inference.inversion.SHARE`). So at a relative
-# density I_D of 0.85 ± 0.1 φ = 33 + 0.57·16.3 = 42°, ± √(2² + (0.18·16.3)² + (0.57·2.5)²) = 4°, at
-# 0.5 ± 0.1 37 ± 3°. Densities are 2650 (1 − n) with the porosity n of uniform and of mixed-grained
-# sand, 0.46 and 0.40 loose, 0.34 and 0.30 dense (Terzaghi, Peck & Mesri, 1996, table of typical
-# porosities): between 1430 and 1590, and 1750 and 1855 kg/m³; medium lies between.
-_QUARTZ = "Bolton (1986, 1987); Schanz & Vermeer (1996); Terzaghi, Peck & Mesri (1996)"
-SANDS = {
-    "loose dry sand": Sand((33.0, 2.0), (1510.0, 80.0), _QUARTZ),
-    "medium dense dry sand": Sand((37.0, 3.0), (1655.0, 80.0), _QUARTZ),
-    "dense dry sand": Sand((42.0, 4.0), (1800.0, 60.0), _QUARTZ),
-    # φ_c = 42° − 17° R with the roundness R of the grains, e_max = 0.554 + 0.154/R, e_min = 0.359
-    # + 0.082/R (Cho, Dodds & Santamarina 2006, J. Geotech. Geoenviron. Eng. 132:591), at R of
-    # 0.7 ± 0.1 and 0.25 ± 0.1; loose is a relative density of 0.3. The rest of the error of φ, 2°,
-    # is that of the quartz sands.
-    "loose rounded sand": Sand((30.1, 2.6), (1570.0, 60.0), "Cho, Dodds & Santamarina (2006)"),
-    "loose crushed sand": Sand((37.8, 2.6), (1310.0, 120.0), "Cho, Dodds & Santamarina (2006)"),
-    # τ/σ = 0.38 in steady flow on inclines and a volume fraction of 0.60 of glass, 2450 kg/m³
-    # (Jop, Forterre & Pouliquen, Nature 441 (2006) 727): asin 0.38 = 22.3°. Errors are chosen.
-    "loose glass beads": Sand((22.3, 1.5), (1470.0, 40.0), "Jop, Forterre & Pouliquen (2006)"),
-}
-"""Soils by name."""
+@cache
+def named() -> dict[str, Sand]:
+    """Soils by name, and by what is found where, as on a beach."""
+    table = _table()
+    sands = {name: Sand(**entry) for name, entry in table["soils"].items()}
+    for use, names in table["uses"].items():
+        parts = [sands[name] for name in names]
+        # The covariance of a mixture is the mean of those of its parts and that of their means.
+        means, sds = (np.array([[s.phi[i], s.density[i]] for s in parts]) for i in (0, 1))
+        total = np.cov(means.T, bias=True) + np.diag(np.square(sds).mean(axis=0))
+        total += np.mean([s.correlation * s.phi[1] * s.density[1] for s in parts]) * (1 - np.eye(2))
+        (phi, density), (phi_sd, density_sd) = means.mean(axis=0), np.sqrt(np.diag(total))
+        sands[use] = Sand(
+            (float(phi), float(phi_sd)), (round(float(density)), round(float(density_sd))),
+            f"equal shares of {', '.join(names)}", float(total[0, 1] / (phi_sd * density_sd)),
+        )  # fmt: skip
+    return sands
+
+
+@cache
+def _table() -> dict[str, Any]:
+    return tomllib.loads((DATA / "soils.toml").read_text(encoding="utf-8"))
 
 
 class Draws(NamedTuple):
@@ -315,8 +315,7 @@ def soil(
     Parameters
     ----------
     what
-        A name of the table (``loose dry sand``, ``medium dense dry sand``, ``dense dry sand``,
-        ``loose rounded sand``, ``loose crushed sand``, ``loose glass beads``), φ as ``33`` or
+        A name of :func:`named`, such as ``loose dry sand`` or ``beach``, φ as ``33`` or
         ``"33±2"``, or an answer: an
         :class:`~terraphi.Answer`, the folder of ``terraphi invert --out``, its ``answer.nc``, or
         the output of ``--json``.
@@ -345,10 +344,12 @@ def soil(
             raise InputError("a soil has its own φ and density; leave them out")
         return what
     if (what is None) == (phi is None):
-        raise InputError(f"soil: give its name ({', '.join(SANDS)}), or phi as '33±2'")
+        raise InputError(f"soil: give its name ({', '.join(named())}), or phi as '33±2'")
     if isinstance(what, Real):
         what = f"{float(what):g}"
-    name, sand = str(what), SANDS.get(what) if isinstance(what, str) else None
+    name, sand = str(what), named().get(what) if isinstance(what, str) else None
+    if isinstance(what, str) and (lacks := _table()["refused"].get(what)):
+        raise InputError(f"{what} is no soil here: {lacks}")
     given = str(what if phi is None else phi).strip()
     angle = _angle(given) if sand is None and isinstance(what, str | None) else None
     if angle is not None:
@@ -366,6 +367,7 @@ def soil(
         density=weight[0],
         density_sd=weight[1],
         density_assumed=density is None,
+        correlation=sand.correlation if density is None else 0.0,
         origin={"soil": name, "source": sand.source},
     )
 
@@ -399,7 +401,7 @@ def _of_answer(what: Any, *, anyway: bool) -> SoilDistribution:
         text, path = str(what), Path(what)
         if text != "-" and not path.suffix and not path.exists():
             raise InputError(
-                f"'{text}' is neither an answer nor a soil; {nearest(text, (*SANDS, '33±2'))}"
+                f"'{text}' is neither an answer nor a soil; {nearest(text, (*named(), '33±2'))}"
             )
     read = StoredAnswer.of(what)
     answer = read.answer
