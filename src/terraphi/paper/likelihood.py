@@ -66,11 +66,6 @@ def observe(history: ForceHistory, angles: int = OBSERVATION_ANGLES) -> Observat
     return Observation(centre, *means.T)
 
 
-def residual_covariance(theta_deg: FloatArray) -> FloatArray:
-    """Block of Σ over σ_g² [-], shape [theta, theta]."""
-    return squared_exponential(theta_deg, theta_deg, CORRELATION_LENGTH_DEG)
-
-
 class Likelihood:
     """log p(d | φ) of predictions g(φ), up to a constant.
 
@@ -86,7 +81,8 @@ class Likelihood:
         self.data = np.array(data, dtype=np.float64)
         theta = np.asarray(theta_deg, dtype=np.float64)
         # Transposed inverse of the Cholesky factor: the residual times it is white.
-        self.whitener = np.linalg.inv(np.linalg.cholesky(residual_covariance(theta))).T
+        covariance = squared_exponential(theta, theta, CORRELATION_LENGTH_DEG)
+        self.whitener = np.linalg.inv(np.linalg.cholesky(covariance)).T
         self.sigma = SIGMA * np.ptp(self.data.reshape(2, -1), axis=1)
         self.least = RELATIVE_RESOLUTION**2 * self.quadratic(self.data[None, :])
 

@@ -97,17 +97,11 @@ def present(data: Any, *parts: str | Table | Mapping[str, Any], as_json: bool) -
             width = shutil.get_terminal_size().columns if sys.stdout.isatty() else math.inf
             click.echo(part.terminal(width))
             click.echo(f"{part.note}\n" if part.note else "")
-        else:
-            print_pairs(part)
-
-
-def print_pairs(pairs: Mapping[str, Any]) -> None:
-    """Names and values, one a line; a list of sentences one a line."""
-    width = max(map(len, pairs))
-    for name, value in pairs.items():
-        lines = value if name == "warnings" and value else [value]
-        for i, line in enumerate(lines):
-            click.echo(f"{'' if i else name:<{width}}  {words(line)}")
+        else:  # names and values, one a line; warnings have a line each
+            room = max(map(len, part))
+            for name, value in part.items():
+                for i, line in enumerate(value if name == "warnings" and value else [value]):
+                    click.echo(f"{'' if i else name:<{room}}  {words(line)}")
 
 
 def words(value: Any) -> str:
