@@ -188,3 +188,15 @@ def test_figures_have_data_and_posterior(answer: Answer) -> None:
     assert len(figure.axes) == 3
     shown = figure.axes[0].lines[-2].get_ydata()
     assert len(shown)
+
+
+def test_a_picture_shows_the_shift_and_no_curve_leaves_its_band() -> None:
+    # Fz of the straight leg rises with φ at some angles and falls at others.
+    answer = invert("li2013:yuma/straight")
+    [fit] = answer.records
+    assert (fit.band[0] <= fit.curve).all()
+    assert (fit.curve <= fit.band[1]).all()
+    model, before, _, _ = answer.plot().axes[1].lines
+    assert abs(fit.shift_deg) > 1.0
+    np.testing.assert_allclose(before.get_xdata(), model.get_xdata() - fit.shift_deg)
+    assert f"{fit.shift_deg:+.1f}°" in before.get_label()

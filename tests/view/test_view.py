@@ -67,7 +67,7 @@ def test_doctor_finds_a_missing_package_and_a_broken_library(
 def test_pictures_of_robots_are_drawn(foot_forces_file: Any, footfalls: Any, tmp_path: Any) -> None:
     with RobotForces.opened(foot_forces_file) as file:
         figures = [forces_figure(file), stance_figure(file), footfalls.plot()]
-    assert [len(figure.axes) for figure in figures] == [8, 2, 3]
+    assert [len(figure.axes) for figure in figures] == [8, 2, 5]
     for figure in figures:
         save(figure, tmp_path / "f.png", dpi=50)
         assert (tmp_path / "f.png").stat().st_size > 5000

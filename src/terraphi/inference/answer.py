@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-COMMON = ("model", "95 % of φ", "data")
-"""Labels in a picture that all bodies have."""
+SHIFT_DRAWN_DEG = 0.05
+"""Shift of θ from which a picture has the curve without it as well [deg]."""
 QUANTILES = 4000
 """Equally probable values that stand for a posterior by quadrature where draws are wanted."""
 
@@ -157,7 +157,7 @@ class RecordFit(RecordSummary):
         Channels of the record and of the model, shape [c, m]: Fx and Fz [N], or M [N m] in place
         of one of them or of both, as ``nrmsd`` names them.
     band
-        Smallest and largest curve over the 95 % interval, shape [2, c, m].
+        Smallest and largest curve at the ends of the 95 % interval and the median, shape [2, c, m].
     tangent
         The curve to first order in the answer's parameters: at parameters of zero, and its slope
         by each, in their order, shape [1 + parameter, c, m].
@@ -397,7 +397,7 @@ class Answer(Shown, AnswerSummary):
         figure = figure or NewFigure(figsize=(10.0, 3.4), layout="constrained")
         panels = dict.fromkeys((name, r.along) for r in self.records for name in r.nrmsd)
         *of_channels, of_phi = figure.subplots(1, 1 + len(panels))
-        several = len(self.rigs) > 1
+        several, legend = len(self.rigs) > 1, dict[str, Any]()
         for axes, (name, along) in zip(of_channels, panels, strict=True):
             drawn: set[str] = set()
             for record in self.records:
@@ -406,22 +406,21 @@ class Answer(Shown, AnswerSummary):
                 i, theta, rig = list(record.nrmsd).index(name), record.theta_deg, record.rig
                 colour = f"C{self.rigs.index(rig) % 10}"
                 body = str(rig) if isinstance(rig, Tool) else OUTLINES[rig.leg].label
+                axes.plot(theta, record.curve[i], color=colour, label=body if several else "model")
                 # Strokes of one leg have one band; data of several legs have their colours.
                 if str(rig) not in drawn:
-                    band = record.band[:, i]
-                    axes.fill_between(
-                        theta, *band, color=colour, alpha=0.2, lw=0, label="95 % of φ"
-                    )
+                    axes.fill_between(theta, *record.band[:, i], color=colour, alpha=0.2, lw=0,
+                                      label="95 % of φ")  # fmt: skip
                 drawn.add(str(rig))
-                axes.plot(theta, record.curve[i], color=colour, label=body if several else "model")
+                if abs(shift := record.shift_deg) >= SHIFT_DRAWN_DEG:
+                    label = "of θ" if len(self.records) > 1 else f"of θ by {shift:+.1f}°"
+                    axes.plot(theta - shift, record.curve[i], ":", color=colour, lw=1.0,
+                              label=f"model before its shift {label}")  # fmt: skip
                 dots = colour if several else "black"
                 axes.plot(theta, record.data[i], ".", color=dots, ms=4, mec="black", mew=0.4,
                           label="data")  # fmt: skip
             handles, labels = axes.get_legend_handles_labels()
-            each = dict(zip(labels, handles, strict=True))
-            # Legs first, then what all have.
-            names = [*(key for key in each if key not in COMMON), *(k for k in COMMON if k in each)]
-            axes.legend([each[key] for key in names], names, frameon=False, fontsize="small")
+            legend |= dict(zip(labels, handles, strict=True))
             axes.set(xlabel=along, ylabel=force_label(name))
             axes.axhline(0.0, color="0.7", lw=0.5, zorder=0)
             # A wide band is cut off, so that the data fill the picture.
@@ -430,6 +429,10 @@ class Answer(Shown, AnswerSummary):
             low = min(low, 0.0) if along == "slip" else low  # a load is the same at each
             ends = np.array([low, high]) + (high - low) * np.array([-0.6, 0.6])
             axes.set_ylim(*np.clip(axes.get_ylim(), *ends))
+        # Models first, drawn as lines, then what all bodies have.
+        entries = dict(sorted(legend.items(), key=lambda each: each[1].get_linestyle() != "-"))
+        figure.legend(entries.values(), entries, loc="outside lower center", ncols=7,
+                      frameon=False, fontsize="small")  # fmt: skip
         grid, density = self.grid_deg, self.density
         sound = self.verdict == "consistent"
         colour = "C0" if sound else "0.6"

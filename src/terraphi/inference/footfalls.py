@@ -384,26 +384,34 @@ class FootfallMap(Result):
         return walk
 
     def plot(self) -> Figure:
-        """Footfalls on the ground, and φ along the path with both bands, by Matplotlib."""
+        """Maps of φ and of its error, and φ along the path with both bands, by Matplotlib."""
         from matplotlib.layout_engine import ConstrainedLayoutEngine
 
         from terraphi.experiment.figure import Figure as NewFigure
 
         # Limits that follow the aspect change labels after their room is measured.
-        figure = NewFigure(figsize=(11.0, 4.6), layout=ConstrainedLayoutEngine(w_pad=0.2))
-        plan, course = figure.subplots(1, 2, width_ratios=(1.0, 1.35))
+        figure = NewFigure(figsize=(11.0, 6.0), layout=ConstrainedLayoutEngine(w_pad=0.2))
+        panels = figure.subplot_mosaic([["φ", "s"], ["±", "s"]], width_ratios=(1.1, 1.0))
         usable, (x, y) = self.usable, self.place[:, :2].T
-        plan.plot(self.path[:, 1], self.path[:, 2], color=GREY, lw=0.8, zorder=0)
-        refused = {"marker": "x", "s": 14, "color": GREY, "lw": 0.8}
-        plan.scatter(x[~usable], y[~usable], label=f"refused ({int((~usable).sum())})", **refused)
-        if usable.any():
-            label = f"usable ({int(usable.sum())})"
-            shown = plan.scatter(x[usable], y[usable], c=self.phi[usable], s=22, label=label)
-            figure.colorbar(shown, ax=plan, label="φ [deg]", location="bottom", shrink=0.8)
-        plan.set(xlabel="x, along the first heading [m]", ylabel="y [m]", title="Footfalls")
-        plan.set_aspect("equal", adjustable="datalim")
-        plan.legend(fontsize="small", frameon=False)
-        self._draw_course(course)
+        refused = int((~usable).sum())
+        for name, values, along, label in (
+            ("φ", self.phi, self.path_phi, "φ [deg]"),
+            ("±", self.sd, self.path_relative_sd, "± of φ between places [deg]"),
+        ):
+            plan = panels[name]
+            plan.scatter(x[~usable], y[~usable], marker="x", s=14, color=GREY, lw=0.8,
+                         label=f"{refused} refused footfalls" if name == "φ" else "")  # fmt: skip
+            if usable.any():
+                shown = plan.scatter(
+                    [*x[usable], *self.path[:, 1]], [*y[usable], *self.path[:, 2]],
+                    [22] * int(usable.sum()) + [3] * len(along), [*values[usable], *along],
+                )  # fmt: skip
+                figure.colorbar(shown, ax=plan, label=label, shrink=0.9)
+            plan.set(xlabel="x, along the first heading [m]", ylabel="y [m]")
+            plan.set_aspect("equal", adjustable="datalim")
+        panels["φ"].set_title(f"Footfalls ({int(usable.sum())} usable) and path")
+        self._draw_course(panels["s"])
+        figure.legend(loc="outside lower center", ncols=4, frameon=False, fontsize="small")
         return figure
 
     def _draw_course(self, axes: Axes) -> None:
@@ -424,7 +432,6 @@ class FootfallMap(Result):
             s[distance2.argmin(axis=1)], self.phi[usable], self.sd[usable], fmt="o", ms=3, lw=0.6,
             color="C1", label="footfalls, usable", zorder=1, alpha=0.7,
         )  # fmt: skip
-        axes.legend(fontsize="small", frameon=False)
 
     def _lines(self) -> list[str]:
         counts = ", ".join(f"{n} {verdict}" for verdict, n in self.counts().items())

@@ -447,7 +447,7 @@ def record_fits(
                 simulated=record.simulated, n_readings=len(record.history.position),
                 n_left_out=record.n_left_out, theta_deg=record.theta_deg, data=record.data,
                 curve=curve, tangent=tangent[:, part].reshape(-1, *curve.shape),
-                band=np.stack([np.minimum(low, high), np.maximum(low, high)]),
+                band=np.sort([low, high, curve], axis=0)[::2],
                 nrmsd=dict(zip(record.channels, size.tolist(), strict=True)),
             )
         )  # fmt: skip

@@ -236,7 +236,8 @@ def invert_pressed(record: PressedRecord, law: Any = None) -> Answer:
     fitted = RecordFit(
         source=label, rig=tool, simulated=False, n_readings=used, n_left_out=table.rows - used,
         theta_deg=1e3 * z, data=force[None], curve=fit.model[None],
-        band=(press.borne[fit.top] * ends)[:, None], nrmsd={"Fz": residual}, limit=LIMIT,
+        band=np.sort([*(press.borne[fit.top] * ends), fit.model], axis=0)[::2, None],
+        nrmsd={"Fz": residual}, limit=LIMIT,
         tangent=np.stack([fit.model - fit.slope * level, fit.slope])[:, None],
     )  # fmt: skip
     verdict, reason, edge = _verdict(press, fit, fitted, estimate.median, steady_sd)

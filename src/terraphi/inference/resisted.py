@@ -177,7 +177,7 @@ def _fit(
         theta_deg=resisted.rows["slip"],
         data=data[None],
         curve=rows[0][None],
-        band=np.array(rows[1:3])[:, None],
+        band=np.sort(rows[:3], axis=0)[::2, None],
         nrmsd={"Fx": float(np.sqrt(np.mean((data - rows[0]) ** 2))) / size},
         limit=LIMIT if resisted.has_both else None,
         tangent=np.stack([rows[0] - (rows[3] - rows[0]) * estimate.median, rows[3] - rows[0]])[

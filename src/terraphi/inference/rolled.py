@@ -451,8 +451,8 @@ def _record_fit(record: PressedRecord, roll: _Roll, fit: _Mean, estimate: Estima
     )
     return RecordFit(
         source=record.source, rig=record.rig, simulated=False, n_readings=record.table.rows,
-        theta_deg=slips, data=data[None], curve=model[None], band=np.array([[low], [high]]),
-        nrmsd={"Fz": nrmsd}, limit=LIMIT,
+        theta_deg=slips, data=data[None], curve=model[None],
+        band=np.sort([low, high, model], axis=0)[::2, None], nrmsd={"Fz": nrmsd}, limit=LIMIT,
         tangent=np.stack([model - slope * estimate.median, slope])[:, None],
     )  # fmt: skip
 
