@@ -18,6 +18,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import urlencode
@@ -27,7 +28,7 @@ import pandas as pd
 import pytest
 
 import terraphi
-from terraphi import InputError, invert, measurement, read_forces
+from terraphi import InputError, Rig, calibrate, invert, measurement, read_forces
 from terraphi.view import app
 from terraphi.view.app import Limits, look, read, work
 
@@ -61,10 +62,11 @@ class Served:
             connection.request(method, path, body, headers)
             reply = connection.getresponse()
             reference = {name.lower(): value for name, value in reply.getheaders()}
-            return Reply(reply.status, reference, reply.read().decode())
+            # Stages of the work come first, a line each.
+            return Reply(reply.status, reference, reply.read().decode().rpartition("\n")[2])
 
-    def drop(self, body: Any, *, task: str = "answer", **options: str) -> Reply:
-        query = urlencode({**USUAL, **options})
+    def drop(self, body: Any, /, *, task: str = "answer", **options: Any) -> Reply:
+        query = urlencode({**USUAL, **options}, doseq=True)
         return self.ask("POST", f"/{task}?{query}", body, **{"x-terraphi": TOKEN})
 
 
@@ -112,13 +114,14 @@ def forces(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 def test_dropped_forces_become_an_answer_and_nothing_stays(
     served: Served, forces: bytes, places: Path
 ) -> None:
-    reply = served.drop(forces, name=f"../../etc/{HOSTILE}.csv", density="700±30")
+    reply = served.drop(forces, name=f"../../etc/{HOSTILE}.CSV", density="700±30")
     assert reply.status == 200, reply.text
     html = json.loads(reply.text)["html"]
     assert "Plane strain" in html
     assert "700 kg/m³" in html
     assert "<img src=x" not in html
-    assert "etc/" not in html.split("<h1>")[1].split("</h1>")[0]
+    assert "etc/" not in html
+    assert "dropped" not in html
     assert left(places) == []
 
 
@@ -149,6 +152,59 @@ def test_a_table_of_a_tool_is_inverted_as_on_the_command_line(
     np.testing.assert_allclose(table[column], answer.records[0].theta_deg, rtol=1e-4, atol=1e-6)
     stored = terraphi.Answer.load(tmp_path / "answer.nc")
     assert stored.phi.median == pytest.approx(answer.phi.median, abs=1e-6)
+
+
+def test_several_files_and_a_calibration_give_the_joint_answer_of_the_command_line(
+    served: Served, tmp_path: Path, places: Path
+) -> None:
+    names = ["straight.csv", "c.csv", "plate.csv", "mine.toml"]
+    for leg in ("straight", "c"):
+        measurement(f"li2013:poppy_loose/{leg}").history.to_csv(tmp_path / f"{leg}.csv")
+    shutil.copy(Path(app.__file__).parents[1] / "data" / "examples" / "plate.csv", tmp_path)
+    given: dict[str, Any] = {"rig": Rig.of("li2013", "straight"), "density": "638±30"}
+    calibrate(str(tmp_path / "straight.csv"), 36.0, 2.0, **given).save(tmp_path / "mine.toml")
+    contents = [(tmp_path / name).read_bytes() for name in names]
+    body, sizes = b"".join(contents), [len(content) for content in contents]
+    options: dict[str, Any] = {"name": names, "size": sizes, "body": ["", "c", "plate:60", ""]}
+    reply = json.loads(served.drop(body, density="638±30", **options).text)
+    assert "straight.csv" in reply["html"]
+    assert "plate.csv" in reply["html"]
+    assert "dropped" not in reply["html"]
+    (tmp_path / "answer.nc").write_bytes(base64.b64decode(reply["files"]["answer.nc"]))
+    stored = terraphi.Answer.load(tmp_path / "answer.nc")
+    files = [
+        str(tmp_path / name) + at
+        for name, at in zip(names[:3], ("", "@c", "@plate:60"), strict=True)
+    ]
+    answer = invert(files, calibration=tmp_path / "mine.toml", **given)
+    assert stored.phi.median == pytest.approx(answer.phi.median, abs=1e-6)
+    assert [record.source for record in stored.records] == names[:3]
+    two = served.drop(2 * contents[3], name=2 * names[3:], size=2 * sizes[3:])
+    assert "one calibration" in two.text
+    assert left(places) == []
+
+
+def test_a_browser_that_goes_away_ends_the_work_and_another_one_waits(
+    served: Served, forces: bytes, tmp_path: Path, places: Path
+) -> None:
+    robot = tmp_path / "robot.toml"
+    os.mkfifo(robot)  # reading it does not end
+    options = urlencode({**USUAL, "name": "walk.csv", "robot": str(robot)})
+    head = f"POST /answer?{options} HTTP/1.1\r\nHost: 127.0.0.1\r\nx-terraphi: {TOKEN}\r\n"
+    log = b"time_s,FR_hip_angle_rad\n"
+    with socket.create_connection(("127.0.0.1", served.port), timeout=120) as sending:
+        sending.sendall(f"{head}Content-Length: {len(log)}\r\n\r\n".encode() + log)
+        reply = http.client.HTTPResponse(sending)
+        reply.begin()
+        assert json.loads(reply.readline())["stage"].startswith("Forces on the feet")
+        with ThreadPoolExecutor(1) as pool:
+            other = pool.submit(served.drop, forces, task="look")
+            time.sleep(0.5)
+            assert not other.done()
+            reply.close()
+            sending.close()
+            assert json.loads(other.result().text)["kind"] == "forces"
+    assert left(places) == []
 
 
 def exported(kind: str) -> bytes:
@@ -202,14 +258,14 @@ def test_a_preview_of_what_cannot_be_guessed_has_the_cells(served: Served, place
     assert reply["columns"] == [HOSTILE, "b"]
     assert reply["rows"] == [[1.0, 2.0], [3.0, None]]
     assert reply["roles"] == {}
-    assert result.headers["content-type"] == "application/json"
+    assert result.headers["content-type"] == "application/x-ndjson"
     assert left(places) == []
 
 
 @pytest.mark.parametrize("columns", ['"/etc/passwd"', "{", '{"nope": "a"}'])
 def test_choices_that_are_none_are_refused(columns: str, served: Served, forces: bytes) -> None:
     reply = served.drop(forces, columns=columns)
-    assert reply.status == 422
+    assert "refused" in json.loads(reply.text)
     assert "root:" not in reply.text
 
 
@@ -245,14 +301,13 @@ def test_what_a_killed_app_left_is_removed_at_the_next_start(
 def test_what_cannot_be_read_ends_in_a_sentence_with_its_own_name(
     body: bytes, name: str, word: str, tmp_path: Path
 ) -> None:
-    file = f"dropped{Path(name).suffix}"
-    (tmp_path / file).write_bytes(body)
+    (tmp_path / "upload").write_bytes(body)
     options = dict.fromkeys(("density", "columns", "law", "robot")) | {"leg": "c", **SIZES}
-    work({"folder": str(tmp_path), "file": file, "name": name, "task": "answer", **options})
+    work({"folder": str(tmp_path), "names": [name], "task": "answer", **options})
     sentence = (tmp_path / "refused.txt").read_text(encoding="utf-8")
     assert word in sentence
     assert name in sentence
-    assert "dropped." not in sentence
+    assert "dropped" not in sentence
     assert str(tmp_path) not in sentence
 
 
@@ -260,16 +315,17 @@ def test_a_log_is_read_with_the_robot_and_the_law_that_were_chosen(tmp_path: Pat
     log = Path(app.__file__).parents[1] / "data" / "robots" / "walk.csv"
     robot = tmp_path / "heavy.toml"
     robot.write_text(f'model = "{log.with_name("go2.xml")}"\nname = "heavier"\nmass = 17.0\n')
-    shutil.copy(log, tmp_path / "dropped.csv")
-    job = dict.fromkeys(("leg", *SIZES, "density", "columns")) | {"name": "walk.csv"}
-    job |= {"folder": str(tmp_path), "file": "dropped.csv", "task": "answer"}
+    shutil.copy(log, tmp_path / "upload")
+    job = dict.fromkeys(("leg", *SIZES, "density", "columns")) | {"names": ["walk.csv"]}
+    job |= {"folder": str(tmp_path), "task": "answer"}
     work(job | {"law": "rft", "robot": str(robot)})
     html = json.loads((tmp_path / "reply.json").read_text())["html"]
     footfall_map = terraphi.footfalls(log, robot=robot, law="rft")
     assert f"{footfall_map.path_phi.mean():.1f}" in html
     assert "0.9 times the robot" not in html
     (tmp_path / "reply.json").unlink()
-    shutil.rmtree(tmp_path / "files")
+    for name in ("files", "dropped"):
+        shutil.rmtree(tmp_path / name)
     work(job | {"law": None, "robot": "go3"})
     assert "go3" in (tmp_path / "refused.txt").read_text()
 
@@ -323,21 +379,21 @@ def test_another_user_of_the_machine_cannot_have_files_read(
 
 @pytest.mark.parametrize("options", [{"leg": "plate"}, {"name": "a.exe"}])
 def test_wrong_options_are_refused(options: dict[str, str], served: Served, forces: bytes) -> None:
-    assert served.drop(forces, **options).status in (415, 422)
+    assert "refused" in json.loads(served.drop(forces, **options).text)
 
 
 def test_work_that_takes_too_long_is_ended_and_the_next_file_is_read(
     forces: bytes, tmp_path: Path
 ) -> None:
-    job = {"folder": str(tmp_path), "file": "dropped.csv", "name": "a.csv", "task": "look"}
+    job: dict[str, Any] = {"folder": str(tmp_path), "names": ["a.csv"], "task": "look"}
     job["columns"] = ""
-    (tmp_path / "dropped.csv").write_bytes(forces)
+    (tmp_path / "upload").write_bytes(forces)
 
     async def twice() -> None:
         with pytest.raises(TimeoutError):
-            await read(job, 1e-4)
+            [_ async for _ in read(job, 1e-4)]
         assert not (tmp_path / "reply.json").exists()
-        await read(job, 60.0)
+        assert [_ async for _ in read(job, 60.0)] == []
 
     asyncio.run(twice())
     assert json.loads((tmp_path / "reply.json").read_text())["kind"] == "forces"
@@ -347,17 +403,20 @@ APP = """
 import asyncio, json, sys
 from terraphi.view.app import read
 if __name__ == "__main__":
-    asyncio.run(read(json.loads(sys.argv[1]), 600.0))
+    async def drain():
+        [_ async for _ in read(json.loads(sys.argv[1]), 600.0)]
+
+    asyncio.run(drain())
 """
 
 
 def test_what_reads_a_file_ends_with_an_app_that_is_killed(tmp_path: Path) -> None:
     robot = tmp_path / "robot.toml"
     os.mkfifo(robot)  # reading it does not end
-    (tmp_path / "dropped.csv").write_text("time_s,FR_hip_angle_rad\n")
+    (tmp_path / "upload").write_text("time_s,FR_hip_angle_rad\n")
     (tmp_path / "app.py").write_text(APP)
-    job = dict.fromkeys(("leg", *SIZES, "density", "columns", "law")) | {"name": "walk.csv"}
-    job |= {"folder": str(tmp_path), "file": "dropped.csv", "task": "answer", "robot": str(robot)}
+    job = dict.fromkeys(("leg", *SIZES, "density", "columns", "law")) | {"names": ["walk.csv"]}
+    job |= {"folder": str(tmp_path), "task": "answer", "robot": str(robot)}
     app = subprocess.Popen(
         [sys.executable, str(tmp_path / "app.py"), json.dumps(job)],
         env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
@@ -408,18 +467,123 @@ def test_a_file_dropped_in_a_browser_ends_in_its_page(
     assert trouble == []
 
 
+OPTIONS = {
+    "density": "638", "sd": "30", "grain_size_mm": "0.5", "leg_friction": "0.3±0.08",
+    "gain": "1.0±0.02", "critical": "33±1", "law": "legs", "hip_sd": "1",
+}  # fmt: skip
+
+
+@pytest.fixture
+def samples(tmp_path: Path) -> Path:
+    """A folder with a file of each kind that people drop."""
+    shipped, rig = Path(app.__file__).parents[1] / "data", Rig.of("li2013", "straight")
+    for leg in ("straight", "c"):
+        measurement(f"li2013:poppy_loose/{leg}").history.to_csv(tmp_path / f"{leg}.csv")
+    for path in ("examples/plate.csv", "examples/wheel.csv", "robots/walk.csv"):
+        shutil.copy(shipped / path, tmp_path)
+    rows = pd.read_csv(tmp_path / "wheel.csv", comment="#")
+    rows.assign(slip=100.0 * rows["slip"]).to_csv(tmp_path / "percent.csv", index=False)
+    shutil.copy(tmp_path / "straight.csv", tmp_path / "<img src=x onerror=alert(1)>.csv")
+    (tmp_path / "notes.csv").write_text("the,quick\nbrown,fox\n")
+    (tmp_path / "other.zip").write_bytes(b"PK\x03\x04")
+    sizes = "".join(f"{name} = {size}\n" for name, size in rig.sizes_mm.items())
+    (tmp_path / "rig.toml").write_text(f'leg = "straight"\n{sizes}')
+    forces = str(tmp_path / "straight.csv")
+    calibrate(forces, 36.0, 2.0, rig=rig, density="638±30").save(tmp_path / "mine.toml")
+    return tmp_path
+
+
+class Walker:
+    """A page of the app, and the folder for its pictures."""
+
+    def __init__(self, browser: Any, port: int, samples: Path, width: int) -> None:
+        self.page = browser.new_page(viewport={"width": width, "height": 900})
+        self.page.set_default_timeout(240_000)
+        self.trouble: list[str] = []
+        self.page.on("pageerror", lambda error: self.trouble.append(str(error)))
+        self.page.on("dialog", lambda dialog: self.trouble.append(dialog.message))
+        self.page.goto(f"http://127.0.0.1:{port}/?token={TOKEN}")
+        self.samples, self.width = samples, width
+
+    def picture(self, name: str) -> None:
+        folder = Path(os.environ.get("TERRAPHI_PICTURES", self.samples))
+        self.page.screenshot(path=folder / f"{name}-{self.width}.png", full_page=True)
+
+    def drop(self, *names: str) -> None:
+        self.page.set_input_files("#file", [self.samples / name for name in names])
+
+    def rest(self) -> None:
+        """Wait until nothing is being done."""
+        self.page.wait_for_timeout(100)
+        self.page.locator("#status").wait_for(state="hidden")
+
+    def fill(self, **values: str) -> None:
+        for name, value in values.items():
+            self.page.locator(f"[name={name}]").fill(value)
+
+    def find(self) -> str:
+        self.page.get_by_role("button", name="Find").click()
+        self.page.locator("#answer img").first.wait_for(state="attached")
+        return str(self.page.locator(".headline").first.inner_text())
+
+
 @pytest.mark.slow
-def test_a_plate_in_a_browser_needs_no_leg(browser: Any, served: Served) -> None:
-    page = browser.new_page()
-    trouble: list[str] = []
-    page.on("pageerror", lambda error: trouble.append(str(error)))
-    page.goto(f"http://127.0.0.1:{served.port}/?token={TOKEN}")
-    page.set_input_files("#file", Path(app.__file__).parents[1] / "data" / "examples" / "plate.csv")
-    page.get_by_label("Its sizes [mm]").fill("plate:60")
-    page.get_by_label("Its sizes [mm]").press("Tab")
-    page.locator("#read").get_by_text("Read, in SI").wait_for()
-    assert not page.locator("#rig").is_visible()
-    page.get_by_role("button", name="Find").click()
-    page.locator("#answer img").wait_for(state="attached")
-    assert page.locator(".headline").inner_text().startswith("φ = ")
-    assert trouble == []
+@pytest.mark.parametrize("width", [1280, 390])
+def test_every_option_of_the_page(width: int, browser: Any, samples: Path, places: Path) -> None:
+    """Pictures of each step go to the folder TERRAPHI_PICTURES, for somebody to look at."""
+    with running(Limits(bytes=2_000_000)) as served:
+        walker = Walker(browser, served.port, samples, width)
+        page = walker.page
+        walker.drop("mine.toml", "straight.csv", "c.csv", "plate.csv", "rig.toml")
+        page.locator("#files li", has_text="rig.toml").wait_for(state="attached")
+        page.locator("#files li", has_text="rig.toml").wait_for(state="detached")
+        for name, body in (("c.csv", "c"), ("plate.csv", "plate:60")):
+            page.get_by_label(f"Leg or tool of {name}").fill(body)
+            page.get_by_label(f"Leg or tool of {name}").press("Tab")
+            walker.rest()
+        assert page.locator("#picture").is_visible()
+        walker.fill(**OPTIONS)
+        walker.picture("several-asked")
+        least = min(box.bounding_box()["width"] for box in page.locator("#rig .fields input").all())
+        assert least > 100.0
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        assert walker.find().startswith("φ = ")
+        assert "Calibrated" in page.locator("#answer").inner_text()
+        walker.picture("several-answered")
+        with page.expect_download() as download:
+            page.get_by_role("link", name="answer.nc").click()
+        download.value.save_as(samples / "answer.nc")
+        walker.drop("answer.nc")
+        page.locator("#answer img").wait_for(state="attached")
+        walker.picture("result")
+        for name in ("notes.csv", "other.zip"):
+            walker.drop(name)
+            page.get_by_role("alert").get_by_text(name).wait_for()
+        walker.drop("<img src=x onerror=alert(1)>.csv")
+        page.locator("#picture").wait_for()
+        walker.drop("percent.csv")
+        page.get_by_text("Is this of a plate").wait_for()
+        page.get_by_label("Its sizes [mm]").fill("wheel:314.7x165")
+        page.get_by_label("Its sizes [mm]").press("Tab")
+        walker.picture("percent")
+        page.get_by_role("button", name="Use slip_unit=%").click()
+        page.locator("#read").get_by_text("Read, in SI").wait_for()
+        walker.fill(density="1605")
+        assert walker.find().startswith("φ = 35")
+        walker.picture("wheel")
+        walker.drop("walk.csv")
+        page.get_by_text("Forces on the feet").wait_for()
+        other = Walker(browser, served.port, samples, width)
+        other.drop("straight.csv")
+        other.page.get_by_text("Waiting for another file").wait_for()
+        page.get_by_role("button", name="Cancel").click()
+        other.page.locator("#picture").wait_for()
+        assert left(places) == []
+        walker.fill(density="1550", sd="80")
+        page.get_by_role("button", name="Find").click()
+        page.get_by_text("about", exact=False).and_(page.locator("#stage")).wait_for()
+        walker.picture("working")
+        page.locator("#answer img").nth(1).wait_for(state="attached")
+        walker.picture("walk")
+        assert walker.trouble == other.trouble == []
+        assert left(places) == []

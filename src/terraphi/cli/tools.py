@@ -35,9 +35,9 @@ def report(results: tuple[str, ...], out: Path, robot: str, as_json: bool) -> No
 @click.option("--port", type=click.IntRange(0, 65535), default=8321, show_default=True,
               help="Port on 127.0.0.1.")  # fmt: skip
 def app(port: int) -> None:
-    """Serve a local page for your files: drop one on it.
+    """Serve a local page for your files: drop them on it.
 
-    Forces on a leg (CSV, NetCDF) give an answer. A robot's log gives foot forces and footfalls.
+    Forces on legs, plates or wheels in one soil give an answer, a robot's log gives footfalls.
 
     Example: terraphi app
     """

@@ -1,10 +1,12 @@
-"""A local page for forces on a leg or a robot's log: drop a file on it to get an answer.
+"""A local page for forces on a leg or a tool, or a robot's log: drop files on it to get an answer.
 
 The server listens on the loopback address alone. It refuses requests with another host name
 (against DNS rebinding), and all requests without the token of the address that it prints: other
-users of the machine can reach the port, and pages of other sites can send to it. A file goes to a
-temporary folder under a generated name. A process of its own with limits on time and memory reads
-it: a copy of one that has loaded the library, so that no file meets what another left.
+users of the machine can reach the port, and pages of other sites can send to it. Files go to a
+temporary folder, their names freed of all but letters, digits and a few signs. A process of its own
+with limits on time and memory reads them: a copy of one that has loaded the library, so that no
+file meets what another left. The reply is lines of JSON: stages of the work, and then its result. A
+browser that goes away ends the work.
 """
 
 from __future__ import annotations
@@ -12,14 +14,16 @@ from __future__ import annotations
 import asyncio
 import base64
 import contextlib
+import itertools
 import json
 import math
 import os
+import re
 import secrets
 import socket
 import tempfile
-from collections.abc import Callable
-from dataclasses import replace
+import time
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Sequence
 from multiprocessing import forkserver, get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -27,18 +31,20 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.bodies import OUTLINES
 from terraphi.experiment.errors import InputError, needing
 from terraphi.experiment.files import temporary_folder
 from terraphi.experiment.history import CHANNEL_UNITS
 from terraphi.experiment.leg import Leg, frame_axes
 from terraphi.experiment.reading import ForceColumns
-from terraphi.experiment.rig import LI2013, SIZES, Tool, with_rig
+from terraphi.experiment.rig import LI2013, SIZES, Rig, Tool, with_rig
 from terraphi.experiment.tables import write_csv
 from terraphi.experiment.workers import end_with
 from terraphi.view import page
 from terraphi.view.sections import (
     LOGS,
+    Picture,
     Section,
     kind_of,
     of_answer,
@@ -57,18 +63,20 @@ if TYPE_CHECKING:
 
 CONTEXT = get_context("forkserver")
 HOST = "127.0.0.1"
-SUFFIXES = (".nc", *LOGS)
+SUFFIXES = (".nc", ".toml", *LOGS)
 ROLES = {
     "theta": "leg angle θ", "fx": "force Fx", "fz": "force Fz", "moment": "moment at the hip",
     "time": "time",
 }  # fmt: skip
-OPTIONS = ("leg", *SIZES, "leg_friction", "tool", "density", "grain_size_mm", "cohesion",
+OPTIONS = ("leg", *SIZES, "leg_friction", "tool", "density", "grain_size_mm", "cohesion", "gain",
            "critical", "law", "robot")  # fmt: skip
 """Choices next to the columns: options of ``invert`` and the robot."""
 LONGEST_FOLDER = 60
 """Bytes of a temporary folder in which a socket of multiprocessing has its name: that adds 32."""
-LONGEST_NAME = 80
-"""Letters of a file's name that are shown."""
+LONGEST_NAME = 60
+"""Letters of a file's name that are kept: of up to four bytes each, of 255 that a name may have."""
+TICK_S = 0.1
+"""Time between looks at the stage of the work [s]."""
 MOST_MEMORY, MOST_FILE, MOST_CPU_S = 6 << 30, 500 << 20, 600
 """Address space [byte], largest file [byte] and processor time [s] of the process that reads."""
 HEADERS = {
@@ -82,10 +90,10 @@ HEADERS = {
 
 
 class Limits(NamedTuple):
-    """Limits for one file."""
+    """Limits for the files of one answer."""
 
     bytes: int = 200_000_000
-    """Largest: an hour of a robot's log."""
+    """Of all of them: an hour of a robot's log."""
     seconds: float = 180.0
     """For all work on it [s]."""
     upload_seconds: float = 60.0
@@ -156,10 +164,10 @@ def server(
 def application(token: str, limits: Limits, place: Path | None) -> Starlette:
     """Make the Starlette application; raises InputError if a package is missing."""
     with needing("the app", "Starlette and uvicorn", extra="app"):
+        from starlette import responses as web
         from starlette.applications import Starlette
         from starlette.middleware import Middleware
         from starlette.middleware.trustedhost import TrustedHostMiddleware
-        from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, Response
         from starlette.routing import Route
     script = page.ASSETS.joinpath("app.js").read_text(encoding="utf-8")
     units = ForceColumns.model_json_schema()["properties"]
@@ -196,16 +204,17 @@ def application(token: str, limits: Limits, place: Path | None) -> Starlette:
         try:
             allow(request.query_params.get("token", ""))
         except RefusedError as refused:
-            return PlainTextResponse(f"terraphi: {refused}", refused.status, headers=HEADERS)
-        return HTMLResponse(front, headers={**HEADERS, "content-security-policy": policy})
+            return web.PlainTextResponse(f"terraphi: {refused}", refused.status, HEADERS)
+        return web.HTMLResponse(front, headers={**HEADERS, "content-security-policy": policy})
 
     async def dropped(request: Request) -> Response:
         try:
             allow(request.headers.get("x-terraphi", ""))
-            reply = await reply_to(request, one_at_a_time, limits, place)
-            return Response(reply, media_type="application/json", headers=HEADERS)
+            job, made = await received(request, limits, place)
         except RefusedError as refused:
-            return JSONResponse({"refused": str(refused)}, refused.status, headers=HEADERS)
+            return web.JSONResponse({"refused": str(refused)}, refused.status, HEADERS)
+        lines = replies(job, made, one_at_a_time, limits.seconds)
+        return web.StreamingResponse(lines, 200, HEADERS, "application/x-ndjson")
 
     tasks = [Route(f"/{task}", dropped, methods=["POST"]) for task in ("look", "answer")]
     hosts = Middleware(TrustedHostMiddleware, allowed_hosts=[HOST, "localhost"])
@@ -218,34 +227,61 @@ def corners(leg: str) -> str:
     return " ".join(f"{x:.1f},{-z:.1f}" for x, z in outline)
 
 
-async def reply_to(
-    request: Request, one_at_a_time: asyncio.Lock, limits: Limits, place: Path | None = None
-) -> bytes:
-    """Return the contents of an upload, or its answer, as JSON; raises RefusedError."""
+async def received(
+    request: Request, limits: Limits, place: Path | None = None
+) -> tuple[dict[str, Any], tempfile.TemporaryDirectory[str]]:
+    """Take an upload in: the job of :func:`work`, and its folder; raises RefusedError."""
     query = request.query_params
-    last = query.get("name", "").replace("\\", "/").rpartition("/")[2]
-    name = "".join(letter for letter in last if letter.isprintable())[-LONGEST_NAME:] or "file"
-    suffix = Path(name).suffix.lower()
-    if suffix not in SUFFIXES:
-        raise RefusedError(415, f"{name}: expected a file of {', '.join(SUFFIXES)}")
+    sizes, bodies = query.getlist("size"), query.getlist("body")
+    names = [safe_name(name) for name in query.getlist("name")] or ["file"]
+    names = [f"{i}-{n}" if n in names[: i - 1] else n for i, n in enumerate(names, start=1)]
+    for name in names:
+        if Path(name).suffix.lower() not in SUFFIXES:
+            kinds = ", ".join(SUFFIXES)
+            raise RefusedError(415, f"{name}: expected a file of {kinds}; save a table as CSV")
     options = {key: query.get(key) or None for key in (*OPTIONS, "columns")}
-    with tempfile.TemporaryDirectory(dir=place, prefix="dropped-") as made:
-        folder = Path(made)
-        await _receive(request, folder / f"dropped{suffix}", name, limits)
-        task = request.url.path.strip("/")
-        job = {"folder": made, "file": f"dropped{suffix}", "name": name, "task": task, **options}
+    made = tempfile.TemporaryDirectory(dir=place, prefix="dropped-")
+    try:
+        await _receive(request, Path(made.name) / "upload", ", ".join(names), limits)
+    except RefusedError:
+        made.cleanup()
+        raise
+    task = request.url.path.strip("/")
+    files = {"names": names, "sizes": sizes, "bodies": bodies}
+    return {"folder": made.name, "task": task, **files, **options}, made
+
+
+def safe_name(name: str) -> str:
+    """Name of a file without folders and letters that mean something elsewhere, as in ``a.csv``."""
+    last = name.replace("\\", "/").rpartition("/")[2]
+    stem, dot, ending = re.sub(r"[^\w .,+=()~-]", "_", last)[-LONGEST_NAME:].rpartition(".")
+    return f"{stem}{dot}{ending.lower()}"
+
+
+async def replies(
+    job: dict[str, Any], made: tempfile.TemporaryDirectory[str], turn: asyncio.Lock, seconds: float
+) -> AsyncIterator[bytes]:
+    """Lines of JSON: stages of the work on an upload, and its reply or the reason against it.
+
+    The folder is removed at the end, also where the work is cancelled.
+    """
+    name, folder = ", ".join(job["names"]), Path(made.name)
+    refused, reply = folder / "refused.txt", folder / "reply.json"
+    why = f"{name}: cannot be read, or needs too much memory"
+    with made:
+        if turn.locked():
+            yield b'{"stage":"Waiting for another file"}\n'
         try:
-            async with one_at_a_time:
-                await read(job, limits.seconds)
+            async with turn, contextlib.aclosing(read(job, seconds)) as stages:
+                async for stage in stages:
+                    yield stage + b"\n"
         except TimeoutError:
-            late = f"{name}: not done within {limits.seconds:g} s; use the command line"
-            raise RefusedError(422, late) from None
-        refused, reply = folder / "refused.txt", folder / "reply.json"
-        if refused.is_file():
-            raise RefusedError(422, refused.read_text(encoding="utf-8"))
-        if not reply.is_file():
-            raise RefusedError(422, f"{name}: cannot be read, or needs too much memory")
-        return reply.read_bytes()
+            why = f"{name}: not done within {seconds:g} s; use the command line"
+        if reply.is_file():
+            yield reply.read_bytes()
+        else:
+            why = refused.read_text(encoding="utf-8") if refused.is_file() else why
+            yield page.embedded({"refused": why}).encode()
 
 
 async def _receive(request: Request, path: Path, name: str, limits: Limits) -> None:
@@ -264,22 +300,30 @@ async def _receive(request: Request, path: Path, name: str, limits: Limits) -> N
         raise RefusedError(408, f"{name}: the upload stopped; drop it again") from None
 
 
-async def read(job: dict[str, Any], most_seconds: float) -> None:
-    """Do a job of :func:`work` in a process of its own; raises TimeoutError if it takes too long.
+async def read(job: dict[str, Any], most_seconds: float) -> AsyncGenerator[bytes, None]:
+    """Do a job of :func:`work` in a process of its own, and yield its stages.
 
-    The process ends with this one, even if this one is killed.
+    The process ends with this one, even if this one is killed. Raises TimeoutError if it takes too
+    long.
     """
     theirs, ours = CONTEXT.Pipe(duplex=False)
     process = CONTEXT.Process(target=_read, args=(job, theirs))
-    await asyncio.to_thread(process.start)
+    end, stage, file = time.monotonic() + most_seconds, b"", Path(job["folder"], "stage.json")
     try:
-        await asyncio.to_thread(process.join, most_seconds)
-        if process.is_alive():
-            raise TimeoutError
+        await asyncio.to_thread(process.start)
+        while process.is_alive():
+            if time.monotonic() > end:
+                raise TimeoutError
+            await asyncio.sleep(TICK_S)
+            with contextlib.suppress(OSError):  # none yet
+                if stage != (stage := file.read_bytes()):
+                    yield stage
     finally:
-        process.kill()
-        ours.close()
+        ours.close()  # a process that is still to start ends by this
         theirs.close()
+        if process.pid is not None:
+            process.kill()
+            process.join()  # it writes into a folder that is removed next
 
 
 # -- the process that reads a file ---------------------------------------------------------------
@@ -296,45 +340,63 @@ def _read(job: dict[str, Any], app: Connection) -> None:
 
 
 def work(job: dict[str, Any]) -> None:
-    """Read a dropped file; write ``reply.json``, or the reason against it in ``refused.txt``.
+    """Read dropped files; write ``reply.json``, or the reason against them in ``refused.txt``.
 
     Parameters
     ----------
     job
-        ``folder`` and ``file`` in it, the ``name`` that was dropped, the ``task`` (look, answer);
-        :data:`OPTIONS` and, as JSON, ``columns``.
+        ``folder`` with the ``upload``, all files one after the other; their ``names`` and, where
+        there are several, their ``sizes`` [byte] and ``bodies``, as of :func:`answers`; the
+        ``task`` (look, answer); :data:`OPTIONS` and, as JSON, ``columns``.
     """
-    folder, name = Path(job["folder"]), job["name"]
-    file = str(folder / job["file"])
+    folder, names, began = Path(job["folder"]), job["names"], time.monotonic()
+    for place in ("dropped", "files"):
+        (folder / place).mkdir()
+    with (folder / "upload").open("rb") as upload:
+        for name, size in zip(names, job.get("sizes") or [-1], strict=True):
+            (folder / "dropped" / name).write_bytes(upload.read(int(size)))
+    options = {key: job[key] for key in OPTIONS if job.get(key) is not None}
+    for key in {"law", "robot"} & {*options}:
+        path = Path(options[key])
+        options[key] = str(path.absolute()) if path.is_file() else options[key]
 
-    def named(text: str) -> str:
-        return text.replace(file, name).replace(job["file"], name)
+    def progress(stage: str, share: float = 0.0) -> None:
+        left = (time.monotonic() - began) * (1.0 / share - 1.0) if share else None
+        content = page.embedded({"stage": stage, "left_s": left})
+        (folder / "stage").write_text(content, encoding="utf-8")
+        (folder / "stage").replace(folder / "stage.json")
 
     try:
         columns = {**json.loads(job["columns"] or "{}")}
-        if job["task"] == "look":
-            reply = look(file, columns, job.get("tool"))
-        else:
-            (folder / "files").mkdir()
-            options = {key: job[key] for key in OPTIONS if job.get(key) is not None}
-            sections = answers(file, name, columns, **options)
-            reply = {"html": page.drawn(sections)}
-            files = {path.name: path.read_bytes() for path in folder.glob("files/*")}
-            files = {"report.html": page.document(name, reply["html"]).encode(), **files}
-            reply["files"] = {key: base64.b64encode(f).decode() for key, f in files.items()}
+        with contextlib.chdir(folder / "dropped"):
+            if job["task"] == "look":
+                reply = look(names[0], columns, options.get("tool"))
+            else:
+                bodies = dict(itertools.zip_longest(names, job.get("bodies") or ()))
+                sections = answers(bodies, columns, progress, **options)
+                reply = {"html": page.drawn(sections)}
+                report = page.document(", ".join(names), reply["html"]).encode()
+                files = {path.name: path.read_bytes() for path in folder.glob("files/*")}
+                files = {"report.html": report, **files}
+                reply["files"] = {key: base64.b64encode(f).decode() for key, f in files.items()}
         (folder / "reply.json").write_text(page.embedded(reply), encoding="utf-8")
     except InputError as error:
-        sentence = named(str(error))
-        sentence = sentence if name in sentence else f"{name}: {sentence}"
+        sentence = str(error)
+        if not any(name in sentence for name in names):
+            sentence = f"{names[0]}: {sentence}"
         (folder / "refused.txt").write_text(sentence, encoding="utf-8")
 
 
 def look(file: str, columns: dict[str, Any], tool: str | None = None) -> dict[str, Any]:
-    """Return the kind of a file; for a table of forces its columns, their guesses and readings."""
+    """Return the kind of a file; for forces their columns, guesses, readings and a picture."""
     from terraphi.experiment.measurements import measurement_of
     from terraphi.experiment.reading import preview, read_trials
     from terraphi.experiment.tables import read_table
 
+    if file.endswith(".toml"):
+        if b"[[soils]]" in Path(file).read_bytes():
+            return {"kind": "calibration"}
+        return {"kind": "rig", "rig": Rig.of(file).model_dump(exclude_defaults=True)}
     if (kind := kind_of(file)) != "forces":
         return {"kind": kind}
     if tool:
@@ -343,67 +405,110 @@ def look(file: str, columns: dict[str, Any], tool: str | None = None) -> dict[st
         of_tool = open_pressed(file, Tool.of(tool), columns).table
         values = getattr(of_tool, "values", None) or {key: getattr(of_tool, key)
                                                       for key in ("sinkage", "force")}  # fmt: skip
-        ends = [f"{key} from {np.nanmin(v):.3g} to {np.nanmax(v):.3g}" for key, v in values.items()
-                if np.isfinite(v).any()]  # fmt: skip
-        return {"kind": kind, "read": [f"Read, in SI: {', '.join(ends)}.", *of_tool.notes]}
+        return {"kind": kind, **as_read("Read, in SI", values, of_tool.notes)}
     table = read_table(Path(file))
     shown = preview(table, columns)
     rows = [[None if math.isnan(cell) else cell for cell in row] for row in shown["rows"]]
     reply = {"kind": kind, **shown, "rows": rows}
     try:
-        history = read_trials(table, columns)[0]
+        strokes = read_trials(table, columns)
     except InputError as error:
         return {**reply, "wrong": str(error).removeprefix("Table: ")}
-    record = measurement_of(history)
-    read = {"θ [deg]": history.theta_deg}
+    history, gap = strokes[0], [math.nan]
+    values = {"θ [deg]": np.concatenate([[*stroke.theta_deg, *gap] for stroke in strokes])}
     for name in history.channels:
-        read[f"{name} [{CHANNEL_UNITS[name]}]"] = history.channel(name)
-    ranges = ", ".join(f"{n} from {v.min():.3g} to {v.max():.3g}" for n, v in read.items())
-    reply["read"] = [f"{len(history.position)} readings: {ranges}."]
-    reply["read"] += history.provenance.get("reading", [])
-    rig = None if record.rig is None else record.rig.model_dump()
+        each = [[*stroke.channel(name), *gap] for stroke in strokes]
+        values[f"{name} [{CHANNEL_UNITS[name]}]"] = np.concatenate(each)
+    count = f"{sum(len(stroke.position) for stroke in strokes)} readings"
+    count += f" of {len(strokes)} strokes" if len(strokes) > 1 else ""
+    record = measurement_of(history)
+    rig = None if record.rig is None else record.rig.model_dump(exclude_defaults=True)
+    reply |= as_read(count, values, history.provenance.get("reading", []))
     return {**reply, "rig": rig, "density": record.density_kg_m3}
 
 
-def answers(file: str, name: str, columns: dict[str, Any], **options: str) -> list[Section]:
-    """Make sections for a dropped file: an inversion, footfalls and foot forces, or a result.
+def as_read(what: str, values: dict[str, FloatArray], notes: Sequence[str]) -> dict[str, Any]:
+    """Ranges of what was read and a picture of it, over the first of the values; and notes."""
+    from terraphi.experiment.figure import Figure
 
-    Options are of :data:`OPTIONS`; law and robot are names, or files of this machine. Files to
-    download go to the folder ``files`` next to the dropped file.
+    values = {name: v for name, v in values.items() if np.isfinite(v).any() and v.any()}
+    ends = [f"{n} from {np.nanmin(v):.3g} to {np.nanmax(v):.3g}" for n, v in values.items()]
+    (along, x), *channels = values.items()
+    rows = math.ceil(len(channels) / 2)
+    figure = Figure(figsize=(8.4, 2.5 * rows), layout="constrained")
+    for i, (name, y) in enumerate(channels, start=1):
+        axes = figure.add_subplot(rows, 2, i)
+        axes.plot(x, y, ".-", ms=3, lw=0.8)
+        axes.set(xlabel=along, ylabel=name)
+    picture = Picture.of("Forces as read", figure).image
+    return {"read": [f"{what}: {', '.join(ends)}.", *notes], "picture": picture}
+
+
+def answers(
+    bodies: dict[str, str | None],
+    columns: dict[str, Any],
+    progress: Callable[..., None],
+    **options: Any,
+) -> list[Section]:
+    """Make sections for files of the folder of work: an inversion of all forces, walks, results.
+
+    Files to download go to the folder ``files`` next to that one.
+
+    Parameters
+    ----------
+    bodies
+        Leg or tool of each file, where it has another than the options.
+    columns
+        As of :func:`~terraphi.inference.inversion.invert`.
+    progress
+        Called with each stage of the work, and the share of it that is done [-].
+    options
+        Of :data:`OPTIONS`; law and robot are names, or files of this machine.
     """
-    kind, folder = kind_of(file), Path(file).parent / "files"
-    if kind in ("forces", "simulation"):
-        from terraphi.experiment.measurements import open_forces
+    kinds = {file: kind_of(file) for file in bodies if not file.endswith(".toml")}
+    forces = [file for file, kind in kinds.items() if kind in ("forces", "simulation")]
+    calibrations = [file for file in bodies if file not in kinds]
+    if len(calibrations) > bool(forces):
+        raise InputError("one calibration goes with the forces of an answer; choose these")
+    sections = []
+    if forces:
         from terraphi.inference.inversion import invert
-        from terraphi.inference.records import tared
 
-        options.pop("robot", None)
-        given = with_rig({**options, "forces": file})
-        if "tool" in options:
-            answer = invert(**given, columns=columns)
-            named = tuple(replace(record, source=name) for record in answer.records)
-            answer = replace(answer, records=named)
-        else:
-            measured = open_forces(given.pop("forces"), tared(columns, given.get("rig")))
-            measured = [replace(part, name=part.name.replace(file, name)) for part in measured]
-            answer = invert(measured, **given)
-        write_files(answer, folder)
-        return [of_answer(answer)]
-    if kind != "log":
-        return [section_of(file)._replace(title=name)]
+        progress(f"Fitting φ to {', '.join(forces)}")
+        given = {key: value for key, value in options.items() if key not in ("robot", "tool")}
+        tool, calibration = options.get("tool"), next(iter(calibrations), None)
+        sources = [f"{file}@{body}" if (body := bodies[file] or tool) else file for file in forces]
+        given = with_rig({**given, "forces": sources})
+        answer = invert(**given, columns=columns, calibration=calibration)
+        progress("Drawing the answer", 0.5)
+        write_files(answer, Path("../files"))
+        sections.append(of_answer(answer))
+    for file in [file for file in kinds if file not in forces]:
+        is_log = kinds[file] == "log"
+        sections += _of_log(file, progress, options) if is_log else [section_of(file)]
+    return sections
+
+
+def _of_log(file: str, progress: Callable[..., None], options: dict[str, str]) -> list[Section]:
+    """Footfalls and foot forces of a log; foot forces alone if it has no footfalls."""
     from terraphi.robot.footfalls import footfalls
     from terraphi.robot.results import foot_forces
 
+    progress(f"Forces on the feet of {file}")
     foot_log = foot_forces(file, robot=options.get("robot", "go2"))
-    forces = of_foot_forces(foot_log, name)
+    progress("Drawing the forces", 0.15)
+    forces = of_foot_forces(foot_log, file)
+    progress("φ under each footfall", 0.3)
     try:
         density, law = options.get("density"), options.get("law", "foot")
-        walked = footfalls(foot_log.log, robot=foot_log.robot, density=density, law=law)
+        walk = footfalls(foot_log.log, robot=foot_log.robot, density=density, law=law)
     except InputError as error:
         why = f"No footfalls: {str(error).removeprefix('the log: ')}."
         return [forces._replace(lines=[*forces.lines, why])]
-    walked.to_netcdf(folder / "footfalls.nc")
-    return [of_footfalls(walked, name), forces]
+    progress("Drawing the map", 0.85)
+    number = len([*Path("../files").glob("footfalls*.nc")])
+    walk.to_netcdf(Path("../files", f"footfalls{-number or ''}.nc"))
+    return [of_footfalls(walk, file), forces]
 
 
 def write_files(answer: Answer, folder: Path) -> None:

@@ -2,7 +2,7 @@ const by = (id) => document.getElementById(id);
 const form = by("form");
 const token = new URLSearchParams(location.search).get("token");
 const roles = JSON.parse(by("roles").textContent);
-let file, kind, busy = 0;
+let files = [], shown, kind, chosen = {}, busy = 0, running;
 
 function made(tag, properties, ...inside) {
   const one = Object.assign(document.createElement(tag), properties);
@@ -12,42 +12,76 @@ function made(tag, properties, ...inside) {
 
 // -- talking to the server ---------------------------------------------------------------------
 
-const tool = () => form.elements.tool.value.trim();
+const isToml = ({ file }) => /\.toml$/i.test(file.name);
+const body = (entry) => entry?.body.trim() || form.elements.tool.value.trim();
+const tool = () => (body(shown).includes(":") ? body(shown) : "");
 
-function columns() {
-  if (tool()) return Object.fromEntries(form.elements.tool_columns.value.split(",").filter(Boolean).map((pair) => pair.split("=").map((text) => text.trim())));
-  const found = {};
-  for (const select of document.querySelectorAll("#table select")) if (select.value) found[select.value] = select.dataset.column;
+function columns(task) {
+  // Of several files each is guessed by itself, but for what was chosen.
+  const found = task === "answer" && files.length > 1 ? { ...chosen } : { ...chosen, ...roleColumns() };
+  if (task === "look" ? tool() : form.elements.tool.value.trim()) {
+    return Object.fromEntries(form.elements.tool_columns.value.split(",").filter(Boolean).map((pair) => pair.split("=").map((text) => text.trim())));
+  }
   for (const { name, value } of by("reading").querySelectorAll("[name]")) {
     if (value) found[name] = Number.isNaN(Number(value)) ? value : Number(value);
   }
   return found;
 }
 
-async function send(task) {
-  const turn = ++busy, began = Date.now();
-  const tell = () => { by("status").textContent = `${task === "look" ? "Reading" : "Working"}: ${Math.round((Date.now() - began) / 1000)} s`; };
+function roleColumns() {
+  const found = {};
+  for (const select of document.querySelectorAll("#table select")) if (select.value) found[select.value] = select.dataset.column;
+  return found;
+}
+
+function idle() {
+  running?.abort();
+  by("status").hidden = true;
+  return ++busy;
+}
+
+async function send(task, entries = files) {
+  const turn = idle(), began = Date.now();
+  let doing = { stage: task === "look" ? "Reading" : "Working" };
+  running = new AbortController();
+  const tell = () => {
+    const left = Math.round(doing.left_s - (Date.now() - doing.at) / 1000);
+    by("stage").textContent = `${doing.stage}: ${Math.round((Date.now() - began) / 1000)} s${left > 0 ? `, about ${left} s left` : ""}`;
+  };
   const tick = setInterval(tell, 500);
   tell();
+  by("status").hidden = false;
   const { sd, hip_sd, tool_columns, ...query } = Object.fromEntries(new FormData(form));
   for (const [key, more] of [["hip_height", hip_sd], ["density", sd]]) if (query[key] && more) query[key] += `±${more}`;
-  Object.assign(query, { name: file.name, columns: JSON.stringify(columns()) });
-  let found = { refused: "The file did not arrive: it may be too large, or the app has been stopped." };
+  if (task === "look") query.tool = tool();
+  const address = new URLSearchParams({ ...query, columns: JSON.stringify(columns(task)) });
+  for (const entry of entries) {
+    for (const [key, value] of [["name", entry.file.name], ["size", entry.file.size], ["body", entry.body.trim()]]) address.append(key, value);
+  }
+  let text = "", found = { refused: "The files did not arrive: they may be too large, or the app has been stopped." };
   try {
-    const answer = await fetch(`/${task}?${new URLSearchParams(query)}`, { method: "POST", body: file, headers: { "x-terraphi": token } });
-    found = await answer.json();
+    const reply = await fetch(`/${task}?${address}`, {
+      method: "POST", body: new Blob(entries.map(({ file }) => file)), headers: { "x-terraphi": token }, signal: running.signal,
+    });
+    const reader = reply.body.pipeThrough(new TextDecoderStream()).getReader();
+    for (let part = await reader.read(); !part.done; part = await reader.read()) {
+      const lines = (text + part.value).split("\n");
+      text = lines.pop();
+      for (const line of lines) doing = { ...JSON.parse(line), at: Date.now() };
+    }
+    found = JSON.parse(text);
   } catch { /* as it is */ } finally {
     clearInterval(tick);
   }
-  if (turn !== busy) return null; // something newer was asked
-  by("status").textContent = "";
+  if (turn !== busy) return null; // something newer was asked, or it was cancelled
+  idle();
   alarm(found.refused || found.wrong);
   return found.refused ? null : found;
 }
 
 // -- what is wrong, and what would help ---------------------------------------------------------
 
-const OFFER = /[,;]?\s*(?:add|or)?\s*--(columns|leg) (?:'([^']*)'|([\w=.,-]*\w\b))(?! --)/g;
+const OFFER = /[,;]?\s*(?:add|or)?\s*--(columns|leg) (?:'([^']*)'|([\w=.,-]*(?:\w\b|%)))(?! --)/g;
 
 function offers(text) {
   const values = [...text.matchAll(OFFER)].map(([, option, quoted, plain]) => [option, quoted ?? plain]);
@@ -65,9 +99,11 @@ function alarm(text) {
 }
 
 function take(role, column) {
+  for (const key of Object.keys(chosen)) if (chosen[key] === column) delete chosen[key];
+  if (role) chosen[role] = column;
   for (const select of document.querySelectorAll("#table select")) {
     if (select.dataset.column === column) select.value = role;
-    else if (select.value === role) select.value = "";
+    else if (role && select.value === role) select.value = "";
   }
 }
 
@@ -91,7 +127,7 @@ function tabulate({ columns, units, rows, roles: taken, candidates }) {
     for (const [role, text] of Object.entries(roles)) select.append(made("option", { value: role, textContent: text }));
     select.dataset.column = name;
     select.value = Object.keys(taken).find((role) => taken[role] === name) || "";
-    if (!taken.theta && !candidates.theta?.length && candidates.time?.[0] === name) select.value = "time";
+    if (!taken.theta && !candidates.theta?.length && candidates.time?.[0] === name) { select.value = "time"; chosen.time = name; }
     return made("th", { scope: "col" }, select, made("div", {}, name), made("div", { className: "note", textContent: units[i] || "no unit" }));
   });
   const body = rows.map((row) => made("tr", {}, ...row.map((cell) => made("td", { className: "short", textContent: cell ?? "" }))));
@@ -104,9 +140,16 @@ function ask(...inside) {
 
 function show(found) {
   by("read").replaceChildren(...(found.read || []).map((text) => made("div", {}, text)));
+  by("picture").hidden = !found.picture;
+  if (found.picture) by("picture").src = found.picture;
   by("questions").replaceChildren();
   if (!found.candidates) return; // of a tool
-  const taken = columns(), questions = [], lacking = [];
+  const taken = columns("look"), questions = [], lacking = [];
+  if (found.wrong && found.columns.some((name) => /slip|sink/i.test(name))) {
+    by("questions").replaceChildren(ask("Is this of a plate, a ball or a wheel? Enter its sizes below."));
+    alarm("");
+    return;
+  }
   for (const [role, text] of Object.entries(roles)) {
     const may = (found.candidates[role] || []).filter((name) => !Object.values(taken).includes(name));
     if (taken[role] || role === "time" || (role === "theta" && taken.time)) continue;
@@ -130,20 +173,66 @@ function show(found) {
 
 async function look() {
   // A tool has neither leg nor roles of columns.
-  for (const part of [by("reading"), by("rig")]) part.hidden = part.disabled = Boolean(tool());
+  const isTool = Boolean(form.elements.tool.value.trim());
+  for (const part of [by("reading"), by("rig")]) part.hidden = part.disabled = isTool;
   for (const select of document.querySelectorAll("#table select")) select.hidden = Boolean(tool());
-  const found = await send("look");
+  const found = await send("look", [shown]);
   if (found?.kind === "forces") show(found);
+  return found;
 }
 
-async function open(dropped) {
-  file = dropped;
-  form.reset();
-  form.hidden = true;
-  by("table").replaceChildren();
+// Names of all files: a press shows one of them, a body of its own is a leg or a tool.
+function list() {
+  by("files").replaceChildren(...files.map((entry) => made("li", {},
+    made("button", { type: "button", textContent: entry.file.name, ariaPressed: String(entry === shown), disabled: isToml(entry), onclick: () => display(entry) }),
+    isToml(entry) ? "calibration" : made("input", { value: entry.body, placeholder: "leg or tool as below", ariaLabel: `Leg or tool of ${entry.file.name}`, onchange: ({ target }) => { entry.body = target.value; display(entry); } }),
+    made("button", { type: "button", textContent: "×", ariaLabel: `Leave out ${entry.file.name}`, onclick: () => leaveOut(entry) }),
+  )));
+  for (const input of by("files").querySelectorAll("input")) input.setAttribute("list", "bodies");
+}
+
+function leaveOut(entry) {
+  files = files.filter((other) => other !== entry);
+  if (files.every(isToml)) { idle(); form.hidden = true; } else display(entry === shown ? files[0] : shown);
+}
+
+// The first rows of a file, and what was read.
+async function display(entry) {
+  if (entry !== shown) by("table").replaceChildren();
+  shown = entry;
+  list();
+  const found = await look();
+  if (found?.columns) { tabulate(found); show(found); }
+  return found;
+}
+
+async function open(dropped, more) {
+  const added = [...dropped].map((file) => ({ file, body: "" })), tables = added.filter((entry) => !isToml(entry));
+  const anew = form.hidden || !(more || !tables.length);
+  if (anew && !tables.length) { alarm("Choose the forces as well: a rig or a calibration goes with them."); return; }
   by("answer").replaceChildren();
-  by("name").textContent = file.name;
-  const found = await send("look");
+  const mine = files = [...(anew ? [] : files), ...added].sort((a, b) => isToml(a) - isToml(b));
+  if (anew) {
+    form.reset();
+    form.hidden = true;
+    by("table").replaceChildren();
+    chosen = {};
+    await begin();
+  } else if (tables.length) await display(tables[0]);
+  for (const entry of added.filter(isToml)) {
+    if (files !== mine || form.hidden) return;
+    const found = await send("look", [entry]);
+    if (found?.kind === "rig") fill(found.rig);
+    if (found?.kind !== "calibration") mine.splice(mine.indexOf(entry), 1);
+    list();
+  }
+}
+
+// The first of new files decides what the form asks for; what needs no choice is answered at once.
+async function begin() {
+  shown = files[0];
+  list();
+  const found = await look();
   if (!found) return;
   kind = found.kind;
   form.hidden = !["forces", "log"].includes(kind);
@@ -153,12 +242,18 @@ async function open(dropped) {
   form.noValidate = kind !== "forces"; // what is hidden is required of forces alone
   if (kind !== "forces") { answer(); return; }
   tabulate(found);
-  form.elements.leg.value = found.rig?.leg ?? "";
-  for (const input of sizes()) input.value = found.rig?.[`${input.name}_mm`] ?? "";
-  sketch();
+  fill(found.rig);
   if (found.density) form.elements.density.value = found.density;
   show(found);
   by("table").querySelector("select").focus({ preventScroll: true });
+}
+
+function fill(rig) {
+  form.elements.leg.value = rig?.leg ?? "";
+  for (const input of sizes()) input.value = rig?.[`${input.name}_mm`] ?? "";
+  form.elements.hip_sd.value = rig?.hip_height_sd_mm ?? "";
+  form.elements.leg_friction.value = [rig?.leg_friction, rig?.leg_friction_sd].filter((number) => number !== undefined).join("±");
+  sketch();
 }
 
 // -- the leg, to scale ---------------------------------------------------------------------------
@@ -197,7 +292,7 @@ by("li2013").addEventListener("click", () => {
 // -- an answer -----------------------------------------------------------------------------------
 
 async function answer() {
-  const found = await send("answer");
+  const [{ file }] = files, found = await send("answer");
   if (!found) return;
   const stem = file.name.replace(/\.[^.]*$/, "");
   const links = Object.entries(found.files).map(([name, content]) => {
@@ -218,14 +313,16 @@ by("drop").addEventListener("dragover", () => by("drop").classList.add("over"));
 by("drop").addEventListener("dragleave", () => by("drop").classList.remove("over"));
 by("drop").addEventListener("drop", (event) => {
   by("drop").classList.remove("over");
-  if (event.dataTransfer.files.length) open(event.dataTransfer.files[0]);
+  if (event.dataTransfer.files.length) open(event.dataTransfer.files);
 });
-by("choose").addEventListener("click", () => by("file").click());
-by("file").addEventListener("change", () => { if (by("file").files.length) open(by("file").files[0]); by("file").value = ""; });
+let adds = false; // to the files that are there
+for (const name of ["choose", "add"]) by(name).addEventListener("click", () => { adds = name === "add"; by("file").click(); });
+by("file").addEventListener("change", () => { if (by("file").files.length) open([...by("file").files], adds); by("file").value = ""; adds = false; });
+by("cancel").addEventListener("click", idle);
 form.addEventListener("submit", (event) => { event.preventDefault(); answer(); });
 form.addEventListener("change", (event) => {
   const { value, dataset } = event.target;
   by("answer").replaceChildren(); // it was for other choices
-  if (dataset.column && value) take(value, dataset.column);
+  if (dataset.column) take(value, dataset.column);
   if (event.target.closest("#table, #reading") || event.target.name.startsWith("tool")) look();
 });
