@@ -454,7 +454,10 @@ class ColumnReader(Generic[Given]):
                     f"column '{name[:40]}' has no unit; add --columns {key}={units[role]}, or "
                     f"name it such as {role}_{units[role]}"
                 )
-        guessed = [f"{WORDS[k]} from '{n}'" for k, n in self.names.items() if k not in chosen]
+        guessed = [
+            f"{WORDS[role]} from '{name}' [{self.unit(role)[0]}]"
+            for role, name in self.names.items() if role not in chosen
+        ]  # fmt: skip
         if guessed:
             self.notes.append(f"{GUESSED}{', '.join(guessed)}.")
 
@@ -471,15 +474,14 @@ class _LegTable(ColumnReader[ForceColumns]):
         """Find the column of each role: as given, by our own names, or by a guess."""
         super().__init__(source, given)
         self.channels: list[str] = []
-        guessed, lacking = [], []
+        lacking, chosen = [], set()
         our_names = dict(zip(("theta", "fx", "fz"), CSV_COLUMNS, strict=True))
         along = "theta" if given.rate_deg_s is None else "time"
         for role in (along, "fx", "fz", "moment"):
-            column = getattr(given, role)
-            if column is not None:
+            ours = our_names.get(role) in self.parts and our_names[role]
+            if column := getattr(given, role) or ours:
                 self.take(role, column)
-            elif our_names.get(role) in self.parts:
-                self.names[role] = our_names[role]
+                chosen.add(role)
             elif role == "moment":  # not needed: only if there is no doubt
                 unambiguous = [name for name in self.like(role) if name not in self.table.words]
                 if len(self.like(role)) == 1 and unambiguous:
@@ -488,16 +490,11 @@ class _LegTable(ColumnReader[ForceColumns]):
                         del self.names[role]
             elif not self.guess(role, self.like(role)):
                 lacking.append(role)
-            if role in self.names and column is None and self.names[role] != our_names.get(role):
-                guessed.append(f"{WORDS[role]} from '{self.names[role]}' [{self.unit(role)[0]}]")
         if "moment" in self.names and {"fx", "fz"} & {*lacking}:
             lacking = self._without_forces(lacking)
         if lacking:
             self._ask(lacking)
-        if guessed:
-            self.notes.append(f"{GUESSED}{', '.join(guessed)}.")
-        for role in self.names:
-            self.check(role)
+        self.settle(chosen, {})
         unwritten = {role for role, name in self.names.items() if not self.written(name)}
         if unwritten & {"fx", "fz"} and given.unit is None:
             self.notes.append("The forces have no unit, and are taken as N.")
