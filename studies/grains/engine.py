@@ -32,8 +32,8 @@ GRAVITY = 9.81
 LIQUID, VISCOSITY, REACH = 1.0, 1e-3, 1.1
 """Liquid on damp grains [% of their volume], its viscosity [Pa s], and distance of centers over the
 sum of radii up to which bridges are sought [-]; they break at a gap of a sixth of a radius."""
-ROOM = 0.1
-"""Height above grains that are let fall [m]."""
+ROOM = 0.2
+"""Height above grains that are let fall [m], in which a wheel of 0.2 m has room."""
 SIZES = 5
 """Sizes of clumps, evenly spread: LIGGGHTS has one of each template."""
 SPARSE = 0.2

@@ -12,6 +12,7 @@ from __future__ import annotations
 import importlib.metadata
 import math
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -104,6 +105,43 @@ class PressedRecord:
     density_kg_m3: float | None = None
     density_sd_kg_m3: float = 0.0
     grain_size_mm: float = 0.0
+
+    @property
+    def bulk_density(self) -> tuple[float, float]:
+        """Bulk density and its standard deviation [kg/m³], those of the prior if it is unknown."""
+        if self.density_kg_m3 is None:
+            return DENSITY
+        return self.density_kg_m3, self.density_sd_kg_m3
+
+
+def tool_answer(
+    record: PressedRecord, law: str, began: float, *, is_default: bool, judgment: Judgment,
+    posterior: tuple[FloatArray, FloatArray], warnings: Iterable[str],
+    friction: float | None = None, provenance: Any = (), **values: Any,
+) -> Answer:  # fmt: skip
+    """The answer of a record of a tool.
+
+    ``posterior`` has angles [deg] and the density of φ there [1/deg], ``provenance`` what the law
+    adds, and ``values`` are those of :class:`~terraphi.inference.answer.Answer`. ``friction`` is
+    that of the tool unless it was inferred.
+    """
+    rho, rho_sd = record.bulk_density
+    assumed = [f"The density {rho:g} kg/m³ is assumed."] if record.density_kg_m3 is None else []
+    estimate, (verdict, reason, edge) = Estimate.of_density(*posterior), judgment
+    return Answer(
+        parameters={PHI: estimate}, convention="plane_strain", phi_plane_strain=estimate,
+        verdict=verdict, reason=reason, edge=edge, density_kg_m3=rho, density_sd_kg_m3=rho_sd,
+        density_assumed=bool(assumed), law=law,
+        law_reason="the default for this tool" if is_default else "",
+        leg_friction=record.rig.friction if friction is None else friction,
+        grid_deg=posterior[0], density=posterior[1],
+        warnings=(*density_warnings(rho), *assumed, *warnings),
+        provenance={
+            "terraphi": importlib.metadata.version("terraphi"), **dict(provenance),
+            "seconds": round(time.perf_counter() - began, 3),
+        },
+        **values,
+    )  # fmt: skip
 
 
 def open_pressed(
@@ -211,22 +249,20 @@ def invert_pressed(record: PressedRecord, law: Any = None) -> Answer:
     began, tool, name = time.perf_counter(), record.rig, str(law or "foot")
     if name not in LAWS:
         raise InputError(f"no law '{name}' of a tool; {nearest(name, tuple(LAWS))}")
-    table, label, density = record.table, record.source, record.density_kg_m3
+    table, label = record.table, record.source
     if isinstance(table, Rolled):
         from terraphi.inference.rolled import invert_rolled
 
         return invert_rolled(record, law)
-    rho, rho_sd = DENSITY
-    if density is not None:
-        rho, rho_sd = density, record.density_sd_kg_m3
+    rho, rho_sd = record.bulk_density
     grains = record.grain_size_mm / (2e3 * tool.radius)
     z, force, used, notes = _virgin(table.sinkage, table.force, table.notes, label)
     press = _Press(tool, name, rho, z, force, roughness(force), grains)
     fit = _fit(press)
     budget = _budget(press, fit, rho_sd / rho)
     steady_sd = root_sum_square(budget, "contraction", "model: compaction")
-    grid, posterior = _posterior(press, fit, steady_sd)
-    estimate = Estimate.of_density(grid, posterior)
+    posterior = _posterior(press, fit, steady_sd)
+    estimate = Estimate.of_density(*posterior)
     # Curves are drawn at the likeliest node, at angles as the law reads them: φ of the soil less
     # what is added where it compacts.
     level, read = fit.phi[fit.top], fit.by_law[fit.top]
@@ -240,27 +276,22 @@ def invert_pressed(record: PressedRecord, law: Any = None) -> Answer:
         nrmsd={"Fz": residual}, limit=LIMIT,
         tangent=np.stack([fit.model - fit.slope * level, fit.slope])[:, None],
     )  # fmt: skip
-    verdict, reason, edge = _verdict(press, fit, fitted, estimate.median, steady_sd)
-    is_sound = verdict == "consistent"
-    scaled = _phi_of_force(press, fit, estimate.median) if is_sound else None
-    if density is None:
-        notes = [f"The density {rho:g} kg/m³ is assumed.", *notes]
+    judgment = _verdict(press, fit, fitted, estimate.median, steady_sd)
+    is_sound = judgment[0] == "consistent"
     # Terms that do not show in the residual look like another angle.
     angle_sd = root_sum_square(budget, *(name for name in budget if term(name).residual))
-    return Answer(
-        parameters={PHI: estimate}, convention="plane_strain", phi_plane_strain=estimate,
-        verdict=verdict, reason=reason, edge=edge, budget_deg=budget,
-        density_kg_m3=rho, density_sd_kg_m3=rho_sd, density_assumed=density is None, law=name,
-        law_reason="" if law else "the default for tools", leg_friction=tool.friction,
-        phi_of_force_deg=scaled, records=(fitted,), grid_deg=grid, density=posterior,
-        warnings=(*density_warnings(rho), *notes, *unusual(estimate.median, "size of the tool"),
+    return tool_answer(
+        record, name, began, is_default=not law, judgment=judgment, posterior=posterior,
+        budget_deg=budget, records=(fitted,),
+        phi_of_force_deg=_phi_of_force(press, fit, estimate.median) if is_sound else None,
+        warnings=(
+            *notes, *unusual(estimate.median, "size of the tool"),
             *_warnings(press, fit, is_sound=is_sound),
         ),
         covariance=press.error + angle_sd**2 * np.outer(fit.slope, fit.slope),
         provenance={
-            "terraphi": importlib.metadata.version("terraphi"), "law_hash": LAWS[name].hash,
-            "contraction": float(fit.chance @ NODES[:, 0]), "compacts": float(fit.chance @ COMPACT),
-            "contact_mm": 1e3 * fit.contact, "seconds": round(time.perf_counter() - began, 3),
+            "law_hash": LAWS[name].hash, "contraction": float(fit.chance @ NODES[:, 0]),
+            "compacts": float(fit.chance @ COMPACT), "contact_mm": 1e3 * fit.contact,
         },
     )  # fmt: skip
 

@@ -13,7 +13,6 @@ friction of the rim. The prior is uniform over the angles of dry soils.
 
 from __future__ import annotations
 
-import importlib.metadata
 import math
 import time
 from typing import Any, NamedTuple
@@ -22,16 +21,13 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.priors import DENSITY
 from terraphi.experiment.rig import Tool
 from terraphi.experiment.wheel_reading import MEASURED, Rolled
 from terraphi.inference.answer import Answer, Estimate, RecordFit
-from terraphi.inference.pressed import PressedRecord
-from terraphi.inference.records import density_warnings
+from terraphi.inference.pressed import PressedRecord, tool_answer
 from terraphi.inference.rolled import LIMIT, usable, wheel_of
 from terraphi.inference.terms import ordered_budget, root_sum_square
 from terraphi.inference.verdict import LITTLE_KNOWN, USUAL_DEG, Judgment, large_residual
-from terraphi.laws.law import PHI
 from terraphi.laws.wheel import FRICTIONS, WHEEL_ERROR, Wheel, rolling
 
 RESISTANCE_SD, ALONE_SD = 0.05, 0.10
@@ -116,8 +112,7 @@ def invert_resisted(record: PressedRecord, law: Any = None) -> Answer:
         raise InputError(f"{record.source}: a wheel with side slip needs a sinkage")
     order = np.argsort(rows["slip"], kind="stable")
     resisted = _Resisted(tool, wheel, {name: row[order] for name, row in rows.items()})
-    rho, rho_sd = (DENSITY if record.density_kg_m3 is None
-                   else (record.density_kg_m3, record.density_sd_kg_m3))  # fmt: skip
+    rho, rho_sd = record.bulk_density
     measured = resisted.share(*(resisted.rows.get(name) for name in MEASURED))
     model, sunk = resisted.curves(tool.friction, rho)
     mean = model.mean(axis=1)
@@ -128,8 +123,8 @@ def invert_resisted(record: PressedRecord, law: Any = None) -> Answer:
     sd = np.sqrt(sum(np.square(error) for error in errors.values()))
     deviate = (measured.mean() - mean) / sd
     chance = np.nan_to_num(np.exp(-0.5 * deviate**2) / sd)
-    posterior = chance / np.trapezoid(chance, GRID)
-    estimate = Estimate.of_density(GRID, posterior)
+    posterior = GRID, chance / np.trapezoid(chance, GRID)
+    estimate = Estimate.of_density(*posterior)
     at = int(np.abs(GRID - estimate.median).argmin())
     slope = max(abs(float(np.gradient(mean, GRID)[at])), LEAST_SLOPE)
     budget = ordered_budget(
@@ -140,22 +135,11 @@ def invert_resisted(record: PressedRecord, law: Any = None) -> Answer:
     notes = [f"No sinkage was measured: the law has {depths} (68 %).", *notes]
     if root_sum_square(budget) > float(np.ptp(USUAL_DEG)) / math.sqrt(12.0):
         notes.insert(0, LITTLE_KNOWN)
-    if record.density_kg_m3 is None:
-        notes.append(f"The density {rho:g} kg/m³ is assumed.")
     fitted = _fit(record, resisted, measured, model, estimate)
-    verdict, reason, edge = _verdict(float(np.nanmin(np.abs(deviate))), fitted)
-    return Answer(
-        parameters={PHI: estimate}, convention="plane_strain", phi_plane_strain=estimate,
-        verdict=verdict, reason=reason, edge=edge, budget_deg=budget, density_kg_m3=rho,
-        density_sd_kg_m3=rho_sd, density_assumed=record.density_kg_m3 is None, law="foot",
-        law_reason="" if law else "the default for wheels", leg_friction=tool.friction,
-        records=(fitted,), grid_deg=GRID, density=posterior,
-        warnings=(*density_warnings(rho), *notes),
-        covariance=np.diag((sd[at] * resisted.rows["load"]) ** 2),
-        provenance={
-            "terraphi": importlib.metadata.version("terraphi"),
-            "seconds": round(time.perf_counter() - began, 3),
-        },
+    return tool_answer(
+        record, "foot", began, is_default=not law, posterior=posterior, budget_deg=budget,
+        judgment=_verdict(float(np.nanmin(np.abs(deviate))), fitted), records=(fitted,),
+        warnings=notes, covariance=np.diag((sd[at] * resisted.rows["load"]) ** 2),
     )  # fmt: skip
 
 

@@ -17,7 +17,6 @@ not weigh, and come on top.
 
 from __future__ import annotations
 
-import importlib.metadata
 import math
 import time
 import warnings
@@ -29,15 +28,19 @@ import numpy as np
 
 from terraphi.experiment.arrays import BoolArray, FloatArray, block_means
 from terraphi.experiment.errors import GUESSED, InputError, nearest
-from terraphi.experiment.priors import DENSITY, FRICTION_BY_TORQUE_SD
+from terraphi.experiment.priors import FRICTION_BY_TORQUE_SD
 from terraphi.experiment.rig import Tool
 from terraphi.experiment.wheel_reading import Rolled
 from terraphi.inference.answer import Answer, Estimate, RecordFit, normal_density
-from terraphi.inference.pressed import LOOSE_DEG, SHAPE_LENGTH, SHAPE_SD, PressedRecord
-from terraphi.inference.records import density_warnings
+from terraphi.inference.pressed import (
+    LOOSE_DEG,
+    SHAPE_LENGTH,
+    SHAPE_SD,
+    PressedRecord,
+    tool_answer,
+)
 from terraphi.inference.terms import ordered_budget, root_sum_square
 from terraphi.inference.verdict import Judgment, large_residual, out_of_range, unusual
-from terraphi.laws.law import PHI
 from terraphi.laws.wheel import (
     DEEPEST,
     FRICTIONS,
@@ -193,10 +196,7 @@ def _opened(record: PressedRecord, law: Any) -> _Opened:
     if not isinstance(record.table, Rolled):
         raise InputError(f"{record.source}: rows of {tool}, not of a wheel")
     rows, notes = usable(record.table, wheel_of(tool), record.source)
-    rho, rho_sd = (DENSITY if record.density_kg_m3 is None
-                   else (record.density_kg_m3, record.density_sd_kg_m3))  # fmt: skip
-    if record.density_kg_m3 is None:
-        notes = [f"The density {rho:g} kg/m³ is assumed.", *notes]
+    rho, rho_sd = record.bulk_density
     grain = 1e-3 * record.grain_size_mm
     wheel = wheel_of(tool)
     sinkage = np.minimum(rows["sinkage"] + 0.5 * grain, DEEPEST * wheel.reach)
@@ -231,27 +231,18 @@ def _answer(record: PressedRecord, opened: _Opened, law: Any, began: float) -> A
     """The answer of a record as it was read."""
     roll, fit, density_sd, notes = opened
     budget = _budget(fit, density_sd, roll.error)
-    rho = roll.density
-    grid, posterior = normal_density(fit.mean, root_sum_square(budget))
-    estimate = Estimate.of_density(grid, posterior)
+    posterior = normal_density(fit.mean, root_sum_square(budget))
+    estimate = Estimate.of_density(*posterior)
     fitted = _record_fit(record, roll, fit, estimate)
-    verdict, reason, edge = _verdict(roll, fit, fitted)
-    return Answer(
-        parameters={PHI: estimate}, convention="plane_strain", phi_plane_strain=estimate,
-        verdict=verdict, reason=reason, edge=edge, budget_deg=budget, density_kg_m3=rho,
-        density_sd_kg_m3=density_sd * rho, density_assumed=record.density_kg_m3 is None,
-        law=roll.law, law_reason="" if law else "the default for wheels",
-        leg_friction=roll.friction, records=(fitted,), grid_deg=grid, density=posterior,
-        phi_of_force_deg=_phi_of_force(roll, fit) if verdict == "consistent" else None,
+    judgment = _verdict(roll, fit, fitted)
+    return tool_answer(
+        record, roll.law, began, is_default=not law, judgment=judgment, posterior=posterior,
+        budget_deg=budget, friction=roll.friction, records=(fitted,),
+        phi_of_force_deg=_phi_of_force(roll, fit) if judgment[0] == "consistent" else None,
         warnings=(
-            *_contradictions(roll, fit), *density_warnings(rho), *notes,
-            *unusual(estimate.median, "size of the wheel"),
+            *notes, *_contradictions(roll, fit), *unusual(estimate.median, "size of the wheel")
         ),
         covariance=np.diag((fit.scatter * fitted.data[0]) ** 2),
-        provenance={
-            "terraphi": importlib.metadata.version("terraphi"),
-            "seconds": round(time.perf_counter() - began, 3),
-        },
     )  # fmt: skip
 
 
