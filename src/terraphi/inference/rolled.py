@@ -108,8 +108,7 @@ class _Roll:
     @property
     def too_much_deg(self) -> FloatArray:
         """What the law reads too much in grains, shape [row]."""
-        roughness = self.wheel.roughness(self.friction)
-        return np.asarray(self.error.of(self.rows["slip"], roughness))
+        return np.asarray(self.error.of(self.rows["slip"]))
 
     @cached_property
     def angles(self) -> FloatArray:

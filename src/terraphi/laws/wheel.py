@@ -18,9 +18,12 @@ so that −1 is a locked wheel. Friction develops over the shear displacement
     j = R\,\Bigl|(\theta_1 - \theta) - \frac{v}{\omega R}(\sin\theta_1 - \sin\theta)\Bigr|,
     \qquad 1 - e^{-j/K}
 
-(Janosi & Hanamoto 1961; Wong & Reece 1967, J. Terramechanics 4:81). *Lugs* that stand close carry
-the soil between them along: the wheel then has the radius to their tips, and the soil's friction.
-Those that stand far apart cut into the soil, and the rim bears the load.
+(Janosi & Hanamoto 1961; Wong & Reece 1967, J. Terramechanics 4:81). A smooth rim slides over the
+soil, and a rough one takes it along: of the rim's motion along itself the soil feels a part as
+large as the friction (:data:`TAKEN_UP`), so that rough wheels dig. *Lugs* hold the soil, which
+feels all of it. Those that stand close carry the soil between them along: the wheel then has the
+radius to their tips, and the soil's friction. Those that stand far apart cut into the soil, and the
+rim bears the load.
 
 The load that a rim carries at a given sinkage depends on φ, little on the friction and hardly on K.
 Pull and torque at a given sinkage do not depend on φ: they show the friction.
@@ -60,10 +63,11 @@ FRICTIONS = (0.05, 0.35, 0.65)
 SLIPS = (-0.5, 0.6)
 """Least and largest slip of which something was learned [-]: beyond, a wheel pushes a mound or
 digs."""
-LITTLE = 0.2
-"""Slip up to which readings in grains are level [-]."""
-SMOOTH, LUGGED = 0.35, 0.9
-"""Friction of the rims in grains, and roughness that stands for lugs [-]."""
+TAKEN_UP = 1.0
+"""Part of the rim's motion along itself that the soil feels, over the friction [-]. With 0.9 to 1.1
+φ that wheels by the material point method are read as changes least over slips of 0 to 0.5, at
+frictions of 0.3 and 0.55 and 28 to 36° (``studies/wheel_slip.py``): by 0.6°, where all of the
+motion makes 2.4°."""
 POINTS = 60
 """Depths between which a sinkage is sought."""
 NODES, WIDTH_DEG = 9, 1e-3
@@ -77,12 +81,9 @@ class WheelError(NamedTuple):
     """Error of φ by load, sinkage and slip, in grains of known φ [deg]."""
 
     offset_deg: float
-    """What it reads too much up to a slip of :data:`LITTLE`."""
-    driven_deg: float
-    """What it reads too much more for each unit of slip beyond, at a roughness of SMOOTH."""
-    by_roughness_deg: float
-    """Change of that for each unit of roughness."""
+    """What it reads too much."""
     driven_sd_deg: float
+    """Standard deviation of what it reads too much more, for each unit of slip."""
     braked_deg: float
     """What it reads too much more for each unit of slip below zero."""
     braked_sd_deg: float
@@ -91,26 +92,22 @@ class WheelError(NamedTuple):
     law_deg: float
     """Standard deviation of the offset."""
 
-    def of(self, slip: Any, roughness: float) -> Any:
-        """What φ is read too much at a slip [deg]; roughness as :meth:`Wheel.roughness`."""
-        driven, braked = np.maximum(slip - LITTLE, 0.0), np.maximum(-slip, 0.0)
-        rise = self.driven_deg + self.by_roughness_deg * max(roughness - SMOOTH, 0.0)
-        return self.offset_deg + rise * driven + self.braked_deg * braked
+    def of(self, slip: Any) -> Any:
+        """What φ is read too much at a slip [deg]."""
+        return self.offset_deg + self.braked_deg * np.maximum(-slip, 0.0)
 
     def sd_by_slip(self, slip: Any) -> Any:
         """Standard deviation of what the slip adds, one cause for either direction [deg]."""
-        driven, braked = np.maximum(slip - LITTLE, 0.0), np.maximum(-slip, 0.0)
-        return self.driven_sd_deg * driven + self.braked_sd_deg * braked
+        return np.where(slip > 0.0, self.driven_sd_deg, -self.braked_sd_deg) * slip
 
 
-WHEEL_ERROR = WheelError(2.8, 12.6, -39.0, 6.0, 13.4, 13.0, 1.4, 1.5)
+WHEEL_ERROR = WheelError(1.9, 4.0, 3.8, 7.0, 1.4, 1.5)
 """Learned from wheels in loose grains, half a grain added to the sinkage (``studies/wheels.py``,
-which prints these numbers). There φ is level to a slip of 0.2 and then rises by 12.6° a unit under
-a rim of a friction of 0.35, and falls by 6° with lugs; on the sand of Ding et al. (2011), with a
-friction of 0.55, it falls by 2°: a smooth rim slides over the soil, a rough one digs, as the law
-has it. The change with the roughness is fitted to both. It rises by 13° toward braked wheels, which
-push a mound. Soils differ as for feet; the error of the offset is chosen."""
-THEORY_ERROR = WheelError(0.0, 0.0, 0.0, 12.0, 0.0, 13.0, 1.4, 5.8)
+which prints these numbers). Braked wheels push a mound, and read more. The standard deviations by
+slip are chosen: from no slip to 0.5 φ changes by −0.7° in grains, by 0.3° by the material point
+method, by −2° on the sand of Ding et al. (2011), and under lugs by −2° from a slip of 0.2 on. Soils
+differ as for feet; the error of the offset is chosen."""
+THEORY_ERROR = WheelError(0.0, 12.0, 0.0, 13.0, 1.4, 5.8)
 """Of resistive force theory, from which nothing is taken off; soil and law as for feet."""
 
 
@@ -148,10 +145,6 @@ class Wheel:
     def reach(self) -> float:
         """Radius to the tips of the lugs [m]."""
         return self.radius + self.lug_height
-
-    def roughness(self, friction: float) -> float:
-        """How rough the wheel is: the friction of its rim, :data:`LUGGED` with lugs [-]."""
-        return LUGGED if self.lugs else friction
 
     @property
     def carried(self) -> float:
@@ -284,8 +277,7 @@ def rolling(
     deepest = DEEPEST * wheel.reach
     depths = wheel.bare + np.geomspace(1e-3 * wheel.reach, deepest - wheel.bare, POINTS)
     depths = np.minimum(depths, deepest)  # but for rounding
-    too_much = WHEEL_ERROR.of(each, wheel.roughness(surface_friction))
-    read = np.clip(phi_deg[:, None] + too_much, low, high - WIDTH_DEG)
+    read = np.clip(phi_deg[:, None] + WHEEL_ERROR.of(each), low, high - WIDTH_DEG)
     nodes = np.linspace(read.min(), read.max() + WIDTH_DEG, NODES)
     forces = wheel_forces(
         wheel, depths, each[:, None, None], phi_deg=nodes[:, None], density=DENSITY.mean,
@@ -385,6 +377,10 @@ def _rim(
     turning = np.where(slip >= 0.0, 1.0, 1.0 + slip)[:, None]
     drift = -speed * np.tan(np.radians(side))[:, None] + 0.0 * sine
     velocities = np.stack([speed - turning * cosine, drift, -turning * sine], axis=-1)
+    if law == "foot" and not wheel.lugs:
+        tangents = np.stack([cosine, 0.0 * sine, sine], axis=-1)
+        slid = 1.0 - min(TAKEN_UP * friction, 1.0)
+        velocities -= slid * (velocities * tangents).sum(axis=-1, keepdims=True) * tangents
     axle = np.stack([0.0 * sinkage, 0.0 * sinkage, radius - sinkage], axis=-1)
     shear: dict[str, Any] = {}
     if mobilization > 0.0:
