@@ -377,10 +377,6 @@ def _rim(
     turning = np.where(slip >= 0.0, 1.0, 1.0 + slip)[:, None]
     drift = -speed * np.tan(np.radians(side))[:, None] + 0.0 * sine
     velocities = np.stack([speed - turning * cosine, drift, -turning * sine], axis=-1)
-    if law == "foot" and not wheel.lugs:
-        tangents = np.stack([cosine, 0.0 * sine, sine], axis=-1)
-        slid = 1.0 - min(TAKEN_UP * friction, 1.0)
-        velocities -= slid * (velocities * tangents).sum(axis=-1, keepdims=True) * tangents
     axle = np.stack([0.0 * sinkage, 0.0 * sinkage, radius - sinkage], axis=-1)
     shear: dict[str, Any] = {}
     if mobilization > 0.0:
@@ -390,9 +386,18 @@ def _rim(
         along = turning * time - speed / turning * (np.sin(start) - sine)
         sheared = radius * np.where(theta < start, np.hypot(along, drift * time), 0.0)
         shear = {"mobilization": mobilization, "sheared": sheared}
-    force, moment = wrench(
-        radius * normals + axle[:, None], normals, area, velocities, phi_deg=phi_deg,
-        density=density, surface_friction=friction, law=law, about=axle, rest_speed=STILL,
-        **shear,
-    )  # fmt: skip
+    options: dict[str, Any] = {
+        "phi_deg": phi_deg, "density": density, "surface_friction": friction, "law": law,
+        "about": axle, "rest_speed": STILL, **shear,
+    }  # fmt: skip
+    faces = radius * normals + axle[:, None], normals, area
+    force, moment = wrench(*faces, velocities, **options)
+    if law == "foot" and not wheel.lugs:
+        # The load is that of a rim whose motion along itself is felt in part; pull and torque keep
+        # their share of it, so that soil takes energy as before.
+        tangents = np.stack([cosine, 0.0 * sine, sine], axis=-1)
+        along = (velocities * tangents).sum(axis=-1, keepdims=True) * tangents
+        felt = velocities - (1.0 - min(TAKEN_UP * friction, 1.0)) * along
+        borne = wrench(*faces, felt, **options)[0][:, 2] / np.maximum(force[:, 2], TINY)
+        force, moment = borne[:, None] * force, borne[:, None] * moment
     return np.stack([force[:, 0], force[:, 2], -moment[:, 1], force[:, 1]], axis=-1)
