@@ -134,9 +134,12 @@ def test_a_denser_soil_has_a_smaller_angle_by_the_law(clean: tuple[Truth, Footfa
         assert force[1] / force[0] == pytest.approx(1.1, abs=0.02)
 
 
-@pytest.mark.parametrize(("slope_deg", "bears"), [(10.0, 0.92), (-10.0, 0.85), (15.0, 0.85)])
+@pytest.mark.parametrize(("slope_deg", "bears"), [(10.0, 0.92), (-10.0, 0.85), (20.0, 0.76)])
 def test_a_slope_that_weakens_the_soil_is_taken_off(slope_deg: float, bears: float) -> None:
-    """By 8 % or 15 % at 10°, 15 % at 15°: φ is right within 2.5 of the errors that are stated."""
+    """By 8 or 15 % at 10°, 24 % at 20°: φ is right within 2.5 of the errors that are stated.
+
+    At 20° feet that enter the slope have a kink in their path, whose torques are no wrong signs.
+    """
     walk = LawWalk(duration=8.0, slope=np.radians(slope_deg), bears=bears)
     true, result = truth_of(walk), footfalls(walk.log()[0], density="1550±80")
     effect = result.shared["ground_slope"]
