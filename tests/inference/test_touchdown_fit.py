@@ -85,8 +85,8 @@ def test_laplace_agrees_with_quadrature() -> None:
 
 
 def test_the_inertia_gives_the_impulse_that_its_mass_takes_up() -> None:
-    """Over a landing ∫ d(m v)/dt is m v at its end, less that at its beginning."""
-    time = np.linspace(0.0, 0.05, 4001)[None]
+    """Over a landing from above the surface ∫ d(m v)/dt is m v at its end."""
+    time = np.linspace(-0.005, 0.05, 4401)[None]
     turn = 0.4 * np.pi * time / 0.05
     drop, rate = 0.03 * np.sin(turn), 0.4 * np.pi / 0.05
     observed = pressed(seed=None)._replace(

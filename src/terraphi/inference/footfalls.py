@@ -126,8 +126,9 @@ INCLINED_SDS = 2.0
 CONTRADICTED = 2.0
 """Standard deviations from the rest above which an anchor is doubted [-]; one sound anchor in
 twenty is."""
-SECOND = {"rft": "foot"}
-"""Law of a second opinion, for each law; else ``rft``, which has few terms and is fast."""
+SECOND, HIGHEST_RFT_DEG = {"rft": "foot"}, 65.0
+"""Law of a second opinion, for each law; else ``rft``, which has few terms and is fast, and its
+largest φ there [deg]: it has no table, and differences between places must not end at 50°."""
 GREY = "0.4"
 CI95 = 1.959964
 """Half-width of a normal 95 % interval over its standard deviation [-]; of a 68 % one it is 1."""
@@ -629,7 +630,8 @@ def _compare_laws(
     """
     name = SECOND.get(law, "rft")
     sample = evenly(touchdowns, MOST_FITTED)
-    second_prior = learn_exponent(sample, name, replace(wide, exponent=0.0))
+    highest = HIGHEST_RFT_DEG if name == "rft" else wide.highest_deg
+    second_prior = learn_exponent(sample, name, replace(wide, exponent=0.0, highest_deg=highest))
     second_prior = learn_level(sample, name, second_prior)
     prior = replace(prior, other_law_sd=math.sqrt(likeness(prior, second_prior)))
     phi, sensitivity = fits.phi, fits.shared.copy()

@@ -31,13 +31,14 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import number_with_sd, plain_number
 from terraphi.inference.touchdowns import MOST_FITTED, PHI_RANGE, TORQUES, evenly
 
-MEDIANS, LOG_SD = (1.5, 1.0), 0.7
-"""Prior of the process's amplitude [deg] and length [m]: medians, and the standard deviation of the
-logarithms, a factor of 2 either way (chosen)."""
+MEDIANS, LOG_SD = (1.5, 1.0, 1.0), 0.7
+"""Prior of the process's amplitude [deg] and length [m], and of the scatter between near footfalls
+over that of their fits: medians, and the standard deviation of the logarithms, a factor of 2 either
+way (chosen)."""
 ANCHOR_POINTS = 9
 """Points that stand for an anchor's stretch."""
-MOST = 6000
-"""Footfalls that are pooled at most, evenly chosen: memory grows with the square."""
+MOST = 2000
+"""Footfalls that are pooled at most, evenly chosen: memory grows with the square, time more."""
 LONGEST_PATH = 1e6
 """End of an anchor that names no stretch [m]."""
 
@@ -159,9 +160,15 @@ def covariance(
     a: FloatArray, b: FloatArray, amplitude: float, length: float, mean_sd: float
 ) -> FloatArray:
     """Matérn covariance of smoothness 5/2 between places [m], with the unknown mean's [deg²]."""
-    distance = np.sqrt(((a[:, None] - b[None]) ** 2).sum(axis=-1)) * (math.sqrt(5.0) / length)
-    shape = (1.0 + distance + distance**2 / 3.0) * np.exp(-distance)
-    return np.asarray(amplitude**2 * shape + mean_sd**2)
+    from scipy.spatial.distance import cdist
+
+    distance = cdist(a, b)
+    distance *= math.sqrt(5.0) / length
+    shape = np.exp(-distance)
+    shape *= 1.0 + distance * (1.0 + distance / 3.0)
+    shape *= amplitude**2
+    shape += mean_sd**2
+    return np.asarray(shape)
 
 
 def pool(
@@ -195,8 +202,9 @@ def pool(
     # at their prior mean.
     subset = evenly(footfalls, MOST_FITTED)
     torques = subset.shared * (np.arange(subset.shared.shape[1]) < TORQUES)
-    amplitude, length = _learned(subset, torques, shared, mean, mean_sd)
+    amplitude, length, scale = _learned(subset, torques, shared, mean, mean_sd)
     field = amplitude, length, mean_sd
+    footfalls, subset = (part._replace(sd=scale * part.sd) for part in (footfalls, subset))
     residual = subset.phi - mean - (subset.shared - torques) @ shared.mean
     shared = shared.given(residual, torques, _observed(subset, field))
     # 2. Averages of φ given θ: the path's points, then each anchor's stretch as the mean of its
@@ -275,8 +283,8 @@ def _solve(lower: FloatArray, right: FloatArray) -> FloatArray:
 
 def _learned(
     footfalls: Observed, torques: FloatArray, shared: Normal, mean: float, mean_sd: float
-) -> tuple[float, float]:
-    """Amplitude and length at the maximum of their marginal posterior."""
+) -> tuple[float, float, float]:
+    """Amplitude, length and factor on e at the maximum of their marginal posterior."""
     from scipy.optimize import minimize
 
     # Errors of the torques are integrated over: they add their covariance to that of the field.
@@ -284,8 +292,9 @@ def _learned(
     common = torques @ shared.covariance @ torques.T
 
     def cost(logs: FloatArray) -> float:
-        amplitude, length = np.exp(logs) * MEDIANS
-        matrix = _observed(footfalls, (amplitude, length, mean_sd)) + common
+        amplitude, length, scale = np.exp(logs) * MEDIANS
+        scaled = footfalls._replace(sd=max(scale, 1.0) * footfalls.sd)
+        matrix = _observed(scaled, (amplitude, length, mean_sd)) + common
         # −ln of the marginal posterior: ½ r'M⁻¹r + ½ ln |M| + ½ Σ (logs / 0.7)², with M = L L'
         # and ½ ln |M| = Σ ln L_ii.
         lower = np.asarray(np.linalg.cholesky(matrix))
@@ -293,10 +302,10 @@ def _learned(
         prior = ((logs / LOG_SD) ** 2).sum()
         return float(0.5 * (half @ half + prior) + np.log(np.diag(lower)).sum())
 
-    corners = LOG_SD * np.eye(3, 2)
+    corners = LOG_SD * np.eye(4, 3)
     best = minimize(
-        cost, corners[2], method="Nelder-Mead",
+        cost, corners[3], method="Nelder-Mead",
         options={"xatol": 0.02, "fatol": 0.01, "maxiter": 150, "initial_simplex": corners},
     )  # fmt: skip
-    amplitude, length = (np.exp(best.x) * MEDIANS).tolist()
-    return amplitude, length
+    amplitude, length, scale = (np.exp(best.x) * MEDIANS).tolist()
+    return amplitude, length, max(scale, 1.0)

@@ -192,7 +192,8 @@ def touchdowns(
     step = float(np.median(np.diff(log.time)))
     # Force of the soil's inertia on a foot that meets it, over the square of its speed [kg/m].
     landing = float(moved_mass(Foot(radius), 1e-6, Prior.density)[1])
-    cut = [_touchdown(log, forces, motion, stance, per, step, landing) for stance in stances]
+    lift = forces.lift
+    cut = [_touchdown(log, forces, lift, motion, stance, per, step, landing) for stance in stances]
     columns = {name: np.array([row[name] for row in cut]) for name in Touchdowns._fields}
     columns["place"][:, 2] -= radius
     return Touchdowns(**columns)
@@ -201,6 +202,7 @@ def touchdowns(
 def _touchdown(
     log: JointLog,
     forces: FootForces,
+    lifts: FloatArray,
     motion: Motion,
     stance: Stance,
     per: FloatArray,
@@ -211,7 +213,7 @@ def _touchdown(
     from scipy.ndimage import maximum_filter1d
 
     time, foot = log.time, FEET.index(stance.foot)
-    lift, place = forces.force[:, foot, 2].astype(np.float64), motion.feet[:, foot]
+    lift, place = lifts[:, foot], motion.feet[:, foot]
     half = max(1, round(0.5 * SMOOTH_S / step))
     start = int(np.searchsorted(time, stance.begin))
     # The surface is where the foot first met force after it had been aloft. A stance begins later,
