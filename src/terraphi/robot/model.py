@@ -383,10 +383,13 @@ def _leg_joints(
     lacking = joint < 0
     lacking[:, :first] = False
     if missing := joint_names(lacking):
+        limbs = _standing(model, data)
+        if table is None and limbs and len(limbs) != len(FEET):
+            raise InputError(f"{source}: {_no_quadruped(model, limbs)}")
         raise InputError(
             f"{source}: no joints {', '.join(missing)} by the names of the model's "
             f"{len(hinges)} revolute joints; name those of the four legs in the table 'joints' of "
-            "the robot's TOML (bipeds and flat soles are not supported)"
+            "the robot's TOML"
         )
     # A leg is a chain: the dof above its first joint is the trunk's last (5), and above each other
     # one that of the joint before. Its equations of motion rest on that.
@@ -409,6 +412,34 @@ def _leg_joints(
     return joint, [f"names and places of the legs disagree: {'; '.join(wrong)}"] if wrong else []
 
 
+def _standing(model: mujoco.MjModel, data: mujoco.MjData) -> list[list[int]]:
+    """Joints of each limb that reaches the ground at the reference angles, from the trunk down."""
+    last = set(range(6, model.nv)) - set(model.dof_parentid.tolist())
+    height = {dof: float(data.xanchor[model.dof_jntid[dof], 2]) for dof in last}
+    low = 0.8 * min(height.values(), default=0.0) + 0.2 * float(data.xanchor[0, 2])
+    limbs = []
+    for dof in sorted(dof for dof in last if height[dof] < low):
+        limb = [dof]
+        while (above := int(model.dof_parentid[limb[0]])) > 5:
+            limb.insert(0, above)
+        limbs.append([int(model.dof_jntid[i]) for i in limb])
+    return limbs
+
+
+def _no_quadruped(model: mujoco.MjModel, limbs: list[list[int]]) -> str:
+    """What a robot has in place of four legs, and how φ is found with it."""
+    legs = ", ".join(
+        f"{model.joint(limb[0]).name} to {model.joint(limb[-1]).name} ({len(limb)})"
+        for limb in limbs
+    )
+    return (
+        f"it stands on {len(limbs)} limb{'s' * (len(limbs) > 1)} ({legs}); a log is read of four "
+        "legs of two or three joints with balls for feet alone. What is missing is the force on "
+        "each sole: with it and the sinkage, a flat sole is a plate: terraphi invert SOLE.csv "
+        "--tool plate:LENGTHxWIDTH"
+    )
+
+
 def _foot(
     model: mujoco.MjModel, data: mujoco.MjData, calf: int, source: str
 ) -> tuple[int, FloatArray, float]:
@@ -424,8 +455,8 @@ def _foot(
         if model.body_weldid[model.body_parentid[model.jnt_bodyid[joint]]] == calf:
             raise InputError(
                 f"{source}: joint '{model.joint(joint).name}' is below the calf "
-                f"'{model.body(calf).name}'; a ball at the calf's end is expected: flat soles on "
-                "ankles, and wheels, are not supported"
+                f"'{model.body(calf).name}'; a ball at the calf's end is expected. With the load "
+                "and sinkage of a flat sole: terraphi invert SOLE.csv --tool plate:LENGTHxWIDTH"
             )
     # The sole of a leg is far from the knee: of several bodies that are fixed there, the farthest.
     if named or fixed:

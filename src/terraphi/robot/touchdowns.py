@@ -192,7 +192,7 @@ def touchdowns(
     step = float(np.median(np.diff(log.time)))
     # Force of the soil's inertia on a foot that meets it, over the square of its speed [kg/m].
     landing = float(moved_mass(Foot(radius), 1e-6, Prior.density)[1])
-    lift = forces.lift
+    lift = forces.force[:, :, 2].astype(np.float64)
     cut = [_touchdown(log, forces, lift, motion, stance, per, step, landing) for stance in stances]
     columns = {name: np.array([row[name] for row in cut]) for name in Touchdowns._fields}
     columns["place"][:, 2] -= radius
