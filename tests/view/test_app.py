@@ -523,7 +523,8 @@ class Walker:
 
     def find(self) -> str:
         self.page.get_by_role("button", name="Find").click()
-        self.page.locator("#answer img").first.wait_for(state="attached")
+        self.page.locator("#answer img, #alert:not([hidden])").first.wait_for(state="attached")
+        assert not self.page.locator("#alert").is_visible(), self.page.inner_text("#alert")
         return str(self.page.locator(".headline").first.inner_text())
 
 
