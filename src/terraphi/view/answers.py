@@ -108,7 +108,7 @@ def tables(answer: Answer) -> list[Table]:
         (
             record.source, str(record.rig), str(record.n_readings), str(record.n_left_out),
             ", ".join(f"{name} {size:.1%}" for name, size in record.nrmsd.items()),
-            f"{record.shift_deg:+.1f}°",
+            f"{record.shift_deg:+.1f}°" if record.coordinate == "theta_deg" else "",
         )
         for record in answer.records
     ]  # fmt: skip

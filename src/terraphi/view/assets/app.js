@@ -41,7 +41,11 @@ function idle() {
 }
 
 async function send(task, entries = files) {
-  const turn = idle(), began = Date.now();
+  const turn = idle(), began = Date.now(), most = Number(by("drop").dataset.megabytes);
+  if (entries.reduce((sum, { file }) => sum + file.size, 0) > 1e6 * most) {
+    alarm(`${entries.map(({ file }) => file.name).join(", ")}: larger than ${most} MB; use the command line.`);
+    return null;
+  }
   let doing = { stage: task === "look" ? "Reading" : "Working" };
   running = new AbortController();
   const tell = () => {
