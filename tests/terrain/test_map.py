@@ -20,7 +20,6 @@ from terraphi.terrain import field, inputs, slopes
 from terraphi.terrain.slopes import Sample, priors_of
 
 rasterio = pytest.importorskip("rasterio")
-pytest.importorskip("sklearn")
 pytestmark = pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
 
 from terraphi.terrain.field import STEEPEST, to_logit  # noqa: E402
@@ -70,22 +69,32 @@ def test_a_shared_error_widens_the_map_and_moves_nothing(hill, points) -> None:
     assert wider == pytest.approx(np.hypot(sd, 3.9), rel=0.1)
 
 
-def test_lattice_and_draws_are_those_of_scikit_learn(hill, points, monkeypatch) -> None:
-    """Means, deviations and correlations against the process at the places themselves."""
+def test_field_and_draws_are_those_of_scikit_learn(hill, points) -> None:
+    """Length, means, deviations and correlations against the process at the places themselves."""
     from sklearn.gaussian_process import GaussianProcessRegressor
+    from sklearn.gaussian_process.kernels import ConstantKernel, DotProduct, Matern, WhiteKernel
 
-    kept: list[Any] = []
-    fit = GaussianProcessRegressor.fit
-    monkeypatch.setattr(
-        GaussianProcessRegressor, "fit", lambda self, *a: kept.append(self) or fit(self, *a)
-    )
+    class OfPlace(Matern):
+        def __call__(self, X: Any, Y: Any = None, eval_gradient: bool = False) -> Any:
+            return super().__call__(X[:, :2], None if Y is None else Y[:, :2], eval_gradient)
+
+    class OfCovariates(DotProduct):
+        def __call__(self, X: Any, Y: Any = None, eval_gradient: bool = False) -> Any:
+            return super().__call__(X[:, 2:], None if Y is None else Y[:, 2:], eval_gradient)
+
+        def diag(self, X: Any) -> Any:
+            return super().diag(X[:, 2:])
+
+    kernel = ConstantKernel(0.1, field.PROCESS) * OfPlace(12.0, (6.0, 600.0), nu=1.5) + (
+        WhiteKernel(field.SHORT_START, field.SHORT) + ConstantKernel(field.LEVEL_SD**2, "fixed")
+        + ConstantKernel(field.EFFECT_SD**2, "fixed") * OfCovariates(0.0, "fixed")
+    )  # fmt: skip
     n = 60
     rows, columns = np.meshgrid(np.arange(n), np.arange(n), indexing="ij")
     heights = 0.5 * (n - rows) + 3.0 * np.sin(columns / 9.0) + 2.0 * np.sin(rows / 5.0)
     x, y = walked(2, count=30)
     phi = 30.0 + 3.0 * np.sin(x / 12.0) + np.random.default_rng(4).normal(0.0, 1.0, x.size)
     slope_map = map_slopes(points(x, y, phi, 1.0), hill(heights=heights), draws=64)
-    (process,) = kept
     # Inputs of the process at some cells: place, both covariates standardized.
     cells = [(10, 15), (12, 18), (30, 31), (50, 5)]
     whole = slice(0, n)
@@ -97,6 +106,13 @@ def test_lattice_and_draws_are_those_of_scikit_learn(hill, points, monkeypatch) 
             for r, c in cells
         ]
     )
+    reference, at_points = slope_map.points, scaled_at(slope_map, scaled)
+    z = to_logit(reference["phi_deg"]) - to_logit(30.0)
+    alpha = (reference["sd_deg"] / field.degrees_per_z(reference["phi_deg"])).to_numpy() ** 2
+    process = GaussianProcessRegressor(kernel, alpha=alpha, n_restarts_optimizer=2, random_state=0)
+    process.fit(np.column_stack([reference[["x_m", "y_m"]], at_points]), z)
+    length = process.kernel_.get_params()["k1__k2__length_scale"]
+    assert slope_map.field.learnt["length_m"] == pytest.approx(length, rel=0.01)
     mean, covariance = process.predict(asked, return_cov=True)
     short = slope_map.field.learnt["short_sd"] ** 2
     sd = np.sqrt(np.diag(covariance) - short)
@@ -107,7 +123,7 @@ def test_lattice_and_draws_are_those_of_scikit_learn(hill, points, monkeypatch) 
     wanted = np.degrees(tan * (1 - tan / STEEPEST) / (1 + tan**2)) * sd
     assert shown == pytest.approx(wanted, rel=0.05)
     # Joint draws, in which two cells are correlated as in the process.
-    fitted = field.fit(slope_map.points, scaled_at(slope_map, scaled), slope_map.dem, draws=4096)
+    fitted = field.fit(reference, at_points, slope_map.dem, draws=4096)
     here = fitted.window(slope_map.dem.x, slope_map.dem.y)
     covariates = np.array([[layer[cell] for cell in cells] for layer in scaled])
     drawn = here.draws(slice(None))[:, *zip(*cells, strict=True)].T + (

@@ -142,7 +142,7 @@ def slope_map(points: Any, dem: Any, **given: Any) -> Any:
 
 @pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
 def test_an_odd_value_of_a_map_has_an_answer_or_one_sentence(hill: Any) -> None:
-    pytest.importorskip("sklearn")
+    pytest.importorskip("rasterio")
     rng, pandas = np.random.default_rng(0), pytest.importorskip("pandas")
     rows = {"x_m": rng.uniform(2.0, 18.0, 8), "y_m": rng.uniform(2.0, 18.0, 8),
             "phi_deg": rng.normal(33.0, 2.0, 8), "sd_deg": np.full(8, 2.0)}  # fmt: skip

@@ -19,7 +19,7 @@ UNPACKED, LEAST_UNPACKED = 50, 3 << 28
 SECONDS = 600.0
 """Longest time to read a bag [s]."""
 POINTS = 500
-"""Points from which the field of a map is inferred, and a window of it: 10 s of processor time for
+"""Points from which the field of a map is inferred, and a window of it: 3 s of processor time for
 all; time grows as their cube. The length is inferred from so many of more, drawn at random."""
 PARTS = 10_000
 """Elements of a robot's model, copies counted; the Go2 has some 200."""

@@ -9,7 +9,6 @@ where s is a Matérn process (ν = 3/2) over the horizontal place, the c are ele
 whatever raster is given, each of mean 0 and standard deviation 1 over the map, the variance of ε is
 each point's own and that of η is the variation over distances too short for the map. Variances of s
 and η and the length of s maximize the evidence; μ and β are integrated with priors of fixed width.
-The search for them is scikit-learn's.
 
 A map is computed window by window, each from its :data:`~terraphi.experiment.budget.POINTS` nearest
 points. Joint draws are those of the process before the points, sums of waves and so the same
@@ -23,7 +22,6 @@ no information on it, and inferring it together with μ would let the prior of o
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -37,8 +35,9 @@ from terraphi.experiment.budget import POINTS
 from terraphi.experiment.errors import needing
 from terraphi.terrain.inputs import STEEPEST_DEG, Elevation
 
-with needing("a map", "rasterio, scikit-learn and SciPy", extra="terrain"):
+with needing("a map", "rasterio and SciPy", extra="terrain"):
     from scipy.linalg import cho_factor, cho_solve
+    from scipy.optimize import minimize
     from scipy.sparse import csr_array
     from scipy.spatial.distance import cdist
     from scipy.special import logit
@@ -251,48 +250,25 @@ def fit(
     seed
         Of the draws, and of the starts of the search for the largest evidence.
     """
-    from sklearn.exceptions import ConvergenceWarning
-    from sklearn.gaussian_process import GaussianProcessRegressor
-    from sklearn.gaussian_process.kernels import ConstantKernel, DotProduct, Matern, WhiteKernel
-
-    class OfPlace(Matern):  # type: ignore[misc]
-        def __call__(self, X: Any, Y: Any = None, eval_gradient: bool = False) -> Any:
-            return super().__call__(X[:, :2], None if Y is None else Y[:, :2], eval_gradient)
-
-    class OfCovariates(DotProduct):  # type: ignore[misc]
-        def __call__(self, X: Any, Y: Any = None, eval_gradient: bool = False) -> Any:
-            return super().__call__(X[:, 2:], None if Y is None else Y[:, 2:], eval_gradient)
-
-        def diag(self, X: Any) -> Any:
-            return super().diag(X[:, 2:])
-
     side = max(ground.shape) * ground.cell
     step = float(np.clip(side / RESOLUTION, 2.0 * ground.cell, 32.0 * ground.cell))
     bounds = (CELLS_PER_LENGTH * step, 10.0 * side)
-    # k1 is the process, so that its parameters are found by name below.
-    kernel = ConstantKernel(0.1, PROCESS) * OfPlace(min(0.2 * side, bounds[1]), bounds, nu=1.5) + (
-        WhiteKernel(SHORT_START, SHORT)
-        + ConstantKernel(LEVEL_SD**2, "fixed")
-        + ConstantKernel(EFFECT_SD**2, "fixed") * OfCovariates(0.0, "fixed")
-    )
     phi_deg = points["phi_deg"].to_numpy()
     variance = (points["sd_deg"].to_numpy() / degrees_per_z(phi_deg)) ** 2
     inputs = np.column_stack([points["x_m"], points["y_m"], covariates])
     z = to_logit(phi_deg) - to_logit(CENTRE_DEG)
     inputs, z, variance = _merged(inputs, z, variance, step)
     rng = np.random.default_rng(seed)
-    subset = slice(None) if len(z) <= POINTS else rng.choice(len(z), POINTS, replace=False)
-    process = GaussianProcessRegressor(
-        kernel, alpha=variance[subset], n_restarts_optimizer=2, random_state=seed
-    )
-    with warnings.catch_warnings():
-        # A value at its bound is a result here.
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        process.fit(inputs[subset], z[subset])
-    fitted = process.kernel_.get_params()
-    length, process_sd = fitted["k1__k2__length_scale"], np.sqrt(fitted["k1__k1__constant_value"])
-    short = fitted["k2__k1__k1__noise_level"]
-    learnt = {"length_m": length, "process_sd": process_sd, "short_sd": np.sqrt(short)}
+    chosen = slice(None) if len(z) <= POINTS else rng.choice(len(z), POINTS, replace=False)
+    evidence = _evidence(inputs[chosen], z[chosen], variance[chosen])
+    low, high = limits = np.log([PROCESS, bounds, SHORT]).T
+    usual = np.log([0.1, min(0.2 * side, bounds[1]), SHORT_START])
+    starts = [usual, *rng.uniform(low, high, (2, 3))]
+    ends = [minimize(evidence, start, jac=True, bounds=limits.T) for start in starts]
+    best = min(ends, key=lambda end: float(end.fun))
+    variance_of_process, length, short = np.exp(best.x).tolist()
+    process_sd = math.sqrt(variance_of_process)
+    learnt = {"length_m": length, "process_sd": process_sd, "short_sd": math.sqrt(short)}
     # The spectrum of a Matérn process of ν = 3/2 is a Student-t distribution of 2ν = 3 degrees.
     waves = rng.standard_normal((WAVES, 2, draws)) / length
     waves *= np.sqrt(3.0 / rng.chisquare(3, (WAVES, 1, draws)))
@@ -306,8 +282,33 @@ def fit(
     drawn += np.sqrt(noise)[:, None] * rng.standard_normal(drawn.shape)
     residual = np.column_stack([z, z[:, None] - drawn])
     shared = math.sqrt(np.square(points["shared_sd_deg"]).mean())
-    learnt = {name: float(value) for name, value in learnt.items()}
     return Field(places, covariates, residual, noise, before, shared, learnt, step)
+
+
+def _evidence(inputs: FloatArray, z: FloatArray, variance: FloatArray) -> Callable[[Any], Any]:
+    """Function of the logarithms of the variance of s, its length [m] and the variance of η.
+
+    It returns the logarithm of the evidence, less a constant and negative, and its gradient.
+    """
+    distance = math.sqrt(3.0) * cdist(inputs[:, :2], inputs[:, :2])
+    fixed = np.diag(variance) + LEVEL_SD**2 + EFFECT_SD**2 * inputs[:, 2:] @ inputs[:, 2:].T
+    identity = np.eye(len(z))
+
+    def negative(logarithms: FloatArray) -> tuple[float, FloatArray]:
+        process, length, short = np.exp(logarithms)
+        ratio = distance / length
+        bell = process * np.exp(-ratio)
+        root = cho_factor(fixed + bell * (1.0 + ratio) + short * identity)
+        inverse = cho_solve(root, identity)
+        weight = inverse @ z
+        # d log p = ½ tr((w wᵀ − K⁻¹) dK) with w = K⁻¹ z.
+        slope = np.outer(weight, weight) - inverse
+        change = [(slope * bell * (1.0 + ratio)).sum(), (slope * bell * ratio**2).sum(),
+                  short * np.trace(slope)]  # fmt: skip
+        value = 0.5 * z @ weight + np.log(np.diag(root[0])).sum()
+        return float(value), -0.5 * np.array(change)
+
+    return negative
 
 
 def _merged(

@@ -241,7 +241,7 @@ def read_band(path: Path, rows: slice | None = None, *, step: int = 1) -> Float3
 def _opened(path: Path) -> Iterator[Any]:
     """An open GeoTIFF; raises InputError."""
     os.environ.update(OFFLINE)
-    with needing("a map", "rasterio, scikit-learn and SciPy", extra="terrain"):
+    with needing("a map", "rasterio and SciPy", extra="terrain"):
         import rasterio
     check_is_file(path)
     try:

@@ -26,7 +26,7 @@ from terraphi.experiment.files import number_with_sd, plain_number
 from terraphi.experiment.units import GRAVITY
 from terraphi.terrain.field import STEEPEST, tangent
 
-with needing("a map", "rasterio, scikit-learn and SciPy", extra="terrain"):
+with needing("a map", "rasterio and SciPy", extra="terrain"):
     from scipy.special import ndtr, ndtri
 
 WATER = 1000.0
