@@ -27,6 +27,8 @@ from terraphi.inference.records import Record, open_record
 
 LAW = Path(__file__).parents[2] / "src" / "terraphi" / "data" / "laws" / "legs.nc"
 GRAINS = Path(__file__).parents[1] / "data" / "grains"
+CODES = GRAINS / "codes"
+"""The same cells by two codes, from which nothing is learned."""
 OTHERS = ("slow", "narrow", "wide")
 """Ends of the names of soils that are stirred at another rate, or have another grading."""
 CELLS = {"shear": "large, 1.5 kPa", "firm": "small, 1.5 kPa", "light": "small, 0.5 kPa"}
@@ -57,9 +59,9 @@ def records() -> Iterator[tuple[str, Record]]:
         ))  # fmt: skip
 
 
-def cells(soil: str, kind: str) -> list[float]:
+def cells(soil: str, kind: str, folder: Path = GRAINS) -> list[float]:
     """Critical friction angle by each bed [deg]."""
-    paths = sorted(GRAINS.glob(f"{soil}_{kind}_*.csv"))
+    paths = sorted(folder.glob(f"{soil}_{kind}_*.csv"))
     rows = [np.loadtxt(path, delimiter=",", skiprows=3, unpack=True) for path in paths]
     return [float(elements.critical(row[0], row[2] / row[3]).mean()) for row in rows]
 
@@ -106,6 +108,12 @@ def listed() -> Iterator[tuple[str, ...]]:
             )  # fmt: skip
 
 
+def by_code(soil: str) -> str:
+    """Critical φ of one soil in small cells by two codes."""
+    both = {code: means(cells(soil, "firm", CODES / code.lower())) for code in ("LIGGGHTS", "YADE")}
+    return f"{soil} " + " and ".join(f"{value} by {code}" for code, value in both.items())
+
+
 def main() -> None:
     """Write the page."""
     out = pages.out_from(__doc__.splitlines()[0])
@@ -121,6 +129,10 @@ def main() -> None:
         pages.excerpt(out, "grain_records", cells_of, listed(),
                       ("soil", "grains", "friction", "volume fraction", "critical φ"),
                       "critical φ"),
+        (
+            f"Small cells of the same spheres: {by_code('B-loose')}; {by_code('C-loose')}, where "
+            "the cell trembled in its last third."
+        ),
     ]  # fmt: skip
     pages.write(out, "grain_records", "Simulated grains: what there is", parts,
                 script="grains/records.py")  # fmt: skip
