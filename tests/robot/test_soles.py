@@ -58,7 +58,8 @@ def test_phi_under_a_sole_that_takes_over_the_weight() -> None:
         <actuator><velocity joint="down" kv="200000"/></actuator></mujoco>""")
     data, sole = mujoco.MjData(model), box()
     sand = terraphi.soil(phi="30±1", density=1550)
-    data.ctrl[0], rows = -0.02, []
+    data.ctrl[0] = -0.02
+    rows: list[tuple[float, float]] = []
     while not rows or rows[-1][1] < 60.0 * 9.81:
         force, _ = sand.force(sole, data.xpos[1], [0.0, 0.0, data.qvel[0]], inertia=False)
         data.xfrc_applied[1, :3] = force
