@@ -62,7 +62,8 @@ point method show ([data](../studies/data/wheel_slip.csv)); of lugs it feels all
 all under a rim, φ would rise by 4° from a slip of 0.2 to 0.5; as it is, it changes by \
 {driven:+.1f}° in grains under a rim of a friction of 0.35, by {ding:+.1f}° on that sand, with \
 0.55, and by {under_lugs:+.1f}° under lugs. A wheel given to `soil.force` as a mesh feels all. \
-Rims of 0.2, 0.35 and 0.5 read the same φ within {rough:.1f}°. Braked wheels read \
+Rims of 0.2, 0.35 and 0.5 read the same φ within {rough:.1f}°. Wheels of 180 mm, of which \
+nothing was learned, read {large}. Braked wheels read \
 {braked:.0f}° more at a slip of −0.3, for they push a mound. Nothing was learned beyond −0.5 \
 and 0.6.
 - **Pull and torque** do not depend on φ at a given sinkage. They show the friction of the rim, \
@@ -256,7 +257,8 @@ def main() -> None:
     """Print what is learned, and write the page."""
     out = pages.out_from(__doc__.splitlines()[0])
     all_rows = wheels()
-    rows = [row for row in all_rows if "+" not in row.name and "leg" not in row.soil]
+    # Nothing is learned from the larger wheels, other rims and lugs.
+    rows = [row for row in all_rows if "_120x25_" in row.name and "leg" not in row.soil]
     table, by_foot, by_rft = published()
     driven, braked = change(rows, 0.2, 0.5), change(rows, 0.0, -0.3)
     lugged = change([row for row in all_rows if "+" in row.name], 0.2, 0.5)
@@ -285,17 +287,17 @@ def main() -> None:
     )  # fmt: skip
     pages.excerpt(out, "wheels", header, cells, header[:6])
     unsunk = [row.unsunk.phi.median - row.truth_deg for row in all_rows]
-    lugs = [
-        f"{row.read_deg - row.truth_deg - float(WHEEL_ERROR.of(row.slip)):+.1f}°"
-        for row in all_rows
-        if "+" in row.name
-    ]
+    lugs, large = (
+        [f"{row.read_deg - row.truth_deg - float(WHEEL_ERROR.of(row.slip)):+.1f}°"
+         for row in all_rows if mark in row.name] for mark in ("+", "_180x")
+    )  # fmt: skip
     parts = [
         words,
         pages.table(MEANS, means(rows, errors)),
         "All: [wheels.csv](wheels.csv).",
         LIMITS.format(
             lugs=", ".join(lugs),
+            large=", ".join(large),
             driven=driven,
             ding=published_change(table),
             under_lugs=lugged,
