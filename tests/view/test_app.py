@@ -30,7 +30,7 @@ import pytest
 import terraphi
 from terraphi import InputError, Rig, calibrate, invert, measurement, read_forces
 from terraphi.view import app
-from terraphi.view.app import Limits, look, read, work
+from terraphi.view.app import Limits, RefusedError, as_read, distinct_names, look, run, work
 
 pytest.importorskip("uvicorn")
 
@@ -262,10 +262,15 @@ def test_a_preview_of_what_cannot_be_guessed_has_the_cells(served: Served, place
     assert left(places) == []
 
 
-@pytest.mark.parametrize("columns", ['"/etc/passwd"', "{", '{"nope": "a"}'])
-def test_choices_that_are_none_are_refused(columns: str, served: Served, forces: bytes) -> None:
+@pytest.mark.parametrize(
+    ("columns", "word"),
+    [('"/etc/passwd"', "(TypeError)"), ("{", "(JSONDecodeError)"), ('{"nope": "a"}', "nope")],
+)
+def test_choices_that_are_none_are_refused(
+    columns: str, word: str, served: Served, forces: bytes
+) -> None:
     reply = served.drop(forces, columns=columns)
-    assert "refused" in json.loads(reply.text)
+    assert word in json.loads(reply.text)["refused"]
     assert "root:" not in reply.text
 
 
@@ -332,9 +337,13 @@ def test_a_log_is_read_with_the_robot_and_the_law_that_were_chosen(tmp_path: Pat
 
 def test_too_much_is_refused_whether_announced_or_not(served: Served, places: Path) -> None:
     assert served.drop(bytes(MOST_BYTES + 1)).status == 413
-    pieces = (bytes(50_000) for _ in range(20))  # sent in chunks, without a length
-    with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # closed while we still send
-        assert served.drop(pieces).status == 413
+    head = f"POST /answer?{urlencode(USUAL)} HTTP/1.1\r\nHost: 127.0.0.1\r\nx-terraphi: {TOKEN}\r\n"
+    with socket.create_connection(("127.0.0.1", served.port), timeout=120) as sending:
+        sending.sendall(f"{head}Transfer-Encoding: chunked\r\n\r\n".encode())
+        sending.sendall(f"{MOST_BYTES + 1:x}\r\n".encode() + bytes(MOST_BYTES + 1) + b"\r\n")
+        reply = http.client.HTTPResponse(sending)  # the last part is still to come
+        reply.begin()
+        assert reply.status == 413
     time.sleep(0.2)
     assert left(places) == []
 
@@ -377,9 +386,40 @@ def test_another_user_of_the_machine_cannot_have_files_read(
     assert TOKEN not in front.text
 
 
-@pytest.mark.parametrize("options", [{"leg": "plate"}, {"name": "a.exe"}])
-def test_wrong_options_are_refused(options: dict[str, str], served: Served, forces: bytes) -> None:
-    assert "refused" in json.loads(served.drop(forces, **options).text)
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        ({"leg": "plate"}, "plate"),
+        ({"name": "a.exe"}, "expected a file"),
+        ({"size": [1, 2]}, "Val"),
+    ],
+)
+def test_wrong_options_are_refused(
+    options: dict[str, Any], word: str, served: Served, forces: bytes
+) -> None:
+    assert word in json.loads(served.drop(forces, **options).text)["refused"]
+
+
+def test_no_file_of_an_upload_replaces_another() -> None:
+    names = distinct_names(["a.csv", "a.csv", "2-a.csv", "x/A.csv"])
+    assert names == ["a.csv", "2-a.csv", "2-2-a.csv", "3-A.csv"]
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    from starlette.requests import Request
+
+    request = Request({"type": "http", "query_string": b"name=a.csv", "headers": []})
+    with pytest.raises(RefusedError, match=r"a\.csv: cannot be stored \(No such file") as refused:
+        asyncio.run(app.receive(request, Limits(), tmp_path / "none"))
+    assert refused.value.status == 507
+
+
+def test_a_picture_is_over_the_first_value_and_needs_another_that_is_not_zero() -> None:
+    zero, grows = np.zeros(3), np.arange(3.0)
+    shown = as_read("Read", {"slip": zero, "load": grows, "side_slip": zero}, [])
+    assert shown["read"] == ["Read: slip from 0 to 0, load from 0 to 2."]
+    assert "picture" in shown
+    assert "picture" not in as_read("Read", {"sinkage": grows, "force": zero}, [])
 
 
 def test_work_that_takes_too_long_is_ended_and_the_next_file_is_read(
@@ -391,9 +431,9 @@ def test_work_that_takes_too_long_is_ended_and_the_next_file_is_read(
 
     async def twice() -> None:
         with pytest.raises(TimeoutError):
-            [_ async for _ in read(job, 1e-4)]
+            [_ async for _ in run(job, 1e-4)]
         assert not (tmp_path / "reply.json").exists()
-        assert [_ async for _ in read(job, 60.0)] == []
+        assert [_ async for _ in run(job, 60.0)] == []
 
     asyncio.run(twice())
     assert json.loads((tmp_path / "reply.json").read_text())["kind"] == "forces"
@@ -401,10 +441,10 @@ def test_work_that_takes_too_long_is_ended_and_the_next_file_is_read(
 
 APP = """
 import asyncio, json, sys
-from terraphi.view.app import read
+from terraphi.view.app import run
 if __name__ == "__main__":
     async def drain():
-        [_ async for _ in read(json.loads(sys.argv[1]), 600.0)]
+        [_ async for _ in run(json.loads(sys.argv[1]), 600.0)]
 
     asyncio.run(drain())
 """
@@ -584,7 +624,7 @@ def test_every_option_of_the_page(width: int, browser: Any, samples: Path, place
         assert left(places) == []
         walker.fill(density="1550", sd="80")
         page.get_by_role("button", name="Find").click()
-        page.get_by_text("about", exact=False).and_(page.locator("#stage")).wait_for()
+        page.locator("#stage").get_by_text("φ under each footfall").wait_for()
         walker.picture("working")
         page.locator("#answer img").nth(1).wait_for(state="attached")
         walker.picture("walk")

@@ -45,6 +45,11 @@ class Pressed(NamedTuple):
     notes: list[str]
     """What was guessed and left out."""
 
+    @property
+    def values(self) -> dict[str, FloatArray]:
+        """By name, as of :class:`~terraphi.experiment.wheel_reading.Rolled`."""
+        return {"sinkage": self.sinkage, "force": self.force}
+
 
 def read_pressed(source: Any, area: float, columns: Any = None) -> Pressed:
     """Read sinkage and force, or pressure on an area [m²]; columns, units and signs are guessed.

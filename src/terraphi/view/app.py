@@ -23,6 +23,7 @@ import secrets
 import socket
 import tempfile
 import time
+import tomllib
 from collections.abc import AsyncGenerator, AsyncIterator, Callable, Sequence
 from multiprocessing import forkserver, get_context
 from multiprocessing.connection import Connection
@@ -75,6 +76,7 @@ LONGEST_FOLDER = 60
 """Bytes of a temporary folder in which a socket of multiprocessing has its name: that adds 32."""
 LONGEST_NAME = 60
 """Letters of a file's name that are kept: of up to four bytes each, of 255 that a name may have."""
+UNREADABLE = "cannot be read, or needs too much memory"
 TICK_S = 0.1
 """Time between looks at the stage of the work [s]."""
 MOST_MEMORY, MOST_FILE, MOST_CPU_S = 6 << 30, 500 << 20, 600
@@ -126,49 +128,42 @@ def serve(port: int, *, ready: Callable[[str], None]) -> None:
     token = secrets.token_urlsafe(16)
     with (
         temporary_folder(Path(tempfile.gettempdir()) / "terraphi-app") as place,
-        socket.socket() as ours,
+        socket.socket() as listener,
     ):
         served = server(token, place=place)
         try:
-            ours.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            ours.bind((HOST, port))
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listener.bind((HOST, port))
         except OSError as error:
             raise InputError(
                 f"port {port} on {HOST} cannot be opened ({error.strerror}); name another by --port"
             ) from error
         with contextlib.suppress(KeyboardInterrupt):
-            ready(f"http://{HOST}:{ours.getsockname()[1]}/?token={token}")
-            served.run(sockets=[ours])
+            ready(f"http://{HOST}:{listener.getsockname()[1]}/?token={token}")
+            served.run(sockets=[listener])
 
 
 def server(
     token: str, *, limits: Limits | None = None, place: Path | None = None
 ) -> uvicorn.Server:
-    """Make the server, with dropped files in a folder of this process.
-
-    Raises InputError if a package is missing.
-    """
+    """Make the server; raises InputError if a package is missing. ``place`` takes dropped files."""
     with needing("the app", "Starlette and uvicorn", extra="app"):
+        import starlette as _  # noqa: F401
         import uvicorn
-    limits = limits or Limits()
-    config = uvicorn.Config(
-        application(token, limits, place),
-        ws="none",
-        lifespan="off",
-        log_level="warning",
-        server_header=False,
-    )
-    return uvicorn.Server(config)
+    served = application(token, limits or Limits(), place)
+    return uvicorn.Server(uvicorn.Config(
+        served, ws="none", lifespan="off", log_level="warning", server_header=False
+    ))  # fmt: skip
 
 
 def application(token: str, limits: Limits, place: Path | None) -> Starlette:
-    """Make the Starlette application; raises InputError if a package is missing."""
-    with needing("the app", "Starlette and uvicorn", extra="app"):
-        from starlette import responses as web
-        from starlette.applications import Starlette
-        from starlette.middleware import Middleware
-        from starlette.middleware.trustedhost import TrustedHostMiddleware
-        from starlette.routing import Route
+    """Make the Starlette application."""
+    from starlette import responses as web
+    from starlette.applications import Starlette
+    from starlette.middleware import Middleware
+    from starlette.middleware.trustedhost import TrustedHostMiddleware
+    from starlette.routing import Route
+
     script = page.ASSETS.joinpath("app.js").read_text(encoding="utf-8")
     units = ForceColumns.model_json_schema()["properties"]
     front = page.load_template("app.html").render(
@@ -185,7 +180,7 @@ def application(token: str, limits: Limits, place: Path | None) -> Starlette:
         "style-src 'unsafe-inline'; connect-src 'self'; img-src data: blob:; base-uri 'none'; "
         "form-action 'none'; frame-ancestors 'none'"
     )
-    one_at_a_time = asyncio.Lock()
+    turn = asyncio.Lock()
 
     os.environ |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     CONTEXT.set_forkserver_preload(["terraphi.view.prepared"])
@@ -210,10 +205,10 @@ def application(token: str, limits: Limits, place: Path | None) -> Starlette:
     async def dropped(request: Request) -> Response:
         try:
             allow(request.headers.get("x-terraphi", ""))
-            job, made = await received(request, limits, place)
+            job, folder = await receive(request, limits, place)
         except RefusedError as refused:
             return web.JSONResponse({"refused": str(refused)}, refused.status, HEADERS)
-        lines = replies(job, made, one_at_a_time, limits.seconds)
+        lines = replies(job, folder, turn, limits.seconds)
         return web.StreamingResponse(lines, 200, HEADERS, "application/x-ndjson")
 
     tasks = [Route(f"/{task}", dropped, methods=["POST"]) for task in ("look", "answer")]
@@ -227,28 +222,47 @@ def corners(leg: str) -> str:
     return " ".join(f"{x:.1f},{-z:.1f}" for x, z in outline)
 
 
-async def received(
+async def receive(
     request: Request, limits: Limits, place: Path | None = None
 ) -> tuple[dict[str, Any], tempfile.TemporaryDirectory[str]]:
     """Take an upload in: the job of :func:`work`, and its folder; raises RefusedError."""
-    query = request.query_params
-    sizes, bodies = query.getlist("size"), query.getlist("body")
-    names = [safe_name(name) for name in query.getlist("name")] or ["file"]
-    names = [f"{i}-{n}" if n in names[: i - 1] else n for i, n in enumerate(names, start=1)]
+    from starlette.requests import ClientDisconnect
+
+    query, size = request.query_params, 0
+    names = distinct_names(query.getlist("name") or ["file"])
+    listed = ", ".join(names)
     for name in names:
         if Path(name).suffix.lower() not in SUFFIXES:
             kinds = ", ".join(SUFFIXES)
             raise RefusedError(415, f"{name}: expected a file of {kinds}; save a table as CSV")
-    options = {key: query.get(key) or None for key in (*OPTIONS, "columns")}
-    made = tempfile.TemporaryDirectory(dir=place, prefix="dropped-")
     try:
-        await _receive(request, Path(made.name) / "upload", ", ".join(names), limits)
-    except RefusedError:
-        made.cleanup()
-        raise
-    task = request.url.path.strip("/")
-    files = {"names": names, "sizes": sizes, "bodies": bodies}
-    return {"folder": made.name, "task": task, **files, **options}, made
+        with contextlib.ExitStack() as undo:  # the folder goes if anything is raised
+            folder = tempfile.TemporaryDirectory(dir=place, prefix="dropped-")
+            stream = undo.enter_context(Path(undo.enter_context(folder), "upload").open("wb"))
+            async with asyncio.timeout(limits.upload_seconds):
+                async for part in request.stream():
+                    size += stream.write(part)
+                    if size > limits.bytes:
+                        raise RefusedError(413, f"{listed}: larger than {limits.bytes / 1e6:g} MB")
+            stream.close()
+            undo.pop_all()
+    except (TimeoutError, ClientDisconnect):
+        raise RefusedError(408, f"{listed}: the upload stopped; drop it again") from None
+    except OSError as error:
+        raise RefusedError(507, f"{listed}: cannot be stored ({error.strerror})") from error
+    options = {key: query.get(key) or None for key in (*OPTIONS, "columns")}
+    files = {"names": names, "sizes": query.getlist("size"), "bodies": query.getlist("body")}
+    return {"folder": folder.name, "task": request.url.path.strip("/"), **files, **options}, folder
+
+
+def distinct_names(given: Sequence[str]) -> list[str]:
+    """Safe names, numbered where another differs by upper and lower case alone, or not at all."""
+    names: dict[str, str] = {}
+    for name in map(safe_name, given):
+        numbered = (f"{n}-{name}" if n > 1 else name for n in itertools.count(1))
+        free = next(other for other in numbered if other.casefold() not in names)
+        names[free.casefold()] = free
+    return [*names.values()]
 
 
 def safe_name(name: str) -> str:
@@ -259,20 +273,20 @@ def safe_name(name: str) -> str:
 
 
 async def replies(
-    job: dict[str, Any], made: tempfile.TemporaryDirectory[str], turn: asyncio.Lock, seconds: float
+    job: dict[str, Any], drop: tempfile.TemporaryDirectory[str], turn: asyncio.Lock, seconds: float
 ) -> AsyncIterator[bytes]:
     """Lines of JSON: stages of the work on an upload, and its reply or the reason against it.
 
     The folder is removed at the end, also where the work is cancelled.
     """
-    name, folder = ", ".join(job["names"]), Path(made.name)
+    name, folder = ", ".join(job["names"]), Path(drop.name)
     refused, reply = folder / "refused.txt", folder / "reply.json"
-    why = f"{name}: cannot be read, or needs too much memory"
-    with made:
+    why = f"{name}: {UNREADABLE}"
+    with drop:
         if turn.locked():
             yield b'{"stage":"Waiting for another file"}\n'
         try:
-            async with turn, contextlib.aclosing(read(job, seconds)) as stages:
+            async with turn, contextlib.aclosing(run(job, seconds)) as stages:
                 async for stage in stages:
                     yield stage + b"\n"
         except TimeoutError:
@@ -284,30 +298,14 @@ async def replies(
             yield page.embedded({"refused": why}).encode()
 
 
-async def _receive(request: Request, path: Path, name: str, limits: Limits) -> None:
-    """Write an upload to a file; stop when it is too large or does not come."""
-    from starlette.requests import ClientDisconnect
-
-    size = 0
-    try:
-        async with asyncio.timeout(limits.upload_seconds):
-            with path.open("wb") as stream:
-                async for part in request.stream():
-                    size += stream.write(part)
-                    if size > limits.bytes:
-                        raise RefusedError(413, f"{name}: larger than {limits.bytes / 1e6:g} MB")
-    except (TimeoutError, ClientDisconnect):
-        raise RefusedError(408, f"{name}: the upload stopped; drop it again") from None
-
-
-async def read(job: dict[str, Any], most_seconds: float) -> AsyncGenerator[bytes, None]:
+async def run(job: dict[str, Any], most_seconds: float) -> AsyncGenerator[bytes, None]:
     """Do a job of :func:`work` in a process of its own, and yield its stages.
 
     The process ends with this one, even if this one is killed. Raises TimeoutError if it takes too
     long.
     """
     theirs, ours = CONTEXT.Pipe(duplex=False)
-    process = CONTEXT.Process(target=_read, args=(job, theirs))
+    process = CONTEXT.Process(target=work_limited, args=(job, theirs))
     end, stage, file = time.monotonic() + most_seconds, b"", Path(job["folder"], "stage.json")
     try:
         await asyncio.to_thread(process.start)
@@ -329,7 +327,8 @@ async def read(job: dict[str, Any], most_seconds: float) -> AsyncGenerator[bytes
 # -- the process that reads a file ---------------------------------------------------------------
 
 
-def _read(job: dict[str, Any], app: Connection) -> None:
+def work_limited(job: dict[str, Any], app: Connection) -> None:
+    """Do a job of :func:`work` within limits, until the app ends; all output is dropped."""
     end_with(app)
     null = os.open(os.devnull, os.O_RDWR)
     for stream in range(3):
@@ -349,39 +348,37 @@ def work(job: dict[str, Any]) -> None:
         there are several, their ``sizes`` [byte] and ``bodies``, as of :func:`answers`; the
         ``task`` (look, answer); :data:`OPTIONS` and, as JSON, ``columns``.
     """
-    folder, names, began = Path(job["folder"]), job["names"], time.monotonic()
-    for place in ("dropped", "files"):
-        (folder / place).mkdir()
-    with (folder / "upload").open("rb") as upload:
-        for name, size in zip(names, job.get("sizes") or [-1], strict=True):
-            (folder / "dropped" / name).write_bytes(upload.read(int(size)))
-    options = {key: job[key] for key in OPTIONS if job.get(key) is not None}
-    for key in {"law", "robot"} & {*options}:
-        path = Path(options[key])
-        options[key] = str(path.absolute()) if path.is_file() else options[key]
+    folder, names = Path(job["folder"]), job["names"]
 
-    def progress(stage: str, share: float = 0.0) -> None:
-        left = (time.monotonic() - began) * (1.0 / share - 1.0) if share else None
-        content = page.embedded({"stage": stage, "left_s": left})
-        (folder / "stage").write_text(content, encoding="utf-8")
+    def progress(stage: str) -> None:
+        (folder / "stage").write_text(page.embedded({"stage": stage}), encoding="utf-8")
         (folder / "stage").replace(folder / "stage.json")
 
     try:
+        for place in ("dropped", "files"):
+            (folder / place).mkdir()
+        with (folder / "upload").open("rb") as upload:
+            for name, size in zip(names, job.get("sizes") or [-1], strict=True):
+                (folder / "dropped" / name).write_bytes(upload.read(int(size)))
+        options = {key: job[key] for key in OPTIONS if job.get(key) is not None}
+        for key in {"law", "robot"} & {*options}:
+            path = Path(options[key])
+            options[key] = str(path.absolute()) if path.is_file() else options[key]
         columns = {**json.loads(job["columns"] or "{}")}
         with contextlib.chdir(folder / "dropped"):
             if job["task"] == "look":
                 reply = look(names[0], columns, options.get("tool"))
             else:
                 bodies = dict(itertools.zip_longest(names, job.get("bodies") or ()))
-                sections = answers(bodies, columns, progress, **options)
-                reply = {"html": page.drawn(sections)}
+                reply = {"html": page.drawn(answers(bodies, columns, progress, **options))}
                 report = page.document(", ".join(names), reply["html"]).encode()
-                files = {path.name: path.read_bytes() for path in folder.glob("files/*")}
-                files = {"report.html": report, **files}
+                files = {"report.html": report}
+                files |= {path.name: path.read_bytes() for path in folder.glob("files/*")}
                 reply["files"] = {key: base64.b64encode(f).decode() for key, f in files.items()}
         (folder / "reply.json").write_text(page.embedded(reply), encoding="utf-8")
-    except InputError as error:
-        sentence = str(error)
+    except Exception as error:  # the process has no other place for it
+        why = f"{UNREADABLE} ({type(error).__name__})"
+        sentence = str(error) if isinstance(error, InputError) else why
         if not any(name in sentence for name in names):
             sentence = f"{names[0]}: {sentence}"
         (folder / "refused.txt").write_text(sentence, encoding="utf-8")
@@ -394,8 +391,9 @@ def look(file: str, columns: dict[str, Any], tool: str | None = None) -> dict[st
     from terraphi.experiment.tables import read_table
 
     if file.endswith(".toml"):
-        if b"[[soils]]" in Path(file).read_bytes():
-            return {"kind": "calibration"}
+        with contextlib.suppress(RecursionError, ValueError):  # a rig's reader says what is wrong
+            if "soils" in tomllib.loads(Path(file).read_text(encoding="utf-8-sig")):
+                return {"kind": "calibration"}
         return {"kind": "rig", "rig": Rig.of(file).model_dump(exclude_defaults=True)}
     if (kind := kind_of(file)) != "forces":
         return {"kind": kind}
@@ -403,9 +401,7 @@ def look(file: str, columns: dict[str, Any], tool: str | None = None) -> dict[st
         from terraphi.inference.pressed import open_pressed
 
         of_tool = open_pressed(file, Tool.of(tool), columns).table
-        values = getattr(of_tool, "values", None) or {key: getattr(of_tool, key)
-                                                      for key in ("sinkage", "force")}  # fmt: skip
-        return {"kind": kind, **as_read("Read, in SI", values, of_tool.notes)}
+        return {"kind": kind, **as_read("Read, in SI", of_tool.values, of_tool.notes)}
     table = read_table(Path(file))
     shown = preview(table, columns)
     rows = [[None if math.isnan(cell) else cell for cell in row] for row in shown["rows"]]
@@ -428,26 +424,30 @@ def look(file: str, columns: dict[str, Any], tool: str | None = None) -> dict[st
 
 
 def as_read(what: str, values: dict[str, FloatArray], notes: Sequence[str]) -> dict[str, Any]:
-    """Ranges of what was read and a picture of it, over the first of the values; and notes."""
+    """Ranges of the first value and of those that are not zero, notes, and a picture over it."""
     from terraphi.experiment.figure import Figure
 
-    values = {name: v for name, v in values.items() if np.isfinite(v).any() and v.any()}
-    ends = [f"{n} from {np.nanmin(v):.3g} to {np.nanmax(v):.3g}" for n, v in values.items()]
-    (along, x), *channels = values.items()
+    # The first is drawn over and stays, as a slip of 0 in all rows.
+    (along, x), *rest = values.items()
+    channels = [(name, y) for name, y in rest if np.isfinite(y).any() and y.any()]
+    shown = [(along, x), *channels]
+    ends = [f"{name} from {np.nanmin(v):.3g} to {np.nanmax(v):.3g}" for name, v in shown]
+    read = [f"{what}: {', '.join(ends)}.", *notes]
+    if not channels:
+        return {"read": read}
     rows = math.ceil(len(channels) / 2)
     figure = Figure(figsize=(8.4, 2.5 * rows), layout="constrained")
     for i, (name, y) in enumerate(channels, start=1):
         axes = figure.add_subplot(rows, 2, i)
         axes.plot(x, y, ".-", ms=3, lw=0.8)
         axes.set(xlabel=along, ylabel=name)
-    picture = Picture.of("Forces as read", figure).image
-    return {"read": [f"{what}: {', '.join(ends)}.", *notes], "picture": picture}
+    return {"read": read, "picture": Picture.of("Forces as read", figure).image}
 
 
 def answers(
     bodies: dict[str, str | None],
     columns: dict[str, Any],
-    progress: Callable[..., None],
+    progress: Callable[[str], None],
     **options: Any,
 ) -> list[Section]:
     """Make sections for files of the folder of work: an inversion of all forces, walks, results.
@@ -461,7 +461,7 @@ def answers(
     columns
         As of :func:`~terraphi.inference.inversion.invert`.
     progress
-        Called with each stage of the work, and the share of it that is done [-].
+        Called with each stage of the work.
     options
         Of :data:`OPTIONS`; law and robot are names, or files of this machine.
     """
@@ -480,7 +480,7 @@ def answers(
         sources = [f"{file}@{body}" if (body := bodies[file] or tool) else file for file in forces]
         given = with_rig({**given, "forces": sources})
         answer = invert(**given, columns=columns, calibration=calibration)
-        progress("Drawing the answer", 0.5)
+        progress("Drawing the answer")
         write_files(answer, Path("../files"))
         sections.append(of_answer(answer))
     for file in [file for file in kinds if file not in forces]:
@@ -489,25 +489,25 @@ def answers(
     return sections
 
 
-def _of_log(file: str, progress: Callable[..., None], options: dict[str, str]) -> list[Section]:
+def _of_log(file: str, progress: Callable[[str], None], options: dict[str, str]) -> list[Section]:
     """Footfalls and foot forces of a log; foot forces alone if it has no footfalls."""
     from terraphi.robot.footfalls import footfalls
     from terraphi.robot.results import foot_forces
 
     progress(f"Forces on the feet of {file}")
     foot_log = foot_forces(file, robot=options.get("robot", "go2"))
-    progress("Drawing the forces", 0.15)
+    progress("Drawing the forces")
     forces = of_foot_forces(foot_log, file)
-    progress("φ under each footfall", 0.3)
+    progress("φ under each footfall")
     try:
         density, law = options.get("density"), options.get("law", "foot")
         walk = footfalls(foot_log.log, robot=foot_log.robot, density=density, law=law)
     except InputError as error:
         why = f"No footfalls: {str(error).removeprefix('the log: ')}."
         return [forces._replace(lines=[*forces.lines, why])]
-    progress("Drawing the map", 0.85)
-    number = len([*Path("../files").glob("footfalls*.nc")])
-    walk.to_netcdf(Path("../files", f"footfalls{-number or ''}.nc"))
+    progress("Drawing the map")
+    which = f"{file}-" if len([*Path().iterdir()]) > 1 else ""
+    walk.to_netcdf(Path("../files", f"{which}footfalls.nc"))
     return [of_footfalls(walk, file), forces]
 
 
