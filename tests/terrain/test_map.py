@@ -6,6 +6,7 @@ import json
 import socket
 import tracemalloc
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -179,6 +180,29 @@ def test_windows_and_stripes_give_the_map_of_a_single_one(hill, points, monkeypa
     assert areas[0] == pytest.approx(areas[1], abs=2e-3)
 
 
+def test_windows_meet_without_a_seam(monkeypatch) -> None:
+    """The mean steps across an edge by at most twice what it does between other columns."""
+    monkeypatch.setattr(field, "POINTS", 60)
+    rng = np.random.default_rng(0)
+    place = rng.uniform(0.0, 400.0, (2000, 2))
+    slope = np.sin(place[:, :1] / 50.0)
+    phi = 31.0 + 3.0 * np.sin(place[:, 1] / 60.0) + 2.0 * slope[:, 0] + rng.normal(0.0, 3.0, 2000)
+    table = pd.DataFrame({"x_m": place[:, 0], "y_m": place[:, 1], "phi_deg": phi, "sd_deg": 3.0,
+                          "shared_sd_deg": 0.0})  # fmt: skip
+    fitted = field.fit(table, slope, SimpleNamespace(shape=(400, 400), cell=1.0), draws=16)
+    side = int(fitted.reach)
+    y = 300.5 - np.arange(side)
+    first, second = (fitted.window(start + np.arange(side) + 0.5, y) for start in (150, 150 + side))
+    np.testing.assert_array_equal(first.effects, second.effects)
+    drawn = [here.draws(slice(None)) for here in (first, second)]
+    for number, (a, b) in enumerate(((first.mean, second.mean), drawn)):
+        steps = np.sqrt(np.square(np.diff(np.concatenate([a, b], axis=-1))).mean(axis=-2))
+        inner = np.delete(steps, side - 1, axis=-1).max(axis=-1)
+        # A draw of few points steps more than the mean, but by less than a tenth of the error.
+        most = 0.1 * np.sqrt(first.variance.mean()) if number else 2.0 * inner
+        assert (steps[..., side - 1] < most).all()
+
+
 def test_many_points_do_not_take_the_square_of_memory(hill, points, monkeypatch) -> None:
     monkeypatch.setattr(field, "POINTS", 40)
     x, y = walked(3, count=3000)
@@ -190,7 +214,8 @@ def test_many_points_do_not_take_the_square_of_memory(hill, points, monkeypatch)
     mean = fitted.window(ground.x[middle], ground.y[middle]).mean
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert peak < 200e6  # a matrix of all pairs takes 72 MB, and the search a dozen
+    # Merging leaves at most 900 points, of which a matrix takes 6.5 MB, and the search a dozen.
+    assert peak < 10e6
     expected = to_logit(30.0 + np.sin(ground.x[middle] / 9.0))
     assert mean[8] == pytest.approx(expected, abs=0.1)  # 1.6 degrees
 
@@ -407,6 +432,11 @@ HALF = np.where(np.arange(60) < 30, np.arange(60), -9999.0) * np.ones((60, 1))
         (None, "--start 5e5,0", "expected X,Y,BEARING"),
         (None, "--prior cohesion=3", "did you mean 'cohesion_Pa'"),
         (None, "--prior wetness=0:2", "wetness lies between 0 and 1"),
+        (
+            lambda hill, _: hill(heights=HALF * 0.0 + 7.0, name="b.tif"),
+            "--covariate b.tif",
+            "does not vary",
+        ),
         (lambda hill, _: hill(name="wet.tif"), "--wetness wet.tif", "expected 0 to 1"),
         (lambda hill, _: hill(n=50, name="b.tif"), "--covariate b.tif", "its grid is not that of"),
     ],

@@ -43,6 +43,25 @@ def test_the_table_follows_from_its_sources(
     assert low <= density <= high
 
 
+@pytest.mark.parametrize(("name", "roundness"), [("rounded", 0.7), ("crushed", 0.25)])
+def test_sands_of_some_roundness_follow_from_cho(name: str, roundness: float) -> None:
+    """Errors and correlation by drawing what the table says is chosen, by first order."""
+
+    def of(R: float, relative: float) -> Any:
+        loose, dense = 0.554 + 0.154 / R, 0.359 + 0.082 / R
+        return np.array([42.0 - 17.0 * R, 2650.0 / (1.0 + loose - relative * (loose - dense))])
+
+    slopes = [10.0 * (of(roundness + 0.05, 0.3) - of(roundness - 0.05, 0.3)),
+              10.0 * (of(roundness, 0.35) - of(roundness, 0.25))]  # fmt: skip
+    errors = np.array(slopes) * [[0.1], [0.15]]
+    covariance = errors.T @ errors + np.diag([4.0, 0.0])
+    sds = np.sqrt(np.diag(covariance))
+    sand = named()[f"loose {name} sand"]
+    assert (sand.phi[0], sand.density[0]) == pytest.approx(of(roundness, 0.3), rel=0.005)
+    assert (sand.phi[1], sand.density[1]) == pytest.approx(sds, rel=0.05)
+    assert sand.correlation == pytest.approx(covariance[0, 1] / sds.prod(), abs=0.06)
+
+
 def test_draws_have_the_moments_of_the_soil() -> None:
     result = soil(phi="33±2", density="1600±40")
     phi, density = result.draws(100_000, rng=np.random.default_rng(1))
@@ -142,7 +161,8 @@ def test_force_is_that_of_the_law_in_plane_strain() -> None:
     [
         (lambda: soil(), "give its name"),
         (lambda: soil("loos dry sand"), "did you mean 'loose dry sand'"),
-        (lambda: soil("snow"), "snow is no soil here: its bonds"),
+        (lambda: soil("Snow"), "Snow: not described by a friction angle; its bonds"),
+        (lambda: soil("wet clay"), "wet clay: not described"),
         (lambda: soil("JSC-1A"), "cohesion"),
         (lambda: soil(phi="nan"), "phi = nan; 5 to 60"),
         (lambda: soil(phi="33±20"), "a quarter"),

@@ -151,8 +151,8 @@ def read_elevation(path: Path) -> Elevation:
     ------
     InputError
         If it cannot be read, has no coordinate system or one not in metres, elevations in another
-        unit, or cells that are not upright squares; if it is too large, or has no elevations,
-        a single one, or some that no place on earth has.
+        unit, or cells that are not upright squares; if it has no elevations, a single one, or
+        some that no place on earth has.
     """
     raster = Raster.of(path)
     crs = raster.crs

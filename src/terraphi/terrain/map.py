@@ -6,6 +6,7 @@ import importlib.metadata
 import itertools
 import json
 import math
+import os
 import shutil
 import tempfile
 import time
@@ -45,12 +46,12 @@ LAYERS = {
 LARGEST = 100.0
 """Largest factor of safety in a map."""
 STEEP_DEG = 40.0
-"""Median slope above which the unit of the elevations is questioned [deg]."""
+"""Median slope above which the unit of the elevations is questioned [deg]; chosen."""
 FARTHEST = 0.25
 """Distance from the points beyond which the field extrapolates, whatever its length, as a share of
-the map's longer side."""
+the map's longer side; chosen."""
 BEYOND = 0.1
-"""Share of the points' range of a covariate by which a cell may lie outside."""
+"""Share of the points' range of a covariate by which a cell may lie outside; chosen."""
 MOST_DRAWS = 4096
 """Joint draws at most."""
 BLOCK = 256
@@ -84,7 +85,9 @@ class Layers(Mapping[str, Any]):
             return file.read(1)
 
     def path(self, name: str) -> Path:
-        """File of a layer."""
+        """File of a layer; raises KeyError."""
+        if name not in LAYERS:
+            raise KeyError(name)
         return self.folder / f"{name}.tif"
 
     def __iter__(self) -> Iterator[str]:
@@ -212,7 +215,8 @@ def map_slopes(
     covariate
         Raster of a quantity on which φ may depend, such as burn severity, on the same grid.
     draws
-        Joint draws of the field and all priors, for the unstable area.
+        Joint draws of the field and all priors, for the unstable area; rounded up to a power of
+        two.
     seed
         Of all draws.
     out
@@ -229,7 +233,9 @@ def map_slopes(
 
     Notes
     -----
-    Rasters are read and written by stripes of rows, so that memory does not grow with them.
+    Rasters are read and written by stripes of rows, so that memory does not grow with them. Merged
+    points times draws take 4 bytes each, at most 200 MB, and each of the threads, one for a CPU,
+    some 15 kB for each draw. With many CPUs set ``OMP_NUM_THREADS=1``.
 
     Of the footfalls of a walk::
 
@@ -339,8 +345,11 @@ class Terrain(NamedTuple):
             sums += [np.full(len(names), values.shape[1]), values.sum(1), (values**2).sum(1)]
         middle = sums[1] / sums[0]
         sd = np.sqrt(np.maximum(sums[2] / sums[0] - middle**2, 0.0))
-        # On a plane the slope varies by rounding alone.
-        scale = np.where(sd > 1e-4 * np.maximum(1.0, np.abs(middle)), sd, np.inf)
+        # What varies by rounding alone, as the slope of a plane [rad], has no effect.
+        varies = sd > [1e-6 * abs(middle[0]), 1e-4, *1e-6 * np.abs(middle[2:])]
+        if not varies[2:].all():
+            raise InputError(f"{covariate}: the covariate does not vary; leave it out")
+        scale = np.where(varies, sd, np.inf)
         return terrain._replace(middle=middle[:, None, None], scale=scale[:, None, None])
 
     def read(self, rows: slice) -> Part:
@@ -451,7 +460,7 @@ def _write(
     rows, columns = ground.shape
     sums: Any = dict.fromkeys(("cells", "unstable", "p_unstable", "phi_share", "extrapolated"), 0.0)
     bins, steepest = np.zeros((2, round(90.0 / BIN_DEG) + 1), np.int64), 0.0
-    with ExitStack() as stack, ThreadPoolExecutor() as pool:
+    with ExitStack() as stack, ThreadPoolExecutor(os.cpu_count()) as pool:
         files = {}
         for name, (about, unit) in LAYERS.items():
             marks = name == "extrapolated"

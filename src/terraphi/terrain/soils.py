@@ -55,12 +55,15 @@ class Sand(NamedTuple):
     """Between φ and density [-]."""
 
 
+TABLE = tomllib.loads((DATA / "soils.toml").read_text(encoding="utf-8"))
+"""Soils, uses and what is refused, as ``data/soils.toml`` has them."""
+
+
 @cache
 def named() -> dict[str, Sand]:
     """Soils by name, and by what is found where, as on a beach."""
-    table = _table()
-    sands = {name: Sand(**entry) for name, entry in table["soils"].items()}
-    for use, names in table["uses"].items():
+    sands = {name: Sand(**entry) for name, entry in TABLE["soils"].items()}
+    for use, names in TABLE["uses"].items():
         parts = [sands[name] for name in names]
         # The covariance of a mixture is the mean of those of its parts and that of their means.
         means, sds = (np.array([[s.phi[i], s.density[i]] for s in parts]) for i in (0, 1))
@@ -72,11 +75,6 @@ def named() -> dict[str, Sand]:
             f"equal shares of {', '.join(names)}", float(total[0, 1] / (phi_sd * density_sd)),
         )  # fmt: skip
     return sands
-
-
-@cache
-def _table() -> dict[str, Any]:
-    return tomllib.loads((DATA / "soils.toml").read_text(encoding="utf-8"))
 
 
 class Draws(NamedTuple):
@@ -347,9 +345,14 @@ def soil(
         raise InputError(f"soil: give its name ({', '.join(named())}), or phi as '33±2'")
     if isinstance(what, Real):
         what = f"{float(what):g}"
-    name, sand = str(what), named().get(what) if isinstance(what, str) else None
-    if isinstance(what, str) and (lacks := _table()["refused"].get(what)):
-        raise InputError(f"{what} is no soil here: {lacks}")
+    name = str(what)
+    sand = None
+    if isinstance(what, str):
+        # Any case, and as one of several words: "wet clay".
+        for refused, lacks in TABLE["refused"].items():
+            if refused.casefold() in what.casefold().split():
+                raise InputError(f"{what}: not described by a friction angle; {lacks}")
+        sand = {key.casefold(): sand for key, sand in named().items()}.get(what.casefold())
     given = str(what if phi is None else phi).strip()
     angle = _angle(given) if sand is None and isinstance(what, str | None) else None
     if angle is not None:
