@@ -91,7 +91,7 @@ class Layers(Mapping[str, Any]):
         return self.folder / f"{name}.tif"
 
     def __iter__(self) -> Iterator[str]:
-        """Names."""
+        """Iterate over the names of the layers."""
         return iter(LAYERS)
 
     def __len__(self) -> int:
@@ -285,7 +285,7 @@ def map_slopes(
     return made if out is None else replace(made, layers=Layers(Path(out)))
 
 
-class Part(NamedTuple):
+class Cells(NamedTuple):
     """Cells of the map that lie together: a stripe, a window, or those that have data."""
 
     covariates: FloatArray
@@ -300,10 +300,10 @@ class Part(NamedTuple):
         good = np.isfinite(self.covariates).all(axis=0)
         return np.asarray(good if self.wetness is None else good & np.isfinite(self.wetness))
 
-    def cut(self, *cells: Any) -> Part:
+    def cut(self, *cells: Any) -> Cells:
         """Some rows and columns of it, or cells by a mask of all."""
         wet = None if self.wetness is None else self.wetness[cells]
-        return Part(self.covariates[:, *cells], self.theta[cells], wet)
+        return Cells(self.covariates[:, *cells], self.theta[cells], wet)
 
 
 class Terrain(NamedTuple):
@@ -312,7 +312,7 @@ class Terrain(NamedTuple):
     ground: inputs.Elevation
     points: pd.DataFrame
     names: list[str]
-    """Of the covariates."""
+    """Names of the covariates."""
     layers: list[Callable[[slice], Any]]
     """Reads a covariate in some rows."""
     wetness: Callable[[slice], Any] | None
@@ -352,11 +352,11 @@ class Terrain(NamedTuple):
         scale = np.where(varies, sd, np.inf)
         return terrain._replace(middle=middle[:, None, None], scale=scale[:, None, None])
 
-    def read(self, rows: slice) -> Part:
-        """A stripe."""
+    def read(self, rows: slice) -> Cells:
+        """Covariates, inclination and m of a stripe of rows."""
         layers = np.stack([layer(rows) for layer in self.layers])
         scaled = ((layers - self.middle) / self.scale).astype(np.float32)
-        return Part(scaled, layers[1], None if self.wetness is None else self.wetness(rows))
+        return Cells(scaled, layers[1], None if self.wetness is None else self.wetness(rows))
 
     def at_points(self) -> FloatArray:
         """Covariates at the points, of mean 0 and standard deviation 1, [point, covariate]."""
@@ -380,7 +380,7 @@ class Windows:
         ends = at_points.min(axis=0) - slack, at_points.max(axis=0) + slack
         self.low, self.high = (end[:, None, None] for end in ends)
 
-    def stripe(self, rows: slice, pool: Executor) -> tuple[Part, dict[str, Any], FloatArray]:
+    def stripe(self, rows: slice, pool: Executor) -> tuple[Cells, dict[str, Any], FloatArray]:
         """A stripe, its layers, shape [row, column], and its unstable cells, shape [draw]."""
         part, ground = self.terrain.read(rows), self.terrain.ground
         high, wide = part.theta.shape
@@ -399,7 +399,7 @@ class Windows:
         return part, layers, np.sum(list(pool.map(window, corners)), axis=0)
 
     def window(
-        self, x: FloatArray, y: FloatArray, part: Part, into: Mapping[str, Any]
+        self, x: FloatArray, y: FloatArray, part: Cells, into: Mapping[str, Any]
     ) -> FloatArray:
         """Fill the layers of a window; its unstable cells in each joint draw, shape [draw].
 
@@ -410,7 +410,7 @@ class Windows:
             return unstable
         here = self.field.window(x, y)
         z_mean, z_sd = here.at(part.covariates)
-        into["extrapolated"][has_data] = self.is_far(x, y, part.covariates)[has_data]
+        into["extrapolated"][has_data] = self.is_extrapolated(x, y, part.covariates)[has_data]
         step = max(BLOCK // x.size, 1)
         for rows in (slice(first, first + step) for first in range(0, y.size, step)):
             good = has_data[rows]
@@ -433,17 +433,17 @@ class Windows:
             unstable += (a + b * tangent(z) < 1.0).sum(axis=0)
         return unstable
 
-    def is_far(self, x: FloatArray, y: FloatArray, covariates: FloatArray) -> BoolArray:
+    def is_extrapolated(self, x: FloatArray, y: FloatArray, covariates: FloatArray) -> BoolArray:
         """True for cells far from the points, or beyond their range, shape [row, column]."""
-        beyond = ((covariates < self.low) | (covariates > self.high)).any(axis=0)
+        out_of_range = ((covariates < self.low) | (covariates > self.high)).any(axis=0)
         # A window whose middle is nearer than this, or farther, by half its diagonal is all so.
         half = 0.5 * math.hypot(np.ptp(x), np.ptp(y))
         distance = self.tree.query([0.5 * (x[0] + x[-1]), 0.5 * (y[0] + y[-1])])[0]
         if abs(distance - self.far) > half:
-            return np.asarray(beyond | (distance > self.far))
+            return np.asarray(out_of_range | (distance > self.far))
         places = np.stack(np.meshgrid(x, y), axis=-1)
         return np.asarray(
-            beyond | (self.tree.query(places, distance_upper_bound=self.far)[0] == np.inf)
+            out_of_range | (self.tree.query(places, distance_upper_bound=self.far)[0] == np.inf)
         )
 
 

@@ -139,15 +139,15 @@ class Sample:
         """Draw a scrambled Sobol sequence."""
         from scipy.stats.qmc import Sobol
 
-        even = Sobol(len(QUANTITIES) + 1, rng=np.random.default_rng(seed)).random(count)
-        even = np.clip(even, 1e-9, 1.0 - 1e-9)
+        sobol = Sobol(len(QUANTITIES) + 1, rng=np.random.default_rng(seed)).random(count)
+        sobol = np.clip(sobol, 1e-9, 1.0 - 1e-9)
         drawn = {
-            key: quantiles(key, priors[key], even[:, i + 1]) for i, key in enumerate(QUANTITIES)
+            key: quantiles(key, priors[key], sobol[:, i + 1]) for i, key in enumerate(QUANTITIES)
         }
         cohesion = drawn["cohesion_Pa"] + (1.0 - drawn["root_loss"]) * drawn["root_cohesion_Pa"]
         weight = drawn["density_kg_m3"] * GRAVITY * drawn["depth_m"]
         lightness = WATER / drawn["density_kg_m3"]
-        return cls(ndtri(even[:, 0]), cohesion / weight, drawn["wetness"], lightness)
+        return cls(ndtri(sobol[:, 0]), cohesion / weight, drawn["wetness"], lightness)
 
     def terms(self, theta: Any, wetness: Any = None) -> tuple[Any, Any]:
         """Coefficients A and B of F = A + B tan φ, shape [cell, sample] each.
