@@ -67,7 +67,7 @@ CELLS_PER_LENGTH = 3.0
 """Least length of the process, in cells of merged points; chosen."""
 INTERVALS_PER_LENGTH, MOST_INTERVALS = 12.0, 32
 """Intervals between nodes, from which the posterior is interpolated, for each length of the process
-and along a window at most; chosen. Other nodes move a map by less than 0.005° (or 0.005)."""
+and along a window at most; chosen."""
 MOST_NUMBERS = 50_000_000
 """Merged points times joint draws at most, kept in 4 bytes each; chosen."""
 WAVES = 32

@@ -234,8 +234,8 @@ def map_slopes(
     Notes
     -----
     Rasters are read and written by stripes of rows, so that memory does not grow with them. Merged
-    points times draws take 4 bytes each, at most 200 MB, and each of the threads, one for a CPU,
-    some 15 kB for each draw. With many CPUs set ``OMP_NUM_THREADS=1``.
+    points times draws take 4 bytes each, at most 200 MB; there is a thread for each CPU.
+    With many CPUs set ``OMP_NUM_THREADS=1``.
 
     Of the footfalls of a walk::
 
