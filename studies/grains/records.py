@@ -20,6 +20,7 @@ import elements
 import run
 
 import pages
+import terraphi
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.rig import LI2013, Rig
 from terraphi.inference.checks import without_faults
@@ -114,6 +115,23 @@ def by_code(soil: str) -> str:
     return f"{soil} " + " and ".join(f"{value} by {code}" for code, value in both.items())
 
 
+def leg_by_code(soil: str) -> str:
+    """φ of the straight leg of Li's rig in beds of one soil, by two codes."""
+    size = run.soils()[soil].diameter_mm
+    read = {
+        code: [
+            terraphi.invert(
+                path, rig="li2013", leg="straight", density=f"{run.load(path)[2]:.0f}±0",
+                grain_size_mm=size,
+            ).phi.median
+            for path in sorted(folder.glob(f"{soil}_straight_*.csv"))
+        ] for code, folder in (("LIGGGHTS", GRAINS), ("YADE", CODES / "yade"))
+    }  # fmt: skip
+    return " and ".join(
+        f"{', '.join(f'{phi:.1f}' for phi in each)}° by {code}" for code, each in read.items()
+    )
+
+
 def main() -> None:
     """Write the page."""
     out = pages.out_from(__doc__.splitlines()[0])
@@ -131,7 +149,8 @@ def main() -> None:
                       "critical φ"),
         (
             f"Small cells of the same spheres: {by_code('B-loose')}; {by_code('C-loose')}, where "
-            "the cell trembled in its last third."
+            "the cell trembled in its last third and is no truth. A straight leg in grains of "
+            f"8.8 mm of the first, by terraphi: {leg_by_code('B-loose-coarse')}."
         ),
     ]  # fmt: skip
     pages.write(out, "grain_records", "Simulated grains: what there is", parts,

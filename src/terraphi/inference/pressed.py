@@ -12,7 +12,7 @@ from __future__ import annotations
 import importlib.metadata
 import math
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -117,7 +117,7 @@ class PressedRecord:
 def tool_answer(
     record: PressedRecord, law: str, began: float, *, is_default: bool, judgment: Judgment,
     posterior: tuple[FloatArray, FloatArray], warnings: Iterable[str],
-    friction: float | None = None, provenance: Any = (), **values: Any,
+    friction: float | None = None, provenance: Mapping[str, Any] | None = None, **values: Any,
 ) -> Answer:  # fmt: skip
     """The answer of a record of a tool.
 
@@ -137,7 +137,7 @@ def tool_answer(
         grid_deg=posterior[0], density=posterior[1],
         warnings=(*density_warnings(rho), *assumed, *warnings),
         provenance={
-            "terraphi": importlib.metadata.version("terraphi"), **dict(provenance),
+            "terraphi": importlib.metadata.version("terraphi"), **(provenance or {}),
             "seconds": round(time.perf_counter() - began, 3),
         },
         **values,

@@ -19,11 +19,11 @@ so that −1 is a locked wheel. Friction develops over the shear displacement
     \qquad 1 - e^{-j/K}
 
 (Janosi & Hanamoto 1961; Wong & Reece 1967, J. Terramechanics 4:81). A smooth rim slides over the
-soil, and a rough one takes it along: of the rim's motion along itself the soil feels a part as
-large as the friction (:data:`TAKEN_UP`), so that rough wheels dig. *Lugs* hold the soil, which
-feels all of it. Those that stand close carry the soil between them along: the wheel then has the
-radius to their tips, and the soil's friction. Those that stand far apart cut into the soil, and the
-rim bears the load.
+soil, and a rough one takes it along: of the rim's tangential velocity the soil counts a part as
+large as the friction as motion against it (:data:`TANGENTIAL`), so that rough wheels dig. *Lugs*
+hold the soil, and the part is 1. Those that stand close carry the soil between them along: the
+wheel then has the radius to their tips, and the soil's friction. Those that stand far apart cut
+into the soil, and the rim bears the load.
 
 The load that a rim carries at a given sinkage depends on φ, little on the friction and hardly on K.
 Pull and torque at a given sinkage do not depend on φ: they show the friction.
@@ -57,17 +57,20 @@ CLOSE, FAR = 3.0, 6.0
 """Distance of lugs over their height up to which they carry all soil between them along, and from
 which none [-]. The passive wedge before a plate is 1 / tan(45° − φ/2) = 1.7 to 2.2 times as long,
 and soil behind it goes along; chosen. In grains 12 lugs of 6 mm at 5.8 heights were tried: the rim
-carries the load, as without lugs."""
+carries the load, as without lugs, and the soil does not slide along it; lugs at twice that distance
+are taken to hold none, which is chosen."""
 FRICTIONS = (0.05, 0.35, 0.65)
 """Frictions whose forces are interpolated, to the ends of law ``foot`` [-]."""
 SLIPS = (-0.5, 0.6)
 """Least and largest slip of which something was learned [-]: beyond, a wheel pushes a mound or
 digs."""
-TAKEN_UP = 1.0
-"""Part of the rim's motion along itself that the soil feels, over the friction [-]. With 0.9 to 1.1
-φ that wheels by the material point method are read as changes least over slips of 0 to 0.5, at
-frictions of 0.3 and 0.55 and 28 to 36° (``studies/wheel_slip.py``): by 0.6°, where all of the
-motion makes 2.4°."""
+TANGENTIAL = 1.0
+"""Part of the rim's tangential velocity that counts as motion against the soil, over the friction
+[-], ± 0.2. φ that wheels by the material point method are read as then changes by 0.5° from a slip
+of 0.2 to 0.5, at frictions of 0.3 and 0.55 and 28 to 36°; by 4.0° if all of it counts
+(``studies/wheel_slip.py``)."""
+LITTLE = 0.2
+"""Slip above which readings are level [-]."""
 POINTS = 60
 """Depths between which a sinkage is sought."""
 NODES, WIDTH_DEG = 9, 1e-3
@@ -81,33 +84,36 @@ class WheelError(NamedTuple):
     """Error of φ by load, sinkage and slip, in grains of known φ [deg]."""
 
     offset_deg: float
-    """What it reads too much."""
+    """Mean error from a slip of LITTLE on."""
+    free_deg: float
+    """Further error of a wheel without slip; it falls linearly to none at LITTLE."""
     driven_sd_deg: float
-    """Standard deviation of what it reads too much more, for each unit of slip."""
+    """Standard deviation for each unit of slip."""
     braked_deg: float
-    """What it reads too much more for each unit of slip below zero."""
+    """Further error for each unit of slip below zero."""
     braked_sd_deg: float
+    """Standard deviation for each unit of slip below zero."""
     soil_deg: float
     """Standard deviation between soils."""
     law_deg: float
     """Standard deviation of the offset."""
 
     def of(self, slip: Any) -> Any:
-        """What φ is read too much at a slip [deg]."""
-        return self.offset_deg + self.braked_deg * np.maximum(-slip, 0.0)
+        """Mean error of φ at a slip [deg]."""
+        free = self.free_deg * np.clip(1.0 - slip / LITTLE, 0.0, 1.0)
+        return self.offset_deg + free + self.braked_deg * np.maximum(-slip, 0.0)
 
     def sd_by_slip(self, slip: Any) -> Any:
-        """Standard deviation of what the slip adds, one cause for either direction [deg]."""
+        """Standard deviation of the effect of the slip [deg]; driven rows share it, or braked."""
         return np.where(slip > 0.0, self.driven_sd_deg, -self.braked_sd_deg) * slip
 
 
-WHEEL_ERROR = WheelError(1.9, 4.0, 3.8, 7.0, 1.4, 1.5)
-"""Learned from wheels in loose grains, half a grain added to the sinkage (``studies/wheels.py``,
-which prints these numbers). Braked wheels push a mound, and read more. The standard deviations by
-slip are chosen: from no slip to 0.5 φ changes by −0.7° in grains, by 0.3° by the material point
-method, by −2° on the sand of Ding et al. (2011), and under lugs by −2° from a slip of 0.2 on. Soils
-differ as for feet; the error of the offset is chosen."""
-THEORY_ERROR = WheelError(0.0, 12.0, 0.0, 13.0, 1.4, 5.8)
+WHEEL_ERROR = WheelError(1.5, 1.3, 4.0, 3.8, 7.0, 1.4, 1.5)
+"""Offset and braking are learned from wheels in loose grains, half a grain added to the sinkage
+(``studies/wheels.py`` prints them), the error without slip from wheels by the material point method
+(``studies/wheel_slip.py``). Braked wheels push a mound, and read more. Soils differ as for feet.
+The standard deviations by slip and of the offset are chosen."""
+THEORY_ERROR = WheelError(0.0, 0.0, 12.0, 0.0, 13.0, 1.4, 5.8)
 """Of resistive force theory, from which nothing is taken off; soil and law as for feet."""
 
 
@@ -147,12 +153,21 @@ class Wheel:
         return self.radius + self.lug_height
 
     @property
+    def spacing(self) -> float:
+        """Distance of the lugs' tips over their height [-]; infinite without lugs."""
+        if not self.lugs:
+            return math.inf
+        return 2.0 * math.pi * self.reach / self.lugs / self.lug_height
+
+    @property
     def carried(self) -> float:
         """Share of the soil between the lugs that goes along [-]."""
-        if not self.lugs:
-            return 0.0
-        spacing = 2.0 * math.pi * self.reach / self.lugs / self.lug_height
-        return min(max((FAR - spacing) / (FAR - CLOSE), 0.0), 1.0)
+        return min(max((FAR - self.spacing) / (FAR - CLOSE), 0.0), 1.0)
+
+    @property
+    def held(self) -> float:
+        """Share of the soil under the rim that lugs keep from sliding [-]."""
+        return min(max(2.0 - self.spacing / FAR, 0.0), 1.0)
 
     @property
     def bare(self) -> float:
@@ -392,12 +407,13 @@ def _rim(
     }  # fmt: skip
     faces = radius * normals + axle[:, None], normals, area
     force, moment = wrench(*faces, velocities, **options)
-    if law == "foot" and not wheel.lugs:
-        # The load is that of a rim whose motion along itself is felt in part; pull and torque keep
+    counted = max(min(TANGENTIAL * friction, 1.0), wheel.held)
+    if law == "foot" and counted < 1.0:
+        # The load is that of a rim whose tangential velocity counts in part; pull and torque keep
         # their share of it, so that soil takes energy as before.
         tangents = np.stack([cosine, 0.0 * sine, sine], axis=-1)
         along = (velocities * tangents).sum(axis=-1, keepdims=True) * tangents
-        felt = velocities - (1.0 - min(TAKEN_UP * friction, 1.0)) * along
-        borne = wrench(*faces, felt, **options)[0][:, 2] / np.maximum(force[:, 2], TINY)
+        slower = velocities - (1.0 - counted) * along
+        borne = wrench(*faces, slower, **options)[0][:, 2] / np.maximum(force[:, 2], TINY)
         force, moment = borne[:, None] * force, borne[:, None] * moment
     return np.stack([force[:, 0], force[:, 2], -moment[:, 1], force[:, 1]], axis=-1)

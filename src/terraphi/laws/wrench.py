@@ -134,7 +134,7 @@ class Mesh:
                             ("areas", areas)):  # fmt: skip
             object.__setattr__(self, name, value)
         if self.corners is not None:
-            ends = {"low": -2.0 * LARGEST, "high": 2.0 * LARGEST, "unit": "m"}
+            ends: dict[str, Any] = {"low": -2.0 * LARGEST, "high": 2.0 * LARGEST, "unit": "m"}
             corners = numbers("corners", self.corners, points, shape=(*shape[:1], 3, 3), **ends)
             object.__setattr__(self, "corners", corners)
 

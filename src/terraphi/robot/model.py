@@ -28,6 +28,9 @@ from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, joint_names, joi
 with needing("a robot", "MuJoCo and SciPy", extra="robot"):
     import mujoco
 
+LOW = 0.2
+"""Height of a limb's last joint above the lowest one, over the trunk's, up to which the limb stands
+[-]; chosen."""
 UNUSED = {"asset", "keyframe", "size", "visual"}
 """Elements of an MJCF that neither kinematics nor masses need."""
 Positive = Annotated[float, Field(gt=0)]
@@ -384,7 +387,9 @@ def _leg_joints(
     lacking[:, :first] = False
     if missing := joint_names(lacking):
         limbs = _standing(model, data)
-        if table is None and limbs and len(limbs) != len(FEET):
+        # Where each leg has a joint by its name, it is a quadruped whose other names are wrong.
+        is_named = (joint >= 0).any(axis=1).all()
+        if table is None and not is_named and limbs and len(limbs) != len(FEET):
             raise InputError(f"{source}: {_no_quadruped(model, limbs)}")
         raise InputError(
             f"{source}: no joints {', '.join(missing)} by the names of the model's "
@@ -416,7 +421,8 @@ def _standing(model: mujoco.MjModel, data: mujoco.MjData) -> list[list[int]]:
     """Joints of each limb that reaches the ground at the reference angles, from the trunk down."""
     last = set(range(6, model.nv)) - set(model.dof_parentid.tolist())
     height = {dof: float(data.xanchor[model.dof_jntid[dof], 2]) for dof in last}
-    low = 0.8 * min(height.values(), default=0.0) + 0.2 * float(data.xanchor[0, 2])
+    lowest = min(height.values(), default=0.0)
+    low = lowest + LOW * (float(data.xanchor[0, 2]) - lowest)
     limbs = []
     for dof in sorted(dof for dof in last if height[dof] < low):
         limb = [dof]
@@ -433,10 +439,10 @@ def _no_quadruped(model: mujoco.MjModel, limbs: list[list[int]]) -> str:
         for limb in limbs
     )
     return (
-        f"it stands on {len(limbs)} limb{'s' * (len(limbs) > 1)} ({legs}); a log is read of four "
-        "legs of two or three joints with balls for feet alone. What is missing is the force on "
-        "each sole: with it and the sinkage, a flat sole is a plate: terraphi invert SOLE.csv "
-        "--tool plate:LENGTHxWIDTH"
+        f"it stands on {len(limbs)} limb{'s' * (len(limbs) > 1)} ({legs}); only logs of robots "
+        "with four legs of two or three joints and ball feet are read. If it has four, name their "
+        "joints in the table 'joints' of the robot's TOML. Else measure force and sinkage of a "
+        "flat sole, which is a plate: terraphi invert SOLE.csv --tool plate:LENGTHxWIDTH"
     )
 
 
