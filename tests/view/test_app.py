@@ -507,6 +507,33 @@ def test_a_file_dropped_in_a_browser_ends_in_its_page(
     assert trouble == []
 
 
+@pytest.mark.slow
+def test_a_list_of_files_says_what_the_answer_takes(
+    browser: Any, served: Served, samples: Path
+) -> None:
+    walker = Walker(browser, served.port, samples, 1280)
+    page, items = walker.page, walker.page.locator("#files li")
+    walker.drop("straight.csv", "c.csv", "rig.toml")
+    page.locator("#files li", has_text="rig.toml").wait_for(state="attached")
+    page.locator("#files li", has_text="rig.toml").wait_for(state="detached")
+    page.get_by_label("Leg or tool of straight.csv").fill("straight")
+    page.get_by_label("Leg or tool of straight.csv").press("Tab")
+    walker.rest()
+    page.get_by_label("Leave out c.csv").click()
+    walker.rest()
+    assert page.get_by_label("Leg or tool of straight.csv").is_visible()
+    walker.drop("mine.toml")  # stopped before it is read, and read with the answer
+    items.nth(1).wait_for()
+    page.evaluate("idle()")
+    assert walker.find().startswith("φ = ")
+    assert "Calibrated" in page.locator("#answer").inner_text()
+    assert items.nth(1).inner_text().split()[1] == "calibration"
+    page.get_by_label("Leave out mine.toml").click()
+    assert page.locator("#answer").inner_text() == ""
+    walker.rest()
+    assert not walker.trouble
+
+
 OPTIONS = {
     "density": "638", "sd": "30", "grain_size_mm": "0.5", "leg_friction": "0.3±0.08",
     "gain": "1.0±0.02", "critical": "33±1", "law": "legs", "hip_sd": "1",

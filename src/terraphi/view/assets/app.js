@@ -2,12 +2,12 @@ const by = (id) => document.getElementById(id);
 const form = by("form");
 const token = new URLSearchParams(location.search).get("token");
 const roles = JSON.parse(by("roles").textContent);
-let files = [], shown, kind, chosen = {}, busy = 0, running;
+let files = [], shown, chosen = {}, busy = 0, running;
 
-function made(tag, properties, ...inside) {
-  const one = Object.assign(document.createElement(tag), properties);
-  one.append(...inside);
-  return one;
+function create(tag, properties, ...inside) {
+  const element = Object.assign(document.createElement(tag), properties);
+  element.append(...inside);
+  return element;
 }
 
 // -- talking to the server ---------------------------------------------------------------------
@@ -17,21 +17,17 @@ const body = (entry) => entry?.body.trim() || form.elements.tool.value.trim();
 const tool = () => (body(shown).includes(":") ? body(shown) : "");
 
 function columns(task) {
-  // Of several files each is guessed by itself, but for what was chosen.
-  const found = task === "answer" && files.length > 1 ? { ...chosen } : { ...chosen, ...roleColumns() };
   if (task === "look" ? tool() : form.elements.tool.value.trim()) {
     return Object.fromEntries(form.elements.tool_columns.value.split(",").filter(Boolean).map((pair) => pair.split("=").map((text) => text.trim())));
   }
+  const choices = { ...chosen };
+  // Of several files each is guessed by itself, but for what was chosen.
+  const guessed = task === "answer" && files.length > 1 ? [] : document.querySelectorAll("#table select");
+  for (const { value, dataset } of guessed) if (value) choices[value] = dataset.column;
   for (const { name, value } of by("reading").querySelectorAll("[name]")) {
-    if (value) found[name] = Number.isNaN(Number(value)) ? value : Number(value);
+    if (value) choices[name] = Number.isNaN(Number(value)) ? value : Number(value);
   }
-  return found;
-}
-
-function roleColumns() {
-  const found = {};
-  for (const select of document.querySelectorAll("#table select")) if (select.value) found[select.value] = select.dataset.column;
-  return found;
+  return choices;
 }
 
 function idle() {
@@ -40,18 +36,17 @@ function idle() {
   return ++busy;
 }
 
+// The reply, refused or not; null where something newer was asked, or it was cancelled.
 async function send(task, entries = files) {
   const turn = idle(), began = Date.now(), most = Number(by("drop").dataset.megabytes);
   if (entries.reduce((sum, { file }) => sum + file.size, 0) > 1e6 * most) {
-    alarm(`${entries.map(({ file }) => file.name).join(", ")}: larger than ${most} MB; use the command line.`);
-    return null;
+    const refused = `${entries.map(({ file }) => file.name).join(", ")}: larger than ${most} MB; use the command line.`;
+    alarm(refused);
+    return { refused };
   }
-  let doing = { stage: task === "look" ? "Reading" : "Working" };
+  let stage = task === "look" ? "Reading" : "Working";
   running = new AbortController();
-  const tell = () => {
-    const left = Math.round(doing.left_s - (Date.now() - doing.at) / 1000);
-    by("stage").textContent = `${doing.stage}: ${Math.round((Date.now() - began) / 1000)} s${left > 0 ? `, about ${left} s left` : ""}`;
-  };
+  const tell = () => { by("stage").textContent = `${stage}: ${Math.round((Date.now() - began) / 1000)} s`; };
   const tick = setInterval(tell, 500);
   tell();
   by("status").hidden = false;
@@ -62,25 +57,25 @@ async function send(task, entries = files) {
   for (const entry of entries) {
     for (const [key, value] of [["name", entry.file.name], ["size", entry.file.size], ["body", entry.body.trim()]]) address.append(key, value);
   }
-  let text = "", found = { refused: "The files did not arrive: they may be too large, or the app has been stopped." };
+  let text = "", reply = { refused: "The files did not arrive: they may be too large, or the app has been stopped." };
   try {
-    const reply = await fetch(`/${task}?${address}`, {
+    const response = await fetch(`/${task}?${address}`, {
       method: "POST", body: new Blob(entries.map(({ file }) => file)), headers: { "x-terraphi": token }, signal: running.signal,
     });
-    const reader = reply.body.pipeThrough(new TextDecoderStream()).getReader();
+    const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
     for (let part = await reader.read(); !part.done; part = await reader.read()) {
       const lines = (text + part.value).split("\n");
       text = lines.pop();
-      for (const line of lines) doing = { ...JSON.parse(line), at: Date.now() };
+      for (const line of lines) ({ stage } = JSON.parse(line));
     }
-    found = JSON.parse(text);
+    reply = JSON.parse(text);
   } catch { /* as it is */ } finally {
     clearInterval(tick);
   }
-  if (turn !== busy) return null; // something newer was asked, or it was cancelled
+  if (turn !== busy) return null;
   idle();
-  alarm(found.refused || found.wrong);
-  return found.refused ? null : found;
+  if (reply.refused || !isToml(entries[0])) alarm(reply.refused || reply.wrong); // a sound TOML keeps the warning of the forces
+  return reply;
 }
 
 // -- what is wrong, and what would help ---------------------------------------------------------
@@ -89,7 +84,7 @@ const OFFER = /[,;]?\s*(?:add|or)?\s*--(columns|leg) (?:'([^']*)'|([\w=.,-]*(?:\
 
 function offers(text) {
   const values = [...text.matchAll(OFFER)].map(([, option, quoted, plain]) => [option, quoted ?? plain]);
-  return values.filter(([, value]) => !/=(NAME|UNIT)/.test(value)).map(([option, value]) => made("button", {
+  return values.filter(([, value]) => !/=(NAME|UNIT)/.test(value)).map(([option, value]) => create("button", {
     type: "button", textContent: `Use ${option === "leg" ? "leg " : ""}${value}`, onclick: () => apply(option, value),
   }));
 }
@@ -98,7 +93,7 @@ function alarm(text) {
   by("alert").hidden = !text;
   if (!text) return;
   by("alert").replaceChildren(text.replace(OFFER, ""));
-  by("alert").append(made("div", {}, ...offers(text)));
+  by("alert").append(create("div", {}, ...offers(text)));
   by("alert").scrollIntoView({ block: "nearest" });
 }
 
@@ -127,75 +122,88 @@ function apply(option, value) {
 
 function tabulate({ columns, units, rows, roles: taken, candidates }) {
   const head = columns.map((name, i) => {
-    const select = made("select", { ariaLabel: `What ${name} is` }, made("option", { value: "", textContent: "not used" }));
-    for (const [role, text] of Object.entries(roles)) select.append(made("option", { value: role, textContent: text }));
+    const select = create("select", { ariaLabel: `What ${name} is` }, create("option", { value: "", textContent: "not used" }));
+    for (const [role, text] of Object.entries(roles)) select.append(create("option", { value: role, textContent: text }));
     select.dataset.column = name;
     select.value = Object.keys(taken).find((role) => taken[role] === name) || "";
     if (!taken.theta && !candidates.theta?.length && candidates.time?.[0] === name) { select.value = "time"; chosen.time = name; }
-    return made("th", { scope: "col" }, select, made("div", {}, name), made("div", { className: "note", textContent: units[i] || "no unit" }));
+    return create("th", { scope: "col" }, select, create("div", {}, name), create("div", { className: "note", textContent: units[i] || "no unit" }));
   });
-  const body = rows.map((row) => made("tr", {}, ...row.map((cell) => made("td", { className: "short", textContent: cell ?? "" }))));
-  by("table").replaceChildren(made("thead", {}, made("tr", {}, ...head)), made("tbody", {}, ...body));
+  const body = rows.map((row) => create("tr", {}, ...row.map((cell) => create("td", { className: "short", textContent: cell ?? "" }))));
+  by("table").replaceChildren(create("thead", {}, create("tr", {}, ...head)), create("tbody", {}, ...body));
 }
 
-function ask(...inside) {
-  return made("div", { className: "question" }, ...inside);
-}
+const ask = (...inside) => create("div", { className: "question" }, ...inside);
 
-function show(found) {
-  by("read").replaceChildren(...(found.read || []).map((text) => made("div", {}, text)));
-  by("picture").hidden = !found.picture;
-  if (found.picture) by("picture").src = found.picture;
+function show(reply) {
+  by("read").replaceChildren(...(reply.read || []).map((text) => create("div", {}, text)));
+  by("picture").hidden = !reply.picture;
+  if (reply.picture) by("picture").src = reply.picture;
   by("questions").replaceChildren();
-  if (!found.candidates) return; // of a tool
+  if (!reply.candidates) return; // of a tool
   const taken = columns("look"), questions = [], lacking = [];
-  if (found.wrong && found.columns.some((name) => /slip|sink/i.test(name))) {
+  if (reply.wrong && reply.columns.some((name) => /slip|sink/i.test(name))) {
     by("questions").replaceChildren(ask("Is this of a plate, a ball or a wheel? Enter its sizes below."));
     alarm("");
     return;
   }
   for (const [role, text] of Object.entries(roles)) {
-    const may = (found.candidates[role] || []).filter((name) => !Object.values(taken).includes(name));
+    const names = (reply.candidates[role] || []).filter((name) => !Object.values(taken).includes(name));
     if (taken[role] || role === "time" || (role === "theta" && taken.time)) continue;
-    const buttons = may.map((name) => made("button", { type: "button", textContent: name, onclick: () => { take(role, name); look(); } }));
-    if (may.length > 1) questions.push(ask(`Which column is the ${text}? `, ...buttons));
+    const buttons = names.map((name) => create("button", { type: "button", textContent: name, onclick: () => { take(role, name); look(); } }));
+    if (names.length > 1) questions.push(ask(`Which column is the ${text}? `, ...buttons));
     else if (role !== "moment") lacking.push(text);
   }
-  if (lacking.length && found.wrong) {
-    questions.push(ask(`Which column is the ${lacking.join(", which the ")}? Choose above the table. `, ...offers(found.wrong)));
+  if (lacking.length && reply.wrong) {
+    questions.push(ask(`Which column is the ${lacking.join(", which the ")}? Choose above the table. `, ...offers(reply.wrong)));
   }
   if (taken.time && !taken.theta && !taken.rate_deg_s) {
     questions.push(ask("There is a time and no angle. Enter the rate of the leg, and the angle at time 0 as what is added to the angle."));
   }
   for (const [role, name, usual] of [["theta", "theta_unit", "deg"], ["fz", "unit", "N"]]) {
-    const unit = found.units[found.columns.indexOf(taken[role])];
+    const unit = reply.units[reply.columns.indexOf(taken[role])];
     form.elements[name].options[0].text = unit ? `${unit} (header)` : usual;
   }
   by("questions").replaceChildren(...questions);
   if (questions.length) alarm("");
 }
 
-async function look() {
+async function preview() {
   // A tool has neither leg nor roles of columns.
   const isTool = Boolean(form.elements.tool.value.trim());
   for (const part of [by("reading"), by("rig")]) part.hidden = part.disabled = isTool;
   for (const select of document.querySelectorAll("#table select")) select.hidden = Boolean(tool());
-  const found = await send("look", [shown]);
-  if (found?.kind === "forces") show(found);
-  return found;
+  const reply = await send("look", [shown]);
+  if (reply?.kind === "forces") show(reply);
+  return reply;
+}
+
+const look = async () => await preview() && readTomls();
+
+// A rig fills the form and leaves the list. A read that was cut short is made up before an answer.
+async function readTomls() {
+  for (const entry of files.filter((other) => isToml(other) && !other.kind)) {
+    const reply = await send("look", [entry]);
+    if (!reply) return false;
+    entry.kind = reply.kind ?? "cannot be read";
+    if (reply.kind === "rig") { fill(reply.rig); files = files.filter((other) => other !== entry); }
+    list();
+  }
+  return true;
 }
 
 // Names of all files: a press shows one of them, a body of its own is a leg or a tool.
 function list() {
-  by("files").replaceChildren(...files.map((entry) => made("li", {},
-    made("button", { type: "button", textContent: entry.file.name, ariaPressed: String(entry === shown), disabled: isToml(entry), onclick: () => display(entry) }),
-    isToml(entry) ? "calibration" : made("input", { value: entry.body, placeholder: "leg or tool as below", ariaLabel: `Leg or tool of ${entry.file.name}`, onchange: ({ target }) => { entry.body = target.value; display(entry); } }),
-    made("button", { type: "button", textContent: "×", ariaLabel: `Leave out ${entry.file.name}`, onclick: () => leaveOut(entry) }),
+  by("files").replaceChildren(...files.map((entry) => create("li", {},
+    create("button", { type: "button", textContent: entry.file.name, ariaPressed: String(entry === shown), disabled: isToml(entry), onclick: () => display(entry) }),
+    isToml(entry) ? entry.kind ?? "not read yet" : create("input", { value: entry.body, placeholder: "leg or tool as below", ariaLabel: `Leg or tool of ${entry.file.name}`, onchange: ({ target }) => { entry.body = target.value; display(entry); } }),
+    create("button", { type: "button", textContent: "×", ariaLabel: `Leave out ${entry.file.name}`, onclick: () => leaveOut(entry) }),
   )));
   for (const input of by("files").querySelectorAll("input")) input.setAttribute("list", "bodies");
 }
 
 function leaveOut(entry) {
+  by("answer").replaceChildren(); // it was for all files
   files = files.filter((other) => other !== entry);
   if (files.every(isToml)) { idle(); form.hidden = true; } else display(entry === shown ? files[0] : shown);
 }
@@ -205,51 +213,43 @@ async function display(entry) {
   if (entry !== shown) by("table").replaceChildren();
   shown = entry;
   list();
-  const found = await look();
-  if (found?.columns) { tabulate(found); show(found); }
-  return found;
+  const reply = await preview();
+  if (reply?.columns) { tabulate(reply); show(reply); }
+  if (reply) await readTomls();
 }
 
-async function open(dropped, more) {
+function open(dropped, more) {
   const added = [...dropped].map((file) => ({ file, body: "" })), tables = added.filter((entry) => !isToml(entry));
-  const anew = form.hidden || !(more || !tables.length);
-  if (anew && !tables.length) { alarm("Choose the forces as well: a rig or a calibration goes with them."); return; }
+  const replaces = form.hidden || !(more || !tables.length);
+  if (replaces && !tables.length) { alarm("Choose the forces as well: a rig or a calibration goes with them."); return; }
   by("answer").replaceChildren();
-  const mine = files = [...(anew ? [] : files), ...added].sort((a, b) => isToml(a) - isToml(b));
-  if (anew) {
-    form.reset();
-    form.hidden = true;
-    by("table").replaceChildren();
-    chosen = {};
-    await begin();
-  } else if (tables.length) await display(tables[0]);
-  for (const entry of added.filter(isToml)) {
-    if (files !== mine || form.hidden) return;
-    const found = await send("look", [entry]);
-    if (found?.kind === "rig") fill(found.rig);
-    if (found?.kind !== "calibration") mine.splice(mine.indexOf(entry), 1);
-    list();
-  }
+  files = [...(replaces ? [] : files), ...added].sort((a, b) => isToml(a) - isToml(b));
+  if (replaces) begin();
+  else if (tables.length) display(tables[0]);
+  else { list(); readTomls(); }
 }
 
 // The first of new files decides what the form asks for; what needs no choice is answered at once.
 async function begin() {
-  shown = files[0];
+  form.reset();
+  form.hidden = true;
+  by("table").replaceChildren();
+  [chosen, shown] = [{}, files[0]];
   list();
-  const found = await look();
-  if (!found) return;
-  kind = found.kind;
+  const reply = await preview(), kind = reply?.kind;
+  if (!kind) return;
   form.hidden = !["forces", "log"].includes(kind);
   by("forces").hidden = by("forces").inert = kind !== "forces";
   by("robot").hidden = kind !== "log";
   for (const label of document.querySelectorAll(".of-forces")) label.hidden = kind !== "forces";
   form.noValidate = kind !== "forces"; // what is hidden is required of forces alone
   if (kind !== "forces") { answer(); return; }
-  tabulate(found);
-  fill(found.rig);
-  if (found.density) form.elements.density.value = found.density;
-  show(found);
+  tabulate(reply);
+  fill(reply.rig);
+  if (reply.density) form.elements.density.value = reply.density;
+  show(reply);
   by("table").querySelector("select").focus({ preventScroll: true });
+  readTomls();
 }
 
 function fill(rig) {
@@ -280,9 +280,9 @@ function sketch() {
     ["circle", { r: 0.03 * length }],
   ];
   for (const [tag, attributes] of shapes) {
-    const one = document.createElementNS("http://www.w3.org/2000/svg", tag);
-    for (const [key, value] of Object.entries(attributes)) one.setAttribute(key, value);
-    by("drawing").append(one);
+    const element = document.createElementNS("http://www.w3.org/2000/svg", tag);
+    for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
+    by("drawing").append(element);
   }
   by("drawing").setAttribute("viewBox", `${from} ${top} ${far - from} ${1.2 * length - top}`);
 }
@@ -296,17 +296,17 @@ by("li2013").addEventListener("click", () => {
 // -- an answer -----------------------------------------------------------------------------------
 
 async function answer() {
-  const [{ file }] = files, found = await send("answer");
-  if (!found) return;
-  const stem = file.name.replace(/\.[^.]*$/, "");
-  const links = Object.entries(found.files).map(([name, content]) => {
+  const reply = await readTomls() && await send("answer");
+  if (!reply?.html) return;
+  const prefix = files.length > 1 ? "" : files[0].file.name.replace(/(\.[^.]*)?$/, "-");
+  const links = Object.entries(reply.files).map(([name, content]) => {
     const blob = new Blob([Uint8Array.from(atob(content), (c) => c.charCodeAt(0))]);
-    return made("a", { href: URL.createObjectURL(blob), download: `${stem}-${name}`, textContent: name });
+    return create("a", { href: URL.createObjectURL(blob), download: prefix + name, textContent: name });
   });
-  by("answer").innerHTML = found.html;
+  by("answer").innerHTML = reply.html;
   const box = by("answer").querySelector(".answer");
-  box.append(made("p", { className: "offers" }, ...offers(box.textContent)));
-  box.append(made("p", {}, "Download: ", ...links.flatMap((link, i) => (i ? [", ", link] : [link]))));
+  box.append(create("p", { className: "offers" }, ...offers(box.textContent)));
+  box.append(create("p", {}, "Download: ", ...links.flatMap((link, i) => (i ? [", ", link] : [link]))));
   by("answer").focus({ preventScroll: true });
   by("answer").scrollIntoView();
 }
