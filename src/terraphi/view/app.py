@@ -173,7 +173,7 @@ def application(token: str, limits: Limits, place: Path | None) -> Starlette:
         legs={leg: (outline, corners(leg)) for leg, outline in OUTLINES.items()},
         li2013=LI2013,
         suffixes=",".join(SUFFIXES),
-        megabytes=limits.bytes // 1_000_000,
+        megabytes=f"{limits.bytes / 1e6:g}",
     )
     policy = (
         f"default-src 'none'; script-src {page.digest(script)}; "
