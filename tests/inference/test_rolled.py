@@ -149,6 +149,15 @@ def test_a_pull_of_the_other_sign_is_named() -> None:
     assert not any("pull" in w for w in terraphi.invert(path, tool="wheel:314.7x165").warnings[:1])
 
 
+def test_a_pull_that_falls_with_the_slip_is_named_without_a_torque() -> None:
+    table = rows(32.0).drop(columns="torque_Nm")
+    turned = table.assign(pull_N=-table.pull_N)
+    texts = [
+        " ".join(terraphi.invert(t, tool=TOOL, density=1600).warnings) for t in (table, turned)
+    ]
+    assert ["check its sign" in text for text in texts] == [False, True]
+
+
 def test_rows_deeper_than_the_law_are_left_out() -> None:
     table = rows(30.0)
     deep = table.assign(sinkage_mm=[*table.sinkage_mm[:4], 120.0])

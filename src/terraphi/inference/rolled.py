@@ -80,6 +80,9 @@ MOST_TORQUE = 1.2
 SLACK, OTHER_PULL = 0.02, 0.25
 """Power over load and speed [-] by which a pull may exceed the torque's, and difference of the pull
 over the load from the law's above which it is named; wheels in grains have up to 0.22; chosen."""
+OTHER_COURSE, OPPOSITE = 0.05, -0.8
+"""Least range of the pull over the load, and correlation of it with the law's over the rows below
+which its sign is named [-]; chosen."""
 DRIVEN, OTHER_TORQUE = 0.1, 0.15
 """Slip from which on a wheel is driven for sure, and torque over load times radius above the
 friction of the rim from which on it is named [-]; chosen."""
@@ -514,7 +517,12 @@ def _contradictions(roll: _Roll, fit: _Mean) -> list[str]:
             )
     phi = np.clip(fit.mean + roll.too_much_deg, roll.angles[0], roll.angles[-1])
     law = roll.forces(phi, roll.friction)
-    difference = float(np.nanmedian(rows["pull"] / rows["load"] - law.pull / law.load))
+    pulls = np.array([rows["pull"] / rows["load"], law.pull / law.load])
+    pulls = pulls[:, np.isfinite(pulls).all(axis=0)]
+    difference = float(np.median(pulls[0] - pulls[1]))
+    is_course = pulls.shape[1] > 2 and np.ptp(pulls, axis=1).min() > OTHER_COURSE
+    if is_course and np.corrcoef(pulls)[0, 1] < OPPOSITE:
+        sentences.append("The pull falls with the slip, and the law's rises: check its sign.")
     if abs(difference) > OTHER_PULL:
         sentences.append(
             f"The pull differs from the law's by {difference:+.2f} of the load: check its sign, "
