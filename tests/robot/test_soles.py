@@ -32,7 +32,7 @@ def test_a_biped_is_told_what_is_missing(tmp_path: Path) -> None:
         f"<mujoco><worldbody><body>{LINK}{legs}{arm}</body></worldbody></mujoco>"
     )
     words = (
-        r"2 limbs \(left_hip_roll to left_ankle \(4\), right_hip_roll .*force on each sole.*plate"
+        r"2 limbs \(left_hip_roll to left_ankle \(4\), right_hip_roll .*flat sole, which is a plate"
     )
     with pytest.raises(InputError, match=words):
         Quadruped.load(tmp_path / "biped.xml")
