@@ -146,15 +146,16 @@ def test_neighborhoods_give_the_field_of_all_points(hill, points, monkeypatch) -
     x, y = walked(2, n=240, count=300)
     phi = 30.0 + 3.0 * np.sin(x / 30.0) + np.random.default_rng(4).normal(0.0, 1.5, x.size)
     reference = points(x, y, phi, np.random.default_rng(5).uniform(0.5, 2.0, x.size))
-    all_points = map_slopes(reference, hill(n=240), draws=16)
+    all_points = map_slopes(reference, hill(n=240), draws=256)
     monkeypatch.setattr(field, "POINTS", 150)
-    near = map_slopes(reference, hill(n=240), draws=16)
+    near = map_slopes(reference, hill(n=240), draws=256)
     assert near.field.reach < 60.0
     sd = all_points.layers["phi_sd"]
     shift = (near.layers["phi_median"] - all_points.layers["phi_median"]) / sd
     assert np.nanmax(np.abs(shift)) < 1.0
     assert np.sqrt(np.nanmean(shift**2)) < 0.25
-    assert np.nanmean(near.layers["phi_sd"] / sd) == pytest.approx(1.0, abs=0.1)
+    # Half of the points determine the level, and each place.
+    assert 0.95 < np.nanmean(near.layers["phi_sd"] / sd) < 1.2
     areas = [made.summary["unstable_area_share"]["median"] for made in (near, all_points)]
     assert areas[0] == pytest.approx(areas[1], abs=0.03)
 
