@@ -103,7 +103,7 @@ def legs() -> Figure:
 
 
 def span(axes: Any, start: tuple, end: tuple, text: str, at: tuple) -> None:
-    """A size: an arrow with two heads, and its name beside its middle."""
+    """A size: an arrow with two heads, and its name next to its middle."""
     shape = {"arrowstyle": "<|-|>", "color": "black", "lw": 1, "shrinkA": 0, "shrinkB": 0}
     axes.annotate("", end, start, arrowprops=shape)
     middle = [0.5 * (a + b) + move for a, b, move in zip(start, end, at, strict=True)]

@@ -118,8 +118,9 @@ def rows() -> list[list[float]]:
     return [[*case, *kept[case]] for case in CASES]
 
 
-def angle(row: list[float]) -> float:
-    """φ by which the law has the load of a wheel, less φ of the soil [deg]."""
+def angle(row: list[float], part: float) -> float:
+    """φ by which the law with a part has the load of a wheel, less φ of the soil [deg]."""
+    laws.TANGENTIAL = part
     phi, slip, friction, _, load, _ = row
     angles = np.linspace(*angles_deg(0.35), 80)
     borne = law_at(slip, friction, angles).load
@@ -138,22 +139,20 @@ def main() -> None:
     print("  phi  slip friction  error: none  shipped  all   T/(W R), law   P/W, law")
     for row in simulated_rows:
         phi, slip, friction, pull, load, torque = row
-        errors = []
-        for laws.TANGENTIAL in (0.0, 100.0, shipped):
-            errors.append(angle(row))
+        errors = [angle(row, part) for part in (0.0, 100.0, shipped)]
         law = law_at(slip, friction, phi + errors[2])
         print(f"{phi:5g} {slip:5g} {friction:6g}   "
               + " ".join(f"{error:+7.1f}" for error in (errors[0], errors[2], errors[1]))
               + f" {torque / load / RADIUS:7.2f} {law.torque / law.load / RADIUS:5.2f}"
               + f" {pull / load:8.2f} {law.pull / law.load:5.2f}")  # fmt: skip
-    for laws.TANGENTIAL in (0.8, 0.9, 1.0, 1.1, 1.2, 100.0):
-        error = {tuple(row[:3]): angle(row) for row in simulated_rows}
+    for part in (0.8, 0.9, 1.0, 1.1, 1.2, 100.0):
+        error = {tuple(row[:3]): angle(row, part) for row in simulated_rows}
         groups = sorted({(row[0], row[2]) for row in simulated_rows})
         driven, free = (
             np.array([error[phi, high, mu] - error[phi, low, mu] for phi, mu in groups])
             for low, high in ((0.2, 0.5), (0.2, 0.0))
         )
-        print(f"part {laws.TANGENTIAL:5g}: 0.2 to 0.5 {driven.mean():+.2f} ({driven.min():+.1f} to "
+        print(f"part {part:5g}: 0.2 to 0.5 {driven.mean():+.2f} ({driven.min():+.1f} to "
               f"{driven.max():+.1f}), without slip {free.mean():+.2f}")  # fmt: skip
     laws.TANGENTIAL = shipped
 

@@ -26,7 +26,7 @@ import terraphi
 from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.rig import Tool
 from terraphi.inference.rolled import wheel_of
-from terraphi.laws.wheel import FRICTIONS, WHEEL_ERROR, rolling, wheel_forces
+from terraphi.laws.wheel import FRICTIONS, WHEEL_ERROR, Wheel, rolling, wheel_forces
 
 SETTLED = 0.5
 """Way after a change of depth that is left out, over the radius of the wheel [-]."""
@@ -103,8 +103,7 @@ class Wheeled:
     """Over load times radius [-]."""
     load_N: float
     density: float
-    radius: float
-    """Of the tips of the lugs [m]."""
+    wheel: Wheel
     friction: float
     """Of the rim [-]."""
     stated: terraphi.Answer
@@ -144,13 +143,13 @@ def wheels() -> list[Wheeled]:
                 path.stem, name, grains.truth(name), slip, answer.phi.median + back,
                 by_rft.phi.median, depth, mean.pull_N / mean.load_N,
                 1e3 * mean.torque_Nm / (mean.load_N * radius), mean.load_N, float(density),
-                1e-3 * radius, run.soils()[name].leg_friction, answer, unsunk,
+                wheel_of(Tool.of(tool)), run.soils()[name].leg_friction, answer, unsunk,
             ))  # fmt: skip
     return rows
 
 
 def learned(rows: list[Wheeled]) -> float:
-    """Offset in spheres of wheels that are driven, beside the effect of the slip [deg].
+    """Offset in spheres of wheels that are driven, without the effect of the slip [deg].
 
     Soils weigh alike.
     """
@@ -181,12 +180,11 @@ def change(rows: list[Wheeled], low: float, high: float) -> float:
 
 def resistance(row: Wheeled) -> float:
     """T/R − P over the load, less that of the law at the true φ [-]."""
-    size = row.name.split("_")[2].replace("+", "+lugs:")
     curve = rolling(
-        wheel_of(Tool.of(f"wheel:{size}")), row.load_N, row.slip, np.array([row.truth_deg]),
-        np.array([row.density]), surface_friction=min(row.friction, FRICTIONS[-1]),
+        row.wheel, row.load_N, row.slip, np.array([row.truth_deg]), np.array([row.density]),
+        surface_friction=min(row.friction, FRICTIONS[-1]),
     )  # fmt: skip
-    by_law = curve["torque_Nm"] / row.radius - curve["pull_N"]
+    by_law = curve["torque_Nm"] / row.wheel.reach - curve["pull_N"]
     return row.torque - row.pull - float(by_law[0] / row.load_N)
 
 

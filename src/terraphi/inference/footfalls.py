@@ -126,9 +126,11 @@ INCLINED_SDS = 2.0
 CONTRADICTED = 2.0
 """Standard deviations from the rest above which an anchor is doubted [-]; one sound anchor in
 twenty is."""
-SECOND, HIGHEST_RFT_DEG = {"rft": "foot"}, 65.0
-"""Law of a second opinion, for each law; else ``rft``, which has few terms and is fast, and its
-largest φ there [deg]: it has no table, and differences between places must not end at 50°."""
+SECOND = {"rft": "foot"}
+"""Law of a second opinion, for each law; else ``rft``, which has few terms and is fast."""
+HIGHEST_RFT_DEG = 65.0
+"""Largest φ of ``rft`` as a second opinion [deg]; chosen: no table of it ends, and differences
+between places must not end at 50°."""
 GREY = "0.4"
 CI95 = 1.959964
 """Half-width of a normal 95 % interval over its standard deviation [-]; of a 68 % one it is 1."""

@@ -38,7 +38,8 @@ way (chosen)."""
 ANCHOR_POINTS = 9
 """Points that stand for an anchor's stretch."""
 MOST = 2000
-"""Footfalls that are pooled at most, evenly chosen: memory grows with the square, time more."""
+"""Footfalls that are pooled at most, evenly chosen: memory grows with the square of
+their number, time with its cube."""
 LONGEST_PATH = 1e6
 """End of an anchor that names no stretch [m]."""
 

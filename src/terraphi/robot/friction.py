@@ -172,15 +172,15 @@ def _reweighted(
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Huber's regression by reweighting: coefficients, and the weights of the data.
 
-    ``solve`` takes the normal matrix and the right side; the data change no diagonal of it by less
-    than their rounding, so that a column of zeros gets a coefficient of zero.
+    ``solve`` takes the normal matrix and the right side. A ridge of 1e-12 of the sum of squares
+    keeps the matrix invertible: a column of zeros gets a coefficient of zero.
     """
     # Iteratively reweighted least squares; weight 1 within k σ, k σ/|e| beyond.
-    weight, least = np.ones(len(y)), 1e-12 * np.square(x).sum() * np.eye(x.shape[1])
+    weight, ridge = np.ones(len(y)), 1e-12 * np.square(x).sum() * np.eye(x.shape[1])
     solution = np.zeros(x.shape[1])
     for _ in range(12):
         weighted, before = x.T * weight, solution
-        solution = solve(weighted @ x + least, weighted @ y)
+        solution = solve(weighted @ x + ridge, weighted @ y)
         if np.abs(solution - before).max() <= 1e-4 * np.abs(solution).max():
             break
         error = np.abs(y - x @ solution)

@@ -253,7 +253,8 @@ def map_slopes(
     terrain = Terrain.of(ground, friction, covariate, wetness)
     # A Sobol sequence is even at powers of two.
     power_of_two = 1 << max(draws - 1, 1).bit_length()
-    field = fit(friction, terrain.at_points(), ground, draws=power_of_two, seed=seed)
+    at_points = terrain.at_points()
+    field = fit(friction, at_points, ground, draws=power_of_two, seed=seed)
     samples = slopes.Sample.of(priors, slopes.SAMPLES, seed).single()
     joint = slopes.Sample.of(priors, power_of_two, seed + 1).single()
     with ExitStack() as stack:
@@ -262,7 +263,8 @@ def map_slopes(
         else:
             place = stack.enter_context(output_folder(Path(out), kind=KIND, last=SUMMARY))
         layers = Layers(place, temporary=out is None)
-        numbers = _write(Windows(terrain, field, samples, joint), place, progress)
+        windows = Windows(terrain, at_points, field, samples, joint)
+        numbers = _write(windows, place, progress)
         summary = {
             "terraphi_file": KIND,
             "terraphi": importlib.metadata.version("terraphi"),
@@ -368,14 +370,15 @@ class Windows:
     """Windows of a map, which are computed by themselves."""
 
     def __init__(
-        self, terrain: Terrain, field: Field, samples: slopes.Sample, joint: slopes.Sample
-    ) -> None:
+        self, terrain: Terrain, at_points: FloatArray, field: Field, samples: slopes.Sample,
+        joint: slopes.Sample,
+    ) -> None:  # fmt: skip
         from scipy.spatial import cKDTree
 
         self.terrain, self.field, self.samples, self.joint = terrain, field, samples, joint
         self.tree = cKDTree(terrain.points[["x_m", "y_m"]].to_numpy())
-        ground, at_points = terrain.ground, terrain.at_points()
-        self.far = min(field.learnt["length_m"], FARTHEST * ground.cell * max(ground.shape))
+        side = terrain.ground.cell * max(terrain.ground.shape)
+        self.far = min(field.learnt["length_m"], FARTHEST * side)
         slack = BEYOND * np.ptp(at_points, axis=0) + 1e-6
         ends = at_points.min(axis=0) - slack, at_points.max(axis=0) + slack
         self.low, self.high = (end[:, None, None] for end in ends)
