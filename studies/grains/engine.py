@@ -152,6 +152,7 @@ timestep {soil.time_step:.4g}
 """
 
 
+FINISHED = "deck finished"
 WALL = "wall/gran model hertz tangential history rolling_friction epsd2"
 
 
@@ -297,16 +298,19 @@ run 0
 
 
 def run(deck: str, folder: Path, name: str) -> None:
-    """Run a deck in a folder; raises RuntimeError with the log's end if the engine fails."""
+    """Run a deck in a folder; raises RuntimeError with the log's end if the engine fails.
+
+    An engine that is ended from outside returns 0 as well: a deck's last line says that it is done.
+    """
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / f"{name}.in").write_text(deck)
+    (folder / f"{name}.in").write_text(f'{deck}\nprint "{FINISHED}"\n')
     with (folder / f"{name}.out").open("w") as out:
         code = subprocess.run(
             ["liggghts", "-in", f"{name}.in", "-log", f"{name}.log"],
             cwd=folder, stdout=out, stderr=subprocess.STDOUT, check=False,
         ).returncode  # fmt: skip
-    if code:
-        tail = (folder / f"{name}.out").read_text(errors="replace")[-600:]
+    tail = (folder / f"{name}.out").read_text(errors="replace")[-600:]
+    if code or FINISHED not in tail.splitlines():
         raise RuntimeError(f"{folder / name}.in: LIGGGHTS failed: {tail}")
 
 
