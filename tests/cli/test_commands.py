@@ -296,19 +296,11 @@ def test_the_raw_file_of_a_lab_is_one_command(terraphi: Terraphi, tmp_path: Path
 
 
 def test_a_calibration_narrows_the_interval(terraphi: Terraphi) -> None:
-    reference = (
-        "calibrate",
-        MEASURED,
-        "--phi",
-        "36±1",
-        "--soil",
-        "seeds",
-        "--out",
-        "c.toml",
-        "--json",
-    )
-    soil = json.loads(terraphi(*reference).out)["soils"][0]
-    assert (soil["soil"], soil["phi_deg"], soil["phi_sd_deg"]) == ("seeds", 36.0, 1.0)
+    options = ("--phi", "36±1", "--soil", "seeds", "--out", "c.toml")
+    _, _, line, *_ = terraphi("calibrate", MEASURED, *options).out.splitlines()
+    assert line.split()[:2] == ["seeds", MEASURED]
+    soil = Calibration.load("c.toml").soils[0]
+    assert (soil.soil, soil.phi_deg, soil.phi_sd_deg) == ("seeds", 36.0, 1.0)
     before = json.loads(terraphi("invert", "li2013:yuma/c", "--json").out)["phi_deg"]
     calibrated = ("invert", "li2013:yuma/c", "--calibration", "c.toml", "--json")
     after = json.loads(terraphi(*calibrated).out)["phi_deg"]
@@ -348,8 +340,9 @@ def test_a_library_is_built_listed_shown_and_used(terraphi: Terraphi, tmp_path: 
     ran = terraphi("invert", MEASURED, "--law", "l.nc")
     assert ran.status == 2
     assert "library small (another model" in ran.err
-    listed = json.loads(terraphi("library", "list", "--json").out)["libraries"]
-    assert [entry["name"] for entry in listed][:2] == ["legs", "rft3d"]
+    listed = json.loads(terraphi("library", "list", "--json").out)
+    assert [entry["name"] for entry in listed["libraries"]][:2] == ["legs", "rft3d"]
+    assert listed["soils"]["loose dry sand"]["phi"] == [33.0, 2.0]
 
 
 @pytest.mark.parametrize(

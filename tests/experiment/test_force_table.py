@@ -44,7 +44,7 @@ def refusal(tmp_path: Path, content: str | bytes) -> str:
         (HEADER + "-80,\uff11,2\n", ["line 2", "Fx_N = '\uff11' is not a number"]),
         (HEADER + "-80,1e999,1\n", ["no row has"]),
         (HEADER + "-80,1,2\n-60,1,2,3\n" * 2 + "1,2,3\n" * 200, ["line 3"]),
-        (HEADER + "-1.48,1,2\n0,1,2\n1.48,1,2\n", ["1.48", "theta_unit=rad"]),
+        (HEADER + "-1.48,1,2\n0,1,2\n1.48,1,2\n", ["1.48", "write rad in place of deg"]),
         (b"\x89HDF\r\n\x1a\n" + bytes(range(256)), ["not a text file", "UTF-8"]),
     ],
 )

@@ -379,6 +379,13 @@ def test_the_moment_comes_along() -> None:
         assert read_forces(frame().assign(**{other: 1.0})).moment is None
 
 
+@pytest.mark.parametrize("names", ["angle drag lift", "Winkel horizontal vertikal"])
+def test_forces_have_other_names(names: str) -> None:
+    history = read_forces(frame(names=names))
+    assert history.force == pytest.approx(SHIPPED.force)
+    assert read_forces(frame().rename(columns={"Fz": "vertical load"})).Fz == pytest.approx(FZ)
+
+
 def test_units_are_those_of_scipy() -> None:
     pound, foot, inch = constants.lbf, constants.foot, constants.inch
     ours = {**FORCE, **MOMENT, **{name: np.radians(value) for name, value in ANGLE.items()}}
@@ -397,6 +404,23 @@ def test_units_are_those_of_scipy() -> None:
 
 
 # -- what is wrong -------------------------------------------------------------------------------
+
+
+def test_a_unit_that_contradicts_the_header_is_one_sentence() -> None:
+    table = frame(names="theta_deg Fx_kN Fz_kN")
+    assert read_forces(table, unit="kN", theta_unit="deg").Fx == pytest.approx(1e3 * FX)
+    with pytest.raises(InputError, match="'Fx_kN' and 'Fz_kN' are in kN by the header") as caught:
+        read_forces(table, unit="N")
+    assert str(caught.value).count("unit=N") == 1
+    with pytest.raises(InputError, match="write rad in place of deg in the header"):
+        read_forces(table.assign(theta_deg=np.radians(THETA)))
+
+
+def test_the_table_of_a_wheel_is_named_as_such() -> None:
+    table = frame(names="slip load sinkage")
+    with pytest.raises(InputError, match="--tool wheel:DIAMETERxWIDTH reads") as caught:
+        read_forces(table)
+    assert "--columns" not in str(caught.value)
 
 
 @pytest.mark.parametrize(

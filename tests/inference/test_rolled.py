@@ -48,7 +48,7 @@ def test_names_units_and_definitions_of_slip_do_not_matter(tmp_path: Path) -> No
         "Fz [N]": table.load_N, "z [cm]": 0.1 * table.sinkage_mm,
     })  # fmt: skip
     percent = pd.DataFrame({
-        "Slip [%]": 100.0 * table.slip, "wheel load [kN]": 1e-3 * table.load_N,
+        "Wheel slip [%]": 100.0 * table.slip, "Vertikallast [kN]": 1e-3 * table.load_N,
         "sinkage [m]": 1e-3 * table.sinkage_mm,
     })  # fmt: skip
     for variant in (speeds, percent):
@@ -139,6 +139,22 @@ def test_a_torque_or_pull_that_no_soil_bears_is_a_misfit(column: str) -> None:
     table = rows(30.0)
     wrong = table.assign(**{column: 0.9 * table.load_N * (0.15 if column == "torque_Nm" else 1.0)})
     assert terraphi.invert(wrong, tool=TOOL).verdict == "misfit"
+
+
+def test_a_torque_beyond_soil_and_rim_is_named_once() -> None:
+    """Rows that brake are in the verdict's median alone, so that two sentences had two numbers."""
+    table = rows(30.0)
+    table["torque_Nm"] = 0.15 * table.load_N * [1.2, 1.4, 1.6, 1.8, 2.0]
+    table.loc[0, "slip"] = 0.0
+    answer = terraphi.invert(table, tool=TOOL)
+    assert answer.verdict == "misfit"
+    sentences = [answer.reason, *answer.warnings]
+    assert sum("load times radius" in sentence for sentence in sentences) == 1
+
+
+def test_cohesion_of_a_wheel_is_refused_with_its_reason() -> None:
+    with pytest.raises(InputError, match="as in dry soil"):
+        terraphi.invert(rows(30.0), tool=TOOL, cohesion="500±100")
 
 
 def test_a_pull_of_the_other_sign_is_named() -> None:

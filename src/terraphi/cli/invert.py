@@ -170,10 +170,11 @@ def calibrate(forces: tuple[str, ...], phi: str, out: Path, as_json: bool, **opt
     calibration = run(list(forces), mean, sd, **with_rig(options))
     calibration.save(out)
     rows = [
-        (soil.source, soil.leg, f"{soil.phi_deg:g} ± {soil.phi_sd_deg:g}", f"{soil.read_deg:.1f}")
+        (soil.soil, soil.source, soil.leg, f"{soil.phi_deg:g} ± {soil.phi_sd_deg:g}",
+         f"{soil.read_deg:.1f}")
         for soil in calibration.soils
-    ]
-    header = ("soil", "leg", "known φ [deg]", f"by {calibration.library} [deg]")
+    ]  # fmt: skip
+    header = ("soil", "record", "leg", "known φ [deg]", f"by {calibration.library} [deg]")
     warnings = list(calibration.warnings())
     data = {"file": str(out), **calibration.model_dump(mode="json"), "warnings": warnings}
     lines = [*(f"Warning: {warning}" for warning in warnings), f"Written: {out}"]

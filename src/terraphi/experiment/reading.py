@@ -57,33 +57,34 @@ OTHER_ANGLE = (
     r"temp|batt|heading|yaw|pitch|roll|tilt|incl|slope|azim|bearing|lat|lon|knee|ankle|phase|abad"
 )
 """Names of columns in degrees that are no angle of a leg about its hip."""
+SLIP = r"slip|schlupf|glissement"
+"""What a column of a wheel's slip has in its name, and none of a leg's table."""
 _NAMES = {
     "theta": r"theta|θ|angle|winkel|[aá]ngulo|"
     r"(leg|motor|hip|joint|bein|dreh|encoder)(angle|winkel|theta|pos)|"
     r"(angle|theta)(leg|motor|hip|joint)|rotation|ang|angular ?position",
-    "fx": r"fx|(force|load|kraft|fuerza)x|x(force|load|kraft)|(thrust|horizontal)(force)?|fhor\w*|"
-    r"horizontalkraft|vortrieb|f(orce|uerza)horizontale?",
-    "fz": r"fz|(force|load|kraft|fuerza)z|z(force|load|kraft)|(lift|vertical)(force)?|fver\w*|"
-    r"vertikalkraft|auftrieb|f(orce|uerza)verticale?",
+    "fx": r"fx|(force|load|kraft|fuerza)x|x(force|load|kraft)"
+    r"|(thrust|drag|horizontal)(force|load|kraft)?|fhor\w*|vortrieb|f(orce|uerza)horizontale?",
+    "fz": r"fz|(force|load|kraft|fuerza)z|z(force|load|kraft)"
+    r"|(lift|verti[ck]al)(force|load|kraft|last)?|fver\w*|auftrieb|f(orce|uerza)verticale?",
     "time": r"t|time|zeit|timestamp|elapsed(time)?|(time|zeit)s?",
     "moment": r"m|my|moment|torque|(hip|joint|motor)(moment|torque)|drehmoment|ty|moment[yh]",
     "sinkage": r"sinkage|depth|penetration(depth)?|displacement|travel|position|z|s|tiefe"
     r"|einsinkung|weg|settlement|einsinktiefe|indentation|(wheel|rut)sinkage[hz]?|enfoncement",
-    "force": r"f|fz|force|load|(normal|vertical|plate|contact)(force|load)|(force|load)z|kraft"
-    r"|last",
+    "force": r"f|fz|(normal|verti[ck]al|plate|contact)?(force|load|kraft|last)|(force|load)z",
     "pressure": r"p|q|pressure|(normal|contact|ground|plate|vertical)(pressure|stress)|stress|druck"
     r"|spannung|bearingpressure",
     "travel": r"x|travel|distance|way|weg|fahrweg|odometer",
-    "slip": r"s|i|(slip|schlupf|glissement)(rate|ratio)?[si]?",
+    "slip": rf"s|i|(wheel|rad)?({SLIP})(rate|ratio)?[si]?",
     "wheel_speed": r"(wheel|rim|circumferential)(speed|velocity)|omegar|wr|umfangsgeschwindigkeit",
     "rotation": r"omega|ω|angular(speed|velocity|rate)|rotation(al)?(rate|speed)?|rpm|drehzahl"
     r"|wheelrotation",
     "travel_speed": r"v|vx|(travel|forward|vehicle|ground|carriage|rover)?(speed|velocity)"
     r"|(fahr)?geschwindigkeit",
-    "load": r"(normal|vertical|wheel|axle)?(load|weight)[wn]?|fz|fn|w|(normal|vertical)force"
-    r"|radlast|last|vertikalkraft|charge",
+    "load": r"(normal|verti[ck]al|wheel|axle|rad)?(load|weight|last)[wn]?|fz|fn|w"
+    r"|(normal|verti[ck]al)(force|kraft)|charge",
     "pull": r"fx|dp|pull|drawbar(pull|force)?|netpull|(net)?traction|zugkraft"
-    r"|(horizontal|longitudinal|tractive|forward)force",
+    r"|(horizontal|longitudinal|tractive|forward)(force|kraft)",
     "torque": r"my|ty|(wheel|motor|drive|driving|input)?torque|moment|drehmoment|mt|couple",
     "side": r"fy|side(force)?|lateral(force)?|seitenkraft",
     "side_slip": r"beta|β|sideslip(angle)?|slipangle|skew(angle)?|skid(angle)?|schräglaufwinkel",
@@ -152,7 +153,8 @@ class ForceColumns(Columns):
     rate_deg_s: float | None = Field(None, gt=0)
     """Constant rate of the leg [deg/s], where the table has a time instead of an angle."""
     unit: ForceUnit | None = None
-    """Unit of the forces; if not given, that of the header, else N."""
+    """Unit of the forces; if not given, that of the header, else N. A header that has another is
+    refused, as of every unit."""
     theta_unit: Literal["deg", "rad", "mrad", "rev", "gon"] | None = None
     """Unit of the angle; if not given, that of the header, else deg."""
     theta_offset_deg: float = 0.0
@@ -444,16 +446,33 @@ class ColumnReader(Generic[Given]):
                 self.guess(role, self.like(role))
         return {*chosen}
 
+    def mend(self, role: str, unit: str) -> str:
+        """Advice that gives a column another unit: in its header, or else by an option."""
+        written = self.written(self.names[role])
+        option = f"add --columns {UNIT_KEYS[KIND[role]]}={unit}"
+        return f"write {unit} in place of {written} in the header" if written else option
+
     def settle(self, chosen: set[str], units: Mapping[str, str]) -> None:
         """Check all columns, ask for the units of some, and note those that were guessed."""
+        contradicted: dict[str, list[str]] = {}
         for role, name in self.names.items():
             self.check(role)
             key = UNIT_KEYS.get(KIND[role], "")
-            if role in units and not (self.written(name) or getattr(self.given, key)):
+            given, written = getattr(self.given, key, None), unit_named(self.written(name) or "")
+            if given and written in KINDS[KIND[role]] and written != given:
+                sentence = f"in {written} by the header and in {given} by {key}={given}"
+                contradicted.setdefault(sentence, []).append(f"'{name[:40]}'")
+            if role in units and not (self.written(name) or given):
                 self.wrong.append(
                     f"column '{name[:40]}' has no unit; add --columns {key}={units[role]}, or "
                     f"name it such as {role}_{units[role]}"
                 )
+        for sentence, columns in contradicted.items():
+            verb = "are" if len(columns) > 1 else "is"
+            self.wrong.append(
+                f"{' and '.join(columns)} {verb} {sentence}; leave out the option, or correct the "
+                "header"
+            )
         guessed = [
             f"{WORDS[role]} from '{name}' [{self.unit(role)[0]}]"
             for role, name in self.names.items() if role not in chosen
@@ -514,6 +533,13 @@ class _LegTable(ColumnReader[ForceColumns]):
 
     def _ask(self, lacking: list[str]) -> None:
         """Complain about roles without a column."""
+        lacked = f"no column of {', '.join(WORDS[role] for role in lacking)} among {self.header}"
+        if slips := [name for name in self.parts if re.search(SLIP, name.lower())]:
+            self.wrong.append(
+                f"{lacked}; with '{slips[0][:30]}' it looks like the table of a wheel, which "
+                "--tool wheel:DIAMETERxWIDTH reads, in mm"
+            )
+            return
         header = list(self.parts)
         unnamed = len(header) >= len(lacking) and all(name.startswith("column ") for name in header)
         names = header if unnamed else ["NAME"] * len(lacking)
@@ -523,10 +549,7 @@ class _LegTable(ColumnReader[ForceColumns]):
             more += "; of a plate or ball pressed in, give --tool plate:MM or FILE@plate:MM"
         if "moment" in self.names and {"fx", "fz"} & {*lacking}:
             more += f", or 'moment={self.names['moment']}' to do without a force"
-        self.wrong.append(
-            f"no column of {', '.join(WORDS[role] for role in lacking)} among {self.header}; add "
-            f"--columns '{pairs}'{more}"
-        )
+        self.wrong.append(f"{lacked}; add --columns '{pairs}'{more}")
 
     def unit(self, role: str) -> tuple[str, float]:
         """Unit of a column and what it is in our own; of the angle its scale, if that is given."""
@@ -584,7 +607,7 @@ class _LegTable(ColumnReader[ForceColumns]):
         if "theta" in self.names and self.unit("theta")[0] == "deg" and small:
             self.refuse(
                 f"the angle runs from {theta.min():.2f} to {theta.max():.2f}, which must be "
-                "radians; add --columns theta_unit=rad"
+                f"radians; {self.mend('theta', 'rad')}"
             )
         return theta, values, dict(zip(self.channels, steps.tolist(), strict=True))
 
@@ -606,13 +629,13 @@ class _LegTable(ColumnReader[ForceColumns]):
             key, now = ("theta_scale", self.unit("theta")[1]) if "theta" in self.names else (
                 "rate_deg_s", self.given.rate_deg_s or 1.0)  # fmt: skip
             usual = now * USUAL_IN_SOIL_DEG / longest
-            remedy = f"{key}={usual:.2g} or so"
+            remedy = f"add --columns {key}={usual:.2g} or so"
             if key == "theta_scale":
                 remedy += " (360 over the counts of a turn)"
-                remedy = "theta_unit=deg" if 0.7 < usual < 1.4 else remedy
+                remedy = self.mend("theta", "deg") if 0.7 < usual < 1.4 else remedy
             self.refuse(
                 f"the leg is in soil over {longest:.0f}°, of which less than "
-                f"{MOST_IN_SOIL_DEG:g} are possible; check the angle, and add --columns {remedy}"
+                f"{MOST_IN_SOIL_DEG:g} are possible; check the angle, and {remedy}"
             )
         if not jumps and np.ptp(theta) <= 360.0:
             return theta

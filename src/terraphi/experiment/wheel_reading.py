@@ -178,8 +178,8 @@ class _WheelTable(ColumnReader[WheelColumns]):
         name, there = self.names["slip"][:40], slip[full]
         if np.median(np.abs(there)) > PERCENT and self.unit("slip")[0] == "part":
             self.refuse(
-                f"column '{name}' reaches {there.max():g}, which must be percent; add --columns "
-                "slip_unit=%"
+                f"column '{name}' reaches {there.max():g}, which must be percent; "
+                f"{self.mend('slip', '%')}"
             )
         if there.min() < -EITHER and self.given.slip_is is None:
             self.refuse(

@@ -302,8 +302,9 @@ def open_records(
     sources = _sources(forces)
     has_leg = tool is None and not all(isinstance(body, Tool) for _, body in sources)
     excluded = {"leg": leg, "rig": rig, **options}
+    of_tools = ("density", "grain_size_mm", "cohesion")
     wrong = [name for name, value in excluded.items() if value is not None and not has_leg
-             and name not in ("density", "grain_size_mm")]  # fmt: skip
+             and name not in of_tools]  # fmt: skip
     if tool is not None:
         wrong += [f"@{body}" for _, body in sources if body is not None]
         sources = [(source, Tool.of(tool)) for source, _ in sources]
@@ -312,8 +313,8 @@ def open_records(
     has_tool = any(isinstance(body, Tool) for _, body in sources)
     if friction is not None and not has_tool:
         raise InputError("--friction goes with a rig or a tool; add its sizes, or --rig li2013")
-    if has_leg and has_tool and options.get("cohesion") is not None:
-        raise InputError("a tool is inverted as in dry soil; leave out the cohesion")
+    if has_tool and options.get("cohesion") is not None:
+        raise InputError("a plate, ball or wheel is inverted as in dry soil; leave out cohesion")
     records: list[Record | PressedRecord] = []
     for source, body in sources:
         if isinstance(body, Tool):

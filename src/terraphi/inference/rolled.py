@@ -460,14 +460,12 @@ def _verdict(roll: _Roll, fit: _Mean, record: RecordFit) -> Judgment:
         return out_of_range(roll.law, "high", end, advice, "the densest soil that wheels can read")
     if np.median(raw) <= low:
         return out_of_range(roll.law, "low", low, advice)
-    # Soil bears no more shear over normal force than tan φ; a wheel that drives pulls less than its
-    # torque over the radius.
-    most = math.tan(math.radians(fit.mean + 2.0 * roll.error.law_deg))
+    # A wheel that drives pulls less than its torque over the radius.
+    most = _most_shear(roll, fit)
     scale = {"torque": roll.rows["load"] * roll.wheel.reach, "pull": roll.rows["load"]}
     for name, size in scale.items():
         ratios = roll.rows.get(name, 0.0 * size) / size
-        ratios = np.abs(ratios[np.isfinite(ratios)])
-        if ratios.size and (ratio := float(np.median(ratios))) > most:
+        if np.isfinite(ratios).any() and (ratio := float(np.nanmedian(np.abs(ratios)))) > most:
             over = "load" if name == "pull" else "load times radius"
             return "misfit", (
                 f"Misfit: the {name} is {ratio:.2f} of {over}, and soil of this angle bears "
@@ -478,6 +476,11 @@ def _verdict(roll: _Roll, fit: _Mean, record: RecordFit) -> Judgment:
     within = 100.0 * record.nrmsd["Fz"]
     reason = f"Consistent: the law follows the load within {within:.0f} %, usual for wheels."
     return "consistent", reason, None
+
+
+def _most_shear(roll: _Roll, fit: _Mean) -> float:
+    """Shear over normal force that soil bears at most [-]: tan φ, with two errors of the law."""
+    return math.tan(math.radians(fit.mean + 2.0 * roll.error.law_deg))
 
 
 def _phi_of_force(roll: _Roll, fit: _Mean) -> dict[str, float | None]:
@@ -501,7 +504,7 @@ def _contradictions(roll: _Roll, fit: _Mean) -> list[str]:
         ratio = float(np.nanmedian((rows["torque"] / (rows["load"] * reach))[driven]))
         if ratio < -SLACK:
             sentences.append("The torque brakes a wheel that slips forward: check its sign.")
-        elif ratio > roll.friction + OTHER_TORQUE:
+        elif roll.friction + OTHER_TORQUE < ratio <= _most_shear(roll, fit):  # else: the verdict
             sentences.append(
                 f"The torque is {ratio:.2f} of load times radius, and a rim of a friction of "
                 f"{roll.friction:.2f} bears less: check the diameter, and the unit of the torque."
