@@ -96,11 +96,12 @@ def share_of(text: str | None) -> tuple[int, int]:
 @library.command("list")
 @json_option
 def library_list(as_json: bool) -> None:
-    """List the shipped libraries.
+    """List the shipped libraries, and the soils that have a name.
 
     Example: terraphi library list
     """
     from terraphi.laws.named import shipped
+    from terraphi.terrain.soils import named
 
     summaries = [law.summary() for law in shipped()]
     rows = [
@@ -110,7 +111,18 @@ def library_list(as_json: bool) -> None:
         for law in summaries
     ]  # fmt: skip
     header = ("library", "model", "φ [deg]", "φ means", "legs", "cases")
-    present({"libraries": summaries}, Table("", header, rows), as_json=as_json)
+    soils = {name: soil._asdict() for name, soil in named().items()}
+    named_rows = [
+        (name, "{:.1f} ± {:.1f}".format(*soil["phi"]), "{:g} ± {:g}".format(*soil["density"]),
+         soil["source"])
+        for name, soil in soils.items()
+    ]  # fmt: skip
+    named_header = ("soil", "φ in plane strain [deg]", "density [kg/m³]", "source")
+    present(
+        {"libraries": summaries, "soils": soils},
+        Table("", header, rows), Table("", named_header, named_rows),
+        as_json=as_json,
+    )  # fmt: skip
 
 
 @library.command("show")

@@ -38,7 +38,7 @@ def export(answer: str, out: Path | None, as_json: bool, **options: Any) -> None
     """Write a Python module that sets an ANSWER or a SOIL in a simulator.
 
     ANSWER is the folder of 'terraphi invert --out', its answer.nc, or the output of 'invert --json'
-    (-: standard input). SOIL is φ in plane strain as 33±2, or a name as 'loose dry sand'.
+    (-: standard input). SOIL is φ in plane strain as 33±2, or a name of 'terraphi library list'.
 
     Example: terraphi export 33±2 --density 1600±40 --to genesis --draws 64 --out soil.py
     """
@@ -60,7 +60,7 @@ def export(answer: str, out: Path | None, as_json: bool, **options: Any) -> None
 def convert(value: str, from_: str | None, as_json: bool, **options: Any) -> None:
     """Convert the friction VALUE of a simulator to a friction angle, or a SOIL to such a value.
 
-    SOIL is an angle as 33±2, a name as 'loose dry sand', or an answer.
+    SOIL is an angle as 33±2, a name of 'library list' as 'loose dry sand', or an answer.
 
     Example: terraphi convert 0.68 --from newton --to genesis
 
