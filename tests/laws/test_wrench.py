@@ -14,9 +14,10 @@ from go2.walk import POSTURE
 from scipy.optimize import brentq, least_squares
 
 from terraphi.experiment.errors import InputError
-from terraphi.forward.rft import from_plane_strain, stress_scale, unit_stress
+from terraphi.forward.rft import FADE, from_plane_strain, stress_scale, unit_stress
+from terraphi.laws import wrench as wrench_module
 from terraphi.laws.foot import LAWS, Foot, inertial_force
-from terraphi.laws.wrench import FADE, Mesh, force, wrench
+from terraphi.laws.wrench import Mesh, force, wrench
 from terraphi.robot.joint_log import FEET
 
 SAND: dict[str, Any] = {"phi_deg": 33.0, "density": 1600.0, "surface_friction": 0.4}
@@ -374,19 +375,29 @@ def test_soil_takes_energy_and_gives_numbers_everywhere(foot: Any) -> None:
         assert not np.any(held) or height < 0.06
 
 
-@pytest.mark.parametrize("shape", ["ball", "disc"])
-@pytest.mark.parametrize("is_held", [False, True])
-def test_few_feet_have_the_force_of_many(shape: Any, is_held: bool) -> None:
+@pytest.mark.filterwarnings("ignore:a foot is")
+@pytest.mark.parametrize("foot", [*FEET_OF_ALL_KINDS.values(), sole()],
+                         ids=[*FEET_OF_ALL_KINDS, "triangles"])  # fmt: skip
+@pytest.mark.parametrize(("columns", "is_held"), [((3, 3), False), ((3, 6), True), ((7, 6), False)])
+def test_feet_one_after_the_other_have_the_force_of_arrays(
+    foot: Any, columns: tuple[int, int], is_held: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Compiled numbers against operations on arrays: equal but for rounding."""
     rng = np.random.default_rng(3)
-    pose, velocity = rng.uniform(-0.03, 0.03, (16, 3)), rng.normal(0.0, 0.5, (16, 3))
+    pose, velocity = (rng.standard_normal((60, count)) * 0.2 for count in columns)
+    pose[:, :3] *= 0.1
     velocity[0] = 0.0
-    before = rng.normal(0.0, 5.0, (2, 16, 3))
-    held = {"held": tuple(before), "step": 0.002, "stiffness": 3e3} if is_held else {}
-    many = {**SAND, "phi_deg": np.full(16, SAND["phi_deg"])}
-    few = force(Foot(RADIUS, shape), pose, velocity, **held, **SAND)
-    for ours, theirs in zip(few, force(Foot(RADIUS, shape), pose, velocity, **held, **many),
-                            strict=True):  # fmt: skip
-        np.testing.assert_allclose(ours, theirs, rtol=1e-12, atol=1e-12)
+    soil = {"phi_deg": rng.uniform(20.0, 45.0, 60), "density": rng.uniform(1200.0, 1800.0, 60)}
+    before = tuple(rng.normal(0.0, 5.0, (2, 60, 3)))
+    held = {"held": before, "step": 0.002, "stiffness": 3e3} if is_held else {}
+    results = force(foot, pose, velocity, **held, **soil)
+    first = {key: value[0] for key, value in soil.items()}
+    few = force(foot, pose, velocity, **held, **first)
+    monkeypatch.setattr(wrench_module, "_one_by_one", lambda *_, **__: None)
+    for ours, options in ((results, soil), (few, first)):
+        arrays = force(foot, pose, velocity, **held, **options)
+        for part, other in zip(ours, arrays, strict=True):
+            np.testing.assert_allclose(part, other, rtol=1e-9, atol=1e-12 * np.abs(other).max())
 
 
 @pytest.mark.parametrize("shape", ["ball", "disc"])

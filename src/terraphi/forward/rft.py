@@ -46,6 +46,9 @@ BLOCK = 512
 GRAZING = 1e-9
 """N·v over which the force on a face begins [-]. The law does not fade as n·v does, so that without
 this margin rounding would decide over a face that slides along itself."""
+FADE = 0.05
+"""Sine of the angle over which the stress on a face of a foot goes from one side of the vertical to
+the other, and on which a face that begins to lead gets its force [-]; chosen."""
 AT_ONCE = 4096
 """Faces whose stress is found at a time, so that they stay in the processor's cache."""
 

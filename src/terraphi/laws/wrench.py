@@ -17,7 +17,7 @@ are those that give a ball and a disc the law's force with the bound. So meshes 
 between.
 
 Resistive force theory jumps where a face turns through the vertical or begins to lead; here it is
-continuous (:data:`FADE`).
+continuous (:data:`~terraphi.forward.rft.FADE`).
 
 Arrays may be of NumPy or of another library of the array-API standard, as PyTorch, CuPy and JAX;
 results are of the same library, type and device.
@@ -45,6 +45,7 @@ import math
 import warnings
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -54,7 +55,7 @@ from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.priors import FOOT_FRICTION
 from terraphi.experiment.scenario import LIMITS
 from terraphi.experiment.units import GRAVITY
-from terraphi.forward.rft import scale_of_friction, unit_stress
+from terraphi.forward.rft import FADE, scale_of_friction, unit_stress
 from terraphi.laws.foot import (
     BEYOND_DEG,
     DEEPEST,
@@ -68,14 +69,11 @@ from terraphi.laws.foot import (
     simulated_table,
 )
 
-FADE = 0.05
-"""Sine of the angle over which the stress on a face goes from one side of the vertical to the
-other, and on which a face that begins to lead gets its force [-]; chosen."""
 SPACING, LEVEL = float(DESCENTS[1] - DESCENTS[0]), len(DESCENTS) // 2
 """Step of :data:`~terraphi.laws.foot.DESCENTS` [rad], and its row of level motion."""
 LOWEST = 33
 """Row of :data:`~terraphi.laws.foot.DESCENTS` of the lowest direction for which the ratios are
-computed, 9°; motions below it have those. There a level face begins to lead (:data:`FADE`)."""
+computed, 9°; motions below it have those. There a level face begins to lead."""
 SIMULATED = 45
 """Row of the lowest direction that was simulated, 45°."""
 PROPORTIONS = np.linspace(0.0, 1.5, 16)
@@ -93,8 +91,14 @@ FLAT = 0.01
 FASTEST, HUGE = 10.0, 1e9
 """Speed [m/s] beyond which a landing has its inertia, and largest plain number; chosen. Balls that
 the inertia was learned from hit at up to 1.5 m/s."""
-FEW, AIR = 16, [0.0] * 6
-"""Feet up to which plain numbers are faster than arrays, and the force on one in air."""
+FEW = 16
+"""Balls or discs up to which plain numbers are faster than arrays where nothing is compiled."""
+NONE: FloatArray = np.zeros((1, 6))
+"""Force and moment of feet that are not held."""
+IS_COMPILED = find_spec("numba") is not None
+DOUBLE, PLAIN = np.dtype(np.float64), frozenset({float, int, np.float64})
+WIDTHS = (3, 7), (3, 6), (3,), (3,)
+"""Types of a number, and last axes of pose, velocity, and force and moment that are held."""
 TINY = 1e-12
 """Least length [m], speed [m/s], area [m²] or force [N] that is divided by."""
 AREA: dict[str, Any] = {"low": 0.0, "high": 4.0 * LARGEST**2, "unit": "m²"}
@@ -302,11 +306,11 @@ def force(
     """
     if not isinstance(foot, Foot | Mesh):
         raise InputError(f"foot of type {type(foot).__name__}; give a Foot or a Mesh")
-    if isinstance(foot, Foot) and (
-        few := _of_few(foot, pose, velocity, phi_deg, density, surface_friction, surface,
-                       rest_speed, held, step, stiffness, inertia)
-    ):  # fmt: skip
-        return few
+    checked: Any = _checked(pose, velocity, phi_deg, density, surface_friction, surface, rest_speed,
+                            held, step, stiffness)  # fmt: skip
+    if checked and (wrenches := _one_by_one(foot, *checked, inertia=inertia)) is not None:
+        shape = (*velocity.shape[:-1], 3)
+        return wrenches[:, :3].reshape(shape), wrenches[:, 3:].reshape(shape)
     pose = numbers("pose", pose, last=(3, 7), unit="m")
     velocity = numbers("velocity", velocity, pose, last=(3, 6), unit="m/s")
     rest_speed = _number("rest_speed", rest_speed, low=TINY, unit="m/s")
@@ -316,84 +320,142 @@ def force(
         numbers("pose: length of the quaternion", _norm(xp, place[:, 3:]), low=1e-6)
     moving = _each("velocity", velocity, pose, lead, velocity.shape[-1])
     soil = _soil(pose, lead, "foot", surface_friction, phi_deg, density, surface)
-    fade = TINY if held is not None else rest_speed
+    fade, before, stride = (TINY if held is not None else rest_speed), None, 0.0
+    if held is not None:
+        if step is None or stiffness is None:
+            raise InputError(
+                "held: give the time since then as step [s], and stiffness [N/m], below 2 m / step²"
+            )
+        last: Any = held
+        if not isinstance(last, tuple | list) or len(last) != 2:
+            kind = type(held).__name__
+            raise InputError(f"held is {kind}; give force and moment of the step before")
+        before = xp.concat([_each("held", values, pose, lead, 3) for values in last], axis=1)
+        stride = _number("stiffness", stiffness, unit="N/m") * _number("step", step, unit="s")
+    wrenches = None
+    if xp is np:
+        columns = np.stack([soil["phi_deg"], soil["density"], soil["surface"]], axis=1)
+        wrenches = _one_by_one(foot, place, moving, columns, soil["surface_friction"], fade, before,
+                               stride, inertia=inertia)  # fmt: skip
+    if wrenches is None:
+        wrenches = _at_once(foot, place, moving, soil, fade, before, stride, inertia)
+    return tuple(xp.reshape(part, (*lead, 3)) for part in (wrenches[:, :3], wrenches[:, 3:]))
+
+
+def _at_once(
+    foot: Foot | Mesh, place: Any, moving: Any, soil: dict[str, Any], fade: Any, before: Any,
+    stride: Any, inertia: bool,
+) -> Any:  # fmt: skip
+    """Force and moment on feet by operations on arrays of any library, shape [foot, 6]."""
+    xp = namespace(place)
     body_force: Any = _of_foot if isinstance(foot, Foot) else _of_mesh
     force_, moment, deep = body_force(foot, place, moving, fade, **soil)
     if inertia and isinstance(foot, Foot):
         fall = xp.clip(-moving[:, 2], 0.0, FASTEST) * like(place, deep > 0.0)
         push = _landing(foot, xp.clip(deep, 0.0, None), fall, soil["density"])
         force_ = force_ + xp.stack([0.0 * push, 0.0 * push, push], axis=1)
-    if held is not None:
-        if step is None or stiffness is None:
-            raise InputError(
-                "held: give the time since then as step [s], and stiffness [N/m], below 2 m / step²"
-            )
-        before: Any = held
-        if not isinstance(before, tuple | list) or len(before) != 2:
-            kind = type(before).__name__
-            raise InputError(f"held is {kind}; give force and moment of the step before")
-        before = [_each("held", values, pose, lead, 3) for values in before]
-        stride = _number("stiffness", stiffness, unit="N/m") * _number("step", step, unit="s")
-        # f ← F + (f − F) exp(−k |Δx| / max(|f|, |F|)) of the module's head; in the air nothing is
-        # kept. A mesh that turns moves its farthest face by |ω| times its reach.
-        travel = _norm(xp, moving[:, :3])
-        if moving.shape[-1] == 6 and isinstance(foot, Mesh):
-            travel = travel + foot.reach * _norm(xp, moving[:, 3:])
-        size = xp.maximum(_norm(xp, before[0]), _norm(xp, force_))
-        kept = xp.exp(-stride * travel / xp.clip(size, TINY, None))
-        kept = xp.where(deep > 0.0, kept, xp.zeros_like(kept))[:, None]
-        force_, moment = (
-            law + kept * (last - law) for law, last in zip((force_, moment), before, strict=True)
-        )
-    return xp.reshape(force_, (*lead, 3)), xp.reshape(moment, (*lead, 3))
+    wrenches = xp.concat([force_, moment], axis=1)
+    if before is None:
+        return wrenches
+    # f ← F + (f − F) exp(−k |Δx| / max(|f|, |F|)) of the module's head; in the air nothing is
+    # kept. A mesh that turns moves its farthest face by |ω| times its reach.
+    travel = _norm(xp, moving[:, :3])
+    if moving.shape[-1] == 6 and isinstance(foot, Mesh):
+        travel = travel + foot.reach * _norm(xp, moving[:, 3:])
+    size = xp.maximum(_norm(xp, before[:, :3]), _norm(xp, force_))
+    kept = xp.exp(-stride * travel / xp.clip(size, TINY, None))
+    kept = xp.where(deep > 0.0, kept, xp.zeros_like(kept))[:, None]
+    return wrenches + kept * (before - wrenches)
 
 
-def _of_few(
-    foot: Foot, pose: Any, velocity: Any, phi_deg: Any, density: Any, friction: Any, surface: Any,
-    rest_speed: Any, held: Any, step: Any, stiffness: Any, inertia: bool,
-) -> tuple[FloatArray, FloatArray] | None:  # fmt: skip
-    """Force and moment on up to :data:`FEW` balls or discs in one soil, as :func:`force`.
+@lru_cache(maxsize=16)
+def _function(foot: Foot | Mesh, friction: float, inertia: bool) -> tuple[Any, ...]:
+    """Function of :mod:`~terraphi.laws.feet` for a foot, and its arguments that stay the same."""
+    from terraphi.laws import feet
 
-    ``None`` where the arguments are others or wrong. It is the same arithmetic on plain numbers: an
-    operation on an array of four costs as much as on one of a thousand.
+    if isinstance(foot, Foot):
+        first, step, table = _foot_table(foot.shape, friction)
+        moved = inertia * MOVED[0] * math.pi * foot.radius**2
+        return feet.feet, (table, first, step, float(foot.radius), foot.shape == "ball", moved,
+                           MOVED[1] * foot.radius, FASTEST)  # fmt: skip
+    (first, step, ball), (_, _, disc) = (_ratio_table(s, friction) for s in ("ball", "disc"))
+    # Motions below the lowest have its ratios.
+    table = np.concatenate([ball, disc], axis=-1)[
+        :, np.maximum(np.arange(len(DESCENTS)) - LOWEST, 0)
+    ]
+    corners = np.empty((0, 3, 3)) if foot.corners is None else foot.corners
+    faces = [
+        np.ascontiguousarray(values, np.float64)
+        for values in (foot.points, foot.normals, foot.areas, corners)
+    ]
+    return feet.meshes, (table, first, step, friction, FLAT, foot.reach, *faces)
+
+
+def _one_by_one(
+    foot: Foot | Mesh, place: FloatArray, moving: FloatArray, soil: FloatArray, friction: float,
+    fade: float, before: FloatArray | None, stride: float, *, inertia: bool,
+) -> FloatArray | None:  # fmt: skip
+    """Force and moment on feet by :mod:`~terraphi.laws.feet`, shape [foot, 6].
+
+    ``soil`` has φ, density and surface, shape [foot or 1, 3], ``before`` the force and moment that
+    are held, [foot, 6], and ``stride`` is their stiffness times the time. ``None`` where a number
+    cannot be used, or operations on arrays are faster.
     """
+    if not IS_COMPILED and (isinstance(foot, Mesh) or len(place) > FEW):
+        return None
+    function, rest = _function(foot, friction, inertia)
+    place, moving = np.ascontiguousarray(place), np.ascontiguousarray(moving)
+    if before is None:
+        before, stride = NONE, -1.0
+    deepest, wrenches = function(place, moving, soil, before, fade, stride, *rest)
+    if deepest > DEEPEST:
+        _warn_deep(np, np.array([deepest]))
+    return wrenches if deepest >= 0.0 else None
+
+
+def _checked(
+    pose: Any, velocity: Any, phi_deg: Any, density: Any, friction: Any, surface: Any,
+    rest_speed: Any, held: Any, step: Any, stiffness: Any,
+) -> tuple[Any, ...] | None:  # fmt: skip
+    """Arguments of :func:`_one_by_one` after the foot, up to ``inertia``; ``None`` of others.
+
+    Of arrays of NumPy and numbers for all feet: a check of each by itself costs more than the force
+    on four feet. Whether places and velocities are finite is left to the function.
+    """
+    arrays: Any = (pose, velocity)
+    plain: Any = (phi_deg, density, friction, surface, rest_speed)
+    if held is not None:
+        if type(held) is not tuple or len(held) != 2:
+            return None
+        arrays, plain = (pose, velocity, *held), (*plain, step, stiffness)
+    lead = getattr(pose, "shape", ())[:-1]
+    for number in plain:
+        if type(number) not in PLAIN:
+            return None
+    for array, widths in zip(arrays, WIDTHS, strict=False):
+        if type(array) is not np.ndarray or array.dtype != DOUBLE or array.shape[:-1] != lead:
+            return None
+        if not array.ndim or array.shape[-1] not in widths:
+            return None
+    place, moving, *last = [array.reshape(-1, array.shape[-1]) for array in arrays]
+    soil = np.array([[phi_deg, density, surface]], DOUBLE)
+    (low, high), (least, most, _) = angles_deg(friction), LIMITS["soil.density"]
+    if not (low <= phi_deg <= high and least <= density <= most and abs(surface) < HUGE
+            and TINY <= rest_speed < HUGE):  # fmt: skip
+        return None
     if held is None:
-        step = stiffness = 0.0
-    elif not (type(held) is tuple and len(held) == 2):
+        return place, moving, soil, friction, float(rest_speed), None, 0.0
+    if not (0.0 <= step < HUGE and 0.0 <= stiffness < HUGE):
         return None
-    arrays = (pose, velocity, *(held or ()))
-    plain = (phi_deg, density, friction, surface, rest_speed, step, stiffness)
-    if not (
-        all(type(number) in (float, int) and -HUGE < number < HUGE for number in plain)
-        and all(type(a) is np.ndarray and a.dtype == np.float64 and a.shape == pose.shape
-                for a in arrays)
-        and 1 <= pose.ndim <= 2 and 3 <= pose.size <= 3 * FEW and pose.shape[-1] == 3
-    ):  # fmt: skip
-        return None
-    rows = np.concatenate([a.reshape(-1, 3) for a in arrays], axis=1)
-    try:
-        low, high = angles_deg(friction)
-    except InputError:
-        return None
-    least, most, _ = LIMITS["soil.density"]
-    if not (low <= phi_deg <= high and least <= density <= most and rest_speed >= TINY
-            and min(step, stiffness) >= 0.0 and step * stiffness < HUGE
-            and abs(rows).max() < HUGE):  # fmt: skip
-        return None
-    soil = (float(phi_deg), float(density), float(friction))
-    fade, down = TINY if held is not None else rest_speed, surface
-    down += foot.radius if foot.shape == "ball" else 0.0
-    results = []
-    for row in rows.tolist():
-        depth, moving, last = down - row[2], row[3:6], row[6:]
-        now = _of_one(foot, depth, moving, fade, *soil, inertia=inertia) if depth > 0.0 else AIR
-        if last and depth > 0.0:
-            size = max(math.hypot(*last[:3]), math.hypot(*now[:3]), TINY)
-            kept = math.exp(-step * stiffness * math.hypot(*moving) / size)
-            now = [law + kept * (was - law) for law, was in zip(now, last, strict=True)]
-        results.append(now)
-    wrenches = np.array(results)
-    return wrenches[:, :3].reshape(pose.shape), wrenches[:, 3:].reshape(pose.shape)
+    return (
+        place,
+        moving,
+        soil,
+        friction,
+        TINY,
+        np.concatenate(last, axis=1),
+        float(step * stiffness),
+    )
 
 
 def _landing(foot: Foot, depth: Any, fall: Any, density: Any) -> Any:
@@ -404,42 +466,6 @@ def _landing(foot: Foot, depth: Any, fall: Any, density: Any) -> Any:
     size, reach = MOVED
     slower = 1.0 + (depth / (reach * foot.radius)) ** 4
     return size * math.pi * foot.radius**2 * density * fall**2 * slower**-1.25
-
-
-def _of_one(
-    foot: Foot, depth: float, moving: list[float], fade: float, phi_deg: float, density: float,
-    friction: float, *, inertia: bool,
-) -> list[float]:  # fmt: skip
-    """Force and moment on one ball or disc that is so deep [m], as :func:`_of_foot`."""
-    vx, vy, vz = moving
-    level, speed, radius = math.hypot(vx, vy), math.hypot(vx, vy, vz), foot.radius
-    first, spacing, table = _foot_table(foot.shape, friction)
-    if depth > DEEPEST * radius:
-        _warn_deep(np, np.array([depth / radius]))
-    # Linear in the cell over φ, direction and depth, whose eight corners have three numbers each;
-    # shares beyond 0 to 1 continue it.
-    x, y, z = phi_deg - first, math.atan2(-vz, level) / SPACING + LEVEL, depth / radius / spacing
-    counts = table.shape
-    i, j = min(max(int(x), 0), counts[0] - 2), min(max(int(y), 0), counts[1] - 2)
-    k = min(int(z), counts[2] - 2)
-    x, y, z = x - i, y - j, z - k
-    q = table[i : i + 2, j : j + 2, k : k + 2].ravel().tolist()
-    a, b, c, d = (1.0 - x) * (1.0 - y), (1.0 - x) * y, x * (1.0 - y), x * y
-    size = density * GRAVITY * radius**3 * min(speed / fade, 1.0)
-    along, lift, turning = [
-        size * (
-            (1.0 - z) * (a * q[n] + b * q[n + 6] + c * q[n + 12] + d * q[n + 18])
-            + z * (a * q[n + 3] + b * q[n + 9] + c * q[n + 15] + d * q[n + 21])
-        )
-        for n in (0, 1, 2)
-    ]  # fmt: skip
-    hx, hy = vx / max(level, TINY), vy / max(level, TINY)
-    fx, fy, fz = along * hx, along * hy, lift
-    drives = max(fx * vx + fy * vy + fz * vz, 0.0) / max(speed, TINY) ** 2
-    fx, fy, fz = fx - drives * vx, fy - drives * vy, fz - drives * vz
-    if inertia and vz < 0.0:
-        fz += _landing(foot, depth, min(-vz, FASTEST), density)
-    return [fx, fy, fz, -turning * radius * hy, turning * radius * hx, 0.0]
 
 
 def _number(name: str, value: Any, low: float = 0.0, unit: str = "") -> Any:
