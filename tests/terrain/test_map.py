@@ -231,20 +231,21 @@ def test_infinite_slope_against_arithmetic_by_hand() -> None:
     # c = 2.5 kPa, ρ = 1800, h = 1 m normal to a slope of 30 deg, half saturated.
     given = ("cohesion_Pa=1000", "root_cohesion_Pa=2000", "root_loss=0.25", "depth_m=1",
              "wetness=0.5", "density_kg_m3=1800")  # fmt: skip
-    a, b = Sample.of(priors_of(given), 2, 0).terms(np.radians([30.0]))
+    sample = Sample.of(priors_of(given), 2, 0)
     # Duncan, Wright & Brandon: with vertical depth z and pore pressure m γw z cos² θ.
     z, theta = 1.0 / np.cos(np.radians(30.0)), np.radians(30.0)
     weight, u = 1800 * 9.81 * z, 0.5 * 1000 * 9.81 * z * np.cos(theta) ** 2
     other = (2500.0 + (weight * np.cos(theta) ** 2 - u) * 0.6) / (
         weight * np.sin(theta) * np.cos(theta)
     )
-    assert (a + b * 0.6)[0] == pytest.approx(other)
+    surely = np.array([to_logit(np.degrees(np.arctan(0.6)))]), np.array([1e-6])
+    factor = slopes.median(*surely, np.array([theta]), None, sample)
+    assert factor[0] == pytest.approx(other)
 
 
 def test_probability_median_and_share_against_plain_monte_carlo() -> None:
     rng, n = np.random.default_rng(0), 200_000
     sample = Sample.of(priors_of(("cohesion_Pa=0:2000", "wetness=0.3+-0.2")), 1024, 0)
-    a, b = sample.terms(np.radians([32.0]))
     mean, sd = np.array([to_logit(33.0)]), np.array([0.15])
     c = rng.uniform(0, 2000, n) + (1 - rng.uniform(0, 1, n)) * rng.uniform(0, 4000, n)
     wet = truncnorm.rvs(-1.5, 3.5, 0.3, 0.2, size=n, random_state=rng)
@@ -254,21 +255,38 @@ def test_probability_median_and_share_against_plain_monte_carlo() -> None:
     second = (1 - wet * 1000 / density) / np.tan(steep)
     tan_phi = STEEPEST / (1 + np.exp(-(mean + sd * rng.standard_normal(n))))
     factor = first + second * tan_phi
-    assert slopes.unstable(mean, sd, a, b)[0] == pytest.approx((factor < 1).mean(), abs=0.01)
-    median, share = slopes.spread(mean, sd, sample.normal, a, b)
-    assert median[0] == pytest.approx(np.median(factor), rel=0.02)
-    assert share[0] == pytest.approx(second.mean() ** 2 * tan_phi.var() / factor.var(), abs=0.02)
+    of_cell = mean, sd, np.array([steep]), None, sample
+    unstable = slopes.unstable(mean, sd, sample.critical(of_cell[2]))
+    assert unstable[0] == pytest.approx((factor < 1).mean(), abs=0.01)
+    assert slopes.median(*of_cell)[0] == pytest.approx(np.median(factor), rel=0.02)
+    share = second.mean() ** 2 * tan_phi.var() / factor.var()
+    assert slopes.phi_share(*of_cell)[0] == pytest.approx(share, abs=0.02)
     # A share by the definition of the index, Var E[F | φ] / Var F, where B varies by itself.
     b = np.linspace(0.1, 1.9, 1000)
     tan_phi = STEEPEST / (1 + np.exp(-(mean + 1.5 * sd * sample.normal)))
-    a, factor = np.full((1, 1000), 0.2), 0.2 + np.multiply.outer(tan_phi, b)
+    factor = 0.2 + np.multiply.outer(tan_phi, b)
     expected = factor.mean(axis=1).var() / factor.var()
-    order = np.random.default_rng(1).permutation(1024)[:1000]
-    share = slopes.spread(mean, 1.5 * sd, sample.normal[order], a, b[None])[1]
+    # On 45°: A = c √2, B = 1 - m.
+    made = Sample(sample.normal, np.full(1000, 0.2 * np.sqrt(0.5)), 1.0 - b, np.ones(1000))
+    share = slopes.phi_share(mean, 1.5 * sd, np.array([0.25 * np.pi]), None, made)
     assert share[0] == pytest.approx(expected, rel=0.1)
     # Neutrally buoyant and saturated, B = 0: F = A at every φ.
-    a, b = np.array([[0.5, 2.0, 0.9, 1.1]]), np.zeros((1, 4))
-    assert slopes.unstable(np.zeros(1), np.ones(1), a, b) == pytest.approx([0.5])
+    strength = np.array([0.5, 2.0, 0.9, 1.1]) * np.sqrt(0.5)
+    made = Sample(np.zeros(4), strength, np.ones(4), np.ones(4))
+    critical = made.critical(np.array([0.25 * np.pi]))
+    assert slopes.unstable(np.zeros(1), np.ones(1), critical) == pytest.approx([0.5])
+    # Between nodes the median is within 1 % of that of each cell.
+    z, sds, slope = (
+        rng.uniform(-0.5, 1.5, 500),
+        rng.uniform(0.05, 0.4, 500),
+        rng.uniform(0.1, 0.9, 500),
+    )
+    for wet in (None, rng.uniform(0.0, 1.0, 500)):
+        medians = slopes.median(z, sds, slope, wet, sample)
+        for k in range(0, 500, 25):
+            m = None if wet is None else wet[k : k + 1]
+            exact = slopes.median(z[k : k + 1], sds[k : k + 1], slope[k : k + 1], m, sample)
+            assert medians[k] == pytest.approx(exact[0], rel=0.01)
 
 
 @pytest.mark.slow

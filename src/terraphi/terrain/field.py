@@ -47,7 +47,7 @@ with needing("a map", "rasterio and SciPy", extra="terrain"):
     from scipy.spatial.distance import cdist
     from scipy.special import logit
 
-STEEPEST = np.tan(np.radians(STEEPEST_DEG))
+STEEPEST = math.tan(math.radians(STEEPEST_DEG))
 CENTRE_DEG = 30.0
 """Prior median of φ [deg]."""
 LEVEL_SD = 0.6

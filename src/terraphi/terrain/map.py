@@ -412,28 +412,25 @@ class Windows:
         if not has_data.any():
             return unstable
         here = self.field.window(x, y)
-        z_mean, z_sd = here.at(part.covariates)
+        z_mean, z_sd = (values[has_data] for values in here.at(part.covariates))
+        slope = part.theta[has_data], None if part.wetness is None else part.wetness[has_data]
+        phi = np.degrees(np.arctan(tangent(z_mean)))
+        factor = slopes.median(z_mean, z_sd, *slope, self.samples)
+        into["fs_median"][has_data] = np.minimum(factor, LARGEST)
+        into["phi_share"][has_data] = slopes.phi_share(z_mean, z_sd, *slope, self.samples)
+        into["phi_median"][has_data], into["phi_sd"][has_data] = phi, degrees_per_z(phi) * z_sd
         into["extrapolated"][has_data] = self.is_extrapolated(x, y, part.covariates)[has_data]
-        step = max(BLOCK // x.size, 1)
+        step, last = max(BLOCK // x.size, 1), 0
         for rows in (slice(first, first + step) for first in range(0, y.size, step)):
-            good = has_data[rows]
-            mean, sd, cells = z_mean[rows][good], z_sd[rows][good], part.cut(rows).cut(good)
-            a, b = self.samples.terms(cells.theta, cells.wetness)
-            median, share = slopes.spread(mean, sd, self.samples.normal, a, b)
-            phi = np.degrees(np.arctan(tangent(mean)))
-            values = {
-                "p_unstable": slopes.unstable(mean, sd, a, b),
-                "fs_median": np.minimum(median, LARGEST),
-                "phi_share": share,
-                "phi_median": phi,
-                "phi_sd": degrees_per_z(phi) * sd,
-            }
-            for name, value in values.items():
-                into[name][rows][good] = value
+            good, cells = has_data[rows], part.cut(rows).cut(has_data[rows])
+            first, last = last, last + len(cells.theta)
+            mean, sd, slope = z_mean[first:last], z_sd[first:last], (cells.theta, cells.wetness)
+            into["p_unstable"][rows][good] = slopes.unstable(
+                mean, sd, self.samples.critical(*slope)
+            )
             # The unstable area needs joint draws: neighboring cells share their errors.
             z = here.draws(rows)[:, good].T + cells.covariates.T @ here.drawn_effects
-            a, b = self.joint.terms(cells.theta, cells.wetness)
-            unstable += (a + b * tangent(z) < 1.0).sum(axis=0)
+            unstable += (z < self.joint.critical(*slope)).sum(axis=0)
         return unstable
 
     def is_extrapolated(self, x: FloatArray, y: FloatArray, covariates: FloatArray) -> BoolArray:
