@@ -408,6 +408,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow  # what the damaged ones are compared with
 def test_whole_files_are_read(files: Path, tmp_path: Path) -> None:
     shutil.copytree(files, tmp_path / "work")
     with contextlib.chdir(tmp_path / "work"):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.soil import (
@@ -72,11 +73,16 @@ def sheared_to_its_limit(alpha: float, beta: float, poisson_ratio: float) -> flo
         deviator = stress - stress.mean()
         return math.sqrt(0.5 * deviator @ deviator), deviator
 
-    def rate(_: float, stress: np.ndarray) -> np.ndarray:
+    def outside(time: float) -> float:
+        stress = elastic(time)
+        return invariants(stress)[0] + alpha * stress.sum()
+
+    def elastic(time: float) -> np.ndarray:
+        """The in-plane mean stays for pure shear, so no swelling is needed before yield."""
+        return np.full(3, -1.0) + time * (stiffness @ squeeze)
+
+    def plastic(_: float, stress: np.ndarray) -> np.ndarray:
         root, deviator = invariants(stress)
-        if root + alpha * stress.sum() < 0.0:
-            # The in-plane mean stays for pure shear, so no swelling is needed before yield.
-            return stiffness @ squeeze
         normal, flow = deviator / (2.0 * root) + alpha, deviator / (2.0 * root) + beta
         # Unknown Λ̇ and swelling rate: stay on the cone, and at the same in-plane mean.
         matrix = np.array(
@@ -89,15 +95,8 @@ def sheared_to_its_limit(alpha: float, beta: float, poisson_ratio: float) -> flo
         multiplier, swelling = np.linalg.solve(matrix, -reference)
         return stiffness @ (squeeze + swelling * swell - multiplier * flow)
 
-    def yields(_: float, stress: np.ndarray) -> float:
-        return invariants(stress)[0] + alpha * stress.sum()
-
-    yields.terminal = True  # type: ignore[attr-defined]
-    start = np.array([-1.0, -1.0, -1.0])
-    elastic = solve_ivp(rate, (0.0, 10.0), start, events=yields, rtol=1e-10, atol=1e-12)
-    on_cone = elastic.y[:, -1] - 1e-12 * np.sign(elastic.y[:, -1])  # a hair beyond
-    plastic = solve_ivp(rate, (0.0, 30.0), on_cone, rtol=1e-7, atol=1e-9)
-    x, z, _ = plastic.y[:, -1]
+    on_cone = elastic(brentq(outside, 0.0, 10.0))
+    x, z, _ = solve_ivp(plastic, (0.0, 30.0), on_cone, rtol=1e-7, atol=1e-9).y[:, -1]
     return math.degrees(math.asin((z - x) / -(x + z)))
 
 

@@ -175,17 +175,14 @@ def sandy(request: pytest.FixtureRequest) -> JointLog:
     return replace(sand_log(recording, seed=3, gain_sd=0.1), foot_counts=None)
 
 
-@pytest.mark.parametrize(
-    ("order", "words"),
-    [
+def test_one_pair_of_legs_exchanged_on_sand(sandy: JointLog) -> None:
+    assert not any("exchanged" in note for note in foot_forces(sandy).warnings)
+    for order, words in (
         ([1, 0, 2, 3], "FL for FR, FR for FL"),
         ([2, 1, 0, 3], "RR for FR, FR for RR"),
-    ],
-)
-def test_one_pair_of_legs_exchanged_on_sand(sandy: JointLog, order: list[int], words: str) -> None:
-    assert not any("exchanged" in note for note in foot_forces(sandy).warnings)
-    robot_forces = foot_forces(legs(sandy, order)).grave
-    assert any("exchanged" in note and words in note for note in robot_forces), robot_forces
+    ):
+        robot_forces = foot_forces(legs(sandy, order)).grave
+        assert any("exchanged" in note and words in note for note in robot_forces), robot_forces
 
 
 def turned(log: JointLog, heading: float) -> JointLog:
@@ -297,8 +294,8 @@ def test_a_clock_that_is_a_little_off_is_noted(log: JointLog, factor: float) -> 
     assert any(f"joint velocities are {off:.0%}" in note for note in robot_forces.warnings)
 
 
-@pytest.mark.parametrize("order", [[1, 0, 2, 3], [0, 1, 3, 2]])
-def test_exchanged_legs_are_found_by_the_attitude_alone(sandy: JointLog, order: list[int]) -> None:
+def test_exchanged_legs_are_found_by_the_attitude_alone(sandy: JointLog) -> None:
     blind = replace(sandy, angular_velocity=None)
     assert not foot_forces(blind).grave
-    assert "check the order of the joints" in foot_forces(legs(blind, order)).grave[0]
+    for order in ([1, 0, 2, 3], [0, 1, 3, 2]):
+        assert "check the order of the joints" in foot_forces(legs(blind, order)).grave[0]

@@ -62,7 +62,7 @@ def plane(sine, i, j):
 principals = st.tuples(*[st.floats(-5e3, 1e3)] * 3)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(
     principal=principals,
     angles=ANGLES,
@@ -132,7 +132,7 @@ def test_isochoric_paths_end_at_the_strength_of_mohr_and_coulomb(rate, ratio, ph
             )
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(
     principal=principals,
     angles=st.sampled_from([(35.0, 0.0), (35.0, 15.0), (35.0, 35.0), (20.0, -10.0), (50.0, -10.0)]),
@@ -198,9 +198,8 @@ def test_matsuoka_and_nakai_has_its_angle_in_plane_strain_and_less_in_triaxial_t
         plain = fast = (-1e3, -1e3, -1e3, 0.0, 0.0, 0.0)
         step = tuple(1e-4 * v for v in np.diag(rate).ravel())
         for _ in range(200):
-            plain, _, _ = return_mapping(
-                jaumann_predictor(plain, step, 0.0, material, 0.5), 0, material
-            )
+            trial = jaumann_predictor(plain, step, 0.0, material, 0.5)
+            plain, _, _ = return_mapping(trial, 0.0, material)
             trial = jaumann_predictor(fast, step, 0.0, material, 0.5)
             fast = in_single_precision(trial, laws)
         for stress, tolerance in ((plain, 1e-9), (fast, 2e-4)):
@@ -273,7 +272,7 @@ def radial_return(old, ground, sines, bulk):
     return at(left), sines[1] * (1.0 - left) * most
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(
     principal=principals,
     angles=ANGLES,
