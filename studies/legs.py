@@ -48,7 +48,7 @@ from scipy.stats import qmc
 
 import pages
 import terraphi
-from restricted import hyperparameters
+from restricted import hyperparameters, left_out
 from terraphi.experiment.bodies import OUTLINES
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.rig import SIMULATED_LENGTH as LENGTH
@@ -268,7 +268,7 @@ def fit() -> None:
     every, deep, force = (np.concatenate(each) for each in zip(*sets, strict=True))
     law = legs.Legs(every, deep, force.astype(np.float32).astype(float))
     law = replace(law, hyper=hyperparameters(*law.training))
-    apart, sd = law.left_out()
+    apart, sd = left_out(law)
     others = ~usual(law)
     scale = float(np.sqrt(np.mean(np.square(apart / sd)[others])))
     law = replace(
@@ -291,7 +291,7 @@ def usual(law: legs.Legs) -> np.ndarray:
 
 def accuracy(law: legs.Legs) -> str:
     """Format how well each case is predicted by the others."""
-    residual, sd = law.left_out()
+    residual, sd = left_out(law)
     percent, z, rows = 100.0 * np.abs(residual[:, 0]), np.abs(residual / sd), []
     for leg in law.legs:
         for name, group in (("as Li's", usual(law)), ("others", ~usual(law))):

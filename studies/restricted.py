@@ -10,6 +10,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from terraphi.laws.gp import matern
+from terraphi.laws.legs import AXES, Legs
 
 FloatArray = np.ndarray
 
@@ -98,3 +99,26 @@ def restricted_log_likelihood(
     sigma2 = (np.square(w - f @ beta) / roots[:, None]).sum(axis=0) / free
     volume = np.log(roots).sum() + np.linalg.slogdet(normal)[1]
     return -0.5 * (free * np.log(sigma2 + 1e-300) + volume)
+
+
+def left_out(law: Legs) -> tuple[FloatArray, FloatArray]:
+    """Each case of law `legs` by the others, hyperparameters kept: y less the prediction, its SD.
+
+    With it is left out what differs by the size of its cell only. Shape [case, weight] each
+    (Rasmussen & Williams 2006, section 5.4.2, for the blocks of a partition).
+    """
+    process, (_, basis, y, _) = law.process, law.training
+    residual, sd = np.zeros((2, *y.shape))
+    group = np.unique(np.delete(law.x, AXES.index("cells"), axis=1).round(5),
+                      axis=0, return_inverse=True)[1].ravel()  # fmt: skip
+    # Q = A⁻¹ − A⁻¹F (F'A⁻¹F)⁻¹ F'A⁻¹ is the precision of the data with the mean's coefficients
+    # unknown. A block b that is left out is off its prediction by Q_bb⁻¹ (Q y)_b, and has the
+    # covariance σ² Q_bb⁻¹: one inverse serves all blocks.
+    trend = process.inverse @ basis
+    precision = process.inverse - trend @ process.spread @ trend.T
+    weighted = precision @ y
+    for block in (np.flatnonzero(group == index) for index in range(group.max() + 1)):
+        covariance = np.linalg.inv(precision[np.ix_(block, block)])
+        residual[block] = covariance @ weighted[block]
+        sd[block] = np.sqrt(np.outer(np.diag(covariance), process.sigma2))
+    return residual, sd

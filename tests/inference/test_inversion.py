@@ -50,8 +50,8 @@ def test_intervals_hold_truths_drawn_from_the_law(count: int) -> None:
         record = open_record(history, rig=Rig.of("li2013", leg), density=1650)
         for _ in range(count):
             x = np.array([rng.uniform(18.0, 47.0)])
-            factor = law.interpolation(x, 0.0)
-            scatter = law.scatter(x, 0.0) + factor @ factor.T
+            factors = law.errors(x, 0.0, is_measured=False).values()
+            scatter = sum(factor @ factor.T for factor in factors)
             values, vectors = np.linalg.eigh(scatter)
             error = vectors @ (np.sqrt(values.clip(0.0)) * rng.standard_normal(len(values)))
             force = law(x[None])[0] + error.reshape(2, -1)

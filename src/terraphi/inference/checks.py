@@ -30,7 +30,6 @@ from terraphi.experiment.history import (
     ForceHistory,
 )
 from terraphi.experiment.measurements import measurement
-from terraphi.experiment.priors import DENSITY
 from terraphi.experiment.reading import sensor_turn
 from terraphi.experiment.rig import AIR_MARGIN_DEG, Rig
 from terraphi.experiment.units import FORCE, GRAVITY
@@ -554,7 +553,7 @@ def _forces(
     """
     rig = Rig.of(record.rig, leg)
     law = law_of(likelihood.library, rig, record.scenario)
-    density = record.density_kg_m3 or DENSITY.mean
+    density, _ = record.bulk_density
     number = cohesion / (density * GRAVITY * rig.length)
     low, high = law.bounds[0][0], law.bounds[1][0]
     # Columns are judged by angles of real soil alone: at any angle some curve resembles any forces.

@@ -16,7 +16,6 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.priors import DENSITY
 from terraphi.experiment.rig import with_rig
 from terraphi.inference.answer import Answer, Edge, Estimate, RecordFit
 from terraphi.inference.checks import (
@@ -31,7 +30,7 @@ from terraphi.inference.checks import (
 )
 from terraphi.inference.likelihood import Likelihood, quadrature
 from terraphi.inference.records import Record, open_records, rig_name, with_sd
-from terraphi.inference.verdict import Judgment, consistent, large_residual, out_of_range
+from terraphi.inference.verdict import Judgment, consistent, large_residual, misfit, out_of_range
 from terraphi.laws.law import PHI
 from terraphi.laws.legs import FORMER_NAME, LawOfLegs, Legs, shipped_legs
 from terraphi.laws.model_error import FINE_MM
@@ -344,12 +343,11 @@ def _law_named(name: Path | str | AnyLaw, _changed_ns: int) -> LawOfLegs:
 
 def law_for(records: Sequence[Record], law: AnyLaw | Path | str | None) -> tuple[LawOfLegs, str]:
     """The law to take, and why, if none was named."""
-    first = records[0].scenario
-    if isinstance(law, str | Path):
-        changed_ns = Path(law).stat().st_mtime_ns if Path(law).is_file() else 0
-        return _law_named(law, changed_ns), "what sand3d is now" if str(law) == FORMER_NAME else ""
     if law is not None:
-        return _law_named(law, 0), ""
+        is_file = isinstance(law, str | Path) and Path(law).is_file()
+        changed_ns = Path(law).stat().st_mtime_ns if is_file else 0
+        return _law_named(law, changed_ns), "what sand3d is now" if str(law) == FORMER_NAME else ""
+    first = records[0].scenario
     if first is not None and all(record.scenario is not None for record in records):
         from terraphi.laws.named import law_of_simulation
 
@@ -386,14 +384,13 @@ def _answer(
     scaled = None
     if verdict == "consistent" and likelihood.measured and not all(r.scale_given for r in records):
         scaled = dict(zip(("half", "twice"), likelihood.at_scaled_forces([0.5, 2.0]), strict=True))
-    first, is_unknown = records[0], records[0].density_kg_m3 is None
+    first = records[0]
     return Answer(
         parameters={PHI: phi}, convention=law.convention, phi_plane_strain=plane,
         phi_plane_strain_reason=no_plane, verdict=verdict, reason=reason, edge=edge,
         budget_deg=likelihood.budget() if likelihood.beyond is None else {},
-        density_kg_m3=likelihood.density[0],
-        density_sd_kg_m3=DENSITY.sd if is_unknown else first.density_sd_kg_m3,
-        density_assumed=is_unknown or first.density_assumed,
+        density_kg_m3=first.bulk_density[0], density_sd_kg_m3=first.bulk_density[1],
+        density_assumed=first.density_kg_m3 is None or first.density_assumed,
         phi_of_force_deg=scaled, law=law.name, law_reason=law_reason, second_opinion=opinion,
         warnings=tuple(warnings(likelihood, fits, phi, verdict, opinion, legs, air)),
         records=tuple(fits), grid_deg=grid, density=density,
@@ -463,12 +460,12 @@ def judge(
 ) -> Judgment:
     """Verdict, reason, and the end of the law beyond which φ lies."""
     if damaged or any(record.damage for record in likelihood.records):
-        return "misfit", "Misfit: the record is damaged. Do not use the angle.", None
+        return misfit("the record is damaged.")
     law, training = likelihood.library, "training soils" if likelihood.measured else "simulations"
     by_chance = not likelihood.measured and not isinstance(law, Legs)
-    misfit = large_residual(fits, training)
-    if not misfit:
-        misfit = _unexplained(likelihood) if by_chance else _better_leg(likelihood, legs)
+    bad = large_residual(fits, training)
+    if not bad:
+        bad = _unexplained(likelihood) if by_chance else _better_leg(likelihood, legs)
     if likelihood.beyond is not None:
         edge: Edge | None = "low" if likelihood.beyond[0] < likelihood.low else "high"
     else:
@@ -481,9 +478,9 @@ def judge(
         end = likelihood.low if edge == "low" else likelihood.high
         end -= float(likelihood.offset(likelihood.records[0], np.array(end)))
         verdict, where, _ = out_of_range(law.name, edge, end)
-        return verdict, f"{where} {misfit[1] if misfit else ''}".rstrip(), edge
-    if misfit:
-        return misfit
+        return verdict, f"{where} {bad[1] if bad else ''}".rstrip(), edge
+    if bad:
+        return bad
     if by_chance:
         return "consistent", "Consistent: noise and scatter explain the residual.", None
     if not likelihood.measured:
@@ -502,12 +499,10 @@ def _better_leg(likelihood: Likelihood, legs: Sequence[Sequence[Reading]]) -> Ju
         best = min(readings, key=lambda reading: reading.residual)
         [given] = [reading for reading in readings if reading.leg == record.rig.leg]
         if best.residual < BETTER_LEG * given.residual:
-            reason = (
-                f"Misfit: the residual is {100.0 * given.residual:.0f} % with leg {given.leg} and "
-                f"{100.0 * best.residual:.0f} % with leg {best.leg}. Check the leg. Do not use the "
-                "angle."
+            return misfit(
+                f"the residual is {100.0 * given.residual:.0f} % with leg {given.leg} and "
+                f"{100.0 * best.residual:.0f} % with leg {best.leg}. Check the leg."
             )
-            return "misfit", reason, None
     return None
 
 
@@ -519,8 +514,7 @@ def _unexplained(likelihood: Likelihood) -> Judgment | None:
     deviate = (ratio ** (1.0 / 3.0) - 1.0 + 2.0 / (9.0 * free)) / math.sqrt(2.0 / (9.0 * free))
     if deviate <= FAR:
         return None
-    reason = (
-        f"Misfit: chi-square is {ratio:.1f} times its degrees of freedom, more than noise and "
-        "scatter explain. Do not use the angle."
+    return misfit(
+        f"chi-square is {ratio:.1f} times its degrees of freedom, more than noise and scatter "
+        "explain."
     )
-    return "misfit", reason, None

@@ -82,7 +82,6 @@ from numpy.typing import ArrayLike
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import FORCES, WINDOW_DEG, ForceHistory
-from terraphi.experiment.priors import DENSITY
 from terraphi.experiment.units import GRAVITY
 from terraphi.inference.estimator import Best, least_squares, weights
 from terraphi.inference.records import Record, rig_name
@@ -226,11 +225,8 @@ class Likelihood:
         self.disagreement_deg = disagreement_deg
         self.measured = not all(record.simulated for record in records)
         self.laws = [self._law(record, library) for record in records]
-        self.density = [record.density_kg_m3 or DENSITY.mean for record in records]
-        self.density_sd = np.array([
-            DENSITY.sd / DENSITY.mean if r.density_kg_m3 is None
-            else r.density_sd_kg_m3 / r.density_kg_m3 for r in records
-        ])  # fmt: skip
+        self.density = [record.bulk_density[0] for record in records]
+        self.density_sd = np.array([sd / mean for mean, sd in (r.bulk_density for r in records)])
         """Relative standard deviation of the density [-], shape [record]."""
         # Forces in soil of a record's density over those of its law.
         self._ratio = np.array(self.density) / [law.density for law in self.laws]
@@ -666,15 +662,10 @@ class Likelihood:
         """
         # The law has each error as a factor F [2 theta, k] of its forces: k independent causes, one
         # standard deviation each. Read as the record reads forces, F is B, and the covariance B B'.
-        scatter, errors = np.zeros((self.data.size, self.data.size)), []
-        for i, (law, part) in enumerate(zip(self.laws, self.parts, strict=True)):
-            at = self._by_law(i)
-            factors = {"emulator": law.interpolation(*at)}
-            factors |= law.modes(*at) if self.measured else {}
+        covariances, errors = {}, []
+        for i, law in enumerate(self.laws):
+            factors = law.errors(*self._by_law(i), is_measured=self.measured)
             errors.append({name: self._means_of(i, f.T) for name, f in factors.items()})
-            if not self.measured:
-                scatter[part, part] = self._means_of(i, self._means_of(i, law.scatter(*at)).T)
-        covariances = {} if self.measured else {"particle scatter": scatter}
         for name in errors[0]:
             factor = np.zeros((self.data.size, max(len(means[name]) for means in errors)))
             for part, means in zip(self.parts, errors, strict=True):

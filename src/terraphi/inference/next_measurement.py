@@ -19,7 +19,6 @@ from terraphi.experiment.bodies import OUTLINES
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import measurement_of
-from terraphi.experiment.priors import DENSITY
 from terraphi.experiment.rig import Rig
 from terraphi.inference.answer import Answer
 from terraphi.inference.combined import combined
@@ -159,7 +158,7 @@ def plan(
         low, high = (end - offset_deg for end in PHI_DEG)
         raise InputError(f"phi = {phi_deg:g}: law legs is for about {low:.0f} to {high:.0f}° here")
     curves = law.forces(
-        apparatus, phi_deg + offset_deg, density=record.density_kg_m3 or DENSITY.mean,
+        apparatus, phi_deg + offset_deg, density=record.bulk_density[0],
         cohesion_pa=record.cohesion_pa,
     )  # fmt: skip
     # Forces come as late as those of other records of this shape.

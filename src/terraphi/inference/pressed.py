@@ -12,7 +12,7 @@ from __future__ import annotations
 import importlib.metadata
 import math
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -20,18 +20,31 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from terraphi.experiment.arrays import BoolArray, FloatArray, IntArray
+from terraphi.experiment.arrays import BoolArray, FloatArray, IntArray, block_means
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import label_of
 from terraphi.experiment.pressed_reading import Pressed, read_pressed
-from terraphi.experiment.priors import CONTACT_SD_M, CONTACT_SD_PART, DENSITY
+from terraphi.experiment.priors import CONTACT_SD_M, CONTACT_SD_PART
 from terraphi.experiment.rig import Tool
 from terraphi.experiment.wheel_reading import Rolled, read_rolled
 from terraphi.inference.answer import Answer, Estimate, RecordFit
 from terraphi.inference.estimator import least_squares, weights
-from terraphi.inference.records import density_warnings, density_with_sd, grain_size, roughness
+from terraphi.inference.records import (
+    InSoil,
+    density_warnings,
+    density_with_sd,
+    grain_size,
+    roughness,
+)
 from terraphi.inference.terms import ordered_budget, root_sum_square, term
-from terraphi.inference.verdict import Judgment, consistent, large_residual, out_of_range, unusual
+from terraphi.inference.verdict import (
+    Judgment,
+    consistent,
+    large_residual,
+    misfit,
+    out_of_range,
+    unusual,
+)
 from terraphi.laws.foot import DEEPEST, LAWS, Foot
 from terraphi.laws.law import PHI
 
@@ -86,7 +99,7 @@ RANGE_DEG = np.arange(10.0, 55.5, 0.5)
 
 
 @dataclass(frozen=True, eq=False)
-class PressedRecord:
+class PressedRecord(InSoil):
     """Force over sinkage of a tool that was pressed straight down, or rows of a wheel.
 
     Attributes
@@ -105,13 +118,6 @@ class PressedRecord:
     density_kg_m3: float | None = None
     density_sd_kg_m3: float = 0.0
     grain_size_mm: float = 0.0
-
-    @property
-    def bulk_density(self) -> tuple[float, float]:
-        """Bulk density and its standard deviation [kg/m³], those of the prior if it is unknown."""
-        if self.density_kg_m3 is None:
-            return DENSITY
-        return self.density_kg_m3, self.density_sd_kg_m3
 
 
 def tool_answer(
@@ -142,6 +148,30 @@ def tool_answer(
         },
         **values,
     )  # fmt: skip
+
+
+def tool_fit(
+    record: PressedRecord, phi_deg: float, along: FloatArray, data: FloatArray,
+    curves: Sequence[FloatArray], slope: FloatArray, nrmsd: dict[str, float],
+    limit: float | None, **values: Any,
+) -> RecordFit:  # fmt: skip
+    """A record of a tool over its sinkage [mm] or slip [-], with the law's curves.
+
+    ``curves`` are those at φ and at both ends of its 95 % interval [N], ``slope`` is that of the
+    first with φ [N/deg], shape [n] each; ``values`` are further ones of the fit.
+    """
+    return RecordFit(
+        source=record.source, rig=record.rig, theta_deg=along, data=data[None],
+        curve=curves[0][None], band=np.sort(curves, axis=0)[::2, None], nrmsd=nrmsd, limit=limit,
+        tangent=np.stack([curves[0] - slope * phi_deg, slope])[:, None],
+        **{"n_readings": record.table.rows, **values},
+    )  # fmt: skip
+
+
+def by_friction(read: Callable[[float], FloatArray], friction: float) -> FloatArray:
+    """Change of what is read with the friction, by a central difference within law ``foot``."""
+    low, high = np.clip(friction + np.array([-ROUGHER, ROUGHER]), *FRICTIONS).tolist()
+    return (read(high) - read(low)) / (high - low)
 
 
 def open_pressed(
@@ -177,12 +207,13 @@ class _Press:
     grains: float = 0.0
     """Diameter of the grains over that of the body [-]."""
 
-    def curve(self, x: FloatArray, rougher: float = 0.0) -> FloatArray:
-        """The law's force [N] at (φ, z₀), [k, 2] -> [k, n], on a surface so much rougher [-]."""
+    def curve(self, x: FloatArray, friction: float | None = None) -> FloatArray:
+        """The law's force [N] at (φ, z₀), [k, 2] -> [k, n], with the tool's friction or another."""
         foot = Foot(self.tool.radius, self.tool.shape.foot or "disc")
         force = LAWS[self.law].force(
             foot, self.z + x[:, 1:], 0.5 * np.pi, friction_angle_deg=x[:, :1],
-            density=self.density, surface_friction=self.tool.friction + rougher,
+            density=self.density,
+            surface_friction=self.tool.friction if friction is None else friction,
         )  # fmt: skip
         return np.asarray(self.tool.factor * force[..., 1])
 
@@ -269,12 +300,9 @@ def invert_pressed(record: PressedRecord, law: Any = None) -> Answer:
     ends = np.array(estimate.ci95) - (level - read)
     ends = press.curve(np.stack([np.clip(ends, *press.ends), [fit.contact] * 2], -1))
     residual = float(np.sqrt(np.square(force - fit.model).mean()) / np.ptp(force))
-    fitted = RecordFit(
-        source=label, rig=tool, simulated=False, n_readings=used, n_left_out=table.rows - used,
-        theta_deg=1e3 * z, data=force[None], curve=fit.model[None],
-        band=np.sort([*(press.borne[fit.top] * ends), fit.model], axis=0)[::2, None],
-        nrmsd={"Fz": residual}, limit=LIMIT,
-        tangent=np.stack([fit.model - fit.slope * level, fit.slope])[:, None],
+    fitted = tool_fit(
+        record, level, 1e3 * z, force, [fit.model, *(press.borne[fit.top] * ends)], fit.slope,
+        {"Fz": residual}, LIMIT, n_readings=used, n_left_out=table.rows - used,
     )  # fmt: skip
     judgment = _verdict(press, fit, fitted, estimate.median, steady_sd)
     is_sound = judgment[0] == "consistent"
@@ -338,9 +366,7 @@ def _fit(press: _Press) -> _Fit:
 def _budget(press: _Press, fit: _Fit, density_sd: float) -> dict[str, float]:
     """Standard deviation of φ by term [deg]; that of the density is relative [-]."""
     x = np.array([[fit.by_law[fit.top], fit.contact]])
-    ends = np.clip(press.tool.friction + np.array([-ROUGHER, ROUGHER]), *FRICTIONS)
-    smoother, rougher = (press.curve(x, end - press.tool.friction)[0] for end in ends)
-    rougher = (rougher - smoother) / float(np.ptp(ends))
+    rougher = by_friction(lambda friction: press.curve(x, friction)[0], press.tool.friction)
     # Errors of the force [N], one standard deviation over depth.
     errors = {
         "density": density_sd * fit.model,
@@ -400,17 +426,17 @@ def _verdict(
     if fit.chance @ (fit.by_law < low + 0.1) > 0.5:
         advice = "check diameter and unit of the force, its sign and the zero of the sinkage"
         return out_of_range(press.law, "low", low, advice)
-    if misfit := large_residual([record], "loose grains"):
-        return misfit
+    if verdict := large_residual([record], "loose grains"):
+        return verdict
     # One angle describes homogeneous soil at all depths; halves that disagree are layers, a wrong
     # tool or a wrong surface.
     deep = press.z > 0.5 * press.z[-1]
     upper, lower = (_angle_of(press, fit, part=half) for half in (~deep, deep))
     if abs(lower - upper) > HALVES * steady_sd:
-        return "misfit", (
-            f"Misfit: the upper half of the depth gives φ = {upper:.0f}°, the lower half "
-            f"{lower:.0f}°; check tool, surface and layers. Do not use the angle."
-        ), None  # fmt: skip
+        return misfit(
+            f"the upper half of the depth gives φ = {upper:.0f}°, the lower half {lower:.0f}°; "
+            "check tool, surface and layers."
+        )
     return consistent([record], "loose soil")
 
 
@@ -470,9 +496,8 @@ def _virgin(
         notes.append(f"{zero:.3g} N are read above the soil and taken off.")
     z, f = z[z > 0.0], f[z > 0.0]
     at = np.minimum((z / z.max(initial=1e-9) * WINDOWS).astype(int), WINDOWS - 1)
-    count = np.bincount(at, minlength=WINDOWS)
-    if (depths := int((count > 0).sum())) < 8:
-        raise InputError(f"{label}: readings at {depths} depths below the surface, 8 are needed; "
-                         "check the zero and sign of the sinkage")  # fmt: skip
-    means = [np.bincount(at, v, WINDOWS)[count > 0] / count[count > 0] for v in (z, f)]
-    return means[0], means[1], z.size, notes
+    first = np.flatnonzero(np.diff(at, prepend=-1))
+    if first.size < 8:
+        raise InputError(f"{label}: readings at {first.size} depths below the surface, 8 are "
+                         "needed; check the zero and sign of the sinkage")  # fmt: skip
+    return block_means(z, first), block_means(f, first), z.size, notes

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from terraphi.experiment.arrays import FloatArray, IntArray
+from terraphi.experiment.arrays import FloatArray, IntArray, block_means
 from terraphi.experiment.bodies import OUTLINES, TOOLS
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import label_of, number_with_sd
@@ -38,7 +38,7 @@ from terraphi.experiment.history import (
     resolution,
 )
 from terraphi.experiment.measurements import Measurement, measurement_of, open_forces
-from terraphi.experiment.priors import COHESION_SD_PART, DENSITY_SD_PART, SENSOR_GAIN
+from terraphi.experiment.priors import COHESION_SD_PART, DENSITY, DENSITY_SD_PART, SENSOR_GAIN
 from terraphi.experiment.reading import ForceColumns, read_trials
 from terraphi.experiment.rig import Rig, Tool
 
@@ -63,8 +63,22 @@ LARGEST_GRAIN = 0.4
 """Largest diameter of grains over the width of a leg [-]: of those that were simulated 0.35."""
 
 
+class InSoil:
+    """Base of records: what is known of the soil."""
+
+    density_kg_m3: float | None
+    density_sd_kg_m3: float
+
+    @property
+    def bulk_density(self) -> tuple[float, float]:
+        """Bulk density and its standard deviation [kg/m³], those of the prior if it is unknown."""
+        if self.density_kg_m3 is None:
+            return DENSITY
+        return self.density_kg_m3, self.density_sd_kg_m3
+
+
 @dataclass(frozen=True, eq=False)
-class Record:
+class Record(InSoil):
     """One force history, ready to be compared with a library.
 
     Attributes
@@ -232,17 +246,13 @@ class Record:
         low, high = history.position[[0, -1]]
         bins = min(MOST_READINGS, int(np.ceil(np.degrees(high - low) / 0.05)))
         at = np.minimum(((history.position - low) / (high - low) * bins).astype(int), bins - 1)
-        number = np.bincount(at, minlength=bins)
-        moment = [] if history.moment is None else [history.moment]
-        sums = [np.bincount(at, c, bins) for c in (history.position, *history.force.T, *moment)]
-        means = np.stack(sums)[:, number > 0] / number[number > 0]
-        fewer = replace(
-            history,
-            position=means[0],
-            force=means[1 : 1 + len(history.axes)].T,
-            moment=means[-1] if moment else None,
+        first = np.flatnonzero(np.diff(at, prepend=-1))
+        position, force, moment = (
+            None if values is None else block_means(values, first)
+            for values in (history.position, history.force, history.moment)
         )
-        factor = np.sqrt(means.shape[1] / count)
+        fewer = replace(history, position=position, force=force, moment=moment)
+        factor = np.sqrt(first.size / count)
         return replace(self, history=fewer, noise=tuple(factor * sd for sd in self.noise))
 
 

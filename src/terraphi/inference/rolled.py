@@ -30,17 +30,28 @@ from terraphi.experiment.arrays import BoolArray, FloatArray, block_means
 from terraphi.experiment.errors import GUESSED, InputError, nearest
 from terraphi.experiment.priors import FRICTION_BY_TORQUE_SD
 from terraphi.experiment.rig import Tool
-from terraphi.experiment.wheel_reading import Rolled
+from terraphi.experiment.wheel_reading import MEASURED, Rolled
 from terraphi.inference.answer import Answer, Estimate, RecordFit, normal_density
 from terraphi.inference.pressed import (
     LOOSE_DEG,
     SHAPE_LENGTH,
     SHAPE_SD,
     PressedRecord,
+    by_friction,
+    open_pressed,
     tool_answer,
+    tool_fit,
 )
 from terraphi.inference.terms import ordered_budget, root_sum_square
-from terraphi.inference.verdict import Judgment, large_residual, out_of_range, unusual
+from terraphi.inference.verdict import (
+    LITTLE_KNOWN,
+    USUAL_DEG,
+    Judgment,
+    large_residual,
+    misfit,
+    out_of_range,
+    unusual,
+)
 from terraphi.laws.wheel import (
     DEEPEST,
     FRICTIONS,
@@ -50,6 +61,7 @@ from terraphi.laws.wheel import (
     Wheel,
     WheelError,
     WheelForces,
+    rolling,
     wheel_forces,
 )
 from terraphi.laws.wrench import angles_deg
@@ -86,6 +98,24 @@ which its sign is named [-]; chosen."""
 DRIVEN, OTHER_TORQUE = 0.1, 0.15
 """Slip from which on a wheel is driven for sure, and torque over load times radius above the
 friction of the rim from which on it is named [-]; chosen."""
+RESISTANCE_SD, ALONE_SD = 0.055, 0.10
+"""Error of the resistance by pull and torque, and of either of them alone, over the load [-]:
+wheels in grains (``studies/wheels.py`` prints the first; the second is chosen)."""
+LUGS_SD = 0.3
+"""Standard deviation of the friction of a rim with lugs [-]: they add up to 0.4 to pull and torque
+alike; chosen."""
+UNSUNK_ROWS = 20
+"""The same of wheels without a sinkage."""
+FEW = np.arange(USUAL_DEG[0], USUAL_DEG[1] + 0.5)
+"""Angles at which the law is computed [deg]."""
+GRID = np.arange(USUAL_DEG[0], USUAL_DEG[1] + 0.01, 0.05)
+STRAIGHT_DEG = 5.0
+"""Largest side slip [deg]; chosen."""
+LEAST_SLOPE = 1e-4
+"""Least change of D with φ that is divided by [1/deg]."""
+DEEP = "the wheel would sink in deeper than law foot has at all angles; check load and diameter"
+CONTRADICTION = 2.5
+"""Difference from the nearest angle's resistance over its error that is a misfit [-]; chosen."""
 STEP_DEG = 2.0
 """Step of the angles whose loads are computed [deg]: ln W is interpolated between them."""
 
@@ -197,10 +227,9 @@ def _opened(record: PressedRecord, law: Any) -> _Opened:
         raise InputError(f"no law '{name}' of a wheel; {nearest(name, ('foot', 'rft'))}")
     if not isinstance(record.table, Rolled):
         raise InputError(f"{record.source}: rows of {tool}, not of a wheel")
-    rows, notes = usable(record.table, wheel_of(tool), record.source)
+    wheel, grain = wheel_of(tool), 1e-3 * record.grain_size_mm
+    rows, notes = usable(record.table, wheel, record.source)
     rho, rho_sd = record.bulk_density
-    grain = 1e-3 * record.grain_size_mm
-    wheel = wheel_of(tool)
     sinkage = np.minimum(rows["sinkage"] + 0.5 * grain, DEEPEST * wheel.reach)
     roll = _Roll(wheel, rho, rows, sinkage, tool.friction, name)
     # A row that no angle of the law explains tells nothing about the others.
@@ -209,7 +238,7 @@ def _opened(record: PressedRecord, law: Any) -> _Opened:
     if beyond.any() and beyond.mean() < 0.5:
         notes.append(f"{beyond.sum()} of {beyond.size} rows are beyond the law and left out.")
         rows = {role: column[~beyond] for role, column in rows.items()}
-        roll = _Roll(wheel, rho, rows, sinkage[~beyond], tool.friction, name)
+        roll = replace(roll, rows=rows, sinkage=sinkage[~beyond])
     friction, friction_sd = tool.friction, tool.friction_sd
     is_given = "friction" in tool.model_fields_set
     if not is_given and (shown := _friction(roll)):
@@ -223,9 +252,7 @@ def invert_rolled(record: PressedRecord, law: Any = None) -> Answer:
     """Infer φ from a record of a wheel; raises InputError as :func:`invert` does."""
     began = time.perf_counter()
     if isinstance(record.table, Rolled) and not record.table.has_sinkage:
-        from terraphi.inference.resisted import invert_resisted
-
-        return invert_resisted(record, law)
+        return _unsunk_answer(record, record.table, law, began)
     return _answer(record, _opened(record, law), law, began)
 
 
@@ -275,8 +302,6 @@ def phi_along(forces: Any, tool: Tool | str, **options: Any) -> dict[str, FloatA
     UserWarning
         With the warnings of the answer, and its reason if the verdict is not ``consistent``.
     """
-    from terraphi.inference.pressed import open_pressed
-
     law = options.pop("law", None)
     record = open_pressed(forces, Tool.of(tool), **{"columns": None, **options})
     if isinstance(record.table, Rolled) and not record.table.has_sinkage:
@@ -319,9 +344,9 @@ def usable(
 ) -> tuple[dict[str, FloatArray], list[str]]:
     """Rows within what the law has, averaged in blocks where they are many; notes on the rest."""
     notes, values = list(table.notes), table.values
-    slip, sunk = values["slip"], np.ones(values["slip"].size, dtype=bool)
+    slip = values["slip"]
     inside = (slip >= SLIPS[0]) & (slip <= SLIPS[1]) & (np.abs(values["side_slip"]) <= MOST_SIDE)
-    if not (inside & sunk).any():
+    if not inside.any():
         raise InputError(
             f"{label}: no row with a slip between {SLIPS[0]:g} and {SLIPS[1]:g} at a side slip "
             f"below {MOST_SIDE:g}°: it is {slip.min():.2g} to {slip.max():.2g}; a wheel that is "
@@ -332,22 +357,22 @@ def usable(
             f"{(~inside).sum()} of {inside.size} rows are left out: slip beyond {SLIPS[0]:g} and "
             f"{SLIPS[1]:g}, or side slip beyond {MOST_SIDE:g}°."
         )
-    if (cut := sunk & (values["sinkage"] <= wheel.bare)).any():
-        if cut[inside & sunk].all():
+    if (cut := values["sinkage"] <= wheel.bare).any():
+        if cut[inside].all():
             raise InputError(
                 f"{label}: the lugs alone are in the soil, up to {1e3 * wheel.bare:.0f} mm; a "
                 "sinkage is that of their tips"
             )
         notes.append(f"{cut.sum()} of {cut.size} rows have the lugs alone in soil: left out.")
-        sunk &= ~cut
+        inside &= ~cut
     deep = values["sinkage"] > DEEPEST * wheel.reach
     if deep.any():
         limit = f"{1e3 * DEEPEST * wheel.reach:.0f} mm, {DEEPEST:g} of the radius"
-        if deep[inside & sunk].all():
+        if deep[inside].all():
             raise InputError(f"{label}: the wheel sinks in deeper than {limit}; check its diameter")
         notes.append(f"{deep.sum()} of {deep.size} rows are deeper than {limit}, and left out.")
         inside &= ~deep
-    kept = {name: value[inside & sunk] for name, value in values.items()}
+    kept = {name: value[inside] for name, value in values.items()}
     if (count := kept["slip"].size) > most:
         first = np.unique(np.linspace(0, count, most, endpoint=False).astype(int))
         columns = np.stack(list(kept.values()), axis=1)
@@ -367,11 +392,9 @@ def _friction(roll: _Roll) -> tuple[float, float] | None:
     # T / (W R) at the angle at which the rim carries the load hardly depends on that angle.
     ratio = float(np.median(torque[slips] / (roll.rows["load"][slips] * roll.wheel.reach)))
     middle = np.full(roll.sinkage.size, 32.0)
-    model = []
-    for friction in FRICTIONS:
-        forces = roll.forces(middle, friction)
-        each = forces.torque / (forces.load * roll.wheel.reach)
-        model.append(float(np.median(each[slips])))
+    rims = (roll.forces(middle, friction) for friction in FRICTIONS)
+    model = [float(np.median((forces.torque / forces.load)[slips])) / roll.wheel.reach
+             for forces in rims]  # fmt: skip
     if not 0.5 * model[0] <= ratio <= MOST_TORQUE * model[-1]:
         return None  # named by _contradictions
     return float(np.interp(ratio, model, FRICTIONS)), FRICTION_BY_TORQUE_SD
@@ -442,12 +465,8 @@ def _record_fit(record: PressedRecord, roll: _Roll, fit: _Mean, estimate: Estima
         np.array([row[group].mean() for group in groups])
         for row in (roll.rows["slip"][order], data, model, *ends, slope)
     )
-    return RecordFit(
-        source=record.source, rig=record.rig, simulated=False, n_readings=record.table.rows,
-        theta_deg=slips, data=data[None], curve=model[None],
-        band=np.sort([low, high, model], axis=0)[::2, None], nrmsd={"Fz": nrmsd}, limit=LIMIT,
-        tangent=np.stack([model - slope * estimate.median, slope])[:, None],
-    )  # fmt: skip
+    curves = [model, low, high]
+    return tool_fit(record, estimate.median, slips, data, curves, slope, {"Fz": nrmsd}, LIMIT)
 
 
 def _verdict(roll: _Roll, fit: _Mean, record: RecordFit) -> Judgment:
@@ -467,12 +486,12 @@ def _verdict(roll: _Roll, fit: _Mean, record: RecordFit) -> Judgment:
         ratios = roll.rows.get(name, 0.0 * size) / size
         if np.isfinite(ratios).any() and (ratio := float(np.nanmedian(np.abs(ratios)))) > most:
             over = "load" if name == "pull" else "load times radius"
-            return "misfit", (
-                f"Misfit: the {name} is {ratio:.2f} of {over}, and soil of this angle bears "
-                f"{most:.2f}; check units, gear and zero of both. Do not use the angle."
-            ), None  # fmt: skip
-    if misfit := large_residual([record], "wheels in grains"):
-        return misfit
+            return misfit(
+                f"the {name} is {ratio:.2f} of {over}, and soil of this angle bears {most:.2f}; "
+                "check units, gear and zero of both."
+            )
+    if verdict := large_residual([record], "wheels in grains"):
+        return verdict
     within = 100.0 * record.nrmsd["Fz"]
     reason = f"Consistent: the law follows the load within {within:.0f} %, usual for wheels."
     return "consistent", reason, None
@@ -532,3 +551,129 @@ def _contradictions(roll: _Roll, fit: _Mean) -> list[str]:
             "unit and zero, and the friction of the rim."
         )
     return sentences
+
+
+# -- without a sinkage ----------------------------------------------------------------------------
+
+
+class _Resisted(NamedTuple):
+    """Rows of a wheel without a sinkage, and what the law has for them."""
+
+    tool: Tool
+    wheel: Wheel
+    rows: dict[str, FloatArray]
+
+    @property
+    def has_both(self) -> bool:
+        """True if pull and torque were measured."""
+        return {*MEASURED} <= {*self.rows}
+
+    def share(self, pull: Any, torque: Any) -> FloatArray:
+        """D [-], of pull [N] or torque [N m] alone where the rows have no other."""
+        pull = pull if "pull" in self.rows else 0.0
+        torque = torque / self.wheel.reach if "torque" in self.rows else 0.0
+        return np.asarray((torque - pull) / self.rows["load"])
+
+    def curves(self, friction: float, density: float) -> tuple[FloatArray, FloatArray]:
+        """D [-] and the sinkage [mm] on GRID by the law, shape [grid, row]; NaN beyond it."""
+        forces = rolling(
+            self.wheel, self.rows["load"], self.rows["slip"], FEW, 0.0 * FEW + density,
+            surface_friction=friction,
+        )  # fmt: skip
+        shares = self.share(forces["pull_N"], forces["torque_Nm"])
+        model, sunk = (
+            np.stack([np.interp(GRID, FEW, row) for row in values.T], axis=1)
+            for values in (shares, forces["sinkage_mm"])
+        )
+        return model, sunk
+
+    def errors(self, model: FloatArray, noise: float, rho: float, rho_sd: float) -> dict[str, Any]:
+        """Errors of the mean D by cause [-], one standard deviation each, shape [grid]."""
+        friction, mean = self.tool.friction, model.mean(axis=1)
+        rougher = by_friction(lambda mu: self.curves(mu, rho)[0].mean(axis=1), friction)
+        friction_sd = LUGS_SD if self.wheel.lugs else self.tool.friction_sd
+        slope = np.gradient(mean, GRID)
+        return {
+            "resistance": RESISTANCE_SD if self.has_both else ALONE_SD,
+            "surface friction": friction_sd * rougher,
+            "noise": noise / math.sqrt(model.shape[1]),
+            "density": self.curves(friction, rho + rho_sd)[0].mean(axis=1) - mean,
+            "slip": slope * float(np.mean(WHEEL_ERROR.sd_by_slip(self.rows["slip"]))),
+            "model: soil": slope * WHEEL_ERROR.soil_deg,
+            "model: law": slope * WHEEL_ERROR.law_deg,
+        }
+
+
+def _unsunk_answer(record: PressedRecord, table: Rolled, law: Any, began: float) -> Answer:
+    """Infer φ from slip, load, torque and pull; raises InputError."""
+    tool = record.rig
+    if law not in (None, "foot"):
+        raise InputError(f"{record.source}: without a sinkage wheels have law foot alone")
+    wheel = wheel_of(tool)
+    rows, notes = usable(table, wheel, record.source, UNSUNK_ROWS)
+    if np.abs(rows["side_slip"]).max() > STRAIGHT_DEG:
+        raise InputError(f"{record.source}: a wheel with side slip needs a sinkage")
+    order = np.argsort(rows["slip"], kind="stable")
+    resisted = _Resisted(tool, wheel, {name: row[order] for name, row in rows.items()})
+    rho, rho_sd = record.bulk_density
+    measured = resisted.share(*(resisted.rows.get(name) for name in MEASURED))
+    model, sunk = resisted.curves(tool.friction, rho)
+    mean = model.mean(axis=1)
+    if np.isnan(mean).all():
+        raise InputError(f"{record.source}: {DEEP}")
+    nearest = int(np.nanargmin(np.abs(mean - measured.mean())))
+    errors = resisted.errors(model, float(np.std(measured - model[nearest])), rho, rho_sd)
+    sd = np.sqrt(sum(np.square(error) for error in errors.values()))
+    deviate = (measured.mean() - mean) / sd
+    chance = np.nan_to_num(np.exp(-0.5 * deviate**2) / sd)
+    posterior = GRID, chance / np.trapezoid(chance, GRID)
+    estimate = Estimate.of_density(*posterior)
+    at = int(np.abs(GRID - estimate.median).argmin())
+    slope = max(abs(float(np.gradient(mean, GRID)[at])), LEAST_SLOPE)
+    budget = ordered_budget(
+        {name: float((np.abs(error) + 0.0 * GRID)[at]) / slope for name, error in errors.items()}
+    )
+    deep = np.interp(estimate.ci68[::-1], GRID, np.median(sunk, axis=1))
+    depths = f"{deep[0]:.0f} to {deep[1]:.0f} mm"
+    notes = [f"No sinkage was measured: the law has {depths} (68 %).", *notes]
+    if root_sum_square(budget) > float(np.ptp(USUAL_DEG)) / math.sqrt(12.0):
+        notes.insert(0, LITTLE_KNOWN)
+    fitted = _unsunk_fit(record, resisted, measured, model, estimate)
+    return tool_answer(
+        record, "foot", began, is_default=not law, posterior=posterior, budget_deg=budget,
+        judgment=_unsunk_verdict(float(np.nanmin(np.abs(deviate))), fitted), records=(fitted,),
+        warnings=notes, covariance=np.diag((sd[at] * resisted.rows["load"]) ** 2),
+    )  # fmt: skip
+
+
+def _unsunk_fit(
+    record: PressedRecord, resisted: _Resisted, measured: FloatArray, model: FloatArray,
+    estimate: Estimate,
+) -> RecordFit:  # fmt: skip
+    """Resistance T/R − P [N] over the slip, or pull or torque alone in its place."""
+    load = resisted.rows["load"]
+    data = load * measured
+    *curves, above = (
+        load * model[np.abs(GRID - angle).argmin()]
+        for angle in (estimate.median, *estimate.ci95, estimate.median + 1.0)
+    )
+    size = max(float(np.ptp(data)), float(load.mean()))
+    return tool_fit(
+        record, estimate.median, resisted.rows["slip"], data, curves, above - curves[0],
+        {"Fx": float(np.sqrt(np.mean((data - curves[0]) ** 2))) / size},
+        LIMIT if resisted.has_both else None,
+    )  # fmt: skip
+
+
+def _unsunk_verdict(least: float, fitted: RecordFit) -> Judgment:
+    """Verdict by the distance from the nearest angle's resistance over its error [-]."""
+    if least > CONTRADICTION:
+        return misfit(
+            "no angle has this pull and torque at this load; check signs, units and zero of both, "
+            "the diameter and the friction."
+        )
+    if verdict := large_residual([fitted], "wheels in grains"):
+        return verdict
+    within = 100.0 * fitted.nrmsd["Fx"]
+    reason = f"Consistent: the law has the resistance within {within:.0f} % of the load."
+    return "consistent", reason, None

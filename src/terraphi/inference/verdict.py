@@ -26,6 +26,11 @@ def out_of_range(
     return "out_of_range", f"{reason}{f'; {advice}' if advice else ''}.", edge
 
 
+def misfit(why: str) -> Judgment:
+    """Verdict on a record that no angle describes."""
+    return "misfit", f"Misfit: {why} Do not use the angle.", None
+
+
 def large_residual(fits: Sequence[RecordFit], origin: str) -> Judgment | None:
     """Verdict on the first record whose residual exceeds its limit; ``None`` if there is none.
 
@@ -41,11 +46,11 @@ def large_residual(fits: Sequence[RecordFit], origin: str) -> Judgment | None:
         i, j = np.unravel_index(np.abs(residual).argmax(), residual.shape)
         largest = residual[i, j]
         shown = f"{100.0 * largest:+.0f} % of" if abs(largest) < 2.0 else f"{largest:+.1f} times"
-        return "misfit", (
-            f"Misfit: {[*fit.nrmsd][i]} differs from the model by {shown} its range "
+        return misfit(
+            f"{[*fit.nrmsd][i]} differs from the model by {shown} its range "
             f"{fit.place(int(j))}. The residual is {100.0 * sizes.max():.1f} %; the limit "
-            f"is {100.0 * fit.limit:.1f} %, from {origin}. Do not use the angle."
-        ), None  # fmt: skip
+            f"is {100.0 * fit.limit:.1f} %, from {origin}."
+        )
     return None
 
 

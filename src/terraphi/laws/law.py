@@ -7,12 +7,16 @@ rig is the law of all rigs with its proportions, and a law may have these ratios
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.arrays import FloatArray, numbers
+from terraphi.experiment.errors import InputError
 from terraphi.experiment.rig import Rig
+from terraphi.experiment.units import GRAVITY
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -35,12 +39,87 @@ STEP = 1e-3
 class AnyLaw:
     """A law of legs, of whatever kind."""
 
-    def forces(self, rig: Any, phi_deg: ArrayLike, **options: Any) -> xr.Dataset:
-        """Forces on the leg of a rig and their slope with φ: `~terraphi.laws.legs.forces`."""
-        from terraphi.laws.legs import forces
+    def forces(
+        self,
+        rig: Rig | Mapping[str, Any] | Path | str,
+        phi_deg: ArrayLike,
+        *,
+        leg: str | None = None,
+        density: float | None = None,
+        cohesion_pa: float = 0.0,
+    ) -> xr.Dataset:
+        """Forces on the leg of a rig by a law, and their slope with φ.
+
+        They are as simulated: an answer's φ has the law's mean offset on real soils taken off.
+
+        Parameters
+        ----------
+        rig
+            A :class:`~terraphi.Rig`, its keys, a TOML file, or ``li2013``.
+        phi_deg
+            Friction angles in the law's convention [deg], one or several.
+        leg
+            Shape of the leg, where the rig has several.
+        density
+            Bulk density [kg/m³]; forces are in proportion to it. By default that of the law's soil.
+        cohesion_pa
+            Cohesion [Pa], where the law knows it.
+
+        Returns
+        -------
+        xarray.Dataset
+            ``forces`` [N] and ``slope`` [N/deg], with the coordinates ``phi_deg``, ``force``
+            (``Fx``, ``Fz``) and ``theta_deg``; and ``moment`` about the hip [N m].
+
+        Raises
+        ------
+        InputError
+            If the law is not for this rig, or an angle, friction or cohesion is outside it.
+
+        Examples
+        --------
+        >>> curves = terraphi.law("legs").forces("li2013", [28.0, 33.0], leg="c", density=1600.0)
+        >>> curves.forces.dims
+        ('phi_deg', 'force', 'theta_deg')
+        >>> bool(curves.slope.sel(force="Fz").max() > 0.0)
+        True
+        """
+        import xarray as xr
+
+        from terraphi.laws.legs import law_of
         from terraphi.laws.named import law_named
 
-        return forces(law_named(self), rig, phi_deg, **options)
+        law, apparatus = law_named(self), Rig.of(rig, leg)
+        of_rig = law_of(law, apparatus, None)
+        (low,), (high,) = of_rig.bounds
+        unit = f"deg by law {law.name}"
+        phi = numbers("phi_deg", phi_deg, low=low, high=high, unit=unit).ravel()
+        # Forces go with the density, and a cohesion counts over the weight: c / (ρ g L).
+        given = of_rig.density if density is None else density
+        heavier = float(numbers("density", given, shape=(), low=100.0, high=1e4, unit="kg/m³"))
+        heavier /= of_rig.density
+        cohesion = cohesion_pa / (heavier * of_rig.density * GRAVITY * apparatus.length)
+        if not 0.0 <= cohesion <= of_rig.most_cohesion:
+            most = cohesion_pa / cohesion * of_rig.most_cohesion if cohesion else 0.0
+            raise InputError(
+                f"cohesion_pa = {cohesion_pa:g}: law {law.name} is for 0 to {most:g} Pa"
+            )
+        # A slope across two neighbors; at an end of the range it is one-sided.
+        step = STEP * (high - low)
+        before, after = (np.clip(phi + side, low, high) for side in (-step, step))
+        lower, force, upper = (heavier * of_rig(x[:, None], cohesion) for x in (before, phi, after))
+        dims = ("phi_deg", "force", "theta_deg")
+        slope = (upper - lower) / (after - before)[:, None, None]
+        variables: dict[Any, Any] = {
+            "forces": (dims, force, {"units": "N"}), "slope": (dims, slope, {"units": "N/deg"}),
+            "moment": (dims[::2], (of_rig.arm * force).sum(axis=1), {"units": "N m"}),
+        }  # fmt: skip
+        return xr.Dataset(
+            variables,
+            {"phi_deg": phi, "force": ["Fx", "Fz"], "theta_deg": of_rig.theta_deg},
+            {"law": law.name, "rig": str(apparatus), "density_kg_m3": heavier * of_rig.density,
+             "cohesion_Pa": cohesion_pa},
+        )  # fmt: skip
 
     def summary(self) -> dict[str, Any]:
         """Contents and origin, JSON-able."""
@@ -79,16 +158,11 @@ class LegLaw(ABC):
 
     # An exact law of a rig has no errors of its own.
 
-    def interpolation(self, _x: FloatArray, _cohesion: float) -> FloatArray:
-        """Factor F of the covariance F F' of the interpolation at a point [N], [2 theta, k]."""
-        return np.zeros((2 * self.theta_deg.size, 1))
-
-    def scatter(self, _x: FloatArray, _cohesion: float) -> FloatArray:
-        """Covariance between particle seeds at a point [N²], [2 theta, 2 theta]."""
-        return np.zeros((2 * self.theta_deg.size,) * 2)
-
-    def modes(self, _x: FloatArray, _cohesion: float) -> dict[str, FloatArray]:
-        """Factors of further covariances at a point [N], by cause, shape [2 theta, k] each."""
+    def errors(
+        self, _x: FloatArray, _cohesion: float, *, is_measured: bool
+    ) -> dict[str, FloatArray]:
+        """Factors F of covariances F F' at a point [N], by cause, shape [2 theta, k] each."""
+        del is_measured
         return {}
 
     def of_hip(self, _x: FloatArray, _cohesion: float) -> FloatArray | None:

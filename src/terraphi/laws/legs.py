@@ -26,16 +26,16 @@ of the width or an eleventh of the depth (:func:`cells_of`).
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from terraphi.experiment.arrays import FloatArray, numbers
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.bodies import OUTLINES
 from terraphi.experiment.documents import shipped_file, strictly
 from terraphi.experiment.errors import InputError
@@ -51,13 +51,11 @@ from terraphi.experiment.rig import (
 from terraphi.experiment.units import GRAVITY
 from terraphi.laws.fitted import FittedLaw
 from terraphi.laws.gp import Process
-from terraphi.laws.law import STEP, AnyLaw, LegLaw, is_similar, remedy
+from terraphi.laws.law import AnyLaw, LegLaw, is_similar, remedy
 from terraphi.laws.model_error import ModelError
 from terraphi.laws.theory import Theory
 
 if TYPE_CHECKING:
-    import xarray as xr
-
     from terraphi.experiment.scenario import Scenario
     from terraphi.laws.store import Library
 
@@ -233,28 +231,6 @@ class Legs(AnyLaw, FittedLaw):
             *((size * a)[:, None, None] * mode for a, mode in zip(sd[1:], u, strict=True)),
         ])  # fmt: skip
 
-    def left_out(self) -> tuple[FloatArray, FloatArray]:
-        """Each case by the others, hyperparameters kept: y less the prediction, and its SD.
-
-        With it is left out what differs by the size of its cell only. Shape [case, weight] each
-        (Rasmussen & Williams 2006, section 5.4.2, for the blocks of a partition).
-        """
-        process, basis = self.process, self._standard(self.x, self.depth)[1]
-        residual, sd = np.zeros((2, *self._components[2].shape))
-        group = np.unique(np.delete(self.x, AXES.index("cells"), axis=1).round(5),
-                          axis=0, return_inverse=True)[1].ravel()  # fmt: skip
-        # Q = A⁻¹ − A⁻¹F (F'A⁻¹F)⁻¹ F'A⁻¹ is the precision of the data with the mean's coefficients
-        # unknown. A block b that is left out is off its prediction by Q_bb⁻¹ (Q y)_b, and has the
-        # covariance σ² Q_bb⁻¹: one inverse serves all blocks.
-        trend = process.inverse @ basis
-        precision = process.inverse - trend @ process.spread @ trend.T
-        weighted = precision @ self._components[2]
-        for block in (np.flatnonzero(group == index) for index in range(group.max() + 1)):
-            covariance = np.linalg.inv(precision[np.ix_(block, block)])
-            residual[block] = covariance @ weighted[block]
-            sd[block] = np.sqrt(np.outer(np.diag(covariance), process.sigma2))
-        return residual, sd
-
     def scatter(self, x: FloatArray, depth: FloatArray) -> FloatArray:
         """Factor of the covariance of a simulation about the law's mean [-], [k, 2, place].
 
@@ -423,18 +399,22 @@ class RatioLaw(LegLaw):
         parameters, depth, forces = self._at(x[:, 0], cohesion, **changed)
         return forces(self._law(parameters, depth))
 
-    def interpolation(self, x: FloatArray, cohesion: float) -> FloatArray:
-        """Factor of the covariance of the Gaussian process."""
-        x, depth, forces = self._at(np.clip(x, *self.bounds), cohesion)
-        errors = forces(self._law.errors(x, depth))[:, 0]
-        return np.asarray(errors.reshape(len(errors), -1).T)
+    def errors(self, x: FloatArray, cohesion: float, *, is_measured: bool) -> dict[str, FloatArray]:
+        """The Gaussian process, and of measured forces one standard deviation of friction and hip.
 
-    def scatter(self, x: FloatArray, cohesion: float) -> FloatArray:
-        """Covariance of a simulation about the law's mean."""
-        x, depth, forces = self._at(np.clip(x, *self.bounds), cohesion)
-        factor = forces(self._law.scatter(x, depth))
-        flat = factor.reshape(len(factor), -1)
-        return np.asarray(flat.T @ flat)
+        Of simulated ones the scatter of a simulation about the law's mean.
+        """
+        at, depth, forces = self._at(np.clip(x, *self.bounds), cohesion)
+        rows = {"emulator": forces(self._law.errors(at, depth))[:, 0]}
+        if not is_measured:
+            rows["particle scatter"] = forces(self._law.scatter(at, depth))
+        factors = {name: row.reshape(len(row), -1).T for name, row in rows.items()}
+        if is_measured:
+            rig = self._rig
+            rougher, higher = self.slope(x, cohesion, "rougher"), self.of_hip(x, cohesion)
+            factors["leg friction"] = rig.leg_friction_sd * rougher
+            factors["hip height"] = rig.hip_height_sd_mm * higher
+        return factors
 
     def slope(self, x: FloatArray, cohesion: float, cause: str) -> FloatArray:
         """Change of the forces with ``rougher`` or ``higher`` of a rig, shape [2 theta, 1]."""
@@ -451,14 +431,6 @@ class RatioLaw(LegLaw):
     def of_hip(self, x: FloatArray, cohesion: float) -> FloatArray:
         """Change of the forces with the height of the hip [N/mm], shape [2 theta, 1]."""
         return self.slope(x, cohesion, "higher") / self._rig.length_mm
-
-    def modes(self, x: FloatArray, cohesion: float) -> dict[str, FloatArray]:
-        """One standard deviation of the leg's friction, and of the hip's height."""
-        rig = self._rig
-        return {
-            "leg friction": rig.leg_friction_sd * self.slope(x, cohesion, "rougher"),
-            "hip height": rig.hip_height_sd_mm * self.of_hip(x, cohesion),
-        }
 
 
 def cells_in(scenario: Scenario | None, rig: Rig) -> float:
@@ -485,85 +457,6 @@ Cases = tuple[FloatArray, FloatArray, FloatArray, tuple[Rig, ...]]
 def law_of(law: LawOfLegs, rig: Rig, scenario: Scenario | None) -> LegLaw:
     """The law of a rig, of a simulation in its cells; raises InputError if it covers neither."""
     return law.law(rig, cells_in(scenario, rig)) if isinstance(law, Legs) else law.law(rig)
-
-
-def forces(
-    law: LawOfLegs,
-    rig: Rig | Mapping[str, Any] | Path | str,
-    phi_deg: ArrayLike,
-    *,
-    leg: str | None = None,
-    density: float | None = None,
-    cohesion_pa: float = 0.0,
-) -> xr.Dataset:
-    """Forces on the leg of a rig by a law, and their slope with φ.
-
-    They are as simulated: an answer's φ has the law's mean offset on real soils taken off.
-
-    Parameters
-    ----------
-    law
-        A law; as a method ``law.forces(rig, phi_deg)``.
-    rig
-        A :class:`~terraphi.Rig`, its keys, a TOML file, or ``li2013``.
-    phi_deg
-        Friction angles in the law's convention [deg], one or several.
-    leg
-        Shape of the leg, where the rig has several.
-    density
-        Bulk density [kg/m³]; forces are in proportion to it. By default that of the law's soil.
-    cohesion_pa
-        Cohesion [Pa], where the law knows it.
-
-    Returns
-    -------
-    xarray.Dataset
-        ``forces`` [N] and ``slope`` [N/deg], with the coordinates ``phi_deg``, ``force`` (``Fx``,
-        ``Fz``) and ``theta_deg``; and ``moment`` about the hip [N m].
-
-    Raises
-    ------
-    InputError
-        If the law is not for this rig, or an angle, friction or cohesion is outside it.
-
-    Examples
-    --------
-    >>> curves = terraphi.law("legs").forces("li2013", [28.0, 33.0], leg="c", density=1600.0)
-    >>> curves.forces.dims
-    ('phi_deg', 'force', 'theta_deg')
-    >>> bool(curves.slope.sel(force="Fz").max() > 0.0)
-    True
-    """
-    import xarray as xr
-
-    apparatus = Rig.of(rig, leg)
-    of_rig = law_of(law, apparatus, None)
-    (low,), (high,) = of_rig.bounds
-    phi = numbers("phi_deg", phi_deg, low=low, high=high, unit=f"deg by law {law.name}").ravel()
-    # Forces go with the density, and a cohesion counts over the weight: c / (ρ g L).
-    given = of_rig.density if density is None else density
-    heavier = float(numbers("density", given, shape=(), low=100.0, high=1e4, unit="kg/m³"))
-    heavier /= of_rig.density
-    cohesion = cohesion_pa / (heavier * of_rig.density * GRAVITY * apparatus.length)
-    if not 0.0 <= cohesion <= of_rig.most_cohesion:
-        most = cohesion_pa / cohesion * of_rig.most_cohesion if cohesion else 0.0
-        raise InputError(f"cohesion_pa = {cohesion_pa:g}: law {law.name} is for 0 to {most:g} Pa")
-    # A slope across two neighbors; at an end of the range it is one-sided.
-    step = STEP * (high - low)
-    before, after = (np.clip(phi + side, low, high) for side in (-step, step))
-    lower, force, upper = (heavier * of_rig(x[:, None], cohesion) for x in (before, phi, after))
-    dims = ("phi_deg", "force", "theta_deg")
-    slope = (upper - lower) / (after - before)[:, None, None]
-    variables: dict[Any, Any] = {
-        "forces": (dims, force, {"units": "N"}), "slope": (dims, slope, {"units": "N/deg"}),
-        "moment": (dims[::2], (of_rig.arm * force).sum(axis=1), {"units": "N m"}),
-    }  # fmt: skip
-    return xr.Dataset(
-        variables,
-        {"phi_deg": phi, "force": ["Fx", "Fz"], "theta_deg": of_rig.theta_deg},
-        {"law": law.name, "rig": str(apparatus), "density_kg_m3": heavier * of_rig.density,
-         "cohesion_Pa": cohesion_pa},
-    )  # fmt: skip
 
 
 def cases_of(library: Library) -> Cases:

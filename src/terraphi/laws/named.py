@@ -54,7 +54,7 @@ def stored(name: Path | str) -> LawOfLegs | Library:
 def law_named(name: Path | str | AnyLaw) -> LawOfLegs:
     """A law of legs by its name or file; a library is joined to law ``legs``.
 
-    Its method ``forces(rig, phi_deg)`` has the forces on a leg (:func:`forces`).
+    Its method ``forces(rig, phi_deg)`` has the forces on a leg.
 
     Raises
     ------

@@ -304,19 +304,14 @@ def rolling(
     index = np.clip(at.astype(int), 0, NODES - 2)
     part = (at - index)[..., None]
     row = np.arange(each.size)
-    result = np.empty((3, *read.shape))
     curve = (1.0 - part) * borne[row, index] + part * borne[row, index + 1]
-    for i, rho in enumerate(density.tolist()):
-        for j, load_j in enumerate(loads.ravel().tolist()):
-            borne_j = math.log(load_j * DENSITY.mean / rho)
-            depth = float(np.interp(borne_j, curve[i, j], np.log(depths), right=np.nan))
-            ratios = [
-                np.interp(
-                    math.exp(depth), depths, force[j, index[i, j]] / forces.load[j, index[i, j]]
-                )
-                for force in (forces.pull, forces.torque)
-            ]
-            result[:, i, j] = 1e3 * math.exp(depth), load_j * ratios[0], load_j * ratios[1]
+    wanted = np.log(loads.ravel() * DENSITY.mean / density[:, None])
+    shares = np.stack([forces.pull, forces.torque]) / forces.load
+    result = np.empty((3, *read.shape))
+    for i, j in np.ndindex(read.shape):
+        depth = math.exp(np.interp(wanted[i, j], curve[i, j], np.log(depths), right=np.nan))
+        pull, torque = (np.interp(depth, depths, share) for share in shares[:, j, index[i, j]])
+        result[:, i, j] = 1e3 * depth, loads.flat[j] * pull, loads.flat[j] * torque
     names = ("sinkage_mm", "pull_N", "torque_Nm")
     return {
         name: values.reshape(-1, *slips.shape) for name, values in zip(names, result, strict=True)
