@@ -344,8 +344,8 @@ def _law_named(name: Path | str | AnyLaw, _changed_ns: int) -> LawOfLegs:
 def law_for(records: Sequence[Record], law: AnyLaw | Path | str | None) -> tuple[LawOfLegs, str]:
     """The law to take, and why, if none was named."""
     if law is not None:
-        is_file = isinstance(law, str | Path) and Path(law).is_file()
-        changed_ns = Path(law).stat().st_mtime_ns if is_file else 0
+        file = Path(law) if isinstance(law, str | Path) else None
+        changed_ns = file.stat().st_mtime_ns if file and file.is_file() else 0
         return _law_named(law, changed_ns), "what sand3d is now" if str(law) == FORMER_NAME else ""
     first = records[0].scenario
     if first is not None and all(record.scenario is not None for record in records):

@@ -247,11 +247,12 @@ class Record(InSoil):
         bins = min(MOST_READINGS, int(np.ceil(np.degrees(high - low) / 0.05)))
         at = np.minimum(((history.position - low) / (high - low) * bins).astype(int), bins - 1)
         first = np.flatnonzero(np.diff(at, prepend=-1))
-        position, force, moment = (
-            None if values is None else block_means(values, first)
-            for values in (history.position, history.force, history.moment)
+        fewer = replace(
+            history,
+            position=block_means(history.position, first),
+            force=block_means(history.force, first),
+            moment=None if history.moment is None else block_means(history.moment, first),
         )
-        fewer = replace(history, position=position, force=force, moment=moment)
         factor = np.sqrt(first.size / count)
         return replace(self, history=fewer, noise=tuple(factor * sd for sd in self.noise))
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -21,6 +21,8 @@ from terraphi.experiment.units import GRAVITY
 if TYPE_CHECKING:
     import xarray as xr
     from numpy.typing import ArrayLike
+
+    from terraphi.experiment.scenario import Scenario
 
 PHI = "soil.friction_angle_deg"
 """Dotted scenario key of the friction angle."""
@@ -38,6 +40,16 @@ STEP = 1e-3
 
 class AnyLaw:
     """A law of legs, of whatever kind."""
+
+    PRESET: ClassVar[str]
+    """Name of a scenario of its soil."""
+
+    @property
+    def scenario(self) -> Scenario:
+        """A scenario of its soil."""
+        from terraphi.experiment.scenario import Scenario
+
+        return Scenario.load(self.PRESET)
 
     def forces(
         self,

@@ -151,6 +151,7 @@ class Legs(AnyLaw, FittedLaw):
     AXES = AXES
     PLACES = PLACES
     HYPER = (1, len(AXES) + 1)
+    PRESET = "sand3d"
     convention, phi_deg = "plane_strain", PHI_DEG
 
     name: str = NAME
@@ -263,13 +264,6 @@ class Legs(AnyLaw, FittedLaw):
     def legs(self) -> list[str]:
         """Shapes of its legs, sorted."""
         return sorted(leg for leg in OUTLINES if self.of(leg).any())
-
-    @property
-    def scenario(self) -> Scenario:
-        """A scenario of its soil."""
-        from terraphi.experiment.scenario import Scenario
-
-        return Scenario.load("sand3d")
 
     def ranges(self, leg: str) -> dict[str, tuple[float, float]]:
         """Smallest and largest value of each axis among the design's cases of a shape."""

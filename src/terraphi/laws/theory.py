@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -32,9 +32,6 @@ from terraphi.forward.rft import (
 )
 from terraphi.laws.law import THETA_DEG, AnyLaw, LegLaw, lever_arm
 
-if TYPE_CHECKING:
-    from terraphi.experiment.scenario import Scenario
-
 PHI_DEG = (15.0, 50.0)
 """Smallest and largest friction angle [deg]; chosen: those of sand, with room at either end."""
 DENSITY, ALUMINUM = 1650.0, 0.40
@@ -48,6 +45,7 @@ class Theory(AnyLaw):
     """The law of all legs."""
 
     name, caveat, convention, phi_deg = "rft3d", "", "rft3d", PHI_DEG
+    PRESET = "quick"
     provenance: ClassVar = {"source": "Agarwal et al. (2023)"}
     hash = hashlib.sha256(
         np.concatenate([SCALE_POLYNOMIAL, SPACE_COEFFICIENTS.ravel(), PHI_DEG]).tobytes()
@@ -58,13 +56,6 @@ class Theory(AnyLaw):
     def legs(self) -> list[str]:
         """Shapes of its legs, sorted."""
         return sorted(OUTLINES)
-
-    @property
-    def scenario(self) -> Scenario:
-        """A scenario of its soil."""
-        from terraphi.experiment.scenario import Scenario
-
-        return Scenario.load("quick")
 
     @staticmethod
     @functools.lru_cache(maxsize=32)

@@ -575,15 +575,6 @@ def _of_mesh(
 ) -> tuple[Any, Any, Any]:
     """Force, moment and depth of meshes, shape [foot, 3], [foot, 3] and [foot]."""
     xp = namespace(place)
-    if xp is np:  # Feet in the air cost nothing.
-        near = np.flatnonzero(each["surface"] - place[:, 2] > -mesh.reach)
-        if near.size < len(place):
-            submerged = {key: value[near] for key, value in each.items()}
-            parts = _of_mesh(mesh, place[near], moving[near], fade, surface_friction, **submerged)
-            results = [np.zeros((len(place), *part.shape[1:])) for part in parts]
-            for target, part in zip(results, parts, strict=True):
-                target[near] = part
-            return results[0], results[1], results[2]
     points, normals, areas = (like(place, x) for x in (mesh.points, mesh.normals, mesh.areas))
     turned = _rotation(xp, place[:, 3:]) if place.shape[-1] == 7 else None
     up = like(place, np.array([[0.0, 0.0, 1.0]])) if turned is None else turned[:, 2, :]
