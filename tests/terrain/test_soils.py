@@ -15,6 +15,7 @@ from terraphi.experiment.priors import FOOT_FRICTION
 from terraphi.inference.inversion import SHARE, invert
 from terraphi.laws.foot import LAWS, Foot
 from terraphi.terrain.export import export
+from terraphi.terrain.simulators import NAMES as SIMULATORS
 from terraphi.terrain.simulators import convert
 from terraphi.terrain.soils import named, soil
 
@@ -131,6 +132,19 @@ def test_draws_of_stiffness_have_the_density_of_their_draw(to: str, name: str) -
     assert np.ptp(drawn) > 0.1
 
 
+@pytest.mark.parametrize("name", named())
+def test_each_named_soil_is_exported_to_each_simulator(name: str) -> None:
+    sand = soil(name)
+    for to in SIMULATORS:
+        parameters = sand.export(to, draws=20)
+        assert 0.0 < parameters["ci95"][0] < parameters["value"] < parameters["ci95"][1]
+        assert len(parameters["draws"]) == 20
+        assert parameters["density_kg_m3"] == named()[name].density[0]
+        if to not in ("mujoco", "rft3d"):
+            back = convert(parameters["value"], from_=to)["phi_plane_strain_deg"]
+            assert back == pytest.approx(sand.phi.median, abs=1e-3)
+
+
 def test_an_angle_may_be_a_number() -> None:
     for angle in (33, np.float64(33.0)):
         assert soil(angle).phi == soil(phi=33).phi
@@ -161,6 +175,8 @@ def test_force_is_that_of_the_law_in_plane_strain() -> None:
     [
         (lambda: soil(), "give its name"),
         (lambda: soil("loos dry sand"), "did you mean 'loose dry sand'"),
+        (lambda: soil("sand"), "known: .*beach, dense dry sand, .*loose gravel"),
+        (lambda: soil("lunar"), "known: .*loose grc-1, .*quarry".replace("grc", "GRC")),
         (lambda: soil("Snow"), "Snow: not described by a friction angle; its bonds"),
         (lambda: soil("wet clay"), "wet clay: not described"),
         (lambda: soil("JSC-1A"), "cohesion"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import runpy
 import sys
 from dataclasses import replace
@@ -22,7 +23,7 @@ from terraphi.experiment.errors import InputError
 from terraphi.inference.stored import StoredAnswer
 from terraphi.laws.foot import LAWS, Foot
 from terraphi.terrain import tune as tuning
-from terraphi.terrain.export import export, text
+from terraphi.terrain.export import export, text, write
 from terraphi.terrain.simulators import simulator
 from terraphi.terrain.tune import ENGINES, Fit, Press, Sole, fit, tune
 
@@ -134,6 +135,50 @@ def synthetic(strength: float, coarse: float = 1.0):
     return engine
 
 
+MATERIAL = {
+    "dilatancy", "elasticDamping", "hardening", "hardeningRate", "initialPlasticVolumeStrain",
+    "internalFriction", "poissonsRatio", "softeningRate", "tensileYieldRatio", "viscosity",
+    "yieldPressure", "yieldStress", "youngsModulus",
+}  # fmt: skip
+"""Attributes of NewtonMPMMaterialAPI as newton-usd-schemas has them (2026)."""
+
+
+def check_bed(file: Path, content: dict[str, Any]) -> None:
+    """The stage has the scene, the material with all attributes, and a bed of whole voxels."""
+    text = file.read_text(encoding="utf-8")
+    values = dict(re.findall(r"float (?:newton:mpm|physics):(\w+) = (\S+)", text))
+    assert {*values} == MATERIAL | {"voxelSize", "gravityMagnitude", "density"}
+    assert float(values["internalFriction"]) == pytest.approx(content["value"], abs=1e-6)
+    assert (float(values["yieldStress"]), float(values["voxelSize"])) == (0.0, 0.03)
+    assert float(values["density"]) == 1600.0
+    triples = re.findall(r"\(([-.\de]+), ([-.\de]+), ([-.\de]+)\)", text.split("points = ")[1])
+    points = np.array(triples, dtype=float)
+    masses = [float(mass) for mass in text.split("masses = [")[1].split("]")[0].split(",")]
+    half, deep = content["bed_m"]
+    assert np.abs(points[:, :2]).max() <= half
+    assert -deep <= points[:, 2].min() < points[:, 2].max() <= 0.0
+    assert sum(masses) == pytest.approx(1600.0 * 4.0 * half**2 * deep, rel=1e-4)
+    stages = pytest.importorskip("pxr.Usd", reason="without usd-core")
+    bed = stages.Stage.Open(str(file)).GetPrimAtPath("/World/Bed")
+    assert len(bed.GetAttribute("points").Get()) == len(points)
+    assert str(bed.GetRelationship("physics:simulationOwner").GetTargets()[0]) == "/World/Scene"
+
+
+def test_newton_loads_the_bed_itself(tmp_path: Path) -> None:
+    """Newton's own loader makes the particles, with the friction and mass of the stage."""
+    newton = pytest.importorskip("newton")
+    pytest.importorskip("newton_usd_schemas")
+    bed = {**export("33±2", density="1600±40", to="newton"), "voxel_m": 0.05, "bed_m": (0.1, 0.1)}
+    write(bed, tmp_path / "bed.usda")
+    builder = newton.ModelBuilder()
+    newton.solvers.SolverImplicitMPM.register_custom_attributes(builder)
+    builder.add_usd(str(tmp_path / "bed.usda"))
+    model = builder.finalize(device="cpu")
+    assert model.particle_count == 12 * 12 * 6
+    assert model.mpm.friction.numpy() == pytest.approx(bed["value"], rel=1e-6)
+    assert model.particle_mass.numpy().sum() == pytest.approx(1600.0 * 0.004, rel=1e-5)
+
+
 def test_the_command_writes_what_the_simulators_read(tmp_path, monkeypatch) -> None:
     monkeypatch.setitem(ENGINES, "newton", synthetic(0.7))
     args = ["tune", "newton", "--voxel", "0.03", "--foot", "disc:0.05", "--phi", "33±2",
@@ -146,7 +191,7 @@ def test_the_command_writes_what_the_simulators_read(tmp_path, monkeypatch) -> N
     assert content["value"] == pytest.approx(0.7, rel=0.01)
     assert content["carried"] == pytest.approx((OWN / 0.7) ** 2, rel=0.03)
     assert content["verdict"] == "carries"
-    assert f"newton:mpm:internalFriction = {content['value']:.6f}" in files[0].read_text()
+    check_bed(files[0], content)
     module = runpy.run_path(str(files[1]))
     assert (module["FRICTION"], module["DRAWS"]) == (content["value"], content["draws"])
 

@@ -143,7 +143,7 @@ def test_a_table_of_a_tool_is_inverted_as_on_the_command_line(
     options = {"name": f"{name}.csv", "tool": tool, "density": "1600±80", "leg_friction": "0.4"}
     options |= dict.fromkeys(("leg", *SIZES), "")
     read = json.loads(served.drop(file.read_bytes(), task="look", **options).text)["read"]
-    assert "sinkage from" in read[0]
+    assert "sinkage [mm] from" in read[0]
     files = json.loads(served.drop(file.read_bytes(), **options).text)["files"]
     answer = invert(file, tool=tool, density="1600±80", friction="0.4")
     table = pd.read_csv(io.BytesIO(base64.b64decode(files["fit.csv"])))
@@ -534,6 +534,43 @@ def test_a_list_of_files_says_what_the_answer_takes(
     assert not walker.trouble
 
 
+@pytest.mark.slow
+def test_a_wheel_has_columns_to_choose_and_the_button_takes_the_first_click(
+    browser: Any, served: Served, samples: Path
+) -> None:
+    rows = pd.read_csv(samples / "wheel.csv", comment="#")
+    named = {name: f"channel {i}" for i, name in enumerate(rows)}
+    rows.rename(columns=named).to_csv(samples / "unnamed.csv", index=False)
+    walker = Walker(browser, served.port, samples, 1280)
+    walker.drop("unnamed.csv")
+    walker.rest()
+    walker.page.get_by_label("Its sizes [mm]").fill("wheel:314.7x165")
+    walker.page.get_by_label("Its sizes [mm]").press("Tab")
+    for role in ("slip", "load", "sinkage"):
+        column = next(new for old, new in named.items() if old.startswith(role))
+        choice = walker.page.get_by_label(f"What {column} is")
+        choice.locator(f"option[value={role}]").wait_for(state="attached")
+        choice.select_option(role)
+        walker.rest()
+    walker.page.get_by_label("Columns, where").fill(
+        walker.page.get_by_label("Columns, where").input_value() + ",sinkage_unit=mm,unit=N"
+    )
+    walker.page.get_by_label("Columns, where").press("Tab")
+    walker.page.locator("#read").get_by_text("sinkage [mm] from").wait_for()
+    walker.picture("columns-of-a-wheel")
+    walker.fill(density="1605", tool="wheel:314.7x160")
+    walker.page.locator("[name=tool]").fill("wheel:314.7x165")
+    box = walker.page.get_by_role("button", name="Find").bounding_box()
+    walker.page.mouse.move(box["x"] + 10.0, box["y"] + 10.0)
+    walker.page.mouse.down()
+    walker.page.wait_for_timeout(300)
+    walker.page.mouse.up()
+    walker.page.locator("#answer img").wait_for(state="attached")
+    assert walker.page.locator(".headline").inner_text().startswith("φ = ")
+    walker.picture("wheel-answered")
+    assert not walker.trouble
+
+
 OPTIONS = {
     "density": "638", "sd": "30", "grain_size_mm": "0.5", "leg_friction": "0.3±0.08",
     "gain": "1.0±0.02", "critical": "33±1", "law": "legs", "hip_sd": "1",
@@ -637,7 +674,7 @@ def test_every_option_of_the_page(width: int, browser: Any, samples: Path, place
         page.get_by_label("Its sizes [mm]").press("Tab")
         walker.picture("percent")
         page.get_by_role("button", name="Use slip_unit=%").press("Enter")
-        page.locator("#read").get_by_text("Read, in SI").wait_for()
+        page.locator("#read").get_by_text("sinkage [mm] from").wait_for()
         walker.fill(density="1605")
         wheel = pd.read_csv(samples / "wheel.csv", comment="#")
         answer = terraphi.invert(wheel, tool="wheel:314.7x165", density=1605)

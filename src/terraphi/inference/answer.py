@@ -421,7 +421,9 @@ class Answer(Shown, AnswerSummary):
                           label="data")  # fmt: skip
             handles, labels = axes.get_legend_handles_labels()
             legend |= dict(zip(labels, handles, strict=True))
-            axes.set(xlabel=along, ylabel=force_label(name))
+            # A wheel without a sinkage has its resistance, or what was measured of it.
+            of_wheel = {"Fz": "load [N]", "Fx": "resistance T/R − P [N]"}
+            axes.set(xlabel=along, ylabel=of_wheel[name] if along == "slip" else force_label(name))
             axes.axhline(0.0, color="0.7", lw=0.5, zorder=0)
             # A wide band is cut off, so that the data fill the picture.
             rows = [line.get_ydata() for line in axes.get_lines()[:-1]]

@@ -25,6 +25,62 @@ from terraphi.terrain.soils import SoilDistribution, soil
 
 FORMATS = {".py": "python", ".json": "json", ".usda": "usda"}
 """Suffix of a file to what is written into it."""
+PARTICLES = 3
+"""Particles along the side of a voxel, as in Newton's examples."""
+MPM_MATERIAL = {
+    "youngsModulus": "-inf", "poissonsRatio": "0.3", "elasticDamping": "0",
+    "yieldPressure": "-inf", "tensileYieldRatio": "0", "viscosity": "0", "hardening": "0",
+    "hardeningRate": "1", "softeningRate": "1", "dilatancy": "0",
+    "initialPlasticVolumeStrain": "1",
+}  # fmt: skip
+"""Attributes of the schema NewtonMPMMaterialAPI next to friction and yield stress: the soil of the
+law does not dilate or bear tension, and what is not known of it (-inf) is Newton's default."""
+STAGE = """#usda 1.0
+(
+    doc = {about}
+    defaultPrim = "World"
+    kilogramsPerUnit = 1
+    metersPerUnit = 1
+    upAxis = "Z"
+)
+
+def Xform "World"
+{{
+    def PhysicsScene "Scene" (
+        prepend apiSchemas = ["NewtonMPMSceneAPI"]
+    )
+    {{
+{scene}        vector3f physics:gravityDirection = (0, 0, -1)
+        float physics:gravityMagnitude = 9.81
+    }}
+
+    def Material "Soil" (
+        prepend apiSchemas = ["PhysicsMaterialAPI", "NewtonMPMMaterialAPI"]
+    )
+    {{
+        float physics:density = {density}
+{material}
+    }}
+{bed}}}
+"""
+BED = """
+    def Points "Bed" (
+        prepend apiSchemas = [
+            "MaterialBindingAPI", "NewtonParticleAPI", "NewtonPointsDeformableSimAPI",
+            "PhysicsDeformableBodyAPI"
+        ]
+    )
+    {{
+        rel material:binding:physics = </World/Soil>
+        rel physics:simulationOwner = </World/Scene>
+        point3f[] points = [{points}]
+        float[] physics:masses = [{masses}]
+        float[] widths = [{cell:.6g}] (
+            interpolation = "constant"
+        )
+    }}
+"""
+"""Text of a stage, and of its bed. Newton names particles by different schemas in its versions."""
 PLATE = Foot(0.05, "disc")
 """Plate whose sinkage gives Bekker's parameters."""
 LEG_FRICTION_ABOUT = "that of the library's leg, unless it was inferred; None: unknown"
@@ -229,13 +285,7 @@ def text(parameters: Mapping[str, Any], form: str) -> str:
     if form == "json":
         return json.dumps(parameters, indent=2, ensure_ascii=False) + "\n"
     if form == "usda":
-        return (
-            f"#usda 1.0\n(\n    doc = {json.dumps(_about(parameters), ensure_ascii=False)}\n)\n\n"
-            'def Material "Soil" (\n'
-            '    prepend apiSchemas = ["PhysicsMaterialAPI", "NewtonMPMMaterialAPI"]\n)\n{\n'
-            f"    float physics:density = {parameters['density_kg_m3']}\n"
-            f"    float newton:mpm:internalFriction = {parameters['value']:.6f}\n}}\n"
-        )
+        return _stage(parameters)
     keys = {parameters["parameter"].upper(): "value", "DRAWS": "draws", "DENSITY": "density_kg_m3"}
     keys |= {"DENSITY_DRAWS": "density_draws_kg_m3", "LEG_FRICTION": "leg_friction_assumed"}
     constants = {name: parameters[key] for name, key in keys.items()}
@@ -247,6 +297,28 @@ def text(parameters: Mapping[str, Any], form: str) -> str:
     # Safe between the quotation marks of a docstring.
     about = [repr(line)[1:-1].replace('"', '\\"') for line in _about(parameters).split("\n")]
     return '"""' + "\n".join(about) + f'"""\n\n{lines}\n\n\n{USES[parameters["to"]]}'
+
+
+def _stage(parameters: Mapping[str, Any]) -> str:
+    """USD with a scene and the soil as its material; of tuned soil the bed of particles as well."""
+    values = {"internalFriction": f"{parameters['value']:.6f}", **MPM_MATERIAL}
+    values |= {"yieldStress": f"{parameters['cohesion_Pa']:g}"}
+    material = "\n".join(f"        float newton:mpm:{name} = {v}" for name, v in values.items())
+    voxel, bed = parameters.get("voxel_m"), ""
+    scene = "" if voxel is None else f"        uniform float newton:mpm:voxelSize = {voxel:g}\n"
+    if voxel is not None:
+        # A box of whole voxels with its surface at z = 0, a particle at random in each cell.
+        half, deep = parameters["bed_m"]
+        cell = voxel / PARTICLES
+        counts = [round(size / cell) for size in (2.0 * half, 2.0 * half, deep)]
+        grid = np.moveaxis(np.indices(counts), 0, -1).reshape(-1, 3)
+        places = (grid + np.random.default_rng(0).random(grid.shape)) * cell - [half, half, deep]
+        points = ", ".join(f"({x:.5g}, {y:.5g}, {z:.5g})" for x, y, z in places.tolist())
+        mass = parameters["density_kg_m3"] * cell**3
+        bed = BED.format(points=points, cell=cell, masses=", ".join([f"{mass:.6g}"] * len(places)))
+    about = json.dumps(_about(parameters), ensure_ascii=False)
+    return STAGE.format(about=about, scene=scene, material=material, bed=bed,
+                        density=parameters["density_kg_m3"])  # fmt: skip
 
 
 def headline(parameters: Mapping[str, Any]) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError, nearest, needing
 from terraphi.experiment.files import check_is_file, path_of, plain_number
+from terraphi.experiment.outputs import SIGNATURE
 from terraphi.experiment.tables import read_cells
 from terraphi.inference.footfalls import FootfallMap
 from terraphi.terrain.simulators import LEAST_DEG
@@ -221,6 +222,30 @@ def read_layer(path: Path, on: Elevation, points: pd.DataFrame) -> Raster:
     if not np.isfinite(on.at(layer.read, points)).all():
         raise InputError(f"{path}: has no data at some of the points; fill it there")
     return layer
+
+
+def new_geotiff(
+    path: Path, bands: Mapping[str, tuple[str, str]], shape: tuple[int, int], crs: Any,
+    transform: Any, *, marks: bool = False,
+) -> Any:  # fmt: skip
+    """Open a GeoTIFF to write; its bands have names, and what each is with its unit.
+
+    Numbers are in single precision, NaN where there is none; ``marks`` are bytes, 255 there.
+    """
+    import rasterio
+
+    os.environ.update(OFFLINE)
+    file = rasterio.open(
+        path, "w", driver="GTiff", height=shape[0], width=shape[1], count=len(bands), crs=crs,
+        transform=transform, dtype="uint8" if marks else "float32", nodata=255 if marks else np.nan,
+        compress="deflate", zlevel=1, predictor=2 if marks else 3, tiled=True, blockxsize=STRIPE,
+        blockysize=STRIPE, bigtiff="if_safer",
+    )  # fmt: skip
+    file.update_tags(TIFFTAG_SOFTWARE=SIGNATURE)
+    for band, (name, (about, unit)) in enumerate(bands.items(), 1):
+        file.set_band_description(band, name)
+        file.update_tags(band, about=about, unit=unit)
+    return file
 
 
 def read_band(path: Path, rows: slice | None = None, *, step: int = 1) -> Float32:

@@ -15,7 +15,7 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError, needing
 from terraphi.experiment.files import atomic_write
-from terraphi.experiment.outputs import SIGNATURE, check_file, check_folder, output_folder
+from terraphi.experiment.outputs import check_file, check_folder, output_folder
 from terraphi.inference.footfalls import FAULTY, LAST_STAMP, SHALLOW, TORN, FootfallMap
 
 if TYPE_CHECKING:
@@ -251,7 +251,7 @@ def _write_geotiff(
     """Write a band for each layer, turned and shifted to the start of the walk."""
     import rasterio
 
-    from terraphi.terrain.inputs import OFFLINE, start_from
+    from terraphi.terrain.inputs import OFFLINE, new_geotiff, start_from
 
     os.environ.update(OFFLINE)
     try:
@@ -262,27 +262,16 @@ def _write_geotiff(
         raise InputError(f"crs '{crs!s:.60}': {expected}") from error
     layers, (x, y) = grid(walk, cell)
     bands = np.stack([layer.T[::-1] for layer in layers.values()]).astype(np.float32)
-    count, height, width = bands.shape
     # With the bearing b of the walk's x: east + x sin b − y cos b, north + x cos b + y sin b.
     east, north, bearing = (0.0, 0.0, 90.0) if start is None else start_from(start)
-    cos, sin, top = (
-        math.cos(math.radians(bearing)),
-        math.sin(math.radians(bearing)),
-        y + cell * height,
-    )
+    turn, top = math.radians(bearing), y + cell * bands.shape[1]
+    cos, sin = math.cos(turn), math.sin(turn)
     transform = rasterio.Affine(
         cell * sin, cell * cos, east + x * sin - top * cos,
         cell * cos, -cell * sin, north + x * cos + top * sin,
     )  # fmt: skip
     with (
         atomic_write(out) as temporary,
-        rasterio.open(
-            temporary, "w", driver="GTiff", count=count, height=height, width=width, crs=system,
-            transform=transform, dtype="float32", nodata=np.nan, compress="deflate",
-        ) as file,
-    ):  # fmt: skip
+        new_geotiff(temporary, LAYERS, bands.shape[1:], system, transform) as file,
+    ):
         file.write(bands)
-        file.update_tags(TIFFTAG_SOFTWARE=SIGNATURE)
-        for band, (name, (about, unit)) in enumerate(LAYERS.items(), 1):
-            file.set_band_description(band, name)
-            file.update_tags(band, about=about, unit=unit)

@@ -318,9 +318,9 @@ class Terrain(NamedTuple):
     layers: list[Callable[[slice], Any]]
     """Reads a covariate in some rows."""
     wetness: Callable[[slice], Any] | None
-    middle: Any = 0.0
+    covariate_means: Any = 0.0
     """Mean of each covariate over the map, shape [covariate, 1, 1]."""
-    scale: Any = 1.0
+    covariate_sds: Any = 1.0
     """Standard deviation of each; infinite where it does not vary."""
 
     @classmethod
@@ -345,25 +345,27 @@ class Terrain(NamedTuple):
         for part in map(terrain.read, ground.stripes()):
             values = part.covariates[:, part.has_data()].astype(np.float64)
             sums += [np.full(len(names), values.shape[1]), values.sum(1), (values**2).sum(1)]
-        middle = sums[1] / sums[0]
-        sd = np.sqrt(np.maximum(sums[2] / sums[0] - middle**2, 0.0))
+        means = sums[1] / sums[0]
+        sd = np.sqrt(np.maximum(sums[2] / sums[0] - means**2, 0.0))
         # What varies by rounding alone, as the slope of a plane [rad], has no effect.
-        varies = sd > [1e-6 * abs(middle[0]), 1e-4, *1e-6 * np.abs(middle[2:])]
+        varies = sd > [1e-6 * abs(means[0]), 1e-4, *1e-6 * np.abs(means[2:])]
         if not varies[2:].all():
             raise InputError(f"{covariate}: the covariate does not vary; leave it out")
-        scale = np.where(varies, sd, np.inf)
-        return terrain._replace(middle=middle[:, None, None], scale=scale[:, None, None])
+        sds = np.where(varies, sd, np.inf)
+        return terrain._replace(
+            covariate_means=means[:, None, None], covariate_sds=sds[:, None, None]
+        )
 
     def read(self, rows: slice) -> Cells:
         """Covariates, inclination and m of a stripe of rows."""
         layers = np.stack([layer(rows) for layer in self.layers])
-        scaled = ((layers - self.middle) / self.scale).astype(np.float32)
+        scaled = ((layers - self.covariate_means) / self.covariate_sds).astype(np.float32)
         return Cells(scaled, layers[1], None if self.wetness is None else self.wetness(rows))
 
     def at_points(self) -> FloatArray:
         """Covariates at the points, of mean 0 and standard deviation 1, [point, covariate]."""
         values = np.stack([self.ground.at(layer, self.points) for layer in self.layers])
-        return np.asarray((values - self.middle[..., 0]) / self.scale[..., 0]).T
+        return np.asarray((values - self.covariate_means[..., 0]) / self.covariate_sds[..., 0]).T
 
 
 class Windows:
@@ -454,25 +456,18 @@ def _write(
 
     The share of the unstable cells, of each draw, has an interval.
     """
-    import rasterio
-
     ground = windows.terrain.ground
     rows, columns = ground.shape
     sums: Any = dict.fromkeys(("cells", "unstable", "p_unstable", "phi_share", "extrapolated"), 0.0)
     bins, steepest = np.zeros((2, round(90.0 / BIN_DEG) + 1), np.int64), 0.0
     with ExitStack() as stack, ThreadPoolExecutor(os.cpu_count()) as pool:
-        files = {}
-        for name, (about, unit) in LAYERS.items():
-            marks = name == "extrapolated"
-            files[name] = stack.enter_context(rasterio.open(
-                folder / f"{name}.tif", "w", driver="GTiff", height=rows, width=columns, count=1,
-                dtype="uint8" if marks else "float32", nodata=255 if marks else np.nan,
-                crs=ground.crs, transform=ground.transform, compress="deflate", zlevel=1,
-                predictor=2 if marks else 3, tiled=True, blockxsize=inputs.STRIPE,
-                blockysize=inputs.STRIPE, bigtiff="if_safer",
-            ))  # fmt: skip
-            files[name].set_band_description(1, about)
-            files[name].update_tags(1, unit=unit)
+        files = {
+            name: stack.enter_context(inputs.new_geotiff(
+                folder / f"{name}.tif", {name: about}, ground.shape, ground.crs, ground.transform,
+                marks=name == "extrapolated",
+            ))
+            for name, about in LAYERS.items()
+        }  # fmt: skip
         for stripe in ground.stripes():
             progress(stripe.start, rows)
             part, layers, unstable = windows.stripe(stripe, pool)

@@ -39,7 +39,7 @@ from terraphi.experiment.units import GRAVITY
 from terraphi.inference.records import density_with_sd
 from terraphi.laws.foot import LAWS, Foot
 from terraphi.laws.wrench import Mesh, angles_deg, force
-from terraphi.terrain.export import described, file_for, interval_in_words, write
+from terraphi.terrain.export import PARTICLES, described, file_for, interval_in_words, write
 from terraphi.terrain.simulators import Simulator, simulator
 from terraphi.terrain.simulators import in_words as value_in_words
 from terraphi.terrain.soils import SoilDistribution, soil
@@ -186,7 +186,7 @@ Engine = Callable[[Press, float], tuple[FloatArray, FloatArray]]
 
 
 def newton(press: Press, friction: float) -> tuple[FloatArray, FloatArray]:
-    """Newton's implicit solver with its own defaults, 27 particles in a voxel as in its examples.
+    """Newton's implicit solver with its own defaults and 27 particles in a voxel.
 
     Force on a kinematic body, from ``collect_collider_impulses``.
     """
@@ -198,7 +198,7 @@ def newton(press: Press, friction: float) -> tuple[FloatArray, FloatArray]:
     voxel, (half, deep) = press.voxel, press.box
     builder = nt.ModelBuilder()
     nt.solvers.SolverImplicitMPM.register_custom_attributes(builder)
-    cell = voxel / 3
+    cell = voxel / PARTICLES
     counts = [round(2 * half / cell)] * 2 + [round(deep / cell)]
     rng = np.random.default_rng(press.seed)
     grid = np.moveaxis(np.indices(counts), 0, -1).reshape(-1, 3)
@@ -701,6 +701,8 @@ def _result(
         "leg_friction_assumed": press.surface_friction,
         "leg_friction_about": "that between foot and soil, as given",
         "voxel_m": press.voxel,
+        "bed_m": press.box,
+        "cohesion_Pa": 0.0,
         "depth_m": press.depth,
         "time_step_s": press.time_step if is_newton else None,
         "source": {"answer": ground.name, "record": press.sole.name, "law": "foot"},

@@ -38,9 +38,11 @@ from terraphi.experiment.errors import InputError, needing
 from terraphi.experiment.files import temporary_folder
 from terraphi.experiment.history import CHANNEL_UNITS
 from terraphi.experiment.leg import Leg, frame_axes
+from terraphi.experiment.pressed_reading import PressColumns
 from terraphi.experiment.reading import ForceColumns
 from terraphi.experiment.rig import LI2013, SIZES, Rig, Tool, with_rig
 from terraphi.experiment.tables import write_csv
+from terraphi.experiment.wheel_reading import WheelColumns
 from terraphi.experiment.workers import end_with
 from terraphi.view import page
 from terraphi.view.sections import (
@@ -72,6 +74,12 @@ ROLES = {
 OPTIONS = ("leg", *SIZES, "leg_friction", "tool", "density", "grain_size_mm", "cohesion", "gain",
            "critical", "law", "robot")  # fmt: skip
 """Choices next to the columns: options of ``invert`` and the robot."""
+TOOL_UNITS = {
+    **dict.fromkeys(("force", "load", "pull", "side"), ("[N]", 1.0)), "sinkage": ("[mm]", 1e3),
+    "torque": ("[N m]", 1.0), "travel": ("[mm]", 1e3), "side_slip": ("[deg]", 1.0),
+    "time": ("[s]", 1.0), "slip": ("", 1.0),
+}  # fmt: skip
+"""Unit in which a value of a tool is shown, and how many of them are one in SI."""
 LONGEST_FOLDER = 60
 """Bytes of a temporary folder in which a socket of multiprocessing has its name: that adds 32."""
 LONGEST_NAME = 60
@@ -397,15 +405,25 @@ def look(file: str, columns: dict[str, Any], tool: str | None = None) -> dict[st
         return {"kind": "rig", "rig": Rig.of(file).model_dump(exclude_defaults=True)}
     if (kind := kind_of(file)) != "forces":
         return {"kind": kind}
-    if tool:
-        from terraphi.inference.pressed import open_pressed
-
-        of_tool = open_pressed(file, Tool.of(tool), columns).table
-        return {"kind": kind, **as_read("Read, in SI", of_tool.values, of_tool.notes)}
-    table = read_table(Path(file))
-    shown = preview(table, columns)
+    table, body = read_table(Path(file)), None if tool is None else Tool.of(tool)
+    shown = preview(table, columns if body is None else {})
     rows = [[None if math.isnan(cell) else cell for cell in row] for row in shown["rows"]]
     reply = {"kind": kind, **shown, "rows": rows}
+    if body is not None:
+        from terraphi.inference.pressed import open_pressed
+
+        of_body = PressColumns if body.shape.foot else WheelColumns
+        names = [name for name in of_body.model_fields if not name.endswith(("unit", "_is"))]
+        reply |= {"roles": {}, "candidates": {}, "of_tool": names}
+        try:
+            of_tool = open_pressed(file, body, columns).table
+        except InputError as error:
+            return {**reply, "wrong": str(error)}
+        values = {
+            f"{name.replace('_', ' ')} {TOOL_UNITS[name][0]}".strip(): TOOL_UNITS[name][1] * value
+            for name, value in of_tool.values.items()
+        }
+        return {**reply, **as_read("Read", values, of_tool.notes)}
     try:
         strokes = read_trials(table, columns)
     except InputError as error:

@@ -2,7 +2,7 @@ const by = (id) => document.getElementById(id);
 const form = by("form");
 const token = new URLSearchParams(location.search).get("token");
 const roles = JSON.parse(by("roles").textContent);
-let files = [], shown, chosen = {}, busy = 0, running;
+let files = [], shown, chosen = {}, busy = 0, running, ofTool = false, pressed = false;
 
 function create(tag, properties, ...inside) {
   const element = Object.assign(document.createElement(tag), properties);
@@ -16,10 +16,10 @@ const isToml = ({ file }) => /\.toml$/i.test(file.name);
 const body = (entry) => entry?.body.trim() || form.elements.tool.value.trim();
 const tool = () => (body(shown).includes(":") ? body(shown) : "");
 
+const toolColumns = () => Object.fromEntries(form.elements.tool_columns.value.split(",").filter(Boolean).map((pair) => pair.split("=").map((text) => text.trim())));
+
 function columns(task) {
-  if (task === "look" ? tool() : form.elements.tool.value.trim()) {
-    return Object.fromEntries(form.elements.tool_columns.value.split(",").filter(Boolean).map((pair) => pair.split("=").map((text) => text.trim())));
-  }
+  if (task === "look" ? tool() : form.elements.tool.value.trim()) return toolColumns();
   const choices = { ...chosen };
   // Of several files each is guessed by itself, but for what was chosen.
   const guessed = task === "answer" && files.length > 1 ? [] : document.querySelectorAll("#table select");
@@ -97,9 +97,15 @@ function alarm(text) {
   by("alert").scrollIntoView({ block: "nearest" });
 }
 
+// Of a tool the field with its columns has the choices.
 function take(role, column) {
-  for (const key of Object.keys(chosen)) if (chosen[key] === column) delete chosen[key];
-  if (role) chosen[role] = column;
+  if (tool()) {
+    const kept = Object.entries(toolColumns()).filter(([key, name]) => key !== role && name !== column);
+    form.elements.tool_columns.value = [...kept, ...(role ? [[role, column]] : [])].map((pair) => pair.join("=")).join(",");
+  } else {
+    for (const key of Object.keys(chosen)) if (chosen[key] === column) delete chosen[key];
+    if (role) chosen[role] = column;
+  }
   for (const select of document.querySelectorAll("#table select")) {
     if (select.dataset.column === column) select.value = role;
     else if (role && select.value === role) select.value = "";
@@ -120,13 +126,15 @@ function apply(option, value) {
 
 // -- a preview -----------------------------------------------------------------------------------
 
-function tabulate({ columns, units, rows, roles: taken, candidates }) {
+function tabulate({ columns, units, rows, roles: guessed, candidates, of_tool: ofTool }) {
+  const choices = ofTool ? Object.fromEntries(ofTool.map((role) => [role, role.replace("_", " ")])) : roles;
+  const taken = ofTool ? toolColumns() : guessed;
   const head = columns.map((name, i) => {
-    const select = create("select", { ariaLabel: `What ${name} is` }, create("option", { value: "", textContent: "not used" }));
-    for (const [role, text] of Object.entries(roles)) select.append(create("option", { value: role, textContent: text }));
+    const select = create("select", { ariaLabel: `What ${name} is` }, create("option", { value: "", textContent: ofTool ? "as guessed" : "not used" }));
+    for (const [role, text] of Object.entries(choices)) select.append(create("option", { value: role, textContent: text }));
     select.dataset.column = name;
     select.value = Object.keys(taken).find((role) => taken[role] === name) || "";
-    if (!taken.theta && !candidates.theta?.length && candidates.time?.[0] === name) { select.value = "time"; chosen.time = name; }
+    if (!ofTool && !taken.theta && !candidates.theta?.length && candidates.time?.[0] === name) { select.value = "time"; chosen.time = name; }
     return create("th", { scope: "col" }, select, create("div", {}, name), create("div", { className: "note", textContent: units[i] || "no unit" }));
   });
   const body = rows.map((row) => create("tr", {}, ...row.map((cell) => create("td", { className: "short", textContent: cell ?? "" }))));
@@ -140,7 +148,7 @@ function show(reply) {
   by("picture").hidden = !reply.picture;
   if (reply.picture) by("picture").src = reply.picture;
   by("questions").replaceChildren();
-  if (!reply.candidates) return; // of a tool
+  if (reply.of_tool) return;
   const taken = columns("look"), questions = [], lacking = [];
   if (reply.wrong && reply.columns.some((name) => /slip|sink/i.test(name))) {
     by("questions").replaceChildren(ask("Is this of a plate, a ball or a wheel? Enter its sizes below."));
@@ -168,13 +176,20 @@ function show(reply) {
   if (questions.length) alarm("");
 }
 
-async function preview() {
-  // A tool has neither leg nor roles of columns.
+// A tool has no leg, and other roles of columns.
+function arrange() {
   const isTool = Boolean(form.elements.tool.value.trim());
   for (const part of [by("reading"), by("rig")]) part.hidden = part.disabled = isTool;
-  for (const select of document.querySelectorAll("#table select")) select.hidden = Boolean(tool());
+}
+
+async function preview() {
+  arrange();
   const reply = await send("look", [shown]);
-  if (reply?.kind === "forces") show(reply);
+  if (reply?.kind === "forces") {
+    if (Boolean(reply.of_tool) !== ofTool) tabulate(reply);
+    ofTool = Boolean(reply.of_tool);
+    show(reply);
+  }
   return reply;
 }
 
@@ -323,10 +338,15 @@ let adds = false; // to the files that are there
 for (const name of ["choose", "add"]) by(name).addEventListener("click", () => { adds = name === "add"; by("file").click(); });
 by("file").addEventListener("change", () => { if (by("file").files.length) open([...by("file").files], adds); by("file").value = ""; adds = false; });
 by("cancel").addEventListener("click", idle);
+// A field that was edited changes as the button is pressed. What it hides would move the button away
+// from under the pointer, and the answer reads the file anyhow.
+by("find").addEventListener("pointerdown", () => { pressed = true; });
+window.addEventListener("pointerup", () => { pressed = false; });
+by("find").addEventListener("click", arrange); // before the form is checked
 form.addEventListener("submit", (event) => { event.preventDefault(); answer(); });
 form.addEventListener("change", (event) => {
   const { value, dataset } = event.target;
   by("answer").replaceChildren(); // it was for other choices
   if (dataset.column) take(value, dataset.column);
-  if (event.target.closest("#table, #reading") || event.target.name.startsWith("tool")) look();
+  if (!pressed && (event.target.closest("#table, #reading") || event.target.name.startsWith("tool"))) look();
 });
