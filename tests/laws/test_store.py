@@ -29,21 +29,10 @@ def test_a_file_is_read_back(small: Library, tmp_path: Path) -> None:
     library = replace(small, cases=(*small.cases, failed))
     library.save(tmp_path / "library.nc")
     again = Library.load(tmp_path / "library.nc")
-    assert again.hash == library.hash
     assert again.summary() == library.summary()
     assert [case.failure for case in again.cases] == ["", "", "", "it broke down"]
     for first, other in zip(again.cases[:3], library.cases[:3], strict=True):
         np.testing.assert_allclose(first.history.force, other.history.force, rtol=1e-6, atol=1e-9)
-
-
-def test_whatever_changes_an_answer_changes_the_hash(small: Library) -> None:
-    scaled = small.cases[-1]._replace(history=small.cases[-1].history.scaled(1.5))
-    remaining = [
-        replace(small, cases=(*small.cases[:-1], scaled)),
-        replace(small, cases=small.cases[:-1]),
-    ]
-    assert len({small.hash, *(other.hash for other in remaining)}) == 1 + len(remaining)
-    assert replace(small, description="in other words").hash == small.hash
 
 
 @pytest.mark.parametrize("value", ["[1]", "[" * 20_000])

@@ -566,12 +566,9 @@ class Answer(Shown, AnswerSummary):
         """
         import xarray as xr
 
-        root = xr.Dataset(attrs=self._attributes())
-        write_netcdf(xr.DataTree.from_dict({"/": root, **self._groups()}), Path(path))
-
-    def _attributes(self) -> dict[str, Any]:
-        text = json.dumps(self.as_dict(), default=str)
-        return {"terraphi_file": self.KIND, "answer": text}
+        stated = {"terraphi_file": self.KIND, "answer": json.dumps(self.as_dict(), default=str)}
+        groups = {"/": xr.Dataset(attrs=stated), **self._groups()}
+        write_netcdf(xr.DataTree.from_dict(groups), Path(path))
 
     @staticmethod
     def load(path: Path | str) -> Answer:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -121,8 +121,9 @@ def combined(answers: Sequence[Answer]) -> Answer:
     estimate = Estimate.of_density(grid, density)
     verdict, reason = _verdict(answers, errors.covariance, decimals((median - sd, median + sd)),
                                is_widened=widening > 0.0)  # fmt: skip
-    return replace(
-        _merged(answers, weight),
+    return _merged(
+        answers,
+        weight,
         parameters={PHI: estimate},
         phi_plane_strain=estimate,
         verdict=verdict,
@@ -160,14 +161,11 @@ def _verdict(
     )
 
 
-def _merged(answers: Sequence[Answer], weight: FloatArray) -> Answer:
-    """The first answer, with the records, assumptions and warnings of all answers."""
+def _merged(answers: Sequence[Answer], weight: FloatArray, **values: Any) -> Answer:
+    """The first answer with other values, and the records, assumptions and warnings of all."""
     first = answers[0]
-    # The errors of the records are joint within an answer only.
-    ends = np.cumsum([0, *(len(answer.covariance) for answer in answers)])
-    covariance = np.zeros((ends[-1], ends[-1]))
-    for answer, start, end in zip(answers, ends[:-1], ends[1:], strict=True):
-        covariance[start:end, start:end] = answer.covariance
+    from scipy.linalg import block_diag
+
     laws = dict.fromkeys(answer.law for answer in answers)
     frictions, cohesions = zip(*((a.leg_friction, a.cohesion_pa) for a in answers), strict=True)
     return replace(
@@ -182,7 +180,8 @@ def _merged(answers: Sequence[Answer], weight: FloatArray) -> Answer:
         cohesion_pa=cohesions[0] if len({*cohesions}) == 1 else None,
         density_assumed=any(answer.density_assumed for answer in answers),
         records=tuple(record for answer in answers for record in answer.records),
-        covariance=covariance,
+        # The errors of the records are joint within an answer only.
+        covariance=block_diag(*(answer.covariance for answer in answers)),
         warnings=_warnings(answers),
         provenance={
             **first.provenance,
@@ -196,6 +195,7 @@ def _merged(answers: Sequence[Answer], weight: FloatArray) -> Answer:
                 for a, w in zip(answers, weight.tolist(), strict=True)
             ],
         },
+        **values,
     )
 
 

@@ -461,11 +461,10 @@ def _record_fit(record: PressedRecord, roll: _Roll, fit: _Mean, estimate: Estima
     slope = (curve(0.1) - curve(-0.1)) / 0.2
     # A long log is shown by means over neighboring slips.
     groups = np.array_split(np.arange(order.size), min(order.size, SHOWN))
-    slips, data, model, low, high, slope = (
+    slips, data, *curves, slope = (
         np.array([row[group].mean() for group in groups])
         for row in (roll.rows["slip"][order], data, model, *ends, slope)
     )
-    curves = [model, low, high]
     return tool_fit(record, estimate.median, slips, data, curves, slope, {"Fz": nrmsd}, LIMIT)
 
 

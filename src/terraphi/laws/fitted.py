@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar, Self
@@ -17,14 +16,6 @@ from terraphi.experiment.files import NetcdfFile
 from terraphi.experiment.results import Result, Variable, read
 
 KIND = "law"
-
-
-def digest(words: Any, arrays: Iterable[Any]) -> str:
-    """SHA-256 of JSON and of arrays in single precision, as files keep them, hexadecimal."""
-    result = hashlib.sha256(json.dumps(words, sort_keys=True).encode())
-    for array in arrays:
-        result.update(np.asarray(array, np.float32).tobytes())
-    return result.hexdigest()
 
 
 class LawAttributes(BaseModel):
@@ -88,8 +79,11 @@ class FittedLaw(Result):
     @cached_property
     def hash(self) -> str:
         """SHA-256 of all that changes an answer, hexadecimal: as precise as a file keeps it."""
-        arrays = self.x, self.depth, self.PLACES, self.force, self.hyper, self.error_scale
-        return digest([self.AXES, self.model_error], arrays)
+        words = json.dumps([self.AXES, self.model_error], sort_keys=True)
+        result = hashlib.sha256(words.encode())
+        for array in (self.x, self.depth, self.PLACES, self.force, self.hyper, self.error_scale):
+            result.update(np.asarray(array, np.float32).tobytes())
+        return result.hexdigest()
 
     save = Result.to_netcdf
 

@@ -26,10 +26,6 @@ if TYPE_CHECKING:
 
 PHI = "soil.friction_angle_deg"
 """Dotted scenario key of the friction angle."""
-THETA_DEG = np.arange(-90.0, 91.0)
-"""Leg angles [deg] of the curves that inference uses: means over 1° about whole degrees."""
-ARM_DEG = 2.0
-"""Width over which lever arms are smoothed [deg]."""
 SIMILAR = (0.02, 0.015, 0.015)
 """Largest differences of a rig from the library's: width over the library's, height of the hip and
 thickness over the length. Each moves φ by at most 0.5° (2 mm of Li's hip by 1°, 10 % of force
@@ -218,20 +214,3 @@ def remedy(rig: Rig) -> str:
         f"simulate it: terraphi library build --leg {rig.leg} {options}±{rig.hip_height_sd_mm:g} "
         "--out mine.nc; then add --law mine.nc. For a rough angle at once: --law rft3d"
     )
-
-
-def lever_arm(curves: list[FloatArray]) -> FloatArray:
-    """(a, b) with M = a Fx + b Fz, from curves of (Fx, Fz, M) [3, theta], shape [2, theta].
-
-    Where on the leg the soil presses depends little on φ: the moment of Li's legs is met within 1 %
-    of its range. Each angle has its own least squares, over the curves at neighbouring angles, all
-    of the same weight.
-    """
-    # Minimize Σ_s w(s − t) Σ_curves (M − a Fx − b Fz)² at each angle t, w a Gaussian: the normal
-    # equations of all angles are solved at once. The ridge holds where both forces vanish, in air.
-    each = np.stack([curve / np.sqrt(np.square(curve[:2]).mean()) for curve in curves])
-    steps = np.arange(each.shape[2])
-    near = np.exp(-0.5 * np.square((steps[:, None] - steps) / ARM_DEG))
-    normal = np.einsum("cit,cjt,st->sij", each[:, :2], each, near)
-    ridge = 1e-6 * np.trace(normal[:, :, :2], axis1=1, axis2=2).max() * np.eye(2)
-    return np.linalg.solve(normal[:, :, :2] + ridge, normal[:, :, 2:])[:, :, 0].T

@@ -6,7 +6,6 @@ import itertools
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self
 
@@ -19,7 +18,6 @@ from terraphi.experiment.files import NetcdfFile
 from terraphi.experiment.history import COORDINATES, ForceHistory, force_variables, positions
 from terraphi.experiment.results import Result, Variable, read
 from terraphi.experiment.scenario import Scenario
-from terraphi.laws.fitted import digest
 from terraphi.laws.law import PHI, AnyLaw
 
 if TYPE_CHECKING:
@@ -107,16 +105,6 @@ class Library(AnyLaw, Result):
     def legs(self) -> list[str]:
         """Shapes of its legs, sorted."""
         return sorted({case.scenario.leg.shape for case in self.cases if case.history})
-
-    @cached_property
-    def hash(self) -> str:
-        """SHA-256 of all that changes an answer, hexadecimal: as precise as a file keeps it.
-
-        Scenarios, forces and moments of the cases; not what only describes the library.
-        """
-        histories = filter(None, (case.history for case in self.cases))
-        arrays = ((h.position, h.force, () if h.moment is None else h.moment) for h in histories)
-        return digest([case.scenario.hash for case in self.cases], itertools.chain(*arrays))
 
     @property
     def phi_deg_by_leg(self) -> dict[str, tuple[float, float]]:
