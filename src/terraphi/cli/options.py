@@ -6,6 +6,7 @@ import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -58,13 +59,7 @@ def some_may_fail(results: Sequence[Any]) -> Iterator[int]:
 
 def option_group(*each: Callable[..., Any]) -> Callable[..., Any]:
     """One decorator of several, in their order."""
-
-    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
-        for option in reversed(each):
-            command = option(command)
-        return command
-
-    return decorate
+    return lambda command: reduce(lambda inner, option: option(inner), reversed(each), command)
 
 
 def choice(name: str, choices: Sequence[str], default: str, text: str) -> Callable[..., Any]:

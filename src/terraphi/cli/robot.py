@@ -120,9 +120,7 @@ def footfalls(
         writable(out)
     with_it = [out.with_suffix(suffix) for suffix in WITH_IT] if out else []
     for file in filter(None, (out, mcap, layers, *with_it)):
-        if file.exists() and Path(log).exists() and file.samefile(log):
-            more = f", and --out {out} writes {file.name} too" if file in with_it else ""
-            raise InputError(f"{file}: is the log{more}; name another file")
+        refuse_logs(file, logs, f", and --out {out} writes {file.name} too" * (file in with_it))
     # Only after this what takes a second to load.
     from terraphi.experiment.outputs import SIGNATURE, check_file
 
@@ -160,6 +158,12 @@ def footfalls(
     present(summary, plots.footfalls_table(summary), *path, values, *written, as_json=as_json)
 
 
+def refuse_logs(file: Path, logs: Sequence[str], more: str = "") -> None:
+    """Raise InputError if a file to be written is a log that is read."""
+    if any(file.exists() and Path(log).exists() and file.samefile(log) for log in logs):
+        raise InputError(f"{file}: is the log{more}; name another file")
+
+
 def tabulate(logs: Sequence[str], table: Path, as_json: bool, options: dict[str, Any]) -> None:
     """Write the footfalls of many logs; end with exit status 1 if one cannot be used."""
     from terraphi.experiment.files import atomic_write
@@ -170,8 +174,7 @@ def tabulate(logs: Sequence[str], table: Path, as_json: bool, options: dict[str,
 
     if table.suffix not in TABLES:
         raise InputError(f"{table}: name a file that ends in {' or '.join(TABLES)}")
-    if any(table.exists() and Path(log).exists() and table.samefile(log) for log in logs):
-        raise InputError(f"{table}: is one of the logs; name another file")
+    refuse_logs(table, logs)
     check_file(table)
     if table.suffix == ".parquet":
         with needing(f"{table}: writing Parquet", "the package pyarrow", extra="parquet"):
