@@ -24,7 +24,7 @@ from terraphi.experiment.priors import ATTITUDE_SD_DEG
 from terraphi.experiment.results import Result, Variable
 from terraphi.experiment.tables import write_csv
 from terraphi.inference import grounds
-from terraphi.inference.pool import Anchor, Normal, Observed, Pooled, pool
+from terraphi.inference.pool import MOST, Anchor, Normal, Observed, Pooled, pool
 from terraphi.inference.records import density_warnings
 from terraphi.inference.terms import TERMS
 from terraphi.inference.touchdowns import (
@@ -128,9 +128,8 @@ CONTRADICTED = 2.0
 twenty is."""
 SECOND = {"rft": "foot"}
 """Law of a second opinion, for each law; else ``rft``, which has few terms and is fast."""
-HIGHEST_RFT_DEG = 65.0
-"""Largest φ of ``rft`` as a second opinion [deg]; chosen: no table of it ends, and differences
-between places must not end at 50°."""
+BETTER = 0.5
+"""Probability of another law above which its φ is noted [-]."""
 GREY = "0.4"
 CI95 = 1.959964
 """Half-width of a normal 95 % interval over its standard deviation [-]; of a 68 % one it is 1."""
@@ -503,18 +502,20 @@ def infer(
     stretches = [anchor.stretch(path) for anchor in anchors]
     prior = with_growth(touchdowns, law, prior)
     fits = fit(touchdowns, law, prior)
-    verdict, ground = judged(touchdowns, fits, law, prior)
+    verdict, ground, laws = judged(touchdowns, fits, law, prior)
     usable, sinkage = verdict == USABLE, surface_depth(fits, verdict)
     place = touchdowns.place + np.outer(sinkage, [0.0, 0.0, 1.0])
     prior = (slope := inclination(place[~touchdowns.faulty])).added_to(prior)
     footfall_phi, path_phi = np.full((3, len(verdict)), np.nan), np.full((3, len(path)), np.nan)
     shared: dict[str, Any] = {}
     by_law: dict[str, float] = {}
-    scale_sd, contradicted = prior.slope_sd, []
+    scale_sd, contradicted = prior.slope_sd, list[str]()
     if usable.any():
         wide, (prior, fits) = prior, _with_levels(touchdowns, fits, usable, law, prior)
         sound, sound_fits = picked(touchdowns, usable), picked(fits, usable)
-        prior, second, sensitivity, scale_sd = _compare_laws(sound, sound_fits, law, prior, wide)
+        prior, second, sensitivity, scale_sd = _compare_laws(
+            sound, sound_fits, law, prior, wide, laws
+        )
         pooled = pool(
             Observed(sound_fits.phi, sound_fits.sd, sensitivity, sound.place[:, :2]),
             _shared_errors(torques, prior), path[:, 1:], list(zip(anchors, stretches, strict=True)),
@@ -527,11 +528,7 @@ def infer(
         learned = float((pooled.phi - sound_fits.phi).mean())
         by_law = {law: float(pooled.phi.mean())}
         by_law |= {name: float(phi.mean()) + learned for name, phi in second.items()}
-        contradicted = [
-            f"the anchor of {anchor.phi_deg:g} ± {anchor.sd_deg:g}° is {off:.1f} standard "
-            "deviations off φ by the footfalls, the law and other anchors: check it"
-            for anchor, off in zip(anchors, pooled.surprise, strict=True) if off > CONTRADICTED
-        ]  # fmt: skip
+        contradicted = _contradicted(anchors, pooled.surprise)
     warnings = [
         *ground, *_ground_notes(touchdowns, fits, verdict), *contradicted,
         *density_warnings(prior.density),
@@ -560,18 +557,39 @@ def infer(
     )  # fmt: skip
 
 
+def _contradicted(anchors: Sequence[Anchor], surprise: FloatArray) -> list[str]:
+    """Warn of anchors that lie off the rest by some standard deviations."""
+    return [
+        f"the anchor of {anchor.phi_deg:g} ± {anchor.sd_deg:g}° is {off:.1f} standard "
+        "deviations off φ by the footfalls, the law and other anchors: check it"
+        for anchor, off in zip(anchors, surprise, strict=True) if off > CONTRADICTED
+    ]  # fmt: skip
+
+
 def judged(
     touchdowns: Touchdowns, fits: Fit, law: str, prior: Prior
-) -> tuple[NDArray[np.str_], list[str]]:
-    """Verdicts, and a sentence on the ground of the whole walk if it has no friction angle."""
+) -> tuple[NDArray[np.str_], list[str], grounds.Comparison]:
+    """Verdicts, sentences on the ground of the whole walk, and φ by other laws of sand."""
     verdict = verdicts(touchdowns, fits, prior.radius)
     sank = np.isin(verdict, (USABLE, MISFIT, HARD, EDGE))
-    compared = grounds.slow(picked(touchdowns, sank), prior)
-    if (count := len(compared.foot)) < FEWEST:
+    chosen = grounds.slow(picked(touchdowns, sank), prior)
+    enough, count = len(chosen.foot) >= FEWEST, len(chosen.foot)
+    if not enough:
+        chosen = evenly(picked(touchdowns, sank), FEWEST)
+    if not len(chosen.foot):
+        return verdict, [], grounds.Comparison("", {}, {})
+    laws = grounds.compared(chosen, law, prior, enough=enough)
+    if laws.ground:
+        return np.where(sank, NO_ANGLE, verdict), [laws.ground], laws
+    notes = []
+    if not enough and (verdict == USABLE).any():
         few = f"{count} slow footfalls are too few to tell sand from clay or a mat"
-        return verdict, [f"{few}; {FEWEST} are needed"] if (verdict == USABLE).any() else []
-    ground = grounds.without_angle(compared, law, prior)
-    return (np.where(sank, NO_ANGLE, verdict), [ground]) if ground else (verdict, [])
+        notes = [f"{few}; {FEWEST} are needed"]
+    best = max(laws.probability, key=laws.probability.__getitem__)
+    if best != law and laws.probability[best] > BETTER:
+        grow = f"forces grow with depth as by law {best} rather than {law}"
+        notes = [f"{grow}: by it φ is {laws.phi_deg[best]:.0f}°, and the absolute interval is wide"]
+    return verdict, notes, laws
 
 
 def _gaps(path: FloatArray, place: FloatArray, verdict: NDArray[np.str_]) -> list[str]:
@@ -622,21 +640,28 @@ def _with_levels(
 
 
 def _compare_laws(
-    touchdowns: Touchdowns, fits: Fit, law: str, prior: Prior, wide: Prior
+    touchdowns: Touchdowns, fits: Fit, law: str, prior: Prior, wide: Prior, laws: grounds.Comparison
 ) -> tuple[Prior, dict[str, FloatArray], FloatArray, float]:
     """Compare usable footfalls with a second law, whose growth with φ is another.
 
     ``wide`` is the prior before levels of the walk were learned. Returns the prior with the second
-    law's weight, φ by that law [deg], the sensitivities with the columns ``law_slope`` and
-    ``other_law`` filled in, and the relative standard deviation of the scale of differences of φ.
+    law's weight and the law's error by all others, φ by the second law [deg], the sensitivities
+    with the columns ``law_slope`` and ``other_law`` filled in, and the relative standard deviation
+    of the scale of differences of φ.
     """
     name = SECOND.get(law, "rft")
     sample = evenly(touchdowns, MOST_FITTED)
-    highest = HIGHEST_RFT_DEG if name == "rft" else wide.highest_deg
+    highest = grounds.HIGHEST_RFT_DEG if name == "rft" else wide.highest_deg
     second_prior = learn_exponent(sample, name, replace(wide, exponent=0.0, highest_deg=highest))
     second_prior = learn_level(sample, name, second_prior)
-    prior = replace(prior, other_law_sd=math.sqrt(likeness(prior, second_prior)))
     phi, sensitivity = fits.phi, fits.shared.copy()
+    # What laws other than these two read otherwise is an error of all places alike.
+    spread = laws.spread_deg(float(np.median(phi)), (law, name))
+    prior = replace(
+        prior,
+        other_law_sd=math.sqrt(likeness(prior, second_prior)),
+        law_sd_deg=math.hypot(prior.law_sd_deg or 0.0, spread),
+    )
     second = fit(touchdowns, name, second_prior).phi
     # A wrong slope of the law scales the deviations of φ from the mean; the other law, at its
     # weight, adds its difference, to differences between places and to the level of the walk.
@@ -744,7 +769,9 @@ def _limits_of_the_path(
             f"the path comes back to itself: earlier prints are recognized within "
             f"{1e3 * NEAR_RADII * prior.radius:.0f} mm, if the odometry is as accurate"
         )
-    if not (verdict == USABLE).any():
+    if (count := np.count_nonzero(verdict == USABLE)) > MOST:
+        notes.append(f"the path's map is by {MOST} of {count} usable footfalls, evenly chosen")
+    if not count:
         hard = 2 * np.count_nonzero(verdict == SHALLOW) > len(verdict)
         why = "feet hardly sink, as on hard ground" if hard else "the map is empty"
         notes.append(f"no footfall is usable: {why}")

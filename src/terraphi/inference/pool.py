@@ -31,13 +31,13 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import number_with_sd, plain_number
 from terraphi.inference.touchdowns import MOST_FITTED, PHI_RANGE, TORQUES, evenly
 
-MEDIANS, LOG_SD = (1.5, 1.0, 1.0), 0.7
-"""Prior of the process's amplitude [deg] and length [m], and of the scatter between near footfalls
-over that of their fits: medians, and the standard deviation of the logarithms, a factor of 2 either
-way (chosen)."""
+MEDIANS, LOG_SD = (1.5, 1.0, 0.3), 0.7
+"""Prior of the process's amplitude [deg] and length [m], and of the scatter of the bed that near
+footfalls have besides the errors of their fits [deg]: medians, and the standard deviation of the
+logarithms, a factor of 2 either way (chosen)."""
 ANCHOR_POINTS = 9
 """Points that stand for an anchor's stretch."""
-MOST = 2000
+MOST = 1000
 """Footfalls that are pooled at most, evenly chosen: memory grows with the square of
 their number, time with its cube."""
 LONGEST_PATH = 1e6
@@ -203,9 +203,11 @@ def pool(
     # at their prior mean.
     subset = evenly(footfalls, MOST_FITTED)
     torques = subset.shared * (np.arange(subset.shared.shape[1]) < TORQUES)
-    amplitude, length, scale = _learned(subset, torques, shared, mean, mean_sd)
+    amplitude, length, nugget = _learned(subset, torques, shared, mean, mean_sd)
     field = amplitude, length, mean_sd
-    footfalls, subset = (part._replace(sd=scale * part.sd) for part in (footfalls, subset))
+    footfalls, subset = (
+        part._replace(sd=np.hypot(part.sd, nugget)) for part in (footfalls, subset)
+    )
     residual = subset.phi - mean - (subset.shared - torques) @ shared.mean
     shared = shared.given(residual, torques, _observed(subset, field))
     # 2. Averages of φ given θ: the path's points, then each anchor's stretch as the mean of its
@@ -285,7 +287,7 @@ def _solve(lower: FloatArray, right: FloatArray) -> FloatArray:
 def _learned(
     footfalls: Observed, torques: FloatArray, shared: Normal, mean: float, mean_sd: float
 ) -> tuple[float, float, float]:
-    """Amplitude, length and factor on e at the maximum of their marginal posterior."""
+    """Amplitude, length and scatter of the bed at the maximum of their marginal posterior."""
     from scipy.optimize import minimize
 
     # Errors of the torques are integrated over: they add their covariance to that of the field.
@@ -293,9 +295,9 @@ def _learned(
     common = torques @ shared.covariance @ torques.T
 
     def cost(logs: FloatArray) -> float:
-        amplitude, length, scale = np.exp(logs) * MEDIANS
-        scaled = footfalls._replace(sd=max(scale, 1.0) * footfalls.sd)
-        matrix = _observed(scaled, (amplitude, length, mean_sd)) + common
+        amplitude, length, nugget = np.exp(logs) * MEDIANS
+        scattered = footfalls._replace(sd=np.hypot(footfalls.sd, nugget))
+        matrix = _observed(scattered, (amplitude, length, mean_sd)) + common
         # −ln of the marginal posterior: ½ r'M⁻¹r + ½ ln |M| + ½ Σ (logs / 0.7)², with M = L L'
         # and ½ ln |M| = Σ ln L_ii.
         lower = np.asarray(np.linalg.cholesky(matrix))
@@ -308,5 +310,5 @@ def _learned(
         cost, corners[3], method="Nelder-Mead",
         options={"xatol": 0.02, "fatol": 0.01, "maxiter": 150, "initial_simplex": corners},
     )  # fmt: skip
-    amplitude, length, scale = (np.exp(best.x) * MEDIANS).tolist()
-    return amplitude, length, max(scale, 1.0)
+    amplitude, length, nugget = (np.exp(best.x) * MEDIANS).tolist()
+    return amplitude, length, nugget

@@ -51,10 +51,10 @@ INERTIA_PART = 0.3
 """Standard deviation of the inertia's force, as a part of it [-]: half of what balls in grains
 differ by (``docs/landing.md``; from 0.1 to 0.8 their angles differ by 0.2° root mean square)."""
 ONSET_M = 0.001
-"""Range of depths about the surface over which the soil's inertia sets in [m]; chosen. A jump would
-make χ² one over z₀, at which fits end anywhere; 2 and 4 mm left fast trots with a wrong exponent.
-Balls that hit grains of 6 mm at 1 and 1.5 m/s take some 4 mm: they have 0.4 of the force in the
-last two millimetres above, 0.6 in the first one below, 0.9 in the second."""
+"""Range of depths about the surface over which the soil's inertia sets in [m]: some 0.7 of a grain,
+here of coarse sand. Balls that hit grains of 6 mm at 1 and 1.5 m/s take some 4 mm: they have 0.4 of
+the force in the last two millimetres above, 0.6 in the first one below, 0.9 in the second. A jump
+would make χ² one over z₀, at which fits end anywhere."""
 CORRELATION_S = 0.008
 """Correlation time of the noise [s]: a few samples of a log of 500 Hz (chosen)."""
 EXPONENTS = (-0.7, 0.4)
