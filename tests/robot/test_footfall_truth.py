@@ -96,7 +96,7 @@ def test_what_is_shared_is_as_large_as_its_parts(clean: tuple[Truth, FootfallMap
     sd = {name: result.shared[name]["sd"] for name in ("density_kg_m3", "surface_friction")}
     assert sd == pytest.approx({"density_kg_m3": 80.0, "surface_friction": FOOT_FRICTION.sd})
     assert result.shared["foot_radius_mm"]["sd"] == pytest.approx(1e3 * prior.radius_sd)
-    assert result.shared["law_offset_deg"]["worth_deg"] == pytest.approx(2.6)  # docs/plates.md
+    assert result.shared["law_offset_deg"]["worth_deg"] == pytest.approx(2.6, abs=0.1)
     parts = [result.shared[name]["worth_deg"] for name in result.shared if name != "field"]
     assert result.shared_sd.mean() == pytest.approx(np.sqrt(np.sum(np.square(parts))), rel=0.05)
 
@@ -175,7 +175,7 @@ def test_errors_of_torques_move_the_forces_as_stated() -> None:
     """Gains and friction, each by the difference of two estimates."""
     log = LawWalk(duration=3.0).log()[0]
     estimated_forces = estimate(log, robot=GO2, friction=False)
-    per = sensitivity(log, estimated_forces)
+    per = sensitivity(log, estimated_forces, slice(None))
     for joint in range(3):
         gain, lost = np.ones(3), np.zeros(3)
         gain[joint], lost[joint] = 1.05, 0.1

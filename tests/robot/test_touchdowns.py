@@ -12,6 +12,14 @@ from terraphi.robot.stance import Stance
 from terraphi.robot.touchdowns import touchdowns
 
 
+def cut_out(time: np.ndarray, feet: np.ndarray, force: np.ndarray, stance: Stance) -> Touchdowns:
+    """The touch-down of a stance, of legs whose torques are exact."""
+    none = np.zeros((len(time), 4, 3))
+    log = SimpleNamespace(time=time, torque=none, velocity=none)
+    forces = SimpleNamespace(force=force, saturated=none[..., 0] > 0.0, lift_per_torque=none)
+    return touchdowns(log, forces, SimpleNamespace(feet=feet), [stance], radius=0.022)
+
+
 def test_a_foot_that_drops_in_and_rests_began_where_it_first_met_force() -> None:
     """18 mm in 40 ms under up to 20 N, 0.2 s at 5 N, then 10 mm more; the stance begins late."""
     time = np.arange(0.0, 0.9, 0.002)
@@ -21,12 +29,8 @@ def test_a_foot_that_drops_in_and_rests_began_where_it_first_met_force() -> None
     )
     force = np.zeros((len(time), 4, 3))
     force[:, 0, 2] = np.interp(time, [0.3, 0.34, 0.35, 0.54, 0.55, 0.64], [0, 20, 5, 5, 20, 80])
-    forces = SimpleNamespace(force=force, saturated=np.zeros((len(time), 4), dtype=bool))
     stance = Stance("FR", time[272:440], force[272:440, 0])
-    touchdown = touchdowns(
-        SimpleNamespace(time=time), forces, SimpleNamespace(feet=feet), [stance],
-        np.zeros((len(time), 4, 6)), radius=0.022,
-    )  # fmt: skip
+    touchdown = cut_out(time, feet, force, stance)
     assert touchdown.begin[0] == pytest.approx(0.305, abs=0.004)  # where it bore 2.5 N
     used = touchdown.used[0]
     assert touchdown.drop[0][used].max() > 0.024
@@ -42,13 +46,8 @@ def test_a_foot_that_goes_down_aslant_is_seen_as_it_went() -> None:
     feet[:, 1] = [0.2, 0.1, 0.1] + moving * [0.3, 0.0, -0.4]
     force = np.zeros((len(time), 4, 3))
     force[:, 1, 2] = 1000.0 * np.clip(time - 0.2, 0.0, 0.05)
-    per = np.zeros((len(time), 4, 6))
-    forces = SimpleNamespace(force=force, saturated=np.zeros((len(time), 4), dtype=bool))
     stance = Stance("FL", time[100:180], force[100:180, 1])
-    touchdown = touchdowns(
-        SimpleNamespace(time=time), forces, SimpleNamespace(feet=feet), [stance], per,
-        radius=radius,
-    )  # fmt: skip
+    touchdown = cut_out(time, feet, force, stance)
     steady = touchdown.used[0] & (touchdown.time[0] < 0.044)
     assert steady.sum() > 20
     assert touchdown.drop[0][steady] == pytest.approx(0.4 * touchdown.time[0][steady])
@@ -67,12 +66,8 @@ def stance_of(drop: np.ndarray, force: np.ndarray) -> Touchdowns:
     feet, lift = np.zeros((2, len(time), 4, 3))
     feet[50:-50, 0, 2], lift[50:-50, 0, 2] = -drop, force
     feet[:50, 0, 2] = np.linspace(0.05, 0.0, 50)
-    forces = SimpleNamespace(force=lift, saturated=np.zeros((len(time), 4), dtype=bool))
     stance = Stance("FR", time[50:-50], lift[50:-50, 0])
-    return touchdowns(
-        SimpleNamespace(time=time), forces, SimpleNamespace(feet=feet), [stance],
-        np.zeros((len(time), 4, 6)), radius=0.022,
-    )  # fmt: skip
+    return cut_out(time, feet, lift, stance)
 
 
 @pytest.mark.parametrize("lost", [0.0, 0.4, 0.7])

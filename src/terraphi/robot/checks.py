@@ -12,15 +12,20 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from terraphi.experiment.arrays import BoolArray, FloatArray, IntArray
 from terraphi.experiment.units import GRAVITY
-from terraphi.robot.forces import LEAST_LEVER, FootForces, SensorErrors, estimate
-from terraphi.robot.friction import BEARING_SHARE, GUARD_S, LAG_STEP_S, REVERSAL_RATE
-from terraphi.robot.joint_log import AVERAGE_S, FEET, JointLog, cut, joint_names
+from terraphi.robot.forces import (
+    LEAST_LEVER,
+    FootForces,
+    SensorErrors,
+    without_broken_accelerometer,
+)
+from terraphi.robot.friction import BEARING_SHARE, GUARD_S, LAG_STEP_S, REVERSAL_RATE, survey
+from terraphi.robot.joint_log import AVERAGE_S, FEET, GAP_STEPS, JointLog, cut, joint_names
 from terraphi.robot.legs import Legs, body_rate, rotation
 from terraphi.robot.logs.samples import velocity_ratio
 from terraphi.robot.model import Quadruped
@@ -73,8 +78,8 @@ sound walks, 0.2 to 2 where legs are exchanged or an encoder changes its sign.""
 REVERSED = -0.5
 """Gain of a torque in swing below which its sign is wrong [-]: halfway from that of a dead motor,
 0, to −1."""
-_SAMPLES = 1250
-"""Most samples on which orders of the legs are compared."""
+_SAMPLES = 600
+"""Most samples on which orders of the legs are compared: every eighth millisecond of a part."""
 
 REFUSED = "refused"
 """A finding with which a log is refused: feet that pull, or bear the weight several times over."""
@@ -196,33 +201,41 @@ def balance(
     return float(z), float(np.hypot(x, y))
 
 
-def check(log: JointLog, robot: Quadruped, forces: FootForces) -> Checked:
+def check(
+    log: JointLog, robot: Quadruped, forces: FootForces, lag: float, gain: FloatArray
+) -> Checked:
     """Compare a log, or a part of one, with its robot.
 
     Parameters
     ----------
     log, robot, forces
         The log, its robot and the forces found.
+    lag, gain
+        As of :func:`~terraphi.robot.friction.lag_and_gain`.
     """
     weight = robot.mass * GRAVITY
     stances = find_stances(forces.time, forces.force, rise_N=BEARING_SHARE * weight)
     findings = _motion(log, robot, forces, balance(forces, stances, weight))
     # With a wrong attitude or order of the legs torques are not those of the motion either.
     if not any(f.grave and f.about in (REFUSED, "attitude", "legs") for f in findings):
-        findings = [*_torques(log, forces), *findings]
+        findings = [*_torques(log, lag, gain), *findings]
     findings = [*_jumps(log), *_still(log, robot), *findings]
     # Without swing, as while the robot stands, torques have no lag that could be found.
-    gain = np.array(forces.provenance["torque_gain"], dtype=np.float64)
     open_ = ("lag",) * bool(np.isnan(gain).all() and all(f.about != "lag" for f in findings))
     return Checked(float(log.time[0]), float(log.time[-1]), tuple(findings), open_)
 
 
 def check_parts(
-    log: JointLog, robot: Quadruped, pieces: Sequence[slice], **options: Any
+    log: JointLog, robot: Quadruped, forces: FootForces, pieces: Sequence[slice]
 ) -> list[Checked]:
-    """Check parts of a log, each with forces of its own; ``options`` are those of the forces."""
-    logs = [cut(log, piece) for piece in pieces]
-    return [check(part, robot, estimate(part, robot=robot, **options)) for part in logs]
+    """Check parts of a log, each by what its own swing shows of lag and gains of the torques."""
+    checked = []
+    for piece in pieces:
+        part, estimator = without_broken_accelerometer(cut(log, piece))[0], forces.estimator
+        gap = GAP_STEPS * float(np.median(np.diff(part.time)))
+        swing = survey(part, robot, estimator, gap, friction=estimator != "quasi_static")
+        checked.append(check(part, robot, cut(forces, piece), swing.lag, swing.gain))
+    return checked
 
 
 def _jumps(log: JointLog) -> list[Finding]:
@@ -277,9 +290,9 @@ def _longest_hold(time: FloatArray, values: FloatArray) -> tuple[FloatArray, Flo
     return seconds, since
 
 
-def _torques(log: JointLog, forces: FootForces) -> list[Finding]:
+def _torques(log: JointLog, lag: float, gain: FloatArray) -> list[Finding]:
     """Torques that are late, or have another sign, against the motion in swing."""
-    findings, lag = [], forces.provenance["torque_lag_s"]
+    findings = []
     if abs(lag) > LAG_STEP_S:
         late = f"{abs(1e3 * lag):.0f} ms {'late' if lag > 0.0 else 'early'}"
         text = f"torques are {late} against the motion, by the swing of the legs"
@@ -287,7 +300,6 @@ def _torques(log: JointLog, forces: FootForces) -> list[Finding]:
         remedy = f": correct it with --lag {total_ms:.0f}"
         # Twice the step, for a lag that does not change may be found in some parts only.
         findings.append(Finding("lag", text, False, remedy, abs(lag) > 2.0 * LAG_STEP_S))
-    gain = np.array(forces.provenance["torque_gain"], dtype=np.float64)
     if (gain < REVERSED).any():
         text = f"torques of {_listed(gain < REVERSED)} have the wrong sign, by the swing of the "
         text += "legs: is it reversed, or are legs exchanged left for right?"
@@ -440,38 +452,20 @@ def _legs(log: JointLog, robot: Quadruped) -> list[Finding]:
     if not np.any(np.count_nonzero(load[:, feet, feet], axis=1) > 1):
         return []
 
-    def residuals(order: tuple[int, ...]) -> FloatArray:
-        """Root mean squares of sliding [m/s], and of roll and pitch moments over the weight [m]."""
-        # Root mean square speed of loaded feet against their mean, weighted by load.
-        share = load[:, feet, order]
-        several = np.count_nonzero(share, axis=1) > 1
-        share = share[several] / share[several].sum(axis=1, keepdims=True)
-        speed = speeds[:, feet, order][several]
-        speed -= np.sum(share[..., None] * speed, axis=1, keepdims=True)
-        sizes = [float(np.sqrt(np.sum(share[..., None] * speed**2) / len(speed)))]
-        chosen = moments[:, feet, order]
-        chosen = chosen - chosen.mean(axis=0)
-        for axis in range(2):
-            # What gains of the torques explain, by ridge regression, is taken off.
-            total = chosen[..., axis].sum(axis=(1, 2))
-            by_gain = chosen[:, :, 1:, axis].reshape(len(rows), -1)
-            ridge = len(rows) * (MOMENT_SD / SensorErrors.gain) ** 2 * np.eye(by_gain.shape[1])
-            lost = by_gain.T @ total
-            off = total @ total - lost @ np.linalg.solve(by_gain.T @ by_gain + ridge, lost)
-            sizes.append(math.sqrt(max(float(off), 0.0) / len(rows)))
-        return np.array(sizes)
-
     # All 24 orders are tried, for what each leg logs was computed at each foot's place before.
-    orders = {order: residuals(order) for order in itertools.permutations(feet.tolist())}
+    orders = list(itertools.permutations(feet.tolist()))
+    slides = np.array([_sliding(speeds[:, feet, order], load[:, feet, order]) for order in orders])
+    rolls, pitches = (_unbalanced(moments[..., axis], orders) for axis in range(2))
     # Where no order balances the moments, something else turns the robot: sliding alone counts.
-    balanced = min(sizes[1] for sizes in orders.values()) < MOST_OFF * robot.leg_length[0]
-    products = {o: float(np.prod(v if balanced else v[:1])) for o, v in orders.items()}
+    balanced = rolls.min() < MOST_OFF * robot.leg_length[0]
+    sizes = slides * rolls * pitches if balanced else slides
+    products = dict(zip(orders, sizes.tolist(), strict=True))
     as_logged, mirror = (0, 1, 2, 3), (1, 0, 3, 2)
-    slide = orders[as_logged][0]
+    slide = slides[orders.index(as_logged)]
     least, sound = min(products.values()), min(products[as_logged], products[mirror])
     likely = [order for order in orders if EXPLAINED * products[order] <= least]
     if least > EXPLAINED * sound:
-        likely = [mirror] if orders[mirror][0] < EXPLAINED * slide else []
+        likely = [mirror] if slides[orders.index(mirror)] < EXPLAINED * slide else []
     if not likely or slide < STANCE_SD:
         return []
     likely.sort(key=products.__getitem__)
@@ -485,6 +479,39 @@ def _legs(log: JointLog, robot: Quadruped) -> list[Finding]:
         f"{words}; check the order of the joints"
     )
     return [Finding("legs", text, True)]
+
+
+def _sliding(speed: FloatArray, share: FloatArray) -> float:
+    """Root mean square speed of loaded feet against their mean, weighted by load [m/s].
+
+    ``speed`` has the shape [sample, foot, 3], ``share``, the load, [sample, foot].
+    """
+    several = np.count_nonzero(share, axis=1) > 1
+    share, speed = share[several], speed[several]
+    share = share / share.sum(axis=1, keepdims=True)
+    speed = speed - np.einsum("sf,sfi->si", share, speed)[:, None]
+    return math.sqrt(float(np.einsum("sf,sfi,sfi->", share, speed, speed)) / len(speed))
+
+
+def _unbalanced(moments: FloatArray, orders: Sequence[tuple[int, ...]]) -> FloatArray:
+    """Root mean square moments about an axis that no gain explains [m], by orders of the legs.
+
+    ``moments`` have the shape [sample, foot, leg, 4]: that of the weight, then of each torque.
+    """
+    # Ridge regression of the sum of all columns x on those of the torques, b, with the normal
+    # equations of each order taken from the products of all feet and legs: |x|² − x'B (B'B + r)⁻¹
+    # B'x. Means are taken off, so that a wrong zero of the attitude does not count.
+    count = len(moments)
+    columns = (moments - moments.mean(axis=0)).reshape(count, -1)
+    products = (columns.T @ columns).reshape((4, 4, 4) * 2)
+    feet = np.arange(len(FEET))
+    chosen = np.stack([products[feet, order][:, :, feet, order] for order in orders])
+    total = chosen.sum(axis=(3, 4))[..., 1:].reshape(len(orders), -1, 1)
+    normal = chosen[:, :, 1:, :, 1:].reshape(len(orders), total.shape[1], -1)
+    ridge = count * (MOMENT_SD / SensorErrors.gain) ** 2 * np.eye(total.shape[1])
+    explained = (total * np.linalg.solve(normal + ridge, total)).sum(axis=(1, 2))
+    off = chosen.sum(axis=(1, 2, 3, 4)) - explained
+    return np.asarray(np.sqrt(np.maximum(off, 0.0) / count))
 
 
 def _swapped(

@@ -75,13 +75,15 @@ def smooth_sign(velocity: FloatArray) -> FloatArray:
     return np.tanh(velocity / STANDSTILL)
 
 
-def chunks(time: FloatArray, *, size: int = CHUNK) -> Iterator[tuple[slice, slice]]:
+def chunks(
+    time: FloatArray, *, size: int = CHUNK, margin_s: float = MARGIN_S
+) -> Iterator[tuple[slice, slice]]:
     """Cut a log into parts: each with a margin on both sides, and its place within that."""
     for start in range(0, len(time), size):
         stop = min(start + size, len(time))
         # Two samples more, for the differences at the margins' ends.
-        first = max(int(np.searchsorted(time, time[start] - MARGIN_S)) - 2, 0)
-        last = int(np.searchsorted(time, time[stop - 1] + MARGIN_S, side="right")) + 2
+        first = max(int(np.searchsorted(time, time[start] - margin_s)) - 2, 0)
+        last = int(np.searchsorted(time, time[stop - 1] + margin_s, side="right")) + 2
         yield slice(first, last), slice(start - first, stop - first)
 
 

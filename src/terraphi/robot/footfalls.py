@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -21,7 +20,7 @@ from terraphi.experiment.workers import attempt
 from terraphi.inference.footfalls import FootfallMap, infer
 from terraphi.inference.pool import Anchor, Normal
 from terraphi.inference.records import density_with_sd
-from terraphi.inference.touchdowns import TORQUES, Prior, Touchdowns
+from terraphi.inference.touchdowns import TORQUES, Prior, Touchdowns, stacked
 from terraphi.laws.foot import LAWS
 from terraphi.robot.checks import faulty_spans, within
 from terraphi.robot.forces import FootForces, SensorErrors, without_broken_accelerometer
@@ -40,13 +39,14 @@ if TYPE_CHECKING:
 CONTACT_PART = 0.4
 """Depth of the soil's push below the centre of a sunk ball, over the radius [-]: by resistive force
 theory 0.9 to 0.5 at a third of the radius' depth, 0.3 at a radius, 0.2 at one and a half."""
-PATH_STEP, MOST_POINTS = 0.05, 1500
+PATH_STEP, MOST_POINTS = 0.05, 750
 """Least spacing of the map along the path [m], about two radii of a foot, and its most points."""
 SMOOTH_PATH_S = 0.6
 """Time over which the trunk's sway is averaged, for the path and for the first heading, the x of
 the map [s]: half a stride of a walk."""
 AVERAGED_S = 0.05
-"""Time over which forces are averaged to one weighing [s]: a tenth of a stride (chosen)."""
+"""Time over which forces and places are averaged to one row of a course [s]: a tenth of a stride
+(chosen)."""
 MOST_DENSITY_SD = 0.3
 """Largest relative standard deviation of the density [-]; φ is linear in it no further (chosen)."""
 RESTS_PART, STRIDE_S = 0.8, 1.6
@@ -119,12 +119,11 @@ def footfalls(
         raise InputError(f"{name}: no footfall can be read: {analysis.grave[0]}")
     log, forces = without_broken_accelerometer(analysis.log)[0], analysis.forces
     motion = from_the_start(track(log, body, forces.place, forces.lift), log)
-    per_error = sensitivity(log, forces)
-    landings = touchdowns(log, forces, motion, analysis.stances, per_error, radius=body.foot_radius)
-    course = course_of(log, body, forces, motion, per_error)
+    landings = touchdowns(log, forces, motion, analysis.stances, radius=body.foot_radius)
+    course = course_of(log, body, forces, motion)
     # Inference takes half a gigabyte for an hour more if it has the forces of all samples.
     analysis = replace(analysis, forces=joined([cut(forces, slice(1))]), stances=())
-    del log, forces, motion, per_error
+    del log, forces, motion
     return infer_walk(options, analysis, course, landings, name, notes_of(analysis))
 
 
@@ -216,18 +215,20 @@ class Options(NamedTuple):
 class Course(NamedTuple):
     """A walk over time, as far as the robot's weight and its path need it.
 
+    Rows are means over :data:`AVERAGED_S`, each a weighing.
+
     Attributes
     ----------
     time
-        [s], shape [sample].
+        [s], shape [row].
     lift
-        Upward forces on the feet [N], shape [sample, foot]; not a number where unknown.
+        Upward forces on the feet [N], shape [row, foot]; not a number where unknown.
     acceleration
-        Of the centre of mass, upward [m/s²], shape [sample].
+        Of the centre of mass, upward [m/s²], shape [row].
     per_error
         Upward force per error of each torque (:func:`~terraphi.robot.touchdowns.sensitivity`).
     trunk
-        Place of the trunk [m], shape [sample, 3].
+        Place of the trunk [m], shape [row, 3].
     """
 
     time: FloatArray
@@ -238,12 +239,24 @@ class Course(NamedTuple):
 
 
 def course_of(
-    log: JointLog, robot: Quadruped, forces: FootForces, motion: Motion, per_error: FloatArray
+    log: JointLog, robot: Quadruped, forces: FootForces, motion: Motion, part: slice = slice(None)
 ) -> Course:
-    """Course of a walk from its forces and its motion."""
-    # The centre of mass accelerates otherwise than the trunk: legs are half of the robot.
-    acceleration = motion.lift_acceleration + forces.leg_inertia / robot.mass
-    return Course(log.time, forces.lift, acceleration, per_error, motion.trunk)
+    """Course of a part of a walk from its forces and its motion."""
+    size = max(1, round(AVERAGED_S / float(np.median(np.diff(log.time)))))
+    first, last, _ = part.indices(len(log.time))
+    rows = []
+    # A thousand rows at a time, for sensitivities of all samples are the largest array of all.
+    for begin in range(first, last, 1000 * size):
+        piece = slice(begin, min(begin + 1000 * size, last))
+        # The centre of mass accelerates otherwise than the trunk: legs are half of the robot.
+        acceleration = motion.lift_acceleration[piece] + forces.leg_inertia[piece] / robot.mass
+        starts = np.arange(0, piece.stop - begin, size)
+        columns = (
+            log.time[piece], forces.force[piece, :, 2].astype(np.float64), acceleration,
+            sensitivity(log, forces, piece), motion.trunk[piece],
+        )  # fmt: skip
+        rows.append(Course(*(block_means(column, starts) for column in columns)))
+    return stacked(rows)
 
 
 def infer_walk(
@@ -357,18 +370,12 @@ def calibrate_on_weight(course: Course, sd: FloatArray, *, mass: float) -> Norma
         stand on its feet.
     """
     prior, weight = Normal(np.zeros(TORQUES), np.diag(sd**2)), mass * GRAVITY
-    is_known = np.isfinite(course.lift).all(axis=1)
-    if is_known.sum() < 2:
-        return prior
     # Gains of all joints, then frictions; the last one is the relative error of the mass itself.
     errors = (course.per_error[:, i, 3 * k + j] for k, i, j in np.ndindex(2, 4, 3))
     expected = mass * (GRAVITY + course.acceleration)
-    columns = itertools.chain([course.lift.sum(axis=1) - expected], errors, [expected])
-    time = course.time[is_known]
-    # Means over AVERAGED_S, each a weighing; those while the robot is lifted or falls are left out.
-    number = np.floor((time - time[0]) / AVERAGED_S).astype(np.int64)
-    starts = np.flatnonzero(np.diff(number, prepend=-1))
-    rows = np.stack([block_means(column[is_known], starts) for column in columns], axis=1)
+    rows = np.column_stack([course.lift.sum(axis=1) - expected, *errors, expected])
+    # Rows while the robot is lifted or falls are left out, as are those without a force.
+    rows = rows[np.isfinite(rows[:, 0])]
     bears = np.abs(rows[:, 0]) < 0.4 * weight
     if bears.sum() < 20 or bears.mean() < 0.5:
         return prior

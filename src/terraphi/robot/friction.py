@@ -9,6 +9,7 @@ torque is not among them: a joint that swings mostly one way cannot separate it 
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -46,7 +47,7 @@ BEARING_SHARE = 0.15
 """A foot that stands, and shows the ground, bears this share of the robot's weight [-]. A robot
 whose feet bear less all together hangs or lies; what they bear and how they push sideways, on
 average, may be off by as much, which is 1.5 standard deviations of a torque's gain."""
-SURVEY = 60_000
+SURVEY = 30_000
 """Most samples that are used, from all over the log."""
 CLEAR_PART = 0.5
 """Part of the height of its swing [-] above which a foot is clear of the ground. Above 0.4 it still
@@ -236,41 +237,61 @@ def lag_and_gain(
     lags, cost = step * np.arange(-most, most + 1), np.zeros(2 * most + 1)
     logged = [low_pass(p.time, OBSERVER_GAIN, p.torque, 0.0 * p.slopes, gap) for p, _ in windows]
 
-    def shifted(lag: float, foot: int, joint: int) -> FloatArray:
-        parts = [
-            np.interp(part.time[inner] + lag, part.time, values[:, foot, joint])
-            for (part, inner), values in zip(windows, logged, strict=True)
-        ]
-        return np.concatenate(parts)[swing[:, foot]]
+    ends = np.cumsum([inner.stop - inner.start for _, inner in windows])[:-1]
+    swings = np.split(swing, ends)
 
-    joints = list(itertools.product(feet.tolist(), range(3)))
+    def shifted(lags: Any, foot: int, joint: int) -> FloatArray:
+        """Logged torques of a joint in swing, each by a lag later, shape [lag, sample]."""
+        parts = [
+            np.interp(
+                part.time[inner][rows[:, foot]] + lags[:, None], part.time, values[:, foot, joint]
+            )
+            for (part, inner), rows, values in zip(windows, swings, logged, strict=True)
+        ]
+        return np.concatenate(parts, axis=1)
+
+    joints, none = list(itertools.product(feet.tolist(), range(3))), np.zeros(1)
     # Friction's regressors, orthonormal, and the torque of the motion without friction, of each.
     frictions = {(i, j): np.linalg.qr(terms[swing[:, i], i, j])[0] for i, j in joints}
-    models = {(i, j): torque[swing[:, i], i, j] + shifted(0.0, i, j) for i, j in joints}
+    models = {(i, j): torque[swing[:, i], i, j] + shifted(none, i, j)[0] for i, j in joints}
     # Of each lag the part of the difference that friction cannot explain, e − Q Qᵀ e; large ones
     # are cut off, so that a blow counts no more than three standard deviations.
     for i, j in joints:
-        axes, model = frictions[i, j], models[i, j]
-        for k, lag in enumerate(lags):
-            off = model - shifted(lag, i, j)
-            off = np.abs(off - axes @ (axes.T @ off))
-            cost[k] += np.sum(np.minimum(off, 3.0 * spread(off)) ** 2)
+        axes, off = frictions[i, j], models[i, j] - shifted(lags, i, j)
+        off = np.abs(off - (off @ axes) @ axes.T).T
+        cost += np.square(np.minimum(off, 3.0 * spread(off))).sum(axis=0)
     k, lag = int(cost.argmin()), 0.0
     if 0 < k < len(lags) - 1:  # the vertex of a parabola through three costs
         before, least, after = cost[k - 1 : k + 2]
         lag = float(lags[k] + 0.5 * step * (before - after) / (before - 2.0 * least + after))
-    # Gain by Huber's regression, late = gain · model + Q b + e: where a foot strikes or still
-    # scratches the soil, e is large. With weights w the gain's variance is var(w e) (XᵀwX)⁻¹,
-    # X = (model, Q), for independent e every GUARD_S alone.
     for i, j in joints:
-        regressors, late = np.column_stack([models[i, j], frictions[i, j]]), shifted(lag, i, j)
-        numbers, weight = _reweighted(regressors, late)
-        inverse = np.linalg.pinv(regressors.T @ (weight[:, None] * regressors))
+        late = shifted(np.array([lag]), i, j)[0]
+        slope, sd = robust_slope(models[i, j], frictions[i, j], late)
+        # Errors are independent every GUARD_S alone.
         independent = max(GUARD_S / usual, 1.0)
-        error = weight * (late - regressors @ numbers)
-        sd = np.sqrt(np.mean(error**2) * independent * inverse[0, 0])
-        gain[i, j] = numbers[0] if sd < GAIN_SD else np.nan
+        gain[i, j] = slope if sd * math.sqrt(independent) < GAIN_SD else np.nan
     return lag, gain
+
+
+def robust_slope(x: FloatArray, axes: FloatArray, y: FloatArray) -> tuple[float, float]:
+    """Slope b of y = b x + Q c + e by Huber's regression, and its standard deviation.
+
+    Where a foot strikes or still scratches the soil, e is large. The standard deviation is that of
+    Huber (*Robust Statistics*, 1981, eq. 7.6.5) for independent e; infinite of an x that Q, other
+    regressors with orthonormal columns, explains.
+    """
+    design = np.column_stack([x, axes])
+    numbers, weight = _reweighted(design, y)
+    # var b = κ² [Σψ²/(n − p)] / m² (X'X)⁻¹₀₀ with ψ = w e, m the part of the data with a weight of
+    # 1, κ = 1 + p (1 − m) / (n m), and (X'X)⁻¹₀₀ one over the square of what Q leaves of x.
+    count, size = design.shape
+    inside = float(np.mean(weight == 1.0))
+    left = float(np.square(x - axes @ (axes.T @ x)).sum())
+    if left <= 1e-12 * float(x @ x) or count <= size or not inside:
+        return float(numbers[0]), math.inf
+    square = float(np.square(weight * (y - design @ numbers)).sum()) / (count - size)
+    factor = 1.0 + size * (1.0 - inside) / (count * inside)
+    return float(numbers[0]), factor * math.sqrt(square / left) / inside
 
 
 class Survey(NamedTuple):

@@ -36,7 +36,7 @@ from typing import Any, NamedTuple, Self, cast
 
 import numpy as np
 
-from terraphi.experiment.arrays import FloatArray, block_means
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.units import GRAVITY
 from terraphi.inference import footfalls as inference
@@ -56,7 +56,7 @@ from terraphi.robot.logs.samples import BACKWARDS, REPEATED, sound
 from terraphi.robot.model import Quadruped
 from terraphi.robot.results import RobotForces, foot_forces, left_out
 from terraphi.robot.stance import LIFT_S, Ensemble, find_stances
-from terraphi.robot.touchdowns import BIAS_S, Motion, sensitivity, touchdowns, track
+from terraphi.robot.touchdowns import BIAS_S, Motion, touchdowns, track
 
 STEP_S, FEWEST = 0.5, 3
 """Samples are computed in steps of this length [s], with a third of a second before them, of three
@@ -454,7 +454,7 @@ class Walk:
             start = self.start or self._begin(log)
             log = log if start.log.acceleration is not None else replace(log, acceleration=None)
             window, new = self._extended(start, log)
-            self.window, self.start = window, self._checked(start, window.log)
+            self.window, self.start = window, self._checked(start, window)
             answers += self._answers(self.start, window, new)
         return answers
 
@@ -516,19 +516,20 @@ class Walk:
         across = (x + 1j * y) * turn / np.abs(turn)
         return np.asarray(position + np.stack([across.real, across.imag, z], axis=1))
 
-    def _checked(self, start: RobotForces, log: JointLog, *, to_end: bool = False) -> RobotForces:
+    def _checked(self, start: RobotForces, window: Window, *, to_end: bool = False) -> RobotForces:
         """Check the parts of the log that are over, or all of it; return the start with them."""
+        log = window.log
         first = int(np.searchsorted(log.time, start.checked[-1].end, side="right"))
         pieces = parts(log.time, first, PART_S) if first < len(log.time) else []
         over = [piece for piece in pieces if to_end or piece.stop < len(log.time)]
-        checked = check_parts(log, self.options.robot, over, contact_part=batch.CONTACT_PART)
+        checked = check_parts(log, self.options.robot, window.forces, over)
         return replace(start, checked=(*start.checked, *checked))
 
     def map(self) -> FootfallMap:
         """All footfalls so far together."""
         if self.start is None or self.window is None or not self.rows:
             raise InputError(f"no footfall yet; the first come after {CHECK_S:g} s of walking")
-        return self._infer(self._checked(self.start, self.window.log, to_end=True))
+        return self._infer(self._checked(self.start, self.window, to_end=True))
 
     def _infer(self, start: RobotForces, *, last: int = MOST_KEPT) -> FootfallMap:
         """Infer φ of the last footfalls together, and learn from it."""
@@ -589,11 +590,7 @@ class Walk:
         """Footfalls whose stances have ended; the course of the new samples is kept for the map."""
         log, forces, motion, _, final = window
         robot, time = self.options.robot, log.time
-        per_error = sensitivity(log, forces)
-        size = max(1, round(batch.AVERAGED_S / float(np.median(np.diff(time)))))
-        course = batch.course_of(log, robot, forces, motion, per_error)
-        first = np.arange(0, new.stop - new.start, size)
-        course = batch.Course(*(block_means(column[new], first) for column in course))
+        course = batch.course_of(log, robot, forces, motion, new)
         self.course.append(course._replace(trunk=self._placed(course.time, course.trunk, start)))
         stances = [
             stance for stance
@@ -603,7 +600,7 @@ class Walk:
         if not stances:
             return []
         self.over |= {stance.foot: stance.end for stance in stances}
-        landings = touchdowns(log, forces, motion, stances, per_error, radius=robot.foot_radius)
+        landings = touchdowns(log, forces, motion, stances, radius=robot.foot_radius)
         place = self._placed(landings.begin + landings.time[:, -1], landings.place, start)
         faulty = landings.faulty | bool(grave(start.checked)[-1])
         return self._fit(start, landings._replace(place=place, faulty=faulty))

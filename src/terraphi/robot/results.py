@@ -287,10 +287,11 @@ def foot_forces(
         torque = np.stack(late, axis=1).reshape(log.torque.shape)
         log = replace(log, torque=torque, report={**log.report, "lag_s": lag_s})
     weight = body.mass * GRAVITY
-    options: Any = {"estimator": estimator, "frame": frame, "contact_part": contact_part}
     try:
-        forces = estimate(log, robot=body, **options)
-        checked = _checked(log, body, forces, options)
+        forces = estimate(
+            log, robot=body, estimator=estimator, frame=frame, contact_part=contact_part
+        )
+        checked = _checked(log, body, forces)
     except InputError as error:
         raise InputError(f"{source}: {error}" if source else str(error)) from error
     stances = find_stances(forces.time, forces.force, rise_N=BEARING_SHARE * weight)
@@ -312,15 +313,14 @@ def foot_forces(
     )
 
 
-def _checked(
-    log: JointLog, robot: Quadruped, forces: FootForces, options: dict[str, Any]
-) -> tuple[Checked, ...]:
+def _checked(log: JointLog, robot: Quadruped, forces: FootForces) -> tuple[Checked, ...]:
     """Check a log, part by part; raise InputError if all of them refuse it."""
     pieces = checks.parts(log.time)
     if len(pieces) == 1:
-        checked = [checks.check(log, robot, forces)]
+        lag, gain = (forces.provenance[name] for name in ("torque_lag_s", "torque_gain"))
+        checked = [checks.check(log, robot, forces, lag, np.array(gain, dtype=np.float64))]
     else:
-        checked = checks.check_parts(log, robot, pieces, **options)
+        checked = checks.check_parts(log, robot, forces, pieces)
     reasons = [f.text for part in checked for f in part.findings if f.about == checks.REFUSED]
     if len(reasons) == len(checked):
         raise InputError(reasons[0])

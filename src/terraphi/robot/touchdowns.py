@@ -31,10 +31,10 @@ from terraphi.experiment.arrays import FloatArray, IntArray
 from terraphi.experiment.units import GRAVITY
 from terraphi.inference.touchdowns import FEWEST, Prior, Touchdowns
 from terraphi.laws.foot import Foot, moved_mass
-from terraphi.robot.estimators import smooth_sign, trunk_motion
-from terraphi.robot.forces import TRUNK_ACCELERATION_SD, FootForces
+from terraphi.robot.estimators import chunks, smooth_sign, trunk_motion
+from terraphi.robot.forces import TRUNK_ACCELERATION_SD, FootForces, SingleArray
 from terraphi.robot.friction import BEARING_SHARE
-from terraphi.robot.joint_log import FEET, GAP_STEPS, JointLog
+from terraphi.robot.joint_log import FEET, GAP_STEPS, JointLog, cut
 from terraphi.robot.model import Quadruped
 from terraphi.robot.stance import SMOOTH_S, Stance, running_mean
 
@@ -44,6 +44,8 @@ ACCELERATION_SD = 0.3
 STANCE_SD = 0.01
 """Of the velocity of a foot that stands, and the scale beyond which it does not stand [m/s]: a foot
 that sinks passes it at once (test as above)."""
+CHUNK = 16_384
+"""Samples of odometry that are worked on at a time."""
 ROUNDS = 8
 """Rounds of reweighting."""
 BIAS_S = 6.0
@@ -89,7 +91,7 @@ class Motion(NamedTuple):
 def track(
     log: JointLog,
     robot: Quadruped,
-    place: FloatArray,
+    place: FloatArray | SingleArray,
     load: FloatArray,
     *,
     bias: FloatArray | None = None,
@@ -109,21 +111,45 @@ def track(
         Mean acceleration in the world's axes that is none [m/s²], shape [3]; by default over
         :data:`BIAS_S` about each sample.
     """
+    step, feet = np.diff(log.time), np.empty(place.shape)
+    velocity, lift_acceleration = np.empty((len(step), 3)), np.empty(len(log.time))
+    # Part by part, each with a margin that it forgets: working arrays of an hour take gigabytes.
+    for wide, inner in chunks(log.time, size=CHUNK, margin_s=BIAS_S):
+        rows = slice(wide.start + inner.start, wide.start + inner.stop)
+        turned, moved, felt = _odometry(cut(log, wide), robot, place[wide], load[wide], bias)
+        feet[rows], lift_acceleration[rows] = turned[inner], felt[inner]
+        velocity[rows] = moved[inner]
+    trunk = np.concatenate([np.zeros((1, 3)), np.cumsum(velocity * step[:, None], axis=0)])
+    feet += trunk[:, None]
+    return Motion(trunk, feet, lift_acceleration)
+
+
+def _odometry(
+    log: JointLog,
+    robot: Quadruped,
+    place: FloatArray | SingleArray,
+    load: FloatArray,
+    bias: FloatArray | None,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Motion in a part of a log, as of :func:`track`.
+
+    Feet from the trunk in the world's axes [m], shape [sample, foot, 3]; velocities of the trunk
+    between samples [m/s], shape [sample − 1, 3]; its upward acceleration [m/s²], shape [sample].
+    """
     from scipy.linalg import solveh_banded
     from scipy.ndimage import uniform_filter1d
 
     turn, measured = trunk_motion(log, robot)
-    place = np.einsum("sij,sfj->sfi", turn, place)
+    feet = np.einsum("sij,sfj->sfi", turn, place)
     step = np.diff(log.time)
     # Velocity of the trunk by each foot, if that stood still: −Δp/Δt.
-    apparent = -np.diff(place, axis=0) / step[:, None, None]
+    apparent = -np.diff(feet, axis=0) / step[:, None, None]
     felt = np.zeros((len(log.time), 3))
     if log.acceleration is not None:
         felt = np.einsum("sij,sj->si", turn, measured.specific_force)
         felt[:, 2] -= GRAVITY
         half = max(1, round(BIAS_S / float(np.median(step))) // 2)
         felt -= running_mean(felt, half) if bias is None else bias
-    del turn, measured  # a fifth of the memory of what follows
     sd = TRUNK_ACCELERATION_SD if log.acceleration is None else ACCELERATION_SD
     # v_k belongs to the middle of step k: the readings between two middles are a sample's.
     between = 0.5 * (step[1:] + step[:-1])
@@ -151,21 +177,17 @@ def track(
         for foot in range(len(FEET)):
             off = average - smooth[:, foot]
             weight[:, foot] /= (1.0 + np.einsum("ki,ki->k", off, off) / STANCE_SD**2) ** 2
-    trunk = np.concatenate([np.zeros((1, 3)), np.cumsum(velocity * step[:, None], axis=0)])
-    return Motion(trunk, trunk[:, None] + place, felt[:, 2])
+    return feet, velocity, felt[:, 2]
 
 
-def sensitivity(log: JointLog, forces: FootForces) -> FloatArray:
-    """Upward force per error of the torques [N], shape [sample, foot, 6].
+def sensitivity(log: JointLog, forces: FootForces, part: Any) -> FloatArray:
+    """Upward force per error of the torques in a part of a log [N], shape [sample, foot, 6].
 
     Errors of the gains of hip, thigh and calf, and Coulomb torques of 1 N m left in them. With f =
     J⁻ᵀ(h − τ): a gain error g of a joint adds −J⁻ᵀτ g, and friction c left in it −J⁻ᵀ sign(q̇) c.
     """
-    row = -np.nan_to_num(forces.lift_per_torque)
-    result = np.empty((*row.shape[:-1], 6))
-    np.multiply(row, log.torque, out=result[..., :3])
-    np.multiply(row, smooth_sign(np.asarray(log.velocity)), out=result[..., 3:])
-    return result
+    row = -np.nan_to_num(forces.lift_per_torque[part])
+    return np.concatenate([row * log.torque[part], row * smooth_sign(log.velocity[part])], axis=-1)
 
 
 def touchdowns(
@@ -173,7 +195,6 @@ def touchdowns(
     forces: FootForces,
     motion: Motion,
     stances: Sequence[Stance],
-    per: FloatArray,
     *,
     radius: float,
 ) -> Touchdowns:
@@ -181,9 +202,8 @@ def touchdowns(
 
     Parameters
     ----------
-    log, forces, motion, per
-        A log, the forces on its feet in the world, their motion, and how the forces depend on the
-        torques.
+    log, forces, motion
+        A log, the forces on its feet in the world, and their motion.
     stances
         Those of the log, one or more.
     radius
@@ -193,8 +213,8 @@ def touchdowns(
     # Force of the soil's inertia on a foot that meets it, over the square of its speed [kg/m].
     landing = float(moved_mass(Foot(radius), 1e-6, Prior.density)[1])
     lift = forces.force[:, :, 2].astype(np.float64)
-    cut = [_touchdown(log, forces, lift, motion, stance, per, step, landing) for stance in stances]
-    columns = {name: np.array([row[name] for row in cut]) for name in Touchdowns._fields}
+    rows = [_touchdown(log, forces, lift, motion, stance, step, landing) for stance in stances]
+    columns = {name: np.array([row[name] for row in rows]) for name in Touchdowns._fields}
     columns["place"][:, 2] -= radius
     return Touchdowns(**columns)
 
@@ -205,7 +225,6 @@ def _touchdown(
     lifts: FloatArray,
     motion: Motion,
     stance: Stance,
-    per: FloatArray,
     step: float,
     landing: float,
 ) -> dict[str, Any]:
@@ -259,7 +278,7 @@ def _touchdown(
         "speed": np.linalg.norm(velocity, axis=1)[chosen],
         "acceleration": acceleration[chosen],
         "force": force[chosen],
-        "per_error": per[rows[chosen], foot],
+        "per_error": sensitivity(log, forces, rows[chosen])[:, foot],
         "used": good[chosen] & (np.arange(POINTS) < count) & (not short),
         "torn": short or 2.0 * FEWEST * step > WINDOW_S or bool(late.any()),
         "saturated": bool(forces.saturated[part, foot].any()),
