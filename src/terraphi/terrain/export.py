@@ -299,6 +299,20 @@ def text(parameters: Mapping[str, Any], form: str) -> str:
     return '"""' + "\n".join(about) + f'"""\n\n{lines}\n\n\n{USES[parameters["to"]]}'
 
 
+def bed_of(
+    box: tuple[float, float], voxel: float, rng: np.random.Generator
+) -> tuple[FloatArray, float]:
+    """Particles in a box of soil, its surface at z = 0, one at random in each cell [m].
+
+    Their places, shape [particle, 3], and the side of a cell. ``box`` has half its width and its
+    depth [m].
+    """
+    (half, deep), cell = box, voxel / PARTICLES
+    counts = [round(size / cell) for size in (2.0 * half, 2.0 * half, deep)]
+    grid = np.moveaxis(np.indices(counts), 0, -1).reshape(-1, 3)
+    return (grid + rng.random(grid.shape)) * cell - [half, half, deep], cell
+
+
 def _stage(parameters: Mapping[str, Any]) -> str:
     """USD with a scene and the soil as its material; of tuned soil the bed of particles as well."""
     values = {"internalFriction": f"{parameters['value']:.6f}", **MPM_MATERIAL}
@@ -307,12 +321,7 @@ def _stage(parameters: Mapping[str, Any]) -> str:
     voxel, bed = parameters.get("voxel_m"), ""
     scene = "" if voxel is None else f"        uniform float newton:mpm:voxelSize = {voxel:g}\n"
     if voxel is not None:
-        # A box of whole voxels with its surface at z = 0, a particle at random in each cell.
-        half, deep = parameters["bed_m"]
-        cell = voxel / PARTICLES
-        counts = [round(size / cell) for size in (2.0 * half, 2.0 * half, deep)]
-        grid = np.moveaxis(np.indices(counts), 0, -1).reshape(-1, 3)
-        places = (grid + np.random.default_rng(0).random(grid.shape)) * cell - [half, half, deep]
+        places, cell = bed_of(parameters["bed_m"], voxel, np.random.default_rng(0))
         points = ", ".join(f"({x:.5g}, {y:.5g}, {z:.5g})" for x, y, z in places.tolist())
         mass = parameters["density_kg_m3"] * cell**3
         bed = BED.format(points=points, cell=cell, masses=", ".join([f"{mass:.6g}"] * len(places)))

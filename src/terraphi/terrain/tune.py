@@ -39,7 +39,7 @@ from terraphi.experiment.units import GRAVITY
 from terraphi.inference.records import density_with_sd
 from terraphi.laws.foot import LAWS, Foot
 from terraphi.laws.wrench import Mesh, angles_deg, force
-from terraphi.terrain.export import PARTICLES, described, file_for, interval_in_words, write
+from terraphi.terrain.export import bed_of, described, file_for, interval_in_words, write
 from terraphi.terrain.simulators import Simulator, simulator
 from terraphi.terrain.simulators import in_words as value_in_words
 from terraphi.terrain.soils import SoilDistribution, soil
@@ -198,12 +198,10 @@ def newton(press: Press, friction: float) -> tuple[FloatArray, FloatArray]:
     voxel, (half, deep) = press.voxel, press.box
     builder = nt.ModelBuilder()
     nt.solvers.SolverImplicitMPM.register_custom_attributes(builder)
-    cell = voxel / PARTICLES
-    counts = [round(2 * half / cell)] * 2 + [round(deep / cell)]
     rng = np.random.default_rng(press.seed)
-    grid = np.moveaxis(np.indices(counts), 0, -1).reshape(-1, 3)
     shift = np.array([*rng.uniform(-0.5, 0.5, 2), press.place]) * voxel
-    places = (grid + rng.random(grid.shape)) * cell - [half, half, deep] + shift
+    places, cell = bed_of(press.box, voxel, rng)
+    places += shift
     builder.add_particles(
         pos=places.tolist(),
         vel=np.zeros_like(places).tolist(),
