@@ -580,10 +580,7 @@ def _column_readings(likelihood: Likelihood, record: Record, given: float) -> It
 
     Of usual dry soils; ``given`` is the residual of the record as it is read [-].
     """
-    try:
-        law, force = _forces(likelihood, record, record.rig.leg, usual=True)
-    except InputError:
-        return
+    law, force = _forces(likelihood, record, record.rig.leg, usual=True)
     limit, history = likelihood.error.nrmsd_limit(record.rig, record.grain_size_mm), record.history
     # Limits of a residual: a third, or 0.6, of that of the columns as they are, and twice the limit
     # of a misfit at most.
