@@ -420,7 +420,8 @@ def _checked(
     """Arguments of :func:`_one_by_one` after the foot, up to ``inertia``; ``None`` of others.
 
     Of arrays of NumPy and numbers for all feet: a check of each by itself costs more than the force
-    on four feet. Whether places and velocities are finite is left to the function.
+    on four feet. Whether places and velocities are finite is left to the function; what is held,
+    which only limits a force there, is checked here.
     """
     arrays: Any = (pose, velocity)
     plain: Any = (phi_deg, density, friction, surface, rest_speed)
@@ -430,7 +431,7 @@ def _checked(
         arrays, plain = (pose, velocity, *held), (*plain, step, stiffness)
     lead = getattr(pose, "shape", ())[:-1]
     for number in plain:
-        if type(number) not in PLAIN:
+        if type(number) not in PLAIN or not abs(number) < HUGE:  # an integer may exceed any float
             return None
     for array, widths in zip(arrays, WIDTHS, strict=False):
         if type(array) is not np.ndarray or array.dtype != DOUBLE or array.shape[:-1] != lead:
@@ -440,22 +441,14 @@ def _checked(
     place, moving, *last = [array.reshape(-1, array.shape[-1]) for array in arrays]
     soil = np.array([[phi_deg, density, surface]], DOUBLE)
     (low, high), (least, most, _) = angles_deg(friction), LIMITS["soil.density"]
-    if not (low <= phi_deg <= high and least <= density <= most and abs(surface) < HUGE
-            and TINY <= rest_speed < HUGE):  # fmt: skip
+    if not (low <= phi_deg <= high and least <= density <= most and rest_speed >= TINY):
         return None
     if held is None:
         return place, moving, soil, friction, float(rest_speed), None, 0.0
-    if not (0.0 <= step < HUGE and 0.0 <= stiffness < HUGE):
+    before = np.concatenate(last, axis=1)
+    if step < 0.0 or stiffness < 0.0 or not np.abs(before).max(initial=0.0) < HUGE:
         return None
-    return (
-        place,
-        moving,
-        soil,
-        friction,
-        TINY,
-        np.concatenate(last, axis=1),
-        float(step * stiffness),
-    )
+    return place, moving, soil, friction, TINY, before, float(step * stiffness)
 
 
 def _landing(foot: Foot, depth: Any, fall: Any, density: Any) -> Any:
