@@ -39,7 +39,6 @@ from terraphi.inference.touchdowns import (
     fit,
     learn_exponent,
     learn_level,
-    likeness,
     picked,
 )
 from terraphi.laws.foot import DEEPEST, LAWS
@@ -655,17 +654,17 @@ def _compare_laws(
     second_prior = learn_exponent(sample, name, replace(wide, exponent=0.0, highest_deg=highest))
     second_prior = learn_level(sample, name, second_prior)
     phi, sensitivity = fits.phi, fits.shared.copy()
-    # What laws other than these two read otherwise is an error of all places alike.
-    spread = laws.spread_deg(float(np.median(phi)), (law, name))
+    # What other laws read is an error of all places alike by their probabilities; differences
+    # between places are uncertain by that of the second law where any of them is right.
+    spread = laws.spread_deg(float(np.median(phi)), law)
+    other = 1.0 - laws.probability.get(law, 1.0)
     prior = replace(
-        prior,
-        other_law_sd=math.sqrt(likeness(prior, second_prior)),
-        law_sd_deg=math.hypot(prior.law_sd_deg or 0.0, spread),
+        prior, other_law_sd=math.sqrt(other), law_sd_deg=math.hypot(prior.law_sd_deg or 0.0, spread)
     )
     second = fit(touchdowns, name, second_prior).phi
     # A wrong slope of the law scales the deviations of φ from the mean; the other law, at its
-    # weight, adds its difference, to differences between places and to the level of the walk.
-    deviation, difference = phi - phi.mean(), phi - second
+    # weight, adds its difference.
+    deviation, difference = phi - phi.mean(), phi - second - (phi - second).mean()
     for term, column in (("law_slope", deviation), ("other_law", difference)):
         sensitivity[:, TORQUES + list(prior.shared()).index(term)] = column
     # By how much the other law makes differences larger or smaller: the slope of a regression, for

@@ -14,7 +14,7 @@ So have other laws of sand, whose residuals show how likely each is in place of 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -106,11 +106,11 @@ class Comparison(NamedTuple):
     probability: dict[str, float]
     phi_deg: dict[str, float]
 
-    def spread_deg(self, phi_deg: float, without: Collection[str]) -> float:
-        """Root mean square distance of φ by the laws from an angle, some laws left out [deg]."""
+    def spread_deg(self, phi_deg: float, without: str) -> float:
+        """Root mean square distance of φ by the laws from an angle, but for one law [deg]."""
         return math.sqrt(sum(
             probability * (self.phi_deg[name] - phi_deg) ** 2
-            for name, probability in self.probability.items() if name not in without
+            for name, probability in self.probability.items() if name != without
         ))  # fmt: skip
 
 

@@ -72,9 +72,6 @@ MOST_INERTIA = 0.3
 static force grows with depth [-]: errors of the mass that moves, 30 %, look like another growth."""
 EXPONENT_STEP = 0.05
 """Step of differences over the exponent [-]."""
-EXPONENT_SD = 0.1
-"""Standard deviation of the exponent fitted to the right law [-] (worlds of
-``examples/sand_check.py``)."""
 MOST_FITTED = 120
 """Most footfalls from which shared quantities are learned, evenly chosen: model errors would
 otherwise be taken for certainty in a long log (chosen)."""
@@ -193,7 +190,7 @@ class Prior:
         otherwise than the soil. Between loose grains of six soils law ``foot`` reads 1.03 ± 0.08
         of what a shear cell does (line through the last table but two of ``docs/plates.md``).
     other_law_sd
-        Of the part [-] of what another law reads otherwise between places (:func:`likeness`).
+        Of the part [-] of what another law reads otherwise between places.
     incline, incline_sd
         Logarithm of the force on inclined ground over that on level ground [-].
     highest_deg
@@ -500,17 +497,6 @@ def learn_level(touchdowns: Touchdowns, law: str, prior: Prior) -> Prior:
         level_sd = math.sqrt(variance[1] / max(float(np.median(misfit)), 1.0))
         learned = replace(prior, level=float(mean[1]), level_sd=level_sd)
     return learned
-
-
-def likeness(prior: Prior, other: Prior) -> float:
-    """Weight of another law compared with the walk's, from the exponents learned for each [-].
-
-    Growth of the forces with φ cannot be learned, growth with depth can. The law whose growth with
-    depth needs less correction is taken to be the likelier one for growth with φ.
-    """
-    # By normal densities about an exponent of 0: that of the other law over the sum of both.
-    variance = EXPONENT_SD**2 + prior.exponent_sd**2
-    return float(1.0 / (1.0 + np.exp((other.exponent**2 - prior.exponent**2) / (2.0 * variance))))
 
 
 def _fit(touchdowns: Touchdowns, law: FootLaw, prior: Prior) -> Fit:
