@@ -257,6 +257,15 @@ def test_an_answer_states_what_half_and_twice_the_force_would_read(name: str) ->
         assert stated[key] == pytest.approx(answer.phi.median, abs=1.3)
 
 
+def test_phi_of_damp_soil_is_that_with_its_cohesion_given() -> None:
+    """Where the soil was taken as dry, and nowhere else."""
+    dry = invert("li2013:yuma/c")
+    damp = invert("li2013:yuma/c", cohesion="100±1")
+    assert dry.phi_if_damp_deg == pytest.approx(damp.phi.median, abs=0.1)
+    assert dry.phi_if_damp_deg < dry.phi.median - 2.0
+    assert damp.phi_if_damp_deg is None
+
+
 @pytest.mark.parametrize("higher", [-7.0, 0.0, 7.0])
 def test_a_hip_that_the_forces_contradict_is_named(higher: float) -> None:
     """Forces of the law itself, by a hip of 27 mm, read with another height."""

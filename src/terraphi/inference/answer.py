@@ -231,6 +231,8 @@ class AnswerSummary:
     phi_of_force_deg
         φ that ``half`` and ``twice`` the force would be read as [deg], where density and gain were
         not both given with a standard deviation; ``None`` outside the law's range.
+    phi_if_damp_deg
+        φ if the soil had a cohesion of 100 Pa [deg], where it was taken as dry; else ``None``.
     second_opinion
         Library, median and standard deviation of the answer by other physics, or ``None``.
     parameters
@@ -257,6 +259,7 @@ class AnswerSummary:
     offset_causes_deg: tuple[float, ...] = ()
     phi_peak: Estimate | None = None
     phi_of_force_deg: Mapping[str, float | None] | None = None
+    phi_if_damp_deg: float | None = None
     budget_deg: Mapping[str, float] = field(default_factory=dict)
     second_opinion: Mapping[str, Any] | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)

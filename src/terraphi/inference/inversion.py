@@ -65,6 +65,9 @@ chosen; simulations of Li's legs that nothing was fitted to have 1 to 3 %."""
 SEVERAL = 1.3
 """Limit of a residual of several records with one angle, over that of one [-]: chosen, for legs
 differ."""
+DAMP_PA = 100.0
+"""Cohesion of damp soil that an answer states φ for [Pa]: simulated grains with 1 % of liquid have
+40 to 180 Pa."""
 
 
 def invert(
@@ -385,13 +388,16 @@ def _answer(
     if verdict == "consistent" and likelihood.measured and not all(r.scale_given for r in records):
         scaled = dict(zip(("half", "twice"), likelihood.at_scaled_forces([0.5, 2.0]), strict=True))
     first = records[0]
+    is_dry = first.cohesion_pa == first.cohesion_sd_pa == 0.0
     return Answer(
         parameters={PHI: phi}, convention=law.convention, phi_plane_strain=plane,
         phi_plane_strain_reason=no_plane, verdict=verdict, reason=reason, edge=edge,
         budget_deg=likelihood.budget() if likelihood.beyond is None else {},
         density_kg_m3=first.bulk_density[0], density_sd_kg_m3=first.bulk_density[1],
         density_assumed=first.density_kg_m3 is None or first.density_assumed,
-        phi_of_force_deg=scaled, law=law.name, law_reason=law_reason, second_opinion=opinion,
+        phi_of_force_deg=scaled,
+        phi_if_damp_deg=likelihood.at_cohesion(DAMP_PA) if scaled and is_dry else None,
+        law=law.name, law_reason=law_reason, second_opinion=opinion,
         warnings=tuple(warnings(likelihood, fits, phi, verdict, opinion, legs, air)),
         records=tuple(fits), grid_deg=grid, density=density,
         covariance=likelihood.predictive_covariance(),

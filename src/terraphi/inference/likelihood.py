@@ -596,6 +596,12 @@ class Likelihood:
         in_range = (self.low <= by_law) & (by_law <= self.high)
         return [phi if ok else None for phi, ok in zip(answers.tolist(), in_range, strict=True)]
 
+    def at_cohesion(self, cohesion_pa: float) -> float | None:
+        """φ by soil of a cohesion [deg]; ``None`` outside the law."""
+        if np.any(cohesion_pa * self._per_pascal > [law.most_cohesion for law in self.laws]):
+            return None
+        return float(self._fitted(cohesion_pa, self._best.x).x[0, 0])
+
     @cached_property
     def beyond(self) -> tuple[float, float] | None:
         """Range of φ if no angle within 12° of the law fits [deg]; ``None`` if one does.

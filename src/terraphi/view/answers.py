@@ -79,6 +79,8 @@ def in_words(answer: Answer) -> list[str]:
         lines.append(
             f"  Half the force: {half}; twice: {twice}. Hang a known weight on the sensor."
         )
+    if answer.phi_if_damp_deg is not None:
+        lines[-1] += f" Damp, with a cohesion of 100 Pa: {answer.phi_if_damp_deg:.0f}°."
     lines += [f"  Warning: {sentence}" for sentence in answer.warnings if GUESSED not in sentence]
     return lines + [f"  Note: {sentence}" for sentence in answer.warnings if GUESSED in sentence]
 
