@@ -68,9 +68,9 @@ SECOND_ENGINE = {"d44": (4.4, 1426.0), "d60": (6.0, 1418.0), "d88": (8.8, 1426.0
 """Diameters [mm] and bulk densities [kg/m³] of the beds of another code."""
 MEDIA_MM = {"glass03": 0.27, "poppy": 0.7, "yuma": 0.3}
 """Diameters of measured grains [mm]; that of Yuma sand is assumed."""
-CELL_SD_DEG, PROTOCOL_SD_DEG = 0.4, 0.6
-"""Standard deviation of a truth by two or three shear cells, and of what all soils of a protocol
-share: two codes differ by 0.3 to 1.3° in the same soils, with one sign [deg]."""
+PROTOCOL_SD_DEG = 0.6
+"""Standard deviation of what all truths of a protocol share: two codes differ by 0.3 to 1.3° in the
+same soils, with one sign [deg]."""
 REPOSE_DEG, REPOSE_SD_DEG = 0.8, 1.3
 """Angle of repose of loose soil less its critical angle [deg]."""
 LIMIT, MARGIN = 0.98, 1.2
@@ -99,7 +99,7 @@ class Record:
     grain_size_mm: float
     phi_deg: float | None
     """Critical friction angle in plane strain; ``None`` where it is to be inferred."""
-    phi_sd_deg: float = CELL_SD_DEG
+    phi_sd_deg: float = cells.CELL_SD_DEG
 
     @property
     def letter(self) -> str:
@@ -138,7 +138,7 @@ def grains() -> Iterator[Record]:
             kind = soils[soil].clump.split(" ")[0] or "spheres"
             yield Record(
                 name, f"{kind}/{soil[0]}", record.history.theta_deg, record.history.force,
-                record.rig, float(record.density_kg_m3 or 0.0), record.grain_size_mm, truth(soil),
+                record.rig, float(record.density_kg_m3 or 0.0), record.grain_size_mm, *truth(soil),
             )  # fmt: skip
     folder = cells.GRAINS / "second_engine"
     _, ux, _, tau, sigma, *_, height = np.loadtxt(
@@ -435,7 +435,8 @@ def predictions(method: Method, parts: Sequence[Split]) -> dict[str, list[Outcom
     """
     outcomes: dict[str, list[Outcome]] = {}
     for task, train, test in parts:
-        hidden = [replace(row, phi_deg=None, phi_sd_deg=CELL_SD_DEG) for row in test]
+        kept = 0.0 if task == "measured" else 1.0
+        hidden = [replace(row, phi_deg=None, phi_sd_deg=kept * row.phi_sd_deg) for row in test]
         phi, sd = np.array(method(train, hidden), float).reshape(len(test), 2).T
         if task == "measured":
             same = alike([row.soil for row in test]) - np.eye(len(test))

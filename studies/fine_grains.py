@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 
 import errors
 import pages
+from terraphi.experiment.bodies import OUTLINES
 from terraphi.experiment.rig import Rig
 from terraphi.laws.legs import shipped_legs
 from terraphi.laws.model_error import MIDDLE_DEG
@@ -32,8 +33,8 @@ error of φ without that, at 27°, and its standard deviation by the \
 the leg. At d/w = 0 nothing was simulated: the model is extrapolated, and φ in fine sand rests on \
 it.
 
-The curves of the C and the reversed C are below the points, because the model also learns from \
-the media of Li et al. (2013), where three legs should agree.
+The curve of the reversed C is below the points, because the model also learns from the media of \
+Li et al. (2013), where three legs should agree.
 
 Legs twice as large in the same grains test the model: {drop}."""
 PICTURE = (
@@ -76,12 +77,13 @@ def main() -> None:
         for name, size, error in of_leg:
             double = "double" in name
             axes.plot(size, error, "D" if double else ".", color="black" if double else color)
-        axes.set_title(leg.replace("_", " "))
+        label = OUTLINES[leg].label
+        axes.set_title(label)
         axes.set_xlabel("grain diameter / width of the leg")
         mean, sd = curve(leg, np.array(SIZES))
         rows.append(
             (
-                leg,
+                label,
                 *(
                     f"{a:+.1f} ± {b:.1f}°"
                     for a, b in zip(mean[[0, 1, 3, 5, 6]], sd[[0, 1, 3, 5, 6]], strict=True)
@@ -93,7 +95,7 @@ def main() -> None:
             doubled = [e for name, _, e in of_leg if name.startswith(f"{soil}-loose_rig-double")]
             if doubled:
                 change = np.mean(usual) - np.mean(doubled)
-                words = f"a {leg} leg has {change:.1f}° less in soil {soil}"
+                words = f"a {label} has {change:.1f}° less in soil {soil}"
                 drops.append(f"{words} ({mean[5] - mean[3]:.1f}° by the model)")
     grid[0].set_ylabel("read less true φ [deg]")
     figure.savefig(out / "fine_grains.png", dpi=110)

@@ -131,7 +131,7 @@ def wheels() -> list[Wheeled]:
             row = {"slip": [slip], **{key: [mean[key]] for key in ("load_N", "sinkage_mm")}}
             options = {
                 "tool": tool, "density": f"{density}±0", "columns": {"slip_is": "travel"},
-                "grain_size_mm": run.soils()[name].diameter_mm,
+                "grain_size_mm": run.soils()[name].median_mm,
             }  # fmt: skip
             answer, by_rft = (
                 terraphi.invert(pd.DataFrame(row), law=law, **options) for law in (None, "rft")
@@ -140,7 +140,7 @@ def wheels() -> list[Wheeled]:
             unsunk = terraphi.invert(pd.DataFrame({"slip": [slip], **forces}), **options)
             back = float(WHEEL_ERROR.of(slip))
             rows.append(Wheeled(
-                path.stem, name, grains.truth(name), slip, answer.phi.median + back,
+                path.stem, name, grains.truth(name)[0], slip, answer.phi.median + back,
                 by_rft.phi.median, depth, mean.pull_N / mean.load_N,
                 1e3 * mean.torque_Nm / (mean.load_N * radius), mean.load_N, float(density),
                 wheel_of(Tool.of(tool)), run.soils()[name].leg_friction, answer, unsunk,

@@ -87,6 +87,15 @@ class Soil:
         return 1e-3 * self.diameter_mm
 
     @property
+    def median_mm(self) -> float:
+        """Diameter d50 below which grains have half of the mass, as a sieve has it [mm].
+
+        Of diameters d that are uniform between a and b by number, mass grows as d⁴ − a⁴.
+        """
+        ends = self.diameter_mm * (1.0 + self.spread * np.array([-1.0, 1.0]))
+        return float(np.mean(ends**4) ** 0.25)
+
+    @property
     def time_step(self) -> float:
         """[s]."""
         radius = self.diameter * (1.0 - self.spread) * spheres(self.clump)[0, 3]

@@ -26,6 +26,7 @@ from threadpoolctl import threadpool_limits
 sys.path.insert(0, str(Path(__file__).parents[1]))
 import elements
 import records as cells
+import run
 
 import errors
 import pages
@@ -39,8 +40,8 @@ from terraphi.inference.likelihood import Likelihood
 from terraphi.inference.records import open_record
 from terraphi.laws.legs import Legs, shipped_legs
 
-DAMP = ("moist", "damp", "contracting")
-"""Packings whose cells are under two loads."""
+SHAPES = {"dimer": "dimers", "tetrahedron": "tetrahedra", "flat": "flat squares", "cube": "cubes"}
+"""Plural of each shape of clumps."""
 PARTS = {"torque alone": None, "-60 to 20°": (-60.0, 20.0), "-20 to 60°": (-20.0, 60.0)}
 """Parts of a record: the hip's torque, and parts of a stroke [deg]."""
 
@@ -66,6 +67,11 @@ class Row:
         return self.packing.endswith("-loose")
 
     @property
+    def is_damp(self) -> bool:
+        """Whether liquid attracts grains, so that cells are under two loads."""
+        return run.soils()[self.packing].attraction > 0.0
+
+    @property
     def phi_deg(self) -> float:
         """Angle of the shear cell [deg]."""
         return float(self.record.phi_deg or 0.0)
@@ -85,7 +91,7 @@ def packed() -> Iterator[Record]:
             yield Record(
                 name, f"spheres/{soil[0]}", record.history.theta_deg, record.history.force,
                 record.rig, float(record.density_kg_m3 or 0.0), record.grain_size_mm,
-                cells.truth(soil),
+                *cells.truth(soil),
             )  # fmt: skip
 
 
@@ -143,7 +149,7 @@ def accuracy(rows: Sequence[Row]) -> str:
             names = [OUTLINES[row.record.rig.leg].label]
             names += ["rigs other than Li's"] * ("_rig-" in row.record.name)
         elif kind != "second code":
-            names = ["other shapes of grains"]
+            names = ["other shapes of grains", f"– {SHAPES[kind]}"]
         for name in names:
             error = row.answer.phi.median - row.phi_deg
             groups.setdefault(name, []).append((error, row.answer.phi.sd, row.record.soil))
@@ -320,8 +326,8 @@ def main() -> None:
 def sections(out: Path, rows: Sequence[Row]) -> list[str]:
     """Paragraphs and tables of the page."""
     law = shipped_legs()
-    moist = [row for row in rows if row.packing.endswith(DAMP)]
-    dry = [row for row in rows if row not in moist]
+    moist = [row for row in rows if row.is_damp]
+    dry = [row for row in rows if not row.is_damp]
     usual = [
         row.record
         for row in dry
@@ -385,11 +391,11 @@ def sections(out: Path, rows: Sequence[Row]) -> list[str]:
         errors.of_components(model),
         "## Damp and contracting soil",
         (
-            "Soil B with bridges of liquid between its grains (*moist*, *damp*). *Contracting* "
-            "soil was poured with such bridges, of which a tenth remains, so it is looser than its "
-            "critical state. Nothing is learned from these soils. Shear cells under 0.5 and 1.5 "
-            "kPa give φ and c. The last columns are φ if the soil is assumed to be dry, with c of "
-            "the cell, and with an unknown c."
+            "Soils with bridges of liquid between their grains. *Contracting* soil was poured with "
+            "such bridges, of which a tenth remains, so it is looser than its critical state. "
+            "Nothing is learned from these soils. Shear cells under 0.5 and 1.5 kPa give φ and c. "
+            "The last columns are φ if the soil is assumed to be dry, with c of the cell, and with "
+            "an unknown c."
         ),
         *damp(moist),
     ]  # fmt: skip
