@@ -379,7 +379,10 @@ def test_the_moment_comes_along() -> None:
         assert read_forces(frame().assign(**{other: 1.0})).moment is None
 
 
-@pytest.mark.parametrize("names", ["angle drag lift", "Winkel horizontal vertikal"])
+@pytest.mark.parametrize(
+    "names",
+    ["angle drag lift", "Winkel horizontal vertikal", "Winkel KraftHorizontal KraftVertikal"],
+)
 def test_forces_have_other_names(names: str) -> None:
     history = read_forces(frame(names=names))
     assert history.force == pytest.approx(SHIPPED.force)

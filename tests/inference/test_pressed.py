@@ -201,6 +201,15 @@ def test_missing_column_is_named() -> None:
         terraphi.invert(pressed(30.0)[["sinkage_mm"]].assign(a=1.0), tool="plate:60")
 
 
+def test_a_shallow_press_is_named() -> None:
+    """Below a radius, of which half is 12 mm of a plate of 60."""
+    table = pd.read_csv(GRAINS / "B-loose_disc_60_1.csv", comment="#")
+    for most_mm, is_named in ((12.0, True), (35.0, False)):
+        part = table[table["depth_mm"] < most_mm]
+        answer = terraphi.invert(part, tool="plate:60", density=1412)
+        assert any("radii deep" in text for text in answer.warnings) == is_named
+
+
 def test_half_and_twice_the_force_are_what_the_answer_says() -> None:
     """An answer of forces that were scaled, where it lies in the law."""
     file = GRAINS / "B-loose_disc_60_1.csv"

@@ -104,6 +104,7 @@ def test_draws_of_an_answer_agree_with_its_forces() -> None:
 
 def test_an_angle_a_name_and_an_answer_take_one_path(terraphi: Any) -> None:
     loose = soil("loose dry sand")
+    assert soil("loose_dry  sand").name == loose.name
     same = [export("33±2", to="newton"), convert("33±2", to="newton"), loose.newton(),
             soil(loose).newton(), package.export(loose, to="newton")]  # fmt: skip
     for item in same:
@@ -175,6 +176,7 @@ def test_force_is_that_of_the_law_in_plane_strain() -> None:
     [
         (lambda: soil(), "give its name"),
         (lambda: soil("loos dry sand"), "did you mean 'loose dry sand'"),
+        (lambda: soil(" "), "give its name"),
         (lambda: soil("sand"), "known: .*beach, dense dry sand, .*loose gravel"),
         (lambda: soil("lunar"), "known: .*loose grc-1, .*quarry".replace("grc", "GRC")),
         (lambda: soil("Snow"), "Snow: not described by a friction angle; its bonds"),

@@ -63,10 +63,10 @@ _NAMES = {
     "theta": r"theta|θ|angle|winkel|[aá]ngulo|"
     r"(leg|motor|hip|joint|bein|dreh|encoder)(angle|winkel|theta|pos)|"
     r"(angle|theta)(leg|motor|hip|joint)|rotation|ang|angular ?position",
-    "fx": r"fx|(force|load|kraft|fuerza)x|x(force|load|kraft)"
-    r"|(thrust|drag|horizontal)(force|load|kraft)?|fhor\w*|vortrieb|f(orce|uerza)horizontale?",
-    "fz": r"fz|(force|load|kraft|fuerza)z|z(force|load|kraft)"
-    r"|(lift|verti[ck]al)(force|load|kraft|last)?|fver\w*|auftrieb|f(orce|uerza)verticale?",
+    "fx": r"fx|(force|load|kraft|fuerza)(x|horizontal)|x(force|load|kraft)"
+    r"|(thrust|drag|horizontal)(force|load|kraft)?|fhor\w*|vortrieb(skraft)?|f(orce|uerza)horizontale?",
+    "fz": r"fz|(force|load|kraft|fuerza)(z|verti[ck]al)|z(force|load|kraft)"
+    r"|(lift|verti[ck]al)(force|load|kraft|last)?|fver\w*|auftrieb(skraft)?|f(orce|uerza)verticale?",
     "time": r"t|time|zeit|timestamp|elapsed(time)?|(time|zeit)s?",
     "moment": r"m|my|moment|torque|(hip|joint|motor)(moment|torque)|drehmoment|ty|moment[yh]",
     "sinkage": r"sinkage|depth|penetration(depth)?|displacement|travel|position|z|s|tiefe"

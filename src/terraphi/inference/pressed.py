@@ -464,12 +464,17 @@ def _warnings(press: _Press, fit: _Fit, *, is_sound: bool) -> list[str]:
     sentences, deepest = [], 1e3 * DEEPEST * press.tool.radius
     if (bottom := 1e3 * press.z[-1]) > deepest:
         sentences.append(f"The law is extrapolated from {deepest:.0f} mm on, to {bottom:.0f} mm.")
+    if (radii := press.z[-1] / press.tool.radius) < 1.0:
+        sentences.append(
+            f"It was pressed {radii:.1f} radii deep, where φ may be 8° wrong or more: press one "
+            "radius deep at least."
+        )
     compacts = fit.chance[NODES[:, 0] < 0.1 * SIGNIFICANT].sum() < 0.05
     contraction = float(fit.chance @ NODES[:, 0])
     if is_sound and compacts and contraction > SIGNIFICANT:
         sentences.append(
             f"The force begins {100.0 * contraction:.0f} % lower than the law's: loose soil that "
-            "compacts as it is pressed."
+            "compacts as it is pressed, or another zero or column of the sinkage."
         )
     return sentences
 

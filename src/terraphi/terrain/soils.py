@@ -341,6 +341,7 @@ def soil(
         if phi is not None or density is not None:
             raise InputError("a soil has its own φ and density; leave them out")
         return what
+    what = None if isinstance(what, str) and not what.strip() else what
     if (what is None) == (phi is None):
         raise InputError(f"soil: give its name ({', '.join(named())}), or phi as '33±2'")
     if isinstance(what, Real):
@@ -352,7 +353,10 @@ def soil(
         for refused, lacks in TABLE["refused"].items():
             if refused.casefold() in what.casefold().split():
                 raise InputError(f"{what}: not described by a friction angle; {lacks}")
-        sand = {key.casefold(): sand for key, sand in named().items()}.get(what.casefold())
+        words = " ".join(what.casefold().replace("_", " ").split())
+        name, sand = {key.casefold(): (key, sand) for key, sand in named().items()}.get(
+            words, (name, None)
+        )
     given = str(what if phi is None else phi).strip()
     angle = _angle(given) if sand is None and isinstance(what, str | None) else None
     if angle is not None:
