@@ -400,6 +400,19 @@ def test_feet_one_after_the_other_have_the_force_of_arrays(
             np.testing.assert_allclose(part, other, rtol=1e-9, atol=1e-12 * np.abs(other).max())
 
 
+def test_arrays_that_cannot_be_written_are_not_compiled_for_once_more() -> None:
+    """As those of JAX are in NumPy, and rows of a file."""
+    feet = pytest.importorskip("terraphi.laws.feet").feet
+    pose, velocity = np.zeros((3, 4)).T, np.full((4, 3), -0.1)
+    expected, _ = force(Foot(RADIUS), pose, velocity, **SAND)
+    compiled = len(feet.signatures)
+    for array in (pose, velocity):
+        array.flags.writeable = False
+    np.testing.assert_array_equal(force(Foot(RADIUS), pose, velocity, **SAND)[0], expected)
+    np.testing.assert_array_equal(force(Foot(RADIUS), pose.copy(), velocity, **SAND)[0], expected)
+    assert len(feet.signatures) == compiled
+
+
 @pytest.mark.parametrize("shape", ["ball", "disc"])
 def test_a_foot_that_lands_feels_the_momentum_of_the_soil(shape: Any) -> None:
     foot, place = Foot(RADIUS, shape), np.array([0.0, 0.0, (shape == "ball") * RADIUS - 0.015])

@@ -404,7 +404,8 @@ def _one_by_one(
     if not IS_COMPILED and (isinstance(foot, Mesh) or len(place) > FEW):
         return None
     function, rest = _function(foot, friction, inertia)
-    place, moving = np.ascontiguousarray(place), np.ascontiguousarray(moving)
+    # Of one kind: for another, as of arrays that cannot be written, all would be compiled again.
+    place, moving = (a if a.flags.carray else np.array(a, order="C") for a in (place, moving))
     if before is None:
         before, stride = NONE, -1.0
     deepest, wrenches = function(place, moving, soil, before, fade, stride, *rest)
