@@ -152,6 +152,19 @@ def test_a_torque_beyond_soil_and_rim_is_named_once() -> None:
     assert sum("load times radius" in sentence for sentence in sentences) == 1
 
 
+def test_a_torque_beyond_soil_is_named_where_the_verdict_is_another() -> None:
+    """The verdict's median has the rows without slip, or the load is out of range before."""
+    table = rows(30.0)
+    table["torque_Nm"] = 0.15 * table.load_N * [0.1, 0.1, 0.1, 1.4, 1.4]
+    table["slip"] = [0.0, 0.02, 0.05, 0.2, 0.3]
+    heavy = table.assign(load_N=30.0 * table.load_N)
+    heavy["torque_Nm"] = 3.0 * 0.15 * heavy.load_N
+    for wrong, verdict in ((table, "consistent"), (heavy, "out_of_range")):
+        answer = terraphi.invert(wrong, tool=TOOL)
+        assert answer.verdict == verdict
+        assert any("The torque is" in warning for warning in answer.warnings)
+
+
 def test_cohesion_of_a_wheel_is_refused_with_its_reason() -> None:
     with pytest.raises(InputError, match="as in dry soil"):
         terraphi.invert(rows(30.0), tool=TOOL, cohesion="500±100")
