@@ -3,9 +3,10 @@ r"""Footfalls together: a map of φ along the path, with the errors that all of 
 Footfall i at the place x_i has φ̂_i = φ(x_i) + S_i (θ − θ₀) + e_i. S_i is the sensitivity of its fit
 to the errors θ that all footfalls share: of the sensors, the density, the surface friction, the
 radius and the law. φ is a Gaussian process over the ground with an unknown mean, and e_i has the
-standard deviation of the fit. Everything is linear and normal, so the posterior of φ and θ is exact
-at given amplitude and length of the process, which maximize their marginal posterior. An anchor, φ
-by a shear test on a stretch of the path, is one more observation, with S = 0.
+standard deviation of the fit and that of the bed's scatter, which is one for all footfalls.
+Everything is linear and normal, so the posterior of φ and θ is exact at given amplitude and length
+of the process and given scatter, which maximize their marginal posterior. An anchor, φ by a shear
+test on a stretch of the path, is one more observation, with S = 0.
 
 Of θ, footfalls determine gains and frictions of the joints only, which differ from leg to leg while
 the soil does not; :data:`~terraphi.inference.touchdowns.MOST_FITTED` footfalls are used at most.
