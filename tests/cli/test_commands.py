@@ -342,7 +342,7 @@ def test_a_library_is_built_listed_shown_and_used(terraphi: Terraphi, tmp_path: 
     assert "library small (another model" in ran.err
     listed = json.loads(terraphi("library", "list", "--json").out)
     assert [entry["name"] for entry in listed["libraries"]][:2] == ["legs", "rft3d"]
-    assert listed["soils"]["loose dry sand"]["phi"] == [33.0, 2.0]
+    assert listed["soils"]["loose dry sand"]["phi_plane_strain_deg"] == [33.0, 2.0]
 
 
 @pytest.mark.parametrize(

@@ -111,11 +111,15 @@ def library_list(as_json: bool) -> None:
         for law in summaries
     ]  # fmt: skip
     header = ("library", "model", "φ [deg]", "φ means", "legs", "cases")
-    soils = {name: soil._asdict() for name, soil in named().items()}
+    soils = {
+        name: {"phi_plane_strain_deg": soil.phi, "density_kg_m3": soil.density,
+               "source": soil.source}
+        for name, soil in named().items()
+    }  # fmt: skip
     named_rows = [
-        (name, "{:.1f} ± {:.1f}".format(*soil["phi"]), "{:g} ± {:g}".format(*soil["density"]),
-         soil["source"])
-        for name, soil in soils.items()
+        (name, "{:.1f} ± {:.1f}".format(*soil.phi), "{:g} ± {:g}".format(*soil.density),
+         soil.source)
+        for name, soil in named().items()
     ]  # fmt: skip
     named_header = ("soil", "φ in plane strain [deg]", "density [kg/m³]", "source")
     present(

@@ -534,7 +534,8 @@ class _LegTable(ColumnReader[ForceColumns]):
     def _ask(self, lacking: list[str]) -> None:
         """Complain about roles without a column."""
         lacked = f"no column of {', '.join(WORDS[role] for role in lacking)} among {self.header}"
-        if slips := [name for name in self.parts if re.search(SLIP, name.lower())]:
+        slips = [name for name in self.parts if re.search(SLIP, name.lower())]
+        if slips and "theta" in lacking:
             self.wrong.append(
                 f"{lacked}; with '{slips[0][:30]}' it looks like the table of a wheel, which "
                 "--tool wheel:DIAMETERxWIDTH reads, in mm"

@@ -256,7 +256,14 @@ def calibrate(
     *,
     soil: str = "",
     law: AnyLaw | Path | str | None = None,
-    **options: Any,
+    leg: str | None = None,
+    rig: Any = None,
+    density: float | str | None = None,
+    grain_size_mm: float | None = None,
+    cohesion: float | str | None = None,
+    columns: Any = None,
+    noise: float | tuple[float, float] | None = None,
+    gain: float | str | None = None,
 ) -> Calibration:
     """Compare a library with soils of known friction angle in one's own apparatus.
 
@@ -268,11 +275,8 @@ def calibrate(
         Friction angle in the library's convention and its standard deviation [deg].
     soil
         Name of the soil, by which calibrations of several soils, or of several days, are joined.
-    law
+    law, leg, rig, density, grain_size_mm, cohesion, columns, noise, gain
         As of :func:`invert`.
-    **options
-        Its ``leg``, ``rig``, ``density``, ``grain_size_mm``, ``cohesion``, ``columns``, ``noise``
-        and ``gain``.
 
     Raises
     ------
@@ -289,7 +293,10 @@ def calibrate(
     numbers = all(isinstance(angle, int | float) for angle in (phi_deg, phi_sd_deg))
     if not (numbers and 0.0 < phi_deg < 90.0 and 0.0 <= phi_sd_deg < 90.0):
         raise InputError(f"phi = {phi_deg!r} ± {phi_sd_deg!r}; give two numbers from 0 to 90°")
-    opened = open_records(forces, **options)
+    opened = open_records(
+        forces, leg=leg, rig=rig, density=density, grain_size_mm=grain_size_mm, cohesion=cohesion,
+        columns=columns, noise=noise, gain=gain,
+    )  # fmt: skip
     records = [without_faults(record) for record in opened if isinstance(record, Record)]
     if len(records) < len(opened):
         raise InputError("calibrate takes forces on legs; leave out those on tools")

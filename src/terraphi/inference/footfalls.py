@@ -585,7 +585,7 @@ def judged(
         few = f"{count} slow footfalls are too few to tell sand from clay or a mat"
         notes = [f"{few}; {FEWEST} are needed"]
     best = max(laws.probability, key=laws.probability.__getitem__)
-    if best != law and laws.probability[best] > BETTER:
+    if best != law and laws.probability[best] > BETTER and (verdict == USABLE).any():
         grow = f"forces grow with depth as by law {best} rather than {law}"
         notes = [f"{grow}: by it φ is {laws.phi_deg[best]:.0f}°, and the absolute interval is wide"]
     return verdict, notes, laws
