@@ -14,7 +14,7 @@ import pytest
 from scipy.ndimage import uniform_filter1d
 
 from terraphi.experiment.errors import InputError
-from terraphi.robot.checks import Checked, Finding, faulty_spans, parts
+from terraphi.robot.checks import Checked, Finding, _sliding, faulty_spans, parts
 from terraphi.robot.joint_log import JointLog, arrays
 from terraphi.robot.results import foot_forces
 
@@ -299,3 +299,12 @@ def test_exchanged_legs_are_found_by_the_attitude_alone(sandy: JointLog) -> None
     assert not foot_forces(blind).grave
     for order in ([1, 0, 2, 3], [0, 1, 3, 2]):
         assert "check the order of the joints" in foot_forces(legs(blind, order)).grave[0]
+
+
+def test_feet_that_bear_nothing_together_have_no_sliding() -> None:
+    """Forces of legs in another order may leave one loaded foot a sample, or none."""
+    speed, load = np.ones((5, 4, 3)), np.zeros((5, 4))
+    load[:, 0] = 0.3
+    assert _sliding(speed, load) == np.inf
+    load[2, 1] = 0.3
+    assert _sliding(speed, load) == 0.0

@@ -8,6 +8,8 @@ import re
 import runpy
 import sys
 from dataclasses import replace
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -158,7 +160,9 @@ def check_bed(file: Path, content: dict[str, Any]) -> None:
     assert np.abs(points[:, :2]).max() <= half
     assert -deep <= points[:, 2].min() < points[:, 2].max() <= 0.0
     assert sum(masses) == pytest.approx(1600.0 * 4.0 * half**2 * deep, rel=1e-4)
-    stages = pytest.importorskip("pxr.Usd", reason="without usd-core")
+    if find_spec("pxr") is None:  # a skip would leave out what the caller checks after this
+        return
+    stages = import_module("pxr.Usd")
     bed = stages.Stage.Open(str(file)).GetPrimAtPath("/World/Bed")
     assert len(bed.GetAttribute("points").Get()) == len(points)
     assert str(bed.GetRelationship("physics:simulationOwner").GetTargets()[0]) == "/World/Scene"

@@ -484,9 +484,12 @@ def _legs(log: JointLog, robot: Quadruped) -> list[Finding]:
 def _sliding(speed: FloatArray, share: FloatArray) -> float:
     """Root mean square speed of loaded feet against their mean, weighted by load [m/s].
 
-    ``speed`` has the shape [sample, foot, 3], ``share``, the load, [sample, foot].
+    ``speed`` has the shape [sample, foot, 3], ``share``, the load, [sample, foot]. Infinite if no
+    two feet ever bear a load: such an order of the legs is not that of a robot that stands.
     """
     several = np.count_nonzero(share, axis=1) > 1
+    if not several.any():
+        return math.inf
     share, speed = share[several], speed[several]
     share = share / share.sum(axis=1, keepdims=True)
     speed = speed - np.einsum("sf,sfi->si", share, speed)[:, None]

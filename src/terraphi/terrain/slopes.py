@@ -41,8 +41,11 @@ NODES, WEIGHTS = np.polynomial.hermite_e.hermegauss(9)
 NODES, WEIGHTS = NODES.astype(np.float32), (WEIGHTS / WEIGHTS.sum()).astype(np.float32)
 """Of a mean over a standard normal number."""
 STEPS = 0.1, 0.05, 0.1, 0.1
-"""Between nodes of the mean and standard deviation of z, of cos θ and m [-]: medians within 1 %."""
-
+"""Between nodes of the mean and standard deviation of z, of cos θ and m [-]: medians within 1 % on
+slopes of 6 to 52° by the default priors, within 4 % in light saturated soil and at a standard
+deviation of 1."""
+PIECE = 8192
+"""Cells or nodes whose medians are computed at a time: a sample of each takes 8 MB."""
 
 QUANTITIES = {
     "cohesion_Pa": (0.0, 1e6, "0:1000"),  # of the soil
@@ -225,21 +228,37 @@ def normal_share(x: Any) -> Any:
 def median(mean: Any, sd: Any, theta: Any, wetness: Any, sample: Sample) -> Any:
     """Median of F, shape [cell], linear between nodes that are :data:`STEPS` apart.
 
-    F sin θ = c / (ρ g h) + cos θ (1 - m ρ_w/ρ) tan φ hardly bends between them.
+    F sin θ = c / (ρ g h) + cos θ (1 - m ρ_w/ρ) tan φ hardly bends between them. Cells that are
+    fewer than the nodes over their range have a median each.
     """
     theta = np.maximum(theta, FLATTEST)
     axes = [mean, sd, np.cos(theta), *([] if wetness is None else [wetness])]
     steps = list(zip(axes, STEPS, strict=False))
+    counts = [int(np.ptp(values) / step) + 2 for values, step in steps]
+    if math.prod(counts) >= mean.size:
+        return _medians(sample, *axes) / np.sin(theta)
     lines = [
-        v.min() + step * np.arange(int(np.ptp(v) / step) + 2, dtype=v.dtype) for v, step in steps
+        v.min() + step * np.arange(count, dtype=v.dtype)
+        for (v, step), count in zip(steps, counts, strict=True)
     ]
-    z, deviation, cos, *wet = (part.ravel() for part in np.meshgrid(*lines, indexing="ij"))
-    factor = tangent(z[:, None] + deviation[:, None] * sample.normal)
-    factor *= sample.carried(*wet) * cos[:, None]
-    factor += sample.strength
-    table = np.median(factor, axis=1).reshape([line.size for line in lines])
+    nodes = [part.ravel() for part in np.meshgrid(*lines, indexing="ij")]
     places = [(v - line[0]) / step for (v, step), line in zip(steps, lines, strict=True)]
-    return interpolated(table, *places) / np.sin(theta)
+    return interpolated(_medians(sample, *nodes).reshape(counts), *places) / np.sin(theta)
+
+
+def _medians(sample: Sample, mean: Any, sd: Any, cos: Any, wetness: Any = None) -> Any:
+    """Median of F sin θ of each cell or node, shape [cell]."""
+    result = np.empty_like(mean)
+    for first in range(0, mean.size, PIECE):
+        z, deviation, level, *wet = (
+            values[first : first + PIECE]
+            for values in (mean, sd, cos, *([] if wetness is None else [wetness]))
+        )
+        factor = tangent(z[:, None] + deviation[:, None] * sample.normal)
+        factor *= sample.carried(*wet) * level[:, None]
+        factor += sample.strength
+        result[first : first + PIECE] = np.median(factor, axis=1)
+    return result
 
 
 def phi_share(mean: Any, sd: Any, theta: Any, wetness: Any, sample: Sample) -> Any:
@@ -248,11 +267,14 @@ def phi_share(mean: Any, sd: Any, theta: Any, wetness: Any, sample: Sample) -> A
     The first-order index of Sobol (1993), Var E[F | φ] / Var F. With F = A + B T, where T = tan φ
     is independent of A and B, Var F = Var A + E[T²] Var B + E[B]² Var T + 2 E[T] Cov(A, B).
     """
-    cos, carried = np.cos(np.maximum(theta, FLATTEST)), sample.carried(wetness)
+    cos = np.cos(np.maximum(theta, FLATTEST))
     nodes = tangent(mean[:, None] + sd[:, None] * NODES)
     first, second = nodes @ WEIGHTS, (nodes * nodes) @ WEIGHTS
+    # B is 1 - m ρ_w/ρ, with m of the sample or of the cell.
+    share = sample.lightness * (sample.wetness if wetness is None else 1.0)
+    factor = 1.0 if wetness is None else wetness
     strength = sample.strength - sample.strength.mean()
-    due = carried.mean(axis=1) ** 2 * np.maximum(second - first**2, 0.0)
-    rest = strength.var() / cos**2 + second * carried.var(axis=1)
-    rest += 2.0 * first * (strength * carried).mean(axis=1) / cos
+    due = (1.0 - factor * share.mean()) ** 2 * np.maximum(second - first**2, 0.0)
+    rest = strength.var() / cos**2 + second * factor**2 * share.var()
+    rest -= 2.0 * first * factor * (strength * share).mean() / cos
     return np.clip(due / np.maximum(due + rest, 1e-30), 0.0, 1.0)

@@ -341,7 +341,7 @@ by("cancel").addEventListener("click", idle);
 // A field that was edited changes as the button is pressed. What it hides would move the button away
 // from under the pointer, and the answer reads the file anyhow.
 by("find").addEventListener("pointerdown", () => { pressed = true; });
-window.addEventListener("pointerup", () => { pressed = false; });
+for (const end of ["pointerup", "pointercancel"]) window.addEventListener(end, () => { pressed = false; });
 by("find").addEventListener("click", arrange); // before the form is checked
 form.addEventListener("submit", (event) => { event.preventDefault(); answer(); });
 form.addEventListener("change", (event) => {
