@@ -86,7 +86,7 @@ def _python(tmp_path):
     (tmp_path / "forward" / "experiment").mkdir(parents=True)
     folder.mkdir()
     shutil.copy(compiled.__file__, folder)
-    for name in ("leg", "motion", "scenario", "soil"):
+    for name in ("arrays", "leg", "motion", "scenario", "soil", "units"):
         (tmp_path / "forward" / "experiment" / f"{name}.py").touch()
     (folder / "outer.py").write_text(SOURCE + "    return factor(x)\n")
     (folder / "inner.py").write_text(FACTOR.format("2.0"))
@@ -146,7 +146,7 @@ def test_every_compiled_source_is_watched():
     marked = [f for f, text in sources.items() if re.search("^@(kernel|entry)$", text, re.M)]
     assert {file.parent.name for file in marked} == {"forward", "mpm", "plane"}
     beside = {other for file in marked for other in file.parent.rglob("*.py")}
-    assert beside | {compiled._EXPERIMENT / "leg.py"} == set(compiled._SOURCES)
+    assert beside | {*compiled._INLINED} == set(compiled._SOURCES)
 
 
 def test_no_power_in_a_kernel():

@@ -402,7 +402,7 @@ def test_feet_one_after_the_other_have_the_force_of_arrays(
 
 def test_arrays_that_cannot_be_written_are_not_compiled_for_once_more() -> None:
     """As those of JAX are in NumPy, and rows of a file."""
-    feet = pytest.importorskip("terraphi.laws.feet").feet
+    feet = pytest.importorskip("terraphi.forward.feet").feet
     pose, velocity = np.zeros((3, 4)).T, np.full((4, 3), -0.1)
     expected, _ = force(Foot(RADIUS), pose, velocity, **SAND)
     compiled = len(feet.signatures)

@@ -41,8 +41,9 @@ OPTIONS: dict[str, Any] = {
 """Numba's options for all kernels."""
 _FOLDER = Path(__file__).parent
 _EXPERIMENT, _PLANE = (_FOLDER.parent / name for name in ("experiment", "paper/plane"))
-_SOURCES = [*sorted(_FOLDER.rglob("*.py")), *sorted(_PLANE.glob("*.py")), _EXPERIMENT / "leg.py"]
-"""Sources of the compiled functions."""
+_INLINED = [_EXPERIMENT / f"{name}.py" for name in ("arrays", "leg", "units")]
+_SOURCES = [*sorted(_FOLDER.rglob("*.py")), *sorted(_PLANE.glob("*.py")), *_INLINED]
+"""Sources of the compiled functions, and of the functions and numbers that are inlined."""
 _GIVEN = [_EXPERIMENT / f"{name}.py" for name in ("motion", "scenario", "soil")]
 """Sources of the numbers that the kernels are called with."""
 _NAME = "terraphi-kernels-"

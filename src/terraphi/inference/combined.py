@@ -164,8 +164,11 @@ def _verdict(
 def _merged(answers: Sequence[Answer], weight: FloatArray, **values: Any) -> Answer:
     """The first answer with other values, and the records, assumptions and warnings of all."""
     first = answers[0]
-    from scipy.linalg import block_diag
-
+    # The errors of the records are joint within an answer only. The base has no SciPy.
+    ends = np.cumsum([0, *(len(answer.covariance) for answer in answers)])
+    covariance = np.zeros((ends[-1], ends[-1]))
+    for answer, begin, end in zip(answers, ends[:-1], ends[1:], strict=True):
+        covariance[begin:end, begin:end] = answer.covariance
     laws = dict.fromkeys(answer.law for answer in answers)
     frictions, cohesions = zip(*((a.leg_friction, a.cohesion_pa) for a in answers), strict=True)
     return replace(
@@ -180,8 +183,7 @@ def _merged(answers: Sequence[Answer], weight: FloatArray, **values: Any) -> Ans
         cohesion_pa=cohesions[0] if len({*cohesions}) == 1 else None,
         density_assumed=any(answer.density_assumed for answer in answers),
         records=tuple(record for answer in answers for record in answer.records),
-        # The errors of the records are joint within an answer only.
-        covariance=block_diag(*(answer.covariance for answer in answers)),
+        covariance=covariance,
         warnings=_warnings(answers),
         provenance={
             **first.provenance,

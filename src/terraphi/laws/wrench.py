@@ -370,8 +370,8 @@ def _at_once(
 
 @lru_cache(maxsize=16)
 def _function(foot: Foot | Mesh, friction: float, inertia: bool) -> tuple[Any, ...]:
-    """Function of :mod:`~terraphi.laws.feet` for a foot, and its arguments that stay the same."""
-    from terraphi.laws import feet
+    """Function of :mod:`~terraphi.forward.feet` for a foot, and arguments that stay the same."""
+    from terraphi.forward import feet
 
     if isinstance(foot, Foot):
         first, step, table = _foot_table(foot.shape, friction)
@@ -395,7 +395,7 @@ def _one_by_one(
     foot: Foot | Mesh, place: FloatArray, moving: FloatArray, soil: FloatArray, friction: float,
     fade: float, before: FloatArray | None, stride: float, *, inertia: bool,
 ) -> FloatArray | None:  # fmt: skip
-    """Force and moment on feet by :mod:`~terraphi.laws.feet`, shape [foot, 6].
+    """Force and moment on feet by :mod:`~terraphi.forward.feet`, shape [foot, 6].
 
     ``soil`` has φ, density and surface, shape [foot or 1, 3], ``before`` the force and moment that
     are held, [foot, 6], and ``stride`` is their stiffness times the time. ``None`` where a number
