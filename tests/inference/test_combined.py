@@ -239,4 +239,7 @@ def test_a_misfit_hides_what_half_the_force_would_be(plate: Answer) -> None:
     sound = replace(plate, phi_of_force_deg={"half": 20.0, "twice": 35.0})
     spoilt = replace(sound, verdict="misfit", reason="Misfit: far.")
     assert combined([sound, sound]).phi_of_force_deg
+    dry, other = replace(sound, phi_if_damp_deg=20.0), replace(sound, phi_if_damp_deg=24.0)
+    assert 20.0 < combined([dry, other]).phi_if_damp_deg < 24.0
+    assert combined([dry, sound]).phi_if_damp_deg is None
     assert combined([sound, spoilt]).phi_of_force_deg is None

@@ -264,6 +264,10 @@ def test_phi_of_damp_soil_is_that_with_its_cohesion_given() -> None:
     assert dry.phi_if_damp_deg == pytest.approx(damp.phi.median, abs=0.1)
     assert dry.phi_if_damp_deg < dry.phi.median - 2.0
     assert damp.phi_if_damp_deg is None
+    known = invert("li2013:yuma/c", density="1650±30", gain="1±0.01")
+    assert known.phi_of_force_deg is None
+    assert known.phi_if_damp_deg == pytest.approx(dry.phi_if_damp_deg, abs=0.01)
+    assert invert("li2013:yuma/c", critical="27±1").phi_if_damp_deg is None
 
 
 @pytest.mark.parametrize("higher", [-7.0, 0.0, 7.0])

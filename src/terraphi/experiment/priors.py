@@ -45,6 +45,9 @@ HIP_HEIGHT_SD_MM = 2.0
 """Height of a leg's hip [mm]; chosen."""
 COHESION_SD_PART = 1.0 / 3.0
 """Cohesion that is given without its error, over it [-]; chosen."""
+DAMP_PA = 100.0
+"""Cohesion of damp soil that an answer states φ for [Pa]: simulated grains with 1 % of liquid have
+40 to 180 Pa."""
 CONTACT_SD_M, CONTACT_SD_PART = 1e-3, 0.03
 """Sinkage of a plate at first contact [m], and over its radius [-]; the larger counts; chosen."""
 

@@ -232,7 +232,8 @@ class AnswerSummary:
         φ that ``half`` and ``twice`` the force would be read as [deg], where density and gain were
         not both given with a standard deviation; ``None`` outside the law's range.
     phi_if_damp_deg
-        φ if the soil had a cohesion of 100 Pa [deg], where it was taken as dry; else ``None``.
+        φ if the soil had a cohesion of :data:`~terraphi.experiment.priors.DAMP_PA` [deg], where it
+        was taken as dry; else ``None``.
     second_opinion
         Library, median and standard deviation of the answer by other physics, or ``None``.
     parameters

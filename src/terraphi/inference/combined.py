@@ -178,6 +178,7 @@ def _merged(answers: Sequence[Answer], weight: FloatArray, **values: Any) -> Ans
         law_reason=first.law_reason if len(laws) == 1 else "",
         second_opinion=None,
         phi_of_force_deg=_phi_of_force(answers, weight),
+        phi_if_damp_deg=_phi_if_damp(answers, weight),
         offset_causes_deg=_joint_causes(answers, weight),
         leg_friction=frictions[0] if len({*frictions}) == 1 else None,
         cohesion_pa=cohesions[0] if len({*cohesions}) == 1 else None,
@@ -217,8 +218,18 @@ def _phi_of_force(answers: Sequence[Answer], weight: FloatArray) -> dict[str, fl
     scaled: dict[str, float | None] = {}
     for key in ("half", "twice"):
         angles = [(a.phi_of_force_deg or {key: a.phi.median})[key] for a in answers]
-        scaled[key] = None if None in angles else float(weight @ np.array(angles, float))
+        scaled[key] = _joint_angle(angles, weight)
     return scaled
+
+
+def _phi_if_damp(answers: Sequence[Answer], weight: FloatArray) -> float | None:
+    """φ by damp soil [deg], where all answers have that; those of tools have none."""
+    return _joint_angle([answer.phi_if_damp_deg for answer in answers], weight)
+
+
+def _joint_angle(angles: Sequence[float | None], weight: FloatArray) -> float | None:
+    """Weighted mean of angles [deg]; ``None`` if an answer has none."""
+    return None if None in angles else float(weight @ np.array(angles, float))
 
 
 def _warnings(answers: Sequence[Answer]) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
+from terraphi.experiment.priors import DAMP_PA
 from terraphi.experiment.rig import with_rig
 from terraphi.inference.answer import Answer, Edge, Estimate, RecordFit
 from terraphi.inference.checks import (
@@ -65,9 +66,6 @@ chosen; simulations of Li's legs that nothing was fitted to have 1 to 3 %."""
 SEVERAL = 1.3
 """Limit of a residual of several records with one angle, over that of one [-]: chosen, for legs
 differ."""
-DAMP_PA = 100.0
-"""Cohesion of damp soil that an answer states φ for [Pa]: simulated grains with 1 % of liquid have
-40 to 180 Pa."""
 
 
 def invert(
@@ -268,8 +266,9 @@ def with_critical(answer: Answer, critical: float | str) -> Answer:
         phi_plane_strain=phi,
         phi_peak=peak if excess >= least else None,
         provenance={**answer.provenance, "critical": [mean, sd]},
-        # What half the force would read is of the forces alone.
+        # What half the force, or damp soil, would read is of the forces alone.
         phi_of_force_deg=None,
+        phi_if_damp_deg=None,
         budget_deg={name: narrower * term for name, term in answer.budget_deg.items()},
         warnings=(sentence, *answer.warnings),
     )
@@ -384,8 +383,8 @@ def _answer(
     legs = [leg_readings(likelihood, record) for record in records]
     verdict, reason, edge = judge(likelihood, fits, legs, damaged=bool(air))
     plane, no_plane = plane_strain(phi, law)
-    scaled = None
-    if verdict == "consistent" and likelihood.measured and not all(r.scale_given for r in records):
+    scaled, is_sound = None, verdict == "consistent" and likelihood.measured
+    if is_sound and not all(r.scale_given for r in records):
         scaled = dict(zip(("half", "twice"), likelihood.at_scaled_forces([0.5, 2.0]), strict=True))
     first = records[0]
     is_dry = first.cohesion_pa == first.cohesion_sd_pa == 0.0
@@ -396,7 +395,7 @@ def _answer(
         density_kg_m3=first.bulk_density[0], density_sd_kg_m3=first.bulk_density[1],
         density_assumed=first.density_kg_m3 is None or first.density_assumed,
         phi_of_force_deg=scaled,
-        phi_if_damp_deg=likelihood.at_cohesion(DAMP_PA) if scaled and is_dry else None,
+        phi_if_damp_deg=likelihood.at_cohesion(DAMP_PA) if is_sound and is_dry else None,
         law=law.name, law_reason=law_reason, second_opinion=opinion,
         warnings=tuple(warnings(likelihood, fits, phi, verdict, opinion, legs, air)),
         records=tuple(fits), grid_deg=grid, density=density,

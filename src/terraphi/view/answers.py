@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from terraphi.experiment.errors import GUESSED, InputError
+from terraphi.experiment.priors import DAMP_PA
 from terraphi.inference import COLUMNS
 from terraphi.view.console import Table
 
@@ -71,16 +72,20 @@ def in_words(answer: Answer) -> list[str]:
         size = other.get("force_size_deg")
         size = "" if size is None else f"; size of the forces alone {size:.0f}°"
         lines.append(f"  Second opinion: {other['law']} {other['median']:.0f}°{where}{size}.")
+    otherwise = []
     if answer.phi_of_force_deg is not None:
         half, twice = (
             "out of range" if angle is None else f"{angle:.0f}°"
             for angle in map(answer.phi_of_force_deg.get, ("half", "twice"))
         )
-        lines.append(
-            f"  Half the force: {half}; twice: {twice}. Hang a known weight on the sensor."
+        otherwise.append(
+            f"Half the force: {half}; twice: {twice}. Hang a known weight on the sensor."
         )
     if answer.phi_if_damp_deg is not None:
-        lines[-1] += f" Damp, with a cohesion of 100 Pa: {answer.phi_if_damp_deg:.0f}°."
+        cohesion = f"with a cohesion of {DAMP_PA:.0f} Pa"
+        otherwise.append(f"Damp, {cohesion}: {answer.phi_if_damp_deg:.0f}°.")
+    if otherwise:
+        lines.append(f"  {' '.join(otherwise)}")
     lines += [f"  Warning: {sentence}" for sentence in answer.warnings if GUESSED not in sentence]
     return lines + [f"  Note: {sentence}" for sentence in answer.warnings if GUESSED in sentence]
 
