@@ -141,10 +141,7 @@ def grains() -> Iterator[Record]:
                 record.rig, float(record.density_kg_m3 or 0.0), record.grain_size_mm, *truth(soil),
             )  # fmt: skip
     folder = cells.GRAINS / "second_engine"
-    _, ux, _, tau, sigma, *_, height = np.loadtxt(
-        folder / "B_loose_shear.csv", delimiter=",", skiprows=1, unpack=True
-    )
-    phi = float(elements.critical(ux / height, tau / sigma).mean())
+    phi = float(elements.critical(*cells.second_cell()).mean())
     exact = {"hip_height_sd_mm": 0.0, "leg_friction": 0.35}
     for path in sorted({*folder.glob("B_loose_*_straight*.csv"), *folder.glob("B_loose_*_c.csv")}):
         _, _, beds, leg, *_ = path.stem.split("_")

@@ -123,10 +123,16 @@ def by_code(soil: str) -> str:
     return f"{soil} " + " and ".join(f"{value} by {code}" for code, value in both.items())
 
 
+def second_cell() -> tuple[FloatArray, FloatArray]:
+    """Shear strain and τ/σ of soil B in the cell of a program of ours [-]."""
+    path = GRAINS / "second_engine" / "B_loose_shear.csv"
+    _, ux, _, tau, sigma, *_, height = np.loadtxt(path, delimiter=",", skiprows=1, unpack=True)
+    return ux / height, tau / sigma
+
+
 def by_strain() -> str:
     """φ of soil B between strains, by cell and code: a table."""
-    second = np.loadtxt(GRAINS / "second_engine" / "B_loose_shear.csv", delimiter=",", skiprows=1)
-    curves = {"a program of ours": [(second[:, 1] / second[:, -1], second[:, 3] / second[:, 4])]}
+    curves = {"a program of ours": [second_cell()]}
     for name, pattern in (
         ("LIGGGHTS, large cell", "B-loose_shear_*.csv"),
         ("LIGGGHTS, small cell", "codes/liggghts/B-loose_firm_*.csv"),

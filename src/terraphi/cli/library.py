@@ -111,15 +111,16 @@ def library_list(as_json: bool) -> None:
         for law in summaries
     ]  # fmt: skip
     header = ("library", "model", "φ [deg]", "φ means", "legs", "cases")
+    sands = named()
     soils = {
         name: {"phi_plane_strain_deg": soil.phi, "density_kg_m3": soil.density,
                "source": soil.source}
-        for name, soil in named().items()
+        for name, soil in sands.items()
     }  # fmt: skip
     named_rows = [
         (name, "{:.1f} ± {:.1f}".format(*soil.phi), "{:g} ± {:g}".format(*soil.density),
          soil.source)
-        for name, soil in named().items()
+        for name, soil in sands.items()
     ]  # fmt: skip
     named_header = ("soil", "φ in plane strain [deg]", "density [kg/m³]", "source")
     present(

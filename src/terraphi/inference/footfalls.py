@@ -572,7 +572,8 @@ def judged(
     verdict = verdicts(touchdowns, fits, prior.radius)
     sank = np.isin(verdict, (USABLE, MISFIT, HARD, EDGE))
     chosen = grounds.slow(picked(touchdowns, sank), prior)
-    enough, count = len(chosen.foot) >= FEWEST, len(chosen.foot)
+    count = len(chosen.foot)
+    enough = count >= FEWEST
     if not enough:
         chosen = evenly(picked(touchdowns, sank), FEWEST)
     if not len(chosen.foot):
@@ -650,8 +651,7 @@ def _compare_laws(
     """
     name = SECOND.get(law, "rft")
     sample = evenly(touchdowns, MOST_FITTED)
-    highest = grounds.HIGHEST_RFT_DEG if name == "rft" else wide.highest_deg
-    second_prior = learn_exponent(sample, name, replace(wide, exponent=0.0, highest_deg=highest))
+    second_prior = learn_exponent(sample, name, grounds.prior_of(name, wide))
     second_prior = learn_level(sample, name, second_prior)
     phi, sensitivity = fits.phi, fits.shared.copy()
     # What other laws read is an error of all places alike by their probabilities; differences

@@ -114,6 +114,12 @@ class Comparison(NamedTuple):
         ))  # fmt: skip
 
 
+def prior_of(law: str | FootLaw, prior: Prior) -> Prior:
+    """The prior for a law beside the walk's own, with its largest angle and no exponent learned."""
+    highest = HIGHEST_RFT_DEG if law == "rft" else prior.highest_deg
+    return replace(prior, exponent=0.0, highest_deg=highest)
+
+
 def compared(touchdowns: Touchdowns, law: str, prior: Prior, *, enough: bool) -> Comparison:
     """Compare laws of sand with each other, and with clay and a layer.
 
@@ -128,8 +134,7 @@ def compared(touchdowns: Touchdowns, law: str, prior: Prior, *, enough: bool) ->
     """
 
     def fitted(named: str | FootLaw, exponent: float = 0.0) -> Fit:
-        highest = HIGHEST_RFT_DEG if named == "rft" else prior.highest_deg
-        return fit(touchdowns, named, replace(prior, exponent=exponent, highest_deg=highest))
+        return fit(touchdowns, named, replace(prior_of(named, prior), exponent=exponent))
 
     def cost(of: Fit) -> FloatArray:
         return np.log(np.maximum(of.cost, 1e-6))

@@ -501,11 +501,16 @@ def _verdict(roll: _Roll, fit: _Mean, record: RecordFit) -> Judgment:
                 f"the {name} is {ratio:.2f} of {over}, and soil of this angle bears {most:.2f}; "
                 "check units, gear and zero of both."
             )
+    return _by_residual(record, "follows the load within {:.0%}, usual for wheels")
+
+
+def _by_residual(record: RecordFit, follows: str) -> Judgment:
+    """Verdict by the residual; of a small one ``follows`` says what the law does, and how well."""
+    [residual] = record.nrmsd.values()
     if verdict := large_residual([record], "wheels in grains"):
         return verdict
-    within = 100.0 * record.nrmsd["Fz"]
-    reason = f"Consistent: the law follows the load within {within:.0f} %, usual for wheels."
-    return "consistent", reason, None
+    share = follows.format(residual).replace("%", " %")
+    return "consistent", f"Consistent: the law {share}.", None
 
 
 def _shear(roll: _Roll, name: str) -> float:
@@ -693,8 +698,4 @@ def _unsunk_verdict(least: float, fitted: RecordFit) -> Judgment:
             "no angle has this pull and torque at this load; check signs, units and zero of both, "
             "the diameter and the friction."
         )
-    if verdict := large_residual([fitted], "wheels in grains"):
-        return verdict
-    within = 100.0 * fitted.nrmsd["Fx"]
-    reason = f"Consistent: the law has the resistance within {within:.0f} % of the load."
-    return "consistent", reason, None
+    return _by_residual(fitted, "has the resistance within {:.0%} of the load")
