@@ -8,8 +8,7 @@ A method is ``method(train, test) -> [(phi_deg, sd_deg), ...]``. A record has ``
 ``force_N`` (Fx and Fz on the leg, shape [angle, 2]), ``rig``, ``density`` [kg/m³],
 ``grain_size_mm``, ``phi_deg`` (``None`` in the test) and ``soil``. Predictions are normal and are
 scored by CRPS [deg], soils weighing alike. ``--check`` fails if a baseline is better than
-``terraphi`` in any task, by a t-test over its soils; the second ``terraphi`` is a trial. ``--page``
-writes ``docs/benchmark.md``.
+``terraphi`` in any task, by a t-test over its soils. ``--page`` writes ``docs/benchmark.md``.
 """
 
 from __future__ import annotations
@@ -20,7 +19,6 @@ import math
 import runpy
 import sys
 from collections.abc import Callable, Sequence
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -117,7 +115,6 @@ def regression(features: Features, *, by_leg: bool = True) -> Method:
 
 METHODS: dict[str, Method] = {
     "terraphi": errors.terraphi_method,
-    "terraphi, mostly Fx": partial(errors.terraphi_method, reading="thrust"),
     "constant": regression(constant, by_leg=False),
     "passive earth pressure": regression(earth_pressure),
     "formula": regression(formula),
@@ -125,7 +122,7 @@ METHODS: dict[str, Method] = {
 }
 
 
-BASELINES = [name for name in METHODS if not name.startswith("terraphi")]
+BASELINES = [name for name in METHODS if name != "terraphi"]
 
 
 def external(spec: str) -> Method:
@@ -167,7 +164,7 @@ def page(scores: dict[str, dict[str, dict[str, float]]]) -> str:
     return pages.table(("method", *counts), rows)
 
 
-COMPARED = ("terraphi", "terraphi, mostly Fx", "formula")
+COMPARED = ("terraphi", "formula")
 
 
 def decomposition(results: dict[str, dict[str, list[Outcome]]]) -> str:
@@ -197,12 +194,7 @@ WORDS = (
     "leg. In measured media the truth of a leg is the mean of the other two, so that a constant "
     "has no error."
 )
-WHY = (
-    "The program errs within a soil, between its legs, rigs and beds. Less weight on the vertical "
-    "force ({weight}: *mostly Fx*) is better for other soils, shapes and codes. But legs in a "
-    "measured medium, which is left out, are then {1:.2f}° apart instead of {0:.2f}°, so "
-    "`terraphi invert` weights both forces alike."
-)
+WHY = "The program errs within a soil, between its legs, rigs and beds."
 SMALLER = (
     "Baselines with a smaller CRPS than terraphi, and p by a two-sided t-test over soils (1 where "
     "there is one soil):"
@@ -244,12 +236,11 @@ def main() -> None:
             pages.DOCS / "benchmark.csv", index=False
         )
         rest = "Bias, z and coverage: [benchmark.csv](benchmark.csv)."
-        apart = [errors.legs_apart(rows, media, name)[0] for name in ("read", "thrust")]
         smaller = ", ".join(f"{name} ({p:.2f})" for name, p in better.items())
         text = "\n\n".join([
             "# Benchmark of transfer", CODE, page(scores), WORDS,
             f"{SMALLER} {smaller}.", rest, "## Why", decomposition(results),
-            WHY.format(*apart, weight=errors.VERTICAL_WEIGHT), made,
+            WHY, made,
         ])  # fmt: skip
         (pages.DOCS / "benchmark.md").write_text(text + "\n", encoding="utf-8")
     if options.check and (certain := [name for name, p in better.items() if p < LEVEL]):

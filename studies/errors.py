@@ -29,7 +29,6 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
-import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -75,8 +74,6 @@ REPOSE_DEG, REPOSE_SD_DEG = 0.8, 1.3
 """Angle of repose of loose soil less its critical angle [deg]."""
 LIMIT, MARGIN = 0.98, 1.2
 """Quantile of the residuals over records, and the limit of a misfit over it [-]; chosen."""
-VERTICAL_WEIGHT = 0.3
-"""Weight of the vertical force in a second reading, of that of the horizontal one [-]; chosen."""
 COMPONENTS = ("soil", "soil × leg", "rig", "kind", "bed")
 PRIOR_SD_DEG, PRIOR_LOG_SD, WIDE_DEG, CURVE_DEG = 1.0, 1.0, 30.0, 2.0
 """Each component is lognormal about 1° by a factor e beforehand, so that one with a single level
@@ -190,8 +187,7 @@ def stored() -> tuple[bytes, dict[str, dict[str, float]]]:
 def readings(record: Record) -> dict[str, float]:
     """What is read off a record without an offset; it is kept on disk.
 
-    Angles by law `legs`, by it with little weight on the vertical force (``thrust``), and by
-    resistive force theory; by the first the shift of the leg angle
+    Angles by law `legs` and by resistive force theory; by the first the shift of the leg angle
     [deg], the residual of the force that is met worse [-], and of measured records the standard
     deviation of the angle by each of :data:`APPARATUS` [deg].
     """
@@ -214,15 +210,9 @@ def fitted(record: Record) -> dict[str, float]:
     stroke = without_faults(open_record(history, rig=record.rig, density=density))
     likelihood = Likelihood([stroke], law())
     residual = (likelihood.data - likelihood.curves(likelihood.least_squares)[0]) / likelihood.span
-    # The angle with less weight on the vertical force, to first order about the best point.
-    best = likelihood.least_squares, likelihood.shift_deg, likelihood.cohesion
-    weight = np.repeat([1.0, math.sqrt(VERTICAL_WEIGHT)], residual.size // 2)
-    slope = likelihood.slopes(*best) / likelihood.span[:, None]
-    change = np.linalg.lstsq(weight[:, None] * slope, weight * residual, rcond=None)[0]
     budget = likelihood.budget() if is_measured else {}
     return {
         "read": likelihood.least_squares,
-        "thrust": likelihood.least_squares + float(change[0]),
         "theory": Likelihood([stroke], Theory()).least_squares,
         "shift": float(likelihood.shift_deg[0]),
         "nrmsd": float(np.sqrt(np.square(residual).reshape(2, -1).mean(axis=1)).max()),
@@ -267,11 +257,16 @@ def shared(rows: Sequence[Record]) -> tuple[FloatArray, FloatArray]:
     return unit, truth
 
 
-def columns(rows: Sequence[Record], reading: str = "read") -> FloatArray:
+def angles(rows: Sequence[Record]) -> FloatArray:
+    """What is read off records by law `legs` [deg]."""
+    return np.array([readings(row)["read"] for row in rows])
+
+
+def columns(rows: Sequence[Record]) -> FloatArray:
     """Columns of the effects and of the free angles, each of a standard deviation of 1°."""
     k = len(EFFECTS)
     names = ModelError(effects=EFFECTS, mean_deg=(0.0,) * k, covariance_deg2=((0.0,) * k,) * k)
-    x = np.array([names.row(r.rig, r.grain_size_mm, readings(r)[reading]) for r in rows])
+    x = np.array([names.row(r.rig, r.grain_size_mm, readings(r)["read"]) for r in rows])
     is_free = np.array([row.phi_deg is None for row in rows])
     free = np.unique(alike([row.soil for row in rows]) * is_free[:, None], axis=1)
     return np.hstack([PRIOR_OF_EFFECTS_DEG * x, WIDE_DEG * free])
@@ -284,8 +279,6 @@ class Model:
     ----------
     rows
         Records.
-    reading
-        Name of the angle, of :func:`readings`.
 
     Attributes
     ----------
@@ -293,22 +286,18 @@ class Model:
         Standard deviation of each component [deg].
     """
 
-    def __init__(self, rows: Sequence[Record], reading: str = "read") -> None:
-        self.rows, self.reading = list(rows), reading
+    def __init__(self, rows: Sequence[Record]) -> None:
+        self.rows = list(rows)
         phi = [MIDDLE_DEG if row.phi_deg is None else row.phi_deg for row in rows]
-        self.y = self._read(rows) - phi
+        self.y = angles(rows) - phi
         self._unit, truth = shared(rows)
-        self._columns = columns(rows, reading)
+        self._columns = columns(rows)
         # Fixed effects with a wide prior are integrated out, which is REML.
         self._fixed = truth + self._columns @ self._columns.T
         start, bounds = np.zeros(len(COMPONENTS)), [(-4.0, 3.0)] * len(COMPONENTS)
         best = optimize.minimize(self._cost, start, jac=True, method="L-BFGS-B", bounds=bounds)
         self.log_sd = best.x
         self.sd_deg = dict(zip(COMPONENTS, (PRIOR_SD_DEG * np.exp(best.x)).tolist(), strict=True))
-
-    def _read(self, rows: Sequence[Record]) -> FloatArray:
-        """Readings [deg]."""
-        return np.array([readings(row)[self.reading] for row in rows])
 
     def _variance(self, log_sd: FloatArray) -> FloatArray:
         """Covariance of the readings [deg²]."""
@@ -357,10 +346,10 @@ class Model:
         joint, n = [*self.rows, *rows], len(self.rows)
         unit, truth = shared(joint)
         x = columns([replace(row, phi_deg=row.phi_deg or MIDDLE_DEG) if i >= n else row
-                     for i, row in enumerate(joint)], self.reading)  # fmt: skip
+                     for i, row in enumerate(joint)])  # fmt: skip
         variance = np.tensordot(np.square([*self.sd_deg.values()]), unit, 1) + truth + x @ x.T
         gain = variance[n:, :n] @ self.precision
-        return self._read(rows) - gain @ self.y, variance[n:, n:] - gain @ variance[:n, n:]
+        return angles(rows) - gain @ self.y, variance[n:, n:] - gain @ variance[:n, n:]
 
 
 # -- transfer ------------------------------------------------------------------------------------
@@ -450,20 +439,16 @@ def evaluate(method: Method, parts: Sequence[Split]) -> dict[str, dict[str, floa
     return {task: score(outcomes) for task, outcomes in predictions(method, parts).items()}
 
 
-def terraphi_method(
-    train: list[Record], test: list[Record], reading: str = "read"
-) -> list[tuple[float, float]]:
+def terraphi_method(train: list[Record], test: list[Record]) -> list[tuple[float, float]]:
     """φ of test records and its standard deviation, by the mixed model [deg]."""
-    phi, covariance = Model(train, reading).predict(test)
+    phi, covariance = Model(train).predict(test)
     return list(zip(phi.tolist(), np.sqrt(np.diag(covariance)).tolist(), strict=True))
 
 
 # -- report --------------------------------------------------------------------------------------
 
 
-def legs_apart(
-    rows: Sequence[Record], measured_rows: Sequence[Record], reading: str = "read"
-) -> FloatArray:
+def legs_apart(rows: Sequence[Record], measured_rows: Sequence[Record]) -> FloatArray:
     """Distance of legs in one medium, each from their mean: observed and stated RMS [deg].
 
     The medium is left out; the others are learned from, with φ free where it is not known.
@@ -473,7 +458,7 @@ def legs_apart(
     for soil in soils:
         test = [row for row in measured_rows if row.soil == soil]
         train = [*rows, *(row for row in measured_rows if row.soil != soil)]
-        phi, covariance = Model(train, reading).predict(test)
+        phi, covariance = Model(train).predict(test)
         mean = np.eye(len(test)) - 1.0 / len(test)
         squares += np.square(mean @ phi).sum(), np.trace(mean @ covariance)
     return np.sqrt(squares / (len(measured_rows) - len(soils)))
