@@ -166,6 +166,8 @@ def test_a_torque_beyond_soil_is_named_where_the_verdict_is_another() -> None:
 
 
 def test_cohesion_of_a_wheel_is_refused_with_its_reason() -> None:
+    dry = terraphi.invert(rows(30.0), tool=TOOL, cohesion="0")
+    assert dry.phi == terraphi.invert(rows(30.0), tool=TOOL).phi
     with pytest.raises(InputError, match="as in dry soil"):
         terraphi.invert(rows(30.0), tool=TOOL, cohesion="500±100")
 

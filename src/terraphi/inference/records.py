@@ -324,7 +324,7 @@ def open_records(
     has_tool = any(isinstance(body, Tool) for _, body in sources)
     if friction is not None and not has_tool:
         raise InputError("--friction goes with a rig or a tool; add its sizes, or --rig li2013")
-    if has_tool and options.get("cohesion") is not None:
+    if has_tool and _cohesion(options.get("cohesion"), "a tool") != (0.0, 0.0):
         raise InputError("a plate, ball or wheel is inverted as in dry soil; leave out cohesion")
     records: list[Record | PressedRecord] = []
     for source, body in sources:
