@@ -71,7 +71,7 @@ terraphi.invert(record, rig=rig, density=1650)
 # Simulations of one's own
 # ------------------------
 # Legs outside these proportions need simulations of their own: two to five minutes of a core for
-# each of eight angles. Bed, cells and steps follow from the sizes of the rig.
+# each of three angles. Bed, cells and steps follow from the sizes of the rig.
 
 plan = terraphi.Plan.of_rig(rig)
 print(plan.count, "cases in cells of", 1e3 * plan.scenario.numerics.cell_size, "mm")

@@ -10,8 +10,8 @@ import pytest
 
 from terraphi import Scenario
 from terraphi.robot.results import RobotForces, forces_figure
-from terraphi.view import doctor
-from terraphi.view.console import Table
+from terraphi.view import console, doctor
+from terraphi.view.console import Table, progress_bar
 from terraphi.view.keys import DOCUMENTS, tables
 from terraphi.view.plots import save, stance_figure
 
@@ -23,6 +23,17 @@ def test_the_widest_column_is_wrapped_and_no_word_is_lost() -> None:
     assert max(map(len, lines)) <= 60
     assert re.findall(r"word\d+", " ".join(lines)) == words
     assert lines[-1].split() == ["b", "short"]
+
+
+def test_progress_off_a_terminal_is_a_line_now_and_then(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    seconds = iter([0.0, 10.0, 61.0, 62.0, 90.0])
+    monkeypatch.setattr(console.time, "monotonic", lambda: next(seconds))
+    with progress_bar("simulating") as report:
+        for done in (1, 2, 3):
+            report(done, 4)
+    assert capsys.readouterr().err == "simulating: 50% done\n"
 
 
 def test_every_key_has_a_meaning_and_every_number_a_unit() -> None:

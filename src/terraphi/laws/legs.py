@@ -459,7 +459,7 @@ def cases_of(library: Library) -> Cases:
     Raises
     ------
     InputError
-        If one is not of a leg that turns in three dimensions.
+        If one is not of a leg that turns in three dimensions, from air to air.
     """
     x, depths, forces, rigs = [], [], [], []
     for scenario, history, _ in library.cases:
@@ -469,7 +469,10 @@ def cases_of(library: Library) -> Cases:
         if history is None:
             continue
         ratios, soil = rig.ratios, scenario.soil
-        depth = reach(rig.leg, ratios)[2]
+        first, last, depth = reach(rig.leg, ratios)
+        begins, ends = history.theta_deg[[0, -1]]
+        if begins > first + 1.0 or ends < last - 1.0:
+            raise InputError(f"library {library.name}: its legs do not turn from air to air")
         at = np.radians(places_deg(rig.leg, ratios))
         size = unit_of_force(soil.density, rig.length, ratios, depth)
         cohesion = soil.cohesion / (soil.density * GRAVITY * rig.length)

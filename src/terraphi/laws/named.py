@@ -7,11 +7,10 @@ from typing import Any, cast
 
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import netcdf_kind
-from terraphi.experiment.rig import Rig
 from terraphi.experiment.scenario import Scenario
 from terraphi.laws.fitted import KIND
-from terraphi.laws.law import PHI, AnyLaw
-from terraphi.laws.legs import FORMER_NAME, NAME, VARIED, LawOfLegs, Legs, reach, shipped_legs
+from terraphi.laws.law import AnyLaw
+from terraphi.laws.legs import FORMER_NAME, NAME, VARIED, LawOfLegs, Legs, shipped_legs
 from terraphi.laws.store import Library, differences
 from terraphi.laws.theory import Theory
 
@@ -59,8 +58,8 @@ def law_named(name: Path | str | AnyLaw) -> LawOfLegs:
     Raises
     ------
     InputError
-        If there is none, or a library is not over φ alone, of legs that turn through the soil of
-        law ``legs`` from air to air.
+        If there is none, or a library is not of legs that turn through the soil of law ``legs``
+        from air to air.
 
     Examples
     --------
@@ -71,25 +70,10 @@ def law_named(name: Path | str | AnyLaw) -> LawOfLegs:
     if not isinstance(law, Library):
         return cast("LawOfLegs", law)
     legs = shipped_legs()
-    differing = [key for key in differences(law.scenario, legs.scenario) if key not in VARIED]
-    varies_phi_alone = all(law.keys(leg) == (PHI,) for leg in law.legs)
-    if differing or not varies_phi_alone or not _begins_and_ends_in_air(law):
-        differs = f" (another {', '.join(differing[:3])})" if differing else ""
+    keys = (key for case in law.cases for key in differences(case.scenario, legs.scenario))
+    if differing := [key for key in dict.fromkeys(keys) if key not in VARIED]:
         raise InputError(
-            f"library {law.name}{differs} cannot join law {NAME}: it must be of legs that turn "
-            "through the soil of that law in three dimensions, from air to air, and vary φ alone; "
-            "'terraphi library build --rig' makes one"
+            f"library {law.name} has another {', '.join(differing[:3])} than law {NAME}, and "
+            "cannot join it; 'terraphi library build --rig' makes one that can"
         )
     return legs.joined(law)
-
-
-def _begins_and_ends_in_air(library: Library) -> bool:
-    """True if the paths of a library begin and end in the air."""
-    for scenario, history, _ in library.cases:
-        rig = Rig.of_scenario(scenario)
-        if history is not None and rig is not None:
-            first, last, _ = reach(rig.leg, rig.ratios)
-            begins, ends = history.theta_deg[[0, -1]]
-            if begins > first + 1.0 or ends < last - 1.0:
-                return False
-    return True

@@ -18,8 +18,10 @@ from terraphi.experiment.scenario import Scenario
 
 MOST_CASES = 10_000
 """Cases of a plan at most."""
-RIG_ANGLES_DEG = (35.0, 30.0, 40.0, 25.0, 45.0, 20.0, 15.0, 50.0)
-"""Friction angles of a library of one's own rig [deg]; between them law legs interpolates."""
+RIG_ANGLES_DEG = (30.0, 45.0, 15.0)
+"""Friction angles of a library of one's own rig [deg]; what lies between them law legs has learned
+from other legs. On Li's three legs, which the law knew from twice as wide ones alone, φ of other
+simulations is off by 0.2 to 0.4° (root mean square), and with eight angles by 0.1 to 0.5°."""
 HIGHEST = 0.7
 """Largest height of the hip over the length of the leg [-]; above it the leg barely scratches."""
 
@@ -106,7 +108,7 @@ class Plan(Strict):
         --------
         >>> plan = terraphi.Plan.of_rig(terraphi.Rig.of("li2013", "c"))
         >>> plan.count, plan.scenario.leg.shape
-        (8, 'c')
+        (3, 'c')
         """
         if rig.ratios.hip_height > HIGHEST:
             raise InputError(

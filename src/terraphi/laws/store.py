@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -24,8 +23,7 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
-SEED = frozenset({"numerics.seed", "name"})
-IGNORED = SEED | {PHI, "soil.density", "leg.shape"}
+IGNORED = {PHI, "soil.density", "leg.shape", "numerics.seed", "name"}
 """Scenario keys in which a simulation may differ from a library's: φ, density, leg, seed, name."""
 
 
@@ -167,12 +165,6 @@ class Library(AnyLaw, Result):
             row.colorbar(cm.ScalarMappable(scale, "viridis"), ax=panels, label="φ [deg]")
         return figure
 
-    def keys(self, leg: str) -> tuple[str, ...]:
-        """Dotted keys in which cases of a leg differ, but for the particle seed."""
-        first, *further = [case.scenario for case in self._of(leg)]
-        differing = (differences(first, other, ignored=SEED) for other in further)
-        return tuple(dict.fromkeys(itertools.chain(*differing)))
-
     def _of(self, leg: str) -> list[Case]:
         """Simulations of a leg that succeeded."""
         return [case for case in self.cases if case.history and case.scenario.leg.shape == leg]
@@ -273,15 +265,13 @@ def _flat(value: Any, name: str = "") -> dict[str, Any]:
     return {key: leaf for part in parts for key, leaf in part.items()}
 
 
-def differences(
-    scenario: Scenario, other: Scenario, *, ignored: frozenset[str] = IGNORED
-) -> list[str]:
-    """Dotted keys in which two scenarios differ, apart from some."""
+def differences(scenario: Scenario, other: Scenario) -> list[str]:
+    """Dotted keys in which two scenarios differ, apart from :data:`IGNORED`."""
     ours, theirs = (_flat(item.model_dump(mode="json")) for item in (scenario, other))
     return [
         k
         for k in {**ours, **theirs}
         if ours.get(k) != theirs.get(k)
-        and k not in ignored
+        and k not in IGNORED
         and not (scenario.model == "rft" and k.startswith("relief."))
     ]

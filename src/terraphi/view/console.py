@@ -9,6 +9,7 @@ import re
 import shutil
 import sys
 import textwrap
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,8 +19,8 @@ import click
 
 from terraphi.experiment.errors import visible
 
-PARTS = 1000
-"""Parts of a progress bar."""
+PARTS, LINE_S = 1000, 60.0
+"""Parts of a progress bar, and time between two lines of progress off a terminal [s]."""
 _NUMBER = re.compile(r"[-+−]?\d+(\.\d+)?( ?[%°]| N)?|[-–]?")
 
 
@@ -121,15 +122,23 @@ def words(value: Any) -> str:
 
 @contextmanager
 def progress_bar(description: str) -> Iterator[Callable[[float, float], None]]:
-    """Print the time left, on a terminal only.
+    """Print the time left on a terminal, and elsewhere a line a minute.
 
     Yields
     ------
     callable
         To be called with the work done and all of it.
     """
-    shown = sys.stderr.isatty()
+    shown, printed = sys.stderr.isatty(), time.monotonic()
+
+    def report(done: float, total: float) -> None:
+        nonlocal printed
+        bar.update(round(PARTS * done / total) - bar.pos)
+        if not shown and time.monotonic() - printed >= LINE_S:
+            printed = time.monotonic()
+            click.echo(f"{description}: {done / total:.0%} done", err=True)
+
     with click.progressbar(
         length=PARTS, label=description, file=sys.stderr, hidden=not shown
     ) as bar:
-        yield lambda done, total: bar.update(round(PARTS * done / total) - bar.pos)
+        yield report
