@@ -190,7 +190,9 @@ def by_state(results: dict[str, dict[str, list[Outcome]]]) -> str:
         outcomes = results[name]["soil"] + results[name]["shape"]
         table = pd.DataFrame(outcomes, columns=["error", "sd", "soil"])
         errors_of[name] = table.groupby("soil")["error"].mean().to_dict()
-        rises = rises or {soil: rise(soil.partition("/")[2]) for soil in errors_of[name]}
+        rises = rises or {
+            soil: errors.cells.rise(soil.partition("/")[2]) for soil in errors_of[name]
+        }
     rows = []
     for low, high in STATES:
         soils = [soil for soil, value in rises.items() if low <= value < high]
@@ -199,14 +201,6 @@ def by_state(results: dict[str, dict[str, list[Outcome]]]) -> str:
         letters = ", ".join(sorted(soil.partition("/")[2] for soil in soils))
         rows.append((words, letters, *(f"{mean:+.1f}°" for mean in means)))
     return pages.table(("bed", "soils", *COMPARED), rows)
-
-
-def rise(letter: str) -> float:
-    """Rise over the height of a soil's shear cells up to a strain, mean over cells [-]."""
-    paths = [path for kind in ("shear", "firm")
-             for path in errors.cells.GRAINS.glob(f"{letter}-loose_{kind}_*.csv")]  # fmt: skip
-    curves = [np.loadtxt(path, delimiter=",", skiprows=3, unpack=True)[:2] for path in paths]
-    return float(np.mean([np.interp(STATE_STRAIN, *curve) for curve in curves]))
 
 
 CODE = (
@@ -227,8 +221,8 @@ WHY = (
     "than the critical one where the bed contracts and more where it dilates. Errors of soils, "
     "left out, over the rise of their shear cells up to a strain of {:g}:"
 )
-STATE_STRAIN, STATES = 0.25, ((-1.0, -0.005), (-0.005, 0.005), (0.005, 1.0))
-"""Shear strain [-], and ranges of the rise over the height up to it [-], of :func:`by_state`."""
+STATES = ((-100.0, -0.5), (-0.5, 0.5), (0.5, 100.0))
+"""Ranges of the rise over the height [%], of :func:`by_state`."""
 SMALLER = (
     "Baselines with a smaller CRPS than terraphi, and p by a two-sided t-test over soils (1 where "
     "there is one soil):"
@@ -274,7 +268,7 @@ def main() -> None:
         text = "\n\n".join([
             "# Benchmark of transfer", CODE, page(scores), WORDS,
             f"{SMALLER} {smaller}.", rest, "## Why", decomposition(results),
-            WHY.format(STATE_STRAIN), by_state(results), made,
+            WHY.format(errors.cells.STATE_STRAIN), by_state(results), made,
         ])  # fmt: skip
         (pages.DOCS / "benchmark.md").write_text(text + "\n", encoding="utf-8")
     if options.check and (certain := [name for name, p in better.items() if p < LEVEL]):

@@ -33,6 +33,8 @@ CODES = GRAINS / "codes"
 """The same cells by two codes, from which nothing is learned."""
 WINDOWS = ((0.1, 0.35), (0.35, 0.6), (0.6, 1.2))
 """Shear strains between which codes are compared [-]."""
+STATE_STRAIN = 0.25
+"""Shear strain up to which the rise of a bed tells its state [-]."""
 OTHERS = ("slow", "narrow", "wide")
 """Ends of the names of soils that are stirred at another rate, or have another grading."""
 CELL_SD_DEG = 0.78
@@ -84,6 +86,17 @@ def truth(name: str) -> tuple[float, float]:
     soil = f"{name[0]}-loose"
     values = cells(soil, "shear") + cells(soil, "firm")
     return float(np.mean(values)), CELL_SD_DEG / len(values) ** 0.5
+
+
+def rise(letter: str) -> float:
+    """Rise over the height of a loose soil's shear cells up to a strain, mean over cells [%].
+
+    It is negative where the bed contracts.
+    """
+    paths = [path for kind in ("shear", "firm")
+             for path in GRAINS.glob(f"{letter}-loose_{kind}_*.csv")]  # fmt: skip
+    curves = [np.loadtxt(path, delimiter=",", skiprows=3, unpack=True)[:2] for path in paths]
+    return 100.0 * float(np.mean([np.interp(STATE_STRAIN, *curve) for curve in curves]))
 
 
 def means(values: list[float]) -> str:
