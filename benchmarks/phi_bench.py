@@ -184,20 +184,19 @@ def decomposition(results: dict[str, dict[str, list[Outcome]]]) -> str:
 
 def by_state(results: dict[str, dict[str, list[Outcome]]]) -> str:
     """The table of errors of soils over the rise of their shear cells [deg], by method."""
-    rises: dict[str, float] = {}
-    errors_of: dict[str, dict[str, float]] = {}
+    errors_of = {}
     for name in COMPARED:
         outcomes = results[name]["soil"] + results[name]["shape"]
         table = pd.DataFrame(outcomes, columns=["error", "sd", "soil"])
-        errors_of[name] = table.groupby("soil")["error"].mean().to_dict()
-        rises = rises or {
-            soil: errors.cells.rise(soil.partition("/")[2]) for soil in errors_of[name]
-        }
+        errors_of[name] = table.groupby("soil")["error"].mean()
+    rises = {
+        soil: errors.cells.rise(soil.partition("/")[2]) for soil in errors_of["terraphi"].index
+    }
     rows = []
     for low, high in STATES:
         soils = [soil for soil, value in rises.items() if low <= value < high]
         words = "contracts" if high <= 0.0 else "dilates" if low >= 0.0 else "neither"
-        means = [np.mean([errors_of[name][soil] for soil in soils]) for name in COMPARED]
+        means = [errors_of[name][soils].mean() for name in COMPARED]
         letters = ", ".join(sorted(soil.partition("/")[2] for soil in soils))
         rows.append((words, letters, *(f"{mean:+.1f}°" for mean in means)))
     return pages.table(("bed", "soils", *COMPARED), rows)
