@@ -15,7 +15,7 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.reading import read_forces
 from terraphi.experiment.scenario import Scenario
-from terraphi.forward import rft
+from terraphi.forward import feet, rft
 
 ANGLES = st.floats(-math.pi, math.pi)
 COSINES = st.floats(-1.0, 1.0)
@@ -78,7 +78,7 @@ def space_law(
     terms += [x1**3, x2**3, x3**3, x1 * x2**2, x2 * x1**2, x2 * x3**2, x3 * x2**2]
     terms += [x3 * x1**2, x1 * x3**2, x1 * x2 * x3]
     f1, f2, f3 = (
-        sum(c * t for c, t in zip(row, terms, strict=True)) for row in rft.SPACE_COEFFICIENTS
+        sum(c * t for c, t in zip(row, terms, strict=True)) for row in feet.SPACE_COEFFICIENTS
     )
     alpha = (f1 * math.sin(beta) * math.cos(psi) + f2 * math.cos(gamma)) * e_r
     alpha += f1 * math.sin(beta) * math.sin(psi) * e_theta

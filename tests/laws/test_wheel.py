@@ -20,11 +20,13 @@ SOIL = {"phi_deg": 34.0, "density": 1600.0, "surface_friction": 0.35}
 
 
 def rim(wheel: Wheel, panels: int = 720) -> Mesh:
-    """All faces of a rim, about its axle."""
-    turn = 2.0 * np.pi / panels * np.arange(panels)
-    normals = np.stack([np.sin(turn), 0.0 * turn, -np.cos(turn)], axis=1)
-    areas = np.full(panels, 2.0 * np.pi / panels * wheel.radius * wheel.width)
-    return Mesh(wheel.radius * normals, normals, areas)
+    """All faces of a rim, about its axle: two triangles between two turns."""
+    turn = 2.0 * np.pi / panels * (np.arange(panels + 1) - 0.5)
+    left = np.stack([wheel.radius * np.sin(turn), 0.0 * turn + 0.5 * wheel.width,
+                     -wheel.radius * np.cos(turn)], axis=1)  # fmt: skip
+    right = left * [1.0, -1.0, 1.0]
+    halves = ((left[:-1], left[1:], right[:-1]), (right[:-1], left[1:], right[1:]))
+    return Mesh(np.concatenate([np.stack(half, axis=1) for half in halves]))
 
 
 @pytest.fixture

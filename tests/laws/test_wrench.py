@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import sys
 from typing import Any
 
 import mujoco
@@ -12,9 +13,11 @@ import pytest
 from go2.model import FOOT_RADIUS, Physics, build, joint_dofs
 from go2.walk import POSTURE
 from scipy.optimize import brentq, least_squares
+from scipy.spatial import ConvexHull
 
 from terraphi.experiment.errors import InputError
-from terraphi.forward.rft import FADE, from_plane_strain, stress_scale, unit_stress
+from terraphi.forward.feet import FADE, compiled
+from terraphi.forward.rft import from_plane_strain, stress_scale, unit_stress
 from terraphi.laws import wrench as wrench_module
 from terraphi.laws.foot import LAWS, Foot, inertial_force
 from terraphi.laws.wrench import Mesh, force, wrench
@@ -29,12 +32,26 @@ def lattice(count: int) -> np.ndarray:
     return np.pi * (1.0 + np.sqrt(5.0)) * np.arange(count)
 
 
+def triangles(points: Any, normals: Any, areas: Any) -> Mesh:
+    """Equilateral triangles of these centres, normals and areas."""
+    across = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
+    across /= np.linalg.norm(across, axis=1)[:, None]
+    size = np.sqrt(4.0 / (3.0 * np.sqrt(3.0)) * areas)[:, None]
+    turn = 2.0 * np.pi / 3.0 * np.arange(3)
+    sides = [across * np.cos(a) + np.cross(normals, across) * np.sin(a) for a in turn]
+    return Mesh(points[:, None] + size[:, None] * np.stack(sides, axis=1))
+
+
 def ball(count: int = 2000, radius: float = RADIUS) -> Mesh:
-    """A sphere's faces (a Fibonacci lattice)."""
-    up, turn = 1.0 - (2.0 * np.arange(count) + 1.0) / count, lattice(count)
+    """The hull of a Fibonacci lattice, of the area of a sphere."""
+    up, turn = 1.0 - (2.0 * np.arange(count // 2) + 1.0) / (count // 2), lattice(count // 2)
     level = np.sqrt(1.0 - up**2)
-    normals = np.stack([level * np.cos(turn), level * np.sin(turn), up], axis=1)
-    return Mesh(radius * normals, normals, np.full(count, 4.0 * np.pi * radius**2 / count))
+    places = np.stack([level * np.cos(turn), level * np.sin(turn), up], axis=1)
+    hull = ConvexHull(places)
+    corners = radius * math.sqrt(4.0 * math.pi / hull.area) * places[hull.simplices]
+    inward = np.linalg.det(corners) < 0.0
+    corners[inward] = corners[inward, ::-1]
+    return Mesh(corners)
 
 
 def disc(count: int = 400) -> Mesh:
@@ -42,7 +59,7 @@ def disc(count: int = 400) -> Mesh:
     far, turn = RADIUS * np.sqrt((np.arange(count) + 0.5) / count), lattice(count)
     points = np.stack([far * np.cos(turn), far * np.sin(turn), 0.0 * turn], axis=1)
     sides = np.repeat([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]], count, axis=0)
-    return Mesh(np.tile(points, (2, 1)), sides, np.full(2 * count, np.pi * RADIUS**2 / count))
+    return triangles(np.tile(points, (2, 1)), sides, np.full(2 * count, np.pi * RADIUS**2 / count))
 
 
 CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
@@ -56,20 +73,8 @@ def sole(longest: float | None = None) -> Mesh:
 
 
 def box(size: tuple[float, float, float], n: int = 8) -> Mesh:
-    """A sole: each side in n × n squares."""
-    points, normals, areas = [], [], []
-    grid = (np.arange(n) + 0.5) / n - 0.5
-    for axis in range(3):
-        a, b = (i for i in range(3) if i != axis)
-        for sign in (-0.5, 0.5):
-            place = np.zeros((n * n, 3))
-            place[:, axis] = sign * size[axis]
-            place[:, a], place[:, b] = (g.ravel() * s for g, s in zip(
-                np.meshgrid(grid, grid), (size[a], size[b]), strict=True))  # fmt: skip
-            points.append(place)
-            normals.append(np.tile(2.0 * sign * np.eye(3)[axis], (n * n, 1)))
-            areas.append(np.full(n * n, size[a] * size[b] / n**2))
-    return Mesh(np.concatenate(points), np.concatenate(normals), np.concatenate(areas))
+    """A sole of triangles as small as the longest side over a number."""
+    return Mesh.of((CORNERS - 0.5) * size, TRIANGLES, longest=max(size) / n)
 
 
 def going(descent_deg: float, heading: float = 0.0) -> np.ndarray:
@@ -86,7 +91,7 @@ def test_meshes_of_a_ball_and_a_disc_have_the_force_of_the_law(shape: Any, limit
 
     Friction on a flat sole is at most μ_s times the lift, where the law's drag goes beyond it.
     """
-    mesh, foot = (ball() if shape == "ball" else disc()), Foot(RADIUS, shape)
+    mesh, foot = (ball(8000) if shape == "ball" else disc()), Foot(RADIUS, shape)
     phi, ratio = (grid.ravel() for grid in np.meshgrid(PHI, DEPTHS))
     place = np.zeros((phi.size, 3))
     place[:, 2] = RADIUS * ((shape == "ball") - ratio)
@@ -158,7 +163,10 @@ def test_stress_goes_over_from_one_side_of_the_vertical_to_the_other() -> None:
 def test_wrenches_of_many_feet_are_those_of_each() -> None:
     rng, mesh = np.random.default_rng(3), ball(30, 0.03)
     points = mesh.points + rng.uniform(-0.05, 0.05, (7, 4, 1, 3))
-    velocity, about = rng.standard_normal((7, 4, 30, 3)), rng.standard_normal((7, 4, 3))
+    velocity, about = (
+        rng.standard_normal((7, 4, len(mesh.areas), 3)),
+        rng.standard_normal((7, 4, 3)),
+    )
     soil = {**SAND, "phi_deg": rng.uniform(25.0, 40.0, (7, 4)),
             "density": rng.uniform(1400.0, 1700.0, (7, 4))}  # fmt: skip
     result, moment = wrench(points, mesh.normals, mesh.areas, velocity, about=about, **soil)
@@ -174,20 +182,16 @@ def test_wrenches_of_many_feet_are_those_of_each() -> None:
 
 
 def test_a_pose_is_the_mesh_turned_and_moved() -> None:
-    """Against the faces that MuJoCo's own quaternions place."""
+    """Against the corners that MuJoCo's own quaternions place."""
     rng, mesh = np.random.default_rng(5), box((0.1, 0.06, 0.03))
     for _ in range(10):
         quaternion, spin, linear = rng.standard_normal(4), *rng.standard_normal((2, 3))
         quaternion /= np.linalg.norm(quaternion)
         place, turn = rng.uniform(-0.05, 0.03, 3), np.zeros(9)
         mujoco.mju_quat2Mat(turn, quaternion)
-        arms, normals = (vectors @ turn.reshape(3, 3).T for vectors in (mesh.points, mesh.normals))
-        expected = wrench(
-            place + arms, normals, mesh.areas, linear + np.cross(spin, arms), about=place, **SAND
-        )
-        total_force = force(
-            mesh, np.concatenate([place, quaternion]), np.concatenate([linear, spin]), **SAND
-        )
+        moving = np.concatenate([linear, spin])
+        expected = force(Mesh(mesh.corners @ turn.reshape(3, 3).T), place, moving, **SAND)
+        total_force = force(mesh, np.concatenate([place, quaternion]), moving, **SAND)
         np.testing.assert_allclose(total_force, expected, rtol=1e-9, atol=1e-9)
 
 
@@ -205,9 +209,15 @@ def test_triangles_are_submerged_in_part() -> None:
     np.testing.assert_allclose(coarse[0], fine[0], atol=1e-9 * size)
     np.testing.assert_allclose(coarse[1], fine[1], atol=1e-9 * size)
     # And as faces by their centres, which are in soil or not.
-    by_centre = sole(0.002)
-    plain = Mesh(by_centre.points, by_centre.normals, by_centre.areas)
-    expected = force(plain, pose, velocity, **SAND)
+    small, turns = sole(0.002), np.zeros((60, 9))
+    for turn, at in zip(turns, pose, strict=True):
+        mujoco.mju_quat2Mat(turn, at[3:] / np.linalg.norm(at[3:]))
+    points, normals = (
+        np.einsum("fij,kj->fki", turns.reshape(-1, 3, 3), vectors)
+        for vectors in (small.points, small.normals)
+    )
+    expected = wrench(points + pose[:, None, :3], normals, small.areas, velocity[:, None],
+                      about=pose[:, :3], **SAND)  # fmt: skip
     np.testing.assert_allclose(coarse[0], expected[0], atol=3e-3 * size)
     np.testing.assert_allclose(coarse[1], expected[1], atol=3e-3 * size * 0.05)
 
@@ -231,7 +241,9 @@ def rim(radius: float = 0.06, width: float = 0.05, count: int = 240) -> Mesh:
     """The rim of a smooth wheel, its axle along y."""
     turn = (np.arange(count) + 0.5) / count * 2.0 * np.pi
     normals = np.stack([np.sin(turn), 0.0 * turn, -np.cos(turn)], axis=1)
-    return Mesh(radius * normals, normals, np.full(count, 2.0 * np.pi * radius * width / count))
+    return triangles(
+        radius * normals, normals, np.full(count, 2.0 * np.pi * radius * width / count)
+    )
 
 
 def bounded_faces(stress: Any, normals: Any, velocities: Any, friction: float) -> np.ndarray:
@@ -400,17 +412,36 @@ def test_feet_one_after_the_other_have_the_force_of_arrays(
             np.testing.assert_allclose(part, other, rtol=1e-9, atol=1e-12 * np.abs(other).max())
 
 
+def test_numba_that_cannot_be_imported_leaves_plain_numbers(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As one that does not fit the version of NumPy."""
+    pose, velocity = np.zeros((3, 3)), np.full((3, 3), -0.1)
+    expected = force(Foot(RADIUS), pose, velocity, **SAND), force(sole(), pose, velocity, **SAND)
+    monkeypatch.setitem(sys.modules, "numba", None)
+    monkeypatch.delitem(sys.modules, "terraphi.forward.compiled", raising=False)
+    caches = (compiled, wrench_module._function)
+    for cache in caches:
+        cache.cache_clear()
+    assert compiled() is None
+    plain = force(Foot(RADIUS), pose, velocity, **SAND), force(sole(), pose, velocity, **SAND)
+    np.testing.assert_allclose(plain, expected, rtol=1e-12, atol=1e-12)
+    for cache in caches:
+        cache.cache_clear()
+
+
 def test_arrays_that_cannot_be_written_are_not_compiled_for_once_more() -> None:
     """As those of JAX are in NumPy, and rows of a file."""
-    feet = pytest.importorskip("terraphi.forward.feet").feet
+    pytest.importorskip("numba")
+    function = compiled().feet
     pose, velocity = np.zeros((3, 4)).T, np.full((4, 3), -0.1)
     expected, _ = force(Foot(RADIUS), pose, velocity, **SAND)
-    compiled = len(feet.signatures)
+    count = len(function.signatures)
     for array in (pose, velocity):
         array.flags.writeable = False
     np.testing.assert_array_equal(force(Foot(RADIUS), pose, velocity, **SAND)[0], expected)
     np.testing.assert_array_equal(force(Foot(RADIUS), pose.copy(), velocity, **SAND)[0], expected)
-    assert len(feet.signatures) == compiled
+    assert len(function.signatures) == count
 
 
 @pytest.mark.parametrize("shape", ["ball", "disc"])

@@ -47,7 +47,7 @@ def mesh_force(**given: Any) -> Any:
 
 def mesh_of(**given: Any) -> Any:
     mesh = Mesh.of(given.pop("mesh"), given.pop("triangles"), **given)
-    return mesh.points, mesh.normals, mesh.areas
+    return mesh.faces
 
 
 def soil_force(**given: Any) -> Any:
@@ -69,8 +69,7 @@ CALLS: dict[str, tuple[Any, dict[str, Any]]] = {
     ),
     "wrench": (wrench, {**PLATES, "law": "foot"}),
     "wrench by rft": (wrench, {**PLATES, "law": "rft"}),
-    "Mesh": (mesh_force, {name: getattr(TETRAHEDRON, name) for name in
-                          ("points", "normals", "areas")}),
+    "Mesh": (mesh_force, {"corners": TETRAHEDRON.corners}),
     "Mesh.of": (mesh_of, {"mesh": CORNERS, "triangles": FACES, "longest": 0.05}),
     "Foot": (ball_force, {"radius": 0.022, "shape": "ball"}),
     "soil": (soil_force, {"what": None, "phi": 33.0, "density": 1600.0}),

@@ -31,12 +31,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from terraphi.experiment.arrays import FloatArray, like, namespace
+from terraphi.experiment.arrays import FloatArray, namespace
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.leg import Leg, frame_axes
 from terraphi.experiment.motion import Poses, bin_centres
 from terraphi.experiment.units import GRAVITY
+from terraphi.forward.feet import for_arrays, scale_of_friction
 
 if TYPE_CHECKING:
     from terraphi.experiment.scenario import Scenario
@@ -46,9 +47,6 @@ BLOCK = 512
 GRAZING = 1e-9
 """N·v over which the force on a face begins [-]. The law does not fade as n·v does, so that without
 this margin rounding would decide over a face that slides along itself."""
-FADE = 0.05
-"""Sine of the angle over which the stress on a face of a foot goes from one side of the vertical to
-the other, and on which a face that begins to lead gets its force [-]; chosen."""
 AT_ONCE = 4096
 """Faces whose stress is found at a time, so that they stay in the processor's cache."""
 
@@ -63,28 +61,6 @@ PLANE_COEFFICIENTS = {
 }
 """Fourier coefficients A00, A10, B11, B01, B-11, C11, C01, C-11, D10 of the stress per depth in two
 dimensions [N/cm³], by medium: Li et al. (2013), supplement; ``generic`` needs its ζ."""
-
-SCALE_POLYNOMIAL = (894.0, -386.0, 89.0)
-"""Coefficients of μ³, μ², μ in ξ/(ρ g) [-]: Agarwal et al. (2023)."""
-
-# Coefficients of f1, f2, f3 on the twenty monomials of _side_stress: Agarwal et al. (2023).
-_F1 = (
-    *(0.00212, -0.02320, -0.20890, -0.43083, -0.00259, 0.48872, -0.00415),
-    *(0.07204, -0.02750, -0.08772, 0.01992, -0.45961, 0.40799),
-    *(-0.10107, -0.06576, 0.05664, -0.09269, 0.01892, 0.01033, 0.15120),
-)
-_F2 = (
-    *(-0.06796, -0.10941, 0.04725, -0.06914, -0.05835, -0.65880, -0.11985),
-    *(-0.25739, -0.26834, 0.02692, -0.00736, 0.63758, 0.08997),
-    *(0.21069, 0.04748, 0.20406, 0.18519, 0.04934, 0.13527, -0.33207),
-)
-_F3 = (
-    *(-0.02634, -0.03436, 0.45256, 0.00835, 0.02553, -1.31290, -0.05532),
-    *(0.06790, -0.16404, 0.02287, 0.02927, 0.95406, -0.00131),
-    *(-0.11028, 0.01487, -0.02730, 0.10911, -0.04097, 0.07881, -0.27519),
-)
-SPACE_COEFFICIENTS: FloatArray = np.array([_F1, _F2, _F3])
-"""Coefficients of the response functions f1, f2, f3 in three dimensions [-], shape [3, 20]."""
 
 
 def simulate(
@@ -279,12 +255,6 @@ def stress_scale(friction_angle_deg: ArrayLike, density: float) -> FloatArray:
     return np.asarray(scale_of_friction(np.tan(np.radians(friction_angle_deg)), density))
 
 
-def scale_of_friction(mu: Any, density: Any) -> Any:
-    """The same of an internal friction μ [-]; arrays of any library."""
-    cubic, square, linear = SCALE_POLYNOMIAL
-    return density * GRAVITY * mu * (linear + mu * (square + mu * cubic))
-
-
 def to_plane_strain(friction_angle_deg: ArrayLike) -> FloatArray:
     """φ in plane strain of soil of an angle of this theory [deg]; not a number from 45° on.
 
@@ -346,46 +316,12 @@ def unit_stress(
     """
     xp = namespace(normal)
     normal, direction = xp.broadcast_arrays(normal, direction)
-    count, parts = max(normal.shape[0], 1), []
+    count, parts, of = max(normal.shape[0], 1), [], for_arrays(xp)
     size = AT_ONCE if xp is np else count
     for block in (slice(first, first + size) for first in range(0, count, size)):
-        n, v = normal[block, :].T, direction[block, :].T
-        along = xp.sum(n * v, axis=0)
-        # A face that looks sideways counts as looking up, as it does in the paper (n_z >= 0).
-        turn = xp.where(n[-1, :] >= 0.0, -xp.ones_like(along), xp.ones_like(along))
-        stress = _side_stress(xp, n, v, along, turn, surface_friction)
-        if fade > GRAZING:
-            share = 0.5 - 0.5 / fade * xp.abs(n[-1, :])
-            if xp is not np:
-                other_side = _side_stress(xp, n, v, along, -turn, surface_friction)
-                stress = stress + xp.clip(share, 0.0, 0.5) * (other_side - stress)
-            elif (near := np.flatnonzero(share > 0.0)).size:
-                other_side = _side_stress(
-                    xp, n[:, near], v[:, near], along[near], -turn[near], surface_friction
-                )
-                stress[:, near] += share[near] * (other_side - stress[:, near])
-        parts.append((stress * xp.clip(along / fade, 0.0, 1.0)).T)
+        # In two dimensions nothing is along y.
+        n, v = ((part[block, 0], part[block, 1] if part.shape[1] == 3 else 0.0 * part[block, 0],
+                 part[block, -1]) for part in (normal, direction))  # fmt: skip
+        stress = of.face_stress(n, v, of.dot(n, v), surface_friction, fade, fade > GRAZING)
+        parts.append(xp.stack(stress if normal.shape[1] == 3 else stress[::2], axis=1))
     return xp.concat(parts, axis=0)
-
-
-def _side_stress(xp: Any, n: Any, v: Any, along: Any, turn: Any, surface_friction: float) -> Any:
-    """Stress over ξ [-], [axis, face], with each normal as it is (1) or reversed (-1)."""
-    x1, x2, x3 = -v[-1, :], -turn * n[-1, :], turn * along
-    s1, s2, s3 = x1 * x1, x2 * x2, x3 * x3
-    # The twenty monomials of degree three and less, in the order of the paper.
-    monomials = (
-        *(xp.ones_like(x1), x1, x2, x3, s1, s2, s3, x1 * x2, x2 * x3, x3 * x1),
-        *(x1 * s1, x2 * s2, x3 * s3),
-        *(x1 * s2, x2 * s1, x2 * s3, x3 * s2, x3 * s1, x1 * s3),
-        x1 * x2 * x3,
-    )
-    f = like(n, SPACE_COEFFICIENTS) @ xp.stack(monomials)
-    f1, f2, f3 = f[0, :], f[1, :], f[2, :]
-    down = -xp.stack([*([xp.zeros_like(f3)] * (n.shape[0] - 1)), f3])
-    alpha = (f1 * turn) * n + f2 * v + down
-    pressure = xp.sum(alpha * n, axis=0)
-    across = pressure * n
-    alpha = alpha - across
-    size = xp.sqrt(xp.sum(alpha * alpha, axis=0))
-    cut = xp.clip(surface_friction * xp.abs(pressure) / xp.clip(size, 1e-30, None), None, 1.0)
-    return across + cut * alpha

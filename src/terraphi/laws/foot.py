@@ -43,12 +43,12 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from terraphi.experiment.arrays import FloatArray, like, namespace, numbers
+from terraphi.experiment.arrays import FloatArray, between_rows, numbers
 from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.units import GRAVITY
@@ -167,7 +167,7 @@ def simulated_force(
     first, step, table = simulated_table(foot.shape, float(mu))
     ratio, turn, phi = np.broadcast_arrays(np.asarray(depth) / foot.radius, descent, phi_deg)
     place = phi - first
-    unit = interpolated(table, place, _row(turn), ratio / step)
+    unit = between_rows(table, place, _row(turn), ratio / step)
     in_range = (place >= -BEYOND_DEG) & (place <= len(table) - 1 + BEYOND_DEG)
     is_in_soil = np.where(in_range, ratio > 0.0, np.nan)
     return np.asarray(density * GRAVITY * foot.radius**3 * is_in_soil[..., None] * unit)
@@ -182,7 +182,7 @@ def resistive_force(
     """
     ratio, turn = np.broadcast_arrays(np.asarray(depth) / foot.radius, descent)
     table = resistive_table(foot.shape, float(mu))
-    unit = interpolated(table, _row(turn), np.maximum(ratio, 0.0) / DEPTHS[1])
+    unit = between_rows(table, _row(turn), np.maximum(ratio, 0.0) / DEPTHS[1])
     scale = stress_scale(from_plane_strain(phi_deg), density) * foot.radius**3
     return np.asarray(scale[..., None] * unit[..., :2])
 
@@ -363,7 +363,7 @@ def simulated_table(shape: str, surface_friction: float) -> tuple[float, float, 
         )
     # Over the friction: linear, also somewhat beyond the table.
     place = (surface_friction - friction[0]) / (friction[-1] - friction[0])
-    by_angle = interpolated(stored, np.asarray(place * (len(friction) - 1)))
+    by_angle = between_rows(stored, np.asarray(place * (len(friction) - 1)))
     # Over φ: the logarithm of the lift, and the horizontal force over it.
     lift = np.maximum(by_angle[..., 1], 1e-12)
     degrees = np.arange(angles[0], angles[-1] + 0.5)
@@ -392,7 +392,7 @@ def simulated_table(shape: str, surface_friction: float) -> tuple[float, float, 
     rows, depths = np.flatnonzero(last - 1e-9 > DESCENTS), np.maximum(ratio, ratio[1]) / DEPTHS[1]
     theory = resistive_table(shape, surface_friction)[..., :2]
     at_descent, lowest = (
-        interpolated(theory, *np.meshgrid(_row(turn), depths, indexing="ij"))
+        between_rows(theory, *np.meshgrid(_row(turn), depths, indexing="ij"))
         for turn in (DESCENTS[rows], np.array([last]))
     )
     table[:, rows] *= at_descent / lowest
@@ -418,27 +418,3 @@ def _cubic_spline(nodes: FloatArray, values: FloatArray, places: FloatArray) -> 
 def _row(descent: ArrayLike) -> FloatArray:
     """Place of a direction of motion [rad] among :data:`DESCENTS` [node]."""
     return (np.asarray(descent) - DESCENTS[0]) / (DESCENTS[1] - DESCENTS[0])
-
-
-def interpolated(table: FloatArray, *places: Any) -> Any:
-    """Rows of a table at places on its first axes [node]; arrays of one shape and library.
-
-    Linear between nodes; beyond the first and the last as between the two that are next.
-    """
-    # The 2ᵏ corners of the cell that each place lies in, by their rows in the flat table; then one
-    # axis after the other, the last first, a + s (b − a) between the ends of that axis. A share s
-    # beyond 0 to 1 continues the table.
-    xp, tail = namespace(places[0]), table.shape[len(places) :]
-    rows = like(places[0], table.reshape(-1, *tail))
-    shares, steps, first = [], [0], 0
-    for place, count in zip(places, table.shape, strict=False):
-        low = xp.clip(place, 0, count - 2)
-        low = low.astype(np.int64) if xp is np else xp.astype(low, xp.int32)  # which JAX has too
-        share = place - like(place, low)
-        shares.append(xp.reshape(share, (*share.shape, *(1 for _ in tail))))
-        first, steps = first * count + low, [count * at + end for at in steps for end in (0, 1)]
-    corners = [xp.take(rows, first + at, axis=0) for at in steps]
-    for share in reversed(shares):
-        pairs = zip(corners[::2], corners[1::2], strict=True)
-        corners = [low + share * (high - low) for low, high in pairs]
-    return corners[0]

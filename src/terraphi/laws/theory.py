@@ -23,13 +23,8 @@ from terraphi.experiment.leg import Leg
 from terraphi.experiment.motion import Poses
 from terraphi.experiment.priors import FRICTION
 from terraphi.experiment.rig import Rig
-from terraphi.forward.rft import (
-    SCALE_POLYNOMIAL,
-    SPACE_COEFFICIENTS,
-    scale_of_friction,
-    sheet_force,
-    sheet_stress,
-)
+from terraphi.forward.feet import SCALE_POLYNOMIAL, SPACE_COEFFICIENTS, scale_of_friction
+from terraphi.forward.rft import sheet_force, sheet_stress
 from terraphi.laws.law import AnyLaw, LegLaw
 
 PHI_DEG = (15.0, 50.0)

@@ -45,17 +45,18 @@ import math
 import warnings
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 
-from terraphi.experiment.arrays import FloatArray, like, namespace, numbers
+from terraphi.experiment.arrays import HUGE, FloatArray, between_rows, like, namespace, numbers
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.priors import FOOT_FRICTION
 from terraphi.experiment.scenario import LIMITS
 from terraphi.experiment.units import GRAVITY
-from terraphi.forward.rft import FADE, scale_of_friction, unit_stress
+from terraphi.forward import feet
+from terraphi.forward.feet import FADE, TINY, for_arrays, scale_of_friction
+from terraphi.forward.rft import unit_stress
 from terraphi.laws.foot import (
     BEYOND_DEG,
     DEEPEST,
@@ -64,13 +65,10 @@ from terraphi.laws.foot import (
     MOVED,
     Foot,
     foot_faces,
-    interpolated,
     resistive_table,
     simulated_table,
 )
 
-SPACING, LEVEL = float(DESCENTS[1] - DESCENTS[0]), len(DESCENTS) // 2
-"""Step of :data:`~terraphi.laws.foot.DESCENTS` [rad], and its row of level motion."""
 LOWEST = 33
 """Row of :data:`~terraphi.laws.foot.DESCENTS` of the lowest direction for which the ratios are
 computed, 9°; motions below it have those. There a level face begins to lead."""
@@ -88,59 +86,40 @@ UNIT = 0.01
 """Error of the length of a unit normal [-]; chosen, for normals that were rounded."""
 FLAT = 0.01
 """Roundness below which a mesh is flat [-]; chosen, for a warning alone."""
-FASTEST, HUGE = 10.0, 1e9
-"""Speed [m/s] beyond which a landing has its inertia, and largest plain number; chosen. Balls that
-the inertia was learned from hit at up to 1.5 m/s."""
+FASTEST = 10.0
+"""Speed beyond which a landing has its inertia [m/s]; chosen. Balls that the inertia was learned
+from hit at up to 1.5 m/s."""
 FEW = 16
 """Balls or discs up to which plain numbers are faster than arrays where nothing is compiled."""
 NONE: FloatArray = np.zeros((1, 6))
 """Force and moment of feet that are not held."""
-IS_COMPILED = find_spec("numba") is not None
 DOUBLE, PLAIN = np.dtype(np.float64), frozenset({float, int, np.float64})
 WIDTHS = (3, 7), (3, 6), (3,), (3,)
 """Types of a number, and last axes of pose, velocity, and force and moment that are held."""
-TINY = 1e-12
-"""Least length [m], speed [m/s], area [m²] or force [N] that is divided by."""
 AREA: dict[str, Any] = {"low": 0.0, "high": 4.0 * LARGEST**2, "unit": "m²"}
 """Range of the area of a face."""
 
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Faces of a foot in its own frame, small next to the foot.
+    """Triangles of a foot's surface in its own frame; :meth:`of` checks that it is closed.
 
     Attributes
     ----------
-    points
-        Centres [m], shape [face, 3].
-    normals
-        Outward unit normals [-], shape [face, 3].
-    areas
-        [m²], shape [face].
     corners
-        Of triangles, from their centres [m], shape [face, 3, 3]: what of a face is submerged is
-        exact then. Without them, a face is in soil or not by its centre.
+        Of the triangles [m], counterclockwise seen from outside, shape [face, 3, 3].
     """
 
-    points: FloatArray
-    normals: FloatArray
-    areas: FloatArray
-    corners: FloatArray | None = None
+    corners: FloatArray
 
     def __post_init__(self) -> None:
-        """Check the faces."""
-        points = numbers("points", self.points, last=(3,), low=-LARGEST, high=LARGEST, unit="m")
-        shape = (points.size // 3, 3)
-        if points.shape != shape or not points.size:
-            raise InputError(f"points of shape {points.shape}; give [face, 3]")
-        areas = numbers("areas", self.areas, points, shape=shape[:1], **AREA)
-        for name, value in (("points", points), ("normals", unit_normals(self.normals, points)),
-                            ("areas", areas)):  # fmt: skip
-            object.__setattr__(self, name, value)
-        if self.corners is not None:
-            ends: dict[str, Any] = {"low": -2.0 * LARGEST, "high": 2.0 * LARGEST, "unit": "m"}
-            corners = numbers("corners", self.corners, points, shape=(*shape[:1], 3, 3), **ends)
-            object.__setattr__(self, "corners", corners)
+        """Check the corners."""
+        ends: dict[str, Any] = {"low": -2.0 * LARGEST, "high": 2.0 * LARGEST, "unit": "m"}
+        corners = numbers("corners", self.corners, last=(3,), **ends)
+        if corners.ndim != 3 or corners.shape[1] != 3 or not corners.size:
+            raise InputError(f"corners of shape {corners.shape}; give [face, 3, 3]")
+        object.__setattr__(self, "corners", corners)
+        numbers("corners: areas of the triangles", self.areas, low=TINY**2, unit="m²")
 
     @classmethod
     def of(cls, mesh: Any, triangles: Any = None, *, longest: float | None = None) -> Mesh:
@@ -211,18 +190,40 @@ class Mesh:
         keep = twice > 0.0
         if not keep.any():
             raise InputError("mesh: no triangle has an area")
-        middles = each[keep].mean(axis=1)
-        solid = cls(middles, cross[keep] / twice[keep, None], 0.5 * twice[keep],
-                    each[keep] - middles[:, None])  # fmt: skip
+        solid = cls(each[keep])
         if solid.areas @ np.vecdot(solid.normals, solid.points) <= 0.0:
             raise InputError("mesh: turned inside out; order corners counterclockwise from outside")
         return solid
 
     @cached_property
+    def faces(self) -> FloatArray:
+        """Corners [m], unit normals [-] and areas [m²], shape [13, face]."""
+        a, b, c = self.corners.swapaxes(0, 1)
+        cross = np.cross(b - a, c - a)
+        twice = np.linalg.norm(cross, axis=1, keepdims=True)
+        normals = cross / np.maximum(twice, TINY**2)
+        return np.ascontiguousarray(np.hstack([a, b, c, normals, 0.5 * twice]).T)
+
+    @cached_property
+    def points(self) -> FloatArray:
+        """Centres of the triangles [m], shape [face, 3]."""
+        return np.asarray(self.corners.mean(axis=1))
+
+    @property
+    def normals(self) -> FloatArray:
+        """Outward unit normals [-], shape [face, 3]."""
+        return self.faces[9:12].T
+
+    @property
+    def areas(self) -> FloatArray:
+        """Of the triangles [m²], shape [face]."""
+        return self.faces[12]
+
+    @cached_property
     def reach(self) -> float:
         """Distance from the origin that no face exceeds [m]."""
-        corners = 0.0 if self.corners is None else np.linalg.norm(self.corners, axis=2).max(axis=1)
-        return float((np.linalg.norm(self.points, axis=1) + corners).max())
+        around = np.linalg.norm(self.corners - self.points[:, None], axis=2).max(axis=1)
+        return float((np.linalg.norm(self.points, axis=1) + around).max())
 
     def footprint(self, depth: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Radius [m] and roundness [-] of what is submerged, shape [depth] each.
@@ -232,7 +233,9 @@ class Mesh:
         """
         below = depth[:, None] - self.points[:, 2]
         down = np.where(below > 0.0, self.areas * np.maximum(-self.normals[:, 2], 0.0), 0.0)
-        return _footprint(down.sum(axis=1), down @ self.normals, below.max(axis=1))[:2]
+        normal = tuple((down @ self.normals).T)
+        radius, roundness, _ = for_arrays(np).footprint(down.sum(axis=1), normal, below.max(axis=1))
+        return radius, roundness
 
 
 def force(
@@ -317,7 +320,8 @@ def force(
     xp, lead = namespace(pose), tuple(pose.shape[:-1])
     place = xp.reshape(pose, (-1, pose.shape[-1]))
     if place.shape[-1] == 7:
-        numbers("pose: length of the quaternion", _norm(xp, place[:, 3:]), low=1e-6)
+        length = xp.sqrt(xp.sum(place[:, 3:] ** 2, axis=1))
+        numbers("pose: length of the quaternion", length, low=1e-6)
     moving = _each("velocity", velocity, pose, lead, velocity.shape[-1])
     soil = _soil(pose, lead, "foot", surface_friction, phi_deg, density, surface)
     fade, before, stride = (TINY if held is not None else rest_speed), None, 0.0
@@ -347,48 +351,52 @@ def _at_once(
     stride: Any, inertia: bool,
 ) -> Any:  # fmt: skip
     """Force and moment on feet by operations on arrays of any library, shape [foot, 6]."""
-    xp = namespace(place)
-    body_force: Any = _of_foot if isinstance(foot, Foot) else _of_mesh
-    force_, moment, deep = body_force(foot, place, moving, fade, **soil)
-    if inertia and isinstance(foot, Foot):
-        fall = xp.clip(-moving[:, 2], 0.0, FASTEST) * like(place, deep > 0.0)
-        push = _landing(foot, xp.clip(deep, 0.0, None), fall, soil["density"])
-        force_ = force_ + xp.stack([0.0 * push, 0.0 * push, push], axis=1)
-    wrenches = xp.concat([force_, moment], axis=1)
-    if before is None:
-        return wrenches
-    # f ← F + (f − F) exp(−k |Δx| / max(|f|, |F|)) of the module's head; in the air nothing is
-    # kept. A mesh that turns moves its farthest face by |ω| times its reach.
-    travel = _norm(xp, moving[:, :3])
-    if moving.shape[-1] == 6 and isinstance(foot, Mesh):
-        travel = travel + foot.reach * _norm(xp, moving[:, 3:])
-    size = xp.maximum(_norm(xp, before[:, :3]), _norm(xp, force_))
-    kept = xp.exp(-stride * travel / xp.clip(size, TINY, None))
-    kept = xp.where(deep > 0.0, kept, xp.zeros_like(kept))[:, None]
-    return wrenches + kept * (before - wrenches)
+    xp, friction = namespace(place), soil["surface_friction"]
+    of, linear, spin = for_arrays(xp), _columns(moving[:, :3]), None
+    travel, height = of.norm(linear), soil["surface"] - place[:, 2]
+    if isinstance(foot, Foot):
+        _, (is_ball, *rest) = _function(foot, friction, inertia)
+        depth = height + (foot.radius if is_ball else 0.0)
+        _warn_deep(xp, depth / foot.radius)
+        wrench = of.foot_wrench(linear, depth, soil["phi_deg"], soil["density"], fade, *rest)
+    else:
+        faces = [like(place, row)[None, :] for row in foot.faces]
+        rows: Any = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+        if place.shape[-1] == 7:
+            rows = of.rotation(*(place[:, i : i + 1] for i in range(3, 7)))
+        share, depths, lowest, arms = of.part_in_soil(
+            rows, height[:, None], *(tuple(faces[i : i + 3]) for i in (0, 3, 6))
+        )
+        if moving.shape[-1] == 6:  # its farthest face moves by |ω| times its reach
+            spin = _columns(moving[:, 3:])
+            travel = travel + foot.reach * of.norm(spin)
+        depth, normals = xp.max(lowest, axis=1), of.turned(rows, tuple(faces[9:12]))
+        wrench = _sum_of_faces(
+            (depths, share, depth), normals, faces[12], _columns(moving[:, None, :3]), arms, spin,
+            surface_friction=friction, law="foot", rest_speed=fade, phi_deg=soil["phi_deg"],
+            density=soil["density"],
+        )  # fmt: skip
+    if before is not None:
+        wrench = of.held(wrench, (_columns(before), _columns(before[:, 3:])), travel, stride, depth)
+    return xp.stack([*wrench[0], *wrench[1]], axis=1)
+
+
+def _columns(vectors: Any) -> Any:
+    """The three components of vectors, over the last axis."""
+    return tuple(vectors[..., i] for i in range(3))
 
 
 @lru_cache(maxsize=16)
 def _function(foot: Foot | Mesh, friction: float, inertia: bool) -> tuple[Any, ...]:
     """Function of :mod:`~terraphi.forward.feet` for a foot, and arguments that stay the same."""
-    from terraphi.forward import feet
-
+    functions: Any = feet.compiled() or feet
     if isinstance(foot, Foot):
         first, step, table = _foot_table(foot.shape, friction)
         moved = inertia * MOVED[0] * math.pi * foot.radius**2
-        return feet.feet, (table, first, step, float(foot.radius), foot.shape == "ball", moved,
-                           MOVED[1] * foot.radius, FASTEST)  # fmt: skip
+        return functions.feet, (foot.shape == "ball", table, first, step, float(foot.radius), moved,
+                                MOVED[1] * foot.radius, FASTEST)  # fmt: skip
     (first, step, ball), (_, _, disc) = (_ratio_table(s, friction) for s in ("ball", "disc"))
-    # Motions below the lowest have its ratios.
-    table = np.concatenate([ball, disc], axis=-1)[
-        :, np.maximum(np.arange(len(DESCENTS)) - LOWEST, 0)
-    ]
-    corners = np.empty((0, 3, 3)) if foot.corners is None else foot.corners
-    faces = [
-        np.ascontiguousarray(values, np.float64)
-        for values in (foot.points, foot.normals, foot.areas, corners)
-    ]
-    return feet.meshes, (table, first, step, friction, FLAT, foot.reach, *faces)
+    return functions.meshes, (foot.faces, ball, disc, first, step, friction, FLAT, foot.reach)
 
 
 def _one_by_one(
@@ -401,7 +409,7 @@ def _one_by_one(
     are held, [foot, 6], and ``stride`` is their stiffness times the time. ``None`` where a number
     cannot be used, or operations on arrays are faster.
     """
-    if not IS_COMPILED and (isinstance(foot, Mesh) or len(place) > FEW):
+    if (isinstance(foot, Mesh) or len(place) > FEW) and feet.compiled() is None:
         return None
     function, rest = _function(foot, friction, inertia)
     # Of one kind: for another, as of arrays that cannot be written, all would be compiled again.
@@ -452,16 +460,6 @@ def _checked(
     return place, moving, soil, friction, TINY, before, float(step * stiffness)
 
 
-def _landing(foot: Foot, depth: Any, fall: Any, density: Any) -> Any:
-    """Momentum that a falling foot gives the soil in a second, v² dm/dz of ``moved_mass`` [N].
-
-    Of numbers or arrays of any library: the depth [m], the speed downward [m/s] and the density.
-    """
-    size, reach = MOVED
-    slower = 1.0 + (depth / (reach * foot.radius)) ** 4
-    return size * math.pi * foot.radius**2 * density * fall**2 * slower**-1.25
-
-
 def _number(name: str, value: Any, low: float = 0.0, unit: str = "") -> Any:
     """A number that is not negative; raises InputError."""
     array = numbers(name, value, shape=(), low=low, unit=unit)
@@ -482,7 +480,8 @@ def unit_normals(normals: Any, points: Any) -> Any:
     normals = numbers("normals", normals, points, last=(3,))
     if tuple(normals.shape) not in (faces, faces[-2:]):
         normals = numbers("normals", normals, points, shape=faces)
-    length = _norm(namespace(points), normals)
+    xp = namespace(points)
+    length = xp.sqrt(xp.sum(normals * normals, axis=-1))
     numbers("normals: length", length, low=1.0 - UNIT, high=1.0 + UNIT)
     return normals
 
@@ -536,60 +535,6 @@ def _warn_deep(xp: Any, ratio: Any) -> None:
             "its forces are continued from there",
             stacklevel=4,
         )
-
-
-def _of_foot(
-    foot: Foot, place: Any, moving: Any, fade: float, *, surface_friction: float, phi_deg: Any,
-    density: Any, surface: Any,
-) -> tuple[Any, Any, Any]:  # fmt: skip
-    """Force, moment and depth of balls or discs, shape [foot, 3], [foot, 3] and [foot]."""
-    xp = namespace(place)
-    depth = surface - place[:, 2] + (foot.radius if foot.shape == "ball" else 0.0)
-    level = _norm(xp, moving[:, :2])
-    speed = _norm(xp, moving[:, :3])
-    first, step, table = _foot_table(foot.shape, surface_friction)
-    turn = xp.atan2(-moving[:, 2], level) / SPACING + LEVEL
-    ratio = xp.clip(depth, 0.0, None) / foot.radius
-    _warn_deep(xp, ratio)
-    unit = interpolated(table, phi_deg - first, turn, ratio / step)
-    size = density * GRAVITY * foot.radius**3 * xp.clip(speed / fade, None, 1.0)
-    unit = unit * (size * like(place, depth > 0.0))[:, None]
-    # The table has the force in the plane of the motion: turn it into the heading.
-    heading = moving[:, :2] / xp.clip(level, TINY, None)[:, None]
-    along, lift, turning = unit[:, 0], unit[:, 1], foot.radius * unit[:, 2:3]
-    # The moment is about the level axis across the motion, left of it.
-    across = xp.stack([-heading[:, 1], heading[:, 0], xp.zeros_like(depth)], axis=1)
-    forces = xp.stack([along * heading[:, 0], along * heading[:, 1], lift])
-    forces = _against(xp, forces, moving[:, :3].T / xp.clip(speed, TINY, None))
-    return forces.T, turning * across, depth
-
-
-def _of_mesh(
-    mesh: Mesh, place: Any, moving: Any, fade: float, surface_friction: float, **each: Any
-) -> tuple[Any, Any, Any]:
-    """Force, moment and depth of meshes, shape [foot, 3], [foot, 3] and [foot]."""
-    xp = namespace(place)
-    points, normals, areas = (like(place, x) for x in (mesh.points, mesh.normals, mesh.areas))
-    turned = _rotation(xp, place[:, 3:]) if place.shape[-1] == 7 else None
-    up = like(place, np.array([[0.0, 0.0, 1.0]])) if turned is None else turned[:, 2, :]
-    depth = (each["surface"] - place[:, 2])[:, None] - up @ points.T
-    if mesh.corners is None:
-        lowest, share, points = depth, like(depth, depth > 0.0), points[None, :, :]
-    else:
-        corners = like(place, mesh.corners)
-        heights = xp.reshape(up @ xp.reshape(corners, (-1, 3)).T, (up.shape[0], points.shape[0], 3))
-        lowest = depth - xp.min(heights, axis=2)
-        share, depth, weights = _submerged(xp, depth[..., None] - heights)
-        # Forces act at the centre of pressure.
-        points = points + xp.sum(weights[..., None] * corners, axis=2)
-    if turned is not None:
-        points = points @ xp.matrix_transpose(turned)
-        normals = normals @ xp.matrix_transpose(turned)
-    return _sum_of_faces(
-        (depth, share, xp.max(lowest, axis=1)), normals, areas, moving[:, None, :3], points,
-        moving[:, 3:] if moving.shape[-1] == 6 else None, surface_friction=surface_friction,
-        law="foot", rest_speed=fade, phi_deg=each["phi_deg"], density=each["density"],
-    )  # fmt: skip
 
 
 def wrench(
@@ -680,12 +625,13 @@ def wrench(
     depth = soil.pop("surface")[:, None] - flat[:, :, 2]
     submerged = depth, like(depth, depth > 0.0), xp.max(depth, axis=1)
     areas = numbers("areas", areas, points, shape=last[:1], **AREA)
-    total, moment, _ = _sum_of_faces(
-        submerged, normals, areas, velocities, arms, None, law=law,
+    sums = _sum_of_faces(
+        submerged, _columns(normals), areas, _columns(velocities), _columns(arms), None, law=law,
         rest_speed=_number("rest_speed", rest_speed, low=TINY, unit="m/s"),
         mobilized=_mobilized(mobilization, sheared, points), **soil,
     )  # fmt: skip
-    return xp.reshape(total, (*lead, 3)), xp.reshape(moment, (*lead, 3))
+    total, moment = (xp.reshape(xp.stack(part, axis=1), (*lead, 3)) for part in sums)
+    return total, moment
 
 
 def _mobilized(mobilization: Any, sheared: Any, points: Any) -> Any:
@@ -704,158 +650,79 @@ def _sum_of_faces(
     submerged: tuple[Any, Any, Any], normals: Any, areas: Any, velocities: Any, arms: Any,
     spin: Any, *, surface_friction: float, law: str, rest_speed: float, phi_deg: Any, density: Any,
     mobilized: Any = None,
-) -> tuple[Any, Any, Any]:  # fmt: skip
-    """Force, moment and greatest depth of feet, from arrays [foot, face, 3]; others [foot].
+) -> tuple[Any, Any]:  # fmt: skip
+    """Force and moment of feet, three arrays [foot] each.
 
     ``submerged`` is the depth of faces in the mean over what is in soil [m], this share of the
-    area, [foot, face] each, and the greatest depth [m], [foot]; ``spin`` the angular velocity
-    [foot, 3], or ``None``; ``mobilized`` the share of the friction [foot, face], or ``None``.
+    area, [foot, face] each, and the greatest depth [m], [foot]. Vectors are three arrays that
+    broadcast to [foot, face], or ``spin``, the angular velocity, [foot]; or ``None``. ``mobilized``
+    is the share of the friction [foot, face], or ``None``.
     """
     depths, share, deepest = submerged
-    xp = namespace(depths)
-    feet, faces = depths.shape
-    deepest = xp.clip(deepest, 0.0, None)
+    xp, shape = namespace(depths), depths.shape
+    of = for_arrays(xp)
     # NumPy computes the faces that are submerged only, the others have no force.
     at = np.nonzero(share > 0.0) if xp is np else None
     owner = at[0] if at else None
 
-    def flat(values: Any, *last: int) -> Any:
-        """A row for each face, of what there is for faces or feet and faces."""
-        values = xp.broadcast_to(values, (feet, faces, *last))
-        return values[at] if at else xp.reshape(values, (-1, *last))
-
-    n, v, arm = (flat(values, 3) for values in (normals, velocities, arms))
-    depth, area = xp.clip(flat(depths), 0.0, None), flat(areas * share)
-    mobilized = None if mobilized is None else flat(mobilized)
+    def flat(values: Any) -> Any:
+        """An array of faces, of what there is for faces or feet and faces."""
+        values = xp.broadcast_to(values, shape)
+        return values[at] if at else values
 
     def total(values: Any) -> Any:
         """Sum over the faces of each foot."""
-        if owner is not None:
-            return np.bincount(owner, values, feet)
-        return xp.sum(xp.reshape(values, (feet, faces)), axis=1)
+        return xp.sum(values, axis=1) if owner is None else np.bincount(owner, values, shape[0])
 
     def spread(values: Any) -> Any:
         """A foot's number for each of its faces."""
-        return values[owner] if owner is not None else xp.repeat(values, faces)
+        return values[:, None] if owner is None else values[owner]
 
-    # A face at r moves at v + ω × r.
-    if spin is not None:
-        wx, wy, wz = (spread(spin[:, i]) for i in range(3))
-        x, y, z = arm[:, 0], arm[:, 1], arm[:, 2]
-        v = v + xp.stack([wy * z - wz * y, wz * x - wx * z, wx * y - wy * x], axis=1)
-    # Before any face is dropped: projected area, mean depth and mean normal of what is submerged
-    # and faces down, from which follow the footprint and the roundness.
-    facing_down = area * xp.clip(-n[:, 2], 0.0, None)
-    base = total(facing_down)
-    mean = total(facing_down * depth) / xp.clip(base, TINY, None)
-    normal = xp.stack([total(facing_down * n[:, i]) for i in range(3)], axis=1)
-    speed = _norm(xp, v)
-    direction = v / xp.clip(speed, TINY, None)[:, None]
-    leading = xp.sum(n * direction, axis=1)
+    n, v, arm = (tuple(map(flat, vectors)) for vectors in (normals, velocities, arms))
+    depth, area = xp.clip(flat(depths), 0.0, None), flat(areas * share)
+    is_bounded = law == "foot" or mobilized is not None
+    mobilized = 1.0 + 0.0 * area if mobilized is None else flat(mobilized)
+    turning = (0.0, 0.0, 0.0) if spin is None else tuple(map(spread, spin))
+    v, speed, direction, along = of.motion(v, turning, arm, n)
+    # Before any face is dropped: projected area, depth and normal of what faces down.
+    down = area * xp.clip(-n[2], 0.0, None)
+    base, deep, normal = total(down), total(down * depth), tuple(total(down * part) for part in n)
     # Only faces that lead feel the soil. NumPy drops the others; traced arrays keep their shape.
     if owner is not None:
-        kept = np.flatnonzero(leading > 0.0)
-        n, v, arm, direction = n[kept], v[kept], arm[kept], direction[kept]
+        kept = np.flatnonzero(along > 0.0)
+        n, v, arm, direction = (
+            tuple(part[kept] for part in each) for each in (n, v, arm, direction)
+        )
         owner, depth, area, speed = owner[kept], depth[kept], area[kept], speed[kept]
-        leading, mobilized = leading[kept], None if mobilized is None else mobilized[kept]
+        along, mobilized = along[kept], mobilized[kept]
     stress = scale_of_friction(xp.sin(math.pi / 180.0 * phi_deg), density)  # tan φ_rft = sin φ
     size = depth * area * xp.clip(speed / rest_speed, None, 1.0) * spread(stress)
-    forces = unit_stress(n, direction, surface_friction, fade=FADE).T * size
+    f = of.times(size, of.face_stress(n, direction, along, surface_friction, FADE, True))
     # To the level of law foot: drag and lift by their ratios, which depend on where the foot as a
     # whole goes, by the mean velocity of its leading faces; then each face to Coulomb's bound.
     if law == "foot":
-        weight = area * xp.clip(leading, 0.0, None)
-        vx, vy, vz = (total(weight * v[:, i]) for i in range(3))
-        descent = xp.atan2(-vz, xp.sqrt(vx * vx + vy * vy))
-        drag, lift = _ratios(
-            base, normal, mean, deepest, descent, phi_deg, surface_friction=surface_friction,
+        (first, step, ball), (_, _, disc) = (
+            _ratio_table(name, surface_friction) for name in ("ball", "disc")
+        )
+        weight = area * xp.clip(along, 0.0, None)
+        drag, lift, roundness, ratio = of.ratios(
+            base, normal, deep, deepest, tuple(total(weight * part) for part in v),
+            phi_deg - first, ball, disc, step,
         )  # fmt: skip
-        forces = forces * xp.stack([*[spread(drag)] * 2, spread(lift)])
-    if law == "foot" or mobilized is not None:
-        forces = _bounded(xp, forces, n.T, direction.T, surface_friction, mobilized)
-    (fx, fy, fz), (x, y, z) = ([part[i, :] for i in range(3)] for part in (forces, arm.T))
-    rows = (fx, fy, fz, y * fz - z * fy, z * fx - x * fz, x * fy - y * fx)
-    sums = xp.stack([total(row) for row in rows], axis=1)
-    return sums[:, :3], sums[:, 3:], deepest
-
-
-def _submerged(xp: Any, depths: Any) -> tuple[Any, Any, Any]:
-    """What is submerged of triangles, from the depths of their corners [m], [foot, face, corner].
-
-    Its share of the area, its mean depth [m], shape [foot, face], and the weights of the corners in
-    the centre of pressure [-], shape [foot, face, corner].
-    """
-    # Of a triangle with one corner at a depth c > 0, the others at a ≤ b ≤ 0, a tip is submerged of
-    # the area c² / (c − a)(c − b), in the mean c/3 deep. Its centre of pressure has the weight
-    # c / 4 (c − d) of a corner at d, and the rest of the deep one. Where a < 0 < b, the tip at a is
-    # left out of the whole, whose integral of the depth has the weights (3 mean + d) / 12.
-    a, c = xp.min(depths, axis=2), xp.max(depths, axis=2)
-    mean = xp.mean(depths, axis=2)
-    is_tip = 3.0 * mean - a - c <= 0.0
-    height = xp.clip(xp.where(is_tip, c, -a), 0.0, None)[..., None]
-    away = xp.where(is_tip[..., None], c[..., None] - depths, depths - a[..., None])
-    portion = xp.where(away > 0.0, height / xp.clip(away, TINY, None), xp.ones_like(away))
-    part = xp.prod(portion, axis=2) * like(depths, height[..., 0] > 0.0)
-    corner = 0.25 * portion * like(depths, away > 0.0)
-    corner = corner + like(depths, away == 0.0) * (1.0 - xp.sum(corner, axis=2))[..., None]
-    tip = (part * height[..., 0] / 3.0)[..., None] * corner
-    uncut = like(depths, ~is_tip)
-    weights = tip + uncut[..., None] * (3.0 * mean[..., None] + depths) / 12.0
-    total = xp.sum(weights, axis=2)
-    share = uncut + (1.0 - 2.0 * uncut) * part
-    weights = weights / xp.clip(total, TINY, None)[..., None]
-    return share, total / xp.clip(share, TINY, None), weights
-
-
-def _footprint(base: Any, normal: Any, deepest: Any) -> tuple[Any, Any, Any]:
-    """Radius [m], roundness [-] and radius of the ball [m] of what faces down, [foot] each.
-
-    From its projected area [m²], its sum of normals weighted by that [m²] and its depth [m]. The
-    ball touches the soil over a circle of the radius with its cap that deep.
-    """
-    # Weighted by projected area, cos θ sin θ dθ, the mean normal of a spherical cap has the length
-    # 2 (1 + c + c²) / (3 (1 + c)), with c the cosine of its rim's polar angle. One less that is
-    # ``expected`` of a ball of this area and depth; the mesh has ``bent``.
-    xp = namespace(base)
-    bent = 1.0 - _norm(xp, normal) / xp.clip(base, TINY, None)
-    radius, deepest = (xp.clip(value, TINY, None) for value in (xp.sqrt(base / math.pi), deepest))
-    of_ball = xp.where(deepest < radius, 0.5 * (radius**2 / deepest + deepest), radius)
-    level = 1.0 - xp.minimum(deepest, of_ball) / of_ball  # cosine of the rim's polar angle
-    expected = (1.0 - level) * (1.0 + 2.0 * level) / (3.0 * (1.0 + level))
-    return radius, xp.clip(bent / xp.clip(expected, TINY, None), 0.0, 1.0), of_ball
-
-
-def _ratios(
-    base: Any, normal: Any, mean: Any, deepest: Any, descent: Any, phi_deg: Any, *,
-    surface_friction: float,
-) -> tuple[Any, Any]:  # fmt: skip
-    """Drag and lift by law ``foot`` over those of resistive force theory, [foot] each.
-
-    Of what :func:`_footprint` takes, the mean depth [m] and the descent [rad].
-    """
-    xp = namespace(base)
-    radius, roundness, of_ball = _footprint(base, normal, deepest)
-    roundness, deepest = roundness[:, None], xp.clip(deepest, TINY, None)
-    turn = xp.clip(descent / SPACING + LEVEL, LOWEST, None)
-    scale: Any = 0.0
-    for shape, share, depth, size in (
-        ("ball", roundness, deepest, of_ball), ("disc", 1.0 - roundness, mean, radius),
-    ):  # fmt: skip
-        first, step, table = _ratio_table(shape, surface_friction)
-        ratio = xp.clip(depth / size, 1e-3 * step, None)
-        if shape == "ball":  # what is flat or on edge is no ball, whatever it points down with
-            round_feet = (roundness[:, 0] > FLAT) & (base > TINY)
-            _warn_deep(xp, xp.where(round_feet, ratio, 0.0 * ratio))
-        law_force = interpolated(table, phi_deg - first, turn - LOWEST, ratio / step)
-        scale = scale + share * law_force / ratio[:, None]
-    return scale[:, 0], scale[:, 1]
+        # What is flat or on edge is no ball, whatever it points down with.
+        _warn_deep(xp, xp.where((roundness > FLAT) & (base > TINY), ratio, 0.0 * ratio))
+        f = f[0] * spread(drag), f[1] * spread(drag), f[2] * spread(lift)
+    if is_bounded:
+        f = of.coulomb(f, direction, n, surface_friction, mobilized)
+    force, moment = (tuple(map(total, vectors)) for vectors in (f, of.cross(arm, f)))
+    return force, moment
 
 
 @lru_cache(maxsize=8)
 def _ratio_table(shape: str, surface_friction: float) -> tuple[float, float, FloatArray]:
     """First φ [deg], step of the depth over the radius, and ratios times the depth over the radius.
 
-    The ratios d and l of the module's formula, [φ, descent, depth, 2], the descents from
+    The ratios d, l of the module's formula and 0, [φ, descent, depth, 3], the descents from
     :data:`LOWEST` on. Times the depth, since what a footing bears at its surface is over the
     theory's as the radius over the depth.
 
@@ -885,8 +752,8 @@ def _ratio_table(shape: str, surface_friction: float) -> tuple[float, float, Flo
     scale = scale_of_friction(mu, 1.0 / GRAVITY)[:, None, None]
     lift = np.zeros(law.shape[:-1])
     np.divide(law[..., 1], unit[..., 1], out=lift, where=unit[..., 1] > 0.0)
-    ratio = np.stack([proportion * lift, lift], axis=-1) * depths[:, None] / scale[..., None]
-    return first, step, ratio
+    ratio = np.stack([proportion * lift, lift, 0.0 * lift], axis=-1) * depths[:, None]
+    return first, step, ratio / scale[..., None]
 
 
 def _bounded_sums(shape: str, surface_friction: float, depths: FloatArray) -> FloatArray:
@@ -897,14 +764,14 @@ def _bounded_sums(shape: str, surface_friction: float, depths: FloatArray) -> Fl
     height, normal, area = foot_faces(shape)
     levels, ring = np.unique(height, return_inverse=True)
     submerged = np.maximum(depths[:, None] - levels, 0.0)
-    descents = DESCENTS[LOWEST:]
+    descents, of = DESCENTS[LOWEST:], for_arrays(np)
     sums = np.empty((descents.size, depths.size, PROPORTIONS.size, 2))
     for i, turn in enumerate(descents.tolist()):
         direction = np.broadcast_to([math.cos(turn), 0.0, -math.sin(turn)], normal.shape)
         pushed = (area[:, None] * unit_stress(normal, direction, surface_friction, fade=FADE)).T
         for j, level in enumerate(PROPORTIONS.tolist()):
-            scaled = pushed * [[level], [level], [1.0]]
-            x, _, z = _bounded(np, scaled, normal.T, direction.T, surface_friction)
+            scaled = tuple(pushed * [[level], [level], [1.0]])
+            x, _, z = of.coulomb(scaled, tuple(direction.T), tuple(normal.T), surface_friction, 1.0)
             sums[i, :, j] = submerged @ np.stack([np.bincount(ring, x), np.bincount(ring, z)]).T
     return sums
 
@@ -914,50 +781,8 @@ def _foot_table(shape: str, surface_friction: float) -> tuple[float, float, Floa
     """Force of :func:`~terraphi.laws.foot.simulated_table`, and the moment over ρ g R⁴ as third."""
     first, step, law = simulated_table(shape, surface_friction)
     places = np.indices(law.shape[1:3], dtype=np.float64) * [[[1.0]], [[step / DEPTHS[1]]]]
-    theory = interpolated(resistive_table(shape, surface_friction), *places)
+    theory = between_rows(resistive_table(shape, surface_friction), *places)
     # In the lift's proportion, below the lowest direction that was simulated in that one's.
     rows = np.maximum(np.arange(len(DESCENTS)), SIMULATED)
     lift = law[..., 1][:, rows] / np.maximum(theory[rows, :, 1], TINY)
     return first, step, np.concatenate([law, (lift * theory[..., 2])[..., None]], axis=-1)
-
-
-def _bounded(
-    xp: Any, force: Any, normal: Any, motion: Any, friction: float, mobilized: Any = None
-) -> Any:
-    """Forces on faces that take energy, with no more friction than Coulomb's, shape [3, face].
-
-    ``normal`` is the outward one and ``motion`` the direction in which a face moves. No soil pulls
-    at a face, and friction is mobilized by a share of it.
-    """
-    # f = −p n + t with p = max(−f·n, 0): |t| is cut to μ p.
-    force = _against(xp, force, motion)
-    pressure = xp.clip(-xp.sum(force * normal, axis=0), 0.0, None)
-    along = force + pressure * normal
-    size = xp.sqrt(xp.sum(along * along, axis=0))
-    share = xp.clip(friction * pressure / xp.clip(size, TINY, None), None, 1.0)
-    share = share if mobilized is None else share * mobilized
-    return along * share - pressure * normal
-
-
-def _against(xp: Any, force: Any, motion: Any) -> Any:
-    """Forces without what would drive a motion, for soil takes energy, shape [3, face].
-
-    Resistive force theory has such a part on faces that rise at some 10°.
-    """
-    return force - xp.clip(xp.sum(force * motion, axis=0), 0.0, None) * motion
-
-
-def _norm(xp: Any, vectors: Any) -> Any:
-    """Lengths of vectors, over the last axis."""
-    return xp.sqrt(xp.sum(vectors * vectors, axis=-1))
-
-
-def _rotation(xp: Any, quaternion: Any) -> Any:
-    """Rotation matrices of quaternions (w, x, y, z), shape [foot, 3, 3]."""
-    w, x, y, z = (quaternion[:, i] / xp.clip(_norm(xp, quaternion), TINY, None) for i in range(4))
-    rows = (
-        (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
-        (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
-        (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)),
-    )
-    return xp.stack([xp.stack(row, axis=-1) for row in rows], axis=-2)

@@ -21,11 +21,10 @@ from typing import Any
 
 import numpy as np
 
-from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.arrays import FloatArray, between_rows
 from terraphi.experiment.errors import InputError, nearest, needing
 from terraphi.experiment.files import number_with_sd, plain_number
 from terraphi.experiment.units import GRAVITY
-from terraphi.laws.foot import interpolated
 from terraphi.terrain.field import STEEPEST, tangent
 
 with needing("a map", "rasterio and SciPy", extra="terrain"):
@@ -243,7 +242,7 @@ def median(mean: Any, sd: Any, theta: Any, wetness: Any, sample: Sample) -> Any:
     ]
     nodes = [part.ravel() for part in np.meshgrid(*lines, indexing="ij")]
     places = [(v - line[0]) / step for (v, step), line in zip(steps, lines, strict=True)]
-    return interpolated(_medians(sample, *nodes).reshape(counts), *places) / np.sin(theta)
+    return between_rows(_medians(sample, *nodes).reshape(counts), *places) / np.sin(theta)
 
 
 def _medians(sample: Sample, mean: Any, sd: Any, cos: Any, wetness: Any = None) -> Any:
