@@ -166,6 +166,9 @@ def test_what_is_learned_of_the_field_is_what_it_was_drawn_from() -> None:
     assert pooled.field["length_m"] == pytest.approx(2.5, rel=0.3)
     assert pooled.field["amplitude_deg"] == pytest.approx(2.0, rel=0.3)
     assert pooled.sd == pytest.approx(np.hypot(sd, bed), rel=0.15)
+    # Without the bed's it would be 0.43, with it it is 0.49.
+    scatter = np.sqrt(np.mean(sd**2 + bed**2))
+    assert pooled.field["scatter_deg"] == pytest.approx(scatter, rel=0.07)
 
 
 def test_an_anchor_that_contradicts_is_told_from_one_that_agrees() -> None:

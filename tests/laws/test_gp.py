@@ -50,6 +50,15 @@ def test_process_is_that_of_scikit_learn() -> None:
     np.testing.assert_allclose(process.variance(new, f)[:, 0], limit, rtol=1e-3, atol=1e-9)
 
 
+@pytest.mark.parametrize("order", [1.5, 2.5])
+def test_correlation_is_that_of_scikit_learn(order: float) -> None:
+    """Also far from zero, as the coordinates of a map are."""
+    origin = np.array([5e5, 5e6])
+    places = origin + np.random.default_rng(1).uniform(0.0, 4.0, (30, 2))
+    reference = Matern(0.7, "fixed", nu=order)(places[:7] - origin, places - origin)
+    np.testing.assert_allclose(matern(places[:7], places, 0.7, order=order), reference, atol=1e-8)
+
+
 def test_variance_of_a_process_is_unbiased_with_few_cases() -> None:
     """Weights drawn from a process of variance 1 about a polynomial of five terms, 14 cases."""
     rng = np.random.default_rng(0)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from terraphi.inference.footfalls import NO_ANGLE, USABLE
+from terraphi.inference.grounds import Comparison
 from terraphi.laws.foot import LAWS, Foot
 from terraphi.robot.footfalls import footfalls
 from terraphi.robot.joint_log import cut
@@ -107,3 +108,10 @@ def test_too_few_footfalls_to_know_the_ground_are_noted() -> None:
     log = GroundWalk(duration=3.0, ground=clay(6.5e3)).log()[0]
     result = footfalls(log, density=1550)
     assert "too few to tell sand from clay" in result.warnings[0]
+    assert "absolute interval is wide" in result.warnings[0]
+
+
+def test_laws_are_compared_by_what_they_read_of_the_same_footfalls() -> None:
+    """Slow footfalls may lie on another soil than the rest, which is no difference of laws."""
+    laws = Comparison("", {"foot": 0.7, "rft": 0.3}, {"foot": 35.0, "rft": 40.0}, read_deg=36.0)
+    assert laws.spread_deg("foot") == pytest.approx(4.0 * 0.3**0.5)

@@ -47,6 +47,7 @@ def least_squares(
     mean: FloatArray | float = 0.0,
     precision: FloatArray | float = 0.0,
     settled: float = SETTLED,
+    gained: float = 0.0,
 ) -> Best:
     """Fit several problems of one form, each for itself.
 
@@ -67,6 +68,8 @@ def least_squares(
         m and the diagonal of P, shape [key] each.
     settled
         Step at which a problem is solved, over the scale [-].
+    gained
+        Part of its cost by which a step lowers it that solves a problem as well, if it is no more.
     """
     x, rows = start.copy(), np.arange(len(start))
     low, high = bounds
@@ -102,6 +105,7 @@ def least_squares(
         # A step is taken if it lowers the cost, and damped more otherwise; problems whose step is
         # small are left out from here on.
         better = new_costs <= costs[rows]
+        moves &= ~better | (costs[rows] - new_costs >= gained * new_costs)
         improved = rows[better]
         x[improved], errors[improved] = tried[better], new_errors[better]
         costs[improved] = new_costs[better]

@@ -510,8 +510,8 @@ def infer(
     by_law: dict[str, float] = {}
     scale_sd, contradicted = prior.slope_sd, list[str]()
     if usable.any():
-        wide, (prior, fits) = prior, _with_levels(touchdowns, fits, usable, law, prior)
-        sound, sound_fits = picked(touchdowns, usable), picked(fits, usable)
+        sound = picked(touchdowns, usable)
+        wide, (prior, sound_fits) = prior, _with_levels(touchdowns, sound, usable, law, prior)
         prior, second, sensitivity, scale_sd = _compare_laws(
             sound, sound_fits, law, prior, wide, laws
         )
@@ -583,8 +583,8 @@ def judged(
         return np.where(sank, NO_ANGLE, verdict), [laws.ground], laws
     notes = []
     if not enough and (verdict == USABLE).any():
-        few = f"{count} slow footfalls are too few to tell sand from clay or a mat"
-        notes = [f"{few}; {FEWEST} are needed"]
+        few = f"{count} slow footfalls are too few to tell sand from clay or a mat, or how likely "
+        notes = [f"{few}other laws are, so that the absolute interval is wide; {FEWEST} are needed"]
     best = max(laws.probability, key=laws.probability.__getitem__)
     if best != law and laws.probability[best] > BETTER and (verdict == USABLE).any():
         grow = f"forces grow with depth as by law {best} rather than {law}"
@@ -628,15 +628,14 @@ def with_growth(touchdowns: Touchdowns, law: str, prior: Prior) -> Prior:
 
 
 def _with_levels(
-    touchdowns: Touchdowns, fits: Fit, usable: BoolArray, law: str, prior: Prior
+    touchdowns: Touchdowns, sound: Touchdowns, usable: BoolArray, law: str, prior: Prior
 ) -> tuple[Prior, Fit]:
-    """Learn levels from usable footfalls, and fit again; verdicts leave each footfall its own."""
-    prior = learn_level(evenly(picked(touchdowns, usable), MOST_FITTED), law, prior)
-    shared = fit(touchdowns, law, prior)
+    """Learn levels from usable footfalls, and fit them again; verdicts leave each its own."""
+    prior = learn_level(evenly(sound, MOST_FITTED), law, prior)
+    fits = fit(sound, law, prior)
     # Ground near an earlier print was moved, so that φ has a further error.
     near_print, _ = trodden_before(touchdowns, BESIDE_RADII * prior.radius)
-    sd = np.hypot(shared.sd, BESIDE_SD_DEG * near_print)
-    return prior, shared._replace(sd=sd, misfit=fits.misfit, borne=fits.borne)
+    return prior, fits._replace(sd=np.hypot(fits.sd, BESIDE_SD_DEG * near_print[usable]))
 
 
 def _compare_laws(
@@ -656,7 +655,7 @@ def _compare_laws(
     phi, sensitivity = fits.phi, fits.shared.copy()
     # What other laws read is an error of all places alike by their probabilities; differences
     # between places are uncertain by that of the second law where any of them is right.
-    spread = laws.spread_deg(float(np.median(phi)), law)
+    spread = laws.spread_deg(law)
     other = 1.0 - laws.probability.get(law, 1.0)
     prior = replace(
         prior, other_law_sd=math.sqrt(other), law_sd_deg=math.hypot(prior.law_sd_deg or 0.0, spread)

@@ -100,17 +100,20 @@ class Comparison(NamedTuple):
         What the ground is, if it is no sand: a sentence, else an empty string.
     probability, phi_deg
         Of each law of sand: its probability [-], and the median φ by it [deg].
+    read_deg
+        Median φ of the same footfalls by the walk's law as it was learned [deg].
     """
 
     ground: str
     probability: dict[str, float]
     phi_deg: dict[str, float]
+    read_deg: float = math.nan
 
-    def spread_deg(self, phi_deg: float, without: str) -> float:
-        """Root mean square distance of φ by the laws from an angle, but for one law [deg]."""
+    def spread_deg(self, law: str) -> float:
+        """Root mean square distance of φ by the other laws from that by the walk's [deg]."""
         return math.sqrt(sum(
-            probability * (self.phi_deg[name] - phi_deg) ** 2
-            for name, probability in self.probability.items() if name != without
+            probability * (self.phi_deg[name] - self.read_deg) ** 2
+            for name, probability in self.probability.items() if name != law
         ))  # fmt: skip
 
 
@@ -148,16 +151,18 @@ def compared(touchdowns: Touchdowns, law: str, prior: Prior, *, enough: bool) ->
         * math.exp((min(means.values()) - mean) / COST_SCALE)
         for name, mean in means.items()
     }  # fmt: skip
+    read = fitted(law, prior.exponent)
     comparison = Comparison(
         "",
         {name: each / sum(weight.values()) for name, each in weight.items()},
         {name: float(np.median(each.phi)) for name, each in plain.items()},
+        float(np.median(read.phi)),
     )
     if not enough:
         return comparison
     # Each kind of ground by its best law over the walk; then footfall by footfall, whose noise
     # differs. The walk's law may grow with depth as it was learned, but no slower than in any sand.
-    grown = fitted(law, max(prior.exponent, LEAST_EXPONENT))
+    grown = fitted(law, LEAST_EXPONENT) if prior.exponent < LEAST_EXPONENT else read
     sands = [grown, *(plain[name] for name in SANDS if name != law)]
     sand = min(map(cost, sands), key=np.mean)
     rivals = {name: fitted(rival) for name, rival in RIVALS.items()}

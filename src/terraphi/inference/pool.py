@@ -21,7 +21,6 @@ remains. **Absolute**: all shared errors count.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -31,6 +30,7 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import number_with_sd, plain_number
 from terraphi.inference.touchdowns import MOST_FITTED, PHI_RANGE, TORQUES, evenly
+from terraphi.laws.gp import matern
 
 MEDIANS, LOG_SD = (1.5, 1.0, 0.3), 0.7
 """Prior of the process's amplitude [deg] and length [m], and of the scatter of the bed that near
@@ -161,16 +161,8 @@ class Normal(NamedTuple):
 def covariance(
     a: FloatArray, b: FloatArray, amplitude: float, length: float, mean_sd: float
 ) -> FloatArray:
-    """Matérn covariance of smoothness 5/2 between places [m], with the unknown mean's [deg²]."""
-    from scipy.spatial.distance import cdist
-
-    distance = cdist(a, b)
-    distance *= math.sqrt(5.0) / length
-    shape = np.exp(-distance)
-    shape *= 1.0 + distance * (1.0 + distance / 3.0)
-    shape *= amplitude**2
-    shape += mean_sd**2
-    return np.asarray(shape)
+    """Matérn covariance of order 5/2 between places [m], with the unknown mean's [deg²]."""
+    return amplitude**2 * matern(a, b, length) + mean_sd**2
 
 
 def pool(

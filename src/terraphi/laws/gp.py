@@ -70,12 +70,17 @@ class Process:
         return np.maximum(1.0 - explained + of_mean, 0.0)[:, None] * self.sigma2
 
 
-def matern(first: FloatArray, second: FloatArray, lengths: FloatArray) -> FloatArray:
-    """Matérn correlation of order 5/2, shape [..., k, n]: smooth, but not infinitely so."""
-    # (1 + √5 r + 5 r²/3) exp(−√5 r), eq. 4.17. |a − b|² = a² + b² − 2 a'b is one matrix product;
+def matern(
+    first: FloatArray, second: FloatArray, lengths: FloatArray | float, *, order: float = 2.5
+) -> FloatArray:
+    """Matérn correlation of order 5/2 or 3/2, shape [..., k, n]: smooth, but not infinitely so."""
+    # (1 + l + l²/3) exp(−l) with l = √5 r, eq. 4.17; (1 + l) exp(−l) with l = √3 r of order 3/2.
+    # |a − b|² = a² + b² − 2 a'b is one matrix product, about a centre for places far from zero;
     # rounding may make it negative where both are equal.
-    a, b = first / lengths, second / lengths
+    centre = second.mean(axis=-2, keepdims=True)
+    a, b = (first - centre) / lengths, (second - centre) / lengths
     squared = np.square(a).sum(axis=-1)[..., None] + np.square(b).sum(axis=-1)[..., None, :]
     squared = np.maximum(squared - 2.0 * a @ b.swapaxes(-1, -2), 0.0)
-    lag = np.sqrt(5.0 * squared)
-    return (1.0 + lag + 5.0 / 3.0 * squared) * np.exp(-lag)
+    lag = np.sqrt(2.0 * order * squared)
+    smooth = 5.0 / 3.0 * squared if order == 2.5 else 0.0
+    return np.asarray((1.0 + lag + smooth) * np.exp(-lag))

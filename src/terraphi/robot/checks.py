@@ -24,7 +24,13 @@ from terraphi.robot.forces import (
     SensorErrors,
     without_broken_accelerometer,
 )
-from terraphi.robot.friction import BEARING_SHARE, GUARD_S, LAG_STEP_S, REVERSAL_RATE, survey
+from terraphi.robot.friction import (
+    BEARING_SHARE,
+    GUARD_S,
+    LAG_STEP_S,
+    REVERSAL_RATE,
+    swing_of_part,
+)
 from terraphi.robot.joint_log import AVERAGE_S, FEET, GAP_STEPS, JointLog, cut, joint_names
 from terraphi.robot.legs import Legs, body_rate, rotation
 from terraphi.robot.logs.samples import velocity_ratio
@@ -78,8 +84,8 @@ sound walks, 0.2 to 2 where legs are exchanged or an encoder changes its sign.""
 REVERSED = -0.5
 """Gain of a torque in swing below which its sign is wrong [-]: halfway from that of a dead motor,
 0, to −1."""
-_SAMPLES = 600
-"""Most samples on which orders of the legs are compared: every eighth millisecond of a part."""
+_SAMPLES = 300
+"""Most samples on which orders of the legs are compared: every sixteenth millisecond of a part."""
 
 REFUSED = "refused"
 """A finding with which a log is refused: feet that pull, or bear the weight several times over."""
@@ -191,7 +197,8 @@ def balance(
     # Between the first and the last touch-down of the foot that has most of them lie whole strides,
     # over which the momentum of the trunk comes back to what it was.
     feet = [stance.foot for stance in stances]
-    begins = [s.begin for s in stances if s.foot == max(FEET, key=feet.count)]
+    busiest = max(FEET, key=feet.count)
+    begins = [stance.begin for stance in stances if stance.foot == busiest]
     rows = np.isfinite(forces.force).all(axis=(1, 2))
     if len(begins) > 1:
         rows &= (forces.time >= begins[0]) & (forces.time < begins[-1])
@@ -231,10 +238,10 @@ def check_parts(
     """Check parts of a log, each by what its own swing shows of lag and gains of the torques."""
     checked = []
     for piece in pieces:
-        part, estimator = without_broken_accelerometer(cut(log, piece))[0], forces.estimator
+        part, its_forces = without_broken_accelerometer(cut(log, piece))[0], cut(forces, piece)
         gap = GAP_STEPS * float(np.median(np.diff(part.time)))
-        swing = survey(part, robot, estimator, gap, friction=estimator != "quasi_static")
-        checked.append(check(part, robot, cut(forces, piece), swing.lag, swing.gain))
+        swing = swing_of_part(part, robot, its_forces.lift_per_torque, forces.friction, gap)
+        checked.append(check(part, robot, its_forces, *swing))
     return checked
 
 

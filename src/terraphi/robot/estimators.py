@@ -60,6 +60,11 @@ class JointFriction:
         """Torque lost to friction at joint velocities [rad/s], rotor's inertia excluded [N m]."""
         return self.coulomb * smooth_sign(velocity) + self.viscous * velocity
 
+    def of_terms(self, terms: FloatArray) -> FloatArray:
+        """Torque lost [N m], of :func:`friction_terms`, shape [sample, foot, joint]."""
+        numbers = np.stack([self.coulomb, self.viscous, self.inertia], axis=-1)
+        return np.asarray(np.sum(numbers * terms, axis=-1))
+
     def doubt(self, velocity: FloatArray) -> FloatArray:
         """Coulomb torque whose sign is unknown because the joint hardly moves [N m]."""
         return self.coulomb * np.sqrt(np.maximum(1.0 - smooth_sign(velocity) ** 2, 0.0))

@@ -323,14 +323,16 @@ def carried_s(time: FloatArray, lift: FloatArray) -> float:
 
 
 def from_the_start(motion: Motion, log: JointLog) -> Motion:
-    """Turn the motion so that x is the robot's first heading."""
+    """Turn the motion, in place, so that x is the robot's first heading."""
     assert log.quaternion is not None, "checked when the log was read"
     early = log.time <= log.time[0] + SMOOTH_PATH_S
     # The mean direction (x, y) of the trunk's forward axis over the ground becomes (1, 0).
     x, y = rotation(log.quaternion[early])[:, :2, 0].mean(axis=0)
     size = math.hypot(x, y)
     back = np.array([[x, y, 0.0], [-y, x, 0.0], [0.0, 0.0, size]]) / size
-    return motion._replace(trunk=motion.trunk @ back.T, feet=motion.feet @ back.T)
+    for place in (motion.trunk, *np.moveaxis(motion.feet, 1, 0)):
+        place[:] = place @ back.T
+    return motion
 
 
 def path_of(trunk: FloatArray, time: FloatArray) -> FloatArray:

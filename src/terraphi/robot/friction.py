@@ -232,32 +232,40 @@ def lag_and_gain(
         return 0.0, gain
     usual = float(np.median(np.concatenate([np.diff(part.time) for part, _ in windows])))
     # Whole steps: a torque between two samples is a mean, and seems to have less noise.
-    step = usual * max(1, round(LAG_STEP_S / usual))
+    every = max(1, round(LAG_STEP_S / usual))
+    step = usual * every
     most = round(MOST_LAG_S / step)
     lags, cost = step * np.arange(-most, most + 1), np.zeros(2 * most + 1)
     logged = [low_pass(p.time, OBSERVER_GAIN, p.torque, 0.0 * p.slopes, gap) for p, _ in windows]
 
-    ends = np.cumsum([inner.stop - inner.start for _, inner in windows])[:-1]
-    swings = np.split(swing, ends)
+    ends = np.cumsum([len(part.time[inner]) for part, inner in windows])[:-1]
 
-    def shifted(lags: Any, foot: int, joint: int) -> FloatArray:
+    def shifted(chosen: BoolArray, lags: Any, foot: int, joint: int) -> FloatArray:
         """Logged torques of a joint in swing, each by a lag later, shape [lag, sample]."""
         parts = [
             np.interp(
                 part.time[inner][rows[:, foot]] + lags[:, None], part.time, values[:, foot, joint]
             )
-            for (part, inner), rows, values in zip(windows, swings, logged, strict=True)
+            for (part, inner), rows, values in zip(
+                windows, np.split(chosen, ends), logged, strict=True
+            )
         ]
         return np.concatenate(parts, axis=1)
 
-    joints, none = list(itertools.product(feet.tolist(), range(3))), np.zeros(1)
-    # Friction's regressors, orthonormal, and the torque of the motion without friction, of each.
-    frictions = {(i, j): np.linalg.qr(terms[swing[:, i], i, j])[0] for i, j in joints}
-    models = {(i, j): torque[swing[:, i], i, j] + shifted(none, i, j)[0] for i, j in joints}
+    def regression(chosen: BoolArray, foot: int, joint: int) -> tuple[FloatArray, FloatArray]:
+        """Friction's regressors, orthonormal, and the torque of the motion without friction."""
+        rows = chosen[:, foot]
+        without = torque[rows, foot, joint] + shifted(chosen, np.zeros(1), foot, joint)[0]
+        return np.linalg.qr(terms[rows, foot, joint])[0], without
+
+    joints = list(itertools.product(feet.tolist(), range(3)))
     # Of each lag the part of the difference that friction cannot explain, e − Q Qᵀ e; large ones
-    # are cut off, so that a blow counts no more than three standard deviations.
+    # are cut off, so that a blow counts no more than three standard deviations. Samples nearer than
+    # a lag's step hardly differ.
+    few = swing & (np.arange(len(swing)) % every == 0)[:, None]
     for i, j in joints:
-        axes, off = frictions[i, j], models[i, j] - shifted(lags, i, j)
+        axes, model = regression(few, i, j)
+        off = model - shifted(few, lags, i, j)
         off = np.abs(off - (off @ axes) @ axes.T).T
         cost += np.square(np.minimum(off, 3.0 * spread(off))).sum(axis=0)
     k, lag = int(cost.argmin()), 0.0
@@ -265,8 +273,8 @@ def lag_and_gain(
         before, least, after = cost[k - 1 : k + 2]
         lag = float(lags[k] + 0.5 * step * (before - after) / (before - 2.0 * least + after))
     for i, j in joints:
-        late = shifted(np.array([lag]), i, j)[0]
-        slope, sd = robust_slope(models[i, j], frictions[i, j], late)
+        axes, model = regression(swing, i, j)
+        slope, sd = robust_slope(model, axes, shifted(swing, np.array([lag]), i, j)[0])
         # Errors are independent every GUARD_S alone.
         independent = max(GUARD_S / usual, 1.0)
         gain[i, j] = slope if sd * math.sqrt(independent) < GAIN_SD else np.nan
@@ -317,6 +325,37 @@ class Survey(NamedTuple):
     gain: FloatArray
 
 
+def in_swing(
+    part: Signals, inner: slice, lift: FloatArray, robot: Quadruped, share: float
+) -> BoolArray:
+    """Mask of feet that swing, by their places and upward forces [N]; shape [sample, foot].
+
+    ``share`` is the part of the robot's weight below which a foot may swing.
+    """
+    weight = robot.mass * GRAVITY
+    place, up = part.legs.place[inner], part.turn[inner][:, 2]
+    clear = clear_of_ground(place, up, lift, weight=weight)
+    return away_from(lift >= share * weight, part.time[inner]) & clear
+
+
+def swing_of_part(
+    log: JointLog, robot: Quadruped, lift_per_torque: Any, friction: JointFriction | None,
+    gap: float,
+) -> tuple[float, FloatArray]:  # fmt: skip
+    """:func:`lag_and_gain` of a short log whose joints' friction is known already, if not None.
+
+    ``lift_per_torque`` is that of :class:`~terraphi.robot.forces.FootForces`.
+    """
+    part, all_ = signals(log, robot, slice(None)), slice(None)
+    torque, terms = contact_torque(part, "momentum_observer", gap), friction_terms(part, gap)
+    # Friction that is not known looks like force, so that twice the load may be swing.
+    contact, share = torque, 2.0 * BEARING_SHARE
+    if friction is not None:
+        contact, share = torque + friction.of_terms(terms), BEARING_SHARE
+    swing = in_swing(part, all_, np.nansum(lift_per_torque * contact, axis=-1), robot, share)
+    return lag_and_gain([(part, all_)], torque, terms, swing, gap)
+
+
 def survey(
     log: JointLog, robot: Quadruped, estimator: Estimator, gap: float, *, friction: bool
 ) -> Survey:
@@ -343,20 +382,15 @@ def survey(
     terms = of_all(lambda part: friction_terms(part, gap))
     sure = of_all(lambda part: away_from(np.abs(part.velocity) < REVERSAL_RATE, part.time))
     lift_per_torque = of_all(lambda part: upward(part.turn, part.legs.force_per_torque()[0]))
-    ends = np.cumsum([inner.stop - inner.start for _, inner in windows])[:-1]
-    weight = robot.mass * GRAVITY
+    ends = np.cumsum([len(part.time[inner]) for part, inner in windows])[:-1]
 
     def refined(contact: FloatArray, share: float) -> tuple[JointFriction, BoolArray, FloatArray]:
         """Friction from contact torques, the swing it is found in, and contact torques less it."""
         lifts = np.split(np.nansum(lift_per_torque * contact, axis=-1), ends)
-        swing = np.concatenate([
-            away_from(lift >= share * weight, part.time[inner])
-            & clear_of_ground(part.legs.place[inner], part.turn[inner][:, 2], lift, weight=weight)
-            for (part, inner), lift in zip(windows, lifts, strict=True)
-        ])  # fmt: skip
+        pairs = zip(windows, lifts, strict=True)
+        swing = np.concatenate([in_swing(*window, lift, robot, share) for window, lift in pairs])
         lost = fit_friction(torque, terms, swing, sure, robot.armature)
-        numbers = np.stack([lost.coulomb, lost.viscous, lost.inertia], axis=-1)
-        return lost, swing, torque + np.sum(numbers * terms, axis=-1)
+        return lost, swing, torque + lost.of_terms(terms)
 
     # Before friction is known it looks like force, so that twice the load may be swing.
     *_, contact = refined(torque, 2.0 * BEARING_SHARE)

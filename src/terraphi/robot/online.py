@@ -55,7 +55,7 @@ from terraphi.robot.legs import rotation
 from terraphi.robot.logs.samples import BACKWARDS, REPEATED, sound
 from terraphi.robot.model import Quadruped
 from terraphi.robot.results import RobotForces, foot_forces, left_out
-from terraphi.robot.stance import LIFT_S, Ensemble, find_stances
+from terraphi.robot.stance import LIFT_S, find_stances
 from terraphi.robot.touchdowns import BIAS_S, Motion, touchdowns, track
 
 STEP_S, FEWEST = 0.5, 3
@@ -322,11 +322,11 @@ class Footfalls:
             and np.isfinite(time).all()
             and (np.diff(time) > 0.0).all()
             and all(
-                column.shape == (*length, *SHAPES.get(name, ())) and column.dtype == np.float64
+                column.shape == (*length, *SHAPES.get(name, ())) and column.dtype.kind == "f"
                 for name, column in values.items()
             )
         ):  # what ``sound`` does besides takes ten times as long, and is left to the thread
-            samples = JointLog(**{name: column.copy() for name, column in values.items()})
+            samples = JointLog(**{n: column.astype(np.float64) for n, column in values.items()})
         else:
             samples, dropped = sound(samples)
             self._dropped += dropped
@@ -479,7 +479,7 @@ class Walk:
         early = np.searchsorted(first.time, first.time[0] + batch.SMOOTH_PATH_S, side="right")
         return replace(
             start, log=cut(without_broken_accelerometer(first)[0], slice(int(early))),
-            forces=cut(start.forces, slice(1)), stances=(), feet={}, pooled=Ensemble.of(()),
+            forces=cut(start.forces, slice(1)), stances=(),
         )  # fmt: skip
 
     def _localize(self, poses: list[Poses]) -> None:

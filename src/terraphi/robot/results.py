@@ -6,6 +6,7 @@ import importlib.metadata
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -58,10 +59,6 @@ class RobotForces(Written):
         Forces over time.
     stances
         Those wholly inside the log, in the order of touch-down.
-    feet
-        Mean stance of each foot.
-    pooled
-        Mean stance of all feet.
     checked
         Contradictions, of each part of the log.
     remarks
@@ -103,13 +100,21 @@ class RobotForces(Written):
     robot: Quadruped
     forces: FootForces
     stances: tuple[Stance, ...]
-    feet: Mapping[str, Ensemble]
-    pooled: Ensemble
     checked: tuple[Checked, ...]
     remarks: tuple[str, ...]
     sensor_correlation: Mapping[str, float]
     report: Mapping[str, Any]
     lift: float | None
+
+    @cached_property
+    def feet(self) -> dict[str, Ensemble]:
+        """Mean stance of each foot."""
+        return {foot: Ensemble.of([s for s in self.stances if s.foot == foot]) for foot in FEET}
+
+    @cached_property
+    def pooled(self) -> Ensemble:
+        """Mean stance of all feet."""
+        return Ensemble.of(self.stances)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -303,8 +308,6 @@ def foot_forces(
         robot=body,
         forces=forces,
         stances=stances,
-        feet={foot: Ensemble.of([s for s in stances if s.foot == foot]) for foot in FEET},
-        pooled=Ensemble.of(stances),
         checked=checked,
         remarks=tuple(_remarks(forces, stances, report, body)),
         sensor_correlation=_sensor_correlation(log, forces),
@@ -329,13 +332,14 @@ def _checked(log: JointLog, robot: Quadruped, forces: FootForces) -> tuple[Check
 
 def _sensor_correlation(log: JointLog, forces: FootForces) -> dict[str, float]:
     """Correlation of each foot sensor that ever changes with the vertical force."""
-    import pandas as pd
-
     if log.foot_counts is None:
         return {}
-    counts, lifts = (pd.DataFrame(v, columns=FEET) for v in (log.foot_counts, forces.lift))
-    counts = counts.loc[:, counts.nunique() > 1]
-    return {foot: float(value) for foot, value in counts.corrwith(lifts).dropna().items()}
+    correlation = {}
+    for foot, counts, lift in zip(FEET, log.foot_counts.T, forces.lift.T, strict=True):
+        rows = np.isfinite(lift)
+        if rows.sum() > 1 and np.ptp(counts[rows]) > 0.0 and np.ptp(lift[rows]) > 0.0:
+            correlation[foot] = float(np.corrcoef(counts[rows], lift[rows])[0, 1])
+    return correlation
 
 
 def left_out(dropped: Mapping[str, int]) -> list[str]:

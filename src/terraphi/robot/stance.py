@@ -163,8 +163,9 @@ def find_stances(time: FloatArray, force: Forces, *, rise_N: float) -> tuple[Sta
     """
     stances: list[Stance] = []
     for column, foot in enumerate(FEET):
-        finite = np.isfinite(force[:, column]).all(axis=1)
-        when, forces = time[finite], force[finite, column]
+        finite: Any = np.isfinite(force[:, column]).all(axis=1)
+        rows = slice(None) if finite.all() else finite  # views take no memory
+        when, forces = time[rows], force[rows, column]
         stances += [
             Stance(foot, when[first : last + 1], forces[first : last + 1])
             for first, last in _bounds(when, forces[:, 2], rise_N)

@@ -24,7 +24,7 @@ from terraphi.laws.foot import LAWS
 if TYPE_CHECKING:
     from terraphi.robot.footfalls import Options
 
-VERSION = 1
+VERSION = 2
 """Of the state; another one is refused."""
 
 
@@ -146,14 +146,14 @@ def _names(value: Any) -> tuple[str, ...]:
 def _records() -> dict[str, Any]:
     """Kinds of values, by name."""
     from terraphi.inference.touchdowns import Touchdowns
-    from terraphi.robot import checks, estimators, forces, joint_log, online, results, stance
+    from terraphi.robot import checks, estimators, forces, joint_log, online, results
     from terraphi.robot.footfalls import Course
     from terraphi.robot.touchdowns import Motion
 
     kinds = (
         dict, list, tuple, Counter, Course, Motion, Touchdowns, checks.Checked, checks.Finding,
         estimators.JointFriction, forces.FootForces, joint_log.JointLog, online.Footfall,
-        online.Learned, online.Poses, online.Window, results.RobotForces, stance.Ensemble,
+        online.Learned, online.Poses, online.Window, results.RobotForces,
     )  # fmt: skip
     return {kind.__name__: kind for kind in kinds}
 

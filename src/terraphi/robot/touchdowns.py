@@ -183,6 +183,8 @@ def _odometry(
 def sensitivity(log: JointLog, forces: FootForces, part: Any) -> FloatArray:
     """Upward force per error of the torques in a part of a log [N], shape [sample, foot, 6].
 
+    ``part`` is any index of samples, or of samples and feet.
+
     Errors of the gains of hip, thigh and calf, and Coulomb torques of 1 N m left in them. With f =
     J⁻ᵀ(h − τ): a gain error g of a joint adds −J⁻ᵀτ g, and friction c left in it −J⁻ᵀ sign(q̇) c.
     """
@@ -212,9 +214,13 @@ def touchdowns(
     step = float(np.median(np.diff(log.time)))
     # Force of the soil's inertia on a foot that meets it, over the square of its speed [kg/m].
     landing = float(moved_mass(Foot(radius), 1e-6, Prior.density)[1])
-    lift = forces.force[:, :, 2].astype(np.float64)
-    rows = [_touchdown(log, forces, lift, motion, stance, step, landing) for stance in stances]
-    columns = {name: np.array([row[name] for row in rows]) for name in Touchdowns._fields}
+    columns: dict[str, Any] = {}
+    for i, stance in enumerate(stances):
+        row = _touchdown(log, forces, motion, stance, step, landing)
+        for name, value in row.items():
+            if not i:
+                columns[name] = np.empty((len(stances), *np.shape(value)), np.asarray(value).dtype)
+            columns[name][i] = value
     columns["place"][:, 2] -= radius
     return Touchdowns(**columns)
 
@@ -222,7 +228,6 @@ def touchdowns(
 def _touchdown(
     log: JointLog,
     forces: FootForces,
-    lifts: FloatArray,
     motion: Motion,
     stance: Stance,
     step: float,
@@ -232,7 +237,7 @@ def _touchdown(
     from scipy.ndimage import maximum_filter1d
 
     time, foot = log.time, FEET.index(stance.foot)
-    lift, place = lifts[:, foot], motion.feet[:, foot]
+    lift, place = forces.force[:, foot, 2], motion.feet[:, foot]
     half = max(1, round(0.5 * SMOOTH_S / step))
     start = int(np.searchsorted(time, stance.begin))
     # The surface is where the foot first met force after it had been aloft. A stance begins later,
@@ -250,7 +255,8 @@ def _touchdown(
     short = len(rows) < 2
     rows = np.array([start]) if short else rows
     velocity, acceleration = _rates(time, place, rows, half)
-    down, force, drop = -velocity[:, 2], lift[rows], place[start, 2] - place[rows, 2]
+    down, drop = -velocity[:, 2], place[start, 2] - place[rows, 2]
+    force = lift[rows].astype(np.float64)
     fastest = maximum_filter1d(
         np.where(rows >= start, down, 0.0), max(1, round(0.5 * WINDOW_S / step))
     )
@@ -278,7 +284,7 @@ def _touchdown(
         "speed": np.linalg.norm(velocity, axis=1)[chosen],
         "acceleration": acceleration[chosen],
         "force": force[chosen],
-        "per_error": sensitivity(log, forces, rows[chosen])[:, foot],
+        "per_error": sensitivity(log, forces, (rows[chosen], foot)),
         "used": good[chosen] & (np.arange(POINTS) < count) & (not short),
         "torn": short or 2.0 * FEWEST * step > WINDOW_S or bool(late.any()),
         "saturated": bool(forces.saturated[part, foot].any()),
@@ -302,7 +308,7 @@ def _rates(
 
 
 def _yielding(
-    time: FloatArray, place: FloatArray, lift: FloatArray, half: int, landing: float
+    time: FloatArray, place: FloatArray, lift: SingleArray, half: int, landing: float
 ) -> dict[str, float]:
     """Fields by which ground that is not soil differs, from the whole stance of a touch-down.
 

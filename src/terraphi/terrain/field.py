@@ -38,6 +38,7 @@ import pandas as pd
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.budget import POINTS
 from terraphi.experiment.errors import InputError, needing
+from terraphi.laws.gp import matern
 from terraphi.terrain.inputs import STEEPEST_DEG, Elevation
 
 with needing("a map", "rasterio and SciPy", extra="terrain"):
@@ -258,8 +259,7 @@ class Field:
 
 def _matern(a: FloatArray, b: FloatArray, learnt: dict[str, float]) -> FloatArray:
     """Covariance of s between places, shape [place of a, place of b]."""
-    distance = math.sqrt(3.0) / learnt["length_m"] * cdist(a, b)
-    return np.asarray(learnt["process_sd"] ** 2 * (1.0 + distance) * np.exp(-distance))
+    return learnt["process_sd"] ** 2 * matern(a, b, learnt["length_m"], order=1.5)
 
 
 def fit(

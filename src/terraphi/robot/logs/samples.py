@@ -146,6 +146,8 @@ def _numbers(name: str, column: Any) -> FloatArray:
     if values.dtype.kind not in "iuf":
         kind = getattr(column, "dtype", type(column).__name__)
         raise InputError(f"{name} is of type {kind}; give an array of numbers")
+    if values.dtype == np.float32 and name != "time":
+        return values  # half the memory; nothing is added up in it
     return values.astype(np.float64, copy=False)
 
 
