@@ -16,6 +16,7 @@ from terraphi.forward.mpm.plasticity import (
     held_mean,
     jaumann_predictor,
     material_of,
+    may_yield,
     return_mapping,
     return_to_surface,
 )
@@ -181,6 +182,27 @@ def test_return_to_matsuoka_and_nakai_is_radial_and_ends_on_the_surface(
     sheared = (1.0 - left) * span / (2.0 * shear)
     assert slip == pytest.approx(sheared, abs=1e-6 * scale / shear)
     assert swollen == pytest.approx(material.sin_dilation * sheared, abs=1e-6 * scale / shear)
+
+
+@pytest.mark.parametrize("surface", ["mohr_coulomb", "matsuoka_nakai"])
+@pytest.mark.parametrize("critical", [None, 25.0])
+def test_stresses_that_need_no_return_are_not_changed_by_it(surface, critical):
+    ground = soil(
+        35.0, cohesion=0.0 if critical else 200.0, yield_surface=surface,
+        critical_friction_angle_deg=critical, softening_strain=0.1,
+    )  # fmt: skip
+    material, rng = material_of(ground), np.random.default_rng(3)
+    # About hydrostatic stress, out to beyond the surface.
+    mean, spread = rng.uniform(-5e3, 300.0, 2000), rng.uniform(0.0, 1.0, 2000)
+    trials = [turned(m + x * abs(m) * rng.normal(size=3), i)
+              for i, (m, x) in enumerate(zip(mean, spread, strict=True))]  # fmt: skip
+    flags = [may_yield(trial, material, 1.0) for trial in trials]
+    assert 200 < sum(flags) < 1800
+    for trial, flag in zip(trials, flags, strict=True):
+        made, slip, _ = return_mapping(trial, 1.0, material)  # softened as far as it can be
+        if not flag:
+            assert slip < 1e-12
+            assert made == pytest.approx(trial, abs=1e-9 * np.abs(trial).max())
 
 
 @pytest.mark.parametrize("phi", [25.0, 45.0])

@@ -389,14 +389,16 @@ def test_distance_is_that_of_the_nearest_of_many_points(space, shape):
             assert contact.distance_to_body(body, *foot)[0] == pytest.approx(0.0, abs=1e-9)
 
 
-@pytest.mark.parametrize("kernel", ["strain_packet", "swell_packet", "return_packet"])
+@pytest.mark.parametrize(
+    "kernel", ["predict_packet", "swell_packet", "return_packet", "sum_packet"]
+)
 def test_the_lanes_are_vectors(space, register_use, kernel):
     scenario = space.scenario()
     soil, lattice = geostatic_bed(scenario, np.float32), lattice_of(scenario)
     state, work = packing.pack(soil, lattice).state, aligned_zeros(int(lanes.WORK), np.float32)
     laws = lanes.laws_of(material_of(scenario.soil))
-    pair = (laws, laws) if kernel == "swell_packet" else (laws,)
-    used = register_use(getattr(lanes, kernel), state, work, np.uint64(0), LANES, *pair)
+    taken = {"swell_packet": (laws, laws), "sum_packet": ()}.get(kernel, (laws,))
+    used = register_use(getattr(lanes, kernel), state, work, np.uint64(0), LANES, *taken)
     if not used:
         pytest.skip("no x86 assembly to look at")
     # The loop stands twice: for whole vectors, and for what may be left over.

@@ -27,6 +27,8 @@ particle that is alone, so that m falls by K ẽ_p; b_p is 0 where that one does
 apart. If all particles are equal, or the same ones yield throughout, one step is exact. Each
 particle then returns to the surface at its mean stress m_p + s.
 
+A packet in which no particle can yield keeps its trial stresses.
+
 Block by block, the velocities of the nodes are copied side by side, the particles strained, and the
 forces laid down on the nodes. Within a cell a component v of the velocity is taken as its value at
 the middle and nine moments,
@@ -85,6 +87,7 @@ from terraphi.forward.mpm.plasticity import (
     held_mean,
     jaumann_predictor,
     material_of,
+    may_yield,
     return_to_surface,
 )
 from terraphi.forward.mpm.transfer import Nodes
@@ -95,7 +98,7 @@ Index: TypeAlias = Any
 
 # Numba makes a float of an unsigned and a signed integer, so indices take unsigned ones alone.
 ONE, TWO, THREE = (np.uint64(n) for n in range(1, 4))
-ROW = LANES + LANES
+ROW = LANES + MARGIN + MARGIN
 """Length of a row of ``work``."""
 
 
@@ -221,6 +224,8 @@ def strain_particles(
         :data:`~terraphi.forward.mpm.lattice.LANES`, in a form that the compiler cannot foresee.
     """
     wide_vectors()
+    for i in range(SHARE, SHARE + ROW):
+        work[i] = ZERO
     wide = lanes + MARGIN
     row, layer = np.uint64(lattice.row), np.uint64(lattice.layer)
     # Flat arrays: an index of two dimensions would keep the loops from being vectorized.
@@ -255,7 +260,9 @@ def strain_particles(
                     strain_sharing(packets.state, work, first, last, lanes, laws, held)
                 else:
                     for packet in range(first, last):
-                        strain_packet(packets.state, work, packet, lanes, laws)
+                        if predict_packet(packets.state, work, packet, lanes, laws) > ZERO:
+                            return_packet(packets.state, work, packet, lanes, laws)
+                        sum_packet(packets.state, work, packet, lanes)
                 # Sums to forces, the same way back, one component after the other.
                 add_mean_moments(work, lanes)
                 scatter_forces(work, fx, at, FACES_X, ARMS_X, area, row, layer, wide)
@@ -283,6 +290,7 @@ def strain_sharing(
         share(work, lanes, laws)
     for packet in range(first, last):
         return_packet(state, work, packet, lanes, held)
+        sum_packet(state, work, packet, lanes)
 
 
 @kernel
@@ -433,51 +441,59 @@ def predicted(state: Work, work: Work, at: Index, i: Index, laws: Material) -> S
 
 
 @kernel
-def return_and_sum(
-    state: Work, work: Work, at: Index, i: Index, trial: Six, laws: Material
-) -> None:
-    """Return a trial stress [Pa] of a particle, keep it, and add it to the sums of its cell."""
-    stress, slip, _ = return_to_surface(trial, state[at + STRAIN], laws, SINGLE_PRECISION)
-    xx, yy, zz, xy, xz, yz = stress
-    keep(state, at, stress)
-    state[at + STRAIN] += slip
-    # An empty lane has no volume, and adds nothing.
-    full, to = state[at + VOLUME], SUM + i
-    xx, yy, zz, xy, xz, yz = full * xx, full * yy, full * zz, full * xy, full * xz, full * yz
-    work[to + XX] += xx
-    work[to + YY] += yy
-    work[to + ZZ] += zz
-    work[to + XY] += xy
-    work[to + XZ] += xz
-    work[to + YZ] += yz
-    # Only the deviator acts at the particle's place; the mean stress follows for the whole cell
-    # in add_mean_moments.
-    mean = THIRD * (xx + yy + zz)
-    x, y, z = state[at + X], state[at + Y], state[at + Z]
-    add_moments(work, to + R_XX, xx - mean, x, y, z)
-    add_moments(work, to + R_YY, yy - mean, x, y, z)
-    add_moments(work, to + R_ZZ, zz - mean, x, y, z)
-    add_moments(work, to + R_XY, xy, x, y, z)
-    add_moments(work, to + R_XZ, xz, x, y, z)
-    add_moments(work, to + R_YZ, yz, x, y, z)
+def predict_packet(state: Work, work: Work, packet: Index, lanes: Index, laws: Material) -> Any:
+    """Put the trial stress of a packet in the place of its stress, and count those that may yield.
+
+    Most packets away from the leg have none, and need no return.
+    """
+    wide_vectors()
+    count = ZERO
+    for i in range(lanes):
+        at = packet * FIELDS + i
+        trial = predicted(state, work, at, i, laws)
+        keep(state, at, trial)
+        count += may_yield(trial, laws, UNIT)
+    return count
 
 
 @kernel
-def strain_packet(state: Work, work: Work, packet: Index, lanes: Index, laws: Material) -> None:
-    """Update the stress of a packet, and add it to the sums of the cells."""
+def return_packet(state: Work, work: Work, packet: Index, lanes: Index, laws: Material) -> None:
+    """Return the trial stress of a packet at the mean stress that it has with its cell's share."""
     wide_vectors()
     for i in range(lanes):
         at = packet * FIELDS + i
-        return_and_sum(state, work, at, i, predicted(state, work, at, i, laws), laws)
+        trial, strain = stress_of(state, at, work[SHARE + i]), state[at + STRAIN]
+        stress, slip, _ = return_to_surface(trial, strain, laws, SINGLE_PRECISION)
+        keep(state, at, stress)
+        state[at + STRAIN] += slip
 
 
 @kernel
-def predict_packet(state: Work, work: Work, packet: Index, lanes: Index, laws: Material) -> None:
-    """Put the trial stress of a packet in the place of its stress."""
+def sum_packet(state: Work, work: Work, packet: Index, lanes: Index) -> None:
+    """Add the stress of a packet to the sums of its cells."""
     wide_vectors()
     for i in range(lanes):
         at = packet * FIELDS + i
-        keep(state, at, predicted(state, work, at, i, laws))
+        xx, yy, zz, xy, xz, yz = stress_of(state, at, ZERO)
+        # An empty lane has no volume, and adds nothing.
+        full, to = state[at + VOLUME], SUM + i
+        xx, yy, zz, xy, xz, yz = full * xx, full * yy, full * zz, full * xy, full * xz, full * yz
+        work[to + XX] += xx
+        work[to + YY] += yy
+        work[to + ZZ] += zz
+        work[to + XY] += xy
+        work[to + XZ] += xz
+        work[to + YZ] += yz
+        # Only the deviator acts at the particle's place; the mean stress follows for the whole
+        # cell in add_mean_moments.
+        mean = THIRD * (xx + yy + zz)
+        x, y, z = state[at + X], state[at + Y], state[at + Z]
+        add_moments(work, to + R_XX, xx - mean, x, y, z)
+        add_moments(work, to + R_YY, yy - mean, x, y, z)
+        add_moments(work, to + R_ZZ, zz - mean, x, y, z)
+        add_moments(work, to + R_XY, xy, x, y, z)
+        add_moments(work, to + R_XZ, xz, x, y, z)
+        add_moments(work, to + R_YZ, yz, x, y, z)
 
 
 @kernel
@@ -515,15 +531,6 @@ def share(work: Work, lanes: Index, laws: Material) -> None:
         slope = work[SWELL + YIELDING + i]
         slope = slope if number > ZERO else UNIT
         work[SHARE + i] -= (number * work[SHARE + i] + laws.bulk_modulus * swelling) / slope
-
-
-@kernel
-def return_packet(state: Work, work: Work, packet: Index, lanes: Index, held: Material) -> None:
-    """Return the trial stress of a packet at the mean stress that it has with its cell's share."""
-    wide_vectors()
-    for i in range(lanes):
-        at = packet * FIELDS + i
-        return_and_sum(state, work, at, i, stress_of(state, at, work[SHARE + i]), held)
 
 
 @kernel

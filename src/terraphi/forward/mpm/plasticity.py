@@ -240,6 +240,36 @@ def jaumann_predictor(
 
 
 @kernel
+def may_yield(stress: Six, material: Material, unit: Any) -> Any:
+    """1 unless a stress [Pa] lies inside of the yield surface, then 0; in its precision.
+
+    With p = t − m > 0 and the least s = sin φ, stresses inside of equation 6 have
+    J₂ p + ½ (3 − s²) J₃ < s² p³. That holds again in triaxial compression far outside, beyond
+    √J₂ = 2 √3 p / (3 − s²). The planes of Mohr and Coulomb have the cone √J₂ = √3 s p / √(3 + s²)
+    inside.
+    """
+    zero, three = unit - unit, unit + unit + unit
+    half, third = unit / (unit + unit), unit / three
+    xx, yy, zz, xy, xz, yz = stress
+    mean = third * (xx + yy + zz)
+    xx, yy, zz, depth = xx - mean, yy - mean, zz - mean, material.tip - mean
+    j2 = half * (xx * xx + yy * yy + zz * zz) + (xy * xy + xz * xz + yz * yz)
+    sine = material.sin_friction
+    sine = material.sin_critical if material.sin_critical < sine else sine
+    square = sine * sine
+    is_far = depth < zero
+    if len(material.surface) == 0:
+        excess = (three + square) * j2 - three * square * depth * depth
+    else:
+        width, double = three - square, depth + depth
+        is_far |= width * width * j2 > three * double * double
+        j3 = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+        excess = j2 * depth + half * width * j3 - square * depth * depth * depth
+    # An operator on bits and not ``or``, which branches and keeps the loop from being vectorized.
+    return unit if (excess > zero) | is_far else zero
+
+
+@kernel
 def with_gaps(deviator: Six, even: Any, slope: Any, bend: Any) -> Six:
     """The polynomial ``even`` 1 + ``slope`` s + ``bend`` s² of a deviator s, in its precision."""
     xx, yy, zz, xy, xz, yz = deviator
