@@ -131,6 +131,23 @@ class Peaks(NamedTuple):
     """Angle of the peak lift [deg]."""
 
 
+def window_weights(x: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Weights of readings at x in means over windows from low to high, shape [window, reading].
+
+    Readings are joined by lines: a mean is the integral of these over the width of the window.
+    """
+    width = np.diff(x)
+    ends = []
+    for end in (low, high):
+        # Integral of each reading's hat function up to the end. On an interval of width h, of which
+        # the part p lies before it, the hat of its right end has h p²/2 and that of its left end
+        # h (p − p²/2).
+        passed = np.clip((end[:, None] - x[:-1]) / width, 0.0, 1.0)
+        rising, falling = 0.5 * width * passed**2, width * (passed - 0.5 * passed**2)
+        ends.append(np.pad(rising, ((0, 0), (1, 0))) + np.pad(falling, ((0, 0), (0, 1))))
+    return np.asarray((ends[1] - ends[0]) / (high - low)[:, None])
+
+
 @dataclass(frozen=True, repr=False)
 class ForceHistory(Result):
     """Forces of the soil on the leg along its path.
@@ -285,23 +302,11 @@ class ForceHistory(Result):
             If a window lies wholly outside the record.
         """
         x = self.position
-        low = np.maximum(centre - half_width, x[0])
-        high = np.minimum(centre + half_width, x[-1])
+        low, high = np.maximum(centre - half_width, x[0]), np.minimum(centre + half_width, x[-1])
         if np.any(high <= low):
             raise ValueError("a window lies outside the recorded range")
-        values = (self.force if values is None else values).T
-        steps = np.diff(x)
-        passed = np.cumsum(0.5 * (values[..., 1:] + values[..., :-1]) * steps, axis=-1)
-        passed = np.concatenate([np.zeros_like(values[..., :1]), passed], axis=-1)
-
-        def integral(end: FloatArray) -> FloatArray:
-            """Integral of the piecewise linear values from the first position."""
-            i = np.clip(np.searchsorted(x, end, side="right") - 1, 0, len(x) - 2)
-            part = end - x[i]
-            slope = (values[..., i + 1] - values[..., i]) / steps[i]
-            return np.asarray(passed[..., i] + part * (values[..., i] + 0.5 * part * slope))
-
-        return np.asarray(((integral(high) - integral(low)) / (high - low)).T)
+        values = self.force if values is None else values
+        return np.asarray(np.tensordot(window_weights(x, low, high), values, axes=1))
 
     def peaks(self) -> Peaks:
         """Peak thrust and lift on 1° means at whole degrees within |θ| ≤ window [deg].

@@ -36,6 +36,7 @@ from terraphi.experiment.history import (
     WINDOW_DEG,
     ForceHistory,
     resolution,
+    window_weights,
 )
 from terraphi.experiment.measurements import Measurement, measurement_of, open_forces
 from terraphi.experiment.priors import COHESION_SD_PART, DENSITY, DENSITY_SD_PART, SENSOR_GAIN
@@ -169,9 +170,7 @@ class Record(InSoil):
                 f"{self.source}: no reading between {inside[at]:.1f} and {inside[at + 1]:.1f} deg"
                 f"{faulty}; gaps of at most {WIDEST_GAP_DEG:g} deg are accepted"
             )
-        # The mean is the integral between the ends of a window over the distance of these.
-        weights = (_hats(high[kept], theta) - _hats(low[kept], theta)) / (high - low)[kept, None]
-        return centre[kept], weights
+        return centre[kept], window_weights(theta, low[kept], high[kept])
 
     @property
     def theta_deg(self) -> FloatArray:
@@ -255,19 +254,6 @@ class Record(InSoil):
         )
         factor = np.sqrt(first.size / count)
         return replace(self, history=fewer, noise=tuple(factor * sd for sd in self.noise))
-
-
-def _hats(at: FloatArray, x: FloatArray) -> FloatArray:
-    """Integral from x[0] to some places of each reading's hat function, shape [place, reading]."""
-    width = np.diff(x)
-    # Readings are joined by lines. On an interval of width h, of which the part p lies before the
-    # place, the hat of its right end has the integral h p²/2 and that of its left end h (p − p²/2).
-    passed = np.clip((at[:, None] - x[:-1]) / width, 0.0, 1.0)
-    rising, falling = 0.5 * width * passed**2, width * (passed - 0.5 * passed**2)
-    total = np.zeros((at.size, x.size))
-    total[:, 1:] += rising
-    total[:, :-1] += falling
-    return total
 
 
 # -- opening -------------------------------------------------------------------------------------
