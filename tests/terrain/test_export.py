@@ -8,8 +8,10 @@ import json
 import math
 import runpy
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import MagicMock
 
 import h5py
 import mujoco
@@ -24,7 +26,7 @@ from terraphi.laws.foot import LAWS, Foot
 from terraphi.laws.wrench import force
 from terraphi.terrain.export import bekker, export, text
 from terraphi.terrain.simulators import NAMES, simulator
-from terraphi.terrain.soils import in_plane_strain
+from terraphi.terrain.soils import in_plane_strain, soil
 
 SUMMARY = {"median": 30.0, "ci68": [28.0, 32.0], "ci95": [26.0, 34.0]}
 
@@ -118,6 +120,26 @@ def set_by(name: str, made: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> 
         return made["FRICTION_ANGLE_DEG"]
     assert made["material"](1e7, 0.3)["dpType"] == "MiddleCircumscribed"
     return made["material"](1e7, 0.3)["Friction"]
+
+
+def test_files_of_mujoco_and_chrono_let_a_ball_rest_on_the_soil(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sand = soil(33.0, density=1600.0)
+    sand.mujoco(out=tmp_path / "soil.py")
+    runpy.run_path(str(tmp_path / "soil.py"), run_name="__main__")
+    assert 0.01 < float(capsys.readouterr().out) < 0.03
+    # Of Chrono, which pip does not install, there are the names of its source alone.
+    chrono = MagicMock()
+    system, ball = chrono.ChSystemSMC(), chrono.ChBodyEasySphere()
+    system.GetChTime.side_effect, ball.GetPos.return_value = (0.0, 2.0), SimpleNamespace(z=0.03)
+    monkeypatch.setitem(sys.modules, "pychrono", chrono)
+    monkeypatch.setitem(sys.modules, "pychrono.vehicle", chrono.vehicle)
+    sand.chrono("scm", out=tmp_path / "scm.py")
+    runpy.run_path(str(tmp_path / "scm.py"), run_name="__main__")
+    assert float(capsys.readouterr().out) == pytest.approx(0.02)
+    given = chrono.vehicle.SCMTerrain().SetSoilParameters.call_args.args
+    assert given[5] == sand.bekker_wong(200.0, 80.0)["shear_m"]
 
 
 def test_bekker_is_near_bearing_capacity_and_published_sand() -> None:

@@ -20,6 +20,7 @@ from terraphi.forward.rft import stress_scale
 from terraphi.inference.answer import Answer
 from terraphi.inference.stored import StoredAnswer
 from terraphi.laws.foot import LAWS, Foot
+from terraphi.laws.wheel import MOBILIZATION
 from terraphi.terrain.simulators import MATCHES, Match, Simulator, in_words, simulator
 from terraphi.terrain.soils import SoilDistribution, soil
 
@@ -86,8 +87,10 @@ PLATE = Foot(0.05, "disc")
 LEG_FRICTION_ABOUT = "that of the library's leg, unless it was inferred; None: unknown"
 SINKAGE = 0.02
 """Sinkage of the plate [m], in which the law is linear."""
-JANOSI = (0.010, 0.025)
-"""Janosi's K of sand, from firm to loose [m] (Wong, 2008, Theory of Ground Vehicles)."""
+JANOSI_RANGE = 3.0
+"""Factor of Janosi's K about that of law ``wheel`` [-], its logarithm uniform; chosen: a wheel of
+80 N on sand has 2 to 3 mm, a published model of one of 130 N uses 0.5 to 0.7 mm
+(github.com/melanz/wheel-soil), and vehicles of tens of kPa have 10 to 25 mm (Wong, 2008)."""
 
 
 def export(
@@ -261,13 +264,14 @@ def bekker(
         return float(force[1] / (np.pi * PLATE.radius**2 * SINKAGE))
 
     law = "from φ by resistive force theory of a flat plate, p = K z; Bekker_Kc is 0"
-    median, *ends = np.quantile(JANOSI, [0.5, 0.16, 0.84, 0.025, 0.975]).round(6).tolist()
-    drawn = np.random.default_rng(seed).uniform(*JANOSI, draws_deg.size).round(6).tolist()
-    janosi = {"median": median, "ci68": ends[:2], "ci95": ends[2:], "draws": drawn}
+    random = np.random.default_rng(seed).uniform(size=draws_deg.size)
+    quantiles = np.array([0.5, 0.16, 0.84, 0.025, 0.975, *random])
+    shear = (MOBILIZATION * JANOSI_RANGE ** (2.0 * quantiles - 1.0)).round(6).tolist()
+    janosi = {"median": shear[0], "ci68": shear[1:3], "ci95": shear[3:5], "draws": shear[5:]}
     return {
         "BEKKER_KPHI": {**_summary(stiffness, phi, draws_deg), "about": f"[N/m^(n+2)] {law}"},
         "BEKKER_N": {**_summary(lambda _: 1.0, phi, draws_deg), "about": f"[-] {law}"},
-        "JANOSI_SHEAR": {**janosi, "about": "[m] NOT inferred: range for sand (Wong, 2008)"},
+        "JANOSI_SHEAR": {**janosi, "about": "[m] NOT inferred: of wheels of robots on sand"},
     }
 
 
@@ -415,6 +419,44 @@ USES = {
     import genesis as gs
 
     return gs.materials.MPM.Sand(friction_angle=value, rho=DENSITY, **others)
+
+
+def main(radius=0.05, voxel=0.02, speed=0.2):
+    """Press a ball into a box of the soil; print its depth [m] and force [N]."""
+    import genesis as gs
+    from genesis.utils.misc import qd_to_numpy
+
+    gs.init(backend=gs.cpu, logging_level="warning")
+    soil, half, pad = sand(), 4 * radius, 3 * voxel
+    # A quarter of the time that the soil's pressure waves need for a voxel.
+    step = 0.25 * voxel / (1.2 * soil.E / DENSITY) ** 0.5
+    scene = gs.Scene(
+        sim_options=gs.options.SimOptions(dt=step, substeps=1),
+        mpm_options=gs.options.MPMOptions(
+            grid_density=1.0 / voxel, lower_bound=(-half - pad, -half - pad, -half - pad),
+            upper_bound=(half + pad, half + pad, half + pad),
+        ),
+        show_viewer=False,
+    )
+    ball = scene.add_entity(
+        gs.morphs.Sphere(radius=radius, pos=(0.0, 0.0, radius + voxel)),
+        material=gs.materials.Rigid(rho=1e6, coup_friction=0.5, gravity_compensation=1.0),
+    )
+    bed = gs.morphs.Box(lower=(-half, -half, -half), upper=(half, half, 0.0))
+    scene.add_entity(bed, material=soil)
+    scene.build()
+    count = round((radius + voxel) / (speed * step))
+    for i in range(count):
+        ball.set_dofs_velocity([0.0, 0.0, -speed, 0.0, 0.0, 0.0])  # too heavy to be slowed
+        scene.step()
+        if i % (count // 10) == 0:
+            force = qd_to_numpy(scene.sim.rigid_solver.dyn_state.links.cfrc_coupling_vel)
+            up = -float(force[ball.links[0].idx].ravel()[2])
+            print(f"{speed * step * (i + 1) - voxel:.3f} {up:.1f}")
+
+
+if __name__ == "__main__":
+    main()
 ''',
     "newton": NEWTON,
     "isaaclab": NEWTON + ISAACLAB,
@@ -431,6 +473,31 @@ USES = {
 ):
     """Set the soil of an SCMTerrain in SI units; elastic_k is above bekker_kphi."""
     terrain.SetSoilParameters(bekker_kphi, 0.0, bekker_n, 0.0, value, janosi, elastic_k, damping_r)
+
+
+def main(radius=0.05, seconds=1.0):
+    """Let a ball of twice the soil's density rest on the terrain; print how deep it sinks [m]."""
+    import pychrono as chrono
+    import pychrono.vehicle as veh
+
+    system = chrono.ChSystemSMC()
+    system.SetCollisionSystemType(chrono.ChCollisionSystem.Type_BULLET)
+    system.SetGravitationalAcceleration(chrono.ChVector3d(0.0, 0.0, -9.81))
+    ball = chrono.ChBodyEasySphere(
+        radius, 2.0 * DENSITY, True, True, chrono.ChContactMaterialSMC()
+    )
+    ball.SetPos(chrono.ChVector3d(0.0, 0.0, radius + 0.001))
+    system.Add(ball)
+    terrain = veh.SCMTerrain(system)
+    set_soil(terrain, elastic_k=10.0 * BEKKER_KPHI, damping_r=1e3)
+    terrain.Initialize(1.0, 1.0, 0.1 * radius)
+    while system.GetChTime() < seconds:
+        system.DoStepDynamics(5e-4)
+    print(f"{radius - ball.GetPos().z:.4f}")
+
+
+if __name__ == "__main__":
+    main()
 ''',
     "geotaichi": '''def material(young_modulus, poisson_ratio, value=FRICTION, **others):
     """One entry for add_material, with DruckerPrager as the model."""
@@ -505,6 +572,25 @@ USES = {
         now = jacobian.T @ total.ravel()
         data.qfrc_applied += now - self.added
         self.added = now
+
+
+def main(radius=0.05, seconds=1.0):
+    """Let a ball of twice the soil's density rest on the soil; print how deep it sinks [m]."""
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><worldbody><body pos="0 0 {radius}"><freejoint/>
+        <geom name="ball" size="{radius}" density="{2.0 * DENSITY}"/></body></worldbody></mujoco>"""
+    )
+    data, soil = mujoco.MjData(model), Soil(model, ["ball"])
+    while data.time < seconds:
+        soil.push(model, data)
+        mujoco.mj_step(model, data)
+    print(f"{radius - data.qpos[2]:.4f}")
+
+
+if __name__ == "__main__":
+    main()
 ''',
 }
 """Functions of the exported module that hand the constants to the simulator."""

@@ -55,15 +55,17 @@ class Sand(NamedTuple):
     """Between φ and density [-]."""
 
 
-TABLE = tomllib.loads((DATA / "soils.toml").read_text(encoding="utf-8"))
-"""Soils, uses and what is refused, as ``data/soils.toml`` has them."""
+@cache
+def table() -> dict[str, dict[str, Any]]:
+    """Soils, uses and what is refused, as ``data/soils.toml`` has them."""
+    return tomllib.loads((DATA / "soils.toml").read_text(encoding="utf-8"))
 
 
 @cache
 def named() -> dict[str, Sand]:
     """Soils by name, and by what is found where, as on a beach."""
-    sands = {name: Sand(**entry) for name, entry in TABLE["soils"].items()}
-    for use, names in TABLE["uses"].items():
+    sands = {name: Sand(**entry) for name, entry in table()["soils"].items()}
+    for use, names in table()["uses"].items():
         parts = [sands[name] for name in names]
         # The covariance of a mixture is the mean of those of its parts and that of their means.
         means, sds = (np.array([[s.phi[i], s.density[i]] for s in parts]) for i in (0, 1))
@@ -261,6 +263,12 @@ class SoilDistribution:
     """Friction of Genesis' MPM sand."""
     newton = partialmethod(export, "newton")
     """Friction of Newton's implicit MPM."""
+    isaaclab = partialmethod(export, "isaaclab")
+    """Friction of Newton's implicit MPM in Isaac Lab."""
+    geotaichi = partialmethod(export, "geotaichi")
+    """Friction of GeoTaichi's Drucker-Prager soil."""
+    mujoco = partialmethod(export, "mujoco")
+    """Soil under feet that are spheres."""
     rft = partialmethod(export, "rft3d")
     """Parameters of three-dimensional resistive force theory."""
 
@@ -350,7 +358,7 @@ def soil(
     sand = None
     if isinstance(what, str):
         # Any case, and as one of several words: "wet clay".
-        for refused, lacks in TABLE["refused"].items():
+        for refused, lacks in table()["refused"].items():
             if refused.casefold() in what.casefold().split():
                 raise InputError(f"{what}: not described by a friction angle; {lacks}")
         words = " ".join(what.casefold().replace("_", " ").split())
