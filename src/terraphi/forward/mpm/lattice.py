@@ -23,9 +23,9 @@ from terraphi.forward.compiled import kernel
 Three = tuple[float, float, float]
 
 LANES = np.uint64(32)
-"""Cells in a block: adjacent cells of one row of the grid, four vectors of 256 bits or two of 512 in
-single precision. Fewer leave a larger share of the work to a block's margins; more, and what passes
-between the stages of the strain does not fit into the first cache."""
+"""Cells in a block: adjacent cells of one row of the grid, four vectors of 256 bits or two of 512
+in single precision. Of fewer, a larger share of the work is in a block's margins; of more, what
+passes between the stages of the strain does not fit into the first cache."""
 MARGIN = np.uint64(8)
 """Numbers that a block reads and writes beyond its cells: two nodes, rounded up."""
 HALVES = 2.0
