@@ -23,7 +23,7 @@ from go2.sand import Crust, Displaced, Elastic, Ground, Sand, Trodden
 from go2.walk import Recording, Walk
 from sand_walk import GAITS, sand_log, sand_walk
 
-from terraphi.inference.footfalls import FootfallMap
+from terraphi.inference.footfalls import PRINT, TRODDEN, FootfallMap
 from terraphi.inference.pool import Anchor
 from terraphi.robot.footfalls import footfalls
 from terraphi.robot.model import Quadruped
@@ -147,9 +147,10 @@ def score(walk: Walk, recording: Recording, seed: int) -> dict[str, float]:
     begun = time.perf_counter()
     found = footfalls(log, robot=robot)
     spent = time.perf_counter() - begun
-    usable = found.usable
+    usable, printed = found.usable, [verdict in (PRINT, TRODDEN) for verdict in found.verdict]
     numbers = {"footfalls": len(usable), "usable": int(usable.sum()), "s_per_min": spent}
     numbers["s_per_min"] *= 60.0 / float(log.time[-1] - log.time[0])
+    numbers["virgin"] = len(usable) - sum(printed)
     numbers["notes"] = len(found.warnings) - 2  # of the density, and that there is no anchor
     if walk.sand is None or isinstance(walk.sand, Elastic | Crust | Ground) or not usable.any():
         return numbers
@@ -174,6 +175,7 @@ def score(walk: Walk, recording: Recording, seed: int) -> dict[str, float]:
         "contrast": np.polyfit(there, found.phi[usable], 1)[0],
         "bias": each.mean(),
         "rmse": np.sqrt(np.mean(each**2)),
+        "absolute_sd": np.mean(whole),
         "relative68": np.mean(np.abs(apart) < own),
         "relative95": np.mean(np.abs(apart) < 1.96 * own),
         "absolute68": np.mean(np.abs(each) < whole),
@@ -185,21 +187,26 @@ def score(walk: Walk, recording: Recording, seed: int) -> dict[str, float]:
 
 def page(rows: pd.DataFrame) -> str:
     """Means over gaits and seeds of each world, robot and friction, as Markdown."""
-    head = ("world", "robot", "foot friction", "walks", "usable", "bias [°]", "RMSE [°]",
-            "in relative 68 / 95 %", "in absolute 68 / 95 %", "RMSE anchored [°]",
-            "contrast, read / true")  # fmt: skip
+    head = ("world", "robot", "foot friction", "walks", "usable", "usable of virgin ground",
+            "bias [°]", "RMSE [°]", "absolute ± [°]", "in relative 68 / 95 %",
+            "in absolute 68 / 95 %", "RMSE anchored [°]", "contrast, read / true")  # fmt: skip
     lines = [head, ("---",) * len(head)]
     for keys, walks in rows.groupby(["world", "robot", "friction"], sort=False):
         mean = walks.mean(numeric_only=True)
-        usable = f"{walks['usable'].sum() / walks['footfalls'].sum():.0%}"
-        cells = (*map(str, keys), str(len(walks)), usable)
+        usable = [
+            f"{walks['usable'].sum() / max(walks[of].sum(), 1):.0%}"
+            for of in ("footfalls", "virgin")
+        ]
+        cells = (*map(str, keys), str(len(walks)), *usable)
         if "bias" in mean and np.isfinite(mean["bias"]):
             within = [
                 f"{mean[f'{band}68']:.0%} / {mean[f'{band}95']:.0%}"
                 for band in ("relative", "absolute")
             ]
-            degrees = [f"{mean[name]:.1f}" for name in ("bias", "rmse", "anchored_rmse")]
-            cells += (*degrees[:2], *within, degrees[2], f"{mean['contrast']:.2f}")
+            *degrees, anchored = (
+                f"{mean[name]:.1f}" for name in ("bias", "rmse", "absolute_sd", "anchored_rmse")
+            )
+            cells += (*degrees, *within, anchored, f"{mean['contrast']:.2f}")
         lines.append(cells + ("–",) * (len(head) - len(cells)))
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 

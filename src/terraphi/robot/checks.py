@@ -35,7 +35,7 @@ from terraphi.robot.joint_log import AVERAGE_S, FEET, GAP_STEPS, JointLog, cut, 
 from terraphi.robot.legs import Legs, body_rate, rotation
 from terraphi.robot.logs.samples import velocity_ratio
 from terraphi.robot.model import Quadruped
-from terraphi.robot.stance import HELD_S, Stance, find_stances
+from terraphi.robot.stance import HELD_S, Stance
 from terraphi.robot.touchdowns import STANCE_SD
 
 # Lengths of the parts that are checked.
@@ -209,20 +209,23 @@ def balance(
 
 
 def check(
-    log: JointLog, robot: Quadruped, forces: FootForces, lag: float, gain: FloatArray
+    log: JointLog,
+    robot: Quadruped,
+    forces: FootForces,
+    stances: Sequence[Stance],
+    lag: float,
+    gain: FloatArray,
 ) -> Checked:
     """Compare a log, or a part of one, with its robot.
 
     Parameters
     ----------
-    log, robot, forces
-        The log, its robot and the forces found.
+    log, robot, forces, stances
+        The log, its robot, and the forces and stances found.
     lag, gain
         As of :func:`~terraphi.robot.friction.lag_and_gain`.
     """
-    weight = robot.mass * GRAVITY
-    stances = find_stances(forces.time, forces.force, rise_N=BEARING_SHARE * weight)
-    findings = _motion(log, robot, forces, balance(forces, stances, weight))
+    findings = _motion(log, robot, forces, balance(forces, stances, robot.mass * GRAVITY))
     # With a wrong attitude or order of the legs torques are not those of the motion either.
     if not any(f.grave and f.about in (REFUSED, "attitude", "legs") for f in findings):
         findings = [*_torques(log, lag, gain), *findings]
@@ -233,7 +236,11 @@ def check(
 
 
 def check_parts(
-    log: JointLog, robot: Quadruped, forces: FootForces, pieces: Sequence[slice]
+    log: JointLog,
+    robot: Quadruped,
+    forces: FootForces,
+    stances: Sequence[Stance],
+    pieces: Sequence[slice],
 ) -> list[Checked]:
     """Check parts of a log, each by what its own swing shows of lag and gains of the torques."""
     checked = []
@@ -241,7 +248,9 @@ def check_parts(
         part, its_forces = without_broken_accelerometer(cut(log, piece))[0], cut(forces, piece)
         gap = GAP_STEPS * float(np.median(np.diff(part.time)))
         swing = swing_of_part(part, robot, its_forces.lift_per_torque, forces.friction, gap)
-        checked.append(check(part, robot, its_forces, *swing))
+        begin, end = part.time[0], part.time[-1]
+        steps = [stance for stance in stances if begin <= stance.begin and stance.end <= end]
+        checked.append(check(part, robot, its_forces, steps, *swing))
     return checked
 
 
@@ -533,28 +542,36 @@ def _swapped(
     upward forces over the robot's weight, less :data:`~terraphi.robot.friction.BEARING_SHARE`;
     moments about the trunk's origin over the weight [m], those of the weight and of each torque.
     """
-    angle, velocity, torque = log.angle[rows], log.velocity[rows], log.torque[rows]
-    spin = _spin(log)[rows]
     count, feet, weight = len(rows), np.arange(len(FEET)), robot.mass * GRAVITY
     turn = np.broadcast_to(np.eye(3), (count, 3, 3))
     if log.quaternion is not None:
         turn = rotation(log.quaternion[rows])
+    # In four turns of the order each foot once has the angles, velocities and torques of each leg:
+    # all of them at once, [sample and turn, foot, ...].
+    order = (feet - feet[:, None]) % 4
+    angle, velocity, torque = (
+        column[rows][:, order].reshape(-1, *column.shape[1:])
+        for column in (log.angle, log.velocity, log.torque)
+    )
+    turn, spin = (np.repeat(each, 4, axis=0) for each in (turn, _spin(log)[rows]))
     arm = -robot.foot_radius * turn[:, None, 2, :]
-    speeds, bears = np.empty((count, 4, 4, 3)), np.empty((count, 4, 4))
-    moments = np.empty((count, 4, 4, 4, 3))
-    # In four turns of the order each foot once has the angles, velocities and torques of each leg.
-    for shift in feet:
-        order = np.roll(feet, shift)
-        legs = Legs(robot, angle[:, order], 0.0 * velocity)
-        # The point at p of a trunk that turns in its place, and moves its legs, has J q̇ + ω × p.
-        speed = np.einsum("sfij,sfj->sfi", legs.jacobian(arm), velocity[:, order])
-        speeds[:, feet, order] = speed + np.cross(spin[:, None], legs.place + arm)
-        # f = J⁻ᵀ(h − τ), with the weight of the leg h and the torque of each joint by themselves,
-        # so that an error of each gain has its column. Moments are p × f.
-        inverse = np.nan_to_num(legs.force_per_torque()[0]) / weight
-        by_weight = np.einsum("sfij,sfj->sfi", inverse, legs.torque)
-        by_torque = np.swapaxes(-inverse * torque[:, order, None], -1, -2)
-        forces = np.concatenate([by_weight[:, :, None], by_torque], axis=2)
-        moments[:, feet, order] = np.cross(legs.place[:, :, None], forces)
-        bears[:, feet, order] = np.einsum("sj,sfkj->sf", turn[:, 2], forces)
-    return speeds, np.maximum(bears - BEARING_SHARE, 0.0), moments
+    legs = Legs(robot, angle, 0.0 * velocity)
+    # The point at p of a trunk that turns in its place, and moves its legs, has J q̇ + ω × p.
+    speed = np.einsum("sfij,sfj->sfi", legs.jacobian(arm), velocity)
+    speed += np.cross(spin[:, None], legs.place + arm)
+    # f = J⁻ᵀ(h − τ), with the weight of the leg h and the torque of each joint by themselves, so
+    # that an error of each gain has its column. Moments are p × f.
+    inverse = np.nan_to_num(legs.force_per_torque()[0]) / weight
+    by_weight = np.einsum("sfij,sfj->sfi", inverse, legs.torque)
+    by_torque = np.swapaxes(-inverse * torque[:, :, None], -1, -2)
+    forces = np.concatenate([by_weight[:, :, None], by_torque], axis=2)
+    lift = np.einsum("sj,sfkj->sf", turn[:, 2], forces)
+    moments = np.cross(legs.place[:, :, None], forces)
+
+    def by_leg(values: FloatArray) -> FloatArray:
+        turns = values.reshape(count, 4, *values.shape[1:])
+        sorted_ = np.empty_like(turns)
+        sorted_[:, feet, order] = turns
+        return sorted_
+
+    return by_leg(speed), by_leg(np.maximum(lift - BEARING_SHARE, 0.0)), by_leg(moments)

@@ -231,41 +231,35 @@ def lag_and_gain(
     if not len(feet):
         return 0.0, gain
     usual = float(np.median(np.concatenate([np.diff(part.time) for part, _ in windows])))
-    # Whole steps: a torque between two samples is a mean, and seems to have less noise.
+    # Whole steps: a torque between two samples is a mean, and seems to have less noise. Samples of
+    # swing that are nearer than a step hardly differ.
     every = max(1, round(LAG_STEP_S / usual))
+    swing = swing & (np.arange(len(swing)) % every == 0)[:, None]
     step = usual * every
     most = round(MOST_LAG_S / step)
     lags, cost = step * np.arange(-most, most + 1), np.zeros(2 * most + 1)
     logged = [low_pass(p.time, OBSERVER_GAIN, p.torque, 0.0 * p.slopes, gap) for p, _ in windows]
-
     ends = np.cumsum([len(part.time[inner]) for part, inner in windows])[:-1]
+    swings = np.split(swing, ends)
 
-    def shifted(chosen: BoolArray, lags: Any, foot: int, joint: int) -> FloatArray:
+    def shifted(lags: Any, foot: int, joint: int) -> FloatArray:
         """Logged torques of a joint in swing, each by a lag later, shape [lag, sample]."""
         parts = [
             np.interp(
                 part.time[inner][rows[:, foot]] + lags[:, None], part.time, values[:, foot, joint]
             )
-            for (part, inner), rows, values in zip(
-                windows, np.split(chosen, ends), logged, strict=True
-            )
+            for (part, inner), rows, values in zip(windows, swings, logged, strict=True)
         ]
         return np.concatenate(parts, axis=1)
 
-    def regression(chosen: BoolArray, foot: int, joint: int) -> tuple[FloatArray, FloatArray]:
-        """Friction's regressors, orthonormal, and the torque of the motion without friction."""
-        rows = chosen[:, foot]
-        without = torque[rows, foot, joint] + shifted(chosen, np.zeros(1), foot, joint)[0]
-        return np.linalg.qr(terms[rows, foot, joint])[0], without
-
-    joints = list(itertools.product(feet.tolist(), range(3)))
+    joints, none = list(itertools.product(feet.tolist(), range(3))), np.zeros(1)
+    # Friction's regressors, orthonormal, and the torque of the motion without friction, of each.
+    frictions = {(i, j): np.linalg.qr(terms[swing[:, i], i, j])[0] for i, j in joints}
+    models = {(i, j): torque[swing[:, i], i, j] + shifted(none, i, j)[0] for i, j in joints}
     # Of each lag the part of the difference that friction cannot explain, e − Q Qᵀ e; large ones
-    # are cut off, so that a blow counts no more than three standard deviations. Samples nearer than
-    # a lag's step hardly differ.
-    few = swing & (np.arange(len(swing)) % every == 0)[:, None]
+    # are cut off, so that a blow counts no more than three standard deviations.
     for i, j in joints:
-        axes, model = regression(few, i, j)
-        off = model - shifted(few, lags, i, j)
+        axes, off = frictions[i, j], models[i, j] - shifted(lags, i, j)
         off = np.abs(off - (off @ axes) @ axes.T).T
         cost += np.square(np.minimum(off, 3.0 * spread(off))).sum(axis=0)
     k, lag = int(cost.argmin()), 0.0
@@ -273,10 +267,10 @@ def lag_and_gain(
         before, least, after = cost[k - 1 : k + 2]
         lag = float(lags[k] + 0.5 * step * (before - after) / (before - 2.0 * least + after))
     for i, j in joints:
-        axes, model = regression(swing, i, j)
-        slope, sd = robust_slope(model, axes, shifted(swing, np.array([lag]), i, j)[0])
+        late = shifted(np.array([lag]), i, j)[0]
+        slope, sd = robust_slope(models[i, j], frictions[i, j], late)
         # Errors are independent every GUARD_S alone.
-        independent = max(GUARD_S / usual, 1.0)
+        independent = max(GUARD_S / step, 1.0)
         gain[i, j] = slope if sd * math.sqrt(independent) < GAIN_SD else np.nan
     return lag, gain
 

@@ -55,7 +55,7 @@ from terraphi.robot.legs import rotation
 from terraphi.robot.logs.samples import BACKWARDS, REPEATED, sound
 from terraphi.robot.model import Quadruped
 from terraphi.robot.results import RobotForces, foot_forces, left_out
-from terraphi.robot.stance import LIFT_S, find_stances
+from terraphi.robot.stance import LIFT_S, Stance, find_stances
 from terraphi.robot.touchdowns import BIAS_S, Motion, touchdowns, track
 
 STEP_S, FEWEST = 0.5, 3
@@ -522,8 +522,16 @@ class Walk:
         first = int(np.searchsorted(log.time, start.checked[-1].end, side="right"))
         pieces = parts(log.time, first, PART_S) if first < len(log.time) else []
         over = [piece for piece in pieces if to_end or piece.stop < len(log.time)]
-        checked = check_parts(log, self.options.robot, window.forces, over)
+        if not over:
+            return start
+        robot, forces = self.options.robot, window.forces
+        checked = check_parts(log, robot, forces, self._stances(window), over)
         return replace(start, checked=(*start.checked, *checked))
+
+    def _stances(self, window: Window) -> tuple[Stance, ...]:
+        """Stances in the window."""
+        least = BEARING_SHARE * self.options.robot.mass * GRAVITY
+        return find_stances(window.log.time, window.forces.force, rise_N=least)
 
     def map(self) -> FootfallMap:
         """All footfalls so far together."""
@@ -593,8 +601,7 @@ class Walk:
         course = batch.course_of(log, robot, forces, motion, new)
         self.course.append(course._replace(trunk=self._placed(course.time, course.trunk, start)))
         stances = [
-            stance for stance
-            in find_stances(time, forces.force, rise_N=BEARING_SHARE * robot.mass * GRAVITY)
+            stance for stance in self._stances(window)
             if stance.begin >= self.over[stance.foot] and stance.end < time[final - 1] - LIFT_S
         ]  # fmt: skip
         if not stances:

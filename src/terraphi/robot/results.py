@@ -296,10 +296,10 @@ def foot_forces(
         forces = estimate(
             log, robot=body, estimator=estimator, frame=frame, contact_part=contact_part
         )
-        checked = _checked(log, body, forces)
+        stances = find_stances(forces.time, forces.force, rise_N=BEARING_SHARE * weight)
+        checked = _checked(log, body, forces, stances)
     except InputError as error:
         raise InputError(f"{source}: {error}" if source else str(error)) from error
-    stances = find_stances(forces.time, forces.force, rise_N=BEARING_SHARE * weight)
     mean = checks.balance(forces, stances, weight)
     report = {"dropped": {}, "source": source, **describe(log.time), **log.report, "lag_s": lag_s}
     report["dropped"] = dict(dropped + Counter(report["dropped"]))
@@ -316,14 +316,17 @@ def foot_forces(
     )
 
 
-def _checked(log: JointLog, robot: Quadruped, forces: FootForces) -> tuple[Checked, ...]:
+def _checked(
+    log: JointLog, robot: Quadruped, forces: FootForces, stances: Sequence[Stance]
+) -> tuple[Checked, ...]:
     """Check a log, part by part; raise InputError if all of them refuse it."""
     pieces = checks.parts(log.time)
     if len(pieces) == 1:
         lag, gain = (forces.provenance[name] for name in ("torque_lag_s", "torque_gain"))
-        checked = [checks.check(log, robot, forces, lag, np.array(gain, dtype=np.float64))]
+        gains = np.array(gain, dtype=np.float64)
+        checked = [checks.check(log, robot, forces, stances, lag, gains)]
     else:
-        checked = checks.check_parts(log, robot, forces, pieces)
+        checked = checks.check_parts(log, robot, forces, stances, pieces)
     reasons = [f.text for part in checked for f in part.findings if f.about == checks.REFUSED]
     if len(reasons) == len(checked):
         raise InputError(reasons[0])
