@@ -220,6 +220,25 @@ def test_published_wheel_is_within_the_interval() -> None:
     assert low < 31.9 < high
 
 
+def test_picture_has_what_was_measured_and_the_law_of_a_stored_answer(tmp_path: Path) -> None:
+    path = shipped_file("examples", "wheel", ".csv")
+    answer = terraphi.invert(path, tool="wheel:314.7x165", density=1605)
+    answer.save(tmp_path / "answer")
+    stored = type(answer).load(tmp_path / "answer")
+    table = pd.read_csv(path, comment="#")
+    for axes in stored.plot().axes:
+        if (role := axes.get_ylabel()) in ("sinkage [mm]", "pull [N]", "torque [N m]"):
+            name = role.replace(" [", "_").rstrip("]").replace("N m", "Nm")
+            law, points = axes.get_lines()
+            np.testing.assert_allclose(points.get_ydata(), table[name])
+            # Ding et al. by their own φ: within 10 % of the range in the median.
+            residual = np.abs(law.get_ydata() - table[name]) / np.ptp(table[name])
+            assert np.median(residual) < 0.1
+    table = table.drop(columns="sinkage_mm")
+    unsunk = terraphi.invert(table, tool="wheel:314.7x165", density=1605)
+    assert len(unsunk.plot().axes) == 5
+
+
 @pytest.mark.parametrize("soil", CRITICAL_DEG)
 def test_wheels_in_grains_lie_within_the_interval(soil: str) -> None:
     paths = [*GRAINS.glob(f"{soil}-loose_wheel_120x25_s*_1.csv")]

@@ -161,6 +161,9 @@ class RecordFit(RecordSummary):
     tangent
         The curve to first order in the answer's parameters: at parameters of zero, and its slope
         by each, in their order, shape [1 + parameter, c, m].
+    measured
+        Of a wheel: load [N], sinkage with half a grain [mm], pull [N] and torque [N m], NaN where
+        they were not measured, shape [4, m].
     """
 
     theta_deg: FloatArray = field(repr=False)
@@ -168,6 +171,7 @@ class RecordFit(RecordSummary):
     curve: FloatArray = field(repr=False)
     band: FloatArray = field(repr=False)
     tangent: FloatArray = field(repr=False)
+    measured: FloatArray | None = field(default=None, repr=False)
 
     @property
     def along(self) -> str:
@@ -398,9 +402,15 @@ class Answer(Shown, AnswerSummary):
         from terraphi.experiment.figure import Figure as NewFigure
         from terraphi.experiment.history import force_label
 
-        figure = figure or NewFigure(figsize=(10.0, 3.4), layout="constrained")
         panels = dict.fromkeys((name, r.along) for r in self.records for name in r.nrmsd)
-        *of_channels, of_phi = figure.subplots(1, 1 + len(panels))
+        rolled = [record for record in self.records if record.measured is not None]
+        lines, count = (2, len(panels) + 4) if rolled else (1, len(panels) + 1)
+        figure = figure or NewFigure(figsize=(10.0, 3.4 * lines), layout="constrained")
+        places = figure.subplots(lines, -(-count // lines)).ravel()
+        of_channels, of_phi = places[: len(panels)], places[count - 1]
+        of_rolled = places[len(panels) : count - 1]
+        for axes in places[count:]:
+            axes.remove()
         several, legend = len(self.rigs) > 1, dict[str, Any]()
         for axes, (name, along) in zip(of_channels, panels, strict=True):
             drawn: set[str] = set()
@@ -435,6 +445,12 @@ class Answer(Shown, AnswerSummary):
             low = min(low, 0.0) if along == "slip" else low  # a load is the same at each
             ends = np.array([low, high]) + (high - low) * np.array([-0.6, 0.6])
             axes.set_ylim(*np.clip(axes.get_ylim(), *ends))
+        if rolled:
+            from terraphi.inference.rolled import draw_rolled
+
+            for record in rolled:
+                colour = f"C{self.rigs.index(record.rig) % 10}"
+                draw_rolled(of_rolled, record, self, colour, colour if several else "black")
         # Models first, drawn as lines, then what all bodies have.
         entries = dict(sorted(legend.items(), key=lambda each: each[1].get_linestyle() != "-"))
         figure.legend(entries.values(), entries, loc="outside lower center", ncols=7,
@@ -497,6 +513,10 @@ class Answer(Shown, AnswerSummary):
         constant = self._by_record("curve", self._over_windows("curve"))
         for name, over in (("band", "bound"), ("tangent", "coefficient")):
             constant.update(self._by_record(name, self._over_windows(name), over))
+        for record, end in zip(self.records, endings(self.records), strict=True):
+            if record.measured is not None:
+                constant[f"measured{end}"] = (("quantity", f"{record.coordinate}{end}"),
+                                              record.measured)  # fmt: skip
         constant["covariance"] = (("window", "other_window"), self.covariance)
         constant["grid_deg"] = ("grid", self.grid_deg)
         constant["density"] = ("grid", self.density)

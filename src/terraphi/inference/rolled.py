@@ -31,9 +31,10 @@ from __future__ import annotations
 import math
 import time
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -77,8 +78,8 @@ from terraphi.laws.wheel import (
 )
 from terraphi.laws.wrench import angles_deg
 
-SHOWN = 40
-"""Points of a picture."""
+SHOWN, MOST_SLIPS = 40, 9
+"""Points of a picture, and of the law's sinkage, pull and torque in it."""
 MOST_ROWS = 120
 """Rows up to which each is read; more are averaged in blocks, in their order."""
 LEAST_BY_LOAD_DEG = 4.0
@@ -476,11 +477,41 @@ def _record_fit(record: PressedRecord, roll: _Roll, fit: _Mean, estimate: Estima
     slope = (curve(0.1) - curve(-0.1)) / 0.2
     # A long log is shown by means over neighboring slips.
     groups = np.array_split(np.arange(order.size), min(order.size, SHOWN))
-    slips, data, *curves, slope = (
-        np.array([row[group].mean() for group in groups])
-        for row in (roll.rows["slip"][order], data, model, *ends, slope)
-    )
-    return tool_fit(record, estimate.median, slips, data, curves, slope, {"Fz": nrmsd}, LIMIT)
+    measured = _measured(roll.rows, roll.sinkage)[:, order]
+    rows = np.stack([roll.rows["slip"][order], data, model, *ends, slope, *measured])
+    shown = np.stack([rows[:, group].mean(axis=1) for group in groups], axis=1)
+    return tool_fit(record, estimate.median, shown[0], shown[1], [*shown[2:5]], shown[5],
+                    {"Fz": nrmsd}, LIMIT, measured=shown[6:])  # fmt: skip
+
+
+def _measured(rows: dict[str, FloatArray], sinkage: FloatArray) -> FloatArray:
+    """Load [N], sinkage [mm], pull [N] and torque [N m], NaN where there are none, [4, row]."""
+    none = np.full(sinkage.size, math.nan)
+    pull_and_torque = (rows.get(name, none) for name in MEASURED)
+    return np.stack([rows["load"], 1e3 * sinkage, *pull_and_torque])
+
+
+def draw_rolled(
+    panels: Sequence[Any], record: RecordFit, answer: Answer, colour: str, dots: str
+) -> None:
+    """Draw sinkage, pull and torque of a wheel, measured and by law ``foot``, over the slip.
+
+    At the measured loads, φ of the answer and both ends of its 95 %.
+    """
+    loads, *measured = np.asarray(record.measured)
+    at = np.unique(np.linspace(0, loads.size - 1, min(loads.size, MOST_SLIPS)).round().astype(int))
+    angles = np.array([answer.phi.median, *answer.phi.ci95])
+    forces = rolling(
+        wheel_of(cast("Tool", record.rig)), loads[at], record.theta_deg[at], angles,
+        0.0 * angles + answer.density_kg_m3, surface_friction=answer.leg_friction or 0.0,
+    )  # fmt: skip
+    labels = "sinkage [mm]", "pull [N]", "torque [N m]"
+    for axes, label, points, curves in zip(panels, labels, measured, forces.values(), strict=True):
+        axes.plot(record.theta_deg[at], curves[0], color=colour)
+        ends = curves.min(axis=0), curves.max(axis=0)
+        axes.fill_between(record.theta_deg[at], *ends, color=colour, alpha=0.2, lw=0)
+        axes.plot(record.theta_deg, points, ".", color=dots, ms=7, mec="black", mew=0.4)
+        axes.set(xlabel="slip", ylabel=label)
 
 
 def _verdict(roll: _Roll, fit: _Mean, record: RecordFit) -> Judgment:
@@ -687,7 +718,7 @@ def _unsunk_fit(
     return tool_fit(
         record, estimate.median, resisted.rows["slip"], data, curves, above - curves[0],
         {"Fx": float(np.sqrt(np.mean((data - curves[0]) ** 2))) / size},
-        LIMIT if resisted.has_both else None,
+        LIMIT if resisted.has_both else None, measured=_measured(resisted.rows, load + math.nan),
     )  # fmt: skip
 
 

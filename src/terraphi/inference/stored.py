@@ -92,6 +92,9 @@ def _answer_of(file: NetcdfFile[AnswerAttributes]) -> Answer:
             curve=file.numbers(f"{at}curve{end}", *dims),
             band=file.numbers(f"{at}band{end}", 2, *dims),
             tangent=file.numbers(f"{at}tangent{end}", 2, *dims),
+            measured=file.numbers(f"{at}measured{end}", 4, dims[1], finite=False)
+            if f"{at}measured{end}" in file.variables
+            else None,
         )
         records.append(fit)
         size += fit.data.size
