@@ -20,6 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -229,7 +230,7 @@ class Prior:
         """Means of φ [deg], of the depth at touch-down [m] and of the drift [m/s]."""
         return np.array([self.phi_deg, self.level, 0.0])
 
-    @property
+    @cached_property
     def foot(self) -> Foot:
         """The foot of that radius and shape."""
         return Foot(self.radius, self.shape)  # type: ignore[arg-type]
