@@ -360,34 +360,31 @@ def usable(
 ) -> tuple[dict[str, FloatArray], list[str]]:
     """Rows within what the law has, averaged in blocks where they are many; notes on the rest."""
     notes, values = list(table.notes), table.values
-    slip = values["slip"]
-    inside = (slip >= SLIPS[0]) & (slip <= SLIPS[1]) & (np.abs(values["side_slip"]) <= MOST_SIDE)
-    if not inside.any():
-        raise InputError(
-            f"{label}: no row with a slip between {SLIPS[0]:g} and {SLIPS[1]:g} at a side slip "
-            f"below {MOST_SIDE:g}°: it is {slip.min():.2g} to {slip.max():.2g}; a wheel that is "
-            "locked or digs in pushes a mound, of which nothing was learned"
-        )
-    if not inside.all():
-        notes.append(
-            f"{(~inside).sum()} of {inside.size} rows are left out: slip beyond {SLIPS[0]:g} and "
-            f"{SLIPS[1]:g}, or side slip beyond {MOST_SIDE:g}°."
-        )
-    if (cut := values["sinkage"] <= wheel.bare).any():
-        if cut[inside].all():
-            raise InputError(
-                f"{label}: the lugs alone are in the soil, up to {1e3 * wheel.bare:.0f} mm; a "
-                "sinkage is that of their tips"
-            )
-        notes.append(f"{cut.sum()} of {cut.size} rows have the lugs alone in soil: left out.")
-        inside &= ~cut
-    deep = values["sinkage"] > DEEPEST * wheel.reach
-    if deep.any():
-        limit = f"{1e3 * DEEPEST * wheel.reach:.0f} mm, {DEEPEST:g} of the radius"
-        if deep[inside].all():
-            raise InputError(f"{label}: the wheel sinks in deeper than {limit}; check its diameter")
-        notes.append(f"{deep.sum()} of {deep.size} rows are deeper than {limit}, and left out.")
-        inside &= ~deep
+    slip, side, sunk = values["slip"], np.abs(values["side_slip"]), values["sinkage"]
+    ends, limit = f"{SLIPS[0]:g} and {SLIPS[1]:g}", f"{1e3 * DEEPEST * wheel.reach:.0f} mm"
+    # Rows that the law does not have, the sentence if there are no others, and why they are left
+    # out.
+    faults = (
+        ((slip < SLIPS[0]) | (slip > SLIPS[1]) | (side > MOST_SIDE),
+         (f"no row with a slip between {ends} at a side slip below {MOST_SIDE:g}°: it is "
+          f"{slip.min():.2g} to {slip.max():.2g}; a wheel that is locked or digs in pushes a "
+          "mound, of which nothing was learned"),
+         f"slip beyond {ends}, or side slip beyond {MOST_SIDE:g}°"),
+        (sunk <= wheel.bare,
+         (f"the lugs alone are in the soil, up to {1e3 * wheel.bare:.0f} mm; a sinkage is that of "
+          "their tips"),
+         "the lugs alone are in the soil"),
+        (sunk > DEEPEST * wheel.reach,
+         f"the wheel sinks in deeper than {limit}, {DEEPEST:g} of the radius; check its diameter",
+         f"deeper than {limit}, {DEEPEST:g} of the radius"),
+    )  # fmt: skip
+    inside = np.ones(slip.size, dtype=bool)
+    for wrong, refusal, reason in faults:
+        if wrong[inside].all():
+            raise InputError(f"{label}: {refusal}")
+        if wrong.any():
+            notes.append(f"{wrong.sum()} of {wrong.size} rows are left out: {reason}.")
+        inside &= ~wrong
     kept = {name: value[inside] for name, value in values.items()}
     if (count := kept["slip"].size) > most:
         first = np.unique(np.linspace(0, count, most, endpoint=False).astype(int))

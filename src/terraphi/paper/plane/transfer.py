@@ -30,10 +30,10 @@ def weights(offset: float) -> Three:
 
 
 @kernel
-def particle_to_grid(
-    soil: Particles, grid: Grid, p: int, cell_size: float, time_step: float
+def particles_to_grid(
+    soil: Particles, grid: Grid, cell_size: float, time_step: float
 ) -> tuple[float, float]:
-    """Add one particle to the grid; returns its momentum (x, z) [kg/s].
+    """Clear the grid and add all particles; returns the soil's momentum (x, z) [kg/s].
 
     Parameters
     ----------
@@ -41,55 +41,44 @@ def particle_to_grid(
         :class:`~terraphi.paper.plane.bed.Particles`.
     grid
         :class:`~terraphi.paper.plane.bed.Grid`, of masses and momenta.
-    p
-        Index of the particle.
     cell_size, time_step
         Δx [m], Δt [s].
     """
-    per_cell = 1.0 / cell_size
-    # Force of the stress, -Δt V σ ∇w, as an affine momentum: ∇w = 4 w r / Δx² (MLS-MPM).
-    stress_scale = -4.0 * time_step * per_cell * per_cell
-    # The base node (i, j), and the place of the particle from it [cell].
-    i = int(soil.position[p, 0] * per_cell - 0.5)
-    j = int(soil.position[p, 1] * per_cell - 0.5)
-    fx = soil.position[p, 0] * per_cell - i
-    fz = soil.position[p, 1] * per_cell - j
-    wx, wz = weights(fx), weights(fz)
-    mass = soil.weight[p] * soil.mass[p]
-    k = stress_scale * soil.weight[p] * soil.volume[p]
-    sxx, szz, sxz = soil.stress[p, 0], soil.stress[p, 1], soil.stress[p, 2]
-    # The affine part of the momentum, per cell of distance from the particle.
-    axx = (k * sxx + mass * soil.gradient[p, 0]) * cell_size
-    axz = (k * sxz + mass * soil.gradient[p, 1]) * cell_size
-    azx = (k * sxz + mass * soil.gradient[p, 2]) * cell_size
-    azz = (k * szz + mass * soil.gradient[p, 3]) * cell_size
-    # (m v)_i += w (m v_p + A r), r in cells.
-    px, pz = mass * soil.velocity[p, 0], mass * soil.velocity[p, 1]
-    for b in range(3):
-        rz = b - fz
-        for a in range(3):
-            rx = a - fx
-            w = wz[b] * wx[a]
-            grid.mass[j + b, i + a] += w * mass
-            grid.vx[j + b, i + a] += w * (px + axx * rx + axz * rz)
-            grid.vz[j + b, i + a] += w * (pz + azx * rx + azz * rz)
-    return px, pz
-
-
-@kernel
-def particles_to_grid(
-    soil: Particles, grid: Grid, cell_size: float, time_step: float
-) -> tuple[float, float]:
-    """Clear the grid and add all particles; returns the soil's momentum (x, z) [kg/s]."""
-    # Particles share nodes, so that one is added after the other.
     grid.mass[:] = 0.0
     grid.vx[:] = 0.0
     grid.vz[:] = 0.0
+    per_cell = 1.0 / cell_size
+    # Force of the stress, -Δt V σ ∇w, as an affine momentum: ∇w = 4 w r / Δx² (MLS-MPM).
+    stress_scale = -4.0 * time_step * per_cell * per_cell
     total_x, total_z = 0.0, 0.0
+    # Particles share nodes, so that one is added after the other.
     for p in range(soil.mass.size):
-        px, pz = particle_to_grid(soil, grid, p, cell_size, time_step)
+        # The base node (i, j), and the place of the particle from it [cell].
+        i = int(soil.position[p, 0] * per_cell - 0.5)
+        j = int(soil.position[p, 1] * per_cell - 0.5)
+        fx = soil.position[p, 0] * per_cell - i
+        fz = soil.position[p, 1] * per_cell - j
+        wx, wz = weights(fx), weights(fz)
+        mass = soil.weight[p] * soil.mass[p]
+        k = stress_scale * soil.weight[p] * soil.volume[p]
+        sxx, szz, sxz = soil.stress[p, 0], soil.stress[p, 1], soil.stress[p, 2]
+        # The affine part of the momentum, per cell of distance from the particle.
+        axx = (k * sxx + mass * soil.gradient[p, 0]) * cell_size
+        axz = (k * sxz + mass * soil.gradient[p, 1]) * cell_size
+        azx = (k * sxz + mass * soil.gradient[p, 2]) * cell_size
+        azz = (k * szz + mass * soil.gradient[p, 3]) * cell_size
+        # (m v)_i += w (m v_p + A r), r in cells.
+        px, pz = mass * soil.velocity[p, 0], mass * soil.velocity[p, 1]
         total_x += px
         total_z += pz
+        for b in range(3):
+            rz = b - fz
+            for a in range(3):
+                rx = a - fx
+                w = wz[b] * wx[a]
+                grid.mass[j + b, i + a] += w * mass
+                grid.vx[j + b, i + a] += w * (px + axx * rx + axz * rz)
+                grid.vz[j + b, i + a] += w * (pz + azx * rx + azz * rz)
     return total_x, total_z
 
 
@@ -101,8 +90,10 @@ def grid_to_particle(
 
     Parameters
     ----------
-    soil, grid, p, cell_size
-        As in :func:`particle_to_grid`; the grid holds velocities.
+    soil, grid, cell_size
+        As in :func:`particles_to_grid`; the grid holds velocities.
+    p
+        Index of the particle.
 
     Returns
     -------
