@@ -136,15 +136,17 @@ def window_weights(x: FloatArray, low: FloatArray, high: FloatArray) -> FloatArr
 
     Readings are joined by lines: a mean is the integral of these over the width of the window.
     """
-    width = np.diff(x)
-    ends = []
+    width, rows, ends = np.diff(x), np.arange(low.size), []
+    trapezoids = 0.5 * (np.append(0.0, width) + np.append(width, 0.0))
     for end in (low, high):
-        # Integral of each reading's hat function up to the end. On an interval of width h, of which
-        # the part p lies before it, the hat of its right end has h p²/2 and that of its left end
-        # h (p − p²/2).
-        passed = np.clip((end[:, None] - x[:-1]) / width, 0.0, 1.0)
-        rising, falling = 0.5 * width * passed**2, width * (passed - 0.5 * passed**2)
-        ends.append(np.pad(rising, ((0, 0), (1, 0))) + np.pad(falling, ((0, 0), (0, 1))))
+        # Integral from the first reading: trapezoids up to reading i, and of the interval of width
+        # h after it the part p, in which the hat of i has h (p − p²/2), that of i + 1 h p²/2.
+        i = np.clip(np.searchsorted(x, end, side="right") - 1, 0, x.size - 2)
+        h, p = width[i], (end - x[i]) / width[i]
+        weights = np.where(np.arange(x.size) <= i[:, None], trapezoids, 0.0)
+        weights[rows, i] += h * (p - 0.5 * p**2) - 0.5 * h
+        weights[rows, i + 1] += 0.5 * h * p**2
+        ends.append(weights)
     return np.asarray((ends[1] - ends[0]) / (high - low)[:, None])
 
 
