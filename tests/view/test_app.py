@@ -144,6 +144,11 @@ def test_a_table_of_a_tool_is_inverted_as_on_the_command_line(
     options |= dict.fromkeys(("leg", *SIZES), "")
     read = json.loads(served.drop(file.read_bytes(), task="look", **options).text)["read"]
     assert "sinkage [mm] from" in read[0]
+    guess = json.loads(
+        served.drop(file.read_bytes(), **{**options, "task": "look", "tool": ""}).text
+    )
+    assert guess["tool"] == tool  # as its first line says
+    assert ("torque" in guess["of_tool"]) == (name == "wheel")
     files = json.loads(served.drop(file.read_bytes(), **options).text)["files"]
     answer = invert(file, tool=tool, density="1600±80", friction="0.4")
     table = pd.read_csv(io.BytesIO(base64.b64decode(files["fit.csv"])))
@@ -539,7 +544,7 @@ def test_a_wheel_has_columns_to_choose_and_the_button_takes_the_first_click(
     browser: Any, served: Served, samples: Path
 ) -> None:
     rows = pd.read_csv(samples / "wheel.csv", comment="#")
-    named = {name: f"channel {i}" for i, name in enumerate(rows)}
+    named = {name: f"channel {i}, raw" for i, name in enumerate(rows)}
     rows.rename(columns=named).to_csv(samples / "unnamed.csv", index=False)
     walker = Walker(browser, served.port, samples, 1280)
     walker.drop("unnamed.csv")
@@ -558,6 +563,8 @@ def test_a_wheel_has_columns_to_choose_and_the_button_takes_the_first_click(
     walker.page.get_by_label("Columns, where").press("Tab")
     walker.page.locator("#read").get_by_text("sinkage [mm] from").wait_for()
     walker.picture("columns-of-a-wheel")
+    walker.drop("wheel.csv")  # which says what wheel it is
+    walker.page.locator("#read").get_by_text("torque [N m] from").wait_for()
     walker.fill(density="1605", tool="wheel:314.7x160")
     walker.page.locator("[name=tool]").fill("wheel:314.7x165")
     button = walker.page.get_by_role("button", name="Find")

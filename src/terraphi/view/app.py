@@ -58,6 +58,7 @@ from terraphi.view.sections import (
 
 if TYPE_CHECKING:
     import uvicorn
+    from pydantic import BaseModel
     from starlette.applications import Starlette
     from starlette.requests import Request
     from starlette.responses import Response
@@ -412,9 +413,7 @@ def look(file: str, columns: dict[str, Any], tool: str | None = None) -> dict[st
     if body is not None:
         from terraphi.inference.pressed import open_pressed
 
-        of_body = PressColumns if body.shape.foot else WheelColumns
-        names = [name for name in of_body.model_fields if not name.endswith(("unit", "_is"))]
-        reply |= {"roles": {}, "candidates": {}, "of_tool": names}
+        reply |= of_tool_columns(PressColumns if body.shape.foot else WheelColumns)
         try:
             of_tool = open_pressed(file, body, columns).table
         except InputError as error:
@@ -427,7 +426,12 @@ def look(file: str, columns: dict[str, Any], tool: str | None = None) -> dict[st
     try:
         strokes = read_trials(table, columns)
     except InputError as error:
-        return {**reply, "wrong": str(error).removeprefix("Table: ")}
+        reply["wrong"] = str(error).removeprefix("Table: ")
+        for word, tool_columns in (("slip", WheelColumns), ("sink", PressColumns)):
+            if any(word in name.lower() for name in shown["columns"]):
+                head = Path(file).read_text(encoding="utf-8", errors="replace")[:2000]
+                return {**reply, **of_tool_columns(tool_columns), "tool": tool_named(head)}
+        return reply
     history, gap = strokes[0], [math.nan]
     values = {"θ [deg]": np.concatenate([[*stroke.theta_deg, *gap] for stroke in strokes])}
     for name in history.channels:
@@ -439,6 +443,23 @@ def look(file: str, columns: dict[str, Any], tool: str | None = None) -> dict[st
     rig = None if record.rig is None else record.rig.model_dump(exclude_defaults=True)
     reply |= as_read(count, values, history.provenance.get("reading", []))
     return {**reply, "rig": rig, "density": record.density_kg_m3}
+
+
+def of_tool_columns(columns: type[BaseModel]) -> dict[str, Any]:
+    """Roles of the columns of a tool's table, in place of those of a leg's."""
+    names = [name for name in columns.model_fields if not name.endswith(("unit", "_is"))]
+    return {"roles": {}, "candidates": {}, "of_tool": names}
+
+
+def tool_named(text: str) -> str | None:
+    """The tool that a file names: ``wheel:300x150``, or "wheel of 300 x 150 mm"."""
+    sizes = r"(\d[\d.]*(?: ?[x×] ?\d[\d.]*)*)"
+    for shape, of, plain in re.findall(rf"\b(\w+)(?: of {sizes} mm\b|:{sizes})", text):
+        tool = f"{shape.replace('disc', 'plate')}:{re.sub(' ?[x×] ?', 'x', of or plain)}"
+        with contextlib.suppress(InputError):
+            Tool.of(tool)
+            return tool
+    return None
 
 
 def as_read(what: str, values: dict[str, FloatArray], notes: Sequence[str]) -> dict[str, Any]:

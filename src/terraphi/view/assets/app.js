@@ -2,7 +2,7 @@ const by = (id) => document.getElementById(id);
 const form = by("form");
 const token = new URLSearchParams(location.search).get("token");
 const roles = JSON.parse(by("roles").textContent);
-let files = [], shown, chosen = {}, busy = 0, running, ofTool = false, pressed = false;
+let files = [], shown, chosen = {}, busy = 0, running, ofTool = "", pressed = false;
 
 function create(tag, properties, ...inside) {
   const element = Object.assign(document.createElement(tag), properties);
@@ -16,7 +16,9 @@ const isToml = ({ file }) => /\.toml$/i.test(file.name);
 const body = (entry) => entry?.body.trim() || form.elements.tool.value.trim();
 const tool = () => (body(shown).includes(":") ? body(shown) : "");
 
-const toolColumns = () => Object.fromEntries(form.elements.tool_columns.value.split(",").filter(Boolean).map((pair) => pair.split("=").map((text) => text.trim())));
+// A name may have a comma, and an equals sign.
+const pairs = (text) => text.split(/,(?=\s*\w+\s*=)/).filter((pair) => pair.includes("=")).map((pair) => pair.match(/^([^=]*)=(.*)$/s).slice(1).map((part) => part.trim()));
+const toolColumns = () => Object.fromEntries(pairs(form.elements.tool_columns.value));
 
 function columns(task) {
   if (task === "look" ? tool() : form.elements.tool.value.trim()) return toolColumns();
@@ -99,7 +101,7 @@ function alarm(text) {
 
 // Of a tool the field with its columns has the choices.
 function take(role, column) {
-  if (tool()) {
+  if (ofTool) {
     const kept = Object.entries(toolColumns()).filter(([key, name]) => key !== role && name !== column);
     form.elements.tool_columns.value = [...kept, ...(role ? [[role, column]] : [])].map((pair) => pair.join("=")).join(",");
   } else {
@@ -114,9 +116,8 @@ function take(role, column) {
 
 function apply(option, value) {
   if (option === "leg") form.elements.leg.value = value;
-  else for (const pair of value.split(",")) {
-    const [key, text] = pair.split("=");
-    if (tool()) form.elements.tool_columns.value += `${form.elements.tool_columns.value && ","}${pair}`;
+  else for (const [key, text] of pairs(value)) {
+    if (ofTool) form.elements.tool_columns.value += `${form.elements.tool_columns.value && ","}${key}=${text}`;
     else if (key in roles) take(key, text);
     else if (form.elements[key]) form.elements[key].value = text;
   }
@@ -148,13 +149,12 @@ function show(reply) {
   by("picture").hidden = !reply.picture;
   if (reply.picture) by("picture").src = reply.picture;
   by("questions").replaceChildren();
-  if (reply.of_tool) return;
-  const taken = columns("look"), questions = [], lacking = [];
-  if (reply.wrong && reply.columns.some((name) => /slip|sink/i.test(name))) {
+  if (reply.of_tool && !tool()) {
     by("questions").replaceChildren(ask("Is this of a plate, a ball or a wheel? Enter its sizes below."));
     alarm("");
-    return;
   }
+  if (reply.of_tool) return;
+  const taken = columns("look"), questions = [], lacking = [];
   for (const [role, text] of Object.entries(roles)) {
     const names = (reply.candidates[role] || []).filter((name) => !Object.values(taken).includes(name));
     if (taken[role] || role === "time" || (role === "theta" && taken.time)) continue;
@@ -186,8 +186,8 @@ async function preview() {
   arrange();
   const reply = await send("look", [shown]);
   if (reply?.kind === "forces") {
-    if (Boolean(reply.of_tool) !== ofTool) tabulate(reply);
-    ofTool = Boolean(reply.of_tool);
+    if (String(reply.of_tool ?? "") !== ofTool) tabulate(reply);
+    ofTool = String(reply.of_tool ?? "");
     show(reply);
   }
   return reply;
@@ -261,10 +261,12 @@ async function begin() {
   if (kind !== "forces") { answer(); return; }
   tabulate(reply);
   fill(reply.rig);
+  form.elements.tool.value = reply.tool ?? "";
   if (reply.density) form.elements.density.value = reply.density;
   show(reply);
   by("table").querySelector("select").focus({ preventScroll: true });
-  readTomls();
+  if (reply.tool) look();
+  else readTomls();
 }
 
 function fill(rig) {
