@@ -96,8 +96,6 @@ NONE: FloatArray = np.zeros((1, 6))
 DOUBLE, PLAIN = np.dtype(np.float64), frozenset({float, int, np.float64})
 WIDTHS = (3, 7), (3, 6), (3,), (3,)
 """Types of a number, and last axes of pose, velocity, and force and moment that are held."""
-AREA: dict[str, Any] = {"low": 0.0, "high": 4.0 * LARGEST**2, "unit": "m²"}
-"""Range of the area of a face."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -474,18 +472,6 @@ def _each(
     return rows if len(lead) == 1 else namespace(places).reshape(rows, (-1, *last))
 
 
-def unit_normals(normals: Any, points: Any) -> Any:
-    """Normals of length 1, [face, 3] or as the points [..., face, 3]; raises InputError."""
-    faces = tuple(points.shape)
-    normals = numbers("normals", normals, points, last=(3,))
-    if tuple(normals.shape) not in (faces, faces[-2:]):
-        normals = numbers("normals", normals, points, shape=faces)
-    xp = namespace(points)
-    length = xp.sqrt(xp.sum(normals * normals, axis=-1))
-    numbers("normals: length", length, low=1.0 - UNIT, high=1.0 + UNIT)
-    return normals
-
-
 def _friction(surface_friction: Any) -> float:
     """The friction of all feet [-]; raises InputError."""
     ends = LIMITS["leg.friction"][:2]
@@ -617,14 +603,17 @@ def wrench(
         raise InputError(f"points of shape {tuple(points.shape)}; give [..., face, 3]")
     xp, (lead, last) = namespace(points), (tuple(points.shape[:-2]), tuple(points.shape[-2:]))
     soil = _soil(points, lead, law, surface_friction, phi_deg, density, surface)
-    flat, normals = xp.reshape(points, (-1, *last)), unit_normals(normals, points)
-    if normals.ndim != 2:
-        normals = xp.reshape(normals, (-1, *last))
+    flat, normals = xp.reshape(points, (-1, *last)), numbers("normals", normals, points, last=(3,))
+    if tuple(normals.shape) != last:
+        normals = _each("normals", normals, points, lead, *last)
+    length = xp.sqrt(xp.sum(normals * normals, axis=-1))
+    numbers("normals: length", length, low=1.0 - UNIT, high=1.0 + UNIT)
     velocities = _each("velocities", velocities, points, lead, *last, unit="m/s")
     arms = flat - _each("about", about, points, lead, 3, unit="m")[:, None, :]
     depth = soil.pop("surface")[:, None] - flat[:, :, 2]
     submerged = depth, like(depth, depth > 0.0), xp.max(depth, axis=1)
-    areas = numbers("areas", areas, points, shape=last[:1], **AREA)
+    most = 4.0 * LARGEST**2
+    areas = numbers("areas", areas, points, shape=last[:1], low=0.0, high=most, unit="m²")
     sums = _sum_of_faces(
         submerged, _columns(normals), areas, _columns(velocities), _columns(arms), None, law=law,
         rest_speed=_number("rest_speed", rest_speed, low=TINY, unit="m/s"),
