@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from statistics import NormalDist
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,9 +25,9 @@ from terraphi.inference.checks import densities
 from terraphi.inference.terms import Sharer, is_shared, ordered_budget, term
 from terraphi.laws.law import PHI
 
-DISAGREE = 1.96
-"""Standard deviations of the difference of two answers above which they are a misfit [-]: one sound
-pair in twenty, and fewer in grains, whose intervals hold more than they claim."""
+DISAGREE = 0.05
+"""Largest share of sound sets of answers of which two differ so much that they are a misfit
+[-]; it is divided by the number of pairs (Bonferroni)."""
 
 
 class Errors(NamedTuple):
@@ -150,7 +151,8 @@ def _verdict(
     # The difference of two answers has the variance Cᵢᵢ + Cⱼⱼ − 2 Cᵢⱼ.
     pairs = np.triu_indices(len(phi), 1)
     sd = np.sqrt((variance[:, None] + variance - 2.0 * covariance)[pairs])
-    if (np.abs(phi[:, None] - phi)[pairs] / sd).max() > DISAGREE:
+    limit = NormalDist().inv_cdf(1.0 - 0.5 * DISAGREE / sd.size)
+    if (np.abs(phi[:, None] - phi)[pairs] / sd).max() > limit:
         return "misfit", (
             f"Misfit: {angles} disagree; check sizes, density and moisture, and whether the soil "
             "is the same. Do not use the angle."
