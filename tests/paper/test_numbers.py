@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -14,6 +15,8 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import measurement
 from terraphi.experiment.reading import read_forces
+from terraphi.experiment.scenario import Scenario
+from terraphi.paper import figures as draw
 from terraphi.paper import numbers
 
 THETA = np.radians(np.arange(-90.0, 90.0, 0.1) + 0.05)
@@ -98,7 +101,7 @@ KEYS = {
 
 @pytest.fixture(scope="module")
 def results() -> dict[str, numbers.Result]:
-    """All; recoveries without emcee."""
+    """All but the figures; recoveries without emcee."""
     quick = {name: numbers.run(name) for name in KEYS if name != "recovery"}
     return {"recovery": numbers.recovery(draws=False), **quick}
 
@@ -186,3 +189,17 @@ def test_figures_show_what_was_computed(results: dict[str, numbers.Result]) -> N
     cases = results["recovery"].data["cases"]
     medians = [c["phi_median_deg"] - c["phi_true_deg"] for c in cases]
     assert any(list(line.get_ydata()) == medians for line in drawn["recovery"].axes[1].lines)
+
+
+def test_snapshots_are_taken_as_the_leg_reaches_its_angles(
+    coarse: Callable[..., Scenario], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scenario = coarse(**{"motion.start_deg": -100.0, "motion.stop_deg": -40.0})
+    monkeypatch.setattr(draw, "SNAPSHOTS_DEG", (-90.0, -60.0))
+    monkeypatch.setattr(draw, "SPEED_UP", 20.0)
+    result = draw.soil_around(scenario, ["straight"], lambda _: None)
+    _, taken = result["straight"]
+    assert [np.degrees(m.theta) for m in taken] == pytest.approx([-90.0, -60.0], abs=25.0)
+    assert all(np.degrees(m.theta) >= wanted for m, wanted in zip(taken, (-90, -60), strict=True))
+    assert np.abs(taken[1].points - taken[0].points).max() > 1e-3
+    assert len(draw.snapshots(result).axes) == 3

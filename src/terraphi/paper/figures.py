@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, cast
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
 from matplotlib.ticker import MaxNLocator
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.history import WINDOW_DEG, ForceHistory
+from terraphi.experiment.motion import placed
+from terraphi.experiment.scenario import Scenario
+from terraphi.forward import simulate
 from terraphi.paper.likelihood import observe
 from terraphi.view.plots import BLUE, GREEN, GREY, ORANGE, PURPLE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from terraphi.forward.driver import Snapshot
     from terraphi.paper.gaussian_process import Surrogate
     from terraphi.paper.likelihood import Posterior
 
@@ -35,6 +40,9 @@ IN_YUMA = {
 }
 """Label, color and line; RFT 3-D is five times the measured force, and left out."""
 Points = Mapping[str, tuple[FloatArray, FloatArray]]
+SNAPSHOTS_DEG = (-60.0, -30.0, 0.0, 40.0)
+SPEED_UP = 10.0
+"""Speed-up for the snapshots: forces differ by 3 to 4 % from those at the true speed."""
 
 
 def panels(
@@ -193,4 +201,69 @@ def recovery(cases: Sequence[Mapping[str, Any]]) -> Figure:
         axes.plot(truth, median - base, "o", color=ORANGE, ms=4, label="median")
         axes.set(xlabel=f"true {PHI}", ylabel=f"inferred {name} [deg]")
     legend(row[0], 3)
+    return figure
+
+
+# -- the soil around the legs ----------------------------------------------------------------------
+
+
+class Moment(NamedTuple):
+    """The soil at one leg angle [rad]: hip [m], particles [m], their speed [m/s] and weight [-]."""
+
+    theta: float
+    hip: FloatArray
+    points: FloatArray
+    speed: FloatArray
+    weight: FloatArray
+
+
+def soil_around(
+    scenario: Scenario, shapes: Iterable[str], progress: Callable[[float], None]
+) -> dict[str, tuple[Scenario, list[Moment]]]:
+    """Simulate legs of several shapes, and keep the soil when each first reaches some angles."""
+    by_shape: dict[str, tuple[Scenario, list[Moment]]] = {}
+    count = len(shapes := list(shapes))
+    for number, shape in enumerate(shapes):
+        sped_up = scenario.replace(**{"leg.shape": shape, "numerics.speed_up": SPEED_UP})
+        kept: list[Moment] = []
+
+        def observe(snapshot: Snapshot, kept: list[Moment] = kept) -> None:
+            theta, soil = float(snapshot.pose.theta[0]), cast(Any, snapshot.soil)
+            if len(kept) < len(SNAPSHOTS_DEG) and np.degrees(theta) >= SNAPSHOTS_DEG[len(kept)]:
+                speed = np.linalg.norm(soil.velocity, axis=1) / SPEED_UP
+                hip, points = snapshot.pose.hip[0].copy(), soil.position.copy()
+                kept.append(Moment(theta, hip, points, speed, soil.weight.copy()))
+
+        def along(done: float, number: int = number) -> None:
+            progress((number + done) / count)
+
+        simulate(sped_up, progress=along, observe=observe)
+        by_shape[shape] = sped_up, kept
+    return by_shape
+
+
+def snapshots(by_leg: Mapping[str, tuple[Scenario, Sequence[Moment]]]) -> Figure:
+    """Particles around several legs: a row a leg, a column an angle; pale: faded by the relief."""
+    columns = max(len(kept) for _, kept in by_leg.values())
+    size = (3.0 * columns + 1.0, 2.2 * len(by_leg) + 0.3)
+    figure, grid = panels(len(by_leg), columns, size, sharex=True, sharey=True)
+    shown: Any = None
+    for row, (leg, (scenario, kept)) in zip(grid, by_leg.items(), strict=True):
+        tip, bed = scenario.motion.top_speed(scenario.leg.reach()), scenario.bed
+        for axes, moment in zip(row, kept, strict=True):
+            look: dict[str, Any] = {"cmap": COLORMAP, "vmin": 0.0, "vmax": 1.0, "lw": 0, "s": 0.6}
+            faded: Any = np.maximum(moment.weight, 0.25)
+            place = 1e3 * moment.points.T
+            shown = axes.scatter(*place, c=moment.speed / tip, alpha=faded, rasterized=True, **look)
+            corners = placed(scenario.leg.outline(), moment.hip, np.array([moment.theta]))[0]
+            axes.add_patch(Polygon(1e3 * corners, facecolor="white", edgecolor="black"))
+            axes.plot(*(1e3 * moment.hip), "k+")
+            axes.set_title(
+                f"{leg.replace('_', ' ')}, θ = {np.degrees(moment.theta):+.0f}°", fontsize=9
+            )
+            axes.set(xlabel="x [mm]", ylabel="z [mm]", aspect="equal")
+            axes.set(ylim=(60.0, 1e3 * bed.surface + 85.0))
+            axes.label_outer()
+    bar = figure.colorbar(shown, ax=grid, shrink=0.6, aspect=40, extend="max")
+    bar.set_label("speed of the soil over that of the leg's tip")
     return figure

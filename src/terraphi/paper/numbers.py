@@ -592,8 +592,26 @@ def counted_and_applied(case: Case) -> Json:
 # -- all of them -----------------------------------------------------------------------------------
 
 
+def figures(*, progress: Progress = lambda _: None) -> Result:
+    """The figures of the paper's simulations and inversions; the snapshots take ten minutes."""
+    parts = {name: run(name) for name in ("phi_sensitivity", "benchmark", "surrogate", "recovery")}
+    described = ("study", "about")
+    data = {n: {k: v for k, v in p.data.items() if k not in described} for n, p in parts.items()}
+    drawn = {name: made for part in parts.values() for name, made in part.figures.items()}
+    library = Library.load(TEXT).cases
+    straight = next(c.scenario for c in library if c.scenario.soil.friction_angle_deg == PHI_DEG)
+    drawn["snapshots"] = partial(draw.snapshots, draw.soil_around(straight, NRMSD_MPM, progress))
+    return Result(
+        {"library": TEXT, **data},
+        ([{"figure": f"{name}.png"} for name in drawn], "figure"),
+        [note for part in parts.values() for note in part.notes],
+        [line for part in parts.values() for line in part.compared],
+        drawn,
+    )
+
+
 _ALL = (recovery, benchmark, sensitivity, phi_sensitivity, k0, prototype, surrogate)
-RESULTS: dict[str, Callable[..., Result]] = {made.__name__: made for made in _ALL}
+RESULTS: dict[str, Callable[..., Result]] = {made.__name__: made for made in (*_ALL, figures)}
 BY_LIBRARY = ("recovery", "phi_sensitivity", "k0", "surrogate")
 """Results of either library."""
 
@@ -612,7 +630,7 @@ def run(name: str, *, library: str = TEXT, progress: Progress = lambda _: None) 
     if library not in libraries:
         raise InputError(f"library '{library}': {name} has {' and '.join(libraries)}")
     options: Json = {"library": library} if len(libraries) > 1 else {}
-    options |= {"progress": progress} if name == "recovery" else {}
+    options |= {"progress": progress} if name in ("recovery", "figures") else {}
     result = RESULTS[name](**options)
     about = (RESULTS[name].__doc__ or "").partition("\n")[0]
     compared = [
@@ -628,8 +646,8 @@ def run(name: str, *, library: str = TEXT, progress: Progress = lambda _: None) 
 
 
 def number_by_number(progress: Progress = lambda _: None) -> tuple[dict[str, Result], Json]:
-    """All results; and all that the paper prints, next to both models."""
-    results = {name: run(name, progress=progress) for name in RESULTS}
+    """All results but the figures; and all that the paper prints, next to both models."""
+    results = {name: run(name, progress=progress) for name in RESULTS if name != "figures"}
     code = [recovery(CODE, draws=False), *(RESULTS[name](CODE) for name in BY_LIBRARY[1:])]
     ours = {what: value for result in code for what, value, _ in result.compared}
     lines = [
