@@ -453,6 +453,10 @@ def law_of(law: LawOfLegs, rig: Rig, scenario: Scenario | None) -> LegLaw:
     return law.law(rig, cells_in(scenario, rig)) if isinstance(law, Legs) else law.law(rig)
 
 
+UNSEEN = 0.2
+"""Part of a stroke at either end that simulations may lack [-]: forces are small there."""
+
+
 def cases_of(library: Library) -> Cases:
     """Cases of a library: `x`, `depth` and `force` of a law, and the rig of each.
 
@@ -471,7 +475,9 @@ def cases_of(library: Library) -> Cases:
         ratios, soil = rig.ratios, scenario.soil
         first, last, depth = reach(rig.leg, ratios)
         begins, ends = history.theta_deg[[0, -1]]
-        if begins > first + 1.0 or ends < last - 1.0:
+        # The preset ends at 90°, where a reversed C is about to leave the soil.
+        margin = UNSEEN * (last - first)
+        if begins > first + margin or ends < last - margin:
             raise InputError(f"library {library.name}: its legs do not turn from air to air")
         at = np.radians(places_deg(rig.leg, ratios))
         size = unit_of_force(soil.density, rig.length, ratios, depth)
