@@ -24,6 +24,7 @@ from terraphi.laws.law import LegLaw
 from terraphi.laws.legs import (
     PLACES,
     Legs,
+    cases_of,
     cells_in,
     reach,
     shipped_legs,
@@ -336,15 +337,28 @@ def test_a_library_of_other_soil_or_of_a_part_of_the_stroke_is_refused(tmp_path:
         case._replace(scenario=case.scenario.replace(**{"soil.dilation_angle_deg": 10.0}))
         for case in library.cases
     ]
-    part = [
-        case._replace(history=case.history.between(*np.radians([-40.0, 30.0])))
-        for case in library.cases
-    ]
+    front, end = (
+        [case._replace(history=case.history.between(*np.radians(ends))) for case in library.cases]
+        for ends in ([-44.0, 90.0], [-90.0, 44.0])
+    )
     for cases, why in ((other, "another soil.dilation_angle_deg than law legs"),
-                       (part, "do not turn from air to air")):  # fmt: skip
+                       (front, "do not turn from air to air"),
+                       (end, "do not turn from air to air")):  # fmt: skip
         replace(library, cases=tuple(cases)).save(tmp_path / "other.nc")
         with pytest.raises(InputError, match=f"library wide.*{why}"):
             law_named(tmp_path / "other.nc")
+
+
+@pytest.mark.parametrize("leg", ["c", "reversed_c"])
+def test_simulations_of_a_leg_with_a_low_hip_join_the_law(leg: str) -> None:
+    """It is in soil beyond the last angle that is simulated, or before level soil is reached."""
+    scenario = similar_scenario(
+        leg, Ratios(0.33, 0.1, 0.08), friction_angle_deg=30.0, leg_friction=0.3
+    )
+    motion = scenario.motion
+    theta = np.linspace(*np.radians([motion.start_deg, motion.stop_deg]), 400)
+    history = ForceHistory(theta, np.cos(theta)[:, None] * [1.0, 1.0])
+    assert len(cases_of(Library("low", (Case(scenario, history),)))[0]) == 1
 
 
 def test_a_leg_that_other_shapes_may_not_have_is_answered() -> None:

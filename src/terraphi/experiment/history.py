@@ -307,8 +307,20 @@ class ForceHistory(Result):
         low, high = np.maximum(centre - half_width, x[0]), np.minimum(centre + half_width, x[-1])
         if np.any(high <= low):
             raise ValueError("a window lies outside the recorded range")
-        values = self.force if values is None else values
-        return np.asarray(np.tensordot(window_weights(x, low, high), values, axes=1))
+        # By the integral from the first reading, for weights of all readings in each window
+        # (:func:`window_weights`) would not fit into memory for long records.
+        values = (self.force if values is None else values).T
+        steps = np.diff(x)
+        passed = np.cumsum(0.5 * (values[..., 1:] + values[..., :-1]) * steps, axis=-1)
+        passed = np.concatenate([np.zeros_like(values[..., :1]), passed], axis=-1)
+
+        def integral(end: FloatArray) -> FloatArray:
+            i = np.clip(np.searchsorted(x, end, side="right") - 1, 0, len(x) - 2)
+            part = end - x[i]
+            slope = (values[..., i + 1] - values[..., i]) / steps[i]
+            return np.asarray(passed[..., i] + part * (values[..., i] + 0.5 * part * slope))
+
+        return np.asarray(((integral(high) - integral(low)) / (high - low)).T)
 
     def peaks(self) -> Peaks:
         """Peak thrust and lift on 1° means at whole degrees within |θ| ≤ window [deg].

@@ -48,8 +48,8 @@ THETA_DEG = np.arange(-175.0, 91.0)
 """Angles at which a leg may be near the soil [deg]."""
 AIR_MARGIN_DEG = 5.0
 """Angle beyond the last touch of level soil from which on a leg is taken to be in air [deg]."""
-BEFORE_DEG, AFTER_DEG = 20.0, 10.0
-"""Angles simulated before the first contact and after the last [deg]."""
+BEFORE_DEG, AFTER_DEG, STOP_DEG = 20.0, 10.0, 90.0
+"""Angles simulated before the first contact and after the last, and the last of all [deg]."""
 
 
 class Ratios(NamedTuple):
@@ -428,7 +428,7 @@ def similar_scenario(
     reach = abs(corners[..., 0][inside]).max()
     first, last = contact_deg(body, height)
     start = max(-175.0, 5.0 * math.floor((first - BEFORE_DEG) / 5.0))
-    stop = min(90.0, 5.0 * math.ceil((last + AFTER_DEG) / 5.0))
+    stop = min(STOP_DEG, 5.0 * math.ceil((last + AFTER_DEG) / 5.0))
 
     rule = min(body.width / CELLS_ACROSS, depth / CELLS_DEEP)
     cell = rounded(cells * min(max(rule, FINEST * length), COARSEST * length))

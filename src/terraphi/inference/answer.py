@@ -623,8 +623,10 @@ class Answer(Shown, AnswerSummary):
         with output_folder(Path(folder), kind="answer", last="answer.json") as place:
             self.to_netcdf(place / "answer.nc")
             try:
-                self.plot().savefig(place / "answer.png", dpi=150)
-            except InputError as error:  # without Matplotlib
+                import terraphi.experiment.figure  # noqa: F401  # needs Matplotlib
+            except InputError as error:
                 log.warning("%s", error)
+            else:
+                self.plot().savefig(place / "answer.png", dpi=150)
             text = json.dumps(self.as_dict(), indent=1, ensure_ascii=False, default=str)
             (place / "answer.json").write_text(text + "\n", encoding="utf-8")

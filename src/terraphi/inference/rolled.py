@@ -496,11 +496,14 @@ def draw_rolled(
     At the measured loads, φ of the answer and both ends of its 95 %.
     """
     loads, *measured = np.asarray(record.measured)
+    # Of several answers whose bodies differ in friction, that which was taken beforehand.
+    rim = cast("Tool", record.rig)
+    friction = answer.leg_friction or rim.friction
     at = np.unique(np.linspace(0, loads.size - 1, min(loads.size, MOST_SLIPS)).round().astype(int))
     angles = np.array([answer.phi.median, *answer.phi.ci95])
     forces = rolling(
-        wheel_of(cast("Tool", record.rig)), loads[at], record.theta_deg[at], angles,
-        0.0 * angles + answer.density_kg_m3, surface_friction=answer.leg_friction or 0.0,
+        wheel_of(rim), loads[at], record.theta_deg[at], angles,
+        0.0 * angles + answer.density_kg_m3, surface_friction=friction,
     )  # fmt: skip
     labels = "sinkage [mm]", "pull [N]", "torque [N m]"
     for axes, label, points, curves in zip(panels, labels, measured, forces.values(), strict=True):

@@ -43,6 +43,7 @@ from terraphi.experiment.rig import (
     CELLS_ACROSS,
     CELLS_DEEP,
     SIMULATED_LENGTH,
+    STOP_DEG,
     Ratios,
     Rig,
     leg_of,
@@ -453,10 +454,6 @@ def law_of(law: LawOfLegs, rig: Rig, scenario: Scenario | None) -> LegLaw:
     return law.law(rig, cells_in(scenario, rig)) if isinstance(law, Legs) else law.law(rig)
 
 
-UNSEEN = 0.2
-"""Part of a stroke at either end that simulations may lack [-]: forces are small there."""
-
-
 def cases_of(library: Library) -> Cases:
     """Cases of a library: `x`, `depth` and `force` of a law, and the rig of each.
 
@@ -475,9 +472,8 @@ def cases_of(library: Library) -> Cases:
         ratios, soil = rig.ratios, scenario.soil
         first, last, depth = reach(rig.leg, ratios)
         begins, ends = history.theta_deg[[0, -1]]
-        # The preset ends at 90°, where a reversed C is about to leave the soil.
-        margin = UNSEEN * (last - first)
-        if begins > first + margin or ends < last - margin:
+        # Presets end at 90°, where a reversed C is about to leave the soil.
+        if begins > first + 1.0 or ends < min(last, STOP_DEG) - 1.0:
             raise InputError(f"library {library.name}: its legs do not turn from air to air")
         at = np.radians(places_deg(rig.leg, ratios))
         size = unit_of_force(soil.density, rig.length, ratios, depth)
