@@ -220,10 +220,7 @@ WHY = (
 )
 STATES = ((-100.0, -0.5), (-0.5, 0.5), (0.5, 100.0))
 """Ranges of the rise over the height [%], of :func:`by_state`."""
-SMALLER = (
-    "Baselines with a smaller CRPS than terraphi, and p by a two-sided t-test over soils (1 where "
-    "there is one soil):"
-)
+SMALLER = "Baselines with a smaller CRPS, and p by a two-sided t-test over soils (1 of one soil):"
 
 
 def main() -> None:

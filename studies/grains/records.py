@@ -34,7 +34,7 @@ CODES = GRAINS / "codes"
 WINDOWS = ((0.1, 0.35), (0.35, 0.6), (0.6, 1.2))
 """Shear strains between which codes are compared [-]."""
 STATE_STRAIN = 0.25
-"""Shear strain up to which the rise of a bed tells its state [-]."""
+"""Shear strain up to which the rise of a bed determines its state [-]."""
 OTHERS = ("slow", "narrow", "wide")
 """Ends of the names of soils that are stirred at another rate, or have another grading."""
 CELL_SD_DEG = 0.74

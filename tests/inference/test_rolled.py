@@ -165,6 +165,25 @@ def test_a_torque_beyond_soil_is_named_where_the_verdict_is_another() -> None:
         assert any("The torque is" in warning for warning in answer.warnings)
 
 
+def test_a_pull_without_sense_is_named() -> None:
+    """One that goes up and down about the law's, and is as large as it on average."""
+    path = shipped_file("examples", "wheel", ".csv")
+    table = pd.read_csv(path, comment="#")
+    tool = "wheel:314.7x165"
+    assert not any("scatters" in text for text in terraphi.invert(table, tool=tool).warnings)
+    table["pull_N"] = [-30.0, 40.0, -10.0, 30.0, 0.0, 60.0]
+    assert any("The pull scatters" in text for text in terraphi.invert(table, tool=tool).warnings)
+
+
+def test_a_wheel_beside_a_leg_has_a_picture(tmp_path: Path) -> None:
+    """Whose bodies differ in friction."""
+    wheel = f"{shipped_file('examples', 'wheel', '.csv')}@wheel:314.7x165"
+    answer = terraphi.invert([wheel, "li2013:yuma/straight"], density=1605)
+    assert answer.leg_friction is None
+    answer.save(tmp_path / "both")
+    assert (tmp_path / "both" / "answer.png").stat().st_size > 10_000
+
+
 def test_cohesion_of_a_wheel_is_refused_with_its_reason() -> None:
     dry = terraphi.invert(rows(30.0), tool=TOOL, cohesion="0")
     assert dry.phi == terraphi.invert(rows(30.0), tool=TOOL).phi

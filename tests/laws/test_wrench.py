@@ -190,9 +190,16 @@ def test_a_pose_is_the_mesh_turned_and_moved() -> None:
         place, turn = rng.uniform(-0.05, 0.03, 3), np.zeros(9)
         mujoco.mju_quat2Mat(turn, quaternion)
         moving = np.concatenate([linear, spin])
-        expected = force(Mesh(mesh.corners @ turn.reshape(3, 3).T), place, moving, **SAND)
+        turned = mesh.corners @ turn.reshape(3, 3).T
+        expected = force(Mesh(turned), place, moving, **SAND)
         total_force = force(mesh, np.concatenate([place, quaternion]), moving, **SAND)
         np.testing.assert_allclose(total_force, expected, rtol=1e-9, atol=1e-9)
+        # The same motion about another origin: v + ω × d there, and the moment less d × F.
+        arm = rng.uniform(-0.05, 0.05, 3)
+        moving = np.concatenate([linear + np.cross(spin, arm), spin])
+        f, moment = force(Mesh(turned - arm), place + arm, moving, **SAND)
+        np.testing.assert_allclose(f, expected[0], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(moment + np.cross(arm, f), expected[1], rtol=1e-9, atol=1e-9)
 
 
 def test_triangles_are_submerged_in_part() -> None:
@@ -423,11 +430,13 @@ def test_numba_that_cannot_be_imported_leaves_plain_numbers(
     caches = (compiled, wrench_module._function)
     for cache in caches:
         cache.cache_clear()
-    assert compiled() is None
-    plain = force(Foot(RADIUS), pose, velocity, **SAND), force(sole(), pose, velocity, **SAND)
+    try:
+        assert compiled() is None
+        plain = force(Foot(RADIUS), pose, velocity, **SAND), force(sole(), pose, velocity, **SAND)
+    finally:
+        for cache in caches:
+            cache.cache_clear()
     np.testing.assert_allclose(plain, expected, rtol=1e-12, atol=1e-12)
-    for cache in caches:
-        cache.cache_clear()
 
 
 def test_arrays_that_cannot_be_written_are_not_compiled_for_once_more() -> None:

@@ -130,7 +130,11 @@ def test_files_of_mujoco_and_chrono_let_a_ball_rest_on_the_soil(
     runpy.run_path(str(tmp_path / "soil.py"), run_name="__main__")
     assert 0.01 < float(capsys.readouterr().out) < 0.03
     # Of Chrono, which pip does not install, there are the names of its source alone.
-    chrono = MagicMock()
+    chrono = MagicMock(spec_set=[
+        "ChSystemSMC", "ChCollisionSystem", "ChVector3d", "ChBodyEasySphere",
+        "ChContactMaterialSMC", "vehicle",
+    ])  # fmt: skip
+    chrono.vehicle = MagicMock(spec_set=["SCMTerrain"])
     system, ball = chrono.ChSystemSMC(), chrono.ChBodyEasySphere()
     system.GetChTime.side_effect, ball.GetPos.return_value = (0.0, 2.0), SimpleNamespace(z=0.03)
     monkeypatch.setitem(sys.modules, "pychrono", chrono)
@@ -139,7 +143,12 @@ def test_files_of_mujoco_and_chrono_let_a_ball_rest_on_the_soil(
     runpy.run_path(str(tmp_path / "scm.py"), run_name="__main__")
     assert float(capsys.readouterr().out) == pytest.approx(0.02)
     given = chrono.vehicle.SCMTerrain().SetSoilParameters.call_args.args
-    assert given[5] == sand.bekker_wong(200.0, 80.0)["shear_m"]
+    law = sand.bekker_wong(200.0, 80.0)
+    assert given[5] == law["shear_m"]
+    # Kφ, Kc, n, cohesion, φ [deg] as docs of SCMTerrain::SetSoilParameters have them.
+    assert (given[1], given[3], len(given)) == (0.0, 0.0, 8)
+    assert 0.5 < given[2] < 2.0
+    assert 28.0 < given[4] < 34.0
 
 
 def test_bekker_is_near_bearing_capacity_and_published_sand() -> None:

@@ -16,6 +16,8 @@ LONGEST = 400
 """Letters of a message."""
 GUESSED = "Guessed "
 """Beginning of the sentence that names what was guessed of a table; it is no warning."""
+NO_UNIT = "have no unit, and are taken as"
+"""What a sentence on readings without a unit has, for it goes before other warnings."""
 
 
 HIDDEN = re.compile(

@@ -19,7 +19,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from terraphi.experiment.arrays import FloatArray, IntArray, block_means
 from terraphi.experiment.baseline import at_rest, without_baseline
 from terraphi.experiment.documents import Strict, parse_toml, refuse, strictly, value_of
-from terraphi.experiment.errors import GUESSED, InputError, nearest
+from terraphi.experiment.errors import GUESSED, NO_UNIT, InputError, nearest
 from terraphi.experiment.history import ForceHistory, resolution
 from terraphi.experiment.tables import CSV_COLUMNS, Table, origin, read_table, table_of
 from terraphi.experiment.units import KINDS, unit_named
@@ -516,7 +516,7 @@ class _LegTable(ColumnReader[ForceColumns]):
         self.settle(chosen, {})
         unwritten = {role for role, name in self.names.items() if not self.written(name)}
         if unwritten & {"fx", "fz"} and given.unit is None:
-            self.notes.append("The forces have no unit, and are taken as N.")
+            self.notes.append(f"The forces {NO_UNIT} N.")
         if "moment" in unwritten and len(self.axes) < 2:
             self.notes.append("The moment has no unit, and is taken as N m.")
 

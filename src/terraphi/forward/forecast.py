@@ -18,7 +18,7 @@ from terraphi.experiment.motion import bin_count
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward.bed import sub_cells
 
-RATE = {2: 1.9e7, 3: 4e7}
+RATE = {2: 1.9e7, 3: 5e7}
 """Particles times steps that one core does in a second, by dimensions [1/s]; in three with vectors
 of 512 bits, with narrower ones 1.5 (256 bits) to 2.9 times (128 bits) fewer."""
 PANEL_RATE = 5e6

@@ -21,7 +21,7 @@ import numpy as np
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.baseline import OFFSET
-from terraphi.experiment.errors import InputError
+from terraphi.experiment.errors import NO_UNIT, InputError
 from terraphi.experiment.history import (
     CHANNEL_UNITS,
     FORCES,
@@ -326,6 +326,12 @@ def warnings(
     # The forces are wrong, whatever the soil.
     yield from (f"{likelihood.prefix(r)}{text}" for r in records for text in r.damage)
     yield from air
+    units, notes = (
+        [f"{likelihood.prefix(r)}{text}" for r in records for text in r.notes
+         if (NO_UNIT in text) == is_unit]
+        for is_unit in (True, False)
+    )  # fmt: skip
+    yield from units
     # Leg, columns, sizes or units may be others than stated.
     if not air:
         density = np.array(likelihood.density)
@@ -364,7 +370,7 @@ def warnings(
     if law.caveat:
         yield f"Law {law.name}: {law.caveat}"
     # What was done with the readings.
-    yield from (f"{likelihood.prefix(r)}{text}" for r in records for text in r.notes)
+    yield from notes
 
 
 def _other_grains(likelihood: Likelihood) -> Iterator[str]:

@@ -25,7 +25,7 @@ from terraphi.inference.checks import densities
 from terraphi.inference.terms import Sharer, is_shared, ordered_budget, term
 from terraphi.laws.law import PHI
 
-DISAGREE = 0.05
+CHANCE = 0.05
 """Largest share of sound sets of answers of which two differ so much that they are a misfit
 [-]; it is divided by the number of pairs (Bonferroni)."""
 
@@ -151,7 +151,7 @@ def _verdict(
     # The difference of two answers has the variance Cᵢᵢ + Cⱼⱼ − 2 Cᵢⱼ.
     pairs = np.triu_indices(len(phi), 1)
     sd = np.sqrt((variance[:, None] + variance - 2.0 * covariance)[pairs])
-    limit = NormalDist().inv_cdf(1.0 - 0.5 * DISAGREE / sd.size)
+    limit = NormalDist().inv_cdf(1.0 - 0.5 * CHANCE / sd.size)
     if (np.abs(phi[:, None] - phi)[pairs] / sd).max() > limit:
         return "misfit", (
             f"Misfit: {angles} disagree; check sizes, density and moisture, and whether the soil "

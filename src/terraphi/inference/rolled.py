@@ -104,6 +104,9 @@ MOST_TORQUE = 1.2
 SLACK, OTHER_PULL = 0.02, 0.25
 """Power over load and speed [-] by which a pull may exceed the torque's, and difference of the pull
 over the load from the law's above which it is named; wheels in grains have up to 0.22; chosen."""
+SCATTERED_PULL = 0.2
+"""Standard deviation of the pull less that of the law, over the load, above which it is named [-];
+chosen: the shipped wheel has 0.05."""
 OTHER_COURSE, OPPOSITE = 0.05, -0.8
 """Least range of the pull over the load, and correlation of it with the law's over the rows below
 which its sign is named [-]; chosen."""
@@ -602,6 +605,10 @@ def _contradictions(roll: _Roll, fit: _Mean, *, is_named: bool) -> list[str]:
     is_course = pulls.shape[1] > 2 and np.ptp(pulls, axis=1).min() > OTHER_COURSE
     if is_course and np.corrcoef(pulls)[0, 1] < OPPOSITE:
         sentences.append("The pull falls with the slip, and the law's rises: check its sign.")
+    elif (scatter := float(np.std(pulls[0] - pulls[1]))) > SCATTERED_PULL:
+        sentences.append(
+            f"The pull scatters by {scatter:.2f} of the load about the law's: check its column."
+        )
     if abs(difference) > OTHER_PULL:
         sentences.append(
             f"The pull differs from the law's by {difference:+.2f} of the load: check its sign, "

@@ -82,5 +82,5 @@ def matern(
     squared = np.square(a).sum(axis=-1)[..., None] + np.square(b).sum(axis=-1)[..., None, :]
     squared = np.maximum(squared - 2.0 * a @ b.swapaxes(-1, -2), 0.0)
     lag = np.sqrt(2.0 * order * squared)
-    smooth = 5.0 / 3.0 * squared if order == 2.5 else 0.0
+    smooth = {1.5: 0.0, 2.5: 5.0 / 3.0}[order] * squared
     return np.asarray((1.0 + lag + smooth) * np.exp(-lag))

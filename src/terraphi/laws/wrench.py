@@ -17,7 +17,7 @@ are those that give a ball and a disc the law's force with the bound. So meshes 
 between.
 
 Resistive force theory jumps where a face turns through the vertical or begins to lead; here it is
-continuous (:data:`~terraphi.forward.rft.FADE`).
+continuous (:data:`~terraphi.forward.feet.FADE`).
 
 Arrays may be of NumPy or of another library of the array-API standard, as PyTorch, CuPy and JAX;
 results are of the same library, type and device.
@@ -116,7 +116,7 @@ class Mesh:
         corners = numbers("corners", self.corners, last=(3,), **ends)
         if corners.ndim != 3 or corners.shape[1] != 3 or not corners.size:
             raise InputError(f"corners of shape {corners.shape}; give [face, 3, 3]")
-        object.__setattr__(self, "corners", corners)
+        object.__setattr__(self, "corners", corners.copy())  # faces are kept
         numbers("corners: areas of the triangles", self.areas, low=TINY**2, unit="m²")
 
     @classmethod

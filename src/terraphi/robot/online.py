@@ -329,6 +329,7 @@ class Footfalls:
             samples = JointLog(**{n: column.astype(np.float64) for n, column in values.items()})
         else:
             samples, dropped = sound(samples)
+            samples = JointLog(**{name: getattr(samples, name).copy() for name in arrays(samples)})
             self._dropped += dropped
         if samples.quaternion is None:
             raise InputError("samples have no attitude, which footfalls need; give quaternions")

@@ -429,7 +429,8 @@ def look(file: str, columns: dict[str, Any], tool: str | None = None) -> dict[st
         reply["wrong"] = str(error).removeprefix("Table: ")
         for word, tool_columns in (("slip", WheelColumns), ("sink", PressColumns)):
             if any(word in name.lower() for name in shown["columns"]):
-                head = Path(file).read_text(encoding="utf-8", errors="replace")[:2000]
+                with Path(file).open(encoding="utf-8", errors="replace") as lines:
+                    head = lines.read(2000)
                 return {**reply, **of_tool_columns(tool_columns), "tool": tool_named(head)}
         return reply
     history, gap = strokes[0], [math.nan]
