@@ -21,7 +21,7 @@ from terraphi.experiment.figure import Figure
 from terraphi.experiment.files import MARK
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.outputs import SIGNATURE
-from terraphi.inference import inversion
+from terraphi.inference import calibration, inversion
 from terraphi.robot import footfalls
 
 PLAN = """
@@ -138,7 +138,8 @@ def files(content: dict[str, bytes | None]) -> dict[str, bytes]:
 def test_a_command_whose_nth_write_fails_leaves_what_was_there(
     name: str, again: bool, lasts: bool, terraphi, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module, work in ((inversion, "invert"), (inversion, "calibrate"), (footfalls, "footfalls")):
+    slow = (inversion, "invert"), (calibration, "calibrate"), (footfalls, "footfalls")
+    for module, work in slow:
         monkeypatch.setattr(module, work, cache(getattr(module, work)))  # it writes nothing
     monkeypatch.setattr(Figure, "savefig", lambda _, path, **__: Path(path).write_bytes(PICTURE))
     command = COMMANDS[name].split()
