@@ -214,9 +214,9 @@ WORDS = (
     "has no error."
 )
 WHY = (
-    "Half of the scatter between soils is the state of the bed: legs feel the friction that is "
-    "mobilized at strains of about 0.1 to 0.5, less than the critical one where the bed contracts, "
-    "more where it dilates. Errors over the rise of the shear cells up to a strain of {:g}:"
+    "Part of the scatter between soils goes with the state of the bed: a leg meets the friction "
+    "that is mobilized on its way, less than the critical one where the bed contracts, more where "
+    "it dilates. Errors over the rise of the shear cells up to a strain of {:g}:"
 )
 STATES = ((-100.0, -0.5), (-0.5, 0.5), (0.5, 100.0))
 """Ranges of the rise over the height [%], of :func:`by_state`."""

@@ -118,7 +118,7 @@ class Comparison(NamedTuple):
 
 
 def prior_of(law: str | FootLaw, prior: Prior) -> Prior:
-    """The prior for a law beside the walk's own, with its largest angle and no exponent learned."""
+    """The prior for another law than the walk's, with its largest angle and no exponent learned."""
     highest = HIGHEST_RFT_DEG if law == "rft" else prior.highest_deg
     return replace(prior, exponent=0.0, highest_deg=highest)
 

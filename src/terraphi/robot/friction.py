@@ -233,9 +233,9 @@ def lag_and_gain(
     usual = float(np.median(np.concatenate([np.diff(part.time) for part, _ in windows])))
     # Whole steps: a torque between two samples is a mean, and seems to have less noise. Samples of
     # swing that are nearer than a step hardly differ.
-    every = max(1, round(LAG_STEP_S / usual))
-    swing = swing & (np.arange(len(swing)) % every == 0)[:, None]
-    step = usual * every
+    stride = max(1, round(LAG_STEP_S / usual))
+    swing = swing & (np.arange(len(swing)) % stride == 0)[:, None]
+    step = usual * stride
     most = round(MOST_LAG_S / step)
     lags, cost = step * np.arange(-most, most + 1), np.zeros(2 * most + 1)
     logged = [low_pass(p.time, OBSERVER_GAIN, p.torque, 0.0 * p.slopes, gap) for p, _ in windows]

@@ -224,6 +224,7 @@ def strain_particles(
         :data:`~terraphi.forward.mpm.lattice.LANES`, in a form that the compiler cannot foresee.
     """
     wide_vectors()
+    # Cells that share nothing return at the mean stresses of their trials.
     for i in range(SHARE, SHARE + ROW):
         work[i] = ZERO
     wide = lanes + MARGIN
