@@ -185,13 +185,31 @@ def atomic_files(target: Path, folder: Path, *, last: str, first: str = "") -> I
             names.sort(key=lambda name: (name == last) - (name == first))
             if in_the_way := next((n for n in names if folder.joinpath(n).is_dir()), None):
                 raise OSError(errno.EISDIR, f"{in_the_way} is a folder")
-            if len(names) > 1:
-                folder.joinpath(last).unlink(missing_ok=True)  # gone if the moves are interrupted
-            for name in names:
-                made.joinpath(name).replace(folder / name)
+            _move(names, made, folder, last)
     except OSError as error:
         reason = error.strerror or error
         raise InputError(f"{target}: cannot be written ({reason}); try another place") from error
+
+
+def _move(names: list[str], made: Path, folder: Path, last: str) -> None:
+    """Move all files, or leave those that were there; if killed, the last is missing."""
+    kept = made / "kept"
+    kept.mkdir()
+    for name in names if len(names) > 1 else ():
+        if folder.joinpath(name).exists():
+            shutil.copy2(folder / name, kept)
+    try:
+        if len(names) > 1:
+            folder.joinpath(last).unlink(missing_ok=True)
+        for name in names:
+            made.joinpath(name).replace(folder / name)
+    except OSError:
+        for name in names:
+            if kept.joinpath(name).exists():
+                kept.joinpath(name).replace(folder / name)
+            elif not made.joinpath(name).exists():
+                folder.joinpath(name).unlink(missing_ok=True)
+        raise
 
 
 def writable(path: Path) -> None:

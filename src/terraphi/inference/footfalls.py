@@ -588,6 +588,8 @@ def judged(
     best = max(laws.probability, key=laws.probability.__getitem__)
     if best != law and laws.probability[best] > BETTER and (verdict == USABLE).any():
         grow = f"forces grow with depth as by law {best} rather than {law}"
+        if prior.exponent < grounds.LEAST_EXPONENT:
+            grow += ", or as on clay that stiffens with depth"
         notes = [f"{grow}: by it φ is {laws.phi_deg[best]:.0f}°, and the absolute interval is wide"]
     return verdict, notes, laws
 
