@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from terraphi.experiment.arrays import MOST_SEED, FloatArray, count
+from terraphi.experiment.documents import DATA
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import atomic_write
 from terraphi.experiment.outputs import SIGNATURE, check_file
@@ -28,60 +29,6 @@ FORMATS = {".py": "python", ".json": "json", ".usda": "usda"}
 """Suffix of a file to what is written into it."""
 PARTICLES = 3
 """Particles along the side of a voxel, as in Newton's examples."""
-MPM_MATERIAL = {
-    "youngsModulus": "-inf", "poissonsRatio": "0.3", "elasticDamping": "0",
-    "yieldPressure": "-inf", "tensileYieldRatio": "0", "viscosity": "0", "hardening": "0",
-    "hardeningRate": "1", "softeningRate": "1", "dilatancy": "0",
-    "initialPlasticVolumeStrain": "1",
-}  # fmt: skip
-"""Attributes of the schema NewtonMPMMaterialAPI next to friction and yield stress: the soil of the
-law does not dilate or bear tension, and what is not known of it (-inf) is Newton's default."""
-STAGE = """#usda 1.0
-(
-    doc = {about}
-    defaultPrim = "World"
-    kilogramsPerUnit = 1
-    metersPerUnit = 1
-    upAxis = "Z"
-)
-
-def Xform "World"
-{{
-    def PhysicsScene "Scene" (
-        prepend apiSchemas = ["NewtonMPMSceneAPI"]
-    )
-    {{
-{scene}        vector3f physics:gravityDirection = (0, 0, -1)
-        float physics:gravityMagnitude = 9.81
-    }}
-
-    def Material "Soil" (
-        prepend apiSchemas = ["PhysicsMaterialAPI", "NewtonMPMMaterialAPI"]
-    )
-    {{
-        float physics:density = {density}
-{material}
-    }}
-{bed}}}
-"""
-BED = """
-    def Points "Bed" (
-        prepend apiSchemas = [
-            "MaterialBindingAPI", "NewtonParticleAPI", "NewtonPointsDeformableSimAPI",
-            "PhysicsDeformableBodyAPI"
-        ]
-    )
-    {{
-        rel material:binding:physics = </World/Soil>
-        rel physics:simulationOwner = </World/Scene>
-        point3f[] points = [{points}]
-        float[] physics:masses = [{masses}]
-        float[] widths = [{cell:.6g}] (
-            interpolation = "constant"
-        )
-    }}
-"""
-"""Text of a stage, and of its bed. Newton names particles by different schemas in its versions."""
 PLATE = Foot(0.05, "disc")
 """Plate whose sinkage gives Bekker's parameters."""
 LEG_FRICTION_ABOUT = "that of the library's leg, unless it was inferred; None: unknown"
@@ -300,7 +247,15 @@ def text(parameters: Mapping[str, Any], form: str) -> str:
     lines = "\n".join(f"{name} = {value!r}" for name, value in constants.items())
     # Safe between the quotation marks of a docstring.
     about = [repr(line)[1:-1].replace('"', '\\"') for line in _about(parameters).split("\n")]
-    return '"""' + "\n".join(about) + f'"""\n\n{lines}\n\n\n{USES[parameters["to"]]}'
+    # Isaac Lab runs Newton, and has both modules.
+    names = dict.fromkeys(["newton"] * (parameters["to"] == "isaaclab") + [parameters["to"]])
+    uses = "\n\n".join(_template(f"{name}.txt") for name in names)
+    return '"""' + "\n".join(about) + f'"""\n\n{lines}\n\n\n{uses}'
+
+
+def _template(name: str) -> str:
+    """A shipped text: functions that hand the constants to a simulator, or a stage and its bed."""
+    return (DATA / "simulators" / name).read_text(encoding="utf-8")
 
 
 def bed_of(
@@ -319,19 +274,20 @@ def bed_of(
 
 def _stage(parameters: Mapping[str, Any]) -> str:
     """USD with a scene and the soil as its material; of tuned soil the bed of particles as well."""
-    values = {"internalFriction": f"{parameters['value']:.6f}", **MPM_MATERIAL}
-    values |= {"yieldStress": f"{parameters['cohesion_Pa']:g}"}
-    material = "\n".join(f"        float newton:mpm:{name} = {v}" for name, v in values.items())
     voxel, bed = parameters.get("voxel_m"), ""
     scene = "" if voxel is None else f"        uniform float newton:mpm:voxelSize = {voxel:g}\n"
     if voxel is not None:
         places, cell = bed_of(parameters["bed_m"], voxel, np.random.default_rng(0))
         points = ", ".join(f"({x:.5g}, {y:.5g}, {z:.5g})" for x, y, z in places.tolist())
         mass = parameters["density_kg_m3"] * cell**3
-        bed = BED.format(points=points, cell=cell, masses=", ".join([f"{mass:.6g}"] * len(places)))
+        bed = _template("bed.usda").format(
+            points=points, cell=cell, masses=", ".join([f"{mass:.6g}"] * len(places))
+        )
     about = json.dumps(_about(parameters), ensure_ascii=False)
-    return STAGE.format(about=about, scene=scene, material=material, bed=bed,
-                        density=parameters["density_kg_m3"])  # fmt: skip
+    return _template("stage.usda").format(
+        about=about, scene=scene, bed=bed, density=parameters["density_kg_m3"],
+        friction=parameters["value"], yield_stress=parameters["cohesion_Pa"],
+    )  # fmt: skip
 
 
 def headline(parameters: Mapping[str, Any]) -> str:
@@ -379,218 +335,3 @@ def _about(parameters: Mapping[str, Any]) -> str:
         about = parameters[name]["about"]
         lines.append(f"{name} {median:.3g}, 95 %: {low:.3g} to {high:.3g}, {about}.")
     return "\n".join(filter(None, [*lines, f"Not inferred: {parameters['not_inferred']}.\n"]))
-
-
-NEWTON = '''def set_friction(model, value=FRICTION, particles=slice(None)):
-    """Before the solver is made: friction of some particles, one number or one for each."""
-    friction = model.mpm.friction.numpy()
-    friction[particles] = value
-    model.mpm.friction.assign(friction)
-'''
-ISAACLAB = '''
-
-def draw_friction(env, env_ids, draws=DRAWS or [FRICTION]):
-    """Event: each environment's particles have one draw of the posterior as their friction."""
-    import torch
-    import warp as wp
-    from isaaclab_newton.physics import NewtonManager
-
-    model = NewtonManager.get_model()
-    world, friction = wp.to_torch(model.particle_world).long(), wp.to_torch(model.mpm.friction)
-    chosen = torch.zeros(env.num_envs, dtype=torch.bool, device=world.device)
-    chosen[slice(None) if env_ids is None else env_ids] = True
-    values = torch.tensor(draws, dtype=friction.dtype, device=world.device)
-    drawn = values[torch.randint(len(draws), (env.num_envs,), device=world.device)]
-    ours = (world >= 0) & chosen[world]
-    friction[ours] = drawn[world[ours]]
-
-
-def soil_event(mode="reset"):
-    """An attribute of your EventCfg, as soil = soil_event()."""
-    from isaaclab.managers import EventTermCfg as EventTerm
-
-    return EventTerm(func=draw_friction, mode=mode)
-'''
-"""For Isaac Lab on Newton; read against its source (event_manager.py, newton_replicate.py, 2026),
-not run in it."""
-USES = {
-    "genesis": '''def sand(value=FRICTION_ANGLE, **others):
-    """The material of a scene; others are E, nu and sampler."""
-    import genesis as gs
-
-    return gs.materials.MPM.Sand(friction_angle=value, rho=DENSITY, **others)
-
-
-def main(radius=0.05, voxel=0.02, speed=0.2):
-    """Press a ball into a box of the soil; print its depth [m] and force [N]."""
-    import genesis as gs
-    from genesis.utils.misc import qd_to_numpy
-
-    gs.init(backend=gs.cpu, logging_level="warning")
-    soil, half, pad = sand(), 4 * radius, 3 * voxel
-    # A quarter of the time that the soil's pressure waves need for a voxel.
-    step = 0.25 * voxel / (1.2 * soil.E / DENSITY) ** 0.5
-    scene = gs.Scene(
-        sim_options=gs.options.SimOptions(dt=step, substeps=1),
-        mpm_options=gs.options.MPMOptions(
-            grid_density=1.0 / voxel, lower_bound=(-half - pad, -half - pad, -half - pad),
-            upper_bound=(half + pad, half + pad, half + pad),
-        ),
-        show_viewer=False,
-    )
-    ball = scene.add_entity(
-        gs.morphs.Sphere(radius=radius, pos=(0.0, 0.0, radius + voxel)),
-        material=gs.materials.Rigid(rho=1e6, coup_friction=0.5, gravity_compensation=1.0),
-    )
-    bed = gs.morphs.Box(lower=(-half, -half, -half), upper=(half, half, 0.0))
-    scene.add_entity(bed, material=soil)
-    scene.build()
-    count = round((radius + voxel) / (speed * step))
-    for i in range(count):
-        ball.set_dofs_velocity([0.0, 0.0, -speed, 0.0, 0.0, 0.0])  # too heavy to be slowed
-        scene.step()
-        if i % (count // 10) == 0:
-            force = qd_to_numpy(scene.sim.rigid_solver.dyn_state.links.cfrc_coupling_vel)
-            up = -float(force[ball.links[0].idx].ravel()[2])
-            print(f"{speed * step * (i + 1) - voxel:.3f} {up:.1f}")
-
-
-if __name__ == "__main__":
-    main()
-''',
-    "newton": NEWTON,
-    "isaaclab": NEWTON + ISAACLAB,
-    "chrono-crm": '''def fill(properties, value=MU_FRIC_S):
-    """Fill SoilProperties (ElasticMaterialProperties in older releases) of ChFsiFluidSystemSPH."""
-    properties.density = DENSITY
-    properties.mu_fric_s = properties.mu_fric_2 = value
-    properties.cohesion_coeff = 0.0
-    return properties
-''',
-    "chrono-scm": '''def set_soil(
-    terrain, *, elastic_k, damping_r, value=MOHR_FRICTION, bekker_kphi=BEKKER_KPHI,
-    bekker_n=BEKKER_N, janosi=JANOSI_SHEAR,
-):
-    """Set the soil of an SCMTerrain in SI units; elastic_k is above bekker_kphi."""
-    terrain.SetSoilParameters(bekker_kphi, 0.0, bekker_n, 0.0, value, janosi, elastic_k, damping_r)
-
-
-def main(radius=0.05, seconds=1.0):
-    """Let a ball of twice the soil's density rest on the terrain; print how deep it sinks [m]."""
-    import pychrono as chrono
-    import pychrono.vehicle as veh
-
-    system = chrono.ChSystemSMC()
-    system.SetCollisionSystemType(chrono.ChCollisionSystem.Type_BULLET)
-    system.SetGravitationalAcceleration(chrono.ChVector3d(0.0, 0.0, -9.81))
-    ball = chrono.ChBodyEasySphere(
-        radius, 2.0 * DENSITY, True, True, chrono.ChContactMaterialSMC()
-    )
-    ball.SetPos(chrono.ChVector3d(0.0, 0.0, radius + 0.001))
-    system.Add(ball)
-    terrain = veh.SCMTerrain(system)
-    set_soil(terrain, elastic_k=10.0 * BEKKER_KPHI, damping_r=1e3)
-    terrain.Initialize(1.0, 1.0, 0.1 * radius)
-    while system.GetChTime() < seconds:
-        system.DoStepDynamics(5e-4)
-    print(f"{radius - ball.GetPos().z:.4f}")
-
-
-if __name__ == "__main__":
-    main()
-''',
-    "geotaichi": '''def material(young_modulus, poisson_ratio, value=FRICTION, **others):
-    """One entry for add_material, with DruckerPrager as the model."""
-    elastic = {"YoungModulus": young_modulus, "PoissonRatio": poisson_ratio}
-    plastic = {"Friction": value, "dpType": DP_TYPE, "Dilation": 0.0, "Cohesion": 0.0}
-    return {"MaterialID": 1, "Density": DENSITY, **elastic, **plastic, **others}
-''',
-    "rft3d": '''def soil(
-    phi_deg=PHI_PLANE_STRAIN_DEG, density=DENSITY, surface_friction=LEG_FRICTION
-):
-    """Keywords of force and wrench of terraphi.laws.wrench; φ is that of plane strain."""
-    soil = {"phi_deg": phi_deg, "density": density}
-    return soil if surface_friction is None else {**soil, "surface_friction": surface_friction}
-''',
-    "mujoco": '''class Soil:
-    """Soil under feet that are spheres of one size: push before each mj_step.
-
-        soil = Soil(model, ["FL_foot", "FR_foot", "RL_foot", "RR_foot"])  # names of geoms
-        soil.push(model, data)
-        mujoco.mj_step(model, data)
-
-    The feet touch nothing else by themselves then: leave a floor and contact pairs out. The
-    surface is level. The soil holds a foot as a spring of stiffness [N/m], by default half of what
-    the step allows: with feet of a few grams and steps of 4 ms that is soft, and they sink in too
-    deep. damping [N s/m] may be added to it.
-    """
-
-    def __init__(self, model, feet, surface=0.0, phi_deg=FRICTION_ANGLE_DEG, density=DENSITY,
-                 surface_friction=LEG_FRICTION, stiffness=None, damping=0.0):
-        import numpy as np
-        from terraphi.laws.foot import Foot
-
-        self.geoms = [model.geom(name).id for name in feet]
-        radii = model.geom_size[self.geoms, 0]
-        if (model.geom_type[self.geoms] != 2).any() or np.ptp(radii) > 1e-6:
-            raise ValueError("feet are spheres of one size")
-        model.geom_contype[self.geoms] = model.geom_conaffinity[self.geoms] = 0
-        self.foot, self.held = Foot(float(radii[0])), (np.zeros((len(feet), 3)),) * 2
-        self.soil = {"phi_deg": phi_deg, "density": density, "surface": surface}
-        if surface_friction is not None:
-            self.soil["surface_friction"] = surface_friction
-        self.stiffness, self.damping, self.time, self.added = stiffness, damping, -1.0, 0.0
-
-    def push(self, model, data):
-        """Add the soil's forces to data.qfrc_applied, in place of those of the step before."""
-        import mujoco
-        import numpy as np
-        from terraphi.laws.wrench import force
-
-        n = len(self.geoms)
-        jacobian, spatial, velocity = np.zeros((3 * n, model.nv)), np.zeros(6), np.zeros((n, 3))
-        for update in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_comVel):
-            update(model, data)  # mj_step leaves those of before it
-        for i, geom in enumerate(self.geoms):
-            mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_GEOM, geom, spatial, 0)
-            velocity[i] = spatial[3:]
-            mujoco.mj_jacGeom(model, data, jacobian[3 * i : 3 * i + 3], None, geom)
-        step = model.opt.timestep
-        if self.stiffness is None:  # half of the bound k h^2 < 2 m, m the least mass of a foot
-            mujoco.mj_forward(model, data)
-            inverse = np.zeros_like(jacobian)
-            mujoco.mj_solveM(model, data, inverse, jacobian)
-            least = 1.0 / np.linalg.eigvalsh(jacobian @ inverse.T)[-1]
-            self.stiffness = float(least / step**2)
-        if data.time <= self.time:  # the simulation was reset, and has no forces of before
-            self.held, self.added = (np.zeros((n, 3)),) * 2, 0.0
-        self.time = data.time
-        self.held = force(self.foot, data.geom_xpos[self.geoms], velocity, held=self.held,
-                          step=float(step), stiffness=self.stiffness, **self.soil)
-        in_soil = np.linalg.norm(self.held[0], axis=1, keepdims=True) > 0.0
-        total = self.held[0] - self.damping * in_soil * velocity
-        now = jacobian.T @ total.ravel()
-        data.qfrc_applied += now - self.added
-        self.added = now
-
-
-def main(radius=0.05, seconds=1.0):
-    """Let a ball of twice the soil's density rest on the soil; print how deep it sinks [m]."""
-    import mujoco
-
-    model = mujoco.MjModel.from_xml_string(
-        f"""<mujoco><worldbody><body pos="0 0 {radius}"><freejoint/>
-        <geom name="ball" size="{radius}" density="{2.0 * DENSITY}"/></body></worldbody></mujoco>"""
-    )
-    data, soil = mujoco.MjData(model), Soil(model, ["ball"])
-    while data.time < seconds:
-        soil.push(model, data)
-        mujoco.mj_step(model, data)
-    print(f"{radius - data.qpos[2]:.4f}")
-
-
-if __name__ == "__main__":
-    main()
-''',
-}
-"""Functions of the exported module that hand the constants to the simulator."""
