@@ -49,7 +49,8 @@ def whole(name: str) -> Answer:
 
 
 @pytest.mark.parametrize("window", [
-    (-60, 60), (-60, 0), (-20, 40), (0, 85), pytest.param((-80, 80), marks=pytest.mark.slow),
+    (-85, 20), (-60, 60), (-60, 0), (-20, 40), (0, 85),
+    pytest.param((-80, 80), marks=pytest.mark.slow),
     pytest.param((-40, 0), marks=pytest.mark.slow),
 ])  # fmt: skip
 def test_a_part_gives_the_angle_of_the_whole_within_its_own_share(window: tuple[int, int]) -> None:
@@ -62,8 +63,9 @@ def test_a_part_gives_the_angle_of_the_whole_within_its_own_share(window: tuple[
         assert part.phi.sd > 0.8 * answer.phi.sd  # other terms change too
         if part.verdict == "consistent":
             difference.append(abs(part.phi.median - answer.phi.median) / max(missing, 0.3))
+    # All twelve are consistent as a whole.
+    assert len(difference) >= (12 if window[1] - window[0] > 90 else 11)
     # Of twelve normal deviates the root mean square is below 1.55 with 99.5 % probability.
-    assert len(difference) >= 11
     assert np.sqrt(np.mean(np.square(difference))) < 1.55
 
 

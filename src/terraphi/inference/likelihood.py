@@ -155,6 +155,8 @@ class Coverage(NamedTuple):
 
     share: float
     """Share h of the information on φ [-]."""
+    part: float
+    """Share of the window means [-]."""
     span: FloatArray
     """Peak-to-peak of each channel over a whole stroke, by the record or the model, shape [c]."""
 
@@ -442,7 +444,7 @@ class Likelihood:
             span = record.span if is_full else np.maximum(record.span, np.ptp(curve, axis=1))
             information = np.square((above - below) / span[:, None])
             share = float((information * measured).sum() / information.sum())
-            coverage.append(Coverage(share, span))
+            coverage.append(Coverage(share, float(measured.mean()), span))
         return coverage
 
     @cached_property
