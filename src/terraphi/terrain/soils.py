@@ -6,17 +6,18 @@ From a table of sands, from numbers with their errors, or from an answer.
 from __future__ import annotations
 
 import tomllib
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache, cached_property, partialmethod
 from numbers import Real
 from pathlib import Path
 from statistics import NormalDist
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from terraphi.experiment.arrays import FloatArray, count, generator
+from terraphi.experiment.arrays import FloatArray, count, generator, numbers
 from terraphi.experiment.documents import DATA
 from terraphi.experiment.errors import GUESSED, InputError, nearest
 from terraphi.experiment.files import number_with_sd
@@ -28,6 +29,9 @@ from terraphi.forward.rft import to_plane_strain
 from terraphi.inference.answer import QUANTILES, Estimate
 from terraphi.inference.records import density_with_sd
 from terraphi.inference.stored import StoredAnswer
+
+if TYPE_CHECKING:
+    from terraphi.laws.wheel import Wheel
 
 ANGLES = ("phi_deg", "phi_plane_strain_deg")
 EXACT = ("plane_strain", "rft3d")
@@ -212,22 +216,29 @@ class SoilDistribution:
         InputError
             If a size, the load or the slip is no wheel's, or beyond the law.
 
+        Warns
+        -----
+        UserWarning
+            If the wheel sinks in deeper than the law has.
+
         Examples
         --------
         >>> rolling = terraphi.soil("loose dry sand").wheel(200, 80, 40.0, [0.1, 0.3])
         >>> bool(rolling["sinkage_mm"][1] > rolling["sinkage_mm"][0] > 0.0)
         True
         """
-        from terraphi.laws.wheel import Wheel, rolling
+        from terraphi.laws.wheel import rolling
 
         if np.shape(lugs) != (2,) or lugs[0] % 1:
             raise InputError(f"lugs = {lugs}; give their number and height [mm], as (30, 10)")
         if surface_friction is None:
             surface_friction = FRICTION.mean if self.leg_friction is None else self.leg_friction
-        body = Wheel(5e-4 * diameter_mm, 1e-3 * width_mm, int(lugs[0]), 1e-3 * lugs[1])
+        body = _wheel(diameter_mm, width_mm, int(lugs[0]), 1e-3 * lugs[1])
         soils = self.draws(draws, rng=rng) if draws else Draws(
             np.array([self.phi.median]), np.array([self.density]))  # fmt: skip
         results = rolling(body, load_N, slip, *soils, surface_friction=surface_friction)
+        if np.isnan(results["sinkage_mm"]).any():
+            warnings.warn("NaN: the wheel sinks in deeper than the law has", stacklevel=2)
         return {name: value if draws else value[0] for name, value in results.items()}
 
     def bekker_wong(self, diameter_mm: float, width_mm: float) -> dict[str, float]:
@@ -248,9 +259,9 @@ class SoilDistribution:
         InputError
             If a size is no wheel's.
         """
-        from terraphi.laws.wheel import Wheel, bekker_wong
+        from terraphi.laws.wheel import bekker_wong
 
-        wheel = Wheel(5e-4 * diameter_mm, 1e-3 * width_mm)
+        wheel = _wheel(diameter_mm, width_mm)
         return bekker_wong(wheel, self.phi.median, self.density)._asdict()
 
     def export(self, to: str, **options: Any) -> dict[str, Any]:
@@ -307,6 +318,15 @@ class SoilDistribution:
         soil = {"phi_deg": self.phi.median, "density": self.density,
                 "surface_friction": FOOT_FRICTION.mean}  # fmt: skip
         return force(foot, pose, velocity, **{**soil, **options})
+
+
+def _wheel(diameter_mm: float, width_mm: float, lugs: int = 0, lug_height: float = 0.0) -> Wheel:
+    """Body of a wheel; raises InputError if a size is none in millimeters."""
+    from terraphi.laws.wheel import Wheel
+
+    for name, size in (("diameter_mm", diameter_mm), ("width_mm", width_mm)):
+        numbers(name, size, shape=(), low=5.0, high=4000.0, unit="mm")
+    return Wheel(5e-4 * diameter_mm, 1e-3 * width_mm, lugs, lug_height)
 
 
 def soil(
