@@ -169,7 +169,7 @@ def test_a_soil_has_a_wheel_with_draws() -> None:
     median, many = sand.wheel(200, 80, 40.0, 0.2), sand.wheel(200, 80, 40.0, 0.2, draws=200, rng=1)
     lugged = sand.wheel(200, 80, 40.0, 0.2, lugs=(12, 10))  # tips are deeper than a rim
     assert np.isfinite(sand.wheel(200, 100, 60.0, 0.2, lugs=(12, 3))["pull_N"])
-    with pytest.raises(InputError, match="diameter_mm = 0.2"):
+    with pytest.raises(InputError, match="diameter_mm"):
         sand.wheel(0.2, 0.08, 40.0, 0.2)
     with pytest.warns(UserWarning, match="deeper"):
         assert np.isnan(sand.wheel(200, 80, 40e3, 0.2)["pull_N"])

@@ -252,7 +252,8 @@ def _opened(record: PressedRecord, law: Any) -> _Opened:
     read = roll.read(roll.loads)
     beyond = (read <= roll.angles[0]) | (read >= roll.angles[-1])
     if beyond.any() and beyond.mean() < 0.5:
-        notes.append(f"{beyond.sum()} of {beyond.size} rows are beyond the law and left out.")
+        rows_out = f"{beyond.sum()} of {beyond.size} rows"
+        notes.append(f"{rows_out} are left out: no angle of the law has their load and sinkage.")
         rows = {role: column[~beyond] for role, column in rows.items()}
         roll = replace(roll, rows=rows, sinkage=sinkage[~beyond])
     friction, friction_sd = tool.friction, tool.friction_sd
@@ -261,6 +262,9 @@ def _opened(record: PressedRecord, law: Any) -> _Opened:
         friction, friction_sd = shown
         notes.append(f"{GUESSED}the friction of the rim from the torque: {friction:.2f}.")
         roll = roll.rougher(friction)
+    elif not is_given:
+        way = f"measure the torque at slips of {FULL_SLIP:g} or more, or give --friction"
+        notes.append(f"The friction of the rim, {friction:.2f}, is assumed: {way}.")
     return _Opened(roll, _mean(roll, grain, friction_sd), rho_sd / rho, notes)
 
 
@@ -533,7 +537,7 @@ def _verdict(roll: _Roll, fit: _Mean, record: RecordFit) -> Judgment:
         if (ratio := _shear(roll, name)) > most:
             return misfit(
                 f"the {name} is {ratio:.2f} of {over}, and soil of this angle bears {most:.2f}; "
-                "check units, gear and zero of both."
+                "check their columns, units, gear and zero."
             )
     return _by_residual(record, "follows the load within {:.0%}, usual for wheels")
 
