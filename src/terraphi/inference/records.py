@@ -311,7 +311,10 @@ def open_records(
     if friction is not None and not has_tool:
         raise InputError("--friction goes with a rig or a tool; add its sizes, or --rig li2013")
     if has_tool and _cohesion(options.get("cohesion"), "a tool") != (0.0, 0.0):
-        raise InputError("a plate, ball or wheel is inverted as in dry soil; leave out cohesion")
+        raise InputError(
+            "a plate, ball or wheel is inverted as in dry soil, and φ of damp soil is too high; "
+            "leave out cohesion, and take φ as a limit"
+        )
     records: list[Record | PressedRecord] = []
     for source, body in sources:
         if isinstance(body, Tool):
