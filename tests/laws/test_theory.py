@@ -9,6 +9,7 @@ import pytest
 
 from terraphi import Rig, calibrate, invert
 from terraphi.experiment.errors import InputError
+from terraphi.experiment.history import window_weights
 from terraphi.experiment.scenario import Scenario
 from terraphi.forward import simulate
 from terraphi.forward.rft import stress_scale
@@ -37,7 +38,8 @@ def test_forces_and_moments_are_those_of_a_simulation(changes: dict[str, Any], p
     centre, half = np.radians(law.theta_deg), np.radians(0.5)
     means = history.means(centre, half).T
     np.testing.assert_allclose(force, means, atol=2e-3 * np.abs(means).max())
-    moment = history.means(centre, half, values=history.moment[:, None])[:, 0]
+    ends = (np.clip(centre + end, *history.position[[0, -1]]) for end in (-half, half))
+    moment = window_weights(history.position, *ends) @ history.moment
     np.testing.assert_allclose((arm * force).sum(axis=0), moment, atol=0.01 * np.ptp(moment))
     assert invert(history).phi.median == pytest.approx(phi, abs=2e-3)
 

@@ -15,6 +15,7 @@ from go2.walk import POSTURE
 from scipy.optimize import brentq, least_squares
 from scipy.spatial import ConvexHull
 
+import terraphi
 from terraphi.experiment.errors import InputError
 from terraphi.forward.feet import FADE, compiled
 from terraphi.forward.rft import from_plane_strain, stress_scale, unit_stress
@@ -333,8 +334,11 @@ def test_friction_on_a_plate_keeps_the_bound_and_is_mobilized_by_shearing() -> N
 def test_a_foot_deeper_than_was_simulated_is_warned_of() -> None:
     for foot, radius in ((Foot(RADIUS), RADIUS), (ball(200), RADIUS)):
         force(foot, [0.0, 0.0, -3.5 * radius], going(90.0), **SAND)
-        with pytest.warns(UserWarning, match="deeper than 5"):
-            force(foot, [0.0, 0.0, -1000.0 * radius], going(90.0), **SAND)
+        place = np.array([[0.0, 0.0, -1000.0 * radius]])
+        for call in (force, terraphi.soil("loose dry sand").force):
+            with pytest.warns(UserWarning, match="deeper than 5") as warned:
+                call(foot, place, going(90.0)[None], **SAND)
+            assert warned[0].filename == __file__  # of who called
 
 
 def test_traced_arrays_have_the_same_force() -> None:
@@ -630,6 +634,8 @@ def test_what_cannot_be_a_foot_is_refused() -> None:
     ]:
         with pytest.raises(InputError, match=match):
             Mesh.of(*mesh)
+    with pytest.raises(InputError, match="corners alone"):
+        Mesh(corners, corners, np.ones(8))
     for size in (22.0, -0.02, math.nan):
         with pytest.raises(InputError, match="radius"):
             Foot(size)

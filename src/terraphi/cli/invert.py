@@ -53,12 +53,12 @@ def invert(
 
     Example: terraphi invert forces.csv --rig rig.toml --density 1600±80
     """
-    from terraphi.experiment.outputs import check_folder
     from terraphi.experiment.rig import with_rig
     from terraphi.inference import inversion
-    from terraphi.inference.manifest import read_manifest
 
     if table is not None:
+        from terraphi.inference.manifest import read_manifest
+
         if forces and out is not None:
             raise InputError("--table and --out exclude each other; give one of them")
         rows = [{"forces": path} for path in forces] or read_manifest(table)
@@ -67,6 +67,8 @@ def invert(
     if not forces:
         raise InputError("no forces; give FORCES, or a CSV of records by --table")
     if out is not None:
+        from terraphi.experiment.outputs import check_folder
+
         check_folder(out, kind="answer", names=FILES)
     answer = inversion.invert(list(forces), **with_rig(options))
     parts = parts_of(answer, verbose=verbose)

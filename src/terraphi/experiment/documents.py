@@ -89,16 +89,12 @@ def value_of(text: str) -> Any:
 
 
 def strictly(content: Any, model: type[Model], source: str) -> Model:
-    """Check a document by its types as written: ``true`` and ``"1650"`` are no numbers.
+    """Check a document, also as JSON in bytes, by its types: ``"1650"`` is no number.
 
     Raises InputError, with the name of its source, if it does not fill the model.
     """
     # In strict mode only JSON lets an array become a tuple.
-    return parse_json(json.dumps(content, default=str), model, source)
-
-
-def parse_json(text: str | bytes, model: type[Model], source: str) -> Model:
-    """Read a strict document from JSON; raises InputError, with the name of its source."""
+    text = content if isinstance(content, bytes) else json.dumps(content, default=str)
     try:
         return TypeAdapter(model).validate_json(text, strict=True)
     except ValidationError as error:

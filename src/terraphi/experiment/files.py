@@ -13,10 +13,10 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 
@@ -44,26 +44,20 @@ def read_bytes(path: Path) -> bytes:
     Raises InputError if it is something else, or too large.
     """
     try:
-        if str(path) == "-":
-            return _content(sys.stdin.buffer, path)
-        if not (path.is_file() or path.is_fifo()):
+        is_input = str(path) == "-"
+        if not (is_input or path.is_file() or path.is_fifo()):
             path.stat()  # none there
             what = "folder" if path.is_dir() else "device"
             raise InputError(f"{path}: is a {what}; name a file")
-        with path.open("rb") as stream:
-            return _content(stream, path)
+        with nullcontext(sys.stdin.buffer) if is_input else path.open("rb") as stream:
+            # In parts: memory for all that may come would be taken at once.
+            parts = iter(lambda: stream.read(PART), b"")
+            content = b"".join(itertools.islice(parts, BYTES // PART + 1))
     except InputError:
         raise
     except (OSError, ValueError) as error:  # a name with a null byte is a ValueError
         why = getattr(error, "strerror", "") or str(error)
         raise InputError(f"{path}: {why.lower()}") from error
-
-
-def _content(stream: BinaryIO, path: Path) -> bytes:
-    """All bytes of a stream; raises InputError if they are too many."""
-    # In parts: memory for all that may come would be taken at once.
-    parts = iter(lambda: stream.read(PART), b"")
-    content = b"".join(itertools.islice(parts, BYTES // PART + 1))
     if len(content) > BYTES:
         raise InputError(f"{path}: larger than {BYTES / 1e9:.2g} GB; cut it into parts")
     return content

@@ -131,23 +131,31 @@ class Peaks(NamedTuple):
     """Angle of the peak lift [deg]."""
 
 
-def window_weights(x: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
-    """Weights of readings at x in means over windows from low to high, shape [window, reading].
+def window_means(
+    x: FloatArray, values: FloatArray, low: FloatArray, high: FloatArray
+) -> FloatArray:
+    """Means over windows from low to high of readings at x, [..., reading] -> [..., window].
 
     Readings are joined by lines: a mean is the integral of these over the width of the window.
     """
-    width, rows, ends = np.diff(x), np.arange(low.size), []
-    trapezoids = 0.5 * (np.append(0.0, width) + np.append(width, 0.0))
-    for end in (low, high):
-        # Integral from the first reading: trapezoids up to reading i, and of the interval of width
-        # h after it the part p, in which the hat of i has h (p − p²/2), that of i + 1 h p²/2.
-        i = np.clip(np.searchsorted(x, end, side="right") - 1, 0, x.size - 2)
-        h, p = width[i], (end - x[i]) / width[i]
-        weights = np.where(np.arange(x.size) <= i[:, None], trapezoids, 0.0)
-        weights[rows, i] += h * (p - 0.5 * p**2) - 0.5 * h
-        weights[rows, i + 1] += 0.5 * h * p**2
-        ends.append(weights)
-    return np.asarray((ends[1] - ends[0]) / (high - low)[:, None])
+    steps, ends = np.diff(x), np.stack([low, high])
+    passed = np.cumsum(0.5 * (values[..., 1:] + values[..., :-1]) * steps, axis=-1)
+    passed = np.concatenate([np.zeros_like(values[..., :1]), passed], axis=-1)
+    # Integral from the first reading to each end: of whole intervals, and of a part of one.
+    i = np.clip(np.searchsorted(x, ends, side="right") - 1, 0, x.size - 2)
+    part, slope = ends - x[i], (values[..., i + 1] - values[..., i]) / steps[i]
+    integral = passed[..., i] + part * (values[..., i] + 0.5 * part * slope)
+    return np.asarray((integral[..., 1, :] - integral[..., 0, :]) / (high - low))
+
+
+def window_weights(x: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Weights of readings at x in :func:`window_means`, shape [window, reading]."""
+    weights = np.zeros((low.size, x.size))
+    first, last = np.searchsorted(x, low, side="right") - 1, np.searchsorted(x, high) + 1
+    for k, (a, b) in enumerate(zip(first.tolist(), last.tolist(), strict=True)):
+        ends = low[k : k + 1], high[k : k + 1]
+        weights[k, a:b] = window_means(x[a:b], np.eye(b - a), *ends)[:, 0]
+    return weights
 
 
 @dataclass(frozen=True, repr=False)
@@ -275,14 +283,8 @@ class ForceHistory(Result):
 
     # -- means -----------------------------------------------------------------------------------
 
-    def means(
-        self,
-        centre: FloatArray,
-        half_width: float | FloatArray,
-        *,
-        values: FloatArray | None = None,
-    ) -> FloatArray:
-        """Means over windows, by integrating the piecewise linear history.
+    def means(self, centre: FloatArray, half_width: float | FloatArray) -> FloatArray:
+        """Means of the force over windows, by :func:`window_means`.
 
         Parameters
         ----------
@@ -290,13 +292,11 @@ class ForceHistory(Result):
             Window centers in the unit of ``position``, shape [window].
         half_width
             Half the width of the windows, or of each, same unit; cut at the ends of the record.
-        values
-            What to average, shape [sample, ...], such as ``moment``; by default the force.
 
         Returns
         -------
         ndarray
-            [N] of the force, shape [window, axis].
+            [N], shape [window, axis].
 
         Raises
         ------
@@ -307,20 +307,7 @@ class ForceHistory(Result):
         low, high = np.maximum(centre - half_width, x[0]), np.minimum(centre + half_width, x[-1])
         if np.any(high <= low):
             raise ValueError("a window lies outside the recorded range")
-        # By the integral from the first reading, for weights of all readings in each window
-        # (:func:`window_weights`) would not fit into memory for long records.
-        values = (self.force if values is None else values).T
-        steps = np.diff(x)
-        passed = np.cumsum(0.5 * (values[..., 1:] + values[..., :-1]) * steps, axis=-1)
-        passed = np.concatenate([np.zeros_like(values[..., :1]), passed], axis=-1)
-
-        def integral(end: FloatArray) -> FloatArray:
-            i = np.clip(np.searchsorted(x, end, side="right") - 1, 0, len(x) - 2)
-            part = end - x[i]
-            slope = (values[..., i + 1] - values[..., i]) / steps[i]
-            return np.asarray(passed[..., i] + part * (values[..., i] + 0.5 * part * slope))
-
-        return np.asarray(((integral(high) - integral(low)) / (high - low)).T)
+        return window_means(x, self.force.T, low, high).T
 
     def peaks(self) -> Peaks:
         """Peak thrust and lift on 1° means at whole degrees within |θ| ≤ window [deg].

@@ -133,10 +133,9 @@ def open_forces(source: str | Path, columns: Any = None) -> list[Measurement]:
     """
     text, path = str(source), Path(source)
     if not is_there(path) and not path.is_dir():
-        hint = nearest(text, names())
         if text.startswith(f"{COLLECTION}:"):
             return [measurement(text)]
-        if not path.suffix and hint.startswith("did"):
+        if not path.suffix and (hint := nearest(text, names())).startswith("did"):
             raise InputError(f"'{text}' is neither a file nor a shipped measurement; {hint}")
     if path.suffix.lower() == ".nc":
         histories = [ForceHistory.from_netcdf(path)]

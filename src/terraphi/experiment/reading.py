@@ -246,18 +246,14 @@ def read_forces(source: Any, **columns: Any) -> ForceHistory:
     >>> terraphi.read_forces(pd.DataFrame(table), fz="lift", unit="kgf")
     ForceHistory(171 samples, theta -85 to 85 deg, Fx 4.9 to 4.9 N, Fz 9.81 to 9.81 N)
     """
-    histories = read_trials(source, columns)
-    if len(histories) > 1:
-        raise InputError(
-            f"{_name(source)}: {len(histories)} strokes; give the table to invert, which takes "
-            "them as trials, or cut it into files of one stroke"
-        )
-    return histories[0]
+    [history] = read_trials(source, columns, is_single=True)
+    return history
 
 
 def read_trials(
-    source: Any, columns: ForceColumns | Mapping[str, Any] | Path | str | None = None
-) -> list[ForceHistory]:
+    source: Any, columns: ForceColumns | Mapping[str, Any] | Path | str | None = None, *,
+    is_single: bool = False,
+) -> list[ForceHistory]:  # fmt: skip
     """Forces of each stroke in which θ grows, of a ``Table`` or what :func:`read_forces` takes."""
     reader = _LegTable(source, ForceColumns.of(columns))
     name, table = reader.source, reader.table
@@ -275,6 +271,11 @@ def read_trials(
     if not ours:
         values = reader.tared(theta, values)
     strokes = reader.strokes(theta, reader.forces(values))
+    if is_single and len(strokes) > 1:
+        reader.refuse(
+            f"{len(strokes)} strokes; give the table to invert, which takes them as trials, or cut "
+            "it into files of one stroke"
+        )
     unit = reader.unit(f"f{reader.axes[-1]}")[0] if reader.axes else "N"
     file = "standard input" if name == "-" else Path(name).name
     # Options that numbers were changed by, and degrees for a unit of the angle or of the time.
@@ -338,19 +339,16 @@ def preview(
     }
 
 
-def _name(source: Any) -> str:
-    return str(source) if isinstance(source, str | Path) else type(source).__name__
-
-
 class ColumnReader(Generic[Given]):
     """One table and the columns that have a role in it; what was guessed, and what is wrong."""
 
     def __init__(self, source: Any, given: Given) -> None:
-        self.given, self.source = given, _name(source)
         if isinstance(source, str | Path):
-            self.table = read_table(Path(source))
+            self.source, self.table = str(source), read_table(Path(source))
         else:
+            self.source = type(source).__name__
             self.table = source if isinstance(source, Table) else table_of(source)
+        self.given = given
         self.names: dict[str, str] = {}
         self.wrong: list[str] = []
         self.notes: list[str] = []

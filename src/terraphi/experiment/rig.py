@@ -15,7 +15,7 @@ import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Self, cast
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -63,17 +63,21 @@ class Ratios(NamedTuple):
     """t / L [-]."""
 
 
-def with_sds(content: Any, **pairs: tuple[str, str]) -> Any:
-    """Keys of a table with the numbers of ``35±1``, by the key of the SD and an example of each."""
-    for key, (sd_key, example) in pairs.items() if isinstance(content, dict) else ():
-        text = content.get(key)
-        if isinstance(text, str):
-            try:
-                mean, sd = number_with_sd(text)
-            except ValueError:
-                raise ValueError(f"{key} = '{text}'; give it as {example}") from None
-            content = {**content, key: mean, **({} if sd is None else {sd_key: sd})}
-    return content
+def with_sds(**pairs: tuple[str, str]) -> Any:
+    """Validator that reads numbers as ``35±1``, by the key of the SD and an example of each."""
+
+    def parse(_cls: Any, content: Any) -> Any:
+        for key, (sd_key, example) in pairs.items() if isinstance(content, dict) else ():
+            text = content.get(key)
+            if isinstance(text, str):
+                try:
+                    mean, sd = number_with_sd(text)
+                except ValueError:
+                    raise ValueError(f"{key} = '{text}'; give it as {example}") from None
+                content = {**content, key: mean, **({} if sd is None else {sd_key: sd})}
+        return content
+
+    return model_validator(mode="before")(cast("Any", classmethod(parse)))
 
 
 class Rig(Strict):
@@ -105,11 +109,8 @@ class Rig(Strict):
     leg_friction_sd: float = Field(FRICTION.sd, ge=0, le=1)
     """Standard deviation of that friction [-]."""
 
-    @model_validator(mode="before")
-    @classmethod
-    def _parse_sd(cls, content: Any) -> Any:
-        return with_sds(content, hip_height_mm=("hip_height_sd_mm", "35±1"),
-                        leg_friction=("leg_friction_sd", "0.35±0.05"))  # fmt: skip
+    _parse_sds = with_sds(hip_height_mm=("hip_height_sd_mm", "35±1"),
+                          leg_friction=("leg_friction_sd", "0.35±0.05"))  # fmt: skip
 
     @model_validator(mode="after")
     def _reaches_soil(self) -> Self:
@@ -275,10 +276,7 @@ class Tool(Strict):
     friction_sd: float = Field(FRICTION.sd, ge=0, le=1)
     """Standard deviation of that friction [-]."""
 
-    @model_validator(mode="before")
-    @classmethod
-    def _parse_sd(cls, content: Any) -> Any:
-        return with_sds(content, friction=("friction_sd", "0.35±0.05"))
+    _parse_sds = with_sds(friction=("friction_sd", "0.35±0.05"))
 
     @classmethod
     def of(cls, text: str | Self) -> Self:

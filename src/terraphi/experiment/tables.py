@@ -107,7 +107,7 @@ def read_table(path: Path) -> Table:
     InputError
         If it is not text, or holds no rows of numbers.
     """
-    lines = _without_breaks(_lines(path))
+    lines = _lines(path)
     odd = [line[:1] in _ODD for line in lines]  # most lines of a long log are not
     kept = [
         i for i, line in enumerate(lines)
@@ -198,9 +198,7 @@ def read_cells(path: Path) -> tuple[dict[str, dict[str, str]], list[str]]:
     InputError
         If it is not text, a row has more cells than the first, or two columns have one name.
     """
-    lines = {
-        f"line {i}": line for i, line in enumerate(_without_breaks(_lines(path)), 1) if line.strip()
-    }
+    lines = {f"line {i}": line for i, line in enumerate(_lines(path), 1) if line.strip()}
     comments = [line for line in lines.values() if line[0] == "#"]
     kept = {place: line for place, line in lines.items() if line[0] != "#"}
     separator = next((sign for sign in "\t;" if sign in next(iter(kept.values()), "")), ",")
@@ -339,11 +337,23 @@ def unquoted(cell: str) -> str:
 
 
 def _lines(path: Path) -> list[str]:
-    """Lines of a text file; raises InputError if it is none, or one is too long for a row."""
+    """Lines of a text file; raises InputError if it is none, or one is too long for a row.
+
+    Lines in which a quoted cell of the header goes on in the next line are one; none is lost.
+    """
     lines = decoded(path, read_bytes(path)).splitlines()
     if (most := max(map(len, lines), default=0)) > LONGEST_LINE:
         where = f"{path}, line {[*map(len, lines)].index(most) + 1}"
         raise InputError(f"{where}: {most} letters, expected a row of a table")
+    i = 0
+    while i < min(len(lines), _SAMPLE):
+        is_open = lines[i].count('"') % 2 and not _COMMENT.match(lines[i])
+        end = next((j for j in range(i + 1, i + 4) if lines[j : j + 1] and '"' in lines[j]), i)
+        if is_open and end == i:
+            break
+        for j in range(i + 1, end + 1) if is_open else ():
+            lines[i], lines[j] = f"{lines[i]} {lines[j]}", ""
+        i += not is_open
     return lines
 
 
@@ -364,17 +374,6 @@ def decoded(path: Path, content: bytes) -> str:
     raise InputError(f"{path}: not a text file; save the table as CSV in UTF-8")
 
 
-def _without_breaks(lines: list[str]) -> list[str]:
-    """Lines in which a quoted cell of the header goes on in the next line are one; none is lost."""
-    for i, line in enumerate(lines[:_SAMPLE]):
-        if line.count('"') % 2 and not _COMMENT.match(line):
-            ends = (j for j in range(i + 1, i + 4) if lines[j : j + 1] and '"' in lines[j])
-            for j in range(i + 1, next(ends, i) + 1):
-                lines[i], lines[j] = f"{lines[i]} {lines[j]}", ""
-            return _without_breaks(lines) if lines[i] != line else lines
-    return lines
-
-
 def _cells(line: str, separator: str | None) -> list[str]:
     cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True)) if separator else (
         line.split()
@@ -389,14 +388,13 @@ def _numbers(row: list[str], decimal: str) -> int:
 
 def _dialect(lines: list[str]) -> tuple[str | None, str]:
     """Separator and decimal sign with which lines hold the most numbers and the least else."""
-
-    def score(dialect: tuple[str | None, str]) -> float:
-        rows = [_cells(line, dialect[0]) for line in lines]
-        counts = [_numbers(row, dialect[1]) for row in rows]
-        cells = sum(len([cell for cell in row if not _MISSING.fullmatch(cell)]) for row in rows)
-        return float(sum(counts)) * sum(counts) / max(cells, 1)
-
-    return max(_DIALECTS, key=score)  # of equals the first
+    scores = []
+    for separator, decimal in _DIALECTS:
+        rows = [_cells(line, separator) for line in lines]
+        count = float(sum(_numbers(row, decimal) for row in rows))
+        cells = sum(not _MISSING.fullmatch(cell) for row in rows for cell in row)
+        scores.append(count**2 / max(cells, 1))
+    return _DIALECTS[int(np.argmax(scores))]  # of equals the first
 
 
 def _header(

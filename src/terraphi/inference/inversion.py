@@ -406,7 +406,7 @@ def _answer(
         covariance=likelihood.predictive_covariance(),
         leg_friction=likelihood.laws[0].leg_friction,
         cohesion_pa=likelihood.cohesion if isinstance(law, Legs) else None,
-        offset_causes_deg=likelihood.offset_causes_deg,
+        offset_causes_deg=tuple(likelihood.offset_causes_deg.mean(axis=0).tolist()),
         provenance={
             "terraphi": importlib.metadata.version("terraphi"),
             "law_hash": law.hash,

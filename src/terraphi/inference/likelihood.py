@@ -226,7 +226,12 @@ class Likelihood:
         self.records, self.library, self.calibration = tuple(records), library, calibration
         self.disagreement_deg = disagreement_deg
         self.measured = not all(record.simulated for record in records)
-        self.laws = [self._law(record, library) for record in records]
+        self.laws: list[LegLaw] = []
+        for record in records:
+            try:
+                self.laws.append(law_of(library, record.rig, record.scenario))
+            except InputError as error:
+                raise InputError(f"{record.source}: {error}") from None
         self.density = [record.bulk_density[0] for record in records]
         self.density_sd = np.array([sd / mean for mean, sd in (r.bulk_density for r in records)])
         """Relative standard deviation of the density [-], shape [record]."""
@@ -293,13 +298,6 @@ class Likelihood:
         """Name of a record before a sentence on it, if there are several."""
         return f"{record.source}: " if len(self.records) > 1 else ""
 
-    def _law(self, record: Record, library: LawOfLegs) -> LegLaw:
-        """The law of a record's rig; raises InputError if it does not cover the record."""
-        try:
-            return law_of(library, record.rig, record.scenario)
-        except InputError as error:
-            raise InputError(f"{record.source}: {error}") from None
-
     # -- curves ----------------------------------------------------------------------------------
 
     def offset(self, record: Record, phi_deg: FloatArray) -> FloatArray:
@@ -334,8 +332,13 @@ class Likelihood:
         }
 
     @cached_property
-    def _offset_causes(self) -> FloatArray:
-        """Error of the offset by a standard deviation of each cause [deg], [record, cause]."""
+    def offset_causes_deg(self) -> FloatArray:
+        """Error of the offset by a standard deviation of each cause [deg], [record, cause].
+
+        There is no cause of simulated records.
+        """
+        if not self.measured:
+            return np.empty((len(self.records), 0))
         if self.calibration:
             return np.array([self._calibrated_errors[record][1] for record in self.records])
         rows = np.array([self.row(record, self.least_squares) for record in self.records])
@@ -681,23 +684,13 @@ class Likelihood:
             covariances[name] = factor @ factor.T
         return covariances
 
-    @property
-    def offset_causes_deg(self) -> tuple[float, ...]:
-        """Error of the offset by independent causes, mean over the records [deg].
-
-        Empty of simulated records.
-        """
-        if not self.measured:
-            return ()
-        return tuple(self._offset_causes.mean(axis=0).tolist())
-
     def _angle_sds(self) -> dict[str, FloatArray]:
         """Standard deviation of φ by what looks like another angle [deg], shape [record] each."""
         records, error, each = self.records, self.error, np.ones(len(self.records))
         # 1/h − 1 is the variance of φ by the part of a stroke that is missing, over that at ½.
         share = np.clip([coverage.share for coverage in self.coverage], 1e-3, 1.0)
         return {
-            "model: offset": np.linalg.norm(self._offset_causes, axis=1),
+            "model: offset": np.linalg.norm(self.offset_causes_deg, axis=1),
             "model: soil": error.soil_sd_deg * each,
             "model: leg": error.leg_sd_deg * each,
             "model: rig": error.rig_sd_deg * ~self._is_calibrated,

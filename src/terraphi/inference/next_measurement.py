@@ -21,7 +21,6 @@ from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import measurement_of
 from terraphi.experiment.rig import Rig
 from terraphi.inference.answer import Answer
-from terraphi.inference.combined import combined
 from terraphi.inference.inversion import invert
 from terraphi.inference.records import record_of
 from terraphi.inference.terms import TERMS
@@ -98,6 +97,8 @@ def next_measurements(answer: Answer, *, further_records: bool = True) -> list[M
 
 def _further_records(answer: Answer, rig: Rig) -> Iterator[Measurement]:
     """The joint answer with another leg in the same soil, where the law has it."""
+    from terraphi.inference.combined import combined
+
     soil = answer.provenance["soil"] | {
         "density": f"{answer.density_kg_m3}±{answer.density_sd_kg_m3 or 0.0}"
     }

@@ -12,7 +12,7 @@ from __future__ import annotations
 import importlib.metadata
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -166,12 +166,6 @@ def tool_fit(
         tangent=np.stack([curves[0] - slope * phi_deg, slope])[:, None],
         **{"n_readings": record.table.rows, **values},
     )  # fmt: skip
-
-
-def by_friction(read: Callable[[float], FloatArray], friction: float) -> FloatArray:
-    """Change of what is read with the friction, by a central difference within law ``foot``."""
-    low, high = np.clip(friction + np.array([-ROUGHER, ROUGHER]), *FRICTIONS).tolist()
-    return (read(high) - read(low)) / (high - low)
 
 
 def open_pressed(
@@ -366,7 +360,9 @@ def _fit(press: _Press) -> _Fit:
 def _budget(press: _Press, fit: _Fit, density_sd: float) -> dict[str, float]:
     """Standard deviation of φ by term [deg]; that of the density is relative [-]."""
     x = np.array([[fit.by_law[fit.top], fit.contact]])
-    rougher = by_friction(lambda friction: press.curve(x, friction)[0], press.tool.friction)
+    # A central difference within law ``foot``.
+    low, high = np.clip(press.tool.friction + np.array([-ROUGHER, ROUGHER]), *FRICTIONS).tolist()
+    rougher = (press.curve(x, high)[0] - press.curve(x, low)[0]) / (high - low)
     # Errors of the force [N], one standard deviation over depth.
     errors = {
         "density": density_sd * fit.model,

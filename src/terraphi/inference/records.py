@@ -145,8 +145,11 @@ class Record(InSoil):
         return self.history.channels
 
     @cached_property
-    def _windows(self) -> tuple[FloatArray, FloatArray]:
-        """Centres of the windows that the record covers [deg], and their weights W [m, reading]."""
+    def _windows(self) -> tuple[FloatArray, FloatArray, tuple[IntArray, ...]]:
+        """Centres of the windows that the record covers [deg], and their weights W [m, reading].
+
+        Then window and reading of each weight that is not 0, shape [entry] each.
+        """
         theta = self.history.theta_deg
         centre = np.linspace(-WINDOW_DEG, WINDOW_DEG, OBSERVATION_ANGLES)
         half = WINDOW_DEG / (OBSERVATION_ANGLES - 1)
@@ -170,7 +173,8 @@ class Record(InSoil):
                 f"{self.source}: no reading between {inside[at]:.1f} and {inside[at + 1]:.1f} deg"
                 f"{faulty}; gaps of at most {WIDEST_GAP_DEG:g} deg are accepted"
             )
-        return centre[kept], window_weights(theta, low[kept], high[kept])
+        weights = window_weights(theta, low[kept], high[kept])
+        return centre[kept], weights, np.nonzero(weights)
 
     @property
     def theta_deg(self) -> FloatArray:
@@ -210,21 +214,14 @@ class Record(InSoil):
                 covariance[block, block] += step**2 / 12.0 * runs @ runs.T
         return covariance
 
-    @cached_property
-    def _entries(self) -> tuple[IntArray, IntArray, FloatArray]:
-        """Weights that are not 0: window, reading and weight, shape [entry] each."""
-        weights = self._windows[1]
-        window, reading = np.nonzero(weights)
-        return window, reading, weights[window, reading]
-
     def operator(self, theta_deg: FloatArray, shift_deg: FloatArray | float = 0.0) -> FloatArray:
         """W R: window means of a curve given at leg angles [deg] that comes late by shifts [deg].
 
         R interpolates linearly, and is constant beyond the ends. Shape [n] and [...] for
         [..., m, n].
         """
-        window, reading, weight = self._entries
-        shifts = np.asarray(shift_deg)
+        _, weights, (window, reading) = self._windows
+        shifts, weight = np.asarray(shift_deg), weights[window, reading]
         # A reading lies between two angles of the curve, to which its weight goes by its distance
         # from either. Windows have few readings each, so that W R is summed up from its entries.
         at = self.history.theta_deg[reading] - shifts.reshape(-1, 1)

@@ -37,6 +37,7 @@ from functools import cached_property
 from typing import Any, NamedTuple, cast
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from terraphi.experiment.arrays import BoolArray, FloatArray, block_means
 from terraphi.experiment.errors import GUESSED, InputError, nearest
@@ -46,10 +47,10 @@ from terraphi.experiment.wheel_reading import MEASURED, Rolled
 from terraphi.inference.answer import Answer, Estimate, RecordFit, normal_density
 from terraphi.inference.pressed import (
     LOOSE_DEG,
+    ROUGHER,
     SHAPE_LENGTH,
     SHAPE_SD,
     PressedRecord,
-    by_friction,
     open_pressed,
     tool_answer,
     tool_fit,
@@ -627,7 +628,6 @@ def _contradictions(roll: _Roll, fit: _Mean, *, is_named: bool) -> list[str]:
 class _Resisted(NamedTuple):
     """Rows of a wheel without a sinkage, and what the law has for them."""
 
-    tool: Tool
     wheel: Wheel
     rows: dict[str, FloatArray]
 
@@ -642,34 +642,23 @@ class _Resisted(NamedTuple):
         torque = torque / self.wheel.reach if "torque" in self.rows else 0.0
         return np.asarray((torque - pull) / self.rows["load"])
 
-    def curves(self, friction: float, density: float) -> tuple[FloatArray, FloatArray]:
-        """D [-] and the sinkage [mm] on GRID by the law, shape [grid, row]; NaN beyond it."""
+    def curves(self, frictions: ArrayLike, densities: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """D [-] and sinkage [mm] by the law on GRID, [friction, density, grid, row]; NaN beyond it.
+
+        The forces of all densities are the same but for their scale, and those at all frictions
+        lie between the same few.
+        """
+        soils = np.tile(FEW, np.size(densities)), np.repeat(densities, FEW.size)
         forces = rolling(
-            self.wheel, self.rows["load"], self.rows["slip"], FEW, 0.0 * FEW + density,
-            surface_friction=friction,
-        )  # fmt: skip
+            self.wheel, self.rows["load"], self.rows["slip"], *soils, surface_friction=frictions
+        )
         shares = self.share(forces["pull_N"], forces["torque_Nm"])
+        shape = np.size(frictions), np.size(densities), FEW.size, self.rows["load"].size
         model, sunk = (
-            np.stack([np.interp(GRID, FEW, row) for row in values.T], axis=1)
+            np.apply_along_axis(lambda few: np.interp(GRID, FEW, few), 2, values.reshape(shape))
             for values in (shares, forces["sinkage_mm"])
         )
         return model, sunk
-
-    def errors(self, model: FloatArray, noise: float, rho: float, rho_sd: float) -> dict[str, Any]:
-        """Errors of the mean D by cause [-], one standard deviation each, shape [grid]."""
-        friction, mean = self.tool.friction, model.mean(axis=1)
-        rougher = by_friction(lambda mu: self.curves(mu, rho)[0].mean(axis=1), friction)
-        friction_sd = LUGS_SD if self.wheel.lugs else self.tool.friction_sd
-        slope = np.gradient(mean, GRID)
-        return {
-            "resistance": RESISTANCE_SD if self.has_both else ALONE_SD,
-            "surface friction": friction_sd * rougher,
-            "noise": noise / math.sqrt(model.shape[1]),
-            "density": self.curves(friction, rho + rho_sd)[0].mean(axis=1) - mean,
-            "slip": slope * float(np.mean(WHEEL_ERROR.sd_by_slip(self.rows["slip"]))),
-            "model: soil": slope * WHEEL_ERROR.soil_deg,
-            "model: law": slope * WHEEL_ERROR.law_deg,
-        }
 
 
 def _unsunk_answer(record: PressedRecord, table: Rolled, law: Any, began: float) -> Answer:
@@ -682,22 +671,35 @@ def _unsunk_answer(record: PressedRecord, table: Rolled, law: Any, began: float)
     if np.abs(rows["side_slip"]).max() > STRAIGHT_DEG:
         raise InputError(f"{record.source}: a wheel with side slip needs a sinkage")
     order = np.argsort(rows["slip"], kind="stable")
-    resisted = _Resisted(tool, wheel, {name: row[order] for name, row in rows.items()})
+    resisted = _Resisted(wheel, {name: row[order] for name, row in rows.items()})
     rho, rho_sd = record.bulk_density
     measured = resisted.share(*(resisted.rows.get(name) for name in MEASURED))
-    model, sunk = resisted.curves(tool.friction, rho)
-    mean = model.mean(axis=1)
+    smooth, rough = np.clip(tool.friction + np.array([-ROUGHER, ROUGHER]), *FRICTIONS[::2])
+    curves, sunk = resisted.curves([tool.friction, smooth, rough], [rho, rho + rho_sd])
+    model, sunk, means = curves[0, 0], sunk[0, 0], curves.mean(axis=-1)
+    mean = means[0, 0]
     if np.isnan(mean).all():
         raise InputError(f"{record.source}: {DEEP}")
     nearest = int(np.nanargmin(np.abs(mean - measured.mean())))
-    errors = resisted.errors(model, float(np.std(measured - model[nearest])), rho, rho_sd)
+    by_phi = np.gradient(mean, GRID)
+    # Errors of the mean D by cause [-], one standard deviation each, shape [grid].
+    errors = {
+        "resistance": RESISTANCE_SD if resisted.has_both else ALONE_SD,
+        "surface friction": (LUGS_SD if wheel.lugs else tool.friction_sd)
+        * (means[2, 0] - means[1, 0]) / (rough - smooth),
+        "noise": float(np.std(measured - model[nearest])) / math.sqrt(measured.size),
+        "density": means[0, 1] - mean,
+        "slip": by_phi * float(np.mean(WHEEL_ERROR.sd_by_slip(resisted.rows["slip"]))),
+        "model: soil": by_phi * WHEEL_ERROR.soil_deg,
+        "model: law": by_phi * WHEEL_ERROR.law_deg,
+    }  # fmt: skip
     sd = np.sqrt(sum(np.square(error) for error in errors.values()))
     deviate = (measured.mean() - mean) / sd
     chance = np.nan_to_num(np.exp(-0.5 * deviate**2) / sd)
     posterior = GRID, chance / np.trapezoid(chance, GRID)
     estimate = Estimate.of_density(*posterior)
     at = int(np.abs(GRID - estimate.median).argmin())
-    slope = max(abs(float(np.gradient(mean, GRID)[at])), LEAST_SLOPE)
+    slope = max(abs(float(by_phi[at])), LEAST_SLOPE)
     budget = ordered_budget(
         {name: float((np.abs(error) + 0.0 * GRID)[at]) / slope for name, error in errors.items()}
     )

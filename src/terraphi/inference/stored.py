@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, Field, Json, model_validator
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.documents import parse_json
+from terraphi.experiment.documents import strictly
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import NetcdfFile, open_netcdf, read_bytes
 from terraphi.inference.answer import (
@@ -145,7 +145,7 @@ class StoredAnswer(NamedTuple):
             source = str(answer)
             if not (Path(answer).is_dir() or source.endswith(".nc")):
                 text = read_bytes(Path(answer))
-                parse_json(text, Stored, source)
+                strictly(text, Stored, source)
                 stored = json.loads(text)
                 written = {RENAMED.get(key, key): value for key, value in stored.items()}
                 is_old = written.keys() != stored.keys()

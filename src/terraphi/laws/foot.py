@@ -52,6 +52,7 @@ from terraphi.experiment.arrays import FloatArray, between_rows, numbers
 from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.units import GRAVITY
+from terraphi.forward.feet import SPACING
 from terraphi.forward.rft import from_plane_strain, stress_scale, unit_stress
 from terraphi.laws.fitted import FittedLaw
 
@@ -60,7 +61,7 @@ RINGS, SECTORS = 100, 24
 each; the lift is right within 0.2 %."""
 DEPTHS = np.linspace(0.0, 2.02, 203)
 """Depths over the radius that are tabulated [-]; at the last two all faces are submerged."""
-DESCENTS = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 61)
+DESCENTS = np.linspace(-0.5 * np.pi, 0.5 * np.pi, round(math.pi / SPACING) + 1)
 """Directions of motion that are tabulated, from straight up to straight down [rad]."""
 DEEPEST = 5.0
 """Depth over the radius to which law ``foot`` was simulated [-]."""

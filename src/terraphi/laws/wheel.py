@@ -195,7 +195,7 @@ def wheel_forces(
     *,
     phi_deg: ArrayLike,
     density: float,
-    surface_friction: float = FRICTION.mean,
+    surface_friction: ArrayLike = FRICTION.mean,
     mobilization: float = MOBILIZATION,
     side_slip_deg: ArrayLike = 0.0,
     law: str = "foot",
@@ -215,8 +215,8 @@ def wheel_forces(
     density
         Bulk density [kg/m³].
     surface_friction
-        Between rim and soil [-], 0.05 to 0.65; what lugs carry along has that of the soil, tan φ,
-        0.65 at most.
+        Between rim and soil [-], 0.05 to 0.65, a number or several, [friction]; what lugs carry
+        along has that of the soil, tan φ, 0.65 at most.
     mobilization
         K [m]; 0: all friction at once.
     side_slip_deg
@@ -227,7 +227,7 @@ def wheel_forces(
     Returns
     -------
     WheelForces
-        Of the common shape of sinkage, slip, φ and side slip.
+        Of the common shape of sinkage, slip, φ and side slip, several frictions before it.
 
     Raises
     ------
@@ -242,22 +242,23 @@ def wheel_forces(
     numbers("slip", s, low=-STEEPEST, high=STEEPEST)
     numbers("side_slip_deg", side, low=-60.0, high=60.0, unit="deg")
     ends = FRICTIONS[0], FRICTIONS[-1]
-    friction = numbers("surface_friction", surface_friction, shape=(), low=ends[0], high=ends[1])
-    friction = friction + wheel.carried * (np.tan(np.radians(phi)) - friction)
+    given = numbers("surface_friction", surface_friction, low=ends[0], high=ends[1])
+    friction = np.reshape(given, (-1, 1))
+    friction = friction + wheel.carried * (np.tan(np.radians(phi.ravel())) - friction)
     # Between tables of few frictions: the forces are nearly straight over it.
     at = np.interp(friction, FRICTIONS, np.arange(len(FRICTIONS)))
     places = np.maximum(z - wheel.bare, 0.0).ravel(), s.ravel(), phi.ravel(), side.ravel()
-    rows = np.zeros((z.size, 4))
+    rows = np.zeros((given.size, z.size, 4))
     for i, node in enumerate(FRICTIONS):
-        share = np.broadcast_to(np.maximum(1.0 - np.abs(at - i), 0.0), z.shape).ravel()
+        share = np.maximum(1.0 - np.abs(at - i), 0.0)
         if share.any():
-            rows += share[:, None] * _rim(wheel, *places, density, node, mobilization, law)
-    return WheelForces(*(rows[:, i].reshape(z.shape) for i in range(4)))
+            rows += share[..., None] * _rim(wheel, *places, density, node, mobilization, law)
+    return WheelForces(*np.moveaxis(rows, -1, 0).reshape(4, *given.shape, *z.shape))
 
 
 def rolling(
     wheel: Wheel, load: ArrayLike, slip: ArrayLike, phi_deg: FloatArray, density: FloatArray, *,
-    surface_friction: float = FRICTION.mean,
+    surface_friction: ArrayLike = FRICTION.mean,
 ) -> dict[str, FloatArray]:  # fmt: skip
     """Sinkage of the lugs' tips [mm], pull [N] and torque [N m] of a wheel in several soils.
 
@@ -273,7 +274,8 @@ def rolling(
     Returns
     -------
     dict
-        ``sinkage_mm``, ``pull_N``, ``torque_Nm``, shape [soil, ...]; NaN where the wheel would sink
+        ``sinkage_mm``, ``pull_N``, ``torque_Nm``, shape [soil, ...], after that of several
+        frictions; NaN where the wheel would sink
         in deeper than :data:`DEEPEST` radii. φ is raised by what wheels in grains read too much.
 
     Raises
@@ -296,7 +298,7 @@ def rolling(
     nodes = np.linspace(read.min(), read.max() + WIDTH_DEG, NODES)
     forces = wheel_forces(
         wheel, depths, each[:, None, None], phi_deg=nodes[:, None], density=DENSITY.mean,
-        surface_friction=surface_friction,
+        surface_friction=np.ravel(surface_friction),
     )  # fmt: skip
     # Forces go with the density. Over φ their logarithm is nearly straight.
     borne = np.log(np.maximum(np.maximum.accumulate(forces.load, axis=-1), TINY))
@@ -304,18 +306,17 @@ def rolling(
     index = np.clip(at.astype(int), 0, NODES - 2)
     part = (at - index)[..., None]
     row = np.arange(each.size)
-    curve = (1.0 - part) * borne[row, index] + part * borne[row, index + 1]
+    curve = (1.0 - part) * borne[:, row, index] + part * borne[:, row, index + 1]
     wanted = np.log(loads.ravel() * DENSITY.mean / density[:, None])
     shares = np.stack([forces.pull, forces.torque]) / forces.load
-    result = np.empty((3, *read.shape))
-    for i, j in np.ndindex(read.shape):
-        depth = math.exp(np.interp(wanted[i, j], curve[i, j], np.log(depths), right=np.nan))
-        pull, torque = (np.interp(depth, depths, share) for share in shares[:, j, index[i, j]])
-        result[:, i, j] = 1e3 * depth, loads.flat[j] * pull, loads.flat[j] * torque
+    result = np.empty((3, len(curve), *read.shape))
+    for k, i, j in np.ndindex(result.shape[1:]):
+        depth = math.exp(np.interp(wanted[i, j], curve[k, i, j], np.log(depths), right=np.nan))
+        pull, torque = (np.interp(depth, depths, share) for share in shares[:, k, j, index[i, j]])
+        result[:, k, i, j] = 1e3 * depth, loads.flat[j] * pull, loads.flat[j] * torque
+    shape = *np.shape(surface_friction), len(phi_deg), *slips.shape
     names = ("sinkage_mm", "pull_N", "torque_Nm")
-    return {
-        name: values.reshape(-1, *slips.shape) for name, values in zip(names, result, strict=True)
-    }
+    return {name: values.reshape(shape) for name, values in zip(names, result, strict=True)}
 
 
 class BekkerWong(NamedTuple):

@@ -42,6 +42,7 @@ results are of the same library, type and device.
 from __future__ import annotations
 
 import math
+import sys
 import warnings
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -98,7 +99,7 @@ WIDTHS = (3, 7), (3, 6), (3,), (3,)
 """Types of a number, and last axes of pose, velocity, and force and moment that are held."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
 class Mesh:
     """Triangles of a foot's surface in its own frame; :meth:`of` checks that it is closed.
 
@@ -110,10 +111,12 @@ class Mesh:
 
     corners: FloatArray
 
-    def __post_init__(self) -> None:
-        """Check the corners."""
+    def __init__(self, corners: Any, *former: Any) -> None:
+        """Check the corners; raises InputError."""
+        if former:
+            raise InputError("Mesh takes corners alone; for points, normals and areas call wrench")
         ends: dict[str, Any] = {"low": -2.0 * LARGEST, "high": 2.0 * LARGEST, "unit": "m"}
-        corners = numbers("corners", self.corners, last=(3,), **ends)
+        corners = numbers("corners", corners, last=(3,), **ends)
         if corners.ndim != 3 or corners.shape[1] != 3 or not corners.size:
             raise InputError(f"corners of shape {corners.shape}; give [face, 3, 3]")
         object.__setattr__(self, "corners", corners.copy())  # faces are kept
@@ -516,10 +519,13 @@ def _soil(
 def _warn_deep(xp: Any, ratio: Any) -> None:
     """Warn of feet deeper than law ``foot`` was simulated, from depths over their radius [-]."""
     if xp is np and ratio.size and float(ratio.max()) > DEEPEST:
+        frame, level = sys._getframe(), 1
+        while frame.f_back and frame.f_globals["__name__"].startswith("terraphi."):
+            frame, level = frame.f_back, level + 1  # to who called this package
         warnings.warn(  # one text, so that it is shown once
             f"a foot is deeper than {DEEPEST:g} of its radii, to which law 'foot' was simulated; "
             "its forces are continued from there",
-            stacklevel=4,
+            stacklevel=level,
         )
 
 

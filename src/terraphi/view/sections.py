@@ -143,7 +143,11 @@ def _of_file(source: Path | str, kind: str, robot: str) -> Section:
     if kind == "forces":
         from terraphi.inference.inversion import invert
 
-        return of_answer(invert(source))
+        try:
+            return of_answer(invert(source))
+        except InputError as error:  # such as a table that does not say its rig
+            why = "a table, not an answer; give the folder of 'terraphi invert FILE --out FOLDER'"
+            raise InputError(f"{path}: {why}") from error
     if kind == "library":
         from terraphi.laws.store import Library
 
