@@ -26,7 +26,7 @@ from sand_walk import GAITS, sand_log, sand_walk
 from terraphi.inference.footfalls import PRINT, TRODDEN, FootfallMap
 from terraphi.inference.pool import Anchor
 from terraphi.robot.footfalls import footfalls
-from terraphi.robot.model import Quadruped
+from terraphi.robot.model import Robot
 
 
 class World(NamedTuple):
@@ -82,7 +82,7 @@ def world_walk(
 ) -> Walk:
     """The walk of one row of the table."""
     soil = WORLDS.get(world, WORLDS["foot"])
-    body = None if robot is None else Quadruped.load(robot)
+    body = None if robot is None else Robot.load(robot)
     walk = sand_walk(
         gait, seed=seed, law=soil.law, duration=duration,
         mean=soil.mean, spread=soil.spread, length=soil.length,
@@ -99,7 +99,7 @@ def world_walk(
         walk = replace(walk, sand=sand)
     if body is None:
         return walk
-    longer = float(body.leg_length.mean() / Quadruped.load("go2").leg_length.mean())
+    longer = float(body.leg_length.mean() / Robot.load("go2").leg_length.mean())
     heavier = body.mass / GO2_MASS
     physics = replace(
         walk.physics, coulomb=walk.physics.coulomb * heavier, viscous=walk.physics.viscous * heavier
@@ -244,7 +244,7 @@ def main(
 ) -> None:
     """Simulate walks on sand and write how accurate their footfalls are."""
     rows = []
-    name = "go2" if robot is None else Quadruped.load(robot).name
+    name = "go2" if robot is None else Robot.load(robot).name
     for seed in range(seeds):
         for world in worlds:
             # Formulas of bearing capacity have no friction; slow and limping walks are of the first

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from terraphi.experiment.documents import shipped_file
 from terraphi.robot.joint_log import FEET, JOINTS
-from terraphi.robot.model import Quadruped
+from terraphi.robot.model import Robot
 
 FloatArray = NDArray[np.float64]
 
@@ -112,7 +112,7 @@ def build(physics: Physics, robot: Path | None = None) -> mujoco.MjModel:
 
 def _renamed(file: Path) -> mujoco.MjSpec:
     """A robot with the Go2's names, a body for each foot's ball and no actuators."""
-    robot = Quadruped.load(file)
+    robot = Robot.load(file)
     old = robot.model
     with tempfile.TemporaryDirectory() as folder:
         plain = str(Path(folder, "robot.xml"))

@@ -7,9 +7,9 @@ import pytest
 
 from terraphi.inference import pool as module
 from terraphi.inference.pool import Anchor, Normal, Observed, covariance, pool
-from terraphi.inference.touchdowns import TORQUES as N
 from terraphi.inference.touchdowns import Prior
 
+N = 24  # gains and frictions of twelve joints
 SHARED = [*map(str, range(N)), *Prior().shared()]
 M = len(SHARED)
 FIELD = (1.2, 0.8)
@@ -37,7 +37,7 @@ def problem() -> tuple[Observed, Normal, np.ndarray]:
 
 def test_bands_are_the_exact_posterior() -> None:
     observed, shared, path = problem()
-    pooled = pool(observed, shared, path, [], mean=32.0, mean_sd=8.0)
+    pooled = pool(observed, shared, path, [], torques=N, mean=32.0, mean_sd=8.0)
     # Footfalls first determine the errors of the torques, by the normal equations.
     each, before = observed.shared[:, :N], np.linalg.inv(shared.covariance[:N, :N])
     field = covariance(observed.place, observed.place, *FIELD, 8.0) + observed.sd**2 * np.eye(24)
@@ -74,9 +74,15 @@ def test_bands_are_the_exact_posterior() -> None:
 
 def test_an_anchor_of_some_doubt_is_weighed_by_its_variance() -> None:
     observed, shared, path = problem()
-    free = pool(observed, shared, path, [], mean=32.0, mean_sd=8.0)
+    free = pool(observed, shared, path, [], torques=N, mean=32.0, mean_sd=8.0)
     held = pool(
-        observed, shared, path, [(Anchor(0.0, 0.5, 30.0, 0.5), path[:1])], mean=32.0, mean_sd=8.0
+        observed,
+        shared,
+        path,
+        [(Anchor(0.0, 0.5, 30.0, 0.5), path[:1])],
+        torques=N,
+        mean=32.0,
+        mean_sd=8.0,
     )
     reference, given = free.path_absolute_sd[0] ** 2, 0.5**2
     mean = (free.path_phi[0] * given + 30.0 * reference) / (reference + given)
@@ -93,9 +99,9 @@ def test_an_anchor_takes_what_is_shared_away() -> None:
     only[SHARED.index("law_offset_deg"), SHARED.index("law_offset_deg")] = 9.0
     observed = observed._replace(shared=np.tile(np.eye(M)[SHARED.index("law_offset_deg")], (24, 1)))
     shared = Normal(np.zeros(M), only)
-    free = pool(observed, shared, path, [], mean=32.0, mean_sd=8.0)
+    free = pool(observed, shared, path, [], torques=N, mean=32.0, mean_sd=8.0)
     anchor = Anchor(0.0, 0.5, float(free.path_phi[0]) - 4.0, 0.01)
-    held = pool(observed, shared, path, [(anchor, path[:1])], mean=32.0, mean_sd=8.0)
+    held = pool(observed, shared, path, [(anchor, path[:1])], torques=N, mean=32.0, mean_sd=8.0)
     assert free.path_absolute_sd == pytest.approx(np.hypot(free.path_relative_sd, 3.0), rel=1e-3)
     assert held.path_phi == pytest.approx(free.path_phi - 4.0, abs=0.1)
     assert held.phi == pytest.approx(free.phi - 4.0, abs=0.1)
@@ -113,7 +119,13 @@ def test_feet_teach_the_gains_that_differ_between_them() -> None:
     sd[[2, 5]] = 0.1
     observation = Observed(phi, np.full(40, 0.1), shared, place)
     pooled = pool(
-        observation, Normal(np.zeros(M), np.diag(sd**2)), place[:3], [], mean=32.0, mean_sd=8.0
+        observation,
+        Normal(np.zeros(M), np.diag(sd**2)),
+        place[:3],
+        [],
+        torques=N,
+        mean=32.0,
+        mean_sd=8.0,
     )
     assert pooled.shared[0][2] - pooled.shared[0][5] == pytest.approx(0.1, abs=0.01)
     assert np.ptp(pooled.phi) < 0.1
@@ -138,6 +150,7 @@ def test_two_anchors_find_the_scale_of_differences() -> None:
             Normal(np.zeros(M), np.diag(sd**2)),
             path,
             reference,
+            torques=N,
             mean=32.0,
             mean_sd=8.0,
         )
@@ -161,7 +174,13 @@ def test_what_is_learned_of_the_field_is_what_it_was_drawn_from() -> None:
     phi = 35.0 + np.linalg.cholesky(field - 8.0**2) @ rng.normal(size=240)
     observation = Observed(phi, sd, np.zeros((240, M)), place)
     pooled = pool(
-        observation, Normal(np.zeros(M), np.eye(M)), place[:2], [], mean=32.0, mean_sd=8.0
+        observation,
+        Normal(np.zeros(M), np.eye(M)),
+        place[:2],
+        [],
+        torques=N,
+        mean=32.0,
+        mean_sd=8.0,
     )
     assert pooled.field["length_m"] == pytest.approx(2.5, rel=0.3)
     assert pooled.field["amplitude_deg"] == pytest.approx(2.0, rel=0.3)
@@ -173,12 +192,12 @@ def test_what_is_learned_of_the_field_is_what_it_was_drawn_from() -> None:
 
 def test_an_anchor_that_contradicts_is_told_from_one_that_agrees() -> None:
     observed, shared, path = problem()
-    free = pool(observed, shared, path, [], mean=32.0, mean_sd=8.0)
+    free = pool(observed, shared, path, [], torques=N, mean=32.0, mean_sd=8.0)
     there, sd = free.path_phi[0], free.path_absolute_sd[0]
 
     def surprise(*known: float) -> np.ndarray:
         anchors = [(Anchor(0.0, 0.5, phi, 0.2), path[i : i + 1]) for i, phi in enumerate(known)]
-        return pool(observed, shared, path, anchors, mean=32.0, mean_sd=8.0).surprise
+        return pool(observed, shared, path, anchors, torques=N, mean=32.0, mean_sd=8.0).surprise
 
     assert surprise(there).max() < 1e-6
     assert surprise(there + 3.0 * np.hypot(sd, 0.2)) == pytest.approx([3.0])

@@ -13,7 +13,6 @@ from scipy.stats import norm
 from terraphi.inference.footfalls import FootfallMap, infer
 from terraphi.inference.pool import Normal
 from terraphi.inference.touchdowns import (
-    TORQUES,
     Prior,
     Touchdowns,
     fit,
@@ -27,6 +26,7 @@ from terraphi.inference.touchdowns import (
 from terraphi.laws.foot import LAWS, Foot, moved_mass
 
 PRIOR = Prior()
+TORQUES = 24  # gains and frictions of twelve joints
 GRAINS = Path(__file__).parents[2] / "studies" / "data" / "grains"
 
 
@@ -39,6 +39,7 @@ def pressed(phi: float = 34.0, *, level: float = 0.003, seed: int | None = 0) ->
         foot=np.array([2]), begin=np.zeros(1), place=np.zeros((1, 3)), time=time, drop=drop,
         descent=np.full_like(time, 1.4), speed=still, acceleration=still, force=still,
         per_error=np.zeros((*time.shape, 6)),
+        rise=np.zeros((*time.shape, 2)), heading=np.zeros(1),
         used=np.ones_like(time, dtype=bool), torn=np.zeros(1, bool), saturated=np.zeros(1, bool),
         faulty=np.zeros(1, bool),
         returned=np.zeros(1), peak=np.ones(1), deepest=drop.max(axis=1), broken=np.zeros(1),
@@ -128,7 +129,8 @@ def landed(name: str) -> tuple[Touchdowns, Prior]:
         foot=np.array([0]), begin=np.zeros(1), place=np.zeros((1, 3)),
         time=np.append(0.0, np.cumsum(gaps))[None], drop=drop,
         descent=np.full((1, 24), 0.5 * np.pi), speed=speed[None], acceleration=acceleration[None],
-        force=force[None], per_error=np.zeros((1, 24, 6)), used=np.ones((1, 24), dtype=bool),
+        force=force[None], per_error=np.zeros((1, 24, 6)),
+        rise=np.zeros((1, 24, 2)), heading=np.zeros(1), used=np.ones((1, 24), dtype=bool),
         torn=np.zeros(1, bool), saturated=np.zeros(1, bool),
         faulty=np.zeros(1, bool),
         returned=np.zeros(1), peak=np.ones(1), deepest=drop.max(axis=1), broken=np.zeros(1),

@@ -16,10 +16,10 @@ from terraphi.inference.touchdowns import Prior
 from terraphi.robot.footfalls import Course, calibrate_on_weight, footfalls
 from terraphi.robot.forces import SensorErrors, estimate
 from terraphi.robot.joint_log import FEET, JointLog
-from terraphi.robot.model import Quadruped
+from terraphi.robot.model import Robot
 from terraphi.robot.touchdowns import sensitivity
 
-GO2 = Quadruped.load("go2")
+GO2 = Robot.load("go2")
 _WALKER = runpy.run_path(str(Path(__file__).with_name("walker.py")))
 LawWalk, PHASES, DUTY = (_WALKER[name] for name in ("LawWalk", "PHASES", "DUTY"))
 CALF = 2

@@ -18,9 +18,9 @@ from terraphi.robot.estimators import JointFriction
 from terraphi.robot.forces import SensorErrors, estimate
 from terraphi.robot.joint_log import FEET, JointLog
 from terraphi.robot.legs import Legs, rotation
-from terraphi.robot.model import Quadruped
+from terraphi.robot.model import Robot
 
-GO2 = Quadruped.load("go2")
+GO2 = Robot.load("go2")
 Walk = runpy.run_path(str(Path(__file__).with_name("walker.py")))["Walk"]
 
 

@@ -10,9 +10,9 @@ import pytest
 
 from terraphi.robot.forces import FootForces, estimate
 from terraphi.robot.friction import REVERSAL_RATE, away_from, clear_of_ground, robust_slope
-from terraphi.robot.model import Quadruped
+from terraphi.robot.model import Robot
 
-GO2 = Quadruped.load("go2")
+GO2 = Robot.load("go2")
 Walk = runpy.run_path(str(Path(__file__).with_name("walker.py")))["Walk"]
 
 

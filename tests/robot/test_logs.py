@@ -31,7 +31,7 @@ from terraphi.robot.logs import bags, read_log
 from terraphi.robot.logs.bags import IMU, JOINT_STATE, typestore
 from terraphi.robot.logs.messages import URDF_NAMES
 from terraphi.robot.logs.samples import seconds, sound
-from terraphi.robot.model import Quadruped
+from terraphi.robot.model import Robot
 
 
 def walking(samples: int = 200, *, step_s: float = 0.002, start_s: float = 5.0) -> JointLog:
@@ -585,7 +585,7 @@ def imu(ms: int) -> SimpleNamespace:
 
 
 def test_joints_of_something_else_are_left_out_and_a_stream_of_them_is_refused() -> None:
-    legs = [f"{joint}_joint" for joint in Quadruped.load("go2").joint_order]
+    legs = [f"{joint}_joint" for joint in Robot.load("go2").joint_order]
     stream = terraphi.Messages()
     assert stream.take(imu(0), imu(2), state(1, ["gripper"])) is None
     log = stream.take(state(1, ["gripper", *legs[::-1]]))
@@ -604,7 +604,7 @@ def test_what_is_no_message_of_a_robot_is_named() -> None:
 
 
 def legs_state(ms: int) -> SimpleNamespace:
-    return state(ms, [f"{joint}_joint" for joint in Quadruped.load("go2").joint_order])
+    return state(ms, [f"{joint}_joint" for joint in Robot.load("go2").joint_order])
 
 
 def test_an_imu_that_begins_later_is_used_from_then_on() -> None:

@@ -12,7 +12,7 @@ from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError
 from terraphi.robot.joint_log import FEET, JOINT_NAMES
 from terraphi.robot.legs import Legs
-from terraphi.robot.model import Quadruped
+from terraphi.robot.model import Robot
 
 
 def written(tmp_path: Path, text: str, name: str) -> Path:
@@ -22,7 +22,7 @@ def written(tmp_path: Path, text: str, name: str) -> Path:
 
 
 def test_shipped_go2_is_what_its_urdf_says(go2_urdf: Path) -> None:
-    shipped, read = Quadruped.load("go2"), Quadruped.load(go2_urdf)
+    shipped, read = Robot.load("go2"), Robot.load(go2_urdf)
     assert shipped.torque_limit == read.torque_limit == (23.7, 23.7, 45.43)
     assert shipped.imu == read.imu == (-0.02557, 0.0, 0.04232)
     assert shipped.mass == pytest.approx(read.mass, abs=1e-9)
@@ -64,7 +64,7 @@ def small_urdf() -> str:
 
 
 def test_urdf_of_another_robot(tmp_path: Path) -> None:
-    robot = Quadruped.load(written(tmp_path, small_urdf(), "small.urdf"))
+    robot = Robot.load(written(tmp_path, small_urdf(), "small.urdf"))
     assert (robot.name, robot.foot_radius, robot.torque_limit) == ("small", 0.02, None)
     assert robot.mass == pytest.approx(5.0 + 4 * 1.6)
     # Thighs turn about ± y: the same angle swings the feet of both sides apart.
@@ -78,7 +78,7 @@ def test_a_toml_adds_what_the_model_lacks(tmp_path: Path) -> None:
     written(tmp_path, small_urdf(), "small.urdf")
     order = ", ".join(f"'{name}'" for name in reversed(JOINT_NAMES))
     text = f"model = 'small.urdf'\nmass = 20\ntorque_limit = [1, 2, 3]\njoint_order = [{order}]"
-    robot = Quadruped.load(written(tmp_path, text, "robot.toml"))
+    robot = Robot.load(written(tmp_path, text, "robot.toml"))
     assert (robot.mass, robot.torque_limit) == (20.0, (1.0, 2.0, 3.0))
     assert robot.joint_order == JOINT_NAMES[::-1]
 
@@ -95,7 +95,7 @@ def test_mjcf_with_meshes_and_feet_that_are_spheres(tmp_path: Path) -> None:
         )
     text = text.replace("<worldbody>", '<asset><mesh name="calf" file="calf.stl"/></asset>'
                         "<worldbody>").replace("<freejoint/>", "")  # fmt: skip
-    robot, shipped = Quadruped.load(written(tmp_path, text, "own.xml")), Quadruped.load("go2")
+    robot, shipped = Robot.load(written(tmp_path, text, "own.xml")), Robot.load("go2")
     angle = np.random.default_rng(0).normal(size=(5, 4, 3))
     np.testing.assert_allclose(Legs(robot, angle).place, Legs(shipped, angle).place, atol=1e-12)
     assert robot.foot_radius == 0.022
@@ -114,7 +114,7 @@ def test_mjcf_with_meshes_and_feet_that_are_spheres(tmp_path: Path) -> None:
 def test_wrong_toml_is_refused_in_one_sentence(tmp_path: Path, text: str, words: str) -> None:
     written(tmp_path, small_urdf(), "small.urdf")
     with pytest.raises(InputError, match=re.escape(words)) as caught:
-        Quadruped.load(written(tmp_path, text, "robot.toml"))
+        Robot.load(written(tmp_path, text, "robot.toml"))
     assert "\n" not in str(caught.value)
 
 
@@ -141,16 +141,16 @@ def test_wrong_urdf_is_refused_in_one_sentence(
     text = text.replace(pattern, new)
     text = text.replace("</robot>", "</sdf>") if "<sdf>" in new else text
     with pytest.raises(InputError, match=re.escape(words)) as caught:
-        Quadruped.load(written(tmp_path, text, "small.urdf"))
+        Robot.load(written(tmp_path, text, "small.urdf"))
     assert "small.urdf" in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
 def test_unknown_robot_and_missing_files(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="did you mean 'go2'"):
-        Quadruped.load("go3")
+        Robot.load("go3")
     with pytest.raises(InputError, match="no such file"):
-        Quadruped.load(tmp_path / "absent.urdf")
+        Robot.load(tmp_path / "absent.urdf")
 
 
 @pytest.mark.parametrize(
@@ -163,4 +163,4 @@ def test_unknown_robot_and_missing_files(tmp_path: Path) -> None:
 def test_a_model_that_copies_its_parts_without_end_is_refused(tmp_path: Path, parts: str) -> None:
     text = f'<mujoco><worldbody><body name="trunk"><freejoint/>{parts}</body></worldbody></mujoco>'
     with pytest.raises(InputError, match="copies counted"):
-        Quadruped.load(written(tmp_path, text, "robot.xml"))
+        Robot.load(written(tmp_path, text, "robot.xml"))

@@ -19,7 +19,7 @@ from terraphi.robot import state
 from terraphi.robot.footfalls import footfalls
 from terraphi.robot.forces import estimate
 from terraphi.robot.joint_log import SHAPES, JointLog
-from terraphi.robot.model import Quadruped
+from terraphi.robot.model import Robot
 from terraphi.robot.online import LAG_S, Footfall, Footfalls, Poses
 from terraphi.robot.online import Walk as Worker
 from terraphi.robot.results import foot_forces
@@ -27,7 +27,7 @@ from terraphi.robot.touchdowns import track
 
 _WALKER = runpy.run_path(str(Path(__file__).with_name("walker.py")))
 Walk, LawWalk = (_WALKER[name] for name in ("Walk", "LawWalk"))
-GO2 = Quadruped.load("go2")
+GO2 = Robot.load("go2")
 COLUMNS = ("time", "angle", "velocity", "torque", "quaternion", "angular_velocity", "acceleration")
 DURATION, WARM = 16.0, 5004
 OPTIONS: dict[str, Any] = {"density": "1550±80"}
@@ -148,7 +148,7 @@ def test_a_state_is_recognized(warm: bytes, monkeypatch: pytest.MonkeyPatch) -> 
     with pytest.raises(InputError, match="no state of a walk"):
         Footfalls.restore(warm[:-40], **OPTIONS)
     monkeypatch.setattr(state, "VERSION", 0)
-    with pytest.raises(InputError, match="state of version 2; this terraphi reads version 0"):
+    with pytest.raises(InputError, match="state of version 3; this terraphi reads version 0"):
         Footfalls.restore(warm, **OPTIONS)
 
 

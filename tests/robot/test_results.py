@@ -13,7 +13,7 @@ from go2.logs import write_csv
 
 from terraphi.robot.joint_log import FEET, JointLog, cut
 from terraphi.robot.legs import Legs
-from terraphi.robot.model import Quadruped
+from terraphi.robot.model import Robot
 from terraphi.robot.results import RobotForces, foot_forces
 
 STEP, PERIOD = 0.002, 0.4
@@ -34,7 +34,7 @@ def made_log(force: np.ndarray, *, counts: bool = True) -> JointLog:
     """A level robot that does not move and feels these forces; its legs weigh nothing."""
     time = 100.0 + STEP * np.arange(len(force))
     angle = np.broadcast_to([0.1, 0.8, -1.6], (len(time), 4, 3)).copy()
-    matrix = Legs(Quadruped.load("go2"), angle[:1]).jacobian()[0]
+    matrix = Legs(Robot.load("go2"), angle[:1]).jacobian()[0]
     return JointLog(
         time=time,
         angle=angle,

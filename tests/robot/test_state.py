@@ -15,7 +15,7 @@ import pytest
 from terraphi.experiment.errors import InputError
 from terraphi.robot import state
 from terraphi.robot.footfalls import Options
-from terraphi.robot.model import Quadruped
+from terraphi.robot.model import Robot
 from terraphi.robot.online import Footfalls, Poses
 
 
@@ -97,13 +97,13 @@ def test_other_bytes_are_refused(data: bytes, monkeypatch: pytest.MonkeyPatch) -
 
 def test_the_fingerprint_has_the_geometry_of_the_robot() -> None:
     """Feet that are 50 mm lower, or another radius, are those of another robot."""
-    go2 = Quadruped.load("go2")
+    go2 = Robot.load("go2")
     lower = replace(go2, foot_offset=go2.foot_offset - [0.0, 0.0, 0.05])
     round_ = replace(go2, foot_radius=0.03)
 
-    def options(robot: Quadruped) -> Options:
+    def options(robot: Robot) -> Options:
         return Options.of(robot, "1550±80", "foot", None, ())
 
     prints = [state.fingerprint_of(options(robot)) for robot in (go2, lower, round_)]
     assert len(set(prints)) == 3
-    assert state.fingerprint_of(options(Quadruped.load("go2"))) == prints[0]
+    assert state.fingerprint_of(options(Robot.load("go2"))) == prints[0]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from terraphi.inference.touchdowns import Touchdowns
+from terraphi.robot.model import Robot
 from terraphi.robot.stance import Stance
 from terraphi.robot.touchdowns import touchdowns
 
@@ -16,8 +17,13 @@ def cut_out(time: np.ndarray, feet: np.ndarray, force: np.ndarray, stance: Stanc
     """The touch-down of a stance, of legs whose torques are exact."""
     none = np.zeros((len(time), 4, 3))
     log = SimpleNamespace(time=time, torque=none, velocity=none)
-    forces = SimpleNamespace(force=force, saturated=none[..., 0] > 0.0, lift_per_torque=none)
-    return touchdowns(log, forces, SimpleNamespace(feet=feet), [stance], radius=0.022)
+    forces = SimpleNamespace(
+        force=force,
+        saturated=none[..., 0] > 0.0,
+        lift_per_torque=none,
+        sole=np.zeros((*none.shape[:2], 2, 3)),
+    )
+    return touchdowns(log, forces, SimpleNamespace(feet=feet), [stance], Robot.load("go2"))
 
 
 def test_a_foot_that_drops_in_and_rests_began_where_it_first_met_force() -> None:

@@ -12,9 +12,9 @@ from scipy.stats import norm
 from scipy.stats.qmc import LatinHypercube
 
 from terraphi.robot.forces import SensorErrors, estimate
-from terraphi.robot.model import Quadruped
+from terraphi.robot.model import Robot
 
-GO2 = Quadruped.load("go2")
+GO2 = Robot.load("go2")
 _WALKER = runpy.run_path(str(Path(__file__).with_name("walker.py")))
 Walk, tilted = _WALKER["Walk"], _WALKER["tilted"]
 DRAWS = 10

@@ -1,4 +1,4 @@
-"""A Go2 that walks through sand on a prescribed path, its torques computed from its motion.
+"""A Go2, or six of its legs, through sand on a prescribed path, torques computed from its motion.
 
 Feet stand still or sink, loads add up to the weight, and each foot presses weakly on the soil for a
 good part of its stance, as in slow walking on sand. Nothing is simulated, so that a minute takes a
@@ -7,26 +7,44 @@ second, and the true forces are known.
 
 from __future__ import annotations
 
+import re
+import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.priors import FOOT_FRICTION
 from terraphi.laws.foot import LAWS, Foot, moved_mass
 from terraphi.robot.joint_log import JointLog
 from terraphi.robot.legs import Legs, TrunkMotion
-from terraphi.robot.model import Quadruped
+from terraphi.robot.model import Robot
 
-GO2 = Quadruped.load("go2")
-LINK, MASS, GRAVITY = 0.213, GO2.mass, 9.81
+GO2 = Robot.load("go2")
+LINK, GRAVITY = 0.213, 9.81
 PHASES = {
-    "walk": (0.5, 0.0, 0.75, 0.25), "trot": (0.0, 0.5, 0.5, 0.0), "three": (0.5, 0.0, 0.75, 0.25)
+    "walk": (0.5, 0.0, 0.75, 0.25), "trot": (0.0, 0.5, 0.5, 0.0), "three": (0.5, 0.0, 0.75, 0.25),
+    "five": (0.5, 0.0, 4 / 6, 1 / 6, 5 / 6, 2 / 6),
 }  # fmt: skip
-DUTY = {"walk": 0.8, "trot": 0.6, "three": 0.85}
-HIP = np.array([[x, y, 0.0] for x in (0.1934, -0.1934) for y in (-0.0465, 0.0465)])
-THIGH = np.array([[0.0, y, 0.0] for y in (-0.0955, 0.0955)] * 2)
+DUTY = {"walk": 0.8, "trot": 0.6, "three": 0.85, "five": 0.9}
+
+
+def hexapod(folder: Path) -> Robot:
+    """A Go2 with a third pair of its legs, at the middle of its trunk."""
+    root = ET.fromstring(shipped_file("robots", "go2", ".xml").read_text())
+    trunk = root.find("worldbody/body")
+    assert trunk is not None
+    for leg in [leg for leg in trunk.findall("body") if leg.attrib["name"].startswith("F")]:
+        text = ET.tostring(leg, encoding="unicode")
+        middle = ET.fromstring(re.sub('name="F([RL])', r'name="M\1', text))
+        middle.set("pos", re.sub("^[^ ]+", "0", middle.attrib["pos"]))
+        trunk.append(middle)
+    path = folder / "hexapod.xml"
+    ET.ElementTree(root).write(path)
+    return Robot.load(path)
 
 
 @dataclass(frozen=True)
@@ -34,6 +52,7 @@ class Walk:
     """What to walk like, and what the joints and sensors do to the torques."""
 
     gait: str = "walk"
+    robot: Robot = GO2
     period: float = 1.2
     speed: float = 0.1
     clearance: float = 0.06
@@ -51,6 +70,16 @@ class Walk:
     seed: int = 0
     slope: float = 0.0
     """By which x goes uphill [rad]; places, poses and forces are in axes of the ground."""
+
+    @property
+    def hip(self) -> np.ndarray:
+        """Places of the hips in the trunk's frame [m], shape [foot, 3]."""
+        return self.robot.links.anchor[0].T
+
+    @property
+    def side(self) -> np.ndarray:
+        """How far thighs are to the left of their hips [m], shape [foot]."""
+        return (self.robot.links.anchor[1] - self.robot.links.anchor[0])[1]
 
     @property
     def tilt(self) -> np.ndarray:
@@ -88,8 +117,8 @@ class Walk:
         swing = np.clip((part - duty) / (1.0 - duty), 0.0, 1.0)
         smooth = swing**3 * (10.0 - 15.0 * swing + 6.0 * swing**2)
         ahead = 0.5 * duty * self.period * self.speed
-        x = HIP[:, 0] + self.speed * begin + ahead + smooth * self.speed * self.period
-        y = np.broadcast_to(HIP[:, 1] + 1.05 * THIGH[:, 1], x.shape)
+        x = self.hip[:, 0] + self.speed * begin + ahead + smooth * self.speed * self.period
+        y = np.broadcast_to(self.hip[:, 1] + 1.05 * self.side, x.shape)
         stand = np.clip(part / duty, 0.0, 1.0)
         depth = np.where(stand < 1.0, self._loaded(stand), 1.0 - _rise(swing))
         depth = depth * self._deepest(np.stack([x, y], axis=-1))
@@ -106,9 +135,9 @@ class Walk:
 
     def _angles(self, time: np.ndarray) -> np.ndarray:
         place, turn = self._pose(time)
-        observed = np.einsum("sji,sfj->sfi", turn, self._feet(time) - place[:, None]) - HIP
+        observed = np.einsum("sji,sfj->sfi", turn, self._feet(time) - place[:, None]) - self.hip
         x, y, z = np.moveaxis(observed, -1, 0)
-        side = THIGH[:, 1]
+        side = self.side
         down = -np.sqrt(y**2 + z**2 - side**2)
         hip = np.arctan2(z, y) - np.arctan2(down, side)
         hip = (hip + np.pi) % (2.0 * np.pi) - np.pi
@@ -121,10 +150,10 @@ class Walk:
         edge = np.minimum(stand, 1.0 - stand)
         share = np.where(edge > 0.0, 0.06 * _rise(8.0 * edge) + _rise(edge / self.weak - 0.3), 0.0)
         share /= share.sum(axis=1, keepdims=True)
-        lift = MASS * (GRAVITY + _second(lambda t: self._pose(t)[0], time)[:, 2:])
+        lift = self.robot.mass * (GRAVITY + _second(lambda t: self._pose(t)[0], time)[:, 2:])
         load = share * lift
         push = np.stack(
-            [-0.25 * np.sin(2.0 * np.pi * stand) * load, 0.05 * np.sign(THIGH[:, 1]) * load, load],
+            [-0.25 * np.sin(2.0 * np.pi * stand) * load, 0.05 * np.sign(self.side) * load, load],
             axis=-1,
         )
         # In the soil, a foot that moves forwards is held back.
@@ -143,14 +172,14 @@ class Walk:
         faster = np.gradient(spin, time, axis=0)
         felt = _second(lambda t: self._pose(t)[0], time) + GRAVITY * self.tilt[2]
         felt = np.einsum("sji,sj->si", turn, felt)
-        legs = Legs(GO2, angle, rate, trunk=TrunkMotion(felt, spin, faster))
+        legs = Legs(self.robot, angle, rate, trunk=TrunkMotion(felt, spin, faster))
         force = self.force(time)
-        arm = -self.contact * GO2.foot_radius * turn[:, None, 2, :]
+        arm = -self.contact * self.robot.foot_radius * turn[:, None, 2, :]
         pushed = np.einsum("sji,sfj->sfi", turn, force)
         torque = legs.torque + np.einsum("sfij,sfj->sfi", legs.mass, second)
         torque -= np.einsum("sfij,sfi->sfj", legs.jacobian(arm), pushed)
         torque += self.coulomb * np.tanh(rate / 0.01) + self.viscous * rate + self.inertia * second
-        at = np.array(GO2.imu)
+        at = np.array(self.robot.imu)
         at_imu = felt + np.cross(faster, at) + np.cross(spin, np.cross(spin, at))
         noisy = torque + rng.normal(0.0, self.torque_noise, torque.shape)
         observed = rate + rng.normal(0.0, self.velocity_noise, rate.shape)
@@ -160,7 +189,7 @@ class Walk:
 
 @dataclass(frozen=True)
 class LawWalk(Walk):
-    """A walk whose feet load soil by law ``foot``: three feet bear a third of the weight each.
+    """A walk whose feet load soil by law ``foot``: all but one bear an equal part of the weight.
 
     One comes down, straight, while another lifts off and bears what the first one does not.
     """
@@ -177,7 +206,12 @@ class LawWalk(Walk):
     @property
     def ramp(self) -> float:
         """Part of a stance in which a foot comes down, and of another one in which it lifts off."""
-        return 1.0 - 0.75 / DUTY[self.gait]
+        return 1.0 - (1.0 - 1.0 / len(self.robot.feet)) / DUTY[self.gait]
+
+    @property
+    def part(self) -> float:
+        """What a foot bears that stands [N]."""
+        return self.robot.mass * GRAVITY / (len(self.robot.feet) - 1)
 
     def phi(self, place: np.ndarray) -> np.ndarray:
         """φ at places [deg]."""
@@ -195,10 +229,10 @@ class LawWalk(Walk):
         return _rise(stand / self.ramp)
 
     def _deepest(self, place: np.ndarray) -> np.ndarray:
-        """Depth at which the law bears a third of the weight [m]."""
+        """Depth at which the law bears what a foot bears that stands [m]."""
         angle, depth = np.arange(37.0, 43.01, 0.1), np.linspace(0.0, 0.06, 601)
         force = self._law(depth, angle[:, None])
-        each = [np.interp(MASS * GRAVITY / 3.0, row, depth) for row in force]
+        each = [np.interp(self.part, row, depth) for row in force]
         return np.asarray(CubicSpline(angle, each)(self.phi(place)))
 
     def _feet(self, time: np.ndarray) -> np.ndarray:
@@ -214,17 +248,18 @@ class LawWalk(Walk):
         stand = (self._phase(time) % 1.0) / DUTY[self.gait]
         feet = self._feet(time)
         depth = GO2.foot_radius - feet[..., 2]
-        third = MASS * GRAVITY / 3.0
         comes = stand < self.ramp
         down = -_first(self._feet, time)[..., 2]
         mass, growth = moved_mass(Foot(GO2.foot_radius), depth, self.density)
         inertia = growth * down**2 - mass * _second(self._feet, time)[..., 2]
         pressed = self._law(depth, self.phi(feet)) + np.where(down > 0.0, inertia, 0.0)
-        load = np.where(comes, pressed, third * (stand < 1.0))
+        load = np.where(comes, pressed, self.part * (stand < 1.0))
         goes = (stand > 1.0 - self.ramp) & (stand < 1.0)
-        load = np.where(goes, third - np.where(comes, load, 0.0).sum(axis=1, keepdims=True), load)
+        load = np.where(
+            goes, self.part - np.where(comes, load, 0.0).sum(axis=1, keepdims=True), load
+        )
         # Fore and rear feet push against each other.
-        push = np.stack([load * [0.2, 0.2, -0.2, -0.2], 0.0 * load, load], axis=-1)
+        push = np.stack([0.2 * load * np.sign(self.hip[:, 0]), 0.0 * load, load], axis=-1)
         return np.asarray(push @ self.tilt)
 
 

@@ -31,7 +31,6 @@ from terraphi.inference.touchdowns import (
     FEWEST,
     MOST_FITTED,
     PHI_RANGE,
-    TORQUES,
     Fit,
     Prior,
     Touchdowns,
@@ -160,7 +159,7 @@ class FootfallMap(Result):
     time
         Touch-downs on the log's clock [s], shape [footfall].
     foot
-        ``FR``, ``FL``, ``RR`` or ``RL``, shape [footfall].
+        Name of the foot, such as ``FR``, shape [footfall].
     place
         Where the foot ended its loading, from the trunk's first place: x along the robot's first
         heading, y to its left, z of the soil's surface [m], shape [footfall, 3].
@@ -488,7 +487,7 @@ def infer(
         In the order of time.
     torques
         Errors of the joints' torques, in the order of
-        :data:`~terraphi.inference.touchdowns.TORQUES`.
+        :attr:`~terraphi.inference.touchdowns.Fit.shared`.
     path
         Points of the path: s along it, x, y [m], shape [point, 3].
     prior, law, anchors
@@ -518,7 +517,7 @@ def infer(
         pooled = pool(
             Observed(sound_fits.phi, sound_fits.sd, sensitivity, sound.place[:, :2]),
             _shared_errors(torques, prior), path[:, 1:], list(zip(anchors, stretches, strict=True)),
-            mean=prior.phi_deg, mean_sd=prior.phi_sd_deg,
+            torques=len(torques.mean), mean=prior.phi_deg, mean_sd=prior.phi_sd_deg,
         )  # fmt: skip
         footfall_phi[:, usable] = pooled.phi, pooled.sd, pooled.shared_sd
         path_phi[:] = pooled.path_phi, pooled.path_relative_sd, pooled.path_absolute_sd
@@ -569,7 +568,7 @@ def judged(
     touchdowns: Touchdowns, fits: Fit, law: str, prior: Prior
 ) -> tuple[NDArray[np.str_], list[str], grounds.Comparison]:
     """Verdicts, sentences on the ground of the whole walk, and φ by other laws of sand."""
-    verdict = verdicts(touchdowns, fits, prior.radius)
+    verdict = verdicts(touchdowns, fits, prior)
     sank = np.isin(verdict, (USABLE, MISFIT, HARD, EDGE))
     chosen = grounds.slow(picked(touchdowns, sank), prior)
     count = len(chosen.foot)
@@ -621,11 +620,11 @@ def with_growth(touchdowns: Touchdowns, law: str, prior: Prior) -> Prior:
     """Add the law's error to the prior, and its growth with depth if enough feet sink in."""
     if prior.law_sd_deg is None:
         prior = replace(prior, law_sd_deg=LAWS[law].sd_deg)
-    trodden, _ = trodden_before(touchdowns, NEAR_RADII * prior.radius)
+    trodden, _ = trodden_before(touchdowns, NEAR_RADII, prior)
     # The exponent is learned on virgin ground, by feet that sank in and whose footfalls have no
     # fault; a misfit may be due to the very growth that is learned.
     virgin = evenly(picked(touchdowns, ~trodden), MOST_FITTED)
-    deep = np.isin(verdicts(virgin, fit(virgin, law, prior), prior.radius), (USABLE, MISFIT))
+    deep = np.isin(verdicts(virgin, fit(virgin, law, prior), prior), (USABLE, MISFIT))
     return learn_exponent(picked(virgin, deep), law, prior) if deep.sum() >= FEWEST else prior
 
 
@@ -636,7 +635,7 @@ def _with_levels(
     prior = learn_level(evenly(sound, MOST_FITTED), law, prior)
     fits = fit(sound, law, prior)
     # Ground near an earlier print was moved, so that φ has a further error.
-    near_print, _ = trodden_before(touchdowns, BESIDE_RADII * prior.radius)
+    near_print, _ = trodden_before(touchdowns, BESIDE_RADII, prior)
     return prior, fits._replace(sd=np.hypot(fits.sd, BESIDE_SD_DEG * near_print[usable]))
 
 
@@ -667,7 +666,7 @@ def _compare_laws(
     # weight, adds its difference.
     deviation, difference = phi - phi.mean(), phi - second - (phi - second).mean()
     for term, column in (("law_slope", deviation), ("other_law", difference)):
-        sensitivity[:, TORQUES + list(prior.shared()).index(term)] = column
+        sensitivity[:, list(prior.shared()).index(term) - len(prior.shared())] = column
     # By how much the other law makes differences larger or smaller: the slope of a regression, for
     # on uniform soil the two laws differ by their noise.
     stretch = abs(float(deviation @ difference)) / max(float(deviation @ deviation), 1e-9)
@@ -682,22 +681,26 @@ def _shared_errors(torques: Normal, prior: Prior) -> Normal:
     """
     sd = np.array([sd for _, sd in prior.shared().values()])
     mean = np.where(np.array(list(prior.shared())) == "ground_slope", prior.incline, 0.0)
-    covariance = np.zeros((len(sd) + TORQUES,) * 2)
-    covariance[:TORQUES, :TORQUES] = torques.covariance
-    covariance[TORQUES:, TORQUES:] = np.diag(sd**2)
+    count = len(torques.mean)
+    covariance = np.zeros((len(sd) + count,) * 2)
+    covariance[:count, :count] = torques.covariance
+    covariance[count:, count:] = np.diag(sd**2)
     return Normal(np.append(torques.mean, mean), covariance)
 
 
 def _shared_summary(pooled: Pooled, prior: Prior) -> dict[str, Any]:
     """Posterior mean and standard deviation of θ, and its share of the uncertainty of φ [deg]."""
     shared: dict[str, Any] = {}
-    for name, part in (("torque_gain", slice(12)), ("joint_friction_Nm", slice(12, TORQUES))):
-        mean, sd, terms = pooled.shared[:, part]
+    pairs = prior.shared()
+    count = pooled.shared.shape[1] - len(pairs)
+    by_joint = np.split(pooled.shared[:, :count], 2, axis=1)
+    for name, columns in zip(("torque_gain", "joint_friction_Nm"), by_joint, strict=True):
+        mean, sd, terms = columns
         worth = float(np.sqrt((terms**2).sum()))
         shared[name] = {"mean": mean.tolist(), "sd": sd.tolist(), "worth_deg": worth}
     # The pool has θ − θ₀: what is printed is θ.
-    rows = pooled.shared[:, TORQUES:].T.tolist()
-    for (name, (centre, _)), (off, sd, worth) in zip(prior.shared().items(), rows, strict=True):
+    rows = pooled.shared[:, count:].T.tolist()
+    for (name, (centre, _)), (off, sd, worth) in zip(pairs.items(), rows, strict=True):
         shared[name] = {"mean": centre + off, "sd": sd, "worth_deg": worth}
     for name, summary in shared.items():
         summary["source"] = TERMS[name].source
@@ -835,7 +838,7 @@ def traits(touchdowns: Touchdowns, fits: Fit) -> FloatArray:
 
 
 def verdicts(
-    touchdowns: Touchdowns, fits: Fit, radius: float, *, typical: Typical | None = None
+    touchdowns: Touchdowns, fits: Fit, prior: Prior, *, typical: Typical | None = None
 ) -> NDArray[np.str_]:
     """Verdict of each footfall: the first reason against it, else :data:`USABLE`.
 
@@ -843,14 +846,14 @@ def verdicts(
     ----------
     touchdowns, fits
         The touch-downs of a log, in the order of time, and their fit.
-    radius
-        Of the foot [m].
+    prior
+        With the size of the foot.
     typical
         What is usual in the whole walk; by default in these touch-downs.
     """
     if typical is None:
         typical = Typical.of(traits(touchdowns, fits))
-    trodden, printed = trodden_before(touchdowns, NEAR_RADII * radius)
+    trodden, printed = trodden_before(touchdowns, NEAR_RADII, prior)
     springs = (touchdowns.returned > MOST_RETURNED) | (typical.returned > WALK_RETURNED)
     # The order is that of causes: sensors and timing, ground that is no virgin soil, then the fit,
     # which each of the causes before it can spoil.
@@ -911,17 +914,28 @@ def _ground_notes(touchdowns: Touchdowns, fits: Fit, verdict: NDArray[np.str_]) 
     return notes
 
 
-def trodden_before(touchdowns: Touchdowns, reach: float) -> tuple[BoolArray, BoolArray]:
-    """Masks of touch-downs nearer than ``reach`` [m] to an earlier one, and in a fore foot's print.
+def trodden_before(
+    touchdowns: Touchdowns, radii: float, prior: Prior
+) -> tuple[BoolArray, BoolArray]:
+    """Masks of touch-downs nearer than some radii to an earlier one, and in a fore foot's print.
 
-    Both shape [touchdown]; only a rear foot steps into the print of a fore foot.
+    Both shape [touchdown]; only a rear foot steps into the print of a fore foot. Soles have half of
+    their length and width for radii, along the earlier print's sides.
     """
     from scipy.spatial import cKDTree
 
     trodden, printed = np.zeros((2, len(touchdowns.foot)), dtype=bool)
     # Touch-downs are in the order of time, so that of a pair the larger number came later.
-    near = cKDTree(touchdowns.place[:, :2]).query_pairs(reach, output_type="ndarray")
+    place, sides = touchdowns.place[:, :2], 0.5 * np.array(prior.sole or (0.0, 0.0))
+    reach = radii * max(prior.radius, *(math.sqrt(2.0) * sides))
+    near = cKDTree(place).query_pairs(reach, output_type="ndarray")
     first, second = near.min(axis=1), near.max(axis=1)
+    if prior.sole:
+        x, y = (place[second] - place[first]).T
+        cos, sin = np.cos(touchdowns.heading[first]), np.sin(touchdowns.heading[first])
+        along, across = np.abs([cos * x + sin * y, cos * y - sin * x]) / (radii * sides[:, None])
+        inside = np.maximum(along, across) < 1.0
+        first, second = first[inside], second[inside]
     trodden[second] = True
-    printed[second[(touchdowns.foot[first] < 2) & (touchdowns.foot[second] >= 2)]] = True
+    printed[second[touchdowns.foot[first] // 2 < touchdowns.foot[second] // 2]] = True
     return trodden, printed

@@ -59,8 +59,8 @@ UNITS = {"clay": 8e3, "layer": 5e3}
 
 
 def _contact(foot: Foot, depth: FloatArray) -> FloatArray:
-    # The circle in which a ball meets the surface: π z (2R − z), full from z = R on.
-    cap = np.minimum(depth, foot.radius)
+    # The circle in which a ball meets the surface: π z (2R − z), full from z = R on; a disc's is.
+    cap = np.minimum(depth, foot.radius) if foot.shape == "ball" else foot.radius * (depth > 0.0)
     return 9.0 * UNITS["clay"] * math.pi * cap * (2.0 * foot.radius - cap)
 
 

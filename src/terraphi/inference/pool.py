@@ -29,7 +29,7 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import number_with_sd, plain_number
-from terraphi.inference.touchdowns import MOST_FITTED, PHI_RANGE, TORQUES, evenly
+from terraphi.inference.touchdowns import MOST_FITTED, PHI_RANGE, evenly
 from terraphi.laws.gp import matern
 
 MEDIANS, LOG_SD = (1.5, 1.0, 0.3), 0.7
@@ -171,6 +171,7 @@ def pool(
     path: FloatArray,
     anchors: Sequence[tuple[Anchor, FloatArray]],
     *,
+    torques: int,
     mean: float,
     mean_sd: float,
 ) -> Pooled:
@@ -186,6 +187,8 @@ def pool(
         Points of the map [m], shape [point, 2].
     anchors
         Each with the points that stand for its stretch [m], shape [any, 2].
+    torques
+        Number of errors of the torques, which are the first of θ.
     mean, mean_sd
         Prior mean and standard deviation of φ [deg].
     """
@@ -195,14 +198,14 @@ def pool(
     # Of θ the footfalls determine the errors of the torques alone: the other errors are taken off
     # at their prior mean.
     subset = evenly(footfalls, MOST_FITTED)
-    torques = subset.shared * (np.arange(subset.shared.shape[1]) < TORQUES)
-    amplitude, length, nugget = _learned(subset, torques, shared, mean, mean_sd)
+    by_torque = subset.shared * (np.arange(subset.shared.shape[1]) < torques)
+    amplitude, length, nugget = _learned(subset, by_torque, shared, mean, mean_sd)
     field = amplitude, length, mean_sd
     footfalls, subset = (
         part._replace(sd=np.hypot(part.sd, nugget)) for part in (footfalls, subset)
     )
-    residual = subset.phi - mean - (subset.shared - torques) @ shared.mean
-    shared = shared.given(residual, torques, _observed(subset, field))
+    residual = subset.phi - mean - (subset.shared - by_torque) @ shared.mean
+    shared = shared.given(residual, by_torque, _observed(subset, field))
     # 2. Averages of φ given θ: the path's points, then each anchor's stretch as the mean of its
     # points. Their mean is phi − sensitivity (θ − θ₀), by the footfalls.
     subset, stretches = evenly(footfalls, MOST), [points for _, points in anchors]

@@ -48,9 +48,14 @@ PHI_RANGE = (15.0, 50.0)
 NOISE_N, NOISE_PART = 1.5, 0.04
 """Standard deviation of a force: constant [N], and as a part of it [-]; odometry is in it.
 Residuals scale the result, so that the ratio of both counts (chosen)."""
+SET_M = 0.002
+"""Way over which a sole finds its hold [m]: by the laws soil bears a flat body at once, and it
+gives way a little before; chosen."""
 INERTIA_PART = 0.3
 """Standard deviation of the inertia's force, as a part of it [-]: half of what balls in grains
 differ by (``docs/landing.md``; from 0.1 to 0.8 their angles differ by 0.2° root mean square)."""
+LEVEL_M = 1e-4
+"""Least height of the end of a sole over its middle [m], below which it counts as that; chosen."""
 ONSET_M = 0.001
 """Range of depths about the surface over which the soil's inertia sets in [m]. A foot meets the
 highest grains first, over a range in proportion to their size: balls that hit grains of 6 mm at 1
@@ -121,10 +126,15 @@ class Touchdowns(NamedTuple):
     force
         Upward force on the foot [N].
     per_error
-        Change of the force per error of the leg's torques [N]: of the gains of its three joints,
-        and friction of 1 N m in them; shape [touchdown, sample, 6].
+        Change of the force per error of the leg's torques [N]: of the gains of its joints, then
+        friction of 1 N m in them; shape [touchdown, sample, 2 joint].
+    rise
+        Heights of the front and the left end of a flat sole above its middle [m], shape
+        [touchdown, sample, 2]; zero of a ball.
     used
         True where the sample exists and the foot is going down.
+    heading
+        Direction of the sole's length from x [rad], shape [touchdown]; zero of a ball.
     torn
         Samples are missing, or come too slowly for a touch-down; shape [touchdown].
     saturated
@@ -152,7 +162,9 @@ class Touchdowns(NamedTuple):
     acceleration: FloatArray
     force: FloatArray
     per_error: FloatArray
+    rise: FloatArray
     used: BoolArray
+    heading: FloatArray
     torn: BoolArray
     saturated: BoolArray
     faulty: BoolArray
@@ -183,6 +195,11 @@ class Prior:
         Of the foot [m].
     shape
         Of the foot.
+    sole
+        Length and width of a flat sole [m], whose disc of equal area has the radius; ``None`` of a
+        ball.
+    legs
+        Of the robot.
     drop_sd
         Of the odometry's drop of the feet, relative [-]: standing feet give way a little while the
         load moves over, and the attitude errs.
@@ -215,6 +232,8 @@ class Prior:
     radius: float = 0.022
     radius_sd: float = FOOT_RADIUS_SD_M
     shape: str = "ball"
+    sole: tuple[float, float] | None = None
+    legs: int = 4
     drop_sd: float = DROP_SD_PART
     law_sd_deg: float | None = None
     exponent: float = 0.0
@@ -251,8 +270,6 @@ class Prior:
         }
 
 
-TORQUES = 24
-"""Errors of the torques of twelve joints: gains [-], then Coulomb friction [N m]."""
 STEPS = np.array([[0, 0, 0], [0.1, 0, 0], [-0.1, 0, 0], [0, 1e-4, 0], [0, -1e-4, 0]])
 """Of φ [deg], z₀ [m] and w [m/s], for forces and their differences."""
 FREE_PHI = np.array([1e-6, 1.0, 1.0])
@@ -287,9 +304,9 @@ class Fit(NamedTuple):
     borne
         Largest force of the stance over what the law gives at its deepest point [-].
     shared
-        S: how far φ̂ is off per unit of θ − θ₀, shape [touchdown, shared], by :data:`TORQUES` and
-        :meth:`Prior.shared`; zero for ``law_slope`` and ``other_law``, which compare
-        touch-downs.
+        S: how far φ̂ is off per unit of θ − θ₀, shape [touchdown, shared]: of gains [-] and Coulomb
+        frictions [N m] of all joints, leg by leg, then of :meth:`Prior.shared`; zero for
+        ``law_slope`` and ``other_law``, which compare touch-downs.
     """
 
     phi: FloatArray
@@ -314,18 +331,43 @@ def predicted(law: FootLaw, prior: Prior, touchdowns: Touchdowns, state: FloatAr
     state
         φ [deg], z₀ [m] and w [m/s], shape [..., touchdown, 3].
     """
-    depth = _depth(touchdowns, state)
-    lift = law.force(
-        prior.foot,
-        depth,
-        touchdowns.descent,
-        friction_angle_deg=state[..., :1],
-        density=prior.density,
-        surface_friction=prior.surface_friction,
-    )[..., 1]
+    depth = middle = _depth(touchdowns, state)
+    size: FloatArray = np.ones(1)
+    if prior.sole:
+        # Forces of soil without cohesion are ρ g R³ times a function of z/R: what is in soil of a
+        # sole, a share s of it, bears s^(3/2) times as much as all of it at its mean depth over √s.
+        share, mean = submerged_part(middle, touchdowns.rise)
+        size, depth = share**1.5, mean / np.sqrt(np.maximum(share, 1e-6))
+    lift = (
+        size
+        * law.force(
+            prior.foot,
+            depth,
+            touchdowns.descent,
+            friction_angle_deg=state[..., :1],
+            density=prior.density,
+            surface_friction=prior.surface_friction,
+        )[..., 1]
+    )
     if prior.exponent:
         lift = lift * (np.maximum(depth, 1e-4) / prior.radius) ** prior.exponent
-    return np.asarray(lift + inertia(prior, touchdowns, depth), dtype=np.float64)
+    return np.asarray(lift + inertia(prior, touchdowns, middle), dtype=np.float64)
+
+
+def submerged_part(depth: FloatArray, rise: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Share of a rectangle that is below the surface [-], and the mean depth of this part [m].
+
+    Of its middle's depth [m] and the heights of its ends above its middle [m], shape [..., 2].
+    """
+    # Over u and v from −1 to 1 the depth is z − a u − b v. The integral of its positive part is a
+    # difference of its third antiderivative x³/6 at the corners, z ± a ± b, over a b; the share has
+    # the second one, x²/2.
+    a, b = np.moveaxis(np.maximum(np.abs(rise), LEVEL_M), -1, 0)
+    corners = np.maximum([depth + a + b, depth + a - b, depth - a + b, depth - a - b], 0.0)
+    signs = np.array([1.0, -1.0, -1.0, 1.0])
+    share = np.tensordot(signs, corners**2, axes=1) / (8.0 * a * b)
+    total = np.tensordot(signs, corners**3, axes=1) / (24.0 * a * b)
+    return share, total / np.maximum(share, 1e-9)
 
 
 def _depth(touchdowns: Touchdowns, state: FloatArray) -> FloatArray:
@@ -350,7 +392,8 @@ def noise_covariance(touchdowns: Touchdowns, prior: Prior) -> FloatArray:
     """
     # cov(t, t') = σ(t) σ(t') exp(−|t − t'| / τ); the nugget keeps the matrix invertible.
     hit = INERTIA_PART * inertia(prior, touchdowns, touchdowns.drop)
-    sd = np.sqrt(NOISE_N**2 + (NOISE_PART * touchdowns.force) ** 2 + hit**2)
+    part = NOISE_PART + np.exp(-np.maximum(touchdowns.drop, 0.0) / SET_M) * bool(prior.sole)
+    sd = np.sqrt(NOISE_N**2 + (part * touchdowns.force) ** 2 + hit**2)
     lag = np.abs(touchdowns.time[:, :, None] - touchdowns.time[:, None, :])
     covariance = sd[:, :, None] * sd[:, None, :] * np.exp(-lag / CORRELATION_S)
     covariance *= touchdowns.used[:, :, None] & touchdowns.used[:, None, :]
@@ -377,9 +420,11 @@ def fit(touchdowns: Touchdowns, law: str | FootLaw, prior: Prior) -> Fit:
     """
     force_law = LAWS[law] if isinstance(law, str) else law
     starts = range(0, len(touchdowns.foot), BLOCK)
-    return stacked(
-        [_fit(dense(picked(touchdowns, slice(i, i + BLOCK))), force_law, prior) for i in starts]
-    )
+    parts = [picked(touchdowns, slice(i, i + BLOCK)) for i in starts]
+    return stacked([
+        _fit(dense(part), force_law, prior)._replace(gained=_gained(part, is_sole=bool(prior.sole)))
+        for part in parts
+    ])  # fmt: skip
 
 
 def picked(rows: Rows, which: Any) -> Rows:
@@ -404,7 +449,7 @@ def dense(touchdowns: Touchdowns) -> Touchdowns:
     return touchdowns._replace(**{
         name: getattr(touchdowns, name)[rows, order]
         for name in ("time", "drop", "descent", "speed", "acceleration", "force", "per_error",
-                     "used")
+                     "rise", "used")
     })  # fmt: skip
 
 
@@ -517,14 +562,14 @@ def _fit(touchdowns: Touchdowns, law: FootLaw, prior: Prior) -> Fit:
     still = np.zeros((len(state), 1))
     deepest = touchdowns._replace(
         drop=touchdowns.deepest[:, None], descent=still + 0.5 * np.pi, time=still, speed=still,
-        acceleration=still,
+        acceleration=still, rise=np.zeros((len(state), 1, 2)),
     )  # fmt: skip
     bears = predicted(law, prior, deepest, state)[:, 0]
     return Fit(
         phi=state[:, 0],
         sd=np.sqrt(weights(slope, scaled, precision)[1][:, 0, 0]),
         sinkage=np.where(np.isfinite(sinkage), sinkage, 0.0),
-        gained=_gained(touchdowns),
+        gained=touchdowns.begin,
         misfit=misfit,
         cost=_cost(touchdowns, prior, solved),
         borne=touchdowns.peak / np.maximum(bears, NOISE_N),
@@ -597,11 +642,10 @@ def _sensitivity(
     ``gain``, shape [touchdown, sample], turns a rise of the forces into one of φ̂ [deg/N].
     """
     state, residual, slope = best
-    torques = np.zeros((len(state), TORQUES))
-    # A foot has three joints: their gains are 3 i, 3 i + 1, 3 i + 2, their frictions twelve later.
-    joints = 3 * touchdowns.foot[:, None] + np.array([0, 1, 2, 12, 13, 14])
-    by_joint = np.einsum("nl,nlk->nk", gain, touchdowns.per_error)
-    np.put_along_axis(torques, joints, by_joint, axis=1)
+    by_joint = np.einsum("nl,nlk->nk", gain, touchdowns.per_error).reshape(len(state), 2, -1)
+    torques = np.zeros((len(state), 2, prior.legs, by_joint.shape[-1]))
+    torques[np.arange(len(state)), :, touchdowns.foot] = by_joint
+    torques = torques.reshape(len(state), -1)
     # How far φ̂ is off where the truth is above what is assumed: forces are higher than expected
     # by so much, and a drop that reads too large makes the expected ones too high.
     depth, force = _depth(touchdowns, state), touchdowns.force - residual
@@ -624,12 +668,14 @@ def _sensitivity(
     return np.column_stack([torques, *(off.get(name, zero) for name in prior.shared())])
 
 
-def _gained(touchdowns: Touchdowns) -> FloatArray:
+def _gained(touchdowns: Touchdowns, *, is_sole: bool) -> FloatArray:
     """How far each foot goes down while its force rises from a sixth to five sixths of its end."""
     force = np.where(touchdowns.used, touchdowns.force, 0.0)
-    # Samples from a sixth of the largest force until the first one above five sixths.
+    # Samples from a sixth of the largest force until the first one above five sixths. A sole may
+    # rest on the way.
     end = force.max(axis=1, keepdims=True, initial=0.0)
-    rising = touchdowns.used & (force > end / 6.0)
+    force = touchdowns.force if is_sole else force
+    rising = (touchdowns.used | is_sole) & (force > end / 6.0)
     rising &= np.minimum.accumulate(force < 5.0 / 6.0 * end, axis=1)
     bottom = np.where(rising, touchdowns.drop, -np.inf).max(axis=1, initial=-np.inf)
     top = np.where(rising, touchdowns.drop, np.inf).min(axis=1, initial=np.inf)

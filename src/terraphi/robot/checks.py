@@ -31,10 +31,10 @@ from terraphi.robot.friction import (
     REVERSAL_RATE,
     swing_of_part,
 )
-from terraphi.robot.joint_log import AVERAGE_S, FEET, GAP_STEPS, JointLog, cut, joint_names
+from terraphi.robot.joint_log import AVERAGE_S, GAP_STEPS, JointLog, cut, joint_names
 from terraphi.robot.legs import Legs, body_rate, rotation
 from terraphi.robot.logs.samples import velocity_ratio
-from terraphi.robot.model import Quadruped
+from terraphi.robot.model import Robot
 from terraphi.robot.stance import HELD_S, Stance
 from terraphi.robot.touchdowns import STANCE_SD
 
@@ -75,9 +75,10 @@ STILL, MOVES = 0.1, 0.3
 """Standard deviation of a joint's angle or torque, over that of the same joint of the other legs,
 below which it stands still and above which it moves [-]. On sound walks, of which one spares a leg,
 all are above 0.6."""
-HOLD_S, MOST_HELD = 0.5, 3
+HOLD_S, MOST_HELD = 0.5, 0.25
 """Longest time for which the torque of a sound motor stays one number [s], 0.012 on sound walks;
-and most joints of which it may at once: those of a leg, for a standing robot holds all (chosen)."""
+and the part of the joints of which it may at once [-]: those of a leg of four, for a standing
+robot holds all (chosen)."""
 JUMP = 0.1
 """Change of an angle between samples that its velocity does not explain [rad]: 0.016 at most on
 sound walks, 0.2 to 2 where legs are exchanged or an encoder changes its sign."""
@@ -86,6 +87,9 @@ REVERSED = -0.5
 0, to −1."""
 _SAMPLES = 300
 """Most samples on which orders of the legs are compared: every sixteenth millisecond of a part."""
+
+MOST_ORDERED = 6
+"""Legs up to which their orders are compared, 720 (time)."""
 
 REFUSED = "refused"
 """A finding with which a log is refused: feet that pull, or bear the weight several times over."""
@@ -197,7 +201,7 @@ def balance(
     # Between the first and the last touch-down of the foot that has most of them lie whole strides,
     # over which the momentum of the trunk comes back to what it was.
     feet = [stance.foot for stance in stances]
-    busiest = max(FEET, key=feet.count)
+    busiest = max(feet, key=feet.count, default="")
     begins = [stance.begin for stance in stances if stance.foot == busiest]
     rows = np.isfinite(forces.force).all(axis=(1, 2))
     if len(begins) > 1:
@@ -210,7 +214,7 @@ def balance(
 
 def check(
     log: JointLog,
-    robot: Quadruped,
+    robot: Robot,
     forces: FootForces,
     stances: Sequence[Stance],
     lag: float,
@@ -228,8 +232,8 @@ def check(
     findings = _motion(log, robot, forces, balance(forces, stances, robot.mass * GRAVITY))
     # With a wrong attitude or order of the legs torques are not those of the motion either.
     if not any(f.grave and f.about in (REFUSED, "attitude", "legs") for f in findings):
-        findings = [*_torques(log, lag, gain), *findings]
-    findings = [*_jumps(log), *_still(log, robot), *findings]
+        findings = [*_torques(log, robot, lag, gain), *findings]
+    findings = [*_jumps(log, robot), *_still(log, robot), *findings]
     # Without swing, as while the robot stands, torques have no lag that could be found.
     open_ = ("lag",) * bool(np.isnan(gain).all() and all(f.about != "lag" for f in findings))
     return Checked(float(log.time[0]), float(log.time[-1]), tuple(findings), open_)
@@ -237,7 +241,7 @@ def check(
 
 def check_parts(
     log: JointLog,
-    robot: Quadruped,
+    robot: Robot,
     forces: FootForces,
     stances: Sequence[Stance],
     pieces: Sequence[slice],
@@ -254,7 +258,7 @@ def check_parts(
     return checked
 
 
-def _jumps(log: JointLog) -> list[Finding]:
+def _jumps(log: JointLog, robot: Robot) -> list[Finding]:
     """Angles that jump, as where joints are exchanged while the robot walks."""
     # The way that the velocities at both ends give, (q̇₁ + q̇₂) Δt / 2, against the change of the
     # angle. Over a gap the velocity is not known, so that no jump is looked for.
@@ -264,11 +268,12 @@ def _jumps(log: JointLog) -> list[Finding]:
     if not (off > JUMP).any():
         return []
     k = int(np.argmax((off > JUMP).any(axis=(1, 2))))
-    text = f"{_listed(off[k] > JUMP)} jumped by up to {off[k].max():.2g} rad at {log.time[k]:.2f} s"
+    text = f"{_listed(off[k] > JUMP, robot)} jumped by up to {off[k].max():.2g} rad at "
+    text += f"{log.time[k]:.2f} s"
     return [Finding("jump", f"{text}: were joints exchanged, or their zeros set?")]
 
 
-def _still(log: JointLog, robot: Quadruped) -> list[Finding]:
+def _still(log: JointLog, robot: Robot) -> list[Finding]:
     """Angles that stand still while torques change, and torques while angles do."""
     if np.median(np.sqrt(np.mean(log.velocity**2, axis=0))) < 2.0 * REVERSAL_RATE:
         return []  # the robot does not walk
@@ -278,17 +283,18 @@ def _still(log: JointLog, robot: Quadruped) -> list[Finding]:
     stuck, dead = (angle < STILL) & (torque > MOVES), (torque < STILL) & (angle > MOVES)
     # A motor that dies within the part; where all torques are held, the robot stands.
     seconds, begins = _longest_hold(log.time, log.torque)
-    held = (seconds > HOLD_S) & (angle > MOVES) & ((seconds > HOLD_S).sum() <= MOST_HELD)
+    held = (seconds > HOLD_S) & (angle > MOVES) & ((seconds > HOLD_S).mean() <= MOST_HELD)
     since, when = -math.inf, ""
     if held.any() and not dead.any() and begins[held].min() > log.time[0] + HOLD_S:
         since = float(begins[held].min())
         when = f" from {since:.1f} s on"
     findings = []
     if (stuck & robot.there).any():
-        text = f"the angle of {_listed(stuck & robot.there)} stands still while the leg walks"
+        joints = _listed(stuck & robot.there, robot)
+        text = f"the angle of {joints} stands still while the leg walks"
         findings.append(Finding("stuck", f"{text}: is the encoder stuck?", True))
     if (which := (dead | held) & robot.there).any():
-        text = f"the torque of {_listed(which)} stands still{when} while the leg walks"
+        text = f"the torque of {_listed(which, robot)} stands still{when} while the leg walks"
         findings.append(Finding("dead", f"{text}: is the motor dead?", True, since=since))
     return findings
 
@@ -306,7 +312,7 @@ def _longest_hold(time: FloatArray, values: FloatArray) -> tuple[FloatArray, Flo
     return seconds, since
 
 
-def _torques(log: JointLog, lag: float, gain: FloatArray) -> list[Finding]:
+def _torques(log: JointLog, robot: Robot, lag: float, gain: FloatArray) -> list[Finding]:
     """Torques that are late, or have another sign, against the motion in swing."""
     findings = []
     if abs(lag) > LAG_STEP_S:
@@ -317,18 +323,18 @@ def _torques(log: JointLog, lag: float, gain: FloatArray) -> list[Finding]:
         # Twice the step, for a lag that does not change may be found in some parts only.
         findings.append(Finding("lag", text, False, remedy, abs(lag) > 2.0 * LAG_STEP_S))
     if (gain < REVERSED).any():
-        text = f"torques of {_listed(gain < REVERSED)} have the wrong sign, by the swing of the "
-        text += "legs: is it reversed, or are legs exchanged left for right?"
+        text = f"torques of {_listed(gain < REVERSED, robot)} have the wrong sign, by the swing of "
+        text += "the legs: is it reversed, or are legs exchanged left for right?"
         findings.append(Finding("sign", text, True))
     return findings
 
 
-def _listed(which: BoolArray) -> str:
-    return ", ".join(joint_names(which))
+def _listed(which: BoolArray, robot: Robot) -> str:
+    return ", ".join(joint_names(which, robot.legs))
 
 
 def _motion(
-    log: JointLog, robot: Quadruped, forces: FootForces, mean: tuple[float, float] | None
+    log: JointLog, robot: Robot, forces: FootForces, mean: tuple[float, float] | None
 ) -> list[Finding]:
     """Attitude, order of the legs, weight and clock."""
     attitude = _attitude(log)
@@ -361,7 +367,7 @@ def _clock(log: JointLog) -> list[Finding]:
     return [Finding("clock", text)]
 
 
-def _weight(lift: float, robot: Quadruped) -> list[Finding]:
+def _weight(lift: float, robot: Robot) -> list[Finding]:
     """Torques in another unit or with another sign, or a robot of another mass."""
     weight = robot.mass * GRAVITY
     bears = f"the feet bear {lift:.3g} times the robot's weight of {weight:.0f} N on average"
@@ -449,7 +455,7 @@ def _spin(log: JointLog) -> FloatArray:
     return np.stack([np.interp(log.time, middle, axis) for axis in rate.T], axis=1)
 
 
-def _legs(log: JointLog, robot: Quadruped) -> list[Finding]:
+def _legs(log: JointLog, robot: Robot) -> list[Finding]:
     """Legs in another order, by how feet that stand slide and by moments that nothing balances.
 
     Feet that stand move as one rigid body, and their forces hardly turn the trunk about its roll
@@ -457,26 +463,26 @@ def _legs(log: JointLog, robot: Quadruped) -> list[Finding]:
     The likeliest order has the least product of the three root mean squares. All left legs for all
     right ones are a robot in a mirror: only sliding counts between the two.
     """
-    if log.angular_velocity is None and log.quaternion is None:
+    if len(robot.feet) > MOST_ORDERED or (log.angular_velocity is None and log.quaternion is None):
         return []
     # Forces of a leg with a straight knee are not known, least of all of another leg's angles.
     rows = np.arange(0, len(log.time), max(1, len(log.time) // _SAMPLES))
     lever = Legs(robot, log.angle[rows]).force_per_torque()[1]
     rows = rows[(lever > LEAST_LEVER * robot.leg_length).all(axis=1)]
     speeds, load, moments = _swapped(log, robot, rows)
-    feet = np.arange(len(FEET))
+    feet = np.arange(len(robot.feet))
     if not np.any(np.count_nonzero(load[:, feet, feet], axis=1) > 1):
         return []
 
-    # All 24 orders are tried, for what each leg logs was computed at each foot's place before.
-    orders = list(itertools.permutations(feet.tolist()))
+    # All orders are tried, for what each leg logs was computed at each foot's place before.
+    as_logged, mirror = tuple(feet.tolist()), _mirror(robot)
+    orders = list(itertools.permutations(as_logged))
     slides = np.array([_sliding(speeds[:, feet, order], load[:, feet, order]) for order in orders])
     rolls, pitches = (_unbalanced(moments[..., axis], orders) for axis in range(2))
     # Where no order balances the moments, something else turns the robot: sliding alone counts.
     balanced = rolls.min() < MOST_OFF * robot.leg_length[0]
     sizes = slides * rolls * pitches if balanced else slides
     products = dict(zip(orders, sizes.tolist(), strict=True))
-    as_logged, mirror = (0, 1, 2, 3), (1, 0, 3, 2)
     slide = slides[orders.index(as_logged)]
     least, sound = min(products.values()), min(products[as_logged], products[mirror])
     likely = [order for order in orders if EXPLAINED * products[order] <= least]
@@ -486,7 +492,7 @@ def _legs(log: JointLog, robot: Quadruped) -> list[Finding]:
         return []
     likely.sort(key=products.__getitem__)
     moved = [
-        ", ".join(f"{FEET[j]} for {FEET[i]}" for i, j in enumerate(order) if i != j)
+        ", ".join(f"{robot.feet[j]} for {robot.feet[i]}" for i, j in enumerate(order) if i != j)
         for order in likely
     ]
     words = " or ".join(swaps for swaps in moved if len(swaps) == len(moved[0]))
@@ -495,6 +501,14 @@ def _legs(log: JointLog, robot: Quadruped) -> list[Finding]:
         f"{words}; check the order of the joints"
     )
     return [Finding("legs", text, True)]
+
+
+def _mirror(robot: Robot) -> tuple[int, ...]:
+    """Order of the legs of a robot that is seen in a mirror, left for right."""
+    last = robot.links.anchor[-2].T
+    away = np.linalg.norm(last[:, None] - last * [1.0, -1.0, 1.0], axis=-1)
+    mirror, feet = tuple(away.argmin(axis=1).tolist()), tuple(range(len(last)))
+    return mirror if sorted(mirror) == [*feet] else feet
 
 
 def _sliding(speed: FloatArray, share: FloatArray) -> float:
@@ -515,15 +529,15 @@ def _sliding(speed: FloatArray, share: FloatArray) -> float:
 def _unbalanced(moments: FloatArray, orders: Sequence[tuple[int, ...]]) -> FloatArray:
     """Root mean square moments about an axis that no gain explains [m], by orders of the legs.
 
-    ``moments`` have the shape [sample, foot, leg, 4]: that of the weight, then of each torque.
+    ``moments`` have the shape [sample, foot, leg, 1 + joint]: of the weight, then of each torque.
     """
     # Ridge regression of the sum of all columns x on those of the torques, b, with the normal
     # equations of each order taken from the products of all feet and legs: |x|² − x'B (B'B + r)⁻¹
     # B'x. Means are taken off, so that a wrong zero of the attitude does not count.
     count = len(moments)
     columns = (moments - moments.mean(axis=0)).reshape(count, -1)
-    products = (columns.T @ columns).reshape((4, 4, 4) * 2)
-    feet = np.arange(len(FEET))
+    products = (columns.T @ columns).reshape(moments.shape[1:] * 2)
+    feet = np.arange(moments.shape[1])
     chosen = np.stack([products[feet, order][:, :, feet, order] for order in orders])
     total = chosen.sum(axis=(3, 4))[..., 1:].reshape(len(orders), -1, 1)
     normal = chosen[:, :, 1:, :, 1:].reshape(len(orders), total.shape[1], -1)
@@ -534,26 +548,26 @@ def _unbalanced(moments: FloatArray, orders: Sequence[tuple[int, ...]]) -> Float
 
 
 def _swapped(
-    log: JointLog, robot: Quadruped, rows: IntArray
+    log: JointLog, robot: Robot, rows: IntArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Speeds, loads and moments of each foot with what each leg logs, [sample, foot, leg, ...].
 
     Velocities of the balls' lowest points in a world in which the body turns in its place [m/s];
-    upward forces over the robot's weight, less :data:`~terraphi.robot.friction.BEARING_SHARE`;
+    upward forces over the robot's load scale, less :data:`~terraphi.robot.friction.BEARING_SHARE`;
     moments about the trunk's origin over the weight [m], those of the weight and of each torque.
     """
-    count, feet, weight = len(rows), np.arange(len(FEET)), robot.mass * GRAVITY
+    count, feet, weight = len(rows), np.arange(len(robot.feet)), robot.mass * GRAVITY
     turn = np.broadcast_to(np.eye(3), (count, 3, 3))
     if log.quaternion is not None:
         turn = rotation(log.quaternion[rows])
-    # In four turns of the order each foot once has the angles, velocities and torques of each leg:
-    # all of them at once, [sample and turn, foot, ...].
-    order = (feet - feet[:, None]) % 4
+    # In as many turns of the order as there are feet, each foot once has the angles, velocities and
+    # torques of each leg: all of them at once, [sample and turn, foot, ...].
+    order = (feet - feet[:, None]) % len(feet)
     angle, velocity, torque = (
         column[rows][:, order].reshape(-1, *column.shape[1:])
         for column in (log.angle, log.velocity, log.torque)
     )
-    turn, spin = (np.repeat(each, 4, axis=0) for each in (turn, _spin(log)[rows]))
+    turn, spin = (np.repeat(each, len(feet), axis=0) for each in (turn, _spin(log)[rows]))
     arm = -robot.foot_radius * turn[:, None, 2, :]
     legs = Legs(robot, angle, 0.0 * velocity)
     # The point at p of a trunk that turns in its place, and moves its legs, has J q̇ + ω × p.
@@ -569,9 +583,10 @@ def _swapped(
     moments = np.cross(legs.place[:, :, None], forces)
 
     def by_leg(values: FloatArray) -> FloatArray:
-        turns = values.reshape(count, 4, *values.shape[1:])
+        turns = values.reshape(count, len(feet), *values.shape[1:])
         sorted_ = np.empty_like(turns)
         sorted_[:, feet, order] = turns
         return sorted_
 
-    return by_leg(speed), by_leg(np.maximum(lift - BEARING_SHARE, 0.0)), by_leg(moments)
+    load = np.maximum(lift * weight / robot.load_scale - BEARING_SHARE, 0.0)
+    return by_leg(speed), by_leg(load), by_leg(moments)

@@ -20,7 +20,7 @@ from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.units import GRAVITY
 from terraphi.robot.joint_log import STANDSTILL, JointLog
 from terraphi.robot.legs import Legs, TrunkMotion, rotation
-from terraphi.robot.model import Quadruped
+from terraphi.robot.model import Robot
 
 Estimator = Literal["quasi_static", "momentum_observer"]
 ESTIMATORS: tuple[Estimator, ...] = get_args(Estimator)
@@ -109,7 +109,7 @@ class Signals(NamedTuple):
     """Kinematics and, if asked for, equations of motion."""
 
 
-def signals(log: JointLog, robot: Quadruped, part: slice, *, moving: bool = True) -> Signals:
+def signals(log: JointLog, robot: Robot, part: slice, *, moving: bool = True) -> Signals:
     """Read a part of a log; ``moving`` evaluates the legs' equations of motion, too."""
     names = ("time", "angle", "velocity", "torque")
     time, angle, velocity, torque = (np.asarray(getattr(log, n)[part], float) for n in names)
@@ -125,7 +125,7 @@ def upward(turn: FloatArray, inverse: FloatArray) -> FloatArray:
 
 
 def trunk_motion(
-    log: JointLog, robot: Quadruped, part: slice = slice(None)
+    log: JointLog, robot: Robot, part: slice = slice(None)
 ) -> tuple[FloatArray, TrunkMotion]:
     """Rotations to the world, shape [sample, 3, 3], and motion of the trunk as far as it is known.
 

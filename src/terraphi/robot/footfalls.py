@@ -14,21 +14,21 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray, block_means
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import label_of
-from terraphi.experiment.priors import ROBOT_MASS_SD_PART
+from terraphi.experiment.priors import ROBOT_MASS_SD_PART, SOLE_DEPTH_SD_M
 from terraphi.experiment.units import GRAVITY
 from terraphi.experiment.workers import attempt
 from terraphi.inference.footfalls import FootfallMap, infer
 from terraphi.inference.pool import Anchor, Normal
 from terraphi.inference.records import density_with_sd
-from terraphi.inference.touchdowns import TORQUES, Prior, Touchdowns, stacked
+from terraphi.inference.touchdowns import Prior, Touchdowns, stacked
 from terraphi.laws.foot import LAWS
 from terraphi.robot.checks import faulty_spans, within
 from terraphi.robot.forces import FootForces, SensorErrors, without_broken_accelerometer
 from terraphi.robot.friction import spread
-from terraphi.robot.joint_log import FEET, JointLog, cut, joined
+from terraphi.robot.joint_log import JointLog, cut, joined
 from terraphi.robot.legs import rotation
 from terraphi.robot.logs.columns import Columns
-from terraphi.robot.model import Quadruped
+from terraphi.robot.model import Robot
 from terraphi.robot.results import RobotForces, foot_forces
 from terraphi.robot.stance import running_mean
 from terraphi.robot.touchdowns import Motion, sensitivity, touchdowns, track
@@ -62,7 +62,7 @@ such as the legs' own swinging. A longer log is not more certain (chosen; in
 def footfalls(
     log: Path | str | JointLog,
     *,
-    robot: Quadruped | Path | str = "go2",
+    robot: Robot | Path | str = "go2",
     density: str | float | None = None,
     law: str = "foot",
     prior: Prior | None = None,
@@ -119,7 +119,7 @@ def footfalls(
         raise InputError(f"{name}: no footfall can be read: {analysis.grave[0]}")
     log, forces = without_broken_accelerometer(analysis.log)[0], analysis.forces
     motion = from_the_start(track(log, body, forces.place, forces.lift), log)
-    landings = touchdowns(log, forces, motion, analysis.stances, radius=body.foot_radius)
+    landings = touchdowns(log, forces, motion, analysis.stances, body)
     course = course_of(log, body, forces, motion)
     # Inference takes half a gigabyte for an hour more if it has the forces of all samples.
     analysis = replace(analysis, forces=joined([cut(forces, slice(1))]), stances=())
@@ -173,7 +173,7 @@ def table_of(logs: Sequence[Path | str], walks: Sequence[FootfallMap | InputErro
 class Options(NamedTuple):
     """Options of :func:`footfalls`, checked; ``notes`` has a sentence on what was assumed."""
 
-    robot: Quadruped
+    robot: Robot
     prior: Prior
     law: str
     anchors: list[Anchor]
@@ -181,19 +181,22 @@ class Options(NamedTuple):
 
     @classmethod
     def of(
-        cls, robot: Quadruped | Path | str, density: str | float | None, law: str,
+        cls, robot: Robot | Path | str, density: str | float | None, law: str,
         prior: Prior | None, anchors: Sequence[Anchor | str] | str,
     ) -> Options:  # fmt: skip
         """Check the options; raises InputError."""
-        body = robot if isinstance(robot, Quadruped) else Quadruped.load(robot)
+        body = robot if isinstance(robot, Robot) else Robot.load(robot)
         if law not in LAWS:
             raise InputError(f"law '{law}' is unknown; {nearest(law, LAWS)}")
-        if body.foot_radius <= 0.0:
+        if body.contact_radius <= 0.0:
             raise InputError(
                 f"robot '{body.name}' lacks foot_radius, the radius of the ball at the end of a "
-                "leg; add it to the robot's TOML (flat soles are not supported)"
+                "leg, or sole, the length and width of a flat one; add it to the robot's TOML"
             )
-        full = replace(prior or Prior(), radius=body.foot_radius)
+        full = replace(prior or Prior(), radius=body.contact_radius, legs=len(body.feet))
+        if body.sole:
+            level_sd = min(full.level_sd, SOLE_DEPTH_SD_M)
+            full = replace(full, shape="disc", sole=body.sole, level_sd=level_sd)
         if density is not None:
             mean, sd = density_with_sd(density, "the soil")
             if not 0.0 < sd <= MOST_DENSITY_SD * mean:
@@ -239,7 +242,7 @@ class Course(NamedTuple):
 
 
 def course_of(
-    log: JointLog, robot: Quadruped, forces: FootForces, motion: Motion, part: slice = slice(None)
+    log: JointLog, robot: Robot, forces: FootForces, motion: Motion, part: slice = slice(None)
 ) -> Course:
     """Course of a part of a walk from its forces and its motion."""
     size = max(1, round(AVERAGED_S / float(np.median(np.diff(log.time)))))
@@ -277,7 +280,7 @@ def infer_walk(
     if (rests := carried_s(course.time, lift.sum(axis=1) / (mass * GRAVITY))) > 0.0:
         text = f"for {rests:.1f} s the feet bear less than {RESTS_PART:.0%} of what they bear "
         notes = [f"{text}otherwise: the body touches the ground, or the robot is held", *notes]
-    sd = torque_sd(analysis.forces)
+    sd = torque_sd(analysis.forces, options.robot)
     answer = infer(
         landings._replace(faulty=within(landings.begin, spans)),
         calibrate_on_weight(course._replace(lift=lift), sd, mass=mass),
@@ -285,7 +288,7 @@ def infer_walk(
         prior=options.prior,
         law=options.law,
         anchors=options.anchors,
-        feet=FEET,
+        feet=options.robot.feet,
         notes=notes,
         provenance={"log": name, "robot": options.robot.name, "forces": analysis.provenance()},
     )
@@ -297,10 +300,10 @@ def notes_of(analysis: RobotForces) -> list[str]:
     return [note for note in analysis.warnings if "the axis of Fx" not in note]
 
 
-def torque_sd(forces: FootForces) -> FloatArray:
-    """Prior standard deviations of gains [-] and of friction that is left [N m], shape [24]."""
+def torque_sd(forces: FootForces, robot: Robot) -> FloatArray:
+    """Prior standard deviations of all gains [-], then of all friction that is left [N m]."""
     errors = SensorErrors()
-    friction_sd = errors.friction_sd(forces.friction).ravel()
+    friction_sd = errors.friction_sd(forces.friction, robot.joint.shape).ravel()
     return np.append(np.full(friction_sd.size, errors.gain), friction_sd)
 
 
@@ -361,7 +364,7 @@ def calibrate_on_weight(course: Course, sd: FloatArray, *, mass: float) -> Norma
     course
         Forces and motion over time.
     sd
-        Prior standard deviations of gains [-] and friction [N m], shape [24].
+        Prior standard deviations of gains [-], then friction [N m], of all joints.
     mass
         Of the robot [kg].
 
@@ -371,11 +374,12 @@ def calibrate_on_weight(course: Course, sd: FloatArray, *, mass: float) -> Norma
         Errors of gains, then friction; the prior where no sample is known or the robot does not
         stand on its feet.
     """
-    prior, weight = Normal(np.zeros(TORQUES), np.diag(sd**2)), mass * GRAVITY
+    prior, weight = Normal(np.zeros(len(sd)), np.diag(sd**2)), mass * GRAVITY
     # Gains of all joints, then frictions; the last one is the relative error of the mass itself.
-    errors = (course.per_error[:, i, 3 * k + j] for k, i, j in np.ndindex(2, 4, 3))
+    per_error = course.per_error.reshape(len(course.time), course.lift.shape[1], 2, -1)
+    errors = np.moveaxis(per_error, 2, 1).reshape(len(course.time), -1)
     expected = mass * (GRAVITY + course.acceleration)
-    rows = np.column_stack([course.lift.sum(axis=1) - expected, *errors, expected])
+    rows = np.column_stack([course.lift.sum(axis=1) - expected, errors, expected])
     # Rows while the robot is lifted or falls are left out, as are those without a force.
     rows = rows[np.isfinite(rows[:, 0])]
     bears = np.abs(rows[:, 0]) < 0.4 * weight
@@ -384,7 +388,7 @@ def calibrate_on_weight(course: Course, sd: FloatArray, *, mass: float) -> Norma
     off, design = rows[bears, 0], rows[bears, 1:]
     precision = np.diag(np.append(sd, ROBOT_MASS_SD_PART) ** -2.0)
     noise, inverse = 0.1 * weight, precision
-    mean: FloatArray = np.zeros(TORQUES + 1)
+    mean: FloatArray = np.zeros(len(sd) + 1)
     # Ridge regression; the noise follows from the residuals. More than MOST_INDEPENDENT weighings
     # count as that many.
     for _ in range(3):

@@ -32,10 +32,10 @@ from terraphi.robot.estimators import (
     upward,
 )
 from terraphi.robot.friction import Survey, survey
-from terraphi.robot.joint_log import FEET, GAP_STEPS, JOINTS, JointLog, joint_names
+from terraphi.robot.joint_log import GAP_STEPS, JointLog, joint_names
 from terraphi.robot.legs import rotation
 from terraphi.robot.logs.samples import sound
-from terraphi.robot.model import Quadruped
+from terraphi.robot.model import Robot
 
 SingleArray = NDArray[np.float32]
 Frame = Literal["world", "body"]
@@ -77,10 +77,10 @@ class SensorErrors:
     friction_part: float = JOINT_FRICTION_SD_PART
     attitude_deg: float = ATTITUDE_SD_DEG
 
-    def friction_sd(self, friction: JointFriction | None) -> FloatArray:
+    def friction_sd(self, friction: JointFriction | None, shape: Any = ()) -> FloatArray:
         """Coulomb torque left in the forces when that was taken off [N m], shape [foot, joint]."""
         if friction is None:
-            return np.full((len(FEET), len(JOINTS)), self.coulomb_Nm)
+            return np.full(shape, self.coulomb_Nm)
         error = self.friction_part * np.maximum(friction.coulomb, self.coulomb_Nm)
         return np.where(friction.determined, error, self.coulomb_Nm)
 
@@ -97,7 +97,7 @@ class FootForces:
         [s], shape [sample].
     force
         Of the ground on the robot [N], shape [sample, foot, 3], feet in the order of
-        :data:`~terraphi.robot.joint_log.FEET`; NaN where flagged.
+        :attr:`~terraphi.robot.model.Robot.feet`; NaN where flagged.
     sigma
         Standard uncertainty of each component [N], same shape: noise, and what all samples share
         by :class:`SensorErrors`.
@@ -106,7 +106,10 @@ class FootForces:
     saturated
         A motor of the leg is at its limit, and the force may be larger; shape [sample, foot].
     place
-        Centres of the feet's balls in the frame of the trunk [m], shape [sample, foot, 3].
+        Centres of the feet's balls or soles in the frame of the trunk [m], shape
+        [sample, foot, 3].
+    sole
+        Directions of a sole's length and width in the world [-], shape [sample, foot, 2, 3].
     lift_per_torque
         Upward force per torque of each joint [1/m], shape [sample, foot, joint].
     leg_inertia
@@ -128,6 +131,7 @@ class FootForces:
     flagged: BoolArray
     saturated: BoolArray
     place: SingleArray
+    sole: SingleArray
     lift_per_torque: SingleArray
     leg_inertia: FloatArray
     estimator: Estimator
@@ -144,7 +148,7 @@ class FootForces:
 def estimate(
     log: JointLog,
     *,
-    robot: Quadruped,
+    robot: Robot,
     estimator: Estimator = DEFAULT_ESTIMATOR,
     frame: Frame = "world",
     friction: bool | JointFriction = True,
@@ -192,12 +196,15 @@ def estimate(
             "the log has no attitude (quaternion), which forces in the world need; add it, or take "
             "forces in the frame 'body'"
         )
+    if (read := log.angle.shape[1:]) != (legs := robot.joint.shape):
+        mine = f"'{robot.name}' has {legs[0]} of {legs[1]}; name its robot"
+        raise InputError(f"the log has {read[0]} legs of {read[1]} joints, {mine}")
     given = friction if isinstance(friction, JointFriction) else None
     log, broken = (log, []) if given else without_broken_accelerometer(log)
     # A frame or two are read as well: of a robot at rest, for they hold no accelerations.
     gap = GAP_STEPS * float(np.median(np.diff(log.time))) if len(log.time) > 1 else math.inf
     moving = estimator != "quasi_static"
-    nothing = np.zeros((len(FEET), len(JOINTS)))
+    nothing = np.zeros(robot.joint.shape)
     overview = (
         Survey(given, nothing, nothing, 0.0, nothing + np.nan) if given
         else survey(log, robot, estimator, gap, friction=moving and bool(friction))
@@ -216,7 +223,8 @@ def estimate(
         columns = columns or [np.empty((len(log.time), *v.shape[1:]), v.dtype) for v in values]
         for column, value in zip(columns, values, strict=True):
             column[begin : begin + len(value)] = value
-    fields = ("force", "sigma", "flagged", "saturated", "place", "lift_per_torque", "leg_inertia")
+    fields = ("force", "sigma", "flagged", "saturated", "place", "sole", "lift_per_torque",
+              "leg_inertia")  # fmt: skip
     return FootForces(
         time=np.asarray(log.time, dtype=np.float64),
         **dict(zip(fields, columns, strict=True)),
@@ -250,11 +258,11 @@ def _torque_noise(overview: Survey, errors: SensorErrors) -> tuple[FloatArray, F
     # Friction that was not found shows in the torques of a foot that swings, and in their spread.
     friction = overview.friction
     shows = swung if friction is None else swung & ~friction.determined
-    return noise, np.where(shows, 0.0, errors.friction_sd(friction))
+    return noise, np.where(shows, 0.0, errors.friction_sd(friction, noise.shape))
 
 
 def _chunk(
-    part: Signals, inner: slice, robot: Quadruped, estimator: Estimator,
+    part: Signals, inner: slice, robot: Robot, estimator: Estimator,
     friction: JointFriction | None, noise: FloatArray, lost: FloatArray, errors: SensorErrors, *,
     gap: float, frame: Frame, contact_part: float,
 ) -> tuple[Any, ...]:  # fmt: skip
@@ -272,7 +280,7 @@ def _chunk(
     if friction is not None:
         variance += friction.doubt(part.velocity[inner]) ** 2
     low = -contact_part * robot.foot_radius * part.turn[:, None, 2, :] if moving else None
-    inverse, lever = (values[inner] for values in part.legs.force_per_torque(low))
+    inverse, lever, unfelt = (values[inner] for values in part.legs.force_per_torque(low))
     lift_per_torque = upward(turn, inverse)
     if frame == "world":
         inverse = turn[:, None] @ inverse
@@ -280,10 +288,12 @@ def _chunk(
         force = np.einsum("sfij,sfj->sfi", inverse, torque)
         # f = J⁻ᵀ τ with independent errors of the torques: var f_i = Σ_j (J⁻ᵀ)_ij² var τ_j.
         variance = np.einsum("sfij,sfj->sfi", inverse**2, variance)
-        if not robot.there.all():  # legs of two joints feel no force across their plane
-            across = inverse[..., 0] / np.linalg.norm(inverse[..., 0], axis=-1, keepdims=True)
-            size = UNFELT_PART * np.linalg.norm(force, axis=-1, keepdims=True)
-            variance += np.where(robot.there[:, :1], 0.0, np.square(across * size))
+        # What the joints do not feel: a force across the plane of two joints, or moments on a sole
+        # about the trunk's axes, of a pressure that is uniform somewhere within its sides.
+        length, width = robot.sole or (0.0, 0.0)
+        reach = np.array([width, length, width]) / math.sqrt(12.0) if robot.sole else UNFELT_PART
+        size = np.linalg.norm(force, axis=-1, keepdims=True)
+        variance += np.square(size * np.linalg.norm(unfelt * reach, axis=-1))
         if frame == "world":
             # A small turn ε about level axes moves a force by
             # ε × f = (ε_y f_z, −ε_x f_z, ε_x f_y − ε_y f_x).
@@ -293,11 +303,12 @@ def _chunk(
     # Where the knee is straight, a small error of a torque is a large one of the force.
     near_singular = lever < LEAST_LEVER * robot.leg_length
     force_sigma[:, near_singular] = np.nan
-    limit = SATURATED * np.array(robot.torque_limit or (np.inf,) * 3)
+    limit = SATURATED * np.array(robot.torque_limit or np.inf)
     saturated = (np.abs(measured) >= limit).any(axis=-1)
     swing = leg_inertia(part, gap)[inner] if moving else np.zeros(len(torque))
-    place, lever_arm = (v.astype(np.float32) for v in (part.legs.place[inner], lift_per_torque))
-    return *force_sigma, near_singular, saturated, place, lever_arm, swing
+    sole = np.einsum("sij,sfkj->sfki", turn, part.legs.sole[inner])
+    places = (v.astype(np.float32) for v in (part.legs.place[inner], sole, lift_per_torque))
+    return *force_sigma, near_singular, saturated, *places, swing
 
 
 def _heading_deg(log: JointLog) -> float | None:
@@ -326,7 +337,7 @@ def without_broken_accelerometer(log: JointLog) -> tuple[JointLog, list[str]]:
     ]
 
 
-def _assumed(log: JointLog, robot: Quadruped, overview: Survey, broken: list[str]) -> list[str]:
+def _assumed(log: JointLog, robot: Robot, overview: Survey, broken: list[str]) -> list[str]:
     """Sentences about assumptions in the place of what the log lacks."""
     lacking = {
         "no attitude: gravity is assumed along the body's z": log.quaternion is None,
@@ -339,7 +350,7 @@ def _assumed(log: JointLog, robot: Quadruped, overview: Survey, broken: list[str
     assumed = [*broken, *(text for text, lacks in lacking.items() if lacks)]
     lost = overview.friction
     if lost is not None and not (lost.determined | ~robot.there).all():
-        unknown = joint_names(~lost.determined & robot.there)
+        unknown = joint_names(~lost.determined & robot.there, robot.legs)
         whose = ", ".join(unknown) if lost.determined.any() else "any joint"
         assumed.append(f"too little swing to find the friction of {whose}")
     return assumed

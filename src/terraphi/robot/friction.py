@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
-from terraphi.experiment.units import GRAVITY
 from terraphi.robot.estimators import (
     CHUNK,
     OBSERVER_GAIN,
@@ -31,7 +30,7 @@ from terraphi.robot.estimators import (
     upward,
 )
 from terraphi.robot.joint_log import STANDSTILL, JointLog
-from terraphi.robot.model import Quadruped
+from terraphi.robot.model import Robot
 
 LEAST_SWING = 50
 """Samples in swing that a foot needs for its friction to be found: over ten for each of the three
@@ -44,7 +43,8 @@ REVERSAL_RATE = 2.0 * STANDSTILL
 after, friction changes its sense in a way of its own, and a regression would take the change for
 less Coulomb friction. A joint needs this root mean square velocity."""
 BEARING_SHARE = 0.15
-"""A foot that stands, and shows the ground, bears this share of the robot's weight [-]. A robot
+"""A foot that stands, and shows the ground, bears this share of a quadruped's weight [-], or of
+:attr:`~terraphi.robot.model.Robot.load_scale`. A robot
 whose feet bear less all together hangs or lies; what they bear and how they push sideways, on
 average, may be off by as much, which is 1.5 standard deviations of a torque's gain."""
 SURVEY = 30_000
@@ -84,7 +84,7 @@ def clear_of_ground(
     lift
         Upward force of the ground on the feet [N], shape [sample, foot].
     weight
-        Of the robot [N].
+        Load scale of the robot [N].
 
     Returns
     -------
@@ -142,9 +142,9 @@ def fit_friction(
     -------
     JointFriction
     """
-    numbers = np.zeros((4, 3, 3))
-    determined = np.zeros((4, 3), dtype=bool)
-    for i, j in itertools.product(range(4), range(3)):
+    numbers = np.zeros((*residual.shape[1:], 3))
+    determined = np.zeros(residual.shape[1:], dtype=bool)
+    for i, j in np.ndindex(determined.shape):
         chosen = swing[:, i] & sure[:, i, j]
         if chosen.sum() < LEAST_SWING:
             chosen = swing[:, i]
@@ -227,7 +227,8 @@ def lag_and_gain(
     gap
         Steps longer than this [s] are gaps.
     """
-    feet, gain = np.flatnonzero(swing.sum(axis=0) >= LEAST_SWING), np.full((4, 3), np.nan)
+    feet = np.flatnonzero(swing.sum(axis=0) >= LEAST_SWING)
+    gain = np.full_like(torque[0], np.nan)
     if not len(feet):
         return 0.0, gain
     usual = float(np.median(np.concatenate([np.diff(part.time) for part, _ in windows])))
@@ -252,7 +253,7 @@ def lag_and_gain(
         ]
         return np.concatenate(parts, axis=1)
 
-    joints, none = list(itertools.product(feet.tolist(), range(3))), np.zeros(1)
+    joints, none = list(itertools.product(feet.tolist(), range(torque.shape[2]))), np.zeros(1)
     # Friction's regressors, orthonormal, and the torque of the motion without friction, of each.
     frictions = {(i, j): np.linalg.qr(terms[swing[:, i], i, j])[0] for i, j in joints}
     models = {(i, j): torque[swing[:, i], i, j] + shifted(none, i, j)[0] for i, j in joints}
@@ -320,20 +321,20 @@ class Survey(NamedTuple):
 
 
 def in_swing(
-    part: Signals, inner: slice, lift: FloatArray, robot: Quadruped, share: float
+    part: Signals, inner: slice, lift: FloatArray, robot: Robot, share: float
 ) -> BoolArray:
     """Mask of feet that swing, by their places and upward forces [N]; shape [sample, foot].
 
-    ``share`` is the part of the robot's weight below which a foot may swing.
+    ``share`` is the part of the robot's load scale below which a foot may swing.
     """
-    weight = robot.mass * GRAVITY
+    weight = robot.load_scale
     place, up = part.legs.place[inner], part.turn[inner][:, 2]
     clear = clear_of_ground(place, up, lift, weight=weight)
     return away_from(lift >= share * weight, part.time[inner]) & clear
 
 
 def swing_of_part(
-    log: JointLog, robot: Quadruped, lift_per_torque: Any, friction: JointFriction | None,
+    log: JointLog, robot: Robot, lift_per_torque: Any, friction: JointFriction | None,
     gap: float,
 ) -> tuple[float, FloatArray]:  # fmt: skip
     """:func:`lag_and_gain` of a short log whose joints' friction is known already, if not None.
@@ -351,7 +352,7 @@ def swing_of_part(
 
 
 def survey(
-    log: JointLog, robot: Quadruped, estimator: Estimator, gap: float, *, friction: bool
+    log: JointLog, robot: Robot, estimator: Estimator, gap: float, *, friction: bool
 ) -> Survey:
     """Find friction and noise of the torques from windows spread over a log.
 
@@ -390,7 +391,7 @@ def survey(
     *_, contact = refined(torque, 2.0 * BEARING_SHARE)
     *_, contact = refined(contact, BEARING_SHARE)
     lost, swing, _ = refined(contact, BEARING_SHARE)
-    kept, residual = lost if friction else None, np.full((4, 3), np.nan)
+    kept, residual = lost if friction else None, np.full(robot.joint.shape, np.nan)
     deviation = of_all(lambda part: contact_torque(part, estimator, gap, kept))
     for foot in np.flatnonzero(swing.any(axis=0)):
         off = np.abs(deviation[swing[:, foot], foot])

@@ -15,16 +15,24 @@ FEET = ("FR", "FL", "RR", "RL")
 """Feet in the order of the Go2's motors: front right, front left, rear right, rear left."""
 JOINTS = ("hip", "thigh", "calf")
 """Joints of a leg, from the body outwards."""
-SHAPES: dict[str, tuple[int, ...]] = {
-    "angle": (len(FEET), len(JOINTS)),
-    "velocity": (len(FEET), len(JOINTS)),
-    "torque": (len(FEET), len(JOINTS)),
-    "quaternion": (4,),
-    "angular_velocity": (3,),
-    "acceleration": (3,),
-    "foot_counts": (len(FEET),),
-}
-"""Columns of a JointLog without its time, and the shape of a sample of each."""
+Names = tuple[tuple[str, ...], ...]
+LEGS: Names = tuple(tuple(f"{foot}_{joint}" for joint in JOINTS) for foot in FEET)
+"""Joints of a quadruped as ``FOOT_JOINT``, foot by foot, in the order of the Go2's motors."""
+JOINT_NAMES = tuple(name for leg in LEGS for name in leg)
+"""The twelve of them."""
+
+
+def shapes(legs: int = len(FEET), joints: int = len(JOINTS)) -> dict[str, tuple[int, ...]]:
+    """Columns of a JointLog without its time, and the shape of a sample of each."""
+    names = "angle", "velocity", "torque", "quaternion", "angular_velocity", "acceleration"
+    sizes = *((legs, joints),) * 3, (4,), (3,), (3,)
+    return dict(zip((*names, "foot_counts"), (*sizes, (legs,)), strict=True))
+
+
+SHAPES = shapes()
+"""Those of a quadruped."""
+
+
 GAP_STEPS = 3.5
 """Steps longer than this many median steps are gaps [-], over which no filter remembers and no
 reading is interpolated: single lost samples are none (``tests/robot/test_forces.py``)."""
@@ -38,7 +46,7 @@ five times the noise of a joint's velocity in ``tests/robot/walker.py``."""
 
 @dataclass(frozen=True, repr=False)
 class JointLog:
-    """Joint states of a quadruped over time.
+    """Joint states of a walking robot over time.
 
     Attributes
     ----------
@@ -46,8 +54,8 @@ class JointLog:
         [s], strictly increasing, from the messages' own clock; shape [sample].
     angle, velocity, torque
         Joint angles [rad], velocities [rad/s], torques that the motors exert on the joints
-        [N m]; shape [sample, foot, joint], feet in the order of :data:`FEET`, joints of
-        :data:`JOINTS`.
+        [N m]; shape [sample, foot, joint], feet and joints in the order of the robot's
+        :attr:`~terraphi.robot.model.Robot.legs`: of a quadruped :data:`LEGS`.
     quaternion
         Attitude of the body in the world, (w, x, y, z), unit; shape [sample, 4]; ``None`` if the
         log has none.
@@ -123,13 +131,9 @@ def joined(parts: Sequence[Record]) -> Record:
     return replace(parts[0], **{n: np.concatenate([getattr(p, n) for p in parts]) for n in names})
 
 
-JOINT_NAMES = tuple(f"{foot}_{joint}" for foot in FEET for joint in JOINTS)
-"""The twelve joints as ``FOOT_JOINT``, in the order of the Go2's motors."""
-
-
-def joint_names(which: BoolArray) -> list[str]:
+def joint_names(which: BoolArray, legs: Names = LEGS) -> list[str]:
     """Names of the joints for which an array of shape [foot, joint] is true."""
-    return [JOINT_NAMES[i] for i in np.flatnonzero(which)]
+    return [legs[foot][joint] for foot, joint in np.argwhere(which)]
 
 
 _WORDS = {

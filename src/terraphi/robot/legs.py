@@ -15,7 +15,7 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import needing
 from terraphi.experiment.units import GRAVITY
-from terraphi.robot.model import Links, Quadruped
+from terraphi.robot.model import Links, Robot
 
 with needing("a robot", "MuJoCo and SciPy", extra="robot"):
     from scipy.spatial.transform import Rotation
@@ -41,6 +41,9 @@ class TrunkMotion(NamedTuple):
         return TrunkMotion(s - np.cross(alpha, r) - np.cross(w, np.cross(w, r)), w, alpha)
 
 
+MOMENT_WEIGHT = 0.1
+"""p, error of a torque over the moment on a sole that no joint feels [-]: a moment of 20 N m is
+known beforehand as 2 N m of torque; chosen."""
 REST = TrunkMotion(np.array([0.0, 0.0, GRAVITY]), np.zeros(3), np.zeros(3))
 """A trunk that stands still and level."""
 
@@ -62,7 +65,10 @@ class Legs:
     Attributes
     ----------
     place
-        Centres of the feet's balls [m], shape [sample, foot, 3].
+        Centres of the feet's balls or soles [m], shape [sample, foot, 3].
+    sole
+        Directions of the length and the width of flat soles [-], shape [sample, foot, 2, 3]; of
+        balls the last link's, which mean nothing.
     torque
         h, the torques of a motion without joint accelerations, the feet touching nothing [N m],
         shape [sample, foot, joint].
@@ -77,7 +83,7 @@ class Legs:
 
     def __init__(
         self,
-        robot: Quadruped,
+        robot: Robot,
         angle: FloatArray,
         velocity: FloatArray | None = None,
         *,
@@ -90,18 +96,21 @@ class Legs:
         # Links are parallel to the trunk at the reference angles. A link is turned by the product
         # of the rotations of the joints above it, about their axes at the reference angles.
         arms = np.diff(links.anchor, axis=0, prepend=0.0)[..., None]
-        places = np.empty((3, 4, *theta.shape[1:]))
+        joints = len(theta)
+        places = np.empty((3, joints + 1, *theta.shape[1:]))
         axes = np.empty((3, *theta.shape))
-        turn, place, turns = np.eye(3)[..., None, None], np.zeros((3, 4, 1)), []
+        turn, place, turns = np.eye(3)[..., None, None], np.zeros((3, theta.shape[1], 1)), []
         for j, axis in enumerate(links.axis[..., None]):
             places[:, j] = place = place + _turned(turn, arms[j])
             axes[:, j] = _turned(turn, axis)
             turn = _product(turn, _rotation(axis, theta[j]))
             turns.append(turn)
-        places[:, 3] = place + _turned(turn, arms[3])
-        self.place = places[:, 3].T
+        places[:, joints] = place + _turned(turn, arms[joints])
+        self.place = places[:, joints].T
+        # Soles are parallel to the trunk at the reference angles.
+        self.sole, self._flat = turn[:, :2].T, robot.sole is not None
         # [component, joint, foot, sample] becomes [sample, foot, joint, component].
-        self._anchor, self._axis = places[:, :3].T, axes.T
+        self._anchor, self._axis = places[:, :joints].T, axes.T
         if velocity is not None:
             rate = np.where(self._there, velocity, 0.0).T
             self._move(links, turns, places, axes, rate, trunk)
@@ -128,7 +137,7 @@ class Legs:
         motion = _motion(spin, faster)
         lever = _turned(motion, links.trunk_center[:, None, None])
         force = links.trunk_mass * (felt + lever)[:, 0]
-        torque, mass = np.zeros(rate.shape), np.zeros((3, *rate.shape))
+        torque, mass = np.zeros(rate.shape), np.zeros((len(rate), *rate.shape))
         momentum, last = np.zeros(axes.shape), np.zeros((3, 1, 1))
         for j, turn in enumerate(turns):
             # The motion of the link that this joint carries, without accelerations of joints.
@@ -137,7 +146,7 @@ class Legs:
             faster = faster + _cross(spin, relative)
             spin = spin + relative
             motion = _motion(spin, faster)
-            arm = _turned(turn, (links.center - links.anchor[:3])[j][..., None])
+            arm = _turned(turn, (links.center - links.anchor[:-1])[j][..., None])
             spread = _product(turn, links.spread[j][..., None])
             spread = _product(spread, np.swapaxes(turn, 0, 1))
             needed = links.mass[j][:, None] * (felt + _turned(motion, arm))
@@ -166,11 +175,16 @@ class Legs:
         place = self.place if offset is None else self.place + offset
         return np.swapaxes(np.cross(self._axis, place[:, :, None] - self._anchor), -1, -2)
 
-    def force_per_torque(self, offset: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
+    def force_per_torque(
+        self, offset: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """J⁻ᵀ, which turns joint torques into a force on the foot, and the lever of the leg.
 
-        A leg of two joints feels no force across the plane in which it moves the foot: that force
-        is taken to be zero.
+        The ground turns a ball by no moment, and a sole by three, so that the torques are
+        τ = Jᵀ f + Aᵀ m with the axes A of the joints. Of more joints than unknowns the forces are
+        those of least squares, (J Jᵀ)⁻¹ J τ. What the joints do not feel is taken to be zero: of a
+        leg of two joints the force across its plane; of a sole a moment, by an equation p m = 0
+        with p of :data:`MOMENT_WEIGHT`.
 
         Parameters
         ----------
@@ -182,16 +196,35 @@ class Legs:
         inverse
             [rad/m], shape [sample, foot, 3, joint]; NaN where J is singular.
         lever
-            As in :func:`inverse_transpose`, shape [sample, foot].
+            1/‖J⁻¹‖, Frobenius norm [m/rad], shape [sample, foot]. A torque error of 1 N m becomes a
+            force error of at most 1/lever newtons. It lies between σ/√3 and σ, the smallest
+            singular value of J, and is zero for a straight knee.
+        unfelt
+            Change of the force per what is taken to be zero, shape [sample, foot, 3, any]: per
+            force across the plane [-], or per moment on a sole about the trunk's axes [1/m].
         """
         matrix = self.jacobian(offset)
+        unfelt = np.zeros((*matrix.shape[:-1], 0))
+        square = matrix @ np.swapaxes(matrix, -1, -2)
         if not self._there.all():
             # In the place of the joint that is not there stands one that alone feels that force.
             across = np.cross(matrix[..., 1], matrix[..., 2])
             size = np.linalg.norm(across, axis=-1, keepdims=True)
             across = across / np.maximum(size, 1e-12) * np.sqrt(size)  # as long as the others
-            matrix[..., 0] = np.where(self._there[:, :1], matrix[..., 0], across)
-        return inverse_transpose(matrix)
+            across = np.where(self._there[:, :1], 0.0, across)
+            square += across[..., None] * across[..., None, :]
+            size = np.linalg.norm(across, axis=-1, keepdims=True)
+            unfelt = (across / np.maximum(size, 1e-12))[..., None]
+        if self._flat:
+            # Moments are eliminated: Schur's complement of their block, A Aᵀ + p².
+            turns = self._axis
+            coupled = matrix @ turns
+            felt = np.swapaxes(turns, -1, -2) @ turns + MOMENT_WEIGHT**2 * np.eye(3)
+            taken = coupled @ np.linalg.inv(felt)
+            square -= taken @ np.swapaxes(coupled, -1, -2)
+            matrix, unfelt = matrix - taken @ np.swapaxes(turns, -1, -2), MOMENT_WEIGHT**2 * taken
+        inverse, lever = inverse_square(square)
+        return inverse @ matrix, lever, inverse @ unfelt if self._flat else unfelt
 
 
 def _turned(matrix: FloatArray, vector: FloatArray) -> FloatArray:
@@ -234,31 +267,17 @@ def _motion(spin: FloatArray, faster: FloatArray) -> FloatArray:
     return np.asarray(_cross_matrix(faster) + _product(cross, cross))
 
 
-def inverse_transpose(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Inverse of the transpose of 3 × 3 matrices, and how far they are from singular.
-
-    Parameters
-    ----------
-    matrix
-        Jacobians J [m/rad], shape [..., 3, 3].
-
-    Returns
-    -------
-    inverse
-        J⁻ᵀ [rad/m], same shape; NaN where J is singular.
-    lever
-        1/‖J⁻¹‖, Frobenius norm [m/rad], shape [...]. A torque error of 1 N m becomes a force error
-        of at most 1/lever newtons. It lies between σ/√3 and σ, the smallest singular value of J,
-        and is zero for a straight knee.
-    """
-    # Cofactors: the inverse of the transpose is their matrix over the determinant.
-    rows = [np.cross(matrix[..., (i + 1) % 3, :], matrix[..., (i + 2) % 3, :]) for i in range(3)]
+def inverse_square(square: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Inverse of J Jᵀ, shape [..., 3, 3], NaN where J is singular, and 1/‖J⁻¹‖ [m/rad]."""
+    # Cofactors: the inverse of a symmetric matrix is their matrix over the determinant.
+    rows = [np.cross(square[..., (i + 1) % 3, :], square[..., (i + 2) % 3, :]) for i in range(3)]
     cofactor = np.stack(rows, axis=-2)
-    determinant = np.sum(matrix[..., 0, :] * cofactor[..., 0, :], axis=-1)
-    size = np.sqrt(np.sum(cofactor**2, axis=(-1, -2)))
+    determinant = np.sum(square[..., 0, :] * cofactor[..., 0, :], axis=-1)
     # Smaller ones, of subnormal angles, would overflow.
-    safe = np.where(np.abs(determinant) < 1e-100, np.nan, determinant)
-    return cofactor / safe[..., None, None], np.abs(determinant) / np.where(size == 0.0, 1.0, size)
+    safe = np.where(determinant < 1e-200, np.nan, determinant)
+    trace = np.trace(cofactor, axis1=-1, axis2=-2)  # ‖J⁻¹‖² is the trace of the inverse
+    size = np.sqrt(np.maximum(determinant, 0.0) / np.where(trace > 0.0, trace, 1.0))
+    return cofactor / safe[..., None, None], size
 
 
 def rotation(quaternion: FloatArray) -> FloatArray:

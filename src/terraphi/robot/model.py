@@ -1,4 +1,4 @@
-"""A quadruped from its URDF or MJCF, read by MuJoCo.
+"""A robot that walks from its URDF or MJCF, read by MuJoCo.
 
 A robot needs its URDF or MJCF. A small TOML next to it (:class:`RobotFile`) adds what the model
 lacks, such as the numbering of the motors.
@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -23,7 +22,16 @@ from terraphi.experiment.budget import PARTS, unpacking
 from terraphi.experiment.documents import Strict, parse_toml, shipped_file
 from terraphi.experiment.errors import InputError, nearest, needing
 from terraphi.experiment.files import check_is_file, is_there, label_of, read_bytes
-from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, joint_names, joint_place
+from terraphi.experiment.units import GRAVITY
+from terraphi.robot.joint_log import (
+    FEET,
+    JOINT_NAMES,
+    JOINTS,
+    LEGS,
+    Names,
+    joint_names,
+    joint_place,
+)
 
 with needing("a robot", "MuJoCo and SciPy", extra="robot"):
     import mujoco
@@ -31,6 +39,9 @@ with needing("a robot", "MuJoCo and SciPy", extra="robot"):
 LOW = 0.2
 """Height of a limb's last joint above the lowest one, over the trunk's, up to which the limb stands
 [-]; chosen."""
+LEVEL_M, SMALLEST_SOLE_M = 0.005, 0.02
+"""Height up to which the lowest points of a foot are those of its sole, and least side of one [m];
+chosen."""
 UNUSED = {"asset", "keyframe", "size", "visual"}
 """Elements of an MJCF that neither kinematics nor masses need."""
 Positive = Annotated[float, Field(gt=0)]
@@ -51,23 +62,30 @@ class RobotFile(Strict):
     """Mass of the whole robot with its payload [kg]. Not given: the model's."""
     foot_radius: float | None = Field(None, ge=0)
     """Radius of the foot's ball [m]. Not given: that of the model's sphere."""
-    torque_limit: tuple[Positive, Positive, Positive] | None = None
-    """Largest torque of hip, thigh and calf [N m]. Not given: the model's."""
-    armature: tuple[Inertia, Inertia, Inertia] | None = None
-    """Inertia of the rotors of hip, thigh and calf, seen from the joint [kg m²]. Not given: the
-    model's. It counts where a log has too little swing to find it."""
+    sole: tuple[Positive, Positive] | None = None
+    """Length and width of a flat sole, along the trunk's x and y [m]. Not given: those of the
+    model's boxes or spheres."""
+    torque_limit: tuple[Positive, ...] | None = None
+    """Largest torque of each joint of a leg, as hip, thigh and calf [N m]. Not given: the
+    model's."""
+    armature: tuple[Inertia, ...] | None = None
+    """Inertia of the rotors of a leg's joints, seen from the joint [kg m²]. Not given: the model's.
+    It counts where a log has too little swing to find it."""
     imu: Vector | None = None
     """Place of the accelerometer in the frame of the trunk [m]. Not given: the model's."""
     joint_order: tuple[str, ...] | None = None
     """The joints, as FR_hip or by their names in the model, in the order in which the motors are
     numbered."""
     joints: dict[str, str] | None = None
-    """Table of the joints' names in the model, such as FR_hip = "RF_HAA". Not given: recognized by
-    their names."""
+    """Table of a quadruped's joints' names in the model, such as FR_hip = "RF_HAA". Not given:
+    recognized by their names."""
+    legs: dict[str, tuple[str, ...]] | None = None
+    """Table of the legs of another robot: names of the joints from the trunk down, such as
+    left = ["left_hip", "left_knee", "left_ankle"]. Not given: all limbs that reach the ground."""
 
 
 class Links(NamedTuple):
-    """Rigid bodies of a quadruped at the model's reference angles, in the frame of the trunk.
+    """Rigid bodies of a robot at the model's reference angles, in the frame of the trunk.
 
     A link is a hip, thigh or calf and whatever hangs on it; joints that are no leg's do not move.
     """
@@ -75,7 +93,8 @@ class Links(NamedTuple):
     angle: FloatArray
     """Reference angles [rad], shape [joint, foot]."""
     anchor: FloatArray
-    """Points on the axes of the joints, and centres of the feet's balls [m], shape [4, 3, foot]."""
+    """Points on the axes of the joints, and centres of the feet's balls or soles [m], shape
+    [joint + 1, 3, foot]."""
     axis: FloatArray
     """Directions of the axes [-], shape [joint, 3, foot]; zero for a joint that is not there."""
     mass: FloatArray
@@ -91,8 +110,8 @@ class Links(NamedTuple):
 
 
 @dataclass(frozen=True, repr=False)
-class Quadruped:
-    """A quadruped whose legs have hip, thigh and calf, or thigh and calf.
+class Robot:
+    """A robot on legs, each a chain of as many joints; a quadruped's may lack the hip.
 
     Attributes
     ----------
@@ -100,19 +119,24 @@ class Quadruped:
         MuJoCo's model, its trunk free to move; joint angles, axes and signs are the model's.
     joint
         Number of each joint in the model, shape [foot, joint]; −1 for a hip that is not there.
+    feet, legs
+        Names of the feet, fore feet first, and of the joints of each leg from the trunk down.
     foot, foot_offset
-        Body that carries the centre of each foot's ball, shape [foot], and the centre in the
-        body's frame [m], shape [foot, 3].
+        Body that carries the centre of each foot's ball or sole, shape [foot], and the centre in
+        the body's frame [m], shape [foot, 3].
     name, source
         Name of the robot, and where the numbers come from.
     mass
         Of the whole robot [kg].
     leg_length
-        From thigh by knee to foot [m], shape [foot].
+        From the second joint by all others to the foot [m], shape [foot].
     foot_radius
-        Of the foot's ball [m]; 0 if unknown.
+        Of the foot's ball [m]; 0 if unknown, and of a sole.
+    sole
+        Length and width of a flat sole, which lies along the trunk's x and y at the model's
+        reference angles [m]; ``None`` for a ball.
     torque_limit
-        Largest torque of hip, thigh and calf [N m]; ``None`` if unknown.
+        Largest torque of each joint of a leg [N m]; ``None`` if unknown.
     armature
         Inertia of the rotors seen from the joints [kg m²], shape [foot, joint].
     imu
@@ -127,6 +151,8 @@ class Quadruped:
 
     model: mujoco.MjModel
     joint: Any
+    feet: tuple[str, ...]
+    legs: Names
     foot: Any
     foot_offset: FloatArray
     name: str
@@ -135,7 +161,8 @@ class Quadruped:
     leg_length: FloatArray
     armature: FloatArray
     foot_radius: float = 0.0
-    torque_limit: Vector | None = None
+    sole: tuple[float, float] | None = None
+    torque_limit: tuple[float, ...] | None = None
     imu: Vector = (0.0, 0.0, 0.0)
     joint_order: tuple[str, ...] = JOINT_NAMES
     order_assumed: bool = False
@@ -147,6 +174,16 @@ class Quadruped:
         return np.asarray(self.joint >= 0)
 
     @property
+    def contact_radius(self) -> float:
+        """Radius of a foot's ball, or of a disc of its sole's area [m]."""
+        return math.sqrt(math.prod(self.sole) / math.pi) if self.sole else self.foot_radius
+
+    @property
+    def load_scale(self) -> float:
+        """Four times the mean load of a foot [N], the weight of a quadruped, to compare loads."""
+        return 4.0 / len(self.feet) * self.mass * GRAVITY
+
+    @property
     def own_names(self) -> tuple[str, ...]:
         """Names of the joints in the model, foot by foot, without hips that are not there."""
         return tuple(self.model.joint(int(i)).name for i in self.joint[self.there])
@@ -155,13 +192,14 @@ class Quadruped:
     def links(self) -> Links:
         """The rigid bodies that move against each other."""
         model, data, there = self.model, _at_reference(self.model), self.there
-        # Each body moves with the next leg joint above it, or with the trunk (12); what hangs on
-        # neither is the world's (13). MuJoCo numbers parents first.
+        # Each body moves with the next leg joint above it, or with the trunk, whose number is the
+        # next; what hangs on neither is the world's. MuJoCo numbers parents first.
+        count = there.size
         carried = {int(model.jnt_bodyid[i]): k for k, i in enumerate(self.joint.flat) if i >= 0}
-        carried[int(model.jnt_bodyid[0])], link = 12, np.full(model.nbody, 13)
+        carried[int(model.jnt_bodyid[0])], link = count, np.full(model.nbody, count + 1)
         for body in range(1, model.nbody):
             link[body] = carried.get(body, link[model.body_parentid[body]])
-        of_link = (link == np.arange(14)[:, None]).astype(np.float64)
+        of_link = (link == np.arange(count + 2)[:, None]).astype(np.float64)
         mass = of_link @ model.body_mass
         center = (of_link * model.body_mass) @ data.xipos / np.maximum(mass, 1e-12)[:, None]
         # ∫ r rᵀ dm of a body about its link's centre is R (½ tr I − I) Rᵀ + m d dᵀ, of its
@@ -180,15 +218,15 @@ class Quadruped:
             angle=model.qpos0[model.jnt_qposadr[joint]].T,
             anchor=np.moveaxis(anchor, 0, -1),
             axis=np.moveaxis(data.xaxis[joint] * there[..., None], 0, -1),
-            mass=mass[:12].reshape(4, 3).T,
-            center=np.moveaxis(center[:12].reshape(4, 3, 3), 0, -1),
-            spread=np.moveaxis(spread[:12].reshape(4, 3, 3, 3), 0, -1),
-            trunk_mass=float(mass[12]),
-            trunk_center=center[12],
+            mass=mass[:count].reshape(there.shape).T,
+            center=np.moveaxis(center[:count].reshape(*there.shape, 3), 0, -1),
+            spread=np.moveaxis(spread[:count].reshape(*there.shape, 3, 3), 0, -1),
+            trunk_mass=float(mass[count]),
+            trunk_center=center[count],
         )
 
     @classmethod
-    def load(cls, source: Path | str) -> Quadruped:
+    def load(cls, source: Path | str) -> Robot:
         """Load a shipped robot by its name, or one from a URDF, MJCF or TOML file.
 
         Parameters
@@ -203,7 +241,7 @@ class Quadruped:
 
         Examples
         --------
-        >>> Quadruped.load("go2").foot_radius
+        >>> Robot.load("go2").foot_radius
         0.022
         """
         path = Path(source)
@@ -215,28 +253,37 @@ class Quadruped:
         return _loaded(path.parent / settings.model, settings, str(path))
 
 
-def _loaded(path: Path, settings: RobotFile, toml: str = "") -> Quadruped:
+def _loaded(path: Path, settings: RobotFile, toml: str = "") -> Robot:
     check_is_file(path)
     with unpacking(f"{path}: it", [path]):
         model, title = _compiled(read_bytes(path), str(path))
         data = _at_reference(model)
-    joint, notes = _leg_joints(model, data, settings.joints, toml or str(path))
-    names = [name for name, there in zip(JOINT_NAMES, (joint >= 0).ravel(), strict=True) if there]
-    alias = dict(zip((model.joint(int(i)).name for i in joint[joint >= 0]), names, strict=True))
+    feet, joint, legs, notes = _legs(model, data, settings, toml or str(path))
+    there, count = joint >= 0, joint.shape[1]
+    names = [name for name, is_there in zip(sum(legs, ()), there.flat, strict=True) if is_there]
+    alias = dict(zip((model.joint(int(i)).name for i in joint[there]), names, strict=True))
     order = tuple(alias.get(name, name) for name in settings.joint_order or names)
     if sorted(order) != sorted(names):
         raise InputError(f"{toml}: joint_order: {', '.join(names)} are expected, each once")
-    feet = [_foot(model, data, int(model.jnt_bodyid[j]), str(path)) for j in joint[:, 2]]
-    body, offset, radius = (np.array(column) for column in zip(*feet, strict=True))
-    place = _balls(data, body, offset)
-    thigh, knee = data.xanchor[joint[:, 1]], data.xanchor[joint[:, 2]]
-    # Thigh and calf stretched out; without a hip's offset, which does not lift the foot.
-    length = np.linalg.norm(knee - thigh, axis=-1) + np.linalg.norm(place - knee, axis=-1)
-    if settings.foot_radius is None and radius[0] > 0.0:
+    for key in ("torque_limit", "armature"):
+        if len(value := getattr(settings, key) or (0,) * count) != count:
+            raise InputError(f"{toml}: {key}: {len(value)} numbers; a leg has {count} joints")
+    ends = [model.jnt_bodyid[i] for i in joint[:, -1].tolist()]
+    sole = settings.sole or (_sole(model, data, ends[0])[1] if count > len(JOINTS) else None)
+    ends_of = [_foot(model, data, int(end), str(path), sole) for end in ends]
+    body, offset, radius = (np.array(column) for column in zip(*ends_of, strict=True))
+    # Stretched out, from thigh by knee to foot; without a hip's offset, which does not lift it.
+    chain = np.concatenate([data.xanchor[joint[:, 1:]], _balls(data, body, offset)[:, None]], 1)
+    length = np.linalg.norm(np.diff(chain, axis=1), axis=-1).sum(axis=1)
+    if sole is not None and settings.sole is None:
+        notes.append(f"sole taken from the model: {1e3 * sole[0]:.0f} × {1e3 * sole[1]:.0f} mm")
+    elif settings.foot_radius is None and radius[0] > 0.0:
         notes.append(f"foot_radius taken from the model's sphere: {1e3 * radius[0]:g} mm")
-    return Quadruped(
+    return Robot(
         model=model,
         joint=joint,
+        feet=feet,
+        legs=legs,
         foot=body,
         foot_offset=offset,
         name=settings.name or title,
@@ -245,8 +292,9 @@ def _loaded(path: Path, settings: RobotFile, toml: str = "") -> Quadruped:
         leg_length=length,
         armature=_armature(model, joint)
         if settings.armature is None
-        else np.tile(settings.armature, (len(FEET), 1)),
+        else np.tile(settings.armature, (len(feet), 1)),
         foot_radius=float(radius[0]) if settings.foot_radius is None else settings.foot_radius,
+        sole=sole,
         torque_limit=settings.torque_limit or _limits(model, joint),
         imu=settings.imu or _imu(model, data),
         joint_order=order,
@@ -305,8 +353,10 @@ def _prepare_urdf(root: ET.Element) -> None:
             root.remove(element)
     for link in root.iter("link"):
         for element in list(link):
-            sphere = element.tag == "collision" and element.find("geometry/sphere") is not None
-            if element.tag != "inertial" and not sphere:
+            solid = element.tag == "collision" and any(
+                element.find(f"geometry/{shape}") is not None for shape in ("sphere", "box")
+            )
+            if element.tag != "inertial" and not solid:
                 link.remove(element)
         inertial, inertia = link.find("inertial"), link.find("inertial/inertia")
         mass = link.find("inertial/mass")
@@ -359,15 +409,15 @@ def _prepare_mjcf(root: ET.Element) -> None:
         trunk.insert(0, ET.Element("freejoint"))
 
 
-def _leg_joints(
-    model: mujoco.MjModel, data: mujoco.MjData, table: Mapping[str, str] | None, source: str
-) -> tuple[IntArray, list[str]]:
-    """Numbers of the legs' joints, shape [foot, joint], −1 for hips that are not there; and notes.
+def _legs(
+    model: mujoco.MjModel, data: mujoco.MjData, settings: RobotFile, source: str
+) -> tuple[tuple[str, ...], IntArray, Names, list[str]]:
+    """Names of the feet, numbers and names of the joints of each leg, [foot, joint]; and notes.
 
-    By a table of names, or by the words in the names. Where the thighs hang on the trunk checks
-    which foot is which: x points forwards and y to the left, as in REP 103 of ROS.
+    A quadruped's by a table of names, or by the words in the names; −1 for hips that are not there.
+    Others are limbs that reach the ground, or those of the table ``legs``.
     """
-    hinges = {
+    table, hinges = settings.joints, {
         model.joint(i).name: i for i in range(model.njnt)
         if model.jnt_type[i] == mujoco.mjtJoint.mjJNT_HINGE
     }  # fmt: skip
@@ -375,36 +425,40 @@ def _leg_joints(
     for name, i in hinges.items() if table is None else ():
         if (place := joint_place(name)) is not None:
             joint[place] = i
-    for key, name in (table or {}).items():
-        if key not in JOINT_NAMES:
+    listed = {name: name for leg in (settings.legs or {}).values() for name in leg}
+    for key, name in (table or listed).items():
+        if table is not None and key not in JOINT_NAMES:
             raise InputError(f"{source}: joints: '{key}' is unknown; {nearest(key, JOINT_NAMES)}")
         if name not in hinges:
-            hint = nearest(name, list(hinges))
-            raise InputError(f"{source}: joints: no revolute joint '{name}' in the model; {hint}")
-        joint.flat[JOINT_NAMES.index(key)] = hinges[name]
+            what, hint = "legs" if table is None else "joints", nearest(name, list(hinges))
+            raise InputError(f"{source}: {what}: no revolute joint '{name}' in the model; {hint}")
+        if table is not None:
+            joint.flat[JOINT_NAMES.index(key)] = hinges[name]
     first = 1 if np.all(joint[:, 0] < 0) else 0
     lacking = joint < 0
     lacking[:, :first] = False
+    chains = {name: [hinges[each] for each in leg] for name, leg in (settings.legs or {}).items()}
+    # Where each leg has a joint by its name, it is a quadruped whose other names are wrong, unless
+    # its chains go on below the calves, or it stands on other legs, too.
+    limbs = list(chains.values()) or _standing(model, data)
+    stands_on_more = any(
+        not np.isin(limb, joint).any() for limb in limbs if len(limb) >= len(JOINTS)
+    )
+    calves = model.jnt_dofadr[joint[joint[:, -1] >= 0, -1]]
+    is_longer = np.isin(model.dof_parentid, calves).any()
+    is_named = (joint >= 0).any(axis=1).all() and not (is_longer or stands_on_more)
+    if chains or (table is None and not is_named):
+        return _ordered(model, data, limbs, list(chains), source, len(hinges))
     if missing := joint_names(lacking):
-        limbs = _standing(model, data)
-        # Where each leg has a joint by its name, it is a quadruped whose other names are wrong.
-        is_named = (joint >= 0).any(axis=1).all()
-        if table is None and not is_named and limbs and len(limbs) != len(FEET):
-            raise InputError(f"{source}: {_no_quadruped(model, limbs)}")
         raise InputError(
             f"{source}: no joints {', '.join(missing)} by the names of the model's "
             f"{len(hinges)} revolute joints; name those of the four legs in the table 'joints' of "
             "the robot's TOML"
         )
-    # A leg is a chain: the dof above its first joint is the trunk's last (5), and above each other
-    # one that of the joint before. Its equations of motion rest on that.
-    for row in np.sort(joint[:, first:]):
-        for i, above in zip(row, [5, *model.jnt_dofadr[row[:-1]]], strict=True):
-            if model.dof_parentid[model.jnt_dofadr[i]] != above:
-                name = model.joint(i).name
-                raise InputError(f"{source}: '{name}' does not hang on the joint above it")
+    _check_chains(model, np.sort(joint[:, first:]).tolist(), source)
+    # Where the thighs hang on the trunk checks which foot is which: x points forwards and y to the
+    # left, as in REP 103 of ROS. Rear is behind the middle: FR, FL, RR, RL are 0 to 3.
     x, y = (data.xanchor[joint[:, 1], :2] - data.xanchor[joint[:, 1], :2].mean(axis=0)).T
-    # Rear is behind the middle of the thighs and left is to its left: FR, FL, RR, RL are 0 to 3.
     corners = [FEET[corner] for corner in 2 * (x < 0.0) + (y > 0.0)]
     abducts = np.abs(data.xaxis[joint[:, :2], 0])  # a hip turns about the trunk's x
     wrong = [
@@ -414,7 +468,61 @@ def _leg_joints(
     for foot, (hip, thigh) in zip(FEET, abducts, strict=True):
         if not first and thigh > max(hip, math.sqrt(0.5)):
             wrong.append(f"the hip and thigh of {foot} have each other's axes")
-    return joint, [f"names and places of the legs disagree: {'; '.join(wrong)}"] if wrong else []
+    notes = [f"names and places of the legs disagree: {'; '.join(wrong)}"] if wrong else []
+    return FEET, joint, LEGS, notes
+
+
+def _check_chains(model: mujoco.MjModel, chains: list[list[int]], source: str) -> None:
+    """Raise InputError unless each leg is a chain from the trunk, with no joint in two legs."""
+    # The dof above its first joint is the trunk's last (5), and above each other one that of the
+    # joint before. The equations of motion of a leg rest on that.
+    for row in chains:
+        for i, above in zip(row, [5, *model.jnt_dofadr[row[:-1]]], strict=True):
+            name = model.joint(i).name
+            if model.dof_parentid[model.jnt_dofadr[i]] != above:
+                raise InputError(f"{source}: '{name}' does not hang on the joint above it")
+            if model.jnt_type[i] != mujoco.mjtJoint.mjJNT_HINGE:
+                raise InputError(f"{source}: joint '{name}' of a leg is not a revolute one")
+            if sum(chain.count(i) for chain in chains) > 1:
+                raise InputError(f"{source}: joint '{name}' carries several legs, one is expected")
+
+
+def _ordered(
+    model: mujoco.MjModel, data: mujoco.MjData, limbs: list[list[int]], names: list[str],
+    source: str, hinges: int,
+) -> tuple[tuple[str, ...], IntArray, Names, list[str]]:  # fmt: skip
+    """What :func:`_legs` returns of limbs, in pairs from the front, each right one first.
+
+    Without names the feet are R and L, with a number from the front where there are several.
+    """
+    if len(limbs) < 2 or len({*map(len, limbs)}) > 1 or len(limbs[0]) < len(JOINTS):
+        listed = ", ".join(
+            f"{model.joint(limb[0]).name} to {model.joint(limb[-1]).name} ({len(limb)})"
+            for limb in limbs
+        )
+        raise InputError(
+            f"{source}: it stands on {len(limbs)} limb{'s' * (len(limbs) != 1)} ({listed}); two or "
+            "more legs of equally many joints are read, three or more each. Name the joints of "
+            "each leg in the table 'legs' of the robot's TOML, or of a quadruped in 'joints'"
+        )
+    _check_chains(model, limbs, source)
+    x, y, _ = data.xanchor[[limb[-1] for limb in limbs]].T
+    left = y > np.mean(y)
+    rank = np.array([np.sum(x[left == side] > front) for side, front in zip(left, x, strict=True)])
+    order = np.lexsort((left, rank)).tolist()
+    each = "{}{}" if rank.any() else "{}"
+    given = names or [each.format("RL"[int(s)], r + 1) for s, r in zip(left, rank, strict=True)]
+    legs = tuple(tuple(model.joint(i).name for i in limbs[k]) for k in order)
+    hang = ", ".join(f"{given[k]} from {leg[0]}" for k, leg in zip(order, legs, strict=True))
+    notes = [f"legs: {hang}"]
+    sides = [re.search(r"(?<![a-z])(r|l|right|left)(?![a-z])", leg[0].lower()) for leg in legs]
+    if not names and any(
+        s and s[0][0] != given[k][0].lower() for k, s in zip(order, sides, strict=True)
+    ):
+        notes.append("names and places of the legs disagree; x is to point forwards, y to the left")
+    if (rest := hinges - sum(map(len, limbs))) > 0:
+        notes.append(f"{rest} joints that are no leg's are taken to stay as in the model")
+    return tuple(given[k] for k in order), np.array([limbs[k] for k in order]), legs, notes
 
 
 def _standing(model: mujoco.MjModel, data: mujoco.MjData) -> list[list[int]]:
@@ -432,65 +540,70 @@ def _standing(model: mujoco.MjModel, data: mujoco.MjData) -> list[list[int]]:
     return limbs
 
 
-def _no_quadruped(model: mujoco.MjModel, limbs: list[list[int]]) -> str:
-    """What a robot has in place of four legs, and how φ is found with it."""
-    legs = ", ".join(
-        f"{model.joint(limb[0]).name} to {model.joint(limb[-1]).name} ({len(limb)})"
-        for limb in limbs
-    )
-    return (
-        f"it stands on {len(limbs)} limb{'s' * (len(limbs) > 1)} ({legs}); only logs of robots "
-        "with four legs of two or three joints and ball feet are read. If it has four, name their "
-        "joints in the table 'joints' of the robot's TOML. Else measure force and sinkage of a "
-        "flat sole, which is a plate: terraphi invert SOLE.csv --tool plate:LENGTHxWIDTH"
-    )
+def _sole(
+    model: mujoco.MjModel, data: mujoco.MjData, end: int
+) -> tuple[FloatArray | None, tuple[float, float] | None]:
+    """Centre of the lower side of a leg's end in the frame of the trunk [m], its length and width.
+
+    Of boxes, or of three spheres or more, level at the reference angles; ``None`` without any.
+    """
+    points = [np.zeros((0, 3))]
+    for g in np.flatnonzero(model.body_weldid[model.geom_bodyid] == end).tolist():
+        place, turn = data.geom_xpos[g], data.geom_xmat[g].reshape(3, 3)
+        if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_BOX:
+            corners = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
+            points.append(place + corners * model.geom_size[g] @ turn.T)
+        elif model.geom_type[g] == mujoco.mjtGeom.mjGEOM_SPHERE:
+            points.append((place - [0.0, 0.0, model.geom_size[g, 0]])[None])
+    all_ = np.concatenate(points)
+    low = all_[all_[:, 2] < all_[:, 2].min(initial=math.inf) + LEVEL_M]
+    length, width = np.ptp(low[:, :2], axis=0).tolist() if len(low) else (0.0, 0.0)
+    if min(length, width) < SMALLEST_SOLE_M:
+        return None, None
+    return 0.5 * (low.min(axis=0) + low.max(axis=0)), (length, width)
 
 
 def _foot(
-    model: mujoco.MjModel, data: mujoco.MjData, calf: int, source: str
-) -> tuple[int, FloatArray, float]:
-    """Body, place in it and radius of the foot below a calf.
+    model: mujoco.MjModel, data: mujoco.MjData, end: int, source: str,
+    sole: tuple[float, float] | None,
+) -> tuple[int, FloatArray, float]:  # fmt: skip
+    """Body, place in it and radius of the ball at the end of a leg, or of the middle of its sole.
 
-    The farthest body that is fixed to the calf, of those named as a foot if there are any; or else
-    the farthest sphere of the calf.
+    The farthest body that is fixed to the last link, of those named as a foot if there are any; or
+    else the farthest sphere of the link.
     """
-    fixed = [b for b in np.flatnonzero(model.body_weldid == calf).tolist() if b != calf]
-    named = [b for b in fixed if re.search("foot|feet|toe", model.body(b).name, re.IGNORECASE)]
+    fixed = [b for b in np.flatnonzero(model.body_weldid == end).tolist() if b != end]
+    named = [b for b in fixed if re.search("foot|feet|toe|sole", model.body(b).name, re.IGNORECASE)]
+    if sole is not None and (middle := _sole(model, data, end)[0]) is not None:
+        return end, data.xmat[end].reshape(3, 3).T @ (middle - data.xpos[end]), 0.0
     balls = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE).tolist()
-    for joint in range(model.njnt) if not named else ():
-        if model.body_weldid[model.body_parentid[model.jnt_bodyid[joint]]] == calf:
-            raise InputError(
-                f"{source}: joint '{model.joint(joint).name}' is below the calf "
-                f"'{model.body(calf).name}'; a ball at the calf's end is expected. With the load "
-                "and sinkage of a flat sole: terraphi invert SOLE.csv --tool plate:LENGTHxWIDTH"
-            )
-    # The sole of a leg is far from the knee: of several bodies that are fixed there, the farthest.
-    if named or fixed:
-        body = max(named or fixed, key=lambda b: np.linalg.norm(data.xpos[b] - data.xpos[calf]))
-        for ball in (g for g in balls if model.geom_bodyid[g] == body):
+    # The foot is far from the knee: of several bodies that are fixed there, the farthest.
+    if fixed:
+        body = max(named or fixed, key=lambda b: np.linalg.norm(data.xpos[b] - data.xpos[end]))
+        for ball in (g for g in balls if model.geom_bodyid[g] == body and sole is None):
             # A sphere that is a little off its frame belongs to the foot's frame nevertheless.
             return body, model.geom_pos[ball].copy(), float(model.geom_size[ball, 0])
         return body, np.zeros(3), 0.0
-    balls = [g for g in balls if model.geom_bodyid[g] == calf]
-    if not balls:
+    balls = [g for g in balls if model.geom_bodyid[g] == end]
+    if not balls or sole is not None:
         raise InputError(
-            f"{source}: nothing is fixed to body '{model.body(calf).name}'; add a foot: a link "
-            "fixed to it, or a sphere at its end as a collision"
+            f"{source}: nothing is fixed to body '{model.body(end).name}'; add a foot: a link "
+            "fixed to it, or as a collision a sphere at its end, or the box of a level sole"
         )
     ball = max(balls, key=lambda g: np.linalg.norm(model.geom_pos[g]))
-    return calf, model.geom_pos[ball].copy(), float(model.geom_size[ball, 0])
+    return end, model.geom_pos[ball].copy(), float(model.geom_size[ball, 0])
 
 
-def _limits(model: mujoco.MjModel, joint: Any) -> Vector | None:
-    """Largest torques of hip, thigh and calf [N m], the least of the feet; ``None`` if unknown."""
+def _limits(model: mujoco.MjModel, joint: Any) -> tuple[float, ...] | None:
+    """Largest torques of a leg's joints [N m], the least of the feet; ``None`` if unknown."""
     force = np.where(model.jnt_actfrclimited, model.jnt_actfrcrange[:, 1], 0.0)
     for i in range(model.nu):
         if model.actuator_forcelimited[i]:
             force[model.actuator_trnid[i, 0]] = model.actuator_forcerange[i, 1]
     # A hip that is not there limits nothing; of the feet, the weakest one counts.
     each = np.where(joint >= 0, force[joint], force[joint[:, 1:]].max(axis=1, keepdims=True))
-    hip, thigh, calf = each.min(axis=0).tolist()
-    return (hip, thigh, calf) if min(hip, thigh, calf) > 0.0 else None
+    limits = each.min(axis=0).tolist()
+    return tuple(limits) if min(limits) > 0.0 else None
 
 
 def _armature(model: mujoco.MjModel, joint: IntArray) -> FloatArray:

@@ -43,17 +43,17 @@ from terraphi.inference import footfalls as inference
 from terraphi.inference.footfalls import FootfallMap
 from terraphi.inference.pool import Anchor
 from terraphi.inference.touchdowns import FEWEST as FEWEST_LEARNED
-from terraphi.inference.touchdowns import TORQUES, Prior, Touchdowns, fit, picked, stacked
+from terraphi.inference.touchdowns import Prior, Touchdowns, fit, picked, stacked
 from terraphi.robot import footfalls as batch
 from terraphi.robot import state
 from terraphi.robot.checks import CHECK_S, PART_S, check_parts, grave, parts, recorded
 from terraphi.robot.estimators import MARGIN_S, trunk_motion
 from terraphi.robot.forces import FootForces, estimate, without_broken_accelerometer
 from terraphi.robot.friction import BEARING_SHARE
-from terraphi.robot.joint_log import FEET, SHAPES, JointLog, arrays, cut, joined
+from terraphi.robot.joint_log import JointLog, arrays, cut, joined, shapes
 from terraphi.robot.legs import rotation
 from terraphi.robot.logs.samples import BACKWARDS, REPEATED, sound
-from terraphi.robot.model import Quadruped
+from terraphi.robot.model import Robot
 from terraphi.robot.results import RobotForces, foot_forces, left_out
 from terraphi.robot.stance import LIFT_S, Stance, find_stances
 from terraphi.robot.touchdowns import BIAS_S, Motion, touchdowns, track
@@ -174,7 +174,7 @@ class Footfalls:
     def __init__(
         self,
         *,
-        robot: Quadruped | Path | str = "go2",
+        robot: Robot | Path | str = "go2",
         density: str | float | None = None,
         law: str = "foot",
         prior: Prior | None = None,
@@ -317,12 +317,13 @@ class Footfalls:
         values = {name: getattr(samples, name) for name in names}
         length = values["time"].shape[:1] if "time" in values and "torque" in values else (0,)
         time = values.get("time", np.zeros(0))
+        expected = shapes(*self._walk.options.robot.joint.shape)
         if (
             length != (0,)
             and np.isfinite(time).all()
             and (np.diff(time) > 0.0).all()
             and all(
-                column.shape == (*length, *SHAPES.get(name, ())) and column.dtype.kind == "f"
+                column.shape == (*length, *expected.get(name, ())) and column.dtype.kind == "f"
                 for name, column in values.items()
             )
         ):  # what ``sound`` does besides takes ten times as long, and is left to the thread
@@ -397,8 +398,8 @@ class Walk:
     count
         Number of touch-downs so far.
     trace
-        Of each touch-down so far x, y [m], foot and
-        :func:`~terraphi.inference.footfalls.traits`, shape [touchdown, 9].
+        Of each touch-down so far x, y [m], foot, heading and
+        :func:`~terraphi.inference.footfalls.traits`, shape [touchdown, 10].
     course
         Means over :data:`~terraphi.robot.footfalls.AVERAGED_S`, a course for each step.
     learned
@@ -416,10 +417,10 @@ class Walk:
     dropped: Counter[str] = field(default_factory=Counter)
     start: RobotForces | None = None
     window: Window | None = None
-    over: dict[str, float] = field(default_factory=lambda: dict.fromkeys(FEET, -math.inf))
+    over: dict[str, float] = field(default_factory=dict)
     rows: list[Touchdowns] = field(default_factory=list)
     count: int = 0
-    trace: FloatArray = field(default_factory=lambda: np.zeros((0, 9)))
+    trace: FloatArray = field(default_factory=lambda: np.zeros((0, 10)))
     course: list[batch.Course] = field(default_factory=list)
     learned: Learned | None = None
     ground: str = ""
@@ -531,8 +532,9 @@ class Walk:
 
     def _stances(self, window: Window) -> tuple[Stance, ...]:
         """Stances in the window."""
-        least = BEARING_SHARE * self.options.robot.mass * GRAVITY
-        return find_stances(window.log.time, window.forces.force, rise_N=least)
+        robot = self.options.robot
+        least, force = BEARING_SHARE * robot.load_scale, window.forces.force
+        return find_stances(window.log.time, force, rise_N=least, feet=robot.feet)
 
     def map(self) -> FootfallMap:
         """All footfalls so far together."""
@@ -549,7 +551,7 @@ class Walk:
         if answer.usable.any():
             names = ("torque_gain", "joint_friction_Nm", *(shared := options.prior.shared()))
             mean, sd = (np.hstack([answer.shared[n][key] for n in names]) for key in ("mean", "sd"))
-            mean[TORQUES:] -= [centre for centre, _ in shared.values()]
+            mean[-len(shared) :] -= [centre for centre, _ in shared.values()]
             fitted = answer.provenance["prior"]
             level, level_sd = fitted["level"], fitted["level_sd"]
             self.learned = Learned(fitted["exponent"], level, level_sd, mean, sd)
@@ -601,14 +603,15 @@ class Walk:
         robot, time = self.options.robot, log.time
         course = batch.course_of(log, robot, forces, motion, new)
         self.course.append(course._replace(trunk=self._placed(course.time, course.trunk, start)))
+        over = time[final - 1] - LIFT_S
         stances = [
             stance for stance in self._stances(window)
-            if stance.begin >= self.over[stance.foot] and stance.end < time[final - 1] - LIFT_S
+            if stance.begin >= self.over.get(stance.foot, -math.inf) and stance.end < over
         ]  # fmt: skip
         if not stances:
             return []
         self.over |= {stance.foot: stance.end for stance in stances}
-        landings = touchdowns(log, forces, motion, stances, radius=robot.foot_radius)
+        landings = touchdowns(log, forces, motion, stances, robot)
         place = self._placed(landings.begin + landings.time[:, -1], landings.place, start)
         faulty = landings.faulty | bool(grave(start.checked)[-1])
         return self._fit(start, landings._replace(place=place, faulty=faulty))
@@ -630,8 +633,9 @@ class Walk:
     def _fit(self, start: RobotForces, landings: Touchdowns) -> list[Footfall]:
         """Fit touch-downs with what was learned, and give each its verdict."""
         self._keep(start, landings)
-        prior, count = self.options.prior, len(landings.foot)
-        sd = np.append(batch.torque_sd(start.forces), [sd for _, sd in prior.shared().values()])
+        prior, count, robot = self.options.prior, len(landings.foot), self.options.robot
+        sds = [sd for _, sd in prior.shared().values()]
+        sd = np.append(batch.torque_sd(start.forces, robot), sds)
         none = np.zeros(len(sd))
         learned = self.learned or Learned(prior.exponent, prior.level, prior.level_sd, none, sd)
         prior = replace(
@@ -639,21 +643,24 @@ class Walk:
         )
         fits = fit(landings, self.options.law, prior)
         # The verdict needs places and feet of those before that are near, and medians of the walk.
-        reach, places = inference.BESIDE_RADII * prior.radius, landings.place[:, :2]
+        places = landings.place[:, :2]
+        reach = inference.BESIDE_RADII * max(prior.radius, *(prior.sole or (0.0,)))
         distance = np.linalg.norm(self.trace[:, None, :2] - places, axis=-1).min(axis=1)
         near = self.trace[distance < reach]
         traits = inference.traits(landings, fits)
-        self.trace = np.vstack([self.trace, np.column_stack([places, landings.foot, traits])])
+        rows = np.column_stack([places, landings.foot, landings.heading, traits])
+        self.trace = np.vstack([self.trace, rows])
         first = np.zeros(len(near), int)
         all_ = stacked([picked(landings, first), landings])
         all_.place[: len(near), :2], all_.foot[: len(near)] = near[:, :2], near[:, 2]
+        all_.heading[: len(near)] = near[:, 3]
         verdict = inference.verdicts(
-            all_, stacked([picked(fits, first), fits]), prior.radius,
-            typical=inference.Typical.of(self.trace[:, 3:]),
+            all_, stacked([picked(fits, first), fits]), prior,
+            typical=inference.Typical.of(self.trace[:, 4:]),
         )[-count:]  # fmt: skip
         if self.ground:
             verdict[np.isin(verdict, (inference.USABLE, inference.MISFIT))] = inference.NO_ANGLE
-        moved = inference.trodden_before(all_, reach)[0][-count:]
+        moved = inference.trodden_before(all_, inference.BESIDE_RADII, prior)[0][-count:]
         sinkage = inference.surface_depth(fits, verdict)
         usable = np.where(verdict == inference.USABLE, 1.0, np.nan)
         columns = (
@@ -664,7 +671,7 @@ class Walk:
         )  # fmt: skip
         frame = OWN_FRAME if self.poses is None else self.poses.frame
         return [
-            Footfall(time, FEET[foot], tuple(place), *numbers)._replace(frame=frame)
+            Footfall(time, robot.feet[foot], tuple(place), *numbers)._replace(frame=frame)
             for time, foot, place, *numbers in zip(*(c.tolist() for c in columns), strict=True)
         ]
 

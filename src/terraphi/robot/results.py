@@ -22,11 +22,11 @@ from terraphi.robot.checks import Checked
 from terraphi.robot.estimators import Estimator
 from terraphi.robot.forces import DEFAULT_ESTIMATOR, FootForces, Frame, estimate
 from terraphi.robot.friction import BEARING_SHARE, MOST_LAG_S
-from terraphi.robot.joint_log import FEET, JointLog
+from terraphi.robot.joint_log import JointLog
 from terraphi.robot.logs import read_log
 from terraphi.robot.logs.columns import Columns
 from terraphi.robot.logs.samples import UNEVEN, describe, refuse_if_hopeless, sound
-from terraphi.robot.model import Quadruped
+from terraphi.robot.model import Robot
 from terraphi.robot.stance import AXES, HELD_S, Ensemble, Stance, find_stances
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ class RobotForces(Written):
     )
 
     log: JointLog
-    robot: Quadruped
+    robot: Robot
     forces: FootForces
     stances: tuple[Stance, ...]
     checked: tuple[Checked, ...]
@@ -109,7 +109,8 @@ class RobotForces(Written):
     @cached_property
     def feet(self) -> dict[str, Ensemble]:
         """Mean stance of each foot."""
-        return {foot: Ensemble.of([s for s in self.stances if s.foot == foot]) for foot in FEET}
+        names = self.robot.feet
+        return {name: Ensemble.of([s for s in self.stances if s.foot == name]) for name in names}
 
     @cached_property
     def pooled(self) -> Ensemble:
@@ -164,7 +165,7 @@ class RobotForces(Written):
     def _variables(self) -> dict[str, Any]:
         forces, stances, feet = self.forces, self.stances, self.feet.values()
         return {
-            "time": forces.time, "foot": FEET, "axis": AXES, "part": self.pooled.part,
+            "time": forces.time, "foot": self.robot.feet, "axis": AXES, "part": self.pooled.part,
             "force": forces.force, "sigma": forces.sigma,
             "flagged": forces.flagged.astype(np.int8),
             "saturated": forces.saturated.astype(np.int8),
@@ -210,16 +211,17 @@ def forces_figure(file: NetcdfFile[Any]) -> Figure:
     """F_x and F_z of each foot over time, stances shaded, from a file of foot forces."""
     from terraphi.experiment.figure import Figure as NewFigure
 
-    time, forces = file.numbers("time", "time"), file.numbers("force", "time", 4, 3, finite=False)
+    time, feet = file.numbers("time", "time"), file.texts("foot", "foot")
+    forces = file.numbers("force", "time", len(feet), 3, finite=False)
     begins, ends = (file.numbers(f"stance_{end}", "stance") for end in ("begin", "end"))
     first = begins[0] - 0.1 if len(begins) else time[0]
     start = max(min(first, time[-1] - PLOTTED_S), time[0])
     shown = slice(*np.searchsorted(time, [start, start + PLOTTED_S]).tolist())
     spans = zip(file.texts("stance_foot", "stance"), begins - start, ends - start, strict=True)
     stances = [span for span in spans if span[2] > 0.0 and span[1] < PLOTTED_S]
-    figure = NewFigure(figsize=(12.0, 9.0), layout="constrained")
-    grid = figure.subplots(4, 2, sharex=True, sharey="col")
-    for i, foot in enumerate(FEET):
+    figure = NewFigure(figsize=(12.0, 1.0 + 2.0 * len(feet)), layout="constrained")
+    grid = figure.subplots(len(feet), 2, sharex=True, sharey="col")
+    for i, foot in enumerate(feet):
         for axes, column, label in zip(grid[i], (0, 2), ("$F_x$", "$F_z$"), strict=True):
             axes.plot(time[shown] - start, forces[shown, i, column], color="C0", lw=1.0)
             for _, begin, end in (span for span in stances if span[0] == foot):
@@ -239,7 +241,7 @@ def forces_figure(file: NetcdfFile[Any]) -> Figure:
 def foot_forces(
     log: Path | str | JointLog,
     *,
-    robot: Quadruped | Path | str = "go2",
+    robot: Robot | Path | str = "go2",
     estimator: Estimator = DEFAULT_ESTIMATOR,
     frame: Frame = "world",
     lag_s: float = 0.0,
@@ -276,19 +278,20 @@ def foot_forces(
     """
     if not isinstance(log, JointLog | str | Path):
         raise InputError(f"log of type {type(log).__name__}; give the path of a file or folder")
-    body = robot if isinstance(robot, Quadruped) else Quadruped.load(robot)
+    body = robot if isinstance(robot, Robot) else Robot.load(robot)
     source = "" if isinstance(log, JointLog) else label_of(log)
     if not isinstance(log, JointLog):
         log = read_log(
             log, topic=topic, joint_names=joint_names, motors=body.joint_order,
-            own_names=body.own_names, columns=columns,
+            own_names=body.own_names, columns=columns, legs=body.legs,
         )  # fmt: skip
     log, dropped = sound(log)
     refuse_if_hopeless(source or "the log", dropped, len(log.time))
     if abs(lag_s) > MOST_LAG_S:
         raise InputError(f"lag of {1e3 * lag_s:g} ms: expected at most {1e3 * MOST_LAG_S:g} ms")
     if lag_s:
-        late = [np.interp(log.time + lag_s, log.time, t) for t in log.torque.reshape(-1, 12).T]
+        torques = log.torque.reshape(len(log.time), -1).T
+        late = [np.interp(log.time + lag_s, log.time, torque) for torque in torques]
         torque = np.stack(late, axis=1).reshape(log.torque.shape)
         log = replace(log, torque=torque, report={**log.report, "lag_s": lag_s})
     weight = body.mass * GRAVITY
@@ -296,7 +299,8 @@ def foot_forces(
         forces = estimate(
             log, robot=body, estimator=estimator, frame=frame, contact_part=contact_part
         )
-        stances = find_stances(forces.time, forces.force, rise_N=BEARING_SHARE * weight)
+        rise_N = BEARING_SHARE * body.load_scale
+        stances = find_stances(forces.time, forces.force, rise_N=rise_N, feet=body.feet)
         checked = _checked(log, body, forces, stances)
     except InputError as error:
         raise InputError(f"{source}: {error}" if source else str(error)) from error
@@ -310,20 +314,20 @@ def foot_forces(
         stances=stances,
         checked=checked,
         remarks=tuple(_remarks(forces, stances, report, body)),
-        sensor_correlation=_sensor_correlation(log, forces),
+        sensor_correlation=_sensor_correlation(log, forces, body.feet),
         report=report,
         lift=None if mean is None else mean[0],
     )
 
 
 def _checked(
-    log: JointLog, robot: Quadruped, forces: FootForces, stances: Sequence[Stance]
+    log: JointLog, robot: Robot, forces: FootForces, stances: Sequence[Stance]
 ) -> tuple[Checked, ...]:
     """Check a log, part by part; raise InputError if all of them refuse it."""
     pieces = checks.parts(log.time)
     if len(pieces) == 1:
         lag, gain = (forces.provenance[name] for name in ("torque_lag_s", "torque_gain"))
-        gains = np.array(gain, dtype=np.float64)
+        gains = np.array(gain, dtype=np.float64).reshape(robot.joint.shape)
         checked = [checks.check(log, robot, forces, stances, lag, gains)]
     else:
         checked = checks.check_parts(log, robot, forces, stances, pieces)
@@ -333,12 +337,12 @@ def _checked(
     return tuple(checked)
 
 
-def _sensor_correlation(log: JointLog, forces: FootForces) -> dict[str, float]:
+def _sensor_correlation(log: JointLog, forces: FootForces, feet: Sequence[str]) -> dict[str, float]:
     """Correlation of each foot sensor that ever changes with the vertical force."""
     if log.foot_counts is None:
         return {}
     correlation = {}
-    for foot, counts, lift in zip(FEET, log.foot_counts.T, forces.lift.T, strict=True):
+    for foot, counts, lift in zip(feet, log.foot_counts.T, forces.lift.T, strict=True):
         rows = np.isfinite(lift)
         if rows.sum() > 1 and np.ptp(counts[rows]) > 0.0 and np.ptp(lift[rows]) > 0.0:
             correlation[foot] = float(np.corrcoef(counts[rows], lift[rows])[0, 1])
@@ -352,7 +356,7 @@ def left_out(dropped: Mapping[str, int]) -> list[str]:
 
 
 def _remarks(
-    forces: FootForces, stances: Sequence[Stance], report: Mapping[str, Any], robot: Quadruped
+    forces: FootForces, stances: Sequence[Stance], report: Mapping[str, Any], robot: Robot
 ) -> list[str]:
     notes, weight = [], robot.mass * GRAVITY
     heading = forces.provenance["heading_deg"]
@@ -371,21 +375,21 @@ def _remarks(
         )
     notes += forces.provenance["assumed"]
     counts = forces.saturated.sum(axis=0).tolist()
-    limited = [f"{foot} ({n})" for foot, n in zip(FEET, counts, strict=True) if n]
+    limited = [f"{foot} ({n})" for foot, n in zip(robot.feet, counts, strict=True) if n]
     if limited:
         notes.append(f"motors at their limit: {', '.join(limited)} samples; forces may be larger")
     walked = {stance.foot for stance in stances}
     if not walked:
         lifts = forces.force[np.isfinite(forces.force[:, :, 2]).all(axis=1), :, 2]
-        lift = np.median(lifts, axis=0) if lifts.size else np.zeros(4)
+        lift = np.median(lifts, axis=0) if lifts.size else np.zeros(len(robot.feet))
         did = "no foot was set down and lifted again"
         if lift.sum() > (1.0 - BEARING_SHARE) * weight:
             did = "the robot stands still"
         elif lift.sum() < BEARING_SHARE * weight:
             did = "the robot hangs or lies"
         notes.append(f"no stances: {did}, its feet carry {lift.sum():.0f} N of {weight:.0f} N")
-    elif len(walked) < len(FEET):
-        notes.append(f"no stances of {', '.join(foot for foot in FEET if foot not in walked)}")
+    elif len(walked) < len(robot.feet):
+        notes.append(f"no stances of {', '.join(f for f in robot.feet if f not in walked)}")
     if robot.order_assumed and "motors" in report:
         order = ", ".join(report["motors"])
         notes.append(

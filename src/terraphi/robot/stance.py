@@ -33,9 +33,9 @@ FALL_PART, TOUCH_PART = 0.25, 0.1
 """Parts of the rise [-] above which a foot keeps standing in noise, and below which its force last
 was where it touches down: filters give a sudden force a foot of some milliseconds before it begins
 (``tests/robot/test_stance.py``)."""
-LONGEST_S = 2.0
+LONGEST_S = 4.0
 """Duration of a stance [s]; who stands longer stands still: the slow walk of
-``tests/robot/test_checks.py`` has 1.6 s."""
+``tests/robot/test_checks.py`` has 1.6 s, the biped of ``tests/robot/test_soles.py`` 2.5 s."""
 LIFT_S = 0.04
 """A foot lifted for less than this has not been lifted [s] (a bounce of 16 ms in
 ``tests/robot/test_stance.py``)."""
@@ -54,7 +54,7 @@ class Stance:
     Attributes
     ----------
     foot
-        ``FR``, ``FL``, ``RR`` or ``RL``.
+        Name of the foot, such as ``FR``.
     time
         [s], from the log's own clock; shape [sample].
     force
@@ -137,7 +137,9 @@ class Ensemble:
         }
 
 
-def find_stances(time: FloatArray, force: Forces, *, rise_N: float) -> tuple[Stance, ...]:
+def find_stances(
+    time: FloatArray, force: Forces, *, rise_N: float, feet: Sequence[str] = FEET
+) -> tuple[Stance, ...]:
     """Find the stances that lie wholly inside a record.
 
     Parameters
@@ -149,6 +151,8 @@ def find_stances(time: FloatArray, force: Forces, *, rise_N: float) -> tuple[Sta
         numbers are left out, and what is lost by that is a gap like any other.
     rise_N
         Vertical force that a stance reaches at least [N].
+    feet
+        Names of the feet.
 
     Returns
     -------
@@ -162,7 +166,7 @@ def find_stances(time: FloatArray, force: Forces, *, rise_N: float) -> tuple[Sta
     positive.
     """
     stances: list[Stance] = []
-    for column, foot in enumerate(FEET):
+    for column, foot in enumerate(feet):
         finite: Any = np.isfinite(force[:, column]).all(axis=1)
         rows = slice(None) if finite.all() else finite  # views take no memory
         when, forces = time[rows], force[rows, column]

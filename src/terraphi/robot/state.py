@@ -24,7 +24,7 @@ from terraphi.laws.foot import LAWS
 if TYPE_CHECKING:
     from terraphi.robot.footfalls import Options
 
-VERSION = 2
+VERSION = 3
 """Of the state; another one is refused."""
 
 

@@ -22,6 +22,7 @@ one shape, to be fitted together.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -34,8 +35,8 @@ from terraphi.laws.foot import Foot, moved_mass
 from terraphi.robot.estimators import chunks, smooth_sign, trunk_motion
 from terraphi.robot.forces import TRUNK_ACCELERATION_SD, FootForces, SingleArray
 from terraphi.robot.friction import BEARING_SHARE
-from terraphi.robot.joint_log import FEET, GAP_STEPS, JointLog, cut
-from terraphi.robot.model import Quadruped
+from terraphi.robot.joint_log import GAP_STEPS, JointLog, cut
+from terraphi.robot.model import Robot
 from terraphi.robot.stance import SMOOTH_S, Stance, running_mean
 
 ACCELERATION_SD = 0.3
@@ -48,6 +49,9 @@ CHUNK = 16_384
 """Samples of odometry that are worked on at a time."""
 ROUNDS = 8
 """Rounds of reweighting."""
+FEWEST_JUDGED = 3
+"""Feet from which on those that stand are told from one that sinks by their number [-]: of two that
+go away from each other the lower one sinks, for no foot that bears rises."""
 BIAS_S = 6.0
 """Time over which the trunk does not accelerate on average, so that the mean is a bias [s]. A few
 strides: at 1 m/s a change of speed by a third leaves a sixth of :data:`ACCELERATION_SD`."""
@@ -78,7 +82,7 @@ class Motion(NamedTuple):
     trunk
         Place of the trunk [m], shape [sample, 3].
     feet
-        Places of the balls' centres [m], shape [sample, foot, 3].
+        Places of the centres of balls or soles [m], shape [sample, foot, 3].
     lift_acceleration
         Of the trunk, upward, by the accelerometer [m/s²], shape [sample]; zero without one.
     """
@@ -90,7 +94,7 @@ class Motion(NamedTuple):
 
 def track(
     log: JointLog,
-    robot: Quadruped,
+    robot: Robot,
     place: FloatArray | SingleArray,
     load: FloatArray,
     *,
@@ -126,7 +130,7 @@ def track(
 
 def _odometry(
     log: JointLog,
-    robot: Quadruped,
+    robot: Robot,
     place: FloatArray | SingleArray,
     load: FloatArray,
     bias: FloatArray | None,
@@ -158,7 +162,7 @@ def _odometry(
     # The mean over five samples, so that the encoders' steps do not look like motion.
     smooth = uniform_filter1d(apparent, 5, axis=0, mode="constant")
     # Weight w/σ_v² of a foot at both ends of a step, by its load.
-    bearing = np.clip(np.nan_to_num(load) / (BEARING_SHARE * robot.mass * GRAVITY), 0.0, 1.0)
+    bearing = np.clip(np.nan_to_num(load) / (BEARING_SHARE * robot.load_scale), 0.0, 1.0)
     bearing = np.minimum(bearing[1:], bearing[:-1]) ** 2 / STANCE_SD**2
     weight = bearing
     velocity = np.zeros((len(step), 3))
@@ -174,18 +178,20 @@ def _odometry(
         velocity = solveh_banded(banded, right, lower=True)
         # Geman and McClure's weight, of the squared speed of a foot against the ground.
         average, weight = uniform_filter1d(velocity, 5, axis=0, mode="constant"), bearing.copy()
-        for foot in range(len(FEET)):
+        for foot in range(place.shape[1]):
             off = average - smooth[:, foot]
+            if place.shape[1] < FEWEST_JUDGED:
+                off[:, 2] = np.minimum(off[:, 2], 0.0)
             weight[:, foot] /= (1.0 + np.einsum("ki,ki->k", off, off) / STANCE_SD**2) ** 2
     return feet, velocity, felt[:, 2]
 
 
 def sensitivity(log: JointLog, forces: FootForces, part: Any) -> FloatArray:
-    """Upward force per error of the torques in a part of a log [N], shape [sample, foot, 6].
+    """Upward force per error of the torques in a part of a log [N], shape [sample, foot, 2 joint].
 
     ``part`` is any index of samples, or of samples and feet.
 
-    Errors of the gains of hip, thigh and calf, and Coulomb torques of 1 N m left in them. With f =
+    Errors of the gains of a leg's joints, and Coulomb torques of 1 N m left in them. With f =
     J⁻ᵀ(h − τ): a gain error g of a joint adds −J⁻ᵀτ g, and friction c left in it −J⁻ᵀ sign(q̇) c.
     """
     row = -np.nan_to_num(forces.lift_per_torque[part])
@@ -197,8 +203,7 @@ def touchdowns(
     forces: FootForces,
     motion: Motion,
     stances: Sequence[Stance],
-    *,
-    radius: float,
+    robot: Robot,
 ) -> Touchdowns:
     """Cut the touch-downs out of a log, one of each stance.
 
@@ -208,20 +213,22 @@ def touchdowns(
         A log, the forces on its feet in the world, and their motion.
     stances
         Those of the log, one or more.
-    radius
-        Of the feet [m].
+    robot
+        Whose feet they are.
     """
     step = float(np.median(np.diff(log.time)))
     # Force of the soil's inertia on a foot that meets it, over the square of its speed [kg/m].
-    landing = float(moved_mass(Foot(radius), 1e-6, Prior.density)[1])
+    landing = float(moved_mass(Foot(robot.contact_radius), 1e-6, Prior.density)[1])
+    sides = np.array(robot.sole or (0.0, 0.0))
     columns: dict[str, Any] = {}
     for i, stance in enumerate(stances):
-        row = _touchdown(log, forces, motion, stance, step, landing)
+        foot = robot.feet.index(stance.foot)
+        row = _touchdown(log, forces, motion, stance, foot, step, landing, sides)
         for name, value in row.items():
             if not i:
                 columns[name] = np.empty((len(stances), *np.shape(value)), np.asarray(value).dtype)
             columns[name][i] = value
-    columns["place"][:, 2] -= radius
+    columns["place"][:, 2] -= robot.foot_radius
     return Touchdowns(**columns)
 
 
@@ -230,14 +237,16 @@ def _touchdown(
     forces: FootForces,
     motion: Motion,
     stance: Stance,
+    foot: int,
     step: float,
     landing: float,
+    sides: FloatArray,
 ) -> dict[str, Any]:
     """Cut one touch-down out of its stance; samples that it lacks repeat its last."""
     from scipy.ndimage import maximum_filter1d
 
-    time, foot = log.time, FEET.index(stance.foot)
-    lift, place = forces.force[:, foot, 2], motion.feet[:, foot]
+    time = log.time
+    lift, place, sole = forces.force[:, foot, 2], motion.feet[:, foot], forces.sole[:, foot]
     half = max(1, round(0.5 * SMOOTH_S / step))
     start = int(np.searchsorted(time, stance.begin))
     # The surface is where the foot first met force after it had been aloft. A stance begins later,
@@ -285,6 +294,8 @@ def _touchdown(
         "acceleration": acceleration[chosen],
         "force": force[chosen],
         "per_error": sensitivity(log, forces, (rows[chosen], foot)),
+        "rise": 0.5 * sides * sole[rows[chosen], :, 2],
+        "heading": math.atan2(*sole[start, 0, 1::-1]) if sides.any() else 0.0,
         "used": good[chosen] & (np.arange(POINTS) < count) & (not short),
         "torn": short or 2.0 * FEWEST * step > WINDOW_S or bool(late.any()),
         "saturated": bool(forces.saturated[part, foot].any()),

@@ -14,7 +14,7 @@ from typing import Any
 from terraphi.experiment.documents import parse_toml
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import check_is_file
-from terraphi.robot.joint_log import JOINT_NAMES, JointLog
+from terraphi.robot.joint_log import JOINT_NAMES, LEGS, JointLog, Names
 from terraphi.robot.logs.bags import read_bag
 from terraphi.robot.logs.columns import Columns, read_columns
 from terraphi.robot.logs.samples import joint_log
@@ -30,6 +30,7 @@ def read_log(
     motors: Sequence[str] = JOINT_NAMES,
     own_names: Sequence[str] = (),
     columns: Columns | Path | str | None = None,
+    legs: Names = LEGS,
 ) -> JointLog:
     """Read the log of a walking robot.
 
@@ -42,17 +43,19 @@ def read_log(
         Topic of a bag to read; by default the one with ``unitree_go/msg/LowState`` messages, or
         else ``sensor_msgs/msg/JointState``, with the ``sensor_msgs/msg/Imu`` of the same bag.
     joint_names
-        Names of the twelve joints in JointState messages, FR, FL, RR, RL × hip, thigh, calf, where
-        they are not named like ``FR_hip_joint`` or ``RF_HAA``.
+        Names of the joints in JointState messages, leg by leg, where they are not named like
+        ``FR_hip_joint`` or ``RF_HAA``, or as in the model.
     motors
         Which joint each of the first twelve motors of a LowState moves, as ``FR_hip``: a robot's
-        :attr:`~terraphi.robot.model.Quadruped.joint_order`. Joints that it lacks are zero.
+        :attr:`~terraphi.robot.model.Robot.joint_order`. Joints that it lacks are zero.
     own_names
         What the robot's model calls its joints, foot by foot
-        (:attr:`~terraphi.robot.model.Quadruped.own_names`); a log may use these names.
+        (:attr:`~terraphi.robot.model.Robot.own_names`); a log may use these names.
     columns
         Which columns of a table are what, or a TOML file of it
         (:class:`~terraphi.robot.logs.columns.Columns`).
+    legs
+        Joints of the robot's legs (:attr:`~terraphi.robot.model.Robot.legs`).
 
     Returns
     -------
@@ -72,7 +75,7 @@ def read_log(
     if joint_names is not None and len(joint_names) != len(motors):
         raise InputError(
             f"{len(joint_names)} joint names given; {len(motors)} are expected, in the order "
-            f"{', '.join(name for name in JOINT_NAMES if name in motors)}"
+            f"{', '.join(name for leg in legs for name in leg if name in motors)}"
         )
     path = path.parent if path.name == "metadata.yaml" else path
     bag = path.is_dir() or path.suffix in {".bag", ".mcap", ".db3"}
@@ -83,8 +86,8 @@ def read_log(
         if value is not None:
             raise InputError(f"{path}: has no use for {name}; leave the {name} out")
     if bag:
-        return read_bag(path, topic, joint_names, motors, own_names)
-    values = read_columns(path, named, motors, own_names)
+        return read_bag(path, topic, joint_names, motors, own_names, legs)
+    values = read_columns(path, named, motors, own_names, legs)
     kind = "parquet" if path.suffix == ".parquet" else "csv"
     facts: dict[str, Any] = {"notes": [], "format": kind, "topic": None}
     if named is not None and any("{motor" in str(names) for _, names in named):

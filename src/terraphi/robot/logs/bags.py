@@ -16,7 +16,7 @@ from terraphi.experiment.budget import SECONDS, unpacking
 from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError, needing
 from terraphi.experiment.files import check_is_file
-from terraphi.robot.joint_log import JointLog
+from terraphi.robot.joint_log import JointLog, Names
 from terraphi.robot.logs.messages import (
     MOTORS,
     Received,
@@ -69,6 +69,7 @@ def read_bag(
     joint_names: Sequence[str] | None,
     motors: Sequence[str],
     own_names: Sequence[str],
+    legs: Names,
 ) -> JointLog:
     """Read an MCAP file, the folder of a rosbag2 or a ROS 1 bag; options of ``read_log``."""
     with needing(f"{path}: reading bags", "the package rosbags", extra="robot"):
@@ -112,7 +113,7 @@ def read_bag(
             if named:
                 values = joint_states(
                     decoded(raw(name), JOINT_STATE, dropped), joint_names, motors, own_names,
-                    dropped,
+                    dropped, legs,
                 )  # fmt: skip
                 imus = {c.topic for c in bag.connections if _plain(c.msgtype) == IMU}
                 if imus and len(values["stamp"]):

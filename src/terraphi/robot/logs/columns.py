@@ -1,6 +1,7 @@
 """CSV and Parquet tables of a robot's log, and which of their columns are what.
 
-Terraphi's own names: ``time_s`` [s]; for each foot FR, FL, RR, RL and joint hip, thigh, calf
+Terraphi's own names: ``time_s`` [s]; for each foot FR, FL, RR, RL and joint hip, thigh, calf, or
+the joints' names in the model,
 ``FR_hip_angle_rad`` [rad] and ``FR_hip_torque_Nm`` [N m]; optionally, a group whole or not at all,
 ``FR_hip_velocity_rad_s`` [rad/s], ``quaternion_w`` to ``_z``, ``angular_velocity_x_rad_s`` to
 ``_z_`` [rad/s], ``acceleration_x_m_s2`` to ``_z_`` [m/s²] and ``FR_foot_counts``; in any order. A
@@ -20,7 +21,8 @@ from terraphi.experiment.documents import Strict
 from terraphi.experiment.errors import InputError, nearest, needing
 from terraphi.experiment.tables import read_table, table_of
 from terraphi.experiment.units import ANGLE, TIME
-from terraphi.robot.joint_log import JOINT_NAMES, SHAPES
+from terraphi.robot import joint_log
+from terraphi.robot.joint_log import LEGS, shapes
 
 Names = str | tuple[str, ...]
 
@@ -28,10 +30,11 @@ Names = str | tuple[str, ...]
 class Columns(Strict):
     """Names of a table's columns, and their units.
 
-    A name with ``{motor}`` stands for the twelve motors, numbered from 0 in the robot's order (from
-    00 if it is ``{motor:02}``), one with ``{foot}`` and ``{joint}`` for FR, FL, RR, RL and hip,
-    thigh, calf, one with ``{name}`` for the joints' names in the robot's model. An array has one
-    name for each: joints foot by foot in that order, quaternions w, x, y, z, vectors x, y, z.
+    A name with ``{motor}`` stands for the motors, numbered from 0 in the robot's order (from 00 if
+    it is ``{motor:02}``), one with ``{foot}`` and ``{joint}`` for FR, FL, RR, RL and hip, thigh,
+    calf (numbers from 0 of other robots), one with ``{name}`` for the joints' names in the robot's
+    model. An array has one name for each: joints foot by foot in that order, quaternions w, x, y,
+    z, vectors x, y, z.
     """
 
     time: str
@@ -55,15 +58,18 @@ class Columns(Strict):
     foot_counts: Names | None = None
     """Columns of the foot sensors."""
 
-    def group(self, group: str, motors: Sequence[str], own_names: Sequence[str] = ()) -> list[str]:
+    def group(
+        self, group: str, motors: Sequence[str], own_names: Sequence[str] = (), legs: Any = LEGS
+    ) -> list[str]:
         """Columns of a group in the order of a JointLog; none if the group is not there."""
         names = getattr(self, group) or ()
         if not isinstance(names, str):
             return list(names)
         filled: dict[str, None] = {}  # each name once: those of feet repeat for their joints
-        joints = [joint for joint in JOINT_NAMES if joint in motors]
-        for name, model_name in zip(joints, own_names or joints, strict=True):
-            foot, joint = name.split("_")
+        places = [(i, j) for i, j in np.ndindex(np.shape(legs)) if legs[i][j] in motors]
+        joints = [legs[i][j] for i, j in places]
+        for place, name, model_name in zip(places, joints, own_names or joints, strict=True):
+            foot, joint = name.split("_") if legs == LEGS else map(str, place)
             number = list(motors).index(name)
             text = names.replace("{motor}", str(number)).replace("{motor:02}", f"{number:02}")
             text = text.replace("{foot}", foot).replace("{joint}", joint)
@@ -85,8 +91,9 @@ OWN = Columns(
 
 
 def read_columns(
-    path: Path, columns: Columns | None, motors: Sequence[str], own_names: Sequence[str] = ()
-) -> dict[str, Any]:
+    path: Path, columns: Columns | None, motors: Sequence[str], own_names: Sequence[str] = (),
+    legs: joint_log.Names = LEGS,
+) -> dict[str, Any]:  # fmt: skip
     """Read a CSV, or a Parquet file by its suffix.
 
     Parameters
@@ -99,6 +106,8 @@ def read_columns(
         Which joint each motor moves; of joints that no motor moves, all is zero.
     own_names
         Of the joints in the robot's model, foot by foot.
+    legs
+        Names of the joints of each leg.
 
     Returns
     -------
@@ -113,17 +122,18 @@ def read_columns(
     table = _table(path)
     table.columns = header = [str(name).strip().strip('"') for name in table.columns]
     named = columns or OWN
-    if columns is None and not {*OWN.group("angle", motors, own_names)} <= {*header}:
+    if columns is None and not {*OWN.group("angle", motors, own_names, legs)} <= {*header}:
         own_names = ()
     angle = radians(ANGLE[named.angle_unit])
     scale = {"time": TIME[named.time_unit], "angle": angle, "velocity": angle}
     values: dict[str, Any] = {}
-    for group, shape in {"time": (), **SHAPES}.items():
-        names = [named.time] if group == "time" else named.group(group, motors, own_names)
+    usual = shapes(*np.shape(legs))
+    for group, shape in {"time": (), **usual}.items():
+        names = [named.time] if group == "time" else named.group(group, motors, own_names, legs)
         optional = columns is None and group not in {"time", "angle", "torque"}
         if not names or (optional and not set(names) & set(header)):
             continue
-        joints = shape == SHAPES["angle"]
+        joints = shape == usual["angle"]
         count = len(motors) if joints else prod(shape)
         if len(names) != count:
             raise InputError(
@@ -136,8 +146,11 @@ def read_columns(
                 raise InputError(f"{path}: column '{name[:60]}' is missing; {hint}")
         numbers = table[names].to_numpy(dtype=np.float64)
         if joints:  # those that no motor moves are zero
-            moved, numbers = numbers, np.zeros((len(numbers), len(JOINT_NAMES)))
-            numbers[:, [name in motors for name in JOINT_NAMES]] = moved
+            moved, numbers = (
+                numbers,
+                np.zeros((len(numbers), usual["angle"][0] * usual["angle"][1])),
+            )
+            numbers[:, [name in motors for leg in legs for name in leg]] = moved
         values[group] = scale.get(group, 1.0) * numbers.reshape(len(numbers), *shape)
     values["stamp"] = values.pop("time")
     return values

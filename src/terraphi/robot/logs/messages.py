@@ -16,8 +16,16 @@ from typing import Any
 import numpy as np
 
 from terraphi.experiment.errors import InputError, nearest
-from terraphi.robot.joint_log import GAP_STEPS, JOINT_NAMES, SHAPES, JointLog, joint_place
-from terraphi.robot.model import Quadruped
+from terraphi.robot.joint_log import (
+    GAP_STEPS,
+    JOINT_NAMES,
+    LEGS,
+    SHAPES,
+    JointLog,
+    Names,
+    joint_place,
+)
+from terraphi.robot.model import Robot
 
 MEASURED = ("quaternion", "angular_velocity", "acceleration")
 """Columns of a JointLog that an Imu message has."""
@@ -70,6 +78,7 @@ def joint_states(
     joints: Sequence[str],
     own_names: Sequence[str],
     dropped: Counter[str],
+    legs: Names = LEGS,
 ) -> dict[str, Any]:
     """Columns of a JointLog from JointState messages, ``stamp`` (header) and ``recorded`` [ns].
 
@@ -90,7 +99,7 @@ def joint_states(
         if names not in orders:
             model_names = own_names if own_names and {*own_names} <= {*names} else None
             try:
-                orders[names] = joint_order(names, joint_names or model_names, joints)
+                orders[names] = joint_order(names, joint_names or model_names, joints, legs)
             except InputError as error:
                 orders[names], refusal = None, refusal or str(error)
         order = orders[names]
@@ -105,7 +114,7 @@ def joint_states(
         rows.append([np.append(getattr(message, _FIELDS[c]), 0.0)[order] for c in present])
     if orders and not rows:
         raise InputError(refusal or "the joint states carry no efforts, and forces need torques")
-    table = np.array(rows, dtype=np.float64).reshape(len(rows), len(columns), 4, 3)
+    table = np.array(rows, dtype=np.float64).reshape(len(rows), len(columns), *np.shape(legs))
     return {name: table[:, k] for k, name in enumerate(columns)} | _times(stamps)
 
 
@@ -130,18 +139,20 @@ def imu_readings(messages: Received) -> dict[str, Any]:
 
 
 def joint_order(
-    names: Sequence[str], wanted: Sequence[str] | None, joints: Sequence[str]
+    names: Sequence[str], wanted: Sequence[str] | None, joints: Sequence[str], legs: Names = LEGS
 ) -> list[int]:
-    """Indices of the twelve joints in a message's list of names; −1 where there is none.
+    """Indices of the legs' joints in a message's list of names; −1 where there is none.
 
     Parameters
     ----------
     names
         Names in the message.
     wanted
-        Names of the legs' joints, FR, FL, RR, RL × hip, thigh, calf; ``None`` goes by patterns.
+        Names of the legs' joints, leg by leg; ``None`` goes by patterns, as of quadrupeds.
     joints
         Those that the robot has, as ``FR_hip``.
+    legs
+        Names of the joints of each leg.
 
     Raises
     ------
@@ -149,13 +160,14 @@ def joint_order(
         If a joint is missing, stands twice or is not known; the message does not name the file.
     """
     index: dict[str, int] = {}
-    hint = "name the twelve (--joint-names; in Python joint_names)"
+    all_ = [name for leg in legs for name in leg]
+    hint = f"name the {len(all_)} (--joint-names; in Python joint_names)"
     for name in wanted or ():
         if name not in names or list(wanted or ()).count(name) > 1:
             raise InputError(f"joint '{name}' is not once in the messages; {nearest(name, names)}")
     if wanted is not None:
-        legs = [joint for joint in JOINT_NAMES if joint in joints]
-        index = dict(zip(legs, map(list(names).index, wanted), strict=True))
+        there = [joint for joint in all_ if joint in joints]
+        index = dict(zip(there, map(list(names).index, wanted), strict=True))
     for i, place in enumerate(map(joint_place, names if wanted is None else ())):
         joint = place and JOINT_NAMES[3 * place[0] + place[1]]
         if joint and index.setdefault(joint, i) != i:
@@ -166,9 +178,9 @@ def joint_order(
         unknown = [f", and '{name[:60]}' is not known" for name in names if not joint_place(name)]
         raise InputError(
             f"{len(names)} joints, and none for the {missing[0]}{(unknown or [''])[0]}; expected "
-            f"twelve named like {URDF_NAMES[0]}, or {hint}"
+            f"{len(all_)} named like {URDF_NAMES[0] if legs == LEGS else all_[0]}, or {hint}"
         )
-    return [index[joint] if joint in joints else -1 for joint in JOINT_NAMES]
+    return [index[joint] if joint in joints else -1 for joint in all_]
 
 
 def add_imu(
@@ -233,9 +245,9 @@ class Messages:
     """
 
     def __init__(
-        self, robot: Quadruped | Path | str = "go2", *, joint_names: Sequence[str] | None = None
+        self, robot: Robot | Path | str = "go2", *, joint_names: Sequence[str] | None = None
     ) -> None:
-        self._robot = robot if isinstance(robot, Quadruped) else Quadruped.load(robot)
+        self._robot = robot if isinstance(robot, Robot) else Robot.load(robot)
         self._joint_names = joint_names
         self._states: list[tuple[int, Any]] = []
         self._imus: list[tuple[int, Any]] = []
@@ -303,8 +315,9 @@ class Messages:
         """Joint states with the IMU's readings at their stamps; ``None`` if none is of the legs."""
         try:
             values = joint_states(
-                ready, self._joint_names, motors, self._robot.own_names, self.left_out
-            )
+                ready, self._joint_names, motors, self._robot.own_names, self.left_out,
+                self._robot.legs,
+            )  # fmt: skip
         except InputError as error:
             if self._measured is None and self.left_out[FOREIGN] > MOST_FOREIGN:
                 raise

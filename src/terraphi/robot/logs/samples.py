@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.errors import InputError
-from terraphi.robot.joint_log import AVERAGE_S, GAP_STEPS, SHAPES, STANDSTILL, JointLog
+from terraphi.robot.joint_log import AVERAGE_S, GAP_STEPS, STANDSTILL, JointLog, shapes
 
 Clock = Literal["time_s", "tick", "header stamp"]
 """Column of a table [s], tick of a LowState [ms], header of a JointState [ns]."""
@@ -118,7 +118,9 @@ def sound(log: JointLog) -> tuple[JointLog, Counter[str]]:
     if not isinstance(log, JointLog):
         raise InputError(f"samples of type {type(log).__name__}; give them as a JointLog")
     values: dict[str, Any] = {}
-    for name, shape in {"time": (), **SHAPES}.items():
+    legs = np.shape(log.angle)[1:]
+    expected = shapes(*legs) if len(legs) == 2 else shapes()
+    for name, shape in {"time": (), **expected}.items():
         if (column := getattr(log, name)) is None and name in _IMU:
             continue
         values[name] = column = _numbers(name, column)
@@ -208,7 +210,8 @@ def velocity_ratio(time: FloatArray, angle: FloatArray, velocity: FloatArray) ->
     moved, span = np.diff(angle[::stride], axis=0), np.diff(time[::stride])
     without_gap = span < 1.5 * stride * usual
     way, moved, span = way[without_gap], moved[without_gap], span[without_gap]
-    rate = float(np.maximum(np.abs(moved), np.abs(way)).sum() / max(span.sum(), 1e-12)) / 12
+    total = float(np.maximum(np.abs(moved), np.abs(way)).sum())
+    rate = total / max(float(span.sum()), 1e-12) / angle[0].size
     product, squares = float(np.sum(way * moved)), float(np.sum(moved**2))
     # Samples that are far apart miss what happens between them.
     proportional = abs(product) > _PROPORTIONAL * np.sqrt(squares * np.sum(way**2))
