@@ -16,7 +16,7 @@ from terraphi.forward.driver import path_of_steps
 from terraphi.forward.ledger import empty_audit, empty_reaction
 from terraphi.forward.mpm import contact, lanes, packing, plasticity
 from terraphi.forward.mpm.bed import geostatic_bed
-from terraphi.forward.mpm.lattice import LANES, lattice_of, positions
+from terraphi.forward.mpm.lattice import lattice_of, positions
 from terraphi.forward.mpm.nodes import phase_of
 from terraphi.forward.mpm.plasticity import material_of
 from terraphi.forward.mpm.solver import begin_phase, end_phase, step
@@ -395,10 +395,11 @@ def test_distance_is_that_of_the_nearest_of_many_points(space, shape):
 def test_the_lanes_are_vectors(space, register_use, kernel):
     scenario = space.scenario()
     soil, lattice = geostatic_bed(scenario, np.float32), lattice_of(scenario)
-    state, work = packing.pack(soil, lattice).state, aligned_zeros(int(lanes.WORK), np.float32)
+    state = packing.pack(soil, lattice).state
+    work = aligned_zeros(lanes.work_length(lattice), np.float32)
     laws = lanes.laws_of(material_of(scenario.soil))
     taken = {"swell_packet": (laws, laws), "sum_packet": ()}.get(kernel, (laws,))
-    used = register_use(getattr(lanes, kernel), state, work, np.uint64(0), LANES, *taken)
+    used = register_use(getattr(lanes, kernel), state, work, np.uint64(0), lanes.VECTORS, *taken)
     if not used:
         pytest.skip("no x86 assembly to look at")
     # The loop stands twice: for whole vectors, and for what may be left over.

@@ -29,26 +29,25 @@ particle then returns to the surface at its mean stress m_p + s.
 
 A packet in which no particle can yield keeps its trial stresses.
 
-Block by block, the velocities of the nodes are copied side by side, the particles strained, and the
-forces laid down on the nodes. Within a cell a component v of the velocity is taken as its value at
-the middle and nine moments,
+Block by block the particles are strained and the forces of their stress summed. Within a cell a
+component v of the velocity is taken as its value at the middle and nine moments,
 
     A = Δx ∇v,    B = Δx² ∇∇v    (x, y, z;  xx, yy, zz, xy, xz, yz),
 
 so that the gradient at a particle, an offset r [cell] from the middle, is A + B r. The moments are
 computed once a cell, from 27 nodes, an axis at a time: value (W), slope (D) and second slope (H) of
-the spline over z, y and x are each a sum over three nodes. The forces go the same way back: a
-cell's sums of stress and of stress times offset, then an axis at a time.
+the spline over z, y and x are each a sum over three nodes. Sums over z are those of a row of nodes,
+which three rows of blocks share. The forces go the same way back: a cell's sums of stress and of
+stress times offset, then an axis at a time, z after all blocks of a layer.
 
 All that passes between the stages lies in one array, ``work``, in rows: a row has one number for
 each cell of a block, or for each node that they reach.
 
-    nodes ─── load ───► VELOCITY ── gather_across ──► ACROSS ── gather_along ──► MOMENT, RATE
-                                                                                     │ strain
-    nodes ◄─ scatter_across ─ BACK ◄─ scatter_along ─ SUM ◄─ add_mean_moments ─ SUM ◄┘
+    nodes ─── load ───► slab ── gather_across ──► ACROSS ── gather_along ──► MOMENT, RATE
+                                                                                 │ strain
+    nodes ◄── unload ── slab ◄─ scatter_across ─ BACK ◄─ scatter_along ─ SUM ◄───┘
 
     first row   rows  what each row has
-    VELOCITY      27  v_x (z, y) = (-,-) (-,0) (-,+) (0,-) … (+,+), then v_y, v_z
     ACROSS        18  v_x: WW DW WD HW WH DD, then v_y, v_z
     MOMENT        27  v_x: A_X A_Y A_Z B_XX B_YY B_ZZ B_XY B_XZ B_YZ, then v_y, v_z
     SUM           24  Σσ: XX YY ZZ XY XZ YZ, then Σσr: (x y z) of XX, of YY, … of YZ
@@ -57,11 +56,14 @@ each cell of a block, or for each node that they reach.
     RATE           1
     SWELL          3  number, swelling, yielding
     SHARE          1
+    slab    18 count_y  each row of nodes: v_x: W D H over z, then v_y, v_z, then the forces
 
-The loops over ``lanes`` are what the compiler turns into vector instructions. It does so only if
-their length is an argument, if all indices are unsigned and all arrays flat, if nothing branches,
-and if the distances between what is read and written are known to it; ``tests/forward/mpm`` looks
-at the instructions that come of it.
+The loops over ``vectors`` of sixteen numbers are what the compiler turns into vector instructions.
+It does so only if their length is an argument, if all indices are unsigned and all arrays flat, if
+nothing branches, and if the distances between what is read and written are known to it;
+``tests/forward/mpm`` looks at the instructions that come of it. A length that is no whole number of
+vectors would have its rest done in short ones. What is read at a shifted address was written long
+before: the processor cannot take it from the stores that are under way.
 """
 
 from __future__ import annotations
@@ -76,7 +78,7 @@ from terraphi.forward.bed import sub_cells
 from terraphi.forward.compiled import aligned_zeros, entry, kernel, wide_vectors
 from terraphi.forward.mpm import packing
 from terraphi.forward.mpm.bed import Soil
-from terraphi.forward.mpm.lattice import LANES, MARGIN, Lattice, lattice_of
+from terraphi.forward.mpm.lattice import CELLS, LANES, Lattice, lattice_of
 from terraphi.forward.mpm.packing import Packets, pack, unpack
 from terraphi.forward.mpm.plasticity import (
     SHARING_ROUNDS,
@@ -98,8 +100,10 @@ Index: TypeAlias = Any
 
 # Numba makes a float of an unsigned and a signed integer, so indices take unsigned ones alone.
 ONE, TWO, THREE = (np.uint64(n) for n in range(1, 4))
-ROW = LANES + MARGIN + MARGIN
-"""Length of a row of ``work``."""
+SIXTEEN = np.uint64(16)
+ROW = LANES + SIXTEEN
+"""Length of a row of ``work``: zeros follow, for what reads beyond the last node."""
+VECTORS = LANES // SIXTEEN
 
 
 def _rows(count: int, first: int = 0, step: int = 1) -> tuple[Index, ...]:
@@ -108,18 +112,16 @@ def _rows(count: int, first: int = 0, step: int = 1) -> tuple[Index, ...]:
 
 
 # Groups of rows: the module's drawing has what they hold.
-(VELOCITY, ACROSS, MOMENT, _SUM, BACK, MIDDLE, RATE, SWELL, SHARE, _END) = (
-    np.uint64(n) * ROW for n in (0, 27, 45, 72, 96, 102, 105, 106, 109, 110)
+(ACROSS, MOMENT, SUM, BACK, MIDDLE, RATE, SWELL, SHARE, SLAB) = (
+    SIXTEEN + np.uint64(n) * ROW for n in (0, 18, 45, 69, 75, 78, 79, 82, 83)
 )
-SUM = _SUM + MARGIN
-"""Begins with zeros, as it ends: :func:`scatter_along` reads two cells beyond either end."""
-WORK = _END + ROW
-"""Length of ``work``."""
-
-LAYER = THREE * ROW
-"""From a layer of nodes (z) to the next in VELOCITY."""
+"""The first begins after zeros, too: :func:`scatter_along` reads two cells before SUM."""
+THREE_ROWS = THREE * ROW
+"""From a component to the next in a row of nodes of the slab."""
 NODE_ROWS = np.uint64(9) * ROW
-"""From a component to the next in VELOCITY, and in MOMENT."""
+"""From a component to the next in MOMENT, and from velocities to forces in the slab."""
+NEXT = NODE_ROWS + NODE_ROWS
+"""From a row of nodes to the next in the slab."""
 ACROSS_ROWS = np.uint64(6) * ROW
 """From a component to the next in ACROSS."""
 WW, DW, WD, HW, WH, DD = _rows(6)
@@ -148,12 +150,15 @@ ZERO, HALF, UNIT, DOUBLE = (_F(n) for n in (0.0, 0.5, 1.0, 2.0))
 THIRD = _F(1.0 / 3.0)
 SIDE, CENTRE = _F(0.125), _F(0.75)
 """Spline weights in the middle of a cell."""
-SPLINES = ((SIDE, -HALF, UNIT), (CENTRE, ZERO, -DOUBLE), (SIDE, HALF, UNIT))
-"""Value, slope and second slope in the middle of a cell, of the nodes at -1, 0 and 1."""
 SHORT = _F(SHORT_OF_TIP)
 C0, C1, C2, C3 = (_F(c) for c in (0.500000163, 0.577333461, -0.110823049, 0.0515479343))
 C4, C5, C6 = (_F(c) for c in (-0.0265382503, 0.0106230692, -0.00214345224))
 """Chebyshev fit of cos(⅔ arccos s) on 0 ≤ s ≤ 1, with an error of 2·10⁻⁷."""
+
+
+def work_length(lattice: Lattice) -> int:
+    """Length of ``work``."""
+    return int(SLAB + NEXT * np.uint64(lattice.count_y))
 
 
 def laws_of(material: Material) -> Material:
@@ -168,9 +173,10 @@ class FastStrain:
 
     def __init__(self, scenario: Scenario) -> None:
         material, self._lattice = material_of(scenario.soil), lattice_of(scenario)
-        self._laws = (laws_of(material), laws_of(held_mean(material)), material.swells)
+        held = laws_of(held_mean(material)) if material.swells else None
+        self._laws = laws_of(material), held
         self._area = np.float32(-float(np.prod(sub_cells(scenario)[1])) / self._lattice.cell_size)
-        self._work = aligned_zeros(int(WORK), np.float32)
+        self._work = aligned_zeros(work_length(self._lattice), np.float32)
         self._packets: Any = None
 
     def begin(self, soil: Soil) -> None:
@@ -185,7 +191,7 @@ class FastStrain:
         scale = np.float32(time_step / self._lattice.cell_size)
         grid = (self._lattice, soil.velocity, force, self._work)
         top = used // self._lattice.layer
-        strain_particles(self._packets, *grid, *self._laws, scale, self._area, top, LANES)
+        strain_particles(self._packets, *grid, *self._laws, scale, self._area, top, VECTORS)
 
     def end(self, soil: Soil) -> None:
         """Write stresses back."""
@@ -196,7 +202,7 @@ class FastStrain:
 @entry
 def strain_particles(
     packets: Packets, lattice: Lattice, velocity: Nodes, force: Nodes, work: Work, laws: Material,
-    held: Material, sharing: bool, scale: Any, area: Any, top: int, lanes: Index,
+    held: Material | None, scale: Any, area: Any, top: int, vectors: Index,
 ) -> None:  # fmt: skip
     """Strain the particles for a time and add the forces of their new stress to the nodes.
 
@@ -210,134 +216,172 @@ def strain_particles(
         [N]; added to.
     work
         Working memory.
-    laws, held
-        Constants, and those with the mean stress held.
-    sharing
-        True if the particles of a cell share their plastic changes of volume.
+    laws
+        Constants.
+    held
+        Those with the mean stress held, if the particles of a cell share their plastic changes of
+        volume. The compiler makes a kernel for either.
     scale
         Time over Δx [s/m], in single precision.
     area
         Minus the volume of a particle over Δx [m²], in single precision.
     top
         Layers of nodes that may have soil.
-    lanes
-        :data:`~terraphi.forward.mpm.lattice.LANES`, in a form that the compiler cannot foresee.
+    vectors
+        :data:`VECTORS`, in a form that the compiler cannot foresee.
     """
     wide_vectors()
     # Cells that share nothing return at the mean stresses of their trials.
     for i in range(SHARE, SHARE + ROW):
         work[i] = ZERO
-    wide = lanes + MARGIN
     row, layer = np.uint64(lattice.row), np.uint64(lattice.layer)
-    # Flat arrays: an index of two dimensions would keep the loops from being vectorized.
-    fx, fy, fz = force[0], force[1], force[2]
-    block = lattice.count_y * lattice.blocks
+    count_y, blocks = np.uint64(lattice.count_y), np.uint64(lattice.blocks)
     for k in range(np.uint64(1), np.uint64(top - 1)):
-        for j in range(lattice.count_y):
-            for b in range(lattice.blocks):
-                first, last = np.uint64(packets.first[block]), np.uint64(packets.first[block + 1])
-                block += 1
-                # A block without soil costs nothing more.
-                if first == last:
-                    continue
-                # The window of nodes that the block reaches begins one before its first cell.
-                at = (k - ONE) * layer + np.uint64(j - 1) * row + np.uint64(b) * LANES
-                load(work, velocity, at, row, layer, wide)
-                # Where the particles of each cell are, on average.
-                middle = np.uint64(block - 1) * THREE * LANES
-                for axis in range(THREE):
-                    for i in range(lanes):
-                        mean = packets.centre[middle + axis * LANES + i]
-                        work[MIDDLE + axis * ROW + i] = mean
-                # Velocities to moments: first over y and z at every x, then over x in every cell.
-                for component in range(THREE):
-                    gather_across(work, component, wide)
-                    gather_along(work, component, scale, lanes)
-                rate_of_cells(work, lanes)
-                # Strain, packet after packet; each adds its stress to the sums of its cells.
-                for i in range(_SUM, BACK):
-                    work[i] = ZERO
-                if sharing:
-                    strain_sharing(packets.state, work, first, last, lanes, laws, held)
-                else:
-                    for packet in range(first, last):
-                        if predict_packet(packets.state, work, packet, lanes, laws) > ZERO:
-                            return_packet(packets.state, work, packet, lanes, laws)
-                        sum_packet(packets.state, work, packet, lanes)
-                # Sums to forces, the same way back, one component after the other.
-                add_mean_moments(work, lanes)
-                scatter_forces(work, fx, at, FACES_X, ARMS_X, area, row, layer, wide)
-                scatter_forces(work, fy, at, FACES_Y, ARMS_Y, area, row, layer, wide)
-                scatter_forces(work, fz, at, FACES_Z, ARMS_Z, area, row, layer, wide)
+        # A layer without soil costs nothing.
+        block = k * count_y * blocks
+        if packets.first[block] == packets.first[block + count_y * blocks]:
+            continue
+        for b in range(blocks):
+            # The window of nodes that a block reaches begins one before its first cell.
+            at = (k - ONE) * layer + b * CELLS
+            for j in range(count_y):
+                load(work, velocity, SLAB + j * NEXT, at + j * row, layer, vectors)
+            # The outermost rows, images of their neighbors, have no soil.
+            for j in range(ONE, count_y - ONE):
+                block = (k * count_y + j) * blocks + b
+                strain_block(
+                    packets, work, SLAB + j * NEXT, block, laws, held, scale, area, vectors
+                )
+            for j in range(count_y):
+                unload(work, force, SLAB + j * NEXT + NODE_ROWS, at + j * row, layer, vectors)
+
+
+@kernel
+def strain_block(
+    packets: Packets, work: Work, at: Index, block: Index, laws: Material, held: Material | None,
+    scale: Any, area: Any, vectors: Index,
+) -> None:  # fmt: skip
+    """Strain the particles of a block, whose middle row of nodes is ``at`` in the slab."""
+    wide_vectors()
+    first, last = np.uint64(packets.first[block]), np.uint64(packets.first[block + ONE])
+    if first == last:
+        return
+    # Where the particles of each cell are, on average.
+    middle = block * THREE * LANES
+    for axis in range(THREE):
+        for i in range(vectors * SIXTEEN):
+            work[MIDDLE + axis * ROW + i] = packets.centre[middle + axis * LANES + i]
+    # Velocities to moments: first over y at every x, then over x in every cell.
+    for component in range(THREE):
+        gather_across(work, at, component, vectors)
+    for component in range(THREE):
+        gather_along(work, component, scale, vectors)
+    rate_of_cells(work, vectors)
+    # Strain, packet after packet; each adds its stress to the sums of its cells.
+    for i in range(SUM, BACK):
+        work[i] = ZERO
+    if held is not None:
+        strain_sharing(packets.state, work, first, last, vectors, laws, held)
+    else:
+        for packet in range(first, last):
+            if predict_packet(packets.state, work, packet, vectors, laws) > ZERO:
+                return_packet(packets.state, work, packet, vectors, laws)
+            sum_packet(packets.state, work, packet, vectors)
+    # Sums to forces, the same way back, one component after the other.
+    add_mean_moments(work, vectors)
+    to = at + NODE_ROWS
+    scatter_along(work, FACES_X, ARMS_X, area, vectors)
+    scatter_across(work, to, vectors)
+    scatter_along(work, FACES_Y, ARMS_Y, area, vectors)
+    scatter_across(work, to + THREE_ROWS, vectors)
+    scatter_along(work, FACES_Z, ARMS_Z, area, vectors)
+    scatter_across(work, to + THREE_ROWS + THREE_ROWS, vectors)
 
 
 @kernel
 def strain_sharing(
-    state: Work, work: Work, first: Index, last: Index, lanes: Index, laws: Material, held: Material
+    state: Work,
+    work: Work,
+    first: Index,
+    last: Index,
+    vectors: Index,
+    laws: Material,
+    held: Material,
 ) -> None:
     """Strain the packets of a block whose cells share their plastic changes of volume."""
     wide_vectors()
     # Trial stresses of all, then Newton's steps for the share of each cell, then the return. A
     # cell's particles lie in different packets, so that each of these is a pass over all of them.
     for packet in range(first, last):
-        predict_packet(state, work, packet, lanes, laws)
+        predict_packet(state, work, packet, vectors, laws)
     for i in range(SHARE, SHARE + ROW):
         work[i] = ZERO
     for _ in range(SHARING_ROUNDS):
         for i in range(SWELL, SHARE):
             work[i] = ZERO
         for packet in range(first, last):
-            swell_packet(state, work, packet, lanes, laws, held)
-        share(work, lanes, laws)
+            swell_packet(state, work, packet, vectors, laws, held)
+        share(work, vectors, laws)
     for packet in range(first, last):
-        return_packet(state, work, packet, lanes, held)
-        sum_packet(state, work, packet, lanes)
+        return_packet(state, work, packet, vectors, held)
+        sum_packet(state, work, packet, vectors)
 
 
 @kernel
-def load(work: Work, velocity: Nodes, at: Index, row: Index, layer: Index, wide: Index) -> None:
-    """Copy the velocities of the nodes that a block reaches."""
-    wide_vectors()
-    for component in range(THREE):
-        # Nine rows of nodes, (z, y) of the window, one node longer than the block to each side.
-        speed = velocity[component]
-        for c in range(THREE):
-            for b in range(THREE):
-                node = at + c * layer + b * row
-                to = VELOCITY + component * NODE_ROWS + c * LAYER + b * ROW
-                for i in range(wide):
-                    work[to + i] = speed[node + i]
-
-
-@kernel
-def spline(work: Work, at: Index, step: Index) -> tuple[Any, Any, Any]:
+def spline(numbers: Any, at: Index, step: Index) -> tuple[Any, Any, Any]:
     """Value, slope and second slope in the middle of a cell, from three numbers ``step`` apart."""
     # Values 1/8, 3/4, 1/8; slopes -1/2, 0, 1/2; second slopes 1, -2, 1.
-    a, b, c = work[at], work[at + step], work[at + TWO * step]
+    a, b, c = numbers[at], numbers[at + step], numbers[at + TWO * step]
     return SIDE * (a + c) + CENTRE * b, HALF * (c - a), a + c - DOUBLE * b
 
 
 @kernel
-def gather_across(work: Work, component: Index, wide: Index) -> None:
-    """Sums over y and z of a velocity component, at every x that a block reaches."""
-    wide_vectors()
-    v, to = VELOCITY + component * NODE_ROWS, ACROSS + component * ACROSS_ROWS
-    for i in range(wide):
-        # Over y in each of three layers of nodes, three rows apart, then over z.
-        w0, d0, h0 = spline(work, v + i, ROW)
-        w1, d1, h1 = spline(work, v + LAYER + i, ROW)
-        w2, d2, h2 = spline(work, v + LAYER + LAYER + i, ROW)
-        # No other products are needed, for the moments are second derivatives at most.
-        work[to + WW + i] = SIDE * (w0 + w2) + CENTRE * w1
-        work[to + DW + i] = SIDE * (d0 + d2) + CENTRE * d1
-        work[to + WD + i] = HALF * (w2 - w0)
-        work[to + HW + i] = SIDE * (h0 + h2) + CENTRE * h1
-        work[to + WH + i] = w0 + w2 - DOUBLE * w1
-        work[to + DD + i] = HALF * (d2 - d0)
+def spread(w: Any, d: Any, h: Any) -> tuple[Any, Any, Any]:
+    """Three numbers of value, slope and second slope: the transpose of :func:`spline`."""
+    even, odd = SIDE * w + h, HALF * d
+    return even - odd, CENTRE * w - DOUBLE * h, even + odd
 
 
 @kernel
-def gather_along(work: Work, component: Index, scale: Any, lanes: Index) -> None:
+def load(work: Work, velocity: Nodes, to: Index, at: Index, layer: Index, vectors: Index) -> None:
+    """Sums over z of the velocities of a row of nodes, at every x that a block reaches."""
+    wide_vectors()
+    for component in range(THREE):
+        speed, v = velocity[component], to + component * THREE_ROWS
+        for i in range(vectors * SIXTEEN):
+            w, d, h = spline(speed, at + i, layer)
+            work[v + i], work[v + ROW + i], work[v + ROW + ROW + i] = w, d, h
+
+
+@kernel
+def unload(work: Work, force: Nodes, at: Index, to: Index, layer: Index, vectors: Index) -> None:
+    """Add the forces of a row of nodes to three layers, and clear them; the transpose of load."""
+    wide_vectors()
+    for component in range(THREE):
+        total, f = force[component], at + component * THREE_ROWS
+        for i in range(vectors * SIXTEEN):
+            a, b, c = spread(work[f + i], work[f + ROW + i], work[f + ROW + ROW + i])
+            total[to + i] += a
+            total[to + layer + i] += b
+            total[to + layer + layer + i] += c
+        for i in range(vectors * SIXTEEN):
+            work[f + i] = work[f + ROW + i] = work[f + ROW + ROW + i] = ZERO
+
+
+@kernel
+def gather_across(work: Work, at: Index, component: Index, vectors: Index) -> None:
+    """Sums over y of a velocity component's sums over z, at every x that a block reaches."""
+    wide_vectors()
+    v, to = at - NEXT + component * THREE_ROWS, ACROSS + component * ACROSS_ROWS
+    for i in range(vectors * SIXTEEN):
+        # No other products are needed, for the moments are second derivatives at most.
+        work[to + WW + i], work[to + DW + i], work[to + HW + i] = spline(work, v + i, NEXT)
+        work[to + WD + i], work[to + DD + i], _ = spline(work, v + ROW + i, NEXT)
+        work[to + WH + i], _, _ = spline(work, v + ROW + ROW + i, NEXT)
+
+
+@kernel
+def gather_along(work: Work, component: Index, scale: Any, vectors: Index) -> None:
     """Moments of a velocity component in every cell, times ``scale`` = Δt/Δx.
 
     A moment is a spline's value, slope or second slope over x of one of the six rows over (y, z):
@@ -346,7 +390,7 @@ def gather_along(work: Work, component: Index, scale: Any, lanes: Index) -> None
     wide_vectors()
     v, to = ACROSS + component * ACROSS_ROWS, MOMENT + component * NODE_ROWS
     # In two loops, as one would need more registers than there are.
-    for i in range(lanes):
+    for i in range(vectors * SIXTEEN):
         _, d, h = spline(work, v + WW + i, ONE)
         work[to + A_X + i], work[to + B_XX + i] = scale * d, scale * h
         w, d, _ = spline(work, v + DW + i, ONE)
@@ -354,7 +398,7 @@ def gather_along(work: Work, component: Index, scale: Any, lanes: Index) -> None
         w, d, _ = spline(work, v + WD + i, ONE)
         work[to + A_Z + i], work[to + B_XZ + i] = scale * w, scale * d
     # What has no derivative in x is a value over x.
-    for i in range(lanes):
+    for i in range(vectors * SIXTEEN):
         yy, _, _ = spline(work, v + HW + i, ONE)
         zz, _, _ = spline(work, v + WH + i, ONE)
         yz, _, _ = spline(work, v + DD + i, ONE)
@@ -364,11 +408,11 @@ def gather_along(work: Work, component: Index, scale: Any, lanes: Index) -> None
 
 
 @kernel
-def rate_of_cells(work: Work, lanes: Index) -> None:
+def rate_of_cells(work: Work, vectors: Index) -> None:
     """Volumetric strain at the mean offset of each cell's particles, which is their mean."""
     wide_vectors()
     # tr(L) at the mean offset: L is linear in r, so this is the mean over the particles (B-bar).
-    for i in range(lanes):
+    for i in range(vectors * SIXTEEN):
         x, y, z = work[MIDDLE + X_ROW + i], work[MIDDLE + Y_ROW + i], work[MIDDLE + Z_ROW + i]
         m = MOMENT + i
         dxx, _, _ = strain_of(work, m, x, y, z)
@@ -378,10 +422,10 @@ def rate_of_cells(work: Work, lanes: Index) -> None:
 
 
 @kernel
-def add_mean_moments(work: Work, lanes: Index) -> None:
+def add_mean_moments(work: Work, vectors: Index) -> None:
     """Let the mean stress act at the mean offset, the transpose of :func:`rate_of_cells`."""
     wide_vectors()
-    for i in range(lanes):
+    for i in range(vectors * SIXTEEN):
         # A cell has one volumetric strain, so its mean stress p acts as one: Σ p r = p Σ r.
         mean = THIRD * (work[SUM + XX + i] + work[SUM + YY + i] + work[SUM + ZZ + i])
         x, y, z = work[MIDDLE + X_ROW + i], work[MIDDLE + Y_ROW + i], work[MIDDLE + Z_ROW + i]
@@ -442,26 +486,27 @@ def predicted(state: Work, work: Work, at: Index, i: Index, laws: Material) -> S
 
 
 @kernel
-def predict_packet(state: Work, work: Work, packet: Index, lanes: Index, laws: Material) -> Any:
+def predict_packet(state: Work, work: Work, packet: Index, vectors: Index, laws: Material) -> Any:
     """Put the trial stress of a packet in the place of its stress, and count those that may yield.
 
     Most packets away from the leg have none, and need no return.
     """
     wide_vectors()
     count = ZERO
-    for i in range(lanes):
+    for i in range(vectors * SIXTEEN):
         at = packet * FIELDS + i
         trial = predicted(state, work, at, i, laws)
         keep(state, at, trial)
-        count += may_yield(trial, laws, UNIT)
+        # Not of an empty lane, nor of the last two: those reach beyond the window.
+        count += state[at + VOLUME] * may_yield(trial, laws, UNIT)
     return count
 
 
 @kernel
-def return_packet(state: Work, work: Work, packet: Index, lanes: Index, laws: Material) -> None:
+def return_packet(state: Work, work: Work, packet: Index, vectors: Index, laws: Material) -> None:
     """Return the trial stress of a packet at the mean stress that it has with its cell's share."""
     wide_vectors()
-    for i in range(lanes):
+    for i in range(vectors * SIXTEEN):
         at = packet * FIELDS + i
         trial, strain = stress_of(state, at, work[SHARE + i]), state[at + STRAIN]
         stress, slip, _ = return_to_surface(trial, strain, laws, SINGLE_PRECISION)
@@ -470,10 +515,10 @@ def return_packet(state: Work, work: Work, packet: Index, lanes: Index, laws: Ma
 
 
 @kernel
-def sum_packet(state: Work, work: Work, packet: Index, lanes: Index) -> None:
+def sum_packet(state: Work, work: Work, packet: Index, vectors: Index) -> None:
     """Add the stress of a packet to the sums of its cells."""
     wide_vectors()
-    for i in range(lanes):
+    for i in range(vectors * SIXTEEN):
         at = packet * FIELDS + i
         xx, yy, zz, xy, xz, yz = stress_of(state, at, ZERO)
         # An empty lane has no volume, and adds nothing.
@@ -499,11 +544,11 @@ def sum_packet(state: Work, work: Work, packet: Index, lanes: Index) -> None:
 
 @kernel
 def swell_packet(
-    state: Work, work: Work, packet: Index, lanes: Index, laws: Material, held: Material
+    state: Work, work: Work, packet: Index, vectors: Index, laws: Material, held: Material
 ) -> None:
     """Add the plastic changes of volume of a packet to the sums of its cells."""
     wide_vectors()
-    for i in range(lanes):
+    for i in range(vectors * SIXTEEN):
         at = packet * FIELDS + i
         trial = stress_of(state, at, work[SHARE + i])
         strain, full = state[at + STRAIN], state[at + VOLUME]
@@ -523,10 +568,10 @@ def swell_packet(
 
 
 @kernel
-def share(work: Work, lanes: Index, laws: Material) -> None:
+def share(work: Work, vectors: Index, laws: Material) -> None:
     """Take a Newton step towards the change of mean stress that a cell's particles share."""
     wide_vectors()
-    for i in range(lanes):
+    for i in range(vectors * SIXTEEN):
         # s -= (n s + K Σ e) / Σ (1 + b), a cell without soil keeps s = 0.
         number, swelling = work[SWELL + NUMBER + i], work[SWELL + SWELLING + i]
         slope = work[SWELL + YIELDING + i]
@@ -545,7 +590,7 @@ def add_moments(work: Work, to: Index, stress: Any, x: Any, y: Any, z: Any) -> N
 @kernel
 def scatter_along(
     work: Work, faces: tuple[Index, Index, Index], arms: tuple[Index, Index, Index], scale: Any,
-    wide: Index,
+    vectors: Index,
 ) -> None:  # fmt: skip
     """Forces that a row of cells gives along x, still to be spread over y and z.
 
@@ -558,7 +603,7 @@ def scatter_along(
     # Rows of Σ σ, and of Σ σ r, of the stresses on the faces across x, y and z.
     xs, ys, zs = s + faces[0], s + faces[1], s + faces[2]
     xm, ym, zm = s + arms[0], s + arms[1], s + arms[2]
-    for i in range(wide):
+    for i in range(vectors * SIXTEEN):
         # W W: the slope of σ's sum and the second slope of its moment along x. Seen from a node
         # the cells lie the other way round, so that slopes change their sign.
         _, d, _ = spline(work, xs + i, ONE)
@@ -572,7 +617,7 @@ def scatter_along(
         p, q = xm + Z_ROW + i, zm + X_ROW + i
         bent = work[p] + work[q] - work[p + TWO] - work[q + TWO]
         work[BACK + WD + i] = scale * (spline(work, zs + i, ONE)[0] + HALF * bent)
-    for i in range(wide):
+    for i in range(vectors * SIXTEEN):
         # H W, W H and D D: moments within y and z, values over x.
         mixed = spline(work, ym + Z_ROW + i, ONE)[0] + spline(work, zm + Y_ROW + i, ONE)[0]
         work[BACK + HW + i] = scale * spline(work, ym + Y_ROW + i, ONE)[0]
@@ -581,30 +626,20 @@ def scatter_along(
 
 
 @kernel
-def scatter_across(
-    work: Work, force: Work, at: Index, y: tuple[Any, Any, Any], z: tuple[Any, Any, Any],
-    wide: Index,
-) -> None:  # fmt: skip
-    """Add forces to one row of nodes, given its splines' (W, D, H) over y and z."""
+def scatter_across(work: Work, to: Index, vectors: Index) -> None:
+    """Spread forces over y, to three rows of nodes of the slab; the transpose of gather_across."""
     wide_vectors()
-    # One row of nodes has one weight for each of the six sums, the same at every x.
-    ww, dw, wd = y[0] * z[0], y[1] * z[0], y[0] * z[1]
-    hw, wh, dd = y[2] * z[0], y[0] * z[2], y[1] * z[1]
-    for i in range(wide):
-        first = ww * work[BACK + WW + i] + dw * work[BACK + DW + i]
-        second = wd * work[BACK + WD + i] + hw * work[BACK + HW + i]
-        third = wh * work[BACK + WH + i] + dd * work[BACK + DD + i]
-        force[at + i] += first + second + third
-
-
-@kernel
-def scatter_forces(
-    work: Work, force: Work, at: Index, faces: tuple[Index, Index, Index],
-    arms: tuple[Index, Index, Index], area: Any, row: Index, layer: Index, wide: Index,
-) -> None:  # fmt: skip
-    """Add one component of a block's forces to its nodes; arguments as of its two steps."""
-    scatter_along(work, faces, arms, area, wide)
-    # To the nine rows (z, y) of the window that load read.
-    for c in range(THREE):
-        for b in range(THREE):
-            scatter_across(work, force, at + c * layer + b * row, SPLINES[b], SPLINES[c], wide)
+    before, after = to - NEXT, to + NEXT
+    for i in range(vectors * SIXTEEN):
+        a, b, c = spread(work[BACK + WW + i], work[BACK + DW + i], work[BACK + HW + i])
+        work[before + i] += a
+        work[to + i] += b
+        work[after + i] += c
+        a, b, c = spread(work[BACK + WD + i], work[BACK + DD + i], ZERO)
+        work[before + ROW + i] += a
+        work[to + ROW + i] += b
+        work[after + ROW + i] += c
+        a, b, c = spread(work[BACK + WH + i], ZERO, ZERO)
+        work[before + ROW + ROW + i] += a
+        work[to + ROW + ROW + i] += b
+        work[after + ROW + ROW + i] += c

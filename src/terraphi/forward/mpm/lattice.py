@@ -23,11 +23,11 @@ from terraphi.forward.compiled import kernel
 Three = tuple[float, float, float]
 
 LANES = np.uint64(32)
-"""Cells in a block: adjacent cells of one row of the grid, four vectors of 256 bits or two of 512
-in single precision. Of fewer, a larger share of the work is in a block's margins; of more, what
-passes between the stages of the strain does not fit into the first cache."""
-MARGIN = np.uint64(8)
-"""Numbers that a block reads and writes beyond its cells: two nodes, rounded up."""
+"""Nodes of a row of the grid that a block of cells reaches: four vectors of 256 bits or two of 512
+in single precision. Of fewer, a larger share of the work is at a block's ends; of more, what passes
+between the stages of the strain does not fit into the first cache."""
+CELLS = LANES - np.uint64(2)
+"""Cells of a block: adjacent ones of a row, that have no other nodes."""
 HALVES = 2.0
 """Halves of the whole soil, of which the grid is one."""
 
@@ -55,9 +55,8 @@ def lattice_of(scenario: Scenario) -> Lattice:
     """Grid of a scenario in three dimensions."""
     count = scenario.numerics.cells + 2
     count_y = scenario.cells_across + 2
-    lanes = int(LANES)
-    blocks = -(-(count - 2) // lanes)
-    row = blocks * lanes + 16
+    blocks = -(-(count - 2) // int(CELLS))
+    row = -(-(blocks * int(CELLS) + 2) // 16) * 16
     layer = row * count_y
     size = scenario.numerics.cell_size
     return Lattice(row, layer, layer * count, count, count_y, blocks, size)

@@ -1,6 +1,6 @@
 """Packets: particles laid out so that a vector register takes one from each of adjacent cells.
 
-The cells of a row of the grid are cut into blocks of :data:`~terraphi.forward.mpm.lattice.LANES`
+The cells of a row of the grid are cut into blocks of :data:`~terraphi.forward.mpm.lattice.CELLS`
 neighbours. A *packet* has at most one particle of each cell of a block, one a lane: what they read
 of the grid lies side by side, and what they add to it goes to different cells. A block has as many
 packets as its fullest cell has particles; lanes without one have no volume. Particles stay in
@@ -20,14 +20,14 @@ from numpy.typing import NDArray
 
 from terraphi.forward.compiled import aligned_zeros, entry
 from terraphi.forward.mpm.bed import Soil
-from terraphi.forward.mpm.lattice import LANES, Lattice
+from terraphi.forward.mpm.lattice import CELLS, LANES, Lattice
 
 X, Y, Z, SXX, SYY, SZZ, SXY, SXZ, SYZ, STRAIN, VOLUME = range(11)
 """Fields: offset [cell], stress [Pa], plastic shear strain [-] and volume over that of a particle,
 1 or 0 in an empty lane [-]."""
 FIELDS = 11
 
-_WIDTH = int(LANES)
+_CELLS, _WIDTH = int(CELLS), int(LANES)
 
 
 class Packets(NamedTuple):
@@ -59,8 +59,8 @@ def pack(soil: Soil, lattice: Lattice) -> Packets:
     """
     count = np.bincount(soil.cell, minlength=lattice.nodes)
     # The cells of a row begin at its second node; a block is as deep as its fullest cell.
-    cells = count.reshape(-1, lattice.row)[:, 1 : 1 + lattice.blocks * _WIDTH]
-    depth = cells.reshape(-1, _WIDTH).max(axis=1)
+    cells = count.reshape(-1, lattice.row)[:, 1 : 1 + lattice.blocks * _CELLS]
+    depth = cells.reshape(-1, _CELLS).max(axis=1)
     # Packets of block b are first[b] to first[b + 1] - 1.
     first = np.concatenate([[0], np.cumsum(depth)])
     packets = int(first[-1])
@@ -86,10 +86,10 @@ def _fill(
         k = cell // lattice.layer
         j = (cell - k * lattice.layer) // lattice.row
         i = cell - k * lattice.layer - j * lattice.row - 1
-        block = (k * lattice.count_y + j) * lattice.blocks + i // _WIDTH
+        block = (k * lattice.count_y + j) * lattice.blocks + i // _CELLS
         # The next free packet of the block in this cell's lane.
         unplaced[cell] -= 1
-        packet, lane = made.first[block] + unplaced[cell], i % _WIDTH
+        packet, lane = made.first[block] + unplaced[cell], i % _CELLS
         made.owner[packet * _WIDTH + lane] = p
         at = packet * FIELDS * _WIDTH + lane
         for axis in range(3):
