@@ -151,6 +151,14 @@ def test_files_of_mujoco_and_chrono_let_a_ball_rest_on_the_soil(
     assert 28.0 < given[4] < 34.0
 
 
+@pytest.mark.parametrize(("name", "module"), [("genesis", "genesis"), ("chrono-scm", "pychrono")])
+def test_a_script_without_its_simulator_ends_in_a_sentence(tmp_path, monkeypatch, name, module):
+    monkeypatch.setitem(sys.modules, module, None)
+    export(soil(33.0, density=1600.0), to=name, out=tmp_path / "soil.py")
+    with pytest.raises(SystemExit, match=module):
+        runpy.run_path(str(tmp_path / "soil.py"), run_name="__main__")
+
+
 def test_bekker_is_near_bearing_capacity_and_published_sand() -> None:
     draws = np.random.default_rng(0).normal(30.0, 2.0, 500)
     result = bekker(SUMMARY, draws, 1650.0)

@@ -13,6 +13,7 @@ from terraphi.terrain.simulators import CONES, MATCHES, NAMES
 from terraphi.view.console import present, progress_bar
 
 SIMULATOR = click.Choice(NAMES)
+CONVERTED = click.Choice([name for name in NAMES if name != "mujoco"])  # which has no soil
 dp_type_option = click.option(
     "--dp-type", type=click.Choice([*CONES]),
     help="Cone of geotaichi.  [default: MiddleCircumscribed]",
@@ -53,8 +54,8 @@ def export(answer: str, out: Path | None, as_json: bool, **options: Any) -> None
 
 @click.command()
 @click.argument("value", metavar="VALUE|SOIL")
-@click.option("--from", "from_", type=SIMULATOR, help="Simulator of VALUE; a SOIL has none.")
-@click.option("--to", type=SIMULATOR, help="The simulator whose value is wanted.")
+@click.option("--from", "from_", type=CONVERTED, help="Simulator of VALUE; a SOIL has none.")
+@click.option("--to", type=CONVERTED, help="The simulator whose value is wanted.")
 @dp_type_option
 @json_option
 def convert(value: str, from_: str | None, as_json: bool, **options: Any) -> None:

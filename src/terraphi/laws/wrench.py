@@ -308,13 +308,14 @@ def force(
     >>> bool(up[2] > 0.0)
     True
     """
-    if not isinstance(foot, Foot | Mesh):
+    if not isinstance(foot, (Foot, Mesh)):  # a union would be made at each call
         raise InputError(f"foot of type {type(foot).__name__}; give a Foot or a Mesh")
     checked: Any = _checked(pose, velocity, phi_deg, density, surface_friction, surface, rest_speed,
                             held, step, stiffness)  # fmt: skip
     if checked and (wrenches := _one_by_one(foot, *checked, inertia=inertia)) is not None:
-        shape = (*velocity.shape[:-1], 3)
-        return wrenches[:, :3].reshape(shape), wrenches[:, 3:].reshape(shape)
+        if pose.ndim != 2:
+            wrenches = wrenches.reshape(*pose.shape[:-1], 6)
+        return wrenches[..., :3], wrenches[..., 3:]
     pose = numbers("pose", pose, last=(3, 7), unit="m")
     velocity = numbers("velocity", velocity, pose, last=(3, 6), unit="m/s")
     rest_speed = _number("rest_speed", rest_speed, low=TINY, unit="m/s")
@@ -414,7 +415,8 @@ def _one_by_one(
         return None
     function, rest = _function(foot, friction, inertia)
     # Of one kind: for another, as of arrays that cannot be written, all would be compiled again.
-    place, moving = (a if a.flags.carray else np.array(a, order="C") for a in (place, moving))
+    if not (place.flags.carray and moving.flags.carray):
+        place, moving = np.array(place, order="C"), np.array(moving, order="C")
     if before is None:
         before, stride = NONE, -1.0
     deepest, wrenches = function(place, moving, soil, before, fade, stride, *rest)
@@ -433,32 +435,51 @@ def _checked(
     on four feet. Whether places and velocities are finite is left to the function; what is held,
     which only limits a force there, is checked here.
     """
+    try:
+        soil = _row(phi_deg, density, friction, surface, rest_speed)
+    except TypeError:  # arrays have no hash
+        return None
     arrays: Any = (pose, velocity)
-    plain: Any = (phi_deg, density, friction, surface, rest_speed)
     if held is not None:
-        if type(held) is not tuple or len(held) != 2:
+        if type(held) is not tuple or len(held) != 2 or not _are_plain(step, stiffness):
             return None
-        arrays, plain = (pose, velocity, *held), (*plain, step, stiffness)
+        arrays = (pose, velocity, *held)
     lead = getattr(pose, "shape", ())[:-1]
-    for number in plain:
-        if type(number) not in PLAIN or not abs(number) < HUGE:  # an integer may exceed any float
-            return None
     for array, widths in zip(arrays, WIDTHS, strict=False):
         if type(array) is not np.ndarray or array.dtype != DOUBLE or array.shape[:-1] != lead:
             return None
         if not array.ndim or array.shape[-1] not in widths:
             return None
-    place, moving, *last = [array.reshape(-1, array.shape[-1]) for array in arrays]
-    soil = np.array([[phi_deg, density, surface]], DOUBLE)
-    (low, high), (least, most, _) = angles_deg(friction), LIMITS["soil.density"]
-    if not (low <= phi_deg <= high and least <= density <= most and rest_speed >= TINY):
+    if soil is None:
         return None
+    if len(lead) != 1:
+        arrays = [array.reshape(-1, array.shape[-1]) for array in arrays]
+    place, moving, *last = arrays
     if held is None:
         return place, moving, soil, friction, float(rest_speed), None, 0.0
     before = np.concatenate(last, axis=1)
     if step < 0.0 or stiffness < 0.0 or not np.abs(before).max(initial=0.0) < HUGE:
         return None
     return place, moving, soil, friction, TINY, before, float(step * stiffness)
+
+
+@lru_cache(maxsize=64, typed=True)
+def _row(
+    phi_deg: Any, density: Any, friction: Any, surface: Any, rest_speed: Any
+) -> FloatArray | None:
+    """φ, density and surface, shape [1, 3]; ``None`` unless all are numbers in range."""
+    if not _are_plain(phi_deg, density, friction, surface, rest_speed):
+        return None
+    (low, high), (least, most, _) = angles_deg(friction), LIMITS["soil.density"]
+    if not (low <= phi_deg <= high and least <= density <= most and rest_speed >= TINY):
+        return None
+    return np.array([[phi_deg, density, surface]], DOUBLE)
+
+
+def _are_plain(*values: Any) -> bool:
+    """True of finite numbers of Python or NumPy."""
+    # An integer may exceed any float.
+    return all(type(value) in PLAIN and abs(value) < HUGE for value in values)
 
 
 def _number(name: str, value: Any, low: float = 0.0, unit: str = "") -> Any:

@@ -140,9 +140,9 @@ NUMBER, SWELLING, YIELDING = _rows(3)
 _FIELD = [np.uint64(field) * LANES for field in range(packing.FIELDS)]
 X, Y, Z, SXX, SYY, SZZ, SXY, SXZ, SYZ, STRAIN, VOLUME = _FIELD
 FIELDS = np.uint64(packing.FIELDS) * LANES
-FACES_X, FACES_Y, FACES_Z = (XX, XY, XZ), (XY, YY, YZ), (XZ, YZ, ZZ)
+FACES = (XX, XY, XZ), (XY, YY, YZ), (XZ, YZ, ZZ)
 """Stresses on the faces across x, y and z that act along x, along y and along z."""
-ARMS_X, ARMS_Y, ARMS_Z = (R_XX, R_XY, R_XZ), (R_XY, R_YY, R_YZ), (R_XZ, R_YZ, R_ZZ)
+ARMS = (R_XX, R_XY, R_XZ), (R_XY, R_YY, R_YZ), (R_XZ, R_YZ, R_ZZ)
 """Sums of these stresses times the offset."""
 
 _F = np.float32
@@ -289,13 +289,9 @@ def strain_block(
             sum_packet(packets.state, work, packet, vectors)
     # Sums to forces, the same way back, one component after the other.
     add_mean_moments(work, vectors)
-    to = at + NODE_ROWS
-    scatter_along(work, FACES_X, ARMS_X, area, vectors)
-    scatter_across(work, to, vectors)
-    scatter_along(work, FACES_Y, ARMS_Y, area, vectors)
-    scatter_across(work, to + THREE_ROWS, vectors)
-    scatter_along(work, FACES_Z, ARMS_Z, area, vectors)
-    scatter_across(work, to + THREE_ROWS + THREE_ROWS, vectors)
+    for component in range(THREE):
+        scatter_along(work, FACES[component], ARMS[component], area, vectors)
+        scatter_across(work, at + NODE_ROWS + component * THREE_ROWS, vectors)
 
 
 @kernel
@@ -343,6 +339,14 @@ def spread(w: Any, d: Any, h: Any) -> tuple[Any, Any, Any]:
 
 
 @kernel
+def add_three(numbers: Any, at: Index, step: Index, three: tuple[Any, Any, Any]) -> None:
+    """Add to three numbers ``step`` apart."""
+    numbers[at] += three[0]
+    numbers[at + step] += three[1]
+    numbers[at + step + step] += three[2]
+
+
+@kernel
 def load(work: Work, velocity: Nodes, to: Index, at: Index, layer: Index, vectors: Index) -> None:
     """Sums over z of the velocities of a row of nodes, at every x that a block reaches."""
     wide_vectors()
@@ -360,10 +364,8 @@ def unload(work: Work, force: Nodes, at: Index, to: Index, layer: Index, vectors
     for component in range(THREE):
         total, f = force[component], at + component * THREE_ROWS
         for i in range(vectors * SIXTEEN):
-            a, b, c = spread(work[f + i], work[f + ROW + i], work[f + ROW + ROW + i])
-            total[to + i] += a
-            total[to + layer + i] += b
-            total[to + layer + layer + i] += c
+            up = spread(work[f + i], work[f + ROW + i], work[f + ROW + ROW + i])
+            add_three(total, to + i, layer, up)
         for i in range(vectors * SIXTEEN):
             work[f + i] = work[f + ROW + i] = work[f + ROW + ROW + i] = ZERO
 
@@ -429,9 +431,8 @@ def add_mean_moments(work: Work, vectors: Index) -> None:
         # A cell has one volumetric strain, so its mean stress p acts as one: Σ p r = p Σ r.
         mean = THIRD * (work[SUM + XX + i] + work[SUM + YY + i] + work[SUM + ZZ + i])
         x, y, z = work[MIDDLE + X_ROW + i], work[MIDDLE + Y_ROW + i], work[MIDDLE + Z_ROW + i]
-        add_moments(work, SUM + R_XX + i, mean, x, y, z)
-        add_moments(work, SUM + R_YY + i, mean, x, y, z)
-        add_moments(work, SUM + R_ZZ + i, mean, x, y, z)
+        for arm in (R_XX, R_YY, R_ZZ):
+            add_three(work, SUM + arm + i, ROW, (mean * x, mean * y, mean * z))
 
 
 @kernel
@@ -534,12 +535,10 @@ def sum_packet(state: Work, work: Work, packet: Index, vectors: Index) -> None:
         # cell in add_mean_moments.
         mean = THIRD * (xx + yy + zz)
         x, y, z = state[at + X], state[at + Y], state[at + Z]
-        add_moments(work, to + R_XX, xx - mean, x, y, z)
-        add_moments(work, to + R_YY, yy - mean, x, y, z)
-        add_moments(work, to + R_ZZ, zz - mean, x, y, z)
-        add_moments(work, to + R_XY, xy, x, y, z)
-        add_moments(work, to + R_XZ, xz, x, y, z)
-        add_moments(work, to + R_YZ, yz, x, y, z)
+        stresses = (xx - mean, yy - mean, zz - mean, xy, xz, yz)
+        for n in range(6):
+            part = stresses[n]
+            add_three(work, to + R_XX + np.uint64(3 * n) * ROW, ROW, (part * x, part * y, part * z))
 
 
 @kernel
@@ -577,14 +576,6 @@ def share(work: Work, vectors: Index, laws: Material) -> None:
         slope = work[SWELL + YIELDING + i]
         slope = slope if number > ZERO else UNIT
         work[SHARE + i] -= (number * work[SHARE + i] + laws.bulk_modulus * swelling) / slope
-
-
-@kernel
-def add_moments(work: Work, to: Index, stress: Any, x: Any, y: Any, z: Any) -> None:
-    """Add a stress times the offset to three rows."""
-    work[to + X_ROW] += stress * x
-    work[to + Y_ROW] += stress * y
-    work[to + Z_ROW] += stress * z
 
 
 @kernel
@@ -629,17 +620,9 @@ def scatter_along(
 def scatter_across(work: Work, to: Index, vectors: Index) -> None:
     """Spread forces over y, to three rows of nodes of the slab; the transpose of gather_across."""
     wide_vectors()
-    before, after = to - NEXT, to + NEXT
     for i in range(vectors * SIXTEEN):
-        a, b, c = spread(work[BACK + WW + i], work[BACK + DW + i], work[BACK + HW + i])
-        work[before + i] += a
-        work[to + i] += b
-        work[after + i] += c
-        a, b, c = spread(work[BACK + WD + i], work[BACK + DD + i], ZERO)
-        work[before + ROW + i] += a
-        work[to + ROW + i] += b
-        work[after + ROW + i] += c
-        a, b, c = spread(work[BACK + WH + i], ZERO, ZERO)
-        work[before + ROW + ROW + i] += a
-        work[to + ROW + ROW + i] += b
-        work[after + ROW + ROW + i] += c
+        across = spread(work[BACK + WW + i], work[BACK + DW + i], work[BACK + HW + i])
+        add_three(work, to - NEXT + i, NEXT, across)
+        across = spread(work[BACK + WD + i], work[BACK + DD + i], ZERO)
+        add_three(work, to - NEXT + ROW + i, NEXT, across)
+        add_three(work, to - NEXT + ROW + ROW + i, NEXT, spread(work[BACK + WH + i], ZERO, ZERO))
