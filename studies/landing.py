@@ -105,7 +105,7 @@ def touched(hits: Sequence[Hit], *, inertia: bool = True) -> touchdowns.Touchdow
         acceleration=acceleration * inertia,
         force=np.array([DENSITY / hit.density * hit.force for hit in hits]),
         per_error=np.zeros((*depth.shape, 6)),
-        rise=np.zeros((*depth.shape, 2)), heading=np.zeros(count),
+        rise=np.zeros((*depth.shape, 2)), moved=np.ones(count), heading=np.zeros(count),
         used=np.ones(depth.shape, dtype=bool),
         torn=np.zeros(count, dtype=bool), saturated=np.zeros(count, dtype=bool),
         faulty=np.zeros(count, dtype=bool),

@@ -106,6 +106,8 @@ class Biped:
     pitch: float = 0.0
     """Of the sole when it lands [rad]."""
     steps: bool = True
+    rock: float = 0.0
+    """Of standing soles from heel to toe [rad], while legs shift the weight from side to side."""
     seed: int = 0
     gain_sd: float = 0.05
     noise: float = 0.1
@@ -161,7 +163,13 @@ class Biped:
             other = 1 - foot
             if state in ("swing", "stand"):
                 target[other, 2] += 1e-3 * np.clip(-self.height - target[other, 2], -0.03, 0.03)
-            wanted = [self._angles(t, self._tilt(i, foot, state)) for i, t in enumerate(target)]
+            if self.rock:
+                target[:, 2] = -self.height + np.array([0.02, -0.02]) * math.sin(
+                    1.5 * math.pi * time
+                )
+            wanted = [
+                self._angles(t, self._tilt(i, foot, state, time)) for i, t in enumerate(target)
+            ]
             data.ctrl[:] = np.ravel(wanted)
             # The gantry.
             turn = data.xmat[1].reshape(3, 3)
@@ -209,8 +217,9 @@ class Biped:
         seen = columns[2] + rng.normal(0.0, 0.005, columns[2].shape)
         return JointLog(columns[0], columns[1], seen, noisy, *columns[4:7])
 
-    def _tilt(self, side: int, foot: int, state: str) -> float:
-        return self.pitch if side == foot and state in ("swing", "press") else 0.0
+    def _tilt(self, side: int, foot: int, state: str, time: float) -> float:
+        landing = self.pitch if side == foot and state in ("swing", "press") else 0.0
+        return landing + self.rock * math.sin(math.pi * time)
 
     def _angles(self, target: np.ndarray, tilt: float = 0.0) -> np.ndarray:
         """Angles of the chain for the middle of a sole against the hip [m], the sole level."""

@@ -21,7 +21,9 @@ from terraphi.robot.touchdowns import sensitivity
 
 GO2 = Robot.load("go2")
 _WALKER = runpy.run_path(str(Path(__file__).with_name("walker.py")))
-LawWalk, PHASES, DUTY = (_WALKER[name] for name in ("LawWalk", "PHASES", "DUTY"))
+LawWalk, PHASES, DUTY, hexapod = (
+    _WALKER[name] for name in ("LawWalk", "PHASES", "DUTY", "hexapod")
+)
 CALF = 2
 GAINS = {("FL", CALF): 0.1, ("RR", CALF): -0.08}
 """Errors of torque gains in the worn log [-]."""
@@ -147,6 +149,16 @@ def test_a_slope_that_weakens_the_soil_is_taken_off(slope_deg: float, bears: flo
     assert result.usable.all()
     assert result.phi.mean() == pytest.approx(true.phi.mean(), abs=2.5 * effect["worth_deg"])
     assert np.log(bears) == pytest.approx(effect["mean"], abs=2.5 * effect["sd"])
+
+
+def test_a_hexapod_reads_the_soil_of_a_quadruped(tmp_path: Path) -> None:
+    """Six of the Go2's legs, eighteen joints; five feet bear a fifth of the weight each."""
+    robot = hexapod(tmp_path)
+    walk = LawWalk(duration=8.0, robot=robot, gait="five", period=1.6)
+    answer = footfalls(walk.log()[0], robot=robot, density="1550±80")
+    assert answer.usable.all()
+    assert set(answer.foot) == {"R1", "L1", "R2", "L2", "R3", "L3"}
+    assert answer.phi == pytest.approx(walk.phi(answer.place), abs=0.5)
 
 
 def test_level_ground_is_not_called_inclined(clean: tuple[Truth, FootfallMap]) -> None:

@@ -53,10 +53,11 @@ TRODDEN, PRINT = "not virgin ground", "print of a fore foot"
 TORN, SATURATED, EDGE = "timing unreliable", "saturated", "at a prior's edge"
 FAULTY = "log contradicts the robot"
 ELASTIC, CRUST, HARD = "ground springs back", "a crust broke", "hard ground below"
+TILTED = "sole tilted"
 NO_ANGLE = "no friction angle"
 VERDICTS = (
-    USABLE, SHALLOW, ELASTIC, NO_ANGLE, CRUST, HARD, PRINT, TRODDEN, MISFIT, TORN, SATURATED, EDGE,
-    FAULTY,
+    USABLE, SHALLOW, ELASTIC, NO_ANGLE, CRUST, HARD, TILTED, PRINT, TRODDEN, MISFIT, TORN,
+    SATURATED, EDGE, FAULTY,
 )  # fmt: skip
 """Verdicts of footfalls."""
 
@@ -854,6 +855,8 @@ def verdicts(
     if typical is None:
         typical = Typical.of(traits(touchdowns, fits))
     trodden, printed = trodden_before(touchdowns, NEAR_RADII, prior)
+    # Of a sole that stays above the surface with an end the law is less sure.
+    risen = np.where(touchdowns.used, np.abs(touchdowns.rise).sum(axis=2), 0.0).max(axis=1)
     springs = (touchdowns.returned > MOST_RETURNED) | (typical.returned > WALK_RETURNED)
     # The order is that of causes: sensors and timing, ground that is no virgin soil, then the fit,
     # which each of the causes before it can spoil.
@@ -865,8 +868,9 @@ def verdicts(
         (ELASTIC, springs),
         (CRUST, touchdowns.broken > MOST_BROKEN),
         (HARD, (fits.borne > MOST_BORNE) & (touchdowns.deepest >= typical.deep)),
+        (TILTED, risen > np.where(touchdowns.used, touchdowns.drop, 0.0).max(axis=1)),
         (PRINT, printed),
-        (TRODDEN, trodden),
+        (TRODDEN, trodden | (touchdowns.moved < NEAR_RADII * prior.radius)),
         (EDGE, np.isin(fits.phi, PHI_RANGE)),
         (MISFIT, fits.misfit > typical.misfit),
     )

@@ -133,6 +133,9 @@ class Touchdowns(NamedTuple):
         [touchdown, sample, 2]; zero of a ball.
     used
         True where the sample exists and the foot is going down.
+    moved
+        Level distance from where the foot bore load last [m], shape [touchdown]; infinite if it had
+        borne none.
     heading
         Direction of the sole's length from x [rad], shape [touchdown]; zero of a ball.
     torn
@@ -164,6 +167,7 @@ class Touchdowns(NamedTuple):
     per_error: FloatArray
     rise: FloatArray
     used: BoolArray
+    moved: FloatArray
     heading: FloatArray
     torn: BoolArray
     saturated: BoolArray

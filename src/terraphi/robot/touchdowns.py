@@ -68,6 +68,8 @@ GOES_ON = 0.25
 rest, a slow loading counts again (``tests/robot/test_touchdowns.py``)."""
 LOADED = 0.7
 """Part of the largest force of a stance at which its loading ends and its unloading begins [-]."""
+BORE_PART = 0.25
+"""Part of the largest force of a stance [-] that a foot bears which stands; chosen."""
 BREAK_M, BREAK_SPEED, BREAK_STEEP, BREAK_PART = 0.002, 0.15, 0.87, 0.15
 """A crust breaks where a foot goes deeper by so much [m], at so much [m/s], steeper than 60° [-]
 and under less force than before, which was so much of the stance's largest [-]: slower feet creep,
@@ -257,6 +259,11 @@ def _touchdown(
         bears = np.append(lift[aloft[-1] : start] >= TOUCH_N, True)
         start = int(aloft[-1] + np.argmax(bears))
     begin = float(time[start])
+    # Where the foot stood before, also for longer than a stance lasts, it stands in its own print.
+    loaded = lift[:start][::-1] > BORE_PART * lift[start : np.searchsorted(time, stance.end)].max()
+    moved = math.inf
+    if loaded.any():
+        moved = float(np.hypot(*(place[start] - place[start - 1 - int(loaded.argmax())])[:2]))
     first = max(int(np.searchsorted(time, begin - SMOOTH_S)), half)
     last = int(np.searchsorted(time, min(begin + WINDOW_S, stance.end)))
     end = max(int(np.searchsorted(time, stance.end)), start) + 1
@@ -295,6 +302,7 @@ def _touchdown(
         "force": force[chosen],
         "per_error": sensitivity(log, forces, (rows[chosen], foot)),
         "rise": 0.5 * sides * sole[rows[chosen], :, 2],
+        "moved": moved,
         "heading": math.atan2(*sole[start, 0, 1::-1]) if sides.any() else 0.0,
         "used": good[chosen] & (np.arange(POINTS) < count) & (not short),
         "torn": short or 2.0 * FEWEST * step > WINDOW_S or bool(late.any()),

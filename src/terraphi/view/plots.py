@@ -65,7 +65,10 @@ def path_table(path: Mapping[str, Any]) -> Table:
 
 def feet_table(summary: Mapping[str, Any], title: str) -> Table:
     """Stances of each foot and of all, with the duration and signed peaks of the mean one."""
-    feet = {f"{name} ({foot})": summary["feet"][foot] for foot, name in FOOT_NAMES.items()}
+    feet = {
+        f"{FOOT_NAMES[foot]} ({foot})" if foot in FOOT_NAMES else foot: mean
+        for foot, mean in summary["feet"].items()
+    }
     digits = {"mean_duration_s": ".3f", "mean_peak_Fz_N": ".1f", "mean_peak_Fx_N": ".1f"}
     rows = []
     for name, stance in {**feet, "all feet": summary["pooled"]}.items():
@@ -86,14 +89,16 @@ def stance_figure(file: NetcdfFile[Any]) -> Figure:
     pooled, spreads = (
         file.numbers(f"pooled_{name}", "part", 3, finite=False) for name in ("mean", "spread")
     )
-    each = file.numbers("stance_mean", 4, "part", 3, finite=False)
+    feet = file.texts("foot", "foot")
+    each = file.numbers("stance_mean", len(feet), "part", 3, finite=False)
     for axes, (name, (column, label)) in zip(panels, SHOWN.items(), strict=True):
         if count:
             mean, spread = pooled[:, column], spreads[:, column]
             band = {"color": GREY, "alpha": 0.3, "lw": 0, "label": "± one standard deviation"}
             axes.fill_between(part, mean - spread, mean + spread, **band)
             axes.plot(part, mean, color="black", lw=2, label=f"all, {count} stances")
-        for (foot, (colour, style)), course in zip(LOOKS.items(), each, strict=True):
+        for i, (foot, course) in enumerate(zip(feet, each, strict=True)):
+            colour, style = LOOKS.get(foot, (f"C{i}", "-"))
             if number := summary["feet"][foot]["stances"]:
                 look = {"color": colour, "lw": 1.0, "label": f"{foot}, {number} stances"}
                 axes.plot(part, course[:, column], style, **look)
