@@ -5,6 +5,7 @@ from __future__ import annotations
 import runpy
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -180,6 +181,24 @@ def test_soles_that_land_on_an_edge_are_refused(biped: Robot) -> None:
 def test_a_log_of_another_robot_is_refused(walked: JointLog, biped: Robot) -> None:
     with pytest.raises(InputError, match="2 legs of 6 joints, 'Unitree Go2' has 4 of 3"):
         foot_forces(walked)
+
+
+def test_messages_of_a_biped_of_twelve_motors(walked: JointLog, biped: Robot) -> None:
+    log = cut(walked, slice(3))
+    messages = [
+        SimpleNamespace(
+            tick=k, motor_state=[SimpleNamespace(q=q, dq=v, tau_est=t) for q, v, t in joints],
+            imu_state=SimpleNamespace(quaternion=[1, 0, 0, 0], gyroscope=[0] * 3,
+                                      accelerometer=[0, 0, 9.81]),
+            foot_force=[0] * 4,
+        )
+        for k, joints in enumerate(
+            np.stack([log.angle, log.velocity, log.torque], axis=-1).reshape(3, 12, 3)
+        )
+    ]  # fmt: skip
+    read = JointLog.from_messages(messages, robot=biped)
+    np.testing.assert_allclose(read.torque, log.torque, rtol=1e-5)
+    assert read.foot_counts is None
 
 
 def test_a_table_of_a_biped(walked: JointLog, biped: Robot, tmp_path: Path) -> None:

@@ -935,10 +935,8 @@ def trodden_before(
     near = cKDTree(place).query_pairs(reach, output_type="ndarray")
     first, second = near.min(axis=1), near.max(axis=1)
     if prior.sole:
-        x, y = (place[second] - place[first]).T
-        cos, sin = np.cos(touchdowns.heading[first]), np.sin(touchdowns.heading[first])
-        along, across = np.abs([cos * x + sin * y, cos * y - sin * x]) / (radii * sides[:, None])
-        inside = np.maximum(along, across) < 1.0
+        away = (place[second] - place[first]) @ [1.0, 1j] * np.exp(-1j * touchdowns.heading[first])
+        inside = (np.abs([away.real, away.imag]) < radii * sides[:, None]).all(axis=0)
         first, second = first[inside], second[inside]
     trodden[second] = True
     printed[second[touchdowns.foot[first] // 2 < touchdowns.foot[second] // 2]] = True

@@ -475,8 +475,8 @@ def _legs(log: JointLog, robot: Robot) -> list[Finding]:
         return []
 
     # All orders are tried, for what each leg logs was computed at each foot's place before.
-    as_logged, mirror = tuple(feet.tolist()), _mirror(robot)
-    orders = list(itertools.permutations(as_logged))
+    orders = list(itertools.permutations(as_logged := tuple(feet.tolist())))
+    mirror = mirrored if (mirrored := _mirror(robot)) in orders else as_logged
     slides = np.array([_sliding(speeds[:, feet, order], load[:, feet, order]) for order in orders])
     rolls, pitches = (_unbalanced(moments[..., axis], orders) for axis in range(2))
     # Where no order balances the moments, something else turns the robot: sliding alone counts.
@@ -507,8 +507,7 @@ def _mirror(robot: Robot) -> tuple[int, ...]:
     """Order of the legs of a robot that is seen in a mirror, left for right."""
     last = robot.links.anchor[-2].T
     away = np.linalg.norm(last[:, None] - last * [1.0, -1.0, 1.0], axis=-1)
-    mirror, feet = tuple(away.argmin(axis=1).tolist()), tuple(range(len(last)))
-    return mirror if sorted(mirror) == [*feet] else feet
+    return tuple(away.argmin(axis=1).tolist())
 
 
 def _sliding(speed: FloatArray, share: FloatArray) -> float:

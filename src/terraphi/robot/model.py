@@ -353,10 +353,9 @@ def _prepare_urdf(root: ET.Element) -> None:
             root.remove(element)
     for link in root.iter("link"):
         for element in list(link):
-            solid = element.tag == "collision" and any(
-                element.find(f"geometry/{shape}") is not None for shape in ("sphere", "box")
-            )
-            if element.tag != "inertial" and not solid:
+            shapes = {shape.tag for shape in element.findall("geometry/*")}
+            is_solid = element.tag == "collision" and shapes & {"sphere", "box"}
+            if element.tag != "inertial" and not is_solid:
                 link.remove(element)
         inertial, inertia = link.find("inertial"), link.find("inertial/inertia")
         mass = link.find("inertial/mass")
@@ -515,9 +514,9 @@ def _ordered(
     legs = tuple(tuple(model.joint(i).name for i in limbs[k]) for k in order)
     hang = ", ".join(f"{given[k]} from {leg[0]}" for k, leg in zip(order, legs, strict=True))
     notes = [f"legs: {hang}"]
-    sides = [re.search(r"(?<![a-z])(r|l|right|left)(?![a-z])", leg[0].lower()) for leg in legs]
+    words = [re.search(r"(?<![a-z])(r|l|right|left)(?![a-z])", leg[0].lower()) for leg in legs]
     if not names and any(
-        s and s[0][0] != given[k][0].lower() for k, s in zip(order, sides, strict=True)
+        w and w[0][0] != given[k][0].lower() for k, w in zip(order, words, strict=True)
     ):
         notes.append("names and places of the legs disagree; x is to point forwards, y to the left")
     if (rest := hinges - sum(map(len, limbs))) > 0:

@@ -65,10 +65,8 @@ def path_table(path: Mapping[str, Any]) -> Table:
 
 def feet_table(summary: Mapping[str, Any], title: str) -> Table:
     """Stances of each foot and of all, with the duration and signed peaks of the mean one."""
-    feet = {
-        f"{FOOT_NAMES[foot]} ({foot})" if foot in FOOT_NAMES else foot: mean
-        for foot, mean in summary["feet"].items()
-    }
+    names = {foot: f"{name} ({foot})" for foot, name in FOOT_NAMES.items()}
+    feet = {names.get(foot, foot): mean for foot, mean in summary["feet"].items()}
     digits = {"mean_duration_s": ".3f", "mean_peak_Fz_N": ".1f", "mean_peak_Fx_N": ".1f"}
     rows = []
     for name, stance in {**feet, "all feet": summary["pooled"]}.items():

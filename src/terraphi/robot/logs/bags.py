@@ -122,7 +122,7 @@ def read_bag(
                     add_imu(values, readings, topics, facts["notes"])
             else:
                 facts["motors"] = list(motors)
-                values = low_states(decoded(raw(name), LOW_STATE, dropped), motors)
+                values = low_states(decoded(raw(name), LOW_STATE, dropped), motors, legs)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     except Exception as error:  # of rosbags, databases, decompressors; MemoryError by a length

@@ -40,23 +40,26 @@ WAIT_NS, MOST_FOREIGN = 10**9, 100
 which a stream without others is refused; chosen."""
 
 
-def low_states(messages: Received, motors: Sequence[str]) -> dict[str, Any]:
+def low_states(messages: Received, motors: Sequence[str], legs: Names = LEGS) -> dict[str, Any]:
     """Columns of a JointLog from LowState messages, ``stamp`` (the tick) and ``recorded`` [ns].
 
-    ``motors`` are the joints that the first twelve motors move.
+    ``motors`` are the joints that the first twelve motors move, ``legs`` those of each leg. The
+    sensors of four feet are left out of other robots.
     """
     stamps, rows = [], []
     for recorded, state in messages:
         stamps.append((state.tick, recorded))
-        imu, legs = state.imu_state, state.motor_state[:MOTORS]
-        numbers = [number for m in legs for number in (m.q, m.dq, m.tau_est)]
+        imu, states = state.imu_state, state.motor_state[:MOTORS]
+        numbers = [number for m in states for number in (m.q, m.dq, m.tau_est)]
         numbers += [*imu.quaternion, *imu.gyroscope, *imu.accelerometer, *state.foot_force]
         rows.append(np.array(numbers, dtype=np.float32))
     table = np.array(rows, dtype=np.float64).reshape(-1, 3 * MOTORS + 14)
-    order = [list(motors).index(name) for name in JOINT_NAMES]
-    joints = table[:, : 3 * MOTORS].reshape(-1, MOTORS, 3)[:, order].reshape(-1, 4, 3, 3)
+    order = [list(motors).index(name) for leg in legs for name in leg]
+    joints = table[:, : 3 * MOTORS].reshape(-1, MOTORS, 3)[:, order]
+    joints = joints.reshape(-1, *np.shape(legs), 3)
     columns = [*np.moveaxis(joints, -1, 0), *np.split(table[:, 3 * MOTORS :], [4, 7, 10], axis=1)]
-    return dict(zip(SHAPES, columns, strict=True)) | _times(stamps)
+    values = dict(zip(SHAPES, columns, strict=True)) | _times(stamps)
+    return {n: v for n, v in values.items() if n != "foot_counts" or len(legs) == len(LEGS)}
 
 
 def _times(stamps: list[tuple[int, int]]) -> dict[str, Any]:
@@ -284,8 +287,9 @@ class Messages:
         if complete and len(motors) != MOTORS:
             raise InputError(f"a LowState has {MOTORS} motors, and the robot {len(motors)}")
         if complete:
-            values = low_states(complete, motors)
-            return JointLog(1e-3 * values["stamp"], **{name: values[name] for name in SHAPES})
+            values = low_states(complete, motors, self._robot.legs)
+            columns = {name: values[name] for name in SHAPES if name in values}
+            return JointLog(1e-3 * values["stamp"], **columns)
         return self._with_imu(motors)
 
     @property
