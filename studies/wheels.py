@@ -78,7 +78,7 @@ lugs of 6 mm in soils A, B and C have errors of {lugs} (slips of 0.2 and 0.5, tw
 errors of {bias:+.1f}° on average and {rms:.1f}° (root mean square), stated ± {stated:.1f}° \
 ({inside:.0f} % within 95 %). Pull \
 or torque alone show the friction of the rim: the answer is the prior, 18 to 50°."""
-MEANS = ("slip", "soil A, 20°", "soil B, 26°", "soil C, 31°", "clumps, 30 and 32°", "stated ±")
+MEANS = ("slip", "soil A, 20°", "soil B, 26°", "soil C, 32°", "clumps, 30 and 32°", "stated ±")
 PICTURE = (
     "Left: error of the friction angle over the slip for wheels in simulated soils; middle and "
     "right: sinkage, pull and torque over slip of a published wheel, measured and by the law"

@@ -18,7 +18,7 @@ from terraphi.laws.foot import LAWS, Foot
 from terraphi.laws.wheel import Wheel, rolling
 
 GRAINS = Path(__file__).parents[2] / "studies" / "data" / "grains"
-CRITICAL_DEG = {"A": 19.8, "B": 25.9, "C": 31.3}
+CRITICAL_DEG = {"A": 20.0, "B": 26.4, "C": 31.9}
 TOOL, WHEEL = "wheel:300x150", Wheel(0.15, 0.15)
 
 

@@ -108,7 +108,7 @@ class WheelError(NamedTuple):
         return np.where(slip > 0.0, self.driven_sd_deg, -self.braked_sd_deg) * slip
 
 
-WHEEL_ERROR = WheelError(1.5, 1.3, 4.0, 3.8, 7.0, 1.4, 1.5)
+WHEEL_ERROR = WheelError(1.1, 1.3, 4.0, 3.8, 7.0, 1.4, 1.5)
 """Offset and braking are learned from wheels in loose grains, half a grain added to the sinkage
 (``studies/wheels.py`` prints them), the error without slip from wheels by the material point method
 (``studies/wheel_slip.py``). Braked wheels push a mound, and read more. Soils differ as for feet.
