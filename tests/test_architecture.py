@@ -8,6 +8,7 @@ import ast
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
 
 import pytest
@@ -24,10 +25,16 @@ LONGEST = 70
 HEAVY = {"distributed", "emcee", "h5py", "matplotlib", "numba", "pandas", "scipy", "xarray"}
 
 
-def imported(tree: ast.AST) -> set[str]:
+@lru_cache
+def nodes_of(path: Path) -> list[ast.AST]:
+    """Nodes of the syntax of a module."""
+    return [*ast.walk(ast.parse(path.read_text(encoding="utf-8")))]
+
+
+def imported(nodes: list[ast.AST]) -> set[str]:
     """Folders that a module imports from, wherever the import stands; "" is `terraphi` itself."""
     names: set[str] = set()
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
@@ -46,8 +53,7 @@ def test_folder_imports_only_from_those_above() -> None:
         for place, folder in enumerate(FOLDERS)
         for path in sorted((SOURCE / folder).rglob("*.py"))
         if path.name != "__main__.py"
-        and (folders := imported(ast.parse(path.read_text(encoding="utf-8"))) - {*FOLDERS[:place]})
-        - {folder}
+        and (folders := imported(nodes_of(path)) - {*FOLDERS[:place]}) - {folder}
     }
     assert not wrong
 
@@ -66,9 +72,9 @@ def test_import_stays_light(module: str, heavy: set[str]) -> None:
     assert done.stdout.split() == []
 
 
-def names_given(tree: ast.AST) -> Iterator[str]:
+def names_given(nodes: list[ast.AST]) -> Iterator[str]:
     """Names of the variables and arguments of a module."""
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
             yield node.id
         elif isinstance(node, ast.arg):
@@ -87,7 +93,7 @@ def test_no_pronoun_is_the_name_of_a_value() -> None:
     wrong = {
         f"{file.relative_to(SOURCE).as_posix()}: {name}"
         for file in SOURCE.rglob("*.py")
-        for name in names_given(ast.parse(file.read_text(encoding="utf-8")))
+        for name in names_given(nodes_of(file))
         if name.strip("_") in PRONOUNS
     }
     assert not wrong
@@ -96,10 +102,10 @@ def test_no_pronoun_is_the_name_of_a_value() -> None:
 def test_functions_fit_a_screen() -> None:
     long: dict[str, int] = {}
     for file in SOURCE.rglob("*.py"):
-        text = file.read_text(encoding="utf-8")
-        for node in ast.walk(ast.parse(text)):
+        text = file.read_text(encoding="utf-8").splitlines()
+        for node in nodes_of(file):
             if isinstance(node, ast.FunctionDef):
-                lines = lines_of_code(node, text.splitlines())
+                lines = lines_of_code(node, text)
                 if lines > LONGEST:
                     long[f"{file.relative_to(SOURCE).as_posix()}: {node.name}"] = lines
     assert not long
