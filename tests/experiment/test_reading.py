@@ -421,7 +421,7 @@ def test_a_unit_that_contradicts_the_header_is_one_sentence() -> None:
 
 def test_the_table_of_a_wheel_is_named_as_such() -> None:
     table = frame(names="slip load sinkage")
-    with pytest.raises(InputError, match="--tool wheel:DIAMETERxWIDTH reads") as caught:
+    with pytest.raises(InputError, match="--tool wheel:DIAMETERxWIDTH") as caught:
         read_forces(table)
     assert "--columns" not in str(caught.value)
 

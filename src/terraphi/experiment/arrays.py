@@ -109,9 +109,7 @@ def numbers(
     try:
         return xp.broadcast_to(array, shape)
     except (ValueError, RuntimeError) as error:
-        raise InputError(
-            f"{name} of shape {tuple(array.shape)}: expected {shape}, or one for all of an axis"
-        ) from error
+        raise InputError(f"{name} of shape {tuple(array.shape)}: expected {shape}") from error
 
 
 def _inside(xp: Any, array: Any, low: float, high: float) -> bool:

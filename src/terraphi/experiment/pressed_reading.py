@@ -65,11 +65,8 @@ def read_pressed(source: Any, area: float, columns: Any = None) -> Pressed:
     chosen = reader.find(PRESSED, lambda role: role in either and bool(either & {*reader.names}))
     if not reader.wrong and not ("sinkage" in reader.names and len(reader.names) > 1):
         lacking = "force or pressure" if "sinkage" in reader.names else "sinkage"
-        reader.wrong.append(
-            f"no column of {lacking} among {reader.header}; add --columns "
-            f"'{lacking.partition(' ')[0]}=NAME', or name the columns such as sinkage_mm and "
-            "force_N or pressure_kPa"
-        )
+        role = lacking.partition(" ")[0]
+        reader.wrong.append(f"no {lacking} among {reader.header}; add --columns '{role}=NAME'")
     reader.settle(chosen, {"sinkage": "mm", "force": "N", "pressure": "kPa"})
     reader.refuse_wrong()
     role = "force" if "force" in reader.names else "pressure"

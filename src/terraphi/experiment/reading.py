@@ -272,10 +272,7 @@ def read_trials(
         values = reader.tared(theta, values)
     strokes = reader.strokes(theta, reader.forces(values))
     if is_single and len(strokes) > 1:
-        reader.refuse(
-            f"{len(strokes)} strokes; give the table to invert, which takes them as trials, or cut "
-            "it into files of one stroke"
-        )
+        reader.refuse(f"{len(strokes)} strokes; give it to invert, or cut it into files of one")
     unit = reader.unit(f"f{reader.axes[-1]}")[0] if reader.axes else "N"
     file = "standard input" if name == "-" else Path(name).name
     # Options that numbers were changed by, and degrees for a unit of the angle or of the time.
@@ -293,9 +290,8 @@ def read_trials(
     for i, which in enumerate(strokes):
         position, rows = _increasing(theta[which], values[which])
         if i == 0 and len(position) < len(which):
-            reader.notes.append(
-                f"Rows are averaged in bins of {BIN_DEG:g}°: {len(which)} become {len(position)}."
-            )
+            averaged = f"{len(which)} rows become {len(position)}"
+            reader.notes.append(f"Averaged in bins of {BIN_DEG:g}°: {averaged}.")
         moment = rows[:, -1].copy() if "M" in reader.channels else None
         if moment is not None and np.trapezoid(moment, position) > 0.0:
             moment = -moment  # soil resists the leg, so that this is the motor's
@@ -303,9 +299,8 @@ def read_trials(
         about["reading"] = reader.notes if i == 0 else []
         provenance = ours | {key: value for key, value in about.items() if value}
         force = rows[:, : len(reader.axes)].copy()
-        histories.append(
-            ForceHistory(np.radians(position), force, "theta", reader.axes, provenance, moment)
-        )
+        forces = np.radians(position), force, "theta", reader.axes, provenance, moment
+        histories.append(ForceHistory(*forces))
     reader.refuse_other_zero(histories[0])
     return histories
 
@@ -418,18 +413,14 @@ class ColumnReader(Generic[Given]):
         words = self.table.words.get(column, [])
         if words:
             (place, cell), more = words[0], f" and {len(words) - 1} more" if len(words) > 1 else ""
-            self.wrong.append(
-                f"{place}: {column[:40]} = {cell[:30]!r}{more} is not a number; leave the cell "
-                "blank or remove the row"
-            )
+            wrong = f"{place}: {column[:40]} = {cell[:30]!r}{more} is not a number"
+            self.wrong.append(f"{wrong}; leave the cell blank or remove the row")
         if math.isnan(self.unit(role)[1]):
             key = UNIT_KEYS.get(kind)
             remedy = f"add --columns {key}=UNIT" if key else "rename it"
             scale = ", or theta_scale=DEGREES for one of them" if kind == "angle" else ""
-            self.wrong.append(
-                f"column '{column[:40]}': '{self.written(column)}' is no known unit of {kind}; "
-                f"{remedy}, one of {', '.join(KINDS[kind])}{scale}"
-            )
+            unknown = f"column '{column[:40]}': '{self.written(column)}' is no known unit of {kind}"
+            self.wrong.append(f"{unknown}; {remedy}, one of {', '.join(KINDS[kind])}{scale}")
 
     def find(self, roles: Iterable[str], is_taken: Callable[[str], bool]) -> set[str]:
         """Take the columns that are given, and guess the others unless they are not needed.
@@ -461,16 +452,12 @@ class ColumnReader(Generic[Given]):
                 sentence = f"in {written} by the header and in {given} by {key}={given}"
                 contradicted.setdefault(sentence, []).append(f"'{name[:40]}'")
             if role in units and not (self.written(name) or given):
-                self.wrong.append(
-                    f"column '{name[:40]}' has no unit; add --columns {key}={units[role]}, or "
-                    f"name it such as {role}_{units[role]}"
-                )
+                named = f"{key}={units[role]}, or name it such as {role}_{units[role]}"
+                self.wrong.append(f"column '{name[:40]}' has no unit; add --columns {named}")
         for sentence, columns in contradicted.items():
             verb = "are" if len(columns) > 1 else "is"
-            self.wrong.append(
-                f"{' and '.join(columns)} {verb} {sentence}; leave out the option, or correct the "
-                "header"
-            )
+            listed = f"{' and '.join(columns)} {verb}"
+            self.wrong.append(f"{listed} {sentence}; leave out the option, or correct the header")
         guessed = [
             f"{WORDS[role]} from '{name}' [{self.unit(role)[0]}]"
             for role, name in self.names.items() if role not in chosen
@@ -534,10 +521,8 @@ class _LegTable(ColumnReader[ForceColumns]):
         lacked = f"no column of {', '.join(WORDS[role] for role in lacking)} among {self.header}"
         slips = [name for name in self.parts if re.search(SLIP, name.lower())]
         if slips and "theta" in lacking:
-            self.wrong.append(
-                f"{lacked}; with '{slips[0][:30]}' it looks like the table of a wheel, which "
-                "--tool wheel:DIAMETERxWIDTH reads, in mm"
-            )
+            looks = f"with '{slips[0][:30]}' it looks like the table of a wheel"
+            self.wrong.append(f"{lacked}; {looks}: give --tool wheel:DIAMETERxWIDTH [mm]")
             return
         header = list(self.parts)
         unnamed = len(header) >= len(lacking) and all(name.startswith("column ") for name in header)
@@ -577,10 +562,8 @@ class _LegTable(ColumnReader[ForceColumns]):
             self.refuse("no row has all that is needed; check the columns")
         if not full.all():
             first = self.table.place(int(np.flatnonzero(~full)[0]))
-            self.notes.append(
-                f"{(~full).sum()} of {len(full)} rows lack a number and are left out, the first "
-                f"at {first}."
-            )
+            lacking = f"{(~full).sum()} of {len(full)} rows lack a number"
+            self.notes.append(f"{lacking} and are left out, the first at {first}.")
         rows, theta = np.flatnonzero(full), theta[full]
         values = np.column_stack(list(columns.values()))[full]
         self.channels = [*(f"F{axis}" for axis in self.axes), "M"][: len(columns)]
@@ -604,10 +587,8 @@ class _LegTable(ColumnReader[ForceColumns]):
         theta = self._within_a_turn(theta, self.forces(values), rows[kept])
         small = np.ptp(theta) > 0.0 and np.abs(theta).max() < LEAST_DEG
         if "theta" in self.names and self.unit("theta")[0] == "deg" and small:
-            self.refuse(
-                f"the angle runs from {theta.min():.2f} to {theta.max():.2f}, which must be "
-                f"radians; {self.mend('theta', 'rad')}"
-            )
+            ends = f"{theta.min():.2f} to {theta.max():.2f}"
+            self.refuse(f"the angle runs from {ends}, in radians; {self.mend('theta', 'rad')}")
         return theta, values, dict(zip(self.channels, steps.tolist(), strict=True))
 
     def forces(self, values: FloatArray) -> FloatArray:
@@ -632,10 +613,8 @@ class _LegTable(ColumnReader[ForceColumns]):
             if key == "theta_scale":
                 remedy += " (360 over the counts of a turn)"
                 remedy = self.mend("theta", "deg") if 0.7 < usual < 1.4 else remedy
-            self.refuse(
-                f"the leg is in soil over {longest:.0f}°, of which less than "
-                f"{MOST_IN_SOIL_DEG:g} are possible; check the angle, and {remedy}"
-            )
+            path = f"{longest:.0f}°, of which less than {MOST_IN_SOIL_DEG:g} are possible"
+            self.refuse(f"the leg is in soil over {path}; check the angle, and {remedy}")
         if not jumps and np.ptp(theta) <= 360.0:
             return theta
         if len(contacts) == 1 and not jumps:  # no leg that goes round and round
@@ -654,9 +633,9 @@ class _LegTable(ColumnReader[ForceColumns]):
             turn = (along[after[0]] - along[before[0]]) * self.given.theta_sign
             if turn > 0.0 and abs(turn - 360.0 * max(round(turn / 360.0), 1)) > UNEVEN_DEG:
                 self.refuse(
-                    f"the leg meets the soil at {place(before[0])} and again at {place(after[0])}, "
-                    f"{turn:.0f}° later at rate_deg_s = {abs(rate):g}, so that it does not turn "
-                    "evenly; record the angle, or cut the table to one stroke without a rest"
+                    f"the leg meets the soil at {place(before[0])} and {turn:.0f}° later at "
+                    f"{place(after[0])}, so that it does not turn evenly; record the angle, or cut "
+                    "the table to one stroke"
                 )
 
     def tared(self, theta: FloatArray, values: FloatArray) -> FloatArray:
@@ -675,9 +654,7 @@ class _LegTable(ColumnReader[ForceColumns]):
         ]
         if _scattered(theta):
             if stated:
-                self.notes.append(
-                    f"{' and '.join(stated)}: not used, for the angles go to and fro."
-                )
+                self.notes.append(f"{' and '.join(stated)}: not used, the angles go to and fro.")
             return values
         fewest: dict[str, Any] = {"fewest": 1, "least": 0.0} if stated else {}
         notes: list[str] = []
@@ -685,9 +662,7 @@ class _LegTable(ColumnReader[ForceColumns]):
             values, notes = without_baseline(theta, values, air, self.channels, **fewest)
         if stated and not notes:
             why = "readings there are not those of air" if air.any() else "no reading is there"
-            self.refuse(
-                f"{' and '.join(stated)}, and {why}; give the angles in air, or leave it out"
-            )
+            self.refuse(f"{' and '.join(stated)}, and {why}; give the angles in air, or none")
         self.notes += notes
         return values
 
@@ -715,10 +690,8 @@ class _LegTable(ColumnReader[ForceColumns]):
             return float(np.median([np.sqrt(np.square(force[p]).mean()) for p in of]))
 
         if down and size(down) > HEAVIER * size(up):
-            self.refuse(
-                "the forces are larger while the angle falls, so the leg goes that way; add "
-                f"--columns theta_sign={-self.given.theta_sign}"
-            )
+            sign = f"theta_sign={-self.given.theta_sign}"
+            self.refuse(f"the forces are larger while the angle falls; add --columns {sign}")
         if down:
             self.notes.append("The leg goes forth and back; the way back is left out.")
         if len(up) > 1:
@@ -748,9 +721,8 @@ class _LegTable(ColumnReader[ForceColumns]):
         offset = self.given.theta_offset_deg - sign * round(middle)
         turned = f",theta_sign={-sign}" if heaviest > middle + 10.0 else ""
         self.refuse(
-            f"the angle runs from {low:.0f} to {high:.0f}° and the forces from {begins:.0f} to "
-            f"{ends:.0f}°, but it is zero where the leg hangs down; add --columns "
-            f"theta_offset_deg={offset:g}{turned}"
+            f"the forces are from {begins:.0f} to {ends:.0f}°, and the leg hangs down at 0°; add "
+            f"--columns theta_offset_deg={offset:g}{turned}"
         )
 
 

@@ -297,15 +297,10 @@ class Tool(Strict):
         if keyword == "wheel":
             rim, _, *lugs = sizes
             if lugs and (lugs[0] % 1.0 or not 3 <= lugs[0] <= 200 or lugs[1] > 0.25 * rim):
-                raise InputError(
-                    f"tool '{text}': after +lugs: come their number, 3 to 200, and their height, "
-                    "up to a quarter of the diameter [mm]"
-                )
+                form = f"number, 3 to 200, and height, to {0.25 * rim:g} mm, of lugs"
+                raise InputError(f"tool '{text}': give {form} after +lugs:")
         elif max(sizes) > SLENDER * min(sizes):
-            raise InputError(
-                f"tool '{text}': sides up to {SLENDER:g} to 1 are known; a longer plate bears as a "
-                "strip does, which law foot has not"
-            )
+            raise InputError(f"tool '{text}': law foot is for sides up to {SLENDER:g} to 1")
         return cls(leg=shapes[0], size_mm=sizes)
 
     @property

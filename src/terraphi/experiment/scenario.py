@@ -375,10 +375,9 @@ class Scenario(Strict):
             # What slides along a wall may reach into it, such as a half of a symmetric plate.
             low, high = box if moving else grid
             if path[0] < low or path[1] > high:
-                raise ValueError(
-                    f"the leg leaves the domain: {name} = {path[0]:.4f} to {path[1]:.4f} m, the "
-                    f"room is {low:.4f} to {high:.4f} m; move motion.hip or shorten leg.chord"
-                )
+                ends = f"{path[0]:.4f} to {path[1]:.4f} m, not in {low:.4f} to {high:.4f}"
+                why = f"the leg leaves the domain, {name} = {ends}"
+                raise ValueError(f"{why}; move motion.hip or shorten leg.chord")
 
     @property
     def tip_inset(self) -> float:
@@ -444,10 +443,8 @@ class Scenario(Strict):
         soil, damping = self.soil, self.numerics.stiffness_damping
         undamped = (self.model, self.dimensions) == ("mpm", 3) and damping < ENOUGH
         if undamped and soil.friction_angle_deg > SHAKEN_DEG[soil.yield_surface]:
-            sentences.append(
-                f"undamped soil of {soil.friction_angle_deg:g}° shakes and carries less than its "
-                "strength; set numerics.stiffness_damping = 0.25"
-            )
+            shakes = f"undamped soil of {soil.friction_angle_deg:g}° shakes and is too weak"
+            sentences.append(f"{shakes}; set numerics.stiffness_damping = 0.25")
         poses = self.motion.poses(np.linspace(0.0, self.motion.duration, 361))
         height_mm = 1e3 * (poses.placed(self.leg.outline())[..., 1] - self.bed.surface)
         low, first = height_mm.min(), height_mm[0].min()

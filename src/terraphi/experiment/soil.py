@@ -96,10 +96,8 @@ def plane_strain_friction_angle_deg(
     else:
         sine = alpha
     if not 0.0 <= sine <= 1.0:
-        raise InputError(
-            f"a triaxial friction angle of {friction_angle_deg:.2f} deg (dilation "
-            f"{dilation_angle_deg:.2f} deg) has no equivalent in plane strain"
-        )
+        angles = f"{friction_angle_deg:.2f} deg (dilation {dilation_angle_deg:.2f} deg)"
+        raise InputError(f"a triaxial friction angle of {angles} has no equivalent in plane strain")
     return math.degrees(math.asin(sine))
 
 

@@ -120,9 +120,7 @@ def read_table(path: Path) -> Table:
     rows = [_cells(lines[i], separator) for i in kept[:_SAMPLE]]
     first = next((i for i, row in enumerate(rows) if _numbers(row, decimal) >= 2), len(rows))
     if first == len(rows):
-        raise InputError(
-            f"{path}: no numbers under the header; expected a row of numbers for each reading"
-        )
+        raise InputError(f"{path}: no numbers under the header; give a row for each reading")
     # A row with a word in it is a row of numbers still, if there is a header above it.
     while first > 1 and _numbers(rows[first - 1], decimal) and (
         len(rows[first]) == len(rows[first - 1]) == len(rows[first - 2])
@@ -132,10 +130,8 @@ def read_table(path: Path) -> Table:
     names, units, named = _header(rows[:first], width, comments, separator)
     for i, row in enumerate(rows[first:], start=first):
         if named and any(row[named:]):
-            raise InputError(
-                f"{path}, line {kept[i] + 1}: {len(row)} cells under {named} names; with decimal "
-                "commas, separate cells by semicolons"
-            )
+            place = f"line {kept[i] + 1}: {len(row)} cells under {named} names"
+            raise InputError(f"{path}, {place}; separate cells by semicolons")
     places, body = np.array(kept[first:]) + 1, [lines[i] for i in kept[first:]]
     del lines
     if len(body) * width > _SHORT:
@@ -144,10 +140,8 @@ def read_table(path: Path) -> Table:
         rows = [_cells(line, separator) for line in body]
         for place, row in zip(places, rows, strict=True):
             if len(row) > width:
-                raise InputError(
-                    f"{path}: Expected {width} fields in line {place}, saw {len(row)}; each row "
-                    "needs as many cells as the header"
-                )
+                fields = f"Expected {width} fields in line {place}, saw {len(row)}"
+                raise InputError(f"{path}: {fields}; each row needs as many cells as the header")
         cells = [*itertools.islice(itertools.zip_longest(*rows, fillvalue=""), width)]
     return _numeric(dict(zip(names, cells, strict=True)), units, places, "line", comments, decimal)
 
@@ -222,9 +216,8 @@ def table_of(frame: Any) -> Table:
                  "units" in v.attrs}  # fmt: skip
         frame = frame.to_dataframe()
     if not hasattr(frame, "columns"):
-        raise InputError(
-            f"table of type {type(frame).__name__}; give a path, a DataFrame or an xarray Dataset"
-        )
+        kind = type(frame).__name__
+        raise InputError(f"table of type {kind}; give a path, a DataFrame or an xarray Dataset")
     units |= {str(n): str(frame[n].attrs["units"]) for n in frame if "units" in frame[n].attrs}
     if any(name is not None for name in frame.index.names):
         frame = frame.reset_index()

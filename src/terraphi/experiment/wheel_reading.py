@@ -141,20 +141,14 @@ class _WheelTable(ColumnReader[WheelColumns]):
             return
         rim = "wheel_speed" in self.names or "rotation" in self.names
         if "slip" not in self.names and not (rim and "travel_speed" in self.names):
-            self.wrong.append(
-                f"no column of the slip among {self.header}, nor of the speeds of wheel and travel;"
-                " add --columns 'slip=NAME', or 'rotation=NAME,travel_speed=NAME'"
-            )
+            options = "'slip=NAME', or 'rotation=NAME,travel_speed=NAME'"
+            self.wrong.append(f"no column of the slip among {self.header}; add --columns {options}")
         if "load" not in self.names:
-            self.wrong.append(
-                f"no column of the load among {self.header}; add --columns 'load=NAME', or name it "
-                "such as load_N"
-            )
+            lacked = f"no column of the load among {self.header}"
+            self.wrong.append(f"{lacked}; add --columns 'load=NAME'")
         if not {"sinkage", *MEASURED} & {*self.names}:
-            self.wrong.append(
-                f"no column of the sinkage among {self.header}; add --columns 'sinkage=NAME', or "
-                "name it such as sinkage_mm; without one, pull_N and torque_Nm are needed"
-            )
+            lacked = f"no column of the sinkage among {self.header}, nor of pull or torque"
+            self.wrong.append(f"{lacked}; add --columns 'sinkage=NAME'")
 
     def written(self, column: str) -> str | None:
         """Unit of a column as the table has it; of a slip in parts of one there is none."""
@@ -177,15 +171,11 @@ class _WheelTable(ColumnReader[WheelColumns]):
         """Slip as the law has it [-]; raises InputError if its definition is in doubt."""
         name, there = self.names["slip"][:40], slip[full]
         if np.median(np.abs(there)) > PERCENT and self.unit("slip")[0] == "part":
-            self.refuse(
-                f"column '{name}' reaches {there.max():g}, which must be percent; "
-                f"{self.mend('slip', '%')}"
-            )
+            reaches = f"column '{name}' reaches {there.max():g}, in percent"
+            self.refuse(f"{reaches}; {self.mend('slip', '%')}")
         if there.min() < -EITHER and self.given.slip_is is None:
-            self.refuse(
-                f"column '{name}' falls to {there.min():g}; add --columns slip_is=driven for "
-                "1 - v/(ωR) below zero as well, or slip_is=travel for ωR/v - 1"
-            )
+            options = "slip_is=driven for 1 - v/(ωR) there, or slip_is=travel for ωR/v - 1"
+            self.refuse(f"column '{name}' falls to {there.min():g}; add --columns {options}")
         if self.given.slip_is == "driven":
             # 1 − v/(ωR) = s gives ωR/v − 1 = 1/(1 − s) − 1.
             return np.where(slip < 0.0, 1.0 / (1.0 - slip) - 1.0, slip)

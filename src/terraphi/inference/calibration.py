@@ -112,10 +112,8 @@ class Calibration(Strict):
             angle = f"{record.phi_deg:g} ± {record.phi_sd_deg:g}°"
             if angles.setdefault(record.soil, angle) != angle:
                 soil = f"soil '{record.soil}' has" if record.soil else "records without a soil have"
-                raise ValueError(
-                    f"{soil} φ = {angles[record.soil]} and {angle}; give each soil a name (--soil, "
-                    'or soil = "NAME" in the file) and one angle'
-                )
+                angles_given = f"{soil} φ = {angles[record.soil]} and {angle}"
+                raise ValueError(f"{angles_given}; give each soil a name (--soil) and one angle")
         return self
 
     def __str__(self) -> str:
@@ -149,11 +147,9 @@ class Calibration(Strict):
             worst = int(np.abs(distance).argmax())
             limit = DISAGREE * MOST_BED_SD_DEG * math.sqrt(n / (n - 1))
             if abs(distance[worst]) > limit:
-                yield (
-                    f"{records[worst].source} reads {distance[worst]:+.1f}° from the other repeats "
-                    f"of its soil, and beds differ by at most {limit:.1f}°: check that the soil, "
-                    "the density and the leg are the same."
-                )
+                beds = f"from the other repeats, beds at most {limit:.1f}°"
+                differs = f"{records[worst].source} differs by {distance[worst]:+.1f}° {beds}"
+                yield f"{differs}: check the soil, the density and the leg."
 
     def check(self, library: LawOfLegs, gains: Mapping[str, float]) -> None:
         """Refuse another law, or another gain of a rig's sensor, than those of the calibration.
@@ -164,17 +160,13 @@ class Calibration(Strict):
             If the law is another, or has changed, or a gain is another.
         """
         if (library.name, library.hash) != (self.library, self.library_hash):
-            raise InputError(
-                f"the calibration is for law '{self.library}' as it was then, and this is "
-                f"'{library.name}'; invert with that law, or calibrate again"
-            )
+            laws = f"law '{self.library}' as it was then, not for '{library.name}'"
+            raise InputError(f"the calibration is for {laws}; take that law, or calibrate again")
         for soil in self.soils:
             given = gains.get(soil.rig, soil.gain)
             if abs(given - soil.gain) > 1e-6 * soil.gain:
-                raise InputError(
-                    f"gain = {given:g}, and the calibration of this rig was made with "
-                    f"{soil.gain:g}; give the same --gain"
-                )
+                made = f"the calibration of this rig was made with {soil.gain:g}"
+                raise InputError(f"gain = {given:g}, and {made}; give the same --gain")
 
     def offset(self, error: ModelError, rig: str, row: FloatArray) -> tuple[float, FloatArray]:
         """Mean of the offset's error of a record, and its independent causes [deg].
@@ -305,10 +297,8 @@ def calibrate(
     for i, record in enumerate(records):
         for earlier in records[:i]:
             if record.rig == earlier.rig and np.array_equal(record.data, earlier.data):
-                raise InputError(
-                    f"{record.source}: has the forces of {earlier.source}; a repeat is another "
-                    "stroke"
-                )
+                same = f"{record.source}: has the forces of {earlier.source}"
+                raise InputError(f"{same}; a repeat is another stroke")
         soils.append(_calibration_soil(record, leg_law, *truth))
     return Calibration(library=leg_law.name, library_hash=leg_law.hash, soils=soils)
 
@@ -335,11 +325,9 @@ def _calibration_soil(
     model = (shares[name] for name in shares if name.startswith("model: "))
     limit = FAR * math.hypot(*model, rig_sd, phi_sd_deg, sd)
     if abs(read - phi_deg) > limit:
-        raise InputError(
-            f"{record.source}: forces and angle disagree by {read - phi_deg:+.0f}°, at most "
-            f"{limit:.0f}° are accepted; check phi = {phi_deg:g}° (in "
-            f"{law.convention.replace('_', ' ')}), the density and the leg"
-        )
+        difference = f"forces and angle disagree by {read - phi_deg:+.0f}°, at most {limit:.0f}°"
+        what = f"phi = {phi_deg:g}° ({law.convention.replace('_', ' ')}), the density and the leg"
+        raise InputError(f"{record.source}: {difference} are accepted; check {what}")
     return CalibrationSoil(
         source=visible(record.source), soil=soil, leg=record.rig.leg, rig=rig_name(record.rig),
         phi_deg=phi_deg, phi_sd_deg=phi_sd_deg, read_deg=read, read_sd_deg=sd, rig_sd_deg=rig_sd,

@@ -153,10 +153,8 @@ def without_faults(record: Record) -> Record:
                 notes.append(f"{readings} of {name} left out as {kind} {place}.")
                 bad |= faulty
     if bad.mean() > MOST_LEFT_OUT:
-        raise InputError(
-            f"{record.source}: {bad.mean():.0%} of the readings are faulty ({' '.join(notes)}); "
-            "check the sensor and record again"
-        )
+        faulty = f"{bad.mean():.0%} of the readings are faulty ({' '.join(notes)})"
+        raise InputError(f"{record.source}: {faulty}; check the sensor and record again")
     for name, force in forces.items():
         args = name, force[~bad], theta[~bad], steps[name]
         damage += [sentence for sentence in (_clipped(*args), _step(*args)) if sentence]
@@ -166,9 +164,8 @@ def without_faults(record: Record) -> Record:
     ).binned()  # fmt: skip
     for values, name in zip(sound.data, sound.channels, strict=True):
         if np.ptp(values) <= 1e-9 * max(float(np.abs(sound.data).max()), 1e-300):
-            raise InputError(
-                f"{record.source}: {name} is the same at every angle; check the sensor"
-            )
+            why = f"{name} is the same at every angle; check the sensor"
+            raise InputError(f"{record.source}: {why}")
     return sound
 
 
@@ -305,10 +302,9 @@ def in_air(likelihood: Likelihood) -> list[str]:
                 size = float(np.quantile(np.abs(values[air]), 0.2))
                 size *= float(np.sign(np.median(values[air])))
                 if abs(size) > limit * np.ptp(values):
-                    sentences.append(
-                        f"{record.source}: {name} is {size:.2g} {CHANNEL_UNITS[name]} in air, "
-                        f"{side}: tare the sensor, or check the leg."
-                    )
+                    force = f"{name} is {size:.2g} {CHANNEL_UNITS[name]} in air, {side}"
+                    remedy = "tare the sensor, or check the leg"
+                    sentences.append(f"{record.source}: {force}: {remedy}.")
     return sentences
 
 
@@ -349,10 +345,7 @@ def warnings(
             f"law {law.name}"
         )
     if separation_deg > FAR_APART_DEG:
-        yield (
-            f"{theory}; with the right leg they are at most {FAR_APART_DEG:g}° apart: check the "
-            "leg and the columns."
-        )
+        yield f"{theory}, more than {FAR_APART_DEG:g}°: check the leg and the columns."
     if likelihood.measured:
         yield from _displaced(likelihood, fits, verdict)
     yield from _unusual(likelihood, phi, verdict)
@@ -378,10 +371,7 @@ def _other_grains(likelihood: Likelihood) -> Iterator[str]:
     assert likelihood.calibration
     largest = max(soil.grain_size_mm for soil in likelihood.calibration.soils)
     if largest >= FINE_MM and not any(r.grain_size_mm for r in likelihood.records):
-        yield (
-            f"The calibration is of grains of {largest:g} mm, and fine sand is assumed here: give "
-            "--grain-size if these are as large."
-        )
+        yield f"The calibration is of grains of {largest:g} mm: give --grain-size of these, too."
 
 
 def _displaced(likelihood: Likelihood, fits: Sequence[RecordFit], verdict: str) -> Iterator[str]:
@@ -389,11 +379,9 @@ def _displaced(likelihood: Likelihood, fits: Sequence[RecordFit], verdict: str) 
     for fit in fits:
         late = fit.shift_deg - likelihood.error.of_leg(fit.rig.leg).shift_deg
         if abs(late) > LARGE_SHIFT_DEG:
-            yield (
-                f"{fit.source}: the forces come {abs(late):.0f}° "
-                f"{'later' if late > 0 else 'earlier'} than is usual for this leg: check the zero "
-                "of theta and the hip height."
-            )
+            when = f"{abs(late):.0f}° {'later' if late > 0 else 'earlier'} than usual"
+            check = "check the zero of theta and the hip height"
+            yield f"{fit.source}: the forces come {when} for this leg: {check}."
     for i, record in enumerate(likelihood.records if verdict == "consistent" else ()):
         free = likelihood.free_cohesion(i, with_hip=True) if "Fx" in record.channels else None
         if free is None:
@@ -401,11 +389,10 @@ def _displaced(likelihood: Likelihood, fits: Sequence[RecordFit], verdict: str) 
         higher, sd = free.higher_mm, free.higher_sd_mm
         limit = max(HIP_MM, HIP_SURE * sd, UNUSUAL * record.rig.hip_height_sd_mm)
         if free.residual < HIP_RESIDUAL and abs(higher) > limit:
-            yield (
-                f"{likelihood.prefix(record)}The forces fit a hip {abs(higher):.0f} ± {sd:.0f} mm "
-                f"{'higher' if higher > 0 else 'lower'} than {record.rig.hip_height_mm:g} mm: "
-                "check the hip height and the leg length."
-            )
+            side = "higher" if higher > 0 else "lower"
+            hip = f"{abs(higher):.0f} ± {sd:.0f} mm {side} than {record.rig.hip_height_mm:g} mm"
+            text = f"The forces fit a hip {hip}: check the hip height and the leg length."
+            yield f"{likelihood.prefix(record)}{text}"
 
 
 def _unusual(likelihood: Likelihood, phi: Estimate, verdict: str) -> Iterator[str]:
@@ -418,10 +405,8 @@ def _unusual(likelihood: Likelihood, phi: Estimate, verdict: str) -> Iterator[st
         low, high = likelihood.error.of_leg(leg).phi_deg or (-np.inf, np.inf)
         is_inside = low - NEAR_DEG <= phi.median <= high + NEAR_DEG
         if verdict == "consistent" and not is_inside:
-            yield (
-                f"φ = {phi.median:.1f}° lies outside {low:.1f} to {high:.1f}°, where the "
-                f"error of the law was learned on leg {leg}: it may be larger there."
-            )
+            ends = f"{low:.1f} to {high:.1f}°, where the error of the law was learned on leg {leg}"
+            yield f"φ = {phi.median:.1f}° lies outside {ends}: it may be larger there."
     yield from unusual(phi.median, "leg")
 
 
@@ -432,23 +417,16 @@ def _assumed(likelihood: Likelihood, i: int) -> Iterator[str]:
     spacing = float(np.median(np.diff(record.history.theta_deg)))
     window_deg = 2.0 * WINDOW_DEG / (OBSERVATION_ANGLES - 1)
     if spacing > window_deg:
-        yield (
-            f"The readings are {spacing:.0f}° apart and miss peaks between them: record one at "
-            f"least every {window_deg:.0f}°."
-        )
+        yield f"The readings are {spacing:.0f}° apart: record one every {window_deg:.0f}° at least."
     has_height = likelihood.calibration or "hip height" in likelihood.terms
     if likelihood.measured and rig.hip_height_sd_mm > 0.0 and not has_height:
-        yield (
-            f"The interval leaves out the ± {rig.hip_height_sd_mm:g} mm of the hip height, whose "
-            f"effect law {law.name} lacks."
-        )
+        height = f"± {rig.hip_height_sd_mm:g} mm of the hip height"
+        yield f"The interval leaves out the {height}, whose effect law {law.name} lacks."
     if share < NEARLY_ALL and likelihood.measured:
         ends = np.clip(record.history.theta_deg[[0, -1]], -WINDOW_DEG, WINDOW_DEG)
         low, high = ends.round() + 0.0
-        yield (
-            f"The record covers {low:.0f} to {high:.0f}° of ±{WINDOW_DEG:g}° and has "
-            f"{100.0 * share:.0f} % of the information on φ of a whole stroke."
-        )
+        covered = f"{low:.0f} to {high:.0f}° of ±{WINDOW_DEG:g}°"
+        yield f"The record covers {covered}, {100.0 * share:.0f} % of a stroke's information on φ."
     of_size_deg = likelihood.of_size_deg(record)
     if grains and not any(name.startswith("grains") for name in likelihood.error.effects):
         yield f"Law {law.name} has no correction for large grains."
@@ -456,10 +434,8 @@ def _assumed(likelihood: Likelihood, i: int) -> Iterator[str]:
         yield f"φ is corrected by {-of_size_deg:+.1f}° for grains of {grains:g} mm."
     per_mm = likelihood.of_size_deg(replace(record, grain_size_mm=COARSE_MM)) / COARSE_MM
     if not grains and per_mm > OF_SIZE_DEG:
-        yield (
-            f"Fine grains are assumed: each mm of grain diameter raises φ by {per_mm:.1f}° on this "
-            "leg; give --grain-size."
-        )
+        raised = f"each mm of grain diameter raises φ by {per_mm:.1f}° on this leg"
+        yield f"Fine grains are assumed: {raised}; give --grain-size."
     if record.simulated and record.scenario is None and likelihood.laws[i].most_cohesion:
         yield "The simulated forces have no scenario: dry soil is assumed."
     unusual = density_warnings(density) if likelihood.measured else []
@@ -486,10 +462,8 @@ def _repeats(likelihood: Likelihood) -> Iterator[str]:
     low, high = int(angles.argmin()), int(angles.argmax())
     if angles[high] - angles[low] > REPEATS_DEG:
         names = [likelihood.records[i].source for i in (low, high)]
-        yield (
-            f"{names[0]} alone has about {angles[low]:.0f}°, {names[1]} {angles[high]:.0f}°: check "
-            "whether both are of one soil at one density."
-        )
+        alone = f"{names[0]} alone has about {angles[low]:.0f}°, {names[1]} {angles[high]:.0f}°"
+        yield f"{alone}: check whether both are of one soil at one density."
 
 
 def _moisture(likelihood: Likelihood) -> Iterator[str]:
@@ -506,8 +480,8 @@ def _moisture(likelihood: Likelihood) -> Iterator[str]:
             size = "" if record.grain_size_mm else ", whether its grains are large (--grain-size)"
             yield (
                 f"{likelihood.prefix(record)}The forces fit a cohesion of about "
-                f"{free.cohesion_pa:.0f} Pa better, and φ would be lower: check whether the soil "
-                f"is damp (--cohesion){size}, the hip height, the density and the unit of force."
+                f"{free.cohesion_pa:.0f} Pa and a lower φ better: check whether the soil is damp "
+                f"(--cohesion){size}, the hip height, the density and the unit of force."
             )
 
 
@@ -722,10 +696,8 @@ def _other_arm(likelihood: Likelihood, i: int) -> Iterator[str]:
         # Forces in another unit than they are read in, next to a moment in N m.
         units = [u for u in ("lbf", "kgf") if abs(ratio - np.log(FORCE[u])) < np.log(OTHER_ARM)]
         equal = "".join(f" In {u} they would be equal (--columns unit={u})." for u in units)
-        yield (
-            f"The moment is {factor:.2g} times the moment of the forces about the hip: check the "
-            f"leg length, the units and the axis of the moment.{equal}"
-        )
+        moments = f"The moment is {factor:.2g} times that of the forces about the hip"
+        yield f"{moments}: check the leg length, the units and the axis of the moment.{equal}"
 
 
 def _other_size(likelihood: Likelihood, i: int) -> Iterator[str]:
@@ -741,10 +713,8 @@ def _other_size(likelihood: Likelihood, i: int) -> Iterator[str]:
     theta = record.theta_deg[begins]
     theta[1] -= likelihood.shift_deg[i]
     if min(begins) > 0 and abs(theta[0] - theta[1]) > LATE_DEG:
-        yield (
-            f"Contact begins at {theta[0]:.0f}° in the record and at {theta[1]:.0f}° in the model: "
-            "check the leg length and the hip height."
-        )
+        places = f"{theta[0]:.0f}° in the record and at {theta[1]:.0f}° in the model"
+        yield f"Contact begins at {places}: check the leg length and the hip height."
 
 
 # -- another law on the same records -------------------------------------------------------------

@@ -221,8 +221,7 @@ def _opened(
         calibration = Calibration.load(calibration)
     if not isinstance(calibration, Calibration):
         raise InputError(
-            f"calibration of type {type(calibration).__name__}; give the result of calibrate, or a "
-            "file"
+            f"calibration of type {type(calibration).__name__}; give a file or calibrate"
         )
     calibration.check(law, {rig_name(record.rig): record.gain for record in records})
     return calibration

@@ -277,14 +277,10 @@ class Likelihood:
         if not self.measured and not most:
             return np.zeros(1)
         if (mean or sd) and not most:
-            raise InputError(
-                f"law {self.library.name} is of soil without a cohesion; leave out the cohesion"
-            )
+            raise InputError(f"law {self.library.name} is of dry soil; leave out the cohesion")
         if mean > most:
-            raise InputError(
-                f"{self.records[0].source}: its soil has a cohesion of {mean:g} Pa, and law "
-                f"{self.library.name} is for {most:.0f} Pa at most on this leg"
-            )
+            soil = f"{self.records[0].source}: its soil has a cohesion of {mean:g} Pa"
+            raise InputError(f"{soil}, law {self.library.name} at most {most:.0f} Pa on this leg")
         if math.isinf(sd):
             return most * COHESIONS
         if not sd:

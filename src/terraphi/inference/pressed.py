@@ -461,17 +461,13 @@ def _warnings(press: _Press, fit: _Fit, *, is_sound: bool) -> list[str]:
     if (bottom := 1e3 * press.z[-1]) > deepest:
         sentences.append(f"The law is extrapolated from {deepest:.0f} mm on, to {bottom:.0f} mm.")
     if (radii := press.z[-1] / press.tool.radius) < 1.0:
-        sentences.append(
-            f"It was pressed {radii:.1f} radii deep, where φ may be 8° wrong or more: press one "
-            "radius deep at least."
-        )
+        depth = f"{radii:.1f} radii deep, where φ may be 8° wrong or more"
+        sentences.append(f"It was pressed {depth}: press one radius deep at least.")
     compacts = fit.chance[NODES[:, 0] < 0.1 * SIGNIFICANT].sum() < 0.05
     contraction = float(fit.chance @ NODES[:, 0])
     if is_sound and compacts and contraction > SIGNIFICANT:
-        sentences.append(
-            f"The force begins {100.0 * contraction:.0f} % lower than the law's: loose soil that "
-            "compacts as it is pressed, or another zero or column of the sinkage."
-        )
+        lower = f"The force begins {100.0 * contraction:.0f} % lower than the law's"
+        sentences.append(f"{lower}: loose soil that compacts, or another zero of the sinkage.")
     return sentences
 
 
@@ -483,10 +479,8 @@ def _virgin(
     deepest = np.maximum.accumulate(np.append(-np.inf, sinkage))[:-1]
     virgin, notes = sinkage > deepest, list(notes)
     if (~virgin).any():
-        notes.append(
-            f"{(~virgin).sum()} of {len(virgin)} readings are no deeper than earlier ones "
-            "(unloading, rests) and left out."
-        )
+        shallow = f"{(~virgin).sum()} of {len(virgin)} readings are no deeper than earlier ones"
+        notes.append(f"{shallow} (unloading, rests) and left out.")
     z, f = sinkage[virgin], force[virgin]
     air = z < 0.0
     # Of the third farthest from the soil: coarse grains touch before the surface.

@@ -160,19 +160,16 @@ class Record(InSoil):
         kept = (high - low > 0.999 * half) & (last > first)
         if kept.sum() < FEWEST_WINDOWS:
             raise InputError(
-                f"{self.source}: theta covers {theta[0]:.1f} to {theta[-1]:.1f} deg with "
-                f"{len(theta)} readings; at least 40 deg within |theta| <= {WINDOW_DEG:g} deg, "
-                f"read every {2 * half:.1f} deg, are needed"
+                f"{self.source}: theta covers {theta[0]:.1f} to {theta[-1]:.1f} deg, {len(theta)} "
+                f"readings; give 40 deg within ±{WINDOW_DEG:g}, read every {2 * half:.1f} deg"
             )
         inside = theta[(theta >= low[kept][0]) & (theta <= high[kept][-1])]
         gaps = np.diff(inside)
         if gaps.size and gaps.max() > WIDEST_GAP_DEG:
             at = int(gaps.argmax())
             faulty = f" ({self.n_left_out} were left out as faulty)" if self.n_left_out else ""
-            raise InputError(
-                f"{self.source}: no reading between {inside[at]:.1f} and {inside[at + 1]:.1f} deg"
-                f"{faulty}; gaps of at most {WIDEST_GAP_DEG:g} deg are accepted"
-            )
+            gap = f"no reading between {inside[at]:.1f} and {inside[at + 1]:.1f} deg{faulty}"
+            raise InputError(f"{self.source}: {gap}; at most {WIDEST_GAP_DEG:g} deg are accepted")
         weights = window_weights(theta, low[kept], high[kept])
         return centre[kept], weights, np.nonzero(weights)
 
@@ -386,10 +383,8 @@ def _measurements(forces: Any, columns: ForceColumns) -> list[Measurement]:
         return open_forces(forces, columns)
     if hasattr(forces, "to_dataframe") or hasattr(forces, "columns"):
         return [measurement_of(history) for history in read_trials(forces, columns)]
-    raise InputError(
-        f"forces of type {type(forces).__name__}; give a path, a shipped name, a ForceHistory, "
-        "a DataFrame or an xarray Dataset"
-    )
+    kinds = "a path, a shipped name, a ForceHistory, a DataFrame or an xarray Dataset"
+    raise InputError(f"forces of type {type(forces).__name__}; give {kinds}")
 
 
 def tared(columns: Any, rig: Any = None, leg: str | None = None) -> ForceColumns:
@@ -450,10 +445,8 @@ def record_of(
                 "cohesion": cohesion}  # fmt: skip
     wrong = [label for label, value in excluded.items() if value is not None]
     if scenario is not None and wrong:
-        raise InputError(
-            f"{name}: a simulation has a rig and a soil of its own, no sensor and no grains; leave "
-            f"out the {' and the '.join(wrong)}"
-        )
+        listed = " and the ".join(wrong)
+        raise InputError(f"{name}: a simulation has its own rig and soil; leave out the {listed}")
     if simulated and cohesion is not None:
         raise InputError(f"{name}: simulated forces without a scenario are of dry soil; leave out "
                          "the cohesion")  # fmt: skip
@@ -504,10 +497,11 @@ def _apparatus(measurement: Measurement, rig: Any, leg: str | None) -> Rig:
         raise InputError(f"unknown leg '{leg}'; {nearest(leg, tuple(OUTLINES))}")
     rig = measurement.rig if rig is None else rig
     if rig is None:
+        shape = leg or "straight"
+        sizes = f"--leg {shape} --length 110 --width 40 --thickness 8 --hip-height 35±1"
         raise InputError(
-            f"{measurement.name}: the size of the leg is not known; add it in mm, as --leg "
-            f"{leg or 'straight'} --length 110 --width 40 --thickness 8 --hip-height 35±1, or "
-            f"--rig li2013 --leg {leg or 'straight'} for that of Li et al. (2013)"
+            f"{measurement.name}: the size of the leg is not known; add it in mm, as {sizes}, or "
+            f"--rig li2013 --leg {shape} for that of Li et al. (2013)"
         )
     return Rig.of(rig, leg)
 
@@ -523,10 +517,8 @@ def _cohesion(given: float | str | None, name: str) -> tuple[float, float]:
     except ValueError:
         mean, sd = -1.0, None
     if not 0.0 <= mean <= MOST_COHESION_PA or not 0.0 <= (sd or 0.0) <= MOST_COHESION_PA:
-        raise InputError(
-            f"{name}: cohesion = {given}; give Pa as 0 (dry), 150 or 150±50, at most "
-            f"{MOST_COHESION_PA:g}, or unknown"
-        )
+        accepted = f"Pa as 0 (dry), 150 or 150±50, at most {MOST_COHESION_PA:g}, or unknown"
+        raise InputError(f"{name}: cohesion = {given}; give {accepted}")
     return mean, COHESION_SD_PART * mean if sd is None else sd
 
 
@@ -543,10 +535,8 @@ def _noise(
     given = tuple(noise) if isinstance(noise, list | tuple) else (noise, noise)
     numbers = len(given) == 2 and all(isinstance(sd, int | float) for sd in given)
     if not numbers or not all(0.0 <= sd <= np.ptp(history.force) for sd in given):
-        raise InputError(
-            f"noise = {noise!r}; give one number of newtons, or one for each force, from 0 to "
-            f"{np.ptp(history.force):.3g} N, the range of the forces"
-        )
+        most = f"{np.ptp(history.force):.3g} N, the range of the forces"
+        raise InputError(f"noise = {noise!r}; give one number, or two for Fx, Fz, 0 to {most}")
     of_forces = dict(zip(FORCES, given, strict=True))
     return tuple(of_forces.get(key, sd) for key, sd in rough.items())
 
@@ -579,9 +569,8 @@ def with_sd(
     except ValueError:
         raise InputError(f"{what} = '{text}'; give {form}") from None
     if not (ends[0] <= mean <= ends[1] and 0.0 <= (sd or 0.0) < mean):
-        raise InputError(
-            f"{what} = {text}; give {form}, from {ends[0]:g} to {ends[1]:g}, with ± below the value"
-        )
+        accepted = f"{form}, from {ends[0]:g} to {ends[1]:g}, with ± below the value"
+        raise InputError(f"{what} = {text}; give {accepted}")
     return mean, sd
 
 
@@ -593,10 +582,8 @@ def grain_size(given: float | str | None, width_mm: float, name: str) -> float:
         raise InputError(f"{name}: grain_size_mm = {given!r} is no number") from None
     largest = LARGEST_GRAIN * width_mm
     if given is not None and not SMALLEST_GRAIN_MM <= grains <= largest:
-        raise InputError(
-            f"{name}: grain_size_mm = {grains:g}; {SMALLEST_GRAIN_MM:g} to {largest:.3g} mm are "
-            f"accepted on a body {width_mm:g} mm wide"
-        )
+        accepted = f"{SMALLEST_GRAIN_MM:g} to {largest:.3g} mm are accepted on {width_mm:g} mm"
+        raise InputError(f"{name}: grain_size_mm = {grains:g}; {accepted}")
     return grains
 
 

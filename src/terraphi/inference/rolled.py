@@ -589,19 +589,16 @@ def _contradictions(roll: _Roll, fit: _Mean, *, is_named: bool) -> list[str]:
         if ratio < -SLACK:
             sentences.append("The torque brakes a wheel that slips forward: check its sign.")
         elif ratio > roll.friction + OTHER_TORQUE and not is_named:
-            sentences.append(
-                f"The torque is {ratio:.2f} of load times radius, and a rim of a friction of "
-                f"{roll.friction:.2f} bears less: check the diameter, and the unit of the torque."
-            )
+            torque = f"The torque is {ratio:.2f} of load times radius"
+            bears = f"a rim of friction {roll.friction:.2f} bears less"
+            sentences.append(f"{torque}, and {bears}: check the diameter and its unit.")
     if "pull" not in rows:
         return sentences
     if "torque" in rows and driven.any():
         # What the wheel pulls over its way is less than what the motor gives: P v ≤ T ω.
         power = rows["torque"] / reach - rows["pull"] * (1.0 - np.maximum(rows["slip"], 0.0))
         if float(np.nanmedian((power / rows["load"])[driven])) < -SLACK:
-            sentences.append(
-                "The wheel pulls more than its torque gives: check the signs and units of both."
-            )
+            sentences.append("The wheel pulls more than its torque gives: check signs and units.")
     phi = np.clip(fit.mean + roll.too_much_deg, roll.angles[0], roll.angles[-1])
     law = roll.forces(phi, roll.friction)
     pulls = np.array([rows["pull"] / rows["load"], law.pull / law.load])
@@ -611,14 +608,10 @@ def _contradictions(roll: _Roll, fit: _Mean, *, is_named: bool) -> list[str]:
     if is_course and np.corrcoef(pulls)[0, 1] < OPPOSITE:
         sentences.append("The pull falls with the slip, and the law's rises: check its sign.")
     elif (scatter := float(np.std(pulls[0] - pulls[1]))) > SCATTERED_PULL:
-        sentences.append(
-            f"The pull scatters by {scatter:.2f} of the load about the law's: check its column."
-        )
+        sentences.append(f"The pull scatters by {scatter:.2f} of the load: check its column.")
     if abs(difference) > OTHER_PULL:
-        sentences.append(
-            f"The pull differs from the law's by {difference:+.2f} of the load: check its sign, "
-            "unit and zero, and the friction of the rim."
-        )
+        other = f"The pull differs from the law's by {difference:+.2f} of the load"
+        sentences.append(f"{other}: check its sign, unit and zero, and the friction of the rim.")
     return sentences
 
 

@@ -154,8 +154,6 @@ class StoredAnswer(NamedTuple):
                 return cls(source, written, np.zeros(0))
             answer = Answer.load(answer)
         if not isinstance(answer, Answer):
-            raise InputError(
-                f"answer of type {type(answer).__name__}; give an Answer, or the folder or file of "
-                "one"
-            )
+            kind = type(answer).__name__
+            raise InputError(f"answer of type {kind}; give an Answer, or its folder or file")
         return cls(source or answer.source, answer.as_dict(), answer.phi_draws())

@@ -109,9 +109,7 @@ class AnyLaw:
         cohesion = cohesion_pa / (heavier * of_rig.density * GRAVITY * apparatus.length)
         if not 0.0 <= cohesion <= of_rig.most_cohesion:
             most = cohesion_pa / cohesion * of_rig.most_cohesion if cohesion else 0.0
-            raise InputError(
-                f"cohesion_pa = {cohesion_pa:g}: law {law.name} is for 0 to {most:g} Pa"
-            )
+            raise InputError(f"cohesion_pa = {cohesion_pa:g}: law {law.name} has 0 to {most:g} Pa")
         # A slope across two neighbors; at an end of the range it is one-sided.
         step = STEP * (high - low)
         before, after = (np.clip(phi + side, low, high) for side in (-step, step))

@@ -319,9 +319,8 @@ class Legs(AnyLaw, FittedLaw):
         """
         least, most = FRICTIONS
         if not least <= rig.leg_friction <= most:
-            raise InputError(
-                f"leg_friction = {rig.leg_friction:g}; {least:g} to {most:g} are accepted"
-            )
+            friction = rig.leg_friction
+            raise InputError(f"leg_friction = {friction:g}; {least:g} to {most:g} are accepted")
         if any(rig.leg == joined.leg and is_similar(rig, joined) for joined in self.joined_rigs):
             return RatioLaw(self, rig, cells)
         if rig.leg not in self.legs:
@@ -329,17 +328,13 @@ class Legs(AnyLaw, FittedLaw):
         ranges = self.ranges(rig.leg)
         low, high = ranges["cells"]
         if not low <= cells <= high:
-            raise InputError(
-                f"law {NAME} is for cells of {low:.2g} to {high:.2g} times those of its rule, "
-                f"and the simulation has {cells:.2g}"
-            )
+            rule = f"cells of {low:.2g} to {high:.2g} times those of its rule"
+            raise InputError(f"law {NAME} is for {rule}, and the simulation has {cells:.2g}")
         for name, value in rig.ratios._asdict().items():
             low, high = ranges[name]
             if not low <= value <= high:
-                raise InputError(
-                    f"law {NAME} is for {name.replace('_', ' ')} over length from {low:.3g} to "
-                    f"{high:.3g}, and this leg has {value:.4g}; {remedy(rig)}"
-                )
+                ratio = f"{name.replace('_', ' ')} over length from {low:.3g} to {high:.3g}"
+                raise InputError(f"law {NAME} is for {ratio}, not {value:.4g}; {remedy(rig)}")
         return RatioLaw(self, rig, cells)
 
 
@@ -436,10 +431,8 @@ def cells_in(scenario: Scenario | None, rig: Rig) -> float:
     if scenario is None:
         return 1.0
     if (scenario.model, scenario.dimensions) != ("mpm", 3):
-        raise InputError(
-            f"law {NAME} is of simulations in three dimensions by mpm, and this is one by "
-            f"{scenario.model} in {scenario.dimensions}; leave out the law"
-        )
+        of = f"by {scenario.model} in {scenario.dimensions}"
+        raise InputError(f"law {NAME} is of simulations by mpm in 3, not {of}; leave it out")
     depth = reach(rig.leg, rig.ratios)[2]
     return scenario.numerics.cell_size / rig.length / cells_of(rig.ratios, depth)
 

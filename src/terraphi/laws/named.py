@@ -28,11 +28,9 @@ def law_of_simulation(scenario: Scenario) -> LawOfLegs:
     if scenario.model == "rft":
         return Theory()
     if (scenario.dimensions, scenario.motion.kind) != (3, "rotation"):
-        raise InputError(
-            f"no law has the forces of this simulation ({scenario.dimensions}-D, "
-            f"{scenario.motion.kind}); legs that turn in three dimensions have one, and "
-            "'terraphi paper' infers angles in two"
-        )
+        kind = f"({scenario.dimensions}-D, {scenario.motion.kind})"
+        why = "of legs that turn in three dimensions; 'terraphi paper' infers angles in two"
+        raise InputError(f"no law has the forces of this simulation {kind}; laws are {why}")
     return shipped_legs()
 
 
@@ -72,8 +70,7 @@ def law_named(name: Path | str | AnyLaw) -> LawOfLegs:
     legs = shipped_legs()
     keys = (key for case in law.cases for key in differences(case.scenario, legs.scenario))
     if differing := [key for key in dict.fromkeys(keys) if key not in VARIED]:
-        raise InputError(
-            f"library {law.name} has another {', '.join(differing[:3])} than law {NAME}, and "
-            "cannot join it; 'terraphi library build --rig' makes one that can"
-        )
+        keys_listed = ", ".join(differing[:3])
+        why = f"has another {keys_listed} than law {NAME}; 'terraphi library build --rig' makes one"
+        raise InputError(f"library {law.name} {why} that can join it")
     return legs.joined(law)

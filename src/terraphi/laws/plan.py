@@ -77,10 +77,8 @@ class Plan(Strict):
         """
         source, scenarios = f"plan '{self.name}'", []
         if not 0 < self.count <= MOST_CASES:
-            raise InputError(
-                f"{source}: {self.count} cases; give every key a value, and at most {MOST_CASES} "
-                "cases in all"
-            )
+            why = f"{self.count} cases; give every key a value, and at most {MOST_CASES} cases"
+            raise InputError(f"{source}: {why}")
         for part in (More(sweep=self.sweep), *self.more):
             seed = self.scenario.numerics.seed if part.seed is None else part.seed
             for i, values in enumerate(itertools.product(*part.sweep.values())):
@@ -111,10 +109,8 @@ class Plan(Strict):
         (3, 'c')
         """
         if rig.ratios.hip_height > HIGHEST:
-            raise InputError(
-                f"hip_height_mm = {rig.hip_height_mm:g} is {rig.ratios.hip_height:.2f} of the "
-                f"length; at most {HIGHEST:g} can be simulated"
-            )
+            ratio = f"{rig.ratios.hip_height:.2f} of the length; at most {HIGHEST:g}"
+            raise InputError(f"hip_height_mm = {rig.hip_height_mm:g} is {ratio} can be simulated")
         first, *further = RIG_ANGLES_DEG
         scenario = similar_scenario(
             rig.leg, rig.ratios, friction_angle_deg=first, leg_friction=rig.leg_friction

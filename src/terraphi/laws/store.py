@@ -189,10 +189,8 @@ class Library(AnyLaw, Result):
             place.shape != places[0].shape or not np.allclose(place, places[0], rtol=0.0, atol=1e-9)
             for place in places
         ):
-            raise InputError(
-                f"library '{self.name}': the cases have forces at different positions; sweep "
-                "neither the span of the motion nor the dimensions"
-            )
+            why = "forces at different positions; do not sweep the span of the motion"
+            raise InputError(f"library '{self.name}': {why}")
         rows = [history._variables() if history else {} for history in histories]
         lost = np.full(len(places[0]), np.nan)
         forces = {
@@ -231,9 +229,7 @@ class Library(AnyLaw, Result):
         ['straight']
         """
         if not isinstance(source, str | Path):
-            raise InputError(
-                f"library of type {type(source).__name__}; give a Library, a shipped name or a file"
-            )
+            raise InputError(f"library of type {type(source).__name__}; give a name or a file")
         return super().load(located(source, "libraries", ".nc"))
 
     @classmethod

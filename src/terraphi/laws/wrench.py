@@ -163,9 +163,8 @@ class Mesh:
         there, back = (np.unique(pairs, axis=0) for pairs in (edges, edges[:, ::-1]))
         if len(there) < len(edges) or not np.array_equal(there, back):
             raise InputError(
-                "mesh: the surface is not closed, has a face twice, or one whose corners run the "
-                "other way than its neighbors'; give one solid, its corners counterclockwise seen "
-                "from outside"
+                "mesh: the surface is not closed, has a face twice or one that runs the other way; "
+                "give one solid, its corners counterclockwise from outside"
             )
         most = FINE * float(np.ptp(each.reshape(-1, 3), axis=0).max())
         most = most if longest is None else _number("longest", longest, TINY, "m")
@@ -180,9 +179,8 @@ class Mesh:
                 [each[~large], *(np.stack(quarter, axis=1) for quarter in quarters)]
             )
             if len(each) > MOST_FACES:
-                raise InputError(
-                    f"mesh: more than {MOST_FACES} faces with edges of {most:g} m; give longest"
-                )
+                why = f"more than {MOST_FACES} faces with edges of {most:g} m; give longest"
+                raise InputError(f"mesh: {why}")
         reach = float(np.linalg.norm(each.mean(axis=1), axis=1).max(initial=0.0))
         if reach > LARGEST:
             raise InputError(f"mesh: reaches {reach:g} m; corners are in meters")

@@ -448,9 +448,8 @@ def benchmark() -> Result:
     compared = []
     for leg, (model, printed) in itertools.product(by_leg, PRINTED.items()):
         ours = force_pair(data["nrmsd_percent"][leg][model].values(), " %")
-        compared.append(
-            (f"leg {leg}, {model}: NRMSD Fz / Fx", ours, force_pair(printed[leg], " %"))
-        )
+        what = f"leg {leg}, {model}: NRMSD Fz / Fx"
+        compared.append((what, ours, force_pair(printed[leg], " %")))
     return Result(
         data,
         (records, f"leg model nrmsd_percent.Fz nrmsd_percent.Fx {PEAKS}"),

@@ -317,9 +317,7 @@ def start_from(start: Start | str) -> Start:
 def check_frame(walk: FootfallMap, name: str) -> None:
     """Raise InputError if footfalls, which a start is to place, are not relative to their own."""
     if (frame := walk.provenance.get("frame", "start")) != "start":
-        raise InputError(
-            f"{name}: places in the frame '{frame}', not from the walk's start; give no start"
-        )
+        raise InputError(f"{name}: places in the frame '{frame}', not from a start; give no start")
 
 
 def read_points(

@@ -71,9 +71,8 @@ def grid(walk: FootfallMap, cell: float = CELL) -> tuple[dict[str, FloatArray], 
         size = float(np.prod(np.ptp(places, axis=0) + 1.0))
     # Beyond 2⁵³ the number of a cell is not exact.
     if not (size <= MOST_CELLS and np.abs(places).max() < 2.0**53):
-        raise InputError(
-            f"{size:.3g} cells of {cell:g} m, at most {MOST_CELLS:g}; give larger ones"
-        )
+        cells = f"{size:.3g} cells of {cell:g} m"
+        raise InputError(f"{cells}, at most {MOST_CELLS:g}; give larger ones")
     numbers = np.floor(places).astype(np.int64)
     first = numbers.min(axis=0)
     shape = np.ptp(numbers, axis=0) + 1

@@ -146,9 +146,8 @@ class Simulator:
         if self.name in ("chrono-scm", "rft3d", "mujoco") and match == "triaxial":
             raise InputError(f"{self.name} has no triaxial compression: leave out --match triaxial")
         if self.name == "mujoco" and not FOOT_DEG[0] <= phi_deg <= FOOT_DEG[1]:
-            raise InputError(
-                f"φ = {phi_deg:.1f}°; law foot has {FOOT_DEG[0]:g} to {FOOT_DEG[1]:g}°"
-            )
+            ends = "{:g} to {:g}°".format(*FOOT_DEG)
+            raise InputError(f"φ = {phi_deg:.1f}°; law foot has {ends}")
         parameter = self.law.value(ratio_of_angle(phi_deg, match))
         if math.isnan(parameter):
             soil = f"{phi_deg:.1f} deg in {match.replace('-', ' ')}"
@@ -281,10 +280,8 @@ def convert(
     0.545
     """
     if "mujoco" in (from_, to):
-        raise InputError(
-            "mujoco has no soil: its friction is that of two rigid bodies, which does not follow "
-            "from a soil's friction angle; 'terraphi export SOIL --to mujoco' puts soil under feet"
-        )
+        why = "its friction is of two rigid bodies; 'terraphi export SOIL --to mujoco' has soil"
+        raise InputError(f"mujoco has no soil: {why}")
     if from_ is None:
         from terraphi.terrain.export import export
 

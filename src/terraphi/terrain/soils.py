@@ -416,9 +416,8 @@ def _angle(text: str) -> tuple[float, float] | None:
         return None
     sd = sd or 0.0
     if not (low <= mean <= high and 0.0 <= sd <= 0.25 * mean):
-        raise InputError(
-            f"phi = {text}; {low:g} to {high:g}° with a ± of a quarter of it at most are accepted"
-        )
+        accepted = f"{low:g} to {high:g}° with a ± of a quarter at most are accepted"
+        raise InputError(f"phi = {text}; {accepted}")
     return mean, sd
 
 
@@ -435,9 +434,8 @@ def _of_answer(what: Any, *, anyway: bool) -> SoilDistribution:
     if isinstance(what, str | Path):
         text, path = str(what), Path(what)
         if text != "-" and not path.suffix and not path.exists():
-            raise InputError(
-                f"'{text}' is neither an answer nor a soil; {nearest(text, (*named(), '33±2'))}"
-            )
+            hint = nearest(text, (*named(), "33±2"))
+            raise InputError(f"'{text}' is neither an answer nor a soil; {hint}")
     read = StoredAnswer.of(what)
     answer = read.answer
     if None in (answer[name] for name in ANGLES):

@@ -519,9 +519,7 @@ class Load(NamedTuple):
         sole, middle = press.sole, ground.phi.median
         low, high = angles_deg(press.surface_friction)
         if not low <= middle <= high:
-            raise InputError(
-                f"φ = {middle:g}: law 'foot' was simulated for {low:g} to {high:g} deg"
-            )
+            raise InputError(f"φ = {middle:g}: law 'foot' is for {low:g} to {high:g} deg")
         degrees = np.arange(low, high + 0.5)
         depths = press.depth * (np.arange(THIRDS * FINE) + 0.5) / (THIRDS * FINE)
         forces = sole.force(

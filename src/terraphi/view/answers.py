@@ -78,9 +78,8 @@ def in_words(answer: Answer) -> list[str]:
             "out of range" if angle is None else f"{angle:.0f}°"
             for angle in map(answer.phi_of_force_deg.get, ("half", "twice"))
         )
-        otherwise.append(
-            f"Half the force: {half}; twice: {twice}. Hang a known weight on the sensor."
-        )
+        scaled = f"Half the force: {half}; twice: {twice}"
+        otherwise.append(f"{scaled}. Hang a known weight on the sensor.")
     if answer.phi_if_damp_deg is not None:
         cohesion = f"with a cohesion of {DAMP_PA:.0f} Pa"
         otherwise.append(f"Damp, {cohesion}: {answer.phi_if_damp_deg:.0f}°.")

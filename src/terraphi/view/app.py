@@ -144,9 +144,8 @@ def serve(port: int, *, ready: Callable[[str], None]) -> None:
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             listener.bind((HOST, port))
         except OSError as error:
-            raise InputError(
-                f"port {port} on {HOST} cannot be opened ({error.strerror}); name another by --port"
-            ) from error
+            why = f"cannot be opened ({error.strerror}); name another by --port"
+            raise InputError(f"port {port} on {HOST} {why}") from error
         with contextlib.suppress(KeyboardInterrupt):
             ready(f"http://{HOST}:{listener.getsockname()[1]}/?token={token}")
             served.run(sockets=[listener])

@@ -101,10 +101,8 @@ def kind_of(source: Path | str) -> str:
         return "log"
     if not path.exists() and str(source) in Library.names():
         return "library"
-    raise InputError(
-        f"{source}: no result; give a folder of invert, demo or map, a NetCDF of another command, "
-        "a shipped library or a robot's log"
-    )
+    kinds = "a folder of invert, demo or map, a NetCDF of ours, a shipped library or a robot's log"
+    raise InputError(f"{source}: no result; give {kinds}")
 
 
 def section_of(result: Any, *, robot: str = "go2") -> Section:
@@ -126,10 +124,8 @@ def section_of(result: Any, *, robot: str = "go2") -> Section:
     }  # fmt: skip
     name = type(result).__name__
     if name not in kinds:
-        raise InputError(
-            f"result of type {name}; give an Answer, ForceHistory, Library, foot forces, "
-            "footfalls or a path"
-        )
+        accepted = "an Answer, ForceHistory, Library, foot forces, footfalls or a path"
+        raise InputError(f"result of type {name}; give {accepted}")
     return kinds[name](result)
 
 
