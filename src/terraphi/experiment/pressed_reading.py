@@ -65,8 +65,8 @@ def read_pressed(source: Any, area: float, columns: Any = None) -> Pressed:
     chosen = reader.find(PRESSED, lambda role: role in either and bool(either & {*reader.names}))
     if not reader.wrong and not ("sinkage" in reader.names and len(reader.names) > 1):
         lacking = "force or pressure" if "sinkage" in reader.names else "sinkage"
-        role = lacking.partition(" ")[0]
-        reader.wrong.append(f"no {lacking} among {reader.header}; add --columns '{role}=NAME'")
+        lacked = f"no column of {lacking} among {reader.header}"
+        reader.wrong.append(f"{lacked}; add --columns '{lacking.partition(' ')[0]}=NAME'")
     reader.settle(chosen, {"sinkage": "mm", "force": "N", "pressure": "kPa"})
     reader.refuse_wrong()
     role = "force" if "force" in reader.names else "pressure"
@@ -77,8 +77,7 @@ def read_pressed(source: Any, area: float, columns: Any = None) -> Pressed:
         reader.notes.append(f"{(~full).sum()} of {len(full)} rows lack a number and are left out.")
     sinkage, force = sinkage[full], force[full]
     if len(force) < FEWEST_ROWS or np.ptp(force) == 0.0 or np.ptp(sinkage) == 0.0:
-        reader.refuse(f"{len(force)} rows with a sinkage and a force; {FEWEST_ROWS} that differ "
-                     "are needed")  # fmt: skip
+        reader.refuse(f"{len(force)} rows have both; {FEWEST_ROWS} that differ are needed")
     if force[np.abs(force).argmax()] < 0.0:  # the soil presses up
         force = -force
         reader.notes.append("The force is negative in the soil: its sign is turned.")

@@ -130,8 +130,7 @@ class Bed(Strict):
         weightless = self.surcharge > 0.0 and self.gravity == 0.0
         refuse(
             {
-                f"soil from x = {low:g} to {high:g} m lies outside the walls at {self.left:g} and "
-                f"{right:g} m; change soil_left or soil_width": not inside,
+                f"soil from x = {low:g} to {high:g} m lies outside the walls": not inside,
                 f"surcharge = {self.surcharge:g} Pa has no weight; set gravity > 0": weightless,
             }
         )
@@ -311,7 +310,8 @@ class Scenario(Strict):
         )
 
     def _check_3d(self) -> None:
-        leg, numerics, criterion = self.leg, self.numerics, self.soil.yield_criterion
+        leg, numerics = self.leg, self.numerics
+        is_plane = self.soil.yield_criterion == "plane_strain"
         across = leg.chord if leg.shape == "sphere" else leg.width
         breadth = self.bed.breadth or 0.0
         travel = numerics.steps_per_phase * numerics.time_step * self.sped_up_leg_speed
@@ -323,8 +323,7 @@ class Scenario(Strict):
             {
                 "dimensions = 3 needs bed.breadth, such as 0.2 m": not breadth,
                 "dimensions = 3 needs numerics.remap_interval": numerics.remap_interval == 0.0,
-                "dimensions = 3 needs soil.yield_criterion = 'plane_strain', not "
-                f"'{criterion}'": criterion != "plane_strain",
+                "dimensions = 3 needs soil.yield_criterion = 'plane_strain'": not is_plane,
                 f"the leg is {across:g} m wide, more than bed.breadth = {breadth:g} m": across
                 > breadth * (1.0 + 1e-9),
                 f"numerics.remap_interval = {numerics.remap_interval:g} s lets the leg travel "
@@ -348,7 +347,7 @@ class Scenario(Strict):
         cell = numerics.cell_size * (1.0 - 1e-9)
         left, right = bed.soil_span
         low, wall = min(bed.left, bed.floor), max(bed.left + bed.width, bed.surface)
-        limit, top = self.time_step_limit, self.sped_up_leg_speed
+        limit = self.time_step_limit
         # No step may pass over a whole bin of the history.
         bin_width = (motion.span[1] - motion.span[0]) / bin_count(motion)
         visit = bin_width / (motion.top_coordinate_rate * numerics.speed_up)
@@ -358,10 +357,10 @@ class Scenario(Strict):
                 f"be at least a cell, {cell:g} m": min(right - left, bed.height) < cell,
                 f"the bed reaches from {low:g} to {wall:g} m and must stay a cell, {cell:g} m, "
                 f"inside numerics.domain = {domain:g} m": low < cell or wall > domain - cell,
-                f"numerics.time_step = {step:g} s is above the CFL limit of {limit:.3g} s for this "
-                f"grid, soil and a leg at {top:.3g} m/s": step > limit,
-                f"numerics.time_step = {step:g} s passes over bins of the history; at most "
-                f"{visit:.3g} s fits": step > visit,
+                f"numerics.time_step = {step:g} s is above the CFL limit of {limit:.3g} s": step
+                > limit,
+                f"numerics.time_step = {step:g} s passes over bins; give {visit:.3g} s": step
+                > visit,
             }
         )
 

@@ -162,14 +162,12 @@ class Soil(Strict):
         refuse(
             {
                 f"dilation_angle_deg = {psi:g} exceeds friction_angle_deg = {phi:g}": psi > phi,
-                f"dilation_angle_deg = {psi:g} compacts soil until its stress is lost; bring it "
-                "nearer to zero, or make poisson_ratio smaller": lost,
+                f"dilation_angle_deg = {psi:g} loses all stress; bring it nearer to 0": lost,
                 f"yield_surface = '{self.yield_surface}' needs yield_criterion = 'plane_strain', "
                 f"not '{self.yield_criterion}'": other,
                 f"critical_friction_angle_deg = {critical:g} exceeds friction_angle_deg = {phi:g}, "
-                "the angle at the peak": critical > phi,
-                f"cohesion = {self.cohesion:g} Pa is not modeled for soil that softens; set it to "
-                "0, or leave critical_friction_angle_deg out": sticky,
+                "the peak": critical > phi,
+                f"cohesion = {self.cohesion:g} Pa is not for soil that softens; set 0": sticky,
             }
         )
         return self

@@ -251,10 +251,8 @@ def _clipped(name: str, force: FloatArray, theta: FloatArray, resolution: float)
 
 
 def _saturated(name: str, end: float, first: float, last: float) -> str:
-    return (
-        f"{name} stays at its extreme, {end:.3g} N, from {first:.0f} to {last:.0f}°: check "
-        "whether the sensor saturates."
-    )
+    stays = f"{name} stays at its extreme, {end:.3g} N, from {first:.0f} to {last:.0f}°"
+    return f"{stays}: check whether the sensor saturates."
 
 
 def _step(name: str, force: FloatArray, theta: FloatArray, resolution: float) -> str:
@@ -340,10 +338,8 @@ def warnings(
     separation_deg, theory = 0.0, ""
     if opinion and law.convention == "plane_strain":
         separation_deg = abs(opinion["median"] - phi.median)
-        theory = (
-            f"Resistive force theory gives {opinion['median']:.0f}°, {separation_deg:.0f}° from "
-            f"law {law.name}"
-        )
+        other = f"{opinion['median']:.0f}°, {separation_deg:.0f}° from law {law.name}"
+        theory = f"Resistive force theory gives {other}"
     if separation_deg > FAR_APART_DEG:
         yield f"{theory}, more than {FAR_APART_DEG:g}°: check the leg and the columns."
     if likelihood.measured:
@@ -728,10 +724,7 @@ def plane_strain(phi: Estimate, law: LawOfLegs) -> tuple[Estimate | None, str]:
     if law.convention == "plane_strain":
         return phi, ""
     if max(phi.ci95) >= 45.0:
-        return None, (
-            "resistive force theory yields at √J₂ = p tan φ, which has no plane-strain equivalent "
-            "from φ = 45°"
-        )
+        return None, "√J₂ = p tan φ has no plane-strain equivalent from φ = 45° on"
     median, *ends = to_plane_strain([phi.median, *phi.ci68, *phi.ci95]).tolist()
     # To first order, by the ratio of the 68 % intervals.
     sd = phi.sd * (ends[1] - ends[0]) / (phi.ci68[1] - phi.ci68[0])

@@ -153,10 +153,8 @@ def _verdict(
     sd = np.sqrt((variance[:, None] + variance - 2.0 * covariance)[pairs])
     limit = NormalDist().inv_cdf(1.0 - 0.5 * CHANCE / sd.size)
     if (np.abs(phi[:, None] - phi)[pairs] / sd).max() > limit:
-        return "misfit", (
-            f"Misfit: {angles} disagree; check sizes, density and moisture, and whether the soil "
-            "is the same. Do not use the angle."
-        )
+        check = "check sizes, density, moisture and whether the soil is the same"
+        return "misfit", f"Misfit: {angles} disagree; {check}. Do not use the angle."
     return (
         "consistent",
         f"Consistent: {angles} agree{' within their errors' if is_widened else ''}.",

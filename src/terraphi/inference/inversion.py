@@ -250,10 +250,8 @@ def with_critical(answer: Answer, critical: float | str) -> Answer:
     given = f"the critical angle of {mean:g} ± {sd:g}°"
     if excess < -most or excess > DENSEST_DEG + most:
         far = "below" if excess < 0.0 else f"more than {DENSEST_DEG:g}° above"
-        sentence = (
-            f"φ is {far} {given} by more than both errors allow, and that angle is not used: check "
-            "it, the density and the force."
-        )
+        beyond = f"φ is {far} {given} by more than both errors allow"
+        sentence = f"{beyond}, and that is not used: check it, the density and the force."
         return replace(answer, warnings=(sentence, *answer.warnings))
     alone = f"{answer.phi}".partition("  ")[0]
     sentence = f"φ is that of soil with {given}; by the forces alone it is {alone}."
@@ -509,10 +507,8 @@ def _better_leg(likelihood: Likelihood, legs: Sequence[Sequence[Reading]]) -> Ju
         best = min(readings, key=lambda reading: reading.residual)
         [given] = [reading for reading in readings if reading.leg == record.rig.leg]
         if best.residual < BETTER_LEG * given.residual:
-            return misfit(
-                f"the residual is {100.0 * given.residual:.0f} % with leg {given.leg} and "
-                f"{100.0 * best.residual:.0f} % with leg {best.leg}. Check the leg."
-            )
+            sizes = (f"{100.0 * r.residual:.0f} % with leg {r.leg}" for r in (given, best))
+            return misfit(f"the residual is {' and '.join(sizes)}. Check the leg.")
     return None
 
 
@@ -524,7 +520,4 @@ def _unexplained(likelihood: Likelihood) -> Judgment | None:
     deviate = (ratio ** (1.0 / 3.0) - 1.0 + 2.0 / (9.0 * free)) / math.sqrt(2.0 / (9.0 * free))
     if deviate <= FAR:
         return None
-    return misfit(
-        f"chi-square is {ratio:.1f} times its degrees of freedom, more than noise and scatter "
-        "explain."
-    )
+    return misfit(f"chi-square is {ratio:.1f} times what noise and scatter explain.")

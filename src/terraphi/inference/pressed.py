@@ -429,10 +429,8 @@ def _verdict(
     deep = press.z > 0.5 * press.z[-1]
     upper, lower = (_angle_of(press, fit, part=half) for half in (~deep, deep))
     if abs(lower - upper) > HALVES * steady_sd:
-        return misfit(
-            f"the upper half of the depth gives φ = {upper:.0f}°, the lower half {lower:.0f}°; "
-            "check tool, surface and layers."
-        )
+        angles = f"φ = {upper:.0f}°, the lower half {lower:.0f}°"
+        return misfit(f"the upper half gives {angles}; check tool, surface and layers.")
     return consistent([record], "loose soil")
 
 
@@ -493,6 +491,6 @@ def _virgin(
     at = np.minimum((z / z.max(initial=1e-9) * WINDOWS).astype(int), WINDOWS - 1)
     first = np.flatnonzero(np.diff(at, prepend=-1))
     if first.size < 8:
-        raise InputError(f"{label}: readings at {first.size} depths below the surface, 8 are "
-                         "needed; check the zero and sign of the sinkage")  # fmt: skip
+        depths = f"readings at {first.size} depths below the surface, 8 are needed"
+        raise InputError(f"{label}: {depths}; check the zero and sign of the sinkage")
     return block_means(z, first), block_means(f, first), z.size, notes

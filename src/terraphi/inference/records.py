@@ -305,10 +305,8 @@ def open_records(
     if friction is not None and not has_tool:
         raise InputError("--friction goes with a rig or a tool; add its sizes, or --rig li2013")
     if has_tool and _cohesion(options.get("cohesion"), "a tool") != (0.0, 0.0):
-        raise InputError(
-            "a plate, ball or wheel is inverted as in dry soil, and φ of damp soil is too high; "
-            "leave out cohesion, and take φ as a limit"
-        )
+        dry = "a plate, ball or wheel is inverted as in dry soil, and φ of damp soil is too high"
+        raise InputError(f"{dry}; leave out cohesion, and take φ as a limit")
     records: list[Record | PressedRecord] = []
     for source, body in sources:
         if isinstance(body, Tool):
@@ -448,8 +446,7 @@ def record_of(
         listed = " and the ".join(wrong)
         raise InputError(f"{name}: a simulation has its own rig and soil; leave out the {listed}")
     if simulated and cohesion is not None:
-        raise InputError(f"{name}: simulated forces without a scenario are of dry soil; leave out "
-                         "the cohesion")  # fmt: skip
+        raise InputError(f"{name}: simulated forces are of dry soil; leave out the cohesion")
     if (scenario is not None or simulated) and raw.channels != FORCES:
         raise InputError(f"{name}: Fx and Fz of a simulation are needed")
     apparatus = _apparatus(measurement, rig, leg)
@@ -546,11 +543,8 @@ def density_warnings(density: float) -> list[str]:
     least, most = USUAL_DENSITY
     if least <= density <= most:
         return []
-    sentence = (
-        f"The density {density:g} kg/m³ is unusual: dry sand and gravel have {least:g} to "
-        f"{most:g} kg/m³. Half or twice that density moves φ by 4 to 9°."
-    )
-    return [sentence]
+    usual = f"dry sand and gravel have {least:g} to {most:g} kg/m³"
+    return [f"The density {density:g} kg/m³ is unusual: {usual}. Half of it moves φ by 4 to 9°."]
 
 
 def density_with_sd(density: float | str, name: str) -> tuple[float, float]:

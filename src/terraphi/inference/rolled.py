@@ -170,7 +170,7 @@ class _Roll:
     @cached_property
     def by_friction(self) -> FloatArray:
         """Ln of the load [N] at each of FRICTIONS and each angle, shape [friction, row, angle]."""
-        return np.stack([self.at(0.0, friction) for friction in FRICTIONS])
+        return self.at(0.0, FRICTIONS)
 
     @cached_property
     def loads(self) -> FloatArray:
@@ -185,20 +185,16 @@ class _Roll:
         vars(other)["by_friction"] = self.by_friction  # as cached_property keeps it
         return other
 
-    def at(self, moved: float, friction: float) -> FloatArray:
+    def at(self, moved: float, friction: ArrayLike) -> FloatArray:
         """Ln of the load at each angle, the rim moved down [m], shape [row, angle]."""
-        z = np.clip(self.sinkage + moved, 1e-5, DEEPEST * self.wheel.reach)
-        slip, side = self.rows["slip"], self.rows["side_slip"]
-        forces = wheel_forces(
-            self.wheel, z[:, None], slip[:, None], phi_deg=self.angles, density=self.density,
-            surface_friction=friction, side_slip_deg=side[:, None], law=self.law,
-        )  # fmt: skip
-        return np.log(np.maximum(forces.load, 1e-12))
+        load = self.forces(self.angles[:, None], friction, moved).load
+        return np.log(np.maximum(load.swapaxes(-1, -2), 1e-12))
 
-    def forces(self, phi_deg: FloatArray, friction: float) -> WheelForces:
-        """Forces on each row's wheel at angles of their own [deg]."""
+    def forces(self, phi_deg: FloatArray, friction: ArrayLike, moved: float = 0.0) -> WheelForces:
+        """Forces on each row's wheel at angles [deg], shape [row] or [angle, 1]."""
+        z = np.clip(self.sinkage + moved, 1e-5, DEEPEST * self.wheel.reach)
         return wheel_forces(
-            self.wheel, self.sinkage, self.rows["slip"], phi_deg=phi_deg, density=self.density,
+            self.wheel, z, self.rows["slip"], phi_deg=phi_deg, density=self.density,
             surface_friction=friction, side_slip_deg=self.rows["side_slip"], law=self.law,
         )  # fmt: skip
 
@@ -374,13 +370,11 @@ def usable(
     # out.
     faults = (
         ((slip < SLIPS[0]) | (slip > SLIPS[1]) | (side > MOST_SIDE),
-         (f"no row with a slip between {ends} at a side slip below {MOST_SIDE:g}°: it is "
-          f"{slip.min():.2g} to {slip.max():.2g}; a wheel that is locked or digs in pushes a "
-          "mound, of which nothing was learned"),
+         (f"no row with a slip between {ends} at a side slip below {MOST_SIDE:g}°, but of "
+          f"{slip.min():.2g} to {slip.max():.2g}; wheels that dig in are not read"),
          f"slip beyond {ends}, or side slip beyond {MOST_SIDE:g}°"),
         (sunk <= wheel.bare,
-         (f"the lugs alone are in the soil, up to {1e3 * wheel.bare:.0f} mm; a sinkage is that of "
-          "their tips"),
+         f"the lugs alone are in the soil, up to {1e3 * wheel.bare:.0f} mm; give that of tips",
          "the lugs alone are in the soil"),
         (sunk > DEEPEST * wheel.reach,
          f"the wheel sinks in deeper than {limit}, {DEEPEST:g} of the radius; check its diameter",
@@ -536,10 +530,8 @@ def _verdict(roll: _Roll, fit: _Mean, record: RecordFit) -> Judgment:
     most = _most_shear(roll, fit)
     for name, over in (("torque", "load times radius"), ("pull", "load")):
         if (ratio := _shear(roll, name)) > most:
-            return misfit(
-                f"the {name} is {ratio:.2f} of {over}, and soil of this angle bears {most:.2f}; "
-                "check their columns, units, gear and zero."
-            )
+            ratios = f"{ratio:.2f} of {over}, and soil of this angle bears {most:.2f}"
+            return misfit(f"the {name} is {ratios}; check their columns, units, gear and zero.")
     return _by_residual(record, "follows the load within {:.0%}, usual for wheels")
 
 
@@ -731,8 +723,6 @@ def _unsunk_fit(
 def _unsunk_verdict(least: float, fitted: RecordFit) -> Judgment:
     """Verdict by the distance from the nearest angle's resistance over its error [-]."""
     if least > CONTRADICTION:
-        return misfit(
-            "no angle has this pull and torque at this load; check signs, units and zero of both, "
-            "the diameter and the friction."
-        )
+        check = "check signs, units and zero of both, the diameter and the friction"
+        return misfit(f"no angle has this pull and torque at this load; {check}.")
     return _by_residual(fitted, "has the resistance within {:.0%} of the load")

@@ -358,10 +358,8 @@ def simulated_table(shape: str, surface_friction: float) -> tuple[float, float, 
     stored = law.force[of_shape].reshape(counts).swapaxes(-1, -2)
     low, high = friction[0] - BEYOND_FRICTION, friction[-1] + BEYOND_FRICTION
     if not low - 1e-9 <= surface_friction <= high + 1e-9:
-        raise InputError(
-            f"surface_friction = {surface_friction:g}: law 'foot' was simulated for "
-            f"{friction[0]:g} to {friction[-1]:g}; give {low:.2g} to {high:.2g}, or take law 'rft'"
-        )
+        ends = f"law 'foot' is for {low:.2g} to {high:.2g}; law 'rft' for all"
+        raise InputError(f"surface_friction = {surface_friction:g}: {ends}")
     # Over the friction: linear, also somewhat beyond the table.
     place = (surface_friction - friction[0]) / (friction[-1] - friction[0])
     by_angle = between_rows(stored, np.asarray(place * (len(friction) - 1)))

@@ -145,10 +145,7 @@ class Mesh:
         """
         if triangles is None:
             mesh, triangles = getattr(mesh, "vertices", None), getattr(mesh, "faces", None)
-        expected = (
-            "mesh: give corners [corner, 3] and triangles [face, 3] of whole numbers, or an object "
-            "with vertices and faces"
-        )
+        expected = "mesh: give corners [corner, 3], triangles [face, 3], or vertices and faces"
         if mesh is None or triangles is None:
             raise InputError(expected)
         corners = numbers("mesh", mesh, last=(3,), unit="m")
@@ -542,8 +539,7 @@ def _warn_deep(xp: Any, ratio: Any) -> None:
         while frame.f_back and frame.f_globals["__name__"].startswith("terraphi."):
             frame, level = frame.f_back, level + 1  # to who called this package
         warnings.warn(  # one text, so that it is shown once
-            f"a foot is deeper than {DEEPEST:g} of its radii, to which law 'foot' was simulated; "
-            "its forces are continued from there",
+            f"a foot is deeper than {DEEPEST:g} radii, from where law 'foot' is extrapolated",
             stacklevel=level,
         )
 

@@ -317,7 +317,8 @@ def start_from(start: Start | str) -> Start:
 def check_frame(walk: FootfallMap, name: str) -> None:
     """Raise InputError if footfalls, which a start is to place, are not relative to their own."""
     if (frame := walk.provenance.get("frame", "start")) != "start":
-        raise InputError(f"{name}: places in the frame '{frame}', not from a start; give no start")
+        place = f"places in the frame '{frame}', not from the walk's start"
+        raise InputError(f"{name}: {place}; give no start")
 
 
 def read_points(

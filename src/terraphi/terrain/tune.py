@@ -726,10 +726,8 @@ def _reason(title: str, fit: Fit, target: FloatArray, press: Press) -> str:
         end = "largest" if fit.at_limit == "high" else "least"
         why = f"at the {end} that was tried the forces are off by {by_part}"
     elif fit.residual <= fit.tolerance:
-        why = (
-            f"the force differs by ± {fit.scatter:.0%} with the place of the surface in its "
-            f"voxel, more than by the law's own error ({fit.tolerance:.0%})"
-        )
+        places = f"± {fit.scatter:.0%} with the place of the surface in its voxel"
+        why = f"the force differs by {places}, the law's own error is {fit.tolerance:.0%}"
     else:
         why = f"at the best one the forces of the thirds of the depth are off by {by_part}"
     return f"No friction does with {voxel}: {why}. Take finer voxels."

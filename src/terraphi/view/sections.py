@@ -192,10 +192,8 @@ def of_library(library: Library) -> Section:
     contents = {key: value for key, value in summary.items() if value not in ("", [], {}, None)}
     picture = Picture.of("Forces by friction angle", library.plot())
     parts = (picture, Table("Contents", ("", ""), pairs(contents)))
-    headline = (
-        f"{summary['cases']} simulations, φ = {low:g} to {high:g}° "
-        f"({CONVENTIONS.get(summary['convention'], summary['convention'])})"
-    )
+    meaning = CONVENTIONS.get(summary["convention"], summary["convention"])
+    headline = f"{summary['cases']} simulations, φ = {low:g} to {high:g}° ({meaning})"
     lines = [text for text in (library.description, library.caveat) if text]
     status = "bad" if summary["failures"] else ""
     return Section("library", library.name, headline, lines, parts, pairs(provenance), status)
