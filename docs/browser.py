@@ -21,7 +21,7 @@ def write(path: Path) -> None:
     folder, version = Path(terraphi.__file__).parent, terraphi.__version__
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for one in sorted(folder.rglob("*")):
-            if one.suffix in (".csv", ".py", ".toml"):
+            if one.suffix in (".csv", ".py", ".pyi", ".toml"):
                 archive.write(one, one.relative_to(folder.parent))
         attributes, arrays = files._read(folder / "data" / LAW)
         arrays = {n: a.astype(str) if a.dtype.kind == "O" else a for n, a in arrays.items()}

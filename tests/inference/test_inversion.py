@@ -464,7 +464,7 @@ def test_the_cohesion_of_a_simulated_soil_is_known() -> None:
 
 def test_simulations_of_other_physics_are_refused_by_the_law_of_legs() -> None:
     history = simulate(Scenario.load("quick"))
-    with pytest.raises(InputError, match="three dimensions"):
+    with pytest.raises(InputError, match="is of 3 dimensions by mpm"):
         invert(history, law="legs")
 
 

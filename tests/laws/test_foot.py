@@ -188,7 +188,7 @@ def test_simulated_law_does_not_answer_outside_its_table() -> None:
         BALL, 0.02, math.pi / 2, friction_angle_deg=[13.5, 14.5, 54.5, 55.5], **SAND
     )
     assert np.isnan(outside[:, 1]).tolist() == [True, False, False, True]
-    with pytest.raises(InputError, match=r"surface_friction = 0\.7.*0\.2 to 0\.5"):
+    with pytest.raises(InputError, match=r"surface_friction = 0\.7.*0\.05 to 0\.65"):
         LAWS["foot"].force(
             BALL, 0.02, math.pi / 2, friction_angle_deg=30.0, density=1.0, surface_friction=0.7
         )

@@ -130,7 +130,8 @@ class Bed(Strict):
         weightless = self.surcharge > 0.0 and self.gravity == 0.0
         refuse(
             {
-                f"soil from x = {low:g} to {high:g} m lies outside the walls": not inside,
+                f"soil from x = {low:g} to {high:g} m lies outside the walls; change "
+                "soil_left or soil_width": not inside,
                 f"surcharge = {self.surcharge:g} Pa has no weight; set gravity > 0": weightless,
             }
         )

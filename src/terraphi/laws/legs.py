@@ -430,8 +430,8 @@ def cells_in(scenario: Scenario | None, rig: Rig) -> float:
     if scenario is None:
         return 1.0
     if (scenario.model, scenario.dimensions) != ("mpm", 3):
-        of = f"by {scenario.model} in {scenario.dimensions}"
-        raise InputError(f"law {NAME} is of simulations by mpm in 3, not {of}; leave it out")
+        other = f"{scenario.dimensions} dimensions by {scenario.model}"
+        raise InputError(f"law {NAME} is of 3 dimensions by mpm, not of {other}; leave it out")
     depth = reach(rig.leg, rig.ratios)[2]
     return scenario.numerics.cell_size / rig.length / cells_of(rig.ratios, depth)
 
