@@ -23,15 +23,7 @@ from terraphi.experiment.documents import Strict, parse_toml, shipped_file
 from terraphi.experiment.errors import InputError, nearest, needing
 from terraphi.experiment.files import check_is_file, is_there, label_of, read_bytes
 from terraphi.experiment.units import GRAVITY
-from terraphi.robot.joint_log import (
-    FEET,
-    JOINT_NAMES,
-    JOINTS,
-    LEGS,
-    Names,
-    joint_names,
-    joint_place,
-)
+from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, LEGS, Names, joint_place
 
 with needing("a robot", "MuJoCo and SciPy", extra="robot"):
     import mujoco
@@ -448,7 +440,7 @@ def _legs(
     is_named = (joint >= 0).any(axis=1).all() and not (is_longer or stands_on_more)
     if chains or (table is None and not is_named):
         return _ordered(model, data, limbs, list(chains), source, len(hinges))
-    if missing := joint_names(lacking):
+    if missing := [n for n, lacks in zip(JOINT_NAMES, lacking.flat, strict=True) if lacks]:
         raise InputError(
             f"{source}: no joints {', '.join(missing)} by the names of the model's "
             f"{len(hinges)} revolute joints; name those of the four legs in the table 'joints' of "
@@ -477,13 +469,12 @@ def _check_chains(model: mujoco.MjModel, chains: list[list[int]], source: str) -
     # joint before. The equations of motion of a leg rest on that.
     for row in chains:
         for i, above in zip(row, [5, *model.jnt_dofadr[row[:-1]]], strict=True):
-            name = model.joint(i).name
-            if model.dof_parentid[model.jnt_dofadr[i]] != above:
-                raise InputError(f"{source}: '{name}' does not hang on the joint above it")
-            if model.jnt_type[i] != mujoco.mjtJoint.mjJNT_HINGE:
-                raise InputError(f"{source}: joint '{name}' of a leg is not a revolute one")
-            if sum(chain.count(i) for chain in chains) > 1:
-                raise InputError(f"{source}: joint '{name}' carries several legs, one is expected")
+            hangs = model.dof_parentid[model.jnt_dofadr[i]] == above
+            turns = model.jnt_type[i] == mujoco.mjtJoint.mjJNT_HINGE
+            if not (hangs and turns and sum(chain.count(i) for chain in chains) == 1):
+                wrong = "carries several legs" if hangs else "does not hang on the joint above it"
+                wrong = wrong if turns else "of a leg is not a revolute one"
+                raise InputError(f"{source}: '{model.joint(i).name}' {wrong}")
 
 
 def _ordered(

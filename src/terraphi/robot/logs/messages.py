@@ -16,22 +16,14 @@ from typing import Any
 import numpy as np
 
 from terraphi.experiment.errors import InputError, nearest
-from terraphi.robot.joint_log import (
-    GAP_STEPS,
-    JOINT_NAMES,
-    LEGS,
-    SHAPES,
-    JointLog,
-    Names,
-    joint_place,
-)
+from terraphi.robot.joint_log import GAP_STEPS, LEGS, SHAPES, JointLog, Names, joint_place
 from terraphi.robot.model import Robot
 
 MEASURED = ("quaternion", "angular_velocity", "acceleration")
 """Columns of a JointLog that an Imu message has."""
-MOTORS = len(JOINT_NAMES)
-URDF_NAMES = tuple(f"{name}_joint" for name in JOINT_NAMES)
+URDF_NAMES = tuple(f"{name}_joint" for leg in LEGS for name in leg)
 """Names of the joints in Unitree's robot descriptions, in the order of a JointLog."""
+MOTORS = len(URDF_NAMES)
 FOREIGN, ALONE = "joints of something else", "no Imu within a second"
 Received = Iterable[tuple[int, Any]]
 """Times of recording [ns], and messages."""
@@ -172,7 +164,7 @@ def joint_order(
         there = [joint for joint in all_ if joint in joints]
         index = dict(zip(there, map(list(names).index, wanted), strict=True))
     for i, place in enumerate(map(joint_place, names if wanted is None else ())):
-        joint = place and JOINT_NAMES[3 * place[0] + place[1]]
+        joint = place and LEGS[place[0]][place[1]]
         if joint and index.setdefault(joint, i) != i:
             pair = f"joints '{names[index[joint]][:60]}' and '{names[i][:60]}'"
             raise InputError(f"{pair} both look like the {joint.replace('_', ' ')}; {hint}")
