@@ -23,6 +23,7 @@ from terraphi.inference.footfalls import (
     MISFIT,
     PRINT,
     SHALLOW,
+    TILTED,
     TORN,
     TRODDEN,
     USABLE,
@@ -187,13 +188,17 @@ def test_of_two_feet_in_one_place_the_second_is_refused() -> None:
     places = np.column_stack([x, np.zeros((7, 2))])
     fair = {"torn": np.zeros(7, bool), "saturated": np.zeros(7, bool), "place": places}
     fair |= {"returned": np.zeros(7), "broken": np.zeros(7), "faulty": np.zeros(7, bool)}
-    fair["deepest"] = np.full(7, 0.02)
+    fair["deepest"], fair["moved"] = np.full(7, 0.02), np.ones(7)
+    fair |= {"drop": np.full((7, 20), 0.02), "rise": np.zeros((7, 20, 2))}
     observed = SimpleNamespace(foot=feet, used=np.ones((7, 20), bool), **fair)
     result = SimpleNamespace(
         phi=np.array([32.0] * 6 + [50.0]), sinkage=np.full(7, 0.02), gained=np.full(7, 0.01),
         misfit=np.ones(7), borne=np.ones(7),
     )  # fmt: skip
     expected = [USABLE, USABLE, PRINT, PRINT, USABLE, TRODDEN, EDGE]
+    assert verdicts(observed, result, Prior()).tolist() == expected
+    observed.moved[0], observed.rise[1] = 0.01, (0.015, 0.006)  # its own print; on an edge
+    expected[:2] = TRODDEN, TILTED
     assert verdicts(observed, result, Prior()).tolist() == expected
 
 
@@ -202,6 +207,8 @@ def test_a_misfit_and_a_hard_layer_are_judged_by_the_rest_of_the_walk() -> None:
     count, rng = 21, np.random.default_rng(0)
     still = {name: np.zeros(count) for name in ("returned", "broken")}
     still |= {name: np.zeros(count, bool) for name in ("torn", "saturated", "faulty")}
+    still |= {"drop": np.full((count, 20), 0.02), "rise": np.zeros((count, 20, 2))}
+    still["moved"] = np.ones(count)
     place = np.column_stack([np.arange(count), np.zeros((count, 2))])
     observed = SimpleNamespace(
         foot=np.zeros(count, int), place=place, used=np.ones((count, 20), bool),

@@ -260,7 +260,8 @@ def _touchdown(
         start = int(aloft[-1] + np.argmax(bears))
     begin = float(time[start])
     # Where the foot stood before, also for longer than a stance lasts, it stands in its own print.
-    loaded = lift[:start][::-1] > BORE_PART * lift[start : np.searchsorted(time, stance.end)].max()
+    most = np.nan_to_num(lift[start : np.searchsorted(time, stance.end) + 1]).max()
+    loaded = lift[:start][::-1] > BORE_PART * most
     moved = math.inf
     if loaded.any():
         moved = float(np.hypot(*(place[start] - place[start - 1 - int(loaded.argmax())])[:2]))
