@@ -32,7 +32,6 @@ def empty_audit() -> Audit:
     return Audit(np.zeros(rows), np.zeros(2), np.zeros(rows), np.zeros(1))
 
 
-@kernel
 def close_books(audit: Audit, impulses: FloatArray, momentum: tuple[float, float]) -> None:
     """Compare the momentum with that before the last step plus its impulses."""
     scale = np.abs(impulses).sum()
@@ -41,7 +40,6 @@ def close_books(audit: Audit, impulses: FloatArray, momentum: tuple[float, float
         audit.worst[0] = max(audit.worst[0], miss / scale)
 
 
-@kernel
 def write_books(audit: Audit, impulses: FloatArray, momentum: tuple[float, float]) -> None:
     """Add a step's impulses to the ledger; ``momentum`` is that of the soil before the step."""
     for axis in range(2):

@@ -434,18 +434,16 @@ def _checked(
         soil = _row(phi_deg, density, friction, surface, rest_speed)
     except TypeError:  # arrays have no hash
         return None
-    arrays: Any = (pose, velocity)
-    if held is not None:
-        if type(held) is not tuple or len(held) != 2 or not _are_plain(step, stiffness):
-            return None
-        arrays = (pose, velocity, *held)
+    if held is not None and (type(held) is not tuple or not _are_plain(step, stiffness)):
+        return None
+    arrays: Any = (pose, velocity) if held is None else (pose, velocity, *held)
     lead = getattr(pose, "shape", ())[:-1]
     for array, widths in zip(arrays, WIDTHS, strict=False):
         if type(array) is not np.ndarray or array.dtype != DOUBLE or array.shape[:-1] != lead:
             return None
         if not array.ndim or array.shape[-1] not in widths:
             return None
-    if soil is None:
+    if soil is None or len(arrays) != (2 if held is None else 4):
         return None
     if len(lead) != 1:
         arrays = [array.reshape(-1, array.shape[-1]) for array in arrays]

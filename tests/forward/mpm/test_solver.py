@@ -92,7 +92,7 @@ def stepped(space, pose, shift=0.0, **changes):
     bed.velocity[:] = np.random.default_rng(2).normal(size=bed.velocity.shape) * (pose is None)
     before, reaction, impulses = bed.velocity.copy(), empty_reaction(1), np.zeros((5, 2))
     row = path_of_steps(scenario, np.arange(1), 1).poses[0] + (0.0 if pose is None else pose)
-    begin_phase(bed, phase, row, empty_audit())
+    begin_phase(bed, phase, row)
     phase.shift[2] += shift
     step(bed, phase, row, phase.time_step, 0, reaction, impulses)
     return bed, phase, before, reaction[0], row

@@ -21,9 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.experiment.scenario import Scenario
+from terraphi.forward import feet
 from terraphi.forward.bed import sub_cells
 from terraphi.forward.body import Intruder, Pose, distance_to_leg, intruder_of, out_of_leg_frame
-from terraphi.forward.compiled import kernel
+from terraphi.forward.compiled import kernel, part
 from terraphi.forward.mpm.lattice import Lattice, Three, place_of
 
 OUTLINE, SPHERE, CYLINDER = 0, 1, 2
@@ -68,22 +69,7 @@ def contact_of(scenario: Scenario) -> Contact:
     )
 
 
-@kernel
-def dot(a: Three, b: Three) -> float:
-    """A · b."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@kernel
-def scaled(share: float, a: Three) -> Three:
-    """Share times a."""
-    return share * a[0], share * a[1], share * a[2]
-
-
-@kernel
-def added(a: Three, share: float, b: Three) -> Three:
-    """A + share b."""
-    return a[0] + share * b[0], a[1] + share * b[1], a[2] + share * b[2]
+dot, scaled, added = kernel(feet.dot), kernel(feet.times), kernel(feet.plus)
 
 
 @kernel
@@ -139,7 +125,7 @@ def distance_in_space(contact: Contact, place: Three, pose: Pose) -> tuple[float
     return distance, (nx, ny, nz)
 
 
-@kernel
+@part
 def contact_force(
     place: Three, speed: Three, slip: Three, mass: float, contact: Contact, pose: Pose
 ) -> tuple[Three, Three, Three]:
@@ -200,7 +186,7 @@ def contact_force(
     return added(rub, pressure, out), scaled(-distance, out), slip
 
 
-@kernel
+@part
 def near_leg(
     lattice: Lattice, cell: NDArray[np.int32], offset: NDArray[Any], slip: NDArray[Any],
     contact: Contact, pose: Pose, near: NDArray[np.int64],

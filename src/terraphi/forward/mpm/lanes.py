@@ -248,50 +248,38 @@ def strain_particles(
                 load(work, velocity, SLAB + j * NEXT, at + j * row, layer, vectors)
             # The outermost rows, images of their neighbors, have no soil.
             for j in range(ONE, count_y - ONE):
-                block = (k * count_y + j) * blocks + b
-                strain_block(
-                    packets, work, SLAB + j * NEXT, block, laws, held, scale, area, vectors
-                )
+                block, rows = (k * count_y + j) * blocks + b, SLAB + j * NEXT
+                first, last = np.uint64(packets.first[block]), np.uint64(packets.first[block + ONE])
+                if first == last:  # no soil
+                    continue
+                # Where the particles of each cell are, on average.
+                middle = block * THREE * LANES
+                for axis in range(THREE):
+                    for i in range(vectors * SIXTEEN):
+                        work[MIDDLE + axis * ROW + i] = packets.centre[middle + axis * LANES + i]
+                # Velocities to moments: first over y at every x, then over x in every cell.
+                for component in range(THREE):
+                    gather_across(work, rows, component, vectors)
+                for component in range(THREE):
+                    gather_along(work, component, scale, vectors)
+                rate_of_cells(work, vectors)
+                # Strain, packet after packet; each adds its stress to the sums of its cells.
+                for i in range(SUM, BACK):
+                    work[i] = ZERO
+                if held is not None:
+                    strain_sharing(packets.state, work, first, last, vectors, laws, held)
+                else:
+                    for packet in range(first, last):
+                        if predict_packet(packets.state, work, packet, vectors, laws) > ZERO:
+                            return_packet(packets.state, work, packet, vectors, laws)
+                        sum_packet(packets.state, work, packet, vectors)
+                # Sums to forces, the same way back, one component after the other.
+                add_mean_moments(work, vectors)
+                for component in range(THREE):
+                    scatter_along(work, FACES[component], ARMS[component], area, vectors)
+                    scatter_across(work, rows + NODE_ROWS + component * THREE_ROWS, vectors)
             for j in range(count_y):
                 unload(work, force, SLAB + j * NEXT + NODE_ROWS, at + j * row, layer, vectors)
-
-
-@kernel
-def strain_block(
-    packets: Packets, work: Work, at: Index, block: Index, laws: Material, held: Material | None,
-    scale: Any, area: Any, vectors: Index,
-) -> None:  # fmt: skip
-    """Strain the particles of a block, whose middle row of nodes is ``at`` in the slab."""
-    wide_vectors()
-    first, last = np.uint64(packets.first[block]), np.uint64(packets.first[block + ONE])
-    if first == last:
-        return
-    # Where the particles of each cell are, on average.
-    middle = block * THREE * LANES
-    for axis in range(THREE):
-        for i in range(vectors * SIXTEEN):
-            work[MIDDLE + axis * ROW + i] = packets.centre[middle + axis * LANES + i]
-    # Velocities to moments: first over y at every x, then over x in every cell.
-    for component in range(THREE):
-        gather_across(work, at, component, vectors)
-    for component in range(THREE):
-        gather_along(work, component, scale, vectors)
-    rate_of_cells(work, vectors)
-    # Strain, packet after packet; each adds its stress to the sums of its cells.
-    for i in range(SUM, BACK):
-        work[i] = ZERO
-    if held is not None:
-        strain_sharing(packets.state, work, first, last, vectors, laws, held)
-    else:
-        for packet in range(first, last):
-            if predict_packet(packets.state, work, packet, vectors, laws) > ZERO:
-                return_packet(packets.state, work, packet, vectors, laws)
-            sum_packet(packets.state, work, packet, vectors)
-    # Sums to forces, the same way back, one component after the other.
-    add_mean_moments(work, vectors)
-    for component in range(THREE):
-        scatter_along(work, FACES[component], ARMS[component], area, vectors)
-        scatter_across(work, at + NODE_ROWS + component * THREE_ROWS, vectors)
 
 
 @kernel
@@ -525,12 +513,8 @@ def sum_packet(state: Work, work: Work, packet: Index, vectors: Index) -> None:
         # An empty lane has no volume, and adds nothing.
         full, to = state[at + VOLUME], SUM + i
         xx, yy, zz, xy, xz, yz = full * xx, full * yy, full * zz, full * xy, full * xz, full * yz
-        work[to + XX] += xx
-        work[to + YY] += yy
-        work[to + ZZ] += zz
-        work[to + XY] += xy
-        work[to + XZ] += xz
-        work[to + YZ] += yz
+        add_three(work, to + XX, ROW, (xx, yy, zz))
+        add_three(work, to + XY, ROW, (xy, xz, yz))
         # Only the deviator acts at the particle's place; the mean stress follows for the whole
         # cell in add_mean_moments.
         mean = THIRD * (xx + yy + zz)
@@ -561,9 +545,7 @@ def swell_packet(
         # 1 + b = e / ẽ where both yield, else 1; the inner choice keeps 0 / 0 from being computed.
         yields = alone * most > ZERO
         slope = most / (alone if yields else UNIT) if yields else UNIT
-        work[SWELL + NUMBER + i] += full
-        work[SWELL + SWELLING + i] += full * most
-        work[SWELL + YIELDING + i] += full * slope
+        add_three(work, SWELL + NUMBER + i, ROW, (full, full * most, full * slope))
 
 
 @kernel

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.experiment.scenario import Scenario
-from terraphi.forward.compiled import kernel, wide_vectors
+from terraphi.forward.compiled import kernel, part, wide_vectors
 from terraphi.forward.mpm.bed import Soil
 from terraphi.forward.mpm.contact import Contact, contact_of
 from terraphi.forward.mpm.lattice import Lattice, lattice_of, place_of
@@ -107,7 +107,7 @@ def phase_of(scenario: Scenario, soil: Soil) -> Phase:
     )
 
 
-@kernel
+@part
 def grid_velocities(soil: Soil, lattice: Lattice, grid: FloatArray) -> None:
     """Make velocities of masses and momenta, those of the images included.
 
@@ -155,7 +155,7 @@ def fold(nodes: Nodes, lattice: Lattice, used: int) -> None:
                 nodes[axis, i] = nodes[axis, i + last] = 0
 
 
-@kernel
+@part
 def inertia_and_lists(soil: Soil, phase: Phase) -> None:
     """Fill in the inertia of the nodes of a phase, and list its light nodes and wall nodes."""
     lattice = phase.lattice
@@ -195,7 +195,7 @@ def momentum(soil: Soil) -> tuple[float, float]:
     return x, z
 
 
-@kernel
+@part
 def stiffness_damping(
     force: NDArray[Any], before: NDArray[Any], share: Any, count: np.uint64
 ) -> None:
@@ -214,7 +214,7 @@ def stiffness_damping(
         before[q] = now
 
 
-@kernel
+@part
 def accelerate(
     speed: NDArray[Any], force: NDArray[Any], phase: Phase, dt: Any, fall: Any, count: np.uint64
 ) -> None:
@@ -227,7 +227,7 @@ def accelerate(
         force[q] = 0
 
 
-@kernel
+@part
 def carry(shift: NDArray[Any], speed: NDArray[Any], dt: Any, count: np.uint64) -> None:
     """Displacements of the first nodes, u += v Δt."""
     wide_vectors()
@@ -235,7 +235,7 @@ def carry(shift: NDArray[Any], speed: NDArray[Any], dt: Any, count: np.uint64) -
         shift[q] += speed[q] * dt
 
 
-@kernel
+@part
 def step(soil: Soil, phase: Phase, impulses: FloatArray) -> None:
     """Change the velocities of the nodes by a step, and clear the forces.
 
@@ -272,7 +272,7 @@ def step(soil: Soil, phase: Phase, impulses: FloatArray) -> None:
     mirror(soil.velocity, lattice, used)
 
 
-@kernel
+@part
 def walls(soil: Soil, phase: Phase, impulses: FloatArray) -> None:
     """Let one-sided walls stop the soil; the side walls let it slip, a rough floor does not."""
     velocity = soil.velocity

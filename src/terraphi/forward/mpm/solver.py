@@ -75,7 +75,8 @@ class MpmSolver:
             end = min(begin + self._steps, len(bins))
             # A phase: its constants, then half a step of strain, then the steps.
             impulses, middle = np.zeros((5, 2)), path.poses[(begin + end) // 2]
-            momentum = begin_phase(soil, phase, middle, audit)
+            momentum = begin_phase(soil, phase, middle)
+            close_books(audit, audit.impulses, momentum)
             used = int(phase.counts[2])
             strainer.begin(soil)
             strainer.strain(soil, phase.force, 0.5 * time_step, used)
@@ -113,8 +114,8 @@ class MpmSolver:
 
 
 @entry
-def begin_phase(soil: Soil, phase: Phase, pose: FloatArray, audit: Audit) -> tuple[float, float]:
-    """Weigh the nodes, close the books of the phase before, and find the particles near the leg.
+def begin_phase(soil: Soil, phase: Phase, pose: FloatArray) -> tuple[float, float]:
+    """Weigh the nodes, and find the particles near the leg.
 
     Parameters
     ----------
@@ -124,8 +125,6 @@ def begin_phase(soil: Soil, phase: Phase, pose: FloatArray, audit: Audit) -> tup
         Inertia, list of near particles and displacements, of half a step, are filled.
     pose
         Of the leg in the middle of the phase, as the driver has it.
-    audit
-        Its worst mismatch is updated.
 
     Returns
     -------
@@ -134,16 +133,15 @@ def begin_phase(soil: Soil, phase: Phase, pose: FloatArray, audit: Audit) -> tup
     """
     nodes.inertia_and_lists(soil, phase)
     x, z = nodes.momentum(soil)
-    momentum = (HALVES * x, HALVES * z)
-    close_books(audit, audit.impulses, momentum)
-    particles = (soil.cell, soil.offset, soil.slip)
-    phase.counts[3] = near_leg(phase.lattice, *particles, phase.contact, pose_of(pose), phase.near)
+    phase.counts[3] = near_leg(
+        phase.lattice, soil.cell, soil.offset, soil.slip, phase.contact, pose_of(pose), phase.near
+    )
     # Places lead the velocities by half a step (velocity Verlet).
     half = 0.5 * phase.time_step
     for axis in range(3):
         for q in range(phase.lattice.nodes):
             phase.shift[axis, q] = half * soil.velocity[axis, q]
-    return momentum
+    return HALVES * x, HALVES * z
 
 
 @entry

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terraphi.forward.body import Pose
-from terraphi.forward.compiled import kernel
+from terraphi.forward.compiled import kernel, part
 from terraphi.forward.mpm.bed import Soil
 from terraphi.forward.mpm.contact import Contact, contact_force, scaled
 from terraphi.forward.mpm.lattice import Lattice, Three, place_of
@@ -68,7 +68,7 @@ def gather(nodes: Nodes, cell: int, place: Three, lattice: Lattice) -> Three:
     return first, second, third
 
 
-@kernel
+@part
 def scatter_force(
     force: Nodes, cell: int, place: Three, given: Three, arm: Three, lattice: Lattice
 ) -> None:
@@ -92,7 +92,7 @@ def scatter_force(
                 force[2, q + a] += share * given[2]
 
 
-@kernel
+@part
 def contact_forces(
     soil: Soil, lattice: Lattice, shift: Nodes, force: Nodes, near: NDArray[np.int64],
     contact: Contact, pose: Pose,
@@ -146,7 +146,7 @@ def contact_forces(
     return total_x, total_z, total_m
 
 
-@kernel
+@part
 def affine_velocity(
     nodes: Nodes, cell: int, place: Three, lattice: Lattice
 ) -> tuple[Three, tuple[Three, Three, Three]]:
@@ -173,7 +173,7 @@ def affine_velocity(
     return (vx, vy, vz), ((xx, xy, xz), (yx, yy, yz), (zx, zy, zz))
 
 
-@kernel
+@part
 def scatter(
     grid: FloatArray, cell: int, place: Three, mass: float, velocity: Three,
     affine: tuple[Three, Three, Three], lattice: Lattice,
@@ -197,7 +197,7 @@ def scatter(
                     grid[1 + axis, q + a] += w * speed
 
 
-@kernel
+@part
 def remap(soil: Soil, lattice: Lattice, shift: Nodes, grid: FloatArray) -> int:
     """End a phase: move the particles and give their masses and momenta to the grid.
 

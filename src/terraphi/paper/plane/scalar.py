@@ -9,14 +9,17 @@ from __future__ import annotations
 import math
 
 from terraphi.experiment.arrays import FloatArray
+from terraphi.forward import ledger
 from terraphi.forward.body import Path, pose_of
 from terraphi.forward.compiled import kernel
-from terraphi.forward.ledger import Audit, close_books, enter_reaction, write_books
+from terraphi.forward.ledger import Audit, enter_reaction
 from terraphi.paper.plane.bed import Grid, Particles
 from terraphi.paper.plane.contact import against_leg, against_walls
 from terraphi.paper.plane.model import Model
 from terraphi.paper.plane.plasticity import jaumann_predictor, return_mapping
 from terraphi.paper.plane.transfer import grid_to_particle, particles_to_grid
+
+close_books, write_books = kernel(ledger.close_books), kernel(ledger.write_books)
 
 
 @kernel
