@@ -224,7 +224,9 @@ def test_failures_are_kept_and_tried_again(tmp_path: Path, monkeypatch) -> None:
         build(PLAN, tmp_path / "other.nc")
 
 
-def test_places_that_cannot_be_used_are_refused(tmp_path: Path) -> None:
+def test_places_that_cannot_be_used_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with pytest.raises(InputError, match="folder"):
         build(PLAN, tmp_path)
     if os.name == "posix":
@@ -235,5 +237,6 @@ def test_places_that_cannot_be_used_are_refused(tmp_path: Path) -> None:
             pytest.raises(InputError, match="another process"),
         ):
             build(PLAN, tmp_path / "library.nc")
+    monkeypatch.setattr("terraphi.laws.build.CONNECT_SECONDS", 0.5)
     with pytest.raises(InputError, match="no Dask scheduler"), cluster("tcp://127.0.0.1:1"):
         pass
