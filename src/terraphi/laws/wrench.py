@@ -464,9 +464,8 @@ def _row(
     if not _are_plain(phi_deg, density, friction, surface, rest_speed):
         return None
     (low, high), (least, most, _) = angles_deg(friction), LIMITS["soil.density"]
-    if not (low <= phi_deg <= high and least <= density <= most and rest_speed >= TINY):
-        return None
-    return np.array([[phi_deg, density, surface]], DOUBLE)
+    is_in_range = low <= phi_deg <= high and least <= density <= most and rest_speed >= TINY
+    return np.array([[phi_deg, density, surface]], DOUBLE) if is_in_range else None
 
 
 def _are_plain(*values: Any) -> bool:

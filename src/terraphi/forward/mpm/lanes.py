@@ -354,7 +354,6 @@ def unload(work: Work, force: Nodes, at: Index, to: Index, layer: Index, vectors
         for i in range(vectors * SIXTEEN):
             up = spread(work[f + i], work[f + ROW + i], work[f + ROW + ROW + i])
             add_three(total, to + i, layer, up)
-        for i in range(vectors * SIXTEEN):
             work[f + i] = work[f + ROW + i] = work[f + ROW + ROW + i] = ZERO
 
 

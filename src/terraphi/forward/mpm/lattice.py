@@ -58,8 +58,7 @@ def lattice_of(scenario: Scenario) -> Lattice:
     blocks = -(-(count - 2) // int(CELLS))
     row = -(-(blocks * int(CELLS) + 2) // 16) * 16
     layer = row * count_y
-    size = scenario.numerics.cell_size
-    return Lattice(row, layer, layer * count, count, count_y, blocks, size)
+    return Lattice(row, layer, layer * count, count, count_y, blocks, scenario.numerics.cell_size)
 
 
 def positions(
