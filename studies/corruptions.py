@@ -1,4 +1,4 @@
-"""Damaged records: answers of `terraphi invert` to 29 kinds of damage of each shipped record.
+"""Damaged records: answers of `terraphi invert` to 30 kinds of damage of each shipped record.
 
 A damage is silent if the answer is consistent, warns of nothing new compared with the
 undamaged record, and lies outside the 95 % interval of the undamaged record. That a record was
@@ -140,6 +140,8 @@ def damages(theta: FloatArray, x: FloatArray, z: FloatArray) -> Iterator[Damaged
     for low, high in ((0, 0.5), (0.5, 1), (0.25, 0.75), (0, 0.7), (0.3, 1)):
         part = (low <= ramp) & (ramp <= high)
         yield one("part of the stroke", x[part], z[part], theta[part])
+        for factor in (0.7, 1.4):
+            yield one("a part, gain of one force", factor * x[part], z[part], theta[part])
     yield one("mean taken off", x - x.mean(), z - z.mean())
     yield one("no signal", np.full(count, x.mean()), np.full(count, z.mean()))
     yield one("no signal", *(peak * rng.normal(size=count) for _ in range(2)))

@@ -50,7 +50,7 @@ MEDIA = {
     "poppy_loose": ("poppy seeds, loose", "repose 36°"),
 }
 """Media of Li et al. by their names in `inclined.csv`."""
-GRAINS_SMALL = (("second_engine/B_loose_d44_plate.csv", 4.4, "critical φ 26.2°", 1426.0),)
+GRAINS_SMALL = (("second_engine/B_loose_d44_plate.csv", 4.4, "critical φ 26.7°", 1426.0),)
 """Plates pressed into simulated grains: record, diameter [mm], φ, density [kg/m³]."""
 GRAINS = pages.ROOT / "data" / "grains"
 GRAINS_CONTACT_SD = 1.5e-3

@@ -68,6 +68,35 @@ def test_any_interruption_leaves_what_was_there(tmp_path: Path, error: BaseExcep
     assert file.read_text() == "old"
 
 
+@pytest.mark.parametrize("is_new", [False, True])
+@pytest.mark.parametrize("nth", [1, 2, 3])
+def test_a_move_that_fails_leaves_all_files_as_they_were(
+    nth: int, is_new: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    parts = ("a.txt", "b.txt", "answer.json")
+    before = {} if is_new else {name: f"old {name}" for name in parts}
+    for name, text in before.items():
+        (tmp_path / name).write_text(text)
+    plain, calls = Path.replace, []
+
+    def replace(path: Path, target: Path) -> Path:
+        calls.append(path)
+        if len(calls) == nth:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return plain(path, target)
+
+    def write() -> None:
+        with files.atomic_files(tmp_path / "x", tmp_path, last="answer.json") as made:
+            for name in parts:
+                (made / name).write_text("new")
+
+    monkeypatch.setattr(Path, "replace", replace)
+    with pytest.raises(InputError, match="cannot be written"):
+        write()
+    assert len(calls) >= nth
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == before
+
+
 @pytest.mark.parametrize("place", ["absent/x.csv", "file/x.csv", "folder"])
 def test_unwritable_places(tmp_path: Path, place: str) -> None:
     (tmp_path / "folder").mkdir()

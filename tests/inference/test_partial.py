@@ -69,6 +69,16 @@ def test_a_part_gives_the_angle_of_the_whole_within_its_own_share(window: tuple[
     assert np.sqrt(np.mean(np.square(difference))) < 1.55
 
 
+def test_a_part_of_one_wrong_force_is_a_misfit() -> None:
+    """Whose residual is twice that of a right part."""
+    for name in ("li2013:yuma/straight", "li2013:glass03_loose/straight"):
+        stroke, part = measurement(name), cut(name, -85.0, 20.0)
+        for gain, verdict in ((1.0, "consistent"), (0.5, "misfit"), (2.0, "misfit")):
+            forces = replace(part, force=part.force * [gain, 1.0])
+            answer = invert(forces, rig=stroke.rig, density=stroke.density_kg_m3)
+            assert answer.verdict == verdict
+
+
 @pytest.mark.parametrize("leg", ["straight", "c", "reversed_c"])
 def test_intervals_of_parts_and_of_a_torque_hold_the_angle_of_grains(leg: str) -> None:
     """The angles are those of shear cells."""

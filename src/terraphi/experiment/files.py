@@ -187,8 +187,7 @@ def atomic_files(target: Path, folder: Path, *, last: str, first: str = "") -> I
 
 def _move(names: list[str], made: Path, folder: Path, last: str) -> None:
     """Move all files, or leave those that were there; if killed, the last is missing."""
-    kept = made / "kept"
-    kept.mkdir()
+    kept = Path(tempfile.mkdtemp(dir=made))
     for name in names if len(names) > 1 else ():
         if folder.joinpath(name).exists():
             shutil.copy2(folder / name, kept)

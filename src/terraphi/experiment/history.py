@@ -150,12 +150,18 @@ def window_means(
 
 def window_weights(x: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
     """Weights of readings at x in :func:`window_means`, shape [window, reading]."""
-    weights = np.zeros((low.size, x.size))
-    first, last = np.searchsorted(x, low, side="right") - 1, np.searchsorted(x, high) + 1
-    for k, (a, b) in enumerate(zip(first.tolist(), last.tolist(), strict=True)):
-        ends = low[k : k + 1], high[k : k + 1]
-        weights[k, a:b] = window_means(x[a:b], np.eye(b - a), *ends)[:, 0]
-    return weights
+    width, rows, ends = np.diff(x), np.arange(low.size), []
+    trapezoids = 0.5 * (np.append(0.0, width) + np.append(width, 0.0))
+    for end in (low, high):
+        # Integral from the first reading: trapezoids up to reading i, and of the interval of width
+        # h after it the part p, in which the hat of i has h (p − p²/2), that of i + 1 h p²/2.
+        i = np.clip(np.searchsorted(x, end, side="right") - 1, 0, x.size - 2)
+        h, p = width[i], (end - x[i]) / width[i]
+        weights = np.where(np.arange(x.size) <= i[:, None], trapezoids, 0.0)
+        weights[rows, i] += h * (p - 0.5 * p**2) - 0.5 * h
+        weights[rows, i + 1] += 0.5 * h * p**2
+        ends.append(weights)
+    return np.asarray((ends[1] - ends[0]) / (high - low)[:, None])
 
 
 @dataclass(frozen=True, repr=False)

@@ -77,7 +77,9 @@ def read_pressed(source: Any, area: float, columns: Any = None) -> Pressed:
         reader.notes.append(f"{(~full).sum()} of {len(full)} rows lack a number and are left out.")
     sinkage, force = sinkage[full], force[full]
     if len(force) < FEWEST_ROWS or np.ptp(force) == 0.0 or np.ptp(sinkage) == 0.0:
-        reader.refuse(f"{len(force)} rows have both; {FEWEST_ROWS} that differ are needed")
+        reader.refuse(
+            f"{len(force)} rows have sinkage and force; {FEWEST_ROWS} that differ are needed"
+        )
     if force[np.abs(force).argmax()] < 0.0:  # the soil presses up
         force = -force
         reader.notes.append("The force is negative in the soil: its sign is turned.")

@@ -120,7 +120,9 @@ class Rig(Strict):
                 f"length_mm = {length:g} looks like meters or centimeters; give mm": length <= 10.0,
                 f"thickness_mm = {thickness:g} is not below half of length_mm = {length:g}; give "
                 "all sizes in mm": 2.0 * thickness >= length,
-                f"hip_height_mm = {height:g}: such a leg does not reach the soil": height >= length,
+                f"hip_height_mm = {height:g}: a leg of {length:g} mm does not reach the soil": (
+                    height >= length
+                ),
             }
         )
         return self

@@ -130,8 +130,8 @@ class Bed(Strict):
         weightless = self.surcharge > 0.0 and self.gravity == 0.0
         refuse(
             {
-                f"soil from x = {low:g} to {high:g} m lies outside the walls; change "
-                "soil_left or soil_width": not inside,
+                f"soil from x = {low:g} to {high:g} m lies outside the walls, {self.left:g} "
+                f"to {right:g} m; change soil_left or soil_width": not inside,
                 f"surcharge = {self.surcharge:g} Pa has no weight; set gravity > 0": weightless,
             }
         )
@@ -360,7 +360,7 @@ class Scenario(Strict):
                 f"inside numerics.domain = {domain:g} m": low < cell or wall > domain - cell,
                 f"numerics.time_step = {step:g} s is above the CFL limit of {limit:.3g} s": step
                 > limit,
-                f"numerics.time_step = {step:g} s passes over bins; give {visit:.3g} s": step
+                f"numerics.time_step = {step:g} s skips bins of angle; give {visit:.3g} s": step
                 > visit,
             }
         )

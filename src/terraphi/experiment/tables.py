@@ -131,7 +131,8 @@ def read_table(path: Path) -> Table:
     for i, row in enumerate(rows[first:], start=first):
         if named and any(row[named:]):
             place = f"line {kept[i] + 1}: {len(row)} cells under {named} names"
-            raise InputError(f"{path}, {place}; separate cells by semicolons")
+            remedy = "give as many names or, with decimal commas, separate cells by semicolons"
+            raise InputError(f"{path}, {place}; {remedy}")
     places, body = np.array(kept[first:]) + 1, [lines[i] for i in kept[first:]]
     del lines
     if len(body) * width > _SHORT:

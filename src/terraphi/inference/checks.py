@@ -341,7 +341,7 @@ def warnings(
         other = f"{opinion['median']:.0f}°, {separation_deg:.0f}° from law {law.name}"
         theory = f"Resistive force theory gives {other}"
     if separation_deg > FAR_APART_DEG:
-        yield f"{theory}, more than {FAR_APART_DEG:g}°: check the leg and the columns."
+        yield f"{theory}, more than the usual {FAR_APART_DEG:g}°: check the leg and the columns."
     if likelihood.measured:
         yield from _displaced(likelihood, fits, verdict)
     yield from _unusual(likelihood, phi, verdict)
@@ -367,7 +367,7 @@ def _other_grains(likelihood: Likelihood) -> Iterator[str]:
     assert likelihood.calibration
     largest = max(soil.grain_size_mm for soil in likelihood.calibration.soils)
     if largest >= FINE_MM and not any(r.grain_size_mm for r in likelihood.records):
-        yield f"The calibration is of grains of {largest:g} mm: give --grain-size of these, too."
+        yield f"The calibration is of grains of {largest:g} mm: give --grain-size of large ones."
 
 
 def _displaced(likelihood: Likelihood, fits: Sequence[RecordFit], verdict: str) -> Iterator[str]:
@@ -476,8 +476,8 @@ def _moisture(likelihood: Likelihood) -> Iterator[str]:
             size = "" if record.grain_size_mm else ", whether its grains are large (--grain-size)"
             yield (
                 f"{likelihood.prefix(record)}The forces fit a cohesion of about "
-                f"{free.cohesion_pa:.0f} Pa and a lower φ better: check whether the soil is damp "
-                f"(--cohesion){size}, the hip height, the density and the unit of force."
+                f"{free.cohesion_pa:.0f} Pa better, and φ would be lower: check whether the soil "
+                f"is damp (--cohesion){size}, the hip height, the density and the unit of force."
             )
 
 

@@ -583,7 +583,7 @@ def _contradictions(roll: _Roll, fit: _Mean, *, is_named: bool) -> list[str]:
         elif ratio > roll.friction + OTHER_TORQUE and not is_named:
             torque = f"The torque is {ratio:.2f} of load times radius"
             bears = f"a rim of friction {roll.friction:.2f} bears less"
-            sentences.append(f"{torque}, and {bears}: check the diameter and its unit.")
+            sentences.append(f"{torque}, and {bears}: check the diameter and the torque's unit.")
     if "pull" not in rows:
         return sentences
     if "torque" in rows and driven.any():

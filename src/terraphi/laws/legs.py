@@ -305,7 +305,9 @@ class Legs(AnyLaw, FittedLaw):
         Raises InputError if the file has none of this form.
         """
         if self.model_error and NAME not in self.model_error:
-            raise InputError(f"law {self.name}: its error is by another version; make it again")
+            raise InputError(
+                f"law {self.name}: its error is of another version of terraphi; make it again"
+            )
         return strictly(self.model_error.get(NAME, {}), ModelError, f"law {self.name}, model_error")
 
     def law(self, rig: Rig, cells: float = 1.0) -> LegLaw:

@@ -189,7 +189,9 @@ class Library(AnyLaw, Result):
             place.shape != places[0].shape or not np.allclose(place, places[0], rtol=0.0, atol=1e-9)
             for place in places
         ):
-            why = "forces at different positions; do not sweep the span of the motion"
+            why = (
+                "forces at different positions; sweep neither the span of the motion nor dimensions"
+            )
             raise InputError(f"library '{self.name}': {why}")
         rows = [history._variables() if history else {} for history in histories]
         lost = np.full(len(places[0]), np.nan)
