@@ -167,7 +167,7 @@ class Soil(Strict):
                 f"not '{self.yield_criterion}'": other,
                 f"critical_friction_angle_deg = {critical:g} exceeds friction_angle_deg = {phi:g}, "
                 "the peak": critical > phi,
-                f"cohesion = {self.cohesion:g} Pa is not for soil that softens; set either 0": sticky,
+                f"cohesion = {self.cohesion:g} Pa is not for soil that softens; set 0": sticky,
             }
         )
         return self
