@@ -81,7 +81,7 @@ rig_options = option_group(
         "--friction", "--leg-friction", "leg_friction", metavar="MU[±SD]",
         help=f"Of leg or tool on soil.  [default: {FRICTION}]",
     ),
-    click.option("--rig", metavar="FILE|li2013", help="All of these in TOML, or Li et al. (2013)."),
+    click.option("--rig", metavar="FILE|li2013", help="These in TOML, or Li et al.'s (and --leg)."),
 )  # fmt: skip
 """A rig: its leg and four sizes, or a file."""
 density_option = click.option(

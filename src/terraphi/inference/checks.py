@@ -326,6 +326,7 @@ def warnings(
         for is_unit in (True, False)
     )  # fmt: skip
     yield from units
+    yield from _unusual(likelihood, phi, verdict)
     # Leg, columns, sizes or units may be others than stated.
     if not air:
         density = np.array(likelihood.density)
@@ -344,7 +345,6 @@ def warnings(
         yield f"{theory}, more than the usual {FAR_APART_DEG:g}°: check the leg and the columns."
     if likelihood.measured:
         yield from _displaced(likelihood, fits, verdict)
-    yield from _unusual(likelihood, phi, verdict)
     # The angle or its interval rests on what was not measured.
     if likelihood.disagreement_deg:
         yield f"{theory} and outside both intervals: the interval is wider by that."
@@ -592,8 +592,11 @@ def _column_readings(likelihood: Likelihood, record: Record, given: float) -> It
     read_in = history.provenance.get("force_unit", "N")
     units = {u: FORCE[u] / FORCE[read_in] * np.eye(2) for u in UNITS if u != read_in}
     check = "check the columns and the leg length"
+    # A unit that the header names excludes the option.
+    is_free = "unit" in read_as or any(NO_UNIT in text for text in record.notes)
     for unit, size in zip(units, sizes(units.values()), strict=True):
-        yield Reading(f"--columns unit={unit}", size, loose, loose, check)
+        option = f"--columns unit={unit}" if is_free else f"the unit {unit} in the header"
+        yield Reading(option, size, loose, loose, check)
 
     turns = sizes(map(sensor_turn, TURNS_DEG))
     angle = (cell_deg + TURNS_DEG[int(np.argmin(turns))] + 180.0) % 360.0 - 180.0

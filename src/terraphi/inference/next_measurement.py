@@ -91,7 +91,8 @@ def next_measurements(answer: Answer, *, further_records: bool = True) -> list[M
         after.append(Measurement(words, calibrated))
         if further_records and answer.law == LEGS:
             after += _further_records(answer, rig)
-    better = [each for each in after if each.sd_deg < 0.99 * math.sqrt(variance)]
+    # What makes no difference to the tenth of a degree that is printed is left out.
+    better = [each for each in after if round(each.sd_deg, 1) < round(math.sqrt(variance), 1)]
     return sorted(better, key=lambda each: each.sd_deg)
 
 

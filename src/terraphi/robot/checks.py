@@ -320,6 +320,8 @@ def _torques(log: JointLog, robot: Robot, lag: float, gain: FloatArray) -> list[
         text = f"torques are {late} against the motion, by the swing of the legs"
         total_ms = 1e3 * (lag + log.report.get("lag_s", 0.0))
         remedy = f": correct it with --lag {total_ms:.0f}"
+        if total_ms < 0.0:  # no driver logs a torque before it acts
+            remedy = ": feet that drag through soil look so; compare the clocks of both"
         # Twice the step, for a lag that does not change may be found in some parts only.
         findings.append(Finding("lag", text, False, remedy, abs(lag) > 2.0 * LAG_STEP_S))
     if (gain < REVERSED).any():

@@ -101,7 +101,7 @@ def kind_of(source: Path | str) -> str:
         return "log"
     if not path.exists() and str(source) in Library.names():
         return "library"
-    kinds = "a folder of invert, demo or map, a NetCDF of ours, a shipped library or a robot's log"
+    kinds = "a folder of invert, demo or map, a NetCDF of ours, library paper or a robot's log"
     raise InputError(f"{source}: no result; give {kinds}")
 
 
