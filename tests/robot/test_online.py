@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from terraphi.experiment.errors import InputError
+from terraphi.experiment.units import GRAVITY
 from terraphi.inference.footfalls import FAULTY, TORN, FootfallMap
 from terraphi.robot import online as module
 from terraphi.robot import state
@@ -23,7 +24,7 @@ from terraphi.robot.model import Robot
 from terraphi.robot.online import LAG_S, Footfall, Footfalls, Poses
 from terraphi.robot.online import Walk as Worker
 from terraphi.robot.results import foot_forces
-from terraphi.robot.touchdowns import track
+from terraphi.robot.touchdowns import specific_force, track
 
 _WALKER = runpy.run_path(str(Path(__file__).with_name("walker.py")))
 Walk, LawWalk = (_WALKER[name] for name in ("Walk", "LawWalk"))
@@ -213,10 +214,26 @@ def test_places_do_not_depend_on_what_comes_later() -> None:
     forces = estimate(log, robot=GO2)
     end = int(np.searchsorted(log.time, 3.0))
     last = int(np.searchsorted(log.time, 3.0 - LAG_S))
-    lift, bias = forces.force[:, :, 2].astype(float), np.zeros(3)
-    full = track(log, GO2, forces.place, lift, bias=bias)
-    early = track(part(log, 0, end), GO2, forces.place[:end], lift[:end], bias=bias)
+    lift = forces.force[:, :, 2].astype(float)
+    motion = specific_force(log, GO2) - [0.0, 0.0, GRAVITY]
+    full = track(log, GO2, forces.place, lift, acceleration=motion)
+    early = track(part(log, 0, end), GO2, forces.place[:end], lift[:end], acceleration=motion[:end])
     np.testing.assert_allclose(early.trunk[:last], full.trunk[:last], atol=2e-6)
+
+
+def test_forces_of_the_window_are_those_of_the_whole_log(
+    log: JointLog, online: tuple[Footfalls, list[Footfall]]
+) -> None:
+    """Each step computes those of new samples; they differ by single precision."""
+    start, window = online[0]._walk.start, online[0]._walk.window
+    assert start is not None
+    assert window is not None
+    whole = estimate(log, robot=GO2, friction=start.forces.friction or True, contact_part=0.4)
+    rows = np.searchsorted(log.time, window.log.time[: window.final])
+    assert len(rows) > 4000
+    for name in ("force", "place", "lift_per_torque", "leg_inertia"):
+        values, reference = (getattr(forces, name) for forces in (window.forces, whole))
+        np.testing.assert_allclose(values[: len(rows)], reference[rows], rtol=1e-6, atol=1e-5)
 
 
 def test_known_friction_gives_the_same_forces() -> None:

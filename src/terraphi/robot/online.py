@@ -38,7 +38,6 @@ import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.units import GRAVITY
 from terraphi.inference import footfalls as inference
 from terraphi.inference.footfalls import FootfallMap
 from terraphi.inference.pool import Anchor
@@ -47,7 +46,7 @@ from terraphi.inference.touchdowns import Prior, Touchdowns, fit, picked, stacke
 from terraphi.robot import footfalls as batch
 from terraphi.robot import state
 from terraphi.robot.checks import CHECK_S, PART_S, check_parts, grave, parts, recorded
-from terraphi.robot.estimators import MARGIN_S, trunk_motion
+from terraphi.robot.estimators import MARGIN_S
 from terraphi.robot.forces import FootForces, estimate, without_broken_accelerometer
 from terraphi.robot.friction import BEARING_SHARE
 from terraphi.robot.joint_log import JointLog, arrays, cut, joined, shapes
@@ -56,7 +55,7 @@ from terraphi.robot.logs.samples import BACKWARDS, REPEATED, sound
 from terraphi.robot.model import Robot
 from terraphi.robot.results import RobotForces, foot_forces, left_out
 from terraphi.robot.stance import LIFT_S, Stance, find_stances
-from terraphi.robot.touchdowns import BIAS_S, Motion, touchdowns, track
+from terraphi.robot.touchdowns import BIAS_S, Motion, specific_force, touchdowns, track
 
 STEP_S, FEWEST = 0.5, 3
 """Samples are computed in steps of this length [s], with a third of a second before them, of three
@@ -526,8 +525,7 @@ class Walk:
         over = [piece for piece in pieces if to_end or piece.stop < len(log.time)]
         if not over:
             return start
-        robot, forces = self.options.robot, window.forces
-        checked = check_parts(log, robot, forces, self._stances(window), over)
+        checked = check_parts(log, self.options.robot, window.forces, self._stances(window), over)
         return replace(start, checked=(*start.checked, *checked))
 
     def _stances(self, window: Window) -> tuple[Stance, ...]:
@@ -562,7 +560,8 @@ class Walk:
 
     def _extended(self, start: RobotForces, log: JointLog) -> tuple[Window, slice]:
         """Window with further samples, and which of them have their final motion now."""
-        robot, before, final, first, kept = self.options.robot, self.window, 0, 0, slice(0)
+        robot, before, final, kept = self.options.robot, self.window, 0, slice(0)
+        first = settled = since = 0
         if before is not None:
             # What is older than the window goes; what is not final, or not checked, is younger.
             clock = recorded(np.append(before.log.time, log.time[0]))
@@ -570,20 +569,27 @@ class Walk:
             kept = slice(max(old, 0), before.final)
             log = joined([cut(before.log, slice(kept.start, None)), log])
             final = kept.stop - kept.start
-            # Forces and velocities of new samples depend on none older than this one.
-            reach = log.time[final - 1] - MARGIN_S - LAG_S
-            first = min(int(np.searchsorted(log.time, reach)), max(final - FEWEST, 0))
-        tail, new = cut(log, slice(first, None)), slice(final - first, None)
+            # Forces before ``settled`` are final, velocities before ``final``. Those of later
+            # samples depend on none older than ``since`` and ``first``.
+            settled = max(_final(before.log.time, MARGIN_S) - kept.start, final)
+            since, first = (
+                max(min(int(np.searchsorted(log.time, log.time[k - 1] - lag)), k - FEWEST), 0)
+                for k, lag in ((settled, MARGIN_S), (final, MARGIN_S + LAG_S))
+            )
         forces = estimate(
-            tail, robot=robot, friction=start.forces.friction or True,
+            cut(log, slice(since, None)), robot=robot, friction=start.forces.friction or True,
             contact_part=batch.CONTACT_PART,
         )  # fmt: skip
-        turn, trunk = trunk_motion(tail, robot)
-        felt = np.einsum("sij,sj->si", turn, trunk.specific_force)
+        if before is not None:
+            same = cut(before.forces, slice(kept.start, kept.start + settled))
+            forces = joined([same, cut(forces, slice(settled - since, None))])
+        tail, new = cut(log, slice(first, None)), slice(final - first, None)
+        acceleration = felt = specific_force(tail, robot)
         if before is not None:
             felt = np.concatenate([before.felt[kept], felt[new]])
-        bias = felt[log.time > log.time[-1] - BIAS_S].mean(axis=0) - [0.0, 0.0, GRAVITY]
-        motion = track(tail, robot, forces.place, forces.lift, bias=bias)
+        acceleration = acceleration - felt[log.time > log.time[-1] - BIAS_S].mean(axis=0)
+        near = cut(forces, slice(first, None))
+        motion = track(tail, robot, near.place, near.lift, acceleration=acceleration)
         motion = batch.from_the_start(motion, start.log)
         if before is not None:
             # The odometry goes on from the last place that is final.
@@ -591,10 +597,7 @@ class Walk:
             motion = motion._replace(trunk=motion.trunk + shift, feet=motion.feet + shift)
             pairs = zip(before.motion, motion, strict=True)
             motion = Motion(*(np.concatenate([a[kept], b[new]]) for a, b in pairs))
-            forces = joined([cut(before.forces, kept), cut(forces, new)])
-        # Samples that are a margin, and two for differences, before the end.
-        last = np.searchsorted(log.time, log.time[-1] - MARGIN_S - LAG_S)
-        end = max(int(last) - 2, 0)
+        end = _final(log.time, MARGIN_S + LAG_S)
         return Window(log, forces, motion, felt, end), slice(final, end)
 
     def _answers(self, start: RobotForces, window: Window, new: slice) -> list[Footfall]:
@@ -674,6 +677,11 @@ class Walk:
             Footfall(time, robot.feet[foot], tuple(place), *numbers)._replace(frame=frame)
             for time, foot, place, *numbers in zip(*(c.tolist() for c in columns), strict=True)
         ]
+
+
+def _final(time: FloatArray, lag: float) -> int:
+    """Number of samples that are a lag [s], and two for differences, before the end."""
+    return max(int(np.searchsorted(time, time[-1] - lag)) - 2, 0)
 
 
 def heading(quaternion: FloatArray) -> Any:

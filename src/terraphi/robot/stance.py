@@ -167,12 +167,12 @@ def find_stances(
     """
     stances: list[Stance] = []
     for column, foot in enumerate(feet):
-        finite: Any = np.isfinite(force[:, column]).all(axis=1)
-        rows = slice(None) if finite.all() else finite  # views take no memory
+        finite: Any = np.isfinite(force[:, column])
+        rows = slice(None) if finite.all() else finite.all(axis=1)  # views take no memory
         when, forces = time[rows], force[rows, column]
         stances += [
             Stance(foot, when[first : last + 1], forces[first : last + 1])
-            for first, last in _bounds(when, forces[:, 2], rise_N)
+            for first, last in _bounds(when, forces[:, 2].copy(), rise_N)
         ]
     return tuple(sorted(stances, key=lambda stance: stance.begin))
 
@@ -206,8 +206,7 @@ def _bounds(time: FloatArray, lift: Forces, rise_N: float) -> list[tuple[int, in
     first, last = first[good], last[good]
     # Too long, or across a gap without samples.
     breaks = np.concatenate([[0], np.cumsum(np.diff(time) > HELD_S)])
-    duration = time[last] - time[first]
-    good = (duration <= LONGEST_S) & (breaks[first] == breaks[last])
+    good = (time[last] - time[first] <= LONGEST_S) & (breaks[first] == breaks[last])
     first, last = first[good], last[good]
     if len(first):
         # A short blow of a leg's inertia is no stance: its impulse is small.

@@ -29,13 +29,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray, IntArray
-from terraphi.experiment.units import GRAVITY
 from terraphi.inference.touchdowns import FEWEST, Prior, Touchdowns
 from terraphi.laws.foot import Foot, moved_mass
 from terraphi.robot.estimators import chunks, smooth_sign, trunk_motion
 from terraphi.robot.forces import TRUNK_ACCELERATION_SD, FootForces, SingleArray
 from terraphi.robot.friction import BEARING_SHARE
 from terraphi.robot.joint_log import GAP_STEPS, JointLog, cut
+from terraphi.robot.legs import rotation
 from terraphi.robot.model import Robot
 from terraphi.robot.stance import SMOOTH_S, Stance, running_mean
 
@@ -100,7 +100,7 @@ def track(
     place: FloatArray | SingleArray,
     load: FloatArray,
     *,
-    bias: FloatArray | None = None,
+    acceleration: FloatArray | None = None,
 ) -> Motion:
     """Motion of the feet in the world.
 
@@ -113,16 +113,17 @@ def track(
     load
         Upward force of the ground on each foot [N], shape [sample, foot]; not a number counts as
         none.
-    bias
-        Mean acceleration in the world's axes that is none [m/s²], shape [3]; by default over
-        :data:`BIAS_S` about each sample.
+    acceleration
+        Of the trunk in the world's axes [m/s²], shape [sample, 3]; by default
+        :func:`specific_force` less its mean over :data:`BIAS_S` about each sample.
     """
     step, feet = np.diff(log.time), np.empty(place.shape)
     velocity, lift_acceleration = np.empty((len(step), 3)), np.empty(len(log.time))
     # Part by part, each with a margin that it forgets: working arrays of an hour take gigabytes.
     for wide, inner in chunks(log.time, size=CHUNK, margin_s=BIAS_S):
         rows = slice(wide.start + inner.start, wide.start + inner.stop)
-        turned, moved, felt = _odometry(cut(log, wide), robot, place[wide], load[wide], bias)
+        given = None if acceleration is None else acceleration[wide]
+        turned, moved, felt = _odometry(cut(log, wide), robot, place[wide], load[wide], given)
         feet[rows], lift_acceleration[rows] = turned[inner], felt[inner]
         velocity[rows] = moved[inner]
     trunk = np.concatenate([np.zeros((1, 3)), np.cumsum(velocity * step[:, None], axis=0)])
@@ -130,12 +131,18 @@ def track(
     return Motion(trunk, feet, lift_acceleration)
 
 
+def specific_force(log: JointLog, robot: Robot) -> FloatArray:
+    """Specific force of the trunk in the world's axes [m/s²], shape [sample, 3]."""
+    turn, trunk = trunk_motion(log, robot)
+    return np.asarray(np.einsum("sij,sj->si", turn, trunk.specific_force))
+
+
 def _odometry(
     log: JointLog,
     robot: Robot,
     place: FloatArray | SingleArray,
     load: FloatArray,
-    bias: FloatArray | None,
+    felt: FloatArray | None,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Motion in a part of a log, as of :func:`track`.
 
@@ -145,17 +152,14 @@ def _odometry(
     from scipy.linalg import solveh_banded
     from scipy.ndimage import uniform_filter1d
 
-    turn, measured = trunk_motion(log, robot)
-    feet = np.einsum("sij,sfj->sfi", turn, place)
+    assert log.quaternion is not None, "checked when the log was read"
+    feet = np.einsum("sij,sfj->sfi", rotation(log.quaternion), place)
     step = np.diff(log.time)
     # Velocity of the trunk by each foot, if that stood still: −Δp/Δt.
     apparent = -np.diff(feet, axis=0) / step[:, None, None]
-    felt = np.zeros((len(log.time), 3))
-    if log.acceleration is not None:
-        felt = np.einsum("sij,sj->si", turn, measured.specific_force)
-        felt[:, 2] -= GRAVITY
-        half = max(1, round(BIAS_S / float(np.median(step))) // 2)
-        felt -= running_mean(felt, half) if bias is None else bias
+    if felt is None:
+        felt = specific_force(log, robot)
+        felt -= running_mean(felt, max(1, round(BIAS_S / float(np.median(step))) // 2))
     sd = TRUNK_ACCELERATION_SD if log.acceleration is None else ACCELERATION_SD
     # v_k belongs to the middle of step k: the readings between two middles are a sample's.
     between = 0.5 * (step[1:] + step[:-1])
@@ -166,8 +170,7 @@ def _odometry(
     # Weight w/σ_v² of a foot at both ends of a step, by its load.
     bearing = np.clip(np.nan_to_num(load) / (BEARING_SHARE * robot.load_scale), 0.0, 1.0)
     bearing = np.minimum(bearing[1:], bearing[:-1]) ** 2 / STANCE_SD**2
-    weight = bearing
-    velocity = np.zeros((len(step), 3))
+    weight, velocity = bearing, np.zeros((len(step), 3))
     for _ in range(ROUNDS):
         # Normal equations: rows k couple to k − 1 and k + 1 by the accelerometer only.
         diagonal = weight.sum(axis=1) + 1e-3
@@ -179,12 +182,10 @@ def _odometry(
         banded = np.stack([diagonal, np.append(-stiff, 0.0)])
         velocity = solveh_banded(banded, right, lower=True)
         # Geman and McClure's weight, of the squared speed of a foot against the ground.
-        average, weight = uniform_filter1d(velocity, 5, axis=0, mode="constant"), bearing.copy()
-        for foot in range(place.shape[1]):
-            off = average - smooth[:, foot]
-            if place.shape[1] < FEWEST_JUDGED:
-                off[:, 2] = np.minimum(off[:, 2], 0.0)
-            weight[:, foot] /= (1.0 + np.einsum("ki,ki->k", off, off) / STANCE_SD**2) ** 2
+        off = uniform_filter1d(velocity, 5, axis=0, mode="constant")[:, None] - smooth
+        if place.shape[1] < FEWEST_JUDGED:
+            off[:, :, 2] = np.minimum(off[:, :, 2], 0.0)
+        weight = bearing / (1.0 + np.einsum("kfi,kfi->kf", off, off) / STANCE_SD**2) ** 2
     return feet, velocity, felt[:, 2]
 
 

@@ -26,6 +26,9 @@ from terraphi.robot.joint_log import LEGS, shapes
 
 Names = str | tuple[str, ...]
 
+FORCES = "the table looks like forces on a leg or a tool: use terraphi invert"
+"""Remedy for a table of ``theta_deg`` or ``sinkage_mm``."""
+
 
 class Columns(Strict):
     """Names of a table's columns, and their units.
@@ -142,14 +145,11 @@ def read_columns(
             )
         for name in names:
             if name not in header:
-                hint = nearest(name, header)[:200]
-                raise InputError(f"{path}: column '{name[:60]}' is missing; {hint}")
+                hint = FORCES if {"theta_deg", "sinkage_mm"} & {*header} else nearest(name, header)
+                raise InputError(f"{path}: column '{name[:60]}' is missing; {hint[:200]}")
         numbers = table[names].to_numpy(dtype=np.float64)
         if joints:  # those that no motor moves are zero
-            moved, numbers = (
-                numbers,
-                np.zeros((len(numbers), usual["angle"][0] * usual["angle"][1])),
-            )
+            moved, numbers = numbers, np.zeros((len(numbers), prod(shape)))
             numbers[:, [name in motors for leg in legs for name in leg]] = moved
         values[group] = scale.get(group, 1.0) * numbers.reshape(len(numbers), *shape)
     values["stamp"] = values.pop("time")
