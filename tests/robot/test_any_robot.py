@@ -242,3 +242,24 @@ def test_an_ankle_below_named_legs_is_a_fourth_joint(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["anymal", "hyq_no_sensors", "solo"])
 def test_names_and_places_of_published_quadrupeds_agree(name: str) -> None:
     assert not any("disagree" in note for note in Robot.load(published(name)).notes)
+
+
+def test_knees_as_high_as_the_trunk_at_the_reference_angles(tmp_path: Path) -> None:
+    """Coxa and femur straight out, as hexapods are drawn: the balls alone are low."""
+    limb = """
+<body pos="{x} {y} 0"><joint name="{name}_coxa" axis="0 0 1"/><geom size="0.01" mass="0.1"/>
+<body pos="0 {y} 0"><joint name="{name}_femur" axis="1 0 0"/><geom size="0.01" mass="0.1"/>
+<body pos="0 {y} 0"><joint name="{name}_tibia" axis="1 0 0"/><geom size="0.01" mass="0.1"/>
+<geom size="0.02" pos="0 0 -0.16" mass="0.01"/></body></body></body>"""
+    limbs = [
+        limb.format(name=f"{side}{i}", x=0.2 * (2 - i), y=0.1 * sign)
+        for i in (1, 2, 3)
+        for side, sign in (("right", -1), ("left", 1))
+    ]
+    (tmp_path / "six.xml").write_text(
+        '<mujoco><worldbody><body><freejoint/><geom type="box" size="0.25 0.1 0.03" mass="5"/>'
+        f"{''.join(limbs)}</body></worldbody></mujoco>"
+    )
+    robot = Robot.load(tmp_path / "six.xml")
+    assert robot.there.shape == (6, 3)
+    assert robot.foot_radius == pytest.approx(0.02)

@@ -518,7 +518,7 @@ def _ordered(
 def _standing(model: mujoco.MjModel, data: mujoco.MjData) -> list[list[int]]:
     """Joints of each limb that reaches the ground at the reference angles, from the trunk down."""
     last = set(range(6, model.nv)) - set(model.dof_parentid.tolist())
-    height = {dof: float(data.xanchor[model.dof_jntid[dof], 2]) for dof in last}
+    height = {dof: _lowest(model, data, int(model.dof_jntid[dof])) for dof in last}
     lowest = min(height.values(), default=0.0)
     low = lowest + LOW * (float(data.xanchor[0, 2]) - lowest)
     limbs = []
@@ -528,6 +528,12 @@ def _standing(model: mujoco.MjModel, data: mujoco.MjData) -> list[list[int]]:
             limb.insert(0, above)
         limbs.append([int(model.dof_jntid[i]) for i in limb])
     return limbs
+
+
+def _lowest(model: mujoco.MjModel, data: mujoco.MjData, joint: int) -> float:
+    """Height of a last joint or of the lowest middle of a geom that it moves [m]."""
+    moved = model.body_weldid[model.geom_bodyid] == model.body_weldid[model.jnt_bodyid[joint]]
+    return float(np.min([data.xanchor[joint, 2], *data.geom_xpos[moved, 2]]))
 
 
 def _sole(
