@@ -237,6 +237,14 @@ def test_an_ankle_below_named_legs_is_a_fourth_joint(tmp_path: Path) -> None:
     robot = Robot.load(tmp_path / "own.urdf")
     assert robot.joint.shape == (4, 4)
     assert robot.legs[0][-1] == "FR_foot_joint"
+    for table in ("joints", "legs"):
+        lines = [f"{name} = '{name}_joint'" for name in JOINT_NAMES]
+        if table == "legs":
+            names = np.array(JOINT_NAMES).reshape(4, 3).tolist()
+            lines = [f"{leg[0][:2]} = {[f'{name}_joint' for name in leg]}" for leg in names]
+        (tmp_path / "own.toml").write_text("\n".join(["model = 'own.urdf'", f"[{table}]", *lines]))
+        with pytest.raises(InputError, match=r"FR_foot_joint' is below .* in the table 'legs'"):
+            Robot.load(tmp_path / "own.toml")
 
 
 @pytest.mark.parametrize("name", ["anymal", "hyq_no_sensors", "solo"])

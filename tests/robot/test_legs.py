@@ -148,6 +148,10 @@ def test_forces_of_a_robot_that_stands_come_out(pair: Pair) -> None:
     estimated_forces = estimate(log, robot=robot)
     np.testing.assert_allclose(estimated_forces.force, force, atol=1e-3)
     assert np.isfinite(estimated_forces.sigma).all()
+    # A robot that heads to the left has its uncertainties along the other axes.
+    left = replace(log, quaternion=np.tile(np.sqrt([0.5, 0.0, 0.0, 0.5]), (300, 1)))
+    sigma = estimate(left, robot=robot).sigma
+    np.testing.assert_allclose(sigma, estimated_forces.sigma[..., [1, 0, 2]], rtol=1e-4)
     two = any("across their plane" in line for line in estimated_forces.provenance["assumed"])
     assert two == (not there.all())
     # A gain of one per cent adds what footfalls take it to add.

@@ -109,6 +109,12 @@ def test_mjcf_with_meshes_and_feet_that_are_spheres(tmp_path: Path) -> None:
         ("model = 'small.urdf'\njoints = {FR_hip = 'FR_hop'}", "no revolute joint 'FR_hop' in the"),
         ("model = 'small.urdf'\njoints = {FR_hip = 'FR_hip_joint'}", "FR_thigh, FR_calf, FL_hip"),
         ("model = 'absent.urdf'", "absent.urdf: no such file"),
+        ("model = 'small.urdf'\nfoot_radius = 0.02\nsole = [0.2, 0.1]", "foot_radius and sole"),
+        (
+            "model = 'small.urdf'\n[joints]\nFR_hip = 'FR_hip_joint'\n[legs]\nR = ['FR_hop']",
+            "joints and legs exclude each other; keep one",
+        ),
+        ("model = 'small.urdf'\nlegs = {left = []}", "robot.toml: legs.left"),
     ],
 )
 def test_wrong_toml_is_refused_in_one_sentence(tmp_path: Path, text: str, words: str) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import runpy
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,17 +13,20 @@ import mujoco
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.spatial.transform import Rotation
 
 import terraphi
 from terraphi.experiment.errors import InputError
-from terraphi.inference.touchdowns import submerged_part
+from terraphi.inference.touchdowns import Prior, submerged_part
 from terraphi.laws.foot import LAWS, Foot
 from terraphi.laws.wrench import force
-from terraphi.robot.footfalls import footfalls
+from terraphi.robot.footfalls import Options, footfalls
 from terraphi.robot.joint_log import JointLog, cut
 from terraphi.robot.legs import Legs, TrunkMotion
 from terraphi.robot.model import Robot
+from terraphi.robot.online import Footfalls, Poses
 from terraphi.robot.results import foot_forces
+from terraphi.robot.touchdowns import track
 
 _BIPED = runpy.run_path(str(Path(__file__).with_name("biped.py")))
 Biped, CHAIN, LENGTH, WIDTH, THICK, model, sole_mesh = (
@@ -154,6 +158,43 @@ def test_another_sand_gives_another_angle(tmp_path: Path) -> None:
     log = Biped(phi=34.0, mass=40.0, duration=16.0, gain_sd=0.0).run()
     answer = footfalls(log, robot=robot_of(tmp_path, mass=40.0), density=1550)
     assert abs(answer.phi[answer.usable].mean() - 34.0) < 2.5
+
+
+def turned(quaternion: np.ndarray, angle: float) -> np.ndarray:
+    """Attitudes of which the world is turned about z [rad]."""
+    heading = Rotation.from_euler("z", angle)
+    return np.roll((heading * Rotation.from_quat(np.roll(quaternion, -1, axis=1))).as_quat(), 1, 1)
+
+
+def test_a_compass_changes_nothing_under_soles(walked: JointLog, biped: Robot) -> None:
+    """Heading to the left: the same prints and angles, and σ of the forces turned."""
+    logs = [replace(walked, quaternion=turned(walked.quaternion, a)) for a in (0.0, 0.5 * np.pi)]
+    forces = [foot_forces(cut(log, slice(2000, 2600)), robot=biped).forces for log in logs]
+    np.testing.assert_allclose(forces[1].sigma, forces[0].sigma[..., [1, 0, 2]], rtol=1e-3)
+    first, second = (footfalls(log, robot=biped, density=1550) for log in logs)
+    assert second.verdict == first.verdict
+    np.testing.assert_allclose(second.phi, first.phi, atol=1e-6)
+    np.testing.assert_allclose(second.absolute_sd, first.absolute_sd, atol=1e-6)
+
+
+def test_prints_of_soles_in_frames_of_a_localization(walked: JointLog, biped: Robot) -> None:
+    """Whichever way its x points, angles are the same."""
+    log = cut(walked, slice(6000))
+    assert log.quaternion is not None
+    forces = foot_forces(log, robot=biped, contact_part=0.4).forces
+    trunk, walks = track(log, biped, forces.place, forces.lift).trunk, []
+    for angle in (0.0, 2.0):
+        position = trunk @ Rotation.from_euler("z", angle).as_matrix().T
+        walk = Footfalls(robot=biped, density=1550)
+        walk.update(log, poses=Poses(log.time, position, turned(log.quaternion, angle), "odom"))
+        walks.append(walk.map())
+    np.testing.assert_allclose(walks[1].phi, walks[0].phi, atol=1e-6)
+    np.testing.assert_allclose(walks[1].absolute_sd, walks[0].absolute_sd, atol=1e-6)
+
+
+def test_a_prior_of_ones_own_is_kept(biped: Robot) -> None:
+    priors = [Options.of(biped, None, "foot", p, ()).prior for p in (None, Prior(level_sd=0.02))]
+    assert [prior.level_sd for prior in priors] == pytest.approx([0.003, 0.02])
 
 
 def test_soles_that_only_stand_have_no_angle(walked: JointLog, biped: Robot) -> None:

@@ -21,7 +21,6 @@ def cut_out(time: np.ndarray, feet: np.ndarray, force: np.ndarray, stance: Stanc
         force=force,
         saturated=none[..., 0] > 0.0,
         lift_per_torque=none,
-        sole=np.zeros((*none.shape[:2], 2, 3)),
     )
     return touchdowns(log, forces, SimpleNamespace(feet=feet), [stance], Robot.load("go2"))
 
@@ -42,6 +41,22 @@ def test_a_foot_that_drops_in_and_rests_began_where_it_first_met_force() -> None
     assert touchdown.drop[0][used].max() > 0.024
     resting = (touchdown.time[0] > 0.06) & (touchdown.time[0] < 0.22)
     assert not (used & resting).any()
+
+
+@pytest.mark.parametrize("aloft", [0.3, 9.0])
+def test_a_foot_comes_down_near_its_own_print(aloft: float) -> None:
+    """It bore 40 N, was carried 30 mm away in so many seconds, and bears 100 N."""
+    time = np.arange(0.0, aloft + 1.0, 0.002)
+    feet, force = np.zeros((2, len(time), 4, 3))
+    feet[:, 2, 0] = np.interp(time, [0.4, 0.4 + aloft], [0.0, 0.03])
+    feet[:, 2, 2] = np.interp(time, [0.4, 0.5, 0.3 + aloft, 0.6 + aloft], [0.0, 0.06, 0.06, -0.02])
+    force[:, 2, 2] = np.interp(time, [0.39, 0.4, 0.4 + aloft, 0.6 + aloft], [40.0, 0.0, 0.0, 100.0])
+    down = time > 0.4 + aloft
+    touchdown = cut_out(time, feet, force, Stance("RR", time[down], force[down, 2]))
+    assert touchdown.moved[0] == pytest.approx(0.03, abs=1e-3)
+    force[time < 0.4, 2, 2] = 20.0  # less than a foot bears that stands
+    touchdown = cut_out(time, feet, force, Stance("RR", time[down], force[down, 2]))
+    assert np.isinf(touchdown.moved[0])
 
 
 def test_a_foot_that_goes_down_aslant_is_seen_as_it_went() -> None:

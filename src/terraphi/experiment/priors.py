@@ -69,9 +69,9 @@ FOOT_RADIUS_SD_M = 0.0005
 """Radius of a robot's foot [m]; chosen."""
 TOUCHDOWN_DEPTH_SD_M = 0.01
 """Depth of a foot in the soil at the first force [m]; chosen."""
-SOLE_DEPTH_SD_M = 0.003
-"""The same of a flat sole [m], under which the force is large at once: an error of its tilt of 1°
-over half of a length of 0.2 m, and what the soil gives way; chosen."""
+SOLE_DEPTH_SD_PART = 0.015
+"""Depth of a flat sole in the soil at the first force, which is large at once, over its length [-]:
+an error of its tilt of 1° lifts an end by 0.009, and the soil gives way; chosen."""
 ODOMETRY_DRIFT_SD = 0.01
 """Vertical speed by which odometry drifts [m/s]; chosen."""
 DROP_SD_PART = 0.02

@@ -426,7 +426,7 @@ def fit(touchdowns: Touchdowns, law: str | FootLaw, prior: Prior) -> Fit:
     starts = range(0, len(touchdowns.foot), BLOCK)
     parts = [picked(touchdowns, slice(i, i + BLOCK)) for i in starts]
     return stacked([
-        _fit(dense(part), force_law, prior)._replace(gained=_gained(part, is_sole=bool(prior.sole)))
+        _fit(dense(part), force_law, prior, _gained(part, is_sole=bool(prior.sole)))
         for part in parts
     ])  # fmt: skip
 
@@ -554,7 +554,7 @@ def learn_level(touchdowns: Touchdowns, law: str, prior: Prior) -> Prior:
     return learned
 
 
-def _fit(touchdowns: Touchdowns, law: FootLaw, prior: Prior) -> Fit:
+def _fit(touchdowns: Touchdowns, law: FootLaw, prior: Prior, gained: FloatArray) -> Fit:
     solved = sd, best, weight, misfit, scaled = _solved(touchdowns, law, prior)
     state, _, slope = best
     precision = sd**-2 * FREE_PHI
@@ -573,7 +573,7 @@ def _fit(touchdowns: Touchdowns, law: FootLaw, prior: Prior) -> Fit:
         phi=state[:, 0],
         sd=np.sqrt(weights(slope, scaled, precision)[1][:, 0, 0]),
         sinkage=np.where(np.isfinite(sinkage), sinkage, 0.0),
-        gained=touchdowns.begin,
+        gained=gained,
         misfit=misfit,
         cost=_cost(touchdowns, prior, solved),
         borne=touchdowns.peak / np.maximum(bears, NOISE_N),

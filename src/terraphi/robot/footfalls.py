@@ -14,7 +14,7 @@ import numpy as np
 from terraphi.experiment.arrays import FloatArray, block_means
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import label_of
-from terraphi.experiment.priors import ROBOT_MASS_SD_PART, SOLE_DEPTH_SD_M
+from terraphi.experiment.priors import ROBOT_MASS_SD_PART, SOLE_DEPTH_SD_PART
 from terraphi.experiment.units import GRAVITY
 from terraphi.experiment.workers import attempt
 from terraphi.inference.footfalls import FootfallMap, infer
@@ -86,7 +86,9 @@ def footfalls(
     law
         One of :data:`~terraphi.laws.foot.LAWS`.
     prior
-        Distributions of soil, foot, sensors and law; the foot's radius is the robot's.
+        Distributions of soil, foot, sensors and law; the foot's size is the robot's. ``None``:
+        those of :class:`~terraphi.inference.touchdowns.Prior`, with a smaller ``level_sd`` for a
+        flat sole.
     anchors
         Friction angles known on stretches of the path, such as ``"x=0:0.5,phi=34±1"``, or the mean
         over all of it, ``"phi=34±2"``.
@@ -118,7 +120,8 @@ def footfalls(
     if analysis.grave:
         raise InputError(f"{name}: no footfall can be read: {analysis.grave[0]}")
     log, forces = without_broken_accelerometer(analysis.log)[0], analysis.forces
-    motion = from_the_start(track(log, body, forces.place, forces.lift), log)
+    log = from_the_start(log, log)
+    motion = track(log, body, forces.place, forces.lift)
     landings = touchdowns(log, forces, motion, analysis.stances, body)
     course = course_of(log, body, forces, motion)
     # Inference takes half a gigabyte for an hour more if it has the forces of all samples.
@@ -195,7 +198,7 @@ class Options(NamedTuple):
             )
         full = replace(prior or Prior(), radius=body.contact_radius, legs=len(body.feet))
         if body.sole:
-            level_sd = min(full.level_sd, SOLE_DEPTH_SD_M)
+            level_sd = SOLE_DEPTH_SD_PART * body.sole[0] if prior is None else prior.level_sd
             full = replace(full, shape="disc", sole=body.sole, level_sd=level_sd)
         if density is not None:
             mean, sd = density_with_sd(density, "the soil")
@@ -325,17 +328,17 @@ def carried_s(time: FloatArray, lift: FloatArray) -> float:
     return float(step * (mean < RESTS_PART * np.median(mean)).sum()) if len(mean) else 0.0
 
 
-def from_the_start(motion: Motion, log: JointLog) -> Motion:
-    """Turn the motion, in place, so that x is the robot's first heading."""
+def from_the_start(log: JointLog, start: JointLog) -> JointLog:
+    """Turn the attitudes of a log so that the world's x is the first heading of its start."""
     assert log.quaternion is not None, "checked when the log was read"
-    early = log.time <= log.time[0] + SMOOTH_PATH_S
+    assert start.quaternion is not None, "checked when the log was read"
+    early = start.time <= start.time[0] + SMOOTH_PATH_S
     # The mean direction (x, y) of the trunk's forward axis over the ground becomes (1, 0).
-    x, y = rotation(log.quaternion[early])[:, :2, 0].mean(axis=0)
-    size = math.hypot(x, y)
-    back = np.array([[x, y, 0.0], [-y, x, 0.0], [0.0, 0.0, size]]) / size
-    for place in (motion.trunk, *np.moveaxis(motion.feet, 1, 0)):
-        place[:] = place @ back.T
-    return motion
+    x, y = rotation(start.quaternion[early])[:, :2, 0].mean(axis=0)
+    half = -0.5 * math.atan2(y, x)
+    # The product of the quaternions (cos, 0, 0, sin) and (w, x, y, z) is linear in the latter.
+    turn = math.cos(half) * np.eye(4) + math.sin(half) * np.diag([1, 1, -1, -1])[:, ::-1]
+    return replace(log, quaternion=log.quaternion @ turn)
 
 
 def path_of(trunk: FloatArray, time: FloatArray) -> FloatArray:

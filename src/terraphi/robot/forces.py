@@ -108,8 +108,6 @@ class FootForces:
     place
         Centres of the feet's balls or soles in the frame of the trunk [m], shape
         [sample, foot, 3].
-    sole
-        Directions of a sole's length and width in the world [-], shape [sample, foot, 2, 3].
     lift_per_torque
         Upward force per torque of each joint [1/m], shape [sample, foot, joint].
     leg_inertia
@@ -131,7 +129,6 @@ class FootForces:
     flagged: BoolArray
     saturated: BoolArray
     place: SingleArray
-    sole: SingleArray
     lift_per_torque: SingleArray
     leg_inertia: FloatArray
     estimator: Estimator
@@ -223,8 +220,7 @@ def estimate(
         columns = columns or [np.empty((len(log.time), *v.shape[1:]), v.dtype) for v in values]
         for column, value in zip(columns, values, strict=True):
             column[begin : begin + len(value)] = value
-    fields = ("force", "sigma", "flagged", "saturated", "place", "sole", "lift_per_torque",
-              "leg_inertia")  # fmt: skip
+    fields = "force", "sigma", "flagged", "saturated", "place", "lift_per_torque", "leg_inertia"
     return FootForces(
         time=np.asarray(log.time, dtype=np.float64),
         **dict(zip(fields, columns, strict=True)),
@@ -283,7 +279,7 @@ def _chunk(
     inverse, lever, unfelt = (values[inner] for values in part.legs.force_per_torque(low))
     lift_per_torque = upward(turn, inverse)
     if frame == "world":
-        inverse = turn[:, None] @ inverse
+        inverse, unfelt = turn[:, None] @ inverse, turn[:, None] @ unfelt
     with np.errstate(over="ignore", invalid="ignore"):  # where a knee is singular
         force = np.einsum("sfij,sfj->sfi", inverse, torque)
         # f = J⁻ᵀ τ with independent errors of the torques: var f_i = Σ_j (J⁻ᵀ)_ij² var τ_j.
@@ -306,8 +302,7 @@ def _chunk(
     limit = SATURATED * np.array(robot.torque_limit or np.inf)
     saturated = (np.abs(measured) >= limit).any(axis=-1)
     swing = leg_inertia(part, gap)[inner] if moving else np.zeros(len(torque))
-    sole = np.einsum("sij,sfkj->sfki", turn, part.legs.sole[inner])
-    places = (v.astype(np.float32) for v in (part.legs.place[inner], sole, lift_per_torque))
+    places = (v.astype(np.float32) for v in (part.legs.place[inner], lift_per_torque))
     return *force_sigma, near_singular, saturated, *places, swing
 
 

@@ -39,6 +39,7 @@ UNUSED = {"asset", "keyframe", "size", "visual"}
 Positive = Annotated[float, Field(gt=0)]
 Inertia = Annotated[float, Field(ge=0)]
 Vector = tuple[float, float, float]
+Chain = Annotated[tuple[str, ...], Field(min_length=1)]
 
 
 class RobotFile(Strict):
@@ -53,7 +54,8 @@ class RobotFile(Strict):
     mass: float | None = Field(None, gt=0)
     """Mass of the whole robot with its payload [kg]. Not given: the model's."""
     foot_radius: float | None = Field(None, ge=0)
-    """Radius of the foot's ball [m]. Not given: that of the model's sphere."""
+    """Radius of the foot's ball [m], of a robot without soles. Not given: that of the model's
+    sphere."""
     sole: tuple[Positive, Positive] | None = None
     """Length and width of a flat sole, along the trunk's x and y [m]. Not given: those of the
     model's boxes or spheres."""
@@ -71,7 +73,7 @@ class RobotFile(Strict):
     joints: dict[str, str] | None = None
     """Table of a quadruped's joints' names in the model, such as FR_hip = "RF_HAA". Not given:
     recognized by their names."""
-    legs: dict[str, tuple[str, ...]] | None = None
+    legs: dict[str, Chain] | None = None
     """Table of the legs of another robot: names of the joints from the trunk down, such as
     left = ["left_hip", "left_knee", "left_ankle"]. Not given: all limbs that reach the ground."""
 
@@ -250,6 +252,9 @@ def _loaded(path: Path, settings: RobotFile, toml: str = "") -> Robot:
     with unpacking(f"{path}: it", [path]):
         model, title = _compiled(read_bytes(path), str(path))
         data = _at_reference(model)
+    for pair in (("foot_radius", "sole"), ("joints", "legs")):
+        if all(getattr(settings, key) is not None for key in pair):
+            raise InputError(f"{toml}: {' and '.join(pair)} exclude each other; keep one of them")
     feet, joint, legs, notes = _legs(model, data, settings, toml or str(path))
     there, count = joint >= 0, joint.shape[1]
     names = [name for name, is_there in zip(sum(legs, ()), there.flat, strict=True) if is_there]
@@ -261,7 +266,9 @@ def _loaded(path: Path, settings: RobotFile, toml: str = "") -> Robot:
         if len(value := getattr(settings, key) or (0,) * count) != count:
             raise InputError(f"{toml}: {key}: {len(value)} numbers; a leg has {count} joints")
     ends = [model.jnt_bodyid[i] for i in joint[:, -1].tolist()]
-    sole = settings.sole or (_sole(model, data, ends[0])[1] if count > len(JOINTS) else None)
+    sole = settings.sole
+    if sole is None and not settings.foot_radius and count > len(JOINTS):
+        sole = _sole(model, data, ends[0])[1]
     ends_of = [_foot(model, data, int(end), str(path), sole) for end in ends]
     body, offset, radius = (np.array(column) for column in zip(*ends_of, strict=True))
     # Stretched out, from thigh by knee to foot; without a hip's offset, which does not lift it.
@@ -475,6 +482,12 @@ def _check_chains(model: mujoco.MjModel, chains: list[list[int]], source: str) -
                 wrong = "carries several legs" if hangs else "does not hang on the joint above it"
                 wrong = wrong if turns else "of a leg is not a revolute one"
                 raise InputError(f"{source}: '{model.joint(i).name}' {wrong}")
+    ends = model.jnt_dofadr[[row[-1] for row in chains]]
+    for dof in np.flatnonzero(np.isin(model.dof_parentid, ends)).tolist():
+        raise InputError(
+            f"{source}: joint '{model.joint(int(model.dof_jntid[dof])).name}' is below the last "
+            "joint of a leg; name all joints of each leg in the table 'legs' of the robot's TOML"
+        )
 
 
 def _ordered(

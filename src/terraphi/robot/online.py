@@ -454,6 +454,7 @@ class Walk:
         while (log := self._next(self.pending)) is not None:
             start = self.start or self._begin(log)
             log = log if start.log.acceleration is not None else replace(log, acceleration=None)
+            log = batch.from_the_start(log, start.log)
             window, new = self._extended(start, log)
             self.window, self.start = window, self._checked(start, window)
             answers += self._answers(self.start, window, new)
@@ -498,24 +499,25 @@ class Walk:
         late = time >= min(first, time.max()) - CHECK_S
         self.poses = Poses(time[late], position[late], quaternion[late], poses[0].frame)
 
-    def _placed(self, time: FloatArray, place: FloatArray, start: RobotForces) -> FloatArray:
-        """Places at some times in the frame of the poses, if there are any [m], shape [any, 3]."""
+    def _placed(self, time: FloatArray, place: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Places at some times in the frame of the poses, if there are any [m], shape [any, 3].
+
+        And the angles by which they were turned [rad], shape [any].
+        """
         if self.poses is None or self.window is None:
-            return place
+            return place, np.zeros(len(place))
         # From the nearest pose on by the odometry of the legs, turned by what the two headings are
         # apart there; headings and horizontal places are complex numbers.
         log, motion = self.window.log, self.window.motion
         nearest = np.abs(self.poses.time - time[:, None]).argmin(axis=1)
         at, position = self.poses.time[nearest], self.poses.position[nearest]
         assert log.quaternion is not None, "checked before"
-        assert start.log.quaternion is not None, "checked before"
-        first = heading(start.log.quaternion).mean()
-        ours = np.interp(at, log.time, heading(log.quaternion)) / first
+        ours = np.interp(at, log.time, heading(log.quaternion))
         turn = heading(self.poses.quaternion[nearest]) / ours
         trunk = np.stack([np.interp(at, log.time, column) for column in motion.trunk.T], axis=1)
         x, y, z = (place - trunk).T
         across = (x + 1j * y) * turn / np.abs(turn)
-        return np.asarray(position + np.stack([across.real, across.imag, z], axis=1))
+        return position + np.stack([across.real, across.imag, z], axis=1), np.angle(turn)
 
     def _checked(self, start: RobotForces, window: Window, *, to_end: bool = False) -> RobotForces:
         """Check the parts of the log that are over, or all of it; return the start with them."""
@@ -590,7 +592,6 @@ class Walk:
         acceleration = acceleration - felt[log.time > log.time[-1] - BIAS_S].mean(axis=0)
         near = cut(forces, slice(first, None))
         motion = track(tail, robot, near.place, near.lift, acceleration=acceleration)
-        motion = batch.from_the_start(motion, start.log)
         if before is not None:
             # The odometry goes on from the last place that is final.
             shift = before.motion.trunk[kept.stop - 1] - motion.trunk[new.start - 1]
@@ -605,7 +606,7 @@ class Walk:
         log, forces, motion, _, final = window
         robot, time = self.options.robot, log.time
         course = batch.course_of(log, robot, forces, motion, new)
-        self.course.append(course._replace(trunk=self._placed(course.time, course.trunk, start)))
+        self.course.append(course._replace(trunk=self._placed(course.time, course.trunk)[0]))
         over = time[final - 1] - LIFT_S
         stances = [
             stance for stance in self._stances(window)
@@ -615,9 +616,10 @@ class Walk:
             return []
         self.over |= {stance.foot: stance.end for stance in stances}
         landings = touchdowns(log, forces, motion, stances, robot)
-        place = self._placed(landings.begin + landings.time[:, -1], landings.place, start)
+        place, turn = self._placed(landings.begin + landings.time[:, -1], landings.place)
         faulty = landings.faulty | bool(grave(start.checked)[-1])
-        return self._fit(start, landings._replace(place=place, faulty=faulty))
+        ahead = landings.heading + turn
+        return self._fit(start, landings._replace(place=place, heading=ahead, faulty=faulty))
 
     def _keep(self, start: RobotForces, landings: Touchdowns) -> None:
         """Keep touch-downs for the map, and learn from all when their number has doubled."""

@@ -35,7 +35,7 @@ from terraphi.robot.estimators import chunks, smooth_sign, trunk_motion
 from terraphi.robot.forces import TRUNK_ACCELERATION_SD, FootForces, SingleArray
 from terraphi.robot.friction import BEARING_SHARE
 from terraphi.robot.joint_log import GAP_STEPS, JointLog, cut
-from terraphi.robot.legs import rotation
+from terraphi.robot.legs import Legs, rotation
 from terraphi.robot.model import Robot
 from terraphi.robot.stance import SMOOTH_S, Stance, running_mean
 
@@ -222,11 +222,10 @@ def touchdowns(
     step = float(np.median(np.diff(log.time)))
     # Force of the soil's inertia on a foot that meets it, over the square of its speed [kg/m].
     landing = float(moved_mass(Foot(robot.contact_radius), 1e-6, Prior.density)[1])
-    sides = np.array(robot.sole or (0.0, 0.0))
     columns: dict[str, Any] = {}
     for i, stance in enumerate(stances):
         foot = robot.feet.index(stance.foot)
-        row = _touchdown(log, forces, motion, stance, foot, step, landing, sides)
+        row = _touchdown(log, forces, motion, stance, foot, robot, step, landing)
         for name, value in row.items():
             if not i:
                 columns[name] = np.empty((len(stances), *np.shape(value)), np.asarray(value).dtype)
@@ -241,15 +240,14 @@ def _touchdown(
     motion: Motion,
     stance: Stance,
     foot: int,
+    robot: Robot,
     step: float,
     landing: float,
-    sides: FloatArray,
 ) -> dict[str, Any]:
     """Cut one touch-down out of its stance; samples that it lacks repeat its last."""
     from scipy.ndimage import maximum_filter1d
 
-    time = log.time
-    lift, place, sole = forces.force[:, foot, 2], motion.feet[:, foot], forces.sole[:, foot]
+    time, lift, place = log.time, forces.force[:, foot, 2], motion.feet[:, foot]
     half = max(1, round(0.5 * SMOOTH_S / step))
     start = int(np.searchsorted(time, stance.begin))
     # The surface is where the foot first met force after it had been aloft. A stance begins later,
@@ -262,10 +260,8 @@ def _touchdown(
     begin = float(time[start])
     # Where the foot stood before, also for longer than a stance lasts, it stands in its own print.
     most = np.nan_to_num(lift[start : np.searchsorted(time, stance.end) + 1]).max()
-    loaded = lift[:start][::-1] > BORE_PART * most
-    moved = math.inf
-    if loaded.any():
-        moved = float(np.hypot(*(place[start] - place[start - 1 - int(loaded.argmax())])[:2]))
+    bore = _last_above(lift[:start], BORE_PART * most)
+    moved = math.inf if bore is None else float(np.hypot(*(place[start] - place[bore])[:2]))
     first = max(int(np.searchsorted(time, begin - SMOOTH_S)), half)
     last = int(np.searchsorted(time, min(begin + WINDOW_S, stance.end)))
     end = max(int(np.searchsorted(time, stance.end)), start) + 1
@@ -292,6 +288,7 @@ def _touchdown(
     part = slice(rows[0], last + 1)
     late = good[1 : last + 1 - rows[0]] & (np.diff(time[part]) > GAP_STEPS * step)
     count, chosen = len(chosen), chosen[np.minimum(np.arange(POINTS), len(chosen) - 1)]
+    rise, heading = _attitude(log, robot, np.append(start, rows[chosen]), foot)
     return {
         "foot": foot,
         "begin": begin,
@@ -303,15 +300,42 @@ def _touchdown(
         "acceleration": acceleration[chosen],
         "force": force[chosen],
         "per_error": sensitivity(log, forces, (rows[chosen], foot)),
-        "rise": 0.5 * sides * sole[rows[chosen], :, 2],
+        "rise": rise[1:],
         "moved": moved,
-        "heading": math.atan2(*sole[start, 0, 1::-1]) if sides.any() else 0.0,
+        "heading": heading[0],
         "used": good[chosen] & (np.arange(POINTS) < count) & (not short),
         "torn": short or 2.0 * FEWEST * step > WINDOW_S or bool(late.any()),
         "saturated": bool(forces.saturated[part, foot].any()),
         "faulty": False,
         **_yielding(time[start:end], place[start:end], lift[start:end], half, landing),
     }
+
+
+def _last_above(values: SingleArray, level: float) -> int | None:
+    """Last index of values above a level."""
+    # In longer and longer parts from the end, for it is near.
+    stop, size = len(values), 256
+    while stop > 0:
+        start = max(stop - size, 0)
+        if len(above := np.flatnonzero(values[start:stop] > level)):
+            return start + int(above[-1])
+        stop, size = start, 2 * size
+    return None
+
+
+def _attitude(
+    log: JointLog, robot: Robot, rows: IntArray, foot: int
+) -> tuple[FloatArray, FloatArray]:
+    """Heights of the front and the left end of a sole over its middle [m], shape [row, 2].
+
+    And the direction of its length from x [rad], shape [row]; zero of a ball.
+    """
+    if robot.sole is None:
+        return np.zeros((len(rows), 2)), np.zeros(len(rows))
+    assert log.quaternion is not None, "checked when the log was read"
+    sides = Legs(robot, log.angle[rows]).sole[:, foot]
+    x, y, z = np.moveaxis(sides @ np.swapaxes(rotation(log.quaternion[rows]), 1, 2), -1, 0)
+    return 0.5 * np.array(robot.sole) * z, np.arctan2(y[:, 0], x[:, 0])
 
 
 def _rates(
