@@ -382,8 +382,8 @@ def _weight(lift: float, robot: Robot) -> list[Finding]:
         return []
     text = f"{bears}: are torques about {1.0 / lift:.2g} times as large, or its mass "
     grave = not 1.0 / BELIEVABLE_LIFT < lift < BELIEVABLE_LIFT
-    others = ", or do other limbs bear it" if lift < 1.0 else ""
-    return [Finding("weight", f"{text}{lift * robot.mass:.3g} kg{others}?", grave)]
+    limbs = ", or do other limbs bear it" if lift < 1.0 else ""
+    return [Finding("weight", f"{text}{lift * robot.mass:.3g} kg{limbs}?", grave)]
 
 
 def _attitude(log: JointLog) -> list[Finding]:
