@@ -44,6 +44,8 @@ SHAPES = {"dimer": "dimers", "tetrahedron": "tetrahedra", "flat": "flat squares"
 """Plural of each shape of clumps."""
 PARTS = {"torque alone": None, "-60 to 20°": (-60.0, 20.0), "-20 to 60°": (-20.0, 60.0)}
 """Parts of a record: the hip's torque, and parts of a stroke [deg]."""
+COHESIONS_PA = {"up to 50 Pa": 50.0, "50 to 100 Pa": 100.0, "100 to 180 Pa": 180.0}
+"""Classes of damp soils, and their largest cohesion [Pa]."""
 
 
 @dataclass(frozen=True)
@@ -255,6 +257,7 @@ def of_parts() -> str:
 def damp(rows: Sequence[Row]) -> list[str]:
     """A table of damp soils, inverted as dry, with the cohesion of the cell and an unknown one."""
     lines, shrinking = [], {}
+    errors_deg: dict[str, list[list[float]]] = {name: [] for name in COHESIONS_PA}
     for row in rows:
         cell = elements.cohesive(cells.GRAINS, row.packing)
         law, known = law_without(row.record.letter), f"{cell.cohesion_pa}±{cell.cohesion_sd_pa}"
@@ -264,15 +267,26 @@ def damp(rows: Sequence[Row]) -> list[str]:
             f"{cell.cohesion_pa:.0f} ± {cell.cohesion_sd_pa:.0f} Pa",
             *(f"{answer.phi.median:.1f} ± {answer.phi.sd:.1f}°" for answer in answers),
         ))  # fmt: skip
-        shrinking[row.packing] = f"{cell.shrinks[0]:.1%} ({row.packing})"
+        name = next(n for n, most in COHESIONS_PA.items() if cell.cohesion_pa <= most)
+        errors_deg[name].append([answer.phi.median - cell.phi_deg for answer in answers])
+        shrinking[row.packing] = cell.shrinks[0]
     warned = [any("damp" in text for text in row.answer.warnings) for row in rows]
-    header = ("record", "critical φ", "c", "φ, dry", "φ, c given", "φ, c unknown")
+    columns = ("φ, dry", "φ, c given", "φ, c unknown")
+    means = [
+        (name, str(len(each)), *(
+            f"{error.mean():+.1f}° ({np.sqrt(np.square(error).mean()):.1f}°)"
+            for error in np.transpose(each)
+        ))
+        for name, each in errors_deg.items()
+    ]  # fmt: skip
+    header = ("record", "critical φ", "c", *columns)
+    file = pages.excerpt(pages.DOCS, "grains_damp", header, lines, header).rpartition("\n\n")[2]
     return [
-        pages.table(header, lines),
+        pages.table(("cohesion by the cell", "records", *columns), means),
         (
-            f"In the shear cell under 1.5 kPa soils shrink by {', '.join(shrinking.values())}. "
-            f"Answers that assume dry soil and warn that it may be damp: {sum(warned)} of "
-            f"{len(rows)}."
+            f"Cells have φ within 0.5 to 5°. {file} Answers that assume dry soil and warn that it "
+            f"may be damp: {sum(warned)} of {len(rows)}. In the shear cell under 1.5 kPa soils "
+            f"shrink by {min(shrinking.values()):.1%} to {max(shrinking.values()):.1%}."
         ),
     ]
 
@@ -394,8 +408,8 @@ def sections(out: Path, rows: Sequence[Row]) -> list[str]:
             "Soils with bridges of liquid between their grains. *Contracting* soil was poured with "
             "such bridges, of which a tenth remains, so it is looser than its critical state. "
             "Nothing is learned from these soils. Shear cells under 0.5 and 1.5 kPa give φ and c. "
-            "The last columns are φ if the soil is assumed to be dry, with c of the cell, and with "
-            "an unknown c."
+            "The last columns are the mean error of φ, and its root mean square, if the soil is "
+            "assumed to be dry, with c of the cell, and with an unknown c."
         ),
         *damp(moist),
     ]  # fmt: skip
