@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import runpy
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,6 +27,24 @@ LawWalk, PHASES, DUTY, hexapod = (
 CALF = 2
 GAINS = {("FL", CALF): 0.1, ("RR", CALF): -0.08}
 """Errors of torque gains in the worn log [-]."""
+
+
+@dataclass(frozen=True)
+class Paused(LawWalk):  # type: ignore[misc, valid-type]
+    """A walk that stops at 8.1 s in 0.3 s and goes on 2.7 s later."""
+
+    def _own(self, time: np.ndarray) -> np.ndarray:
+        """Time of the walk without the pause; speeds fall and rise as 1 − u³ (10 − 15 u + 6 u²)."""
+        stop, go = (np.clip((time - begin) / 0.3, 0.0, 1.0) for begin in (8.1, 10.8))
+        lost, gained = (u**4 * (2.5 - 3.0 * u + u**2) for u in (stop, go))
+        late = np.maximum(time - 11.1, 0.0)
+        return np.asarray(np.minimum(time, 8.1) + 0.3 * (stop - lost + gained) + late)
+
+    def _phase(self, time: np.ndarray) -> Any:
+        return super()._phase(self._own(time))
+
+    def _pose(self, time: np.ndarray) -> Any:
+        return super()._pose(self._own(time))
 
 
 class Truth(NamedTuple):
@@ -216,3 +234,12 @@ def test_a_gain_is_found_from_the_weight_while_the_trunk_bobs() -> None:
     assert result.mean[2] - result.mean[5] == pytest.approx(0.1, abs=0.01)
     assert result.mean[2] == pytest.approx(0.1, abs=0.03)  # less what the mass may be off by
     assert result.covariance[2, 2] < SensorErrors.gain**2
+
+
+def test_feet_that_stand_while_the_robot_pauses_have_angles() -> None:
+    """Of stances of up to 3.7 s."""
+    walk = Paused(duration=16.0)
+    answer = footfalls(walk.log()[0], density="1550±80")
+    off = (answer.phi - walk.phi(answer.place))[(answer.time > 7.4) & (answer.time < 8.2)]
+    assert len(off) == 3
+    assert np.abs(off).max() < 0.3

@@ -110,7 +110,11 @@ def test_force_on_a_sole_from_torques(tmp_path: Path, joints: int) -> None:
     push, moment = rng.normal(0.0, [[[[80.0]]], [[[15.0]]]], (2, 50, 2, 3))
     push[..., 2] += 400.0
     torque = np.einsum("sfij,sfi->sfj", legs.jacobian(), push)
-    torque += np.einsum("sfji,sfi->sfj", legs._axis, moment)
+    for i in range(3):
+        # A moment about x, y or z is a couple: forces along z, x or y at both ends of 1 m.
+        arm = 0.5 * np.eye(3)[i - 2]
+        couple = legs.jacobian(arm) - legs.jacobian(-arm)
+        torque += couple[:, :, i - 1] * moment[..., i, None]
     inverse, lever, unfelt = legs.force_per_torque()
     error = np.einsum("sfij,sfj->sfi", inverse, torque) - push
     np.testing.assert_allclose(error, np.einsum("sfij,sfj->sfi", unfelt, moment), atol=1e-6)

@@ -28,8 +28,8 @@ log_options = option_group(
                  callback=lambda _context, _option, names: names and [
                      name.strip() for name in names.split(",")
                  ],
-                 help="Names of the twelve joints in a bag, if they are not recognized; in the "
-                 "order FR, FL, RR, RL, each hip, thigh, calf."),
+                 help="Names of the legs' joints in a bag, if they are not recognized; leg by "
+                 "leg, a quadruped's FR, FL, RR, RL, each hip, thigh, calf."),
     click.option("--columns", type=PATH,
                  help="TOML of a table's columns; 'terraphi keys columns' prints its keys."),
     click.option("--lag", "lag_s", type=Float(), default=0.0, metavar="MS",

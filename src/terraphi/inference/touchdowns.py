@@ -203,7 +203,7 @@ class Prior:
         Length and width of a flat sole [m], whose disc of equal area has the radius; ``None`` of a
         ball.
     legs
-        Of the robot.
+        Number of the robot's legs.
     drop_sd
         Of the odometry's drop of the feet, relative [-]: standing feet give way a little while the
         load moves over, and the attitude errs.

@@ -196,14 +196,14 @@ def estimate(
     if (read := log.angle.shape[1:]) != (legs := robot.joint.shape):
         mine = f"'{robot.name}' has {legs[0]} of {legs[1]}; name its robot"
         raise InputError(f"the log has {read[0]} legs of {read[1]} joints, {mine}")
-    given = friction if isinstance(friction, JointFriction) else None
-    log, broken = (log, []) if given else without_broken_accelerometer(log)
+    preset = friction if isinstance(friction, JointFriction) else None
+    log, broken = (log, []) if preset else without_broken_accelerometer(log)
     # A frame or two are read as well: of a robot at rest, for they hold no accelerations.
     gap = GAP_STEPS * float(np.median(np.diff(log.time))) if len(log.time) > 1 else math.inf
     moving = estimator != "quasi_static"
     nothing = np.zeros(robot.joint.shape)
     overview = (
-        Survey(given, nothing, nothing, 0.0, nothing + np.nan) if given
+        Survey(preset, nothing, nothing, 0.0, nothing + np.nan) if preset
         else survey(log, robot, estimator, gap, friction=moving and bool(friction))
     )  # fmt: skip
     errors = priors or SensorErrors()

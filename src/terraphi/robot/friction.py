@@ -341,14 +341,14 @@ def swing_of_part(
 
     ``lift_per_torque`` is that of :class:`~terraphi.robot.forces.FootForces`.
     """
-    part, all_ = signals(log, robot, slice(None)), slice(None)
+    part, span = signals(log, robot, slice(None)), slice(None)
     torque, terms = contact_torque(part, "momentum_observer", gap), friction_terms(part, gap)
     # Friction that is not known looks like force, so that twice the load may be swing.
     contact, share = torque, 2.0 * BEARING_SHARE
     if friction is not None:
         contact, share = torque + friction.of_terms(terms), BEARING_SHARE
-    swing = in_swing(part, all_, np.nansum(lift_per_torque * contact, axis=-1), robot, share)
-    return lag_and_gain([(part, all_)], torque, terms, swing, gap)
+    swing = in_swing(part, span, np.nansum(lift_per_torque * contact, axis=-1), robot, share)
+    return lag_and_gain([(part, span)], torque, terms, swing, gap)
 
 
 def survey(

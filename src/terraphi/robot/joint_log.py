@@ -19,7 +19,7 @@ Names = tuple[tuple[str, ...], ...]
 LEGS: Names = tuple(tuple(f"{foot}_{joint}" for joint in JOINTS) for foot in FEET)
 """Joints of a quadruped as ``FOOT_JOINT``, foot by foot, in the order of the Go2's motors."""
 JOINT_NAMES = tuple(name for leg in LEGS for name in leg)
-"""The twelve of them."""
+"""Names of a quadruped's twelve joints."""
 
 
 def shapes(legs: int = len(FEET), joints: int = len(JOINTS)) -> dict[str, tuple[int, ...]]:
@@ -30,7 +30,7 @@ def shapes(legs: int = len(FEET), joints: int = len(JOINTS)) -> dict[str, tuple[
 
 
 SHAPES = shapes()
-"""Those of a quadruped."""
+"""Shapes of a quadruped's samples."""
 
 
 GAP_STEPS = 3.5

@@ -494,7 +494,7 @@ def _ordered(
     model: mujoco.MjModel, data: mujoco.MjData, limbs: list[list[int]], names: list[str],
     source: str, hinges: int,
 ) -> tuple[tuple[str, ...], IntArray, Names, list[str]]:  # fmt: skip
-    """What :func:`_legs` returns of limbs, in pairs from the front, each right one first.
+    """Order limbs by pairs from the front, the right one first; return as :func:`_legs` does.
 
     Without names the feet are R and L, with a number from the front where there are several.
     """
@@ -514,18 +514,18 @@ def _ordered(
     rank = np.array([np.sum(x[left == side] > front) for side, front in zip(left, x, strict=True)])
     order = np.lexsort((left, rank)).tolist()
     each = "{}{}" if rank.any() else "{}"
-    given = names or [each.format("RL"[int(s)], r + 1) for s, r in zip(left, rank, strict=True)]
+    feet = names or [each.format("RL"[int(s)], r + 1) for s, r in zip(left, rank, strict=True)]
     legs = tuple(tuple(model.joint(i).name for i in limbs[k]) for k in order)
-    hang = ", ".join(f"{given[k]} from {leg[0]}" for k, leg in zip(order, legs, strict=True))
+    hang = ", ".join(f"{feet[k]} from {leg[0]}" for k, leg in zip(order, legs, strict=True))
     notes = [f"legs: {hang}"]
     words = [re.search(r"(?<![a-z])(r|l|right|left)(?![a-z])", leg[0].lower()) for leg in legs]
     if not names and any(
-        w and w[0][0] != given[k][0].lower() for k, w in zip(order, words, strict=True)
+        w and w[0][0] != feet[k][0].lower() for k, w in zip(order, words, strict=True)
     ):
         notes.append("names and places of the legs disagree; x is to point forwards, y to the left")
-    if (rest := hinges - sum(map(len, limbs))) > 0:
-        notes.append(f"{rest} joints that are no leg's are taken to stay as in the model")
-    return tuple(given[k] for k in order), np.array([limbs[k] for k in order]), legs, notes
+    if (count := hinges - sum(map(len, limbs))) > 0:
+        notes.append(f"{count} joints that are no leg's are taken to stay as in the model")
+    return tuple(feet[k] for k in order), np.array([limbs[k] for k in order]), legs, notes
 
 
 def _standing(model: mujoco.MjModel, data: mujoco.MjData) -> list[list[int]]:
@@ -556,16 +556,16 @@ def _sole(
 
     Of boxes, or of three spheres or more, level at the reference angles; ``None`` without any.
     """
-    points = [np.zeros((0, 3))]
+    parts = [np.zeros((0, 3))]
     for g in np.flatnonzero(model.body_weldid[model.geom_bodyid] == end).tolist():
         place, turn = data.geom_xpos[g], data.geom_xmat[g].reshape(3, 3)
         if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_BOX:
             corners = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
-            points.append(place + corners * model.geom_size[g] @ turn.T)
+            parts.append(place + corners * model.geom_size[g] @ turn.T)
         elif model.geom_type[g] == mujoco.mjtGeom.mjGEOM_SPHERE:
-            points.append((place - [0.0, 0.0, model.geom_size[g, 0]])[None])
-    all_ = np.concatenate(points)
-    low = all_[all_[:, 2] < all_[:, 2].min(initial=math.inf) + LEVEL_M]
+            parts.append((place - [0.0, 0.0, model.geom_size[g, 0]])[None])
+    points = np.concatenate(parts)
+    low = points[points[:, 2] < points[:, 2].min(initial=math.inf) + LEVEL_M]
     length, width = np.ptp(low[:, :2], axis=0).tolist() if len(low) else (0.0, 0.0)
     if min(length, width) < SMALLEST_SOLE_M:
         return None, None

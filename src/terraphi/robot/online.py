@@ -656,16 +656,16 @@ class Walk:
         rows = np.column_stack([places, landings.foot, landings.heading, traits])
         self.trace = np.vstack([self.trace, rows])
         first = np.zeros(len(near), int)
-        all_ = stacked([picked(landings, first), landings])
-        all_.place[: len(near), :2], all_.foot[: len(near)] = near[:, :2], near[:, 2]
-        all_.heading[: len(near)] = near[:, 3]
+        neighbors = stacked([picked(landings, first), landings])
+        neighbors.place[: len(near), :2], neighbors.foot[: len(near)] = near[:, :2], near[:, 2]
+        neighbors.heading[: len(near)] = near[:, 3]
         verdict = inference.verdicts(
-            all_, stacked([picked(fits, first), fits]), prior,
+            neighbors, stacked([picked(fits, first), fits]), prior,
             typical=inference.Typical.of(self.trace[:, 4:]),
         )[-count:]  # fmt: skip
         if self.ground:
             verdict[np.isin(verdict, (inference.USABLE, inference.MISFIT))] = inference.NO_ANGLE
-        moved = inference.trodden_before(all_, inference.BESIDE_RADII, prior)[0][-count:]
+        moved = inference.trodden_before(neighbors, inference.BESIDE_RADII, prior)[0][-count:]
         sinkage = inference.surface_depth(fits, verdict)
         usable = np.where(verdict == inference.USABLE, 1.0, np.nan)
         columns = (

@@ -34,8 +34,10 @@ FALL_PART, TOUCH_PART = 0.25, 0.1
 was where it touches down: filters give a sudden force a foot of some milliseconds before it begins
 (``tests/robot/test_stance.py``)."""
 LONGEST_S = 4.0
-"""Duration of a stance [s]; who stands longer stands still: the slow walk of
-``tests/robot/test_checks.py`` has 1.6 s, the biped of ``tests/robot/test_soles.py`` 2.5 s."""
+"""Longest stance [s]; a foot that stands longer stands still. The biped of
+``tests/robot/test_soles.py`` stands for 2.5 s. A quadruped that pauses for 2 to 3 s keeps the
+footfalls of the three feet that stand, which a limit of 2 s leaves out: right within 0.15°, or 0.9°
+of a foot that was coming down (``tests/robot/test_footfall_truth.py``)."""
 LIFT_S = 0.04
 """A foot lifted for less than this has not been lifted [s] (a bounce of 16 ms in
 ``tests/robot/test_stance.py``)."""

@@ -122,8 +122,8 @@ def track(
     # Part by part, each with a margin that it forgets: working arrays of an hour take gigabytes.
     for wide, inner in chunks(log.time, size=CHUNK, margin_s=BIAS_S):
         rows = slice(wide.start + inner.start, wide.start + inner.stop)
-        given = None if acceleration is None else acceleration[wide]
-        turned, moved, felt = _odometry(cut(log, wide), robot, place[wide], load[wide], given)
+        piece = None if acceleration is None else acceleration[wide]
+        turned, moved, felt = _odometry(cut(log, wide), robot, place[wide], load[wide], piece)
         feet[rows], lift_acceleration[rows] = turned[inner], felt[inner]
         velocity[rows] = moved[inner]
     trunk = np.concatenate([np.zeros((1, 3)), np.cumsum(velocity * step[:, None], axis=0)])

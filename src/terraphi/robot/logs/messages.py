@@ -155,13 +155,13 @@ def joint_order(
         If a joint is missing, stands twice or is not known; the message does not name the file.
     """
     index: dict[str, int] = {}
-    all_ = [name for leg in legs for name in leg]
-    hint = f"name the {len(all_)} (--joint-names; in Python joint_names)"
+    listed = [name for leg in legs for name in leg]
+    hint = f"name the {len(listed)} (--joint-names; in Python joint_names)"
     for name in wanted or ():
         if name not in names or list(wanted or ()).count(name) > 1:
             raise InputError(f"joint '{name}' is not once in the messages; {nearest(name, names)}")
     if wanted is not None:
-        there = [joint for joint in all_ if joint in joints]
+        there = [joint for joint in listed if joint in joints]
         index = dict(zip(there, map(list(names).index, wanted), strict=True))
     for i, place in enumerate(map(joint_place, names if wanted is None else ())):
         joint = place and LEGS[place[0]][place[1]]
@@ -173,9 +173,9 @@ def joint_order(
         unknown = [f", and '{name[:60]}' is not known" for name in names if not joint_place(name)]
         raise InputError(
             f"{len(names)} joints, and none for the {missing[0]}{(unknown or [''])[0]}; expected "
-            f"{len(all_)} named like {URDF_NAMES[0] if legs == LEGS else all_[0]}, or {hint}"
+            f"{len(listed)} named like {URDF_NAMES[0] if legs == LEGS else listed[0]}, or {hint}"
         )
-    return [index[joint] if joint in joints else -1 for joint in all_]
+    return [index[joint] if joint in joints else -1 for joint in listed]
 
 
 def add_imu(
