@@ -24,7 +24,7 @@ from terraphi.laws.foot import LAWS
 if TYPE_CHECKING:
     from terraphi.robot.footfalls import Options
 
-VERSION = 3
+VERSION = 4
 """Of the state; another one is refused."""
 
 
