@@ -92,7 +92,8 @@ def next_measurements(answer: Answer, *, further_records: bool = True) -> list[M
         if further_records and answer.law == LEGS:
             after += _further_records(answer, rig)
     # What makes no difference to the tenth of a degree that is printed is left out.
-    better = [each for each in after if round(each.sd_deg, 1) < round(math.sqrt(variance), 1)]
+    low, high = answer.phi.ci68
+    better = [each for each in after if round(each.sd_deg, 1) < round(0.5 * (high - low), 1)]
     return sorted(better, key=lambda each: each.sd_deg)
 
 
