@@ -69,7 +69,8 @@ differ."""
 SHORTEST = 0.7
 """Least part of a stroke over which the limit is shared out [-], so that it grows by a fifth at
 most: residuals of 125 records of grains, cut to 0.5 to 0.9 of a stroke in five ways, are 1.06 to
-1.20 times those of the whole (median). With 0.5 Fx × 0.7 passes in most parts of 0.4."""
+1.20 times those of the whole (median). Of 48 parts of Li's strokes whose Fx was multiplied by 0.7
+or 1.4, 15 are misfits with it, 6 with 0.5 and 20 with 1."""
 
 
 def invert(

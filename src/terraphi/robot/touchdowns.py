@@ -50,7 +50,7 @@ CHUNK = 16_384
 ROUNDS = 8
 """Rounds of reweighting."""
 FEWEST_JUDGED = 3
-"""Feet from which on those that stand are told from one that sinks by their number [-]: of two that
+"""Feet from which on those that stand differ from one that sinks by their number [-]: of two that
 go away from each other the lower one sinks, for no foot that bears rises."""
 BIAS_S = 6.0
 """Time over which the trunk does not accelerate on average, so that the mean is a bias [s]. A few
