@@ -21,7 +21,7 @@ from terraphi.experiment.figure import Figure
 from terraphi.experiment.files import MARK
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.outputs import SIGNATURE
-from terraphi.inference import calibration, inversion
+from terraphi.inference import calibration, inversion, next_measurement
 from terraphi.robot import footfalls
 
 PLAN = """
@@ -138,6 +138,7 @@ def files(content: dict[str, bytes | None]) -> dict[str, bytes]:
 def test_a_command_whose_nth_write_fails_leaves_what_was_there(
     name: str, again: bool, lasts: bool, terraphi, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    assert next_measurement.invert  # loaded now, so that it does not keep what is patched below
     slow = (inversion, "invert"), (calibration, "calibrate"), (footfalls, "footfalls")
     for module, work in slow:
         monkeypatch.setattr(module, work, cache(getattr(module, work)))  # it writes nothing
