@@ -59,6 +59,18 @@ def test_columns_units_signs_and_unloading_do_not_matter(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("name", CRITICAL_DEG)
+def test_exchanged_columns_are_refused_and_a_noisy_sinkage_is_not(name: str) -> None:
+    table = pd.read_csv(GRAINS / f"{name}.csv", comment="#")
+    exchanged = pd.DataFrame({"sinkage_mm": table.Fz_N, "force_N": table.depth_mm})
+    tool = "plate:60" if "disc" in name else "ball:44"
+    with pytest.raises(terraphi.InputError, match="exchanged"):
+        terraphi.invert(exchanged, tool=tool, density=1412)
+    noise = np.random.default_rng(0).normal(0.0, 0.5, len(table))
+    noisy = pd.DataFrame({"sinkage_mm": table.depth_mm + noise, "force_N": table.Fz_N})
+    assert terraphi.invert(noisy, tool=tool, density=1412).verdict == "consistent"
+
+
+@pytest.mark.parametrize("name", CRITICAL_DEG)
 def test_grains_lie_within_the_interval(name: str) -> None:
     path = GRAINS / f"{name}.csv"
     density = float(re.findall(r"density (\d+)", path.read_text(encoding="utf-8"))[0])

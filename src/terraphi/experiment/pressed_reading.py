@@ -15,6 +15,12 @@ from terraphi.experiment.reading import (
     ForceUnit,
 )
 
+EXCHANGED, FEWEST_EXCHANGED = 0.02, 3
+"""Share of the steps, and their number, in which a body rises while its force grows, from which
+both columns are taken as exchanged if the contrary, a force that falls on a body that sinks, is ten
+times as rare. Of 64 records (grains, plates on sands) none has such a step, and 4 to 37 % of the
+steps of 58 are the contrary."""
+
 
 class PressColumns(Columns):
     """Which columns of a table of a body pressed in are what, and their units."""
@@ -88,4 +94,13 @@ def read_pressed(source: Any, area: float, columns: Any = None) -> Pressed:
     if course < -0.5 or (course < 0.5 and -sinkage.min() > sinkage.max()):
         sinkage = -sinkage
         reader.notes.append("The sinkage is negative in the soil: its sign is turned.")
+    # Soil gives way under a body that sinks; no soil lifts a body by pressing harder.
+    deeper, harder = np.diff(sinkage), np.diff(force)
+    rises, yields = ((deeper * way < 0.0) & (harder * way > 0.0) for way in (1.0, -1.0))
+    if rises.sum() >= max(FEWEST_EXCHANGED, EXCHANGED * rises.size, 10.0 * yields.sum()):
+        contrary = f"the body rises while its force grows in {rises.sum()} of {rises.size} steps"
+        reader.refuse(
+            f"{contrary}, as if '{reader.names['sinkage'][:40]}' and '{reader.names[role][:40]}' "
+            "were exchanged; name the columns aright, or average rows if the sinkage is noisy"
+        )
     return Pressed(sinkage, force, len(full), reader.notes)
