@@ -304,6 +304,20 @@ def test_a_record_is_no_repeat_of_itself() -> None:
         calibrate(["li2013:glass03_loose/straight"] * 2, 25.0, 1.0)
 
 
+def test_an_answer_of_a_record_of_the_calibration_says_so(tmp_path: Path) -> None:
+    name, rig = "li2013:glass03_loose/straight", Rig.of("li2013", "straight")
+    calibrate(name, 25.0, 1.0).save(tmp_path / "rig.toml")
+    # The same readings as a table in another unit, which differ in the last digits.
+    history = measurement(name).history
+    table = pd.DataFrame(1e-3 * history.force, columns=["Fx_kN", "Fz_kN"])
+    table["theta_deg"] = history.theta_deg
+    other = measurement("li2013:poppy_loose/straight").history
+    for forces, is_own in ((name, True), (table, True), (other, False)):
+        options = {} if forces is name else {"rig": rig, "density": 1500.0}
+        warnings = invert(forces, calibration=tmp_path / "rig.toml", **options).warnings
+        assert any("was made of" in text for text in warnings) == is_own
+
+
 def test_calibrating_with_one_s_own_answer_centres_there(tmp_path) -> None:
     record = "li2013:glass03_loose/straight"
     calibration = calibrate(record, 25.0, 1.0)

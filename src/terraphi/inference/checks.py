@@ -336,6 +336,10 @@ def warnings(
                 yield f"{likelihood.prefix(records[i])}{sentence}"
     if likelihood.calibration is not None:
         yield from _other_grains(likelihood)
+        hashes = {record.readings_hash for record in records}
+        for soil in (soil for soil in likelihood.calibration.soils if soil.readings in hashes):
+            made = f"The calibration was made of these forces ({soil.source})"
+            yield f"{made}: that the angles agree shows nothing."
     separation_deg, theory = 0.0, ""
     if opinion and law.convention == "plane_strain":
         separation_deg = abs(opinion["median"] - phi.median)
