@@ -24,7 +24,7 @@ from terraphi.inference.inversion import invert
 from terraphi.inference.stored import StoredAnswer as Told
 from terraphi.laws.foot import LAWS, Foot
 from terraphi.laws.wrench import force
-from terraphi.terrain.export import bekker, export, text
+from terraphi.terrain.export import bekker, export, headline, text
 from terraphi.terrain.simulators import NAMES, simulator
 from terraphi.terrain.soils import in_plane_strain, soil
 
@@ -290,3 +290,12 @@ def test_convert(terraphi) -> None:
     assert "29.5 deg" in ran.out
     content = json.loads(terraphi("convert", "0.68", "--from", "newton", "--json").out)
     assert content["phi_plane_strain_deg"] == pytest.approx(42.8, abs=0.05)
+
+
+@pytest.mark.parametrize("density", [None, "1600±40"])
+def test_an_assumed_density_is_marked_wherever_it_is_written(density: str | None) -> None:
+    parameters = export("33±2", to="newton", density=density)
+    texts = [text(parameters, "python"), headline(parameters), repr(soil("33±2", density=density))]
+    assert all(("assumed" in words) == (density is None) for words in texts)
+    constant = next(line for line in texts[0].splitlines() if line.startswith("DENSITY = "))
+    assert ("# assumed" in constant) == (density is None)

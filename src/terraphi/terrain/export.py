@@ -244,7 +244,8 @@ def text(parameters: Mapping[str, Any], form: str) -> str:
         constants["DP_TYPE"] = parameters["dp_type"]
     for name in filter(str.isupper, parameters):
         constants |= {name: parameters[name]["median"], f"{name}_DRAWS": parameters[name]["draws"]}
-    lines = "\n".join(f"{name} = {value!r}" for name, value in constants.items())
+    notes = {"DENSITY": assumed(parameters, "  # assumed")}
+    lines = "\n".join(f"{n} = {value!r}{notes.get(n, '')}" for n, value in constants.items())
     # Safe between the quotation marks of a docstring.
     about = [repr(line)[1:-1].replace('"', '\\"') for line in _about(parameters).split("\n")]
     # Isaac Lab runs Newton, and has both modules.
@@ -295,7 +296,13 @@ def headline(parameters: Mapping[str, Any]) -> str:
     caution = f" CAUTION: {parameters['caution']}" if parameters["caution"] else ""
     phi = parameters["phi_plane_strain_deg"]["median"]
     value = interval_in_words(parameters)
-    return f"{parameters['title']}: {value}, for φ {phi:.1f} deg in plane strain.{caution}"
+    density = assumed(parameters, f" The density {parameters['density_kg_m3']:g} kg/m³ is assumed.")
+    return f"{parameters['title']}: {value}, for φ {phi:.1f} deg in plane strain.{density}{caution}"
+
+
+def assumed(parameters: Mapping[str, Any], words: str) -> str:
+    """Words on the density if it is assumed, else none."""
+    return words if parameters["density_assumed"] is not False else ""
 
 
 def interval_in_words(parameters: Mapping[str, Any]) -> str:
@@ -314,7 +321,6 @@ def _about(parameters: Mapping[str, Any]) -> str:
         "plane-strain": f"Matched in plane strain: {parameters['formula']}.",
         "triaxial": "Matched in triaxial compression: stronger than φ in plane strain.",
     }.get(parameters["matched"], f"Tuned to {parameters['matched']}.")
-    density = "given" if parameters["density_assumed"] is False else "assumed"
     lines = [
         f"Soil for {parameters['title']}; {parameters['made']}.\n",
         f"CAUTION: {parameters['caution']}" if parameters["caution"] else "",
@@ -327,7 +333,7 @@ def _about(parameters: Mapping[str, Any]) -> str:
         "Without dilation and cohesion, as the soil of the law.",
         f"DRAWS go with DENSITY_DRAWS: {parameters['draws_go_to']}." if parameters["draws"] else "",
         f"{lost:.1%} of the draws have no equivalent: left out, or at the limit." if lost else "",
-        f"DENSITY [kg/m³] was {density}.",
+        f"DENSITY [kg/m³] was {assumed(parameters, 'assumed') or 'given'}.",
         f"LEG_FRICTION is {parameters.get('leg_friction_about', LEG_FRICTION_ABOUT)}.",
     ]
     for name in filter(str.isupper, parameters):

@@ -321,7 +321,11 @@ def converted_in_words(converted: dict[str, Any]) -> list[str]:
     if "from" not in converted:
         from terraphi.terrain.export import headline
 
-        return [headline(converted), f"It means {converted['meaning']}."]
+        # A friction depends on no density.
+        return [
+            headline(converted | {"density_assumed": False}),
+            f"It means {converted['meaning']}.",
+        ]
     sentences = ["{from}: {parameter} {given:g} means {meaning}.".format_map(converted)]
     for name, path in {"plane_strain": "plane strain", "triaxial": "triaxial compression"}.items():
         phi = converted[f"phi_{name}_deg"]

@@ -141,10 +141,11 @@ class SoilDistribution:
     answer: StoredAnswer | None = None
 
     def __repr__(self) -> str:
-        """One line."""
+        """One line; the density of a named soil is that of the table, as its φ."""
+        is_guess = self.density_assumed and self.origin.get("source", "given") == "given"
         return (
             f"{self.name}: φ {self.phi.median:.1f} ± {self.phi.sd:.1f}° in plane strain, "
-            f"{self.density:g} ± {self.density_sd:g} kg/m³"
+            f"{self.density:g} ± {self.density_sd:g} kg/m³{' (assumed)' if is_guess else ''}"
         )
 
     @cached_property
@@ -364,6 +365,8 @@ def soil(
     42.0
     >>> terraphi.soil(phi="33±2", density="1600±40")
     φ = 33±2°: φ 33.0 ± 2.0° in plane strain, 1600 ± 40 kg/m³
+    >>> terraphi.soil(phi="33±2")
+    φ = 33±2°: φ 33.0 ± 2.0° in plane strain, 1600 ± 160 kg/m³ (assumed)
     """
     if isinstance(what, SoilDistribution):
         if phi is not None or density is not None:
