@@ -503,3 +503,16 @@ def test_public_map_takes_what_python_has_and_is_what_is_saved(
             assert (column, row) == (3.5, 7.5)
     with pytest.raises(terraphi.InputError, match="DataFrame, row 2: phi_deg"):
         terraphi.map(pd.read_csv(path).assign(phi_deg=[30.0, 30.0, 95.0] + [30.0] * 22), dem)
+
+
+@pytest.mark.parametrize("size", [60.0, 12.0])
+def test_ground_beyond_the_points_is_marked_and_named(hill, points, size) -> None:
+    x, y = np.meshgrid(np.linspace(0.5, size - 0.5, 12), np.linspace(0.5, size - 0.5, 12))
+    made = map_slopes(points(x.ravel(), y.ravel(), np.full(144, 30.0), 1.0), hill(20.0), prior=DRY)
+    marks, far = made.layers["extrapolated"], made.layers["phi_sd"]
+    share = (marks == 1).sum() / (marks != 255).sum()
+    assert made.summary["extrapolated_share"] == pytest.approx(share, abs=1e-9)
+    assert ("extrapolated.tif" in repr(made)) == (share > 0.0)
+    assert (share > 0.5) == (size < 60.0)
+    if share > 0.5:
+        assert far[marks == 1].mean() > 1.2 * far[marks == 0].mean()

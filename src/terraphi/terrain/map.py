@@ -509,12 +509,15 @@ def in_words(summary: Mapping[str, Any]) -> list[str]:
     phi, share = summary["phi_deg"], summary["mean_phi_share"]
     points = f"{summary['points_used']} points ({summary['points_left_out']} left out)"
     cells = f"{summary['cells']} cells, median φ {phi['median_of_map']:.1f} deg, slope {slope:.0f}"
-    extrapolated = f"{summary['extrapolated_share']:.0%} of the area is extrapolated"
     sentences = [
         f"{points}, median φ {phi['median_of_points']:.1f} deg; {cells} deg.",
         f"Factor of safety below 1 on {area:.0%} of the area, 95 %: {low:.0%} to {high:.0%}.",
-        f"φ accounts for {share:.0%} of the variance of the factor of safety; {extrapolated}.",
+        f"φ accounts for {share:.0%} of the variance of the factor of safety.",
     ]
+    if summary["extrapolated_share"] > 0.0:
+        where = f"{summary['extrapolated_share']:.0%} of the area is extrapolated"
+        why = "no point is near, or as high and steep, and φ is what their mean and trend make it"
+        sentences.append(f"{where} (1 in extrapolated.tif): {why}.")
     if slope > STEEP_DEG:
         sentences.append("Such steep terrain is rare: check that the elevations are in metres.")
     usual = slopes.priors_of(())
