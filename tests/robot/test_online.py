@@ -149,7 +149,7 @@ def test_a_state_is_recognized(warm: bytes, monkeypatch: pytest.MonkeyPatch) -> 
     with pytest.raises(InputError, match="no state of a walk"):
         Footfalls.restore(warm[:-40], **OPTIONS)
     monkeypatch.setattr(state, "VERSION", 0)
-    with pytest.raises(InputError, match="state of version 4; this terraphi reads version 0"):
+    with pytest.raises(InputError, match="state of version 5; this terraphi reads version 0"):
         Footfalls.restore(warm, **OPTIONS)
 
 

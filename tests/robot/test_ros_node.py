@@ -188,7 +188,7 @@ def test_messages_reach_a_walk(node_class: Any, tmp_path: Path) -> None:
     prior, expected = (walk._walk.options.prior for walk in (restored, node.walk))
     assert prior == expected
     assert prior.density == pytest.approx(1550.0)
-    assert restored._end == node.walk._end > 0.59
+    assert restored._received.end == node.walk._received.end > 0.59
     assert len(restored._walk.pending.time) > 250
     with pytest.raises(terraphi.InputError, match="state of another robot, density"):
         terraphi.Footfalls.restore(file.read_bytes(), density="1400")
@@ -259,7 +259,7 @@ def test_a_shutdown_from_outside_saves(node_class: Any, tmp_path: Path) -> None:
     file = tmp_path / "walk.state"
     Node.parameters = {"state": str(file)}
     sys.modules["terraphi_footfalls.node"].main()
-    assert terraphi.Footfalls.restore(file.read_bytes())._end < 0.0
+    assert terraphi.Footfalls.restore(file.read_bytes())._received.end < 0.0
 
 
 def test_the_package_is_whole() -> None:

@@ -32,7 +32,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple, Self, cast
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -49,7 +49,7 @@ from terraphi.robot.checks import CHECK_S, PART_S, check_parts, grave, parts, re
 from terraphi.robot.estimators import MARGIN_S
 from terraphi.robot.forces import FootForces, estimate, without_broken_accelerometer
 from terraphi.robot.friction import BEARING_SHARE
-from terraphi.robot.joint_log import JointLog, arrays, cut, joined, shapes
+from terraphi.robot.joint_log import JointLog, arrays, cut, joined
 from terraphi.robot.legs import rotation
 from terraphi.robot.logs.samples import BACKWARDS, REPEATED, sound
 from terraphi.robot.model import Robot
@@ -71,8 +71,6 @@ LATE = "poses that begin after the first footfall"
 """Reason for which poses are left out."""
 MOST_WAITING = 1200
 """Half seconds of a log that wait for the thread at most; only then a caller waits (chosen)."""
-KEPT = ("_ready", "_columns", "_end", "_frame", "_poses", "_dropped")
-"""What a state has of what the thread does not know yet."""
 OWN_FRAME = "start"
 """Frame of places without poses: from the trunk's first place, x along the first heading."""
 
@@ -148,6 +146,31 @@ class Learned(NamedTuple):
     sd: FloatArray
 
 
+@dataclass
+class Received:
+    """What the thread has not yet, and what the next samples have to follow.
+
+    Attributes
+    ----------
+    pieces, poses, dropped
+        Samples, poses and numbers of samples that were left out, which the thread has not.
+    ready
+        Footfalls that no call has returned yet.
+    columns, end
+        Columns of the samples so far, and the time of the last one [s].
+    frame
+        Frame of the poses so far; empty without any.
+    """
+
+    pieces: list[JointLog] = field(default_factory=list)
+    poses: list[Poses] = field(default_factory=list)
+    dropped: Counter[str] = field(default_factory=Counter)
+    ready: list[Footfall] = field(default_factory=list)
+    columns: list[str] = field(default_factory=list)
+    end: float = -math.inf
+    frame: str = ""
+
+
 class Footfalls:
     """φ under footfalls while the robot walks.
 
@@ -182,15 +205,7 @@ class Footfalls:
         self._walk = Walk(batch.Options.of(robot, density, law, prior, anchors))
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="footfalls")
         self._jobs: deque[Future[list[Footfall]]] = deque()
-        self._ready: list[Footfall] = []
-        self._pieces: list[JointLog] = []
-        self._poses: list[Poses] = []
-        self._dropped: Counter[str] = Counter()
-        self._columns: list[str] = []
-        self._end = -math.inf
-        """Time of the last sample [s]."""
-        self._frame = ""
-        """Frame of the poses so far; empty without any."""
+        self._received = Received()
 
     def __enter__(self) -> Self:
         """Itself."""
@@ -228,13 +243,13 @@ class Footfalls:
             ones are the first. A later call may raise this, which takes its own samples all the
             same.
         """
-        samples = self._following(samples)
+        samples, received = self._following(samples), self._received
         if poses is not None:
-            self._poses.append(self._sound_poses(poses, samples))
+            received.poses.append(self._sound_poses(poses, samples))
         if len(samples.time):
-            self._pieces.append(samples)
-            self._end = float(samples.time[-1])
-            if self._end - self._pieces[0].time[0] >= STEP_S:
+            received.pieces.append(samples)
+            received.end = float(samples.time[-1])
+            if received.end - received.pieces[0].time[0] >= STEP_S:
                 self._hand_over()
         self._collect(wait=wait)
         return self._returned()
@@ -269,15 +284,8 @@ class Footfalls:
         """All that :meth:`restore` needs to go on as if nothing had stopped."""
         self._hand_over()
         self._collect(wait=True)
-        mine = {name: vars(self)[name] for name in KEPT}
-
-        def packed() -> bytes:
-            walk = {name: value for name, value in vars(self._walk).items() if name != "options"}
-            if (start := self._walk.start) is not None:  # whose robot is that of the options
-                walk["start"] = replace(start, robot=cast(Any, None))
-            return state.packed([mine, walk], self._walk.fingerprint())
-
-        return self._thread.submit(packed).result()  # after maps that were begun
+        # After maps that were begun.
+        return self._thread.submit(lambda: state.packed(self._received, self._walk)).result()
 
     @classmethod
     def restore(cls, data: bytes, **options: Any) -> Footfalls:
@@ -289,87 +297,75 @@ class Footfalls:
             If the data are no state, or one of another version or of other options.
         """
         new = cls(**options)
-        mine, walk = state.unpacked(data, new._walk.fingerprint())
-        vars(new).update(mine)
-        vars(new._walk).update(walk)
+        new._received, new._walk = state.unpacked(data, new._walk.options)
         return new
 
     def _hand_over(self) -> None:
         """Give the thread the samples that it has not."""
-        if self._pieces:
-            job = self._pieces, self._poses, self._dropped
+        received = self._received
+        if received.pieces:
+            job = received.pieces, received.poses, received.dropped
             self._jobs.append(self._thread.submit(lambda: self._walk.take(*job)))
-            self._pieces, self._poses, self._dropped = [], [], Counter()
+            received.pieces, received.poses, received.dropped = [], [], Counter()
 
     def _collect(self, *, wait: bool) -> None:
         """Take up what the thread has finished; its errors are raised here, each once."""
         while self._jobs and (wait or self._jobs[0].done() or len(self._jobs) > MOST_WAITING):
-            self._ready += self._jobs.popleft().result()
+            self._received.ready += self._jobs.popleft().result()
 
     def _returned(self) -> tuple[Footfall, ...]:
-        ready, self._ready = tuple(self._ready), []
+        ready, self._received.ready = tuple(self._received.ready), []
         return ready
 
     def _following(self, samples: JointLog) -> JointLog:
         """A copy of the samples that follow those before; the others are counted."""
-        names = arrays(samples) if isinstance(samples, JointLog) else []
-        values = {name: getattr(samples, name) for name in names}
-        length = values["time"].shape[:1] if "time" in values and "torque" in values else (0,)
-        time = values.get("time", np.zeros(0))
-        expected = shapes(*self._walk.options.robot.joint.shape)
-        if (
-            length != (0,)
-            and np.isfinite(time).all()
-            and (np.diff(time) > 0.0).all()
-            and all(
-                column.shape == (*length, *expected.get(name, ())) and column.dtype.kind == "f"
-                for name, column in values.items()
-            )
-        ):  # what ``sound`` does besides takes ten times as long, and is left to the thread
-            samples = JointLog(**{n: column.astype(np.float64) for n, column in values.items()})
-        else:
-            samples, dropped = sound(samples)
-            samples = JointLog(**{name: getattr(samples, name).copy() for name in arrays(samples)})
-            self._dropped += dropped
+        received = self._received
+        samples, dropped = sound(samples)
+        received.dropped += dropped
+        columns = arrays(samples)
+        samples = JointLog(**{name: getattr(samples, name).astype(float) for name in columns})
         if samples.quaternion is None:
             raise InputError("samples have no attitude, which footfalls need; give quaternions")
-        if self._columns not in ([], columns := arrays(samples)):
+        if received.columns not in ([], columns):
             raise InputError("samples have other columns than those before; give all the same")
-        if len(samples.time) and samples.time[0] <= self._end:
-            if samples.time[-1] <= self._end:
+        if len(samples.time) and samples.time[0] <= received.end:
+            if samples.time[-1] <= received.end:
                 raise InputError(
                     f"samples begin at {samples.time[0]:g} s, and those before end at "
-                    f"{self._end:g} s; they should follow"
+                    f"{received.end:g} s; they should follow"
                 )
-            self._dropped[REPEATED] += int((samples.time == self._end).sum())
-            self._dropped[BACKWARDS] += int((samples.time < self._end).sum())
-            first = int(np.searchsorted(samples.time, self._end, "right"))
+            received.dropped[REPEATED] += int((samples.time == received.end).sum())
+            received.dropped[BACKWARDS] += int((samples.time < received.end).sum())
+            first = int(np.searchsorted(samples.time, received.end, "right"))
             samples = cut(samples, slice(first, None))
-        self._columns = columns if len(samples.time) else self._columns
+        received.columns = columns if len(samples.time) else received.columns
         return samples
 
     def _sound_poses(self, poses: Poses, samples: JointLog) -> Poses:
         """Poses in the frame and on the clock of those before, without those without numbers."""
+        received = self._received
         if not isinstance(poses, Poses):
             raise InputError(f"poses of type {type(poses).__name__}; give terraphi's Poses")
-        end = float(samples.time[-1]) if len(samples.time) else self._end
+        end = float(samples.time[-1]) if len(samples.time) else received.end
         columns = [np.asarray(column, dtype=np.float64) for column in poses[:3]]
         n, shapes = columns[0].size, [column.shape for column in columns]
         if shapes != [(n,), (n, 3), (n, 4)]:
             raise InputError(f"poses of shapes {shapes}; expected [pose], [pose, 3] and [pose, 4]")
-        if self._frame not in ("", poses.frame):
-            raise InputError(f"poses in {poses.frame}, and in {self._frame} before; give one frame")
+        if received.frame not in ("", poses.frame):
+            raise InputError(
+                f"poses in {poses.frame}, and in {received.frame} before; give one frame"
+            )
         there = np.isfinite(np.column_stack(columns)).all(axis=1)
         there &= np.linalg.norm(columns[2], axis=1) > 0.5
         if not there.all():
-            self._dropped["poses that are no numbers"] += int((~there).sum())
+            received.dropped["poses that are no numbers"] += int((~there).sum())
         time, position, quaternion = (column[there] for column in columns)
         if time.size and not end - CHECK_S < time.max() < end + 6.0 * CHECK_S:
             raise InputError(
                 f"poses of {time.min():g} to {time.max():g} s, and samples to {end:g} s: both need "
                 "one clock"
             )
-        self._frame = poses.frame
+        received.frame = poses.frame
         return Poses(time, position, quaternion, poses.frame)
 
 
@@ -426,10 +422,6 @@ class Walk:
     learn_at: int = FEWEST_LEARNED
     poses: Poses | None = None
 
-    def fingerprint(self) -> str:
-        """Hash of the options, by which a state is recognized."""
-        return state.fingerprint_of(self.options)
-
     def warnings(self) -> tuple[str, ...]:
         """Warnings so far; any thread may call it."""
         start = self.start
@@ -445,8 +437,8 @@ class Walk:
         self, pieces: list[JointLog], poses: list[Poses], dropped: Counter[str]
     ) -> list[Footfall]:
         """Take the next samples and poses; return the footfalls that are over."""
-        samples, unsound = sound(joined(pieces))
-        self.dropped = self.dropped + dropped + unsound
+        samples = joined(pieces)
+        self.dropped = self.dropped + dropped
         self.pending = samples if self.pending is None else joined([self.pending, samples])
         if any(len(each.time) for each in poses):
             self._localize(poses)
