@@ -15,10 +15,11 @@ import numpy as np
 import pandas as pd
 
 from terraphi.experiment.files import atomic_write
-from terraphi.robot.joint_log import JOINT_NAMES, SHAPES, JointLog
+from terraphi.robot.joint_log import SHAPES, JointLog
 from terraphi.robot.logs.bags import JOINT_STATE, LOW_STATE, typestore
 from terraphi.robot.logs.columns import OWN
 from terraphi.robot.logs.messages import MOTORS, URDF_NAMES
+from terraphi.robot.model import Robot
 
 Message = Literal["lowstate", "jointstate"]
 TYPES = {"lowstate": LOW_STATE, "jointstate": JOINT_STATE}
@@ -33,10 +34,10 @@ def _columns(log: JointLog) -> list[str]:
 
 def table(log: JointLog) -> pd.DataFrame:
     """A log as a table with terraphi's own names of the columns."""
-    columns = {OWN.time: log.time}
+    columns, robot = {OWN.time: log.time}, Robot.load("go2")
     for group in _columns(log):
         values = getattr(log, group).reshape(len(log.time), -1)
-        columns |= dict(zip(OWN.group(group, JOINT_NAMES), values.T, strict=True))
+        columns |= dict(zip(OWN.group(group, robot), values.T, strict=True))
     return pd.DataFrame(columns)
 
 

@@ -144,7 +144,7 @@ def test_joint_states_by_the_names_of_the_model(tmp_path: Path) -> None:
     names = names_like("nameless")
     rows = LOGS["joint_states"]([names[i] for i in order], np.append(order, 12)[:12])
     path = LOGS["bag"](tmp_path / "bag", {"/joint_states": (JOINT_STATE, rows)})
-    joint_log = read_log(path, own_names=names)
+    joint_log = read_log(path, robot=go2_like(tmp_path, "nameless"))
     np.testing.assert_array_equal(joint_log.torque, LOGS["log"].torque)
     with pytest.raises(InputError, match="'j"):
         read_log(path)

@@ -241,7 +241,8 @@ def test_messages_of_a_biped_of_twelve_motors(walked: JointLog, biped: Robot) ->
             np.stack([log.angle, log.velocity, log.torque], axis=-1).reshape(3, 12, 3)
         )
     ]  # fmt: skip
-    read = JointLog.from_messages(messages, robot=biped)
+    read = terraphi.Messages(biped).take(*messages)
+    assert read is not None
     np.testing.assert_allclose(read.torque, log.torque, rtol=1e-5)
     assert read.foot_counts is None
 

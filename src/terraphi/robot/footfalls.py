@@ -188,7 +188,7 @@ class Options(NamedTuple):
         prior: Prior | None, anchors: Sequence[Anchor | str] | str,
     ) -> Options:  # fmt: skip
         """Check the options; raises InputError."""
-        body = robot if isinstance(robot, Robot) else Robot.load(robot)
+        body = Robot.load(robot)
         if law not in LAWS:
             raise InputError(f"law '{law}' is unknown; {nearest(law, LAWS)}")
         if body.contact_radius <= 0.0:

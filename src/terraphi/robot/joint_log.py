@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, TypeVar
 
@@ -79,37 +79,6 @@ class JointLog:
     acceleration: FloatArray | None = None
     foot_counts: FloatArray | None = None
     report: Mapping[str, Any] = field(default_factory=dict)
-
-    @classmethod
-    def from_messages(
-        cls,
-        messages: Iterable[Any],
-        *,
-        robot: Any = "go2",
-        joint_names: Sequence[str] | None = None,
-    ) -> JointLog:
-        """Samples of messages of ROS: of LowState, or of JointState and Imu, joints by name.
-
-        Parameters
-        ----------
-        messages
-            Deserialized ones, in the order in which they came. For those of a robot that walks, a
-            few at a time, take :class:`~terraphi.robot.logs.messages.Messages`.
-        robot, joint_names
-            As of that class.
-
-        Raises
-        ------
-        InputError
-            If they make no sample, or are of another type.
-        """
-        from terraphi.robot.logs.messages import Messages
-
-        stream = Messages(robot, joint_names=joint_names)
-        log = stream.take(*messages)
-        if log is None:
-            raise stream.reason
-        return log
 
 
 Record = TypeVar("Record", bound=Any)

@@ -178,6 +178,12 @@ class Robot:
         return 4.0 / len(self.feet) * self.mass * GRAVITY
 
     @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints in :attr:`legs`, without hips that are not there."""
+        names = (name for leg in self.legs for name in leg)
+        return tuple(name for name, has in zip(names, self.there.flat, strict=True) if has)
+
+    @property
     def own_names(self) -> tuple[str, ...]:
         """Names of the joints in the model, foot by foot, without hips that are not there."""
         return tuple(self.model.joint(int(i)).name for i in self.joint[self.there])
@@ -220,13 +226,13 @@ class Robot:
         )
 
     @classmethod
-    def load(cls, source: Path | str) -> Robot:
+    def load(cls, source: Robot | Path | str) -> Robot:
         """Load a shipped robot by its name, or one from a URDF, MJCF or TOML file.
 
         Parameters
         ----------
         source
-            ``"go2"``, or a path that ends in ``.urdf``, ``.xml`` or ``.toml``.
+            ``"go2"``, or a path that ends in ``.urdf``, ``.xml`` or ``.toml``. A robot stays.
 
         Raises
         ------
@@ -238,6 +244,8 @@ class Robot:
         >>> Robot.load("go2").foot_radius
         0.022
         """
+        if isinstance(source, Robot):
+            return source
         path = Path(source)
         if not path.suffix and not is_there(path):
             path = shipped_file("robots", str(source), ".toml")

@@ -278,13 +278,10 @@ def foot_forces(
     """
     if not isinstance(log, JointLog | str | Path):
         raise InputError(f"log of type {type(log).__name__}; give the path of a file or folder")
-    body = robot if isinstance(robot, Robot) else Robot.load(robot)
+    body = Robot.load(robot)
     source = "" if isinstance(log, JointLog) else label_of(log)
     if not isinstance(log, JointLog):
-        log = read_log(
-            log, topic=topic, joint_names=joint_names, motors=body.joint_order,
-            own_names=body.own_names, columns=columns, legs=body.legs,
-        )  # fmt: skip
+        log = read_log(log, robot=body, topic=topic, joint_names=joint_names, columns=columns)
     log, dropped = sound(log)
     refuse_if_hopeless(source or "the log", dropped, len(log.time))
     if abs(lag_s) > MOST_LAG_S:

@@ -14,10 +14,11 @@ from typing import Any
 from terraphi.experiment.documents import parse_toml
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.files import check_is_file
-from terraphi.robot.joint_log import JOINT_NAMES, LEGS, JointLog, Names
+from terraphi.robot.joint_log import JointLog
 from terraphi.robot.logs.bags import read_bag
 from terraphi.robot.logs.columns import Columns, read_columns
 from terraphi.robot.logs.samples import joint_log
+from terraphi.robot.model import Robot
 
 FORMATS = "CSV, Parquet, MCAP, a ROS 1 bag or the folder of a rosbag2"
 
@@ -25,12 +26,10 @@ FORMATS = "CSV, Parquet, MCAP, a ROS 1 bag or the folder of a rosbag2"
 def read_log(
     path: Path | str,
     *,
+    robot: Robot | Path | str = "go2",
     topic: str | None = None,
     joint_names: Sequence[str] | None = None,
-    motors: Sequence[str] = JOINT_NAMES,
-    own_names: Sequence[str] = (),
     columns: Columns | Path | str | None = None,
-    legs: Names = LEGS,
 ) -> JointLog:
     """Read the log of a walking robot.
 
@@ -39,23 +38,17 @@ def read_log(
     path
         A CSV or Parquet table (:mod:`~terraphi.robot.logs.columns` has its columns), an MCAP file,
         a bag of ROS 1, or the folder of a rosbag2.
+    robot
+        The robot, or its name, TOML, URDF or MJCF; a log may name joints as its model does.
     topic
         Topic of a bag to read; by default the one with ``unitree_go/msg/LowState`` messages, or
         else ``sensor_msgs/msg/JointState``, with the ``sensor_msgs/msg/Imu`` of the same bag.
     joint_names
         Names of the joints in JointState messages, leg by leg, where they are not named like
         ``FR_hip_joint`` or ``RF_HAA``, or as in the model.
-    motors
-        Which joint each of the first twelve motors of a LowState moves, as ``FR_hip``: a robot's
-        :attr:`~terraphi.robot.model.Robot.joint_order`. Joints that it lacks are zero.
-    own_names
-        What the robot's model calls its joints, foot by foot
-        (:attr:`~terraphi.robot.model.Robot.own_names`); a log may use these names.
     columns
         Which columns of a table are what, or a TOML file of it
         (:class:`~terraphi.robot.logs.columns.Columns`).
-    legs
-        Joints of the robot's legs (:attr:`~terraphi.robot.model.Robot.legs`).
 
     Returns
     -------
@@ -70,12 +63,12 @@ def read_log(
         If the file is not a log, holds nothing sound, lacks what is needed or is mostly broken; or
         a package is missing.
     """
-    path = Path(path)
+    path, body = Path(path), Robot.load(robot)
     named = columns if isinstance(columns, Columns | None) else parse_toml(Path(columns), Columns)
-    if joint_names is not None and len(joint_names) != len(motors):
+    if joint_names is not None and len(joint_names) != len(body.joint_names):
         raise InputError(
-            f"{len(joint_names)} joint names given; {len(motors)} are expected, in the order "
-            f"{', '.join(name for leg in legs for name in leg if name in motors)}"
+            f"{len(joint_names)} joint names given; {len(body.joint_names)} are expected, in the "
+            f"order {', '.join(body.joint_names)}"
         )
     path = path.parent if path.name == "metadata.yaml" else path
     bag = path.is_dir() or path.suffix in {".bag", ".mcap", ".db3"}
@@ -86,10 +79,10 @@ def read_log(
         if value is not None:
             raise InputError(f"{path}: has no use for {name}; leave the {name} out")
     if bag:
-        return read_bag(path, topic, joint_names, motors, own_names, legs)
-    values = read_columns(path, named, motors, own_names, legs)
+        return read_bag(path, topic, joint_names, body)
+    values = read_columns(path, named, body)
     kind = "parquet" if path.suffix == ".parquet" else "csv"
     facts: dict[str, Any] = {"notes": [], "format": kind, "topic": None}
     if named is not None and any("{motor" in str(names) for _, names in named):
-        facts["motors"] = list(motors)
+        facts["motors"] = list(body.joint_order)
     return joint_log(path, values, "time_s", Counter(), facts)

@@ -16,7 +16,7 @@ from terraphi.experiment.budget import SECONDS, unpacking
 from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError, needing
 from terraphi.experiment.files import check_is_file
-from terraphi.robot.joint_log import JointLog, Names
+from terraphi.robot.joint_log import JointLog
 from terraphi.robot.logs.messages import (
     MOTORS,
     Received,
@@ -26,6 +26,7 @@ from terraphi.robot.logs.messages import (
     low_states,
 )
 from terraphi.robot.logs.samples import joint_log
+from terraphi.robot.model import Robot
 
 LOW_STATE = "unitree_go/msg/LowState"
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -64,12 +65,7 @@ def decoded(messages: Raw, kind: str, dropped: Counter[str]) -> Received:
 
 
 def read_bag(
-    path: Path,
-    topic: str | None,
-    joint_names: Sequence[str] | None,
-    motors: Sequence[str],
-    own_names: Sequence[str],
-    legs: Names,
+    path: Path, topic: str | None, joint_names: Sequence[str] | None, robot: Robot
 ) -> JointLog:
     """Read an MCAP file, the folder of a rosbag2 or a ROS 1 bag; options of ``read_log``."""
     with needing(f"{path}: reading bags", "the package rosbags", extra="robot"):
@@ -107,22 +103,21 @@ def read_bag(
             chosen = _choose(bag.connections, topic)
             name, named = chosen.topic, _plain(chosen.msgtype) == JOINT_STATE
             facts |= {"topic": name, "message": chosen.msgtype}
-            if not named and (joint_names is not None or len(motors) != MOTORS):
-                what = f"has {MOTORS} motors without names, the robot {len(motors)}"
+            count = len(robot.joint_order)
+            if not named and (joint_names is not None or count != MOTORS):
+                what = f"has {MOTORS} motors without names, the robot {count}"
                 raise InputError(f"topic '{name}' {what}; leave the joint names out")
             if named:
-                values = joint_states(
-                    decoded(raw(name), JOINT_STATE, dropped), joint_names, motors, own_names,
-                    dropped, legs,
-                )  # fmt: skip
+                states = decoded(raw(name), JOINT_STATE, dropped)
+                values = joint_states(states, joint_names, robot, dropped)
                 imus = {c.topic for c in bag.connections if _plain(c.msgtype) == IMU}
                 if imus and len(values["stamp"]):
                     topics = sorted(imus, key=len)
                     readings = imu_readings(decoded(raw(topics[0]), IMU, Counter()))
                     add_imu(values, readings, topics, facts["notes"])
             else:
-                facts["motors"] = list(motors)
-                values = low_states(decoded(raw(name), LOW_STATE, dropped), motors, legs)
+                facts["motors"] = list(robot.joint_order)
+                values = low_states(decoded(raw(name), LOW_STATE, dropped), robot)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     except Exception as error:  # of rosbags, databases, decompressors; MemoryError by a length

@@ -10,7 +10,6 @@ TOML (:class:`Columns`) names the columns of other tables, such as those of an S
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from math import prod, radians
 from pathlib import Path
 from typing import Any, Literal
@@ -21,8 +20,8 @@ from terraphi.experiment.documents import Strict
 from terraphi.experiment.errors import InputError, nearest, needing
 from terraphi.experiment.tables import read_table, table_of
 from terraphi.experiment.units import ANGLE, TIME
-from terraphi.robot import joint_log
 from terraphi.robot.joint_log import LEGS, shapes
+from terraphi.robot.model import Robot
 
 Names = str | tuple[str, ...]
 
@@ -61,19 +60,17 @@ class Columns(Strict):
     foot_counts: Names | None = None
     """Columns of the foot sensors."""
 
-    def group(
-        self, group: str, motors: Sequence[str], own_names: Sequence[str] = (), legs: Any = LEGS
-    ) -> list[str]:
+    def group(self, group: str, robot: Robot) -> list[str]:
         """Columns of a group in the order of a JointLog; none if the group is not there."""
         names = getattr(self, group) or ()
         if not isinstance(names, str):
             return list(names)
         filled: dict[str, None] = {}  # each name once: those of feet repeat for their joints
-        places = [(i, j) for i, j in np.ndindex(np.shape(legs)) if legs[i][j] in motors]
-        joints = [legs[i][j] for i, j in places]
-        for place, name, model_name in zip(places, joints, own_names or joints, strict=True):
-            foot, joint = name.split("_") if legs == LEGS else map(str, place)
-            number = list(motors).index(name)
+        places = np.argwhere(robot.there).tolist()
+        joints = zip(places, robot.joint_names, robot.own_names, strict=True)
+        for place, name, model_name in joints:
+            foot, joint = name.split("_") if robot.legs == LEGS else map(str, place)
+            number = robot.joint_order.index(name)
             text = names.replace("{motor}", str(number)).replace("{motor:02}", f"{number:02}")
             text = text.replace("{foot}", foot).replace("{joint}", joint)
             filled[text.replace("{name}", model_name)] = None
@@ -82,21 +79,26 @@ class Columns(Strict):
 
 OWN = Columns(
     time="time_s",
-    angle="{name}_angle_rad",
-    torque="{name}_torque_Nm",
-    velocity="{name}_velocity_rad_s",
+    angle="{foot}_{joint}_angle_rad",
+    torque="{foot}_{joint}_torque_Nm",
+    velocity="{foot}_{joint}_velocity_rad_s",
     quaternion=tuple(f"quaternion_{part}" for part in "wxyz"),
     angular_velocity=tuple(f"angular_velocity_{axis}_rad_s" for axis in "xyz"),
     acceleration=tuple(f"acceleration_{axis}_m_s2" for axis in "xyz"),
     foot_counts="{foot}_foot_counts",
 )
-"""Terraphi's own names, with the joints called ``FR_hip`` or as in the robot's model."""
+"""Terraphi's own names of a quadruped's columns."""
+BY_MODEL = OWN.model_copy(
+    update={
+        "angle": "{name}_angle_rad",
+        "torque": "{name}_torque_Nm",
+        "velocity": "{name}_velocity_rad_s",
+    }
+)
+"""The same with the names of the joints in the robot's model."""
 
 
-def read_columns(
-    path: Path, columns: Columns | None, motors: Sequence[str], own_names: Sequence[str] = (),
-    legs: joint_log.Names = LEGS,
-) -> dict[str, Any]:  # fmt: skip
+def read_columns(path: Path, columns: Columns | None, robot: Robot) -> dict[str, Any]:
     """Read a CSV, or a Parquet file by its suffix.
 
     Parameters
@@ -104,13 +106,9 @@ def read_columns(
     path
         The file.
     columns
-        Which of its columns are what; ``None`` for :data:`OWN`.
-    motors
-        Which joint each motor moves; of joints that no motor moves, all is zero.
-    own_names
-        Of the joints in the robot's model, foot by foot.
-    legs
-        Names of the joints of each leg.
+        Which of its columns are what; ``None`` for :data:`BY_MODEL`, or else :data:`OWN`.
+    robot
+        Whose log it is; of joints that it lacks, all is zero.
 
     Returns
     -------
@@ -124,20 +122,20 @@ def read_columns(
     """
     table = _table(path)
     table.columns = header = [str(name).strip().strip('"') for name in table.columns]
-    named = columns or OWN
-    if columns is None and not {*OWN.group("angle", motors, own_names, legs)} <= {*header}:
-        own_names = ()
+    named = columns or BY_MODEL
+    if columns is None and robot.legs == LEGS:
+        named = BY_MODEL if {*BY_MODEL.group("angle", robot)} <= {*header} else OWN
     angle = radians(ANGLE[named.angle_unit])
     scale = {"time": TIME[named.time_unit], "angle": angle, "velocity": angle}
     values: dict[str, Any] = {}
-    usual = shapes(*np.shape(legs))
+    usual = shapes(*robot.joint.shape)
     for group, shape in {"time": (), **usual}.items():
-        names = [named.time] if group == "time" else named.group(group, motors, own_names, legs)
+        names = [named.time] if group == "time" else named.group(group, robot)
         optional = columns is None and group not in {"time", "angle", "torque"}
         if not names or (optional and not set(names) & set(header)):
             continue
         joints = shape == usual["angle"]
-        count = len(motors) if joints else prod(shape)
+        count = len(robot.joint_names) if joints else prod(shape)
         if len(names) != count:
             raise InputError(
                 f"{path}: columns give '{group}' {len(names)} different names; {count} are "
@@ -148,9 +146,9 @@ def read_columns(
                 hint = FORCES if {"theta_deg", "sinkage_mm"} & {*header} else nearest(name, header)
                 raise InputError(f"{path}: column '{name[:60]}' is missing; {hint[:200]}")
         numbers = table[names].to_numpy(dtype=np.float64)
-        if joints:  # those that no motor moves are zero
+        if joints:  # those that are not there are zero
             moved, numbers = numbers, np.zeros((len(numbers), prod(shape)))
-            numbers[:, [name in motors for leg in legs for name in leg]] = moved
+            numbers[:, robot.there.ravel()] = moved
         values[group] = scale.get(group, 1.0) * numbers.reshape(len(numbers), *shape)
     values["stamp"] = values.pop("time")
     return values

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from terraphi.experiment.errors import InputError, nearest
-from terraphi.robot.joint_log import GAP_STEPS, LEGS, SHAPES, JointLog, Names, joint_place
+from terraphi.robot.joint_log import GAP_STEPS, LEGS, SHAPES, JointLog, joint_place
 from terraphi.robot.model import Robot
 
 MEASURED = ("quaternion", "angular_velocity", "acceleration")
@@ -32,11 +32,10 @@ WAIT_NS, MOST_FOREIGN = 10**9, 100
 which a stream without others is refused; chosen."""
 
 
-def low_states(messages: Received, motors: Sequence[str], legs: Names = LEGS) -> dict[str, Any]:
+def low_states(messages: Received, robot: Robot) -> dict[str, Any]:
     """Columns of a JointLog from LowState messages, ``stamp`` (the tick) and ``recorded`` [ns].
 
-    ``motors`` are the joints that the first twelve motors move, ``legs`` those of each leg. The
-    sensors of four feet are left out of other robots.
+    The first twelve motors are the robot's. The sensors of four feet are left out of other robots.
     """
     stamps, rows = [], []
     for recorded, state in messages:
@@ -46,12 +45,12 @@ def low_states(messages: Received, motors: Sequence[str], legs: Names = LEGS) ->
         numbers += [*imu.quaternion, *imu.gyroscope, *imu.accelerometer, *state.foot_force]
         rows.append(np.array(numbers, dtype=np.float32))
     table = np.array(rows, dtype=np.float64).reshape(-1, 3 * MOTORS + 14)
-    order = [list(motors).index(name) for leg in legs for name in leg]
+    order = [robot.joint_order.index(name) for name in robot.joint_names]
     joints = table[:, : 3 * MOTORS].reshape(-1, MOTORS, 3)[:, order]
-    joints = joints.reshape(-1, *np.shape(legs), 3)
+    joints = joints.reshape(-1, *robot.joint.shape, 3)
     columns = [*np.moveaxis(joints, -1, 0), *np.split(table[:, 3 * MOTORS :], [4, 7, 10], axis=1)]
     values = dict(zip(SHAPES, columns, strict=True)) | _times(stamps)
-    return {n: v for n, v in values.items() if n != "foot_counts" or len(legs) == len(LEGS)}
+    return {n: v for n, v in values.items() if n != "foot_counts" or len(robot.feet) == len(LEGS)}
 
 
 def _times(stamps: list[tuple[int, int]]) -> dict[str, Any]:
@@ -68,18 +67,13 @@ _FIELDS = {"angle": "position", "velocity": "velocity", "torque": "effort"}
 
 
 def joint_states(
-    messages: Received,
-    joint_names: Sequence[str] | None,
-    joints: Sequence[str],
-    own_names: Sequence[str],
-    dropped: Counter[str],
-    legs: Names = LEGS,
+    messages: Received, joint_names: Sequence[str] | None, robot: Robot, dropped: Counter[str]
 ) -> dict[str, Any]:
     """Columns of a JointLog from JointState messages, ``stamp`` (header) and ``recorded`` [ns].
 
-    ``joint_names`` and ``joints`` as in :func:`joint_order`; ``own_names``, of the robot's model,
-    if the messages have them all. Messages without the joints, or with other columns than the first
-    ones, are left out.
+    ``joint_names`` as in :func:`joint_order`; by default those of the robot's model, if the
+    messages have them all. Messages without the joints, or with other columns than the first ones,
+    are left out.
 
     Raises
     ------
@@ -92,9 +86,9 @@ def joint_states(
     for recorded, message in messages:
         names = tuple(message.name)
         if names not in orders:
-            model_names = own_names if own_names and {*own_names} <= {*names} else None
+            model_names = robot.own_names if {*robot.own_names} <= {*names} else None
             try:
-                orders[names] = joint_order(names, joint_names or model_names, joints, legs)
+                orders[names] = joint_order(names, joint_names or model_names, robot)
             except InputError as error:
                 orders[names], refusal = None, refusal or str(error)
         order = orders[names]
@@ -109,7 +103,7 @@ def joint_states(
         rows.append([np.append(getattr(message, _FIELDS[c]), 0.0)[order] for c in present])
     if orders and not rows:
         raise InputError(refusal or "the joint states carry no efforts, and forces need torques")
-    table = np.array(rows, dtype=np.float64).reshape(len(rows), len(columns), *np.shape(legs))
+    table = np.array(rows, dtype=np.float64).reshape(len(rows), len(columns), *robot.joint.shape)
     return {name: table[:, k] for k, name in enumerate(columns)} | _times(stamps)
 
 
@@ -133,9 +127,7 @@ def imu_readings(messages: Received) -> dict[str, Any]:
     return dict(zip(MEASURED, columns, strict=True)) | _times(stamps)
 
 
-def joint_order(
-    names: Sequence[str], wanted: Sequence[str] | None, joints: Sequence[str], legs: Names = LEGS
-) -> list[int]:
+def joint_order(names: Sequence[str], wanted: Sequence[str] | None, robot: Robot) -> list[int]:
     """Indices of the legs' joints in a message's list of names; −1 where there is none.
 
     Parameters
@@ -144,10 +136,8 @@ def joint_order(
         Names in the message.
     wanted
         Names of the legs' joints, leg by leg; ``None`` goes by patterns, as of quadrupeds.
-    joints
-        Those that the robot has, as ``FR_hip``.
-    legs
-        Names of the joints of each leg.
+    robot
+        Whose joints they are.
 
     Raises
     ------
@@ -155,14 +145,14 @@ def joint_order(
         If a joint is missing, stands twice or is not known; the message does not name the file.
     """
     index: dict[str, int] = {}
-    listed = [name for leg in legs for name in leg]
+    listed, joints = [name for leg in robot.legs for name in leg], robot.joint_names
+    like = URDF_NAMES[0] if robot.legs == LEGS else listed[0]
     hint = f"name the {len(listed)} (--joint-names; in Python joint_names)"
     for name in wanted or ():
         if name not in names or list(wanted or ()).count(name) > 1:
             raise InputError(f"joint '{name}' is not once in the messages; {nearest(name, names)}")
     if wanted is not None:
-        there = [joint for joint in listed if joint in joints]
-        index = dict(zip(there, map(list(names).index, wanted), strict=True))
+        index = dict(zip(joints, map(list(names).index, wanted), strict=True))
     for i, place in enumerate(map(joint_place, names if wanted is None else ())):
         joint = place and LEGS[place[0]][place[1]]
         if joint and index.setdefault(joint, i) != i:
@@ -173,7 +163,7 @@ def joint_order(
         unknown = [f", and '{name[:60]}' is not known" for name in names if not joint_place(name)]
         raise InputError(
             f"{len(names)} joints, and none for the {missing[0]}{(unknown or [''])[0]}; expected "
-            f"{len(listed)} named like {URDF_NAMES[0] if legs == LEGS else listed[0]}, or {hint}"
+            f"{len(listed)} named like {like}, or {hint}"
         )
     return [index[joint] if joint in joints else -1 for joint in listed]
 
@@ -242,14 +232,12 @@ class Messages:
     def __init__(
         self, robot: Robot | Path | str = "go2", *, joint_names: Sequence[str] | None = None
     ) -> None:
-        self._robot = robot if isinstance(robot, Robot) else Robot.load(robot)
+        self._robot = Robot.load(robot)
         self._joint_names = joint_names
         self._states: list[tuple[int, Any]] = []
         self._imus: list[tuple[int, Any]] = []
         self._measured: tuple[str, ...] | None = None
         """What the Imu messages measure; all samples have the same columns."""
-        self._refusal: InputError | None = None
-        """Why no joint state was taken so far."""
         self.left_out: Counter[str] = Counter()
 
     def take(self, *messages: Any) -> JointLog | None:
@@ -263,7 +251,7 @@ class Messages:
             If a message is of another type, the robot has not the motors of a LowState, or a
             hundred messages have not the legs' joints, velocities and efforts.
         """
-        motors, complete = self._robot.joint_order, []
+        count, complete = len(self._robot.joint_order), []
         for message in messages:
             if hasattr(message, "motor_state"):
                 complete.append((0, message))
@@ -276,21 +264,15 @@ class Messages:
                 raise InputError(f"message of type {kind}; give LowState, JointState and Imu")
         if complete and self._states:
             raise InputError("LowState and JointState have clocks of their own; give one of them")
-        if complete and len(motors) != MOTORS:
-            raise InputError(f"a LowState has {MOTORS} motors, and the robot {len(motors)}")
+        if complete and count != MOTORS:
+            raise InputError(f"a LowState has {MOTORS} motors, and the robot {count}")
         if complete:
-            values = low_states(complete, motors, self._robot.legs)
+            values = low_states(complete, self._robot)
             columns = {name: values[name] for name in SHAPES if name in values}
             return JointLog(1e-3 * values["stamp"], **columns)
-        return self._with_imu(motors)
+        return self._with_imu()
 
-    @property
-    def reason(self) -> InputError:
-        """Why there is no sample yet."""
-        waits = "no joint state with readings of an IMU before and after it"
-        return self._refusal or InputError(waits)
-
-    def _with_imu(self, motors: Sequence[str]) -> JointLog | None:
+    def _with_imu(self) -> JointLog | None:
         """Samples of the joint states between the first and the last reading of the IMU."""
         stamps = [stamp for stamp, _ in self._imus]
         ready: list[tuple[int, Any]] = []
@@ -298,7 +280,7 @@ class Messages:
             first = min(stamps) - GAP_STEPS * float(np.median(np.diff(np.sort(stamps))))
             ready = [pair for pair in self._states if first <= pair[0] <= max(stamps)]
             self._states = [pair for pair in self._states if max(stamps) < pair[0]]
-        log = self._samples(ready, motors) if ready else None
+        log = self._samples(ready) if ready else None
         # Neither waits for long: what has no partner is left out.
         newest = max((stamp for stamp, _ in (*self._states, *self._imus)), default=0)
         count = len(self._states)
@@ -307,17 +289,13 @@ class Messages:
         self.left_out[ALONE] += count - len(self._states)
         return log
 
-    def _samples(self, ready: Received, motors: Sequence[str]) -> JointLog | None:
+    def _samples(self, ready: Received) -> JointLog | None:
         """Joint states with the IMU's readings at their stamps; ``None`` if none is of the legs."""
         try:
-            values = joint_states(
-                ready, self._joint_names, motors, self._robot.own_names, self.left_out,
-                self._robot.legs,
-            )  # fmt: skip
-        except InputError as error:
+            values = joint_states(ready, self._joint_names, self._robot, self.left_out)
+        except InputError:
             if self._measured is None and self.left_out[FOREIGN] > MOST_FOREIGN:
                 raise
-            self._refusal = error
             return None
         if "velocity" not in values:
             raise InputError("the joint states carry no velocities, and samples need them")
