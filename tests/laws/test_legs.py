@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
+import terraphi
 from restricted import hyperparameters, left_out
 from terraphi import Rig, invert
 from terraphi.experiment.errors import InputError
@@ -414,3 +415,16 @@ def test_forces_outside_a_law_are_refused(options: dict[str, Any], words: str) -
     given = {"rig": "li2013", "phi_deg": 30.0, "leg": "c", **options}
     with pytest.raises(InputError, match=words):
         law_named("legs").forces(**given)
+
+
+def test_angles_that_are_listed_are_those_that_are_accepted() -> None:
+    summary = law_named("legs").summary()
+    low, high = summary["phi_deg"]
+    for leg, ranges in summary["ranges"].items():
+        assert list(ranges["phi_deg"]) == [low, high]
+        law_named("legs").forces(rig="li2013", leg=leg, phi_deg=[low, high])
+        for outside in (low - 0.1, high + 0.1):
+            with pytest.raises(InputError, match=f"{low:g} to {high:g}"):
+                law_named("legs").forces(rig="li2013", leg=leg, phi_deg=outside)
+    with pytest.raises(InputError, match=f"{low:g} to {high:g}"):
+        terraphi.plan("li2013", leg="c", phi_deg=low)

@@ -25,7 +25,7 @@ from terraphi.inference.inversion import invert
 from terraphi.inference.records import record_of
 from terraphi.inference.terms import TERMS
 from terraphi.laws.legs import NAME as LEGS
-from terraphi.laws.legs import PHI_DEG, shipped_legs
+from terraphi.laws.legs import shipped_legs
 
 SLIDE_TEST, HIP_MM, WEIGHED_BED, KNOWN_WEIGHT, SHEARED_DEG = 0.03, 0.5, 0.01, 0.005, 1.0
 """Standard deviations after a careful measurement: friction of the leg by a slide test [-], height
@@ -157,9 +157,10 @@ def plan(
     if math.isinf(record.cohesion_sd_pa):
         raise InputError("a plan needs a cohesion; give PA±SD")
     offset_deg = float(law.error.offset(apparatus, record.grain_size_mm, np.array(phi_deg)))
-    if not PHI_DEG[0] <= phi_deg + offset_deg <= PHI_DEG[1]:
-        low, high = (end - offset_deg for end in PHI_DEG)
-        raise InputError(f"phi = {phi_deg:g}: law legs is for about {low:.0f} to {high:.0f}° here")
+    low, high = law.phi_deg
+    if not low <= phi_deg + offset_deg <= high:
+        read = f"phi = {phi_deg:g} is {phi_deg + offset_deg:.1f}° as law legs reads it"
+        raise InputError(f"{read}, outside its {low:g} to {high:g}°; give another")
     curves = law.forces(
         apparatus, phi_deg + offset_deg, density=record.bulk_density[0],
         cohesion_pa=record.cohesion_pa,

@@ -272,8 +272,8 @@ class Legs(AnyLaw, FittedLaw):
         return {axis: (float(column.min()), float(column.max())) for axis, column in columns}
 
     def summary(self) -> dict[str, Any]:
-        """Contents and origin, JSON-able."""
-        ranges = {leg: self.ranges(leg) for leg in self.legs}
+        """Contents and origin, JSON-able; the range of φ is that of the law, not of its cases."""
+        ranges = {leg: self.ranges(leg) | {"phi_deg": self.phi_deg} for leg in self.legs}
         return super().summary() | {"cases": len(self.x), "ranges": ranges}
 
     def to_netcdf(self, path: Path | str) -> None:
