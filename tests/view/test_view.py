@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -82,3 +83,15 @@ def test_pictures_of_robots_are_drawn(foot_forces_file: Any, footfalls: Any, tmp
     for figure in figures:
         save(figure, tmp_path / "f.png", dpi=50)
         assert (tmp_path / "f.png").stat().st_size > 5000
+
+
+@pytest.mark.parametrize("points", [slice(None), slice(0, 1)])
+def test_feet_ahead_of_the_path_and_behind_it_are_drawn_there(footfalls: Any, points: Any) -> None:
+    """On a straight path, or a robot that stands, s of a foot is its distance along the heading."""
+    part = {name: getattr(footfalls, name)[points]
+            for name in ("path", "path_phi", "path_relative_sd", "path_absolute_sd")}  # fmt: skip
+    moved = footfalls.place - [0.5, 0.0, 0.0]
+    figure = replace(footfalls, place=moved, **part).plot()
+    [course] = [axes for axes in figure.axes if axes.containers]
+    drawn = course.containers[0].lines[0].get_xdata()
+    assert drawn == pytest.approx(moved[footfalls.usable, 0])
