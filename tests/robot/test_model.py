@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from terraphi.experiment.documents import shipped_file
+from terraphi.experiment.documents import DATA, shipped_file
 from terraphi.experiment.errors import InputError
 from terraphi.robot.joint_log import FEET, JOINT_NAMES
 from terraphi.robot.legs import Legs
@@ -135,7 +135,11 @@ def test_wrong_toml_is_refused_in_one_sentence(tmp_path: Path, text: str, words:
         ),
         ("</robot>", "", "not valid XML"),
         ('<robot name="small">', "<sdf>", "outermost element is <sdf>"),
-        ('<parent link="FR_hip"/>', '<parent link="FL_hip"/>', "'FR_thigh_joint' does not hang"),
+        (
+            '<parent link="FR_hip"/>',
+            '<parent link="FL_hip"/>',
+            "'FR_thigh_joint' does not hang on the joint above it; list all joints",
+        ),
         ('<parent link="RL_calf"/>', '<parent link="trunk"/>', "nothing is fixed to body"),
     ],
 )
@@ -150,6 +154,15 @@ def test_wrong_urdf_is_refused_in_one_sentence(
         Robot.load(written(tmp_path, text, "small.urdf"))
     assert "small.urdf" in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_feet_that_are_capsules_are_refused_with_the_remedy(tmp_path: Path) -> None:
+    """Their caps are not at the body's origin, where a foot without a sphere is taken to be."""
+    text = DATA.joinpath("robots", "go2.xml").read_text(encoding="utf-8")
+    capsules = text.replace('type="sphere" size="0.022"', 'type="capsule" size="0.022 0.03"')
+    assert capsules != text
+    with pytest.raises(InputError, match="'FR_foot' is a capsule; put a sphere"):
+        Robot.load(written(tmp_path, capsules, "robot.xml"))
 
 
 def test_unknown_robot_and_missing_files(tmp_path: Path) -> None:

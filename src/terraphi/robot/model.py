@@ -31,6 +31,8 @@ with needing("a robot", "MuJoCo and SciPy", extra="robot"):
 LOW = 0.2
 """Height of a limb's last joint above the lowest one, over the trunk's, up to which the limb stands
 [-]; chosen."""
+LISTED = "list all joints of each leg, from the trunk down, in the table 'legs' of the robot's TOML"
+"""What to do where the limbs of a model are no legs."""
 LEVEL_M, SMALLEST_SOLE_M = 0.005, 0.02
 """Height up to which the lowest points of a foot are those of its sole, and least side of one [m];
 chosen."""
@@ -489,12 +491,12 @@ def _check_chains(model: mujoco.MjModel, chains: list[list[int]], source: str) -
             if not (hangs and turns and sum(chain.count(i) for chain in chains) == 1):
                 wrong = "carries several legs" if hangs else "does not hang on the joint above it"
                 wrong = wrong if turns else "of a leg is not a revolute one"
-                raise InputError(f"{source}: '{model.joint(i).name}' {wrong}")
+                raise InputError(f"{source}: '{model.joint(i).name}' {wrong}; {LISTED}")
     ends = model.jnt_dofadr[[row[-1] for row in chains]]
     for dof in np.flatnonzero(np.isin(model.dof_parentid, ends)).tolist():
         raise InputError(
             f"{source}: joint '{model.joint(int(model.dof_jntid[dof])).name}' is below the last "
-            "joint of a leg; name all joints of each leg in the table 'legs' of the robot's TOML"
+            f"joint of a leg; {LISTED}"
         )
 
 
@@ -513,8 +515,8 @@ def _ordered(
         )
         raise InputError(
             f"{source}: it stands on {len(limbs)} limb{'s' * (len(limbs) != 1)} ({listed}); two or "
-            "more legs of equally many joints are read, three or more each. Name the joints of "
-            "each leg in the table 'legs' of the robot's TOML, or of a quadruped in 'joints'"
+            f"more legs of equally many joints are read, three or more each; {LISTED}, or of a "
+            "quadruped in 'joints'"
         )
     _check_chains(model, limbs, source)
     x, y, _ = data.xanchor[[limb[-1] for limb in limbs]].T
@@ -600,12 +602,17 @@ def _foot(
         for ball in (g for g in balls if model.geom_bodyid[g] == body and sole is None):
             # A sphere that is a little off its frame belongs to the foot's frame nevertheless.
             return body, model.geom_pos[ball].copy(), float(model.geom_size[ball, 0])
-        return body, np.zeros(3), 0.0
+        capsules = model.geom_bodyid[model.geom_type == mujoco.mjtGeom.mjGEOM_CAPSULE]
+        if sole is not None or body not in capsules:
+            return body, np.zeros(3), 0.0
+        why = f"the foot '{model.body(body).name}' is a capsule; put a sphere at its lower cap"
+        raise InputError(f"{source}: {why}")
     balls = [g for g in balls if model.geom_bodyid[g] == end]
     if not balls or sole is not None:
         raise InputError(
             f"{source}: nothing is fixed to body '{model.body(end).name}'; add a foot: a link "
-            "fixed to it, or as a collision a sphere at its end, or the box of a level sole"
+            "fixed to it, or as a collision a sphere at its end (as a capsule's cap), or the box "
+            "of a level sole"
         )
     ball = max(balls, key=lambda g: np.linalg.norm(model.geom_pos[g]))
     return end, model.geom_pos[ball].copy(), float(model.geom_size[ball, 0])
