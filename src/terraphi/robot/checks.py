@@ -29,9 +29,9 @@ from terraphi.robot.friction import (
     GUARD_S,
     LAG_STEP_S,
     REVERSAL_RATE,
-    swing_of_part,
+    lag_and_gain,
 )
-from terraphi.robot.joint_log import AVERAGE_S, GAP_STEPS, JointLog, cut, joint_names
+from terraphi.robot.joint_log import AVERAGE_S, JointLog, cut, joint_names
 from terraphi.robot.legs import Legs, body_rate, rotation
 from terraphi.robot.logs.samples import velocity_ratio
 from terraphi.robot.model import Robot
@@ -217,44 +217,32 @@ def check(
     robot: Robot,
     forces: FootForces,
     stances: Sequence[Stance],
-    lag: float,
-    gain: FloatArray,
-) -> Checked:
-    """Compare a log, or a part of one, with its robot.
+    pieces: Sequence[slice],
+) -> list[Checked]:
+    """Compare parts of a log with its robot, each by what its own swing shows of the torques.
 
     Parameters
     ----------
     log, robot, forces, stances
         The log, its robot, and the forces and stances found.
-    lag, gain
-        As of :func:`~terraphi.robot.friction.lag_and_gain`.
+    pieces
+        Of :func:`parts`.
     """
-    findings = _motion(log, robot, forces, balance(forces, stances, robot.mass * GRAVITY))
-    # With a wrong attitude or order of the legs torques are not those of the motion either.
-    if not any(f.grave and f.about in (REFUSED, "attitude", "legs") for f in findings):
-        findings = [*_torques(log, robot, lag, gain), *findings]
-    findings = [*_jumps(log, robot), *_still(log, robot), *findings]
-    # Without swing, as while the robot stands, torques have no lag that could be found.
-    open_ = ("lag",) * bool(np.isnan(gain).all() and all(f.about != "lag" for f in findings))
-    return Checked(float(log.time[0]), float(log.time[-1]), tuple(findings), open_)
-
-
-def check_parts(
-    log: JointLog,
-    robot: Robot,
-    forces: FootForces,
-    stances: Sequence[Stance],
-    pieces: Sequence[slice],
-) -> list[Checked]:
-    """Check parts of a log, each by what its own swing shows of lag and gains of the torques."""
     checked = []
     for piece in pieces:
         part, its_forces = without_broken_accelerometer(cut(log, piece))[0], cut(forces, piece)
-        gap = GAP_STEPS * float(np.median(np.diff(part.time)))
-        swing = swing_of_part(part, robot, its_forces.lift_per_torque, forces.friction, gap)
-        begin, end = part.time[0], part.time[-1]
+        begin, end = float(part.time[0]), float(part.time[-1])
         steps = [stance for stance in stances if begin <= stance.begin and stance.end <= end]
-        checked.append(check(part, robot, its_forces, steps, *swing))
+        mean = balance(its_forces, steps, robot.mass * GRAVITY)
+        findings = _motion(part, robot, its_forces, mean)
+        # With a wrong attitude or order of the legs torques are not those of the motion either.
+        wrong = any(f.grave and f.about in (REFUSED, "attitude", "legs") for f in findings)
+        lag, gain = lag_and_gain(part, robot, its_forces.lift_per_torque, forces.friction)
+        findings = [*([] if wrong else _torques(part, robot, lag, gain)), *findings]
+        findings = [*_jumps(part, robot), *_still(part, robot), *findings]
+        # Without swing, as while the robot stands, torques have no lag that could be found.
+        open_ = ("lag",) * bool(np.isnan(gain).all() and all(f.about != "lag" for f in findings))
+        checked.append(Checked(begin, end, tuple(findings), open_))
     return checked
 
 

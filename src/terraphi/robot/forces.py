@@ -203,7 +203,7 @@ def estimate(
     moving = estimator != "quasi_static"
     nothing = np.zeros(robot.joint.shape)
     overview = (
-        Survey(preset, nothing, nothing, 0.0, nothing + np.nan) if preset
+        Survey(preset, nothing, nothing) if preset
         else survey(log, robot, estimator, gap, friction=moving and bool(friction))
     )  # fmt: skip
     errors = priors or SensorErrors()
@@ -236,10 +236,6 @@ def estimate(
             "gain_per_s": OBSERVER_GAIN if moving else None,
             "priors": asdict(errors),
             "friction": None if overview.friction is None else overview.friction.summary(),
-            "torque_lag_s": overview.lag,
-            "torque_gain": [
-                None if g != g else round(g, 3) for g in overview.gain.ravel().tolist()
-            ],
             "assumed": _assumed(log, robot, overview, broken),
         },
     )

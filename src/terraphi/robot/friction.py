@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,7 +29,7 @@ from terraphi.robot.estimators import (
     signals,
     upward,
 )
-from terraphi.robot.joint_log import STANDSTILL, JointLog
+from terraphi.robot.joint_log import GAP_STEPS, STANDSTILL, JointLog
 from terraphi.robot.model import Robot
 
 LEAST_SWING = 50
@@ -202,11 +202,7 @@ def spread(deviation: FloatArray) -> FloatArray:
 
 
 def lag_and_gain(
-    windows: Sequence[tuple[Signals, slice]],
-    torque: FloatArray,
-    terms: FloatArray,
-    swing: BoolArray,
-    gap: float,
+    log: JointLog, robot: Robot, lift_per_torque: Any, friction: JointFriction | None
 ) -> tuple[float, FloatArray]:
     """Time by which torques lag behind the motion [s], 0 if unknown, and gain of each [-].
 
@@ -218,20 +214,28 @@ def lag_and_gain(
 
     Parameters
     ----------
-    windows
-        Parts of a log, each with the samples that count.
-    torque, terms
-        Contact torque without friction [N m], and factors of friction, of all samples that count.
-    swing
-        Shape [sample, foot].
-    gap
-        Steps longer than this [s] are gaps.
+    log, robot
+        A short log, or a part of one, and of whom.
+    lift_per_torque
+        As in :class:`~terraphi.robot.forces.FootForces`.
+    friction
+        Of the joints, as far as it is known.
     """
+    gain = np.full(robot.joint.shape, np.nan)
+    if len(log.time) < LEAST_SWING:
+        return 0.0, gain
+    usual = float(np.median(np.diff(log.time)))
+    part, gap = signals(log, robot, slice(None)), GAP_STEPS * usual
+    torque, terms = contact_torque(part, "momentum_observer", gap), friction_terms(part, gap)
+    # Friction that is not known looks like force, so that twice the load may be swing.
+    contact, share = torque, 2.0 * BEARING_SHARE
+    if friction is not None:
+        contact, share = torque + friction.of_terms(terms), BEARING_SHARE
+    lift = np.nansum(lift_per_torque * contact, axis=-1)
+    swing = in_swing(part, slice(None), lift, robot, share)
     feet = np.flatnonzero(swing.sum(axis=0) >= LEAST_SWING)
-    gain = np.full_like(torque[0], np.nan)
     if not len(feet):
         return 0.0, gain
-    usual = float(np.median(np.concatenate([np.diff(part.time) for part, _ in windows])))
     # Whole steps: a torque between two samples is a mean, and seems to have less noise. Samples of
     # swing that are nearer than a step hardly differ.
     stride = max(1, round(LAG_STEP_S / usual))
@@ -239,19 +243,12 @@ def lag_and_gain(
     step = usual * stride
     most = round(MOST_LAG_S / step)
     lags, cost = step * np.arange(-most, most + 1), np.zeros(2 * most + 1)
-    logged = [low_pass(p.time, OBSERVER_GAIN, p.torque, 0.0 * p.slopes, gap) for p, _ in windows]
-    ends = np.cumsum([len(part.time[inner]) for part, inner in windows])[:-1]
-    swings = np.split(swing, ends)
+    logged = low_pass(part.time, OBSERVER_GAIN, part.torque, 0.0 * part.slopes, gap)
 
     def shifted(lags: Any, foot: int, joint: int) -> FloatArray:
         """Logged torques of a joint in swing, each by a lag later, shape [lag, sample]."""
-        parts = [
-            np.interp(
-                part.time[inner][rows[:, foot]] + lags[:, None], part.time, values[:, foot, joint]
-            )
-            for (part, inner), rows, values in zip(windows, swings, logged, strict=True)
-        ]
-        return np.concatenate(parts, axis=1)
+        times = part.time[swing[:, foot]] + lags[:, None]
+        return np.interp(times, part.time, logged[:, foot, joint])
 
     joints, none = list(itertools.product(feet.tolist(), range(torque.shape[2]))), np.zeros(1)
     # Friction's regressors, orthonormal, and the torque of the motion without friction, of each.
@@ -309,15 +306,11 @@ class Survey(NamedTuple):
         NaN for feet that did not swing.
     noise
         Standard deviation of torques from one sample to the next [N m], shape [foot, joint].
-    lag, gain
-        Of the torques behind the motion [s], and over what it needs [-], see :func:`lag_and_gain`.
     """
 
     friction: JointFriction | None
     residual: FloatArray
     noise: FloatArray
-    lag: float
-    gain: FloatArray
 
 
 def in_swing(
@@ -331,24 +324,6 @@ def in_swing(
     place, up = part.legs.place[inner], part.turn[inner][:, 2]
     clear = clear_of_ground(place, up, lift, weight=weight)
     return away_from(lift >= share * weight, part.time[inner]) & clear
-
-
-def swing_of_part(
-    log: JointLog, robot: Robot, lift_per_torque: Any, friction: JointFriction | None,
-    gap: float,
-) -> tuple[float, FloatArray]:  # fmt: skip
-    """:func:`lag_and_gain` of a short log whose joints' friction is known already, if not None.
-
-    ``lift_per_torque`` is that of :class:`~terraphi.robot.forces.FootForces`.
-    """
-    part, span = signals(log, robot, slice(None)), slice(None)
-    torque, terms = contact_torque(part, "momentum_observer", gap), friction_terms(part, gap)
-    # Friction that is not known looks like force, so that twice the load may be swing.
-    contact, share = torque, 2.0 * BEARING_SHARE
-    if friction is not None:
-        contact, share = torque + friction.of_terms(terms), BEARING_SHARE
-    swing = in_swing(part, span, np.nansum(lift_per_torque * contact, axis=-1), robot, share)
-    return lag_and_gain([(part, span)], torque, terms, swing, gap)
 
 
 def survey(
@@ -400,4 +375,4 @@ def survey(
     steps = np.concatenate([np.diff(part.torque, axis=0) for part, _ in windows])
     # Second differences, to which the motion hardly contributes.
     noise = np.nan_to_num(spread(np.diff(steps, axis=0)) / np.sqrt(6.0))
-    return Survey(kept, residual, noise, *lag_and_gain(windows, torque, terms, swing, gap))
+    return Survey(kept, residual, noise)

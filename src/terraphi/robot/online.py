@@ -45,7 +45,7 @@ from terraphi.inference.touchdowns import FEWEST as FEWEST_LEARNED
 from terraphi.inference.touchdowns import Prior, Touchdowns, fit, picked, stacked
 from terraphi.robot import footfalls as batch
 from terraphi.robot import state
-from terraphi.robot.checks import CHECK_S, PART_S, check_parts, grave, parts, recorded
+from terraphi.robot.checks import CHECK_S, PART_S, check, grave, parts, recorded
 from terraphi.robot.estimators import MARGIN_S
 from terraphi.robot.forces import FootForces, estimate, without_broken_accelerometer
 from terraphi.robot.friction import BEARING_SHARE
@@ -519,7 +519,7 @@ class Walk:
         over = [piece for piece in pieces if to_end or piece.stop < len(log.time)]
         if not over:
             return start
-        checked = check_parts(log, self.options.robot, window.forces, self._stances(window), over)
+        checked = check(log, self.options.robot, window.forces, self._stances(window), over)
         return replace(start, checked=(*start.checked, *checked))
 
     def _stances(self, window: Window) -> tuple[Stance, ...]:

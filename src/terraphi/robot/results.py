@@ -298,7 +298,10 @@ def foot_forces(
         )
         rise_N = BEARING_SHARE * body.load_scale
         stances = find_stances(forces.time, forces.force, rise_N=rise_N, feet=body.feet)
-        checked = _checked(log, body, forces, stances)
+        checked = checks.check(log, body, forces, stances, checks.parts(log.time))
+        reasons = [f.text for part in checked for f in part.findings if f.about == checks.REFUSED]
+        if len(reasons) == len(checked):
+            raise InputError(reasons[0])
     except InputError as error:
         raise InputError(f"{source}: {error}" if source else str(error)) from error
     mean = checks.balance(forces, stances, weight)
@@ -309,29 +312,12 @@ def foot_forces(
         robot=body,
         forces=forces,
         stances=stances,
-        checked=checked,
+        checked=tuple(checked),
         remarks=tuple(_remarks(forces, stances, report, body)),
         sensor_correlation=_sensor_correlation(log, forces, body.feet),
         report=report,
         lift=None if mean is None else mean[0],
     )
-
-
-def _checked(
-    log: JointLog, robot: Robot, forces: FootForces, stances: Sequence[Stance]
-) -> tuple[Checked, ...]:
-    """Check a log, part by part; raise InputError if all of them refuse it."""
-    pieces = checks.parts(log.time)
-    if len(pieces) == 1:
-        lag, gain = (forces.provenance[name] for name in ("torque_lag_s", "torque_gain"))
-        gains = np.array(gain, dtype=np.float64).reshape(robot.joint.shape)
-        checked = [checks.check(log, robot, forces, stances, lag, gains)]
-    else:
-        checked = checks.check_parts(log, robot, forces, stances, pieces)
-    reasons = [f.text for part in checked for f in part.findings if f.about == checks.REFUSED]
-    if len(reasons) == len(checked):
-        raise InputError(reasons[0])
-    return tuple(checked)
 
 
 def _sensor_correlation(log: JointLog, forces: FootForces, feet: Sequence[str]) -> dict[str, float]:
