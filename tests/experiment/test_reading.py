@@ -418,6 +418,14 @@ def test_a_unit_that_contradicts_the_header_is_one_sentence() -> None:
         read_forces(table.assign(theta_deg=np.radians(THETA)))
 
 
+@pytest.mark.parametrize("columns", ["fx=", "fz=Fz,fx", "fx=''", {"fx": ""}, "unit="])
+def test_a_key_without_a_value_is_refused(columns: Any) -> None:
+    key = "unit" if "unit" in columns else "fx"
+    with pytest.raises(InputError, match=f"^columns: {key}: is empty; give"):
+        read_trials(frame(), columns)
+    assert read_trials(frame(), "fx=Fx, ")[0].Fx == pytest.approx(FX)
+
+
 def test_the_table_of_a_wheel_is_named_as_such() -> None:
     table = frame(names="slip load sinkage")
     with pytest.raises(InputError, match="--tool wheel:DIAMETERxWIDTH") as caught:

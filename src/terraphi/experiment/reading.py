@@ -118,6 +118,7 @@ class Columns(Strict):
     def _named(cls, value: Any, info: ValidationInfo) -> Any:
         """Our name of a unit that is written otherwise, such as ``lbs``."""
         name = str(info.field_name)
+        refuse({"is empty; give a name or a value, or leave it out for a guess": value == ""})
         if isinstance(value, int) and cls.model_fields[name].annotation == str | None:
             return str(value)  # a header of numbers
         unit = isinstance(value, str) and name.endswith("unit")
@@ -131,7 +132,7 @@ class Columns(Strict):
         if isinstance(given, Path) or (isinstance(given, str) and "=" not in given):
             return parse_toml(Path(given), cls)
         if isinstance(given, str):
-            pairs = [pair.partition("=") for pair in re.split("[,;]", given)]
+            pairs = [pair.partition("=") for pair in re.split("[,;]", given) if pair.strip()]
             given = {key.strip(): value_of(text) for key, _, text in pairs}
         options = {k: value for k, value in dict(given or {}).items() if value is not None}
         return strictly(options, cls, "columns")
