@@ -43,12 +43,13 @@ def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 def excerpt(
     out: Path, name: str, header: Sequence[str], rows: Iterable[Sequence[object]],
-    shown: Sequence[str], filled: str = "",
+    shown: Sequence[str] = (), filled: str = "", words: str = "",
 ) -> str:  # fmt: skip
     """Write a table to NAME.csv, and format some of its columns for the page.
 
-    The page leaves out rows without a value in the column ``filled``. In the file a unit that all
-    cells of a column share stands in the header.
+    The page leaves out rows without a value in the column ``filled``; without any column it has the
+    line that names the file alone. ``words`` on the file stand there in place of "All columns". In
+    the file a unit that all cells of a column share stands in the header.
     """
     cells = [[str(cell) for cell in row] for row in rows]
     columns = dict(zip(header, map(list, zip(*cells, strict=True)), strict=True))
@@ -64,7 +65,8 @@ def excerpt(
     with (out / f"{name}.csv").open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerows([[*plain], *zip(*plain.values(), strict=True)])
-    return f"{page}\n\nAll {'rows and ' * bool(filled)}columns: [{name}.csv]({name}.csv)."
+    words = words or f"All {'rows and ' * bool(filled)}columns"
+    return f"{page}\n\n" * bool(shown) + f"{words}: [{name}.csv]({name}.csv)."
 
 
 def write(

@@ -271,9 +271,9 @@ def by_law(
     header = ("law", "foot", "φ less measured", "each mm of grains adds",
               *(f"{window}, grains as they are" for window in windows), "SD of soils",
               "error of the size", "drag over lift: law / grains")  # fmt: skip
-    link = pages.excerpt(out, "plates_feet", header, rows, ("law",)).rpartition("\n\n")[2]
+    link = pages.excerpt(out, "plates_feet", header, rows, words="By depth, and errors")
     shown = pages.table(("law", *FEET.values(), "mean", "RMS"), short)
-    return f"{shown}\n\n{link.replace('All columns', 'By depth, and errors')}"
+    return f"{shown}\n\n{link}"
 
 
 def by_soil(out: Path, strength: Mapping[str, float], phi: Mapping[str, float],

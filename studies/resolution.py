@@ -128,7 +128,7 @@ def main() -> None:
             )
             if of_leg:
                 short.append((variant, OUTLINES[leg].label, low, high))
-    link = pages.excerpt(out, "resolution", header, rows, ("changed",)).rpartition("\n\n")[2]
+    link = pages.excerpt(out, "resolution", header, rows)
     parts = [
         (
             "Preset `sand3d` has cells of 5 mm, 8 particles in each, and a speed-up of 10, as law "

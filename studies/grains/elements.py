@@ -231,12 +231,17 @@ class Measured:
     """Angle at which it comes to rest [deg]."""
 
 
-def critical(strain: FloatArray, ratio: FloatArray) -> FloatArray:
-    """Friction angle of each block of the critical state [deg], from τ/σ [-]."""
+def block_means(strain: FloatArray, values: FloatArray) -> FloatArray:
+    """Means over blocks of the critical state, shape [..., strain] -> [..., block]."""
     if strain[-1] <= CRITICAL_STRAIN:
         raise ValueError(f"a test ends at a strain of {strain[-1]:g}; {CRITICAL_STRAIN:g} is early")
-    blocks = np.array_split(ratio[strain > CRITICAL_STRAIN], BLOCKS)
-    return np.degrees(np.arcsin([float(block.mean()) for block in blocks]))
+    blocks = np.array_split(values[..., strain > CRITICAL_STRAIN], BLOCKS, axis=-1)
+    return np.stack([block.mean(axis=-1) for block in blocks], axis=-1)
+
+
+def critical(strain: FloatArray, ratio: FloatArray) -> FloatArray:
+    """Friction angle of each block of the critical state [deg], from τ/σ [-]."""
+    return np.degrees(np.arcsin(block_means(strain, ratio)))
 
 
 def peak(strain: FloatArray, rise: FloatArray, ratio: FloatArray) -> tuple[float, float, float]:
@@ -329,9 +334,8 @@ def cohesive(folder: Path, name: str) -> Cohesive:
             raise FileNotFoundError(f"{folder}: no cell {kind} of {name}")
         cells = np.array([np.loadtxt(path, delimiter=",", skiprows=3)[:, :4].T for path in paths])
         strain, rise, tau, sigma = cells.mean(axis=0)
-        late, near = strain > CRITICAL_STRAIN, np.abs(strain - EARLY_STRAIN) < 0.5 * SMOOTH
-        parts = np.array_split(cells[:, 2:, late], BLOCKS, axis=2)
-        blocks = np.hstack([part.mean(axis=2).T for part in parts])
+        near = np.abs(strain - EARLY_STRAIN) < 0.5 * SMOOTH
+        blocks = np.hstack(block_means(strain, cells[:, 2:]).transpose(2, 1, 0))
         stress, load = blocks.mean(axis=1)
         sd = (blocks[0] / blocks[1]).std(ddof=1) * load / math.sqrt(blocks.shape[1])
         steady.append((load, stress, sd))

@@ -280,7 +280,7 @@ def damp(rows: Sequence[Row]) -> list[str]:
         for name, each in errors_deg.items()
     ]  # fmt: skip
     header = ("record", "critical φ", "c", *columns)
-    file = pages.excerpt(pages.DOCS, "grains_damp", header, lines, header).rpartition("\n\n")[2]
+    file = pages.excerpt(pages.DOCS, "grains_damp", header, lines)
     return [
         pages.table(("cohesion by the cell", "records", *columns), means),
         (
@@ -383,8 +383,7 @@ def sections(out: Path, rows: Sequence[Row]) -> list[str]:
         ),
         (
             "Thick lines are 68 % intervals, thin lines 95 %, crosses misfits. "
-            + pages.excerpt(out, "grains", header, listed, ("record",))
-            .rpartition("\n\n")[2].replace("All columns", "Every record")
+            + pages.excerpt(out, "grains", header, listed, words="Every record")
         ),
         "## A part of the stroke, or the torque alone",
         of_parts(),
