@@ -6,6 +6,7 @@ by the quantiles of the normal distribution in random order.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -380,3 +381,9 @@ def test_the_contraction_of_soils_drawn_from_its_prior_is_as_uncertain_as_stated
 
 def test_names_of_terms_in_tests_are_in_the_table() -> None:
     assert {*OF_LEGS} | {*SHARED_BY} <= TERMS.keys()
+
+
+def test_the_page_of_the_interval_explains_each_name_that_is_printed() -> None:
+    page = Path(__file__).parents[2].joinpath("docs", "explanation", "interval.md")
+    lines = re.findall(r"^- \*\*(.+?)\*\*: \w", page.read_text(encoding="utf-8"), re.MULTILINE)
+    assert not TERMS.keys() - {name for line in lines for name in line.split(", ")}
