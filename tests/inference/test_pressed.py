@@ -70,6 +70,29 @@ def test_exchanged_columns_are_refused_and_a_noisy_sinkage_is_not(name: str) -> 
     assert terraphi.invert(noisy, tool=tool, density=1412).verdict == "consistent"
 
 
+@pytest.mark.parametrize("at", [0.5, 0.7])
+def test_sensors_that_stop_are_refused_and_rests_are_not(at: float) -> None:
+    """A plate on loose Cullinan sand, whose clipped force was read 5 to 8° too low."""
+    sand = pd.read_csv(DATA / "sands" / "cullinan_plates.csv", comment="#")
+    sand = sand[sand.test == "Method_1_test_1"].reset_index(drop=True)
+    table = sand[["sinkage_mm", "pressure_kPa"]]
+    rows = np.arange(len(table)) > at * len(table)
+    rests = np.r_[
+        np.arange(len(table) // 2), [len(table) // 2] * 20, np.arange(len(table) // 2, len(table))
+    ]
+    relaxed = table.iloc[rests].reset_index(drop=True)
+    relaxed.loc[len(table) // 2 : len(table) // 2 + 19, "pressure_kPa"] *= 0.9
+    answers = [terraphi.invert(each, tool="plate:151", density=1400) for each in (table, relaxed)]
+    assert answers[0].phi.median == pytest.approx(answers[1].phi.median, abs=0.5)
+    clipped = table.assign(
+        pressure_kPa=table.pressure_kPa.clip(upper=at * table.pressure_kPa.max())
+    )
+    stuck = table.assign(sinkage_mm=table.sinkage_mm.mask(rows, table.sinkage_mm[~rows].max()))
+    for wrong, words in ((clipped, "saturates"), (stuck, "sinkage does not")):
+        with pytest.raises(terraphi.InputError, match=words):
+            terraphi.invert(wrong, tool="plate:151", density=1400)
+
+
 @pytest.mark.parametrize("name", CRITICAL_DEG)
 def test_grains_lie_within_the_interval(name: str) -> None:
     path = GRAINS / f"{name}.csv"

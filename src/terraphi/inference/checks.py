@@ -36,7 +36,7 @@ from terraphi.experiment.units import FORCE, GRAVITY
 from terraphi.forward.rft import to_plane_strain
 from terraphi.inference.answer import Estimate, RecordFit
 from terraphi.inference.likelihood import SHIFT_DEG, Likelihood, squared_residuals
-from terraphi.inference.records import Record, density_warnings
+from terraphi.inference.records import Record, density_warnings, is_ceiling
 from terraphi.inference.verdict import LITTLE_KNOWN, USUAL_DEG, unusual
 from terraphi.laws.law import LegLaw
 from terraphi.laws.legs import VARIED, LawOfLegs, law_of
@@ -55,11 +55,6 @@ LARGE_SPIKE = 0.15
 CLIPPED, SLOPE_DEG, HIDDEN, ROUND = 3, 5.0, 0.02, 4.0
 """Equal largest readings in a row that may be a clipped top; path on either side of it [deg]; rise
 that it must hide, of peak-to-peak and more of steps of rounding: a round top hides up to three."""
-CEILING, CEILING_OVER, COARSEST = 6, 5.0, 0.12
-"""Readings of one largest value that are a clipped top whatever lies between them, how many times
-those of each of the next three steps below, and the largest such step over peak-to-peak [-]. Of 100
-records of grains and 12 of Li et al., rounded to 0 to 8 % of the largest, none has more than 3.5
-times, and a top as flat as 1 − θ⁴ has 4.6; clipped at 70 % of it 8 to 9 of 10 have."""
 STEP = 0.2
 """Jump between neighbouring readings that is a step, of peak-to-peak [-]."""
 STEP_SPACING_DEG = 1.5
@@ -226,14 +221,7 @@ def _clipped(name: str, force: FloatArray, theta: FloatArray, resolution: float)
         if at.size < CLIPPED or abs(end) < 0.2 * np.ptp(force):
             continue
         first, last = theta[at[0]], theta[at[-1]]
-        # Forces of rough soil fall below a ceiling in between. Few readings are just below it,
-        # where those at a round top become fewer step by step.
-        below = np.abs(force - end)
-        span, gap = float(np.ptp(force)), float(min(below[below > 0.0], default=0.0))
-        step = max(resolution, 1e-3 * span, gap if gap < COARSEST * span else 0.0, 1e-300)
-        below = np.floor(below / step + 1e-9)
-        nearby = np.max([np.count_nonzero(below == k) for k in (1, 2, 3)])
-        if at.size >= max(CEILING, CEILING_OVER * float(nearby)):
+        if is_ceiling(force, float(end), resolution):
             return _saturated(name, end, first, last)
         if np.any(np.diff(at) > 1):
             continue

@@ -64,6 +64,12 @@ below it."""
 LARGEST_GRAIN = 0.4
 """Largest diameter of grains over the width of a leg [-]: of those that were simulated 0.35."""
 
+CEILING, CEILING_OVER, COARSEST = 6, 5.0, 0.12
+"""Readings of one largest value that are a clipped top whatever lies between them, how many times
+those of each of the next three steps below, and the largest such step over peak-to-peak [-]. Of 100
+records of grains and 12 of Li et al., rounded to 0 to 8 % of the largest, none has more than 3.5
+times, and a top as flat as 1 − θ⁴ has 4.6; clipped at 70 % of it 8 to 9 of 10 have."""
+
 
 class InSoil:
     """Base of records: what is known of the soil."""
@@ -585,6 +591,18 @@ def grain_size(given: float | str | None, width_mm: float, name: str) -> float:
         accepted = f"{SMALLEST_GRAIN_MM:g} to {largest:.3g} mm are accepted on {width_mm:g} mm"
         raise InputError(f"{name}: grain_size_mm = {grains:g}; {accepted}")
     return grains
+
+
+def is_ceiling(force: FloatArray, end: float, resolution: float) -> bool:
+    """True if a force stops at its extreme ``end``, as of a sensor that saturates."""
+    # Forces of rough soil fall below a ceiling in between. Few readings are just below it, where
+    # those at a round top become fewer step by step.
+    below = np.abs(force - end)
+    span, gap = float(np.ptp(force)), float(min(below[below > 0.0], default=0.0))
+    step = max(resolution, 1e-3 * span, gap if gap < COARSEST * span else 0.0, 1e-300)
+    steps = np.floor(below / step + 1e-9)
+    nearby = max(np.count_nonzero(steps == k) for k in (1, 2, 3))
+    return bool(np.count_nonzero(force == end) >= max(CEILING, CEILING_OVER * nearby))
 
 
 def roughness(values: FloatArray) -> float:
