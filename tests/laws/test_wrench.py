@@ -634,8 +634,6 @@ def test_what_cannot_be_a_foot_is_refused() -> None:
     ]:
         with pytest.raises(InputError, match=match):
             Mesh.of(*mesh)
-    with pytest.raises(InputError, match="corners alone"):
-        Mesh(corners, corners, np.ones(8))
     for size in (22.0, -0.02, math.nan):
         with pytest.raises(InputError, match="radius"):
             Foot(size)

@@ -59,7 +59,7 @@ def test_legs_of_other_lengths_are_refused(tmp_path: Path) -> None:
     text = model().replace('<joint name="left_ankle_roll" axis="1 0 0" armature="0.05"/>', "")
     text = text.replace('<position joint="left_ankle_roll" kp="2500" kv="60"/>', "")
     (tmp_path / "biped.xml").write_text(text)
-    with pytest.raises(InputError, match=r"right_ankle_roll \(6\).*each leg in the table 'legs'"):
+    with pytest.raises(InputError, match=r"right_ankle_roll \(6\).*in the table 'legs'"):
         Robot.load(tmp_path / "biped.xml")
 
 

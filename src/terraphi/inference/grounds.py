@@ -70,10 +70,10 @@ def _linear(_foot: Foot, depth: FloatArray) -> FloatArray:
 
 def _rival(name: str, unit: Callable[[Foot, FloatArray], FloatArray]) -> FootLaw:
     def force(
-        foot: Foot, depth: ArrayLike, _descent: ArrayLike, phi_deg: ArrayLike, *_: float
+        part: int, foot: Foot, depth: ArrayLike, _descent: ArrayLike, phi_deg: ArrayLike, *_: float
     ) -> FloatArray:
-        lift = strength(phi_deg) * unit(foot, np.maximum(np.asarray(depth, dtype=np.float64), 0.0))
-        return np.stack([np.zeros_like(lift), lift], axis=-1)
+        depth = np.maximum(np.asarray(depth, dtype=np.float64), 0.0)
+        return part * strength(phi_deg) * unit(foot, depth)
 
     return FootLaw(name, force)
 

@@ -211,12 +211,12 @@ class _Press:
     def curve(self, x: FloatArray, friction: float | None = None) -> FloatArray:
         """The law's force [N] at (φ, z₀), [k, 2] -> [k, n], with the tool's friction or another."""
         foot = Foot(self.tool.radius, self.tool.shape.foot or "disc")
-        force = LAWS[self.law].force(
+        lift = LAWS[self.law].lift(
             foot, self.z + x[:, 1:], 0.5 * np.pi, friction_angle_deg=x[:, :1],
             density=self.density,
             surface_friction=self.tool.friction if friction is None else friction,
         )  # fmt: skip
-        return np.asarray(self.tool.factor * force[..., 1])
+        return np.asarray(self.tool.factor * lift)
 
     @cached_property
     def ends(self) -> tuple[float, float]:

@@ -342,16 +342,13 @@ def predicted(law: FootLaw, prior: Prior, touchdowns: Touchdowns, state: FloatAr
         # sole, a share s of it, bears s^(3/2) times as much as all of it at its mean depth over √s.
         share, mean = submerged_part(middle, touchdowns.rise)
         size, depth = share**1.5, mean / np.sqrt(np.maximum(share, 1e-6))
-    lift = (
-        size
-        * law.force(
-            prior.foot,
-            depth,
-            touchdowns.descent,
-            friction_angle_deg=state[..., :1],
-            density=prior.density,
-            surface_friction=prior.surface_friction,
-        )[..., 1]
+    lift = size * law.lift(
+        prior.foot,
+        depth,
+        touchdowns.descent,
+        friction_angle_deg=state[..., :1],
+        density=prior.density,
+        surface_friction=prior.surface_friction,
     )
     if prior.exponent:
         lift = lift * (np.maximum(depth, 1e-4) / prior.radius) ** prior.exponent

@@ -108,7 +108,8 @@ class FootLaw:
     name
         Name of the law.
     formula
-        What :meth:`force` returns, of the same arguments in their order.
+        Part of :meth:`force` along the motion (0) or up (1): by this number, and the arguments of
+        :meth:`force` in their order.
     sd_deg
         Error of φ by this law in loose grains of measured φ, offset and scatter together, at least
         the root mean square [deg] (``docs/plates.md``).
@@ -151,12 +152,22 @@ class FootLaw:
             arrays broadcast to.
         """
         phi = np.asarray(friction_angle_deg, dtype=np.float64)
-        return self.formula(foot, depth, descent, phi, density, surface_friction)
+        soil = phi, density, surface_friction
+        return np.stack([self.formula(k, foot, depth, descent, *soil) for k in (0, 1)], axis=-1)
+
+    def lift(
+        self, foot: Foot, depth: ArrayLike, descent: ArrayLike, *, friction_angle_deg: ArrayLike,
+        density: float, surface_friction: float,
+    ) -> FloatArray:  # fmt: skip
+        """Upward part of :meth:`force` alone, in half of the time."""
+        phi = np.asarray(friction_angle_deg, dtype=np.float64)
+        return self.formula(1, foot, depth, descent, phi, density, surface_friction)
 
 
 def simulated_force(
-    foot: Foot, depth: ArrayLike, descent: ArrayLike, phi_deg: ArrayLike, density: float, mu: float
-) -> FloatArray:
+    part: int, foot: Foot, depth: ArrayLike, descent: ArrayLike, phi_deg: ArrayLike,
+    density: float, mu: float,
+) -> FloatArray:  # fmt: skip
     """ρ g R³ T(φ, descent, depth/R, μ_s), with T from simulations.
 
     T is cubic over φ (its logarithm), linear over depth and μ_s. Deeper than was simulated it goes
@@ -168,24 +179,24 @@ def simulated_force(
     first, step, table = simulated_table(foot.shape, float(mu))
     ratio, turn, phi = np.broadcast_arrays(np.asarray(depth) / foot.radius, descent, phi_deg)
     place = phi - first
-    unit = between_rows(table, place, _row(turn), ratio / step)
-    in_range = (place >= -BEYOND_DEG) & (place <= len(table) - 1 + BEYOND_DEG)
+    unit = between_rows(table[part], place, _row(turn), ratio / step)
+    in_range = (place >= -BEYOND_DEG) & (place <= table.shape[1] - 1 + BEYOND_DEG)
     is_in_soil = np.where(in_range, ratio > 0.0, np.nan)
-    return np.asarray(density * GRAVITY * foot.radius**3 * is_in_soil[..., None] * unit)
+    return np.asarray(density * GRAVITY * foot.radius**3 * is_in_soil * unit)
 
 
 def resistive_force(
-    foot: Foot, depth: ArrayLike, descent: ArrayLike, phi_deg: ArrayLike, density: float, mu: float
-) -> FloatArray:
+    part: int, foot: Foot, depth: ArrayLike, descent: ArrayLike, phi_deg: ArrayLike,
+    density: float, mu: float,
+) -> FloatArray:  # fmt: skip
     r"""ξ(φ, ρ) R³ T(depth/R, descent, μ_s): the faces' forces by resistive force theory.
 
     T is tabulated once for each μ_s and shape; between its nodes it is linear.
     """
     ratio, turn = np.broadcast_arrays(np.asarray(depth) / foot.radius, descent)
-    table = resistive_table(foot.shape, float(mu))
+    table = resistive_table(foot.shape, float(mu))[part]
     unit = between_rows(table, _row(turn), np.maximum(ratio, 0.0) / DEPTHS[1])
-    scale = stress_scale(from_plane_strain(phi_deg), density) * foot.radius**3
-    return np.asarray(scale[..., None] * unit[..., :2])
+    return np.asarray(stress_scale(from_plane_strain(phi_deg), density) * foot.radius**3 * unit)
 
 
 def moved_mass(
@@ -220,8 +231,8 @@ def inertial_force(
 
 
 def bearing_capacity(
-    name: str, foot: Foot, depth: ArrayLike, descent: ArrayLike, phi_deg: ArrayLike, density: float,
-    _mu: float,
+    name: str, part: int, foot: Foot, depth: ArrayLike, descent: ArrayLike, phi_deg: ArrayLike,
+    density: float, _mu: float,
 ) -> FloatArray:  # fmt: skip
     """Bearing capacity of a circular footing that stands for the foot, with one set of factors.
 
@@ -241,8 +252,7 @@ def bearing_capacity(
     deep, wide = bearing_factors(name, phi_deg, base / breadth)
     pressure = density * GRAVITY * (base * deep + 0.5 * breadth * wide)
     sinking = (np.asarray(descent) > 0.0) & (z > 0.0)
-    lift = np.where(sinking, pressure * math.pi * radius**2, 0.0)
-    return np.stack([np.zeros_like(lift), lift], axis=-1)
+    return np.where(sinking, part * pressure * math.pi * radius**2, 0.0)
 
 
 LAWS: Mapping[str, FootLaw] = {
@@ -305,7 +315,7 @@ def foot_faces(shape: str) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 @lru_cache(maxsize=64)
 def resistive_table(shape: str, mu: float) -> FloatArray:
-    """Force over ξ R³ of a foot, and moment about its center over ξ R⁴, [descent, depth, 3].
+    """Force over ξ R³ of a foot, and moment about its center over ξ R⁴, [3, descent, depth].
 
     Along the motion and up; about the level axis across the motion, left of it. The disc has none.
     """
@@ -314,14 +324,14 @@ def resistive_table(shape: str, mu: float) -> FloatArray:
     # evaluation of α for each direction serves all depths.
     height, normal, area = foot_faces(shape)
     levels, ring = np.unique(height, return_inverse=True)
-    force = np.empty((len(DESCENTS), len(DEPTHS), 3))
+    force = np.empty((3, len(DESCENTS), len(DEPTHS)))
     submerged = np.maximum(DEPTHS[:, None] - levels, 0.0)  # of each ring's centre
     for i, descent in enumerate(DESCENTS.tolist()):
         direction = np.array([math.cos(descent), 0.0, -math.sin(descent)])
         push = area * unit_stress(normal, np.broadcast_to(direction, normal.shape), mu).T
         turning = (normal[:, 2] * push[0] - normal[:, 0] * push[2]) * (shape == "ball")
-        rings = np.stack([np.bincount(ring, row) for row in (push[0], push[2], turning)], axis=-1)
-        force[i] = submerged @ rings
+        rings = np.stack([np.bincount(ring, row) for row in (push[0], push[2], turning)])
+        force[:, i] = rings @ submerged.T
     return force
 
 
@@ -346,7 +356,7 @@ def simulated_cases() -> FootCases:
 def simulated_table(shape: str, surface_friction: float) -> tuple[float, float, FloatArray]:
     """First φ [deg], step of the depth over the radius, and force over ρ g R³.
 
-    The force has the shape [φ, descent, depth, 2], with a degree from one φ to the next.
+    The force has the shape [2, φ, descent, depth], with a degree from one φ to the next.
     """
     # The cases of a shape are a full grid over friction, φ and tilt. Its φ is that of the simulated
     # soil; less the offset it is the one at which feet in loose grains agree.
@@ -355,7 +365,7 @@ def simulated_table(shape: str, surface_friction: float) -> tuple[float, float, 
     friction, angles, tilt_deg = (np.unique(column) for column in law.x[of_shape, :3].T)
     angles -= law.model_error[shape]["offset_deg"]
     counts = friction.size, angles.size, tilt_deg.size, 2, ratio.size
-    stored = law.force[of_shape].reshape(counts).swapaxes(-1, -2)
+    stored = law.force[of_shape].reshape(counts)
     low, high = friction[0] - BEYOND_FRICTION, friction[-1] + BEYOND_FRICTION
     if not low - 1e-9 <= surface_friction <= high + 1e-9:
         ends = f"law 'foot' is for {low:.2g} to {high:.2g}; law 'rft' for all"
@@ -363,38 +373,36 @@ def simulated_table(shape: str, surface_friction: float) -> tuple[float, float, 
     # Over the friction: linear, also somewhat beyond the table.
     place = (surface_friction - friction[0]) / (friction[-1] - friction[0])
     by_angle = between_rows(stored, np.asarray(place * (len(friction) - 1)))
-    # Over φ: the logarithm of the lift, and the horizontal force over it.
-    lift = np.maximum(by_angle[..., 1], 1e-12)
+    # Over φ: the logarithm of the lift, and the horizontal force over it, [φ, tilt, ratio] each.
+    along, lift = np.moveaxis(by_angle, 2, 0)
+    lift = np.maximum(lift, 1e-12)
     degrees = np.arange(angles[0], angles[-1] + 0.5)
     lift, along = (
-        _cubic_spline(angles, values, degrees) for values in (np.log(lift), by_angle[..., 0] / lift)
+        _cubic_spline(angles, values, degrees) for values in (np.log(lift), along / lift)
     )
-    force = np.stack([along * np.exp(lift), np.exp(lift)], axis=-1)  # [φ, tilt, ratio, 2]
+    force = along * np.exp(lift), np.exp(lift)
     # Over the angle from the vertical: the lift is even, the horizontal force odd. Each is the
     # polynomial through all simulated tilts, by the inverse of their matrix of powers.
     turned = np.radians(tilt_deg)
     tilt = np.minimum(0.5 * np.pi - DESCENTS, turned[-1])
     even = 2 * np.arange(len(turned))
-    table = np.stack(
-        [
-            np.einsum(
-                "dt,ptr->pdr",
-                tilt[:, None] ** powers @ np.linalg.inv(turned[first:, None] ** powers),
-                force[:, first:, :, axis],
-            )
-            for axis, first, powers in ((0, 1, 1 + even[:-1]), (1, 0, even))
-        ],
-        axis=-1,
-    )
+    table = np.stack([
+        np.einsum(
+            "dt,ptr->pdr",
+            tilt[:, None] ** powers @ np.linalg.inv(turned[first:, None] ** powers),
+            values[:, first:],
+        )
+        for values, first, powers in zip(force, (1, 0), (1 + even[:-1], even), strict=True)
+    ])  # fmt: skip
     # Nearer to the horizontal: as by resistive force theory.
     last = 0.5 * np.pi - turned[-1]
     rows, depths = np.flatnonzero(last - 1e-9 > DESCENTS), np.maximum(ratio, ratio[1]) / DEPTHS[1]
-    theory = resistive_table(shape, surface_friction)[..., :2]
-    at_descent, lowest = (
-        between_rows(theory, *np.meshgrid(_row(turn), depths, indexing="ij"))
-        for turn in (DESCENTS[rows], np.array([last]))
-    )
-    table[:, rows] *= at_descent / lowest
+    for part, theory in zip(table, resistive_table(shape, surface_friction)[:2], strict=True):
+        at_descent, lowest = (
+            between_rows(theory, *np.meshgrid(_row(turn), depths, indexing="ij"))
+            for turn in (DESCENTS[rows], np.array([last]))
+        )
+        part[:, rows] *= at_descent / lowest
     return float(angles[0]), float(ratio[1]), table
 
 

@@ -402,26 +402,25 @@ class RatioLaw(LegLaw):
         factors = {name: row.reshape(len(row), -1).T for name, row in rows.items()}
         if is_measured:
             rig = self._rig
-            rougher, higher = self.slope(x, cohesion, "rougher"), self.of_hip(x, cohesion)
+            rougher = self._slope(x, cohesion, "rougher", -0.05, 0.05)
+            higher = self.of_hip(x, cohesion)
             factors["leg friction"] = rig.leg_friction_sd * rougher
             factors["hip height"] = rig.hip_height_sd_mm * higher
         return factors
 
-    def slope(self, x: FloatArray, cohesion: float, cause: str) -> FloatArray:
+    def _slope(
+        self, x: FloatArray, cohesion: float, cause: str, below: float, above: float
+    ) -> FloatArray:
         """Change of the forces with ``rougher`` or ``higher`` of a rig, shape [2 theta, 1]."""
-        steps = {
-            "rougher": (-0.05, 0.05),
-            "higher": (-min(0.02, self._rig.ratios.hip_height), 0.02),
-        }
-        # Central differences, but that a hip cannot be below the soil.
-        below, above = steps[cause]
         phi = np.clip(x, *self.bounds)[:, None]
         ends = [self.within(phi, cohesion, **{cause: step}) for step in (below, above)]
         return np.asarray((ends[1] - ends[0]).reshape(-1, 1) / (above - below))
 
     def of_hip(self, x: FloatArray, cohesion: float) -> FloatArray:
         """Change of the forces with the height of the hip [N/mm], shape [2 theta, 1]."""
-        return self.slope(x, cohesion, "higher") / self._rig.length_mm
+        # Central differences, but that a hip cannot be below the soil.
+        below = -min(0.02, self._rig.ratios.hip_height)
+        return self._slope(x, cohesion, "higher", below, 0.02) / self._rig.length_mm
 
 
 def cells_in(scenario: Scenario | None, rig: Rig) -> float:

@@ -111,10 +111,8 @@ class Mesh:
 
     corners: FloatArray
 
-    def __init__(self, corners: Any, *former: Any) -> None:
+    def __init__(self, corners: Any) -> None:
         """Check the corners; raises InputError."""
-        if former:
-            raise InputError("Mesh takes corners alone; for points, normals and areas call wrench")
         ends: dict[str, Any] = {"low": -2.0 * LARGEST, "high": 2.0 * LARGEST, "unit": "m"}
         corners = numbers("corners", corners, last=(3,), **ends)
         if corners.ndim != 3 or corners.shape[1] != 3 or not corners.size:
@@ -506,7 +504,7 @@ def _friction(surface_friction: Any) -> float:
 def angles_deg(surface_friction: float) -> tuple[float, float]:
     """Least and largest φ of law ``foot`` [deg]; raises InputError as `simulated_table` does."""
     first, _, table = simulated_table("ball", float(surface_friction))
-    return first - BEYOND_DEG, first + len(table) - 1 + BEYOND_DEG
+    return first - BEYOND_DEG, first + table.shape[1] - 1 + BEYOND_DEG
 
 
 def _soil(
@@ -738,11 +736,11 @@ def _ratio_table(shape: str, surface_friction: float) -> tuple[float, float, Flo
     size. A drag beyond the bound of a flat face has the d/l at which that slides.
     """
     first, step, law = simulated_table(shape, surface_friction)
-    law, depths = law[:, LOWEST:], step * np.arange(law.shape[2], dtype=np.float64)
+    law, depths = law[:, :, LOWEST:], step * np.arange(law.shape[3], dtype=np.float64)
     sums = _bounded_sums(shape, surface_friction, depths)
     # Angle of the force above the level, over [descent, depth, d/l] and [φ, descent, depth]; drag
     # is negative. It falls with d/l, until all faces slide.
-    turned, wanted = (np.arctan2(each[..., 1], -each[..., 0]) for each in (sums, law))
+    turned, wanted = (np.arctan2(lift, -drag) for drag, lift in (sums, law))
     wanted = np.maximum(wanted, turned.min(axis=-1))
     # Bracket the wanted direction between two of the proportions that were summed, and interpolate.
     low = np.count_nonzero(turned > wanted[..., None] + 1e-9, axis=-1) - 1
@@ -753,18 +751,17 @@ def _ratio_table(shape: str, surface_friction: float) -> tuple[float, float, Flo
     part = np.clip((before - wanted) / np.maximum(before - after, 1e-12), 0.0, 1.0)
     part[:, -1] = part[:, -2]
     proportion = PROPORTIONS[1] * (low + part)
-    unit = sums[rows, columns, low]
-    unit = unit + part[..., None] * (sums[rows, columns, low + 1] - unit)
-    mu = np.sin(np.radians(first + np.arange(len(law))))
+    unit, above = (sums[1][rows, columns, low + i] for i in (0, 1))
+    unit = unit + part * (above - unit)
+    mu = np.sin(np.radians(first + np.arange(law.shape[1])))
     scale = scale_of_friction(mu, 1.0 / GRAVITY)[:, None, None]
-    lift = np.zeros(law.shape[:-1])
-    np.divide(law[..., 1], unit[..., 1], out=lift, where=unit[..., 1] > 0.0)
+    lift = np.divide(law[1], unit, out=np.zeros_like(unit), where=unit > 0.0)
     ratio = np.stack([proportion * lift, lift, 0.0 * lift], axis=-1) * depths[:, None]
     return first, step, ratio / scale[..., None]
 
 
 def _bounded_sums(shape: str, surface_friction: float, depths: FloatArray) -> FloatArray:
-    """Force over ξ R³ of a foot at l = 1, along the motion and up, [descent, depth, d/l, 2].
+    """Force over ξ R³ of a foot at l = 1, along the motion and up, [2, descent, depth, d/l].
 
     By resistive force theory with Coulomb's bound; the descents from :data:`LOWEST` on.
     """
@@ -772,14 +769,14 @@ def _bounded_sums(shape: str, surface_friction: float, depths: FloatArray) -> Fl
     levels, ring = np.unique(height, return_inverse=True)
     submerged = np.maximum(depths[:, None] - levels, 0.0)
     descents, of = DESCENTS[LOWEST:], for_arrays(np)
-    sums = np.empty((descents.size, depths.size, PROPORTIONS.size, 2))
+    sums = np.empty((2, descents.size, depths.size, PROPORTIONS.size))
     for i, turn in enumerate(descents.tolist()):
         direction = np.broadcast_to([math.cos(turn), 0.0, -math.sin(turn)], normal.shape)
         pushed = (area[:, None] * unit_stress(normal, direction, surface_friction, fade=FADE)).T
         for j, level in enumerate(PROPORTIONS.tolist()):
             scaled = tuple(pushed * [[level], [level], [1.0]])
             x, _, z = of.coulomb(scaled, tuple(direction.T), tuple(normal.T), surface_friction, 1.0)
-            sums[i, :, j] = submerged @ np.stack([np.bincount(ring, x), np.bincount(ring, z)]).T
+            sums[:, i, :, j] = np.stack([np.bincount(ring, x), np.bincount(ring, z)]) @ submerged.T
     return sums
 
 
@@ -787,9 +784,9 @@ def _bounded_sums(shape: str, surface_friction: float, depths: FloatArray) -> Fl
 def _foot_table(shape: str, surface_friction: float) -> tuple[float, float, FloatArray]:
     """Force of :func:`~terraphi.laws.foot.simulated_table`, and the moment over ρ g R⁴ as third."""
     first, step, law = simulated_table(shape, surface_friction)
-    places = np.indices(law.shape[1:3], dtype=np.float64) * [[[1.0]], [[step / DEPTHS[1]]]]
-    theory = between_rows(resistive_table(shape, surface_friction), *places)
+    places = np.indices(law.shape[2:], dtype=np.float64) * [[[1.0]], [[step / DEPTHS[1]]]]
+    _, lift, moment = (between_rows(t, *places) for t in resistive_table(shape, surface_friction))
     # In the lift's proportion, below the lowest direction that was simulated in that one's.
     rows = np.maximum(np.arange(len(DESCENTS)), SIMULATED)
-    lift = law[..., 1][:, rows] / np.maximum(theory[rows, :, 1], TINY)
-    return first, step, np.concatenate([law, (lift * theory[..., 2])[..., None]], axis=-1)
+    ratio = law[1][:, rows] / np.maximum(lift[rows], TINY)
+    return first, step, np.stack([*law, ratio * moment], axis=-1)

@@ -204,11 +204,11 @@ def bekker(
     """
 
     def stiffness(phi_deg: float) -> float:
-        force = LAWS["rft"].force(
+        lift = LAWS["rft"].lift(
             PLATE, SINKAGE, math.pi / 2, friction_angle_deg=phi_deg, density=density,
             surface_friction=FOOT_FRICTION.mean,
         )  # fmt: skip
-        return float(force[1] / (np.pi * PLATE.radius**2 * SINKAGE))
+        return float(lift / (np.pi * PLATE.radius**2 * SINKAGE))
 
     law = "from φ by resistive force theory of a flat plate, p = K z; Bekker_Kc is 0"
     random = np.random.default_rng(seed).uniform(size=draws_deg.size)

@@ -88,5 +88,5 @@ def _laws() -> str:
     sand = {"friction_angle_deg": 30.0, "density": DENSITY.mean,
             "surface_friction": FOOT_FRICTION.mean}  # fmt: skip
     for law, foot in itertools.product(LAWS.values(), (Foot(0.02), Foot(0.02, "disc"))):
-        law.force(foot, 0.01, 0.5 * math.pi, **sand)
+        law.lift(foot, 0.01, 0.5 * math.pi, **sand)
     return f"of legs: {', '.join(legs)}; of feet: {', '.join(LAWS)}"
