@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -26,7 +27,7 @@ from terraphi.robot.checks import faulty_spans, within
 from terraphi.robot.forces import FootForces, SensorErrors, without_broken_accelerometer
 from terraphi.robot.friction import spread
 from terraphi.robot.joint_log import JointLog, cut, joined
-from terraphi.robot.legs import rotation
+from terraphi.robot.legs import heading
 from terraphi.robot.logs.columns import Columns
 from terraphi.robot.model import Robot
 from terraphi.robot.results import RobotForces, foot_forces
@@ -333,9 +334,8 @@ def from_the_start(log: JointLog, start: JointLog) -> JointLog:
     assert log.quaternion is not None, "checked when the log was read"
     assert start.quaternion is not None, "checked when the log was read"
     early = start.time <= start.time[0] + SMOOTH_PATH_S
-    # The mean direction (x, y) of the trunk's forward axis over the ground becomes (1, 0).
-    x, y = rotation(start.quaternion[early])[:, :2, 0].mean(axis=0)
-    half = -0.5 * math.atan2(y, x)
+    # The mean direction of the trunk's forward axis over the ground becomes x.
+    half = -0.5 * cmath.phase(heading(start.quaternion[early]).mean())
     # The product of the quaternions (cos, 0, 0, sin) and (w, x, y, z) is linear in the latter.
     turn = math.cos(half) * np.eye(4) + math.sin(half) * np.diag([1, 1, -1, -1])[:, ::-1]
     return replace(log, quaternion=log.quaternion @ turn)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
@@ -33,7 +34,7 @@ from terraphi.robot.estimators import (
 )
 from terraphi.robot.friction import Survey, survey
 from terraphi.robot.joint_log import GAP_STEPS, JointLog, joint_names
-from terraphi.robot.legs import rotation
+from terraphi.robot.legs import heading, rotation
 from terraphi.robot.logs.samples import sound
 from terraphi.robot.model import Robot
 
@@ -207,7 +208,7 @@ def estimate(
         else survey(log, robot, estimator, gap, friction=moving and bool(friction))
     )  # fmt: skip
     errors = priors or SensorErrors()
-    noise, lost = _torque_noise(overview, errors)
+    variance = _torque_variance(overview, errors)
     columns: list[Any] = []
     # Parts with margins on both sides, which the filters need, are cut and joined again, in place:
     # a list of them would take twice the memory.
@@ -215,7 +216,7 @@ def estimate(
         begin = wide.start + inner.start
         values = _chunk(
             signals(log, robot, wide, moving=moving), inner, robot, estimator, overview.friction,
-            noise, lost, errors, gap=gap, frame=frame, contact_part=contact_part,
+            variance, errors, gap=gap, frame=frame, contact_part=contact_part,
         )  # fmt: skip
         columns = columns or [np.empty((len(log.time), *v.shape[1:]), v.dtype) for v in values]
         for column, value in zip(columns, values, strict=True):
@@ -232,7 +233,11 @@ def estimate(
             "robot_source": robot.source,
             "estimator": estimator,
             "frame": frame,
-            "heading_deg": _heading_deg(log),
+            "heading_deg": None
+            if log.quaternion is None
+            else math.degrees(
+                cmath.phase(heading(log.quaternion[:: max(1, len(log.time) // 10_000)]).mean())
+            ),
             "gain_per_s": OBSERVER_GAIN if moving else None,
             "priors": asdict(errors),
             "friction": None if overview.friction is None else overview.friction.summary(),
@@ -241,8 +246,8 @@ def estimate(
     )
 
 
-def _torque_noise(overview: Survey, errors: SensorErrors) -> tuple[FloatArray, FloatArray]:
-    """Torque noise of each sample, and Coulomb friction left in all [N m]; shape [foot, joint]."""
+def _torque_variance(overview: Survey, errors: SensorErrors) -> FloatArray:
+    """Variance of torques by noise and by the Coulomb friction left [N² m²], [foot, joint]."""
     # A foot that never swings is given what the others show, or else the torques' noise.
     swung = np.isfinite(overview.residual)
     usual = np.median(overview.residual[swung[:, 0]], axis=0) if swung.any() else overview.noise
@@ -250,13 +255,13 @@ def _torque_noise(overview: Survey, errors: SensorErrors) -> tuple[FloatArray, F
     # Friction that was not found shows in the torques of a foot that swings, and in their spread.
     friction = overview.friction
     shows = swung if friction is None else swung & ~friction.determined
-    return noise, np.where(shows, 0.0, errors.friction_sd(friction, noise.shape))
+    return noise**2 + np.where(shows, 0.0, errors.friction_sd(friction, noise.shape)) ** 2
 
 
 def _chunk(
     part: Signals, inner: slice, robot: Robot, estimator: Estimator,
-    friction: JointFriction | None, noise: FloatArray, lost: FloatArray, errors: SensorErrors, *,
-    gap: float, frame: Frame, contact_part: float,
+    friction: JointFriction | None, variance: FloatArray, errors: SensorErrors, *, gap: float,
+    frame: Frame, contact_part: float,
 ) -> tuple[Any, ...]:  # fmt: skip
     """Forces in a part of a log, without its margins: columns of :class:`FootForces`."""
     moving = estimator != "quasi_static"
@@ -266,7 +271,7 @@ def _chunk(
     change = np.diff(torque, axis=0)
     change[np.diff(part.time) > gap] = 0.0
     timing = np.pad(change**2 / 24.0, ((1, 1), (0, 0), (0, 0)))
-    variance = noise**2 + (timing[1:] + timing[:-1])[inner] + np.square(lost)
+    variance = variance + (timing[1:] + timing[:-1])[inner]
     torque, turn, measured = torque[inner], part.turn[inner], part.torque[inner]
     variance += np.square(errors.gain * measured)
     if friction is not None:
@@ -300,14 +305,6 @@ def _chunk(
     swing = leg_inertia(part, gap)[inner] if moving else np.zeros(len(torque))
     places = (v.astype(np.float32) for v in (part.legs.place[inner], lift_per_torque))
     return *force_sigma, near_singular, saturated, *places, swing
-
-
-def _heading_deg(log: JointLog) -> float | None:
-    """Mean direction of the trunk's x in the world [deg]; ``None`` without attitude."""
-    if log.quaternion is None:
-        return None
-    x, y = rotation(log.quaternion[:: max(1, len(log.time) // 10_000)])[:, :2, 0].mean(axis=0)
-    return math.degrees(math.atan2(y, x))
 
 
 def without_broken_accelerometer(log: JointLog) -> tuple[JointLog, list[str]]:

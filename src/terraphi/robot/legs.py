@@ -8,7 +8,7 @@ position and velocity are not needed. Everything is in the frame of the trunk.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -286,6 +286,12 @@ def rotation(quaternion: FloatArray) -> FloatArray:
     Of attitudes (w, x, y, z) of any length but zero, shape [..., 4].
     """
     return np.asarray(_attitude(quaternion).as_matrix())
+
+
+def heading(quaternion: FloatArray) -> Any:
+    """Horizontal direction of the trunk's x as a complex number x + iy, shape [...]."""
+    axis = rotation(quaternion)[..., 0]
+    return axis[..., 0] + 1j * axis[..., 1]
 
 
 def body_rate(quaternion: FloatArray, step: FloatArray) -> FloatArray:

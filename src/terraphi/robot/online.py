@@ -50,7 +50,7 @@ from terraphi.robot.estimators import MARGIN_S
 from terraphi.robot.forces import FootForces, estimate, without_broken_accelerometer
 from terraphi.robot.friction import BEARING_SHARE
 from terraphi.robot.joint_log import JointLog, arrays, cut, joined
-from terraphi.robot.legs import rotation
+from terraphi.robot.legs import heading
 from terraphi.robot.logs.samples import BACKWARDS, REPEATED, sound
 from terraphi.robot.model import Robot
 from terraphi.robot.results import RobotForces, foot_forces, left_out
@@ -676,9 +676,3 @@ class Walk:
 def _final(time: FloatArray, lag: float) -> int:
     """Number of samples that are a lag [s], and two for differences, before the end."""
     return max(int(np.searchsorted(time, time[-1] - lag)) - 2, 0)
-
-
-def heading(quaternion: FloatArray) -> Any:
-    """Horizontal direction of the trunk's x as a complex number, shape [pose]."""
-    x, y = rotation(quaternion)[:, :2, 0].T
-    return x + 1j * y

@@ -222,14 +222,11 @@ def touchdowns(
     step = float(np.median(np.diff(log.time)))
     # Force of the soil's inertia on a foot that meets it, over the square of its speed [kg/m].
     landing = float(moved_mass(Foot(robot.contact_radius), 1e-6, Prior.density)[1])
-    columns: dict[str, Any] = {}
-    for i, stance in enumerate(stances):
-        foot = robot.feet.index(stance.foot)
-        row = _touchdown(log, forces, motion, stance, foot, robot, step, landing)
-        for name, value in row.items():
-            if not i:
-                columns[name] = np.empty((len(stances), *np.shape(value)), np.asarray(value).dtype)
-            columns[name][i] = value
+    rows = [
+        _touchdown(log, forces, motion, stance, robot.feet.index(stance.foot), robot, step, landing)
+        for stance in stances
+    ]
+    columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
     columns["place"][:, 2] -= robot.foot_radius
     return Touchdowns(**columns)
 

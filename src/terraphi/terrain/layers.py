@@ -6,11 +6,11 @@ import importlib
 import math
 import os
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError, needing
@@ -61,51 +61,40 @@ def grid(walk: FootfallMap, cell: float = CELL) -> tuple[dict[str, FloatArray], 
         If there is no footfall with a place, the edge of a cell is no length, or the grid would
         have more than :data:`MOST_CELLS`.
     """
-    walk = _placed(walk)
-    if not len(walk.time):
+    table = _points(walk)
+    if not len(table):
         raise InputError("no footfall, of which layers could be made")
     if not (isinstance(cell, int | float | np.number) and 0.0 < cell < math.inf):
         raise InputError(f"cells of {cell!s:.40} m; give the length of an edge, such as {CELL:g}")
     with np.errstate(over="ignore", invalid="ignore"):
-        places = walk.place[:, :2] / cell
+        places = table[["x", "y"]].to_numpy() / cell
         size = float(np.prod(np.ptp(places, axis=0) + 1.0))
     # Beyond 2⁵³ the number of a cell is not exact.
     if not (size <= MOST_CELLS and np.abs(places).max() < 2.0**53):
-        cells = f"{size:.3g} cells of {cell:g} m"
-        raise InputError(f"{cells}, at most {MOST_CELLS:g}; give larger ones")
+        raise InputError(
+            f"{size:.3g} cells of {cell:g} m, at most {MOST_CELLS:g}; give larger ones"
+        )
     numbers = np.floor(places).astype(np.int64)
-    first = numbers.min(axis=0)
-    shape = np.ptp(numbers, axis=0) + 1
-
-    def total(values: Any) -> FloatArray:
-        sums = np.zeros(shape)
-        np.add.at(sums, tuple((numbers - first).T), values)
-        return sums
-
-    usable = walk.usable
-    fitted = np.isfinite(walk.sinkage)
-    feet, good = total(1.0), total(usable)
-    with np.errstate(invalid="ignore"):  # 0/0 in cells without a footfall
-        phi, shared = (total(np.where(usable, v, 0.0)) / good for v in (walk.phi, walk.shared_sd))
-        separate = np.sqrt(total(np.where(usable, walk.sd**2, 0.0))) / good
-        sinkage = total(np.where(fitted, walk.sinkage, 0.0)) / total(fitted)
-        values = phi, np.hypot(separate, shared), good / feet, sinkage
-    return dict(zip(LAYERS, values, strict=True)), first * cell
+    # Of angles and sinkages that are no numbers there are none; errors of their own average out.
+    feet = table.assign(variance=table["sd"] ** 2).groupby([*numbers.T])
+    means, separate = feet.mean(), np.sqrt(feet["variance"].sum()) / feet["phi"].count()
+    means["phi_sd"] = np.hypot(separate, means["shared_sd"])
+    first, last = numbers.min(axis=0), numbers.max(axis=0)
+    rows, columns = (range(low, high + 1) for low, high in zip(first, last, strict=True))
+    on_grid = {name: means[name].unstack().reindex(rows, columns=columns) for name in LAYERS}
+    return {name: values.to_numpy() for name, values in on_grid.items()}, first * cell
 
 
-def _placed(walk: FootfallMap) -> FootfallMap:
-    """The footfalls that have a place; without a fit, their sinkage is not a number."""
-    rows = np.flatnonzero(np.isfinite(walk.place).all(axis=1))
-    verdict = np.array(walk.verdict, dtype=str)
+def _points(walk: FootfallMap) -> pd.DataFrame:
+    """Place [m], layers and parts of the error of each footfall that has a place."""
+    x, y, z = walk.place.T
     # A footfall that could not be fitted has a sinkage of zero.
+    verdict = np.array(walk.verdict, dtype=str)
     unread = np.isin(verdict, (FAULTY, TORN)) | ((verdict != SHALLOW) & (walk.sinkage == 0.0))
-    sinkage = np.where(unread, np.nan, walk.sinkage)
-    columns = {name: getattr(walk, name)[rows] for name in ("time", "place", "phi", "sd")}
-    return replace(
-        walk, **columns, sinkage=sinkage[rows], shared_sd=walk.shared_sd[rows],
-        misfit=walk.misfit[rows], foot=tuple(walk.foot[row] for row in rows),
-        verdict=tuple(walk.verdict[row] for row in rows),
-    )  # fmt: skip
+    values = walk.phi, walk.absolute_sd, walk.usable, np.where(unread, np.nan, walk.sinkage)
+    columns = {"x": x, "y": y, "z": z, **dict(zip(LAYERS, values, strict=True))}
+    table = pd.DataFrame({**columns, "sd": walk.sd, "shared_sd": walk.shared_sd})
+    return table[np.isfinite(walk.place).all(axis=1)]
 
 
 def messages(
@@ -143,7 +132,6 @@ def messages(
         data = values[::-1, ::-1].astype(np.float32).ravel(order="F")
         return new("std_msgs/msg/Float32MultiArray", layout=layout, data=array(data))
 
-    walk = _placed(walk)
     seconds, rest = divmod(min(max(stamp_ns, 0), LAST_STAMP * 10**9), 10**9)
     stamp = new("builtin_interfaces/msg/Time", sec=seconds, nanosec=rest)
     frame = frame or walk.provenance.get("frame", "start")
@@ -160,11 +148,11 @@ def messages(
         GRID, header=header, info=info, layers=[*LAYERS], basic_layers=[],
         data=list(map(single, layers.values())), outer_start_index=0, inner_start_index=0,
     )  # fmt: skip
-    columns = [walk.phi, walk.absolute_sd, walk.usable, walk.sinkage]
-    points = np.column_stack([walk.place, *columns]).astype("<f4")
+    names = ["x", "y", "z", *LAYERS]
+    points = _points(walk)[names].to_numpy(dtype="<f4")
     fields = [
         new("sensor_msgs/msg/PointField", name=name, offset=4 * k, datatype=FLOAT32, count=1)
-        for k, name in enumerate(("x", "y", "z", *LAYERS))
+        for k, name in enumerate(names)
     ]
     cloud = new(
         CLOUD, header=header, height=1, width=len(points), fields=fields, is_bigendian=False,

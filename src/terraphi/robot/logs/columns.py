@@ -130,7 +130,7 @@ def read_columns(path: Path, columns: Columns | None, robot: Robot) -> dict[str,
     values: dict[str, Any] = {}
     usual = shapes(*robot.joint.shape)
     for group, shape in {"time": (), **usual}.items():
-        names = [named.time] if group == "time" else named.group(group, robot)
+        names = named.group(group, robot)
         optional = columns is None and group not in {"time", "angle", "torque"}
         if not names or (optional and not set(names) & set(header)):
             continue
