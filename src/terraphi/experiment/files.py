@@ -179,8 +179,7 @@ def atomic_files(target: Path, folder: Path, *, last: str, first: str = "") -> I
             names.sort(key=lambda name: (name == last) - (name == first))
             if in_the_way := next((n for n in names if folder.joinpath(n).is_dir()), None):
                 raise OSError(errno.EISDIR, f"{in_the_way} is a folder")
-            if names:
-                _move(names, made, folder, last)
+            _move(names, made, folder, last)
     except OSError as error:
         reason = error.strerror or error
         raise InputError(f"{target}: cannot be written ({reason}); try another place") from error
@@ -188,19 +187,18 @@ def atomic_files(target: Path, folder: Path, *, last: str, first: str = "") -> I
 
 def _move(names: list[str], made: Path, folder: Path, last: str) -> None:
     """Move all files, or leave those that were there; if killed, the last is missing."""
-    if len(names) == 1:  # a single move is whole by itself
-        made.joinpath(names[0]).replace(folder / names[0])
-        return
-    kept = Path(tempfile.mkdtemp(dir=made))
-    for name in names:
+    several = len(names) > 1  # a single move is whole by itself
+    kept = Path(tempfile.mkdtemp(dir=made)) if several else made
+    for name in names if several else ():
         if folder.joinpath(name).exists():
             shutil.copy2(folder / name, kept)
     try:
-        folder.joinpath(last).unlink(missing_ok=True)
+        if several:
+            folder.joinpath(last).unlink(missing_ok=True)
         for name in names:
             made.joinpath(name).replace(folder / name)
     except OSError:
-        for name in names:
+        for name in names if several else ():
             if kept.joinpath(name).exists():
                 kept.joinpath(name).replace(folder / name)
             elif not made.joinpath(name).exists():

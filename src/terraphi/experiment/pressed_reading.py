@@ -7,13 +7,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray
-from terraphi.experiment.reading import (
-    FEWEST_ROWS,
-    PRESSED,
-    ColumnReader,
-    Columns,
-    ForceUnit,
-)
+from terraphi.experiment.reading import FEWEST_ROWS, PRESSED, ColumnReader, Columns, ForceUnit
 
 EXCHANGED, FEWEST_EXCHANGED = 0.02, 3
 """Share of the steps, and their number, in which a body rises while its force grows, from which
@@ -99,8 +93,6 @@ def read_pressed(source: Any, area: float, columns: Any = None) -> Pressed:
     rises, yields = ((deeper * way < 0.0) & (harder * way > 0.0) for way in (1.0, -1.0))
     if rises.sum() >= max(FEWEST_EXCHANGED, EXCHANGED * rises.size, 10.0 * yields.sum()):
         contrary = f"the body rises while its force grows in {rises.sum()} of {rises.size} steps"
-        reader.refuse(
-            f"{contrary}, as if '{reader.names['sinkage'][:40]}' and '{reader.names[role][:40]}' "
-            "were exchanged; name the columns aright, or average rows if the sinkage is noisy"
-        )
+        remedy = f"check whether sinkage and {role} are exchanged, or average rows if it is noise"
+        reader.refuse(f"{contrary}; {remedy}")
     return Pressed(sinkage, force, len(full), reader.notes)

@@ -7,12 +7,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
-from terraphi.experiment.reading import (
-    WHEEL,
-    ColumnReader,
-    Columns,
-    ForceUnit,
-)
+from terraphi.experiment.reading import WHEEL, ColumnReader, Columns, ForceUnit
 
 SPEEDS = ("wheel_speed", "rotation", "travel_speed")
 """Columns from which the slip follows."""

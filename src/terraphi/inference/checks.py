@@ -322,12 +322,7 @@ def warnings(
         for i, readings in enumerate(legs):
             for sentence in misread(likelihood, i, readings, verdict):
                 yield f"{likelihood.prefix(records[i])}{sentence}"
-    if likelihood.calibration is not None:
-        yield from _other_grains(likelihood)
-        hashes = {record.readings_hash for record in records}
-        for soil in (soil for soil in likelihood.calibration.soils if soil.readings in hashes):
-            made = f"The calibration was made of these forces ({soil.source})"
-            yield f"{made}: that the angles agree shows nothing."
+    yield from _calibrated_otherwise(likelihood)
     separation_deg, theory = 0.0, ""
     if opinion and law.convention == "plane_strain":
         separation_deg = abs(opinion["median"] - phi.median)
@@ -354,10 +349,14 @@ def warnings(
     yield from notes
 
 
-def _other_grains(likelihood: Likelihood) -> Iterator[str]:
-    """Warn if the size of large grains was given for the calibration alone."""
-    assert likelihood.calibration
-    largest = max(soil.grain_size_mm for soil in likelihood.calibration.soils)
+def _calibrated_otherwise(likelihood: Likelihood) -> Iterator[str]:
+    """Warn of a calibration of these very forces, or of the size of grains given for it alone."""
+    soils = likelihood.calibration.soils if likelihood.calibration else ()
+    hashes = {record.readings_hash for record in likelihood.records}
+    for soil in (soil for soil in soils if soil.readings in hashes):
+        made = f"The calibration was made of these forces ({soil.source})"
+        yield f"{made}: that the angles agree shows nothing."
+    largest = max((soil.grain_size_mm for soil in soils), default=0.0)
     if largest >= FINE_MM and not any(r.grain_size_mm for r in likelihood.records):
         yield f"The calibration is of grains of {largest:g} mm: give --grain-size of large ones."
 

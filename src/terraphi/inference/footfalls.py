@@ -428,11 +428,10 @@ class FootfallMap(Result):
         ):
             axes.fill_between(s, phi - sd, phi + sd, color=colour, alpha=alpha, lw=0, label=label)
         axes.plot(s, phi, color="C0", lw=1.5)
-        points = self.path[:, 1:]
-        away = self.place[usable, None, :2] - points  # [foot, point, 2]
+        away = self.place[usable, None, :2] - self.path[:, 1:]  # [foot, point, 2]
         near = np.square(away).sum(axis=2).argmin(axis=1)
         # Feet tread ahead of the trunk and behind it: the path is continued along its ends.
-        heading = np.gradient(points, s, axis=0) if s.size > 1 else np.eye(1, 2)
+        heading = np.gradient(self.path[:, 1:], s, axis=0) if s.size > 1 else np.eye(1, 2)
         at = s[near] + (away[np.arange(near.size), near] * heading[near]).sum(axis=1)
         axes.errorbar(
             at, self.phi[usable], self.sd[usable], fmt="o", ms=3, lw=0.6,

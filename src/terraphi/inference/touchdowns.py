@@ -35,12 +35,7 @@ from terraphi.experiment.priors import (
     TOUCHDOWN_DEPTH_SD_M,
 )
 from terraphi.inference.estimator import Best, least_squares, weights
-from terraphi.laws.foot import (
-    LAWS,
-    Foot,
-    FootLaw,
-    inertial_force,
-)
+from terraphi.laws.foot import LAWS, Foot, FootLaw, inertial_force
 
 PHI_RANGE = (15.0, 50.0)
 """Friction angles in plane strain for which laws are evaluated [deg]: law ``foot`` has a table from

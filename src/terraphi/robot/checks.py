@@ -24,13 +24,7 @@ from terraphi.robot.forces import (
     SensorErrors,
     without_broken_accelerometer,
 )
-from terraphi.robot.friction import (
-    BEARING_SHARE,
-    GUARD_S,
-    LAG_STEP_S,
-    REVERSAL_RATE,
-    lag_and_gain,
-)
+from terraphi.robot.friction import BEARING_SHARE, GUARD_S, LAG_STEP_S, REVERSAL_RATE, lag_and_gain
 from terraphi.robot.joint_log import AVERAGE_S, JointLog, cut, joint_names
 from terraphi.robot.legs import Legs, body_rate, rotation
 from terraphi.robot.logs.samples import velocity_ratio

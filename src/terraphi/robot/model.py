@@ -299,7 +299,8 @@ def _loaded(path: Path, settings: RobotFile, toml: str = "") -> Robot:
         source=settings.source or label_of(path),
         mass=settings.mass or float(model.body_mass.sum()),
         leg_length=length,
-        armature=_armature(model, joint)
+        # None of a joint that is not there.
+        armature=np.where(there, model.dof_armature[model.jnt_dofadr[joint]], 0.0)
         if settings.armature is None
         else np.tile(settings.armature, (len(feet), 1)),
         foot_radius=float(radius[0]) if settings.foot_radius is None else settings.foot_radius,
@@ -628,11 +629,6 @@ def _limits(model: mujoco.MjModel, joint: Any) -> tuple[float, ...] | None:
     each = np.where(joint >= 0, force[joint], force[joint[:, 1:]].max(axis=1, keepdims=True))
     limits = each.min(axis=0).tolist()
     return tuple(limits) if min(limits) > 0.0 else None
-
-
-def _armature(model: mujoco.MjModel, joint: IntArray) -> FloatArray:
-    """Inertia of the rotors [kg m²], shape [foot, joint]; none of a joint that is not there."""
-    return np.where(joint >= 0, model.dof_armature[model.jnt_dofadr[joint]], 0.0)
 
 
 def _imu(model: mujoco.MjModel, data: mujoco.MjData) -> Vector:

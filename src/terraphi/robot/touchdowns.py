@@ -202,11 +202,7 @@ def sensitivity(log: JointLog, forces: FootForces, part: Any) -> FloatArray:
 
 
 def touchdowns(
-    log: JointLog,
-    forces: FootForces,
-    motion: Motion,
-    stances: Sequence[Stance],
-    robot: Robot,
+    log: JointLog, forces: FootForces, motion: Motion, stances: Sequence[Stance], robot: Robot
 ) -> Touchdowns:
     """Cut the touch-downs out of a log, one of each stance.
 
