@@ -43,13 +43,13 @@ CELL, LAYER = (20.0, 12.0, 26.0), 2.0
 Through a layer of 1.3 grains slip out of loose soils.
 """
 SMALL = 12.0, 8.0, 18.0
-"""The same of a cell under two loads."""
+"""The same of a cell under two loads, and of a tilting bed of clumps."""
 LOADS = {"shear": (1500.0, 2e-3, 1.2), "firm": (1500.0, 5e-3, 1.0), "light": (500.0, 5e-3, 1.0)}
 """Load [Pa], inertial number and shear strain of a shear cell; damp soil is under two loads."""
 ROW = 0.005
 """Shear strain of a row."""
-TILT_DEG, RATE_DEG, STEP_DEG = 14.0, 2.5, 0.25
-"""Angle at the start [deg], speed of the tilt [deg/s], and width of a row [deg]."""
+TILT_DEG, CLUMPS_TILT_DEG, RATE_DEG, STEP_DEG = 14.0, 24.0, 2.5, 0.25
+"""Angle at the start [deg], of clumps too, speed of the tilt [deg/s], and width of a row [deg]."""
 FLOWS, RUNS, RESTS = 0.01, 0.1, 0.002
 """Mean speed of the upper half that is flow, that ends the tilt, and that ends the return [m/s]."""
 SMOOTH, EARLY, BLOCKS = 0.04, 0.5, 4
@@ -135,6 +135,7 @@ run {round(strain / ROW) * every}
 def tilted(soil: engine.Soil, folder: Path, top: float) -> str:
     """Deck of a bed that is tilted until it flows, and back until it rests."""
     steps = round(STEP_DEG / RATE_DEG / soil.time_step)
+    start = CLUMPS_TILT_DEG if soil.clump else TILT_DEG
     degree = math.pi / 180.0
 
     def turn(name: str, angle: str, stop: str) -> str:
@@ -158,9 +159,9 @@ label {name}_end
 group upper region upper
 fix ground low freeze
 variable speed equal vcm(upper,x)
-variable angle equal {TILT_DEG}
+variable angle equal {start}
 fix mean all ave/time 1 {steps} {steps} v_angle v_speed file tilt.txt
-{turn("up", f"{TILT_DEG}+{STEP_DEG}*v_up", f"> {RUNS}")}variable turned equal ${{angle}}
+{turn("up", f"{start}+{STEP_DEG}*v_up", f"> {RUNS}")}variable turned equal ${{angle}}
 {turn("back", f"${{turned}}-{STEP_DEG}*v_back", f"< {RESTS}")}"""
 
 
@@ -192,7 +193,8 @@ def test(name: str, kind: str, seed: int, work: Path, out: Path) -> None:
     if path.exists():
         return
     soil = replace(run.soils()[name], diameter_mm=DIAMETER_MM)
-    cell = SMALL if kind in ("firm", "light") else CELL
+    small = kind in ("firm", "light") or (kind == "tilt" and soil.clump)
+    cell = SMALL if small else CELL
     folder = work / f"{name}_{seed}_{cell[2]:g}"
     x0, x1, y0, y1, _ = box = box_of(soil, cell)
     area = (x1 - x0) * (y1 - y0)
