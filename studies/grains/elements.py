@@ -48,8 +48,11 @@ LOADS = {"shear": (1500.0, 2e-3, 1.2), "firm": (1500.0, 5e-3, 1.0), "light": (50
 """Load [Pa], inertial number and shear strain of a shear cell; damp soil is under two loads."""
 ROW = 0.005
 """Shear strain of a row."""
-TILT_DEG, CLUMPS_TILT_DEG, RATE_DEG, STEP_DEG = 14.0, 24.0, 2.5, 0.25
-"""Angle at the start [deg], of clumps too, speed of the tilt [deg/s], and width of a row [deg]."""
+TILT_DEG, CLUMPS_TILT_DEG, LEAN = 14.0, 24.0, 10
+"""Angle at which rows begin [deg], of clumps too, and the steps in which it is reached: beds of
+clumps that are turned at once slide."""
+RATE_DEG, STEP_DEG = 2.5, 0.25
+"""Speed of the tilt [deg/s], and width of a row [deg]."""
 FLOWS, RUNS, RESTS = 0.01, 0.1, 0.002
 """Mean speed of the upper half that is flow, that ends the tilt, and that ends the return [m/s]."""
 SMOOTH, EARLY, BLOCKS = 0.04, 0.5, 4
@@ -138,9 +141,9 @@ def tilted(soil: engine.Soil, folder: Path, top: float) -> str:
     start = CLUMPS_TILT_DEG if soil.clump else TILT_DEG
     degree = math.pi / 180.0
 
-    def turn(name: str, angle: str, stop: str) -> str:
+    def turn(name: str, angle: str, stop: str, most: int = 400) -> str:
         """Loop over angles, one run at each, until the speed passes a limit."""
-        return f"""variable {name} loop 400
+        return f"""variable {name} loop {most}
 label {name}
 variable angle equal {angle}
 variable along equal sin({degree:.9f}*v_angle)
@@ -159,7 +162,7 @@ label {name}_end
 group upper region upper
 fix ground low freeze
 variable speed equal vcm(upper,x)
-variable angle equal {start}
+{turn("lean", f"{start / LEAN}*v_lean", "> 1e9", LEAN)}\
 fix mean all ave/time 1 {steps} {steps} v_angle v_speed file tilt.txt
 {turn("up", f"{start}+{STEP_DEG}*v_up", f"> {RUNS}")}variable turned equal ${{angle}}
 {turn("back", f"${{turned}}-{STEP_DEG}*v_back", f"< {RESTS}")}"""
