@@ -25,7 +25,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
 
 from terraphi.terrain.field import STEEPEST, to_logit  # noqa: E402
 from terraphi.terrain.inputs import Start, read_elevation, read_points  # noqa: E402
-from terraphi.terrain.map import map_slopes  # noqa: E402
+from terraphi.terrain.map import in_words, map_slopes  # noqa: E402
 
 DRY = ("cohesion_Pa=0", "root_cohesion_Pa=0", "wetness=0")
 
@@ -338,9 +338,8 @@ def test_landlab_has_the_same_slope_with_its_own_triangle() -> None:
     depth = rng.triangular(0.7, 1.0, 1.1, 100_000)
     still = np.zeros_like(depth)
     sample = Sample(still, 2500.0 / (2000.0 * 9.81 * depth), still, still + 0.5)
-    a, b = sample.terms(np.radians([slope]))
     phi = rng.triangular(0.82 * mode, mode, 1.32 * mode, depth.size)
-    ours = (a[0] + b[0] * np.tan(np.radians(phi)) < 1.0).mean()
+    ours = (to_logit(phi) < sample.critical(np.radians([slope]))[0]).mean()
     assert 0.1 < ours < 0.8
     assert grid.at_node["landslide__probability_of_failure"][node] == pytest.approx(ours, abs=0.03)
 
@@ -360,6 +359,9 @@ def test_the_command_writes_maps_that_open(terraphi, hill, points, tmp_path) -> 
     assert ran.status == 0, ran.err
     summary = json.loads(ran.out)
     assert summary == json.loads((tmp_path / "maps" / "map.json").read_text())
+    guessed = in_words(summary)[-1]
+    assert "depth_m" in guessed
+    assert "wetness" not in guessed  # which is the raster's
     assert summary["points_used"] == 12
     assert summary["field"]["covariates"] == ["elevation", "slope", "burn"]
     with rasterio.open(tmp_path / "maps" / "p_unstable.tif") as file:

@@ -166,8 +166,7 @@ def read_elevation(path: Path) -> Elevation:
     if abs(factor - 1.0) > 1e-9:
         raise InputError(f"{path}: its coordinates are in {name}; {metres}")
     if raster.unit.lower() not in METRES:
-        unit = f"{raster.unit}, expected metres; convert them"
-        raise InputError(f"{path}: its elevations are in {unit}")
+        raise InputError(f"{path}: elevations are in {raster.unit}, expected metres; convert them")
     a, b, c, d, e, f = tuple(raster.transform)[:6]
     if b or d or a <= 0.0 or abs(a + e) > 1e-6 * a:
         north_up = "squares with north up; resample it, as with gdalwarp -tr"

@@ -337,8 +337,7 @@ class Terrain(NamedTuple):
         if wetness is not None:
             wet = inputs.read_layer(path_of("wetness", wetness), ground, points)
             if not 0.0 <= wet.low <= wet.high <= 1.0:
-                between = f"values from {wet.low:g} to {wet.high:g}, expected 0 to 1"
-                raise InputError(f"{wetness}: {between}")
+                raise InputError(f"{wetness}: has {wet.low:g} to {wet.high:g}, expected 0 to 1")
             read_wetness = wet.read
         terrain = cls(ground, points, names, layers, read_wetness)
         sums = np.zeros((3, len(names)))
@@ -521,7 +520,8 @@ def in_words(summary: Mapping[str, Any]) -> list[str]:
     if slope > STEEP_DEG:
         sentences.append("Such steep terrain is rare: check that the elevations are in metres.")
     usual = slopes.priors_of(())
-    guessed = [key for key, prior in summary["priors"].items() if prior == usual[key]]
+    read = {"wetness"} if summary["wetness"] != "prior" else set()
+    guessed = [k for k, prior in summary["priors"].items() if prior == usual[k] and k not in read]
     if guessed:
         sentences.append(f"Not measured, wide default priors: {', '.join(guessed)}.")
     return sentences

@@ -36,7 +36,6 @@ from terraphi.experiment.errors import InputError, nearest, needing
 from terraphi.experiment.files import plain_number, read_text
 from terraphi.experiment.priors import FOOT_FRICTION
 from terraphi.experiment.units import GRAVITY
-from terraphi.inference.records import density_with_sd
 from terraphi.laws.foot import LAWS, Foot
 from terraphi.laws.wrench import Mesh, angles_deg, force
 from terraphi.terrain.export import bed_of, described, file_for, interval_in_words, write
@@ -617,12 +616,7 @@ def tune(
     if name not in ENGINES:
         raise InputError(f"cannot press with '{name}'; {nearest(name, ENGINES)}")
     path, to, is_newton = file_for(out, name), simulator(name), name != "genesis"
-    ground = soil(phi, anyway=anyway)
-    if density is not None:
-        mean, sd = density_with_sd(density, "tune")
-        ground = replace(
-            ground, density=mean, density_sd=sd, density_assumed=False, correlation=0.0
-        )
+    ground = soil(phi, density=density, anyway=anyway)
     sole = Sole.of(foot)
     depth = 0.5 * sole.radius if depth is None else depth
     press = Press(sole, voxel, depth, ground.density, surface_friction, time_step, seed=seed)
@@ -764,10 +758,9 @@ def _turned(foot: Foot) -> tuple[FloatArray, IntArray]:
     x, y = far[:, None] * np.cos(around), far[:, None] * np.sin(around)
     points = np.stack([x, y, np.broadcast_to(height[:, None], x.shape)], axis=-1).reshape(-1, 3)
     points = foot.radius * np.unique(points.round(12), axis=0)
-    hull = ConvexHull(points)
-    faces, outward = hull.simplices.astype(np.int64), hull.equations[:, :3]
-    a, b, c = points[faces].swapaxes(0, 1)
-    inward = np.einsum("fi,fi->f", np.cross(b - a, c - a), outward) < 0.0
+    faces = ConvexHull(points).simplices.astype(np.int64)
+    # Six times the volume of the tetrahedron from the middle to a face, by its sense.
+    inward = np.linalg.det((points - points.mean(axis=0))[faces]) < 0.0
     faces[inward] = faces[inward, ::-1]
     return points, faces
 
