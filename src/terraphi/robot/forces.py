@@ -32,7 +32,7 @@ from terraphi.robot.estimators import (
     signals,
     upward,
 )
-from terraphi.robot.friction import Survey, survey
+from terraphi.robot.friction import survey
 from terraphi.robot.joint_log import GAP_STEPS, JointLog, joint_names
 from terraphi.robot.legs import heading, rotation
 from terraphi.robot.logs.samples import sound
@@ -203,20 +203,20 @@ def estimate(
     gap = GAP_STEPS * float(np.median(np.diff(log.time))) if len(log.time) > 1 else math.inf
     moving = estimator != "quasi_static"
     nothing = np.zeros(robot.joint.shape)
-    overview = (
-        Survey(preset, nothing, nothing) if preset
+    lost, residual, noise = (
+        (preset, nothing, nothing) if preset
         else survey(log, robot, estimator, gap, friction=moving and bool(friction))
     )  # fmt: skip
     errors = priors or SensorErrors()
-    variance = _torque_variance(overview, errors)
+    variance = _torque_variance(lost, residual, noise, errors)
     columns: list[Any] = []
     # Parts with margins on both sides, which the filters need, are cut and joined again, in place:
     # a list of them would take twice the memory.
     for wide, inner in chunks(log.time):
         begin = wide.start + inner.start
         values = _chunk(
-            signals(log, robot, wide, moving=moving), inner, robot, estimator, overview.friction,
-            variance, errors, gap=gap, frame=frame, contact_part=contact_part,
+            signals(log, robot, wide, moving=moving), inner, robot, estimator, lost, variance,
+            errors, gap=gap, frame=frame, contact_part=contact_part,
         )  # fmt: skip
         columns = columns or [np.empty((len(log.time), *v.shape[1:]), v.dtype) for v in values]
         for column, value in zip(columns, values, strict=True):
@@ -227,7 +227,7 @@ def estimate(
         **dict(zip(fields, columns, strict=True)),
         estimator=estimator,
         frame=frame,
-        friction=overview.friction,
+        friction=lost,
         provenance={
             "robot": robot.name,
             "robot_source": robot.source,
@@ -240,20 +240,21 @@ def estimate(
             ),
             "gain_per_s": OBSERVER_GAIN if moving else None,
             "priors": asdict(errors),
-            "friction": None if overview.friction is None else overview.friction.summary(),
-            "assumed": _assumed(log, robot, overview, broken),
+            "friction": None if lost is None else lost.summary(),
+            "assumed": _assumed(log, robot, lost, broken),
         },
     )
 
 
-def _torque_variance(overview: Survey, errors: SensorErrors) -> FloatArray:
+def _torque_variance(
+    friction: JointFriction | None, residual: FloatArray, noise: FloatArray, errors: SensorErrors
+) -> FloatArray:
     """Variance of torques by noise and by the Coulomb friction left [N² m²], [foot, joint]."""
     # A foot that never swings is given what the others show, or else the torques' noise.
-    swung = np.isfinite(overview.residual)
-    usual = np.median(overview.residual[swung[:, 0]], axis=0) if swung.any() else overview.noise
-    noise = np.where(swung, overview.residual, usual)
+    swung = np.isfinite(residual)
+    usual = np.median(residual[swung[:, 0]], axis=0) if swung.any() else noise
+    noise = np.where(swung, residual, usual)
     # Friction that was not found shows in the torques of a foot that swings, and in their spread.
-    friction = overview.friction
     shows = swung if friction is None else swung & ~friction.determined
     return noise**2 + np.where(shows, 0.0, errors.friction_sd(friction, noise.shape)) ** 2
 
@@ -325,7 +326,9 @@ def without_broken_accelerometer(log: JointLog) -> tuple[JointLog, list[str]]:
     ]
 
 
-def _assumed(log: JointLog, robot: Robot, overview: Survey, broken: list[str]) -> list[str]:
+def _assumed(
+    log: JointLog, robot: Robot, lost: JointFriction | None, broken: list[str]
+) -> list[str]:
     """Sentences about assumptions in the place of what the log lacks."""
     lacking = {
         "no attitude: gravity is assumed along the body's z": log.quaternion is None,
@@ -336,7 +339,6 @@ def _assumed(log: JointLog, robot: Robot, overview: Survey, broken: list[str]) -
         ),
     }
     assumed = [*broken, *(text for text, lacks in lacking.items() if lacks)]
-    lost = overview.friction
     if lost is not None and not (lost.determined | ~robot.there).all():
         unknown = joint_names(~lost.determined & robot.there, robot.legs)
         whose = ", ".join(unknown) if lost.determined.any() else "any joint"

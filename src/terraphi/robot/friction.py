@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -294,25 +294,6 @@ def robust_slope(x: FloatArray, axes: FloatArray, y: FloatArray) -> tuple[float,
     return float(numbers[0]), factor * math.sqrt(square / left) / inside
 
 
-class Survey(NamedTuple):
-    """Joint friction and noise of the torques of a log.
-
-    Attributes
-    ----------
-    friction
-        Of the joints; ``None`` if it is not taken off.
-    residual
-        Spread of contact torques in swing, where the truth is zero [N m], shape [foot, joint];
-        NaN for feet that did not swing.
-    noise
-        Standard deviation of torques from one sample to the next [N m], shape [foot, joint].
-    """
-
-    friction: JointFriction | None
-    residual: FloatArray
-    noise: FloatArray
-
-
 def in_swing(
     part: Signals, inner: slice, lift: FloatArray, robot: Robot, share: float
 ) -> BoolArray:
@@ -328,7 +309,7 @@ def in_swing(
 
 def survey(
     log: JointLog, robot: Robot, estimator: Estimator, gap: float, *, friction: bool
-) -> Survey:
+) -> tuple[JointFriction | None, FloatArray, FloatArray]:
     """Find friction and noise of the torques from windows spread over a log.
 
     Parameters
@@ -339,6 +320,16 @@ def survey(
         Of :func:`~terraphi.robot.estimators.contact_torque`, whose residual in swing is returned.
     friction
         Take the joints' friction off.
+
+    Returns
+    -------
+    JointFriction or None
+        Of the joints; ``None`` if it is not taken off.
+    residual
+        Spread of contact torques in swing, where the truth is zero [N m], shape [foot, joint];
+        NaN for feet that did not swing.
+    noise
+        Standard deviation of torques from one sample to the next [N m], shape [foot, joint].
     """
     parts = list(chunks(log.time))
     numbers = np.unique(np.linspace(0, len(parts) - 1, min(len(parts), SURVEY // CHUNK + 1)))
@@ -375,4 +366,4 @@ def survey(
     steps = np.concatenate([np.diff(part.torque, axis=0) for part, _ in windows])
     # Second differences, to which the motion hardly contributes.
     noise = np.nan_to_num(spread(np.diff(steps, axis=0)) / np.sqrt(6.0))
-    return Survey(kept, residual, noise)
+    return kept, residual, noise

@@ -27,7 +27,7 @@ from terraphi.robot.logs import read_log
 from terraphi.robot.logs.columns import Columns
 from terraphi.robot.logs.samples import UNEVEN, describe, refuse_if_hopeless, sound
 from terraphi.robot.model import Robot
-from terraphi.robot.stance import AXES, HELD_S, Ensemble, Stance, find_stances
+from terraphi.robot.stance import AXES, HELD_S, PARTS, Ensemble, Stance, find_stances
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -165,7 +165,7 @@ class RobotForces(Written):
     def _variables(self) -> dict[str, Any]:
         forces, stances, feet = self.forces, self.stances, self.feet.values()
         return {
-            "time": forces.time, "foot": self.robot.feet, "axis": AXES, "part": self.pooled.part,
+            "time": forces.time, "foot": self.robot.feet, "axis": AXES, "part": PARTS,
             "force": forces.force, "sigma": forces.sigma,
             "flagged": forces.flagged.astype(np.int8),
             "saturated": forces.saturated.astype(np.int8),
@@ -276,12 +276,12 @@ def foot_forces(
     >>> forces.pooled.count, len(forces.summary()["feet"])
     (30, 4)
     """
-    if not isinstance(log, JointLog | str | Path):
-        raise InputError(f"log of type {type(log).__name__}; give the path of a file or folder")
-    body = Robot.load(robot)
-    source = "" if isinstance(log, JointLog) else label_of(log)
-    if not isinstance(log, JointLog):
+    body, source = Robot.load(robot), ""
+    if isinstance(log, str | Path):
+        source = label_of(log)
         log = read_log(log, robot=body, topic=topic, joint_names=joint_names, columns=columns)
+    elif not isinstance(log, JointLog):
+        raise InputError(f"log of type {type(log).__name__}; give the path of a file or folder")
     log, dropped = sound(log)
     refuse_if_hopeless(source or "the log", dropped, len(log.time))
     if abs(lag_s) > MOST_LAG_S:

@@ -21,8 +21,8 @@ from terraphi.robot.joint_log import FEET
 Forces = FloatArray | NDArray[np.float32]
 
 AXES = ("x", "y", "z")
-POINTS = 101
-"""Points of normalised time at which stances are averaged."""
+PARTS = np.linspace(0.0, 1.0, 101)
+"""Normalised times at which stances are averaged, from touch-down to lift-off [-]."""
 
 
 RISE_PART = 0.35
@@ -89,8 +89,6 @@ class Ensemble:
 
     Attributes
     ----------
-    part
-        Normalised time from 0 at touch-down to 1 at lift-off [-], shape [point].
     mean, spread
         Mean force and its standard deviation among the stances [N], shape [point, axis];
         not a number where there are no stances.
@@ -100,7 +98,6 @@ class Ensemble:
         Their mean duration [s]; not a number where there are none.
     """
 
-    part: FloatArray
     mean: FloatArray
     spread: FloatArray
     count: int
@@ -109,18 +106,17 @@ class Ensemble:
     @classmethod
     def of(cls, stances: Sequence[Stance]) -> Ensemble:
         """Average stances, none or more."""
-        part = np.linspace(0.0, 1.0, POINTS)
         if not stances:
-            empty = np.full((POINTS, len(AXES)), np.nan)
-            return cls(part, empty, empty, 0, float("nan"))
+            empty = np.full((PARTS.size, len(AXES)), np.nan)
+            return cls(empty, empty, 0, float("nan"))
         # Each stance by 101 points of its own duration, so that short and long ones are averaged.
         each = [
-            [np.interp(s.begin + part * s.duration, s.time, f) for f in s.force.T] for s in stances
+            [np.interp(s.begin + PARTS * s.duration, s.time, f) for f in s.force.T] for s in stances
         ]
         courses = np.swapaxes(each, 1, 2)
         spread = courses.std(axis=0, ddof=1) if len(stances) > 1 else np.zeros(courses.shape[1:])
         duration = float(np.mean([stance.duration for stance in stances]))
-        return cls(part, courses.mean(axis=0), spread, len(stances), duration)
+        return cls(courses.mean(axis=0), spread, len(stances), duration)
 
     def peak(self, axis: str) -> float | None:
         """Largest force of the mean stance along an axis, signed [N]; None without stances."""
