@@ -6,11 +6,13 @@ import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from terraphi.experiment.documents import DATA
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
 from terraphi.experiment.measurements import measurement, names
@@ -25,6 +27,8 @@ from terraphi.inference.records import open_record
 from terraphi.laws.legs import Legs, shipped_legs
 from terraphi.laws.model_error import FINE_MM, ModelError
 from terraphi.laws.store import PHI, Library
+
+EXAMPLES = DATA / "examples"
 
 
 @pytest.mark.parametrize(
@@ -299,9 +303,17 @@ def test_many_keeps_the_order_and_the_errors() -> None:
     assert isinstance(error, InputError)
 
 
-def test_a_record_is_no_repeat_of_itself() -> None:
+@pytest.mark.parametrize("forces", [
+    "li2013:glass03_loose/straight", EXAMPLES / "plate.csv", EXAMPLES / "wheel.csv",
+])  # fmt: skip
+def test_a_record_is_no_repeat_of_itself(forces: Any) -> None:
+    tools = {"plate": "plate:60", "wheel": "wheel:314.7x165"}
+    body = tools.get(Path(forces).stem)
     with pytest.raises(InputError, match="a repeat is another stroke"):
-        calibrate(["li2013:glass03_loose/straight"] * 2, 25.0, 1.0)
+        invert([forces, forces] if body is None else [(forces, body)] * 2, density=1500.0)
+    if body is None:
+        with pytest.raises(InputError, match="a repeat is another stroke"):
+            calibrate([forces, forces], 25.0, 1.0)
 
 
 def test_an_answer_of_a_record_of_the_calibration_says_so(tmp_path: Path) -> None:
@@ -473,7 +485,7 @@ def test_the_cohesion_of_a_simulated_soil_is_known() -> None:
     with pytest.raises(InputError, match="400 Pa"):
         invert(simulated(400.0), density=900.0)
     with pytest.raises(InputError, match="not one soil"):
-        invert([simulated(150.0), simulated(100.0)])
+        invert([simulated(150.0), simulated(100.0).scaled(1.01)])
 
 
 def test_simulations_of_other_physics_are_refused_by_the_law_of_legs() -> None:

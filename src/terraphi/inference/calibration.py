@@ -295,13 +295,8 @@ def calibrate(
     if len(records) < len(opened):
         raise InputError("calibrate takes forces on legs; leave out those on tools")
     leg_law, _ = law_for(records, law)
-    truth, soils = (phi_deg, phi_sd_deg, soil_name(soil)), []
-    for i, record in enumerate(records):
-        for earlier in records[:i]:
-            if record.rig == earlier.rig and record.readings_hash == earlier.readings_hash:
-                same = f"{record.source}: has the forces of {earlier.source}"
-                raise InputError(f"{same}; a repeat is another stroke")
-        soils.append(_calibration_soil(record, leg_law, *truth))
+    truth = phi_deg, phi_sd_deg, soil_name(soil)
+    soils = [_calibration_soil(record, leg_law, *truth) for record in records]
     return Calibration(library=leg_law.name, library_hash=leg_law.hash, soils=soils)
 
 

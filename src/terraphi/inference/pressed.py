@@ -9,6 +9,7 @@ large A have an offset and a standard deviation of their own, learned from one s
 
 from __future__ import annotations
 
+import hashlib
 import importlib.metadata
 import math
 import time
@@ -126,6 +127,12 @@ class PressedRecord(InSoil):
     density_sd_kg_m3: float = 0.0
     grain_size_mm: float = 0.0
 
+    @property
+    def readings_hash(self) -> str:
+        """Hash of its readings, by which a record is recognized."""
+        values = b"".join(value.tobytes() for value in self.table.values.values())
+        return hashlib.sha256(values).hexdigest()[:16]
+
 
 def tool_answer(
     record: PressedRecord, law: str, began: float, *, is_default: bool, judgment: Judgment,
@@ -176,12 +183,9 @@ def tool_fit(
 
 
 def open_pressed(
-    source: Any,
-    tool: Tool,
-    columns: Any,
-    density: float | str | None = None,
+    source: Any, tool: Tool, columns: Any, density: float | str | None = None,
     grain_size_mm: float | None = None,
-) -> PressedRecord:
+) -> PressedRecord:  # fmt: skip
     """Open a table of sinkage and force; raises InputError if it cannot be used."""
     table = (
         read_pressed(source, math.pi * tool.radius**2, columns) if tool.shape.foot

@@ -16,6 +16,7 @@ R y, and averaged in the same windows:
 from __future__ import annotations
 
 import hashlib
+import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -322,18 +323,22 @@ def open_records(
     records: list[Record | PressedRecord] = []
     for source, body in sources:
         if isinstance(body, Tool):
-            given = {name: options.get(name) for name in ("density", "grain_size_mm")}
             from terraphi.inference.pressed import open_pressed
 
+            given = {name: options.get(name) for name in ("density", "grain_size_mm")}
             of_tool = None if has_leg else columns
-            records.append(open_pressed(source, body.on(friction), of_tool, **given))
-            continue
-        if isinstance(body, str) and body in OUTLINES:
-            apparatus = {"leg": body, "rig": rig}
+            opened: list[Any] = [open_pressed(source, body.on(friction), of_tool, **given)]
         else:
             apparatus = {"leg": leg, "rig": rig} if body is None else {"leg": None, "rig": body}
-        measurements = _measurements(source, tared(columns, **apparatus))
-        records += [record_of(item, **apparatus, **options) for item in measurements]
+            if isinstance(body, str) and body in OUTLINES:
+                apparatus = {"leg": body, "rig": rig}
+            measurements = _measurements(source, tared(columns, **apparatus))
+            opened = [record_of(item, **apparatus, **options) for item in measurements]
+        for record, other in itertools.product(opened, records):
+            if record.rig == other.rig and record.readings_hash == other.readings_hash:
+                same = f"{record.source}: has the readings of {other.source}"
+                raise InputError(f"{same}; leave one out, a repeat is another stroke")
+        records += opened
     return records
 
 
