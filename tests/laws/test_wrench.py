@@ -587,7 +587,7 @@ def test_other_arrays_have_the_forces_of_numpy(foot: Any, library: str) -> None:
         ({"phi_deg": 60.0}, r"phi_deg = 60: 14 to 55 deg in plane strain"),
         ({"pose": np.full((2, 3), [[0.0], [math.nan]])}, r"pose\[1, 0\] = nan"),
         ({"pose": np.zeros(4)}, "the last axis is 3 or 7"),
-        ({"surface_friction": np.array([0.3, 0.4])}, "surface_friction has several values"),
+        ({"surface_friction": np.array([0.3, 0.4])}, "surface_friction is an array; give a number"),
         ({"pose": np.array([0, 0, 0, 0, 0, 0, 0.0])}, "length of the quaternion"),
         ({"held": (np.zeros(3), np.zeros(3))}, "as step"),
         ({"foot": 0.022}, "foot of type float"),

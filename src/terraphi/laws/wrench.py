@@ -488,17 +488,14 @@ def _each(
 
 def _friction(surface_friction: Any) -> float:
     """The friction of all feet [-]; raises InputError."""
-    ends = LIMITS["leg.friction"][:2]
-    values = numbers("surface_friction", surface_friction, low=ends[0], high=ends[1])
+    low, high, _ = LIMITS["leg.friction"]
+    if np.shape(surface_friction):
+        raise InputError("surface_friction is an array; give a number, and call once for each")
+    value = numbers("surface_friction", surface_friction, low=low, high=high)
     try:
-        flat = namespace(values).reshape(values, (-1,))
-        friction = float(flat[0])
-        several = bool(namespace(values).any(flat != friction))
-    except (TypeError, IndexError):
-        raise InputError("surface_friction is traced or empty; give a number") from None
-    if several:
-        raise InputError("surface_friction has several values; give one, and call once for each")
-    return friction
+        return float(value)
+    except TypeError:
+        raise InputError("surface_friction is traced; give a number") from None
 
 
 def angles_deg(surface_friction: float) -> tuple[float, float]:
