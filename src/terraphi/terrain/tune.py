@@ -581,9 +581,9 @@ def tune(
         φ of the soil in plane strain [deg] as ``"33±2"``, or the name of a soil or an answer (see
         :func:`~terraphi.terrain.soils.soil`).
     density
-        Bulk density [kg/m³], as ``1600`` (± 5 %) or ``"1600±40"``; by default that of the soil.
-        Its error is in the interval of Genesis; Newton's force is in proportion to the density, as
-        the soil's.
+        Bulk density [kg/m³], as ``1600`` (± 5 %) or ``"1600±40"``; by default that of the soil. An
+        answer has its own. Its error is in the interval of Genesis; Newton's force is in proportion
+        to the density, as the soil's.
     surface_friction
         Coulomb coefficient between foot and soil [-], also given to the simulator.
     depth
