@@ -178,7 +178,7 @@ def _merged(answers: Sequence[Answer], weight: FloatArray, **values: Any) -> Ans
         law_reason=first.law_reason if len(laws) == 1 else "",
         second_opinion=None,
         phi_of_force_deg=_phi_of_force(answers, weight),
-        phi_if_damp_deg=_phi_if_damp(answers, weight),
+        phi_if_damp_deg=_joint_angle([a.phi_if_damp_deg for a in answers], weight),
         offset_causes_deg=_joint_causes(answers, weight),
         leg_friction=frictions[0] if len({*frictions}) == 1 else None,
         cohesion_pa=cohesions[0] if len({*cohesions}) == 1 else None,
@@ -220,11 +220,6 @@ def _phi_of_force(answers: Sequence[Answer], weight: FloatArray) -> dict[str, fl
         angles = [(a.phi_of_force_deg or {key: a.phi.median})[key] for a in answers]
         scaled[key] = _joint_angle(angles, weight)
     return scaled
-
-
-def _phi_if_damp(answers: Sequence[Answer], weight: FloatArray) -> float | None:
-    """φ by damp soil [deg], where all answers have that; those of tools have none."""
-    return _joint_angle([answer.phi_if_damp_deg for answer in answers], weight)
 
 
 def _joint_angle(angles: Sequence[float | None], weight: FloatArray) -> float | None:

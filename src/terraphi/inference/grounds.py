@@ -64,10 +64,6 @@ def _contact(foot: Foot, depth: FloatArray) -> FloatArray:
     return 9.0 * UNITS["clay"] * math.pi * cap * (2.0 * foot.radius - cap)
 
 
-def _linear(_foot: Foot, depth: FloatArray) -> FloatArray:
-    return UNITS["layer"] * depth
-
-
 def _rival(name: str, unit: Callable[[Foot, FloatArray], FloatArray]) -> FootLaw:
     def force(
         part: int, foot: Foot, depth: ArrayLike, _descent: ArrayLike, phi_deg: ArrayLike, *_: float
@@ -83,7 +79,9 @@ def strength(phi_deg: ArrayLike) -> FloatArray:
     return np.asarray(np.exp((np.asarray(phi_deg) - MEAN_DEG) / FOLD_DEG))
 
 
-RIVALS = {"clay": _rival("clay", _contact), "layer": _rival("layer", _linear)}
+RIVALS = {
+    "clay": _rival("clay", _contact), "layer": _rival("layer", lambda _, z: UNITS["layer"] * z),
+}  # fmt: skip
 
 
 def slow(touchdowns: Touchdowns, prior: Prior) -> Touchdowns:
