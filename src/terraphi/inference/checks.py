@@ -353,9 +353,8 @@ def _calibrated_otherwise(likelihood: Likelihood) -> Iterator[str]:
     """Warn of a calibration of these very forces, or of the size of grains given for it alone."""
     soils = likelihood.calibration.soils if likelihood.calibration else ()
     hashes = {record.readings_hash for record in likelihood.records}
-    for soil in (soil for soil in soils if soil.readings in hashes):
-        made = f"The calibration was made of these forces ({soil.source})"
-        yield f"{made}: that the angles agree shows nothing."
+    yield from (f"The calibration was made of this record, {soil.source}: agreement shows nothing."
+                for soil in soils if soil.readings in hashes)  # fmt: skip
     largest = max((soil.grain_size_mm for soil in soils), default=0.0)
     if largest >= FINE_MM and not any(r.grain_size_mm for r in likelihood.records):
         yield f"The calibration is of grains of {largest:g} mm: give --grain-size of large ones."
