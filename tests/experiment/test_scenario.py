@@ -168,7 +168,7 @@ def test_whatever_bears_on_the_result_is_part_of_the_hash() -> None:
     low = {"kind": "translation", "start": [0.15, 0.26], "velocity": [0, -0.1], "distance": 0.02}
     of_plane: dict[str, Any] = {
         "soil.density": 1651.0, "soil.k0": 0.5, "leg.friction": 0.3, "leg.shape": "c",
-        "motion.rate_profile": [[-135.0, 0.2], [135.0, 0.2]], "motion.hip.1": 0.191,
+        "motion.rate": 0.3, "motion.hip.1": 0.191,
         "motion": low, "bed.soil_left": 0.03, "relief.enabled": False, "numerics.seed": 1,
         **{key: OTHER[key] for key in ONLY_IN[2] if key != "relief.enabled"},
     }  # fmt: skip

@@ -5,7 +5,6 @@ A motion maps time to poses, and cuts its path into the bins over which forces a
 
 from __future__ import annotations
 
-import itertools
 import math
 from typing import Annotated, ClassVar, Literal, NamedTuple, Self
 
@@ -41,7 +40,7 @@ def placed(points: FloatArray, hip: FloatArray, theta: FloatArray) -> FloatArray
 
 
 class Rotation(Strict):
-    """Rotation about a fixed hip, at a constant rate or along a profile ω(θ).
+    """Rotation about a fixed hip, at a constant rate.
 
     Examples
     --------
@@ -63,47 +62,27 @@ class Rotation(Strict):
     stop_deg: float = 135.0
     """Last leg angle [deg]."""
     rate: float = Field(0.2, gt=0)
-    """Constant angular rate ω [rad/s]; not used if ``rate_profile`` is given."""
-    rate_profile: tuple[tuple[float, Annotated[float, Field(gt=0)]], ...] | None = None
-    """Knots (θ [deg], ω [rad/s]) of a rate that is linear between them and constant outside."""
+    """Angular rate ω [rad/s]."""
+    rate_profile: None = None
+    """Not used; files of earlier versions name it."""
 
     @model_validator(mode="after")
     def _turns_forward(self) -> Self:
         if not self.start_deg < self.stop_deg:
             ends = f"start_deg = {self.start_deg:g} must be below stop_deg = {self.stop_deg:g}"
             raise ValueError(ends)
-        if self.rate_profile is not None:
-            angles = [angle for angle, _ in self.rate_profile]
-            if len(angles) < 2 or any(b <= a for a, b in itertools.pairwise(angles)):
-                raise ValueError("rate_profile needs two or more knots of increasing angle")
         return self
 
-    def _knots(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Angles [rad], rates [rad/s] and times [s] of a profile that spans start to stop exactly.
-
-        The time is ∫dθ/ω, exact for a rate linear in θ.
-        """
-        start, stop = self.span
-        angle, rate = np.array(self.rate_profile or [(self.start_deg, self.rate)]).T
-        angle = np.radians(angle)
-        theta = np.concatenate([[start], angle[(angle > start) & (angle < stop)], [stop]])
-        omega = np.interp(theta, angle, rate)
-        step, change = np.diff(theta), np.diff(omega)
-        flat = change == 0.0
-        slope = np.where(flat, 1.0, change / step)
-        with np.errstate(over="ignore"):  # as slow a motion has no end
-            spans = np.where(flat, step / omega[:-1], np.log1p(change / omega[:-1]) / slope)
-        return theta, omega, np.concatenate([[0.0], np.cumsum(spans)])
+    @property
+    def top_coordinate_rate(self) -> float:
+        """Rate of change of the coordinate, that of θ [rad/s]."""
+        return self.rate
 
     @property
     def duration(self) -> float:
         """Time from start to stop [s]."""
-        return float(self._knots()[2][-1])
-
-    @property
-    def top_coordinate_rate(self) -> float:
-        """Largest rate of change of the coordinate, that of θ [rad/s]."""
-        return float(self._knots()[1].max())
+        start, stop = self.span
+        return (stop - start) / self.rate
 
     @property
     def span(self) -> tuple[float, float]:
@@ -112,32 +91,21 @@ class Rotation(Strict):
 
     def coordinates(self, time: FloatArray) -> FloatArray:
         """Leg angle at given times [rad], shape [time]."""
-        return self.poses(time).theta
+        return self.span[0] + self.rate * time
 
     def poses(self, time: FloatArray) -> Poses:
         """Poses at given times [s], shape [time]; the motion goes on past its end."""
-        theta, rate, times = self._knots()
-        i = np.clip(np.searchsorted(times, time, side="right") - 1, 0, len(times) - 2)
-        since = time - times[i]
-        slope = (np.diff(rate) / np.diff(theta))[i]
-        # dθ/dt = ω₀ + b (θ - θ₀) has the solution ω = ω₀ exp(b t); b = 0 is its limit.
-        flat = slope == 0.0
-        safe = np.where(flat, 1.0, slope)
-        turned = rate[i] * np.where(flat, since, np.expm1(slope * since) / safe)
-        return self._poses(theta[i] + turned, rate[i] * np.exp(slope * since))
+        return self.poses_at(self.coordinates(time))
 
     def poses_at(self, coordinate: FloatArray) -> Poses:
         """Poses at given leg angles [rad], shape [angle]."""
-        theta, rate, _ = self._knots()
-        return self._poses(np.array(coordinate), np.interp(coordinate, theta, rate))
-
-    def _poses(self, theta: FloatArray, rate: FloatArray) -> Poses:
-        still = np.zeros((len(theta), 2))
+        theta = np.array(coordinate)
+        still, rate = np.zeros((len(theta), 2)), np.full(len(theta), self.rate)
         return Poses(hip=still + np.array(self.hip), theta=theta, velocity=still, rate=rate)
 
     def top_speed(self, reach: float) -> float:
         """Largest speed of a point at a distance ``reach`` [m] from the hip [m/s]."""
-        return self.top_coordinate_rate * reach
+        return self.rate * reach
 
 
 class Translation(Strict):

@@ -136,7 +136,7 @@ def test_path_moves_as_its_velocities_say(coarse):
             "kind": "rotation",
             "start_deg": -60.0,
             "stop_deg": -50.0,
-            "rate_profile": [[-60.0, 0.1], [-55.0, 0.3], [-50.0, 0.2]],
+            "rate": 0.2,
         }
     )
     count = step_count(scenario)
@@ -145,7 +145,7 @@ def test_path_moves_as_its_velocities_say(coarse):
     np.testing.assert_allclose(np.diff(theta) / 5e-5, 0.5 * (rate[1:] + rate[:-1]), rtol=1e-3)
     assert math.degrees(theta[0]) == pytest.approx(-60.0)
     assert math.degrees(theta[-1] + rate[-1] * 5e-5) == pytest.approx(-50.0, abs=0.02)
-    assert rate.max() == pytest.approx(0.3 * 20.0, rel=1e-3)
+    assert rate.max() == pytest.approx(0.2 * 20.0, rel=1e-3)
     assert not turned.any()
     assert (np.diff(bins) >= 0).all()
     assert set(bins) == set(range(100))
