@@ -12,10 +12,9 @@ import pytest
 
 import terraphi
 from terraphi.experiment.rig import Rig
-from terraphi.inference.answer import Answer, Estimate
+from terraphi.inference.answer import Answer, normal_density
 from terraphi.inference.combined import combined
 from terraphi.inference.manifest import read_manifest
-from terraphi.laws.store import PHI
 
 GRAINS = Path(__file__).parents[2] / "studies" / "data" / "grains"
 CRITICAL_DEG = {"A": 20.0, "B": 26.4, "C": 31.9, "E": 29.7}
@@ -30,9 +29,11 @@ def plate() -> Answer:
 def normal(answer: Answer, median: float, own: float, density: float, law: str) -> Answer:
     """The answer with another angle, and an error of its own and one of the density."""
     sd = float(np.hypot(own, density))
-    estimate = Estimate(median, sd, (median - sd, median + sd), (median - 2 * sd, median + 2 * sd))
-    budget = {"noise": own, "density": density}
-    return replace(answer, parameters={PHI: estimate}, budget_deg=budget, law=law)
+    grid_deg, posterior = normal_density(median, sd)
+    return replace(
+        answer, grid_deg=grid_deg, density=posterior, law=law,
+        budget_deg={"noise": own, "density": density},
+    )  # fmt: skip
 
 
 def test_two_answers_have_the_posterior_of_their_common_angle(plate: Answer) -> None:

@@ -9,6 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -55,6 +56,7 @@ def quantiles(
 
 STEP_DEG = 0.05
 """Step of the grid of a normal posterior [deg]."""
+NO_PLANE_STRAIN = "√J₂ = p tan φ has no plane-strain equivalent from φ = 45° on"
 
 
 @dataclass(frozen=True)
@@ -208,8 +210,6 @@ class AnswerSummary:
 
     Attributes
     ----------
-    phi_plane_strain_reason
-        Why φ has no equivalent in plane strain, if so.
     verdict
         ``consistent``, ``misfit`` or ``out_of_range``.
     reason
@@ -240,8 +240,6 @@ class AnswerSummary:
         was taken as dry; else ``None``.
     second_opinion
         Library, median and standard deviation of the answer by other physics, or ``None``.
-    parameters
-        Estimate of φ, by its dotted scenario key.
     warnings
         Warnings, a sentence each.
     provenance
@@ -258,7 +256,6 @@ class AnswerSummary:
     density_kg_m3: Annotated[float, Field(gt=0.0, lt=1e5)]
     density_sd_kg_m3: Annotated[float, Field(ge=0.0, lt=1e5)] | None = None
     density_assumed: bool = True
-    phi_plane_strain_reason: str = ""
     leg_friction: Annotated[float, Field(ge=0.0, lt=10.0)] | None = None
     cohesion_pa: Annotated[float, Field(ge=0.0, lt=1e9)] | None = None
     offset_causes_deg: tuple[float, ...] = ()
@@ -271,7 +268,6 @@ class AnswerSummary:
     warnings: Annotated[
         tuple[str, ...], Field(validation_alias=AliasChoices("warnings", "questions"))
     ] = ()
-    parameters: Mapping[str, Estimate] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -282,8 +278,6 @@ class Answer(Shown, AnswerSummary):
     ----------
     convention
         What φ means in the library: a yield criterion, or ``rft3d``.
-    phi_plane_strain
-        φ as that of Mohr-Coulomb soil in plane strain [deg], or ``None``.
     records
         The records and how the model fits them.
     grid_deg, density
@@ -306,16 +300,33 @@ class Answer(Shown, AnswerSummary):
     KIND = "answer"
 
     convention: str
-    phi_plane_strain: Estimate | None
     records: tuple[RecordFit, ...]
     grid_deg: FloatArray
     density: FloatArray
     covariance: FloatArray
 
-    @property
+    @cached_property
     def phi(self) -> Estimate:
         """Friction angle [deg], in the library's convention."""
-        return self.parameters[PHI]
+        return Estimate.of_density(self.grid_deg, self.density)
+
+    @property
+    def phi_plane_strain(self) -> Estimate | None:
+        """φ as that of Mohr-Coulomb soil in plane strain [deg]; ``None`` from 45° of ``rft3d`` on.
+
+        Quantiles map one to one.
+        """
+        phi = self.phi
+        if self.convention == "plane_strain":
+            return phi
+        if max(phi.ci95) >= 45.0:
+            return None
+        from terraphi.forward.rft import to_plane_strain
+
+        median, *ends = to_plane_strain([phi.median, *phi.ci68, *phi.ci95]).tolist()
+        # To first order, by the ratio of the 68 % intervals.
+        sd = phi.sd * (ends[1] - ends[0]) / (phi.ci68[1] - phi.ci68[0])
+        return Estimate(median, sd, (ends[0], ends[1]), (ends[2], ends[3]))
 
     @property
     def source(self) -> str:
@@ -355,6 +366,7 @@ class Answer(Shown, AnswerSummary):
         return {
             "phi_deg": {**self.phi.as_dict(), "yield": self.convention},
             "phi_plane_strain_deg": plane.as_dict() if plane else None,
+            "phi_plane_strain_reason": "" if plane else NO_PLANE_STRAIN,
             "source": self.source,
             "rig": self.rigs[0].model_dump(),
             **copy.deepcopy(stated),
@@ -365,7 +377,6 @@ class Answer(Shown, AnswerSummary):
             "n_angles": self.records[0].theta_deg.size,
             "warnings": list(self.warnings),
             "records": [record.as_dict() for record in self.records],
-            "parameters": {key: value.as_dict() for key, value in self.parameters.items()},
         }
 
     def summary(self) -> pd.DataFrame:
@@ -373,8 +384,8 @@ class Answer(Shown, AnswerSummary):
         import pandas as pd
 
         columns = ["median", "sd", "ci68_low", "ci68_high", "ci95_low", "ci95_high"]
-        rows = [[p.median, p.sd, *p.ci68, *p.ci95] for p in self.parameters.values()]
-        return pd.DataFrame(rows, [*self.parameters], columns)
+        phi = self.phi
+        return pd.DataFrame([[phi.median, phi.sd, *phi.ci68, *phi.ci95]], [PHI], columns)
 
     def _lines(self) -> list[str]:
         assumed = " (assumed)" if self.density_assumed else ""

@@ -39,7 +39,7 @@ from terraphi.inference.likelihood import SHIFT_DEG, Likelihood, squared_residua
 from terraphi.inference.records import Record, density_warnings, is_ceiling
 from terraphi.inference.verdict import LITTLE_KNOWN, USUAL_DEG, unusual
 from terraphi.laws.law import LegLaw
-from terraphi.laws.legs import VARIED, LawOfLegs, law_of
+from terraphi.laws.legs import VARIED, law_of
 from terraphi.laws.model_error import FINE_MM
 from terraphi.laws.theory import Theory
 
@@ -707,21 +707,6 @@ def _other_size(likelihood: Likelihood, i: int) -> Iterator[str]:
 
 
 # -- another law on the same records -------------------------------------------------------------
-
-
-def plane_strain(phi: Estimate, law: LawOfLegs) -> tuple[Estimate | None, str]:
-    """φ as that of Mohr-Coulomb soil in plane strain, or why there is none.
-
-    Quantiles map one to one.
-    """
-    if law.convention == "plane_strain":
-        return phi, ""
-    if max(phi.ci95) >= 45.0:
-        return None, "√J₂ = p tan φ has no plane-strain equivalent from φ = 45° on"
-    median, *ends = to_plane_strain([phi.median, *phi.ci68, *phi.ci95]).tolist()
-    # To first order, by the ratio of the 68 % intervals.
-    sd = phi.sd * (ends[1] - ends[0]) / (phi.ci68[1] - phi.ci68[0])
-    return Estimate(median, sd, (ends[0], ends[1]), (ends[2], ends[3])), ""
 
 
 def second_opinion(likelihood: Likelihood) -> dict[str, Any] | None:

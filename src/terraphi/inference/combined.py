@@ -20,10 +20,9 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.bodies import OUTLINES
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.rig import Rig
-from terraphi.inference.answer import Answer, Estimate, Verdict, decimals, normal_density
+from terraphi.inference.answer import Answer, Verdict, decimals, normal_density
 from terraphi.inference.checks import densities
 from terraphi.inference.terms import Sharer, is_shared, ordered_budget, term
-from terraphi.laws.law import PHI
 
 CHANCE = 0.05
 """Largest share of sound sets of answers of which two differ so much that they are a misfit
@@ -119,14 +118,11 @@ def combined(answers: Sequence[Answer]) -> Answer:
     if widening > 0.0:
         budget["disagreement"] = widening
     grid, density = normal_density(median, sd)
-    estimate = Estimate.of_density(grid, density)
     verdict, reason = _verdict(answers, errors.covariance, decimals((median - sd, median + sd)),
                                is_widened=widening > 0.0)  # fmt: skip
     return _merged(
         answers,
         weight,
-        parameters={PHI: estimate},
-        phi_plane_strain=estimate,
         verdict=verdict,
         reason=reason,
         budget_deg=ordered_budget(budget),

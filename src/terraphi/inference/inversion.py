@@ -24,7 +24,6 @@ from terraphi.inference.checks import (
     Reading,
     in_air,
     leg_readings,
-    plane_strain,
     second_opinion,
     warnings,
     without_faults,
@@ -32,7 +31,6 @@ from terraphi.inference.checks import (
 from terraphi.inference.likelihood import Likelihood, quadrature
 from terraphi.inference.records import Record, open_records, rig_name, with_sd
 from terraphi.inference.verdict import Judgment, consistent, large_residual, misfit, out_of_range
-from terraphi.laws.law import PHI
 from terraphi.laws.legs import FORMER_NAME, LawOfLegs, Legs, shipped_legs
 from terraphi.laws.model_error import FINE_MM
 
@@ -264,8 +262,6 @@ def with_critical(answer: Answer, critical: float | str) -> Answer:
     return replace(
         answer,
         density=density,
-        parameters={PHI: phi},
-        phi_plane_strain=phi,
         phi_peak=peak if excess >= least else None,
         provenance={**answer.provenance, "critical": [mean, sd]},
         # What half the force, or damp soil, would read is of the forces alone.
@@ -384,15 +380,13 @@ def _answer(
     # The one search over legs: verdict and advice read it.
     legs = [leg_readings(likelihood, record) for record in records]
     verdict, reason, edge = judge(likelihood, fits, legs, damaged=bool(air))
-    plane, no_plane = plane_strain(phi, law)
     scaled, is_sound = None, verdict == "consistent" and likelihood.measured
     if is_sound and not all(r.scale_given for r in records):
         scaled = dict(zip(("half", "twice"), likelihood.at_scaled_forces([0.5, 2.0]), strict=True))
     first = records[0]
     is_dry = first.cohesion_pa == first.cohesion_sd_pa == 0.0
     return Answer(
-        parameters={PHI: phi}, convention=law.convention, phi_plane_strain=plane,
-        phi_plane_strain_reason=no_plane, verdict=verdict, reason=reason, edge=edge,
+        convention=law.convention, verdict=verdict, reason=reason, edge=edge,
         budget_deg=likelihood.budget() if likelihood.beyond is None else {},
         density_kg_m3=first.bulk_density[0], density_sd_kg_m3=first.bulk_density[1],
         density_assumed=first.density_kg_m3 is None or first.density_assumed,

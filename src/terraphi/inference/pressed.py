@@ -49,7 +49,6 @@ from terraphi.inference.verdict import (
     unusual,
 )
 from terraphi.laws.foot import DEEPEST, LAWS, Foot
-from terraphi.laws.law import PHI
 
 WINDOWS = 40
 """Equal windows of sinkage."""
@@ -147,10 +146,10 @@ def tool_answer(
     """
     rho, rho_sd = record.bulk_density
     assumed = [f"The density {rho:g} kg/m³ is assumed."] if record.density_kg_m3 is None else []
-    estimate, (verdict, reason, edge) = Estimate.of_density(*posterior), judgment
+    verdict, reason, edge = judgment
     return Answer(
-        parameters={PHI: estimate}, convention="plane_strain", phi_plane_strain=estimate,
-        verdict=verdict, reason=reason, edge=edge, density_kg_m3=rho, density_sd_kg_m3=rho_sd,
+        convention="plane_strain", verdict=verdict, reason=reason, edge=edge,
+        density_kg_m3=rho, density_sd_kg_m3=rho_sd,
         density_assumed=bool(assumed), law=law,
         law_reason="the default for this tool" if is_default else "",
         leg_friction=record.rig.friction if friction is None else friction,

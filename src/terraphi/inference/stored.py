@@ -18,7 +18,6 @@ from terraphi.experiment.files import NetcdfFile, open_netcdf, read_bytes
 from terraphi.inference.answer import (
     Answer,
     AnswerSummary,
-    Estimate,
     Name,
     RecordFit,
     RecordSummary,
@@ -99,12 +98,10 @@ def _answer_of(file: NetcdfFile[AnswerAttributes]) -> Answer:
         records.append(fit)
         size += fit.data.size
     grid, density = (file.numbers(at + name, "grid") for name in ("grid_deg", "density"))
-    phi, plane = stated.phi_deg, stated.phi_plane_strain_deg
-    if not (records and records[0].theta_deg.size and density.sum() > 0.0 and phi):
+    if not (records and records[0].theta_deg.size and density.sum() > 0.0 and stated.phi_deg):
         raise ValueError("no records, or no posterior")
     return Answer(
-        convention=phi.convention,
-        phi_plane_strain=Estimate(**plane.model_dump(exclude={"convention"})) if plane else None,
+        convention=stated.phi_deg.convention,
         records=tuple(records),
         grid_deg=grid,
         density=density,
