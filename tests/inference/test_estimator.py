@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from terraphi.experiment.arrays import FloatArray, IntArray
+from terraphi.experiment.arrays import FloatArray
 from terraphi.inference.estimator import Best, least_squares, weights
 
 T = np.linspace(0.0, 2.0, 30)
@@ -19,7 +19,7 @@ def curve(x: FloatArray) -> FloatArray:
     return x[:, :1] * np.exp(-x[:, 1:2] * T) + x[:, 2:]
 
 
-def slope(x: FloatArray, _: IntArray) -> FloatArray:
+def slope(x: FloatArray) -> FloatArray:
     decay = np.exp(-x[:, 1:2] * T)
     return np.stack([decay, -x[:, :1] * T * decay, np.ones_like(decay)], axis=2)
 
@@ -38,7 +38,7 @@ def problems(count: int, noise: float = 0.05) -> tuple[FloatArray, FloatArray]:
 def fit(data: FloatArray, weight: FloatArray) -> Best:
     start = np.tile([1.0, 1.0, 0.0], (len(data), 1))
     return least_squares(
-        lambda x, rows: data[rows] - curve(x), slope, weight, start,
+        lambda x, rows: (data[rows] - curve(x), slope(x)), weight, start,
         bounds=BOUNDS, scale=np.ones(3), mean=PRIOR[0], precision=PRIOR[1], settled=1e-9,
     )  # fmt: skip
 
@@ -81,7 +81,7 @@ def test_weights_are_what_an_error_of_the_data_does() -> None:
 
 
 def test_a_parameter_that_nothing_depends_on_has_no_weights() -> None:
-    flat = slope(np.ones((1, 3)), np.zeros(1, int))
+    flat = slope(np.ones((1, 3)))
     flat[:, :, 1] = 0.0
     c, covariance = weights(flat, np.eye(T.size)[None])
     assert not c[0, 1].any()

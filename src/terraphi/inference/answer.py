@@ -6,7 +6,7 @@ import copy
 import json
 import logging
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from functools import cached_property
@@ -487,26 +487,17 @@ class Answer(Shown, AnswerSummary):
 
     # -- files -----------------------------------------------------------------------------------
 
-    def _over_windows(self, name: str) -> FloatArray:
-        """An array of the records, those of all of them one after the other, shape [..., n]."""
-        arrays = [getattr(record, name) for record in self.records]
-        flat = [array.reshape(*array.shape[:-2], -1) for array in arrays]
-        return np.concatenate(flat, axis=-1)
-
-    def _by_record(self, name: str, values: FloatArray, *over: str) -> Any:
-        """A Dataset with a variable for each record, from values over all windows, [..., n]."""
+    def _by_record(self, name: str, arrays: Iterable[FloatArray], *over: str) -> Any:
+        """A Dataset with a variable for each record, from arrays of shape [..., c m]."""
         import xarray as xr
 
-        ends = np.cumsum([record.data.size for record in self.records])
         variables: dict[str, Any] = {}
         places: dict[str, Any] = {}
-        parts = np.split(values, ends[:-1], axis=-1)
-        for record, part, end in zip(self.records, parts, endings(self.records), strict=True):
+        for record, array, end in zip(self.records, arrays, endings(self.records), strict=True):
             component, along = f"component{end}", f"{record.coordinate}{end}"
             places[component], places[along] = list(record.nrmsd), record.theta_deg
-            shaped = part.reshape(*part.shape[:-1], *record.data.shape)
-            # A variable named as one of its dimensions would be a coordinate.
-            variables[f"{name}{end}"] = ((*over, component, along), shaped)
+            shape = (*array.shape[: len(over)], *record.data.shape)
+            variables[f"{name}{end}"] = ((*over, component, along), array.reshape(shape))
         return xr.Dataset(variables, places)
 
     def _chains(self) -> FloatArray:
@@ -521,9 +512,11 @@ class Answer(Shown, AnswerSummary):
         """Datasets in the layout of ArviZ, by group."""
         import xarray as xr
 
-        constant = self._by_record("curve", self._over_windows("curve"))
-        for name, over in (("band", "bound"), ("tangent", "coefficient")):
-            constant.update(self._by_record(name, self._over_windows(name), over))
+        records = self.records
+        constant = self._by_record("curve", (record.curve for record in records))
+        constant.update(self._by_record("band", (record.band for record in records), "bound"))
+        tangents = (record.tangent for record in records)
+        constant.update(self._by_record("tangent", tangents, "coefficient"))
         for record, end in zip(self.records, endings(self.records), strict=True):
             if record.measured is not None:
                 constant[f"measured{end}"] = (("quantity", f"{record.coordinate}{end}"),
@@ -533,7 +526,7 @@ class Answer(Shown, AnswerSummary):
         constant["density"] = ("grid", self.density)
         return {
             "posterior": xr.Dataset({PHI: (("chain", "draw"), self._chains())}),
-            "observed_data": self._by_record("force", self._over_windows("data")),
+            "observed_data": self._by_record("force", (record.data for record in records)),
             "constant_data": constant,
         }
 
@@ -541,8 +534,10 @@ class Answer(Shown, AnswerSummary):
         """Forces and log-likelihood at each draw of the posterior, by group of ArviZ."""
         import xarray as xr
 
-        phi, data, over = self._chains(), self._over_windows("data"), ("chain", "draw")
-        curves = np.stack([np.ones_like(phi), phi], axis=-1) @ self._over_windows("tangent")
+        phi, over, sizes = self._chains(), ("chain", "draw"), [r.data.size for r in self.records]
+        data = np.concatenate([record.data.ravel() for record in self.records])
+        tangent = np.hstack([record.tangent.reshape(2, -1) for record in self.records])
+        curves = np.stack([np.ones_like(phi), phi], axis=-1) @ tangent
         rng = np.random.default_rng(0)
         error = rng.standard_normal(curves.shape) @ np.linalg.cholesky(self.covariance).T
         # A window given all others (Bürkner, Gabry & Vehtari 2021, Comput. Stat. 36:1243, eq. 15).
@@ -550,15 +545,16 @@ class Answer(Shown, AnswerSummary):
         precision = inverse.diagonal()
         logs = 0.5 * np.log(precision / (2.0 * np.pi))
         logs = logs - 0.5 * ((data - curves) @ inverse) ** 2 / precision
-        likelihood = self._by_record("force", logs, *over)
-        if len(self.records) > 1:  # ArviZ compares what is one variable
-            number = np.repeat(
-                range(len(self.records)), [record.data.size for record in self.records]
-            )
-            places = {"record": ("window", number)}
-            likelihood = xr.Dataset({"force": ((*over, "window"), logs)}, places)
-        predicted = self._by_record("force", curves + error, *over)
-        return {"posterior_predictive": predicted, "log_likelihood": likelihood}
+        likelihood = self._by_record("force", [logs], *over) if len(sizes) == 1 else (
+            # ArviZ compares what is one variable.
+            xr.Dataset({"force": ((*over, "window"), logs)},
+                       {"record": ("window", np.repeat(range(len(sizes)), sizes))})
+        )  # fmt: skip
+        predicted = np.split(curves + error, np.cumsum(sizes)[:-1], axis=-1)
+        return {
+            "posterior_predictive": self._by_record("force", predicted, *over),
+            "log_likelihood": likelihood,
+        }
 
     def to_inference_data(self) -> Any:
         """Draws and data for ArviZ: an ``InferenceData`` (ArviZ 0.x) or a ``DataTree`` (1.x).

@@ -37,8 +37,7 @@ class Best(NamedTuple):
 
 
 def least_squares(
-    residual: Callable[[FloatArray, IntArray], FloatArray],
-    slope: Callable[[FloatArray, IntArray], FloatArray],
+    residual: Callable[[FloatArray, IntArray], tuple[FloatArray, FloatArray]],
     weight: FloatArray,
     start: FloatArray,
     *,
@@ -53,9 +52,9 @@ def least_squares(
 
     Parameters
     ----------
-    residual, slope
-        Functions of x, shape [k, key], and the numbers of k problems: d − g(x), [k, datum], and S,
-        [k, datum, key].
+    residual
+        d − g(x) and S, shape [k, datum] and [k, datum, key], at x, shape [k, key], of k problems by
+        their numbers.
     weight
         W, shape [problem, datum, datum].
     start
@@ -79,10 +78,10 @@ def least_squares(
         weighted = (weight @ errors[..., None])[..., 0]
         return np.asarray((errors * weighted).sum(axis=1) + of_prior)
 
-    errors = residual(x, rows)
+    errors, slopes = residual(x, rows)
     costs, damping = cost(x, errors, weight), np.full(len(x), DAMPING)
     for _ in range(ROUNDS):
-        at, s, of_rows = x[rows], slope(x[rows], rows), weight[rows]
+        at, s, of_rows = x[rows], slopes[rows], weight[rows]
         # Normal equations of the linear problem about x: (S'WS + P) δ = S'W (d − g) − P (x − m).
         weighted = s.swapaxes(1, 2) @ of_rows
         normal = weighted @ s + precision * np.eye(len(scale))
@@ -100,20 +99,20 @@ def least_squares(
         step = np.linalg.solve(damped, np.where(fixed, 0.0, gradient)[..., None])[..., 0]
         tried = np.clip(at + step, low, high)
         moves = np.abs((tried - at) / scale).max(axis=1) > settled
-        new_errors = residual(tried, rows)
+        new_errors, new_slopes = residual(tried, rows)
         new_costs = cost(tried, new_errors, of_rows)
         # A step is taken if it lowers the cost, and damped more otherwise; problems whose step is
         # small are left out from here on.
         better = new_costs <= costs[rows]
         moves &= ~better | (costs[rows] - new_costs >= gained * new_costs)
         improved = rows[better]
-        x[improved], errors[improved] = tried[better], new_errors[better]
-        costs[improved] = new_costs[better]
+        x[improved], costs[improved] = tried[better], new_costs[better]
+        errors[improved], slopes[improved] = new_errors[better], new_slopes[better]
         damping[rows] = np.clip(damping[rows] * np.where(better, LESS, MORE), 1e-9, 1e6)
         rows = rows[moves]
         if not len(rows):
             break
-    return Best(x, errors, slope(x, np.arange(len(x))))
+    return Best(x, errors, slopes)
 
 
 def weights(

@@ -423,14 +423,16 @@ def record_fits(
     """Each record with the curve at the median, and the curves at the ends of the 95 % interval."""
     # Curves at the ends of the interval and at the median, and the tangent there: predictions of
     # an answer's file are g(median) + (φ − median) ∂g/∂φ, as value at 0° and slope.
-    curves = likelihood.curves([*np.clip(ci95, *likelihood.ends), median])
-    slope = likelihood.slopes(median, likelihood.shift_deg, likelihood.cohesion)[:, 0]
-    tangent = np.stack([curves[2] - slope * median, slope])
+    low95, high95 = likelihood.curves(np.clip(ci95, *likelihood.ends))
+    best, slopes = likelihood.slopes(median, likelihood.shift_deg, likelihood.cohesion)
+    tangent = np.stack([best - slopes[:, 0] * median, slopes[:, 0]])
     fits, rigs = [], {rig_name(record.rig) for record in likelihood.records}
     for record, part, stroke, shift in zip(
         likelihood.records, likelihood.parts, likelihood.coverage, likelihood.shift_deg, strict=True
     ):
-        low, high, curve = (row.reshape(len(record.channels), -1) for row in curves[:, part])
+        low, high, curve = (
+            row[part].reshape(len(record.channels), -1) for row in (low95, high95, best)
+        )
         span = stroke.span
         size = np.sqrt(np.square(record.data - curve).mean(axis=1)) / span
         noise = record.noise_covariance.diagonal().reshape(size.size, -1).mean(axis=1) / span**2

@@ -79,7 +79,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from terraphi.experiment.arrays import FloatArray
+from terraphi.experiment.arrays import FloatArray, IntArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import FORCES, WINDOW_DEG, ForceHistory
 from terraphi.experiment.units import GRAVITY
@@ -385,16 +385,21 @@ class Likelihood:
                 forces[key] = law(phi + self.offset(record, phi), key[-1])
         return [ratio * forces[key] for key, ratio in zip(keys, self._ratio, strict=True)]
 
-    def slopes(self, phi_deg: float, shift_deg: FloatArray, cohesion: float) -> FloatArray:
-        """∂g/∂φ and ∂g/∂δ of each record by central differences [N/deg], [n, 1 + record]."""
+    def slopes(
+        self, phi_deg: float, shift_deg: FloatArray, cohesion: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Window means g [N], shape [n], with ∂g/∂φ and ∂g/∂δ of each record, [n, 1 + record].
+
+        By central differences [N/deg].
+        """
         step = STEP * (self.high - self.low)
         forces = self._forces(phi_deg + step * np.array([1.0, -1.0, 0.0]), cohesion)
         shifts = shift_deg + np.array([[0.0], [0.1], [-0.1]])
-        (above, below, _), (*_, later), (*_, earlier) = self._means(forces, shifts)
+        (above, below, curve), (*_, later), (*_, earlier) = self._means(forces, shifts)
         of_record = np.eye(len(self.records))[self._record_index]
         # The shift of one record does not move the others.
         of_shift = of_record * (later - earlier)[:, None] / 0.2
-        return np.column_stack([(above - below) / (2.0 * step), of_shift])
+        return curve, np.column_stack([(above - below) / (2.0 * step), of_shift])
 
     # -- best point ------------------------------------------------------------------------------
 
@@ -478,9 +483,13 @@ class Likelihood:
     def _fitted(self, cohesion: float, start: FloatArray, settled: float = 1e-8) -> Best:
         """Least squares at a cohesion [Pa]."""
         (low, high), most = self.ends, self._most_shift
+
+        def residual(p: FloatArray, _: IntArray) -> tuple[FloatArray, FloatArray]:
+            curve, slope = self.slopes(p[0, 0], p[0, 1:], cohesion)
+            return (self.data - curve)[None], slope[None]
+
         return least_squares(
-            lambda p, _: self.data - self.curves(p[:, 0], p[0, 1:], cohesion),
-            lambda p, _: self.slopes(p[0, 0], p[0, 1:], cohesion)[None],
+            residual,
             self._weight[None],
             start,
             bounds=(np.append(low, -most), np.append(high, most)),

@@ -333,20 +333,17 @@ def _fit(press: _Press) -> _Fit:
     (low, high), sd = press.ends, press.contact_sd
     scale, precision = np.array([1.0, sd]), np.array([0.0, sd**-2])
 
-    def residual(x: FloatArray, rows: IntArray) -> FloatArray:
-        return press.force - press.borne[rows] * press.curve(x)
-
-    def slope(x: FloatArray, rows: IntArray) -> FloatArray:
+    def residual(x: FloatArray, rows: IntArray) -> tuple[FloatArray, FloatArray]:
         # Central differences, a step within the angles of the law.
-        inner = np.clip(x, [low + 0.01, -np.inf], [high - 0.01, np.inf])
+        inner, borne = np.clip(x, [low + 0.01, -np.inf], [high - 0.01, np.inf]), press.borne[rows]
         pairs = [(press.curve(inner + d) - press.curve(inner - d)) / (2.0 * d.sum())
                  for d in np.diag(1e-3 * scale)]  # fmt: skip
-        return np.asarray(press.borne[rows][..., None] * np.stack(pairs, -1))
+        return press.force - borne * press.curve(x), borne[..., None] * np.stack(pairs, -1)
 
     inverse = np.linalg.inv(press.error)
     weight = np.broadcast_to(inverse, (len(NODES), *inverse.shape))
     best = least_squares(
-        residual, slope, weight, np.tile([0.5 * (low + high), 0.0], (len(NODES), 1)),
+        residual, weight, np.tile([0.5 * (low + high), 0.0], (len(NODES), 1)),
         bounds=(np.array([low, -3.0 * sd]), np.array([high, 3.0 * sd])),
         scale=scale, precision=precision,
     )  # fmt: skip

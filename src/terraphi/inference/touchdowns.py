@@ -584,50 +584,35 @@ def _cost(touchdowns: Touchdowns, prior: Prior, solved: Solved) -> FloatArray:
 def _solved(
     touchdowns: Touchdowns, law: FootLaw, prior: Prior, start: FloatArray | None = None
 ) -> Solved:
-    """Standard deviations of the prior, mode, weights [N⁻²], misfit [-], and scaled weights."""
+    """Standard deviations of the prior, mode, weights [N⁻²], misfit [-], and scaled weights.
+
+    The mode has φ [deg], z₀ [m] and w [m/s], residuals [N] and slopes of the law.
+    """
     weight = np.asarray(np.linalg.inv(noise_covariance(touchdowns, prior)))
     sd = np.array([prior.phi_sd_deg, prior.level_sd, prior.drift_sd])
-    best = _mode(touchdowns, law, prior, weight, sd, sd**-2 * FREE_PHI, start)
-    chi = np.einsum("nk,nkl,nl->n", best.residual, weight, best.residual)
-    misfit = np.maximum(chi / np.maximum(touchdowns.used.sum(axis=1) - 2.0, 1.0), 1e-6)
-    # Birge's ratio is of the noise: what is known of the drop and its drift beforehand stays.
-    return sd, best, weight, misfit, weight / misfit[:, None, None]
-
-
-def _mode(
-    touchdowns: Touchdowns, law: FootLaw, prior: Prior, weight: FloatArray, sd: FloatArray,
-    precision: FloatArray, start: FloatArray | None = None,
-) -> Best:  # fmt: skip
-    """φ [deg], z₀ [m] and w [m/s] of the mode, residuals there [N], and slopes of the law."""
-    mean = prior.state
     # The largest array is not needed, and would be copied each time that rows are chosen.
     moving = touchdowns._replace(per_error=touchdowns.begin)
-    # The last states that were tried with the slopes there, and the slopes of those that are best.
-    tried = np.full((len(touchdowns.foot), 3), np.nan)
-    slopes, best_slopes = np.zeros((2, *touchdowns.drop.shape, 3))
 
-    def residual(state: FloatArray, rows: IntArray) -> FloatArray:
-        part = moving if len(rows) == len(tried) else picked(moving, rows)
-        tried[rows] = state
+    def residual(state: FloatArray, rows: IntArray) -> tuple[FloatArray, FloatArray]:
+        part = moving if len(rows) == len(weight) else picked(moving, rows)
         # All in one call, whose price for one touch-down is mostly that of the call.
         force, *moved = predicted(law, prior, part, state + STEPS[:, None])
         # Central differences of STEPS. The drift w acts as the level z₀ does, times the time.
         by_phi, by_level = (moved[0] - moved[1]) / 0.2, (moved[2] - moved[3]) / 2e-4
         slope = np.stack([by_phi, by_level, by_level * part.time], axis=-1)
-        slopes[rows] = np.where(part.used[..., None], slope, 0.0)
-        return np.where(part.used, part.force - force, 0.0)
-
-    def slope_at(state: FloatArray, rows: IntArray) -> FloatArray:
-        new = rows[(state == tried[rows]).all(axis=1)]
-        best_slopes[new] = slopes[new]
-        return np.asarray(best_slopes[rows])
+        used = part.used
+        return np.where(used, part.force - force, 0.0), np.where(used[..., None], slope, 0.0)
 
     free = np.full(2, np.inf)
-    return least_squares(
-        residual, slope_at, weight, np.tile(mean, (len(tried), 1)) if start is None else start,
+    best = least_squares(
+        residual, weight, np.tile(prior.state, (len(weight), 1)) if start is None else start,
         bounds=(np.append(PHI_RANGE[0], -free), np.append(prior.highest_deg, free)),
-        scale=sd, mean=mean, precision=precision, gained=GAINED,
+        scale=sd, mean=prior.state, precision=sd**-2 * FREE_PHI, gained=GAINED,
     )  # fmt: skip
+    chi = np.einsum("nk,nkl,nl->n", best.residual, weight, best.residual)
+    misfit = np.maximum(chi / np.maximum(touchdowns.used.sum(axis=1) - 2.0, 1.0), 1e-6)
+    # Birge's ratio is of the noise: what is known of the drop and its drift beforehand stays.
+    return sd, best, weight, misfit, weight / misfit[:, None, None]
 
 
 def _sensitivity(
