@@ -134,11 +134,11 @@ class PressedRecord(InSoil):
 
 
 def tool_answer(
-    record: PressedRecord, law: str, began: float, *, is_default: bool, judgment: Judgment,
+    record: PressedRecord, law: Any, began: float, *, judgment: Judgment,
     posterior: tuple[FloatArray, FloatArray], warnings: Iterable[str],
     friction: float | None = None, provenance: Mapping[str, Any] | None = None, **values: Any,
 ) -> Answer:  # fmt: skip
-    """The answer of a record of a tool.
+    """The answer of a record of a tool by a law, ``foot`` by default.
 
     ``posterior`` has angles [deg] and the density of φ there [1/deg], ``provenance`` what the law
     adds, and ``values`` are those of :class:`~terraphi.inference.answer.Answer`. ``friction`` is
@@ -150,8 +150,8 @@ def tool_answer(
     return Answer(
         convention="plane_strain", verdict=verdict, reason=reason, edge=edge,
         density_kg_m3=rho, density_sd_kg_m3=rho_sd,
-        density_assumed=bool(assumed), law=law,
-        law_reason="the default for this tool" if is_default else "",
+        density_assumed=bool(assumed), law=str(law or "foot"),
+        law_reason="" if law else "the default for this tool",
         leg_friction=record.rig.friction if friction is None else friction,
         grid_deg=posterior[0], density=posterior[1],
         warnings=(*density_warnings(rho), *assumed, *warnings),
@@ -313,8 +313,8 @@ def invert_pressed(record: PressedRecord, law: Any = None) -> Answer:
     # Terms that do not show in the residual look like another angle.
     angle_sd = root_sum_square(budget, *(name for name in budget if term(name).residual))
     return tool_answer(
-        record, name, began, is_default=not law, judgment=judgment, posterior=posterior,
-        budget_deg=budget, records=(fitted,),
+        record, law, began, judgment=judgment, posterior=posterior, budget_deg=budget,
+        records=(fitted,),
         phi_of_force_deg=_phi_of_force(press, fit, estimate.median) if is_sound else None,
         warnings=(
             *notes, *unusual(estimate.median, "size of the tool"),

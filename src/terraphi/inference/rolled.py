@@ -39,7 +39,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from terraphi.experiment.arrays import BoolArray, FloatArray, block_means
+from terraphi.experiment.arrays import BoolArray, FloatArray, between_rows, block_means
 from terraphi.experiment.errors import GUESSED, InputError, nearest
 from terraphi.experiment.priors import FRICTION_BY_TORQUE_SD
 from terraphi.experiment.rig import Tool
@@ -175,9 +175,13 @@ class _Roll:
     @cached_property
     def loads(self) -> FloatArray:
         """Ln of the load [N] at each angle, shape [row, angle]."""
-        i = int(np.clip(np.searchsorted(FRICTIONS, self.friction) - 1, 0, len(FRICTIONS) - 2))
-        part = (self.friction - FRICTIONS[i]) / (FRICTIONS[i + 1] - FRICTIONS[i])
-        return np.asarray((1.0 - part) * self.by_friction[i] + part * self.by_friction[i + 1])
+        place = np.interp(self.friction, FRICTIONS, range(len(FRICTIONS)))
+        return np.asarray(between_rows(self.by_friction, place))
+
+    @cached_property
+    def read_deg(self) -> FloatArray:
+        """φ as the law reads each row [deg]; beyond the law, its ends, shape [row]."""
+        return self.read(self.loads)
 
     def rougher(self, friction: float) -> _Roll:
         """The same rows on a rim of another friction, whose loads are interpolated as before."""
@@ -223,18 +227,11 @@ class _Mean:
     """Covariance of the course [deg²], shape [row, row]."""
 
 
-class _Opened(NamedTuple):
-    """A record as it is read."""
+def _opened(record: PressedRecord, law: Any) -> tuple[_Roll, _Mean, float, list[str]]:
+    """Rows of a record, their φ, the density's standard deviation over it [-], and notes.
 
-    roll: _Roll
-    fit: _Mean
-    density_sd: float
-    """Over the density [-]."""
-    notes: list[str]
-
-
-def _opened(record: PressedRecord, law: Any) -> _Opened:
-    """Read the rows of a record; raises InputError."""
+    Raises InputError.
+    """
     name, tool = str(law or "foot"), record.rig
     if name not in ("foot", "rft"):
         raise InputError(f"no law '{name}' of a wheel; {nearest(name, ('foot', 'rft'))}")
@@ -246,8 +243,7 @@ def _opened(record: PressedRecord, law: Any) -> _Opened:
     sinkage = np.minimum(rows["sinkage"] + 0.5 * grain, DEEPEST * wheel.reach)
     roll = _Roll(wheel, rho, rows, sinkage, tool.friction, name)
     # A row that no angle of the law explains tells nothing about the others.
-    read = roll.read(roll.loads)
-    beyond = (read <= roll.angles[0]) | (read >= roll.angles[-1])
+    beyond = (roll.read_deg <= roll.angles[0]) | (roll.read_deg >= roll.angles[-1])
     if beyond.any() and beyond.mean() < 0.5:
         rows_out = f"{beyond.sum()} of {beyond.size} rows"
         notes.append(f"{rows_out} are left out: no angle of the law has their load and sinkage.")
@@ -262,7 +258,7 @@ def _opened(record: PressedRecord, law: Any) -> _Opened:
     elif not is_given:
         way = f"measure the torque at slips of {FULL_SLIP:g} or more, or give --friction"
         notes.append(f"The friction of the rim, {friction:.2f}, is assumed: {way}.")
-    return _Opened(roll, _mean(roll, grain, friction_sd), rho_sd / rho, notes)
+    return roll, _mean(roll, grain, friction_sd), rho_sd / rho, notes
 
 
 def invert_rolled(record: PressedRecord, law: Any = None) -> Answer:
@@ -270,25 +266,25 @@ def invert_rolled(record: PressedRecord, law: Any = None) -> Answer:
     began = time.perf_counter()
     if isinstance(record.table, Rolled) and not record.table.has_sinkage:
         return _unsunk_answer(record, record.table, law, began)
-    return _answer(record, _opened(record, law), law, began)
+    return _answer(record, law, began, *_opened(record, law))
 
 
-def _answer(record: PressedRecord, opened: _Opened, law: Any, began: float) -> Answer:
+def _answer(
+    record: PressedRecord, law: Any, began: float, roll: _Roll, fit: _Mean, density_sd: float,
+    notes: list[str],
+) -> Answer:  # fmt: skip
     """The answer of a record as it was read."""
-    roll, fit, density_sd, notes = opened
     budget = _budget(fit, density_sd, roll.error)
     posterior = normal_density(fit.mean, root_sum_square(budget))
     estimate = Estimate.of_density(*posterior)
     fitted = _record_fit(record, roll, fit, estimate)
-    judgment = _verdict(roll, fit, fitted)
-    # A misfit by the torque is not named once more.
-    is_named = judgment[0] == "misfit" and _shear(roll, "torque") > _most_shear(roll, fit)
+    judgment = verdict, reason, _ = _verdict(roll, fit, fitted)
     return tool_answer(
-        record, roll.law, began, is_default=not law, judgment=judgment, posterior=posterior,
-        budget_deg=budget, friction=roll.friction, records=(fitted,),
-        phi_of_force_deg=_phi_of_force(roll, fit) if judgment[0] == "consistent" else None,
+        record, law, began, judgment=judgment, posterior=posterior, budget_deg=budget,
+        friction=roll.friction, records=(fitted,),
+        phi_of_force_deg=_phi_of_force(roll, fit) if verdict == "consistent" else None,
         warnings=(
-            *_contradictions(roll, fit, is_named=is_named), *notes,
+            *_contradictions(roll, fit, reason), *notes,
             *unusual(estimate.median, "size of the wheel"),
         ),
         covariance=np.diag((fit.scatter * fitted.data[0]) ** 2),
@@ -326,9 +322,9 @@ def phi_along(forces: Any, tool: Tool | str, **options: Any) -> dict[str, FloatA
     record = open_pressed(forces, Tool.of(tool), **{"columns": None, **options})
     if isinstance(record.table, Rolled) and not record.table.has_sinkage:
         raise InputError(f"{record.source}: φ along the way needs a sinkage")
-    began, opened = time.perf_counter(), _opened(record, law)
-    roll, fit, density_sd, _ = opened
-    answer = _answer(record, opened, law, began)
+    began = time.perf_counter()
+    roll, fit, density_sd, _ = opened = _opened(record, law)
+    answer = _answer(record, law, began, *opened)
     for sentence in (answer.reason, *answer.warnings)[answer.verdict == "consistent" :]:
         warnings.warn(sentence, stacklevel=2)
     # By neighbors, for φ may change along the way.
@@ -346,8 +342,8 @@ def phi_along(forces: Any, tool: Tool | str, **options: Any) -> dict[str, FloatA
              "load": ("load_N", 1.0), "sinkage": ("sinkage_mm", 1e3)}  # fmt: skip
     given = {name: factor * roll.rows[role] for role, (name, factor) in names.items()
              if role in roll.rows}  # fmt: skip
-    read = roll.read(roll.loads)
-    inside = (read > roll.angles[0]) & (read < roll.angles[-1]) & (fit.phi <= LOOSE_DEG)
+    inside = (roll.read_deg > roll.angles[0]) & (roll.read_deg < roll.angles[-1])
+    inside &= fit.phi <= LOOSE_DEG
     angles = np.where(inside, [fit.phi, relative, np.sqrt(variance)], math.nan)
     return given | dict(zip(("phi_deg", "sd_relative_deg", "sd_deg"), angles, strict=True))
 
@@ -418,17 +414,15 @@ def _friction(roll: _Roll) -> tuple[float, float] | None:
 def _mean(roll: _Roll, grain: float, friction_sd: float) -> _Mean:
     """φ of the rows by generalized least squares; ``grain`` is the diameter [m]."""
     step, middle, ends = 2e-4, FRICTIONS[1], (FRICTIONS[0], FRICTIONS[-1])
-    phi = roll.read(roll.loads)
     by_load = (roll.read(roll.loads, 1.02) - roll.read(roll.loads, 0.98)) / math.log(1.02 / 0.98)
     by_load = np.maximum(by_load, LEAST_BY_LOAD_DEG)  # beyond the law the angle is its end
     by_depth = (roll.read(roll.at(step, middle)) - roll.read(roll.at(-step, middle))) / (2.0 * step)
     rough, smooth = (roll.read(roll.by_friction[i]) for i in (-1, 0))
     by_friction = (rough - smooth) / (ends[1] - ends[0])
-    slip = roll.rows["slip"]
-    phi = phi - roll.too_much_deg
+    phi = roll.read_deg - roll.too_much_deg
     slopes = {
         "contact": by_depth * math.hypot(ZERO_SD_M, GRAIN_SD * grain),
-        "slip": roll.error.sd_by_slip(slip),
+        "slip": roll.error.sd_by_slip(roll.rows["slip"]),
         "surface friction": by_friction * friction_sd,
     }
     z, rows = roll.sinkage, np.outer(by_load, by_load)
@@ -462,11 +456,10 @@ def _budget(fit: _Mean, density_sd: float, error: WheelError) -> dict[str, float
 def _record_fit(record: PressedRecord, roll: _Roll, fit: _Mean, estimate: Estimate) -> RecordFit:
     """The rows over their slip, and the law's loads at one φ for all of them."""
     order = np.argsort(roll.rows["slip"], kind="stable")
-    loads = roll.loads[order]
-    law = (fit.mean - fit.phi + roll.read(roll.loads))[order]  # φ as the law reads each row
+    law = fit.mean + roll.too_much_deg  # φ as the law reads each row
 
     def curve(moved: float) -> FloatArray:
-        pairs = zip(law + moved, loads, strict=True)
+        pairs = zip((law + moved)[order], roll.loads[order], strict=True)
         return np.exp([np.interp(phi, roll.angles, row) for phi, row in pairs])
 
     model, data = curve(0.0), roll.rows["load"][order]
@@ -518,16 +511,16 @@ def draw_rolled(
 
 def _verdict(roll: _Roll, fit: _Mean, record: RecordFit) -> Judgment:
     """Verdict, its reason, and the end of the law beyond which φ lies."""
-    raw = roll.read(roll.loads)
-    low, high = roll.angles[0] + 0.1, roll.angles[-1] - 0.1
+    read, low, high = np.median(roll.read_deg), roll.angles[0] + 0.1, roll.angles[-1] - 0.1
     advice = "check diameter, width, load and sinkage, their units and the zero of the sinkage"
-    if np.median(raw) >= high or fit.mean > LOOSE_DEG:
+    if read >= high or fit.mean > LOOSE_DEG:
         end = min(LOOSE_DEG, high)
         return out_of_range(roll.law, "high", end, advice, "the densest soil that wheels can read")
-    if np.median(raw) <= low:
+    if read <= low:
         return out_of_range(roll.law, "low", low, advice)
     # A wheel that drives pulls less than its torque over the radius.
-    most = _most_shear(roll, fit)
+    # Soil bears at most tan φ of the normal force as shear, with two errors of the law.
+    most = math.tan(math.radians(fit.mean + 2.0 * roll.error.law_deg))
     for name, over in (("torque", "load times radius"), ("pull", "load")):
         if (ratio := _shear(roll, name)) > most:
             ratios = f"{ratio:.2f} of {over}, and soil of this angle bears {most:.2f}"
@@ -551,27 +544,21 @@ def _shear(roll: _Roll, name: str) -> float:
     return float(np.nanmedian(ratios)) if np.isfinite(ratios).any() else 0.0
 
 
-def _most_shear(roll: _Roll, fit: _Mean) -> float:
-    """Shear over normal force that soil bears at most [-]: tan φ, with two errors of the law."""
-    return math.tan(math.radians(fit.mean + 2.0 * roll.error.law_deg))
-
-
 def _phi_of_force(roll: _Roll, fit: _Mean) -> dict[str, float | None]:
     """φ that half and twice the load would be read as [deg]; ``None`` outside of the law."""
-    now = roll.read(roll.loads)
     scaled: dict[str, float | None] = {}
     for name, factor in (("half", 0.5), ("twice", 2.0)):
         rows = roll.read(roll.loads, factor)
         inside = (rows > roll.angles[0]) & (rows < roll.angles[-1])
-        phi = fit.mean + float(fit.weight @ (rows - now))
+        phi = fit.mean + float(fit.weight @ (rows - roll.read_deg))
         scaled[name] = phi if inside[fit.weight > 0.0].all() and phi < LOOSE_DEG else None
     return scaled
 
 
-def _contradictions(roll: _Roll, fit: _Mean, *, is_named: bool) -> list[str]:
+def _contradictions(roll: _Roll, fit: _Mean, reason: str) -> list[str]:
     """Sentences on a torque beyond the rim, and a pull that contradicts the torque or the law.
 
-    ``is_named``: the verdict is that the torque is too large.
+    A torque that the reason of the verdict names is not named once more.
     """
     rows, reach = roll.rows, roll.wheel.reach
     sentences: list[str] = []
@@ -580,7 +567,7 @@ def _contradictions(roll: _Roll, fit: _Mean, *, is_named: bool) -> list[str]:
         ratio = float(np.nanmedian((rows["torque"] / (rows["load"] * reach))[driven]))
         if ratio < -SLACK:
             sentences.append("The torque brakes a wheel that slips forward: check its sign.")
-        elif ratio > roll.friction + OTHER_TORQUE and not is_named:
+        elif ratio > roll.friction + OTHER_TORQUE and "torque" not in reason:
             torque = f"The torque is {ratio:.2f} of load times radius"
             bears = f"a rim of friction {roll.friction:.2f} bears less"
             sentences.append(f"{torque}, and {bears}: check the diameter and the torque's unit.")
@@ -694,10 +681,14 @@ def _unsunk_answer(record: PressedRecord, table: Rolled, law: Any, began: float)
     if root_sum_square(budget) > float(np.ptp(USUAL_DEG)) / math.sqrt(12.0):
         notes.insert(0, LITTLE_KNOWN)
     fitted = _unsunk_fit(record, resisted, measured, model, estimate)
+    judgment = _by_residual(fitted, "has the resistance within {:.0%} of the load")
+    if np.nanmin(np.abs(deviate)) > CONTRADICTION:
+        check = "check signs, units and zero of both, the diameter and the friction"
+        judgment = misfit(f"no angle has this pull and torque at this load; {check}.")
     return tool_answer(
-        record, "foot", began, is_default=not law, posterior=posterior, budget_deg=budget,
-        judgment=_unsunk_verdict(float(np.nanmin(np.abs(deviate))), fitted), records=(fitted,),
-        warnings=notes, covariance=np.diag((sd[at] * resisted.rows["load"]) ** 2),
+        record, law, began, judgment=judgment, posterior=posterior, budget_deg=budget,
+        records=(fitted,), warnings=notes,
+        covariance=np.diag((sd[at] * resisted.rows["load"]) ** 2),
     )  # fmt: skip
 
 
@@ -718,11 +709,3 @@ def _unsunk_fit(
         {"Fx": float(np.sqrt(np.mean((data - curves[0]) ** 2))) / size},
         LIMIT if resisted.has_both else None, measured=_measured(resisted.rows, load + math.nan),
     )  # fmt: skip
-
-
-def _unsunk_verdict(least: float, fitted: RecordFit) -> Judgment:
-    """Verdict by the distance from the nearest angle's resistance over its error [-]."""
-    if least > CONTRADICTION:
-        check = "check signs, units and zero of both, the diameter and the friction"
-        return misfit(f"no angle has this pull and torque at this load; {check}.")
-    return _by_residual(fitted, "has the resistance within {:.0%} of the load")
