@@ -10,6 +10,7 @@ from typing import Annotated, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic.json_schema import SkipJsonSchema
 
 from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.documents import Strict
@@ -63,7 +64,7 @@ class Rotation(Strict):
     """Last leg angle [deg]."""
     rate: float = Field(0.2, gt=0)
     """Angular rate ω [rad/s]."""
-    rate_profile: None = None
+    rate_profile: SkipJsonSchema[None] = None
     """Not used; files of earlier versions name it."""
 
     @model_validator(mode="after")
