@@ -245,7 +245,7 @@ def test_law_has_the_mean_and_deviation_of_the_model(
     monkeypatch.setattr(errors, "PROTOCOL_SD_DEG", 0.0)
     [phi], [[variance]] = model.predict([row])
     likelihood = Likelihood([stroke], law)
-    assert abs(float(likelihood.offset(stroke, np.array(phi)))) > 1.0
+    assert abs(float(likelihood.offset(np.array(phi)))) > 1.0
     # Rounding of the file, and terms below a hundredth of the largest.
     assert likelihood.least_squares == pytest.approx(phi, abs=0.05)
     sds = [sd for name, sd in likelihood.budget().items() if name.startswith("model: ")]

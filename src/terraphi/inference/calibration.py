@@ -328,7 +328,7 @@ def _calibration_soil(
     return CalibrationSoil(
         source=visible(record.source), soil=soil, leg=record.rig.leg, rig=rig_name(record.rig),
         phi_deg=phi_deg, phi_sd_deg=phi_sd_deg, read_deg=read, read_sd_deg=sd, rig_sd_deg=rig_sd,
-        row=tuple(likelihood.row(record, phi_deg).tolist()),
+        row=tuple(likelihood.row(phi_deg).tolist()),
         bed_sd_deg=error.bed_sd(record.rig, record.grain_size_mm), gain=record.gain,
         grain_size_mm=record.grain_size_mm, readings=record.readings_hash,
     )  # fmt: skip

@@ -317,8 +317,6 @@ def warnings(
     yield from _unusual(likelihood, phi, verdict)
     # Leg, columns, sizes or units may be others than stated.
     if not air:
-        density = np.array(likelihood.density)
-        yield from densities(density, likelihood.density_sd * density)
         for i, readings in enumerate(legs):
             for sentence in misread(likelihood, i, readings, verdict):
                 yield f"{likelihood.prefix(records[i])}{sentence}"
@@ -398,7 +396,7 @@ def _unusual(likelihood: Likelihood, phi: Estimate, verdict: str) -> Iterator[st
 
 def _assumed(likelihood: Likelihood, i: int) -> Iterator[str]:
     """Sentences on what an answer assumes of a record."""
-    record, law, density = likelihood.records[i], likelihood.library, likelihood.density[i]
+    record, law, density = likelihood.records[i], likelihood.library, likelihood.density
     rig, share, grains = record.rig, likelihood.coverage[i].share, record.grain_size_mm
     spacing = float(np.median(np.diff(record.history.theta_deg)))
     window_deg = 2.0 * WINDOW_DEG / (OBSERVATION_ANGLES - 1)
@@ -413,16 +411,16 @@ def _assumed(likelihood: Likelihood, i: int) -> Iterator[str]:
         low, high = ends.round() + 0.0
         covered = f"{low:.0f} to {high:.0f}° of ±{WINDOW_DEG:g}°"
         yield f"The record covers {covered}, {100.0 * share:.0f} % of a stroke's information on φ."
-    of_size_deg = likelihood.of_size_deg(record)
+    of_size_deg = likelihood.of_size_deg(grains)
     if grains and not any(name.startswith("grains") for name in likelihood.error.effects):
         yield f"Law {law.name} has no correction for large grains."
     elif abs(of_size_deg) > 0.05:
         yield f"φ is corrected by {-of_size_deg:+.1f}° for grains of {grains:g} mm."
-    per_mm = likelihood.of_size_deg(replace(record, grain_size_mm=COARSE_MM)) / COARSE_MM
+    per_mm = likelihood.of_size_deg(COARSE_MM) / COARSE_MM
     if not grains and per_mm > OF_SIZE_DEG:
         raised = f"each mm of grain diameter raises φ by {per_mm:.1f}° on this leg"
         yield f"Fine grains are assumed: {raised}; give --grain-size."
-    if record.simulated and record.scenario is None and likelihood.laws[i].most_cohesion:
+    if record.simulated and record.scenario is None and likelihood.law.most_cohesion:
         yield "The simulated forces have no scenario: dry soil is assumed."
     unusual = density_warnings(density) if likelihood.measured else []
     if unusual and record.measurement and measurement(record.measurement).density_kg_m3 == density:
@@ -430,14 +428,6 @@ def _assumed(likelihood: Likelihood, i: int) -> Iterator[str]:
     yield from unusual
     if record.density_kg_m3 is None or record.density_assumed:
         yield f"The density {density:g} kg/m³ is assumed; an error of 10 % moves φ by about 1°."
-
-
-def densities(density: FloatArray, sd: FloatArray) -> list[str]:
-    """Warn if records of one soil have different densities [kg/m³], shape [record] each."""
-    if np.ptp(density) <= UNUSUAL * sd.max():
-        return []
-    ends = f"from {density.min():g} to {density.max():g} kg/m³"
-    return [f"The records have densities {ends} and are inverted as one soil: check that they are."]
 
 
 def _repeats(likelihood: Likelihood) -> Iterator[str]:
@@ -461,7 +451,7 @@ def _moisture(likelihood: Likelihood) -> Iterator[str]:
         return
     for i, record in enumerate(likelihood.records if likelihood.measured else ()):
         free = likelihood.free_cohesion(i)
-        like_grains = LIKE_GRAINS * likelihood.density[i] * GRAVITY * 1e-3 * record.grain_size_mm
+        like_grains = LIKE_GRAINS * likelihood.density * GRAVITY * 1e-3 * record.grain_size_mm
         if free and free.cohesion_pa > record.cohesion_pa + MOIST_PA + like_grains:
             size = "" if record.grain_size_mm else ", whether its grains are large (--grain-size)"
             yield (
@@ -525,7 +515,7 @@ def _forces(
     # Columns are judged by angles of real soil alone: at any angle some curve resembles any forces.
     if usual:
         ends = np.array(USUAL_DEG)
-        low, high = np.clip(ends + likelihood.offset(record, ends), low, high)
+        low, high = np.clip(ends + likelihood.offset(ends), low, high)
     return law, density / law.density * law(np.linspace(low, high, 65)[:, None], number)
 
 
@@ -672,7 +662,7 @@ def misread(likelihood: Likelihood, i: int, legs: Sequence[Reading], verdict: st
 
 def _other_arm(likelihood: Likelihood, i: int) -> Iterator[str]:
     """Warn of a moment about the hip that is not that of the forces, with the model's arms."""
-    record, law = likelihood.records[i], likelihood.laws[i]
+    record, law = likelihood.records[i], likelihood.law
     if record.channels != FORCES or record.history.moment is None:
         return
     theta_deg = law.theta_deg + likelihood.shift_deg[i]

@@ -21,7 +21,7 @@ from terraphi.experiment.bodies import OUTLINES
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.rig import Rig
 from terraphi.inference.answer import Answer, Verdict, decimals, normal_density
-from terraphi.inference.checks import densities
+from terraphi.inference.checks import UNUSUAL
 from terraphi.inference.terms import Sharer, is_shared, ordered_budget, term
 
 CHANCE = 0.05
@@ -91,7 +91,7 @@ def combined(answers: Sequence[Answer]) -> Answer:
     LookupError
         If the table of terms lacks a term of an answer.
     """
-    if any(a.convention != "plane_strain" for a in answers):
+    if len({answer.convention for answer in answers}) > 1:
         raise InputError("answers that are joined are of φ in plane strain; leave out --law")
     names = [*dict.fromkeys(name for answer in answers for name in answer.budget_deg)]
     phi, errors = np.array([answer.phi.median for answer in answers]), errors_of(answers, names)
@@ -228,7 +228,10 @@ def _warnings(answers: Sequence[Answer]) -> tuple[str, ...]:
     density = np.array([answer.density_kg_m3 for answer in answers])
     sd = np.array([answer.density_sd_kg_m3 or 0.0 for answer in answers])
     of_all = set(answers[0].warnings).intersection(*(answer.warnings for answer in answers))
-    sentences = densities(density, sd)
+    sentences = []
+    if np.ptp(density) > UNUSUAL * sd.max():
+        ends = f"from {density.min():g} to {density.max():g} kg/m³, inverted as one soil"
+        sentences.append(f"The records have densities {ends}: check that they are.")
     for answer in answers:
         sources = tuple(record.source for record in answer.records)
         sentences += [

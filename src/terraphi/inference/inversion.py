@@ -61,9 +61,6 @@ which both contradict each other, one in a hundred."""
 SIMULATED = 0.08
 """Residual of a simulation above which law ``legs`` does not describe it, over the range [-]:
 chosen; simulations of Li's legs that nothing was fitted to have 1 to 3 %."""
-SEVERAL = 1.3
-"""Limit of a residual of several records with one angle, over that of one [-]: chosen, for legs
-differ."""
 SHORTEST = 0.7
 """Least part of a stroke over which the limit is shared out [-], so that it grows by a fifth at
 most: residuals of 125 records of grains, cut to 0.5 to 0.9 of a stroke in five ways, are 1.06 to
@@ -192,13 +189,11 @@ def _answers(
         calibration = None if calibration is None else _opened(calibration, law, legs)
         # The offset of law legs is that of one rig alone, so that answers of different rigs are
         # joined by their angles. In one fit, which shared a cohesion, grains were read 4° wrong.
-        by_rig = isinstance(law, Legs) and not all(record.simulated for record in legs)
-        rigs = dict.fromkeys(record.rig if by_rig else None for record in legs)
         # The matrices are small: threads would only wait for each other.
         with threadpool_limits(limits=1, user_api="blas"):
-            for rig in rigs:
-                group = [record for record in legs if rig in (None, record.rig)]
-                answers.append(_answer(group, law, calibration, reason, began))
+            for conditions in dict.fromkeys(record.conditions for record in legs):
+                strokes = [record for record in legs if record.conditions == conditions]
+                answers.append(_answer(strokes, law, calibration, reason, began))
         # One soil has one density, and the law that was named is one of legs.
         density, sd = answers[0].density_kg_m3, answers[0].density_sd_kg_m3 or 0.0
         tools = [replace(tool, density_kg_m3=density, density_sd_kg_m3=sd) for tool in tools]
@@ -396,9 +391,9 @@ def _answer(
         warnings=tuple(warnings(likelihood, fits, phi, verdict, opinion, legs, air)),
         records=tuple(fits), grid_deg=grid, density=density,
         covariance=likelihood.predictive_covariance(),
-        leg_friction=likelihood.laws[0].leg_friction,
+        leg_friction=likelihood.law.leg_friction,
         cohesion_pa=likelihood.cohesion if isinstance(law, Legs) else None,
-        offset_causes_deg=tuple(likelihood.offset_causes_deg.mean(axis=0).tolist()),
+        offset_causes_deg=tuple(likelihood.offset_causes_deg.tolist()),
         provenance={
             "terraphi": importlib.metadata.version("terraphi"),
             "law_hash": law.hash,
@@ -426,7 +421,7 @@ def record_fits(
     low95, high95 = likelihood.curves(np.clip(ci95, *likelihood.ends))
     best, slopes = likelihood.slopes(median, likelihood.shift_deg, likelihood.cohesion)
     tangent = np.stack([best - slopes[:, 0] * median, slopes[:, 0]])
-    fits, rigs = [], {rig_name(record.rig) for record in likelihood.records}
+    fits = []
     for record, part, stroke, shift in zip(
         likelihood.records, likelihood.parts, likelihood.coverage, likelihood.shift_deg, strict=True
     ):
@@ -441,8 +436,7 @@ def record_fits(
             limit = likelihood.error.nrmsd_limit(record.rig, record.grain_size_mm)
             # Most of a stroke's residual is where soil bears, which a part consists of.
             limit /= math.sqrt(max(stroke.part, SHORTEST))
-            limit = math.hypot(limit * (SEVERAL if len(rigs) > 1 else 1.0),
-                               math.sqrt(noise.max()))  # fmt: skip
+            limit = math.hypot(limit, math.sqrt(noise.max()))
         fits.append(
             RecordFit(
                 source=record.source, rig=record.rig, limit=limit, shift_deg=float(shift),
@@ -475,13 +469,12 @@ def judge(
         edge: Edge | None = "low" if likelihood.beyond[0] < likelihood.low else "high"
     else:
         # By the forces alone, as angles of soil.
-        read = likelihood.least_squares
-        offsets = [float(likelihood.offset(r, np.array(read))) for r in likelihood.records]
-        edge = "high" if read > likelihood.high - max(offsets) else None
-        edge = "low" if read < likelihood.low - min(offsets) else edge
+        best = np.array(likelihood.least_squares)
+        read = best + likelihood.offset(best)
+        edge = "high" if read > likelihood.high else "low" if read < likelihood.low else None
     if edge is not None:
         end = likelihood.low if edge == "low" else likelihood.high
-        end -= float(likelihood.offset(likelihood.records[0], np.array(end)))
+        end -= float(likelihood.offset(np.array(end)))
         verdict, where, _ = out_of_range(law.name, edge, end)
         return verdict, f"{where} {bad[1] if bad else ''}".rstrip(), edge
     if bad:
@@ -490,7 +483,7 @@ def judge(
         return "consistent", "Consistent: noise and scatter explain the residual.", None
     if not likelihood.measured:
         return consistent(fits, "simulations")
-    grains = max(record.grain_size_mm for record in likelihood.records)
+    grains = likelihood.grain_size_mm
     return consistent(fits, f"grains of {grains:g} mm" if grains >= FINE_MM else "sand")
 
 

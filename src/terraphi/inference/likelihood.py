@@ -85,7 +85,7 @@ from terraphi.experiment.history import FORCES, WINDOW_DEG, ForceHistory
 from terraphi.experiment.units import GRAVITY
 from terraphi.inference.estimator import Best, least_squares, weights
 from terraphi.inference.records import Record, rig_name
-from terraphi.inference.terms import Sharer, is_shared, ordered_budget, term
+from terraphi.inference.terms import ordered_budget, term
 from terraphi.laws.law import STEP, LegLaw
 from terraphi.laws.legs import LawOfLegs, Legs, law_of
 from terraphi.laws.model_error import MIDDLE_DEG, ModelError
@@ -196,14 +196,14 @@ def squared_residuals(
 
 
 class Likelihood:
-    """Log-likelihood of one record or several through a library.
+    """Log-likelihood of one record, or of several strokes of one rig, through a library.
 
     Parameters
     ----------
     records
-        Of one soil.
+        Of one soil, with the same :attr:`~terraphi.inference.records.Record.conditions`.
     library
-        Has every leg of the records.
+        Has the leg of the records.
     calibration
         Soils of known angle in the same apparatus, or ``None``.
     disagreement_deg
@@ -211,8 +211,8 @@ class Likelihood:
 
     Attributes
     ----------
-    density
-        Bulk density that the curves of each record are scaled to [kg/m³].
+    density, density_sd
+        Bulk density that the curves are scaled to [kg/m³], and its standard deviation over it [-].
     """
 
     def __init__(
@@ -225,18 +225,16 @@ class Likelihood:
     ) -> None:
         self.records, self.library, self.calibration = tuple(records), library, calibration
         self.disagreement_deg = disagreement_deg
-        self.measured = not all(record.simulated for record in records)
-        self.laws: list[LegLaw] = []
-        for record in records:
-            try:
-                self.laws.append(law_of(library, record.rig, record.scenario))
-            except InputError as error:
-                raise InputError(f"{record.source}: {error}") from None
-        self.density = [record.bulk_density[0] for record in records]
-        self.density_sd = np.array([sd / mean for mean, sd in (r.bulk_density for r in records)])
-        """Relative standard deviation of the density [-], shape [record]."""
-        # Forces in soil of a record's density over those of its law.
-        self._ratio = np.array(self.density) / [law.density for law in self.laws]
+        first = records[0]
+        self.rig, self.grain_size_mm, self.measured = (
+            first.rig, first.grain_size_mm, not first.simulated
+        )  # fmt: skip
+        try:
+            self.law: LegLaw = law_of(library, first.rig, first.scenario)
+        except InputError as error:
+            raise InputError(f"{first.source}: {error}") from None
+        self.density, sd = first.bulk_density
+        self.density_sd = sd / self.density
         ends = np.cumsum([0, *(r.data.size for r in records)])
         self.parts = [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
         self.data = np.concatenate([record.data.ravel() for record in records])
@@ -246,18 +244,16 @@ class Likelihood:
         # The record of each window mean.
         self._record_index = np.repeat(np.arange(len(records)), [r.data.size for r in records])
         self.error = library.error if isinstance(library, Legs) else ModelError()
-        # c / (ρ g L) of each record for a cohesion of 1 Pa.
-        lengths = np.array([record.rig.length for record in records])
-        self._per_pascal = 1.0 / (np.array(self.density) * GRAVITY * lengths)
+        # c / (ρ g L) for a cohesion of 1 Pa.
+        self._per_pascal = 1.0 / (self.density * GRAVITY * first.rig.length)
         self._cohesions = self._fitted_cohesions()
-        # Largest δ of each record [deg]; of simulated ones 0, whose angle is exact.
-        self._most_shift = np.full(len(records), SHIFT_DEG if self.measured else 0.0)
-        self.low = max(float(law.bounds[0][0]) for law in self.laws)
-        self.high = min(float(law.bounds[1][0]) for law in self.laws)
+        # Largest δ [deg]; of simulated records 0, whose angle is exact.
+        self._most_shift = SHIFT_DEG if self.measured else 0.0
+        self.low, self.high = (float(end[0]) for end in self.law.bounds)
         self.ends = max(self.low - BEYOND_DEG, LIMITS_DEG[0]), min(self.high + BEYOND_DEG,
                                                                    LIMITS_DEG[1])  # fmt: skip
         rigs = {soil.rig for soil in calibration.soils} if calibration else set()
-        self._is_calibrated = np.array([rig_name(record.rig) in rigs for record in records])
+        self._is_calibrated = rig_name(first.rig) in rigs
 
     def _fitted_cohesions(self) -> FloatArray:
         """Cohesions that φ is fitted at [Pa]; of simulated soil that of its scenario.
@@ -267,9 +263,7 @@ class Likelihood:
         simulated = self.records if not self.measured else ()
         cohesions = {(r.scenario.soil.cohesion, 0.0) for r in simulated if r.scenario}
         cohesions |= {(r.cohesion_pa, r.cohesion_sd_pa) for r in self.records if r not in simulated}
-        most = min(
-            law.most_cohesion / float(c) for law, c in zip(self.laws, self._per_pascal, strict=True)
-        )
+        most = self.law.most_cohesion / self._per_pascal
         if len(cohesions) > 1:
             texts = " and ".join(f"{mean:g}±{sd:g} Pa" for mean, sd in sorted(cohesions))
             raise InputError(f"soils with a cohesion of {texts} are not one soil; infer each alone")
@@ -296,94 +290,74 @@ class Likelihood:
 
     # -- curves ----------------------------------------------------------------------------------
 
-    def offset(self, record: Record, phi_deg: FloatArray) -> FloatArray:
+    def offset(self, phi_deg: FloatArray) -> FloatArray:
         """Mean of φ as the law reads it off measured forces, minus φ of the soil [deg]."""
         if not self.measured:
             return np.zeros_like(phi_deg)
-        learned = self.error.offset(record.rig, record.grain_size_mm, phi_deg)
-        if record.channels == ("M",) and isinstance(self.library, Legs):
-            learned = learned + TORQUE_DEG.get(record.rig.leg, 0.0)
-        return learned + (self._calibrated_errors[record][0] if self.calibration else 0.0)
+        learned = self.error.offset(self.rig, self.grain_size_mm, phi_deg)
+        if self.records[0].channels == ("M",) and isinstance(self.library, Legs):
+            learned = learned + TORQUE_DEG.get(self.rig.leg, 0.0)
+        return learned + (self._calibrated_error[0] if self.calibration else 0.0)
 
-    def row(self, record: Record, phi_deg: float) -> FloatArray:
-        """Row x of a record in the mixed model, at an angle of the soil [deg], shape [effect]."""
-        read_deg = phi_deg + float(
-            self.error.offset(record.rig, record.grain_size_mm, np.array(phi_deg))
-        )
-        return self.error.row(record.rig, record.grain_size_mm, read_deg)
+    def row(self, phi_deg: float) -> FloatArray:
+        """Row x in the mixed model, at an angle of the soil [deg], shape [effect]."""
+        offset_deg = self.error.offset(self.rig, self.grain_size_mm, np.array(phi_deg))
+        return self.error.row(self.rig, self.grain_size_mm, phi_deg + float(offset_deg))
 
     @cached_property
-    def _calibrated_errors(self) -> dict[Record, tuple[float, FloatArray]]:
-        """Mean of the offset's error by the calibration, and its causes, by record [deg].
+    def _calibrated_error(self) -> tuple[float, FloatArray]:
+        """Mean of the offset's error by the calibration, and its causes [deg].
 
         The row is that of the angle that is in the middle of the soils of the calibration.
         """
         assert self.calibration
         middle = float(np.mean([soil.phi_deg for soil in self.calibration.soils]))
-        return {
-            record: self.calibration.offset(
-                self.error, rig_name(record.rig), self.row(record, middle)
-            )
-            for record in self.records
-        }
+        return self.calibration.offset(self.error, rig_name(self.rig), self.row(middle))
 
     @cached_property
     def offset_causes_deg(self) -> FloatArray:
-        """Error of the offset by a standard deviation of each cause [deg], [record, cause].
+        """Error of the offset by a standard deviation of each cause [deg], shape [cause].
 
         There is no cause of simulated records.
         """
         if not self.measured:
-            return np.empty((len(self.records), 0))
+            return np.empty(0)
         if self.calibration:
-            return np.array([self._calibrated_errors[record][1] for record in self.records])
-        rows = np.array([self.row(record, self.least_squares) for record in self.records])
-        return rows @ self.error.root
+            return self._calibrated_error[1]
+        return self.row(self.least_squares) @ self.error.root
 
-    def of_size_deg(self, record: Record) -> float:
-        """Part of the offset that comes with the size of the grains [deg]."""
+    def of_size_deg(self, grain_size_mm: float) -> float:
+        """Part of the offset that comes with a size of the grains [deg]."""
         if not self.measured:
             return 0.0
-        sizes, middle = (record.grain_size_mm, 0.0), np.array(MIDDLE_DEG)
-        grains, fine = (float(self.error.offset(record.rig, size, middle)) for size in sizes)
+        sizes, middle = (grain_size_mm, 0.0), np.array(MIDDLE_DEG)
+        grains, fine = (float(self.error.offset(self.rig, size, middle)) for size in sizes)
         return grains - fine
 
-    def curves(
-        self, phi_deg: ArrayLike, shift_deg: FloatArray | None = None, cohesion: float | None = None
-    ) -> FloatArray:
-        """Window means g [N] at k angles φ, at the best δ [deg] and c [Pa] or others, [k, n]."""
-        forces = self._forces(phi_deg, self.cohesion if cohesion is None else cohesion)
-        return self._means(forces, self.shift_deg if shift_deg is None else shift_deg)
+    def curves(self, phi_deg: ArrayLike, cohesion: float | None = None) -> FloatArray:
+        """Window means g [N] at k angles φ, the best δ, and the best c or another [Pa], [k, n]."""
+        force = self._force(phi_deg, self.cohesion if cohesion is None else cohesion)
+        return self._means(force, self.shift_deg)
 
-    def _means(self, forces: list[FloatArray], shift_deg: FloatArray) -> FloatArray:
-        """Window means of the forces on each record's leg [N], [k, 2, theta] each.
+    def _means(self, force: FloatArray, shift_deg: FloatArray) -> FloatArray:
+        """Window means of forces on the leg [N], [k, 2, theta].
 
         Shape [..., record] of the shifts for [..., k, n].
         """
-        of_records = zip(self.records, forces, self.laws, shift_deg.T, strict=True)
-        return np.concatenate([window_means(*of_record) for of_record in of_records], axis=-1)
+        shifts = zip(self.records, shift_deg.T, strict=True)
+        means = [window_means(record, force, self.law, shift) for record, shift in shifts]
+        return np.concatenate(means, axis=-1)
 
-    def _means_of(self, i: int, rows: FloatArray) -> FloatArray:
-        """Window means of the i-th record [N] of forces by its law [N], [k, 2 theta] -> [k, m]."""
-        force = self._ratio[i] * rows.reshape(len(rows), 2, -1)
-        return window_means(self.records[i], force, self.laws[i], self.shift_deg[i])
+    def _means_by_law(self, rows: FloatArray) -> FloatArray:
+        """Window means [N] of forces in soil of the law's density [N], [k, 2 theta] -> [k, n]."""
+        force = self.density / self.law.density * rows.reshape(len(rows), 2, -1)
+        return self._means(force, self.shift_deg)
 
-    def _forces(self, phi_deg: ArrayLike, cohesion: float) -> list[FloatArray]:
-        """Forces [N] on the leg of each record, in soil of its density and a cohesion [Pa].
-
-        At k angles φ, shape [k, 2, theta] each.
-        """
+    def _force(self, phi_deg: ArrayLike, cohesion: float) -> FloatArray:
+        """Forces [N] on the leg at k angles φ and a cohesion [Pa], shape [k, 2, theta]."""
         phi = np.reshape(np.asarray(phi_deg, np.float64), (-1, 1))
-        forces: dict[tuple[Any, ...], FloatArray] = {}
-        numbers = (cohesion * self._per_pascal).tolist()
-        keys = [
-            (r.rig, r.grain_size_mm, r.channels, n)
-            for r, n in zip(self.records, numbers, strict=True)
-        ]
-        for record, law, key in zip(self.records, self.laws, keys, strict=True):
-            if key not in forces:
-                forces[key] = law(phi + self.offset(record, phi), key[-1])
-        return [ratio * forces[key] for key, ratio in zip(keys, self._ratio, strict=True)]
+        force = self.law(phi + self.offset(phi), cohesion * self._per_pascal)
+        return self.density / self.law.density * force
 
     def slopes(
         self, phi_deg: float, shift_deg: FloatArray, cohesion: float
@@ -393,9 +367,9 @@ class Likelihood:
         By central differences [N/deg].
         """
         step = STEP * (self.high - self.low)
-        forces = self._forces(phi_deg + step * np.array([1.0, -1.0, 0.0]), cohesion)
+        force = self._force(phi_deg + step * np.array([1.0, -1.0, 0.0]), cohesion)
         shifts = shift_deg + np.array([[0.0], [0.1], [-0.1]])
-        (above, below, curve), (*_, later), (*_, earlier) = self._means(forces, shifts)
+        (above, below, curve), (*_, later), (*_, earlier) = self._means(force, shifts)
         of_record = np.eye(len(self.records))[self._record_index]
         # The shift of one record does not move the others.
         of_shift = of_record * (later - earlier)[:, None] / 0.2
@@ -430,7 +404,9 @@ class Likelihood:
     def coverage(self) -> list[Coverage]:
         """Part of a whole stroke that each record has, at the best point."""
         coverage = []
-        for i, record in enumerate(self.records):
+        best = np.clip(self.least_squares, self.low, self.high)
+        force = self._force(best + np.array([-1.0, 0.0, 1.0]), self.cohesion)
+        for record, shift in zip(self.records, self.shift_deg, strict=True):
             # A record of the same channels over a whole stroke, whose windows read the law 1°
             # below and above the best angle: their difference is proportional to ∂g/∂φ.
             theta = np.radians(np.arange(-WINDOW_DEG - 3.0, WINDOW_DEG + 3.5))
@@ -438,9 +414,7 @@ class Likelihood:
             zero = ForceHistory(theta, np.zeros((theta.size, len(axes))), axes=axes,
                                 moment=0 * theta)  # fmt: skip
             stroke = replace(record, history=zero)
-            best = np.clip(self.least_squares, self.low, self.high)
-            force = self._forces(best + np.array([-1.0, 0.0, 1.0]), self.cohesion)[i]
-            means = window_means(stroke, force, self.laws[i], self.shift_deg[i])
+            means = window_means(stroke, force, self.law, shift)
             below, curve, above = means.reshape(3, len(stroke.channels), -1)
             # A part of a stroke may lack the peak, so that p is the model's where that is larger.
             measured = np.isin(stroke.theta_deg.round(6), record.theta_deg.round(6))
@@ -463,13 +437,12 @@ class Likelihood:
         """φ and δ of the smallest residual at each cohesion, each fit begun at the last."""
         # The squared residual has several minima, so that the first fit begins at the smallest
         # value on a grid. All records have one φ, and each has the δ that is best at that φ.
-        shifts = np.arange(-self._most_shift[0], self._most_shift[0] + 1.0)
+        shifts = np.arange(-self._most_shift, self._most_shift + 1.0)
         x = np.linspace(*self.ends, 257)
+        force = self._force(x, float(self._cohesions[0]))
         squares = [
-            squared_residuals(record, record.data[None], force, law, shifts)[0]
-            for record, force, law in zip(
-                self.records, self._forces(x, float(self._cohesions[0])), self.laws, strict=True
-            )
+            squared_residuals(record, record.data[None], force, self.law, shifts)[0]
+            for record in self.records
         ]
         first = int(sum(each.min(axis=0) for each in squares).argmin())
         best_shifts = shifts[[int(each[:, first].argmin()) for each in squares]]
@@ -482,7 +455,7 @@ class Likelihood:
 
     def _fitted(self, cohesion: float, start: FloatArray, settled: float = 1e-8) -> Best:
         """Least squares at a cohesion [Pa]."""
-        (low, high), most = self.ends, self._most_shift
+        (low, high), most = self.ends, np.full(len(self.records), self._most_shift)
 
         def residual(p: FloatArray, _: IntArray) -> tuple[FloatArray, FloatArray]:
             curve, slope = self.slopes(p[0, 0], p[0, 1:], cohesion)
@@ -506,7 +479,7 @@ class Likelihood:
         c = self._cohesions
         if len(c) == 1:
             return float(c[0]), 0.0, 0.0
-        unit, first = 1.0 / float(np.mean(self._per_pascal)), self.records[0]
+        unit, first = 1.0 / self._per_pascal, self.records[0]
         # Between two cohesions the residual is nearly linear along ln(1 + c / (EVENLY ρ g L)), and
         # its square may be near zero.
         along = np.log1p(c / (EVENLY * unit))
@@ -534,9 +507,9 @@ class Likelihood:
         """Number ν of independent residuals, by the windows in soil of different records."""
         # Repeats have the same residual by the law, so that they count once.
         windows = set()
+        low, high = self.rig.air_deg()
         for record in self.records:
             places = record.theta_deg.round(3)
-            low, high = record.rig.air_deg()
             in_soil = places[(low <= places) & (places <= high)].tolist()
             # Of Fx, Fz and the moment two give the third.
             windows |= {*itertools.product(record.channels[:2], in_soil)}
@@ -557,11 +530,11 @@ class Likelihood:
         To first order about the best point; φ and δ are free as well, and the cohesion is not
         below 0. ``None`` where the law has no cohesion, or no other hips.
         """
-        part, law = self.parts[i], self.laws[i]
-        slope = law.of_hip(*self._by_law(i)) if with_hip else np.zeros((0, 1))
+        part, law = self.parts[i], self.law
+        slope = law.of_hip(*self._by_law()) if with_hip else np.zeros((0, 1))
         if slope is None or not law.most_cohesion:
             return None
-        step = COHESION_STEP * law.most_cohesion / float(self._per_pascal[i])
+        step = COHESION_STEP * law.most_cohesion / self._per_pascal
         # The difference is central, or forward where the cohesion is next to 0.
         low = max(self.cohesion - step, 0.0)
         damp, dry = (
@@ -571,7 +544,7 @@ class Likelihood:
         # Columns: φ, δ, the height of the hip, the cohesion.
         columns = np.column_stack([
             self._best.slope[0, part][:, [0, 1 + i]],
-            *(self._means_of(i, slope.T) if with_hip else ()),
+            *(self._means_by_law(slope.T)[:, part] if with_hip else ()),
             (damp - dry) / (self.cohesion + step - low),
         ]) / self.span[part, None]  # fmt: skip
         residuals = self.residual[part] / self.span[part]
@@ -602,13 +575,13 @@ class Likelihood:
         # grid is added to the estimate.
         angles = [phi[(size / f**2 - 2.0 * likeness / f).argmin()] for f in (1.0, *factors)]
         answers = self.least_squares + np.array(angles[1:]) - angles[0]
-        by_law = answers + self.offset(self.records[0], answers)
+        by_law = answers + self.offset(answers)
         in_range = (self.low <= by_law) & (by_law <= self.high)
         return [phi if ok else None for phi, ok in zip(answers.tolist(), in_range, strict=True)]
 
     def at_cohesion(self, cohesion_pa: float) -> float | None:
         """φ by soil of a cohesion [deg]; ``None`` outside the law."""
-        if np.any(cohesion_pa * self._per_pascal > [law.most_cohesion for law in self.laws]):
+        if cohesion_pa * self._per_pascal > self.law.most_cohesion:
             return None
         return float(self._fitted(cohesion_pa, self._best.x).x[0, 0])
 
@@ -647,28 +620,22 @@ class Likelihood:
             curve, slope = self.data - self.residual, self._best.slope[0, :, 0]
             errors = {name: (sds, slope) for name, sds in self._angle_sds().items()}
             errors["density"] = self.density_sd, curve
-            errors["gain"] = np.array([record.gain_sd for record in self.records]), curve
+            errors["gain"] = self.records[0].gain_sd, curve
             for name, (sds, change) in errors.items():
-                error = sds[self._record_index] * change
+                error = np.broadcast_to(sds, len(self.records))[self._record_index] * change
                 covariances[name] = np.outer(error, error)
-        sharers = [
-            Sharer(i, rig_name(record.rig), record.rig.leg, self.library.name)
-            for i, record in enumerate(self.records)
-        ]
-        windows = np.ix_(self._record_index, self._record_index)
+        # Strokes of one rig have all errors in common but those of a record.
+        is_same = np.equal.outer(self._record_index, self._record_index)
         for name, covariance in covariances.items():
-            together = is_shared(name, sharers)
-            if term(name).fixed:
-                # What a calibration of the rig includes is no further error of its records.
-                together &= ~np.logical_or.outer(self._is_calibrated, self._is_calibrated)
-            covariance *= together[windows]
+            covariance *= is_same | (term(name).key != "record")
+            # What a calibration of the rig includes is no further error of its records.
+            covariance *= not (term(name).fixed and self._is_calibrated)
         return {name: each for name, each in covariances.items() if each.any()}
 
-    def _by_law(self, i: int) -> tuple[FloatArray, float]:
-        """Best φ as the law reads it off the i-th record [deg], shape [1], and c / (ρ g L)."""
+    def _by_law(self) -> tuple[FloatArray, float]:
+        """Best φ as the law reads it [deg], shape [1], and c / (ρ g L)."""
         phi = np.array([self.least_squares])
-        number = self.cohesion * float(self._per_pascal[i])
-        return phi + self.offset(self.records[i], phi), number
+        return phi + self.offset(phi), self.cohesion * self._per_pascal
 
     def _law_errors(self) -> dict[str, FloatArray]:
         """Covariance of the law's errors as if all records shared them [N²], [n, n] each.
@@ -678,32 +645,25 @@ class Likelihood:
         """
         # The law has each error as a factor F [2 theta, k] of its forces: k independent causes, one
         # standard deviation each. Read as the record reads forces, F is B, and the covariance B B'.
-        covariances, errors = {}, []
-        for i, law in enumerate(self.laws):
-            factors = law.errors(*self._by_law(i), is_measured=self.measured)
-            errors.append({name: self._means_of(i, f.T) for name, f in factors.items()})
-        for name in errors[0]:
-            factor = np.zeros((self.data.size, max(len(means[name]) for means in errors)))
-            for part, means in zip(self.parts, errors, strict=True):
-                factor[part, : len(means[name])] = means[name].T
-            covariances[name] = factor @ factor.T
-        return covariances
+        factors = self.law.errors(*self._by_law(), is_measured=self.measured)
+        means = {name: self._means_by_law(factor.T) for name, factor in factors.items()}
+        return {name: b.T @ b for name, b in means.items()}
 
-    def _angle_sds(self) -> dict[str, FloatArray]:
-        """Standard deviation of φ by what looks like another angle [deg], shape [record] each."""
-        records, error, each = self.records, self.error, np.ones(len(self.records))
+    def _angle_sds(self) -> dict[str, Any]:
+        """Standard deviation of φ by what looks like another angle [deg], or [record] of them."""
+        error = self.error
         # 1/h − 1 is the variance of φ by the part of a stroke that is missing, over that at ½.
         share = np.clip([coverage.share for coverage in self.coverage], 1e-3, 1.0)
         return {
-            "model: offset": np.linalg.norm(self.offset_causes_deg, axis=1),
-            "model: soil": error.soil_sd_deg * each,
-            "model: leg": error.leg_sd_deg * each,
-            "model: rig": error.rig_sd_deg * ~self._is_calibrated,
-            "model: bed": np.array([error.bed_sd(r.rig, r.grain_size_mm) for r in records]),
+            "model: offset": np.linalg.norm(self.offset_causes_deg),
+            "model: soil": error.soil_sd_deg,
+            "model: leg": error.leg_sd_deg,
+            "model: rig": 0.0 if self._is_calibrated else error.rig_sd_deg,
+            "model: bed": error.bed_sd(self.rig, self.grain_size_mm),
             "missing angles": PART_DEG * np.sqrt(1.0 / share - 1.0),
-            "missing forces": MOMENT_DEG * np.array([r.channels != FORCES for r in records]),
-            "second opinion": self.disagreement_deg * each,
-            "cohesion": self.averaged[2] * each,
+            "missing forces": MOMENT_DEG * (self.records[0].channels != FORCES),
+            "second opinion": self.disagreement_deg,
+            "cohesion": self.averaged[2],
         }
 
     @cached_property

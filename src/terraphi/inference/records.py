@@ -148,6 +148,13 @@ class Record(InSoil):
     cohesion_sd_pa: float = 0.0
 
     @property
+    def conditions(self) -> tuple[object, ...]:
+        """All that records have in common that are strokes of one rig in one state of the soil."""
+        cell = self.scenario and self.scenario.numerics.cell_size
+        return (self.rig, self.channels, self.bulk_density, self.grain_size_mm, self.gain_sd,
+                self.simulated, cell)  # fmt: skip
+
+    @property
     def channels(self) -> tuple[str, ...]:
         """``Fx``, ``Fz`` and ``M``: those that are compared."""
         return self.history.channels
