@@ -51,6 +51,17 @@ def test_two_answers_have_the_posterior_of_their_common_angle(plate: Answer) -> 
     assert np.hypot(*joint.budget_deg.values()) == pytest.approx(joint.phi.sd, abs=0.02)
 
 
+def test_simulated_legs_of_two_shapes_have_one_angle() -> None:
+    base = terraphi.Scenario.load("quick")
+    forces = [terraphi.simulate(base.replace(**{"leg.shape": leg})) for leg in ("straight", "c")]
+    joint, *alone = terraphi.invert(forces), *map(terraphi.invert, forces)
+    assert joint.verdict == "consistent"
+    assert joint.phi.median == pytest.approx(35.0, abs=2.0 * joint.phi.sd)
+    # Of laws without errors in common the precisions add up.
+    precision = sum(answer.phi.sd**-2 for answer in alone)
+    assert joint.phi.sd == pytest.approx(precision**-0.5, rel=0.02)
+
+
 def test_answers_far_apart_are_a_misfit_and_one_misfit_spoils_all(plate: Answer) -> None:
     low, high = normal(plate, 22.0, 2.0, 0.0, "legs"), normal(plate, 34.0, 2.0, 0.0, "foot")
     difference = combined([low, high])

@@ -324,7 +324,7 @@ def test_cohesion_is_averaged_as_by_brute_force(name: str) -> None:
     for i, number in enumerate(c):
 
         def apart(p: np.ndarray, number: float = number) -> np.ndarray:
-            curve = likelihood.curves(p[:1][None], p[1:], number * unit)[0]
+            curve, _ = likelihood.slopes(p[0], p[1:], number * unit)
             return (likelihood.data - curve) / likelihood.span
 
         result = least_squares(apart, start, bounds=([0.5, -15.0], [67.0, 15.0]), diff_step=1e-4)

@@ -55,7 +55,7 @@ def quantiles(
 
 
 STEP_DEG = 0.05
-"""Step of the grid of a normal posterior [deg]."""
+"""Largest step of the grid of a normal posterior [deg]."""
 NO_PLANE_STRAIN = "√J₂ = p tan φ has no plane-strain equivalent from φ = 45° on"
 
 
@@ -97,7 +97,8 @@ class Estimate:
 
 def normal_density(median: float, sd: float) -> tuple[FloatArray, FloatArray]:
     """Normal density of φ [1/deg] on a grid [deg] over six standard deviations."""
-    grid = np.arange(max(median - 6.0 * sd, 0.5), min(median + 6.0 * sd, 85.0), STEP_DEG)
+    step = min(STEP_DEG, 0.1 * sd)
+    grid = np.arange(max(median - 6.0 * sd, 0.5), min(median + 6.0 * sd, 85.0), step)
     density = np.exp(-0.5 * ((grid - median) / sd) ** 2)
     return grid, np.asarray(density / np.trapezoid(density, grid))
 

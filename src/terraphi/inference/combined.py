@@ -140,7 +140,7 @@ def _verdict(
             head, _, reason = answer.reason.partition(": ")
             return answer.verdict, f"{head}: {_name(answer)}: {reason}"
     angles = ", ".join(
-        f"{_name(answer)} {answer.phi.median:.{digits}f} ± {answer.phi.sd:.1f}°"
+        f"{_name(answer)} {answer.phi.median:.{digits}f} ± {answer.phi.sd:.{max(digits, 1)}f}°"
         for answer in answers
     )
     phi, variance = np.array([answer.phi.median for answer in answers]), covariance.diagonal()
