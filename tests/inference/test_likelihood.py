@@ -324,8 +324,8 @@ def test_cohesion_is_averaged_as_by_brute_force(name: str) -> None:
     for i, number in enumerate(c):
 
         def apart(p: np.ndarray, number: float = number) -> np.ndarray:
-            curve, _ = likelihood.slopes(p[0], p[1:], number * unit)
-            return (likelihood.data - curve) / likelihood.span
+            residual, _ = likelihood.linearized(p[None], number * unit)
+            return residual[0] / likelihood.span
 
         result = least_squares(apart, start, bounds=([0.5, -15.0], [67.0, 15.0]), diff_step=1e-4)
         start, phi[i], squares[i] = result.x, result.x[0], np.square(result.fun).mean()

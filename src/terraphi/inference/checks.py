@@ -385,12 +385,12 @@ def _unusual(likelihood: Likelihood, phi: Estimate, verdict: str) -> Iterator[st
         yield LITTLE_KNOWN
     if not likelihood.measured:
         return
-    for leg in dict.fromkeys(record.rig.leg for record in likelihood.records):
-        low, high = likelihood.error.of_leg(leg).phi_deg or (-np.inf, np.inf)
-        is_inside = low - NEAR_DEG <= phi.median <= high + NEAR_DEG
-        if verdict == "consistent" and not is_inside:
-            ends = f"{low:.1f} to {high:.1f}°, where the error of the law was learned on leg {leg}"
-            yield f"φ = {phi.median:.1f}° lies outside {ends}: it may be larger there."
+    leg = likelihood.rig.leg
+    low, high = likelihood.error.of_leg(leg).phi_deg or (-np.inf, np.inf)
+    is_inside = low - NEAR_DEG <= phi.median <= high + NEAR_DEG
+    if verdict == "consistent" and not is_inside:
+        ends = f"{low:.1f} to {high:.1f}°, where the error of the law was learned on leg {leg}"
+        yield f"φ = {phi.median:.1f}° lies outside {ends}: it may be larger there."
     yield from unusual(phi.median, "leg")
 
 

@@ -22,7 +22,7 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.rig import Rig
 from terraphi.inference.answer import Answer, Verdict, decimals, normal_density
 from terraphi.inference.checks import UNUSUAL
-from terraphi.inference.terms import Sharer, is_shared, ordered_budget, term
+from terraphi.inference.terms import ordered_budget, term
 
 CHANCE = 0.05
 """Largest share of sound sets of answers of which two differ so much that they are a misfit
@@ -47,11 +47,16 @@ def errors_of(answers: Sequence[Answer], names: Sequence[str]) -> Errors:
     k = len(answers)
     sds = np.array([[a.budget_deg.get(name, 0.0) for a in answers] for name in names])
     sds = sds.reshape(-1, k)
-    sharers = [Sharer(i, a.rigs[0], a.rigs[0].leg, a.law) for i, a in enumerate(answers)]
-    shared = np.array([is_shared(name, sharers) for name in names], float).reshape(-1, k, k)
+    rigs, laws = [answer.rigs[0] for answer in answers], [answer.law for answer in answers]
+    keys = {"record": [*range(k)], "rig": rigs, "leg": [rig.leg for rig in rigs], "law": laws,
+            "soil": [None] * k}  # fmt: skip
+    shared = np.array(
+        [[[first == other for other in keys[term(name).key]] for first in keys[term(name).key]]
+         for name in names], float,
+    ).reshape(-1, k, k)  # fmt: skip
     causes = [answer.offset_causes_deg for answer in answers]
     if "model: offset" in names:
-        shared[names.index("model: offset")] = _correlation(causes, [a.law for a in answers])
+        shared[names.index("model: offset")] = _correlation(causes, laws)
     # Covariances between answers are products of the terms' standard deviations where the error is
     # shared; the diagonal is each answer's whole variance.
     variance = np.array([answer.phi.sd**2 for answer in answers])

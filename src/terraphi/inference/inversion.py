@@ -419,8 +419,10 @@ def record_fits(
     # Curves at the ends of the interval and at the median, and the tangent there: predictions of
     # an answer's file are g(median) + (φ − median) ∂g/∂φ, as value at 0° and slope.
     low95, high95 = likelihood.curves(np.clip(ci95, *likelihood.ends))
-    best, slopes = likelihood.slopes(median, likelihood.shift_deg, likelihood.cohesion)
-    tangent = np.stack([best - slopes[:, 0] * median, slopes[:, 0]])
+    x = np.append(median, likelihood.shift_deg)[None]
+    residual, slopes = likelihood.linearized(x, likelihood.cohesion)
+    best, slope = likelihood.data - residual[0], slopes[0, :, 0]
+    tangent = np.stack([best - slope * median, slope])
     fits = []
     for record, part, stroke, shift in zip(
         likelihood.records, likelihood.parts, likelihood.coverage, likelihood.shift_deg, strict=True

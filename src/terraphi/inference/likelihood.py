@@ -79,7 +79,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from terraphi.experiment.arrays import FloatArray, IntArray
+from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import FORCES, WINDOW_DEG, ForceHistory
 from terraphi.experiment.units import GRAVITY
@@ -359,21 +359,20 @@ class Likelihood:
         force = self.law(phi + self.offset(phi), cohesion * self._per_pascal)
         return self.density / self.law.density * force
 
-    def slopes(
-        self, phi_deg: float, shift_deg: FloatArray, cohesion: float
-    ) -> tuple[FloatArray, FloatArray]:
-        """Window means g [N], shape [n], with ∂g/∂φ and ∂g/∂δ of each record, [n, 1 + record].
+    def linearized(self, x: FloatArray, cohesion: float) -> tuple[FloatArray, FloatArray]:
+        """Residual d − g [N], shape [1, n], with ∂g/∂φ and ∂g/∂δ of each record, [1, n, 1 + record].
 
-        By central differences [N/deg].
+        At φ and δ, shape [1, 1 + record], and a cohesion [Pa]; by central differences [N/deg].
         """
         step = STEP * (self.high - self.low)
-        force = self._force(phi_deg + step * np.array([1.0, -1.0, 0.0]), cohesion)
-        shifts = shift_deg + np.array([[0.0], [0.1], [-0.1]])
+        force = self._force(x[0, 0] + step * np.array([1.0, -1.0, 0.0]), cohesion)
+        shifts = x[0, 1:] + np.array([[0.0], [0.1], [-0.1]])
         (above, below, curve), (*_, later), (*_, earlier) = self._means(force, shifts)
         of_record = np.eye(len(self.records))[self._record_index]
         # The shift of one record does not move the others.
         of_shift = of_record * (later - earlier)[:, None] / 0.2
-        return curve, np.column_stack([(above - below) / (2.0 * step), of_shift])
+        slope = np.column_stack([(above - below) / (2.0 * step), of_shift])
+        return (self.data - curve)[None], slope[None]
 
     # -- best point ------------------------------------------------------------------------------
 
@@ -456,13 +455,8 @@ class Likelihood:
     def _fitted(self, cohesion: float, start: FloatArray, settled: float = 1e-8) -> Best:
         """Least squares at a cohesion [Pa]."""
         (low, high), most = self.ends, np.full(len(self.records), self._most_shift)
-
-        def residual(p: FloatArray, _: IntArray) -> tuple[FloatArray, FloatArray]:
-            curve, slope = self.slopes(p[0, 0], p[0, 1:], cohesion)
-            return (self.data - curve)[None], slope[None]
-
         return least_squares(
-            residual,
+            lambda x, _: self.linearized(x, cohesion),
             self._weight[None],
             start,
             bounds=(np.append(low, -most), np.append(high, most)),

@@ -10,12 +10,8 @@ are known.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Literal, NamedTuple
-
-import numpy as np
-
-from terraphi.experiment.arrays import BoolArray
 
 SMALLEST = 0.01
 """Share of the largest term below which a term is left out of the budget [-]."""
@@ -88,27 +84,11 @@ TERMS: dict[str, Term] = {
 """Every term of an interval by its name in the budget."""
 
 
-class Sharer(NamedTuple):
-    """A record or an answer, by what it can have in common with others of the same soil."""
-
-    record: object
-    rig: object
-    leg: str
-    law: str
-    soil: str = ""
-
-
 def term(name: str) -> Term:
     """Row of a term; raises LookupError if the table has none of that name."""
     if name not in TERMS:
         raise LookupError(f"term '{name}' is not in the table terraphi.inference.terms.TERMS")
     return TERMS[name]
-
-
-def is_shared(name: str, sharers: Sequence[Sharer]) -> BoolArray:
-    """True where two records or answers have the same error of a term, shape [k, k]."""
-    values = [getattr(sharer, term(name).key) for sharer in sharers]
-    return np.equal.outer(*[np.array([values.index(value) for value in values])] * 2)
 
 
 def ordered_budget(sds: Mapping[str, float]) -> dict[str, float]:
