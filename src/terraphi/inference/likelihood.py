@@ -256,18 +256,16 @@ class Likelihood:
         self._is_calibrated = rig_name(first.rig) in rigs
 
     def _fitted_cohesions(self) -> FloatArray:
-        """Cohesions that φ is fitted at [Pa]; of simulated soil that of its scenario.
+        """Cohesions that φ is fitted at [Pa].
 
         Raises InputError if records differ in it, or if it exceeds the law's range.
         """
-        simulated = self.records if not self.measured else ()
-        cohesions = {(r.scenario.soil.cohesion, 0.0) for r in simulated if r.scenario}
-        cohesions |= {(r.cohesion_pa, r.cohesion_sd_pa) for r in self.records if r not in simulated}
+        cohesions = {(record.cohesion_pa, record.cohesion_sd_pa) for record in self.records}
         most = self.law.most_cohesion / self._per_pascal
         if len(cohesions) > 1:
             texts = " and ".join(f"{mean:g}±{sd:g} Pa" for mean, sd in sorted(cohesions))
             raise InputError(f"soils with a cohesion of {texts} are not one soil; infer each alone")
-        [(mean, sd)] = cohesions or {(0.0, 0.0)}
+        [(mean, sd)] = cohesions
         if not self.measured and not most:
             return np.zeros(1)
         if (mean or sd) and not most:
@@ -360,7 +358,7 @@ class Likelihood:
         return self.density / self.law.density * force
 
     def linearized(self, x: FloatArray, cohesion: float) -> tuple[FloatArray, FloatArray]:
-        """Residual d − g [N], shape [1, n], with ∂g/∂φ and ∂g/∂δ of each record, [1, n, 1 + record].
+        """Residual d − g [N], shape [1, n], and slopes by φ and each δ, shape [1, n, 1 + record].
 
         At φ and δ, shape [1, 1 + record], and a cohesion [Pa]; by central differences [N/deg].
         """

@@ -118,8 +118,7 @@ class Record(InSoil):
     grain_size_mm
         Mean diameter of the grains [mm]; 0 of sand.
     cohesion_pa, cohesion_sd_pa
-        Cohesion of measured soil [Pa], and its standard deviation, which is infinite of an unknown
-        one.
+        Cohesion of the soil [Pa], and its standard deviation, which is infinite of an unknown one.
     gain, gain_sd
         What the forces were divided by, and its relative standard deviation [-].
     scale_given
@@ -488,6 +487,8 @@ def record_of(
         f"{key} to {step:.2g} {CHANNEL_UNITS[key]}" for key, step in steps.items() if step
     )
     cohesion_pa, cohesion_sd_pa = _cohesion(cohesion, name)
+    if scenario is not None:
+        cohesion_pa = scenario.soil.cohesion
     rounded = [f"Readings are rounded, {coarse}: the interval includes that."] if coarse else []
     history = raw if factor == 1.0 else raw.scaled(1.0 / factor)
     return Record(
