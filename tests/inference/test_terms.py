@@ -288,7 +288,7 @@ def test_a_term_is_added_in_one_place(key: str, monkeypatch: pytest.MonkeyPatch)
         return sizes(self) | {"temperature": np.full(len(self.records), 2.0)}
 
     monkeypatch.setattr(Likelihood, "_angle_sds", with_temperature)
-    with pytest.raises(LookupError, match="'temperature' is not in the table"):
+    with pytest.raises(LookupError, match="'temperature'"):
         terraphi.invert("li2013:yuma/straight")
     monkeypatch.setitem(TERMS, "temperature", Term("given", key))
     alone = [terraphi.invert(f"li2013:yuma/{leg}") for leg in ("straight", "c")]

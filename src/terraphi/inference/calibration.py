@@ -44,7 +44,7 @@ from terraphi.inference.checks import in_air, leg_readings, without_faults
 from terraphi.inference.inversion import FAR, judge, law_for, record_fits
 from terraphi.inference.likelihood import Likelihood
 from terraphi.inference.records import Record, open_records, rig_name
-from terraphi.inference.terms import root_sum_square, term
+from terraphi.inference.terms import TERMS, root_sum_square
 from terraphi.laws.law import AnyLaw
 from terraphi.laws.legs import LawOfLegs
 from terraphi.laws.model_error import ModelError
@@ -316,7 +316,7 @@ def _calibration_soil(
     # A calibration removes from other records on the rig only what the rig keeps (`rig_sd`), not
     # the errors of this record (`sd`).
     shares, error = likelihood.budget(), likelihood.error
-    fixed = [name for name in shares if term(name).fixed]
+    fixed = [name for name in shares if TERMS[name].fixed]
     rig_sd = math.hypot(*(shares[name] for name in fixed))
     sd = root_sum_square(shares, *fixed, *(name for name in shares if name.startswith("model: ")))
     model = (shares[name] for name in shares if name.startswith("model: "))

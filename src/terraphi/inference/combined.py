@@ -22,7 +22,7 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.rig import Rig
 from terraphi.inference.answer import Answer, Verdict, decimals, normal_density
 from terraphi.inference.checks import UNUSUAL
-from terraphi.inference.terms import ordered_budget, term
+from terraphi.inference.terms import TERMS, ordered_budget
 
 CHANCE = 0.05
 """Largest share of sound sets of answers of which two differ so much that they are a misfit
@@ -51,7 +51,7 @@ def errors_of(answers: Sequence[Answer], names: Sequence[str]) -> Errors:
     keys = {"record": [*range(k)], "rig": rigs, "leg": [rig.leg for rig in rigs], "law": laws,
             "soil": [None] * k}  # fmt: skip
     shared = np.array(
-        [[[first == other for other in keys[term(name).key]] for first in keys[term(name).key]]
+        [[[first == other for other in keys[TERMS[name].key]] for first in keys[TERMS[name].key]]
          for name in names], float,
     ).reshape(-1, k, k)  # fmt: skip
     causes = [answer.offset_causes_deg for answer in answers]
@@ -61,7 +61,7 @@ def errors_of(answers: Sequence[Answer], names: Sequence[str]) -> Errors:
     # shared; the diagonal is each answer's whole variance.
     variance = np.array([answer.phi.sd**2 for answer in answers])
     between = sds[:, :, None] * sds[:, None] * (shared - np.eye(k))
-    between *= np.array([term(name).weighs for name in names], bool)[:, None, None]
+    between *= np.array([TERMS[name].weighs for name in names], bool)[:, None, None]
     alone = variance - (np.square(sds) * between.any(axis=2)).sum(axis=0)
     return Errors(sds, shared, np.diag(variance) + between.sum(axis=0), np.maximum(alone, 0.0))
 
@@ -115,7 +115,7 @@ def combined(answers: Sequence[Answer]) -> Answer:
     moved = weight * errors.sds
     variances = np.einsum("ti,tij,tj->t", moved, errors.shared, moved)
     # A term that does not weigh is each answer's in the covariance, and one error in the interval.
-    joined = np.array([not term(name).weighs for name in names]) * (
+    joined = np.array([not TERMS[name].weighs for name in names]) * (
         variances - np.square(moved).sum(axis=1)
     )
     sd = math.sqrt(float(weight @ errors.covariance @ weight + joined.sum()) + widening**2)

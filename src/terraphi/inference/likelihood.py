@@ -85,7 +85,7 @@ from terraphi.experiment.history import FORCES, WINDOW_DEG, ForceHistory
 from terraphi.experiment.units import GRAVITY
 from terraphi.inference.estimator import Best, least_squares, weights
 from terraphi.inference.records import Record, rig_name
-from terraphi.inference.terms import ordered_budget, term
+from terraphi.inference.terms import TERMS, ordered_budget
 from terraphi.laws.law import STEP, LegLaw
 from terraphi.laws.legs import LawOfLegs, Legs, law_of
 from terraphi.laws.model_error import MIDDLE_DEG, ModelError
@@ -602,7 +602,13 @@ class Likelihood:
 
         Raises LookupError if the table of terms lacks a name.
         """
-        covariances = self._law_errors()
+        # Errors of the law: its interpolation between its simulations; of measured records a
+        # standard deviation of the leg's friction and of the hip's height; of simulated ones the
+        # scatter between seeds. It has each as a factor F [2 theta, k] of its forces: k independent
+        # causes, one standard deviation each. Read as records read forces, F' is B: B'B.
+        factors = self.law.errors(*self._by_law(), is_measured=self.measured)
+        means = {name: self._means_by_law(factor.T) for name, factor in factors.items()}
+        covariances = {name: b.T @ b for name, b in means.items()}
         covariances["noise"] = np.diag(np.square(RIDGE * self.span))
         for record, part in zip(self.records, self.parts, strict=True):
             covariances["noise"][part, part] += record.noise_covariance
@@ -619,27 +625,15 @@ class Likelihood:
         # Strokes of one rig have all errors in common but those of a record.
         is_same = np.equal.outer(self._record_index, self._record_index)
         for name, covariance in covariances.items():
-            covariance *= is_same | (term(name).key != "record")
+            covariance *= is_same | (TERMS[name].key != "record")
             # What a calibration of the rig includes is no further error of its records.
-            covariance *= not (term(name).fixed and self._is_calibrated)
+            covariance *= not (TERMS[name].fixed and self._is_calibrated)
         return {name: each for name, each in covariances.items() if each.any()}
 
     def _by_law(self) -> tuple[FloatArray, float]:
         """Best φ as the law reads it [deg], shape [1], and c / (ρ g L)."""
         phi = np.array([self.least_squares])
         return phi + self.offset(phi), self.cohesion * self._per_pascal
-
-    def _law_errors(self) -> dict[str, FloatArray]:
-        """Covariance of the law's errors as if all records shared them [N²], [n, n] each.
-
-        The law's interpolation between its simulations; of measured records a standard deviation of
-        the leg's friction and of the hip's height; of simulated ones the scatter between seeds.
-        """
-        # The law has each error as a factor F [2 theta, k] of its forces: k independent causes, one
-        # standard deviation each. Read as the record reads forces, F is B, and the covariance B B'.
-        factors = self.law.errors(*self._by_law(), is_measured=self.measured)
-        means = {name: self._means_by_law(factor.T) for name, factor in factors.items()}
-        return {name: b.T @ b for name, b in means.items()}
 
     def _angle_sds(self) -> dict[str, Any]:
         """Standard deviation of φ by what looks like another angle [deg], or [record] of them."""
@@ -673,7 +667,7 @@ class Likelihood:
         """
         covariance = self.covariance.copy()
         stated = np.sum(
-            [each.diagonal() for name, each in self.terms.items() if term(name).residual], axis=0
+            [each.diagonal() for name, each in self.terms.items() if TERMS[name].residual], axis=0
         )
         for record, part in zip(self.records, self.parts, strict=True):
             # Mean square of e of each channel, less the mean variance that the terms state.

@@ -39,7 +39,7 @@ from terraphi.inference.records import (
     is_ceiling,
     roughness,
 )
-from terraphi.inference.terms import ordered_budget, root_sum_square, term
+from terraphi.inference.terms import TERMS, ordered_budget, root_sum_square
 from terraphi.inference.verdict import (
     Judgment,
     consistent,
@@ -296,7 +296,13 @@ def invert_pressed(record: PressedRecord, law: Any = None) -> Answer:
     fit = _fit(press)
     budget = _budget(press, fit, rho_sd / rho)
     steady_sd = root_sum_square(budget, "contraction", "model: compaction")
-    posterior = _posterior(press, fit, steady_sd)
+    # Of each node φ is normal. Nodes of soil that compacts are wider: the standard deviation of
+    # what the law misses there is theirs alone. The grid reaches beyond the law, for offsets move
+    # φ out of it.
+    sd = np.hypot(steady_sd, press.compaction_sd * COMPACT)
+    grid = np.arange(max(press.ends[0] - 15.0, 0.5), min(press.ends[1] + 18.0, 80.0), 0.05)
+    density = np.exp(-0.5 * ((grid[:, None] - fit.phi) / sd) ** 2) @ (fit.chance / sd)
+    posterior = grid, np.asarray(density / np.trapezoid(density, grid))
     estimate = Estimate.of_density(*posterior)
     # Curves are drawn at the likeliest node, at angles as the law reads them: φ of the soil less
     # what is added where it compacts.
@@ -311,7 +317,7 @@ def invert_pressed(record: PressedRecord, law: Any = None) -> Answer:
     judgment = _verdict(press, fit, fitted, estimate.median, steady_sd)
     is_sound = judgment[0] == "consistent"
     # Terms that do not show in the residual look like another angle.
-    angle_sd = root_sum_square(budget, *(name for name in budget if term(name).residual))
+    angle_sd = root_sum_square(budget, *(name for name in budget if TERMS[name].residual))
     return tool_answer(
         record, law, began, judgment=judgment, posterior=posterior, budget_deg=budget,
         records=(fitted,),
@@ -396,21 +402,6 @@ def _budget(press: _Press, fit: _Fit, density_sd: float) -> dict[str, float]:
         "model: law": math.sqrt(LAWS[press.law].sd_deg ** 2 - SOIL_SD_DEG**2),
         "grain size": GRAINS_DEG * press.grains,
     })  # fmt: skip
-
-
-def _posterior(press: _Press, fit: _Fit, steady_sd: float) -> tuple[FloatArray, FloatArray]:
-    """Density of φ [1/deg] on a grid [deg]: a normal distribution for each node.
-
-    ``steady_sd`` is the standard deviation at a node of soil that does not compact [deg].
-    """
-    # Nodes of soil that compacts are wider: the standard deviation of what the law misses there is
-    # theirs alone. The grid reaches beyond the law, for offsets move φ out of it.
-    low, high = press.ends
-    sd = np.hypot(steady_sd, press.compaction_sd * COMPACT)
-    grid = np.arange(max(low - 15.0, 0.5), min(high + 18.0, 80.0), 0.05)
-    deviate = (grid[:, None] - fit.phi) / sd
-    posterior = np.exp(-0.5 * deviate**2) @ (fit.chance / sd)
-    return grid, np.asarray(posterior / np.trapezoid(posterior, grid))
 
 
 def _verdict(

@@ -521,8 +521,12 @@ def _verdict(roll: _Roll, fit: _Mean, record: RecordFit) -> Judgment:
     # A wheel that drives pulls less than its torque over the radius.
     # Soil bears at most tan φ of the normal force as shear, with two errors of the law.
     most = math.tan(math.radians(fit.mean + 2.0 * roll.error.law_deg))
-    for name, over in (("torque", "load times radius"), ("pull", "load")):
-        if (ratio := _shear(roll, name)) > most:
+    for name, over, arm in (
+        ("torque", "load times radius", roll.wheel.reach), ("pull", "load", 1.0)
+    ):  # fmt: skip
+        shear = roll.rows.get(name, np.zeros(1)) / (roll.rows["load"] * arm)
+        shear = np.abs(shear[np.isfinite(shear)])
+        if shear.size and (ratio := float(np.median(shear))) > most:
             ratios = f"{ratio:.2f} of {over}, and soil of this angle bears {most:.2f}"
             return misfit(f"the {name} is {ratios}; check their columns, units, gear and zero.")
     return _by_residual(record, "follows the load within {:.0%}, usual for wheels")
@@ -535,13 +539,6 @@ def _by_residual(record: RecordFit, follows: str) -> Judgment:
         return verdict
     share = follows.format(residual).replace("%", " %")
     return "consistent", f"Consistent: the law {share}.", None
-
-
-def _shear(roll: _Roll, name: str) -> float:
-    """Median size of the torque over load and radius, or of the pull over the load [-]; 0: none."""
-    size = roll.rows["load"] * (roll.wheel.reach if name == "torque" else 1.0)
-    ratios = np.abs(roll.rows.get(name, 0.0 * size) / size)
-    return float(np.nanmedian(ratios)) if np.isfinite(ratios).any() else 0.0
 
 
 def _phi_of_force(roll: _Roll, fit: _Mean) -> dict[str, float | None]:

@@ -84,18 +84,11 @@ TERMS: dict[str, Term] = {
 """Every term of an interval by its name in the budget."""
 
 
-def term(name: str) -> Term:
-    """Row of a term; raises LookupError if the table has none of that name."""
-    if name not in TERMS:
-        raise LookupError(f"term '{name}' is not in the table terraphi.inference.terms.TERMS")
-    return TERMS[name]
-
-
 def ordered_budget(sds: Mapping[str, float]) -> dict[str, float]:
     """Standard deviations of φ by term [deg], the largest first and the negligible left out."""
     least = SMALLEST * max(sds.values(), default=0.0)
     ordered = sorted(sds.items(), key=lambda item: -item[1])
-    return {name: sd for name, sd in ordered if term(name) and sd > least}
+    return {name: sd for name, sd in ordered if TERMS[name] and sd > least}
 
 
 def root_sum_square(budget: Mapping[str, float], *excluded: str) -> float:
