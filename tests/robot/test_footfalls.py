@@ -188,7 +188,7 @@ def test_of_two_feet_in_one_place_the_second_is_refused() -> None:
     places = np.column_stack([x, np.zeros((7, 2))])
     fair = {"torn": np.zeros(7, bool), "saturated": np.zeros(7, bool), "place": places}
     fair |= {"returned": np.zeros(7), "broken": np.zeros(7), "faulty": np.zeros(7, bool)}
-    fair["deepest"], fair["moved"] = np.full(7, 0.02), np.ones(7)
+    fair["deepest"], fair["moved"], fair["heading"] = np.full(7, 0.02), np.ones(7), np.zeros(7)
     fair |= {"drop": np.full((7, 20), 0.02), "rise": np.zeros((7, 20, 2))}
     observed = SimpleNamespace(foot=feet, used=np.ones((7, 20), bool), **fair)
     result = SimpleNamespace(
@@ -200,12 +200,16 @@ def test_of_two_feet_in_one_place_the_second_is_refused() -> None:
     observed.moved[0], observed.rise[1] = 0.01, (0.015, 0.006)  # its own print; on an edge
     expected[:2] = TRODDEN, TILTED
     assert verdicts(observed, result, Prior()).tolist() == expected
+    # A print before these, by another foot, is the only one that the fifth comes close to.
+    expected[4] = PRINT
+    earlier = np.array([[2.0, 0.01, 0.0, 0.0]])
+    assert verdicts(observed, result, Prior(), earlier=earlier).tolist() == expected
 
 
 def test_a_misfit_and_a_hard_layer_are_judged_by_the_rest_of_the_walk() -> None:
     """A law fits 20 footfalls a little badly and one not at all; feet stop at a layer, or not."""
     count, rng = 21, np.random.default_rng(0)
-    still = {name: np.zeros(count) for name in ("returned", "broken")}
+    still = {name: np.zeros(count) for name in ("returned", "broken", "heading")}
     still |= {name: np.zeros(count, bool) for name in ("torn", "saturated", "faulty")}
     still |= {"drop": np.full((count, 20), 0.02), "rise": np.zeros((count, 20, 2))}
     still["moved"] = np.ones(count)

@@ -625,7 +625,7 @@ def with_growth(touchdowns: Touchdowns, law: str, prior: Prior) -> Prior:
     """Add the law's error to the prior, and its growth with depth if enough feet sink in."""
     if prior.law_sd_deg is None:
         prior = replace(prior, law_sd_deg=LAWS[law].sd_deg)
-    trodden, _ = trodden_before(touchdowns, NEAR_RADII, prior)
+    trodden, _ = trodden_before(prints_of(touchdowns), NEAR_RADII, prior)
     # The exponent is learned on virgin ground, by feet that sank in and whose footfalls have no
     # fault; a misfit may be due to the very growth that is learned.
     virgin = evenly(picked(touchdowns, ~trodden), MOST_FITTED)
@@ -640,7 +640,7 @@ def _with_levels(
     prior = learn_level(evenly(sound, MOST_FITTED), law, prior)
     fits = fit(sound, law, prior)
     # Ground near an earlier print was moved, so that φ has a further error.
-    near_print, _ = trodden_before(touchdowns, BESIDE_RADII, prior)
+    near_print, _ = trodden_before(prints_of(touchdowns), BESIDE_RADII, prior)
     return prior, fits._replace(sd=np.hypot(fits.sd, BESIDE_SD_DEG * near_print[usable]))
 
 
@@ -843,8 +843,9 @@ def traits(touchdowns: Touchdowns, fits: Fit) -> FloatArray:
 
 
 def verdicts(
-    touchdowns: Touchdowns, fits: Fit, prior: Prior, *, typical: Typical | None = None
-) -> NDArray[np.str_]:
+    touchdowns: Touchdowns, fits: Fit, prior: Prior, *, typical: Typical | None = None,
+    earlier: FloatArray | None = None,
+) -> NDArray[np.str_]:  # fmt: skip
     """Verdict of each footfall: the first reason against it, else :data:`USABLE`.
 
     Parameters
@@ -855,10 +856,14 @@ def verdicts(
         With the size of the foot.
     typical
         What is usual in the whole walk; by default in these touch-downs.
+    earlier
+        Prints of touch-downs before these, as of :func:`prints_of`; by default none.
     """
     if typical is None:
         typical = Typical.of(traits(touchdowns, fits))
-    trodden, printed = trodden_before(touchdowns, NEAR_RADII, prior)
+    before = np.empty((0, 4)) if earlier is None else earlier
+    prints = np.vstack([before, prints_of(touchdowns)])
+    trodden, printed = trodden_before(prints, NEAR_RADII, prior)[:, len(before) :]
     # Of a sole that stays above the surface with an end the law is less sure.
     risen = np.where(touchdowns.used, np.abs(touchdowns.rise).sum(axis=2), 0.0).max(axis=1)
     springs = (touchdowns.returned > MOST_RETURNED) | (typical.returned > WALK_RETURNED)
@@ -922,26 +927,31 @@ def _ground_notes(touchdowns: Touchdowns, fits: Fit, verdict: NDArray[np.str_]) 
     return notes
 
 
-def trodden_before(
-    touchdowns: Touchdowns, radii: float, prior: Prior
-) -> tuple[BoolArray, BoolArray]:
-    """Masks of touch-downs nearer than some radii to an earlier one, and in a fore foot's print.
+def prints_of(touchdowns: Touchdowns) -> FloatArray:
+    """Place x, y [m], number of the foot and heading [rad] of touch-downs, [touchdown, 4]."""
+    return np.column_stack([touchdowns.place[:, :2], touchdowns.foot, touchdowns.heading])
 
-    Both shape [touchdown]; only a rear foot steps into the print of a fore foot. Soles have half of
-    their length and width for radii, along the earlier print's sides.
+
+def trodden_before(prints: FloatArray, radii: float, prior: Prior) -> BoolArray:
+    """Masks of prints nearer than some radii to an earlier one, and in a fore foot's, [2, print].
+
+    Prints are those of :func:`prints_of`, in the order of time. Only a rear foot steps into the
+    print of a fore foot. Soles have half of their length and width for radii, along the earlier
+    print's sides.
     """
     from scipy.spatial import cKDTree
 
-    trodden, printed = np.zeros((2, len(touchdowns.foot)), dtype=bool)
-    # Touch-downs are in the order of time, so that of a pair the larger number came later.
-    place, sides = touchdowns.place[:, :2], 0.5 * np.array(prior.sole or (0.0, 0.0))
+    masks = trodden, printed = np.zeros((2, len(prints)), dtype=bool)
+    # Of a pair the larger number came later.
+    place, foot, heading = prints[:, :2], prints[:, 2], prints[:, 3]
+    sides = 0.5 * np.array(prior.sole or (0.0, 0.0))
     reach = radii * max(prior.radius, *(math.sqrt(2.0) * sides))
     near = cKDTree(place).query_pairs(reach, output_type="ndarray")
     first, second = near.min(axis=1), near.max(axis=1)
     if prior.sole:
-        away = (place[second] - place[first]) @ [1.0, 1j] * np.exp(-1j * touchdowns.heading[first])
+        away = (place[second] - place[first]) @ [1.0, 1j] * np.exp(-1j * heading[first])
         inside = (np.abs([away.real, away.imag]) < radii * sides[:, None]).all(axis=0)
         first, second = first[inside], second[inside]
     trodden[second] = True
-    printed[second[touchdowns.foot[first] // 2 < touchdowns.foot[second] // 2]] = True
-    return trodden, printed
+    printed[second[foot[first] // 2 < foot[second] // 2]] = True
+    return masks

@@ -393,7 +393,7 @@ class Walk:
     count
         Number of touch-downs so far.
     trace
-        Of each touch-down so far x, y [m], foot, heading and
+        Of each touch-down so far :func:`~terraphi.inference.footfalls.prints_of` and
         :func:`~terraphi.inference.footfalls.traits`, shape [touchdown, 10].
     course
         Means over :data:`~terraphi.robot.footfalls.AVERAGED_S`, a course for each step.
@@ -630,7 +630,7 @@ class Walk:
     def _fit(self, start: RobotForces, landings: Touchdowns) -> list[Footfall]:
         """Fit touch-downs with what was learned, and give each its verdict."""
         self._keep(start, landings)
-        prior, count, robot = self.options.prior, len(landings.foot), self.options.robot
+        prior, robot = self.options.prior, self.options.robot
         sds = [sd for _, sd in prior.shared().values()]
         sd = np.append(batch.torque_sd(start.forces, robot), sds)
         none = np.zeros(len(sd))
@@ -639,25 +639,18 @@ class Walk:
             prior, exponent=learned.exponent, level=learned.level, level_sd=learned.level_sd
         )
         fits = fit(landings, self.options.law, prior)
-        # The verdict needs places and feet of those before that are near, and medians of the walk.
-        places = landings.place[:, :2]
+        # The verdict needs the prints before that are near, and medians of the walk.
+        prints, traits = inference.prints_of(landings), inference.traits(landings, fits)
         reach = inference.BESIDE_RADII * max(prior.radius, *(prior.sole or (0.0,)))
-        distance = np.linalg.norm(self.trace[:, None, :2] - places, axis=-1).min(axis=1)
-        near = self.trace[distance < reach]
-        traits = inference.traits(landings, fits)
-        rows = np.column_stack([places, landings.foot, landings.heading, traits])
-        self.trace = np.vstack([self.trace, rows])
-        first = np.zeros(len(near), int)
-        neighbors = stacked([picked(landings, first), landings])
-        neighbors.place[: len(near), :2], neighbors.foot[: len(near)] = near[:, :2], near[:, 2]
-        neighbors.heading[: len(near)] = near[:, 3]
-        verdict = inference.verdicts(
-            neighbors, stacked([picked(fits, first), fits]), prior,
-            typical=inference.Typical.of(self.trace[:, 4:]),
-        )[-count:]  # fmt: skip
+        away = self.trace[:, None, :2] - prints[:, :2]
+        near = self.trace[np.linalg.norm(away, axis=-1).min(axis=1) < reach, :4]
+        self.trace = np.vstack([self.trace, np.column_stack([prints, traits])])
+        typical = inference.Typical.of(self.trace[:, 4:])
+        verdict = inference.verdicts(landings, fits, prior, typical=typical, earlier=near)
         if self.ground:
             verdict[np.isin(verdict, (inference.USABLE, inference.MISFIT))] = inference.NO_ANGLE
-        moved = inference.trodden_before(neighbors, inference.BESIDE_RADII, prior)[0][-count:]
+        all_prints = np.vstack([near, prints])
+        moved = inference.trodden_before(all_prints, inference.BESIDE_RADII, prior)[0, len(near) :]
         sinkage = inference.surface_depth(fits, verdict)
         usable = np.where(verdict == inference.USABLE, 1.0, np.nan)
         columns = (
