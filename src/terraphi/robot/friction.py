@@ -319,7 +319,7 @@ def survey(
     estimator, gap
         Of :func:`~terraphi.robot.estimators.contact_torque`, whose residual in swing is returned.
     friction
-        Take the joints' friction off.
+        Take the joints' friction off, of the momentum observer.
 
     Returns
     -------
@@ -356,9 +356,9 @@ def survey(
     # Before friction is known it looks like force, so that twice the load may be swing.
     *_, contact = refined(torque, 2.0 * BEARING_SHARE)
     *_, contact = refined(contact, BEARING_SHARE)
-    lost, swing, _ = refined(contact, BEARING_SHARE)
+    lost, swing, contact = refined(contact, BEARING_SHARE)
     kept, residual = lost if friction else None, np.full(robot.joint.shape, np.nan)
-    deviation = of_all(lambda part: contact_torque(part, estimator, gap, kept))
+    deviation = contact if kept else of_all(lambda part: contact_torque(part, estimator, gap))
     for foot in np.flatnonzero(swing.any(axis=0)):
         off = np.abs(deviation[swing[:, foot], foot])
         # Root mean square, errors that are far out cut short; right for ±c as for a bell.
