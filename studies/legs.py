@@ -336,7 +336,7 @@ def judged(law: legs.Legs) -> Iterator[Truth]:
     bent = terraphi.Plan.load(pages.ROOT / "plans" / f"{TRUTHS_OF_LI}-legs.toml").cases()
     folder = pages.LIBRARIES / f"{TRUTHS_OF_LI}-legs.nc.cases"
     paths = [(scenario, folder / f"{scenario.hash}.nc") for scenario in bent]
-    finished = [Simulation(scenario, ForceHistory.from_netcdf(path))
+    finished = [Simulation(scenario, ForceHistory.load(path))
                 for scenario, path in paths if path.exists()]  # fmt: skip
     library = replace(library, cases=(*library.cases, *finished))
     simulations += [("Li's legs", case) for case in zip(*legs.cases_of(library)[:3], strict=True)]

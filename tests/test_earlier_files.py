@@ -60,8 +60,8 @@ def read_map(folder: Path) -> dict[str, Any]:
 
 
 READERS: dict[str, Callable[[Path], Any]] = {
-    "history.nc": ForceHistory.from_netcdf,
-    "pressed.nc": ForceHistory.from_netcdf,
+    "history.nc": ForceHistory.load,
+    "pressed.nc": ForceHistory.load,
     "library.nc": Library.load,
     "strokes.nc": Answer.load,
     "plate.nc": Answer.load,

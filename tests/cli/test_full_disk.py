@@ -171,7 +171,7 @@ def test_a_command_whose_nth_write_fails_leaves_what_was_there(
         assert [line[:9] for line in ran.err.splitlines()] == ["terraphi:"]
         assert "unexpected" not in ran.err
         for case in (tmp_path / CASES).glob("[!.]*"):
-            ForceHistory.from_netcdf(case)
+            ForceHistory.load(case)
         if lasts:  # nothing can be restored, and each file is whole, or the last is missing
             assert all(text in (before.get(file), full[file]) for file, text in after.items())
             assert {*before} - {*after} <= LAST

@@ -52,7 +52,7 @@ def terraphi(terraphi: Terraphi, tmp_path: Path) -> Terraphi:
 
 
 def forces(path: Path) -> bytes:
-    return ForceHistory.from_netcdf(path).force.tobytes()
+    return ForceHistory.load(path).force.tobytes()
 
 
 def names(folder: Path) -> list[str]:
@@ -90,7 +90,7 @@ def test_a_killed_simulation_is_taken_up_by_the_same_command(terraphi, tmp_path)
     assert ran.status == 0
     assert ran.err == ""
     assert names(tmp_path) == ["f", "h.nc", "s.toml"]
-    history = ForceHistory.from_netcdf(tmp_path / "h.nc")
+    history = ForceHistory.load(tmp_path / "h.nc")
     assert history.provenance["resumed_at_step"][0] >= 2000
     assert history.force.tobytes() == simulate(Scenario.load("s.toml")).force.tobytes()
     # The frames are all there, those before the kill as well as those after.
@@ -104,7 +104,7 @@ def test_fields(terraphi, tmp_path) -> None:
     assert ran.status == 0
     assert json.loads(ran.out)["out"] == "h.nc"
     # Fewer blocks of steps than frames: one at the start and one after each.
-    steps = ForceHistory.from_netcdf(tmp_path / "h.nc").provenance["steps"]
+    steps = ForceHistory.load(tmp_path / "h.nc").provenance["steps"]
     frames = [
         f"{name}_{k:04d}.vtk" for name in ("leg", "particles") for k in range(1 - (-steps // 2000))
     ]

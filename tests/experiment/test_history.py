@@ -159,7 +159,7 @@ def test_netcdf_there_and_back_bit_by_bit(
 ) -> None:
     history = random_history(coordinate, axes, moment)
     history.to_netcdf(tmp_path / "x.nc")
-    result = ForceHistory.from_netcdf(tmp_path / "x.nc")
+    result = ForceHistory.load(tmp_path / "x.nc")
     assert result.position.tobytes() == history.position.tobytes()
     assert result.force.tobytes() == history.force.tobytes()
     assert (result.coordinate, result.axes) == (coordinate, axes)
@@ -178,7 +178,7 @@ def test_a_netcdf_describes_itself_and_needs_degrees_alone(tmp_path: Path) -> No
         assert plain["M"].attrs["units"] == "N m"
         assert plain["Fx"].dims == ("theta_deg",)
         plain.load().drop_vars("theta").to_netcdf(tmp_path / "y.nc", engine="h5netcdf")
-    result = ForceHistory.from_netcdf(tmp_path / "y.nc")
+    result = ForceHistory.load(tmp_path / "y.nc")
     assert result.position == pytest.approx(history.position, rel=1e-15)
 
 
@@ -190,7 +190,7 @@ def test_a_netcdf_that_lacks_something(tmp_path: Path, gone: list[str]) -> None:
     content.attrs = {key: value for key, value in content.attrs.items() if key not in gone}
     content.to_netcdf(tmp_path / "y.nc", engine="h5netcdf")
     with pytest.raises(InputError, match=r"y\.nc: .*make (it|the force history) again"):
-        ForceHistory.from_netcdf(tmp_path / "y.nc")
+        ForceHistory.load(tmp_path / "y.nc")
 
 
 @pytest.mark.parametrize(
@@ -200,7 +200,7 @@ def test_a_netcdf_that_lacks_something(tmp_path: Path, gone: list[str]) -> None:
 def test_a_netcdf_whose_provenance_has_other_types(tmp_path: Path, key: str, value: object) -> None:
     replace(random_history(), provenance={key: value}).to_netcdf(tmp_path / "x.nc")
     with pytest.raises(InputError, match=rf"x\.nc: provenance.{key}.* should be"):
-        ForceHistory.from_netcdf(tmp_path / "x.nc")
+        ForceHistory.load(tmp_path / "x.nc")
 
 
 def test_csv_there_and_back(tmp_path: Path) -> None:
@@ -246,7 +246,7 @@ def test_what_was_applied_goes_with_the_history(tmp_path: Path) -> None:
     force = np.ones((5, 2))
     counted = ForceHistory(np.linspace(0.0, 0.4, 5), force, provenance={"applied_force": kept})
     counted.to_netcdf(tmp_path / "x.nc")
-    applied = ForceHistory.from_netcdf(tmp_path / "x.nc").applied()
+    applied = ForceHistory.load(tmp_path / "x.nc").applied()
     assert applied is not None
     assert (applied.Fx.tolist(), applied.Fz.tolist()) == ([1.0, 2.0], [3.0, 5.0])
     assert applied.position.tolist() == [0.1, 0.3]

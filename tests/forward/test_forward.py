@@ -28,7 +28,7 @@ def test_history_says_where_it_comes_from(tmp_path: Path) -> None:
     assert {"terraphi", "python", "machine", "seconds", "panels"} <= set(content)
     assert "numba" not in content
     history.to_netcdf(tmp_path / "a.nc")
-    assert ForceHistory.from_netcdf(tmp_path / "a.nc").provenance == content
+    assert ForceHistory.load(tmp_path / "a.nc").provenance == content
 
 
 def test_resistive_force_theory_keeps_nothing_and_has_nothing_to_show(tmp_path: Path) -> None:

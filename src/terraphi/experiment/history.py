@@ -404,14 +404,6 @@ class ForceHistory(Result):
         return super().to_xarray().swap_dims(position=dim)
 
     @classmethod
-    def from_netcdf(cls, path: Path | str) -> ForceHistory:
-        """Read a history that :meth:`to_netcdf` wrote.
-
-        Raises InputError if the file is not a whole NetCDF of this kind and schema.
-        """
-        return cls.load(path)
-
-    @classmethod
     def _of_file(cls, file: NetcdfFile[HistoryAttributes]) -> Self:
         values, coordinate = read(file, cls.VARIABLES), file.attrs.coordinate
         position = positions(values, coordinate)

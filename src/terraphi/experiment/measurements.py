@@ -138,7 +138,7 @@ def open_forces(source: str | Path, columns: Any = None) -> list[Measurement]:
         if not path.suffix and (hint := nearest(text, names())).startswith("did"):
             raise InputError(f"'{text}' is neither a file nor a shipped measurement; {hint}")
     if path.suffix.lower() == ".nc":
-        histories = [ForceHistory.from_netcdf(path)]
+        histories = [ForceHistory.load(path)]
     else:
         histories = read_trials(path, columns)
     name = "standard input" if text == "-" else text

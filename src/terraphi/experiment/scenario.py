@@ -375,9 +375,10 @@ class Scenario(Strict):
             # What slides along a wall may reach into it, such as a half of a symmetric plate.
             low, high = box if moving else grid
             if path[0] < low or path[1] > high:
-                ends = f"{path[0]:.4f} to {path[1]:.4f} m, not in {low:.4f} to {high:.4f}"
-                why = f"the leg leaves the domain, {name} = {ends}"
-                raise ValueError(f"{why}; move motion.hip or shorten leg.chord")
+                raise ValueError(
+                    f"the leg leaves the domain, {name} = {path[0]:.4f} to {path[1]:.4f} m, not in "
+                    f"{low:.4f} to {high:.4f}; move motion.hip or shorten leg.chord"
+                )
 
     @property
     def tip_inset(self) -> float:

@@ -149,9 +149,10 @@ class Calibration(Strict):
             worst = int(np.abs(distance).argmax())
             limit = DISAGREE * MOST_BED_SD_DEG * math.sqrt(n / (n - 1))
             if abs(distance[worst]) > limit:
-                beds = f"from the other repeats, beds at most {limit:.1f}°"
-                differs = f"{records[worst].source} differs by {distance[worst]:+.1f}° {beds}"
-                yield f"{differs}: check the soil, the density and the leg."
+                yield (
+                    f"{records[worst].source} differs by {distance[worst]:+.1f}° from the other "
+                    f"repeats, beds at most {limit:.1f}°: check the soil, the density and the leg."
+                )
 
     def check(self, library: LawOfLegs, gains: Mapping[str, float]) -> None:
         """Refuse another law, or another gain of a rig's sensor, than those of the calibration.

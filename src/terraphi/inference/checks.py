@@ -374,9 +374,11 @@ def _displaced(likelihood: Likelihood, fits: Sequence[RecordFit], verdict: str) 
         limit = max(HIP_MM, HIP_SURE * sd, UNUSUAL * record.rig.hip_height_sd_mm)
         if free.residual < HIP_RESIDUAL and abs(higher) > limit:
             side = "higher" if higher > 0 else "lower"
-            hip = f"{abs(higher):.0f} ± {sd:.0f} mm {side} than {record.rig.hip_height_mm:g} mm"
-            text = f"The forces fit a hip {hip}: check the hip height and the leg length."
-            yield f"{likelihood.prefix(record)}{text}"
+            yield (
+                f"{likelihood.prefix(record)}The forces fit a hip {abs(higher):.0f} ± {sd:.0f} mm "
+                f"{side} than {record.rig.hip_height_mm:g} mm: check the hip height and the leg "
+                "length."
+            )
 
 
 def _unusual(likelihood: Likelihood, phi: Estimate, verdict: str) -> Iterator[str]:

@@ -565,9 +565,10 @@ def _contradictions(roll: _Roll, fit: _Mean, reason: str) -> list[str]:
         if ratio < -SLACK:
             sentences.append("The torque brakes a wheel that slips forward: check its sign.")
         elif ratio > roll.friction + OTHER_TORQUE and "torque" not in reason:
-            torque = f"The torque is {ratio:.2f} of load times radius"
-            bears = f"a rim of friction {roll.friction:.2f} bears less"
-            sentences.append(f"{torque}, and {bears}: check the diameter and the torque's unit.")
+            sentences.append(
+                f"The torque is {ratio:.2f} of load times radius, and a rim of friction "
+                f"{roll.friction:.2f} bears less: check the diameter and the torque's unit."
+            )
     if "pull" not in rows:
         return sentences
     if "torque" in rows and driven.any():

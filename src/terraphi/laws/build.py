@@ -218,7 +218,7 @@ def _finished(path: Path, folder: Path, wanted: list[Scenario]) -> dict[str, For
         histories = {c.scenario.hash: c.history for c in Library.load(path).cases if c.history}
     for file in sorted(folder.glob("*.nc")):
         try:
-            history = ForceHistory.from_netcdf(file)
+            history = ForceHistory.load(file)
         except InputError as error:
             log.warning("%s; it will be simulated again", error)
         else:

@@ -149,7 +149,7 @@ def _of_file(source: Path | str, kind: str, robot: str) -> Section:
 
         return of_library(Library.load(source))
     if kind == "simulation":
-        return of_simulation(ForceHistory.from_netcdf(path), path.name)
+        return of_simulation(ForceHistory.load(path), path.name)
     if kind == "map":
         return of_map(path)
     if kind == "footfalls":
